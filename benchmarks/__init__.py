@@ -1,0 +1,1 @@
+"""Monte Carlo trials of estimators, their scores, tables and figures."""

@@ -1,0 +1,1 @@
+"""Scenarios: a world, and the options of the estimators that meet it."""

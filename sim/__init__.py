@@ -1,0 +1,1 @@
+"""The world and the receiver: what is true, and what would be measured."""

@@ -1,0 +1,26 @@
+"""The one error that a user can cause, and the wording that every such error shares."""
+
+from __future__ import annotations
+
+import difflib
+from collections.abc import Iterable
+
+
+class InputError(ValueError):
+    """A request, a file or a value that cannot be used as given.
+
+    The text is one line and is shown to the user as it is: what was given, what is allowed, what to do.
+    The command line turns it into exit status 2 without a traceback.
+    """
+
+
+def nearest_name(given: str, allowed: Iterable[str]) -> str:
+    """Return `; did you mean 'x'?` for the name nearest to `given`, or an empty string if none is near."""
+    near = difflib.get_close_matches(given, list(allowed), n=1, cutoff=0.5)
+    return f"; did you mean '{near[0]}'?" if near else ""
+
+
+def unknown_name(kind: str, given: str, allowed: Iterable[str]) -> InputError:
+    """Return the error for a name that is not among `allowed`: what was given, the nearest, all of them."""
+    names = sorted(allowed)
+    return InputError(f"unknown {kind} '{given}'{nearest_name(given, names)} (known: {', '.join(names)})")

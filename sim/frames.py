@@ -1,0 +1,87 @@
+"""Rotations, angle wrapping, and directions in the world and body frames.
+
+World frame: east, north, up. Body frame: x forward, y left, z up. A pose is
+[x, y, z, psi, theta, phi] (metres, radians); R(psi, theta, phi) = Rz(psi) Ry(theta) Rx(phi) takes body to world, so
+positive theta is nose down. Azimuth is counter-clockwise from x in (-pi, pi]; elevation is from the xy-plane,
+positive up, in [-pi/2, pi/2]. All functions broadcast over leading axes.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+SPEED_OF_LIGHT_MPS = 299_792_458.0
+
+
+def wrap_angle(angle_rad: ArrayLike) -> NDArray[np.float64]:
+    """Return angles (...,) in radians wrapped to (-pi, pi]."""
+    angle = np.asarray(angle_rad, dtype=np.float64)
+    return angle - 2.0 * np.pi * np.ceil((angle - np.pi) / (2.0 * np.pi))
+
+
+def rotation(psi_rad: ArrayLike, theta_rad: ArrayLike, phi_rad: ArrayLike) -> NDArray[np.float64]:
+    """Return R = Rz(psi) Ry(theta) Rx(phi), shape (..., 3, 3), which takes body to world vectors."""
+    psi, theta, phi = np.broadcast_arrays(*(np.asarray(a, np.float64) for a in (psi_rad, theta_rad, phi_rad)))
+    cp, sp, ct, st, cr, sr = np.cos(psi), np.sin(psi), np.cos(theta), np.sin(theta), np.cos(phi), np.sin(phi)
+    rows = (
+        (cp * ct, cp * st * sr - sp * cr, cp * st * cr + sp * sr),
+        (sp * ct, sp * st * sr + cp * cr, sp * st * cr - cp * sr),
+        (-st, ct * sr, ct * cr),
+    )
+    return np.stack([np.stack(row, axis=-1) for row in rows], axis=-2)
+
+
+def rotation_angles(matrix: ArrayLike) -> NDArray[np.float64]:
+    """Return (psi, theta, phi), shape (..., 3), of rotation matrices (..., 3, 3); inverse of `rotation`."""
+    m = np.asarray(matrix, np.float64)
+    psi = np.arctan2(m[..., 1, 0], m[..., 0, 0])
+    theta = np.arctan2(-m[..., 2, 0], np.hypot(m[..., 0, 0], m[..., 1, 0]))
+    phi = np.arctan2(m[..., 2, 1], m[..., 2, 2])
+    return np.stack([psi, theta, phi], axis=-1)
+
+
+def unit_vector(azimuth_rad: ArrayLike, elevation_rad: ArrayLike) -> NDArray[np.float64]:
+    """Return the unit vectors (..., 3) that point to the given azimuths and elevations."""
+    az, el = np.broadcast_arrays(np.asarray(azimuth_rad, np.float64), np.asarray(elevation_rad, np.float64))
+    return np.stack([np.cos(el) * np.cos(az), np.cos(el) * np.sin(az), np.sin(el)], axis=-1)
+
+
+def azimuth_elevation(vector: ArrayLike) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return azimuth (...,) and elevation (...,) of vectors (..., 3); atan2 in both, so no length is needed."""
+    v = np.asarray(vector, np.float64)
+    return np.arctan2(v[..., 1], v[..., 0]), np.arctan2(v[..., 2], np.hypot(v[..., 0], v[..., 1]))
+
+
+def world_to_body(pose: ArrayLike, vector: ArrayLike) -> NDArray[np.float64]:
+    """Return world vectors (..., 3) in the body frame of `pose` (..., 6): R^T v (directions, not points)."""
+    p = np.asarray(pose, np.float64)
+    r = rotation(p[..., 3], p[..., 4], p[..., 5])
+    return np.einsum("...ji,...j->...i", r, np.asarray(vector, np.float64))
+
+
+def integrate_pose(pose: ArrayLike, velocity: ArrayLike, dt_s: float) -> NDArray[np.float64]:
+    """Return the pose (..., 6) after `dt_s` at mean body velocities `velocity` (..., 6) = [u_x, u_y, u_z, u_psi, u_theta, u_phi].
+
+    Yaw, pitch and roll advance at their rates; the translation is rotated with the attitude at mid-interval, which
+    is exact to third order in the turn of one interval.
+    """
+    p, u = np.asarray(pose, np.float64), np.asarray(velocity, np.float64)
+    turn = u[..., 3:] * dt_s
+    middle = p[..., 3:] + 0.5 * turn
+    moved = np.einsum("...ij,...j->...i", rotation(middle[..., 0], middle[..., 1], middle[..., 2]), u[..., :3] * dt_s)
+    return np.concatenate([p[..., :3] + moved, wrap_angle(p[..., 3:] + turn)], axis=-1)
+
+
+def mean_velocity(before: ArrayLike, after: ArrayLike, dt_s: ArrayLike) -> NDArray[np.float64]:
+    """Return the mean body velocities (..., 6) that take pose `before` to pose `after` in `dt_s` (...,).
+
+    Exact inverse of `integrate_pose`.
+    """
+    a, b = np.asarray(before, np.float64), np.asarray(after, np.float64)
+    dt = np.asarray(dt_s, np.float64)[..., None]
+    turn = wrap_angle(b[..., 3:] - a[..., 3:])
+    middle = a[..., 3:] + 0.5 * turn
+    r = rotation(middle[..., 0], middle[..., 1], middle[..., 2])
+    moved = np.einsum("...ji,...j->...i", r, b[..., :3] - a[..., :3])
+    return np.concatenate([moved, turn], axis=-1) / dt

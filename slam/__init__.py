@@ -1,0 +1,1 @@
+"""Estimators: they see the observable part of a recording, never the truth."""

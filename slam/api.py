@@ -1,0 +1,136 @@
+"""The estimator contract: what an estimator is given, what it answers.
+
+An estimator sees copies of observables only. `Setup` and `Snapshot` hold no reference to the recording.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, ClassVar, Protocol, runtime_checkable
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cellslam.sim.recording import Floats, Ints, Links, OdometryModel, Recording, Sites, Truth
+
+
+@dataclass(frozen=True)
+class Setup:
+    """What is known before the drive: links, sites with offset priors, odometry data sheet, start pose and deviations (6,).
+
+    `truth` is None but for an estimator that declares `requires_truth`.
+    """
+
+    links: Links
+    sites: Sites
+    odometry_model: OdometryModel
+    start_pose: Floats
+    start_std: Floats
+    truth: Truth | None = None
+
+
+@dataclass(frozen=True)
+class Snapshot:
+    """The measurements of one snapshot, read-only columns (m,), sorted by link; NaN: component not measured.
+
+    `row` is the measurement's row in the recording: oracles look truth up by it, others need not look at it.
+    """
+
+    index: int
+    row: Ints
+    link: Ints
+    distance_m: Floats
+    azimuth_rad: Floats
+    elevation_rad: Floats
+    snr_db: Floats
+    distance_std_m: Floats | None = None
+    azimuth_std_rad: Floats | None = None
+    elevation_std_rad: Floats | None = None
+
+    def __len__(self) -> int:
+        return len(self.link)
+
+
+@dataclass(frozen=True)
+class VtEstimate:
+    """Estimated VTs: `id` (V,), `link` (V,), `position_m` (V, 3), `covariance` (V, 3, 3), in the world frame."""
+
+    id: Ints
+    link: Ints
+    position_m: Floats
+    covariance: Floats
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """The belief after one snapshot.
+
+    `pose` (6,) and `covariance` (6, 6); where the estimator has them: `association` (m,), VT id per measurement, -1 for none;
+    `clock_offset_m` (S,) and `clock_offset_variance_m2` (S,); `vts`, which may be None in all but the last
+    snapshot of a drive and those for which it is cheap.
+    """
+
+    pose: Floats
+    covariance: Floats
+    association: Ints | None = None
+    clock_offset_m: Floats | None = None
+    clock_offset_variance_m2: Floats | None = None
+    vts: VtEstimate | None = None
+
+
+@runtime_checkable
+class Estimator(Protocol):
+    """What the runner drives. `warm_up()` (compile; not timed) and `finish()` (a smoother's poses (T, 6)) are optional."""
+
+    name: ClassVar[str]
+    requires_truth: ClassVar[bool] = False
+
+    def __init__(self, options: Any) -> None: ...
+
+    def start(self, setup: Setup, rng: np.random.Generator) -> None:
+        """Begin a drive at the first snapshot."""
+        ...
+
+    def step(self, dt_s: float, odometry: Floats, snapshot: Snapshot) -> Estimate:
+        """Advance by `dt_s` with mean body velocities `odometry` (6,), then use `snapshot`. First call: dt_s = 0."""
+        ...
+
+
+def setup_of(recording: Recording, with_truth: bool = False) -> Setup:
+    """Return copies of what an estimator may know before the drive."""
+    links, sites, model = recording.links, recording.sites, recording.odometry_model
+    return Setup(
+        links=Links(*(_frozen(c) for c in (links.site, links.cell_id, links.port))),
+        sites=Sites(sites.name, _frozen(sites.clock_offset_mean_m), _frozen(sites.clock_offset_std_m)),
+        odometry_model=OdometryModel(
+            *(_frozen(c) for c in (model.noise_density, model.bias, model.bias_walk_density, model.scale))
+        ),
+        start_pose=_frozen(recording.start_pose),
+        start_std=_frozen(recording.start_std),
+        truth=recording.truth if with_truth else None,
+    )
+
+
+def snapshots_of(recording: Recording) -> list[Snapshot]:
+    """Return every snapshot of a recording, each with its own copies of the columns."""
+    m, rows = recording.measurements, recording.rows
+    every_row = np.arange(len(m))
+    columns = (every_row, m.link, m.distance_m, m.azimuth_rad, m.elevation_rad, m.snr_db)
+    claimed = (m.distance_std_m, m.azimuth_std_rad, m.elevation_std_rad)
+    out = []
+    for t in range(len(recording.time_s)):
+        part = slice(rows[t], rows[t + 1])
+        out.append(
+            Snapshot(
+                t,
+                *(_frozen(c[part]) for c in columns),
+                *(None if c is None else _frozen(c[part]) for c in claimed),
+            )
+        )
+    return out
+
+
+def _frozen(array: NDArray[Any]) -> NDArray[Any]:
+    copy = np.array(array)
+    copy.setflags(write=False)
+    return copy

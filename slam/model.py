@@ -1,0 +1,76 @@
+"""The measurement model h, its Jacobians, and births: used by every estimator and by the bound.
+
+h(r, v) = (distance, azimuth, elevation) of VT v seen from pose r, without clock offset (paper, section IV, with
+the elevation corrected: atan2(z, sqrt(x^2 + y^2))). With the offset b of its site a measurement is
+z = h(r, v) + (b, 0, 0) + noise.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from cellslam.sim.frames import azimuth_elevation, rotation, unit_vector, world_to_body
+from cellslam.sim.recording import Floats
+
+
+def predict(pose: ArrayLike, vt: ArrayLike) -> Floats:
+    """Return h (..., 3): distance (m), azimuth and elevation (rad, body frame) of VTs (..., 3) from poses (..., 6)."""
+    p, v = np.asarray(pose, np.float64), np.asarray(vt, np.float64)
+    body = world_to_body(p, v - p[..., :3])
+    azimuth, elevation = azimuth_elevation(body)
+    return np.stack([np.linalg.norm(body, axis=-1), azimuth, elevation], axis=-1)
+
+
+def jacobians(pose: ArrayLike, vt: ArrayLike) -> tuple[Floats, Floats]:
+    """Return dh/dv (..., 3, 3) and dh/dr (..., 3, 6) for poses (..., 6) and VTs (..., 3).
+
+    Units: m/m, rad/m for the position columns; m/rad, rad/rad for yaw, pitch and roll. Undefined (not finite) for a
+    VT straight above or at the array.
+    """
+    p, v = np.broadcast_arrays(np.asarray(pose, np.float64)[..., :, None], np.asarray(vt, np.float64)[..., None, :])
+    pose_b, vt_b = p[..., 0], v[..., 0, :]
+    r = rotation(pose_b[..., 3], pose_b[..., 4], pose_b[..., 5])
+    world = vt_b - pose_b[..., :3]
+    to_spherical = _spherical_jacobian(np.einsum("...ji,...j->...i", r, world))
+    d_vt = to_spherical @ np.swapaxes(r, -1, -2)
+    turned = [np.einsum("...ji,...j->...i", dr, world) for dr in _rotation_derivatives(pose_b)]
+    d_angles = to_spherical @ np.stack(turned, axis=-1)
+    return d_vt, np.concatenate([-d_vt, d_angles], axis=-1)
+
+
+def birth(pose: ArrayLike, distance_m: ArrayLike, azimuth_rad: ArrayLike, elevation_rad: ArrayLike) -> Floats:
+    """Return the VT (..., 3) that a measurement points to: inverse of `predict`; `distance_m` without clock offset."""
+    p = np.asarray(pose, np.float64)
+    body = np.asarray(distance_m, np.float64)[..., None] * unit_vector(azimuth_rad, elevation_rad)
+    r = rotation(p[..., 3], p[..., 4], p[..., 5])
+    return p[..., :3] + np.einsum("...ij,...j->...i", r, body)
+
+
+def _spherical_jacobian(body: Floats) -> Floats:
+    """Return d(distance, azimuth, elevation)/d(x, y, z), (..., 3, 3)."""
+    x, y, z = body[..., 0], body[..., 1], body[..., 2]
+    flat2 = x * x + y * y
+    flat, full2 = np.sqrt(flat2), flat2 + z * z
+    full = np.sqrt(full2)
+    zero = np.zeros_like(x)
+    rows = (
+        (x / full, y / full, z / full),
+        (-y / flat2, x / flat2, zero),
+        (-x * z / (flat * full2), -y * z / (flat * full2), flat / full2),
+    )
+    return np.stack([np.stack(row, axis=-1) for row in rows], axis=-2)
+
+
+def _rotation_derivatives(pose: Floats) -> tuple[Floats, Floats, Floats]:
+    """Return dR/dpsi, dR/dtheta, dR/dphi, each (..., 3, 3).
+
+    R = Rz Ry Rx, and the derivative of each factor is the factor turned by 90 degrees, its fixed axis removed.
+    """
+    zero, quarter = np.zeros_like(pose[..., 3]), np.full_like(pose[..., 3], np.pi / 2)
+    psi, theta, phi = pose[..., 3], pose[..., 4], pose[..., 5]
+    rz, ry, rx = rotation(psi, zero, zero), rotation(zero, theta, zero), rotation(zero, zero, phi)
+    dz = rotation(psi + quarter, zero, zero) - np.diag([0.0, 0.0, 1.0])
+    dy = rotation(zero, theta + quarter, zero) - np.diag([0.0, 1.0, 0.0])
+    dx = rotation(zero, zero, phi + quarter) - np.diag([1.0, 0.0, 0.0])
+    return dz @ ry @ rx, rz @ dy @ rx, rz @ ry @ dx
