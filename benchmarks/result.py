@@ -1,0 +1,52 @@
+"""What one estimator answered on one recording: the input of scores, figures and files."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from cellslam.sim.recording import Floats, Ints
+from cellslam.slam.api import VtEstimate
+
+# Keys of one row of results, in the order in which they are written; a value that does not apply is null.
+ROW_KEYS = (
+    "scenario", "estimator", "trial", "seed", "status", "error", "snapshots", "duration_s", "distance_m",
+    "position_rmse_m", "position_max_m", "position_end_m", "heading_rmse_rad", "clock_offset_rmse_m",
+    "transmitter_rmse_m", "map_gospa_m", "association_precision", "association_recall", "nees_mean",
+    "bound_position_rmse_m", "estimate_seconds", "realtime_factor",
+)  # fmt: skip
+# Those of them that `benchmarks.metrics.score` fills; each may be None.
+METRIC_KEYS = (
+    "position_rmse_m", "position_max_m", "position_end_m", "heading_rmse_rad", "clock_offset_rmse_m",
+    "transmitter_rmse_m", "map_gospa_m", "association_precision", "association_recall", "nees_mean",
+    "bound_position_rmse_m",
+)  # fmt: skip
+
+
+@dataclass(frozen=True)
+class TrialResult:
+    """The estimates of one drive; T snapshots, M measurements, S sites, in the order of the recording.
+
+    `poses` (T, 6) and `covariances` (T, 6, 6): the answer that is scored. `smoothed`: the poses are those of
+    `finish()`, which used the whole drive, while the covariances are still those of the snapshots.
+    `association` (M,): VT id per measurement, -1 for none, as said in its own snapshot; `clock_offset_m` and
+    `clock_offset_variance_m2` (T, S); `vts`: the last ones reported. None: the estimator does not estimate this.
+    `oracle`: it was shown the truth.
+    """
+
+    estimator: str
+    poses: Floats
+    covariances: Floats
+    association: Ints | None = None
+    clock_offset_m: Floats | None = None
+    clock_offset_variance_m2: Floats | None = None
+    vts: VtEstimate | None = None
+    smoothed: bool = False
+    oracle: bool = False
+    estimate_seconds: float = float("nan")
+
+    @property
+    def position_std_m(self) -> Floats:
+        """Claimed horizontal standard deviation (T,): root of the trace of the x-y covariance."""
+        return np.asarray(np.sqrt(self.covariances[:, 0, 0] + self.covariances[:, 1, 1]))
