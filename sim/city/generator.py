@@ -1,0 +1,63 @@
+"""The procedural city: streets, blocks, houses of varied height and material, ground."""
+
+from __future__ import annotations
+
+import numpy as np
+import shapely
+from shapely import LineString, Polygon
+
+from cellslam.sim.city.assemble import Part, assemble
+from cellslam.sim.city.blocks import blocks_between, closed_block, open_block
+from cellslam.sim.city.config import ProceduralCityConfig
+from cellslam.sim.city.extrude import cap, walls
+from cellslam.sim.city.materials import THICKNESS_M, itu_material
+from cellslam.sim.city.model import GROUND, City, Floats
+from cellslam.sim.city.streets import street_network
+from cellslam.sim.errors import InputError
+
+GROUND_MARGIN_M = 300.0
+
+
+def generate(config: ProceduralCityConfig, rng: np.random.Generator) -> City:
+    """Return a city drawn from `rng`; the same state of `rng` gives the same city."""
+    streets = street_network(config, rng)
+    lines = [LineString(line) for line in streets]
+    widths = [config.street_width_m * float(rng.choice([1.0, 1.0, 1.25, 1.6])) for _ in lines]
+    footprints = [p for block in blocks_between(lines, widths) for p in _fill(block, config, rng)]
+    if not footprints:
+        raise InputError(
+            f"the generated city has no building: block_size_m {config.block_size_m}, square_share {config.square_share}, "
+            f"open_coverage {config.open_coverage} leave no room; enlarge blocks or lower square_share"
+        )
+    heights = _heights(len(footprints), config, rng)
+    names = sorted(config.material_weights)
+    weights = np.array([config.material_weights[name] for name in names])
+    choice = rng.choice(len(names), size=len(footprints), p=weights / weights.sum())
+    materials = [itu_material(n, THICKNESS_M.get(n), config.roughness_m) for n in [*names, "concrete", "medium_dry_ground"]]
+    parts = [_ground(config, material=len(names) + 1)]
+    for building, (plan, height) in enumerate(zip(footprints, heights, strict=True)):
+        parts.append(Part(*walls(plan, 0.0, height), material=int(choice[building]), building=building))
+        parts.append(Part(*cap(plan, height), material=len(names), building=building))
+    return assemble("procedural", parts, materials, footprints, heights, streets)
+
+
+def _fill(block: Polygon, config: ProceduralCityConfig, rng: np.random.Generator) -> list[Polygon]:
+    kind = rng.random()
+    if kind < config.square_share:
+        return []
+    if kind < config.square_share + (1.0 - config.square_share) * config.open_share:
+        return open_block(block, config, rng)
+    return closed_block(block, config, rng)
+
+
+def _heights(count: int, config: ProceduralCityConfig, rng: np.random.Generator) -> Floats:
+    """Draw heights to the decimetre: mostly in the middle of the range, a few towers."""
+    low, high = config.height_min_m, config.height_max_m
+    height = low + (high - low) * rng.beta(2.0, 2.0, count)
+    tower = rng.random(count) < config.tower_share
+    return np.asarray(np.round(np.where(tower, 1.5 * high, height), 1), np.float64)
+
+
+def _ground(config: ProceduralCityConfig, material: int) -> Part:
+    half = config.extent_m / 2 + GROUND_MARGIN_M
+    return Part(*cap(shapely.box(-half, -half, half, half), 0.0), material=material, building=GROUND)

@@ -1,0 +1,100 @@
+"""The city as the ray tracer, the maps and the vehicle see it: triangles, planar facets, footprints, streets."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+if TYPE_CHECKING:
+    from shapely import Polygon
+
+Floats = NDArray[np.float64]
+Ints = NDArray[np.int64]
+GROUND = -1
+REFERENCE_HZ = 2.66e9
+
+
+@dataclass(frozen=True)
+class Material:
+    """Electrical properties of a wall: relative permittivity and conductivity (S/m) at 2.66 GHz.
+
+    `roughness_m` is the standard deviation of the surface height; `thickness_m` None means a half space. At another
+    carrier the properties follow f ** exponent (ITU-R P.2040-3, equations 28 and 29).
+    """
+
+    name: str
+    eps_r: float
+    sigma_spm: float
+    roughness_m: float = 0.0
+    thickness_m: float | None = None
+    eps_exponent: float = 0.0
+    sigma_exponent: float = 0.0
+
+    def at(self, carrier_hz: float) -> tuple[float, float]:
+        """Return relative permittivity and conductivity (S/m) at a carrier in Hz."""
+        ratio = carrier_hz / REFERENCE_HZ
+        return self.eps_r * ratio**self.eps_exponent, self.sigma_spm * ratio**self.sigma_exponent
+
+
+@dataclass(frozen=True)
+class Facets:
+    """Planar pieces of surface: normal (F, 3) and offset (F,) with normal . x = offset, in metres.
+
+    `area_m2` (F,); `material` (F,) indexes `City.materials`; `building` (F,) indexes `City.footprints`, -1 is ground;
+    `planarity_m` (F,) is the largest distance of one of its vertices from the plane.
+    """
+
+    normal: Floats
+    offset: Floats
+    area_m2: Floats
+    material: Ints
+    building: Ints
+    planarity_m: Floats
+
+    def __len__(self) -> int:
+        return len(self.offset)
+
+
+@dataclass(frozen=True)
+class City:
+    """A city in local metres (east, north, up).
+
+    `vertices` (V, 3); `triangles` (K, 3) into vertices; `triangle_facet` (K,); one footprint and one height above its base
+    per building; `streets`: centre lines, each (n, 2), that share their end points where they meet; `notes` tells
+    what loading repaired or dropped.
+    """
+
+    name: str
+    vertices: Floats
+    triangles: Ints
+    triangle_facet: Ints
+    facets: Facets
+    materials: tuple[Material, ...]
+    footprints: tuple[Polygon, ...]
+    heights_m: Floats
+    streets: tuple[Floats, ...] = ()
+    notes: tuple[str, ...] = ()
+
+    @property
+    def bounds(self) -> Floats:
+        """Lower and upper corner (2, 3) of all vertices, in metres."""
+        return np.stack([self.vertices.min(axis=0), self.vertices.max(axis=0)])
+
+    def facet_triangles(self, facet: int) -> Floats:
+        """Return the corners (k, 3, 3) of the triangles of one facet."""
+        return self.vertices[self.triangles[self.triangle_facet == facet]]
+
+    def buildings_at(self, points_m: Any) -> Ints:
+        """Return for horizontal points (N, 2) the index of a building whose footprint holds it, or -1."""
+        from shapely import STRtree
+        from shapely import points as make_points
+
+        where = np.atleast_2d(np.asarray(points_m, np.float64))[:, :2]
+        found = np.full(len(where), -1, np.int64)
+        if self.footprints:
+            point, building = STRtree(self.footprints).query(make_points(where), predicate="within")
+            found[point] = building
+        return found
