@@ -1,0 +1,75 @@
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+
+from cellslam.sim.frames import integrate_pose
+from cellslam.sim.recording import (
+    Links,
+    Measurements,
+    OdometryModel,
+    Recording,
+    Sites,
+    Truth,
+    VirtualTransmitters,
+)
+from cellslam.slam.model import predict
+
+
+def make_toy_recording(snapshots: int = 40, seed: int = 0, truth: bool = True) -> Recording:
+    """Two sites with two links each and one VT a link, seen from a curve at 1 m/s; no ray tracing."""
+    rng = np.random.default_rng(seed)
+    time_s = 0.1 * np.arange(snapshots)
+    speed = np.tile([1.0, 0.0, 0.0, 0.2, 0.0, 0.0], (snapshots, 1))
+    speed[0] = 0.0
+    poses = np.zeros((snapshots, 6))
+    poses[0] = [3.0, -2.0, 1.5, 0.4, 0.01, -0.02]
+    for t in range(1, snapshots):
+        poses[t] = integrate_pose(poses[t - 1], speed[t], 0.1)
+    vts = np.array([[80.0, 10.0, 30.0], [-60.0, 50.0, 25.0], [20.0, -90.0, 28.0], [-70.0, -40.0, 22.0]])
+    site_of_link, offsets = np.array([0, 0, 1, 1]), rng.normal(0.0, 100.0, 2)
+    seen = np.stack(np.meshgrid(np.arange(snapshots), np.arange(4), indexing="ij"), -1).reshape(-1, 2)
+    seen = seen[rng.random(len(seen)) < 0.8]
+    std = np.array([0.5, 0.02, 0.02])
+    exact = predict(poses[seen[:, 0]], vts[seen[:, 1]])
+    z = exact + std * rng.normal(size=exact.shape)
+    z[:, 0] += offsets[site_of_link[seen[:, 1]]]
+    z[:, 1] = np.arctan2(np.sin(z[:, 1]), np.cos(z[:, 1]))
+    model = OdometryModel(*(np.array(c) for c in ([0.05] * 6, [0.0] * 6, [0.0] * 6, [0.01] * 6)))
+    hidden = Truth(
+        poses,
+        seen[:, 1].astype(np.int64),
+        np.tile(std, (len(seen), 1)),
+        VirtualTransmitters(
+            vts,
+            site_of_link,
+            np.array([0, 1, 0, 1]),
+            np.array([[-1, -1], [3, -1], [-1, -1], [5, -1]]),
+            np.array([[v, 0, snapshots - 1] for v in range(4)]),
+        ),
+        vts[[0, 2]],
+        offsets,
+        np.zeros((snapshots, 6)),
+        np.zeros(6),
+    )
+    odometry = speed + 0.05 * np.sqrt(10.0) * rng.normal(size=speed.shape)
+    odometry[0] = 0.0
+    return Recording(
+        time_s,
+        odometry,
+        model,
+        Links(site_of_link, np.array([375, 376, 177, 178]), np.zeros(4, np.int64)),
+        Sites(("A", "B"), np.zeros(2), np.full(2, 150.0)),
+        Measurements(seen[:, 0], seen[:, 1], z[:, 0], z[:, 1], z[:, 2], np.full(len(seen), 20.0)),
+        poses[0],
+        np.full(6, 1e-3),
+        {"scenario": {"name": "toy"}, "seed": seed, "trial": 0},
+        hidden if truth else None,
+    )
+
+
+@pytest.fixture
+def toy_recording() -> Callable[..., Recording]:
+    return make_toy_recording
