@@ -1,0 +1,78 @@
+"""What tracing needs of a city, built once: centred facet tables in float64, an embree tree in float32."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cellslam.sim.city.model import GROUND, City, Floats, Ints
+
+# Shadow rays end this far from a wall's plane; float32 would hit the wall itself at less.
+CLEARANCE_M = 1e-3
+
+
+@dataclass(frozen=True)
+class Scene:
+    """A prepared city. All coordinates are relative to `origin_m` (3,), the middle of the city's bounds.
+
+    `table` (F, 14): normal, offset, two unit vectors in the plane, and the facet's box in these two coordinates (low u, high
+    u, low v, high v); facet f has the triangles `first[f]:first[f + 1]` of `outline` (K, 6) (u, v of three corners);
+    `clearance_m` (F,): how far from its plane shadow rays end; `reflects` (F,): it has an area and is not ground.
+    """
+
+    city: City
+    origin_m: Floats
+    table: Floats
+    first: Ints
+    outline: Floats
+    clearance_m: Floats
+    reflects: NDArray[np.bool_]
+    embree: Any
+
+
+def prepare(city: City) -> Scene:
+    """Return the scene of a city. Takes well under a second for 50 000 triangles."""
+    origin = city.bounds.mean(axis=0)
+    facets = city.facets
+    corners = city.vertices[city.triangles] - origin
+    offset = facets.offset - facets.normal @ origin
+    u, v = plane_basis(facets.normal)
+    order = np.argsort(city.triangle_facet, kind="stable")
+    facet = city.triangle_facet[order]
+    first = np.searchsorted(facet, np.arange(len(facets) + 1)).astype(np.int64)
+    flat = np.stack([np.einsum("kci,ki->kc", corners[order], axis[facet]) for axis in (u, v)], axis=2)
+    low, high = flat.min(axis=1), flat.max(axis=1)
+    box = np.stack([f.reduceat(side[:, i], first[:-1]) for i in (0, 1) for f, side in ((np.minimum, low), (np.maximum, high))])
+    radius = float(np.abs(corners).max())
+    return Scene(
+        city=city,
+        origin_m=origin,
+        table=np.ascontiguousarray(np.column_stack([facets.normal, offset, u, v, box.T])),
+        first=first,
+        outline=np.ascontiguousarray(flat.reshape(-1, 6)),
+        clearance_m=CLEARANCE_M + 2.0 * facets.planarity_m + 4.0 * np.finfo(np.float32).eps * radius,
+        reflects=(facets.area_m2 > 0.0) & (facets.building != GROUND),
+        embree=_embree(corners),
+    )
+
+
+def plane_basis(normal: Floats) -> tuple[Floats, Floats]:
+    """Return unit vectors u, v (F, 3) with u x v = normal, chosen by the normal alone."""
+    steep = np.abs(normal[:, 2]) > 0.9
+    helper = np.where(steep[:, None], [[1.0, 0.0, 0.0]], [[0.0, 0.0, 1.0]])
+    u = np.cross(helper, normal)
+    u /= np.linalg.norm(u, axis=1, keepdims=True)
+    return u, np.cross(normal, u)
+
+
+def _embree(corners: Floats) -> Any:
+    from embreex.mesh_construction import TriangleMesh
+    from embreex.rtcore_scene import EmbreeScene
+
+    scene = EmbreeScene(robust=True)
+    # The mesh must outlive the call; embree holds no reference to it.
+    mesh = TriangleMesh(scene, np.ascontiguousarray(corners, dtype=np.float32))
+    return scene, mesh

@@ -1,0 +1,146 @@
+"""Specular paths between any transmitters and receivers in a city: the image method with exact visibility."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from cellslam.sim.city.model import City, Floats, Ints
+from cellslam.sim.errors import InputError
+from cellslam.sim.frames import azimuth_elevation
+from cellslam.sim.progress import Progress, silent
+from cellslam.sim.rays.first_order import lines_of_sight, single_reflections
+from cellslam.sim.rays.gain import path_gain
+from cellslam.sim.rays.paths import MAX_ORDER, Paths, concatenate
+from cellslam.sim.rays.scene import Scene, prepare
+
+CHUNK = 8192
+SAME_IMAGE_M = 1e-3
+
+
+def trace(
+    city: City | Scene,
+    transmitters: ArrayLike,
+    receivers: ArrayLike,
+    max_order: int = 1,
+    *,
+    carrier_hz: float = 2.66e9,
+    ground_reflection: bool = False,
+    progress: Progress = silent,
+) -> Paths:
+    """Return all specular paths up to `max_order` reflections from transmitters (S, 3) to receivers (N, 3), in metres.
+
+    Receivers in the order of a drive are fastest. Raises InputError for positions that are not finite or not (n, 3),
+    and for an order or a carrier that cannot be used.
+    """
+    scene = city if isinstance(city, Scene) else prepare(city)
+    if max_order not in range(MAX_ORDER + 1):
+        raise InputError(f"max_order {max_order} is not available: 0 to {MAX_ORDER}")
+    if not 1e8 <= carrier_hz <= 1e11:
+        raise InputError(f"carrier_hz {carrier_hz:g} is outside 1e8 to 1e11 Hz, where ITU-R P.2040 holds")
+    t, r = (_positions(n, p) for n, p in (("transmitters", transmitters), ("receivers", receivers)))
+    t, r = t - scene.origin_m, r - scene.origin_m
+    reflects = (scene.city.facets.area_m2 > 0.0) if ground_reflection else scene.reflects
+    pieces = []
+    with progress("tracing rays", len(t) * len(r)) as advance:
+        for start in range(0, len(r), CHUNK):
+            part = r[start : start + CHUNK]
+            for site in range(len(t)):
+                pieces.append(_trace_part(scene, t, site, part, start, max_order, reflects, carrier_hz))
+                advance(len(part))
+    paths = concatenate(pieces) if pieces else _empty(scene, carrier_hz)
+    keys = (paths.facets[:, 1], paths.facets[:, 0], paths.order, paths.transmitter, paths.receiver)
+    return paths.take(np.lexsort(keys))
+
+
+def _positions(name: str, positions: ArrayLike) -> Floats:
+    array = np.asarray(positions, np.float64)
+    if array.ndim != 2 or array.shape[1] != 3:
+        raise InputError(f"{name} have shape {array.shape}, expected (n, 3): x, y, z in metres")
+    bad = np.flatnonzero(~np.isfinite(array).all(axis=1))
+    if len(bad):
+        raise InputError(f"{name}, row {bad[0]}: {array[bad[0]].tolist()} is not finite")
+    return array
+
+
+def _trace_part(
+    scene: Scene, transmitters: Floats, site: int, receivers: Floats, first_receiver: int, max_order: int,
+    reflects: NDArray[np.bool_], carrier_hz: float,
+) -> Paths:  # fmt: skip
+    transmitter = transmitters[site]
+    direct = lines_of_sight(scene, transmitter, receivers)
+    none = np.full((len(direct), 2), -1, np.int64)
+    rows, facets, points = [direct], [none], [np.full((len(direct), 2, 3), np.nan)]
+    if max_order >= 1:
+        row, facet, point = single_reflections(scene, transmitter, receivers, reflects)
+        rows.append(row)
+        facets.append(np.column_stack([facet, np.full(len(facet), -1)]))
+        points.append(np.stack([point, np.full_like(point, np.nan)], axis=1))
+    return _describe(
+        scene, transmitter, site, receivers, first_receiver,
+        np.concatenate(rows), np.concatenate(facets), np.concatenate(points), carrier_hz,
+    )  # fmt: skip
+
+
+def _describe(
+    scene: Scene, transmitter: Floats, site: int, receivers: Floats, first_receiver: int,
+    row: Ints, facets: Ints, points: Floats, carrier_hz: float,
+) -> Paths:  # fmt: skip
+    """Turn receiver, facets and points, in centred coordinates, into paths: images, angles, gains; copies removed."""
+    order = (facets >= 0).sum(axis=1)
+    vt = images_of(scene, transmitter, facets)
+    keep = _first_of_copies(row, order, vt, facets)
+    row, facets, points, order, vt = row[keep], facets[keep], points[keep], order[keep], vt[keep]
+    receiver = receivers[row]
+    corners = np.empty((len(row), 4, 3))
+    corners[:, 0], corners[:, 1:3] = transmitter, points
+    corners[:, 3] = receiver
+    corners[np.arange(len(row)), order + 1] = receiver
+    azimuth, elevation = azimuth_elevation(vt - receiver)
+    departure_azimuth, departure_elevation = azimuth_elevation(corners[:, 1] - transmitter)
+    table = scene.city.facets
+    gain = path_gain(corners, order, facets, table.normal, table.material, scene.city.materials, carrier_hz)
+    return Paths(
+        receiver=row + first_receiver,
+        transmitter=np.full(len(row), site, np.int64),
+        order=order,
+        facets=facets,
+        points_m=points + scene.origin_m,
+        vt_position_m=vt + scene.origin_m,
+        length_m=np.linalg.norm(vt - receiver, axis=1),
+        azimuth_rad=azimuth,
+        elevation_rad=elevation,
+        departure_azimuth_rad=departure_azimuth,
+        departure_elevation_rad=departure_elevation,
+        gain=gain,
+    )
+
+
+def images_of(scene: Scene, transmitter: Floats, facets: Ints) -> Floats:
+    """Return the transmitter (3,) mirrored in the facets (P, 2), first column first, -1 none; centred coordinates (P, 3)."""
+    image = np.tile(transmitter, (len(facets), 1))
+    for column in range(facets.shape[1]):
+        rows = np.flatnonzero(facets[:, column] >= 0)
+        plane = scene.table[facets[rows, column]]
+        distance = np.einsum("pi,pi->p", plane[:, :3], image[rows]) - plane[:, 3]
+        image[rows] -= 2.0 * distance[:, None] * plane[:, :3]
+    return image
+
+
+def _first_of_copies(row: Ints, order: Ints, vt: Floats, facets: Ints) -> Ints:
+    """Return the rows that remain when paths of one receiver and one image (within a millimetre) count once.
+
+    Copies come from geometry that is there twice; the path of the lowest facet stays.
+    """
+    sequence = np.lexsort((facets[:, 1], facets[:, 0], vt[:, 0], order, row))
+    keep = np.ones(len(row), np.bool_)
+    for step in range(1, 4):
+        a, b = sequence[:-step], sequence[step:]
+        same = (row[a] == row[b]) & (order[a] == order[b]) & (np.abs(vt[a] - vt[b]).max(axis=1, initial=0.0) < SAME_IMAGE_M)
+        keep[np.where(facets[a, 0] <= facets[b, 0], b, a)[same]] = False
+    return np.flatnonzero(keep)
+
+
+def _empty(scene: Scene, carrier_hz: float) -> Paths:
+    nothing, none = np.empty((0, 3)), np.empty((0, 2), np.int64)
+    return _describe(scene, np.zeros(3), 0, nothing, 0, none[:, 0], none, np.empty((0, 2, 3)), carrier_hz)
