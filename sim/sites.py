@@ -1,0 +1,131 @@
+"""Base-station sites: their cells and antennas' directions, and where they stand."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import BaseModel, ConfigDict, Field
+
+from cellslam.sim.errors import InputError
+
+if TYPE_CHECKING:
+    from cellslam.sim.city import City
+    from cellslam.sim.vehicle import Route
+
+Floats = NDArray[np.float64]
+
+NEAREST_M, FARTHEST_M = 60.0, 220.0
+"""Distances from the route at which a site is placed by itself."""
+APART_M = 150.0
+"""Sites that are placed by themselves keep this distance from each other."""
+LOWEST_M, HIGHEST_M = 35.0, 45.0
+"""Heights of their antennas; on roofs at least ABOVE_ROOF_M above the roof."""
+ABOVE_ROOF_M = 4.0
+DRAWS = 200
+
+
+class CellConfig(BaseModel):
+    """One sector of a site."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    cell_id: int = Field(ge=0, le=503, description="physical cell ID")
+    azimuth_deg: float = Field(0.0, ge=-360.0, le=360.0, description="boresight, counter-clockwise from east")
+    tilt_deg: float = Field(8.0, ge=-10.0, le=45.0, description="tilt of the main lobe below the horizon")
+
+
+class SiteConfig(BaseModel):
+    """A base-station site: a position, or none to have it placed near the route, and its cells."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    name: str = Field(min_length=1, description="name of the site")
+    position_m: tuple[float, float, float] | None = Field(
+        None,
+        description="antenna position [x, y, z] in metres; absent: drawn near the route in each trial",
+    )
+    cells: tuple[CellConfig, ...] = Field(min_length=1, description="sectors of the site")
+    ports: int = Field(2, ge=1, le=4, description="CRS antenna ports per cell, each a link of its own")
+
+
+def place_sites(city: City, route: Route, sites: Sequence[SiteConfig], rng: np.random.Generator) -> Floats:
+    """Return the antenna positions (S, 3); those not given are drawn near the route, on masts and roofs.
+
+    Raises InputError, naming site, value and roof height, where a given position is inside a building.
+    """
+    names = [s.name for s in sites]
+    for name in names:
+        if names.count(name) > 1:
+            raise InputError(
+                f"site name '{name}' is given {names.count(name)} times: each site needs a name of its own"
+            )
+    placed = [_checked(city, s) for s in sites if s.position_m is not None]
+    out = []
+    for site in sites:
+        if site.position_m is not None:
+            out.append(np.array(site.position_m, np.float64))
+        else:
+            placed.append(_drawn(city, route, site, placed, rng))
+            out.append(placed[-1])
+    return np.array(out, np.float64).reshape(-1, 3)
+
+
+def roof_height(city: City, x_m: float, y_m: float) -> float:
+    """Return the height of the highest building surface at (x, y); -inf in the open."""
+    corner = city.vertices[city.triangles[city.facets.building[city.triangle_facet] >= 0]]
+    near = ((corner[:, :, :2].min(axis=1) <= (x_m, y_m)) & (corner[:, :, :2].max(axis=1) >= (x_m, y_m))).all(
+        axis=1
+    )
+    a, b, c = corner[near].transpose(1, 0, 2)
+    area = _cross(b - a, c - a)
+    flat = np.abs(area) > 1e-9
+    a, b, c, area = a[flat], b[flat], c[flat], area[flat]
+    point = np.array([x_m, y_m, 0.0])
+    u, v = _cross(point - a, c - a) / area, _cross(b - a, point - a) / area
+    inside = (u >= -1e-9) & (v >= -1e-9) & (u + v <= 1.0 + 1e-9)
+    height = a[:, 2] + u * (b - a)[:, 2] + v * (c - a)[:, 2]
+    return float(height[inside].max(initial=-np.inf))
+
+
+def _cross(p: Floats, q: Floats) -> Floats:
+    return np.asarray(p[..., 0] * q[..., 1] - p[..., 1] * q[..., 0])
+
+
+def _checked(city: City, site: SiteConfig) -> Floats:
+    assert site.position_m is not None
+    x, y, z = site.position_m
+    if z <= 0.0:
+        raise InputError(
+            f"site '{site.name}': position_m = [{x:g}, {y:g}, {z:g}] is not above ground (z must be > 0)"
+        )
+    roof = roof_height(city, x, y)
+    if z <= roof:
+        raise InputError(
+            f"site '{site.name}': position_m = [{x:g}, {y:g}, {z:g}] is inside a building, "
+            f"whose roof is at {roof:.1f} m there: raise the site above the roof or move it"
+        )
+    return np.array(site.position_m, np.float64)
+
+
+def _drawn(
+    city: City, route: Route, site: SiteConfig, placed: Sequence[Floats], rng: np.random.Generator
+) -> Floats:
+    """Return a position beside the route and apart from the others, on a mast or on a roof below it."""
+    for _ in range(DRAWS):
+        foot = route.points_m[int(rng.integers(len(route.points_m)))]
+        angle, distance = rng.uniform(0.0, 2.0 * np.pi), rng.uniform(NEAREST_M, FARTHEST_M)
+        x, y = foot + distance * np.array([np.cos(angle), np.sin(angle)])
+        height = rng.uniform(LOWEST_M, HIGHEST_M)
+        if np.hypot(*(route.points_m - (x, y)).T).min() < NEAREST_M:
+            continue
+        if any(np.hypot(*(other[:2] - (x, y))) < APART_M for other in placed):
+            continue
+        if roof_height(city, float(x), float(y)) + ABOVE_ROOF_M <= height:
+            return np.array([x, y, height])
+    raise InputError(
+        f"no place for site '{site.name}' was found {NEAREST_M:g} to {FARTHEST_M:g} m beside the route and "
+        f"{APART_M:g} m from the other sites: give its position_m"
+    )

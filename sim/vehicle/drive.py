@@ -1,0 +1,93 @@
+"""The true drive: poses of the array at the snapshots, and instantaneous body velocities."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cellslam.sim.errors import InputError
+from cellslam.sim.frames import world_to_body, wrap_angle
+from cellslam.sim.vehicle.attitude import body_motion, random_road
+from cellslam.sim.vehicle.config import VehicleConfig
+from cellslam.sim.vehicle.route import Route
+from cellslam.sim.vehicle.speed import speed_profile
+
+Floats = NDArray[np.float64]
+
+LONGEST_SUBSTEP_S = 0.015
+LOOKAHEAD_M = 2.0
+LOOKAHEAD_S = 0.8
+STEERING_LIMIT_RAD = 0.65
+STEERING_RATE_RADPS = 0.5
+
+
+@dataclass(frozen=True)
+class Drive:
+    """What the vehicle did: `time_s` (T,); `poses` (T, 6) of the array's phase centre; `velocity` (T, 6).
+
+    The velocities are instantaneous: three in the body frame (m/s), then yaw, pitch and roll rates (rad/s).
+    The array sits above the rear axle, where the bicycle has no lateral velocity.
+    """
+
+    time_s: Floats
+    poses: Floats
+    velocity: Floats
+
+    @property
+    def distance_m(self) -> float:
+        """Horizontal distance driven."""
+        return float(np.hypot(*np.diff(self.poses[:, :2], axis=0).T).sum())
+
+
+def drive(route: Route, config: VehicleConfig, rng: np.random.Generator) -> Drive:
+    """Return a drive of `config.distance_m` along `route` in `config.duration_s`, as T snapshots.
+
+    Raises InputError where distance and duration do not go together, or the route is too short.
+    """
+    if route.length_m < config.distance_m:
+        raise InputError(
+            f"the route is {route.length_m:.1f} m long, vehicle.distance_m = {config.distance_m:g} is longer"
+        )
+    if config.snapshots < 2:
+        raise InputError(
+            f"vehicle.duration_s = {config.duration_s:g} holds fewer than two snapshot intervals: lengthen it"
+        )
+    per_snapshot = int(np.ceil(config.snapshot_interval_s / LONGEST_SUBSTEP_S))
+    step_s = config.snapshot_interval_s / per_snapshot
+    steps = (config.snapshots - 1) * per_snapshot
+    speed = speed_profile(route.arc_m, route.curvature_per_m, config, step_s, steps, rng)
+    poses, rates = _motion(route, speed, step_s, config, rng)
+    velocity = np.concatenate([world_to_body(poses, rates[:, :3]), rates[:, 3:]], axis=1)
+    poses[:, 3:] = wrap_angle(poses[:, 3:])
+    time_s = np.arange(config.snapshots, dtype=np.float64) * config.snapshot_interval_s
+    return Drive(time_s, poses[::per_snapshot].copy(), velocity[::per_snapshot].copy())
+
+
+def _motion(
+    route: Route, speed_mps: Floats, step_s: float, config: VehicleConfig, rng: np.random.Generator
+) -> tuple[Floats, Floats]:
+    """Return poses (N + 1, 6) and their time derivatives (N + 1, 6) in the world at every substep."""
+    from cellslam.sim.vehicle.follower_kernel import follow
+
+    start = np.array([*route.points_m[0], route.heading_rad[0]])
+    plane, curvature = follow(
+        route.points_m, route.arc_m, start, speed_mps, step_s,
+        config.wheelbase_m, LOOKAHEAD_M, LOOKAHEAD_S, STEERING_LIMIT_RAD, STEERING_RATE_RADPS,
+    )  # fmt: skip
+    arc_m = np.concatenate([[0.0], np.cumsum(speed_mps * step_s)])
+    v = _at_edges(speed_mps)
+    turn_rate = v * _at_edges(curvature)
+    body = body_motion(arc_m, v, turn_rate, step_s, random_road(config, rng), config)
+    height = route.ground_m + config.array_height_m + body[:, 0]
+    poses = np.column_stack([plane[:, :2], height, plane[:, 2], body[:, 1:]])
+    body_rate = np.gradient(body, step_s, axis=0)
+    yaw = plane[:, 2]
+    rates = np.column_stack([v * np.cos(yaw), v * np.sin(yaw), body_rate[:, 0], turn_rate, body_rate[:, 1:]])
+    return poses, rates
+
+
+def _at_edges(of_steps: Floats) -> Floats:
+    """Return values (N + 1,) at the substeps' edges from their means (N,)."""
+    return np.concatenate([of_steps[:1], 0.5 * (of_steps[1:] + of_steps[:-1]), of_steps[-1:]])

@@ -1,0 +1,98 @@
+"""Sites: given positions are checked, absent ones are placed."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+import shapely
+import trimesh
+
+from cellslam.sim.errors import InputError
+from cellslam.sim.sites import CellConfig, SiteConfig, place_sites, roof_height
+
+CELL = (CellConfig(cell_id=1),)
+
+
+@pytest.fixture(scope="module")
+def city() -> Any:
+    """A block of 25 m with a courtyard, between x, y = 100 and 140, and a tower of 60 m at the origin."""
+    yard = shapely.box(100, 100, 140, 140).difference(shapely.box(115, 115, 125, 125))
+    tower = shapely.box(-10, -10, 10, 10)
+    block, spire = (trimesh.creation.extrude_polygon(p, h) for p, h in ((yard, 25.0), (tower, 60.0)))
+    mesh = trimesh.util.concatenate([block, spire])
+    building = np.repeat([0, 1], [len(block.faces), len(spire.faces)])
+    return SimpleNamespace(
+        name="two",
+        vertices=np.asarray(mesh.vertices),
+        triangles=np.asarray(mesh.faces),
+        triangle_facet=np.arange(len(mesh.faces)),
+        facets=SimpleNamespace(building=building),
+        footprints=(yard, tower),
+    )
+
+
+def route() -> Any:
+    points = np.column_stack([np.linspace(-200.0, 300.0, 501), np.full(501, 60.0)])
+    return SimpleNamespace(points_m=points)
+
+
+def site(name: str = "A", position: tuple[float, float, float] | None = None) -> SiteConfig:
+    return SiteConfig(name=name, position_m=position, cells=CELL)
+
+
+def test_roof_height_by_hand(city: Any) -> None:
+    assert roof_height(city, 105.0, 105.0) == pytest.approx(25.0)
+    assert roof_height(city, 0.0, 0.0) == pytest.approx(60.0)
+    assert roof_height(city, 120.0, 120.0) == -np.inf
+    assert roof_height(city, 50.0, 50.0) == -np.inf
+
+
+def test_given_positions_are_taken_as_they_are(city: Any) -> None:
+    given = [(0.0, 0.0, 63.0), (120.0, 120.0, 10.0), (50.5, 50.0, 35.0)]
+    placed = place_sites(
+        city, route(), [site(n, p) for n, p in zip("ABC", given, strict=True)], np.random.default_rng(0)
+    )
+    np.testing.assert_array_equal(placed, given)
+
+
+def test_site_inside_a_building_is_refused_with_the_roof_height(city: Any) -> None:
+    message = r"site 'B': position_m = \[105, 105, 20\] is inside a building, whose roof is at 25\.0 m"
+    with pytest.raises(InputError, match=message):
+        place_sites(
+            city,
+            route(),
+            [site("A", (0.0, 0.0, 70.0)), site("B", (105.0, 105.0, 20.0))],
+            np.random.default_rng(0),
+        )
+
+
+def test_site_below_ground_and_repeated_names_are_refused(city: Any) -> None:
+    with pytest.raises(InputError, match="not above ground"):
+        place_sites(city, route(), [site("A", (50.0, 50.0, -1.0))], np.random.default_rng(0))
+    with pytest.raises(InputError, match="name of its own"):
+        place_sites(city, route(), [site("A"), site("A")], np.random.default_rng(0))
+
+
+def test_placed_sites_keep_their_distances(city: Any) -> None:
+    for seed in range(10):
+        placed = place_sites(
+            city, route(), [site("A", (0.0, 0.0, 63.0)), site("B"), site("C")], np.random.default_rng(seed)
+        )
+        for x, y, z in placed[1:]:
+            away = np.hypot(*(route().points_m - (x, y)).T).min()
+            assert 60.0 <= away <= 220.0
+            assert 35.0 <= z <= 45.0
+            assert z >= roof_height(city, x, y) + 4.0
+        between = np.linalg.norm(placed[:, None, :2] - placed[None, :, :2], axis=-1)
+        assert between[np.triu_indices(3, 1)].min() >= 150.0
+
+
+def test_placement_follows_its_generator(city: Any) -> None:
+    one, same, other = (
+        place_sites(city, route(), [site()], np.random.default_rng(seed)) for seed in (1, 1, 2)
+    )
+    np.testing.assert_array_equal(one, same)
+    assert not np.array_equal(one, other)
