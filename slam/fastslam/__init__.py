@@ -1,0 +1,1 @@
+"""The extended FastSLAM and its replaceable parts."""

@@ -1,0 +1,56 @@
+"""Resampling schemes: plain functions, normalised weights (N,) in, ancestor indices (count,) out, sorted.
+
+Sources: Douc, Cappe and Moulines, "Comparison of resampling schemes for particle filtering" (2005); systematic: Kitagawa (1996).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+
+from cellslam.sim.recording import Floats, Ints
+
+
+def systematic(weights: Floats, count: int, rng: np.random.Generator) -> Ints:
+    """One uniform draw, `count` equally spaced points: least variance of the schemes here."""
+    return _inverse(weights, (np.arange(count) + rng.random()) / count)
+
+
+def stratified(weights: Floats, count: int, rng: np.random.Generator) -> Ints:
+    """One uniform draw in each of `count` equal strata."""
+    return _inverse(weights, (np.arange(count) + rng.random(count)) / count)
+
+
+def multinomial(weights: Floats, count: int, rng: np.random.Generator) -> Ints:
+    """Return `count` independent draws, sorted."""
+    return _inverse(weights, np.sort(rng.random(count)))
+
+
+def residual(weights: Floats, count: int, rng: np.random.Generator) -> Ints:
+    """The integer part of count * weight copies of each, the remainder by multinomial draws."""
+    copies = np.floor(count * weights).astype(np.int64)
+    rest = count - int(copies.sum())
+    if rest > 0:
+        left = count * weights - copies
+        copies += np.bincount(multinomial(left / left.sum(), rest, rng), minlength=len(weights))
+    return np.repeat(np.arange(len(weights)), copies)
+
+
+SCHEMES: dict[str, Callable[[Floats, int, np.random.Generator], Ints]] = {
+    "systematic": systematic,
+    "stratified": stratified,
+    "residual": residual,
+    "multinomial": multinomial,
+}
+
+
+def effective_size(weights: Floats) -> float:
+    """Return 1 / sum(w^2) of normalised weights: the effective sample size."""
+    return float(1.0 / np.sum(weights * weights))
+
+
+def _inverse(weights: Floats, points: Floats) -> Ints:
+    cumulative = np.cumsum(weights)
+    cumulative[-1] = np.inf
+    return np.searchsorted(cumulative, points, side="right").astype(np.int64)
