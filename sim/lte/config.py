@@ -16,7 +16,9 @@ class RadioConfig(BaseModel):
         "statistical", description="how measurements are made: drawn from the detector's statistics"
     )
     carrier_hz: float = Field(2.66e9, ge=0.4e9, le=6e9, description="carrier frequency, Hz")
-    resource_blocks: int = Field(100, ge=6, le=110, description="bandwidth in resource blocks of 180 kHz (100: 20 MHz)")
+    resource_blocks: int = Field(
+        100, ge=6, le=110, description="bandwidth in resource blocks of 180 kHz (100: 20 MHz)"
+    )
 
     eirp_dbm: float = Field(
         30.0, ge=-30.0, le=60.0, description="radiated power per reference element and port at boresight, dBm"
@@ -24,30 +26,48 @@ class RadioConfig(BaseModel):
     noise_dbm: float = Field(
         -123.0, ge=-140.0, le=-80.0, description="receiver noise per resource element and array port, dBm"
     )
-    load: float = Field(0.3, ge=0.0, le=1.0, description="share of other cells' elements that carry data (interference)")
+    load: float = Field(
+        0.3, ge=0.0, le=1.0, description="share of other cells' elements that carry data (interference)"
+    )
     evm: float = Field(
         0.05, ge=0.0, le=0.3, description="transmitters' error vector magnitude, amplitude ratio (0.05: 5 %)"
     )
-    snr_cap_db: float = Field(25.0, ge=-10.0, le=60.0, description="highest SNR per sample that the receiver reaches, dB")
+    snr_cap_db: float = Field(
+        25.0, ge=-10.0, le=60.0, description="highest SNR per sample that the receiver reaches, dB"
+    )
 
     detection_threshold: float = Field(
         16.5, ge=8.0, le=40.0, description="detection threshold on projected energy over noise variance"
     )
-    detection_scale: float = Field(1.0, ge=0.0, le=1.0, description="factor on every detection probability (1: nominal)")
+    detection_scale: float = Field(
+        1.0, ge=0.0, le=1.0, description="factor on every detection probability (1: nominal)"
+    )
     perfect_detection: bool = Field(False, description="detect every path that exists, never merge two")
-    window_min_m: float = Field(-50.0, ge=-5000.0, le=0.0, description="start of the searched delay window, m of path")
-    window_max_m: float = Field(1700.0, ge=100.0, le=6600.0, description="end of the searched delay window, m of path")
+    window_min_m: float = Field(
+        -50.0, ge=-5000.0, le=0.0, description="start of the searched delay window, m of path"
+    )
+    window_max_m: float = Field(
+        1700.0, ge=100.0, le=6600.0, description="end of the searched delay window, m of path"
+    )
 
-    noise_scale: float = Field(1.0, ge=0.0, le=10.0, description="factor on all measurement errors (0: exact measurements)")
+    noise_scale: float = Field(
+        1.0, ge=0.0, le=10.0, description="factor on all measurement errors (0: exact measurements)"
+    )
     specular_to_diffuse_db: float = Field(
         6.0, ge=0.0, le=40.0, description="specular over diffuse power of a path, dB: error floor and clutter"
     )
-    calibration_distance_m: float = Field(0.2, ge=0.0, le=10.0, description="floor: group delay calibration, m")
-    calibration_azimuth_deg: float = Field(0.25, ge=0.0, le=20.0, description="floor: array calibration in azimuth, deg")
+    calibration_distance_m: float = Field(
+        0.2, ge=0.0, le=10.0, description="floor: group delay calibration, m"
+    )
+    calibration_azimuth_deg: float = Field(
+        0.25, ge=0.0, le=20.0, description="floor: array calibration in azimuth, deg"
+    )
     calibration_elevation_deg: float = Field(
         0.35, ge=0.0, le=20.0, description="floor: array calibration in elevation, deg"
     )
-    roof_azimuth_deg: float = Field(0.6, ge=0.0, le=20.0, description="floor: scattering off the car's roof, azimuth, deg")
+    roof_azimuth_deg: float = Field(
+        0.6, ge=0.0, le=20.0, description="floor: scattering off the car's roof, azimuth, deg"
+    )
     roof_elevation_deg: float = Field(
         1.2, ge=0.0, le=20.0, description="floor: scattering off the car's roof, elevation, deg"
     )
@@ -58,17 +78,31 @@ class RadioConfig(BaseModel):
         0.5, ge=0.0, le=20.0, description="floor: motion of the array within a snapshot, elevation, deg"
     )
 
-    clutter_scale: float = Field(1.0, ge=0.0, le=20.0, description="factor on the mean number of clutter measurements")
+    clutter_scale: float = Field(
+        1.0, ge=0.0, le=20.0, description="factor on the mean number of clutter measurements"
+    )
     ghosts_per_path: float = Field(
-        1.0, ge=0.0, le=11.0, description="mean number of calibration ghosts of a strong path before the 25 dB rule"
+        1.0,
+        ge=0.0,
+        le=11.0,
+        description="mean number of calibration ghosts of a strong path before the 25 dB rule",
     )
     diffuse_survival: float = Field(
-        0.02, ge=0.0, le=1.0, description="share of a path's diffuse components that pass as paths of their own"
+        0.04,
+        ge=0.0,
+        le=1.0,
+        description="share of a path's diffuse components that pass as paths of their own",
     )
     ghost_rule_db: float = Field(
-        25.0, ge=0.0, le=60.0, description="a path this much weaker than one within 10 m is dropped as a ghost, dB"
+        25.0,
+        ge=0.0,
+        le=60.0,
+        description="a path this much weaker than one within 10 m is dropped as a ghost, dB",
     )
 
     clock_offset_std_m: float = Field(
-        150.0, ge=0.0, le=5000.0, description="standard deviation of each site's constant clock offset, m (0: known)"
+        150.0,
+        ge=0.0,
+        le=5000.0,
+        description="standard deviation of each site's constant clock offset, m (0: known)",
     )

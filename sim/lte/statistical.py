@@ -1,0 +1,179 @@
+"""Statistical front end: what the receiver's path estimator would report, drawn from its statistics.
+
+Per link and path: received power, interference, SNR, overlap with stronger paths, detection, error from the
+bound and the floors; then clutter of three kinds. White in time and over links.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+
+from cellslam.sim.lte.bound import BoundScales, bound_scales
+from cellslam.sim.lte.config import RadioConfig
+from cellslam.sim.lte.links import Cells, link_table
+from cellslam.sim.progress import Progress, silent
+from cellslam.sim.recording import Floats, Ints, Measurements
+
+if TYPE_CHECKING:
+    from cellslam.sim.lte.statistical_kernel import Model
+
+BLOCK = 512  # snapshots per kernel call: the step of the progress bar
+# Mean number of extra paths that a signal-level estimator reports around one path, against its
+# specular-to-diffuse ratio.
+_DIFFUSE_RATIO_DB = (0.0, 5.0, 10.0, 15.0, 20.0, 30.0)
+_DIFFUSE_COUNT = (15.0, 12.0, 9.0, 6.0, 3.0, 0.1)
+# Diffuse energy of a path as strong as its specular part displaces it by these deviations.
+_DIFFUSE_FLOOR = (1.15, np.radians(1.15), np.radians(0.75))
+
+
+class Streams(NamedTuple):
+    """The generators of a front end: measurement noise, detection, clutter. They advance with every
+    snapshot.
+    """
+
+    noise: np.random.Generator
+    detection: np.random.Generator
+    clutter: np.random.Generator
+
+    @staticmethod
+    def spawn(rng: np.random.Generator) -> Streams:
+        """Return three independent children of `rng`."""
+        return Streams(*rng.spawn(3))
+
+
+@dataclass(frozen=True)
+class PathColumns:
+    """Traced paths as the front ends read them, sorted by (receiver, site).
+
+    `rows` (T S + 1,): paths of receiver t and site s are rows[t S + s] up to rows[t S + s + 1] of `vt_m` (P,
+    3), `gain` (P, 2, 2) as [received, sent] amplitudes in (H, V), and `departure_rad` (P, 2) azimuth and
+    elevation in the world.
+    """
+
+    rows: Ints
+    vt_m: Floats
+    gain: np.ndarray[tuple[int, ...], np.dtype[np.complex128]]
+    departure_rad: Floats
+
+
+@dataclass(frozen=True)
+class Detections:
+    """Measurements, and of each the path row that it came from (-1 clutter) and its true deviations (M, 3),
+    NaN for clutter.
+    """
+
+    measurements: Measurements
+    path: Ints
+    true_std: Floats
+
+
+def floors(config: RadioConfig) -> Floats:
+    """Return the error floors (3,) in m, rad, rad: diffuse energy, calibration, roof and attitude, added as
+    variances.
+    """
+    diffuse = np.array(_DIFFUSE_FLOOR) * 10.0 ** (-config.specular_to_diffuse_db / 20.0)
+    causes = (
+        diffuse,
+        (
+            config.calibration_distance_m,
+            np.radians(config.calibration_azimuth_deg),
+            np.radians(config.calibration_elevation_deg),
+        ),
+        (0.0, np.radians(config.roof_azimuth_deg), np.radians(config.roof_elevation_deg)),
+        (0.0, np.radians(config.attitude_azimuth_deg), np.radians(config.attitude_elevation_deg)),
+    )
+    return np.sqrt(np.sum(np.square(np.array([tuple(c) for c in causes])), axis=0))
+
+
+def noise_clutter_mean(threshold: float) -> float:
+    """Return the mean number of noise peaks per link and snapshot over a threshold x: 45 000 exp(-x) (1 +
+    x).
+    """
+    return float(45_000.0 * np.exp(-threshold) * (1.0 + threshold))
+
+
+@lru_cache(maxsize=8)
+def detection_table(threshold: float) -> Floats:
+    """Return P(T > threshold) of an isolated path over the kernel's grid of Gamma in dB: ncx2.sf(2 x, 4,
+    1.86 Gamma).
+    """
+    from scipy.stats import ncx2
+
+    from cellslam.sim.lte.statistical_kernel import TABLE_START_DB, TABLE_STEP_DB
+
+    gamma_db = TABLE_START_DB + TABLE_STEP_DB * np.arange(1201)
+    return np.clip(ncx2.sf(2.0 * threshold, 4, 1.86 * 10.0 ** (gamma_db / 10.0)), 0.0, 1.0)
+
+
+def model_of(config: RadioConfig) -> Model:
+    """Return the kernel's constants for a radio configuration."""
+    from cellslam.sim.lte.statistical_kernel import Model
+
+    scales: BoundScales = bound_scales(config.resource_blocks)
+    floor = floors(config)
+    diffuse = (
+        float(np.interp(config.specular_to_diffuse_db, _DIFFUSE_RATIO_DB, _DIFFUSE_COUNT))
+        * config.diffuse_survival
+    )
+    return Model(
+        eirp=10.0 ** (config.eirp_dbm / 10.0), noise=10.0 ** (config.noise_dbm / 10.0), load=config.load,
+        evm_power=config.evm**2, snr_cap=10.0 ** (config.snr_cap_db / 10.0), samples=float(scales.samples),
+        distance_scale=scales.distance_m, azimuth_scale=scales.azimuth_rad,
+        elevation_scale=scales.elevation_rad, distance_floor=float(floor[0]), azimuth_floor=float(floor[1]),
+        elevation_floor=float(floor[2]), noise_scale=config.noise_scale,
+        detection_scale=config.detection_scale, perfect=config.perfect_detection,
+        window_min=config.window_min_m, window_max=config.window_max_m,
+        noise_clutter=noise_clutter_mean(config.detection_threshold) * config.clutter_scale,
+        ghosts=config.ghosts_per_path * config.clutter_scale, diffuse=diffuse * config.clutter_scale,
+        ghost_rule=10.0 ** (-config.ghost_rule_db / 10.0),
+    )  # fmt: skip
+
+
+def detect(
+    config: RadioConfig, cells: Cells, paths: PathColumns, poses: Floats, offsets_m: Floats, streams: Streams,
+    first_snapshot: int = 0, progress: Progress = silent,
+) -> Detections:  # fmt: skip
+    """Return the measurements of `poses` (T, 6), whose paths are `paths`, numbered from `first_snapshot`.
+
+    `offsets_m` (S,) is added to the distances. The streams advance: a drive in one call or pose by pose gives
+    the same.
+    """
+    from cellslam.sim.lte.statistical_kernel import COLUMNS, PATH, measure_block
+
+    sites, links = len(offsets_m), link_table(cells)
+    model, table = model_of(config), detection_table(config.detection_threshold)
+    out = [np.empty((0, COLUMNS))]
+    with progress("measuring", len(poses)) as advance:
+        for start in range(0, len(poses), BLOCK):
+            part = poses[start : start + BLOCK]
+            rows = paths.rows[start * sites : (start + len(part)) * sites + 1]
+            low, high = rows[0], rows[-1]
+            block = measure_block(
+                first_snapshot + start, np.ascontiguousarray(part, np.float64), rows - low,
+                paths.vt_m[low:high], paths.gain[low:high], paths.departure_rad[low:high],
+                np.asarray(offsets_m, np.float64), links, model, table, config.detection_threshold,
+                streams.noise, streams.detection, streams.clutter,
+            )  # fmt: skip
+            block[:, PATH] += np.where(block[:, PATH] >= 0, low, 0)
+            out.append(block)
+            advance(len(part))
+    return _columns(np.concatenate(out))
+
+
+def _columns(table: Floats) -> Detections:
+    from cellslam.sim.lte import statistical_kernel as k
+
+    c = np.ascontiguousarray(table.T)
+    measurements = Measurements(
+        snapshot=c[k.SNAPSHOT].astype(np.int64), link=c[k.LINK].astype(np.int64), distance_m=c[k.DISTANCE],
+        azimuth_rad=c[k.AZIMUTH], elevation_rad=c[k.ELEVATION], snr_db=c[k.SNR_DB],
+        distance_std_m=c[k.CLAIMED_STD], azimuth_std_rad=c[k.CLAIMED_STD + 1],
+        elevation_std_rad=c[k.CLAIMED_STD + 2],
+    )  # fmt: skip
+    return Detections(
+        measurements, c[k.PATH].astype(np.int64), np.ascontiguousarray(c[k.TRUE_STD : k.TRUE_STD + 3].T)
+    )

@@ -1,0 +1,238 @@
+"""The world of one trial: a city with sites and a vehicle, and what its receiver measures there.
+
+`prepare` draws a trial's world, `World.measure` is the primitive (one pose), `simulate` a whole drive as a
+recording.
+"""
+
+from __future__ import annotations
+
+import platform
+from collections import OrderedDict
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from pydantic import BaseModel, ConfigDict, Field
+
+from cellslam.sim.city.config import CityConfig
+from cellslam.sim.lte.config import RadioConfig
+from cellslam.sim.progress import Progress, silent
+from cellslam.sim.randomness import Stream, stream
+from cellslam.sim.recording import Floats, Ints, Recording, Sites, Truth, VirtualTransmitters
+from cellslam.sim.sites import SiteConfig
+from cellslam.sim.vehicle.config import OdometryConfig, VehicleConfig
+
+if TYPE_CHECKING:
+    from cellslam.sim.lte.links import Cells
+    from cellslam.sim.lte.statistical import Detections, PathColumns, Streams
+    from cellslam.sim.rays import Paths, Scene
+    from cellslam.sim.vehicle import Drive
+
+KEPT_SCENES = 2
+_scenes: OrderedDict[str, Scene] = OrderedDict()
+
+
+class WorldConfig(BaseModel):
+    """Everything that decides what is true and what is measured; each part's model stands beside its code."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    city: CityConfig = Field(description="the buildings")
+    sites: tuple[SiteConfig, ...] = Field(min_length=1, description="base-station sites and their cells")
+    vehicle: VehicleConfig = Field(default_factory=VehicleConfig, description="route and motion")
+    odometry: OdometryConfig = Field(default_factory=OdometryConfig, description="errors of wheels and gyro")
+    radio: RadioConfig = Field(default_factory=RadioConfig, description="the LTE link and the receiver")
+
+
+@dataclass(frozen=True)
+class World:
+    """One trial's world, ready to be measured. `sites_m` (S, 3); `offsets_m` (S,) are the true clock
+    offsets.
+    """
+
+    config: WorldConfig
+    seed: int
+    trial: int
+    scene: Scene
+    sites_m: Floats
+    cells: Cells
+    drive: Drive
+    offsets_m: Floats
+    start_pose: Floats
+
+    def streams(self) -> Streams:
+        """Return the receiver's generators at the start of the trial."""
+        from cellslam.sim.lte.statistical import Streams
+
+        names = (Stream.NOISE, Stream.DETECTION, Stream.CLUTTER)
+        return Streams(*(stream(self.seed, self.trial, name) for name in names))
+
+    def trace(self, poses: Floats, progress: Progress = silent) -> Paths:
+        """Return the paths from every site to every one of `poses` (T, 6)."""
+        from cellslam.sim.rays import trace
+
+        receivers = np.ascontiguousarray(poses[:, :3])
+        return trace(
+            self.scene, self.sites_m, receivers, carrier_hz=self.config.radio.carrier_hz, progress=progress
+        )
+
+    def measure(
+        self, pose: Floats, velocity: Floats, snapshot: int, rng: Streams
+    ) -> tuple[Detections, Paths]:
+        """Return what the receiver reports at `pose` (6,), numbered `snapshot`, and the paths that exist
+        there.
+
+        `velocity` (6,) is the true body velocity during the snapshot. `rng` advances: calls along a drive, in
+        order and with the same streams, give the drive's recording. `Detections.path` indexes the returned
+        paths.
+        """
+        del velocity  # the statistical front end stands for a receiver that compensates Doppler
+        poses = np.asarray(pose, np.float64)[None, :]
+        paths = self.trace(poses)
+        return self._detect(paths, poses, rng, snapshot, silent), paths
+
+    def measure_drive(self, rng: Streams, progress: Progress = silent) -> tuple[Detections, Paths]:
+        """Return all detections of the trial's drive, and its paths, receiver t being snapshot t."""
+        paths = self.trace(self.drive.poses, progress)
+        return self._detect(paths, self.drive.poses, rng, 0, progress), paths
+
+    def _detect(
+        self, paths: Paths, poses: Floats, rng: Streams, snapshot: int, progress: Progress
+    ) -> Detections:
+        from cellslam.sim.lte.statistical import detect
+
+        columns = path_columns(paths, len(poses), len(self.sites_m))
+        return detect(self.config.radio, self.cells, columns, poses, self.offsets_m, rng, snapshot, progress)
+
+
+def prepare(config: WorldConfig, seed: int, trial: int, progress: Progress = silent) -> World:
+    """Draw the world of one trial: city, route, sites, drive and clock offsets. Raises InputError where they
+    do not fit.
+    """
+    from cellslam.sim.lte.links import cells_of
+    from cellslam.sim.sites import place_sites
+    from cellslam.sim.vehicle import drive, plan_route
+
+    cells = cells_of(config.sites)
+    with progress("preparing the world", 4) as advance:
+        scene = _scene(config, seed, trial)
+        advance(1)
+        route = plan_route(scene.city, config.vehicle, stream(seed, trial, Stream.ROUTE))
+        advance(1)
+        sites_m = place_sites(scene.city, route, config.sites, stream(seed, trial, Stream.SITES))
+        advance(1)
+        driven = drive(route, config.vehicle, stream(seed, trial, Stream.VEHICLE))
+        advance(1)
+    rng = stream(seed, trial, Stream.OFFSETS)
+    offsets_m = config.radio.clock_offset_std_m * rng.standard_normal(len(config.sites))
+    start = driven.poses[0] + np.array(config.vehicle.start_std) * rng.standard_normal(6)
+    return World(config, seed, trial, scene, sites_m, cells, driven, offsets_m, start)
+
+
+def simulate(config: WorldConfig, seed: int, trial: int, progress: Progress = silent) -> Recording:
+    """Return the recording of trial `trial` of root seed `seed`, truth included. Same arguments, same
+    recording.
+    """
+    from cellslam.sim.lte.links import links_of
+    from cellslam.sim.vehicle import measure_odometry
+
+    world = prepare(config, seed, trial, progress)
+    detections, paths = world.measure_drive(world.streams(), progress)
+    vts, path_vt = virtual_transmitters(paths)
+    odometry = measure_odometry(world.drive, config.odometry, stream(seed, trial, Stream.ODOMETRY))
+    known = np.full(len(config.sites), config.radio.clock_offset_std_m)
+    measurement_vt = np.where(detections.path >= 0, path_vt[detections.path] if len(path_vt) else -1, -1)
+    truth = Truth(
+        poses=world.drive.poses,
+        measurement_vt=measurement_vt.astype(np.int64),
+        measurement_std=detections.true_std,
+        vts=vts,
+        site_positions_m=world.sites_m,
+        clock_offsets_m=world.offsets_m,
+        odometry_bias=odometry.bias,
+        odometry_scale=odometry.scale,
+    )
+    return Recording(
+        time_s=world.drive.time_s,
+        odometry=odometry.velocity,
+        odometry_model=odometry.model,
+        links=links_of(world.cells),
+        sites=Sites(tuple(site.name for site in config.sites), np.zeros(len(known)), known),
+        measurements=detections.measurements,
+        start_pose=world.start_pose,
+        start_std=np.array(config.vehicle.start_std, np.float64),
+        provenance=provenance(config, seed, trial),
+        truth=truth,
+    )
+
+
+def provenance(config: WorldConfig, seed: int, trial: int) -> dict[str, Any]:
+    """Return what is needed to make a recording again: resolved world, root seed, trial, versions.
+    JSON-able.
+    """
+    from importlib.metadata import version
+
+    packages = ("cellslam", "numpy", "numba", "scipy", "embreex", "highway-env")
+    versions = {name: version(name) for name in packages} | {"python": platform.python_version()}
+    return {"world": config.model_dump(mode="json"), "seed": seed, "trial": trial, "versions": versions}
+
+
+def path_columns(paths: Paths, receivers: int, sites: int) -> PathColumns:
+    """Return the columns of traced paths that the front ends read; paths are sorted by receiver, then
+    site.
+    """
+    from cellslam.sim.lte.statistical import PathColumns
+
+    key = paths.receiver * sites + paths.transmitter
+    rows = np.searchsorted(key, np.arange(receivers * sites + 1)).astype(np.int64)
+    departure = np.stack([paths.departure_azimuth_rad, paths.departure_elevation_rad], axis=1)
+    return PathColumns(
+        rows, np.ascontiguousarray(paths.vt_position_m), np.ascontiguousarray(paths.gain), departure
+    )
+
+
+def virtual_transmitters(paths: Paths) -> tuple[VirtualTransmitters, Ints]:
+    """Return the VTs of a drive's paths, one per (site, facets), with their visible intervals, and the VT of
+    each path (P,).
+    """
+    key = np.column_stack([paths.transmitter, paths.facets])
+    _, first, inverse = np.unique(key, axis=0, return_index=True, return_inverse=True)
+    path_vt = inverse.reshape(-1).astype(np.int64)
+    vts = VirtualTransmitters(
+        position_m=paths.vt_position_m[first],
+        site=paths.transmitter[first].astype(np.int64),
+        order=paths.order[first].astype(np.int64),
+        facets=paths.facets[first].astype(np.int64),
+        visible=visible_intervals(path_vt, paths.receiver),
+    )
+    return vts, path_vt
+
+
+def visible_intervals(vt: Ints, snapshot: Ints) -> Ints:
+    """Return (I, 3): VT, first and last snapshot of each run of consecutive snapshots in which the VT has a
+    path.
+    """
+    order = np.lexsort((snapshot, vt))
+    v, t = vt[order], snapshot[order]
+    new = np.ones(len(v), bool)
+    new[1:] = (np.diff(v) != 0) | (np.diff(t) > 1)
+    last = np.append(np.flatnonzero(new)[1:] - 1, len(v) - 1) if len(v) else np.empty(0, np.int64)
+    return np.stack([v[new], t[new], t[last]], axis=1).astype(np.int64).reshape(-1, 3)
+
+
+def _scene(config: WorldConfig, seed: int, trial: int) -> Scene:
+    """Return the city, prepared for tracing; the last few are kept, as a preset's city is that of every
+    trial.
+    """
+    from cellslam.sim.city import build_city
+    from cellslam.sim.rays import prepare as prepare_scene
+
+    own = getattr(config.city, "seed", 0)
+    root = (seed, trial) if own == "trial" else (int(own), 0)
+    key = f"{config.city.model_dump_json()} {root}"
+    if key not in _scenes:
+        _scenes[key] = prepare_scene(build_city(config.city, stream(*root, Stream.CITY)))
+        while len(_scenes) > KEPT_SCENES:
+            _scenes.popitem(last=False)
+    _scenes.move_to_end(key)
+    return _scenes[key]
