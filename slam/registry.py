@@ -1,0 +1,108 @@
+"""Estimators by name: built-ins, entry points of other packages, or `module:Class`; loaded when asked for."""
+
+from __future__ import annotations
+
+import importlib
+import sys
+from dataclasses import dataclass
+from importlib.metadata import entry_points
+from pathlib import Path
+from types import ModuleType
+from typing import Any
+
+from cellslam.sim.errors import InputError, unknown_name
+
+ENTRY_POINT_GROUP = "cellslam.estimators"
+
+
+@dataclass(frozen=True)
+class Listed:
+    """An estimator that can be asked for: its name, where its class is, and one line about it."""
+
+    name: str
+    target: str
+    summary: str
+
+
+BUILT_IN = (
+    Listed(
+        "fastslam",
+        "cellslam.slam.fastslam:FastSlam",
+        "extended FastSLAM: particles of the pose, one EKF a virtual transmitter, clock offsets marginalised",
+    ),
+    Listed(
+        "dead-reckoning",
+        "cellslam.slam.baselines.dead_reckoning:DeadReckoning",
+        "odometry alone, integrated from the start pose",
+    ),
+)
+
+
+def listing() -> tuple[Listed, ...]:
+    """Return every estimator known by name, built-ins first, without importing any of them."""
+    known = {entry.name: entry for entry in BUILT_IN}
+    for point in sorted(entry_points(group=ENTRY_POINT_GROUP), key=lambda p: p.name):
+        package = point.dist.name if point.dist else point.module
+        known.setdefault(point.name, Listed(point.name, point.value, f"from the package {package}"))
+    return tuple(known.values())
+
+
+def names() -> tuple[str, ...]:
+    """Return the names of `listing()`."""
+    return tuple(entry.name for entry in listing())
+
+
+def resolve(name: str) -> type[Any]:
+    """Return the estimator class called `name`: a known name, or `module:Class`.
+
+    For `module:Class` the current directory is appended to the import path, last. Raises InputError for an
+    unknown name, a module that cannot be imported, or a class without `start` and `step`.
+    """
+    if ":" in name:
+        here = str(Path.cwd())
+        if here not in sys.path and "" not in sys.path:
+            sys.path.append(here)
+        return _load(name, name)
+    for entry in listing():
+        if entry.name == name:
+            return _load(name, entry.target)
+    raise _unknown(name)
+
+
+def options_model(estimator: type[Any]) -> type[Any] | None:
+    """Return the pydantic model of an estimator's options: its class attribute `Options`, or None."""
+    model: type[Any] | None = getattr(estimator, "Options", None)
+    return model
+
+
+def _load(name: str, target: str) -> type[Any]:
+    module_name, _, class_name = target.partition(":")
+    if not (module_name and class_name):
+        raise InputError(f"estimator '{name}': write module:Class, as in my_package.my_module:MyEstimator")
+    module = _import(name, module_name)
+    found = getattr(module, class_name, None)
+    if found is None:
+        classes = [n for n, value in vars(module).items() if isinstance(value, type) and n[0] != "_"]
+        raise unknown_name(f"class of module {module_name}", class_name, classes)
+    lacking = [method for method in ("start", "step") if not callable(getattr(found, method, None))]
+    if not isinstance(found, type) or lacking:
+        what = f"has no method '{lacking[0]}'" if lacking else "is not a class"
+        raise InputError(f"estimator '{name}': {target} {what}; see cellslam.slam.api.Estimator")
+    return found
+
+
+def _import(name: str, module: str) -> ModuleType:
+    try:
+        return importlib.import_module(module)
+    except Exception as error:
+        missing = error.name if isinstance(error, ModuleNotFoundError) else None
+        if missing is not None and f"{module}.".startswith(f"{missing}."):
+            text = f"there is no module '{missing}' in {Path.cwd()} or among the installed packages"
+        else:
+            text = f"its module cannot be imported: {type(error).__name__}: {' '.join(str(error).split())}"
+        raise InputError(f"estimator '{name}': {text}") from error
+
+
+def _unknown(name: str) -> InputError:
+    error = unknown_name("estimator", name, names())
+    return InputError(f"{error}; or give your own as module:Class")
