@@ -1,0 +1,92 @@
+"""Which true VT each VT of an estimate stands for, and how right its associations are."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from cellslam.sim.recording import Floats, Ints, Recording
+from cellslam.slam.api import VtEstimate
+
+
+@dataclass(frozen=True)
+class Tracks:
+    """The VTs of an estimate, one row each (K,): id, link, what it stands for, how often it was measured.
+
+    `row_track` (M,) is the track of each measurement of the recording, -1 where it was not associated.
+    """
+
+    link: Ints
+    id: Ints
+    stands_for: Ints
+    count: Ints
+    row_track: Ints
+
+
+def tracks_of(link: Ints, association: Ints, measurement_vt: Ints) -> Tracks:
+    """Return the tracks of an association (M,) of measurements.
+
+    They are on `link` (M,) and came from `measurement_vt` (M,), -1 for clutter. An id counts per link. It
+    stands for the source that most of its measurements came from: a true VT (ties: the lowest index; and
+    before clutter), or nothing if that is clutter.
+    """
+    row_track = np.full(len(link), -1, np.int64)
+    used = np.flatnonzero(association >= 0)
+    if len(used) == 0:
+        none = np.zeros(0, np.int64)
+        return Tracks(none, none, none, none, row_track)
+    ids, id_index = np.unique(association[used], return_inverse=True)
+    keys, track = np.unique(link[used] * len(ids) + id_index, return_inverse=True)
+    row_track[used] = track
+    # Clutter gets the highest code, so that the stable order below prefers a true VT, and the lowest one, in
+    # a tie.
+    sources = int(measurement_vt.max()) + 2
+    source = np.where(measurement_vt[used] >= 0, measurement_vt[used], sources - 1)
+    pair, votes = np.unique(track * sources + source, return_counts=True)
+    order = np.lexsort((-votes, pair // sources))
+    winner = order[np.searchsorted((pair // sources)[order], np.arange(len(keys)))]
+    stands_for = pair[winner] % sources
+    stands_for = np.where(stands_for == sources - 1, -1, stands_for)
+    return Tracks(keys // len(ids), ids[keys % len(ids)], stands_for, np.bincount(track), row_track)
+
+
+def precision_recall(tracks: Tracks, measurement_vt: Ints) -> tuple[float | None, float | None]:
+    """Return precision and recall over measurements, each None where it has no denominator.
+
+    Right: a measurement of a true VT, associated with a track that stands for this VT. Precision: right ones
+    among all that were associated. Recall: right ones among all that came from a true VT, those of VTs that
+    were seen only once included. Several tracks on one link may stand for one true VT (it was lost and found
+    again): what they hold is right; duplicates that remain at the end cost in GOSPA.
+    """
+    used = tracks.row_track >= 0
+    real = measurement_vt >= 0
+    right = np.zeros(len(used), np.bool_)
+    right[used] = tracks.stands_for[tracks.row_track[used]] == measurement_vt[used]
+    right &= real
+    precision = float(right.sum() / used.sum()) if used.any() else None
+    return precision, (float(right.sum() / real.sum()) if real.any() else None)
+
+
+def transmitter_errors(recording: Recording, vts: VtEstimate, tracks: Tracks) -> Floats:
+    """Return the distances (n,) in metres between each link's estimate of its line-of-sight VT and the site.
+
+    The estimate of a link is the track that stands for the site's true VT of order 0 and is among the final
+    `vts`; of several the one with most measurements. Links without one have no entry. Raises ValueError
+    without truth.
+    """
+    truth = recording.truth
+    if truth is None:
+        raise ValueError("a transmitter error needs the truth")
+    errors = []
+    for link in range(len(recording.links)):
+        site = recording.links.site[link]
+        direct = np.flatnonzero((truth.vts.order == 0) & (truth.vts.site == site))
+        mine = np.flatnonzero((tracks.link == link) & np.isin(tracks.stands_for, direct))
+        final = np.flatnonzero(vts.link == link)
+        for k in mine[np.argsort(-tracks.count[mine], kind="stable")]:
+            found = final[vts.id[final] == tracks.id[k]]
+            if len(found):
+                errors.append(np.linalg.norm(vts.position_m[found[0]] - truth.site_positions_m[site]))
+                break
+    return np.asarray(errors, np.float64)

@@ -1,0 +1,115 @@
+"""The scores of one trial, from a recording with truth, an estimator's result and the bound.
+
+Position errors are horizontal, absolute and not aligned, as in the paper's section V.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from cellslam.benchmarks.association import precision_recall, tracks_of, transmitter_errors
+from cellslam.benchmarks.bound import BoundResult
+from cellslam.benchmarks.gospa import gospa
+from cellslam.benchmarks.result import METRIC_KEYS, TrialResult
+from cellslam.sim.frames import wrap_angle
+from cellslam.sim.recording import Floats, Recording, Truth
+from cellslam.slam.api import VtEstimate
+
+GOSPA_CUTOFF_M = 20.0
+GOSPA_ORDER = 2.0
+DETECTIONS_OF_A_TRUE_VT = 20
+SMALLEST_VARIANCE_M2 = 1e-12
+
+
+def score(recording: Recording, result: TrialResult, bound: BoundResult | None) -> dict[str, float | None]:
+    """Return the metrics of a result by key (`METRIC_KEYS`).
+
+    None where one does not apply: no truth, or the estimator does not estimate it.
+    """
+    scores: dict[str, float | None] = dict.fromkeys(METRIC_KEYS)
+    if bound is not None:
+        scores["bound_position_rmse_m"] = bound.position_rmse_m
+    truth = recording.truth
+    if truth is None:
+        return scores
+    error = horizontal_error(truth.poses, result.poses)
+    scores["position_rmse_m"] = _rms(error)
+    scores["position_max_m"] = float(error.max())
+    scores["position_end_m"] = float(error[-1])
+    scores["heading_rmse_rad"] = _rms(wrap_angle(result.poses[:, 3] - truth.poses[:, 3]))
+    squared = nees(truth.poses, result.poses, result.covariances)
+    scores["nees_mean"] = float(np.nanmean(squared)) if np.isfinite(squared).any() else None
+    if result.clock_offset_m is not None and len(recording.sites):
+        scores["clock_offset_rmse_m"] = _rms(result.clock_offset_m[-1] - truth.clock_offsets_m)
+    if result.vts is not None:
+        scores["map_gospa_m"] = map_gospa(recording, truth, result.vts)
+    if result.association is not None:
+        tracks = tracks_of(recording.measurements.link, result.association, truth.measurement_vt)
+        precision, recall = precision_recall(tracks, truth.measurement_vt)
+        scores["association_precision"], scores["association_recall"] = precision, recall
+        if result.vts is not None:
+            errors = transmitter_errors(recording, result.vts, tracks)
+            scores["transmitter_rmse_m"] = _rms(errors) if len(errors) else None
+    return scores
+
+
+def horizontal_error(truth_poses: Floats, poses: Floats) -> Floats:
+    """Return the horizontal distance (T,) in metres between two trajectories (T, 6) in the same frame."""
+    return np.hypot(poses[:, 0] - truth_poses[:, 0], poses[:, 1] - truth_poses[:, 1])
+
+
+def nees(truth_poses: Floats, poses: Floats, covariances: Floats) -> Floats:
+    """Return the normalised estimation error squared e^T P^-1 e (T,) of the horizontal position.
+
+    Its mean is 2 for a consistent estimator. NaN where the claimed covariance (T, 6, 6) has no inverse, as at
+    a start that is known exactly. Source: Bar-Shalom, Li, Kirubarajan, Estimation with Applications, section
+    5.4.2.
+    """
+    e = poses[:, :2] - truth_poses[:, :2]
+    xx, xy, yy = covariances[:, 0, 0], covariances[:, 0, 1], covariances[:, 1, 1]
+    determinant = xx * yy - xy * xy
+    # The smaller eigenvalue is at least determinant / trace.
+    regular = determinant > SMALLEST_VARIANCE_M2 * np.abs(xx + yy)
+    quadratic = yy * e[:, 0] ** 2 - 2.0 * xy * e[:, 0] * e[:, 1] + xx * e[:, 1] ** 2
+    return np.where(regular, quadratic / np.where(regular, determinant, 1.0), np.nan)
+
+
+def map_gospa(recording: Recording, truth: Truth, vts: VtEstimate) -> float | None:
+    """Return the GOSPA in metres between final and true VTs, averaged over links; None without links.
+
+    The truth of a link are the VTs detected at least 20 times on it. p = 2, cut-off 20 m, alpha = 2. A link
+    with neither true nor estimated VTs counts 0.
+    """
+    links, count = len(recording.links), len(truth.vts)
+    if links == 0:
+        return None
+    real = truth.measurement_vt >= 0
+    pair = recording.measurements.link[real] * max(count, 1) + truth.measurement_vt[real]
+    detections = np.bincount(pair, minlength=links * max(count, 1)).reshape(links, -1)[:, :count]
+    distances = [
+        gospa(
+            truth.vts.position_m[detections[link] >= DETECTIONS_OF_A_TRUE_VT],
+            vts.position_m[vts.link == link],
+            GOSPA_CUTOFF_M,
+            GOSPA_ORDER,
+        ).distance_m
+        for link in range(links)
+    ]
+    return float(np.mean(distances))
+
+
+def duration_s(recording: Recording) -> float:
+    """Return how long a recording lasts, in seconds: each snapshot stands for one (mean) interval."""
+    count = len(recording.time_s)
+    return float((recording.time_s[-1] - recording.time_s[0]) * count / (count - 1)) if count > 1 else 0.0
+
+
+def distance_m(recording: Recording) -> float | None:
+    """Return the true horizontal length of the drive in metres, None without truth."""
+    if recording.truth is None:
+        return None
+    return float(np.linalg.norm(np.diff(recording.truth.poses[:, :2], axis=0), axis=1).sum())
+
+
+def _rms(values: Floats) -> float:
+    return float(np.sqrt(np.mean(np.square(values))))
