@@ -4,16 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from cellslam.sim.errors import InputError
+from cellslam.sim.lte.detector_model import LinkTable
 from cellslam.sim.recording import Floats, Ints, Links
-
-if TYPE_CHECKING:
-    from cellslam.sim.lte.statistical_kernel import LinkTable
 
 
 @dataclass(frozen=True)
@@ -54,17 +52,13 @@ def links_of(cells: Cells) -> Links:
 
 
 def slant(port: NDArray[np.int64]) -> Floats:
-    """Return transmit polarisations (..., 2) as (H, V) amplitudes: even ports slant by +45 degrees, odd ones
-    by -45.
-    """
+    """Return the ports' polarisations (..., 2) as (H, V) amplitudes: even ones +45 degrees, odd ones -45."""
     h = np.where(port % 2 == 0, 1.0, -1.0)
-    return np.stack([h, np.ones_like(h)], axis=-1) / np.sqrt(2.0)
+    return np.asarray(np.stack([h, np.ones_like(h)], axis=-1) / np.sqrt(2.0))
 
 
 def link_table(cells: Cells) -> LinkTable:
     """Return the arrays that the compiled detector reads."""
-    from cellslam.sim.lte.statistical_kernel import LinkTable
-
     cell, port = _cell_and_port(cells)
     return LinkTable(
         site=cells.site[cell],

@@ -8,18 +8,16 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
-from cellslam.sim.lte.bound import BoundScales, bound_scales
+from cellslam.sim.lte import detector_model as k
+from cellslam.sim.lte.bound import bound_scales
 from cellslam.sim.lte.config import RadioConfig
 from cellslam.sim.lte.links import Cells, link_table
 from cellslam.sim.progress import Progress, silent
 from cellslam.sim.recording import Floats, Ints, Measurements
-
-if TYPE_CHECKING:
-    from cellslam.sim.lte.statistical_kernel import Model
 
 BLOCK = 512  # snapshots per kernel call: the step of the progress bar
 # Mean number of extra paths that a signal-level estimator reports around one path, against its
@@ -31,9 +29,7 @@ _DIFFUSE_FLOOR = (1.15, np.radians(1.15), np.radians(0.75))
 
 
 class Streams(NamedTuple):
-    """The generators of a front end: measurement noise, detection, clutter. They advance with every
-    snapshot.
-    """
+    """The generators of a front end: noise, detection, clutter. They advance with every snapshot."""
 
     noise: np.random.Generator
     detection: np.random.Generator
@@ -72,9 +68,7 @@ class Detections:
 
 
 def floors(config: RadioConfig) -> Floats:
-    """Return the error floors (3,) in m, rad, rad: diffuse energy, calibration, roof and attitude, added as
-    variances.
-    """
+    """Return the error floors (3,) in m, rad, rad: the variances of the named causes, added."""
     diffuse = np.array(_DIFFUSE_FLOOR) * 10.0 ** (-config.specular_to_diffuse_db / 20.0)
     causes = (
         diffuse,
@@ -86,7 +80,7 @@ def floors(config: RadioConfig) -> Floats:
         (0.0, np.radians(config.roof_azimuth_deg), np.radians(config.roof_elevation_deg)),
         (0.0, np.radians(config.attitude_azimuth_deg), np.radians(config.attitude_elevation_deg)),
     )
-    return np.sqrt(np.sum(np.square(np.array([tuple(c) for c in causes])), axis=0))
+    return np.asarray(np.sqrt(np.sum(np.square(np.array([tuple(c) for c in causes])), axis=0)))
 
 
 def noise_clutter_mean(threshold: float) -> float:
@@ -103,23 +97,20 @@ def detection_table(threshold: float) -> Floats:
     """
     from scipy.stats import ncx2
 
-    from cellslam.sim.lte.statistical_kernel import TABLE_START_DB, TABLE_STEP_DB
-
-    gamma_db = TABLE_START_DB + TABLE_STEP_DB * np.arange(1201)
+    gamma_db = k.TABLE_START_DB + k.TABLE_STEP_DB * np.arange(1201)
     return np.clip(ncx2.sf(2.0 * threshold, 4, 1.86 * 10.0 ** (gamma_db / 10.0)), 0.0, 1.0)
 
 
-def model_of(config: RadioConfig) -> Model:
+def model_of(config: RadioConfig) -> k.Model:
     """Return the kernel's constants for a radio configuration."""
-    from cellslam.sim.lte.statistical_kernel import Model
 
-    scales: BoundScales = bound_scales(config.resource_blocks)
+    scales = bound_scales(config.resource_blocks)
     floor = floors(config)
     diffuse = (
         float(np.interp(config.specular_to_diffuse_db, _DIFFUSE_RATIO_DB, _DIFFUSE_COUNT))
         * config.diffuse_survival
     )
-    return Model(
+    return k.Model(
         eirp=10.0 ** (config.eirp_dbm / 10.0), noise=10.0 ** (config.noise_dbm / 10.0), load=config.load,
         evm_power=config.evm**2, snr_cap=10.0 ** (config.snr_cap_db / 10.0), samples=float(scales.samples),
         distance_scale=scales.distance_m, azimuth_scale=scales.azimuth_rad,
@@ -142,11 +133,11 @@ def detect(
     `offsets_m` (S,) is added to the distances. The streams advance: a drive in one call or pose by pose gives
     the same.
     """
-    from cellslam.sim.lte.statistical_kernel import COLUMNS, PATH, measure_block
+    from cellslam.sim.lte.statistical_kernel import measure_block
 
     sites, links = len(offsets_m), link_table(cells)
     model, table = model_of(config), detection_table(config.detection_threshold)
-    out = [np.empty((0, COLUMNS))]
+    out = [np.empty((0, k.COLUMNS))]
     with progress("measuring", len(poses)) as advance:
         for start in range(0, len(poses), BLOCK):
             part = poses[start : start + BLOCK]
@@ -158,14 +149,13 @@ def detect(
                 np.asarray(offsets_m, np.float64), links, model, table, config.detection_threshold,
                 streams.noise, streams.detection, streams.clutter,
             )  # fmt: skip
-            block[:, PATH] += np.where(block[:, PATH] >= 0, low, 0)
+            block[:, k.PATH] += np.where(block[:, k.PATH] >= 0, low, 0)
             out.append(block)
             advance(len(part))
     return _columns(np.concatenate(out))
 
 
 def _columns(table: Floats) -> Detections:
-    from cellslam.sim.lte import statistical_kernel as k
 
     c = np.ascontiguousarray(table.T)
     measurements = Measurements(

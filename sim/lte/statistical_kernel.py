@@ -8,186 +8,47 @@ milliwatt per resource element, ratios linear, angles in radians, distances in m
 from __future__ import annotations
 
 import math
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 
-Array = NDArray[Any]
-# Output columns.
-SNAPSHOT, LINK, DISTANCE, AZIMUTH, ELEVATION, SNR_DB = 0, 1, 2, 3, 4, 5
-CLAIMED_STD, TRUE_STD, PATH, COLUMNS = 6, 9, 12, 13
-# More clutter of one kind from one cause than this is not drawn: far beyond what the config's ranges reach.
-MOST_CLUTTER = 256
-NEIGHBOUR_M = 40.0
-ISOLATED_LEFTOVER = 0.9
-GHOST_REACH_M = 10.0
-# Probability table over Gamma' in dB.
-TABLE_START_DB, TABLE_STEP_DB = -20.0, 0.05
-
-
-class LinkTable(NamedTuple):
-    """Links (L,) sorted as in the recording, and the cells (C,) that they belong to; `slant` (L, 2) is (H,
-    V).
-    """
-
-    site: Array
-    cell: Array
-    slant: Array
-    cell_site: Array
-    cell_azimuth: Array
-    cell_tilt: Array
-    cell_ports: Array
-
-
-class Model(NamedTuple):
-    """The radio configuration in linear units; scales as in `BoundScales`, floors are standard deviations."""
-
-    eirp: float
-    noise: float
-    load: float
-    evm_power: float
-    snr_cap: float
-    samples: float
-    distance_scale: float
-    azimuth_scale: float
-    elevation_scale: float
-    distance_floor: float
-    azimuth_floor: float
-    elevation_floor: float
-    noise_scale: float
-    detection_scale: float
-    perfect: bool
-    window_min: float
-    window_max: float
-    noise_clutter: float
-    ghosts: float
-    diffuse: float
-    ghost_rule: float
-
-
-@njit(cache=True)
-def _wrap(angle: float) -> float:
-    """Wrap to (-pi, pi]."""
-    return angle - 2.0 * math.pi * math.ceil((angle - math.pi) / (2.0 * math.pi))
-
-
-@njit(cache=True)
-def sector_gain(azimuth: float, elevation: float, cell_azimuth: float, cell_tilt: float) -> float:
-    """Return the relative power gain of a sector antenna (TR 36.814, Table A.2.1.1-2); tilt is downwards."""
-    off = math.degrees(_wrap(azimuth - cell_azimuth))
-    down = math.degrees(-elevation - cell_tilt)
-    horizontal = min(12.0 * (off / 70.0) ** 2, 25.0)
-    vertical = min(12.0 * (down / 10.0) ** 2, 20.0)
-    return 10.0 ** (-0.1 * min(horizontal + vertical, 25.0))
-
-
-@njit(cache=True)
-def array_gain(elevation: float) -> float:
-    """Return the power gain of a field, mean over the array's ports: TR 38.901 elements, 16 columns, two
-    slants.
-    """
-    return 10.0 ** (-0.1 * (2.16 + min(12.0 * (math.degrees(elevation) / 65.0) ** 2, 30.0)))
-
-
-@njit(cache=True)
-def probability(gamma: float, overlapped: bool, table: Array) -> float:
-    """Return the detection probability at integrated SNR `gamma` (leftover already applied)."""
-    if gamma <= 1e-2:
-        return 0.0
-    gamma_db = 10.0 * math.log10(gamma)
-    if overlapped:
-        return 1.0 / (1.0 + math.exp(-(gamma_db - 14.0) / 1.6))
-    at = (gamma_db - TABLE_START_DB) / TABLE_STEP_DB
-    i = int(at)
-    if at < 0.0:
-        return 0.0
-    if i >= len(table) - 1:
-        return 1.0
-    return table[i] + (at - i) * (table[i + 1] - table[i])
-
-
-@njit(cache=True)
-def _body_geometry(pose: Array, vt: Array, out: Array) -> None:
-    """Write distance, azimuth and elevation of `vt` in the body frame of `pose` into `out`."""
-    cp, sp = math.cos(pose[3]), math.sin(pose[3])
-    ct, st = math.cos(pose[4]), math.sin(pose[4])
-    cr, sr = math.cos(pose[5]), math.sin(pose[5])
-    dx, dy, dz = vt[0] - pose[0], vt[1] - pose[1], vt[2] - pose[2]
-    x = cp * ct * dx + sp * ct * dy - st * dz
-    y = (cp * st * sr - sp * cr) * dx + (sp * st * sr + cp * cr) * dy + ct * sr * dz
-    z = (cp * st * cr + sp * sr) * dx + (sp * st * cr - cp * sr) * dy + ct * cr * dz
-    out[0] = math.sqrt(dx * dx + dy * dy + dz * dz)
-    out[1] = math.atan2(y, x)
-    out[2] = math.atan2(z, math.sqrt(x * x + y * y))
-
-
-@njit(cache=True)
-def path_power(gain: Array, slant: Array) -> float:
-    """Return the power of both received polarisations for unit power sent with `slant`; gain[rx, tx]."""
-    h = gain[0, 0] * slant[0] + gain[0, 1] * slant[1]
-    v = gain[1, 0] * slant[0] + gain[1, 1] * slant[1]
-    return h.real**2 + h.imag**2 + v.real**2 + v.imag**2
+from cellslam.sim.lte.bound import AZIMUTH_EXPONENT
+from cellslam.sim.lte.budget_kernel import link_powers
+from cellslam.sim.lte.clutter_kernel import diffuse_clutter, ghost_clutter, noise_clutter
+from cellslam.sim.lte.detector_model import (
+    AZIMUTH,
+    COLUMNS,
+    DISTANCE,
+    ELEVATION,
+    GHOST_REACH_M,
+    ISOLATED_LEFTOVER,
+    LINK,
+    MOST_CLUTTER,
+    NEIGHBOUR_M,
+    PATH,
+    SNAPSHOT,
+    SNR_DB,
+    TRUE_STD,
+    Array,
+    LinkTable,
+    Model,
+)
+from cellslam.sim.lte.measurement_kernel import body_geometry, fold, probability, wrap, write_std
 
 
 @njit(cache=True)
 def captured(a: Array, b: Array, model: Model) -> float:
-    """Return the share of path a's energy inside the tangent space of path b (distance, azimuth, elevation
-    each).
+    """Return the share of path a's energy inside the tangent space of path b; both (distance, az, el).
 
     Gaussian ambiguity exp(-s^2) with the bound's widths, value and first derivatives: exp(-s^2) (1 + s^2).
     """
-    cosine = math.cos(0.5 * (a[2] + b[2])) ** 0.9
+    cosine = math.cos(0.5 * (a[2] + b[2])) ** AZIMUTH_EXPONENT
     u = (a[0] - b[0]) / model.distance_scale
-    v = _wrap(a[1] - b[1]) * cosine / model.azimuth_scale
+    v = wrap(a[1] - b[1]) * cosine / model.azimuth_scale
     w = (a[2] - b[2]) / model.elevation_scale
     s = u * u + v * v + w * w
-    return math.exp(-s) * (1.0 + s)
-
-
-@njit(cache=True)
-def _write_std(row: Array, gamma: float, elevation: float, model: Model) -> None:
-    """Write true and claimed deviations of a measurement at effective integrated SNR `gamma`."""
-    root = 1.0 / math.sqrt(2.0 * gamma)
-    cosine = max(math.cos(elevation), 0.05)
-    sd = math.hypot(model.distance_scale * root, model.distance_floor)
-    sa = math.hypot(model.azimuth_scale * root / cosine**0.9, model.azimuth_floor)
-    se = math.hypot(model.elevation_scale * root * (1.0 + 0.43 * elevation**2), model.elevation_floor)
-    row[TRUE_STD] = model.noise_scale * sd
-    row[TRUE_STD + 1] = model.noise_scale * sa
-    row[TRUE_STD + 2] = model.noise_scale * se
-    # A claim of exactness would break estimators: one centimetre and 1e-4 rad are the least that is claimed.
-    row[CLAIMED_STD] = max(row[TRUE_STD], 1e-2)
-    row[CLAIMED_STD + 1] = max(row[TRUE_STD + 1], 1e-4)
-    row[CLAIMED_STD + 2] = max(row[TRUE_STD + 2], 1e-4)
-
-
-@njit(cache=True)
-def _fold(row: Array) -> None:
-    """Bring elevation into [-pi/2, pi/2] (over the pole turns the azimuth round) and azimuth into (-pi,
-    pi].
-    """
-    elevation = _wrap(row[ELEVATION])
-    if elevation > 0.5 * math.pi:
-        elevation, row[AZIMUTH] = math.pi - elevation, row[AZIMUTH] + math.pi
-    elif elevation < -0.5 * math.pi:
-        elevation, row[AZIMUTH] = -math.pi - elevation, row[AZIMUTH] + math.pi
-    row[ELEVATION] = elevation
-    row[AZIMUTH] = _wrap(row[AZIMUTH])
-
-
-@njit(cache=True)
-def _clutter_row(
-    row: Array, distance: float, azimuth: float, elevation: float, gamma: float, model: Model
-) -> None:
-    """Fill one clutter measurement."""
-    row[DISTANCE], row[AZIMUTH], row[ELEVATION] = distance, azimuth, elevation
-    _fold(row)
-    row[SNR_DB] = 10.0 * math.log10(gamma / model.samples)
-    _write_std(row, gamma, row[ELEVATION], model)
-    row[TRUE_STD : TRUE_STD + 3] = math.nan
-    row[PATH] = -1.0
+    return float(math.exp(-s) * (1.0 + s))
 
 
 @njit(cache=True)
@@ -242,7 +103,7 @@ def _detect_paths(
             merged = 1.0 - work[i, 1]
             pull = merged * gamma[i] / (gamma[i] + gamma[q])
             work[q, 4] += pull * (geo[i, 0] - geo[q, 0])
-            work[q, 5] += pull * _wrap(geo[i, 1] - geo[q, 1])
+            work[q, 5] += pull * wrap(geo[i, 1] - geo[q, 1])
             work[q, 6] += pull * (geo[i, 2] - geo[q, 2])
             work[q, 7] += merged * gamma[i]
     count = 0
@@ -252,62 +113,14 @@ def _detect_paths(
             continue
         row = out[count]
         effective = max(gamma[i] * work[i, 1], 1e-2)
-        _write_std(row, effective, geo[i, 2], model)
+        write_std(row, effective, geo[i, 2], model)
         row[DISTANCE] = geo[i, 0] + work[i, 4] * model.noise_scale + row[TRUE_STD] * e_d
         row[AZIMUTH] = geo[i, 1] + work[i, 5] * model.noise_scale + row[TRUE_STD + 1] * e_a
         row[ELEVATION] = geo[i, 2] + work[i, 6] * model.noise_scale + row[TRUE_STD + 2] * e_e
-        _fold(row)
+        fold(row)
         row[SNR_DB] = 10.0 * math.log10(min((gamma[i] + work[i, 7]) / model.samples, model.snr_cap))
         row[PATH] = i
         count += 1
-    return count
-
-
-@njit(cache=True)
-def _ghost_clutter(geo: Array, gamma: float, model: Model, table: Array, clutter: Any, out: Array) -> int:
-    """Draw ghosts that array calibration error makes of one strong path; the 25 dB rule drops the weaker
-    ones.
-    """
-    count = 0
-    for _ in range(min(clutter.poisson(model.ghosts), MOST_CLUTTER)):
-        level = 10.0 ** (0.1 * (-30.0 + 4.0 * clutter.standard_normal()))
-        distance = geo[0] + 0.75 * clutter.standard_normal()
-        azimuth = geo[1] + math.radians(40.0) * clutter.standard_normal()
-        elevation = geo[2] + math.radians(15.0) * clutter.standard_normal()
-        accepted = clutter.random() < probability(gamma * level, False, table) * model.detection_scale
-        if accepted and level >= model.ghost_rule:
-            _clutter_row(out[count], distance, azimuth, elevation, gamma * level, model)
-            count += 1
-    return count
-
-
-@njit(cache=True)
-def _diffuse_clutter(geo: Array, gamma: float, model: Model, table: Array, clutter: Any, out: Array) -> int:
-    """Draw components of the diffuse cluster behind one path: 5-110 m later, median 40 m; -14 to -31 dB."""
-    count = 0
-    for _ in range(min(clutter.poisson(model.diffuse), MOST_CLUTTER)):
-        level = 10.0 ** (-0.1 * (14.0 + 17.0 * clutter.random()))
-        later = 5.0 + 105.0 * clutter.random() ** 1.585
-        azimuth = geo[1] + math.radians(12.0) * clutter.standard_normal()
-        elevation = geo[2] + math.radians(6.0) * clutter.standard_normal()
-        accepted = clutter.random() < probability(gamma * level, False, table) * model.detection_scale
-        if accepted and (later >= GHOST_REACH_M or level >= model.ghost_rule):
-            _clutter_row(out[count], geo[0] + later, azimuth, elevation, gamma * level, model)
-            count += 1
-    return count
-
-
-@njit(cache=True)
-def _noise_clutter(model: Model, table: Array, threshold: float, clutter: Any, out: Array) -> int:
-    """Draw noise peaks over the threshold: uniform in the delay window and in azimuth."""
-    count = min(clutter.poisson(model.noise_clutter), MOST_CLUTTER)
-    for i in range(count):
-        distance = model.window_min + (model.window_max - model.window_min) * clutter.random()
-        azimuth = math.pi * (2.0 * clutter.random() - 1.0)
-        elevation = math.radians(-30.0 + 90.0 * clutter.random())
-        # The excess of a chi-square tail over its threshold is exponential; T = 2 + 0.93 Gamma' on average.
-        excess = -math.log(1.0 - clutter.random())
-        _clutter_row(out[i], distance, azimuth, elevation, (threshold + excess - 2.0) / 0.93, model)
     return count
 
 
@@ -331,35 +144,6 @@ def _emit(
         row[DISTANCE] += offset
         if row[PATH] >= 0.0:
             row[PATH] += first
-
-
-@njit(cache=True)
-def _powers(
-    rows: Array,
-    base: int,
-    gain: Array,
-    departure: Array,
-    geo: Array,
-    links: LinkTable,
-    eirp: float,
-    power: Array,
-    cell_power: Array,
-) -> None:
-    """Fill `power` (L, W) per link and path, and `cell_power` (C,): the mean over a cell's ports of its
-    total.
-    """
-    cell_power[:] = 0.0
-    for link in range(len(links.site)):
-        site, cell = links.site[link], links.cell[link]
-        first = rows[base + site]
-        for i in range(rows[base + site + 1] - first):
-            p = first + i
-            sector = sector_gain(
-                departure[p, 0], departure[p, 1], links.cell_azimuth[cell], links.cell_tilt[cell]
-            )
-            received = path_power(gain[p], links.slant[link]) * sector * array_gain(geo[site, i, 2])
-            power[link, i] = eirp * received
-            cell_power[cell] += power[link, i] / links.cell_ports[cell]
 
 
 @njit(cache=True)
@@ -399,8 +183,8 @@ def measure_block(
         base = t * sites
         for s in range(sites):
             for i in range(rows[base + s + 1] - rows[base + s]):
-                _body_geometry(poses[t], vt[rows[base + s] + i], geo[s, i])
-        _powers(rows, base, gain, departure, geo, links, model.eirp, power, cell_power)
+                body_geometry(poses[t], vt[rows[base + s] + i], geo[s, i])
+        link_powers(rows, base, gain, departure, geo, links, model.eirp, power, cell_power)
         total = cell_power.sum()
         for link in range(count_links):
             site, cell = links.site[link], links.cell[link]
@@ -412,9 +196,9 @@ def measure_block(
                 gamma[i] = model.samples * min(power[link, i] / sigma2, model.snr_cap)
             count = _detect_paths(n, geo[site], gamma, model, table, noise, detection, work, buffer)
             for i in range(n):
-                count += _ghost_clutter(geo[site, i], gamma[i], model, table, clutter, buffer[count:])
-                count += _diffuse_clutter(geo[site, i], gamma[i], model, table, clutter, buffer[count:])
-            count += _noise_clutter(model, table, threshold, clutter, buffer[count:])
+                count += ghost_clutter(geo[site, i], gamma[i], model, table, clutter, buffer[count:])
+                count += diffuse_clutter(geo[site, i], gamma[i], model, table, clutter, buffer[count:])
+            count += noise_clutter(model, table, threshold, clutter, buffer[count:])
             if used + count > len(out):
                 larger = np.empty((2 * (used + count), COLUMNS))
                 larger[:used] = out[:used]

@@ -1,0 +1,59 @@
+"""What the compiled detector reads and writes: constants of the model, the table of links, output columns."""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+from numpy.typing import NDArray
+
+Array = NDArray[Any]
+# Output columns.
+SNAPSHOT, LINK, DISTANCE, AZIMUTH, ELEVATION, SNR_DB = 0, 1, 2, 3, 4, 5
+CLAIMED_STD, TRUE_STD, PATH, COLUMNS = 6, 9, 12, 13
+# More clutter of one kind from one cause than this is not drawn: far beyond what the config's ranges reach.
+MOST_CLUTTER = 256
+NEIGHBOUR_M = 40.0
+ISOLATED_LEFTOVER = 0.9
+GHOST_REACH_M = 10.0
+# Probability table over Gamma' in dB.
+TABLE_START_DB, TABLE_STEP_DB = -20.0, 0.05
+
+
+class LinkTable(NamedTuple):
+    """Links (L,) sorted as in the recording, and the cells (C,) that they belong to; `slant` (L, 2) is (H,
+    V).
+    """
+
+    site: Array
+    cell: Array
+    slant: Array
+    cell_site: Array
+    cell_azimuth: Array
+    cell_tilt: Array
+    cell_ports: Array
+
+
+class Model(NamedTuple):
+    """The radio configuration in linear units; scales as in `BoundScales`, floors are standard deviations."""
+
+    eirp: float
+    noise: float
+    load: float
+    evm_power: float
+    snr_cap: float
+    samples: float
+    distance_scale: float
+    azimuth_scale: float
+    elevation_scale: float
+    distance_floor: float
+    azimuth_floor: float
+    elevation_floor: float
+    noise_scale: float
+    detection_scale: float
+    perfect: bool
+    window_min: float
+    window_max: float
+    noise_clutter: float
+    ghosts: float
+    diffuse: float
+    ghost_rule: float
