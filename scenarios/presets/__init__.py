@@ -1,0 +1,1 @@
+"""The scenarios that cellslam ships, a .toml file each."""

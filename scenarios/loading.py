@@ -1,0 +1,69 @@
+"""Loading of scenarios: a preset by name or a .toml file, with overrides."""
+
+from __future__ import annotations
+
+import tomllib
+from collections.abc import Mapping
+from functools import cache
+from importlib.resources import files
+from pathlib import Path
+from typing import Any
+
+from cellslam.scenarios.model import Scenario
+from cellslam.scenarios.options import option_keys
+from cellslam.scenarios.overrides import apply
+from cellslam.scenarios.problems import validate
+from cellslam.sim.errors import InputError, unknown_name
+
+
+def load(name_or_path: str | Path, overrides: Mapping[str, Any] | None = None) -> Scenario:
+    """Return the preset of that name, or the scenario of that .toml file, with `overrides` by dotted key.
+
+    Raises InputError with what is wrong and what is allowed: unknown scenario or key, value out of range.
+    """
+    name, data, source = _read(name_or_path)
+    return from_tables({"name": name, **data}, overrides, source)
+
+
+def from_tables(
+    data: Mapping[str, Any], overrides: Mapping[str, Any] | None = None, source: str = ""
+) -> Scenario:
+    """Return the scenario of plain tables, with `overrides`; `source` stands before messages about `data`."""
+    if source:
+        try:
+            validate(Scenario, data, suggest=option_keys)
+        except InputError as error:
+            raise InputError(f"{source}: {error}") from error
+    return validate(Scenario, apply(data, overrides or {}), suggest=option_keys)
+
+
+@cache
+def preset_names() -> tuple[str, ...]:
+    """Return the names of the presets, sorted."""
+    found = (entry.name for entry in files("cellslam.scenarios.presets").iterdir())
+    return tuple(sorted(name.removesuffix(".toml") for name in found if name.endswith(".toml")))
+
+
+def _read(name_or_path: str | Path) -> tuple[str, dict[str, Any], str]:
+    """Return name, tables and, for a file, its path for messages."""
+    text = str(name_or_path)
+    if text in preset_names():
+        preset = files("cellslam.scenarios.presets") / f"{text}.toml"
+        return text, tomllib.loads(preset.read_text("utf-8")), ""
+    path = Path(text)
+    if not (text.endswith(".toml") or len(path.parts) > 1 or path.is_file()):
+        raise InputError(f"{unknown_name('scenario', text, preset_names())}; or give a .toml file")
+    return path.stem, _tables(path), text
+
+
+def _tables(path: Path) -> dict[str, Any]:
+    try:
+        return tomllib.loads(path.read_text("utf-8"))
+    except FileNotFoundError as error:
+        raise InputError(f"{path}: no such scenario file; presets are {', '.join(preset_names())}") from error
+    except OSError as error:
+        raise InputError(f"{path}: the scenario file cannot be read ({error.strerror})") from error
+    except UnicodeDecodeError as error:
+        raise InputError(f"{path}: not a scenario file: it is no UTF-8 text") from error
+    except tomllib.TOMLDecodeError as error:
+        raise InputError(f"{path}: not a scenario file: {error} (TOML)") from error

@@ -1,0 +1,74 @@
+"""Options of estimators: the scenario's tables, validated by each estimator's own model."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from pydantic import BaseModel
+
+from cellslam.scenarios.model import Scenario
+from cellslam.scenarios.overrides import split
+from cellslam.scenarios.problems import validate
+from cellslam.sim.errors import InputError, unknown_name
+from cellslam.slam import registry
+
+
+@dataclass(frozen=True)
+class Request:
+    """An estimator that was asked for: its name, its class, and its validated options (None: it has none)."""
+
+    name: str
+    estimator: type[Any]
+    options: BaseModel | None
+
+    @property
+    def oracle(self) -> bool:
+        """Whether it is shown the truth."""
+        return bool(getattr(self.estimator, "requires_truth", False))
+
+
+def resolve(scenario: Scenario, names: Sequence[str], overrides: Iterable[str] = ()) -> tuple[Request, ...]:
+    """Return the requests for estimators `names`, each once, in their order.
+
+    `overrides` are the dotted keys that the user set: they are validated also for estimators not in `names`.
+    Raises InputError for an unknown estimator or option, or a value out of range.
+    """
+    known = {*registry.names(), *names}
+    for name in scenario.estimator:
+        if name not in known and ":" not in name:
+            raise unknown_name("table", f"estimator.{name}", (f"estimator.{k}" for k in known))
+    requests = tuple(_request(scenario, name) for name in dict.fromkeys(names))
+    touched = {split(key)[1] for key in overrides if key.startswith("estimator.")}
+    for name in sorted(touched - set(names)):
+        _request(scenario, name)
+    return requests
+
+
+def with_options(scenario: Scenario, requests: Iterable[Request]) -> Scenario:
+    """Return `scenario` with every option of the requested estimators written out, defaults included."""
+    tables: Mapping[str, dict[str, Any]] = {
+        r.name: r.options.model_dump(mode="json") for r in requests if r.options is not None
+    }
+    return scenario.model_copy(update={"estimator": {**scenario.estimator, **tables}})
+
+
+def option_keys() -> list[str]:
+    """Return the dotted keys of the options of all built-in estimators."""
+    models = {entry.name: registry.options_model(registry.resolve(entry.name)) for entry in registry.BUILT_IN}
+    return [
+        f"estimator.{name}.{key}" for name, model in models.items() if model for key in model.model_fields
+    ]
+
+
+def _request(scenario: Scenario, name: str) -> Request:
+    estimator = registry.resolve(name)
+    model, table = registry.options_model(estimator), scenario.estimator.get(name, {})
+    if model is None:
+        if table:
+            raise InputError(
+                f"unknown key 'estimator.{name}.{next(iter(table))}': estimator '{name}' has no options"
+            )
+        return Request(name, estimator, None)
+    return Request(name, estimator, validate(model, table, f"estimator.{name}."))
