@@ -11,7 +11,7 @@ __all__ = ["City", "CityConfig", "Facets", "Material", "MeshCityConfig", "Proced
 
 
 def build_city(config: ProceduralCityConfig | MeshCityConfig, rng: np.random.Generator) -> City:
-    """Return the city that `config` describes; a mesh draws nothing from `rng`. Raises InputError for a bad mesh."""
+    """Return the city of `config`; a mesh draws nothing from `rng`. Raises InputError for a bad mesh."""
     if isinstance(config, MeshCityConfig):
         from cellslam.sim.city.mesh import load_city
 

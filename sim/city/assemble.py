@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Part:
-    """One object of one material: `vertices` (V, 3) in metres, `triangles` (K, 3), `building` index or -1 for ground."""
+    """One object of one material: `vertices` (V, 3) in metres, `triangles` (K, 3), building or -1, ground."""
 
     vertices: Floats
     triangles: Ints
@@ -35,7 +35,7 @@ def assemble(
     streets: Sequence[Floats] = (),
     notes: Sequence[str] = (),
 ) -> City:
-    """Return the city made of `parts`. Raises InputError for no triangles, vertices that are not finite, or no area."""
+    """Return the city made of `parts`. Raises InputError for no triangles, no area, or NaN vertices."""
     parts = [part for part in parts if len(part.triangles)]
     if not parts:
         raise InputError(f"city '{name}' has no triangles: give a mesh with at least one face")
@@ -43,7 +43,9 @@ def assemble(
     counts = [len(part.triangles) for part in parts]
     starts = np.concatenate([[0], np.cumsum(sizes)[:-1]])
     vertices = np.concatenate([part.vertices for part in parts]).astype(np.float64)
-    triangles = np.concatenate([part.triangles + start for part, start in zip(parts, starts, strict=True)]).astype(np.int64)
+    triangles = np.concatenate(
+        [part.triangles + start for part, start in zip(parts, starts, strict=True)]
+    ).astype(np.int64)
     bad = np.flatnonzero(~np.isfinite(vertices).all(axis=1))
     if len(bad):
         raise InputError(f"city '{name}': vertex {bad[0]} of {len(vertices)} is not finite; repair the mesh")

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import itertools
+
 import numpy as np
 import shapely
 from shapely import Polygon
@@ -17,7 +19,12 @@ FREE_GAP_M = 7.0
 def blocks_between(lines: list[shapely.LineString], widths_m: list[float]) -> list[Polygon]:
     """Return the polygons that streets of the given widths leave between them."""
     faces = shapely.get_parts(shapely.polygonize(lines))
-    roads = shapely.unary_union([line.buffer(w / 2, cap_style="flat", join_style="mitre") for line, w in zip(lines, widths_m, strict=True)])
+    roads = shapely.unary_union(
+        [
+            line.buffer(w / 2, cap_style="flat", join_style="mitre")
+            for line, w in zip(lines, widths_m, strict=True)
+        ]
+    )
     left = [shapely.get_parts(face.difference(roads)) for face in faces]
     return [_clean(p) for parts in left for p in parts if _usable(p)]
 
@@ -29,14 +36,14 @@ def closed_block(block: Polygon, config: ProceduralCityConfig, rng: np.random.Ge
         corners = corners[::-1]
     houses: list[Polygon] = []
     taken = Polygon()
-    for start, end in zip(corners[:-1], corners[1:], strict=True):
+    for start, end in itertools.pairwise(corners):
         length = float(np.hypot(*(end - start)))
         if length < 8.0:
             continue
         along = (end - start) / length
         inward = np.array([-along[1], along[0]])
         cuts = np.linspace(0.0, length, max(1, round(length / rng.uniform(14.0, 28.0))) + 1)
-        for a, b in zip(cuts[:-1], cuts[1:], strict=True):
+        for a, b in itertools.pairwise(cuts):
             empty = rng.random() < config.gap_share
             front = rng.choice([0.0, 0.0, rng.uniform(0.5, 3.0)])
             depth = rng.uniform(10.0, 15.0)
@@ -85,7 +92,9 @@ def _plan(rng: np.random.Generator) -> Polygon:
     plan = shapely.box(-length / 2, -width / 2, length / 2, width / 2)
     if kind > 0.8:
         wing = rng.uniform(10.0, 20.0)
-        plan = plan.union(shapely.box(-length / 2, -width / 2, -length / 2 + rng.uniform(9.0, 13.0), width / 2 + wing))
+        plan = plan.union(
+            shapely.box(-length / 2, -width / 2, -length / 2 + rng.uniform(9.0, 13.0), width / 2 + wing)
+        )
     return plan
 
 

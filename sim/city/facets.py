@@ -14,25 +14,29 @@ SLIVER_M = 1e-6
 
 
 def weld(vertices: Floats, part: Ints, tolerance_m: float = WELD_M) -> Ints:
-    """Return for each vertex (V, 3) of object `part` (V,) the label (V,) that close vertices of one object share."""
+    """Return labels (V,) of vertices (V, 3) of object `part` (V,): close ones of one object share theirs."""
     from scipy.sparse import coo_matrix
     from scipy.sparse.csgraph import connected_components
     from scipy.spatial import cKDTree
 
     # Objects are set apart in a fourth dimension; exact copies go first, or pairs among them would explode.
     spread = np.column_stack([vertices - vertices.mean(axis=0), part * (10.0 * tolerance_m)])
-    _, unique, inverse = np.unique(np.round(spread / (tolerance_m * 1e-2)), axis=0, return_index=True, return_inverse=True)
+    _, unique, inverse = np.unique(
+        np.round(spread / (tolerance_m * 1e-2)), axis=0, return_index=True, return_inverse=True
+    )
     pairs = cKDTree(spread[unique]).query_pairs(tolerance_m, output_type="ndarray")
-    links = coo_matrix((np.ones(len(pairs), np.int8), (pairs[:, 0], pairs[:, 1])), shape=(len(unique), len(unique)))
+    links = coo_matrix(
+        (np.ones(len(pairs), np.int8), (pairs[:, 0], pairs[:, 1])), shape=(len(unique), len(unique))
+    )
     _, label = connected_components(links, directed=False)
     return np.asarray(label, np.int64)[inverse.ravel()]
 
 
 def edge_neighbours(triangles: Ints, group: Ints) -> tuple[Ints, Ints]:
-    """Return (first (K + 1,), neighbours): the triangles of the same group that share an edge with each triangle.
+    """Return (first (K + 1,), neighbours): triangles of the same group that share an edge with each.
 
-    `triangles` (K, 3) hold welded labels; `group` (K,) separates what never joins. An edge with many triangles
-    links them in a chain through all of them.
+    `triangles` (K, 3) hold welded labels; `group` (K,) separates what never joins. An edge with many
+    triangles links them in a chain through all of them.
     """
     count = len(triangles)
     ends = np.sort(triangles[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1)
@@ -76,10 +80,10 @@ def merge_facets(
     plane_tolerance_m: float = PLANE_TOLERANCE_M,
     angle_tolerance_deg: float = ANGLE_TOLERANCE_DEG,
 ) -> tuple[Ints, Facets]:
-    """Return (triangle_facet (K,), facets): triangles of one object and material that touch and lie in one plane.
+    """Return (triangle_facet (K,), facets) of triangles that touch, lie in one plane and belong together.
 
-    `vertices` (V, 3); `triangles` (K, 3); `part`, `material`, `building` (K,): object, material and building of each
-    triangle. Tolerances: distance of every corner from the plane in metres, angle in degrees.
+    `vertices` (V, 3); `triangles` (K, 3); `part`, `material`, `building` (K,): object, material and building
+    of each triangle. Tolerances: distance of every corner from the plane in metres, angle in degrees.
     """
     from cellslam.sim.city.facets_kernel import grow_facets
 
@@ -94,7 +98,14 @@ def merge_facets(
     # Rounded areas: the order must not hang on the last bit, which a translation of the city would change.
     seeds = np.argsort(-np.round(area, 6), kind="stable")
     count = grow_facets(
-        seeds, corners, normals, first, neighbours, plane_tolerance_m, np.cos(np.radians(angle_tolerance_deg)), label
+        seeds,
+        corners,
+        normals,
+        first,
+        neighbours,
+        plane_tolerance_m,
+        np.cos(np.radians(angle_tolerance_deg)),
+        label,
     )
     return label, _fit(vertices.mean(axis=0), corners, normals, area, label, count, seeds, material, building)
 
@@ -121,7 +132,10 @@ def _fit(
     length = np.linalg.norm(normal, axis=1, keepdims=True)
     normal = np.divide(normal, length, out=np.tile([0.0, 0.0, 1.0], (count, 1)), where=length > 0.0)
     middle = corners.mean(axis=1)
-    centroid = np.stack([np.bincount(label, weight * middle[:, i], count) for i in range(3)], axis=1) / total[:, None]
+    centroid = (
+        np.stack([np.bincount(label, weight * middle[:, i], count) for i in range(3)], axis=1)
+        / total[:, None]
+    )
     offset = np.einsum("fi,fi->f", normal, centroid)
     away = np.abs(np.einsum("kci,ki->kc", corners, normal[label]) - offset[label][:, None]).max(axis=1)
     planarity = np.zeros(count)
@@ -129,7 +143,7 @@ def _fit(
     return Facets(
         normal=normal,
         offset=offset + normal @ origin,
-        area_m2=np.bincount(label, area, count),
+        area_m2=np.bincount(label, area, count).astype(np.float64),
         material=material[seed],
         building=building[seed],
         planarity_m=planarity,

@@ -26,14 +26,18 @@ def generate(config: ProceduralCityConfig, rng: np.random.Generator) -> City:
     footprints = [p for block in blocks_between(lines, widths) for p in _fill(block, config, rng)]
     if not footprints:
         raise InputError(
-            f"the generated city has no building: block_size_m {config.block_size_m}, square_share {config.square_share}, "
-            f"open_coverage {config.open_coverage} leave no room; enlarge blocks or lower square_share"
+            f"the generated city has no building: block_size_m {config.block_size_m}, "
+            f"square_share {config.square_share}, open_coverage {config.open_coverage} leave no room; "
+            "enlarge blocks or lower square_share"
         )
     heights = _heights(len(footprints), config, rng)
     names = sorted(config.material_weights)
     weights = np.array([config.material_weights[name] for name in names])
     choice = rng.choice(len(names), size=len(footprints), p=weights / weights.sum())
-    materials = [itu_material(n, THICKNESS_M.get(n), config.roughness_m) for n in [*names, "concrete", "medium_dry_ground"]]
+    materials = [
+        itu_material(n, THICKNESS_M.get(n), config.roughness_m)
+        for n in [*names, "concrete", "medium_dry_ground"]
+    ]
     parts = [_ground(config, material=len(names) + 1)]
     for building, (plan, height) in enumerate(zip(footprints, heights, strict=True)):
         parts.append(Part(*walls(plan, 0.0, height), material=int(choice[building]), building=building))

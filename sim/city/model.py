@@ -1,4 +1,4 @@
-"""The city as the ray tracer, the maps and the vehicle see it: triangles, planar facets, footprints, streets."""
+"""The city as ray tracer, maps and vehicle see it: triangles, planar facets, footprints, streets."""
 
 from __future__ import annotations
 
@@ -21,8 +21,8 @@ REFERENCE_HZ = 2.66e9
 class Material:
     """Electrical properties of a wall: relative permittivity and conductivity (S/m) at 2.66 GHz.
 
-    `roughness_m` is the standard deviation of the surface height; `thickness_m` None means a half space. At another
-    carrier the properties follow f ** exponent (ITU-R P.2040-3, equations 28 and 29).
+    `roughness_m` is the standard deviation of the surface height; `thickness_m` None means a half space. At
+    another carrier the properties follow f ** exponent (ITU-R P.2040-3, equations 28 and 29).
     """
 
     name: str
@@ -43,8 +43,8 @@ class Material:
 class Facets:
     """Planar pieces of surface: normal (F, 3) and offset (F,) with normal . x = offset, in metres.
 
-    `area_m2` (F,); `material` (F,) indexes `City.materials`; `building` (F,) indexes `City.footprints`, -1 is ground;
-    `planarity_m` (F,) is the largest distance of one of its vertices from the plane.
+    `area_m2` (F,); `material` (F,) indexes `City.materials`; `building` (F,) indexes `City.footprints`, -1 is
+    ground; `planarity_m` (F,) is the largest distance of one of its vertices from the plane.
     """
 
     normal: Floats
@@ -62,9 +62,9 @@ class Facets:
 class City:
     """A city in local metres (east, north, up).
 
-    `vertices` (V, 3); `triangles` (K, 3) into vertices; `triangle_facet` (K,); one footprint and one height above its base
-    per building; `streets`: centre lines, each (n, 2), that share their end points where they meet; `notes` tells
-    what loading repaired or dropped.
+    `vertices` (V, 3); `triangles` (K, 3) into vertices; `triangle_facet` (K,); one footprint and one height
+    above its base per building; `streets`: centre lines, each (n, 2), that share their end points where they
+    meet; `notes` tells what loading repaired or dropped.
     """
 
     name: str
@@ -85,7 +85,7 @@ class City:
 
     def facet_triangles(self, facet: int) -> Floats:
         """Return the corners (k, 3, 3) of the triangles of one facet."""
-        return self.vertices[self.triangles[self.triangle_facet == facet]]
+        return np.asarray(self.vertices[self.triangles[self.triangle_facet == facet]], np.float64)
 
     def buildings_at(self, points_m: Any) -> Ints:
         """Return for horizontal points (N, 2) the index of a building whose footprint holds it, or -1."""

@@ -8,11 +8,12 @@ import numpy as np
 from cellslam.sim.city.config import ProceduralCityConfig
 from cellslam.sim.city.model import Floats
 
+Node = tuple[int, int]
 BEND_POINTS = 5
 
 
 def street_network(config: ProceduralCityConfig, rng: np.random.Generator) -> tuple[Floats, ...]:
-    """Return street centre lines, each (n, 2) in metres, centred on the origin; ends that meet are equal to the bit."""
+    """Return street centre lines, each (n, 2) in metres, round the origin; ends that meet are bit-equal."""
     count = max(2, round(config.extent_m / config.block_size_m))
     positions = _nodes(count, config, rng)
     graph = nx.grid_2d_graph(count + 1, count + 1)
@@ -45,10 +46,12 @@ def _is_inner(a: tuple[int, int], b: tuple[int, int], count: int) -> bool:
 def _drop_order(
     graph: nx.Graph, count: int, config: ProceduralCityConfig, rng: np.random.Generator
 ) -> list[tuple[tuple[int, int], tuple[int, int]]]:
-    """Choose inner edges to leave out so that every corner keeps two streets or more and blocks at most double."""
-    inner = [edge for edge in sorted(graph.edges) if _is_inner(*edge, count)]
+    """Choose inner edges to leave out; every corner keeps at least two streets."""
+    inner = [edge for edge in sorted(graph.edges) if _is_inner(edge[0], edge[1], count)]
     wanted = round(config.merged_share * len(inner))
-    degree, touched, dropped = dict(graph.degree), set(), []
+    degree = dict(graph.degree)
+    touched: set[Node] = set()
+    dropped: list[tuple[Node, Node]] = []
     for index in rng.permutation(len(inner)):
         a, b = inner[index]
         if len(dropped) == wanted:

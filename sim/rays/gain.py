@@ -1,4 +1,6 @@
-"""Polarimetric path gain: free space, Fresnel reflection of slabs and half spaces, roughness (ITU-R P.2040-3)."""
+"""Polarimetric path gain: free space, Fresnel reflection of slabs and half spaces, roughness (ITU-R
+P.2040-3).
+"""
 
 from __future__ import annotations
 
@@ -25,8 +27,8 @@ def reflection(
 ) -> tuple[Complexes, Complexes]:
     """Return the reflection coefficients (TE, TM) for incidence from air, broadcast over all arguments.
 
-    Half space where `thickness_m` is infinite (P.2040-3, eq. 31), else a single slab (eq. 37). The field vectors are
-    e_TE and e_TE x k on both legs, so a perfect conductor has TE -1, TM +1.
+    Half space where `thickness_m` is infinite (P.2040-3, eq. 31), else a single slab (eq. 37). The field
+    vectors are e_TE and e_TE x k on both legs, so a perfect conductor has TE -1, TM +1.
     """
     eta, cos = np.asarray(eta, np.complex128), np.abs(np.asarray(cos_incidence, np.float64))
     root = np.sqrt(eta - (1.0 - cos**2))
@@ -67,7 +69,8 @@ def path_gain(
 ) -> Complexes:
     """Return gain matrices (P, 2, 2) of paths with the corners (P, 4, 3): transmitter, points, receiver.
 
-    A path of order n uses its first n + 2 corners. `facets` (P, 2) index `normals` (F, 3) and `material` (F,).
+    A path of order n uses its first n + 2 corners. `facets` (P, 2) index `normals` (F, 3) and `material`
+    (F,).
     """
     wavelength = SPEED_OF_LIGHT_MPS / carrier_hz
     legs = np.diff(corners, axis=1)
@@ -85,7 +88,9 @@ def path_gain(
             k[rows] = k_out
     receiving = np.stack(polarisation_basis(-k), axis=1)
     total = lengths.sum(axis=1)
-    return np.asarray((receiving @ field) * (wavelength / (4.0 * np.pi * total))[:, None, None], np.complex128)
+    return np.asarray(
+        (receiving @ field) * (wavelength / (4.0 * np.pi * total))[:, None, None], np.complex128
+    )
 
 
 def _reflect(
@@ -106,7 +111,8 @@ def _reflect(
     te, tm = reflection(eta, cos, thickness, wavelength)
     across = np.cross(k_in, normal)
     size = np.linalg.norm(across, axis=1, keepdims=True)
-    # At normal incidence every direction in the wall is "across"; take the horizontal one of the incoming ray.
+    # At normal incidence every direction in the wall is "across"; take the horizontal one of the incoming
+    # ray.
     across = np.where(size > 1e-9, across / np.maximum(size, 1e-9), polarisation_basis(k_in)[0])
     te_part = np.einsum("pi,pij->pj", across, field) * te[:, None]
     tm_part = np.einsum("pi,pij->pj", np.cross(across, k_in), field) * tm[:, None]

@@ -1,4 +1,4 @@
-"""Compiled search for first-order specular points: exact culls per block of receivers, then the image method."""
+"""Compiled search for first-order specular points: exact culls per block, then the image method."""
 
 from __future__ import annotations
 
@@ -10,7 +10,9 @@ INSIDE_M = 1e-6
 
 @njit(cache=True)
 def images(table, reflects, tx, ty, tz, image, side):  # type: ignore[no-untyped-def]
-    """Write per facet the transmitter's (u, v, distance) into `image` (F, 3) and its side (+1, -1, 0: no path) into `side`."""
+    """Write per facet the transmitter's (u, v, distance) into `image` (F, 3) and its side (+1, -1, 0: no
+    path) into `side`.
+    """
     for f in range(len(table)):
         d = table[f, 0] * tx + table[f, 1] * ty + table[f, 2] * tz - table[f, 3]
         image[f, 0] = table[f, 4] * tx + table[f, 5] * ty + table[f, 6] * tz
@@ -23,7 +25,9 @@ def images(table, reflects, tx, ty, tz, image, side):  # type: ignore[no-untyped
 
 @njit(cache=True)
 def _reaches(row, image, side, cx, cy, cz, hx, hy, hz):  # type: ignore[no-untyped-def]
-    """Tell whether a receiver in the box (centre c, half size h) can see the image through the facet's own box."""
+    """Tell whether a receiver in the box (centre c, half size h) can see the image through the facet's own
+    box.
+    """
     middle = side * (row[0] * cx + row[1] * cy + row[2] * cz - row[3])
     spread = abs(row[0]) * hx + abs(row[1]) * hy + abs(row[2]) * hz
     if middle + spread <= 0.0:
@@ -42,7 +46,10 @@ def _reaches(row, image, side, cx, cy, cz, hx, hy, hz):  # type: ignore[no-untyp
         v = image[1] + t * (row[7] * x + row[8] * y + row[9] * z - image[1])
         lu, hu, lv, hv = min(lu, u), max(hu, u), min(lv, v), max(hv, v)
     return (
-        hu >= row[10] - INSIDE_M and lu <= row[11] + INSIDE_M and hv >= row[12] - INSIDE_M and lv <= row[13] + INSIDE_M
+        hu >= row[10] - INSIDE_M
+        and lu <= row[11] + INSIDE_M
+        and hv >= row[12] - INSIDE_M
+        and lv <= row[13] + INSIDE_M
     )
 
 
@@ -66,7 +73,9 @@ def _inside(outline, start, stop, u, v):  # type: ignore[no-untyped-def]
 
 @njit(cache=True)
 def _cull(table, image, side, members, count, receivers, start, stop, kept):  # type: ignore[no-untyped-def]
-    """Write into `kept` those of `members[:count]` that a receiver of rows start:stop can meet; return how many."""
+    """Write into `kept` those of `members[:count]` that a receiver of rows start:stop can meet; return how
+    many.
+    """
     lx, ly, lz, hx, hy, hz = np.inf, np.inf, np.inf, -np.inf, -np.inf, -np.inf
     for r in range(start, stop):
         x, y, z = receivers[r, 0], receivers[r, 1], receivers[r, 2]
@@ -91,12 +100,14 @@ def _cull(table, image, side, members, count, receivers, start, stop, kept):  # 
 
 
 @njit(cache=True)
-def candidates(table, first, outline, clearance, image, side, receivers, blocks, work, pair, point, ray, reach):  # type: ignore[no-untyped-def]
-    """Write the specular points of every receiver (N, 3), visibility aside; return their number, which may exceed the room.
+def candidates(  # type: ignore[no-untyped-def]
+    table, first, outline, clearance, image, side, receivers, blocks, work, pair, point, ray, reach
+):
+    """Write the specular points of all receivers (N, 3); return their number, which may exceed the room.
 
-    `blocks`: sizes of the outer and the inner block of consecutive receivers; `work` (3, F): work space, its first row 0..F-1.
-    Written per candidate: `pair` (receiver, facet), `point` (3), `ray` (6, float32: from the receiver to the point) and
-    `reach`, the share of that ray that must be free.
+    `blocks`: sizes of the outer and the inner block of consecutive receivers; `work` (3, F): work space, its
+    first row 0..F-1. Written per candidate: `pair` (receiver, facet), `point` (3), `ray` (6, float32: from
+    the receiver to the point) and `reach`, the share of that ray that must be free.
     """
     total = 0
     for outer in range(0, len(receivers), blocks[0]):

@@ -17,12 +17,13 @@ MAX_ORDER = 1
 class Paths:
     """Paths (P,), sorted by receiver, transmitter, order, facets; world frame, isotropic antennas.
 
-    `receiver`, `transmitter` index what was traced; `order` counts reflections; `facets` (P, 2), from the transmitter
-    on, -1 none; `points_m` (P, 2, 3), the specular points, NaN none; `vt_position_m` (P, 3), the image from which the
-    path seems to come; `length_m`; arrival angles as seen from the receiver towards the VT, departure angles as seen from
-    the transmitter; `gain` (P, 2, 2) complex: row the receiver's and column the transmitter's (H, V) polarisation, each H and
-    V being the unit vectors of growing azimuth and elevation of that end's own direction; free space and
-    reflections included, propagation phase exp(-2j pi length / wavelength) left out.
+    `receiver`, `transmitter` index what was traced; `order` counts reflections; `facets` (P, 2), from the
+    transmitter on, -1 none; `points_m` (P, 2, 3), the specular points, NaN none; `vt_position_m` (P, 3), the
+    image from which the path seems to come; `length_m`; arrival angles as seen from the receiver towards the
+    VT, departure angles as seen from the transmitter; `gain` (P, 2, 2) complex: row the receiver's and column
+    the transmitter's (H, V) polarisation, each H and V being the unit vectors of growing azimuth and
+    elevation of that end's own direction; free space and reflections included, propagation phase exp(-2j pi
+    length / wavelength) left out.
     """
 
     receiver: Ints

@@ -18,9 +18,10 @@ CLEARANCE_M = 1e-3
 class Scene:
     """A prepared city. All coordinates are relative to `origin_m` (3,), the middle of the city's bounds.
 
-    `table` (F, 14): normal, offset, two unit vectors in the plane, and the facet's box in these two coordinates (low u, high
-    u, low v, high v); facet f has the triangles `first[f]:first[f + 1]` of `outline` (K, 6) (u, v of three corners);
-    `clearance_m` (F,): how far from its plane shadow rays end; `reflects` (F,): it has an area and is not ground.
+    `table` (F, 14): normal, offset, two unit vectors in the plane, and the facet's box in these two
+    coordinates (low u, high u, low v, high v); facet f has the triangles `first[f]:first[f + 1]` of `outline`
+    (K, 6) (u, v of three corners); `clearance_m` (F,): how far from its plane shadow rays end; `reflects`
+    (F,): it has an area and is not ground.
     """
 
     city: City
@@ -45,7 +46,13 @@ def prepare(city: City) -> Scene:
     first = np.searchsorted(facet, np.arange(len(facets) + 1)).astype(np.int64)
     flat = np.stack([np.einsum("kci,ki->kc", corners[order], axis[facet]) for axis in (u, v)], axis=2)
     low, high = flat.min(axis=1), flat.max(axis=1)
-    box = np.stack([f.reduceat(side[:, i], first[:-1]) for i in (0, 1) for f, side in ((np.minimum, low), (np.maximum, high))])
+    box = np.stack(
+        [
+            f.reduceat(side[:, i], first[:-1])
+            for i in (0, 1)
+            for f, side in ((np.minimum, low), (np.maximum, high))
+        ]
+    )
     radius = float(np.abs(corners).max())
     return Scene(
         city=city,

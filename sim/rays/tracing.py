@@ -28,10 +28,11 @@ def trace(
     ground_reflection: bool = False,
     progress: Progress = silent,
 ) -> Paths:
-    """Return all specular paths up to `max_order` reflections from transmitters (S, 3) to receivers (N, 3), in metres.
+    """Return all specular paths up to `max_order` reflections from transmitters (S, 3) to receivers (N, 3),
+    in metres.
 
-    Receivers in the order of a drive are fastest. Raises InputError for positions that are not finite or not (n, 3),
-    and for an order or a carrier that cannot be used.
+    Receivers in the order of a drive are fastest. Raises InputError for positions that are not finite or not
+    (n, 3), and for an order or a carrier that cannot be used.
     """
     scene = city if isinstance(city, Scene) else prepare(city)
     if max_order not in range(MAX_ORDER + 1):
@@ -86,7 +87,9 @@ def _describe(
     scene: Scene, transmitter: Floats, site: int, receivers: Floats, first_receiver: int,
     row: Ints, facets: Ints, points: Floats, carrier_hz: float,
 ) -> Paths:  # fmt: skip
-    """Turn receiver, facets and points, in centred coordinates, into paths: images, angles, gains; copies removed."""
+    """Turn receiver, facets and points, in centred coordinates, into paths: images, angles, gains; copies
+    removed.
+    """
     order = (facets >= 0).sum(axis=1)
     vt = images_of(scene, transmitter, facets)
     keep = _first_of_copies(row, order, vt, facets)
@@ -117,7 +120,9 @@ def _describe(
 
 
 def images_of(scene: Scene, transmitter: Floats, facets: Ints) -> Floats:
-    """Return the transmitter (3,) mirrored in the facets (P, 2), first column first, -1 none; centred coordinates (P, 3)."""
+    """Return the transmitter (3,) mirrored in the facets (P, 2), first column first, -1 none; centred
+    coordinates (P, 3).
+    """
     image = np.tile(transmitter, (len(facets), 1))
     for column in range(facets.shape[1]):
         rows = np.flatnonzero(facets[:, column] >= 0)
@@ -136,7 +141,11 @@ def _first_of_copies(row: Ints, order: Ints, vt: Floats, facets: Ints) -> Ints:
     keep = np.ones(len(row), np.bool_)
     for step in range(1, 4):
         a, b = sequence[:-step], sequence[step:]
-        same = (row[a] == row[b]) & (order[a] == order[b]) & (np.abs(vt[a] - vt[b]).max(axis=1, initial=0.0) < SAME_IMAGE_M)
+        same = (
+            (row[a] == row[b])
+            & (order[a] == order[b])
+            & (np.abs(vt[a] - vt[b]).max(axis=1, initial=0.0) < SAME_IMAGE_M)
+        )
         keep[np.where(facets[a, 0] <= facets[b, 0], b, a)[same]] = False
     return np.flatnonzero(keep)
 
