@@ -81,7 +81,9 @@ def covariance_recursion(
 def _predict(
     p: Floats, n: int, core: int, motion: Floats, noise: Floats, walk: Floats, block: Floats, moved: Floats
 ) -> None:
-    """P <- F P F^T + Q, where F changes the pose only."""
+    """P <- F (P + diag(walk)) F^T + Q: the core walks first, as biases do, then F changes the pose only."""
+    for i in range(core):
+        p[i, i] += walk[i]
     for i in range(core):
         for j in range(i + 1):
             block[i, j] = p[i, j]
@@ -101,7 +103,6 @@ def _predict(
     for i in range(POSE, core):
         for a in range(POSE):
             p[i, a] = moved[a, i]
-        p[i, i] += walk[i]
     for i in range(core, n):
         for a in range(POSE):
             total = 0.0

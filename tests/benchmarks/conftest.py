@@ -94,7 +94,7 @@ def make_recording() -> MakeRecording:
         u[1:] = mean_velocity(poses[:-1], poses[1:], np.full(snapshots - 1, dt_s))
         u[1:] = (
             u[1:] * (1 + drawn_scale)
-            + drawn_bias[:-1]
+            + drawn_bias[1:]
             + rng.normal(0, 1, (snapshots - 1, 6)) * model.noise_density / dt_s**0.5
         )
         links = Links(

@@ -48,12 +48,12 @@ class JointFilter:
         self.covariance = p
 
     def transition(self, t: int) -> tuple[np.ndarray, np.ndarray]:
-        f, q = np.eye(self.size), np.zeros((self.size, self.size))
+        """F and the covariance of what is added, F W F^T + Q: biases walk before they act."""
+        f, q, w = np.eye(self.size), np.zeros((self.size, self.size)), np.zeros(self.size)
         f[:6, : self.core.size] = self.motion[t]
         q[:6, :6] = self.noise[t]
-        walk = np.arange(self.core.size)
-        q[walk, walk] += self.walk[t]
-        return f, q
+        w[: self.core.size] = self.walk[t]
+        return f, (f * w) @ f.T + q
 
     def rows(self, t: int) -> tuple[np.ndarray, np.ndarray]:
         """Stacked H and R of the true measurements of snapshot t, absent components left out."""
