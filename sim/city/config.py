@@ -55,8 +55,9 @@ class ProceduralCityConfig(_Config):
     height_max_m: float = Field(
         35.0, ge=3.0, le=300.0, description="height of the highest ordinary buildings"
     )
-    tower_share: float = Field(
-        0.02, ge=0.0, le=0.5, description="share of buildings half as high again as the highest"
+    tower_share: float = Field(0.02, ge=0.0, le=0.5, description="share of buildings that are towers")
+    tower_height_m: float = Field(
+        50.0, ge=3.0, le=400.0, description="mean height of towers, which vary by 15 percent"
     )
     material_weights: dict[str, float] = Field(
         default={"concrete": 0.45, "brick": 0.35, "glass": 0.15, "metal": 0.05},
