@@ -128,7 +128,7 @@ def make_recording() -> MakeRecording:
             odometry=u,
             odometry_model=model,
             links=links,
-            sites=Sites(tuple("AB"[:sites]), np.zeros(sites), np.full(sites, offset_std_m)),
+            sites=Sites(tuple("ABCDEF"[:sites]), np.zeros(sites), np.full(sites, offset_std_m)),
             measurements=Measurements(r[:, 0], r[:, 1], z[:, 0], z[:, 1], z[:, 2], np.full(len(r), 10.0)),
             start_pose=poses[0] + rng.normal(0, 1, 6) * sigma,
             start_std=sigma,
