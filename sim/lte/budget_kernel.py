@@ -49,7 +49,8 @@ def link_powers(
     """Fill `power` (L, W) per link and path, and `cell_power` (C,): the mean over a cell's ports of its
     total.
     """
-    cell_power[:] = 0.0
+    for cell in range(len(cell_power)):
+        cell_power[cell] = 0.0
     for link in range(len(links.site)):
         site, cell = links.site[link], links.cell[link]
         first = rows[base + site]

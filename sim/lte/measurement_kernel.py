@@ -102,5 +102,6 @@ def clutter_row(
     fold(row)
     row[SNR_DB] = 10.0 * math.log10(gamma / model.samples)
     write_std(row, gamma, row[ELEVATION], model)
-    row[TRUE_STD : TRUE_STD + 3] = math.nan
+    for i in range(3):
+        row[TRUE_STD + i] = math.nan
     row[PATH] = -1.0
