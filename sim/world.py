@@ -220,18 +220,26 @@ def visible_intervals(vt: Ints, snapshot: Ints) -> Ints:
     return np.stack([v[new], t[new], t[last]], axis=1).astype(np.int64).reshape(-1, 3)
 
 
-def _scene(config: WorldConfig, seed: int, trial: int) -> Scene:
-    """Return the city, prepared for tracing; the last few are kept, as a preset's city is that of every
-    trial.
+def city_rng(config: WorldConfig, seed: int, trial: int) -> np.random.Generator:
+    """Return the generator that draws the city: of its own seed, or of the trial where `city.seed` is
+    "trial".
     """
+    return stream(*_city_root(config, seed, trial), Stream.CITY)
+
+
+def _city_root(config: WorldConfig, seed: int, trial: int) -> tuple[int, int]:
+    own = getattr(config.city, "seed", 0)
+    return (seed, trial) if own == "trial" else (int(own), 0)
+
+
+def _scene(config: WorldConfig, seed: int, trial: int) -> Scene:
+    """Return the city, prepared for tracing; the last few are kept, as a preset's city is every trial's."""
     from cellslam.sim.city import build_city
     from cellslam.sim.rays import prepare as prepare_scene
 
-    own = getattr(config.city, "seed", 0)
-    root = (seed, trial) if own == "trial" else (int(own), 0)
-    key = f"{config.city.model_dump_json()} {root}"
+    key = f"{config.city.model_dump_json()} {_city_root(config, seed, trial)}"
     if key not in _scenes:
-        _scenes[key] = prepare_scene(build_city(config.city, stream(*root, Stream.CITY)))
+        _scenes[key] = prepare_scene(build_city(config.city, city_rng(config, seed, trial)))
         while len(_scenes) > KEPT_SCENES:
             _scenes.popitem(last=False)
     _scenes.move_to_end(key)
