@@ -33,7 +33,7 @@ def scene(make_recording):
     recording = dataclasses.replace(recording, truth=truth)
     count = len(recording.time_s)
     # The links' estimates of the site differ by a metre; their mean is right.
-    found = np.stack([site + [0.5, 0, 0], image, site - [0.5, 0, 0], image])
+    found = np.stack([site, image, site, image]) + np.outer([0.5, 0, -0.5, 0], [1, 0, 0])
     known = VtEstimate(np.array([0, 1, 0, 1]), np.array([0, 0, 1, 1]), found, np.tile(np.eye(3), (4, 1, 1)))
     slam = TrialResult(
         "fastslam", truth.poses + 0.1, np.tile(np.eye(6), (count, 1, 1)), truth.measurement_vt,
