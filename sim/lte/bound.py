@@ -14,10 +14,10 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from cellslam.sim.frames import SPEED_OF_LIGHT_MPS
+from cellslam.sim.lte.waveform import subcarrier_frequency_hz
 
 ARRAY_PORTS = 128
 TONES_PER_RESOURCE_BLOCK = 2
-SUBCARRIER_SPACING_HZ = 15e3
 # sd_az = 0.0685 deg and sd_el = 0.0704 deg at rho = 0 dB, elevation 0, Gamma = 25 600: 16 x 4 patches, 0.147
 # m, 57.7 mm.
 _AZIMUTH_SCALE_RAD = np.radians(0.0685) * np.sqrt(2.0 * 25_600.0)
@@ -42,9 +42,8 @@ def tone_frequencies(resource_blocks: int, first: int = 0) -> NDArray[np.float64
     """Return baseband frequencies (2 RB,) in Hz of one port's reference tones: every sixth subcarrier from
     `first`, DC gap included (TS 36.211, 6.10.1.2 and 6.12).
     """
-    half = 6 * resource_blocks
     k = first + 6 * np.arange(TONES_PER_RESOURCE_BLOCK * resource_blocks)
-    return np.where(k < half, k - half, k - half + 1) * SUBCARRIER_SPACING_HZ
+    return subcarrier_frequency_hz(k, resource_blocks)
 
 
 def bound_scales(resource_blocks: int) -> BoundScales:
