@@ -14,6 +14,8 @@ from cellslam.scenarios.problems import validate
 from cellslam.sim.errors import InputError, unknown_name
 from cellslam.slam import registry
 
+Tables = Mapping[str, Mapping[str, Any]]
+
 
 @dataclass(frozen=True)
 class Request:
@@ -29,29 +31,28 @@ class Request:
         return bool(getattr(self.estimator, "requires_truth", False))
 
 
-def resolve(scenario: Scenario, names: Sequence[str], overrides: Iterable[str] = ()) -> tuple[Request, ...]:
+def resolve(tables: Tables, names: Sequence[str], overrides: Iterable[str] = ()) -> tuple[Request, ...]:
     """Return the requests for estimators `names`, each once, in their order.
 
-    `overrides` are the dotted keys that the user set: they are validated also for estimators not in `names`.
-    Raises InputError for an unknown estimator or option, or a value out of range.
+    `tables` are a scenario's options by estimator; `overrides` are the dotted keys that the user set: they
+    are validated also for estimators not in `names`. Raises InputError for an unknown estimator or option,
+    or a value out of range.
     """
     known = {*registry.names(), *names}
-    for name in scenario.estimator:
+    for name in tables:
         if name not in known and ":" not in name:
             raise unknown_name("table", f"estimator.{name}", (f"estimator.{k}" for k in known))
-    requests = tuple(_request(scenario, name) for name in dict.fromkeys(names))
+    requests = tuple(_request(tables, name) for name in dict.fromkeys(names))
     touched = {split(key)[1] for key in overrides if key.startswith("estimator.")}
     for name in sorted(touched - set(names)):
-        _request(scenario, name)
+        _request(tables, name)
     return requests
 
 
 def with_options(scenario: Scenario, requests: Iterable[Request]) -> Scenario:
     """Return `scenario` with every option of the requested estimators written out, defaults included."""
-    tables: Mapping[str, dict[str, Any]] = {
-        r.name: r.options.model_dump(mode="json") for r in requests if r.options is not None
-    }
-    return scenario.model_copy(update={"estimator": {**scenario.estimator, **tables}})
+    full = {r.name: r.options.model_dump(mode="json") for r in requests if r.options is not None}
+    return scenario.model_copy(update={"estimator": {**scenario.estimator, **full}})
 
 
 def option_keys() -> list[str]:
@@ -62,9 +63,9 @@ def option_keys() -> list[str]:
     ]
 
 
-def _request(scenario: Scenario, name: str) -> Request:
+def _request(tables: Tables, name: str) -> Request:
     estimator = registry.resolve(name)
-    model, table = registry.options_model(estimator), scenario.estimator.get(name, {})
+    model, table = registry.options_model(estimator), tables.get(name, {})
     if model is None:
         if table:
             raise InputError(

@@ -235,7 +235,7 @@ def test_validation_converts_only_integers_to_floats() -> None:
 
 def test_options_are_validated_by_the_estimators_own_model(place: Path) -> None:
     scenario = load(place)
-    (request,) = resolve(scenario, ["fastslam", "fastslam"])
+    (request,) = resolve(scenario.estimator, ["fastslam", "fastslam"])
     assert request.options is not None
     assert request.options.model_dump()["particles"] == 50
     full = with_options(scenario, [request])
@@ -256,6 +256,6 @@ def test_wrong_options(place: Path, text: str, words: list[str]) -> None:
     sets = overrides.parse_all([text])
     scenario = load(place, sets)
     with pytest.raises(InputError) as caught:
-        resolve(scenario, ["dead-reckoning"], sets)
+        resolve(scenario.estimator, ["dead-reckoning"], sets)
     for word in words:
         assert word in str(caught.value)

@@ -1,0 +1,77 @@
+"""Progress on stderr: bars on a terminal, elsewhere a line for whatever takes longer than two seconds."""
+
+from __future__ import annotations
+
+import sys
+import threading
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from typing import TYPE_CHECKING
+
+from cellslam.sim.progress import Progress, silent
+
+if TYPE_CHECKING:
+    from rich.progress import Progress as RichProgress
+
+NOTICED_S = 2.0
+
+
+@contextmanager
+def bars(quiet: bool) -> Iterator[Progress]:
+    """Open the display for all tasks of a command; nothing is shown if `quiet`."""
+    if quiet:
+        yield silent
+    elif sys.stderr.isatty():
+        with _rich() as display:
+            yield _on_terminal(display)
+    else:
+        yield _in_lines
+
+
+def _rich() -> RichProgress:
+    from rich.console import Console
+    from rich.progress import BarColumn, MofNCompleteColumn, SpinnerColumn, TextColumn, TimeElapsedColumn
+    from rich.progress import Progress as Display
+
+    columns = (
+        SpinnerColumn(),
+        TextColumn("{task.description}"),
+        BarColumn(),
+        MofNCompleteColumn(),
+        TimeElapsedColumn(),
+    )
+    return Display(*columns, console=Console(stderr=True), transient=True)
+
+
+def _on_terminal(display: RichProgress) -> Progress:
+    @contextmanager
+    def task(description: str, total: int) -> Iterator[Callable[[int], None]]:
+        bar = display.add_task(description, total=total)
+        try:
+            yield lambda steps: display.advance(bar, steps)
+        finally:
+            display.remove_task(bar)
+
+    return task
+
+
+@contextmanager
+def _in_lines(description: str, total: int) -> Iterator[Callable[[int], None]]:
+    begin, done = time.monotonic(), [0]
+
+    def advance(steps: int) -> None:
+        done[0] += steps
+
+    def notice() -> None:
+        sys.stderr.write(f"{description}: {done[0]} of {total} ...\n")
+
+    timer = threading.Timer(NOTICED_S, notice)
+    timer.daemon = True
+    timer.start()
+    try:
+        yield advance
+    finally:
+        timer.cancel()
+        if time.monotonic() - begin > NOTICED_S:
+            sys.stderr.write(f"{description}: {time.monotonic() - begin:.1f} s\n")

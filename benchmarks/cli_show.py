@@ -1,0 +1,94 @@
+"""`cellslam show` and `cellslam list`."""
+
+from __future__ import annotations
+
+import json
+from argparse import Namespace
+from collections.abc import Iterator
+from typing import Any
+
+from pydantic import BaseModel
+from rich import box
+from rich.console import Console
+from rich.table import Table
+
+from cellslam.benchmarks.cli import DONE
+from cellslam.benchmarks.cli_run import PIPE_WIDTH
+from cellslam.scenarios.keys import Key, describe
+from cellslam.scenarios.loading import load, preset_names
+from cellslam.scenarios.model import Scenario
+from cellslam.scenarios.options import resolve
+from cellslam.scenarios.overrides import parse_all
+from cellslam.slam import registry
+
+_NOT_KEYS = ("name", "title", "description", "facts", "estimator")
+
+
+def show(arguments: Namespace) -> int:
+    """Carry out `cellslam show`."""
+    overrides = parse_all(arguments.sets)
+    scenario = load(arguments.scenario, overrides)
+    names = dict.fromkeys([*(entry.name for entry in registry.BUILT_IN), *scenario.estimator])
+    requests = resolve(scenario.estimator, tuple(names), overrides)
+    console = _console()
+    console.print(f"{scenario.name}: {scenario.title}", highlight=False)
+    if scenario.description:
+        console.print(scenario.description.strip(), highlight=False)
+    table = _table("key", "value", "unit", "range", "meaning")
+    for key in [*_world_keys(scenario), *_option_keys((r.name, r.options) for r in requests)]:
+        table.add_row(key.name, _value(key.value), key.unit, key.allowed, key.meaning)
+    console.print(table)
+    return DONE
+
+
+def list_known(arguments: Namespace) -> int:
+    """Carry out `cellslam list`."""
+    console = _console()
+    console.print(_estimators() if arguments.kind == "estimators" else _scenarios())
+    return DONE
+
+
+def _estimators() -> Table:
+    table = _table("name", "what it is", "class")
+    for entry in registry.listing():
+        table.add_row(entry.name, entry.summary, entry.target)
+    return table
+
+
+def _scenarios() -> Table:
+    scenarios = [load(name) for name in preset_names()]
+    facts = list(dict.fromkeys(fact for scenario in scenarios for fact in scenario.facts))
+    table = _table("name", "place", *(fact.replace("_", " ") for fact in facts))
+    for scenario in scenarios:
+        table.add_row(
+            scenario.name, scenario.title, *(_value(scenario.facts.get(fact, "")) for fact in facts)
+        )
+    return table
+
+
+def _world_keys(scenario: Scenario) -> Iterator[Key]:
+    return (key for key in describe(scenario) if key.name.partition(".")[0] not in _NOT_KEYS)
+
+
+def _option_keys(options: Any) -> Iterator[Key]:
+    for name, model in options:
+        if isinstance(model, BaseModel):
+            yield from describe(model, f"estimator.{name}.")
+
+
+def _value(value: Any) -> str:
+    if value is None:
+        return "none"
+    return value if isinstance(value, str) else json.dumps(value, default=str)
+
+
+def _table(*headings: str) -> Table:
+    table = Table(box=box.SIMPLE_HEAD)
+    for heading in headings:
+        table.add_column(heading, overflow="fold")
+    return table
+
+
+def _console() -> Console:
+    console = Console()
+    return console if console.is_terminal else Console(width=PIPE_WIDTH)
