@@ -20,10 +20,7 @@ def blocks_between(lines: list[shapely.LineString], widths_m: list[float]) -> li
     """Return the polygons that streets of the given widths leave between them."""
     faces = shapely.get_parts(shapely.polygonize(lines))
     roads = shapely.unary_union(
-        [
-            line.buffer(w / 2, cap_style="flat", join_style="mitre")
-            for line, w in zip(lines, widths_m, strict=True)
-        ]
+        [line.buffer(w / 2, quad_segs=2, join_style="mitre") for line, w in zip(lines, widths_m, strict=True)]
     )
     left = [shapely.get_parts(face.difference(roads)) for face in faces]
     return [_clean(p) for parts in left for p in parts if _usable(p)]
@@ -78,7 +75,7 @@ def open_block(block: Polygon, config: ProceduralCityConfig, rng: np.random.Gene
         if covered + house.area > 1.3 * config.open_coverage * block.area or not room.contains(house):
             continue
         if all(house.distance(other) >= FREE_GAP_M for other in houses):
-            houses.append(house)
+            houses.append(_clean(house))
             covered += house.area
     return houses
 

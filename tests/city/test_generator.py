@@ -1,0 +1,108 @@
+"""The generated city: reproducible, connected streets, houses apart from streets and from each other."""
+
+import networkx as nx
+import numpy as np
+import pytest
+import shapely
+from pydantic import ValidationError
+
+from cellslam.sim.city import ProceduralCityConfig, build_city
+from cellslam.sim.errors import InputError
+
+KINDS = {
+    "default": {},
+    "open": {
+        "open_share": 1.0,
+        "square_share": 0.0,
+        "height_min_m": 10.0,
+        "height_max_m": 25.0,
+        "tower_share": 0.0,
+    },
+    "canyon": {"open_share": 0.0, "block_size_m": 80.0, "gap_share": 0.0, "square_share": 0.0},
+}
+
+
+@pytest.fixture(scope="module", params=KINDS, ids=KINDS.keys())
+def city(request):
+    return build_city(ProceduralCityConfig(extent_m=400.0, **KINDS[request.param]), np.random.default_rng(7))
+
+
+def test_same_seed_same_city():
+    config = ProceduralCityConfig(extent_m=300.0)
+    a, b, c = (build_city(config, np.random.default_rng(seed)) for seed in (1, 1, 2))
+    np.testing.assert_array_equal(a.vertices, b.vertices)
+    np.testing.assert_array_equal(a.triangles, b.triangles)
+    assert a.vertices.shape != c.vertices.shape or not np.array_equal(a.vertices, c.vertices)
+
+
+def test_streets_are_connected_without_dead_ends(city):
+    graph = nx.Graph((tuple(line[0]), tuple(line[-1])) for line in city.streets)
+    assert nx.is_connected(graph)
+    assert min(dict(graph.degree).values()) >= 2
+    assert all(shapely.LineString(line).is_simple for line in city.streets)
+
+
+def test_houses_leave_the_streets_free(city):
+    houses = shapely.union_all(city.footprints)
+    streets = shapely.MultiLineString(list(city.streets))
+    assert houses.distance(streets) > 5.0
+    total = sum(p.area for p in city.footprints)
+    assert total - houses.area < 1e-4 * total  # corners are rounded to a decimetre
+    assert all(p.is_valid and p.area > 50.0 for p in city.footprints)
+
+
+def test_every_wall_and_roof_is_one_facet(city):
+    walls = sum(len(ring.coords) - 1 for p in city.footprints for ring in (p.exterior, *p.interiors))
+    # Corners of a fraction of a degree merge: a few walls fewer, not one more.
+    assert 0.99 * walls <= len(city.facets) - len(city.footprints) - 1 <= walls
+    assert (city.facets.building == -1).sum() == 1
+    vertical = np.abs(city.facets.normal[:, 2]) < 1e-9
+    assert vertical.sum() == len(city.facets) - len(city.footprints) - 1
+    area = sum(p.length * h for p, h in zip(city.footprints, city.heights_m, strict=True))
+    assert city.facets.area_m2[vertical].sum() == pytest.approx(area, rel=1e-9)
+
+
+def test_walls_face_outwards(city):
+    wall = np.flatnonzero(np.abs(city.facets.normal[:, 2]) < 1e-9)[::7]
+    for facet in wall:
+        middle = city.facet_triangles(facet).mean(axis=(0, 1)) + 0.05 * city.facets.normal[facet]
+        assert not city.footprints[city.facets.building[facet]].contains(shapely.Point(middle[:2]))
+
+
+def test_heights_are_in_range(city):
+    assert city.heights_m.min() >= 8.0
+    assert (city.heights_m <= 35.0).mean() > 0.9
+
+
+def test_buildings_at(city):
+    inside = np.array([p.representative_point().coords[0] for p in city.footprints])
+    np.testing.assert_array_equal(city.buildings_at(inside), np.arange(len(inside)))
+    assert (city.buildings_at(np.concatenate(city.streets)) == -1).all()
+
+
+@pytest.mark.parametrize(
+    ("values", "message"),
+    [
+        ({"height_min_m": 30.0, "height_max_m": 20.0}, "below height_min_m"),
+        ({"street_width_m": 60.0, "block_size_m": 80.0}, "leaves no block"),
+        ({"block_size_m": 400.0}, "more than half"),
+        ({"material_weights": {}}, "at least one material"),
+        ({"material_weights": {"brick": 0.0}}, "above 0"),
+        ({"extent": 700.0}, "Extra inputs"),
+    ],
+)
+def test_bad_values_are_refused(values, message):
+    with pytest.raises(ValidationError, match=message):
+        ProceduralCityConfig(**values)
+
+
+def test_unknown_material_and_empty_city():
+    with pytest.raises(InputError, match="unknown material 'brik'; did you mean 'brick'"):
+        build_city(
+            ProceduralCityConfig(extent_m=200, material_weights={"brik": 1.0}), np.random.default_rng(0)
+        )
+    with pytest.raises(InputError, match="no building"):
+        config = ProceduralCityConfig(
+            extent_m=100, block_size_m=50, open_share=1.0, street_width_m=30, open_coverage=0.02
+        )
+        build_city(config, np.random.default_rng(0))

@@ -1,0 +1,212 @@
+"""Mesh cities: every format gives the same city; shipped scenes load; bad files are refused in one line."""
+
+import importlib.metadata
+import os
+
+import numpy as np
+import pytest
+import shapely
+import trimesh
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from cellslam.sim.city import MeshCityConfig, build_city
+from cellslam.sim.errors import InputError
+from cellslam.sim.rays import trace
+
+RNG = np.random.default_rng(0)
+
+
+def load(path, **kwargs):
+    return build_city(MeshCityConfig(path=str(path), **kwargs), RNG)
+
+
+def village():
+    """Return two houses, 10 x 8 x 6 m and 4 x 4 x 9 m, and 100 x 100 m of ground."""
+    first = trimesh.creation.box(bounds=[[0, 0, 0], [10, 8, 6]])
+    second = trimesh.creation.box(bounds=[[20, 0, 0], [24, 4, 9]])
+    ground = trimesh.Trimesh([[-40, -50, 0], [60, -50, 0], [60, 50, 0], [-40, 50, 0]], [[0, 1, 2], [0, 2, 3]])
+    return trimesh.util.concatenate([first, second, ground])
+
+
+def check_village(city):
+    assert len(city.footprints) == 2
+    order = np.argsort(city.heights_m)
+    np.testing.assert_allclose(city.heights_m[order], [6.0, 9.0], atol=1e-5)
+    np.testing.assert_allclose([city.footprints[i].area for i in order], [80.0, 16.0], atol=1e-3)
+    assert len(city.facets) == 13
+    assert (city.facets.building == -1).sum() == 1
+    assert city.buildings_at([[5, 4], [22, 2], [40, 40]])[2] == -1
+
+
+@pytest.mark.parametrize("suffix", [".ply", ".obj", ".stl", ".glb"])
+def test_formats_agree(tmp_path, suffix):
+    mesh = village()
+    if suffix == ".glb":
+        mesh.vertices = mesh.vertices[:, [0, 2, 1]] * [1, 1, -1]  # glTF has y up
+    path = tmp_path / f"village{suffix}"
+    mesh.export(path)
+    city = load(path)
+    check_village(city)
+    paths = trace(city, [[5.0, -20.0, 3.0]], [[9.0, -15.0, 1.5]])
+    np.testing.assert_allclose(paths.vt_position_m[1], [5.0, 20.0, 3.0], atol=1e-5)
+
+
+def test_an_edited_file_is_read_again(tmp_path):
+    path = tmp_path / "a.ply"
+    trimesh.creation.box(bounds=[[0, 0, 0], [10, 8, 6]]).export(path)
+    assert load(path).heights_m.max() == pytest.approx(6.0)
+    trimesh.creation.box(bounds=[[0, 0, 0], [10, 8, 7]]).export(path)
+    os.utime(path, ns=(1, 1))
+    assert load(path).heights_m.max() == pytest.approx(7.0)
+
+
+SCENE = """<scene version="2.1.0">
+<bsdf type="itu-radio-material" id="front"><string name="type" value="brick"/>
+<float name="thickness" value="0.2"/></bsdf>
+<bsdf type="twosided" id="mat-itu_metal"><bsdf type="diffuse"/></bsdf>
+<shape type="ply" id="mesh-house-walls">
+<string name="filename" value="walls.ply"/><ref id="front" name="bsdf"/></shape>
+<shape type="ply" id="mesh-house-roof">
+<string name="filename" value="roof.ply"/><ref id="mat-itu_metal" name="bsdf"/></shape>
+<shape type="ply" id="mesh-ground"><string name="filename" value="ground.ply"/>
+<transform name="to_world"><scale value="2"/><translate x="5" y="4"/></transform></shape>
+</scene>"""
+
+
+def write_scene(folder, text=SCENE):
+    box = trimesh.creation.box(bounds=[[0, 0, 0], [10, 8, 6]])
+    roof = box.face_normals[:, 2] > 0.9
+    box.submesh([~roof], append=True).export(folder / "walls.ply")
+    box.submesh([roof], append=True).export(folder / "roof.ply")
+    ground = trimesh.Trimesh([[-25, -25, 0], [25, -25, 0], [25, 25, 0], [-25, 25, 0]], [[0, 1, 2], [0, 2, 3]])
+    ground.export(folder / "ground.ply")
+    (folder / "scene.xml").write_text(text)
+    return folder / "scene.xml"
+
+
+def test_mitsuba_scene(tmp_path):
+    city = load(write_scene(tmp_path))
+    assert [(m.name, m.thickness_m) for m in city.materials] == [
+        ("brick", 0.2),
+        ("metal", 0.1),
+        ("concrete", 0.1),
+    ]
+    assert len(city.footprints) == 1
+    assert city.footprints[0].symmetric_difference(shapely.box(0, 0, 10, 8)).area < 0.01
+    roof = city.facets.normal[:, 2] > 0.9
+    assert city.materials[city.facets.material[roof & (city.facets.building == 0)][0]].name == "metal"
+    np.testing.assert_allclose(city.bounds[:, :2], [[-45, -46], [55, 54]], atol=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "message"),
+    [
+        ("brick", "brik", "unknown material 'brik'; did you mean 'brick'"),
+        ("walls.ply", "wall.ply", "cannot read mesh.*wall.ply"),
+        ("walls.ply", "walls.txt", "is no mesh file"),
+        ('value="0.2"', 'value="thick"', "no number"),
+        ("<scale", "<squeeze", "<squeeze> that cannot be read"),
+        ("</scene>", "", "not a readable XML scene"),
+        ("scene", "scenery", "root is <scenery>"),
+    ],
+)
+def test_bad_scenes_are_refused(tmp_path, old, new, message):
+    with pytest.raises(InputError, match=message) as error:
+        load(write_scene(tmp_path, SCENE.replace(old, new)))
+    assert "\n" not in str(error.value)
+
+
+def test_shipped_scenes():
+    city = load("sionna-rt:simple_street_canyon")
+    assert len(city.footprints) == 6
+    with pytest.raises(InputError, match="unknown sionna-rt scene 'munic'; did you mean 'munich'"):
+        load("sionna-rt:munic")
+
+
+def test_munich_loads_and_has_paths():
+    city = load("sionna-rt:munich")
+    assert len(city.triangles) == 38_936
+    assert 17_400 < len(city.facets) < 17_600
+    assert 1_100 < len(city.footprints) < 1_250
+    assert {m.name for m in city.materials} >= {"marble", "metal", "concrete"}
+    assert (city.facets.building == -1).sum() == 1
+    # An open place: a hundred receivers in a straight line that no building covers.
+    line = np.column_stack(
+        [np.linspace(-686.7, -157.6, 100), np.linspace(438.0, 407.6, 100), np.full(100, 2.0)]
+    )
+    paths = trace(city, [[-420.0, 425.0, 10.0]], line)
+    assert (paths.order == 1).sum() > 50
+    np.testing.assert_allclose(
+        paths.length_m, np.linalg.norm(paths.vt_position_m - line[paths.receiver], axis=1)
+    )
+
+
+def test_without_the_extra_the_error_says_how_to_get_it(monkeypatch):
+    def missing(name):
+        raise importlib.metadata.PackageNotFoundError(name)
+
+    monkeypatch.setattr(importlib.metadata, "distribution", missing)
+    with pytest.raises(InputError, match=r"pip install cellslam\[cities\]"):
+        load("sionna-rt:munich")
+
+
+@pytest.mark.parametrize(
+    ("name", "content", "message"),
+    [
+        ("empty.ply", b"", "cannot read mesh|is empty"),
+        ("empty.obj", b"", "cannot read mesh|is empty"),
+        ("noise.ply", bytes(range(256)) * 20, "cannot read mesh"),
+        ("noise.glb", bytes(range(256)) * 20, "cannot read mesh"),
+        ("text.stl", b"this is no mesh\n" * 9, "cannot read mesh|is empty"),
+        ("points.obj", b"v 0 0 0\nv 1 0 0\n", "is empty|cannot read"),
+        ("nan.obj", b"v 0 0 0\nv 1 0 0\nv 0 nan 0\nf 1 2 3\n", "not finite"),
+        ("flat.obj", b"v 0 0 0\nv 1 0 0\nv 2 0 0\nf 1 2 3\n", "zero area"),
+        ("beyond.obj", b"v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 9\n", "cannot read mesh|is empty"),
+        ("mesh.dwg", b"", "format '.dwg'; allowed: .ply"),
+    ],
+)
+def test_bad_files_are_refused_in_one_line(tmp_path, name, content, message):
+    path = tmp_path / name
+    path.write_bytes(content)
+    with pytest.raises(InputError, match=message) as error:
+        load(path)
+    assert "\n" not in str(error.value)
+
+
+def test_missing_file_and_folder(tmp_path):
+    with pytest.raises(InputError, match="cannot read mesh"):
+        load(tmp_path / "nowhere.ply")
+    (tmp_path / "folder.ply").mkdir()
+    with pytest.raises(InputError, match="cannot read mesh"):
+        load(tmp_path / "folder.ply")
+
+
+@settings(max_examples=100, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(st.sampled_from([".ply", ".obj", ".stl", ".glb", ".xml"]), st.integers(0, 2**32), st.integers(1, 8))
+def test_damaged_files_load_or_are_refused(tmp_path, suffix, seed, damages):
+    """Bytes changed, cut out or doubled at random: a city or an InputError, nothing else."""
+    rng = np.random.default_rng(seed)
+    path = tmp_path / f"village{suffix}"
+    if suffix == ".xml":
+        write_scene(tmp_path).rename(path)
+    else:
+        village().export(path)
+    data = bytearray(path.read_bytes())
+    for _ in range(damages):
+        at = int(rng.integers(len(data)))
+        match int(rng.integers(3)):
+            case 0:
+                data[at] = int(rng.integers(256))
+            case 1:
+                del data[at : at + int(rng.integers(1, 40))]
+            case 2:
+                data[at:at] = data[at : at + int(rng.integers(1, 40))]
+        data = data or bytearray(b"x")
+    path.write_bytes(bytes(data))
+    try:
+        city = load(path)
+    except InputError as error:
+        assert "\n" not in str(error)
+    else:
+        trace(city, [[5.0, -20.0, 3.0]], [[15.0, -15.0, 1.5]])
