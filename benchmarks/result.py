@@ -30,9 +30,9 @@ class TrialResult:
 
     `poses` (T, 6) and `covariances` (T, 6, 6): the answer that is scored. `smoothed`: the poses are those of
     `finish()`, which used the whole drive, while the covariances are still those of the snapshots.
-    `association` (M,): VT id per measurement, -1 for none, as said in its own snapshot; `clock_offset_m` and
-    `clock_offset_variance_m2` (T, S); `vts`: the last ones reported. None: this is not estimated. `oracle`: the
-    estimator was shown the truth.
+    `association` (M,): VT id per measurement, -1 for none, as said in its own snapshot. `clock_offset_m` and
+    `clock_offset_variance_m2` (T, S). `vts`: the last ones reported. None: the estimator does not give this.
+    `oracle`: the estimator was shown the truth.
     """
 
     estimator: str
