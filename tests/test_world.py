@@ -158,3 +158,10 @@ def test_importing_the_configuration_is_light() -> None:
     code = f"import sys, cellslam.sim.world; print([m for m in {heavy} if m in sys.modules])"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout.strip() == "[]"
+
+
+def test_a_drive_without_any_measurement() -> None:
+    r = simulate(small_world(detection_scale=0.0, clutter_scale=0.0), 1, 0)
+    assert r.truth is not None
+    assert len(r.measurements) == 0
+    assert len(r.truth.vts) > 0

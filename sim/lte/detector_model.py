@@ -11,7 +11,7 @@ Array = NDArray[Any]
 SNAPSHOT, LINK, DISTANCE, AZIMUTH, ELEVATION, SNR_DB = 0, 1, 2, 3, 4, 5
 CLAIMED_STD, TRUE_STD, PATH, COLUMNS = 6, 9, 12, 13
 # More clutter of one kind from one cause than this is not drawn: far beyond what the config's ranges reach.
-MOST_CLUTTER = 256
+MOST_CLUTTER = 512
 NEIGHBOUR_M = 40.0
 ISOLATED_LEFTOVER = 0.9
 GHOST_REACH_M = 10.0
