@@ -72,6 +72,8 @@ def work_off(job: Job, trials: Iterator[Trial], progress: Progress) -> bool:
         if job.first is not None and not job.arguments.no_figures:
             job.folder.draw(job.first, _city_of(job), progress)
     except KeyboardInterrupt:
+        if job.rows:
+            job.folder.write_summary(job.rows, _about(job))
         return True
     return False
 

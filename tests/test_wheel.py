@@ -1,0 +1,83 @@
+"""The package as a user gets it: built, installed in an empty environment, run from an empty directory."""
+
+from __future__ import annotations
+
+import json
+import shutil
+import subprocess
+import sys
+import sysconfig
+import venv
+import zipfile
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parent.parent
+SOURCES = ("sim", "slam", "scenarios", "benchmarks", "pyproject.toml", "README.md", "LICENSE")
+
+
+def run(*words: str | Path, cwd: Path) -> str:
+    done = subprocess.run([str(word) for word in words], cwd=cwd, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stdout + done.stderr
+    return done.stdout
+
+
+@pytest.fixture(scope="module")
+def wheel(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Build the wheel from a copy: a build leaves folders in its source."""
+    folder = tmp_path_factory.mktemp("wheel")
+    for name in SOURCES:
+        source = ROOT / name
+        if source.is_dir():
+            shutil.copytree(source, folder / "source" / name, ignore=shutil.ignore_patterns("__pycache__"))
+        else:
+            (folder / "source").mkdir(exist_ok=True)
+            shutil.copy(source, folder / "source" / name)
+    pip = (sys.executable, "-m", "pip", "--disable-pip-version-check")
+    run(
+        *pip,
+        "wheel",
+        "--no-deps",
+        "--no-build-isolation",
+        "--wheel-dir",
+        folder,
+        folder / "source",
+        cwd=folder,
+    )
+    (built,) = folder.glob("cellslam-*.whl")
+    return built
+
+
+def test_wheel_holds_every_module_preset_and_type_marker(wheel: Path) -> None:
+    held = set(zipfile.ZipFile(wheel).namelist())
+    rooms = ("sim", "slam", "scenarios", "benchmarks")
+    wanted = {
+        f"cellslam/{path.relative_to(ROOT)}"
+        for room in rooms
+        for pattern in ("*.py", "*.toml", "py.typed")
+        for path in (ROOT / room).rglob(pattern)
+    }
+    assert wanted - held == set()
+    assert not [name for name in held if name.split("/")[0] in (*rooms, "tests", "docs")]
+
+
+def test_installed_wheel_runs_from_an_empty_directory(wheel: Path, tmp_path: Path) -> None:
+    home, empty = tmp_path / "environment", tmp_path / "empty"
+    venv.create(home, with_pip=False)
+    empty.mkdir()
+    python = home / "bin" / "python"
+    run(
+        *(sys.executable, "-m", "pip", "--disable-pip-version-check", "--python", python),
+        *("install", "--no-deps", "--no-index", wheel),
+        cwd=empty,
+    )
+    own = Path(run(python, "-c", "import sysconfig; print(sysconfig.get_path('purelib'))", cwd=empty).strip())
+    # The dependencies are those of this environment; its own cellslam comes later on the path.
+    (own / "dependencies.pth").write_text(sysconfig.get_path("purelib") + "\n")
+    origin = run(python, "-c", "import cellslam.benchmarks as b; print(b.__file__)", cwd=empty)
+    assert Path(origin.strip()).is_relative_to(home)
+    command = home / "bin" / "cellslam"
+    rows = json.loads(run(command, "run", "tiny", "--json", cwd=empty))
+    assert [row["status"] for row in rows] == ["ok", "ok"]
+    assert {path.name for path in empty.iterdir()} == {"results"}
