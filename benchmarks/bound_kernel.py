@@ -147,8 +147,7 @@ def _innovation(g: Floats, slot: int, h: Floats, variance: Floats, offset: int, 
 
 @njit(cache=True)
 def _birth(p: Floats, n: int, slot: int, h: Floats, variance: Floats, offset: int, g: Floats) -> None:
-    """Append a VT that is known from this measurement alone: the limit of a broad prior, without its
-    cancellation.
+    """Append a VT that is known from this measurement alone: the limit of a broad prior.
 
     v = D (z - H_r r - b - noise) with D the inverse of H_v; the other states learn nothing.
     """
@@ -187,9 +186,7 @@ def _invert(a: Floats, out: Floats) -> None:
 
 @njit(cache=True)
 def _update(p: Floats, n: int, slot: int, h: Floats, variance: Floats, offset: int, g: Floats) -> None:
-    """P <- P - (P H^T L^-T) (P H^T L^-T)^T with S = H P H^T + R = L L^T: symmetric, and never a difference of
-    products.
-    """
+    """P <- P - (P H^T L^-T) (P H^T L^-T)^T with S = H P H^T + R = L L^T: symmetric."""
     _gains(p, n, slot, h, variance, offset, g)
     s00 = _innovation(g, slot, h, variance, offset, 0, 0) + (variance[0] if variance[0] < np.inf else 1.0)
     s11 = _innovation(g, slot, h, variance, offset, 1, 1) + (variance[1] if variance[1] < np.inf else 1.0)

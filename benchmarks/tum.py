@@ -10,19 +10,13 @@ from cellslam.sim.recording import Floats
 
 
 def write_tum(path: str | Path, time_s: Floats, poses: Floats) -> None:
-    """Write poses (T, 6) at `time_s` (T,) in seconds: positions in metres, body-to-world unit quaternions
-    with qw >= 0.
-    """
+    """Write poses (T, 6) at `time_s` (T,) in seconds: positions in metres, quaternions body to world."""
     table = np.column_stack([time_s, poses[:, :3], quaternions(poses)])
-    np.savetxt(
-        path, table, fmt=["%.6f", *["%.6f"] * 3, *["%.9f"] * 4], header="timestamp tx ty tz qx qy qz qw"
-    )
+    np.savetxt(path, table, fmt=["%.6f", *["%.6f"] * 3, *["%.9f"] * 4], header="timestamp tx ty tz qx qy qz qw")
 
 
 def quaternions(poses: Floats) -> Floats:
-    """Return the unit quaternions (T, 4) = [qx, qy, qz, qw], qw >= 0, of Rz(psi) Ry(theta) Rx(phi) for poses
-    (T, 6).
-    """
+    """Return the unit quaternions (T, 4) = [qx, qy, qz, qw], qw >= 0, of poses (T, 6), body to world."""
     half = 0.5 * poses[:, 3:]
     (cz, cy, cx), (sz, sy, sx) = np.cos(half).T, np.sin(half).T
     q = np.stack(

@@ -1,6 +1,4 @@
-"""The figures of one trial, as in the paper's section V: map, error against time, associations, clock
-offsets.
-"""
+"""The figures of one trial, as in the paper's section V: map, error, associations, clock offsets."""
 
 from __future__ import annotations
 

@@ -1,6 +1,4 @@
-"""Measured path distances against time for one cell of each site, associated ones coloured by VT (the paper's
-Fig. 4).
-"""
+"""Measured path distances against time, associated ones coloured by VT (the paper's Fig. 4)."""
 
 from __future__ import annotations
 
@@ -20,16 +18,17 @@ DOT = 2.2
 
 
 def draw(figure: Figure, recording: Recording, results: Mapping[str, TrialResult]) -> bool:
-    """Draw one link each of the first two sites that have measurements, its busiest; return False if none
-    has.
+    """Draw the busiest link of each of the first two sites with measurements; False if none has any.
+
+    The associations are those of the result that has most. The vertical range is that of the associated
+    measurements, with some room: clutter reaches far beyond.
     """
     chosen = shown_links(recording, PANELS)
     if not chosen:
         return False
-    name = next((n for n, r in results.items() if r.association is not None), None)
-    association = results[name].association if name is not None else None
-    if association is None:
-        association = np.full(len(recording.measurements), -1, np.int64)
+    none = np.full(len(recording.measurements), -1, np.int64)
+    said = [none, *(r.association for r in results.values() if r.association is not None)]
+    association = max(said, key=lambda a: np.count_nonzero(a >= 0))
     figure.set_size_inches(WIDTH_IN, 3.4)
     grid = figure.subplots(1, len(chosen), squeeze=False)[0]
     for axes, link in zip(grid, chosen, strict=True):

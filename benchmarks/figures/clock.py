@@ -17,8 +17,7 @@ SETTLED_SHARE = 0.25
 
 
 def draw(figure: Figure, recording: Recording, results: Mapping[str, TrialResult]) -> bool:
-    """Draw the offsets in metres: above the whole range, below what is left after the first quarter of the
-    drive.
+    """Draw the offsets in metres: above all, below the range of the last three quarters of the drive.
 
     Returns False, and draws nothing, if no result estimates offsets.
     """
@@ -56,21 +55,15 @@ def _band(result: TrialResult, site: int) -> Floats | None:
     return np.asarray(2.0 * np.sqrt(np.maximum(result.clock_offset_variance_m2[:, site], 0.0)))
 
 
-def _line_with_band(
-    axes: Axes, time_s: Floats, mean: Floats, band: Floats | None, line: dict[str, Any]
-) -> None:
+def _line_with_band(axes: Axes, time_s: Floats, mean: Floats, band: Floats | None, line: dict[str, Any]) -> None:
     axes.plot(time_s, mean, **line)
     if band is not None:
         label = f"{line['label']} ±2σ"
         colour = line["color"]
-        axes.fill_between(
-            time_s, mean - band, mean + band, color=colour, alpha=0.22, linewidth=0, label=label
-        )
+        axes.fill_between(time_s, mean - band, mean + band, color=colour, alpha=0.22, linewidth=0, label=label)
 
 
-def _settled_range(
-    recording: Recording, estimates: Mapping[str, TrialResult], site: int
-) -> tuple[float, float]:
+def _settled_range(recording: Recording, estimates: Mapping[str, TrialResult], site: int) -> tuple[float, float]:
     """Return an interval that holds truth, estimates and bands after the first quarter of the drive."""
     late = slice(int(SETTLED_SHARE * len(recording.time_s)), None)
     values = []

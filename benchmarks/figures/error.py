@@ -1,6 +1,4 @@
-"""Absolute horizontal error against time, with the bound (the paper's Fig. "The absolute error of SLAM and
-proprioception").
-"""
+"""Absolute horizontal error against time, with the bound (the paper's Fig. 3)."""
 
 from __future__ import annotations
 
@@ -15,9 +13,7 @@ from cellslam.benchmarks.result import TrialResult
 from cellslam.sim.recording import Recording
 
 
-def draw(
-    figure: Figure, recording: Recording, results: Mapping[str, TrialResult], bound: BoundResult | None
-) -> bool:
+def draw(figure: Figure, recording: Recording, results: Mapping[str, TrialResult], bound: BoundResult | None) -> bool:
     """Draw the errors in metres; return False, and draw nothing, without truth or results."""
     if recording.truth is None or not results:
         return False

@@ -33,8 +33,7 @@ MARGIN = 0.08
 
 
 def draw(figure: Figure, city: City | None, recording: Recording, results: Mapping[str, TrialResult]) -> bool:
-    """Draw the whole scene on the left and the drive magnified on the right; False if there is nothing to
-    draw.
+    """Draw the whole scene on the left, the drive magnified on the right; False if there is nothing.
 
     Reflecting points are those of the first result with VTs. The building that carries the longest-lived
     reflected VT is drawn darker.
@@ -64,9 +63,7 @@ def draw(figure: Figure, city: City | None, recording: Recording, results: Mappi
         axes.grid(False)
     left.set_ylabel("north (m)")
     (x0, x1), (y0, y1) = drive
-    left.add_patch(
-        Rectangle((x0, y0), x1 - x0, y1 - y0, fill=False, color=GREY, linewidth=0.8, linestyle=":")
-    )
+    left.add_patch(Rectangle((x0, y0), x1 - x0, y1 - y0, fill=False, color=GREY, linewidth=0.8, linestyle=":"))
     left.set_title("sites, reflecting walls")
     right.set_title("the drive")
     handles, labels = left.get_legend_handles_labels()
@@ -75,9 +72,7 @@ def draw(figure: Figure, city: City | None, recording: Recording, results: Mappi
 
 
 def emphasised_building(city: City | None, mapped: Sequence[Reflector]) -> int | None:
-    """Return the building nearest to the reflecting points of the longest-lived reflected VT, None without
-    one.
-    """
+    """Return the building nearest to the points of the longest-lived reflected VT, None without one."""
     if city is None or not city.footprints or not mapped:
         return None
     from shapely import STRtree, points
@@ -109,9 +104,7 @@ def _buildings(axes: Axes, city: City | None, mapped: Sequence[Reflector]) -> No
 def _outline(polygon: Any) -> Outline:
     """Return a footprint's outline, courtyards included."""
     rings = [polygon.exterior, *polygon.interiors]
-    return Outline.make_compound_path(
-        *(Outline(np.asarray(ring.coords)[:, :2], closed=True) for ring in rings)
-    )
+    return Outline.make_compound_path(*(Outline(np.asarray(ring.coords)[:, :2], closed=True) for ring in rings))
 
 
 def _reflecting_points(axes: Axes, recording: Recording, mapped: Sequence[Reflector]) -> None:
@@ -154,6 +147,4 @@ def _sites(axes: Axes, recording: Recording, extent: tuple[tuple[float, float], 
     for site, (x, y, _) in enumerate(recording.truth.site_positions_m):
         if x0 < x < x1 and y0 < y < y1:
             axes.plot(x, y, "^", color=SITES[site % len(SITES)], markeredgecolor=BLACK, markersize=8)
-            axes.annotate(
-                recording.sites.name[site], (x, y), xytext=(6, 5), textcoords="offset points", weight="bold"
-            )
+            axes.annotate(recording.sites.name[site], (x, y), xytext=(6, 5), textcoords="offset points", weight="bold")

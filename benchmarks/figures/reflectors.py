@@ -49,9 +49,7 @@ def reflection_point(site_m: Floats, vt_m: Floats, vehicle_m: Floats) -> Floats:
 
 
 def site_estimates(recording: Recording, result: TrialResult, tracks: Tracks) -> dict[int, Floats]:
-    """Return the position (3,) of each site: mean over its links of the estimated VTs that stand for it, else
-    the truth.
-    """
+    """Return each site's position (3,): mean of the estimated VTs that stand for it, else the truth."""
     truth, vts, found = recording.truth, result.vts, {}
     if truth is None or vts is None:
         return {}
@@ -65,8 +63,9 @@ def site_estimates(recording: Recording, result: TrialResult, tracks: Tracks) ->
 
 
 def reflectors_of(recording: Recording, result: TrialResult) -> list[Reflector]:
-    """Return the reflectors of a result's final VTs, longest-lived first; empty without truth, VTs or
-    associations.
+    """Return the reflectors of a result's final VTs, longest-lived first.
+
+    Empty without truth, VTs or associations.
 
     Truth serves only to tell which VTs are sites. Vehicle positions are the estimated ones.
     """

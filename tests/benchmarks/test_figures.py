@@ -118,7 +118,8 @@ def test_error_figure_shows_errors_and_bound(scene):
 
 def test_association_figure_colours_each_vt_and_greys_the_rest(scene):
     figure, m = Figure(layout="constrained"), scene.recording.measurements
-    assert associations.draw(figure, scene.recording, scene.results)
+    idle = dataclasses.replace(scene.results["dead-reckoning"], association=np.full(len(m), -1))
+    assert associations.draw(figure, scene.recording, {"idle": idle, **scene.results})
     grey, first, second = figure.axes[0].lines
     mine = m.link == associations.shown_links(scene.recording, 2)[0]
     truth_vt = scene.recording.truth.measurement_vt[mine]
