@@ -57,11 +57,13 @@ def world_to_body(pose: ArrayLike, vector: ArrayLike) -> NDArray[np.float64]:
     """Return world vectors (..., 3) in the body frame of `pose` (..., 6): R^T v (directions, not points)."""
     p = np.asarray(pose, np.float64)
     r = rotation(p[..., 3], p[..., 4], p[..., 5])
-    return np.einsum("...ji,...j->...i", r, np.asarray(vector, np.float64))
+    turned: NDArray[np.float64] = np.einsum("...ji,...j->...i", r, np.asarray(vector, np.float64))
+    return turned
 
 
 def integrate_pose(pose: ArrayLike, velocity: ArrayLike, dt_s: float) -> NDArray[np.float64]:
-    """Return the pose (..., 6) after `dt_s` at mean body velocities `velocity` (..., 6) = [u_x, u_y, u_z, u_psi, u_theta, u_phi].
+    """Return the pose (..., 6) after `dt_s` at mean body velocities `velocity` (..., 6) = [u_x, u_y, u_z, u_psi,
+    u_theta, u_phi].
 
     Yaw, pitch and roll advance at their rates; the translation is rotated with the attitude at mid-interval, which
     is exact to third order in the turn of one interval.

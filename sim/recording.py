@@ -65,7 +65,8 @@ class Sites:
 class Measurements:
     """Path parameters, one row a path, sorted by (snapshot, link); all columns (M,).
 
-    `distance_m` is c tau with the site's clock offset in it; azimuth and elevation are in the body frame; `snr_db` is rho,
+    `distance_m` is c tau with the site's clock offset in it; azimuth and elevation are in the body frame; `snr_db` is
+    rho,
     per sample. NaN: this component was not measured. The standard deviations are those that the front end
     claims, and None where it claims none.
     """
@@ -88,7 +89,8 @@ class Measurements:
 class VirtualTransmitters:
     """The VTs that the drive meets. A line-of-sight transmitter is one too, of order 0.
 
-    `position_m` (V, 3); `site` (V,); `order` (V,); `facets` (V, 2), -1 where there is none; `visible` (I, 3): rows of VT,
+    `position_m` (V, 3); `site` (V,); `order` (V,); `facets` (V, 2), -1 where there is none; `visible` (I, 3): rows of
+    VT,
     first and last snapshot of an interval in which the path exists (detected or not).
     """
 
@@ -106,7 +108,8 @@ class VirtualTransmitters:
 class Truth:
     """What really happened: for scoring and oracles only.
 
-    `poses` (T, 6); `measurement_vt` (M,), -1 for clutter; `measurement_std` (M, 3): the true white standard deviations of
+    `poses` (T, 6); `measurement_vt` (M,), -1 for clutter; `measurement_std` (M, 3): the true white standard
+    deviations of
     distance (m), azimuth, elevation (rad), NaN for clutter; `site_positions_m` (S, 3); `clock_offsets_m` (S,): b of
     d = norm(v - r) + b; `odometry_bias` (T, 6): bias plus walk at each snapshot; `odometry_scale` (6,).
     """
@@ -169,7 +172,12 @@ def check(recording: Recording) -> None:
     if count == 0:
         raise InputError("time_s is empty: a recording needs at least one snapshot")
     _finite("time_s", r.time_s)
-    _require(np.diff(r.time_s) > 0, "time_s", "is not after the row before it: sort the snapshots by time", offset=1)
+    _require(
+        np.diff(r.time_s) > 0,
+        "time_s",
+        "is not after the row before it: sort the snapshots by time",
+        offset=1,
+    )
     _shape("odometry", r.odometry, (count, 6))
     _shape("start_pose", r.start_pose, (6,))
     _shape("start_std", r.start_std, (6,))
@@ -190,18 +198,34 @@ def _check_links(r: Recording) -> None:
     _shape("sites.clock_offset_mean_m", r.sites.clock_offset_mean_m, (len(r.sites),))
     _shape("sites.clock_offset_std_m", r.sites.clock_offset_std_m, (len(r.sites),))
     _require(r.sites.clock_offset_std_m >= 0, "sites.clock_offset_std_m", "is negative")
-    _require((r.links.site >= 0) & (r.links.site < len(r.sites)), "links.site", f"is not one of the {len(r.sites)} sites")
+    _require(
+        (r.links.site >= 0) & (r.links.site < len(r.sites)),
+        "links.site",
+        f"is not one of the {len(r.sites)} sites",
+    )
 
 
 def _check_measurements(m: Measurements, snapshots: int, links: int) -> None:
     for name in ("link", "distance_m", "azimuth_rad", "elevation_rad", "snr_db"):
         _shape(f"measurements.{name}", getattr(m, name), (len(m),))
-    _require((m.snapshot >= 0) & (m.snapshot < snapshots), "measurements.snapshot", f"is not one of the {snapshots} snapshots")
+    _require(
+        (m.snapshot >= 0) & (m.snapshot < snapshots),
+        "measurements.snapshot",
+        f"is not one of the {snapshots} snapshots",
+    )
     _require((m.link >= 0) & (m.link < links), "measurements.link", f"is not one of the {links} links")
     key = m.snapshot * max(links, 1) + m.link
     _require(np.diff(key) >= 0, "measurements", "is not sorted by (snapshot, link)", offset=1)
-    _require(~(np.abs(m.azimuth_rad) > np.pi + 1e-9), "measurements.azimuth_rad", "is outside [-pi, pi]: radians are expected")
-    _require(~(np.abs(m.elevation_rad) > np.pi / 2 + 1e-9), "measurements.elevation_rad", "is outside [-pi/2, pi/2]")
+    _require(
+        ~(np.abs(m.azimuth_rad) > np.pi + 1e-9),
+        "measurements.azimuth_rad",
+        "is outside [-pi, pi]: radians are expected",
+    )
+    _require(
+        ~(np.abs(m.elevation_rad) > np.pi / 2 + 1e-9),
+        "measurements.elevation_rad",
+        "is outside [-pi/2, pi/2]",
+    )
     for name in ("distance_std_m", "azimuth_std_rad", "elevation_std_rad"):
         column = getattr(m, name)
         if column is not None:
@@ -217,7 +241,11 @@ def _check_truth(truth: Truth, r: Recording) -> None:
     _shape("truth.vts.position_m", truth.vts.position_m, (vts, 3))
     _shape("truth.site_positions_m", truth.site_positions_m, (len(r.sites), 3))
     _shape("truth.clock_offsets_m", truth.clock_offsets_m, (len(r.sites),))
-    _require((truth.measurement_vt >= -1) & (truth.measurement_vt < vts), "truth.measurement_vt", f"is not one of the {vts} VTs")
+    _require(
+        (truth.measurement_vt >= -1) & (truth.measurement_vt < vts),
+        "truth.measurement_vt",
+        f"is not one of the {vts} VTs",
+    )
 
 
 def _shape(name: str, array: NDArray[Any], shape: tuple[int, ...]) -> None:

@@ -16,7 +16,8 @@ from cellslam.sim.recording import Floats, Ints, Links, OdometryModel, Recording
 
 @dataclass(frozen=True)
 class Setup:
-    """What is known before the drive: links, sites with offset priors, odometry data sheet, start pose and deviations (6,).
+    """What is known before the drive: links, sites with offset priors, odometry data sheet, start pose and deviations
+    (6,).
 
     `truth` is None but for an estimator that declares `requires_truth`.
     """
@@ -65,7 +66,8 @@ class VtEstimate:
 class Estimate:
     """The belief after one snapshot.
 
-    `pose` (6,) and `covariance` (6, 6); where the estimator has them: `association` (m,), VT id per measurement, -1 for none;
+    `pose` (6,) and `covariance` (6, 6); where the estimator has them: `association` (m,), VT id per measurement, -1
+    for none;
     `clock_offset_m` (S,) and `clock_offset_variance_m2` (S,); `vts`, which may be None in all but the last
     snapshot of a drive and those for which it is cheap.
     """
@@ -80,7 +82,8 @@ class Estimate:
 
 @runtime_checkable
 class Estimator(Protocol):
-    """What the runner drives. `warm_up()` (compile; not timed) and `finish()` (a smoother's poses (T, 6)) are optional."""
+    """What the runner drives. `warm_up()` (compile; not timed) and `finish()` (a smoother's poses (T, 6)) are
+    optional."""
 
     name: ClassVar[str]
     requires_truth: ClassVar[bool] = False

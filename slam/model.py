@@ -44,7 +44,8 @@ def birth(pose: ArrayLike, distance_m: ArrayLike, azimuth_rad: ArrayLike, elevat
     p = np.asarray(pose, np.float64)
     body = np.asarray(distance_m, np.float64)[..., None] * unit_vector(azimuth_rad, elevation_rad)
     r = rotation(p[..., 3], p[..., 4], p[..., 5])
-    return p[..., :3] + np.einsum("...ij,...j->...i", r, body)
+    world: Floats = p[..., :3] + np.einsum("...ij,...j->...i", r, body)
+    return world
 
 
 def _spherical_jacobian(body: Floats) -> Floats:

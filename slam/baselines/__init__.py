@@ -1,0 +1,1 @@
+"""What the extended FastSLAM is compared with."""

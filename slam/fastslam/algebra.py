@@ -6,22 +6,30 @@ from numba import njit
 
 
 @njit(cache=True, inline="always")
-def symmetric_inverse(a, b, c, d, e, f):  # type: ignore[no-untyped-def]
+def symmetric_inverse(a, b, c, d, e, f):
     """Return the inverse of a symmetric matrix as six scalars, and its determinant."""
     m00, m01, m02 = d * f - e * e, c * e - b * f, b * e - c * d
     determinant = a * m00 + b * m01 + c * m02
     s = 1.0 / determinant
-    return m00 * s, m01 * s, m02 * s, (a * f - c * c) * s, (b * c - a * e) * s, (a * d - b * b) * s, determinant
+    return (
+        m00 * s,
+        m01 * s,
+        m02 * s,
+        (a * f - c * c) * s,
+        (b * c - a * e) * s,
+        (a * d - b * b) * s,
+        determinant,
+    )
 
 
 @njit(cache=True, inline="always")
-def quadratic(a, b, c, d, e, f, x, y, z):  # type: ignore[no-untyped-def]
+def quadratic(a, b, c, d, e, f, x, y, z):
     """Return v^T M v for symmetric M and v = (x, y, z)."""
     return a * x * x + d * y * y + f * z * z + 2.0 * (b * x * y + c * x * z + e * y * z)
 
 
 @njit(cache=True, inline="always")
-def congruence(m, o, s0, s1, s2, s3, s4, s5):  # type: ignore[no-untyped-def]
+def congruence(m, o, s0, s1, s2, s3, s4, s5):
     """Return M S M^T (six scalars) for M = m[o:o+9] row by row and symmetric S."""
     a0 = m[o] * s0 + m[o + 1] * s1 + m[o + 2] * s2
     a1 = m[o] * s1 + m[o + 1] * s3 + m[o + 2] * s4

@@ -12,10 +12,11 @@ from numba import njit
 
 
 @njit(cache=True)
-def assign(score, rows, columns, row_of, work_f, work_i):  # type: ignore[no-untyped-def]
+def assign(score, rows, columns, row_of, work_f, work_i):
     """Write into row_of (columns,) the row assigned to each column, -1 for none, maximising the sum of scores.
 
-    `score` (R, C): gain of a pair over leaving both out; pairs that are not positive are never taken. `work_f` and `work_i`
+    `score` (R, C): gain of a pair over leaving both out; pairs that are not positive are never taken. `work_f` and
+    `work_i`
     are scratch of at least (4 (rows + columns + 2),) floats and integers.
     """
     for c in range(columns):
@@ -36,7 +37,7 @@ def assign(score, rows, columns, row_of, work_f, work_i):  # type: ignore[no-unt
 
 
 @njit(cache=True)
-def _augment(score, rows, columns, row_of, work_f, work_i):  # type: ignore[no-untyped-def]
+def _augment(score, rows, columns, row_of, work_f, work_i):
     """Solve the general case: columns 1..columns are real, column columns + r is row r's own 'left out', at gain 0."""
     width = columns + rows + 1
     u, v = work_f[: rows + 1], work_f[rows + 1 : rows + 1 + width]

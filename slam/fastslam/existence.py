@@ -1,9 +1,13 @@
 """How likely a VT is to be visible, as a function of how long it has not been seen.
 
-A VT is visible or hidden, a two-state Markov chain with mean times `visible_s` and `hidden_s`; a visible one is detected with
-probability p_D. The snapshot after a detection it is visible but for the chance of hiding; each miss lowers that by Bayes' rule. A VT
-that was seen once exists with the birth probability only, and does not come back: this is what makes a birth pay for itself
-(deferred credit) without a counter of its own. Since the probability depends on the number of misses alone, it is a table and
+A VT is visible or hidden, a two-state Markov chain with mean times `visible_s` and `hidden_s`; a visible one is
+detected with
+probability p_D. The snapshot after a detection it is visible but for the chance of hiding; each miss lowers that by
+Bayes' rule. A VT
+that was seen once exists with the birth probability only, and does not come back: this is what makes a birth pay for
+itself
+(deferred credit) without a counter of its own. Since the probability depends on the number of misses alone, it is a
+table and
 nothing need be written for a VT that is not seen.
 """
 
@@ -18,7 +22,8 @@ HORIZON = 4096
 
 
 def visibility(first: float, stay: float, back: float, detection: float, length: int) -> Floats:
-    """Return P(visible) before the n-th snapshot since the last detection, n = 0..length-1 (entry 0 is unused: `first`).
+    """Return P(visible) before the n-th snapshot since the last detection, n = 0..length-1 (entry 0 is unused:
+    `first`).
 
     `first`: P(visible) just after the detection; `stay`, `back`: transition probabilities to visible.
     """

@@ -4,11 +4,10 @@ from __future__ import annotations
 
 from typing import Any, ClassVar
 
-import numba
 import numpy as np
 
 from cellslam.sim.frames import wrap_angle
-from cellslam.sim.recording import Floats
+from cellslam.sim.recording import Floats, Ints
 from cellslam.slam.api import Estimate, Setup, Snapshot
 from cellslam.slam.fastslam import resampling
 from cellslam.slam.fastslam.existence import tables
@@ -48,7 +47,7 @@ class FastSlam:
         self._setup, self._rng = setup, rng
         self._site_of = np.asarray(setup.links.site, np.int64)
         count = o.particles_start or o.particles
-        self._particles = draw(setup, count, o.offset_component_std_m, o.vts_per_link, rng)
+        self._particles: Particles = draw(setup, count, o.offset_component_std_m, o.vts_per_link, rng)
         self._time_s = 0.0
         self._now = 0
         self._born = 0
@@ -70,25 +69,31 @@ class FastSlam:
         white = np.flatnonzero(model.noise_density)
         walking = np.flatnonzero(model.bias_walk_density)
         if len(walking):
-            p.bias[:, walking] += model.bias_walk_density[walking] * np.sqrt(dt_s) * self._rng.standard_normal((len(p), len(walking)))
+            p.bias[:, walking] += (
+                model.bias_walk_density[walking] * np.sqrt(dt_s) * self._rng.standard_normal((len(p), len(walking)))
+            )
         velocity = (odometry - p.bias) / (1.0 + p.scale)
         if len(white):
-            velocity[:, white] += model.noise_density[white] / np.sqrt(dt_s) * self._rng.standard_normal((len(p), len(white)))
+            velocity[:, white] += (
+                model.noise_density[white] / np.sqrt(dt_s) * self._rng.standard_normal((len(p), len(white)))
+            )
         move(p.pose, p.pose_g, p.theta, velocity, dt_s, CHUNKS)
 
-    def _update(self, dt_s: float, snapshot: Snapshot) -> Floats:
+    def _update(self, dt_s: float, snapshot: Snapshot) -> Ints:
         p, o = self._particles, self.options
         z = np.stack([snapshot.distance_m, snapshot.azimuth_rad, snapshot.elevation_rad], axis=1)
         q = variances(snapshot, o)
         first = np.searchsorted(snapshot.link, np.arange(len(self._setup.links) + 1))
         log_tables, age_once, age_twice = self._existence(dt_s)
         config = np.array([
-            np.log(o.clutter_density), o.gate, 0.0, 3.0, o.confirm_hits, age_once, age_twice, o.likelihood_exponent
+            np.log(o.clutter_density), o.gate, -np.log1p(-o.birth_ratio), 3.0, o.confirm_hits, age_once, age_twice,
+            o.likelihood_exponent
         ])  # fmt: skip
         association = np.full((len(p), len(snapshot)), -1, np.int64)
         self._reserve(len(snapshot))
         update(
-            float(self._now), p.pose, p.pose_g, p.theta, p.cov, p.records, p.counts, first, self._site_of, z, q, self._born,
+            float(self._now), p.pose, p.pose_g, p.theta, p.cov, p.records, p.counts, first, self._site_of, z, q,
+            self._born,
             log_tables, config, p.log_weight, association, *self._scratch,
         )  # fmt: skip
         return association
@@ -112,7 +117,7 @@ class FastSlam:
             np.empty((CHUNKS, 2 * m + 4 * (c + m + 2)), np.int64),
         )
 
-    def _finish_step(self, association: Floats) -> Estimate:
+    def _finish_step(self, association: Ints) -> Estimate:
         p, o = self._particles, self.options
         weights = np.exp(p.log_weight - p.log_weight.max())
         weights /= weights.sum()
@@ -125,5 +130,5 @@ class FastSlam:
         wanted = o.particles if self._time_s >= o.start_phase_s else len(p)
         if wanted != len(p) or resampling.effective_size(weights) < o.effective_share * len(p):
             ancestors = resampling.SCHEMES[o.resampling](weights, wanted, self._rng)
-            self._particles: Particles = select(p, ancestors)
+            self._particles = select(p, ancestors)
         return estimate

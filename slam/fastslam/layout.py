@@ -1,6 +1,7 @@
 """Where each number of a VT lies in its record of 32 doubles (four cache lines).
 
-The first line is all that a VT costs which is not seen: it decides, from the predicted distance, whether the rest is read.
+The first line is all that a VT costs which is not seen: it decides, from the predicted distance, whether the rest is
+read.
 A VT is kept in spherical coordinates s = (range, azimuth, elevation) about a fixed anchor, the particle's position at
 the VT's birth, with axes of the world frame:
 

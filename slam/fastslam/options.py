@@ -14,7 +14,10 @@ class FastSlamOptions(BaseModel):
 
     particles: int = Field(1000, ge=1, le=1_000_000, description="number of particles")
     particles_start: int | None = Field(
-        None, ge=1, le=1_000_000, description="number of particles while the clock offsets are wide; none: as `particles`"
+        None,
+        ge=1,
+        le=1_000_000,
+        description="number of particles while the clock offsets are wide; none: as `particles`",
     )
     start_phase_s: float = Field(75.0, ge=0, le=3600, description="how long particles_start are kept, s")
     offset_component_std_m: float = Field(
@@ -24,7 +27,10 @@ class FastSlamOptions(BaseModel):
         "systematic", description="resampling scheme"
     )
     effective_share: float = Field(
-        0.5, ge=0, le=1, description="resample when the effective sample size falls below this share of the particles"
+        0.5,
+        ge=0,
+        le=1,
+        description="resample when the effective sample size falls below this share of the particles",
     )
     detection_probability: float = Field(
         0.9, gt=0, lt=1, description="probability that a visible VT is detected in one snapshot and link"
@@ -33,7 +39,10 @@ class FastSlamOptions(BaseModel):
         1e-4, gt=0, le=1e3, description="clutter per link and snapshot and unit of (m rad rad)"
     )
     birth_ratio: float = Field(
-        0.01, gt=0, lt=1, description="probability that an unexplained measurement is a new VT rather than clutter"
+        0.01,
+        gt=0,
+        lt=1,
+        description="probability that an unexplained measurement is a new VT rather than clutter",
     )
     visible_s: float = Field(10.0, gt=0, le=1e4, description="mean time for which a VT stays visible, s")
     hidden_s: float = Field(10.0, gt=0, le=1e5, description="mean time for which a known VT stays hidden, s")
@@ -42,15 +51,22 @@ class FastSlamOptions(BaseModel):
         1e-4, gt=0, lt=1, description="an unconfirmed VT less likely than this to be visible is dropped"
     )
     gate: float = Field(
-        16.3, gt=0, le=1000, description="squared Mahalanobis distance beyond which nothing associates (chi-square, 3 degrees)"
+        16.3,
+        gt=0,
+        le=1000,
+        description="squared Mahalanobis distance beyond which nothing associates (chi-square, 3 degrees)",
     )
     vts_per_link: int = Field(24, ge=1, le=4096, description="VTs kept per particle and link")
     noise_floor_m: float = Field(0.5, ge=0, le=100, description="distance deviation at infinite SNR, m")
     noise_floor_azimuth_deg: float = Field(1.0, ge=0, le=90, description="azimuth deviation at infinite SNR, deg")
     noise_floor_elevation_deg: float = Field(1.5, ge=0, le=90, description="elevation deviation at infinite SNR, deg")
     noise_unit_snr_m: float = Field(0.0405, ge=0, le=1000, description="distance deviation due to noise at 0 dB, m")
-    noise_unit_snr_azimuth_deg: float = Field(0.0685, ge=0, le=90, description="azimuth deviation due to noise at 0 dB, deg")
-    noise_unit_snr_elevation_deg: float = Field(0.0704, ge=0, le=90, description="elevation deviation due to noise at 0 dB, deg")
+    noise_unit_snr_azimuth_deg: float = Field(
+        0.0685, ge=0, le=90, description="azimuth deviation due to noise at 0 dB, deg"
+    )
+    noise_unit_snr_elevation_deg: float = Field(
+        0.0704, ge=0, le=90, description="elevation deviation due to noise at 0 dB, deg"
+    )
     noise_model: Literal["snr", "claimed"] = Field(
         "snr", description="measurement covariance: scaled by the SNR, or as the front end claims per path"
     )

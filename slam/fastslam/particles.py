@@ -20,7 +20,8 @@ class Particles:
     """State of N particles with K = S + 2 nuisances (offsets, yaw-rate bias, odometer scale) and C VT records a link.
 
     pose (N, 6); pose_g (N, 6): d(x, y, psi)/d(bias, scale), row by row; theta (N, K), cov (N, K, K): nuisance mean and
-    covariance; bias (N, 6), scale (N, 6): sampled errors of the other components, and all bias walks; records (N, L, C, 32),
+    covariance; bias (N, 6), scale (N, 6): sampled errors of the other components, and all bias walks; records (N, L,
+    C, 32),
     counts (N, L): maps; log_weight (N,).
     """
 
@@ -85,7 +86,8 @@ def quasi_random(count: int, dimensions: int, rng: np.random.Generator) -> Float
 
 
 def select(particles: Particles, ancestors: Ints) -> Particles:
-    """Return the particles named by `ancestors` (count,), which share no memory: survivors stay, the dead are overwritten.
+    """Return the particles named by `ancestors` (count,), which share no memory: survivors stay, the dead are
+    overwritten.
 
     With the count unchanged the arrays are reused and only maps of particles that have more than one child are copied.
     """
@@ -93,7 +95,14 @@ def select(particles: Particles, ancestors: Ints) -> Particles:
     if len(ancestors) != count:
         return _gather(particles, ancestors)
     source, target = _moves(np.bincount(ancestors, minlength=count))
-    for array in (particles.pose, particles.pose_g, particles.theta, particles.cov, particles.bias, particles.scale):
+    for array in (
+        particles.pose,
+        particles.pose_g,
+        particles.theta,
+        particles.cov,
+        particles.bias,
+        particles.scale,
+    ):
         array[target] = array[source]
     _copy_maps(particles.records, particles.counts, source, target)
     particles.log_weight[:] = 0.0
@@ -106,16 +115,21 @@ def _moves(children: Ints) -> tuple[Ints, Ints]:
 
 
 def _gather(particles: Particles, ancestors: Ints) -> Particles:
-    counts = particles.counts[ancestors]
-    records = np.empty((len(ancestors), *particles.records.shape[1:]))
-    kept = Particles(
-        *(a[ancestors] for a in (particles.pose, particles.pose_g, particles.theta, particles.cov, particles.bias, particles.scale)),
+    p = particles
+    records = np.empty((len(ancestors), *p.records.shape[1:]))
+    counts = p.counts[ancestors]
+    _gather_maps(p.records, counts, ancestors, records)
+    return Particles(
+        pose=p.pose[ancestors],
+        pose_g=p.pose_g[ancestors],
+        theta=p.theta[ancestors],
+        cov=p.cov[ancestors],
+        bias=p.bias[ancestors],
+        scale=p.scale[ancestors],
         records=records,
         counts=counts,
         log_weight=np.zeros(len(ancestors)),
     )
-    _gather_maps(particles.records, counts, ancestors, records)
-    return kept
 
 
 @njit(cache=True, parallel=True)

@@ -27,7 +27,7 @@ from cellslam.slam.fastslam.layout import (
 
 
 @njit(cache=True)
-def predict_into(out, vt, pose, rot, drot, pose_g, b, bias, scale, cov):  # type: ignore[no-untyped-def]
+def predict_into(out, vt, pose, rot, drot, pose_g, b, bias, scale, cov):
     """Write the prediction of record `vt` into the scratch row `out` (see layout).
 
     `pose` (6,); `rot` (9,): body to world; `drot` (9,): its derivative by yaw; `pose_g` (6,): d(x, y, psi)/d(bias,
@@ -103,7 +103,7 @@ def predict_into(out, vt, pose, rot, drot, pose_g, b, bias, scale, cov):  # type
 
 
 @njit(cache=True)
-def born_into(vt, rho, az, el, q, pose, rot, pose_g):  # type: ignore[no-untyped-def]
+def born_into(vt, rho, az, el, q, pose, rot, pose_g):
     """Write anchor, mean, Sigma and G of a VT born from a measurement (rho without offset; az, el in the body frame).
 
     `q` (3,): measurement variances. Given theta the birth is exact: range variance q_d, G = (-1, 0, 0) for the offset;
@@ -143,8 +143,9 @@ def born_into(vt, rho, az, el, q, pose, rot, pose_g):  # type: ignore[no-untyped
 
 
 @njit(cache=True)
-def position_into(position, jacobian, vt, db, dg, ds):  # type: ignore[no-untyped-def]
-    """Write the Cartesian position (3,) of a record at theta0 + (db, dg, ds), and its derivative (3, 3) by (range, az, el)."""
+def position_into(position, jacobian, vt, db, dg, ds):
+    """Write the Cartesian position (3,) of a record at theta0 + (db, dg, ds), and its derivative (3, 3) by (range,
+    az, el)."""
     rho = vt[MEAN] + vt[GAIN] * db + vt[GAIN + 1] * dg + vt[GAIN + 2] * ds
     az = vt[MEAN + 1] + vt[GAIN + 3] * db + vt[GAIN + 4] * dg + vt[GAIN + 5] * ds
     el = vt[MEAN + 2] + vt[GAIN + 6] * db + vt[GAIN + 7] * dg + vt[GAIN + 8] * ds

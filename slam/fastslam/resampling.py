@@ -1,6 +1,7 @@
 """Resampling schemes: plain functions, normalised weights (N,) in, ancestor indices (count,) out, sorted.
 
-Sources: Douc, Cappe and Moulines, "Comparison of resampling schemes for particle filtering" (2005); systematic: Kitagawa (1996).
+Sources: Douc, Cappe and Moulines, "Comparison of resampling schemes for particle filtering" (2005); systematic:
+Kitagawa (1996).
 """
 
 from __future__ import annotations

@@ -15,7 +15,8 @@ _PLANAR = [0, 1, 3]
 
 
 def pose_moments(particles: Particles, weights: Floats) -> tuple[Floats, Floats]:
-    """Return mean (6,) and covariance (6, 6) of the pose: spread of the particles plus what each leaves marginalised."""
+    """Return mean (6,) and covariance (6, 6) of the pose: spread of the particles plus what each leaves
+    marginalised."""
     mean = weights @ particles.pose
     centred = particles.pose - mean
     covariance = (centred * weights[:, None]).T @ centred
@@ -39,14 +40,16 @@ def map_of(particles: Particles, index: int, site_of: Ints, hits: int) -> VtEsti
     out_id, out_link = np.empty(total, np.int64), np.empty(total, np.int64)
     position, covariance = np.empty((total, 3)), np.empty((total, 3, 3))
     live = _map_into(
-        particles.records[index], particles.counts[index], particles.theta[index], particles.cov[index], site_of, float(hits),
+        particles.records[index], particles.counts[index], particles.theta[index], particles.cov[index], site_of,
+        float(hits),
         out_id, out_link, position, covariance,
     )  # fmt: skip
     return VtEstimate(out_id[:live], out_link[:live], position[:live], covariance[:live])
 
 
 @njit(cache=True)
-def _map_into(records, counts, theta, cov, site_of, hits, out_id, out_link, position, covariance):  # type: ignore[no-untyped-def]
+def _map_into(records, counts, theta, cov, site_of, hits, out_id, out_link, position, covariance):  # type:
+ignore[no-untyped-def]
     """Write confirmed VTs of one particle: x = x(mu), cov = J (Sigma + G P G^T) J^T; return their number."""
     n = 0
     sites = theta.shape[0] - 2
@@ -63,7 +66,11 @@ def _map_into(records, counts, theta, cov, site_of, hits, out_id, out_link, posi
             vt = records[link, j]
             if vt[HITS] < hits:
                 continue
-            db, dg, ds = theta[index[0]] - vt[OFFSET0], theta[sites] - vt[BIAS0], theta[sites + 1] - vt[SCALE0]
+            db, dg, ds = (
+                theta[index[0]] - vt[OFFSET0],
+                theta[sites] - vt[BIAS0],
+                theta[sites + 1] - vt[SCALE0],
+            )
             position_into(position[n], jacobian, vt, db, dg, ds)
             for r in range(3):
                 for c in range(3):

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import math
 
-import numpy as np
 from numba import njit, prange
 
 from cellslam.slam.fastslam.algebra import quadratic, symmetric_inverse
@@ -32,9 +31,7 @@ from cellslam.slam.fastslam.layout import (
     P_SLOT,
     P_Z,
     POSITION,
-    PREDICTION,
     RANGE_PER_OFFSET,
-    RECORD,
     SCALE0,
     SIGMA,
     SPREAD,
@@ -45,12 +42,12 @@ LOG_2PI_3 = 1.5 * math.log(2.0 * math.pi)
 
 
 @njit(cache=True, inline="always")
-def _wrap(angle):  # type: ignore[no-untyped-def]
+def _wrap(angle):
     return angle - 2.0 * math.pi * math.floor((angle + math.pi) / (2.0 * math.pi))
 
 
 @njit(cache=True)
-def update_vt(vt, row, e0, e1, e2, inv, now, b, bias, scale):  # type: ignore[no-untyped-def]
+def update_vt(vt, row, e0, e1, e2, inv, now, offset, bias, scale):
     """Kalman update of one record, given the nuisances (method: VT update); `inv` is S^-1 as six scalars."""
     i0, i1, i2, i3, i4, i5 = inv
     # T = H Sigma (3 x 3), K = T^T S^-1
@@ -65,10 +62,26 @@ def update_vt(vt, row, e0, e1, e2, inv, now, b, bias, scale):  # type: ignore[no
     t20 = h[P_H + 6] * a + h[P_H + 7] * b + h[P_H + 8] * c
     t21 = h[P_H + 6] * b + h[P_H + 7] * d + h[P_H + 8] * e
     t22 = h[P_H + 6] * c + h[P_H + 7] * e + h[P_H + 8] * f
-    k00, k01, k02 = t00 * i0 + t10 * i1 + t20 * i2, t00 * i1 + t10 * i3 + t20 * i4, t00 * i2 + t10 * i4 + t20 * i5
-    k10, k11, k12 = t01 * i0 + t11 * i1 + t21 * i2, t01 * i1 + t11 * i3 + t21 * i4, t01 * i2 + t11 * i4 + t21 * i5
-    k20, k21, k22 = t02 * i0 + t12 * i1 + t22 * i2, t02 * i1 + t12 * i3 + t22 * i4, t02 * i2 + t12 * i4 + t22 * i5
-    d0, d1, d2 = k00 * e0 + k01 * e1 + k02 * e2, k10 * e0 + k11 * e1 + k12 * e2, k20 * e0 + k21 * e1 + k22 * e2
+    k00, k01, k02 = (
+        t00 * i0 + t10 * i1 + t20 * i2,
+        t00 * i1 + t10 * i3 + t20 * i4,
+        t00 * i2 + t10 * i4 + t20 * i5,
+    )
+    k10, k11, k12 = (
+        t01 * i0 + t11 * i1 + t21 * i2,
+        t01 * i1 + t11 * i3 + t21 * i4,
+        t01 * i2 + t11 * i4 + t21 * i5,
+    )
+    k20, k21, k22 = (
+        t02 * i0 + t12 * i1 + t22 * i2,
+        t02 * i1 + t12 * i3 + t22 * i4,
+        t02 * i2 + t12 * i4 + t22 * i5,
+    )
+    d0, d1, d2 = (
+        k00 * e0 + k01 * e1 + k02 * e2,
+        k10 * e0 + k11 * e1 + k12 * e2,
+        k20 * e0 + k21 * e1 + k22 * e2,
+    )
     vt[MEAN] = row[P_MEAN] + d0
     vt[MEAN + 1] = row[P_MEAN + 1] + d1
     vt[MEAN + 2] = row[P_MEAN + 2] + d2
@@ -84,16 +97,18 @@ def update_vt(vt, row, e0, e1, e2, inv, now, b, bias, scale):  # type: ignore[no
     vt[SIGMA + 4] = e - (k10 * t02 + k11 * t12 + k12 * t22)
     vt[SIGMA + 5] = f - (k20 * t02 + k21 * t12 + k22 * t22)
     for r in range(3):
-        vt[POSITION + r] = row[P_POSITION + r] + row[P_J + 3 * r] * d0 + row[P_J + 3 * r + 1] * d1 + row[P_J + 3 * r + 2] * d2
+        vt[POSITION + r] = (
+            row[P_POSITION + r] + row[P_J + 3 * r] * d0 + row[P_J + 3 * r + 1] * d1 + row[P_J + 3 * r + 2] * d2
+        )
     vt[LAST_SEEN] = now
     vt[HITS] += 1.0
     vt[SPREAD] = math.sqrt(max(vt[SIGMA], 0.0))
     vt[RANGE_PER_OFFSET] = vt[GAIN]
-    vt[OFFSET0], vt[BIAS0], vt[SCALE0] = b, bias, scale
+    vt[OFFSET0], vt[BIAS0], vt[SCALE0] = offset, bias, scale
 
 
 @njit(cache=True)
-def _candidates(rec, count, rows, z, q, first, last, now, pose, rot, drot, pose_g, b, bias, scale, cov, tables, cfg):  # type: ignore[no-untyped-def]
+def _candidates(rec, count, rows, z, q, first, last, now, pose, rot, drot, pose_g, b, bias, scale, cov, tables, cfg):
     """Predict the VTs of one link that could have given one of z[first:last]; return their number and the miss terms.
 
     A VT whose distance is far from every measured one is passed over after reading one cache line. Every VT pays the
@@ -130,10 +145,12 @@ def _candidates(rec, count, rows, z, q, first, last, now, pose, rot, drot, pose_
 
 
 @njit(cache=True)
-def _score(rows, found, z, q, first, last, score, gated, gate):  # type: ignore[no-untyped-def]
-    """Fill score (found, last - first) with log-likelihood ratios against clutter and a missed VT; mark gated measurements.
+def _score(rows, found, z, q, first, last, score, gated, gate):
+    """Fill score (found, last - first) with log-likelihood ratios against clutter and a missed VT; mark gated
+    measurements.
 
-    The covariance is S + A P A^T: the clock offset and the odometer's errors are marginalised (method: gate). A component that
+    The covariance is S + A P A^T: the clock offset and the odometer's errors are marginalised (method: gate). A
+    component that
     was not measured is NaN and takes no part.
     """
     for k in range(first, last):
@@ -143,8 +160,16 @@ def _score(rows, found, z, q, first, last, score, gated, gate):  # type: ignore[
         for k in range(first, last):
             score[i, k - first] = -math.inf
             e0, e1, e2 = z[k, 0] - row[P_Z], _wrap(z[k, 1] - row[P_Z + 1]), z[k, 2] - row[P_Z + 2]
-            s0, s1, s2 = row[P_S] + row[P_C] + q[k, 0], row[P_S + 1] + row[P_C + 1], row[P_S + 2] + row[P_C + 2]
-            s3, s4, s5 = row[P_S + 3] + row[P_C + 3] + q[k, 1], row[P_S + 4] + row[P_C + 4], row[P_S + 5] + row[P_C + 5] + q[k, 2]
+            s0, s1, s2 = (
+                row[P_S] + row[P_C] + q[k, 0],
+                row[P_S + 1] + row[P_C + 1],
+                row[P_S + 2] + row[P_C + 2],
+            )
+            s3, s4, s5 = (
+                row[P_S + 3] + row[P_C + 3] + q[k, 1],
+                row[P_S + 4] + row[P_C + 4],
+                row[P_S + 5] + row[P_C + 5] + q[k, 2],
+            )
             if e0 * e0 > gate * s0 or e1 * e1 > gate * s3 or e2 * e2 > gate * s5:
                 continue
             i0, i1, i2, i3, i4, i5, det = symmetric_inverse(s0, s1, s2, s3, s4, s5)
@@ -155,7 +180,7 @@ def _score(rows, found, z, q, first, last, score, gated, gate):  # type: ignore[
 
 
 @njit(cache=True)
-def _absorb(row, site, sites, e0, e1, e2, inv, info, vector):  # type: ignore[no-untyped-def]
+def _absorb(row, site, sites, e0, e1, e2, inv, info, vector):
     """Add A^T S^-1 A and A^T S^-1 e of one association to the snapshot's information on theta."""
     i0, i1, i2, i3, i4, i5 = inv
     for c in range(3):
@@ -169,10 +194,12 @@ def _absorb(row, site, sites, e0, e1, e2, inv, info, vector):  # type: ignore[no
 
 
 @njit(cache=True)
-def condition(cov, info, vector, work, change):  # type: ignore[no-untyped-def]
-    """Update theta's covariance (K, K) by the information of a snapshot; write the mean's change; return the log-weight.
+def condition(cov, info, vector, work, change):
+    """Update theta's covariance (K, K) by the information of a snapshot; write the mean's change; return the
+    log-weight.
 
-    P_new = (1 + P I)^-1 P, change = P_new y, log-weight = -log det(1 + P I) / 2 + y^T P_new y / 2. Gauss-Jordan with row
+    P_new = (1 + P I)^-1 P, change = P_new y, log-weight = -log det(1 + P I) / 2 + y^T P_new y / 2. Gauss-Jordan with
+    row
     pivots on [1 + P I | P] in `work` (K, 2 K).
     """
     n = cov.shape[0]
@@ -215,8 +242,9 @@ def condition(cov, info, vector, work, change):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True)
-def _free_slot(rec, count, now, cfg):  # type: ignore[no-untyped-def]
-    """Return a slot for a birth: the next free one, else that of the VT with the fewest hits, longest unseen; -1: none to give."""
+def _free_slot(rec, count, now, cfg):
+    """Return a slot for a birth: the next free one, else that of the VT with the fewest hits, longest unseen; -1:
+    none to give."""
     if count < rec.shape[0]:
         return count
     worst, worst_rank = -1, math.inf
@@ -229,7 +257,7 @@ def _free_slot(rec, count, now, cfg):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True)
-def _drop(rec, counts, link, now, cfg):  # type: ignore[no-untyped-def]
+def _drop(rec, counts, link, now, cfg):
     """Drop VTs that were never confirmed and are now unlikely to be there."""
     j = 0
     while j < counts[link]:
@@ -244,7 +272,7 @@ def _drop(rec, counts, link, now, cfg):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True)
-def _rotation_into(rot, drot, psi, theta, phi):  # type: ignore[no-untyped-def]
+def _rotation_into(rot, drot, psi, theta, phi):
     """Write R(psi, theta, phi) and dR/dpsi, row by row."""
     cp, sp, ct, st = math.cos(psi), math.sin(psi), math.cos(theta), math.sin(theta)
     cr, sr = math.cos(phi), math.sin(phi)
@@ -256,7 +284,27 @@ def _rotation_into(rot, drot, psi, theta, phi):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True)
-def _particle(now, pose, pose_g, theta, cov, records, counts, first, site_of, z, q, born, tables, cfg, association, rows, score, small, ints):  # type: ignore[no-untyped-def]
+def _particle(
+    now,
+    pose,
+    pose_g,
+    theta,
+    cov,
+    records,
+    counts,
+    first,
+    site_of,
+    z,
+    q,
+    born,
+    tables,
+    cfg,
+    association,
+    rows,
+    score,
+    small,
+    ints,
+):
     """Run one snapshot for one particle; return its log-weight."""
     sites = theta.shape[0] - 2
     size = theta.shape[0]
@@ -266,7 +314,6 @@ def _particle(now, pose, pose_g, theta, cov, records, counts, first, site_of, z,
     info = small[base : base + size * size].reshape((size, size))
     work = small[base + size * size : base + 3 * size * size].reshape((size, 2 * size))
     floats = small[base + 3 * size * size :]
-    half = (ints.shape[0] - 2 * z.shape[0]) // 1
     row_of, gated, solver = ints[0 : z.shape[0]], ints[z.shape[0] : 2 * z.shape[0]], ints[2 * z.shape[0] :]
     _rotation_into(rot, drot, pose[3], pose[4], pose[5])
     vector[:] = 0.0
@@ -280,7 +327,26 @@ def _particle(now, pose, pose_g, theta, cov, records, counts, first, site_of, z,
         rec = records[link]
         block[0], block[1], block[2] = cov[site, site], cov[site, sites], cov[site, sites + 1]
         block[3], block[4], block[5] = cov[sites, sites], cov[sites, sites + 1], cov[sites + 1, sites + 1]
-        found, missed = _candidates(rec, counts[link], rows, z, q, start, stop, now, pose, rot, drot, pose_g, theta[site], bias, scale, block, tables, cfg)
+        found, missed = _candidates(
+            rec,
+            counts[link],
+            rows,
+            z,
+            q,
+            start,
+            stop,
+            now,
+            pose,
+            rot,
+            drot,
+            pose_g,
+            theta[site],
+            bias,
+            scale,
+            block,
+            tables,
+            cfg,
+        )
         weight += missed
         if stop > start:
             _score(rows, found, z, q, start, stop, score, gated, cfg[1])
@@ -292,9 +358,21 @@ def _particle(now, pose, pose_g, theta, cov, records, counts, first, site_of, z,
                     row = rows[i]
                     vt = rec[int(row[P_SLOT])]
                     e0, e1, e2 = z[k, 0] - row[P_Z], _wrap(z[k, 1] - row[P_Z + 1]), z[k, 2] - row[P_Z + 2]
-                    s = symmetric_inverse(row[P_S] + q[k, 0], row[P_S + 1], row[P_S + 2], row[P_S + 3] + q[k, 1], row[P_S + 4], row[P_S + 5] + q[k, 2])
+                    s = symmetric_inverse(
+                        row[P_S] + q[k, 0],
+                        row[P_S + 1],
+                        row[P_S + 2],
+                        row[P_S + 3] + q[k, 1],
+                        row[P_S + 4],
+                        row[P_S + 5] + q[k, 2],
+                    )
                     inv = (s[0], s[1], s[2], s[3], s[4], s[5])
-                    weight += row[P_SCORE0] - 0.5 * quadratic(s[0], s[1], s[2], s[3], s[4], s[5], e0, e1, e2) - 0.5 * math.log(s[6]) - LOG_2PI_3
+                    weight += (
+                        row[P_SCORE0]
+                        - 0.5 * quadratic(s[0], s[1], s[2], s[3], s[4], s[5], e0, e1, e2)
+                        - 0.5 * math.log(s[6])
+                        - LOG_2PI_3
+                    )
                     _absorb(row, site, sites, e0, e1, e2, inv, info, vector)
                     update_vt(vt, row, e0, e1, e2, inv, now, theta[site], bias, scale)
                     association[k] = int(vt[IDENTITY])
@@ -306,8 +384,6 @@ def _particle(now, pose, pose_g, theta, cov, records, counts, first, site_of, z,
                     if j >= 0:
                         vt = rec[j]
                         born_into(vt, rho, z[k, 1], z[k, 2], q[k], pose, rot, pose_g)
-                        for r in range(3):
-                            vt[POSITION + r] = vt[MEAN]
                         ce = math.cos(vt[MEAN + 2])
                         vt[POSITION] = pose[0] + rho * ce * math.cos(vt[MEAN + 1])
                         vt[POSITION + 1] = pose[1] + rho * ce * math.sin(vt[MEAN + 1])
@@ -316,6 +392,7 @@ def _particle(now, pose, pose_g, theta, cov, records, counts, first, site_of, z,
                         vt[RANGE_PER_OFFSET] = -1.0
                         vt[OFFSET0], vt[BIAS0], vt[SCALE0] = theta[site], bias, scale
                         vt[IDENTITY] = born + k
+                        weight += cfg[2]
                         if j == counts[link]:
                             counts[link] += 1
         _drop(rec, counts, link, now, cfg)
@@ -330,13 +407,37 @@ def _particle(now, pose, pose_g, theta, cov, records, counts, first, site_of, z,
 
 
 @njit(cache=True, parallel=True)
-def update(now, pose, pose_g, theta, cov, records, counts, first, site_of, z, q, born, tables, cfg, log_weight, association, rows, score, small, ints):  # type: ignore[no-untyped-def]
+def update(
+    now,
+    pose,
+    pose_g,
+    theta,
+    cov,
+    records,
+    counts,
+    first,
+    site_of,
+    z,
+    q,
+    born,
+    tables,
+    cfg,
+    log_weight,
+    association,
+    rows,
+    score,
+    small,
+    ints,
+):
     """Use one snapshot in every particle.
 
-    pose (N, 6), pose_g (N, 6), theta (N, K), cov (N, K, K), records (N, L, C, 32), counts (N, L): particle states, written.
-    first (L + 1,): first measurement of each link; z, q (M, 3): measurements and their variances; born: number of the first
+    pose (N, 6), pose_g (N, 6), theta (N, K), cov (N, K, K), records (N, L, C, 32), counts (N, L): particle states,
+    written.
+    first (L + 1,): first measurement of each link; z, q (M, 3): measurements and their variances; born: number of the
+    first
     measurement; tables (2, 2, ages): log of visible-and-detected and of missed, for VTs seen once and for others;
-    cfg: log clutter density, gate, -, slack of the distance test, hits to confirm, ages to drop at. log_weight (N,) is added to,
+    cfg: log clutter density, gate, log-weight of a birth, slack of the distance test, hits to confirm, ages to drop
+    at. log_weight (N,) is added to,
     association (N, M) written; rows, score, small, ints are scratch, one a chunk.
     """
     chunks = rows.shape[0]
@@ -344,13 +445,30 @@ def update(now, pose, pose_g, theta, cov, records, counts, first, site_of, z, q,
     for chunk in prange(chunks):
         for i in range(chunk * n // chunks, (chunk + 1) * n // chunks):
             log_weight[i] += cfg[7] * _particle(
-                now, pose[i], pose_g[i], theta[i], cov[i], records[i], counts[i], first, site_of, z, q, born, tables,
-                cfg, association[i], rows[chunk], score[chunk], small[chunk], ints[chunk],
+                now,
+                pose[i],
+                pose_g[i],
+                theta[i],
+                cov[i],
+                records[i],
+                counts[i],
+                first,
+                site_of,
+                z,
+                q,
+                born,
+                tables,
+                cfg,
+                association[i],
+                rows[chunk],
+                score[chunk],
+                small[chunk],
+                ints[chunk],
             )
 
 
 @njit(cache=True, parallel=True)
-def move(pose, pose_g, theta, velocity, dt, chunks):  # type: ignore[no-untyped-def]
+def move(pose, pose_g, theta, velocity, dt, chunks):
     """Advance poses by sampled body velocities (N, 6), corrected by the nuisance mean; carry the sensitivities.
 
     velocity: measured less sampled noise. The paper's motion model, with heading taken at mid-interval.
@@ -363,7 +481,14 @@ def move(pose, pose_g, theta, velocity, dt, chunks):  # type: ignore[no-untyped-
             stretch = 1.0 / (1.0 + theta[i, sites + 1])
             turn = (u[3] - theta[i, sites]) * dt
             psi, the, phi = p[3] + 0.5 * turn, p[4] + 0.5 * u[4] * dt, p[5] + 0.5 * u[5] * dt
-            cp, sp, ct, st, cr, sr = math.cos(psi), math.sin(psi), math.cos(the), math.sin(the), math.cos(phi), math.sin(phi)
+            cp, sp, ct, st, cr, sr = (
+                math.cos(psi),
+                math.sin(psi),
+                math.cos(the),
+                math.sin(the),
+                math.cos(phi),
+                math.sin(phi),
+            )
             ux, uy, uz = u[0] * stretch * dt, u[1] * dt, u[2] * dt
             mx = cp * ct * ux + (cp * st * sr - sp * cr) * uy + (cp * st * cr + sp * sr) * uz
             my = sp * ct * ux + (sp * st * sr + cp * cr) * uy + (sp * st * cr - cp * sr) * uz
