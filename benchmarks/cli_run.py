@@ -138,9 +138,10 @@ def _print_table(job: Job) -> None:
 
 def _title(job: Job) -> str:
     row = job.rows[0]
-    drive = f"{row['snapshots']} snapshots, {row['duration_s']:.1f} s" if row["snapshots"] else ""
+    many = f"medians of {job.trials} trials, " if job.trials > 1 else ""
     length = f", {row['distance_m']:.0f} m" if row["distance_m"] is not None else ""
-    return f"{job.name}, seed {row['seed']}: {drive}{length}"
+    drive = f"{row['snapshots']} snapshots, {row['duration_s']:.1f} s{length}"
+    return f"{job.name}, seed {row['seed']}: {many}{drive}"
 
 
 def _interrupted(job: Job) -> int:
