@@ -72,13 +72,9 @@ class World:
         from cellslam.sim.rays import trace
 
         receivers = np.ascontiguousarray(poses[:, :3])
-        return trace(
-            self.scene, self.sites_m, receivers, carrier_hz=self.config.radio.carrier_hz, progress=progress
-        )
+        return trace(self.scene, self.sites_m, receivers, carrier_hz=self.config.radio.carrier_hz, progress=progress)
 
-    def measure(
-        self, pose: Floats, velocity: Floats, snapshot: int, rng: Streams
-    ) -> tuple[Detections, Paths]:
+    def measure(self, pose: Floats, velocity: Floats, snapshot: int, rng: Streams) -> tuple[Detections, Paths]:
         """Return what the receiver reports at `pose` (6,), numbered `snapshot`, and the paths that exist
         there.
 
@@ -96,9 +92,7 @@ class World:
         paths = self.trace(self.drive.poses, progress)
         return self._detect(paths, self.drive.poses, rng, 0, progress), paths
 
-    def _detect(
-        self, paths: Paths, poses: Floats, rng: Streams, snapshot: int, progress: Progress
-    ) -> Detections:
+    def _detect(self, paths: Paths, poses: Floats, rng: Streams, snapshot: int, progress: Progress) -> Detections:
         from cellslam.sim.lte.statistical import detect
 
         columns = path_columns(paths, len(poses), len(self.sites_m))
@@ -186,9 +180,7 @@ def path_columns(paths: Paths, receivers: int, sites: int) -> PathColumns:
     key = paths.receiver * sites + paths.transmitter
     rows = np.searchsorted(key, np.arange(receivers * sites + 1)).astype(np.int64)
     departure = np.stack([paths.departure_azimuth_rad, paths.departure_elevation_rad], axis=1)
-    return PathColumns(
-        rows, np.ascontiguousarray(paths.vt_position_m), np.ascontiguousarray(paths.gain), departure
-    )
+    return PathColumns(rows, np.ascontiguousarray(paths.vt_position_m), np.ascontiguousarray(paths.gain), departure)
 
 
 def virtual_transmitters(paths: Paths) -> tuple[VirtualTransmitters, Ints]:

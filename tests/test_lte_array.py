@@ -31,9 +31,7 @@ def measured(array: CircularArray) -> np.ndarray:
     """A smooth, band-limited pattern on the grid: what a measurement in a chamber would give."""
     azimuth, elevation = np.meshgrid(*SMALL_GRID)
     smooth = replace(array, floor_db=300.0, width_deg=300.0)
-    value = (
-        smooth.steer(azimuth.ravel(), elevation.ravel()).value * np.cos(elevation.ravel())[:, None, None] ** 2
-    )
+    value = smooth.steer(azimuth.ravel(), elevation.ravel()).value * np.cos(elevation.ravel())[:, None, None] ** 2
     return value.reshape(*azimuth.shape, array.ports, 2).transpose(2, 3, 0, 1)
 
 

@@ -16,9 +16,7 @@ def response(azimuth: float, elevation: float) -> NDArray[np.complex128]:
     """16 columns x 4 rings of +-45 degree patches (128, 2): radius 147 mm, rings 57.7 mm apart, 8 dBi, 65
     degrees.
     """
-    towards = np.array(
-        [np.cos(elevation) * np.cos(azimuth), np.cos(elevation) * np.sin(azimuth), np.sin(elevation)]
-    )
+    towards = np.array([np.cos(elevation) * np.cos(azimuth), np.cos(elevation) * np.sin(azimuth), np.sin(elevation)])
     rows = []
     for column in 2.0 * np.pi * np.arange(16) / 16:
         off = np.angle(np.exp(1j * (azimuth - column)))

@@ -86,18 +86,14 @@ def test_transmitter_error_limits_the_link_total() -> None:
     # 5 % EVM is -26 dB of the link's total power; two equal paths halve what each can reach.
     config = quiet(evm=0.05, noise_dbm=-140.0, snr_cap_db=60.0)
     d = run(config, [[100.0, 0.0, 0.0], [0.0, 400.0, 0.0]], np.array([1e-4, 1e-4]), 1)
-    np.testing.assert_allclose(
-        d.measurements.snr_db, -20.0 * np.log10(0.05) - 10.0 * np.log10(2.0), atol=1e-3
-    )
+    np.testing.assert_allclose(d.measurements.snr_db, -20.0 * np.log10(0.05) - 10.0 * np.log10(2.0), atol=1e-3)
 
 
 def test_ports_are_slanted() -> None:
     # A path that passes only what is sent at +45 degrees: the second port gets nothing through it.
     paths = make_paths(np.array([[100.0, 0.0, 0.0]]), np.array([1.0]), 1)
     plus = np.array([1.0, 1.0]) / np.sqrt(2.0)
-    paths = PathColumns(
-        paths.rows, paths.vt_m, 1e-6 * np.outer(plus, plus)[None].astype(complex), paths.departure_rad
-    )
+    paths = PathColumns(paths.rows, paths.vt_m, 1e-6 * np.outer(plus, plus)[None].astype(complex), paths.departure_rad)
     streams = Streams.spawn(np.random.default_rng(1))
     d = detect(quiet(), make_cells(0.0, ports=2), paths, np.zeros((1, 6)), np.zeros(1), streams)
     assert d.measurements.link.tolist() == [0]
@@ -278,9 +274,7 @@ def test_errors_do_not_depend_on_what_is_detected() -> None:
 
 
 def test_rows_within_a_link_are_ordered_by_distance() -> None:
-    d = run(
-        RadioConfig(clutter_scale=5.0), [[300.0, 0.0, 0.0], [0.0, 150.0, 9.0]], np.array([1e-6, 1e-6]), 200
-    )
+    d = run(RadioConfig(clutter_scale=5.0), [[300.0, 0.0, 0.0], [0.0, 150.0, 9.0]], np.array([1e-6, 1e-6]), 200)
     m = d.measurements
     same = (np.diff(m.snapshot) == 0) & (np.diff(m.link) == 0)
     assert (np.diff(m.distance_m)[same] >= 0.0).all()

@@ -58,9 +58,7 @@ SYMBOLS = {
 
 @pytest.mark.parametrize("prefix", ["normal", "extended"])
 @pytest.mark.parametrize("port", [0, 1, 2, 3])
-@pytest.mark.parametrize(
-    ("cell", "slot", "blocks"), [(0, 0, 100), (503, 19, 6), (376, 7, 25), (178, 12, 110)]
-)
+@pytest.mark.parametrize(("cell", "slot", "blocks"), [(0, 0, 100), (503, 19, 6), (376, 7, 25), (178, 12, 110)])
 def test_agrees_with_the_specification(prefix: str, port: int, cell: int, slot: int, blocks: int) -> None:
     got = reference_signal(cell, port, slot, blocks, prefix)
     rows = []
@@ -89,9 +87,7 @@ def test_every_cell_stays_in_the_band() -> None:
 def test_ports_of_a_cell_never_share_an_element() -> None:
     for slot in (0, 1):
         elements = [
-            (int(s), int(k))
-            for port in range(4)
-            for s, k in zip(*reference_signal(200, port, slot)[:2], strict=True)
+            (int(s), int(k)) for port in range(4) for s, k in zip(*reference_signal(200, port, slot)[:2], strict=True)
         ]
         assert len(set(elements)) == len(elements)
 
@@ -132,9 +128,7 @@ def test_baseband_leaves_out_the_carrier_and_repeats_in_the_prefix() -> None:
     # Three resource elements of a 6-block band around the gap: -15 kHz, +15 kHz, +30 kHz.
     time_s = np.linspace(-4.7e-6, SYMBOL_S, 50)
     values, subcarriers = np.array([1.0, 1j, -2.0]), np.array([35, 36, 37])
-    expected = sum(
-        v * np.exp(2j * np.pi * f * time_s) for v, f in zip(values, (-15e3, 15e3, 30e3), strict=True)
-    )
+    expected = sum(v * np.exp(2j * np.pi * f * time_s) for v, f in zip(values, (-15e3, 15e3, 30e3), strict=True))
     signal = baseband(values, subcarriers, time_s, 6)
     np.testing.assert_allclose(signal, expected, atol=1e-12)
     np.testing.assert_allclose(baseband(values, subcarriers, time_s + SYMBOL_S, 6), signal, atol=1e-9)

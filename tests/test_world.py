@@ -53,9 +53,7 @@ def test_same_seed_same_recording(recording: Recording) -> None:
 
 
 @pytest.mark.parametrize(("seed", "trial"), [(2, 0), (1, 1)])
-def test_another_seed_or_trial_differs_but_is_the_same_place(
-    recording: Recording, seed: int, trial: int
-) -> None:
+def test_another_seed_or_trial_differs_but_is_the_same_place(recording: Recording, seed: int, trial: int) -> None:
     other = simulate(small_world(), seed, trial)
     assert recording.truth is not None and other.truth is not None
     assert not np.array_equal(recording.truth.clock_offsets_m, other.truth.clock_offsets_m)

@@ -121,9 +121,7 @@ def _smooth_floor(loss_db: Floats, floor_db: float) -> tuple[Floats, Floats]:
     return loss_db * base**-0.25, base**-1.25
 
 
-def calibration_error(
-    ports: int, phase_std_deg: float, gain_std_db: float, rng: np.random.Generator
-) -> Complex:
+def calibration_error(ports: int, phase_std_deg: float, gain_std_db: float, rng: np.random.Generator) -> Complex:
     """Return complex factors (ports,) of random phase and gain errors, one draw per port."""
     phase = np.radians(phase_std_deg) * rng.standard_normal(ports)
     gain_db = gain_std_db * rng.standard_normal(ports)

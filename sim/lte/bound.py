@@ -50,9 +50,7 @@ def bound_scales(resource_blocks: int) -> BoundScales:
     """Return the scales of the single-path bound for a bandwidth; sd_d = c / (beta sqrt(2 Gamma))."""
     beta_radps = 2.0 * np.pi * float(np.std(tone_frequencies(resource_blocks)))
     samples = ARRAY_PORTS * TONES_PER_RESOURCE_BLOCK * resource_blocks
-    return BoundScales(
-        samples, SPEED_OF_LIGHT_MPS / beta_radps, float(_AZIMUTH_SCALE_RAD), float(_ELEVATION_SCALE_RAD)
-    )
+    return BoundScales(samples, SPEED_OF_LIGHT_MPS / beta_radps, float(_AZIMUTH_SCALE_RAD), float(_ELEVATION_SCALE_RAD))
 
 
 def single_path_std(

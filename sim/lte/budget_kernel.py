@@ -56,9 +56,7 @@ def link_powers(
         first = rows[base + site]
         for i in range(rows[base + site + 1] - first):
             p = first + i
-            sector = sector_gain(
-                departure[p, 0], departure[p, 1], links.cell_azimuth[cell], links.cell_tilt[cell]
-            )
+            sector = sector_gain(departure[p, 0], departure[p, 1], links.cell_azimuth[cell], links.cell_tilt[cell])
             received = path_power(gain[p], links.slant[link]) * sector * array_gain(geo[site, i, 2])
             power[link, i] = eirp * received
             cell_power[cell] += power[link, i] / links.cell_ports[cell]

@@ -16,9 +16,7 @@ class RadioConfig(BaseModel):
         "statistical", description="how measurements are made: drawn from the detector's statistics"
     )
     carrier_hz: float = Field(2.66e9, ge=0.4e9, le=6e9, description="carrier frequency, Hz")
-    resource_blocks: int = Field(
-        100, ge=6, le=110, description="bandwidth in resource blocks of 180 kHz (100: 20 MHz)"
-    )
+    resource_blocks: int = Field(100, ge=6, le=110, description="bandwidth in resource blocks of 180 kHz (100: 20 MHz)")
 
     eirp_dbm: float = Field(
         30.0, ge=-30.0, le=60.0, description="radiated power per reference element and port at boresight, dBm"
@@ -43,12 +41,8 @@ class RadioConfig(BaseModel):
         1.0, ge=0.0, le=1.0, description="factor on every detection probability (1: nominal)"
     )
     perfect_detection: bool = Field(False, description="detect every path that exists, never merge two")
-    window_min_m: float = Field(
-        -50.0, ge=-5000.0, le=0.0, description="start of the searched delay window, m of path"
-    )
-    window_max_m: float = Field(
-        1700.0, ge=100.0, le=6600.0, description="end of the searched delay window, m of path"
-    )
+    window_min_m: float = Field(-50.0, ge=-5000.0, le=0.0, description="start of the searched delay window, m of path")
+    window_max_m: float = Field(1700.0, ge=100.0, le=6600.0, description="end of the searched delay window, m of path")
 
     noise_scale: float = Field(
         1.0, ge=0.0, le=10.0, description="factor on all measurement errors (0: exact measurements)"
@@ -56,9 +50,7 @@ class RadioConfig(BaseModel):
     specular_to_diffuse_db: float = Field(
         6.0, ge=0.0, le=40.0, description="specular over diffuse power of a path, dB: error floor and clutter"
     )
-    calibration_distance_m: float = Field(
-        0.2, ge=0.0, le=10.0, description="floor: group delay calibration, m"
-    )
+    calibration_distance_m: float = Field(0.2, ge=0.0, le=10.0, description="floor: group delay calibration, m")
     calibration_azimuth_deg: float = Field(
         0.25, ge=0.0, le=20.0, description="floor: array calibration in azimuth, deg"
     )
@@ -78,9 +70,7 @@ class RadioConfig(BaseModel):
         0.5, ge=0.0, le=20.0, description="floor: motion of the array within a snapshot, elevation, deg"
     )
 
-    clutter_scale: float = Field(
-        1.0, ge=0.0, le=20.0, description="factor on the mean number of clutter measurements"
-    )
+    clutter_scale: float = Field(1.0, ge=0.0, le=20.0, description="factor on the mean number of clutter measurements")
     ghosts_per_path: float = Field(
         1.0,
         ge=0.0,

@@ -27,9 +27,7 @@ class PathSet:
         return len(self.distance_m)
 
 
-def fisher_information(
-    array: AntennaArray, tones_hz: Floats, paths: PathSet, noise_variance: float
-) -> Floats:
+def fisher_information(array: AntennaArray, tones_hz: Floats, paths: PathSet, noise_variance: float) -> Floats:
     """Return (7 n, 7 n) = (2 / sigma^2) Re(J^H J), a path's seven parameters in a row (see `PARAMETERS`).
 
     Every column of J is an array vector times a delay vector (Kronecker), so J^H J is the product of two

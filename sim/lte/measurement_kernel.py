@@ -67,9 +67,7 @@ def write_std(row: Array, gamma: float, elevation: float, model: Model) -> None:
     cosine = max(math.cos(elevation), 0.05)
     sd = math.hypot(model.distance_scale * root, model.distance_floor)
     sa = math.hypot(model.azimuth_scale * root / cosine**AZIMUTH_EXPONENT, model.azimuth_floor)
-    se = math.hypot(
-        model.elevation_scale * root * (1.0 + ELEVATION_GROWTH * elevation**2), model.elevation_floor
-    )
+    se = math.hypot(model.elevation_scale * root * (1.0 + ELEVATION_GROWTH * elevation**2), model.elevation_floor)
     row[TRUE_STD] = model.noise_scale * sd
     row[TRUE_STD + 1] = model.noise_scale * sa
     row[TRUE_STD + 2] = model.noise_scale * se
@@ -94,9 +92,7 @@ def fold(row: Array) -> None:
 
 
 @njit(cache=True)
-def clutter_row(
-    row: Array, distance: float, azimuth: float, elevation: float, gamma: float, model: Model
-) -> None:
+def clutter_row(row: Array, distance: float, azimuth: float, elevation: float, gamma: float, model: Model) -> None:
     """Fill one clutter measurement."""
     row[DISTANCE], row[AZIMUTH], row[ELEVATION] = distance, azimuth, elevation
     fold(row)

@@ -107,8 +107,7 @@ def model_of(config: RadioConfig) -> k.Model:
     scales = bound_scales(config.resource_blocks)
     floor = floors(config)
     diffuse = (
-        float(np.interp(config.specular_to_diffuse_db, _DIFFUSE_RATIO_DB, _DIFFUSE_COUNT))
-        * config.diffuse_survival
+        float(np.interp(config.specular_to_diffuse_db, _DIFFUSE_RATIO_DB, _DIFFUSE_COUNT)) * config.diffuse_survival
     )
     return k.Model(
         eirp=10.0 ** (config.eirp_dbm / 10.0), noise=10.0 ** (config.noise_dbm / 10.0), load=config.load,
@@ -164,6 +163,4 @@ def _columns(table: Floats) -> Detections:
         distance_std_m=c[k.CLAIMED_STD], azimuth_std_rad=c[k.CLAIMED_STD + 1],
         elevation_std_rad=c[k.CLAIMED_STD + 2],
     )  # fmt: skip
-    return Detections(
-        measurements, c[k.PATH].astype(np.int64), np.ascontiguousarray(c[k.TRUE_STD : k.TRUE_STD + 3].T)
-    )
+    return Detections(measurements, c[k.PATH].astype(np.int64), np.ascontiguousarray(c[k.TRUE_STD : k.TRUE_STD + 3].T))

@@ -90,9 +90,7 @@ def _detect_paths(
         for column in range(4, 8):
             work[i, column] = 0.0
         inside = model.window_min <= geo[i, 0] <= model.window_max
-        chance = (
-            probability(gamma[i] * work[i, 1], work[i, 1] <= ISOLATED_LEFTOVER, table) * model.detection_scale
-        )
+        chance = probability(gamma[i] * work[i, 1], work[i, 1] <= ISOLATED_LEFTOVER, table) * model.detection_scale
         found = detection.random() < chance and inside and work[i, 3] > 0.0
         work[i, 3] = 1.0 if found or model.perfect else 0.0
         if model.perfect:
