@@ -27,7 +27,7 @@ class Listed:
 BUILT_IN = (
     Listed(
         "fastslam",
-        "cellslam.slam.fastslam:FastSlam",
+        "cellslam.slam.fastslam.filter:FastSlam",
         "extended FastSLAM: particles of the pose, one EKF a virtual transmitter, clock offsets marginalised",
     ),
     Listed(

@@ -5,12 +5,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit, prange
 from scipy.special import ndtri
 
 from cellslam.sim.recording import Floats, Ints
 from cellslam.slam.api import Setup
 from cellslam.slam.fastslam.layout import RECORD
+from cellslam.slam.fastslam.map_kernel import copy_maps, gather_maps
 
 YAW_RATE, SPEED = 3, 0  # components of u whose bias and scale are marginalised
 
@@ -104,7 +104,7 @@ def select(particles: Particles, ancestors: Ints) -> Particles:
         particles.scale,
     ):
         array[target] = array[source]
-    _copy_maps(particles.records, particles.counts, source, target)
+    copy_maps(particles.records, particles.counts, source, target)
     particles.log_weight[:] = 0.0
     return particles
 
@@ -118,7 +118,7 @@ def _gather(particles: Particles, ancestors: Ints) -> Particles:
     p = particles
     records = np.empty((len(ancestors), *p.records.shape[1:]))
     counts = p.counts[ancestors]
-    _gather_maps(p.records, counts, ancestors, records)
+    gather_maps(p.records, counts, ancestors, records)
     return Particles(
         pose=p.pose[ancestors],
         pose_g=p.pose_g[ancestors],
@@ -130,23 +130,3 @@ def _gather(particles: Particles, ancestors: Ints) -> Particles:
         counts=counts,
         log_weight=np.zeros(len(ancestors)),
     )
-
-
-@njit(cache=True, parallel=True)
-def _copy_maps(records, counts, source, target):  # type: ignore[no-untyped-def]
-    """Copy the live records of each source particle over those of its target."""
-    for k in prange(len(source)):
-        a, b = source[k], target[k]
-        for link in range(counts.shape[1]):
-            live = counts[a, link]
-            counts[b, link] = live
-            records[b, link, :live, :] = records[a, link, :live, :]
-
-
-@njit(cache=True, parallel=True)
-def _gather_maps(records, counts, ancestors, out):  # type: ignore[no-untyped-def]
-    """Copy the live records of each ancestor into a new array."""
-    for k in prange(len(ancestors)):
-        for link in range(counts.shape[1]):
-            live = counts[k, link]
-            out[k, link, :live, :] = records[ancestors[k], link, :live, :]

@@ -3,13 +3,11 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 
 from cellslam.sim.recording import Floats, Ints
 from cellslam.slam.api import VtEstimate
-from cellslam.slam.fastslam.layout import BIAS0, GAIN, HITS, IDENTITY, OFFSET0, SCALE0, SIGMA
+from cellslam.slam.fastslam.map_kernel import map_into
 from cellslam.slam.fastslam.particles import Particles
-from cellslam.slam.fastslam.predict_kernel import position_into
 
 _PLANAR = [0, 1, 3]
 
@@ -39,51 +37,9 @@ def map_of(particles: Particles, index: int, site_of: Ints, hits: int) -> VtEsti
     total = int(particles.counts[index].sum())
     out_id, out_link = np.empty(total, np.int64), np.empty(total, np.int64)
     position, covariance = np.empty((total, 3)), np.empty((total, 3, 3))
-    live = _map_into(
+    live = map_into(
         particles.records[index], particles.counts[index], particles.theta[index], particles.cov[index], site_of,
         float(hits),
         out_id, out_link, position, covariance,
     )  # fmt: skip
     return VtEstimate(out_id[:live], out_link[:live], position[:live], covariance[:live])
-
-
-@njit(cache=True)
-def _map_into(records, counts, theta, cov, site_of, hits, out_id, out_link, position, covariance):  # type:
-ignore[no-untyped-def]
-    """Write confirmed VTs of one particle: x = x(mu), cov = J (Sigma + G P G^T) J^T; return their number."""
-    n = 0
-    sites = theta.shape[0] - 2
-    jacobian = np.empty((3, 3))
-    inner = np.empty((3, 3))
-    gain = np.empty((3, 3))
-    block = np.empty((3, 3))
-    for link in range(counts.shape[0]):
-        index = (site_of[link], sites, sites + 1)
-        for r in range(3):
-            for c in range(3):
-                block[r, c] = cov[index[r], index[c]]
-        for j in range(counts[link]):
-            vt = records[link, j]
-            if vt[HITS] < hits:
-                continue
-            db, dg, ds = (
-                theta[index[0]] - vt[OFFSET0],
-                theta[sites] - vt[BIAS0],
-                theta[sites + 1] - vt[SCALE0],
-            )
-            position_into(position[n], jacobian, vt, db, dg, ds)
-            for r in range(3):
-                for c in range(3):
-                    gain[r, c] = vt[GAIN + 3 * r + c]
-            inner[:, :] = gain @ block @ gain.T
-            k = 0
-            for r in range(3):
-                for c in range(r, 3):
-                    inner[r, c] += vt[SIGMA + k]
-                    if c > r:
-                        inner[c, r] += vt[SIGMA + k]
-                    k += 1
-            covariance[n] = jacobian @ inner @ jacobian.T
-            out_id[n], out_link[n] = int(vt[IDENTITY]), link
-            n += 1
-    return n
