@@ -4,16 +4,17 @@ from __future__ import annotations
 
 import json
 from argparse import Namespace
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from typing import Any
 
 from pydantic import BaseModel
 from rich import box
 from rich.console import Console
+from rich.markup import escape
+from rich.padding import Padding
 from rich.table import Table
 
 from cellslam.benchmarks.cli import DONE
-from cellslam.benchmarks.cli_run import PIPE_WIDTH
 from cellslam.scenarios.keys import Key, describe
 from cellslam.scenarios.loading import load, preset_names
 from cellslam.scenarios.model import Scenario
@@ -21,6 +22,8 @@ from cellslam.scenarios.options import resolve
 from cellslam.scenarios.overrides import parse_all
 from cellslam.slam import registry
 
+_PIPE_WIDTH = 160
+_WIDTH_OF_TABLE = 130
 _NOT_KEYS = ("name", "title", "description", "facts", "estimator")
 
 
@@ -31,13 +34,12 @@ def show(arguments: Namespace) -> int:
     names = dict.fromkeys([*(entry.name for entry in registry.BUILT_IN), *scenario.estimator])
     requests = resolve(scenario.estimator, tuple(names), overrides)
     console = _console()
-    console.print(f"{scenario.name}: {scenario.title}", highlight=False)
-    if scenario.description:
-        console.print(scenario.description.strip(), highlight=False)
-    table = _table("key", "value", "unit", "range", "meaning")
-    for key in [*_world_keys(scenario), *_option_keys((r.name, r.options) for r in requests)]:
-        table.add_row(key.name, _value(key.value), key.unit, key.allowed, key.meaning)
-    console.print(table)
+    console.print(escape(f"{scenario.name}: {scenario.title}\n{scenario.description}".strip()), highlight=False)
+    keys = [*_world_keys(scenario), *_option_keys((r.name, r.options) for r in requests)]
+    if console.width < _WIDTH_OF_TABLE:
+        _print_narrow(console, keys)
+    else:
+        console.print(_wide_table(keys))
     return DONE
 
 
@@ -51,7 +53,7 @@ def list_known(arguments: Namespace) -> int:
 def _estimators() -> Table:
     table = _table("name", "what it is", "class")
     for entry in registry.listing():
-        table.add_row(entry.name, entry.summary, entry.target)
+        table.add_row(*map(escape, (entry.name, entry.summary, entry.target)))
     return table
 
 
@@ -60,10 +62,28 @@ def _scenarios() -> Table:
     facts = list(dict.fromkeys(fact for scenario in scenarios for fact in scenario.facts))
     table = _table("name", "place", *(fact.replace("_", " ") for fact in facts))
     for scenario in scenarios:
-        table.add_row(
-            scenario.name, scenario.title, *(_value(scenario.facts.get(fact, "")) for fact in facts)
-        )
+        table.add_row(scenario.name, scenario.title, *(_value(scenario.facts.get(fact, "")) for fact in facts))
     return table
+
+
+def _wide_table(keys: Iterable[Key]) -> Table:
+    table = Table(box=box.SIMPLE_HEAD, pad_edge=False, expand=True)
+    table.add_column("key", no_wrap=True)
+    table.add_column("value", overflow="fold", max_width=24)
+    table.add_column("unit", no_wrap=True)
+    table.add_column("range", max_width=24)
+    table.add_column("meaning", ratio=1, min_width=20)
+    for key in keys:
+        table.add_row(*map(escape, (key.name, _value(key.value), key.unit, key.allowed, key.meaning)))
+    return table
+
+
+def _print_narrow(console: Console, keys: Iterable[Key]) -> None:
+    for key in keys:
+        unit, allowed = f" {key.unit}" if key.unit else "", f"  ({key.allowed})" if key.allowed else ""
+        console.print(escape(f"{key.name} = {_value(key.value)}{unit}{allowed}"), highlight=False)
+        if key.meaning:
+            console.print(Padding(escape(key.meaning), (0, 0, 0, 4)), highlight=False, style="dim")
 
 
 def _world_keys(scenario: Scenario) -> Iterator[Key]:
@@ -83,12 +103,13 @@ def _value(value: Any) -> str:
 
 
 def _table(*headings: str) -> Table:
-    table = Table(box=box.SIMPLE_HEAD)
+    """Return an empty table; its first column is never wrapped, as one copies from it."""
+    table = Table(box=box.SIMPLE_HEAD, pad_edge=False)
     for heading in headings:
-        table.add_column(heading, overflow="fold")
+        table.add_column(heading, overflow="fold", no_wrap=heading == headings[0])
     return table
 
 
 def _console() -> Console:
     console = Console()
-    return console if console.is_terminal else Console(width=PIPE_WIDTH)
+    return console if console.is_terminal else Console(width=_PIPE_WIDTH)

@@ -46,11 +46,14 @@ def results_table(rows: Sequence[Mapping[str, Any]], title: str, oracles: frozen
     Several trials give medians over those that are ok, and how many these are.
     """
     from rich import box
+    from rich.markup import escape
     from rich.table import Table
 
     names = list(dict.fromkeys(row["estimator"] for row in rows))
     several = any(sum(row["estimator"] == name for row in rows) > 1 for name in names)
-    table = Table(title=title, title_justify="left", box=box.SIMPLE_HEAD, pad_edge=False, caption_justify="left")
+    table = Table(
+        title=escape(title), title_justify="left", box=box.SIMPLE_HEAD, pad_edge=False, caption_justify="left"
+    )
     table.add_column("estimator", overflow="fold")
     for heading in [*(column[0] for column in _COLUMNS), *(["trials\nok"] if several else [])]:
         table.add_column(heading, justify="right", no_wrap=True)
@@ -60,7 +63,7 @@ def results_table(rows: Sequence[Mapping[str, Any]], title: str, oracles: frozen
         values = [_shown(fine, keys, digits) for _, keys, digits in _COLUMNS]
         count = [f"{len(fine)}/{len(own)}"] if several else []
         mark = " (oracle)" if name in oracles else "" if fine else " (failed)"
-        table.add_row(f"{name}{mark}", *values, *count)
+        table.add_row(escape(f"{name}{mark}"), *values, *count)
     if oracles:
         table.caption = "oracle: was shown the truth"
     return table

@@ -19,7 +19,7 @@ import h5py
 import numpy as np
 import pytest
 
-import cellslam.benchmarks
+from cellslam.benchmarks import run as run_trials
 from cellslam.benchmarks.cli import main
 from cellslam.benchmarks.result import ROW_KEYS
 from cellslam.scenarios import load
@@ -73,9 +73,7 @@ class Done:
 
 
 @pytest.fixture
-def cellslam(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
-) -> Callable[..., Done]:
+def cellslam(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]) -> Callable[..., Done]:
     """Runs a command line in an empty directory, in this process."""
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(sys, "path", list(sys.path))
@@ -130,9 +128,7 @@ def test_run_prints_a_table_and_writes_the_results(cellslam: Any, tmp_path: Path
 
 
 def test_json_is_one_array_and_nothing_else(cellslam: Any, tmp_path: Path) -> None:
-    done = cellslam(
-        "run", "tiny", *FEW, "--json", "--trials", "2", "--seed", "3", "--no-figures", "--out", "here"
-    )
+    done = cellslam("run", "tiny", *FEW, "--json", "--trials", "2", "--seed", "3", "--no-figures", "--out", "here")
     rows = done.rows
     assert done.status == 0
     assert [(row["trial"], row["estimator"]) for row in rows] == [
@@ -154,7 +150,7 @@ def test_same_seed_same_rows_also_from_python_and_through_a_recording(cellslam: 
     words = ("--json", "--no-figures", "--quiet")
     run = cellslam("run", "tiny", *FEW, "--seed", "7", *words)
     assert run.err == ""
-    frame = cellslam_run_from_python(seed=7)
+    frame = rows_from_python(seed=7)
     assert steady(run.rows) == frame
     assert cellslam("record", "tiny", "--seed", "7", "--out", "a.h5").status == 0
     replay = cellslam("replay", "a.h5", *FEW, *words)
@@ -166,19 +162,15 @@ def test_same_seed_same_rows_also_from_python_and_through_a_recording(cellslam: 
     assert cellslam("run", "tiny", "--seed", "8", *words).rows[1] != run.rows[1]
 
 
-def cellslam_run_from_python(seed: int) -> list[dict[str, Any]]:
-    frame = cellslam.benchmarks.run(
-        "tiny", ["fastslam", "dead-reckoning"], 1, seed, {"estimator.fastslam.particles": 20}
-    )
+def rows_from_python(seed: int) -> list[dict[str, Any]]:
+    frame = run_trials("tiny", ["fastslam", "dead-reckoning"], 1, seed, {"estimator.fastslam.particles": 20})
     assert tuple(frame.columns) == ROW_KEYS
     plain = [{k: None if v != v else v for k, v in row.items()} for row in frame.to_dict("records")]
     return steady(plain)
 
 
 def test_second_trial_can_be_recorded(cellslam: Any) -> None:
-    both = cellslam(
-        "run", "tiny", "--estimator", "dead-reckoning", "--trials", "2", "--json", "--no-figures"
-    ).rows
+    both = cellslam("run", "tiny", "--estimator", "dead-reckoning", "--trials", "2", "--json", "--no-figures").rows
     cellslam("record", "tiny", "--trial", "1", "--out", "b.h5")
     replay = cellslam("replay", "b.h5", "--estimator", "dead-reckoning", "--json", "--no-figures")
     assert steady(replay.rows) == steady(both[1:])
@@ -208,9 +200,7 @@ def test_replay_without_truth_and_provenance(cellslam: Any, tmp_path: Path) -> N
 
 
 def test_own_estimator_from_the_current_directory(cellslam: Any, plugin: Path) -> None:
-    done = cellslam(
-        "run", "tiny", "--estimator", "cli_plugin:Mine", "--estimator", "cli_plugin:Oracle", "--no-figures"
-    )
+    done = cellslam("run", "tiny", "--estimator", "cli_plugin:Mine", "--estimator", "cli_plugin:Oracle", "--no-figures")
     assert done.status == 0
     assert "cli_plugin:Oracle (oracle)" in done.out and "cli_plugin:Mine " in done.out
     assert (plugin / "results" / "tiny-0" / "trajectory-cli_plugin_Mine.tum").exists()
