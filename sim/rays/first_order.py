@@ -15,9 +15,7 @@ def unobstructed(scene: Scene, origins: Floats, targets: Floats, reach: Floats) 
     """Tell of rays (N, 3) -> (N, 3), centred coordinates, if their first `reach` (N,), 0 to 1, is free."""
     if not len(origins):
         return np.zeros(0, np.bool_)
-    return _free(
-        scene, origins.astype(np.float32), (targets - origins).astype(np.float32), reach.astype(np.float32)
-    )
+    return _free(scene, origins.astype(np.float32), (targets - origins).astype(np.float32), reach.astype(np.float32))
 
 
 def _free(
@@ -64,14 +62,8 @@ def single_reflections(
         if found <= room:
             break
         room = found
-    kept = (
-        np.flatnonzero(_free(scene, ray[:found, :3], ray[:found, 3:], reach[:found]))
-        if found
-        else np.arange(0)
-    )
+    kept = np.flatnonzero(_free(scene, ray[:found, :3], ray[:found, 3:], reach[:found])) if found else np.arange(0)
     facet, points = pair[kept, 1], point[kept]
     origins = np.broadcast_to(transmitter, points.shape)
-    free = unobstructed(
-        scene, origins, points, np.maximum(1.0 - scene.clearance_m[facet] / image[facet, 2], 0.0)
-    )
+    free = unobstructed(scene, origins, points, np.maximum(1.0 - scene.clearance_m[facet] / image[facet, 2], 0.0))
     return pair[kept[free], 0], facet[free], points[free]

@@ -88,9 +88,7 @@ def path_gain(
             k[rows] = k_out
     receiving = np.stack(polarisation_basis(-k), axis=1)
     total = lengths.sum(axis=1)
-    return np.asarray(
-        (receiving @ field) * (wavelength / (4.0 * np.pi * total))[:, None, None], np.complex128
-    )
+    return np.asarray((receiving @ field) * (wavelength / (4.0 * np.pi * total))[:, None, None], np.complex128)
 
 
 def _reflect(

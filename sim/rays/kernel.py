@@ -46,10 +46,7 @@ def _reaches(row, image, side, cx, cy, cz, hx, hy, hz):  # type: ignore[no-untyp
         v = image[1] + t * (row[7] * x + row[8] * y + row[9] * z - image[1])
         lu, hu, lv, hv = min(lu, u), max(hu, u), min(lv, v), max(hv, v)
     return (
-        hu >= row[10] - INSIDE_M
-        and lu <= row[11] + INSIDE_M
-        and hv >= row[12] - INSIDE_M
-        and lv <= row[13] + INSIDE_M
+        hu >= row[10] - INSIDE_M and lu <= row[11] + INSIDE_M and hv >= row[12] - INSIDE_M and lv <= row[13] + INSIDE_M
     )
 
 

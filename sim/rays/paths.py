@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
-MAX_ORDER = 1
+MAX_ORDER = 2
 
 
 @dataclass(frozen=True)

@@ -18,15 +18,16 @@ CLEARANCE_M = 1e-3
 class Scene:
     """A prepared city. All coordinates are relative to `origin_m` (3,), the middle of the city's bounds.
 
-    `table` (F, 14): normal, offset, two unit vectors in the plane, and the facet's box in these two
-    coordinates (low u, high u, low v, high v); facet f has the triangles `first[f]:first[f + 1]` of `outline`
-    (K, 6) (u, v of three corners); `clearance_m` (F,): how far from its plane shadow rays end; `reflects`
-    (F,): it has an area and is not ground.
+    `table` (F, 14): normal, offset, two unit vectors in the plane, and the facet's box in these two coordinates
+    (low u, high u, low v, high v); facet f has the triangles `first[f]:first[f + 1]` of `outline` (K, 6) (u, v of
+    three corners); `boxes` (F, 6): each facet's centre and half size; `clearance_m` (F,): how far from its plane
+    shadow rays end; `reflects` (F,): it has an area and is not ground.
     """
 
     city: City
     origin_m: Floats
     table: Floats
+    boxes: Floats
     first: Ints
     outline: Floats
     clearance_m: Floats
@@ -47,17 +48,17 @@ def prepare(city: City) -> Scene:
     flat = np.stack([np.einsum("kci,ki->kc", corners[order], axis[facet]) for axis in (u, v)], axis=2)
     low, high = flat.min(axis=1), flat.max(axis=1)
     box = np.stack(
-        [
-            f.reduceat(side[:, i], first[:-1])
-            for i in (0, 1)
-            for f, side in ((np.minimum, low), (np.maximum, high))
-        ]
+        [f.reduceat(side[:, i], first[:-1]) for i in (0, 1) for f, side in ((np.minimum, low), (np.maximum, high))]
     )
+    corner_low, corner_high = corners[order].min(axis=1), corners[order].max(axis=1)
+    lower = np.minimum.reduceat(corner_low, first[:-1], axis=0)
+    upper = np.maximum.reduceat(corner_high, first[:-1], axis=0)
     radius = float(np.abs(corners).max())
     return Scene(
         city=city,
         origin_m=origin,
         table=np.ascontiguousarray(np.column_stack([facets.normal, offset, u, v, box.T])),
+        boxes=np.ascontiguousarray(np.column_stack([(lower + upper) / 2, (upper - lower) / 2])),
         first=first,
         outline=np.ascontiguousarray(flat.reshape(-1, 6)),
         clearance_m=CLEARANCE_M + 2.0 * facets.planarity_m + 4.0 * np.finfo(np.float32).eps * radius,

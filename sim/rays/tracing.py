@@ -13,6 +13,7 @@ from cellslam.sim.rays.first_order import lines_of_sight, single_reflections
 from cellslam.sim.rays.gain import path_gain
 from cellslam.sim.rays.paths import MAX_ORDER, Paths, concatenate
 from cellslam.sim.rays.scene import Scene, prepare
+from cellslam.sim.rays.second_order import double_reflections, lit_facets
 
 CHUNK = 8192
 SAME_IMAGE_M = 1e-3
@@ -44,10 +45,12 @@ def trace(
     reflects = (scene.city.facets.area_m2 > 0.0) if ground_reflection else scene.reflects
     pieces = []
     with progress("tracing rays", len(t) * len(r)) as advance:
-        for start in range(0, len(r), CHUNK):
-            part = r[start : start + CHUNK]
-            for site in range(len(t)):
-                pieces.append(_trace_part(scene, t, site, part, start, max_order, reflects, carrier_hz))
+        for site in range(len(t)):
+            lit = lit_facets(scene, t[site], reflects) if max_order >= 2 else None
+            for start in range(0, len(r), CHUNK):
+                part = r[start : start + CHUNK]
+                row, facets, points = _search(scene, t[site], part, max_order, reflects, lit)
+                pieces.append(_describe(scene, t[site], site, part, start, row, facets, points, carrier_hz))
                 advance(len(part))
     paths = concatenate(pieces) if pieces else _empty(scene, carrier_hz)
     keys = (paths.facets[:, 1], paths.facets[:, 0], paths.order, paths.transmitter, paths.receiver)
@@ -64,23 +67,29 @@ def _positions(name: str, positions: ArrayLike) -> Floats:
     return array
 
 
-def _trace_part(
-    scene: Scene, transmitters: Floats, site: int, receivers: Floats, first_receiver: int, max_order: int,
-    reflects: NDArray[np.bool_], carrier_hz: float,
-) -> Paths:  # fmt: skip
-    transmitter = transmitters[site]
+def _search(
+    scene: Scene,
+    transmitter: Floats,
+    receivers: Floats,
+    max_order: int,
+    reflects: NDArray[np.bool_],
+    lit: Ints | None,
+) -> tuple[Ints, Ints, Floats]:
+    """Return (receiver (P,), facets (P, 2), points (P, 2, 3)) of the free paths of one transmitter, centred."""
     direct = lines_of_sight(scene, transmitter, receivers)
-    none = np.full((len(direct), 2), -1, np.int64)
-    rows, facets, points = [direct], [none], [np.full((len(direct), 2, 3), np.nan)]
+    rows, facets = [direct], [np.full((len(direct), 2), -1, np.int64)]
+    points = [np.full((len(direct), 2, 3), np.nan)]
     if max_order >= 1:
         row, facet, point = single_reflections(scene, transmitter, receivers, reflects)
         rows.append(row)
         facets.append(np.column_stack([facet, np.full(len(facet), -1)]))
         points.append(np.stack([point, np.full_like(point, np.nan)], axis=1))
-    return _describe(
-        scene, transmitter, site, receivers, first_receiver,
-        np.concatenate(rows), np.concatenate(facets), np.concatenate(points), carrier_hz,
-    )  # fmt: skip
+    if lit is not None:
+        row, both, point = double_reflections(scene, transmitter, receivers, reflects, lit)
+        rows.append(row)
+        facets.append(both)
+        points.append(point)
+    return np.concatenate(rows), np.concatenate(facets), np.concatenate(points)
 
 
 def _describe(

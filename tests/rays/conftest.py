@@ -58,6 +58,40 @@ def brute_force(city: City, transmitter, receiver) -> list[tuple[int, float]]:
     return sorted(found)
 
 
+def brute_force_second(city: City, transmitter, receiver) -> list[float]:
+    """Return the lengths of all paths of order 2: every pair of triangles, in float64."""
+    corners, label = city.vertices[city.triangles], city.triangle_facet
+    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+    found = set()
+    for a, b in np.argwhere(label[:, None] != label[None, :]):
+        first = transmitter - 2.0 * ((transmitter - corners[a, 0]) @ normals[a]) * normals[a]
+        second = first - 2.0 * ((first - corners[b, 0]) @ normals[b]) * normals[b]
+        p2 = _crossing(corners[b], normals[b], receiver, second)
+        p1 = None if p2 is None else _crossing(corners[a], normals[a], p2, first)
+        if (
+            p2 is None
+            or p1 is None
+            or (transmitter - corners[a, 0]) @ normals[a] * ((p2 - corners[a, 0]) @ normals[a]) <= 0
+        ):
+            continue
+        if (first - corners[b, 0]) @ normals[b] * ((receiver - corners[b, 0]) @ normals[b]) <= 0:
+            continue
+        legs = ((receiver, p2, [b]), (p2, p1, [a, b]), (transmitter, p1, [a]))
+        if not any(_blocked(corners[~np.isin(label, label[own])], start, end) for start, end, own in legs):
+            found.add(round(float(np.linalg.norm(second - receiver)), 6))
+    return sorted(found)
+
+
+def _crossing(triangle, normal, start, end):
+    """Return where the segment crosses the triangle, or None."""
+    before, after = (start - triangle[0]) @ normal, (end - triangle[0]) @ normal
+    if before * after >= 0.0:
+        return None
+    point = start + (end - start) * (before / (before - after))
+    return point if _within(triangle, point) else None
+
+
 def _within(triangle, point):
     a, b, c = triangle - point
     turns = np.stack([np.cross(a, b), np.cross(b, c), np.cross(c, a)])
@@ -82,4 +116,6 @@ def _blocked(corners, start, end):
 
 @pytest.fixture(scope="session")
 def scenes() -> SimpleNamespace:
-    return SimpleNamespace(rectangle=rectangle, city_of=city_of, box=box, brute_force=brute_force)
+    return SimpleNamespace(
+        rectangle=rectangle, city_of=city_of, box=box, brute_force=brute_force, brute_force_second=brute_force_second
+    )

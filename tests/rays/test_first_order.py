@@ -39,9 +39,7 @@ def test_one_wall_by_hand(scenes):
     np.testing.assert_allclose(paths.azimuth_rad, [np.pi, np.arctan2(40, -30)], atol=1e-12)
     np.testing.assert_allclose(paths.elevation_rad, [np.arctan2(8, 30), np.arctan2(8, 50)], atol=1e-12)
     np.testing.assert_allclose(paths.departure_azimuth_rad, [0.0, np.arctan2(20, 15)], atol=1e-12)
-    np.testing.assert_allclose(
-        paths.departure_elevation_rad, [-np.arctan2(8, 30), -np.arctan2(4, 25)], atol=1e-12
-    )
+    np.testing.assert_allclose(paths.departure_elevation_rad, [-np.arctan2(8, 30), -np.arctan2(4, 25)], atol=1e-12)
     assert np.isnan(paths.points_m[0]).all()
     assert np.isnan(paths.points_m[1, 1]).all()
 
@@ -88,9 +86,7 @@ def test_agrees_with_float64_brute_force(scenes, small_city, places):
     for t, transmitter in enumerate(transmitters):
         for r, receiver in enumerate(receivers[:25]):
             mine = (paths.receiver == r) & (paths.transmitter == t)
-            got = sorted(
-                zip(paths.order[mine].tolist(), np.round(paths.length_m[mine], 6).tolist(), strict=True)
-            )
+            got = sorted(zip(paths.order[mine].tolist(), np.round(paths.length_m[mine], 6).tolist(), strict=True))
             assert got == scenes.brute_force(small_city, transmitter, receiver), (t, r)
     assert (paths.order == 1).sum() > 100
 

@@ -24,9 +24,7 @@ ANGLES = np.radians([0.0, 30.0, 45.0, 60.0, 75.0])
     ],
 )
 def test_reflection_loss_of_vertical_polarisation_on_a_wall(name, thickness_m, loss_db):
-    te, _ = reflection(
-        relative_permittivity(itu_material(name), CARRIER), np.cos(ANGLES), thickness_m, WAVELENGTH
-    )
+    te, _ = reflection(relative_permittivity(itu_material(name), CARRIER), np.cos(ANGLES), thickness_m, WAVELENGTH)
     np.testing.assert_allclose(-20 * np.log10(np.abs(te)), loss_db, atol=0.051)
 
 
@@ -66,9 +64,7 @@ def test_roughness_costs_what_is_published():
 def test_line_of_sight_is_free_space(scenes):
     city = scenes.city_of(scenes.rectangle((-50, 20, 0), (100, 0, 0), (0, 0, 30)))
     paths = trace(city, [[0.0, 0.0, 10.0]], [[30.0, -40.0, 10.0]], max_order=0)
-    np.testing.assert_allclose(
-        paths.gain[0], np.diag([-1.0, 1.0]) * WAVELENGTH / (4 * np.pi * 50.0), atol=1e-15
-    )
+    np.testing.assert_allclose(paths.gain[0], np.diag([-1.0, 1.0]) * WAVELENGTH / (4 * np.pi * 50.0), atol=1e-15)
     assert paths.gain_db[0] == pytest.approx(-(20 * np.log10(50.0) + 20 * np.log10(2.66) + 32.4478), abs=1e-3)
 
 
