@@ -24,7 +24,11 @@ APART_M = 150.0
 LOWEST_M, HIGHEST_M = 35.0, 45.0
 """Heights of their antennas; on roofs at least ABOVE_ROOF_M above the roof."""
 ABOVE_ROOF_M = 4.0
-DRAWS = 200
+DRAWS = 400
+PLACES = 10
+"""Places drawn for a site, of which the best is taken."""
+SAMPLES, SAMPLE_HEIGHT_M = 60, 1.8
+"""Points of the route at which places are compared, and their height."""
 
 
 class CellConfig(BaseModel):
@@ -76,9 +80,7 @@ def place_sites(city: City, route: Route, sites: Sequence[SiteConfig], rng: np.r
 def roof_height(city: City, x_m: float, y_m: float) -> float:
     """Return the height of the highest building surface at (x, y); -inf in the open."""
     corner = city.vertices[city.triangles[city.facets.building[city.triangle_facet] >= 0]]
-    near = ((corner[:, :, :2].min(axis=1) <= (x_m, y_m)) & (corner[:, :, :2].max(axis=1) >= (x_m, y_m))).all(
-        axis=1
-    )
+    near = ((corner[:, :, :2].min(axis=1) <= (x_m, y_m)) & (corner[:, :, :2].max(axis=1) >= (x_m, y_m))).all(axis=1)
     a, b, c = corner[near].transpose(1, 0, 2)
     area = _cross(b - a, c - a)
     flat = np.abs(area) > 1e-9
@@ -98,9 +100,7 @@ def _checked(city: City, site: SiteConfig) -> Floats:
     assert site.position_m is not None
     x, y, z = site.position_m
     if z <= 0.0:
-        raise InputError(
-            f"site '{site.name}': position_m = [{x:g}, {y:g}, {z:g}] is not above ground (z must be > 0)"
-        )
+        raise InputError(f"site '{site.name}': position_m = [{x:g}, {y:g}, {z:g}] is not above ground (z must be > 0)")
     roof = roof_height(city, x, y)
     if z <= roof:
         raise InputError(
@@ -110,10 +110,24 @@ def _checked(city: City, site: SiteConfig) -> Floats:
     return np.array(site.position_m, np.float64)
 
 
-def _drawn(
-    city: City, route: Route, site: SiteConfig, placed: Sequence[Floats], rng: np.random.Generator
-) -> Floats:
-    """Return a position beside the route and apart from the others, on a mast or on a roof below it."""
+def _drawn(city: City, route: Route, site: SiteConfig, placed: Sequence[Floats], rng: np.random.Generator) -> Floats:
+    """Return, of some possible places, the one from which most paths reach the route, as a planner would."""
+    from cellslam.sim.rays import trace
+
+    places = _possible_places(city, route, placed, rng)
+    if not len(places):
+        raise InputError(
+            f"no place for site '{site.name}' was found {NEAREST_M:g} to {FARTHEST_M:g} m beside the route and "
+            f"{APART_M:g} m from the other sites: give its position_m"
+        )
+    foot = route.points_m[:: max(len(route.points_m) // SAMPLES, 1)]
+    paths = trace(city, places, np.column_stack([foot, np.full(len(foot), SAMPLE_HEIGHT_M)]))
+    return np.asarray(places[int(np.argmax(np.bincount(paths.transmitter, minlength=len(places))))])
+
+
+def _possible_places(city: City, route: Route, placed: Sequence[Floats], rng: np.random.Generator) -> Floats:
+    """Return up to PLACES positions (n, 3) beside the route, apart from `placed`, on masts or on lower roofs."""
+    places: list[Floats] = []
     for _ in range(DRAWS):
         foot = route.points_m[int(rng.integers(len(route.points_m)))]
         angle, distance = rng.uniform(0.0, 2.0 * np.pi), rng.uniform(NEAREST_M, FARTHEST_M)
@@ -124,8 +138,7 @@ def _drawn(
         if any(np.hypot(*(other[:2] - (x, y))) < APART_M for other in placed):
             continue
         if roof_height(city, float(x), float(y)) + ABOVE_ROOF_M <= height:
-            return np.array([x, y, height])
-    raise InputError(
-        f"no place for site '{site.name}' was found {NEAREST_M:g} to {FARTHEST_M:g} m beside the route and "
-        f"{APART_M:g} m from the other sites: give its position_m"
-    )
+            places.append(np.array([x, y, height]))
+        if len(places) == PLACES:
+            break
+    return np.array(places).reshape(-1, 3)

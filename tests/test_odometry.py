@@ -65,9 +65,7 @@ def test_white_noise_and_walk_follow_the_data_sheet() -> None:
     walk = np.diff(odometry.bias, axis=0)
     # Relative error of a standard deviation of 20 000 draws: 0.5 %; 4.4 sigma is a false alarm rate of 1e-5.
     for component in (0, 3):
-        assert white[:, component].std() == pytest.approx(
-            model.noise_density[component] / np.sqrt(DT_S), rel=0.022
-        )
+        assert white[:, component].std() == pytest.approx(model.noise_density[component] / np.sqrt(DT_S), rel=0.022)
     assert walk[:, 3].std() == pytest.approx(model.bias_walk_density[3] * np.sqrt(DT_S), rel=0.022)
     assert white[:, 0].std() * DT_S == pytest.approx(0.002, rel=0.05)
 

@@ -8,8 +8,10 @@ from typing import Any
 import numpy as np
 import pytest
 import shapely
-import trimesh
 
+from cellslam.sim.city.assemble import Part, assemble
+from cellslam.sim.city.extrude import cap, walls
+from cellslam.sim.city.materials import itu_material
 from cellslam.sim.errors import InputError
 from cellslam.sim.sites import CellConfig, SiteConfig, place_sites, roof_height
 
@@ -21,17 +23,10 @@ def city() -> Any:
     """A block of 25 m with a courtyard, between x, y = 100 and 140, and a tower of 60 m at the origin."""
     yard = shapely.box(100, 100, 140, 140).difference(shapely.box(115, 115, 125, 125))
     tower = shapely.box(-10, -10, 10, 10)
-    block, spire = (trimesh.creation.extrude_polygon(p, h) for p, h in ((yard, 25.0), (tower, 60.0)))
-    mesh = trimesh.util.concatenate([block, spire])
-    building = np.repeat([0, 1], [len(block.faces), len(spire.faces)])
-    return SimpleNamespace(
-        name="two",
-        vertices=np.asarray(mesh.vertices),
-        triangles=np.asarray(mesh.faces),
-        triangle_facet=np.arange(len(mesh.faces)),
-        facets=SimpleNamespace(building=building),
-        footprints=(yard, tower),
-    )
+    parts = []
+    for building, (plan, height) in enumerate(((yard, 25.0), (tower, 60.0))):
+        parts += [Part(*make, material=0, building=building) for make in (walls(plan, 0.0, height), cap(plan, height))]
+    return assemble("two", parts, [itu_material("concrete", None, 0.0)], [yard, tower], np.array([25.0, 60.0]), [])
 
 
 def route() -> Any:
@@ -91,8 +86,6 @@ def test_placed_sites_keep_their_distances(city: Any) -> None:
 
 
 def test_placement_follows_its_generator(city: Any) -> None:
-    one, same, other = (
-        place_sites(city, route(), [site()], np.random.default_rng(seed)) for seed in (1, 1, 2)
-    )
+    one, same, other = (place_sites(city, route(), [site()], np.random.default_rng(seed)) for seed in (1, 1, 2))
     np.testing.assert_array_equal(one, same)
     assert not np.array_equal(one, other)

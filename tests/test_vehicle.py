@@ -38,9 +38,7 @@ def through(city: Any, *waypoints: tuple[float, float], **options: Any) -> Route
 
 
 def deviation_m(route: Route, driven: Drive) -> np.ndarray:
-    return np.asarray(
-        shapely.distance(shapely.points(driven.poses[:, :2]), shapely.LineString(route.points_m))
-    )
+    return np.asarray(shapely.distance(shapely.points(driven.poses[:, :2]), shapely.LineString(route.points_m)))
 
 
 def test_corner_is_rounded_by_the_arc_that_touches_both_legs() -> None:
@@ -121,9 +119,7 @@ def test_crossing_streets_are_joined() -> None:
     assert len(network.at[(0, 0)]) == 4
 
 
-def straight_follow(
-    speed_mps: float, offset_m: float, seconds: float = 120.0
-) -> tuple[np.ndarray, np.ndarray]:
+def straight_follow(speed_mps: float, offset_m: float, seconds: float = 120.0) -> tuple[np.ndarray, np.ndarray]:
     path = np.column_stack([np.arange(0.0, 400.0, 0.1), np.zeros(4000)])
     speed = np.full(int(seconds / 0.015), speed_mps)
     start = np.array([0.0, offset_m, 0.0])
@@ -132,9 +128,7 @@ def straight_follow(
 
 @pytest.mark.parametrize("speed_mps", [0.05, 0.3, 1.0, 3.0, 10.0])
 def test_follower_converges_without_chatter(speed_mps: float) -> None:
-    poses, curvature = straight_follow(
-        speed_mps, offset_m=1.0, seconds=40.0 / speed_mps if speed_mps < 3 else 30.0
-    )
+    poses, curvature = straight_follow(speed_mps, offset_m=1.0, seconds=40.0 / speed_mps if speed_mps < 3 else 30.0)
     assert abs(poses[-1, 1]) < 0.01
     assert poses[:, 1].min() > -0.12
     # The steering crosses straight ahead a few times at most, and then stays still.
@@ -236,9 +230,7 @@ def test_braking_dips_the_nose_and_a_left_turn_leans_right() -> None:
 
 
 def test_uphill_slope_raises_the_nose_along_the_motion(city: Any) -> None:
-    config = VehicleConfig(
-        route=5, road_slope_percent=5.0, road_height_std_m=0.0, pitch_gradient_deg_per_mps2=0.0
-    )
+    config = VehicleConfig(route=5, road_slope_percent=5.0, road_height_std_m=0.0, pitch_gradient_deg_per_mps2=0.0)
     driven = drive(plan_route(city, config, rng()), config, rng())
     assert driven.poses[-1, 2] - driven.poses[0, 2] == pytest.approx(0.05 * 530.0, rel=1e-3)
     np.testing.assert_allclose(driven.poses[:, 4], -np.arctan(0.05), atol=1e-9)

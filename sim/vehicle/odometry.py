@@ -51,9 +51,7 @@ def measure_odometry(drive: Drive, config: OdometryConfig, rng: np.random.Genera
     count = len(dt_s)
     scale = model.scale * rng.standard_normal(6)
     constant = model.bias * rng.standard_normal(6)
-    walk = (
-        np.cumsum(rng.standard_normal((count, 6)) * np.sqrt(dt_s)[:, None], axis=0) * model.bias_walk_density
-    )
+    walk = np.cumsum(rng.standard_normal((count, 6)) * np.sqrt(dt_s)[:, None], axis=0) * model.bias_walk_density
     bias = constant + np.concatenate([np.zeros((1, 6)), walk])
     white = rng.standard_normal((count, 6)) * model.noise_density / np.sqrt(dt_s)[:, None]
     true = mean_velocity(drive.poses[:-1], drive.poses[1:], dt_s)

@@ -82,9 +82,7 @@ def check_clear(city: City, route: Route, clearance_m: float) -> None:
     building = int(near[int(np.argmin(gap[:, step]))])
     x, y = route.points_m[step]
     through = shapely.intersects(line, city.footprints[building])
-    what = (
-        "runs through a wall of" if through else f"comes nearer than vehicle.clearance_m = {clearance_m:g} to"
-    )
+    what = "runs through a wall of" if through else f"comes nearer than vehicle.clearance_m = {clearance_m:g} to"
     raise InputError(
         f"the route {what} building {building} at ({x:.1f}, {y:.1f}) m, "
         f"{route.arc_m[step]:.1f} m from its start: move the waypoints there"
@@ -94,9 +92,7 @@ def check_clear(city: City, route: Route, clearance_m: float) -> None:
 def _build(corners_m: Floats, config: VehicleConfig) -> Route:
     least_m = config.wheelbase_m / np.tan(STEERING_LIMIT_RAD)
     lanes = build_lanes(corners_m, config.corner_radius_m, least_m)
-    return Route(
-        lanes.network, lanes.indices, lanes.points_m, lanes.arc_m, lanes.heading_rad, lanes.curvature_per_m
-    )
+    return Route(lanes.network, lanes.indices, lanes.points_m, lanes.arc_m, lanes.heading_rad, lanes.curvature_per_m)
 
 
 def _planned(city: City, config: VehicleConfig, rng: np.random.Generator) -> Route:

@@ -33,9 +33,7 @@ def street_network(streets: Sequence[Floats]) -> StreetNetwork:
     import shapely
 
     if not streets:
-        raise InputError(
-            "this city has no street network: give the route as vehicle.waypoints_m = [[x, y], ...]"
-        )
+        raise InputError("this city has no street network: give the route as vehicle.waypoints_m = [[x, y], ...]")
     noded = shapely.unary_union([shapely.LineString(s) for s in streets], grid_size=GRID_M)
     lines = [g for g in getattr(noded, "geoms", [noded]) if g.length > 0.0]
     edges = tuple(np.asarray(line.coords, np.float64)[:, :2] for line in lines)
@@ -48,15 +46,18 @@ def street_network(streets: Sequence[Floats]) -> StreetNetwork:
 
 
 def random_walk(network: StreetNetwork, length_m: float, rng: np.random.Generator) -> tuple[Floats, float]:
-    """Return a polyline (n, 2) of at least `length_m`, and its cost (metres driven twice, U-turns).
+    """Return a polyline (n, 2) of at least `length_m`, and its cost in metres.
 
-    The walk takes a street it has not used where there is one, and turns round only at a dead end.
+    The walk starts somewhere on a street, takes a street it has not used where there is one, and turns round
+    only at a dead end. The cost is the way driven twice, 1000 m per U-turn, and twice the mean distance from the
+    middle of the network.
     """
     lengths = np.array([_length(e) for e in network.edges])
     edge = int(rng.choice(len(lengths), p=lengths / lengths.sum()))
     forward = bool(rng.integers(2))
-    pieces, used = [_directed(network, edge, forward)], {edge}
-    total, cost = float(lengths[edge]), 0.0
+    start_m = rng.uniform(0.0, 0.9) * lengths[edge]
+    pieces, used = [_from(_directed(network, edge, forward), start_m)], {edge}
+    total, cost = float(lengths[edge]) - start_m, 0.0
     while total < length_m:
         edge, forward, turn = _next(network, edge, forward, used, rng)
         cost += lengths[edge] if edge in used else 0.0
@@ -64,7 +65,8 @@ def random_walk(network: StreetNetwork, length_m: float, rng: np.random.Generato
         used.add(edge)
         pieces.append(_directed(network, edge, forward))
         total += float(lengths[edge])
-    return np.concatenate([pieces[0], *(p[1:] for p in pieces[1:])]), cost
+    walk = np.concatenate([pieces[0], *(p[1:] for p in pieces[1:])])
+    return walk, cost + 2.0 * float(np.hypot(*(walk - _middle(network)).T).mean())
 
 
 def _next(
@@ -75,10 +77,7 @@ def _next(
     arriving = _directed(network, edge, forward)
     heading = arriving[-1] - arriving[-2]
     options = [
-        (e, d)
-        for e in sorted(set(network.at[node]))
-        for d in (True, False)
-        if network.ends[e][0 if d else 1] == node
+        (e, d) for e in sorted(set(network.at[node])) for d in (True, False) if network.ends[e][0 if d else 1] == node
     ]
     turns, weights = [], []
     for e, d in options:
@@ -92,6 +91,18 @@ def _next(
 
 def _directed(network: StreetNetwork, edge: int, forward: bool) -> Floats:
     return network.edges[edge] if forward else network.edges[edge][::-1]
+
+
+def _middle(network: StreetNetwork) -> Floats:
+    corners = np.concatenate(network.edges)
+    return np.asarray(0.5 * (corners.min(axis=0) + corners.max(axis=0)))
+
+
+def _from(line: Floats, start_m: float) -> Floats:
+    """Return the part of a line (n, 2) from `start_m` on."""
+    arc = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(line, axis=0).T))])
+    first = [np.interp(start_m, arc, line[:, 0]), np.interp(start_m, arc, line[:, 1])]
+    return np.concatenate([[first], line[arc > start_m]])
 
 
 def _node(point: Floats) -> Node:
