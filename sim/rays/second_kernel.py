@@ -141,8 +141,8 @@ def second_candidates(  # type: ignore[no-untyped-def]
 ):
     """Write the double reflections of all receivers (N, 3); return how many, which may exceed the room.
 
-    Written per candidate: `found` (receiver, pair) and `points` (2, 3), from the transmitter on. `work` (3, pairs): work
-    space, its first row 0..pairs-1.
+    Written per candidate: `found` (receiver, pair) and `points` (2, 3), from the transmitter on. `work` (3, pairs):
+    work space, its first row 0..pairs-1.
     """
     total = 0
     for outer in range(0, len(receivers), blocks[0]):

@@ -34,6 +34,29 @@ def test_a_corner_mirrors_the_transmitter_through_its_edge(scenes):
     np.testing.assert_allclose(paths.points_m[3, 0, 1], 20.0, atol=1e-12)
 
 
+def test_a_wall_that_passes_through_the_plane_of_the_other_counts(scenes):
+    city = scenes.city_of(
+        scenes.rectangle((-50, 20, 0), (90, 0, 0), (0, 0, 30)), scenes.rectangle((40, -50, 0), (0, 250, 0), (0, 0, 30))
+    )
+    assert trace(city, [TX], [[10.0, -20.0, 2.0]], max_order=2).order.tolist() == [0, 1, 1, 2]
+
+
+@pytest.mark.parametrize("leg", [0, 1, 2], ids=["transmitter", "middle", "receiver"])
+def test_an_obstacle_blocks_any_leg(scenes, leg):
+    receiver = np.array([10.0, -20.0, 2.0])
+    walls = (
+        scenes.rectangle((-50, 20, 0), (90, 0, 0), (0, 0, 30)),
+        scenes.rectangle((40, -50, 0), (0, 70, 0), (0, 0, 30)),
+    )
+    points = trace(scenes.city_of(*walls), [TX], [receiver], max_order=2).points_m[3]
+    corners = np.array([TX, points[0], points[1], receiver])
+    middle = corners[leg : leg + 2].mean(axis=0)
+    screen = scenes.rectangle(middle - [0.5, 0.5, 0.5], (1, 1, 0), (0, 0, 1))
+    crossed = scenes.rectangle(middle - [0.5, -0.5, 0.5], (1, -1, 0), (0, 0, 1))
+    blocked = trace(scenes.city_of(*walls, screen, crossed), [TX], [receiver], max_order=2)
+    assert 80.0 not in np.round(blocked.vt_position_m[blocked.order == 2, 0], 6)
+
+
 def test_a_canyon_bounces_to_and_fro(scenes):
     city = scenes.city_of(
         scenes.rectangle((-99, 20, 0), (198, 0, 0), (0, 0, 50)),
