@@ -43,9 +43,9 @@ def assemble(
     counts = [len(part.triangles) for part in parts]
     starts = np.concatenate([[0], np.cumsum(sizes)[:-1]])
     vertices = np.concatenate([part.vertices for part in parts]).astype(np.float64)
-    triangles = np.concatenate(
-        [part.triangles + start for part, start in zip(parts, starts, strict=True)]
-    ).astype(np.int64)
+    triangles = np.concatenate([part.triangles + start for part, start in zip(parts, starts, strict=True)]).astype(
+        np.int64
+    )
     bad = np.flatnonzero(~np.isfinite(vertices).all(axis=1))
     if len(bad):
         raise InputError(f"city '{name}': vertex {bad[0]} of {len(vertices)} is not finite; repair the mesh")

@@ -89,9 +89,7 @@ def _plan(rng: np.random.Generator) -> Polygon:
     plan = shapely.box(-length / 2, -width / 2, length / 2, width / 2)
     if kind > 0.8:
         wing = rng.uniform(10.0, 20.0)
-        plan = plan.union(
-            shapely.box(-length / 2, -width / 2, -length / 2 + rng.uniform(9.0, 13.0), width / 2 + wing)
-        )
+        plan = plan.union(shapely.box(-length / 2, -width / 2, -length / 2 + rng.uniform(9.0, 13.0), width / 2 + wing))
     return plan
 
 

@@ -25,25 +25,15 @@ class ProceduralCityConfig(_Config):
     seed: int | Literal["trial"] = Field(
         1, description="seed of the city, fixed by the scenario; 'trial': another city in each trial"
     )
-    extent_m: float = Field(
-        700.0, ge=100.0, le=5000.0, description="side of the square that holds the street network"
-    )
-    block_size_m: float = Field(
-        100.0, ge=40.0, le=400.0, description="mean distance between parallel streets"
-    )
+    extent_m: float = Field(700.0, ge=100.0, le=5000.0, description="side of the square that holds the street network")
+    block_size_m: float = Field(100.0, ge=40.0, le=400.0, description="mean distance between parallel streets")
     irregularity: float = Field(
         0.25, ge=0.0, le=0.4, description="displacement of street corners, as a share of the block size"
     )
-    merged_share: float = Field(
-        0.15, ge=0.0, le=0.4, description="share of street pieces left out, which joins blocks"
-    )
-    street_width_m: float = Field(
-        16.0, ge=6.0, le=60.0, description="width from wall to wall of the narrowest streets"
-    )
+    merged_share: float = Field(0.15, ge=0.0, le=0.4, description="share of street pieces left out, which joins blocks")
+    street_width_m: float = Field(16.0, ge=6.0, le=60.0, description="width from wall to wall of the narrowest streets")
     open_share: float = Field(0.4, ge=0.0, le=1.0, description="share of blocks with free-standing buildings")
-    square_share: float = Field(
-        0.05, ge=0.0, le=0.9, description="share of blocks without buildings: squares, parks"
-    )
+    square_share: float = Field(0.05, ge=0.0, le=0.9, description="share of blocks without buildings: squares, parks")
     open_coverage: float = Field(
         0.3, ge=0.02, le=0.6, description="share of the ground of an open block that buildings cover, at most"
     )
@@ -52,13 +42,9 @@ class ProceduralCityConfig(_Config):
     )
     gap_share: float = Field(0.12, ge=0.0, le=0.8, description="share of lots left empty in a closed block")
     height_min_m: float = Field(8.0, ge=3.0, le=200.0, description="height of the lowest buildings")
-    height_max_m: float = Field(
-        35.0, ge=3.0, le=300.0, description="height of the highest ordinary buildings"
-    )
+    height_max_m: float = Field(35.0, ge=3.0, le=300.0, description="height of the highest ordinary buildings")
     tower_share: float = Field(0.02, ge=0.0, le=0.5, description="share of buildings that are towers")
-    tower_height_m: float = Field(
-        50.0, ge=3.0, le=400.0, description="mean height of towers, which vary by 15 percent"
-    )
+    tower_height_m: float = Field(50.0, ge=3.0, le=400.0, description="mean height of towers, which vary by 15 percent")
     material_weights: dict[str, float] = Field(
         default={"concrete": 0.45, "brick": 0.35, "glass": 0.15, "metal": 0.05},
         description="materials of the walls by ITU-R P.2040 name, with their relative frequency",
@@ -77,9 +63,7 @@ class ProceduralCityConfig(_Config):
                 "at most 0.6 of it"
             )
         if self.block_size_m > 0.5 * self.extent_m:
-            raise ValueError(
-                f"block_size_m {self.block_size_m} is more than half of extent_m {self.extent_m}"
-            )
+            raise ValueError(f"block_size_m {self.block_size_m} is more than half of extent_m {self.extent_m}")
         if not self.material_weights or min(self.material_weights.values()) < 0.0:
             raise ValueError("material_weights needs at least one material, and no negative weight")
         if sum(self.material_weights.values()) <= 0.0:
@@ -92,7 +76,7 @@ class MeshCityConfig(_Config):
 
     kind: Literal["mesh"] = "mesh"
     path: str = Field(
-        description="file, or 'sionna-rt:NAME' for a scene of the installed package (extra 'cities')"
+        description="mesh, CityJSON or Mitsuba file, or 'sionna-rt:NAME': a scene of that package (extra 'cities')"
     )
     material: str = Field("concrete", description="ITU-R P.2040 material of meshes that name none")
     thickness_m: float | None = Field(

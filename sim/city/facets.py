@@ -25,9 +25,7 @@ def weld(vertices: Floats, part: Ints, tolerance_m: float = WELD_M) -> Ints:
         np.round(spread / (tolerance_m * 1e-2)), axis=0, return_index=True, return_inverse=True
     )
     pairs = cKDTree(spread[unique]).query_pairs(tolerance_m, output_type="ndarray")
-    links = coo_matrix(
-        (np.ones(len(pairs), np.int8), (pairs[:, 0], pairs[:, 1])), shape=(len(unique), len(unique))
-    )
+    links = coo_matrix((np.ones(len(pairs), np.int8), (pairs[:, 0], pairs[:, 1])), shape=(len(unique), len(unique)))
     _, label = connected_components(links, directed=False)
     return np.asarray(label, np.int64)[inverse.ravel()]
 
@@ -132,10 +130,7 @@ def _fit(
     length = np.linalg.norm(normal, axis=1, keepdims=True)
     normal = np.divide(normal, length, out=np.tile([0.0, 0.0, 1.0], (count, 1)), where=length > 0.0)
     middle = corners.mean(axis=1)
-    centroid = (
-        np.stack([np.bincount(label, weight * middle[:, i], count) for i in range(3)], axis=1)
-        / total[:, None]
-    )
+    centroid = np.stack([np.bincount(label, weight * middle[:, i], count) for i in range(3)], axis=1) / total[:, None]
     offset = np.einsum("fi,fi->f", normal, centroid)
     away = np.abs(np.einsum("kci,ki->kc", corners, normal[label]) - offset[label][:, None]).max(axis=1)
     planarity = np.zeros(count)

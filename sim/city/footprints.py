@@ -35,9 +35,7 @@ def ground_objects(corners: Floats, part: Ints) -> Ints:
     return np.flatnonzero(wide & (level > 0.7 * np.maximum(total, 1e-300)))
 
 
-def buildings(
-    corners: Floats, group: Ints, is_ground: NDArray[np.bool_]
-) -> tuple[tuple[Polygon, ...], Floats, Ints]:
+def buildings(corners: Floats, group: Ints, is_ground: NDArray[np.bool_]) -> tuple[tuple[Polygon, ...], Floats, Ints]:
     """Return (footprints, heights_m (B,), building (K,)) from triangles (K, 3, 3) in metres.
 
     `group` (K,) says which triangles were modelled as one building; a group in several pieces becomes several

@@ -35,8 +35,7 @@ def generate(config: ProceduralCityConfig, rng: np.random.Generator) -> City:
     weights = np.array([config.material_weights[name] for name in names])
     choice = rng.choice(len(names), size=len(footprints), p=weights / weights.sum())
     materials = [
-        itu_material(n, THICKNESS_M.get(n), config.roughness_m)
-        for n in [*names, "concrete", "medium_dry_ground"]
+        itu_material(n, THICKNESS_M.get(n), config.roughness_m) for n in [*names, "concrete", "medium_dry_ground"]
     ]
     parts = [_ground(config, material=len(names) + 1)]
     for building, (plan, height) in enumerate(zip(footprints, heights, strict=True)):

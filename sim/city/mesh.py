@@ -1,4 +1,4 @@
-"""Cities from mesh files: whatever trimesh reads, and Mitsuba scenes."""
+"""Cities from files: meshes that trimesh reads, Mitsuba scenes, CityJSON."""
 
 from __future__ import annotations
 
@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 
 from cellslam.sim.city.assemble import Part, assemble
+from cellslam.sim.city.cityjson import read_cityjson
 from cellslam.sim.city.config import MeshCityConfig
 from cellslam.sim.city.facets import weld
 from cellslam.sim.city.footprints import buildings, ground_objects
@@ -20,7 +21,7 @@ from cellslam.sim.city.mitsuba import DISTRIBUTION, building_name, read_scene, s
 from cellslam.sim.city.model import City, Floats, Ints, Material
 from cellslam.sim.errors import InputError
 
-FORMATS = (".ply", ".obj", ".stl", ".glb", ".gltf", ".xml")
+FORMATS = (".ply", ".obj", ".stl", ".glb", ".gltf", ".xml", ".json", ".jsonl")
 
 
 @dataclass(frozen=True)
@@ -47,20 +48,14 @@ def load_city(config: MeshCityConfig) -> City:
 def _load(config: MeshCityConfig, path: Path, stamp: int) -> City:
     del stamp  # part of the key: a file that has changed is read again
     default = itu_material(config.material, config.thickness_m, config.roughness_m)
-    objects = list(
-        _scene_objects(path, default)
-        if path.suffix.lower() == ".xml"
-        else _file_objects(path, default, config)
-    )
+    objects = list(_objects(path, default, config))
     objects = [o for o in objects if len(o.triangles)]
     if not objects:
         raise InputError(f"mesh '{config.path}' is empty: it has no triangles")
     for o in objects:
         if not np.isfinite(o.vertices).all():
             where = f" of '{o.building}'" if o.building else ""
-            raise InputError(
-                f"mesh '{config.path}' has a vertex{where} that is not finite (NaN): repair the file"
-            )
+            raise InputError(f"mesh '{config.path}' has a vertex{where} that is not finite (NaN): repair the file")
     return _city(path.stem, objects)
 
 
@@ -71,10 +66,18 @@ def _locate(path: str) -> Path:
     file = Path(path).expanduser()
     if file.suffix.lower() not in FORMATS:
         raise InputError(
-            f"mesh '{path}' has the format '{file.suffix}'; allowed: {', '.join(FORMATS)}, "
-            f"{DISTRIBUTION}:NAME"
+            f"mesh '{path}' has the format '{file.suffix}'; allowed: {', '.join(FORMATS)}, {DISTRIBUTION}:NAME"
         )
     return file
+
+
+def _objects(path: Path, default: Material, config: MeshCityConfig) -> Iterator[MeshObject]:
+    suffix = path.suffix.lower()
+    if suffix == ".xml":
+        return _scene_objects(path, default)
+    if suffix in (".json", ".jsonl"):
+        return (MeshObject(o.vertices, o.triangles, default, o.building) for o in read_cityjson(path))
+    return _file_objects(path, default, config)
 
 
 def _scene_objects(path: Path, default: Material) -> Iterator[MeshObject]:
@@ -89,9 +92,7 @@ def _file_objects(path: Path, default: Material, config: MeshCityConfig) -> Iter
     for vertices, triangles, name in _read_mesh(path):
         placed = vertices[:, [0, 2, 1]] * [1.0, -1.0, 1.0] if y_up else vertices
         known = name.removeprefix("mat-").removeprefix("itu_").removeprefix("itu-")
-        material = (
-            itu_material(known, config.thickness_m, config.roughness_m) if known in ITU_P2040 else default
-        )
+        material = itu_material(known, config.thickness_m, config.roughness_m) if known in ITU_P2040 else default
         yield MeshObject(placed, triangles, material, None)
 
 
@@ -103,9 +104,7 @@ def _read_mesh(path: Path) -> Iterator[tuple[Floats, Ints, str]]:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
             loaded = trimesh.load(str(path), process=False)
-            found = [
-                _arrays(mesh) for mesh in (loaded.dump() if isinstance(loaded, trimesh.Scene) else [loaded])
-            ]
+            found = [_arrays(mesh) for mesh in (loaded.dump() if isinstance(loaded, trimesh.Scene) else [loaded])]
     except Exception as error:  # a parser meets garbage in its own way each time
         text = " ".join(str(error).split())[:160] or type(error).__name__
         raise InputError(f"cannot read mesh '{path}': {text}") from None
@@ -140,9 +139,7 @@ def _city(name: str, objects: list[MeshObject]) -> City:
         for value in np.unique(own):
             triangles = obj.triangles[own == value]
             used, renumbered = np.unique(triangles, return_inverse=True)
-            parts.append(
-                Part(obj.vertices[used], renumbered.reshape(-1, 3), materials.index(obj.material), int(value))
-            )
+            parts.append(Part(obj.vertices[used], renumbered.reshape(-1, 3), materials.index(obj.material), int(value)))
     notes = () if ground.any() else ("no ground found: nothing spans the city and faces up",)
     return replace(assemble(name, parts, materials, footprints, heights), notes=notes)
 

@@ -87,16 +87,12 @@ def _material(bsdf: ET.Element, default: Material) -> Material:
     not at all.
     """
     values = {str(e.get("name")): str(e.get("value")) for e in bsdf if e.tag in ("string", "float")}
-    name = values.get("type") or bsdf.get("id", "").removeprefix("mat-").removeprefix("itu_").removeprefix(
-        "itu-"
-    )
+    name = values.get("type") or bsdf.get("id", "").removeprefix("mat-").removeprefix("itu_").removeprefix("itu-")
     try:
         thickness = float(values["thickness"]) if "thickness" in values else default.thickness_m
         if "relative_permittivity" in values:
             sigma = float(values.get("conductivity", "0"))
-            return Material(
-                name, float(values["relative_permittivity"]), sigma, default.roughness_m, thickness
-            )
+            return Material(name, float(values["relative_permittivity"]), sigma, default.roughness_m, thickness)
     except ValueError:
         raise InputError(f"material '{bsdf.get('id')}' has a value that is no number: {values}") from None
     if "type" not in values and name not in ITU_P2040:
@@ -110,9 +106,7 @@ def _to_world(shape: ET.Element, path: Path) -> Floats:
         try:
             matrix = _step(step) @ matrix
         except (ValueError, KeyError):
-            raise InputError(
-                f"{path}: shape '{shape.get('id')}' has a <{step.tag}> that cannot be read"
-            ) from None
+            raise InputError(f"{path}: shape '{shape.get('id')}' has a <{step.tag}> that cannot be read") from None
     return matrix
 
 

@@ -90,9 +90,7 @@ def test_moving_a_city_moves_its_facets(seed):
     turned, moved = merged(v @ q.T + rng.uniform(-1e5, 1e5, 3), t)
     assert len(facets) == len(moved) == 2
     np.testing.assert_array_equal(label, turned)
-    np.testing.assert_allclose(
-        np.abs(np.einsum("fi,fi->f", facets.normal @ q.T, moved.normal)), 1.0, atol=1e-9
-    )
+    np.testing.assert_allclose(np.abs(np.einsum("fi,fi->f", facets.normal @ q.T, moved.normal)), 1.0, atol=1e-9)
 
 
 @pytest.mark.parametrize(

@@ -98,9 +98,7 @@ def test_bad_values_are_refused(values, message):
 
 def test_unknown_material_and_empty_city():
     with pytest.raises(InputError, match="unknown material 'brik'; did you mean 'brick'"):
-        build_city(
-            ProceduralCityConfig(extent_m=200, material_weights={"brik": 1.0}), np.random.default_rng(0)
-        )
+        build_city(ProceduralCityConfig(extent_m=200, material_weights={"brik": 1.0}), np.random.default_rng(0))
     with pytest.raises(InputError, match="no building"):
         config = ProceduralCityConfig(
             extent_m=100, block_size_m=50, open_share=1.0, street_width_m=30, open_coverage=0.02

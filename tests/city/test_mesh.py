@@ -132,14 +132,10 @@ def test_munich_loads_and_has_paths():
     assert {m.name for m in city.materials} >= {"marble", "metal", "concrete"}
     assert (city.facets.building == -1).sum() == 1
     # An open place: a hundred receivers in a straight line that no building covers.
-    line = np.column_stack(
-        [np.linspace(-686.7, -157.6, 100), np.linspace(438.0, 407.6, 100), np.full(100, 2.0)]
-    )
+    line = np.column_stack([np.linspace(-686.7, -157.6, 100), np.linspace(438.0, 407.6, 100), np.full(100, 2.0)])
     paths = trace(city, [[-420.0, 425.0, 10.0]], line)
     assert (paths.order == 1).sum() > 50
-    np.testing.assert_allclose(
-        paths.length_m, np.linalg.norm(paths.vt_position_m - line[paths.receiver], axis=1)
-    )
+    np.testing.assert_allclose(paths.length_m, np.linalg.norm(paths.vt_position_m - line[paths.receiver], axis=1))
 
 
 def test_without_the_extra_the_error_says_how_to_get_it(monkeypatch):
