@@ -105,6 +105,8 @@ def _read_mesh(path: Path) -> Iterator[tuple[Floats, Ints, str]]:
             warnings.simplefilter("ignore")
             loaded = trimesh.load(str(path), process=False)
             found = [_arrays(mesh) for mesh in (loaded.dump() if isinstance(loaded, trimesh.Scene) else [loaded])]
+    except ModuleNotFoundError:  # trimesh asks for a package that guesses encodings
+        raise InputError(f"cannot read mesh '{path}': its text is not UTF-8; is it damaged?") from None
     except Exception as error:  # a parser meets garbage in its own way each time
         text = " ".join(str(error).split())[:160] or type(error).__name__
         raise InputError(f"cannot read mesh '{path}': {text}") from None

@@ -155,6 +155,7 @@ def test_without_the_extra_the_error_says_how_to_get_it(monkeypatch):
         ("noise.ply", bytes(range(256)) * 20, "cannot read mesh"),
         ("noise.glb", bytes(range(256)) * 20, "cannot read mesh"),
         ("text.stl", b"this is no mesh\n" * 9, "cannot read mesh|is empty"),
+        ("latin.obj", b"# Stra\xdfe\nv 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n", "not UTF-8"),
         ("points.obj", b"v 0 0 0\nv 1 0 0\n", "is empty|cannot read"),
         ("nan.obj", b"v 0 0 0\nv 1 0 0\nv 0 nan 0\nf 1 2 3\n", "not finite"),
         ("flat.obj", b"v 0 0 0\nv 1 0 0\nv 2 0 0\nf 1 2 3\n", "zero area"),
