@@ -15,7 +15,7 @@ from cellslam.sim.vehicle import Drive, Route, VehicleConfig, drive, plan_route
 from cellslam.sim.vehicle.follower_kernel import follow
 from cellslam.sim.vehicle.lanes import build_lanes
 from cellslam.sim.vehicle.speed import speed_profile
-from cellslam.sim.vehicle.streets import SHARP_RAD, street_network
+from cellslam.sim.vehicle.streets import SHARP_RAD, random_walk, street_network
 
 BLOCKS = np.arange(-300.0, 301.0, 75.0)
 
@@ -106,6 +106,20 @@ def test_planned_routes_neither_turn_round_nor_hit_walls(city: Any) -> None:
         assert min(h.distance(shapely.LineString(route.points_m)) for h in city.footprints) > 1.2
         over_25_m = route.heading_rad[250:] - route.heading_rad[:-250]
         assert np.abs(over_25_m).max() < SHARP_RAD
+
+
+def test_walks_turn_round_only_at_dead_ends(city: Any) -> None:
+    network = street_network(city.streets)
+    for seed in range(20):
+        walk, cost = random_walk(network, 600.0, rng(seed))
+        step = np.diff(walk, axis=0)
+        assert np.hypot(*step.T).sum() >= 600.0
+        turn = np.abs(wrap_angle(np.diff(np.arctan2(step[:, 1], step[:, 0]))))
+        assert turn.max() < SHARP_RAD
+        assert cost < 1000.0
+    dead_end = street_network([np.array([[0.0, 0.0], [100.0, 0.0]])])
+    walk, cost = random_walk(dead_end, 150.0, rng())
+    assert cost > 1000.0
 
 
 def test_city_without_streets_asks_for_waypoints() -> None:
