@@ -5,8 +5,11 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from cellslam.scenarios.loading import load
 from cellslam.sim.frames import integrate_pose
+from cellslam.sim.randomness import Stream, stream
 from cellslam.sim.vehicle import Drive, OdometryConfig, measure_odometry, odometry_model
+from cellslam.sim.world import prepare
 
 DT_S = 0.075
 PERFECT = OdometryConfig(
@@ -87,3 +90,27 @@ def test_gyro_components_are_independent_of_the_wheels() -> None:
     perfect = measure_odometry(flat_drive(5000), PERFECT, np.random.default_rng(0)).velocity
     error = (odometry.velocity - perfect)[1:]
     assert abs(np.corrcoef(error[:, 0], error[:, 3])[0, 1]) < 0.07
+
+
+def planar_error_m(driven: Drive, velocity: np.ndarray) -> np.ndarray:
+    """Return the horizontal error (T,) of integrating forward speed and yaw rate from the true start."""
+    turn = velocity[1:, 3] * DT_S
+    middle = driven.poses[0, 3] + np.cumsum(turn) - 0.5 * turn
+    step = velocity[1:, :1] * DT_S * np.column_stack([np.cos(middle), np.sin(middle)])
+    return np.hypot(*(driven.poses[0, :2] + np.cumsum(step, axis=0) - driven.poses[1:, :2]).T)
+
+
+def test_dead_reckoning_on_lund_is_as_in_the_paper() -> None:
+    """Paper, section V: 20 m at most, 15 m at the end. Medians of 200 trials."""
+    config = load("lund-530").world
+    driven = prepare(config, 1, 0).drive
+    errors = np.array(
+        [
+            planar_error_m(
+                driven, measure_odometry(driven, config.odometry, stream(1, trial, Stream.ODOMETRY)).velocity
+            )
+            for trial in range(200)
+        ]
+    )
+    assert 15.0 < np.median(errors.max(axis=1)) < 24.0
+    assert 10.0 < np.median(errors[:, -1]) < 18.0
