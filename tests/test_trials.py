@@ -5,14 +5,17 @@ import json
 from collections.abc import Callable
 from typing import Any, ClassVar
 
+import numba
 import numpy as np
 import pytest
 from pydantic import BaseModel
 
-from cellslam.benchmarks import estimation
+from cellslam.benchmarks import estimation, metrics, run
 from cellslam.benchmarks.result import ROW_KEYS
 from cellslam.benchmarks.trials import Trial, score_recording
+from cellslam.scenarios import load
 from cellslam.scenarios.options import Request
+from cellslam.sim.errors import InputError
 from cellslam.sim.frames import integrate_pose
 from cellslam.sim.recording import Recording
 from cellslam.slam.api import Estimate, Setup, Snapshot, VtEstimate
@@ -84,6 +87,14 @@ def test_row_has_the_keys_and_is_plain_json(toy_recording: Toy) -> None:
     assert full.row["clock_offset_rmse_m"] is not None and full.row["association_recall"] is not None
 
 
+def test_what_is_not_finite_becomes_null(toy_recording: Toy, monkeypatch: pytest.MonkeyPatch) -> None:
+    scores = {"position_rmse_m": np.float64(np.nan), "position_max_m": np.inf, "position_end_m": np.float64(1)}
+    monkeypatch.setattr(metrics, "score", lambda *_: scores)
+    row = scored(toy_recording(), Plain).outcomes[0].row
+    assert (row["position_rmse_m"], row["position_max_m"], row["position_end_m"]) == (None, None, 1.0)
+    assert type(row["position_end_m"]) is float
+
+
 def test_answers_are_collected_in_the_order_of_the_recording(toy_recording: Toy) -> None:
     recording = toy_recording()
     result = scored(recording, Full).outcomes[0].result
@@ -103,9 +114,7 @@ def test_same_seed_and_trial_same_draws(toy_recording: Toy) -> None:
     assert len(errors) == 3
 
 
-def test_runner_takes_the_time_of_the_estimator_alone(
-    toy_recording: Toy, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_runner_takes_the_time_of_the_estimator_alone(toy_recording: Toy, monkeypatch: pytest.MonkeyPatch) -> None:
     clock = [0.0]
 
     class Slow(Plain):
@@ -158,10 +167,12 @@ def test_observables_only_and_read_only(toy_recording: Toy) -> None:
             seen.append(setup.truth)
 
         def step(self, dt_s: float, odometry: Any, snapshot: Snapshot) -> Estimate:
-            for array in (odometry, snapshot.distance_m, self.setup.start_pose):
+            recorded = (recording.odometry, recording.measurements.distance_m, recording.start_pose)
+            given = (odometry, snapshot.distance_m, self.setup.start_pose)
+            for array, original in zip(given, recorded, strict=True):
                 with pytest.raises(ValueError, match="read-only"):
                     array[...] = 0.0
-                assert not np.shares_memory(array, recording.odometry)
+                assert not np.shares_memory(array, original)
             return super().step(dt_s, odometry, snapshot)
 
     class Oracle(Curious):
@@ -250,3 +261,31 @@ def test_without_truth_there_are_no_scores(toy_recording: Toy) -> None:
     assert trial.bound is None and row["status"] == "ok"
     assert (row["distance_m"], row["position_rmse_m"], row["bound_position_rmse_m"]) == (None, None, None)
     assert row["realtime_factor"] > 0
+
+
+def test_same_rows_on_any_number_of_threads() -> None:
+    overrides = {"estimator.fastslam.particles": 50}
+
+    def rows(threads: int) -> list[dict[str, Any]]:
+        before = numba.get_num_threads()
+        numba.set_num_threads(threads)
+        try:
+            frame = run("tiny", ["fastslam"], 1, 5, overrides)
+        finally:
+            numba.set_num_threads(before)
+        return [without_times(row) for row in frame.to_dict("records")]
+
+    assert numba.config.NUMBA_NUM_THREADS >= 2, "one core: this cannot be tested"
+    assert rows(1) == rows(2)
+
+
+def test_the_frame_has_the_columns_of_a_row() -> None:
+    frame = run("tiny", ["dead-reckoning"], 2, 1)
+    assert tuple(frame.columns) == ROW_KEYS
+    assert frame["trial"].tolist() == [0, 1]
+    assert frame["clock_offset_rmse_m"].isna().all()
+    assert frame["position_rmse_m"].dtype == np.float64
+    with pytest.raises(InputError, match="trials = 0"):
+        run("tiny", trials=0)
+    with pytest.raises(InputError, match="already loaded"):
+        run(load("tiny"), overrides={"radio.load": 0.1})
