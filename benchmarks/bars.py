@@ -1,4 +1,4 @@
-"""Progress on stderr: bars on a terminal, elsewhere a line for whatever takes longer than two seconds."""
+"""Progress on stderr: bars on a terminal, elsewhere a line for whatever takes longer than five seconds."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from cellslam.sim.progress import Progress, silent
 if TYPE_CHECKING:
     from rich.progress import Progress as RichProgress
 
-NOTICED_S = 2.0
+NOTICED_S = 5.0
 
 
 @contextmanager

@@ -360,3 +360,43 @@ def test_installed_command_and_control_c(tmp_path: Path) -> None:
     rows = json.loads(out)
     assert 0 < len(rows) == len(json.loads(summary.read_text())["rows"])
     assert "interrupted" in err and "Traceback" not in err
+
+
+@pytest.fixture(scope="module")
+def inside() -> tuple[float, float]:
+    """A point in a building of `tiny`."""
+    from cellslam.sim.city import build_city
+    from cellslam.sim.randomness import Stream, stream
+
+    config = load("tiny").world.city
+    point = build_city(config, stream(config.seed, 0, Stream.CITY)).footprints[0].representative_point()
+    return point.x, point.y
+
+
+def assert_refused(done: Done, folder: Path, *words: str) -> None:
+    assert (done.status, done.out, done.err.count("\n")) == (2, "", 1), done.err
+    for word in words:
+        assert word in done.err
+    assert left_over(folder) == set()
+
+
+def test_site_in_a_building(cellslam: Any, tmp_path: Path, inside: tuple[float, float]) -> None:
+    place = f"sites.A.position_m=[{inside[0]}, {inside[1]}, 2.0]"
+    assert_refused(cellslam("run", "tiny", "--quiet", "--set", place), tmp_path, "site", "'A'", "building")
+
+
+def test_route_through_a_wall(cellslam: Any, tmp_path: Path, inside: tuple[float, float]) -> None:
+    x, y = inside
+    route = f"vehicle.waypoints_m=[[{x - 200}, {y}], [{x + 200}, {y}]]"
+    assert_refused(cellslam("run", "tiny", "--quiet", "--set", route), tmp_path, "wall", "building")
+
+
+@pytest.mark.parametrize("content", [None, b"", b"not a mesh", b"ply\nformat ascii 1.0\nend_header\n"])
+def test_mesh_that_gives_no_city(
+    cellslam: Any, tmp_path: Path, tmp_path_factory: pytest.TempPathFactory, content: bytes | None
+) -> None:
+    mesh = tmp_path_factory.mktemp("mesh") / "houses.ply"
+    if content is not None:
+        mesh.write_bytes(content)
+    done = cellslam("run", "tiny", "--quiet", "--set", f"city={{kind='mesh', path='{mesh}'}}")
+    assert_refused(done, tmp_path, "houses.ply")
