@@ -15,7 +15,7 @@ from rich.padding import Padding
 from rich.table import Table
 
 from cellslam.benchmarks.cli import DONE
-from cellslam.scenarios.keys import Key, describe
+from cellslam.scenarios.keys import Key, describe, unit_of
 from cellslam.scenarios.loading import load, preset_names
 from cellslam.scenarios.model import Scenario
 from cellslam.scenarios.options import resolve
@@ -46,7 +46,12 @@ def show(arguments: Namespace) -> int:
 def list_known(arguments: Namespace) -> int:
     """Carry out `cellslam list`."""
     console = _console()
-    console.print(_estimators() if arguments.kind == "estimators" else _scenarios())
+    if arguments.kind == "estimators":
+        console.print(_estimators())
+    elif console.width < _WIDTH_OF_TABLE:
+        _print_scenarios(console)
+    else:
+        console.print(_scenarios())
     return DONE
 
 
@@ -60,10 +65,29 @@ def _estimators() -> Table:
 def _scenarios() -> Table:
     scenarios = [load(name) for name in preset_names()]
     facts = list(dict.fromkeys(fact for scenario in scenarios for fact in scenario.facts))
-    table = _table("name", "place", *(fact.replace("_", " ") for fact in facts))
+    table = _table("name")
+    table.add_column("place", min_width=28)
+    for fact in facts:
+        name, unit = _fact(fact)
+        table.add_column(f"{name} ({unit})" if unit else name, justify="right")
     for scenario in scenarios:
-        table.add_row(scenario.name, scenario.title, *(_value(scenario.facts.get(fact, "")) for fact in facts))
+        values = (_number(scenario.facts.get(fact, "")) for fact in facts)
+        table.add_row(*map(escape, (scenario.name, scenario.title, *values)))
     return table
+
+
+def _print_scenarios(console: Console) -> None:
+    for scenario in (load(name) for name in preset_names()):
+        console.print(escape(f"{scenario.name}: {scenario.title}"), highlight=False)
+        facts = ((*_fact(fact), _number(value)) for fact, value in scenario.facts.items())
+        line = ", ".join(f"{name} {value}{f' {unit}' if unit else ''}" for name, unit, value in facts)
+        console.print(Padding(escape(line), (0, 0, 0, 4)), highlight=False, style="dim")
+
+
+def _fact(key: str) -> tuple[str, str]:
+    """Return the words of a fact's key and its unit."""
+    unit = unit_of(key)
+    return (key.rpartition("_")[0] if unit else key).replace("_", " "), unit
 
 
 def _wide_table(keys: Iterable[Key]) -> Table:
@@ -94,6 +118,10 @@ def _option_keys(options: Any) -> Iterator[Key]:
     for name, model in options:
         if isinstance(model, BaseModel):
             yield from describe(model, f"estimator.{name}.")
+
+
+def _number(value: float | str) -> str:
+    return value if isinstance(value, str) else f"{value:g}"
 
 
 def _value(value: Any) -> str:
