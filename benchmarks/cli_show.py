@@ -48,31 +48,18 @@ def list_known(arguments: Namespace) -> int:
     console = _console()
     if arguments.kind == "estimators":
         console.print(_estimators())
-    elif console.width < _WIDTH_OF_TABLE:
-        _print_scenarios(console)
     else:
-        console.print(_scenarios())
+        _print_scenarios(console)
     return DONE
 
 
 def _estimators() -> Table:
-    table = _table("name", "what it is", "class")
+    table = Table(box=box.SIMPLE_HEAD, pad_edge=False)
+    table.add_column("name", no_wrap=True)
+    table.add_column("what it is")
+    table.add_column("class", overflow="fold")
     for entry in registry.listing():
         table.add_row(*map(escape, (entry.name, entry.summary, entry.target)))
-    return table
-
-
-def _scenarios() -> Table:
-    scenarios = [load(name) for name in preset_names()]
-    facts = list(dict.fromkeys(fact for scenario in scenarios for fact in scenario.facts))
-    table = _table("name")
-    table.add_column("place", min_width=28)
-    for fact in facts:
-        name, unit = _fact(fact)
-        table.add_column(f"{name} ({unit})" if unit else name, justify="right")
-    for scenario in scenarios:
-        values = (_number(scenario.facts.get(fact, "")) for fact in facts)
-        table.add_row(*map(escape, (scenario.name, scenario.title, *values)))
     return table
 
 
@@ -128,14 +115,6 @@ def _value(value: Any) -> str:
     if value is None:
         return "none"
     return value if isinstance(value, str) else json.dumps(value, default=str)
-
-
-def _table(*headings: str) -> Table:
-    """Return an empty table; its first column is never wrapped, as one copies from it."""
-    table = Table(box=box.SIMPLE_HEAD, pad_edge=False)
-    for heading in headings:
-        table.add_column(heading, overflow="fold", no_wrap=heading == headings[0])
-    return table
 
 
 def _console() -> Console:
