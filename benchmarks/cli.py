@@ -86,9 +86,7 @@ def build_parser() -> argparse.ArgumentParser:
     )
 
     def add(name: str, target: str, summary: str) -> argparse.ArgumentParser:
-        sub = commands.add_parser(
-            name, parents=[common], help=summary, description=summary, allow_abbrev=False
-        )
+        sub = commands.add_parser(name, parents=[common], help=summary, description=summary, allow_abbrev=False)
         sub.set_defaults(command=_late(target))
         return sub
 
@@ -131,9 +129,7 @@ def _add_estimation(parser: argparse.ArgumentParser) -> None:
         dest="estimators",
         help="estimator by name or as module:Class; may be repeated (default: fastslam and dead-reckoning)",
     )
-    parser.add_argument(
-        "--json", action="store_true", help="print the rows as one JSON array on stdout, nothing else"
-    )
+    parser.add_argument("--json", action="store_true", help="print the rows as one JSON array on stdout, nothing else")
     parser.add_argument("--no-figures", action="store_true", help="do not draw figures")
 
 
@@ -142,18 +138,14 @@ def _add_run(parser: argparse.ArgumentParser) -> None:
     _add_estimation(parser)
     parser.add_argument("--trials", metavar="N", type=_whole, default=1, help="trials 0 to N-1 (default: 1)")
     _add_seed(parser, 0, "root seed of all random draws (default: 0)")
-    parser.add_argument(
-        "--out", metavar="DIR", help="folder for the results (default: results/SCENARIO-SEED)"
-    )
+    parser.add_argument("--out", metavar="DIR", help="folder for the results (default: results/SCENARIO-SEED)")
 
 
 def _add_record(parser: argparse.ArgumentParser) -> None:
     _add_scenario(parser)
     parser.add_argument("--out", metavar="FILE.h5", required=True, help="the HDF5 file to write")
     _add_seed(parser, 0, "root seed of all random draws (default: 0)")
-    parser.add_argument(
-        "--trial", metavar="N", type=_whole, default=0, help="which trial to record (default: 0)"
-    )
+    parser.add_argument("--trial", metavar="N", type=_whole, default=0, help="which trial to record (default: 0)")
 
 
 def _add_replay(parser: argparse.ArgumentParser) -> None:

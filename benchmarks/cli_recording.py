@@ -50,9 +50,7 @@ def replay(arguments: Namespace) -> int:
     overrides = parse_all(arguments.sets)
     foreign = [key for key in overrides if not key.startswith("estimator.")]
     if foreign:
-        raise InputError(
-            f"--set {foreign[0]}: a recording is as it is; replay can set 'estimator.NAME.key' only"
-        )
+        raise InputError(f"--set {foreign[0]}: a recording is as it is; replay can set 'estimator.NAME.key' only")
     path = Path(arguments.file)
     recording = Recording.load(path)
     origin = _Origin.of(recording, path)

@@ -87,16 +87,12 @@ class _Log:
     def of(recording: Recording) -> _Log:
         count = len(recording.time_s)
         poses, covariances = np.full((count, 6), np.nan), np.full((count, 6, 6), np.nan)
-        return _Log(
-            poses, covariances, len(recording.measurements), len(recording.sites), len(recording.links)
-        )
+        return _Log(poses, covariances, len(recording.measurements), len(recording.sites), len(recording.links))
 
     def add(self, snapshot: Snapshot, answer: Estimate) -> None:
         """Copy one answer, checked."""
         if not isinstance(answer, Estimate):
-            raise BadAnswerError(
-                f"step returned {type(answer).__name__}, expected cellslam.slam.api.Estimate"
-            )
+            raise BadAnswerError(f"step returned {type(answer).__name__}, expected cellslam.slam.api.Estimate")
         t = snapshot.index
         self.poses[t] = _checked("pose", answer.pose, (6,))
         self.covariances[t] = _checked("covariance", answer.covariance, (6, 6))

@@ -36,9 +36,7 @@ class Folder:
         with _writing(self.path):
             self.path.mkdir(parents=True, exist_ok=True)
             if recording is not None and recording.truth is not None:
-                write_tum(
-                    self.path / f"trajectory-truth{suffix}.tum", recording.time_s, recording.truth.poses
-                )
+                write_tum(self.path / f"trajectory-truth{suffix}.tum", recording.time_s, recording.truth.poses)
             for outcome in trial.outcomes:
                 name = f"{file_name(outcome.row['estimator'])}{suffix}"
                 if outcome.result is not None and recording is not None:

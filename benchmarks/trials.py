@@ -72,9 +72,7 @@ def run(
     requests = resolve(scenario.estimator, estimators, overrides or ())
     done = simulated_trials(scenario, requests, trials, seed, progress)
     frame = pd.DataFrame([o.row for trial in done for o in trial.outcomes], columns=list(ROW_KEYS))
-    numbers = [
-        key for key in ROW_KEYS if key in METRIC_KEYS or key.endswith(("_s", "_m", "_seconds", "_factor"))
-    ]
+    numbers = [key for key in ROW_KEYS if key in METRIC_KEYS or key.endswith(("_s", "_m", "_seconds", "_factor"))]
     return frame.astype(dict.fromkeys(numbers, "float64"))
 
 

@@ -25,9 +25,7 @@ def load(name_or_path: str | Path, overrides: Mapping[str, Any] | None = None) -
     return from_tables({"name": name, **data}, overrides, source)
 
 
-def from_tables(
-    data: Mapping[str, Any], overrides: Mapping[str, Any] | None = None, source: str = ""
-) -> Scenario:
+def from_tables(data: Mapping[str, Any], overrides: Mapping[str, Any] | None = None, source: str = "") -> Scenario:
     """Return the scenario of plain tables, with `overrides`; `source` stands before messages about `data`."""
     if source:
         try:

@@ -21,9 +21,7 @@ class Scenario(WorldConfig):
     name: str = Field(pattern=r"^[^/\\\x00-\x1f]+$", max_length=100, description="name in rows and folders")
     title: str = Field("", description="one line about the place")
     description: str = Field("", description="what the scenario is for")
-    facts: dict[str, float | str] = Field(
-        default_factory=dict, description="measured facts, for `cellslam list`"
-    )
+    facts: dict[str, float | str] = Field(default_factory=dict, description="measured facts, for `cellslam list`")
     estimator: dict[str, dict[str, Any]] = Field(
         default_factory=dict, description="options of the estimators, a table each"
     )

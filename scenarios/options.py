@@ -58,9 +58,7 @@ def with_options(scenario: Scenario, requests: Iterable[Request]) -> Scenario:
 def option_keys() -> list[str]:
     """Return the dotted keys of the options of all built-in estimators."""
     models = {entry.name: registry.options_model(registry.resolve(entry.name)) for entry in registry.BUILT_IN}
-    return [
-        f"estimator.{name}.{key}" for name, model in models.items() if model for key in model.model_fields
-    ]
+    return [f"estimator.{name}.{key}" for name, model in models.items() if model for key in model.model_fields]
 
 
 def _request(tables: Tables, name: str) -> Request:
@@ -68,8 +66,6 @@ def _request(tables: Tables, name: str) -> Request:
     model, table = registry.options_model(estimator), tables.get(name, {})
     if model is None:
         if table:
-            raise InputError(
-                f"unknown key 'estimator.{name}.{next(iter(table))}': estimator '{name}' has no options"
-            )
+            raise InputError(f"unknown key 'estimator.{name}.{next(iter(table))}': estimator '{name}' has no options")
         return Request(name, estimator, None)
     return Request(name, estimator, validate(model, table, f"estimator.{name}."))

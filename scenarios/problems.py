@@ -28,9 +28,7 @@ _EXPECTED = {
 }
 
 
-def validate(
-    model: type[Model], data: Mapping[str, Any], prefix: str = "", suggest: Suggest = tuple
-) -> Model:
+def validate(model: type[Model], data: Mapping[str, Any], prefix: str = "", suggest: Suggest = tuple) -> Model:
     """Return `data` as a frozen `model`; only integers become floats, and lists tuples.
 
     `prefix` stands before every key in messages, `suggest()` are further known keys. Raises InputError
@@ -49,9 +47,7 @@ def _worst(details: list[ErrorDetails]) -> ErrorDetails:
     return next((d for d in details if d["type"] == "extra_forbidden"), details[0])
 
 
-def _line(
-    detail: ErrorDetails, model: type[BaseModel], data: Mapping[str, Any], prefix: str, suggest: Suggest
-) -> str:
+def _line(detail: ErrorDetails, model: type[BaseModel], data: Mapping[str, Any], prefix: str, suggest: Suggest) -> str:
     fields = {f"{prefix}{key}": field for key, field in known_fields(model, data).items()}
     key, value = _locate(detail["loc"], data, detail["type"] == "missing")
     if detail["type"] == "extra_forbidden":
@@ -68,9 +64,7 @@ def _line(
     problem = _problem(detail, field, unit_of(key))
     if not key:
         return problem
-    return (
-        f"{key}: {problem}" if isinstance(value, Mapping) else f"{key} = {_shown(value)}: {problem}{meaning}"
-    )
+    return f"{key}: {problem}" if isinstance(value, Mapping) else f"{key} = {_shown(value)}: {problem}{meaning}"
 
 
 def _tag_line(detail: ErrorDetails, key: str) -> str:
@@ -86,11 +80,7 @@ def _problem(detail: ErrorDetails, field: FieldInfo | None, unit: str) -> str:
     span = allowed(field) if field is not None else ""
     for name, words in _EXPECTED.items():
         if detail["type"].startswith(f"{name}_") and detail["type"].endswith(("_type", "_from_float")):
-            return (
-                f"must be {words}"
-                if not span
-                else f"must be {span if ' or ' in span else f'{words}, {span}'}"
-            )
+            return f"must be {words}" if not span else f"must be {span if ' or ' in span else f'{words}, {span}'}"
     if detail["type"] == "too_short":
         return f"needs at least {detail['ctx']['min_length']} items, not {detail['ctx']['actual_length']}"
     if span and detail["type"] != "value_error":

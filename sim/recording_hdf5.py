@@ -117,9 +117,7 @@ def _check_header(file: h5py.File) -> None:
         raise InputError("its attribute 'schema_version' is missing or no integer; record it again")
     if version != SCHEMA_VERSION:
         remedy = "update cellslam" if version > SCHEMA_VERSION else "record it again"
-        raise InputError(
-            f"schema version {version}, but this cellslam reads version {SCHEMA_VERSION}; {remedy}"
-        )
+        raise InputError(f"schema version {version}, but this cellslam reads version {SCHEMA_VERSION}; {remedy}")
 
 
 def _check_names(file: h5py.File) -> None:
@@ -186,9 +184,7 @@ def _check_shape(shape: tuple[int, ...], column: Column, sizes: dict[str, tuple[
     if len(shape) != len(column.shape):
         raise InputError(f"column '{column.path}' has shape {shape}; write {column.described}")
     for size, wanted in zip(shape, column.shape, strict=True):
-        expected, source = (
-            sizes.setdefault(wanted, (size, column.path)) if isinstance(wanted, str) else (wanted, "")
-        )
+        expected, source = sizes.setdefault(wanted, (size, column.path)) if isinstance(wanted, str) else (wanted, "")
         if size != expected:
             why = f" rows like '{source}'" if source else f"; write {column.described}"
             raise InputError(f"column '{column.path}' has shape {shape}, expected {expected}{why}")
@@ -222,9 +218,7 @@ def _provenance(text: str) -> dict[str, Any]:
     try:
         value = json.loads(text)
     except json.JSONDecodeError as error:
-        raise InputError(
-            f"provenance is not JSON ({error}); write a JSON object, '{{}}' if there is none"
-        ) from error
+        raise InputError(f"provenance is not JSON ({error}); write a JSON object, '{{}}' if there is none") from error
     if not isinstance(value, dict):
         raise InputError("provenance is not a JSON object; write '{}' if there is none")
     return value

@@ -68,12 +68,8 @@ def test_the_check_finds_what_it_is_for(room: str, source: str) -> None:
 
 def test_the_check_lets_the_rest_pass() -> None:
     assert not offences("slam", "from cellslam.sim.recording import Recording\nimport numpy.random")
-    assert not offences(
-        "scenarios", "from cellslam.sim.world import WorldConfig\nimport cellslam.slam.registry"
-    )
-    assert not offences(
-        "benchmarks", "from cellslam.scenarios import load\nfrom cellslam.sim import simulate"
-    )
+    assert not offences("scenarios", "from cellslam.sim.world import WorldConfig\nimport cellslam.slam.registry")
+    assert not offences("benchmarks", "from cellslam.scenarios import load\nfrom cellslam.sim import simulate")
 
 
 def loaded_after(code: str) -> set[str]:

@@ -44,9 +44,7 @@ def test_round_trip_is_bit_for_bit(toy_recording: Toy, tmp_path: Path, truth: bo
     measurements = dataclasses.replace(
         recording.measurements, elevation_rad=elevation, distance_std_m=np.full(len(elevation), 0.1)
     )
-    recording = dataclasses.replace(
-        recording, measurements=measurements, provenance={"k": [1, 0.1, None, "Lund å"]}
-    )
+    recording = dataclasses.replace(recording, measurements=measurements, provenance={"k": [1, 0.1, None, "Lund å"]})
     recording.save(tmp_path / "a.h5")
     assert_identical(recording, Recording.load(tmp_path / "a.h5"))
     assert [p.name for p in tmp_path.iterdir()] == ["a.h5"]
@@ -195,9 +193,7 @@ def test_a_failed_save_leaves_nothing(toy_recording: Toy, tmp_path: Path) -> Non
     assert [p.name for p in tmp_path.iterdir()] == ["taken.h5"]
 
 
-def test_a_failed_save_keeps_the_old_file(
-    toy_recording: Toy, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_failed_save_keeps_the_old_file(toy_recording: Toy, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     path = tmp_path / "a.h5"
     toy_recording().save(path)
     before = path.read_bytes()

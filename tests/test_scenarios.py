@@ -44,9 +44,7 @@ def failure(path: Path | str, *sets: str) -> str:
 
 
 def test_file_and_overrides(place: Path) -> None:
-    scenario = load(
-        place, overrides.parse_all(["radio.load=0.5", "sites.A.ports=1", "sites.0.cells.0.cell_id=2"])
-    )
+    scenario = load(place, overrides.parse_all(["radio.load=0.5", "sites.A.ports=1", "sites.0.cells.0.cell_id=2"]))
     assert (scenario.name, scenario.title) == ("place", "A place")
     assert scenario.radio.load == 0.5
     assert scenario.sites[0].ports == 1
