@@ -13,7 +13,7 @@ from cellslam.sim.recording import Floats, Ints, Recording
 
 # A VT this near to its site is the site itself, seen in line of sight.
 LINE_OF_SIGHT_M = 15.0
-FEWEST_MEASUREMENTS = 20
+FEWEST_MEASUREMENTS = 40
 SNAPSHOTS_PER_POINT = 40
 
 

@@ -32,9 +32,7 @@ def curved_drive(snapshots: int, dt_s: float) -> Floats:
     return np.array(poses)
 
 
-def scatter(
-    vts_per_site: int, sites: int, rng: np.random.Generator
-) -> tuple[Floats, VirtualTransmitters, int]:
+def scatter(vts_per_site: int, sites: int, rng: np.random.Generator) -> tuple[Floats, VirtualTransmitters, int]:
     """Sites, and VTs around them, the first of each at the site itself."""
     position = rng.uniform([-300, -300, 30], [300, 300, 45], (sites, 3))
     around = rng.normal(0, [150, 150, 5], (sites, vts_per_site, 3))
@@ -77,9 +75,7 @@ def make_recording() -> MakeRecording:
         poses = curved_drive(snapshots, dt_s)
         position, vts, count = scatter(vts_per_site, sites, rng)
         offsets = rng.normal(0, 1, sites) * offset_std_m
-        model = OdometryModel(
-            *(np.array(a, np.float64) for a in (noise_density, bias, bias_walk_density, scale))
-        )
+        model = OdometryModel(*(np.array(a, np.float64) for a in (noise_density, bias, bias_walk_density, scale)))
         drawn_bias = np.cumsum(
             np.vstack(
                 [

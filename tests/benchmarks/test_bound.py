@@ -24,9 +24,7 @@ def keep_rows(recording: Recording, keep: np.ndarray) -> Recording:
     assert truth is not None
     columns = {k: v[keep] for k, v in m.__dict__.items() if v is not None}
     rows = {"measurement_vt": truth.measurement_vt[keep], "measurement_std": truth.measurement_std[keep]}
-    return without(
-        recording, measurements=type(m)(**columns), truth=type(truth)(**{**truth.__dict__, **rows})
-    )
+    return without(recording, measurements=type(m)(**columns), truth=type(truth)(**{**truth.__dict__, **rows}))
 
 
 class JointFilter:
@@ -42,9 +40,7 @@ class JointFilter:
         pair = recording.measurements.link * len(self.truth.vts) + self.truth.measurement_vt
         self.keys = np.unique(pair[self.truth.measurement_vt >= 0])
         self.size = self.core.size + 3 * len(self.keys)
-        p = block_diag(
-            np.diag(start_variance(recording, self.core)), broad_std**2 * np.eye(3 * len(self.keys))
-        )
+        p = block_diag(np.diag(start_variance(recording, self.core)), broad_std**2 * np.eye(3 * len(self.keys)))
         self.covariance = p
 
     def transition(self, t: int) -> tuple[np.ndarray, np.ndarray]:

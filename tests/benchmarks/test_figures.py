@@ -109,10 +109,16 @@ def test_map_shows_buildings_trajectories_sites_and_reflecting_points(scene):
 def test_error_figure_shows_errors_and_bound(scene):
     figure = Figure()
     assert error.draw(figure, scene.recording, scene.results, scene.bound)
-    lines = {line.get_label(): line for line in figure.axes[0].lines}
-    np.testing.assert_allclose(lines["dead-reckoning"].get_ydata(), np.sqrt(2))
-    np.testing.assert_allclose(lines["fastslam"].get_ydata(), 0.1 * np.sqrt(2))
-    np.testing.assert_allclose(lines["Cramér-Rao bound (rms)"].get_ydata(), np.sqrt(0.08))
+    whole, magnified = figure.axes
+    for axes in (whole, magnified):
+        lines = {line.get_label(): line for line in axes.lines}
+        np.testing.assert_allclose(lines["dead-reckoning"].get_ydata(), np.sqrt(2))
+        np.testing.assert_allclose(lines["fastslam"].get_ydata(), 0.1 * np.sqrt(2))
+        np.testing.assert_allclose(lines["Cramér-Rao bound (rms)"].get_ydata(), np.sqrt(0.08))
+    assert magnified.get_ylim() == (0, pytest.approx(1.1 * np.sqrt(0.08)))
+    alone = Figure()
+    assert error.draw(alone, scene.recording, {"fastslam": scene.results["fastslam"]}, None)
+    assert len(alone.axes) == 1
     assert not error.draw(Figure(), dataclasses.replace(scene.recording, truth=None), scene.results, None)
 
 

@@ -127,9 +127,7 @@ def test_no_association_has_no_precision():
 
 
 def test_transmitter_error_takes_the_track_with_most_measurements(make_recording):
-    recording = make_recording(
-        seed=4, sites=1, ports=1, vts_per_site=1, snapshots=100, clutter=0.0, detection=1.0
-    )
+    recording = make_recording(seed=4, sites=1, ports=1, vts_per_site=1, snapshots=100, clutter=0.0, detection=1.0)
     count, site = len(recording.measurements), recording.truth.site_positions_m[0]
     association = np.where(np.arange(count) < count // 3, 1, 2)
     position = site + np.array([[50, 0, 0], [0, 3, 4], [0, 0, 0]])
