@@ -80,7 +80,7 @@ class CircularArray:
             np.atleast_1d(np.asarray(elevation_rad, np.float64)),
         )
         value, by_azimuth, by_elevation = self._elements(az[:, None, None], el[:, None, None])
-        polarisation = self._polarisation()
+        polarisation = self.polarisation
         return Steering(*(self._ports_of(e, polarisation) for e in (value, by_azimuth, by_elevation)))
 
     def _elements(self, az: Floats, el: Floats) -> tuple[Complex, Complex, Complex]:
@@ -105,7 +105,8 @@ class CircularArray:
         loss, slope = _smooth_floor(in_azimuth + in_elevation, self.floor_db)
         return loss, slope * slope_a * 2.0 * curve * off, slope * slope_e * 2.0 * curve * el
 
-    def _polarisation(self) -> Floats:
+    @property
+    def polarisation(self) -> Floats:
         """Return (2, 2): per slant, its sensitivity to (H, V)."""
         s = np.radians(self.slant_deg)
         return np.array([[np.sin(s), np.cos(s)], [-np.sin(s), np.cos(s)]])

@@ -137,7 +137,7 @@ def reference_response(received: Complex, cell_id: int, port: int, slots: ArrayL
     """
     out = np.empty((len(received), 2 * resource_blocks), np.complex128)
     for row, slot in enumerate(np.asarray(slots, np.int64) % SLOTS_PER_FRAME):
-        subcarriers, values = _pilots(cell_id, port, int(slot), resource_blocks)
+        subcarriers, values = pilots(cell_id, port, int(slot), resource_blocks)
         out[row] = received[row, subcarriers] * values.conj()
     return out
 
@@ -155,15 +155,16 @@ def _sent(
     # Two ports share the power of a data element; the reference elements of one port have all of it.
     sent = carries * np.exp(0.5j * np.pi * (bits + 0.5)) / np.sqrt(2.0)
     for row, s in enumerate(slot):
-        other, _ = _pilots(signal.cell_id, 1 - signal.port, int(s), count // SUBCARRIERS_PER_BLOCK)
-        own, values = _pilots(signal.cell_id, signal.port, int(s), count // SUBCARRIERS_PER_BLOCK)
+        other, _ = pilots(signal.cell_id, 1 - signal.port, int(s), count // SUBCARRIERS_PER_BLOCK)
+        own, values = pilots(signal.cell_id, signal.port, int(s), count // SUBCARRIERS_PER_BLOCK)
         sent[row, other], sent[row, own] = 0.0, values
     return np.asarray(sent + sent * _complex_normal(rng, shape, impairments.evm**2), np.complex128)
 
 
-def _pilots(
+def pilots(
     cell_id: int, port: int, slot: int, resource_blocks: int
 ) -> tuple[np.ndarray[tuple[int, ...], np.dtype[np.int64]], Complex]:
+    """Return subcarriers and values (2 N_RB,) of a port's reference signal in the first symbol of a slot."""
     signal = reference_signal(cell_id, port, slot, resource_blocks)
     first = signal.symbols == 0
     return signal.subcarriers[first], signal.values[first]

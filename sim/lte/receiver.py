@@ -1,0 +1,127 @@
+"""What the receiver knows of its own array, and of its motion during one snapshot."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cellslam.sim.frames import SPEED_OF_LIGHT_MPS, unit_vector
+from cellslam.sim.lte.array import AntennaArray, CircularArray, Complex, Floats, Steering, switching_times_s
+from cellslam.sim.lte.bound import tone_frequencies
+from cellslam.sim.lte.steering_kernel import steer_circular
+
+ComplexSingle = NDArray[np.complex64]
+AZIMUTHS, ELEVATIONS = 28, 7
+LOWEST_RAD, HIGHEST_RAD = np.radians(-18.0), np.radians(68.0)
+DELAY_PITCH_M = 7.5
+
+
+@dataclass(frozen=True)
+class Receiver:
+    """The array as the receiver believes it to be, its switching, its search window. All but motion is constant.
+
+    `times_s` (ports,): when each port is sampled; `threshold`: detection threshold on energy over noise variance.
+    """
+
+    array: AntennaArray = field(default_factory=CircularArray)
+    times_s: Floats = field(default_factory=lambda: switching_times_s(CircularArray()))
+    resource_blocks: int = 100
+    carrier_hz: float = 2.66e9
+    threshold: float = 17.7
+    window_min_m: float = -50.0
+    window_max_m: float = 1700.0
+    ghost_rule_db: float = 25.0
+
+    @cached_property
+    def rate(self) -> Floats:
+        """Phase of each tone per metre (tones,), counted from the middle tone: the weights take up the rest."""
+        frequency = tone_frequencies(self.resource_blocks)
+        return np.asarray(2.0 * np.pi * (frequency - frequency.mean()) / SPEED_OF_LIGHT_MPS, np.float64)
+
+    @cached_property
+    def delays_m(self) -> Floats:
+        """Searched distances (D,)."""
+        return np.arange(self.window_min_m, self.window_max_m + DELAY_PITCH_M, DELAY_PITCH_M)
+
+    @cached_property
+    def delay_matrix(self) -> ComplexSingle:
+        """Unit vectors (tones, D) that pick each searched distance."""
+        matrix = np.exp(1j * np.outer(self.rate, self.delays_m)) / np.sqrt(len(self.rate))
+        return np.ascontiguousarray(matrix, np.complex64)
+
+    @cached_property
+    def directions(self) -> tuple[Floats, Floats]:
+        """Searched azimuths and elevations (K,), azimuth by azimuth."""
+        azimuth = 2.0 * np.pi * np.arange(AZIMUTHS) / AZIMUTHS - np.pi
+        elevation = np.linspace(LOWEST_RAD, HIGHEST_RAD, ELEVATIONS)
+        grid = np.meshgrid(azimuth, elevation, indexing="ij")
+        return grid[0].ravel(), grid[1].ravel()
+
+    @cached_property
+    def _beams(self) -> Complex:
+        """Orthonormal bases (K, 2, ports) of what a direction's two polarisations can do, conjugated."""
+        value = self.array.steer(*self.directions).value
+        h = value[:, :, 0] / np.linalg.norm(value[:, :, 0], axis=1, keepdims=True)
+        v = value[:, :, 1] - np.einsum("km,km->k", h.conj(), value[:, :, 1])[:, None] * h
+        v = v / np.linalg.norm(v, axis=1, keepdims=True)
+        return np.asarray(np.stack([h, v], axis=1).conj(), np.complex128)
+
+    @cached_property
+    def doppler(self) -> Floats:
+        """Phase of each port per speed towards the wave (ports,), rad per m/s, zero on average."""
+        later = self.times_s - self.times_s.mean()
+        return np.asarray(2.0 * np.pi * self.carrier_hz / SPEED_OF_LIGHT_MPS * later, np.float64)
+
+    def moving(self, velocity_mps: Floats, working: NDArray[np.bool_] | None = None) -> Motion:
+        """Return the receiver in motion with body velocity (3,); `working` (ports,) leaves out dead ports."""
+        factor = np.ones(self.array.ports) if working is None else working.astype(np.float64)
+        return Motion(self, np.asarray(velocity_mps, np.float64), np.asarray(factor, np.complex128))
+
+
+@dataclass(frozen=True)
+class Motion:
+    """The receiver during one snapshot: it steers with the Doppler phase of its velocity (3,), without dead ports."""
+
+    receiver: Receiver
+    velocity_mps: Floats
+    factor: Complex
+
+    @cached_property
+    def beams(self) -> ComplexSingle:
+        """Beam matrix (2 K, ports) of the search."""
+        r = self.receiver
+        azimuth, elevation = r.directions
+        phase = np.outer(unit_vector(azimuth, elevation) @ self.velocity_mps, r.doppler)
+        turned = r._beams * (np.exp(-1j * phase) * self.factor)[:, None, :]
+        lost = 1.0 / np.sqrt(np.mean(np.abs(self.factor) ** 2))
+        return np.ascontiguousarray(lost * turned.reshape(-1, r.array.ports), np.complex64)
+
+    def steer(self, azimuth_rad: Floats, elevation_rad: Floats) -> Steering:
+        """Return steering vectors (n, ports, 2) and derivatives, Doppler included."""
+        array, r = self.receiver.array, self.receiver
+        if not isinstance(array, CircularArray) or array.calibration is not None:
+            return self._steer_any(azimuth_rad, elevation_rad)
+        shape = (len(azimuth_rad), array.ports, 2)
+        out = Steering(*(np.empty(shape, np.complex128) for _ in range(3)))
+        wavenumber = 2.0 * np.pi * array.carrier_hz / SPEED_OF_LIGHT_MPS
+        steer_circular(
+            azimuth_rad, elevation_rad, array.columns, array.rings, array.radius_m, array.ring_spacing_m, wavenumber,
+            array.peak_dbi, 12.0 / np.radians(array.width_deg) ** 2, array.floor_db, array.polarisation, self.factor,
+            r.doppler, self.velocity_mps, *out,
+        )  # fmt: skip
+        return out
+
+    def _steer_any(self, azimuth_rad: Floats, elevation_rad: Floats) -> Steering:
+        value, by_azimuth, by_elevation = self.receiver.array.steer(azimuth_rad, elevation_rad)
+        ca, sa, ce, se = np.cos(azimuth_rad), np.sin(azimuth_rad), np.cos(elevation_rad), np.sin(elevation_rad)
+        zero = np.zeros_like(ca)
+        towards = np.stack([ce * ca, ce * sa, se], -1), np.stack([-ce * sa, ce * ca, zero], -1)
+        rate, rate_az = towards[0] @ self.velocity_mps, towards[1] @ self.velocity_mps
+        rate_el = np.stack([-se * ca, -se * sa, ce], -1) @ self.velocity_mps
+        doppler = self.receiver.doppler
+        turn = (np.exp(1j * np.outer(rate, doppler)) * self.factor)[:, :, None]
+        slope_az, slope_el = (1j * np.outer(x, doppler)[:, :, None] for x in (rate_az, rate_el))
+        return Steering(value * turn, (by_azimuth + slope_az * value) * turn, (by_elevation + slope_el * value) * turn)
