@@ -7,9 +7,11 @@ import os
 import re
 import sys
 from collections.abc import Callable, Sequence
+from functools import partial
 from importlib import import_module
 from typing import Any, NoReturn
 
+from cellslam.benchmarks.cli_city_parsers import add_bench, add_city
 from cellslam.sim.errors import InputError, nearest_name
 
 DONE, FAILED, WRONG, INTERRUPTED = 0, 1, 2, 130
@@ -26,6 +28,7 @@ examples:
   cellslam record tiny --out tiny.h5                 keep the measurements ...
   cellslam replay tiny.h5 --estimator fastslam       ... and estimate again from them
   cellslam show tiny                                 every key that --set can change
+  cellslam city trace sionna-rt:munich --bs=42,-50,30 --rx rx.csv --out paths.csv    paths for other work
 """
 
 
@@ -84,12 +87,7 @@ def build_parser() -> argparse.ArgumentParser:
     commands = parser.add_subparsers(
         title="commands", metavar="COMMAND", dest="command_name", required=True, parser_class=Parser
     )
-
-    def add(name: str, target: str, summary: str) -> argparse.ArgumentParser:
-        sub = commands.add_parser(name, parents=[common], help=summary, description=summary, allow_abbrev=False)
-        sub.set_defaults(command=_late(target))
-        return sub
-
+    add = partial(_add, commands, common)
     _add_run(add("run", "cli_run:run", "simulate a scenario, run estimators on it, score them"))
     _add_record(add("record", "cli_recording:record", "simulate a scenario and keep it as a recording"))
     _add_replay(add("replay", "cli_recording:replay", "run estimators on a recording and score them"))
@@ -97,7 +95,26 @@ def build_parser() -> argparse.ArgumentParser:
     _add_scenario(show)
     listing = add("list", "cli_show:list_known", "the scenarios or estimators that are known by name")
     listing.add_argument("kind", choices=("scenarios", "estimators"), help="what to list")
+    _add_check(add("check-estimator", "cli_check:check", "check an estimator against the contract; say what to fix"))
+    for name, summary, fill in (
+        ("city", "look at cities, generate them, trace paths in them", add_city),
+        ("bench", "measure how fast parts of it are", add_bench),
+    ):
+        group = commands.add_parser(name, help=summary, description=summary, allow_abbrev=False)
+        nested = group.add_subparsers(
+            title="commands", metavar="COMMAND", dest=f"{name}_command", required=True, parser_class=Parser
+        )
+        fill(partial(_add, nested, common))
     return parser
+
+
+def _add(commands: Any, common: Parser, name: str, target: str, summary: str) -> argparse.ArgumentParser:
+    """Add one command: its parser, and the function `module:function` that carries it out."""
+    sub: argparse.ArgumentParser = commands.add_parser(
+        name, parents=[common], help=summary, description=summary, allow_abbrev=False
+    )
+    sub.set_defaults(command=_late(target))
+    return sub
 
 
 def _add_scenario(parser: argparse.ArgumentParser) -> None:
@@ -154,6 +171,11 @@ def _add_replay(parser: argparse.ArgumentParser) -> None:
     _add_estimation(parser)
     _add_seed(parser, None, "seed of the estimators' random draws (default: the recording's own)")
     parser.add_argument("--out", metavar="DIR", help="folder for the results (default: results/replay-FILE)")
+
+
+def _add_check(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("estimator", metavar="MODULE:CLASS", help="your class, or the name of a known estimator")
+    _add_set(parser, "estimator.fastslam.particles=300")
 
 
 def _late(target: str) -> Callable[[argparse.Namespace], int]:

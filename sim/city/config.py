@@ -72,11 +72,11 @@ class ProceduralCityConfig(_Config):
 
 
 class MeshCityConfig(_Config):
-    """A city read from a file: PLY, OBJ, STL, GLB, or a Mitsuba XML scene as sionna-rt ships them."""
+    """A city read from a file: PLY, OBJ, STL, GLB, CityJSON, OpenStreetMap, or a Mitsuba XML scene (sionna-rt)."""
 
     kind: Literal["mesh"] = "mesh"
     path: str = Field(
-        description="mesh, CityJSON or Mitsuba file, or 'sionna-rt:NAME': a scene of that package (extra 'cities')"
+        description="mesh, CityJSON, OpenStreetMap or Mitsuba file, or 'sionna-rt:NAME': a scene of that package"
     )
     material: str = Field("concrete", description="ITU-R P.2040 material of meshes that name none")
     thickness_m: float | None = Field(

@@ -1,4 +1,4 @@
-"""Cities from files: meshes that trimesh reads, Mitsuba scenes, CityJSON."""
+"""Cities from files: meshes that trimesh reads, Mitsuba scenes, CityJSON, OpenStreetMap."""
 
 from __future__ import annotations
 
@@ -19,9 +19,10 @@ from cellslam.sim.city.footprints import buildings, ground_objects
 from cellslam.sim.city.materials import ITU_P2040, itu_material
 from cellslam.sim.city.mitsuba import DISTRIBUTION, building_name, read_scene, shipped_scene
 from cellslam.sim.city.model import City, Floats, Ints, Material
+from cellslam.sim.city.osm import load_osm
 from cellslam.sim.errors import InputError
 
-FORMATS = (".ply", ".obj", ".stl", ".glb", ".gltf", ".xml", ".json", ".jsonl")
+FORMATS = (".ply", ".obj", ".stl", ".glb", ".gltf", ".xml", ".json", ".jsonl", ".osm", ".pbf")
 
 
 @dataclass(frozen=True)
@@ -47,6 +48,8 @@ def load_city(config: MeshCityConfig) -> City:
 @lru_cache(maxsize=2)
 def _load(config: MeshCityConfig, path: Path, stamp: int) -> City:
     del stamp  # part of the key: a file that has changed is read again
+    if path.suffix.lower() in (".osm", ".pbf"):
+        return load_osm(path, config.material, config.roughness_m)
     default = itu_material(config.material, config.thickness_m, config.roughness_m)
     objects = list(_objects(path, default, config))
     objects = [o for o in objects if len(o.triangles)]

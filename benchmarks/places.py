@@ -1,0 +1,81 @@
+"""Cities and tables of positions as the command line names them."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from cellslam.scenarios.loading import load, preset_names
+from cellslam.sim.city import City, MeshCityConfig, build_city
+from cellslam.sim.errors import InputError
+from cellslam.sim.rays.paths import Floats, Paths
+
+COLUMNS = ("x", "y", "z")
+HEAD = "receiver,order,length_m,azimuth_rad,elevation_rad,gain_db,vt_x,vt_y,vt_z,x1,y1,z1,x2,y2,z2,transmitter"
+
+
+def find_city(name: str, material: str | None = None, up: str | None = None) -> City:
+    """Return the city of a mesh file, a scene of sionna-rt, a preset or a scenario file. Raises InputError."""
+    if name in preset_names() or name.endswith(".toml"):
+        from cellslam.sim.world import city_rng
+
+        if material or up:
+            raise InputError(f"--material and --up are for meshes; '{name}' is a scenario, which says both itself")
+        scenario = load(name)
+        return build_city(scenario.city, city_rng(scenario.world, 0, 0))
+    given = {"path": name, "material": material, "up": up}
+    config = MeshCityConfig.model_validate({key: value for key, value in given.items() if value is not None})
+    return build_city(config, np.random.default_rng(0))
+
+
+def parse_positions(texts: list[str], option: str) -> Floats:
+    """Return positions (S, 3) written as X,Y,Z. Raises InputError."""
+    rows = []
+    for text in texts:
+        try:
+            row = [float(part) for part in text.split(",")]
+        except ValueError:
+            row = []
+        if len(row) != 3 or not np.isfinite(row).all():
+            raise InputError(f"{option} '{text}': write X,Y,Z in metres, as in {option}=12.5,-40,25")
+        rows.append(row)
+    return np.array(rows, np.float64)
+
+
+def read_positions(path: Path) -> Floats:
+    """Return positions (N, 3) from the columns x, y, z of a CSV file. Raises InputError."""
+    import pandas as pd
+
+    try:
+        table = pd.read_csv(path, skipinitialspace=True)
+    except (OSError, ValueError, pd.errors.ParserError) as error:
+        raise InputError(f"cannot read '{path}': {' '.join(str(error).split())[:160]}") from None
+    table.columns = [str(name).strip().lower() for name in table.columns]
+    missing = [name for name in COLUMNS if name not in table.columns]
+    if missing:
+        raise InputError(f"'{path}' has no column {', '.join(missing)}: its first line must name x,y,z")
+    if not len(table):
+        raise InputError(f"'{path}' has no rows: give at least one position")
+    points = np.column_stack([pd.to_numeric(table[name], errors="coerce") for name in COLUMNS]).astype(np.float64)
+    bad = np.flatnonzero(~np.isfinite(points).all(axis=1))
+    if len(bad):
+        raise InputError(f"'{path}', row {bad[0]}: x, y, z are not all finite numbers")
+    return points
+
+
+def write_paths(path: Path, paths: Paths) -> None:
+    """Write paths as CSV: millimetres to the ninth decimal; specular points that do not exist are empty cells."""
+    rows = [HEAD]
+    numbers = np.column_stack(
+        [paths.length_m, paths.azimuth_rad, paths.elevation_rad, paths.gain_db, paths.vt_position_m]
+    )
+    points = paths.points_m.reshape(-1, 6)
+    for index in range(len(paths)):
+        values = ",".join(f"{v:.9f}" for v in numbers[index])
+        places = ",".join("" if np.isnan(v) else f"{v:.9f}" for v in points[index])
+        rows.append(f"{paths.receiver[index]},{paths.order[index]},{values},{places},{paths.transmitter[index]}")
+    try:
+        path.write_text("\n".join(rows) + "\n", "utf-8")
+    except OSError as error:
+        raise InputError(f"{path}: cannot be written ({error.strerror or error})") from None
