@@ -24,6 +24,7 @@ class Stream(IntEnum):
     ESTIMATOR = 7
     SITES = 8
     VEHICLE = 9
+    RECEIVER = 10
 
 
 def stream(seed: int, trial: int, name: Stream) -> np.random.Generator:

@@ -108,10 +108,10 @@ class VirtualTransmitters:
 class Truth:
     """What really happened: for scoring and oracles only.
 
-    `poses` (T, 6); `measurement_vt` (M,), -1 for clutter; `measurement_std` (M, 3): the true white standard
-    deviations of
-    distance (m), azimuth, elevation (rad), NaN for clutter; `site_positions_m` (S, 3); `clock_offsets_m` (S,): b of
-    d = norm(v - r) + b; `odometry_bias` (T, 6): bias plus walk at each snapshot; `odometry_scale` (6,).
+    `poses` (T, 6); `measurement_vt` (M,), -1 for clutter; `measurement_std` (M, 3): the true standard
+    deviations of distance (m), azimuth, elevation (rad), NaN for clutter; `persisting_std` (M, 3): their part that is
+    alike over links and changes slowly (None: all errors are white); `site_positions_m` (S, 3); `clock_offsets_m`
+    (S,): b of d = norm(v - r) + b; `odometry_bias` (T, 6): bias plus walk at each snapshot; `odometry_scale` (6,).
     """
 
     poses: Floats
@@ -122,6 +122,7 @@ class Truth:
     clock_offsets_m: Floats
     odometry_bias: Floats
     odometry_scale: Floats
+    persisting_std: Floats | None = None
 
 
 @dataclass(frozen=True)
@@ -238,6 +239,8 @@ def _check_truth(truth: Truth, r: Recording) -> None:
     _shape("truth.poses", truth.poses, (len(r.time_s), 6))
     _shape("truth.measurement_vt", truth.measurement_vt, (len(r.measurements),))
     _shape("truth.measurement_std", truth.measurement_std, (len(r.measurements), 3))
+    if truth.persisting_std is not None:
+        _shape("truth.persisting_std", truth.persisting_std, (len(r.measurements), 3))
     _shape("truth.vts.position_m", truth.vts.position_m, (vts, 3))
     _shape("truth.site_positions_m", truth.site_positions_m, (len(r.sites), 3))
     _shape("truth.clock_offsets_m", truth.clock_offsets_m, (len(r.sites),))

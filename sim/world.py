@@ -24,6 +24,7 @@ from cellslam.sim.vehicle.config import OdometryConfig, VehicleConfig
 
 if TYPE_CHECKING:
     from cellslam.sim.lte.links import Cells
+    from cellslam.sim.lte.persisting_kernel import Fields
     from cellslam.sim.lte.statistical import Detections, PathColumns, Streams
     from cellslam.sim.rays import Paths, Scene
     from cellslam.sim.vehicle import Drive
@@ -46,8 +47,8 @@ class WorldConfig(BaseModel):
 
 @dataclass(frozen=True)
 class World:
-    """One trial's world, ready to be measured. `sites_m` (S, 3); `offsets_m` (S,) are the true clock
-    offsets.
+    """One trial's world, ready to be measured. `sites_m` (S, 3); `offsets_m` (S,) are the true clock offsets;
+    `fields` the receiver's errors that persist.
     """
 
     config: WorldConfig
@@ -59,6 +60,7 @@ class World:
     drive: Drive
     offsets_m: Floats
     start_pose: Floats
+    fields: Fields
 
     def streams(self) -> Streams:
         """Return the receiver's generators at the start of the trial."""
@@ -95,8 +97,8 @@ class World:
     def _detect(self, paths: Paths, poses: Floats, rng: Streams, snapshot: int, progress: Progress) -> Detections:
         from cellslam.sim.lte.statistical import detect
 
-        columns = path_columns(paths, len(poses), len(self.sites_m))
-        return detect(self.config.radio, self.cells, columns, poses, self.offsets_m, rng, snapshot, progress)
+        columns, radio = path_columns(paths, len(poses), len(self.sites_m)), self.config.radio
+        return detect(radio, self.cells, columns, poses, self.offsets_m, self.fields, rng, snapshot, progress)
 
 
 def prepare(config: WorldConfig, seed: int, trial: int, progress: Progress = silent) -> World:
@@ -104,6 +106,7 @@ def prepare(config: WorldConfig, seed: int, trial: int, progress: Progress = sil
     do not fit.
     """
     from cellslam.sim.lte.links import cells_of
+    from cellslam.sim.lte.persisting import draw_fields
     from cellslam.sim.sites import place_sites
     from cellslam.sim.vehicle import drive, plan_route
 
@@ -120,7 +123,8 @@ def prepare(config: WorldConfig, seed: int, trial: int, progress: Progress = sil
     rng = stream(seed, trial, Stream.OFFSETS)
     offsets_m = config.radio.clock_offset_std_m * rng.standard_normal(len(config.sites))
     start = driven.poses[0] + np.array(config.vehicle.start_std) * rng.standard_normal(6)
-    return World(config, seed, trial, scene, sites_m, cells, driven, offsets_m, start)
+    fields = draw_fields(config.radio, config.vehicle.snapshot_interval_s, stream(seed, trial, Stream.RECEIVER))
+    return World(config, seed, trial, scene, sites_m, cells, driven, offsets_m, start, fields)
 
 
 def simulate(config: WorldConfig, seed: int, trial: int, progress: Progress = silent) -> Recording:
@@ -128,6 +132,7 @@ def simulate(config: WorldConfig, seed: int, trial: int, progress: Progress = si
     recording.
     """
     from cellslam.sim.lte.links import links_of
+    from cellslam.sim.lte.persisting import persisting_std
     from cellslam.sim.vehicle import measure_odometry
 
     world = prepare(config, seed, trial, progress)
@@ -145,6 +150,7 @@ def simulate(config: WorldConfig, seed: int, trial: int, progress: Progress = si
         clock_offsets_m=world.offsets_m,
         odometry_bias=odometry.bias,
         odometry_scale=odometry.scale,
+        persisting_std=np.where(np.isnan(detections.true_std), np.nan, persisting_std(config.radio)),
     )
     return Recording(
         time_s=world.drive.time_s,

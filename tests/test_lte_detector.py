@@ -12,17 +12,19 @@ from scipy.stats import chi2, ncx2, poisson
 from cellslam.sim.errors import InputError
 from cellslam.sim.lte import RadioConfig
 from cellslam.sim.lte.links import Cells, cells_of, links_of
+from cellslam.sim.lte.persisting import draw_fields, floors
 from cellslam.sim.lte.statistical import (
     Detections,
     PathColumns,
     Streams,
     detect,
-    floors,
     noise_clutter_mean,
 )
 
 FALSE_ALARM = 1e-6
+WHITE = {k: 0.0 for k in RadioConfig.model_fields if "_correlation_" in k}
 Floats = NDArray[np.float64]
+FIELDS = draw_fields(RadioConfig(noise_scale=0.0), 0.075, np.random.default_rng(0))
 
 
 def make_cells(*azimuths_deg: float, ports: int = 1, tilt_deg: float = 0.0) -> Cells:
@@ -49,12 +51,13 @@ def run(
 ) -> Detections:
     paths = make_paths(np.asarray(vts, np.float64), amplitude, count)
     streams = Streams.spawn(np.random.default_rng(seed))
-    return detect(config, cells or make_cells(0.0), paths, np.zeros((count, 6)), np.zeros(1), streams)
+    fields = draw_fields(config, 0.075, np.random.default_rng(seed))
+    return detect(config, cells or make_cells(0.0), paths, np.zeros((count, 6)), np.zeros(1), fields, streams)
 
 
 def quiet(**keys: float | bool) -> RadioConfig:
-    """A configuration without interference and clutter."""
-    return RadioConfig(**({"load": 0.0, "evm": 0.0, "clutter_scale": 0.0} | keys))
+    """A configuration without interference and clutter, all errors white."""
+    return RadioConfig(**({"load": 0.0, "evm": 0.0, "clutter_scale": 0.0} | WHITE | keys))
 
 
 def amplitude_for(gamma: float, config: RadioConfig) -> float:
@@ -95,7 +98,7 @@ def test_ports_are_slanted() -> None:
     plus = np.array([1.0, 1.0]) / np.sqrt(2.0)
     paths = PathColumns(paths.rows, paths.vt_m, 1e-6 * np.outer(plus, plus)[None].astype(complex), paths.departure_rad)
     streams = Streams.spawn(np.random.default_rng(1))
-    d = detect(quiet(), make_cells(0.0, ports=2), paths, np.zeros((1, 6)), np.zeros(1), streams)
+    d = detect(quiet(), make_cells(0.0, ports=2), paths, np.zeros((1, 6)), np.zeros(1), FIELDS, streams)
     assert d.measurements.link.tolist() == [0]
 
 
@@ -217,7 +220,7 @@ def test_one_in_all_directions_is_exact_without_noise() -> None:
     poses = np.concatenate([rng.uniform(-50.0, 50.0, (count, 3)), rng.uniform(-0.5, 0.5, (count, 3))], axis=1)
     poses[:, 3] = rng.uniform(-np.pi, np.pi, count)
     paths = make_paths(vts, np.array([1e-6, 1e-9, 1e-6]), count)
-    d = detect(config, make_cells(0.0), paths, poses, np.array([-71.5]), Streams.spawn(rng))
+    d = detect(config, make_cells(0.0), paths, poses, np.array([-71.5]), FIELDS, Streams.spawn(rng))
     m = d.measurements
     exact = predict(poses[m.snapshot], paths.vt_m[d.path]) + np.array([-71.5, 0.0, 0.0])
     assert len(m) == 3 * count
@@ -239,7 +242,7 @@ def test_blocks_and_single_snapshots_draw_the_same() -> None:
     count, config = 1300, RadioConfig(clutter_scale=3.0)
     paths = make_paths(np.array([[100.0, 0.0, 0.0], [0.0, 150.0, 9.0]]), np.array([1e-6, 1e-8]), count)
     cells, poses = make_cells(0.0, 120.0, ports=2), np.zeros((count, 6))
-    whole = detect(config, cells, paths, poses, np.zeros(1), Streams.spawn(np.random.default_rng(2)))
+    whole = detect(config, cells, paths, poses, np.zeros(1), FIELDS, Streams.spawn(np.random.default_rng(2)))
     streams = Streams.spawn(np.random.default_rng(2))
     pieces = []
     for t in range(count):
@@ -250,7 +253,7 @@ def test_blocks_and_single_snapshots_draw_the_same() -> None:
             paths.gain[rows],
             paths.departure_rad[rows],
         )
-        pieces.append(detect(config, cells, one, poses[t : t + 1], np.zeros(1), streams, first_snapshot=t))
+        pieces.append(detect(config, cells, one, poses[t : t + 1], np.zeros(1), FIELDS, streams, first_snapshot=t))
     for name in (
         "snapshot",
         "link",

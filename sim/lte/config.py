@@ -57,17 +57,29 @@ class RadioConfig(BaseModel):
     calibration_elevation_deg: float = Field(
         0.35, ge=0.0, le=20.0, description="floor: array calibration in elevation, deg"
     )
+    calibration_correlation_deg: float = Field(
+        15.0, ge=0.0, le=180.0, description="turn over which the calibration error changes, deg (0: white errors)"
+    )
     roof_azimuth_deg: float = Field(
         0.6, ge=0.0, le=20.0, description="floor: scattering off the car's roof, azimuth, deg"
     )
     roof_elevation_deg: float = Field(
         1.2, ge=0.0, le=20.0, description="floor: scattering off the car's roof, elevation, deg"
     )
+    roof_correlation_deg: float = Field(
+        6.0, ge=0.0, le=180.0, description="turn over which the roof's scattering changes, deg (0: white errors)"
+    )
+    diffuse_correlation_m: float = Field(
+        0.15, ge=0.0, le=100.0, description="way over which a path's diffuse error changes, m (0: white errors)"
+    )
     attitude_azimuth_deg: float = Field(
         0.3, ge=0.0, le=20.0, description="floor: motion of the array within a snapshot, azimuth, deg"
     )
     attitude_elevation_deg: float = Field(
         0.5, ge=0.0, le=20.0, description="floor: motion of the array within a snapshot, elevation, deg"
+    )
+    attitude_correlation_s: float = Field(
+        0.15, ge=0.0, le=100.0, description="time over which the motion within a snapshot changes, s (0: white errors)"
     )
 
     clutter_scale: float = Field(1.0, ge=0.0, le=20.0, description="factor on the mean number of clutter measurements")

@@ -26,6 +26,7 @@ class LinkTable(NamedTuple):
 
     site: Array
     cell: Array
+    port: Array
     slant: Array
     cell_site: Array
     cell_azimuth: Array
@@ -34,7 +35,9 @@ class LinkTable(NamedTuple):
 
 
 class Model(NamedTuple):
-    """The radio configuration in linear units; scales as in `BoundScales`, floors are standard deviations."""
+    """The radio configuration in linear units; scales as in `BoundScales`, floors are standard
+    deviations, of all causes and of the white ones.
+    """
 
     eirp: float
     noise: float
@@ -48,6 +51,9 @@ class Model(NamedTuple):
     distance_floor: float
     azimuth_floor: float
     elevation_floor: float
+    distance_white: float
+    azimuth_white: float
+    elevation_white: float
     noise_scale: float
     detection_scale: float
     perfect: bool

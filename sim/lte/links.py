@@ -63,6 +63,7 @@ def link_table(cells: Cells) -> LinkTable:
     return LinkTable(
         site=cells.site[cell],
         cell=cell,
+        port=port,
         slant=slant(port),
         cell_site=cells.site,
         cell_azimuth=cells.azimuth_rad,

@@ -78,6 +78,17 @@ def write_std(row: Array, gamma: float, elevation: float, model: Model) -> None:
 
 
 @njit(cache=True)
+def write_white_std(gamma: float, elevation: float, model: Model, out: Array) -> None:
+    """Write the deviations (3,) of what is drawn anew for every measurement at effective integrated SNR `gamma`."""
+    root = 1.0 / math.sqrt(2.0 * gamma)
+    cosine = max(math.cos(elevation), 0.05)
+    growth = 1.0 + ELEVATION_GROWTH * elevation**2
+    out[0] = model.noise_scale * math.hypot(model.distance_scale * root, model.distance_white)
+    out[1] = model.noise_scale * math.hypot(model.azimuth_scale * root / cosine**AZIMUTH_EXPONENT, model.azimuth_white)
+    out[2] = model.noise_scale * math.hypot(model.elevation_scale * root * growth, model.elevation_white)
+
+
+@njit(cache=True)
 def fold(row: Array) -> None:
     """Bring elevation into [-pi/2, pi/2] (over the pole turns the azimuth round) and azimuth into (-pi,
     pi].

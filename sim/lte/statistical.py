@@ -1,7 +1,7 @@
 """Statistical front end: what the receiver's path estimator would report, drawn from its statistics.
 
 Per link and path: received power, interference, SNR, overlap with stronger paths, detection, error from the
-bound and the floors; then clutter of three kinds. White in time and over links.
+bound and the floors, in part white and in part persisting; then clutter of three kinds.
 """
 
 from __future__ import annotations
@@ -16,6 +16,8 @@ from cellslam.sim.lte import detector_model as k
 from cellslam.sim.lte.bound import bound_scales
 from cellslam.sim.lte.config import RadioConfig
 from cellslam.sim.lte.links import Cells, link_table
+from cellslam.sim.lte.persisting import floors, white_floors
+from cellslam.sim.lte.persisting_kernel import Fields
 from cellslam.sim.progress import Progress, silent
 from cellslam.sim.recording import Floats, Ints, Measurements
 
@@ -24,8 +26,6 @@ BLOCK = 512  # snapshots per kernel call: the step of the progress bar
 # specular-to-diffuse ratio.
 _DIFFUSE_RATIO_DB = (0.0, 5.0, 10.0, 15.0, 20.0, 30.0)
 _DIFFUSE_COUNT = (15.0, 12.0, 9.0, 6.0, 3.0, 0.1)
-# Diffuse energy of a path as strong as its specular part displaces it by these deviations.
-_DIFFUSE_FLOOR = (1.15, np.radians(1.15), np.radians(0.75))
 
 
 class Streams(NamedTuple):
@@ -59,28 +59,12 @@ class PathColumns:
 @dataclass(frozen=True)
 class Detections:
     """Measurements, and of each the path row that it came from (-1 clutter) and its true deviations (M, 3),
-    NaN for clutter.
+    of white and persisting errors together, NaN for clutter.
     """
 
     measurements: Measurements
     path: Ints
     true_std: Floats
-
-
-def floors(config: RadioConfig) -> Floats:
-    """Return the error floors (3,) in m, rad, rad: the variances of the named causes, added."""
-    diffuse = np.array(_DIFFUSE_FLOOR) * 10.0 ** (-config.specular_to_diffuse_db / 20.0)
-    causes = (
-        diffuse,
-        (
-            config.calibration_distance_m,
-            np.radians(config.calibration_azimuth_deg),
-            np.radians(config.calibration_elevation_deg),
-        ),
-        (0.0, np.radians(config.roof_azimuth_deg), np.radians(config.roof_elevation_deg)),
-        (0.0, np.radians(config.attitude_azimuth_deg), np.radians(config.attitude_elevation_deg)),
-    )
-    return np.asarray(np.sqrt(np.sum(np.square(np.array([tuple(c) for c in causes])), axis=0)))
 
 
 def noise_clutter_mean(threshold: float) -> float:
@@ -105,7 +89,7 @@ def model_of(config: RadioConfig) -> k.Model:
     """Return the kernel's constants for a radio configuration."""
 
     scales = bound_scales(config.resource_blocks)
-    floor = floors(config)
+    floor, white = floors(config), white_floors(config)
     diffuse = (
         float(np.interp(config.specular_to_diffuse_db, _DIFFUSE_RATIO_DB, _DIFFUSE_COUNT)) * config.diffuse_survival
     )
@@ -114,7 +98,8 @@ def model_of(config: RadioConfig) -> k.Model:
         evm_power=config.evm**2, snr_cap=10.0 ** (config.snr_cap_db / 10.0), samples=float(scales.samples),
         distance_scale=scales.distance_m, azimuth_scale=scales.azimuth_rad,
         elevation_scale=scales.elevation_rad, distance_floor=float(floor[0]), azimuth_floor=float(floor[1]),
-        elevation_floor=float(floor[2]), noise_scale=config.noise_scale,
+        elevation_floor=float(floor[2]), distance_white=float(white[0]), azimuth_white=float(white[1]),
+        elevation_white=float(white[2]), noise_scale=config.noise_scale,
         detection_scale=config.detection_scale, perfect=config.perfect_detection,
         window_min=config.window_min_m, window_max=config.window_max_m,
         noise_clutter=noise_clutter_mean(config.detection_threshold) * config.clutter_scale,
@@ -124,13 +109,13 @@ def model_of(config: RadioConfig) -> k.Model:
 
 
 def detect(
-    config: RadioConfig, cells: Cells, paths: PathColumns, poses: Floats, offsets_m: Floats, streams: Streams,
-    first_snapshot: int = 0, progress: Progress = silent,
+    config: RadioConfig, cells: Cells, paths: PathColumns, poses: Floats, offsets_m: Floats, fields: Fields,
+    streams: Streams, first_snapshot: int = 0, progress: Progress = silent,
 ) -> Detections:  # fmt: skip
     """Return the measurements of `poses` (T, 6), whose paths are `paths`, numbered from `first_snapshot`.
 
-    `offsets_m` (S,) is added to the distances. The streams advance: a drive in one call or pose by pose gives
-    the same.
+    `offsets_m` (S,) is added to the distances; `fields` are the errors that persist (`persisting.draw_fields`).
+    The streams advance: a drive in one call or pose by pose gives the same.
     """
     from cellslam.sim.lte.statistical_kernel import measure_block
 
@@ -145,7 +130,7 @@ def detect(
             block = measure_block(
                 first_snapshot + start, np.ascontiguousarray(part, np.float64), rows - low,
                 paths.vt_m[low:high], paths.gain[low:high], paths.departure_rad[low:high],
-                np.asarray(offsets_m, np.float64), links, model, table, config.detection_threshold,
+                np.asarray(offsets_m, np.float64), links, model, fields, table, config.detection_threshold,
                 streams.noise, streams.detection, streams.clutter,
             )  # fmt: skip
             block[:, k.PATH] += np.where(block[:, k.PATH] >= 0, low, 0)

@@ -29,12 +29,12 @@ from cellslam.sim.lte.detector_model import (
     PATH,
     SNAPSHOT,
     SNR_DB,
-    TRUE_STD,
     Array,
     LinkTable,
     Model,
 )
-from cellslam.sim.lte.measurement_kernel import body_geometry, fold, probability, wrap, write_std
+from cellslam.sim.lte.measurement_kernel import body_geometry, fold, probability, wrap, write_std, write_white_std
+from cellslam.sim.lte.persisting_kernel import Fields, write_attitude, write_persisting
 
 
 @njit(cache=True)
@@ -58,6 +58,11 @@ def _detect_paths(
     gamma: Array,
     model: Model,
     table: Array,
+    pose: Array,
+    vt: Array,
+    port: int,
+    attitude: Array,
+    fields: Fields,
     noise: Any,
     detection: Any,
     work: Array,
@@ -106,6 +111,7 @@ def _detect_paths(
             work[q, 6] += pull * (geo[i, 2] - geo[q, 2])
             work[q, 7] += merged * gamma[i]
     count = 0
+    white, slow = np.empty(3), np.empty(3)
     for i in range(n):
         e_d, e_a, e_e = noise.standard_normal(), noise.standard_normal(), noise.standard_normal()
         if work[i, 3] == 0.0:
@@ -113,9 +119,11 @@ def _detect_paths(
         row = out[count]
         effective = max(gamma[i] * work[i, 1], 1e-2)
         write_std(row, effective, geo[i, 2], model)
-        row[DISTANCE] = geo[i, 0] + work[i, 4] * model.noise_scale + row[TRUE_STD] * e_d
-        row[AZIMUTH] = geo[i, 1] + work[i, 5] * model.noise_scale + row[TRUE_STD + 1] * e_a
-        row[ELEVATION] = geo[i, 2] + work[i, 6] * model.noise_scale + row[TRUE_STD + 2] * e_e
+        write_white_std(effective, geo[i, 2], model, white)
+        write_persisting(geo[i], pose, vt[i], port, attitude, fields, slow)
+        row[DISTANCE] = geo[i, 0] + work[i, 4] * model.noise_scale + white[0] * e_d + slow[0]
+        row[AZIMUTH] = geo[i, 1] + work[i, 5] * model.noise_scale + white[1] * e_a + slow[1]
+        row[ELEVATION] = geo[i, 2] + work[i, 6] * model.noise_scale + white[2] * e_e + slow[2]
         fold(row)
         row[SNR_DB] = 10.0 * math.log10(min((gamma[i] + work[i, 7]) / model.samples, model.snr_cap))
         row[PATH] = i
@@ -161,6 +169,7 @@ def measure_block(
     offsets: Array,
     links: LinkTable,
     model: Model,
+    fields: Fields,
     table: Array,
     threshold: float,
     noise: Any,
@@ -176,7 +185,7 @@ def measure_block(
     widest = 1
     for k in range(len(rows) - 1):
         widest = max(widest, rows[k + 1] - rows[k])
-    geo = np.empty((sites, widest, 3))
+    geo, attitude = np.empty((sites, widest, 3)), np.empty(3)
     power = np.empty((count_links, widest))
     cell_power = np.empty(len(links.cell_site))
     gamma, work = np.empty(widest), np.empty((widest, 8))
@@ -189,6 +198,7 @@ def measure_block(
             for i in range(rows[base + s + 1] - rows[base + s]):
                 body_geometry(poses[t], vt[rows[base + s] + i], geo[s, i])
         link_powers(rows, base, gain, departure, geo, links, model.eirp, power, cell_power)
+        write_attitude(first_snapshot + t, fields, attitude)
         total = 0.0
         for cell in range(len(cell_power)):
             total += cell_power[cell]
@@ -202,7 +212,10 @@ def measure_block(
             sigma2 = model.noise + model.load * (total - cell_power[cell]) + model.evm_power * own
             for i in range(n):
                 gamma[i] = model.samples * min(power[link, i] / sigma2, model.snr_cap)
-            count = _detect_paths(n, geo[site], gamma, model, table, noise, detection, work, buffer)
+            count = _detect_paths(
+                n, geo[site], gamma, model, table, poses[t], vt[first:], links.port[link], attitude, fields, noise,
+                detection, work, buffer,
+            )  # fmt: skip
             for i in range(n):
                 count += ghost_clutter(geo[site, i], gamma[i], model, table, clutter, buffer[count:])
                 count += diffuse_clutter(geo[site, i], gamma[i], model, table, clutter, buffer[count:])
