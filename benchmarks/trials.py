@@ -125,12 +125,22 @@ def score_recording(
     from cellslam.benchmarks.bound import bound
 
     limit = bound(recording, progress) if recording.truth is not None else None
-    outcomes = []
-    for request in requests:
-        row = _row(recording, scenario, request.name, trial, seed)
-        rng = stream(seed, trial, Stream.ESTIMATOR)
-        outcomes.append(_outcome(recording, row, request, limit, rng, progress))
-    return Trial(trial, recording, limit, tuple(outcomes))
+    answers = (outcome_of(recording, scenario, r, trial, seed, limit, progress) for r in requests)
+    return Trial(trial, recording, limit, tuple(answers))
+
+
+def outcome_of(
+    recording: Recording,
+    scenario: str,
+    request: Request,
+    trial: int,
+    seed: int,
+    limit: BoundResult | None,
+    progress: Progress = silent,
+) -> Outcome:
+    """Return what one estimator makes of a recording; `limit` is the recording's bound."""
+    row = _row(recording, scenario, request.name, trial, seed)
+    return _outcome(recording, row, request, limit, stream(seed, trial, Stream.ESTIMATOR), progress)
 
 
 def failed_row(scenario: str, estimator: str, trial: int, seed: int, error: str) -> Row:
@@ -148,7 +158,7 @@ def _outcome(
         warm_up(request, progress)
         result = estimate(recording, request, rng, progress)
     except (Exception, SystemExit) as error:
-        return Outcome({**row, "status": "failed", "error": _explained(error)}, None, traceback.format_exc())
+        return Outcome({**row, "status": "failed", "error": explained(error)}, None, traceback.format_exc())
     seconds = result.estimate_seconds
     times = {"estimate_seconds": seconds, "realtime_factor": row["duration_s"] / seconds}
     row = {**row, "status": "ok", **score(recording, result, limit), **times}
@@ -163,8 +173,8 @@ def _row(recording: Recording, scenario: str, estimator: str, trial: int, seed: 
     return {**dict.fromkeys(ROW_KEYS), **first, **size, "distance_m": distance_m(recording)}
 
 
-def _explained(error: BaseException) -> str:
-    """Return the error as one line: what, in which snapshot, and where in the estimator's code."""
+def explained(error: BaseException) -> str:
+    """Return an error as one line: what, in which snapshot, and where in the code that raised it."""
     text = " ".join(str(error).split())
     line = text if isinstance(error, BadAnswerError) else f"{type(error).__name__}: {text}".removesuffix(": ")
     notes = "".join(f", {note}" for note in getattr(error, "__notes__", ()))
