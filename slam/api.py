@@ -5,7 +5,7 @@ An estimator sees copies of observables only. `Setup` and `Snapshot` hold no ref
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields, is_dataclass, replace
 from typing import Any, ClassVar, Protocol, runtime_checkable
 
 import numpy as np
@@ -110,7 +110,7 @@ def setup_of(recording: Recording, with_truth: bool = False) -> Setup:
         ),
         start_pose=_frozen(recording.start_pose),
         start_std=_frozen(recording.start_std),
-        truth=recording.truth if with_truth else None,
+        truth=_frozen_copy(recording.truth) if with_truth else None,
     )
 
 
@@ -137,3 +137,12 @@ def _frozen(array: NDArray[Any]) -> NDArray[Any]:
     copy = np.array(array)
     copy.setflags(write=False)
     return copy
+
+
+def _frozen_copy(value: Any) -> Any:
+    """Return a dataclass with its arrays as read-only copies, at any depth."""
+    if isinstance(value, np.ndarray):
+        return _frozen(value)
+    if is_dataclass(value) and not isinstance(value, type):
+        return replace(value, **{f.name: _frozen_copy(getattr(value, f.name)) for f in fields(value)})
+    return value
