@@ -60,9 +60,8 @@ def add_bench(add: Add) -> None:
     rays.add_argument("--repeat", metavar="N", type=_whole, default=5, help="runs of each size; the best counts")
     rays.add_argument("--no-peers", action="store_true", help="leave Sionna RT and DiffeRT out")
     rays.add_argument(
-        "--peer-receivers", metavar="N", type=_whole, default=1000, help="receivers that peers are asked for"
+        "--peer-receivers", metavar="N", type=_whole, default=6850, help="receivers that peers are asked for (6850)"
     )
-    rays.add_argument("--threads", metavar="N", type=_whole, default=1, help="processor cores for all (default: 1)")
     rays.add_argument("--json", action="store_true", help="print the rows as JSON on stdout, nothing else")
 
 
