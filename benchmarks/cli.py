@@ -27,6 +27,7 @@ examples:
   cellslam run munich-530 --set radio.clutter_scale=2 --estimator my_module:MyEstimator
   cellslam record tiny --out tiny.h5                 keep the measurements ...
   cellslam replay tiny.h5 --estimator fastslam       ... and estimate again from them
+  cellslam sweep tiny --sweep radio.load=0,0.5 --trials 20 --out s     many variants, in parallel
   cellslam show tiny                                 every key that --set can change
   cellslam city trace sionna-rt:munich --bs=42,-50,30 --rx rx.csv --out paths.csv    paths for other work
 """
@@ -91,6 +92,7 @@ def build_parser() -> argparse.ArgumentParser:
     _add_run(add("run", "cli_run:run", "simulate a scenario, run estimators on it, score them"))
     _add_record(add("record", "cli_recording:record", "simulate a scenario and keep it as a recording"))
     _add_replay(add("replay", "cli_recording:replay", "run estimators on a recording and score them"))
+    _add_sweep(add("sweep", "cli_sweep:sweep", "many variants and trials of a scenario, in parallel, resumable"))
     show = add("show", "cli_show:show", "every key of a scenario: value, unit, range, meaning")
     _add_scenario(show)
     listing = add("list", "cli_show:list_known", "the scenarios or estimators that are known by name")
@@ -137,7 +139,7 @@ def _add_seed(parser: argparse.ArgumentParser, default: int | None, meaning: str
     parser.add_argument("--seed", metavar="S", type=_whole, default=default, help=meaning)
 
 
-def _add_estimation(parser: argparse.ArgumentParser) -> None:
+def _add_estimators(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--estimator",
         metavar="NAME",
@@ -146,6 +148,10 @@ def _add_estimation(parser: argparse.ArgumentParser) -> None:
         dest="estimators",
         help="estimator by name or as module:Class; may be repeated (default: fastslam and dead-reckoning)",
     )
+
+
+def _add_estimation(parser: argparse.ArgumentParser) -> None:
+    _add_estimators(parser)
     parser.add_argument("--json", action="store_true", help="print the rows as one JSON array on stdout, nothing else")
     parser.add_argument("--no-figures", action="store_true", help="do not draw figures")
 
@@ -178,6 +184,42 @@ def _add_check(parser: argparse.ArgumentParser) -> None:
     _add_set(parser, "estimator.fastslam.particles=300")
 
 
+def _add_sweep(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("scenario", metavar="SCENARIO", help="a preset's name, a scenario file, or a sweep file")
+    _add_set(parser, "radio.load=0.5")
+    parser.add_argument(
+        "--sweep",
+        metavar="KEY=V1,V2,...",
+        action="append",
+        default=[],
+        dest="sweeps",
+        help="values of one key; may be repeated: all combinations",
+    )
+    _add_estimators(parser)
+    parser.add_argument("--trials", metavar="N", type=_whole, help="trials 0 to N-1 of each point (default: 1)")
+    _add_seed(parser, None, "root seed of all random draws (default: 0)")
+    parser.add_argument("--out", metavar="DIR", required=True, help="folder of the results; one that exists is resumed")
+    _add_flags(
+        parser,
+        ("--dry-run", "say how many trials there are and how long they may take; do nothing"),
+        ("--live", "show the table of results so far every few seconds"),
+        ("--retry-failed", "do trials that are stored as failed again"),
+        ("--no-trajectories", "keep the rows alone: saves disk space, and costs error curves and reports"),
+    )
+    names = ("serial", "processes", "dask")
+    parser.add_argument("--executor", choices=names, default="processes", help="where to work (default: processes)")
+    parser.add_argument("--jobs", metavar="N", type=_whole, help="number of processes (default: one a core)")
+    parser.add_argument("--scheduler", metavar="ADDRESS", help="a running Dask scheduler, as tcp://host:8786")
+    time_help = "one estimator's time for one trial, then its process is killed (default: 3600)"
+    parser.add_argument("--time-limit", metavar="SECONDS", type=_number, default=3600.0, help=time_help)
+    parser.add_argument("--memory-limit", metavar="GIB", type=_number, help="memory of a process (default: fair share)")
+
+
+def _add_flags(parser: argparse.ArgumentParser, *flags: tuple[str, str]) -> None:
+    for name, meaning in flags:
+        parser.add_argument(name, action="store_true", help=meaning)
+
+
 def _late(target: str) -> Callable[[argparse.Namespace], int]:
     """Return a command that imports its module when it is called."""
     module, _, name = target.partition(":")
@@ -194,6 +236,13 @@ def _whole(text: str) -> int:
         return int(text)
     except ValueError:
         raise argparse.ArgumentTypeError(f"'{text}' is not a whole number") from None
+
+
+def _number(text: str) -> float:
+    try:
+        return float(text)
+    except ValueError:
+        raise argparse.ArgumentTypeError(f"'{text}' is not a number") from None
 
 
 def _kind(message: str) -> str:

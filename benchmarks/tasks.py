@@ -45,6 +45,10 @@ class Task:
         """Return the task with one of its jobs alone."""
         return replace(self, jobs=(job,))
 
+    def without(self, key: str) -> Task:
+        """Return the task less the job of that key."""
+        return replace(self, jobs=tuple(job for job in self.jobs if job.key != key))
+
 
 @dataclass(frozen=True)
 class Began:
@@ -142,7 +146,7 @@ def work(task: Task) -> Iterator[Began | Result]:
     from cellslam.benchmarks.trials import explained, failed_row, record
 
     yield Began(None)
-    scenario = _scenario(task.world)
+    scenario = scenario_of(task.world)
     try:
         recording = record(scenario, task.seed, task.trial)
         limit = bound(recording)
@@ -163,7 +167,7 @@ def _result(task: Task, job: Job, scenario: str, recording: Recording, limit: Bo
     from cellslam.benchmarks.trials import explained, failed_row, outcome_of
 
     try:
-        request = _request(job.estimator, job.options)
+        request = request_of(job.estimator, job.options)
         outcome = outcome_of(recording, scenario, request, task.trial, task.seed, limit)
         packed = pack(recording, outcome.result, limit) if task.trajectories and outcome.result is not None else None
     except (Exception, SystemExit) as error:
@@ -188,14 +192,16 @@ def _expected(error: Exception) -> bool:
 
 
 @lru_cache(maxsize=16)
-def _scenario(world: str) -> Scenario:
+def scenario_of(world: str) -> Scenario:
+    """Return the scenario of a world as JSON."""
     from cellslam.scenarios.loading import from_tables
 
     return from_tables(json.loads(world))
 
 
 @lru_cache(maxsize=64)
-def _request(estimator: str, options: str) -> Request:
+def request_of(estimator: str, options: str) -> Request:
+    """Return the request of an estimator with options as JSON."""
     from cellslam.scenarios.options import resolve
 
     return resolve({estimator: json.loads(options) or {}}, [estimator])[0]

@@ -1,0 +1,370 @@
+"""`cellslam sweep` end to end: executors, estimators that misbehave, kills, resuming."""
+
+from __future__ import annotations
+
+import dataclasses
+import os
+import random
+import signal
+import sqlite3
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import psutil
+import pytest
+
+from cellslam.benchmarks import executors, sweeping, tasks
+from cellslam.benchmarks.cli import main
+from cellslam.benchmarks.pool import Limits, Pool
+from cellslam.benchmarks.result import ROW_KEYS
+from cellslam.benchmarks.results import results
+from cellslam.benchmarks.store import DATABASE, TRAJECTORIES, writing
+from cellslam.scenarios import sweep
+from cellslam.sim.errors import InputError
+
+COMMAND = Path(sys.executable).parent / "cellslam"
+SET = {"vehicle.distance_m": 5, "vehicle.duration_s": 7.5, "vehicle.stops": 0, "vehicle.stand_first_s": 0}
+SHORT = tuple(word for key, value in SET.items() for word in ("--set", f"{key}={value}"))
+# How often driver and workers are killed; the full test: CELLSLAM_KILLS=20 pytest tests/test_sweeping.py -k kill
+KILLS = int(os.environ.get("CELLSLAM_KILLS", "2"))
+TIMES = ("estimate_seconds", "realtime_factor")
+PLUGIN = """
+import os, time
+import numpy as np
+from cellslam.sim.frames import integrate_pose
+from cellslam.slam.api import Estimate
+
+class Good:
+    name = "good"
+    def __init__(self, options): pass
+    def start(self, setup, rng):
+        self.pose, self.rng = setup.start_pose, rng
+    def step(self, dt_s, odometry, snapshot):
+        self.pose = integrate_pose(self.pose, odometry, dt_s)
+        self.odd(snapshot.index == 5)
+        return Estimate(self.pose + 0.01 * self.rng.normal(size=6), np.eye(6))
+    def odd(self, now): pass
+
+class Slow(Good):
+    def odd(self, now): time.sleep(0.004)
+
+class Raises(Good):
+    def odd(self, now):
+        if now: raise ArithmeticError("lost it")
+
+class Hangs(Good):
+    def odd(self, now):
+        while now: time.sleep(0.1)
+
+class NotFinite(Good):
+    def odd(self, now):
+        if now: self.pose = self.pose * np.nan
+
+class EatsMemory(Good):
+    def odd(self, now):
+        self.eaten = [np.ones(10**8) for _ in range(100 if now else 0)]
+
+class Exits(Good):
+    def odd(self, now):
+        if now: os._exit(7)
+
+class ExitsOnce(Good):
+    def odd(self, now):
+        if now and not os.path.exists("exited"):
+            open("exited", "w").close()
+            os.kill(os.getpid(), 9)
+"""
+
+
+@pytest.fixture
+def place(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(sys, "path", list(sys.path))
+    monkeypatch.delitem(sys.modules, "misfits", raising=False)
+    tasks.request_of.cache_clear()
+    (tmp_path / "misfits.py").write_text(PLUGIN)
+    return tmp_path
+
+
+def words(*estimators: str, out: str = "out", trials: int = 2, more: tuple[str, ...] = ()) -> list[str]:
+    chosen = [word for name in estimators for word in ("--estimator", name)]
+    return ["sweep", "tiny", *SHORT, *chosen, "--trials", str(trials), "--out", out, "--quiet", *more]
+
+
+def rows(out: str | Path) -> list[dict[str, Any]]:
+    """Return the rows of a store without their times, in an order of their own."""
+    kept = [key for key in ROW_KEYS if key not in TIMES]
+    with sqlite3.connect(Path(out) / DATABASE) as database:
+        found = database.execute(f"SELECT key, {', '.join(kept)} FROM rows ORDER BY key").fetchall()
+    database.close()
+    return [dict(zip(("key", *kept), row, strict=True)) for row in found]
+
+
+def test_processes_give_the_rows_of_one_process(place: Path) -> None:
+    swept = ("--sweep", "radio.load=0.1,1", "--sweep", "estimator.fastslam.particles=10,20")
+    names = ("fastslam", "dead-reckoning")
+    for name in ("serial", "processes"):
+        more = (*swept, "--executor", name, "--jobs", "2")
+        assert main(words(*names, out=name, more=more)) == 0
+    expected = rows("serial")
+    assert len(expected) == 2 * 2 * 3
+    assert {row["status"] for row in expected} == {"ok"}
+    assert rows("processes") == expected
+    files = [sorted(p.name for p in Path(name, TRAJECTORIES).rglob("*.npz")) for name in ("serial", "processes")]
+    assert files[0] == files[1] == sorted(f"{row['key']}.npz" for row in expected)
+    frame = results(place / "processes")
+    assert frame.groupby("estimator", dropna=False)["estimator.fastslam.particles"].nunique().to_dict() == {
+        "dead-reckoning": 0,
+        "fastslam": 2,
+    }
+
+
+def test_misfits_cost_their_own_rows_only(place: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    misfits = ("Raises", "Hangs", "NotFinite", "EatsMemory", "Exits", "ExitsOnce")
+    names = [f"misfits:{name}" for name in (*misfits, "Good")]
+    more = ("--time-limit", "5", "--memory-limit", "1.5", "--jobs", "2")
+    assert main(words(*names, trials=1, more=more)) == 1
+    found = {row["estimator"].removeprefix("misfits:"): row for row in rows("out")}
+    errors = {name: row["error"] for name, row in found.items()}
+    assert "ArithmeticError: lost it, snapshot 5" in errors["Raises"]
+    assert errors["Hangs"] == "no answer within the time limit of 5 s; alone it was lost again"
+    assert "pose is not finite, snapshot 5" in errors["NotFinite"]
+    assert "MemoryError" in errors["EatsMemory"]
+    assert errors["Exits"] == "its worker process ended with exit status 7; alone it was lost again"
+    assert (found["Good"]["status"], found["ExitsOnce"]["status"]) == ("ok", "ok")
+    assert found["Good"]["position_rmse_m"] == found["ExitsOnce"]["position_rmse_m"]
+    before = [row for row in rows("out") if row["status"] == "ok"]
+    # Resumed, nothing is done again; with --retry-failed what failed is.
+    (place / "misfits.py").write_text(PLUGIN.replace("snapshot.index == 5", "False"))
+    del sys.modules["misfits"]
+    tasks.request_of.cache_clear()
+    assert main(words(*names, trials=1, more=("--executor", "serial"))) == 1
+    assert sum(row["status"] == "failed" for row in rows("out")) == 5
+    assert main(words(*names, trials=1, more=("--executor", "serial", "--retry-failed"))) == 0
+    assert {row["status"] for row in rows("out")} == {"ok"}
+    assert [row for row in rows("out") if row["key"] in {b["key"] for b in before}] == before
+    capfd.readouterr()
+
+
+def test_a_world_is_made_once_for_all_estimators(place: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    from cellslam.benchmarks import trials
+
+    made: list[tuple[int, float]] = []
+    real = trials.record
+    monkeypatch.setattr(
+        trials, "record", lambda s, seed, trial: made.append((trial, s.radio.load)) or real(s, seed, trial)
+    )
+    names = ("misfits:Good", "misfits:Raises", "dead-reckoning")
+    assert main(words(*names, more=("--executor", "serial", "--sweep", "radio.load=0.1,0.2"))) == 1
+    assert made == [(0, 0.1), (0, 0.2), (1, 0.1), (1, 0.2)]
+
+
+def test_a_world_that_cannot_be_made_fails_its_rows(place: Path) -> None:
+    more = ("--sweep", "vehicle.acceleration_mps2=0.6,0.05", "--executor", "serial")
+    assert main(words("dead-reckoning", trials=1, more=more)) == 1
+    failed = [row for row in rows("out") if row["status"] == "failed"]
+    assert len(failed) == 1 and failed[0]["error"].startswith("the world cannot be made: ")
+
+
+def start(line: list[str], **more: Any) -> subprocess.Popen[str]:
+    pipe = subprocess.PIPE
+    return subprocess.Popen([COMMAND, *line], stdout=pipe, stderr=pipe, text=True, start_new_session=True, **more)
+
+
+def stored(out: Path) -> int:
+    try:
+        with sqlite3.connect(f"file:{out / DATABASE}?mode=ro", uri=True) as database:
+            count: int = database.execute("SELECT count(*) FROM rows").fetchone()[0]
+        database.close()
+    except sqlite3.OperationalError:
+        return 0
+    return count
+
+
+def wait_for(condition: Callable[[], bool], process: subprocess.Popen[str], limit_s: float = 120.0) -> None:
+    end = time.monotonic() + limit_s
+    while not condition() and process.poll() is None and time.monotonic() < end:
+        time.sleep(0.01)
+
+
+@pytest.fixture(scope="module")
+def undisturbed(tmp_path_factory: pytest.TempPathFactory) -> list[dict[str, Any]]:
+    folder = tmp_path_factory.mktemp("undisturbed")
+    (folder / "misfits.py").write_text(PLUGIN)
+    line = words("misfits:Slow", "dead-reckoning", trials=6, more=("--executor", "serial"))
+    subprocess.run([COMMAND, *line], cwd=folder, check=True)
+    return rows(folder / "out")
+
+
+def test_killed_drivers_lose_at_most_what_was_in_flight(place: Path, undisturbed: list[dict[str, Any]]) -> None:
+    draw = random.Random(5)
+    line = words("misfits:Slow", "dead-reckoning", trials=6, more=("--jobs", "2"))
+    for kill in range(KILLS):
+        before = stored(place / "out")
+        driver = start(line)
+        goal = before + (kill % 2)
+        wait_for(lambda goal=goal: stored(place / "out") >= goal, driver)
+        time.sleep(draw.uniform(0.0, 2.0 if goal == before else 0.2))
+        seen = stored(place / "out")
+        driver.kill()
+        driver.communicate()
+        # Every row that was seen before the kill is still there, and right.
+        kept = rows(place / "out") if (place / "out" / DATABASE).exists() and stored(place / "out") else []
+        assert len(kept) >= seen
+        assert all(row in undisturbed for row in kept)
+    last = start(line)
+    _, err = last.communicate(timeout=200)
+    assert last.returncode == 0, err
+    assert rows("out") == undisturbed
+    assert len(list(Path("out", TRAJECTORIES).rglob("*.npz"))) == len(undisturbed)
+
+
+def test_killed_workers_cost_nothing(place: Path, undisturbed: list[dict[str, Any]]) -> None:
+    draw = random.Random(6)
+    driver = start(words("misfits:Slow", "dead-reckoning", trials=6, more=("--jobs", "2")))
+    for _ in range(KILLS):
+        wait_for(lambda: len(psutil.Process(driver.pid).children()) > 0, driver)
+        time.sleep(draw.uniform(0.1, 2.0))
+        if driver.poll() is None and (workers := psutil.Process(driver.pid).children()):
+            draw.choice(workers).kill()
+    _, err = driver.communicate(timeout=200)
+    again = start(words("misfits:Slow", "dead-reckoning", trials=6, more=("--jobs", "2", "--retry-failed")))
+    _, err = again.communicate(timeout=200)
+    assert again.returncode == 0, err
+    assert rows("out") == undisturbed
+
+
+def test_workers_end_with_a_killed_driver(place: Path) -> None:
+    driver = start(words("misfits:Hangs", trials=2, more=("--jobs", "2")))
+    wait_for(lambda: len(psutil.Process(driver.pid).children()) == 2, driver)
+    workers = psutil.Process(driver.pid).children()
+    assert len(workers) == 2
+    driver.kill()
+    driver.communicate()
+    gone, alive = psutil.wait_procs(workers, timeout=30)
+    assert len(gone) == 2 and not alive
+
+
+def test_dask_gives_the_same_rows_though_a_worker_is_killed(place: Path, undisturbed: list[dict[str, Any]]) -> None:
+    pytest.importorskip("distributed", reason="the extra 'cluster' is not installed")
+    points = sweep.points(
+        sweep.from_tables({"scenario": "tiny", "set": SET}), ("misfits:Slow", "dead-reckoning", "misfits:Exits")
+    )
+    made = tasks.plan(points, 6, 0)
+    few = tasks.Plan((tasks.plan(points, 1, 9).tasks[0],), made.worlds, made.options)
+    limits = Limits(60, 2**31)
+    killed: list[int] = []
+    with executors.executor("dask", 2, limits) as local, writing(place / "out", "test", {}) as store:
+        assert isinstance(local, executors.Dask)
+
+        def heard(*_: Any) -> None:
+            if not killed:
+                killed.append(next(iter(local.client.run(os.getpid).values())))
+                os.kill(killed[0], signal.SIGKILL)
+
+        plain = tasks.Plan(
+            tuple(dataclasses.replace(t, jobs=t.jobs[:2]) for t in made.tasks), made.worlds, made.options
+        )
+        sweeping.carry_out(plain, store, local, heard)
+        assert killed
+        assert rows("out") == undisturbed
+        # An estimator that ends the process, on a cluster that runs already.
+        with executors.executor("dask", 2, limits, local.client.scheduler.address) as running:
+            sweeping.carry_out(few, store, running, lambda *_: None)
+    others = {row["estimator"]: row for row in rows("out") if row["seed"] == 9}
+    assert [others[name]["status"] for name in ("misfits:Slow", "dead-reckoning", "misfits:Exits")] == [
+        *("ok", "ok", "failed")
+    ]
+    assert "exit status 7; alone it was lost again" in others["misfits:Exits"]["error"]
+
+
+def test_no_scheduler_is_one_line(monkeypatch: pytest.MonkeyPatch) -> None:
+    pytest.importorskip("distributed", reason="the extra 'cluster' is not installed")
+    monkeypatch.setattr(executors, "CONNECT_S", 0.2)
+    with (
+        pytest.raises(InputError, match=r"no Dask scheduler answers there"),
+        executors.executor("dask", 1, Limits(60, 2**31), "tcp://127.0.0.1:9"),
+    ):
+        raise AssertionError
+
+
+def test_control_c_says_how_to_go_on(place: Path) -> None:
+    driver = start(words("misfits:Slow", trials=500, more=("--jobs", "1")))
+    wait_for(lambda: stored(place / "out") > 0, driver)
+    driver.send_signal(signal.SIGINT)
+    _, err = driver.communicate(timeout=60)
+    assert driver.returncode == 130, err
+    assert "Traceback" not in err and "are kept in out" in err and "cellslam sweep tiny" in err
+    assert 0 < stored(place / "out") < 500
+
+
+def test_second_driver_is_refused(place: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    with writing(place / "out", "cellslam sweep the first", {}):
+        assert main(words("dead-reckoning")) == 2
+    err = capfd.readouterr().err
+    assert err.count("\n") == 1 and f"process {os.getpid()} on" in err and "cellslam sweep the first" in err
+
+
+def test_workers_that_do_not_start_are_one_line(place: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(sys, "executable", "/bin/false")
+    points = sweep.points(sweep.from_tables({"scenario": "tiny"}), ("dead-reckoning",))
+    with Pool(2, Limits(60, 2**31)) as pool, pytest.raises(InputError, match="worker processes do not start"):
+        list(pool.run(tasks.plan(points, 2, 0).tasks))
+
+
+def test_dry_run_counts_estimates_and_writes_nothing(place: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    more = ("--dry-run", "--sweep", "radio.load=0.1,0.2", "--sweep", "estimator.fastslam.particles=5,6,7")
+    assert main([*words("fastslam", "dead-reckoning", trials=10), *more]) == 0
+    out = capfd.readouterr().out
+    assert "6 points, 20 worlds, 80 rows\n" in out
+    assert "one trial, timed now: world" in out and "fastslam" in out
+    assert {path.name for path in place.iterdir()} <= {"misfits.py", "__pycache__"}
+
+
+def test_progress_and_running_table(place: Path, capfd: pytest.CaptureFixture[str], monkeypatch: Any) -> None:
+    from cellslam.benchmarks import watch
+
+    monkeypatch.setattr(watch, "LINE_EVERY_S", 0.0)
+    monkeypatch.setattr(watch, "TABLE_EVERY_S", 0.0)
+    line = [word for word in words("misfits:Good", "misfits:Raises", trials=1) if word != "--quiet"]
+    assert main([*line, "--executor", "serial", "--sweep", "radio.load=0.1,0.2"]) == 1
+    err = capfd.readouterr().err
+    assert "4 of 4 rows" in err and "rows/s" in err and "2 failed" in err and "--retry-failed" in err
+    assert main([*line, "--executor", "serial", "--sweep", "radio.load=0.3", "--live"]) == 1
+    assert "radio.load=0.3, misfits:Good" in capfd.readouterr().err
+
+
+SWEEP = ("sweep", "tiny", "--estimator", "dead-reckoning", "--out", "out")
+WRONG = {
+    "no out": (("sweep", "tiny"), "--out"),
+    "key": ((*SWEEP, "--sweep", "radio.laod=1"), "unknown key 'radio.laod'"),
+    "value": ((*SWEEP, "--sweep", "radio.load=0.5,7"), "radio.load = 7"),
+    "form": ((*SWEEP, "--sweep", "radio.load"), "write KEY=VALUE"),
+    "executor": ((*SWEEP, "--executor", "threads"), "'threads'"),
+    "jobs": ((*SWEEP, "--jobs", "0"), "--jobs 0: must be at least 1"),
+    "time": ((*SWEEP, "--time-limit", "0"), "--time-limit 0: must be above 0"),
+    "memory": ((*SWEEP, "--memory-limit", "-1"), "--memory-limit -1"),
+    "scheduler": ((*SWEEP, "--scheduler", "tcp://x:1"), "--scheduler is for --executor dask"),
+    "trials": ((*SWEEP, "--trials", "0"), "trials = 0"),
+    "folder": ((*SWEEP[:-1], "/dev/null/x"), "not a folder"),
+    "both": ((*SWEEP, "--set", "radio.load=1", "--sweep", "radio.load=1"), "swept, and set"),
+}
+
+
+@pytest.mark.parametrize("kind", WRONG)
+def test_wrong_request_is_one_line_and_leaves_nothing(
+    place: Path, capfd: pytest.CaptureFixture[str], kind: str
+) -> None:
+    line, expected = WRONG[kind]
+    try:
+        status = main(line)
+    except SystemExit as end:
+        status = int(str(end.code))
+    out, err = capfd.readouterr()
+    assert (status, out, err.count("\n")) == (2, "", 1), err
+    assert expected in err
+    assert {path.name for path in place.iterdir()} == {"misfits.py"}
