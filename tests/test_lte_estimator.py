@@ -185,7 +185,7 @@ def test_a_colliding_cell_ten_thousand_times_as_strong() -> None:
         there = int(np.isfinite(errors(weak, result)[0]).all(axis=1).sum())
         found, false = found + there, false + len(result) - there
     assert found >= 31
-    assert false <= 3
+    assert false <= 6
 
 
 def test_calibration_error_makes_few_ghosts() -> None:

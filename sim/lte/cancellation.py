@@ -21,28 +21,34 @@ WINDOW_M = (-40.0, 660.0)
 _KEPT = 0.03  # singular values of the window's delay vectors, relative to the largest, that span its subspace
 
 
-def cancel(y: Complex, own: tuple[int, int], other: tuple[int, int], slots: Ints, resource_blocks: int) -> Complex:
+def cancel(
+    y: Complex, own: tuple[int, int], other: tuple[int, int], slots: Ints, resource_blocks: int, apart_m: float = 0.0
+) -> Complex:
     """Return `y` (ports, tones), descrambled samples of cell and port `own`, without what `other` adds.
 
-    `slots` (ports,): slot of the frame in which each array port is sampled.
+    `slots` (ports,): slot of the frame in which each array port is sampled; `apart_m`: by how much later the other
+    cell's window begins.
     """
     out = np.empty_like(y)
     slot = np.asarray(slots, np.int64) % SLOTS_PER_FRAME
     for s in np.unique(slot):
         rows = slot == s
-        fit, back = _operator(own, other, int(s), resource_blocks)
+        fit, back = _operator(own, other, int(s), resource_blocks, apart_m)
         out[rows] = y[rows] - (y[rows] @ fit) @ back
     return out
 
 
 @lru_cache(maxsize=512)
-def _operator(own: tuple[int, int], other: tuple[int, int], slot: int, resource_blocks: int) -> tuple[Complex, Complex]:
+def _operator(
+    own: tuple[int, int], other: tuple[int, int], slot: int, resource_blocks: int, apart_m: float
+) -> tuple[Complex, Complex]:
     """Return (tones, r) and (r, tones): samples to the other cell's coefficients, and those to its samples."""
     basis = _window_basis(resource_blocks)
     (_, mine), (_, theirs) = (pilots(*cell, slot, resource_blocks) for cell in (own, other))
-    foreign = (mine.conj() * theirs)[:, None] * basis
+    later = np.exp(-2j * np.pi * tone_frequencies(resource_blocks) * apart_m / SPEED_OF_LIGHT_MPS)
+    foreign = (mine.conj() * theirs * later)[:, None] * basis
     both = np.concatenate([foreign, basis], axis=1)
-    coefficients = np.linalg.pinv(both)[: basis.shape[1]]
+    coefficients = np.linalg.solve(both.conj().T @ both, both.conj().T)[: basis.shape[1]]
     return np.ascontiguousarray(coefficients.T), np.ascontiguousarray(foreign.T)
 
 

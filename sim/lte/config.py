@@ -67,7 +67,7 @@ class RadioConfig(BaseModel):
         1.2, ge=0.0, le=20.0, description="floor: scattering off the car's roof, elevation, deg"
     )
     roof_correlation_deg: float = Field(
-        6.0, ge=0.0, le=180.0, description="turn over which the roof's scattering changes, deg (0: white errors)"
+        2.0, ge=0.0, le=180.0, description="turn over which the roof's scattering changes, deg (0: white errors)"
     )
     diffuse_correlation_m: float = Field(
         0.15, ge=0.0, le=100.0, description="way over which a path's diffuse error changes, m (0: white errors)"

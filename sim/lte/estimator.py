@@ -10,12 +10,13 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.ndimage import median_filter
 
 from cellslam.sim.errors import InputError
 from cellslam.sim.lte import search_kernel
 from cellslam.sim.lte.array import Complex, Floats
 from cellslam.sim.lte.detector_model import GHOST_REACH_M
-from cellslam.sim.lte.receiver import AZIMUTHS, DELAY_PITCH_M, ELEVATIONS, Motion, Receiver
+from cellslam.sim.lte.receiver import AZIMUTHS, DELAY_PITCH_M, ELEVATIONS, HIGHEST_RAD, LOWEST_RAD, Motion, Receiver
 from cellslam.sim.lte.refine import Fit, covariance, factors, refine, synthesise
 
 COARSE = 0.58  # share of the threshold at which a cell is looked at: the grid loses up to 2.4 dB
@@ -25,6 +26,8 @@ JOINT_EVERY = 4
 # A saturated port's residual exceeds the others' by this, and is this share of its power; calibration errors leave 1 %.
 _SATURATED_EXCESS, _SATURATED_SHARE = 6.0, 0.25
 _FARTHEST = np.array([3.0 * DELAY_PITCH_M, np.radians(20.0)])  # that a fit may end from its cell
+_STRETCH_BINS = 31  # of delay, over which noise is taken for constant
+_UNEVEN = 1.5  # times the usual disturbance, from which a port is weighed: less is scatter
 _LEAST_RELIABLE = np.array([8.0, np.radians(16.0), np.radians(20.0)])
 
 
@@ -63,13 +66,27 @@ def estimate_paths(y: Complex, motion: Motion, start: Floats | None = None) -> E
 
 
 def _estimated(y: Complex, motion: Motion, working: NDArray[np.bool_], start: Floats | None) -> _Link:
-    if not working.all():
-        y, motion = np.where(working[:, None], y, 0.0), motion.receiver.moving(motion.velocity_mps, working)
+    weight = _port_weights(y, working, motion.receiver)
+    if not (weight == 1.0).all():
+        y = np.asarray(np.where(working[:, None], y, 0.0) * weight[:, None], np.complex128)
+        motion = motion.weighed(weight)
     link = _Link(np.ascontiguousarray(y, np.complex128), motion)
     if start is not None and len(start):
         link.fit_jointly(start)
     link.search()
     return link
+
+
+def _port_weights(y: Complex, working: NDArray[np.bool_], receiver: Receiver) -> Floats:
+    """Return weights (ports,) that make the disturbance alike: a port that faces an interferer counts less.
+
+    The disturbance of a port is the median over delays, whose resolved paths are few; zero for ports out of work.
+    """
+    tapered = np.where(working[:, None], y, 0.0).astype(np.complex64) @ receiver.quiet_matrix
+    level = np.median(tapered.real**2 + tapered.imag**2, axis=1).astype(np.float64)
+    usual = float(np.median(level[working]))
+    uneven = level > _UNEVEN * usual
+    return np.where(working, np.where(uneven, np.sqrt(usual / np.maximum(level, 0.1 * usual)), 1.0), 0.0)
 
 
 class _Link:
@@ -91,8 +108,8 @@ class _Link:
             self.residual = self.y - synthesise(self.motion, fit)
             self.spectrum = _Spectrum(self.residual, self.motion)
             noise = self.spectrum.noise
-            level = self.spectrum.levels(fit.geometry)
-            weakest = _weakest(fit, level, self.receiver)
+            level, quiet = self.spectrum.levels(fit.geometry)
+            weakest = _weakest(fit, level, quiet, self.receiver)
             if weakest < 0:
                 self.fit, self.geometry, self.level = fit, fit.geometry, level
                 return
@@ -104,7 +121,7 @@ class _Link:
         """Add paths, the strongest first, until nothing more stands out."""
         blocked: list[tuple[int, int]] = []
         pending: list[Floats] = []
-        failures = 0
+        failures, most = 0, len(self.geometry)
         spectrum = self.spectrum or _Spectrum(self.y, self.motion)
         while True:
             full = len(self.geometry) + len(pending) >= MOST_PATHS
@@ -114,17 +131,22 @@ class _Link:
             if found is None or len(pending) >= JOINT_EVERY:
                 if not pending:
                     return
-                before = len(self.geometry)
                 spectrum = self._accept(pending)
-                failures += int(len(self.geometry) <= before)
                 pending = []
+                if len(self.geometry) > most:
+                    # The joint fit has changed the residual: what was tried in vain is worth another look.
+                    most, failures, blocked = len(self.geometry), 0, []
+                else:
+                    failures += 1
                 continue
             start, cell, level = found
             # A cell is tried once: what the joint fit drops must not come back for ever.
             blocked.append(cell)
-            fit = refine(self.residual, self.motion, start[None, :], level, promising=0.85 * self.receiver.threshold)
+            margin = search_kernel.DIFFUSE_MARGIN if level > spectrum.profile[cell[1]] else 1.0
+            asked = self.receiver.threshold * level * margin
+            fit = refine(self.residual, self.motion, start[None, :], level, promising=0.85 * asked / level)
             away = np.abs(fit.geometry[0] - start)[[0, 2]]
-            if fit.normal.explained < self.receiver.threshold * level or (away > _FARTHEST).any():
+            if fit.normal.explained < asked or (away > _FARTHEST).any():
                 failures += 1
                 continue
             pending.append(fit.geometry[0])
@@ -180,42 +202,45 @@ class _Spectrum:
         count, bins = len(self.beams) // 2, self.beams.shape[1]
         self.energy = np.empty((count, bins), np.float32)
         search_kernel.direction_energy(self.beams, self.energy)
-        self.running = np.empty((AZIMUTHS, bins + 1))
-        search_kernel.sector_sums(self.energy, AZIMUTHS, ELEVATIONS, self.running)
+        self.running = np.empty((count, bins + 1))
+        search_kernel.surrounding_sums(self.energy, AZIMUTHS, ELEVATIONS, self.running)
         self.port_energy = np.sum(self.ports.real**2 + self.ports.imag**2, axis=0)
         self.working = int(np.count_nonzero(self.motion.factor))
-        self.noise = float(np.median(self.port_energy)) / self.working
+        # Cancelling another cell colours the noise over delay: level by level, as paths fill few cells of a stretch.
+        self.profile = median_filter(self.port_energy / self.working, _STRETCH_BINS, mode="nearest").astype(np.float64)
+        self.noise = float(np.median(self.profile))
 
     def strongest(self, coarse: float, blocked: list[tuple[int, int]]) -> tuple[Floats, tuple[int, int], float] | None:
         """Return geometry (3,), cell and disturbance of the strongest cell that stands out; None: there is none."""
         cells = np.array(blocked, np.int64).reshape(-1, 2)
         k, d, level = search_kernel.strongest(
-            self.energy, self.running, self.port_energy, self.noise, coarse, ELEVATIONS, self.working, cells
+            self.energy, self.running, self.port_energy, self.profile, coarse, ELEVATIONS, self.working, cells
         )
         if k < 0:
             return None
         azimuth, elevation = self.receiver.directions
         return np.array([self.receiver.delays_m[d], azimuth[k], elevation[k]]), (k, d), level
 
-    def levels(self, geometry: Floats) -> Floats:
-        """Return the disturbance per sample (n,) around each of the paths that were taken out."""
-        out = np.empty(len(geometry))
-        for i, (distance, azimuth, _) in enumerate(geometry):
-            d = int(
-                np.clip(
-                    np.rint((distance - self.receiver.delays_m[0]) / DELAY_PITCH_M), 0, len(self.receiver.delays_m) - 1
-                )
-            )
-            a = int(np.rint((azimuth + np.pi) / (2.0 * np.pi) * AZIMUTHS)) % AZIMUTHS
-            out[i] = search_kernel.local_level(a, d, 0.0, self.running, self.port_energy, self.working, self.noise)
-        return out
+    def levels(self, geometry: Floats) -> tuple[Floats, Floats]:
+        """Return the disturbance per sample (n,) around each of the paths that were taken out, and the noise there."""
+        out, noise = np.empty(len(geometry)), np.empty(len(geometry))
+        step = (HIGHEST_RAD - LOWEST_RAD) / (ELEVATIONS - 1)
+        for i, (distance, azimuth, elevation) in enumerate(geometry):
+            d = int(np.rint((distance - self.receiver.delays_m[0]) / DELAY_PITCH_M))
+            d = min(max(d, 0), len(self.receiver.delays_m) - 1)
+            e = min(max(int(np.rint((elevation - LOWEST_RAD) / step)), 0), ELEVATIONS - 1)
+            k = int(np.rint((azimuth + np.pi) / (2.0 * np.pi) * AZIMUTHS)) % AZIMUTHS * ELEVATIONS + e
+            noise[i] = self.profile[d]
+            out[i] = search_kernel.local_level(k, d, 0.0, self.running, self.port_energy, self.working, noise[i])
+        return out, noise
 
 
-def _weakest(fit: Fit, level: Floats, receiver: Receiver) -> int:
+def _weakest(fit: Fit, level: Floats, noise: Floats, receiver: Receiver) -> int:
     """Return the path to be dropped: below the threshold, unreliable, outside the window or a ghost; -1: none."""
     statistic = fit.normal.wald / level
     std = np.sqrt(np.einsum("nii->ni", covariance(fit, level)))
-    bad = (statistic < receiver.threshold) | (std > _LEAST_RELIABLE).any(axis=1)
+    margin = np.where(level > noise, search_kernel.DIFFUSE_MARGIN, 1.0)
+    bad = (statistic < receiver.threshold * margin) | (std > _LEAST_RELIABLE).any(axis=1)
     distance = fit.geometry[:, 0]
     bad |= (distance < receiver.window_min_m) | (distance > receiver.window_max_m)
     near = np.abs(distance[:, None] - distance[None, :]) < GHOST_REACH_M

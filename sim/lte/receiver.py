@@ -61,13 +61,16 @@ class Receiver:
         return grid[0].ravel(), grid[1].ravel()
 
     @cached_property
-    def _beams(self) -> Complex:
-        """Orthonormal bases (K, 2, ports) of what a direction's two polarisations can do, conjugated."""
-        value = self.array.steer(*self.directions).value
-        h = value[:, :, 0] / np.linalg.norm(value[:, :, 0], axis=1, keepdims=True)
-        v = value[:, :, 1] - np.einsum("km,km->k", h.conj(), value[:, :, 1])[:, None] * h
-        v = v / np.linalg.norm(v, axis=1, keepdims=True)
-        return np.asarray(np.stack([h, v], axis=1).conj(), np.complex128)
+    def quiet_matrix(self) -> ComplexSingle:
+        """The delay matrix with a Hann taper: what is left of a path far from its delay is little."""
+        taper = np.hanning(len(self.rate) + 2)[1:-1]
+        taper = taper / np.sqrt(np.mean(taper**2))
+        return np.ascontiguousarray(self.delay_matrix * taper[:, None], np.complex64)
+
+    @cached_property
+    def _steering(self) -> Complex:
+        """Steering vectors (K, 2, ports) of the searched directions."""
+        return np.ascontiguousarray(self.array.steer(*self.directions).value.transpose(0, 2, 1))
 
     @cached_property
     def doppler(self) -> Floats:
@@ -75,29 +78,38 @@ class Receiver:
         later = self.times_s - self.times_s.mean()
         return np.asarray(2.0 * np.pi * self.carrier_hz / SPEED_OF_LIGHT_MPS * later, np.float64)
 
-    def moving(self, velocity_mps: Floats, working: NDArray[np.bool_] | None = None) -> Motion:
-        """Return the receiver in motion with body velocity (3,); `working` (ports,) leaves out dead ports."""
-        factor = np.ones(self.array.ports) if working is None else working.astype(np.float64)
-        return Motion(self, np.asarray(velocity_mps, np.float64), np.asarray(factor, np.complex128))
+    def moving(self, velocity_mps: Floats) -> Motion:
+        """Return the receiver in motion with body velocity (3,)."""
+        factor = np.ones(self.array.ports, np.complex128)
+        return Motion(self, np.asarray(velocity_mps, np.float64), factor)
 
 
 @dataclass(frozen=True)
 class Motion:
-    """The receiver during one snapshot: it steers with the Doppler phase of its velocity (3,), without dead ports."""
+    """The receiver during one snapshot: it steers with the Doppler phase of its velocity (3,), and weighs its ports.
+
+    `factor` (ports,): zero for a dead port, less than one for a port with more disturbance than others.
+    """
 
     receiver: Receiver
     velocity_mps: Floats
     factor: Complex
 
+    def weighed(self, weight: Floats) -> Motion:
+        """Return the same with ports weighed by `weight` (ports,)."""
+        return Motion(self.receiver, self.velocity_mps, np.asarray(weight, np.complex128))
+
     @cached_property
     def beams(self) -> ComplexSingle:
-        """Beam matrix (2 K, ports) of the search."""
+        """Beam matrix (2 K, ports) of the search: orthonormal bases of what a direction's two polarisations can do."""
         r = self.receiver
-        azimuth, elevation = r.directions
-        phase = np.outer(unit_vector(azimuth, elevation) @ self.velocity_mps, r.doppler)
-        turned = r._beams * (np.exp(-1j * phase) * self.factor)[:, None, :]
-        lost = 1.0 / np.sqrt(np.mean(np.abs(self.factor) ** 2))
-        return np.ascontiguousarray(lost * turned.reshape(-1, r.array.ports), np.complex64)
+        phase = np.outer(unit_vector(*r.directions) @ self.velocity_mps, r.doppler)
+        value = r._steering * (np.exp(1j * phase) * self.factor)[:, None, :]
+        h = value[:, 0] / np.linalg.norm(value[:, 0], axis=1, keepdims=True)
+        v = value[:, 1] - np.einsum("km,km->k", h.conj(), value[:, 1])[:, None] * h
+        v = v / np.linalg.norm(v, axis=1, keepdims=True)
+        basis = np.stack([h, v], axis=1).conj()
+        return np.ascontiguousarray(basis.reshape(-1, r.array.ports), np.complex64)
 
     def steer(self, azimuth_rad: Floats, elevation_rad: Floats) -> Steering:
         """Return steering vectors (n, ports, 2) and derivatives, Doppler included."""

@@ -7,8 +7,10 @@ from numba import njit
 
 from cellslam.sim.lte.detector_model import Array
 
-GUARD_BINS, REFERENCE_BINS = 2, 8  # cells skipped, then averaged, before and behind the cell under test
-LOCAL_EXCESS = 1.5  # disturbance below this multiple of the noise is taken for its estimate's scatter
+GUARD_BINS, REFERENCE_BINS = 2, 3  # cells skipped, then averaged, before and behind the cell under test
+LOCAL_EXCESS = 1.7  # disturbance below this multiple of the noise is taken for its estimate's scatter
+SIDELOBES = 0.01  # mean energy of a delay peak over the reference cells, relative to the peak
+DIFFUSE_MARGIN = 4.0  # by which diffuse energy may be stronger in a cell than in those around it: it falls with delay
 
 
 @njit(cache=True, nogil=True)
@@ -22,20 +24,25 @@ def direction_energy(beams: Array, energy: Array) -> None:
 
 
 @njit(cache=True, nogil=True)
-def sector_sums(energy: Array, azimuths: int, elevations: int, running: Array) -> None:
-    """Write running (azimuths, D + 1): running sums over delay of the mean energy of three neighbouring azimuths."""
-    bins = energy.shape[1]
-    scale = 1.0 / (3.0 * elevations)
-    own = np.zeros((azimuths, bins))
-    for k in range(energy.shape[0]):
-        row, total = energy[k], own[k // elevations]
-        for d in range(bins):
-            total[d] += row[d]
+def surrounding_sums(energy: Array, azimuths: int, elevations: int, running: Array) -> None:
+    """Write running (K, D + 1): running sums over delay of the mean energy of a direction and its neighbours."""
+    count, bins = energy.shape
+    beside = np.zeros((count, bins))
     for a in range(azimuths):
-        left, middle, right = own[(a - 1) % azimuths], own[a], own[(a + 1) % azimuths]
-        running[a, 0] = 0.0
-        for d in range(bins):
-            running[a, d + 1] = running[a, d] + scale * (left[d] + middle[d] + right[d])
+        for e in range(elevations):
+            left = energy[((a - 1) % azimuths) * elevations + e]
+            middle = energy[a * elevations + e]
+            right = energy[((a + 1) % azimuths) * elevations + e]
+            total = beside[a * elevations + e]
+            for d in range(bins):
+                total[d] = left[d] + middle[d] + right[d]
+    for a in range(azimuths):
+        for e in range(elevations):
+            k = a * elevations + e
+            below, middle, above = beside[k - (e > 0)], beside[k], beside[k + (e < elevations - 1)]
+            running[k, 0] = 0.0
+            for d in range(bins):
+                running[k, d + 1] = running[k, d] + (below[d] + middle[d] + above[d]) / 9.0
 
 
 @njit(cache=True, nogil=True)
@@ -48,15 +55,24 @@ def subtract_outer(matrix: Array, rows: Array, columns: Array) -> None:
 
 
 @njit(cache=True, nogil=True)
-def local_level(a: int, d: int, energy: float, running: Array, port_energy: Array, ports: int, noise: float) -> float:
+def _mean(running: Array, k: int, low: int, high: int) -> float:
+    """Return half the mean energy of the surroundings of direction k over bins low to high; zero outside."""
+    low, high = max(low, 0), min(high, running.shape[1] - 1)
+    return float(0.5 * (running[k, high] - running[k, low]) / (high - low)) if high > low else 0.0
+
+
+@njit(cache=True, nogil=True)
+def local_level(k: int, d: int, energy: float, running: Array, port_energy: Array, ports: int, noise: float) -> float:
     """Return the disturbance per sample around a cell: noise, or what exceeds it before or behind in the same
     directions (greatest-of), or in all other directions at the same delay.
     """
-    bins = running.shape[1] - 1
-    low, high = max(d - GUARD_BINS - REFERENCE_BINS, 0), max(d - GUARD_BINS, 0)
-    before = 0.5 * (running[a, high] - running[a, low]) / (high - low) if high > low else 0.0
-    low, high = min(d + GUARD_BINS + 1, bins), min(d + GUARD_BINS + REFERENCE_BINS + 1, bins)
-    behind = 0.5 * (running[a, high] - running[a, low]) / (high - low) if high > low else 0.0
+    near, far = GUARD_BINS + 1, GUARD_BINS + 1 + REFERENCE_BINS
+    beyond = far + REFERENCE_BINS
+    # Of two stretches on each side the lesser: another path there must not hide this one.
+    before = min(_mean(running, k, d - far + 1, d - near + 1), _mean(running, k, d - beyond + 1, d - far + 1))
+    behind = min(_mean(running, k, d + near, d + far), _mean(running, k, d + far, d + beyond))
+    # A path's own sidelobes over delay are no disturbance.
+    before, behind = before - SIDELOBES * energy, behind - SIDELOBES * energy
     around = max(port_energy[d] - energy, 0.0) / (ports - 2)
     local = max(before, behind, around)
     return float(local if local > LOCAL_EXCESS * noise else noise)
@@ -64,23 +80,23 @@ def local_level(a: int, d: int, energy: float, running: Array, port_energy: Arra
 
 @njit(cache=True, nogil=True)
 def strongest(
-    energy: Array, running: Array, port_energy: Array, noise: float, coarse: float, elevations: int, ports: int,
+    energy: Array, running: Array, port_energy: Array, noise: Array, coarse: float, elevations: int, ports: int,
     blocked: Array,
 ) -> tuple[int, int, float]:  # fmt: skip
     """Return (direction, bin, level) of the strongest cell whose energy is `coarse` times its level; direction -1:
-    none.
+    none. `noise` (D,) per sample and delay.
 
     `blocked` (B, 2): cells (direction, bin) around which nothing is looked for.
     """
     best, at, bin_at, level_at = 0.0, -1, -1, 0.0
-    azimuths = running.shape[0]
+    azimuths = running.shape[0] // elevations
     for k in range(energy.shape[0]):
         row = energy[k]
         for d in range(energy.shape[1]):
-            if row[d] <= best or row[d] < coarse * noise:
+            if row[d] <= best or row[d] < coarse * noise[d]:
                 continue
-            level = local_level(k // elevations, d, row[d], running, port_energy, ports, noise)
-            if row[d] < coarse * level:
+            level = local_level(k, d, row[d], running, port_energy, ports, noise[d])
+            if row[d] < coarse * level * (DIFFUSE_MARGIN if level > noise[d] else 1.0):
                 continue
             free = True
             for b in range(len(blocked)):

@@ -136,11 +136,11 @@ def detect(
             block[:, k.PATH] += np.where(block[:, k.PATH] >= 0, low, 0)
             out.append(block)
             advance(len(part))
-    return _columns(np.concatenate(out))
+    return detections_of(np.concatenate(out))
 
 
-def _columns(table: Floats) -> Detections:
-
+def detections_of(table: Floats) -> Detections:
+    """Return the detections in a table (M, COLUMNS) as the kernels write it."""
     c = np.ascontiguousarray(table.T)
     measurements = Measurements(
         snapshot=c[k.SNAPSHOT].astype(np.int64), link=c[k.LINK].astype(np.int64), distance_m=c[k.DISTANCE],
