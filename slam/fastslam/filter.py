@@ -10,15 +10,13 @@ from cellslam.sim.frames import wrap_angle
 from cellslam.sim.recording import Floats, Ints
 from cellslam.slam.api import Estimate, Setup, Snapshot
 from cellslam.slam.fastslam import resampling
+from cellslam.slam.fastslam.block_kernel import move, update
 from cellslam.slam.fastslam.existence import tables
-from cellslam.slam.fastslam.layout import PREDICTION
-from cellslam.slam.fastslam.noise import variances
+from cellslam.slam.fastslam.layout import BIAS, LANES, OUT, SCALE, scratch_rows
+from cellslam.slam.fastslam.noise import packed, repeats
 from cellslam.slam.fastslam.options import FastSlamOptions
 from cellslam.slam.fastslam.particles import Particles, draw, select
 from cellslam.slam.fastslam.summary import map_of, offset_moments, pose_moments
-from cellslam.slam.fastslam.update_kernel import move, update
-
-CHUNKS = 32  # particles are worked on in this many parts, whatever the number of threads
 
 
 class FastSlam:
@@ -51,50 +49,51 @@ class FastSlam:
         self._time_s = 0.0
         self._now = 0
         self._born = 0
-        self._scratch_for = 0
+        self._scratch: tuple[Any, ...] = ()
+        self._association = np.empty((0, 0, LANES), np.int64)
         self._tables: tuple[float, Any] | None = None
 
     def step(self, dt_s: float, odometry: Floats, snapshot: Snapshot) -> Estimate:
         """Move, weigh, update and, if needed, resample (paper, section IV)."""
         if dt_s > 0.0:
             self._move(dt_s, odometry)
-        association = self._update(dt_s, snapshot)
+        repeated = repeats(self.options, odometry[3] * dt_s, odometry[0] * dt_s)
+        association = self._update(dt_s, snapshot, repeated)
         self._born += len(snapshot)
         self._now += 1
         self._time_s += dt_s
-        return self._finish_step(association)
+        return self._conclude(association[:, : len(snapshot)])
 
     def _move(self, dt_s: float, odometry: Floats) -> None:
         p, model = self._particles, self._setup.odometry_model
+        blocks = len(p.state)
         white = np.flatnonzero(model.noise_density)
         walking = np.flatnonzero(model.bias_walk_density)
-        if len(walking):
-            p.bias[:, walking] += (
-                model.bias_walk_density[walking] * np.sqrt(dt_s) * self._rng.standard_normal((len(p), len(walking)))
-            )
-        velocity = (odometry - p.bias) / (1.0 + p.scale)
-        if len(white):
-            velocity[:, white] += (
-                model.noise_density[white] / np.sqrt(dt_s) * self._rng.standard_normal((len(p), len(white)))
-            )
-        move(p.pose, p.pose_g, p.theta, velocity, dt_s, CHUNKS)
+        bias = p.rows(BIAS, 6)
+        for c in walking:
+            bias[:, c] += model.bias_walk_density[c] * np.sqrt(dt_s) * self._rng.standard_normal((blocks, LANES))
+        velocity = odometry[:, None] - bias
+        for c in white:
+            velocity[:, c] += model.noise_density[c] / np.sqrt(dt_s) * self._rng.standard_normal((blocks, LANES))
+        velocity /= 1.0 + p.rows(SCALE, 6)
+        move(p.state, p.travelled, velocity, dt_s, p.nuisances)
 
-    def _update(self, dt_s: float, snapshot: Snapshot) -> Ints:
+    def _update(self, dt_s: float, snapshot: Snapshot, repeated: float) -> Ints:
         p, o = self._particles, self.options
-        z = np.stack([snapshot.distance_m, snapshot.azimuth_rad, snapshot.elevation_rad], axis=1)
-        q = variances(snapshot, o)
         first = np.searchsorted(snapshot.link, np.arange(len(self._setup.links) + 1))
         log_tables, age_once, age_twice = self._existence(dt_s)
         config = np.array([
             np.log(o.clutter_density), o.gate, -np.log1p(-o.birth_ratio), 3.0, o.confirm_hits, age_once, age_twice,
-            o.likelihood_exponent
+            o.likelihood_exponent,
         ])  # fmt: skip
-        association = np.full((len(p), len(snapshot)), -1, np.int64)
-        self._reserve(len(snapshot))
+        self._reserve(int(np.diff(first).max()), len(snapshot))
+        association = self._association
+        association[:, : len(snapshot)] = -1
         update(
-            float(self._now), p.pose, p.pose_g, p.theta, p.cov, p.records, p.counts, first, self._site_of, z, q,
-            self._born,
-            log_tables, config, p.log_weight, association, *self._scratch,
+            self._now, p.state, p.status, p.records, p.ident, p.order, p.counts, p.bounds, p.travelled, first,
+            self._site_of,
+            *packed(snapshot, self._site_of, o, repeated), self._born, log_tables, config, p.log_weight, association,
+            *self._scratch,
         )  # fmt: skip
         return association
 
@@ -104,31 +103,35 @@ class FastSlam:
         result: tuple[Floats, int, int] = self._tables[1]
         return result
 
-    def _reserve(self, measurements: int) -> None:
-        """Keep scratch for one chunk each: predictions, scores, small matrices, indices."""
-        if self._scratch_for >= max(measurements, 1):
+    def _reserve(self, measurements: int, total: int) -> None:
+        """Keep scratch for each block, wide enough for a link with `measurements` measurements and a snapshot with
+        `total`."""
+        g, c = len(self._particles.state), self.options.vts_per_link
+        if self._association.shape[0] != g or self._association.shape[1] < total:
+            self._association = np.empty((g, 2 * total, LANES), np.int64)
+        if self._scratch and len(self._scratch[0]) == g and self._scratch[4].shape[2] >= measurements:
             return
-        m, c, k = max(2 * measurements, 64), self.options.vts_per_link, self._particles.theta.shape[1]
-        self._scratch_for = m
+        m = max(2 * measurements, 16)
+        w = np.zeros((g, scratch_rows(self._particles.nuisances) * LANES))
         self._scratch = (
-            np.empty((CHUNKS, c, PREDICTION)),
-            np.empty((CHUNKS, c, m)),
-            np.empty((CHUNKS, 24 + 2 * k + 3 * k * k + 4 * (c + m + 2))),
-            np.empty((CHUNKS, 2 * m + 4 * (c + m + 2)), np.int64),
-        )
+            w, w.view(np.int64), np.empty((g, c), np.int64), np.empty((g, c, OUT * LANES)), np.empty((g, c, m, LANES)),
+            np.empty((g, m, LANES)), np.empty((g, c, m), np.bool_), np.empty((g, m, LANES), np.int64), np.empty((g, c,
+            m)), np.empty((g, m), np.int64),
+            np.empty((g, 4 * (c + m + 2))), np.empty((g, 4 * (c + m + 2)), np.int64),
+        )  # fmt: skip
 
-    def _finish_step(self, association: Ints) -> Estimate:
+    def _conclude(self, association: Ints) -> Estimate:
         p, o = self._particles, self.options
-        weights = np.exp(p.log_weight - p.log_weight.max())
+        log_weight = p.log_weight.ravel()
+        weights = np.exp(log_weight - log_weight.max())
         weights /= weights.sum()
         best = int(np.argmax(weights))
         mean, covariance = pose_moments(p, weights)
-        offset, variance = offset_moments(p, weights, len(self._setup.sites))
+        offset, variance = offset_moments(p, weights)
         mean[3:] = wrap_angle(mean[3:])
-        vts = map_of(p, best, self._site_of, o.confirm_hits)
-        estimate = Estimate(mean, covariance, association[best].copy(), offset, variance, vts)
-        wanted = o.particles if self._time_s >= o.start_phase_s else len(p)
+        mine = association[best // LANES, :, best % LANES].copy()
+        estimate = Estimate(mean, covariance, mine, offset, variance, map_of(p, best, self._site_of))
+        wanted = -(-o.particles // LANES) * LANES if self._time_s >= o.start_phase_s else len(p)
         if wanted != len(p) or resampling.effective_size(weights) < o.effective_share * len(p):
-            ancestors = resampling.SCHEMES[o.resampling](weights, wanted, self._rng)
-            self._particles = select(p, ancestors)
+            self._particles = select(p, resampling.SCHEMES[o.resampling](weights, wanted, self._rng))
         return estimate

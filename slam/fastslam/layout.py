@@ -1,39 +1,55 @@
-"""Where each number of a VT lies in its record of 32 doubles (four cache lines).
+"""Where each number lies in memory: everything is in rows of LANES particles, so that each operation is one vector
+loop.
 
-The first line is all that a VT costs which is not seen: it decides, from the predicted distance, whether the rest is
-read.
-A VT is kept in spherical coordinates s = (range, azimuth, elevation) about a fixed anchor, the particle's position at
-the VT's birth, with axes of the world frame:
+Particles are kept in blocks of LANES = 32. A block has, for each link, a list of tracks: a track is one VT as born
+from one
+measurement, kept for all particles (lanes) of the block that believe in it. A track's record is RECORD rows:
 
+    s = (range, azimuth, elevation) about a fixed anchor, the particle's position at the VT's birth, axes of the world
+    frame;
     s | theta ~ N(mu + G (theta - theta0), Sigma),   theta = (clock offset of its site, yaw-rate bias, odometer scale)
 
-and theta0 the nuisance mean at the last touch. A VT that is not seen is never written.
+with theta0 the nuisance mean at the last touch: a VT that is not seen is never written. The angles of mu are kept as
+cosines and
+sines, which an update turns by its small correction: no trigonometric function is called in the steady state.
+
+The kernels work in one flat scratch array W at constant offsets. That is what lets the compiler prove that rows do
+not overlap, and
+use the widest vectors of the machine.
 """
 
-POSITION = 0  # 3: Cartesian position at theta0
-LAST_SEEN = 3  # snapshot of the last detection
-HITS = 4  # detections so far
-SPREAD = 5  # standard deviation of the range, without the nuisance part
-OFFSET0 = 6  # theta0: clock offset
-RANGE_PER_OFFSET = 7  # G[0, 0] again
-ANCHOR = 8  # 3
-MEAN = 11  # 3: mu
-SIGMA = 14  # 6: 00 01 02 11 12 22
-GAIN = 20  # 9: G, row by row
-BIAS0 = 29  # theta0: yaw-rate bias
-SCALE0 = 30  # theta0: odometer scale
-IDENTITY = 31  # number of the measurement that the VT was born from
-RECORD = 32
+LANES = 32
 
-# Columns of the scratch row that keeps one VT's prediction while its link is associated.
-P_H = 0  # 9: dh/ds
-P_A = 9  # 9: dh/dtheta, all paths
-P_S = 18  # 6: H Sigma H^T
-P_C = 24  # 6: A P A^T
-P_Z = 30  # 3: predicted measurement, offset included
-P_MEAN = 33  # 3: mu at the present theta
-P_J = 36  # 9: d(position)/ds
-P_SLOT = 45  # slot in the link's list
-P_SCORE0 = 46  # log of visible and detected against missed
-P_POSITION = 47  # 3: predicted position
-PREDICTION = 52
+# A track's record: rows of LANES.
+ANCHOR, RANGE, CA, SA, CE, SE = 0, 3, 4, 5, 6, 7
+SIGMA = 8  # 6: 00 01 02 11 12 22
+GAIN = 14  # 9: G, row by row
+OFFSET0, BIAS0, SCALE0 = 23, 24, 25
+HITS = 26
+RECORD = 27
+
+# A block's state: rows of LANES; K nuisances follow, then their covariance (K x K).
+POSE, POSE_G = 0, 6  # POSE_G: d(x, y, psi)/d(bias, scale), row by row
+BIAS, SCALE = 12, 18  # sampled errors of each odometry component
+THETA = 24
+
+# Scratch W: rows of LANES.
+W_POSE, W_G, W_ROT, W_DROT = 0, 6, 12, 21
+W_B, W_BIAS, W_SCALE, W_P = 30, 31, 32, 33  # nuisance mean, and its covariance for this site (6)
+W_REC = 40  # the record at hand
+W_OUT = 70  # its prediction:
+O_H, O_A, O_S, O_C = 0, 9, 18, 24  # dh/ds, dh/dtheta over all paths, H Sigma H^T, A P A^T
+O_X, O_Y, O_Z, O_FLAT, O_FULL = 30, 31, 32, 33, 34  # VT in the body frame
+O_RANGE, O_CA, O_SA, O_CE, O_SE = 35, 36, 37, 38, 39  # mu at the present theta
+O_SCORE = 40  # log of visible and detected against missed, less log clutter density
+OUT = 41
+W_E, W_D2, W_DET, W_SCORE, W_MASK, W_INV = 112, 115, 116, 117, 118, 119  # one pair; W_INV 6 rows
+W_LOG, W_PRODUCT, W_WEIGHT, W_GATED = 126, 127, 128, 129
+W_REACH = 130  # 2 rows: lowest and highest distance that could be measured
+W_LINK = 132  # 9 rows: y (3) and I (00 01 02 11 12 22) of the link at hand, over (offset, bias, scale)
+W_Y = 141  # K rows: A^T S^-1 e; then K x K rows: A^T S^-1 A, and scratch for the solve
+
+
+def scratch_rows(nuisances: int) -> int:
+    """Return the number of rows of W for K nuisances."""
+    return W_Y + 2 * nuisances + 5 * nuisances * nuisances

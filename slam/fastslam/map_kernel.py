@@ -1,70 +1,167 @@
-"""Compiled: maps copied at resampling, and read out for an estimate."""
+"""Compiled: particles copied at resampling, and the map of one particle read out for an estimate."""
 
 from __future__ import annotations
+
+import math
 
 import numpy as np
 from numba import njit, prange
 
-from cellslam.slam.fastslam.layout import BIAS0, GAIN, HITS, IDENTITY, OFFSET0, SCALE0, SIGMA
-from cellslam.slam.fastslam.predict_kernel import position_into
+from cellslam.slam.fastslam.layout import (
+    ANCHOR,
+    BIAS0,
+    CA,
+    CE,
+    GAIN,
+    LANES,
+    OFFSET0,
+    RANGE,
+    RECORD,
+    SA,
+    SCALE0,
+    SE,
+    SIGMA,
+    THETA,
+)
+
+B = LANES
 
 
 @njit(cache=True, parallel=True)
-def copy_maps(records, counts, source, target):
-    """Copy the live records of each source particle over those of its target."""
-    for k in prange(len(source)):
-        a, b = source[k], target[k]
+def move_within(steps, starts, state, status, records, order, counts):
+    """Copy particles to other lanes of their own block: steps (n, 3) = block, from, to, sorted; starts (G + 1,)."""
+    for g in prange(state.shape[0]):
+        a, b = starts[g], starts[g + 1]
+        if a == b:
+            continue
+        for r in range(state.shape[1] // B):
+            for i in range(a, b):
+                state[g, r * B + steps[i, 2]] = state[g, r * B + steps[i, 1]]
         for link in range(counts.shape[1]):
-            live = counts[a, link]
-            counts[b, link] = live
-            records[b, link, :live, :] = records[a, link, :live, :]
-
-
-@njit(cache=True, parallel=True)
-def gather_maps(records, counts, ancestors, out):
-    """Copy the live records of each ancestor into a new array."""
-    for k in prange(len(ancestors)):
-        for link in range(counts.shape[1]):
-            live = counts[k, link]
-            out[k, link, :live, :] = records[ancestors[k], link, :live, :]
+            for j in range(counts[g, link]):
+                slot = order[g, link, j]
+                row = status[g, link, slot]
+                needed = False
+                for i in range(a, b):
+                    s = row[steps[i, 1]]
+                    row[steps[i, 2]] = s
+                    needed = needed or s >= 0
+                if needed:
+                    record = records[g, link, slot]
+                    for r in range(RECORD):
+                        for i in range(a, b):
+                            record[r * B + steps[i, 2]] = record[r * B + steps[i, 1]]
 
 
 @njit(cache=True)
-def map_into(records, counts, theta, cov, site_of, hits, out_id, out_link, position, covariance):
-    """Write confirmed VTs of one particle: x = x(mu), cov = J (Sigma + G P G^T) J^T; return their number."""
+def move_between(
+    steps,
+    state,
+    status,
+    records,
+    ident,
+    order,
+    counts,
+    to_state,
+    to_status,
+    to_records,
+    to_ident,
+    to_order,
+    to_counts,
+    to_bounds,
+):
+    """Copy particles to lanes of other blocks: steps (n, 4) = block, lane, to block, to lane; tracks are matched by
+    identity."""
+    for i in range(steps.shape[0]):
+        g, a, h, b = steps[i]
+        for r in range(state.shape[1] // B):
+            to_state[h, r * B + b] = state[g, r * B + a]
+        for link in range(counts.shape[1]):
+            for j in range(to_counts[h, link]):
+                to_status[h, link, to_order[h, link, j], b] = -1
+            for j in range(counts[g, link]):
+                slot = order[g, link, j]
+                s = status[g, link, slot, a]
+                if s < 0:
+                    continue
+                place, new = _place(
+                    ident[g, link, slot], to_status[h, link], to_ident[h, link], to_order[h, link], to_counts, h, link
+                )
+                if place < 0:
+                    continue
+                if new:
+                    for r in range(RECORD):
+                        to_records[h, link, place, r * B : (r + 1) * B] = records[g, link, slot, r * B + a]
+                to_status[h, link, place, b] = s
+                to_bounds[h, link, place, 0] = -math.inf
+                to_bounds[h, link, place, 1] = math.inf
+                for r in range(RECORD):
+                    to_records[h, link, place, r * B + b] = records[g, link, slot, r * B + a]
+
+
+@njit(cache=True)
+def _place(name, status, ident, order, counts, block, link):
+    """Return the slot of the track called `name` and whether it had to be taken from the free ones; -1 if all are in
+    use."""
+    for j in range(counts[block, link]):
+        if ident[order[j]] == name:
+            return order[j], False
+    if counts[block, link] == order.shape[0]:
+        return -1, False
+    slot = order[counts[block, link]]
+    counts[block, link] += 1
+    ident[slot] = name
+    status[slot, :] = -1
+    return slot, True
+
+
+@njit(cache=True)
+def map_into(
+    lane, least, state, status, records, ident, order, counts, site_of, out_id, out_link, position, covariance
+):
+    """Write the VTs of one lane of a block with at least class `least`: x = x(mu), cov = J (Sigma + G P G^T) J^T;
+    return their number."""
     n = 0
-    sites = theta.shape[0] - 2
-    jacobian = np.empty((3, 3))
-    inner = np.empty((3, 3))
-    gain = np.empty((3, 3))
-    block = np.empty((3, 3))
+    size = 0
+    while (THETA + size + size * size) * B < state.shape[0]:
+        size += 1
+    jacobian, inner, gain, block = np.empty((3, 3)), np.empty((3, 3)), np.empty((3, 3)), np.empty((3, 3))
     for link in range(counts.shape[0]):
-        index = (site_of[link], sites, sites + 1)
+        index = (site_of[link], size - 2, size - 1)
         for r in range(3):
             for c in range(3):
-                block[r, c] = cov[index[r], index[c]]
+                block[r, c] = state[(THETA + size + index[r] * size + index[c]) * B + lane]
         for j in range(counts[link]):
-            vt = records[link, j]
-            if vt[HITS] < hits:
+            slot = order[link, j]
+            s = status[link, slot, lane]
+            if s < 0 or s & 3 < least:
                 continue
-            db, dg, ds = (
-                theta[index[0]] - vt[OFFSET0],
-                theta[sites] - vt[BIAS0],
-                theta[sites + 1] - vt[SCALE0],
-            )
-            position_into(position[n], jacobian, vt, db, dg, ds)
-            for r in range(3):
-                for c in range(3):
-                    gain[r, c] = vt[GAIN + 3 * r + c]
-            inner[:, :] = gain @ block @ gain.T
+            v = records[link, slot]
+            d0 = state[(THETA + index[0]) * B + lane] - v[OFFSET0 * B + lane]
+            d1 = state[(THETA + size - 2) * B + lane] - v[BIAS0 * B + lane]
+            d2 = state[(THETA + size - 1) * B + lane] - v[SCALE0 * B + lane]
             k = 0
             for r in range(3):
+                for c in range(3):
+                    gain[r, c] = v[(GAIN + 3 * r + c) * B + lane]
+            inner[:, :] = gain @ block @ gain.T
+            for r in range(3):
                 for c in range(r, 3):
-                    inner[r, c] += vt[SIGMA + k]
-                    if c > r:
-                        inner[c, r] += vt[SIGMA + k]
+                    inner[r, c] += v[(SIGMA + k) * B + lane]
+                    inner[c, r] = inner[r, c]
                     k += 1
+            rho = v[RANGE * B + lane] + gain[0, 0] * d0 + gain[0, 1] * d1 + gain[0, 2] * d2
+            turn = gain[1, 0] * d0 + gain[1, 1] * d1 + gain[1, 2] * d2
+            lift = gain[2, 0] * d0 + gain[2, 1] * d1 + gain[2, 2] * d2
+            az = math.atan2(v[SA * B + lane], v[CA * B + lane]) + turn
+            el = math.atan2(v[SE * B + lane], v[CE * B + lane]) + lift
+            ca, sa, ce, se = math.cos(az), math.sin(az), math.cos(el), math.sin(el)
+            jacobian[0, 0], jacobian[0, 1], jacobian[0, 2] = ce * ca, -rho * ce * sa, -rho * se * ca
+            jacobian[1, 0], jacobian[1, 1], jacobian[1, 2] = ce * sa, rho * ce * ca, -rho * se * sa
+            jacobian[2, 0], jacobian[2, 1], jacobian[2, 2] = se, 0.0, rho * ce
+            for r in range(3):
+                position[n, r] = v[(ANCHOR + r) * B + lane] + rho * jacobian[r, 0]
             covariance[n] = jacobian @ inner @ jacobian.T
-            out_id[n], out_link[n] = int(vt[IDENTITY]), link
+            out_id[n], out_link[n] = ident[link, slot], link
             n += 1
     return n

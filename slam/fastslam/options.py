@@ -33,10 +33,10 @@ class FastSlamOptions(BaseModel):
         description="resample when the effective sample size falls below this share of the particles",
     )
     detection_probability: float = Field(
-        0.9, gt=0, lt=1, description="probability that a visible VT is detected in one snapshot and link"
+        0.88, gt=0, lt=1, description="probability that a visible VT is detected in one snapshot and link"
     )
     clutter_density: float = Field(
-        1e-4, gt=0, le=1e3, description="clutter per link and snapshot and unit of (m rad rad)"
+        3e-4, gt=0, le=1e3, description="clutter per link and snapshot and unit of (m rad rad)"
     )
     birth_ratio: float = Field(
         0.01,
@@ -57,9 +57,13 @@ class FastSlamOptions(BaseModel):
         description="squared Mahalanobis distance beyond which nothing associates (chi-square, 3 degrees)",
     )
     vts_per_link: int = Field(24, ge=1, le=4096, description="VTs kept per particle and link")
-    noise_floor_m: float = Field(0.5, ge=0, le=100, description="distance deviation at infinite SNR, m")
-    noise_floor_azimuth_deg: float = Field(1.0, ge=0, le=90, description="azimuth deviation at infinite SNR, deg")
-    noise_floor_elevation_deg: float = Field(1.5, ge=0, le=90, description="elevation deviation at infinite SNR, deg")
+    noise_floor_m: float = Field(0.57, ge=0, le=100, description="white distance deviation at infinite SNR, m")
+    noise_floor_azimuth_deg: float = Field(
+        0.66, ge=0, le=90, description="white azimuth deviation at infinite SNR, deg"
+    )
+    noise_floor_elevation_deg: float = Field(
+        0.63, ge=0, le=90, description="white elevation deviation at infinite SNR, deg"
+    )
     noise_unit_snr_m: float = Field(0.0405, ge=0, le=1000, description="distance deviation due to noise at 0 dB, m")
     noise_unit_snr_azimuth_deg: float = Field(
         0.0685, ge=0, le=90, description="azimuth deviation due to noise at 0 dB, deg"
@@ -69,6 +73,17 @@ class FastSlamOptions(BaseModel):
     )
     noise_model: Literal["snr", "claimed"] = Field(
         "snr", description="measurement covariance: scaled by the SNR, or as the front end claims per path"
+    )
+    persisting_m: float = Field(
+        0.2, ge=0, le=100, description="distance error that depends on the direction of arrival and is no new draw, m"
+    )
+    persisting_azimuth_deg: float = Field(0.65, ge=0, le=90, description="the same for azimuth, deg")
+    persisting_elevation_deg: float = Field(1.25, ge=0, le=90, description="the same for elevation, deg")
+    persisting_scale_deg: float = Field(
+        6.0, gt=0, le=180, description="change of direction over which a persisting error is drawn anew, deg"
+    )
+    persisting_range_m: float = Field(
+        200.0, gt=0, le=1e5, description="distance of a typical VT: driving on turns its direction by speed / range, m"
     )
     likelihood_exponent: float = Field(
         1.0, gt=0, le=1, description="tempering: the weights take the likelihood to this power"

@@ -1,73 +1,105 @@
-"""The particle set: arrays of states and maps, initial draw, copying at resampling."""
+"""The particle set: blocks of states and maps, initial draw, copying at resampling."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.special import ndtri
 
 from cellslam.sim.recording import Floats, Ints
 from cellslam.slam.api import Setup
-from cellslam.slam.fastslam.layout import RECORD
-from cellslam.slam.fastslam.map_kernel import copy_maps, gather_maps
+from cellslam.slam.fastslam.layout import BIAS, LANES, POSE, POSE_G, RECORD, SCALE, THETA
+from cellslam.slam.fastslam.map_kernel import move_between, move_within
 
 YAW_RATE, SPEED = 3, 0  # components of u whose bias and scale are marginalised
+DEAD = -1
 
 
 @dataclass(frozen=True)
 class Particles:
-    """State of N particles with K = S + 2 nuisances (offsets, yaw-rate bias, odometer scale) and C VT records a link.
+    """State of N = 32 G particles with K = S + 2 nuisances (offsets, yaw-rate bias, odometer scale), C tracks a link.
 
-    pose (N, 6); pose_g (N, 6): d(x, y, psi)/d(bias, scale), row by row; theta (N, K), cov (N, K, K): nuisance mean and
-    covariance; bias (N, 6), scale (N, 6): sampled errors of the other components, and all bias walks; records (N, L,
-    C, 32),
-    counts (N, L): maps; log_weight (N,).
+    state (G, F * 32) and records (G, L, C, 27 * 32): rows of `layout`; status (G, L, C, 32): -1 where a particle does
+    not believe in a
+    track, else 4 * snapshot last seen + class; ident (G, L, C): measurement that the track was born from; order (G,
+    L, C): a
+    permutation, its first counts[g, l] are in use; bounds (G, L, C, 3): least and greatest distance that the track
+    could show, and
+    `travelled` (G, S) when that was computed; log_weight (G, 32).
     """
 
-    pose: Floats
-    pose_g: Floats
-    theta: Floats
-    cov: Floats
-    bias: Floats
-    scale: Floats
+    state: Floats
+    status: NDArray[np.int32]
     records: Floats
+    ident: Ints
+    order: NDArray[np.int32]
     counts: Ints
+    bounds: Floats
+    travelled: Floats
     log_weight: Floats
 
     def __len__(self) -> int:
-        return len(self.pose)
+        return len(self.state) * LANES
+
+    @property
+    def nuisances(self) -> int:
+        """K."""
+        return self.travelled.shape[1] + 2
+
+    def rows(self, first: int, count: int) -> Floats:
+        """Return a view (G, count, 32) of `count` rows of the state."""
+        return self.state.reshape(len(self.state), -1, LANES)[:, first : first + count]
+
+    def columns(self, first: int, count: int) -> Floats:
+        """Return a copy (N, count) of `count` rows of the state, particle by particle."""
+        return np.swapaxes(self.rows(first, count), 1, 2).reshape(-1, count)
 
 
 def draw(setup: Setup, count: int, component_std_m: float, capacity: int, rng: np.random.Generator) -> Particles:
     """Draw the prior: start pose, sampled odometry errors, and one component of the offset prior for each particle.
 
-    The offset prior N(m, s^2) is split into components of deviation min(s, component_std_m) whose means are N(m, s^2 -
-    component^2), placed by a quasi-random sequence (one wide Gaussian is linearised too far from the truth).
+    The number of particles is rounded up to a multiple of 32. The offset prior N(m, s^2) is split into components of
+    deviation
+    min(s, component_std_m) whose means are N(m, s^2 - component^2), placed by a quasi-random sequence (one wide
+    Gaussian is
+    linearised too far from the truth).
     """
     sites, model = setup.sites, setup.odometry_model
-    size = len(sites) + 2
+    blocks, size, links = -(-count // LANES), len(sites) + 2, len(setup.links)
+    particles = _empty(blocks, size, links, capacity)
     prior = sites.clock_offset_std_m
     component = np.minimum(prior, component_std_m)
     spread = np.sqrt(prior**2 - component**2)
-    theta = np.zeros((count, size))
-    theta[:, : len(sites)] = sites.clock_offset_mean_m + spread * ndtri(quasi_random(count, len(sites), rng))
+    n = len(particles)
+
+    def fill(row: int, values: Floats) -> None:
+        particles.rows(row, values.shape[1])[:] = np.swapaxes(values.reshape(blocks, LANES, -1), 1, 2)
+
+    fill(POSE, setup.start_pose + setup.start_std * rng.standard_normal((n, 6)))
+    bias, scale = model.bias * rng.standard_normal((n, 6)), model.scale * rng.standard_normal((n, 6))
+    bias[:, YAW_RATE], scale[:, SPEED] = 0.0, 0.0
+    fill(BIAS, bias)
+    fill(SCALE, scale)
+    fill(THETA, sites.clock_offset_mean_m + spread * ndtri(quasi_random(n, len(sites), rng)))
     variances = np.concatenate([component**2, [model.bias[YAW_RATE] ** 2, model.scale[SPEED] ** 2]])
-    bias = model.bias * rng.standard_normal((count, 6))
-    scale = model.scale * rng.standard_normal((count, 6))
-    bias[:, YAW_RATE] = 0.0
-    scale[:, SPEED] = 0.0
-    links = len(setup.links)
+    fill(THETA + size, np.tile(np.diag(variances).ravel(), (n, 1)))
+    return particles
+
+
+def _empty(blocks: int, size: int, links: int, capacity: int) -> Particles:
+    shape = (blocks, links, capacity)
     return Particles(
-        pose=setup.start_pose + setup.start_std * rng.standard_normal((count, 6)),
-        pose_g=np.zeros((count, 6)),
-        theta=theta,
-        cov=np.tile(np.diag(variances), (count, 1, 1)),
-        bias=bias,
-        scale=scale,
-        records=np.empty((count, links, capacity, RECORD)),
-        counts=np.zeros((count, links), np.int64),
-        log_weight=np.zeros(count),
+        state=np.zeros((blocks, (THETA + size + size * size) * LANES)),
+        status=np.full((*shape, LANES), DEAD, np.int32),
+        records=np.empty((*shape, RECORD * LANES)),
+        ident=np.zeros(shape, np.int64),
+        order=np.broadcast_to(np.arange(capacity, dtype=np.int32), shape).copy(),
+        counts=np.zeros((blocks, links), np.int64),
+        bounds=np.zeros((*shape, 3)),
+        travelled=np.zeros((blocks, size - 2)),
+        log_weight=np.zeros((blocks, LANES)),
     )
 
 
@@ -86,47 +118,57 @@ def quasi_random(count: int, dimensions: int, rng: np.random.Generator) -> Float
 
 
 def select(particles: Particles, ancestors: Ints) -> Particles:
-    """Return the particles named by `ancestors` (count,), which share no memory: survivors stay, the dead are
-    overwritten.
+    """Return the particles named by `ancestors` (count,), which share no memory, with equal weights.
 
-    With the count unchanged the arrays are reused and only maps of particles that have more than one child are copied.
+    With the count unchanged survivors stay where they are and only the places of particles without children are
+    overwritten, from
+    within their block where that is possible.
     """
-    count = len(particles)
-    if len(ancestors) != count:
-        return _gather(particles, ancestors)
-    source, target = _moves(np.bincount(ancestors, minlength=count))
-    for array in (
-        particles.pose,
-        particles.pose_g,
-        particles.theta,
-        particles.cov,
-        particles.bias,
-        particles.scale,
-    ):
-        array[target] = array[source]
-    copy_maps(particles.records, particles.counts, source, target)
+    if len(ancestors) != len(particles):
+        return _regrouped(particles, ancestors)
+    children = np.bincount(ancestors, minlength=len(particles)).reshape(-1, LANES)
+    within, between = _moves(children)
+    _carry_out(particles, particles, within, between)
     particles.log_weight[:] = 0.0
     return particles
 
 
-def _moves(children: Ints) -> tuple[Ints, Ints]:
-    """Return (source, target): each surplus child of a survivor goes to the place of a particle without children."""
-    return np.repeat(np.arange(len(children)), np.maximum(children - 1, 0)), np.flatnonzero(children == 0)
+def _moves(children: Ints) -> tuple[list[tuple[int, int, int]], list[tuple[int, int, int, int]]]:
+    """Return moves within blocks (block, from lane, to lane) and between blocks (block, lane, to block, to lane)."""
+    within, spare, places = [], [], []
+    for block, row in enumerate(children):
+        source = np.repeat(np.arange(LANES), np.maximum(row - 1, 0))
+        target = np.flatnonzero(row == 0)
+        local = min(len(source), len(target))
+        within += [(block, int(a), int(b)) for a, b in zip(source[:local], target[:local], strict=True)]
+        spare += [(block, int(a)) for a in source[local:]]
+        places += [(block, int(b)) for b in target[local:]]
+    return within, [(*a, *b) for a, b in zip(spare, places, strict=True)]
 
 
-def _gather(particles: Particles, ancestors: Ints) -> Particles:
-    p = particles
-    records = np.empty((len(ancestors), *p.records.shape[1:]))
-    counts = p.counts[ancestors]
-    gather_maps(p.records, counts, ancestors, records)
-    return Particles(
-        pose=p.pose[ancestors],
-        pose_g=p.pose_g[ancestors],
-        theta=p.theta[ancestors],
-        cov=p.cov[ancestors],
-        bias=p.bias[ancestors],
-        scale=p.scale[ancestors],
-        records=records,
-        counts=counts,
-        log_weight=np.zeros(len(ancestors)),
-    )
+def _regrouped(particles: Particles, ancestors: Ints) -> Particles:
+    """Return a set of another size: every particle is copied to its new place."""
+    blocks = len(ancestors) // LANES
+    capacity, links = particles.order.shape[2], particles.order.shape[1]
+    fresh = _empty(blocks, particles.nuisances, links, capacity)
+    moves = [(int(a) // LANES, int(a) % LANES, i // LANES, i % LANES) for i, a in enumerate(ancestors)]
+    _carry_out(particles, fresh, [], moves)
+    return fresh
+
+
+def _carry_out(
+    source: Particles, target: Particles, within: list[tuple[int, int, int]], between: list[tuple[int, int, int, int]]
+) -> None:
+    if within:
+        steps = np.array(within, np.int64)
+        starts = np.searchsorted(steps[:, 0], np.arange(len(source.state) + 1))
+        move_within(steps, starts, source.state, source.status, source.records, source.order, source.counts)
+    if between:
+        move_between(
+            np.array(between, np.int64), source.state, source.status, source.records, source.ident, source.order,
+            source.counts,
+            target.state, target.status, target.records, target.ident, target.order, target.counts, target.bounds,
+        )  # fmt: skip
+
+
+__all__ = ["POSE_G", "Particles", "draw", "select"]

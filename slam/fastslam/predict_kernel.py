@@ -1,4 +1,9 @@
-"""Compiled: one VT as one particle sees it, and one birth."""
+"""Compiled: one track as each particle of a block sees it; one measurement against it; the update; the birth.
+
+Every loop runs over the LANES particles of a block at constant offsets of the scratch array (see layout). Angles
+never leave the
+unit circle: a difference of angles comes from cross and dot product, a small turn from its power series.
+"""
 
 from __future__ import annotations
 
@@ -6,152 +11,401 @@ import math
 
 from numba import njit
 
-from cellslam.slam.fastslam.algebra import congruence
 from cellslam.slam.fastslam.layout import (
     ANCHOR,
     BIAS0,
+    CA,
+    CE,
     GAIN,
-    MEAN,
+    HITS,
+    LANES,
+    O_A,
+    O_C,
+    O_CA,
+    O_CE,
+    O_FLAT,
+    O_FULL,
+    O_H,
+    O_RANGE,
+    O_S,
+    O_SA,
+    O_SCORE,
+    O_SE,
+    O_X,
+    O_Y,
+    O_Z,
     OFFSET0,
-    P_A,
-    P_C,
-    P_H,
-    P_J,
-    P_MEAN,
-    P_POSITION,
-    P_S,
-    P_Z,
+    RANGE,
+    SA,
     SCALE0,
+    SE,
     SIGMA,
+    W_B,
+    W_BIAS,
+    W_D2,
+    W_DET,
+    W_DROT,
+    W_E,
+    W_G,
+    W_INV,
+    W_LOG,
+    W_MASK,
+    W_OUT,
+    W_P,
+    W_POSE,
+    W_REACH,
+    W_REC,
+    W_ROT,
+    W_SCALE,
+    W_SCORE,
 )
 
+B = LANES
+R = W_REC * B
+O = W_OUT * B
+LOG_2PI_3 = 1.5 * math.log(2.0 * math.pi)
 
-@njit(cache=True)
-def predict_into(out, vt, pose, rot, drot, pose_g, b, bias, scale, cov):
-    """Write the prediction of record `vt` into the scratch row `out` (see layout).
 
-    `pose` (6,); `rot` (9,): body to world; `drot` (9,): its derivative by yaw; `pose_g` (6,): d(x, y, psi)/d(bias,
-    scale); `b, bias, scale`: nuisance mean; `cov` (6,): its covariance for this site, symmetric.
+@njit(cache=True, error_model="numpy")
+def _sine(x):
+    """Sine of a small angle, |x| < 0.5, to 1e-11."""
+    q = x * x
+    return x * (1.0 - q * (1 / 6 - q * (1 / 120 - q * (1 / 5040 - q / 362880))))
+
+
+@njit(cache=True, error_model="numpy")
+def _cosine(x):
+    """Cosine of a small angle, |x| < 0.5, to 1e-10."""
+    q = x * x
+    return 1.0 - q * (0.5 - q * (1 / 24 - q * (1 / 720 - q / 40320)))
+
+
+@njit(cache=True, error_model="numpy")
+def _arc_tangent(t):
+    """Arc tangent for |t| <= 0.66 to double precision (rational approximation of S. Moshier's Cephes library)."""
+    q = t * t
+    p = (((-0.8750608600031904 * q - 16.15753718733365) * q - 75.00855792314705) * q - 122.8866684490136) * q
+    p -= 64.85021904942025
+    d = ((((q + 24.85846490142306) * q + 165.0270098316989) * q + 432.8810604912903) * q + 485.3903996359137) * q
+    d += 194.5506571482614
+    return t + t * q * p / d
+
+
+def _congruence_at(symmetric, matrix, out):
+    """Return a kernel that writes M S M^T (6 rows at `out`) for symmetric S (6 rows) and M (9 rows), all at constant
+    places."""
+    s, m, o = symmetric * B, matrix * B, out * B
+
+    @njit(cache=True, error_model="numpy")
+    def congruence(w):
+        for l in range(B):
+            s0, s1, s2 = w[s + l], w[s + B + l], w[s + 2 * B + l]
+            s3, s4, s5 = w[s + 3 * B + l], w[s + 4 * B + l], w[s + 5 * B + l]
+            m0, m1, m2 = w[m + l], w[m + B + l], w[m + 2 * B + l]
+            m3, m4, m5 = w[m + 3 * B + l], w[m + 4 * B + l], w[m + 5 * B + l]
+            m6, m7, m8 = w[m + 6 * B + l], w[m + 7 * B + l], w[m + 8 * B + l]
+            a0, a1, a2 = m0 * s0 + m1 * s1 + m2 * s2, m0 * s1 + m1 * s3 + m2 * s4, m0 * s2 + m1 * s4 + m2 * s5
+            b0, b1, b2 = m3 * s0 + m4 * s1 + m5 * s2, m3 * s1 + m4 * s3 + m5 * s4, m3 * s2 + m4 * s4 + m5 * s5
+            c0, c1, c2 = m6 * s0 + m7 * s1 + m8 * s2, m6 * s1 + m7 * s3 + m8 * s4, m6 * s2 + m7 * s4 + m8 * s5
+            w[o + l] = a0 * m0 + a1 * m1 + a2 * m2
+            w[o + B + l] = a0 * m3 + a1 * m4 + a2 * m5
+            w[o + 2 * B + l] = a0 * m6 + a1 * m7 + a2 * m8
+            w[o + 3 * B + l] = b0 * m3 + b1 * m4 + b2 * m5
+            w[o + 4 * B + l] = b0 * m6 + b1 * m7 + b2 * m8
+            w[o + 5 * B + l] = c0 * m6 + c1 * m7 + c2 * m8
+
+    return congruence
+
+
+_spread_of_vt = _congruence_at(W_REC + SIGMA, W_OUT + O_H, W_OUT + O_S)
+_spread_of_nuisances = _congruence_at(W_P, W_OUT + O_A, W_OUT + O_C)
+
+
+@njit(cache=True, error_model="numpy")
+def predict(w):
+    """Predict the record at W_REC: h, H, A, S = H Sigma H^T, C = A P A^T (method.md: gate), lane by lane."""
+    for l in range(B):
+        db, dg, ds = w[W_B * B + l] - w[R + OFFSET0 * B + l], w[W_BIAS * B + l] - w[R + BIAS0 * B + l], 0.0
+        ds = w[W_SCALE * B + l] - w[R + SCALE0 * B + l]
+        g00, g01, g02 = w[R + GAIN * B + l], w[R + (GAIN + 1) * B + l], w[R + (GAIN + 2) * B + l]
+        g10, g11, g12 = w[R + (GAIN + 3) * B + l], w[R + (GAIN + 4) * B + l], w[R + (GAIN + 5) * B + l]
+        g20, g21, g22 = w[R + (GAIN + 6) * B + l], w[R + (GAIN + 7) * B + l], w[R + (GAIN + 8) * B + l]
+        rho = w[R + RANGE * B + l] + g00 * db + g01 * dg + g02 * ds
+        turn = g10 * db + g11 * dg + g12 * ds
+        lift = g20 * db + g21 * dg + g22 * ds
+        s, c = _sine(turn), _cosine(turn)
+        ca, sa = w[R + CA * B + l] * c - w[R + SA * B + l] * s, w[R + SA * B + l] * c + w[R + CA * B + l] * s
+        s, c = _sine(lift), _cosine(lift)
+        ce, se = w[R + CE * B + l] * c - w[R + SE * B + l] * s, w[R + SE * B + l] * c + w[R + CE * B + l] * s
+        w[O + O_RANGE * B + l] = rho
+        w[O + O_CA * B + l] = ca
+        w[O + O_SA * B + l] = sa
+        w[O + O_CE * B + l] = ce
+        w[O + O_SE * B + l] = se
+        nx, ny = ce * ca, ce * sa
+        wx = w[R + ANCHOR * B + l] + rho * nx - w[W_POSE * B + l]
+        wy = w[R + (ANCHOR + 1) * B + l] + rho * ny - w[(W_POSE + 1) * B + l]
+        wz = w[R + (ANCHOR + 2) * B + l] + rho * se - w[(W_POSE + 2) * B + l]
+        r0, r1, r2 = w[W_ROT * B + l], w[(W_ROT + 1) * B + l], w[(W_ROT + 2) * B + l]
+        r3, r4, r5 = w[(W_ROT + 3) * B + l], w[(W_ROT + 4) * B + l], w[(W_ROT + 5) * B + l]
+        r6, r7, r8 = w[(W_ROT + 6) * B + l], w[(W_ROT + 7) * B + l], w[(W_ROT + 8) * B + l]
+        x, y, z = r0 * wx + r3 * wy + r6 * wz, r1 * wx + r4 * wy + r7 * wz, r2 * wx + r5 * wy + r8 * wz
+        flat2 = max(x * x + y * y, 1e-6)
+        full2 = flat2 + z * z
+        flat, full = math.sqrt(flat2), math.sqrt(full2)
+        w[O + O_X * B + l] = x
+        w[O + O_Y * B + l] = y
+        w[O + O_Z * B + l] = z
+        w[O + O_FLAT * B + l] = flat
+        w[O + O_FULL * B + l] = full
+        # M = d(distance, azimuth, elevation)/d(body vector); V = M R^T
+        i1, i2 = 1.0 / full, 1.0 / flat2
+        k = i1 * i1 / flat
+        m0, m1, m2, m3, m4 = x * i1, y * i1, z * i1, -y * i2, x * i2
+        m6, m7, m8 = -x * z * k, -y * z * k, flat * i1 * i1
+        v0, v1, v2 = m0 * r0 + m1 * r1 + m2 * r2, m0 * r3 + m1 * r4 + m2 * r5, m0 * r6 + m1 * r7 + m2 * r8
+        v3, v4, v5 = m3 * r0 + m4 * r1, m3 * r3 + m4 * r4, m3 * r6 + m4 * r7
+        v6, v7, v8 = m6 * r0 + m7 * r1 + m8 * r2, m6 * r3 + m7 * r4 + m8 * r5, m6 * r6 + m7 * r7 + m8 * r8
+        # H = V d(position)/d(range, azimuth, elevation)
+        ax, ay, ex, ey, ez = -rho * ny, rho * nx, -rho * se * ca, -rho * se * sa, rho * ce
+        h0, h1, h2 = v0 * nx + v1 * ny + v2 * se, v0 * ax + v1 * ay, v0 * ex + v1 * ey + v2 * ez
+        h3, h4, h5 = v3 * nx + v4 * ny + v5 * se, v3 * ax + v4 * ay, v3 * ex + v4 * ey + v5 * ez
+        h6, h7, h8 = v6 * nx + v7 * ny + v8 * se, v6 * ax + v7 * ay, v6 * ex + v7 * ey + v8 * ez
+        w[O + O_H * B + l] = h0
+        w[O + (O_H + 1) * B + l] = h1
+        w[O + (O_H + 2) * B + l] = h2
+        w[O + (O_H + 3) * B + l] = h3
+        w[O + (O_H + 4) * B + l] = h4
+        w[O + (O_H + 5) * B + l] = h5
+        w[O + (O_H + 6) * B + l] = h6
+        w[O + (O_H + 7) * B + l] = h7
+        w[O + (O_H + 8) * B + l] = h8
+        # what yaw does: M (dR/dpsi)^T (v - r)
+        q0, q1, q3 = w[W_DROT * B + l], w[(W_DROT + 1) * B + l], w[(W_DROT + 3) * B + l]
+        q2, q4, q5 = w[(W_DROT + 2) * B + l], w[(W_DROT + 4) * B + l], w[(W_DROT + 5) * B + l]
+        yx, yy, yz = q0 * wx + q3 * wy, q1 * wx + q4 * wy, q2 * wx + q5 * wy
+        t0, t1, t2 = m0 * yx + m1 * yy + m2 * yz, m3 * yx + m4 * yy, m6 * yx + m7 * yy + m8 * yz
+        # A = H G + H_pose G_pose + e_d e_b^T
+        pxb, pxs, pyb = w[W_G * B + l], w[(W_G + 1) * B + l], w[(W_G + 2) * B + l]
+        pys, ppb, pps = w[(W_G + 3) * B + l], w[(W_G + 4) * B + l], w[(W_G + 5) * B + l]
+        a0 = h0 * g00 + h1 * g10 + h2 * g20 + 1.0
+        a1 = h0 * g01 + h1 * g11 + h2 * g21 + t0 * ppb - v0 * pxb - v1 * pyb
+        a2 = h0 * g02 + h1 * g12 + h2 * g22 + t0 * pps - v0 * pxs - v1 * pys
+        a3 = h3 * g00 + h4 * g10 + h5 * g20
+        a4 = h3 * g01 + h4 * g11 + h5 * g21 + t1 * ppb - v3 * pxb - v4 * pyb
+        a5 = h3 * g02 + h4 * g12 + h5 * g22 + t1 * pps - v3 * pxs - v4 * pys
+        a6 = h6 * g00 + h7 * g10 + h8 * g20
+        a7 = h6 * g01 + h7 * g11 + h8 * g21 + t2 * ppb - v6 * pxb - v7 * pyb
+        a8 = h6 * g02 + h7 * g12 + h8 * g22 + t2 * pps - v6 * pxs - v7 * pys
+        w[O + O_A * B + l] = a0
+        w[O + (O_A + 1) * B + l] = a1
+        w[O + (O_A + 2) * B + l] = a2
+        w[O + (O_A + 3) * B + l] = a3
+        w[O + (O_A + 4) * B + l] = a4
+        w[O + (O_A + 5) * B + l] = a5
+        w[O + (O_A + 6) * B + l] = a6
+        w[O + (O_A + 7) * B + l] = a7
+        w[O + (O_A + 8) * B + l] = a8
+    _spread_of_vt(w)
+    _spread_of_nuisances(w)
+
+
+@njit(cache=True, error_model="numpy")
+def reach(w):
+    """Write the lowest and highest distance (6 sigma, without measurement noise) that the prediction allows."""
+    for l in range(B):
+        spread = 6.0 * math.sqrt(max(w[O + O_S * B + l] + w[O + O_C * B + l], 0.0))
+        expected = w[O + O_FULL * B + l] + w[W_B * B + l]
+        w[W_REACH * B + l] = expected - spread
+        w[(W_REACH + 1) * B + l] = expected + spread
+
+
+@njit(cache=True, error_model="numpy")
+def innovate(w, z):
+    """Write e = z - h at W_E; z (12,): distance, cos and sin of azimuth and of elevation, 3 variances, 3 flags
+    (measured).
+
+    A component that was not measured has e = 0 and takes no part.
     """
-    db, dg, ds = b - vt[OFFSET0], bias - vt[BIAS0], scale - vt[SCALE0]
-    rho = vt[MEAN] + vt[GAIN] * db + vt[GAIN + 1] * dg + vt[GAIN + 2] * ds
-    az = vt[MEAN + 1] + vt[GAIN + 3] * db + vt[GAIN + 4] * dg + vt[GAIN + 5] * ds
-    el = vt[MEAN + 2] + vt[GAIN + 6] * db + vt[GAIN + 7] * dg + vt[GAIN + 8] * ds
-    out[P_MEAN], out[P_MEAN + 1], out[P_MEAN + 2] = rho, az, el
-    ca, sa, ce, se = math.cos(az), math.sin(az), math.cos(el), math.sin(el)
-    nx, ny = ce * ca, ce * sa
-    # d(position)/d(rho, az, el), row by row
-    out[P_J], out[P_J + 1], out[P_J + 2] = nx, -rho * ny, -rho * se * ca
-    out[P_J + 3], out[P_J + 4], out[P_J + 5] = ny, rho * nx, -rho * se * sa
-    out[P_J + 6], out[P_J + 7], out[P_J + 8] = se, 0.0, rho * ce
-    px, py, pz = vt[ANCHOR] + rho * nx, vt[ANCHOR + 1] + rho * ny, vt[ANCHOR + 2] + rho * se
-    out[P_POSITION], out[P_POSITION + 1], out[P_POSITION + 2] = px, py, pz
-    wx, wy, wz = px - pose[0], py - pose[1], pz - pose[2]
-    x = rot[0] * wx + rot[3] * wy + rot[6] * wz
-    y = rot[1] * wx + rot[4] * wy + rot[7] * wz
-    z = rot[2] * wx + rot[5] * wy + rot[8] * wz
-    flat2 = max(x * x + y * y, 1e-12)
-    full2 = flat2 + z * z
-    flat, full = math.sqrt(flat2), math.sqrt(full2)
-    out[P_Z], out[P_Z + 1], out[P_Z + 2] = full + b, math.atan2(y, x), math.atan2(z, flat)
-    # M = d(distance, azimuth, elevation)/d(body vector)
-    m0, m1, m2 = x / full, y / full, z / full
-    m3, m4 = -y / flat2, x / flat2
-    k = 1.0 / (flat * full2)
-    m6, m7, m8 = -x * z * k, -y * z * k, flat / full2
-    # W = M R^T = d(.)/d(world vector)
-    w0 = m0 * rot[0] + m1 * rot[1] + m2 * rot[2]
-    w1 = m0 * rot[3] + m1 * rot[4] + m2 * rot[5]
-    w2 = m0 * rot[6] + m1 * rot[7] + m2 * rot[8]
-    w3 = m3 * rot[0] + m4 * rot[1]
-    w4 = m3 * rot[3] + m4 * rot[4]
-    w5 = m3 * rot[6] + m4 * rot[7]
-    w6 = m6 * rot[0] + m7 * rot[1] + m8 * rot[2]
-    w7 = m6 * rot[3] + m7 * rot[4] + m8 * rot[5]
-    w8 = m6 * rot[6] + m7 * rot[7] + m8 * rot[8]
-    # H = W J
-    out[P_H] = w0 * nx + w1 * ny + w2 * se
-    out[P_H + 1] = w0 * out[P_J + 1] + w1 * out[P_J + 4]
-    out[P_H + 2] = w0 * out[P_J + 2] + w1 * out[P_J + 5] + w2 * out[P_J + 8]
-    out[P_H + 3] = w3 * nx + w4 * ny + w5 * se
-    out[P_H + 4] = w3 * out[P_J + 1] + w4 * out[P_J + 4]
-    out[P_H + 5] = w3 * out[P_J + 2] + w4 * out[P_J + 5] + w5 * out[P_J + 8]
-    out[P_H + 6] = w6 * nx + w7 * ny + w8 * se
-    out[P_H + 7] = w6 * out[P_J + 1] + w7 * out[P_J + 4]
-    out[P_H + 8] = w6 * out[P_J + 2] + w7 * out[P_J + 5] + w8 * out[P_J + 8]
-    # yaw column: M (dR/dpsi)^T w
-    yx = drot[0] * wx + drot[3] * wy + drot[6] * wz
-    yy = drot[1] * wx + drot[4] * wy + drot[7] * wz
-    yz = drot[2] * wx + drot[5] * wy + drot[8] * wz
-    t0, t1, t2 = m0 * yx + m1 * yy + m2 * yz, m3 * yx + m4 * yy, m6 * yx + m7 * yy + m8 * yz
-    # A = H G + H_pose G_pose + e_d e_b^T
-    for r in range(3):
-        h0, h1, h2 = out[P_H + 3 * r], out[P_H + 3 * r + 1], out[P_H + 3 * r + 2]
-        for c in range(3):
-            out[P_A + 3 * r + c] = h0 * vt[GAIN + c] + h1 * vt[GAIN + 3 + c] + h2 * vt[GAIN + 6 + c]
-    out[P_A] += 1.0
-    out[P_A + 1] += t0 * pose_g[4] - w0 * pose_g[0] - w1 * pose_g[2]
-    out[P_A + 2] += t0 * pose_g[5] - w0 * pose_g[1] - w1 * pose_g[3]
-    out[P_A + 4] += t1 * pose_g[4] - w3 * pose_g[0] - w4 * pose_g[2]
-    out[P_A + 5] += t1 * pose_g[5] - w3 * pose_g[1] - w4 * pose_g[3]
-    out[P_A + 7] += t2 * pose_g[4] - w6 * pose_g[0] - w7 * pose_g[2]
-    out[P_A + 8] += t2 * pose_g[5] - w6 * pose_g[1] - w7 * pose_g[3]
-    s = congruence(out, P_H, vt[SIGMA], vt[SIGMA + 1], vt[SIGMA + 2], vt[SIGMA + 3], vt[SIGMA + 4], vt[SIGMA + 5])
-    out[P_S], out[P_S + 1], out[P_S + 2], out[P_S + 3], out[P_S + 4], out[P_S + 5] = s
-    q = congruence(out, P_A, cov[0], cov[1], cov[2], cov[3], cov[4], cov[5])
-    out[P_C], out[P_C + 1], out[P_C + 2], out[P_C + 3], out[P_C + 4], out[P_C + 5] = q
+    d, ca, sa, ce, se, f0, f1, f2 = z[0], z[1], z[2], z[3], z[4], z[8], z[9], z[10]
+    for l in range(B):
+        x, y, flat = w[O + O_X * B + l], w[O + O_Y * B + l], w[O + O_FLAT * B + l]
+        zz, full = w[O + O_Z * B + l], w[O + O_FULL * B + l]
+        w[W_E * B + l] = f0 * (d - w[W_B * B + l] - full)
+        t = (sa * x - ca * y) / max(flat + ca * x + sa * y, 1e-3 * flat)
+        w[(W_E + 1) * B + l] = f1 * 2.0 * _arc_tangent(min(max(t, -0.66), 0.66))
+        t = (se * flat - ce * zz) / max(full + ce * flat + se * zz, 1e-3 * full)
+        w[(W_E + 2) * B + l] = f2 * 2.0 * _arc_tangent(min(max(t, -0.66), 0.66))
 
 
-@njit(cache=True)
-def born_into(vt, rho, az, el, q, pose, rot, pose_g):
-    """Write anchor, mean, Sigma and G of a VT born from a measurement (rho without offset; az, el in the body frame).
+@njit(cache=True, error_model="numpy")
+def invert(w, z, share):
+    """Write S^-1 (6 rows at W_INV), det S and e^T S^-1 e for S = H Sigma H^T + share A P A^T + Q."""
+    q0, q1, q2, f0, f1, f2 = z[5], z[6], z[7], z[8], z[9], z[10]
+    f01, f02, f12 = f0 * f1, f0 * f2, f1 * f2
+    for l in range(B):
+        a = f0 * (w[O + O_S * B + l] + share * w[O + O_C * B + l]) + q0
+        b = f01 * (w[O + (O_S + 1) * B + l] + share * w[O + (O_C + 1) * B + l])
+        c = f02 * (w[O + (O_S + 2) * B + l] + share * w[O + (O_C + 2) * B + l])
+        d = f1 * (w[O + (O_S + 3) * B + l] + share * w[O + (O_C + 3) * B + l]) + q1
+        e = f12 * (w[O + (O_S + 4) * B + l] + share * w[O + (O_C + 4) * B + l])
+        f = f2 * (w[O + (O_S + 5) * B + l] + share * w[O + (O_C + 5) * B + l]) + q2
+        m0, m1, m2 = d * f - e * e, c * e - b * f, b * e - c * d
+        det = a * m0 + b * m1 + c * m2
+        s = 1.0 / det
+        i0, i1, i2, i3, i4, i5 = m0 * s, m1 * s, m2 * s, (a * f - c * c) * s, (b * c - a * e) * s, (a * d - b * b) * s
+        x, y, zz = w[W_E * B + l], w[(W_E + 1) * B + l], w[(W_E + 2) * B + l]
+        w[W_D2 * B + l] = i0 * x * x + i3 * y * y + i5 * zz * zz + 2.0 * (i1 * x * y + i2 * x * zz + i4 * y * zz)
+        w[W_DET * B + l] = det
+        w[W_INV * B + l] = i0 * f0
+        w[(W_INV + 1) * B + l] = i1 * f01
+        w[(W_INV + 2) * B + l] = i2 * f02
+        w[(W_INV + 3) * B + l] = i3 * f1
+        w[(W_INV + 4) * B + l] = i4 * f12
+        w[(W_INV + 5) * B + l] = i5 * f2
 
-    `q` (3,): measurement variances. Given theta the birth is exact: range variance q_d, G = (-1, 0, 0) for the offset;
-    what the pose owes to bias and scale is passed on to the VT (method: A and G in matrix form).
+
+@njit(cache=True, error_model="numpy")
+def logarithm(w, bits):
+    """Write log det S at W_LOG to 1e-7; `bits` is W seen as integers. For choosing an association, not for weights."""
+    for l in range(B):
+        b = bits[W_DET * B + l]
+        bits[W_LOG * B + l] = (b & 0x000FFFFFFFFFFFFF) | 0x3FF0000000000000
+    for l in range(B):
+        exponent = float((bits[W_DET * B + l] >> 52) - 1023)
+        m = w[W_LOG * B + l]
+        t = (m - 1.4142135623730951) / (m + 1.4142135623730951)
+        q = t * t
+        series = 2.0 * t * (1.0 + q * (1 / 3 + q * (1 / 5 + q * (1 / 7 + q / 9))))
+        w[W_LOG * B + l] = exponent * 0.6931471805599453 + 0.34657359027997264 + series
+
+
+@njit(cache=True, error_model="numpy")
+def score(w, gate):
+    """Write the pair's log-likelihood ratio at W_SCORE, -1e300 outside the gate or where the track's score is
+    -1e300."""
+    for l in range(B):
+        value = w[O + O_SCORE * B + l] - 0.5 * w[W_D2 * B + l] - 0.5 * w[W_LOG * B + l] - LOG_2PI_3
+        inside = w[W_D2 * B + l] < gate and w[W_DET * B + l] > 0.0 and w[O + O_SCORE * B + l] > -1e299
+        w[W_SCORE * B + l] = value if inside else -1e300
+
+
+@njit(cache=True, error_model="numpy")
+def correct(w):
+    """Update the record at W_REC where W_MASK is 1: K = Sigma H^T S^-1, mu += K e, G -= K A, Sigma -= K H Sigma
+    (method.md)."""
+    for l in range(B):
+        i0, i1, i2 = w[W_INV * B + l], w[(W_INV + 1) * B + l], w[(W_INV + 2) * B + l]
+        i3, i4, i5 = w[(W_INV + 3) * B + l], w[(W_INV + 4) * B + l], w[(W_INV + 5) * B + l]
+        a, b, c = w[R + SIGMA * B + l], w[R + (SIGMA + 1) * B + l], w[R + (SIGMA + 2) * B + l]
+        d, e, f = w[R + (SIGMA + 3) * B + l], w[R + (SIGMA + 4) * B + l], w[R + (SIGMA + 5) * B + l]
+        h0, h1, h2 = w[O + O_H * B + l], w[O + (O_H + 1) * B + l], w[O + (O_H + 2) * B + l]
+        h3, h4, h5 = w[O + (O_H + 3) * B + l], w[O + (O_H + 4) * B + l], w[O + (O_H + 5) * B + l]
+        h6, h7, h8 = w[O + (O_H + 6) * B + l], w[O + (O_H + 7) * B + l], w[O + (O_H + 8) * B + l]
+        t00, t01, t02 = h0 * a + h1 * b + h2 * c, h0 * b + h1 * d + h2 * e, h0 * c + h1 * e + h2 * f
+        t10, t11, t12 = h3 * a + h4 * b + h5 * c, h3 * b + h4 * d + h5 * e, h3 * c + h4 * e + h5 * f
+        t20, t21, t22 = h6 * a + h7 * b + h8 * c, h6 * b + h7 * d + h8 * e, h6 * c + h7 * e + h8 * f
+        on = w[W_MASK * B + l]
+        k00, k01, k02 = on * (t00 * i0 + t10 * i1 + t20 * i2), on * (t00 * i1 + t10 * i3 + t20 * i4), 0.0
+        k02 = on * (t00 * i2 + t10 * i4 + t20 * i5)
+        k10, k11, k12 = on * (t01 * i0 + t11 * i1 + t21 * i2), on * (t01 * i1 + t11 * i3 + t21 * i4), 0.0
+        k12 = on * (t01 * i2 + t11 * i4 + t21 * i5)
+        k20, k21, k22 = on * (t02 * i0 + t12 * i1 + t22 * i2), on * (t02 * i1 + t12 * i3 + t22 * i4), 0.0
+        k22 = on * (t02 * i2 + t12 * i4 + t22 * i5)
+        e0, e1, e2 = w[W_E * B + l], w[(W_E + 1) * B + l], w[(W_E + 2) * B + l]
+        old = 1.0 - on
+        rho = w[O + O_RANGE * B + l] + k00 * e0 + k01 * e1 + k02 * e2
+        turn, lift = k10 * e0 + k11 * e1 + k12 * e2, k20 * e0 + k21 * e1 + k22 * e2
+        w[R + RANGE * B + l] = rho if on > 0.5 else w[R + RANGE * B + l]
+        for_s, for_c = _sine(turn), _cosine(turn)
+        ca, sa = w[O + O_CA * B + l], w[O + O_SA * B + l]
+        na, ns = ca * for_c - sa * for_s, sa * for_c + ca * for_s
+        scale = 1.5 - 0.5 * (na * na + ns * ns)
+        w[R + CA * B + l] = na * scale if on > 0.5 else w[R + CA * B + l]
+        w[R + SA * B + l] = ns * scale if on > 0.5 else w[R + SA * B + l]
+        for_s, for_c = _sine(lift), _cosine(lift)
+        ce, se = w[O + O_CE * B + l], w[O + O_SE * B + l]
+        na, ns = ce * for_c - se * for_s, se * for_c + ce * for_s
+        scale = 1.5 - 0.5 * (na * na + ns * ns)
+        w[R + CE * B + l] = na * scale if on > 0.5 else w[R + CE * B + l]
+        w[R + SE * B + l] = ns * scale if on > 0.5 else w[R + SE * B + l]
+        a0, a1, a2 = w[O + O_A * B + l], w[O + (O_A + 1) * B + l], w[O + (O_A + 2) * B + l]
+        a3, a4, a5 = w[O + (O_A + 3) * B + l], w[O + (O_A + 4) * B + l], w[O + (O_A + 5) * B + l]
+        a6, a7, a8 = w[O + (O_A + 6) * B + l], w[O + (O_A + 7) * B + l], w[O + (O_A + 8) * B + l]
+        w[R + GAIN * B + l] -= k00 * a0 + k01 * a3 + k02 * a6
+        w[R + (GAIN + 1) * B + l] -= k00 * a1 + k01 * a4 + k02 * a7
+        w[R + (GAIN + 2) * B + l] -= k00 * a2 + k01 * a5 + k02 * a8
+        w[R + (GAIN + 3) * B + l] -= k10 * a0 + k11 * a3 + k12 * a6
+        w[R + (GAIN + 4) * B + l] -= k10 * a1 + k11 * a4 + k12 * a7
+        w[R + (GAIN + 5) * B + l] -= k10 * a2 + k11 * a5 + k12 * a8
+        w[R + (GAIN + 6) * B + l] -= k20 * a0 + k21 * a3 + k22 * a6
+        w[R + (GAIN + 7) * B + l] -= k20 * a1 + k21 * a4 + k22 * a7
+        w[R + (GAIN + 8) * B + l] -= k20 * a2 + k21 * a5 + k22 * a8
+        w[R + SIGMA * B + l] = a - (k00 * t00 + k01 * t10 + k02 * t20)
+        w[R + (SIGMA + 1) * B + l] = b - (k00 * t01 + k01 * t11 + k02 * t21)
+        w[R + (SIGMA + 2) * B + l] = c - (k00 * t02 + k01 * t12 + k02 * t22)
+        w[R + (SIGMA + 3) * B + l] = d - (k10 * t01 + k11 * t11 + k12 * t21)
+        w[R + (SIGMA + 4) * B + l] = e - (k10 * t02 + k11 * t12 + k12 * t22)
+        w[R + (SIGMA + 5) * B + l] = f - (k20 * t02 + k21 * t12 + k22 * t22)
+        w[R + HITS * B + l] += on
+        w[R + OFFSET0 * B + l] = on * w[W_B * B + l] + old * w[R + OFFSET0 * B + l]
+        w[R + BIAS0 * B + l] = on * w[W_BIAS * B + l] + old * w[R + BIAS0 * B + l]
+        w[R + SCALE0 * B + l] = on * w[W_SCALE * B + l] + old * w[R + SCALE0 * B + l]
+
+
+@njit(cache=True, error_model="numpy")
+def give_birth(w, z):
+    """Write the record of a VT born from measurement z in every lane (method.md: birth); z as in `innovate`.
+
+    Given theta the birth is exact: range variance q_d, G = (-1, 0, 0) for the offset; what the pose owes to bias and
+    scale is
+    passed on to the VT.
     """
-    ca, sa, ce, se = math.cos(az), math.sin(az), math.cos(el), math.sin(el)
-    bx, by = ce * ca, ce * sa
-    nx = rot[0] * bx + rot[1] * by + rot[2] * se
-    ny = rot[3] * bx + rot[4] * by + rot[5] * se
-    nz = rot[6] * bx + rot[7] * by + rot[8] * se
-    flat = max(math.sqrt(nx * nx + ny * ny), 1e-9)
-    vt[ANCHOR], vt[ANCHOR + 1], vt[ANCHOR + 2] = pose[0], pose[1], pose[2]
-    vt[MEAN], vt[MEAN + 1], vt[MEAN + 2] = rho, math.atan2(ny, nx), math.atan2(nz, flat)
-    # world angles by body angles: rows of d(az, el)_world/d(unit vector) times R times d(unit vector)/d(az, el)_body
+    ce_b, se_b = z[3], z[4]
+    bx, by = ce_b * z[1], ce_b * z[2]
     ax, ay = -by, bx
-    gx, gy, gz = -se * ca, -se * sa, ce
-    uax, uay, uaz = rot[0] * ax + rot[1] * ay, rot[3] * ax + rot[4] * ay, rot[6] * ax + rot[7] * ay
-    uex = rot[0] * gx + rot[1] * gy + rot[2] * gz
-    uey = rot[3] * gx + rot[4] * gy + rot[5] * gz
-    uez = rot[6] * gx + rot[7] * gy + rot[8] * gz
-    f2 = flat * flat
-    jaa, jae = (nx * uay - ny * uax) / f2, (nx * uey - ny * uex) / f2
-    jea = flat * uaz - nz * (nx * uax + ny * uay) / flat
-    jee = flat * uez - nz * (nx * uex + ny * uey) / flat
-    vt[SIGMA], vt[SIGMA + 1], vt[SIGMA + 2] = q[0], 0.0, 0.0
-    vt[SIGMA + 3] = jaa * jaa * q[1] + jae * jae * q[2]
-    vt[SIGMA + 4] = jaa * jea * q[1] + jae * jee * q[2]
-    vt[SIGMA + 5] = jea * jea * q[1] + jee * jee * q[2]
-    for i in range(9):
-        vt[GAIN + i] = 0.0
-    vt[GAIN] = -1.0
-    for c in range(2):
-        gx, gy = pose_g[c], pose_g[2 + c]
-        vt[GAIN + 1 + c] = nx * gx + ny * gy
-        vt[GAIN + 4 + c] = (nx * gy - ny * gx) / (f2 * rho) + pose_g[4 + c]
-        vt[GAIN + 7 + c] = -nz * (nx * gx + ny * gy) / (flat * rho)
-
-
-@njit(cache=True)
-def position_into(position, jacobian, vt, db, dg, ds):
-    """Write the Cartesian position (3,) of a record at theta0 + (db, dg, ds), and its derivative (3, 3) by (range,
-    az, el)."""
-    rho = vt[MEAN] + vt[GAIN] * db + vt[GAIN + 1] * dg + vt[GAIN + 2] * ds
-    az = vt[MEAN + 1] + vt[GAIN + 3] * db + vt[GAIN + 4] * dg + vt[GAIN + 5] * ds
-    el = vt[MEAN + 2] + vt[GAIN + 6] * db + vt[GAIN + 7] * dg + vt[GAIN + 8] * ds
-    ca, sa, ce, se = math.cos(az), math.sin(az), math.cos(el), math.sin(el)
-    jacobian[0, 0], jacobian[0, 1], jacobian[0, 2] = ce * ca, -rho * ce * sa, -rho * se * ca
-    jacobian[1, 0], jacobian[1, 1], jacobian[1, 2] = ce * sa, rho * ce * ca, -rho * se * sa
-    jacobian[2, 0], jacobian[2, 1], jacobian[2, 2] = se, 0.0, rho * ce
-    for r in range(3):
-        position[r] = vt[ANCHOR + r] + rho * jacobian[r, 0]
+    ex, ey = -se_b * z[1], -se_b * z[2]
+    q0, q1, q2 = z[5], z[6], z[7]
+    for l in range(B):
+        r0, r1, r2 = w[W_ROT * B + l], w[(W_ROT + 1) * B + l], w[(W_ROT + 2) * B + l]
+        r3, r4, r5 = w[(W_ROT + 3) * B + l], w[(W_ROT + 4) * B + l], w[(W_ROT + 5) * B + l]
+        r6, r7, r8 = w[(W_ROT + 6) * B + l], w[(W_ROT + 7) * B + l], w[(W_ROT + 8) * B + l]
+        nx, ny, nz = r0 * bx + r1 * by + r2 * se_b, r3 * bx + r4 * by + r5 * se_b, r6 * bx + r7 * by + r8 * se_b
+        rho = max(z[0] - w[W_B * B + l], 1e-3)
+        f2 = max(nx * nx + ny * ny, 1e-18)
+        flat = math.sqrt(f2)
+        w[R + ANCHOR * B + l] = w[W_POSE * B + l]
+        w[R + (ANCHOR + 1) * B + l] = w[(W_POSE + 1) * B + l]
+        w[R + (ANCHOR + 2) * B + l] = w[(W_POSE + 2) * B + l]
+        w[R + RANGE * B + l] = rho
+        w[R + CA * B + l] = nx / flat
+        w[R + SA * B + l] = ny / flat
+        w[R + CE * B + l] = flat
+        w[R + SE * B + l] = nz
+        # world angles by body angles
+        uax, uay, uaz = r0 * ax + r1 * ay, r3 * ax + r4 * ay, r6 * ax + r7 * ay
+        uex, uey, uez = r0 * ex + r1 * ey + r2 * ce_b, r3 * ex + r4 * ey + r5 * ce_b, r6 * ex + r7 * ey + r8 * ce_b
+        jaa, jae = (nx * uay - ny * uax) / f2, (nx * uey - ny * uex) / f2
+        jea = flat * uaz - nz * (nx * uax + ny * uay) / flat
+        jee = flat * uez - nz * (nx * uex + ny * uey) / flat
+        w[R + SIGMA * B + l] = q0
+        w[R + (SIGMA + 1) * B + l] = 0.0
+        w[R + (SIGMA + 2) * B + l] = 0.0
+        w[R + (SIGMA + 3) * B + l] = jaa * jaa * q1 + jae * jae * q2
+        w[R + (SIGMA + 4) * B + l] = jaa * jea * q1 + jae * jee * q2
+        w[R + (SIGMA + 5) * B + l] = jea * jea * q1 + jee * jee * q2
+        pxb, pxs, pyb = w[W_G * B + l], w[(W_G + 1) * B + l], w[(W_G + 2) * B + l]
+        pys, ppb, pps = w[(W_G + 3) * B + l], w[(W_G + 4) * B + l], w[(W_G + 5) * B + l]
+        w[R + GAIN * B + l] = -1.0
+        w[R + (GAIN + 1) * B + l] = nx * pxb + ny * pyb
+        w[R + (GAIN + 2) * B + l] = nx * pxs + ny * pys
+        w[R + (GAIN + 3) * B + l] = 0.0
+        w[R + (GAIN + 4) * B + l] = (nx * pyb - ny * pxb) / (f2 * rho) + ppb
+        w[R + (GAIN + 5) * B + l] = (nx * pys - ny * pxs) / (f2 * rho) + pps
+        w[R + (GAIN + 6) * B + l] = 0.0
+        w[R + (GAIN + 7) * B + l] = -nz * (nx * pxb + ny * pyb) / (flat * rho)
+        w[R + (GAIN + 8) * B + l] = -nz * (nx * pxs + ny * pys) / (flat * rho)
+        w[R + OFFSET0 * B + l] = w[W_B * B + l]
+        w[R + BIAS0 * B + l] = w[W_BIAS * B + l]
+        w[R + SCALE0 * B + l] = w[W_SCALE * B + l]
+        w[R + HITS * B + l] = 1.0

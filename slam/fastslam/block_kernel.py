@@ -1,0 +1,659 @@
+"""Compiled: one snapshot for every block of particles: move, associate, update, weigh, give birth, drop.
+
+Parallel over blocks with scratch of their own; no block reads another, so the result does not depend on the number of
+threads.
+"""
+
+from __future__ import annotations
+
+import math
+
+from numba import njit, prange
+
+from cellslam.slam.fastslam.assignment import assign
+from cellslam.slam.fastslam.layout import (
+    HITS,
+    LANES,
+    O_SCORE,
+    OUT,
+    POSE,
+    POSE_G,
+    RECORD,
+    THETA,
+    W_B,
+    W_BIAS,
+    W_D2,
+    W_DET,
+    W_DROT,
+    W_MASK,
+    W_OUT,
+    W_P,
+    W_POSE,
+    W_PRODUCT,
+    W_REACH,
+    W_REC,
+    W_ROT,
+    W_SCALE,
+    W_SCORE,
+    W_WEIGHT,
+)
+from cellslam.slam.fastslam.nuisance_kernel import absorb, collect, condition, forget
+from cellslam.slam.fastslam.predict_kernel import (
+    LOG_2PI_3,
+    correct,
+    give_birth,
+    innovate,
+    invert,
+    logarithm,
+    predict,
+    reach,
+    score,
+)
+
+B = LANES
+DEAD = -1  # status of a lane that does not believe in a track; else 4 * snapshot last seen + class
+ONCE, UNCONFIRMED, CONFIRMED = 1, 2, 3
+NONE = -1e299
+
+
+@njit(cache=True, error_model="numpy")
+def _fetch(w, row, count, source):
+    """Copy `count` rows of `source` into W from `row` on."""
+    a, b = w[row * B : (row + count) * B], source[: count * B]
+    for i in range(count * B):
+        a[i] = b[i]
+
+
+@njit(cache=True, error_model="numpy")
+def _store(w, row, count, target):
+    """Copy `count` rows of W from `row` on into `target`."""
+    a, b = w[row * B : (row + count) * B], target[: count * B]
+    for i in range(count * B):
+        b[i] = a[i]
+
+
+@njit(cache=True, error_model="numpy")
+def _uniform(row):
+    """Say whether all lanes have the same status."""
+    different = 0
+    for l in range(B):
+        different |= row[l] ^ row[0]
+    return different == 0
+
+
+@njit(cache=True, error_model="numpy")
+def _prepare(w, state):
+    """Copy pose and sensitivities, write the rotation and its derivative by yaw, clear the sums."""
+    for i in range(12 * B):
+        w[W_POSE * B + i] = state[POSE * B + i]
+    for l in range(B):
+        psi, theta, phi = w[(W_POSE + 3) * B + l], w[(W_POSE + 4) * B + l], w[(W_POSE + 5) * B + l]
+        cp, sp, ct, st, cr, sr = math.cos(psi), math.sin(psi), 1.0, 0.0, 1.0, 0.0
+        if theta != 0.0 or phi != 0.0:
+            ct, st, cr, sr = math.cos(theta), math.sin(theta), math.cos(phi), math.sin(phi)
+        r0, r1, r2 = cp * ct, cp * st * sr - sp * cr, cp * st * cr + sp * sr
+        r3, r4, r5 = sp * ct, sp * st * sr + cp * cr, sp * st * cr - cp * sr
+        w[W_ROT * B + l], w[(W_ROT + 1) * B + l], w[(W_ROT + 2) * B + l] = r0, r1, r2
+        w[(W_ROT + 3) * B + l], w[(W_ROT + 4) * B + l], w[(W_ROT + 5) * B + l] = r3, r4, r5
+        w[(W_ROT + 6) * B + l], w[(W_ROT + 7) * B + l], w[(W_ROT + 8) * B + l] = -st, ct * sr, ct * cr
+        w[W_DROT * B + l], w[(W_DROT + 1) * B + l], w[(W_DROT + 2) * B + l] = -r3, -r4, -r5
+        w[(W_DROT + 3) * B + l], w[(W_DROT + 4) * B + l], w[(W_DROT + 5) * B + l] = r0, r1, r2
+        w[W_WEIGHT * B + l], w[W_PRODUCT * B + l] = 0.0, 1.0
+
+
+@njit(cache=True, error_model="numpy")
+def _load_site(w, state, site, size):
+    """Copy the nuisance mean and covariance that concern one site."""
+    cov = THETA + size
+    last = size - 2
+    for l in range(B):
+        w[W_B * B + l] = state[(THETA + site) * B + l]
+        w[W_BIAS * B + l] = state[(THETA + last) * B + l]
+        w[W_SCALE * B + l] = state[(THETA + last + 1) * B + l]
+        w[W_P * B + l] = state[(cov + site * size + site) * B + l]
+        w[(W_P + 1) * B + l] = state[(cov + site * size + last) * B + l]
+        w[(W_P + 2) * B + l] = state[(cov + site * size + last + 1) * B + l]
+        w[(W_P + 3) * B + l] = state[(cov + last * size + last) * B + l]
+        w[(W_P + 4) * B + l] = state[(cov + last * size + last + 1) * B + l]
+        w[(W_P + 5) * B + l] = state[(cov + (last + 1) * size + last + 1) * B + l]
+
+
+@njit(cache=True, error_model="numpy")
+def _age(w, now, status, order, count, tables, cfg):
+    """Charge each lane for each VT as missed, drop what was never confirmed and is unlikely to be there; return the
+    number of tracks."""
+    horizon = tables.shape[2] - 1
+    i = 0
+    common = 0.0
+    while i < count:
+        row = status[order[i]]
+        alive = False
+        if _uniform(row) and (row[0] & 3) == CONFIRMED and row[0] >= 0:
+            common += tables[1, 1, min(now - (row[0] >> 2), horizon)]
+            i += 1
+            continue
+        for l in range(B):
+            s = row[l]
+            if s >= 0:
+                age, kind = min(now - (s >> 2), horizon), s & 3
+                if (kind == ONCE and age > cfg[5]) or (kind == UNCONFIRMED and age > cfg[6]):
+                    row[l] = DEAD
+                else:
+                    w[W_WEIGHT * B + l] += tables[0 if kind == ONCE else 1, 1, age]
+                    alive = True
+        if alive:
+            i += 1
+        else:
+            count -= 1
+            order[i], order[count] = order[count], order[i]
+    for l in range(B):
+        w[W_WEIGHT * B + l] += common
+    return count
+
+
+@njit(cache=True, error_model="numpy")
+def _within(z, first, last, low, high):
+    """Say whether any measured distance, give or take 6 sigma, lies between two bounds; a missing distance always
+    does."""
+    for k in range(first, last):
+        wide = 6.0 * math.sqrt(z[k, 5])
+        if z[k, 8] == 0.0 or (z[k, 0] + wide >= low and z[k, 0] - wide <= high):
+            return True
+    return False
+
+
+@njit(cache=True, error_model="numpy")
+def _entitle(w, now, row, tables, cfg):
+    """Write each lane's log of visible and detected against missed and clutter; return the reach of the lanes alive."""
+    horizon = tables.shape[2] - 1
+    low, high = math.inf, -math.inf
+    for l in range(B):
+        s = row[l]
+        if s >= 0:
+            age, kind = min(now - (s >> 2), horizon), 0 if s & 3 == ONCE else 1
+            w[(W_OUT + O_SCORE) * B + l] = tables[kind, 0, age] - cfg[0] - tables[kind, 1, age]
+            low, high = min(low, w[W_REACH * B + l]), max(high, w[(W_REACH + 1) * B + l])
+        else:
+            w[(W_OUT + O_SCORE) * B + l] = -1e300
+    return low, high
+
+
+@njit(cache=True, error_model="numpy")
+def _note(w, scores, gated):
+    """Keep a pair's scores, mark the lanes in whose gate it is; return whether any lane would gain by associating
+    it."""
+    best = -math.inf
+    for l in range(B):
+        value = w[W_SCORE * B + l]
+        scores[l] = value
+        gated[l] = 1.0 if value > NONE else gated[l]
+        best = max(best, value)
+    return best > 0.0
+
+
+@njit(cache=True, error_model="numpy")
+def _candidates(
+    w,
+    bits,
+    now,
+    status,
+    records,
+    order,
+    count,
+    bounds,
+    travelled,
+    z,
+    first,
+    last,
+    tables,
+    cfg,
+    near,
+    rows,
+    scores,
+    gated,
+    claims,
+):
+    """Predict the tracks that could have given one of z[first:last] and score all pairs; return how many such tracks
+    there are.
+
+    A track whose distance was far from every measured one when last predicted, less what the particles moved since,
+    is passed over
+    without reading its record.
+    """
+    found = 0
+    for k in range(first, last):
+        for l in range(B):
+            gated[k - first, l] = 0.0
+    for i in range(count):
+        slot = order[i]
+        slack = cfg[3] + 1.05 * (travelled - bounds[slot, 2])
+        if not _within(z, first, last, bounds[slot, 0] - slack, bounds[slot, 1] + slack):
+            continue
+        _fetch(w, W_REC, RECORD, records[slot])
+        predict(w)
+        reach(w)
+        low, high = _entitle(w, now, status[slot], tables, cfg)
+        bounds[slot, 0], bounds[slot, 1], bounds[slot, 2] = low, high, travelled
+        if not _within(z, first, last, low, high):
+            continue
+        near[found] = slot
+        _store(w, W_OUT, OUT, rows[found])
+        for k in range(first, last):
+            innovate(w, z[k])
+            invert(w, z[k], 1.0)
+            logarithm(w, bits)
+            score(w, cfg[1])
+            claims[found, k - first] = _note(w, scores[found, k - first], gated[k - first])
+        found += 1
+    return found
+
+
+@njit(cache=True)
+def _associate(scores, claims, found, measured, row_of, table, column, floats, ints):
+    """Write row_of (measured, LANES): the track of each measurement in each lane, -1 for none.
+
+    Where no measurement has two candidate tracks in the block and no track two measurements, every positive pair is
+    taken; else each
+    lane is solved on its own.
+    """
+    ambiguous = False
+    for k in range(measured):
+        mine = row_of[k]
+        rivals = 0
+        for l in range(B):
+            mine[l] = -1
+        for q in range(found):
+            if claims[q, k]:
+                rivals += 1
+                gain = scores[q, k]
+                for l in range(B):
+                    mine[l] = q if gain[l] > 0.0 else mine[l]
+        ambiguous = ambiguous or rivals > 1
+    for q in range(found):
+        rivals = 0
+        for k in range(measured):
+            rivals += claims[q, k]
+        ambiguous = ambiguous or rivals > 1
+    if ambiguous:
+        for l in range(B):
+            for q in range(found):
+                for k in range(measured):
+                    table[q, k] = scores[q, k, l]
+            assign(table, found, measured, column, floats, ints)
+            for k in range(measured):
+                row_of[k, l] = column[k]
+
+
+@njit(cache=True, error_model="numpy")
+def _credit(w, lack):
+    """Add log N(e; 0, S), less the determinant, which is gathered in a product, where W_MASK is 1; `lack`: see
+    `noise.packed`."""
+    for l in range(B):
+        on = w[W_MASK * B + l] > 0.5
+        value = w[(W_OUT + O_SCORE) * B + l] - 0.5 * w[W_D2 * B + l] - LOG_2PI_3 + lack
+        w[W_WEIGHT * B + l] += value if on else 0.0
+        w[W_PRODUCT * B + l] *= w[W_DET * B + l] if on else 1.0
+
+
+@njit(cache=True, error_model="numpy")
+def _settle(w):
+    """Move the gathered product of determinants into the log-weight."""
+    for l in range(B):
+        w[W_WEIGHT * B + l] -= 0.5 * math.log(w[W_PRODUCT * B + l])
+        w[W_PRODUCT * B + l] = 1.0
+
+
+@njit(cache=True, error_model="numpy")
+def _mask(w, row_of, q):
+    """Set W_MASK to 1 in the lanes whose measurement goes to track q; return whether there are any."""
+    total = 0.0
+    for l in range(B):
+        on = 1.0 if row_of[l] == q else 0.0
+        w[W_MASK * B + l] = on
+        total += on
+    return total > 0.0
+
+
+@njit(cache=True, error_model="numpy")
+def _update(w, now, status, records, ident, near, found, rows, row_of, claims, z, first, last, cfg, association):
+    """Update every associated track; return the number of associations, lanes counted once."""
+    updates = 0
+    for q in range(found):
+        slot = near[q]
+        loaded = False
+        for k in range(first, last):
+            if not claims[q, k - first] or not _mask(w, row_of[k - first], q):
+                continue
+            if not loaded:
+                _fetch(w, W_REC, RECORD, records[slot])
+                _fetch(w, W_OUT, OUT, rows[q])
+                loaded = True
+            innovate(w, z[k])
+            invert(w, z[k], 0.0)
+            _credit(w, z[k, 11])
+            absorb(w)
+            correct(w)
+            updates += 1
+            if updates % 12 == 0:
+                _settle(w)
+            row = status[slot]
+            for l in range(B):
+                if w[W_MASK * B + l] > 0.5:
+                    row[l] = 4 * now + (CONFIRMED if w[(W_REC + HITS) * B + l] >= cfg[4] else UNCONFIRMED)
+                    association[k, l] = ident[slot]
+        if loaded:
+            _store(w, W_REC, RECORD, records[slot])
+    return updates
+
+
+@njit(cache=True, error_model="numpy")
+def _give_births(
+    w, now, status, records, ident, order, count, bounds, travelled, row_of, gated, z, first, last, born, cfg
+):
+    """Start a track for each measurement that no particle's VT explains; return the number of tracks."""
+    for k in range(first, last):
+        if z[k, 8] * z[k, 9] * z[k, 10] == 0.0:
+            continue
+        anywhere = False
+        for l in range(B):
+            on = row_of[k - first, l] < 0 and gated[k - first, l] == 0.0 and z[k, 0] - w[W_B * B + l] > 1.0
+            w[W_MASK * B + l] = 1.0 if on else 0.0
+            anywhere = anywhere or on
+        if not anywhere:
+            continue
+        if count == order.shape[0]:
+            count = _evict(now, status, order, count)
+        slot = order[count]
+        count += 1
+        give_birth(w, z[k])
+        _store(w, W_REC, RECORD, records[slot])
+        ident[slot] = born + k
+        spread = 6.0 * math.sqrt(z[k, 5])
+        bounds[slot, 0], bounds[slot, 1], bounds[slot, 2] = z[k, 0] - spread, z[k, 0] + spread, travelled
+        for l in range(B):
+            on = w[W_MASK * B + l] > 0.5
+            status[slot, l] = 4 * now + (CONFIRMED if cfg[4] <= 1.0 else ONCE) if on else DEAD
+            w[W_WEIGHT * B + l] += cfg[2] if on else 0.0
+    return count
+
+
+@njit(cache=True, error_model="numpy")
+def _evict(now, status, order, count):
+    """Give up the track that is confirmed in the fewest lanes, longest unseen; its place is then the first free one."""
+    worst, worst_rank = 0, math.inf
+    for i in range(count):
+        rank = 0.0
+        for l in range(B):
+            s = status[order[i], l]
+            if s >= 0:
+                rank += (s & 3) + 1.0 / (2.0 + now - (s >> 2))
+        if rank < worst_rank:
+            worst, worst_rank = i, rank
+    order[worst], order[count - 1] = order[count - 1], order[worst]
+    return count - 1
+
+
+@njit(cache=True, error_model="numpy")
+def _block(
+    now,
+    state,
+    status,
+    records,
+    ident,
+    order,
+    counts,
+    bounds,
+    travelled,
+    first,
+    site_of,
+    z,
+    z_many,
+    born,
+    tables,
+    cfg,
+    log_weight,
+    association,
+    w,
+    bits,
+    near,
+    rows,
+    scores,
+    gated,
+    claims,
+    row_of,
+    table,
+    column,
+    floats,
+    ints,
+):
+    """Use one snapshot in one block."""
+    size = travelled.shape[0] + 2
+    _prepare(w, state)
+    forget(w, size)
+    updates, loaded = 0, -1
+    for link in range(counts.shape[0]):
+        start, stop, site = first[link], first[link + 1], site_of[link]
+        counts[link] = _age(w, now, status[link], order[link], counts[link], tables, cfg)
+        if stop == start:
+            continue
+        if site != loaded:
+            _load_site(w, state, site, size)
+            loaded = site
+        found = _candidates(
+            w,
+            bits,
+            now,
+            status[link],
+            records[link],
+            order[link],
+            counts[link],
+            bounds[link],
+            travelled[site],
+            z,
+            start,
+            stop,
+            tables,
+            cfg,
+            near,
+            rows,
+            scores,
+            gated,
+            claims,
+        )
+        _associate(scores, claims, found, stop - start, row_of, table, column, floats, ints)
+        more = _update(
+            w,
+            now,
+            status[link],
+            records[link],
+            ident[link],
+            near,
+            found,
+            rows,
+            row_of,
+            claims,
+            z_many,
+            start,
+            stop,
+            cfg,
+            association,
+        )
+        if (updates + more) // 12 > updates // 12:
+            _settle(w)
+        if more > 0:
+            collect(w, site, size)
+        updates += more
+        counts[link] = _give_births(
+            w,
+            now,
+            status[link],
+            records[link],
+            ident[link],
+            order[link],
+            counts[link],
+            bounds[link],
+            travelled[site],
+            row_of,
+            gated,
+            z,
+            start,
+            stop,
+            born,
+            cfg,
+        )
+    _settle(w)
+    if updates > 0:
+        _apply(w, state, travelled, size)
+    for l in range(B):
+        log_weight[l] += cfg[7] * w[W_WEIGHT * B + l]
+
+
+@njit(cache=True, error_model="numpy")
+def _apply(w, state, travelled, size):
+    """Condition theta on the snapshot and move theta and pose by its change."""
+    change = (w.shape[0] // B - size) * B
+    cov = change - size * size * B
+    for i in range(size * size * B):
+        w[cov + i] = state[(THETA + size) * B + i]
+    condition(w, cov, change, size)
+    for i in range(size * size * B):
+        state[(THETA + size) * B + i] = w[cov + i]
+    for i in range(size * B):
+        state[THETA * B + i] += w[change + i]
+    bias, scale = change + (size - 2) * B, change + (size - 1) * B
+    shift = 0.0
+    for l in range(B):
+        dx = state[POSE_G * B + l] * w[bias + l] + state[(POSE_G + 1) * B + l] * w[scale + l]
+        dy = state[(POSE_G + 2) * B + l] * w[bias + l] + state[(POSE_G + 3) * B + l] * w[scale + l]
+        state[POSE * B + l] += dx
+        state[(POSE + 1) * B + l] += dy
+        state[(POSE + 3) * B + l] += (
+            state[(POSE_G + 4) * B + l] * w[bias + l] + state[(POSE_G + 5) * B + l] * w[scale + l]
+        )
+        shift = max(shift, abs(dx) + abs(dy))
+    for site in range(size - 2):
+        largest = 0.0
+        for l in range(B):
+            largest = max(largest, abs(w[change + site * B + l]))
+        travelled[site] += shift + largest
+
+
+@njit(cache=True, parallel=True)
+def update(
+    now,
+    state,
+    status,
+    records,
+    ident,
+    order,
+    counts,
+    bounds,
+    travelled,
+    first,
+    site_of,
+    z,
+    z_many,
+    born,
+    tables,
+    cfg,
+    log_weight,
+    association,
+    w,
+    bits,
+    near,
+    rows,
+    scores,
+    gated,
+    claims,
+    row_of,
+    table,
+    column,
+    floats,
+    ints,
+):
+    """Use one snapshot in every block: G blocks, L links, C tracks a link, M measurements.
+
+    state (G, F LANES), status (G, L, C, LANES), records (G, L, C, RECORD LANES), ident, order (G, L, C), counts (G,
+    L), bounds (G, L, C, 3),
+    travelled (G, S), log_weight (G, LANES): written. first (L + 1,): first measurement of each link; z (M, 11): see
+    `innovate`; born:
+    number of the first measurement; tables (2, 2, ages): log of visible-and-detected and of missed, for VTs seen once
+    and others;
+    cfg: log clutter density, gate, log-weight of a birth, slack of the distance test, hits to confirm, ages to drop
+    at (2),
+    likelihood exponent. association (G, M, LANES) is written; the rest is scratch, one a block.
+    """
+    for g in prange(state.shape[0]):
+        _block(
+            now,
+            state[g],
+            status[g],
+            records[g],
+            ident[g],
+            order[g],
+            counts[g],
+            bounds[g],
+            travelled[g],
+            first,
+            site_of,
+            z,
+            z_many,
+            born,
+            tables,
+            cfg,
+            log_weight[g],
+            association[g],
+            w[g],
+            bits[g],
+            near[g],
+            rows[g],
+            scores[g],
+            gated[g],
+            claims[g],
+            row_of[g],
+            table[g],
+            column[g],
+            floats[g],
+            ints[g],
+        )
+
+
+@njit(cache=True, parallel=True, error_model="numpy")
+def move(state, travelled, velocity, dt, size):
+    """Advance poses by sampled body velocities (G, 6, LANES), corrected by the nuisance mean; carry the sensitivities.
+
+    The paper's motion model, with the attitude taken at mid-interval. `velocity`: measured, less what was sampled of
+    its errors.
+    """
+    for g in prange(state.shape[0]):
+        s, u = state[g], velocity[g]
+        farthest = 0.0
+        for l in range(B):
+            bias, scale = s[(THETA + size - 2) * B + l], s[(THETA + size - 1) * B + l]
+            stretch = 1.0 / (1.0 + scale)
+            turn = (u[3, l] - bias) * dt
+            psi = s[(POSE + 3) * B + l] + 0.5 * turn
+            theta, phi = s[(POSE + 4) * B + l] + 0.5 * u[4, l] * dt, s[(POSE + 5) * B + l] + 0.5 * u[5, l] * dt
+            cp, sp, ct, st, cr, sr = math.cos(psi), math.sin(psi), 1.0, 0.0, 1.0, 0.0
+            if theta != 0.0 or phi != 0.0:
+                ct, st, cr, sr = math.cos(theta), math.sin(theta), math.cos(phi), math.sin(phi)
+            ux, uy, uz = u[0, l] * stretch * dt, u[1, l] * dt, u[2, l] * dt
+            mx = cp * ct * ux + (cp * st * sr - sp * cr) * uy + (cp * st * cr + sp * sr) * uz
+            my = sp * ct * ux + (sp * st * sr + cp * cr) * uy + (sp * st * cr - cp * sr) * uz
+            mz = -st * ux + ct * sr * uy + ct * cr * uz
+            s[POSE * B + l] += mx
+            s[(POSE + 1) * B + l] += my
+            s[(POSE + 2) * B + l] += mz
+            s[(POSE + 3) * B + l] += turn
+            s[(POSE + 4) * B + l] += u[4, l] * dt
+            s[(POSE + 5) * B + l] += u[5, l] * dt
+            # d(x, y)/d(bias, scale): through the heading at mid-interval, and through the stretch
+            by_bias, by_scale = s[(POSE_G + 4) * B + l] - 0.5 * dt, s[(POSE_G + 5) * B + l]
+            s[POSE_G * B + l] -= my * by_bias
+            s[(POSE_G + 1) * B + l] -= my * by_scale + cp * ct * ux * stretch
+            s[(POSE_G + 2) * B + l] += mx * by_bias
+            s[(POSE_G + 3) * B + l] += mx * by_scale - sp * ct * ux * stretch
+            s[(POSE_G + 4) * B + l] -= dt
+            farthest = max(farthest, abs(mx) + abs(my) + abs(mz))
+        for site in range(travelled.shape[1]):
+            travelled[g, site] += farthest
