@@ -35,6 +35,21 @@ BUILT_IN = (
         "cellslam.slam.baselines.dead_reckoning:DeadReckoning",
         "odometry alone, integrated from the start pose",
     ),
+    Listed(
+        "ekf-slam",
+        "cellslam.slam.baselines.ekf_slam.filter:EkfSlam",
+        "joint EKF of pose, odometry errors, clock offsets and VTs; Gaussian sum over the offsets at the start",
+    ),
+    Listed(
+        "oracle-association",
+        "cellslam.slam.baselines.oracles:KnownAssociation",
+        "EKF-SLAM that is told the true associations (oracle)",
+    ),
+    Listed(
+        "oracle-map",
+        "cellslam.slam.baselines.oracles:KnownMap",
+        "localisation in the true map, clock offsets and associations unknown (oracle)",
+    ),
 )
 
 

@@ -1,0 +1,154 @@
+"""A bank of joint EKFs: their arrays, the prior, one step of motion and of measurement."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from cellslam.sim.recording import Floats, Ints
+from cellslam.slam.api import Setup, VtEstimate
+from cellslam.slam.baselines.ekf_slam.filter_kernel import map_into, use_snapshot
+from cellslam.slam.baselines.ekf_slam.layout import GEOMETRY, KNOWN_MAP, SLOT
+from cellslam.slam.baselines.ekf_slam.motion_kernel import move
+
+LOST = 64  # confirmed VTs that one snapshot can push out
+
+
+@dataclass(frozen=True)
+class Core:
+    """States before the VTs: pose (0-5), odometry biases and scales that the data sheet has, clock offsets (S).
+
+    `bias`, `scale` (6,): state of each component's error, -1 where it does not exist.
+    """
+
+    bias: Ints
+    scale: Ints
+    first_offset: int
+    size: int
+
+    @staticmethod
+    def of(setup: Setup) -> Core:
+        """Return the layout for a setup."""
+        model = setup.odometry_model
+        bias, scale = np.full(6, -1, np.int64), np.full(6, -1, np.int64)
+        biased, scaled = np.flatnonzero((model.bias > 0) | (model.bias_walk_density > 0)), np.flatnonzero(model.scale)
+        bias[biased] = 6 + np.arange(len(biased))
+        scale[scaled] = 6 + len(biased) + np.arange(len(scaled))
+        first = 6 + len(biased) + len(scaled)
+        return Core(bias, scale, first, first + len(setup.sites))
+
+
+@dataclass
+class Measured:
+    """One snapshot as the kernels take it; see `front_end.columns` and `filter_kernel.use_snapshot`."""
+
+    now: int
+    born: int
+    first: Ints
+    z: Floats
+    q: Floats
+    gap: Floats
+    given: Ints
+    tables: Floats
+    cfg: Floats
+
+
+@dataclass
+class Bank:
+    """K filters with V places for VTs each: mean x (K, N), covariance p (K, N, N), N = core + 3 V; links used (K, L).
+
+    With `mode` KNOWN_MAP the VTs are exact, and N = core in p.
+    """
+
+    core: Core
+    mode: int
+    x: Floats
+    p: Floats
+    anchor: Floats
+    slots: Ints
+    count: Ints
+    links: Ints
+    log_weight: Floats
+    lost: Floats
+    losses: Ints
+    _scratch: tuple[int, tuple[object, ...]] = field(default=(-1, ()), repr=False)
+
+    def __len__(self) -> int:
+        return len(self.x)
+
+    def move(self, setup: Setup, dt_s: float, odometry: Floats) -> None:
+        """Advance every filter by an interval."""
+        filters, size, model = len(self), self.p.shape[1], setup.odometry_model
+        mapped = self.count if size > self.core.size else np.zeros(filters, np.int64)
+        scratch = np.empty((filters, 36)), np.empty((filters, 6, self.core.size + 6)), np.empty((filters, 6, 3 + size))
+        move(
+            self.x, self.p, mapped, odometry, dt_s, model.noise_density, model.bias_walk_density, self.core.bias,
+            self.core.scale, self.core.size, *scratch,
+        )  # fmt: skip
+
+    def use(self, setup: Setup, measured: Measured) -> Ints:
+        """Use a snapshot in every filter; return the associations (K, M)."""
+        m, association = measured, np.full((len(self), len(measured.z)), -1, np.int64)
+        use_snapshot(
+            self.mode, m.now, self.x, self.p, self.core.size, self.core.first_offset, self.anchor, self.slots,
+            self.count, self.links, m.first, setup.links.site, m.z, m.q, m.gap, m.given, m.born, m.tables, m.cfg,
+            self.log_weight, association, self.lost, self.losses, *self._work(len(m.z)),
+        )  # fmt: skip
+        return association
+
+    def vts(self, index: int, hits: int) -> Floats:
+        """Return identity, link, position, covariance (v, 14) of one filter's VTs with at least `hits` detections."""
+        out = np.empty((int(self.count[index]), 14))
+        size = self.core.size
+        found = map_into(
+            self.x[index], self.p[index], size, self.anchor[index], self.slots[index], self.count[index], hits, out
+        )
+        return out[:found]
+
+    def take(self, kept: Ints) -> Bank:
+        """Return the filters `kept`."""
+        return Bank(
+            self.core, self.mode, self.x[kept], self.p[kept], self.anchor[kept], self.slots[kept], self.count[kept],
+            self.links[kept], self.log_weight[kept], self.lost[kept], self.losses[kept],
+        )  # fmt: skip
+
+    def _work(self, measurements: int) -> tuple[object, ...]:
+        if self._scratch[0] < measurements:
+            k, c, m = len(self), self.anchor.shape[1], max(2 * measurements, 32)
+            wide = 4 * (c + m + 2)
+            self._scratch = (
+                m,
+                (
+                    np.empty((k, GEOMETRY)), np.empty((k, 3, self.x.shape[1])), np.empty((k, c, m)),
+                    np.empty((k, c), np.int64), np.empty((k, 2, m), np.int64), np.empty((k, wide)),
+                    np.empty((k, wide), np.int64), np.empty((k, 3, 10)), np.empty((k, 4, 3)),
+                ),
+            )  # fmt: skip
+        return self._scratch[1]
+
+
+def new_bank(setup: Setup, core: Core, mode: int, vts: int, offsets_m: Floats, offset_std_m: Floats) -> Bank:
+    """Return K filters at the start without VTs, with clock offsets (K, S) of deviations (S,); all links in use."""
+    filters, model = len(offsets_m), setup.odometry_model
+    size = core.size + 3 * vts
+    x, p = np.zeros((filters, size)), np.zeros((filters, *((core.size if mode == KNOWN_MAP else size,) * 2)))
+    variance = np.zeros(core.size)
+    variance[:6] = setup.start_std**2
+    for of, std in ((core.bias, model.bias), (core.scale, model.scale)):
+        variance[of[of >= 0]] = std[of >= 0] ** 2
+    variance[core.first_offset :] = offset_std_m**2
+    x[:, :6], x[:, core.first_offset : core.size] = setup.start_pose, offsets_m
+    p[:, np.arange(core.size), np.arange(core.size)] = variance
+    return Bank(
+        core, mode, x, p, np.zeros((filters, vts, 3)), np.zeros((filters, vts, SLOT), np.int64),
+        np.zeros(filters, np.int64), np.ones((filters, len(setup.links)), np.int64), np.zeros(filters),
+        np.empty((filters, LOST, 14)), np.zeros(filters, np.int64),
+    )  # fmt: skip
+
+
+def vt_estimate(rows: Floats) -> VtEstimate:
+    """Return rows (v, 14) of identity, link, position and covariance as VTs."""
+    covariance = rows[:, 5:].reshape(-1, 3, 3)
+    ids, link = rows[:, 0].astype(np.int64), rows[:, 1].astype(np.int64)
+    return VtEstimate(ids, link, rows[:, 2:5].copy(), 0.5 * (covariance + np.swapaxes(covariance, 1, 2)))

@@ -1,0 +1,23 @@
+"""Options of EKF-SLAM, with the defaults for the statistical LTE front end."""
+
+from __future__ import annotations
+
+from pydantic import Field
+
+from cellslam.slam.baselines.front_end import FrontEndOptions
+
+
+class EkfSlamOptions(FrontEndOptions):
+    """What a scenario may set under `estimator.ekf-slam`."""
+
+    vts: int = Field(100, ge=4, le=2000, description="VTs kept in the joint state; the longest unseen make room")
+    start_vts: int = Field(
+        48, ge=4, le=2000, description="the same while clock offsets are wide, per site and component"
+    )
+    component_std_m: float = Field(
+        20.0, gt=0, le=1000, description="width of one component of the clock-offset prior at the start, m"
+    )
+    component_step: float = Field(1.25, gt=0, le=3, description="distance of neighbouring components, in their widths")
+    resolved_std_m: float = Field(5.0, gt=0, le=1000, description="a clock offset known to this is resolved, m")
+    start_limit_s: float = Field(150.0, ge=0, le=1e5, description="the start ends at this time at the latest, s")
+    prune_ratio: float = Field(1e-5, gt=0, lt=1, description="components less likely than the best by this are dropped")

@@ -1,0 +1,167 @@
+"""The start: clock offsets are too wide for one linearisation, so each site has a bank of narrow components.
+
+A Gaussian sum (Sorenson and Alspach, "Recursive Bayesian estimation using Gaussian sums", Automatica 7, 1971) over the
+offset of one site at a time, not over all at once: the sites share nothing but the pose, which odometry knows well at
+the start, so S banks of K filters do in place of K^S filters.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from cellslam.sim.recording import Floats, Ints
+from cellslam.slam.api import Setup
+from cellslam.slam.baselines.ekf_slam.bank import Bank, Core, Measured, new_bank
+from cellslam.slam.baselines.ekf_slam.fusion import Gaussian, fuse, join
+from cellslam.slam.baselines.ekf_slam.layout import KNOWN_MAP, SLOT
+from cellslam.slam.baselines.ekf_slam.options import EkfSlamOptions
+
+REACH = 3.0  # the components cover this many deviations of the prior
+
+
+def components(std_m: float, component_std_m: float, step: float) -> tuple[Floats, Floats, float]:
+    """Return means (K,), log-weights (K,) and deviation of the components of a prior N(0, std_m^2)."""
+    if std_m <= component_std_m:
+        return np.zeros(1), np.zeros(1), std_m
+    spread = float(np.sqrt(std_m**2 - component_std_m**2))
+    half = int(np.ceil(REACH * spread / (step * component_std_m)))
+    means = step * component_std_m * np.arange(-half, half + 1)
+    logs = -0.5 * (means / spread) ** 2
+    return np.asarray(means), np.asarray(logs - np.log(np.exp(logs).sum())), component_std_m
+
+
+@dataclass
+class Start:
+    """One bank a site, and the odometry's own belief (a filter without links)."""
+
+    odometry: Bank
+    banks: list[Bank]
+
+    def move(self, setup: Setup, dt_s: float, velocity: Floats) -> None:
+        """Advance everything by an interval."""
+        for bank in (self.odometry, *self.banks):
+            bank.move(setup, dt_s, velocity)
+
+    def use(self, setup: Setup, measured: Measured, options: EkfSlamOptions) -> Ints:
+        """Use a snapshot in every bank, drop what has become unlikely, and return the best components' association."""
+        answer = np.full(len(measured.z), -1, np.int64)
+        for s, bank in enumerate(self.banks):
+            association = bank.use(setup, measured)
+            best = association[int(np.argmax(bank.log_weight))]
+            mine = setup.links.site[_link_of(measured)] == s
+            answer[mine] = best[mine]
+            kept = likely(bank, bank.core.first_offset + s, np.log(options.prune_ratio))
+            if len(kept) < len(bank):
+                self.banks[s] = bank.take(kept)
+        return answer
+
+    def offsets(self) -> tuple[Floats, Floats]:
+        """Return mean and variance (S,) of the clock offsets."""
+        moments = [mixture(bank, slice(bank.core.first_offset + s, None)) for s, bank in enumerate(self.banks)]
+        return np.array([m[0][0] for m in moments]), np.array([m[1][0, 0] for m in moments])
+
+    def shared(self) -> Gaussian:
+        """Return the fused belief on pose and odometry errors."""
+        n = self.odometry.core.first_offset
+        prior = self.odometry.x[0, :n], self.odometry.p[0, :n, :n]
+        return fuse(prior, [mixture(bank, slice(0, n)) for bank in self.banks])
+
+    def joint(self, setup: Setup, mode: int, vts: int) -> Bank:
+        """Return the one joint filter, of `vts` places, that goes on from the best component of each site."""
+        core, n = self.odometry.core, self.odometry.core.first_offset
+        prior = self.odometry.x[0, :n], self.odometry.p[0, :n, :n]
+        best = [int(np.argmax(bank.log_weight)) for bank in self.banks]
+        states = [_states(bank, s, i) for s, (bank, i) in enumerate(zip(self.banks, best, strict=True))]
+        own = [(bank.x[i, :n], bank.p[i, :n, :n]) for bank, i in zip(self.banks, best, strict=True)]
+        gaussians = [
+            (bank.x[i, rows], bank.p[i][np.ix_(rows, rows)])
+            for bank, i, rows in zip(self.banks, best, states, strict=True)
+        ]
+        mean, cov = join(fuse(prior, own), gaussians)
+        counts = [_vts(bank, i) for bank, i in zip(self.banks, best, strict=True)]
+        places = max(vts, sum(counts))
+        zero = np.zeros((1, len(self.banks)))
+        out = new_bank(setup, core, mode, places, zero, zero[0])
+        rows = _order(n, counts, core.size)
+        out.x[0, rows] = mean
+        out.p[0][np.ix_(rows, rows)] = cov
+        out.count[0] = sum(counts)
+        out.anchor[0, : sum(counts)] = np.concatenate(
+            [bank.anchor[i, :c] for bank, i, c in zip(self.banks, best, counts, strict=True)]
+        )
+        out.slots[0, : sum(counts)] = np.concatenate(
+            [bank.slots[i, :c] for bank, i, c in zip(self.banks, best, counts, strict=True)]
+        ).reshape(-1, SLOT)
+        return out
+
+    def resolved(self, std_m: float) -> bool:
+        """Return whether every site's offset is known to `std_m`, all components together."""
+        return bool((self.offsets()[1] <= std_m**2).all())
+
+
+def begin(setup: Setup, options: EkfSlamOptions, mode: int, vts: int) -> Start:
+    """Return the banks at the start, with places for `vts` VTs."""
+    core, sites = Core.of(setup), setup.sites
+    banks = []
+    for s in range(len(sites)):
+        means, logs, std = components(
+            float(sites.clock_offset_std_m[s]), options.component_std_m, options.component_step
+        )
+        offsets = np.tile(sites.clock_offset_mean_m, (len(means), 1))
+        offsets[:, s] += means
+        deviations = np.zeros(len(sites))
+        deviations[s] = std
+        bank = new_bank(setup, core, mode, vts, offsets, deviations)
+        bank.links[:] = setup.links.site == s
+        bank.log_weight[:] = logs
+        banks.append(bank)
+    nothing = new_bank(setup, core, mode, 1, sites.clock_offset_mean_m[None, :], np.zeros(len(sites)))
+    return Start(nothing, banks)
+
+
+def likely(bank: Bank, offset: int, least: float) -> Ints:
+    """Return the filters to keep: not much less likely than the best, and not the double of a more likely one."""
+    weight = bank.log_weight - bank.log_weight.max()
+    kept: list[int] = []
+    for i in np.argsort(-weight, kind="stable"):
+        near = [abs(bank.x[i, offset] - bank.x[k, offset]) < 0.25 * np.sqrt(bank.p[k, offset, offset]) for k in kept]
+        if weight[i] >= least and not any(near):
+            kept.append(int(i))
+    return np.sort(np.array(kept, np.int64))
+
+
+def mixture(bank: Bank, states: slice) -> Gaussian:
+    """Return mean and covariance of some states of the core over all filters of a bank."""
+    weight = np.exp(bank.log_weight - bank.log_weight.max())
+    weight /= weight.sum()
+    x, p = bank.x[:, : bank.core.size][:, states], bank.p[:, : bank.core.size, : bank.core.size][:, states, states]
+    mean = weight @ x
+    centred = x - mean
+    return mean, np.tensordot(weight, p, axes=1) + (centred * weight[:, None]).T @ centred
+
+
+def _states(bank: Bank, site: int, index: int) -> Ints:
+    """Return the states that a site's filter contributes: shared ones, its offset, its VTs."""
+    core = bank.core
+    vts = np.arange(core.size, core.size + 3 * _vts(bank, index))
+    return np.concatenate([np.arange(core.first_offset), [core.first_offset + site], vts]).astype(np.int64)
+
+
+def _vts(bank: Bank, index: int) -> int:
+    """Return how many VTs a filter has in its state: none of a known map."""
+    return 0 if bank.mode == KNOWN_MAP else int(bank.count[index])
+
+
+def _order(shared: int, counts: list[int], core: int) -> Ints:
+    """Return where [c, offset_1, VTs_1, offset_2, VTs_2, ...] go in the joint state."""
+    rows, vt = [np.arange(shared)], core
+    for s, count in enumerate(counts):
+        rows += [np.array([shared + s]), np.arange(vt, vt + 3 * count)]
+        vt += 3 * count
+    return np.concatenate(rows).astype(np.int64)
+
+
+def _link_of(measured: Measured) -> Ints:
+    return np.repeat(np.arange(len(measured.first) - 1), np.diff(measured.first))

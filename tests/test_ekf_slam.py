@@ -1,0 +1,297 @@
+"""EKF-SLAM: kernels against plain formulas, the fusion of sites, bounded maps, and drives with known errors."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numba
+import numpy as np
+import pytest
+
+from cellslam.benchmarks.bound import bound
+from cellslam.benchmarks.estimation import estimate, warm_up
+from cellslam.benchmarks.metrics import score
+from cellslam.benchmarks.result import TrialResult
+from cellslam.benchmarks.trials import record
+from cellslam.scenarios.loading import load
+from cellslam.scenarios.options import resolve
+from cellslam.sim.frames import integrate_pose
+from cellslam.sim.recording import Recording
+from cellslam.slam.api import Setup, setup_of
+from cellslam.slam.baselines.ekf_slam.bank import Core, new_bank
+from cellslam.slam.baselines.ekf_slam.filter import EkfSlam
+from cellslam.slam.baselines.ekf_slam.filter_kernel import _remove, _update
+from cellslam.slam.baselines.ekf_slam.fusion import fuse, join, root_of
+from cellslam.slam.baselines.ekf_slam.layout import BY_POSE, BY_VT, FREE, GEOMETRY, PREDICTED
+from cellslam.slam.baselines.ekf_slam.motion_kernel import rotations
+from cellslam.slam.baselines.ekf_slam.options import EkfSlamOptions
+from cellslam.slam.baselines.ekf_slam.start import components
+from cellslam.slam.baselines.ekf_slam.vt_kernel import give_birth, predict
+from cellslam.slam.baselines.oracles import KnownAssociation, KnownMap
+from cellslam.slam.conformance import EstimatorConformance
+from cellslam.slam.conformance_subject import tiny_drive
+from cellslam.slam.model import birth as born_at
+from cellslam.slam.model import predict as model_predict
+
+WHITE = {
+    "radio.calibration_correlation_deg": 0.0, "radio.roof_correlation_deg": 0.0, "radio.diffuse_correlation_m": 0.0,
+    "radio.attitude_correlation_s": 0.0,
+}  # fmt: skip
+POSE = np.array([3.0, -2.0, 1.5, 0.7, 0.1, -0.2])
+
+
+def place(anchor: Any, vt: Any) -> Any:
+    """Return the position of a VT (range, azimuth, elevation) about its anchor."""
+    rho, az, el = vt
+    return anchor + rho * np.array([np.cos(el) * np.cos(az), np.cos(el) * np.sin(az), np.sin(el)])
+
+
+def predicted(state: Any, anchor: Any) -> tuple[Any, Any]:
+    """Return the kernel's h and H (3, 9) for a state of pose (6) and VT (3)."""
+    g = np.zeros(GEOMETRY)
+    rotations(g, *state[3:6])
+    predict(g, state, anchor, 6)
+    by = np.concatenate([g[BY_POSE:BY_VT].reshape(3, 6), g[BY_VT:GEOMETRY].reshape(3, 3)], axis=1)
+    return g[PREDICTED : PREDICTED + 3].copy(), by
+
+
+def test_prediction_and_jacobians_are_those_of_the_model() -> None:
+    anchor, vt = np.array([-4.0, 6.0, 2.0]), np.array([90.0, 2.5, 0.3])
+    state = np.concatenate([POSE, vt])
+    h, by = predicted(state, anchor)
+    np.testing.assert_allclose(h, model_predict(POSE, place(anchor, vt)), rtol=1e-12)
+    for i in range(9):
+        step = np.zeros(9)
+        step[i] = 1e-6
+        numeric = (predicted(state + step, anchor)[0] - predicted(state - step, anchor)[0]) / 2e-6
+        np.testing.assert_allclose(by[:, i], numeric, rtol=1e-6, atol=1e-7)
+
+
+def birth_state(pose: Any, b: float, z: Any) -> Any:
+    """Return the VT (range, azimuth, elevation about POSE's place) that a measurement points to."""
+    out = born_at(pose, z[0] - b, z[1], z[2]) - POSE[:3]
+    flat = np.hypot(out[0], out[1])
+    return np.array([np.hypot(flat, out[2]), np.arctan2(out[1], out[0]), np.arctan2(out[2], flat)])
+
+
+def test_birth_is_exact_and_correlated_with_pose_and_offset() -> None:
+    rng, z, q, b = np.random.default_rng(0), np.array([120.0, 1.0, 0.2]), np.array([0.4, 2e-4, 3e-4]), 15.0
+    root = rng.normal(size=(7, 7)) * 0.01
+    x, p = np.zeros(10), np.zeros((10, 10))
+    x[:6], x[6], p[:7, :7] = POSE, b, root @ root.T
+    before, g, anchor = p[:7, :7].copy(), np.zeros(GEOMETRY), np.zeros(3)
+    rotations(g, *POSE[3:])
+    give_birth(g, x, p, 7, anchor, 6, z, q, np.zeros((3, 10)))
+    np.testing.assert_allclose(x[7:], birth_state(POSE, b, z), rtol=1e-12)
+    slope = np.zeros((3, 10))
+    for i in range(10):
+        up, down = ([POSE.copy(), b, z.copy()] for _ in range(2))
+        for values, sign in ((up, 1e-6), (down, -1e-6)):
+            if i < 6:
+                values[0][i] += sign
+            elif i == 6:
+                values[1] += sign
+            else:
+                values[2][i - 7] += sign
+        slope[:, i] = (birth_state(*up) - birth_state(*down)) / 2e-6
+    np.testing.assert_allclose(p[7:, :7], slope[:, :7] @ before, rtol=1e-5, atol=1e-9)
+    full = slope[:, :7] @ before @ slope[:, :7].T + (slope[:, 7:] * q) @ slope[:, 7:].T
+    np.testing.assert_allclose(p[7:, 7:], full, rtol=1e-5, atol=1e-9)
+    np.testing.assert_array_equal(p, p.T)
+
+
+def test_update_is_the_textbook_kalman_update() -> None:
+    rng, anchor = np.random.default_rng(1), np.zeros(3)
+    root = rng.normal(size=(13, 13)) * 0.02
+    x, p = np.zeros(13), root @ root.T
+    x[:6], x[6], x[7:10], x[10:] = POSE, 5.0, [80.0, 0.5, 0.2], [60.0, -1.0, 0.1]
+    h, by = predicted(np.concatenate([x[:6], x[7:10]]), anchor)
+    jacobian = np.zeros((3, 13))
+    jacobian[:, :6], jacobian[0, 6], jacobian[:, 7:10] = by[:, :6], 1.0, by[:, 6:]
+    q, z = np.array([0.3, 1e-4, 2e-4]), h + np.array([5.2, 0.01, -0.02])
+    s = jacobian @ p @ jacobian.T + np.diag(q)
+    gain, e = p @ jacobian.T @ np.linalg.inv(s), z - h - [5.0, 0.0, 0.0]
+    mean, cov = x + gain @ e, p - gain @ s @ gain.T
+    value = -0.5 * (e @ np.linalg.solve(s, e) + np.log(np.linalg.det(2.0 * np.pi * s)))
+    g, t = np.zeros(GEOMETRY), np.zeros((3, 13))
+    got = _update(g, x, p, 13, anchor, 6, 7, True, z, q, np.zeros(3), np.zeros((3, 3)), t)
+    np.testing.assert_allclose(got, value, rtol=1e-9)
+    np.testing.assert_allclose(x, mean, rtol=1e-9, atol=1e-12)
+    np.testing.assert_allclose(p, cov, rtol=1e-7, atol=1e-12)
+
+
+def test_dropping_a_vt_marginalises_it() -> None:
+    rng = np.random.default_rng(2)
+    x, p = rng.normal(size=16), rng.normal(size=(16, 16))
+    p = p @ p.T
+    kept = np.array([0, 1, 2, 3, 4, 5, 6, 13, 14, 15, 10, 11, 12])
+    mean, cov = x[kept], p[np.ix_(kept, kept)]
+    slots, anchor = np.arange(12, dtype=np.int64).reshape(3, 4), rng.normal(size=(3, 3))
+    left = anchor[[2, 1]]
+    assert _remove(x, p, 7, anchor, slots, 3, 0) == 2
+    np.testing.assert_array_equal(x[:13], mean)
+    np.testing.assert_array_equal(p[:13, :13], cov)
+    np.testing.assert_array_equal(anchor[:2], left)
+    np.testing.assert_array_equal(slots[:2, 0], [8, 4])
+
+
+def setup_with_all_errors() -> Setup:
+    setup = setup_of(tiny_drive())
+    sheet = replace(setup.odometry_model, bias=np.full(6, 0.02), scale=np.full(6, 0.01), noise_density=np.full(6, 0.01))
+    writable = replace(sheet, bias_walk_density=np.full(6, 1e-3))
+    return replace(setup, odometry_model=writable, start_pose=POSE, start_std=np.full(6, 0.05))
+
+
+def test_motion_is_that_of_the_frames_module() -> None:
+    setup = setup_with_all_errors()
+    core = Core.of(setup)
+    bank = new_bank(setup, core, FREE, 2, np.zeros((1, 2)), np.ones(2))
+    u, dt = np.array([2.0, 0.3, -0.1, 0.4, -0.2, 0.1]), 0.3
+    bank.x[0, core.bias], bank.x[0, core.scale] = 0.01, 0.02
+    x, p = bank.x[0, : core.size].copy(), bank.p[0, : core.size, : core.size].copy()
+
+    def moved(state: Any, noise: Any) -> Any:
+        velocity = (u - state[core.bias] - noise) / (1.0 + state[core.scale])
+        return np.concatenate([integrate_pose(state[:6], velocity, dt), state[6:]])
+
+    bank.move(setup, dt, u)
+    np.testing.assert_allclose(bank.x[0, : core.size], moved(x, np.zeros(6)), rtol=1e-12, atol=1e-14)
+    f, n, none = np.zeros((core.size, core.size)), np.zeros((core.size, 6)), np.zeros(6)
+    for i in range(core.size):
+        step = np.eye(core.size)[i] * 1e-6
+        f[:, i] = (moved(x + step, none) - moved(x - step, none)) / 2e-6
+    for i in range(6):
+        step = np.eye(6)[i] * 1e-6
+        n[:, i] = (moved(x, step) - moved(x, -step)) / 2e-6
+    expected = f @ p @ f.T + n @ n.T * 0.01**2 / dt
+    expected[core.bias, core.bias] += 1e-6 * dt
+    np.testing.assert_allclose(bank.p[0, : core.size, : core.size], expected, rtol=1e-6, atol=1e-10)
+
+
+def test_sites_fuse_as_in_one_kalman_filter() -> None:
+    """Two sites that see a static shared state c and their own map: exactly the joint posterior."""
+    rng = np.random.default_rng(3)
+    root = rng.normal(size=(4, 3))
+    prior, mean_c = root @ root.T, rng.normal(size=4)  # one direction of c is known
+    maps = [np.eye(2) * 9.0, np.eye(3) * 4.0]
+    whole_cov, whole_mean = np.zeros((9, 9)), np.zeros(9)
+    whole_cov[:4, :4], whole_mean[:4] = prior, mean_c
+    whole_cov[4:6, 4:6], whole_cov[6:, 6:] = maps
+    parts, rows = [], [np.r_[0:4, 4:6], np.r_[0:4, 6:9]]
+    for row in rows:
+        h = np.zeros((4, 9))
+        h[:, row] = rng.normal(size=(4, len(row)))
+        z = rng.normal(size=4)
+        mean = np.concatenate([mean_c, np.zeros(len(row) - 4)])
+        cov = np.zeros((len(row), len(row)))
+        cov[:4, :4], cov[4:, 4:] = prior, maps[len(parts)]
+        parts.append(kalman(mean, cov, h[:, row], z))
+        whole_mean, whole_cov = kalman(whole_mean, whole_cov, h, z)
+    shared = fuse((mean_c, prior), [(m[:4], c[:4, :4]) for m, c in parts])
+    np.testing.assert_allclose(shared[0], whole_mean[:4], atol=1e-8)
+    np.testing.assert_allclose(shared[1], whole_cov[:4, :4], atol=1e-8)
+    mean, cov = join(shared, parts)
+    np.testing.assert_allclose(mean, whole_mean, atol=1e-8)
+    np.testing.assert_allclose(cov, whole_cov, atol=1e-8)
+
+
+def kalman(mean: Any, cov: Any, h: Any, z: Any) -> tuple[Any, Any]:
+    gain = cov @ h.T @ np.linalg.inv(h @ cov @ h.T + 0.5 * np.eye(len(z)))
+    return mean + gain @ (z - h @ mean), cov - gain @ h @ cov
+
+
+def test_root_keeps_uncertain_directions_alone() -> None:
+    cov = np.diag([4.0, 0.0, 1e-8])
+    root, left = root_of(cov)
+    assert root.shape == (3, 2)
+    np.testing.assert_allclose(root @ root.T, cov, atol=1e-15)
+    np.testing.assert_allclose(left @ root, np.eye(2), atol=1e-12)
+
+
+def test_components_add_up_to_the_prior() -> None:
+    means, logs, std = components(150.0, 20.0, 1.25)
+    weight = np.exp(logs)
+    assert std == 20.0
+    assert weight.sum() == pytest.approx(1.0)
+    assert np.sqrt(weight @ means**2 + std**2) == pytest.approx(150.0, rel=0.02)
+    grid = np.linspace(-300, 300, 61)
+    mixture = np.exp(-0.5 * ((grid[:, None] - means) / std) ** 2) @ weight / std
+    np.testing.assert_allclose(mixture, np.exp(-0.5 * (grid / 150.0) ** 2) / 150.0, rtol=0.08)
+    assert len(components(10.0, 20.0, 1.25)[0]) == 1
+
+
+@pytest.fixture(scope="module")
+def white_drive() -> Recording:
+    """A minute of lund-530 whose measurement errors are white, as the filter assumes."""
+    shorter = {"vehicle.distance_m": 90.0, "vehicle.duration_s": 100.0}
+    return record(load("lund-530", {**WHITE, **shorter}), 4000, 0)
+
+
+def answer(recording: Recording, name: str, **options: Any) -> TrialResult:
+    (request,) = resolve({name: options}, (name,))
+    warm_up(request)
+    return estimate(recording, request, np.random.default_rng(0))
+
+
+def test_reaches_the_bound_where_errors_are_white(white_drive: Recording) -> None:
+    limit = bound(white_drive)
+    for name in ("ekf-slam", "oracle-association"):
+        result = answer(white_drive, name, angle_scale=1.0)
+        scores = score(white_drive, result, limit)
+        assert scores["position_rmse_m"] < 3.0 * limit.position_rmse_m
+        assert scores["association_precision"] > 0.98
+        assert scores["clock_offset_rmse_m"] < 4.0 * limit.clock_offset_std_m[-1].max()
+        assert scores["nees_mean"] < 10.0
+
+
+def test_known_map_is_better_than_none(white_drive: Recording) -> None:
+    limit = bound(white_drive)
+    known = score(white_drive, answer(white_drive, "oracle-map", angle_scale=1.0), limit)
+    assert known["position_rmse_m"] < 2.0 * limit.position_rmse_m
+    assert known["map_gospa_m"] is None
+    assert known["clock_offset_rmse_m"] < 0.5
+
+
+def test_map_stays_bounded() -> None:
+    few = EkfSlamOptions(vts=12, start_vts=8, start_limit_s=3.0)
+    estimator, recording = EkfSlam(few), tiny_drive()
+    from cellslam.slam.api import snapshots_of
+
+    estimator.start(setup_of(recording), np.random.default_rng(0))
+    for t, snapshot in enumerate(snapshots_of(recording)[:150]):
+        last = estimator.step(0.075 if t else 0.0, recording.odometry[t], snapshot)
+    bank = estimator._joint
+    assert bank is not None
+    assert bank.count[0] <= 16
+    assert last.vts is not None
+    assert len(last.vts.id) > bank.count[0]  # those that made room are still on the map
+    assert np.linalg.eigvalsh(last.vts.covariance).min() >= -1e-9
+
+
+def test_same_answer_on_any_number_of_threads() -> None:
+    recording, poses = tiny_drive(), []
+    for threads in (1, 2):
+        before = numba.get_num_threads()
+        numba.set_num_threads(min(threads, numba.config.NUMBA_NUM_THREADS))
+        poses.append(answer(recording, "ekf-slam").poses)
+        numba.set_num_threads(before)
+    np.testing.assert_array_equal(*poses)
+
+
+class TestEkfSlam(EstimatorConformance):
+    @pytest.fixture
+    def estimator(self) -> type[Any]:
+        return EkfSlam
+
+
+class TestKnownAssociation(EstimatorConformance):
+    @pytest.fixture
+    def estimator(self) -> type[Any]:
+        return KnownAssociation
+
+
+class TestKnownMap(EstimatorConformance):
+    @pytest.fixture
+    def estimator(self) -> type[Any]:
+        return KnownMap
