@@ -2,18 +2,21 @@
 
 from __future__ import annotations
 
+from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from cellslam.benchmarks.rows import results
+    from cellslam.benchmarks.summaries import comparison, summary
     from cellslam.benchmarks.trials import run
 
-__all__ = ["run"]
+__all__ = ["comparison", "results", "run", "summary"]
+_HOMES = {"comparison": "summaries", "results": "rows", "run": "trials", "summary": "summaries"}
 
 
 def __getattr__(name: str) -> Any:
-    """Load the runner when it is asked for (PEP 562): importing the package stays light."""
-    if name == "run":
-        from cellslam.benchmarks.trials import run
-
-        return run
+    """Load what is asked for (PEP 562): importing the package stays light."""
+    if name in _HOMES:
+        found = globals()[name] = getattr(import_module(f"{__name__}.{_HOMES[name]}"), name)
+        return found
     raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

@@ -93,6 +93,7 @@ def build_parser() -> argparse.ArgumentParser:
     _add_record(add("record", "cli_recording:record", "simulate a scenario and keep it as a recording"))
     _add_replay(add("replay", "cli_recording:replay", "run estimators on a recording and score them"))
     _add_sweep(add("sweep", "cli_sweep:sweep", "many variants and trials of a scenario, in parallel, resumable"))
+    _add_table(add("table", "cli_table:table", "the results of a sweep as a table"))
     show = add("show", "cli_show:show", "every key of a scenario: value, unit, range, meaning")
     _add_scenario(show)
     listing = add("list", "cli_show:list_known", "the scenarios or estimators that are known by name")
@@ -213,6 +214,23 @@ def _add_sweep(parser: argparse.ArgumentParser) -> None:
     time_help = "one estimator's time for one trial, then its process is killed (default: 3600)"
     parser.add_argument("--time-limit", metavar="SECONDS", type=_number, default=3600.0, help=time_help)
     parser.add_argument("--memory-limit", metavar="GIB", type=_number, help="memory of a process (default: fair share)")
+
+
+def _add_table(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("folder", metavar="DIR", help="folder of a sweep")
+    several: dict[str, Any] = {"action": "append", "default": []}
+    rows_help = "a line for each value of this key; may be repeated (default: estimator and all that varies)"
+    parser.add_argument("--rows", metavar="KEY", help=rows_help, **several)
+    parser.add_argument("--columns", metavar="KEY", help="a column for each value of this key")
+    metric_help = "what is summed up, as position_rmse_m; may be repeated"
+    parser.add_argument("--metric", metavar="NAME", dest="metrics", help=metric_help, **several)
+    statistic_help = "median (default), mean, rmse, min, max, q90, 'share>2'; may be repeated"
+    parser.add_argument("--statistic", metavar="NAME", dest="statistics", help=statistic_help, **several)
+    interval_help = "with bootstrap intervals of this confidence"
+    parser.add_argument("--interval", metavar="PERCENT", type=_number, nargs="?", const=95.0, help=interval_help)
+    parser.add_argument("--compare", metavar="A,B", help="paired differences of two estimators on the same worlds")
+    formats = ("text", "md", "csv", "latex", "json")
+    parser.add_argument("--format", choices=formats, default="text", help="csv and json hold the plain numbers")
 
 
 def _add_flags(parser: argparse.ArgumentParser, *flags: tuple[str, str]) -> None:

@@ -21,7 +21,7 @@ from cellslam.benchmarks import executors, sweeping, tasks
 from cellslam.benchmarks.cli import main
 from cellslam.benchmarks.pool import Limits, Pool
 from cellslam.benchmarks.result import ROW_KEYS
-from cellslam.benchmarks.results import results
+from cellslam.benchmarks.rows import results
 from cellslam.benchmarks.store import DATABASE, TRAJECTORIES, writing
 from cellslam.scenarios import sweep
 from cellslam.sim.errors import InputError

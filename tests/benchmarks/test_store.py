@@ -14,7 +14,7 @@ import pytest
 from cellslam.benchmarks import store
 from cellslam.benchmarks.lock import check_local, only_writer
 from cellslam.benchmarks.result import ROW_KEYS, TrialResult
-from cellslam.benchmarks.results import results
+from cellslam.benchmarks.rows import results
 from cellslam.benchmarks.tasks import Plan, Result, identity, plan
 from cellslam.benchmarks.trajectories import pack, unpack
 from cellslam.scenarios import sweep

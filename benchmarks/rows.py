@@ -9,12 +9,13 @@ from typing import TYPE_CHECKING, Any
 
 from cellslam.benchmarks.result import ROW_KEYS
 from cellslam.benchmarks.store import reading
-from cellslam.scenarios.keys import label
-from cellslam.sim.errors import InputError, unknown_name
+from cellslam.scenarios.keys import label, nearest_key
+from cellslam.sim.errors import InputError
 
 if TYPE_CHECKING:
     import pandas as pd
 
+_IDS = ("key", "world", "options")
 Tables = Mapping[str, Mapping[str, Any]]
 
 
@@ -23,7 +24,8 @@ def results(folder: str | Path, keys: Sequence[str] | None = None) -> pd.DataFra
 
     Columns: `key`, those of a row (`ROW_KEYS`), and every scenario key and estimator option that has more than
     one value (`estimator.fastslam.particles` is null in the rows of other estimators). `keys`: these row and
-    scenario keys alone. Rows are ordered by scenario settings, estimator, trial. Raises InputError.
+    scenario keys alone, or `world` and `options`: ids of what a row was made from. Rows are ordered by scenario
+    settings, estimator, trial. Raises InputError.
     """
     import pandas as pd
 
@@ -90,7 +92,7 @@ def _columns(pairs: Sequence[tuple[str, str, str]], worlds: Tables, options: Tab
 
 def _wanted(keys: Sequence[str] | None, columns: Mapping[str, Sequence[Any]]) -> tuple[str, ...]:
     if keys is not None:
-        known = {*ROW_KEYS, "key", *columns}
+        known = {*ROW_KEYS, *_IDS, *columns}
         for key in keys:
             if key not in known:
                 raise _unknown(key, columns)
@@ -101,8 +103,6 @@ def _wanted(keys: Sequence[str] | None, columns: Mapping[str, Sequence[Any]]) ->
 
 
 def _unknown(key: str, columns: Mapping[str, Sequence[Any]]) -> InputError:
-    from cellslam.scenarios.keys import nearest_key
-
     near = nearest_key(key, [*ROW_KEYS, *columns])
     varied = [name for name, values in columns.items() if len(set(values)) > 1]
     hint = f"; did you mean '{near}'?" if near else ""
@@ -116,9 +116,3 @@ def _scalar(value: Any) -> Any:
 
 def _sortable(values: Sequence[Any]) -> bool:
     return len({str if isinstance(v, str) else float for v in values if v is not None}) == 1
-
-
-def check_metric(name: str, columns: Sequence[str]) -> None:
-    """Raise InputError unless `name` is a column of numbers."""
-    if name not in columns:
-        raise unknown_name("metric", name, columns)

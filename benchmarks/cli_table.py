@@ -1,0 +1,62 @@
+"""`cellslam table`: the results of a sweep as a table."""
+
+from __future__ import annotations
+
+import sys
+from argparse import Namespace
+from collections.abc import Iterable
+from pathlib import Path
+
+from cellslam.benchmarks.cli import DONE
+from cellslam.benchmarks.formats import comparison_grid, render, summary_grid
+from cellslam.benchmarks.summaries import Layout, comparison, row_keys, summary
+from cellslam.sim.errors import InputError
+
+
+def table(arguments: Namespace) -> int:
+    """Carry out `cellslam table`."""
+    folder = Path(arguments.folder)
+    confidence = None if arguments.interval is None else arguments.interval / 100
+    rows = tuple(arguments.rows) or None
+    if arguments.compare is not None:
+        sys.stdout.write(_compared(arguments, folder, rows, confidence))
+        return DONE
+    layout = Layout(
+        rows, arguments.columns, tuple(arguments.metrics), tuple(arguments.statistics) or ("median",), confidence
+    )
+    layout = Layout(tuple(row_keys(folder, layout)), layout.columns, layout.metrics, layout.statistics, confidence)
+    tidy = summary(folder, layout)
+    if tidy.empty:
+        raise InputError(f"{folder}: no rows yet")
+    keys = [key for key in layout.rows or () if key != layout.columns]
+    named = tidy["estimator"].unique() if "estimator" in tidy else ()
+    sys.stdout.write(render(tidy, summary_grid(tidy, keys, layout.columns, oracles(named)), arguments.format))
+    return DONE
+
+
+def oracles(names: Iterable[str]) -> frozenset[str]:
+    """Return those estimators that are shown the truth; one that cannot be loaded here is not among them."""
+    from cellslam.slam import registry
+
+    found = set()
+    for name in names:
+        try:
+            if getattr(registry.resolve(name), "requires_truth", False):
+                found.add(name)
+        except InputError:
+            continue
+    return frozenset(found)
+
+
+def _compared(arguments: Namespace, folder: Path, rows: tuple[str, ...] | None, confidence: float | None) -> str:
+    first, comma, second = arguments.compare.partition(",")
+    if not (first and comma and second):
+        raise InputError(f"--compare '{arguments.compare}': write two estimators, as in fastslam,dead-reckoning")
+    if arguments.columns is not None or len(arguments.metrics) > 1 or arguments.statistics:
+        raise InputError("--compare goes with --rows, --interval, --format and one --metric")
+    metric = arguments.metrics[0] if arguments.metrics else "position_rmse_m"
+    share = 0.95 if confidence is None else confidence
+    tidy = comparison(folder, first.strip(), second.strip(), metric, rows, share)
+    columns = list(tidy.columns)
+    keys = columns[: columns.index("metric")] if columns else []
+    return render(tidy, comparison_grid(tidy, keys, first, second, 100 * share), arguments.format)

@@ -1,0 +1,170 @@
+"""Tables as text, Markdown, LaTeX (booktabs), CSV, JSON."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+FORMATS = ("text", "md", "csv", "latex", "json")
+PIPE_WIDTH = 200
+_LATEX = {c: f"\\{c}" for c in "&%$#_{}"} | {"\\": "\\textbackslash{}", "~": "\\textasciitilde{}", "^": "\\^{}"}
+
+
+@dataclass(frozen=True)
+class Grid:
+    """A table for people: headings, lines of text, and notes below; the first `labels` columns are not numbers."""
+
+    headings: tuple[str, ...]
+    lines: tuple[tuple[str, ...], ...]
+    labels: int
+    notes: tuple[str, ...] = ()
+
+
+def render(tidy: pd.DataFrame, grid: Grid, format_: str) -> str:
+    """Return a table in one of `FORMATS`; csv and json hold the tidy numbers, the others the grid."""
+    if format_ == "csv":
+        return str(tidy.to_csv(index=False))
+    if format_ == "json":
+        plain = ({key: _json(value) for key, value in line.items()} for line in tidy.to_dict("records"))
+        return "[\n" + ",\n".join(json.dumps(line, allow_nan=False) for line in plain) + "\n]\n"
+    writers: dict[str, Callable[[Grid], str]] = {"text": _text, "md": _markdown, "latex": _latex}
+    return writers[format_](grid)
+
+
+def number(value: float | None, metric: str, statistic: str = "") -> str:
+    """Return a number with the digits that suit its metric."""
+    if value is None or not math.isfinite(value):
+        return "-"
+    if statistic.startswith("share>"):
+        return f"{value:.3f}"
+    digits = 4 if metric.endswith("_rad") else 1 if metric == "realtime_factor" else 2
+    return f"{value:.{digits}f}"
+
+
+def summary_grid(tidy: pd.DataFrame, keys: Sequence[str], columns: str | None, oracles: frozenset[str]) -> Grid:
+    """Return the grid of a summary: a column for each value of key `columns`, metric and statistic."""
+    across = [*([columns] if columns else []), "metric", "statistic"]
+    several = {key: tidy[key].nunique(dropna=False) > 1 for key in across}
+    cells: dict[tuple[str, ...], dict[str, str]] = {}
+    headings: dict[str, None] = {}
+    trials: dict[tuple[str, ...], set[tuple[int, int]]] = {}
+    for line in tidy.to_dict("records"):
+        row = tuple(_label(key, line[key], oracles) for key in keys)
+        heading = ", ".join(
+            _heading(key, line[key], columns, oracles) for key in across if several[key] or key == columns
+        )
+        heading = heading or f"{line['statistic']} of {line['metric']}"
+        headings.setdefault(heading)
+        cells.setdefault(row, {})[heading] = _cell(line)
+        trials.setdefault(row, set()).add((line["trials"], line["failed"]))
+    notes = [
+        f"{key}: {tidy[key].iloc[0]}" for key in ("metric", "statistic") if not several[key] and any(several.values())
+    ]
+    body = tuple(
+        (*row, *(cells[row].get(heading, "-") for heading in headings), _counted(trials[row])) for row in cells
+    )
+    if any("(oracle)" in " ".join(row) for row in cells) or any("(oracle)" in heading for heading in headings):
+        notes.append("oracle: was shown the truth")
+    return Grid((*keys, *headings, "trials ok"), body, len(keys), tuple(notes))
+
+
+def comparison_grid(tidy: pd.DataFrame, keys: Sequence[str], first: str, second: str, percent: float) -> Grid:
+    """Return the grid of paired differences."""
+    headings = ("median difference", f"{percent:g} % interval", "p", f"{first} below", "pairs", "left out")
+    lines = []
+    for line in tidy.to_dict("records"):
+        metric = line["metric"]
+        p_value, share = line["p_value"], line["share_below"]
+        cells = (
+            number(line["median_difference"], metric),
+            f"{number(line['low'], metric)} to {number(line['high'], metric)}",
+            "-" if _missing(p_value) else f"{p_value:.2g}",
+            "-" if _missing(share) else f"{100 * share:.0f} %",
+            str(line["pairs"]),
+            str(line["left_out"]),
+        )
+        lines.append((*(_label(key, line[key], frozenset()) for key in keys), *cells))
+    what = f"{tidy['metric'].iloc[0]}: {first} minus {second}, the same worlds" if len(tidy) else "no common worlds"
+    test = "p: Wilcoxon's signed-rank test of no difference, each line by itself"
+    return Grid((*keys, *headings), tuple(lines), len(keys), (what, test))
+
+
+def _cell(line: Mapping[Any, Any]) -> str:
+    text = number(line["value"], line["metric"], line["statistic"])
+    if _missing(line.get("low")):
+        return text
+    low, high = (number(line[end], line["metric"], line["statistic"]) for end in ("low", "high"))
+    return f"{text} [{low}, {high}]"
+
+
+def _counted(counts: set[tuple[int, int]]) -> str:
+    """Return how many trials are ok, of how many where some failed; a range where columns differ."""
+    good, bad = sorted({ok for ok, _ in counts}), max(failed for _, failed in counts)
+    text = str(good[-1]) if len(good) == 1 else f"{good[0]}-{good[-1]}"
+    return f"{text}/{good[-1] + bad}" if bad else text
+
+
+def _heading(key: str, value: Any, columns: str | None, oracles: frozenset[str]) -> str:
+    return (
+        f"{key}={_label(key, value, oracles)}" if key == columns and key != "estimator" else _label(key, value, oracles)
+    )
+
+
+def _label(key: str, value: Any, oracles: frozenset[str]) -> str:
+    if value is None or (isinstance(value, float) and math.isnan(value)):
+        return "-"
+    text = f"{value:g}" if isinstance(value, float) else str(value)
+    return f"{text} (oracle)" if key == "estimator" and text in oracles else text
+
+
+def _missing(value: Any) -> bool:
+    return value is None or (isinstance(value, float) and math.isnan(value))
+
+
+def _json(value: Any) -> Any:
+    value = value.item() if hasattr(value, "item") else value
+    return None if isinstance(value, float) and not math.isfinite(value) else value
+
+
+def _text(grid: Grid) -> str:
+    from io import StringIO
+
+    from rich import box
+    from rich.console import Console
+    from rich.markup import escape
+    from rich.table import Table
+
+    table = Table(box=box.SIMPLE_HEAD, pad_edge=False, caption=escape("\n".join(grid.notes)), caption_justify="left")
+    for index, heading in enumerate(grid.headings):
+        table.add_column(escape(heading), justify="left" if index < grid.labels else "right", overflow="fold")
+    for line in grid.lines:
+        table.add_row(*map(escape, line))
+    console = Console()
+    file = StringIO()
+    Console(file=file, width=console.width if console.is_terminal else PIPE_WIDTH).print(table)
+    return "\n".join(line.rstrip() for line in file.getvalue().splitlines()) + "\n"
+
+
+def _markdown(grid: Grid) -> str:
+    def line(cells: Sequence[str]) -> str:
+        return "| " + " | ".join(cell.replace("|", "\\|") for cell in cells) + " |"
+
+    rule = ["---" if index < grid.labels else "---:" for index in range(len(grid.headings))]
+    notes = [f"\n{note}" for note in grid.notes]
+    return "\n".join([line(grid.headings), "|" + "|".join(rule) + "|", *map(line, grid.lines), *notes]) + "\n"
+
+
+def _latex(grid: Grid) -> str:
+    def line(cells: Sequence[str]) -> str:
+        return " & ".join("".join(_LATEX.get(c, c) for c in cell) for cell in cells) + r" \\"
+
+    columns = "l" * grid.labels + "r" * (len(grid.headings) - grid.labels)
+    notes = [f"% {note}" for note in grid.notes]
+    top = [*notes, rf"\begin{{tabular}}{{{columns}}}", r"\toprule", line(grid.headings), r"\midrule"]
+    return "\n".join([*top, *map(line, grid.lines), r"\bottomrule", r"\end{tabular}"]) + "\n"

@@ -1,0 +1,154 @@
+"""Statistics over trials: location, spread, bootstrap intervals, paired differences."""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from typing import Any, Literal
+
+import numpy as np
+
+from cellslam.sim.errors import InputError
+from cellslam.sim.recording import Floats
+
+RESAMPLES = 1999
+LEAST_VALUES = 5
+NAMES = "median, mean, rmse, min, max, q5 to q99.9, share>VALUE"
+# Elements of one batch of resamples: bounds the memory, not the result.
+_BATCH = 4_000_000
+
+
+@dataclass(frozen=True)
+class Statistic:
+    """A number that sums up a sample: `of(values, axis)`, and the kind of its bootstrap interval.
+
+    Means and root mean squares have studentised intervals (bootstrap-t, Efron, 1982; for root mean squares on the
+    logarithm): errors over trials are skewed, and BCa intervals then cover too little. Quantiles have percentile
+    intervals, shares Wilson's (1927), since resampling cannot leave 0 or 100 %.
+    """
+
+    name: str
+    of: Callable[..., Any]
+    method: Literal["mean", "mean square", "share", "percentile"] = "percentile"
+
+
+@dataclass(frozen=True)
+class Paired:
+    """Differences of two estimators over the same worlds: their median with an interval, and a test.
+
+    `p_value`: Wilcoxon's signed-rank test of no difference (1945); None without pairs. `share_below`: in how many
+    pairs the first is below the second.
+    """
+
+    pairs: int
+    median: float | None
+    low: float | None
+    high: float | None
+    p_value: float | None
+    share_below: float | None
+
+
+def statistic(name: str) -> Statistic:
+    """Return the statistic of that name: median, mean, rmse, min, max, q90 (a quantile), share>2 (of values above).
+
+    Raises InputError for any other.
+    """
+    plain = {
+        "median": Statistic(name, np.median),
+        "mean": Statistic(name, np.mean, "mean"),
+        "rmse": Statistic(name, _rms, "mean square"),
+        "min": Statistic(name, np.min),
+        "max": Statistic(name, np.max),
+    }
+    if name in plain:
+        return plain[name]
+    if (quantile := re.fullmatch(r"q(\d+(\.\d+)?)", name)) and 0 < float(quantile[1]) < 100:
+        share = float(quantile[1]) / 100
+        return Statistic(name, lambda values, axis=-1: np.quantile(values, share, axis=axis))
+    if above := re.fullmatch(r"share>(-?\d+(\.\d+)?(e-?\d+)?)", name):
+        threshold = float(above[1])
+        return Statistic(name, lambda values, axis=-1: np.mean(np.asarray(values) > threshold, axis=axis), "share")
+    raise InputError(f"unknown statistic '{name}' (known: {NAMES})")
+
+
+def interval(values: Floats, of: Statistic, confidence: float) -> tuple[float, float]:
+    """Return the interval of a statistic of `values` (n,), by resampling but for shares; NaN below five values.
+
+    The draws are always the same, and so is the interval.
+    """
+    from scipy.stats import binomtest, bootstrap
+
+    if len(values) < LEAST_VALUES:
+        return float("nan"), float("nan")
+    if of.method == "share":
+        exceeding = round(float(of.of(values)) * len(values))
+        share = binomtest(exceeding, len(values)).proportion_ci(confidence, method="wilson")
+        return float(share.low), float(share.high)
+    if np.ptp(values) == 0.0:
+        value = float(of.of(values))
+        return value, value
+    if of.method == "mean":
+        return _studentised(values, confidence)
+    if of.method == "mean square":
+        low, high = _studentised(np.square(values), confidence, logarithm=True)
+        return math.sqrt(low), math.sqrt(high)
+    found = bootstrap(
+        (values,),
+        of.of,
+        confidence_level=confidence,
+        n_resamples=RESAMPLES,
+        vectorized=True,
+        method="percentile",
+        batch=max(1, _BATCH // len(values)),
+        rng=np.random.default_rng(0),
+    ).confidence_interval
+    return float(found.low), float(found.high)
+
+
+def paired(first: Floats, second: Floats, confidence: float = 0.95) -> Paired:
+    """Return how `first` (n,) differs from `second` (n,), trial by trial."""
+    difference = np.asarray(first) - np.asarray(second)
+    count = len(difference)
+    if not count:
+        return Paired(0, None, None, None, None, None)
+    low, high = interval(difference, statistic("median"), confidence)
+    below, median = float(np.mean(difference < 0.0)), float(np.median(difference))
+    known = not np.isnan(low)
+    return Paired(count, median, low if known else None, high if known else None, wilcoxon_p(difference), below)
+
+
+def wilcoxon_p(difference: Floats) -> float:
+    """Return the p-value of Wilcoxon's signed-rank test that differences (n,) are symmetric about zero."""
+    from scipy.stats import wilcoxon
+
+    return float(wilcoxon(difference).pvalue) if np.any(difference != 0.0) else 1.0
+
+
+def _rms(values: Floats, axis: int = -1) -> Any:
+    return np.sqrt(np.mean(np.square(values), axis=axis))
+
+
+def _studentised(values: Floats, confidence: float, logarithm: bool = False) -> tuple[float, float]:
+    """Return the bootstrap-t interval of a mean; on the logarithm `values` must not be negative."""
+    rng, count = np.random.default_rng(0), len(values)
+    mean, error = float(np.mean(values)), float(np.std(values)) / math.sqrt(count)
+    t = []
+    for size in _batches(max(1, _BATCH // count)):
+        drawn = values[rng.integers(0, count, (size, count))]
+        means, errors = drawn.mean(axis=1), drawn.std(axis=1) / math.sqrt(count)
+        # A resample of equal values says nothing about its error, and is left out.
+        fine = errors > 1e-9 * error
+        means, errors = means[fine], errors[fine]
+        t.append((np.log(means / mean) * means if logarithm else means - mean) / errors)
+    low, high = np.quantile(np.concatenate(t), [(1 - confidence) / 2, (1 + confidence) / 2]).tolist()
+    if logarithm:
+        relative = error / mean
+        return mean * math.exp(min(-high * relative, 300.0)), mean * math.exp(min(-low * relative, 300.0))
+    return mean - high * error, mean - low * error
+
+
+def _batches(size: int) -> Iterator[int]:
+    for begin in range(0, RESAMPLES, size):
+        yield min(size, RESAMPLES - begin)
