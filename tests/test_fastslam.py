@@ -1,0 +1,287 @@
+"""FastSLAM's parts and the filter as a whole."""
+
+import itertools
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from cellslam.sim.recording import Links, OdometryModel, Sites
+from cellslam.slam.api import Setup, Snapshot
+from cellslam.slam.baselines.dead_reckoning import DeadReckoning
+from cellslam.slam.fastslam import resampling
+from cellslam.slam.fastslam.assignment import assign
+from cellslam.slam.fastslam.existence import tables, visibility
+from cellslam.slam.fastslam.filter import FastSlam
+from cellslam.slam.fastslam.layout import LANES, POSE, THETA
+from cellslam.slam.fastslam.noise import packed, repeats, sharers
+from cellslam.slam.fastslam.options import FastSlamOptions
+from cellslam.slam.fastslam.particles import draw, quasi_random, select
+from cellslam.slam.fastslam.summary import map_of
+from cellslam.slam.model import jacobians, predict
+
+SMALL = FastSlamOptions(particles=64, vts_per_link=8, start_phase_s=0.0)
+
+
+def best_by_hand(score: np.ndarray) -> float:
+    """Return the greatest total over all partial assignments, by trying each."""
+    rows, columns = score.shape
+    best = 0.0
+    for size in range(min(rows, columns) + 1):
+        for chosen in itertools.combinations(range(rows), size):
+            for order in itertools.permutations(range(columns), size):
+                best = max(best, sum(score[r, c] for r, c in zip(chosen, order, strict=True)))
+    return best
+
+
+def test_association_is_the_best_of_all():
+    rng = np.random.default_rng(5)
+    for _ in range(300):
+        rows, columns = rng.integers(0, 5, 2)
+        score = rng.normal(0, 3, (rows, columns))
+        score[rng.random((rows, columns)) < 0.3] = -1e300
+        row_of = np.empty(columns, np.int64)
+        work = 4 * (rows + columns + 2)
+        assign(score, rows, columns, row_of, np.empty(work), np.empty(work, np.int64))
+        taken = row_of[row_of >= 0]
+        assert len(set(taken)) == len(taken)
+        total = sum(score[r, c] for c, r in enumerate(row_of) if r >= 0)
+        assert total == pytest.approx(best_by_hand(score))
+
+
+def test_model_jacobians_against_differences():
+    rng = np.random.default_rng(0)
+    pose, vt = np.concatenate([rng.normal(0, 20, 3), [2.9, 0.2, -0.3]]), rng.normal(0, 100, 3)
+    by_vt, by_pose = jacobians(pose, vt)
+    for i in range(3):
+        step = 1e-5 * np.eye(3)[i]
+        assert np.allclose(by_vt[:, i], (predict(pose, vt + step) - predict(pose, vt - step)) / 2e-5, atol=1e-7)
+    for i in range(6):
+        step = 1e-6 * np.eye(6)[i]
+        assert np.allclose(by_pose[:, i], (predict(pose + step, vt) - predict(pose - step, vt)) / 2e-6, atol=1e-6)
+
+
+@pytest.mark.parametrize("name", sorted(resampling.SCHEMES))
+def test_resampling_is_unbiased(name):
+    """Copies average to count * weight: 2000 repeats, five deviations of a multinomial."""
+    rng = np.random.default_rng(3)
+    weights = rng.random(20) ** 3
+    weights /= weights.sum()
+    copies = np.zeros(20)
+    for _ in range(2000):
+        ancestors = resampling.SCHEMES[name](weights, 50, rng)
+        assert len(ancestors) == 50
+        assert np.all(np.diff(ancestors) >= 0)
+        copies += np.bincount(ancestors, minlength=20)
+    assert np.all(np.abs(copies / 2000 - 50 * weights) < 5 * np.sqrt(50 * weights * (1 - weights) / 2000))
+
+
+def test_visibility_falls_with_misses_and_comes_back_for_known_vts():
+    once = visibility(0.01, 0.99, 0.0, 0.9, 50)
+    known = visibility(1.0, 0.99, 0.01, 0.9, 500)
+    assert np.all(np.diff(once[1:20]) < 0)
+    assert once[1] == pytest.approx(0.01 * 0.99)
+    assert known[2] == pytest.approx(
+        (0.99 * 0.1 / (1 - 0.99 * 0.9)) * 0.99 + (1 - 0.99 * 0.1 / (1 - 0.99 * 0.9)) * 0.01
+    )
+    assert 0.005 < known[-1] < 0.02
+    logs, age_once, age_twice = tables(FastSlamOptions(), 0.075)
+    assert np.all(logs <= 0.0)
+    assert 0 < age_once < age_twice
+
+
+def test_quasi_random_points_fill_the_square_evenly():
+    points = quasi_random(1024, 2, np.random.default_rng(0))
+    counts = np.histogram2d(points[:, 0], points[:, 1], bins=8, range=[[0, 1], [0, 1]])[0]
+    assert counts.min() >= 8
+    assert counts.max() <= 24
+
+
+def make_setup(links: int = 2, offset_std: float = 0.0) -> Setup:
+    zero = np.zeros(6)
+    sheet = OdometryModel(
+        np.array([0.01, 0, 0, 1e-3, 0, 0]), np.array([0, 0, 0, 1e-4, 0, 0]), zero, np.array([0.01, 0, 0, 0, 0, 0])
+    )
+    table = Links(np.zeros(links, np.int64), np.arange(links), np.zeros(links, np.int64))
+    return Setup(table, Sites(("A",), np.zeros(1), np.full(1, offset_std)), sheet, np.zeros(6), np.zeros(6))
+
+
+def make_snapshot(t: int, rows: list[tuple[int, float, float, float]]) -> Snapshot:
+    link, d, az, el = (
+        (np.array(c) for c in zip(*rows, strict=True)) if rows else (np.array([], int), *[np.empty(0)] * 3)
+    )
+    return Snapshot(t, np.arange(len(rows)), link.astype(np.int64), d, az, el, np.full(len(rows), 20.0))
+
+
+def drive(filter_: FastSlam, vts: np.ndarray, links: list[int], snapshots: int, rng: np.random.Generator):
+    """Drive straight at 1 m/s past `vts`, measured with small noise; return estimates and true poses."""
+    poses, estimates = np.zeros((snapshots, 6)), []
+    poses[:, 0] = 0.1 * np.arange(snapshots)
+    for t in range(snapshots):
+        z = predict(poses[t], vts) + rng.normal(size=(len(vts), 3)) * [0.3, 0.01, 0.01]
+        rows = sorted((link, *z[i]) for i, link in enumerate(links))
+        odometry = np.array([1.0, 0, 0, 0, 0, 0]) + rng.normal(size=6) * [0.03, 0, 0, 3e-3, 0, 0]
+        estimates.append(filter_.step(0.1 if t else 0.0, odometry if t else np.zeros(6), make_snapshot(t, rows)))
+    return estimates, poses
+
+
+VTS = np.array([[60.0, 80.0, 20.0], [-40.0, 90.0, 25.0], [30.0, -70.0, 15.0], [120.0, 10.0, 30.0]])
+
+
+def test_filter_maps_and_follows():
+    filter_ = FastSlam(SMALL)
+    filter_.start(make_setup(), np.random.default_rng(1))
+    estimates, poses = drive(filter_, VTS, [0, 0, 1, 1], 150, np.random.default_rng(2))
+    last = estimates[-1]
+    assert np.hypot(*(last.pose[:2] - poses[-1, :2])) < 0.5
+    assert sorted(last.vts.link) == [0, 0, 1, 1]
+    gaps = np.linalg.norm(last.vts.position_m[:, None] - VTS[None], axis=2)
+    assert sorted(gaps.argmin(axis=1)) == [0, 1, 2, 3]
+    assert gaps.min(axis=1).max() < 3.0
+    assert np.all(last.association >= 0)
+    for matrix in [last.covariance[:2, :2], *last.vts.covariance]:
+        assert np.all(np.linalg.eigvalsh(matrix) > 0)
+
+
+def test_links_never_share_vts():
+    """The same path in two links makes two VTs, one in each."""
+    filter_ = FastSlam(SMALL)
+    filter_.start(make_setup(), np.random.default_rng(1))
+    estimates, _ = drive(filter_, VTS[[0, 0]], [0, 1], 30, np.random.default_rng(2))
+    assert sorted(estimates[-1].vts.link) == [0, 1]
+
+
+def test_unseen_vts_are_never_written():
+    filter_ = FastSlam(replace_options(SMALL, effective_share=0.0))
+    filter_.start(make_setup(offset_std=50.0), np.random.default_rng(1))
+    drive(filter_, VTS, [0, 0, 1, 1], 20, np.random.default_rng(2))
+    p = filter_._particles
+    before = p.records[:, 1].copy()
+    statuses = p.status[:, 1].copy()
+    theta = p.columns(THETA, 1).copy()
+    for t in range(20, 30):
+        z = predict(np.array([0.1 * t, 0, 0, 0, 0, 0]), VTS[0])
+        filter_.step(0.1, np.array([1.0, 0, 0, 0, 0, 0]), make_snapshot(t, [(0, *z)]))
+    assert np.array_equal(p.records[:, 1], before)
+    assert np.array_equal(p.status[:, 1], statuses)
+    assert not np.array_equal(p.columns(THETA, 1), theta)
+
+
+def replace_options(options: FastSlamOptions, **changes) -> FastSlamOptions:
+    return FastSlamOptions(**{**options.model_dump(), **changes})
+
+
+def test_resampling_copies_maps_and_shares_no_memory():
+    filter_ = FastSlam(replace_options(SMALL, effective_share=0.0))
+    filter_.start(make_setup(offset_std=50.0), np.random.default_rng(1))
+    drive(filter_, VTS, [0, 0, 1, 1], 12, np.random.default_rng(2))
+    p = filter_._particles
+    site_of = np.zeros(2, np.int64)
+    maps = [map_of(p, i, site_of) for i in range(len(p))]
+    poses = p.columns(POSE, 6)
+    ancestors = np.sort(np.random.default_rng(4).choice(len(p), len(p)))
+    ancestors[:40] = 3  # one particle has more children than its block has places
+    ancestors.sort()
+    chosen = select(p, ancestors)
+    assert np.array_equal(np.sort(chosen.columns(POSE, 6)[:, 0]), np.sort(poses[ancestors, 0]))
+    for i in range(len(chosen)):
+        parent = np.flatnonzero(poses[:, 0] == chosen.columns(POSE, 6)[i, 0])[0]
+        mine = map_of(chosen, i, site_of)
+        assert set(zip(mine.id, mine.link, strict=True)) == set(zip(maps[parent].id, maps[parent].link, strict=True))
+        order, theirs = np.argsort(mine.id), np.argsort(maps[parent].id)
+        assert np.allclose(mine.position_m[order], maps[parent].position_m[theirs], atol=1e-9)
+    twin = select(p, np.repeat(np.arange(2 * LANES)[:LANES], 1))
+    assert len(twin) == LANES
+    assert not np.shares_memory(twin.records, p.records)
+    twin.records[:] = 0.0
+    assert np.any(p.records[:, :, 0] != 0.0)
+
+
+def test_offset_prior_is_kept_by_its_components():
+    """Component means and their widths together have the prior's deviation, 150 m."""
+    particles = draw(make_setup(offset_std=150.0), 4096, 20.0, 4, np.random.default_rng(0))
+    means = particles.columns(THETA, 1)[:, 0]
+    width = particles.columns(THETA + 3, 1)[:, 0]
+    assert np.sqrt(means.var() + width.mean()) == pytest.approx(150.0, rel=0.02)
+    assert np.allclose(width, 400.0)
+
+
+def test_persisting_errors_count_once():
+    options = FastSlamOptions()
+    assert repeats(options, 0.0, 0.0) > 1e4
+    assert repeats(options, np.radians(60.0), 0.0) < 1.01
+    assert repeats(options, 0.0, 0.1) == pytest.approx(2 * 6.0 / np.degrees(0.1 / 200.0), rel=1e-3)
+    snapshot = make_snapshot(0, [(0, 100.0, 0.1, 0.1), (1, 100.1, 0.1, 0.1), (2, 100.0, 1.0, 0.1)])
+    q = np.tile([0.3, 1e-4, 1e-4], (3, 1))
+    assert list(sharers(snapshot, np.zeros(3, np.int64), q)) == [2, 2, 1]
+    assert list(sharers(snapshot, np.array([0, 1, 0]), q)) == [1, 1, 1]
+    single, many = packed(snapshot, np.zeros(3, np.int64), options, 1.0)
+    assert np.all(many[:2, 5:8] > single[:2, 5:8])
+    assert np.allclose(many[2, 5:8], single[2, 5:8])
+
+
+def hostile(rng: np.random.Generator, t: int) -> list[tuple[int, float, float, float]]:
+    """Return awkward measurements: duplicates, straight overhead, azimuth at +-pi, very near, hundreds in one link."""
+    kinds = [
+        [(0, 50.0, np.pi, 0.0), (0, 50.0, -np.pi, 0.0), (0, 50.0, np.pi, 0.0)],
+        [(0, 20.0, 0.3, np.pi / 2), (1, 20.0, -0.3, -np.pi / 2)],
+        [(0, 0.01, 0.0, 0.0), (0, -5.0, 0.1, 0.0), (1, 1e5, 0.0, 0.0)],
+        [
+            (1, *row)
+            for row in np.column_stack(
+                [rng.uniform(10, 800, 200), rng.uniform(-3.1, 3.1, 200), rng.normal(0, 0.2, 200)]
+            )
+        ],
+        [],
+    ]
+    return kinds[t % len(kinds)]
+
+
+def test_awkward_measurements_leave_finite_estimates():
+    filter_ = FastSlam(SMALL)
+    filter_.start(make_setup(offset_std=150.0), np.random.default_rng(1))
+    rng = np.random.default_rng(2)
+    for t in range(60):
+        snapshot = replace(
+            make_snapshot(t, hostile(rng, t)), snr_db=np.full(len(hostile(rng, t)), (-40.0, 60.0)[t % 2])
+        )
+        estimate = filter_.step(0.1 if t else 0.0, np.array([1.0, 0, 0, 0.5, 0, 0]), snapshot)
+        assert np.all(np.isfinite(estimate.pose))
+        assert np.all(np.isfinite(estimate.covariance))
+        assert np.all(np.isfinite(filter_._particles.log_weight))
+        assert np.all(np.linalg.eigvalsh(estimate.covariance) > -1e-9)
+
+
+def test_distance_alone_is_used_once_a_vt_is_known():
+    filter_ = FastSlam(SMALL)
+    filter_.start(make_setup(), np.random.default_rng(1))
+    drive(filter_, VTS, [0, 0, 1, 1], 40, np.random.default_rng(2))
+    for t in range(40, 60):
+        z = predict(np.array([0.1 * t, 0, 0, 0, 0, 0]), VTS[0])
+        estimate = filter_.step(0.1, np.array([1.0, 0, 0, 0, 0, 0]), make_snapshot(t, [(0, z[0], np.nan, np.nan)]))
+    assert estimate.association[0] >= 0
+    assert abs(estimate.pose[0] - 5.9) < 0.5
+
+
+def test_same_seed_same_answer():
+    def once(seed: int) -> np.ndarray:
+        filter_ = FastSlam(SMALL)
+        filter_.start(make_setup(offset_std=150.0), np.random.default_rng(seed))
+        estimates, _ = drive(filter_, VTS, [0, 0, 1, 1], 30, np.random.default_rng(2))
+        return np.array([e.pose for e in estimates])
+
+    assert np.array_equal(once(1), once(1))
+    assert not np.array_equal(once(1), once(2))
+
+
+def test_dead_reckoning_covariance_follows_the_data_sheet():
+    """Straight drive of 100 s: end deviations from bias and scale have closed forms."""
+    setup = make_setup()
+    model = replace(setup.odometry_model, noise_density=np.zeros(6))
+    estimator = DeadReckoning()
+    estimator.start(replace(setup, odometry_model=model), np.random.default_rng(0))
+    for t in range(1001):
+        estimate = estimator.step(0.1 if t else 0.0, np.array([1.0, 0, 0, 0, 0, 0]), make_snapshot(t, []))
+    assert np.sqrt(estimate.covariance[0, 0]) == pytest.approx(0.01 * 100, rel=1e-3)
+    assert np.sqrt(estimate.covariance[1, 1]) == pytest.approx(1e-4 * 100**2 / 2, rel=1e-2)
+    assert np.sqrt(estimate.covariance[3, 3]) == pytest.approx(1e-4 * 100, rel=1e-6)
