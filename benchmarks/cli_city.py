@@ -103,7 +103,8 @@ def trace_paths(arguments: Namespace) -> int:
         from cellslam.benchmarks.figures.html import check_plotly
 
         check_plotly()
-    transmitters, receivers = parse_positions(arguments.bs, "--bs"), read_positions(Path(arguments.rx))
+    transmitters = parse_positions(arguments.bs, "--bs")
+    receivers, velocity = read_positions(Path(arguments.rx))
     with bars(arguments.quiet) as progress:
         with progress("reading the city", 1):
             city = find_city(arguments.mesh, arguments.material, arguments.up)
@@ -111,12 +112,15 @@ def trace_paths(arguments: Namespace) -> int:
         scene = prepare(city)
         paths = trace(
             scene, transmitters, receivers, arguments.max_order, carrier_hz=arguments.carrier,
-            ground_reflection=arguments.ground, progress=progress,
+            ground_reflection=arguments.ground, diffraction=arguments.diffraction, progress=progress,
         )  # fmt: skip
-        write_paths(Path(arguments.out), paths)
+        doppler = None if velocity is None else paths.doppler_hz(velocity, arguments.carrier)
+        write_paths(Path(arguments.out), paths, doppler)
         _draw(arguments, city, paths, transmitters, receivers)
     inside = int(np.count_nonzero(enclosing(city, receivers) != OUTSIDE))
-    kinds = ", ".join(f"{np.count_nonzero(paths.order == n)} of order {n}" for n in range(arguments.max_order + 1))
+    counts = np.bincount(paths.order[paths.edge < 0], minlength=arguments.max_order + 1)
+    kinds = ", ".join(f"{count} of order {order}" for order, count in enumerate(counts))
+    kinds += f", {np.count_nonzero(paths.edge >= 0)} diffracted" if arguments.diffraction else ""
     _note(arguments, f"{arguments.out}: {len(paths)} paths to {len(receivers)} receivers ({kinds})")
     if inside:
         _note(arguments, f"note: {inside} of {len(receivers)} receivers are inside buildings or under the ground")

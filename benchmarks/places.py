@@ -11,8 +11,8 @@ from cellslam.sim.city import City, MeshCityConfig, build_city
 from cellslam.sim.errors import InputError
 from cellslam.sim.rays.paths import Floats, Paths
 
-COLUMNS = ("x", "y", "z")
-HEAD = "receiver,order,length_m,azimuth_rad,elevation_rad,gain_db,vt_x,vt_y,vt_z,x1,y1,z1,x2,y2,z2,transmitter"
+COLUMNS, VELOCITIES = ("x", "y", "z"), ("vx", "vy", "vz")
+HEAD = "receiver,order,length_m,azimuth_rad,elevation_rad,gain_db,vt_x,vt_y,vt_z,x1,y1,z1,x2,y2,z2,transmitter,edge"
 
 
 def find_city(name: str, material: str | None = None, up: str | None = None) -> City:
@@ -43,8 +43,8 @@ def parse_positions(texts: list[str], option: str) -> Floats:
     return np.array(rows, np.float64)
 
 
-def read_positions(path: Path) -> Floats:
-    """Return positions (N, 3) from the columns x, y, z of a CSV file. Raises InputError."""
+def read_positions(path: Path) -> tuple[Floats, Floats | None]:
+    """Return positions (N, 3) and, where a CSV file has the columns vx, vy, vz, velocities. Raises InputError."""
     import pandas as pd
 
     try:
@@ -57,16 +57,17 @@ def read_positions(path: Path) -> Floats:
         raise InputError(f"'{path}' has no column {', '.join(missing)}: its first line must name x,y,z")
     if not len(table):
         raise InputError(f"'{path}' has no rows: give at least one position")
-    points = np.column_stack([pd.to_numeric(table[name], errors="coerce") for name in COLUMNS]).astype(np.float64)
-    bad = np.flatnonzero(~np.isfinite(points).all(axis=1))
+    names = [*COLUMNS, *VELOCITIES] if set(VELOCITIES) <= set(table.columns) else list(COLUMNS)
+    values = np.column_stack([pd.to_numeric(table[name], errors="coerce") for name in names]).astype(np.float64)
+    bad = np.flatnonzero(~np.isfinite(values).all(axis=1))
     if len(bad):
-        raise InputError(f"'{path}', row {bad[0]}: x, y, z are not all finite numbers")
-    return points
+        raise InputError(f"'{path}', row {bad[0]}: {', '.join(names)} are not all finite numbers")
+    return values[:, :3], values[:, 3:] if len(names) > 3 else None
 
 
-def write_paths(path: Path, paths: Paths) -> None:
-    """Write paths as CSV: millimetres to the ninth decimal; specular points that do not exist are empty cells."""
-    rows = [HEAD]
+def write_paths(path: Path, paths: Paths, doppler_hz: Floats | None = None) -> None:
+    """Write paths as CSV, nine decimals; points that do not exist are empty cells, `edge` is -1 without diffraction."""
+    rows = [HEAD if doppler_hz is None else f"{HEAD},doppler_hz"]
     numbers = np.column_stack(
         [paths.length_m, paths.azimuth_rad, paths.elevation_rad, paths.gain_db, paths.vt_position_m]
     )
@@ -74,7 +75,9 @@ def write_paths(path: Path, paths: Paths) -> None:
     for index in range(len(paths)):
         values = ",".join(f"{v:.9f}" for v in numbers[index])
         places = ",".join("" if np.isnan(v) else f"{v:.9f}" for v in points[index])
-        rows.append(f"{paths.receiver[index]},{paths.order[index]},{values},{places},{paths.transmitter[index]}")
+        row = f"{paths.receiver[index]},{paths.order[index]},{values},{places},{paths.transmitter[index]}"
+        shift = "" if doppler_hz is None else f",{doppler_hz[index]:.6f}"
+        rows.append(f"{row},{paths.edge[index]}{shift}")
     try:
         path.write_text("\n".join(rows) + "\n", "utf-8")
     except OSError as error:

@@ -73,8 +73,17 @@ class World:
         """Return the paths from every site to every one of `poses` (T, 6)."""
         from cellslam.sim.rays import trace
 
-        receivers = np.ascontiguousarray(poses[:, :3])
-        return trace(self.scene, self.sites_m, receivers, carrier_hz=self.config.radio.carrier_hz, progress=progress)
+        city = self.config.city
+        return trace(
+            self.scene,
+            self.sites_m,
+            np.ascontiguousarray(poses[:, :3]),
+            city.max_order,
+            carrier_hz=self.config.radio.carrier_hz,
+            ground_reflection=city.ground_reflection,
+            diffraction=city.diffraction,
+            progress=progress,
+        )
 
     def measure(self, pose: Floats, velocity: Floats, snapshot: int, rng: Streams) -> tuple[Detections, Paths]:
         """Return what the receiver reports at `pose` (6,), numbered `snapshot`, and the paths that exist
@@ -193,7 +202,7 @@ def virtual_transmitters(paths: Paths) -> tuple[VirtualTransmitters, Ints]:
     """Return the VTs of a drive's paths, one per (site, facets), with their visible intervals, and the VT of
     each path (P,).
     """
-    key = np.column_stack([paths.transmitter, paths.facets])
+    key = np.column_stack([paths.transmitter, paths.facets, paths.edge])
     _, first, inverse = np.unique(key, axis=0, return_index=True, return_inverse=True)
     path_vt = inverse.reshape(-1).astype(np.int64)
     vts = VirtualTransmitters(

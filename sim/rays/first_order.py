@@ -9,6 +9,8 @@ from cellslam.sim.city.model import Floats, Ints
 from cellslam.sim.rays.scene import CLEARANCE_M, Scene
 
 BLOCKS = np.array([512, 64])
+# One of so many successive candidates of a facet finds out what blocks it: mostly that blocks the others too.
+RUN = 16
 
 
 def unobstructed(scene: Scene, origins: Floats, targets: Floats, reach: Floats) -> NDArray[np.bool_]:
@@ -53,17 +55,36 @@ def single_reflections(
     work[0] = np.arange(count)
     room = 160 * len(receivers) + 1024
     while True:
-        pair, point = np.empty((room, 2), np.int64), np.empty((room, 3))
-        ray, reach = np.empty((room, 6), np.float32), np.empty(room, np.float32)
-        found = kernel.candidates(
-            scene.table, scene.first, scene.outline, scene.clearance_m, image, side, receivers, BLOCKS, work,
-            pair, point, ray, reach,
+        pair, point, reach = np.empty((room, 2), np.int64), np.empty((room, 3)), np.empty(room)
+        probe, probed = np.empty(room, np.int64), np.empty(room // RUN + count + 1, np.int64)
+        state = np.zeros((2, count), np.int64)
+        found, probes = kernel.candidates(
+            scene.table, scene.first, scene.outline, scene.clearance_m, image, side, receivers, BLOCKS, RUN, work,
+            state, pair, point, reach, probe, probed,
         )  # fmt: skip
         if found <= room:
             break
         room = found
-    kept = np.flatnonzero(_free(scene, ray[:found, :3], ray[:found, 3:], reach[:found])) if found else np.arange(0)
+    blocker = first_hits(scene, receivers[pair[probed[:probes], 0]], point[probed[:probes]], reach[probed[:probes]])
+    kept = np.empty(found, np.int64)
+    left = kernel.unblocked(found, receivers, scene.corners, blocker, pair, point, reach, probe, kept)
+    kept = kept[:left]
+    kept = kept[unobstructed(scene, receivers[pair[kept, 0]], point[kept], reach[kept])]
     facet, points = pair[kept, 1], point[kept]
     origins = np.broadcast_to(transmitter, points.shape)
     free = unobstructed(scene, origins, points, np.maximum(1.0 - scene.clearance_m[facet] / image[facet, 2], 0.0))
     return pair[kept[free], 0], facet[free], points[free]
+
+
+def first_hits(scene: Scene, origins: Floats, targets: Floats, reach: Floats) -> Ints:
+    """Return the triangle that each ray (N, 3) -> (N, 3) meets first within its `reach` (N,), -1 none."""
+    if not len(origins):
+        return np.zeros(0, np.int64)
+    directions = (targets - origins).astype(np.float32)
+    hit = scene.embree[0].run(
+        np.ascontiguousarray(origins, np.float32),
+        np.ascontiguousarray(directions),
+        dists=np.ascontiguousarray(reach, np.float32),
+        query="INTERSECT",
+    )
+    return np.asarray(hit, np.int64)

@@ -98,15 +98,32 @@ def _cull(table, image, side, members, count, receivers, start, stop, kept):  # 
 
 @njit(cache=True)
 def candidates(  # type: ignore[no-untyped-def]
-    table, first, outline, clearance, image, side, receivers, blocks, work, pair, point, ray, reach
+    table,
+    first,
+    outline,
+    clearance,
+    image,
+    side,
+    receivers,
+    blocks,
+    run,
+    work,
+    state,
+    pair,
+    point,
+    reach,
+    probe,
+    probed,
 ):
-    """Write the specular points of all receivers (N, 3); return their number, which may exceed the room.
+    """Write the specular points of all receivers (N, 3); return their number, which may exceed the room, and the
+    number of probes.
 
     `blocks`: sizes of the outer and the inner block of consecutive receivers; `work` (3, F): work space, its
-    first row 0..F-1. Written per candidate: `pair` (receiver, facet), `point` (3), `ray` (6, float32: from
-    the receiver to the point) and `reach`, the share of that ray that must be free.
+    first row 0..F-1; `state` (2, F): zeros. Written per candidate: `pair` (receiver, facet), `point` (3), and `reach`,
+    the share of the ray from the receiver to the point that must be free. Of `run` successive candidates of a facet
+    the first is a probe: `probed` lists the probes' rows, `probe` holds the probe of each candidate.
     """
-    total = 0
+    total, probes = 0, 0
     for outer in range(0, len(receivers), blocks[0]):
         outer_stop = min(outer + blocks[0], len(receivers))
         near = _cull(table, image, side, work[0], len(table), receivers, outer, outer_stop, work[1])
@@ -138,8 +155,46 @@ def candidates(  # type: ignore[no-untyped-def]
                             point[total, axis] = (
                                 u * table[f, 4 + axis] + v * table[f, 7 + axis] + table[f, 3] * table[f, axis]
                             )
-                            ray[total, axis] = receivers[r, axis]
-                            ray[total, 3 + axis] = point[total, axis] - receivers[r, axis]
                         reach[total] = max(0.0, 1.0 - clearance[f] / d)
+                        if state[0, f] % run == 0:
+                            state[1, f] = probes
+                            probed[probes] = total
+                            probes += 1
+                        state[0, f] += 1
+                        probe[total] = state[1, f]
                     total += 1
-    return total
+    return total, probes
+
+
+@njit(cache=True)
+def unblocked(total, receivers, corners, blocker, pair, point, reach, probe, kept):  # type: ignore[no-untyped-def]
+    """Write into `kept` the candidates that the triangle which blocked their probe does not block; return how many.
+
+    `corners` (K, 3, 3): triangles; `blocker`: per probe a triangle, -1 none. Blocked is what crosses the triangle's
+    inside, clear of its rim by a millionth (Moeller and Trumbore 1997).
+    """
+    found = 0
+    for i in range(total):
+        k = blocker[probe[i]]
+        if k >= 0:
+            r = pair[i, 0]
+            ox, oy, oz = receivers[r, 0], receivers[r, 1], receivers[r, 2]
+            dx, dy, dz = point[i, 0] - ox, point[i, 1] - oy, point[i, 2] - oz
+            ax, ay, az = corners[k, 0, 0], corners[k, 0, 1], corners[k, 0, 2]
+            bx, by, bz = corners[k, 1, 0] - ax, corners[k, 1, 1] - ay, corners[k, 1, 2] - az
+            cx, cy, cz = corners[k, 2, 0] - ax, corners[k, 2, 1] - ay, corners[k, 2, 2] - az
+            px, py, pz = dy * cz - dz * cy, dz * cx - dx * cz, dx * cy - dy * cx
+            det = bx * px + by * py + bz * pz
+            sx, sy, sz = ox - ax, oy - ay, oz - az
+            u = sx * px + sy * py + sz * pz
+            qx, qy, qz = sy * bz - sz * by, sz * bx - sx * bz, sx * by - sy * bx
+            v = dx * qx + dy * qy + dz * qz
+            t = cx * qx + cy * qy + cz * qz
+            if det < 0.0:
+                det, u, v, t = -det, -u, -v, -t
+            rim = 1e-6 * det
+            if u > rim and v > rim and u + v < det - rim and t > 0.0 and t < reach[i] * det:
+                continue
+        kept[found] = i
+        found += 1
+    return found

@@ -6,7 +6,9 @@ from dataclasses import dataclass, fields, replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
+
+from cellslam.sim.frames import SPEED_OF_LIGHT_MPS
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -17,19 +19,21 @@ MAX_ORDER = 2
 class Paths:
     """Paths (P,), sorted by receiver, transmitter, order, facets; world frame, isotropic antennas.
 
-    `receiver`, `transmitter` index what was traced; `order` counts reflections; `facets` (P, 2), from the
-    transmitter on, -1 none; `points_m` (P, 2, 3), the specular points, NaN none; `vt_position_m` (P, 3), the
-    image from which the path seems to come; `length_m`; arrival angles as seen from the receiver towards the
-    VT, departure angles as seen from the transmitter; `gain` (P, 2, 2) complex: row the receiver's and column
-    the transmitter's (H, V) polarisation, each H and V being the unit vectors of growing azimuth and
-    elevation of that end's own direction; free space and reflections included, propagation phase exp(-2j pi
-    length / wavelength) left out.
+    `receiver`, `transmitter` index what was traced; `order` counts reflections, a diffraction being one more;
+    `facets` (P, 2), from the transmitter on, -1 none; `edge` (P,), the diffracting edge of `Scene.edges`, -1 none;
+    `points_m` (P, 2, 3), the specular points, NaN none; `vt_position_m` (P, 3), the image from which the path seems
+    to come (of a diffracted path it moves with the receiver); `length_m`; arrival angles as seen from the receiver
+    towards the VT, departure angles as seen from the transmitter; `gain` (P, 2, 2) complex: row the receiver's and
+    column the transmitter's (H, V) polarisation, each H and V being the unit vectors of growing azimuth and elevation
+    of that end's own direction; free space and reflections included, propagation phase exp(-2j pi length / wavelength)
+    left out.
     """
 
     receiver: Ints
     transmitter: Ints
     order: Ints
     facets: Ints
+    edge: Ints
     points_m: Floats
     vt_position_m: Floats
     length_m: Floats
@@ -47,6 +51,18 @@ class Paths:
         """Power gain (P,) in dB: what both polarisations receive of a unit vertical transmission."""
         power = (np.abs(self.gain[:, :, 1]) ** 2).sum(axis=1)
         return np.asarray(10.0 * np.log10(np.maximum(power, 1e-300)), np.float64)
+
+    def doppler_hz(self, velocity_mps: ArrayLike, carrier_hz: float) -> Floats:
+        """Return the Doppler shift (P,) in Hz for receivers' world velocities (N, 3), or one (3,) for all of them.
+
+        Positive where the receiver approaches the image: f = (v . e) / wavelength with e from receiver to VT.
+        """
+        velocity = np.asarray(velocity_mps, np.float64)
+        own = velocity if velocity.ndim == 1 else velocity[self.receiver]
+        cos = np.cos(self.elevation_rad)
+        towards = [cos * np.cos(self.azimuth_rad), cos * np.sin(self.azimuth_rad), np.sin(self.elevation_rad)]
+        closing = (np.stack(towards, axis=1) * own).sum(axis=1)
+        return np.asarray(closing * carrier_hz / SPEED_OF_LIGHT_MPS, np.float64)
 
     def take(self, rows: NDArray[Any]) -> Paths:
         """Return the paths of an index or a mask over rows."""

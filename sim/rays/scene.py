@@ -3,15 +3,20 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
+from functools import cached_property
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from cellslam.sim.city.model import GROUND, City, Floats, Ints
 
+if TYPE_CHECKING:
+    from cellslam.sim.rays.edges import Edges
+
 # Shadow rays end this far from a wall's plane; float32 would hit the wall itself at less.
 CLEARANCE_M = 1e-3
+CONVEX_SHARE = 1e-6
 
 
 @dataclass(frozen=True)
@@ -32,7 +37,27 @@ class Scene:
     outline: Floats
     clearance_m: Floats
     reflects: NDArray[np.bool_]
+    corners: Floats
     embree: Any
+
+    @cached_property
+    def convex(self) -> NDArray[np.bool_]:
+        """Which facets (F,) fill their convex hull."""
+        import shapely
+
+        flat = self.outline.reshape(-1, 3, 2)
+        a, b = flat[:, 1] - flat[:, 0], flat[:, 2] - flat[:, 0]
+        facet = np.repeat(np.arange(len(self.table)), np.diff(self.first))
+        area = np.bincount(facet, np.abs(a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]) / 2.0, len(self.table))
+        hull = shapely.area(shapely.convex_hull(shapely.multipoints(flat.reshape(-1, 2), indices=np.repeat(facet, 3))))
+        return np.asarray(hull - area <= CONVEX_SHARE * hull, np.bool_)
+
+    @cached_property
+    def edges(self) -> Edges:
+        """The edges that diffract; found when first asked for."""
+        from cellslam.sim.rays.edges import find_edges
+
+        return find_edges(self.city, self.origin_m)
 
 
 def prepare(city: City) -> Scene:
@@ -63,6 +88,7 @@ def prepare(city: City) -> Scene:
         outline=np.ascontiguousarray(flat.reshape(-1, 6)),
         clearance_m=CLEARANCE_M + 2.0 * facets.planarity_m + 4.0 * np.finfo(np.float32).eps * radius,
         reflects=(facets.area_m2 > 0.0) & (facets.building != GROUND),
+        corners=np.ascontiguousarray(corners),
         embree=_embree(corners),
     )
 

@@ -6,33 +6,57 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cellslam.sim.city.model import Floats, Ints
-from cellslam.sim.rays.first_order import BLOCKS, unobstructed
+from cellslam.sim.rays.first_order import BLOCKS, first_hits, unobstructed
 from cellslam.sim.rays.scene import Scene
 
-SAMPLE_M = 0.5
+# A corner counts as hidden if what hides it stands at least this far in front of it.
+HIDDEN_M = 0.01
+PAIRS_AT_ONCE = 100_000
+RECEIVERS_AT_ONCE = 512
 
 
 def lit_facets(scene: Scene, transmitter: Floats, reflects: NDArray[np.bool_]) -> Ints:
-    """Return the facets of which the transmitter (3,), centred, sees a sample point; samples are half a metre apart.
+    """Return the facets of which the transmitter (3,), centred, may see a part: none that it sees is left out."""
+    rows = np.flatnonzero(reflects)
+    table = scene.table[rows]
+    u, v = table[:, [10, 11, 11, 10]], table[:, [12, 12, 13, 13]]
+    corners = u[:, :, None] * table[:, None, 4:7] + v[:, :, None] * table[:, None, 7:10]
+    corners += (table[:, 3:4] * table[:, :3])[:, None]
+    return np.asarray(rows[~_hidden(scene, np.broadcast_to(transmitter, corners.shape), corners)], np.int64)
 
-    This is the one step that is not exact: a facet that is seen only through a slit narrower than that is missed.
+
+def _hidden(scene: Scene, origins: Floats, targets: Floats) -> NDArray[np.bool_]:
+    """Tell which windows (N, 4, 3) stand wholly behind one convex facet, as seen from a point.
+
+    The rays `origins` -> `targets` lie on lines through that point. If all four end on one convex facet before they
+    reach the window, so do all between them: no window of which a part is seen is said to be hidden.
     """
+    away = (targets - origins).reshape(-1, 3)
+    share = 1.0 - HIDDEN_M / np.maximum(np.linalg.norm(away, axis=1), HIDDEN_M)
+    triangle = first_hits(scene, origins.reshape(-1, 3), targets.reshape(-1, 3), share)
+    by = np.where(triangle >= 0, scene.city.triangle_facet[triangle], -1).reshape(-1, 4)
+    return np.asarray((by[:, 0] >= 0) & (by == by[:, :1]).all(axis=1) & scene.convex[by[:, 0]], np.bool_)
+
+
+def _open_pairs(
+    scene: Scene, transmitter: Floats, image: Floats, side: Floats, mirrored: Floats, pairs: Ints
+) -> NDArray[np.bool_]:
+    """Tell the pairs (P, 2) of which neither the first leg nor the one between the facets is wholly blocked."""
     from cellslam.sim.rays import second_kernel
 
-    room = 1 << 20
-    while True:
-        owner, points = np.empty(room, np.int64), np.empty((room, 3))
-        found = second_kernel.sample_points(scene.table, scene.first, scene.outline, reflects, SAMPLE_M, owner, points)
-        if found <= room:
-            break
-        room = found
-    owner, points = owner[:found], points[:found]
-    seen = np.zeros(len(scene.table), np.bool_)
-    for rows in np.array_split(np.arange(found), found // 1_000_000 + 1):
-        source = np.broadcast_to(transmitter, (len(rows), 3))
-        reach = 1.0 - _share(scene, owner[rows], source)
-        seen[owner[rows][unobstructed(scene, source, points[rows], reach)]] = True
-    return np.flatnonzero(seen)
+    kept = np.ones(len(pairs), np.bool_)
+    for begin in range(0, len(pairs), PAIRS_AT_ONCE):
+        rows = np.arange(begin, min(begin + PAIRS_AT_ONCE, len(pairs)))
+        part, start, end = np.empty((3, len(rows), 4, 3))
+        second_kernel.windows(scene.table, image, side, mirrored, pairs[rows], part, start, end)
+        kept[rows] = ~_hidden(scene, np.broadcast_to(transmitter, part.shape), part)
+        left = rows[kept[rows] & ~np.isnan(start[:, 0, 0])]
+        start, end = start[left - begin], end[left - begin]
+        away = end - start
+        # The leg starts on the first facet: a centimetre further on, so as not to meet that.
+        length = np.maximum(np.linalg.norm(away, axis=2, keepdims=True), HIDDEN_M)
+        kept[left] = ~_hidden(scene, start + away * np.minimum(HIDDEN_M / length, 1.0), end)
+    return kept
 
 
 def double_reflections(
@@ -58,21 +82,27 @@ def double_reflections(
         if found <= room:
             break
         room = found
-    pairs, second = pairs[:found], second[:found]
-    work = np.empty((3, found), np.int64)
-    work[0] = np.arange(found)
-    room = 64 * len(receivers) + 1024
-    while True:
-        hit, points = np.empty((room, 2), np.int64), np.empty((room, 2, 3))
-        total = second_kernel.second_candidates(
-            scene.table, scene.first, scene.outline, image, side, pairs, second, receivers, BLOCKS, work, hit, points
-        )
-        if total <= room:
-            break
-        room = total
-    facets, points = pairs[hit[:total, 1]], points[:total]
-    free = _free_paths(scene, transmitter, receivers[hit[:total, 0]], facets, points)
-    return hit[:total, 0][free], facets[free], points[free]
+    kept = _open_pairs(scene, transmitter, image, side, mirrored, pairs[:found])
+    pairs, second = pairs[:found][kept], second[:found][kept]
+    work = np.empty((3, len(pairs)), np.int64)
+    work[0] = np.arange(len(pairs))
+    room = 64 * RECEIVERS_AT_ONCE
+    pieces = [(np.empty(0, np.int64), np.empty((0, 2), np.int64), np.empty((0, 2, 3)))]
+    for begin in range(0, len(receivers), RECEIVERS_AT_ONCE):
+        some = receivers[begin : begin + RECEIVERS_AT_ONCE]
+        while True:
+            hit, points = np.empty((room, 2), np.int64), np.empty((room, 2, 3))
+            total = second_kernel.second_candidates(
+                scene.table, scene.first, scene.outline, image, side, pairs, second, some, BLOCKS, work, hit, points
+            )
+            if total <= room:
+                break
+            room = 2 * total
+        facets, points = pairs[hit[:total, 1]], points[:total]
+        free = _free_paths(scene, transmitter, some[hit[:total, 0]], facets, points)
+        pieces.append((hit[:total, 0][free] + begin, facets[free], points[free]))
+    row, both, where = (np.concatenate(column) for column in zip(*pieces, strict=True))
+    return row, both, where
 
 
 def _free_paths(scene: Scene, transmitter: Floats, receiver: Floats, facets: Ints, points: Floats) -> Ints:

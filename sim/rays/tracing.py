@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from cellslam.sim.city.model import City, Floats, Ints
 from cellslam.sim.errors import InputError
-from cellslam.sim.frames import azimuth_elevation
+from cellslam.sim.frames import SPEED_OF_LIGHT_MPS, azimuth_elevation
 from cellslam.sim.progress import Progress, silent
 from cellslam.sim.rays.first_order import lines_of_sight, single_reflections
-from cellslam.sim.rays.gain import path_gain
+from cellslam.sim.rays.gain import Complexes, path_gain
 from cellslam.sim.rays.paths import MAX_ORDER, Paths, concatenate
 from cellslam.sim.rays.scene import Scene, prepare
 from cellslam.sim.rays.second_order import double_reflections, lit_facets
@@ -27,10 +29,11 @@ def trace(
     *,
     carrier_hz: float = 2.66e9,
     ground_reflection: bool = False,
+    diffraction: bool = False,
     progress: Progress = silent,
 ) -> Paths:
     """Return all specular paths up to `max_order` reflections from transmitters (S, 3) to receivers (N, 3),
-    in metres.
+    in metres; with `diffraction` also those over one edge of a building.
 
     Receivers in the order of a drive are fastest. Raises InputError for positions that are not finite or not
     (n, 3), and for an order or a carrier that cannot be used.
@@ -49,11 +52,13 @@ def trace(
             lit = lit_facets(scene, t[site], reflects) if max_order >= 2 else None
             for start in range(0, len(r), CHUNK):
                 part = r[start : start + CHUNK]
-                row, facets, points = _search(scene, t[site], part, max_order, reflects, lit)
-                pieces.append(_describe(scene, t[site], site, part, start, row, facets, points, carrier_hz))
+                found = _search(scene, t[site], part, max_order, reflects, lit)
+                if diffraction:
+                    found = found.joined(_over_edges(scene, t[site], part, carrier_hz))
+                pieces.append(_describe(scene, t[site], site, part, start, found, carrier_hz))
                 advance(len(part))
     paths = concatenate(pieces) if pieces else _empty(scene, carrier_hz)
-    keys = (paths.facets[:, 1], paths.facets[:, 0], paths.order, paths.transmitter, paths.receiver)
+    keys = (paths.edge, paths.facets[:, 1], paths.facets[:, 0], paths.order, paths.transmitter, paths.receiver)
     return paths.take(np.lexsort(keys))
 
 
@@ -67,6 +72,37 @@ def _positions(name: str, positions: ArrayLike) -> Floats:
     return array
 
 
+@dataclass(frozen=True)
+class _Found:
+    """Free paths (P,): receiver's row, facets (P, 2), edge, points (P, 2, 3) in centred coordinates."""
+
+    row: Ints
+    facets: Ints
+    edge: Ints
+    points: Floats
+
+    def joined(self, other: _Found) -> _Found:
+        return _Found(
+            np.concatenate([self.row, other.row]),
+            np.concatenate([self.facets, other.facets]),
+            np.concatenate([self.edge, other.edge]),
+            np.concatenate([self.points, other.points]),
+        )
+
+    def take(self, rows: Ints) -> _Found:
+        return _Found(self.row[rows], self.facets[rows], self.edge[rows], self.points[rows])
+
+
+def _found(row: Ints, facets: list[Ints], points: list[Floats], edge: Ints | None = None) -> _Found:
+    """Return paths with the facets and points of up to two interactions, the rest filled up."""
+    both, where = np.full((len(row), 2), -1, np.int64), np.full((len(row), 2, 3), np.nan)
+    for column, facet in enumerate(facets):
+        both[:, column] = facet
+    for column, point in enumerate(points):
+        where[:, column] = point
+    return _Found(row, both, np.full(len(row), -1, np.int64) if edge is None else edge, where)
+
+
 def _search(
     scene: Scene,
     transmitter: Floats,
@@ -74,58 +110,79 @@ def _search(
     max_order: int,
     reflects: NDArray[np.bool_],
     lit: Ints | None,
-) -> tuple[Ints, Ints, Floats]:
-    """Return (receiver (P,), facets (P, 2), points (P, 2, 3)) of the free paths of one transmitter, centred."""
-    direct = lines_of_sight(scene, transmitter, receivers)
-    rows, facets = [direct], [np.full((len(direct), 2), -1, np.int64)]
-    points = [np.full((len(direct), 2, 3), np.nan)]
+) -> _Found:
+    """Return the free paths of one transmitter, centred coordinates."""
+    found = _found(lines_of_sight(scene, transmitter, receivers), [], [])
     if max_order >= 1:
         row, facet, point = single_reflections(scene, transmitter, receivers, reflects)
-        rows.append(row)
-        facets.append(np.column_stack([facet, np.full(len(facet), -1)]))
-        points.append(np.stack([point, np.full_like(point, np.nan)], axis=1))
+        found = found.joined(_found(row, [facet], [point]))
     if lit is not None:
-        row, both, point = double_reflections(scene, transmitter, receivers, reflects, lit)
-        rows.append(row)
-        facets.append(both)
-        points.append(point)
-    return np.concatenate(rows), np.concatenate(facets), np.concatenate(points)
+        row, both, points = double_reflections(scene, transmitter, receivers, reflects, lit)
+        found = found.joined(_found(row, [both[:, 0], both[:, 1]], [points[:, 0], points[:, 1]]))
+    return found
+
+
+def _over_edges(scene: Scene, transmitter: Floats, receivers: Floats, carrier_hz: float) -> _Found:
+    from cellslam.sim.rays.diffraction import diffracted_paths
+
+    wavelength = SPEED_OF_LIGHT_MPS / carrier_hz
+    row, edge, point = diffracted_paths(scene, scene.edges, transmitter, receivers, wavelength)
+    return _found(row, [], [point], edge)
 
 
 def _describe(
-    scene: Scene, transmitter: Floats, site: int, receivers: Floats, first_receiver: int,
-    row: Ints, facets: Ints, points: Floats, carrier_hz: float,
+    scene: Scene, transmitter: Floats, site: int, receivers: Floats, first_receiver: int, found: _Found,
+    carrier_hz: float,
 ) -> Paths:  # fmt: skip
-    """Turn receiver, facets and points, in centred coordinates, into paths: images, angles, gains; copies
-    removed.
-    """
-    order = (facets >= 0).sum(axis=1)
-    vt = images_of(scene, transmitter, facets)
-    keep = _first_of_copies(row, order, vt, facets)
-    row, facets, points, order, vt = row[keep], facets[keep], points[keep], order[keep], vt[keep]
-    receiver = receivers[row]
-    corners = np.empty((len(row), 4, 3))
-    corners[:, 0], corners[:, 1:3] = transmitter, points
+    """Turn receiver, facets, edge and points into paths: images, angles, gains; copies removed."""
+    bent = found.edge >= 0
+    vt = images_of(scene, transmitter, found.facets)
+    start, end = found.points[bent, 0], receivers[found.row[bent]]
+    last = np.linalg.norm(start - end, axis=1, keepdims=True)
+    vt[bent] = end + (start - end) * (1.0 + np.linalg.norm(start - transmitter, axis=1, keepdims=True) / last)
+    order = (found.facets >= 0).sum(axis=1) + bent
+    keep = _first_of_copies(found.row, order, vt, found.facets)
+    found, order, vt = found.take(keep), order[keep], vt[keep]
+    receiver = receivers[found.row]
+    corners = np.empty((len(order), 4, 3))
+    corners[:, 0], corners[:, 1:3] = transmitter, found.points
     corners[:, 3] = receiver
-    corners[np.arange(len(row)), order + 1] = receiver
+    corners[np.arange(len(order)), order + 1] = receiver
     azimuth, elevation = azimuth_elevation(vt - receiver)
     departure_azimuth, departure_elevation = azimuth_elevation(corners[:, 1] - transmitter)
-    table = scene.city.facets
-    gain = path_gain(corners, order, facets, table.normal, table.material, scene.city.materials, carrier_hz)
     return Paths(
-        receiver=row + first_receiver,
-        transmitter=np.full(len(row), site, np.int64),
+        receiver=found.row + first_receiver,
+        transmitter=np.full(len(order), site, np.int64),
         order=order,
-        facets=facets,
-        points_m=points + scene.origin_m,
+        facets=found.facets,
+        edge=found.edge,
+        points_m=found.points + scene.origin_m,
         vt_position_m=vt + scene.origin_m,
         length_m=np.linalg.norm(vt - receiver, axis=1),
         azimuth_rad=azimuth,
         elevation_rad=elevation,
         departure_azimuth_rad=departure_azimuth,
         departure_elevation_rad=departure_elevation,
-        gain=gain,
+        gain=_gain(scene, corners, order, found, carrier_hz),
     )
+
+
+def _gain(scene: Scene, corners: Floats, order: Ints, found: _Found, carrier_hz: float) -> Complexes:
+    """Return the gain matrices (P, 2, 2) of paths with the corners (P, 4, 3)."""
+    table = scene.city.facets
+    gain = np.empty((len(order), 2, 2), np.complex128)
+    bent = found.edge >= 0
+    plain = ~bent
+    gain[plain] = path_gain(
+        corners[plain], order[plain], found.facets[plain], table.normal, table.material, scene.city.materials,
+        carrier_hz,
+    )  # fmt: skip
+    if bent.any():
+        from cellslam.sim.rays.diffraction import diffraction_gain
+
+        t, point, r = corners[bent, :3].transpose(1, 0, 2)
+        gain[bent] = diffraction_gain(scene.edges, found.edge[bent], t, point, r, SPEED_OF_LIGHT_MPS / carrier_hz)
+    return gain
 
 
 def images_of(scene: Scene, transmitter: Floats, facets: Ints) -> Floats:
@@ -160,5 +217,5 @@ def _first_of_copies(row: Ints, order: Ints, vt: Floats, facets: Ints) -> Ints:
 
 
 def _empty(scene: Scene, carrier_hz: float) -> Paths:
-    nothing, none = np.empty((0, 3)), np.empty((0, 2), np.int64)
-    return _describe(scene, np.zeros(3), 0, nothing, 0, none[:, 0], none, np.empty((0, 2, 3)), carrier_hz)
+    nothing = _found(np.empty(0, np.int64), [], [])
+    return _describe(scene, np.zeros(3), 0, np.empty((0, 3)), 0, nothing, carrier_hz)
