@@ -87,7 +87,7 @@ def generate(arguments: Namespace) -> int:
     sys.stdout.write("\n".join(summarise(city).lines()) + "\n")
     pictures = [] if arguments.no_figures else _pictures(city, out, plain=True, html=False)
     written = [out / "city.xml", stub, *pictures]
-    _note(arguments, f"wrote {', '.join(map(str, written))}; drive in it: cellslam run {out / 'scenario.toml'}")
+    _note(arguments, f"wrote {', '.join(map(str, written))}; drive in it: cellslam run {stub}")
     return DONE
 
 

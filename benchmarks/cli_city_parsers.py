@@ -37,7 +37,7 @@ def _add_trace(parser: argparse.ArgumentParser) -> None:
         "--bs", metavar="X,Y,Z", action="append", required=True,
         help="transmitter in metres; may be repeated; write --bs=-1,2,3 where X is negative",
     )  # fmt: skip
-    parser.add_argument("--rx", metavar="RX.csv", required=True, help="receivers: columns x,y,z (and vx,vy,vz, for Doppler)")
+    parser.add_argument("--rx", metavar="RX.csv", required=True, help="receivers: columns x,y,z (vx,vy,vz: Doppler)")
     parser.add_argument("--out", metavar="PATHS.csv", required=True, help="the table to write")
     parser.add_argument("--max-order", metavar="N", type=_whole, default=1, help="reflections: 0, 1 or 2 (default: 1)")
     parser.add_argument("--carrier", metavar="HZ", type=float, default=2.66e9, help="carrier in Hz (default: 2.66e9)")

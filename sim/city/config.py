@@ -48,6 +48,13 @@ class ProceduralCityConfig(_Config):
     height_max_m: float = Field(35.0, ge=3.0, le=300.0, description="height of the highest ordinary buildings")
     tower_share: float = Field(0.02, ge=0.0, le=0.5, description="share of buildings that are towers")
     tower_height_m: float = Field(50.0, ge=3.0, le=400.0, description="mean height of towers, which vary by 15 percent")
+    bay_share: float = Field(0.0, ge=0.0, le=1.0, description="share of buildings whose long walls have bays")
+    shop_share: float = Field(
+        0.0, ge=0.0, le=1.0, description="share of buildings whose ground floor is glass: shop fronts"
+    )
+    pole_spacing_m: float = Field(
+        0.0, ge=0.0, le=200.0, description="distance of the lamp posts along both kerbs; 0: none"
+    )
     material_weights: dict[str, float] = Field(
         default={"concrete": 0.45, "brick": 0.35, "glass": 0.15, "metal": 0.05},
         description="materials of the walls by ITU-R P.2040 name, with their relative frequency",

@@ -9,6 +9,7 @@ from shapely import LineString, Polygon
 from cellslam.sim.city.assemble import Part, assemble
 from cellslam.sim.city.blocks import blocks_between, closed_block, open_block
 from cellslam.sim.city.config import ProceduralCityConfig
+from cellslam.sim.city.details import POLE_HEIGHT_M, SHOP_HEIGHT_M, pole_plans, with_bays
 from cellslam.sim.city.extrude import cap, walls
 from cellslam.sim.city.materials import THICKNESS_M, itu_material
 from cellslam.sim.city.model import GROUND, City, Floats
@@ -34,14 +35,28 @@ def generate(config: ProceduralCityConfig, rng: np.random.Generator) -> City:
     names = sorted(config.material_weights)
     weights = np.array([config.material_weights[name] for name in names])
     choice = rng.choice(len(names), size=len(footprints), p=weights / weights.sum())
-    materials = [
-        itu_material(n, THICKNESS_M.get(n), config.roughness_m) for n in [*names, "concrete", "medium_dry_ground"]
-    ]
-    parts = [_ground(config, material=len(names) + 1)]
+    used = [*names, "concrete", "medium_dry_ground", "glass", "metal"]
+    materials = [itu_material(n, THICKNESS_M.get(n), config.roughness_m) for n in used]
+    roof, ground, glass, metal = range(len(names), len(used))
+    # Details have a stream of their own: a city without them is the same, whatever they need.
+    details = rng.spawn(1)[0]
+    if config.bay_share > 0.0:
+        footprints = with_bays(footprints, config, details)
+    shops = details.random(len(footprints)) < config.shop_share
+    poles = pole_plans(streets, widths, footprints, config) if config.pole_spacing_m > 0.0 else []
+    parts = [_ground(config, material=ground)]
     for building, (plan, height) in enumerate(zip(footprints, heights, strict=True)):
-        parts.append(Part(*walls(plan, 0.0, height), material=int(choice[building]), building=building))
-        parts.append(Part(*cap(plan, height), material=len(names), building=building))
-    return assemble("procedural", parts, materials, footprints, heights, streets)
+        shop_m = SHOP_HEIGHT_M if shops[building] and height > 1.5 * SHOP_HEIGHT_M else 0.0
+        if shop_m > 0.0:
+            parts.append(Part(*walls(plan, 0.0, shop_m), material=glass, building=building))
+        parts.append(Part(*walls(plan, shop_m, height), material=int(choice[building]), building=building))
+        parts.append(Part(*cap(plan, height), material=roof, building=building))
+    for building, plan in enumerate(poles, len(footprints)):
+        parts.append(Part(*walls(plan, 0.0, POLE_HEIGHT_M), material=metal, building=building))
+        parts.append(Part(*cap(plan, POLE_HEIGHT_M), material=metal, building=building))
+    heights = np.concatenate([heights, np.full(len(poles), POLE_HEIGHT_M)])
+    known = materials if poles or shops.any() else materials[:glass]
+    return assemble("procedural", parts, known, [*footprints, *poles], heights, streets)
 
 
 def _fill(block: Polygon, config: ProceduralCityConfig, rng: np.random.Generator) -> list[Polygon]:

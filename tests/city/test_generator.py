@@ -104,3 +104,21 @@ def test_unknown_material_and_empty_city():
             extent_m=100, block_size_m=50, open_share=1.0, street_width_m=30, open_coverage=0.02
         )
         build_city(config, np.random.default_rng(0))
+
+
+def test_details_are_added_to_the_same_city():
+    plain = ProceduralCityConfig(extent_m=300.0, block_size_m=100.0)
+    rich = plain.model_copy(update={"bay_share": 1.0, "shop_share": 0.5, "pole_spacing_m": 40.0})
+    a, b = (build_city(c, np.random.default_rng(4)) for c in (plain, rich))
+    houses = len(a.footprints)
+    np.testing.assert_array_equal(b.heights_m[:houses], a.heights_m)
+    grown = np.array([with_.area - without.area for with_, without in zip(b.footprints, a.footprints, strict=False)])
+    assert (grown >= -0.01).all()
+    assert np.mean(grown > 1.0) > 0.5
+    overlap = [p.intersection(q).area for i, p in enumerate(b.footprints[:houses]) for q in b.footprints[:i]]
+    assert max(overlap) < 0.01
+    poles = b.footprints[houses:]
+    assert len(poles) > 20
+    assert all(pole.area < 0.1 for pole in poles)
+    assert (b.buildings_at([p.centroid.coords[0] for p in poles]) >= houses).all()
+    assert {"glass", "metal"} <= {b.materials[m].name for m in np.unique(b.facets.material)}
