@@ -72,7 +72,7 @@ class LocalizationEnv(gym.Env[Observation, Floats]):
 
     Reward: minus the horizontal position error in metres. Truth is in `info` alone. `reset(seed=...)` chooses the
     drive; `reset(options={...})`: "scenario" (preset or .toml path), "set" (overrides by dotted key), "seed" and
-    "trial" (the drive of `cellslam run --seed`). `drives`: number of different drives to choose from, None for no limit.
+    "trial" (the drive of `cellslam run --seed`). `drives`: number of different drives to choose from (None: any).
     """
 
     metadata = {"render_modes": ["rgb_array"], "render_fps": 13}  # noqa: RUF012
@@ -146,12 +146,18 @@ class LocalizationEnv(gym.Env[Observation, Floats]):
         """Return an image (h, w, 3) of city, paths, truth, belief and its ellipse."""
         if self.render_mode is None:
             return None
-        from cellslam.benchmarks.env_picture import picture
+        from cellslam.benchmarks.env_picture import Scene, picture
         from cellslam.sim.world import prepare
 
-        recording, now = self._recording, max(len(self._errors) - 1, 0)
-        city = prepare(self._scenario.world, self._drive[0], self._drive[1]).scene.city
-        return picture(recording, now, self.belief, self.belief_covariance, city)
+        recording, now, world = self._recording, max(len(self._errors) - 1, 0), self._scenario.world
+        truth = recording.truth
+        if truth is None:
+            raise InputError("the drive has no truth to draw")
+        city = prepare(world, *self._drive).scene.city
+        seen = truth.measurement_vt[slice(*recording.rows[now : now + 2])]
+        vts_m = truth.vts.position_m[np.unique(seen[seen >= 0])]
+        scene = Scene(city, truth.poses[: now + 1], vts_m, truth.site_positions_m)
+        return picture(scene, self.belief, self.belief_covariance)
 
     def _begin(self, recording: Recording) -> None:
         if recording.truth is None:

@@ -23,14 +23,14 @@ from cellslam.sim.randomness import Stream, stream
 from cellslam.slam.api import snapshots_of
 from cellslam.slam.conformance_subject import tiny_drive
 
-NAME = cellslam.benchmarks.env.LOCALIZATION
+NAME, ACTIVE = cellslam.benchmarks.env.LOCALIZATION, cellslam.benchmarks.env.ACTIVE_SLAM
 
 
 def made(**words: Any) -> Any:
     return gym.make(NAME, **words).unwrapped
 
 
-@pytest.mark.parametrize("name", [NAME, f"cellslam.benchmarks.env:{NAME}"])
+@pytest.mark.parametrize("name", [NAME, f"cellslam.benchmarks.env:{NAME}", ACTIVE, f"cellslam.benchmarks.env:{ACTIVE}"])
 def test_passes_the_checker_without_warnings(name: str) -> None:
     with warnings.catch_warnings():
         warnings.simplefilter("error")
@@ -119,27 +119,70 @@ def test_fast_enough_in_lund() -> None:
 
 
 @pytest.mark.parametrize("mode", ["sync", "async"])
-def test_vectorises(mode: Any) -> None:
-    vector = gym.make_vec(NAME, num_envs=2, vectorization_mode=mode, drives=2)
+@pytest.mark.parametrize(("name", "key", "shape"), [(NAME, "paths", (2, 128, 7)), (ACTIVE, "route", (2, 10, 2))])
+def test_vectorises(mode: Any, name: str, key: str, shape: tuple[int, ...]) -> None:
+    spawn = {"context": "spawn"} if mode == "async" else {}
+    vector = gym.make_vec(name, num_envs=2, vectorization_mode=mode, vector_kwargs=spawn, drives=2)
     try:
         seen, _ = vector.reset(seed=[1, 2])
-        assert seen["paths"].shape == (2, 128, 7)
-        seen, rewards, *_ = vector.step(np.zeros((2, 6)))
+        assert seen[key].shape == shape
+        _, rewards, *_ = vector.step(np.zeros(vector.action_space.shape))
         assert rewards.shape == (2,)
     finally:
         vector.close()
 
 
-def test_picture_shows_city_and_belief() -> None:
-    env = made(drives=1, render_mode="rgb_array")
-    env.reset(seed=0)
-    bare = env.render()
-    env.step(np.zeros(6))
-    env.belief_covariance = np.eye(6) * 25.0
-    assert bare.shape == (480, 480, 3)
-    assert bare.dtype == np.uint8
-    assert (env.render() != bare).any()
-    assert len(np.unique(bare.reshape(-1, 3), axis=0)) > 20
+def pursuit(seen: Any) -> Any:
+    """Steer towards the route 8 m ahead, at half the top speed."""
+    x, y = seen["route"][1]
+    return np.array([np.clip(np.arctan2(2.0 * 2.9 * y, x * x + y * y) / 0.6, -1, 1), 0.0])
+
+
+def test_a_planner_arrives() -> None:
+    env = gym.make(ACTIVE, drives=1, render_mode="rgb_array").unwrapped
+    total, lengths = [], []
+    for _ in range(2):
+        seen, _ = env.reset(seed=5)
+        rewards, ended, cut = [], False, False
+        while not (ended or cut):
+            seen, reward, ended, cut, info = env.step(pursuit(seen))
+            rewards.append(reward)
+        assert info["ended"] == "goal"
+        assert info["position_error_m"] < 3.0
+        total.append(sum(rewards))
+        lengths.append(len(rewards))
+    assert total[0] == total[1]
+    assert lengths[0] == lengths[1]
+    assert 20.0 < total[0] < 60.0
+    assert len(np.unique(env.render().reshape(-1, 3), axis=0)) > 20
+
+
+@pytest.mark.parametrize(
+    ("action", "words", "reason"),
+    [([1.0, 1.0], {"lost_m": 6.0, "top_speed_mps": 6.0}, "off the route"), ([0.0, -1.0], {"time_limit_s": 3.0}, "")],
+)
+def test_who_goes_astray_or_stands_is_stopped(action: list[float], words: dict[str, Any], reason: str) -> None:
+    env: Any = gym.make(ACTIVE, estimator="dead-reckoning", drives=1, **words).unwrapped
+    env.reset(seed=5)
+    ended, cut, steps = False, False, 0
+    while not (ended or cut):
+        _, reward, ended, cut, info = env.step(np.array(action))
+        steps += 1
+        assert steps < 200
+    assert info["ended"] == reason
+    assert ended == bool(reason)
+    assert (reward < -15) == bool(reason)
+
+
+def test_collisions_end_the_drive() -> None:
+    env: Any = gym.make(ACTIVE, estimator="dead-reckoning", drives=1).unwrapped
+    env.reset(seed=5)
+    wall = np.array(env._world.scene.city.footprints[0].exterior.coords[0])
+    env._car.pose[:2] = wall + 0.5
+    _, reward, ended, _, info = env.step(np.array([0.0, -1.0]))
+    assert ended
+    assert info["ended"] == "collision"
+    assert reward < 0.0
 
 
 @pytest.mark.parametrize(
