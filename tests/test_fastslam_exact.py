@@ -3,7 +3,7 @@
 import numpy as np
 
 from cellslam.slam.fastslam import nuisance_kernel, predict_kernel
-from cellslam.slam.fastslam.block_kernel import _credit, _settle
+from cellslam.slam.fastslam.block_kernel import _credit
 from cellslam.slam.fastslam.layout import (
     BIAS0,
     CA,
@@ -29,7 +29,6 @@ from cellslam.slam.fastslam.layout import (
     W_E,
     W_MASK,
     W_OUT,
-    W_PRODUCT,
     W_REC,
     W_SCALE,
     W_WEIGHT,
@@ -56,7 +55,7 @@ def test_marginalised_offset_bias_and_scale_agree_with_a_joint_filter():
     size = 3  # one site: offset, bias, scale
     w = np.zeros(scratch_rows(size) * LANES)
     theta, p = np.array([3.0, 0.01, -0.02]), np.diag([25.0, 1e-3, 4e-3])
-    records, joint_mean, joint = [], [theta], [p]
+    records, joint_mean = [], [theta]
     blocks = []
     for _ in range(2):
         root = rng.normal(size=(3, 3)) * [[0.5], [0.02], [0.02]]
@@ -82,7 +81,6 @@ def test_marginalised_offset_bias_and_scale_agree_with_a_joint_filter():
     q = np.array([0.3, 4e-4, 4e-4])
     for _ in range(40):
         nuisance_kernel.forget(w, size)
-        w.reshape(-1, LANES)[W_PRODUCT] = 1.0
         rows_all, residuals = [], []
         row(w, W_B, theta)
         for i, record in enumerate(records):
@@ -110,7 +108,8 @@ def test_marginalised_offset_bias_and_scale_agree_with_a_joint_filter():
             row(w, W_MASK, 1.0)
             numbers = np.array([0, 1, 0, 1, 0, *q, 1, 1, 1, 0.0])
             predict_kernel.invert(w, numbers, 0.0)
-            _credit(w, 0.0)
+            predict_kernel.logarithm(w, w.view(np.int64))
+            _credit(w, 0.0, 1.0)
             nuisance_kernel.absorb(w)
             predict_kernel.correct(w)
             record[:] = w.reshape(-1, LANES)[W_REC : W_REC + 27].ravel()
@@ -119,7 +118,6 @@ def test_marginalised_offset_bias_and_scale_agree_with_a_joint_filter():
         cov_at = change_at - size * size
         row(w, cov_at, p.ravel())
         nuisance_kernel.condition(w, cov_at * LANES, change_at * LANES, size)
-        _settle(w)
         theta = theta + read(w, change_at, size)
         p = read(w, cov_at, size * size).reshape(size, size)
         big, e = np.vstack(rows_all), np.concatenate(residuals)

@@ -104,14 +104,14 @@ def scene(seed: int) -> tuple[Lanes, dict[str, np.ndarray]]:
 
 
 def measured(parts, ds, dtheta, lane):
-    """Return h + offset of one lane for a VT displaced by ds and nuisances changed by dtheta: what the kernel linearises."""
+    """Return h + offset of one lane for a VT displaced by ds and nuisances changed by dtheta."""
     p = parts
     g = p["pose_g"][lane].reshape(3, 2)
     pose = p["pose"][lane].copy()
     pose[[0, 1, 3]] += g @ dtheta[1:]
     s = np.array([p["range"][lane], p["az"][lane], p["el"][lane]]) + ds + p["gain"][lane] @ dtheta
     vt = p["anchor"][lane] + s[0] * unit_vector(s[1], s[2])
-    return h(pose, vt) + [p["theta"][lane, 0] + dtheta[0], 0, 0]
+    return h(pose, vt) + np.array([p["theta"][lane, 0] + dtheta[0], 0, 0])
 
 
 def test_prediction_has_the_derivatives_of_the_model():
@@ -142,7 +142,7 @@ def test_innovation_is_the_wrapped_difference_at_any_azimuth():
     for shift in (0.0, 0.4, -0.9):
         lane = 5
         z = measured(parts, np.zeros(3), np.zeros(3), lane)
-        z = z + [1.5, shift, 0.1]
+        z = z + np.array([1.5, shift, 0.1])
         predict_kernel.innovate(lanes.w, measurement(*z))
         assert np.allclose(lanes.get(W_E, 3)[lane], [1.5, shift, 0.1], atol=1e-9)
 

@@ -23,13 +23,12 @@ from cellslam.slam.fastslam.layout import (
     W_B,
     W_BIAS,
     W_D2,
-    W_DET,
     W_DROT,
+    W_LOG,
     W_MASK,
     W_OUT,
     W_P,
     W_POSE,
-    W_PRODUCT,
     W_REACH,
     W_REC,
     W_ROT,
@@ -53,7 +52,6 @@ from cellslam.slam.fastslam.predict_kernel import (
 B = LANES
 DEAD = -1  # status of a lane that does not believe in a track; else 4 * snapshot last seen + class
 ONCE, UNCONFIRMED, CONFIRMED = 1, 2, 3
-NONE = -1e299
 
 
 @njit(cache=True, error_model="numpy")
@@ -98,7 +96,7 @@ def _prepare(w, state):
         w[(W_ROT + 6) * B + l], w[(W_ROT + 7) * B + l], w[(W_ROT + 8) * B + l] = -st, ct * sr, ct * cr
         w[W_DROT * B + l], w[(W_DROT + 1) * B + l], w[(W_DROT + 2) * B + l] = -r3, -r4, -r5
         w[(W_DROT + 3) * B + l], w[(W_DROT + 4) * B + l], w[(W_DROT + 5) * B + l] = r0, r1, r2
-        w[W_WEIGHT * B + l], w[W_PRODUCT * B + l] = 0.0, 1.0
+        w[W_WEIGHT * B + l] = 0.0
 
 
 @njit(cache=True, error_model="numpy")
@@ -119,7 +117,7 @@ def _load_site(w, state, site, size):
 
 
 @njit(cache=True, error_model="numpy")
-def _age(w, now, status, order, count, tables, cfg):
+def _age(w, now, status, order, count, tables, cfg, share):
     """Charge each lane for each VT as missed, drop what was never confirmed and is unlikely to be there; return the
     number of tracks."""
     horizon = tables.shape[2] - 1
@@ -129,7 +127,7 @@ def _age(w, now, status, order, count, tables, cfg):
         row = status[order[i]]
         alive = False
         if _uniform(row) and (row[0] & 3) == CONFIRMED and row[0] >= 0:
-            common += tables[1, 1, min(now - (row[0] >> 2), horizon)]
+            common += share * tables[1, 1, min(now - (row[0] >> 2), horizon)]
             i += 1
             continue
         for l in range(B):
@@ -139,7 +137,7 @@ def _age(w, now, status, order, count, tables, cfg):
                 if (kind == ONCE and age > cfg[5]) or (kind == UNCONFIRMED and age > cfg[6]):
                     row[l] = DEAD
                 else:
-                    w[W_WEIGHT * B + l] += tables[0 if kind == ONCE else 1, 1, age]
+                    w[W_WEIGHT * B + l] += share * tables[0 if kind == ONCE else 1, 1, age]
                     alive = True
         if alive:
             i += 1
@@ -179,14 +177,13 @@ def _entitle(w, now, row, tables, cfg):
 
 
 @njit(cache=True, error_model="numpy")
-def _note(w, scores, gated):
+def _note(w, scores):
     """Keep a pair's scores, mark the lanes in whose gate it is; return whether any lane would gain by associating
     it."""
     best = -math.inf
     for l in range(B):
         value = w[W_SCORE * B + l]
         scores[l] = value
-        gated[l] = 1.0 if value > NONE else gated[l]
         best = max(best, value)
     return best > 0.0
 
@@ -210,7 +207,6 @@ def _candidates(
     near,
     rows,
     scores,
-    gated,
     claims,
 ):
     """Predict the tracks that could have given one of z[first:last] and score all pairs; return how many such tracks
@@ -221,9 +217,6 @@ def _candidates(
     without reading its record.
     """
     found = 0
-    for k in range(first, last):
-        for l in range(B):
-            gated[k - first, l] = 0.0
     for i in range(count):
         slot = order[i]
         slack = cfg[3] + 1.05 * (travelled - bounds[slot, 2])
@@ -243,7 +236,7 @@ def _candidates(
             invert(w, z[k], 1.0)
             logarithm(w, bits)
             score(w, cfg[1])
-            claims[found, k - first] = _note(w, scores[found, k - first], gated[k - first])
+            claims[found, k - first] = _note(w, scores[found, k - first])
         found += 1
     return found
 
@@ -285,22 +278,15 @@ def _associate(scores, claims, found, measured, row_of, table, column, floats, i
 
 
 @njit(cache=True, error_model="numpy")
-def _credit(w, lack):
-    """Add log N(e; 0, S), less the determinant, which is gathered in a product, where W_MASK is 1; `lack`: see
-    `noise.packed`."""
-    for l in range(B):
-        on = w[W_MASK * B + l] > 0.5
-        value = w[(W_OUT + O_SCORE) * B + l] - 0.5 * w[W_D2 * B + l] - LOG_2PI_3 + lack
-        w[W_WEIGHT * B + l] += value if on else 0.0
-        w[W_PRODUCT * B + l] *= w[W_DET * B + l] if on else 1.0
+def _credit(w, lack, share):
+    """Add what the association at hand is worth, where W_MASK is 1: the fit e^T S^-1 e, and `share` of all the rest.
 
-
-@njit(cache=True, error_model="numpy")
-def _settle(w):
-    """Move the gathered product of determinants into the log-weight."""
+    `lack`: see `noise.packed`. The links of a site see the same VT come and go, so that each counts for its share only.
+    """
     for l in range(B):
-        w[W_WEIGHT * B + l] -= 0.5 * math.log(w[W_PRODUCT * B + l])
-        w[W_PRODUCT * B + l] = 1.0
+        rest = w[(W_OUT + O_SCORE) * B + l] - LOG_2PI_3 + lack - 0.5 * w[W_LOG * B + l]
+        value = share * rest - 0.5 * w[W_D2 * B + l]
+        w[W_WEIGHT * B + l] += value if w[W_MASK * B + l] > 0.5 else 0.0
 
 
 @njit(cache=True, error_model="numpy")
@@ -315,7 +301,9 @@ def _mask(w, row_of, q):
 
 
 @njit(cache=True, error_model="numpy")
-def _update(w, now, status, records, ident, near, found, rows, row_of, claims, z, first, last, cfg, association):
+def _update(
+    w, bits, now, status, records, ident, near, found, rows, row_of, claims, z, first, last, cfg, share, association
+):
     """Update every associated track; return the number of associations, lanes counted once."""
     updates = 0
     for q in range(found):
@@ -330,12 +318,11 @@ def _update(w, now, status, records, ident, near, found, rows, row_of, claims, z
                 loaded = True
             innovate(w, z[k])
             invert(w, z[k], 0.0)
-            _credit(w, z[k, 11])
+            logarithm(w, bits)
+            _credit(w, z[k, 11], share)
             absorb(w)
             correct(w)
             updates += 1
-            if updates % 12 == 0:
-                _settle(w)
             row = status[slot]
             for l in range(B):
                 if w[W_MASK * B + l] > 0.5:
@@ -348,7 +335,7 @@ def _update(w, now, status, records, ident, near, found, rows, row_of, claims, z
 
 @njit(cache=True, error_model="numpy")
 def _give_births(
-    w, now, status, records, ident, order, count, bounds, travelled, row_of, gated, z, first, last, born, cfg
+    w, now, status, records, ident, order, count, bounds, travelled, row_of, z, first, last, born, cfg, share
 ):
     """Start a track for each measurement that no particle's VT explains; return the number of tracks."""
     for k in range(first, last):
@@ -356,7 +343,7 @@ def _give_births(
             continue
         anywhere = False
         for l in range(B):
-            on = row_of[k - first, l] < 0 and gated[k - first, l] == 0.0 and z[k, 0] - w[W_B * B + l] > 1.0
+            on = row_of[k - first, l] < 0 and z[k, 0] - w[W_B * B + l] > 1.0
             w[W_MASK * B + l] = 1.0 if on else 0.0
             anywhere = anywhere or on
         if not anywhere:
@@ -373,7 +360,7 @@ def _give_births(
         for l in range(B):
             on = w[W_MASK * B + l] > 0.5
             status[slot, l] = 4 * now + (CONFIRMED if cfg[4] <= 1.0 else ONCE) if on else DEAD
-            w[W_WEIGHT * B + l] += cfg[2] if on else 0.0
+            w[W_WEIGHT * B + l] += share * cfg[2] if on else 0.0
     return count
 
 
@@ -406,6 +393,7 @@ def _block(
     travelled,
     first,
     site_of,
+    shares,
     z,
     z_many,
     born,
@@ -418,7 +406,6 @@ def _block(
     near,
     rows,
     scores,
-    gated,
     claims,
     row_of,
     table,
@@ -433,7 +420,8 @@ def _block(
     updates, loaded = 0, -1
     for link in range(counts.shape[0]):
         start, stop, site = first[link], first[link + 1], site_of[link]
-        counts[link] = _age(w, now, status[link], order[link], counts[link], tables, cfg)
+        share = shares[link]
+        counts[link] = _age(w, now, status[link], order[link], counts[link], tables, cfg, share)
         if stop == start:
             continue
         if site != loaded:
@@ -457,12 +445,12 @@ def _block(
             near,
             rows,
             scores,
-            gated,
             claims,
         )
         _associate(scores, claims, found, stop - start, row_of, table, column, floats, ints)
         more = _update(
             w,
+            bits,
             now,
             status[link],
             records[link],
@@ -476,10 +464,9 @@ def _block(
             start,
             stop,
             cfg,
+            share,
             association,
         )
-        if (updates + more) // 12 > updates // 12:
-            _settle(w)
         if more > 0:
             collect(w, site, size)
         updates += more
@@ -494,14 +481,13 @@ def _block(
             bounds[link],
             travelled[site],
             row_of,
-            gated,
             z,
             start,
             stop,
             born,
             cfg,
+            share,
         )
-    _settle(w)
     if updates > 0:
         _apply(w, state, travelled, size)
     for l in range(B):
@@ -551,6 +537,7 @@ def update(
     travelled,
     first,
     site_of,
+    shares,
     z,
     z_many,
     born,
@@ -563,7 +550,6 @@ def update(
     near,
     rows,
     scores,
-    gated,
     claims,
     row_of,
     table,
@@ -575,13 +561,11 @@ def update(
 
     state (G, F LANES), status (G, L, C, LANES), records (G, L, C, RECORD LANES), ident, order (G, L, C), counts (G,
     L), bounds (G, L, C, 3),
-    travelled (G, S), log_weight (G, LANES): written. first (L + 1,): first measurement of each link; z (M, 11): see
-    `innovate`; born:
-    number of the first measurement; tables (2, 2, ages): log of visible-and-detected and of missed, for VTs seen once
-    and others;
+    travelled (G, S), log_weight (G, LANES): written. first (L + 1,): first measurement of each link; shares (L,):
+    weight of a link's evidence on which VTs there are; z, z_many (M, 12): see `noise.packed`; born: number of the
+    first measurement; tables (2, 2, ages): log of visible-and-detected and of missed, for VTs seen once and others;
     cfg: log clutter density, gate, log-weight of a birth, slack of the distance test, hits to confirm, ages to drop
-    at (2),
-    likelihood exponent. association (G, M, LANES) is written; the rest is scratch, one a block.
+    at (2), likelihood exponent. association (G, M, LANES) is written; the rest is scratch, one a block.
     """
     for g in prange(state.shape[0]):
         _block(
@@ -596,6 +580,7 @@ def update(
             travelled[g],
             first,
             site_of,
+            shares,
             z,
             z_many,
             born,
@@ -608,7 +593,6 @@ def update(
             near[g],
             rows[g],
             scores[g],
-            gated[g],
             claims[g],
             row_of[g],
             table[g],

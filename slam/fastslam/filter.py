@@ -44,6 +44,7 @@ class FastSlam:
         o = self.options
         self._setup, self._rng = setup, rng
         self._site_of = np.asarray(setup.links.site, np.int64)
+        self._shares = 1.0 / np.bincount(self._site_of)[self._site_of] ** o.link_correlation
         count = o.particles_start or o.particles
         self._particles: Particles = draw(setup, count, o.offset_component_std_m, o.vts_per_link, rng)
         self._time_s = 0.0
@@ -91,7 +92,7 @@ class FastSlam:
         association[:, : len(snapshot)] = -1
         update(
             self._now, p.state, p.status, p.records, p.ident, p.order, p.counts, p.bounds, p.travelled, first,
-            self._site_of,
+            self._site_of, self._shares,
             *packed(snapshot, self._site_of, o, repeated), self._born, log_tables, config, p.log_weight, association,
             *self._scratch,
         )  # fmt: skip
@@ -113,11 +114,12 @@ class FastSlam:
             return
         m = max(2 * measurements, 16)
         w = np.zeros((g, scratch_rows(self._particles.nuisances) * LANES))
+        near, rows, scores = np.empty((g, c), np.int64), np.empty((g, c, OUT * LANES)), np.empty((g, c, m, LANES))
+        claims, row_of = np.empty((g, c, m), np.bool_), np.empty((g, m, LANES), np.int64)
+        table, column, work = np.empty((g, c, m)), np.empty((g, m), np.int64), (g, 4 * (c + m + 2))
         self._scratch = (
-            w, w.view(np.int64), np.empty((g, c), np.int64), np.empty((g, c, OUT * LANES)), np.empty((g, c, m, LANES)),
-            np.empty((g, m, LANES)), np.empty((g, c, m), np.bool_), np.empty((g, m, LANES), np.int64), np.empty((g, c,
-            m)), np.empty((g, m), np.int64),
-            np.empty((g, 4 * (c + m + 2))), np.empty((g, 4 * (c + m + 2)), np.int64),
+            w, w.view(np.int64), near, rows, scores, claims, row_of, table, column,
+            np.empty(work), np.empty(work, np.int64),
         )  # fmt: skip
 
     def _conclude(self, association: Ints) -> Estimate:

@@ -44,10 +44,10 @@ O_RANGE, O_CA, O_SA, O_CE, O_SE = 35, 36, 37, 38, 39  # mu at the present theta
 O_SCORE = 40  # log of visible and detected against missed, less log clutter density
 OUT = 41
 W_E, W_D2, W_DET, W_SCORE, W_MASK, W_INV = 112, 115, 116, 117, 118, 119  # one pair; W_INV 6 rows
-W_LOG, W_PRODUCT, W_WEIGHT, W_GATED = 126, 127, 128, 129
-W_REACH = 130  # 2 rows: lowest and highest distance that could be measured
-W_LINK = 132  # 9 rows: y (3) and I (00 01 02 11 12 22) of the link at hand, over (offset, bias, scale)
-W_Y = 141  # K rows: A^T S^-1 e; then K x K rows: A^T S^-1 A, and scratch for the solve
+W_LOG, W_WEIGHT = 126, 127
+W_REACH = 128  # 2 rows: lowest and highest distance that could be measured
+W_LINK = 130  # 9 rows: y (3) and I (00 01 02 11 12 22) of the link at hand, over (offset, bias, scale)
+W_Y = 139  # K rows: A^T S^-1 e; then K x K rows: A^T S^-1 A, and scratch for the solve
 
 
 def scratch_rows(nuisances: int) -> int:

@@ -39,10 +39,16 @@ class FastSlamOptions(BaseModel):
         3e-4, gt=0, le=1e3, description="clutter per link and snapshot and unit of (m rad rad)"
     )
     birth_ratio: float = Field(
-        0.01,
+        0.05,
         gt=0,
         lt=1,
         description="probability that an unexplained measurement is a new VT rather than clutter",
+    )
+    link_correlation: float = Field(
+        1.0,
+        ge=0,
+        le=1,
+        description="1: the links of a site see the same VTs come and go, and count once; 0: each for itself",
     )
     visible_s: float = Field(10.0, gt=0, le=1e4, description="mean time for which a VT stays visible, s")
     hidden_s: float = Field(10.0, gt=0, le=1e5, description="mean time for which a known VT stays hidden, s")

@@ -267,7 +267,7 @@ def invert(w, z, share):
 
 @njit(cache=True, error_model="numpy")
 def logarithm(w, bits):
-    """Write log det S at W_LOG to 1e-7; `bits` is W seen as integers. For choosing an association, not for weights."""
+    """Write log det S at W_LOG to 1e-11; `bits` is W seen as integers: exponent and mantissa are taken apart."""
     for l in range(B):
         b = bits[W_DET * B + l]
         bits[W_LOG * B + l] = (b & 0x000FFFFFFFFFFFFF) | 0x3FF0000000000000
@@ -276,7 +276,7 @@ def logarithm(w, bits):
         m = w[W_LOG * B + l]
         t = (m - 1.4142135623730951) / (m + 1.4142135623730951)
         q = t * t
-        series = 2.0 * t * (1.0 + q * (1 / 3 + q * (1 / 5 + q * (1 / 7 + q / 9))))
+        series = 2.0 * t * (1.0 + q * (1 / 3 + q * (1 / 5 + q * (1 / 7 + q * (1 / 9 + q * (1 / 11 + q / 13))))))
         w[W_LOG * B + l] = exponent * 0.6931471805599453 + 0.34657359027997264 + series
 
 
