@@ -160,6 +160,7 @@ def _add_estimation(parser: argparse.ArgumentParser) -> None:
 def _add_run(parser: argparse.ArgumentParser) -> None:
     _add_scenario(parser)
     _add_estimation(parser)
+    parser.add_argument("--rays", action="store_true", help="draw the drive's rays, also as an interactive page")
     parser.add_argument("--trials", metavar="N", type=_whole, default=1, help="trials 0 to N-1 (default: 1)")
     _add_seed(parser, 0, "root seed of all random draws (default: 0)")
     parser.add_argument("--out", metavar="DIR", help="folder for the results (default: results/SCENARIO-SEED)")

@@ -22,8 +22,8 @@ from cellslam.scenarios.overrides import parse_all
 
 if TYPE_CHECKING:
     from cellslam.scenarios.model import Scenario
-    from cellslam.sim.city import City
     from cellslam.sim.progress import Progress
+    from cellslam.sim.world import World
 
 PIPE_WIDTH = 120
 
@@ -50,6 +50,10 @@ class Job:
 
 def run(arguments: Namespace) -> int:
     """Carry out `cellslam run`."""
+    if arguments.rays:
+        from cellslam.benchmarks.figures.html import check_plotly
+
+        check_plotly()
     overrides = parse_all(arguments.sets)
     scenario = load(arguments.scenario, overrides)
     check_counts(arguments.trials, arguments.seed)
@@ -70,7 +74,12 @@ def work_off(job: Job, trials: Iterator[Trial], progress: Progress) -> bool:
         for trial in trials:
             _keep(job, trial)
         if job.first is not None and not job.arguments.no_figures:
-            job.folder.draw(job.first, _city_of(job), progress)
+            world = _world_of(job)
+            job.folder.draw(job.first, world.scene.city if world else None, progress)
+            if world is not None and getattr(job.arguments, "rays", False):
+                from cellslam.benchmarks.figures.rays import draw_rays
+
+                draw_rays(world, job.folder.path)
     except KeyboardInterrupt:
         if job.rows:
             job.folder.write_summary(job.rows, _about(job))
@@ -116,14 +125,14 @@ def _about(job: Job) -> dict[str, Any]:
     }
 
 
-def _city_of(job: Job) -> City | None:
-    """Return the city of the first trial, for the map's background; None for a recording without scenario."""
+def _world_of(job: Job) -> World | None:
+    """Return the world of the first trial, for the maps; None for a recording without scenario."""
     if job.scenario is None or job.first is None or job.first.recording is None:
         return None
     from cellslam.sim.world import prepare
 
     seed = int(job.first.recording.provenance.get("seed", 0))
-    return prepare(job.scenario.world, seed, job.first.number).scene.city
+    return prepare(job.scenario.world, seed, job.first.number)
 
 
 def _print_table(job: Job) -> None:
