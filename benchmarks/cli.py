@@ -94,6 +94,7 @@ def build_parser() -> argparse.ArgumentParser:
     _add_replay(add("replay", "cli_recording:replay", "run estimators on a recording and score them"))
     _add_sweep(add("sweep", "cli_sweep:sweep", "many variants and trials of a scenario, in parallel, resumable"))
     _add_table(add("table", "cli_table:table", "the results of a sweep as a table"))
+    _add_figures(add("figures", "cli_table:figures", "the figures of a sweep, as PNG and PDF"))
     show = add("show", "cli_show:show", "every key of a scenario: value, unit, range, meaning")
     _add_scenario(show)
     listing = add("list", "cli_show:list_known", "the scenarios or estimators that are known by name")
@@ -232,6 +233,16 @@ def _add_table(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--compare", metavar="A,B", help="paired differences of two estimators on the same worlds")
     formats = ("text", "md", "csv", "latex", "json")
     parser.add_argument("--format", choices=formats, default="text", help="csv and json hold the plain numbers")
+
+
+def _add_figures(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("folder", metavar="DIR", help="folder of a sweep")
+    parser.add_argument("--x", metavar="KEY", help="key along the sweep curve (default: the first number that varies)")
+    parser.add_argument("--metric", metavar="NAME", default="position_rmse_m", help="default: position_rmse_m")
+    parser.add_argument("--statistic", metavar="NAME", default="median", help="as for 'table' (default: median)")
+    interval_help = "confidence of the intervals (default: 95)"
+    parser.add_argument("--interval", metavar="PERCENT", type=_number, default=95.0, help=interval_help)
+    parser.add_argument("--out", metavar="FOLDER", help="where to write (default: DIR/figures)")
 
 
 def _add_flags(parser: argparse.ArgumentParser, *flags: tuple[str, str]) -> None:

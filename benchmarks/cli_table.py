@@ -60,3 +60,20 @@ def _compared(arguments: Namespace, folder: Path, rows: tuple[str, ...] | None, 
     columns = list(tidy.columns)
     keys = columns[: columns.index("metric")] if columns else []
     return render(tidy, comparison_grid(tidy, keys, first, second, 100 * share), arguments.format)
+
+
+def figures(arguments: Namespace) -> int:
+    """Carry out `cellslam figures`."""
+    from cellslam.benchmarks.bars import bars
+    from cellslam.benchmarks.figures.sweeps import Look, draw_sweep
+    from cellslam.benchmarks.output import check_folder
+
+    folder = Path(arguments.folder)
+    look = Look(arguments.x, arguments.metric, arguments.statistic, arguments.interval / 100)
+    out = Path(arguments.out) if arguments.out else folder / "figures"
+    check_folder(out)
+    with bars(arguments.quiet) as progress:
+        written = draw_sweep(folder, out, look, progress=progress)
+    if not arguments.quiet:
+        sys.stderr.write(f"{len(written)} files are in {out}: {', '.join(sorted({p.stem for p in written}))}\n")
+    return DONE

@@ -89,8 +89,7 @@ def record(scenario: Scenario, seed: int, trial: int, progress: Progress = silen
     from cellslam.sim.world import simulate
 
     recording = simulate(scenario.world, seed, trial, progress)
-    known = {key: value for key, value in recording.provenance.items() if key != "world"}
-    return replace(recording, provenance={"scenario": scenario.resolved, **known})
+    return replace(recording, provenance={"scenario": scenario.resolved, **recording.provenance})
 
 
 def simulated_trials(
