@@ -162,7 +162,7 @@ def test_unseen_vts_are_never_written():
     for t in range(20, 30):
         z = predict(np.array([0.1 * t, 0, 0, 0, 0, 0]), VTS[0])
         filter_.step(0.1, np.array([1.0, 0, 0, 0, 0, 0]), make_snapshot(t, [(0, *z)]))
-    assert np.array_equal(p.records[:, 1], before)
+    assert np.array_equal(p.records[:, 1], before, equal_nan=True)  # memory never used may hold anything
     assert np.array_equal(p.status[:, 1], statuses)
     assert not np.array_equal(p.columns(THETA, 1), theta)
 

@@ -94,7 +94,7 @@ class FastSlam:
             self._now, p.state, p.status, p.records, p.ident, p.order, p.counts, p.bounds, p.travelled, first,
             self._site_of, self._shares,
             *packed(snapshot, self._site_of, o, repeated), self._born, log_tables, config, p.log_weight, association,
-            *self._scratch,
+            self._scratch[0], self._scratch[0].view(np.int64), *self._scratch[1:],
         )  # fmt: skip
         return association
 
@@ -110,7 +110,7 @@ class FastSlam:
         g, c = len(self._particles.state), self.options.vts_per_link
         if self._association.shape[0] != g or self._association.shape[1] < total:
             self._association = np.empty((g, 2 * total, LANES), np.int64)
-        if self._scratch and len(self._scratch[0]) == g and self._scratch[4].shape[2] >= measurements:
+        if self._scratch and len(self._scratch[0]) == g and self._scratch[3].shape[2] >= measurements:
             return
         m = max(2 * measurements, 16)
         w = np.zeros((g, scratch_rows(self._particles.nuisances) * LANES))
@@ -118,8 +118,7 @@ class FastSlam:
         claims, row_of = np.empty((g, c, m), np.bool_), np.empty((g, m, LANES), np.int64)
         table, column, work = np.empty((g, c, m)), np.empty((g, m), np.int64), (g, 4 * (c + m + 2))
         self._scratch = (
-            w, w.view(np.int64), near, rows, scores, claims, row_of, table, column,
-            np.empty(work), np.empty(work, np.int64),
+            w, near, rows, scores, claims, row_of, table, column, np.empty(work), np.empty(work, np.int64),
         )  # fmt: skip
 
     def _conclude(self, association: Ints) -> Estimate:

@@ -73,7 +73,8 @@ def sharers(snapshot: Snapshot, site_of: Ints, q: Floats) -> Floats:
         close &= ~(gap * gap > 9.0 * (q[:, None, i] + q[None, :, i]))
     same_link = snapshot.link[:, None] == snapshot.link[None, :]
     close &= ~same_link | np.eye(len(snapshot), dtype=bool)
-    return close.sum(axis=1).astype(np.float64)
+    count: Floats = close.sum(axis=1).astype(np.float64)
+    return count
 
 
 def packed(snapshot: Snapshot, site_of: Ints, options: FastSlamOptions, repeated: float) -> tuple[Floats, Floats]:

@@ -46,7 +46,7 @@ class Particles:
     @property
     def nuisances(self) -> int:
         """K."""
-        return self.travelled.shape[1] + 2
+        return int(self.travelled.shape[1]) + 2
 
     def rows(self, first: int, count: int) -> Floats:
         """Return a view (G, count, 32) of `count` rows of the state."""
