@@ -41,6 +41,11 @@ BUILT_IN = (
         "joint EKF of pose, odometry errors, clock offsets and VTs; Gaussian sum over the offsets at the start",
     ),
     Listed(
+        "paper-fastslam",
+        "cellslam.slam.baselines.paper_fastslam:PaperFastSlam",
+        "the paper's FastSLAM as printed: bare Mahalanobis association, no clutter, clock offsets given or ignored",
+    ),
+    Listed(
         "oracle-association",
         "cellslam.slam.baselines.oracles:KnownAssociation",
         "EKF-SLAM that is told the true associations (oracle)",

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import ClassVar
 
 import numpy as np
@@ -55,7 +56,7 @@ class KnownMap(EkfSlam):
         self._install(bank)
         return bank
 
-    def _map(self, bank: Bank) -> VtEstimate | None:
+    def _map(self, filters: Sequence[tuple[Bank, int]]) -> VtEstimate | None:
         return None
 
     def _places(self) -> int:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import ClassVar
 
@@ -85,9 +86,10 @@ class EkfSlam:
         """Return the joint filter."""
         return start.joint(self._setup, self.mode, self.options.vts)
 
-    def _map(self, bank: Bank) -> VtEstimate | None:
-        """Return the confirmed VTs, with those that had to make room."""
-        return vt_estimate(np.concatenate([bank.vts(0, self.options.confirm_hits), self._archive]))
+    def _map(self, filters: Sequence[tuple[Bank, int]]) -> VtEstimate | None:
+        """Return the confirmed VTs of some filters of banks, with those that had to make room."""
+        rows = [bank.vts(index, self.options.confirm_hits) for bank, index in filters]
+        return vt_estimate(np.concatenate([*rows, self._archive]))
 
     def _step_start(self, start: Start, dt_s: float, odometry: Floats, measured: Measured) -> Estimate:
         if dt_s > 0.0:
@@ -99,7 +101,7 @@ class EkfSlam:
             self._joint, self._start = self._join(start), None
         pose = mean[:6].copy()
         pose[3:] = wrap_angle(pose[3:])
-        return Estimate(pose, cov[:6, :6].copy(), association, offset, variance)
+        return Estimate(pose, cov[:6, :6].copy(), association, offset, variance, self._map(start.likeliest()))
 
     def _step_joint(self, dt_s: float, odometry: Floats, measured: Measured) -> Estimate:
         bank = self._joint
@@ -117,7 +119,7 @@ class EkfSlam:
         cov = bank.p[0, :6, :6]
         variance = np.maximum(np.diag(bank.p[0])[first:size], 0.0)
         offset = bank.x[0, first:size].copy()
-        return Estimate(pose, 0.5 * (cov + cov.T), association, offset, variance, self._map(bank))
+        return Estimate(pose, 0.5 * (cov + cov.T), association, offset, variance, self._map([(bank, 0)]))
 
     def _measured(self, dt_s: float, snapshot: Snapshot) -> Measured:
         if self._tables is None or (dt_s > 0.0 and abs(self._tables[0] - dt_s) > 1e-3 * dt_s):

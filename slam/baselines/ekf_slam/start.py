@@ -96,6 +96,10 @@ class Start:
         ).reshape(-1, SLOT)
         return out
 
+    def likeliest(self) -> list[tuple[Bank, int]]:
+        """Return each site's bank and its most likely component."""
+        return [(bank, int(np.argmax(bank.log_weight))) for bank in self.banks]
+
     def resolved(self, std_m: float) -> bool:
         """Return whether every site's offset is known to `std_m`, all components together."""
         return bool((self.offsets()[1] <= std_m**2).all())
