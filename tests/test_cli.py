@@ -182,7 +182,7 @@ def test_recorded_scenario_brings_its_options(cellslam: Any) -> None:
     words = ("--json", "--no-figures")
     brought = cellslam("replay", "c.h5", *words).rows
     assert steady(brought) == steady(cellslam("run", "tiny", *FEW, *words).rows)
-    changed = cellslam("replay", "c.h5", "--set", "estimator.fastslam.particles=30", *words).rows
+    changed = cellslam("replay", "c.h5", "--set", "estimator.fastslam.particles=200", *words).rows
     assert changed[0]["position_rmse_m"] != brought[0]["position_rmse_m"]
 
 
