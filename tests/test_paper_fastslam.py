@@ -13,9 +13,11 @@ from cellslam.benchmarks.trials import record
 from cellslam.scenarios.loading import load
 from cellslam.scenarios.options import resolve
 from cellslam.sim.frames import rotation
+from cellslam.slam.api import setup_of, snapshots_of
 from cellslam.slam.baselines.paper_fastslam import PaperFastSlam, PaperFastSlamOptions
 from cellslam.slam.baselines.paper_fastslam_kernel import _birth, _predict, _spread
 from cellslam.slam.conformance import EstimatorConformance
+from cellslam.slam.conformance_subject import tiny_drive
 from cellslam.slam.model import birth, jacobians, predict
 
 POSE, VT = np.array([3.0, -2.0, 1.5, 0.7, 0.1, -0.2]), np.array([60.0, 45.0, 20.0])
@@ -67,6 +69,15 @@ def test_maps_well_where_its_assumptions_hold_and_badly_where_not() -> None:
     assert kind["association_precision"] > 0.99
     assert kind["transmitter_rmse_m"] < 2.0
     assert real["map_gospa_m"] > 2.0 * kind["map_gospa_m"]
+
+
+def test_spoilt_covariances_do_not_stall_the_assignment() -> None:
+    recording, estimator = tiny_drive(), PaperFastSlam(PaperFastSlamOptions(particles=4))
+    estimator.start(setup_of(recording), np.random.default_rng(0))
+    for t, snapshot in enumerate(snapshots_of(recording)[:4]):
+        answer = estimator.step(0.075 if t else 0.0, recording.odometry[t], snapshot)
+        estimator._covs[:] = np.diag([-1e-3, 1e-3, 0.0]) if t % 2 else -1e3 * np.eye(3)
+    assert np.isfinite(answer.pose).all()
 
 
 class TestPaperFastSlam(EstimatorConformance):

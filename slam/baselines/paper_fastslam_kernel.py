@@ -92,8 +92,10 @@ def _particle(now, pose, rot, means, covs, slots, counts, first, offset_of, z, q
             if stop > start:
                 _predict(pose, rot, means[link, j], h[0], by)
             for k in range(start, stop):
-                _spread(by, covs[link, j], q[k], t, s)
-                score[j, k - start] = gate - _distance2(z[k], offset_of[link], h[0], s, e)
+                det = _spread(by, covs[link, j], q[k], t, s)
+                distance2 = _distance2(z[k], offset_of[link], h[0], s, e)
+                # A covariance that rounding has spoilt takes no measurement.
+                score[j, k - start] = gate - distance2 if det > 0.0 and distance2 >= 0.0 else -1.0
         assign(score, count, stop - start, row_of, work_f, solver)
         for k in range(start, stop):
             j = row_of[k - start]
