@@ -226,7 +226,7 @@ def _cost(figure: Figure, data: SweepData, look: Look) -> bool:
         sides: Floats = np.nan_to_num(np.abs(ends - middle))
         look_of = {**styles[one.label], "linestyle": "none", "label": None if one.label in seen else one.label}
         axes.errorbar(
-            seconds, middle, yerr=sides[:, None], **look_of, marker="o", markersize=4, capsize=2, elinewidth=0.8
+            cost_s, middle, yerr=sides[:, None], **look_of, marker="o", markersize=4, capsize=2, elinewidth=0.8
         )
         seen.add(one.label)
     axes.set_xscale("log")
