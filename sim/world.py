@@ -25,6 +25,7 @@ from cellslam.sim.vehicle.config import OdometryConfig, VehicleConfig
 if TYPE_CHECKING:
     from cellslam.sim.lte.links import Cells
     from cellslam.sim.lte.persisting_kernel import Fields
+    from cellslam.sim.lte.signal_level import SignalLevel
     from cellslam.sim.lte.statistical import Detections, PathColumns, Streams
     from cellslam.sim.rays import Paths, Scene
     from cellslam.sim.vehicle import Drive
@@ -48,7 +49,7 @@ class WorldConfig(BaseModel):
 @dataclass(frozen=True)
 class World:
     """One trial's world, ready to be measured. `sites_m` (S, 3); `offsets_m` (S,) are the true clock offsets;
-    `fields` the receiver's errors that persist.
+    `fields` the receiver's errors that persist; `signals` is what radio.front_end = "signal" measures with.
     """
 
     config: WorldConfig
@@ -61,6 +62,7 @@ class World:
     offsets_m: Floats
     start_pose: Floats
     fields: Fields
+    signals: SignalLevel | None
 
     def streams(self) -> Streams:
         """Return the receiver's generators at the start of the trial."""
@@ -85,28 +87,46 @@ class World:
             progress=progress,
         )
 
-    def measure(self, pose: Floats, velocity: Floats, snapshot: int, rng: Streams) -> tuple[Detections, Paths]:
+    def measure(
+        self, pose: Floats, velocity: Floats, snapshot: int, rng: Streams, odometry: Floats | None = None
+    ) -> tuple[Detections, Paths]:
         """Return what the receiver reports at `pose` (6,), numbered `snapshot`, and the paths that exist
         there.
 
-        `velocity` (6,) is the true body velocity during the snapshot. `rng` advances: calls along a drive, in
-        order and with the same streams, give the drive's recording. `Detections.path` indexes the returned
-        paths.
+        `velocity` (6,) is the true body velocity during the snapshot, `odometry` (6,) what the receiver knows of it
+        (None: the truth). `rng` advances: calls along a drive, in order and with the same streams, give the drive's
+        recording. `Detections.path` indexes the returned paths.
         """
-        del velocity  # the statistical front end stands for a receiver that compensates Doppler
-        poses = np.asarray(pose, np.float64)[None, :]
+        poses, velocities = np.asarray(pose, np.float64)[None, :], np.asarray(velocity, np.float64)[None, :]
+        known = velocities if odometry is None else np.asarray(odometry, np.float64)[None, :]
         paths = self.trace(poses)
-        return self._detect(paths, poses, rng, snapshot, silent), paths
+        return self._detect(paths, poses, velocities, known, rng, snapshot, silent), paths
 
-    def measure_drive(self, rng: Streams, progress: Progress = silent) -> tuple[Detections, Paths]:
-        """Return all detections of the trial's drive, and its paths, receiver t being snapshot t."""
-        paths = self.trace(self.drive.poses, progress)
-        return self._detect(paths, self.drive.poses, rng, 0, progress), paths
+    def measure_drive(
+        self, rng: Streams, progress: Progress = silent, odometry: Floats | None = None
+    ) -> tuple[Detections, Paths]:
+        """Return all detections of the trial's drive, and its paths, receiver t being snapshot t.
 
-    def _detect(self, paths: Paths, poses: Floats, rng: Streams, snapshot: int, progress: Progress) -> Detections:
+        `odometry` (T, 6): measured body velocities, with which the receiver undoes Doppler (None: the truth).
+        """
+        paths, velocities = self.trace(self.drive.poses, progress), self.drive.velocity
+        known = velocities if odometry is None else odometry
+        return self._detect(paths, self.drive.poses, velocities, known, rng, 0, progress), paths
+
+    def _detect(
+        self, paths: Paths, poses: Floats, velocities: Floats, odometry: Floats, rng: Streams, snapshot: int,
+        progress: Progress,
+    ) -> Detections:  # fmt: skip
+        columns, radio = path_columns(paths, len(poses), len(self.sites_m)), self.config.radio
+        if self.signals is not None:
+            from cellslam.sim.lte.streaming import detect_signals
+
+            key = f"{self.config.model_dump_json()} {self.seed} {self.trial}" if len(poses) > 1 else ""
+            return detect_signals(
+                self.signals, columns, poses, velocities, odometry, rng.noise, snapshot, key, progress
+            )
         from cellslam.sim.lte.statistical import detect
 
-        columns, radio = path_columns(paths, len(poses), len(self.sites_m)), self.config.radio
         return detect(radio, self.cells, columns, poses, self.offsets_m, self.fields, rng, snapshot, progress)
 
 
@@ -132,8 +152,14 @@ def prepare(config: WorldConfig, seed: int, trial: int, progress: Progress = sil
     rng = stream(seed, trial, Stream.OFFSETS)
     offsets_m = config.radio.clock_offset_std_m * rng.standard_normal(len(config.sites))
     start = driven.poses[0] + np.array(config.vehicle.start_std) * rng.standard_normal(6)
-    fields = draw_fields(config.radio, config.vehicle.snapshot_interval_s, stream(seed, trial, Stream.RECEIVER))
-    return World(config, seed, trial, scene, sites_m, cells, driven, offsets_m, start, fields)
+    receiver_rng = stream(seed, trial, Stream.RECEIVER)
+    fields = draw_fields(config.radio, config.vehicle.snapshot_interval_s, receiver_rng)
+    signals = None
+    if config.radio.front_end == "signal":
+        from cellslam.sim.lte.signal_level import signal_level
+
+        signals = signal_level(config.radio, cells, offsets_m, fields, receiver_rng)
+    return World(config, seed, trial, scene, sites_m, cells, driven, offsets_m, start, fields, signals)
 
 
 def simulate(config: WorldConfig, seed: int, trial: int, progress: Progress = silent) -> Recording:
@@ -145,9 +171,9 @@ def simulate(config: WorldConfig, seed: int, trial: int, progress: Progress = si
     from cellslam.sim.vehicle import measure_odometry
 
     world = prepare(config, seed, trial, progress)
-    detections, paths = world.measure_drive(world.streams(), progress)
-    vts, path_vt = virtual_transmitters(paths)
     odometry = measure_odometry(world.drive, config.odometry, stream(seed, trial, Stream.ODOMETRY))
+    detections, paths = world.measure_drive(world.streams(), progress, odometry.velocity)
+    vts, path_vt = virtual_transmitters(paths)
     known = np.full(len(config.sites), config.radio.clock_offset_std_m)
     measurement_vt = np.where(detections.path >= 0, path_vt[detections.path] if len(path_vt) else -1, -1)
     truth = Truth(
