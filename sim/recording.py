@@ -14,11 +14,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from cellslam.sim.errors import InputError
-
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
-SCHEMA_VERSION = 1
+SCHEMA_VERSION = 2
 COMPONENTS = ("u_x", "u_y", "u_z", "u_psi", "u_theta", "u_phi")
 
 
@@ -39,7 +37,10 @@ class OdometryModel:
 
 @dataclass(frozen=True)
 class Links:
-    """One row a link (base station, cell, CRS port): `site` indexes `Sites`; all (L,)."""
+    """One row a link (base station, cell, CRS port): `site` indexes `Sites`; all (L,).
+
+    `cell_id` and `port` are -1 where the campaign has no such thing.
+    """
 
     site: Ints
     cell_id: Ints
@@ -126,10 +127,30 @@ class Truth:
 
 
 @dataclass(frozen=True)
+class Reference:
+    """The trajectory as another sensor saw it (GNSS, total station), at its own times: what a real drive has for truth.
+
+    `time_s` (R,), increasing, on the clock of the snapshots; `position_m` (R, 3) of the array in the world frame;
+    `yaw_rad` (R,); `position_std_m` (R,). NaN: not known.
+    """
+
+    time_s: Floats
+    position_m: Floats
+    yaw_rad: Floats
+    position_std_m: Floats
+
+    def __len__(self) -> int:
+        return len(self.time_s)
+
+
+@dataclass(frozen=True)
 class Recording:
     """A drive as it was measured. `start_pose` (6,) and `start_std` (6,) are the estimator's prior at time_s[0].
 
-    `time_s` (T,); `odometry` (T, 6): mean body velocities from time_s[t-1] to time_s[t], row 0 zero.
+    `time_s` (T,), at any intervals; `odometry` (T, 6): mean body velocities from time_s[t-1] to time_s[t], row 0
+    zero. NaN: this component was not measured in this interval; where a component never was, its row of
+    `odometry_model` describes the motion itself, about zero (noise density 0: the vehicle does not move that way).
+    `reference` is what a measured drive is scored by, `truth` what a simulated one is; either may be missing.
     """
 
     time_s: Floats
@@ -142,8 +163,11 @@ class Recording:
     start_std: Floats
     provenance: Mapping[str, Any] = field(default_factory=dict)
     truth: Truth | None = None
+    reference: Reference | None = None
 
     def __post_init__(self) -> None:
+        from cellslam.sim.recording_check import check
+
         check(self)
 
     @property
@@ -163,104 +187,3 @@ class Recording:
         from cellslam.sim.recording_hdf5 import load
 
         return load(Path(path))
-
-
-def check(recording: Recording) -> None:
-    """Raise InputError, naming table, column and row, where a recording breaks the contract."""
-    r, m = recording, recording.measurements
-    count = len(r.time_s)
-    _shape("time_s", r.time_s, (count,))
-    if count == 0:
-        raise InputError("time_s is empty: a recording needs at least one snapshot")
-    _finite("time_s", r.time_s)
-    _require(
-        np.diff(r.time_s) > 0,
-        "time_s",
-        "is not after the row before it: sort the snapshots by time",
-        offset=1,
-    )
-    _shape("odometry", r.odometry, (count, 6))
-    _shape("start_pose", r.start_pose, (6,))
-    _shape("start_std", r.start_std, (6,))
-    _finite("start_pose", r.start_pose)
-    for name in ("noise_density", "bias", "bias_walk_density", "scale"):
-        column = getattr(r.odometry_model, name)
-        _shape(f"odometry_model.{name}", column, (6,))
-        _require(column >= 0, f"odometry_model.{name}", "is not a standard deviation (must be >= 0)")
-    _check_links(r)
-    _check_measurements(m, count, len(r.links))
-    if r.truth is not None:
-        _check_truth(r.truth, r)
-
-
-def _check_links(r: Recording) -> None:
-    for name in ("site", "cell_id", "port"):
-        _shape(f"links.{name}", getattr(r.links, name), (len(r.links),))
-    _shape("sites.clock_offset_mean_m", r.sites.clock_offset_mean_m, (len(r.sites),))
-    _shape("sites.clock_offset_std_m", r.sites.clock_offset_std_m, (len(r.sites),))
-    _require(r.sites.clock_offset_std_m >= 0, "sites.clock_offset_std_m", "is negative")
-    _require(
-        (r.links.site >= 0) & (r.links.site < len(r.sites)),
-        "links.site",
-        f"is not one of the {len(r.sites)} sites",
-    )
-
-
-def _check_measurements(m: Measurements, snapshots: int, links: int) -> None:
-    for name in ("link", "distance_m", "azimuth_rad", "elevation_rad", "snr_db"):
-        _shape(f"measurements.{name}", getattr(m, name), (len(m),))
-    _require(
-        (m.snapshot >= 0) & (m.snapshot < snapshots),
-        "measurements.snapshot",
-        f"is not one of the {snapshots} snapshots",
-    )
-    _require((m.link >= 0) & (m.link < links), "measurements.link", f"is not one of the {links} links")
-    key = m.snapshot * max(links, 1) + m.link
-    _require(np.diff(key) >= 0, "measurements", "is not sorted by (snapshot, link)", offset=1)
-    _require(
-        ~(np.abs(m.azimuth_rad) > np.pi + 1e-9),
-        "measurements.azimuth_rad",
-        "is outside [-pi, pi]: radians are expected",
-    )
-    _require(
-        ~(np.abs(m.elevation_rad) > np.pi / 2 + 1e-9),
-        "measurements.elevation_rad",
-        "is outside [-pi/2, pi/2]",
-    )
-    for name in ("distance_std_m", "azimuth_std_rad", "elevation_std_rad"):
-        column = getattr(m, name)
-        if column is not None:
-            _shape(f"measurements.{name}", column, (len(m),))
-            _require(~(column <= 0), f"measurements.{name}", "is not a standard deviation (must be > 0)")
-
-
-def _check_truth(truth: Truth, r: Recording) -> None:
-    vts = len(truth.vts)
-    _shape("truth.poses", truth.poses, (len(r.time_s), 6))
-    _shape("truth.measurement_vt", truth.measurement_vt, (len(r.measurements),))
-    _shape("truth.measurement_std", truth.measurement_std, (len(r.measurements), 3))
-    if truth.persisting_std is not None:
-        _shape("truth.persisting_std", truth.persisting_std, (len(r.measurements), 3))
-    _shape("truth.vts.position_m", truth.vts.position_m, (vts, 3))
-    _shape("truth.site_positions_m", truth.site_positions_m, (len(r.sites), 3))
-    _shape("truth.clock_offsets_m", truth.clock_offsets_m, (len(r.sites),))
-    _require(
-        (truth.measurement_vt >= -1) & (truth.measurement_vt < vts),
-        "truth.measurement_vt",
-        f"is not one of the {vts} VTs",
-    )
-
-
-def _shape(name: str, array: NDArray[Any], shape: tuple[int, ...]) -> None:
-    if array.shape != shape:
-        raise InputError(f"{name} has shape {array.shape}, expected {shape}")
-
-
-def _finite(name: str, array: Floats) -> None:
-    _require(np.isfinite(array), name, "is not finite")
-
-
-def _require(ok: NDArray[np.bool_], name: str, problem: str, offset: int = 0) -> None:
-    if not ok.all():
-        row = int(np.argmin(ok.reshape(len(ok), -1).all(axis=1))) + offset
-        raise InputError(f"{name}, row {row}: {problem}")

@@ -23,11 +23,12 @@ from cellslam.sim.recording import (
     Measurements,
     OdometryModel,
     Recording,
+    Reference,
     Sites,
     Truth,
     VirtualTransmitters,
 )
-from cellslam.sim.recording_schema import COLUMNS, FORMAT, Column
+from cellslam.sim.recording_schema import COLUMNS, FORMAT, TABLES_THAT_MAY_MISS, Column
 
 _KINDS = {"float": "fiu", "int": "iu", "text": "OS"}
 
@@ -46,8 +47,9 @@ def save(recording: Recording, path: Path) -> None:
             file.attrs["format"] = FORMAT
             file.attrs["schema_version"] = SCHEMA_VERSION
             for column in COLUMNS:
-                if column.path in values:
+                if column.path in values and not _is_absent(column, values[column.path]):
                     _write(file, column, values[column.path])
+            _declare_absent(file, values)
         temporary.replace(path)
     except OSError as error:
         raise InputError(f"{path}: cannot be written ({_reason(error)})") from error
@@ -107,6 +109,34 @@ def _write(file: h5py.File, column: Column, value: Any) -> None:
         dataset.attrs["columns"] = list(column.labels)
 
 
+def _is_absent(column: Column, value: Any) -> bool:
+    """Return whether a column that may be absent holds nothing: NaN, or -1 for integers, in every row."""
+    if not column.absent or len(value) == 0:
+        return False
+    return bool((np.asarray(value) == -1).all() if column.kind == "int" else np.isnan(value).all())
+
+
+def _declare_absent(file: h5py.File, values: dict[str, Any]) -> None:
+    """Say in each table's attribute `absent` which columns it lacks, and in odometry's which components."""
+    for table in sorted({column.table for column in COLUMNS if column.absent}):
+        names = [c.path for c in COLUMNS if c.table == table and c.absent and _is_absent(c, values[c.path])]
+        file[table].attrs["absent"] = _names([name.removeprefix(f"{table}/") for name in names])
+    components = next(column.labels for column in COLUMNS if column.path == "odometry")
+    never = np.isnan(values["odometry"]).all(axis=0)
+    file["odometry"].attrs["absent"] = _names([c for c, gone in zip(components, never, strict=True) if gone])
+
+
+def _names(names: list[str]) -> Any:
+    return np.array(names, dtype=h5py.string_dtype("utf-8")) if names else h5py.Empty(h5py.string_dtype("utf-8"))
+
+
+def _absent_of(file: h5py.File, table: str) -> tuple[str, ...]:
+    value = file[table].attrs.get("absent") if table in file else None
+    if value is None or isinstance(value, h5py.Empty):
+        return ()
+    return tuple(_text(name) for name in np.atleast_1d(value))
+
+
 def _check_header(file: h5py.File) -> None:
     if "format" not in file.attrs or _text(file.attrs["format"]) != FORMAT:
         raise InputError(
@@ -123,20 +153,23 @@ def _check_header(file: h5py.File) -> None:
 def _check_names(file: h5py.File) -> None:
     """Refuse what the schema does not know: a misspelled optional column must not pass for an absent one."""
     known = {column.path for column in COLUMNS}
-    groups = {column.table for column in COLUMNS} | {"truth"}
+    groups = {column.table for column in COLUMNS} | set(TABLES_THAT_MAY_MISS)
     for path, is_group in _members(file):
         if is_group and path not in groups:
             raise InputError(f"unknown table '{path}'{nearest_name(path, groups - {''})}")
         if not is_group and path not in known:
             raise InputError(f"unknown column '{path}'{nearest_name(path, known)}")
     for column in COLUMNS:
-        if column.optional or (column.path.startswith("truth/") and "truth" not in file):
+        whole = column.path.partition("/")[0]
+        if column.optional or (whole in TABLES_THAT_MAY_MISS and whole not in file):
             continue
         table = column.table
         if table and table not in file:
             raise InputError(f"table '{table}' is missing; it needs the columns {_columns_of(table)}")
-        if column.path not in file:
-            raise InputError(f"column '{column.path}' is missing; expected {column.described}")
+        declared = column.absent and column.path.removeprefix(f"{table}/") in _absent_of(file, table)
+        if column.path not in file and not declared:
+            remedy = f", or name it in the attribute 'absent' of '{table}'" if column.absent else ""
+            raise InputError(f"column '{column.path}' is missing; expected {column.described}{remedy}")
 
 
 def _members(group: h5py.Group) -> Iterator[tuple[str, bool]]:
@@ -157,6 +190,10 @@ def _read_all(file: h5py.File) -> dict[str, Any]:
     for column in COLUMNS:
         if column.path in file:
             out[column.path] = _read(file[column.path], column, sizes)
+    for column in COLUMNS:
+        if column.absent and column.path not in out:
+            count = sizes[str(column.shape[0])][0]
+            out[column.path] = np.full(count, -1, np.int64) if column.kind == "int" else np.full(count, np.nan)
     return out
 
 
@@ -199,6 +236,7 @@ def _recording(values: dict[str, Any]) -> Recording:
     truth = None
     if "truth/poses" in values:
         truth = Truth(**table("truth"), vts=VirtualTransmitters(**table("truth/vts")))
+    reference = Reference(**table("reference")) if "reference/time_s" in values else None
     sites = table("sites")
     return Recording(
         time_s=values["time_s"],
@@ -211,6 +249,7 @@ def _recording(values: dict[str, Any]) -> Recording:
         start_std=values["start_std"],
         provenance=_provenance(values["provenance"]),
         truth=truth,
+        reference=reference,
     )
 
 

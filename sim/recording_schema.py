@@ -17,7 +17,8 @@ _RATE_UNIT = "m/s, m/s, m/s, rad/s, rad/s, rad/s"
 class Column:
     """One dataset: its path in the file (with dots: in Recording), shape in symbols, unit, kind of value.
 
-    Symbols: T snapshots, L links, S sites, M measurements, V virtual transmitters, I visible intervals.
+    Symbols: T snapshots, L links, S sites, M measurements, V virtual transmitters, I visible intervals, R fixes.
+    `optional`: may be left out; `absent`: may be left out if its table's attribute `absent` says so.
     """
 
     path: str
@@ -26,6 +27,7 @@ class Column:
     kind: str = "float"
     labels: tuple[str, ...] = ()
     optional: bool = False
+    absent: bool = False
 
     @property
     def table(self) -> str:
@@ -47,17 +49,17 @@ COLUMNS = (
     Column("odometry_model/bias_walk_density", (6,), "m/s/sqrt(s), rad/s/sqrt(s)", labels=COMPONENTS),
     Column("odometry_model/scale", (6,), labels=COMPONENTS),
     Column("links/site", ("L",), kind="int"),
-    Column("links/cell_id", ("L",), kind="int"),
-    Column("links/port", ("L",), kind="int"),
+    Column("links/cell_id", ("L",), kind="int", absent=True),
+    Column("links/port", ("L",), kind="int", absent=True),
     Column("sites/name", ("S",), kind="text"),
     Column("sites/clock_offset_mean_m", ("S",), "m"),
     Column("sites/clock_offset_std_m", ("S",), "m"),
     Column("measurements/snapshot", ("M",), kind="int"),
     Column("measurements/link", ("M",), kind="int"),
-    Column("measurements/distance_m", ("M",), "m"),
-    Column("measurements/azimuth_rad", ("M",), "rad"),
-    Column("measurements/elevation_rad", ("M",), "rad"),
-    Column("measurements/snr_db", ("M",), "dB"),
+    Column("measurements/distance_m", ("M",), "m", absent=True),
+    Column("measurements/azimuth_rad", ("M",), "rad", absent=True),
+    Column("measurements/elevation_rad", ("M",), "rad", absent=True),
+    Column("measurements/snr_db", ("M",), "dB", absent=True),
     Column("measurements/distance_std_m", ("M",), "m", optional=True),
     Column("measurements/azimuth_std_rad", ("M",), "rad", optional=True),
     Column("measurements/elevation_std_rad", ("M",), "rad", optional=True),
@@ -79,4 +81,10 @@ COLUMNS = (
     Column("truth/clock_offsets_m", ("S",), "m"),
     Column("truth/odometry_bias", ("T", 6), _RATE_UNIT, labels=COMPONENTS),
     Column("truth/odometry_scale", (6,), labels=COMPONENTS),
+    Column("reference/time_s", ("R",), "s"),
+    Column("reference/position_m", ("R", 3), "m", labels=("x", "y", "z")),
+    Column("reference/yaw_rad", ("R",), "rad"),
+    Column("reference/position_std_m", ("R",), "m"),
 )
+# Tables that a recording may lack as a whole, with all that is in them.
+TABLES_THAT_MAY_MISS = ("truth", "reference")

@@ -59,7 +59,7 @@ def test_same_recording_gives_the_same_bytes(toy_recording: Toy, tmp_path: Path)
 def test_columns_carry_units_and_plain_types(toy_recording: Toy, tmp_path: Path) -> None:
     toy_recording().save(tmp_path / "a.h5")
     with h5py.File(tmp_path / "a.h5") as file:
-        assert file.attrs["schema_version"] == 1
+        assert file.attrs["schema_version"] == 2
         for column in COLUMNS:
             if column.path in file:
                 dataset = file[column.path]
@@ -105,7 +105,7 @@ def add(path: str) -> Callable[[h5py.File], None]:
 
 BROKEN = {
     "other HDF5": (lambda f: f.attrs.__delitem__("format"), ["not a recording", "cellslam record"]),
-    "newer version": (attribute("/", "schema_version", 99), ["version 99", "reads version 1", "update"]),
+    "newer version": (attribute("/", "schema_version", 99), ["version 99", "reads version 2", "update"]),
     "no version": (lambda f: f.attrs.__delitem__("schema_version"), ["schema_version", "missing"]),
     "text version": (attribute("/", "schema_version", "one"), ["schema_version", "no integer"]),
     "missing table": (without("measurements"), ["table 'measurements' is missing", "distance_m"]),
