@@ -11,13 +11,13 @@ from cellslam.slam.api import Setup, Snapshot
 from cellslam.slam.baselines.dead_reckoning import DeadReckoning
 from cellslam.slam.fastslam import resampling
 from cellslam.slam.fastslam.assignment import assign
-from cellslam.slam.fastslam.existence import tables, visibility
 from cellslam.slam.fastslam.filter import FastSlam
 from cellslam.slam.fastslam.layout import LANES, POSE, THETA
-from cellslam.slam.fastslam.noise import packed, repeats, sharers
+from cellslam.slam.fastslam.noise import packed
 from cellslam.slam.fastslam.options import FastSlamOptions
 from cellslam.slam.fastslam.particles import draw, quasi_random, select
 from cellslam.slam.fastslam.summary import map_of
+from cellslam.slam.front_end import draws, existence, readings, repeats, sharers, visibility
 from cellslam.slam.model import jacobians, predict
 
 SMALL = FastSlamOptions(particles=64, vts_per_link=8, start_phase_s=0.0)
@@ -85,7 +85,7 @@ def test_visibility_falls_with_misses_and_comes_back_for_known_vts():
         (0.99 * 0.1 / (1 - 0.99 * 0.9)) * 0.99 + (1 - 0.99 * 0.1 / (1 - 0.99 * 0.9)) * 0.01
     )
     assert 0.005 < known[-1] < 0.02
-    logs, age_once, age_twice = tables(FastSlamOptions(), 0.075)
+    logs, age_once, age_twice = existence(FastSlamOptions(), 0.075)
     assert np.all(logs <= 0.0)
     assert 0 < age_once < age_twice
 
@@ -208,16 +208,28 @@ def test_offset_prior_is_kept_by_its_components():
 
 def test_persisting_errors_count_once():
     options = FastSlamOptions()
-    assert repeats(options, 0.0, 0.0) > 1e4
-    assert repeats(options, np.radians(60.0), 0.0) < 1.01
-    assert repeats(options, 0.0, 0.1) == pytest.approx(2 * 6.0 / np.degrees(0.1 / 200.0), rel=1e-3)
+    place, direction = draws(options, np.radians(1.0), 0.1)
+    assert place[0] == pytest.approx(np.sqrt(2 * np.pi) * 0.15 / 0.1)
+    assert direction[1] == pytest.approx(np.sqrt(2 * np.pi) * 3.0 / (1.0 + np.degrees(0.1 / 200.0)))
+    assert np.all(draws(options, 0.0, 0.0)[0] > 1e4)
+    assert np.all(draws(options, np.radians(90.0), 10.0)[1] == 1.0)
     snapshot = make_snapshot(0, [(0, 100.0, 0.1, 0.1), (1, 100.1, 0.1, 0.1), (2, 100.0, 1.0, 0.1)])
     q = np.tile([0.3, 1e-4, 1e-4], (3, 1))
     assert list(sharers(snapshot, np.zeros(3, np.int64), q)) == [2, 2, 1]
     assert list(sharers(snapshot, np.array([0, 1, 0]), q)) == [1, 1, 1]
-    single, many = packed(snapshot, np.zeros(3, np.int64), options, 1.0)
+    single, many = packed(readings(snapshot, np.zeros(3, np.int64), np.arange(3), options, np.radians(90.0), 10.0))
     assert np.all(many[:2, 5:8] > single[:2, 5:8])
     assert np.allclose(many[2, 5:8], single[2, 5:8])
+
+
+def test_a_repeated_mean_has_the_variance_that_draws_promises():
+    """An error with correlation exp(-x^2 / (2 scale^2)): the mean of n samples varies as std^2 repeats / n."""
+    rng = np.random.default_rng(5)
+    step, scale, n, runs = 0.05, 0.15, 400, 2000
+    lag = step * np.arange(n)
+    root = np.linalg.cholesky(np.exp(-((lag[:, None] - lag) ** 2) / (2 * scale**2)) + 1e-9 * np.eye(n))
+    means = (root @ rng.standard_normal((n, runs))).mean(axis=0)
+    assert means.var() == pytest.approx(repeats(scale, step) / n, rel=0.1)
 
 
 def hostile(rng: np.random.Generator, t: int) -> list[tuple[int, float, float, float]]:

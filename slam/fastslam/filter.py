@@ -11,12 +11,12 @@ from cellslam.sim.recording import Floats, Ints
 from cellslam.slam.api import Estimate, Setup, Snapshot
 from cellslam.slam.fastslam import resampling
 from cellslam.slam.fastslam.block_kernel import move, update
-from cellslam.slam.fastslam.existence import tables
 from cellslam.slam.fastslam.layout import BIAS, LANES, OUT, SCALE, scratch_rows
-from cellslam.slam.fastslam.noise import packed, repeats
+from cellslam.slam.fastslam.noise import packed
 from cellslam.slam.fastslam.options import FastSlamOptions
 from cellslam.slam.fastslam.particles import Particles, draw, select
 from cellslam.slam.fastslam.summary import map_of, offset_moments, pose_moments
+from cellslam.slam.front_end import existence, first_of_link, ports_of, readings
 
 
 class FastSlam:
@@ -44,6 +44,7 @@ class FastSlam:
         o = self.options
         self._setup, self._rng = setup, rng
         self._site_of = np.asarray(setup.links.site, np.int64)
+        self._port_of = ports_of(self._site_of, setup.links.port)
         self._shares = 1.0 / np.bincount(self._site_of)[self._site_of] ** o.link_correlation
         count = o.particles_start or o.particles
         self._particles: Particles = draw(setup, count, o.offset_component_std_m, o.vts_per_link, rng)
@@ -58,8 +59,7 @@ class FastSlam:
         """Move, weigh, update and, if needed, resample (paper, section IV)."""
         if dt_s > 0.0:
             self._move(dt_s, odometry)
-        repeated = repeats(self.options, odometry[3] * dt_s, odometry[0] * dt_s)
-        association = self._update(dt_s, snapshot, repeated)
+        association = self._update(dt_s, odometry, snapshot)
         self._born += len(snapshot)
         self._now += 1
         self._time_s += dt_s
@@ -79,9 +79,10 @@ class FastSlam:
         velocity /= 1.0 + p.rows(SCALE, 6)
         move(p.state, p.travelled, velocity, dt_s, p.nuisances)
 
-    def _update(self, dt_s: float, snapshot: Snapshot, repeated: float) -> Ints:
+    def _update(self, dt_s: float, odometry: Floats, snapshot: Snapshot) -> Ints:
         p, o = self._particles, self.options
-        first = np.searchsorted(snapshot.link, np.arange(len(self._setup.links) + 1))
+        first = first_of_link(snapshot, len(self._setup.links))
+        values = readings(snapshot, self._site_of, self._port_of, o, odometry[3] * dt_s, odometry[0] * dt_s)
         log_tables, age_once, age_twice = self._existence(dt_s)
         config = np.array([
             np.log(o.clutter_density), o.gate, -np.log1p(-o.birth_ratio), 3.0, o.confirm_hits, age_once, age_twice,
@@ -93,14 +94,14 @@ class FastSlam:
         update(
             self._now, p.state, p.status, p.records, p.ident, p.order, p.counts, p.bounds, p.travelled, first,
             self._site_of, self._shares,
-            *packed(snapshot, self._site_of, o, repeated), self._born, log_tables, config, p.log_weight, association,
+            *packed(values), self._born, log_tables, config, p.log_weight, association,
             self._scratch[0], self._scratch[0].view(np.int64), *self._scratch[1:],
         )  # fmt: skip
         return association
 
     def _existence(self, dt_s: float) -> tuple[Floats, int, int]:
         if self._tables is None or (dt_s > 0.0 and abs(self._tables[0] - dt_s) > 1e-3 * dt_s):
-            self._tables = (dt_s, tables(self.options, dt_s if dt_s > 0.0 else 0.075))
+            self._tables = (dt_s, existence(self.options, dt_s if dt_s > 0.0 else 0.075))
         result: tuple[Floats, int, int] = self._tables[1]
         return result
 

@@ -1,0 +1,227 @@
+"""What estimators assume of the front end: detection, clutter, coming and going of VTs, and errors that persist.
+
+Three kinds of error of a measurement, as `sim.lte` makes them:
+
+    white       Q = Q_floor + Q_0 / lambda, lambda the linear SNR (paper, section IV, corrected: more SNR, less variance)
+    of place    diffuse energy: changes over a fraction of a metre, the same for the links of one port of a site
+    of direction  calibration of the array, scattering by the roof: functions of the direction of arrival in the body
+                frame, the same for all links that see a VT, and they change only as the direction changes
+
+A single measurement has the sum of the variances; to associate, take that. Many measurements in a row share a draw: the
+mean of n of them has the variance of n / repeats independent ones. To update, take the variance times `repeats`, and
+times the links that share it.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from pydantic import BaseModel, ConfigDict, Field
+
+from cellslam.sim.frames import wrap_angle
+from cellslam.sim.recording import Floats, Ints
+from cellslam.slam.api import Snapshot
+
+MOST_REPEATS = 1e5  # standing still, an error that persists is never drawn anew: nearly no information
+# Widths of the clutter in distance (m), azimuth and elevation (rad): what a missing component takes off its density.
+CLUTTER_WIDTH = (1000.0, 2.0 * np.pi, np.pi / 2.0)
+HORIZON = 4096  # snapshots for which the chance of being visible is tabulated
+
+
+class FrontEndOptions(BaseModel):
+    """The options that map builders share; defaults for the statistical LTE front end."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    detection_probability: float = Field(
+        0.88, gt=0, lt=1, description="probability that a visible VT is detected in one snapshot and link"
+    )
+    clutter_density: float = Field(
+        3e-4, gt=0, le=1e3, description="clutter per link and snapshot and unit of (m rad rad)"
+    )
+    birth_ratio: float = Field(
+        0.05, gt=0, lt=1, description="probability that an unexplained measurement is a new VT rather than clutter"
+    )
+    visible_s: float = Field(10.0, gt=0, le=1e4, description="mean time for which a VT stays visible, s")
+    hidden_s: float = Field(10.0, gt=0, le=1e5, description="mean time for which a known VT stays hidden, s")
+    confirm_hits: int = Field(3, ge=1, le=100, description="detections after which a VT is confirmed")
+    drop_probability: float = Field(
+        1e-4, gt=0, lt=1, description="an unconfirmed VT less likely than this to be visible is dropped"
+    )
+    gate: float = Field(
+        16.3, gt=0, le=1000, description="squared Mahalanobis distance beyond which nothing associates (chi-square)"
+    )
+    noise_model: Literal["snr", "claimed"] = Field(
+        "snr", description="measurement covariance: scaled by the SNR, or as the front end claims per path"
+    )
+    noise_floor_m: float = Field(0.0, ge=0, le=100, description="white distance deviation at infinite SNR, m")
+    noise_floor_azimuth_deg: float = Field(0.0, ge=0, le=90, description="the same for azimuth, deg")
+    noise_floor_elevation_deg: float = Field(0.0, ge=0, le=90, description="the same for elevation, deg")
+    noise_unit_snr_m: float = Field(0.0405, ge=0, le=1000, description="distance deviation due to noise at 0 dB, m")
+    noise_unit_snr_azimuth_deg: float = Field(0.0685, ge=0, le=90, description="the same for azimuth, deg")
+    noise_unit_snr_elevation_deg: float = Field(0.0704, ge=0, le=90, description="the same for elevation, deg")
+    place_m: float = Field(
+        0.58, ge=0, le=100, description="distance error that changes with the place (diffuse energy), m"
+    )
+    place_azimuth_deg: float = Field(0.65, ge=0, le=90, description="the same for azimuth, with the array's sway, deg")
+    place_elevation_deg: float = Field(0.63, ge=0, le=90, description="the same for elevation, deg")
+    place_scale_m: float = Field(0.15, ge=0, le=1000, description="way over which it is drawn anew, m; 0: white")
+    direction_m: float = Field(
+        0.2, ge=0, le=100, description="distance error that is a function of the direction of arrival (array), m"
+    )
+    direction_azimuth_deg: float = Field(0.65, ge=0, le=90, description="the same for azimuth (array, roof), deg")
+    direction_elevation_deg: float = Field(1.25, ge=0, le=90, description="the same for elevation, deg")
+    direction_distance_scale_deg: float = Field(
+        15.0, ge=0, le=180, description="change of direction over which the distance's is drawn anew, deg; 0: white"
+    )
+    direction_scale_deg: float = Field(
+        3.0, ge=0, le=180, description="change of direction over which the angles' are drawn anew, deg; 0: white"
+    )
+    typical_range_m: float = Field(
+        200.0, gt=0, le=1e5, description="distance of a typical VT: driving on turns its direction by speed / range, m"
+    )
+
+
+@dataclass(frozen=True)
+class Readings:
+    """The measurements of a snapshot (m,) with their variances.
+
+    `z` (m, 3): distance (m), azimuth and elevation (rad), NaN where not measured. `single` (m, 3): variances of one
+    measurement; `many` (m, 3): those with which an update counts for what it is worth. `gap` (m,): log-width of
+    clutter in what is missing; `lack` (m,): what the log-density of an update lacks against that of one measurement.
+    """
+
+    z: Floats
+    single: Floats
+    many: Floats
+    gap: Floats
+    lack: Floats
+
+
+def readings(
+    snapshot: Snapshot, site_of: Ints, port_of: Ints, options: FrontEndOptions, turn_rad: float, moved_m: float
+) -> Readings:
+    """Return a snapshot's measurements; since the last one the vehicle has turned and moved so far.
+
+    site_of (L,): site of each link; port_of (L,): a number for each pair of site and port.
+    """
+    alone = white(snapshot, options)
+    place, direction = persisting(options)
+    by_place, by_direction = draws(options, turn_rad, moved_m)
+    single = np.maximum(alone + place + direction, 1e-12)
+    port, site = (sharers(snapshot, group, single)[:, None] for group in (port_of, site_of))
+    many = np.maximum(alone + place * by_place * port + direction * by_direction * site, 1e-12)
+    z = np.stack([snapshot.distance_m, snapshot.azimuth_rad, snapshot.elevation_rad], axis=1)
+    missing = np.isnan(z)
+    lack = 0.5 * np.where(missing, 0.0, np.log(many / single)).sum(axis=1)
+    return Readings(z, single, many, missing @ np.log(CLUTTER_WIDTH), lack)
+
+
+def white(snapshot: Snapshot, options: FrontEndOptions) -> Floats:
+    """Return the white variances (m, 3) of distance (m^2), azimuth and elevation (rad^2) of a snapshot's measurements.
+
+    With noise_model "claimed" the front end's own deviations are taken where it gives them, less the errors that
+    persist. A measurement without SNR gets the floor and the variance at 0 dB.
+    """
+    o = options
+    floor = np.array([o.noise_floor_m, np.radians(o.noise_floor_azimuth_deg), np.radians(o.noise_floor_elevation_deg)])
+    unit = np.array(
+        [o.noise_unit_snr_m, np.radians(o.noise_unit_snr_azimuth_deg), np.radians(o.noise_unit_snr_elevation_deg)]
+    )
+    snr_db = np.where(np.isnan(snapshot.snr_db), 0.0, snapshot.snr_db)
+    out: Floats = floor**2 + unit**2 * 10.0 ** (-snr_db / 10.0)[:, None]
+    if o.noise_model == "claimed":
+        columns = (snapshot.distance_std_m, snapshot.azimuth_std_rad, snapshot.elevation_std_rad)
+        lasting = np.sum(persisting(o), axis=0)
+        for i, column in enumerate(columns):
+            if column is not None:
+                own = np.maximum(column**2 - lasting[i], 0.01 * column**2)
+                out[:, i] = np.where(np.isfinite(column), own, out[:, i])
+    return out
+
+
+def persisting(options: FrontEndOptions) -> tuple[Floats, Floats]:
+    """Return the variances (3,) in m^2, rad^2, rad^2 of the errors of place and of direction."""
+    o = options
+    place = [o.place_m, np.radians(o.place_azimuth_deg), np.radians(o.place_elevation_deg)]
+    direction = [o.direction_m, np.radians(o.direction_azimuth_deg), np.radians(o.direction_elevation_deg)]
+    return np.square(place), np.square(direction)
+
+
+def draws(options: FrontEndOptions, turn_rad: float, moved_m: float) -> tuple[Floats, Floats]:
+    """Return in how many snapshots (3,) one draw of the errors of place and of direction is met, when an interval
+    turns and moves the vehicle so far."""
+    o = options
+    change = abs(turn_rad) + abs(moved_m) / o.typical_range_m
+    scales = np.radians([o.direction_distance_scale_deg, o.direction_scale_deg, o.direction_scale_deg])
+    return np.full(3, repeats(o.place_scale_m, moved_m)), np.array([repeats(float(s), change) for s in scales])
+
+
+def repeats(scale: float, step: float) -> float:
+    """Return how many samples `step` apart share one draw of an error with correlation exp(-x^2 / (2 scale^2)): its
+    sum over all lags."""
+    return float(np.clip(np.sqrt(2.0 * np.pi) * scale / max(abs(step), 1e-12), 1.0, MOST_REPEATS))
+
+
+def sharers(snapshot: Snapshot, group_of: Ints, q: Floats) -> Floats:
+    """Return for each measurement (m,) how many links of its group (site, or site and port) measured the same path,
+    its own included, by variances q (m, 3)."""
+    group = group_of[snapshot.link]
+    close = group[:, None] == group[None, :]
+    columns = (snapshot.distance_m, snapshot.azimuth_rad, snapshot.elevation_rad)
+    for i, column in enumerate(columns):
+        gap = column[:, None] - column[None, :]
+        gap = wrap_angle(gap) if i == 1 else gap
+        close &= ~(gap * gap > 9.0 * (q[:, None, i] + q[None, :, i]))
+    same_link = snapshot.link[:, None] == snapshot.link[None, :]
+    close &= ~same_link | np.eye(len(snapshot), dtype=bool)
+    count: Floats = close.sum(axis=1).astype(np.float64)
+    return count
+
+
+def ports_of(site_of: Ints, port: Ints) -> Ints:
+    """Return a number for each link (L,) that links of one port of a site share."""
+    return np.asarray(site_of, np.int64) * 64 + np.asarray(port, np.int64)
+
+
+def first_of_link(snapshot: Snapshot, links: int) -> Ints:
+    """Return the first measurement of each link (L + 1,)."""
+    return np.searchsorted(snapshot.link, np.arange(links + 1)).astype(np.int64)
+
+
+def visibility(first: float, stay: float, back: float, detection: float, length: int) -> Floats:
+    """Return P(visible) before the n-th snapshot since the last detection, n = 0..length-1 (entry 0 is unused:
+    `first`).
+
+    `first`: P(visible) just after the detection; `stay`, `back`: transition probabilities to visible.
+    """
+    out = np.empty(length)
+    out[0] = r = first
+    for n in range(1, length):
+        out[n] = r = r * stay + (1.0 - r) * back
+        r = r * (1.0 - detection) / (1.0 - r * detection)
+    return out
+
+
+def transitions(options: FrontEndOptions, interval_s: float) -> tuple[float, float]:
+    """Return the probabilities that in an interval a visible VT stays so, and that a hidden one comes back."""
+    return float(np.exp(-interval_s / options.visible_s)), float(-np.expm1(-interval_s / options.hidden_s))
+
+
+def existence(options: FrontEndOptions, interval_s: float) -> tuple[Floats, int, int]:
+    """Return log tables (2, 2, HORIZON) of P(visible and detected) and P(missed), and ages at which to drop VTs.
+
+    First index: VTs detected once, others. A VT is visible or hidden, a two-state Markov chain; a visible one is
+    detected with probability p_D; each miss lowers that by Bayes' rule. A VT that was seen once exists with the birth
+    probability only, and does not come back: this is what makes a birth pay for itself.
+    """
+    o, (stay, back) = options, transitions(options, interval_s)
+    once = visibility(o.birth_ratio, stay, 0.0, o.detection_probability, HORIZON)
+    twice = visibility(1.0, stay, 0.0, o.detection_probability, HORIZON)
+    known = visibility(1.0, stay, back, o.detection_probability, HORIZON)
+    kept = [np.maximum(r, 1e-12) * o.detection_probability for r in (once, known)]
+    table = np.stack([[np.log(r), np.log1p(-r)] for r in kept])
+    ages = [int(np.argmax(np.append(r, 0.0) < o.drop_probability)) for r in (once, twice)]
+    return table, ages[0], ages[1]
