@@ -60,7 +60,7 @@ def _augment(score, rows, columns, row_of, work_f, work_i):
                 if used[j] == 0:
                     if j <= columns:
                         gain = score[i0 - 1, j - 1]
-                        cost = -gain if gain > 0.0 else np.inf
+                        cost = -gain if 0.0 < gain < np.inf else np.inf
                     else:
                         cost = 0.0 if j - columns == i0 else np.inf
                     reduced = cost - u[i0] - v[j]

@@ -1,6 +1,6 @@
 """Compiled: one snapshot for every block of particles: move, associate, update, weigh, give birth, drop.
 
-Parallel over blocks with scratch of their own; no block reads another, so the result does not depend on the number of
+Parallel over blocks, each thread with scratch of its own; no block reads another, so the result does not depend on the number of
 threads.
 """
 
@@ -8,33 +8,33 @@ from __future__ import annotations
 
 import math
 
-from numba import njit, prange
+import numpy as np
+from numba import get_thread_id, njit, prange
 
 from cellslam.slam.fastslam.assignment import assign
 from cellslam.slam.fastslam.layout import (
     HITS,
     LANES,
+    O_FULL,
     O_SCORE,
-    OUT,
+    O_X,
+    O_Y,
     POSE,
     POSE_G,
-    RECORD,
     THETA,
+    V_WEIGHT,
     W_B,
     W_BIAS,
     W_D2,
     W_DROT,
     W_LOG,
     W_MASK,
-    W_OUT,
     W_P,
     W_POSE,
     W_REACH,
-    W_REC,
     W_ROT,
     W_SCALE,
     W_SCORE,
-    W_WEIGHT,
 )
 from cellslam.slam.fastslam.nuisance_kernel import absorb, collect, condition, forget
 from cellslam.slam.fastslam.predict_kernel import (
@@ -55,28 +55,19 @@ ONCE, UNCONFIRMED, CONFIRMED = 1, 2, 3
 
 
 @njit(cache=True, error_model="numpy")
-def _fetch(w, row, count, source):
-    """Copy `count` rows of `source` into W from `row` on."""
-    a, b = w[row * B : (row + count) * B], source[: count * B]
-    for i in range(count * B):
-        a[i] = b[i]
-
-
-@njit(cache=True, error_model="numpy")
-def _store(w, row, count, target):
-    """Copy `count` rows of W from `row` on into `target`."""
-    a, b = w[row * B : (row + count) * B], target[: count * B]
-    for i in range(count * B):
-        b[i] = a[i]
-
-
-@njit(cache=True, error_model="numpy")
-def _uniform(row):
-    """Say whether all lanes have the same status."""
-    different = 0
+def _spokesman(row):
+    """Return the first lane alive, -1 if none, and whether all lanes alive have its status."""
+    first = -1
     for l in range(B):
-        different |= row[l] ^ row[0]
-    return different == 0
+        if row[l] >= 0:
+            first = l
+            break
+    if first < 0:
+        return first, True
+    status, different = row[first], 0
+    for l in range(B):
+        different |= (row[l] ^ status) & ~(row[l] >> 31)
+    return first, different == 0
 
 
 @njit(cache=True, error_model="numpy")
@@ -96,7 +87,15 @@ def _prepare(w, state):
         w[(W_ROT + 6) * B + l], w[(W_ROT + 7) * B + l], w[(W_ROT + 8) * B + l] = -st, ct * sr, ct * cr
         w[W_DROT * B + l], w[(W_DROT + 1) * B + l], w[(W_DROT + 2) * B + l] = -r3, -r4, -r5
         w[(W_DROT + 3) * B + l], w[(W_DROT + 4) * B + l], w[(W_DROT + 5) * B + l] = r0, r1, r2
-        w[W_WEIGHT * B + l] = 0.0
+
+
+@njit(cache=True, error_model="numpy")
+def _middle(w, row):
+    """Return the middle of a row's values, and how far they lie from it at most."""
+    low, high = math.inf, -math.inf
+    for l in range(B):
+        low, high = min(low, w[row * B + l]), max(high, w[row * B + l])
+    return 0.5 * (low + high), 0.5 * (high - low)
 
 
 @njit(cache=True, error_model="numpy")
@@ -117,69 +116,108 @@ def _load_site(w, state, site, size):
 
 
 @njit(cache=True, error_model="numpy")
-def _age(w, now, status, order, count, tables, cfg, share):
+def _age(v, now, status, order, count, tables, cfg, share):
     """Charge each lane for each VT as missed, drop what was never confirmed and is unlikely to be there; return the
     number of tracks."""
     horizon = tables.shape[2] - 1
     i = 0
-    common = 0.0
     while i < count:
         row = status[order[i]]
-        alive = False
-        if _uniform(row) and (row[0] & 3) == CONFIRMED and row[0] >= 0:
-            common += share * tables[1, 1, min(now - (row[0] >> 2), horizon)]
-            i += 1
-            continue
-        for l in range(B):
-            s = row[l]
-            if s >= 0:
-                age, kind = min(now - (s >> 2), horizon), s & 3
-                if (kind == ONCE and age > cfg[5]) or (kind == UNCONFIRMED and age > cfg[6]):
-                    row[l] = DEAD
-                else:
-                    w[W_WEIGHT * B + l] += share * tables[0 if kind == ONCE else 1, 1, age]
-                    alive = True
-        if alive:
+        first, alike = _spokesman(row)
+        if first >= 0 and alike:
+            age, kind = min(now - (row[first] >> 2), horizon), row[first] & 3
+            if (kind == ONCE and age > cfg[5]) or (kind == UNCONFIRMED and age > cfg[6]):
+                first = -1
+            else:
+                charge = share * tables[0 if kind == ONCE else 1, 1, age]
+                for l in range(B):
+                    v[V_WEIGHT * B + l] += charge if row[l] >= 0 else 0.0
+        elif first >= 0:
+            first = _age_each(v, now, row, tables, cfg, share)
+        if first >= 0:
             i += 1
         else:
             count -= 1
             order[i], order[count] = order[count], order[i]
-    for l in range(B):
-        w[W_WEIGHT * B + l] += common
     return count
 
 
 @njit(cache=True, error_model="numpy")
-def _within(z, first, last, low, high):
-    """Say whether any measured distance, give or take 6 sigma, lies between two bounds; a missing distance always
-    does."""
-    for k in range(first, last):
-        wide = 6.0 * math.sqrt(z[k, 5])
-        if z[k, 8] == 0.0 or (z[k, 0] + wide >= low and z[k, 0] - wide <= high):
-            return True
-    return False
+def _age_each(v, now, row, tables, cfg, share):
+    """Do the same for a track that the lanes saw last at different times; return -1 if no lane keeps it."""
+    horizon = tables.shape[2] - 1
+    kept = -1
+    for l in range(B):
+        s = row[l]
+        if s >= 0:
+            age, kind = min(now - (s >> 2), horizon), s & 3
+            if (kind == ONCE and age > cfg[5]) or (kind == UNCONFIRMED and age > cfg[6]):
+                row[l] = DEAD
+            else:
+                v[V_WEIGHT * B + l] += share * tables[0 if kind == ONCE else 1, 1, age]
+                kept = l
+    return kept
 
 
 @njit(cache=True, error_model="numpy")
-def _entitle(w, now, row, tables, cfg):
-    """Write each lane's log of visible and detected against missed and clutter; return the reach of the lanes alive."""
+def _in_reach(z, bound, far, turned, psi, psi_spread):
+    """Say whether a measurement could be of a track: `bound` says what the track could show when last predicted.
+
+    far: how much the distance may have changed since, m; turned: how much directions may have; psi +- psi_spread: yaw
+    of the lanes.
+    """
+    if z[8] != 0.0:
+        wide = 6.0 * math.sqrt(z[5]) + far
+        if z[0] + wide < bound[0] or z[0] - wide > bound[1]:
+            return False
+    if z[9] != 0.0 and bound[6] > 2.0 * far:
+        wide = 6.0 * math.sqrt(z[6]) + bound[4] + turned + far / (bound[6] - far) + psi_spread
+        turn = z[12] + psi - bound[3]
+        turn -= 2.0 * math.pi * math.floor(turn / (2.0 * math.pi) + 0.5)
+        return abs(turn) <= wide
+    return True
+
+
+@njit(cache=True, error_model="numpy")
+def _entitle(w, now, row, first, alike, tables, cfg, out):
+    """Write each lane's log of visible and detected against missed and clutter."""
     horizon = tables.shape[2] - 1
-    low, high = math.inf, -math.inf
+    if alike:
+        age, kind = min(now - (row[first] >> 2), horizon), 0 if row[first] & 3 == ONCE else 1
+        value = tables[kind, 0, age] - cfg[0] - tables[kind, 1, age]
+        for l in range(B):
+            out[O_SCORE * B + l] = value if row[l] >= 0 else -1e30
+        return
     for l in range(B):
         s = row[l]
         if s >= 0:
             age, kind = min(now - (s >> 2), horizon), 0 if s & 3 == ONCE else 1
-            w[(W_OUT + O_SCORE) * B + l] = tables[kind, 0, age] - cfg[0] - tables[kind, 1, age]
-            low, high = min(low, w[W_REACH * B + l]), max(high, w[(W_REACH + 1) * B + l])
+            out[O_SCORE * B + l] = tables[kind, 0, age] - cfg[0] - tables[kind, 1, age]
         else:
-            w[(W_OUT + O_SCORE) * B + l] = -1e300
-    return low, high
+            out[O_SCORE * B + l] = -1e30
+
+
+@njit(cache=True, error_model="numpy")
+def _bound(w, row, first, out, bound, travelled, turned):
+    """Write what the lanes alive could measure of a track: least and greatest distance, how far the particles had
+    moved, azimuth in the world frame, give or take, how far they had turned, least distance from a particle."""
+    low, high, left, right, near = math.inf, -math.inf, math.inf, -math.inf, math.inf
+    for l in range(B):
+        if row[l] >= 0:
+            low, high = min(low, w[W_REACH * B + l]), max(high, w[(W_REACH + 1) * B + l])
+            left, right = min(left, w[(W_REACH + 2) * B + l]), max(right, w[(W_REACH + 3) * B + l])
+            near = min(near, out[O_FULL * B + l])
+    bound[0], bound[1], bound[2] = low, high, travelled
+    centre = math.atan2(out[O_Y * B + first], out[O_X * B + first]) + w[(W_POSE + 3) * B + first]
+    bound[3], bound[4] = centre + 0.5 * (left + right), 0.5 * (right - left)
+    bound[5], bound[6] = turned, near
+    if not right - left < 2.0:
+        bound[4] = math.inf
 
 
 @njit(cache=True, error_model="numpy")
 def _note(w, scores):
-    """Keep a pair's scores, mark the lanes in whose gate it is; return whether any lane would gain by associating
-    it."""
+    """Keep a pair's scores, lane by lane; return whether any lane would gain by associating it."""
     best = -math.inf
     for l in range(B):
         value = w[W_SCORE * B + l]
@@ -199,6 +237,9 @@ def _candidates(
     count,
     bounds,
     travelled,
+    turned,
+    psi,
+    psi_spread,
     z,
     first,
     last,
@@ -212,44 +253,53 @@ def _candidates(
     """Predict the tracks that could have given one of z[first:last] and score all pairs; return how many such tracks
     there are.
 
-    A track whose distance was far from every measured one when last predicted, less what the particles moved since,
-    is passed over
-    without reading its record.
+    A track whose distance or azimuth was far from every measured one when last predicted, less what the particles
+    moved since, is passed over without reading its record.
     """
     found = 0
     for i in range(count):
         slot = order[i]
-        slack = cfg[3] + 1.05 * (travelled - bounds[slot, 2])
-        if not _within(z, first, last, bounds[slot, 0] - slack, bounds[slot, 1] + slack):
-            continue
-        _fetch(w, W_REC, RECORD, records[slot])
-        predict(w)
-        reach(w)
-        low, high = _entitle(w, now, status[slot], tables, cfg)
-        bounds[slot, 0], bounds[slot, 1], bounds[slot, 2] = low, high, travelled
-        if not _within(z, first, last, low, high):
-            continue
-        near[found] = slot
-        _store(w, W_OUT, OUT, rows[found])
+        bound = bounds[slot]
+        far, turn = cfg[3] + 1.05 * (travelled - bound[2]), 1.05 * (turned - bound[5])
+        possible = False
         for k in range(first, last):
-            innovate(w, z[k])
-            invert(w, z[k], 1.0)
+            possible = possible or _in_reach(z[k], bound, far, turn, psi, psi_spread)
+        if not possible:
+            continue
+        row, out = status[slot], rows[found]
+        lane, alike = _spokesman(row)
+        predict(w, records[slot], out)
+        reach(w, out, lane)
+        _bound(w, row, lane, out, bound, travelled, turned)
+        chosen = False
+        for k in range(first, last):
+            claims[found, k - first] = False
+            if not _in_reach(z[k], bound, 0.0, 0.0, psi, psi_spread):
+                continue
+            if not chosen:
+                _entitle(w, now, row, lane, alike, tables, cfg, out)
+                chosen = True
+            innovate(w, out, z[k])
+            invert(w, out, z[k], 1.0)
             logarithm(w, bits)
-            score(w, cfg[1])
+            score(w, out, cfg[1])
             claims[found, k - first] = _note(w, scores[found, k - first])
-        found += 1
+        if chosen:
+            near[found] = slot
+            found += 1
     return found
 
 
 @njit(cache=True)
-def _associate(scores, claims, found, measured, row_of, table, column, floats, ints):
+def _associate(w, scores, claims, found, measured, row_of, table, column, floats, ints):
     """Write row_of (measured, LANES): the track of each measurement in each lane, -1 for none.
 
-    Where no measurement has two candidate tracks in the block and no track two measurements, every positive pair is
-    taken; else each
-    lane is solved on its own.
+    Where in a lane no measurement has two tracks that would gain and no track two measurements, every pair that gains
+    is taken; the other lanes are solved one by one.
     """
     ambiguous = False
+    for l in range(B):
+        w[W_MASK * B + l] = 0.0
     for k in range(measured):
         mine = row_of[k]
         rivals = 0
@@ -257,85 +307,110 @@ def _associate(scores, claims, found, measured, row_of, table, column, floats, i
             mine[l] = -1
         for q in range(found):
             if claims[q, k]:
-                rivals += 1
                 gain = scores[q, k]
+                if rivals > 0:
+                    for l in range(B):
+                        w[W_MASK * B + l] = 1.0 if mine[l] >= 0 and gain[l] > 0.0 else w[W_MASK * B + l]
+                rivals += 1
                 for l in range(B):
                     mine[l] = q if gain[l] > 0.0 else mine[l]
         ambiguous = ambiguous or rivals > 1
     for q in range(found):
         rivals = 0
+        for l in range(B):
+            w[W_D2 * B + l] = 0.0
         for k in range(measured):
-            rivals += claims[q, k]
-        ambiguous = ambiguous or rivals > 1
+            if claims[q, k]:
+                gain = scores[q, k]
+                rivals += 1
+                for l in range(B):
+                    w[W_D2 * B + l] += 1.0 if gain[l] > 0.0 else 0.0
+        if rivals > 1:
+            ambiguous = True
+            for l in range(B):
+                w[W_MASK * B + l] = 1.0 if w[W_D2 * B + l] > 1.0 else w[W_MASK * B + l]
     if ambiguous:
         for l in range(B):
-            for q in range(found):
+            if w[W_MASK * B + l] > 0.0:
+                for q in range(found):
+                    for k in range(measured):
+                        table[q, k] = scores[q, k, l] if claims[q, k] else -1.0
+                assign(table, found, measured, column, floats, ints)
                 for k in range(measured):
-                    table[q, k] = scores[q, k, l]
-            assign(table, found, measured, column, floats, ints)
-            for k in range(measured):
-                row_of[k, l] = column[k]
+                    row_of[k, l] = column[k]
 
 
 @njit(cache=True, error_model="numpy")
-def _credit(w, lack, share):
+def _credit(w, v, out, lack, share):
     """Add what the association at hand is worth, where W_MASK is 1: the fit e^T S^-1 e, and `share` of all the rest.
 
     `lack`: see `noise.packed`. The links of a site see the same VT come and go, so that each counts for its share only.
     """
+    F = w.dtype.type
+    half, part, rest = F(0.5), F(share), F(lack - LOG_2PI_3)
     for l in range(B):
-        rest = w[(W_OUT + O_SCORE) * B + l] - LOG_2PI_3 + lack - 0.5 * w[W_LOG * B + l]
-        value = share * rest - 0.5 * w[W_D2 * B + l]
-        w[W_WEIGHT * B + l] += value if w[W_MASK * B + l] > 0.5 else 0.0
+        value = part * (out[O_SCORE * B + l] + rest - half * w[W_LOG * B + l]) - half * w[W_D2 * B + l]
+        v[V_WEIGHT * B + l] += value if w[W_MASK * B + l] > half else F(0.0)
 
 
 @njit(cache=True, error_model="numpy")
 def _mask(w, row_of, q):
     """Set W_MASK to 1 in the lanes whose measurement goes to track q; return whether there are any."""
-    total = 0.0
+    F = w.dtype.type
+    wanted, any_ = np.int32(q), np.int32(0)
     for l in range(B):
-        on = 1.0 if row_of[l] == q else 0.0
-        w[W_MASK * B + l] = on
-        total += on
-    return total > 0.0
+        w[W_MASK * B + l] = F(1.0) if row_of[l] == wanted else F(0.0)
+        any_ |= np.int32(row_of[l] == wanted)
+    return any_ != 0
 
 
 @njit(cache=True, error_model="numpy")
 def _update(
-    w, bits, now, status, records, ident, near, found, rows, row_of, claims, z, first, last, cfg, share, association
+    w, bits, v, now, status, records, ident, near, found, rows, row_of, claims, z, first, last, cfg, share, association
 ):
     """Update every associated track; return the number of associations, lanes counted once."""
     updates = 0
     for q in range(found):
         slot = near[q]
-        loaded = False
+        record, out, row = records[slot], rows[q], status[slot]
         for k in range(first, last):
             if not claims[q, k - first] or not _mask(w, row_of[k - first], q):
                 continue
-            if not loaded:
-                _fetch(w, W_REC, RECORD, records[slot])
-                _fetch(w, W_OUT, OUT, rows[q])
-                loaded = True
-            innovate(w, z[k])
-            invert(w, z[k], 0.0)
+            innovate(w, out, z[k])
+            invert(w, out, z[k], 0.0)
             logarithm(w, bits)
-            _credit(w, z[k, 11], share)
-            absorb(w)
-            correct(w)
+            _credit(w, v, out, z[k, 11], share)
+            absorb(w, out)
+            correct(w, record, out)
             updates += 1
-            row = status[slot]
+            mine = association[k]
             for l in range(B):
-                if w[W_MASK * B + l] > 0.5:
-                    row[l] = 4 * now + (CONFIRMED if w[(W_REC + HITS) * B + l] >= cfg[4] else UNCONFIRMED)
-                    association[k, l] = ident[slot]
-        if loaded:
-            _store(w, W_REC, RECORD, records[slot])
+                on = w[W_MASK * B + l] > 0.5
+                seen = 4 * now + (CONFIRMED if record[HITS * B + l] >= cfg[4] else UNCONFIRMED)
+                row[l] = seen if on else row[l]
+                mine[l] = ident[slot] if on else mine[l]
     return updates
 
 
 @njit(cache=True, error_model="numpy")
 def _give_births(
-    w, now, status, records, ident, order, count, bounds, travelled, row_of, z, first, last, born, cfg, share
+    w,
+    v,
+    now,
+    status,
+    records,
+    ident,
+    order,
+    count,
+    bounds,
+    travelled,
+    row_of,
+    z,
+    first,
+    last,
+    born,
+    cfg,
+    share,
 ):
     """Start a track for each measurement that no particle's VT explains; return the number of tracks."""
     for k in range(first, last):
@@ -352,15 +427,15 @@ def _give_births(
             count = _evict(now, status, order, count)
         slot = order[count]
         count += 1
-        give_birth(w, z[k])
-        _store(w, W_REC, RECORD, records[slot])
+        give_birth(w, records[slot], z[k])
         ident[slot] = born + k
         spread = 6.0 * math.sqrt(z[k, 5])
         bounds[slot, 0], bounds[slot, 1], bounds[slot, 2] = z[k, 0] - spread, z[k, 0] + spread, travelled
+        bounds[slot, 4] = math.inf
         for l in range(B):
             on = w[W_MASK * B + l] > 0.5
             status[slot, l] = 4 * now + (CONFIRMED if cfg[4] <= 1.0 else ONCE) if on else DEAD
-            w[W_WEIGHT * B + l] += share * cfg[2] if on else 0.0
+            v[V_WEIGHT * B + l] += share * cfg[2] if on else 0.0
     return count
 
 
@@ -403,6 +478,7 @@ def _block(
     association,
     w,
     bits,
+    v,
     near,
     rows,
     scores,
@@ -414,14 +490,16 @@ def _block(
     ints,
 ):
     """Use one snapshot in one block."""
-    size = travelled.shape[0] + 2
+    size = travelled.shape[0] + 1
+    turned = travelled[size - 2]
     _prepare(w, state)
-    forget(w, size)
+    psi, psi_spread = _middle(w, W_POSE + 3)
+    forget(w, v, size)
     updates, loaded = 0, -1
     for link in range(counts.shape[0]):
         start, stop, site = first[link], first[link + 1], site_of[link]
         share = shares[link]
-        counts[link] = _age(w, now, status[link], order[link], counts[link], tables, cfg, share)
+        counts[link] = _age(v, now, status[link], order[link], counts[link], tables, cfg, share)
         if stop == start:
             continue
         if site != loaded:
@@ -437,6 +515,9 @@ def _block(
             counts[link],
             bounds[link],
             travelled[site],
+            turned,
+            psi,
+            psi_spread,
             z,
             start,
             stop,
@@ -447,10 +528,11 @@ def _block(
             scores,
             claims,
         )
-        _associate(scores, claims, found, stop - start, row_of, table, column, floats, ints)
+        _associate(w, scores, claims, found, stop - start, row_of, table, column, floats, ints)
         more = _update(
             w,
             bits,
+            v,
             now,
             status[link],
             records[link],
@@ -468,10 +550,11 @@ def _block(
             association,
         )
         if more > 0:
-            collect(w, site, size)
+            collect(w, v, site, size)
         updates += more
         counts[link] = _give_births(
             w,
+            v,
             now,
             status[link],
             records[link],
@@ -489,39 +572,39 @@ def _block(
             share,
         )
     if updates > 0:
-        _apply(w, state, travelled, size)
+        _apply(v, state, travelled, size)
     for l in range(B):
-        log_weight[l] += cfg[7] * w[W_WEIGHT * B + l]
+        log_weight[l] += cfg[7] * v[V_WEIGHT * B + l]
 
 
 @njit(cache=True, error_model="numpy")
-def _apply(w, state, travelled, size):
+def _apply(v, state, travelled, size):
     """Condition theta on the snapshot and move theta and pose by its change."""
-    change = (w.shape[0] // B - size) * B
+    change = (v.shape[0] // B - size) * B
     cov = change - size * size * B
     for i in range(size * size * B):
-        w[cov + i] = state[(THETA + size) * B + i]
-    condition(w, cov, change, size)
+        v[cov + i] = state[(THETA + size) * B + i]
+    condition(v, cov, change, size)
     for i in range(size * size * B):
-        state[(THETA + size) * B + i] = w[cov + i]
+        state[(THETA + size) * B + i] = v[cov + i]
     for i in range(size * B):
-        state[THETA * B + i] += w[change + i]
+        state[THETA * B + i] += v[change + i]
     bias, scale = change + (size - 2) * B, change + (size - 1) * B
-    shift = 0.0
+    shift, turn = 0.0, 0.0
     for l in range(B):
-        dx = state[POSE_G * B + l] * w[bias + l] + state[(POSE_G + 1) * B + l] * w[scale + l]
-        dy = state[(POSE_G + 2) * B + l] * w[bias + l] + state[(POSE_G + 3) * B + l] * w[scale + l]
+        dx = state[POSE_G * B + l] * v[bias + l] + state[(POSE_G + 1) * B + l] * v[scale + l]
+        dy = state[(POSE_G + 2) * B + l] * v[bias + l] + state[(POSE_G + 3) * B + l] * v[scale + l]
+        by_bias, by_scale = state[(POSE_G + 4) * B + l] * v[bias + l], state[(POSE_G + 5) * B + l] * v[scale + l]
         state[POSE * B + l] += dx
         state[(POSE + 1) * B + l] += dy
-        state[(POSE + 3) * B + l] += (
-            state[(POSE_G + 4) * B + l] * w[bias + l] + state[(POSE_G + 5) * B + l] * w[scale + l]
-        )
-        shift = max(shift, abs(dx) + abs(dy))
+        state[(POSE + 3) * B + l] += by_bias + by_scale
+        shift, turn = max(shift, abs(dx) + abs(dy)), max(turn, abs(by_bias) + abs(by_scale))
     for site in range(size - 2):
         largest = 0.0
         for l in range(B):
-            largest = max(largest, abs(w[change + site * B + l]))
+            largest = max(largest, abs(v[change + site * B + l]))
         travelled[site] += shift + largest
+    travelled[size - 2] += turn
 
 
 @njit(cache=True, parallel=True)
@@ -547,6 +630,7 @@ def update(
     association,
     w,
     bits,
+    v,
     near,
     rows,
     scores,
@@ -560,14 +644,15 @@ def update(
     """Use one snapshot in every block: G blocks, L links, C tracks a link, M measurements.
 
     state (G, F LANES), status (G, L, C, LANES), records (G, L, C, RECORD LANES), ident, order (G, L, C), counts (G,
-    L), bounds (G, L, C, 3),
-    travelled (G, S), log_weight (G, LANES): written. first (L + 1,): first measurement of each link; shares (L,):
-    weight of a link's evidence on which VTs there are; z, z_many (M, 12): see `noise.packed`; born: number of the
+    L), bounds (G, L, C, 7),
+    travelled (G, S + 1), log_weight (G, LANES): written. first (L + 1,): first measurement of each link; shares (L,):
+    weight of a link's evidence on which VTs there are; z, z_many (M, 13): see `noise.packed`; born: number of the
     first measurement; tables (2, 2, ages): log of visible-and-detected and of missed, for VTs seen once and others;
     cfg: log clutter density, gate, log-weight of a birth, slack of the distance test, hits to confirm, ages to drop
-    at (2), likelihood exponent. association (G, M, LANES) is written; the rest is scratch, one a block.
+    at (2), likelihood exponent. association (G, M, LANES) is written; the rest is scratch, one a thread.
     """
     for g in prange(state.shape[0]):
+        t = get_thread_id()
         _block(
             now,
             state[g],
@@ -588,17 +673,18 @@ def update(
             cfg,
             log_weight[g],
             association[g],
-            w[g],
-            bits[g],
-            near[g],
-            rows[g],
-            scores[g],
-            claims[g],
-            row_of[g],
-            table[g],
-            column[g],
-            floats[g],
-            ints[g],
+            w[t],
+            bits[t],
+            v[t],
+            near[t],
+            rows[t],
+            scores[t],
+            claims[t],
+            row_of[t],
+            table[t],
+            column[t],
+            floats[t],
+            ints[t],
         )
 
 
@@ -639,5 +725,5 @@ def move(state, travelled, velocity, dt, size):
             s[(POSE_G + 3) * B + l] += mx * by_scale - sp * ct * ux * stretch
             s[(POSE_G + 4) * B + l] -= dt
             farthest = max(farthest, abs(mx) + abs(my) + abs(mz))
-        for site in range(travelled.shape[1]):
+        for site in range(travelled.shape[1] - 1):
             travelled[g, site] += farthest

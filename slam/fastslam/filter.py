@@ -5,13 +5,14 @@ from __future__ import annotations
 from typing import Any, ClassVar
 
 import numpy as np
+from numba import config
 
 from cellslam.sim.frames import wrap_angle
 from cellslam.sim.recording import Floats, Ints
 from cellslam.slam.api import Estimate, Setup, Snapshot
 from cellslam.slam.fastslam import resampling
 from cellslam.slam.fastslam.block_kernel import move, update
-from cellslam.slam.fastslam.layout import BIAS, LANES, OUT, SCALE, scratch_rows
+from cellslam.slam.fastslam.layout import BIAS, LANES, OUT, SCALE, W_ROWS, scratch_rows
 from cellslam.slam.fastslam.noise import packed
 from cellslam.slam.fastslam.options import FastSlamOptions
 from cellslam.slam.fastslam.particles import Particles, draw, select
@@ -43,7 +44,7 @@ class FastSlam:
         """Draw the prior."""
         o = self.options
         self._setup, self._rng = setup, rng
-        self._site_of = np.asarray(setup.links.site, np.int64)
+        self._site_of = np.array(setup.links.site, np.int64)  # a writable copy: compiled code is typed by that
         self._port_of = ports_of(self._site_of, setup.links.port)
         self._shares = 1.0 / np.bincount(self._site_of)[self._site_of] ** o.link_correlation
         count = o.particles_start or o.particles
@@ -84,7 +85,7 @@ class FastSlam:
         first = first_of_link(snapshot, len(self._setup.links))
         values = readings(snapshot, self._site_of, self._port_of, o, odometry[3] * dt_s, odometry[0] * dt_s)
         log_tables, age_once, age_twice = self._existence(dt_s)
-        config = np.array([
+        parameters = np.array([
             np.log(o.clutter_density), o.gate, -np.log1p(-o.birth_ratio), 3.0, o.confirm_hits, age_once, age_twice,
             o.likelihood_exponent,
         ])  # fmt: skip
@@ -94,8 +95,8 @@ class FastSlam:
         update(
             self._now, p.state, p.status, p.records, p.ident, p.order, p.counts, p.bounds, p.travelled, first,
             self._site_of, self._shares,
-            *packed(values), self._born, log_tables, config, p.log_weight, association,
-            self._scratch[0], self._scratch[0].view(np.int64), *self._scratch[1:],
+            *packed(values), self._born, log_tables, parameters, p.log_weight, association,
+            self._scratch[0], self._scratch[0].view(np.int32), *self._scratch[1:],
         )  # fmt: skip
         return association
 
@@ -106,20 +107,22 @@ class FastSlam:
         return result
 
     def _reserve(self, measurements: int, total: int) -> None:
-        """Keep scratch for each block, wide enough for a link with `measurements` measurements and a snapshot with
+        """Keep scratch for each thread, wide enough for a link with `measurements` measurements and a snapshot with
         `total`."""
-        g, c = len(self._particles.state), self.options.vts_per_link
+        g, c, threads = len(self._particles.state), self.options.vts_per_link, config.NUMBA_NUM_THREADS
         if self._association.shape[0] != g or self._association.shape[1] < total:
             self._association = np.empty((g, 2 * total, LANES), np.int64)
-        if self._scratch and len(self._scratch[0]) == g and self._scratch[3].shape[2] >= measurements:
+        if self._scratch and self._scratch[4].shape[2] >= measurements:
             return
         m = max(2 * measurements, 16)
-        w = np.zeros((g, scratch_rows(self._particles.nuisances) * LANES))
-        near, rows, scores = np.empty((g, c), np.int64), np.empty((g, c, OUT * LANES)), np.empty((g, c, m, LANES))
-        claims, row_of = np.empty((g, c, m), np.bool_), np.empty((g, m, LANES), np.int64)
-        table, column, work = np.empty((g, c, m)), np.empty((g, m), np.int64), (g, 4 * (c + m + 2))
+        w = np.zeros((threads, W_ROWS * LANES), np.float32)
+        v = np.zeros((threads, scratch_rows(self._particles.nuisances) * LANES))
+        near, rows = np.empty((threads, c), np.int64), np.empty((threads, c, OUT * LANES), np.float32)
+        scores = np.empty((threads, c, m, LANES), np.float32)
+        claims, row_of = np.empty((threads, c, m), np.bool_), np.empty((threads, m, LANES), np.int32)
+        table, column, work = np.empty((threads, c, m)), np.empty((threads, m), np.int64), (threads, 4 * (c + m + 2))
         self._scratch = (
-            w, near, rows, scores, claims, row_of, table, column, np.empty(work), np.empty(work, np.int64),
+            w, v, near, rows, scores, claims, row_of, table, column, np.empty(work), np.empty(work, np.int64),
         )  # fmt: skip
 
     def _conclude(self, association: Ints) -> Estimate:

@@ -95,6 +95,7 @@ def move_between(
                 to_status[h, link, place, b] = s
                 to_bounds[h, link, place, 0] = -math.inf
                 to_bounds[h, link, place, 1] = math.inf
+                to_bounds[h, link, place, 4] = math.inf
                 for r in range(RECORD):
                     to_records[h, link, place, r * B + b] = records[g, link, slot, r * B + a]
 

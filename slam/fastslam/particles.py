@@ -25,14 +25,15 @@ class Particles:
     not believe in a
     track, else 4 * snapshot last seen + class; ident (G, L, C): measurement that the track was born from; order (G,
     L, C): a
-    permutation, its first counts[g, l] are in use; bounds (G, L, C, 3): least and greatest distance that the track
-    could show, and
-    `travelled` (G, S) when that was computed; log_weight (G, 32).
+    permutation, its first counts[g, l] are in use; bounds (G, L, C, 7): what the track could show
+    when last predicted (least and greatest distance, travelled, azimuth in the world frame, give or take, turned,
+    least distance from a particle); travelled (G, S + 1): how far the particles and a site's offset have moved, m, and
+    how far directions have turned, rad; log_weight (G, 32).
     """
 
     state: Floats
     status: NDArray[np.int32]
-    records: Floats
+    records: NDArray[np.float32]
     ident: Ints
     order: NDArray[np.int32]
     counts: Ints
@@ -46,7 +47,7 @@ class Particles:
     @property
     def nuisances(self) -> int:
         """K."""
-        return int(self.travelled.shape[1]) + 2
+        return int(self.travelled.shape[1]) + 1
 
     def rows(self, first: int, count: int) -> Floats:
         """Return a view (G, count, 32) of `count` rows of the state."""
@@ -93,12 +94,12 @@ def _empty(blocks: int, size: int, links: int, capacity: int) -> Particles:
     return Particles(
         state=np.zeros((blocks, (THETA + size + size * size) * LANES)),
         status=np.full((*shape, LANES), DEAD, np.int32),
-        records=np.empty((*shape, RECORD * LANES)),
+        records=np.zeros((*shape, RECORD * LANES), np.float32),
         ident=np.zeros(shape, np.int64),
         order=np.broadcast_to(np.arange(capacity, dtype=np.int32), shape).copy(),
         counts=np.zeros((blocks, links), np.int64),
-        bounds=np.zeros((*shape, 3)),
-        travelled=np.zeros((blocks, size - 2)),
+        bounds=np.zeros((*shape, 7)),
+        travelled=np.zeros((blocks, size - 1)),
         log_weight=np.zeros((blocks, LANES)),
     )
 
