@@ -114,6 +114,22 @@ def setup_of(recording: Recording, with_truth: bool = False) -> Setup:
     )
 
 
+def odometry_of(recording: Recording) -> Floats:
+    """Return odometry (T, 6) as estimators take it, read-only.
+
+    A component that was never measured is zero (its data sheet then says how the vehicle moves that way); in a gap the
+    last measured value holds.
+    """
+    out = recording.odometry.copy()
+    for index in np.flatnonzero(np.isnan(out).any(axis=0)):
+        column = out[:, index]
+        known = ~np.isnan(column)
+        last = np.maximum.accumulate(np.where(known, np.arange(len(column)), 0))
+        column[:] = np.nan_to_num(column[last])
+    out.setflags(write=False)
+    return out
+
+
 def snapshots_of(recording: Recording) -> list[Snapshot]:
     """Return every snapshot of a recording, each with its own copies of the columns."""
     m, rows = recording.measurements, recording.rows
