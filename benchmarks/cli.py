@@ -95,6 +95,7 @@ def build_parser() -> argparse.ArgumentParser:
     _add_sweep(add("sweep", "cli_sweep:sweep", "many variants and trials of a scenario, in parallel, resumable"))
     _add_table(add("table", "cli_table:table", "the results of a sweep as a table"))
     _add_figures(add("figures", "cli_table:figures", "the figures of a sweep, as PNG and PDF"))
+    _add_report(add("report", "cli_table:report", "one HTML page of a sweep, for offline reading: tables, plots, worst trials"))
     show = add("show", "cli_show:show", "every key of a scenario: value, unit, range, meaning")
     _add_scenario(show)
     listing = add("list", "cli_show:list_known", "the scenarios or estimators that are known by name")
@@ -178,6 +179,9 @@ def _add_replay(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("file", metavar="FILE.h5", help="a recording")
     _add_set(parser, "estimator.fastslam.particles=300")
     _add_estimation(parser)
+    parser.add_argument(
+        "--align", action="store_true", help="lay each estimate onto the truth before it is scored, and say so in its row"
+    )
     _add_seed(parser, None, "seed of the estimators' random draws (default: the recording's own)")
     parser.add_argument("--out", metavar="DIR", help="folder for the results (default: results/replay-FILE)")
 
@@ -243,6 +247,18 @@ def _add_figures(parser: argparse.ArgumentParser) -> None:
     interval_help = "confidence of the intervals (default: 95)"
     parser.add_argument("--interval", metavar="PERCENT", type=_number, default=95.0, help=interval_help)
     parser.add_argument("--out", metavar="FOLDER", help="where to write (default: DIR/figures)")
+
+
+def _add_report(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("folder", metavar="DIR", help="folder of a sweep")
+    parser.add_argument("--out", metavar="FILE.html", help="the page to write (default: DIR/report.html)")
+    parser.add_argument("--worst", metavar="N", type=_whole, default=3, help="trials with a section each (default: 3)")
+    metric_help = "by which trials are the worst (default: position_rmse_m)"
+    parser.add_argument("--metric", metavar="NAME", default="position_rmse_m", help=metric_help)
+    estimators_help = "whose worst trials; may be repeated (default: the estimator with the best median)"
+    parser.add_argument(
+        "--estimator", metavar="NAME", action="append", default=[], dest="estimators", help=estimators_help
+    )
 
 
 def _add_flags(parser: argparse.ArgumentParser, *flags: tuple[str, str]) -> None:

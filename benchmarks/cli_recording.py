@@ -53,6 +53,8 @@ def replay(arguments: Namespace) -> int:
         raise InputError(f"--set {foreign[0]}: a recording is as it is; replay can set 'estimator.NAME.key' only")
     path = Path(arguments.file)
     recording = Recording.load(path)
+    if arguments.align and recording.truth is None and recording.reference is None:
+        raise InputError(f"--align: {path} has neither truth nor reference to align to; leave the option out")
     origin = _Origin.of(recording, path)
     seed = origin.seed if arguments.seed is None else arguments.seed
     trials.check_counts(1, seed)
@@ -65,7 +67,8 @@ def replay(arguments: Namespace) -> int:
     with bars(arguments.quiet) as progress:
 
         def only() -> Iterator[trials.Trial]:
-            yield trials.score_recording(recording, origin.name, requests, origin.trial, seed, progress)
+            align = arguments.align
+            yield trials.score_recording(recording, origin.name, requests, origin.trial, seed, progress, align)
 
         interrupted = work_off(job, only(), progress)
     return report(job, interrupted)

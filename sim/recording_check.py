@@ -32,6 +32,8 @@ def check(recording: Recording) -> None:
         _check_truth(r.truth, r)
     if r.reference is not None:
         _check_reference(r.reference)
+    if r.plane and not np.isnan(r.measurements.elevation_rad).all():
+        raise InputError("plane is set, but measurements.elevation_rad has values: leave one of both out")
 
 
 def _check_odometry(r: Recording, count: int) -> None:

@@ -131,10 +131,14 @@ def odometry_of(recording: Recording) -> Floats:
 
 
 def snapshots_of(recording: Recording) -> list[Snapshot]:
-    """Return every snapshot of a recording, each with its own copies of the columns."""
+    """Return every snapshot of a recording, each with its own copies of the columns.
+
+    In a recording of one plane the elevation is zero: known, though not measured.
+    """
     m, rows = recording.measurements, recording.rows
     every_row = np.arange(len(m))
-    columns = (every_row, m.link, m.distance_m, m.azimuth_rad, m.elevation_rad, m.snr_db)
+    elevation = np.zeros(len(m)) if recording.plane else m.elevation_rad
+    columns = (every_row, m.link, m.distance_m, m.azimuth_rad, elevation, m.snr_db)
     claimed = (m.distance_std_m, m.azimuth_std_rad, m.elevation_std_rad)
     out = []
     for t in range(len(recording.time_s)):

@@ -79,6 +79,7 @@ class Campaign:
     start_std: Sequence[float] = NO_NOISE
     reference: ReferenceTable | None = None
     snapshots_s: ArrayLike | None = None
+    plane: bool = False
     about: Mapping[str, Any] = field(default_factory=dict)
 
 
@@ -110,6 +111,7 @@ def build(campaign: Campaign) -> Recording:
         start_std=np.asarray(campaign.start_std, np.float64),
         provenance=dict(campaign.about),
         reference=reference,
+        plane=campaign.plane,
     )
 
 

@@ -56,7 +56,8 @@ def load(folder: Path) -> Recording:
             },
             start_std=(0.3, 0.3, 0.0, np.radians(2.0), 0.0, 0.0),
             reference=ReferenceTable(fixes_s[kept], fixes[kept]),
-            about={"campaign": "Victoria Park", "plane": True},
+            plane=True,
+            about={"campaign": "Victoria Park"},
         )
     )
 
