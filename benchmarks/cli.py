@@ -12,6 +12,7 @@ from importlib import import_module
 from typing import Any, NoReturn
 
 from cellslam.benchmarks.cli_city_parsers import add_bench, add_city
+from cellslam.benchmarks.cli_recordings_parsers import COMMANDS
 from cellslam.sim.errors import InputError, nearest_name
 
 DONE, FAILED, WRONG, INTERRUPTED = 0, 1, 2, 130
@@ -27,6 +28,8 @@ examples:
   cellslam run munich-530 --set radio.clutter_scale=2 --estimator my_module:MyEstimator
   cellslam record tiny --out tiny.h5                 keep the measurements ...
   cellslam replay tiny.h5 --estimator fastslam       ... and estimate again from them
+  cellslam import campaign --out drive.h5            measured data: tables and recording.toml to a recording
+  cellslam inspect drive.h5                          ... what is in it, what is missing, what looks wrong
   cellslam sweep tiny --sweep radio.load=0,0.5 --trials 20 --out s     many variants, in parallel
   cellslam show tiny                                 every key that --set can change
   cellslam city trace sionna-rt:munich --bs=42,-50,30 --rx rx.csv --out paths.csv    paths for other work
@@ -92,6 +95,8 @@ def build_parser() -> argparse.ArgumentParser:
     _add_run(add("run", "cli_run:run", "simulate a scenario, run estimators on it, score them"))
     _add_record(add("record", "cli_recording:record", "simulate a scenario and keep it as a recording"))
     _add_replay(add("replay", "cli_recording:replay", "run estimators on a recording and score them"))
+    for name, target, summary, fill in COMMANDS:
+        fill(add(name, f"cli_recordings:{target}", summary))
     _add_sweep(add("sweep", "cli_sweep:sweep", "many variants and trials of a scenario, in parallel, resumable"))
     _add_table(add("table", "cli_table:table", "the results of a sweep as a table"))
     _add_figures(add("figures", "cli_table:figures", "the figures of a sweep, as PNG and PDF"))

@@ -143,6 +143,13 @@ def _measurements(campaign: Campaign, rows_s: Floats, times: Floats) -> Measurem
         raise InputError(f"measurements, row {away[0]}: its time {rows_s[away[0]]} s is no time of 'snapshots'")
     order = np.lexsort((link, snapshot))
     table = {name: _column("measurements", name, values, count)[order] for name, values in campaign.columns.items()}
+    for name, most in (("azimuth_rad", 2.0 * np.pi), ("elevation_rad", 0.5 * np.pi)):
+        outside = np.flatnonzero(np.abs(np.asarray(campaign.columns.get(name, ()), np.float64)) > most + 1e-6)
+        if len(outside):
+            value = np.asarray(campaign.columns[name], np.float64)[outside[0]]
+            raise InputError(
+                f"measurements.{name}, row {outside[0]}: {value:.6g} rad is no such angle; were degrees taken for radians?"
+            )
     if "azimuth_rad" in table:
         table["azimuth_rad"] = wrap_angle(table["azimuth_rad"])
     nothing = np.full(count, np.nan)
