@@ -11,7 +11,7 @@ import networkx as nx
 import numpy as np
 
 from cellslam.sim.city import City
-from cellslam.sim.city.inside import OUTSIDE, enclosing
+from cellslam.sim.city.inside import OUTSIDE, enclosing, ground_height
 from cellslam.sim.errors import InputError
 from cellslam.sim.rays import Scene, trace
 from cellslam.sim.rays.paths import Floats
@@ -72,8 +72,7 @@ def drive_in(city: City) -> Floats:
     steps = np.arange(-half, half + CELL_M, CELL_M)
     cells = np.stack(np.meshgrid(steps, steps, indexing="ij"), axis=-1)
     places = (cells + middle).reshape(-1, 2)
-    floor = float(low[2]) + RECEIVER_HEIGHT_M
-    free = enclosing(city, np.column_stack([places, np.full(len(places), floor)])) == OUTSIDE
+    free = enclosing(city, np.column_stack([places, ground_height(city, places) + RECEIVER_HEIGHT_M])) == OUTSIDE
     graph = nx.grid_2d_graph(len(steps), len(steps))
     graph.remove_nodes_from([(i, j) for i, j in graph if not free[i * len(steps) + j]])
     if len(graph) < 2:
@@ -96,8 +95,8 @@ def receivers_along(city: City, way: Floats, count: int) -> Floats:
     start = max(0.0, min(FIRST_SITE_M, arc[-1] / 2) - 0.5 * count * SPACING_M)
     at = (start + np.arange(count) * SPACING_M) % (2.0 * arc[-1])
     at = np.where(at > arc[-1], 2.0 * arc[-1] - at, at)
-    height = float(city.bounds[0, 2]) + RECEIVER_HEIGHT_M
-    return np.column_stack([np.interp(at, arc, way[:, 0]), np.interp(at, arc, way[:, 1]), np.full(count, height)])
+    places = np.column_stack([np.interp(at, arc, way[:, 0]), np.interp(at, arc, way[:, 1])])
+    return np.column_stack([places, ground_height(city, places) + RECEIVER_HEIGHT_M])
 
 
 def sites_along(city: City, way: Floats, count: int) -> Floats:
@@ -106,6 +105,7 @@ def sites_along(city: City, way: Floats, count: int) -> Floats:
     """
     first = min(int(FIRST_SITE_M / CELL_M), len(way) // 2)
     rows = (first + np.linspace(0, len(way), count, endpoint=False).astype(int)) % len(way)
-    height = np.where(np.arange(count) % 2 == 0, STREET_SITE_M, MAST_M) + float(city.bounds[0, 2])
-    places = np.column_stack([way[rows] + [0.37, 0.53], height])
+    above = np.where(np.arange(count) % 2 == 0, STREET_SITE_M, MAST_M)
+    flat = way[rows] + [0.37, 0.53]
+    places = np.column_stack([flat, ground_height(city, flat) + above])
     return np.asarray(places[enclosing(city, places) == OUTSIDE], np.float64)

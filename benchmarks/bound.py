@@ -1,11 +1,11 @@
 """The posterior Cramer-Rao bound of a drive: what a filter that makes no mistake of association could reach.
 
-The covariance recursion of the joint filter over pose, odometry biases and scales, clock offsets and the VTs
-of every link, with all Jacobians at the truth, the true associations, the odometry's noise model and each
-measurement's true covariance. It is conditional on the realised trajectory and detections (Tichavsky,
-Muravchik, Nehorai, "Posterior Cramer-Rao bounds for discrete-time nonlinear filtering", IEEE Trans. Signal
-Processing 46(5), 1998, in covariance form, as the odometry noise is singular). Estimators that use the
-priors, and single trials, can fall below it.
+The covariance recursion of the joint filter over pose, odometry biases and scales, clock offsets, the VTs of every link
+and the measurement errors that persist, with all Jacobians at the truth, the true associations, the odometry's noise
+model and each measurement's true covariance. It is conditional on the realised trajectory and detections (Tichavsky,
+Muravchik, Nehorai, "Posterior Cramer-Rao bounds for discrete-time nonlinear filtering", IEEE Trans. Signal Processing
+46(5), 1998, in covariance form, as the odometry noise is singular). Estimators that use the priors, and single trials,
+can fall below it.
 """
 
 from __future__ import annotations
@@ -13,16 +13,16 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from cellslam.benchmarks.bound_model import Errors, Flags, Looks, Motion, Sightings, room
 from cellslam.sim.errors import InputError
 from cellslam.sim.frames import mean_velocity, rotation
 from cellslam.sim.progress import Progress, silent
 from cellslam.sim.recording import Floats, Ints, OdometryModel, Recording, Truth
 from cellslam.slam.model import jacobians, predict
 
-Flags = NDArray[np.bool_]
-
+# Snapshots from one step of the progress bar to the next.
+BLOCK = 100
 # A component that a VT's first measurement lacks: known this well (m, rad, rad).
 BROAD_STD = np.array([1e4, 10.0, 10.0])
 # Least standard deviation in noiseless recordings: relative for distances, radians for angles.
@@ -63,52 +63,34 @@ class Core:
     size: int
 
 
-@dataclass(frozen=True)
-class Tracked:
-    """The measurements that carry information: of a true VT that is seen at least twice on its link.
-
-    `rows` (T + 1,); `key` (m,): VT on a link; `first`, `last` (m,); `h` (m, 3, 9) = [dh/dpose, dh/dVT];
-    `variance` (m, 3), infinite where not measured; `site` (m,).
-    """
-
-    rows: Ints
-    key: Ints
-    first: Flags
-    last: Flags
-    h: Floats
-    variance: Floats
-    site: Ints
-
-
 def bound(recording: Recording, progress: Progress = silent) -> BoundResult:
     """Return the posterior Cramer-Rao bound of a recording with truth.
 
-    VTs enter with a flat prior at their first detection, separately for each link. Pitch, roll and height are
-    known where neither the start nor the odometry's data sheet is uncertain of them. Raises InputError
-    without truth.
+    VTs enter with a flat prior at their first detection, separately for each link. Errors that persist are states too,
+    where `truth.persisting_std` is there. Pitch, roll and height are known where neither the start nor the odometry's
+    data sheet is uncertain of them. Raises InputError without truth.
     """
     if recording.truth is None:
-        raise InputError(
-            "the recording has no truth: the bound needs the true trajectory, VTs and measurement noise"
-        )
+        raise InputError("the recording has no truth: the bound needs the true trajectory, VTs and measurement noise")
     from cellslam.benchmarks.bound_kernel import covariance_recursion
 
     truth, snapshots, sites = recording.truth, len(recording.time_s), len(recording.sites)
     core = core_of(recording.odometry_model, sites)
-    motion, noise, walk = linear_motion(recording, truth, core)
-    tracked = tracked_measurements(recording, truth)
-    keys = int(tracked.key.max()) + 1 if len(tracked.key) else 0
-    alive = np.cumsum(tracked.first) - np.cumsum(tracked.last) + tracked.last
-    slots = int(alive.max()) if len(alive) else 0
-    size = core.size + 3 * slots
+    motion = Motion(start_variance(recording, core), *linear_motion(recording, truth, core))
+    looks, sightings, errors = tracked_measurements(recording, truth, core)
+    work = room(core.size, most_states(looks, sightings, errors, snapshots), looks, sightings, errors)
     pose, offset = np.zeros((snapshots, 6, 6)), np.zeros((snapshots, sites))
+    model = work, motion, looks, sightings, errors
+    if not covariance_recursion.signatures:
+        with progress("compiling Cramer-Rao bound (first use)", 1) as advance:
+            covariance_recursion(*model, 0, 0, core.size, pose, offset)
+            advance(1)
     with progress("Cramer-Rao bound", snapshots) as advance:
-        covariance_recursion(
-            np.zeros((size, size)), start_variance(recording, core), core.size, motion, noise, walk,
-            tracked.rows, tracked.key, tracked.first, tracked.last, tracked.h, tracked.variance,
-            core.offsets[tracked.site], np.zeros(keys, np.int64), np.zeros(slots, np.int64), pose, offset,
-        )  # fmt: skip
-        advance(snapshots)
+        states = core.size
+        for begin in range(0, snapshots, BLOCK):
+            end = min(begin + BLOCK, snapshots)
+            states = covariance_recursion(*model, begin, end, states, pose, offset)
+            advance(end - begin)
     return BoundResult(pose, np.sqrt(np.maximum(offset, 0.0)))
 
 
@@ -155,9 +137,7 @@ def linear_motion(recording: Recording, truth: Truth, core: Core) -> tuple[Float
             motion[1:, :, core.bias[component]] = -by_velocity[:, :, component]
             walk[1:, core.bias[component]] = model.bias_walk_density[component] ** 2 * dt
         if core.scale[component] >= 0:
-            motion[1:, :, core.scale[component]] = (
-                -by_velocity[:, :, component] * velocity[:, component, None]
-            )
+            motion[1:, :, core.scale[component]] = -by_velocity[:, :, component] * velocity[:, component, None]
     white = model.noise_density**2 / dt[:, None]
     noise[1:] = np.einsum("tac,tc,tbc->tab", by_velocity, white, by_velocity)
     return motion, noise, walk
@@ -185,40 +165,75 @@ def pose_jacobians(pose: Floats, velocity: Floats, dt_s: Floats) -> tuple[Floats
     return by_pose, by_velocity
 
 
-def tracked_measurements(recording: Recording, truth: Truth) -> Tracked:
-    """Return the measurements that carry information, with their Jacobians and variances at the truth."""
-    m = recording.measurements
+def tracked_measurements(recording: Recording, truth: Truth, core: Core) -> tuple[Looks, Sightings, Errors]:
+    """Return the measurements that carry information, of a true VT that is seen at least twice on its link.
+
+    With their Jacobians and variances at the truth, and the errors that persist.
+    """
+    from cellslam.benchmarks.bound_persisting import Seen, persisting_errors
+
+    m, vts = recording.measurements, max(len(truth.vts), 1)
     real = np.flatnonzero(truth.measurement_vt >= 0)
     pose, vt = truth.poses[m.snapshot[real]], truth.vts.position_m[truth.measurement_vt[real]]
     with np.errstate(divide="ignore", invalid="ignore"):
-        by_vt, by_pose = jacobians(pose, vt)
-    h = np.concatenate([by_pose, by_vt], axis=-1)
-    pair = m.link[real] * max(len(truth.vts), 1) + truth.measurement_vt[real]
-    regular = np.isfinite(h).all(axis=(1, 2))
+        regular = np.isfinite(np.concatenate(jacobians(pose, vt), axis=-1)).all(axis=(1, 2))
+    pair = m.link[real] * vts + truth.measurement_vt[real]
     _, inverse, count = np.unique(np.where(regular, pair, -1), return_inverse=True, return_counts=True)
     keep = regular & (count[inverse] > 1)
-    real, h, pose, vt = real[keep], h[keep], pose[keep], vt[keep]
-    _, first_row, key = np.unique(pair[keep], return_index=True, return_inverse=True)
-    _, last_row = np.unique(pair[keep][::-1], return_index=True)
+    real, pair = real[keep], pair[keep]
+    _, first_row, key = np.unique(pair, return_index=True, return_inverse=True)
+    _, last_row = np.unique(pair[::-1], return_index=True)
     first, last = np.zeros(len(real), np.bool_), np.zeros(len(real), np.bool_)
     first[first_row], last[len(real) - 1 - last_row] = True, True
-    return Tracked(
-        rows=np.searchsorted(m.snapshot[real], np.arange(len(recording.time_s) + 1)).astype(np.int64),
-        key=key.astype(np.int64),
-        first=first,
-        last=last,
-        h=h,
-        variance=_variance(recording, truth, real, predict(pose, vt)[:, 0], first),
-        site=recording.links.site[m.link[real]],
+
+    snapshot, vt_of = m.snapshot[real], truth.measurement_vt[real]
+    _, at, look = np.unique(snapshot * vts + vt_of, return_index=True, return_inverse=True)
+    position = truth.vts.position_m[vt_of[at]]
+    by_vt, by_pose = jacobians(truth.poses[snapshot[at]], position)
+    distance_m, azimuth_rad, elevation_rad = predict(truth.poses[snapshot[at]], position).T
+    seen = Seen(snapshot[at], azimuth_rad, elevation_rad, look, vt_of, recording.links.port[m.link[real]])
+    persisting = persisting_errors(recording, seen)
+    every = np.arange(len(recording.time_s) + 1)
+    looks = Looks(
+        np.searchsorted(snapshot[at], every), by_pose, by_vt, core.offsets[recording.links.site[m.link[real[at]]]],
+        persisting.state, persisting.load,
+    )  # fmt: skip
+    variance = _white_variance(recording, truth, real, distance_m[look], first, persisting.variance)
+    sightings = Sightings(
+        np.searchsorted(snapshot, every), look, key, first, last, variance, persisting.own_state, persisting.own_load
     )
+    return looks, sightings, persisting.errors
 
 
-def _variance(recording: Recording, truth: Truth, rows: Ints, distance_m: Floats, first: Flags) -> Floats:
-    """Return the variances (n, 3) of measurements `rows` (n,); infinite: not measured."""
+def most_states(looks: Looks, sightings: Sightings, errors: Errors, snapshots: int) -> int:
+    """Return the most states beside the core that the recursion holds at once."""
+    enter = np.full(len(errors.last), snapshots)
+    at = np.repeat(np.arange(snapshots), np.diff(looks.rows))
+    _first(enter, looks.state, at)
+    seen_at = np.repeat(np.arange(snapshots), np.diff(sightings.rows))
+    _first(enter, sightings.state, seen_at)
+    used = enter < snapshots
+    change = np.bincount(enter[used], minlength=snapshots + 1)
+    change -= np.bincount(errors.last[used] + 1, minlength=snapshots + 1)
+    change += 3 * np.bincount(seen_at[sightings.first], minlength=snapshots + 1)
+    change -= 3 * np.bincount(seen_at[sightings.last] + 1, minlength=snapshots + 1)
+    return int(np.cumsum(change).max())
+
+
+def _first(enter: Ints, state: Ints, at: Ints) -> None:
+    there = state >= 0
+    rows = np.broadcast_to(at.reshape(-1, *[1] * (state.ndim - 1)), state.shape)
+    np.minimum.at(enter, state[there], rows[there])
+
+
+def _white_variance(
+    recording: Recording, truth: Truth, rows: Ints, distance_m: Floats, first: Flags, persisting: Floats
+) -> Floats:
+    """Return the variances (n, 3) of the white errors of measurements `rows` (n,); infinite: not measured."""
     m = recording.measurements
     measured = np.stack([m.distance_m[rows], m.azimuth_rad[rows], m.elevation_rad[rows]], axis=1)
-    std = truth.measurement_std[rows]
+    variance = truth.measurement_std[rows] ** 2 - persisting
     smallest = SMALLEST_STD * np.stack([distance_m, np.ones(len(rows)), np.ones(len(rows))], axis=1)
-    there = np.isfinite(measured) & np.isfinite(std)
+    there = np.isfinite(measured) & np.isfinite(variance)
     missing = np.where(first[:, None], BROAD_STD, np.inf)
-    return np.where(there, np.maximum(std, smallest), missing) ** 2
+    return np.where(there, np.maximum(variance, smallest**2), missing**2)

@@ -1,173 +1,201 @@
-"""The compiled covariance recursion of the bound: one pass over a drive, in place.
+"""The compiled covariance recursion of the bound: one pass over a drive.
 
-The state is [core, VT, VT, ...] with core = [pose (6), odometry biases, odometry scales, clock offsets].
-Only the lower triangle of the covariance is kept and written, so it is symmetric by construction; VTs that
-will not be seen again are removed, which is exact marginalisation, and the last one takes their place.
+The state is [core, others] with core = [pose (6), odometry biases, odometry scales, clock offsets]. The others, VTs'
+coordinates and errors that persist, enter when they are first met and leave when they will not be met again (exact
+marginalisation: the last one takes the place). A snapshot's measurements are taken one component after the other, but
+their whitened gains are subtracted together: a rank-K update.
 """
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 
+from cellslam.benchmarks.bound_model import Errors, Looks, Motion, Sightings, Work
+from cellslam.benchmarks.bound_states_kernel import POSE, append, decay, enter, leave, predict
 from cellslam.sim.recording import Floats, Ints
-
-Flags = NDArray[np.bool_]
-
-POSE = 6
 
 
 @njit(cache=True)
 def covariance_recursion(
-    p: Floats,
-    start: Floats,
-    core: int,
-    motion: Floats,
-    noise: Floats,
-    walk: Floats,
-    rows: Ints,
-    key: Ints,
-    first: Flags,
-    last: Flags,
-    h: Floats,
-    variance: Floats,
-    offset: Ints,
-    slot_of: Ints,
-    key_of: Ints,
-    out_pose: Floats,
-    out_offset: Floats,
-) -> None:
-    """Run the recursion over T snapshots and fill `out_pose` (T, 6, 6) and `out_offset` (T, S).
+    work: Work, motion: Motion, looks: Looks, sightings: Sightings, errors: Errors, begin: int, end: int, n: int,
+    out_pose: Floats, out_offset: Floats,
+) -> int:  # fmt: skip
+    """Run snapshots `begin` up to `end`, fill their rows of `out_pose` (T, 6, 6) and `out_offset` (T, S).
 
-    `p` (N, N): workspace, N = core + 3 x (most VTs alive at once). `start` (core,): prior variances. `motion`
-    (T, 6, core), `noise` (T, 6, 6), `walk` (T, core): transition of the pose, covariance of its noise,
-    variances that the core gains. `rows` (T + 1,): first measurement of each snapshot. Per measurement (M,
-    ...): `key` of the VT on its link, whether it is its `first` and its `last` one, `h` (3, 9) = [dh/dr,
-    dh/dv], `variance` (3,) (infinite: not measured), `offset`: core index of the site's offset. `slot_of`
-    (keys,) and `key_of` (slots,): workspace.
+    Takes the number of states in `work.p` (core at first) and returns it: for the call that goes on.
     """
-    n = core
-    sites = out_offset.shape[1]
-    g = np.zeros((3, p.shape[0]))
-    block = np.zeros((core, core))
-    moved = np.zeros((core, core))
-    for i in range(core):
-        for j in range(i + 1):
-            p[i, j] = start[i] if i == j else 0.0
-    for t in range(rows.shape[0] - 1):
-        if t > 0:
-            _predict(p, n, core, motion[t], noise[t], walk[t], block, moved)
-        for m in range(rows[t], rows[t + 1]):
-            if first[m]:
-                slot = n
-                _birth(p, n, slot, h[m], variance[m], offset[m], g)
-                slot_of[key[m]] = slot
-                key_of[(slot - core) // 3] = key[m]
-                n += 3
-            else:
-                _update(p, n, slot_of[key[m]], h[m], variance[m], offset[m], g)
-            if last[m]:
-                n = _remove(p, n, core, slot_of[key[m]], slot_of, key_of)
-        for i in range(POSE):
-            for j in range(i + 1):
-                out_pose[t, i, j] = p[i, j]
-                out_pose[t, j, i] = p[i, j]
+    p, slot_of, id_of = work.p, work.slot_of, work.id_of
+    core, count, sites = motion.start.shape[0], errors.last.shape[0], out_offset.shape[1]
+    for t in range(begin, end):
+        if t == 0:
+            for i in range(core):
+                p[i, i] = motion.start[i]
+        else:
+            predict(p, n, core, motion, t, work.moved)
+            decay(p, n, core, errors, t, id_of)
+        n = enter(p, n, looks, sightings, t, slot_of, id_of)
+        _update(p, n, looks, sightings, t, count, slot_of, work.gains, work.shared, work.dots)
+        for m in range(sightings.rows[t], sightings.rows[t + 1]):
+            if sightings.first[m]:
+                n = _birth(p, n, looks, sightings, m, count, slot_of, id_of, work.shared)
+        n = leave(p, n, looks, sightings, errors, t, slot_of, id_of)
+        for a in range(POSE):
+            for b in range(POSE):
+                out_pose[t, a, b] = p[a, b]
         for s in range(sites):
             out_offset[t, s] = p[core - sites + s, core - sites + s]
+    return n
 
 
 @njit(cache=True)
-def _predict(
-    p: Floats, n: int, core: int, motion: Floats, noise: Floats, walk: Floats, block: Floats, moved: Floats
-) -> None:
-    """P <- F (P + diag(walk)) F^T + Q: the core walks first, as biases do, then F changes the pose only."""
-    for i in range(core):
-        p[i, i] += walk[i]
-    for i in range(core):
-        for j in range(i + 1):
-            block[i, j] = p[i, j]
-            block[j, i] = p[i, j]
-    for a in range(POSE):
-        for j in range(core):
-            total = 0.0
-            for c in range(core):
-                total += motion[a, c] * block[c, j]
-            moved[a, j] = total
-    for a in range(POSE):
-        for j in range(a + 1):
-            total = noise[a, j]
-            for c in range(core):
-                total += moved[a, c] * motion[j, c]
-            p[a, j] = total
-    for i in range(POSE, core):
-        for a in range(POSE):
-            p[i, a] = moved[a, i]
-    for i in range(core, n):
-        for a in range(POSE):
-            total = 0.0
-            for c in range(core):
-                total += motion[a, c] * p[i, c]
-            moved[a, 0] = total
-        for a in range(POSE):
-            p[i, a] = moved[a, 0]
-
-
-@njit(cache=True)
-def _gains(p: Floats, n: int, slot: int, h: Floats, variance: Floats, offset: int, g: Floats) -> None:
-    """g[:, j] = covariance of the measured components with state j; without a VT if slot is negative."""
+def _add(row: Floats, factor: float, other: Floats, n: int) -> None:
     for j in range(n):
-        for r in range(3):
-            total = 0.0
-            if variance[r] < np.inf:
-                for c in range(POSE):
-                    total += h[r, c] * (p[j, c] if j >= c else p[c, j])
-                if r == 0:
-                    total += p[j, offset] if j >= offset else p[offset, j]
-                if slot >= 0:
-                    for c in range(3):
-                        k = slot + c
-                        total += h[r, POSE + c] * (p[j, k] if j >= k else p[k, j])
-            g[r, j] = total
+        row[j] += factor * other[j]
 
 
 @njit(cache=True)
-def _innovation(g: Floats, slot: int, h: Floats, variance: Floats, offset: int, r: int, q: int) -> float:
-    """Element (r, q) of H P H^T, from the gains; zero where a component was not measured."""
-    if not (variance[r] < np.inf and variance[q] < np.inf):
-        return 0.0
-    total = g[r, offset] if q == 0 else 0.0
+def _shared_gain(p: Floats, n: int, looks: Looks, i: int, r: int, slot_of: Ints, out: Floats) -> None:
+    """out = covariance of all states with component r of look i, but for its VT and the errors of one link."""
+    out[:n] = 0.0
     for c in range(POSE):
-        total += g[r, c] * h[q, c]
-    if slot >= 0:
-        for c in range(3):
-            total += g[r, slot + c] * h[q, POSE + c]
+        if looks.by_pose[i, r, c] != 0.0:
+            _add(out, looks.by_pose[i, r, c], p[c], n)
+    if r == 0:
+        _add(out, 1.0, p[looks.offset[i]], n)
+    for w in range(looks.state.shape[2]):
+        if looks.state[i, r, w] >= 0:
+            _add(out, looks.load[i, r, w], p[slot_of[looks.state[i, r, w]]], n)
+
+
+@njit(cache=True)
+def _shared_dot(row: Floats, looks: Looks, i: int, r: int, slot_of: Ints) -> float:
+    """The product of a row over the states with component r of look i, but for its VT and the errors of one link."""
+    total = row[looks.offset[i]] if r == 0 else 0.0
+    for c in range(POSE):
+        total += looks.by_pose[i, r, c] * row[c]
+    for w in range(looks.state.shape[2]):
+        if looks.state[i, r, w] >= 0:
+            total += looks.load[i, r, w] * row[slot_of[looks.state[i, r, w]]]
     return total
 
 
 @njit(cache=True)
-def _birth(p: Floats, n: int, slot: int, h: Floats, variance: Floats, offset: int, g: Floats) -> None:
+def _update(
+    p: Floats, n: int, looks: Looks, sightings: Sightings, t: int, count: int, slot_of: Ints, g: Floats,
+    shared: Floats, dots: Floats,
+) -> None:  # fmt: skip
+    """Take in the snapshot's measurements of VTs that are in the state."""
+    low, high, k, weight = looks.rows[t], looks.rows[t + 1], 0, np.empty(g.shape[0])
+    for i in range(low, high):
+        for r in range(3):
+            _shared_gain(p, n, looks, i, r, slot_of, shared[3 * (i - low) + r])
+    for m in range(sightings.rows[t], sightings.rows[t + 1]):
+        if sightings.first[m]:
+            continue
+        i, vt = sightings.look[m], count + 3 * sightings.key[m]
+        v0, v1, v2 = slot_of[vt], slot_of[vt + 1], slot_of[vt + 2]
+        for r in range(3):
+            variance = sightings.variance[m, r]
+            if variance == np.inf:
+                continue
+            h0, h1, h2 = looks.by_vt[i, r, 0], looks.by_vt[i, r, 1], looks.by_vt[i, r, 2]
+            own, load, q, row = 0, 0.0, 3 * (i - low) + r, g[k]
+            if sightings.state[m, r] >= 0:
+                own, load = slot_of[sightings.state[m, r]], sightings.load[r]
+            q_row, p0, p1, p2, p3 = shared[q], p[v0], p[v1], p[v2], p[own]
+            for j in range(n):
+                row[j] = q_row[j] + h0 * p0[j] + h1 * p1[j] + h2 * p2[j] + load * p3[j]
+            for j in range(k):
+                weight[j] = dots[j, q] + h0 * g[j, v0] + h1 * g[j, v1] + h2 * g[j, v2] + load * g[j, own]
+            _whiten(row, g, weight, k, n)
+            spread = _shared_dot(row, looks, i, r, slot_of)
+            spread += h0 * row[v0] + h1 * row[v1] + h2 * row[v2] + load * row[own]
+            # Rounding apart, the innovation varies by no less than the measurement.
+            root = 1.0 / math.sqrt(max(spread + variance, variance))
+            for j in range(n):
+                row[j] *= root
+            for other in range(low, high):
+                for c in range(3):
+                    dots[k, 3 * (other - low) + c] = _shared_dot(row, looks, other, c, slot_of)
+            k += 1
+    _subtract(p, g, n, k)
+
+
+@njit(cache=True)
+def _whiten(row: Floats, g: Floats, weight: Floats, k: int, n: int) -> None:
+    """Take out of a gain what the snapshot's k gains before it have explained; four at once, for speed."""
+    j = 0
+    while j + 4 <= k:
+        a0, a1, a2, a3 = weight[j], weight[j + 1], weight[j + 2], weight[j + 3]
+        g0, g1, g2, g3 = g[j], g[j + 1], g[j + 2], g[j + 3]
+        for x in range(n):
+            row[x] -= a0 * g0[x] + a1 * g1[x] + a2 * g2[x] + a3 * g3[x]
+        j += 4
+    while j < k:
+        _add(row, -weight[j], g[j], n)
+        j += 1
+
+
+@njit(cache=True)
+def _subtract(p: Floats, g: Floats, n: int, k: int) -> None:
+    """P <- P - G^T G with G the k gains: the lower triangle, two rows and four gains at once, then its mirror image."""
+    padded = (k + 3) // 4 * 4
+    for j in range(k, padded):
+        g[j, : n + 1] = 0.0
+    for j in range(k):
+        g[j, n] = 0.0
+    for i in range(0, n, 2):
+        row, below = p[i], p[i + 1]
+        for j in range(0, padded, 4):
+            a0, a1, a2, a3 = g[j, i], g[j + 1, i], g[j + 2, i], g[j + 3, i]
+            b0, b1, b2, b3 = g[j, i + 1], g[j + 1, i + 1], g[j + 2, i + 1], g[j + 3, i + 1]
+            g0, g1, g2, g3 = g[j], g[j + 1], g[j + 2], g[j + 3]
+            for x in range(i + 2):
+                row[x] -= a0 * g0[x] + a1 * g1[x] + a2 * g2[x] + a3 * g3[x]
+                below[x] -= b0 * g0[x] + b1 * g1[x] + b2 * g2[x] + b3 * g3[x]
+    for i in range(n):
+        for j in range(i):
+            p[j, i] = p[i, j]
+
+
+@njit(cache=True)
+def _birth(
+    p: Floats, n: int, looks: Looks, sightings: Sightings, m: int, count: int, slot_of: Ints, id_of: Ints, g: Floats
+) -> int:
     """Append a VT that is known from this measurement alone: the limit of a broad prior.
 
-    v = D (z - H_r r - b - noise) with D the inverse of H_v; the other states learn nothing.
+    v = D (z - H_r r - b - errors) with D the inverse of H_v; the other states learn nothing.
     """
-    inverse = np.empty((3, 3))
-    _invert(h[:, POSE:], inverse)
-    full = np.empty((3, 3))
-    _gains(p, n, -1, h, variance, offset, g)
+    i, inverse, full = sightings.look[m], np.empty((3, 3)), np.empty((3, 3))
+    _invert(looks.by_vt[i], inverse)
+    for r in range(3):
+        _shared_gain(p, n, looks, i, r, slot_of, g[r])
+        if sightings.state[m, r] >= 0:
+            _add(g[r], sightings.load[r], p[slot_of[sightings.state[m, r]]], n)
     for r in range(3):
         for q in range(3):
-            full[r, q] = _innovation(g, -1, h, variance, offset, r, q)
-        full[r, r] += variance[r]
+            full[r, q] = _shared_dot(g[r], looks, i, q, slot_of)
+            if sightings.state[m, q] >= 0:
+                full[r, q] += sightings.load[q] * g[r, slot_of[sightings.state[m, q]]]
+        full[r, r] += sightings.variance[m, r]
+    for c in range(3):
+        n = append(p, n, count + 3 * sightings.key[m] + c, 0.0, slot_of, id_of)
+    first = n - 3
     for r in range(3):
-        for j in range(n):
-            p[slot + r, j] = -(inverse[r, 0] * g[0, j] + inverse[r, 1] * g[1, j] + inverse[r, 2] * g[2, j])
+        for j in range(first):
+            p[first + r, j] = -(inverse[r, 0] * g[0, j] + inverse[r, 1] * g[1, j] + inverse[r, 2] * g[2, j])
+            p[j, first + r] = p[first + r, j]
         for q in range(r + 1):
             total = 0.0
             for x in range(3):
                 for y in range(3):
                     total += inverse[r, x] * full[x, y] * inverse[q, y]
-            p[slot + r, slot + q] = total
+            p[first + r, first + q] = total
+            p[first + q, first + r] = total
+    return n
 
 
 @njit(cache=True)
@@ -182,49 +210,3 @@ def _invert(a: Floats, out: Floats) -> None:
     for i in range(3):
         for r in range(3):
             out[i, r] /= determinant
-
-
-@njit(cache=True)
-def _update(p: Floats, n: int, slot: int, h: Floats, variance: Floats, offset: int, g: Floats) -> None:
-    """P <- P - (P H^T L^-T) (P H^T L^-T)^T with S = H P H^T + R = L L^T: symmetric."""
-    _gains(p, n, slot, h, variance, offset, g)
-    s00 = _innovation(g, slot, h, variance, offset, 0, 0) + (variance[0] if variance[0] < np.inf else 1.0)
-    s11 = _innovation(g, slot, h, variance, offset, 1, 1) + (variance[1] if variance[1] < np.inf else 1.0)
-    s22 = _innovation(g, slot, h, variance, offset, 2, 2) + (variance[2] if variance[2] < np.inf else 1.0)
-    s10 = _innovation(g, slot, h, variance, offset, 1, 0)
-    s20 = _innovation(g, slot, h, variance, offset, 2, 0)
-    s21 = _innovation(g, slot, h, variance, offset, 2, 1)
-    l00 = np.sqrt(s00)
-    l10, l20 = s10 / l00, s20 / l00
-    l11 = np.sqrt(s11 - l10 * l10)
-    l21 = (s21 - l20 * l10) / l11
-    l22 = np.sqrt(s22 - l20 * l20 - l21 * l21)
-    g0, g1, g2 = g[0], g[1], g[2]
-    for j in range(n):
-        g0[j] = g0[j] / l00
-        g1[j] = (g1[j] - l10 * g0[j]) / l11
-        g2[j] = (g2[j] - l20 * g0[j] - l21 * g1[j]) / l22
-    for i in range(n):
-        row = p[i]
-        a0, a1, a2 = g0[i], g1[i], g2[i]
-        for j in range(i + 1):
-            row[j] -= a0 * g0[j] + a1 * g1[j] + a2 * g2[j]
-
-
-@njit(cache=True)
-def _remove(p: Floats, n: int, core: int, slot: int, slot_of: Ints, key_of: Ints) -> int:
-    """Take the VT at `slot` out, put the last one in its place, and return the new size."""
-    end = n - 3
-    if slot != end:
-        for r in range(3):
-            for j in range(slot):
-                p[slot + r, j] = p[end + r, j]
-            for q in range(r + 1):
-                p[slot + r, slot + q] = p[end + r, end + q]
-        for i in range(slot + 3, end):
-            for r in range(3):
-                p[i, slot + r] = p[end + r, i]
-        moved_key = key_of[(end - core) // 3]
-        slot_of[moved_key] = slot
-        key_of[(slot - core) // 3] = moved_key
-    return end

@@ -12,6 +12,7 @@ from importlib import import_module
 from typing import Any, NoReturn
 
 from cellslam.benchmarks.cli_city_parsers import add_bench, add_city
+from cellslam.benchmarks.cli_recordings_parsers import COMMANDS
 from cellslam.sim.errors import InputError, nearest_name
 
 DONE, FAILED, WRONG, INTERRUPTED = 0, 1, 2, 130
@@ -27,6 +28,8 @@ examples:
   cellslam run munich-530 --set radio.clutter_scale=2 --estimator my_module:MyEstimator
   cellslam record tiny --out tiny.h5                 keep the measurements ...
   cellslam replay tiny.h5 --estimator fastslam       ... and estimate again from them
+  cellslam import campaign --out drive.h5            measured data: tables and recording.toml to a recording
+  cellslam inspect drive.h5                          ... what is in it, what is missing, what looks wrong
   cellslam sweep tiny --sweep radio.load=0,0.5 --trials 20 --out s     many variants, in parallel
   cellslam show tiny                                 every key that --set can change
   cellslam city trace sionna-rt:munich --bs=42,-50,30 --rx rx.csv --out paths.csv    paths for other work
@@ -92,9 +95,12 @@ def build_parser() -> argparse.ArgumentParser:
     _add_run(add("run", "cli_run:run", "simulate a scenario, run estimators on it, score them"))
     _add_record(add("record", "cli_recording:record", "simulate a scenario and keep it as a recording"))
     _add_replay(add("replay", "cli_recording:replay", "run estimators on a recording and score them"))
+    for name, target, summary, fill in COMMANDS:
+        fill(add(name, f"cli_recordings:{target}", summary))
     _add_sweep(add("sweep", "cli_sweep:sweep", "many variants and trials of a scenario, in parallel, resumable"))
     _add_table(add("table", "cli_table:table", "the results of a sweep as a table"))
     _add_figures(add("figures", "cli_table:figures", "the figures of a sweep, as PNG and PDF"))
+    _add_report(add("report", "cli_table:report", "one HTML page of a sweep, for offline reading: tables, plots, worst trials"))
     show = add("show", "cli_show:show", "every key of a scenario: value, unit, range, meaning")
     _add_scenario(show)
     listing = add("list", "cli_show:list_known", "the scenarios or estimators that are known by name")
@@ -178,6 +184,9 @@ def _add_replay(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("file", metavar="FILE.h5", help="a recording")
     _add_set(parser, "estimator.fastslam.particles=300")
     _add_estimation(parser)
+    parser.add_argument(
+        "--align", action="store_true", help="lay each estimate onto the truth before it is scored, and say so in its row"
+    )
     _add_seed(parser, None, "seed of the estimators' random draws (default: the recording's own)")
     parser.add_argument("--out", metavar="DIR", help="folder for the results (default: results/replay-FILE)")
 
@@ -243,6 +252,18 @@ def _add_figures(parser: argparse.ArgumentParser) -> None:
     interval_help = "confidence of the intervals (default: 95)"
     parser.add_argument("--interval", metavar="PERCENT", type=_number, default=95.0, help=interval_help)
     parser.add_argument("--out", metavar="FOLDER", help="where to write (default: DIR/figures)")
+
+
+def _add_report(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("folder", metavar="DIR", help="folder of a sweep")
+    parser.add_argument("--out", metavar="FILE.html", help="the page to write (default: DIR/report.html)")
+    parser.add_argument("--worst", metavar="N", type=_whole, default=3, help="trials with a section each (default: 3)")
+    metric_help = "by which trials are the worst (default: position_rmse_m)"
+    parser.add_argument("--metric", metavar="NAME", default="position_rmse_m", help=metric_help)
+    estimators_help = "whose worst trials; may be repeated (default: the estimator with the best median)"
+    parser.add_argument(
+        "--estimator", metavar="NAME", action="append", default=[], dest="estimators", help=estimators_help
+    )
 
 
 def _add_flags(parser: argparse.ArgumentParser, *flags: tuple[str, str]) -> None:

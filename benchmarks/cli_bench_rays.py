@@ -107,9 +107,10 @@ def _peer_line(row: dict[str, Any]) -> str:
     return (
         f"{row['peer']}, all cores, {row['receivers']} receivers: {row['seconds']:.2f} s, "
         f"ours {row['our_seconds']:.3f} s: {row['ratio']:.0f} times as long\n"
-        f"  {c.matched} paths agree (largest differences: length {1e3 * c.length_m:.3f} mm, angle {c.angle_rad:.1e} rad"
-        f"{gain}); {c.theirs_grazing} of theirs graze an edge, {c.theirs_unexplained} of theirs are not explained, "
-        f"{c.ours_only} of ours they miss"
+        f"  of theirs {c.agreeing} agree (largest differences: length {1e3 * c.length_m:.3f} mm, "
+        f"angle {c.angle_rad:.1e} rad{gain}), {c.theirs_copies} are copies, {c.theirs_bent} break the law of "
+        f"reflection (up to {c.bent_rad:.1e} rad off), {c.theirs_grazing} graze an edge, {c.theirs_unexplained} are not explained;\n"
+        f"  of ours they miss {c.ours_only}"
     )
 
 

@@ -47,7 +47,7 @@ def inspect(arguments: Namespace) -> int:
     if draws:
         check_folder(out)
     with bars(arguments.quiet) as progress, progress("reading the city", 1):
-        city = find_city(arguments.mesh, arguments.material, arguments.up)
+        city = find_city(arguments.mesh, **_mesh_options(arguments))
     summary = summarise(city)
     sys.stdout.write(_json(summary) if arguments.json else "\n".join(summary.lines()) + "\n")
     sys.stdout.flush()
@@ -107,7 +107,7 @@ def trace_paths(arguments: Namespace) -> int:
     receivers, velocity = read_positions(Path(arguments.rx))
     with bars(arguments.quiet) as progress:
         with progress("reading the city", 1):
-            city = find_city(arguments.mesh, arguments.material, arguments.up)
+            city = find_city(arguments.mesh, **_mesh_options(arguments))
         check_outside(city, transmitters, "--bs: transmitter")
         scene = prepare(city)
         paths = trace(
@@ -175,6 +175,10 @@ def _json(summary: Summary) -> str:
         for key, value in dataclasses.asdict(summary).items()
     }
     return json.dumps(plain, indent=1) + "\n"
+
+
+def _mesh_options(arguments: Namespace) -> dict[str, Any]:
+    return {key: getattr(arguments, key) for key in ("material", "up", "plane_tolerance_m", "angle_tolerance_deg")}
 
 
 def _note(arguments: Namespace, text: str) -> None:

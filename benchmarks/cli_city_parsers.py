@@ -68,6 +68,14 @@ def add_bench(add: Add) -> None:
 def _add_mesh_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--material", metavar="NAME", help="ITU-R P.2040 material of surfaces that name none")
     parser.add_argument("--up", choices=("auto", "z", "y"), help="the file's upward axis (default: by its format)")
+    parser.add_argument(
+        "--plane-tolerance", metavar="M", type=float, dest="plane_tolerance_m",
+        help="join triangles whose corners are at most so far from a facet's plane (default: 0.002)",
+    )  # fmt: skip
+    parser.add_argument(
+        "--angle-tolerance", metavar="DEG", type=float, dest="angle_tolerance_deg",
+        help="and which are turned from it by at most this angle (default: 1)",
+    )  # fmt: skip
 
 
 def _whole(text: str) -> int:

@@ -53,7 +53,9 @@ def replay(arguments: Namespace) -> int:
         raise InputError(f"--set {foreign[0]}: a recording is as it is; replay can set 'estimator.NAME.key' only")
     path = Path(arguments.file)
     recording = Recording.load(path)
-    origin = _Origin.of(recording, path)
+    if arguments.align and recording.truth is None and recording.reference is None:
+        raise InputError(f"--align: {path} has neither truth nor reference to align to; leave the option out")
+    origin = Origin.of(recording, path)
     seed = origin.seed if arguments.seed is None else arguments.seed
     trials.check_counts(1, seed)
     tables = apply({"estimator": origin.options}, overrides)["estimator"]
@@ -65,14 +67,15 @@ def replay(arguments: Namespace) -> int:
     with bars(arguments.quiet) as progress:
 
         def only() -> Iterator[trials.Trial]:
-            yield trials.score_recording(recording, origin.name, requests, origin.trial, seed, progress)
+            align = arguments.align
+            yield trials.score_recording(recording, origin.name, requests, origin.trial, seed, progress, align)
 
         interrupted = work_off(job, only(), progress)
     return report(job, interrupted)
 
 
 @dataclass(frozen=True)
-class _Origin:
+class Origin:
     """What a recording says about where it comes from; a measured one may say nothing."""
 
     name: str
@@ -82,19 +85,19 @@ class _Origin:
     scenario: Scenario | None
 
     @staticmethod
-    def of(recording: Recording, path: Path) -> _Origin:
+    def of(recording: Recording, path: Path) -> Origin:
         """Read the provenance of a recording loaded from `path`."""
         said = recording.provenance
         tables = said.get("scenario")
         if not isinstance(tables, Mapping):
-            return _Origin(path.stem, _count(said.get("seed")), _count(said.get("trial")), {}, None)
+            return Origin(path.stem, _count(said.get("seed")), _count(said.get("trial")), {}, None)
         try:
             scenario = from_tables(tables)
         except InputError:
             # Written by another version of the models: estimators need its options only, not its world.
             scenario = None
         name, options = str(tables.get("name", path.stem)), tables.get("estimator", {})
-        return _Origin(name, _count(said.get("seed")), _count(said.get("trial")), options, scenario)
+        return Origin(name, _count(said.get("seed")), _count(said.get("trial")), options, scenario)
 
 
 def _count(value: Any) -> int:

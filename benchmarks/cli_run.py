@@ -150,6 +150,7 @@ def _title(job: Job) -> str:
     many = f"medians of {job.trials} trials, " if job.trials > 1 else ""
     length = f", {row['distance_m']:.0f} m" if row["distance_m"] is not None else ""
     drive = f"{row['snapshots']} snapshots, {row['duration_s']:.1f} s{length}"
+    drive += ", estimates ALIGNED to the truth" if "alignment" in row else ""
     return f"{job.name}, seed {row['seed']}: {many}{drive}"
 
 

@@ -14,7 +14,7 @@ from cellslam.benchmarks.result import TrialResult
 from cellslam.scenarios.options import Request
 from cellslam.sim.progress import Progress, silent
 from cellslam.sim.recording import Floats, Ints, Recording
-from cellslam.slam.api import Estimate, Snapshot, VtEstimate, setup_of, snapshots_of
+from cellslam.slam.api import Estimate, Snapshot, VtEstimate, odometry_of, setup_of, snapshots_of
 
 # Waiting OpenMP threads shall sleep: spinning ones made a drive seven times slower on a busy machine. Read when
 # the first parallel kernel runs; who sets the variable decides.
@@ -51,8 +51,7 @@ def estimate(
     """
     setup, snapshots = setup_of(recording, request.oracle), snapshots_of(recording)
     dt_s = np.diff(recording.time_s, prepend=recording.time_s[0])
-    odometry = np.array(recording.odometry)
-    odometry.setflags(write=False)
+    odometry = odometry_of(recording)
     estimator, log = request.estimator(request.options), _Log.of(recording)
     seconds = -time.perf_counter()
     estimator.start(setup, rng)

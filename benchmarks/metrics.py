@@ -6,19 +6,21 @@ Position errors are horizontal, absolute and not aligned, as in the paper's sect
 from __future__ import annotations
 
 import numpy as np
+from numpy.typing import NDArray
 
 from cellslam.benchmarks.association import precision_recall, tracks_of, transmitter_errors
 from cellslam.benchmarks.bound import BoundResult
 from cellslam.benchmarks.gospa import gospa
 from cellslam.benchmarks.result import METRIC_KEYS, TrialResult
 from cellslam.sim.frames import wrap_angle
-from cellslam.sim.recording import Floats, Recording, Truth
+from cellslam.sim.recording import Floats, Recording, Reference, Truth
 from cellslam.slam.api import VtEstimate
 
 GOSPA_CUTOFF_M = 20.0
 GOSPA_ORDER = 2.0
 DETECTIONS_OF_A_TRUE_VT = 20
 SMALLEST_VARIANCE_M2 = 1e-12
+SHORTEST_STEP_M = 1.0  # of a reference's path: below it lies the noise of fixes at rest
 
 
 def score(recording: Recording, result: TrialResult, bound: BoundResult | None) -> dict[str, float | None]:
@@ -31,7 +33,7 @@ def score(recording: Recording, result: TrialResult, bound: BoundResult | None) 
         scores["bound_position_rmse_m"] = bound.position_rmse_m
     truth = recording.truth
     if truth is None:
-        return scores
+        return scores if recording.reference is None else scores | reference_scores(recording, recording.reference, result)
     error = horizontal_error(truth.poses, result.poses)
     scores["position_rmse_m"] = _rms(error)
     scores["position_max_m"] = float(error.max())
@@ -51,6 +53,40 @@ def score(recording: Recording, result: TrialResult, bound: BoundResult | None) 
             errors = transmitter_errors(recording, result.vts, tracks)
             scores["transmitter_rmse_m"] = _rms(errors) if len(errors) else None
     return scores
+
+
+def reference_scores(recording: Recording, reference: Reference, result: TrialResult) -> dict[str, float | None]:
+    """Return the scores against a reference: the estimate interpolated at its times, where they lie within the drive.
+
+    The NEES adds the reference's variance to the claimed one, and is None where the reference does not state its own.
+    """
+    scores: dict[str, float | None] = {}
+    times, rows = recording.time_s, within(recording, reference)
+    if not rows.any():
+        return scores
+    at = reference.time_s[rows]
+    turns = np.unwrap(result.poses[:, 3:], axis=0)
+    poses = np.column_stack([np.interp(at, times, column) for column in (*result.poses[:, :3].T, *turns.T)])
+    known = np.column_stack([reference.position_m[rows], reference.yaw_rad[rows]])
+    there = np.isfinite(known[:, :2]).all(axis=1)
+    if there.any():
+        error = horizontal_error(known[there], poses[there])
+        scores["position_rmse_m"], scores["position_max_m"] = _rms(error), float(error.max())
+        scores["position_end_m"] = float(error[-1])
+        std = reference.position_std_m[rows]
+        nearest = np.clip(np.searchsorted(times, at), 0, len(times) - 1)
+        claimed = result.covariances[nearest] + (std**2)[:, None, None] * np.eye(6)
+        squared = nees(known[there & ~np.isnan(std)], poses[there & ~np.isnan(std)], claimed[there & ~np.isnan(std)])
+        scores["nees_mean"] = float(np.nanmean(squared)) if np.isfinite(squared).any() else None
+    turned = np.isfinite(known[:, 3])
+    if turned.any():
+        scores["heading_rmse_rad"] = _rms(wrap_angle(poses[turned, 3] - known[turned, 3]))
+    return scores
+
+
+def within(recording: Recording, reference: Reference) -> NDArray[np.bool_]:
+    """Return which fixes (R,) of a reference lie within the drive, and so can be compared with an estimate."""
+    return (reference.time_s >= recording.time_s[0]) & (reference.time_s <= recording.time_s[-1])
 
 
 def horizontal_error(truth_poses: Floats, poses: Floats) -> Floats:
@@ -105,10 +141,25 @@ def duration_s(recording: Recording) -> float:
 
 
 def distance_m(recording: Recording) -> float | None:
-    """Return the true horizontal length of the drive in metres, None without truth."""
-    if recording.truth is None:
+    """Return the true horizontal length of the drive in metres, or its reference's; None without both."""
+    if recording.truth is not None:
+        return float(np.linalg.norm(np.diff(recording.truth.poses[:, :2], axis=0), axis=1).sum())
+    if recording.reference is None:
         return None
-    return float(np.linalg.norm(np.diff(recording.truth.poses[:, :2], axis=0), axis=1).sum())
+    fixes = recording.reference.position_m[within(recording, recording.reference), :2]
+    return _length(fixes[np.isfinite(fixes).all(axis=1)])
+
+
+def _length(points: Floats) -> float | None:
+    """Return the length in metres of a noisy path (N, 2): steps of less than a metre are not counted one by one."""
+    if not len(points):
+        return None
+    length, last = 0.0, points[0]
+    for point in points[1:]:
+        step = float(np.hypot(*(point - last)))
+        if step >= SHORTEST_STEP_M:
+            length, last = length + step, point
+    return length
 
 
 def _rms(values: Floats) -> float:

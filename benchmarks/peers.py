@@ -22,9 +22,10 @@ SIONNA_TABLE = 20_000_000
 
 @dataclass(frozen=True)
 class PeerPaths:
-    """Paths (P,) that a peer found: receiver, order, length, angles of arrival in the world frame, seconds taken.
+    """Paths (P,) that a peer found, copies included: receiver, order, length, angles of arrival, seconds taken.
 
-    `gain` (P, 2, 2) complex: amplitudes between (H, V) polarisations, receiver by transmitter; None: not asked for.
+    `point_m` (P, 3): where the path is reflected first, NaN on a line of sight; `gain` (P, 2, 2) complex: amplitudes
+    between (H, V) polarisations, receiver by transmitter; None: not asked for.
     """
 
     receiver: Ints
@@ -32,6 +33,7 @@ class PeerPaths:
     length_m: Floats
     azimuth_rad: Floats
     elevation_rad: Floats
+    point_m: Floats
     gain: NDArray[np.complex128] | None
     seconds: float
 
@@ -98,16 +100,17 @@ def _sionna_paths(found: Any, delay: Floats, seconds: float) -> PeerPaths:
     # Theirs is (V, H); the sign of V is that of falling elevation, of H that of growing azimuth.
     amplitude = (real + 1j * imaginary)[rows, :, 0, :, columns][:, ::-1, ::-1] * np.array([[1.0, -1.0], [-1.0, 1.0]])
     order = (np.array(found.interactions)[:, rows, 0, columns] > 0).sum(axis=0)
-    paths = PeerPaths(
+    bent = np.where(order[:, None] > 0, np.array(found.vertices, np.float64)[0, rows, 0, columns], np.nan)
+    return PeerPaths(
         receiver=rows.astype(np.int64),
         order=order.astype(np.int64),
         length_m=delay[rows, columns].astype(np.float64) * SPEED_OF_LIGHT_MPS,
         azimuth_rad=np.array(found.phi_r, np.float64)[rows, 0, columns],
         elevation_rad=np.pi / 2 - np.array(found.theta_r, np.float64)[rows, 0, columns],
+        point_m=bent,
         gain=amplitude,
         seconds=seconds,
     )
-    return without_copies(paths)
 
 
 def ask_differt(scene_xml: Path, transmitter: Floats, receivers: Floats, max_order: int) -> PeerPaths:
@@ -136,44 +139,23 @@ def ask_differt(scene_xml: Path, transmitter: Floats, receivers: Floats, max_ord
 
 
 def _differt_paths(pieces: list[tuple[Ints, int, Floats]], seconds: float) -> PeerPaths:
-    length, azimuth, elevation = [], [], []
-    for _, _, corners in pieces:
+    length, azimuth, elevation, bent = [], [], [], []
+    for _, order, corners in pieces:
+        bent.append(corners[:, 1] if order else np.full((len(corners), 3), np.nan))
         length.append(np.linalg.norm(np.diff(corners, axis=1), axis=2).sum(axis=1))
         x, y, z = (corners[:, -2] - corners[:, -1]).T
         azimuth.append(np.arctan2(y, x))
         elevation.append(np.arctan2(z, np.hypot(x, y)))
-    paths = PeerPaths(
+    return PeerPaths(
         receiver=np.concatenate([row for row, _, _ in pieces]).astype(np.int64),
         order=np.concatenate([np.full(len(row), order) for row, order, _ in pieces]).astype(np.int64),
         length_m=np.concatenate(length),
         azimuth_rad=np.concatenate(azimuth),
         elevation_rad=np.concatenate(elevation),
+        point_m=np.concatenate(bent),
         gain=None,
         seconds=seconds,
     )
-    return without_copies(paths)
 
 
 PEERS: Mapping[str, Ask] = {"Sionna RT": ask_sionna, "DiffeRT": ask_differt}
-
-
-def without_copies(paths: PeerPaths, same_m: float = 2e-3, same_rad: float = 2e-4) -> PeerPaths:
-    """Return the paths of a peer, each once: they find a path anew in each triangle that carries it."""
-    order = np.lexsort((paths.length_m, paths.order, paths.receiver))
-    keep = np.ones(len(order), np.bool_)
-    for step in range(1, 6):
-        a, b = order[:-step], order[step:]
-        turn = np.abs(np.angle(np.exp(1j * (paths.azimuth_rad[a] - paths.azimuth_rad[b]))))
-        same = (paths.receiver[a] == paths.receiver[b]) & (paths.order[a] == paths.order[b]) & (turn < same_rad)
-        same &= np.abs(paths.length_m[a] - paths.length_m[b]) < same_m
-        keep[b[same & keep[a]]] = False
-    rows = np.flatnonzero(keep)
-    return PeerPaths(
-        receiver=paths.receiver[rows],
-        order=paths.order[rows],
-        length_m=paths.length_m[rows],
-        azimuth_rad=paths.azimuth_rad[rows],
-        elevation_rad=paths.elevation_rad[rows],
-        gain=None if paths.gain is None else paths.gain[rows],
-        seconds=paths.seconds,
-    )

@@ -12,21 +12,30 @@ from cellslam.sim.frames import wrap_angle
 from cellslam.sim.rays import Paths, Scene
 from cellslam.sim.rays.paths import Floats, Ints
 
+# Paths are taken for one another within these, and agree within the closer ones.
 SAME_M, SAME_RAD = 5e-3, 1e-3
+AGREE_M, AGREE_RAD, AGREE_DB = 1e-3, 1e-4, 0.1
 GRAZING_M = 0.02
 
 
 @dataclass(frozen=True)
 class Comparison:
-    """Counts of paths that both found (`matched`), and of the others; largest differences over the matched ones.
+    """Counts of a peer's paths, each in one class, and of ours that it misses.
 
-    `theirs_grazing`: theirs alone, with a reflection off the facet or a leg through an edge of a wall by less than
-    2 cm, where float32 decides; `theirs_unexplained`: the rest of theirs, which would be our fault.
-    `gain_db`, `field`: difference of total power, and of the 2x2 matrix relative to its largest element; None where
-    the peer was not asked for gains.
+    `agreeing`: within 1 mm, 1e-4 rad and 0.1 dB of one of ours; `theirs_bent`: its direction alone is further off,
+    and the peer's own point breaks the law of reflection by at least as much; `theirs_copies`: further paths for one
+    of ours, found in several triangles, or with the plane of the wall beside the one that carries it;
+    `theirs_grazing`: no such path of ours, and it passes an edge or the rim of its wall by less than 2 cm, where
+    float32 decides; `theirs_unexplained`: the rest, which would be our fault; `ours_only`: ours that the peer misses.
+
+    Largest differences over the agreeing paths: `length_m`, `angle_rad`, `gain_db` (total power) and `field` (the 2x2
+    matrix relative to its largest element), the last two None where the peer was not asked for gains; `bent_rad`: of
+    angles over those that are bent.
     """
 
-    matched: int
+    agreeing: int
+    theirs_bent: int
+    theirs_copies: int
     theirs_grazing: int
     theirs_unexplained: int
     ours_only: int
@@ -34,53 +43,81 @@ class Comparison:
     angle_rad: float
     gain_db: float | None
     field: float | None
+    bent_rad: float
 
 
 def compare(scene: Scene, transmitter: Floats, receivers: Floats, ours: Paths, theirs: PeerPaths) -> Comparison:
     """Compare the paths from one transmitter (3,) to receivers (N, 3), up to first order."""
-    mine = np.full(len(theirs), -1, np.int64)
-    start = np.searchsorted(ours.receiver, np.arange(len(receivers) + 1))
+    mine, found, both = _matches(ours, theirs)
+    pairs = mine[both]
+    length, angle = _differences(ours, pairs, theirs, both)
+    gain_db, field = _gains(ours, pairs, theirs, both)
+    near = (length < AGREE_M) & (True if gain_db is None else gain_db < AGREE_DB)
+    agree = near & (angle < AGREE_RAD)
+    broken = _law_broken(scene, transmitter, receivers, ours, pairs, theirs, both)
+    bent = near & ~agree & (broken >= angle)
+    alone = np.flatnonzero(mine < 0)
+    grazing = sum(_grazes(scene, transmitter, receivers[theirs.receiver[row]], theirs, int(row)) for row in alone)
+    return Comparison(
+        agreeing=int(agree.sum()),
+        theirs_bent=int(bent.sum()),
+        theirs_copies=len(found) - len(both),
+        theirs_grazing=int(grazing),
+        theirs_unexplained=len(alone) - int(grazing) + int((~agree & ~bent).sum()),
+        ours_only=len(ours) - len(both),
+        length_m=float(length[agree].max(initial=0.0)),
+        angle_rad=float(angle[agree].max(initial=0.0)),
+        gain_db=None if gain_db is None else float(gain_db[agree].max(initial=0.0)),
+        field=None if field is None else float(field[agree].max(initial=0.0)),
+        bent_rad=float(angle[bent].max(initial=0.0)),
+    )
+
+
+def _matches(ours: Paths, theirs: PeerPaths) -> tuple[Ints, Ints, Ints]:
+    """Return the row of ours for each of theirs (-1 none), those of theirs that have one, and of these the best for
+    each of ours.
+    """
+    mine, misfit = np.full(len(theirs), -1, np.int64), np.full(len(theirs), np.inf)
+    start = np.searchsorted(ours.receiver, np.arange(int(theirs.receiver.max(initial=0)) + 2))
     for row in range(len(theirs)):
         near = np.arange(start[theirs.receiver[row]], start[theirs.receiver[row] + 1])
         near = near[ours.order[near] == theirs.order[row]]
-        length, angle = _differences(ours, near, theirs, row)
+        length, angle = _differences(ours, near, theirs, np.full(len(near), row))
         close = (length < SAME_M) & (angle < SAME_RAD)
         if close.any():
-            mine[row] = near[np.argmin(np.where(close, length / SAME_M + angle / SAME_RAD, np.inf))]
-    both = np.flatnonzero(mine >= 0)
-    length = np.abs(ours.length_m[mine[both]] - theirs.length_m[both])
-    angle = np.hypot(
-        np.cos(theirs.elevation_rad[both]) * wrap_angle(ours.azimuth_rad[mine[both]] - theirs.azimuth_rad[both]),
-        ours.elevation_rad[mine[both]] - theirs.elevation_rad[both],
-    )
-    alone = np.flatnonzero(mine < 0)
-    grazing = sum(_grazes(scene, transmitter, receivers[theirs.receiver[row]], theirs, int(row)) for row in alone)
-    gain_db, field = _gains(ours, mine[both], theirs, both)
-    return Comparison(
-        matched=len(both),
-        theirs_grazing=int(grazing),
-        theirs_unexplained=len(alone) - int(grazing),
-        ours_only=len(ours) - len(np.unique(mine[both])),
-        length_m=float(length.max(initial=0.0)),
-        angle_rad=float(angle.max(initial=0.0)),
-        gain_db=gain_db,
-        field=field,
-    )
+            apart = np.where(close, length / SAME_M + angle / SAME_RAD, np.inf)
+            mine[row], misfit[row] = near[np.argmin(apart)], apart.min()
+    found = np.flatnonzero(mine >= 0)
+    order = found[np.lexsort((misfit[found], mine[found]))]
+    return mine, found, order[np.unique(mine[order], return_index=True)[1]]
 
 
-def _differences(ours: Paths, near: Ints, theirs: PeerPaths, row: int) -> tuple[Floats, Floats]:
-    turn = wrap_angle(ours.azimuth_rad[near] - theirs.azimuth_rad[row]) * np.cos(theirs.elevation_rad[row])
-    rise = ours.elevation_rad[near] - theirs.elevation_rad[row]
-    return np.abs(ours.length_m[near] - theirs.length_m[row]), np.hypot(turn, rise)
+def _differences(ours: Paths, mine: Ints, theirs: PeerPaths, rows: Ints) -> tuple[Floats, Floats]:
+    """Return differences of length in metres and of the direction of arrival in radians, pair by pair (P,)."""
+    turn = wrap_angle(ours.azimuth_rad[mine] - theirs.azimuth_rad[rows]) * np.cos(theirs.elevation_rad[rows])
+    rise = ours.elevation_rad[mine] - theirs.elevation_rad[rows]
+    return np.abs(ours.length_m[mine] - theirs.length_m[rows]), np.hypot(turn, rise)
 
 
-def _gains(ours: Paths, mine: Ints, theirs: PeerPaths, rows: Ints) -> tuple[float | None, float | None]:
-    if theirs.gain is None or not len(rows):
+def _gains(ours: Paths, mine: Ints, theirs: PeerPaths, rows: Ints) -> tuple[Floats | None, Floats | None]:
+    if theirs.gain is None:
         return None, None
     a, b = ours.gain[mine], theirs.gain[rows]
     power = [10.0 * np.log10((np.abs(g) ** 2).sum(axis=(1, 2))) for g in (a, b)]
     relative = np.abs(a - b).max(axis=(1, 2)) / np.abs(b).max(axis=(1, 2))
-    return float(np.abs(power[0] - power[1]).max()), float(relative.max())
+    return np.abs(power[0] - power[1]), np.asarray(relative, np.float64)
+
+
+def _law_broken(
+    scene: Scene, transmitter: Floats, receivers: Floats, ours: Paths, mine: Ints, theirs: PeerPaths, rows: Ints
+) -> Floats:
+    """Return the angle (P,) between where their point sends the ray and where the wall of ours would reflect it."""
+    point = theirs.point_m[rows]
+    k_in, k_out = point - transmitter, receivers[theirs.receiver[rows]] - point
+    k_in, k_out = (k / np.linalg.norm(k, axis=1, keepdims=True) for k in (k_in, k_out))
+    normal = scene.city.facets.normal[ours.facets[mine, 0]]
+    mirrored = k_in - 2.0 * np.einsum("pi,pi->p", k_in, normal)[:, None] * normal
+    return np.where(theirs.order[rows] == 1, np.linalg.norm(mirrored - k_out, axis=1), 0.0)
 
 
 def _grazes(scene: Scene, transmitter: Floats, receiver: Floats, theirs: PeerPaths, row: int) -> bool:

@@ -15,18 +15,30 @@ COLUMNS, VELOCITIES = ("x", "y", "z"), ("vx", "vy", "vz")
 HEAD = "receiver,order,length_m,azimuth_rad,elevation_rad,gain_db,vt_x,vt_y,vt_z,x1,y1,z1,x2,y2,z2,transmitter,edge"
 
 
-def find_city(name: str, material: str | None = None, up: str | None = None) -> City:
-    """Return the city of a mesh file, a scene of sionna-rt, a preset or a scenario file. Raises InputError."""
+def find_city(name: str, **options: str | float | None) -> City:
+    """Return the city of a mesh file, a scene of sionna-rt, a preset or a scenario file. Raises InputError.
+
+    `options`: keys of MeshCityConfig for files that are no scenario; None leaves a key at its default.
+    """
+    given = {key: value for key, value in options.items() if value is not None}
     if name in preset_names() or name.endswith(".toml"):
         from cellslam.sim.world import city_rng
 
-        if material or up:
-            raise InputError(f"--material and --up are for meshes; '{name}' is a scenario, which says both itself")
+        if given:
+            raise InputError(f"{', '.join(given)}: options of meshes; '{name}' is a scenario, which says it all")
         scenario = load(name)
         return build_city(scenario.city, city_rng(scenario.world, 0, 0))
-    given = {"path": name, "material": material, "up": up}
-    config = MeshCityConfig.model_validate({key: value for key, value in given.items() if value is not None})
-    return build_city(config, np.random.default_rng(0))
+    return build_city(_mesh_config(name, given), np.random.default_rng(0))
+
+
+def _mesh_config(name: str, given: dict[str, str | float]) -> MeshCityConfig:
+    from pydantic import ValidationError
+
+    try:
+        return MeshCityConfig.model_validate({"path": name, **given})
+    except ValidationError as error:
+        first = error.errors()[0]
+        raise InputError(f"{'.'.join(map(str, first['loc']))} = {first['input']}: {first['msg']}") from None
 
 
 def parse_positions(texts: list[str], option: str) -> Floats:

@@ -25,6 +25,7 @@ if TYPE_CHECKING:
 
 Row = dict[str, Any]
 DEFAULT_ESTIMATORS = ("fastslam", "dead-reckoning")
+ALIGNED = "horizontal, least squares over the whole drive"
 
 
 @dataclass(frozen=True)
@@ -119,12 +120,16 @@ def score_recording(
     trial: int,
     seed: int,
     progress: Progress = silent,
+    align: bool = False,
 ) -> Trial:
-    """Return the trial of all requested estimators on one recording; seed and trial give their streams."""
+    """Return the trial of all requested estimators on one recording; seed and trial give their streams.
+
+    `align`: each estimate is first laid onto the truth, and its row says so; there is no bound then.
+    """
     from cellslam.benchmarks.bound import bound
 
-    limit = bound(recording, progress) if recording.truth is not None else None
-    answers = (outcome_of(recording, scenario, r, trial, seed, limit, progress) for r in requests)
+    limit = bound(recording, progress) if recording.truth is not None and not align else None
+    answers = (outcome_of(recording, scenario, r, trial, seed, limit, progress, align) for r in requests)
     return Trial(trial, recording, limit, tuple(answers))
 
 
@@ -136,10 +141,12 @@ def outcome_of(
     seed: int,
     limit: BoundResult | None,
     progress: Progress = silent,
+    align: bool = False,
 ) -> Outcome:
-    """Return what one estimator makes of a recording; `limit` is the recording's bound."""
+    """Return what one estimator makes of a recording; `limit` is the recording's bound, `align` as above."""
     row = _row(recording, scenario, request.name, trial, seed)
-    return _outcome(recording, row, request, limit, stream(seed, trial, Stream.ESTIMATOR), progress)
+    outcome = _outcome(recording, row, request, limit, stream(seed, trial, Stream.ESTIMATOR), progress, align)
+    return replace(outcome, row={**outcome.row, "alignment": ALIGNED}) if align else outcome
 
 
 def failed_row(scenario: str, estimator: str, trial: int, seed: int, error: str) -> Row:
@@ -149,13 +156,16 @@ def failed_row(scenario: str, estimator: str, trial: int, seed: int, error: str)
 
 
 def _outcome(
-    recording: Recording, row: Row, request: Request, limit: BoundResult | None, rng: Any, progress: Progress
+    recording: Recording, row: Row, request: Request, limit: BoundResult | None, rng: Any, progress: Progress,
+    align: bool = False,
 ) -> Outcome:
     from cellslam.benchmarks.metrics import score
+    from cellslam.benchmarks.recordings.alignment import aligned
 
     try:
         warm_up(request, progress)
         result = estimate(recording, request, rng, progress)
+        result = aligned(recording, result) if align else result
     except (Exception, SystemExit) as error:
         return Outcome({**row, "status": "failed", "error": explained(error)}, None, traceback.format_exc())
     seconds = result.estimate_seconds

@@ -151,6 +151,7 @@ class Recording:
     zero. NaN: this component was not measured in this interval; where a component never was, its row of
     `odometry_model` describes the motion itself, about zero (noise density 0: the vehicle does not move that way).
     `reference` is what a measured drive is scored by, `truth` what a simulated one is; either may be missing.
+    `plane`: array, sources and reflections lie in one horizontal plane, so that all elevations are zero unmeasured.
     """
 
     time_s: Floats
@@ -164,6 +165,7 @@ class Recording:
     provenance: Mapping[str, Any] = field(default_factory=dict)
     truth: Truth | None = None
     reference: Reference | None = None
+    plane: bool = False
 
     def __post_init__(self) -> None:
         from cellslam.sim.recording_check import check

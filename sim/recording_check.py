@@ -32,6 +32,8 @@ def check(recording: Recording) -> None:
         _check_truth(r.truth, r)
     if r.reference is not None:
         _check_reference(r.reference)
+    if r.plane and not np.isnan(r.measurements.elevation_rad).all():
+        raise InputError("plane is set, but measurements.elevation_rad has values: leave one of both out")
 
 
 def _check_odometry(r: Recording, count: int) -> None:
@@ -77,12 +79,12 @@ def _check_measurements(m: Measurements, snapshots: int, links: int) -> None:
     _require(
         ~(np.abs(m.azimuth_rad) > np.pi + 1e-9),
         "measurements.azimuth_rad",
-        "is outside [-pi, pi]: radians are expected",
+        "is outside [-pi, pi]: radians are expected; are these degrees?",
     )
     _require(
         ~(np.abs(m.elevation_rad) > np.pi / 2 + 1e-9),
         "measurements.elevation_rad",
-        "is outside [-pi/2, pi/2]: radians are expected",
+        "is outside [-pi/2, pi/2]: radians are expected; are these degrees?",
     )
     nothing = np.isnan(m.distance_m) & np.isnan(m.azimuth_rad) & np.isnan(m.elevation_rad)
     _require(~nothing, "measurements", "measures neither distance nor angle: leave the row out")

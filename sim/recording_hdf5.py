@@ -101,7 +101,7 @@ def _write(file: h5py.File, column: Column, value: Any) -> None:
         text = value if column.shape == () else np.array(value, dtype=object)
         dataset = file.create_dataset(column.path, data=text, dtype=h5py.string_dtype("utf-8"))
     else:
-        array = np.ascontiguousarray(value, np.int64 if column.kind == "int" else np.float64)
+        array = np.asarray(value, np.int64 if column.kind == "int" else np.float64, order="C")
         packed = {"compression": "gzip", "shuffle": True, "fletcher32": True} if array.size > 4096 else {}
         dataset = file.create_dataset(column.path, data=array, **packed)
     dataset.attrs["unit"] = column.unit
@@ -250,6 +250,7 @@ def _recording(values: dict[str, Any]) -> Recording:
         provenance=_provenance(values["provenance"]),
         truth=truth,
         reference=reference,
+        plane=bool(values.get("plane", 0)),
     )
 
 

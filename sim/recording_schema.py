@@ -65,6 +65,7 @@ COLUMNS = (
     Column("measurements/elevation_std_rad", ("M",), "rad", optional=True),
     Column("start_pose", (6,), _POSE_UNIT, labels=_POSE),
     Column("start_std", (6,), _POSE_UNIT, labels=_POSE),
+    Column("plane", (), kind="int", optional=True),
     Column("provenance", (), "JSON", kind="text"),
     Column("truth/poses", ("T", 6), _POSE_UNIT, labels=_POSE),
     Column("truth/measurement_vt", ("M",), kind="int"),

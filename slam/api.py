@@ -114,11 +114,31 @@ def setup_of(recording: Recording, with_truth: bool = False) -> Setup:
     )
 
 
+def odometry_of(recording: Recording) -> Floats:
+    """Return odometry (T, 6) as estimators take it, read-only.
+
+    A component that was never measured is zero (its data sheet then says how the vehicle moves that way); in a gap the
+    last measured value holds.
+    """
+    out = recording.odometry.copy()
+    for index in np.flatnonzero(np.isnan(out).any(axis=0)):
+        column = out[:, index]
+        known = ~np.isnan(column)
+        last = np.maximum.accumulate(np.where(known, np.arange(len(column)), 0))
+        column[:] = np.nan_to_num(column[last])
+    out.setflags(write=False)
+    return out
+
+
 def snapshots_of(recording: Recording) -> list[Snapshot]:
-    """Return every snapshot of a recording, each with its own copies of the columns."""
+    """Return every snapshot of a recording, each with its own copies of the columns.
+
+    In a recording of one plane the elevation is zero: known, though not measured.
+    """
     m, rows = recording.measurements, recording.rows
     every_row = np.arange(len(m))
-    columns = (every_row, m.link, m.distance_m, m.azimuth_rad, m.elevation_rad, m.snr_db)
+    elevation = np.zeros(len(m)) if recording.plane else m.elevation_rad
+    columns = (every_row, m.link, m.distance_m, m.azimuth_rad, elevation, m.snr_db)
     claimed = (m.distance_std_m, m.azimuth_std_rad, m.elevation_std_rad)
     out = []
     for t in range(len(recording.time_s)):

@@ -136,6 +136,9 @@ def _trajectories(axes: Axes, recording: Recording, tracks: Mapping[str, Floats]
     if recording.truth is not None:
         axes.plot(*recording.truth.poses[:, :2].T, color=TRUTH, linewidth=2.4, label="true trajectory")
         axes.plot(*recording.truth.poses[0, :2], "o", color=TRUTH, markersize=4)
+    elif recording.reference is not None:
+        fixes = recording.reference.position_m[:, :2]
+        axes.plot(*fixes.T, ".", color=TRUTH, markersize=2.5, label="reference")
     for name, line in estimator_styles(tracks).items():
         axes.plot(*tracks[name][:, :2].T, **{**line, "linewidth": 1.1})
 

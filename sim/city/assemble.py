@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from cellslam.sim.city.facets import merge_facets
-from cellslam.sim.city.model import City, Floats, Ints, Material
+from cellslam.sim.city.model import TOLERANCES, City, Floats, Ints, Material, Tolerances
 from cellslam.sim.errors import InputError
 
 if TYPE_CHECKING:
@@ -34,6 +34,7 @@ def assemble(
     heights_m: Floats,
     streets: Sequence[Floats] = (),
     notes: Sequence[str] = (),
+    tolerances: Tolerances = TOLERANCES,
 ) -> City:
     """Return the city made of `parts`. Raises InputError for no triangles, no area, or NaN vertices."""
     parts = [part for part in parts if len(part.triangles)]
@@ -57,6 +58,7 @@ def assemble(
         part=np.repeat(np.arange(len(parts)), counts),
         material=np.repeat([part.material for part in parts], counts),
         building=np.repeat([part.building for part in parts], counts),
+        tolerances=tolerances,
     )
     if facets.area_m2.sum() <= 0.0:
         raise InputError(f"city '{name}' has zero area: all {len(triangles)} triangles are degenerate")
@@ -71,4 +73,5 @@ def assemble(
         heights_m=np.asarray(heights_m, np.float64),
         streets=tuple(streets),
         notes=tuple(notes),
+        tolerances=tolerances,
     )

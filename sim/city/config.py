@@ -95,6 +95,12 @@ class MeshCityConfig(_Config):
     up: Literal["auto", "z", "y"] = Field(
         "auto", description="the file's upward axis; auto: y for GLB and glTF, as their standard says, else z"
     )
+    plane_tolerance_m: float = Field(
+        0.002, gt=0.0, le=0.1, description="touching triangles become one facet if no corner is further from its plane"
+    )
+    angle_tolerance_deg: float = Field(
+        1.0, gt=0.0, le=20.0, description="and if none is turned further from it than this"
+    )
 
 
 CityConfig = Annotated[ProceduralCityConfig | MeshCityConfig, Field(discriminator="kind")]

@@ -4,11 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from cellslam.sim.city.model import Facets, Floats, Ints
+from cellslam.sim.city.model import Facets, Floats, Ints, Tolerances
 
 WELD_M = 1e-4
-PLANE_TOLERANCE_M = 2e-3
-ANGLE_TOLERANCE_DEG = 1.0
 # Below this height over its longest side a triangle has no usable normal; it still casts a shadow.
 SLIVER_M = 1e-6
 
@@ -75,13 +73,12 @@ def merge_facets(
     part: Ints,
     material: Ints,
     building: Ints,
-    plane_tolerance_m: float = PLANE_TOLERANCE_M,
-    angle_tolerance_deg: float = ANGLE_TOLERANCE_DEG,
+    tolerances: Tolerances,
 ) -> tuple[Ints, Facets]:
     """Return (triangle_facet (K,), facets) of triangles that touch, lie in one plane and belong together.
 
     `vertices` (V, 3); `triangles` (K, 3); `part`, `material`, `building` (K,): object, material and building
-    of each triangle. Tolerances: distance of every corner from the plane in metres, angle in degrees.
+    of each triangle. `tolerances` are measured from the plane of the largest triangle of each facet.
     """
     from cellslam.sim.city.facets_kernel import grow_facets
 
@@ -101,8 +98,8 @@ def merge_facets(
         normals,
         first,
         neighbours,
-        plane_tolerance_m,
-        np.cos(np.radians(angle_tolerance_deg)),
+        tolerances.plane_m,
+        np.cos(np.radians(tolerances.angle_deg)),
         label,
     )
     return label, _fit(vertices.mean(axis=0), corners, normals, area, label, count, seeds, material, building)

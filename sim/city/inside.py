@@ -40,6 +40,16 @@ def enclosing(city: City, points_m: ArrayLike) -> Ints:
     return found
 
 
+def ground_height(city: City, points_m: ArrayLike) -> Floats:
+    """Return the height (N,) of the ground at horizontal points (N, 2), the lowest vertex where there is none."""
+    flat = np.asarray(points_m, np.float64).reshape(-1, np.shape(points_m)[-1])[:, :2]
+    point, building, height = _surfaces(city, np.column_stack([flat, np.zeros(len(flat))]))
+    ground = building == GROUND
+    found = np.full(len(flat), -np.inf)
+    np.maximum.at(found, point[ground], height[ground])
+    return np.where(np.isfinite(found), found, city.bounds[0, 2])
+
+
 def check_outside(city: City, points_m: ArrayLike, what: str) -> None:
     """Raise InputError, with a remedy, for the first of the points (N, 3) in a building or under the ground."""
     points = np.asarray(points_m, np.float64).reshape(-1, 3)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
@@ -18,7 +18,7 @@ from cellslam.sim.city.facets import weld
 from cellslam.sim.city.footprints import buildings, ground_objects
 from cellslam.sim.city.materials import ITU_P2040, itu_material
 from cellslam.sim.city.mitsuba import DISTRIBUTION, building_name, read_scene, shipped_scene
-from cellslam.sim.city.model import City, Floats, Ints, Material
+from cellslam.sim.city.model import City, Floats, Ints, Material, Tolerances
 from cellslam.sim.city.osm import load_osm
 from cellslam.sim.errors import InputError
 
@@ -48,8 +48,9 @@ def load_city(config: MeshCityConfig) -> City:
 @lru_cache(maxsize=2)
 def _load(config: MeshCityConfig, path: Path, stamp: int) -> City:
     del stamp  # part of the key: a file that has changed is read again
+    tolerances = Tolerances(config.plane_tolerance_m, config.angle_tolerance_deg)
     if path.suffix.lower() in (".osm", ".pbf"):
-        return load_osm(path, config.material, config.roughness_m)
+        return load_osm(path, config.material, config.roughness_m, tolerances)
     default = itu_material(config.material, config.thickness_m, config.roughness_m)
     objects = list(_objects(path, default, config))
     objects = [o for o in objects if len(o.triangles)]
@@ -59,7 +60,7 @@ def _load(config: MeshCityConfig, path: Path, stamp: int) -> City:
         if not np.isfinite(o.vertices).all():
             where = f" of '{o.building}'" if o.building else ""
             raise InputError(f"mesh '{config.path}' has a vertex{where} that is not finite (NaN): repair the file")
-    return _city(path.stem, objects)
+    return _city(path.stem, objects, tolerances)
 
 
 def _locate(path: str) -> Path:
@@ -127,7 +128,7 @@ def _arrays(mesh: Any) -> tuple[Floats, Ints, str] | None:
     return vertices, faces, str(getattr(material, "name", None) or "")
 
 
-def _city(name: str, objects: list[MeshObject]) -> City:
+def _city(name: str, objects: list[MeshObject], tolerances: Tolerances) -> City:
     """Tell ground from buildings and put the objects together."""
     materials = list(dict.fromkeys(o.material for o in objects))
     corners = np.concatenate([o.vertices[o.triangles] for o in objects])
@@ -146,7 +147,7 @@ def _city(name: str, objects: list[MeshObject]) -> City:
             used, renumbered = np.unique(triangles, return_inverse=True)
             parts.append(Part(obj.vertices[used], renumbered.reshape(-1, 3), materials.index(obj.material), int(value)))
     notes = () if ground.any() else ("no ground found: nothing spans the city and faces up",)
-    return replace(assemble(name, parts, materials, footprints, heights), notes=notes)
+    return assemble(name, parts, materials, footprints, heights, notes=notes, tolerances=tolerances)
 
 
 def _groups(objects: list[MeshObject]) -> Ints:

@@ -59,12 +59,23 @@ class Facets:
 
 
 @dataclass(frozen=True)
+class Tolerances:
+    """How far a corner may lie from a facet's plane in metres, and how far a triangle may turn from it in degrees."""
+
+    plane_m: float = 2e-3
+    angle_deg: float = 1.0
+
+
+TOLERANCES = Tolerances()
+
+
+@dataclass(frozen=True)
 class City:
     """A city in local metres (east, north, up).
 
     `vertices` (V, 3); `triangles` (K, 3) into vertices; `triangle_facet` (K,); one footprint and one height
     above its base per building; `streets`: centre lines, each (n, 2), that share their end points where they
-    meet; `notes` tells what loading repaired or dropped.
+    meet; `notes` tells what loading repaired or dropped; `tolerances` those with which triangles became facets.
     """
 
     name: str
@@ -77,6 +88,7 @@ class City:
     heights_m: Floats
     streets: tuple[Floats, ...] = ()
     notes: tuple[str, ...] = ()
+    tolerances: Tolerances = TOLERANCES
 
     @property
     def bounds(self) -> Floats:

@@ -13,7 +13,7 @@ import numpy as np
 from cellslam.sim.city.assemble import Part, assemble
 from cellslam.sim.city.extrude import cap, walls
 from cellslam.sim.city.materials import THICKNESS_M, itu_material
-from cellslam.sim.city.model import GROUND, City, Floats, Material
+from cellslam.sim.city.model import GROUND, City, Floats, Material, Tolerances
 from cellslam.sim.errors import InputError
 
 if TYPE_CHECKING:
@@ -60,7 +60,7 @@ class _Block:
     material: str
 
 
-def load_osm(path: Path, material: str, roughness_m: float) -> City:
+def load_osm(path: Path, material: str, roughness_m: float, tolerances: Tolerances) -> City:
     """Return the city of a .osm or .pbf extract. Raises InputError for what cannot be read or has no building."""
     areas, lines = _read(path)
     if not areas:
@@ -81,7 +81,8 @@ def load_osm(path: Path, material: str, roughness_m: float) -> City:
     if unknown:
         notes.append(f"{unknown} of {len(blocks)} blocks tell neither height nor levels: {height_m:g} m assumed")
     streets = _streets([_local(line, origin) for line in lines], blocks)
-    return _extruded(path.stem.removesuffix(".osm"), blocks, height_m, material, roughness_m, streets, notes)
+    name = path.stem.removesuffix(".osm")
+    return _extruded(name, blocks, height_m, material, roughness_m, streets, notes, tolerances)
 
 
 def _read(path: Path) -> tuple[list[_Area], list[Floats]]:
@@ -195,7 +196,7 @@ def _streets(lines: list[Floats], blocks: list[_Block]) -> list[Floats]:
 
 def _extruded(
     name: str, blocks: list[_Block], unknown_m: float, default: str, roughness_m: float,
-    streets: list[Floats], notes: list[str],
+    streets: list[Floats], notes: list[str], tolerances: Tolerances,
 ) -> City:  # fmt: skip
     """Put blocks on a flat ground. A block in the air gets a floor."""
     import shapely
@@ -212,4 +213,4 @@ def _extruded(
         parts.append(Part(*cap(block.plan, top), material=material, building=building))
         if block.bottom_m > 0.0:
             parts.append(Part(*cap(block.plan, block.bottom_m), material=material, building=building))
-    return assemble(name, parts, materials, [b.plan for b in blocks], heights, streets, notes)
+    return assemble(name, parts, materials, [b.plan for b in blocks], heights, streets, notes, tolerances)

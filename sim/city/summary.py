@@ -32,6 +32,8 @@ class Summary:
     copies: int
     open_edges: int
     planarity_m: float
+    plane_tolerance_m: float
+    angle_tolerance_deg: float
     notes: tuple[str, ...]
 
     def lines(self) -> list[str]:
@@ -45,8 +47,9 @@ class Summary:
             f"extent     {size[0]:.1f} x {size[1]:.1f} x {size[2]:.1f} m, from {low} to {high}",
             f"buildings  {self.buildings}",
             f"triangles  {self.triangles} of {self.vertices} vertices",
-            f"facets     {self.facets}: triangles that touch and lie in one plane, joined; "
-            f"within {1e3 * self.planarity_m:.2f} mm of it",
+            f"facets     {self.facets} from {self.triangles} triangles: those that touch and lie in one plane to "
+            f"{1e3 * self.plane_tolerance_m:g} mm and {self.angle_tolerance_deg:g} degrees are joined; "
+            f"all within {1e3 * self.planarity_m:.2f} mm",
             f"surface    {', '.join(shares)}",
         ]
         if self.streets_m > 0.0:
@@ -91,5 +94,7 @@ def summarise(city: City) -> Summary:
         copies=len(label) - len(same),
         open_edges=int(np.count_nonzero(uses == 1)),
         planarity_m=float(city.facets.planarity_m.max()),
+        plane_tolerance_m=city.tolerances.plane_m,
+        angle_tolerance_deg=city.tolerances.angle_deg,
         notes=city.notes,
     )

@@ -15,10 +15,11 @@ from cellslam.sim.frames import SPEED_OF_LIGHT_MPS
 from cellslam.sim.lte.array import Complex
 from cellslam.sim.lte.bound import tone_frequencies
 from cellslam.sim.lte.channel import SLOTS_PER_FRAME, pilots
+from cellslam.sim.lte.receiver import ComplexSingle
 from cellslam.sim.recording import Ints
 
-WINDOW_M = (-40.0, 660.0)
-_KEPT = 0.03  # singular values of the window's delay vectors, relative to the largest, that span its subspace
+WINDOW_M = (-75.0, 695.0)
+_KEPT = 1e-3  # singular values of the window's delay vectors, relative to the largest, that span its subspace
 
 
 def cancel(
@@ -29,19 +30,19 @@ def cancel(
     `slots` (ports,): slot of the frame in which each array port is sampled; `apart_m`: by how much later the other
     cell's window begins.
     """
-    out = np.empty_like(y)
+    single, out = y.astype(np.complex64), y.astype(np.complex128)
     slot = np.asarray(slots, np.int64) % SLOTS_PER_FRAME
     for s in np.unique(slot):
         rows = slot == s
         fit, back = _operator(own, other, int(s), resource_blocks, apart_m)
-        out[rows] = y[rows] - (y[rows] @ fit) @ back
+        out[rows] -= (single[rows] @ fit) @ back
     return out
 
 
 @lru_cache(maxsize=512)
 def _operator(
     own: tuple[int, int], other: tuple[int, int], slot: int, resource_blocks: int, apart_m: float
-) -> tuple[Complex, Complex]:
+) -> tuple[ComplexSingle, ComplexSingle]:
     """Return (tones, r) and (r, tones): samples to the other cell's coefficients, and those to its samples."""
     basis = _window_basis(resource_blocks)
     (_, mine), (_, theirs) = (pilots(*cell, slot, resource_blocks) for cell in (own, other))
@@ -49,7 +50,7 @@ def _operator(
     foreign = (mine.conj() * theirs * later)[:, None] * basis
     both = np.concatenate([foreign, basis], axis=1)
     coefficients = np.linalg.solve(both.conj().T @ both, both.conj().T)[: basis.shape[1]]
-    return np.ascontiguousarray(coefficients.T), np.ascontiguousarray(foreign.T)
+    return np.ascontiguousarray(coefficients.T, np.complex64), np.ascontiguousarray(foreign.T, np.complex64)
 
 
 @lru_cache(maxsize=8)

@@ -10,24 +10,26 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import median_filter
 
 from cellslam.sim.errors import InputError
-from cellslam.sim.lte import search_kernel
-from cellslam.sim.lte.array import Complex, Floats
+from cellslam.sim.frames import wrap_angle
+from cellslam.sim.lte.array import CircularArray, Complex, Floats
 from cellslam.sim.lte.detector_model import GHOST_REACH_M
-from cellslam.sim.lte.receiver import AZIMUTHS, DELAY_PITCH_M, ELEVATIONS, HIGHEST_RAD, LOWEST_RAD, Motion, Receiver
-from cellslam.sim.lte.refine import Fit, covariance, factors, refine, synthesise
+from cellslam.sim.lte.receiver import DELAY_PITCH_M, HIGHEST_RAD, LOWEST_RAD, Motion, Receiver
+from cellslam.sim.lte.refine import FINE_GAIN, Fit, covariance, factors, refine, synthesise
+from cellslam.sim.lte.spectrum import Spectrum, in_trail
 
 COARSE = 0.58  # share of the threshold at which a cell is looked at: the grid loses up to 2.4 dB
 MOST_FAILURES = 4  # cells that turn out to be noise before the search ends
 MOST_PATHS = 32
 JOINT_EVERY = 4
+_COARSE_GAIN = 0.2  # noise variances; the last fit is finer
 # A saturated port's residual exceeds the others' by this, and is this share of its power; calibration errors leave 1 %.
 _SATURATED_EXCESS, _SATURATED_SHARE = 6.0, 0.25
 _FARTHEST = np.array([3.0 * DELAY_PITCH_M, np.radians(20.0)])  # that a fit may end from its cell
-_STRETCH_BINS = 31  # of delay, over which noise is taken for constant
-_UNEVEN = 1.5  # times the usual disturbance, from which a port is weighed: less is scatter
+_TOUCHING_M = 40.0  # within which dropping one path may save another
+_UNEVEN = 0.4  # nepers of power from which the disturbance of some port differs by more than scatter
+_CELL = np.array([12.0, np.radians(18.0), np.radians(18.0)])  # within which paths may stand for each other
 _LEAST_RELIABLE = np.array([8.0, np.radians(16.0), np.radians(20.0)])
 
 
@@ -80,13 +82,26 @@ def _estimated(y: Complex, motion: Motion, working: NDArray[np.bool_], start: Fl
 def _port_weights(y: Complex, working: NDArray[np.bool_], receiver: Receiver) -> Floats:
     """Return weights (ports,) that make the disturbance alike: a port that faces an interferer counts less.
 
-    The disturbance of a port is the median over delays, whose resolved paths are few; zero for ports out of work.
+    The disturbance of a port is the median over delays, whose resolved paths are few. Ports of one column and slant
+    face the same way: their mean is taken where they agree. Zero for ports out of work.
     """
     tapered = np.where(working[:, None], y, 0.0).astype(np.complex64) @ receiver.quiet_matrix
     level = np.median(tapered.real**2 + tapered.imag**2, axis=1).astype(np.float64)
+    if isinstance(receiver.array, CircularArray):
+        level = _agreeing(level, working, receiver.array.rings)
     usual = float(np.median(level[working]))
-    uneven = level > _UNEVEN * usual
-    return np.where(working, np.where(uneven, np.sqrt(usual / np.maximum(level, 0.1 * usual)), 1.0), 0.0)
+    even = (np.abs(np.log(np.maximum(level[working], 1e-300) / usual)) < _UNEVEN).all()
+    weight = np.ones(len(y)) if even else np.sqrt(usual / np.maximum(level, 0.1 * usual))
+    return np.where(working, weight, 0.0)
+
+
+def _agreeing(level: Floats, working: NDArray[np.bool_], rings: int) -> Floats:
+    """Return `level` (ports,), replaced by the mean of its column and slant where it is within a factor of two."""
+    parts, counted = level.reshape(-1, rings, 2), working.reshape(-1, rings, 2)
+    median = np.median(parts, axis=1, keepdims=True)
+    alike = counted & (parts < 2.0 * median) & (parts > 0.5 * median)
+    mean = np.sum(parts * alike, axis=1, keepdims=True) / np.maximum(np.sum(alike, axis=1, keepdims=True), 1)
+    return np.asarray(np.where(alike, mean, parts).reshape(-1), np.float64)
 
 
 class _Link:
@@ -98,40 +113,57 @@ class _Link:
         self.geometry = np.empty((0, 3))
         self.fit: Fit | None = None
         self.level = np.empty(0)
-        self.spectrum: _Spectrum | None = None
+        self.spectrum = Spectrum(y, motion)
 
-    def fit_jointly(self, geometry: Floats) -> None:
+    def fit_jointly(self, geometry: Floats, least_gain: float = _COARSE_GAIN) -> None:
         """Refine all paths, drop what does not pass, and look at the residual anew."""
-        noise = self._noise(geometry)
+        self.fit, self.geometry, self.level = None, np.empty((0, 3)), np.empty(0)
         while len(geometry):
-            fit = refine(self.y, self.motion, geometry, noise)
-            self.residual = self.y - synthesise(self.motion, fit)
-            self.spectrum = _Spectrum(self.residual, self.motion)
-            noise = self.spectrum.noise
-            level, quiet = self.spectrum.levels(fit.geometry)
-            weakest = _weakest(fit, level, quiet, self.receiver)
-            if weakest < 0:
+            fit = refine(self.y, self.motion, geometry, self.spectrum.noise, least_gain)
+            self.spectrum.leave(fit)
+            level, asked = self.spectrum.levels(fit.geometry, in_trail(fit.geometry, fit.normal.wald))
+            kept = _kept(fit, level, asked, self.receiver)
+            if kept.all():
                 self.fit, self.geometry, self.level = fit, fit.geometry, level
+                break
+            geometry = fit.geometry[kept]
+        if self.fit is None:
+            self.spectrum.leave(None)
+        self.residual = self.y - synthesise(self.motion, self.fit) if self.fit else self.y
+
+    def unite(self) -> None:
+        """Drop each path that a close stronger one can stand for: a fit without it explains as much."""
+        tried = 0
+        while self.fit is not None and tried < len(self.geometry):
+            near = _beside_stronger(self.fit)
+            order = [i for i in np.argsort(self.fit.normal.wald) if near[i]]
+            if tried >= len(order):
                 return
-            geometry = np.delete(fit.geometry, weakest, axis=0)
-        self.fit, self.geometry, self.level = None, geometry, np.empty(0)
-        self.residual, self.spectrum = self.y, _Spectrum(self.y, self.motion)
+            i = order[tried]
+            rest = np.delete(self.geometry, i, axis=0)
+            alone = refine(self.y, self.motion, rest, self.spectrum.noise)
+            if self.fit.normal.explained - alone.normal.explained < self.receiver.threshold * self.level[i]:
+                self.fit_jointly(alone.geometry, FINE_GAIN)
+                tried = 0
+            else:
+                tried += 1
 
     def search(self) -> None:
         """Add paths, the strongest first, until nothing more stands out."""
         blocked: list[tuple[int, int]] = []
         pending: list[Floats] = []
         failures, most = 0, len(self.geometry)
-        spectrum = self.spectrum or _Spectrum(self.y, self.motion)
         while True:
             full = len(self.geometry) + len(pending) >= MOST_PATHS
             found = None
             if failures < MOST_FAILURES and not full:
-                found = spectrum.strongest(COARSE * self.receiver.threshold, blocked)
+                found = self.spectrum.strongest(COARSE * self.receiver.threshold, blocked)
             if found is None or len(pending) >= JOINT_EVERY:
                 if not pending:
+                    self.fit_jointly(self.geometry, FINE_GAIN)
+                    self.unite()
                     return
-                spectrum = self._accept(pending)
+                self.fit_jointly(np.concatenate([self.geometry, np.array(pending)]))
                 pending = []
                 if len(self.geometry) > most:
                     # The joint fit has changed the residual: what was tried in vain is worth another look.
@@ -142,26 +174,21 @@ class _Link:
             start, cell, level = found
             # A cell is tried once: what the joint fit drops must not come back for ever.
             blocked.append(cell)
-            margin = search_kernel.DIFFUSE_MARGIN if level > spectrum.profile[cell[1]] else 1.0
-            asked = self.receiver.threshold * level * margin
-            fit = refine(self.residual, self.motion, start[None, :], level, promising=0.85 * asked / level)
+            threshold = self.receiver.threshold
+            fit = refine(self.residual, self.motion, start[None, :], level, _COARSE_GAIN, 0.85 * threshold)
             away = np.abs(fit.geometry[0] - start)[[0, 2]]
-            if fit.normal.explained < asked or (away > _FARTHEST).any():
+            if fit.normal.explained < threshold * level or (away > _FARTHEST).any():
                 failures += 1
                 continue
+            self.spectrum.subtract(fit)
+            _, asked = self.spectrum.levels(fit.geometry, np.array([self.spectrum.in_trail(fit, cell)]))
+            if fit.normal.explained < threshold * asked[0]:
+                self.spectrum.subtract(fit, -1.0)
+                failures += 1
+                continue
+            self.spectrum.trail(fit)
             pending.append(fit.geometry[0])
             self.residual = self.residual - synthesise(self.motion, fit)
-            spectrum.subtract(fit)
-
-    def _accept(self, pending: list[Floats]) -> _Spectrum:
-        self.fit_jointly(np.concatenate([self.geometry, np.array(pending)]))
-        assert self.spectrum is not None
-        return self.spectrum
-
-    def _noise(self, geometry: Floats) -> float:
-        if self.spectrum is not None:
-            return self.spectrum.noise
-        return float(np.mean(np.abs(self.residual) ** 2)) / (10.0 if len(geometry) else 1.0)
 
     def saturated(self) -> NDArray[np.bool_]:
         """Return which ports (ports,) hold much that no path explains: a share of their power and far over the rest."""
@@ -181,71 +208,29 @@ class _Link:
         return Estimates(self.geometry[order], spread[order], snr_db[order], (energy / self.level)[order])
 
 
-class _Spectrum:
-    """Delay-direction spectrum of a residual: beam outputs (2 K, D), port outputs (ports, D), noise per sample."""
-
-    def __init__(self, residual: Complex, motion: Motion) -> None:
-        self.motion, self.receiver = motion, motion.receiver
-        self.ports = residual.astype(np.complex64) @ self.receiver.delay_matrix
-        self.beams = motion.beams @ self.ports
-        self._look()
-
-    def subtract(self, fit: Fit) -> None:
-        """Take a path out of the spectrum, in place: an update of rank one."""
-        on_ports, on_tones = (f[0].astype(np.complex64) for f in factors(self.motion, fit))
-        delay = on_tones @ self.receiver.delay_matrix
-        search_kernel.subtract_outer(self.ports, on_ports, delay)
-        search_kernel.subtract_outer(self.beams, self.motion.beams @ on_ports, delay)
-        self._look()
-
-    def _look(self) -> None:
-        count, bins = len(self.beams) // 2, self.beams.shape[1]
-        self.energy = np.empty((count, bins), np.float32)
-        search_kernel.direction_energy(self.beams, self.energy)
-        self.running = np.empty((count, bins + 1))
-        search_kernel.surrounding_sums(self.energy, AZIMUTHS, ELEVATIONS, self.running)
-        self.port_energy = np.sum(self.ports.real**2 + self.ports.imag**2, axis=0)
-        self.working = int(np.count_nonzero(self.motion.factor))
-        # Cancelling another cell colours the noise over delay: level by level, as paths fill few cells of a stretch.
-        self.profile = median_filter(self.port_energy / self.working, _STRETCH_BINS, mode="nearest").astype(np.float64)
-        self.noise = float(np.median(self.profile))
-
-    def strongest(self, coarse: float, blocked: list[tuple[int, int]]) -> tuple[Floats, tuple[int, int], float] | None:
-        """Return geometry (3,), cell and disturbance of the strongest cell that stands out; None: there is none."""
-        cells = np.array(blocked, np.int64).reshape(-1, 2)
-        k, d, level = search_kernel.strongest(
-            self.energy, self.running, self.port_energy, self.profile, coarse, ELEVATIONS, self.working, cells
-        )
-        if k < 0:
-            return None
-        azimuth, elevation = self.receiver.directions
-        return np.array([self.receiver.delays_m[d], azimuth[k], elevation[k]]), (k, d), level
-
-    def levels(self, geometry: Floats) -> tuple[Floats, Floats]:
-        """Return the disturbance per sample (n,) around each of the paths that were taken out, and the noise there."""
-        out, noise = np.empty(len(geometry)), np.empty(len(geometry))
-        step = (HIGHEST_RAD - LOWEST_RAD) / (ELEVATIONS - 1)
-        for i, (distance, azimuth, elevation) in enumerate(geometry):
-            d = int(np.rint((distance - self.receiver.delays_m[0]) / DELAY_PITCH_M))
-            d = min(max(d, 0), len(self.receiver.delays_m) - 1)
-            e = min(max(int(np.rint((elevation - LOWEST_RAD) / step)), 0), ELEVATIONS - 1)
-            k = int(np.rint((azimuth + np.pi) / (2.0 * np.pi) * AZIMUTHS)) % AZIMUTHS * ELEVATIONS + e
-            noise[i] = self.profile[d]
-            out[i] = search_kernel.local_level(k, d, 0.0, self.running, self.port_energy, self.working, noise[i])
-        return out, noise
+def _beside_stronger(fit: Fit) -> NDArray[np.bool_]:
+    """Return which paths (n,) have a stronger one within a resolution cell."""
+    apart = fit.geometry[:, None] - fit.geometry[None]
+    apart[..., 1] = wrap_angle(apart[..., 1])
+    weaker = fit.normal.wald[:, None] < fit.normal.wald[None, :]
+    return np.asarray(((np.abs(apart) < _CELL).all(axis=-1) & weaker).any(axis=1), np.bool_)
 
 
-def _weakest(fit: Fit, level: Floats, noise: Floats, receiver: Receiver) -> int:
-    """Return the path to be dropped: below the threshold, unreliable, outside the window or a ghost; -1: none."""
-    statistic = fit.normal.wald / level
+def _kept(fit: Fit, level: Floats, asked: Floats, receiver: Receiver) -> NDArray[np.bool_]:
+    """Return which paths (n,) stay: of those below the threshold, unreliable, outside the window or ghosts, the weakest
+    within reach of each other goes.
+    """
+    statistic = fit.normal.wald / asked
     std = np.sqrt(np.einsum("nii->ni", covariance(fit, level)))
-    margin = np.where(level > noise, search_kernel.DIFFUSE_MARGIN, 1.0)
-    bad = (statistic < receiver.threshold * margin) | (std > _LEAST_RELIABLE).any(axis=1)
+    bad = (statistic < receiver.threshold) | (std > _LEAST_RELIABLE).any(axis=1)
     distance = fit.geometry[:, 0]
     bad |= (distance < receiver.window_min_m) | (distance > receiver.window_max_m)
+    bad |= (fit.geometry[:, 2] < LOWEST_RAD) | (fit.geometry[:, 2] > HIGHEST_RAD)
     near = np.abs(distance[:, None] - distance[None, :]) < GHOST_REACH_M
     rule = 10.0 ** (-receiver.ghost_rule_db / 10.0)
     bad |= (near & (fit.normal.wald[:, None] < rule * fit.normal.wald[None, :])).any(axis=1)
-    if not bad.any():
-        return -1
-    return int(np.argmin(np.where(bad, statistic, np.inf)))
+    kept = np.ones(len(distance), np.bool_)
+    for i in np.argsort(statistic):
+        if bad[i] and (np.abs(distance[~kept] - distance[i]) > _TOUCHING_M).all():
+            kept[i] = False
+    return kept

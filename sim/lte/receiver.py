@@ -11,11 +11,12 @@ from numpy.typing import NDArray
 from cellslam.sim.frames import SPEED_OF_LIGHT_MPS, unit_vector
 from cellslam.sim.lte.array import AntennaArray, CircularArray, Complex, Floats, Steering, switching_times_s
 from cellslam.sim.lte.bound import tone_frequencies
+from cellslam.sim.lte.climb_kernel import SteeringModel, orthonormal_beams
 from cellslam.sim.lte.steering_kernel import steer_circular
 
 ComplexSingle = NDArray[np.complex64]
 AZIMUTHS, ELEVATIONS = 28, 7
-LOWEST_RAD, HIGHEST_RAD = np.radians(-18.0), np.radians(68.0)
+LOWEST_RAD, HIGHEST_RAD = np.radians(-15.0), np.radians(60.0)
 DELAY_PITCH_M = 7.5
 
 
@@ -30,7 +31,7 @@ class Receiver:
     times_s: Floats = field(default_factory=lambda: switching_times_s(CircularArray()))
     resource_blocks: int = 100
     carrier_hz: float = 2.66e9
-    threshold: float = 17.7
+    threshold: float = 17.2
     window_min_m: float = -50.0
     window_max_m: float = 1700.0
     ghost_rule_db: float = 25.0
@@ -62,10 +63,12 @@ class Receiver:
 
     @cached_property
     def quiet_matrix(self) -> ComplexSingle:
-        """The delay matrix with a Hann taper: what is left of a path far from its delay is little."""
+        """Every other column of the delay matrix with a Hann taper: what is left of a path far from its delay is
+        little.
+        """
         taper = np.hanning(len(self.rate) + 2)[1:-1]
         taper = taper / np.sqrt(np.mean(taper**2))
-        return np.ascontiguousarray(self.delay_matrix * taper[:, None], np.complex64)
+        return np.ascontiguousarray(self.delay_matrix[:, ::2] * taper[:, None], np.complex64)
 
     @cached_property
     def _steering(self) -> Complex:
@@ -97,32 +100,47 @@ class Motion:
 
     def weighed(self, weight: Floats) -> Motion:
         """Return the same with ports weighed by `weight` (ports,)."""
-        return Motion(self.receiver, self.velocity_mps, np.asarray(weight, np.complex128))
+        motion = Motion(self.receiver, self.velocity_mps, np.asarray(weight, np.complex128))
+        motion.__dict__["turned"] = self.turned
+        return motion
+
+    @cached_property
+    def turned(self) -> Complex:
+        """Steering vectors (K, 2, ports) of the searched directions, Doppler included."""
+        r = self.receiver
+        phase = np.outer(unit_vector(*r.directions) @ self.velocity_mps, r.doppler)
+        return np.asarray(r._steering * np.exp(1j * phase)[:, None, :], np.complex128)
 
     @cached_property
     def beams(self) -> ComplexSingle:
         """Beam matrix (2 K, ports) of the search: orthonormal bases of what a direction's two polarisations can do."""
-        r = self.receiver
-        phase = np.outer(unit_vector(*r.directions) @ self.velocity_mps, r.doppler)
-        value = r._steering * (np.exp(1j * phase) * self.factor)[:, None, :]
-        h = value[:, 0] / np.linalg.norm(value[:, 0], axis=1, keepdims=True)
-        v = value[:, 1] - np.einsum("km,km->k", h.conj(), value[:, 1])[:, None] * h
-        v = v / np.linalg.norm(v, axis=1, keepdims=True)
-        basis = np.stack([h, v], axis=1).conj()
-        return np.ascontiguousarray(basis.reshape(-1, r.array.ports), np.complex64)
+        out = np.empty((2 * len(self.turned), self.receiver.array.ports), np.complex64)
+        orthonormal_beams(self.turned, self.factor, out)
+        return out
+
+    @cached_property
+    def model(self) -> SteeringModel | None:
+        """What the compiled climb needs; None where the array is not the ideal circular one."""
+        array, r = self.receiver.array, self.receiver
+        if not isinstance(array, CircularArray) or array.calibration is not None:
+            return None
+        return SteeringModel(
+            array.columns, array.rings, array.radius_m, array.ring_spacing_m,
+            2.0 * np.pi * array.carrier_hz / SPEED_OF_LIGHT_MPS, array.peak_dbi,
+            12.0 / np.radians(array.width_deg) ** 2, array.floor_db, array.polarisation, self.factor, r.doppler,
+            self.velocity_mps, r.rate,
+        )  # fmt: skip
 
     def steer(self, azimuth_rad: Floats, elevation_rad: Floats) -> Steering:
         """Return steering vectors (n, ports, 2) and derivatives, Doppler included."""
-        array, r = self.receiver.array, self.receiver
-        if not isinstance(array, CircularArray) or array.calibration is not None:
+        m = self.model
+        if m is None:
             return self._steer_any(azimuth_rad, elevation_rad)
-        shape = (len(azimuth_rad), array.ports, 2)
+        shape = (len(azimuth_rad), self.receiver.array.ports, 2)
         out = Steering(*(np.empty(shape, np.complex128) for _ in range(3)))
-        wavenumber = 2.0 * np.pi * array.carrier_hz / SPEED_OF_LIGHT_MPS
         steer_circular(
-            azimuth_rad, elevation_rad, array.columns, array.rings, array.radius_m, array.ring_spacing_m, wavenumber,
-            array.peak_dbi, 12.0 / np.radians(array.width_deg) ** 2, array.floor_db, array.polarisation, self.factor,
-            r.doppler, self.velocity_mps, *out,
+            azimuth_rad, elevation_rad, m.columns, m.rings, m.radius_m, m.spacing_m, m.wavenumber, m.peak_dbi, m.curve,
+            m.floor_db, m.polarisation, m.factor, m.doppler, m.velocity, *out,
         )  # fmt: skip
         return out
 

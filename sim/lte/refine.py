@@ -8,10 +8,12 @@ import numpy as np
 
 from cellslam.sim.frames import wrap_angle
 from cellslam.sim.lte.array import Complex, Floats
+from cellslam.sim.lte.climb_kernel import climb
 from cellslam.sim.lte.receiver import Motion
 from cellslam.sim.lte.refine_kernel import Normal, normal_equations
 
-_LEAST_GAIN = 0.01  # noise variances: a hundredth of a nat
+FINE_GAIN = 0.01  # noise variances: a hundredth of a nat
+_ITERATIONS = 12
 _LONGEST_STEP = np.array([6.0, np.radians(9.0), np.radians(9.0)])
 _STEEPEST_RAD = np.radians(85.0)
 
@@ -35,17 +37,33 @@ def evaluate(y: Complex, motion: Motion, geometry: Floats) -> Fit:
 
 
 def refine(
-    y: Complex, motion: Motion, geometry: Floats, noise_variance: float, iterations: int = 12, promising: float = 0.0
-) -> Fit:
-    """Return the joint fit that starts at `geometry` (n, 3); done when a step gains less than 1 % of the noise.
+    y: Complex, motion: Motion, geometry: Floats, noise_variance: float, least_gain: float = FINE_GAIN,
+    promising: float = 0.0,
+) -> Fit:  # fmt: skip
+    """Return the joint fit that starts at `geometry` (n, 3); done when a step gains less than `least_gain` noise
+    variances.
 
     It ends at once where neither the start nor what the first step promises reaches `promising` noise variances.
     """
+    if motion.model is not None:
+        climbed = climb(
+            y, np.ascontiguousarray(geometry, np.float64), least_gain * noise_variance, _ITERATIONS,
+            promising * noise_variance, _LONGEST_STEP, float(_STEEPEST_RAD), motion.model,
+        )  # fmt: skip
+        return Fit(*climbed)
+    return refine_any(y, motion, geometry, noise_variance, least_gain, promising)
+
+
+def refine_any(
+    y: Complex, motion: Motion, geometry: Floats, noise_variance: float, least_gain: float = FINE_GAIN,
+    promising: float = 0.0,
+) -> Fit:  # fmt: skip
+    """Return the same as `refine`, step by step in NumPy, for any array."""
     fit, damping = evaluate(y, motion, geometry), 1e-3
-    for iteration in range(iterations):
+    for iteration in range(_ITERATIONS):
         step, gain = _step(fit.normal, damping)
         hopeless = iteration == 0 and fit.normal.explained + gain < promising * noise_variance
-        if gain < _LEAST_GAIN * noise_variance or hopeless:
+        if gain < least_gain * noise_variance or hopeless:
             break
         trial = evaluate(y, motion, _moved(fit.geometry, step))
         if trial.normal.explained > fit.normal.explained:

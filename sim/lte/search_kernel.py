@@ -8,41 +8,53 @@ from numba import njit
 from cellslam.sim.lte.detector_model import Array
 
 GUARD_BINS, REFERENCE_BINS = 2, 3  # cells skipped, then averaged, before and behind the cell under test
+STRETCH_BINS = 31  # of delay, over which noise is taken for constant
 LOCAL_EXCESS = 1.7  # disturbance below this multiple of the noise is taken for its estimate's scatter
 SIDELOBES = 0.01  # mean energy of a delay peak over the reference cells, relative to the peak
-DIFFUSE_MARGIN = 4.0  # by which diffuse energy may be stronger in a cell than in those around it: it falls with delay
 
 
 @njit(cache=True, nogil=True)
-def direction_energy(beams: Array, energy: Array) -> None:
-    """Write energy (K, D), of both polarisations, of beam outputs (2 K, D)."""
-    for k in range(energy.shape[0]):
-        h, v = beams[2 * k], beams[2 * k + 1]
-        row = energy[k]
-        for d in range(energy.shape[1]):
-            row[d] = h[d].real * h[d].real + h[d].imag * h[d].imag + v[d].real * v[d].real + v[d].imag * v[d].imag
+def look(beams: Array, on_ports: Array, working: int, energy: Array, port_energy: Array, profile: Array) -> None:
+    """Write energy (K, D) of both polarisations of beam outputs (2 K, D), energy (D,) of all port outputs (ports, D),
+    and the noise per sample over delay (D,): the running median of the ports' mean energy.
 
-
-@njit(cache=True, nogil=True)
-def surrounding_sums(energy: Array, azimuths: int, elevations: int, running: Array) -> None:
-    """Write running (K, D + 1): running sums over delay of the mean energy of a direction and its neighbours."""
+    Cancelling another cell colours the noise over delay; paths fill few cells of a stretch.
+    """
     count, bins = energy.shape
-    beside = np.zeros((count, bins))
-    for a in range(azimuths):
-        for e in range(elevations):
-            left = energy[((a - 1) % azimuths) * elevations + e]
-            middle = energy[a * elevations + e]
-            right = energy[((a + 1) % azimuths) * elevations + e]
-            total = beside[a * elevations + e]
-            for d in range(bins):
-                total[d] = left[d] + middle[d] + right[d]
-    for a in range(azimuths):
-        for e in range(elevations):
-            k = a * elevations + e
-            below, middle, above = beside[k - (e > 0)], beside[k], beside[k + (e < elevations - 1)]
-            running[k, 0] = 0.0
-            for d in range(bins):
-                running[k, d + 1] = running[k, d] + (below[d] + middle[d] + above[d]) / 9.0
+    for k in range(count):
+        h, v, row = beams[2 * k], beams[2 * k + 1], energy[k]
+        for d in range(bins):
+            row[d] = h[d].real * h[d].real + h[d].imag * h[d].imag + v[d].real * v[d].real + v[d].imag * v[d].imag
+    port_energy[:] = 0.0
+    for m in range(on_ports.shape[0]):
+        port = on_ports[m]
+        for d in range(bins):
+            port_energy[d] += port[d].real * port[d].real + port[d].imag * port[d].imag
+    running_median(port_energy, STRETCH_BINS, profile)
+    for d in range(bins):
+        profile[d] /= working
+
+
+@njit(cache=True, nogil=True)
+def running_median(values: Array, width: int, out: Array) -> None:
+    """Write the median over `width` (odd) neighbours; the ends repeat."""
+    half, last = width // 2, len(values) - 1
+    window = np.empty(width)
+    for i in range(width):
+        window[i] = values[min(max(i - half, 0), last)]
+    window.sort()
+    out[0] = window[half]
+    for centre in range(1, len(values)):
+        gone, new = values[min(max(centre - half - 1, 0), last)], values[min(centre + half, last)]
+        at = np.searchsorted(window, gone)
+        while at > 0 and window[at - 1] > new:
+            window[at] = window[at - 1]
+            at -= 1
+        while at < width - 1 and window[at + 1] < new:
+            window[at] = window[at + 1]
+            at += 1
+        window[at] = new
+        out[centre] = window[half]
 
 
 @njit(cache=True, nogil=True)
@@ -55,48 +67,76 @@ def subtract_outer(matrix: Array, rows: Array, columns: Array) -> None:
 
 
 @njit(cache=True, nogil=True)
-def _mean(running: Array, k: int, low: int, high: int) -> float:
-    """Return half the mean energy of the surroundings of direction k over bins low to high; zero outside."""
-    low, high = max(low, 0), min(high, running.shape[1] - 1)
-    return float(0.5 * (running[k, high] - running[k, low]) / (high - low)) if high > low else 0.0
+def _surroundings(energy: Array, k: int, elevations: int, low: int, high: int) -> float:
+    """Return half the mean energy of direction k and its neighbours over bins low to high; zero outside."""
+    low, high = max(low, 0), min(high, energy.shape[1])
+    if high <= low:
+        return 0.0
+    azimuths = energy.shape[0] // elevations
+    a, e = k // elevations, k % elevations
+    total = 0.0
+    for turn in range(-1, 2):
+        column = (a + turn) % azimuths * elevations
+        for rise in range(-1, 2):
+            row = energy[column + min(max(e + rise, 0), elevations - 1)]
+            for d in range(low, high):
+                total += row[d]
+    return 0.5 * total / (9 * (high - low))
 
 
 @njit(cache=True, nogil=True)
-def local_level(k: int, d: int, energy: float, running: Array, port_energy: Array, ports: int, noise: float) -> float:
-    """Return the disturbance per sample around a cell: noise, or what exceeds it before or behind in the same
-    directions (greatest-of), or in all other directions at the same delay.
+def local_level(
+    k: int, d: int, peak: float, energy: Array, elevations: int, port_energy: Array, ports: int, noise: float,
+    margin: float,
+) -> tuple[float, float]:  # fmt: skip
+    """Return the disturbance per sample around a cell of energy `peak`, and the level that the cell must stand out of.
+
+    Disturbance is noise, or what exceeds it before or behind in the same directions (greatest-of), or in all other
+    directions at the same delay. What stands before or behind counts `margin` times for the second.
     """
     near, far = GUARD_BINS + 1, GUARD_BINS + 1 + REFERENCE_BINS
     beyond = far + REFERENCE_BINS
     # Of two stretches on each side the lesser: another path there must not hide this one.
-    before = min(_mean(running, k, d - far + 1, d - near + 1), _mean(running, k, d - beyond + 1, d - far + 1))
-    behind = min(_mean(running, k, d + near, d + far), _mean(running, k, d + far, d + beyond))
+    before = min(
+        _surroundings(energy, k, elevations, d - far + 1, d - near + 1),
+        _surroundings(energy, k, elevations, d - beyond + 1, d - far + 1),
+    )
+    behind = min(
+        _surroundings(energy, k, elevations, d + near, d + far),
+        _surroundings(energy, k, elevations, d + far, d + beyond),
+    )
     # A path's own sidelobes over delay are no disturbance.
-    before, behind = before - SIDELOBES * energy, behind - SIDELOBES * energy
-    around = max(port_energy[d] - energy, 0.0) / (ports - 2)
-    local = max(before, behind, around)
-    return float(local if local > LOCAL_EXCESS * noise else noise)
+    along = max(before, behind) - SIDELOBES * peak
+    around = max(port_energy[d] - peak, 0.0) / (ports - 2)
+    level, asked = noise, noise
+    if along > LOCAL_EXCESS * noise:
+        level, asked = along, margin * along
+    if around > LOCAL_EXCESS * noise:
+        level, asked = max(level, around), max(asked, around)
+    return level, asked
 
 
 @njit(cache=True, nogil=True)
 def strongest(
-    energy: Array, running: Array, port_energy: Array, noise: Array, coarse: float, elevations: int, ports: int,
-    blocked: Array,
+    energy: Array, port_energy: Array, noise: Array, coarse: float, elevations: int, ports: int, blocked: Array,
+    trailing: Array, margin: float,
 ) -> tuple[int, int, float]:  # fmt: skip
-    """Return (direction, bin, level) of the strongest cell whose energy is `coarse` times its level; direction -1:
-    none. `noise` (D,) per sample and delay.
+    """Return (direction, bin, level) of the strongest cell whose energy is `coarse` times the level that it must stand
+    out of; direction -1: none. `noise` (D,) per sample and delay.
 
-    `blocked` (B, 2): cells (direction, bin) around which nothing is looked for.
+    `blocked` (B, 2): cells (direction, bin) around which nothing is looked for. `trailing` (azimuths, D): energy of the
+    paths in whose diffuse energy a cell lies; what is weaker must stand out `margin` times as far.
     """
     best, at, bin_at, level_at = 0.0, -1, -1, 0.0
-    azimuths = running.shape[0] // elevations
+    azimuths = energy.shape[0] // elevations
     for k in range(energy.shape[0]):
-        row = energy[k]
+        row, behind = energy[k], trailing[k // elevations]
         for d in range(energy.shape[1]):
             if row[d] <= best or row[d] < coarse * noise[d]:
                 continue
-            level = local_level(k, d, row[d], running, port_energy, ports, noise[d])
-            if row[d] < coarse * level * (DIFFUSE_MARGIN if level > noise[d] else 1.0):
+            more = margin if row[d] < behind[d] else 1.0
+            _, level = local_level(k, d, row[d], energy, elevations, port_energy, ports, noise[d], more)
+            if row[d] < coarse * level:
                 continue
             free = True
             for b in range(len(blocked)):

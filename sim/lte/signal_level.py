@@ -52,7 +52,7 @@ class Hardware:
     phase_std_deg: float = 5.0
     gain_std_db: float = 0.5
     carrier_offset_std_hz: float = 0.03
-    threshold: float = 17.7
+    threshold: float = 17.2
 
 
 DEFAULT_HARDWARE = Hardware()

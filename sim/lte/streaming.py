@@ -21,7 +21,6 @@ from cellslam.sim.progress import Progress, silent
 from cellslam.sim.recording import Floats
 
 BLOCK = 50
-THREADS = 2
 # Part of the name of kept blocks: grows when the same trial would be measured otherwise.
 REVISION = 1
 
@@ -50,14 +49,22 @@ def detect_signals(
 
     starts, out = range(0, len(poses), BLOCK), []
     with _kept_blocks(trial_key) as folder, threadpool_limits(1), progress("measuring signals", len(poses)) as advance:
-        pool = ThreadPoolExecutor(THREADS if len(starts) > 1 else 1)
-        try:
-            for start, table in zip(starts, pool.map(lambda s: _resumed(folder, s, block), starts), strict=True):
-                out.append(table)
-                advance(min(BLOCK, len(poses) - start))
-        finally:
-            pool.shutdown(cancel_futures=True)
+        for start, table in zip(starts, _worked_off(lambda s: _resumed(folder, s, block), starts), strict=True):
+            out.append(table)
+            advance(min(BLOCK, len(poses) - start))
     return detections_of(np.concatenate([np.empty((0, k.COLUMNS)), *out]))
+
+
+def _worked_off(block: Callable[[int], Floats], starts: range) -> Iterator[Floats]:
+    """Yield the blocks in order, several threads working ahead; one block takes no thread."""
+    if len(starts) < 2:
+        yield from map(block, starts)
+        return
+    pool = ThreadPoolExecutor(os.cpu_count() or 1)
+    try:
+        yield from pool.map(block, starts)
+    finally:
+        pool.shutdown(cancel_futures=True)
 
 
 def _snapshot_paths(paths: PathColumns, t: int, sites: int) -> tuple[PathColumns, int]:

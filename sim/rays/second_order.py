@@ -6,36 +6,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cellslam.sim.city.model import Floats, Ints
-from cellslam.sim.rays.first_order import BLOCKS, first_hits, unobstructed
+from cellslam.sim.rays.first_order import BLOCKS, unobstructed
+from cellslam.sim.rays.hidden import HIDDEN_M, hidden
 from cellslam.sim.rays.scene import Scene
 
-# A corner counts as hidden if what hides it stands at least this far in front of it.
-HIDDEN_M = 0.01
 PAIRS_AT_ONCE = 100_000
 RECEIVERS_AT_ONCE = 512
-
-
-def lit_facets(scene: Scene, transmitter: Floats, reflects: NDArray[np.bool_]) -> Ints:
-    """Return the facets of which the transmitter (3,), centred, may see a part: none that it sees is left out."""
-    rows = np.flatnonzero(reflects)
-    table = scene.table[rows]
-    u, v = table[:, [10, 11, 11, 10]], table[:, [12, 12, 13, 13]]
-    corners = u[:, :, None] * table[:, None, 4:7] + v[:, :, None] * table[:, None, 7:10]
-    corners += (table[:, 3:4] * table[:, :3])[:, None]
-    return np.asarray(rows[~_hidden(scene, np.broadcast_to(transmitter, corners.shape), corners)], np.int64)
-
-
-def _hidden(scene: Scene, origins: Floats, targets: Floats) -> NDArray[np.bool_]:
-    """Tell which windows (N, 4, 3) stand wholly behind one convex facet, as seen from a point.
-
-    The rays `origins` -> `targets` lie on lines through that point. If all four end on one convex facet before they
-    reach the window, so do all between them: no window of which a part is seen is said to be hidden.
-    """
-    away = (targets - origins).reshape(-1, 3)
-    share = 1.0 - HIDDEN_M / np.maximum(np.linalg.norm(away, axis=1), HIDDEN_M)
-    triangle = first_hits(scene, origins.reshape(-1, 3), targets.reshape(-1, 3), share)
-    by = np.where(triangle >= 0, scene.city.triangle_facet[triangle], -1).reshape(-1, 4)
-    return np.asarray((by[:, 0] >= 0) & (by == by[:, :1]).all(axis=1) & scene.convex[by[:, 0]], np.bool_)
 
 
 def _open_pairs(
@@ -49,13 +25,13 @@ def _open_pairs(
         rows = np.arange(begin, min(begin + PAIRS_AT_ONCE, len(pairs)))
         part, start, end = np.empty((3, len(rows), 4, 3))
         second_kernel.windows(scene.table, image, side, mirrored, pairs[rows], part, start, end)
-        kept[rows] = ~_hidden(scene, np.broadcast_to(transmitter, part.shape), part)
+        kept[rows] = ~hidden(scene, np.broadcast_to(transmitter, part.shape), part)
         left = rows[kept[rows] & ~np.isnan(start[:, 0, 0])]
         start, end = start[left - begin], end[left - begin]
         away = end - start
         # The leg starts on the first facet: a centimetre further on, so as not to meet that.
         length = np.maximum(np.linalg.norm(away, axis=2, keepdims=True), HIDDEN_M)
-        kept[left] = ~_hidden(scene, start + away * np.minimum(HIDDEN_M / length, 1.0), end)
+        kept[left] = ~hidden(scene, start + away * np.minimum(HIDDEN_M / length, 1.0), end)
     return kept
 
 

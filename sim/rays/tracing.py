@@ -13,11 +13,14 @@ from cellslam.sim.frames import SPEED_OF_LIGHT_MPS, azimuth_elevation
 from cellslam.sim.progress import Progress, silent
 from cellslam.sim.rays.first_order import lines_of_sight, single_reflections
 from cellslam.sim.rays.gain import Complexes, path_gain
+from cellslam.sim.rays.hidden import lit_facets
 from cellslam.sim.rays.paths import MAX_ORDER, Paths, concatenate
 from cellslam.sim.rays.scene import Scene, prepare
-from cellslam.sim.rays.second_order import double_reflections, lit_facets
+from cellslam.sim.rays.second_order import double_reflections
 
 CHUNK = 8192
+# From so many receivers on it pays to find out first which facets the transmitter sees.
+LIT_FROM = 5000
 SAME_IMAGE_M = 1e-3
 
 
@@ -49,7 +52,8 @@ def trace(
     pieces = []
     with progress("tracing rays", len(t) * len(r)) as advance:
         for site in range(len(t)):
-            lit = lit_facets(scene, t[site], reflects) if max_order >= 2 else None
+            worth = max_order >= 2 or (max_order == 1 and len(r) >= LIT_FROM)
+            lit = lit_facets(scene, t[site], reflects) if worth else np.flatnonzero(reflects)
             for start in range(0, len(r), CHUNK):
                 part = r[start : start + CHUNK]
                 found = _search(scene, t[site], part, max_order, reflects, lit)
@@ -109,14 +113,16 @@ def _search(
     receivers: Floats,
     max_order: int,
     reflects: NDArray[np.bool_],
-    lit: Ints | None,
+    lit: Ints,
 ) -> _Found:
     """Return the free paths of one transmitter, centred coordinates."""
     found = _found(lines_of_sight(scene, transmitter, receivers), [], [])
     if max_order >= 1:
-        row, facet, point = single_reflections(scene, transmitter, receivers, reflects)
+        seen = np.zeros(len(reflects), np.bool_)
+        seen[lit] = True
+        row, facet, point = single_reflections(scene, transmitter, receivers, seen)
         found = found.joined(_found(row, [facet], [point]))
-    if lit is not None:
+    if max_order >= 2:
         row, both, points = double_reflections(scene, transmitter, receivers, reflects, lit)
         found = found.joined(_found(row, [both[:, 0], both[:, 1]], [points[:, 0], points[:, 1]]))
     return found

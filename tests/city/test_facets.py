@@ -8,6 +8,7 @@ from hypothesis import strategies as st
 from cellslam.sim.city.assemble import Part, assemble
 from cellslam.sim.city.facets import merge_facets
 from cellslam.sim.city.materials import itu_material
+from cellslam.sim.city.model import Tolerances
 from cellslam.sim.errors import InputError
 
 
@@ -23,9 +24,9 @@ def grid(n, size, height=lambda x, y: 0 * x):
     return soup.reshape(-1, 3), np.arange(3 * len(soup)).reshape(-1, 3)
 
 
-def merged(vertices, triangles, **kwargs):
+def merged(vertices, triangles, **tolerances):
     zero = np.zeros(len(triangles), np.int64)
-    return merge_facets(vertices, triangles, zero, zero, zero, **kwargs)
+    return merge_facets(vertices, triangles, zero, zero, zero, Tolerances(**tolerances))
 
 
 def test_a_sheet_of_soup_is_one_facet():
@@ -44,6 +45,15 @@ def test_tolerance_decides_over_a_bent_wall(sag_m, count):
     _, facets = merged(vertices, triangles)
     assert len(facets) == count
     assert facets.planarity_m.max() <= 0.002
+
+
+@pytest.mark.parametrize(
+    ("tolerances", "count"), [({}, 2), ({"plane_m": 0.1}, 1), ({"plane_m": 0.1, "angle_deg": 0.1}, 2)]
+)
+def test_tolerances_can_be_chosen(tolerances, count):
+    vertices, triangles = grid(1, 10.0)
+    vertices[vertices[:, 1] - vertices[:, 0] > 9.0, 2] = 0.05
+    assert len(merged(vertices, triangles, **tolerances)[1]) == count
 
 
 def test_a_gentle_curve_does_not_become_one_facet():
@@ -77,7 +87,7 @@ def test_materials_and_objects_separate():
     v, t = grid(2, 10.0)
     zero = np.zeros(len(t), np.int64)
     material = np.r_[0, np.ones(len(t) - 1, np.int64)]
-    assert len(merge_facets(v, t, zero, material, zero)[1]) == 2
+    assert len(merge_facets(v, t, zero, material, zero, Tolerances())[1]) == 2
 
 
 @settings(max_examples=25, deadline=None)

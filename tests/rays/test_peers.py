@@ -32,13 +32,11 @@ def test_what_sionna_finds_we_find(name):
     ours = trace(scene, [site], receivers, ground_reflection=True)
     theirs = ask_sionna(shipped_scene(name), site, receivers, 1)
     found = compare(scene, site, receivers, ours, theirs)
-    assert found.matched > 500
+    # Agreeing: within 1 mm, 1e-4 rad and 0.1 dB.
+    assert found.agreeing > 500
     assert found.theirs_unexplained == 0
-    assert found.theirs_grazing <= 0.01 * found.matched
-    assert found.length_m < 1e-3
-    assert found.angle_rad < 1e-4
+    assert found.theirs_grazing + found.theirs_bent <= 0.01 * found.agreeing
     assert found.gain_db is not None
-    assert found.gain_db < 0.1
     assert found.field is not None
     assert found.field < 2e-3
     # The judge is awake: without one facet, its paths are missed.

@@ -6,8 +6,8 @@ import pytest
 from cellslam.sim.city import ProceduralCityConfig, build_city
 from cellslam.sim.rays import trace
 from cellslam.sim.rays.first_order import unobstructed
+from cellslam.sim.rays.hidden import lit_facets
 from cellslam.sim.rays.scene import prepare
-from cellslam.sim.rays.second_order import lit_facets
 
 TX = np.array([0.0, 0.0, 10.0])
 

@@ -1,0 +1,49 @@
+"""An estimate laid onto the truth: for campaigns whose start is arbitrary. Done on request only, and then said."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from cellslam.benchmarks.metrics import within
+from cellslam.benchmarks.recordings.start import rigid
+from cellslam.benchmarks.result import TrialResult
+from cellslam.sim.errors import InputError
+from cellslam.sim.frames import rotation, wrap_angle
+from cellslam.sim.recording import Floats, Recording
+
+
+def aligned(recording: Recording, result: TrialResult) -> TrialResult:
+    """Return the estimate turned and shifted in the horizontal plane so that its positions fit the truth best.
+
+    Poses, covariances and VTs move as one. Raises InputError where the truth or reference has too few positions.
+    """
+    estimated, known = _pairs(recording, result.poses)
+    if len(known) < 2:
+        raise InputError("cannot align: the reference has fewer than two positions within the drive")
+    angle, shift = rigid(estimated, known)
+    turn = rotation(angle, 0.0, 0.0)
+    offset = np.append(shift, 0.0)
+    both = np.eye(6)
+    both[:3, :3] = turn
+    poses = result.poses.copy()
+    poses[:, :3] = poses[:, :3] @ turn.T + offset
+    poses[:, 3] = wrap_angle(poses[:, 3] + angle)
+    vts = result.vts
+    if vts is not None:
+        vts = replace(vts, position_m=vts.position_m @ turn.T + offset, covariance=turn @ vts.covariance @ turn.T)
+    return replace(result, poses=poses, covariances=both @ result.covariances @ both.T, vts=vts)
+
+
+def _pairs(recording: Recording, poses: Floats) -> tuple[Floats, Floats]:
+    """Return estimated and true horizontal positions (N, 2) at the same times."""
+    if recording.truth is not None:
+        return poses[:, :2], recording.truth.poses[:, :2]
+    reference = recording.reference
+    if reference is None:
+        raise InputError("cannot align: the recording has neither truth nor reference")
+    rows = within(recording, reference) & np.isfinite(reference.position_m[:, :2]).all(axis=1)
+    at = reference.time_s[rows]
+    estimated = np.column_stack([np.interp(at, recording.time_s, poses[:, i]) for i in range(2)])
+    return estimated, reference.position_m[rows, :2]

@@ -1,0 +1,172 @@
+"""`recording.toml`: which files a campaign consists of, and the units, signs, axes and clocks of their columns."""
+
+from __future__ import annotations
+
+import tomllib
+from pathlib import Path
+from typing import Annotated, Literal
+
+from pydantic import BaseModel, ConfigDict, Field
+
+from cellslam.scenarios.problems import validate
+from cellslam.sim.errors import InputError
+
+NAME = "recording.toml"
+Unit = Literal["m", "km", "cm", "mm", "s", "ms", "us", "ns", "samples", "rad", "deg", "rad/s", "deg/s", "m/s", "km/h", "dB", "1"]
+Triple = tuple[float, float, float]
+
+
+class Table(BaseModel):
+    """What all tables of the manifest share."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+
+class Column(Table):
+    """One column: ours = zero + sign * theirs, in `unit`."""
+
+    column: str = Field(description="name of the column in the CSV header, or of the variable in the .mat file")
+    unit: Unit = Field(description="unit of the column; a delay in s, ns or samples is a distance times the speed of light")
+    sign: Literal[1, -1] = Field(1, description="-1: the column grows the other way (clockwise angles, downward axes)")
+    zero: float = Field(0.0, description="our value where the column says 0, in the unit of the column")
+
+
+class LinkColumn(Table):
+    """The column that tells the links apart."""
+
+    column: str = Field(description="name of the column; each value in it is one link")
+
+
+class Clock(Table):
+    """A time base: time of the recording = offset_s + (1 + drift_ppm / 1e6) * time of the table."""
+
+    offset_s: float = Field(0.0, description="what to add to the table's times, s")
+    drift_ppm: float = Field(0.0, ge=-1e4, le=1e4, description="how much slower than the recording's this clock runs, ppm")
+
+
+class FileTable(Table):
+    """A table in a file of the folder."""
+
+    file: str = Field(description="file in the folder: .csv (with header line), .txt, .tsv or .mat")
+    variable: str = Field("", description="struct of the .mat file that holds the columns; empty: the file itself")
+    delimiter: str = Field(",", min_length=1, max_length=1, description="what separates the columns of a text file")
+    clock: str = Field("", description="name of one of [clocks]; empty: the recording's own")
+
+
+class PathTable(FileTable):
+    """[measurements]"""
+
+    columns: dict[str, Column] = Field(description="time_s and what was measured, by our names")
+    link: LinkColumn | None = Field(None, description="the column that tells links apart; none: one link")
+    sample_rate_hz: float | None = Field(None, gt=0, description="for delays in samples, Hz")
+    std: dict[str, Annotated[float, Field(gt=0)]] = Field(
+        default_factory=dict, description="deviations of all rows: distance_m, azimuth_deg, elevation_deg"
+    )
+
+
+class Noise(Table):
+    """Deviations of one odometry component, in m/s or rad/s."""
+
+    noise_density: float = Field(0.0, ge=0, description="white noise, unit * sqrt(s)")
+    bias: float = Field(0.0, ge=0, description="constant error, unit")
+    bias_walk_density: float = Field(0.0, ge=0, description="how the bias walks, unit / sqrt(s)")
+    scale: float = Field(0.0, ge=0, le=1, description="error of scale, share")
+
+
+class DriveTable(FileTable):
+    """[odometry]"""
+
+    columns: dict[str, Column] = Field(description="time_s and u_x, u_y, u_z, u_psi, u_theta, u_phi as far as measured")
+    kind: Literal["velocities", "poses"] = Field(
+        "velocities", description="poses: x_m, y_m, z_m, yaw_rad, pitch_rad, roll_rad in a frame of the odometry's own"
+    )
+    hold: Literal["next", "before", "linear"] = Field(
+        "next", description="a row is valid until the next row, since the row before, or in between interpolate"
+    )
+    axes: Literal["forward-left-up", "forward-right-down"] = Field("forward-left-up", description="axes of the body")
+    lever_arm_m: Triple = Field((0.0, 0.0, 0.0), description="where the antenna is, from the point that is measured, m")
+
+
+class ReferenceFile(FileTable):
+    """[reference]"""
+
+    columns: dict[str, Column] = Field(
+        description="time_s; x_m, y_m, z_m or latitude_rad, longitude_rad, z_m; yaw_rad, std_m"
+    )
+    axes: Literal["east-north-up", "north-east-down"] = Field("east-north-up", description="axes of x, y, z")
+    crs: str = Field("", description="where to project latitude and longitude to, as EPSG:32633; empty: their UTM zone")
+    origin_m: tuple[float, float] | None = Field(None, description="taken off projected positions; none: the first fix")
+    lever_arm_m: Triple = Field((0.0, 0.0, 0.0), description="where the antenna array is, from the GNSS antenna, m")
+    std_m: float | None = Field(None, gt=0, description="deviation of all positions, m; none: unknown")
+
+
+class SnapshotTable(FileTable):
+    """[snapshots]"""
+
+    columns: dict[str, Column] = Field(description="time_s of every snapshot, those without measurements too")
+
+
+class Link(Table):
+    """[links.VALUE]: one value of the link column."""
+
+    site: str = Field(description="name of the site")
+    cell_id: int = Field(-1, ge=-1, description="cell identity; -1: none")
+    port: int = Field(-1, ge=-1, description="antenna port; -1: none")
+
+
+class Site(Table):
+    """[sites.NAME]"""
+
+    clock_offset_mean_m: float = Field(0.0, description="expected clock offset times the speed of light, m")
+    clock_offset_std_m: float = Field(ge=0, description="its deviation, m; 0: synchronised")
+
+
+class Start(Table):
+    """[start]"""
+
+    source: Literal["given", "reference", "origin"] = Field(
+        description="given here, taken from the reference, or the origin of the world frame"
+    )
+    position_m: Triple = Field((0.0, 0.0, 0.0), description="x, y, z of the antenna, m")
+    yaw_deg: float = Field(0.0, description="counter-clockwise from east, deg")
+    pitch_deg: float = Field(0.0, description="nose down positive, deg")
+    roll_deg: float = Field(0.0, description="deg")
+    std_m: Triple = Field((0.0, 0.0, 0.0), description="deviations of x, y, z, m")
+    std_deg: Triple = Field((0.0, 0.0, 0.0), description="deviations of yaw, pitch, roll, deg")
+
+
+class Manifest(Table):
+    """The whole of `recording.toml`."""
+
+    description: str = Field("", description="what, where, when, by whom")
+    plane: bool = Field(False, description="array, sources and reflections lie in one horizontal plane")
+    measurements: PathTable
+    start: Start
+    snapshots: SnapshotTable | None = None
+    odometry: DriveTable | None = None
+    reference: ReferenceFile | None = None
+    clocks: dict[str, Clock] = Field(default_factory=dict)
+    links: dict[str, Link] = Field(default_factory=dict)
+    sites: dict[str, Site] = Field(default_factory=dict)
+    noise: dict[str, Noise] = Field(
+        default_factory=dict, description="data sheet by component; of one that is not measured: how the vehicle moves so"
+    )
+
+
+def load_manifest(folder: Path) -> Manifest:
+    """Return the manifest of a folder. Raises InputError with file, key, value and what is allowed."""
+    path = folder / NAME
+    if not folder.is_dir():
+        raise InputError(f"{folder}: no such folder; give the folder that holds {NAME} and its tables")
+    if not path.is_file():
+        raise InputError(f"{path}: no such file; write one (docs/recordings.md), or name a Python adapter with --adapter")
+    try:
+        table = tomllib.loads(path.read_text("utf-8"))
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+        raise InputError(f"{path}: not TOML ({error}); correct it there") from error
+    except OSError as error:
+        raise InputError(f"{path}: cannot be read ({error.strerror})") from error
+    try:
+        return validate(Manifest, table)
+    except InputError as error:
+        raise InputError(f"{path}: {error}") from error

@@ -1,0 +1,82 @@
+"""MATLAB files of both kinds as plain arrays: version 5 to 7 (SciPy) and 7.3, which is HDF5."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from cellslam.sim.errors import InputError, nearest_name
+
+
+def variables(path: Path, names: Sequence[str] = ()) -> dict[str, Any]:
+    """Return the variables of a .mat file: numbers as arrays in MATLAB's shape, structs as dicts, cells as lists.
+
+    Raises InputError where the file is none, or lacks one of `names`.
+    """
+    if not path.is_file():
+        raise InputError(f"{path}: no such file; download or export it first")
+    found = _read_hdf5(path) if _is_hdf5(path) else _read_old(path)
+    for name in names:
+        if name not in found:
+            near = nearest_name(name, found)
+            raise InputError(f"{path}: no variable '{name}'{near} (it has: {', '.join(sorted(found)) or 'none'})")
+    return found
+
+
+def _is_hdf5(path: Path) -> bool:
+    import h5py
+
+    return bool(h5py.is_hdf5(path))
+
+
+def _read_old(path: Path) -> dict[str, Any]:
+    from scipy.io import loadmat
+
+    try:
+        raw = loadmat(str(path), simplify_cells=False)
+    except Exception as error:
+        reason = str(error).splitlines()[0] if str(error) else type(error).__name__
+        raise InputError(f"{path}: not a MATLAB file, or a damaged one ({reason}); export it again") from error
+    return {name: _old_value(value) for name, value in raw.items() if not name.startswith("__")}
+
+
+def _old_value(value: Any) -> Any:
+    if isinstance(value, np.ndarray) and value.dtype.names:
+        items = [{name: _old_value(item[name]) for name in value.dtype.names} for item in value.ravel()]
+        return items[0] if len(items) == 1 else items
+    if isinstance(value, np.ndarray) and value.dtype == object:
+        return [_old_value(item) for item in value.ravel(order="F")]
+    if isinstance(value, np.ndarray) and value.dtype.kind in "US":
+        rows = [str(item) for item in value.ravel()]
+        return rows[0] if len(rows) == 1 else rows
+    return value
+
+
+def _read_hdf5(path: Path) -> dict[str, Any]:
+    import h5py
+
+    try:
+        with h5py.File(path, "r") as file:
+            return {name: _hdf5_value(file, item) for name, item in file.items() if not name.startswith("#")}
+    except (OSError, RuntimeError, KeyError) as error:
+        raise InputError(f"{path}: a damaged MATLAB 7.3 file ({str(error).splitlines()[0]}); export it again") from error
+
+
+def _hdf5_value(file: Any, item: Any) -> Any:
+    import h5py
+
+    if isinstance(item, h5py.Group):
+        return {name: _hdf5_value(file, inner) for name, inner in item.items()}
+    kind = item.attrs.get("MATLAB_class", b"")
+    kind = kind.decode() if isinstance(kind, bytes) else str(kind)
+    if item.attrs.get("MATLAB_empty", 0):
+        return "" if kind == "char" else ([] if kind == "cell" else np.zeros(tuple(int(n) for n in item[()].ravel())))
+    if item.dtype == h5py.ref_dtype:
+        return [_hdf5_value(file, file[reference]) for reference in np.asarray(item[()]).ravel()]
+    if kind == "char":
+        return "".join(chr(code) for code in np.asarray(item[()]).T.ravel(order="F"))
+    value = np.asarray(item[()])
+    return value.T  # MATLAB stores by columns
