@@ -14,13 +14,13 @@ times the links that share it.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field
 
-from cellslam.sim.frames import wrap_angle
 from cellslam.sim.recording import Floats, Ints
 from cellslam.slam.api import Snapshot
 
@@ -107,16 +107,16 @@ def readings(
 
     site_of (L,): site of each link; port_of (L,): a number for each pair of site and port.
     """
+    from cellslam.slam.front_end_kernel import combine
+
     alone = white(snapshot, options)
     place, direction = persisting(options)
     by_place, by_direction = draws(options, turn_rad, moved_m)
-    single = np.maximum(alone + place + direction, 1e-12)
-    port, site = (sharers(snapshot, group, single)[:, None] for group in (port_of, site_of))
-    many = np.maximum(alone + place * by_place * port + direction * by_direction * site, 1e-12)
     z = np.stack([snapshot.distance_m, snapshot.azimuth_rad, snapshot.elevation_rad], axis=1)
-    missing = np.isnan(z)
-    lack = 0.5 * np.where(missing, 0.0, np.log(many / single)).sum(axis=1)
-    return Readings(z, single, many, missing @ np.log(CLUTTER_WIDTH), lack)
+    single, many, lack = combine(
+        z, alone, place, direction, by_place, by_direction, snapshot.link, site_of, port_of
+    )
+    return Readings(z, single, many, np.isnan(z) @ np.log(CLUTTER_WIDTH), lack)
 
 
 def white(snapshot: Snapshot, options: FrontEndOptions) -> Floats:
@@ -162,23 +162,7 @@ def draws(options: FrontEndOptions, turn_rad: float, moved_m: float) -> tuple[Fl
 def repeats(scale: float, step: float) -> float:
     """Return how many samples `step` apart share one draw of an error with correlation exp(-x^2 / (2 scale^2)): its
     sum over all lags."""
-    return float(np.clip(np.sqrt(2.0 * np.pi) * scale / max(abs(step), 1e-12), 1.0, MOST_REPEATS))
-
-
-def sharers(snapshot: Snapshot, group_of: Ints, q: Floats) -> Floats:
-    """Return for each measurement (m,) how many links of its group (site, or site and port) measured the same path,
-    its own included, by variances q (m, 3)."""
-    group = group_of[snapshot.link]
-    close = group[:, None] == group[None, :]
-    columns = (snapshot.distance_m, snapshot.azimuth_rad, snapshot.elevation_rad)
-    for i, column in enumerate(columns):
-        gap = column[:, None] - column[None, :]
-        gap = wrap_angle(gap) if i == 1 else gap
-        close &= ~(gap * gap > 9.0 * (q[:, None, i] + q[None, :, i]))
-    same_link = snapshot.link[:, None] == snapshot.link[None, :]
-    close &= ~same_link | np.eye(len(snapshot), dtype=bool)
-    count: Floats = close.sum(axis=1).astype(np.float64)
-    return count
+    return min(max(math.sqrt(2.0 * math.pi) * scale / max(abs(step), 1e-12), 1.0), MOST_REPEATS)
 
 
 def ports_of(site_of: Ints, port: Ints) -> Ints:

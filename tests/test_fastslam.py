@@ -17,7 +17,8 @@ from cellslam.slam.fastslam.noise import packed
 from cellslam.slam.fastslam.options import FastSlamOptions
 from cellslam.slam.fastslam.particles import draw, quasi_random, select
 from cellslam.slam.fastslam.summary import map_of
-from cellslam.slam.front_end import draws, existence, readings, repeats, sharers, visibility
+from cellslam.slam.front_end import draws, existence, readings, repeats, visibility
+from cellslam.slam.front_end_kernel import count_sharers
 from cellslam.slam.model import jacobians, predict
 
 SMALL = FastSlamOptions(particles=64, vts_per_link=8, start_phase_s=0.0)
@@ -177,7 +178,7 @@ def test_resampling_copies_maps_and_shares_no_memory():
     drive(filter_, VTS, [0, 0, 1, 1], 12, np.random.default_rng(2))
     p = filter_._particles
     site_of = np.zeros(2, np.int64)
-    maps = [map_of(p, i, site_of) for i in range(len(p))]
+    maps = [map_of(p, i, site_of, np.zeros(3)) for i in range(len(p))]
     poses = p.columns(POSE, 6)
     ancestors = np.sort(np.random.default_rng(4).choice(len(p), len(p)))
     ancestors[:40] = 3  # one particle has more children than its block has places
@@ -186,7 +187,7 @@ def test_resampling_copies_maps_and_shares_no_memory():
     assert np.array_equal(np.sort(chosen.columns(POSE, 6)[:, 0]), np.sort(poses[ancestors, 0]))
     for i in range(len(chosen)):
         parent = np.flatnonzero(poses[:, 0] == chosen.columns(POSE, 6)[i, 0])[0]
-        mine = map_of(chosen, i, site_of)
+        mine = map_of(chosen, i, site_of, np.zeros(3))
         assert set(zip(mine.id, mine.link, strict=True)) == set(zip(maps[parent].id, maps[parent].link, strict=True))
         order, theirs = np.argsort(mine.id), np.argsort(maps[parent].id)
         assert np.allclose(mine.position_m[order], maps[parent].position_m[theirs], atol=1e-9)
@@ -214,9 +215,12 @@ def test_persisting_errors_count_once():
     assert np.all(draws(options, 0.0, 0.0)[0] > 1e4)
     assert np.all(draws(options, np.radians(90.0), 10.0)[1] == 1.0)
     snapshot = make_snapshot(0, [(0, 100.0, 0.1, 0.1), (1, 100.1, 0.1, 0.1), (2, 100.0, 1.0, 0.1)])
-    q = np.tile([0.3, 1e-4, 1e-4], (3, 1))
-    assert list(sharers(snapshot, np.zeros(3, np.int64), q)) == [2, 2, 1]
-    assert list(sharers(snapshot, np.array([0, 1, 0]), q)) == [1, 1, 1]
+    q, z = np.tile([0.3, 1e-4, 1e-4], (3, 1)), np.array([[100.0, 0.1, 0.1], [100.1, 0.1, 0.1], [100.0, 1.0, 0.1]])
+    assert list(count_sharers(z, np.arange(3), np.zeros(3, np.int64), q)) == [2, 2, 1]
+    assert list(count_sharers(z, np.arange(3), np.array([0, 1, 0]), q)) == [1, 1, 1]
+    assert list(count_sharers(z, np.array([0, 0, 1]), np.zeros(3, np.int64), q)) == [1, 1, 1]
+    unknown = np.where([[False, True, False]] * 3, np.nan, z)
+    assert list(count_sharers(unknown, np.arange(3), np.zeros(3, np.int64), q)) == [3, 3, 3]
     single, many = packed(readings(snapshot, np.zeros(3, np.int64), np.arange(3), options, np.radians(90.0), 10.0))
     assert np.all(many[:2, 5:8] > single[:2, 5:8])
     assert np.allclose(many[2, 5:8], single[2, 5:8])

@@ -16,11 +16,15 @@ from cellslam.slam.fastslam.layout import (
     O_H,
     O_S,
     OFFSET0,
+    OUT,
     RANGE,
+    RECORD,
     SA,
     SCALE0,
     SE,
     SIGMA,
+    V_WEIGHT,
+    V_Y,
     W_B,
     W_BIAS,
     W_D2,
@@ -30,35 +34,34 @@ from cellslam.slam.fastslam.layout import (
     W_G,
     W_LOG,
     W_MASK,
-    W_OUT,
     W_P,
     W_POSE,
-    W_REC,
+    W_ROWS,
     W_ROT,
     W_SCALE,
-    W_WEIGHT,
-    W_Y,
     scratch_rows,
 )
 from cellslam.slam.model import predict as h
 
 
 class Lanes:
-    """A scratch array whose rows are read and written by name, all lanes with different numbers."""
+    """The kernels' arrays, whose rows are read and written by name, all lanes with different numbers."""
 
     def __init__(self, nuisances: int = 4) -> None:
-        self.w = np.zeros(scratch_rows(nuisances) * LANES)
+        rows = {"w": W_ROWS, "rec": RECORD, "out": OUT, "v": scratch_rows(nuisances)}
+        self.w, self.rec, self.out, self.v = (np.zeros(n * LANES) for n in rows.values())
 
-    def get(self, row: int, count: int) -> np.ndarray:
-        return self.w.reshape(-1, LANES)[row : row + count].T.copy()
+    def get(self, where: str, row: int, count: int) -> np.ndarray:
+        return getattr(self, where).reshape(-1, LANES)[row : row + count].T.copy()
 
-    def set(self, row: int, values: np.ndarray) -> None:
+    def set(self, where: str, row: int, values: np.ndarray) -> None:
         values = np.asarray(values, float)
-        self.w.reshape(-1, LANES)[row : row + values.shape[-1]] = np.broadcast_to(values, (LANES, values.shape[-1])).T
+        rows = getattr(self, where).reshape(-1, LANES)
+        rows[row : row + values.shape[-1]] = np.broadcast_to(values, (LANES, values.shape[-1])).T
 
 
 def measurement(d, az, el, q=(0.3, 1e-4, 4e-4), flags=(1, 1, 1)):
-    return np.array([d, np.cos(az), np.sin(az), np.cos(el), np.sin(el), *q, *flags, 0.0])
+    return np.array([d, np.cos(az), np.sin(az), np.cos(el), np.sin(el), *q, *flags, 0.0, az])
 
 
 def scene(seed: int) -> tuple[Lanes, dict[str, np.ndarray]]:
@@ -85,21 +88,21 @@ def scene(seed: int) -> tuple[Lanes, dict[str, np.ndarray]]:
         "sigma": spread,
         "cov": theta_cov,
     }
-    lanes.set(W_POSE, pose)
-    lanes.set(W_G, parts["pose_g"])
-    lanes.set(W_ROT, r.reshape(LANES, 9))
-    lanes.set(W_DROT, dr.reshape(LANES, 9))
+    lanes.set("w", W_POSE, pose)
+    lanes.set("w", W_G, parts["pose_g"])
+    lanes.set("w", W_ROT, r.reshape(LANES, 9))
+    lanes.set("w", W_DROT, dr.reshape(LANES, 9))
     for row, column in zip((W_B, W_BIAS, W_SCALE), parts["theta"].T, strict=True):
-        lanes.set(row, column[:, None])
+        lanes.set("w", row, column[:, None])
     for row, column in zip((OFFSET0, BIAS0, SCALE0), parts["theta"].T, strict=True):
-        lanes.set(W_REC + row, column[:, None])
-    lanes.set(W_P, theta_cov[:, *upper])
-    lanes.set(W_REC + ANCHOR, parts["anchor"])
-    lanes.set(W_REC + RANGE, parts["range"][:, None])
+        lanes.set("rec", row, column[:, None])
+    lanes.set("w", W_P, theta_cov[:, *upper])
+    lanes.set("rec", ANCHOR, parts["anchor"])
+    lanes.set("rec", RANGE, parts["range"][:, None])
     az, el = parts["az"], parts["el"]
-    lanes.set(W_REC + CA, np.column_stack([np.cos(az), np.sin(az), np.cos(el), np.sin(el)]))
-    lanes.set(W_REC + SIGMA, spread[:, *upper])
-    lanes.set(W_REC + GAIN, parts["gain"].reshape(LANES, 9))
+    lanes.set("rec", CA, np.column_stack([np.cos(az), np.sin(az), np.cos(el), np.sin(el)]))
+    lanes.set("rec", SIGMA, spread[:, *upper])
+    lanes.set("rec", GAIN, parts["gain"].reshape(LANES, 9))
     return lanes, parts
 
 
@@ -116,9 +119,9 @@ def measured(parts, ds, dtheta, lane):
 
 def test_prediction_has_the_derivatives_of_the_model():
     lanes, parts = scene(1)
-    predict_kernel.predict(lanes.w)
-    hs = lanes.get(W_OUT + O_H, 9).reshape(LANES, 3, 3)
-    a = lanes.get(W_OUT + O_A, 9).reshape(LANES, 3, 3)
+    predict_kernel.predict(lanes.w, lanes.rec, lanes.out)
+    hs = lanes.get("out", O_H, 9).reshape(LANES, 3, 3)
+    a = lanes.get("out", O_A, 9).reshape(LANES, 3, 3)
     for lane in range(LANES):
         for c in range(3):
             step = np.zeros(3)
@@ -133,28 +136,28 @@ def test_prediction_has_the_derivatives_of_the_model():
             assert np.allclose(a[lane, :, c], by_theta, rtol=2e-5, atol=1e-6)
     upper = np.triu_indices(3)
     s = (hs @ parts["sigma"] @ np.swapaxes(hs, 1, 2))[:, *upper]
-    assert np.allclose(lanes.get(W_OUT + O_S, 6), s, rtol=1e-9, atol=1e-15)
+    assert np.allclose(lanes.get("out", O_S, 6), s, rtol=1e-9, atol=1e-15)
 
 
 def test_innovation_is_the_wrapped_difference_at_any_azimuth():
     lanes, parts = scene(2)
-    predict_kernel.predict(lanes.w)
+    predict_kernel.predict(lanes.w, lanes.rec, lanes.out)
     for shift in (0.0, 0.4, -0.9):
         lane = 5
         z = measured(parts, np.zeros(3), np.zeros(3), lane)
         z = z + np.array([1.5, shift, 0.1])
-        predict_kernel.innovate(lanes.w, measurement(*z))
-        assert np.allclose(lanes.get(W_E, 3)[lane], [1.5, shift, 0.1], atol=1e-9)
+        predict_kernel.innovate(lanes.w, lanes.out, measurement(*z))
+        assert np.allclose(lanes.get("w", W_E, 3)[lane], [1.5, shift, 0.1], atol=1e-9)
 
 
 def test_a_component_that_was_not_measured_takes_no_part():
     lanes, parts = scene(3)
-    predict_kernel.predict(lanes.w)
+    predict_kernel.predict(lanes.w, lanes.rec, lanes.out)
     z = measurement(300.0, 0.2, 0.1, q=(0.3, 1e-4, 1.0), flags=(1, 1, 0))
-    predict_kernel.innovate(lanes.w, z)
-    predict_kernel.invert(lanes.w, z, 1.0)
-    e, d2, det = lanes.get(W_E, 3), lanes.get(W_D2, 1)[:, 0], lanes.get(W_DET, 1)[:, 0]
-    hs, a = lanes.get(W_OUT + O_H, 9).reshape(LANES, 3, 3), lanes.get(W_OUT + O_A, 9).reshape(LANES, 3, 3)
+    predict_kernel.innovate(lanes.w, lanes.out, z)
+    predict_kernel.invert(lanes.w, lanes.out, z, 1.0)
+    e, d2, det = lanes.get("w", W_E, 3), lanes.get("w", W_D2, 1)[:, 0], lanes.get("w", W_DET, 1)[:, 0]
+    hs, a = lanes.get("out", O_H, 9).reshape(LANES, 3, 3), lanes.get("out", O_A, 9).reshape(LANES, 3, 3)
     s = hs @ parts["sigma"] @ np.swapaxes(hs, 1, 2) + a @ parts["cov"] @ np.swapaxes(a, 1, 2)
     two = s[:, :2, :2] + np.diag(z[5:7])
     assert np.allclose(det, np.linalg.det(two), rtol=1e-9)
@@ -164,18 +167,18 @@ def test_a_component_that_was_not_measured_takes_no_part():
 
 def test_correction_is_the_kalman_update_and_leaves_masked_lanes_alone():
     lanes, parts = scene(4)
-    predict_kernel.predict(lanes.w)
-    hs = lanes.get(W_OUT + O_H, 9).reshape(LANES, 3, 3)
+    predict_kernel.predict(lanes.w, lanes.rec, lanes.out)
+    hs = lanes.get("out", O_H, 9).reshape(LANES, 3, 3)
     z = measurement(parts["range"][0] + parts["theta"][0, 0], 0.3, 0.05)
-    predict_kernel.innovate(lanes.w, z)
-    lanes.set(W_E, lanes.get(W_E, 3) * 1e-3)
-    predict_kernel.invert(lanes.w, z, 0.0)
+    predict_kernel.innovate(lanes.w, lanes.out, z)
+    lanes.set("w", W_E, lanes.get("w", W_E, 3) * 1e-3)
+    predict_kernel.invert(lanes.w, lanes.out, z, 0.0)
     mask = (np.arange(LANES) % 2).astype(float)
-    lanes.set(W_MASK, mask[:, None])
-    before = lanes.get(W_REC, 27)
-    e, a = lanes.get(W_E, 3), lanes.get(W_OUT + O_A, 9).reshape(LANES, 3, 3)
-    predict_kernel.correct(lanes.w)
-    after = lanes.get(W_REC, 27)
+    lanes.set("w", W_MASK, mask[:, None])
+    before = lanes.get("rec", 0, 27)
+    e, a = lanes.get("w", W_E, 3), lanes.get("out", O_A, 9).reshape(LANES, 3, 3)
+    predict_kernel.correct(lanes.w, lanes.rec, lanes.out)
+    after = lanes.get("rec", 0, 27)
     assert np.array_equal(after[::2], before[::2])
     s = hs @ parts["sigma"] @ np.swapaxes(hs, 1, 2) + np.diag(z[5:8])
     k = parts["sigma"] @ np.swapaxes(hs, 1, 2) @ np.linalg.inv(s)
@@ -193,9 +196,9 @@ def test_correction_is_the_kalman_update_and_leaves_masked_lanes_alone():
 def test_logarithm_is_good_enough_to_choose_by():
     lanes = Lanes()
     values = np.logspace(-30, 12, LANES)
-    lanes.set(W_DET, values[:, None])
+    lanes.set("w", W_DET, values[:, None])
     predict_kernel.logarithm(lanes.w, lanes.w.view(np.int64))
-    assert np.allclose(lanes.get(W_LOG, 1)[:, 0], np.log(values), atol=1e-6)
+    assert np.allclose(lanes.get("w", W_LOG, 1)[:, 0], np.log(values), atol=1e-6)
 
 
 @pytest.mark.parametrize("known", [False, True])
@@ -209,14 +212,14 @@ def test_nuisances_follow_the_information_form(known):
         p_root[:, 1] = 0.0
     p, info = p_root @ np.swapaxes(p_root, 1, 2), i_root @ np.swapaxes(i_root, 1, 2)
     y = rng.normal(size=(LANES, n))
-    change_at = lanes.w.size // LANES - n
+    change_at = lanes.v.size // LANES - n
     cov_at = change_at - n * n
-    lanes.set(cov_at, p.reshape(LANES, -1))
-    lanes.set(W_Y, y)
-    lanes.set(W_Y + n, np.tril(info).reshape(LANES, -1))
-    nuisance_kernel.condition(lanes.w, cov_at * LANES, change_at * LANES, n)
+    lanes.set("v", cov_at, p.reshape(LANES, -1))
+    lanes.set("v", V_Y, y)
+    lanes.set("v", V_Y + n, np.tril(info).reshape(LANES, -1))
+    nuisance_kernel.condition(lanes.v, cov_at * LANES, change_at * LANES, n)
     new = np.linalg.solve(np.eye(n) + p @ info, p)
-    assert np.allclose(lanes.get(cov_at, n * n).reshape(LANES, n, n), new, rtol=1e-9, atol=1e-11)
-    assert np.allclose(lanes.get(change_at, n), np.einsum("lij,lj->li", new, y), rtol=1e-9, atol=1e-10)
+    assert np.allclose(lanes.get("v", cov_at, n * n).reshape(LANES, n, n), new, rtol=1e-9, atol=1e-11)
+    assert np.allclose(lanes.get("v", change_at, n), np.einsum("lij,lj->li", new, y), rtol=1e-9, atol=1e-10)
     evidence = 0.5 * np.einsum("li,lij,lj->l", y, new, y) - 0.5 * np.log(np.linalg.det(np.eye(n) + p @ info))
-    assert np.allclose(lanes.get(W_WEIGHT, 1)[:, 0], evidence, rtol=1e-9)
+    assert np.allclose(lanes.get("v", V_WEIGHT, 1)[:, 0], evidence, rtol=1e-9)

@@ -456,8 +456,49 @@ def _evict(now, status, order, count):
 
 
 @njit(cache=True, error_model="numpy")
+def advance(s, travelled, u, dt, size):
+    """Advance the poses of a block by sampled body velocities u (6, LANES), corrected by the nuisance mean; carry the
+    sensitivities.
+
+    The paper's motion model, with the attitude taken at mid-interval. u: measured, less what was sampled of its errors.
+    """
+    farthest = 0.0
+    for l in range(B):
+        bias, scale = s[(THETA + size - 2) * B + l], s[(THETA + size - 1) * B + l]
+        stretch = 1.0 / (1.0 + scale)
+        turn = (u[3, l] - bias) * dt
+        psi = s[(POSE + 3) * B + l] + 0.5 * turn
+        theta, phi = s[(POSE + 4) * B + l] + 0.5 * u[4, l] * dt, s[(POSE + 5) * B + l] + 0.5 * u[5, l] * dt
+        cp, sp, ct, st, cr, sr = math.cos(psi), math.sin(psi), 1.0, 0.0, 1.0, 0.0
+        if theta != 0.0 or phi != 0.0:
+            ct, st, cr, sr = math.cos(theta), math.sin(theta), math.cos(phi), math.sin(phi)
+        ux, uy, uz = u[0, l] * stretch * dt, u[1, l] * dt, u[2, l] * dt
+        mx = cp * ct * ux + (cp * st * sr - sp * cr) * uy + (cp * st * cr + sp * sr) * uz
+        my = sp * ct * ux + (sp * st * sr + cp * cr) * uy + (sp * st * cr - cp * sr) * uz
+        mz = -st * ux + ct * sr * uy + ct * cr * uz
+        s[POSE * B + l] += mx
+        s[(POSE + 1) * B + l] += my
+        s[(POSE + 2) * B + l] += mz
+        s[(POSE + 3) * B + l] += turn
+        s[(POSE + 4) * B + l] += u[4, l] * dt
+        s[(POSE + 5) * B + l] += u[5, l] * dt
+        # d(x, y)/d(bias, scale): through the heading at mid-interval, and through the stretch
+        by_bias, by_scale = s[(POSE_G + 4) * B + l] - 0.5 * dt, s[(POSE_G + 5) * B + l]
+        s[POSE_G * B + l] -= my * by_bias
+        s[(POSE_G + 1) * B + l] -= my * by_scale + cp * ct * ux * stretch
+        s[(POSE_G + 2) * B + l] += mx * by_bias
+        s[(POSE_G + 3) * B + l] += mx * by_scale - sp * ct * ux * stretch
+        s[(POSE_G + 4) * B + l] -= dt
+        farthest = max(farthest, abs(mx) + abs(my) + abs(mz))
+    for site in range(travelled.shape[0] - 1):
+        travelled[site] += farthest
+
+
+@njit(cache=True, error_model="numpy")
 def _block(
     now,
+    dt,
+    velocity,
     state,
     status,
     records,
@@ -492,6 +533,8 @@ def _block(
     """Use one snapshot in one block."""
     size = travelled.shape[0] + 1
     turned = travelled[size - 2]
+    if dt > 0.0:
+        advance(state, travelled, velocity, dt, size)
     _prepare(w, state)
     psi, psi_spread = _middle(w, W_POSE + 3)
     forget(w, v, size)
@@ -610,6 +653,8 @@ def _apply(v, state, travelled, size):
 @njit(cache=True, parallel=True)
 def update(
     now,
+    dt,
+    velocity,
     state,
     status,
     records,
@@ -641,7 +686,7 @@ def update(
     floats,
     ints,
 ):
-    """Use one snapshot in every block: G blocks, L links, C tracks a link, M measurements.
+    """Move by velocity (G, 6, LANES) for dt, then use one snapshot, in every block: G blocks, L links, C tracks a link, M measurements.
 
     state (G, F LANES), status (G, L, C, LANES), records (G, L, C, RECORD LANES), ident, order (G, L, C), counts (G,
     L), bounds (G, L, C, 7),
@@ -655,6 +700,8 @@ def update(
         t = get_thread_id()
         _block(
             now,
+            dt,
+            velocity[g],
             state[g],
             status[g],
             records[g],
@@ -686,44 +733,3 @@ def update(
             floats[t],
             ints[t],
         )
-
-
-@njit(cache=True, parallel=True, error_model="numpy")
-def move(state, travelled, velocity, dt, size):
-    """Advance poses by sampled body velocities (G, 6, LANES), corrected by the nuisance mean; carry the sensitivities.
-
-    The paper's motion model, with the attitude taken at mid-interval. `velocity`: measured, less what was sampled of
-    its errors.
-    """
-    for g in prange(state.shape[0]):
-        s, u = state[g], velocity[g]
-        farthest = 0.0
-        for l in range(B):
-            bias, scale = s[(THETA + size - 2) * B + l], s[(THETA + size - 1) * B + l]
-            stretch = 1.0 / (1.0 + scale)
-            turn = (u[3, l] - bias) * dt
-            psi = s[(POSE + 3) * B + l] + 0.5 * turn
-            theta, phi = s[(POSE + 4) * B + l] + 0.5 * u[4, l] * dt, s[(POSE + 5) * B + l] + 0.5 * u[5, l] * dt
-            cp, sp, ct, st, cr, sr = math.cos(psi), math.sin(psi), 1.0, 0.0, 1.0, 0.0
-            if theta != 0.0 or phi != 0.0:
-                ct, st, cr, sr = math.cos(theta), math.sin(theta), math.cos(phi), math.sin(phi)
-            ux, uy, uz = u[0, l] * stretch * dt, u[1, l] * dt, u[2, l] * dt
-            mx = cp * ct * ux + (cp * st * sr - sp * cr) * uy + (cp * st * cr + sp * sr) * uz
-            my = sp * ct * ux + (sp * st * sr + cp * cr) * uy + (sp * st * cr - cp * sr) * uz
-            mz = -st * ux + ct * sr * uy + ct * cr * uz
-            s[POSE * B + l] += mx
-            s[(POSE + 1) * B + l] += my
-            s[(POSE + 2) * B + l] += mz
-            s[(POSE + 3) * B + l] += turn
-            s[(POSE + 4) * B + l] += u[4, l] * dt
-            s[(POSE + 5) * B + l] += u[5, l] * dt
-            # d(x, y)/d(bias, scale): through the heading at mid-interval, and through the stretch
-            by_bias, by_scale = s[(POSE_G + 4) * B + l] - 0.5 * dt, s[(POSE_G + 5) * B + l]
-            s[POSE_G * B + l] -= my * by_bias
-            s[(POSE_G + 1) * B + l] -= my * by_scale + cp * ct * ux * stretch
-            s[(POSE_G + 2) * B + l] += mx * by_bias
-            s[(POSE_G + 3) * B + l] += mx * by_scale - sp * ct * ux * stretch
-            s[(POSE_G + 4) * B + l] -= dt
-            farthest = max(farthest, abs(mx) + abs(my) + abs(mz))
-        for site in range(travelled.shape[1] - 1):
-            travelled[g, site] += farthest

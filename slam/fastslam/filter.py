@@ -11,12 +11,12 @@ from cellslam.sim.frames import wrap_angle
 from cellslam.sim.recording import Floats, Ints
 from cellslam.slam.api import Estimate, Setup, Snapshot
 from cellslam.slam.fastslam import resampling
-from cellslam.slam.fastslam.block_kernel import move, update
-from cellslam.slam.fastslam.layout import BIAS, LANES, OUT, SCALE, W_ROWS, scratch_rows
+from cellslam.slam.fastslam.block_kernel import update
+from cellslam.slam.fastslam.layout import BIAS, LANES, OUT, POSE, SCALE, W_ROWS, scratch_rows
 from cellslam.slam.fastslam.noise import packed
 from cellslam.slam.fastslam.options import FastSlamOptions
 from cellslam.slam.fastslam.particles import Particles, draw, select
-from cellslam.slam.fastslam.summary import map_of, offset_moments, pose_moments
+from cellslam.slam.fastslam.summary import belief, map_of
 from cellslam.slam.front_end import existence, first_of_link, ports_of, readings
 
 
@@ -49,6 +49,8 @@ class FastSlam:
         self._shares = 1.0 / np.bincount(self._site_of)[self._site_of] ** o.link_correlation
         count = o.particles_start or o.particles
         self._particles: Particles = draw(setup, count, o.offset_component_std_m, o.vts_per_link, rng)
+        self._origin = np.array(setup.start_pose[:3], float)
+        self._particles.rows(POSE, 3)[:] -= self._origin[:, None]
         self._time_s = 0.0
         self._now = 0
         self._born = 0
@@ -58,27 +60,26 @@ class FastSlam:
 
     def step(self, dt_s: float, odometry: Floats, snapshot: Snapshot) -> Estimate:
         """Move, weigh, update and, if needed, resample (paper, section IV)."""
-        if dt_s > 0.0:
-            self._move(dt_s, odometry)
         association = self._update(dt_s, odometry, snapshot)
         self._born += len(snapshot)
         self._now += 1
         self._time_s += dt_s
         return self._conclude(association[:, : len(snapshot)])
 
-    def _move(self, dt_s: float, odometry: Floats) -> None:
+    def _velocity(self, dt_s: float, odometry: Floats) -> Floats:
+        """Return body velocities (G, 6, 32), one sample a particle of what was driven."""
         p, model = self._particles, self._setup.odometry_model
         blocks = len(p.state)
-        white = np.flatnonzero(model.noise_density)
-        walking = np.flatnonzero(model.bias_walk_density)
         bias = p.rows(BIAS, 6)
-        for c in walking:
-            bias[:, c] += model.bias_walk_density[c] * np.sqrt(dt_s) * self._rng.standard_normal((blocks, LANES))
+        if dt_s > 0.0:
+            for c in np.flatnonzero(model.bias_walk_density):
+                bias[:, c] += model.bias_walk_density[c] * np.sqrt(dt_s) * self._rng.standard_normal((blocks, LANES))
         velocity = odometry[:, None] - bias
-        for c in white:
-            velocity[:, c] += model.noise_density[c] / np.sqrt(dt_s) * self._rng.standard_normal((blocks, LANES))
+        if dt_s > 0.0:
+            for c in np.flatnonzero(model.noise_density):
+                velocity[:, c] += model.noise_density[c] / np.sqrt(dt_s) * self._rng.standard_normal((blocks, LANES))
         velocity /= 1.0 + p.rows(SCALE, 6)
-        move(p.state, p.travelled, velocity, dt_s, p.nuisances)
+        return velocity
 
     def _update(self, dt_s: float, odometry: Floats, snapshot: Snapshot) -> Ints:
         p, o = self._particles, self.options
@@ -93,7 +94,7 @@ class FastSlam:
         association = self._association
         association[:, : len(snapshot)] = -1
         update(
-            self._now, p.state, p.status, p.records, p.ident, p.order, p.counts, p.bounds, p.travelled, first,
+            self._now, float(dt_s), self._velocity(dt_s, odometry), p.state, p.status, p.records, p.ident, p.order, p.counts, p.bounds, p.travelled, first,
             self._site_of, self._shares,
             *packed(values), self._born, log_tables, parameters, p.log_weight, association,
             self._scratch[0], self._scratch[0].view(np.int32), *self._scratch[1:],
@@ -131,11 +132,11 @@ class FastSlam:
         weights = np.exp(log_weight - log_weight.max())
         weights /= weights.sum()
         best = int(np.argmax(weights))
-        mean, covariance = pose_moments(p, weights)
-        offset, variance = offset_moments(p, weights)
+        mean, covariance, offset, variance = belief(p, weights)
+        mean[:3] += self._origin
         mean[3:] = wrap_angle(mean[3:])
         mine = association[best // LANES, :, best % LANES].copy()
-        estimate = Estimate(mean, covariance, mine, offset, variance, map_of(p, best, self._site_of))
+        estimate = Estimate(mean, covariance, mine, offset, variance, map_of(p, best, self._site_of, self._origin))
         wanted = -(-o.particles // LANES) * LANES if self._time_s >= o.start_phase_s else len(p)
         if wanted != len(p) or resampling.effective_size(weights) < o.effective_share * len(p):
             self._particles = select(p, resampling.SCHEMES[o.resampling](weights, wanted, self._rng))

@@ -118,15 +118,13 @@ def _place(name, status, ident, order, counts, block, link):
 
 @njit(cache=True)
 def map_into(
-    lane, least, state, status, records, ident, order, counts, site_of, out_id, out_link, position, covariance
+    lane, least, size, state, status, records, ident, order, counts, site_of, out_id, out_link, position, covariance
 ):
     """Write the VTs of one lane of a block with at least class `least`: x = x(mu), cov = J (Sigma + G P G^T) J^T;
     return their number."""
     n = 0
-    size = 0
-    while (THETA + size + size * size) * B < state.shape[0]:
-        size += 1
-    jacobian, inner, gain, block = np.empty((3, 3)), np.empty((3, 3)), np.empty((3, 3)), np.empty((3, 3))
+    jacobian, spread, gain = np.empty((3, 3)), np.empty((3, 3)), np.empty((3, 3))
+    block, inner = np.empty((3, 3)), np.empty((3, 3))
     for link in range(counts.shape[0]):
         index = (site_of[link], size - 2, size - 1)
         for r in range(3):
@@ -145,7 +143,7 @@ def map_into(
             for r in range(3):
                 for c in range(3):
                     gain[r, c] = v[(GAIN + 3 * r + c) * B + lane]
-            inner[:, :] = gain @ block @ gain.T
+            _congruence(gain, block, inner)
             for r in range(3):
                 for c in range(r, 3):
                     inner[r, c] += v[(SIGMA + k) * B + lane]
@@ -162,7 +160,19 @@ def map_into(
             jacobian[2, 0], jacobian[2, 1], jacobian[2, 2] = se, 0.0, rho * ce
             for r in range(3):
                 position[n, r] = v[(ANCHOR + r) * B + lane] + rho * jacobian[r, 0]
-            covariance[n] = jacobian @ inner @ jacobian.T
+            _congruence(jacobian, inner, spread)
+            covariance[n] = spread
             out_id[n], out_link[n] = ident[link, slot], link
             n += 1
     return n
+
+
+@njit(cache=True, error_model="numpy")
+def _congruence(m, s, out):
+    """Write M S M^T of 3 x 3 matrices, S symmetric."""
+    for r in range(3):
+        for c in range(r + 1):
+            total = 0.0
+            for i in range(3):
+                total += m[r, i] * (s[i, 0] * m[c, 0] + s[i, 1] * m[c, 1] + s[i, 2] * m[c, 2])
+            out[r, c] = out[c, r] = total

@@ -6,7 +6,9 @@ import numpy as np
 
 from cellslam.sim.recording import Links, OdometryModel, Sites
 from cellslam.slam.api import Setup, Snapshot
+from cellslam.slam.fastslam.layout import LANES
 from cellslam.slam.fastslam.options import FastSlamOptions
+from cellslam.slam.fastslam.particles import draw, select
 
 
 def warm_up(options: FastSlamOptions) -> None:
@@ -27,13 +29,16 @@ def warm_up(options: FastSlamOptions) -> None:
     sites = Sites(("A", "B"), np.zeros(2), np.array([150.0, 150.0]))
     rng = np.random.default_rng(0)
     estimator = FastSlam(small)
-    estimator.start(Setup(links, sites, sheet, np.zeros(6), np.zeros(6)), rng)
+    setup = Setup(links, sites, sheet, np.zeros(6), np.zeros(6))
+    estimator.start(setup, rng)
     for t in range(4):
         columns = [
             np.array(c, float) for c in ([600.0, 605.0, 700.0], [0.1, 1.2, 0.5], [0.1, 0.0, 0.1], [10.0, 10.0, 10.0])
         ]
-        estimator.step(
-            0.0 if t == 0 else 0.1,
-            np.array([1.0, 0, 0, 0, 0, 0]),
-            Snapshot(t, np.arange(3), np.array([0, 0, 1]), *columns),
-        )
+        link = np.array([0, 0, 1])
+        link.setflags(write=False)  # as in a drive: compiled code is typed by that
+        snapshot = Snapshot(t, np.arange(3), link, *columns)
+        estimator.step(0.0 if t == 0 else 0.1, np.array([1.0, 0, 0, 0, 0, 0]), snapshot)
+    for blocks, ancestor in ((1, 0), (2, 40)):
+        two = draw(setup, blocks * LANES, 20.0, 4, rng)
+        select(two, np.full(len(two), ancestor))
