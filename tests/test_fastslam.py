@@ -13,7 +13,7 @@ from cellslam.slam.fastslam import resampling
 from cellslam.slam.fastslam.assignment import assign
 from cellslam.slam.fastslam.filter import FastSlam
 from cellslam.slam.fastslam.layout import LANES, POSE, THETA
-from cellslam.slam.fastslam.noise import packed
+from cellslam.slam.fastslam.measurement_kernel import pack
 from cellslam.slam.fastslam.options import FastSlamOptions
 from cellslam.slam.fastslam.particles import draw, quasi_random, select
 from cellslam.slam.fastslam.summary import map_of
@@ -221,7 +221,8 @@ def test_persisting_errors_count_once():
     assert list(count_sharers(z, np.array([0, 0, 1]), np.zeros(3, np.int64), q)) == [1, 1, 1]
     unknown = np.where([[False, True, False]] * 3, np.nan, z)
     assert list(count_sharers(unknown, np.arange(3), np.zeros(3, np.int64), q)) == [3, 3, 3]
-    single, many = packed(readings(snapshot, np.zeros(3, np.int64), np.arange(3), options, np.radians(90.0), 10.0))
+    values = readings(snapshot, np.zeros(3, np.int64), np.arange(3), options, np.radians(90.0), 10.0)
+    single, many = pack(values.z, values.single, values.many, values.gap, values.lack)
     assert np.all(many[:2, 5:8] > single[:2, 5:8])
     assert np.allclose(many[2, 5:8], single[2, 5:8])
 

@@ -52,22 +52,24 @@ from cellslam.slam.fastslam.predict_kernel import (
 B = LANES
 DEAD = -1  # status of a lane that does not believe in a track; else 4 * snapshot last seen + class
 ONCE, UNCONFIRMED, CONFIRMED = 1, 2, 3
+UNKNOWN = -2  # in `alike`
 
 
 @njit(cache=True, error_model="numpy")
 def _spokesman(row):
-    """Return the first lane alive, -1 if none, and whether all lanes alive have its status."""
-    first = -1
+    """Return the first lane alive, -1 if none; whether all lanes alive have its status; whether all lanes are alive."""
+    low, high = row[0], row[0]
     for l in range(B):
-        if row[l] >= 0:
-            first = l
-            break
-    if first < 0:
-        return first, True
-    status, different = row[first], 0
+        low, high = min(low, row[l]), max(high, row[l])
+    if low == high:
+        return (0 if low >= 0 else -1), True, low >= 0
+    different = 0
     for l in range(B):
-        different |= (row[l] ^ status) & ~(row[l] >> 31)
-    return first, different == 0
+        different |= (row[l] ^ high) & ~(row[l] >> 31)
+    first = 0
+    while row[first] < 0:
+        first += 1
+    return first, different == 0, False
 
 
 @njit(cache=True, error_model="numpy")
@@ -116,20 +118,31 @@ def _load_site(w, state, site, size):
 
 
 @njit(cache=True, error_model="numpy")
-def _age(v, now, status, order, count, tables, cfg, share):
+def _age(v, now, status, alike, order, count, tables, cfg, share):
     """Charge each lane for each VT as missed, drop what was never confirmed and is unlikely to be there; return the
-    number of tracks."""
+    number of tracks.
+
+    alike (C,): the status that all lanes of a track have, UNKNOWN where that must be looked up.
+    """
     horizon = tables.shape[2] - 1
     i = 0
+    common = 0.0
     while i < count:
-        row = status[order[i]]
-        first, alike = _spokesman(row)
-        if first >= 0 and alike:
+        slot = order[i]
+        seen = alike[slot]
+        if seen & 3 == CONFIRMED and seen >= 0:
+            common += tables[1, 1, min(now - (seen >> 2), horizon)]
+            i += 1
+            continue
+        row = status[slot]
+        first, same, whole = _spokesman(row)
+        alike[slot] = row[0] if whole else UNKNOWN
+        if first >= 0 and same:
             age, kind = min(now - (row[first] >> 2), horizon), row[first] & 3
+            charge = share * tables[0 if kind == ONCE else 1, 1, age]
             if (kind == ONCE and age > cfg[5]) or (kind == UNCONFIRMED and age > cfg[6]):
                 first = -1
             else:
-                charge = share * tables[0 if kind == ONCE else 1, 1, age]
                 for l in range(B):
                     v[V_WEIGHT * B + l] += charge if row[l] >= 0 else 0.0
         elif first >= 0:
@@ -139,6 +152,9 @@ def _age(v, now, status, order, count, tables, cfg, share):
         else:
             count -= 1
             order[i], order[count] = order[count], order[i]
+    common *= share
+    for l in range(B):
+        v[V_WEIGHT * B + l] += common
     return count
 
 
@@ -160,18 +176,27 @@ def _age_each(v, now, row, tables, cfg, share):
 
 
 @njit(cache=True, error_model="numpy")
+def _span(z, first, last):
+    """Return the least and the greatest distance that z[first:last] can stand for, give or take 6 sigma."""
+    low, high = math.inf, -math.inf
+    for k in range(first, last):
+        if z[k, 8] == 0.0:
+            return -math.inf, math.inf
+        low, high = min(low, z[k, 0] - z[k, 13]), max(high, z[k, 0] + z[k, 13])
+    return low, high
+
+
+@njit(cache=True, error_model="numpy")
 def _in_reach(z, bound, far, turned, psi, psi_spread):
     """Say whether a measurement could be of a track: `bound` says what the track could show when last predicted.
 
     far: how much the distance may have changed since, m; turned: how much directions may have; psi +- psi_spread: yaw
     of the lanes.
     """
-    if z[8] != 0.0:
-        wide = 6.0 * math.sqrt(z[5]) + far
-        if z[0] + wide < bound[0] or z[0] - wide > bound[1]:
-            return False
+    if z[8] != 0.0 and (z[0] + z[13] + far < bound[0] or z[0] - z[13] - far > bound[1]):
+        return False
     if z[9] != 0.0 and bound[6] > 2.0 * far:
-        wide = 6.0 * math.sqrt(z[6]) + bound[4] + turned + far / (bound[6] - far) + psi_spread
+        wide = z[14] + bound[4] + turned + far / (bound[6] - far) + psi_spread
         turn = z[12] + psi - bound[3]
         turn -= 2.0 * math.pi * math.floor(turn / (2.0 * math.pi) + 0.5)
         return abs(turn) <= wide
@@ -257,17 +282,21 @@ def _candidates(
     moved since, is passed over without reading its record.
     """
     found = 0
+    least, most = _span(z, first, last)
     for i in range(count):
         slot = order[i]
         bound = bounds[slot]
-        far, turn = cfg[3] + 1.05 * (travelled - bound[2]), 1.05 * (turned - bound[5])
+        far = cfg[3] + 1.05 * (travelled - bound[2])
+        if most + far < bound[0] or least - far > bound[1]:
+            continue
+        turn = 1.05 * (turned - bound[5])
         possible = False
         for k in range(first, last):
             possible = possible or _in_reach(z[k], bound, far, turn, psi, psi_spread)
         if not possible:
             continue
         row, out = status[slot], rows[found]
-        lane, alike = _spokesman(row)
+        lane, alike, _ = _spokesman(row)
         predict(w, records[slot], out)
         reach(w, out, lane)
         _bound(w, row, lane, out, bound, travelled, turned)
@@ -282,7 +311,7 @@ def _candidates(
             innovate(w, out, z[k])
             invert(w, out, z[k], 1.0)
             logarithm(w, bits)
-            score(w, out, cfg[1])
+            score(w, out, cfg[1], z[k, 11])
             claims[found, k - first] = _note(w, scores[found, k - first])
         if chosen:
             near[found] = slot
@@ -294,57 +323,54 @@ def _candidates(
 def _associate(w, scores, claims, found, measured, row_of, table, column, floats, ints):
     """Write row_of (measured, LANES): the track of each measurement in each lane, -1 for none.
 
-    Where in a lane no measurement has two tracks that would gain and no track two measurements, every pair that gains
-    is taken; the other lanes are solved one by one.
+    Each measurement takes the track that gains most. Where that leaves no track with two measurements nothing can be
+    better; the other lanes are solved one by one.
     """
-    ambiguous = False
-    for l in range(B):
-        w[W_MASK * B + l] = 0.0
     for k in range(measured):
-        mine = row_of[k]
-        rivals = 0
-        for l in range(B):
-            mine[l] = -1
-        for q in range(found):
-            if claims[q, k]:
-                gain = scores[q, k]
-                if rivals > 0:
-                    for l in range(B):
-                        w[W_MASK * B + l] = 1.0 if mine[l] >= 0 and gain[l] > 0.0 else w[W_MASK * B + l]
-                rivals += 1
-                for l in range(B):
-                    mine[l] = q if gain[l] > 0.0 else mine[l]
-        ambiguous = ambiguous or rivals > 1
+        _take_best(w, scores, claims, found, k, row_of[k])
+    rivals = False
     for q in range(found):
-        rivals = 0
-        for l in range(B):
-            w[W_D2 * B + l] = 0.0
+        total = 0
         for k in range(measured):
-            if claims[q, k]:
-                gain = scores[q, k]
-                rivals += 1
-                for l in range(B):
-                    w[W_D2 * B + l] += 1.0 if gain[l] > 0.0 else 0.0
-        if rivals > 1:
-            ambiguous = True
-            for l in range(B):
-                w[W_MASK * B + l] = 1.0 if w[W_D2 * B + l] > 1.0 else w[W_MASK * B + l]
-    if ambiguous:
-        for l in range(B):
-            if w[W_MASK * B + l] > 0.0:
-                for q in range(found):
-                    for k in range(measured):
-                        table[q, k] = scores[q, k, l] if claims[q, k] else -1.0
-                assign(table, found, measured, column, floats, ints)
+            total += claims[q, k]
+        rivals = rivals or total > 1
+    if not rivals:
+        return
+    for l in range(B):
+        clash = False
+        for k in range(1, measured):
+            for i in range(k):
+                clash = clash or (row_of[k, l] >= 0 and row_of[k, l] == row_of[i, l])
+        if clash:
+            for q in range(found):
                 for k in range(measured):
-                    row_of[k, l] = column[k]
+                    table[q, k] = scores[q, k, l] if claims[q, k] else -1.0
+            assign(table, found, measured, column, floats, ints)
+            for k in range(measured):
+                row_of[k, l] = column[k]
+
+
+@njit(cache=True, error_model="numpy")
+def _take_best(w, scores, claims, found, k, mine):
+    """Write the track with the greatest positive score of measurement k, lane by lane, -1 for none."""
+    F = w.dtype.type
+    for l in range(B):
+        mine[l] = -1
+        w[W_D2 * B + l] = F(0.0)
+    for q in range(found):
+        if claims[q, k]:
+            gain, track = scores[q, k], np.int32(q)
+            for l in range(B):
+                better = gain[l] > w[W_D2 * B + l]
+                mine[l] = track if better else mine[l]
+                w[W_D2 * B + l] = gain[l] if better else w[W_D2 * B + l]
 
 
 @njit(cache=True, error_model="numpy")
 def _credit(w, v, out, lack, share):
     """Add what the association at hand is worth, where W_MASK is 1: the fit e^T S^-1 e, and `share` of all the rest.
 
-    `lack`: see `noise.packed`. The links of a site see the same VT come and go, so that each counts for its share only.
+    `lack`: see `measurement_kernel.pack`. The links of a site see the same VT come and go, so that each counts for its share only.
     """
     F = w.dtype.type
     half, part, rest = F(0.5), F(share), F(lack - LOG_2PI_3)
@@ -366,7 +392,7 @@ def _mask(w, row_of, q):
 
 @njit(cache=True, error_model="numpy")
 def _update(
-    w, bits, v, now, status, records, ident, near, found, rows, row_of, claims, z, first, last, cfg, share, association
+    w, bits, v, now, status, alike, records, ident, near, found, rows, row_of, claims, z, first, last, cfg, share, association
 ):
     """Update every associated track; return the number of associations, lanes counted once."""
     updates = 0
@@ -389,6 +415,7 @@ def _update(
                 seen = 4 * now + (CONFIRMED if record[HITS * B + l] >= cfg[4] else UNCONFIRMED)
                 row[l] = seen if on else row[l]
                 mine[l] = ident[slot] if on else mine[l]
+            alike[slot] = UNKNOWN
     return updates
 
 
@@ -398,6 +425,7 @@ def _give_births(
     v,
     now,
     status,
+    alike,
     records,
     ident,
     order,
@@ -428,7 +456,7 @@ def _give_births(
         slot = order[count]
         count += 1
         give_birth(w, records[slot], z[k])
-        ident[slot] = born + k
+        ident[slot], alike[slot] = born + k, UNKNOWN
         spread = 6.0 * math.sqrt(z[k, 5])
         bounds[slot, 0], bounds[slot, 1], bounds[slot, 2] = z[k, 0] - spread, z[k, 0] + spread, travelled
         bounds[slot, 4] = math.inf
@@ -501,6 +529,7 @@ def _block(
     velocity,
     state,
     status,
+    alike,
     records,
     ident,
     order,
@@ -542,7 +571,7 @@ def _block(
     for link in range(counts.shape[0]):
         start, stop, site = first[link], first[link + 1], site_of[link]
         share = shares[link]
-        counts[link] = _age(v, now, status[link], order[link], counts[link], tables, cfg, share)
+        counts[link] = _age(v, now, status[link], alike[link], order[link], counts[link], tables, cfg, share)
         if stop == start:
             continue
         if site != loaded:
@@ -578,6 +607,7 @@ def _block(
             v,
             now,
             status[link],
+            alike[link],
             records[link],
             ident[link],
             near,
@@ -600,6 +630,7 @@ def _block(
             v,
             now,
             status[link],
+            alike[link],
             records[link],
             ident[link],
             order[link],
@@ -657,6 +688,7 @@ def update(
     velocity,
     state,
     status,
+    alike,
     records,
     ident,
     order,
@@ -688,10 +720,10 @@ def update(
 ):
     """Move by velocity (G, 6, LANES) for dt, then use one snapshot, in every block: G blocks, L links, C tracks a link, M measurements.
 
-    state (G, F LANES), status (G, L, C, LANES), records (G, L, C, RECORD LANES), ident, order (G, L, C), counts (G,
+    state (G, F LANES), status (G, L, C, LANES), alike (G, L, C), records (G, L, C, RECORD LANES), ident, order (G, L, C), counts (G,
     L), bounds (G, L, C, 7),
     travelled (G, S + 1), log_weight (G, LANES): written. first (L + 1,): first measurement of each link; shares (L,):
-    weight of a link's evidence on which VTs there are; z, z_many (M, 13): see `noise.packed`; born: number of the
+    weight of a link's evidence on which VTs there are; z, z_many (M, 15): see `measurement_kernel.pack`; born: number of the
     first measurement; tables (2, 2, ages): log of visible-and-detected and of missed, for VTs seen once and others;
     cfg: log clutter density, gate, log-weight of a birth, slack of the distance test, hits to confirm, ages to drop
     at (2), likelihood exponent. association (G, M, LANES) is written; the rest is scratch, one a thread.
@@ -704,6 +736,7 @@ def update(
             velocity[g],
             state[g],
             status[g],
+            alike[g],
             records[g],
             ident[g],
             order[g],

@@ -13,7 +13,7 @@ from cellslam.slam.api import Estimate, Setup, Snapshot
 from cellslam.slam.fastslam import resampling
 from cellslam.slam.fastslam.block_kernel import update
 from cellslam.slam.fastslam.layout import BIAS, LANES, OUT, POSE, SCALE, W_ROWS, scratch_rows
-from cellslam.slam.fastslam.noise import packed
+from cellslam.slam.fastslam.measurement_kernel import pack
 from cellslam.slam.fastslam.options import FastSlamOptions
 from cellslam.slam.fastslam.particles import Particles, draw, select
 from cellslam.slam.fastslam.summary import belief, map_of
@@ -94,9 +94,9 @@ class FastSlam:
         association = self._association
         association[:, : len(snapshot)] = -1
         update(
-            self._now, float(dt_s), self._velocity(dt_s, odometry), p.state, p.status, p.records, p.ident, p.order, p.counts, p.bounds, p.travelled, first,
+            self._now, float(dt_s), self._velocity(dt_s, odometry), p.state, p.status, p.alike, p.records, p.ident, p.order, p.counts, p.bounds, p.travelled, first,
             self._site_of, self._shares,
-            *packed(values), self._born, log_tables, parameters, p.log_weight, association,
+            *pack(values.z, values.single, values.many, values.gap, values.lack), self._born, log_tables, parameters, p.log_weight, association,
             self._scratch[0], self._scratch[0].view(np.int32), *self._scratch[1:],
         )  # fmt: skip
         return association

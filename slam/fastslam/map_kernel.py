@@ -25,6 +25,7 @@ from cellslam.slam.fastslam.layout import (
 )
 
 B = LANES
+UNKNOWN = -2
 
 
 @njit(cache=True, parallel=True)
@@ -64,6 +65,7 @@ def move_between(
     counts,
     to_state,
     to_status,
+    to_alike,
     to_records,
     to_ident,
     to_order,
@@ -77,6 +79,7 @@ def move_between(
         for r in range(state.shape[1] // B):
             to_state[h, r * B + b] = state[g, r * B + a]
         for link in range(counts.shape[1]):
+            to_alike[h, link, :] = UNKNOWN
             for j in range(to_counts[h, link]):
                 to_status[h, link, to_order[h, link, j], b] = -1
             for j in range(counts[g, link]):

@@ -14,7 +14,7 @@ from cellslam.slam.fastslam.layout import BIAS, LANES, POSE, POSE_G, RECORD, SCA
 from cellslam.slam.fastslam.map_kernel import move_between, move_within
 
 YAW_RATE, SPEED = 3, 0  # components of u whose bias and scale are marginalised
-DEAD = -1
+DEAD, UNKNOWN = -1, -2
 
 
 @dataclass(frozen=True)
@@ -23,7 +23,7 @@ class Particles:
 
     state (G, F * 32) and records (G, L, C, 27 * 32): rows of `layout`; status (G, L, C, 32): -1 where a particle does
     not believe in a
-    track, else 4 * snapshot last seen + class; ident (G, L, C): measurement that the track was born from; order (G,
+    track, else 4 * snapshot last seen + class; alike (G, L, C): that of all 32 lanes, or UNKNOWN; ident (G, L, C): measurement that the track was born from; order (G,
     L, C): a
     permutation, its first counts[g, l] are in use; bounds (G, L, C, 7): what the track could show
     when last predicted (least and greatest distance, travelled, azimuth in the world frame, give or take, turned,
@@ -33,6 +33,7 @@ class Particles:
 
     state: Floats
     status: NDArray[np.int32]
+    alike: NDArray[np.int32]
     records: NDArray[np.float32]
     ident: Ints
     order: NDArray[np.int32]
@@ -94,6 +95,7 @@ def _empty(blocks: int, size: int, links: int, capacity: int) -> Particles:
     return Particles(
         state=np.zeros((blocks, (THETA + size + size * size) * LANES)),
         status=np.full((*shape, LANES), DEAD, np.int32),
+        alike=np.full(shape, UNKNOWN, np.int32),
         records=np.zeros((*shape, RECORD * LANES), np.float32),
         ident=np.zeros(shape, np.int64),
         order=np.broadcast_to(np.arange(capacity, dtype=np.int32), shape).copy(),
@@ -168,7 +170,7 @@ def _carry_out(
         move_between(
             np.array(between, np.int64), source.state, source.status, source.records, source.ident, source.order,
             source.counts,
-            target.state, target.status, target.records, target.ident, target.order, target.counts, target.bounds,
+            target.state, target.status, target.alike, target.records, target.ident, target.order, target.counts, target.bounds,
         )  # fmt: skip
 
 

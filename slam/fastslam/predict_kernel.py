@@ -306,13 +306,13 @@ def _take_apart(w, bits, width, bias, mantissa, one):
 
 
 @njit(cache=True, error_model="numpy")
-def score(w, out, gate):
+def score(w, out, gate, lack):
     """Write the pair's log-likelihood ratio at W_SCORE, -1e30 outside the gate or where the track's score is
     -1e30."""
     F = w.dtype.type
-    limit = F(gate)
+    limit, rest = F(gate), F(lack - LOG_2PI_3)
     for l in range(B):
-        value = out[O_SCORE * B + l] - F(0.5) * w[W_D2 * B + l] - F(0.5) * w[W_LOG * B + l] - F(LOG_2PI_3)
+        value = out[O_SCORE * B + l] - F(0.5) * w[W_D2 * B + l] - F(0.5) * w[W_LOG * B + l] + rest
         inside = w[W_D2 * B + l] < limit and w[W_DET * B + l] > F(0.0) and out[O_SCORE * B + l] > -F(1e29)
         w[W_SCORE * B + l] = value if inside else -F(1e30)
 

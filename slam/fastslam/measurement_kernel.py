@@ -1,0 +1,44 @@
+"""Compiled: a snapshot's measurements as the kernels want them."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numba import njit
+
+COLUMNS = 15
+
+
+@njit(cache=True)
+def pack(z, single, many, gap, lack):
+    """Return two tables (m, 15) in single precision: to associate with, and to update with.
+
+    Columns: distance, cos and sin of azimuth and of elevation, three variances, three flags: 1 measured, 0 not (then
+    the variance is 1); what the log-density lacks: in both that of components that were not measured, against clutter
+    of width `gap`, in the second `lack` too, since it is that of an update; azimuth; 6 standard deviations of distance
+    and of azimuth. Arguments: see `front_end.Readings`.
+    """
+    m = len(z)
+    first, second = np.empty((m, COLUMNS), np.float32), np.empty((m, COLUMNS), np.float32)
+    for i in range(m):
+        row = first[i]
+        missing = 0.0
+        for c in range(3):
+            known = not math.isnan(z[i, c])
+            missing += 0.0 if known else 0.5 * math.log(2.0 * math.pi)
+            row[8 + c] = 1.0 if known else 0.0
+            row[5 + c] = single[i, c] if known else 1.0
+        azimuth = z[i, 1] if row[9] > 0.0 else 0.0
+        elevation = z[i, 2] if row[10] > 0.0 else 0.0
+        row[0] = z[i, 0] if row[8] > 0.0 else 0.0
+        row[1], row[2] = math.cos(azimuth), math.sin(azimuth)
+        row[3], row[4] = math.cos(elevation), math.sin(elevation)
+        row[11] = missing - gap[i]
+        row[12] = azimuth
+        row[13], row[14] = 6.0 * math.sqrt(row[5]), 6.0 * math.sqrt(row[6])
+        second[i] = row
+        for c in range(3):
+            second[i, 5 + c] = many[i, c] if row[8 + c] > 0.0 else 1.0
+        second[i, 11] += lack[i]
+    return first, second
