@@ -100,7 +100,7 @@ def build_parser() -> argparse.ArgumentParser:
     _add_sweep(add("sweep", "cli_sweep:sweep", "many variants and trials of a scenario, in parallel, resumable"))
     _add_table(add("table", "cli_table:table", "the results of a sweep as a table"))
     _add_figures(add("figures", "cli_table:figures", "the figures of a sweep, as PNG and PDF"))
-    _add_report(add("report", "cli_table:report", "one HTML page of a sweep, for offline reading: tables, plots, worst trials"))
+    _add_report(add("report", "cli_table:report", "one HTML page of a sweep: tables, plots, worst trials"))
     show = add("show", "cli_show:show", "every key of a scenario: value, unit, range, meaning")
     _add_scenario(show)
     listing = add("list", "cli_show:list_known", "the scenarios or estimators that are known by name")
