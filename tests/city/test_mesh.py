@@ -1,15 +1,18 @@
 """Mesh cities: every format gives the same city; shipped scenes load; bad files are refused in one line."""
 
 import importlib.metadata
+import json
 import os
 import sys
+from dataclasses import replace
 
 import numpy as np
 import pytest
 import shapely
 import trimesh
 
-from cellslam.sim.city import MeshCityConfig, build_city
+from cellslam.sim.city import MeshCityConfig, ProceduralCityConfig, build_city
+from cellslam.sim.city.export import write_scene
 from cellslam.sim.errors import InputError
 from cellslam.sim.rays import trace
 
@@ -51,6 +54,48 @@ def test_formats_agree(tmp_path, suffix):
     np.testing.assert_allclose(paths.vt_position_m[1], [5.0, 20.0, 3.0], atol=1e-5)
 
 
+UTM_M = np.array([500_000.0, 5_000_000.0, 0.0])
+CITYJSON = {"type": "CityJSON", "version": "2.0", "transform": {"scale": [0.001] * 3, "translate": [0.0] * 3}}
+
+
+def write_town(folder, suffix, shift_m):
+    """Write a generated town in a format that keeps double precision, shifted."""
+    config = ProceduralCityConfig(extent_m=200.0, block_size_m=100.0)
+    town = build_city(config, np.random.default_rng(2))
+    vertices, path = np.round(town.vertices, 3) + shift_m, folder / f"town{suffix}"
+    if suffix == ".xml":
+        write_scene(replace(town, vertices=vertices), path)
+    elif suffix == ".obj":
+        lines = [f"v {x:.3f} {y:.3f} {z:.3f}" for x, y, z in vertices]
+        path.write_text("\n".join([*lines, *(f"f {a} {b} {c}" for a, b, c in town.triangles + 1)]))
+    else:
+        surfaces = [[[int(i) for i in t]] for t in town.triangles]
+        house = {"type": "Building", "geometry": [{"type": "MultiSurface", "lod": "2", "boundaries": surfaces}]}
+        whole = {"vertices": np.round((vertices - shift_m) * 1e3).astype(int).tolist(), "CityObjects": {"h": house}}
+        transform = CITYJSON["transform"] | {"translate": shift_m.tolist()}
+        path.write_text(json.dumps(CITYJSON | whole | {"transform": transform}))
+    return path
+
+
+@pytest.mark.parametrize("suffix", [".xml", ".obj", ".json"])
+def test_utm_coordinates_cost_no_accuracy(tmp_path, suffix):
+    rng = np.random.default_rng(0)
+    receivers = np.column_stack([rng.uniform(-90, 90, (400, 2)), np.full(400, 1.5)])
+    sites = np.array([[3.3, 4.1, 28.0]])
+    near, far = (
+        trace(load(write_town(tmp_path, suffix, shift)), sites + shift, receivers + shift, diffraction=True)
+        for shift in (np.zeros(3), UTM_M)
+    )
+    assert len(near) > 100
+    np.testing.assert_array_equal(near.receiver, far.receiver)
+    np.testing.assert_array_equal(near.order, far.order)
+    # Coordinates of 5e6 m have steps of 1e-9 m in double precision, and of half a metre in single.
+    np.testing.assert_allclose(near.length_m, far.length_m, atol=1e-7)
+    np.testing.assert_allclose(near.azimuth_rad, far.azimuth_rad, atol=1e-8)
+    np.testing.assert_allclose(near.vt_position_m + UTM_M, far.vt_position_m, atol=1e-6)
+    np.testing.assert_allclose(near.gain_db, far.gain_db, atol=1e-6)
+
+
 def test_an_edited_file_is_read_again(tmp_path):
     path = tmp_path / "a.ply"
     trimesh.creation.box(bounds=[[0, 0, 0], [10, 8, 6]]).export(path)
@@ -73,7 +118,7 @@ SCENE = """<scene version="2.1.0">
 </scene>"""
 
 
-def write_scene(folder, text=SCENE):
+def write_house(folder, text=SCENE):
     box = trimesh.creation.box(bounds=[[0, 0, 0], [10, 8, 6]])
     roof = box.face_normals[:, 2] > 0.9
     box.submesh([~roof], append=True).export(folder / "walls.ply")
@@ -85,7 +130,7 @@ def write_scene(folder, text=SCENE):
 
 
 def test_mitsuba_scene(tmp_path):
-    city = load(write_scene(tmp_path))
+    city = load(write_house(tmp_path))
     assert [(m.name, m.thickness_m) for m in city.materials] == [
         ("brick", 0.2),
         ("metal", 0.1),
@@ -114,12 +159,12 @@ def test_mitsuba_scene(tmp_path):
 )
 def test_bad_scenes_are_refused(tmp_path, old, new, message):
     with pytest.raises(InputError, match=message) as error:
-        load(write_scene(tmp_path, SCENE.replace(old, new)))
+        load(write_house(tmp_path, SCENE.replace(old, new)))
     assert "\n" not in str(error.value)
 
 
 def test_materials_that_are_assumed_are_told(tmp_path):
-    city = load(write_scene(tmp_path, SCENE.replace("mat-itu_metal", "grey")), material="wood")
+    city = load(write_house(tmp_path, SCENE.replace("mat-itu_metal", "grey")), material="wood")
     note = "2 of 3 objects name no known material but grey: wood assumed, 0.1 m thick"
     assert note in city.notes
     village().export(tmp_path / "village.ply")
