@@ -34,7 +34,10 @@ class Browser:
         options = {"binary": CHROMIUM, "args": [*FLAGS, f"--window-size={wide},{tall}"]}
         asked = {"browserName": "chrome", "goog:chromeOptions": options, "goog:loggingPrefs": {"browser": "ALL"}}
         self._root += "/" + self._call("", {"capabilities": {"alwaysMatch": asked}})["sessionId"]
-        # Headless windows have a least width; the device's own does not.
+        self.resize(wide, tall)
+
+    def resize(self, wide: int, tall: int) -> None:
+        """Change the size of the page in pixels. A headless window has a least width, an emulated device has none."""
         size = {"width": wide, "height": tall, "deviceScaleFactor": 1, "mobile": wide < 600}
         self._call("/goog/cdp/execute", {"cmd": "Emulation.setDeviceMetricsOverride", "params": size})
 

@@ -218,7 +218,7 @@ TRACES = """
 const plot = document.querySelector("article .scene");
 const trace = (name) => plot.data.find((one) => one.name === name);
 const cursor = document.querySelector("article .plots .plot").layout.shapes[0].x0;
-return [trace("vehicle").x[0], trace("one reflection").x.length + trace("line of sight").x.length, cursor,
+return [[trace("vehicle").x[0], trace("vehicle").y[0]], trace("one reflection").x.length + trace("line of sight").x.length, cursor,
   plot.data.filter((one) => one.name.startsWith("fastslam") && one.name.endsWith("virtual transmitters"))
     .reduce((sum, one) => sum + one.x.length, 0), document.querySelector("article output").textContent];
 """
@@ -245,26 +245,30 @@ def test_page_in_a_browser(folder: Path, tmp_path: Path, capfd: pytest.CaptureFi
     text = page.read_text("utf-8")
     assert text.count("plotly.js v") == 1 and len(text) < 8e6
     assert not re.search(r"<(script|link|img|iframe)[^>]+(src|href)=\"?(http|//)", text)
-    for wide in (1280, 400):
-        with module.browser(wide) as browser:
-            browser.open(page)
-            browser.wait("return document.querySelectorAll('#distributions .main-svg').length > 0")
-            assert browser.run("return document.documentElement.scrollWidth <= innerWidth")
-            # Wide figures are drawn as wide as their place.
-            widths = browser.run("return [...document.querySelectorAll('#sweep .plot')].map((p) => p.offsetWidth)")
-            assert all(250 < width <= wide for width in widths)
-            if wide == 1280:
-                _sorts(browser)
-            browser.run("document.querySelector('article').scrollIntoView()")
-            browser.wait("return document.querySelector('article .scene canvas') && "
-                         "document.querySelectorAll('article .plots .main-svg').length > 0")  # fmt: skip
-            at_end = browser.wait(TRACES)
-            browser.run(MOVE, 0)
-            browser.wait("return document.querySelector('article output').textContent === 't = 0.0 s'")
-            at_start = browser.run(TRACES)
-            assert at_start[0] != at_end[0] and at_start[2] == 0 and at_end[2] > 7
-            assert at_start[1] > 0 and at_start[3] < at_end[3] and at_start[4] != at_end[4]
-            assert [m for m in browser.messages() if "willReadFrequently" not in m] == []
+    with module.browser(1280) as browser:
+        _opens(browser, page, 1280)
+        _sorts(browser)
+        browser.run("document.querySelector('article').scrollIntoView()")
+        browser.wait("return document.querySelector('article .scene canvas') && "
+                     "document.querySelectorAll('article .plots .main-svg').length > 0")  # fmt: skip
+        at_end = browser.wait(TRACES)
+        browser.run(MOVE, 0)
+        browser.wait("return document.querySelector('article output').textContent === 't = 0.0 s'")
+        at_start = browser.run(TRACES)
+        assert at_start[0] != at_end[0] and at_start[2] == 0 and at_end[2] > 7
+        assert at_start[1] > 0 and at_start[3] < at_end[3] and at_start[4] != at_end[4]
+        browser.resize(400, 800)
+        _opens(browser, page, 400)
+        assert [m for m in browser.messages() if "willReadFrequently" not in m] == []
+
+
+def _opens(browser: Any, page: Path, wide: int) -> None:
+    browser.open(page)
+    browser.wait("return document.querySelectorAll('#distributions .main-svg').length > 0")
+    assert browser.run("return [document.documentElement.scrollWidth <= innerWidth, innerWidth]") == [True, wide]
+    # Plots are drawn as wide as their place.
+    widths = browser.run("return [...document.querySelectorAll('#sweep .plot .main-svg')].map((p) => p.clientWidth)")
+    assert widths and all(250 < width <= wide for width in widths)
 
 
 def _sorts(browser: Any) -> None:
