@@ -31,7 +31,7 @@ MOST_FUNCTIONS = 60
 # Bell functions: spacing and radius over correlation length. Their correlation is right to 0.1, 0.03 rms.
 SPACING, RADIUS = 1.1, 1.7
 # A weight that was not met for so long is forgotten: keeps the state small.
-HOLD_S = 60.0
+HOLD_S = 200.0
 HOLD_SCALES = 8.0
 
 

@@ -12,7 +12,9 @@ from importlib import import_module
 from typing import Any, NoReturn
 
 from cellslam.benchmarks.cli_city_parsers import add_bench, add_city
+from cellslam.benchmarks.cli_options import add_estimators, add_set, whole
 from cellslam.benchmarks.cli_recordings_parsers import COMMANDS
+from cellslam.benchmarks.cli_sweep_parsers import add_sweep_benches, add_sweeps
 from cellslam.sim.errors import InputError, nearest_name
 
 DONE, FAILED, WRONG, INTERRUPTED = 0, 1, 2, 130
@@ -97,10 +99,7 @@ def build_parser() -> argparse.ArgumentParser:
     _add_replay(add("replay", "cli_recording:replay", "run estimators on a recording and score them"))
     for name, target, summary, fill in COMMANDS:
         fill(add(name, f"cli_recordings:{target}", summary))
-    _add_sweep(add("sweep", "cli_sweep:sweep", "many variants and trials of a scenario, in parallel, resumable"))
-    _add_table(add("table", "cli_table:table", "the results of a sweep as a table"))
-    _add_figures(add("figures", "cli_table:figures", "the figures of a sweep, as PNG and PDF"))
-    _add_report(add("report", "cli_table:report", "one HTML page of a sweep, for offline reading: tables, plots, worst trials"))
+    add_sweeps(add)
     show = add("show", "cli_show:show", "every key of a scenario: value, unit, range, meaning")
     _add_scenario(show)
     listing = add("list", "cli_show:list_known", "the scenarios or estimators that are known by name")
@@ -115,6 +114,8 @@ def build_parser() -> argparse.ArgumentParser:
             title="commands", metavar="COMMAND", dest=f"{name}_command", required=True, parser_class=Parser
         )
         fill(partial(_add, nested, common))
+        if name == "bench":
+            add_sweep_benches(partial(_add, nested, common))
     return parser
 
 
@@ -129,37 +130,15 @@ def _add(commands: Any, common: Parser, name: str, target: str, summary: str) ->
 
 def _add_scenario(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("scenario", metavar="SCENARIO", help="name of a preset, or path of a .toml file")
-    _add_set(parser, "radio.detection_scale=0.8")
-
-
-def _add_set(parser: argparse.ArgumentParser, example: str) -> None:
-    parser.add_argument(
-        "--set",
-        metavar="KEY=VALUE",
-        action="append",
-        default=[],
-        dest="sets",
-        help=f"change one key, as in {example}; may be repeated; 'cellslam show' lists the keys",
-    )
+    add_set(parser, "radio.detection_scale=0.8")
 
 
 def _add_seed(parser: argparse.ArgumentParser, default: int | None, meaning: str) -> None:
-    parser.add_argument("--seed", metavar="S", type=_whole, default=default, help=meaning)
-
-
-def _add_estimators(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument(
-        "--estimator",
-        metavar="NAME",
-        action="append",
-        default=[],
-        dest="estimators",
-        help="estimator by name or as module:Class; may be repeated (default: fastslam and dead-reckoning)",
-    )
+    parser.add_argument("--seed", metavar="S", type=whole, default=default, help=meaning)
 
 
 def _add_estimation(parser: argparse.ArgumentParser) -> None:
-    _add_estimators(parser)
+    add_estimators(parser)
     parser.add_argument("--json", action="store_true", help="print the rows as one JSON array on stdout, nothing else")
     parser.add_argument("--no-figures", action="store_true", help="do not draw figures")
 
@@ -168,7 +147,7 @@ def _add_run(parser: argparse.ArgumentParser) -> None:
     _add_scenario(parser)
     _add_estimation(parser)
     parser.add_argument("--rays", action="store_true", help="draw the drive's rays, also as an interactive page")
-    parser.add_argument("--trials", metavar="N", type=_whole, default=1, help="trials 0 to N-1 (default: 1)")
+    parser.add_argument("--trials", metavar="N", type=whole, default=1, help="trials 0 to N-1 (default: 1)")
     _add_seed(parser, 0, "root seed of all random draws (default: 0)")
     parser.add_argument("--out", metavar="DIR", help="folder for the results (default: results/SCENARIO-SEED)")
 
@@ -177,12 +156,12 @@ def _add_record(parser: argparse.ArgumentParser) -> None:
     _add_scenario(parser)
     parser.add_argument("--out", metavar="FILE.h5", required=True, help="the HDF5 file to write")
     _add_seed(parser, 0, "root seed of all random draws (default: 0)")
-    parser.add_argument("--trial", metavar="N", type=_whole, default=0, help="which trial to record (default: 0)")
+    parser.add_argument("--trial", metavar="N", type=whole, default=0, help="which trial to record (default: 0)")
 
 
 def _add_replay(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("file", metavar="FILE.h5", help="a recording")
-    _add_set(parser, "estimator.fastslam.particles=300")
+    add_set(parser, "estimator.fastslam.particles=300")
     _add_estimation(parser)
     parser.add_argument(
         "--align", action="store_true", help="lay each estimate onto the truth before it is scored, and say so in its row"
@@ -193,82 +172,7 @@ def _add_replay(parser: argparse.ArgumentParser) -> None:
 
 def _add_check(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("estimator", metavar="MODULE:CLASS", help="your class, or the name of a known estimator")
-    _add_set(parser, "estimator.fastslam.particles=300")
-
-
-def _add_sweep(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("scenario", metavar="SCENARIO", help="a preset's name, a scenario file, or a sweep file")
-    _add_set(parser, "radio.load=0.5")
-    parser.add_argument(
-        "--sweep",
-        metavar="KEY=V1,V2,...",
-        action="append",
-        default=[],
-        dest="sweeps",
-        help="values of one key; may be repeated: all combinations",
-    )
-    _add_estimators(parser)
-    parser.add_argument("--trials", metavar="N", type=_whole, help="trials 0 to N-1 of each point (default: 1)")
-    _add_seed(parser, None, "root seed of all random draws (default: 0)")
-    parser.add_argument("--out", metavar="DIR", required=True, help="folder of the results; one that exists is resumed")
-    _add_flags(
-        parser,
-        ("--dry-run", "say how many trials there are and how long they may take; do nothing"),
-        ("--live", "show the table of results so far every few seconds"),
-        ("--retry-failed", "do trials that are stored as failed again"),
-        ("--no-trajectories", "keep the rows alone: saves disk space, and costs error curves and reports"),
-    )
-    names = ("serial", "processes", "dask")
-    parser.add_argument("--executor", choices=names, default="processes", help="where to work (default: processes)")
-    parser.add_argument("--jobs", metavar="N", type=_whole, help="number of processes (default: one a core)")
-    parser.add_argument("--scheduler", metavar="ADDRESS", help="a running Dask scheduler, as tcp://host:8786")
-    time_help = "one estimator's time for one trial, then its process is killed (default: 3600)"
-    parser.add_argument("--time-limit", metavar="SECONDS", type=_number, default=3600.0, help=time_help)
-    parser.add_argument("--memory-limit", metavar="GIB", type=_number, help="memory of a process (default: fair share)")
-
-
-def _add_table(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("folder", metavar="DIR", help="folder of a sweep")
-    several: dict[str, Any] = {"action": "append", "default": []}
-    rows_help = "a line for each value of this key; may be repeated (default: estimator and all that varies)"
-    parser.add_argument("--rows", metavar="KEY", help=rows_help, **several)
-    parser.add_argument("--columns", metavar="KEY", help="a column for each value of this key")
-    metric_help = "what is summed up, as position_rmse_m; may be repeated"
-    parser.add_argument("--metric", metavar="NAME", dest="metrics", help=metric_help, **several)
-    statistic_help = "median (default), mean, rmse, min, max, q90, 'share>2'; may be repeated"
-    parser.add_argument("--statistic", metavar="NAME", dest="statistics", help=statistic_help, **several)
-    interval_help = "with bootstrap intervals of this confidence"
-    parser.add_argument("--interval", metavar="PERCENT", type=_number, nargs="?", const=95.0, help=interval_help)
-    parser.add_argument("--compare", metavar="A,B", help="paired differences of two estimators on the same worlds")
-    formats = ("text", "md", "csv", "latex", "json")
-    parser.add_argument("--format", choices=formats, default="text", help="csv and json hold the plain numbers")
-
-
-def _add_figures(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("folder", metavar="DIR", help="folder of a sweep")
-    parser.add_argument("--x", metavar="KEY", help="key along the sweep curve (default: the first number that varies)")
-    parser.add_argument("--metric", metavar="NAME", default="position_rmse_m", help="default: position_rmse_m")
-    parser.add_argument("--statistic", metavar="NAME", default="median", help="as for 'table' (default: median)")
-    interval_help = "confidence of the intervals (default: 95)"
-    parser.add_argument("--interval", metavar="PERCENT", type=_number, default=95.0, help=interval_help)
-    parser.add_argument("--out", metavar="FOLDER", help="where to write (default: DIR/figures)")
-
-
-def _add_report(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("folder", metavar="DIR", help="folder of a sweep")
-    parser.add_argument("--out", metavar="FILE.html", help="the page to write (default: DIR/report.html)")
-    parser.add_argument("--worst", metavar="N", type=_whole, default=3, help="trials with a section each (default: 3)")
-    metric_help = "by which trials are the worst (default: position_rmse_m)"
-    parser.add_argument("--metric", metavar="NAME", default="position_rmse_m", help=metric_help)
-    estimators_help = "whose worst trials; may be repeated (default: the estimator with the best median)"
-    parser.add_argument(
-        "--estimator", metavar="NAME", action="append", default=[], dest="estimators", help=estimators_help
-    )
-
-
-def _add_flags(parser: argparse.ArgumentParser, *flags: tuple[str, str]) -> None:
-    for name, meaning in flags:
-        parser.add_argument(name, action="store_true", help=meaning)
+    add_set(parser, "estimator.fastslam.particles=300")
 
 
 def _late(target: str) -> Callable[[argparse.Namespace], int]:
@@ -280,20 +184,6 @@ def _late(target: str) -> Callable[[argparse.Namespace], int]:
         return status
 
     return command
-
-
-def _whole(text: str) -> int:
-    try:
-        return int(text)
-    except ValueError:
-        raise argparse.ArgumentTypeError(f"'{text}' is not a whole number") from None
-
-
-def _number(text: str) -> float:
-    try:
-        return float(text)
-    except ValueError:
-        raise argparse.ArgumentTypeError(f"'{text}' is not a number") from None
 
 
 def _kind(message: str) -> str:

@@ -109,7 +109,8 @@ def _peer_line(row: dict[str, Any]) -> str:
         f"ours {row['our_seconds']:.3f} s: {row['ratio']:.0f} times as long\n"
         f"  of theirs {c.agreeing} agree (largest differences: length {1e3 * c.length_m:.3f} mm, "
         f"angle {c.angle_rad:.1e} rad{gain}), {c.theirs_copies} are copies, {c.theirs_bent} break the law of "
-        f"reflection (up to {c.bent_rad:.1e} rad off), {c.theirs_grazing} graze an edge, {c.theirs_unexplained} are not explained;\n"
+        f"reflection (up to {c.bent_rad:.1e} rad off), {c.theirs_grazing} graze an edge, "
+        f"{c.theirs_unexplained} are not explained;\n"
         f"  of ours they miss {c.ours_only}"
     )
 

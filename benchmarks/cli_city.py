@@ -33,6 +33,8 @@ STUB_SITES = [
     }
     for name, first, turn in (("A", 375, -180.0), ("B", 177, -150.0))
 ]
+# Presets leave these out, as the cities that they were chosen with have none.
+STUB_DETAILS = {"bay_share": 0.5, "shop_share": 0.3, "pole_spacing_m": 35.0}
 STUB_VEHICLE = {"route": 1, "distance_m": 300.0, "duration_s": 300.0, "snapshot_interval_s": 0.075}
 
 
@@ -71,7 +73,7 @@ def generate(arguments: Namespace) -> int:
     keys = {key.removeprefix("city."): value for key, value in parse_all(arguments.sets).items()}
     tables: dict[str, Any] = {
         "title": f"a generated city, seed {arguments.seed}",
-        "city": {"kind": "procedural", "seed": arguments.seed, **keys},
+        "city": {"kind": "procedural", "seed": arguments.seed, **STUB_DETAILS, **keys},
         "sites": STUB_SITES,
         "vehicle": STUB_VEHICLE,
     }

@@ -29,10 +29,13 @@ def sweep(arguments: Namespace) -> int:
     estimators = asked.estimators or DEFAULT_ESTIMATORS
     trials, seed = 1 if asked.trials is None else asked.trials, asked.seed or 0
     check_counts(trials, seed)
+    return carry(arguments, sweeps.points(asked, estimators), trials, seed, Path(arguments.out))
+
+
+def carry(arguments: Namespace, points: Sequence[sweeps.Point], trials: int, seed: int, out: Path) -> int:
+    """Carry out trials 0 to `trials` - 1 of every point into the store in `out`, or estimate how long they take."""
     jobs, limits = _resources(arguments)
-    points = sweeps.points(asked, estimators)
     made = plan(points, trials, seed, not arguments.no_trajectories)
-    out = Path(arguments.out)
     check_folder(out)
     if arguments.dry_run:
         _dry_run(made, len(points), jobs, out)
@@ -52,7 +55,9 @@ def sweep(arguments: Namespace) -> int:
         return INTERRUPTED
     failed = sum(status[job.key] == "failed" for task in made.tasks for job in task.jobs)
     words = f", {failed} failed ({tally.first_error or 'before'}); --retry-failed tries them again" if failed else ""
-    _note(arguments, f"{len(made)} rows are in {out}{words}; 'cellslam table {shlex.quote(str(out))}' shows them")
+    new = f" ({tally.done} new, in {clock(tally.seconds)})" if tally.done else ""
+    shows = f"'cellslam table {shlex.quote(str(out))}' shows them"
+    _note(arguments, f"{len(made)} rows are in {out}{new}{words}; {shows}")
     return FAILED if failed else DONE
 
 

@@ -77,3 +77,17 @@ def figures(arguments: Namespace) -> int:
     if not arguments.quiet:
         sys.stderr.write(f"{len(written)} files are in {out}: {', '.join(sorted({p.stem for p in written}))}\n")
     return DONE
+
+
+def report(arguments: Namespace) -> int:
+    """Carry out `cellslam report`."""
+    from cellslam.benchmarks.bars import bars
+    from cellslam.benchmarks.report import Choice, write_report
+
+    choice = Choice(arguments.worst, arguments.metric, tuple(arguments.estimators))
+    out = Path(arguments.out) if arguments.out else None
+    with bars(arguments.quiet) as progress:
+        path = write_report(Path(arguments.folder), out, choice, progress)
+    if not arguments.quiet:
+        sys.stderr.write(f"the report is in {path} ({path.stat().st_size / 1e6:.1f} MB)\n")
+    return DONE

@@ -44,10 +44,14 @@ class Tally:
             row[METRIC]
         )
 
+    @property
+    def seconds(self) -> float:
+        """The time since it began."""
+        return max(time.monotonic() - self.begin, 1e-9)
+
     def line(self) -> str:
         """Return the state in one line."""
-        seconds = max(time.monotonic() - self.begin, 1e-9)
-        rate = self.done / seconds
+        rate = self.done / self.seconds
         left = f"{clock((self.total - self.done) / rate)} left" if self.done else "no row yet"
         failed = f", {self.failed} failed" if self.failed else ""
         return f"{self.done} of {self.total} rows, {rate:.2f} rows/s, {left}{failed}"

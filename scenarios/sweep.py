@@ -23,6 +23,7 @@ from cellslam.scenarios.options import Request, resolve
 from cellslam.scenarios.overrides import parse, parse_value, split
 from cellslam.scenarios.problems import validate
 from cellslam.sim.errors import InputError
+from cellslam.slam.registry import expanded
 
 Settings = Mapping[str, Any]
 Axis = tuple[Settings, ...]
@@ -168,6 +169,7 @@ def points(sweep: Sweep, estimators: Sequence[str]) -> tuple[Point, ...]:
 
     Raises InputError for a key that is set twice, that no estimator in the sweep has, or out of range.
     """
+    estimators = expanded(estimators)
     _check_keys(sweep, estimators)
     count = math.prod(len(axis) for axis in sweep.axes)
     if not 0 < count <= MOST_POINTS:

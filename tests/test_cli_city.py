@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+import subprocess
+import sys
 
 import numpy as np
 import pandas as pd
@@ -104,6 +106,24 @@ def test_generate_then_inspect(tmp_path, capsys):
     for key in ("buildings", "triangles", "facets", "low_m", "high_m"):
         assert described[0][key] == described[1][key]
     assert set(described[0]["area_m2"]) == set(described[1]["area_m2"])
+    city = find_city(str(out / "city-7.toml"))
+    names = {city.materials[m].name for m in city.facets.material}
+    assert {"glass", "metal"} < names
+    capsys.readouterr()
+    assert main(["run", str(out / "city-7.toml"), "--set", "vehicle.distance_m=10", "--set", "vehicle.stops=0",
+                 "--set", "vehicle.duration_s=20",
+                 "--estimator", "dead-reckoning", "--rays", "--out", str(tmp_path / "ran")]) == 0  # fmt: skip
+    assert {"rays.png", "rays-view.png", "rays.html"} < {path.name for path in (tmp_path / "ran").iterdir()}
+
+
+def test_a_hundred_thousand_receivers_in_munich_need_less_than_a_gigabyte():
+    words = ["bench", "rays", "--no-peers", "--receivers", "100000", "--transmitters", "1", "--repeat", "1", "--json"]
+    script = f"import sys; from cellslam.benchmarks.cli import main; sys.exit(main({words!r}))"
+    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True)
+    row = json.loads(done.stdout)["sizes"][0]
+    assert row["receivers"] == 100_000
+    assert row["paths"] > 50_000
+    assert row["peak_bytes"] < 1e9
 
 
 def test_bench_rays(capsys):

@@ -16,6 +16,7 @@ from cellslam.sim.rays import Paths
 
 SHOWN_RAYS = 4000
 SHOWN_POINTS = 5000
+EYE = {"x": -0.35, "y": -0.85, "z": 0.55}
 
 
 def check_plotly() -> None:
@@ -48,21 +49,20 @@ def write_html(path: Path, city: City, paths: Paths, transmitters: Floats, recei
     figure.update_layout(
         title=f"{city.name}: {len(paths)} paths" + (f", {len(shown)} drawn" if len(shown) < len(paths) else ""),
         scene={"aspectmode": "data", "xaxis_title": f"x - {origin[0]:.1f} (m)",
-               "yaxis_title": f"y - {origin[1]:.1f} (m)", "zaxis_title": "z (m)"},
+               "yaxis_title": f"y - {origin[1]:.1f} (m)", "zaxis_title": "z (m)", "camera": {"eye": EYE}},
         margin={"l": 0, "r": 0, "b": 0, "t": 40},
     )  # fmt: skip
-    figure.write_html(str(path), include_plotlyjs=True)
+    figure.write_html(str(path), include_plotlyjs=True, default_height="97vh")
 
 
 def _surfaces(go: Any, city: City, origin: Floats) -> list[Any]:
-    """Return one mesh per material; corners are rounded to a centimetre to keep the file small."""
-    material = city.facets.material[city.triangle_facet]
+    """Return one mesh per name of a material; corners are rounded to a centimetre to keep the file small."""
+    label = np.array([m.name for m in city.materials])[city.facets.material[city.triangle_facet]]
     surfaces = []
-    for index in np.unique(material):
-        used, renumbered = np.unique(city.triangles[material == index], return_inverse=True)
+    for name in np.unique(label).tolist():
+        used, renumbered = np.unique(city.triangles[label == name], return_inverse=True)
         i, j, k = renumbered.reshape(-1, 3).astype(np.int32).T
         x, y, z = np.round(city.vertices[used] - origin, 2).astype(np.float32).T
-        name = city.materials[index].name
         colour = "rgb({:.0f},{:.0f},{:.0f})".format(*(255 * np.array(material_colour(name))))
         surfaces.append(
             go.Mesh3d(

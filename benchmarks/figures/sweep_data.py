@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -26,11 +26,20 @@ POINTS_IN_TIME = 400
 
 @dataclass(frozen=True)
 class Series:
-    """The rows of one estimator with one set of options, in one panel. `settings`: what varies of the world."""
+    """The rows of one estimator with one set of options, in one panel.
+
+    `settings`: what varies of the world; `options`: what varies of the estimator, None where it has no such option.
+    """
 
     label: str
     settings: dict[str, Any]
+    options: dict[str, Any]
     rows: pd.DataFrame
+
+    @property
+    def estimator(self) -> str:
+        """The estimator's name."""
+        return str(self.rows["estimator"].iloc[0])
 
     def values(self, metric: str) -> Floats:
         """Return a metric's values in the trials that are ok, those without it left out."""
@@ -84,16 +93,38 @@ def load(folder: str | Path) -> SweepData:
     for settings, group in groups(frame, [*several, *worlds]):
         title = ", ".join(f"{name} = {shown(value)}" for name, value in settings.items())
         series = tuple(
-            Series(_label(own, options), settings, rows) for own, rows in groups(group, ["estimator", *options])
+            Series(label_of(own["estimator"], own, options), settings, {key: own[key] for key in options}, rows)
+            for own, rows in groups(group, ["estimator", *options])
         )
         panels.append(Panel(title, series))
     return SweepData(Path(folder), tuple(panels), tuple(worlds))
 
 
-def numeric_keys(data: SweepData) -> list[str]:
-    """Return the world's keys that vary and are numbers."""
-    settings = [panel.series[0].settings for panel in data.panels]
-    return [key for key in data.world_keys if all(_is_number(setting[key]) for setting in settings)]
+def curve_keys(data: SweepData) -> list[str]:
+    """Return what a sweep curve can have along x: the world's keys and the options that vary and are numbers."""
+    series = [one for panel in data.panels for one in panel.series]
+    worlds = [key for key in data.world_keys if all(_is_number(one.settings[key]) for one in series)]
+    options = []
+    for key in series[0].options:
+        values = {one.options[key] for one in series} - {None}
+        if len(values) > 1 and all(_is_number(value) for value in values):
+            options.append(key)
+    return [*worlds, *options]
+
+
+def sweep_lines(data: SweepData, x: str) -> dict[str, list[tuple[float | None, Series]]]:
+    """Return the lines of a sweep curve by name, each its points in order; other keys that vary are in the names.
+
+    x None: the series has no such option, and is the same at every x.
+    """
+    lines: dict[str, list[tuple[float | None, Series]]] = {}
+    for one in (series for panel in data.panels for series in panel.series):
+        value = one.settings.get(x, one.options.get(x))
+        label = label_of(one.estimator, one.options, [key for key in one.options if key != x])
+        others = [f"{key} = {shown(setting)}" for key, setting in one.settings.items() if key != x]
+        place = None if value is None else float(value)
+        lines.setdefault(", ".join([label, *others]), []).append((place, one))
+    return {name: sorted(points, key=lambda point: point[0] or 0.0) for name, points in lines.items()}
 
 
 def shown(value: Any) -> str:
@@ -101,9 +132,10 @@ def shown(value: Any) -> str:
     return f"{value:g}" if isinstance(value, float) else "-" if value is None else str(value)
 
 
-def _label(own: dict[str, Any], options: Sequence[str]) -> str:
+def label_of(estimator: str, own: Mapping[str, Any], options: Sequence[str]) -> str:
+    """Return what a series is called: its estimator, and the options that vary."""
     parts = [f"{name.rpartition('.')[2]} = {shown(own[name])}" for name in options if own[name] is not None]
-    return ", ".join([own["estimator"], *parts])
+    return ", ".join([estimator, *parts])
 
 
 def _is_number(value: Any) -> bool:

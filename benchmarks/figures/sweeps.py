@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from cellslam.benchmarks.figures.style import BLACK, GREY, WIDTH_IN, context, estimator_styles, save
-from cellslam.benchmarks.figures.sweep_data import Panel, SweepData, load, numeric_keys
+from cellslam.benchmarks.figures.sweep_data import Panel, SweepData, curve_keys, load, sweep_lines
 from cellslam.benchmarks.statistics import interval, statistic
 from cellslam.benchmarks.summaries import Layout, check_confidence, metrics_of
 from cellslam.sim.errors import InputError
@@ -89,55 +89,60 @@ def draw_sweep(
 
 
 def _x_key(data: SweepData, look: Look) -> str | None:
-    numeric = numeric_keys(data)
-    if look.x is not None and look.x not in numeric:
-        raise InputError(
-            f"--x {look.x}: not a key that varies and is a number ({', '.join(numeric) or 'there is none'})"
-        )
-    return look.x or (numeric[0] if numeric else None)
+    keys = curve_keys(data)
+    if look.x is not None and look.x not in keys:
+        raise InputError(f"--x {look.x}: not a key that varies and is a number ({', '.join(keys) or 'there is none'})")
+    return look.x or (keys[0] if keys else None)
 
 
 def _sweep(figure: Figure, data: SweepData, look: Look, x: str) -> bool:
     """Draw the statistic with intervals against x; settings besides x are lines of their own."""
-    of = statistic(look.statistic)
-    lines: dict[str, dict[float, Floats]] = {}
-    for panel in data.panels:
-        for one in panel.series:
-            others = [f"{key} = {value}" for key, value in one.settings.items() if key != x]
-            values = one.values(look.metric)
-            if len(values):
-                lines.setdefault(", ".join([one.label, *others]), {})[float(one.settings[x])] = values
-    if not lines:
+    lines = {
+        name: [(at, one.values(look.metric)) for at, one in points] for name, points in sweep_lines(data, x).items()
+    }
+    lines = {name: kept for name, points in lines.items() if (kept := [p for p in points if len(p[1])])}
+    every = sorted({at for points in lines.values() for at, _ in points if at is not None})
+    if not every:
         return False
     figure.set_size_inches(WIDTH_IN * 0.62, 3.2)
-    axes = figure.subplots()
-    styles = _styles(lines)
-    every = sorted({value for points in lines.values() for value in points})
+    axes, styles = figure.subplots(), _styles(lines)
     logarithmic = every[0] > 0 and every[-1] >= LOG_FROM * every[0]
     for index, (name, points) in enumerate(lines.items()):
-        at = sorted(points)
-        middle = np.array([float(of.of(points[value])) for value in at])
-        bounds = np.array([interval(points[value], of, look.confidence) for value in at])
-        reach = np.nan_to_num(np.abs(bounds - middle[:, None])).T
         aside = DODGE * (index - (len(lines) - 1) / 2)
-        beside = [
-            v * (every[-1] / every[0]) ** aside if logarithmic else v + aside * (every[-1] - every[0]) for v in at
-        ]
-        axes.errorbar(
-            beside, middle, yerr=reach, **styles[name], marker="o", markersize=3.5, capsize=2.5, elinewidth=0.9
-        )
+        _line(axes, [(_beside(at, every, aside, logarithmic), values) for at, values in points], look, styles[name])
     if logarithmic:
         axes.set_xscale("log")
     if len(every) <= MOST_TICKS:
         axes.set_xticks(every, [f"{value:g}" for value in every])
         axes.minorticks_off()
     axes.set_xlabel(x)
-    trials = max(len(values) for points in lines.values() for values in points.values())
+    trials = max(len(values) for points in lines.values() for _, values in points)
     axes.set_ylabel(f"{look.statistic} of {AXIS.get(look.metric, look.metric)}")
     axes.set_title(f"{100 * look.confidence:g} % intervals, {trials} trials a point")
     axes.set_ylim(bottom=0)
     figure.legend(loc="outside lower center", ncols=2)
     return True
+
+
+def _line(axes: Axes, points: Sequence[tuple[float | None, Floats]], look: Look, style: Mapping[str, Any]) -> None:
+    """Draw one line with its intervals; a point without x is the same everywhere: a level with a band."""
+    of = statistic(look.statistic)
+    middle = np.array([float(of.of(values)) for _, values in points])
+    ends = np.array([interval(values, of, look.confidence) for _, values in points])
+    at = [place for place, _ in points if place is not None]
+    if not at:
+        axes.axhline(middle[0], **style)
+        axes.axhspan(*ends[0], color=style["color"], alpha=0.15, linewidth=0)
+        return
+    reach: Floats = np.nan_to_num(np.abs(ends - middle[:, None])).T
+    axes.errorbar(at, middle, yerr=reach, **style, marker="o", markersize=3.5, capsize=2.5, elinewidth=0.9)
+
+
+def _beside(at: float | None, every: Sequence[float], aside: float, logarithmic: bool) -> float | None:
+    """Return a place moved aside by a share of the axis, so that intervals do not hide each other."""
+    if at is None:
+        return None
+    return at * (every[-1] / every[0]) ** aside if logarithmic else at + aside * (every[-1] - every[0])
 
 
 def _cdf(figure: Figure, data: SweepData, metric: str) -> bool:

@@ -67,7 +67,8 @@ def _measurements(r: Recording) -> dict[str, Any]:
 def _links(r: Recording) -> list[dict[str, Any]]:
     m = r.measurements
     count = np.bincount(m.link, minlength=len(r.links))
-    seen = np.bincount(np.unique(m.snapshot * max(len(r.links), 1) + m.link) % max(len(r.links), 1), minlength=len(r.links))
+    new = np.append(True, (np.diff(m.snapshot) != 0) | (np.diff(m.link) != 0))[: len(m)]
+    seen = np.bincount(m.link[new], minlength=len(r.links))
     out = []
     for link in range(len(r.links)):
         site = int(r.links.site[link])

@@ -27,22 +27,28 @@ FORMATS = (".ply", ".obj", ".stl", ".glb", ".gltf", ".xml", ".json", ".jsonl", "
 
 @dataclass(frozen=True)
 class MeshObject:
-    """One mesh of a file: `vertices` (V, 3) in metres, `triangles` (K, 3), its building if that is known."""
+    """One mesh of a file: `vertices` (V, 3) in metres, `triangles` (K, 3), its building if that is known.
+
+    `assumed`: what the file calls its material ('' nothing), where that tells nothing of it.
+    """
 
     vertices: Floats
     triangles: Ints
     material: Material
     building: str | None
+    assumed: str | None
 
 
 def load_city(config: MeshCityConfig) -> City:
     """Return the city of a mesh file or a shipped scene. Raises InputError for whatever is wrong with it."""
     path = _locate(config.path)
     try:
-        stamp = path.stat().st_mtime_ns
+        status = path.stat()
     except OSError as error:
         raise InputError(f"cannot read mesh '{config.path}': {error.strerror or 'no such file'}") from None
-    return _load(config, path, stamp)
+    if status.st_size == 0:
+        raise InputError(f"'{config.path}' is empty: the file has no content")
+    return _load(config, path, status.st_mtime_ns)
 
 
 @lru_cache(maxsize=2)
@@ -55,7 +61,7 @@ def _load(config: MeshCityConfig, path: Path, stamp: int) -> City:
     objects = list(_objects(path, default, config))
     objects = [o for o in objects if len(o.triangles)]
     if not objects:
-        raise InputError(f"mesh '{config.path}' is empty: it has no triangles")
+        raise InputError(f"mesh '{config.path}' has no triangles: it is empty, or no mesh")
     for o in objects:
         if not np.isfinite(o.vertices).all():
             where = f" of '{o.building}'" if o.building else ""
@@ -80,7 +86,7 @@ def _objects(path: Path, default: Material, config: MeshCityConfig) -> Iterator[
     if suffix == ".xml":
         return _scene_objects(path, default)
     if suffix in (".json", ".jsonl"):
-        return (MeshObject(o.vertices, o.triangles, default, o.building) for o in read_cityjson(path))
+        return (MeshObject(o.vertices, o.triangles, default, o.building, "") for o in read_cityjson(path))
     return _file_objects(path, default, config)
 
 
@@ -88,7 +94,7 @@ def _scene_objects(path: Path, default: Material) -> Iterator[MeshObject]:
     for shape in read_scene(path, default):
         for vertices, triangles, _ in _read_mesh(shape.path):
             placed = vertices @ shape.to_world[:3, :3].T + shape.to_world[:3, 3]
-            yield MeshObject(placed, triangles, shape.material, building_name(shape.name))
+            yield MeshObject(placed, triangles, shape.material, building_name(shape.name), shape.assumed)
 
 
 def _file_objects(path: Path, default: Material, config: MeshCityConfig) -> Iterator[MeshObject]:
@@ -96,8 +102,8 @@ def _file_objects(path: Path, default: Material, config: MeshCityConfig) -> Iter
     for vertices, triangles, name in _read_mesh(path):
         placed = vertices[:, [0, 2, 1]] * [1.0, -1.0, 1.0] if y_up else vertices
         known = name.removeprefix("mat-").removeprefix("itu_").removeprefix("itu-")
-        material = itu_material(known, config.thickness_m, config.roughness_m) if known in ITU_P2040 else default
-        yield MeshObject(placed, triangles, material, None)
+        found = itu_material(known, config.thickness_m, config.roughness_m) if known in ITU_P2040 else None
+        yield MeshObject(placed, triangles, found or default, None, None if found else name)
 
 
 def _read_mesh(path: Path) -> Iterator[tuple[Floats, Ints, str]]:
@@ -146,8 +152,20 @@ def _city(name: str, objects: list[MeshObject], tolerances: Tolerances) -> City:
             triangles = obj.triangles[own == value]
             used, renumbered = np.unique(triangles, return_inverse=True)
             parts.append(Part(obj.vertices[used], renumbered.reshape(-1, 3), materials.index(obj.material), int(value)))
-    notes = () if ground.any() else ("no ground found: nothing spans the city and faces up",)
+    notes = [] if ground.any() else ["no ground found: nothing spans the city and faces up"]
+    notes += _assumptions(objects)
     return assemble(name, parts, materials, footprints, heights, notes=notes, tolerances=tolerances)
+
+
+def _assumptions(objects: list[MeshObject]) -> list[str]:
+    """Return a note on the objects whose material is assumed."""
+    assumed = [o for o in objects if o.assumed is not None]
+    if not assumed:
+        return []
+    material, names = assumed[0].material, sorted({o.assumed for o in assumed if o.assumed})
+    thick = "a half space" if material.thickness_m is None else f"{material.thickness_m:g} m thick"
+    said = f" but {', '.join(names[:4])}{', ...' if len(names) > 4 else ''}" if names else ""
+    return [f"{len(assumed)} of {len(objects)} objects name no known material{said}: {material.name} assumed, {thick}"]
 
 
 def _groups(objects: list[MeshObject]) -> Ints:

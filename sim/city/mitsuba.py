@@ -20,12 +20,16 @@ SUFFIXES = (".ply", ".obj", ".stl", ".glb")
 
 @dataclass(frozen=True)
 class Shape:
-    """One object of a scene: its mesh file, its name, its material and the matrix (4, 4) that places it."""
+    """One object of a scene: its mesh file, its name, its material and the matrix (4, 4) that places it.
+
+    `assumed`: what the scene calls its material, where that tells nothing of it.
+    """
 
     name: str
     path: Path
     material: Material
     to_world: Floats
+    assumed: str | None
 
 
 def shipped_scene(name: str) -> Path:
@@ -54,7 +58,7 @@ def read_scene(path: Path, default: Material) -> Iterator[Shape]:
         raise InputError(f"{path}: not a readable XML scene ({_one_line(error)})") from None
     if root.tag != "scene":
         raise InputError(f"{path}: not a Mitsuba scene: its root is <{root.tag}>, expected <scene>")
-    named = {bsdf.get("id", ""): _material(bsdf, default) for bsdf in root.findall("bsdf")}
+    named = {bsdf.get("id", ""): (_material(bsdf, default), bsdf.get("id", "")) for bsdf in root.findall("bsdf")}
     for index, shape in enumerate(root.findall("shape")):
         name = shape.get("id") or shape.get("name") or f"shape {index}"
         file = next((s.get("value", "") for s in shape.findall("string") if s.get("name") == "filename"), "")
@@ -63,7 +67,8 @@ def read_scene(path: Path, default: Material) -> Iterator[Shape]:
                 f"{path}: shape '{name}' is no mesh file (type '{shape.get('type')}', filename '{file}'); "
                 f"allowed: {', '.join(SUFFIXES)}"
             )
-        yield Shape(name, path.parent / file, _shape_material(shape, named, default), _to_world(shape, path))
+        material, assumed = _shape_material(shape, named, path, default)
+        yield Shape(name, path.parent / file, material or default, _to_world(shape, path), assumed)
 
 
 def building_name(shape_name: str) -> str:
@@ -72,19 +77,25 @@ def building_name(shape_name: str) -> str:
     return name.rsplit("-", 1)[0] if "-" in name else name
 
 
-def _shape_material(shape: ET.Element, named: dict[str, Material], default: Material) -> Material:
+def _shape_material(
+    shape: ET.Element, named: dict[str, tuple[Material | None, str]], path: Path, default: Material
+) -> tuple[Material | None, str | None]:
+    """Return a shape's material, or None and what the scene calls it."""
     own = shape.find("bsdf")
     if own is not None:
-        return _material(own, default)
-    for ref in shape.findall("ref"):
-        if ref.get("id", "") in named:
-            return named[ref.get("id", "")]
-    return default
+        material = _material(own, default)
+        return material, None if material else own.get("id", "")
+    refs = [ref.get("id", "") for ref in shape.findall("ref")]
+    known = [named[ref] for ref in refs if ref in named]
+    if refs and not known:
+        raise InputError(f"{path}: shape '{shape.get('id')}' refers to '{refs[0]}', which the scene does not define")
+    material, name = known[0] if known else (None, "")
+    return material, None if material else name
 
 
-def _material(bsdf: ET.Element, default: Material) -> Material:
+def _material(bsdf: ET.Element, default: Material) -> Material | None:
     """Read an 'itu-radio-material' or 'radio-material'; others are known by their id ('mat-itu_brick'), or
-    not at all.
+    not at all: None.
     """
     values = {str(e.get("name")): str(e.get("value")) for e in bsdf if e.tag in ("string", "float")}
     name = values.get("type") or bsdf.get("id", "").removeprefix("mat-").removeprefix("itu_").removeprefix("itu-")
@@ -95,8 +106,8 @@ def _material(bsdf: ET.Element, default: Material) -> Material:
             return Material(name, float(values["relative_permittivity"]), sigma, default.roughness_m, thickness)
     except ValueError:
         raise InputError(f"material '{bsdf.get('id')}' has a value that is no number: {values}") from None
-    if "type" not in values and name not in ITU_P2040:
-        return default
+    if "type" not in values and name not in ITU_P2040 and "itu" not in bsdf.get("id", ""):
+        return None
     return itu_material(name, thickness, default.roughness_m)
 
 

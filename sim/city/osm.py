@@ -52,12 +52,12 @@ class _Area:
 
 @dataclass(frozen=True)
 class _Block:
-    """A prism: plan in local metres, bottom and top above ground; top None: the tags do not tell."""
+    """A prism: plan in local metres, bottom and top above ground; top or material None: the tags do not tell."""
 
     plan: Polygon
     bottom_m: float
     top_m: float | None
-    material: str
+    material: str | None
 
 
 def load_osm(path: Path, material: str, roughness_m: float, tolerances: Tolerances) -> City:
@@ -67,19 +67,23 @@ def load_osm(path: Path, material: str, roughness_m: float, tolerances: Toleranc
         raise InputError(f"OpenStreetMap extract '{path}' has no building: no closed way or area tagged 'building'")
     centres = np.array([a.rings[0].mean(axis=0) for a in areas])
     origin = np.asarray(np.round(centres.mean(axis=0), 4), np.float64)
-    outlines = [b for a in areas if not a.is_part for b in _blocks(a, origin, material)]
-    parts = [b for a in areas if a.is_part for b in _blocks(a, origin, material)]
+    found = [(a.is_part, _blocks(a, origin)) for a in areas]
+    outlines, parts = ([b for part, some in found if part == wanted for b in some] for wanted in (False, True))
     blocks, replaced = _without_parts(outlines, parts)
     if not blocks:
         raise InputError(f"OpenStreetMap extract '{path}' has no building of at least {SMALLEST_M2:g} m2")
-    unknown = sum(b.top_m is None for b in blocks)
+    unknown, unnamed = (sum(getattr(b, name) is None for b in blocks) for name in ("top_m", "material"))
+    left_out = sum(not some for _, some in found)
     known = [b.top_m for b in blocks if b.top_m is not None]
     height_m = float(np.median(known)) if known else UNKNOWN_HEIGHT_M
+    counts = [
+        (replaced, "outlines made way for their building parts"),
+        (left_out, "areas left out: under the ground, below 2 m2, or no higher than their bottom"),
+        (unknown, f"of {len(blocks)} blocks tell neither height nor levels: {height_m:g} m assumed"),
+        (unnamed, f"of {len(blocks)} blocks tell no known material: {material} assumed"),
+    ]
     notes = [f"origin at longitude {origin[0]:.4f}, latitude {origin[1]:.4f}"]
-    if replaced:
-        notes.append(f"{replaced} outlines made way for their building parts")
-    if unknown:
-        notes.append(f"{unknown} of {len(blocks)} blocks tell neither height nor levels: {height_m:g} m assumed")
+    notes += [f"{count} {text}" for count, text in counts if count]
     streets = _streets([_local(line, origin) for line in lines], blocks)
     name = path.stem.removesuffix(".osm")
     return _extruded(name, blocks, height_m, material, roughness_m, streets, notes, tolerances)
@@ -132,7 +136,7 @@ def _geocentric(lonlat: Floats) -> Floats:
     return np.stack([flat * np.cos(lon), flat * np.sin(lon), z], axis=-1)
 
 
-def _blocks(area: _Area, origin_deg: Floats, material: str) -> list[_Block]:
+def _blocks(area: _Area, origin_deg: Floats) -> list[_Block]:
     """Return the prisms of one area; none if it is underground or too small."""
     import shapely
 
@@ -140,7 +144,7 @@ def _blocks(area: _Area, origin_deg: Floats, material: str) -> list[_Block]:
     plan = shapely.set_precision(shapely.make_valid(plan), 1e-3)
     bottom = _metres(area.tags, "min_height", "building:min_level") or 0.0
     top = _metres(area.tags, "height", "building:levels")
-    name = MATERIALS.get(area.tags.get("building:material", ""), material)
+    name = MATERIALS.get(area.tags.get("building:material", ""))
     if area.tags.get("location") == "underground" or (top is not None and top <= bottom):
         return []
     pieces = [p for p in shapely.get_parts(plan) if p.geom_type == "Polygon" and p.area >= SMALLEST_M2]
@@ -201,14 +205,14 @@ def _extruded(
     """Put blocks on a flat ground. A block in the air gets a floor."""
     import shapely
 
-    names = sorted({b.material for b in blocks} | {default})
+    names = sorted({b.material or default for b in blocks} | {default})
     materials: list[Material] = [itu_material(n, THICKNESS_M.get(n), roughness_m) for n in names]
     materials.append(itu_material("medium_dry_ground", None, roughness_m))
     extent = shapely.box(*shapely.total_bounds([b.plan for b in blocks])).buffer(GROUND_MARGIN_M, join_style="mitre")
     parts = [Part(*cap(extent, 0.0), material=len(names), building=GROUND)]
     heights = np.array([(b.bottom_m + unknown_m if b.top_m is None else b.top_m) - b.bottom_m for b in blocks])
     for building, (block, height) in enumerate(zip(blocks, heights, strict=True)):
-        material, top = names.index(block.material), block.bottom_m + float(height)
+        material, top = names.index(block.material or default), block.bottom_m + float(height)
         parts.append(Part(*walls(block.plan, block.bottom_m, top), material=material, building=building))
         parts.append(Part(*cap(block.plan, top), material=material, building=building))
         if block.bottom_m > 0.0:

@@ -20,6 +20,8 @@ from cellslam.sim.recording import Ints
 
 WINDOW_M = (-75.0, 695.0)
 _KEPT = 1e-3  # singular values of the window's delay vectors, relative to the largest, that span its subspace
+# Where the two cells' subspaces nearly meet, telling them apart would cost more noise than it removes interference.
+_RIDGE = 1e-3
 
 
 def cancel(
@@ -49,7 +51,8 @@ def _operator(
     later = np.exp(-2j * np.pi * tone_frequencies(resource_blocks) * apart_m / SPEED_OF_LIGHT_MPS)
     foreign = (mine.conj() * theirs * later)[:, None] * basis
     both = np.concatenate([foreign, basis], axis=1)
-    coefficients = np.linalg.solve(both.conj().T @ both, both.conj().T)[: basis.shape[1]]
+    gram = both.conj().T @ both + _RIDGE * np.eye(both.shape[1])
+    coefficients = np.linalg.solve(gram, both.conj().T)[: basis.shape[1]]
     return np.ascontiguousarray(coefficients.T, np.complex64), np.ascontiguousarray(foreign.T, np.complex64)
 
 

@@ -9,7 +9,8 @@ from cellslam.sim.lte.detector_model import Array
 
 GUARD_BINS, REFERENCE_BINS = 2, 3  # cells skipped, then averaged, before and behind the cell under test
 STRETCH_BINS = 31  # of delay, over which noise is taken for constant
-LOCAL_EXCESS = 1.7  # disturbance below this multiple of the noise is taken for its estimate's scatter
+# Disturbance below these multiples of the noise is taken for its estimate's scatter: of few cells, of all ports.
+LOCAL_EXCESS, AROUND_EXCESS = 1.7, 1.15
 SIDELOBES = 0.01  # mean energy of a delay peak over the reference cells, relative to the peak
 
 
@@ -111,7 +112,7 @@ def local_level(
     level, asked = noise, noise
     if along > LOCAL_EXCESS * noise:
         level, asked = along, margin * along
-    if around > LOCAL_EXCESS * noise:
+    if around > AROUND_EXCESS * noise:
         level, asked = max(level, around), max(asked, around)
     return level, asked
 

@@ -14,7 +14,7 @@ from cellslam.sim.progress import Progress, silent
 from cellslam.sim.rays.first_order import lines_of_sight, single_reflections
 from cellslam.sim.rays.gain import Complexes, path_gain
 from cellslam.sim.rays.hidden import lit_facets
-from cellslam.sim.rays.paths import MAX_ORDER, Paths, concatenate
+from cellslam.sim.rays.paths import MAX_ORDER, Paths, joined
 from cellslam.sim.rays.scene import Scene, prepare
 from cellslam.sim.rays.second_order import double_reflections
 
@@ -61,9 +61,7 @@ def trace(
                     found = found.joined(_over_edges(scene, t[site], part, carrier_hz))
                 pieces.append(_describe(scene, t[site], site, part, start, found, carrier_hz))
                 advance(len(part))
-    paths = concatenate(pieces) if pieces else _empty(scene, carrier_hz)
-    keys = (paths.edge, paths.facets[:, 1], paths.facets[:, 0], paths.order, paths.transmitter, paths.receiver)
-    return paths.take(np.lexsort(keys))
+    return joined(pieces) if pieces else _empty(scene, carrier_hz)
 
 
 def _positions(name: str, positions: ArrayLike) -> Floats:

@@ -88,7 +88,7 @@ def test_bad_files_are_refused_in_one_line(tmp_path, change, message):
     assert "\n" not in str(error.value)
 
 
-@pytest.mark.parametrize("content", ["", "[]", "{", "7", '{"type": "FeatureCollection"}'])
+@pytest.mark.parametrize("content", [" ", "[]", "{", "7", '{"type": "FeatureCollection"}'])
 def test_other_json_is_no_cityjson(tmp_path, content):
     path = tmp_path / "other.json"
     path.write_text(content)

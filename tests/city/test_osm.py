@@ -48,7 +48,7 @@ def square(x, y, side):
 @pytest.fixture
 def town(tmp_path):
     extract = Extract()
-    extract.way(square(0, 0, 20), building="yes", height="12.5 m")
+    extract.way(square(0, 0, 20), building="yes", height="12.5 m", building_material="bricks")
     extract.way(square(40, 0, 20), building="yes", building_levels="4")
     extract.way(square(80, 0, 20), building="yes")
     outer, inner = extract.way(square(0, 40, 40)), extract.way(square(10, 50, 20))
@@ -56,6 +56,7 @@ def town(tmp_path):
     extract.way(square(80, 40, 20), building="yes", height="6")
     extract.way(square(80, 40, 10), **{"building_part": "yes"}, height="30")
     extract.way([(90, 40), (100, 40), (100, 50), (90, 50)], **{"building_part": "yes"}, height="8", min_height="5")
+    extract.way(square(110, 0, 1), building="yes", height="9")
     extract.way([(-10, -10), (120, -10)], closed=False, highway="residential")
     extract.way([(-10, 30), (120, 30)], closed=False, highway="footway")
     return build_city(MeshCityConfig(path=extract.write(tmp_path / "town.osm")), np.random.default_rng(0))
@@ -73,6 +74,9 @@ def test_heights_holes_and_parts(town):
     assert (6.0, 200.0) in by_height
     assert any("1 outlines" in note for note in town.notes)
     assert any("1 of 7 blocks tell neither" in note for note in town.notes)
+    assert any("6 of 7 blocks tell no known material: concrete" in note for note in town.notes)
+    assert any("1 areas left out" in note for note in town.notes)
+    assert {town.materials[m].name for m in town.facets.material} == {"concrete", "brick", "medium_dry_ground"}
 
 
 def test_local_metres(town):
@@ -106,7 +110,7 @@ def test_streets_are_those_for_cars(town):
 @pytest.mark.parametrize(
     ("content", "says"),
     [
-        (b"", "cannot read"),
+        (b"", "is empty"),
         (b"<osm version='0.6'></osm>", "no building"),
         (b"<osm", "cannot read"),
         (b"\x00\x01", "cannot"),

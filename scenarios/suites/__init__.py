@@ -1,0 +1,46 @@
+"""Fixed suites: scenarios with every value written out, so that results of different hands can be compared.
+
+A suite never changes: what would change its results is another version, under another name.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from importlib.resources import as_file, files
+
+from cellslam.scenarios.loading import load
+from cellslam.scenarios.model import Scenario
+from cellslam.sim.errors import unknown_name
+
+
+@dataclass(frozen=True)
+class Suite:
+    """A suite by its versioned name: scenarios (files beside this one), root seed, trials 0 to `trials` - 1."""
+
+    name: str
+    scenarios: tuple[str, ...]
+    seed: int
+    trials: int
+
+
+SUITES = {
+    "standard-1": Suite("standard-1", ("lund-530", "munich-530", "canyon", "open", "anywhere"), seed=530, trials=20),
+}
+# What a name without a version stands for.
+LATEST = {"standard": "standard-1"}
+
+
+def suite(name: str) -> Suite:
+    """Return the suite of that name, with or without its version. Raises InputError."""
+    known = LATEST.get(name, name)
+    if known not in SUITES:
+        raise unknown_name("suite", name, (*LATEST, *SUITES))
+    return SUITES[known]
+
+
+def scenario_of(one: Suite, name: str) -> Scenario:
+    """Return a scenario of a suite. Raises InputError for one that is not in it."""
+    if name not in one.scenarios:
+        raise unknown_name(f"scenario of {one.name}", name, one.scenarios)
+    with as_file(files("cellslam.scenarios.suites") / one.name / f"{name}.toml") as path:
+        return load(path)
