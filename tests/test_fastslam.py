@@ -9,6 +9,7 @@ import pytest
 from cellslam.sim.recording import Links, OdometryModel, Sites
 from cellslam.slam.api import Setup, Snapshot
 from cellslam.slam.baselines.dead_reckoning import DeadReckoning
+from cellslam.slam.fastslam import filter as filter_module
 from cellslam.slam.fastslam import resampling
 from cellslam.slam.fastslam.assignment import assign
 from cellslam.slam.fastslam.filter import FastSlam
@@ -302,3 +303,39 @@ def test_dead_reckoning_covariance_follows_the_data_sheet():
     assert np.sqrt(estimate.covariance[0, 0]) == pytest.approx(0.01 * 100, rel=1e-3)
     assert np.sqrt(estimate.covariance[1, 1]) == pytest.approx(1e-4 * 100**2 / 2, rel=1e-2)
     assert np.sqrt(estimate.covariance[3, 3]) == pytest.approx(1e-4 * 100, rel=1e-6)
+
+
+def test_room_for_vts_grows_when_needed():
+    """40 VTs in one link: lists of 24 grow, and the filter answers as with room from the start."""
+    rows = [(0, 50.0 + 12.0 * i, -3.0 + 0.15 * i, 0.1) for i in range(40)]
+    answers = []
+    for capacity in (filter_module.CAPACITY, 128):
+        with pytest.MonkeyPatch.context() as patch:
+            patch.setattr(filter_module, "CAPACITY", capacity)
+            f = FastSlam(SMALL.model_copy(update={"vts_per_link": 200}))
+            f.start(make_setup(offset_std=0.0), np.random.default_rng(0))
+            for t in range(6):
+                noisy = [(link, d + 0.1 * np.sin(7 * t + d), a, e) for link, d, a, e in rows]
+                estimate = f.step(0.1 if t else 0.0, np.array([1.0, 0, 0, 0, 0, 0]), make_snapshot(t, noisy))
+            answers.append(estimate)
+    assert len(answers[0].vts.id) == len(rows)
+    assert np.array_equal(answers[0].pose, answers[1].pose)
+    assert np.array_equal(answers[0].vts.position_m, answers[1].vts.position_m)
+
+
+def test_the_cap_on_vts_holds():
+    f = FastSlam(SMALL.model_copy(update={"vts_per_link": 10}))
+    f.start(make_setup(offset_std=0.0), np.random.default_rng(0))
+    rows = [(0, 50.0 + 12.0 * i, -3.0 + 0.15 * i, 0.1) for i in range(40)]
+    for t in range(4):
+        estimate = f.step(0.1 if t else 0.0, np.zeros(6), make_snapshot(t, rows))
+    assert f._particles.order.shape[2] == 10
+    assert len(estimate.vts.id) <= 10
+
+
+def test_a_component_that_is_missing_leaves_the_rest_its_weight():
+    """The score of distance and azimuth alone: their Gaussian against clutter of that density per (m rad)."""
+    z = np.array([[300.0, 0.2, np.nan]])
+    single, _ = pack(z, np.full((1, 3), 0.1), np.full((1, 3), 0.1), np.array([np.log(1.5)]), np.zeros(1))
+    assert single[0, 11] == pytest.approx(0.5 * np.log(2 * np.pi) - np.log(1.5), rel=1e-6)
+    assert list(single[0, 8:11]) == [1.0, 1.0, 0.0]

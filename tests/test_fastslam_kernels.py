@@ -36,8 +36,8 @@ from cellslam.slam.fastslam.layout import (
     W_MASK,
     W_P,
     W_POSE,
-    W_ROWS,
     W_ROT,
+    W_ROWS,
     W_SCALE,
     scratch_rows,
 )

@@ -1,7 +1,7 @@
 """Compiled: one snapshot for every block of particles: move, associate, update, weigh, give birth, drop.
 
-Parallel over blocks, each thread with scratch of its own; no block reads another, so the result does not depend on the number of
-threads.
+Parallel over blocks, each thread with scratch of its own; no block reads another, so the result does not depend on the
+number of threads.
 """
 
 from __future__ import annotations
@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import get_thread_id, njit, prange
+from numba import get_thread_id, njit, prange  # type: ignore[attr-defined]
 
 from cellslam.slam.fastslam.assignment import assign
 from cellslam.slam.fastslam.layout import (
@@ -370,7 +370,8 @@ def _take_best(w, scores, claims, found, k, mine):
 def _credit(w, v, out, lack, share):
     """Add what the association at hand is worth, where W_MASK is 1: the fit e^T S^-1 e, and `share` of all the rest.
 
-    `lack`: see `measurement_kernel.pack`. The links of a site see the same VT come and go, so that each counts for its share only.
+    `lack`: see `measurement_kernel.pack`. The links of a site see the same VT come and go, so that each counts for its
+    share only.
     """
     F = w.dtype.type
     half, part, rest = F(0.5), F(share), F(lack - LOG_2PI_3)
@@ -392,7 +393,25 @@ def _mask(w, row_of, q):
 
 @njit(cache=True, error_model="numpy")
 def _update(
-    w, bits, v, now, status, alike, records, ident, near, found, rows, row_of, claims, z, first, last, cfg, share, association
+    w,
+    bits,
+    v,
+    now,
+    status,
+    alike,
+    records,
+    ident,
+    near,
+    found,
+    rows,
+    row_of,
+    claims,
+    z,
+    first,
+    last,
+    cfg,
+    share,
+    association,
 ):
     """Update every associated track; return the number of associations, lanes counted once."""
     updates = 0
@@ -718,15 +737,16 @@ def update(
     floats,
     ints,
 ):
-    """Move by velocity (G, 6, LANES) for dt, then use one snapshot, in every block: G blocks, L links, C tracks a link, M measurements.
+    """Move by velocity (G, 6, LANES) for dt, then use one snapshot, in every block: G blocks, L links, C tracks a link,
+    M measurements.
 
-    state (G, F LANES), status (G, L, C, LANES), alike (G, L, C), records (G, L, C, RECORD LANES), ident, order (G, L, C), counts (G,
-    L), bounds (G, L, C, 7),
-    travelled (G, S + 1), log_weight (G, LANES): written. first (L + 1,): first measurement of each link; shares (L,):
-    weight of a link's evidence on which VTs there are; z, z_many (M, 15): see `measurement_kernel.pack`; born: number of the
-    first measurement; tables (2, 2, ages): log of visible-and-detected and of missed, for VTs seen once and others;
-    cfg: log clutter density, gate, log-weight of a birth, slack of the distance test, hits to confirm, ages to drop
-    at (2), likelihood exponent. association (G, M, LANES) is written; the rest is scratch, one a thread.
+    state (G, F LANES), status (G, L, C, LANES), alike (G, L, C), records (G, L, C, RECORD LANES), ident, order (G, L,
+    C), counts (G, L), bounds (G, L, C, 7), travelled (G, S + 1), log_weight (G, LANES): written. first (L + 1,): first
+    measurement of each link; shares (L,): weight of a link's evidence on which VTs there are; z, z_many (M, 15): see
+    `measurement_kernel.pack`; born: number of the first measurement; tables (2, 2, ages): log of visible-and-detected
+    and of missed, for VTs seen once and others; cfg: log clutter density, gate, log-weight of a birth, slack of the
+    distance test, hits to confirm, ages to drop at (2), likelihood exponent. association (G, M, LANES) is written;
+    the rest is scratch, one a thread.
     """
     for g in prange(state.shape[0]):
         t = get_thread_id()

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from typing import Any, ClassVar
 
+import numba
 import numpy as np
-from numba import config
 
 from cellslam.sim.frames import wrap_angle
 from cellslam.sim.recording import Floats, Ints
@@ -15,9 +15,11 @@ from cellslam.slam.fastslam.block_kernel import update
 from cellslam.slam.fastslam.layout import BIAS, LANES, OUT, POSE, SCALE, W_ROWS, scratch_rows
 from cellslam.slam.fastslam.measurement_kernel import pack
 from cellslam.slam.fastslam.options import FastSlamOptions
-from cellslam.slam.fastslam.particles import Particles, draw, select
+from cellslam.slam.fastslam.particles import Particles, draw, select, widened
 from cellslam.slam.fastslam.summary import belief, map_of
 from cellslam.slam.front_end import existence, first_of_link, ports_of, readings
+
+CAPACITY = 24  # tracks a link that there is room for at the start; doubled when needed
 
 
 class FastSlam:
@@ -48,7 +50,7 @@ class FastSlam:
         self._port_of = ports_of(self._site_of, setup.links.port)
         self._shares = 1.0 / np.bincount(self._site_of)[self._site_of] ** o.link_correlation
         count = o.particles_start or o.particles
-        self._particles: Particles = draw(setup, count, o.offset_component_std_m, o.vts_per_link, rng)
+        self._particles: Particles = draw(setup, count, o.offset_component_std_m, min(o.vts_per_link, CAPACITY), rng)
         self._origin = np.array(setup.start_pose[:3], float)
         self._particles.rows(POSE, 3)[:] -= self._origin[:, None]
         self._time_s = 0.0
@@ -82,7 +84,7 @@ class FastSlam:
         return velocity
 
     def _update(self, dt_s: float, odometry: Floats, snapshot: Snapshot) -> Ints:
-        p, o = self._particles, self.options
+        o = self.options
         first = first_of_link(snapshot, len(self._setup.links))
         values = readings(snapshot, self._site_of, self._port_of, o, odometry[3] * dt_s, odometry[0] * dt_s)
         log_tables, age_once, age_twice = self._existence(dt_s)
@@ -90,14 +92,16 @@ class FastSlam:
             np.log(o.clutter_density), o.gate, -np.log1p(-o.birth_ratio), 3.0, o.confirm_hits, age_once, age_twice,
             o.likelihood_exponent,
         ])  # fmt: skip
-        self._reserve(int(np.diff(first).max()), len(snapshot))
-        association = self._association
+        self._reserve(np.diff(first))
+        p, association = self._particles, self._association
         association[:, : len(snapshot)] = -1
-        update(
-            self._now, float(dt_s), self._velocity(dt_s, odometry), p.state, p.status, p.alike, p.records, p.ident, p.order, p.counts, p.bounds, p.travelled, first,
-            self._site_of, self._shares,
-            *pack(values.z, values.single, values.many, values.gap, values.lack), self._born, log_tables, parameters, p.log_weight, association,
-            self._scratch[0], self._scratch[0].view(np.int32), *self._scratch[1:],
+        tables = pack(values.z, values.single, values.many, values.gap, values.lack)
+        velocity = self._velocity(dt_s, odometry)
+        run: Any = update
+        run(
+            self._now, float(dt_s), velocity, p.state, p.status, p.alike, p.records, p.ident, p.order, p.counts,
+            p.bounds, p.travelled, first, self._site_of, self._shares, *tables, self._born, log_tables, parameters,
+            p.log_weight, association, self._scratch[0], self._scratch[0].view(np.int32), *self._scratch[1:],
         )  # fmt: skip
         return association
 
@@ -107,24 +111,29 @@ class FastSlam:
         result: tuple[Floats, int, int] = self._tables[1]
         return result
 
-    def _reserve(self, measurements: int, total: int) -> None:
-        """Keep scratch for each thread, wide enough for a link with `measurements` measurements and a snapshot with
-        `total`."""
-        g, c, threads = len(self._particles.state), self.options.vts_per_link, config.NUMBA_NUM_THREADS
-        if self._association.shape[0] != g or self._association.shape[1] < total:
-            self._association = np.empty((g, 2 * total, LANES), np.int64)
-        if self._scratch and self._scratch[4].shape[2] >= measurements:
-            return
-        m = max(2 * measurements, 16)
+    def _reserve(self, measured: Ints) -> None:
+        """Make room for a snapshot with so many measurements in each link (L,): for births, and scratch a thread."""
+        o, p = self.options, self._particles
+        most, total, capacity = int(measured.max()), int(measured.sum()), p.order.shape[2]
+        if capacity < o.vts_per_link and int((p.counts + measured).max()) > capacity:
+            capacity = min(2 * capacity, o.vts_per_link)
+            self._particles = widened(p, capacity)
+            self._scratch = ()
+        if self._association.shape[0] != len(p.state) or self._association.shape[1] < total:
+            self._association = np.empty((len(p.state), 2 * total, LANES), np.int64)
+        if not self._scratch or self._scratch[4].shape[2] < most:
+            self._scratch = self._new_scratch(capacity, max(2 * most, 16))
+
+    def _new_scratch(self, c: int, m: int) -> tuple[Any, ...]:
+        """Return scratch for each thread, for links of `c` tracks and `m` measurements."""
+        threads = int(numba.config.NUMBA_NUM_THREADS)  # type: ignore[attr-defined]
         w = np.zeros((threads, W_ROWS * LANES), np.float32)
         v = np.zeros((threads, scratch_rows(self._particles.nuisances) * LANES))
         near, rows = np.empty((threads, c), np.int64), np.empty((threads, c, OUT * LANES), np.float32)
         scores = np.empty((threads, c, m, LANES), np.float32)
         claims, row_of = np.empty((threads, c, m), np.bool_), np.empty((threads, m, LANES), np.int32)
         table, column, work = np.empty((threads, c, m)), np.empty((threads, m), np.int64), (threads, 4 * (c + m + 2))
-        self._scratch = (
-            w, v, near, rows, scores, claims, row_of, table, column, np.empty(work), np.empty(work, np.int64),
-        )  # fmt: skip
+        return w, v, near, rows, scores, claims, row_of, table, column, np.empty(work), np.empty(work, np.int64)
 
     def _conclude(self, association: Ints) -> Estimate:
         p, o = self._particles, self.options

@@ -14,9 +14,9 @@ cosines and
 sines, which an update turns by its small correction: no trigonometric function is called in the steady state.
 
 The kernels work in few flat arrays at constant offsets. That is what lets the compiler prove that rows do not overlap,
-and use the widest vectors of the machine. Records, predictions and W are in single precision, coordinates taken from the
-start of the drive: rounding stays below 0.1 mm and 1e-6 rad, and half as many bytes move. Poses, nuisances and weights
-are in double precision.
+and use the widest vectors of the machine. Records, predictions and W are in single precision, coordinates taken from
+the start of the drive: a number is rounded to 0.1 mm and 1e-7 rad, and half as many bytes move. Poses, nuisances and
+weights are in double precision.
 """
 
 LANES = 32

@@ -38,7 +38,9 @@ class FastSlamOptions(FrontEndOptions):
         le=1,
         description="1: the links of a site see the same VTs come and go, and count once; 0: each for itself",
     )
-    vts_per_link: int = Field(24, ge=1, le=4096, description="VTs kept per particle and link")
+    vts_per_link: int = Field(
+        4096, ge=1, le=65536, description="VTs kept per particle and link at most; then the least certain makes room"
+    )
     likelihood_exponent: float = Field(
         1.0, gt=0, le=1, description="tempering: the weights take the likelihood to this power"
     )

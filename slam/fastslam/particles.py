@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,13 +22,12 @@ class Particles:
     """State of N = 32 G particles with K = S + 2 nuisances (offsets, yaw-rate bias, odometer scale), C tracks a link.
 
     state (G, F * 32) and records (G, L, C, 27 * 32): rows of `layout`; status (G, L, C, 32): -1 where a particle does
-    not believe in a
-    track, else 4 * snapshot last seen + class; alike (G, L, C): that of all 32 lanes, or UNKNOWN; ident (G, L, C): measurement that the track was born from; order (G,
-    L, C): a
-    permutation, its first counts[g, l] are in use; bounds (G, L, C, 7): what the track could show
-    when last predicted (least and greatest distance, travelled, azimuth in the world frame, give or take, turned,
-    least distance from a particle); travelled (G, S + 1): how far the particles and a site's offset have moved, m, and
-    how far directions have turned, rad; log_weight (G, 32).
+    not believe in a track, else 4 * snapshot last seen + class; alike (G, L, C): that of all 32 lanes, or UNKNOWN;
+    ident (G, L, C): measurement that the track was born from; order (G, L, C): a permutation, its first counts[g, l]
+    are in use; bounds (G, L, C, 7): what the track could show when last predicted (least and greatest distance,
+    travelled, azimuth in the world frame, give or take, turned, least distance from a particle); travelled (G, S + 1):
+    how far the particles and a site's offset have moved, m, and how far directions have turned, rad; log_weight
+    (G, 32).
     """
 
     state: Floats
@@ -106,6 +105,16 @@ def _empty(blocks: int, size: int, links: int, capacity: int) -> Particles:
     )
 
 
+def widened(particles: Particles, capacity: int) -> Particles:
+    """Return the same particles with room for `capacity` tracks a link."""
+    p = particles
+    blocks, links, old = p.order.shape
+    wide = _empty(blocks, p.nuisances, links, capacity)
+    for name in ("status", "alike", "records", "ident", "order", "bounds"):
+        getattr(wide, name)[:, :, :old] = getattr(p, name)
+    return replace(wide, state=p.state, counts=p.counts, travelled=p.travelled, log_weight=p.log_weight)
+
+
 def quasi_random(count: int, dimensions: int, rng: np.random.Generator) -> Floats:
     """Return `count` points (count, dimensions) in the open unit cube: Roberts' R-sequence, randomly shifted.
 
@@ -170,7 +179,8 @@ def _carry_out(
         move_between(
             np.array(between, np.int64), source.state, source.status, source.records, source.ident, source.order,
             source.counts,
-            target.state, target.status, target.alike, target.records, target.ident, target.order, target.counts, target.bounds,
+            target.state, target.status, target.alike, target.records, target.ident, target.order, target.counts,
+            target.bounds,
         )  # fmt: skip
 
 
