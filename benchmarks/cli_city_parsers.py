@@ -5,6 +5,8 @@ from __future__ import annotations
 import argparse
 from collections.abc import Callable
 
+from cellslam.benchmarks.cli_front_end_parsers import add_front_end
+
 Add = Callable[[str, str, str], argparse.ArgumentParser]
 
 MESH_HELP = "mesh, CityJSON, OpenStreetMap or Mitsuba file, sionna-rt:NAME, a preset's name, or a scenario's .toml"
@@ -49,7 +51,8 @@ def _add_trace(parser: argparse.ArgumentParser) -> None:
 
 
 def add_bench(add: Add) -> None:
-    """Add `rays`; `add(name, target, summary)` makes a sub-command's parser."""
+    """Add `rays`, `front-end` and `calibrate`; `add(name, target, summary)` makes a sub-command's parser."""
+    add_front_end(add)
     rays = add("rays", "cli_bench_rays:rays", "time the ray tracer, beside Sionna RT and DiffeRT where installed")
     rays.add_argument("--mesh", metavar="FILE", default="sionna-rt:munich", help="city (default: sionna-rt:munich)")
     rays.add_argument(

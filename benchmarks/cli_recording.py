@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 from cellslam.benchmarks import trials
 from cellslam.benchmarks.bars import bars
 from cellslam.benchmarks.cli import DONE
-from cellslam.benchmarks.cli_run import Job, report, work_off
+from cellslam.benchmarks.cli_run import Job, note_left_out, report, work_off
 from cellslam.benchmarks.output import Folder, check_file, check_folder
 from cellslam.scenarios.loading import from_tables, load
 from cellslam.scenarios.options import resolve, with_options
@@ -60,6 +60,7 @@ def replay(arguments: Namespace) -> int:
     trials.check_counts(1, seed)
     tables = apply({"estimator": origin.options}, overrides)["estimator"]
     requests = resolve(tables, arguments.estimators or trials.DEFAULT_ESTIMATORS, overrides)
+    note_left_out(arguments)
     out = Path(arguments.out or f"results/replay-{path.stem}")
     check_folder(out)
     scenario = with_options(origin.scenario, requests) if origin.scenario is not None else None

@@ -19,6 +19,7 @@ from cellslam.benchmarks.trials import DEFAULT_ESTIMATORS, Trial, check_counts, 
 from cellslam.scenarios.loading import load
 from cellslam.scenarios.options import Request, resolve, with_options
 from cellslam.scenarios.overrides import parse_all
+from cellslam.slam import registry
 
 if TYPE_CHECKING:
     from cellslam.scenarios.model import Scenario
@@ -58,6 +59,7 @@ def run(arguments: Namespace) -> int:
     scenario = load(arguments.scenario, overrides)
     check_counts(arguments.trials, arguments.seed)
     requests = resolve(scenario.estimator, arguments.estimators or DEFAULT_ESTIMATORS, overrides)
+    note_left_out(arguments)
     out = Path(arguments.out or f"results/{scenario.name}-{arguments.seed}")
     check_folder(out)
     folder = Folder(out, several=arguments.trials > 1)
@@ -66,6 +68,15 @@ def run(arguments: Namespace) -> int:
         trials = simulated_trials(scenario, requests, arguments.trials, arguments.seed, progress)
         interrupted = work_off(job, trials, progress)
     return report(job, interrupted)
+
+
+def note_left_out(arguments: Namespace) -> None:
+    """Say which estimators `all` does not stand for, unless they are asked for by name."""
+    asked = arguments.estimators or ()
+    if registry.ALL in asked and not arguments.quiet:
+        for name, why in registry.left_out().items():
+            if name not in asked:
+                sys.stderr.write(f"left out of all: {name} ({why})\n")
 
 
 def work_off(job: Job, trials: Iterator[Trial], progress: Progress) -> bool:

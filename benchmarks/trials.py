@@ -185,6 +185,8 @@ def _row(recording: Recording, scenario: str, estimator: str, trial: int, seed: 
 def explained(error: BaseException) -> str:
     """Return an error as one line: what, in which snapshot, and where in the code that raised it."""
     text = " ".join(str(error).split())
+    if isinstance(error, InputError):
+        return text
     line = text if isinstance(error, BadAnswerError) else f"{type(error).__name__}: {text}".removesuffix(": ")
     notes = "".join(f", {note}" for note in getattr(error, "__notes__", ()))
     frames = [] if isinstance(error, BadAnswerError) else traceback.extract_tb(error.__traceback__)[-1:]

@@ -32,12 +32,13 @@ class Request:
 
 
 def resolve(tables: Tables, names: Sequence[str], overrides: Iterable[str] = ()) -> tuple[Request, ...]:
-    """Return the requests for estimators `names`, each once, in their order.
+    """Return the requests for estimators `names`, each once, in their order; `all` stands for every one that is known.
 
-    `tables` are a scenario's options by estimator; `overrides` are the dotted keys that the user set: they
-    are validated also for estimators not in `names`. Raises InputError for an unknown estimator or option,
-    or a value out of range.
+    An estimator whose own code fails when it is loaded is a request too: it raises when it is run. `tables` are a
+    scenario's options by estimator; `overrides` are the dotted keys that the user set: they are validated also for
+    estimators not in `names`. Raises InputError for an unknown estimator or option, or a value out of range.
     """
+    names = registry.expanded(names)
     known = {*registry.names(), *names}
     for name in tables:
         if name not in known and ":" not in name:
@@ -62,10 +63,24 @@ def option_keys() -> list[str]:
 
 
 def _request(tables: Tables, name: str) -> Request:
-    estimator = registry.resolve(name)
+    try:
+        estimator = registry.resolve(name)
+    except registry.BrokenPluginError as error:
+        return Request(name, broken(error), None)
     model, table = registry.options_model(estimator), tables.get(name, {})
     if model is None:
         if table:
             raise InputError(f"unknown key 'estimator.{name}.{next(iter(table))}': estimator '{name}' has no options")
         return Request(name, estimator, None)
     return Request(name, estimator, validate(model, table, f"estimator.{name}."))
+
+
+def broken(reason: registry.BrokenPluginError) -> type[Any]:
+    """Return a class in the place of an estimator that cannot be loaded: making one raises the reason."""
+
+    class Broken:
+        def __init__(self, options: Any) -> None:
+            del options
+            raise reason
+
+    return Broken

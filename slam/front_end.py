@@ -2,8 +2,9 @@
 
 Three kinds of error of a measurement, as `sim.lte` makes them:
 
-    white     Q = Q_floor + Q_0 / lambda, lambda the linear SNR (paper, section IV, corrected: more SNR, less variance)
-    of place    diffuse energy: changes over a fraction of a metre, the same for the links of one port of a site
+    white         Q = Q_floor + Q_0 / lambda, lambda the linear SNR (paper, section IV, corrected: more SNR,
+                  less variance)
+    of place      diffuse energy: changes over a fraction of a metre, the same for the links of one port of a site
     of direction  calibration of the array, scattering by the roof: functions of the direction of arrival in the body
                 frame, the same for all links that see a VT, and they change only as the direction changes
 

@@ -4,8 +4,11 @@ from __future__ import annotations
 
 import importlib
 import sys
+import traceback
+from collections.abc import Iterable
 from dataclasses import dataclass
 from importlib.metadata import entry_points
+from importlib.util import find_spec
 from pathlib import Path
 from types import ModuleType
 from typing import Any
@@ -13,15 +16,27 @@ from typing import Any
 from cellslam.sim.errors import InputError, unknown_name
 
 ENTRY_POINT_GROUP = "cellslam.estimators"
+ALL = "all"
+
+
+class BrokenPluginError(InputError):
+    """An estimator's own code fails when it is loaded: the fault of its author, not of the request."""
 
 
 @dataclass(frozen=True)
 class Listed:
-    """An estimator that can be asked for: its name, where its class is, and one line about it."""
+    """An estimator that can be asked for: its name, where its class is, and one line about it.
+
+    `needs`: a module that an extra of this name installs. `slow`: below five times real time on lund-530 with two
+    cores, and left out of `all`. `foreign`: from another package.
+    """
 
     name: str
     target: str
     summary: str
+    needs: str = ""
+    slow: bool = False
+    foreign: bool = False
 
 
 BUILT_IN = (
@@ -46,6 +61,22 @@ BUILT_IN = (
         "the paper's FastSLAM as printed: bare Mahalanobis association, no clutter, clock offsets given or ignored",
     ),
     Listed(
+        "bp-slam",
+        "cellslam.slam.baselines.bp_slam:BpSlam",
+        "belief propagation: probabilistic association and existence of features, Gaussian-mixture messages",
+    ),
+    Listed(
+        "channel-slam",
+        "cellslam.slam.baselines.channel_slam.filter:ChannelSlam",
+        "delays alone: a filter for each transmitter within each particle of the vehicle",
+    ),
+    Listed(
+        "smoother",
+        "cellslam.slam.baselines.smoother.filter:Smoother",
+        "factor graph over the whole drive with FastSLAM's associations; not causal",
+        needs="gtsam",
+    ),
+    Listed(
         "oracle-association",
         "cellslam.slam.baselines.oracles:KnownAssociation",
         "EKF-SLAM that is told the true associations (oracle)",
@@ -63,7 +94,7 @@ def listing() -> tuple[Listed, ...]:
     known = {entry.name: entry for entry in BUILT_IN}
     for point in sorted(entry_points(group=ENTRY_POINT_GROUP), key=lambda p: p.name):
         package = point.dist.name if point.dist else point.module
-        known.setdefault(point.name, Listed(point.name, point.value, f"from the package {package}"))
+        known.setdefault(point.name, Listed(point.name, point.value, f"from the package {package}", foreign=True))
     return tuple(known.values())
 
 
@@ -72,11 +103,29 @@ def names() -> tuple[str, ...]:
     return tuple(entry.name for entry in listing())
 
 
+def expanded(asked: Iterable[str]) -> tuple[str, ...]:
+    """Return the names that were asked for, each once, `all` replaced by every known estimator that is fast enough."""
+    every = [name for one in asked for name in ((n for n in names() if n not in left_out()) if one == ALL else (one,))]
+    return tuple(dict.fromkeys(every))
+
+
+def left_out() -> dict[str, str]:
+    """Return the estimators that `all` leaves out, and why."""
+    out = {}
+    for entry in BUILT_IN:
+        if entry.slow:
+            out[entry.name] = "slower than 5 x real time"
+        elif entry.needs and find_spec(entry.needs) is None:
+            out[entry.name] = f"needs {entry.needs}: pip install 'cellslam[{entry.needs}]'"
+    return out
+
+
 def resolve(name: str) -> type[Any]:
     """Return the estimator class called `name`: a known name, or `module:Class`.
 
     For `module:Class` the current directory is appended to the import path, last. Raises InputError for an
-    unknown name, a module that cannot be imported, or a class without `start` and `step`.
+    unknown name, module or class, and BrokenPluginError for a module that raises when it is imported, or what an
+    installed package offers without being an estimator.
     """
     if ":" in name:
         here = str(Path.cwd())
@@ -85,7 +134,10 @@ def resolve(name: str) -> type[Any]:
         return _load(name, name)
     for entry in listing():
         if entry.name == name:
-            return _load(name, entry.target)
+            try:
+                return _load(name, entry.target)
+            except InputError as error:
+                raise BrokenPluginError(str(error)) from error
     raise _unknown(name)
 
 
@@ -114,13 +166,15 @@ def _load(name: str, target: str) -> type[Any]:
 def _import(name: str, module: str) -> ModuleType:
     try:
         return importlib.import_module(module)
-    except Exception as error:
+    except (Exception, SystemExit) as error:
         missing = error.name if isinstance(error, ModuleNotFoundError) else None
         if missing is not None and f"{module}.".startswith(f"{missing}."):
             text = f"there is no module '{missing}' in {Path.cwd()} or among the installed packages"
-        else:
-            text = f"its module cannot be imported: {type(error).__name__}: {' '.join(str(error).split())}"
-        raise InputError(f"estimator '{name}': {text}") from error
+            raise InputError(f"estimator '{name}': {text}") from error
+        where = traceback.extract_tb(error.__traceback__)[-1]
+        text = f"its module cannot be imported: {type(error).__name__}: {' '.join(str(error).split())}"
+        place = f"{Path(where.filename).name}, line {where.lineno}"
+        raise BrokenPluginError(f"estimator '{name}': {text} ({place})") from error
 
 
 def _unknown(name: str) -> InputError:

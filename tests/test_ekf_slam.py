@@ -21,12 +21,13 @@ from cellslam.sim.recording import Recording
 from cellslam.slam.api import Setup, setup_of
 from cellslam.slam.baselines.ekf_slam.bank import Core, new_bank
 from cellslam.slam.baselines.ekf_slam.filter import EkfSlam
-from cellslam.slam.baselines.ekf_slam.filter_kernel import _remove, _update
 from cellslam.slam.baselines.ekf_slam.fusion import fuse, join, root_of
 from cellslam.slam.baselines.ekf_slam.layout import BY_POSE, BY_VT, FREE, GEOMETRY, PREDICTED
+from cellslam.slam.baselines.ekf_slam.map_kernel import remove
 from cellslam.slam.baselines.ekf_slam.motion_kernel import rotations
 from cellslam.slam.baselines.ekf_slam.options import EkfSlamOptions
 from cellslam.slam.baselines.ekf_slam.start import components
+from cellslam.slam.baselines.ekf_slam.update_kernel import update
 from cellslam.slam.baselines.ekf_slam.vt_kernel import give_birth, predict
 from cellslam.slam.baselines.oracles import KnownAssociation, KnownMap
 from cellslam.slam.conformance import EstimatorConformance
@@ -37,6 +38,10 @@ from cellslam.slam.model import predict as model_predict
 WHITE = {
     "radio.calibration_correlation_deg": 0.0, "radio.roof_correlation_deg": 0.0, "radio.diffuse_correlation_m": 0.0,
     "radio.attitude_correlation_s": 0.0,
+}  # fmt: skip
+AS_CLAIMED: dict[str, Any] = {
+    "noise_model": "claimed", "place_m": 0.0, "place_azimuth_deg": 0.0, "place_elevation_deg": 0.0,
+    "direction_m": 0.0, "direction_azimuth_deg": 0.0, "direction_elevation_deg": 0.0,
 }  # fmt: skip
 POSE = np.array([3.0, -2.0, 1.5, 0.7, 0.1, -0.2])
 
@@ -115,7 +120,7 @@ def test_update_is_the_textbook_kalman_update() -> None:
     mean, cov = x + gain @ e, p - gain @ s @ gain.T
     value = -0.5 * (e @ np.linalg.solve(s, e) + np.log(np.linalg.det(2.0 * np.pi * s)))
     g, t = np.zeros(GEOMETRY), np.zeros((3, 13))
-    got = _update(g, x, p, 13, anchor, 6, 7, True, z, q, np.zeros(3), np.zeros((3, 3)), t)
+    got = update(g, x, p, 13, anchor, 6, 7, True, z, q, np.zeros(3), np.zeros((3, 3)), t)
     np.testing.assert_allclose(got, value, rtol=1e-9)
     np.testing.assert_allclose(x, mean, rtol=1e-9, atol=1e-12)
     np.testing.assert_allclose(p, cov, rtol=1e-7, atol=1e-12)
@@ -127,9 +132,9 @@ def test_dropping_a_vt_marginalises_it() -> None:
     p = p @ p.T
     kept = np.array([0, 1, 2, 3, 4, 5, 6, 13, 14, 15, 10, 11, 12])
     mean, cov = x[kept], p[np.ix_(kept, kept)]
-    slots, anchor = np.arange(12, dtype=np.int64).reshape(3, 4), rng.normal(size=(3, 3))
+    slots, anchor = np.arange(12, dtype=np.int64).reshape(3, 4), rng.normal(size=(3, 4))
     left = anchor[[2, 1]]
-    assert _remove(x, p, 7, anchor, slots, 3, 0) == 2
+    assert remove(x, p, 7, anchor, slots, 3, 0) == 2
     np.testing.assert_array_equal(x[:13], mean)
     np.testing.assert_array_equal(p[:13, :13], cov)
     np.testing.assert_array_equal(anchor[:2], left)
@@ -237,7 +242,7 @@ def answer(recording: Recording, name: str, **options: Any) -> TrialResult:
 def test_reaches_the_bound_where_errors_are_white(white_drive: Recording) -> None:
     limit = bound(white_drive)
     for name in ("ekf-slam", "oracle-association"):
-        result = answer(white_drive, name, angle_scale=1.0)
+        result = answer(white_drive, name, **AS_CLAIMED)
         scores = score(white_drive, result, limit)
         assert scores["position_rmse_m"] < 3.0 * limit.position_rmse_m
         assert scores["association_precision"] > 0.98
@@ -247,7 +252,7 @@ def test_reaches_the_bound_where_errors_are_white(white_drive: Recording) -> Non
 
 def test_known_map_is_better_than_none(white_drive: Recording) -> None:
     limit = bound(white_drive)
-    known = score(white_drive, answer(white_drive, "oracle-map", angle_scale=1.0), limit)
+    known = score(white_drive, answer(white_drive, "oracle-map", **AS_CLAIMED), limit)
     assert known["position_rmse_m"] < 2.0 * limit.position_rmse_m
     assert known["map_gospa_m"] is None
     assert known["clock_offset_rmse_m"] < 0.5

@@ -115,6 +115,26 @@ def test_polarisation_is_a_right_handed_frame(azimuth: float) -> None:
     np.testing.assert_allclose(np.cross(h, v), towards, atol=1e-12)
 
 
-def test_a_port_without_signal_in_the_symbol_is_refused() -> None:
-    with pytest.raises(InputError, match="antenna port 2"):
-        receive([PortSignal(375, 2, one_path())], Impairments(0.0))
+def test_ports_2_and_3_send_in_the_second_symbol() -> None:
+    signals = [PortSignal(375, port, one_path(300.0, level)) for port, level in ((0, 0.8), (2, 1.0), (3, 0.5))]
+    rng = np.random.default_rng(1)
+    received = received_symbol(
+        ARRAY, TIMES, SLOTS, STILL, signals, Impairments(noise_mw=0.0), BLOCKS, CARRIER_HZ, rng, symbol=1
+    )
+    for signal in signals[1:]:
+        got = reference_response(received, 375, signal.port, SLOTS, BLOCKS)
+        # v = 3 (n_s mod 2) + 3 (p - 2); 375 mod 6 = 3: the elements of a port move by three from slot to slot.
+        for row, slot in enumerate(SLOTS):
+            first = (3 * (slot % 2) + 3 * (signal.port - 2) + 3) % 6
+            tones = TONES[first + 6 * np.arange(2 * BLOCKS)]
+            expected = frequency_response(ARRAY, tones, TIMES, STILL, signal, CARRIER_HZ)
+            np.testing.assert_allclose(got[row], expected[row], atol=1e-12)
+
+
+@pytest.mark.parametrize(("port", "symbol"), [(2, 0), (0, 1), (0, 4)])
+def test_a_port_without_signal_in_the_symbol_is_refused(port: int, symbol: int) -> None:
+    with pytest.raises(InputError, match=f"antenna port {port} of cell 375 has no reference signal in symbol {symbol}"):
+        received_symbol(
+            ARRAY, TIMES, SLOTS, STILL, [PortSignal(375, port, one_path())], Impairments(0.0), BLOCKS, CARRIER_HZ,
+            np.random.default_rng(1), symbol,
+        )  # fmt: skip

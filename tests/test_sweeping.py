@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
 import os
 import random
@@ -9,6 +10,7 @@ import signal
 import sqlite3
 import subprocess
 import sys
+import threading
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -261,24 +263,33 @@ def test_dask_gives_the_same_rows_though_a_worker_is_killed(place: Path, undistu
     )
     made = tasks.plan(points, 6, 0)
     few = tasks.Plan((tasks.plan(points, 1, 9).tasks[0],), made.worlds, made.options)
-    limits = Limits(60, 2**31)
-    killed: list[int] = []
-    with executors.executor("dask", 2, limits) as local, writing(place / "out", "test", {}) as store:
+    plain = tasks.Plan(tuple(dataclasses.replace(t, jobs=t.jobs[:2]) for t in made.tasks), made.worlds, made.options)
+    limits, draw, killed = Limits(60, 2**31), random.Random(7), 0
+    with executors.executor("dask", 2, limits) as local:
         assert isinstance(local, executors.Dask)
 
-        def heard(*_: Any) -> None:
-            if not killed:
-                killed.append(next(iter(local.client.run(os.getpid).values())))
-                os.kill(killed[0], signal.SIGKILL)
+        def kill() -> None:
+            nanny = draw.choice(list(local.client.cluster.workers.values()))
+            with contextlib.suppress(ProcessLookupError, TypeError):
+                os.kill(nanny.pid, signal.SIGKILL)
 
-        plain = tasks.Plan(
-            tuple(dataclasses.replace(t, jobs=t.jobs[:2]) for t in made.tasks), made.worlds, made.options
-        )
-        sweeping.carry_out(plain, store, local, heard)
-        assert killed
-        assert rows("out") == undisturbed
+        def heard(*_: Any) -> None:
+            # At a random moment after some row, the first included.
+            nonlocal killed
+            if killed < KILLS // 2 and (killed % 2 == 0 or draw.random() < 0.3):
+                killed += 1
+                threading.Timer(draw.uniform(0.0, 0.5), kill).start()
+
+        while killed < KILLS // 2:
+            out = place / f"out{killed}"
+            with writing(out, "test", {}) as store:
+                sweeping.carry_out(plain, store, local, heard)
+                # A job that was hit twice is a failed row; nothing else may differ.
+                sweeping.carry_out(sweeping.pending(plain, store, True), store, local, lambda *_: None)
+            assert rows(out) == undisturbed
         # An estimator that ends the process, on a cluster that runs already.
-        with executors.executor("dask", 2, limits, local.client.scheduler.address) as running:
+        address = local.client.scheduler.address
+        with executors.executor("dask", 2, limits, address) as running, writing(place / "out", "test", {}) as store:
             sweeping.carry_out(few, store, running, lambda *_: None)
     others = {row["estimator"]: row for row in rows("out") if row["seed"] == 9}
     assert [others[name]["status"] for name in ("misfits:Slow", "dead-reckoning", "misfits:Exits")] == [

@@ -17,7 +17,7 @@ from cellslam.benchmarks.recordings.fit_tracks import QUANTITIES, Tracks, predic
 from cellslam.sim.errors import InputError
 from cellslam.sim.frames import wrap_angle
 from cellslam.sim.progress import Progress, silent
-from cellslam.sim.recording import COMPONENTS, Floats, Recording
+from cellslam.sim.recording import COMPONENTS, Floats, Ints, Recording
 
 LEAST_TRIPLES, LEAST_TRACKS, BINS = 100, 5, 8
 LAGS = (1, 2, 4, 8, 16)
@@ -78,7 +78,7 @@ def _in_unit(name: str, value: float) -> float:
     return value if name == "distance_m" else float(np.degrees(value))
 
 
-def _triples(tracks: Tracks) -> tuple[Floats, Floats]:
+def _triples(tracks: Tracks) -> tuple[Ints, Floats]:
     """Return pairs of steps of one snapshot each that follow one another: their middle rows and second differences (n, 3)."""
     steps = tracks.steps
     single = np.flatnonzero((steps.lag == 1) & (tracks.track[steps.first] >= 0))
@@ -134,7 +134,7 @@ def _slow(r: Recording, tracks: Tracks, floor: dict[str, float]) -> dict[str, fl
     """Return the deviation, beyond the white one, with which a track departs from its prediction over 16 snapshots, what is
     common to all paths of a snapshot removed."""
     out: dict[str, float] = {}
-    first, second = _apart(tracks, LAGS[-1])
+    first, second = _apart(r, tracks, LAGS[-1])
     if len(first) < LEAST_TRIPLES:
         return dict.fromkeys(floor, 0.0)
     z = np.column_stack([getattr(r.measurements, name)[second] for name in QUANTITIES])
@@ -158,25 +158,22 @@ def _all_white(tracks: Tracks, column: int) -> float:
     return _deviation(_triples(tracks)[1][:, column])
 
 
-def _apart(tracks: Tracks, lag: int) -> tuple[Floats, Floats]:
-    """Return rows of one track, `lag` steps of one snapshot apart."""
-    steps = tracks.steps
-    single = steps.lag == 1
-    next_row = np.full(tracks.rows, -1, np.int64)
-    next_row[steps.first[single]] = steps.second[single]
-    first = np.flatnonzero((next_row >= 0) & (tracks.track >= 0))
-    second = first
-    for _ in range(lag):
-        second = next_row[second]
-        first, second = first[second >= 0], second[second >= 0]
-    return first, second
+def _apart(r: Recording, tracks: Tracks, lag: int) -> tuple[Ints, Ints]:
+    """Return rows of one track, `lag` snapshots apart, whether or not it was detected in between."""
+    rows = np.flatnonzero(tracks.track >= 0)
+    snapshots = len(r.time_s) + lag
+    code = tracks.track[rows] * snapshots + r.measurements.snapshot[rows]
+    order = np.argsort(code)
+    at = np.minimum(np.searchsorted(code[order], code + lag), len(code) - 1)
+    found = code[order][at] == code + lag
+    return rows[found], rows[order[at[found]]]
 
 
-def _common(r: Recording, first: Floats, e: Floats) -> tuple[Floats, Floats]:
+def _common(r: Recording, first: Ints, e: Floats) -> tuple[Floats, Floats]:
     """Return for each row what its snapshot's innovations have in common: forward error (m) and turn (rad), (n, 2); and what a
     metre forward does to its distance (n,).
 
-    Medians over the snapshot: a few wrong pairs do not matter.
+    Least squares over the snapshot, where it has three paths or more.
     """
     m = r.measurements
     azimuth = np.nan_to_num(m.azimuth_rad[first])
@@ -193,7 +190,7 @@ def _common(r: Recording, first: Floats, e: Floats) -> tuple[Floats, Floats]:
     return out, design
 
 
-def _weighted(numerator: Floats, weight: Floats, begin: Floats) -> Floats:
+def _weighted(numerator: Floats, weight: Floats, begin: Ints) -> Floats:
     known = np.isfinite(numerator) & np.isfinite(weight)
     top = np.add.reduceat(np.where(known, numerator, 0.0), begin)
     bottom = np.add.reduceat(np.where(known, weight, 0.0), begin)
@@ -207,7 +204,7 @@ def _odometry(r: Recording, tracks: Tracks) -> dict[str, tuple[float, float]]:
     step = float(np.median(np.diff(r.time_s)))
     spreads: dict[str, list[tuple[float, float, float]]] = {"u_x": [], "u_psi": []}
     for lag in LAGS:
-        first, second = _apart(tracks, lag)
+        first, second = _apart(r, tracks, lag)
         if len(first) < LEAST_TRIPLES:
             continue
         z = np.column_stack([getattr(r.measurements, name)[second] for name in QUANTITIES])

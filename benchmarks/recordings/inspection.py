@@ -146,13 +146,13 @@ def as_text(path: Path, recording: Recording, found: Mapping[str, Any]) -> str:
     """Return the summary for people, lines of at most about 100 characters."""
     s, m = found["snapshots"], found["measurements"]
     lines = [f"{path}: sound recording" + (f", {found['description']}" if found["description"] else "")]
-    interval = f", every {s['interval_s']} s ({s['shortest_s']} to {s['longest_s']} s)" if "interval_s" in s else ""
-    lines.append(f"snapshots     {s['count']} in {s['duration_s']} s{interval}; {s['without_measurement']} without measurement")
+    interval = f", every {s['interval_s']:g} s ({s['shortest_s']:g} to {s['longest_s']:g} s)" if "interval_s" in s else ""
+    lines.append(f"snapshots     {s['count']} in {s['duration_s']:g} s{interval}; {s['without_measurement']} without measurement")
     for gap in s.get("gaps", [])[:5]:
-        lines.append(f"  gap         {gap['lasts_s']} s at {gap['at_s']} s")
+        lines.append(f"  gap         {gap['lasts_s']:g} s at {gap['at_s']:g} s")
     if s.get("gap_count", 0) > 5:
         lines.append(f"  gaps        {s['gap_count']} in all")
-    lines.append(f"measurements  {m['count']}, {m['per_snapshot']} a snapshot" + (", in one plane" if found["plane"] else ""))
+    lines.append(f"measurements  {m['count']}, {m['per_snapshot']:.4g} a snapshot" + (", in one plane" if found["plane"] else ""))
     for name in (*QUANTITIES, *CLAIMS):
         if name in m:
             q = m[name]
@@ -163,7 +163,7 @@ def as_text(path: Path, recording: Recording, found: Mapping[str, Any]) -> str:
         cell = "".join(f", {n} {link[n]}" for n in ("cell_id", "port") if n in link)
         lines.append(
             f"  link {link['link']:<3} site {link['site']}{cell}: {link['measurements']} measurements, "
-            f"{link['paths_per_snapshot']} paths in {100 * link['snapshots_share']:.1f} % of the snapshots, "
+            f"{link['paths_per_snapshot']:.3g} paths in {100 * link['snapshots_share']:.1f} % of the snapshots, "
             f"clock {'known' if link['clock_offset_std_m'] == 0 else '+-' + format(link['clock_offset_std_m'], '.4g') + ' m'}"
         )
     for name, u in found["odometry"].items():

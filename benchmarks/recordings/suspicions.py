@@ -37,11 +37,10 @@ class Suspicion:
 def suspicions(recording: Recording) -> list[Suspicion]:
     """Return what looks wrong in a recording; none for sound data."""
     found = [*_angles(recording), *_whole_numbers(recording), *_turning(recording)]
-    fitted = slopes(recording)
+    fitted, track = slopes(recording), reference_track(recording)
     if fitted is not None and not any(s.kind == "radians-as-degrees" for s in found):
         found += _distances(recording, fitted)
-        found += [] if any(s.kind == "samples" for s in found) else _azimuths(fitted)
-    track = reference_track(recording)
+        found += [] if any(s.kind == "samples" for s in found) else _azimuths(fitted, track)
     if track is not None:
         found += [*_against_reference(track, fitted)]
     kinds: dict[str, Suspicion] = {}
@@ -119,14 +118,19 @@ def _distances(recording: Recording, fitted: Slopes) -> list[Suspicion]:
     return out
 
 
-def _azimuths(fitted: Slopes) -> list[Suspicion]:
+def _azimuths(fitted: Slopes, track: Track | None) -> list[Suspicion]:
     slope, error = fitted.turn, fitted.turn_error
     if not np.isfinite(slope) or error * SURE > max(abs(slope), 0.02):
         return []
     why = f"azimuths change {slope:+.3f} +- {error:.3f} times as fast as the yaw rate tells ({fitted.turns} pairs)"
     if slope < -0.5:
-        text = f"{why}: clockwise azimuths, or a clockwise yaw rate; set sign = -1 for the one that is"
-        return [Suspicion("clockwise", text)]
+        turns = 0.0 if track is None or not np.isfinite(track.turn_slope) else track.turn_slope
+        cause = "clockwise azimuths, or a clockwise yaw rate; set sign = -1 for azimuth_rad or u_psi, the one that is"
+        if turns < -0.2:
+            cause = "a clockwise yaw rate, since the reference turns against it too; set sign = -1 for u_psi"
+        elif turns > 0.5:
+            cause = "clockwise azimuths, since the reference agrees with the yaw rate; set sign = -1 for azimuth_rad"
+        return [Suspicion("clockwise", f"{why}: {cause}")]
     if slope < 0.1 and fitted.turned_rad > 0.05:
         text = f"{why}: yaw rates in degrees taken for radians? say unit = \"deg/s\""
         return [Suspicion("degrees-as-radians", text)]

@@ -65,19 +65,24 @@ class TableFile:
 
 
 def _text_columns(path: Path, delimiter: str) -> dict[str, Any]:
+    import warnings
+
     import pandas as pd
 
+    cells = "give every line as many cells as the header, or say what 'delimiter' separates them (decimal points, not commas)"
     try:
-        frame = pd.read_csv(path, sep=delimiter, skipinitialspace=True, index_col=False, low_memory=False)
+        with warnings.catch_warnings():
+            warnings.simplefilter("error", pd.errors.ParserWarning)
+            frame = pd.read_csv(path, sep=delimiter, skipinitialspace=True, index_col=False, low_memory=False)
     except pd.errors.EmptyDataError:
         raise InputError(f"{path}: is empty; it needs a header line with the names of the columns") from None
     except pd.errors.ParserError as error:
         reason = str(error).removeprefix("Error tokenizing data. C error: ").strip()
-        raise InputError(f"{path}: {reason}; give every line as many cells as the header") from error
+        raise InputError(f"{path}: {reason}; {cells}") from error
     except UnicodeDecodeError as error:
         raise InputError(f"{path}: is not UTF-8 text ({error.reason} at byte {error.start}); save it as UTF-8") from error
     except pd.errors.ParserWarning as error:
-        raise InputError(f"{path}: lines are longer than the header; give every line as many cells as the header") from error
+        raise InputError(f"{path}: lines are longer than the header; {cells}") from error
     except (OSError, ValueError) as error:
         raise InputError(f"{path}: cannot be read as a table ({str(error).splitlines()[0]})") from error
     names = [str(name).strip() for name in frame.columns]

@@ -1,7 +1,7 @@
 """The signal that the switched array receives: the paper's equations 2 to 4 for one snapshot.
 
-Powers are in milliwatt per resource element. One reference symbol (the first of the slot) is kept per array
-port, each port being sampled in a slot of its own.
+Powers are in milliwatt per resource element. One symbol of the slot is kept per array port, each port being sampled in a
+slot of its own: the first carries the reference signals of antenna ports 0 and 1, the second those of 2 and 3.
 """
 
 from __future__ import annotations
@@ -111,21 +111,27 @@ def received_symbol(
     resource_blocks: int,
     carrier_hz: float,
     rng: np.random.Generator,
+    symbol: int = 0,
 ) -> Complex:
-    """Return the first symbol's elements (ports, 12 N_RB) of a snapshot, all cells summed (equation 4).
+    """Return one symbol's elements (ports, 12 N_RB) of a snapshot, all cells summed (equation 4).
 
     `slots` (ports,): slot of the frame in which each array port is sampled. Reference elements carry each port's own
-    signal; a share `load` of a cell's other elements carries data. Raises InputError for antenna ports 2 and 3, which
-    send in the second symbol.
+    signal, the cell's other ports being silent there; a share `load` of a cell's other elements carries data. Raises
+    InputError where no antenna port has a reference signal in the symbol: 0 and 1 send in the first, 2 and 3 in the
+    second.
     """
     count = SUBCARRIERS_PER_BLOCK * resource_blocks
     tones = subcarrier_frequency_hz(np.arange(count), resource_blocks)
     slot = np.asarray(slots, np.int64) % SLOTS_PER_FRAME
     total = _complex_normal(rng, (array.ports, count), impairments.noise_mw)
     for signal in signals:
-        if signal.port not in (0, 1):
-            raise InputError(f"antenna port {signal.port} has no reference signal in the first symbol: use 0 or 1")
-        sent = _sent(signal, slot, count, impairments, rng)
+        listed = {other.port for other in signals if other.cell_id == signal.cell_id}
+        if symbol not in (0, 1) or not listed & set(_senders(symbol)):
+            raise InputError(
+                f"antenna port {signal.port} of cell {signal.cell_id} has no reference signal in symbol {symbol}: ports "
+                "0 and 1 send in symbol 0, ports 2 and 3 in symbol 1"
+            )
+        sent = _sent(signal, slot, count, impairments, rng, symbol)
         response = frequency_response(array, tones, times_s, velocity_mps, signal, carrier_hz)
         total += response * sent
     return total
@@ -133,7 +139,7 @@ def received_symbol(
 
 def reference_response(received: Complex, cell_id: int, port: int, slots: ArrayLike, resource_blocks: int) -> Complex:
     """Return the least-squares channel (ports, 2 N_RB) of a cell's port: received over sent on its reference
-    elements.
+    elements, of the symbol in which it first sends.
     """
     out = np.empty((len(received), 2 * resource_blocks), np.complex128)
     for row, slot in enumerate(np.asarray(slots, np.int64) % SLOTS_PER_FRAME):
@@ -142,12 +148,17 @@ def reference_response(received: Complex, cell_id: int, port: int, slots: ArrayL
     return out
 
 
+def _senders(symbol: int) -> tuple[int, int]:
+    """Return the antenna ports whose reference signal is in the first or second symbol of a slot."""
+    return (0, 1) if symbol == 0 else (2, 3)
+
+
 def _sent(
     signal: PortSignal, slot: np.ndarray[tuple[int, ...], np.dtype[np.int64]], count: int, impairments:
-    Impairments, rng: np.random.Generator,
+    Impairments, rng: np.random.Generator, symbol: int,
 ) -> Complex:  # fmt: skip
     """Return what one port sends (ports, count): data, its own reference signal, silence on the other
-    port's.
+    ports'.
     """
     shape = (len(slot), count)
     carries = rng.random(shape) < impairments.load
@@ -155,18 +166,20 @@ def _sent(
     # Two ports share the power of a data element; the reference elements of one port have all of it.
     sent = carries * np.exp(0.5j * np.pi * (bits + 0.5)) / np.sqrt(2.0)
     for row, s in enumerate(slot):
-        other, _ = pilots(signal.cell_id, 1 - signal.port, int(s), count // SUBCARRIERS_PER_BLOCK)
-        own, values = pilots(signal.cell_id, signal.port, int(s), count // SUBCARRIERS_PER_BLOCK)
-        sent[row, other], sent[row, own] = 0.0, values
+        for port in _senders(symbol):
+            elements, values = pilots(signal.cell_id, port, int(s), count // SUBCARRIERS_PER_BLOCK)
+            sent[row, elements] = values if port == signal.port else 0.0
     return np.asarray(sent + sent * _complex_normal(rng, shape, impairments.evm**2), np.complex128)
 
 
 def pilots(
     cell_id: int, port: int, slot: int, resource_blocks: int
 ) -> tuple[np.ndarray[tuple[int, ...], np.dtype[np.int64]], Complex]:
-    """Return subcarriers and values (2 N_RB,) of a port's reference signal in the first symbol of a slot."""
+    """Return subcarriers and values (2 N_RB,) of a port's reference signal in the first symbol of a slot that has it:
+    symbol 0 for ports 0 and 1, symbol 1 for ports 2 and 3.
+    """
     signal = reference_signal(cell_id, port, slot, resource_blocks)
-    first = signal.symbols == 0
+    first = signal.symbols == signal.symbols[0]
     return signal.subcarriers[first], signal.values[first]
 
 

@@ -14,7 +14,7 @@ class RadioConfig(BaseModel):
 
     front_end: Literal["statistical", "signal"] = Field(
         "statistical",
-        description="how measurements are made: drawn from the detector's statistics, or estimated from received signals",
+        description="how measurements are made: drawn from statistics, or estimated from received signals",
     )
     carrier_hz: float = Field(2.66e9, ge=0.4e9, le=6e9, description="carrier frequency, Hz")
     resource_blocks: int = Field(100, ge=6, le=110, description="bandwidth in resource blocks of 180 kHz (100: 20 MHz)")

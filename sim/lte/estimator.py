@@ -74,7 +74,7 @@ def _estimated(y: Complex, motion: Motion, working: NDArray[np.bool_], start: Fl
         motion = motion.weighed(weight)
     link = _Link(np.ascontiguousarray(y, np.complex128), motion)
     if start is not None and len(start):
-        link.fit_jointly(start)
+        link.fit_jointly(start, FINE_GAIN)
     link.search()
     return link
 
@@ -112,12 +112,12 @@ class _Link:
         self.residual = y
         self.geometry = np.empty((0, 3))
         self.fit: Fit | None = None
-        self.level = np.empty(0)
+        self.level, self.fine = np.empty(0), False
         self.spectrum = Spectrum(y, motion)
 
     def fit_jointly(self, geometry: Floats, least_gain: float = _COARSE_GAIN) -> None:
         """Refine all paths, drop what does not pass, and look at the residual anew."""
-        self.fit, self.geometry, self.level = None, np.empty((0, 3)), np.empty(0)
+        self.fit, self.geometry, self.level, self.fine = None, np.empty((0, 3)), np.empty(0), least_gain == FINE_GAIN
         while len(geometry):
             fit = refine(self.y, self.motion, geometry, self.spectrum.noise, least_gain)
             self.spectrum.leave(fit)
@@ -160,7 +160,8 @@ class _Link:
                 found = self.spectrum.strongest(COARSE * self.receiver.threshold, blocked)
             if found is None or len(pending) >= JOINT_EVERY:
                 if not pending:
-                    self.fit_jointly(self.geometry, FINE_GAIN)
+                    if not self.fine:
+                        self.fit_jointly(self.geometry, FINE_GAIN)
                     self.unite()
                     return
                 self.fit_jointly(np.concatenate([self.geometry, np.array(pending)]))

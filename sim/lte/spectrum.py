@@ -58,7 +58,7 @@ class Spectrum:
         self._look()
 
     def strongest(self, coarse: float, blocked: list[tuple[int, int]]) -> tuple[Floats, tuple[int, int], float] | None:
-        """Return geometry (3,), cell and the level to exceed of the strongest cell that stands out; None: there is none."""
+        """Return geometry (3,), cell and level to exceed of the strongest cell that stands out; None: there is none."""
         cells = np.array(blocked, np.int64).reshape(-1, 2)
         k, d, level = search_kernel.strongest(
             self.energy, self.port_energy, self.profile, coarse, ELEVATIONS, self.working, cells, self.trailing,

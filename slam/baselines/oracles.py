@@ -69,7 +69,7 @@ class KnownMap(EkfSlam):
         bank.count[:] = len(pairs)
         for j, (link, vt) in enumerate(pairs):
             bank.slots[:, j, [LINK, HITS, LAST, IDENT]] = link, 1000, LONG_AGO, vt
-            bank.anchor[:, j] = self._setup.start_pose[:3]
+            bank.anchor[:, j, :3] = self._setup.start_pose[:3]
             place = bank.core.size + 3 * j
             bank.x[:, place : place + 3] = _spherical(self._truth.vts.position_m[vt] - self._setup.start_pose[:3])
 

@@ -3,14 +3,28 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 
 from cellslam.sim.recording import Floats, Ints
 from cellslam.slam.api import Setup, VtEstimate
-from cellslam.slam.baselines.ekf_slam.filter_kernel import map_into, use_snapshot
-from cellslam.slam.baselines.ekf_slam.layout import GEOMETRY, KNOWN_MAP, SLOT
+from cellslam.slam.baselines.ekf_slam.belief_kernel import believe_snapshot
+from cellslam.slam.baselines.ekf_slam.filter_kernel import find_rivals, use_snapshot
+from cellslam.slam.baselines.ekf_slam.layout import (
+    ANCHOR,
+    BELIEF,
+    GATE,
+    GEOMETRY,
+    JOINT,
+    JOINT_MEASUREMENTS,
+    JOINT_VTS,
+    KNOWN_MAP,
+    SLOT,
+)
+from cellslam.slam.baselines.ekf_slam.map_kernel import map_into
 from cellslam.slam.baselines.ekf_slam.motion_kernel import move
+from cellslam.slam.front_end import Readings
 
 LOST = 64  # confirmed VTs that one snapshot can push out
 
@@ -41,17 +55,24 @@ class Core:
 
 @dataclass
 class Measured:
-    """One snapshot as the kernels take it; see `front_end.columns` and `filter_kernel.use_snapshot`."""
+    """One snapshot as the kernels take it; see `filter_kernel.use_snapshot`."""
 
     now: int
     born: int
     first: Ints
-    z: Floats
-    q: Floats
-    gap: Floats
+    readings: Readings
     given: Ints
     tables: Floats
     cfg: Floats
+
+    def __len__(self) -> int:
+        return len(self.readings.z)
+
+    @property
+    def columns(self) -> tuple[Floats, ...]:
+        """What the kernels read of the measurements."""
+        r = self.readings
+        return r.z, r.single, r.many, r.gap, r.lack
 
 
 @dataclass
@@ -72,7 +93,7 @@ class Bank:
     log_weight: Floats
     lost: Floats
     losses: Ints
-    _scratch: tuple[int, tuple[object, ...]] = field(default=(-1, ()), repr=False)
+    _scratch: tuple[int, tuple[Any, ...]] = field(default=(-1, ()), repr=False)
 
     def __len__(self) -> int:
         return len(self.x)
@@ -87,15 +108,36 @@ class Bank:
             self.core.scale, self.core.size, *scratch,
         )  # fmt: skip
 
-    def use(self, setup: Setup, measured: Measured) -> Ints:
-        """Use a snapshot in every filter; return the associations (K, M)."""
-        m, association = measured, np.full((len(self), len(measured.z)), -1, np.int64)
+    def use(self, setup: Setup, measured: Measured, forbidden: Ints | None = None) -> Ints:
+        """Use a snapshot in every filter; return the associations (K, M).
+
+        forbidden (K, 2): measurement and identity of a VT that a filter must not pair, -1 for none.
+        """
+        m, association = measured, np.full((len(self), len(measured)), -1, np.int64)
+        scratch, joint = self._work(m)
+        if self.mode == BELIEF:
+            believe_snapshot(
+                m.now, self.x, self.p, self.core.size, self.core.first_offset, self.anchor, self.slots, self.count,
+                self.links, m.first, setup.links.site, m.columns, m.born, m.cfg, self.log_weight, association,
+                self.lost, self.losses, scratch,
+            )  # fmt: skip
+            return association
+        nothing = np.full((len(self), 2), -1, np.int64) if forbidden is None else forbidden
         use_snapshot(
             self.mode, m.now, self.x, self.p, self.core.size, self.core.first_offset, self.anchor, self.slots,
-            self.count, self.links, m.first, setup.links.site, m.z, m.q, m.gap, m.given, m.born, m.tables, m.cfg,
-            self.log_weight, association, self.lost, self.losses, *self._work(len(m.z)),
+            self.count, self.links, m.first, setup.links.site, m.columns, m.given, m.born, m.tables, m.cfg, nothing,
+            self.log_weight, association, self.lost, self.losses, scratch, joint,
         )  # fmt: skip
         return association
+
+    def rivals(self, setup: Setup, measured: Measured) -> Floats:
+        """Return loss (nats), measurement and VT (K, 3) of each filter's second-best association."""
+        m, out = measured, np.empty((len(self), 3))
+        find_rivals(
+            m.now, self.x, self.p, self.core.size, self.core.first_offset, self.anchor, self.slots, self.count, m.first,
+            setup.links.site, m.columns, m.tables, m.cfg, np.full(2, -1, np.int64), out, *self._work(m),
+        )  # fmt: skip
+        return out
 
     def vts(self, index: int, hits: int) -> Floats:
         """Return identity, link, position, covariance (v, 14) of one filter's VTs with at least `hits` detections."""
@@ -113,18 +155,29 @@ class Bank:
             self.links[kept], self.log_weight[kept], self.lost[kept], self.losses[kept],
         )  # fmt: skip
 
-    def _work(self, measurements: int) -> tuple[object, ...]:
-        if self._scratch[0] < measurements:
-            k, c, m = len(self), self.anchor.shape[1], max(2 * measurements, 32)
-            wide = 4 * (c + m + 2)
-            self._scratch = (
-                m,
-                (
-                    np.empty((k, GEOMETRY)), np.empty((k, 3, self.x.shape[1])), np.empty((k, c, m)),
-                    np.empty((k, c), np.int64), np.empty((k, 2, m), np.int64), np.empty((k, wide)),
-                    np.empty((k, wide), np.int64), np.empty((k, 3, 10)), np.empty((k, 4, 3)),
-                ),
+    def _work(self, measured: Measured) -> tuple[Any, ...]:
+        """Return scratch for every filter, made anew when a snapshot needs more."""
+        if self._scratch[0] < len(measured) or self._scratch[0] < 0:
+            k, c, m = len(self), self.anchor.shape[1], max(2 * len(measured), 32)
+            wide, joint = 4 * (c + m + 2), measured.cfg[JOINT] > 0.0
+            rows, columns = (JOINT_VTS, JOINT_MEASUREMENTS) if joint else (1, 1)
+            common = (
+                np.empty((k, GEOMETRY)), np.empty((k, 3, self.x.shape[1])), np.empty((k, c, m)),
+                np.empty((k, c), np.int64),
             )  # fmt: skip
+            small = np.empty((k, 3, 10)), np.empty((k, 4, 3))
+            if self.mode == BELIEF:
+                pairs = np.empty((k, c, m)), np.empty((k, c, m)), np.empty((k, c, m))
+                self._scratch = m, ((*common, *small, *pairs, np.empty((k, m)), np.empty((k, 4, 4))), ())
+                return self._scratch[1]
+            work = np.empty((k, 3, m), np.int64), np.empty((k, wide)), np.empty((k, wide), np.int64)
+            scratch = (*common, *work, *small)
+            parts = (
+                np.empty((k, rows, 3, self.x.shape[1])), np.empty((k, rows, rows, 3, 3)),
+                np.empty((k, rows, columns, 3)), np.empty((k, 3 * columns, 3 * columns + 1)),
+                np.empty((k, columns, 2), np.int64), np.empty((k, columns + 1), np.int64), joint_gates(measured.cfg),
+            )  # fmt: skip
+            self._scratch = m, (scratch, parts)
         return self._scratch[1]
 
 
@@ -141,7 +194,7 @@ def new_bank(setup: Setup, core: Core, mode: int, vts: int, offsets_m: Floats, o
     x[:, :6], x[:, core.first_offset : core.size] = setup.start_pose, offsets_m
     p[:, np.arange(core.size), np.arange(core.size)] = variance
     return Bank(
-        core, mode, x, p, np.zeros((filters, vts, 3)), np.zeros((filters, vts, SLOT), np.int64),
+        core, mode, x, p, np.zeros((filters, vts, ANCHOR)), np.zeros((filters, vts, SLOT), np.int64),
         np.zeros(filters, np.int64), np.ones((filters, len(setup.links)), np.int64), np.zeros(filters),
         np.empty((filters, LOST, 14)), np.zeros(filters, np.int64),
     )  # fmt: skip
@@ -152,3 +205,11 @@ def vt_estimate(rows: Floats) -> VtEstimate:
     covariance = rows[:, 5:].reshape(-1, 3, 3)
     ids, link = rows[:, 0].astype(np.int64), rows[:, 1].astype(np.int64)
     return VtEstimate(ids, link, rows[:, 2:5].copy(), 0.5 * (covariance + np.swapaxes(covariance, 1, 2)))
+
+
+def joint_gates(cfg: Floats) -> Floats:
+    """Return the chi-square gates by number of components, with the tail probability of the gate of three."""
+    from scipy.stats import chi2
+
+    degrees = np.arange(1, 3 * JOINT_MEASUREMENTS + 1)
+    return np.concatenate([[0.0], chi2.isf(chi2.sf(cfg[GATE], 3), degrees)])

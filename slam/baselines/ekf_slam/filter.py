@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import numpy as np
 
@@ -12,6 +12,7 @@ from cellslam.sim.frames import wrap_angle
 from cellslam.sim.recording import Floats, Ints, Links, OdometryModel
 from cellslam.slam.api import Estimate, Setup, Snapshot, VtEstimate
 from cellslam.slam.baselines.ekf_slam.bank import Bank, Measured, vt_estimate
+from cellslam.slam.baselines.ekf_slam.hypotheses import History, branch, prune
 from cellslam.slam.baselines.ekf_slam.layout import (
     AGE_ONCE,
     AGE_TWICE,
@@ -21,30 +22,32 @@ from cellslam.slam.baselines.ekf_slam.layout import (
     CONFIRM,
     FREE,
     GATE,
+    JOINT,
+    RIVAL,
 )
-from cellslam.slam.baselines.ekf_slam.options import EkfSlamOptions
-from cellslam.slam.baselines.ekf_slam.start import Start, begin
-from cellslam.slam.baselines.front_end import columns, existence, first_of_link
+from cellslam.slam.baselines.ekf_slam.options import EkfSlamOptions, JointOptions
+from cellslam.slam.baselines.ekf_slam.start import Start, begin, mixture
+from cellslam.slam.front_end import existence, first_of_link, ports_of, readings
 
 NOT_GIVEN = -2
 
 
-class EkfSlam:
-    """Joint EKF over pose, odometry biases and scales, clock offsets and VTs in anchored spherical coordinates.
+class JointFilter:
+    """What EKF-SLAM, its oracles and BP-SLAM share: one joint covariance after a Gaussian-sum start.
 
-    Sources: Smith, Self and Cheeseman, "Estimating uncertain spatial relationships in robotics" (1990), for the joint
-    covariance; Bar-Shalom, Li and Kirubarajan (2001), section 5, for the filter; the measurement model and births are
-    those of the extended FastSLAM (paper, section IV, corrected); association by the Hungarian algorithm within a
-    gate, scored against clutter, missed detections and births as in docs/estimators.md.
+    State: pose, odometry biases and scales, clock offsets, and VTs in anchored spherical coordinates. Sources: Smith,
+    Self and Cheeseman, "Estimating uncertain spatial relationships in robotics" (1990), for the joint covariance;
+    Bar-Shalom, Li and Kirubarajan (2001), section 5, for the filter; measurement model and births are those of the
+    extended FastSLAM (paper, section IV, corrected).
     """
 
-    name: ClassVar[str] = "ekf-slam"
+    name: ClassVar[str]
     requires_truth: ClassVar[bool] = False
-    Options: ClassVar[type[EkfSlamOptions]] = EkfSlamOptions
     mode: ClassVar[int] = FREE
+    options: JointOptions
 
-    def __init__(self, options: EkfSlamOptions | None = None) -> None:
-        self.options = options or EkfSlamOptions()
+    def __init__(self, options: Any = None) -> None:
+        self.options = options or JointOptions()
 
     def warm_up(self) -> None:
         """Compile every kernel on a made-up drive of four snapshots."""
@@ -56,6 +59,7 @@ class EkfSlam:
         """Take the prior; nothing is drawn."""
         del rng
         self._setup, self._time_s, self._now, self._born = _writable(setup), 0.0, 0, 0
+        self._ports = ports_of(self._setup.links.site, self._setup.links.port)
         self._start: Start | None = self._begin()
         self._joint: Bank | None = None
         self._archive = np.empty((0, 14))
@@ -65,7 +69,7 @@ class EkfSlam:
         """Predict, associate, update."""
         self._time_s += dt_s
         odometry = np.array(odometry)
-        measured = self._measured(dt_s, snapshot)
+        measured = self._measured(dt_s, odometry, snapshot)
         if self._start is not None:
             answer = self._step_start(self._start, dt_s, odometry, measured)
         else:
@@ -91,6 +95,13 @@ class EkfSlam:
         rows = [bank.vts(index, self.options.confirm_hits) for bank, index in filters]
         return vt_estimate(np.concatenate([*rows, self._archive]))
 
+    def _configure(self, cfg: Floats, dt_s: float) -> None:
+        """Fill in what the kernels need beside the common entries of the configuration."""
+
+    def _use(self, bank: Bank, measured: Measured) -> tuple[Bank, Ints]:
+        """Use a snapshot in the joint filters; return them and their associations."""
+        return bank, bank.use(self._setup, measured)
+
     def _step_start(self, start: Start, dt_s: float, odometry: Floats, measured: Measured) -> Estimate:
         if dt_s > 0.0:
             start.move(self._setup, dt_s, odometry)
@@ -99,9 +110,7 @@ class EkfSlam:
         offset, variance = start.offsets()
         if start.resolved(self.options.resolved_std_m) or self._time_s >= self.options.start_limit_s:
             self._joint, self._start = self._join(start), None
-        pose = mean[:6].copy()
-        pose[3:] = wrap_angle(pose[3:])
-        return Estimate(pose, cov[:6, :6].copy(), association, offset, variance, self._map(start.likeliest()))
+        return _estimate(mean, cov, association, offset, variance, self._map(start.likeliest()))
 
     def _step_joint(self, dt_s: float, odometry: Floats, measured: Measured) -> Estimate:
         bank = self._joint
@@ -109,28 +118,66 @@ class EkfSlam:
             raise RuntimeError("step() was called before start()")
         if dt_s > 0.0:
             bank.move(self._setup, dt_s, odometry)
-        association = bank.use(self._setup, measured)[0]
-        if bank.losses[0] > 0:
-            self._archive = np.concatenate([self._archive, bank.lost[0, : bank.losses[0]]])
-            bank.losses[:] = 0
-        first, size = bank.core.first_offset, bank.core.size
-        pose = bank.x[0, :6].copy()
-        pose[3:] = wrap_angle(pose[3:])
-        cov = bank.p[0, :6, :6]
-        variance = np.maximum(np.diag(bank.p[0])[first:size], 0.0)
-        offset = bank.x[0, first:size].copy()
-        return Estimate(pose, 0.5 * (cov + cov.T), association, offset, variance, self._map([(bank, 0)]))
+        bank, association = self._use(bank, measured)
+        self._joint = bank
+        best = int(np.argmax(bank.log_weight))
+        if bank.losses[best] > 0:
+            self._archive = np.concatenate([self._archive, bank.lost[best, : bank.losses[best]]])
+        bank.losses[:] = 0
+        mean, cov = mixture(bank, slice(0, bank.core.size))
+        offsets = slice(bank.core.first_offset, bank.core.size)
+        variance = np.maximum(np.diag(cov)[offsets], 0.0)
+        return _estimate(mean, cov, association[best].copy(), mean[offsets], variance, self._map([(bank, best)]))
 
-    def _measured(self, dt_s: float, snapshot: Snapshot) -> Measured:
+    def _measured(self, dt_s: float, odometry: Floats, snapshot: Snapshot) -> Measured:
         if self._tables is None or (dt_s > 0.0 and abs(self._tables[0] - dt_s) > 1e-3 * dt_s):
             self._tables = (dt_s, existence(self.options, dt_s if dt_s > 0.0 else 0.075))
         tables, once, twice = self._tables[1]
         o, cfg = self.options, np.zeros(CFG)
         cfg[CLUTTER], cfg[GATE], cfg[BIRTH] = np.log(o.clutter_density), o.gate, -np.log1p(-o.birth_ratio)
         cfg[CONFIRM], cfg[AGE_ONCE], cfg[AGE_TWICE] = o.confirm_hits, once, twice
-        z, q, gap = columns(snapshot, o)
-        first = first_of_link(snapshot, len(self._setup.links))
-        return Measured(self._now, self._born, first, z, q, gap, self._given(snapshot), tables, cfg)
+        self._configure(cfg, dt_s)
+        site = self._setup.links.site
+        values = readings(snapshot, site, self._ports, o, odometry[3] * dt_s, odometry[0] * dt_s)
+        first = first_of_link(snapshot, len(site))
+        return Measured(self._now, self._born, first, values, self._given(snapshot), tables, cfg)
+
+
+class EkfSlam(JointFilter):
+    """EKF-SLAM: hard association by the Hungarian algorithm or by joint compatibility, multi-hypothesis if wanted.
+
+    Pairs are scored against clutter, missed detections and births as in docs/estimators.md.
+    """
+
+    name: ClassVar[str] = "ekf-slam"
+    Options: ClassVar[type[EkfSlamOptions]] = EkfSlamOptions
+
+    def __init__(self, options: EkfSlamOptions | None = None) -> None:
+        self.options: EkfSlamOptions = options or EkfSlamOptions()
+
+    def start(self, setup: Setup, rng: np.random.Generator) -> None:
+        """Take the prior; nothing is drawn."""
+        super().start(setup, rng)
+        self._history = History()
+
+    def _configure(self, cfg: Floats, dt_s: float) -> None:
+        cfg[RIVAL], cfg[JOINT] = self.options.rival_nats, float(self.options.association == "jcbb")
+
+    def _use(self, bank: Bank, measured: Measured) -> tuple[Bank, Ints]:
+        if self.options.hypotheses == 1:
+            return super()._use(bank, measured)
+        bank, forbidden = branch(bank, self._setup, measured, self._history)
+        association = bank.use(self._setup, measured, forbidden)
+        return prune(bank, association, self._time_s, self.options, self._history)
+
+
+def _estimate(
+    mean: Floats, cov: Floats, association: Ints, offset: Floats, variance: Floats, vts: VtEstimate | None
+) -> Estimate:
+    pose = mean[:6].copy()
+    pose[3:] = wrap_angle(pose[3:])
+    square = cov[:6, :6]
+    return Estimate(pose, 0.5 * (square + square.T), association, offset.copy(), variance.copy(), vts)
 
 
 def _writable(setup: Setup) -> Setup:

@@ -16,7 +16,7 @@ from cellslam.slam.api import Setup
 from cellslam.slam.baselines.ekf_slam.bank import Bank, Core, Measured, new_bank
 from cellslam.slam.baselines.ekf_slam.fusion import Gaussian, fuse, join
 from cellslam.slam.baselines.ekf_slam.layout import KNOWN_MAP, SLOT
-from cellslam.slam.baselines.ekf_slam.options import EkfSlamOptions
+from cellslam.slam.baselines.ekf_slam.options import JointOptions
 
 REACH = 3.0  # the components cover this many deviations of the prior
 
@@ -44,9 +44,9 @@ class Start:
         for bank in (self.odometry, *self.banks):
             bank.move(setup, dt_s, velocity)
 
-    def use(self, setup: Setup, measured: Measured, options: EkfSlamOptions) -> Ints:
+    def use(self, setup: Setup, measured: Measured, options: JointOptions) -> Ints:
         """Use a snapshot in every bank, drop what has become unlikely, and return the best components' association."""
-        answer = np.full(len(measured.z), -1, np.int64)
+        answer = np.full(len(measured), -1, np.int64)
         for s, bank in enumerate(self.banks):
             association = bank.use(setup, measured)
             best = association[int(np.argmax(bank.log_weight))]
@@ -105,7 +105,7 @@ class Start:
         return bool((self.offsets()[1] <= std_m**2).all())
 
 
-def begin(setup: Setup, options: EkfSlamOptions, mode: int, vts: int) -> Start:
+def begin(setup: Setup, options: JointOptions, mode: int, vts: int) -> Start:
     """Return the banks at the start, with places for `vts` VTs."""
     core, sites = Core.of(setup), setup.sites
     banks = []

@@ -10,11 +10,11 @@ from cellslam.sim.recording import Links, OdometryModel, Sites, Truth, VirtualTr
 from cellslam.slam.api import Setup, Snapshot
 
 if TYPE_CHECKING:
-    from cellslam.slam.baselines.ekf_slam.filter import EkfSlam
-    from cellslam.slam.baselines.ekf_slam.options import EkfSlamOptions
+    from cellslam.slam.baselines.ekf_slam.filter import JointFilter
+    from cellslam.slam.baselines.ekf_slam.options import JointOptions
 
 
-def warm_up(estimator: type[EkfSlam], options: EkfSlamOptions) -> None:
+def warm_up(estimator: type[JointFilter], options: JointOptions) -> None:
     """Run four snapshots, the last two in the joint filter."""
     sheet = OdometryModel(np.full(6, 0.01), np.full(6, 0.01), np.full(6, 0.001), np.full(6, 0.01))
     links = Links(np.array([0, 1]), np.array([1, 2]), np.array([0, 0]))

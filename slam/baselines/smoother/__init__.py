@@ -1,0 +1,1 @@
+"""Smoother: a batch factor graph over the whole drive, with the associations of FastSLAM."""
