@@ -97,8 +97,8 @@ def build_parser() -> argparse.ArgumentParser:
     _add_run(add("run", "cli_run:run", "simulate a scenario, run estimators on it, score them"))
     _add_record(add("record", "cli_recording:record", "simulate a scenario and keep it as a recording"))
     _add_replay(add("replay", "cli_recording:replay", "run estimators on a recording and score them"))
-    for name, target, summary, fill in COMMANDS:
-        fill(add(name, f"cli_recordings:{target}", summary))
+    for name, target, summary, arguments_of in COMMANDS:
+        arguments_of(add(name, f"cli_recordings:{target}", summary))
     add_sweeps(add)
     show = add("show", "cli_show:show", "every key of a scenario: value, unit, range, meaning")
     _add_scenario(show)

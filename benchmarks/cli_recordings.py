@@ -66,7 +66,9 @@ def export(arguments: Namespace) -> int:
     recording = Recording.load(path)
     if kind in ("csv", "mat"):
         if arguments.estimator:
-            raise InputError(f"--format {kind} writes the recording itself: leave --estimator out, or use tum, geojson, ply")
+            raise InputError(
+                f"--format {kind} writes the recording itself: leave --estimator out, or use tum, geojson, ply"
+            )
         write = export_tables.write_csv if kind == "csv" else export_tables.write_mat
         write(recording, out)
         return DONE

@@ -42,7 +42,12 @@ def _fit(parser: argparse.ArgumentParser) -> None:
 
 Fill = Callable[[argparse.ArgumentParser], None]
 COMMANDS: tuple[tuple[str, str, str, Fill], ...] = (
-    ("import", "import_campaign", "make a recording of measured data: tables with a recording.toml, or an adapter", _import),
+    (
+        "import",
+        "import_campaign",
+        "make a recording of measured data: tables with a recording.toml, or an adapter",
+        _import,
+    ),
     ("inspect", "inspect", "what is in a recording, what is missing, what looks wrong; with a figure", _inspect),
     ("export", "export", "a recording or an estimate for other tools: CSV, .mat, TUM, GeoJSON, PLY, HTML", _export),
     ("fit-noise", "fit_noise", "noise, detection and clutter as the recording itself shows them", _fit),

@@ -33,7 +33,7 @@ def score(recording: Recording, result: TrialResult, bound: BoundResult | None) 
         scores["bound_position_rmse_m"] = bound.position_rmse_m
     truth = recording.truth
     if truth is None:
-        return scores if recording.reference is None else scores | reference_scores(recording, recording.reference, result)
+        return scores | (reference_scores(recording, recording.reference, result) if recording.reference else {})
     error = horizontal_error(truth.poses, result.poses)
     scores["position_rmse_m"] = _rms(error)
     scores["position_max_m"] = float(error.max())
@@ -86,7 +86,8 @@ def reference_scores(recording: Recording, reference: Reference, result: TrialRe
 
 def within(recording: Recording, reference: Reference) -> NDArray[np.bool_]:
     """Return which fixes (R,) of a reference lie within the drive, and so can be compared with an estimate."""
-    return (reference.time_s >= recording.time_s[0]) & (reference.time_s <= recording.time_s[-1])
+    times: NDArray[np.bool_] = (reference.time_s >= recording.time_s[0]) & (reference.time_s <= recording.time_s[-1])
+    return times
 
 
 def horizontal_error(truth_poses: Floats, poses: Floats) -> Floats:

@@ -75,7 +75,9 @@ def _check_measurements(m: Measurements, snapshots: int, links: int) -> None:
     key = m.snapshot * max(links, 1) + m.link
     _require(np.diff(key) >= 0, "measurements", "is not sorted by (snapshot, link)", offset=1)
     for name in (*MEASURED, "snr_db"):
-        _require(~np.isinf(getattr(m, name)), f"measurements.{name}", "is infinite: write NaN where it was not measured")
+        _require(
+            ~np.isinf(getattr(m, name)), f"measurements.{name}", "is infinite: write NaN where it was not measured"
+        )
     _require(
         ~(np.abs(m.azimuth_rad) > np.pi + 1e-9),
         "measurements.azimuth_rad",
@@ -95,7 +97,9 @@ def _check_measurements(m: Measurements, snapshots: int, links: int) -> None:
             _require(~(column <= 0), f"measurements.{name}", "is not a standard deviation (must be > 0)")
     row = _repeated(m, key)
     if row is not None:
-        raise InputError(f"measurements, row {row}: repeats an earlier row of its snapshot and link; remove one of them")
+        raise InputError(
+            f"measurements, row {row}: repeats an earlier row of its snapshot and link; remove one of them"
+        )
 
 
 def _repeated(m: Measurements, key: Ints) -> int | None:
@@ -107,7 +111,9 @@ def _repeated(m: Measurements, key: Ints) -> int | None:
         code ^= code >> np.uint64(29)
     order = np.argsort(code, kind="stable")
     same = np.flatnonzero(code[order[1:]] == code[order[:-1]])
-    rows = [np.array([getattr(m, n)[order[i]] for n in ("snapshot", "link", *MEASURED, "snr_db")]) for i in (same, same + 1)]
+    rows = [
+        np.array([getattr(m, n)[order[i]] for n in ("snapshot", "link", *MEASURED, "snr_db")]) for i in (same, same + 1)
+    ]
     equal = (rows[0] == rows[1]) | (np.isnan(rows[0]) & np.isnan(rows[1]))
     repeats = order[1:][same[equal.all(axis=0)]]
     return int(repeats.min()) if len(repeats) else None

@@ -93,12 +93,12 @@ def build(campaign: Campaign) -> Recording:
     times = _snapshot_times(campaign, rows_s)
     reference = _reference(campaign.reference)
     motion = None if campaign.odometry is None else motion_of(campaign.odometry)
-    start = campaign.start_pose
-    if start is None:
+    if campaign.start_pose is not None:
+        start_pose = np.asarray(campaign.start_pose, np.float64)
+    else:
         if reference is None:
             raise InputError("the start pose is not given, and there is no reference to take it from: give one of both")
-        start = start_from_reference(motion, reference, float(times[0]))
-    start_pose = np.asarray(start, np.float64)
+        start_pose = start_from_reference(motion, reference, float(times[0]))
     links, sites = _links(campaign)
     return Recording(
         time_s=times,
@@ -126,7 +126,8 @@ def _snapshot_times(campaign: Campaign, rows_s: Floats) -> Floats:
     times = np.unique(rows_s)
     if not len(times):
         raise InputError("measurements have no row: give at least one, or the table 'snapshots'")
-    return times[np.append(True, np.diff(times) > SAME_TIME_S)]
+    distinct: Floats = times[np.append(True, np.diff(times) > SAME_TIME_S)]
+    return distinct
 
 
 def _measurements(campaign: Campaign, rows_s: Floats, times: Floats) -> Measurements:
@@ -148,15 +149,18 @@ def _measurements(campaign: Campaign, rows_s: Floats, times: Floats) -> Measurem
         if len(outside):
             value = np.asarray(campaign.columns[name], np.float64)[outside[0]]
             raise InputError(
-                f"measurements.{name}, row {outside[0]}: {value:.6g} rad is no such angle; were degrees taken for radians?"
+                f"measurements.{name}, row {outside[0]}: {value:.6g} rad is no such angle; were degrees taken "
+                f"for radians?"
             )
     if "azimuth_rad" in table:
         table["azimuth_rad"] = wrap_angle(table["azimuth_rad"])
     nothing = np.full(count, np.nan)
     return Measurements(
-        snapshot[order].astype(np.int64), link[order], *(table.get(name, nothing) for name in QUANTITIES),
+        snapshot[order].astype(np.int64),
+        link[order],
+        *(table.get(name, nothing) for name in QUANTITIES),
         *(table.get(name) for name in CLAIMS),
-    )  # fmt: skip
+    )
 
 
 def _links(campaign: Campaign) -> tuple[Links, Sites]:

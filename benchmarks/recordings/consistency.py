@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from cellslam.benchmarks.metrics import within
 from cellslam.benchmarks.recordings.resample import Motion, integrate
@@ -40,7 +41,8 @@ class Slopes:
 
 @dataclass(frozen=True)
 class Track:
-    """The reference against the odometry: ratio of lengths, slope of turns, direction of the first stretch; its own course
+    """The reference against the odometry: ratio of lengths, slope of turns, direction of the first stretch; its own
+    course
     and yaw (N,) where it moves."""
 
     length_ratio: float
@@ -54,15 +56,23 @@ class Track:
 def dead_reckoned(recording: Recording, times: Floats) -> Floats:
     """Return poses (N, 6) of the odometry alone at `times` (N,) within the drive."""
     motion = Motion(recording.time_s, odometry_of(recording)[1:], (True,) * 6)
-    poses, _ = integrate(motion, np.insert(times, 0, recording.time_s[0]) if times[0] > recording.time_s[0] else times,
-                         recording.start_pose)  # fmt: skip
+    poses, _ = integrate(
+        motion,
+        np.insert(times, 0, recording.time_s[0]) if times[0] > recording.time_s[0] else times,
+        recording.start_pose,
+    )
     return poses[-len(times) :]
 
 
 def slopes(recording: Recording) -> Slopes | None:
     """Return how distances and azimuths change with the odometry; None without distances, azimuths or odometry."""
     m, r = recording.measurements, recording
-    if np.isnan(m.distance_m).all() or np.isnan(m.azimuth_rad).all() or np.isnan(r.odometry[:, 0]).all() or len(r.time_s) < 3:
+    if (
+        np.isnan(m.distance_m).all()
+        or np.isnan(m.azimuth_rad).all()
+        or np.isnan(r.odometry[:, 0]).all()
+        or len(r.time_s) < 3
+    ):
         return None
     poses = dead_reckoned(r, r.time_s)
     first, second = _pairs(r, poses)
@@ -89,13 +99,21 @@ def slopes(recording: Recording) -> Slopes | None:
     if turns.sum() >= LEAST_PAIRS:
         slope, slope_error = _robust(-turning[turns, None], (swung - parallax)[turns])
     return Slopes(
-        len(first), size, error, float(np.arctan2(coefficients[1], coefficients[0])), error / max(size, 1e-12),
-        int(turns.sum()), float(slope[0]), float(slope_error[0]), float(np.median(np.abs(turning[turns]))) if turns.any() else 0.0,
-    )  # fmt: skip
+        len(first),
+        size,
+        error,
+        float(np.arctan2(coefficients[1], coefficients[0])),
+        error / max(size, 1e-12),
+        int(turns.sum()),
+        float(slope[0]),
+        float(slope_error[0]),
+        float(np.median(np.abs(turning[turns]))) if turns.any() else 0.0,
+    )
 
 
-def _offset_known(recording: Recording) -> Ints:
-    return (recording.sites.clock_offset_std_m == 0.0)[recording.links.site]  # type: ignore[no-any-return]
+def _offset_known(recording: Recording) -> NDArray[np.bool_]:
+    known: NDArray[np.bool_] = (recording.sites.clock_offset_std_m == 0.0)[recording.links.site]
+    return known
 
 
 def _in_body(a: Floats, b: Floats) -> Floats:
@@ -140,14 +158,17 @@ def _nearest(place: Floats, wanted: Floats, span: float) -> tuple[Ints, Floats, 
     order = np.argsort(gaps, axis=0)
     take = np.arange(len(wanted))
     return (
-        np.clip(candidates[order[0], take], 0, len(place) - 1), gaps[order[0], take], gaps[order[1], take],
-    )  # fmt: skip
+        np.clip(candidates[order[0], take], 0, len(place) - 1),
+        gaps[order[0], take],
+        gaps[order[1], take],
+    )
 
 
 def _neighbour_gap(place: Floats, span: float) -> Floats:
     gap = np.diff(place)
     gap = np.where(gap < 0.5 * span, gap, np.inf)
-    return np.minimum(np.append(gap, np.inf), np.insert(gap, 0, np.inf))
+    nearest: Floats = np.minimum(np.append(gap, np.inf), np.insert(gap, 0, np.inf))
+    return nearest
 
 
 def _lag(poses: Floats, apart_m: float) -> int:
@@ -212,9 +233,7 @@ def reference_track(recording: Recording) -> Track | None:
             slope, error = np.array([np.abs(its[much]).sum() / max(np.abs(turns[much]).sum(), 1e-9)]), np.zeros(1)
     first = slice(0, min(4, len(course)))
     start = np.angle(np.exp(1j * (course[first] - own_course[first])).sum())
-    return Track(
-        float(lengths), float(slope[0]), float(error[0]), float(start), course[with_yaw], middle[with_yaw]
-    )
+    return Track(float(lengths), float(slope[0]), float(error[0]), float(start), course[with_yaw], middle[with_yaw])
 
 
 def _reference(recording: Recording) -> tuple[Floats, Floats, Floats] | None:

@@ -40,7 +40,9 @@ def shown(recording: Recording, result: TrialResult | None) -> Shown:
         return Shown(result.estimator, recording.time_s, result.poses, v.id, v.link, v.position_m, v.covariance)
     t = recording.truth
     if t is not None:
-        pairs = np.unique(np.column_stack([recording.measurements.link, t.measurement_vt])[t.measurement_vt >= 0], axis=0)
+        pairs = np.unique(
+            np.column_stack([recording.measurements.link, t.measurement_vt])[t.measurement_vt >= 0], axis=0
+        )
         link, vt = pairs.T if len(pairs) else (np.empty(0, np.int64), np.empty(0, np.int64))
         return Shown("truth", recording.time_s, t.poses, vt, link, t.vts.position_m[vt], np.zeros((len(vt), 3, 3)))
     r = recording.reference
@@ -65,7 +67,8 @@ def tum(data: Shown, path: Path) -> None:
 def geojson(data: Shown, recording: Recording, path: Path) -> None:
     """Write VTs as points with covariance and 2-sigma ellipses, and the trajectory.
 
-    In longitude and latitude where the recording says how its frame was projected; else in metres of the world frame, which
+    In longitude and latitude where the recording says how its frame was projected; else in metres of the world frame,
+    which
     a member `crs_note` says.
     """
     place, note = _placement(recording)
@@ -126,10 +129,16 @@ def ply(data: Shown, path: Path) -> None:
     terms = ("xx", "xy", "xz", "yy", "yz", "zz")
     upper = np.triu_indices(3)
     lines = [
-        "ply", "format ascii 1.0", f"comment VTs of {data.name}, metres", f"element vertex {len(data.id)}",
-        *(f"property double {axis}" for axis in "xyz"), "property int id", "property int link",
-        *(f"property double covariance_{term}" for term in terms), "end_header",
-    ]  # fmt: skip
+        "ply",
+        "format ascii 1.0",
+        f"comment VTs of {data.name}, metres",
+        f"element vertex {len(data.id)}",
+        *(f"property double {axis}" for axis in "xyz"),
+        "property int id",
+        "property int link",
+        *(f"property double covariance_{term}" for term in terms),
+        "end_header",
+    ]
     for i in range(len(data.id)):
         place = " ".join(f"{x:.6f}" for x in data.position_m[i])
         spread = " ".join(f"{x:.9g}" for x in data.covariance[i][upper])

@@ -18,11 +18,26 @@ from cellslam.sim.recording import COMPONENTS, Recording
 
 DIGITS = "%.12g"
 UNITS = {
-    "time_s": "s", "distance_m": "m", "azimuth_rad": "rad", "elevation_rad": "rad", "snr_db": "dB",
-    "distance_std_m": "m", "azimuth_std_rad": "rad", "elevation_std_rad": "rad", "x_m": "m", "y_m": "m", "z_m": "m",
-    "yaw_rad": "rad", "std_m": "m", "u_x": "m/s", "u_y": "m/s", "u_z": "m/s", "u_psi": "rad/s", "u_theta": "rad/s",
+    "time_s": "s",
+    "distance_m": "m",
+    "azimuth_rad": "rad",
+    "elevation_rad": "rad",
+    "snr_db": "dB",
+    "distance_std_m": "m",
+    "azimuth_std_rad": "rad",
+    "elevation_std_rad": "rad",
+    "x_m": "m",
+    "y_m": "m",
+    "z_m": "m",
+    "yaw_rad": "rad",
+    "std_m": "m",
+    "u_x": "m/s",
+    "u_y": "m/s",
+    "u_z": "m/s",
+    "u_psi": "rad/s",
+    "u_theta": "rad/s",
     "u_phi": "rad/s",
-}  # fmt: skip
+}
 Tables = dict[str, dict[str, Any]]
 
 
@@ -38,7 +53,9 @@ def write_csv(recording: Recording, folder: Path) -> None:
 
 
 def write_mat(recording: Recording, folder: Path) -> None:
-    """Write `recording.mat` (version 5: one struct a table, columns) and `recording.toml` into a new folder, at once."""
+    """Write `recording.mat` (version 5: one struct a table, columns) and `recording.toml` into a new folder, at
+    once.
+    """
     from scipy.io import savemat
 
     made = tables(recording)
@@ -56,9 +73,8 @@ def tables(recording: Recording) -> Tables:
         if column is not None and not (len(m) and np.isnan(column).all()):
             paths[name] = column
     out: Tables = {"measurements": paths, "snapshots": {"time_s": r.time_s}}
-    measured = ~np.isnan(r.odometry).all(axis=0)
-    if measured.any():
-        given = {name: r.odometry[:, i] for i, name in enumerate(COMPONENTS) if measured[i]}
+    given = {name: column for name, column in zip(COMPONENTS, r.odometry.T, strict=True) if not np.isnan(column).all()}
+    if given:
         out["odometry"] = {"time_s": r.time_s, **given}
     known = _known_trajectory(r)
     if known is not None:
@@ -116,7 +132,11 @@ def _write_manifest(recording: Recording, made: Tables, place: Path, sources: Ma
             "std_deg": np.degrees(r.start_std[3:]).tolist(),
         },
         "links": {
-            str(i): {"site": r.sites.name[r.links.site[i]], "cell_id": int(r.links.cell_id[i]), "port": int(r.links.port[i])}
+            str(i): {
+                "site": r.sites.name[r.links.site[i]],
+                "cell_id": int(r.links.cell_id[i]),
+                "port": int(r.links.port[i]),
+            }
             for i in range(len(r.links))
         },
         "sites": {

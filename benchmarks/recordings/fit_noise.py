@@ -1,8 +1,11 @@
 """Noise, detection and clutter as a recording itself shows them, without truth.
 
-White noise: the spread of second differences of innovations along tracks, n(t+2) - 2 n(t+1) + n(t), whose variance is six times
-that of one measurement, however smoothly everything else changes. Odometry: what the innovations of a snapshot have in common,
-over growing intervals: the variance of a sum of K errors is white K q + (K b)^2, measurements add a constant. Detection: the share of
+White noise: the spread of second differences of innovations along tracks, n(t+2) - 2 n(t+1) + n(t), whose variance is
+six times
+that of one measurement, however smoothly everything else changes. Odometry: what the innovations of a snapshot have
+in common,
+over growing intervals: the variance of a sum of K errors is white K q + (K b)^2, measurements add a constant.
+Detection: the share of
 snapshots within the life of a track that have it. Clutter: rows in no track, per link and snapshot and volume.
 """
 
@@ -29,7 +32,8 @@ NAMES = {"distance_m": "m", "azimuth_rad": "azimuth_deg", "elevation_rad": "elev
 class Fitted:
     """What was found; deviations in m and deg, by the suffix of the options' names.
 
-    `floor`, `unit` (at 0 dB), `slow` (beyond the white part, over about ten snapshots); `claimed`: spread over the deviations that the
+    `floor`, `unit` (at 0 dB), `slow` (beyond the white part, over about ten snapshots); `claimed`: spread over the
+    deviations that the
     front end claims; `odometry`: noise density and bias by component.
     """
 
@@ -55,10 +59,14 @@ def fit(recording: Recording, progress: Progress = silent) -> Fitted:
         advance(1)
     count = len(np.unique(tracks.track[tracks.track >= 0]))
     if count < LEAST_TRACKS:
-        raise InputError(f"fit-noise found {count} tracks of three detections, and needs {LEAST_TRACKS}: is the odometry right?")
+        raise InputError(
+            f"fit-noise found {count} tracks of three detections, and needs {LEAST_TRACKS}: is the odometry right?"
+        )
     floor, unit, claimed = _white(recording, tracks)
     detection, visible_s = _detection(recording, tracks)
-    per_link = np.unique(np.column_stack([recording.measurements.link[: tracks.rows], tracks.track])[tracks.track >= 0], axis=0)
+    per_link = np.unique(
+        np.column_stack([recording.measurements.link[: tracks.rows], tracks.track])[tracks.track >= 0], axis=0
+    )
     return Fitted(
         tracks=count,
         rows=tracks.rows,
@@ -79,7 +87,9 @@ def _in_unit(name: str, value: float) -> float:
 
 
 def _triples(tracks: Tracks) -> tuple[Ints, Floats]:
-    """Return pairs of steps of one snapshot each that follow one another: their middle rows and second differences (n, 3)."""
+    """Return pairs of steps of one snapshot each that follow one another: their middle rows and second differences
+    (n, 3).
+    """
     steps = tracks.steps
     single = np.flatnonzero((steps.lag == 1) & (tracks.track[steps.first] >= 0))
     at = np.full(tracks.rows, -1, np.int64)
@@ -131,7 +141,8 @@ def _against_snr(values: Floats, snr_db: Floats) -> tuple[float, float]:
 
 
 def _slow(r: Recording, tracks: Tracks, floor: dict[str, float]) -> dict[str, float]:
-    """Return the deviation, beyond the white one, with which a track departs from its prediction over 16 snapshots, what is
+    """Return the deviation, beyond the white one, with which a track departs from its prediction over 16 snapshots,
+    what is
     common to all paths of a snapshot removed."""
     out: dict[str, float] = {}
     first, second = _apart(r, tracks, LAGS[-1])
@@ -170,7 +181,8 @@ def _apart(r: Recording, tracks: Tracks, lag: int) -> tuple[Ints, Ints]:
 
 
 def _common(r: Recording, first: Ints, e: Floats) -> tuple[Floats, Floats]:
-    """Return for each row what its snapshot's innovations have in common: forward error (m) and turn (rad), (n, 2); and what a
+    """Return for each row what its snapshot's innovations have in common: forward error (m) and turn (rad), (n, 2);
+    and what a
     metre forward does to its distance (n,).
 
     Least squares over the snapshot, where it has three paths or more.
@@ -258,7 +270,9 @@ def _clutter(r: Recording, tracks: Tracks) -> float:
     if r.plane:
         volume *= np.sqrt(2.0 * np.pi) * np.radians(PLANE_ELEVATION_DEG)
     else:
-        volume *= max(float(np.diff(np.quantile(elevation, (0.05, 0.95)))[0]), 0.01) if len(elevation) > 20 else np.pi / 2
+        volume *= (
+            max(float(np.diff(np.quantile(elevation, (0.05, 0.95)))[0]), 0.01) if len(elevation) > 20 else np.pi / 2
+        )
     return float(np.clip(max(len(loose), 1) / max(seen, 1) / volume, 1e-9, 1e3))
 
 
@@ -285,7 +299,9 @@ def lines(path: Path, recording: Recording, fitted: Fitted) -> str:
     found = options(recording, fitted)
     out = [f"# {path}: {fitted.tracks} tracks in {fitted.rows} measurements"]
     for key, ratio in fitted.claimed.items():
-        out.append(f"# white errors are {ratio:.2f} times the deviations that the front end claims ({key.replace('_deg', '')})")
+        out.append(
+            f"# white errors are {ratio:.2f} times the deviations that the front end claims ({key.replace('_deg', '')})"
+        )
     for name in ("fastslam", "ekf-slam"):
         out += ["", f"[estimator.{name}]", *(f"{key} = {value:g}" for key, value in found.items())]
     if fitted.odometry:
@@ -293,5 +309,8 @@ def lines(path: Path, recording: Recording, fitted: Fitted) -> str:
         for name, (density, bias) in fitted.odometry.items():
             out += [f"[noise.{name}]", f"noise_density = {density:.3g}", f"bias = {bias:.3g}"]
     out += ["", "# for cellslam replay:"]
-    out += [f"#   {' '.join(f'--set estimator.{name}.{k}={v:g}' for k, v in found.items())}" for name in ("fastslam", "ekf-slam")]
+    out += [
+        f"#   {' '.join(f'--set estimator.{name}.{k}={v:g}' for k, v in found.items())}"
+        for name in ("fastslam", "ekf-slam")
+    ]
     return "\n".join(out) + "\n"

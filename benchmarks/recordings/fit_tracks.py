@@ -1,4 +1,6 @@
-"""Measurements of consecutive snapshots joined to tracks by the odometry's prediction: the raw material of `fit_noise`."""
+"""Measurements of consecutive snapshots joined to tracks by the odometry's prediction: the raw material of
+`fit_noise`.
+"""
 
 from __future__ import annotations
 
@@ -19,7 +21,9 @@ QUANTITIES = ("distance_m", "azimuth_rad", "elevation_rad")
 
 @dataclass(frozen=True)
 class Steps:
-    """Pairs of rows (n,) of one track, `lag` snapshots apart, and how far the later one is from its prediction (n, 3)."""
+    """Pairs of rows (n,) of one track, `lag` snapshots apart, and how far the later one is from its prediction (n,
+    3).
+    """
 
     first: Ints
     second: Ints
@@ -51,7 +55,9 @@ def tracks_of(recording: Recording) -> Tracks:
 
 
 def predicted(recording: Recording, poses: Floats, first: Ints, later: Ints) -> Floats:
-    """Return the measurements (n, 3) that rows `first` lead one to expect in snapshots `later`, if their sources stay."""
+    """Return the measurements (n, 3) that rows `first` lead one to expect in snapshots `later`, if their sources
+    stay.
+    """
     m = recording.measurements
     a, b = poses[m.snapshot[first]], poses[later]
     step = b[:, :2] - a[:, :2]
@@ -71,7 +77,9 @@ def predicted(recording: Recording, poses: Floats, first: Ints, later: Ints) -> 
 
 
 def _joined(r: Recording, poses: Floats, rows: int, scale: Floats) -> Steps:
-    """Return the steps: of all pairs within the gate the best first, each row with one successor and one predecessor."""
+    """Return the steps: of all pairs within the gate the best first, each row with one successor and one
+    predecessor.
+    """
     m = r.measurements
     links, last = max(len(r.links), 1), len(r.time_s) - 1
     key = (m.snapshot * links + m.link)[:rows]

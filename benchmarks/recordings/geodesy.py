@@ -11,7 +11,8 @@ from cellslam.sim.recording import Floats
 def projected(latitude_rad: Floats, longitude_rad: Floats, crs: str) -> tuple[Floats, str, Floats]:
     """Return east and north (R, 2) in metres, the CRS used, and the convergence (R,) of its meridians in rad.
 
-    `crs` empty: the UTM zone of the first fix. Convergence: what to add to a yaw from geographic east. NaN in, NaN out. Raises
+    `crs` empty: the UTM zone of the first fix. Convergence: what to add to a yaw from geographic east. NaN in, NaN
+    out. Raises
     InputError without pyproj, for an unknown CRS, or for values that are no latitudes.
     """
     try:

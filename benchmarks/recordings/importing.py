@@ -13,7 +13,15 @@ import numpy as np
 
 from cellslam.benchmarks.recordings.campaign import CLAIMS, QUANTITIES, Campaign, OdometryTable, ReferenceTable, build
 from cellslam.benchmarks.recordings.geodesy import projected
-from cellslam.benchmarks.recordings.manifest import NAME, Clock, DriveTable, FileTable, Manifest, ReferenceFile, load_manifest
+from cellslam.benchmarks.recordings.manifest import (
+    NAME,
+    Clock,
+    DriveTable,
+    FileTable,
+    Manifest,
+    ReferenceFile,
+    load_manifest,
+)
 from cellslam.benchmarks.recordings.tables import TableFile
 from cellslam.benchmarks.recordings.units import in_ours, known_columns, on_clock
 from cellslam.sim.errors import InputError, nearest_name
@@ -145,7 +153,8 @@ def _offsets(manifest: Manifest, sites: list[str]) -> dict[str, tuple[float, flo
     for name in dict.fromkeys(sites):
         if name not in manifest.sites:
             raise InputError(
-                f"[sites.{name}] is missing: write it with clock_offset_std_m, the deviation of its unknown clock offset "
+                f"[sites.{name}] is missing: write it with clock_offset_std_m, the deviation of its unknown "
+                f"clock offset "
                 "in metres (0: synchronised, or no clock at all)"
             )
     for name in manifest.sites:
@@ -159,7 +168,9 @@ def _clock(manifest: Manifest, table: FileTable) -> Clock:
         return Clock()
     if table.clock not in manifest.clocks:
         near = nearest_name(table.clock, manifest.clocks)
-        raise InputError(f"clock '{table.clock}' is not in [clocks]{near} (known: {', '.join(manifest.clocks) or 'none'})")
+        raise InputError(
+            f"clock '{table.clock}' is not in [clocks]{near} (known: {', '.join(manifest.clocks) or 'none'})"
+        )
     return manifest.clocks[table.clock]
 
 
@@ -182,10 +193,14 @@ def _odometry(folder: Path, manifest: Manifest, table: DriveTable) -> OdometryTa
     if table.kind == "poses":
         late = np.flatnonzero(~(np.diff(times) > 0))
         if len(late):
-            raise InputError(f"{file.path}: row {late[0] + 1}: its time is not after that of the row before it: sort by time")
+            raise InputError(
+                f"{file.path}: row {late[0] + 1}: its time is not after that of the row before it: sort by time"
+            )
         columns, times, hold = _differences(columns, times), times[1:], "before"
     if table.axes == "forward-right-down":
-        columns = {name: -values if name in ("u_y", "u_z", "u_psi", "u_theta") else values for name, values in columns.items()}
+        columns = {
+            name: -values if name in ("u_y", "u_z", "u_psi", "u_theta") else values for name, values in columns.items()
+        }
     return OdometryTable(times, columns, hold, table.lever_arm_m)
 
 
@@ -200,13 +215,16 @@ def _differences(columns: dict[str, Floats], times: Floats) -> dict[str, Floats]
 def _noise(manifest: Manifest) -> dict[str, tuple[float, ...]]:
     for name in manifest.noise:
         if name not in COMPONENTS:
-            raise InputError(f"[noise.{name}]: unknown{nearest_name(name, COMPONENTS)} (known: {', '.join(COMPONENTS)})")
+            raise InputError(
+                f"[noise.{name}]: unknown{nearest_name(name, COMPONENTS)} (known: {', '.join(COMPONENTS)})"
+            )
     table = manifest.odometry
     if table is not None and table.kind == "velocities":
         for name in table.columns:
             if name in COMPONENTS and name not in manifest.noise:
                 raise InputError(
-                    f"[noise.{name}] is missing: write its noise_density (m/s or rad/s times root second), bias, scale; "
+                    f"[noise.{name}] is missing: write its noise_density (m/s or rad/s times root second), "
+                    f"bias, scale; "
                     "'cellslam fit-noise' estimates them once the recording is made"
                 )
     kinds = ("noise_density", "bias", "bias_walk_density", "scale")
@@ -250,6 +268,8 @@ def _reference(folder: Path, manifest: Manifest, table: ReferenceFile, about: di
     position = np.column_stack([plane, height])
     if any(table.lever_arm_m):
         if yaw is None:
-            raise InputError("reference.lever_arm_m needs the column yaw_rad, to know where the array is; or leave it out")
+            raise InputError(
+                "reference.lever_arm_m needs the column yaw_rad, to know where the array is; or leave it out"
+            )
         position = position + np.einsum("nij,j->ni", rotation(yaw, 0.0 * yaw, 0.0 * yaw), np.asarray(table.lever_arm_m))
     return ReferenceTable(times, position, yaw, columns.get("std_m", table.std_m))

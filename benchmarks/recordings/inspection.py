@@ -146,13 +146,18 @@ def as_text(path: Path, recording: Recording, found: Mapping[str, Any]) -> str:
     """Return the summary for people, lines of at most about 100 characters."""
     s, m = found["snapshots"], found["measurements"]
     lines = [f"{path}: sound recording" + (f", {found['description']}" if found["description"] else "")]
-    interval = f", every {s['interval_s']:g} s ({s['shortest_s']:g} to {s['longest_s']:g} s)" if "interval_s" in s else ""
-    lines.append(f"snapshots     {s['count']} in {s['duration_s']:g} s{interval}; {s['without_measurement']} without measurement")
-    for gap in s.get("gaps", [])[:5]:
-        lines.append(f"  gap         {gap['lasts_s']:g} s at {gap['at_s']:g} s")
+    interval = (
+        f", every {s['interval_s']:g} s ({s['shortest_s']:g} to {s['longest_s']:g} s)" if "interval_s" in s else ""
+    )
+    lines.append(
+        f"snapshots     {s['count']} in {s['duration_s']:g} s{interval}; {s['without_measurement']} without measurement"
+    )
+    lines += [f"  gap         {gap['lasts_s']:g} s at {gap['at_s']:g} s" for gap in s.get("gaps", [])[:5]]
     if s.get("gap_count", 0) > 5:
         lines.append(f"  gaps        {s['gap_count']} in all")
-    lines.append(f"measurements  {m['count']}, {m['per_snapshot']:.4g} a snapshot" + (", in one plane" if found["plane"] else ""))
+    lines.append(
+        f"measurements  {m['count']}, {m['per_snapshot']:.4g} a snapshot" + (", in one plane" if found["plane"] else "")
+    )
     for name in (*QUANTITIES, *CLAIMS):
         if name in m:
             q = m[name]
@@ -161,17 +166,23 @@ def as_text(path: Path, recording: Recording, found: Mapping[str, Any]) -> str:
     lines.append(f"links         {len(found['links'])} of {len(recording.sites)} sites")
     for link in found["links"][:24]:
         cell = "".join(f", {n} {link[n]}" for n in ("cell_id", "port") if n in link)
+        std = link["clock_offset_std_m"]
         lines.append(
             f"  link {link['link']:<3} site {link['site']}{cell}: {link['measurements']} measurements, "
             f"{link['paths_per_snapshot']:.3g} paths in {100 * link['snapshots_share']:.1f} % of the snapshots, "
-            f"clock {'known' if link['clock_offset_std_m'] == 0 else '+-' + format(link['clock_offset_std_m'], '.4g') + ' m'}"
+            f"clock {f'+-{std:.4g} m' if std else 'known'}"
         )
     for name, u in found["odometry"].items():
         lines.append(f"odometry      {name:<8} {u['least']} .. {u['most']}, {100 * u['share']:.1f} % of the intervals")
     f = found["reference"]
     if f is not None:
-        extra = ("with yaw" if f["yaw"] else "no yaw") + (f", +-{f['std_m']} m" if f["std_m"] is not None else ", deviation not stated")
-        lines.append(f"reference     {f['count']} fixes, {f['within_the_drive']} within the drive, every {f['interval_s']} s, {extra}")
+        extra = ("with yaw" if f["yaw"] else "no yaw") + (
+            f", +-{f['std_m']} m" if f["std_m"] is not None else ", deviation not stated"
+        )
+        lines.append(
+            f"reference     {f['count']} fixes, {f['within_the_drive']} within the drive, every "
+            f"{f['interval_s']} s, {extra}"
+        )
     if recording.truth is not None:
         lines.append(f"truth         poses, {len(recording.truth.vts)} VTs, associations (simulated)")
     lines += [f"missing       {what}" for what in found["missing"]]

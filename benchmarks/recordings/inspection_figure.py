@@ -41,7 +41,9 @@ def draw(recording: Recording, path: Path) -> None:
         for axes in panels[-1]:
             axes.set_xlabel("time (s)")
             axes.set_xlim(0, max(float(r.time_s[-1] - r.time_s[0]), 1e-3))
-        figure.subplots_adjust(left=0.11, right=0.985, top=0.99, bottom=0.42 / (0.6 + 1.05 * links), wspace=0.3, hspace=0.18)
+        figure.subplots_adjust(
+            left=0.11, right=0.985, top=0.99, bottom=0.42 / (0.6 + 1.05 * links), wspace=0.3, hspace=0.18
+        )
         figure.savefig(path, format="png")
 
 
@@ -50,6 +52,6 @@ def _some(rows: Ints) -> Ints:
 
 
 def _name(r: Recording, link: int) -> str:
-    site = r.sites.name[r.links.site[link]]
+    site = str(r.sites.name[r.links.site[link]])
     cell, port = int(r.links.cell_id[link]), int(r.links.port[link])
     return site + (f" {cell}" if cell >= 0 else "") + (f"/{port}" if port >= 0 else "")

@@ -12,7 +12,9 @@ from cellslam.scenarios.problems import validate
 from cellslam.sim.errors import InputError
 
 NAME = "recording.toml"
-Unit = Literal["m", "km", "cm", "mm", "s", "ms", "us", "ns", "samples", "rad", "deg", "rad/s", "deg/s", "m/s", "km/h", "dB", "1"]
+Unit = Literal[
+    "m", "km", "cm", "mm", "s", "ms", "us", "ns", "samples", "rad", "deg", "rad/s", "deg/s", "m/s", "km/h", "dB", "1"
+]
 Triple = tuple[float, float, float]
 
 
@@ -26,7 +28,9 @@ class Column(Table):
     """One column: ours = zero + sign * theirs, in `unit`."""
 
     column: str = Field(description="name of the column in the CSV header, or of the variable in the .mat file")
-    unit: Unit = Field(description="unit of the column; a delay in s, ns or samples is a distance times the speed of light")
+    unit: Unit = Field(
+        description="unit of the column; a delay in s, ns or samples is a distance times the speed of light"
+    )
     sign: Literal[1, -1] = Field(1, description="-1: the column grows the other way (clockwise angles, downward axes)")
     zero: float = Field(0.0, description="our value where the column says 0, in the unit of the column")
 
@@ -41,7 +45,9 @@ class Clock(Table):
     """A time base: time of the recording = offset_s + (1 + drift_ppm / 1e6) * time of the table."""
 
     offset_s: float = Field(0.0, description="what to add to the table's times, s")
-    drift_ppm: float = Field(0.0, ge=-1e4, le=1e4, description="how much slower than the recording's this clock runs, ppm")
+    drift_ppm: float = Field(
+        0.0, ge=-1e4, le=1e4, description="how much slower than the recording's this clock runs, ppm"
+    )
 
 
 class FileTable(Table):
@@ -149,7 +155,8 @@ class Manifest(Table):
     links: dict[str, Link] = Field(default_factory=dict)
     sites: dict[str, Site] = Field(default_factory=dict)
     noise: dict[str, Noise] = Field(
-        default_factory=dict, description="data sheet by component; of one that is not measured: how the vehicle moves so"
+        default_factory=dict,
+        description="data sheet by component; of one that is not measured: how the vehicle moves so",
     )
 
 
@@ -159,7 +166,9 @@ def load_manifest(folder: Path) -> Manifest:
     if not folder.is_dir():
         raise InputError(f"{folder}: no such folder; give the folder that holds {NAME} and its tables")
     if not path.is_file():
-        raise InputError(f"{path}: no such file; write one (docs/recordings.md), or name a Python adapter with --adapter")
+        raise InputError(
+            f"{path}: no such file; write one (docs/recordings.md), or name a Python adapter with --adapter"
+        )
     try:
         table = tomllib.loads(path.read_text("utf-8"))
     except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:

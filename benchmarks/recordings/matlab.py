@@ -62,7 +62,9 @@ def _read_hdf5(path: Path) -> dict[str, Any]:
         with h5py.File(path, "r") as file:
             return {name: _hdf5_value(file, item) for name, item in file.items() if not name.startswith("#")}
     except (OSError, RuntimeError, KeyError) as error:
-        raise InputError(f"{path}: a damaged MATLAB 7.3 file ({str(error).splitlines()[0]}); export it again") from error
+        raise InputError(
+            f"{path}: a damaged MATLAB 7.3 file ({str(error).splitlines()[0]}); export it again"
+        ) from error
 
 
 def _hdf5_value(file: Any, item: Any) -> Any:

@@ -32,23 +32,33 @@ def write_page(recording: Recording, result: TrialResult, path: Path) -> None:
     names = [f"{recording.time_s[t] - recording.time_s[0]:.1f}" for t in moments]
     figure.frames = [go.Frame(data=d, traces=places, name=n) for d, n in zip(moving, names, strict=True)]
     steps = [
-        {"label": n, "method": "animate", "args": [[n], {"mode": "immediate", "frame": {"duration": 0, "redraw": False}}]}
+        {
+            "label": n,
+            "method": "animate",
+            "args": [[n], {"mode": "immediate", "frame": {"duration": 0, "redraw": False}}],
+        }
         for n in names
     ]
     play = {"frame": {"duration": 50, "redraw": False}, "fromcurrent": True, "transition": {"duration": 0}}
     figure.update_layout(
-        title=f"{result.estimator}: {len(recording.time_s)} snapshots, {recording.time_s[-1] - recording.time_s[0]:.0f} s",
+        title=f"{result.estimator}: {len(recording.time_s)} snapshots, {np.ptp(recording.time_s):.0f} s",
         xaxis={"title": "x (m)"},
         yaxis={"title": "y (m)", "scaleanchor": "x"},
         sliders=[{"steps": steps, "currentvalue": {"prefix": "time (s): "}}],
-        updatemenus=[{
-            "type": "buttons",
-            "buttons": [
-                {"label": "play", "method": "animate", "args": [None, play]},
-                {"label": "stop", "method": "animate", "args": [[None], {"mode": "immediate", "frame": {"duration": 0}}]},
-            ],
-        }],
-    )  # fmt: skip
+        updatemenus=[
+            {
+                "type": "buttons",
+                "buttons": [
+                    {"label": "play", "method": "animate", "args": [None, play]},
+                    {
+                        "label": "stop",
+                        "method": "animate",
+                        "args": [[None], {"mode": "immediate", "frame": {"duration": 0}}],
+                    },
+                ],
+            }
+        ],
+    )
     figure.write_html(str(path), include_plotlyjs=True)
 
 
@@ -65,7 +75,9 @@ def _fixed(go: Any, recording: Recording, result: TrialResult) -> list[Any]:
         x, y = result.vts.position_m[:, :2].T.round(2)
         text = [f"VT {i}, link {k}" for i, k in zip(result.vts.id, result.vts.link, strict=True)]
         marker = {"color": GREEN, "size": 6, "symbol": "diamond"}
-        out.append(go.Scattergl(x=x, y=y, mode="markers", marker=marker, text=text, name="final VTs", visible="legendonly"))
+        out.append(
+            go.Scattergl(x=x, y=y, mode="markers", marker=marker, text=text, name="final VTs", visible="legendonly")
+        )
     return out
 
 
@@ -85,9 +97,13 @@ def _moment(go: Any, recording: Recording, result: TrialResult, t: int) -> list[
     rays = go.Scatter(x=x.round(2), y=y.round(2), mode="lines", line={"color": GREY, "width": 1}, name="measured paths")
     nose = pose[:2] + 4.0 * np.array([np.cos(pose[3]), np.sin(pose[3])])
     body = go.Scatter(
-        x=[pose[0], nose[0]], y=[pose[1], nose[1]], mode="lines+markers", line={"color": VERMILLION, "width": 3},
-        marker={"size": [10, 1], "color": ORANGE}, name="vehicle",
-    )  # fmt: skip
+        x=[pose[0], nose[0]],
+        y=[pose[1], nose[1]],
+        mode="lines+markers",
+        line={"color": VERMILLION, "width": 3},
+        marker={"size": [10, 1], "color": ORANGE},
+        name="vehicle",
+    )
     return [rays, body]
 
 

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 
 from cellslam.sim.errors import InputError, nearest_name
 from cellslam.sim.frames import mean_velocity, rotation
@@ -61,7 +62,7 @@ def motion_of(table: OdometryTable) -> Motion:
 
 
 def _held(times: Floats, values: Floats, hold: str, lever_arm_m: tuple[float, ...]) -> Motion:
-    measured = tuple(bool(x) for x in ~np.isnan(values).all(axis=0))
+    measured = tuple(not np.isnan(column).all() for column in values.T)
     step = float(np.median(np.diff(times)))
     gap = np.diff(times) > LONGEST_HOLD * step
     if hold == "next":
@@ -104,16 +105,16 @@ def mean_velocities(motion: Motion, times: Floats, start_pose: Floats) -> Floats
     out = np.zeros((len(times), 6))
     if np.array_equal(motion.edges_s[1:], times):  # already means between these very times
         out[1:] = motion.velocity[1:]
-        out[:, ~np.array(motion.measured)] = np.nan
+        out[:, np.logical_not(motion.measured)] = np.nan
         return out
     poses, known = integrate(motion, times, start_pose)
     out[1:] = mean_velocity(poses[:-1], poses[1:], np.diff(times))
     out[1:][~known] = np.nan
-    out[:, ~np.array(motion.measured)] = np.nan
+    out[:, np.logical_not(motion.measured)] = np.nan
     return out
 
 
-def integrate(motion: Motion, times: Floats, start_pose: Floats) -> tuple[Floats, Floats]:
+def integrate(motion: Motion, times: Floats, start_pose: Floats) -> tuple[Floats, NDArray[np.bool_]]:
     """Return the dead-reckoned poses (T, 6) at `times`, and for each interval (T - 1, 6) whether it was measured."""
     inside = motion.edges_s[(motion.edges_s > times[0]) & (motion.edges_s < times[-1])]
     knots = np.union1d(times, inside)

@@ -38,7 +38,9 @@ def _fitted(motion: Motion, fixes: Floats, times: Floats, time_s: float, height_
     way = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(poses[:, :2], axis=0).T))])[1:]
     count = max(int(np.searchsorted(way, FIRST_PATH_M)), LEAST_FIXES)
     if len(times) < LEAST_FIXES or way[min(count, len(way)) - 1] < 1.0:
-        raise InputError("the reference has too few positions while the vehicle moves to tell its heading: give the start pose")
+        raise InputError(
+            "the reference has too few positions while the vehicle moves to tell its heading: give the start pose"
+        )
     angle, shift = rigid(poses[1 : count + 1, :2], fixes[:count, :2])
     return np.array([*shift, height_m, angle, 0.0, 0.0])
 

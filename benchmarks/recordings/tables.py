@@ -53,7 +53,9 @@ class TableFile:
         for row, value in enumerate(self._raw(name)):
             if isinstance(value, float | np.floating) and not np.isfinite(value):
                 raise InputError(f"{self.path}: column '{name}', row {row}: is empty; name the link of every row")
-            out.append(str(int(value)) if isinstance(value, float | np.floating) and value == int(value) else str(value))
+            out.append(
+                str(int(value)) if isinstance(value, float | np.floating) and value == int(value) else str(value)
+            )
         return out
 
     def _raw(self, name: str) -> Any:
@@ -69,7 +71,7 @@ def _text_columns(path: Path, delimiter: str) -> dict[str, Any]:
 
     import pandas as pd
 
-    cells = "give every line as many cells as the header, or say what 'delimiter' separates them (decimal points, not commas)"
+    cells = "give every line as many cells as the header, or say the 'delimiter' (numbers have decimal points)"
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("error", pd.errors.ParserWarning)
@@ -80,7 +82,9 @@ def _text_columns(path: Path, delimiter: str) -> dict[str, Any]:
         reason = str(error).removeprefix("Error tokenizing data. C error: ").strip()
         raise InputError(f"{path}: {reason}; {cells}") from error
     except UnicodeDecodeError as error:
-        raise InputError(f"{path}: is not UTF-8 text ({error.reason} at byte {error.start}); save it as UTF-8") from error
+        raise InputError(
+            f"{path}: is not UTF-8 text ({error.reason} at byte {error.start}); save it as UTF-8"
+        ) from error
     except pd.errors.ParserWarning as error:
         raise InputError(f"{path}: lines are longer than the header; {cells}") from error
     except (OSError, ValueError) as error:
@@ -90,7 +94,9 @@ def _text_columns(path: Path, delimiter: str) -> dict[str, Any]:
         if name.endswith(".1") and name[:-2] in names:
             raise InputError(f"{path}: two columns are called '{name[:-2]}'; rename one")
         if _is_number(name):
-            raise InputError(f"{path}: its first line holds numbers ('{name}'); write a header line with the columns' names")
+            raise InputError(
+                f"{path}: its first line holds numbers ('{name}'); write a header line with the columns' names"
+            )
         names[index] = name
     return {name: frame.iloc[:, i].to_numpy() for i, name in enumerate(names)}
 
@@ -113,7 +119,9 @@ def _flat(path: Path, name: str, value: Any) -> Any:
 def _one(path: Path, name: str, row: int, item: Any) -> Any:
     array = np.asarray(item)
     if array.size != 1:
-        raise InputError(f"{path}: '{name}', cell {row} holds {array.size} values, not one; write one row a measurement")
+        raise InputError(
+            f"{path}: '{name}', cell {row} holds {array.size} values, not one; write one row a measurement"
+        )
     return array.ravel()[0]
 
 

@@ -39,7 +39,8 @@ def find_trees(ranges_m: ArrayLike, rules: TreeRules | None = None) -> Trees:
     """Return the trunks in scans (S, 361) of ranges in metres, half a degree apart from right (-90) to left (+90 deg).
 
     A segment ends where the next beam hits nothing or jumps by more than `jump_m`. It is a trunk if it is no wider
-    than `most_diameter_m`, as deep as a round thing of its width can be, lies inside the scan, and neither neighbour stands
+    than `most_diameter_m`, as deep as a round thing of its width can be, lies inside the scan, and neither neighbour
+    stands
     before it (its edge would be hidden). Diameter: range times the angle of its beams; centre: mean range plus pi/4 of
     the radius, the mean depth of a circle over evenly spread chords.
     """
@@ -65,8 +66,11 @@ def find_trees(ranges_m: ArrayLike, rules: TreeRules | None = None) -> Trees:
     bearing = 0.5 * (beam[first] + beam[last]) * STEP_RAD - 0.5 * np.pi
     inside = np.abs(bearing) < 0.5 * np.pi - rules.margin_rad
     trunk = (
-        (beams >= rules.least_beams) & (diameter <= rules.most_diameter_m) & inside & ~hidden
+        (beams >= rules.least_beams)
+        & (diameter <= rules.most_diameter_m)
+        & inside
+        & ~hidden
         & (depth <= rules.depth_share * diameter + 0.1)
-    )  # fmt: skip
+    )
     centre = mean + 0.125 * np.pi * diameter
     return Trees(scan[first][trunk].astype(np.int64), centre[trunk], bearing[trunk], diameter[trunk])

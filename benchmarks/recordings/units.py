@@ -18,13 +18,21 @@ DELAYS = {**METRES, **{unit: SPEED_OF_LIGHT_MPS * factor for unit, factor in SEC
 # What each quantity may be given in, by the ending of our name.
 KINDS = {"_s": SECONDS, "_m": METRES, "_rad": ANGLES, "_db": {"dB": 1.0}}
 OWN = {
-    "distance_m": DELAYS, "distance_std_m": DELAYS, "u_x": SPEEDS, "u_y": SPEEDS, "u_z": SPEEDS, "u_psi": RATES,
-    "u_theta": RATES, "u_phi": RATES,
-}  # fmt: skip
+    "distance_m": DELAYS,
+    "distance_std_m": DELAYS,
+    "u_x": SPEEDS,
+    "u_y": SPEEDS,
+    "u_z": SPEEDS,
+    "u_psi": RATES,
+    "u_theta": RATES,
+    "u_phi": RATES,
+}
 
 
 def known_columns(table: str, columns: dict[str, Column], known: tuple[str, ...]) -> None:
-    """Raise InputError unless every column of [table.columns] is one of `known`, with a unit that fits, and time is there."""
+    """Raise InputError unless every column of [table.columns] is one of `known`, with a unit that fits, and time
+    is there.
+    """
     for name, column in columns.items():
         if name not in known:
             near = nearest_name(name, known)

@@ -1,8 +1,11 @@
 """Adapter for the Victoria Park data set: laser scans of trees, wheel speed and steering, GPS.
 
-Files `aa3_dr.mat` (time in ms, speed in m/s, steering in rad), `aa3_lsr2.mat` (TLsr in ms; LASER, 361 ranges in cm, half a
-degree apart from right to left, the lower 13 bits of each word) and `aa3_gpsx.mat` (timeGps in ms; Lo_m east, La_m north,
-in m). Source: J. Guivant and E. Nebot, Optimization of the simultaneous localization and map building algorithm, 2001, and
+Files `aa3_dr.mat` (time in ms, speed in m/s, steering in rad), `aa3_lsr2.mat` (TLsr in ms; LASER, 361 ranges in cm,
+half a
+degree apart from right to left, the lower 13 bits of each word) and `aa3_gpsx.mat` (timeGps in ms; Lo_m east, La_m
+north,
+in m). Source: J. Guivant and E. Nebot, Optimization of the simultaneous localization and map building algorithm,
+2001, and
 the vehicle's model that comes with the data.
 """
 

@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 from scipy.io import loadmat, savemat
 
-from cellslam.benchmarks.metrics import score
 from cellslam.benchmarks.estimation import estimate, warm_up
+from cellslam.benchmarks.metrics import score
 from cellslam.benchmarks.recordings.importing import import_adapter
 from cellslam.benchmarks.recordings.tampere import NAME
 from cellslam.benchmarks.recordings.trees import find_trees
@@ -20,8 +20,17 @@ from cellslam.scenarios.options import resolve
 from cellslam.sim.errors import InputError
 from cellslam.sim.recording import Measurements, Recording
 
-FITTED = {"noise_floor_m": 0.1, "noise_floor_azimuth_deg": 0.3, "noise_unit_snr_m": 0.0, "noise_unit_snr_azimuth_deg": 0.0,
-          "place_m": 0.0, "place_azimuth_deg": 0.0, "direction_m": 0.0, "direction_azimuth_deg": 0.0, "clutter_density": 0.01}  # fmt: skip
+FITTED = {
+    "noise_floor_m": 0.1,
+    "noise_floor_azimuth_deg": 0.3,
+    "noise_unit_snr_m": 0.0,
+    "noise_unit_snr_azimuth_deg": 0.0,
+    "place_m": 0.0,
+    "place_azimuth_deg": 0.0,
+    "direction_m": 0.0,
+    "direction_azimuth_deg": 0.0,
+    "clutter_density": 0.01,
+}
 
 
 def circle_scan(x: float, y: float, radius: float) -> np.ndarray:
@@ -54,7 +63,9 @@ def test_what_is_no_trunk_is_left_out() -> None:
 
 
 def test_the_vehicle_model_by_hand() -> None:
-    """Straight on the wheel's speed is the vehicle's; in a curve to the left the left wheel is slower and the nose moves left."""
+    """Straight on the wheel's speed is the vehicle's; in a curve to the left the left wheel is slower and the nose
+    moves left.
+    """
     straight = velocities(np.array([2.0]), np.array([0.0]))
     assert [straight[n][0] for n in ("u_x", "u_y", "u_psi")] == [2.0, 0.0, 0.0]
     left = velocities(np.array([2.0]), np.array([0.2]))
@@ -78,9 +89,15 @@ def truth_at(park: Recording, drive: object) -> np.ndarray:
 
 def test_trees_of_the_vehicle_data_are_where_they_stand(park: Recording, vehicle_drive: object) -> None:
     m, truth = park.measurements, truth_at(park, vehicle_drive)[park.measurements.snapshot]
-    seen = truth[:, :2] + m.distance_m[:, None] * np.column_stack([np.cos(truth[:, 2] + m.azimuth_rad), np.sin(truth[:, 2] + m.azimuth_rad)])
+    seen = truth[:, :2] + m.distance_m[:, None] * np.column_stack(
+        [np.cos(truth[:, 2] + m.azimuth_rad), np.sin(truth[:, 2] + m.azimuth_rad)]
+    )
     trees = vehicle_drive.trees[:, :2]  # type: ignore[attr-defined]
-    error = np.sqrt(((seen[:, None] - trees[None]) ** 2).sum(axis=2).min(axis=1)) if len(seen) < 4000 else nearest(seen, trees)
+    error = (
+        np.sqrt(((seen[:, None] - trees[None]) ** 2).sum(axis=2).min(axis=1))
+        if len(seen) < 4000
+        else nearest(seen, trees)
+    )
     assert np.quantile(error, 0.99) < 0.25 and 7.0 < len(m) / len(park.time_s) < 10.0
     assert park.plane and np.isnan(m.elevation_rad).all() and np.isnan(m.snr_db).all()
     assert np.isnan(park.odometry[:, [2, 4, 5]]).all() and park.reference is not None
@@ -135,7 +152,9 @@ def indoor(tmp_path: Path) -> Path:
     rng = np.random.default_rng(7)
     angle = np.linspace(0, 1.5 * np.pi, 45)
     rx = np.stack([6 * np.cos(angle), 4 * np.sin(angle), angle + np.pi / 2])
-    sources = np.array([[9.0, 1.0], [-9.0 - 16.0, 1.0], [9.0, 13.0], [9.0, -15.0]])  # the transmitter and its mirror images
+    sources = np.array(
+        [[9.0, 1.0], [-9.0 - 16.0, 1.0], [9.0, 13.0], [9.0, -15.0]]
+    )  # the transmitter and its mirror images
     y = np.empty((1, 45), object)
     power = np.empty((1, 45), object)
     for k in range(45):
@@ -174,6 +193,9 @@ def test_cut_recordings_stay_sound(park: Recording) -> None:
     keep = park.measurements.snapshot < 50
     columns = [getattr(park.measurements, f.name) for f in dataclasses.fields(park.measurements)]
     cut = dataclasses.replace(
-        park, time_s=park.time_s[:50], odometry=park.odometry[:50], measurements=Measurements(*(None if c is None else c[keep] for c in columns))
-    )  # fmt: skip
+        park,
+        time_s=park.time_s[:50],
+        odometry=park.odometry[:50],
+        measurements=Measurements(*(None if c is None else c[keep] for c in columns)),
+    )
     assert np.isfinite(rmse(cut, "dead-reckoning")[0])

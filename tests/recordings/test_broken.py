@@ -1,4 +1,6 @@
-"""Broken campaigns: each gives one clear line that names file, table, row and remedy, and leaves nothing half-written."""
+"""Broken campaigns: each gives one clear line that names file, table, row and remedy, and leaves nothing
+half-written.
+"""
 
 from __future__ import annotations
 
@@ -54,7 +56,8 @@ clock_offset_std_m = 100
 """
 FILES = {
     "recording.toml": TOML,
-    "paths.csv": "t,tx,range,az,snr\n" + "".join(f"{0.1 * i:.1f},{1 + i % 2},{50 + i},0.5,{10 - i}\n" for i in range(20)),
+    "paths.csv": "t,tx,range,az,snr\n"
+    + "".join(f"{0.1 * i:.1f},{1 + i % 2},{50 + i},0.5,{10 - i}\n" for i in range(20)),
     "wheels.csv": "t,v,w\n" + "".join(f"{0.05 * i:.2f},1.0,0.1\n" for i in range(45)),
     "gnss.csv": "t,x,y\n" + "".join(f"{i},{i},0\n" for i in range(3)),
 }
@@ -88,40 +91,110 @@ def both(*changes: Callable[[Path], None]) -> Callable[[Path], None]:
     return change
 
 
-MAT = both(swap("recording.toml", 'file = "gnss.csv"', 'file = "gnss.mat"'), put("gnss.mat", b"MATLAB 5.0 MAT-file" + b"\0" * 60))
+MAT = both(
+    swap("recording.toml", 'file = "gnss.csv"', 'file = "gnss.mat"'),
+    put("gnss.mat", b"MATLAB 5.0 MAT-file" + b"\0" * 60),
+)
 BROKEN: dict[str, tuple[Callable[[Path], None], tuple[str, ...]]] = {
     "no manifest": (remove("recording.toml"), ("recording.toml", "no such file", "--adapter")),
     "manifest not TOML": (swap("recording.toml", "[noise.u_x]", "[noise.u_x"), ("recording.toml", "not TOML", "line")),
-    "manifest not UTF-8": (put("recording.toml", b"description = \"\xff\xfe\"\n"), ("recording.toml", "not TOML")),
+    "manifest not UTF-8": (put("recording.toml", b'description = "\xff\xfe"\n'), ("recording.toml", "not TOML")),
     "manifest empty": (put("recording.toml", ""), ("recording.toml", "'measurements' is missing")),
     "misspelled table": (swap("recording.toml", "[odometry]", "[odometer]"), ("unknown key 'odometer", "odometry")),
     "misspelled key": (swap("recording.toml", "link = {", "links = {"), ("unknown key", "measurements.link")),
-    "units missing": (swap("recording.toml", 'column = "range", unit = "m"', 'column = "range"'), ("distance_m.unit", "missing")),
-    "unknown unit": (swap("recording.toml", 'column = "az", unit = "rad"', 'column = "az", unit = "grad"'), ("azimuth_rad.unit", "grad", "deg")),
-    "unit of another kind": (swap("recording.toml", 'column = "az", unit = "rad"', 'column = "az", unit = "m"'), ("measurements.columns.azimuth_rad", "'m' does not fit", "rad, deg")),
-    "samples without rate": (swap("recording.toml", 'column = "range", unit = "m"', 'column = "range", unit = "samples"'), ("distance_m", "sample_rate_hz")),
-    "unknown quantity": (swap("recording.toml", "distance_m = {", "distanze_m = {"), ("unknown 'distanze_m'", "did you mean 'distance_m'")),
-    "no time column": (swap("recording.toml", 'time_s = {column = "t", unit = "s"}\ndistance', "distance"), ("measurements.columns", "'time_s' is missing")),
-    "nothing measured": (both(swap("recording.toml", 'distance_m = {column = "range", unit = "m"}\n', ""), swap("recording.toml", 'azimuth_rad = {column = "az", unit = "rad"}\n', "")), ("neither distance nor angle",)),
-    "wrong type of a value": (swap("recording.toml", "clock_offset_std_m = 100", 'clock_offset_std_m = "wide"'), ("sites.B.clock_offset_std_m", "number")),
-    "negative deviation": (swap("recording.toml", "clock_offset_std_m = 100", "clock_offset_std_m = -1"), ("sites.B.clock_offset_std_m", "-1")),
+    "units missing": (
+        swap("recording.toml", 'column = "range", unit = "m"', 'column = "range"'),
+        ("distance_m.unit", "missing"),
+    ),
+    "unknown unit": (
+        swap("recording.toml", 'column = "az", unit = "rad"', 'column = "az", unit = "grad"'),
+        ("azimuth_rad.unit", "grad", "deg"),
+    ),
+    "unit of another kind": (
+        swap("recording.toml", 'column = "az", unit = "rad"', 'column = "az", unit = "m"'),
+        ("measurements.columns.azimuth_rad", "'m' does not fit", "rad, deg"),
+    ),
+    "samples without rate": (
+        swap("recording.toml", 'column = "range", unit = "m"', 'column = "range", unit = "samples"'),
+        ("distance_m", "sample_rate_hz"),
+    ),
+    "unknown quantity": (
+        swap("recording.toml", "distance_m = {", "distanze_m = {"),
+        ("unknown 'distanze_m'", "did you mean 'distance_m'"),
+    ),
+    "no time column": (
+        swap("recording.toml", 'time_s = {column = "t", unit = "s"}\ndistance', "distance"),
+        ("measurements.columns", "'time_s' is missing"),
+    ),
+    "nothing measured": (
+        both(
+            swap("recording.toml", 'distance_m = {column = "range", unit = "m"}\n', ""),
+            swap("recording.toml", 'azimuth_rad = {column = "az", unit = "rad"}\n', ""),
+        ),
+        ("neither distance nor angle",),
+    ),
+    "wrong type of a value": (
+        swap("recording.toml", "clock_offset_std_m = 100", 'clock_offset_std_m = "wide"'),
+        ("sites.B.clock_offset_std_m", "number"),
+    ),
+    "negative deviation": (
+        swap("recording.toml", "clock_offset_std_m = 100", "clock_offset_std_m = -1"),
+        ("sites.B.clock_offset_std_m", "-1"),
+    ),
     "unknown sign": (swap("recording.toml", 'column = "az",', 'column = "az", sign = 2,'), ("azimuth_rad.sign", "2")),
-    "site not described": (swap("recording.toml", "[sites.B]", "[sites.C]"), ("[sites.B] is missing", "clock_offset_std_m")),
+    "site not described": (
+        swap("recording.toml", "[sites.B]", "[sites.C]"),
+        ("[sites.B] is missing", "clock_offset_std_m"),
+    ),
     "site of no link": (put("recording.toml", TOML + "[sites.C]\nclock_offset_std_m = 1\n"), ("[sites.C]", "no link")),
-    "unknown clock": (swap("recording.toml", 'file = "wheels.csv"', 'file = "wheels.csv"\nclock = "gps"'), ("clock 'gps'", "[clocks]")),
-    "noise missing": (swap("recording.toml", "[noise.u_psi]\nnoise_density = 0.01\n", ""), ("[noise.u_psi] is missing", "noise_density")),
-    "noise of an unknown component": (swap("recording.toml", "[noise.u_psi]", "[noise.u_yaw]"), ("[noise.u_yaw]", "u_psi")),
-    "start from no reference": (both(swap("recording.toml", '"origin"', '"reference"'), swap("recording.toml", '[reference]\nfile = "gnss.csv"\n[reference.columns]\ntime_s = {column = "t", unit = "s"}\nx_m = {column = "x", unit = "m"}\ny_m = {column = "y", unit = "m"}\n', "")), ("start.source", "no [reference]")),
+    "unknown clock": (
+        swap("recording.toml", 'file = "wheels.csv"', 'file = "wheels.csv"\nclock = "gps"'),
+        ("clock 'gps'", "[clocks]"),
+    ),
+    "noise missing": (
+        swap("recording.toml", "[noise.u_psi]\nnoise_density = 0.01\n", ""),
+        ("[noise.u_psi] is missing", "noise_density"),
+    ),
+    "noise of an unknown component": (
+        swap("recording.toml", "[noise.u_psi]", "[noise.u_yaw]"),
+        ("[noise.u_yaw]", "u_psi"),
+    ),
+    "start from no reference": (
+        both(
+            swap("recording.toml", '"origin"', '"reference"'),
+            swap(
+                "recording.toml",
+                TOML[TOML.index("[reference]") : TOML.index("[start]")],
+                "",
+            ),
+        ),
+        ("start.source", "no [reference]"),
+    ),
     "table's file missing": (remove("wheels.csv"), ("wheels.csv", "no such file", "folder holds")),
-    "file of another kind": (both(swap("recording.toml", 'file = "gnss.csv"', 'file = "gnss.xlsx"'), put("gnss.xlsx", "x")), ("gnss.xlsx", ".csv")),
+    "file of another kind": (
+        both(swap("recording.toml", 'file = "gnss.csv"', 'file = "gnss.xlsx"'), put("gnss.xlsx", "x")),
+        ("gnss.xlsx", ".csv"),
+    ),
     "empty file": (put("paths.csv", ""), ("paths.csv", "empty", "header")),
     "header alone": (put("paths.csv", "t,tx,range,az,snr\n"), ("measurements have no row",)),
-    "no header": (put("paths.csv", FILES["paths.csv"].split("\n", 1)[1]), ("paths.csv", "first line holds numbers", "header")),
+    "no header": (
+        put("paths.csv", FILES["paths.csv"].split("\n", 1)[1]),
+        ("paths.csv", "first line holds numbers", "header"),
+    ),
     "column missing": (swap("paths.csv", "range", "rang"), ("paths.csv", "no column 'range'", "did you mean 'rang'")),
     "negative SNR column name": (swap("paths.csv", "snr", "-snr"), ("paths.csv", "no column 'snr'", "-snr")),
-    "column twice": (swap("paths.csv", "t,tx,range,az,snr", "t,tx,range,range,snr"), ("paths.csv", "two columns", "'range'", "rename")),
-    "text in a number column": (swap("paths.csv", "53,0.5", "far,0.5"), ("paths.csv", "'range', row 3", "line 5", "'far'")),
-    "decimal commas": (put("wheels.csv", "t;v;w\n0,0;1,0;0,1\n0,1;1,0;0,1\n"), ("wheels.csv", "delimiter", "decimal points")),
+    "column twice": (
+        swap("paths.csv", "t,tx,range,az,snr", "t,tx,range,range,snr"),
+        ("paths.csv", "two columns", "'range'", "rename"),
+    ),
+    "text in a number column": (
+        swap("paths.csv", "53,0.5", "far,0.5"),
+        ("paths.csv", "'range', row 3", "line 5", "'far'"),
+    ),
+    "decimal commas": (
+        put("wheels.csv", "t;v;w\n0,0;1,0;0,1\n0,1;1,0;0,1\n"),
+        ("wheels.csv", "delimiter", "decimal points"),
+    ),
     "ragged line": (swap("paths.csv", "54,0.5,6", "54,0.5,6,7"), ("paths.csv", "line", "header")),
     "not UTF-8": (put("paths.csv", b"t,tx,range,az,snr\n0,\xff\xfe,1,1,1\n"), ("paths.csv", "UTF-8")),
     "binary rubbish": (put("paths.csv", bytes(range(256)) * 9), ("paths.csv",)),
@@ -130,7 +203,10 @@ BROKEN: dict[str, tuple[Callable[[Path], None], tuple[str, ...]]] = {
     "degrees": (swap("paths.csv", "52,0.5", "52,28.6"), ("azimuth_rad, row 2", "degrees")),
     "link not in the table": (swap("paths.csv", "0.3,2", "0.3,7"), ("paths.csv", "row 3", "link '7'", "[links.7]")),
     "link empty": (swap("paths.csv", "0.3,2", "0.3,"), ("paths.csv", "row 3", "empty")),
-    "duplicate rows": (swap("paths.csv", "0.3,2,53,0.5,7\n", "0.3,2,53,0.5,7\n0.3,2,53,0.5,7\n"), ("measurements, row 4", "repeats", "remove")),
+    "duplicate rows": (
+        swap("paths.csv", "0.3,2,53,0.5,7\n", "0.3,2,53,0.5,7\n0.3,2,53,0.5,7\n"),
+        ("measurements, row 4", "repeats", "remove"),
+    ),
     "row of nothing": (swap("paths.csv", "53,0.5", ","), ("measurements, row 3", "leave the row out")),
     "unsorted odometry": (swap("wheels.csv", "0.10,", "0.60,"), ("odometry.time_s, row 3", "sort")),
     "odometry twice at a time": (swap("wheels.csv", "0.10,", "0.05,"), ("odometry.time_s, row 2", "sort")),
@@ -139,8 +215,11 @@ BROKEN: dict[str, tuple[Callable[[Path], None], tuple[str, ...]]] = {
     "odometry of one row": (put("wheels.csv", "t,v,w\n0,1,0\n"), ("odometry", "two rows")),
     "unsorted reference": (put("gnss.csv", "t,x,y\n0,0,0\n2,2,0\n1,1,0\n"), ("reference.time_s, row 2", "sort")),
     "not a .mat file": (MAT, ("gnss.mat", "MATLAB", "export it again")),
-    "truncated .mat file": (both(MAT, put("gnss.mat", b"MATLAB 5.0 MAT-file".ljust(124) + b"\x00\x01IM" + b"\x0e\0\0\0\xff\0\0\0")), ("gnss.mat", "MATLAB")),
-}  # fmt: skip
+    "truncated .mat file": (
+        both(MAT, put("gnss.mat", b"MATLAB 5.0 MAT-file".ljust(124) + b"\x00\x01IM" + b"\x0e\0\0\0\xff\0\0\0")),
+        ("gnss.mat", "MATLAB"),
+    ),
+}
 
 
 def made(folder: Path) -> Path:
@@ -174,14 +253,18 @@ def test_ten_million_rows_are_read(tmp_path: Path) -> None:
     folder = made(tmp_path / "c")
     rows = 100_000
     t = 0.01 * (np.arange(rows) // 20)
-    table = np.column_stack([t, 1 + np.arange(rows) % 2, 50 + 0.01 * np.arange(rows), np.full(rows, 0.5), np.full(rows, 9.0)])
+    table = np.column_stack(
+        [t, 1 + np.arange(rows) % 2, 50 + 0.01 * np.arange(rows), np.full(rows, 0.5), np.full(rows, 9.0)]
+    )
     with (folder / "paths.csv").open("w") as file:
         file.write("t,tx,range,az,snr\n")
         np.savetxt(file, table, "%.6g", ",")
     assert len(import_folder(folder).measurements) == rows
 
 
-QUIET = settings(max_examples=60, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture], derandomize=True)
+QUIET = settings(
+    max_examples=60, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture], derandomize=True
+)
 
 
 def tried(action: Callable[[], object]) -> None:
@@ -194,13 +277,17 @@ def tried(action: Callable[[], object]) -> None:
 
 @QUIET
 @given(name=st.sampled_from(sorted(FILES)), data=st.data())
-def test_any_damage_to_a_text_file_is_refused_in_one_line(name: str, data: st.DataObject, tmp_path_factory: pytest.TempPathFactory) -> None:
+def test_any_damage_to_a_text_file_is_refused_in_one_line(
+    name: str, data: st.DataObject, tmp_path_factory: pytest.TempPathFactory
+) -> None:
     folder = made(tmp_path_factory.mktemp("fuzz") / "c")
     raw = bytearray(FILES[name].encode())
     for _ in range(data.draw(st.integers(1, 4))):
         at = data.draw(st.integers(0, len(raw)))
         cut = data.draw(st.integers(0, 12))
-        new = data.draw(st.binary(max_size=4) | st.sampled_from([b"nan", b"-inf", b"1e400", b"\n", b",,", b'"', b"[", b"x = 1\n"]))
+        new = data.draw(
+            st.binary(max_size=4) | st.sampled_from([b"nan", b"-inf", b"1e400", b"\n", b",,", b'"', b"[", b"x = 1\n"])
+        )
         raw[at : at + cut] = new
     (folder / name).write_bytes(bytes(raw))
     tried(lambda: import_folder(folder))
@@ -237,12 +324,24 @@ def test_any_values_in_an_hdf5_file_are_refused_in_one_line(
 ) -> None:
     path = tmp_path_factory.mktemp("fuzz") / "a.h5"
     path.write_bytes(sound_h5)
-    names = ["time_s", "odometry", "measurements/snapshot", "measurements/link", "measurements/distance_m", "links/site", "reference/time_s"]
+    names = [
+        "time_s",
+        "odometry",
+        "measurements/snapshot",
+        "measurements/link",
+        "measurements/distance_m",
+        "links/site",
+        "reference/time_s",
+    ]
     with h5py.File(path, "r+") as file:
         column = file[data.draw(st.sampled_from(names))]
         values = column[()]
         flat = values.reshape(-1)
-        extreme = st.sampled_from([np.nan, np.inf, -np.inf, 1e308, -1.0]) if values.dtype.kind == "f" else st.integers(-(2**62), 2**62)
+        extreme = (
+            st.sampled_from([np.nan, np.inf, -np.inf, 1e308, -1.0])
+            if values.dtype.kind == "f"
+            else st.integers(-(2**62), 2**62)
+        )
         for _ in range(data.draw(st.integers(1, 3))):
             flat[data.draw(st.integers(0, len(flat) - 1))] = data.draw(extreme)
         column[...] = values

@@ -25,7 +25,13 @@ def drive(toy_recording: Toy, tmp_path: Path) -> Path:
 def test_inspect_prints_and_draws(drive: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert cli.main(["inspect", str(drive)]) == 0
     text = capsys.readouterr().out
-    for word in ("60 in 6 s, every 0.1 s", "links         4 of 2 sites", "cell_id 375", "suspicious    nothing", "truth"):
+    for word in (
+        "60 in 6 s, every 0.1 s",
+        "links         4 of 2 sites",
+        "cell_id 375",
+        "suspicious    nothing",
+        "truth",
+    ):
         assert word in text, text
     assert drive.with_suffix(".png").read_bytes().startswith(b"\x89PNG")
     assert cli.main(["--quiet", "inspect", str(drive), "--json", "--no-figure"]) == 0
@@ -33,7 +39,9 @@ def test_inspect_prints_and_draws(drive: Path, capsys: pytest.CaptureFixture[str
     assert found["snapshots"]["count"] == 60 and found["suspicions"] == []
 
 
-def test_inspect_tells_gaps_and_what_is_missing(toy_recording: Toy, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_inspect_tells_gaps_and_what_is_missing(
+    toy_recording: Toy, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     import dataclasses
 
     r = toy_recording(truth=False)
@@ -41,7 +49,9 @@ def test_inspect_tells_gaps_and_what_is_missing(toy_recording: Toy, tmp_path: Pa
     nothing = np.full(len(r.measurements), np.nan)
     odometry = r.odometry.copy()
     odometry[:, 2] = np.nan
-    r = dataclasses.replace(r, time_s=time, odometry=odometry, measurements=dataclasses.replace(r.measurements, snr_db=nothing))
+    r = dataclasses.replace(
+        r, time_s=time, odometry=odometry, measurements=dataclasses.replace(r.measurements, snr_db=nothing)
+    )
     r.save(tmp_path / "a.h5")
     assert cli.main(["--quiet", "inspect", str(tmp_path / "a.h5"), "--no-figure"]) == 0
     text = capsys.readouterr().out
@@ -84,7 +94,22 @@ def test_maps_of_an_estimate(drive: Path, tmp_path: Path, capsys: pytest.Capture
 
     cloud = trimesh.load(tmp_path / "m.ply", process=False)
     assert np.allclose(np.asarray(cloud.vertices), [p["properties"]["position_m"] for p in points], atol=1e-5)
-    assert cli.main(["--quiet", "export", str(drive), "--format", "ply", "--estimator", "dead-reckoning", "--out", str(tmp_path / "n.ply")]) == 2
+    assert (
+        cli.main(
+            [
+                "--quiet",
+                "export",
+                str(drive),
+                "--format",
+                "ply",
+                "--estimator",
+                "dead-reckoning",
+                "--out",
+                str(tmp_path / "n.ply"),
+            ]
+        )
+        == 2
+    )
     assert "makes no map" in capsys.readouterr().err and not (tmp_path / "n.ply").exists()
 
 
@@ -96,7 +121,9 @@ def test_geojson_is_placed_on_the_earth_where_the_recording_says_how(toy_recordi
     origin = [500000.0, 6094791.4]  # zone 33: 15 deg east, about 55 deg north
     r = dataclasses.replace(r, provenance={"projection": {"crs": "EPSG:32633", "origin_m": origin}})
     r.save(tmp_path / "a.h5")
-    assert cli.main(["export", str(tmp_path / "a.h5"), "--format", "geojson", "--out", str(tmp_path / "a.geojson")]) == 0
+    assert (
+        cli.main(["export", str(tmp_path / "a.h5"), "--format", "geojson", "--out", str(tmp_path / "a.geojson")]) == 0
+    )
     x, y, _ = json.loads((tmp_path / "a.geojson").read_text())["features"][0]["geometry"]["coordinates"][0]
     assert x == pytest.approx(15.0, abs=1e-3) and y == pytest.approx(55.0, abs=2e-3)
 
@@ -104,7 +131,12 @@ def test_geojson_is_placed_on_the_earth_where_the_recording_says_how(toy_recordi
 def test_playback_page(drive: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     pytest.importorskip("plotly", reason="extra report")
     page = tmp_path / "p.html"
-    assert cli.main(["--quiet", "export", str(drive), "--format", "html", "--estimator", "dead-reckoning", "--out", str(page)]) == 0
+    assert (
+        cli.main(
+            ["--quiet", "export", str(drive), "--format", "html", "--estimator", "dead-reckoning", "--out", str(page)]
+        )
+        == 0
+    )
     text = page.read_text()
     assert "dead-reckoning" in text and "measured paths" in text and '"frames"' in text.replace("addFrames", '"frames"')
     assert "<script src=" not in text  # works offline
@@ -121,7 +153,16 @@ def test_exports_do_not_overwrite_folders(drive: Path, tmp_path: Path, capsys: p
 
 
 def test_alignment_is_done_on_request_and_said(drive: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    words = ["--quiet", "replay", str(drive), "--estimator", "dead-reckoning", "--no-figures", "--out", str(tmp_path / "o")]
+    words = [
+        "--quiet",
+        "replay",
+        str(drive),
+        "--estimator",
+        "dead-reckoning",
+        "--no-figures",
+        "--out",
+        str(tmp_path / "o"),
+    ]
     assert cli.main([*words, "--json"]) == 0
     plain = json.loads(capsys.readouterr().out)[0]
     assert cli.main([*words, "--json", "--align"]) == 0

@@ -42,16 +42,39 @@ def world() -> Recording:
         snr_db = rng.uniform(-5.0, 25.0, len(near))
         std = np.sqrt(STD_M**2 + UNIT_M**2 * 10 ** (-snr_db / 10))
         azimuth = np.arctan2(d[near, 1], d[near, 0]) - heading[t] + STD_RAD * rng.standard_normal(len(near))
-        rows.append(np.column_stack([np.full(len(near), times[t]), reach[near] + std * rng.standard_normal(len(near)), azimuth, snr_db]))
+        rows.append(
+            np.column_stack(
+                [np.full(len(near), times[t]), reach[near] + std * rng.standard_normal(len(near)), azimuth, snr_db]
+            )
+        )
         false = rng.poisson(FALSE)
-        rows.append(np.column_stack([np.full(false, times[t]), rng.uniform(5, 5 + AREA_M, false), rng.uniform(-np.pi, np.pi, false), np.full(false, 10.0)]))
+        rows.append(
+            np.column_stack(
+                [
+                    np.full(false, times[t]),
+                    rng.uniform(5, 5 + AREA_M, false),
+                    rng.uniform(-np.pi, np.pi, false),
+                    np.full(false, 10.0),
+                ]
+            )
+        )
     table = np.concatenate(rows)
     speed = np.full(count, 1.5) + SPEED_NOISE / np.sqrt(dt) * rng.standard_normal(count)
     rate = turn + TURN_BIAS + TURN_NOISE / np.sqrt(dt) * rng.standard_normal(count)
-    return build(Campaign(
-        table[:, 0], {"distance_m": table[:, 1], "azimuth_rad": np.arctan2(np.sin(table[:, 2]), np.cos(table[:, 2])), "snr_db": table[:, 3]},
-        OdometryTable(times, {"u_x": speed, "u_psi": rate}, "before"), start_pose=(0.0,) * 6, snapshots_s=times, plane=True,
-    ))  # fmt: skip
+    return build(
+        Campaign(
+            table[:, 0],
+            {
+                "distance_m": table[:, 1],
+                "azimuth_rad": np.arctan2(np.sin(table[:, 2]), np.cos(table[:, 2])),
+                "snr_db": table[:, 3],
+            },
+            OdometryTable(times, {"u_x": speed, "u_psi": rate}, "before"),
+            start_pose=(0.0,) * 6,
+            snapshots_s=times,
+            plane=True,
+        )
+    )
 
 
 def test_what_was_put_in_is_found(world: Recording) -> None:
@@ -75,7 +98,9 @@ def test_the_lines_can_be_pasted(world: Recording) -> None:
 
 
 def test_simulated_cellular_noise_at_unit_snr(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """The statistical front end's thermal part is 0.0405 m at 0 dB; its other errors are not white and are kept apart."""
+    """The statistical front end's thermal part is 0.0405 m at 0 dB; its other errors are not white and are kept
+    apart.
+    """
     path = Path(str(files("cellslam.slam").joinpath("conformance_drive.h5")))
     assert cli.main(["--quiet", "fit-noise", str(path)]) == 0
     options = tomllib.loads(capsys.readouterr().out)["estimator"]["fastslam"]

@@ -97,7 +97,9 @@ def test_units_signs_zeros_clocks_by_hand(campaign: Path) -> None:
 
 
 def test_delays_in_samples(campaign: Path) -> None:
-    (campaign / "recording.toml").write_text(MANIFEST.replace('column = "tau", unit = "ns"', 'column = "tau", unit = "samples"'))
+    (campaign / "recording.toml").write_text(
+        MANIFEST.replace('column = "tau", unit = "ns"', 'column = "tau", unit = "samples"')
+    )
     assert import_folder(campaign).measurements.distance_m[1] == pytest.approx(100 * SPEED_OF_LIGHT_MPS / 100e6)
 
 
@@ -120,7 +122,7 @@ def test_latitude_and_longitude_are_projected(campaign: Path) -> None:
     (campaign / "recording.toml").write_text(MANIFEST + REFERENCE)
     reference = import_folder(campaign).reference
     assert reference is not None
-    # WGS 84: a degree of latitude at 55 deg is 111 323.6 m, of longitude 63 994.6 m (meridian and prime-vertical radii).
+    # WGS 84: a degree of latitude at 55 deg is 111 323.6 m, of longitude 63 994.6 m (radii of curvature).
     assert reference.position_m[0, :2] == pytest.approx([0, 0], abs=1e-6)
     assert reference.position_m[1, :2] == pytest.approx([0.0, 111.3236 * 0.9996], abs=2e-3)
     assert reference.position_m[2, :2] == pytest.approx([63.9946 * 0.9996, 0.0], abs=2e-3)
@@ -130,14 +132,20 @@ def test_latitude_and_longitude_are_projected(campaign: Path) -> None:
 
 def test_north_east_down_and_poses_of_an_odometry_frame(campaign: Path) -> None:
     text = MANIFEST.replace("[odometry.columns]", 'kind = "poses"\n[odometry.columns]').replace("axes", "# axes")
-    text = text.replace('u_x = {column = "v", unit = "km/h"}', 'x_m = {column = "v", unit = "m"}\ny_m = {column = "w", unit = "m"}')
+    text = text.replace(
+        'u_x = {column = "v", unit = "km/h"}', 'x_m = {column = "v", unit = "m"}\ny_m = {column = "w", unit = "m"}'
+    )
     text = text.replace('u_psi = {column = "w", unit = "deg/s"}', 'yaw_rad = {column = "h", unit = "deg"}')
     (campaign / "wheels.csv").write_text("t,v,w,h\n10,5,5,90\n11.0001,5,7,90\n12.0002,5,8,90\n")
     text += """
 [reference]
 file = "total.csv"
 axes = "north-east-down"
-columns = {time_s = {column = "t", unit = "s"}, x_m = {column = "n", unit = "m"}, y_m = {column = "e", unit = "m"}, z_m = {column = "d", unit = "m"}}
+[reference.columns]
+time_s = {column = "t", unit = "s"}
+x_m = {column = "n", unit = "m"}
+y_m = {column = "e", unit = "m"}
+z_m = {column = "d", unit = "m"}
 """
     (campaign / "total.csv").write_text("t,n,e,d\n10,1,2,3\n12,4,5,6\n")
     (campaign / "recording.toml").write_text(text)
@@ -151,13 +159,32 @@ def rows_of(path: Path, capsys: pytest.CaptureFixture[str], out: Path) -> list[d
     words = ["replay", str(path), "--estimator", "dead-reckoning", "--estimator", "ekf-slam", "--seed", "3"]
     assert cli.main(["--quiet", *words, "--json", "--no-figures", "--out", str(out)]) == 0
     rows: list[dict[str, Any]] = json.loads(capsys.readouterr().out)
-    return [{k: v for k, v in row.items() if k not in ("estimate_seconds", "realtime_factor", "scenario")} for row in rows]
+    return [
+        {k: v for k, v in row.items() if k not in ("estimate_seconds", "realtime_factor", "scenario")} for row in rows
+    ]
 
 
 @pytest.fixture(scope="module")
 def recorded(tmp_path_factory: pytest.TempPathFactory) -> Path:
     path = tmp_path_factory.mktemp("recorded") / "tiny.h5"
-    assert cli.main(["--quiet", "record", "tiny", "--set", "vehicle.duration_s=12", "--set", "vehicle.distance_m=8", "--set", "vehicle.stops=0", "--out", str(path)]) == 0
+    assert (
+        cli.main(
+            [
+                "--quiet",
+                "record",
+                "tiny",
+                "--set",
+                "vehicle.duration_s=12",
+                "--set",
+                "vehicle.distance_m=8",
+                "--set",
+                "vehicle.stops=0",
+                "--out",
+                str(path),
+            ]
+        )
+        == 0
+    )
     return path
 
 
@@ -172,7 +199,9 @@ def test_round_trip_gives_the_same_measurements_and_rows(
     exact = kind == "mat"
     for name in (f.name for f in dataclasses.fields(original.measurements)):
         a, b = getattr(original.measurements, name), getattr(imported.measurements, name)
-        assert a.tobytes() == b.tobytes() if exact or a.dtype == np.int64 else np.allclose(a, b, rtol=1e-11, atol=0), name
+        assert a.tobytes() == b.tobytes() if exact or a.dtype == np.int64 else np.allclose(a, b, rtol=1e-11, atol=0), (
+            name
+        )
     for name in ("time_s", "odometry", "start_std"):
         a, b = getattr(original, name), getattr(imported, name)
         assert a.tobytes() == b.tobytes() if exact else np.allclose(a, b, rtol=1e-11, atol=1e-300), name
@@ -180,7 +209,14 @@ def test_round_trip_gives_the_same_measurements_and_rows(
     assert imported.sites.name == original.sites.name and (imported.links.cell_id == original.links.cell_id).all()
     before, after = rows_of(recorded, capsys, tmp_path / "o1"), rows_of(again, capsys, tmp_path / "o2")
     for one, two in zip(before, after, strict=True):
-        for key in ("snapshots", "duration_s", "position_rmse_m", "position_max_m", "position_end_m", "heading_rmse_rad"):
+        for key in (
+            "snapshots",
+            "duration_s",
+            "position_rmse_m",
+            "position_max_m",
+            "position_end_m",
+            "heading_rmse_rad",
+        ):
             assert two[key] == pytest.approx(one[key], rel=1e-5, abs=1e-7), key
         assert two["map_gospa_m"] is None and two["bound_position_rmse_m"] is None and two["status"] == "ok"
 
@@ -190,12 +226,29 @@ def test_hdf5_round_trip_and_run_give_the_same_rows_bit_for_bit(
 ) -> None:
     Recording.load(recorded).save(tmp_path / "copy.h5")
     words = ["--estimator", "dead-reckoning", "--estimator", "ekf-slam", "--json", "--no-figures"]
-    first = ["--quiet", "run", "tiny", "--set", "vehicle.duration_s=12", "--set", "vehicle.distance_m=8", "--set", "vehicle.stops=0", *words, "--out", str(tmp_path / "r")]
+    first = [
+        "--quiet",
+        "run",
+        "tiny",
+        "--set",
+        "vehicle.duration_s=12",
+        "--set",
+        "vehicle.distance_m=8",
+        "--set",
+        "vehicle.stops=0",
+        *words,
+        "--out",
+        str(tmp_path / "r"),
+    ]
     assert cli.main(first) == 0
     ran = json.loads(capsys.readouterr().out)
     assert cli.main(["--quiet", "replay", str(tmp_path / "copy.h5"), *words, "--out", str(tmp_path / "s")]) == 0
     for one, two in zip(ran, json.loads(capsys.readouterr().out), strict=True):
-        assert {**one, "estimate_seconds": 0, "realtime_factor": 0} == {**two, "estimate_seconds": 0, "realtime_factor": 0}
+        assert {**one, "estimate_seconds": 0, "realtime_factor": 0} == {
+            **two,
+            "estimate_seconds": 0,
+            "realtime_factor": 0,
+        }
 
 
 def matlab_73(path: Path, tables: dict[str, dict[str, Any]]) -> None:
@@ -233,7 +286,9 @@ def load(folder):
 """
 
 
-def test_an_adapter_of_ten_lines(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+def test_an_adapter_of_ten_lines(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
     assert len(ADAPTER.strip().splitlines()) <= 10
     monkeypatch.chdir(tmp_path)
     monkeypatch.syspath_prepend(tmp_path)

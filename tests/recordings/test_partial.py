@@ -23,7 +23,9 @@ Toy = Callable[..., Recording]
 
 
 def partial(toy: Toy) -> Recording:
-    """No elevation, no SNR, no cells, no truth, odometry of two components with a gap, GNSS at 1 Hz, irregular times."""
+    """No elevation, no SNR, no cells, no truth, odometry of two components with a gap, GNSS at 1 Hz, irregular
+    times.
+    """
     r = toy(truth=False)
     nothing = np.full(len(r.measurements), np.nan)
     odometry = np.full((len(r.time_s), 6), np.nan)
@@ -37,10 +39,12 @@ def partial(toy: Toy) -> Recording:
         measurements=dataclasses.replace(r.measurements, elevation_rad=nothing, snr_db=nothing),
         links=dataclasses.replace(r.links, cell_id=missing, port=missing),
         reference=Reference(
-            np.arange(4.0), np.array([[3, -2, np.nan], [4, -1, np.nan], [np.nan] * 3, [5, 1, np.nan]]),
-            np.full(4, np.nan), np.full(4, np.nan),
+            np.arange(4.0),
+            np.array([[3, -2, np.nan], [4, -1, np.nan], [np.nan] * 3, [5, 1, np.nan]]),
+            np.full(4, np.nan),
+            np.full(4, np.nan),
         ),
-    )  # fmt: skip
+    )
 
 
 def test_absences_are_declared_and_come_back(toy_recording: Toy, tmp_path: Path) -> None:
@@ -76,7 +80,9 @@ def test_estimators_get_odometry_without_gaps(toy_recording: Toy) -> None:
     assert given[:, 0].tobytes() == recording.odometry[:, 0].tobytes()
 
 
-def test_in_one_plane_elevations_are_zero_for_estimators_but_not_in_the_file(toy_recording: Toy, tmp_path: Path) -> None:
+def test_in_one_plane_elevations_are_zero_for_estimators_but_not_in_the_file(
+    toy_recording: Toy, tmp_path: Path
+) -> None:
     recording = dataclasses.replace(partial(toy_recording), plane=True)
     recording.save(tmp_path / "a.h5")
     again = Recording.load(tmp_path / "a.h5")
@@ -143,7 +149,7 @@ def test_odometry_at_another_rate_integrates_to_the_same_drive(hold: str) -> Non
     radius = speed / rate
     # The array sits (1, 0.5) from the point that drives the circle, which starts at minus that.
     vehicle = np.array([radius, radius]) - [1.0, 0.5]
-    assert pose[:2] == pytest.approx(vehicle + [-0.5, 1.0], abs=2e-3)
+    assert pose[:2] == pytest.approx(vehicle + np.array([-0.5, 1.0]), abs=2e-3)
     assert pose[3] == pytest.approx(np.pi / 2)
     assert np.isnan(recording.odometry[:, [2, 4, 5]]).all()
 

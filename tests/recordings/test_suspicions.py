@@ -66,18 +66,34 @@ def compass_yaw(r: Recording) -> Recording:
 SAMPLE_M = SPEED_OF_LIGHT_MPS / 30.72e6
 MISTAKES: dict[str, tuple[Change, tuple[str, ...], tuple[str, ...]]] = {
     "delays in ns": (measured(distance_m=lambda d: d / (1e-9 * SPEED_OF_LIGHT_MPS)), ("nanoseconds",), ("ns",)),
-    "delays in samples": (measured(distance_m=lambda d: np.round(d / SAMPLE_M) + np.arange(len(d)) % 1), ("samples",), ("sample_rate_hz",)),
+    "delays in samples": (
+        measured(distance_m=lambda d: np.round(d / SAMPLE_M) + np.arange(len(d)) % 1),
+        ("samples",),
+        ("sample_rate_hz",),
+    ),
     "clockwise azimuth": (measured(azimuth_rad=lambda a: -a), ("clockwise",), ("clockwise", "sign = -1")),
     "clockwise yaw": (driven(3, -1.0), ("clockwise",), ("clockwise", "u_psi")),
-    "azimuth from the left": (measured(azimuth_rad=lambda a: wrap_angle(a - np.pi / 2)), ("azimuth-zero",), ("swapped axes",)),
-    "axes of the azimuth swapped": (measured(azimuth_rad=lambda a: wrap_angle(np.pi / 2 - a)), ("azimuth-zero", "clockwise"), ("swapped axes",)),
+    "azimuth from the left": (
+        measured(azimuth_rad=lambda a: wrap_angle(a - np.pi / 2)),
+        ("azimuth-zero",),
+        ("swapped axes",),
+    ),
+    "axes of the azimuth swapped": (
+        measured(azimuth_rad=lambda a: wrap_angle(np.pi / 2 - a)),
+        ("azimuth-zero", "clockwise"),
+        ("swapped axes",),
+    ),
     "odometry backwards": (driven(0, -1.0), ("odometry-sign",), ("wrong sign",)),
     "yaw rate in deg/s": (driven(3, 180.0 / np.pi), ("degrees-as-radians",), ("degrees", "deg/s")),
     "yaw rate divided twice": (driven(3, np.pi / 180.0), ("radians-as-degrees",), ("rad/s",)),
-    "azimuth divided twice": (measured(azimuth_rad=lambda a: a * np.pi / 180.0), ("radians-as-degrees",), ('unit = "rad"',)),
+    "azimuth divided twice": (
+        measured(azimuth_rad=lambda a: a * np.pi / 180.0),
+        ("radians-as-degrees",),
+        ('unit = "rad"',),
+    ),
     "km/h for m/s": (driven(0, 3.6), ("speed-unit",), ("km/h",)),
     "reference with x and y swapped": (swapped_reference, ("swapped-axes",), ("swapped", "exchange x_m and y_m")),
-}  # fmt: skip
+}
 
 
 def test_sound_data_raise_nothing(cellular: Recording, trees: Recording) -> None:

@@ -17,7 +17,9 @@ MOST_RANGE_M = 35.0
 
 @dataclass(frozen=True)
 class VehicleDrive:
-    """`poses` (N, 3) of the laser at the odometry's times; `speed` of the rear left wheel and `steering` as measured."""
+    """`poses` (N, 3) of the laser at the odometry's times; `speed` of the rear left wheel and `steering` as
+    measured.
+    """
 
     time_s: Floats
     poses: Floats
@@ -32,11 +34,13 @@ def drive(duration_s: float, trees: int, seed: int, size_m: float = 240.0) -> Ve
     count = int(duration_s / ODOMETRY_S) + 1
     rear, steering, speed = _rear_axle(count, size_m, rng)
     heading = rear[:, 2]
-    laser = np.column_stack([
-        rear[:, 0] + LASER_X_M * np.cos(heading) - LASER_Y_M * np.sin(heading),
-        rear[:, 1] + LASER_X_M * np.sin(heading) + LASER_Y_M * np.cos(heading),
-        heading,
-    ])  # fmt: skip
+    laser = np.column_stack(
+        [
+            rear[:, 0] + LASER_X_M * np.cos(heading) - LASER_Y_M * np.sin(heading),
+            rear[:, 1] + LASER_X_M * np.sin(heading) + LASER_Y_M * np.cos(heading),
+            heading,
+        ]
+    )
     wheel = speed * (1.0 - np.tan(steering) * ENCODER_M / WHEELBASE_M)
     measured_speed = wheel * 1.01 + 0.05 * rng.standard_normal(count)
     measured_steering = steering + np.radians(0.3) + np.radians(1.0) * rng.standard_normal(count)
@@ -63,7 +67,11 @@ def _rear_axle(count: int, size_m: float, rng: np.random.Generator) -> tuple[Flo
         steering[i], speed[i] = angle, v
         rate = v * np.tan(angle) / WHEELBASE_M
         middle = heading + 0.5 * rate * ODOMETRY_S
-        x, y, heading = x + v * np.cos(middle) * ODOMETRY_S, y + v * np.sin(middle) * ODOMETRY_S, heading + rate * ODOMETRY_S
+        x, y, heading = (
+            x + v * np.cos(middle) * ODOMETRY_S,
+            y + v * np.sin(middle) * ODOMETRY_S,
+            heading + rate * ODOMETRY_S,
+        )
     return poses, steering, speed
 
 
