@@ -8,6 +8,7 @@ a Latin hypercube over ranges.
 from __future__ import annotations
 
 import itertools
+import json
 import math
 import tomllib
 from collections.abc import Iterator, Mapping, Sequence
@@ -175,11 +176,16 @@ def points(sweep: Sweep, estimators: Sequence[str]) -> tuple[Point, ...]:
     if not 0 < count <= MOST_POINTS:
         raise InputError(f"the sweep has {count} points: must be 1 to {MOST_POINTS}")
     out = []
+    # Points that differ in the world alone have the same requests; resolving them looks through all installed packages.
+    known: dict[str, tuple[Request, ...]] = {}
     for combination in itertools.product(*sweep.axes):
         settings = {key: value for setting in combination for key, value in setting.items()}
         overrides = {**sweep.overrides, **settings}
         scenario = load(sweep.scenario, overrides)
-        out.append(Point(settings, scenario, resolve(scenario.estimator, estimators, overrides)))
+        options = json.dumps(scenario.estimator, sort_keys=True)
+        if options not in known:
+            known[options] = resolve(scenario.estimator, estimators, overrides)
+        out.append(Point(settings, scenario, known[options]))
     return tuple(out)
 
 

@@ -1,11 +1,17 @@
 from __future__ import annotations
 
+import re
+import shlex
+import tomllib
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
+from cellslam.benchmarks.cli import build_parser
+from cellslam.benchmarks.cli_sweep import requested
+from cellslam.benchmarks.trials import DEFAULT_ESTIMATORS
 from cellslam.scenarios import sweep
 from cellslam.sim.errors import InputError
 
@@ -122,3 +128,17 @@ def test_a_broken_file_is_named(tmp_path: Path) -> None:
     file.write_text("scenario = ")
     with pytest.raises(InputError, match=r"s.toml: not a sweep file"):
         sweep.read(file)
+
+
+def test_what_the_documentation_shows() -> None:
+    text = (Path(__file__).parents[1] / "docs" / "monte-carlo.md").read_text("utf-8")
+    (block,) = re.findall(r"```toml\n(.*?)```", text, re.DOTALL)
+    shown = sweep.from_tables(tomllib.loads(block))
+    assert len(sweep.points(shown, shown.estimators)) == 3 * 2 * 2 * 2 * 20
+    commands = [line for part in re.findall(r"```sh\n(.*?)```", text, re.DOTALL) for line in part.split("\ncellslam ")]
+    assert len(commands) == 5
+    for command in commands:
+        arguments = build_parser().parse_args(shlex.split(command.removeprefix("cellslam ").replace("\\\n", " ")))
+        if hasattr(arguments, "sweeps"):
+            estimators = arguments.estimators or DEFAULT_ESTIMATORS
+            assert len(sweep.points(requested(arguments), estimators)) == 4
