@@ -21,7 +21,8 @@ if TYPE_CHECKING:
 
 def import_campaign(arguments: Namespace) -> int:
     """Carry out `cellslam import`."""
-    from cellslam.benchmarks.recordings.importing import import_adapter, import_folder
+    from cellslam.benchmarks.recordings.adapters import import_adapter
+    from cellslam.benchmarks.recordings.importing import import_folder
     from cellslam.benchmarks.recordings.suspicions import suspicions
 
     out, folder = Path(arguments.out), Path(arguments.folder)
@@ -93,7 +94,8 @@ def export(arguments: Namespace) -> int:
 
 def fit_noise(arguments: Namespace) -> int:
     """Carry out `cellslam fit-noise`."""
-    from cellslam.benchmarks.recordings.fit_noise import fit, lines
+    from cellslam.benchmarks.recordings.fit_lines import lines
+    from cellslam.benchmarks.recordings.fit_noise import fit
 
     path = Path(arguments.file)
     recording = Recording.load(path)

@@ -12,7 +12,7 @@ from scipy.io import loadmat, savemat
 
 from cellslam.benchmarks.estimation import estimate, warm_up
 from cellslam.benchmarks.metrics import score
-from cellslam.benchmarks.recordings.importing import import_adapter
+from cellslam.benchmarks.recordings.adapters import import_adapter
 from cellslam.benchmarks.recordings.tampere import NAME
 from cellslam.benchmarks.recordings.trees import find_trees
 from cellslam.benchmarks.recordings.victoria_park import velocities

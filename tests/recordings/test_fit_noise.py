@@ -12,7 +12,8 @@ import pytest
 
 from cellslam.benchmarks import cli
 from cellslam.benchmarks.recordings import Campaign, OdometryTable, build
-from cellslam.benchmarks.recordings.fit_noise import fit, lines
+from cellslam.benchmarks.recordings.fit_lines import lines
+from cellslam.benchmarks.recordings.fit_noise import fit
 from cellslam.scenarios.options import resolve
 from cellslam.sim.errors import InputError
 from cellslam.sim.recording import Recording
