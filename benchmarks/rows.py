@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
+from sqlite3 import Connection
 from typing import TYPE_CHECKING, Any
 
 from cellslam.benchmarks.result import ROW_KEYS
@@ -29,12 +30,8 @@ def results(folder: str | Path, keys: Sequence[str] | None = None) -> pd.DataFra
     """
     import pandas as pd
 
-    path = Path(folder)
-    with reading(path) as database:
-        worlds = {i: json.loads(t) for i, t in database.execute("SELECT id, tables FROM worlds")}
-        options = {i: json.loads(t) for i, t in database.execute("SELECT id, tables FROM options")}
-        pairs = database.execute("SELECT DISTINCT estimator, world, options FROM rows").fetchall()
-        columns = _columns(pairs, worlds, options)
+    with reading(Path(folder)) as database:
+        pairs, columns = _settings(database)
         wanted = _wanted(keys, columns)
         plain = ["key", "estimator", "world", "options", "seed", "trial", *(k for k in ROW_KEYS if k in wanted)]
         plain = list(dict.fromkeys(plain))
@@ -42,12 +39,20 @@ def results(folder: str | Path, keys: Sequence[str] | None = None) -> pd.DataFra
         rows = database.execute(f"SELECT {names} FROM rows").fetchall()
     frame = pd.DataFrame.from_records(rows, columns=plain)
     place = {pair: index for index, pair in enumerate(pairs)}
-    index = [place[pair] for pair in zip(frame["estimator"], frame["world"], frame["options"], strict=True)]
+    # Estimator, world and options come after the key.
+    index = [place[row[1:4]] for row in rows]
     settings = {name: [columns[name][i] for i in index] for name in wanted if name not in plain}
     frame = pd.concat([frame, pd.DataFrame(settings, index=frame.index, columns=list(settings))], axis=1)
     varied = [name for name in settings if _sortable(columns[name])]
     frame = frame.sort_values([*varied, "estimator", "options", "seed", "trial"], kind="stable", ignore_index=True)
     return frame[["key", *wanted]] if keys is None else frame[list(wanted)]
+
+
+def varying_keys(folder: str | Path) -> list[str]:
+    """Return the scenario keys and options that have more than one value among the rows. Raises InputError."""
+    with reading(Path(folder)) as database:
+        _, columns = _settings(database)
+    return [key for key in _wanted(None, columns) if key not in ROW_KEYS]
 
 
 def flat(table: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, Any]]:
@@ -77,6 +82,14 @@ def _flat_value(value: Any, key: str) -> Iterator[tuple[str, Any]]:
             yield from flat(item, f"{key}.{label(item, index)}.")
     else:
         yield key, value
+
+
+def _settings(database: Connection) -> tuple[list[tuple[str, str, str]], dict[str, list[Any]]]:
+    """Return each (estimator, world, options) of the rows, and the value of every key for each."""
+    worlds = {i: json.loads(t) for i, t in database.execute("SELECT id, tables FROM worlds")}
+    options = {i: json.loads(t) for i, t in database.execute("SELECT id, tables FROM options")}
+    pairs = database.execute("SELECT DISTINCT estimator, world, options FROM rows").fetchall()
+    return pairs, _columns(pairs, worlds, options)
 
 
 def _columns(pairs: Sequence[tuple[str, str, str]], worlds: Tables, options: Tables) -> dict[str, list[Any]]:

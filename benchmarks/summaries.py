@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from cellslam.benchmarks.result import METRIC_KEYS, ROW_KEYS
-from cellslam.benchmarks.rows import results
+from cellslam.benchmarks.result import METRIC_KEYS
+from cellslam.benchmarks.rows import results, varying_keys
 from cellslam.benchmarks.statistics import interval, paired, statistic
 from cellslam.sim.errors import InputError, unknown_name
 from cellslam.sim.recording import Floats
@@ -106,7 +106,7 @@ def row_keys(folder: str | Path, layout: Layout) -> list[str]:
     """Return the keys that group the rows of a summary."""
     if layout.rows is not None:
         return list(layout.rows)
-    varied = [name for name in results(folder).columns if name not in (*ROW_KEYS, "key", layout.columns)]
+    varied = [name for name in varying_keys(folder) if name != layout.columns]
     return [*varied, *(["estimator"] if layout.columns != "estimator" else [])]
 
 
