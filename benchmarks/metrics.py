@@ -84,6 +84,22 @@ def reference_scores(recording: Recording, reference: Reference, result: TrialRe
     return scores
 
 
+def errors_over_time(recording: Recording, poses: Floats) -> tuple[Floats, Floats] | None:
+    """Return times (N,) and horizontal errors (N,) of poses (T, 6); None without truth and reference.
+
+    Against the truth at every snapshot, against a reference at its fixes.
+    """
+    if recording.truth is not None:
+        return recording.time_s, horizontal_error(recording.truth.poses, poses)
+    reference = recording.reference
+    if reference is None:
+        return None
+    rows = within(recording, reference) & np.isfinite(reference.position_m[:, :2]).all(axis=1)
+    at = reference.time_s[rows]
+    there = np.column_stack([np.interp(at, recording.time_s, poses[:, i]) for i in range(2)])
+    return (at, horizontal_error(reference.position_m[rows], there)) if rows.any() else None
+
+
 def within(recording: Recording, reference: Reference) -> NDArray[np.bool_]:
     """Return which fixes (R,) of a reference lie within the drive, and so can be compared with an estimate."""
     times: NDArray[np.bool_] = (reference.time_s >= recording.time_s[0]) & (reference.time_s <= recording.time_s[-1])

@@ -9,7 +9,7 @@ from matplotlib.figure import Figure
 
 from cellslam.benchmarks.bound import BoundResult
 from cellslam.benchmarks.figures.style import GREY, WIDTH_IN, estimator_styles
-from cellslam.benchmarks.metrics import horizontal_error
+from cellslam.benchmarks.metrics import errors_over_time
 from cellslam.benchmarks.result import TrialResult
 from cellslam.sim.recording import Floats, Recording
 
@@ -19,19 +19,21 @@ ODOMETRY_ALONE = "dead-reckoning"
 def draw(figure: Figure, recording: Recording, results: Mapping[str, TrialResult], bound: BoundResult | None) -> bool:
     """Draw the errors in metres, and below them all but dead reckoning magnified.
 
-    Returns False, and draws nothing, without truth or results.
+    Returns False, and draws nothing, without truth, reference or results.
     """
-    truth = recording.truth
-    if truth is None or not results:
+    found = {name: errors_over_time(recording, result.poses) for name, result in results.items()}
+    known = {name: pair for name, pair in found.items() if pair is not None}
+    if not known:
         return False
-    errors = {name: horizontal_error(truth.poses, result.poses) for name, result in results.items()}
+    times = next(iter(known.values()))[0] - recording.time_s[0]
+    errors = {name: error for name, (_, error) in known.items()}
     small = [float(e.max()) for name, e in errors.items() if name != ODOMETRY_ALONE]
     small += [] if bound is None else [float(bound.horizontal_std_m.max())]
     magnified = bool(small) and ODOMETRY_ALONE in errors
     figure.set_size_inches(WIDTH_IN, 4.2 if magnified else 3.0)
     panels = figure.subplots(2 if magnified else 1, 1, squeeze=False, sharex=True)[:, 0]
     for axes in panels:
-        _curves(axes, recording.time_s - recording.time_s[0], errors, bound)
+        _curves(axes, times, errors, bound)
         axes.set_ylim(bottom=0)
     panels[0].set_ylabel("horizontal error (m)")
     panels[0].legend(loc="upper left")

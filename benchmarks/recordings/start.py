@@ -2,18 +2,24 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from cellslam.benchmarks.recordings.resample import Motion, at_array, integrate
 from cellslam.sim.errors import InputError
 from cellslam.sim.recording import Floats, Reference
 
-FIRST_PATH_M = 30.0  # the heading is fitted over so much of the way
+FIRST_PATH_M = 60.0  # the heading is fitted over so much of the way
 LEAST_FIXES = 5
+# A gyro or steering bias bends the first stretch: the heading is fitted for each of these, and the best taken.
+BIASES_RADPS = np.linspace(-0.02, 0.02, 41)
+BIAS_STD_RADPS = 0.01
 
 
 def start_from_reference(motion: Motion | None, reference: Reference, time_s: float) -> Floats:
-    """Return the pose (6,) at `time_s`: as the reference says, or so that the first 30 m of odometry fit it best.
+    """Return the pose (6,) at `time_s`: as the reference says, or so that the first 60 m of odometry, freed
+    from a constant error of the yaw rate, fit it best.
 
     Height, pitch and roll are zero where the reference does not know them. Raises InputError where it does not reach
     back to the start.
@@ -41,8 +47,23 @@ def _fitted(motion: Motion, fixes: Floats, times: Floats, time_s: float, height_
         raise InputError(
             "the reference has too few positions while the vehicle moves to tell its heading: give the start pose"
         )
-    angle, shift = rigid(poses[1 : count + 1, :2], fixes[:count, :2])
-    return np.array([*shift, height_m, angle, 0.0, 0.0])
+    times, fixes = times[:count], fixes[:count, :2]
+    fits = []
+    for bias in BIASES_RADPS if motion.measured[3] else (0.0,):
+        points = _driven(motion, np.insert(times, 0, time_s), float(bias))
+        angle, shift = rigid(points, fixes)
+        c, s = np.cos(angle), np.sin(angle)
+        rest = fixes - shift - points @ np.array([[c, s], [-s, c]])
+        fits.append((float((rest**2).sum(axis=1).mean()), float(bias), angle, *shift))
+    noise = max(min(fit[0] for fit in fits), 1e-4)
+    _, _, angle, x, y = min(fits, key=lambda fit: len(times) * fit[0] / noise + (fit[1] / BIAS_STD_RADPS) ** 2)
+    return np.array([x, y, height_m, angle, 0.0, 0.0])
+
+
+def _driven(motion: Motion, times: Floats, bias_radps: float) -> Floats:
+    """Return the positions (N, 2) at times[1:] from the origin, with a yaw rate lower by `bias_radps`."""
+    freed = replace(motion, velocity=motion.velocity - np.array([0.0, 0.0, 0.0, bias_radps, 0.0, 0.0]))
+    return integrate(freed, times, np.zeros(6))[0][1:, :2]
 
 
 def rigid(points: Floats, onto: Floats) -> tuple[float, Floats]:
