@@ -101,6 +101,9 @@ def fit_overlap(samples: dict[float, Sample], detection: dict[str, float], thres
             total -= float(np.sum(np.where(s.detected, np.log(chance), np.log(1.0 - chance))))
         return total
 
-    best = minimize(loss, np.array([14.0, 1.6, -2.0]), method="Nelder-Mead",
-                    options={"xatol": 0.02, "fatol": 0.2, "maxiter": 120})  # fmt: skip
-    return {"centre_db": float(best.x[0]), "width_db": float(abs(best.x[1])), "trail": float(10.0 ** best.x[2])}
+    best = minimize(loss, np.array([16.0, 2.0, -0.5, -1.5]), method="Nelder-Mead",
+                    options={"xatol": 0.02, "fatol": 0.2, "maxiter": 300})  # fmt: skip
+    return {
+        "centre_db": float(best.x[0]), "width_db": float(abs(best.x[1])), "trail": float(10.0 ** best.x[2]),
+        "around": float(10.0 ** best.x[3]),
+    }  # fmt: skip

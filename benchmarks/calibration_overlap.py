@@ -17,12 +17,12 @@ _TABLE_DB = np.arange(-20.0, 70.0, 0.1)
 
 
 @lru_cache(maxsize=4)
-def relations(key: int) -> tuple[Floats, Floats, Floats]:
-    """Return per path of a kept sample: leftover, 1 if a ghost by the rule, and the sum of stronger paths' SNR that
-    trails to it. See `keep`.
+def relations(key: int) -> tuple[Floats, Floats, Floats, Floats]:
+    """Return per path of a kept sample: leftover, 1 if a ghost by the rule, and the sums of stronger paths' SNR whose
+    diffuse energy arrives there, from the path's own direction and from anywhere.
     """
     sample = _kept[key]
-    leftover, ghost, trail = np.ones(len(sample.link)), np.zeros(len(sample.link)), np.zeros(len(sample.link))
+    leftover, ghost, trail, around = (np.full(len(sample.link), x) for x in (1.0, 0.0, 0.0, 0.0))
     for link in np.unique(sample.link):
         rows = np.flatnonzero(sample.link == link)
         geometry, gamma = sample.geometry[rows], 10.0 ** (sample.gamma_db[rows] / 10.0)
@@ -34,9 +34,10 @@ def relations(key: int) -> tuple[Floats, Floats, Floats]:
         near = np.abs(apart[..., 0]) < k.GHOST_REACH_M
         ghost[rows] = (near & (gamma[:, None] < 10.0**-2.5 * gamma[None, :])).any(axis=1)
         inside = stronger & (apart[..., 0] >= k.TRAIL_FROM_M) & (apart[..., 0] <= k.TRAIL_TO_M)
-        fall = np.exp(-apart[..., 0] / k.TRAIL_DECAY_M - 0.5 * (apart[..., 1] / k.TRAIL_BESIDE_RAD) ** 2)
-        trail[rows] = np.sum(np.where(inside, fall * gamma[None, :], 0.0), axis=1)
-    return leftover, ghost, trail
+        fall = np.where(inside, np.exp(-apart[..., 0] / k.TRAIL_DECAY_M) * gamma[None, :], 0.0)
+        trail[rows] = np.sum(fall * np.exp(-0.5 * (apart[..., 1] / k.TRAIL_BESIDE_RAD) ** 2), axis=1)
+        around[rows] = np.sum(fall, axis=1)
+    return leftover, ghost, trail, around
 
 
 def captured(apart: Floats, geometry: Floats) -> Floats:
@@ -56,13 +57,13 @@ _kept: dict[int, Sample] = {}
 
 def chances(
     sample: Sample, ratio_db: float, detection: tuple[float, float], threshold: float, centre_db: float,
-    width_db: float, log_trail: float,
+    width_db: float, log_trail: float, log_around: float,
 ) -> Floats:  # fmt: skip
     """Return the detection probability (P,) of each path of a sample; `detection` is (dof, gain)."""
     key = id(sample)
     _kept[key] = sample
-    leftover, ghost, trail = relations(key)
-    disturbance = 1.0 + 10.0 ** (log_trail - ratio_db / 10.0) * trail
+    leftover, ghost, trail, around = relations(key)
+    disturbance = 1.0 + 10.0 ** (-ratio_db / 10.0) * (10.0**log_trail * trail + 10.0**log_around * around)
     gamma_db = sample.gamma_db + 10.0 * np.log10(np.maximum(leftover, 1e-12) / disturbance)
     table = ncx2.sf(2.0 * threshold, detection[0], detection[1] * 10.0 ** (_TABLE_DB / 10.0))
     alone = np.interp(gamma_db, _TABLE_DB, table)

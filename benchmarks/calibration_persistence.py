@@ -78,7 +78,7 @@ def _lone(ratio_db: float, rng: np.random.Generator) -> tuple[SignalLevel, PathC
 def _errors(front_end: SignalLevel, paths: PathColumns, pose: Floats, rng: np.random.Generator) -> Floats:
     """Return errors (ports, 3) of the lone path, NaN where it was missed."""
     table = front_end.measure(paths, pose, STILL, STILL, 0, rng)
-    truth = front_end._geometry(paths, pose, 0)[0]
+    truth = front_end.geometry(paths, pose, 0)[0]
     out = np.full((2, 3), np.nan)
     for row in table[table[:, k.PATH] >= 0.0]:
         error = row[[k.DISTANCE, k.AZIMUTH, k.ELEVATION]] - truth

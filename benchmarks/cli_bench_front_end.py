@@ -1,4 +1,4 @@
-"""`cellslam bench front-end` and `cellslam bench calibrate`."""
+"""`cellslam bench front-end`, `bench calibrate` and `bench snapshot`."""
 
 from __future__ import annotations
 
@@ -60,6 +60,29 @@ def calibrate(arguments: Namespace) -> int:
         partial.replace(arguments.out)
     else:
         sys.stdout.write(text)
+    return DONE
+
+
+def snapshot(arguments: Namespace) -> int:
+    """Carry out `cellslam bench snapshot`."""
+    from cellslam.benchmarks.figures.snapshot import draw_snapshot
+    from cellslam.scenarios.loading import load
+    from cellslam.scenarios.overrides import parse_all
+    from cellslam.sim.world import prepare
+
+    if arguments.seed < 0:
+        raise InputError(f"--seed {arguments.seed}: a whole number from 0 on")
+    out = Path(arguments.out)
+    if out.suffix != ".png" or not out.resolve().parent.is_dir():
+        raise InputError(f"--out {out}: a .png in a folder that exists is expected")
+    scenario = load(arguments.scenario, parse_all([*arguments.sets, "radio.front_end=signal"]))
+    with bars(arguments.quiet) as progress:
+        world = prepare(scenario.world, arguments.seed, 0, progress)
+        last = len(world.drive.poses) - 1
+        if not 0 <= arguments.at <= last:
+            raise InputError(f"--at {arguments.at}: the drive has snapshots 0 to {last}")
+        for line in draw_snapshot(world, arguments.at, arguments.link, out):
+            sys.stdout.write(line + "\n")
     return DONE
 
 

@@ -12,7 +12,7 @@ STUDIES = ("single", "many", "resolution", "collision", "ghosts", "motion", "spe
 
 
 def add_front_end(add: Add) -> None:
-    """Add `front-end` and `calibrate`; `add(name, target, summary)` makes a sub-command's parser."""
+    """Add `front-end`, `calibrate` and `snapshot`; `add(name, target, summary)` makes a sub-command's parser."""
     front = add("front-end", "cli_bench_front_end:front_end", "what the path estimator finds, how well, and how fast")
     front.add_argument(
         "--study", metavar="NAME", action="append", default=[], choices=STUDIES, dest="studies",
@@ -28,3 +28,12 @@ def add_front_end(add: Add) -> None:
     calibrate.add_argument(
         "--check", action="store_true", help="compare the front ends, as calibrated, on scenes of their own instead"
     )
+    snapshot = add("snapshot", "cli_bench_front_end:snapshot", "picture of one snapshot at signal level: spectrum and paths")
+    snapshot.add_argument("scenario", metavar="SCENARIO", help="name of a preset, or path of a .toml file")
+    snapshot.add_argument(
+        "--set", metavar="KEY=VALUE", action="append", default=[], dest="sets", help="change one key; may be repeated"
+    )
+    snapshot.add_argument("--seed", metavar="S", type=int, default=0, help="root seed (default: 0)")
+    snapshot.add_argument("--at", metavar="N", type=int, default=0, help="number of the snapshot (default: 0)")
+    snapshot.add_argument("--link", metavar="N", type=int, help="link to show (default: the four with most paths)")
+    snapshot.add_argument("--out", metavar="FILE.png", default="snapshot.png", help="where to write (default: snapshot.png)")

@@ -177,7 +177,7 @@ class ActiveSlamEnv(gym.Env[Observation, Floats]):
         warm_up(request)
         self._estimator = request.estimator(request.options)
         self._estimator.start(setup, stream(seed, trial, Stream.ESTIMATOR))
-        self._measure(0.0, np.zeros(6))
+        self._measure(0.0, np.zeros(6), np.zeros(6))
 
     def _drive(self, steering_rad: float, speed_mps: float) -> None:
         """Advance by one snapshot: vehicle, odometry, measurements, estimator."""
@@ -188,12 +188,13 @@ class ActiveSlamEnv(gym.Env[Observation, Floats]):
         noise = self._rng.standard_normal((2, 6))
         self._bias = self._bias + noise[0] * np.sqrt(dt) * model.bias_walk_density
         true = mean_velocity(before, self._car.pose, dt)
-        self._measure(dt, (1.0 + self._scale) * true + self._bias + noise[1] * model.noise_density / np.sqrt(dt))
+        odometry = (1.0 + self._scale) * true + self._bias + noise[1] * model.noise_density / np.sqrt(dt)
+        self._measure(dt, odometry, true)
         self._near = _nearest(self._points, self._car.pose, self._near)
         self._arc_m = float(self._arcs[self._near])
 
-    def _measure(self, dt_s: float, odometry: Floats) -> None:
-        found, paths = self._world.measure(self._car.pose, odometry, self._now, self._streams)
+    def _measure(self, dt_s: float, odometry: Floats, velocity: Floats) -> None:
+        found, paths = self._world.measure(self._car.pose, velocity, self._now, self._streams, odometry)
         self._seen_m = paths.vt_position_m[found.path[found.path >= 0]]
         snapshot = _snapshot(found.measurements, self._now, self._row)
         self._row += len(snapshot)

@@ -91,7 +91,7 @@ def test_blocks_single_snapshots_and_a_restart_give_the_same(tmp_path: Path, mon
     paths, poses, velocity = drive(4)
     rng, signals = np.random.default_rng(4), front_end()
     whole = streaming.detect_signals(signals, paths, poses, velocity, velocity, rng)
-    one, low = streaming._snapshot_paths(paths, 1, 2)
+    one, low = streaming.snapshot_paths(paths, 1, 2)
     alone = streaming.detect_signals(signals, one, poses[1:2], velocity[1:2], velocity[1:2], rng, first_snapshot=1)
     rows = whole.measurements.snapshot == 1
     np.testing.assert_array_equal(alone.measurements.distance_m, whole.measurements.distance_m[rows])

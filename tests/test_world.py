@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import subprocess
 import sys
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -16,7 +17,7 @@ from cellslam.sim.world import visible_intervals
 from cellslam.slam.model import predict
 
 
-def small_world(**radio: float | bool) -> WorldConfig:
+def small_world(**radio: float | bool | str) -> WorldConfig:
     """40 s through a generated city with two sites of two cells."""
     sites = [
         {"name": name, "cells": [{"cell_id": i, "azimuth_deg": a} for i, a in cells]}
@@ -89,6 +90,28 @@ def test_measuring_pose_by_pose_gives_the_recording(recording: Recording) -> Non
         np.testing.assert_array_equal(one.snapshot, m.snapshot[rows])
         for name in ("distance_m", "azimuth_rad", "elevation_rad", "snr_db"):
             np.testing.assert_allclose(getattr(one, name), getattr(m, name)[rows], rtol=0.0, atol=1e-9)
+
+
+def test_signal_front_end_gives_the_recording_pose_by_pose(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("tempfile.gettempdir", lambda: str(tmp_path))
+    config = small_world(front_end="signal")
+    vehicle = config.vehicle.model_copy(update={"distance_m": 2.0, "duration_s": 12.0, "stops": 0, "snapshot_interval_s": 0.9})
+    r = simulate(config.model_copy(update={"vehicle": vehicle}), 1, 0)
+    world = prepare(config.model_copy(update={"vehicle": vehicle}), 1, 0)
+    streams, m, truth = world.streams(), r.measurements, r.truth
+    assert truth is not None and len(m) > 4 * len(r.time_s)
+    for t in (0, len(r.time_s) - 1, 7):
+        found, paths = world.measure(world.drive.poses[t], world.drive.velocity[t], t, streams, r.odometry[t])
+        rows = slice(r.rows[t], r.rows[t + 1])
+        np.testing.assert_allclose(found.measurements.distance_m, m.distance_m[rows], rtol=0.0, atol=1e-6)
+        real = found.path >= 0
+        np.testing.assert_allclose(
+            paths.vt_position_m[found.path[real]], truth.vts.position_m[truth.measurement_vt[rows][real]], atol=1e-6
+        )
+    real = truth.measurement_vt >= 0
+    exact = predict(truth.poses[m.snapshot[real]], truth.vts.position_m[truth.measurement_vt[real]])
+    offset = truth.clock_offsets_m[r.links.site[m.link[real]]]
+    assert np.median(np.abs(m.distance_m[real] - exact[:, 0] - offset)) < 2.0
 
 
 def test_truth_of_the_vts(recording: Recording) -> None:

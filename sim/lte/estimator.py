@@ -20,7 +20,7 @@ from cellslam.sim.lte.refine import FINE_GAIN, Fit, covariance, factors, refine,
 from cellslam.sim.lte.spectrum import Spectrum, in_trail
 
 COARSE = 0.58  # share of the threshold at which a cell is looked at: the grid loses up to 2.4 dB
-MOST_FAILURES = 4  # cells that turn out to be noise before the search ends
+MOST_FAILURES = 10  # cells that turn out to be noise or diffuse energy before the search ends
 MOST_PATHS = 32
 JOINT_EVERY = 4
 _COARSE_GAIN = 0.2  # noise variances; the last fit is finer

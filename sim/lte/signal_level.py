@@ -79,7 +79,7 @@ class SignalLevel:
     @cached_property
     def combs(self) -> Ints:
         """First reference subcarrier (L,) of each link in the first symbol."""
-        return np.array([first_subcarrier(*self._name(link), 0, 0) for link in range(len(self.links.site))], np.int64)
+        return np.array([first_subcarrier(*self.name(link), 0, 0) for link in range(len(self.links.site))], np.int64)
 
     @cached_property
     def sync_m(self) -> Floats:
@@ -87,7 +87,8 @@ class SignalLevel:
         sample = SPEED_OF_LIGHT_MPS * SAMPLE_S
         return np.asarray(np.rint(self.offsets_m / sample) * sample, np.float64)
 
-    def _name(self, link: int) -> tuple[int, int]:
+    def name(self, link: int) -> tuple[int, int]:
+        """Return cell ID and antenna port of a link."""
         return int(self.cells.cell_id[self.links.cell[link]]), int(self.links.port[link])
 
     def measure(
@@ -98,18 +99,16 @@ class SignalLevel:
 
         `velocity_mps` (3,) of the body is true, `odometry_mps` (3,) what the receiver compensates Doppler with.
         """
-        slots = (
-            SLOTS_PER_SNAPSHOT * snapshot + np.rint(self.receiver.times_s / 0.5e-3).astype(np.int64)
-        ) % SLOTS_PER_FRAME
-        truth = self._geometry(paths, pose, snapshot)
+        slots = self.slots(snapshot)
+        truth = self.geometry(paths, pose, snapshot)
         received = self.receive(paths, pose, velocity_mps, snapshot, slots, rng)
         motion = self.receiver.moving(odometry_mps)
         rows = []
         for link in range(len(self.links.site)):
             site = int(self.links.site[link])
-            found = self._estimate(link, received[int(self.combs[link])], slots, motion)
+            found = estimate_paths(self.samples(link, received, slots), motion)
             own = slice(int(paths.rows[site]), int(paths.rows[site + 1]))
-            rows.append(self._rows(snapshot, link, found, truth[own], own.start))
+            rows.append(self.rows(snapshot, link, found, truth[own], own.start))
         return np.concatenate(rows)
 
     def receive(
@@ -191,27 +190,34 @@ class SignalLevel:
     def sent(self) -> Complex:
         """The reference values (L, 20 slots, tones) of every link."""
         blocks, slots = self.config.resource_blocks, range(SLOTS_PER_FRAME)
-        names = [self._name(link) for link in range(len(self.links.site))]
+        names = [self.name(link) for link in range(len(self.links.site))]
         return np.array([[pilots(*name, slot, blocks)[1] for slot in slots] for name in names])
 
-    def _estimate(self, link: int, elements: Complex, slots: Ints, motion: Motion) -> Estimates:
-        """Return the paths found on a link, distances counted from its site's synchronisation."""
+    def slots(self, snapshot: int) -> Ints:
+        """Return the slot of the frame in which each array port is sampled (ports,)."""
+        first = SLOTS_PER_SNAPSHOT * snapshot
+        return np.asarray((first + np.rint(self.receiver.times_s / 0.5e-3).astype(np.int64)) % SLOTS_PER_FRAME, np.int64)
+
+    def samples(self, link: int, received: dict[int, Complex], slots: Ints) -> Complex:
+        """Return a link's descrambled samples (ports, tones), colliding cells cancelled, delays counted from its site's
+        synchronisation.
+        """
         site, blocks = int(self.links.site[link]), self.config.resource_blocks
-        y = elements * self.sent[link][slots].conj()
+        y = received[int(self.combs[link])] * self.sent[link][slots].conj()
         y = y * np.exp(1j * self.receiver.rate * self.sync_m[site])
         for other in np.flatnonzero(self.combs == self.combs[link]):
             if other != link:
                 apart = float(self.sync_m[self.links.site[other]] - self.sync_m[site])
-                y = cancel(y, self._name(link), self._name(int(other)), slots, blocks, apart)
-        return estimate_paths(y, motion)
+                y = cancel(y, self.name(link), self.name(int(other)), slots, blocks, apart)
+        return y
 
-    def _geometry(self, paths: PathColumns, pose: Floats, snapshot: int) -> Floats:
+    def geometry(self, paths: PathColumns, pose: Floats, snapshot: int) -> Floats:
         """Return distance, azimuth and elevation (P, 3) of the traced paths."""
         unit = np.ones(len(paths.vt_m))
         p: PathSet = arriving_paths(pose, paths.vt_m, paths.gain, np.array([1.0, 0.0]), unit, self.config.carrier_hz)
         return np.stack([p.distance_m, p.azimuth_rad, p.elevation_rad], 1)
 
-    def _rows(self, snapshot: int, link: int, found: Estimates, truth: Floats, first: int) -> Floats:
+    def rows(self, snapshot: int, link: int, found: Estimates, truth: Floats, first: int) -> Floats:
         """Return a link's measurements (n, COLUMNS): claimed deviations are those of the fit and the floors."""
         out = np.full((len(found), k.COLUMNS), np.nan)
         if not len(found):

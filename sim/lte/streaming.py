@@ -22,7 +22,7 @@ from cellslam.sim.recording import Floats
 
 BLOCK = 50
 # Part of the name of kept blocks: grows when the same trial would be measured otherwise.
-REVISION = 2
+REVISION = 3
 
 
 def detect_signals(
@@ -40,8 +40,8 @@ def detect_signals(
     def block(start: int) -> Floats:
         rows = [np.empty((0, k.COLUMNS))]
         for t in range(start, min(start + BLOCK, len(poses))):
-            one, low = _snapshot_paths(paths, t, sites)
-            own = _child(rng, first_snapshot + t)
+            one, low = snapshot_paths(paths, t, sites)
+            own = snapshot_rng(rng, first_snapshot + t)
             table = front_end.measure(one, poses[t], velocities[t, :3], odometry[t, :3], first_snapshot + t, own)
             table[:, k.PATH] += np.where(table[:, k.PATH] >= 0.0, low, 0)
             rows.append(table)
@@ -67,13 +67,14 @@ def _worked_off(block: Callable[[int], Floats], starts: range) -> Iterator[Float
         pool.shutdown(cancel_futures=True)
 
 
-def _snapshot_paths(paths: PathColumns, t: int, sites: int) -> tuple[PathColumns, int]:
+def snapshot_paths(paths: PathColumns, t: int, sites: int) -> tuple[PathColumns, int]:
+    """Return the paths of one snapshot, and the row of the first."""
     rows = paths.rows[t * sites : (t + 1) * sites + 1]
     low, high = int(rows[0]), int(rows[-1])
     return PathColumns(rows - low, paths.vt_m[low:high], paths.gain[low:high], paths.departure_rad[low:high]), low
 
 
-def _child(rng: np.random.Generator, number: int) -> np.random.Generator:
+def snapshot_rng(rng: np.random.Generator, number: int) -> np.random.Generator:
     """Return the generator of a snapshot: it depends on how `rng` was seeded, not on what was drawn from it."""
     parent = rng.bit_generator.seed_seq
     assert isinstance(parent, np.random.SeedSequence)
