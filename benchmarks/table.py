@@ -1,4 +1,4 @@
-"""The table of results that a person reads: estimators and the bound, medians over trials."""
+"""The table of results that a person reads: estimators and the bound; over several trials, with intervals."""
 
 from __future__ import annotations
 
@@ -7,6 +7,9 @@ from statistics import median
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+
+from cellslam.benchmarks.statistics import interval, statistic
+from cellslam.sim.recording import Floats
 
 if TYPE_CHECKING:
     from rich.table import Table
@@ -24,6 +27,24 @@ _COLUMNS = (
     ("x real\ntime", ("realtime_factor",), 0),
 )
 
+# The same over several trials; it all fits in 120 characters. The first one is shown with its interval.
+_SEVERAL = (
+    ("RMSE (m)\n[95 %]", ("position_rmse_m",), 2),
+    ("max\n(m)", ("position_max_m",), 2),
+    ("heading\n(rad)", ("heading_rmse_rad",), 4),
+    ("offset\n(m)", ("clock_offset_rmse_m",), 2),
+    ("NEES\n(2)", ("nees_mean",), 1),
+    ("GOSPA\n(m)", ("map_gospa_m",), 1),
+    ("assoc.\nprec/rec", ("association_precision", "association_recall"), 2),
+    ("x real\ntime", ("realtime_factor",), 0),
+)
+_COUNTED = ("share of\nbound", "lost", "trials\nok")
+CONFIDENCE, LOST_M = 0.95, 2.0
+_LEGEND = (
+    "medians over the trials that are ok; share of bound: root of the sums of squares, bound over error; "
+    f"lost: RMSE above {LOST_M:g} m, or failed"
+)
+
 
 def bound_row(trial: Trial) -> dict[str, Any]:
     """Return the bound of a trial in the columns of the table; empty without a bound."""
@@ -34,6 +55,7 @@ def bound_row(trial: Trial) -> dict[str, Any]:
         "estimator": BOUND,
         "status": "ok",
         "position_rmse_m": trial.bound.position_rmse_m,
+        "bound_position_rmse_m": trial.bound.position_rmse_m,
         "position_max_m": float(std.max()),
         "position_end_m": float(std[-1]),
         "clock_offset_rmse_m": float(np.sqrt(np.mean(trial.bound.clock_offset_std_m[-1] ** 2))),
@@ -43,7 +65,8 @@ def bound_row(trial: Trial) -> dict[str, Any]:
 def results_table(rows: Sequence[Mapping[str, Any]], title: str, oracles: frozenset[str]) -> Table:
     """Return the table of `rows`, one line an estimator in the order met; `oracles` are marked.
 
-    Several trials give medians over those that are ok, and how many these are.
+    Several trials give medians over those that are ok, the median error with its 95 % interval, how many drives were
+    lost, and the share of the bound.
     """
     from rich import box
     from rich.markup import escape
@@ -52,21 +75,46 @@ def results_table(rows: Sequence[Mapping[str, Any]], title: str, oracles: frozen
     names = list(dict.fromkeys(row["estimator"] for row in rows))
     several = any(sum(row["estimator"] == name for row in rows) > 1 for name in names)
     table = Table(
-        title=escape(title), title_justify="left", box=box.SIMPLE_HEAD, pad_edge=False, caption_justify="left"
-    )
+        title=escape(title), title_justify="left", box=box.SIMPLE_HEAD, pad_edge=False, caption_justify="left",
+        padding=(0, 1) if not several else (0, 0, 0, 1),
+    )  # fmt: skip
     table.add_column("estimator", overflow="fold")
-    for heading in [*(column[0] for column in _COLUMNS), *(["trials\nok"] if several else [])]:
+    columns = _SEVERAL if several else _COLUMNS
+    for heading in [*(column[0] for column in columns), *(_COUNTED if several else ())]:
         table.add_column(heading, justify="right", no_wrap=True)
     for name in names:
         own = [row for row in rows if row["estimator"] == name]
         fine = [row for row in own if row["status"] == "ok"]
-        values = [_shown(fine, keys, digits) for _, keys, digits in _COLUMNS]
-        count = [f"{len(fine)}/{len(own)}"] if several else []
+        values = [_shown(fine, keys, digits) for _, keys, digits in columns]
+        if several:
+            values = [_with_interval(fine), *values[1:], *_counted(own, fine)]
         mark = " (oracle)" if name in oracles else "" if fine else " (failed)"
-        table.add_row(escape(f"{name}{mark}"), *values, *count)
-    if oracles:
-        table.caption = "oracle: was shown the truth"
+        table.add_row(escape(f"{name}{mark}"), *map(escape, values))
+    notes = [_LEGEND] if several else []
+    table.caption = "\n".join([*notes, *(["oracle: was shown the truth"] if oracles else [])]) or None
     return table
+
+
+def _with_interval(rows: Sequence[Mapping[str, Any]]) -> str:
+    """Return the median of the position errors, with its interval where there are enough trials."""
+    values = _values(rows, "position_rmse_m")
+    if len(values) == 0:
+        return "-"
+    low, high = interval(values, statistic("median"), CONFIDENCE)
+    return f"{np.median(values):.2f}" + ("" if np.isnan(low) else f" [{low:.2f}, {high:.2f}]")
+
+
+def _counted(own: Sequence[Mapping[str, Any]], fine: Sequence[Mapping[str, Any]]) -> list[str]:
+    """Return share of the bound, drives lost, and trials ok."""
+    pairs = [row for row in fine if row.get("bound_position_rmse_m") is not None and row["position_rmse_m"] is not None]
+    error = np.sum(_values(pairs, "position_rmse_m") ** 2)
+    share = np.sqrt(np.sum(_values(pairs, "bound_position_rmse_m") ** 2) / error) if pairs and error > 0 else None
+    lost = len(own) - len(fine) + int(np.sum(_values(fine, "position_rmse_m") > LOST_M))
+    return ["-" if share is None else f"{share:.2f}", f"{lost}/{len(own)}", f"{len(fine)}/{len(own)}"]
+
+
+def _values(rows: Sequence[Mapping[str, Any]], key: str) -> Floats:
+    return np.array([row[key] for row in rows if row.get(key) is not None], np.float64)
 
 
 def _shown(rows: Sequence[Mapping[str, Any]], keys: Sequence[str], digits: int) -> str:

@@ -17,6 +17,7 @@ from cellslam.sim.errors import InputError
 from cellslam.sim.progress import Progress, silent
 from cellslam.sim.randomness import Stream, stream
 from cellslam.sim.recording import Recording
+from cellslam.slam.registry import own_traceback
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -183,14 +184,13 @@ def _row(recording: Recording, scenario: str, estimator: str, trial: int, seed: 
 
 
 def explained(error: BaseException) -> str:
-    """Return an error as one line: what, in which snapshot, and where in the code that raised it."""
+    """Return an error as one line: what, in which snapshot, and the estimator's own traceback."""
     text = " ".join(str(error).split())
     if isinstance(error, InputError):
         return text
     line = text if isinstance(error, BadAnswerError) else f"{type(error).__name__}: {text}".removesuffix(": ")
     notes = "".join(f", {note}" for note in getattr(error, "__notes__", ()))
-    frames = [] if isinstance(error, BadAnswerError) else traceback.extract_tb(error.__traceback__)[-1:]
-    return line + notes + "".join(f" ({Path(f.filename).name}, line {f.lineno}, in {f.name})" for f in frames)
+    return line + notes + ("" if isinstance(error, BadAnswerError) else own_traceback(error))
 
 
 def _plain(value: Any) -> Any:

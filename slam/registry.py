@@ -17,6 +17,8 @@ from cellslam.sim.errors import InputError, unknown_name
 
 ENTRY_POINT_GROUP = "cellslam.estimators"
 ALL = "all"
+MOST_FRAMES = 6
+_PACKAGES = Path(__file__).resolve().parent.parent  # where cellslam's own code is
 
 
 class BrokenPluginError(InputError):
@@ -147,6 +149,15 @@ def options_model(estimator: type[Any]) -> type[Any] | None:
     return model
 
 
+def own_traceback(error: BaseException) -> str:
+    """Return where an error came from, on one line, innermost last: frames of cellslam's runner and of the import
+    machinery are left out, unless there are no others."""
+    frames = traceback.extract_tb(error.__traceback__)
+    own = [f for f in frames if "importlib" not in f.filename and not Path(f.filename).is_relative_to(_PACKAGES)]
+    shown = own[-MOST_FRAMES:] or frames[-1:]
+    return "".join(f" ({Path(f.filename).name}, line {f.lineno}, in {f.name})" for f in shown)
+
+
 def _load(name: str, target: str) -> type[Any]:
     module_name, _, class_name = target.partition(":")
     if not (module_name and class_name):
@@ -171,10 +182,8 @@ def _import(name: str, module: str) -> ModuleType:
         if missing is not None and f"{module}.".startswith(f"{missing}."):
             text = f"there is no module '{missing}' in {Path.cwd()} or among the installed packages"
             raise InputError(f"estimator '{name}': {text}") from error
-        where = traceback.extract_tb(error.__traceback__)[-1]
         text = f"its module cannot be imported: {type(error).__name__}: {' '.join(str(error).split())}"
-        place = f"{Path(where.filename).name}, line {where.lineno}"
-        raise BrokenPluginError(f"estimator '{name}': {text} ({place})") from error
+        raise BrokenPluginError(f"estimator '{name}': {text}{own_traceback(error)}") from error
 
 
 def _unknown(name: str) -> InputError:
