@@ -38,6 +38,8 @@ AXIS = {
     "estimate_seconds": "time of the estimator (s a trial)",
 }
 
+STATISTICS = {"rmse": "root mean square"}
+
 
 @dataclass(frozen=True)
 class Look:
@@ -117,11 +119,16 @@ def _sweep(figure: Figure, data: SweepData, look: Look, x: str) -> bool:
         axes.minorticks_off()
     axes.set_xlabel(x)
     trials = max(len(values) for points in lines.values() for _, values in points)
-    axes.set_ylabel(f"{look.statistic} of {AXIS.get(look.metric, look.metric)}")
+    axes.set_ylabel(_summed(look))
     axes.set_title(f"{100 * look.confidence:g} % intervals, {trials} trials a point")
     axes.set_ylim(bottom=0)
     figure.legend(loc="outside lower center", ncols=2)
     return True
+
+
+def _summed(look: Look) -> str:
+    """Return the label of an axis: the metric, and how trials are summed up."""
+    return f"{AXIS.get(look.metric, look.metric)},\n{STATISTICS.get(look.statistic, look.statistic)} over trials"
 
 
 def _line(axes: Axes, points: Sequence[tuple[float | None, Floats]], look: Look, style: Mapping[str, Any]) -> None:
@@ -236,7 +243,7 @@ def _cost(figure: Figure, data: SweepData, look: Look) -> bool:
         seen.add(one.label)
     axes.set_xscale("log")
     axes.set_xlabel(f"{AXIS['estimate_seconds']}, median")
-    axes.set_ylabel(f"{look.statistic} of {AXIS.get(look.metric, look.metric)}")
+    axes.set_ylabel(_summed(look))
     axes.set_ylim(bottom=0)
     figure.legend(loc="outside lower center", ncols=2)
     return True
