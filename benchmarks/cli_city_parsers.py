@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import re
 from collections.abc import Callable
 
 from cellslam.benchmarks.cli_front_end_parsers import add_front_end
@@ -33,11 +34,13 @@ def add_city(add: Add) -> None:
 
 
 def _add_trace(parser: argparse.ArgumentParser) -> None:
+    # What starts with a minus and a digit is a position, no option.
+    parser._negative_number_matcher = re.compile(r"-\.?\d")
     parser.add_argument("mesh", metavar="MESH", help=MESH_HELP)
     _add_mesh_options(parser)
     parser.add_argument(
         "--bs", metavar="X,Y,Z", action="append", required=True,
-        help="transmitter in metres; may be repeated; write --bs=-1,2,3 where X is negative",
+        help="transmitter in metres; may be repeated",
     )  # fmt: skip
     parser.add_argument("--rx", metavar="RX.csv", required=True, help="receivers: columns x,y,z (vx,vy,vz: Doppler)")
     parser.add_argument("--out", metavar="PATHS.csv", required=True, help="the table to write")

@@ -25,7 +25,7 @@ def receivers(tmp_path):
 
 def test_trace_writes_what_trace_returns(tmp_path, receivers, capsys):
     out = tmp_path / "paths.csv"
-    words = ["city", "trace", "tiny", "--bs=-97.8,150.7,34.1", "--bs=17.3,-45.3,32.4", "--rx", str(receivers)]
+    words = ["city", "trace", "tiny", "--bs", "-97.8,150.7,34.1", "--bs=17.3,-45.3,32.4", "--rx", str(receivers)]
     pictures = [
         "--plan",
         str(tmp_path / "p.png"),

@@ -37,7 +37,7 @@ def test_a_sheet_of_soup_is_one_facet():
     np.testing.assert_allclose(np.abs(facets.normal[0]), [0, 0, 1], atol=1e-12)
 
 
-@pytest.mark.parametrize(("sag_m", "count"), [(0.001, 1), (0.05, 2)])
+@pytest.mark.parametrize(("sag_m", "count"), [(0.001, 1), (0.0019, 1), (0.0021, 2), (0.05, 2)])
 def test_tolerance_decides_over_a_bent_wall(sag_m, count):
     vertices, triangles = grid(1, 10.0)
     # Lift the corner that only the second triangle has.

@@ -181,6 +181,23 @@ def test_coordinates_far_from_the_origin_cost_nothing(small_city, places):
     np.testing.assert_allclose(near.vt_position_m + shift, away.vt_position_m, atol=1e-6)
 
 
+def test_leaving_hidden_facets_out_changes_nothing(scenes, small_city, places, monkeypatch):
+    transmitters, receivers = places
+    plain = trace(small_city, transmitters, receivers)
+    monkeypatch.setattr("cellslam.sim.rays.tracing.LIT_FROM", 0)
+    quick = trace(small_city, transmitters, receivers)
+    np.testing.assert_array_equal(quick.facets, plain.facets)
+    np.testing.assert_array_equal(quick.length_m, plain.length_m)
+    # A wall with a window hides all corners of the wall behind it, but not its middle.
+    outer = np.array([[10, -10, 0], [10, 10, 0], [10, 10, 20], [10, -10, 20]], float)
+    inner = np.array([[10, -1, 9], [10, 1, 9], [10, 1, 11], [10, -1, 11]], float)
+    quads = [[i, (i + 1) % 4, 4 + (i + 1) % 4, 4 + i] for i in range(4)]
+    frame = np.concatenate([outer, inner]), np.array([t for a, b, c, d in quads for t in ([a, b, c], [a, c, d])])
+    city = scenes.city_of(frame, scenes.rectangle((20, -6, 4), (0, 12, 0), (0, 0, 12)))
+    assert len(city.facets) == 2
+    assert trace(city, [TX], [[15.0, 0.2, 10.0]]).order.tolist() == [0, 1]
+
+
 def test_block_size_and_chunks_do_not_matter(small_city, places, monkeypatch):
     transmitters, receivers = places
     line = np.repeat(receivers, 3, axis=0) + np.random.default_rng(0).normal(0, 0.5, (3 * len(receivers), 3))
