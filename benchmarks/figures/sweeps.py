@@ -253,7 +253,7 @@ def _panels(
     figure: Figure, data: SweepData, panels: Sequence[Panel]
 ) -> Iterator[tuple[Axes, Panel, Mapping[str, dict[str, Any]]]]:
     """Yield axes, panel and styles; afterwards the figure gets its legend."""
-    across = min(3, len(panels))
+    across = 2 if len(panels) == 4 else min(3, len(panels))
     down = -(-len(panels) // across)
     figure.set_size_inches(WIDTH_IN if across > 1 else WIDTH_IN * 0.62, 0.5 + 2.5 * down)
     grid = figure.subplots(down, across, squeeze=False, sharex=True, sharey=True)
@@ -263,6 +263,9 @@ def _panels(
         axes.set_title(panel.title, fontsize=7.5)
     for axes in list(grid.flat)[len(panels) :]:
         axes.set_visible(False)
+    for axes in list(grid.flat)[max(0, len(panels) - across) : len(panels)]:
+        # Nothing stands below it.
+        axes.tick_params(labelbottom=True)
     handles = {
         label: handle for axes in grid.flat for handle, label in zip(*axes.get_legend_handles_labels(), strict=True)
     }
