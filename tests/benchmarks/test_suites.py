@@ -10,12 +10,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from cellslam.benchmarks import cli_suite
 from cellslam.benchmarks.cli import main
 from cellslam.benchmarks.cli_suite import built_in
 from cellslam.benchmarks.rows import results
+from cellslam.scenarios import load
 from cellslam.scenarios.suites import SUITES, scenario_of, suite
 from cellslam.sim.errors import InputError
 
+SHORT = {"vehicle.distance_m": 5, "vehicle.duration_s": 7.5, "vehicle.stops": 0, "vehicle.stand_first_s": 0}
 # A suite never changes: what would change its results is another version.
 DIGESTS = {
     "standard-1": "e708bd8546d1f884726deee2302badb4c0c4f77901c53882e3ed5f554bd442a9",
@@ -40,7 +43,11 @@ def test_suites_are_found_by_name() -> None:
     assert {"fastslam", "dead-reckoning", "ekf-slam", "oracle-map"} <= set(built_in())
 
 
-def test_accuracy_writes_its_tables_and_resumes(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+def test_accuracy_writes_its_tables_and_resumes(
+    tmp_path: Path, capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    # The suite's drives take seconds: a short one under the name of one of them.
+    monkeypatch.setattr(cli_suite, "scenario_of", lambda _, name: load("tiny", {**SHORT, "name": name}))
     page = tmp_path / "results.md"
     line = ["bench", "accuracy", "--trials", "1", "--scenario", "canyon", "--estimator", "dead-reckoning"]
     line += ["--executor", "serial", "--out", str(tmp_path / "out"), "--write", str(page)]
@@ -78,8 +85,8 @@ def test_wrong_requests_are_one_line(
 
 
 def test_monte_carlo_measures_rates_overhead_and_table(capfd: pytest.CaptureFixture[str]) -> None:
-    short = ["--set", "vehicle.distance_m=5", "--set", "vehicle.duration_s=7.5", "--set", "vehicle.stops=0"]
-    line = ["bench", "monte-carlo", "tiny", *short, "--set", "vehicle.stand_first_s=0", "--estimator", "dead-reckoning"]
+    short = [word for key, value in SHORT.items() for word in ("--set", f"{key}={value}")]
+    line = ["bench", "monte-carlo", "tiny", *short, "--estimator", "dead-reckoning"]
     assert main([*line, "--trials", "2", "--jobs", "1", "--rows", "400", "--json"]) == 0
     out, err = capfd.readouterr()
     found = json.loads(out)
