@@ -65,7 +65,8 @@ def _compared(arguments: Namespace, folder: Path, rows: tuple[str, ...] | None, 
 def figures(arguments: Namespace) -> int:
     """Carry out `cellslam figures`."""
     from cellslam.benchmarks.bars import bars
-    from cellslam.benchmarks.figures.sweeps import Look, draw_sweep
+    from cellslam.benchmarks.figures.sweep_look import Look
+    from cellslam.benchmarks.figures.sweeps import draw_sweep
     from cellslam.benchmarks.output import check_folder
 
     folder = Path(arguments.folder)

@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from cellslam.benchmarks.figures.style import BLACK, GREY, WIDTH_IN, context, estimator_styles, save
-from cellslam.benchmarks.figures.sweep_data import Panel, SweepData, curve_keys, load, sweep_lines
+from cellslam.benchmarks.figures.style import BLACK, GREY, WIDTH_IN, context, save
+from cellslam.benchmarks.figures.sweep_curve import draw_curve
+from cellslam.benchmarks.figures.sweep_data import Panel, SweepData, curve_keys, load
+from cellslam.benchmarks.figures.sweep_look import AXIS, Look, series_styles, summed_label
 from cellslam.benchmarks.statistics import interval, statistic
 from cellslam.benchmarks.summaries import Layout, check_confidence, metrics_of
 from cellslam.sim.errors import InputError
@@ -22,33 +23,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 MOST_PANELS = 6
-MOST_TICKS = 10
 CHI2_SHARE = 0.95
-# From this ratio on x is logarithmic; intervals of different lines stand beside each other, by this share of the axis.
-LOG_FROM = 10.0
-DODGE = 0.008
-AXIS = {
-    "position_rmse_m": "position RMSE (m)",
-    "position_max_m": "largest position error (m)",
-    "position_end_m": "position error at the end (m)",
-    "heading_rmse_rad": "heading RMSE (rad)",
-    "clock_offset_rmse_m": "clock offset error at the end (m)",
-    "map_gospa_m": "map GOSPA (m)",
-    "nees_mean": "mean NEES",
-    "estimate_seconds": "time of the estimator (s a trial)",
-}
-
-STATISTICS = {"rmse": "root mean square"}
-
-
-@dataclass(frozen=True)
-class Look:
-    """What the sweep curve shows: key along x (None: the first that varies and is a number), metric, statistic."""
-
-    x: str | None = None
-    metric: str = "position_rmse_m"
-    statistic: str = "median"
-    confidence: float = 0.95
 
 
 def draw_sweep(
@@ -71,7 +46,7 @@ def draw_sweep(
     data = load(folder)
     x = _x_key(data, look)
     drawings: dict[str, Callable[[Figure], bool]] = {
-        "sweep": lambda figure: x is not None and _sweep(figure, data, look, x),
+        "sweep": lambda figure: x is not None and draw_curve(figure, data, look, x),
         "error_cdf": lambda figure: _cdf(figure, data, look.metric),
         "map_error": lambda figure: _cdf(figure, data, "map_gospa_m"),
         "error_time": lambda figure: _over_time(figure, data, "error_m", "horizontal error (m)", np.abs),
@@ -95,61 +70,6 @@ def _x_key(data: SweepData, look: Look) -> str | None:
     if look.x is not None and look.x not in keys:
         raise InputError(f"--x {look.x}: not a key that varies and is a number ({', '.join(keys) or 'there is none'})")
     return look.x or (keys[0] if keys else None)
-
-
-def _sweep(figure: Figure, data: SweepData, look: Look, x: str) -> bool:
-    """Draw the statistic with intervals against x; settings besides x are lines of their own."""
-    lines = {
-        name: [(at, one.values(look.metric)) for at, one in points] for name, points in sweep_lines(data, x).items()
-    }
-    lines = {name: kept for name, points in lines.items() if (kept := [p for p in points if len(p[1])])}
-    every = sorted({at for points in lines.values() for at, _ in points if at is not None})
-    if not every:
-        return False
-    figure.set_size_inches(WIDTH_IN * 0.62, 3.2)
-    axes, styles = figure.subplots(), _styles(lines)
-    logarithmic = every[0] > 0 and every[-1] >= LOG_FROM * every[0]
-    for index, (name, points) in enumerate(lines.items()):
-        aside = DODGE * (index - (len(lines) - 1) / 2)
-        _line(axes, [(_beside(at, every, aside, logarithmic), values) for at, values in points], look, styles[name])
-    if logarithmic:
-        axes.set_xscale("log")
-    if len(every) <= MOST_TICKS:
-        axes.set_xticks(every, [f"{value:g}" for value in every])
-        axes.minorticks_off()
-    axes.set_xlabel(x)
-    trials = max(len(values) for points in lines.values() for _, values in points)
-    axes.set_ylabel(_summed(look))
-    axes.set_title(f"{100 * look.confidence:g} % intervals, {trials} trials a point")
-    axes.set_ylim(bottom=0)
-    figure.legend(loc="outside lower center", ncols=2)
-    return True
-
-
-def _summed(look: Look) -> str:
-    """Return the label of an axis: the metric, and how trials are summed up."""
-    return f"{AXIS.get(look.metric, look.metric)},\n{STATISTICS.get(look.statistic, look.statistic)} over trials"
-
-
-def _line(axes: Axes, points: Sequence[tuple[float | None, Floats]], look: Look, style: Mapping[str, Any]) -> None:
-    """Draw one line with its intervals; a point without x is the same everywhere: a level with a band."""
-    of = statistic(look.statistic)
-    middle = np.array([float(of.of(values)) for _, values in points])
-    ends = np.array([interval(values, of, look.confidence) for _, values in points])
-    at = [place for place, _ in points if place is not None]
-    if not at:
-        axes.axhline(middle[0], **style)
-        axes.axhspan(*ends[0], color=style["color"], alpha=0.15, linewidth=0)
-        return
-    reach: Floats = np.nan_to_num(np.abs(ends - middle[:, None])).T
-    axes.errorbar(at, middle, yerr=reach, **style, marker="o", markersize=3.5, capsize=2.5, elinewidth=0.9)
-
-
-def _beside(at: float | None, every: Sequence[float], aside: float, logarithmic: bool) -> float | None:
-    """Return a place moved aside by a share of the axis, so that intervals do not hide each other."""
-    if at is None:
-        return None
-    return at * (every[-1] / every[0]) ** aside if logarithmic else at + aside * (every[-1] - every[0])
 
 
 def _cdf(figure: Figure, data: SweepData, metric: str) -> bool:
@@ -231,7 +151,7 @@ def _cost(figure: Figure, data: SweepData, look: Look) -> bool:
     if not points:
         return False
     figure.set_size_inches(WIDTH_IN * 0.62, 3.2)
-    axes, styles, seen = figure.subplots(), _styles(data.labels), set()
+    axes, styles, seen = figure.subplots(), series_styles(data.labels), set()
     for one, cost_s, values in points:
         middle = float(of.of(values))
         ends = np.array(interval(values, of, look.confidence))
@@ -243,7 +163,7 @@ def _cost(figure: Figure, data: SweepData, look: Look) -> bool:
         seen.add(one.label)
     axes.set_xscale("log")
     axes.set_xlabel(f"{AXIS['estimate_seconds']}, median")
-    axes.set_ylabel(_summed(look))
+    axes.set_ylabel(summed_label(look))
     axes.set_ylim(bottom=0)
     figure.legend(loc="outside lower center", ncols=2)
     return True
@@ -257,7 +177,7 @@ def _panels(
     down = -(-len(panels) // across)
     figure.set_size_inches(WIDTH_IN if across > 1 else WIDTH_IN * 0.62, 0.5 + 2.5 * down)
     grid = figure.subplots(down, across, squeeze=False, sharex=True, sharey=True)
-    styles = _styles(data.labels)
+    styles = series_styles(data.labels)
     for axes, panel in zip(grid.flat, panels, strict=False):
         yield axes, panel, styles
         axes.set_title(panel.title, fontsize=7.5)
@@ -270,12 +190,3 @@ def _panels(
         label: handle for axes in grid.flat for handle, label in zip(*axes.get_legend_handles_labels(), strict=True)
     }
     figure.legend(list(handles.values()), list(handles), loc="outside lower center", ncols=3)
-
-
-def _styles(names: Sequence[str] | Mapping[str, Any]) -> dict[str, dict[str, Any]]:
-    """Return the line of each series; beyond the colours the dashes differ."""
-    styles = estimator_styles(names)
-    for index, name in enumerate(styles):
-        if index >= 7:
-            styles[name]["linestyle"] = ("-.", ":", "--")[index // 7 % 3]
-    return styles

@@ -10,7 +10,8 @@ import pytest
 from cellslam.benchmarks.cli import main
 from cellslam.benchmarks.estimation import estimate
 from cellslam.benchmarks.figures.sweep_data import load
-from cellslam.benchmarks.figures.sweeps import Look, draw_sweep
+from cellslam.benchmarks.figures.sweep_look import Look
+from cellslam.benchmarks.figures.sweeps import draw_sweep
 from cellslam.benchmarks.result import ROW_KEYS
 from cellslam.benchmarks.store import writing
 from cellslam.benchmarks.tasks import Result, identity, plan, request_of

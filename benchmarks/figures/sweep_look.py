@@ -1,0 +1,46 @@
+"""How the figures of a sweep look: what they show, the labels of axes, the lines of series."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from cellslam.benchmarks.figures.style import estimator_styles
+
+AXIS = {
+    "position_rmse_m": "position RMSE (m)",
+    "position_max_m": "largest position error (m)",
+    "position_end_m": "position error at the end (m)",
+    "heading_rmse_rad": "heading RMSE (rad)",
+    "clock_offset_rmse_m": "clock offset error at the end (m)",
+    "map_gospa_m": "map GOSPA (m)",
+    "nees_mean": "mean NEES",
+    "estimate_seconds": "time of the estimator (s a trial)",
+}
+
+STATISTICS = {"rmse": "root mean square"}
+
+
+@dataclass(frozen=True)
+class Look:
+    """What the sweep curve shows: key along x (None: the first that varies and is a number), metric, statistic."""
+
+    x: str | None = None
+    metric: str = "position_rmse_m"
+    statistic: str = "median"
+    confidence: float = 0.95
+
+
+def summed_label(look: Look) -> str:
+    """Return the label of an axis: the metric, and how trials are summed up."""
+    return f"{AXIS.get(look.metric, look.metric)},\n{STATISTICS.get(look.statistic, look.statistic)} over trials"
+
+
+def series_styles(names: Sequence[str] | Mapping[str, Any]) -> dict[str, dict[str, Any]]:
+    """Return the line of each series; beyond the colours the dashes differ."""
+    styles = estimator_styles(names)
+    for index, name in enumerate(styles):
+        if index >= 7:
+            styles[name]["linestyle"] = ("-.", ":", "--")[index // 7 % 3]
+    return styles
