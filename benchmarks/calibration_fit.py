@@ -8,7 +8,7 @@ import numpy as np
 from scipy.optimize import minimize
 from scipy.stats import ncx2
 
-from cellslam.benchmarks.calibration_overlap import chances
+from cellslam.benchmarks.calibration_overlap import Law, chances, relations
 from cellslam.benchmarks.calibration_scenes import Sample
 from cellslam.sim.frames import wrap_angle
 from cellslam.sim.lte.bound import single_path_std
@@ -89,21 +89,24 @@ def structured(sample: Sample, noise_rate: float, window_m: float) -> dict[str, 
 
 
 def fit_overlap(samples: dict[float, Sample], detection: dict[str, float], threshold: float) -> dict[str, float]:
-    """Return logistic centre and width (dB) of overlapped paths, and how much the diffuse energy of stronger paths adds
-    to the disturbance of weaker ones behind them, by maximum likelihood.
+    """Return how paths among others are detected: logistic centre and width (dB) of crowded ones, and how much stronger
+    paths disturb weaker ones, by maximum likelihood.
     """
     law = detection["dof"], detection["gain"]
+    parts = {k_db: relations(s) for k_db, s in samples.items()}
 
     def loss(p: Floats) -> float:
         total = 0.0
         for k_db, s in samples.items():
-            chance = np.clip(chances(s, k_db, law, threshold, *p), 1e-3, 1.0 - 1e-3)
+            chance = np.clip(chances(s, parts[k_db], k_db, law, threshold, Law(*p)), 1e-3, 1.0 - 1e-3)
             total -= float(np.sum(np.where(s.detected, np.log(chance), np.log(1.0 - chance))))
         return total
 
-    best = minimize(loss, np.array([16.0, 2.0, -0.5, -1.5]), method="Nelder-Mead",
-                    options={"xatol": 0.02, "fatol": 0.2, "maxiter": 300})  # fmt: skip
+    start = np.array([12.0, 3.0, 0.0, -1.5, -1.0, 15.0])
+    options = {"xatol": 0.02, "fatol": 0.2, "maxiter": 400}
+    best = Law(*minimize(loss, start, method="Nelder-Mead", options=options).x)
     return {
-        "centre_db": float(best.x[0]), "width_db": float(abs(best.x[1])), "trail": float(10.0 ** best.x[2]),
-        "around": float(10.0 ** best.x[3]),
+        "centre_db": float(best.centre_db), "width_db": float(abs(best.width_db)), "trail": float(10.0**best.log_trail),
+        "around": float(10.0**best.log_around), "sidelobes": float(10.0**best.log_sidelobes),
+        "sidelobe_m": float(abs(best.sidelobe_m)),
     }  # fmt: skip

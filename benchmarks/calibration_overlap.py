@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from functools import lru_cache
+from typing import NamedTuple
 
 import numpy as np
 from scipy.stats import ncx2
@@ -16,28 +16,44 @@ from cellslam.sim.recording import Floats
 _TABLE_DB = np.arange(-20.0, 70.0, 0.1)
 
 
-@lru_cache(maxsize=4)
-def relations(key: int) -> tuple[Floats, Floats, Floats, Floats]:
-    """Return per path of a kept sample: leftover, 1 if a ghost by the rule, and the sums of stronger paths' SNR whose
-    diffuse energy arrives there, from the path's own direction and from anywhere.
+class Relations(NamedTuple):
+    """What the paths of one link are to each other: rows of the sample (n,), how much later and beside (n, n), the
+    integrated SNR of those that are stronger (n, n), leftover and ghost rule (n,).
     """
-    sample = _kept[key]
-    leftover, ghost, trail, around = (np.full(len(sample.link), x) for x in (1.0, 0.0, 0.0, 0.0))
+
+    rows: np.ndarray
+    behind: Floats
+    beside: Floats
+    stronger: Floats
+    leftover: Floats
+    ghost: np.ndarray
+
+
+class Law(NamedTuple):
+    """Logistic of crowded paths in dB, disturbance of stronger paths (log10), sidelobes (log10) and their width in m."""
+
+    centre_db: float
+    width_db: float
+    log_trail: float
+    log_around: float
+    log_sidelobes: float
+    sidelobe_m: float
+
+
+def relations(sample: Sample) -> list[Relations]:
+    """Return the relations of all links of a sample."""
+    out = []
     for link in np.unique(sample.link):
         rows = np.flatnonzero(sample.link == link)
         geometry, gamma = sample.geometry[rows], 10.0 ** (sample.gamma_db[rows] / 10.0)
         apart = geometry[:, None] - geometry[None]
         apart[..., 1] = wrap_angle(apart[..., 1])
         stronger = gamma[None, :] > gamma[:, None]
-        share = captured(apart, geometry) * (np.abs(apart[..., 0]) < k.NEIGHBOUR_M) * stronger
-        leftover[rows] = np.prod(1.0 - share, axis=1)
-        near = np.abs(apart[..., 0]) < k.GHOST_REACH_M
-        ghost[rows] = (near & (gamma[:, None] < 10.0**-2.5 * gamma[None, :])).any(axis=1)
-        inside = stronger & (apart[..., 0] >= k.TRAIL_FROM_M) & (apart[..., 0] <= k.TRAIL_TO_M)
-        fall = np.where(inside, np.exp(-apart[..., 0] / k.TRAIL_DECAY_M) * gamma[None, :], 0.0)
-        trail[rows] = np.sum(fall * np.exp(-0.5 * (apart[..., 1] / k.TRAIL_BESIDE_RAD) ** 2), axis=1)
-        around[rows] = np.sum(fall, axis=1)
-    return leftover, ghost, trail, around
+        near = np.abs(apart[..., 0])
+        leftover = np.prod(1.0 - captured(apart, geometry) * (near < k.NEIGHBOUR_M) * stronger, axis=1)
+        ghost = ((near < k.GHOST_REACH_M) & (gamma[:, None] < 10.0**-2.5 * gamma[None, :])).any(axis=1)
+        out.append(Relations(rows, apart[..., 0], apart[..., 1], stronger * gamma[None, :], leftover, ghost))
+    return out
 
 
 def captured(apart: Floats, geometry: Floats) -> Floats:
@@ -52,21 +68,22 @@ def captured(apart: Floats, geometry: Floats) -> Floats:
     return np.asarray(np.exp(-s) * (1.0 + s), np.float64)
 
 
-_kept: dict[int, Sample] = {}
-
-
 def chances(
-    sample: Sample, ratio_db: float, detection: tuple[float, float], threshold: float, centre_db: float,
-    width_db: float, log_trail: float, log_around: float,
-) -> Floats:  # fmt: skip
+    sample: Sample, parts: list[Relations], ratio_db: float, detection: tuple[float, float], threshold: float, law: Law
+) -> Floats:
     """Return the detection probability (P,) of each path of a sample; `detection` is (dof, gain)."""
-    key = id(sample)
-    _kept[key] = sample
-    leftover, ghost, trail, around = relations(key)
-    disturbance = 1.0 + 10.0 ** (-ratio_db / 10.0) * (10.0**log_trail * trail + 10.0**log_around * around)
-    gamma_db = sample.gamma_db + 10.0 * np.log10(np.maximum(leftover, 1e-12) / disturbance)
     table = ncx2.sf(2.0 * threshold, detection[0], detection[1] * 10.0 ** (_TABLE_DB / 10.0))
-    alone = np.interp(gamma_db, _TABLE_DB, table)
-    overlapped = 1.0 / (1.0 + np.exp(-np.clip((gamma_db - centre_db) / width_db, -50.0, 50.0)))
-    chance = np.where(leftover > k.ISOLATED_LEFTOVER, alone, overlapped)
-    return np.asarray(chance * (ghost == 0.0), np.float64)
+    out = np.zeros(len(sample.link))
+    for p in parts:
+        fall = 10.0**law.log_sidelobes / (1.0 + (p.behind / law.sidelobe_m) ** 2)
+        diffuse = (p.behind >= 0.0) & (p.behind <= k.DIFFUSE_TO_M)
+        fall = fall + np.where(diffuse, np.exp(-np.maximum(p.behind, 0.0) / k.TRAIL_DECAY_M), 0.0)
+        inside = (p.behind >= k.TRAIL_FROM_M) & (p.behind <= k.TRAIL_TO_M)
+        toward = 10.0**law.log_trail * np.exp(-0.5 * (p.beside / k.TRAIL_BESIDE_RAD) ** 2) + 10.0**law.log_around
+        disturbance = 1.0 + 10.0 ** (-ratio_db / 10.0) * np.sum(inside * p.stronger * fall * toward, axis=1)
+        gamma_db = sample.gamma_db[p.rows] + 10.0 * np.log10(np.maximum(p.leftover, 1e-12) / disturbance)
+        alone = np.interp(gamma_db, _TABLE_DB, table)
+        crowded = 1.0 / (1.0 + np.exp(-np.clip((gamma_db - law.centre_db) / law.width_db, -50.0, 50.0)))
+        isolated = (p.leftover > k.ISOLATED_LEFTOVER) & (disturbance < k.DISTURBED)
+        out[p.rows] = np.where(isolated, alone, crowded) * ~p.ghost
+    return out

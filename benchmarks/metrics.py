@@ -39,8 +39,9 @@ def score(recording: Recording, result: TrialResult, bound: BoundResult | None) 
     scores["position_max_m"] = float(error.max())
     scores["position_end_m"] = float(error[-1])
     scores["heading_rmse_rad"] = _rms(wrap_angle(result.poses[:, 3] - truth.poses[:, 3]))
-    squared = nees(truth.poses, result.poses, result.covariances)
-    scores["nees_mean"] = float(np.nanmean(squared)) if np.isfinite(squared).any() else None
+    if not result.smoothed:  # the covariances are those of the snapshots
+        squared = nees(truth.poses, result.poses, result.covariances)
+        scores["nees_mean"] = float(np.nanmean(squared)) if np.isfinite(squared).any() else None
     if result.clock_offset_m is not None and len(recording.sites):
         scores["clock_offset_rmse_m"] = _rms(result.clock_offset_m[-1] - truth.clock_offsets_m)
     if result.vts is not None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from itertools import product
 from typing import Any
 
 import numba
@@ -19,10 +20,12 @@ from cellslam.scenarios.options import resolve
 from cellslam.sim.frames import integrate_pose
 from cellslam.sim.recording import Recording
 from cellslam.slam.api import Setup, setup_of
-from cellslam.slam.baselines.ekf_slam.bank import Core, new_bank
+from cellslam.slam.baselines.ekf_slam.associate_kernel import _jointly, best_rival
+from cellslam.slam.baselines.ekf_slam.bank import Core, joint_gates, new_bank
 from cellslam.slam.baselines.ekf_slam.filter import EkfSlam
 from cellslam.slam.baselines.ekf_slam.fusion import fuse, join, root_of
-from cellslam.slam.baselines.ekf_slam.layout import BY_POSE, BY_VT, FREE, GEOMETRY, PREDICTED
+from cellslam.slam.baselines.ekf_slam.hypotheses import History, prune
+from cellslam.slam.baselines.ekf_slam.layout import BY_POSE, BY_VT, CFG, FREE, GEOMETRY, PREDICTED, RIVAL
 from cellslam.slam.baselines.ekf_slam.map_kernel import remove
 from cellslam.slam.baselines.ekf_slam.motion_kernel import rotations
 from cellslam.slam.baselines.ekf_slam.options import EkfSlamOptions
@@ -32,6 +35,7 @@ from cellslam.slam.baselines.ekf_slam.vt_kernel import give_birth, predict
 from cellslam.slam.baselines.oracles import KnownAssociation, KnownMap
 from cellslam.slam.conformance import EstimatorConformance
 from cellslam.slam.conformance_subject import tiny_drive
+from cellslam.slam.fastslam.assignment import assign
 from cellslam.slam.model import birth as born_at
 from cellslam.slam.model import predict as model_predict
 
@@ -300,3 +304,98 @@ class TestKnownMap(EstimatorConformance):
     @pytest.fixture
     def estimator(self) -> type[Any]:
         return KnownMap
+
+
+def joint_problem(seed: int) -> tuple[Any, ...]:
+    """Return a random link: state and covariance of pose, offset and three VTs close together, measurements, scores."""
+    rng, core = np.random.default_rng(seed), 7
+    x, p = np.zeros(core + 9), np.zeros((core + 9, core + 9))
+    root = rng.normal(size=(core + 9, core + 9)) * 0.004
+    root[6] *= 100.0
+    p[:] = root @ root.T + np.diag([0.0] * core + [0.5, 1e-4, 1e-4] * 3)
+    x[:6] = POSE
+    x[core:] = np.ravel([[80.0, 0.5, 0.2], [81.0, 0.53, 0.2], [84.0, 0.5, 0.22]])
+    anchor, g = np.zeros((3, 4)), np.zeros(GEOMETRY)
+    rotations(g, *POSE[3:])
+    slopes, values = [], []
+    for j in range(3):
+        predict(g, x, anchor[j], core + 3 * j)
+        h = np.zeros((3, core + 9))
+        h[:, :6], h[0, 6] = g[BY_POSE:BY_VT].reshape(3, 6), 1.0
+        h[:, core + 3 * j : core + 3 * j + 3] = g[BY_VT:GEOMETRY].reshape(3, 3)
+        slopes.append(h)
+        values.append(g[PREDICTED : PREDICTED + 3].copy())
+    q = np.tile([0.3, 1e-4, 2e-4], (3, 1))
+    z = np.array(values)[rng.permutation(3)] + np.sqrt(q) * rng.normal(size=(3, 3)) * [2.0, 1.0, 1.0]
+    if seed % 3 == 0:
+        z[1, 2] = np.nan
+    return x, p, core, anchor, g, z, q, slopes, np.array(values), rng
+
+
+@pytest.mark.parametrize("seed", range(12))
+def test_jcbb_finds_the_largest_jointly_compatible_pairing(seed: int) -> None:
+    """Against all pairings, one by one."""
+    x, p, core, anchor, g, z, q, slopes, values, rng = joint_problem(seed)
+    gates, score = joint_gates(np.full(CFG, 16.3)), np.where(rng.random((3, 3)) < 0.8, 1.0, -1.0)
+
+    def distance(pairs: list[tuple[int, int]]) -> tuple[float, int]:
+        there = [np.isfinite(z[c]) for c, _ in pairs]
+        h = np.concatenate([slopes[r][t] for (_, r), t in zip(pairs, there, strict=True)])
+        e = np.concatenate([(z[c] - values[r])[t] for (c, r), t in zip(pairs, there, strict=True)])
+        noise = np.concatenate([q[c][t] for (c, _), t in zip(pairs, there, strict=True)])
+        return float(e @ np.linalg.solve(h @ p @ h.T + np.diag(noise), e)), len(e)
+
+    best: tuple[int, float, tuple[int, ...]] = (0, 0.0, (-1, -1, -1))
+    for choice in product(range(-1, 3), repeat=3):
+        pairs = [(c, r) for c, r in enumerate(choice) if r >= 0]
+        if not pairs or len({r for _, r in pairs}) < len(pairs) or any(score[r, c] < 0 for c, r in pairs):
+            continue
+        d2, _ = distance(pairs)
+        # A pairing is found through compatible parts: the search extends it measurement by measurement.
+        parts = [distance(pairs[:n]) for n in range(1, len(pairs) + 1)]
+        if all(d <= gates[s] for d, s in parts) and (len(pairs), -d2) > (best[0], -best[1] if best[0] else -np.inf):
+            best = (len(pairs), d2, choice)
+    scratch = (
+        np.empty((16, 3, 16)), np.empty((16, 16, 3, 3)), np.empty((16, 12, 3)), np.empty((36, 37)),
+        np.empty((12, 2), np.int64), np.empty(13, np.int64), gates,
+    )  # fmt: skip
+    row_of, chosen = np.full(3, -1), np.arange(3)
+    assert _jointly(g, x, p, core, anchor, chosen, 3, 6, z, q, 0, 3, score.copy(), row_of, scratch)
+    np.testing.assert_array_equal(np.where(row_of >= 0, chosen[row_of], -1), best[2])
+
+
+def test_best_rival_is_the_second_best_assignment() -> None:
+    rng, cfg = np.random.default_rng(5), np.zeros(CFG)
+    cfg[RIVAL] = 50.0
+    for _ in range(30):
+        score = np.where(rng.random((3, 3)) < 0.7, rng.uniform(0.1, 9.0, (3, 3)), -1.0)
+        totals = sorted(
+            (sum(score[r, c] for c, r in enumerate(choice) if r >= 0), choice)
+            for choice in product(range(-1, 3), repeat=3)
+            if len({r for r in choice if r >= 0}) == sum(r >= 0 for r in choice)
+            and all(score[r, c] > 0 for c, r in enumerate(choice) if r >= 0)
+        )
+        row_of, second, work_f, work_i = np.full(3, -1), np.full(3, -1), np.empty(64), np.empty(64, np.int64)
+        assign(score, 3, 3, row_of, work_f, work_i)
+        out = np.array([cfg[RIVAL], -1.0, -1.0])
+        best_rival(score, 3, 3, row_of, second, work_f, work_i, cfg, out)
+        if len(totals) > 1:
+            assert out[0] == pytest.approx(totals[-1][0] - totals[-2][0])
+
+
+def test_hypotheses_branch_and_prune() -> None:
+    setup, options = setup_with_all_errors(), EkfSlamOptions(hypotheses=2, scan_s=1.0)
+    bank = new_bank(setup, Core.of(setup), FREE, 2, np.zeros((1, 2)), np.ones(2)).take(np.array([0, 0, 0]))
+    bank.log_weight[:] = [0.0, -1.0, -2.0]
+    history = History()
+    history.take(np.array([0, 0, 0]))
+    association = np.array([[1, 2], [1, 3], [1, 2]])
+    kept, answers = prune(bank, association, 5.0, options, history)
+    assert len(kept) == 2  # the third has agreed with the first for long
+    np.testing.assert_array_equal(answers, association[:2])
+    np.testing.assert_array_equal(history.differed_s, [[0.0, 5.0], [5.0, 0.0]])
+    kept, _ = prune(kept, association[:1].repeat(2, axis=0), 5.5, options, history)
+    assert len(kept) == 2  # not yet
+    kept, _ = prune(kept, association[:1].repeat(2, axis=0), 6.5, options, history)
+    assert len(kept) == 1
+    assert kept.log_weight[0] == 0.0

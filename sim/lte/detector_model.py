@@ -17,8 +17,9 @@ ISOLATED_LEFTOVER = 0.9
 GHOST_REACH_M = 10.0
 # Nodes of integrated SNR over which clutter was measured.
 GAMMA_START_DB, GAMMA_STEP_DB = 5.0, 5.0
-# Behind a path (m), and to its sides (deviation, rad), where its diffuse energy arrives; it decays over the last (m).
-TRAIL_FROM_M, TRAIL_TO_M, TRAIL_BESIDE_RAD, TRAIL_DECAY_M = 5.0, 150.0, 0.35, 35.0
+# Behind a path (m), and to its sides (deviation, rad), where it disturbs others; its diffuse energy decays over 35 m.
+TRAIL_FROM_M, TRAIL_TO_M, DIFFUSE_TO_M, TRAIL_BESIDE_RAD, TRAIL_DECAY_M = -100.0, 250.0, 150.0, 0.35, 35.0
+DISTURBED = 1.5  # disturbance over noise from which detection is no longer that of an isolated path
 # Probability table over Gamma' in dB.
 TABLE_START_DB, TABLE_STEP_DB = -20.0, 0.05
 

@@ -16,7 +16,7 @@ class ChannelSlamOptions(BaseModel):
     )
     transmitters: int = Field(40, ge=1, le=1000, description="transmitters in use at a time")
     distance_std_m: float = Field(
-        0.9, gt=0, le=100, description="deviation of a tracked distance, those that are mistaken for one another included, m"
+        0.9, gt=0, le=100, description="deviation of a tracked distance, with paths taken for one another, m"
     )
     update_m: float = Field(
         0.4, ge=0, le=100, description="way between updates, over which errors of a distance are drawn anew, m"

@@ -55,12 +55,16 @@ class Core:
 
 @dataclass
 class Measured:
-    """One snapshot as the kernels take it; see `filter_kernel.use_snapshot`."""
+    """One snapshot as the kernels take it; see `filter_kernel.use_snapshot`.
+
+    `fresh` (m, 3): variances of a VT that begins; links that see the same one must not average out a shared error.
+    """
 
     now: int
     born: int
     first: Ints
     readings: Readings
+    fresh: Floats
     given: Ints
     tables: Floats
     cfg: Floats
@@ -72,7 +76,7 @@ class Measured:
     def columns(self) -> tuple[Floats, ...]:
         """What the kernels read of the measurements."""
         r = self.readings
-        return r.z, r.single, r.many, r.gap, r.lack
+        return r.z, r.single, r.many, r.gap, r.lack, self.fresh
 
 
 @dataclass

@@ -90,7 +90,7 @@ def _messages(g, x, p, core, anchor, slots, count, link, offset, readings, start
 
     Existence: a Markov chain of visible and hidden; only what was confirmed comes back (paper: survival probability).
     """
-    z, q, _, gap, _ = readings
+    z, q, _, gap, _, _ = readings
     rotations(g, x[3], x[4], x[5])
     rows, missed = 0, 0.0
     for j in range(count):
@@ -132,7 +132,7 @@ def soft_update(g, x, p, size, anchor, offset, v, readings, start, stop, share, 
     with M = sum(share S_c^-1) - sum(share w w^T) + mean(w) mean(w)^T. The evidence is what the log-likelihood of
     persisting errors lacks against that of fresh draws. mixed (4, 4): scratch.
     """
-    z, q, many, _, lack = readings
+    z, q, many, _, lack, _ = readings
     spread(g, x, p, size, anchor, offset, v, True, s, t)
     s00, s01, s02, s11, s12, s22 = s[0, 0], s[0, 1], s[0, 2], s[1, 1], s[1, 2], s[2, 2]
     for a in range(4):
@@ -199,7 +199,7 @@ def _add_inverse(s, z, e, part, mixed):
 def _believe(now, x, p, core, first_offset, anchor, slots, count, links, first, site_of, readings, born, cfg,
              association, scratch, lost, losses):  # fmt: skip
     """Use one snapshot in one filter; return log-likelihood, number of features, and of those given up."""
-    z, q = readings[0], readings[1]
+    z, first_q = readings[0], readings[5]
     g, t, score, chosen, small, es, out, back, marginal, fresh, mixed = scratch
     e, s = es[3], es[:3]
     total = 0.0
@@ -244,8 +244,8 @@ def _believe(now, x, p, core, first_offset, anchor, slots, count, links, first, 
             exists = fresh[k - start] / claims
             if exists >= cfg[DROP]:
                 count, losses = add(
-                    g, x, p, core, anchor, slots, count, now, cfg[CONFIRM], link, offset, born + k, z[k], q[k], small,
-                    lost, losses,
+                    g, x, p, core, anchor, slots, count, now, cfg[CONFIRM], link, offset, born + k, z[k], first_q[k],
+                    small, lost, losses,
                 )  # fmt: skip
                 if anchor[count - 1, EXISTS] > SURE:  # there was room for it
                     anchor[count - 1, EXISTS] = exists

@@ -31,7 +31,7 @@ from cellslam.slam.baselines.ekf_slam.update_kernel import update
 def _snapshot(mode, now, x, p, core, first_offset, anchor, slots, count, links, first, site_of, readings, given, born,
               tables, cfg, forbidden, association, scratch, lost, losses):  # fmt: skip
     """Use one snapshot in one filter; return log-likelihood, number of VTs, and of those given up."""
-    z, q, many, gap, lack = readings
+    z, q, many, gap, lack, first_q = readings
     g, t, score, chosen, ints, work_f, work_i, small, es, joint = scratch
     e, s = es[3], es[:3]
     row_of, gated = ints[0], ints[1]
@@ -75,14 +75,14 @@ def _snapshot(mode, now, x, p, core, first_offset, anchor, slots, count, links, 
             if mode == FREE and fresh and row_of[k - start] < 0 and gated[k - start] == 0:
                 total += cfg[BIRTH]
                 count, losses = add(
-                    g, x, p, core, anchor, slots, count, now, cfg[CONFIRM], link, offset, born + k, z[k], q[k], small,
-                    lost, losses,
+                    g, x, p, core, anchor, slots, count, now, cfg[CONFIRM], link, offset, born + k, z[k], first_q[k],
+                    small, lost, losses,
                 )  # fmt: skip
             elif mode == KNOWN_ASSOCIATION and fresh and given[k] >= 0:
                 association[k] = given[k]
                 count, losses = add(
-                    g, x, p, core, anchor, slots, count, now, cfg[CONFIRM], link, offset, given[k], z[k], q[k], small,
-                    lost, losses,
+                    g, x, p, core, anchor, slots, count, now, cfg[CONFIRM], link, offset, given[k], z[k], first_q[k],
+                    small, lost, losses,
                 )  # fmt: skip
     if mode == FREE:
         count = tidy(now, x, p, core, anchor, slots, count, cfg)
@@ -123,7 +123,7 @@ def find_rivals(now, x, p, core, first_offset, anchor, slots, count, first, site
     rivals (K, 3): loss (cfg[RIVAL]: none is better), measurement, identity; nothing (2,): -1. Scratch is changed too.
     """
     for f in prange(len(x)):
-        z, q, _, gap, _ = readings
+        z, q, _, gap, _, _ = readings
         g, _, score, chosen, ints, work_f, work_i, small, es = scratch
         row_of, gated, second, best = ints[f, 0], ints[f, 1], ints[f, 2], es[f, 3]
         parts = (joint[0][f], joint[1][f], joint[2][f], joint[3][f], joint[4][f], joint[5][f], joint[6])
