@@ -290,4 +290,3 @@ def _quantile(values: list[float], q: float) -> float | None:
 
 def _share(values: list[float], limit: float) -> float | None:
     return float(np.mean(np.array(values) < limit)) if values else None
-

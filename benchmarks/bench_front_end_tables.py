@@ -93,7 +93,9 @@ def _snapshot(bench: Bench, samples: list[Any], starts: list[Any], velocity: Any
     motion_now = bench.receiver.moving(velocity)
     _ = motion_now.beams
     with ThreadPoolExecutor(2) as pool:
-        found = list(pool.map(lambda pair: estimate_paths(pair[0], motion_now, pair[1]), zip(samples, starts, strict=True)))
+        found = list(
+            pool.map(lambda pair: estimate_paths(pair[0], motion_now, pair[1]), zip(samples, starts, strict=True))
+        )
     return found, time.perf_counter() - wall, time.process_time() - cpu
 
 

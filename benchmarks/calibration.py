@@ -118,9 +118,7 @@ def summary(samples: list[Sample]) -> dict[str, Any]:
     which = np.digitize(gamma, bins)
     spread = np.median(np.abs(error), axis=0) / 0.6745 * [1.0, 180.0 / np.pi, 180.0 / np.pi]
     inside = np.abs(error * [1.0, 180.0 / np.pi, 180.0 / np.pi]) < 4.0 * spread
-    trimmed = [
-        float(np.std(error[inside[:, c], c])) * (1.0 if c == 0 else 180.0 / np.pi) for c in range(3)
-    ]
+    trimmed = [float(np.std(error[inside[:, c], c])) * (1.0 if c == 0 else 180.0 / np.pi) for c in range(3)]
     return {
         "reported_per_link": float(found.sum() + sum(len(s.clutter) for s in samples)) / links,
         "detected_per_link": float(found.sum()) / links,
@@ -130,7 +128,9 @@ def summary(samples: list[Sample]) -> dict[str, Any]:
         "clutter_points": sum(len(s.clutter) for s in samples) // len(samples),
         "clutter_per_link": sum(len(s.clutter) for s in samples) / links,
         "clutter_later_quartiles_m": np.quantile(late, [0.25, 0.5, 0.75]).tolist() if len(late) else None,
-        "clutter_beside_quartiles_deg": np.degrees(np.quantile(beside, [0.25, 0.5, 0.75])).tolist() if len(beside) else None,
+        "clutter_beside_quartiles_deg": np.degrees(np.quantile(beside, [0.25, 0.5, 0.75])).tolist()
+        if len(beside)
+        else None,
     }
 
 

@@ -51,7 +51,9 @@ class Sample:
 
 def config_of(ratio_db: float) -> RadioConfig:
     """Return the radio configuration of the scenes at a specular-to-diffuse ratio."""
-    return RadioConfig(front_end="signal", specular_to_diffuse_db=ratio_db, snr_cap_db=60.0, clock_offset_std_m=0.0, **OFF)
+    return RadioConfig(
+        front_end="signal", specular_to_diffuse_db=ratio_db, snr_cap_db=60.0, clock_offset_std_m=0.0, **OFF
+    )
 
 
 def cells() -> Cells:

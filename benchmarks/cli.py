@@ -164,7 +164,9 @@ def _add_replay(parser: argparse.ArgumentParser) -> None:
     add_set(parser, "estimator.fastslam.particles=300")
     _add_estimation(parser)
     parser.add_argument(
-        "--align", action="store_true", help="lay each estimate onto the truth before it is scored, and say so in its row"
+        "--align",
+        action="store_true",
+        help="lay each estimate onto the truth before it is scored, and say so in its row",
     )
     _add_seed(parser, None, "seed of the estimators' random draws (default: the recording's own)")
     parser.add_argument("--out", metavar="DIR", help="folder for the results (default: results/replay-FILE)")

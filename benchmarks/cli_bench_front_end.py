@@ -39,7 +39,9 @@ def front_end(arguments: Namespace) -> int:
 def calibrate(arguments: Namespace) -> int:
     """Carry out `cellslam bench calibrate`."""
     if arguments.scenes < LEAST_SCENES or arguments.seed < 0:
-        raise InputError(f"--scenes {arguments.scenes} --seed {arguments.seed}: at least {LEAST_SCENES}, seed from 0 on")
+        raise InputError(
+            f"--scenes {arguments.scenes} --seed {arguments.seed}: at least {LEAST_SCENES}, seed from 0 on"
+        )
     if arguments.out and not Path(arguments.out).resolve().parent.is_dir():
         raise InputError(f"--out {arguments.out}: its folder does not exist")
     from threadpoolctl import threadpool_limits

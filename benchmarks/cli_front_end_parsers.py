@@ -21,14 +21,18 @@ def add_front_end(add: Add) -> None:
     front.add_argument("--runs", metavar="N", type=int, default=150, help="random scenes of each point (default: 150)")
     front.add_argument("--seed", metavar="S", type=int, default=0, help="seed of the scenes (default: 0)")
     front.add_argument("--json", action="store_true", help="print the rows as JSON on stdout, nothing else")
-    calibrate = add("calibrate", "cli_bench_front_end:calibrate", "constants of the statistical front end, or their check")
+    calibrate = add(
+        "calibrate", "cli_bench_front_end:calibrate", "constants of the statistical front end, or their check"
+    )
     calibrate.add_argument("--scenes", metavar="N", type=int, default=400, help="scenes of each kind (default: 400)")
     calibrate.add_argument("--seed", metavar="S", type=int, default=1, help="seed of the scenes (default: 1)")
     calibrate.add_argument("--out", metavar="FILE.json", help="write the constants here (default: print them)")
     calibrate.add_argument(
         "--check", action="store_true", help="compare the front ends, as calibrated, on scenes of their own instead"
     )
-    snapshot = add("snapshot", "cli_bench_front_end:snapshot", "picture of one snapshot at signal level: spectrum and paths")
+    snapshot = add(
+        "snapshot", "cli_bench_front_end:snapshot", "picture of one snapshot at signal level: spectrum and paths"
+    )
     snapshot.add_argument("scenario", metavar="SCENARIO", help="name of a preset, or path of a .toml file")
     snapshot.add_argument(
         "--set", metavar="KEY=VALUE", action="append", default=[], dest="sets", help="change one key; may be repeated"
@@ -36,4 +40,6 @@ def add_front_end(add: Add) -> None:
     snapshot.add_argument("--seed", metavar="S", type=int, default=0, help="root seed (default: 0)")
     snapshot.add_argument("--at", metavar="N", type=int, default=0, help="number of the snapshot (default: 0)")
     snapshot.add_argument("--link", metavar="N", type=int, help="link to show (default: the four with most paths)")
-    snapshot.add_argument("--out", metavar="FILE.png", default="snapshot.png", help="where to write (default: snapshot.png)")
+    snapshot.add_argument(
+        "--out", metavar="FILE.png", default="snapshot.png", help="where to write (default: snapshot.png)"
+    )

@@ -157,7 +157,12 @@ def failed_row(scenario: str, estimator: str, trial: int, seed: int, error: str)
 
 
 def _outcome(
-    recording: Recording, row: Row, request: Request, limit: BoundResult | None, rng: Any, progress: Progress,
+    recording: Recording,
+    row: Row,
+    request: Request,
+    limit: BoundResult | None,
+    rng: Any,
+    progress: Progress,
     align: bool = False,
 ) -> Outcome:
     from cellslam.benchmarks.metrics import score

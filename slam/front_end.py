@@ -114,9 +114,7 @@ def readings(
     place, direction = persisting(options)
     by_place, by_direction = draws(options, turn_rad, moved_m)
     z = np.stack([snapshot.distance_m, snapshot.azimuth_rad, snapshot.elevation_rad], axis=1)
-    single, many, lack = combine(
-        z, alone, place, direction, by_place, by_direction, snapshot.link, site_of, port_of
-    )
+    single, many, lack = combine(z, alone, place, direction, by_place, by_direction, snapshot.link, site_of, port_of)
     return Readings(z, single, many, np.isnan(z) @ np.log(CLUTTER_WIDTH), lack)
 
 

@@ -95,7 +95,9 @@ def test_measuring_pose_by_pose_gives_the_recording(recording: Recording) -> Non
 def test_signal_front_end_gives_the_recording_pose_by_pose(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("tempfile.gettempdir", lambda: str(tmp_path))
     config = small_world(front_end="signal")
-    vehicle = config.vehicle.model_copy(update={"distance_m": 2.0, "duration_s": 12.0, "stops": 0, "snapshot_interval_s": 0.9})
+    vehicle = config.vehicle.model_copy(
+        update={"distance_m": 2.0, "duration_s": 12.0, "stops": 0, "snapshot_interval_s": 0.9}
+    )
     r = simulate(config.model_copy(update={"vehicle": vehicle}), 1, 0)
     world = prepare(config.model_copy(update={"vehicle": vehicle}), 1, 0)
     streams, m, truth = world.streams(), r.measurements, r.truth

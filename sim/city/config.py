@@ -16,7 +16,9 @@ class _Config(BaseModel):
         le=0.1,
         description="standard deviation of the wall surfaces' height; costs reflected power",
     )
-    max_order: int = Field(1, ge=1, le=2, description="reflections that a path may have; 2 takes seconds to minutes per site")
+    max_order: int = Field(
+        1, ge=1, le=2, description="reflections that a path may have; 2 takes seconds to minutes per site"
+    )
     diffraction: bool = Field(False, description="whether paths over one edge of a building exist")
     ground_reflection: bool = Field(False, description="whether the ground reflects")
 

@@ -196,7 +196,9 @@ class SignalLevel:
     def slots(self, snapshot: int) -> Ints:
         """Return the slot of the frame in which each array port is sampled (ports,)."""
         first = SLOTS_PER_SNAPSHOT * snapshot
-        return np.asarray((first + np.rint(self.receiver.times_s / 0.5e-3).astype(np.int64)) % SLOTS_PER_FRAME, np.int64)
+        return np.asarray(
+            (first + np.rint(self.receiver.times_s / 0.5e-3).astype(np.int64)) % SLOTS_PER_FRAME, np.int64
+        )
 
     def samples(self, link: int, received: dict[int, Complex], slots: Ints) -> Complex:
         """Return a link's descrambled samples (ports, tones), colliding cells cancelled, delays counted from its site's
