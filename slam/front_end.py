@@ -90,13 +90,15 @@ class Readings:
     """The measurements of a snapshot (m,) with their variances.
 
     `z` (m, 3): distance (m), azimuth and elevation (rad), NaN where not measured. `single` (m, 3): variances of one
-    measurement; `many` (m, 3): those with which an update counts for what it is worth. `gap` (m,): log-width of
-    clutter in what is missing; `lack` (m,): what the log-density of an update lacks against that of one measurement.
+    measurement; `many` (m, 3): those with which an update counts for what it is worth; `fresh` (m, 3): those of a VT
+    that begins (links that see the same one share its errors). `gap` (m,): log-width of clutter in what is missing;
+    `lack` (m,): what the log-density of an update lacks against that of one measurement.
     """
 
     z: Floats
     single: Floats
     many: Floats
+    fresh: Floats
     gap: Floats
     lack: Floats
 
@@ -114,8 +116,10 @@ def readings(
     place, direction = persisting(options)
     by_place, by_direction = draws(options, turn_rad, moved_m)
     z = np.stack([snapshot.distance_m, snapshot.azimuth_rad, snapshot.elevation_rad], axis=1)
-    single, many, lack = combine(z, alone, place, direction, by_place, by_direction, snapshot.link, site_of, port_of)
-    return Readings(z, single, many, np.isnan(z) @ np.log(CLUTTER_WIDTH), lack)
+    single, many, fresh, lack = combine(
+        z, alone, place, direction, by_place, by_direction, snapshot.link, site_of, port_of
+    )
+    return Readings(z, single, many, fresh, np.isnan(z) @ np.log(CLUTTER_WIDTH), lack)
 
 
 def white(snapshot: Snapshot, options: FrontEndOptions) -> Floats:

@@ -33,13 +33,14 @@ def count_sharers(z, link, group, q):
 
 @njit(cache=True)
 def combine(z, white, place, direction, by_place, by_direction, link, site_of, port_of):
-    """Return variances (m, 3) of single measurements and of updates, and (m,) what an update's log-density lacks.
+    """Return variances (m, 3) of single measurements, of updates and of births, and (m,) what an update's log-density
+    lacks.
 
     white (m, 3): white variances; place, direction (3,): those of errors that persist, each met in by_place,
     by_direction (3,) snapshots, and by all links (L,) of a port or of a site that see the same path.
     """
     m = len(link)
-    single, many, lack = np.empty((m, 3)), np.empty((m, 3)), np.zeros(m)
+    single, many, fresh, lack = np.empty((m, 3)), np.empty((m, 3)), np.empty((m, 3)), np.zeros(m)
     for i in range(m):
         for c in range(3):
             single[i, c] = max(white[i, c] + place[c] + direction[c], 1e-12)
@@ -48,6 +49,7 @@ def combine(z, white, place, direction, by_place, by_direction, link, site_of, p
         for c in range(3):
             q = white[i, c] + place[c] * by_place[c] * port[i] + direction[c] * by_direction[c] * site[i]
             many[i, c] = max(q, 1e-12)
+            fresh[i, c] = max(white[i, c] + place[c] * port[i] + direction[c] * site[i], 1e-12)
             if not math.isnan(z[i, c]):
                 lack[i] += 0.5 * math.log(many[i, c] / single[i, c])
-    return single, many, lack
+    return single, many, fresh, lack

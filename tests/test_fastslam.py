@@ -223,9 +223,14 @@ def test_persisting_errors_count_once():
     unknown = np.where([[False, True, False]] * 3, np.nan, z)
     assert list(count_sharers(unknown, np.arange(3), np.zeros(3, np.int64), q)) == [3, 3, 3]
     values = readings(snapshot, np.zeros(3, np.int64), np.arange(3), options, np.radians(90.0), 10.0)
-    single, many = pack(values.z, values.single, values.many, values.gap, values.lack)
-    assert np.all(many[:2, 5:8] > single[:2, 5:8])
-    assert np.allclose(many[2, 5:8], single[2, 5:8])
+    tables = pack(values.z, values.single, values.many, values.fresh, values.gap, values.lack)
+    single, many, fresh = (table[:, 5:8] for table in tables)
+    assert np.all(many[:2] > single[:2])
+    assert np.allclose(many[2], single[2])
+    assert np.allclose(fresh, many)  # every error is drawn anew
+    still = readings(snapshot, np.zeros(3, np.int64), np.arange(3), options, 0.0, 0.0)
+    assert np.allclose(still.fresh, values.fresh)
+    assert np.all(still.many > 1e3 * still.fresh)
 
 
 def test_a_repeated_mean_has_the_variance_that_draws_promises():
@@ -336,6 +341,7 @@ def test_the_cap_on_vts_holds():
 def test_a_component_that_is_missing_leaves_the_rest_its_weight():
     """The score of distance and azimuth alone: their Gaussian against clutter of that density per (m rad)."""
     z = np.array([[300.0, 0.2, np.nan]])
-    single, _ = pack(z, np.full((1, 3), 0.1), np.full((1, 3), 0.1), np.array([np.log(1.5)]), np.zeros(1))
+    q = np.full((1, 3), 0.1)
+    single, _, _ = pack(z, q, q, q, np.array([np.log(1.5)]), np.zeros(1))
     assert single[0, 11] == pytest.approx(0.5 * np.log(2 * np.pi) - np.log(1.5), rel=1e-6)
     assert list(single[0, 8:11]) == [1.0, 1.0, 0.0]

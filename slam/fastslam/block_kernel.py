@@ -560,6 +560,7 @@ def _block(
     shares,
     z,
     z_many,
+    z_fresh,
     born,
     tables,
     cfg,
@@ -657,7 +658,7 @@ def _block(
             bounds[link],
             travelled[site],
             row_of,
-            z,
+            z_fresh,
             start,
             stop,
             born,
@@ -719,6 +720,7 @@ def update(
     shares,
     z,
     z_many,
+    z_fresh,
     born,
     tables,
     cfg,
@@ -742,9 +744,9 @@ def update(
 
     state (G, F LANES), status (G, L, C, LANES), alike (G, L, C), records (G, L, C, RECORD LANES), ident, order (G, L,
     C), counts (G, L), bounds (G, L, C, 7), travelled (G, S + 1), log_weight (G, LANES): written. first (L + 1,): first
-    measurement of each link; shares (L,): weight of a link's evidence on which VTs there are; z, z_many (M, 15): see
-    `measurement_kernel.pack`; born: number of the first measurement; tables (2, 2, ages): log of visible-and-detected
-    and of missed, for VTs seen once and others; cfg: log clutter density, gate, log-weight of a birth, slack of the
+    measurement of each link; shares (L,): weight of a link's evidence on which VTs there are; z, z_many, z_fresh (M,
+    15): see `measurement_kernel.pack`; born: number of the first measurement; tables (2, 2, ages): log of
+    visible-and-detected and of missed, for VTs seen once and others; cfg: log clutter density, gate, log-weight of a birth, slack of the
     distance test, hits to confirm, ages to drop at (2), likelihood exponent. association (G, M, LANES) is written;
     the rest is scratch, one a thread.
     """
@@ -768,6 +770,7 @@ def update(
             shares,
             z,
             z_many,
+            z_fresh,
             born,
             tables,
             cfg,

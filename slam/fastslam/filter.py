@@ -95,7 +95,7 @@ class FastSlam:
         self._reserve(np.diff(first))
         p, association = self._particles, self._association
         association[:, : len(snapshot)] = -1
-        tables = pack(values.z, values.single, values.many, values.gap, values.lack)
+        tables = pack(values.z, values.single, values.many, values.fresh, values.gap, values.lack)
         velocity = self._velocity(dt_s, odometry)
         run: Any = update
         run(

@@ -11,8 +11,8 @@ COLUMNS = 15
 
 
 @njit(cache=True)
-def pack(z, single, many, gap, lack):
-    """Return two tables (m, 15) in single precision: to associate with, and to update with.
+def pack(z, single, many, fresh, gap, lack):
+    """Return three tables (m, 15) in single precision: to associate with, to update with, to give birth with.
 
     Columns: distance, cos and sin of azimuth and of elevation, three variances, three flags: 1 measured, 0 not (then
     the variance is 1); what the log-density lacks: in both that of components that were not measured, against clutter
@@ -20,7 +20,8 @@ def pack(z, single, many, gap, lack):
     and of azimuth. Arguments: see `front_end.Readings`.
     """
     m = len(z)
-    first, second = np.empty((m, COLUMNS), np.float32), np.empty((m, COLUMNS), np.float32)
+    shape = (m, COLUMNS)
+    first, second, third = np.empty(shape, np.float32), np.empty(shape, np.float32), np.empty(shape, np.float32)
     for i in range(m):
         row = first[i]
         missing = 0.0
@@ -37,8 +38,9 @@ def pack(z, single, many, gap, lack):
         row[11] = missing - gap[i]
         row[12] = azimuth
         row[13], row[14] = 6.0 * math.sqrt(row[5]), 6.0 * math.sqrt(row[6])
-        second[i] = row
+        second[i], third[i] = row, row
         for c in range(3):
-            second[i, 5 + c] = many[i, c] if row[8 + c] > 0.0 else 1.0
+            if row[8 + c] > 0.0:
+                second[i, 5 + c], third[i, 5 + c] = many[i, c], fresh[i, c]
         second[i, 11] += lack[i]
-    return first, second
+    return first, second, third

@@ -55,16 +55,12 @@ class Core:
 
 @dataclass
 class Measured:
-    """One snapshot as the kernels take it; see `filter_kernel.use_snapshot`.
-
-    `fresh` (m, 3): variances of a VT that begins; links that see the same one must not average out a shared error.
-    """
+    """One snapshot as the kernels take it; see `filter_kernel.use_snapshot`."""
 
     now: int
     born: int
     first: Ints
     readings: Readings
-    fresh: Floats
     given: Ints
     tables: Floats
     cfg: Floats
@@ -76,7 +72,7 @@ class Measured:
     def columns(self) -> tuple[Floats, ...]:
         """What the kernels read of the measurements."""
         r = self.readings
-        return r.z, r.single, r.many, r.gap, r.lack, self.fresh
+        return r.z, r.single, r.many, r.gap, r.lack, r.fresh
 
 
 @dataclass

@@ -30,7 +30,6 @@ from cellslam.slam.baselines.ekf_slam.start import Start, begin, mixture
 from cellslam.slam.front_end import existence, first_of_link, ports_of, readings
 
 NOT_GIVEN = -2
-ANEW = 1e9  # a turn and a way after which every error is drawn anew
 
 
 class JointFilter:
@@ -140,9 +139,8 @@ class JointFilter:
         self._configure(cfg, dt_s)
         site = self._setup.links.site
         values = readings(snapshot, site, self._ports, o, odometry[3] * dt_s, odometry[0] * dt_s)
-        fresh = readings(snapshot, site, self._ports, o, ANEW, ANEW).many
         first = first_of_link(snapshot, len(site))
-        return Measured(self._now, self._born, first, values, fresh, self._given(snapshot), tables, cfg)
+        return Measured(self._now, self._born, first, values, self._given(snapshot), tables, cfg)
 
 
 class EkfSlam(JointFilter):
