@@ -745,10 +745,10 @@ def update(
     state (G, F LANES), status (G, L, C, LANES), alike (G, L, C), records (G, L, C, RECORD LANES), ident, order (G, L,
     C), counts (G, L), bounds (G, L, C, 7), travelled (G, S + 1), log_weight (G, LANES): written. first (L + 1,): first
     measurement of each link; shares (L,): weight of a link's evidence on which VTs there are; z, z_many, z_fresh (M,
-    15): see `measurement_kernel.pack`; born: number of the first measurement; tables (2, 2, ages): log of
-    visible-and-detected and of missed, for VTs seen once and others; cfg: log clutter density, gate, log-weight of a birth, slack of the
-    distance test, hits to confirm, ages to drop at (2), likelihood exponent. association (G, M, LANES) is written;
-    the rest is scratch, one a thread.
+    15): see `measurement_kernel.pack`; born: number of the first measurement; tables (2, 2, ages): log of visible-and-
+    detected and of missed, for VTs seen once and others; cfg: log clutter density, gate, log-weight of a birth, slack
+    of the distance test, hits to confirm, ages to drop at (2), likelihood exponent. association (G, M, LANES) is
+    written; the rest is scratch, one a thread.
     """
     for g in prange(state.shape[0]):
         t = get_thread_id()
