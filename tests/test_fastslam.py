@@ -6,6 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from cellslam.sim.frames import integrate_pose
 from cellslam.sim.recording import Links, OdometryModel, Sites
 from cellslam.slam.api import Setup, Snapshot
 from cellslam.slam.baselines.dead_reckoning import DeadReckoning
@@ -345,3 +346,29 @@ def test_a_component_that_is_missing_leaves_the_rest_its_weight():
     single, _, _ = pack(z, q, q, q, np.array([np.log(1.5)]), np.zeros(1))
     assert single[0, 11] == pytest.approx(0.5 * np.log(2 * np.pi) - np.log(1.5), rel=1e-6)
     assert list(single[0, 8:11]) == [1.0, 1.0, 0.0]
+
+
+@pytest.mark.parametrize("missing", ["distance_m", "azimuth_rad", "elevation_rad"])
+def test_vts_are_found_though_a_component_is_never_measured(missing):
+    """A drive round a corner past two VTs: 20 m ahead, then 20 m to the left."""
+    vts = np.array([[30.0, 14.0, 4.0], [10.0, -25.0, 3.0]])
+    options = replace_options(
+        SMALL, particles=256, place_m=0.1, place_azimuth_deg=0.3, direction_m=0.0, direction_azimuth_deg=0.0,
+        direction_elevation_deg=0.0, place_scale_m=0.0,
+    )  # fmt: skip
+    filter_, rng = FastSlam(options), np.random.default_rng(3)
+    filter_.start(make_setup(links=1), np.random.default_rng(1))
+    pose = np.zeros(6)
+    for t in range(240):
+        velocity = np.array([2.0, 0, 0, np.pi / 4 if 100 <= t < 120 else 0.0, 0, 0])
+        pose = integrate_pose(pose, velocity, 0.1) if t else pose
+        noise = rng.normal(0.0, [0.1, 0.005, 0.005], (2, 3))
+        snapshot = make_snapshot(t, [(0, *z) for z in [predict(pose, vt) for vt in vts] + noise])
+        column = getattr(snapshot, missing)
+        estimate = filter_.step(
+            0.1 if t else 0.0, velocity, replace(snapshot, **{missing: np.full_like(column, np.nan)})
+        )
+    found = estimate.vts.position_m
+    away = np.linalg.norm(found[None, :, :2] - vts[:, None, :2], axis=2).min(axis=1)
+    assert np.all(away < 1.5)
+    assert np.linalg.norm(estimate.pose[:2] - pose[:2]) < 0.5

@@ -40,6 +40,7 @@ from cellslam.slam.fastslam.nuisance_kernel import absorb, collect, condition, f
 from cellslam.slam.fastslam.predict_kernel import (
     LOG_2PI_3,
     correct,
+    complete,
     give_birth,
     innovate,
     invert,
@@ -458,14 +459,15 @@ def _give_births(
     born,
     cfg,
     share,
+    block,
 ):
     """Start a track for each measurement that no particle's VT explains; return the number of tracks."""
     for k in range(first, last):
-        if z[k, 8] * z[k, 9] * z[k, 10] == 0.0:
+        if z[k, 8] + z[k, 9] == 0.0:
             continue
         anywhere = False
         for l in range(B):
-            on = row_of[k - first, l] < 0 and z[k, 0] - w[W_B * B + l] > 1.0
+            on = row_of[k - first, l] < 0 and (z[k, 8] == 0.0 or z[k, 0] - w[W_B * B + l] > 1.0)
             w[W_MASK * B + l] = 1.0 if on else 0.0
             anywhere = anywhere or on
         if not anywhere:
@@ -474,9 +476,10 @@ def _give_births(
             count = _evict(now, status, order, count)
         slot = order[count]
         count += 1
+        complete(w, z[k], block * B, born + k)
         give_birth(w, records[slot], z[k])
         ident[slot], alike[slot] = born + k, UNKNOWN
-        spread = 6.0 * math.sqrt(z[k, 5])
+        spread = 6.0 * math.sqrt(z[k, 5]) if z[k, 8] > 0.0 else math.inf
         bounds[slot, 0], bounds[slot, 1], bounds[slot, 2] = z[k, 0] - spread, z[k, 0] + spread, travelled
         bounds[slot, 4] = math.inf
         for l in range(B):
@@ -543,6 +546,7 @@ def advance(s, travelled, u, dt, size):
 
 @njit(cache=True, error_model="numpy")
 def _block(
+    block,
     now,
     dt,
     velocity,
@@ -664,6 +668,7 @@ def _block(
             born,
             cfg,
             share,
+            block,
         )
     if updates > 0:
         _apply(v, state, travelled, size)
@@ -753,6 +758,7 @@ def update(
     for g in prange(state.shape[0]):
         t = get_thread_id()
         _block(
+            g,
             now,
             dt,
             velocity[g],

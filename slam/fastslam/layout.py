@@ -46,6 +46,7 @@ W_POSE, W_G, W_ROT, W_DROT = 0, 6, 12, 21
 W_B, W_BIAS, W_SCALE, W_P = 30, 31, 32, 33  # nuisance mean, and its covariance for this site (6)
 W_E, W_D2, W_DET, W_SCORE, W_MASK, W_INV = 40, 43, 44, 45, 46, 47  # one pair; W_INV 6 rows
 W_LOG, W_EXPONENT = 53, 54
+W_GUESS = 40  # 4 rows, at births: distance, cos and sin of azimuth, variance of range
 W_REACH = 55  # 4 rows: least and greatest distance, and azimuth against the first lane, that could be measured
 W_LINK = 60  # 9 rows: y (3) and I (00 01 02 11 12 22) of the link at hand, over (offset, bias, scale)
 W_ROWS = 69

@@ -8,6 +8,10 @@ import numpy as np
 from numba import njit
 
 COLUMNS = 15
+# A VT that is born without a component begins as wide as this about a place of its own in each particle.
+UNKNOWN_RANGE, UNKNOWN_AZIMUTH_RAD, UNKNOWN_ELEVATION_RAD = 0.4, 0.5, 0.2
+# Distances that are tried where only angles are measured, evenly in their logarithm, m.
+LEAST_RANGE_M, MOST_RANGE_M = 3.0, 600.0
 
 
 @njit(cache=True)
@@ -39,8 +43,17 @@ def pack(z, single, many, fresh, gap, lack):
         row[12] = azimuth
         row[13], row[14] = 6.0 * math.sqrt(row[5]), 6.0 * math.sqrt(row[6])
         second[i], third[i] = row, row
+        third[i, 5], third[i, 6], third[i, 7] = UNKNOWN_RANGE**2, UNKNOWN_AZIMUTH_RAD**2, UNKNOWN_ELEVATION_RAD**2
         for c in range(3):
             if row[8 + c] > 0.0:
                 second[i, 5 + c], third[i, 5 + c] = many[i, c], fresh[i, c]
         second[i, 11] += lack[i]
     return first, second, third
+
+
+@njit(cache=True)
+def evenly(particle, birth, sequence):
+    """Return a number in [0, 1): over particles and over births evenly spread (additive recurrences)."""
+    step = 0.6180339887498949 if sequence == 0 else 0.4142135623730950
+    value = step * particle + 0.7548776662466927 * birth
+    return value - math.floor(value)

@@ -49,6 +49,7 @@ from cellslam.slam.fastslam.layout import (
     W_E,
     W_EXPONENT,
     W_G,
+    W_GUESS,
     W_INV,
     W_LOG,
     W_MASK,
@@ -59,6 +60,7 @@ from cellslam.slam.fastslam.layout import (
     W_SCALE,
     W_SCORE,
 )
+from cellslam.slam.fastslam.measurement_kernel import LEAST_RANGE_M, MOST_RANGE_M, evenly
 
 B = LANES
 LOG_2PI_3 = 1.5 * math.log(2.0 * math.pi)
@@ -382,25 +384,48 @@ def correct(w, rec, out):
 
 
 @njit(cache=True, error_model="numpy")
-def give_birth(w, rec, z):
-    """Write the record of a VT born from measurement z in every lane (method.md: birth); z as in `innovate`.
+def complete(w, z, particle, birth):
+    """Write what each lane takes for the distance, cos and sin of the azimuth, and variance of the range of a birth
+    from measurement z: what was measured, or for a missing component a guess of its own.
 
-    Given theta the birth is exact: range variance q_d, G = (-1, 0, 0) for the offset; what the pose owes to bias and
-    scale is
-    passed on to the VT.
+    particle: number of the first lane's; birth: number of the measurement.
     """
     F = w.dtype.type
-    ce_b, se_b = z[3], z[4]
-    bx, by = ce_b * z[1], ce_b * z[2]
-    ax, ay = -by, bx
-    ex, ey = -se_b * z[1], -se_b * z[2]
-    q0, q1, q2 = z[5], z[6], z[7]
     for l in range(B):
+        w[W_GUESS * B + l], w[(W_GUESS + 1) * B + l], w[(W_GUESS + 2) * B + l] = z[0], z[1], z[2]
+        w[(W_GUESS + 3) * B + l] = z[5]
+    if z[8] == 0.0:
+        for l in range(B):
+            share = evenly(particle + l, birth, 1)
+            rho = F(LEAST_RANGE_M * (MOST_RANGE_M / LEAST_RANGE_M) ** share)
+            w[W_GUESS * B + l] = w[W_B * B + l] + rho
+            w[(W_GUESS + 3) * B + l] = z[5] * rho * rho
+    if z[9] == 0.0:
+        for l in range(B):
+            azimuth = 2.0 * math.pi * evenly(particle + l, birth, 0)
+            w[(W_GUESS + 1) * B + l], w[(W_GUESS + 2) * B + l] = math.cos(azimuth), math.sin(azimuth)
+
+
+@njit(cache=True, error_model="numpy")
+def give_birth(w, rec, z):
+    """Write the record of a VT born from measurement z in every lane (method.md: birth); z as in `innovate`, completed
+    by `complete`.
+
+    Given theta the birth is exact: range variance q_d, G = (-1, 0, 0) for the offset (0 where no distance was
+    measured); what the pose owes to bias and scale is passed on to the VT.
+    """
+    F = w.dtype.type
+    ce_b, se_b, q1, q2, measured = z[3], z[4], z[6], z[7], z[8]
+    for l in range(B):
+        cosine, sine = w[(W_GUESS + 1) * B + l], w[(W_GUESS + 2) * B + l]
+        bx, by = ce_b * cosine, ce_b * sine
+        ax, ay = -by, bx
+        ex, ey = -se_b * cosine, -se_b * sine
         r0, r1, r2 = w[W_ROT * B + l], w[(W_ROT + 1) * B + l], w[(W_ROT + 2) * B + l]
         r3, r4, r5 = w[(W_ROT + 3) * B + l], w[(W_ROT + 4) * B + l], w[(W_ROT + 5) * B + l]
         r6, r7, r8 = w[(W_ROT + 6) * B + l], w[(W_ROT + 7) * B + l], w[(W_ROT + 8) * B + l]
         nx, ny, nz = r0 * bx + r1 * by + r2 * se_b, r3 * bx + r4 * by + r5 * se_b, r6 * bx + r7 * by + r8 * se_b
-        rho = max(z[0] - w[W_B * B + l], F(1e-3))
+        rho = max(w[W_GUESS * B + l] - w[W_B * B + l], F(1e-3))
         f2 = max(nx * nx + ny * ny, F(1e-18))
         flat = math.sqrt(f2)
         rec[ANCHOR * B + l] = w[W_POSE * B + l]
@@ -417,7 +442,7 @@ def give_birth(w, rec, z):
         jaa, jae = (nx * uay - ny * uax) / f2, (nx * uey - ny * uex) / f2
         jea = flat * uaz - nz * (nx * uax + ny * uay) / flat
         jee = flat * uez - nz * (nx * uex + ny * uey) / flat
-        rec[SIGMA * B + l] = q0
+        rec[SIGMA * B + l] = w[(W_GUESS + 3) * B + l]
         rec[(SIGMA + 1) * B + l] = F(0.0)
         rec[(SIGMA + 2) * B + l] = F(0.0)
         rec[(SIGMA + 3) * B + l] = jaa * jaa * q1 + jae * jae * q2
@@ -425,7 +450,7 @@ def give_birth(w, rec, z):
         rec[(SIGMA + 5) * B + l] = jea * jea * q1 + jee * jee * q2
         pxb, pxs, pyb = w[W_G * B + l], w[(W_G + 1) * B + l], w[(W_G + 2) * B + l]
         pys, ppb, pps = w[(W_G + 3) * B + l], w[(W_G + 4) * B + l], w[(W_G + 5) * B + l]
-        rec[GAIN * B + l] = -F(1.0)
+        rec[GAIN * B + l] = -measured
         rec[(GAIN + 1) * B + l] = nx * pxb + ny * pyb
         rec[(GAIN + 2) * B + l] = nx * pxs + ny * pys
         rec[(GAIN + 3) * B + l] = F(0.0)
