@@ -6,6 +6,7 @@ Scenes are synthetic: paths of given SNR per sample at unit noise, seen by the a
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Any, Literal
 
 import numpy as np
@@ -96,6 +97,7 @@ def errors(paths: PathSet, found: Estimates) -> tuple[Floats, np.ndarray]:
     return error, row
 
 
+@lru_cache(maxsize=4)
 def default_bench(order: Literal["column", "ring"] = "column", resource_blocks: int = 100) -> Bench:
     """Return the bench of the paper's receiver."""
     array = CircularArray()
@@ -123,7 +125,7 @@ def single_path(bench: Bench, rho_db: float, runs: int, rng: np.random.Generator
 def many_paths(bench: Bench, count: int, runs: int, rng: np.random.Generator) -> Row:
     """`count` paths over 600 m, -30 to 0 dB: found, false, found when tracked, errors over the joint bound."""
     found = false = tracked = tracked_false = 0
-    ratio = []
+    ratio: list[Floats] = []
     for _ in range(runs):
         paths = bench.draw(rng, rng.uniform(-30.0, 0.0, count), 600.0)
         clean = bench.channel(paths)
@@ -159,7 +161,7 @@ def resolution(
             geometry = np.array([[one.distance_m[0], one.azimuth_rad[0], min(one.elevation_rad[0], 0.4)]] * 2)
             geometry[1, component] += step
             weights = rng.standard_normal((2, 2)) + 1j * rng.standard_normal((2, 2))
-            paths = bench.scaled(PathSet(*geometry.T, weights), rho_db)
+            paths = bench.scaled(PathSet(geometry[:, 0], geometry[:, 1], geometry[:, 2], weights), rho_db)
             result = bench.estimate(bench.channel(paths) + bench.noise(rng))
             pairs = _pairs(geometry, result, step, component)
             both += pairs is not None
@@ -207,7 +209,9 @@ def motion(order: Literal["column", "ring"], speed_mps: float, runs: int, seed: 
     The noise is turned with the wave's Doppler phase, so that both estimates meet the same.
     """
     bench, velocity = default_bench(order), np.array([speed_mps, 0.0, 0.0])
-    moving, at_rest, bounds = [], [], []
+    moving: list[Floats] = []
+    at_rest: list[Floats] = []
+    bounds: list[list[Floats]] = []
     still, in_motion = bench.array, _InMotion(bench.receiver.moving(velocity))
     for run in range(runs):
         scene = np.random.default_rng([seed, run])

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from typing import Any
+from functools import partial
+from typing import Any, Literal
 
 import numpy as np
 
@@ -35,33 +36,64 @@ STEPS: dict[float, tuple[Sequence[float], Sequence[float], Sequence[float]]] = {
 ACQUIRE_MS, TRACK_MS, INTERVAL_MS = 120.0, 51.0, 75.0
 
 
+Point = Callable[[np.random.Generator], Row]
+Points = Callable[[int], list[Point]]
+
+
 def studies(wanted: Sequence[str], runs: int, seed: int, progress: Progress) -> dict[str, list[Row]]:
     """Return the rows of the studies by name."""
-    bench, out = default_bench(), {}
-    points = {
-        "single": [lambda r, rho=rho: single_path(bench, rho, runs, r) for rho in RHO_DB],
-        "many": [lambda r, n=n: many_paths(bench, n, runs, r) for n in (3, 10, 20)],
-        "resolution": [
-            lambda r, g=g, c=c: resolution(bench, g, c, _si(STEPS[g][c], c), max(runs // 4, 2), r)
-            for g in STEPS
-            for c in range(3)
-        ],
-        "collision": [lambda r, q=q: collision(bench, q, runs, r) for q in (0.0, 20.0, 40.0)],
-        "ghosts": [lambda r, rho=rho: ghosts(bench, rho, runs, r) for rho in (10.0, 20.0, 25.0)],
-        "motion": [
-            lambda r, o=o, v=v: motion(o, v, runs, int(r.integers(2**31)))
-            for o in ("column", "ring")
-            for v in (1.0, 3.0)
-        ],
-        "speed": [lambda r, a=a: speed(*a, r) for a in speed_points()],
-    }  # type: ignore[misc]
-    with progress("measuring", sum(len(points[name]) for name in wanted)) as advance:
+    points, out = {name: STUDIES[name](runs) for name in wanted}, {}
+    with progress("measuring", sum(map(len, points.values()))) as advance:
         for name in wanted:
-            out[name] = []
+            rows: list[Row] = []
             for number, point in enumerate(points[name]):
-                out[name].append(point(np.random.default_rng([seed, number])))
+                rows.append(point(np.random.default_rng([seed, number])))
                 advance(1)
+            out[name] = rows
     return out
+
+
+def _each(study: Callable[[Bench, Any, int, np.random.Generator], Row], values: Sequence[float]) -> Points:
+    """Return the points of a study that varies one value."""
+
+    def points(runs: int) -> list[Point]:
+        def point(rng: np.random.Generator, value: float) -> Row:
+            return study(default_bench(), value, runs, rng)
+
+        return [partial(point, value=value) for value in values]
+
+    return points
+
+
+def _resolutions(runs: int) -> list[Point]:
+    def point(rng: np.random.Generator, gamma_db: float, component: int) -> Row:
+        steps = _si(STEPS[gamma_db][component], component)
+        return resolution(default_bench(), gamma_db, component, steps, max(runs // 4, 2), rng)
+
+    return [partial(point, gamma_db=gamma_db, component=c) for gamma_db in STEPS for c in range(3)]
+
+
+def _motions(runs: int) -> list[Point]:
+    orders: tuple[Literal["column", "ring"], ...] = ("column", "ring")
+
+    def point(rng: np.random.Generator, order: Literal["column", "ring"], speed_mps: float) -> Row:
+        return motion(order, speed_mps, runs, int(rng.integers(2**31)))
+
+    return [partial(point, order=order, speed_mps=v) for order in orders for v in (1.0, 3.0)]
+
+
+def _speeds(runs: int) -> list[Point]:
+    def point(rng: np.random.Generator, sizes: tuple[int, int, int]) -> Row:
+        return speed(*sizes, rng)
+
+    return [partial(point, sizes=sizes) for sizes in speed_points()]
+
+
+STUDIES: dict[str, Points] = {
+    "single": _each(single_path, RHO_DB), "many": _each(many_paths, (3, 10, 20)), "resolution": _resolutions,
+    "collision": _each(collision, (0.0, 20.0, 40.0)), "ghosts": _each(ghosts, (10.0, 20.0, 25.0)),
+    "motion": _motions, "speed": _speeds,
+}  # fmt: skip
 
 
 def speed_points() -> list[tuple[int, int, int]]:

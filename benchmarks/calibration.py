@@ -1,9 +1,11 @@
-"""`cellslam bench calibrate`: the study that gives the statistical front end its constants, and the one that checks it."""
+"""`cellslam bench calibrate`: the study that gives the statistical front end its constants, and its check."""
 
 from __future__ import annotations
 
+import hashlib
 import platform
 from importlib.metadata import version
+from importlib.resources import files
 from typing import Any
 
 import numpy as np
@@ -24,17 +26,17 @@ from cellslam.sim.lte.statistical import PathColumns
 from cellslam.sim.progress import Progress
 from cellslam.sim.recording import Floats
 
-RATIOS_DB = (0.0, 6.0, 12.0, 20.0, 40.0)
-OVERLAP_RATIOS_DB = (6.0, 40.0)
+RATIOS_DB = (0.0, 3.0, 6.0, 9.0, 12.0, 16.0, 20.0, 40.0)
+OVERLAP_RATIOS_DB = (6.0, 15.0, 40.0)
 NOISE_SHARE = 0.5  # of the scenes of one ratio: as many without any path
 LEAST_DB, MOST_DB = -38.0, 18.0
 
 
 def calibrate(scenes: int, seed: int, progress: Progress) -> dict[str, Any]:
-    """Return the constants and their provenance, from `scenes` scenes of a lone path at each of five ratios, half as
-    many of several paths at two, and half as many without any.
+    """Return the constants and their provenance, from `scenes` scenes of a lone path at each of eight ratios, half
+    as many of several paths at three, and half as many without any.
     """
-    rng, threshold = np.random.default_rng([seed, 1]), DEFAULT_HARDWARE.threshold
+    rng, threshold = np.random.default_rng([seed, 1]), config_of(40.0).detection_threshold
     empty, many = int(NOISE_SHARE * scenes), scenes // 2
     lone: dict[float, Sample] = {}
     several: dict[float, Sample] = {}
@@ -50,7 +52,7 @@ def calibrate(scenes: int, seed: int, progress: Progress) -> dict[str, Any]:
     return {
         "provenance": provenance(scenes, seed),
         **constants(noise, lone, several, threshold),
-        "persistence": persistence(max(scenes // 20, 8), np.random.default_rng([seed, 2]), progress),
+        "persistence": persistence(max(scenes // 8, 8), np.random.default_rng([seed, 2]), progress),
     }
 
 
@@ -85,11 +87,20 @@ def provenance(scenes: int, seed: int) -> dict[str, Any]:
         | {"python": platform.python_version()},
         "hardware": {"phase_std_deg": DEFAULT_HARDWARE.phase_std_deg, "gain_std_db": DEFAULT_HARDWARE.gain_std_db},
         "ratios_db": list(RATIOS_DB),
+        "code": code_digest(),
     }
 
 
+def code_digest() -> str:
+    """Return a digest of the signal-level front end's code: constants measured with other code are out of date."""
+    names = ("channel", "diffuse", "estimator", "receiver", "refine", "refine_kernel", "search_kernel", "signal_level",
+             "spectrum", "climb_kernel", "symbol_kernel")  # fmt: skip
+    texts = [(files("cellslam.sim.lte") / f"{name}.py").read_bytes() for name in names]
+    return hashlib.sha256(b"".join(texts)).hexdigest()[:16]
+
+
 def agreement(count: int, seed: int, ratio_db: float, progress: Progress) -> dict[str, Any]:
-    """Return how the two front ends compare over `count` scenes that no calibration has seen (a stream of their own)."""
+    """Return how the two front ends compare over `count` scenes that no calibration has seen: a stream of their own."""
     rng = np.random.default_rng([seed, 3, round(10.0 * ratio_db)])
     scenes = scenes_of(rng, count, ratio_db)
     with progress("measuring scenes", count) as advance:

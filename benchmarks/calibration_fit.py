@@ -104,7 +104,7 @@ def fit_overlap(samples: dict[float, Sample], detection: dict[str, float], thres
 
     start = np.array([12.0, 3.0, 0.0, -1.5, -1.0, 15.0])
     options = {"xatol": 0.02, "fatol": 0.2, "maxiter": 400}
-    best = Law(*minimize(loss, start, method="Nelder-Mead", options=options).x)
+    best = Law(*minimize(loss, start, method="Nelder-Mead", options=options).x)  # type: ignore[call-overload]
     return {
         "centre_db": float(best.centre_db), "width_db": float(abs(best.width_db)), "trail": float(10.0**best.log_trail),
         "around": float(10.0**best.log_around), "sidelobes": float(10.0**best.log_sidelobes),

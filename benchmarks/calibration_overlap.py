@@ -18,19 +18,19 @@ _TABLE_DB = np.arange(-20.0, 70.0, 0.1)
 
 class Relations(NamedTuple):
     """What the paths of one link are to each other: rows of the sample (n,), how much later and beside (n, n), the
-    integrated SNR of those that are stronger (n, n), leftover and ghost rule (n,).
+    integrated SNR of those so strong that they disturb it (n, n), leftover and ghost rule (n,).
     """
 
     rows: np.ndarray
     behind: Floats
     beside: Floats
-    stronger: Floats
+    disturbing: Floats
     leftover: Floats
     ghost: np.ndarray
 
 
 class Law(NamedTuple):
-    """Logistic of crowded paths in dB, disturbance of stronger paths (log10), sidelobes (log10) and their width in m."""
+    """Logistic of crowded paths in dB, disturbance by stronger paths (log10), sidelobes (log10), their width in m."""
 
     centre_db: float
     width_db: float
@@ -49,10 +49,11 @@ def relations(sample: Sample) -> list[Relations]:
         apart = geometry[:, None] - geometry[None]
         apart[..., 1] = wrap_angle(apart[..., 1])
         stronger = gamma[None, :] > gamma[:, None]
+        disturbing = gamma[:, None] < k.DIFFUSE_SHARE * gamma[None, :]
         near = np.abs(apart[..., 0])
         leftover = np.prod(1.0 - captured(apart, geometry) * (near < k.NEIGHBOUR_M) * stronger, axis=1)
         ghost = ((near < k.GHOST_REACH_M) & (gamma[:, None] < 10.0**-2.5 * gamma[None, :])).any(axis=1)
-        out.append(Relations(rows, apart[..., 0], apart[..., 1], stronger * gamma[None, :], leftover, ghost))
+        out.append(Relations(rows, apart[..., 0], apart[..., 1], disturbing * gamma[None, :], leftover, ghost))
     return out
 
 
@@ -80,7 +81,7 @@ def chances(
         fall = fall + np.where(diffuse, np.exp(-np.maximum(p.behind, 0.0) / k.TRAIL_DECAY_M), 0.0)
         inside = (p.behind >= k.TRAIL_FROM_M) & (p.behind <= k.TRAIL_TO_M)
         toward = 10.0**law.log_trail * np.exp(-0.5 * (p.beside / k.TRAIL_BESIDE_RAD) ** 2) + 10.0**law.log_around
-        disturbance = 1.0 + 10.0 ** (-ratio_db / 10.0) * np.sum(inside * p.stronger * fall * toward, axis=1)
+        disturbance = 1.0 + 10.0 ** (-ratio_db / 10.0) * np.sum(inside * p.disturbing * fall * toward, axis=1)
         gamma_db = sample.gamma_db[p.rows] + 10.0 * np.log10(np.maximum(p.leftover, 1e-12) / disturbance)
         alone = np.interp(gamma_db, _TABLE_DB, table)
         crowded = 1.0 / (1.0 + np.exp(-np.clip((gamma_db - law.centre_db) / law.width_db, -50.0, 50.0)))

@@ -1,4 +1,4 @@
-"""Which errors of the signal level are white and which persist: their correlation over time, links, place and direction."""
+"""Which errors of the signal level are white and which persist: correlation over time, links, place, direction."""
 
 from __future__ import annotations
 

@@ -25,11 +25,9 @@ from cellslam.sim.lte.statistical import PathColumns, Streams, detect
 from cellslam.sim.recording import Floats, Ints
 
 PORTS = 2
-OFF = {
-    name: 0.0
-    for name in ("roof_azimuth_deg", "roof_elevation_deg", "attitude_azimuth_deg", "attitude_elevation_deg",
-                 "calibration_distance_m", "load", "evm")
-}  # fmt: skip
+_OFF = ("roof_azimuth_deg", "roof_elevation_deg", "attitude_azimuth_deg", "attitude_elevation_deg",
+        "calibration_distance_m", "load", "evm")  # fmt: skip
+OFF = dict.fromkeys(_OFF, 0.0)
 POSE = np.array([3.0, -2.0, 1.8, 0.4, 0.0, 0.0])
 
 

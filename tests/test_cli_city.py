@@ -95,7 +95,7 @@ def test_wrong_receivers(tmp_path, capsys, content, says):
 
 def test_generate_then_inspect(tmp_path, capsys):
     out = tmp_path / "made"
-    keys = ["--set", "extent_m=300", "--set", "block_size_m=100", "--set", "shop_share=0.5"]
+    keys = ["--set", "extent_m=180", "--set", "block_size_m=80", "--set", "shop_share=0.5"]
     assert main(["city", "generate", "--seed", "7", *keys, "--out", str(out)]) == 0
     assert (out / "plan.png").exists()
     capsys.readouterr()

@@ -11,15 +11,11 @@ from scipy.stats import chi2, ncx2, poisson
 
 from cellslam.sim.errors import InputError
 from cellslam.sim.lte import RadioConfig
+from cellslam.sim.lte.detector_model import GAMMA_START_DB, GAMMA_STEP_DB
 from cellslam.sim.lte.links import Cells, cells_of, links_of
 from cellslam.sim.lte.persisting import draw_fields, floors
-from cellslam.sim.lte.statistical import (
-    Detections,
-    PathColumns,
-    Streams,
-    detect,
-    noise_clutter_mean,
-)
+from cellslam.sim.lte.statistical import Detections, PathColumns, Streams, detect, noise_clutter_mean
+from cellslam.sim.lte.statistics import statistics
 
 FALSE_ALARM = 1e-6
 WHITE = {k: 0.0 for k in RadioConfig.model_fields if "_correlation_" in k}
@@ -107,7 +103,7 @@ def test_isolated_path_is_detected_as_the_law_says(gamma_db: float) -> None:
     config, count = quiet(), 20_000
     gamma = 10.0 ** (gamma_db / 10.0)
     d = run(config, [[100.0, 0.0, 0.0]], np.array([amplitude_for(gamma, config)]), count)
-    chance = ncx2.sf(33.0, 4, 1.86 * gamma)
+    chance = ncx2.sf(2.0 * config.detection_threshold, statistics().dof, statistics().gain * gamma)
     assert abs(len(d.path) / count - chance) < 5.0 * np.sqrt(chance * (1.0 - chance) / count)
 
 
@@ -145,15 +141,15 @@ def test_claims_are_bound_plus_floors() -> None:
 def test_floors_are_the_sum_of_their_causes() -> None:
     none = {k: 0.0 for k in RadioConfig.model_fields if k.startswith(("calibration_", "roof_", "attitude_"))}
     only_diffuse = floors(RadioConfig(specular_to_diffuse_db=20.0, **none))
-    np.testing.assert_allclose(only_diffuse, [0.115, np.radians(0.115), np.radians(0.075)])
+    np.testing.assert_allclose(only_diffuse, 0.1 * np.array(statistics().diffuse_floor))
     roof = floors(RadioConfig(**(none | {"specular_to_diffuse_db": 40.0, "roof_elevation_deg": 1.2})))
-    np.testing.assert_allclose(roof[2], np.radians(np.hypot(1.2, 0.0075)))
+    np.testing.assert_allclose(roof[2], np.hypot(np.radians(1.2), 0.01 * statistics().diffuse_floor[2]))
 
 
 def test_noise_clutter_is_poisson_and_uniform() -> None:
-    config, count = RadioConfig(ghosts_per_path=0.0, diffuse_survival=0.0, clutter_scale=3.0), 20_000
+    config, count = RadioConfig(clutter_scale=3.0), 20_000
     d = run(config, np.empty((0, 3)), np.empty(0), count)
-    mean = 3.0 * noise_clutter_mean(16.5) * count
+    mean = 3.0 * noise_clutter_mean(config.detection_threshold) * count
     low, high = poisson.ppf([FALSE_ALARM, 1.0 - FALSE_ALARM], mean)
     assert low < len(d.path) < high
     assert (d.path == -1).all()
@@ -163,31 +159,43 @@ def test_noise_clutter_is_poisson_and_uniform() -> None:
     assert abs(np.mean(m.azimuth_rad)) < 5.0 * 2.0 * np.pi / np.sqrt(12.0 * len(m))
 
 
-def test_diffuse_clutter_follows_its_path() -> None:
-    config, count = RadioConfig(load=0.0, evm=0.0, ghosts_per_path=0.0, detection_threshold=40.0), 20_000
-    d = run(config, [[200.0, 0.0, 0.0]], np.array([1e-5]), count)
+@pytest.mark.parametrize("ratio_db", [6.0, 40.0])
+def test_clutter_around_a_lone_path_is_as_calibrated(ratio_db: float) -> None:
+    config = RadioConfig(load=0.0, evm=0.0, detection_threshold=40.0, specular_to_diffuse_db=ratio_db)
+    count, node, table = 20_000, 4, statistics().clutter_at(ratio_db)
+    gamma_db = GAMMA_START_DB + GAMMA_STEP_DB * node
+    d = run(config, [[200.0, 0.0, 0.0]], np.array([amplitude_for(10.0 ** (gamma_db / 10.0), config)]), count)
     m, clutter = d.measurements, d.path < 0
-    # Strong enough that every component is found: K = 6 dB gives 11.4, of which 4 % survive; those within 10
-    # m and below -25 dB (6 of 17 dB, 15 % of the delays) fall to the ghost rule.
-    near = (5.0 / 105.0) ** (1.0 / 1.585)
-    mean = 11.4 * 0.04 * (1.0 - near * 6.0 / 17.0) * count
-    low, high = poisson.ppf([FALSE_ALARM, 1.0 - FALSE_ALARM], mean)
-    assert low < clutter.sum() < high
-    later = m.distance_m[clutter] - 200.0
-    assert later.min() >= 5.0
-    assert later.max() <= 110.0
-    assert abs(np.median(later) - 43.0) < 4.0
-    assert abs(np.std(m.azimuth_rad[clutter]) - np.radians(12.0)) < np.radians(0.7)
+    low, high = poisson.ppf([FALSE_ALARM, 1.0 - FALSE_ALARM], table.mean[node] * count)
+    assert low <= clutter.sum() <= high
+    if table.mean[node] * count < 1000.0:
+        return
+    later, snr_db = m.distance_m[clutter] - 200.0, m.snr_db[clutter]
+    for values, quantiles in (
+        (later, table.later_m), (m.azimuth_rad[clutter], table.beside_rad), (snr_db, table.snr_db),
+    ):  # fmt: skip
+        assert values.min() >= quantiles[node, 0] - 1e-9
+        assert values.max() <= quantiles[node, -1] + 1e-9
+        assert abs(np.mean(values < quantiles[node, 10]) - 0.5) < 5.0 * 0.5 / np.sqrt(len(values))
 
 
-def test_ghosts_obey_the_rule() -> None:
-    config, count = RadioConfig(load=0.0, evm=0.0, diffuse_survival=0.0, detection_threshold=40.0), 20_000
-    d = run(config, [[200.0, 0.0, 0.0]], np.array([1e-5]), count)
-    clutter = d.path < 0
-    assert d.measurements.snr_db[clutter].min() >= 0.0  # 25 dB below a path at the cap of 25 dB
-    mean = count * 0.1056  # P(N(-30, 4) > -25)
-    low, high = poisson.ppf([FALSE_ALARM, 1.0 - FALSE_ALARM], mean)
-    assert low < clutter.sum() < high
+def test_clutter_is_hidden_behind_what_is_stronger() -> None:
+    config, count = RadioConfig(load=0.0, evm=0.0, detection_threshold=40.0), 5000
+    weak, strong = (amplitude_for(10.0 ** (x / 10.0), config) for x in (25.0, 50.0))
+    alone = run(config, [[200.0, 0.0, 0.0]], np.array([weak]), count)
+    stronger = run(config, [[170.0, 0.0, 0.0]], np.array([strong]), count)
+    both = run(config, [[200.0, 0.0, 0.0], [170.0, 0.0, 0.0]], np.array([weak, strong]), count)
+    more = (both.path < 0).sum() - (stronger.path < 0).sum()
+    assert more < 0.3 * (alone.path < 0).sum()
+
+
+def test_clutter_is_interpolated_between_the_ratios_measured() -> None:
+    known = dict(statistics().clutter)
+    low, high = sorted(known)[:2]
+    between = statistics().clutter_at(0.25 * low + 0.75 * high)
+    np.testing.assert_allclose(between.mean, 0.25 * known[low].mean + 0.75 * known[high].mean)
+    np.testing.assert_array_equal(statistics().clutter_at(high).later_m, known[high].later_m)
+    assert all((np.diff(c.later_m, axis=1) >= 0.0).all() and (c.mean >= 0.0).all() for c in known.values())
 
 
 def test_merged_paths_pull_the_stronger_one() -> None:
@@ -206,7 +214,7 @@ def test_merged_paths_pull_the_stronger_one() -> None:
 
 def test_far_paths_do_not_merge() -> None:
     config = quiet()
-    d = run(config, [[100.0, 0.0, 0.0], [150.0, 0.0, 0.0]], np.array([1e-7, 1e-7]), 500)
+    d = run(config, [[100.0, 0.0, 0.0], [150.0, 0.0, 0.0]], np.array([1e-7, 0.9e-7]), 500)
     assert len(d.path) == 1000
 
 

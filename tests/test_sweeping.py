@@ -32,7 +32,8 @@ COMMAND = Path(sys.executable).parent / "cellslam"
 SET = {"vehicle.distance_m": 5, "vehicle.duration_s": 7.5, "vehicle.stops": 0, "vehicle.stand_first_s": 0}
 SHORT = tuple(word for key, value in SET.items() for word in ("--set", f"{key}={value}"))
 # How often driver and workers are killed; the full test: CELLSLAM_KILLS=20 pytest tests/test_sweeping.py -k kill
-KILLS = int(os.environ.get("CELLSLAM_KILLS", "2"))
+KILLS = int(os.environ.get("CELLSLAM_KILLS", "1"))
+TRIALS = 3 + 2 * KILLS
 TIMES = ("estimate_seconds", "realtime_factor")
 PLUGIN = """
 import os, time
@@ -68,17 +69,11 @@ class NotFinite(Good):
 
 class EatsMemory(Good):
     def odd(self, now):
-        self.eaten = [np.ones(10**8) for _ in range(100 if now else 0)]
+        self.eaten = [np.empty(10**8) for _ in range(100 if now else 0)]
 
 class Exits(Good):
     def odd(self, now):
         if now: os._exit(7)
-
-class ExitsOnce(Good):
-    def odd(self, now):
-        if now and not os.path.exists("exited"):
-            open("exited", "w").close()
-            os.kill(os.getpid(), 9)
 """
 
 
@@ -126,20 +121,18 @@ def test_processes_give_the_rows_of_one_process(place: Path) -> None:
 
 
 def test_misfits_cost_their_own_rows_only(place: Path, capfd: pytest.CaptureFixture[str]) -> None:
-    misfits = ("Raises", "Hangs", "NotFinite", "EatsMemory", "Exits", "ExitsOnce")
-    names = [f"misfits:{name}" for name in (*misfits, "Good")]
-    more = ("--time-limit", "5", "--memory-limit", "1.5", "--jobs", "2")
+    names = [f"misfits:{name}" for name in ("Raises", "Hangs", "NotFinite", "EatsMemory", "Exits", "Good")]
+    more = ("--time-limit", "2", "--memory-limit", "1.5", "--jobs", "1")
     assert main(words(*names, trials=1, more=more)) == 1
     found = {row["estimator"].removeprefix("misfits:"): row for row in rows("out")}
     errors = {name: row["error"] for name, row in found.items()}
     assert "ArithmeticError: lost it, snapshot 5" in errors["Raises"]
-    assert errors["Hangs"] == "no answer within the time limit of 5 s; alone it was lost again"
+    assert errors["Hangs"] == "no answer within the time limit of 2 s; alone it was lost again"
     assert "pose is not finite, snapshot 5" in errors["NotFinite"]
     assert "MemoryError" in errors["EatsMemory"]
     assert errors["Exits"] == "its worker process ended with exit status 7; alone it was lost again"
-    assert (found["Good"]["status"], found["ExitsOnce"]["status"]) == ("ok", "ok")
-    assert found["Good"]["position_rmse_m"] == found["ExitsOnce"]["position_rmse_m"]
     before = [row for row in rows("out") if row["status"] == "ok"]
+    assert before == [found["Good"]]
     # Resumed, nothing is done again; with --retry-failed what failed is.
     (place / "misfits.py").write_text(PLUGIN.replace("snapshot.index == 5", "False"))
     del sys.modules["misfits"]
@@ -147,9 +140,32 @@ def test_misfits_cost_their_own_rows_only(place: Path, capfd: pytest.CaptureFixt
     assert main(words(*names, trials=1, more=("--executor", "serial"))) == 1
     assert sum(row["status"] == "failed" for row in rows("out")) == 5
     assert main(words(*names, trials=1, more=("--executor", "serial", "--retry-failed"))) == 0
-    assert {row["status"] for row in rows("out")} == {"ok"}
-    assert [row for row in rows("out") if row["key"] in {b["key"] for b in before}] == before
+    assert {row["position_rmse_m"] for row in rows("out")} == {before[0]["position_rmse_m"]}
     capfd.readouterr()
+
+
+def test_what_is_lost_once_is_done_alone(place: Path) -> None:
+    made = tasks.plan(
+        sweep.points(sweep.from_tables({"scenario": "tiny", "set": SET}), ("misfits:Good", "dead-reckoning")), 1, 0
+    )
+    asked = []
+
+    class Unlucky(executors.Serial):
+        def run(self, wanted: Any) -> Any:
+            asked.append([job.estimator for task in wanted for job in task.jobs])
+            for task in wanted:
+                lost = task.jobs[0]
+                if len(asked) == 1:
+                    yield tasks.Lost(task, lost, "killed")
+                yield from super().run([task.without(lost.key) if len(asked) == 1 else task])
+
+    with writing(place / "out", "test", {}) as store:
+        sweeping.carry_out(made, store, Unlucky(), lambda *_: None)
+    assert asked == [["misfits:Good", "dead-reckoning"], ["misfits:Good"]]
+    assert {(row["estimator"], row["status"]) for row in rows("out")} == {
+        ("misfits:Good", "ok"),
+        ("dead-reckoning", "ok"),
+    }
 
 
 def test_a_world_is_made_once_for_all_estimators(place: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -197,50 +213,67 @@ def wait_for(condition: Callable[[], bool], process: subprocess.Popen[str], limi
 def undisturbed(tmp_path_factory: pytest.TempPathFactory) -> list[dict[str, Any]]:
     folder = tmp_path_factory.mktemp("undisturbed")
     (folder / "misfits.py").write_text(PLUGIN)
-    line = words("misfits:Slow", "dead-reckoning", trials=6, more=("--executor", "serial"))
-    subprocess.run([COMMAND, *line], cwd=folder, check=True)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.chdir(folder)
+        patch.setattr(sys, "path", list(sys.path))
+        tasks.request_of.cache_clear()
+        assert main(words("misfits:Slow", "dead-reckoning", trials=TRIALS, more=("--executor", "serial"))) == 0
+        patch.delitem(sys.modules, "misfits")
     return rows(folder / "out")
 
 
-def test_killed_drivers_lose_at_most_what_was_in_flight(place: Path, undisturbed: list[dict[str, Any]]) -> None:
-    draw = random.Random(5)
-    line = words("misfits:Slow", "dead-reckoning", trials=6, more=("--jobs", "2"))
-    for kill in range(KILLS):
-        before = stored(place / "out")
+def test_kills_lose_at_most_what_was_in_flight(place: Path, undisturbed: list[dict[str, Any]]) -> None:
+    """A worker, then the driver, are killed at random moments, again and again; what is resumed ends undisturbed."""
+    draw, kills = random.Random(5), {"worker": 0, "driver": 0}
+    line = words("misfits:Slow", "dead-reckoning", trials=TRIALS, more=("--jobs", "2", "--retry-failed"))
+    while kills["driver"] < KILLS and stored(place / "out") < len(undisturbed):
         driver = start(line)
-        goal = before + (kill % 2)
-        wait_for(lambda goal=goal: stored(place / "out") >= goal, driver)
-        time.sleep(draw.uniform(0.0, 2.0 if goal == before else 0.2))
+        if draw.random() < 0.75:
+            goal = stored(place / "out") + 1
+            wait_for(lambda goal=goal: stored(place / "out") >= goal, driver)
+            time.sleep(draw.uniform(0.0, 0.2))
+        else:
+            time.sleep(draw.uniform(0.0, 4.0))
+        workers = psutil.Process(driver.pid).children() if driver.poll() is None else []
+        if workers:
+            draw.choice(workers).kill()
+            kills["worker"] += 1
+            time.sleep(draw.uniform(0.0, 0.5))
         seen = stored(place / "out")
+        kills["driver"] += driver.poll() is None
         driver.kill()
         driver.communicate()
         # Every row that was seen before the kill is still there, and right.
-        kept = rows(place / "out") if (place / "out" / DATABASE).exists() and stored(place / "out") else []
+        kept = rows(place / "out") if stored(place / "out") else []
         assert len(kept) >= seen
-        assert all(row in undisturbed for row in kept)
+        assert all(row in undisturbed or "SIGKILL" in row["error"] for row in kept)
+    assert kills["driver"] > 0 and kills["worker"] > 0
     last = start(line)
-    _, err = last.communicate(timeout=200)
+    _, err = last.communicate(timeout=400)
     assert last.returncode == 0, err
     assert rows("out") == undisturbed
     assert len(list(Path("out", TRAJECTORIES).rglob("*.npz"))) == len(undisturbed)
+    print(kills)
 
 
+@pytest.mark.skipif(KILLS == 1, reason="a long test: CELLSLAM_KILLS=20 pytest tests/test_sweeping.py -k kill")
 def test_killed_workers_cost_nothing(place: Path, undisturbed: list[dict[str, Any]]) -> None:
     draw, kills, sweeps = random.Random(6), 0, 0
+    line = ("--jobs", "2", "--retry-failed")
     while kills < KILLS:
         out = f"out{sweeps}"
         sweeps += 1
-        driver = start(words("misfits:Slow", "dead-reckoning", out=out, trials=6, more=("--jobs", "2")))
+        driver = start(words("misfits:Slow", "dead-reckoning", out=out, trials=TRIALS, more=line))
         while driver.poll() is None and kills < KILLS:
             time.sleep(draw.uniform(0.1, 2.0))
             workers = psutil.Process(driver.pid).children() if driver.poll() is None else []
             if workers:
                 kills += 1
                 draw.choice(workers).kill()
-        driver.communicate(timeout=200)
+        driver.communicate(timeout=400)
         # A job that was hit twice is a failed row; nothing else may differ.
-        again = start(words("misfits:Slow", "dead-reckoning", out=out, trials=6, more=("--retry-failed",)))
-        _, err = again.communicate(timeout=200)
+        again = start(words("misfits:Slow", "dead-reckoning", out=out, trials=TRIALS, more=line))
+        _, err = again.communicate(timeout=400)
         assert again.returncode == 0, err
         assert rows(out) == undisturbed
 
@@ -258,14 +291,11 @@ def test_workers_end_with_a_killed_driver(place: Path) -> None:
 
 def test_dask_gives_the_same_rows_though_a_worker_is_killed(place: Path, undisturbed: list[dict[str, Any]]) -> None:
     pytest.importorskip("distributed", reason="the extra 'cluster' is not installed")
-    points = sweep.points(
-        sweep.from_tables({"scenario": "tiny", "set": SET}), ("misfits:Slow", "dead-reckoning", "misfits:Exits")
-    )
-    made = tasks.plan(points, 6, 0)
-    few = tasks.Plan((tasks.plan(points, 1, 9).tasks[0],), made.worlds, made.options)
+    names = ("misfits:Slow", "dead-reckoning", "misfits:Exits")
+    made = tasks.plan(sweep.points(sweep.from_tables({"scenario": "tiny", "set": SET}), names), TRIALS, 0)
     plain = tasks.Plan(tuple(dataclasses.replace(t, jobs=t.jobs[:2]) for t in made.tasks), made.worlds, made.options)
     limits, draw, killed = Limits(60, 2**31), random.Random(7), 0
-    with executors.executor("dask", 2, limits) as local:
+    with executors.executor("dask", 1 if KILLS == 1 else 2, limits) as local:
         assert isinstance(local, executors.Dask)
 
         def kill() -> None:
@@ -276,26 +306,30 @@ def test_dask_gives_the_same_rows_though_a_worker_is_killed(place: Path, undistu
         def heard(*_: Any) -> None:
             # At a random moment after some row, the first included.
             nonlocal killed
-            if killed < KILLS // 2 and (killed % 2 == 0 or draw.random() < 0.3):
+            if killed < KILLS and (killed % 2 == 0 or draw.random() < 0.3):
                 killed += 1
                 threading.Timer(draw.uniform(0.0, 0.5), kill).start()
 
-        while killed < KILLS // 2:
+        while killed < KILLS:
             out = place / f"out{killed}"
             with writing(out, "test", {}) as store:
                 sweeping.carry_out(plain, store, local, heard)
                 # A job that was hit twice is a failed row; nothing else may differ.
                 sweeping.carry_out(sweeping.pending(plain, store, True), store, local, lambda *_: None)
             assert rows(out) == undisturbed
-        # An estimator that ends the process, on a cluster that runs already.
-        address = local.client.scheduler.address
-        with executors.executor("dask", 2, limits, address) as running, writing(place / "out", "test", {}) as store:
-            sweeping.carry_out(few, store, running, lambda *_: None)
-    others = {row["estimator"]: row for row in rows("out") if row["seed"] == 9}
-    assert [others[name]["status"] for name in ("misfits:Slow", "dead-reckoning", "misfits:Exits")] == [
-        *("ok", "ok", "failed")
-    ]
-    assert "exit status 7; alone it was lost again" in others["misfits:Exits"]["error"]
+        if KILLS > 1:
+            _misfit_on_a_running_cluster(place, local, limits)
+
+
+def _misfit_on_a_running_cluster(place: Path, local: executors.Dask, limits: Limits) -> None:
+    names = ("misfits:Slow", "dead-reckoning", "misfits:Exits")
+    few = tasks.plan(sweep.points(sweep.from_tables({"scenario": "tiny", "set": SET}), names), 1, 9)
+    address = local.client.scheduler.address
+    with executors.executor("dask", 2, limits, address) as running, writing(place / "out", "test", {}) as store:
+        sweeping.carry_out(few, store, running, lambda *_: None)
+    found = {row["estimator"]: row for row in rows("out")}
+    assert [found[name]["status"] for name in names] == ["ok", "ok", "failed"]
+    assert "exit status 7; alone it was lost again" in found["misfits:Exits"]["error"]
 
 
 def test_no_scheduler_is_one_line(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -20,8 +20,8 @@ MARGIN_M = 60.0
 
 
 def draw_snapshot(world: World, number: int, link: int | None, out: Path) -> list[str]:
-    """Draw the snapshot to `out` (.png) and return a line of text per link shown. Raises InputError for a link that does
-    not exist.
+    """Draw the snapshot to `out` (.png) and return a line of text per link shown. Raises InputError for a link that
+    does not exist.
     """
     from matplotlib.figure import Figure
 

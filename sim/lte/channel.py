@@ -1,7 +1,7 @@
 """The signal that the switched array receives: the paper's equations 2 to 4 for one snapshot.
 
-Powers are in milliwatt per resource element. One symbol of the slot is kept per array port, each port being sampled in a
-slot of its own: the first carries the reference signals of antenna ports 0 and 1, the second those of 2 and 3.
+Powers are in milliwatt per resource element. One symbol of the slot is kept per array port, each port being sampled in
+a slot of its own: the first carries the reference signals of antenna ports 0 and 1, the second those of 2 and 3.
 """
 
 from __future__ import annotations
@@ -128,8 +128,8 @@ def received_symbol(
         listed = {other.port for other in signals if other.cell_id == signal.cell_id}
         if symbol not in (0, 1) or not listed & set(_senders(symbol)):
             raise InputError(
-                f"antenna port {signal.port} of cell {signal.cell_id} has no reference signal in symbol {symbol}: ports "
-                "0 and 1 send in symbol 0, ports 2 and 3 in symbol 1"
+                f"antenna port {signal.port} of cell {signal.cell_id} has no reference signal in symbol {symbol}: "
+                "ports 0 and 1 send in symbol 0, ports 2 and 3 in symbol 1"
             )
         sent = _sent(signal, slot, count, impairments, rng, symbol)
         response = frequency_response(array, tones, times_s, velocity_mps, signal, carrier_hz)

@@ -1,4 +1,4 @@
-"""Compiled clutter: ghosts of calibration error, diffuse clusters, noise peaks."""
+"""Compiled clutter: what is reported around a path besides it, and noise peaks."""
 
 from __future__ import annotations
 
@@ -7,52 +7,91 @@ from typing import Any
 
 from numba import njit
 
-from cellslam.sim.lte.detector_model import GHOST_REACH_M, MOST_CLUTTER, Array, Model
-from cellslam.sim.lte.measurement_kernel import clutter_row, probability
+from cellslam.sim.lte.detector_model import (
+    DIFFUSE_SHARE,
+    DIFFUSE_TO_M,
+    DISTANCE,
+    DISTURBED,
+    ELEVATION,
+    GAMMA_START_DB,
+    GAMMA_STEP_DB,
+    MOST_CLUTTER,
+    TRAIL_BESIDE_RAD,
+    TRAIL_DECAY_M,
+    TRAIL_FROM_M,
+    TRAIL_TO_M,
+    Array,
+    Model,
+)
+from cellslam.sim.lte.measurement_kernel import clutter_row, probability, wrap
 
 
 @njit(cache=True)
-def ghost_clutter(geo: Array, gamma: float, model: Model, table: Array, clutter: Any, out: Array) -> int:
-    """Draw ghosts that array calibration error makes of one strong path; the 25 dB rule drops the weaker
-    ones.
+def quantile(table: Array, node: int, at: float) -> float:
+    """Return the quantile `at` in [0, 1) of a row of equally spaced quantiles."""
+    place = at * (table.shape[1] - 1)
+    i = int(place)
+    return float(table[node, i] + (place - i) * (table[node, i + 1] - table[node, i]))
+
+
+@njit(cache=True)
+def trailing(a: Array, b: Array, model: Model) -> float:
+    """Return the disturbance at path a, per integrated SNR of the stronger path b: b's diffuse energy behind it and the
+    sidelobes over delay, from the direction of a and from anywhere.
     """
+    behind = a[0] - b[0]
+    if behind < TRAIL_FROM_M or behind > TRAIL_TO_M:
+        return 0.0
+    beside, aside = wrap(a[1] - b[1]) / TRAIL_BESIDE_RAD, behind / model.sidelobe_m
+    fall = model.sidelobes / (1.0 + aside * aside)
+    if 0.0 <= behind <= DIFFUSE_TO_M:
+        fall += math.exp(-behind / TRAIL_DECAY_M)
+    return float(fall * (model.trail * math.exp(-0.5 * beside * beside) + model.around))
+
+
+@njit(cache=True)
+def structured_clutter(
+    path: int, paths: int, geo: Array, gamma: Array, model: Model, table: Array, clutter: Any, out: Array
+) -> int:
+    """Draw what is reported around one path besides it: pieces of its diffuse energy, ghosts of calibration error. What
+    the energy of the other `paths` covers is not seen.
+    """
+    own = geo[path]
+    nodes = len(model.clutter_mean)
+    at = (10.0 * math.log10(max(gamma[path], 1e-9)) - GAMMA_START_DB) / GAMMA_STEP_DB
+    at = min(max(at, 0.0), nodes - 1.001)
+    low = int(at)
+    part = at - low
+    mean = (1.0 - part) * model.clutter_mean[low] + part * model.clutter_mean[low + 1]
     count = 0
-    for _ in range(min(clutter.poisson(model.ghosts), MOST_CLUTTER)):
-        level = 10.0 ** (0.1 * (-30.0 + 4.0 * clutter.standard_normal()))
-        distance = geo[0] + 0.75 * clutter.standard_normal()
-        azimuth = geo[1] + math.radians(40.0) * clutter.standard_normal()
-        elevation = geo[2] + math.radians(15.0) * clutter.standard_normal()
-        accepted = clutter.random() < probability(gamma * level, False, table) * model.detection_scale
-        if accepted and level >= model.ghost_rule:
-            clutter_row(out[count], distance, azimuth, elevation, gamma * level, model)
+    for _ in range(min(clutter.poisson(mean), MOST_CLUTTER)):
+        node = low + 1 if clutter.random() < part else low
+        later = quantile(model.clutter_later, node, clutter.random())
+        azimuth = own[1] + quantile(model.clutter_beside, node, clutter.random())
+        elevation = own[2] + quantile(model.clutter_above, node, clutter.random())
+        level = 10.0 ** (0.1 * quantile(model.clutter_snr, node, clutter.random()))
+        row = out[count]
+        clutter_row(row, own[0] + later, azimuth, elevation, level * model.samples, model)
+        disturbance = 1.0
+        for q in range(paths):
+            if level * model.samples < DIFFUSE_SHARE * gamma[q] and gamma[q] > gamma[path]:
+                disturbance += gamma[q] * trailing(row[DISTANCE : ELEVATION + 1], geo[q], model)
+        chance = model.detection_scale
+        if disturbance > DISTURBED:
+            chance *= probability(level * model.samples / disturbance, True, table, model)
+        if clutter.random() < chance:
             count += 1
     return count
 
 
 @njit(cache=True)
-def diffuse_clutter(geo: Array, gamma: float, model: Model, table: Array, clutter: Any, out: Array) -> int:
-    """Draw components of the diffuse cluster behind one path: 5-110 m later, median 40 m; -14 to -31 dB."""
-    count = 0
-    for _ in range(min(clutter.poisson(model.diffuse), MOST_CLUTTER)):
-        level = 10.0 ** (-0.1 * (14.0 + 17.0 * clutter.random()))
-        later = 5.0 + 105.0 * clutter.random() ** 1.585
-        azimuth = geo[1] + math.radians(12.0) * clutter.standard_normal()
-        elevation = geo[2] + math.radians(6.0) * clutter.standard_normal()
-        accepted = clutter.random() < probability(gamma * level, False, table) * model.detection_scale
-        if accepted and (later >= GHOST_REACH_M or level >= model.ghost_rule):
-            clutter_row(out[count], geo[0] + later, azimuth, elevation, gamma * level, model)
-            count += 1
-    return count
-
-
-@njit(cache=True)
-def noise_clutter(model: Model, table: Array, threshold: float, clutter: Any, out: Array) -> int:
+def noise_clutter(model: Model, threshold: float, clutter: Any, out: Array) -> int:
     """Draw noise peaks over the threshold: uniform in delay window and azimuth."""
     count: int = min(clutter.poisson(model.noise_clutter), MOST_CLUTTER)
     for i in range(count):
         distance = model.window_min + (model.window_max - model.window_min) * clutter.random()
         azimuth = math.pi * (2.0 * clutter.random() - 1.0)
-        elevation = math.radians(-30.0 + 90.0 * clutter.random())
+        elevation = math.radians(-15.0 + 75.0 * clutter.random())
         # The excess of a chi-square tail over its threshold is exponential; T = 2 + 0.93 Gamma' on average.
         excess = -math.log(1.0 - clutter.random())
         clutter_row(out[i], distance, azimuth, elevation, (threshold + excess - 2.0) / 0.93, model)

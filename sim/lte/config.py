@@ -36,7 +36,7 @@ class RadioConfig(BaseModel):
     )
 
     detection_threshold: float = Field(
-        16.5, ge=8.0, le=40.0, description="detection threshold on projected energy over noise variance"
+        17.4, ge=8.0, le=40.0, description="detection threshold on projected energy over noise variance"
     )
     detection_scale: float = Field(
         1.0, ge=0.0, le=1.0, description="factor on every detection probability (1: nominal)"
@@ -84,18 +84,6 @@ class RadioConfig(BaseModel):
     )
 
     clutter_scale: float = Field(1.0, ge=0.0, le=20.0, description="factor on the mean number of clutter measurements")
-    ghosts_per_path: float = Field(
-        1.0,
-        ge=0.0,
-        le=11.0,
-        description="mean number of calibration ghosts of a strong path before the 25 dB rule",
-    )
-    diffuse_survival: float = Field(
-        0.04,
-        ge=0.0,
-        le=1.0,
-        description="share of a path's diffuse components that pass as paths of their own",
-    )
     ghost_rule_db: float = Field(
         25.0,
         ge=0.0,

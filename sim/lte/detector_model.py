@@ -19,6 +19,8 @@ GHOST_REACH_M = 10.0
 GAMMA_START_DB, GAMMA_STEP_DB = 5.0, 5.0
 # Behind a path (m), and to its sides (deviation, rad), where it disturbs others; its diffuse energy decays over 35 m.
 TRAIL_FROM_M, TRAIL_TO_M, DIFFUSE_TO_M, TRAIL_BESIDE_RAD, TRAIL_DECAY_M = -100.0, 250.0, 150.0, 0.35, 35.0
+# What is stronger than this share of a path is not taken for its diffuse energy, and not disturbed by it.
+DIFFUSE_SHARE = 0.5
 DISTURBED = 1.5  # disturbance over noise from which detection is no longer that of an isolated path
 # Probability table over Gamma' in dB.
 TABLE_START_DB, TABLE_STEP_DB = -20.0, 0.05
@@ -42,6 +44,11 @@ class LinkTable(NamedTuple):
 class Model(NamedTuple):
     """The radio configuration in linear units; scales as in `BoundScales`, floors are standard
     deviations, of all causes and of the white ones.
+
+    `trail`, `around`: disturbance that a stronger path's diffuse energy adds in the same direction and in all, per
+    integrated SNR; `sidelobes`: share of it that spreads over `sidelobe_m` of delay. Clutter around a path
+    over nodes (G,) of its integrated SNR: mean number (G,), quantiles (G, Q) of what is later (m), beside and above
+    (rad), and of the SNR (dB).
     """
 
     eirp: float
@@ -65,6 +72,15 @@ class Model(NamedTuple):
     window_min: float
     window_max: float
     noise_clutter: float
-    ghosts: float
-    diffuse: float
     ghost_rule: float
+    overlap_centre_db: float
+    overlap_width_db: float
+    trail: float
+    around: float
+    sidelobes: float
+    sidelobe_m: float
+    clutter_mean: Array
+    clutter_later: Array
+    clutter_beside: Array
+    clutter_above: Array
+    clutter_snr: Array

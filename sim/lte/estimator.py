@@ -30,6 +30,8 @@ _FARTHEST = np.array([3.0 * DELAY_PITCH_M, np.radians(20.0)])  # that a fit may 
 _TOUCHING_M = 40.0  # within which dropping one path may save another
 _UNEVEN = 0.4  # nepers of power from which the disturbance of some port differs by more than scatter
 _CELL = np.array([12.0, np.radians(18.0), np.radians(18.0)])  # within which paths may stand for each other
+# A path this much weaker than one within reach may be a ghost of calibration error, and must stand out farther.
+_SUSPECT_SHARE, _SUSPECT_MARGIN = 0.01, 1.4
 _LEAST_RELIABLE = np.array([8.0, np.radians(16.0), np.radians(20.0)])
 
 
@@ -221,15 +223,18 @@ def _kept(fit: Fit, level: Floats, asked: Floats, receiver: Receiver) -> NDArray
     """Return which paths (n,) stay: of those below the threshold, unreliable, outside the window or ghosts, the weakest
     within reach of each other goes.
     """
-    statistic = fit.normal.wald / asked
-    std = np.sqrt(np.einsum("nii->ni", covariance(fit, level)))
-    bad = (statistic < receiver.threshold) | (std > _LEAST_RELIABLE).any(axis=1)
-    distance = fit.geometry[:, 0]
+    energy, distance = fit.normal.wald, fit.geometry[:, 0]
+    statistic = energy / asked
+    variance = np.einsum("nii->ni", covariance(fit, level))
+    unreliable = ~((variance > 0.0) & (variance < _LEAST_RELIABLE**2)).all(axis=1)
+    near = np.abs(distance[:, None] - distance[None, :]) < GHOST_REACH_M
+    suspect = (near & (energy[:, None] < _SUSPECT_SHARE * energy[None, :])).any(axis=1)
+    threshold = receiver.threshold * np.where(suspect, _SUSPECT_MARGIN, 1.0)
+    bad = (statistic < threshold) | unreliable
     bad |= (distance < receiver.window_min_m) | (distance > receiver.window_max_m)
     bad |= (fit.geometry[:, 2] < LOWEST_RAD) | (fit.geometry[:, 2] > HIGHEST_RAD)
-    near = np.abs(distance[:, None] - distance[None, :]) < GHOST_REACH_M
     rule = 10.0 ** (-receiver.ghost_rule_db / 10.0)
-    bad |= (near & (fit.normal.wald[:, None] < rule * fit.normal.wald[None, :])).any(axis=1)
+    bad |= (near & (energy[:, None] < rule * energy[None, :])).any(axis=1)
     kept = np.ones(len(distance), np.bool_)
     for i in np.argsort(statistic):
         if bad[i] and (np.abs(distance[~kept] - distance[i]) > _TOUCHING_M).all():

@@ -44,13 +44,13 @@ def body_geometry(pose: Array, vt: Array, out: Array) -> None:
 
 
 @njit(cache=True)
-def probability(gamma: float, overlapped: bool, table: Array) -> float:
+def probability(gamma: float, overlapped: bool, table: Array, model: Model) -> float:
     """Return the detection probability at integrated SNR `gamma` (leftover already applied)."""
     if gamma <= 1e-2:
         return 0.0
     gamma_db = 10.0 * math.log10(gamma)
     if overlapped:
-        return 1.0 / (1.0 + math.exp(-(gamma_db - 14.0) / 1.6))
+        return 1.0 / (1.0 + math.exp(-(gamma_db - model.overlap_centre_db) / model.overlap_width_db))
     at = (gamma_db - TABLE_START_DB) / TABLE_STEP_DB
     i = int(at)
     if at < 0.0:

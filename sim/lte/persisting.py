@@ -13,11 +13,10 @@ import numpy as np
 
 from cellslam.sim.lte.config import RadioConfig
 from cellslam.sim.lte.persisting_kernel import Fields
+from cellslam.sim.lte.statistics import statistics
 from cellslam.sim.recording import Floats
 
 WAVES = 32
-# Diffuse energy of a path as strong as its specular part displaces it by these deviations.
-_DIFFUSE_FLOOR = (1.15, np.radians(1.15), np.radians(0.75))
 # Waves over a VT's position in rad per m: so short that every VT has a field of its own.
 _APART_RADPM = 40.0
 
@@ -33,7 +32,7 @@ class Cause:
 
 def causes(config: RadioConfig) -> tuple[Cause, ...]:
     """Return calibration and roof (scale in rad), diffuse energy (m), attitude (s)."""
-    diffuse = np.array(_DIFFUSE_FLOOR) * 10.0 ** (-config.specular_to_diffuse_db / 20.0)
+    diffuse = np.array(statistics().diffuse_floor) * 10.0 ** (-config.specular_to_diffuse_db / 20.0)
     angles = np.radians(
         [
             [config.calibration_azimuth_deg, config.calibration_elevation_deg],

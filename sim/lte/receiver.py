@@ -31,7 +31,7 @@ class Receiver:
     times_s: Floats = field(default_factory=lambda: switching_times_s(CircularArray()))
     resource_blocks: int = 100
     carrier_hz: float = 2.66e9
-    threshold: float = 17.2
+    threshold: float = 17.4
     window_min_m: float = -50.0
     window_max_m: float = 1700.0
     ghost_rule_db: float = 25.0

@@ -33,7 +33,7 @@ from cellslam.sim.lte.joint_bound import PathSet
 from cellslam.sim.lte.links import Cells, link_table, slant
 from cellslam.sim.lte.persisting import floors
 from cellslam.sim.lte.persisting_kernel import Fields, write_attitude, write_persisting
-from cellslam.sim.lte.receiver import ComplexSingle, Motion, Receiver
+from cellslam.sim.lte.receiver import ComplexSingle, Receiver
 from cellslam.sim.lte.reference import first_subcarrier
 from cellslam.sim.lte.statistical import PathColumns
 from cellslam.sim.lte.waveform import SAMPLE_S, SUBCARRIER_SPACING_HZ
@@ -47,12 +47,11 @@ _SAME_PATH = 2.0 * np.array([4.6, np.radians(7.7), np.radians(8.0)])
 
 @dataclass(frozen=True)
 class Hardware:
-    """Errors per array port, of the sites' carriers, and the detection threshold on the refined statistic."""
+    """Errors per array port and of the sites' carriers."""
 
     phase_std_deg: float = 5.0
     gain_std_db: float = 0.5
     carrier_offset_std_hz: float = 0.03
-    threshold: float = 17.2
 
 
 DEFAULT_HARDWARE = Hardware()
@@ -205,7 +204,7 @@ class SignalLevel:
         synchronisation.
         """
         site, blocks = int(self.links.site[link]), self.config.resource_blocks
-        y = received[int(self.combs[link])] * self.sent[link][slots].conj()
+        y: Complex = received[int(self.combs[link])] * self.sent[link][slots].conj()
         y = y * np.exp(1j * self.receiver.rate * self.sync_m[site])
         for other in np.flatnonzero(self.combs == self.combs[link]):
             if other != link:
@@ -257,7 +256,7 @@ def signal_level(
     array = miscalibrated(ideal, hardware.phase_std_deg, hardware.gain_std_db, rng)
     receiver = Receiver(
         array=ideal, times_s=switching_times_s(ideal), resource_blocks=config.resource_blocks,
-        carrier_hz=config.carrier_hz, threshold=hardware.threshold, window_min_m=config.window_min_m,
+        carrier_hz=config.carrier_hz, threshold=config.detection_threshold, window_min_m=config.window_min_m,
         window_max_m=config.window_max_m, ghost_rule_db=config.ghost_rule_db,
     )  # fmt: skip
     # Calibration errors come from the array, diffuse ones from the scatterers: only the rest is drawn as such.

@@ -9,6 +9,7 @@ import numpy as np
 from cellslam.sim.frames import wrap_angle
 from cellslam.sim.lte import search_kernel
 from cellslam.sim.lte.array import Complex, Floats
+from cellslam.sim.lte.detector_model import DIFFUSE_SHARE
 from cellslam.sim.lte.receiver import AZIMUTHS, DELAY_PITCH_M, ELEVATIONS, HIGHEST_RAD, LOWEST_RAD, Motion
 from cellslam.sim.lte.refine import Fit, factors
 
@@ -86,7 +87,7 @@ class Spectrum:
         return out, asked
 
     def in_trail(self, fit: Fit, cell: tuple[int, int]) -> bool:
-        """Return whether a fitted cell lies where diffuse energy of a stronger path is expected."""
+        """Return whether a fitted cell is as weak as diffuse energy of a stronger path expected there."""
         return bool(fit.normal.explained < self.trailing[cell[0] // ELEVATIONS, cell[1]])
 
     def _factors(self, fit: Fit) -> tuple[np.ndarray, np.ndarray]:
@@ -94,13 +95,13 @@ class Spectrum:
         return np.ascontiguousarray(on_ports.T), on_tones @ self.receiver.delay_matrix
 
     def trail(self, fit: Fit) -> None:
-        """Note where the diffuse energy of paths is to be expected."""
+        """Note where diffuse energy of paths is to be expected, and how much at most."""
         for (distance, azimuth, _), energy in zip(fit.geometry, fit.normal.wald, strict=True):
             low, high = max(self._bin(distance + LEAD_M), 0), max(self._bin(distance + TRAIL_M) + 1, 0)
             middle = round((azimuth + math.pi) / (2.0 * math.pi) * AZIMUTHS)
             for column in range(middle - BESIDE, middle + BESIDE + 1):
                 part = self.trailing[column % AZIMUTHS, low:high]
-                np.maximum(part, energy, out=part)
+                np.maximum(part, DIFFUSE_SHARE * energy, out=part)
 
     def _bin(self, distance: float) -> int:
         return round((distance - self.receiver.window_min_m) / DELAY_PITCH_M)
@@ -116,5 +117,5 @@ def in_trail(geometry: Floats, energy: Floats) -> np.ndarray:
     """Return which paths (n,) lie where diffuse energy of a stronger one is expected."""
     behind = geometry[:, None, 0] - geometry[None, :, 0]
     beside = np.abs(wrap_angle(geometry[:, None, 1] - geometry[None, :, 1])) < _BESIDE_RAD
-    inside = (behind > LEAD_M) & (behind < TRAIL_M) & beside & (energy[:, None] < energy[None, :])
+    inside = (behind > LEAD_M) & (behind < TRAIL_M) & beside & (energy[:, None] < DIFFUSE_SHARE * energy[None, :])
     return np.asarray(inside.any(axis=1))

@@ -1,7 +1,7 @@
 """Statistical front end: what the receiver's path estimator would report, drawn from its statistics.
 
 Per link and path: received power, interference, SNR, overlap with stronger paths, detection, error from the
-bound and the floors, in part white and in part persisting; then clutter of three kinds.
+bound and the floors, in part white and in part persisting; then clutter. The constants are measured (`statistics`).
 """
 
 from __future__ import annotations
@@ -18,14 +18,11 @@ from cellslam.sim.lte.config import RadioConfig
 from cellslam.sim.lte.links import Cells, link_table
 from cellslam.sim.lte.persisting import floors, white_floors
 from cellslam.sim.lte.persisting_kernel import Fields
+from cellslam.sim.lte.statistics import statistics
 from cellslam.sim.progress import Progress, silent
 from cellslam.sim.recording import Floats, Ints, Measurements
 
 BLOCK = 512  # snapshots per kernel call: the step of the progress bar
-# Mean number of extra paths that a signal-level estimator reports around one path, against its
-# specular-to-diffuse ratio.
-_DIFFUSE_RATIO_DB = (0.0, 5.0, 10.0, 15.0, 20.0, 30.0)
-_DIFFUSE_COUNT = (15.0, 12.0, 9.0, 6.0, 3.0, 0.1)
 
 
 class Streams(NamedTuple):
@@ -68,31 +65,29 @@ class Detections:
 
 
 def noise_clutter_mean(threshold: float) -> float:
-    """Return the mean number of noise peaks per link and snapshot over a threshold x: 45 000 exp(-x) (1 +
-    x).
-    """
-    return float(45_000.0 * np.exp(-threshold) * (1.0 + threshold))
+    """Return the mean number of noise peaks per link and snapshot over a threshold x: N exp(-x) (1 + x)."""
+    return float(statistics().noise_cells * np.exp(-threshold) * (1.0 + threshold))
 
 
 @lru_cache(maxsize=8)
 def detection_table(threshold: float) -> Floats:
-    """Return P(T > threshold) of an isolated path over the kernel's grid of Gamma in dB: ncx2.sf(2 x, 4,
-    1.86 Gamma).
+    """Return P(T > threshold) of an isolated path over the kernel's grid of Gamma in dB: ncx2.sf(2 x, dof, gain
+    Gamma), the constants measured.
     """
     from scipy.stats import ncx2
 
     gamma_db = k.TABLE_START_DB + k.TABLE_STEP_DB * np.arange(1201)
-    return np.clip(ncx2.sf(2.0 * threshold, 4, 1.86 * 10.0 ** (gamma_db / 10.0)), 0.0, 1.0)
+    s = statistics()
+    return np.clip(ncx2.sf(2.0 * threshold, s.dof, s.gain * 10.0 ** (gamma_db / 10.0)), 0.0, 1.0)
 
 
+@lru_cache(maxsize=8)
 def model_of(config: RadioConfig) -> k.Model:
     """Return the kernel's constants for a radio configuration."""
 
     scales = bound_scales(config.resource_blocks)
-    floor, white = floors(config), white_floors(config)
-    diffuse = (
-        float(np.interp(config.specular_to_diffuse_db, _DIFFUSE_RATIO_DB, _DIFFUSE_COUNT)) * config.diffuse_survival
-    )
+    floor, white, s = floors(config), white_floors(config), statistics()
+    clutter = s.clutter_at(config.specular_to_diffuse_db)
     return k.Model(
         eirp=10.0 ** (config.eirp_dbm / 10.0), noise=10.0 ** (config.noise_dbm / 10.0), load=config.load,
         evm_power=config.evm**2, snr_cap=10.0 ** (config.snr_cap_db / 10.0), samples=float(scales.samples),
@@ -103,8 +98,12 @@ def model_of(config: RadioConfig) -> k.Model:
         detection_scale=config.detection_scale, perfect=config.perfect_detection,
         window_min=config.window_min_m, window_max=config.window_max_m,
         noise_clutter=noise_clutter_mean(config.detection_threshold) * config.clutter_scale,
-        ghosts=config.ghosts_per_path * config.clutter_scale, diffuse=diffuse * config.clutter_scale,
-        ghost_rule=10.0 ** (-config.ghost_rule_db / 10.0),
+        ghost_rule=10.0 ** (-config.ghost_rule_db / 10.0), overlap_centre_db=s.overlap_centre_db,
+        overlap_width_db=s.overlap_width_db, trail=s.trail * 10.0 ** (-config.specular_to_diffuse_db / 10.0),
+        around=s.around * 10.0 ** (-config.specular_to_diffuse_db / 10.0), sidelobes=s.sidelobes,
+        sidelobe_m=s.sidelobe_m,
+        clutter_mean=clutter.mean * config.clutter_scale, clutter_later=clutter.later_m,
+        clutter_beside=clutter.beside_rad, clutter_above=clutter.above_rad, clutter_snr=clutter.snr_db,
     )  # fmt: skip
 
 

@@ -15,11 +15,13 @@ from numba import njit
 
 from cellslam.sim.lte.bound import AZIMUTH_EXPONENT
 from cellslam.sim.lte.budget_kernel import link_powers
-from cellslam.sim.lte.clutter_kernel import diffuse_clutter, ghost_clutter, noise_clutter
+from cellslam.sim.lte.clutter_kernel import noise_clutter, structured_clutter, trailing
 from cellslam.sim.lte.detector_model import (
     AZIMUTH,
     COLUMNS,
+    DIFFUSE_SHARE,
     DISTANCE,
+    DISTURBED,
     ELEVATION,
     GHOST_REACH_M,
     ISOLATED_LEFTOVER,
@@ -70,7 +72,8 @@ def _detect_paths(
 ) -> int:
     """Draw the measurements of one link's true paths into `out`; return how many.
 
-    `work` (W, 8): order, leftover, nearest stronger path, detected, shifts (3), power added.
+    `work` (W, 8): order, leftover, nearest stronger path, share of its SNR over noise alone and then whether it was
+    detected, shifts (3), power added.
     """
     for i in range(n):
         j = i
@@ -80,22 +83,26 @@ def _detect_paths(
         work[j, 0] = i
     for rank in range(n):
         p = int(work[rank, 0])
-        leftover, most, near, ghost = 1.0, 0.0, -1, False
+        leftover, most, near, ghost, disturbance = 1.0, 0.0, -1, False, 1.0
         for other in range(rank):
             q = int(work[other, 0])
             apart = abs(geo[p, 0] - geo[q, 0])
+            if gamma[p] < DIFFUSE_SHARE * gamma[q]:
+                disturbance += gamma[q] * trailing(geo[p], geo[q], model)
             ghost = ghost or (apart < GHOST_REACH_M and gamma[p] < gamma[q] * model.ghost_rule)
             if apart < NEIGHBOUR_M:
                 share = captured(geo[p], geo[q], model)
                 leftover *= 1.0 - share
                 if share > most:
                     most, near = share, q
-        work[p, 1], work[p, 2], work[p, 3] = leftover, near, 0.0 if ghost else 1.0
+        work[p, 1], work[p, 2], work[p, 3] = leftover, near, 0.0 if ghost else 1.0 / disturbance
     for i in range(n):
         for column in range(4, 8):
             work[i, column] = 0.0
         inside = model.window_min <= geo[i, 0] <= model.window_max
-        chance = probability(gamma[i] * work[i, 1], work[i, 1] <= ISOLATED_LEFTOVER, table) * model.detection_scale
+        seen = gamma[i] * work[i, 1] * work[i, 3]
+        crowded = work[i, 1] <= ISOLATED_LEFTOVER or work[i, 3] < 1.0 / DISTURBED
+        chance = probability(seen, crowded, table, model) * model.detection_scale
         found = detection.random() < chance and inside and work[i, 3] > 0.0
         work[i, 3] = 1.0 if found or model.perfect else 0.0
         if model.perfect:
@@ -189,7 +196,7 @@ def measure_block(
     power = np.empty((count_links, widest))
     cell_power = np.empty(len(links.cell_site))
     gamma, work = np.empty(widest), np.empty((widest, 8))
-    most = widest + (2 * widest + 1) * MOST_CLUTTER
+    most = widest + (widest + 1) * MOST_CLUTTER
     buffer, order = np.empty((most, COLUMNS)), np.empty(most, np.int64)
     out, used = np.empty((max(256, 4 * len(vt)), COLUMNS)), 0
     for t in range(len(poses)):
@@ -217,9 +224,8 @@ def measure_block(
                 detection, work, buffer,
             )  # fmt: skip
             for i in range(n):
-                count += ghost_clutter(geo[site, i], gamma[i], model, table, clutter, buffer[count:])
-                count += diffuse_clutter(geo[site, i], gamma[i], model, table, clutter, buffer[count:])
-            count += noise_clutter(model, table, threshold, clutter, buffer[count:])
+                count += structured_clutter(i, n, geo[site], gamma, model, table, clutter, buffer[count:])
+            count += noise_clutter(model, threshold, clutter, buffer[count:])
             if used + count > len(out):
                 larger = np.empty((2 * (used + count), COLUMNS))
                 for i in range(used):

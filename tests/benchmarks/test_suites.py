@@ -21,7 +21,7 @@ from cellslam.sim.errors import InputError
 SHORT = {"vehicle.distance_m": 5, "vehicle.duration_s": 7.5, "vehicle.stops": 0, "vehicle.stand_first_s": 0}
 # A suite never changes: what would change its results is another version.
 DIGESTS = {
-    "standard-1": "e708bd8546d1f884726deee2302badb4c0c4f77901c53882e3ed5f554bd442a9",
+    "standard-1": "5c0d3750654acdca00e23df3be9c1ed2284d1a94e242066f314cdd84399e98e4",
 }
 
 

@@ -1,0 +1,82 @@
+"""Constants of the statistical front end, as the calibration study measured them (`cellslam bench calibrate`)."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass
+from functools import lru_cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from cellslam.sim.recording import Floats
+
+FILE = Path(__file__).with_name("statistics.json")
+
+
+@dataclass(frozen=True)
+class Clutter:
+    """Clutter around a path over nodes (G,) of its integrated SNR: mean number (G,), quantiles (G, Q)."""
+
+    mean: Floats
+    later_m: Floats
+    beside_rad: Floats
+    above_rad: Floats
+    snr_db: Floats
+
+
+@dataclass(frozen=True)
+class Statistics:
+    """Detection: P(T > x) = ncx2.sf(2 x, dof, gain Gamma) of an isolated path, a logistic (dB) of one among others.
+
+    `trail`, `around`: disturbance behind a path at a specular-to-diffuse ratio of 0 dB, in its direction and in all;
+    `sidelobes`: share of it that spreads over `sidelobe_m` of delay. `noise_cells`: noise peaks over x are Poisson
+    with mean noise_cells exp(-x) (1 + x). `diffuse_floor` (3,) in m, rad, rad at 0 dB. `clutter` by ratio in dB.
+    """
+
+    dof: float
+    gain: float
+    overlap_centre_db: float
+    overlap_width_db: float
+    trail: float
+    around: float
+    sidelobes: float
+    sidelobe_m: float
+    noise_cells: float
+    diffuse_floor: tuple[float, float, float]
+    clutter: tuple[tuple[float, Clutter], ...]
+
+    def clutter_at(self, ratio_db: float) -> Clutter:
+        """Return the clutter at a specular-to-diffuse ratio, interpolated between those that were measured."""
+        ratios = [ratio for ratio, _ in self.clutter]
+        at = float(np.interp(ratio_db, ratios, np.arange(len(ratios))))
+        low = min(int(at), len(ratios) - 2)
+        (_, one), (_, other), part = self.clutter[low], self.clutter[low + 1], at - low
+        mixed = [
+            (1.0 - part) * getattr(one, name) + part * getattr(other, name) for name in Clutter.__dataclass_fields__
+        ]
+        return Clutter(*(np.ascontiguousarray(m) for m in mixed))
+
+
+@lru_cache(maxsize=1)
+def statistics() -> Statistics:
+    """Return the constants shipped with the package."""
+    return parse(json.loads(FILE.read_text(encoding="utf-8")))
+
+
+def parse(data: dict[str, Any]) -> Statistics:
+    """Return the constants in the file's form."""
+    clutter = [
+        (float(ratio), Clutter(*(np.array(table[name]) for name in Clutter.__dataclass_fields__)))
+        for ratio, table in data["clutter"].items()
+    ]
+    floor = data["floors"]
+    return Statistics(
+        dof=data["detection"]["dof"], gain=data["detection"]["gain"],
+        overlap_centre_db=data["overlap"]["centre_db"], overlap_width_db=data["overlap"]["width_db"],
+        trail=data["overlap"]["trail"], around=data["overlap"]["around"], sidelobes=data["overlap"]["sidelobes"],
+        sidelobe_m=data["overlap"]["sidelobe_m"], noise_cells=data["noise_cells"],
+        diffuse_floor=tuple(floor[n]["diffuse_at_0_db"] for n in ("distance_m", "azimuth_rad", "elevation_rad")),
+        clutter=tuple(sorted(clutter, key=lambda item: item[0])),
+    )  # fmt: skip
