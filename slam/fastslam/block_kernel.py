@@ -39,8 +39,8 @@ from cellslam.slam.fastslam.layout import (
 from cellslam.slam.fastslam.nuisance_kernel import absorb, collect, condition, forget
 from cellslam.slam.fastslam.predict_kernel import (
     LOG_2PI_3,
-    correct,
     complete,
+    correct,
     give_birth,
     innovate,
     invert,
