@@ -64,10 +64,10 @@ class FrontEndOptions(BaseModel):
     noise_unit_snr_azimuth_deg: float = Field(0.0685, ge=0, le=90, description="the same for azimuth, deg")
     noise_unit_snr_elevation_deg: float = Field(0.0704, ge=0, le=90, description="the same for elevation, deg")
     place_m: float = Field(
-        0.58, ge=0, le=100, description="distance error that changes with the place (diffuse energy), m"
+        0.71, ge=0, le=100, description="distance error that changes with the place (diffuse energy), m"
     )
-    place_azimuth_deg: float = Field(0.65, ge=0, le=90, description="the same for azimuth, with the array's sway, deg")
-    place_elevation_deg: float = Field(0.63, ge=0, le=90, description="the same for elevation, deg")
+    place_azimuth_deg: float = Field(0.78, ge=0, le=90, description="the same for azimuth, with the array's sway, deg")
+    place_elevation_deg: float = Field(0.71, ge=0, le=90, description="the same for elevation, deg")
     place_scale_m: float = Field(0.15, ge=0, le=1000, description="way over which it is drawn anew, m; 0: white")
     direction_m: float = Field(
         0.2, ge=0, le=100, description="distance error that is a function of the direction of arrival (array), m"
@@ -78,7 +78,7 @@ class FrontEndOptions(BaseModel):
         15.0, ge=0, le=180, description="change of direction over which the distance's is drawn anew, deg; 0: white"
     )
     direction_scale_deg: float = Field(
-        3.0, ge=0, le=180, description="change of direction over which the angles' are drawn anew, deg; 0: white"
+        4.0, ge=0, le=180, description="change of direction over which the angles' are drawn anew, deg; 0: white"
     )
     typical_range_m: float = Field(
         200.0, gt=0, le=1e5, description="distance of a typical VT: driving on turns its direction by speed / range, m"

@@ -213,7 +213,7 @@ def test_persisting_errors_count_once():
     options = FastSlamOptions()
     place, direction = draws(options, np.radians(1.0), 0.1)
     assert place[0] == pytest.approx(np.sqrt(2 * np.pi) * 0.15 / 0.1)
-    assert direction[1] == pytest.approx(np.sqrt(2 * np.pi) * 3.0 / (1.0 + np.degrees(0.1 / 200.0)))
+    assert direction[1] == pytest.approx(np.sqrt(2 * np.pi) * 4.0 / (1.0 + np.degrees(0.1 / 200.0)))
     assert np.all(draws(options, 0.0, 0.0)[0] > 1e4)
     assert np.all(draws(options, np.radians(90.0), 10.0)[1] == 1.0)
     snapshot = make_snapshot(0, [(0, 100.0, 0.1, 0.1), (1, 100.1, 0.1, 0.1), (2, 100.0, 1.0, 0.1)])
