@@ -12,7 +12,7 @@ from importlib import import_module
 from typing import Any, NoReturn
 
 from cellslam.benchmarks.cli_city_parsers import add_bench, add_city
-from cellslam.benchmarks.cli_options import add_estimators, add_set, whole
+from cellslam.benchmarks.cli_options import add_estimators, add_options_file, add_set, whole
 from cellslam.benchmarks.cli_recordings_parsers import COMMANDS
 from cellslam.benchmarks.cli_sweep_parsers import add_sweep_benches, add_sweeps
 from cellslam.sim.errors import InputError, nearest_name
@@ -162,6 +162,7 @@ def _add_record(parser: argparse.ArgumentParser) -> None:
 def _add_replay(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("file", metavar="FILE.h5", help="a recording")
     add_set(parser, "estimator.fastslam.particles=300")
+    add_options_file(parser)
     _add_estimation(parser)
     parser.add_argument(
         "--align",

@@ -17,6 +17,16 @@ def add_set(parser: argparse.ArgumentParser, example: str) -> None:
     )
 
 
+def add_options_file(parser: argparse.ArgumentParser) -> None:
+    """Add `--options`."""
+    parser.add_argument(
+        "--options",
+        metavar="FILE.toml",
+        help="take estimators' options from the tables [estimator.NAME] of a file, as fit-noise prints them; "
+        "--set goes before it",
+    )
+
+
 def add_estimators(parser: argparse.ArgumentParser) -> None:
     """Add `--estimator`."""
     parser.add_argument(

@@ -108,11 +108,11 @@ def fit_noise(arguments: Namespace) -> int:
 def _estimate(recording: Recording, path: Path, arguments: Namespace) -> TrialResult:
     """Return the estimate that `cellslam replay` of this file would make."""
     from cellslam.benchmarks import trials
-    from cellslam.benchmarks.cli_recording import Origin
+    from cellslam.benchmarks.cli_recording import Origin, estimator_overrides
     from cellslam.scenarios.options import resolve
-    from cellslam.scenarios.overrides import apply, parse_all
+    from cellslam.scenarios.overrides import apply
 
-    overrides = parse_all(arguments.sets)
+    overrides = estimator_overrides(arguments)
     origin = Origin.of(recording, path)
     tables = apply({"estimator": origin.options}, overrides)["estimator"]
     request = resolve(tables, [arguments.estimator], overrides)[0]

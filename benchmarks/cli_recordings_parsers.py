@@ -5,6 +5,8 @@ from __future__ import annotations
 import argparse
 from collections.abc import Callable
 
+from cellslam.benchmarks.cli_options import add_options_file
+
 EXPORTS = ("csv", "mat", "tum", "geojson", "ply", "html")
 
 
@@ -33,6 +35,7 @@ def _export(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--estimator", metavar="NAME", help=estimator_help)
     set_help = "change one option, as in estimator.fastslam.particles=300; may be repeated"
     parser.add_argument("--set", metavar="KEY=VALUE", action="append", default=[], dest="sets", help=set_help)
+    add_options_file(parser)
     parser.add_argument("--seed", metavar="S", type=int, help="seed of the estimator (default: the recording's own)")
 
 

@@ -129,7 +129,7 @@ def _names(points: Sequence[sweeps.Point]) -> Mapping[tuple[str, str, str], str]
         for request in point.requests:
             settings = point.settings.items()
             own = (
-                f"{key}={value}"
+                f"{key}={f'{value:.6g}' if isinstance(value, float) else value}"
                 for key, value in settings
                 if not key.startswith("estimator.") or key.startswith(f"estimator.{request.name}.")
             )

@@ -5,10 +5,12 @@ from __future__ import annotations
 import sys
 from argparse import Namespace
 from collections.abc import Iterable
+from dataclasses import replace
 from pathlib import Path
 
 from cellslam.benchmarks.cli import DONE
 from cellslam.benchmarks.formats import comparison_grid, render, summary_grid
+from cellslam.benchmarks.rows import results
 from cellslam.benchmarks.summaries import Layout, comparison, row_keys, summary
 from cellslam.sim.errors import InputError
 
@@ -30,8 +32,18 @@ def table(arguments: Namespace) -> int:
         raise InputError(f"{folder}: no rows yet")
     keys = [key for key in layout.rows or () if key != layout.columns]
     named = tidy["estimator"].unique() if "estimator" in tidy else ()
-    sys.stdout.write(render(tidy, summary_grid(tidy, keys, layout.columns, oracles(named)), arguments.format))
+    grid = summary_grid(tidy, keys, layout.columns, oracles(named))
+    if pooled := _pooled(folder, layout) if rows else []:
+        grid = replace(grid, notes=(*grid.notes, f"pooled over all values of: {', '.join(pooled)}"))
+    sys.stdout.write(render(tidy, grid, arguments.format))
     return DONE
+
+
+def _pooled(folder: Path, layout: Layout) -> list[str]:
+    """Return what varies in a sweep and is neither in the rows nor in the columns of a table."""
+    shown = {*(layout.rows or ()), layout.columns}
+    varied = [key for key in row_keys(folder, Layout(columns=layout.columns)) if key not in shown]
+    return [key for key in varied if key != "estimator" or results(folder, ["estimator"])["estimator"].nunique() > 1]
 
 
 def oracles(names: Iterable[str]) -> frozenset[str]:

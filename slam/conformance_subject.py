@@ -4,8 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, fields, replace
-from functools import cache
+from functools import cache, cached_property
 from importlib.resources import as_file, files
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -44,9 +45,12 @@ class Subject:
 
     def steps(self, count: int | None = SHORT) -> list[Step]:
         """Return interval, odometry and snapshot of the first `count` snapshots, as writable copies."""
+        return [(dt, velocity.copy(), writable(snapshot)) for dt, velocity, snapshot in self._every[:count]]
+
+    @cached_property
+    def _every(self) -> list[Step]:
         dt_s = np.diff(self.recording.time_s, prepend=self.recording.time_s[0])
-        every = zip(dt_s.tolist(), np.array(self.recording.odometry), snapshots_of(self.recording), strict=True)
-        return [(dt, velocity, writable(snapshot)) for dt, velocity, snapshot in list(every)[:count]]
+        return list(zip(dt_s.tolist(), self.recording.odometry, snapshots_of(self.recording), strict=True))
 
 
 @cache
@@ -77,6 +81,16 @@ def copied(answer: Any) -> Estimate:
     require(isinstance(answer, Estimate), what, "return cellslam.slam.api.Estimate(pose, covariance)")
     copy: Estimate = writable(answer)
     return copy
+
+
+def merged(steps: Sequence[Step], kept: Sequence[int]) -> list[Step]:
+    """Return the snapshots `kept` (ascending, the first is 0) alone, with mean odometry from each to the next."""
+    out = [steps[0]]
+    for before, now in pairwise(kept):
+        span = steps[before + 1 : now + 1]
+        velocity: Floats = np.mean([u for _, u, _ in span], axis=0)
+        out.append((sum(dt for dt, _, _ in span), velocity, replace(steps[now][2], index=len(out))))
+    return out
 
 
 def taken(snapshot: Snapshot, rows: NDArray[Any]) -> Snapshot:

@@ -288,3 +288,45 @@ def test_a_faulty_port_does_not_break_the_estimate(fault: str) -> None:
 def test_a_snapshot_without_samples_is_refused(value: float) -> None:
     with pytest.raises(InputError, match="no array port delivered"):
         estimate_paths(np.full((128, 200), value, complex), AT_REST)
+
+
+@pytest.mark.parametrize("shape", [(127, 200), (128, 100), (128,)])
+def test_samples_of_another_shape_are_refused(shape: tuple[int, ...]) -> None:
+    with pytest.raises(InputError, match=r"\(128, 200\) \(array ports, tones\) are expected"):
+        estimate_paths(np.ones(shape, complex), AT_REST)
+
+
+def test_noise_alone_holds_hardly_any_path() -> None:
+    rng = np.random.default_rng(10)
+    assert sum(len(estimate_paths(noise(rng), AT_REST)) for _ in range(15)) <= 5
+
+
+@pytest.mark.parametrize("blocks", [6, 7, 50])
+def test_narrow_bands_are_estimated_too(blocks: int) -> None:
+    rng, tones = np.random.default_rng(blocks), tone_frequencies(blocks)
+    motion = Receiver(resource_blocks=blocks).moving(STILL)
+    for _ in range(6):
+        paths = draw(rng, np.array([0.0]), 800.0)
+        clean = frequency_response(ARRAY, tones, TIMES, STILL, PortSignal(375, 0, paths), CARRIER_HZ)
+        found = estimate_paths(clean + noise(rng)[:, : len(tones)], motion)
+        bound = joint_std(ARRAY, tones - tones.mean(), paths, 1.0)[0]
+        strongest = found.geometry[np.argmax(found.statistic)]
+        apart = strongest - [paths.distance_m[0], paths.azimuth_rad[0], paths.elevation_rad[0]]
+        apart[1] = wrap_angle(apart[1])
+        assert (np.abs(apart) < 5.0 * bound).all()
+
+
+def test_paths_in_a_row_do_not_hide_each_other() -> None:
+    rng, seen = np.random.default_rng(11), 0
+    for _ in range(6):
+        one = draw(rng, np.zeros(1), 300.0)
+        distance = one.distance_m[0] + np.array([0.0, 42.0, 97.0])
+        turn = np.exp(2j * np.pi * rng.random((3, 2)))
+        paths = PathSet(
+            distance, np.full(3, one.azimuth_rad[0]), np.full(3, min(one.elevation_rad[0], 0.4)),
+            np.repeat(one.weights, 3, axis=0) * turn * np.array([[0.28], [0.21], [0.29]]),
+        )  # fmt: skip
+        seen += int(
+            np.isfinite(errors(paths, estimate_paths(channel(paths) + noise(rng), AT_REST))[0]).all(axis=1).sum()
+        )
+    assert seen >= 17

@@ -106,6 +106,14 @@ def test_gold_sequence_is_balanced_and_seeded() -> None:
     assert not np.array_equal(bits[:100], gold_sequence(12346, 100))
 
 
+def test_bands_that_are_no_standard_ones_are_cut_from_the_middle_of_the_sequence() -> None:
+    symbols, subcarriers, values = reference_signal(375, 0, 0, 7)
+    whole = reference_signal(375, 0, 0, 109)[2].reshape(2, -1)
+    assert (np.bincount(symbols, minlength=5) == [14, 0, 0, 0, 14]).all()
+    assert subcarriers.max() < 84
+    np.testing.assert_allclose(values.reshape(2, -1), whole[:, 102:116])
+
+
 @pytest.mark.parametrize(
     ("arguments", "text"),
     [

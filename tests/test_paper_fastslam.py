@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
+import numba
 import numpy as np
 import pytest
 
@@ -14,10 +15,12 @@ from cellslam.scenarios.loading import load
 from cellslam.scenarios.options import resolve
 from cellslam.sim.frames import rotation
 from cellslam.slam.api import setup_of, snapshots_of
+from cellslam.slam.baselines.channel_slam.filter import ChannelSlam
+from cellslam.slam.baselines.channel_slam.options import ChannelSlamOptions
 from cellslam.slam.baselines.paper_fastslam import PaperFastSlam, PaperFastSlamOptions
 from cellslam.slam.baselines.paper_fastslam_kernel import _birth, _predict, _spread
 from cellslam.slam.conformance import EstimatorConformance
-from cellslam.slam.conformance_subject import tiny_drive
+from cellslam.slam.conformance_subject import Subject, drive, tiny_drive
 from cellslam.slam.model import birth, jacobians, predict
 
 POSE, VT = np.array([3.0, -2.0, 1.5, 0.7, 0.1, -0.2]), np.array([60.0, 45.0, 20.0])
@@ -78,6 +81,23 @@ def test_spoilt_covariances_do_not_stall_the_assignment() -> None:
         answer = estimator.step(0.075 if t else 0.0, recording.odometry[t], snapshot)
         estimator._covs[:] = np.diag([-1e-3, 1e-3, 0.0]) if t % 2 else -1e3 * np.eye(3)
     assert np.isfinite(answer.pose).all()
+
+
+def poses_of(estimator: Any, threads: int) -> Any:
+    before = numba.get_num_threads()
+    numba.set_num_threads(min(threads, numba.config.NUMBA_NUM_THREADS))
+    answers = drive(estimator, setup_of(tiny_drive()), Subject(type(estimator), None, tiny_drive()).steps(80))
+    numba.set_num_threads(before)
+    return np.array([answer.pose for answer in answers])
+
+
+@pytest.mark.parametrize(
+    "estimator",
+    [PaperFastSlam(PaperFastSlamOptions(particles=20)), ChannelSlam(ChannelSlamOptions(particles=40, directions=16))],
+    ids=lambda estimator: estimator.name,
+)
+def test_same_answer_on_any_number_of_threads(estimator: Any) -> None:
+    np.testing.assert_array_equal(poses_of(estimator, 1), poses_of(estimator, 2))
 
 
 class TestPaperFastSlam(EstimatorConformance):

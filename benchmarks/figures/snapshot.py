@@ -9,7 +9,7 @@ import numpy as np
 
 from cellslam.sim.errors import InputError
 from cellslam.sim.lte import detector_model as k
-from cellslam.sim.lte.receiver import AZIMUTHS, DELAY_PITCH_M, ELEVATIONS
+from cellslam.sim.lte.receiver import AZIMUTHS, ELEVATIONS
 from cellslam.sim.lte.spectrum import Spectrum
 from cellslam.sim.lte.streaming import snapshot_paths, snapshot_rng
 from cellslam.sim.recording import Floats
@@ -79,7 +79,7 @@ def _panel(axis: Any, spectrum: Spectrum, true: Floats, found: Floats, clock_m: 
             found[mask, k.DISTANCE] - clock_m, np.degrees(found[mask, k.AZIMUTH]), mark, ms=8, mew=1.6,
             mfc="none", mec=colour, label=label,
         )  # fmt: skip
-    axis.set_xlim(max(lengths.min() - MARGIN_M, length[0]), min(lengths.max() + MARGIN_M, length[-1] + DELAY_PITCH_M))
+    axis.set_xlim(max(lengths.min() - MARGIN_M, length[0]), min(lengths.max() + MARGIN_M, length[-1]))
     axis.set_ylim(-180.0, 180.0)
     axis.set_yticks([-180, -90, 0, 90, 180])
     axis.set_xlabel("path length, m")

@@ -115,6 +115,7 @@ def _over_time(figure: Figure, data: SweepData, column: str, label: str, of: Cal
 
 def _nees(figure: Figure, data: SweepData) -> bool:
     """Draw the mean over trials of the NEES, and where it should be: chi-square with 2 N degrees of freedom over N."""
+    from matplotlib.ticker import LogFormatter
     from scipy.stats import chi2
 
     curves = {id(one): data.over_time(one, "nees") for panel in data.panels[:MOST_PANELS] for one in panel.series}
@@ -135,6 +136,8 @@ def _nees(figure: Figure, data: SweepData) -> bool:
         axes.axhspan(low, high, color=GREY, alpha=0.35, linewidth=0, label=f"{100 * CHI2_SHARE:g} % if consistent")
         axes.axhline(2.0, color=BLACK, linewidth=0.8, linestyle=":")
         axes.set_yscale("log")
+        axes.yaxis.set_major_formatter("{x:g}")
+        axes.yaxis.set_minor_formatter(LogFormatter(minor_thresholds=(2, 0.5)))
         axes.set_xlabel("time (s)")
     figure.axes[0].set_ylabel("NEES of the horizontal position,\nmean over trials")
     return True

@@ -57,7 +57,7 @@ def load(folder: Path) -> Recording:
                 "bias": (0.0, 0.0, 0.0, 0.005, 0.0, 0.0),
                 "scale": (0.03, 0.0, 0.0, 0.0, 0.0, 0.0),
             },
-            start_std=(0.3, 0.3, 0.0, np.radians(2.0), 0.0, 0.0),
+            start_std=(0.2, 0.2, 0.0, np.radians(0.7), 0.0, 0.0),
             reference=ReferenceTable(fixes_s[kept], fixes[kept]),
             plane=True,
             about={"campaign": "Victoria Park"},

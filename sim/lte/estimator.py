@@ -26,7 +26,7 @@ JOINT_EVERY = 4
 _COARSE_GAIN = 0.2  # noise variances; the last fit is finer
 # A saturated port's residual exceeds the others' by this, and is this share of its power; calibration errors leave 1 %.
 _SATURATED_EXCESS, _SATURATED_SHARE = 6.0, 0.25
-_FARTHEST = np.array([3.0 * DELAY_PITCH_M, np.radians(20.0)])  # that a fit may end from its cell
+_FARTHEST = np.array([3.0 * DELAY_PITCH_M, np.radians(20.0)])  # that a fit may end from its cell; distances: 100 RB
 _TOUCHING_M = 40.0  # within which dropping one path may save another
 _UNEVEN = 0.4  # nepers of power from which the disturbance of some port differs by more than scatter
 _CELL = np.array([12.0, np.radians(18.0), np.radians(18.0)])  # within which paths may stand for each other
@@ -57,8 +57,12 @@ def estimate_paths(y: Complex, motion: Motion, start: Floats | None = None) -> E
     """Return the paths in a link's samples (ports, tones); `start` (n, 3): geometry to begin with (tracking).
 
     Ports that deliver nothing, or nothing finite, are left out; so are saturated ones, whose samples the paths of the
-    other ports do not explain. Raises InputError where no port delivers anything.
+    other ports do not explain. Raises InputError where no port delivers anything, and for samples of
+    another shape.
     """
+    expected = (motion.receiver.array.ports, len(motion.receiver.rate))
+    if y.shape != expected:
+        raise InputError(f"samples of shape {y.shape}: {expected} (array ports, tones) are expected")
     working: NDArray[np.bool_] = np.logical_and(np.isfinite(y).all(axis=1), y.any(axis=1))
     if not working.any():
         raise InputError("no array port delivered samples: all are zero or not finite")
@@ -137,7 +141,7 @@ class _Link:
         """Drop each path that a close stronger one can stand for: a fit without it explains as much."""
         tried = 0
         while self.fit is not None and tried < len(self.geometry):
-            near = _beside_stronger(self.fit)
+            near = _beside_stronger(self.fit, self.receiver)
             order = [i for i in np.argsort(self.fit.normal.wald) if near[i]]
             if tried >= len(order):
                 return
@@ -180,7 +184,7 @@ class _Link:
             threshold = self.receiver.threshold
             fit = refine(self.residual, self.motion, start[None, :], level, _COARSE_GAIN, 0.85 * threshold)
             away = np.abs(fit.geometry[0] - start)[[0, 2]]
-            if fit.normal.explained < threshold * level or (away > _FARTHEST).any():
+            if fit.normal.explained < threshold * level or (away > _FARTHEST * self.receiver.coarser[[0, 2]]).any():
                 failures += 1
                 continue
             self.spectrum.subtract(fit)
@@ -211,12 +215,12 @@ class _Link:
         return Estimates(self.geometry[order], spread[order], snr_db[order], (energy / self.level)[order])
 
 
-def _beside_stronger(fit: Fit) -> NDArray[np.bool_]:
+def _beside_stronger(fit: Fit, receiver: Receiver) -> NDArray[np.bool_]:
     """Return which paths (n,) have a stronger one within a resolution cell."""
     apart = fit.geometry[:, None] - fit.geometry[None]
     apart[..., 1] = wrap_angle(apart[..., 1])
     weaker = fit.normal.wald[:, None] < fit.normal.wald[None, :]
-    return np.asarray(((np.abs(apart) < _CELL).all(axis=-1) & weaker).any(axis=1), np.bool_)
+    return np.asarray(((np.abs(apart) < _CELL * receiver.coarser).all(axis=-1) & weaker).any(axis=1), np.bool_)
 
 
 def _kept(fit: Fit, level: Floats, asked: Floats, receiver: Receiver) -> NDArray[np.bool_]:
@@ -226,7 +230,7 @@ def _kept(fit: Fit, level: Floats, asked: Floats, receiver: Receiver) -> NDArray
     energy, distance = fit.normal.wald, fit.geometry[:, 0]
     statistic = energy / asked
     variance = np.einsum("nii->ni", covariance(fit, level))
-    unreliable = ~((variance > 0.0) & (variance < _LEAST_RELIABLE**2)).all(axis=1)
+    unreliable = ~((variance > 0.0) & (variance < (_LEAST_RELIABLE * receiver.coarser) ** 2)).all(axis=1)
     near = np.abs(distance[:, None] - distance[None, :]) < GHOST_REACH_M
     suspect = (near & (energy[:, None] < _SUSPECT_SHARE * energy[None, :])).any(axis=1)
     threshold = receiver.threshold * np.where(suspect, _SUSPECT_MARGIN, 1.0)
@@ -237,6 +241,6 @@ def _kept(fit: Fit, level: Floats, asked: Floats, receiver: Receiver) -> NDArray
     bad |= (near & (energy[:, None] < rule * energy[None, :])).any(axis=1)
     kept = np.ones(len(distance), np.bool_)
     for i in np.argsort(statistic):
-        if bad[i] and (np.abs(distance[~kept] - distance[i]) > _TOUCHING_M).all():
+        if bad[i] and (np.abs(distance[~kept] - distance[i]) > _TOUCHING_M * receiver.coarser[0]).all():
             kept[i] = False
     return kept

@@ -17,7 +17,7 @@ from cellslam.sim.lte.steering_kernel import steer_circular
 ComplexSingle = NDArray[np.complex64]
 AZIMUTHS, ELEVATIONS = 28, 7
 LOWEST_RAD, HIGHEST_RAD = np.radians(-15.0), np.radians(60.0)
-DELAY_PITCH_M = 7.5
+DELAY_PITCH_M, WIDEST_BLOCKS = 7.5, 100  # pitch of the searched distances at 100 resource blocks
 
 
 @dataclass(frozen=True)
@@ -43,9 +43,19 @@ class Receiver:
         return np.asarray(2.0 * np.pi * (frequency - frequency.mean()) / SPEED_OF_LIGHT_MPS, np.float64)
 
     @cached_property
+    def coarser(self) -> Floats:
+        """Resolution in distance, azimuth and elevation (3,) as a multiple of that at 100 resource blocks."""
+        return np.array([WIDEST_BLOCKS / self.resource_blocks, 1.0, 1.0])
+
+    @cached_property
+    def pitch_m(self) -> float:
+        """Step of the searched distances: somewhat less than half the resolution."""
+        return float(DELAY_PITCH_M * self.coarser[0])
+
+    @cached_property
     def delays_m(self) -> Floats:
         """Searched distances (D,)."""
-        return np.arange(self.window_min_m, self.window_max_m + DELAY_PITCH_M, DELAY_PITCH_M)
+        return np.arange(self.window_min_m, self.window_max_m + self.pitch_m, self.pitch_m)
 
     @cached_property
     def delay_matrix(self) -> ComplexSingle:

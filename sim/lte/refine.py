@@ -48,7 +48,7 @@ def refine(
     if motion.model is not None:
         climbed = climb(
             y, np.ascontiguousarray(geometry, np.float64), least_gain * noise_variance, _ITERATIONS,
-            promising * noise_variance, _LONGEST_STEP, float(_STEEPEST_RAD), motion.model,
+            promising * noise_variance, _LONGEST_STEP * motion.receiver.coarser, float(_STEEPEST_RAD), motion.model,
         )  # fmt: skip
         return Fit(*climbed)
     return refine_any(y, motion, geometry, noise_variance, least_gain, promising)
@@ -65,7 +65,7 @@ def refine_any(
         hopeless = iteration == 0 and fit.normal.explained + gain < promising * noise_variance
         if gain < least_gain * noise_variance or hopeless:
             break
-        trial = evaluate(y, motion, _moved(fit.geometry, step))
+        trial = evaluate(y, motion, _moved(fit.geometry, step, motion.receiver.coarser))
         if trial.normal.explained > fit.normal.explained:
             fit, damping = trial, 0.1 * damping
         else:
@@ -105,9 +105,9 @@ def _step(normal: Normal, damping: float) -> tuple[Floats, float]:
     return step.reshape(-1, 3), float(step @ normal.gradient)
 
 
-def _moved(geometry: Floats, step: Floats) -> Floats:
+def _moved(geometry: Floats, step: Floats, coarser: Floats) -> Floats:
     """Return the geometry after a step, no component moving further than its limit."""
-    moved = geometry + np.clip(step, -_LONGEST_STEP, _LONGEST_STEP)
+    moved = geometry + np.clip(step, -_LONGEST_STEP * coarser, _LONGEST_STEP * coarser)
     moved[:, 1] = wrap_angle(moved[:, 1])
     moved[:, 2] = np.clip(moved[:, 2], -_STEEPEST_RAD, _STEEPEST_RAD)
     return np.asarray(moved, np.float64)

@@ -10,7 +10,7 @@ from cellslam.sim.frames import wrap_angle
 from cellslam.sim.lte import search_kernel
 from cellslam.sim.lte.array import Complex, Floats
 from cellslam.sim.lte.detector_model import DIFFUSE_SHARE
-from cellslam.sim.lte.receiver import AZIMUTHS, DELAY_PITCH_M, ELEVATIONS, HIGHEST_RAD, LOWEST_RAD, Motion
+from cellslam.sim.lte.receiver import AZIMUTHS, ELEVATIONS, HIGHEST_RAD, LOWEST_RAD, Motion
 from cellslam.sim.lte.refine import Fit, factors
 
 # Where diffuse energy of a path is expected: from so far behind it, to so far, and so many beams to its sides.
@@ -104,7 +104,7 @@ class Spectrum:
                 np.maximum(part, DIFFUSE_SHARE * energy, out=part)
 
     def _bin(self, distance: float) -> int:
-        return round((distance - self.receiver.window_min_m) / DELAY_PITCH_M)
+        return round((distance - self.receiver.window_min_m) / self.receiver.pitch_m)
 
     def _look(self) -> None:
         search_kernel.look(self.beams, self.ports, self.working, self.energy, self.port_energy, self.profile)

@@ -22,7 +22,7 @@ from cellslam.sim.recording import Floats
 
 BLOCK = 50
 # Part of the name of kept blocks: grows when the same trial would be measured otherwise.
-REVISION = 3
+REVISION = 4
 
 
 def detect_signals(

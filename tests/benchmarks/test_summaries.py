@@ -132,6 +132,8 @@ def test_formats(folder: Path, capfd: pytest.CaptureFixture[str]) -> None:
         assert (float(a["value"]), float(a["low"])) == (b["value"], b["low"])
     latex = shown(capfd, folder, "--rows", "estimator.fastslam.particles", "--format", "latex")
     assert r"estimator.fastslam.particles & position\_rmse\_m" in latex
+    assert "pooled over all values of: radio.load, estimator" in latex
+    assert markdown[-1] == "pooled over all values of: estimator.fastslam.particles"
     compared = shown(capfd, folder, "--compare", "fastslam,dead-reckoning", "--format", "md")
     assert "| -5.10 | -5.10 to -5.10 |" in compared and "Wilcoxon" in compared
 

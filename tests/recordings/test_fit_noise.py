@@ -91,11 +91,47 @@ def test_what_was_put_in_is_found(world: Recording) -> None:
     assert found.odometry["u_psi"][1] == pytest.approx(TURN_BIAS, rel=0.3)
 
 
-def test_the_lines_can_be_pasted(world: Recording) -> None:
-    table = tomllib.loads(lines(Path("a.h5"), world, fit(world)))
-    for request in resolve(table["estimator"], ["fastslam", "ekf-slam"], ()):
+def test_the_lines_can_be_pasted(world: Recording, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    text = lines(Path("a.h5"), world, fit(world))
+    for request in resolve(tomllib.loads(text)["estimator"], ["fastslam", "ekf-slam"], ()):
         assert request.options.detection_probability == pytest.approx(DETECTED, abs=0.06)
-    assert set(table["noise"]) == {"u_x", "u_psi"}
+    sheet = tomllib.loads("\n".join(line[2:] for line in text.splitlines() if line.startswith(("# [", "# n", "# b"))))
+    assert set(sheet["noise"]) == {"u_x", "u_psi"} and sheet["noise"]["u_psi"]["bias"] > 0
+    world.save(tmp_path / "a.h5")
+    (tmp_path / "fitted.toml").write_text(text)
+    words = ["--quiet", "replay", str(tmp_path / "a.h5"), "--estimator", "dead-reckoning", "--json", "--no-figures"]
+    words += ["--out", str(tmp_path / "out"), "--options", str(tmp_path / "fitted.toml")]
+    assert cli.main(words) == 0
+    (tmp_path / "fitted.toml").write_text(text.replace("gate", "gait") + "[city]\nseed = 1\n")
+    capsys.readouterr()
+    assert cli.main([*words[:-3], str(tmp_path / "o"), *words[-2:]]) == 2
+    assert "fitted.toml: has 'city'" in capsys.readouterr().err
+
+
+def test_errors_that_persist_are_told_from_white_ones(world: Recording) -> None:
+    """What was put in is white; then the same errors of place are added to all of a track, over 3 m of the way."""
+    assert fit(world).persisting.place["m"] < 0.5 * STD_M
+    way = np.concatenate([[0.0], np.cumsum(np.diff(world.time_s) * np.abs(world.odometry[1:, 0]))])
+    rng = np.random.default_rng(2)
+    knots = np.arange(0.0, way[-1] + 40.0, 1.0)
+    smooth = np.exp(-0.5 * ((knots[:, None] - knots) / (3.0 / np.sqrt(2.0))) ** 2)
+    m = world.measurements
+    # Paths are told apart by where they lie, to the left or right, near or far: 40 functions of the way.
+    place = rng.standard_normal((40, len(knots))) @ (smooth / np.sqrt((smooth**2).sum(axis=1, keepdims=True))).T
+    kind = source_of(world) % 40
+    extra = place[kind, np.minimum(way[m.snapshot].astype(int), len(knots) - 1)]
+    found = fit(
+        dataclasses.replace(world, measurements=dataclasses.replace(m, distance_m=m.distance_m + 0.5 * extra))
+    ).persisting
+    assert np.hypot(found.place["m"], found.direction["m"]) == pytest.approx(0.5, rel=0.4)
+    assert found.scale_m > 1.0
+
+
+def source_of(world: Recording) -> np.ndarray:
+    """Return a number for each row that a source keeps: where dead reckoning sees it, roughly."""
+    from cellslam.benchmarks.recordings.fit_tracks import tracks_of
+
+    return np.maximum(tracks_of(world).track, 0)
 
 
 def test_simulated_cellular_noise_at_unit_snr(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

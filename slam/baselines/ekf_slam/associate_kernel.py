@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 
+import numpy as np
 from numba import njit
 
 from cellslam.slam.baselines.ekf_slam.layout import (
@@ -138,7 +139,7 @@ def _jointly(g, x, p, core, anchor, chosen, rows, offset, z, q, start, stop, sco
     columns = stop - start
     if columns > JOINT_MEASUREMENTS:
         return False
-    used = 0
+    used = np.int64(0)  # a literal would have `_blocks` and `_branch` compiled twice
     for r in range(rows):
         fits = False
         for c in range(columns):
@@ -165,7 +166,7 @@ def _blocks(g, x, p, core, anchor, chosen, used, offset, z, start, columns, t, b
     for b in range(used):
         v = core + 3 * chosen[b]
         predict(g, x, anchor[chosen[b]], v)
-        gains(g, p, size, offset, v, True, t[b])
+        gains(g, p, size, offset, v, np.bool_(True), t[b])
         for c in range(columns):
             for i in range(3):
                 value = z[start + c, i]
@@ -226,10 +227,10 @@ def _branch(score, used, columns, z, q, start, blocks, e, root, gates, pairs, tr
 
     pairs (m, 2), tried (m + 1,): scratch. tried[c]: next row for measurement c, `used` for none, beyond: exhausted.
     """
-    best, best_distance = -1, math.inf
+    best, best_distance = np.int64(-1), math.inf
     for c in range(columns):
         row_of[c] = -1
-    column, count = 0, 0
+    column, count = 0, np.int64(0)  # a literal would have `_joint_distance` compiled twice
     tried[0] = 0
     while column >= 0:
         if column == columns:

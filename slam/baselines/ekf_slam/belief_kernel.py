@@ -10,7 +10,8 @@ from __future__ import annotations
 
 import math
 
-from numba import njit, prange
+import numpy as np
+from numba import njit
 
 from cellslam.slam.baselines.ekf_slam.layout import (
     BACK,
@@ -249,7 +250,7 @@ def _believe(now, x, p, core, first_offset, anchor, slots, count, links, first, 
                 )  # fmt: skip
                 if anchor[count - 1, EXISTS] > SURE:  # there was room for it
                     anchor[count - 1, EXISTS] = exists
-    j = 0
+    j = np.int64(0)  # a literal would have `remove` compiled twice
     while j < count:
         if anchor[j, EXISTS] < cfg[DROP] and slots[j, HITS] < cfg[CONFIRM]:
             count = remove(x, p, core, anchor, slots, count, j)
@@ -258,11 +259,11 @@ def _believe(now, x, p, core, first_offset, anchor, slots, count, links, first, 
     return total, count, losses
 
 
-@njit(cache=True, parallel=True)
+@njit(cache=True)
 def believe_snapshot(now, x, p, core, first_offset, anchor, slots, count, links, first, site_of, readings, born, cfg,
                      log_weight, association, lost, losses, scratch):  # fmt: skip
     """Use one snapshot in the filters x (K, N), p (K, N, N): arguments as in `filter_kernel.use_snapshot`."""
-    for f in prange(len(x)):
+    for f in range(len(x)):
         own = (
             scratch[0][f], scratch[1][f], scratch[2][f], scratch[3][f], scratch[4][f], scratch[5][f], scratch[6][f],
             scratch[7][f], scratch[8][f], scratch[9][f], scratch[10][f],

@@ -1,13 +1,13 @@
 """Compiled: one snapshot for every filter of a bank: associate link by link, update, give birth, drop; likelihoods.
 
-Filters do not read one another: the result does not depend on the number of threads.
+One thread: filters are many only during the start, and parallel code takes longer to compile than it saves.
 """
 
 from __future__ import annotations
 
 import math
 
-from numba import njit, prange
+from numba import njit
 
 from cellslam.slam.baselines.ekf_slam.associate_kernel import associate, best_rival
 from cellslam.slam.baselines.ekf_slam.layout import (
@@ -89,7 +89,7 @@ def _snapshot(mode, now, x, p, core, first_offset, anchor, slots, count, links, 
     return total, count, losses
 
 
-@njit(cache=True, parallel=True)
+@njit(cache=True)
 def use_snapshot(mode, now, x, p, core, first_offset, anchor, slots, count, links, first, site_of, readings, given,
                  born, tables, cfg, forbidden, log_weight, association, lost, losses, scratch, joint):  # fmt: skip
     """Use one snapshot in the filters x (K, N), p (K, N, N), anchor (K, V, 4), slots (K, V, 4), count (K,).
@@ -100,7 +100,7 @@ def use_snapshot(mode, now, x, p, core, first_offset, anchor, slots, count, link
     log_weight (K,) is added to, association (K, M) written; confirmed VTs given up go to lost (K, E, 14), losses (K,).
     The rest is scratch.
     """
-    for f in prange(len(x)):
+    for f in range(len(x)):
         g, t, score, chosen, ints, work_f, work_i, small, es = scratch
         own = (
             g[f], t[f], score[f], chosen[f], ints[f], work_f[f], work_i[f], small[f], es[f],
@@ -115,14 +115,14 @@ def use_snapshot(mode, now, x, p, core, first_offset, anchor, slots, count, link
         losses[f] = new_losses
 
 
-@njit(cache=True, parallel=True)
+@njit(cache=True)
 def find_rivals(now, x, p, core, first_offset, anchor, slots, count, first, site_of, readings, tables, cfg, nothing,
                 rivals, scratch, joint):  # fmt: skip
     """Write the loss (nats) of each filter's best rival association, its measurement, and the VT it does without.
 
     rivals (K, 3): loss (cfg[RIVAL]: none is better), measurement, identity; nothing (2,): -1. Scratch is changed too.
     """
-    for f in prange(len(x)):
+    for f in range(len(x)):
         z, q, _, gap, _, _ = readings
         g, _, score, chosen, ints, work_f, work_i, small, es = scratch
         row_of, gated, second, best = ints[f, 0], ints[f, 1], ints[f, 2], es[f, 3]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 
+import numpy as np
 from numba import njit
 
 from cellslam.slam.baselines.ekf_slam.layout import AGE_ONCE, AGE_TWICE, CONFIRM, EXISTS, HITS, IDENT, LAST, LINK, SLOT
@@ -103,7 +104,7 @@ def map_into(x, p, core, anchor, slots, count, hits, out):
 @njit(cache=True)
 def tidy(now, x, p, core, anchor, slots, count, cfg):
     """Drop VTs that were seen once or twice and not again; return the number left."""
-    j = 0
+    j = np.int64(0)  # a literal would have `remove` compiled twice
     while j < count:
         age, hits = now - slots[j, LAST], slots[j, HITS]
         if hits < cfg[CONFIRM] and age > (cfg[AGE_ONCE] if hits < 2 else cfg[AGE_TWICE]):

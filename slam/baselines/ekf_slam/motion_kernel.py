@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 
-from numba import njit, prange
+from numba import njit
 
 
 @njit(cache=True)
@@ -86,7 +86,7 @@ def _move(x, p, size, odometry, dt, noise, walk, bias_of, scale_of, core, rot, s
             p[bias_of[c], bias_of[c]] += walk[c] * walk[c] * dt
 
 
-@njit(cache=True, parallel=True)
+@njit(cache=True)
 def move(x, p, count, odometry, dt, noise, walk, bias_of, scale_of, core, geometry, step, rows):
     """Advance filters x (K, N), p (K, N, N) by `dt` > 0 with mean body velocities odometry (6,).
 
@@ -94,7 +94,7 @@ def move(x, p, count, odometry, dt, noise, walk, bias_of, scale_of, core, geomet
     core: number of states before the VTs; count (K,): VTs. geometry (K, 36), step (K, 6, core + 6), rows
     (K, 6, 3 + N): scratch.
     """
-    for f in prange(len(x)):
+    for f in range(len(x)):
         size = core + 3 * count[f]
         _move(
             x[f], p[f], size, odometry, dt, noise, walk, bias_of, scale_of, core, geometry[f], step[f], rows[f],
