@@ -1,4 +1,4 @@
-"""`cellslam bench front-end`, `calibrate`, `snapshot`: fits recover what was drawn, twins agree, bad requests.
+"""`cellslam bench front-end`, `calibrate`, `snapshot`: fits recover what was drawn, twins agree, bad requests."""
 
 from __future__ import annotations
 
