@@ -143,6 +143,36 @@ def test_search_kernels_are_their_numpy_twins() -> None:
     np.testing.assert_allclose(_surroundings(spectrum.energy, 7 * a + e, 7, low, high), 0.5 * np.mean(rows), rtol=1e-5)
 
 
+def test_search_for_the_strongest_cell_is_its_numpy_twin() -> None:
+    rng = np.random.default_rng(13)
+    paths = draw(rng, np.array([5.0, -10.0, -15.0, -20.0]))
+    spectrum = Spectrum(channel(paths) + noise(rng), AT_REST)
+    cells = spectrum.energy.reshape(28, 7, -1).astype(float)
+    bins = cells.shape[2]
+
+    def mean(a: int, e: int, low: int, high: int) -> float:
+        low, high = max(low, 0), min(high, bins)
+        near = [cells[(a + i) % 28, min(max(e + j, 0), 6), low:high] for i in (-1, 0, 1) for j in (-1, 0, 1)]
+        return 0.5 * float(np.mean(near)) if high > low else 0.0
+
+    best = (0.0, (-1, -1))
+    for (a, e, d), peak in np.ndenumerate(cells):
+        quiet = spectrum.profile[d]
+        if peak < 10.0 * quiet or peak <= best[0]:
+            continue
+        before = min(mean(a, e, d - 5, d - 2), mean(a, e, d - 8, d - 5))
+        behind = min(mean(a, e, d + 3, d + 6), mean(a, e, d + 6, d + 9))
+        along = max(before, behind) - 0.01 * peak
+        along = min(along, 4.0 * max(min(before, behind) - 0.01 * peak, quiet))
+        around = max(spectrum.port_energy[d] - peak, 0.0) / 126.0
+        level = max(quiet, along if along > 1.7 * quiet else 0.0, around if around > 1.15 * quiet else 0.0)
+        if peak >= 10.0 * level:
+            best = (peak, (7 * a + e, d))
+    found = spectrum.strongest(10.0, [])
+    assert found is not None
+    assert found[1] == best[1]
+
+
 def test_taking_a_path_out_of_the_spectrum_is_transforming_the_residual() -> None:
     rng = np.random.default_rng(6)
     paths = draw(rng, np.array([10.0, -5.0]))

@@ -10,7 +10,7 @@ import pytest
 from numpy.typing import NDArray
 
 from cellslam.sim.errors import InputError
-from cellslam.sim.lte import RadioConfig, streaming
+from cellslam.sim.lte import RadioConfig, streaming, symbol_kernel
 from cellslam.sim.lte.diffuse import SCATTERERS, Surroundings
 from cellslam.sim.lte.links import Cells, cells_of
 from cellslam.sim.lte.persisting import draw_fields
@@ -65,6 +65,24 @@ def test_scatterers_carry_the_diffuse_power_and_stand_still() -> None:
     assert abs(np.mean(power) / 10.0**-0.6 - 1.0) < 0.06
     near = Surroundings(3, 6.0).add(paths, 2, poses[0, :3] + [0.5, 0.3, 0.0])
     np.testing.assert_array_equal(near.vt_m, Surroundings(3, 6.0).add(paths, 2, poses[0, :3]).vt_m)
+
+
+def test_symbol_kernels_are_their_numpy_twins() -> None:
+    rng = np.random.default_rng(5)
+    normal = rng.standard_normal((4, 7, 2), np.float32)
+    response, sent = (rng.standard_normal((4, 7)) + 1j * rng.standard_normal((4, 7)) for _ in range(2))
+    words = rng.integers(0, 65536, (4, 7), np.uint16)
+    total, error = np.zeros((4, 7), np.complex128), normal[..., 0] + 1j * normal[..., 1]
+    symbol_kernel.add_noise(total, normal, 0.3)
+    expected = 0.3 * error
+    np.testing.assert_allclose(total, expected, rtol=1e-6)
+    symbol_kernel.add_pilots(total, response, sent, normal, 0.1)
+    expected = expected + response * sent * (1.0 + 0.1 * error)
+    np.testing.assert_allclose(total, expected, rtol=1e-6)
+    symbol_kernel.add_data(total, response, words, 0.4, 2.0)
+    symbol = np.where(words & 1, 1.0, -1.0) + 1j * np.where(words & 2, 1.0, -1.0)
+    expected = expected + np.where(words >> 2 < 0.4 * 16384, response * symbol * np.sqrt(2.0), 0.0)
+    np.testing.assert_allclose(total, expected, rtol=1e-6)
 
 
 def test_paths_are_measured_as_claimed() -> None:
