@@ -15,7 +15,6 @@ LONG_LAGS = (1, 2, 3, 4, 6, 8, 12, 16, 24, 32, 48, 64)
 LEAST_SNAPSHOTS = 30
 # How far the vehicle may have come, in shares of the range, for a prediction to be one.
 FAR_KNOWN, FAR_UNKNOWN = 0.3, 0.03
-DIRECTION_DEG = (15.0, 3.0, 3.0)  # over which the errors of direction change, as slam.front_end takes them
 
 
 @dataclass(frozen=True)
@@ -72,13 +71,17 @@ def _components(
     """Return the misfit of a scale of the place, and the deviations of place and direction that fit best with it."""
     from scipy.optimize import nnls
 
+    from cellslam.slam.front_end import FrontEndOptions
+
+    taken = FrontEndOptions()
+    scales_deg = (taken.direction_distance_scale_deg, taken.direction_scale_deg, taken.direction_scale_deg)
     misfit, place, direction = 0.0, {}, {}
     for i, name in enumerate(QUANTITIES):
         key = NAMES[name]
         variance = np.array([in_unit(name, _spread(part.left[:, i])) ** 2 for part in parts])
         if key not in white or not (variance > 0.0).all():
             continue
-        columns = [-np.expm1(-0.5 * (way / scale_m) ** 2), -np.expm1(-0.5 * (change_deg / DIRECTION_DEG[i]) ** 2)]
+        columns = [-np.expm1(-0.5 * (way / scale_m) ** 2), -np.expm1(-0.5 * (change_deg / scales_deg[i]) ** 2)]
         target = np.maximum(variance - white[key] ** 2, 0.0) / variance
         share, rest = nnls(np.column_stack(columns) / variance[:, None], target)
         misfit += rest**2
@@ -93,8 +96,10 @@ def _spread(differences: Floats) -> float:
 
 
 def reach(r: Recording, tracks: Tracks) -> tuple[float, bool]:
-    """Return the median range of what is tracked, and whether the clocks are known, so that it is one."""
+    """Return the median distance of what is tracked, and whether it is a range: measured, the clocks known."""
     rows = np.flatnonzero(tracks.track >= 0)
     offset = r.sites.clock_offset_mean_m[r.links.site[r.measurements.link[rows]]]
-    known = bool(offset_known(r, rows).all())
-    return max(float(np.nanmedian(r.measurements.distance_m[rows] - offset)), 1.0), known
+    distance = r.measurements.distance_m[rows] - offset
+    if np.isnan(distance).all():
+        return 1.0, False
+    return max(float(np.nanmedian(distance)), 1.0), bool(offset_known(r, rows).all())

@@ -1,14 +1,19 @@
 from __future__ import annotations
 
+import dataclasses
 import importlib.util
 import os
 import sys
+from collections.abc import Callable
 from pathlib import Path
 from types import ModuleType
 
+import numpy as np
 import pytest
 
-DURATION_S = float(os.environ.get("CELLSLAM_VEHICLE_S", "400"))
+from cellslam.sim.recording import Recording
+
+DURATION_S = float(os.environ.get("CELLSLAM_VEHICLE_S", "240"))
 
 
 @pytest.fixture(scope="session")
@@ -35,3 +40,16 @@ def vehicle_files(vehicle_world: ModuleType, vehicle_drive: object, tmp_path_fac
     folder = tmp_path_factory.mktemp("victoria")
     vehicle_world.write(folder, vehicle_drive, 2)
     return folder
+
+
+def stripped(recording: Recording, *columns: str) -> Recording:
+    """Return a recording in which the named columns of the measurements were never measured."""
+    nothing = np.full(len(recording.measurements), np.nan)
+    measurements = dataclasses.replace(recording.measurements, **dict.fromkeys(columns, nothing))
+    return dataclasses.replace(recording, measurements=measurements)
+
+
+@pytest.fixture(scope="session")
+def strip() -> Callable[..., Recording]:
+    """The function `stripped`."""
+    return stripped

@@ -98,7 +98,7 @@ def test_trees_of_the_vehicle_data_are_where_they_stand(park: Recording, vehicle
         if len(seen) < 4000
         else nearest(seen, trees)
     )
-    assert np.quantile(error, 0.99) < 0.25 and 7.0 < len(m) / len(park.time_s) < 10.0
+    assert np.quantile(error, 0.99) < 0.25 and 7.0 < len(m) / len(park.time_s) < 11.0
     assert park.plane and np.isnan(m.elevation_rad).all() and np.isnan(m.snr_db).all()
     assert np.isnan(park.odometry[:, [2, 4, 5]]).all() and park.reference is not None
     assert park.start_pose[:2] == pytest.approx(truth_at(park, vehicle_drive)[0, :2], abs=0.8)
@@ -123,7 +123,7 @@ def rmse(recording: Recording, name: str, **options: object) -> tuple[float, flo
 def test_filters_beat_dead_reckoning_tenfold_among_500_trees(park: Recording) -> None:
     """CELLSLAM_VEHICLE_S=3600 makes it the drive of an hour."""
     reckoned, _ = rmse(park, "dead-reckoning")
-    slam, speed = rmse(park, "fastslam", particles=100, vts_per_link=1000, **FITTED)
+    slam, speed = rmse(park, "fastslam", particles=100, **FITTED)
     assert slam < reckoned / 10.0, (slam, reckoned)
     assert speed > 10.0, speed
 

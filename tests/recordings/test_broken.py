@@ -4,6 +4,7 @@ half-written.
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable
 from pathlib import Path
 
@@ -262,8 +263,13 @@ def test_ten_million_rows_are_read(tmp_path: Path) -> None:
     assert len(import_folder(folder).measurements) == rows
 
 
+# A hundred of each kind here; CELLSLAM_FUZZ=5000 tries so many.
+EXAMPLES = int(os.environ.get("CELLSLAM_FUZZ", "100"))
 QUIET = settings(
-    max_examples=60, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture], derandomize=True
+    max_examples=EXAMPLES,
+    deadline=None,
+    suppress_health_check=[HealthCheck.function_scoped_fixture],
+    derandomize="CELLSLAM_FUZZ" not in os.environ,
 )
 
 

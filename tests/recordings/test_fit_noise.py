@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import tomllib
+from collections.abc import Callable
 from importlib.resources import files
 from pathlib import Path
 
@@ -153,3 +154,15 @@ def test_too_little_to_tell(world: Recording) -> None:
     thin = dataclasses.replace(m, **{n: None if c is None else c[keep] for n, c in columns.items()})
     with pytest.raises(InputError, match=r"tracks of three detections"):
         fit(dataclasses.replace(world, measurements=thin))
+
+
+@pytest.mark.parametrize("columns", [("distance_m",), ("azimuth_rad",)])
+def test_delays_or_angles_alone_give_white_errors(
+    columns: tuple[str, ...], world: Recording, strip: Callable[..., Recording]
+) -> None:
+    found = fit(strip(world, *columns))
+    assert found.odometry == {} and found.persisting.place == {} and 0.3 < found.detection_probability < 0.99
+    if columns == ("distance_m",):
+        assert found.floor == {"azimuth_deg": pytest.approx(np.degrees(STD_RAD), rel=0.5)} and found.range_m is None
+    else:
+        assert found.floor == {"m": pytest.approx(STD_M, rel=0.5)}

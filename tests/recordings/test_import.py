@@ -96,6 +96,27 @@ def test_units_signs_zeros_clocks_by_hand(campaign: Path) -> None:
     assert r.odometry_model.noise_density.tolist() == [0.1, 0, 0, 0.01, 0, 0]
 
 
+def test_a_reference_is_moved_from_its_antenna_to_the_array(campaign: Path) -> None:
+    """The array 2 m before and 1 m left of the GNSS antenna, which looks east, then north."""
+    (campaign / "total.csv").write_text("t,e,n,yaw\n10,5,6,0\n12,7,8,90\n")
+    (campaign / "recording.toml").write_text(
+        MANIFEST
+        + """
+[reference]
+file = "total.csv"
+lever_arm_m = [2.0, 1.0, 0.0]
+[reference.columns]
+time_s = {column = "t", unit = "s"}
+x_m = {column = "e", unit = "m"}
+y_m = {column = "n", unit = "m"}
+yaw_rad = {column = "yaw", unit = "deg"}
+"""
+    )
+    reference = import_folder(campaign).reference
+    assert reference is not None
+    assert reference.position_m[:, :2] == pytest.approx(np.array([[7.0, 7.0], [6.0, 10.0]]))
+
+
 def test_delays_in_samples(campaign: Path) -> None:
     (campaign / "recording.toml").write_text(
         MANIFEST.replace('column = "tau", unit = "ns"', 'column = "tau", unit = "samples"')
@@ -313,31 +334,3 @@ def test_pyproj_is_asked_for_where_it_is_missing(campaign: Path, monkeypatch: py
     monkeypatch.setitem(sys.modules, "pyproj", None)
     with pytest.raises(InputError, match=r"pip install 'cellslam\[gnss\]'"):
         import_folder(campaign)
-
-
-def fenced(kind: str) -> str:
-    text = (Path(__file__).parents[2] / "docs" / "recordings.md").read_text()
-    return text.split(f"```{kind}\n", 1)[1].split("```", 1)[0]
-
-
-def test_the_manifest_of_the_documentation(tmp_path: Path) -> None:
-    pytest.importorskip("pyproj", reason="extra gnss")
-    (tmp_path / "recording.toml").write_text(fenced("toml"))
-    (tmp_path / "paths.csv").write_text(
-        "t,delay,doa,tx\n" + "".join(f"{100 * i},{100 + i},80,tx1\n" for i in range(300))
-    )
-    (tmp_path / "wheels.csv").write_text("t,speed,gyro\n" + "".join(f"{0.05 * i},7.2,0\n" for i in range(700)))
-    rows = (f"{i},{55 + 1.8e-5 * i},15.0\n" for i in range(30))
-    (tmp_path / "gnss.csv").write_text("t,lat,lon\n" + "".join(rows))
-    recording = import_folder(tmp_path)
-    assert recording.start_pose[3] == pytest.approx(np.pi / 2, abs=1e-3)  # it drives north
-    assert recording.odometry[1:, 0] == pytest.approx(np.full(299, 2.0))
-
-
-def test_the_adapter_of_the_documentation(tmp_path: Path) -> None:
-    from cellslam.benchmarks.recordings import build
-
-    (tmp_path / "log.txt").write_text("".join(f"{0.1 * i} {20 - 0.1 * i} 0.0\n" for i in range(30)))
-    names: dict[str, Any] = {}
-    exec(fenced("python"), names)
-    assert len(build(names["load"](tmp_path)).time_s) == 30

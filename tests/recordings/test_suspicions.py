@@ -100,6 +100,25 @@ def test_sound_data_raise_nothing(cellular: Recording, trees: Recording) -> None
     assert suspicions(cellular) == [] and suspicions(trees) == []
 
 
+LACKS = (
+    ("elevation_rad", "snr_db"),
+    ("azimuth_rad", "elevation_rad"),
+    ("distance_m",),
+    ("distance_m", "elevation_rad"),
+)
+
+
+@pytest.mark.parametrize("columns", LACKS)
+def test_sound_data_that_lack_something_raise_nothing(
+    columns: tuple[str, ...], cellular: Recording, strip: Callable[..., Recording]
+) -> None:
+    recording = strip(cellular, *columns)
+    assert suspicions(recording) == []
+    odometry = recording.odometry.copy()
+    odometry[:, [1, 2, 4, 5]] = np.nan
+    assert suspicions(dataclasses.replace(recording, odometry=odometry, reference=None)) == []
+
+
 @pytest.mark.parametrize("world", ["cellular", "trees"])
 @pytest.mark.parametrize("mistake", MISTAKES)
 def test_a_mistake_is_named(mistake: str, world: str, request: pytest.FixtureRequest) -> None:
