@@ -18,7 +18,9 @@ from cellslam.sim.recording import Floats
 NODES = 13
 LEVELS = np.linspace(0.0, 1.0, 21)
 STRONG_DB = 38.0  # integrated SNR from which the bound is far below what diffuse energy does
-REACH_M, AHEAD_M = 180.0, 15.0  # clutter farther from a lone path than this is noise
+# Clutter farther from a lone path than this, in delay and in azimuth, is noise: a strong path's diffuse energy has
+# sidelobes over all delays.
+REACH_M, AHEAD_M, BESIDE_RAD = 180.0, 15.0, np.radians(25.0)
 
 
 def fit_detection(sample: Sample, threshold: float) -> dict[str, float]:
@@ -70,10 +72,11 @@ def structured(sample: Sample, noise_rate: float, window_m: float) -> dict[str, 
     late = sample.clutter[:, 1] - sample.geometry[own, 0]
     beside = np.asarray(wrap_angle(sample.clutter[:, 2] - sample.geometry[own, 1]))
     above = sample.clutter[:, 3] - sample.geometry[own, 2]
-    around = (late > -AHEAD_M) & (late < REACH_M)
+    around = ((late > -AHEAD_M) & (late < REACH_M)) | (np.abs(beside) < BESIDE_RAD)
     nodes = GAMMA_START_DB + GAMMA_STEP_DB * np.arange(NODES)
     at = np.clip(np.rint((sample.gamma_db - GAMMA_START_DB) / GAMMA_STEP_DB), -1, NODES - 1)
-    noise = noise_rate * (REACH_M + AHEAD_M) / window_m
+    near = (REACH_M + AHEAD_M) / window_m
+    noise = noise_rate * (near + (1.0 - near) * BESIDE_RAD / np.pi)
     table: dict[str, Any] = {name: [] for name in ("mean", "later_m", "beside_rad", "above_rad", "snr_db")}
     for node in range(len(nodes)):
         links = int(np.sum(at == node))

@@ -73,6 +73,12 @@ def draw_paths(rng: np.random.Generator, rho_db: Floats, config: RadioConfig) ->
     return PathColumns(np.array([0, n]), POSE[:3] + distance[:, None] * towards, gain, np.zeros((n, 2)))
 
 
+def scenes_of(rng: np.random.Generator, count: int, ratio_db: float) -> list[PathColumns]:
+    """Draw scenes of two to eight paths, -32 to 12 dB."""
+    config = config_of(ratio_db)
+    return [draw_paths(rng, rng.uniform(-32.0, 12.0, rng.integers(2, 9)), config) for _ in range(count)]
+
+
 def gamma_of(paths: PathColumns, config: RadioConfig, port: int, geometry: Floats) -> Floats:
     """Return the integrated SNR (n,) that the link budget gives each path on a port."""
     power = np.array([

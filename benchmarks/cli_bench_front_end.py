@@ -16,6 +16,7 @@ from cellslam.benchmarks.cli_front_end_parsers import STUDIES
 from cellslam.sim.errors import InputError
 
 LEAST_SCENES = 50
+CHECKED_DB = (6.0, 15.0)
 
 
 def front_end(arguments: Namespace) -> int:
@@ -42,25 +43,30 @@ def calibrate(arguments: Namespace) -> int:
         raise InputError(
             f"--scenes {arguments.scenes} --seed {arguments.seed}: at least {LEAST_SCENES}, seed from 0 on"
         )
+    if any(not 0.0 <= ratio <= 40.0 for ratio in arguments.ratios):
+        raise InputError(f"--ratio {max(arguments.ratios, key=abs):g}: specular over diffuse power, 0 to 40 dB")
     if arguments.out and not Path(arguments.out).resolve().parent.is_dir():
         raise InputError(f"--out {arguments.out}: its folder does not exist")
     from threadpoolctl import threadpool_limits
 
-    from cellslam.benchmarks.calibration import agreement
     from cellslam.benchmarks.calibration import calibrate as study
+    from cellslam.benchmarks.calibration_check import agreement, records
 
-    result: Any
+    rows: dict[str, list[dict[str, Any]]] = {}
     with bars(arguments.quiet) as progress, threadpool_limits(1):
         if arguments.check:
-            result = [agreement(arguments.scenes, arguments.seed, ratio, progress) for ratio in (6.0, 15.0, 40.0)]
+            for ratio in arguments.ratios or CHECKED_DB:
+                rows[f"{ratio:g} dB"] = records(agreement(arguments.scenes, arguments.seed, ratio, progress))
+            text = json.dumps(rows, indent=1) + "\n"
         else:
-            result = study(arguments.scenes, arguments.seed, progress)
-    text = json.dumps(result, indent=1) + "\n"
+            text = json.dumps(study(arguments.scenes, arguments.seed, progress)) + "\n"
+    if arguments.check:
+        _print(rows)
     if arguments.out:
         partial = Path(arguments.out).with_suffix(".tmp")
         partial.write_text(text, encoding="utf-8")
         partial.replace(arguments.out)
-    else:
+    elif not arguments.check:
         sys.stdout.write(text)
     return DONE
 

@@ -30,6 +30,10 @@ def add_front_end(add: Add) -> None:
     calibrate.add_argument(
         "--check", action="store_true", help="compare the front ends, as calibrated, on scenes of their own instead"
     )
+    calibrate.add_argument(
+        "--ratio", metavar="DB", type=float, action="append", default=[], dest="ratios",
+        help="specular-to-diffuse ratio of the check; may be repeated (default: 6 and 15)",
+    )  # fmt: skip
     snapshot = add(
         "snapshot", "cli_bench_front_end:snapshot", "picture of one snapshot at signal level: spectrum and paths"
     )

@@ -79,7 +79,8 @@ def structured_clutter(
         chance = model.detection_scale
         if disturbance > DISTURBED:
             chance *= probability(level * model.samples / disturbance, True, table, model)
-        if clutter.random() < chance:
+        inside = model.window_min <= row[DISTANCE] <= model.window_max
+        if clutter.random() < chance and inside:
             count += 1
     return count
 
