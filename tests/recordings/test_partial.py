@@ -4,16 +4,19 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Callable
+from importlib.resources import files
 from pathlib import Path
 
 import h5py
 import numpy as np
 import pytest
 
+from cellslam.benchmarks.estimation import estimate, warm_up
 from cellslam.benchmarks.metrics import score
 from cellslam.benchmarks.recordings import Campaign, OdometryTable, ReferenceTable, build
 from cellslam.benchmarks.recordings.alignment import aligned
 from cellslam.benchmarks.result import TrialResult
+from cellslam.scenarios.options import resolve
 from cellslam.sim.errors import InputError
 from cellslam.sim.frames import integrate_pose
 from cellslam.sim.recording import Recording, Reference
@@ -173,3 +176,23 @@ def test_the_start_is_fitted_to_the_reference() -> None:
     recording = build(Campaign(times, {"distance_m": times}, drive, reference=ReferenceTable(fixes, way)))
     assert recording.start_pose[:2] == pytest.approx([500.0, 100.0], abs=0.1)
     assert recording.start_pose[3] == pytest.approx(heading, abs=0.01)
+
+
+@pytest.mark.parametrize(
+    ("name", "columns"),
+    [
+        ("ekf-slam", ("elevation_rad", "snr_db")),
+        ("fastslam", ("elevation_rad", "snr_db")),
+        ("fastslam", ("distance_m",)),
+        ("fastslam", ("azimuth_rad", "elevation_rad")),
+    ],
+)
+def test_filters_map_from_what_there_is(name: str, columns: tuple[str, ...], strip: Callable[..., Recording]) -> None:
+    """Without elevation, angles alone, delays alone: measurements are explained by a map, and the drive is not lost."""
+    recording = strip(Recording.load(Path(str(files("cellslam.slam").joinpath("conformance_drive.h5")))), *columns)
+    request = resolve({"fastslam": {"particles": 128}}, [name], ())[0]
+    warm_up(request)
+    result = estimate(recording, request, np.random.default_rng(0))
+    assert result.association is not None and result.vts is not None
+    assert (result.association >= 0).mean() > 0.6 and 10 <= len(result.vts.id) < 80
+    assert float(score(recording, result, None)["position_rmse_m"] or np.nan) < 0.6
