@@ -65,7 +65,7 @@ function compare(a, b, rising) {
 function summaryTable() {
   const { keys, headings, lines } = data.summary;
   const cells = (line) => [
-    ...line.settings.map((value) => ({ key: value, node: typeof value === "number" ? String(value) : shown(value) })),
+    ...line.settings.map((value) => ({ key: value, node: typeof value === "number" ? String(Number(value.toPrecision(6))) : shown(value) })),
     { key: line.label, node: named(line.label) },
     ...line.cells.map((cell) => ({ key: cell ? cell[0] : null, node: estimate(cell) })),
     { key: line.ok, node: line.ok === line.all ? String(line.ok) : `${line.ok}/${line.all}` },

@@ -218,7 +218,8 @@ TRACES = """
 const plot = document.querySelector("article .scene");
 const trace = (name) => plot.data.find((one) => one.name === name);
 const cursor = document.querySelector("article .plots .plot").layout.shapes[0].x0;
-return [[trace("vehicle").x[0], trace("vehicle").y[0]], trace("one reflection").x.length + trace("line of sight").x.length, cursor,
+return [[trace("vehicle").x[0], trace("vehicle").y[0]],
+  trace("one reflection").x.length + trace("line of sight").x.length, cursor,
   plot.data.filter((one) => one.name.startsWith("fastslam") && one.name.endsWith("virtual transmitters"))
     .reduce((sum, one) => sum + one.x.length, 0), document.querySelector("article output").textContent];
 """
@@ -265,6 +266,8 @@ def test_page_in_a_browser(folder: Path, tmp_path: Path, capfd: pytest.CaptureFi
 def _opens(browser: Any, page: Path, wide: int) -> None:
     browser.open(page)
     browser.wait("return document.querySelectorAll('#distributions .main-svg').length > 0")
+    # Many swept keys make long names.
+    browser.run("for (const one of document.querySelectorAll('select option')) one.text = one.text.padEnd(300, 'x')")
     assert browser.run("return [document.documentElement.scrollWidth <= innerWidth, innerWidth]") == [True, wide]
     # Plots are drawn as wide as their place.
     widths = browser.run("return [...document.querySelectorAll('#sweep .plot .main-svg')].map((p) => p.clientWidth)")
