@@ -40,6 +40,7 @@ _SEVERAL = (
 )
 _COUNTED = ("share of\nbound", "lost", "trials\nok")
 CONFIDENCE, LOST_M = 0.95, 2.0
+TOO_WIDE = 1e5  # a spoilt covariance claims an NEES of 1e11
 _LEGEND = (
     "medians over the trials that are ok; share of bound: root of the sums of squares, bound over error; "
     f"lost: RMSE above {LOST_M:g} m, or failed"
@@ -119,5 +120,9 @@ def _values(rows: Sequence[Mapping[str, Any]], key: str) -> Floats:
 
 def _shown(rows: Sequence[Mapping[str, Any]], keys: Sequence[str], digits: int) -> str:
     columns = [[row[key] for row in rows if row.get(key) is not None] for key in keys]
-    texts = [f"{median(values):.{digits}f}" if values else "-" for values in columns]
+    texts = [_number(median(values), digits) if values else "-" for values in columns]
     return "/".join(texts) if any(columns) else "-"
+
+
+def _number(value: float, digits: int) -> str:
+    return f"{value:.0e}" if abs(value) >= TOO_WIDE else f"{value:.{digits}f}"

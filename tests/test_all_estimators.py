@@ -90,7 +90,7 @@ def row(name: str, trial: int, error: float | None, **more: Any) -> dict[str, An
 def test_one_table_with_intervals_robustness_and_share_of_the_bound() -> None:
     errors = [1.0, 1.0, 1.0, 1.0, 1.0, 3.0]
     rows = [row("mine", t, e, nees_mean=2.5, map_gospa_m=40.0) for t, e in enumerate(errors)]
-    rows += [row("seer", t, 0.5) for t in range(5)] + [row("seer", 5, None)]
+    rows += [row("seer", t, 0.5, nees_mean=4e11) for t in range(5)] + [row("seer", 5, None)]
     text = text_of(results_table(rows, "title", frozenset({"seer"})))
     mine, seer = (next(line for line in text.splitlines() if line.startswith(name)) for name in (" mine", " seer"))
     # Six bounds of 0.5 m over five errors of 1 m and one of 3 m: sqrt(1.5 / 14) = 0.33.
@@ -111,6 +111,7 @@ def test_one_table_with_intervals_robustness_and_share_of_the_bound() -> None:
         "6/6",
     ]
     assert seer.split()[:5] == ["seer", "(oracle)", "0.50", "[0.50,", "0.50]"]
+    assert seer.split()[8] == "4e+11"
     assert seer.split()[-3:] == ["1.00", "1/6", "5/6"]
     assert "oracle: was shown the truth" in text
     assert max(map(len, text.splitlines())) <= 120

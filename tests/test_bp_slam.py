@@ -84,7 +84,7 @@ def test_soft_update_has_the_moments_of_the_mixture() -> None:
     mean = weight @ np.array(means)
     spread = np.array(means) - mean
     cov = np.tensordot(weight, np.array(covs), axes=1) + (spread * weight[:, None]).T @ spread
-    readings = z, q, q, np.zeros(2), np.zeros(2), q
+    readings = z, q, q, np.zeros(2), np.zeros(2), z, q
     lack = soft_update(
         g, x, p, 10, anchor, 6, 7, readings, 0, 2, share, np.zeros(3), np.zeros((3, 3)), np.zeros((3, 10)),
         np.zeros((4, 4)),

@@ -90,7 +90,7 @@ def test_birth_is_exact_and_correlated_with_pose_and_offset() -> None:
     x[:6], x[6], p[:7, :7] = POSE, b, root @ root.T
     before, g, anchor = p[:7, :7].copy(), np.zeros(GEOMETRY), np.zeros(3)
     rotations(g, *POSE[3:])
-    give_birth(g, x, p, 7, anchor, 6, z, q, np.zeros((3, 10)))
+    give_birth(g, x, p, 7, anchor, 6, z, q, True, np.zeros((3, 10)))
     np.testing.assert_allclose(x[7:], birth_state(POSE, b, z), rtol=1e-12)
     slope = np.zeros((3, 10))
     for i in range(10):
@@ -135,7 +135,7 @@ def test_dropping_a_vt_marginalises_it() -> None:
     p = p @ p.T
     kept = np.array([0, 1, 2, 3, 4, 5, 6, 13, 14, 15, 10, 11, 12])
     mean, cov = x[kept], p[np.ix_(kept, kept)]
-    slots, anchor = np.arange(12, dtype=np.int64).reshape(3, 4), rng.normal(size=(3, 4))
+    slots, anchor = np.arange(12, dtype=np.int64).reshape(3, 4), rng.normal(size=(3, 5))
     left = anchor[[2, 1]]
     assert remove(x, p, 7, anchor, slots, 3, 0) == 2
     np.testing.assert_array_equal(x[:13], mean)

@@ -21,6 +21,7 @@ from cellslam.slam.baselines.ekf_slam.layout import (
     LINK,
     PREDICTED,
     RIVAL,
+    SHARE,
 )
 from cellslam.slam.baselines.ekf_slam.motion_kernel import rotations
 from cellslam.slam.baselines.ekf_slam.update_kernel import LOG_2PI, innovate, log_likelihood
@@ -33,8 +34,8 @@ def score_pairs(g, x, p, core, anchor, slots, count, mapped, now, link, offset, 
                 forbidden, score, chosen, gated, small, e, s):  # fmt: skip
     """Score the measurements start..stop of a link against its VTs; return candidates and the sum of log P(missed).
 
-    score (C, m): log-likelihood ratio of a pair to "missed, and clutter", -1 outside the gate; chosen (C,): VT of each
-    row; gated (m,): 1 in somebody's gate. forbidden (2,): a measurement and the identity of a VT that do not go
+    score (C, m): log-likelihood ratio of a pair to "missed, and clutter", -inf outside the gate; chosen (C,): VT of
+    each row; gated (m,): 1 in somebody's gate. forbidden (2,): a measurement and the identity of a VT that do not go
     together, or -1.
     """
     rotations(g, x[3], x[4], x[5])
@@ -46,13 +47,22 @@ def score_pairs(g, x, p, core, anchor, slots, count, mapped, now, link, offset, 
         if slots[j, LINK] != link:
             continue
         kind, age = 0 if slots[j, HITS] < 2 else 1, min(now - slots[j, LAST], horizon)
-        missed += tables[kind, 1, age]
-        if stop == start or rows == len(chosen):
+        share, row = anchor[j, SHARE], rows
+        if share < 1.0:  # one of several guesses of a VT, which is one row
+            for r in range(rows):
+                row = r if slots[chosen[r], IDENT] == slots[j, IDENT] else row
+        if row == rows:
+            missed += tables[kind, 1, age]
+        if stop == start or row == len(chosen) or share == 0.0:
             continue
         v = core + 3 * j
         predict(g, x, anchor[j], v)
-        chosen[rows] = j
-        prior = tables[kind, 0, age] - tables[kind, 1, age] - cfg[CLUTTER]
+        prior = tables[kind, 0, age] - tables[kind, 1, age] - cfg[CLUTTER] + math.log(share)
+        if row == rows:
+            chosen[rows] = j
+            for k in range(stop - start):
+                score[rows, k] = -math.inf
+            rows += 1
         innovation(g, p, offset, v, mapped, small, s)
         s00, s01, s02, s11, s12, s22 = s[0, 0], s[0, 1], s[0, 2], s[1, 1], s[1, 2], s[2, 2]
         for k in range(start, stop):
@@ -61,7 +71,6 @@ def score_pairs(g, x, p, core, anchor, slots, count, mapped, now, link, offset, 
             s[0, 2] = s[2, 0] = s02
             s[1, 2] = s[2, 1] = s12
             measured = innovate(g, z[k], x[offset], e, s, q[k])
-            score[rows, k - start] = -1.0
             if e[0] * e[0] > cfg[GATE] * s[0, 0] or e[1] * e[1] > cfg[GATE] * s[1, 1] or measured == 0:
                 continue
             if forbidden[0] == k and forbidden[1] == slots[j, IDENT]:
@@ -69,8 +78,9 @@ def score_pairs(g, x, p, core, anchor, slots, count, mapped, now, link, offset, 
             distance2, log_det = log_likelihood(e, s)
             if distance2 < cfg[GATE]:
                 gated[k - start] = 1
-                score[rows, k - start] = prior - gap[k] - 0.5 * (distance2 + log_det + measured * LOG_2PI)
-        rows += 1
+                value = prior - gap[k] - 0.5 * (distance2 + log_det + measured * LOG_2PI)
+                most = max(value, score[row, k - start])
+                score[row, k - start] = most + math.log(math.exp(value - most) + math.exp(score[row, k - start] - most))
     return rows, missed
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -20,6 +20,7 @@ from cellslam.slam.baselines.ekf_slam.layout import (
     JOINT_MEASUREMENTS,
     JOINT_VTS,
     KNOWN_MAP,
+    SHARE,
     SLOT,
 )
 from cellslam.slam.baselines.ekf_slam.map_kernel import map_into
@@ -55,12 +56,17 @@ class Core:
 
 @dataclass
 class Measured:
-    """One snapshot as the kernels take it; see `filter_kernel.use_snapshot`."""
+    """One snapshot as the kernels take it; see `filter_kernel.use_snapshot`.
+
+    `begin` (m, 3) and `begin_q` (m, 3): measurements as births take them, with a prior where there is no elevation.
+    """
 
     now: int
     born: int
     first: Ints
     readings: Readings
+    begin: Floats
+    begin_q: Floats
     given: Ints
     tables: Floats
     cfg: Floats
@@ -72,7 +78,7 @@ class Measured:
     def columns(self) -> tuple[Floats, ...]:
         """What the kernels read of the measurements."""
         r = self.readings
-        return r.z, r.single, r.many, r.gap, r.lack, r.fresh
+        return r.z, r.single, r.many, r.gap, r.lack, self.begin, self.begin_q
 
 
 @dataclass
@@ -155,6 +161,18 @@ class Bank:
             self.links[kept], self.log_weight[kept], self.lost[kept], self.losses[kept],
         )  # fmt: skip
 
+    def grown(self, vts: int) -> Bank:
+        """Return the same filters with places for at least `vts` VTs."""
+        more = max(vts - self.anchor.shape[1], 0)
+        if more == 0:
+            return self
+        far = ((0, 0), (0, more), (0, 0))
+        p = self.p if self.mode == KNOWN_MAP else np.pad(self.p, ((0, 0), (0, 3 * more), (0, 3 * more)))
+        return replace(
+            self, x=np.pad(self.x, ((0, 0), (0, 3 * more))), p=p, anchor=np.pad(self.anchor, far),
+            slots=np.pad(self.slots, far), _scratch=(-1, ()),
+        )  # fmt: skip
+
     def _work(self, measured: Measured) -> tuple[Any, ...]:
         """Return scratch for every filter, made anew when a snapshot needs more."""
         if self._scratch[0] < len(measured) or self._scratch[0] < 0:
@@ -193,8 +211,10 @@ def new_bank(setup: Setup, core: Core, mode: int, vts: int, offsets_m: Floats, o
     variance[core.first_offset :] = offset_std_m**2
     x[:, :6], x[:, core.first_offset : core.size] = setup.start_pose, offsets_m
     p[:, np.arange(core.size), np.arange(core.size)] = variance
+    anchor = np.zeros((filters, vts, ANCHOR))
+    anchor[:, :, SHARE] = 1.0
     return Bank(
-        core, mode, x, p, np.zeros((filters, vts, ANCHOR)), np.zeros((filters, vts, SLOT), np.int64),
+        core, mode, x, p, anchor, np.zeros((filters, vts, SLOT), np.int64),
         np.zeros(filters, np.int64), np.ones((filters, len(setup.links)), np.int64), np.zeros(filters),
         np.empty((filters, LOST, 14)), np.zeros(filters, np.int64),
     )  # fmt: skip

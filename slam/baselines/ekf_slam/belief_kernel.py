@@ -91,7 +91,7 @@ def _messages(g, x, p, core, anchor, slots, count, link, offset, readings, start
 
     Existence: a Markov chain of visible and hidden; only what was confirmed comes back (paper: survival probability).
     """
-    z, q, _, gap, _, _ = readings
+    z, q, _, gap, _, _, _ = readings
     rotations(g, x[3], x[4], x[5])
     rows, missed = 0, 0.0
     for j in range(count):
@@ -133,7 +133,7 @@ def soft_update(g, x, p, size, anchor, offset, v, readings, start, stop, share, 
     with M = sum(share S_c^-1) - sum(share w w^T) + mean(w) mean(w)^T. The evidence is what the log-likelihood of
     persisting errors lacks against that of fresh draws. mixed (4, 4): scratch.
     """
-    z, q, many, _, lack, _ = readings
+    z, q, many, _, lack, _, _ = readings
     spread(g, x, p, size, anchor, offset, v, True, s, t)
     s00, s01, s02, s11, s12, s22 = s[0, 0], s[0, 1], s[0, 2], s[1, 1], s[1, 2], s[2, 2]
     for a in range(4):
@@ -200,7 +200,7 @@ def _add_inverse(s, z, e, part, mixed):
 def _believe(now, x, p, core, first_offset, anchor, slots, count, links, first, site_of, readings, born, cfg,
              association, scratch, lost, losses):  # fmt: skip
     """Use one snapshot in one filter; return log-likelihood, number of features, and of those given up."""
-    z, first_q = readings[0], readings[5]
+    first_z, first_q = readings[5], readings[6]
     g, t, score, chosen, small, es, out, back, marginal, fresh, mixed = scratch
     e, s = es[3], es[:3]
     total = 0.0
@@ -214,8 +214,8 @@ def _believe(now, x, p, core, first_offset, anchor, slots, count, links, first, 
         )
         total += missed
         for k in range(start, stop):
-            whole = not (math.isnan(z[k, 0]) or math.isnan(z[k, 1]) or math.isnan(z[k, 2]))
-            fresh[k - start] = cfg[BIRTH] if whole and z[k, 0] - x[offset] > 1.0 else 0.0
+            whole = not math.isnan(first_z[k, 1]) and first_z[k, 0] - x[offset] > 1.0
+            fresh[k - start] = cfg[BIRTH] if whole else 0.0
             association[k] = -1
         total += pass_messages(score, fresh, rows, columns, out, back, marginal)
         size = core + 3 * count
@@ -245,8 +245,8 @@ def _believe(now, x, p, core, first_offset, anchor, slots, count, links, first, 
             exists = fresh[k - start] / claims
             if exists >= cfg[DROP]:
                 count, losses = add(
-                    g, x, p, core, anchor, slots, count, now, cfg[CONFIRM], link, offset, born + k, z[k], first_q[k],
-                    small, lost, losses,
+                    g, x, p, core, anchor, slots, count, now, cfg[CONFIRM], link, offset, born + k, first_z[k],
+                    first_q[k], True, small, lost, losses,
                 )  # fmt: skip
                 if anchor[count - 1, EXISTS] > SURE:  # there was room for it
                     anchor[count - 1, EXISTS] = exists

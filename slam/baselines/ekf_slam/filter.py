@@ -23,6 +23,7 @@ from cellslam.slam.baselines.ekf_slam.layout import (
     FREE,
     GATE,
     JOINT,
+    KNOWN_ASSOCIATION,
     RIVAL,
 )
 from cellslam.slam.baselines.ekf_slam.options import EkfSlamOptions, JointOptions
@@ -30,6 +31,7 @@ from cellslam.slam.baselines.ekf_slam.start import Start, begin, mixture
 from cellslam.slam.front_end import existence, first_of_link, ports_of, readings
 
 NOT_GIVEN = -2
+GUESSING = 3  # times as many places where VTs have several guesses
 
 
 class JointFilter:
@@ -140,7 +142,21 @@ class JointFilter:
         site = self._setup.links.site
         values = readings(snapshot, site, self._ports, o, odometry[3] * dt_s, odometry[0] * dt_s)
         first = first_of_link(snapshot, len(site))
-        return Measured(self._now, self._born, first, values, self._given(snapshot), tables, cfg)
+        begin, begin_q = values.z.copy(), values.fresh.copy()
+        flat = np.isnan(begin[:, 2])
+        begin[flat, 2], begin_q[flat, 2] = 0.0, np.radians(o.elevation_std_deg) ** 2
+        if np.isnan(begin[:, :2]).any():
+            self._make_room()
+        return Measured(self._now, self._born, first, values, begin, begin_q, self._given(snapshot), tables, cfg)
+
+    def _make_room(self) -> None:
+        """Make places for the guesses of VTs whose direction or distance is not measured."""
+        if self.mode not in (FREE, KNOWN_ASSOCIATION):
+            return
+        if self._start is not None:
+            self._start.banks = [b.grown(GUESSING * self.options.start_vts) for b in self._start.banks]
+        elif self._joint is not None:
+            self._joint = self._joint.grown(GUESSING * self.options.vts)
 
 
 class EkfSlam(JointFilter):

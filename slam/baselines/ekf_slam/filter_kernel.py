@@ -5,11 +5,10 @@ One thread: filters are many only during the start, and parallel code takes long
 
 from __future__ import annotations
 
-import math
-
 from numba import njit
 
 from cellslam.slam.baselines.ekf_slam.associate_kernel import associate, best_rival
+from cellslam.slam.baselines.ekf_slam.guess_kernel import begin, correct, possible, sweep
 from cellslam.slam.baselines.ekf_slam.layout import (
     BIRTH,
     CLUTTER,
@@ -23,15 +22,14 @@ from cellslam.slam.baselines.ekf_slam.layout import (
     LINK,
     RIVAL,
 )
-from cellslam.slam.baselines.ekf_slam.map_kernel import add, tidy
-from cellslam.slam.baselines.ekf_slam.update_kernel import update
+from cellslam.slam.baselines.ekf_slam.map_kernel import tidy
 
 
 @njit(cache=True)
 def _snapshot(mode, now, x, p, core, first_offset, anchor, slots, count, links, first, site_of, readings, given, born,
               tables, cfg, forbidden, association, scratch, lost, losses):  # fmt: skip
     """Use one snapshot in one filter; return log-likelihood, number of VTs, and of those given up."""
-    z, q, many, gap, lack, first_q = readings
+    z, q, many, gap, lack, first_z, first_q = readings
     g, t, score, chosen, ints, work_f, work_i, small, es, joint = scratch
     e, s = es[3], es[:3]
     row_of, gated = ints[0], ints[1]
@@ -61,29 +59,28 @@ def _snapshot(mode, now, x, p, core, first_offset, anchor, slots, count, links, 
                 continue
             kind = 0 if slots[j, HITS] < 2 else 1
             age = min(now - slots[j, LAST], tables.shape[2] - 1)
-            size = core + 3 * count if mapped else core
-            value = update(g, x, p, size, anchor[j], offset, core + 3 * j, mapped, z[k], many[k], e, s, t)
+            ident = slots[j, IDENT]
+            value = correct(g, x, p, core, anchor, slots, count, j, now, offset, mapped, z[k], many[k], e, s, t)
             if mode != KNOWN_ASSOCIATION:
                 total += tables[kind, 0, age] - tables[kind, 1, age] - cfg[CLUTTER] - gap[k]
             total += value + lack[k]
-            slots[j, LAST] = now
-            slots[j, HITS] += 1
-            association[k] = slots[j, IDENT]
+            association[k] = ident
         for k in range(start, stop):
-            whole = not (math.isnan(z[k, 0]) or math.isnan(z[k, 1]) or math.isnan(z[k, 2]))
-            fresh = association[k] < 0 and whole and z[k, 0] - x[offset] > 1.0
+            fresh = association[k] < 0 and possible(first_z[k], x[offset])
             if mode == FREE and fresh and row_of[k - start] < 0 and gated[k - start] == 0:
                 total += cfg[BIRTH]
-                count, losses = add(
-                    g, x, p, core, anchor, slots, count, now, cfg[CONFIRM], link, offset, born + k, z[k], first_q[k],
-                    small, lost, losses,
+                count, losses = begin(
+                    g, x, p, core, anchor, slots, count, now, cfg[CONFIRM], link, offset, born + k, first_z[k],
+                    first_q[k], small, lost, losses,
                 )  # fmt: skip
             elif mode == KNOWN_ASSOCIATION and fresh and given[k] >= 0:
                 association[k] = given[k]
-                count, losses = add(
-                    g, x, p, core, anchor, slots, count, now, cfg[CONFIRM], link, offset, given[k], z[k], first_q[k],
-                    small, lost, losses,
+                count, losses = begin(
+                    g, x, p, core, anchor, slots, count, now, cfg[CONFIRM], link, offset, given[k], first_z[k],
+                    first_q[k], small, lost, losses,
                 )  # fmt: skip
+    if mapped:
+        count = sweep(x, p, core, anchor, slots, count)
     if mode == FREE:
         count = tidy(now, x, p, core, anchor, slots, count, cfg)
     return total, count, losses
@@ -92,10 +89,10 @@ def _snapshot(mode, now, x, p, core, first_offset, anchor, slots, count, links, 
 @njit(cache=True)
 def use_snapshot(mode, now, x, p, core, first_offset, anchor, slots, count, links, first, site_of, readings, given,
                  born, tables, cfg, forbidden, log_weight, association, lost, losses, scratch, joint):  # fmt: skip
-    """Use one snapshot in the filters x (K, N), p (K, N, N), anchor (K, V, 4), slots (K, V, 4), count (K,).
+    """Use one snapshot in the filters x (K, N), p (K, N, N), anchor (K, V, 5), slots (K, V, 4), count (K,).
 
     links (K, L): 1 where a filter uses a link; first (L + 1,): first measurement of each link; readings: see
-    `front_end.Readings`; given (M,): true VT of each measurement in mode KNOWN_ASSOCIATION; born: identity of
+    `bank.Measured.columns`; given (M,): true VT of each measurement in mode KNOWN_ASSOCIATION; born: identity of
     measurement 0 as a VT; tables: see `front_end.existence`; cfg: see layout; forbidden (K, 2): see `score_pairs`.
     log_weight (K,) is added to, association (K, M) written; confirmed VTs given up go to lost (K, E, 14), losses (K,).
     The rest is scratch.
@@ -123,7 +120,7 @@ def find_rivals(now, x, p, core, first_offset, anchor, slots, count, first, site
     rivals (K, 3): loss (cfg[RIVAL]: none is better), measurement, identity; nothing (2,): -1. Scratch is changed too.
     """
     for f in range(len(x)):
-        z, q, _, gap, _, _ = readings
+        z, q, _, gap, _, _, _ = readings
         g, _, score, chosen, ints, work_f, work_i, small, es = scratch
         row_of, gated, second, best = ints[f, 0], ints[f, 1], ints[f, 2], es[f, 3]
         parts = (joint[0][f], joint[1][f], joint[2][f], joint[3][f], joint[4][f], joint[5][f], joint[6])

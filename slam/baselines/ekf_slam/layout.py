@@ -4,8 +4,9 @@ from __future__ import annotations
 
 # Integers of a VT slot: link, detections, snapshot of the last one, identity.
 LINK, HITS, LAST, IDENT, SLOT = 0, 1, 2, 3, 4
-# Behind the three coordinates of an anchor: the probability that the VT exists and is visible (belief propagation).
-EXISTS, ANCHOR = 3, 4
+# Behind the three coordinates of an anchor: the probability that the VT exists and is visible (belief propagation);
+# and what share a guess has in its VT (1: the only one, 0: given up).
+EXISTS, SHARE, ANCHOR = 3, 4, 5
 # Floats of the configuration.
 CLUTTER, GATE, BIRTH, CONFIRM, AGE_ONCE, AGE_TWICE, RIVAL, JOINT = 0, 1, 2, 3, 4, 5, 6, 7
 STAY, BACK, DETECTION, DROP, CFG = 8, 9, 10, 11, 12

@@ -7,7 +7,19 @@ import math
 import numpy as np
 from numba import njit
 
-from cellslam.slam.baselines.ekf_slam.layout import AGE_ONCE, AGE_TWICE, CONFIRM, EXISTS, HITS, IDENT, LAST, LINK, SLOT
+from cellslam.slam.baselines.ekf_slam.layout import (
+    AGE_ONCE,
+    AGE_TWICE,
+    ANCHOR,
+    CONFIRM,
+    EXISTS,
+    HITS,
+    IDENT,
+    LAST,
+    LINK,
+    SHARE,
+    SLOT,
+)
 from cellslam.slam.baselines.ekf_slam.motion_kernel import rotations
 from cellslam.slam.baselines.ekf_slam.vt_kernel import give_birth
 
@@ -20,7 +32,7 @@ def remove(x, p, core, anchor, slots, count, j):
     if j != last:
         for k in range(3):
             x[a + k] = x[b + k]
-        for k in range(4):
+        for k in range(ANCHOR):
             anchor[j, k] = anchor[last, k]
         for k in range(SLOT):
             slots[j, k] = slots[last, k]
@@ -46,19 +58,22 @@ def room(slots, count, now, confirm):
 
 
 @njit(cache=True)
-def add(g, x, p, core, anchor, slots, count, now, confirm, link, offset, ident, z, q, small, lost, losses):
-    """Give birth to a VT, making room if need be; return the number of VTs and of confirmed ones given up."""
+def add(g, x, p, core, anchor, slots, count, now, confirm, link, offset, ident, z, q, ranged, small, lost, losses):
+    """Give birth to a VT, making room if need be; return the number of VTs and of confirmed ones given up.
+
+    ranged: its distance was measured, with the clock offset in it.
+    """
     if count == len(slots):
         j = room(slots, count, now, confirm)
         if j < 0:
             return count, losses
-        if slots[j, HITS] >= confirm and losses < len(lost):
+        if slots[j, HITS] >= confirm and anchor[j, SHARE] > 0.5 and losses < len(lost):
             keep(x, p, core, anchor, slots, j, lost[losses])
             losses += 1
         count = remove(x, p, core, anchor, slots, count, j)
     rotations(g, x[3], x[4], x[5])
-    give_birth(g, x, p, core + 3 * count, anchor[count], offset, z, q, small)
-    anchor[count, EXISTS] = 1.0
+    give_birth(g, x, p, core + 3 * count, anchor[count], offset, z, q, ranged, small)
+    anchor[count, EXISTS] = anchor[count, SHARE] = 1.0
     slots[count, LINK], slots[count, HITS], slots[count, LAST], slots[count, IDENT] = link, 1, now, ident
     return count + 1, losses
 
@@ -92,10 +107,10 @@ def slope(rho, ca, sa, ce, se, row, column):
 
 @njit(cache=True)
 def map_into(x, p, core, anchor, slots, count, hits, out):
-    """Write the VTs with at least `hits` detections into out (V, 14) as `_keep` does; return their number."""
+    """Write the VTs with at least `hits` detections, as their likely guesses, into out (V, 14); return their number."""
     found = 0
     for j in range(count):
-        if slots[j, HITS] >= hits:
+        if slots[j, HITS] >= hits and anchor[j, SHARE] > 0.5:
             keep(x, p, core, anchor, slots, j, out[found])
             found += 1
     return found

@@ -16,6 +16,9 @@ class JointOptions(FrontEndOptions):
     start_vts: int = Field(
         48, ge=4, le=2000, description="the same while clock offsets are wide, per site and component"
     )
+    elevation_std_deg: float = Field(
+        20.0, gt=0, le=90, description="deviation of a new VT's elevation from the horizon where none is measured, deg"
+    )
     component_std_m: float = Field(
         20.0, gt=0, le=1000, description="width of one component of the clock-offset prior at the start, m"
     )

@@ -34,10 +34,14 @@ def components(std_m: float, component_std_m: float, step: float) -> tuple[Float
 
 @dataclass
 class Start:
-    """One bank a site, and the odometry's own belief (a filter without links)."""
+    """One bank a site, and the odometry's own belief (a filter without links).
+
+    Until a site's first distance its bank is one filter with the whole prior of its offset: directions do not tell.
+    """
 
     odometry: Bank
     banks: list[Bank]
+    ranged: list[bool]
 
     def move(self, setup: Setup, dt_s: float, velocity: Floats) -> None:
         """Advance everything by an interval."""
@@ -47,10 +51,13 @@ class Start:
     def use(self, setup: Setup, measured: Measured, options: JointOptions) -> Ints:
         """Use a snapshot in every bank, drop what has become unlikely, and return the best components' association."""
         answer = np.full(len(measured), -1, np.int64)
-        for s, bank in enumerate(self.banks):
+        for s in range(len(self.banks)):
+            mine = setup.links.site[_link_of(measured)] == s
+            if not self.ranged[s] and np.isfinite(measured.readings.z[mine, 0]).any():
+                self.banks[s], self.ranged[s] = split(self.banks[s], setup, s, options), True
+            bank = self.banks[s]
             association = bank.use(setup, measured)
             best = association[int(np.argmax(bank.log_weight))]
-            mine = setup.links.site[_link_of(measured)] == s
             answer[mine] = best[mine]
             kept = likely(bank, bank.core.first_offset + s, np.log(options.prune_ratio))
             if len(kept) < len(bank):
@@ -109,20 +116,25 @@ def begin(setup: Setup, options: JointOptions, mode: int, vts: int) -> Start:
     """Return the banks at the start, with places for `vts` VTs."""
     core, sites = Core.of(setup), setup.sites
     banks = []
+    mean = sites.clock_offset_mean_m[None, :]
     for s in range(len(sites)):
-        means, logs, std = components(
-            float(sites.clock_offset_std_m[s]), options.component_std_m, options.component_step
-        )
-        offsets = np.tile(sites.clock_offset_mean_m, (len(means), 1))
-        offsets[:, s] += means
-        deviations = np.zeros(len(sites))
-        deviations[s] = std
-        bank = new_bank(setup, core, mode, vts, offsets, deviations)
+        bank = new_bank(setup, core, mode, vts, mean, np.where(np.arange(len(sites)) == s, sites.clock_offset_std_m, 0))
         bank.links[:] = setup.links.site == s
-        bank.log_weight[:] = logs
         banks.append(bank)
-    nothing = new_bank(setup, core, mode, 1, sites.clock_offset_mean_m[None, :], np.zeros(len(sites)))
-    return Start(nothing, banks)
+    nothing = new_bank(setup, core, mode, 1, mean, np.zeros(len(sites)))
+    return Start(nothing, banks, [False] * len(sites))
+
+
+def split(bank: Bank, setup: Setup, site: int, options: JointOptions) -> Bank:
+    """Return a bank of one filter as one of narrow components of the site's offset, which nothing is correlated with
+    yet."""
+    std, state = float(setup.sites.clock_offset_std_m[site]), bank.core.first_offset + site
+    means, logs, narrow = components(std, options.component_std_m, options.component_step)
+    out = bank.take(np.zeros(len(means), np.int64))
+    out.x[:, state] += means
+    out.p[:, state, state] = narrow**2
+    out.log_weight += logs
+    return out
 
 
 def likely(bank: Bank, offset: int, least: float) -> Ints:

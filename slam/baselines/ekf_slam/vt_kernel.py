@@ -106,11 +106,13 @@ def innovation(g, p, offset, v, mapped, small, s):
 
 
 @njit(cache=True)
-def give_birth(g, x, p, size, anchor, offset, z, q, small):
+def give_birth(g, x, p, size, anchor, offset, z, q, ranged, small):
     """Append a VT at states size..size + 2, its covariance through pose, clock offset and measurement.
 
-    Rotations of the pose must be in g. small (3, 10): scratch.
+    Rotations of the pose must be in g. ranged: the distance was measured; a guess has nothing to do with the offset.
+    small (3, 10): scratch.
     """
+    by_offset = 1.0 if ranged else 0.0
     rho = z[0] - x[offset]
     cb, sb, cl, sl = math.cos(z[1]), math.sin(z[1]), math.cos(z[2]), math.sin(z[2])
     n0, n1, n2 = cl * cb, cl * sb, sl
@@ -145,14 +147,14 @@ def give_birth(g, x, p, size, anchor, offset, z, q, small):
         small[r, 9] = rho * (-bx * sl * cb - by * sl * sb + bz * cl)
     for r in range(3):
         for j in range(size):
-            total = -p[offset, j] if r == 0 else 0.0
+            total = -by_offset * p[offset, j] if r == 0 else 0.0
             for c in range(6):
                 total += small[r, c] * p[c, j]
             p[size + r, j] = total
             p[j, size + r] = total
     for r in range(3):
         for s in range(r, 3):
-            total = -p[size + r, offset] if s == 0 else 0.0
+            total = -by_offset * p[size + r, offset] if s == 0 else 0.0
             for c in range(6):
                 total += p[size + r, c] * small[s, c]
             for c in range(3):
