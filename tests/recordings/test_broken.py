@@ -250,7 +250,7 @@ def test_broken_campaign(kind: str, tmp_path: Path, capsys: pytest.CaptureFixtur
 
 
 def test_ten_million_rows_are_read(tmp_path: Path) -> None:
-    """A hundredth of it here; the whole file takes the same way (docs/recordings.md says how long)."""
+    """A hundredth of it here; a file of ten million takes the same way."""
     folder = made(tmp_path / "c")
     rows = 100_000
     t = 0.01 * (np.arange(rows) // 20)
