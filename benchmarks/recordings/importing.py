@@ -35,7 +35,7 @@ def import_folder(folder: Path) -> Recording:
     try:
         return build(campaign_of(folder, manifest))
     except InputError as error:
-        text = str(error)
+        text = " ".join(str(error).split())  # a quoted cell may hold lines of its own
         raise InputError(text if text.startswith(str(folder)) else f"{folder / NAME}: {text}") from error
 
 

@@ -192,6 +192,14 @@ BROKEN: dict[str, tuple[Callable[[Path], None], tuple[str, ...]]] = {
         swap("paths.csv", "53,0.5", "far,0.5"),
         ("paths.csv", "'range', row 3", "line 5", "'far'"),
     ),
+    "quoted lines in a cell": (
+        swap("paths.csv", "53,0.5", '"53\n54",0.5'),
+        ("paths.csv", "'range', row 3", "'53 54' is not a number"),
+    ),
+    "quoted lines in the header": (
+        swap("gnss.csv", "t,x,y", '"t\nx",y'),
+        ("gnss.csv",),
+    ),
     "decimal commas": (
         put("wheels.csv", "t;v;w\n0,0;1,0;0,1\n0,1;1,0;0,1\n"),
         ("wheels.csv", "delimiter", "decimal points"),
