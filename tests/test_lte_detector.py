@@ -214,7 +214,7 @@ def test_merged_paths_pull_the_stronger_one() -> None:
 
 def test_far_paths_do_not_merge() -> None:
     config = quiet()
-    d = run(config, [[100.0, 0.0, 0.0], [150.0, 0.0, 0.0]], np.array([1e-7, 0.9e-7]), 500)
+    d = run(config, [[100.0, 0.0, 0.0], [450.0, 0.0, 0.0]], np.array([1e-7, 1e-7]), 500)
     assert len(d.path) == 1000
 
 

@@ -20,7 +20,7 @@ GAMMA_START_DB, GAMMA_STEP_DB = 5.0, 5.0
 # Behind a path (m), and to its sides (deviation, rad), where it disturbs others; its diffuse energy decays over 35 m.
 TRAIL_FROM_M, TRAIL_TO_M, DIFFUSE_TO_M, TRAIL_BESIDE_RAD, TRAIL_DECAY_M = -100.0, 250.0, 150.0, 0.35, 35.0
 # What is stronger than this share of a path is not taken for its diffuse energy, and not disturbed by it.
-DIFFUSE_SHARE = 0.5
+DIFFUSE_SHARE = 1.0
 DISTURBED = 1.5  # disturbance over noise from which detection is no longer that of an isolated path
 # Probability table over Gamma' in dB.
 TABLE_START_DB, TABLE_STEP_DB = -20.0, 0.05

@@ -11,7 +11,6 @@ GUARD_BINS, REFERENCE_BINS = 2, 3  # cells skipped, then averaged, before and be
 STRETCH_BINS = 31  # of delay, over which noise is taken for constant
 # Disturbance below these multiples of the noise is taken for its estimate's scatter: of few cells, of all ports.
 LOCAL_EXCESS, AROUND_EXCESS = 1.7, 1.15
-MASKED = 4.0  # times the lesser side: no path stands out of more, so that two alike do not hide each other
 SIDELOBES = 0.01  # mean energy of a delay peak over the reference cells, relative to the peak
 
 
@@ -93,8 +92,8 @@ def local_level(
 ) -> tuple[float, float]:  # fmt: skip
     """Return the disturbance per sample around a cell of energy `peak`, and the level that the cell must stand out of.
 
-    Disturbance is noise, or what exceeds it before or behind in the same directions (greatest-of, within limits), or in
-    all other directions at the same delay. What stands before or behind counts `margin` times for the second.
+    Disturbance is noise, or what exceeds it before or behind in the same directions (greatest-of), or in all other
+    directions at the same delay. What stands before or behind counts `margin` times for the second.
     """
     near, far = GUARD_BINS + 1, GUARD_BINS + 1 + REFERENCE_BINS
     beyond = far + REFERENCE_BINS
@@ -109,8 +108,6 @@ def local_level(
     )
     # A path's own sidelobes over delay are no disturbance.
     along = max(before, behind) - SIDELOBES * peak
-    if margin == 1.0:
-        along = min(along, MASKED * max(min(before, behind) - SIDELOBES * peak, noise))
     around = max(port_energy[d] - peak, 0.0) / (ports - 2)
     level, asked = noise, noise
     if along > LOCAL_EXCESS * noise:
