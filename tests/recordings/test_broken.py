@@ -275,6 +275,7 @@ def test_ten_million_rows_are_read(tmp_path: Path) -> None:
 EXAMPLES = int(os.environ.get("CELLSLAM_FUZZ", "100"))
 QUIET = settings(
     max_examples=EXAMPLES,
+    database=None,
     deadline=None,
     suppress_health_check=[HealthCheck.function_scoped_fixture],
     derandomize="CELLSLAM_FUZZ" not in os.environ,
