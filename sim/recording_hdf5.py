@@ -43,7 +43,7 @@ def save(recording: Recording, path: Path) -> None:
         raise InputError(f"{path}: there is no folder {path.parent}; create it first")
     temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
     try:
-        with h5py.File(temporary, "w", libver=("v108", "v108")) as file:
+        with h5py.File(temporary, "w") as file:
             file.attrs["format"] = FORMAT
             file.attrs["schema_version"] = SCHEMA_VERSION
             for column in COLUMNS:
