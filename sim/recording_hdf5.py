@@ -16,6 +16,7 @@ from typing import Any
 import h5py
 import numpy as np
 
+from cellslam.sim import recording_guard
 from cellslam.sim.errors import InputError, nearest_name
 from cellslam.sim.recording import (
     SCHEMA_VERSION,
@@ -43,13 +44,14 @@ def save(recording: Recording, path: Path) -> None:
         raise InputError(f"{path}: there is no folder {path.parent}; create it first")
     temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
     try:
-        with h5py.File(temporary, "w") as file:
+        with h5py.File(temporary, "w", libver=("v108", "v108"), userblock_size=recording_guard.USER_BLOCK) as file:
             file.attrs["format"] = FORMAT
             file.attrs["schema_version"] = SCHEMA_VERSION
             for column in COLUMNS:
                 if column.path in values and not _is_absent(column, values[column.path]):
                     _write(file, column, values[column.path])
             _declare_absent(file, values)
+        recording_guard.seal(temporary)
         temporary.replace(path)
     except OSError as error:
         raise InputError(f"{path}: cannot be written ({_reason(error)})") from error
@@ -65,6 +67,7 @@ def load(path: Path) -> Recording:
     if not path.exists():
         raise InputError(f"{path}: no such file; 'cellslam record' writes recordings")
     try:
+        recording_guard.check(path)
         with h5py.File(path, "r") as file:
             _check_header(file)
             _check_names(file)
@@ -74,7 +77,7 @@ def load(path: Path) -> Recording:
         raise InputError(f"{path}: {error}") from error
     except PermissionError as error:
         raise InputError(f"{path}: no permission to read it") from error
-    except (OSError, RuntimeError) as error:
+    except (OSError, RuntimeError, KeyError, ValueError, TypeError, MemoryError, SystemError) as error:
         raise InputError(
             f"{path}: not an HDF5 file, or a truncated one ({_reason(error)}); record or copy it again"
         ) from error

@@ -224,36 +224,47 @@ def undisturbed(tmp_path_factory: pytest.TempPathFactory) -> list[dict[str, Any]
 
 def test_kills_lose_at_most_what_was_in_flight(place: Path, undisturbed: list[dict[str, Any]]) -> None:
     """A worker, then the driver, are killed at random moments, again and again; what is resumed ends undisturbed."""
-    draw, kills = random.Random(5), {"worker": 0, "driver": 0}
-    line = words("misfits:Slow", "dead-reckoning", trials=TRIALS, more=("--jobs", "2", "--retry-failed"))
-    while kills["driver"] < KILLS and stored(place / "out") < len(undisturbed):
-        driver = start(line)
-        if draw.random() < 0.75:
-            goal = stored(place / "out") + 1
-            wait_for(lambda goal=goal: stored(place / "out") >= goal, driver)
-            time.sleep(draw.uniform(0.0, 0.2))
-        else:
-            time.sleep(draw.uniform(0.0, 4.0))
-        workers = psutil.Process(driver.pid).children() if driver.poll() is None else []
-        if workers:
-            draw.choice(workers).kill()
-            kills["worker"] += 1
-            time.sleep(draw.uniform(0.0, 0.5))
-        seen = stored(place / "out")
-        kills["driver"] += driver.poll() is None
-        driver.kill()
-        driver.communicate()
-        # Every row that was seen before the kill is still there, and right.
-        kept = rows(place / "out") if stored(place / "out") else []
-        assert len(kept) >= seen
-        assert all(row in undisturbed or "SIGKILL" in row["error"] for row in kept)
-    assert kills["driver"] > 0 and kills["worker"] > 0
-    last = start(line)
-    _, err = last.communicate(timeout=400)
-    assert last.returncode == 0, err
-    assert rows("out") == undisturbed
-    assert len(list(Path("out", TRAJECTORIES).rglob("*.npz"))) == len(undisturbed)
-    print(kills)
+    draw, kills, stores = random.Random(5), {"worker": 0, "driver": 0}, 0
+    while kills["driver"] < KILLS:
+        out = f"out{stores}"
+        stores += 1
+        line = words("misfits:Slow", "dead-reckoning", out=out, trials=TRIALS, more=("--jobs", "2", "--retry-failed"))
+        while kills["driver"] < KILLS and stored(place / out) < len(undisturbed):
+            _kill_once(start(line), place / out, draw, kills, undisturbed)
+        last = start(line)
+        _, err = last.communicate(timeout=400)
+        assert last.returncode == 0, err
+        assert rows(out) == undisturbed
+        assert len(list(Path(out, TRAJECTORIES).rglob("*.npz"))) == len(undisturbed)
+    assert kills["driver"] == KILLS and kills["worker"] > 0
+
+
+def _kill_once(
+    driver: subprocess.Popen[str],
+    out: Path,
+    draw: random.Random,
+    kills: dict[str, int],
+    undisturbed: list[dict[str, Any]],
+) -> None:
+    """Kill a worker, then the driver; every row that was seen before is still there, and right."""
+    if draw.random() < 0.75:
+        goal = stored(out) + 1
+        wait_for(lambda: stored(out) >= goal, driver)
+        time.sleep(draw.uniform(0.0, 0.2))
+    else:
+        time.sleep(draw.uniform(0.0, 4.0))
+    workers = psutil.Process(driver.pid).children() if driver.poll() is None else []
+    if workers:
+        draw.choice(workers).kill()
+        kills["worker"] += 1
+        time.sleep(draw.uniform(0.0, 0.5))
+    seen = stored(out)
+    kills["driver"] += driver.poll() is None
+    driver.kill()
+    driver.communicate()
+    kept = rows(out) if stored(out) else []
+    assert len(kept) >= seen
+    assert all(row in undisturbed or "SIGKILL" in row["error"] for row in kept)
 
 
 @pytest.mark.skipif(KILLS == 1, reason="a long test: CELLSLAM_KILLS=20 pytest tests/test_sweeping.py -k kill")

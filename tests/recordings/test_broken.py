@@ -16,6 +16,7 @@ from hypothesis import strategies as st
 
 from cellslam.benchmarks import cli
 from cellslam.benchmarks.recordings.importing import import_folder
+from cellslam.sim import recording_guard
 from cellslam.sim.errors import InputError
 from cellslam.sim.recording import Recording
 
@@ -275,7 +276,6 @@ def test_ten_million_rows_are_read(tmp_path: Path) -> None:
 EXAMPLES = int(os.environ.get("CELLSLAM_FUZZ", "100"))
 QUIET = settings(
     max_examples=EXAMPLES,
-    database=None,
     deadline=None,
     suppress_health_check=[HealthCheck.function_scoped_fixture],
     derandomize="CELLSLAM_FUZZ" not in os.environ,
@@ -308,6 +308,19 @@ def test_any_damage_to_a_text_file_is_refused_in_one_line(
     tried(lambda: import_folder(folder))
 
 
+def test_what_crashes_or_stalls_the_reader_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    path = tmp_path / "a.h5"
+    import_folder(made(tmp_path / "c")).save(path)
+    monkeypatch.setattr(recording_guard, "_READ_THROUGH", "import os; os.abort()")
+    recording_guard.check(path)  # as it was written: nothing to find out
+    path.write_bytes(path.read_bytes() + b"x")
+    with pytest.raises(InputError, match=r"a.h5: damaged: the HDF5 library crashes on it .* copy it again"):
+        Recording.load(path)
+    monkeypatch.setattr(recording_guard, "_READ_THROUGH", "import time; time.sleep(60)")
+    with pytest.raises(InputError, match="did not get through it in 0 s"):
+        recording_guard.check(path, limit_s=0.3)
+
+
 @pytest.fixture(scope="module")
 def sound_h5(tmp_path_factory: pytest.TempPathFactory) -> bytes:
     place = tmp_path_factory.mktemp("h5")
@@ -316,7 +329,7 @@ def sound_h5(tmp_path_factory: pytest.TempPathFactory) -> bytes:
     return path.read_bytes()
 
 
-@QUIET
+@settings(QUIET, max_examples=max(EXAMPLES // 3, 1))  # each is first read by a process of its own
 @given(data=st.data())
 def test_any_damage_to_an_hdf5_file_is_refused_in_one_line(
     data: st.DataObject, sound_h5: bytes, tmp_path_factory: pytest.TempPathFactory
@@ -360,4 +373,5 @@ def test_any_values_in_an_hdf5_file_are_refused_in_one_line(
         for _ in range(data.draw(st.integers(1, 3))):
             flat[data.draw(st.integers(0, len(flat) - 1))] = data.draw(extreme)
         column[...] = values
+    recording_guard.seal(path)
     tried(lambda: Recording.load(path))
