@@ -114,6 +114,8 @@ def report(job: Job, interrupted: bool) -> int:
 def _keep(job: Job, trial: Trial) -> None:
     job.rows.extend(outcome.row for outcome in trial.outcomes)
     job.bounds.extend([row] if (row := bound_row(trial)) else [])
+    if trial.unbound:
+        job.note(f"without the bound: {trial.unbound}")
     job.folder.write_trial(trial)
     if job.first is None:
         job.first = trial

@@ -40,12 +40,16 @@ class Outcome:
 
 @dataclass(frozen=True)
 class Trial:
-    """One trial of all estimators; recording and bound are None where its world could not be made."""
+    """One trial of all estimators; recording and bound are None where its world could not be made.
+
+    `unbound`: why a recording with truth has no bound.
+    """
 
     number: int
     recording: Recording | None
     bound: BoundResult | None
     outcomes: tuple[Outcome, ...]
+    unbound: str = ""
 
 
 def run(
@@ -129,9 +133,14 @@ def score_recording(
     """
     from cellslam.benchmarks.bound import bound
 
-    limit = bound(recording, progress) if recording.truth is not None and not align else None
+    limit, unbound = None, ""
+    if recording.truth is not None and not align:
+        try:
+            limit = bound(recording, progress)
+        except InputError as error:  # a recording of another version, whose errors are not those of this one
+            unbound = str(error)
     answers = (outcome_of(recording, scenario, r, trial, seed, limit, progress, align) for r in requests)
-    return Trial(trial, recording, limit, tuple(answers))
+    return Trial(trial, recording, limit, tuple(answers), unbound)
 
 
 def outcome_of(

@@ -186,6 +186,16 @@ def test_recorded_scenario_brings_its_options(cellslam: Any) -> None:
     assert changed[0]["position_rmse_m"] != brought[0]["position_rmse_m"]
 
 
+def test_replay_of_what_another_version_simulated_is_without_bound(cellslam: Any, tmp_path: Path) -> None:
+    cellslam("record", "tiny", "--out", "old.h5")
+    with h5py.File(tmp_path / "old.h5", "r+") as file:
+        file["truth/persisting_std"][...] *= 1.1
+    done = cellslam("replay", "old.h5", "--estimator", "dead-reckoning", "--json", "--no-figures")
+    assert done.status == 0 and "without the bound: truth.persisting_std is not what" in done.err
+    (row,) = done.rows
+    assert row["position_rmse_m"] > 0.0 and row["bound_position_rmse_m"] is None
+
+
 def test_replay_without_truth_and_provenance(cellslam: Any, tmp_path: Path) -> None:
     cellslam("record", "tiny", "--out", "drive.h5")
     with h5py.File(tmp_path / "drive.h5", "r+") as file:
