@@ -109,8 +109,8 @@ def speed(paths: int, links: int, columns: int, rng: np.random.Generator, repeat
     first = [c + bench.noise(rng) for c in clean]
     second = [c + bench.noise(rng) for c in clean]
     starts = [e.geometry for e in _snapshot(bench, first, [None] * links, STILL)[0]]
-    acquired = min((_snapshot(bench, first, [None] * links, STILL)[1:] for _ in range(repeat)), key=min)
-    tracked = min((_snapshot(bench, second, starts, STILL)[1:] for _ in range(repeat)), key=min)
+    acquired = min(_snapshot(bench, first, [None] * links, STILL)[1:] for _ in range(repeat))
+    tracked = min(_snapshot(bench, second, starts, STILL)[1:] for _ in range(repeat))
     return {
         "paths": paths, "links": links, "ports": array.ports, "acquire_ms": 1e3 * acquired[0],
         "acquire_cpu_ms": 1e3 * acquired[1], "track_ms": 1e3 * tracked[0], "track_cpu_ms": 1e3 * tracked[1],

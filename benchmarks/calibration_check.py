@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from cellslam.benchmarks.calibration_scenes import (
     Sample,
@@ -75,8 +76,7 @@ def summary(samples: list[Sample]) -> dict[str, tuple[float, int]]:
     links = sum(s.links for s in samples)
     gamma, found = (np.concatenate([getattr(s, n) for s in samples]) for n in ("gamma_db", "detected"))
     error = np.concatenate([s.error[s.detected] for s in samples]) * _DEGREES
-    late, beside = (np.concatenate(parts) for parts in zip(*(offsets(s) for s in samples), strict=True))
-    own = (late > -AHEAD_M) & (late < BEHIND_M) & (beside < BESIDE_RAD)
+    late, beside, own = (np.concatenate(parts) for parts in zip(*(offsets(s) for s in samples), strict=True))
     out = {"reported per link": (float(found.sum() + len(late)) / links, links)}
     which = np.digitize(gamma, EDGES_DB)
     for b in range(len(EDGES_DB) + 1):
@@ -95,18 +95,19 @@ def summary(samples: list[Sample]) -> dict[str, tuple[float, int]]:
     return out
 
 
-def offsets(sample: Sample) -> tuple[Floats, Floats]:
-    """Return of each clutter point how much later than the nearest path before it, and how far beside in azimuth."""
-    late, beside = [], []
-    for link, distance, azimuth, *_ in sample.clutter:
+def offsets(sample: Sample) -> tuple[Floats, Floats, NDArray[np.bool_]]:
+    """Return of each clutter point how much later than the nearest path before it, how far beside in azimuth, and
+    whether it belongs to that path.
+    """
+    late, beside = np.empty(len(sample.clutter)), np.empty(len(sample.clutter))
+    for i, (link, distance, azimuth, *_) in enumerate(sample.clutter):
         rows = np.flatnonzero(sample.link == int(link))
         behind = distance - sample.geometry[rows, 0]
         turn = np.abs(np.asarray(wrap_angle(azimuth - sample.geometry[rows, 1])))
         cost = np.abs(behind) / 40.0 + turn / 0.3 + np.where(behind < -AHEAD_M, 1e3, 0.0)
         nearest = int(np.argmin(cost))
-        late.append(behind[nearest])
-        beside.append(turn[nearest])
-    return np.array(late), np.array(beside)
+        late[i], beside[i] = behind[nearest], turn[nearest]
+    return late, beside, (late > -AHEAD_M) & (late < BEHIND_M) & (beside < BESIDE_RAD)
 
 
 def records(figures: list[Figure]) -> list[dict[str, Any]]:

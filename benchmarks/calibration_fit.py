@@ -8,19 +8,21 @@ import numpy as np
 from scipy.optimize import minimize
 from scipy.stats import ncx2
 
+from cellslam.benchmarks.calibration_check import AHEAD_M, BEHIND_M, BESIDE_RAD, offsets
 from cellslam.benchmarks.calibration_overlap import Law, chances, relations
-from cellslam.benchmarks.calibration_scenes import Sample
+from cellslam.benchmarks.calibration_scenes import Sample, config_of, measured_by_statistics
 from cellslam.sim.frames import wrap_angle
 from cellslam.sim.lte.bound import single_path_std
 from cellslam.sim.lte.detector_model import GAMMA_START_DB, GAMMA_STEP_DB
+from cellslam.sim.lte.statistical import PathColumns
+from cellslam.sim.lte.statistics import Statistics
 from cellslam.sim.recording import Floats
 
 NODES = 13
-LEVELS = np.linspace(0.0, 1.0, 21)
+DRAWS = 8  # of the statistical front end, which is cheap
+LEAST_CLUTTER = 50.0
+POINTS = 48  # of clutter kept per node
 STRONG_DB = 38.0  # integrated SNR from which the bound is far below what diffuse energy does
-# Clutter farther from a lone path than this, in delay and in azimuth, is noise: a strong path's diffuse energy has
-# sidelobes over all delays.
-REACH_M, AHEAD_M, BESIDE_RAD = 180.0, 15.0, np.radians(25.0)
 
 
 def fit_detection(sample: Sample, threshold: float) -> dict[str, float]:
@@ -64,20 +66,20 @@ def fit_floor(samples: dict[float, Sample]) -> dict[str, Any]:
 
 
 def structured(sample: Sample, noise_rate: float, window_m: float) -> dict[str, Any]:
-    """Return the clutter around a lone path over nodes of its integrated SNR: mean number, quantiles of how much later,
-    of azimuth and elevation beside it, and of its SNR. The noise's own share is taken off the mean.
+    """Return the clutter around a lone path over nodes of its integrated SNR: mean number, and some of the points: how
+    much later (m), azimuth and elevation beside it (rad), SNR (dB). The noise's own share is taken off the mean.
     """
     order = {int(link): row for row, link in enumerate(sample.link)}
     own = np.array([order[int(link)] for link in sample.clutter[:, 0]], np.int64)
     late = sample.clutter[:, 1] - sample.geometry[own, 0]
     beside = np.asarray(wrap_angle(sample.clutter[:, 2] - sample.geometry[own, 1]))
     above = sample.clutter[:, 3] - sample.geometry[own, 2]
-    around = ((late > -AHEAD_M) & (late < REACH_M)) | (np.abs(beside) < BESIDE_RAD)
+    points = np.column_stack([late, beside, above, sample.clutter[:, 4]])
+    around = (late > -AHEAD_M) & (late < BEHIND_M) & (np.abs(beside) < BESIDE_RAD)
     nodes = GAMMA_START_DB + GAMMA_STEP_DB * np.arange(NODES)
     at = np.clip(np.rint((sample.gamma_db - GAMMA_START_DB) / GAMMA_STEP_DB), -1, NODES - 1)
-    near = (REACH_M + AHEAD_M) / window_m
-    noise = noise_rate * (near + (1.0 - near) * BESIDE_RAD / np.pi)
-    table: dict[str, Any] = {name: [] for name in ("mean", "later_m", "beside_rad", "above_rad", "snr_db")}
+    noise = noise_rate * (BEHIND_M + AHEAD_M) / window_m * BESIDE_RAD / np.pi
+    table: dict[str, Any] = {"mean": [], "points": []}
     for node in range(len(nodes)):
         links = int(np.sum(at == node))
         rows = around & (at[own] == node)
@@ -85,10 +87,25 @@ def structured(sample: Sample, noise_rate: float, window_m: float) -> dict[str, 
         shape = rows if rows.sum() >= 40 else around & (np.abs(at[own] - node) <= 2)
         shape = shape if shape.sum() >= 10 else around
         table["mean"].append(max(float(rows.sum()) / max(links, 1) - noise, 0.0))
-        for name, values in (("later_m", late), ("beside_rad", beside), ("above_rad", above)):
-            table[name].append(np.quantile(values[shape], LEVELS).tolist())
-        table["snr_db"].append(np.quantile(sample.clutter[shape, 4], LEVELS).tolist())
+        table["points"].append(evenly(points[shape]).tolist())
     return table
+
+
+def evenly(points: Floats) -> Floats:
+    """Return POINTS of the points (n, 4), evenly spread over how much later they are."""
+    ordered = points[np.argsort(points[:, 0], kind="stable")]
+    return ordered[((np.arange(POINTS) + 0.5) * len(ordered) / POINTS).astype(np.int64)]
+
+
+def fit_company(
+    ratio_db: float, scenes: list[PathColumns], signal: Sample, constants: Statistics, rng: np.random.Generator
+) -> float:
+    """Return how many times as much clutter the signal level reports in scenes of several paths as `constants`, from
+    lone paths, give: of what belongs to a path. Where there is little there is nothing to say, and it is 1.
+    """
+    drawn = [measured_by_statistics(config_of(ratio_db), scenes, rng, constants) for _ in range(DRAWS)]
+    own = sum(int(offsets(sample)[2].sum()) for sample in drawn) / DRAWS
+    return int(offsets(signal)[2].sum()) / own if own > LEAST_CLUTTER else 1.0
 
 
 def fit_overlap(samples: dict[float, Sample], detection: dict[str, float], threshold: float) -> dict[str, float]:

@@ -79,9 +79,8 @@ def chances(
         fall = 10.0**law.log_sidelobes / (1.0 + (p.behind / law.sidelobe_m) ** 2)
         diffuse = (p.behind >= 0.0) & (p.behind <= k.DIFFUSE_TO_M)
         fall = fall + np.where(diffuse, np.exp(-np.maximum(p.behind, 0.0) / k.TRAIL_DECAY_M), 0.0)
-        inside = (p.behind >= k.TRAIL_FROM_M) & (p.behind <= k.TRAIL_TO_M)
         toward = 10.0**law.log_trail * np.exp(-0.5 * (p.beside / k.TRAIL_BESIDE_RAD) ** 2) + 10.0**law.log_around
-        disturbance = 1.0 + 10.0 ** (-ratio_db / 10.0) * np.sum(inside * p.disturbing * fall * toward, axis=1)
+        disturbance = 1.0 + 10.0 ** (-ratio_db / 10.0) * np.sum(p.disturbing * fall * toward, axis=1)
         gamma_db = sample.gamma_db[p.rows] + 10.0 * np.log10(np.maximum(p.leftover, 1e-12) / disturbance)
         alone = np.interp(gamma_db, _TABLE_DB, table)
         crowded = 1.0 / (1.0 + np.exp(-np.clip((gamma_db - law.centre_db) / law.width_db, -50.0, 50.0)))

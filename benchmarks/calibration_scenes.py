@@ -22,6 +22,7 @@ from cellslam.sim.lte.links import Cells, cells_of, slant
 from cellslam.sim.lte.persisting import draw_fields
 from cellslam.sim.lte.signal_level import DEFAULT_HARDWARE, SignalLevel, signal_level
 from cellslam.sim.lte.statistical import PathColumns, Streams, detect
+from cellslam.sim.lte.statistics import Statistics
 from cellslam.sim.recording import Floats, Ints
 
 PORTS = 2
@@ -116,11 +117,14 @@ def measured_by_signals(
     return collect(scenes, tables, base.config)
 
 
-def measured_by_statistics(config: RadioConfig, scenes: list[PathColumns], rng: np.random.Generator) -> Sample:
+def measured_by_statistics(
+    config: RadioConfig, scenes: list[PathColumns], rng: np.random.Generator, constants: Statistics | None = None
+) -> Sample:
     """Return what the statistical front end reports of the scenes; fields that persist are drawn anew each scene."""
     tables, site, own = [], cells(), config.model_copy(update={"front_end": "statistical"})
     for number, paths in enumerate(scenes):
-        d = detect(own, site, paths, POSE[None], np.zeros(1), draw_fields(own, 0.075, rng), Streams.spawn(rng), number)
+        fields, streams = draw_fields(own, 0.075, rng), Streams.spawn(rng)
+        d = detect(own, site, paths, POSE[None], np.zeros(1), fields, streams, number, constants=constants)
         table = np.full((len(d.path), k.COLUMNS), np.nan)
         m = d.measurements
         for column, values in (

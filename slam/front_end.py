@@ -66,7 +66,7 @@ class FrontEndOptions(BaseModel):
     place_m: float = Field(
         0.71, ge=0, le=100, description="distance error that changes with the place (diffuse energy), m"
     )
-    place_azimuth_deg: float = Field(0.78, ge=0, le=90, description="the same for azimuth, with the array's sway, deg")
+    place_azimuth_deg: float = Field(0.80, ge=0, le=90, description="the same for azimuth, with the array's sway, deg")
     place_elevation_deg: float = Field(0.71, ge=0, le=90, description="the same for elevation, deg")
     place_scale_m: float = Field(0.15, ge=0, le=1000, description="way over which it is drawn anew, m; 0: white")
     direction_m: float = Field(
@@ -80,6 +80,11 @@ class FrontEndOptions(BaseModel):
     direction_scale_deg: float = Field(
         4.0, ge=0, le=180, description="change of direction over which the angles' are drawn anew, deg; 0: white"
     )
+    pitch_deg: float = Field(
+        0.1, ge=0, le=20, description="deviation of a pitch that the odometry does not see, deg; 0: level"
+    )
+    roll_deg: float = Field(0.3, ge=0, le=20, description="the same for roll, deg; 0: level")
+    attitude_scale_s: float = Field(3.0, gt=0, le=1e4, description="time over which pitch and roll change, s")
     typical_range_m: float = Field(
         200.0, gt=0, le=1e5, description="distance of a typical VT: driving on turns its direction by speed / range, m"
     )

@@ -185,7 +185,8 @@ def test_statistical_overlap_follows_the_array(apart_m: float, turn_deg: float) 
     from cellslam.sim.lte.config import RadioConfig
     from cellslam.sim.lte.statistical import model_of
     from cellslam.sim.lte.statistical_kernel import captured
+    from cellslam.sim.lte.statistics import statistics
 
     a, b = (300.0, 0.4, 0.1), (300.0 + apart_m, 0.4 + np.radians(turn_deg), 0.1)
     exact = 1.0 - leftover(CircularArray(), tone_frequencies(100), paths(b), paths(a))
-    assert abs(captured(np.array(a), np.array(b), model_of(RadioConfig())) - exact) < 0.05
+    assert abs(captured(np.array(a), np.array(b), model_of(RadioConfig(), statistics())) - exact) < 0.05

@@ -149,7 +149,7 @@ def test_floors_are_the_sum_of_their_causes() -> None:
 def test_noise_clutter_is_poisson_and_uniform() -> None:
     config, count = RadioConfig(clutter_scale=3.0), 20_000
     d = run(config, np.empty((0, 3)), np.empty(0), count)
-    mean = 3.0 * noise_clutter_mean(config.detection_threshold) * count
+    mean = 3.0 * noise_clutter_mean(config.detection_threshold, statistics()) * count
     low, high = poisson.ppf([FALSE_ALARM, 1.0 - FALSE_ALARM], mean)
     assert low < len(d.path) < high
     assert (d.path == -1).all()
@@ -170,13 +170,15 @@ def test_clutter_around_a_lone_path_is_as_calibrated(ratio_db: float) -> None:
     assert low <= clutter.sum() <= high
     if table.mean[node] * count < 1000.0:
         return
-    later, snr_db = m.distance_m[clutter] - 200.0, m.snr_db[clutter]
-    for values, quantiles in (
-        (later, table.later_m), (m.azimuth_rad[clutter], table.beside_rad), (snr_db, table.snr_db),
-    ):  # fmt: skip
-        assert values.min() >= quantiles[node, 0] - 1e-9
-        assert values.max() <= quantiles[node, -1] + 1e-9
-        assert abs(np.mean(values < quantiles[node, 10]) - 0.5) < 5.0 * 0.5 / np.sqrt(len(values))
+    drawn = np.column_stack([m.distance_m[clutter] - 200.0, m.azimuth_rad[clutter], m.snr_db[clutter]])
+    points = table.points[node][:, [0, 1, 3]]
+    assert (np.abs(drawn).max(axis=0) <= 1.101 * np.abs(points).max(axis=0)).all()
+    error = points.std(axis=0) / np.sqrt(len(drawn))
+    np.testing.assert_allclose(drawn.mean(axis=0), points.mean(axis=0), atol=5.0 * error.max(initial=0.0), rtol=0.02)
+    np.testing.assert_allclose(drawn.std(axis=0), points.std(axis=0), rtol=0.1)
+    # Delay and direction belong together.
+    together = [np.corrcoef(np.abs(p[:, 0]), np.abs(p[:, 1]))[0, 1] for p in (drawn, points)]
+    assert abs(together[0] - together[1]) < 0.1
 
 
 def test_clutter_is_hidden_behind_what_is_stronger() -> None:
@@ -194,8 +196,20 @@ def test_clutter_is_interpolated_between_the_ratios_measured() -> None:
     low, high = sorted(known)[:2]
     between = statistics().clutter_at(0.25 * low + 0.75 * high)
     np.testing.assert_allclose(between.mean, 0.25 * known[low].mean + 0.75 * known[high].mean)
-    np.testing.assert_array_equal(statistics().clutter_at(high).later_m, known[high].later_m)
-    assert all((np.diff(c.later_m, axis=1) >= 0.0).all() and (c.mean >= 0.0).all() for c in known.values())
+    count = between.points.shape[1]
+    from_high = (between.points == known[high].points).all(axis=(0, 2)).sum()
+    assert abs(from_high / count - 0.75) <= 1.0 / count
+    np.testing.assert_array_equal(statistics().clutter_at(high).points, known[high].points)
+    assert all((c.mean >= 0.0).all() and np.isfinite(c.points).all() for c in known.values())
+
+
+def test_paths_in_company_have_as_much_more_clutter_as_was_measured() -> None:
+    config, count = RadioConfig(load=0.0, evm=0.0, detection_threshold=40.0), 4000
+    strong = amplitude_for(1e4, config)
+    apart = [[200.0, 0.0, 0.0], [-700.0, 0.0, 0.0]]
+    lone = [(run(config, [vt], np.array([strong]), count).path < 0).sum() for vt in apart]
+    both = (run(config, apart, np.array([strong, strong]), count).path < 0).sum()
+    assert both / sum(lone) == pytest.approx(statistics().company_at(config.specular_to_diffuse_db), rel=0.1)
 
 
 def test_merged_paths_pull_the_stronger_one() -> None:

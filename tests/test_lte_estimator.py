@@ -19,7 +19,7 @@ from cellslam.sim.lte.channel import PortSignal, frequency_response, pilots
 from cellslam.sim.lte.estimator import Estimates, estimate_paths
 from cellslam.sim.lte.joint_bound import PathSet, fisher_information, joint_std
 from cellslam.sim.lte.receiver import Receiver
-from cellslam.sim.lte.refine import evaluate, refine, refine_any, synthesise
+from cellslam.sim.lte.refine import evaluate, refine, refine_any
 from cellslam.sim.lte.search_kernel import _surroundings, running_median
 from cellslam.sim.lte.spectrum import Spectrum
 
@@ -177,7 +177,7 @@ def test_taking_a_path_out_of_the_spectrum_is_transforming_the_residual() -> Non
     paths = draw(rng, np.array([10.0, -5.0]))
     y = channel(paths) + noise(rng)
     fit = evaluate(y, AT_REST, np.stack([paths.distance_m, paths.azimuth_rad, paths.elevation_rad], 1))
-    spectrum, residual = Spectrum(y, AT_REST), Spectrum(y - synthesise(AT_REST, fit), AT_REST)
+    spectrum, residual = Spectrum(y, AT_REST), Spectrum(y - fit.samples, AT_REST)
     spectrum.leave(fit)
     np.testing.assert_allclose(spectrum.beams, residual.beams, atol=1e-2)
     np.testing.assert_allclose(spectrum.profile, residual.profile, rtol=1e-2)

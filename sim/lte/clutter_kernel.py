@@ -18,20 +18,12 @@ from cellslam.sim.lte.detector_model import (
     MOST_CLUTTER,
     TRAIL_BESIDE_RAD,
     TRAIL_DECAY_M,
-    TRAIL_FROM_M,
-    TRAIL_TO_M,
     Array,
     Model,
 )
 from cellslam.sim.lte.measurement_kernel import clutter_row, probability, wrap
 
-
-@njit(cache=True)
-def quantile(table: Array, node: int, at: float) -> float:
-    """Return the quantile `at` in [0, 1) of a row of equally spaced quantiles."""
-    place = at * (table.shape[1] - 1)
-    i = int(place)
-    return float(table[node, i] + (place - i) * (table[node, i + 1] - table[node, i]))
+SMEAR = 0.1  # the points of clutter that were measured are drawn with offsets this much larger or smaller
 
 
 @njit(cache=True)
@@ -40,8 +32,6 @@ def trailing(a: Array, b: Array, model: Model) -> float:
     sidelobes over delay, from the direction of a and from anywhere.
     """
     behind = a[0] - b[0]
-    if behind < TRAIL_FROM_M or behind > TRAIL_TO_M:
-        return 0.0
     beside, aside = wrap(a[1] - b[1]) / TRAIL_BESIDE_RAD, behind / model.sidelobe_m
     fall = model.sidelobes / (1.0 + aside * aside)
     if 0.0 <= behind <= DIFFUSE_TO_M:
@@ -63,18 +53,21 @@ def structured_clutter(
     low = int(at)
     part = at - low
     mean = (1.0 - part) * model.clutter_mean[low] + part * model.clutter_mean[low + 1]
+    if paths > 1:
+        mean *= model.company
     count = 0
     for _ in range(min(clutter.poisson(mean), MOST_CLUTTER)):
         node = low + 1 if clutter.random() < part else low
-        later = quantile(model.clutter_later, node, clutter.random())
-        azimuth = own[1] + quantile(model.clutter_beside, node, clutter.random())
-        elevation = own[2] + quantile(model.clutter_above, node, clutter.random())
-        level = 10.0 ** (0.1 * quantile(model.clutter_snr, node, clutter.random()))
+        point = model.clutter_points[node, int(clutter.random() * model.clutter_points.shape[1])]
+        later = point[0] * (1.0 + SMEAR * (2.0 * clutter.random() - 1.0))
+        azimuth = own[1] + point[1] * (1.0 + SMEAR * (2.0 * clutter.random() - 1.0))
+        elevation = own[2] + point[2] * (1.0 + SMEAR * (2.0 * clutter.random() - 1.0))
+        level = 10.0 ** (0.1 * point[3])
         row = out[count]
         clutter_row(row, own[0] + later, azimuth, elevation, level * model.samples, model)
         disturbance = 1.0
         for q in range(paths):
-            if level * model.samples < DIFFUSE_SHARE * gamma[q] and gamma[q] > gamma[path]:
+            if q != path and level * model.samples < DIFFUSE_SHARE * gamma[q]:
                 disturbance += gamma[q] * trailing(row[DISTANCE : ELEVATION + 1], geo[q], model)
         chance = model.detection_scale
         if disturbance > DISTURBED:

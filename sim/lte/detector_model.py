@@ -17,8 +17,8 @@ ISOLATED_LEFTOVER = 0.9
 GHOST_REACH_M = 10.0
 # Nodes of integrated SNR over which clutter was measured.
 GAMMA_START_DB, GAMMA_STEP_DB = 5.0, 5.0
-# Behind a path (m), and to its sides (deviation, rad), where it disturbs others; its diffuse energy decays over 35 m.
-TRAIL_FROM_M, TRAIL_TO_M, DIFFUSE_TO_M, TRAIL_BESIDE_RAD, TRAIL_DECAY_M = -100.0, 250.0, 150.0, 0.35, 35.0
+# How far behind a path its diffuse energy reaches, how far to its sides (deviation), and over what delay it decays.
+DIFFUSE_TO_M, TRAIL_BESIDE_RAD, TRAIL_DECAY_M = 150.0, 0.35, 35.0
 # What is stronger than this share of a path is not taken for its diffuse energy, and not disturbed by it.
 DIFFUSE_SHARE = 1.0
 DISTURBED = 1.5  # disturbance over noise from which detection is no longer that of an isolated path
@@ -46,9 +46,10 @@ class Model(NamedTuple):
     deviations, of all causes and of the white ones.
 
     `trail`, `around`: disturbance that a stronger path's diffuse energy adds in the same direction and in all, per
-    integrated SNR; `sidelobes`: share of it that spreads over `sidelobe_m` of delay. Clutter around a path
-    over nodes (G,) of its integrated SNR: mean number (G,), quantiles (G, Q) of what is later (m), beside and above
-    (rad), and of the SNR (dB).
+    integrated SNR; `sidelobes`: share of it that spreads over `sidelobe_m` of delay. `company`: how many times as much
+    clutter there is around a path among others as around a lone one. Clutter around a path
+    over nodes (G,) of its integrated SNR: mean number (G,), points (G, N, 4): later (m), beside and above (rad), SNR
+    (dB).
     """
 
     eirp: float
@@ -79,8 +80,6 @@ class Model(NamedTuple):
     around: float
     sidelobes: float
     sidelobe_m: float
+    company: float
     clutter_mean: Array
-    clutter_later: Array
-    clutter_beside: Array
-    clutter_above: Array
-    clutter_snr: Array
+    clutter_points: Array

@@ -13,13 +13,17 @@ from numpy.typing import NDArray
 
 from cellslam.sim.errors import InputError
 from cellslam.sim.frames import wrap_angle
+from cellslam.sim.lte.acquire_kernel import Rules, next_path
 from cellslam.sim.lte.array import CircularArray, Complex, Floats
 from cellslam.sim.lte.detector_model import GHOST_REACH_M
-from cellslam.sim.lte.receiver import DELAY_PITCH_M, HIGHEST_RAD, LOWEST_RAD, Motion, Receiver
-from cellslam.sim.lte.refine import FINE_GAIN, Fit, covariance, factors, refine, synthesise
-from cellslam.sim.lte.spectrum import Spectrum, in_trail
+from cellslam.sim.lte.receiver import DELAY_PITCH_M, ELEVATIONS, HIGHEST_RAD, LOWEST_RAD, Motion, Receiver
+from cellslam.sim.lte.refine import FINE_GAIN, ITERATIONS, LONGEST_STEP, STEEPEST_RAD, Fit, covariance, refine
+from cellslam.sim.lte.search_kernel import subtract_outer
+from cellslam.sim.lte.spectrum import DIFFUSE_MARGIN, Spectrum, in_trail
 
+Cell = tuple[int, int]  # direction and bin of the spectrum
 COARSE = 0.58  # share of the threshold at which a cell is looked at: the grid loses up to 2.4 dB
+_PROMISING = 0.85  # share of the threshold that the first step of a one-path fit must promise
 MOST_FAILURES = 10  # cells that turn out to be noise or diffuse energy before the search ends
 MOST_PATHS = 32
 JOINT_EVERY = 4
@@ -135,7 +139,7 @@ class _Link:
             geometry = fit.geometry[kept]
         if self.fit is None:
             self.spectrum.leave(None)
-        self.residual = self.y - synthesise(self.motion, self.fit) if self.fit else self.y
+        self.residual = self.y - self.fit.samples if self.fit else self.y
 
     def unite(self) -> None:
         """Drop each path that a close stronger one can stand for: a fit without it explains as much."""
@@ -156,15 +160,15 @@ class _Link:
 
     def search(self) -> None:
         """Add paths, the strongest first, until nothing more stands out."""
-        blocked: list[tuple[int, int]] = []
+        blocked: list[Cell] = []
         pending: list[Floats] = []
         failures, most = 0, len(self.geometry)
         while True:
             full = len(self.geometry) + len(pending) >= MOST_PATHS
             found = None
-            if failures < MOST_FAILURES and not full:
-                found = self.spectrum.strongest(COARSE * self.receiver.threshold, blocked)
-            if found is None or len(pending) >= JOINT_EVERY:
+            if not full and len(pending) < JOINT_EVERY:
+                found, failures = self._next(blocked, failures)
+            if found is None:
                 if not pending:
                     if not self.fine:
                         self.fit_jointly(self.geometry, FINE_GAIN)
@@ -178,24 +182,58 @@ class _Link:
                 else:
                     failures += 1
                 continue
-            start, cell, level = found
-            # A cell is tried once: what the joint fit drops must not come back for ever.
-            blocked.append(cell)
-            threshold = self.receiver.threshold
-            fit = refine(self.residual, self.motion, start[None, :], level, _COARSE_GAIN, 0.85 * threshold)
-            away = np.abs(fit.geometry[0] - start)[[0, 2]]
-            if fit.normal.explained < threshold * level or (away > _FARTHEST * self.receiver.coarser[[0, 2]]).any():
-                failures += 1
-                continue
+            fit, cell = found
             self.spectrum.subtract(fit)
             _, asked = self.spectrum.levels(fit.geometry, np.array([self.spectrum.in_trail(fit, cell)]))
-            if fit.normal.explained < threshold * asked[0]:
+            if fit.normal.explained < self.receiver.threshold * asked[0]:
                 self.spectrum.subtract(fit, -1.0)
                 failures += 1
                 continue
             self.spectrum.trail(fit)
             pending.append(fit.geometry[0])
-            self.residual = self.residual - synthesise(self.motion, fit)
+            if self.residual is self.y:
+                self.residual = self.y.copy()
+            on_ports, on_tones = fit.factors
+            subtract_outer(self.residual, on_ports[0], on_tones[0])
+
+    def _next(self, blocked: list[Cell], failures: int) -> tuple[tuple[Fit, Cell] | None, int]:
+        """Return the next path that a one-path fit confirms, None if there is none, and how many cells failed so far.
+
+        `blocked` takes up each cell that is tried: what the joint fit drops must not come back for ever.
+        """
+        model, r, s = self.motion.model, self.receiver, self.spectrum
+        if model is None:
+            return self._next_any(blocked, failures)
+        cells = np.zeros((len(blocked) + MOST_FAILURES + 1, 2), np.int64)
+        cells[: len(blocked)] = np.array(blocked, np.int64).reshape(-1, 2)
+        farthest = _FARTHEST * r.coarser[[0, 2]]
+        rules = Rules(
+            COARSE * r.threshold, r.threshold, _PROMISING, MOST_FAILURES, float(farthest[0]), float(farthest[1]),
+            DIFFUSE_MARGIN, ELEVATIONS,
+        )  # fmt: skip
+        count, failures, k, d, geometry, normal = next_path(
+            self.residual, s.energy, s.port_energy, s.profile, s.trailing, s.working, cells, len(blocked), failures,
+            r.delays_m, *r.directions, rules, _COARSE_GAIN, ITERATIONS, LONGEST_STEP * r.coarser, float(STEEPEST_RAD),
+            model,
+        )  # fmt: skip
+        blocked.extend((int(a), int(b)) for a, b in cells[len(blocked) : count])
+        return ((Fit(geometry, normal, self.motion), (k, d)) if k >= 0 else None), failures
+
+    def _next_any(self, blocked: list[Cell], failures: int) -> tuple[tuple[Fit, Cell] | None, int]:
+        """Do the same step by step, for any array."""
+        threshold, farthest = self.receiver.threshold, _FARTHEST * self.receiver.coarser[[0, 2]]
+        while failures < MOST_FAILURES:
+            found = self.spectrum.strongest(COARSE * threshold, blocked)
+            if found is None:
+                break
+            start, cell, level = found
+            blocked.append(cell)
+            fit = refine(self.residual, self.motion, start[None, :], level, _COARSE_GAIN, _PROMISING * threshold)
+            away = np.abs(fit.geometry[0] - start)[[0, 2]]
+            if fit.normal.explained >= threshold * level and (away <= farthest).all():
+                return (fit, cell), failures
+            failures += 1
+        return None, failures
 
     def saturated(self) -> NDArray[np.bool_]:
         """Return which ports (ports,) hold much that no path explains: a share of their power and far over the rest."""
@@ -208,7 +246,7 @@ class _Link:
         if self.fit is None:
             return NOTHING
         energy = self.fit.normal.wald
-        strength = np.sum(np.abs(factors(self.motion, self.fit)[0]) ** 2, axis=1) / len(self.y)
+        strength = np.sum(np.abs(self.fit.factors[0]) ** 2, axis=1) / len(self.y)
         order = np.argsort(self.geometry[:, 0], kind="stable")
         snr_db = 10.0 * np.log10(np.maximum(strength / self.level, 1e-12))
         spread = covariance(self.fit, self.level)

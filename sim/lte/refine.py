@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
+from numpy.typing import NDArray
 
 from cellslam.sim.frames import wrap_angle
 from cellslam.sim.lte.array import Complex, Floats
@@ -13,27 +15,48 @@ from cellslam.sim.lte.receiver import Motion
 from cellslam.sim.lte.refine_kernel import Normal, normal_equations
 
 FINE_GAIN = 0.01  # noise variances: a hundredth of a nat
-_ITERATIONS = 12
-_LONGEST_STEP = np.array([6.0, np.radians(9.0), np.radians(9.0)])
-_STEEPEST_RAD = np.radians(85.0)
+ITERATIONS = 12
+LONGEST_STEP = np.array([6.0, np.radians(9.0), np.radians(9.0)])
+STEEPEST_RAD = np.radians(85.0)
 
 
 @dataclass(frozen=True)
 class Fit:
-    """Paths (n,): `geometry` (n, 3) distance, azimuth, elevation; and the normal equations there."""
+    """Paths (n,): `geometry` (n, 3) distance, azimuth, elevation; the normal equations there; who receives them."""
 
     geometry: Floats
     normal: Normal
+    motion: Motion
 
     def __len__(self) -> int:
         return len(self.geometry)
+
+    @cached_property
+    def factors(self) -> tuple[Complex, Complex]:
+        """What each path gives the ports (n, ports) and the tones (n, tones)."""
+        distance, azimuth, elevation = (np.ascontiguousarray(column) for column in self.geometry.T)
+        value = self.motion.steer(azimuth, elevation).value
+        ports = value[:, :, 0] * self.normal.weights[:, :1] + value[:, :, 1] * self.normal.weights[:, 1:]
+        return ports, np.asarray(np.exp(-1j * np.outer(distance, self.motion.receiver.rate)), np.complex128)
+
+    @cached_property
+    def in_spectrum(self) -> tuple[NDArray[np.complex64], NDArray[np.complex64]]:
+        """The same over ports (ports, n) and searched delays (n, D)."""
+        on_ports, on_tones = (f.astype(np.complex64) for f in self.factors)
+        return np.ascontiguousarray(on_ports.T), on_tones @ self.motion.receiver.delay_matrix
+
+    @property
+    def samples(self) -> Complex:
+        """The samples (ports, tones) that the paths explain."""
+        ports, delays = self.factors
+        return np.asarray(ports.T @ delays, np.complex128)
 
 
 def evaluate(y: Complex, motion: Motion, geometry: Floats) -> Fit:
     """Return the least-squares weights, information and gradient at a geometry (n, 3) of the samples (ports, tones)."""
     distance, azimuth, elevation = (np.ascontiguousarray(column) for column in geometry.T)
     steering = motion.steer(azimuth, elevation)
-    return Fit(geometry, normal_equations(y, *steering, motion.receiver.rate, distance))
+    return Fit(geometry, normal_equations(y, *steering, motion.receiver.rate, distance), motion)
 
 
 def refine(
@@ -47,10 +70,10 @@ def refine(
     """
     if motion.model is not None:
         climbed = climb(
-            y, np.ascontiguousarray(geometry, np.float64), least_gain * noise_variance, _ITERATIONS,
-            promising * noise_variance, _LONGEST_STEP * motion.receiver.coarser, float(_STEEPEST_RAD), motion.model,
+            y, np.ascontiguousarray(geometry, np.float64), least_gain * noise_variance, ITERATIONS,
+            promising * noise_variance, LONGEST_STEP * motion.receiver.coarser, float(STEEPEST_RAD), motion.model,
         )  # fmt: skip
-        return Fit(*climbed)
+        return Fit(*climbed, motion)
     return refine_any(y, motion, geometry, noise_variance, least_gain, promising)
 
 
@@ -60,7 +83,7 @@ def refine_any(
 ) -> Fit:  # fmt: skip
     """Return the same as `refine`, step by step in NumPy, for any array."""
     fit, damping = evaluate(y, motion, geometry), 1e-3
-    for iteration in range(_ITERATIONS):
+    for iteration in range(ITERATIONS):
         step, gain = _step(fit.normal, damping)
         hopeless = iteration == 0 and fit.normal.explained + gain < promising * noise_variance
         if gain < least_gain * noise_variance or hopeless:
@@ -71,20 +94,6 @@ def refine_any(
         else:
             damping = max(10.0 * damping, 1e-3)
     return fit
-
-
-def synthesise(motion: Motion, fit: Fit) -> Complex:
-    """Return the samples (ports, tones) that the fitted paths explain."""
-    ports, delays = factors(motion, fit)
-    return np.asarray(ports.T @ delays, np.complex128)
-
-
-def factors(motion: Motion, fit: Fit) -> tuple[Complex, Complex]:
-    """Return what each fitted path gives the ports (n, ports) and the tones (n, tones)."""
-    distance, azimuth, elevation = (np.ascontiguousarray(column) for column in fit.geometry.T)
-    value = motion.steer(azimuth, elevation).value
-    ports = value[:, :, 0] * fit.normal.weights[:, :1] + value[:, :, 1] * fit.normal.weights[:, 1:]
-    return ports, np.asarray(np.exp(-1j * np.outer(distance, motion.receiver.rate)), np.complex128)
 
 
 def covariance(fit: Fit, level: Floats) -> Floats:
@@ -107,7 +116,7 @@ def _step(normal: Normal, damping: float) -> tuple[Floats, float]:
 
 def _moved(geometry: Floats, step: Floats, coarser: Floats) -> Floats:
     """Return the geometry after a step, no component moving further than its limit."""
-    moved = geometry + np.clip(step, -_LONGEST_STEP * coarser, _LONGEST_STEP * coarser)
+    moved = geometry + np.clip(step, -LONGEST_STEP * coarser, LONGEST_STEP * coarser)
     moved[:, 1] = wrap_angle(moved[:, 1])
-    moved[:, 2] = np.clip(moved[:, 2], -_STEEPEST_RAD, _STEEPEST_RAD)
+    moved[:, 2] = np.clip(moved[:, 2], -STEEPEST_RAD, STEEPEST_RAD)
     return np.asarray(moved, np.float64)

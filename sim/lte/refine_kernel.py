@@ -105,7 +105,8 @@ def normal_equations(y: Array, value: Array, by_az: Array, by_el: Array, rate: A
             cross[a, b] *= on_tones[tone_a, b // 2]
             gradient[a] -= cross[a, b] * w[b]
     information = (own - cross @ inverse @ cross.conj().T).real
-    return Normal(explained, w.reshape(n, 2), _wald(inverse, w), np.ascontiguousarray(information), gradient.real)
+    slope = np.ascontiguousarray(gradient.real)
+    return Normal(explained, w.reshape(n, 2), _wald(inverse, w), np.ascontiguousarray(information), slope)
 
 
 @njit(cache=True, nogil=True)

@@ -11,15 +11,17 @@ GUARD_BINS, REFERENCE_BINS = 2, 3  # cells skipped, then averaged, before and be
 STRETCH_BINS = 31  # of delay, over which noise is taken for constant
 # Disturbance below these multiples of the noise is taken for its estimate's scatter: of few cells, of all ports.
 LOCAL_EXCESS, AROUND_EXCESS = 1.7, 1.15
+ALIKE = 0.1  # relative difference over delay that is taken for the noise estimate's scatter
 SIDELOBES = 0.01  # mean energy of a delay peak over the reference cells, relative to the peak
 
 
 @njit(cache=True, nogil=True)
-def look(beams: Array, on_ports: Array, working: int, energy: Array, port_energy: Array, profile: Array) -> None:
+def look(beams: Array, on_ports: Array, working: int, energy: Array, port_energy: Array, profile: Array) -> float:
     """Write energy (K, D) of both polarisations of beam outputs (2 K, D), energy (D,) of all port outputs (ports, D),
-    and the noise per sample over delay (D,): the running median of the ports' mean energy.
+    and the noise per sample over delay (D,): the running median of the ports' mean energy; return its median.
 
-    Cancelling another cell colours the noise over delay; paths fill few cells of a stretch.
+    Cancelling another cell colours the noise over delay; paths fill few cells of a stretch. What differs by no more
+    than scatter is set to the median.
     """
     count, bins = energy.shape
     for k in range(count):
@@ -34,6 +36,11 @@ def look(beams: Array, on_ports: Array, working: int, energy: Array, port_energy
     running_median(port_energy, STRETCH_BINS, profile)
     for d in range(bins):
         profile[d] /= working
+    noise = float(np.median(profile))
+    for d in range(bins):
+        if abs(profile[d] - noise) < ALIKE * noise:
+            profile[d] = noise
+    return noise
 
 
 @njit(cache=True, nogil=True)
@@ -65,6 +72,31 @@ def subtract_outer(matrix: Array, rows: Array, columns: Array) -> None:
         row, factor = matrix[i], rows[i]
         for j in range(matrix.shape[1]):
             row[j] -= factor * columns[j]
+
+
+@njit(cache=True, nogil=True)
+def note_trail(trailing: Array, first: Array, last: Array, column: Array, beside: int, energy: Array) -> None:
+    """Raise `trailing` (azimuths, D) to the energy (n,) of each path from bin `first` to `last`, `beside` columns to
+    both sides.
+    """
+    for p in range(len(energy)):
+        for turn in range(-beside, beside + 1):
+            row = trailing[(column[p] + turn) % len(trailing)]
+            for d in range(max(first[p], 0), min(last[p], len(row))):
+                row[d] = max(row[d], energy[p])
+
+
+@njit(cache=True, nogil=True)
+def local_levels(
+    directions: Array, bins: Array, energy: Array, elevations: int, port_energy: Array, ports: int, noise: Array,
+    margin: Array, level: Array, asked: Array,
+) -> None:  # fmt: skip
+    """Write `local_level` of each of n cells whose path was taken out; `margin` (n,)."""
+    for i in range(len(bins)):
+        d = bins[i]
+        level[i], asked[i] = local_level(
+            directions[i], d, 0.0, energy, elevations, port_energy, ports, noise[d], margin[i]
+        )
 
 
 @njit(cache=True, nogil=True)

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
 
 from cellslam.sim.frames import wrap_angle
@@ -11,14 +9,14 @@ from cellslam.sim.lte import search_kernel
 from cellslam.sim.lte.array import Complex, Floats
 from cellslam.sim.lte.detector_model import DIFFUSE_SHARE
 from cellslam.sim.lte.receiver import AZIMUTHS, ELEVATIONS, HIGHEST_RAD, LOWEST_RAD, Motion
-from cellslam.sim.lte.refine import Fit, factors
+from cellslam.sim.lte.refine import Fit
+from cellslam.sim.recording import Ints
 
 # Where diffuse energy of a path is expected: from so far behind it, to so far, and so many beams to its sides.
 LEAD_M, TRAIL_M, BESIDE = 5.0, 150.0, 3
 _BESIDE_RAD = (BESIDE + 0.5) * 2.0 * np.pi / AZIMUTHS
 # By how much diffuse energy may be stronger in a cell than in those around it: it falls with delay, and fades.
 DIFFUSE_MARGIN = 8.0
-_ALIKE = 0.1  # relative difference over delay that is taken for the noise estimate's scatter
 
 
 class Spectrum:
@@ -44,7 +42,7 @@ class Spectrum:
         if fit is None:
             self.ports[:], self.beams[:] = self._own_ports, self._own_beams
         else:
-            on_ports, delay = self._factors(fit)
+            on_ports, delay = fit.in_spectrum
             np.subtract(self._own_ports, on_ports @ delay, out=self.ports)
             np.subtract(self._own_beams, (self.motion.beams @ on_ports) @ delay, out=self.beams)
             self.trail(fit)
@@ -52,8 +50,8 @@ class Spectrum:
 
     def subtract(self, fit: Fit, share: float = 1.0) -> None:
         """Take one more path out, in place; -1: put it back."""
-        on_ports, delay = self._factors(fit)
-        on_ports *= np.float32(share)
+        on_ports, delay = fit.in_spectrum
+        on_ports = on_ports * np.float32(share)
         search_kernel.subtract_outer(self.ports, on_ports[:, 0], delay[0])
         search_kernel.subtract_outer(self.beams, self.motion.beams @ on_ports[:, 0], delay[0])
         self._look()
@@ -75,42 +73,37 @@ class Spectrum:
         must have stood out of; `trailing` (n,): it lies where diffuse energy of a stronger path is expected.
         """
         out, asked = np.empty(len(geometry)), np.empty(len(geometry))
-        step = (HIGHEST_RAD - LOWEST_RAD) / (ELEVATIONS - 1)
-        for i, (distance, azimuth, elevation) in enumerate(geometry):
-            d = min(max(self._bin(distance), 0), len(self.receiver.delays_m) - 1)
-            e = min(max(round((elevation - LOWEST_RAD) / step), 0), ELEVATIONS - 1)
-            k = round((azimuth + math.pi) / (2.0 * math.pi) * AZIMUTHS) % AZIMUTHS * ELEVATIONS + e
-            out[i], asked[i] = search_kernel.local_level(
-                k, d, 0.0, self.energy, ELEVATIONS, self.port_energy, self.working, self.profile[d],
-                DIFFUSE_MARGIN if trailing[i] else 1.0,
-            )  # fmt: skip
+        rise = np.rint((geometry[:, 2] - LOWEST_RAD) / (HIGHEST_RAD - LOWEST_RAD) * (ELEVATIONS - 1)).astype(np.int64)
+        direction = _column(geometry[:, 1]) % AZIMUTHS * ELEVATIONS + np.minimum(np.maximum(rise, 0), ELEVATIONS - 1)
+        bins = np.minimum(np.maximum(self._bin(geometry[:, 0]), 0), len(self.receiver.delays_m) - 1)
+        search_kernel.local_levels(
+            direction, bins, self.energy, ELEVATIONS, self.port_energy, self.working, self.profile,
+            np.where(trailing, DIFFUSE_MARGIN, 1.0), out, asked,
+        )  # fmt: skip
         return out, asked
 
     def in_trail(self, fit: Fit, cell: tuple[int, int]) -> bool:
         """Return whether a fitted cell is as weak as diffuse energy of a stronger path expected there."""
         return bool(fit.normal.explained < self.trailing[cell[0] // ELEVATIONS, cell[1]])
 
-    def _factors(self, fit: Fit) -> tuple[np.ndarray, np.ndarray]:
-        on_ports, on_tones = (f.astype(np.complex64) for f in factors(self.motion, fit))
-        return np.ascontiguousarray(on_ports.T), on_tones @ self.receiver.delay_matrix
-
     def trail(self, fit: Fit) -> None:
         """Note where diffuse energy of paths is to be expected, and how much at most."""
-        for (distance, azimuth, _), energy in zip(fit.geometry, fit.normal.wald, strict=True):
-            low, high = max(self._bin(distance + LEAD_M), 0), max(self._bin(distance + TRAIL_M) + 1, 0)
-            middle = round((azimuth + math.pi) / (2.0 * math.pi) * AZIMUTHS)
-            for column in range(middle - BESIDE, middle + BESIDE + 1):
-                part = self.trailing[column % AZIMUTHS, low:high]
-                np.maximum(part, DIFFUSE_SHARE * energy, out=part)
+        distance, energy = fit.geometry[:, 0], np.asarray(DIFFUSE_SHARE * fit.normal.wald, np.float32)
+        first, last = self._bin(distance + LEAD_M), self._bin(distance + TRAIL_M) + 1
+        search_kernel.note_trail(self.trailing, first, last, _column(fit.geometry[:, 1]), BESIDE, energy)
 
-    def _bin(self, distance: float) -> int:
-        return round((distance - self.receiver.window_min_m) / self.receiver.pitch_m)
+    def _bin(self, distance: Floats) -> Ints:
+        return np.rint((distance - self.receiver.window_min_m) / self.receiver.pitch_m).astype(np.int64)
 
     def _look(self) -> None:
-        search_kernel.look(self.beams, self.ports, self.working, self.energy, self.port_energy, self.profile)
-        self.noise = float(np.median(self.profile))
-        alike = np.abs(self.profile - self.noise) < _ALIKE * self.noise
-        self.profile[alike] = self.noise
+        self.noise: float = search_kernel.look(
+            self.beams, self.ports, self.working, self.energy, self.port_energy, self.profile
+        )
+
+
+def _column(azimuth: Floats) -> Ints:
+    """Return the column of the searched directions (n,) nearest to each azimuth, counted beyond a turn."""
+    return np.rint((azimuth + np.pi) / (2.0 * np.pi) * AZIMUTHS).astype(np.int64)
 
 
 def in_trail(geometry: Floats, energy: Floats) -> np.ndarray:

@@ -18,7 +18,7 @@ from cellslam.sim.lte.config import RadioConfig
 from cellslam.sim.lte.links import Cells, link_table
 from cellslam.sim.lte.persisting import floors, white_floors
 from cellslam.sim.lte.persisting_kernel import Fields
-from cellslam.sim.lte.statistics import statistics
+from cellslam.sim.lte.statistics import Statistics, statistics
 from cellslam.sim.progress import Progress, silent
 from cellslam.sim.recording import Floats, Ints, Measurements
 
@@ -64,29 +64,27 @@ class Detections:
     true_std: Floats
 
 
-def noise_clutter_mean(threshold: float) -> float:
+def noise_clutter_mean(threshold: float, s: Statistics) -> float:
     """Return the mean number of noise peaks per link and snapshot over a threshold x: N exp(-x) (1 + x)."""
-    return float(statistics().noise_cells * np.exp(-threshold) * (1.0 + threshold))
+    return float(s.noise_cells * np.exp(-threshold) * (1.0 + threshold))
 
 
 @lru_cache(maxsize=8)
-def detection_table(threshold: float) -> Floats:
+def detection_table(threshold: float, s: Statistics) -> Floats:
     """Return P(T > threshold) of an isolated path over the kernel's grid of Gamma in dB: ncx2.sf(2 x, dof, gain
     Gamma), the constants measured.
     """
     from scipy.stats import ncx2
 
     gamma_db = k.TABLE_START_DB + k.TABLE_STEP_DB * np.arange(1201)
-    s = statistics()
     return np.clip(ncx2.sf(2.0 * threshold, s.dof, s.gain * 10.0 ** (gamma_db / 10.0)), 0.0, 1.0)
 
 
 @lru_cache(maxsize=8)
-def model_of(config: RadioConfig) -> k.Model:
+def model_of(config: RadioConfig, s: Statistics) -> k.Model:
     """Return the kernel's constants for a radio configuration."""
-
     scales = bound_scales(config.resource_blocks)
-    floor, white, s = floors(config), white_floors(config), statistics()
+    floor, white = floors(config), white_floors(config)
     clutter = s.clutter_at(config.specular_to_diffuse_db)
     return k.Model(
         eirp=10.0 ** (config.eirp_dbm / 10.0), noise=10.0 ** (config.noise_dbm / 10.0), load=config.load,
@@ -97,29 +95,30 @@ def model_of(config: RadioConfig) -> k.Model:
         elevation_white=float(white[2]), noise_scale=config.noise_scale,
         detection_scale=config.detection_scale, perfect=config.perfect_detection,
         window_min=config.window_min_m, window_max=config.window_max_m,
-        noise_clutter=noise_clutter_mean(config.detection_threshold) * config.clutter_scale,
+        noise_clutter=noise_clutter_mean(config.detection_threshold, s) * config.clutter_scale,
         ghost_rule=10.0 ** (-config.ghost_rule_db / 10.0), overlap_centre_db=s.overlap_centre_db,
         overlap_width_db=s.overlap_width_db, trail=s.trail * 10.0 ** (-config.specular_to_diffuse_db / 10.0),
         around=s.around * 10.0 ** (-config.specular_to_diffuse_db / 10.0), sidelobes=s.sidelobes,
         sidelobe_m=s.sidelobe_m,
-        clutter_mean=clutter.mean * config.clutter_scale, clutter_later=clutter.later_m,
-        clutter_beside=clutter.beside_rad, clutter_above=clutter.above_rad, clutter_snr=clutter.snr_db,
+        company=s.company_at(config.specular_to_diffuse_db),
+        clutter_mean=clutter.mean * config.clutter_scale, clutter_points=clutter.points,
     )  # fmt: skip
 
 
 def detect(
     config: RadioConfig, cells: Cells, paths: PathColumns, poses: Floats, offsets_m: Floats, fields: Fields,
-    streams: Streams, first_snapshot: int = 0, progress: Progress = silent,
+    streams: Streams, first_snapshot: int = 0, progress: Progress = silent, constants: Statistics | None = None,
 ) -> Detections:  # fmt: skip
     """Return the measurements of `poses` (T, 6), whose paths are `paths`, numbered from `first_snapshot`.
 
     `offsets_m` (S,) is added to the distances; `fields` are the errors that persist (`persisting.draw_fields`).
-    The streams advance: a drive in one call or pose by pose gives the same.
+    The streams advance: a drive in one call or pose by pose gives the same. `constants`: other than the shipped ones.
     """
     from cellslam.sim.lte.statistical_kernel import measure_block
 
     sites, links = len(offsets_m), link_table(cells)
-    model, table = model_of(config), detection_table(config.detection_threshold)
+    s = constants or statistics()
+    model, table = model_of(config, s), detection_table(config.detection_threshold, s)
     out = [np.empty((0, k.COLUMNS))]
     with progress("measuring", len(poses)) as advance:
         for start in range(0, len(poses), BLOCK):

@@ -17,22 +17,22 @@ FILE = Path(__file__).with_name("statistics.json")
 
 @dataclass(frozen=True)
 class Clutter:
-    """Clutter around a path over nodes (G,) of its integrated SNR: mean number (G,), quantiles (G, Q)."""
+    """Clutter around a path over nodes (G,) of its integrated SNR: mean number (G,), and points of it (G, N, 4): how
+    much later (m), azimuth and elevation beside it (rad), SNR (dB).
+    """
 
     mean: Floats
-    later_m: Floats
-    beside_rad: Floats
-    above_rad: Floats
-    snr_db: Floats
+    points: Floats
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Statistics:
     """Detection: P(T > x) = ncx2.sf(2 x, dof, gain Gamma) of an isolated path, a logistic (dB) of one among others.
 
     `trail`, `around`: disturbance behind a path at a specular-to-diffuse ratio of 0 dB, in its direction and in all;
     `sidelobes`: share of it that spreads over `sidelobe_m` of delay. `noise_cells`: noise peaks over x are Poisson
-    with mean noise_cells exp(-x) (1 + x). `diffuse_floor` (3,) in m, rad, rad at 0 dB. `clutter` by ratio in dB.
+    with mean noise_cells exp(-x) (1 + x). `diffuse_floor` (3,) in m, rad, rad at 0 dB. By ratio in dB: `company`, how
+    many times as much clutter there is around a path among others as around a lone one; `clutter`.
     """
 
     dof: float
@@ -45,7 +45,12 @@ class Statistics:
     sidelobe_m: float
     noise_cells: float
     diffuse_floor: tuple[float, float, float]
+    company: tuple[tuple[float, float], ...]
     clutter: tuple[tuple[float, Clutter], ...]
+
+    def company_at(self, ratio_db: float) -> float:
+        """Return `company` at a specular-to-diffuse ratio."""
+        return float(np.interp(ratio_db, [ratio for ratio, _ in self.company], [factor for _, factor in self.company]))
 
     def clutter_at(self, ratio_db: float) -> Clutter:
         """Return the clutter at a specular-to-diffuse ratio, interpolated between those that were measured."""
@@ -53,10 +58,11 @@ class Statistics:
         at = float(np.interp(ratio_db, ratios, np.arange(len(ratios))))
         low = min(int(at), len(ratios) - 2)
         (_, one), (_, other), part = self.clutter[low], self.clutter[low + 1], at - low
-        mixed = [
-            (1.0 - part) * getattr(one, name) + part * getattr(other, name) for name in Clutter.__dataclass_fields__
-        ]
-        return Clutter(*(np.ascontiguousarray(m) for m in mixed))
+        # Of the points every so many-th is the other ratio's.
+        count = one.points.shape[1]
+        from_other = np.diff(np.floor(part * np.arange(count + 1))) > 0.0
+        points = np.where(from_other[None, :, None], other.points, one.points)
+        return Clutter((1.0 - part) * one.mean + part * other.mean, np.ascontiguousarray(points))
 
 
 @lru_cache(maxsize=1)
@@ -68,15 +74,16 @@ def statistics() -> Statistics:
 def parse(data: dict[str, Any]) -> Statistics:
     """Return the constants in the file's form."""
     clutter = [
-        (float(ratio), Clutter(*(np.array(table[name]) for name in Clutter.__dataclass_fields__)))
+        (float(ratio), Clutter(np.array(table["mean"]), np.array(table["points"])))
         for ratio, table in data["clutter"].items()
     ]
-    floor = data["floors"]
+    floor, company = data["floors"], sorted((float(ratio), value) for ratio, value in data["company"].items())
     return Statistics(
         dof=data["detection"]["dof"], gain=data["detection"]["gain"],
         overlap_centre_db=data["overlap"]["centre_db"], overlap_width_db=data["overlap"]["width_db"],
         trail=data["overlap"]["trail"], around=data["overlap"]["around"], sidelobes=data["overlap"]["sidelobes"],
         sidelobe_m=data["overlap"]["sidelobe_m"], noise_cells=data["noise_cells"],
         diffuse_floor=tuple(floor[n]["diffuse_at_0_db"] for n in ("distance_m", "azimuth_rad", "elevation_rad")),
+        company=tuple(company),
         clutter=tuple(sorted(clutter, key=lambda item: item[0])),
     )  # fmt: skip

@@ -10,6 +10,7 @@ import numpy as np
 from cellslam.sim.frames import wrap_angle
 from cellslam.sim.recording import Floats, Ints
 from cellslam.slam.api import Estimate, Setup, Snapshot
+from cellslam.slam.attitude import Attitude
 from cellslam.slam.fastslam import resampling
 from cellslam.slam.fastslam.block_kernel import update
 from cellslam.slam.fastslam.layout import BIAS, LANES, OUT, POSE, SCALE, W_ROWS, scratch_rows
@@ -17,7 +18,7 @@ from cellslam.slam.fastslam.measurement_kernel import pack
 from cellslam.slam.fastslam.options import FastSlamOptions
 from cellslam.slam.fastslam.particles import Particles, draw, select, widened
 from cellslam.slam.fastslam.summary import belief, map_of
-from cellslam.slam.front_end import existence, first_of_link, ports_of, readings
+from cellslam.slam.front_end import Readings, existence, first_of_link, ports_of, readings
 
 CAPACITY = 24  # tracks a link that there is room for at the start; doubled when needed
 
@@ -53,6 +54,7 @@ class FastSlam:
         self._particles: Particles = draw(setup, count, o.offset_component_std_m, min(o.vts_per_link, CAPACITY), rng)
         self._origin = np.array(setup.start_pose[:3], float)
         self._particles.rows(POSE, 3)[:] -= self._origin[:, None]
+        self._attitude = Attitude(o, setup)
         self._time_s = 0.0
         self._now = 0
         self._born = 0
@@ -62,11 +64,12 @@ class FastSlam:
 
     def step(self, dt_s: float, odometry: Floats, snapshot: Snapshot) -> Estimate:
         """Move, weigh, update and, if needed, resample (paper, section IV)."""
-        association = self._update(dt_s, odometry, snapshot)
+        values = self._read(dt_s, odometry, self._attitude.levelled(dt_s, snapshot))
+        association = self._update(dt_s, odometry, snapshot, values)
         self._born += len(snapshot)
         self._now += 1
         self._time_s += dt_s
-        return self._conclude(association[:, : len(snapshot)])
+        return self._conclude(association[:, : len(snapshot)], snapshot, values.many)
 
     def _velocity(self, dt_s: float, odometry: Floats) -> Floats:
         """Return body velocities (G, 6, 32), one sample a particle of what was driven."""
@@ -83,10 +86,13 @@ class FastSlam:
         velocity /= 1.0 + p.rows(SCALE, 6)
         return velocity
 
-    def _update(self, dt_s: float, odometry: Floats, snapshot: Snapshot) -> Ints:
+    def _read(self, dt_s: float, odometry: Floats, snapshot: Snapshot) -> Readings:
+        turned, moved = odometry[3] * dt_s, odometry[0] * dt_s
+        return readings(snapshot, self._site_of, self._port_of, self.options, turned, moved)
+
+    def _update(self, dt_s: float, odometry: Floats, snapshot: Snapshot, values: Readings) -> Ints:
         o = self.options
         first = first_of_link(snapshot, len(self._setup.links))
-        values = readings(snapshot, self._site_of, self._port_of, o, odometry[3] * dt_s, odometry[0] * dt_s)
         log_tables, age_once, age_twice = self._existence(dt_s)
         parameters = np.array([
             np.log(o.clutter_density), o.gate, -np.log1p(-o.birth_ratio), 3.0, o.confirm_hits, age_once, age_twice,
@@ -135,7 +141,7 @@ class FastSlam:
         table, column, work = np.empty((threads, c, m)), np.empty((threads, m), np.int64), (threads, 4 * (c + m + 2))
         return w, v, near, rows, scores, claims, row_of, table, column, np.empty(work), np.empty(work, np.int64)
 
-    def _conclude(self, association: Ints) -> Estimate:
+    def _conclude(self, association: Ints, snapshot: Snapshot, many: Floats) -> Estimate:
         p, o = self._particles, self.options
         log_weight = p.log_weight.ravel()
         weights = np.exp(log_weight - log_weight.max())
@@ -146,6 +152,9 @@ class FastSlam:
         mean[3:] = wrap_angle(mean[3:])
         mine = association[best // LANES, :, best % LANES].copy()
         estimate = Estimate(mean, covariance, mine, offset, variance, map_of(p, best, self._site_of, self._origin))
+        pose = p.rows(POSE, 6)[best // LANES, :, best % LANES].copy()
+        pose[:3] += self._origin
+        estimate = self._attitude.concluded(estimate, snapshot, many, pose)
         wanted = -(-o.particles // LANES) * LANES if self._time_s >= o.start_phase_s else len(p)
         if wanted != len(p) or resampling.effective_size(weights) < o.effective_share * len(p):
             self._particles = select(p, resampling.SCHEMES[o.resampling](weights, wanted, self._rng))

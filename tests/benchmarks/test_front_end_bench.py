@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -11,7 +12,7 @@ from scipy.stats import ncx2
 
 from cellslam.benchmarks.calibration import rounded
 from cellslam.benchmarks.calibration_check import Figure, compared
-from cellslam.benchmarks.calibration_fit import fit_detection, fit_floor, structured
+from cellslam.benchmarks.calibration_fit import fit_company, fit_detection, fit_floor, structured
 from cellslam.benchmarks.calibration_overlap import Law, chances, relations
 from cellslam.benchmarks.calibration_scenes import (
     Sample,
@@ -66,13 +67,21 @@ def test_clutter_is_counted_per_node_without_the_share_of_noise() -> None:
     clutter = np.column_stack([np.arange(n), 300.0 + late, 0.5 + 0.1 * rng.standard_normal(n), np.full(n, 0.2),
                                np.full(n, -20.0), np.full(n, -1.0)])  # fmt: skip
     table = structured(sample(np.full(2 * n, 30.0), clutter=clutter), 0.2, 1750.0)
-    noise = 0.2 * (195.0 / 1750.0 + (1.0 - 195.0 / 1750.0) * 25.0 / 180.0)
+    noise = 0.2 * 195.0 / 1750.0 * 75.0 / 180.0
     assert table["mean"][5] == pytest.approx(0.5 - noise)
     assert sum(table["mean"]) == table["mean"][5]
-    np.testing.assert_allclose(table["later_m"][5], np.linspace(10.0, 60.0, 21), atol=3.0)
-    np.testing.assert_allclose(
-        np.interp([0.16, 0.84], np.linspace(0, 1, 21), table["beside_rad"][5]), [-0.1, 0.1], atol=0.02
-    )
+    points = np.array(table["points"][5])
+    np.testing.assert_allclose(points[:, 0], np.linspace(10.0, 60.0, len(points)), atol=3.0)
+    assert points[:, 1].std() == pytest.approx(0.1, rel=0.3)
+    np.testing.assert_allclose(points[:, 2:], [[0.0, -20.0]] * len(points), atol=1e-12)
+
+
+def test_clutter_in_company_is_recovered() -> None:
+    rng, config = np.random.default_rng(6), config_of(6.0)
+    scenes = scenes_of(rng, 150, 6.0)
+    alone, double = (replace(statistics(), company=((0.0, c), (40.0, c))) for c in (1.0, 2.0))
+    signal = measured_by_statistics(config, scenes, rng, double)
+    assert fit_company(6.0, scenes, signal, alone, rng) == pytest.approx(2.0, rel=0.25)
 
 
 @pytest.mark.parametrize("ratio_db", [6.0, 40.0])

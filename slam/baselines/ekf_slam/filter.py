@@ -11,6 +11,7 @@ import numpy as np
 from cellslam.sim.frames import wrap_angle
 from cellslam.sim.recording import Floats, Ints, Links, OdometryModel
 from cellslam.slam.api import Estimate, Setup, Snapshot, VtEstimate
+from cellslam.slam.attitude import Attitude
 from cellslam.slam.baselines.ekf_slam.bank import Bank, Measured, vt_estimate
 from cellslam.slam.baselines.ekf_slam.hypotheses import History, branch, prune
 from cellslam.slam.baselines.ekf_slam.layout import (
@@ -61,6 +62,7 @@ class JointFilter:
         """Take the prior; nothing is drawn."""
         del rng
         self._setup, self._time_s, self._now, self._born = _writable(setup), 0.0, 0, 0
+        self._attitude = Attitude(self.options, setup)
         self._ports = ports_of(self._setup.links.site, self._setup.links.port)
         self._start: Start | None = self._begin()
         self._joint: Bank | None = None
@@ -71,14 +73,14 @@ class JointFilter:
         """Predict, associate, update."""
         self._time_s += dt_s
         odometry = np.array(odometry)
-        measured = self._measured(dt_s, odometry, snapshot)
+        measured = self._measured(dt_s, odometry, self._attitude.levelled(dt_s, snapshot))
         if self._start is not None:
             answer = self._step_start(self._start, dt_s, odometry, measured)
         else:
             answer = self._step_joint(dt_s, odometry, measured)
         self._now += 1
         self._born += len(snapshot)
-        return answer
+        return self._attitude.concluded(answer, snapshot, measured.readings.many)
 
     def _given(self, snapshot: Snapshot) -> Ints:
         """Return the true VT of each measurement, for the oracle that knows it."""

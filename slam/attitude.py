@@ -1,0 +1,82 @@
+"""Pitch and roll of a vehicle whose odometry does not see them: followed from one snapshot to the next.
+
+Acceleration, turns and the road tilt the array by tenths of a degree for seconds. Twenty directions at once, most of
+landmarks that are well known, tell by how much; what the next snapshot measures is then turned into the level frame.
+The attitude is a first-order Gauss-Markov process; an error that all directions have in common is left out.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from cellslam.sim.recording import Floats, Ints
+from cellslam.slam.api import Estimate, Setup, Snapshot, VtEstimate
+from cellslam.slam.attitude_kernel import level, observe
+from cellslam.slam.front_end import FrontEndOptions, persisting
+
+TINY = 1e-12
+
+
+class Attitude:
+    """Belief on pitch and roll: `mean` (2,) in rad, `covariance` (2, 2)."""
+
+    def __init__(self, options: FrontEndOptions, setup: Setup) -> None:
+        """Begin level. What the odometry or the start says of pitch and roll belongs to the pose: then this is off."""
+        model = setup.odometry_model
+        seen = np.concatenate([model.noise_density[4:], model.bias[4:], setup.start_std[4:], setup.start_pose[4:]])
+        self.prior = np.radians([options.pitch_deg, options.roll_deg]) ** 2
+        self.on = bool((self.prior > 0.0).all()) and not seen.any()
+        self.options, self.mean, self.covariance = options, np.zeros(2), np.diag(self.prior)
+
+    def levelled(self, dt_s: float, snapshot: Snapshot) -> Snapshot:
+        """Return a snapshot's measurements as a level array would have made them, `dt_s` after the last ones."""
+        if not self.on:
+            return snapshot
+        left = np.exp(-dt_s / self.options.attitude_scale_s)
+        self.mean = left * self.mean
+        self.covariance = left**2 * self.covariance + (1.0 - left**2) * np.diag(self.prior)
+        azimuth, elevation = np.empty(len(snapshot)), np.empty(len(snapshot))
+        level(self.mean[0], self.mean[1], snapshot.azimuth_rad, snapshot.elevation_rad, azimuth, elevation)
+        return replace(snapshot, azimuth_rad=azimuth, elevation_rad=elevation)
+
+    def concluded(self, answer: Estimate, snapshot: Snapshot, variance: Floats, pose: Floats | None = None) -> Estimate:
+        """Learn from a snapshot's measurements as they were made, and return the answer to them with pitch and roll.
+
+        `variance` (m, 3): those with which an update counts for what it is worth. `pose` (6,): from where the answer's
+        VTs were seen, where that is not its pose.
+        """
+        if not self.on:
+            return answer
+        if len(snapshot) and answer.association is not None and answer.vts is not None and len(answer.vts.id):
+            which = _rows(answer.association, answer.vts.id)
+            self._observe(answer.pose if pose is None else pose, snapshot, which, answer.vts, variance)
+        mean, covariance = answer.pose.copy(), answer.covariance.copy()
+        mean[4:], covariance[4:, 4:] = self.mean, self.covariance
+        return replace(answer, pose=mean, covariance=covariance)
+
+    def _observe(self, pose: Floats, snapshot: Snapshot, which: Ints, vts: VtEstimate, variance: Floats) -> None:
+        place, _ = persisting(self.options)
+        observe(
+            self.mean, self.covariance, float(pose[3]), np.ascontiguousarray(pose[:3]), which, vts.position_m,
+            vts.covariance, snapshot.azimuth_rad, snapshot.elevation_rad, variance + TINY, place + TINY,
+        )  # fmt: skip
+
+
+def warm_up() -> None:
+    """Compile the kernels, or load them from their cache."""
+    one = np.zeros(1)
+    one.setflags(write=False)  # as in a drive: compiled code is typed by that
+    level(0.0, 0.0, one, one, np.empty(1), np.empty(1))
+    observe(
+        np.zeros(2), np.eye(2), 0.0, np.zeros(3), np.zeros(1, np.int64), np.ones((1, 3)), np.zeros((1, 3, 3)), one, one,
+        np.ones((1, 3)), np.ones(3),
+    )  # fmt: skip
+
+
+def _rows(association: Ints, names: Ints) -> Ints:
+    """Return which of `names` each association is, -1 for none."""
+    order = np.argsort(names, kind="stable")
+    at = np.minimum(np.searchsorted(names, association, sorter=order), len(order) - 1)
+    return np.where(names[order[at]] == association, order[at], -1)
