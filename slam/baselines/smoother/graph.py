@@ -70,6 +70,7 @@ def solve(problem: Problem, gate: float, huber: float, rounds: int, iterations: 
     parameters = gtsam.LevenbergMarquardtParams()
     parameters.setMaxIterations(iterations)
     parameters.setRelativeErrorTol(1e-5)
+    parameters.setOrdering(_ordering(problem))
     for _ in range(rounds):
         graph = _graph(problem, ~outlier, huber)
         values = gtsam.LevenbergMarquardtOptimizer(graph, values, parameters).optimize()
@@ -81,6 +82,22 @@ def solve(problem: Problem, gate: float, huber: float, rounds: int, iterations: 
     offsets = np.array([values.atVector(B(s))[0] for s in range(len(problem.offset_mean_m))])
     vts = np.array([values.atPoint3(L(v)) for v in range(len(problem.vts))]).reshape(-1, 3)
     return Solution(frames, offsets, vts, outlier.astype(np.int64))
+
+
+def _ordering(problem: Problem) -> Any:
+    """Eliminate VTs first, then poses along the drive with the odometry errors of their segment, clock offsets last."""
+    order, seen = gtsam.Ordering(), {s.vt for s in problem.sightings}
+    for v in range(len(problem.vts)):
+        if v in seen:
+            order.push_back(L(v))
+    for k in range(len(problem.keyframes)):
+        order.push_back(X(k))
+    if len(problem.error_std):
+        for segment in range(int(problem.segment.max(initial=0)) + 1):
+            order.push_back(E(segment))
+    for site in range(len(problem.offset_mean_m)):
+        order.push_back(B(site))
+    return order
 
 
 def _initial(problem: Problem) -> Any:
