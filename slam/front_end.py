@@ -40,14 +40,14 @@ class FrontEndOptions(BaseModel):
         0.88, gt=0, lt=1, description="probability that a visible VT is detected in one snapshot and link"
     )
     clutter_density: float = Field(
-        3e-4, gt=0, le=1e3, description="clutter per link and snapshot and unit of (m rad rad)"
+        1e-2, gt=0, le=1e3, description="clutter per link and snapshot and unit of (m rad rad), where VTs are"
     )
     birth_ratio: float = Field(
-        0.05, gt=0, lt=1, description="probability that an unexplained measurement is a new VT rather than clutter"
+        0.01, gt=0, lt=1, description="probability that an unexplained measurement is a new VT rather than clutter"
     )
     visible_s: float = Field(10.0, gt=0, le=1e4, description="mean time for which a VT stays visible, s")
     hidden_s: float = Field(10.0, gt=0, le=1e5, description="mean time for which a known VT stays hidden, s")
-    confirm_hits: int = Field(3, ge=1, le=100, description="detections after which a VT is confirmed")
+    confirm_hits: int = Field(5, ge=1, le=100, description="detections after which a VT is confirmed")
     drop_probability: float = Field(
         1e-4, gt=0, lt=1, description="an unconfirmed VT less likely than this to be visible is dropped"
     )

@@ -23,7 +23,8 @@ from cellslam.sim.lte.detector_model import (
 )
 from cellslam.sim.lte.measurement_kernel import clutter_row, probability, wrap
 
-SMEAR = 0.1  # the points of clutter that were measured are drawn with offsets this much larger or smaller
+# Few points of clutter were measured: what is drawn lies about one of them, so that no two coincide.
+STRETCH, BLUR_M, BLUR_AZIMUTH_RAD, BLUR_ELEVATION_RAD = 0.3, 4.0, math.radians(4.0), math.radians(3.0)
 
 
 @njit(cache=True)
@@ -59,9 +60,10 @@ def structured_clutter(
     for _ in range(min(clutter.poisson(mean), MOST_CLUTTER)):
         node = low + 1 if clutter.random() < part else low
         point = model.clutter_points[node, int(clutter.random() * model.clutter_points.shape[1])]
-        later = point[0] * (1.0 + SMEAR * (2.0 * clutter.random() - 1.0))
-        azimuth = own[1] + point[1] * (1.0 + SMEAR * (2.0 * clutter.random() - 1.0))
-        elevation = own[2] + point[2] * (1.0 + SMEAR * (2.0 * clutter.random() - 1.0))
+        stretch = 1.0 + STRETCH * (2.0 * clutter.random() - 1.0)
+        later = point[0] * stretch + BLUR_M * clutter.standard_normal()
+        azimuth = own[1] + point[1] * stretch + BLUR_AZIMUTH_RAD * clutter.standard_normal()
+        elevation = own[2] + point[2] * stretch + BLUR_ELEVATION_RAD * clutter.standard_normal()
         level = 10.0 ** (0.1 * point[3])
         row = out[count]
         clutter_row(row, own[0] + later, azimuth, elevation, level * model.samples, model)

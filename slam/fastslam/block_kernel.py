@@ -414,7 +414,10 @@ def _update(
     share,
     association,
 ):
-    """Update every associated track; return the number of associations, lanes counted once."""
+    """Update every associated track; return the number of associations, lanes counted once.
+
+    `association` takes up those with confirmed VTs.
+    """
     updates = 0
     for q in range(found):
         slot = near[q]
@@ -434,7 +437,7 @@ def _update(
                 on = w[W_MASK * B + l] > 0.5
                 seen = 4 * now + (CONFIRMED if record[HITS * B + l] >= cfg[4] else UNCONFIRMED)
                 row[l] = seen if on else row[l]
-                mine[l] = ident[slot] if on else mine[l]
+                mine[l] = ident[slot] if on and seen & 3 == CONFIRMED else mine[l]
             alike[slot] = UNKNOWN
     return updates
 
