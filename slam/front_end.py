@@ -26,8 +26,9 @@ from cellslam.sim.recording import Floats, Ints
 from cellslam.slam.api import Snapshot
 
 MOST_REPEATS = 1e5  # standing still, an error that persists is never drawn anew: nearly no information
-# Widths of the clutter in distance (m), azimuth and elevation (rad): what a missing component takes off its density.
-CLUTTER_WIDTH = (1000.0, 2.0 * np.pi, np.pi / 2.0)
+# Widths in distance (m), azimuth and elevation (rad) over which clutter lies about paths: what a missing component
+# takes off its density.
+CLUTTER_WIDTH = (20.0, 0.3, 0.25)
 HORIZON = 4096  # snapshots for which the chance of being visible is tabulated
 
 
