@@ -11,6 +11,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from cellslam.benchmarks import ahead
 from cellslam.benchmarks.bars import bars
 from cellslam.benchmarks.cli import DONE, FAILED, INTERRUPTED
 from cellslam.benchmarks.output import Folder, check_folder
@@ -64,6 +65,7 @@ def run(arguments: Namespace) -> int:
     check_folder(out)
     folder = Folder(out, several=arguments.trials > 1)
     job = Job(arguments, with_options(scenario, requests), scenario.name, requests, arguments.trials, folder)
+    ahead.begin(requests)
     with bars(arguments.quiet) as progress:
         trials = simulated_trials(scenario, requests, arguments.trials, arguments.seed, progress)
         interrupted = work_off(job, trials, progress)

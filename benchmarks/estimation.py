@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from cellslam.benchmarks import ahead
 from cellslam.benchmarks.result import TrialResult
 from cellslam.scenarios.options import Request
 from cellslam.sim.progress import Progress, silent
@@ -36,6 +37,7 @@ def warm_up(request: Request, progress: Progress = silent) -> None:
     compile_now = getattr(estimator, "warm_up", None)
     if callable(compile_now):
         with progress(f"compiling {request.name} (first use)", 1) as advance:
+            ahead.finish(request.estimator)
             compile_now()
             advance(1)
     _warm.add(key)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Any, ClassVar
 
 import numba
@@ -36,6 +37,12 @@ class FastSlam:
 
     def __init__(self, options: FastSlamOptions | None = None) -> None:
         self.options = options or FastSlamOptions()
+
+    @staticmethod
+    def compiled() -> bool:
+        """Return whether the kernels have been compiled before, and are in Numba's cache."""
+        kernel: Any = update
+        return any(Path(kernel.stats.cache_path or "").glob("block_kernel.update-*.nbi"))
 
     def warm_up(self) -> None:
         """Compile every kernel on a drive of three snapshots."""
