@@ -28,6 +28,7 @@ from cellslam.sim.errors import InputError
 from cellslam.sim.frames import wrap_angle
 from cellslam.sim.progress import Progress, silent
 from cellslam.sim.recording import COMPONENTS, Floats, Ints, Recording
+from cellslam.slam.front_end import CLUTTER_WIDTH
 
 LEAST_TRIPLES, LEAST_TRACKS, BINS = 100, 5, 8
 LAGS = (1, 2, 4, 8, 16)
@@ -188,16 +189,21 @@ def _clutter(r: Recording, tracks: Tracks) -> float:
     m = r.measurements
     loose = np.flatnonzero(tracks.track < 0)
     seen = len(np.unique((m.snapshot * max(len(r.links), 1) + m.link)[: tracks.rows]))
-    volume = 2.0 * np.pi
-    distance = m.distance_m[loose]
-    distance = distance[~np.isnan(distance)]
-    volume *= max(float(np.diff(np.quantile(distance, (0.05, 0.95)))[0]), 1.0) if len(distance) > 20 else 1000.0
-    elevation = m.elevation_rad[loose]
-    elevation = elevation[~np.isnan(elevation)]
+    # A component that is not measured: the width that the filters take off the density for it.
+    volume = CLUTTER_WIDTH[1] if np.isnan(m.azimuth_rad).all() else 2.0 * np.pi
+    volume *= _spread(m.distance_m, loose, 1.0, 1000.0, CLUTTER_WIDTH[0])
     if r.plane:
         volume *= np.sqrt(2.0 * np.pi) * np.radians(PLANE_ELEVATION_DEG)
     else:
-        volume *= (
-            max(float(np.diff(np.quantile(elevation, (0.05, 0.95)))[0]), 0.01) if len(elevation) > 20 else np.pi / 2
-        )
+        volume *= _spread(m.elevation_rad, loose, 0.01, np.pi / 2.0, CLUTTER_WIDTH[2])
     return float(np.clip(max(len(loose), 1) / max(seen, 1) / volume, 1e-9, 1e3))
+
+
+def _spread(values: Floats, rows: Ints, least: float, most: float, missing: float) -> float:
+    """Return the width of the middle 90 % of some rows of values (n,), at least `least`; `most` if those are too few to
+    tell, `missing` if nothing was measured at all.
+    """
+    if np.isnan(values).all():
+        return missing
+    measured = values[rows][~np.isnan(values[rows])]
+    return max(float(np.diff(np.quantile(measured, (0.05, 0.95)))[0]), least) if len(measured) > 20 else most
