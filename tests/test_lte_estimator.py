@@ -111,9 +111,10 @@ def test_normal_equations_are_those_of_the_full_jacobian() -> None:
 
 
 @pytest.mark.parametrize("velocity", [np.zeros(3), np.array([1.5, 0.4, 0.0])])
-def test_compiled_climb_is_the_numpy_one(velocity: NDArray[np.float64]) -> None:
+@pytest.mark.parametrize("rho_db", [[0.0, -8.0, -3.0], [-5.0]])
+def test_compiled_climb_is_the_numpy_one(velocity: NDArray[np.float64], rho_db: list[float]) -> None:
     rng = np.random.default_rng(2)
-    paths, motion = draw(rng, np.array([0.0, -8.0, -3.0]), 60.0), RECEIVER.moving(velocity)
+    paths, motion = draw(rng, np.array(rho_db), 60.0), RECEIVER.moving(velocity)
     y = channel(paths, velocity) + noise(rng)
     start = np.stack([paths.distance_m + 2.0, paths.azimuth_rad + 0.08, paths.elevation_rad - 0.05], 1)
     compiled, plain = refine(y, motion, start, 1.0), refine_any(y, motion, start, 1.0)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import os
+from functools import partial
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -11,6 +13,7 @@ from numpy.typing import NDArray
 
 from cellslam.sim.errors import InputError
 from cellslam.sim.lte import RadioConfig, streaming, symbol_kernel
+from cellslam.sim.lte.block_processes import in_processes
 from cellslam.sim.lte.diffuse import SCATTERERS, Surroundings
 from cellslam.sim.lte.links import Cells, cells_of
 from cellslam.sim.lte.persisting import draw_fields
@@ -133,6 +136,24 @@ def test_blocks_single_snapshots_and_a_restart_give_the_same(tmp_path: Path, mon
     assert measured[before:] == [2, 3]
     np.testing.assert_array_equal(resumed.measurements.distance_m, whole.measurements.distance_m)
     assert not any(path.is_file() for path in tmp_path.rglob("*"))
+
+
+def test_several_processes_give_the_same(monkeypatch: pytest.MonkeyPatch) -> None:
+    paths, poses, velocity = drive(4)
+    signals = front_end()
+    one = streaming.detect_signals(signals, paths, poses, velocity, velocity, np.random.default_rng(4))
+    monkeypatch.setattr(streaming, "BLOCK", 1)
+    several = streaming.detect_signals(signals, paths, poses, velocity, velocity, np.random.default_rng(4))
+    np.testing.assert_array_equal(several.measurements.distance_m, one.measurements.distance_m)
+    np.testing.assert_array_equal(several.path, one.path)
+
+
+def test_answers_of_processes_come_in_order_and_errors_come_through() -> None:
+    assert [a.tolist() for a in in_processes(partial(np.full, 2), range(5), 2)] == [[i, i] for i in range(5)]
+    with pytest.raises(ZeroDivisionError):
+        list(in_processes(partial(divmod, 1), [1, 0], 1))
+    with pytest.raises(ChildProcessError, match="status 3; finished blocks are kept"):
+        list(in_processes(os._exit, [3], 1))
 
 
 def test_what_it_cannot_do_is_refused() -> None:

@@ -10,6 +10,7 @@ from numba import njit
 
 from cellslam.sim.lte.detector_model import Array
 from cellslam.sim.lte.measurement_kernel import wrap
+from cellslam.sim.lte.one_path_kernel import normal_equations_of_one
 from cellslam.sim.lte.refine_kernel import Normal, normal_equations
 from cellslam.sim.lte.steering_kernel import steer_circular
 
@@ -44,6 +45,8 @@ def evaluate_circular(y: Array, geometry: Array, m: SteeringModel) -> Normal:
         m.peak_dbi, m.curve, m.floor_db, m.polarisation, m.factor, m.doppler, m.velocity, value, by_azimuth,
         by_elevation,
     )  # fmt: skip
+    if n == 1:
+        return normal_equations_of_one(y, value[0], by_azimuth[0], by_elevation[0], m.rate, geometry[0, 0])
     return normal_equations(y, value, by_azimuth, by_elevation, m.rate, geometry[:, 0].copy())
 
 

@@ -1,4 +1,4 @@
-"""A drive at signal level, in blocks of snapshots: two threads, progress, and a restart where a run was interrupted."""
+"""A drive at signal level, in blocks of snapshots: several processes, progress, restart where a run was stopped."""
 
 from __future__ import annotations
 
@@ -6,21 +6,24 @@ import hashlib
 import os
 import shutil
 import tempfile
-from collections.abc import Callable, Iterator
-from concurrent.futures import ThreadPoolExecutor
+from collections.abc import Iterator
 from contextlib import contextmanager
+from dataclasses import dataclass
 from pathlib import Path
 
+import numba
 import numpy as np
 from threadpoolctl import threadpool_limits
 
 from cellslam.sim.lte import detector_model as k
+from cellslam.sim.lte.block_processes import in_processes
 from cellslam.sim.lte.signal_level import SignalLevel
 from cellslam.sim.lte.statistical import Detections, PathColumns, detections_of
 from cellslam.sim.progress import Progress, silent
 from cellslam.sim.recording import Floats
 
 BLOCK = 50
+FEWEST_SHARED = 4  # blocks for which starting processes pays
 # Part of the name of kept blocks: grows when the same trial would be measured otherwise.
 REVISION = 4
 
@@ -35,36 +38,63 @@ def detect_signals(
     Every snapshot has a generator of its own, a child of `rng` by its number. With a `trial_key` (what decides the
     result), finished blocks are kept in the folder for temporary files until the drive is whole, and taken from there.
     """
-    sites = len(front_end.offsets_m)
-
-    def block(start: int) -> Floats:
-        rows = [np.empty((0, k.COLUMNS))]
-        for t in range(start, min(start + BLOCK, len(poses))):
-            one, low = snapshot_paths(paths, t, sites)
-            own = snapshot_rng(rng, first_snapshot + t)
-            table = front_end.measure(one, poses[t], velocities[t, :3], odometry[t, :3], first_snapshot + t, own)
-            table[:, k.PATH] += np.where(table[:, k.PATH] >= 0.0, low, 0)
-            rows.append(table)
-        return np.concatenate(rows)
-
     starts, out = range(0, len(poses), BLOCK), []
     with _kept_blocks(trial_key) as folder, threadpool_limits(1), progress("measuring signals", len(poses)) as advance:
-        for start, table in zip(starts, _worked_off(lambda s: _resumed(folder, s, block), starts), strict=True):
+        blocks = _Blocks(front_end, paths, poses, velocities, odometry, rng, first_snapshot, BLOCK, folder)
+        for start, table in zip(starts, _worked_off(blocks, starts), strict=True):
             out.append(table)
             advance(min(BLOCK, len(poses) - start))
     return detections_of(np.concatenate([np.empty((0, k.COLUMNS)), *out]))
 
 
-def _worked_off(block: Callable[[int], Floats], starts: range) -> Iterator[Floats]:
-    """Yield the blocks in order, several threads working ahead; one block takes no thread."""
-    if len(starts) < 2:
-        yield from map(block, starts)
-        return
-    pool = ThreadPoolExecutor(os.cpu_count() or 1)
-    try:
-        yield from pool.map(block, starts)
-    finally:
-        pool.shutdown(cancel_futures=True)
+def _worked_off(blocks: _Blocks, starts: range) -> Iterator[Floats]:
+    """Yield the blocks in order; where there are many, as many processes work ahead as kernels may have threads."""
+    processes = min(int(numba.config.NUMBA_NUM_THREADS), len(starts))  # type: ignore[attr-defined]
+    if processes < 2 or len(starts) < FEWEST_SHARED:
+        yield from map(blocks, starts)
+    else:
+        yield from in_processes(blocks, starts, processes)
+
+
+@dataclass(frozen=True)
+class _Blocks:
+    """What each block of a drive is measured from; see `detect_signals`. `folder` keeps finished ones."""
+
+    front_end: SignalLevel
+    paths: PathColumns
+    poses: Floats
+    velocities: Floats
+    odometry: Floats
+    rng: np.random.Generator
+    first_snapshot: int
+    length: int
+    folder: Path | None
+
+    def __call__(self, start: int) -> Floats:
+        """Return the block that begins with row `start` from its file, or measure it and keep it."""
+        if self.folder is None:
+            return self._measured(start)
+        file = self.folder / f"{start:07d}.npy"
+        if file.exists():
+            return np.asarray(np.load(file), np.float64)
+        table = self._measured(start)
+        partial = file.with_suffix(f".{os.getpid()}.tmp")
+        with partial.open("wb") as stream:
+            np.save(stream, table)
+        partial.replace(file)
+        return table
+
+    def _measured(self, start: int) -> Floats:
+        rows = [np.empty((0, k.COLUMNS))]
+        for t in range(start, min(start + self.length, len(self.poses))):
+            one, low = snapshot_paths(self.paths, t, len(self.front_end.offsets_m))
+            number = self.first_snapshot + t
+            own = snapshot_rng(self.rng, number)
+            velocity, odometry = self.velocities[t, :3], self.odometry[t, :3]
+            table = self.front_end.measure(one, self.poses[t], velocity, odometry, number, own)
+            table[:, k.PATH] += np.where(table[:, k.PATH] >= 0.0, low, 0)
+            rows.append(table)
+        return np.concatenate(rows)
 
 
 def snapshot_paths(paths: PathColumns, t: int, sites: int) -> tuple[PathColumns, int]:
@@ -79,21 +109,6 @@ def snapshot_rng(rng: np.random.Generator, number: int) -> np.random.Generator:
     parent = rng.bit_generator.seed_seq
     assert isinstance(parent, np.random.SeedSequence)
     return np.random.default_rng(np.random.SeedSequence(parent.entropy, spawn_key=(*parent.spawn_key, number)))
-
-
-def _resumed(folder: Path | None, start: int, block: Callable[[int], Floats]) -> Floats:
-    """Return a block from its file, or measure it and keep it."""
-    if folder is None:
-        return block(start)
-    file = folder / f"{start:07d}.npy"
-    if file.exists():
-        return np.asarray(np.load(file), np.float64)
-    table: Floats = block(start)
-    partial = file.with_suffix(f".{os.getpid()}.tmp")
-    with partial.open("wb") as stream:
-        np.save(stream, table)
-    partial.replace(file)
-    return table
 
 
 @contextmanager
