@@ -6,6 +6,7 @@ import argparse
 import re
 from collections.abc import Callable
 
+from cellslam.benchmarks.cli_fastslam_parsers import add_fastslam
 from cellslam.benchmarks.cli_front_end_parsers import add_front_end
 
 Add = Callable[[str, str, str], argparse.ArgumentParser]
@@ -54,8 +55,9 @@ def _add_trace(parser: argparse.ArgumentParser) -> None:
 
 
 def add_bench(add: Add) -> None:
-    """Add `rays`, `front-end` and `calibrate`; `add(name, target, summary)` makes a sub-command's parser."""
+    """Add the benches of parts; `add(name, target, summary)` makes a sub-command's parser."""
     add_front_end(add)
+    add_fastslam(add)
     rays = add("rays", "cli_bench_rays:rays", "time the ray tracer, beside Sionna RT and DiffeRT where installed")
     rays.add_argument("--mesh", metavar="FILE", default="sionna-rt:munich", help="city (default: sionna-rt:munich)")
     rays.add_argument(

@@ -84,6 +84,11 @@ BUILT_IN = (
         "EKF-SLAM that is told the true associations (oracle)",
     ),
     Listed(
+        "oracle-fastslam",
+        "cellslam.slam.baselines.oracles:FastSlamKnownAssociation",
+        "FastSLAM that is told the true associations (oracle)",
+    ),
+    Listed(
         "oracle-map",
         "cellslam.slam.baselines.oracles:KnownMap",
         "localisation in the true map, clock offsets and associations unknown (oracle)",

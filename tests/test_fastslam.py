@@ -179,8 +179,8 @@ def test_resampling_copies_maps_and_shares_no_memory():
     filter_.start(make_setup(offset_std=50.0), np.random.default_rng(1))
     drive(filter_, VTS, [0, 0, 1, 1], 12, np.random.default_rng(2))
     p = filter_._particles
-    site_of = np.zeros(2, np.int64)
-    maps = [map_of(p, i, site_of, np.zeros(3)) for i in range(len(p))]
+    rest = filter_.choice.parts, np.zeros(2, np.int64), np.arange(2), np.zeros(3)
+    maps = [map_of(p, i, *rest) for i in range(len(p))]
     poses = p.columns(POSE, 6)
     ancestors = np.sort(np.random.default_rng(4).choice(len(p), len(p)))
     ancestors[:40] = 3  # one particle has more children than its block has places
@@ -189,7 +189,7 @@ def test_resampling_copies_maps_and_shares_no_memory():
     assert np.array_equal(np.sort(chosen.columns(POSE, 6)[:, 0]), np.sort(poses[ancestors, 0]))
     for i in range(len(chosen)):
         parent = np.flatnonzero(poses[:, 0] == chosen.columns(POSE, 6)[i, 0])[0]
-        mine = map_of(chosen, i, site_of, np.zeros(3))
+        mine = map_of(chosen, i, *rest)
         assert set(zip(mine.id, mine.link, strict=True)) == set(zip(maps[parent].id, maps[parent].link, strict=True))
         order, theirs = np.argsort(mine.id), np.argsort(maps[parent].id)
         assert np.allclose(mine.position_m[order], maps[parent].position_m[theirs], atol=1e-9)

@@ -1,23 +1,23 @@
 """The marginalised nuisances against one joint Kalman filter, in a linear world where both are exact."""
 
 import numpy as np
+from numba import njit
 
-from cellslam.slam.fastslam import nuisance_kernel, predict_kernel
-from cellslam.slam.fastslam.block_kernel import _credit
+from cellslam.slam.fastslam import nuisance_kernel, pair_kernel, update_kernel
+from cellslam.slam.fastslam.choice import chosen
+from cellslam.slam.fastslam.clock import absorb
 from cellslam.slam.fastslam.layout import (
     BIAS0,
     CA,
     CE,
     GAIN,
     LANES,
+    MU,
     O_A,
-    O_CA,
-    O_CE,
     O_H,
-    O_RANGE,
+    O_MU,
+    O_OFFSET,
     O_S,
-    O_SA,
-    O_SE,
     OFFSET0,
     OUT,
     RANGE,
@@ -34,8 +34,17 @@ from cellslam.slam.fastslam.layout import (
     W_SCALE,
     scratch_rows,
 )
+from cellslam.slam.fastslam.options import FastSlamOptions
 
 UPPER = np.triu_indices(3)
+PARTS = chosen(FastSlamOptions()).parts
+
+
+@njit
+def absorbed(parts, w, v, record, out):
+    absorb(parts.clock, w, v, record, out)
+
+
 LOG_2PI = np.log(2 * np.pi)
 
 
@@ -101,15 +110,16 @@ def test_marginalised_offset_bias_and_scale_agree_with_a_joint_filter():
             row(out, O_H, h.ravel())
             row(out, O_A, (h @ gain + extra).ravel())
             row(out, O_S, (h @ sigma @ h.T)[UPPER])
-            row(out, O_RANGE, [mu[0], np.cos(mu[1]), np.sin(mu[1]), np.cos(mu[2]), np.sin(mu[2])])
+            row(out, O_OFFSET, theta[0])
+            row(out, O_MU, [mu[0], np.cos(mu[1]), np.sin(mu[1]), np.cos(mu[2]), np.sin(mu[2])])
             row(w, W_E, z - h @ mu - extra @ theta)
             row(w, W_MASK, 1.0)
             numbers = np.array([0, 1, 0, 1, 0, *q, 1, 1, 1, 0.0])
-            predict_kernel.invert(w, out, numbers, 0.0)
-            predict_kernel.logarithm(w, w.view(np.int64))
-            _credit(w, v, out, 0.0, 1.0)
-            nuisance_kernel.absorb(w, out)
-            predict_kernel.correct(w, record, out)
+            pair_kernel.invert(w, out, numbers, 0.0)
+            pair_kernel.logarithm(w, w.view(np.int64))
+            update_kernel.credit(w, v, out, 0.0, 1.0)
+            absorbed(PARTS, w, v, record, out)
+            update_kernel.correct(PARTS, w, record, out)
         nuisance_kernel.collect(w, v, 0, size)
         change_at = v.size // LANES - size
         cov_at = change_at - size * size
@@ -142,7 +152,7 @@ def test_marginalised_offset_bias_and_scale_agree_with_a_joint_filter():
 
 def test_layout_keeps_the_rows_that_are_filled_together():
     """The test above writes neighbouring rows in one go; the kernels rely on the same order."""
-    assert (O_RANGE + 1, O_RANGE + 2, O_RANGE + 3, O_RANGE + 4) == (O_CA, O_SA, O_CE, O_SE)
+    assert MU == RANGE
     assert (CA + 1, CA + 2, CA + 3) == (SA, CE, SE)
     assert (OFFSET0 + 1, OFFSET0 + 2) == (BIAS0, SCALE0)
     assert (W_B + 1, W_B + 2) == (W_BIAS, W_SCALE)

@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 
 from cellslam.sim.frames import rotation, unit_vector
-from cellslam.slam.fastslam import nuisance_kernel, predict_kernel
+from cellslam.slam.fastslam import nuisance_kernel, pair_kernel, predict_kernel, update_kernel
+from cellslam.slam.fastslam.choice import chosen
 from cellslam.slam.fastslam.layout import (
     ANCHOR,
     BIAS0,
@@ -12,6 +13,7 @@ from cellslam.slam.fastslam.layout import (
     CE,
     GAIN,
     LANES,
+    MU,
     O_A,
     O_H,
     O_S,
@@ -41,7 +43,11 @@ from cellslam.slam.fastslam.layout import (
     W_SCALE,
     scratch_rows,
 )
+from cellslam.slam.fastslam.options import FastSlamOptions
 from cellslam.slam.model import predict as h
+
+PARTS = chosen(FastSlamOptions()).parts
+CARTESIAN = chosen(FastSlamOptions(landmarks="cartesian")).parts
 
 
 class Lanes:
@@ -106,32 +112,41 @@ def scene(seed: int) -> tuple[Lanes, dict[str, np.ndarray]]:
     return lanes, parts
 
 
-def measured(parts, ds, dtheta, lane):
+def measured(parts, ds, dtheta, lane, cartesian=False):
     """Return h + offset of one lane for a VT displaced by ds and nuisances changed by dtheta."""
     p = parts
     g = p["pose_g"][lane].reshape(3, 2)
     pose = p["pose"][lane].copy()
     pose[[0, 1, 3]] += g @ dtheta[1:]
-    s = np.array([p["range"][lane], p["az"][lane], p["el"][lane]]) + ds + p["gain"][lane] @ dtheta
-    vt = p["anchor"][lane] + s[0] * unit_vector(s[1], s[2])
+    s = np.array([p["range"][lane], p["az"][lane], p["el"][lane]])
+    change = ds + p["gain"][lane] @ dtheta
+    if cartesian:
+        vt = p["anchor"][lane] + s[0] * unit_vector(s[1], s[2]) + change
+    else:
+        s = s + change
+        vt = p["anchor"][lane] + s[0] * unit_vector(s[1], s[2])
     return h(pose, vt) + np.array([p["theta"][lane, 0] + dtheta[0], 0, 0])
 
 
-def test_prediction_has_the_derivatives_of_the_model():
+@pytest.mark.parametrize("cartesian", [False, True])
+def test_prediction_has_the_derivatives_of_the_model(cartesian):
     lanes, parts = scene(1)
-    predict_kernel.predict(lanes.w, lanes.rec, lanes.out)
+    if cartesian:
+        n = unit_vector(parts["az"], parts["el"])
+        lanes.set("rec", MU, parts["anchor"] + parts["range"][:, None] * n)
+    predict_kernel.predict(CARTESIAN if cartesian else PARTS, lanes.w, lanes.rec, lanes.out)
     hs = lanes.get("out", O_H, 9).reshape(LANES, 3, 3)
     a = lanes.get("out", O_A, 9).reshape(LANES, 3, 3)
     for lane in range(LANES):
         for c in range(3):
-            step = np.zeros(3)
+            step, zero = np.zeros(3), np.zeros(3)
             step[c] = (1e-3, 1e-6, 1e-6)[c]
-            by_s = (measured(parts, step, np.zeros(3), lane) - measured(parts, -step, np.zeros(3), lane)) / (
+            by_s = (measured(parts, step, zero, lane, cartesian) - measured(parts, -step, zero, lane, cartesian)) / (
                 2 * step[c]
             )
-            by_theta = (measured(parts, np.zeros(3), step, lane) - measured(parts, np.zeros(3), -step, lane)) / (
-                2 * step[c]
-            )
+            by_theta = (
+                measured(parts, zero, step, lane, cartesian) - measured(parts, zero, -step, lane, cartesian)
+            ) / (2 * step[c])
             assert np.allclose(hs[lane, :, c], by_s, rtol=1e-5, atol=1e-7)
             assert np.allclose(a[lane, :, c], by_theta, rtol=2e-5, atol=1e-6)
     upper = np.triu_indices(3)
@@ -141,21 +156,21 @@ def test_prediction_has_the_derivatives_of_the_model():
 
 def test_innovation_is_the_wrapped_difference_at_any_azimuth():
     lanes, parts = scene(2)
-    predict_kernel.predict(lanes.w, lanes.rec, lanes.out)
+    predict_kernel.predict(PARTS, lanes.w, lanes.rec, lanes.out)
     for shift in (0.0, 0.4, -0.9):
         lane = 5
         z = measured(parts, np.zeros(3), np.zeros(3), lane)
         z = z + np.array([1.5, shift, 0.1])
-        predict_kernel.innovate(lanes.w, lanes.out, measurement(*z))
+        pair_kernel.innovate(lanes.w, lanes.out, measurement(*z))
         assert np.allclose(lanes.get("w", W_E, 3)[lane], [1.5, shift, 0.1], atol=1e-9)
 
 
 def test_a_component_that_was_not_measured_takes_no_part():
     lanes, parts = scene(3)
-    predict_kernel.predict(lanes.w, lanes.rec, lanes.out)
+    predict_kernel.predict(PARTS, lanes.w, lanes.rec, lanes.out)
     z = measurement(300.0, 0.2, 0.1, q=(0.3, 1e-4, 1.0), flags=(1, 1, 0))
-    predict_kernel.innovate(lanes.w, lanes.out, z)
-    predict_kernel.invert(lanes.w, lanes.out, z, 1.0)
+    pair_kernel.innovate(lanes.w, lanes.out, z)
+    pair_kernel.invert(lanes.w, lanes.out, z, 1.0)
     e, d2, det = lanes.get("w", W_E, 3), lanes.get("w", W_D2, 1)[:, 0], lanes.get("w", W_DET, 1)[:, 0]
     hs, a = lanes.get("out", O_H, 9).reshape(LANES, 3, 3), lanes.get("out", O_A, 9).reshape(LANES, 3, 3)
     s = hs @ parts["sigma"] @ np.swapaxes(hs, 1, 2) + a @ parts["cov"] @ np.swapaxes(a, 1, 2)
@@ -167,17 +182,17 @@ def test_a_component_that_was_not_measured_takes_no_part():
 
 def test_correction_is_the_kalman_update_and_leaves_masked_lanes_alone():
     lanes, parts = scene(4)
-    predict_kernel.predict(lanes.w, lanes.rec, lanes.out)
+    predict_kernel.predict(PARTS, lanes.w, lanes.rec, lanes.out)
     hs = lanes.get("out", O_H, 9).reshape(LANES, 3, 3)
     z = measurement(parts["range"][0] + parts["theta"][0, 0], 0.3, 0.05)
-    predict_kernel.innovate(lanes.w, lanes.out, z)
+    pair_kernel.innovate(lanes.w, lanes.out, z)
     lanes.set("w", W_E, lanes.get("w", W_E, 3) * 1e-3)
-    predict_kernel.invert(lanes.w, lanes.out, z, 0.0)
+    pair_kernel.invert(lanes.w, lanes.out, z, 0.0)
     mask = (np.arange(LANES) % 2).astype(float)
     lanes.set("w", W_MASK, mask[:, None])
     before = lanes.get("rec", 0, 27)
     e, a = lanes.get("w", W_E, 3), lanes.get("out", O_A, 9).reshape(LANES, 3, 3)
-    predict_kernel.correct(lanes.w, lanes.rec, lanes.out)
+    update_kernel.correct(PARTS, lanes.w, lanes.rec, lanes.out)
     after = lanes.get("rec", 0, 27)
     assert np.array_equal(after[::2], before[::2])
     s = hs @ parts["sigma"] @ np.swapaxes(hs, 1, 2) + np.diag(z[5:8])
@@ -197,7 +212,7 @@ def test_logarithm_is_good_enough_to_choose_by():
     lanes = Lanes()
     values = np.logspace(-30, 12, LANES)
     lanes.set("w", W_DET, values[:, None])
-    predict_kernel.logarithm(lanes.w, lanes.w.view(np.int64))
+    pair_kernel.logarithm(lanes.w, lanes.w.view(np.int64))
     assert np.allclose(lanes.get("w", W_LOG, 1)[:, 0], np.log(values), atol=1e-6)
 
 

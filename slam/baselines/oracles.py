@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import ClassVar
 
 import numpy as np
@@ -13,6 +14,10 @@ from cellslam.slam.baselines.ekf_slam.bank import Bank
 from cellslam.slam.baselines.ekf_slam.filter import EkfSlam
 from cellslam.slam.baselines.ekf_slam.layout import HITS, IDENT, KNOWN_ASSOCIATION, KNOWN_MAP, LAST, LINK
 from cellslam.slam.baselines.ekf_slam.start import Start, begin
+from cellslam.slam.fastslam.association import FromTruth
+from cellslam.slam.fastslam.choice import Choice
+from cellslam.slam.fastslam.filter import FastSlam
+from cellslam.slam.fastslam.warm_up import warm_up as fastslam_warm_up
 
 LONG_AGO = -100_000  # snapshots since a known VT was last seen, at the start
 
@@ -31,6 +36,25 @@ class KnownAssociation(EkfSlam):
 
     def _given(self, snapshot: Snapshot) -> Ints:
         return np.array(self._vt_of[snapshot.row], np.int64)
+
+
+class FastSlamKnownAssociation(FastSlam):
+    """FastSLAM that is told which VT each measurement came from, and what is clutter."""
+
+    name: ClassVar[str] = "oracle-fastslam"
+    requires_truth: ClassVar[bool] = True
+
+    def warm_up(self) -> None:
+        """Compile every kernel on a made-up drive."""
+        fastslam_warm_up(self.options, self._told(np.zeros(64, np.int64)))
+
+    def start(self, setup: Setup, rng: np.random.Generator) -> None:
+        """Draw the prior, and take the associations."""
+        self.choice = self._told(_truth(setup).measurement_vt)
+        super().start(setup, rng)
+
+    def _told(self, measurement_vt: Ints) -> Choice:
+        return replace(self.choice, parts=self.choice.parts._replace(association=FromTruth(measurement_vt)))
 
 
 class KnownMap(EkfSlam):

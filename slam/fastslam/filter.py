@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import Any, ClassVar
 
@@ -13,15 +15,19 @@ from cellslam.sim.recording import Floats, Ints
 from cellslam.slam.api import Estimate, Setup, Snapshot
 from cellslam.slam.attitude import Attitude
 from cellslam.slam.fastslam import resampling
-from cellslam.slam.fastslam.block_kernel import update
-from cellslam.slam.fastslam.layout import BIAS, LANES, OUT, POSE, SCALE, W_ROWS, scratch_rows
+from cellslam.slam.fastslam.block_kernel import advance_blocks
+from cellslam.slam.fastslam.choice import Choice, chosen
+from cellslam.slam.fastslam.layout import LANES, OUT, POSE, W_ROWS, Measured, Rules, Scratch, scratch_rows
 from cellslam.slam.fastslam.measurement_kernel import pack
 from cellslam.slam.fastslam.options import FastSlamOptions
 from cellslam.slam.fastslam.particles import Particles, draw, select, widened
+from cellslam.slam.fastslam.sight_kernel import SEEN, sight_blocks
 from cellslam.slam.fastslam.summary import belief, map_of
+from cellslam.slam.fastslam.threads import over_blocks
 from cellslam.slam.front_end import Readings, existence, first_of_link, ports_of, readings
 
-CAPACITY = 24  # tracks a link that there is room for at the start; doubled when needed
+SLACK_M = 0.3  # of the test that passes over tracks: what its bounds are not told of
+CAPACITY = 24  # tracks a map that there is room for at the start; doubled when needed
 
 
 class FastSlam:
@@ -35,20 +41,25 @@ class FastSlam:
     requires_truth: ClassVar[bool] = False
     Options: ClassVar[type[FastSlamOptions]] = FastSlamOptions
 
-    def __init__(self, options: FastSlamOptions | None = None) -> None:
+    def __init__(self, options: FastSlamOptions | None = None, **parts: Any) -> None:
+        """Take options, and parts as objects where they are not those that the options name.
+
+        parts: association, criterion, landmarks, clock, proposal, resampling; see `parts`, `proposal`, `resampling`.
+        """
         self.options = options or FastSlamOptions()
+        self.choice: Choice = chosen(self.options, **parts)
 
     @staticmethod
     def compiled() -> bool:
         """Return whether the kernels have been compiled before, and are in Numba's cache."""
-        kernel: Any = update
-        return any(Path(kernel.stats.cache_path or "").glob("block_kernel.update-*.nbi"))
+        folder = Path(advance_blocks.cached.stats.cache_path or "")
+        return any(folder.glob("block_kernel._advance_blocks-*.nbi"))
 
     def warm_up(self) -> None:
         """Compile every kernel on a drive of three snapshots."""
         from cellslam.slam.fastslam.warm_up import warm_up
 
-        warm_up(self.options)
+        warm_up(self.options, self.choice)
 
     def start(self, setup: Setup, rng: np.random.Generator) -> None:
         """Draw the prior."""
@@ -57,17 +68,23 @@ class FastSlam:
         self._site_of = np.array(setup.links.site, np.int64)  # a writable copy: compiled code is typed by that
         self._port_of = ports_of(self._site_of, setup.links.port)
         self._shares = 1.0 / np.bincount(self._site_of)[self._site_of] ** o.link_correlation
-        count = o.particles_start or o.particles
-        self._particles: Particles = draw(setup, count, o.offset_component_std_m, min(o.vts_per_link, CAPACITY), rng)
+        self._link_of, self._map_of = np.arange(len(setup.links)), np.arange(len(setup.links))
+        if o.sharing == "site":
+            _, self._link_of, self._map_of = np.unique(self._site_of, return_index=True, return_inverse=True)
+        self._leads = self._link_of[self._map_of] == np.arange(len(setup.links))
+        self._particles: Particles = draw(
+            self.choice.prior(setup), o.particles_start or o.particles, self.choice.component_m,
+            min(o.vts_per_link, CAPACITY), rng, len(self._link_of), self.choice.record, o.motion == "sampled",
+        )  # fmt: skip
         self._origin = np.array(setup.start_pose[:3], float)
         self._particles.rows(POSE, 3)[:] -= self._origin[:, None]
         self._attitude = Attitude(o, setup)
         self._time_s = 0.0
         self._now = 0
         self._born = 0
-        self._scratch: tuple[Any, ...] = ()
+        self._scratch: tuple[Scratch, ...] = ()
         self._association = np.empty((0, 0, LANES), np.int64)
-        self._tables: tuple[float, Any] | None = None
+        self._rules: tuple[float, Rules] | None = None
 
     def step(self, dt_s: float, odometry: Floats, snapshot: Snapshot) -> Estimate:
         """Move, weigh, update and, if needed, resample (paper, section IV)."""
@@ -78,75 +95,86 @@ class FastSlam:
         self._time_s += dt_s
         return self._conclude(association[:, : len(snapshot)], snapshot, values.many)
 
-    def _velocity(self, dt_s: float, odometry: Floats) -> Floats:
-        """Return body velocities (G, 6, 32), one sample a particle of what was driven."""
-        p, model = self._particles, self._setup.odometry_model
-        blocks = len(p.state)
-        bias = p.rows(BIAS, 6)
-        if dt_s > 0.0:
-            for c in np.flatnonzero(model.bias_walk_density):
-                bias[:, c] += model.bias_walk_density[c] * np.sqrt(dt_s) * self._rng.standard_normal((blocks, LANES))
-        velocity = odometry[:, None] - bias
-        if dt_s > 0.0:
-            for c in np.flatnonzero(model.noise_density):
-                velocity[:, c] += model.noise_density[c] / np.sqrt(dt_s) * self._rng.standard_normal((blocks, LANES))
-        velocity /= 1.0 + p.rows(SCALE, 6)
-        return velocity
-
     def _read(self, dt_s: float, odometry: Floats, snapshot: Snapshot) -> Readings:
         turned, moved = odometry[3] * dt_s, odometry[0] * dt_s
         return readings(snapshot, self._site_of, self._port_of, self.options, turned, moved)
 
     def _update(self, dt_s: float, odometry: Floats, snapshot: Snapshot, values: Readings) -> Ints:
-        o = self.options
         first = first_of_link(snapshot, len(self._setup.links))
-        log_tables, age_once, age_twice = self._existence(dt_s)
-        parameters = np.array([
-            np.log(o.clutter_density), o.gate, -np.log1p(-o.birth_ratio), 3.0, o.confirm_hits, age_once, age_twice,
-            o.likelihood_exponent,
-        ])  # fmt: skip
         self._reserve(np.diff(first))
         p, association = self._particles, self._association
         association[:, : len(snapshot)] = -1
-        tables = pack(values.z, values.single, values.many, values.fresh, values.gap, values.lack)
-        velocity = self._velocity(dt_s, odometry)
-        run: Any = update
-        run(
-            self._now, float(dt_s), velocity, p.state, p.status, p.alike, p.records, p.ident, p.order, p.counts,
-            p.bounds, p.travelled, first, self._site_of, self._shares, *tables, self._born, log_tables, parameters,
-            p.log_weight, association, self._scratch[0], self._scratch[0].view(np.int32), *self._scratch[1:],
+        z, many, fresh = pack(values.z, values.single, values.many, values.fresh, values.gap, values.lack)
+        measured = Measured(
+            first, self._site_of, self._shares, self._map_of, self._leads, z, many, fresh, self._born
+        )  # fmt: skip
+        self._parts, rules = self.choice.parts_for(snapshot, self._born), self._rules_for(dt_s)
+        sight = partial(self._sight, rules, float(dt_s), measured)
+        velocity = self.choice.proposal(p, self._setup.odometry_model, dt_s, odometry, sight, self._rng)
+        self._over_blocks(
+            advance_blocks(self._parts), self._parts, rules, self._now, float(dt_s), velocity, p.state, p.tracks,
+            p.travelled, measured, p.log_weight, association,
         )  # fmt: skip
         return association
 
-    def _existence(self, dt_s: float) -> tuple[Floats, int, int]:
-        if self._tables is None or (dt_s > 0.0 and abs(self._tables[0] - dt_s) > 1e-3 * dt_s):
-            self._tables = (dt_s, existence(self.options, dt_s if dt_s > 0.0 else 0.075))
-        result: tuple[Floats, int, int] = self._tables[1]
-        return result
+    def _sight(self, rules: Rules, dt_s: float, measured: Measured, velocity: Floats) -> Floats:
+        p = self._particles
+        seen = np.empty((len(p.state), SEEN, LANES))
+        self._over_blocks(
+            sight_blocks(self._parts),
+            self._parts,
+            rules,
+            self._now,
+            dt_s,
+            velocity,
+            p.state,
+            p.tracks,
+            p.travelled,
+            measured,
+            seen,
+        )
+        return seen
+
+    def _over_blocks(self, kernel: Callable[..., None], *arguments: Any) -> None:
+        over_blocks(kernel, len(self._particles.state), self._scratch, *arguments)
+
+    def _rules_for(self, dt_s: float) -> Rules:
+        o = self.options
+        if self._rules is None or (dt_s > 0.0 and abs(self._rules[0] - dt_s) > 1e-3 * dt_s):
+            tables, age_once, age_twice = existence(o, dt_s if dt_s > 0.0 else 0.075)
+            tables[:, :, 0] = 0.0  # what another link of a shared map has seen in this snapshot is settled
+            self._rules = (dt_s, Rules(
+                log_clutter=float(np.log(o.clutter_density)), gate=o.gate, log_birth=float(-np.log1p(-o.birth_ratio)),
+                slack_m=SLACK_M, hits=float(o.confirm_hits), age_once=age_once, age_twice=age_twice,
+                exponent=o.likelihood_exponent, least_score=self.choice.least_score, tables=tables,
+            ))  # fmt: skip
+        return self._rules[1]
 
     def _reserve(self, measured: Ints) -> None:
         """Make room for a snapshot with so many measurements in each link (L,): for births, and scratch a thread."""
         o, p = self.options, self._particles
         most, total, capacity = int(measured.max()), int(measured.sum()), p.order.shape[2]
-        if capacity < o.vts_per_link and int((p.counts + measured).max()) > capacity:
+        births = np.bincount(self._map_of, measured, len(self._link_of)).astype(np.int64)
+        if capacity < o.vts_per_link and int((p.counts + births).max()) > capacity:
             capacity = min(2 * capacity, o.vts_per_link)
             self._particles = widened(p, capacity)
             self._scratch = ()
         if self._association.shape[0] != len(p.state) or self._association.shape[1] < total:
             self._association = np.empty((len(p.state), 2 * total, LANES), np.int64)
-        if not self._scratch or self._scratch[4].shape[2] < most:
-            self._scratch = self._new_scratch(capacity, max(2 * most, 16))
+        if not self._scratch or self._scratch[0].scores.shape[1] < most:
+            threads = int(numba.config.NUMBA_NUM_THREADS)  # type: ignore[attr-defined]
+            self._scratch = tuple(self._new_scratch(capacity, max(2 * most, 16)) for _ in range(threads))
 
-    def _new_scratch(self, c: int, m: int) -> tuple[Any, ...]:
-        """Return scratch for each thread, for links of `c` tracks and `m` measurements."""
-        threads = int(numba.config.NUMBA_NUM_THREADS)  # type: ignore[attr-defined]
-        w = np.zeros((threads, W_ROWS * LANES), np.float32)
-        v = np.zeros((threads, scratch_rows(self._particles.nuisances) * LANES))
-        near, rows = np.empty((threads, c), np.int64), np.empty((threads, c, OUT * LANES), np.float32)
-        scores = np.empty((threads, c, m, LANES), np.float32)
-        claims, row_of = np.empty((threads, c, m), np.bool_), np.empty((threads, m, LANES), np.int32)
-        table, column, work = np.empty((threads, c, m)), np.empty((threads, m), np.int64), (threads, 4 * (c + m + 2))
-        return w, v, near, rows, scores, claims, row_of, table, column, np.empty(work), np.empty(work, np.int64)
+    def _new_scratch(self, c: int, m: int) -> Scratch:
+        """Return a thread's scratch for maps of `c` tracks and links of `m` measurements."""
+        w, work = np.zeros(W_ROWS * LANES, np.float32), 4 * (c + m + 2)
+        return Scratch(
+            w=w, bits=w.view(np.int32), v=np.zeros(scratch_rows(self._particles.nuisances) * LANES),
+            near=np.empty(c, np.int64), rows=np.empty((c, OUT * LANES), np.float32),
+            scores=np.empty((c, m, LANES), np.float32), claims=np.empty((c, m), np.bool_),
+            row_of=np.empty((m, LANES), np.int32), table=np.empty((c, m)), column=np.empty(m, np.int64),
+            floats=np.empty(work), ints=np.empty(work, np.int64),
+        )  # fmt: skip
 
     def _conclude(self, association: Ints, snapshot: Snapshot, many: Floats) -> Estimate:
         p, o = self._particles, self.options
@@ -158,11 +186,12 @@ class FastSlam:
         mean[:3] += self._origin
         mean[3:] = wrap_angle(mean[3:])
         mine = association[best // LANES, :, best % LANES].copy()
-        estimate = Estimate(mean, covariance, mine, offset, variance, map_of(p, best, self._site_of, self._origin))
+        vts = map_of(p, best, self._parts, self._site_of[self._link_of], self._link_of, self._origin)
+        estimate = Estimate(mean, covariance, mine, offset, variance, vts)
         pose = p.rows(POSE, 6)[best // LANES, :, best % LANES].copy()
         pose[:3] += self._origin
         estimate = self._attitude.concluded(estimate, snapshot, many, pose)
         wanted = -(-o.particles // LANES) * LANES if self._time_s >= o.start_phase_s else len(p)
         if wanted != len(p) or resampling.effective_size(weights) < o.effective_share * len(p):
-            self._particles = select(p, resampling.SCHEMES[o.resampling](weights, wanted, self._rng))
+            self._particles = select(p, self.choice.resampling(weights, wanted, self._rng))
         return estimate

@@ -3,29 +3,18 @@
 from __future__ import annotations
 
 import math
+from typing import Any
 
 import numpy as np
 from numba import njit, prange
 
-from cellslam.slam.fastslam.layout import (
-    ANCHOR,
-    BIAS0,
-    CA,
-    CE,
-    GAIN,
-    LANES,
-    OFFSET0,
-    RANGE,
-    RECORD,
-    SA,
-    SCALE0,
-    SE,
-    SIGMA,
-    THETA,
-)
+from cellslam.slam.fastslam.clock import offset_belief
+from cellslam.slam.fastslam.landmarks import locate
+from cellslam.slam.fastslam.layout import BIAS0, GAIN, LANES, OFFSET0, SCALE0, SIGMA, THETA
+from cellslam.slam.fastslam.parts import cached_and_not
+from cellslam.slam.fastslam.tracks_kernel import UNKNOWN
 
 B = LANES
-UNKNOWN = -2
 
 
 @njit(cache=True, parallel=True)
@@ -49,7 +38,7 @@ def move_within(steps, starts, state, status, records, order, counts):
                     needed = needed or s >= 0
                 if needed:
                     record = records[g, link, slot]
-                    for r in range(RECORD):
+                    for r in range(len(record) // B):
                         for i in range(a, b):
                             record[r * B + steps[i, 2]] = record[r * B + steps[i, 1]]
 
@@ -92,14 +81,16 @@ def move_between(
                 )
                 if place < 0:
                     continue
+                rows = records.shape[3] // B
                 if new:
-                    for r in range(RECORD):
+                    for r in range(rows):
                         to_records[h, link, place, r * B : (r + 1) * B] = records[g, link, slot, r * B + a]
                 to_status[h, link, place, b] = s
                 to_bounds[h, link, place, 0] = -math.inf
                 to_bounds[h, link, place, 1] = math.inf
                 to_bounds[h, link, place, 4] = math.inf
-                for r in range(RECORD):
+                to_bounds[h, link, place, 6] = 0.0
+                for r in range(rows):
                     to_records[h, link, place, r * B + b] = records[g, link, slot, r * B + a]
 
 
@@ -119,27 +110,34 @@ def _place(name, status, ident, order, counts, block, link):
     return slot, True
 
 
-@njit(cache=True)
-def map_into(
-    lane, least, size, state, status, records, ident, order, counts, site_of, out_id, out_link, position, covariance
-):
+def _map_into(
+    parts, lane, least, size, state, status, records, ident, order, counts, site_of, link_of, out_id, out_link,
+    position, covariance,
+):  # fmt: skip
     """Write the VTs of one lane of a block with at least class `least`: x = x(mu), cov = J (Sigma + G P G^T) J^T;
-    return their number."""
+    return their number.
+
+    site_of, link_of: site of each map, and the link that its VTs are reported for.
+    """
     n = 0
     jacobian, spread, gain = np.empty((3, 3)), np.empty((3, 3)), np.empty((3, 3))
     block, inner = np.empty((3, 3)), np.empty((3, 3))
-    for link in range(counts.shape[0]):
-        index = (site_of[link], size - 2, size - 1)
+    for own in range(counts.shape[0]):
+        index = (site_of[own], size - 2, size - 1)
         for r in range(3):
             for c in range(3):
                 block[r, c] = state[(THETA + size + index[r] * size + index[c]) * B + lane]
-        for j in range(counts[link]):
-            slot = order[link, j]
-            s = status[link, slot, lane]
+        mean, variance, by_bias, by_scale = state[(THETA + index[0]) * B + lane], block[0, 0], block[0, 1], block[0, 2]
+        for j in range(counts[own]):
+            slot = order[own, j]
+            s = status[own, slot, lane]
             if s < 0 or s & 3 < least:
                 continue
-            v = records[link, slot]
-            d0 = state[(THETA + index[0]) * B + lane] - v[OFFSET0 * B + lane]
+            v = records[own, slot]
+            offset, block[0, 0], shared = offset_belief(parts.clock, v, lane, mean, variance)
+            block[0, 1] = block[1, 0] = shared * by_bias
+            block[0, 2] = block[2, 0] = shared * by_scale
+            d0 = offset - v[OFFSET0 * B + lane]
             d1 = state[(THETA + size - 2) * B + lane] - v[BIAS0 * B + lane]
             d2 = state[(THETA + size - 1) * B + lane] - v[SCALE0 * B + lane]
             k = 0
@@ -152,22 +150,15 @@ def map_into(
                     inner[r, c] += v[(SIGMA + k) * B + lane]
                     inner[c, r] = inner[r, c]
                     k += 1
-            rho = v[RANGE * B + lane] + gain[0, 0] * d0 + gain[0, 1] * d1 + gain[0, 2] * d2
-            turn = gain[1, 0] * d0 + gain[1, 1] * d1 + gain[1, 2] * d2
-            lift = gain[2, 0] * d0 + gain[2, 1] * d1 + gain[2, 2] * d2
-            az = math.atan2(v[SA * B + lane], v[CA * B + lane]) + turn
-            el = math.atan2(v[SE * B + lane], v[CE * B + lane]) + lift
-            ca, sa, ce, se = math.cos(az), math.sin(az), math.cos(el), math.sin(el)
-            jacobian[0, 0], jacobian[0, 1], jacobian[0, 2] = ce * ca, -rho * ce * sa, -rho * se * ca
-            jacobian[1, 0], jacobian[1, 1], jacobian[1, 2] = ce * sa, rho * ce * ca, -rho * se * sa
-            jacobian[2, 0], jacobian[2, 1], jacobian[2, 2] = se, 0.0, rho * ce
-            for r in range(3):
-                position[n, r] = v[(ANCHOR + r) * B + lane] + rho * jacobian[r, 0]
+            locate(parts.landmarks, v, lane, d0, d1, d2, position[n], jacobian)
             _congruence(jacobian, inner, spread)
             covariance[n] = spread
-            out_id[n], out_link[n] = ident[link, slot], link
+            out_id[n], out_link[n] = ident[own, slot], link_of[own]
             n += 1
     return n
+
+
+map_into: Any = cached_and_not(_map_into)
 
 
 @njit(cache=True, error_model="numpy")

@@ -12,10 +12,9 @@ import math
 
 from numba import njit
 
-from cellslam.slam.fastslam.layout import LANES, O_A, V_WEIGHT, V_Y, W_E, W_INV, W_LINK, W_MASK
+from cellslam.slam.fastslam.layout import LANES, V_WEIGHT, V_Y, W_LINK
 
 B = LANES
-A = O_A * B
 
 
 @njit(cache=True, error_model="numpy")
@@ -25,33 +24,6 @@ def forget(w, v, size):
         w[i] = 0.0
     for i in range((V_Y + size + size * size) * B):
         v[i] = 0.0
-
-
-@njit(cache=True, error_model="numpy")
-def absorb(w, out):
-    """Add A^T S^-1 e and A^T S^-1 A of the association at hand, where W_MASK is 1, to the link's sums."""
-    F = w.dtype.type
-    none = F(0.0)
-    for l in range(B):
-        on = w[W_MASK * B + l] > F(0.5)
-        i0, i1, i2 = w[W_INV * B + l], w[(W_INV + 1) * B + l], w[(W_INV + 2) * B + l]
-        i3, i4, i5 = w[(W_INV + 3) * B + l], w[(W_INV + 4) * B + l], w[(W_INV + 5) * B + l]
-        a0, a1, a2 = out[A + l], out[A + B + l], out[A + 2 * B + l]
-        a3, a4, a5 = out[A + 3 * B + l], out[A + 4 * B + l], out[A + 5 * B + l]
-        a6, a7, a8 = out[A + 6 * B + l], out[A + 7 * B + l], out[A + 8 * B + l]
-        e0, e1, e2 = w[W_E * B + l], w[(W_E + 1) * B + l], w[(W_E + 2) * B + l]
-        b0, b1, b2 = i0 * a0 + i1 * a3 + i2 * a6, i1 * a0 + i3 * a3 + i4 * a6, i2 * a0 + i4 * a3 + i5 * a6
-        g0, g1, g2 = i0 * a1 + i1 * a4 + i2 * a7, i1 * a1 + i3 * a4 + i4 * a7, i2 * a1 + i4 * a4 + i5 * a7
-        s0, s1, s2 = i0 * a2 + i1 * a5 + i2 * a8, i1 * a2 + i3 * a5 + i4 * a8, i2 * a2 + i4 * a5 + i5 * a8
-        w[W_LINK * B + l] += b0 * e0 + b1 * e1 + b2 * e2 if on else none
-        w[(W_LINK + 1) * B + l] += g0 * e0 + g1 * e1 + g2 * e2 if on else none
-        w[(W_LINK + 2) * B + l] += s0 * e0 + s1 * e1 + s2 * e2 if on else none
-        w[(W_LINK + 3) * B + l] += b0 * a0 + b1 * a3 + b2 * a6 if on else none
-        w[(W_LINK + 4) * B + l] += b0 * a1 + b1 * a4 + b2 * a7 if on else none
-        w[(W_LINK + 5) * B + l] += b0 * a2 + b1 * a5 + b2 * a8 if on else none
-        w[(W_LINK + 6) * B + l] += g0 * a1 + g1 * a4 + g2 * a7 if on else none
-        w[(W_LINK + 7) * B + l] += g0 * a2 + g1 * a5 + g2 * a8 if on else none
-        w[(W_LINK + 8) * B + l] += s0 * a2 + s1 * a5 + s2 * a8 if on else none
 
 
 @njit(cache=True, error_model="numpy")

@@ -23,6 +23,31 @@ class FastSlamOptions(FrontEndOptions):
     offset_component_std_m: float = Field(
         20.0, gt=0, le=1000, description="width of one particle's clock-offset component at the start, m"
     )
+    motion: Literal["marginalised", "sampled"] = Field(
+        "marginalised", description="yaw-rate bias and odometer scale: marginalised with the offsets, or sampled"
+    )
+    proposal: Literal["motion", "measurements"] = Field(
+        "motion", description="what motion is drawn from: the odometry (FastSLAM 1.0), or the snapshot too (2.0)"
+    )
+    association: Literal["hungarian", "nearest", "sampled"] = Field(
+        "hungarian", description="how a link's measurements are given to VTs in each particle"
+    )
+    hypotheses: int = Field(8, ge=1, le=1000, description="assignments that a sampled association draws from")
+    association_seed: int = Field(0, ge=0, le=2**31, description="seed of sampled associations")
+    criterion: Literal["likelihood", "mahalanobis"] = Field(
+        "likelihood",
+        description="what is best: the likelihood against misses and clutter, or the paper's bare distance",
+    )
+    landmarks: Literal["spherical", "cartesian"] = Field(
+        "spherical", description="coordinates of VTs: about the place of birth, or x, y, z"
+    )
+    clock: Literal["marginalised", "sampled", "known", "per-vt"] = Field(
+        "marginalised",
+        description="clock offsets: marginalised per site, sampled, known (the prior's mean), or one for each VT",
+    )
+    sharing: Literal["none", "site"] = Field(
+        "none", description="whether the ports and sectors of a site share one map of VTs"
+    )
     resampling: Literal["systematic", "stratified", "residual", "multinomial"] = Field(
         "systematic", description="resampling scheme"
     )

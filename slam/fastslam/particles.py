@@ -10,24 +10,24 @@ from scipy.special import ndtri
 
 from cellslam.sim.recording import Floats, Ints
 from cellslam.slam.api import Setup
-from cellslam.slam.fastslam.layout import BIAS, LANES, POSE, POSE_G, RECORD, SCALE, THETA
+from cellslam.slam.fastslam.layout import BIAS, BOUND, LANES, POSE, POSE_G, RECORD, SCALE, THETA, Tracks
 from cellslam.slam.fastslam.map_kernel import move_between, move_within
+from cellslam.slam.fastslam.tracks_kernel import DEAD, UNKNOWN
 
 YAW_RATE, SPEED = 3, 0  # components of u whose bias and scale are marginalised
-DEAD, UNKNOWN = -1, -2
 
 
 @dataclass(frozen=True)
 class Particles:
-    """State of N = 32 G particles with K = S + 2 nuisances (offsets, yaw-rate bias, odometer scale), C tracks a link.
+    """State of N = 32 G particles with K = S + 2 nuisances (offsets, yaw-rate bias, odometer scale), C tracks in
+    each of L maps.
 
     state (G, F * 32) and records (G, L, C, 27 * 32): rows of `layout`; status (G, L, C, 32): -1 where a particle does
     not believe in a track, else 4 * snapshot last seen + class; alike (G, L, C): that of all 32 lanes, or UNKNOWN;
     ident (G, L, C): measurement that the track was born from; order (G, L, C): a permutation, its first counts[g, l]
-    are in use; bounds (G, L, C, 7): what the track could show when last predicted (least and greatest distance,
-    travelled, azimuth in the world frame, give or take, turned, least distance from a particle); travelled (G, S + 1):
-    how far the particles and a site's offset have moved, m, and how far directions have turned, rad; log_weight
-    (G, 32).
+    are in use; bounds (G, L, C, BOUND): what the track could show when last predicted (see `block_kernel._bound`);
+    travelled (G, S + 1): how far the particles and a site's offset have moved, m, and how far directions have turned,
+    rad; log_weight (G, 32).
     """
 
     state: Floats
@@ -37,7 +37,7 @@ class Particles:
     ident: Ints
     order: NDArray[np.int32]
     counts: Ints
-    bounds: Floats
+    bounds: NDArray[np.float32]
     travelled: Floats
     log_weight: Floats
 
@@ -49,6 +49,16 @@ class Particles:
         """K."""
         return int(self.travelled.shape[1]) + 1
 
+    @property
+    def record(self) -> int:
+        """Rows of a track's record."""
+        return int(self.records.shape[3]) // LANES
+
+    @property
+    def tracks(self) -> Tracks:
+        """The maps as the kernels take them."""
+        return Tracks(self.status, self.alike, self.records, self.ident, self.order, self.counts, self.bounds)
+
     def rows(self, first: int, count: int) -> Floats:
         """Return a view (G, count, 32) of `count` rows of the state."""
         return self.state.reshape(len(self.state), -1, LANES)[:, first : first + count]
@@ -58,8 +68,14 @@ class Particles:
         return np.swapaxes(self.rows(first, count), 1, 2).reshape(-1, count)
 
 
-def draw(setup: Setup, count: int, component_std_m: float, capacity: int, rng: np.random.Generator) -> Particles:
+def draw(
+    setup: Setup, count: int, component_std_m: float, capacity: int, rng: np.random.Generator, maps: int | None = None,
+    record: int = RECORD, sampled_motion: bool = False,
+) -> Particles:  # fmt: skip
     """Draw the prior: start pose, sampled odometry errors, and one component of the offset prior for each particle.
+
+    `capacity`: tracks of each of `maps` maps (one a link), of so many rows a `record`. sampled_motion: yaw-rate bias
+    and odometer scale are drawn like the other errors.
 
     The number of particles is rounded up to a multiple of 32. The offset prior N(m, s^2) is split into components of
     deviation
@@ -68,8 +84,8 @@ def draw(setup: Setup, count: int, component_std_m: float, capacity: int, rng: n
     linearised too far from the truth).
     """
     sites, model = setup.sites, setup.odometry_model
-    blocks, size, links = -(-count // LANES), len(sites) + 2, len(setup.links)
-    particles = _empty(blocks, size, links, capacity)
+    blocks, size = -(-count // LANES), len(sites) + 2
+    particles = _empty(blocks, size, maps or len(setup.links), capacity, record)
     prior = sites.clock_offset_std_m
     component = np.minimum(prior, component_std_m)
     spread = np.sqrt(prior**2 - component**2)
@@ -80,26 +96,30 @@ def draw(setup: Setup, count: int, component_std_m: float, capacity: int, rng: n
 
     fill(POSE, setup.start_pose + setup.start_std * rng.standard_normal((n, 6)))
     bias, scale = model.bias * rng.standard_normal((n, 6)), model.scale * rng.standard_normal((n, 6))
-    bias[:, YAW_RATE], scale[:, SPEED] = 0.0, 0.0
+    marginalised = np.array([model.bias[YAW_RATE], model.scale[SPEED]])
+    if sampled_motion:
+        marginalised[:] = 0.0
+    else:
+        bias[:, YAW_RATE], scale[:, SPEED] = 0.0, 0.0
     fill(BIAS, bias)
     fill(SCALE, scale)
     fill(THETA, sites.clock_offset_mean_m + spread * ndtri(quasi_random(n, len(sites), rng)))
-    variances = np.concatenate([component**2, [model.bias[YAW_RATE] ** 2, model.scale[SPEED] ** 2]])
+    variances = np.concatenate([component**2, marginalised**2])
     fill(THETA + size, np.tile(np.diag(variances).ravel(), (n, 1)))
     return particles
 
 
-def _empty(blocks: int, size: int, links: int, capacity: int) -> Particles:
-    shape = (blocks, links, capacity)
+def _empty(blocks: int, size: int, maps: int, capacity: int, record: int) -> Particles:
+    shape = (blocks, maps, capacity)
     return Particles(
         state=np.zeros((blocks, (THETA + size + size * size) * LANES)),
         status=np.full((*shape, LANES), DEAD, np.int32),
         alike=np.full(shape, UNKNOWN, np.int32),
-        records=np.zeros((*shape, RECORD * LANES), np.float32),
+        records=np.zeros((*shape, record * LANES), np.float32),
         ident=np.zeros(shape, np.int64),
         order=np.broadcast_to(np.arange(capacity, dtype=np.int32), shape).copy(),
-        counts=np.zeros((blocks, links), np.int64),
-        bounds=np.zeros((*shape, 7)),
+        counts=np.zeros((blocks, maps), np.int64),
+        bounds=np.zeros((*shape, BOUND), np.float32),
         travelled=np.zeros((blocks, size - 1)),
         log_weight=np.zeros((blocks, LANES)),
     )
@@ -108,8 +128,8 @@ def _empty(blocks: int, size: int, links: int, capacity: int) -> Particles:
 def widened(particles: Particles, capacity: int) -> Particles:
     """Return the same particles with room for `capacity` tracks a link."""
     p = particles
-    blocks, links, old = p.order.shape
-    wide = _empty(blocks, p.nuisances, links, capacity)
+    blocks, maps, old = p.order.shape
+    wide = _empty(blocks, p.nuisances, maps, capacity, p.record)
     for name in ("status", "alike", "records", "ident", "order", "bounds"):
         getattr(wide, name)[:, :, :old] = getattr(p, name)
     return replace(wide, state=p.state, counts=p.counts, travelled=p.travelled, log_weight=p.log_weight)
@@ -161,8 +181,8 @@ def _moves(children: Ints) -> tuple[list[tuple[int, int, int]], list[tuple[int, 
 def _regrouped(particles: Particles, ancestors: Ints) -> Particles:
     """Return a set of another size: every particle is copied to its new place."""
     blocks = len(ancestors) // LANES
-    capacity, links = particles.order.shape[2], particles.order.shape[1]
-    fresh = _empty(blocks, particles.nuisances, links, capacity)
+    capacity, maps = particles.order.shape[2], particles.order.shape[1]
+    fresh = _empty(blocks, particles.nuisances, maps, capacity, particles.record)
     moves = [(int(a) // LANES, int(a) % LANES, i // LANES, i % LANES) for i, a in enumerate(ancestors)]
     _carry_out(particles, fresh, [], moves)
     return fresh

@@ -10,8 +10,8 @@ from cellslam.slam.fastslam.layout import LANES
 from cellslam.slam.fastslam.map_kernel import map_into
 from cellslam.slam.fastslam.moments_kernel import moments
 from cellslam.slam.fastslam.particles import Particles
-
-_CONFIRMED = 3
+from cellslam.slam.fastslam.parts import Parts
+from cellslam.slam.fastslam.tracks_kernel import CONFIRMED
 
 
 def belief(particles: Particles, weights: Floats) -> tuple[Floats, Floats, Floats, Floats]:
@@ -26,15 +26,18 @@ def belief(particles: Particles, weights: Floats) -> tuple[Floats, Floats, Float
     return mean, covariance, offset, variance
 
 
-def map_of(particles: Particles, index: int, site_of: Ints, origin: Floats) -> VtEstimate:
-    """Return the confirmed VTs of one particle, in the world frame; `origin` (3,): where the filter's lies."""
+def map_of(particles: Particles, index: int, parts: Parts, site_of: Ints, link_of: Ints, origin: Floats) -> VtEstimate:
+    """Return the confirmed VTs of one particle, in the world frame; `origin` (3,): where the filter's lies.
+
+    site_of, link_of: site of each map, and the link that its VTs are reported for.
+    """
     block, lane = divmod(index, LANES)
     p = particles
     total = int(p.counts[block].sum())
     out_id, out_link = np.empty(total, np.int64), np.empty(total, np.int64)
     position, covariance = np.empty((total, 3)), np.empty((total, 3, 3))
-    live = map_into(
-        lane, _CONFIRMED, p.nuisances, p.state[block], p.status[block], p.records[block], p.ident[block],
-        p.order[block], p.counts[block], site_of, out_id, out_link, position, covariance,
+    live = map_into(parts)(
+        parts, lane, CONFIRMED, p.nuisances, p.state[block], p.status[block], p.records[block], p.ident[block],
+        p.order[block], p.counts[block], site_of, link_of, out_id, out_link, position, covariance,
     )  # fmt: skip
     return VtEstimate(out_id[:live], out_link[:live], position[:live] + origin, covariance[:live])

@@ -7,12 +7,13 @@ import numpy as np
 from cellslam.sim.recording import Links, OdometryModel, Sites
 from cellslam.slam import attitude
 from cellslam.slam.api import Setup, Snapshot
+from cellslam.slam.fastslam.choice import Choice
 from cellslam.slam.fastslam.layout import LANES
 from cellslam.slam.fastslam.options import FastSlamOptions
 from cellslam.slam.fastslam.particles import draw, select
 
 
-def warm_up(options: FastSlamOptions) -> None:
+def warm_up(options: FastSlamOptions, choice: Choice) -> None:
     """Run four snapshots with eight particles; every kernel of the filter is compiled, or loaded from its cache."""
     from cellslam.slam.fastslam.filter import FastSlam
 
@@ -30,6 +31,7 @@ def warm_up(options: FastSlamOptions) -> None:
     sites = Sites(("A", "B"), np.zeros(2), np.array([150.0, 150.0]))
     rng = np.random.default_rng(0)
     estimator = FastSlam(small)
+    estimator.choice = choice
     setup = Setup(links, sites, sheet, np.zeros(6), np.zeros(6))
     estimator.start(setup, rng)
     for t in range(4):
@@ -42,5 +44,5 @@ def warm_up(options: FastSlamOptions) -> None:
         estimator.step(0.0 if t == 0 else 0.1, np.array([1.0, 0, 0, 0, 0, 0]), snapshot)
     attitude.warm_up()
     for blocks, ancestor in ((1, 0), (2, 40)):
-        two = draw(setup, blocks * LANES, 20.0, 4, rng)
+        two = draw(setup, blocks * LANES, 20.0, 4, rng, record=choice.record)
         select(two, np.full(len(two), ancestor))
