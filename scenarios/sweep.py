@@ -18,6 +18,7 @@ from typing import Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field
 
+from cellslam.scenarios.keys import describe
 from cellslam.scenarios.loading import load, preset_names
 from cellslam.scenarios.model import Scenario
 from cellslam.scenarios.options import Request, resolve
@@ -178,7 +179,7 @@ def points(sweep: Sweep, estimators: Sequence[str]) -> tuple[Point, ...]:
     out = []
     # Points that differ in the world alone have the same requests; resolving them looks through all installed packages.
     known: dict[str, tuple[Request, ...]] = {}
-    for combination in itertools.product(*sweep.axes):
+    for combination in itertools.product(*_completed(sweep, estimators)):
         settings = {key: value for setting in combination for key, value in setting.items()}
         overrides = {**sweep.overrides, **settings}
         scenario = load(sweep.scenario, overrides)
@@ -200,8 +201,29 @@ def _check_keys(sweep: Sweep, estimators: Sequence[str]) -> None:
             name = split(key)[1] if key.startswith("estimator.") else None
             if name is not None and name not in estimators:
                 raise InputError(f"{key} is swept, but '{name}' is not among the estimators ({', '.join(estimators)})")
-        if any(setting.keys() != keys for setting in sweep.axes[i]):
-            raise InputError(f"every setting of a list needs the same keys ({', '.join(sorted(keys))})")
+
+
+def _completed(sweep: Sweep, estimators: Sequence[str]) -> Iterator[Axis]:
+    """Yield the axes; where a setting of a list leaves out a key of another, the scenario's own value stands."""
+    values: dict[str, Any] | None = None
+    for axis in sweep.axes:
+        keys = tuple(dict.fromkeys(key for setting in axis for key in setting))
+        if all(len(setting) == len(keys) for setting in axis):
+            yield axis
+            continue
+        if values is None:
+            values = _values_of(load(sweep.scenario, sweep.overrides), estimators)
+        own = {key: values[key] for key in keys if key in values}
+        yield tuple({**own, **setting} for setting in axis)
+
+
+def _values_of(scenario: Scenario, estimators: Sequence[str]) -> dict[str, Any]:
+    """Return the value of every key of a scenario, options of the estimators included."""
+    found = {key.name: key.value for key in describe(scenario)}
+    for request in resolve(scenario.estimator, estimators):
+        if request.options is not None:
+            found |= {key.name: key.value for key in describe(request.options, f"estimator.{request.name}.")}
+    return found
 
 
 def _axes(config: SweepFile) -> Iterator[Axis]:

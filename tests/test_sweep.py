@@ -91,6 +91,18 @@ def test_a_file_is_read_and_told_from_a_scenario(tmp_path: Path) -> None:
     assert [p.scenario.name for p in sweep.points(found, DR)] == ["mine", "mine"]
 
 
+def test_what_a_setting_of_a_list_leaves_out_is_the_scenarios(tmp_path: Path) -> None:
+    file = tmp_path / "s.toml"
+    file.write_text(
+        'scenario = "tiny"\n[set]\nradio.clutter_scale = 3.0\n[[list]]\nradio.load = 0.25\n[[list]]\n'
+        'estimator.fastslam.association = "nearest"\n'
+    )
+    first, second = sweep.points(sweep.read(file), ("fastslam",))
+    default = sweep.points(sweep.Sweep("tiny"), ("fastslam",))[0].scenario.world.radio.load
+    assert first.settings == {"radio.load": 0.25, "estimator.fastslam.association": "hungarian"}
+    assert second.settings == {"radio.load": default, "estimator.fastslam.association": "nearest"}
+
+
 WRONG = {
     "key": ({"grid": {"radio.laod": [1]}}, "unknown key 'radio.laod'; did you mean 'radio.load'"),
     "value": ({"grid": {"radio.load": [0.5, 7]}}, "radio.load = 7: must be 0 to 1"),
@@ -99,7 +111,7 @@ WRONG = {
     "twice": ({"grid": {"radio.load": [1]}, "zip": {"radio.load": [1]}}, "radio.load is swept twice"),
     "set": ({"grid": {"radio.load": [1]}, "set": {"radio.load": 0.5}}, "radio.load is swept, and set to 0.5"),
     "lengths": ({"zip": {"radio.load": [1], "radio.clutter_scale": [1, 2]}}, "radio.load has 1, radio.clutter_scale"),
-    "list keys": ({"list": [{"radio.load": 1}, {"radio.clutter_scale": 1}]}, "needs the same keys"),
+    "list keys": ({"list": [{"radio.load": 1}, {"radio.cluter_scale": 1}]}, "unknown key 'radio.cluter_scale'"),
     "estimator": ({"grid": {"estimator.fastslam.particles": [1]}}, "'fastslam' is not among the estimators"),
     "range": ({"latin": {"points": 2, "ranges": {"radio.load": {"low": 1, "high": 0}}}}, "needs low < high"),
     "log": (
