@@ -22,14 +22,13 @@ def wrap_angle(angle_rad: ArrayLike) -> NDArray[np.float64]:
 
 def rotation(psi_rad: ArrayLike, theta_rad: ArrayLike, phi_rad: ArrayLike) -> NDArray[np.float64]:
     """Return R = Rz(psi) Ry(theta) Rx(phi), shape (..., 3, 3), which takes body to world vectors."""
-    psi, theta, phi = np.broadcast_arrays(*(np.asarray(a, np.float64) for a in (psi_rad, theta_rad, phi_rad)))
+    psi, theta, phi = (np.asarray(a, np.float64) for a in (psi_rad, theta_rad, phi_rad))
     cp, sp, ct, st, cr, sr = np.cos(psi), np.sin(psi), np.cos(theta), np.sin(theta), np.cos(phi), np.sin(phi)
-    rows = (
-        (cp * ct, cp * st * sr - sp * cr, cp * st * cr + sp * sr),
-        (sp * ct, sp * st * sr + cp * cr, sp * st * cr - cp * sr),
-        (-st, ct * sr, ct * cr),
-    )
-    return np.stack([np.stack(row, axis=-1) for row in rows], axis=-2)
+    out = np.empty((*np.broadcast(psi, theta, phi).shape, 3, 3))
+    out[..., 0, 0], out[..., 0, 1], out[..., 0, 2] = cp * ct, cp * st * sr - sp * cr, cp * st * cr + sp * sr
+    out[..., 1, 0], out[..., 1, 1], out[..., 1, 2] = sp * ct, sp * st * sr + cp * cr, sp * st * cr - cp * sr
+    out[..., 2, 0], out[..., 2, 1], out[..., 2, 2] = -st, ct * sr, ct * cr
+    return out
 
 
 def rotation_angles(matrix: ArrayLike) -> NDArray[np.float64]:
