@@ -152,7 +152,7 @@ def test_answers_of_processes_come_in_order_and_errors_come_through() -> None:
     assert [a.tolist() for a in in_processes(partial(np.full, 2), range(5), 2)] == [[i, i] for i in range(5)]
     with pytest.raises(ZeroDivisionError):
         list(in_processes(partial(divmod, 1), [1, 0], 1))
-    with pytest.raises(ChildProcessError, match="status 3; finished blocks are kept"):
+    with pytest.raises(InputError, match="status 3; finished blocks are kept"):
         list(in_processes(os._exit, [3], 1))
 
 

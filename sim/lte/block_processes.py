@@ -17,6 +17,7 @@ from queue import SimpleQueue
 
 from threadpoolctl import threadpool_limits
 
+from cellslam.sim.errors import InputError
 from cellslam.sim.recording import Floats
 
 Task = Callable[[int], Floats]
@@ -34,7 +35,7 @@ class _Process:
         self._first = task
 
     def ask(self, number: int) -> Floats:
-        """Return the task's answer, or raise its error."""
+        """Return the task's answer, or raise its error; InputError when the child is gone."""
         try:
             self._ask.write(self._first + pickle.dumps(number))
             self._ask.flush()
@@ -42,7 +43,7 @@ class _Process:
             answer = pickle.load(self._answer)
         except (EOFError, OSError) as error:
             code = self._child.wait()
-            raise ChildProcessError(
+            raise InputError(
                 f"a process that measures signals has ended with status {code}; finished blocks are kept: run again"
             ) from error
         if isinstance(answer, Exception):
