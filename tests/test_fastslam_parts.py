@@ -54,8 +54,7 @@ from cellslam.slam.fastslam.particles import draw
 from cellslam.slam.fastslam.proposal import FromMeasurements, FromMotion
 
 from .test_fastslam import VTS, drive, make_setup, make_snapshot
-
-UPPER = np.triu_indices(3)
+from .test_fastslam_exact import UPPER, read, row
 
 
 def all_assignments(score: np.ndarray) -> list[tuple[float, tuple[int, ...]]]:
@@ -162,15 +161,6 @@ def begun(part, w, rec):
 @njit
 def absorbed(part, w, v, rec, out):
     absorb(part, w, v, rec, out)
-
-
-def row(w: np.ndarray, first: int, values: np.ndarray) -> None:
-    values = np.atleast_1d(np.asarray(values, float))
-    w.reshape(-1, LANES)[first : first + len(values)] = values[:, None]
-
-
-def read(w: np.ndarray, first: int, count: int) -> np.ndarray:
-    return w.reshape(-1, LANES)[first : first + count, 5].copy()
 
 
 def test_an_offset_of_its_own_is_a_fourth_state():

@@ -121,18 +121,9 @@ class FastSlam:
         p = self._particles
         seen = np.empty((len(p.state), SEEN, LANES))
         self._over_blocks(
-            sight_blocks(self._parts),
-            self._parts,
-            rules,
-            self._now,
-            dt_s,
-            velocity,
-            p.state,
-            p.tracks,
-            p.travelled,
-            measured,
-            seen,
-        )
+            sight_blocks(self._parts), self._parts, rules, self._now, dt_s, velocity, p.state, p.tracks, p.travelled,
+            measured, seen,
+        )  # fmt: skip
         return seen
 
     def _over_blocks(self, kernel: Callable[..., None], *arguments: Any) -> None:

@@ -25,7 +25,7 @@ class Particles:
     state (G, F * 32) and records (G, L, C, 27 * 32): rows of `layout`; status (G, L, C, 32): -1 where a particle does
     not believe in a track, else 4 * snapshot last seen + class; alike (G, L, C): that of all 32 lanes, or UNKNOWN;
     ident (G, L, C): measurement that the track was born from; order (G, L, C): a permutation, its first counts[g, l]
-    are in use; bounds (G, L, C, BOUND): what the track could show when last predicted (see `block_kernel._bound`);
+    are in use; bounds (G, L, C, BOUND): what the track could show when last predicted (see `candidates_kernel._bound`);
     travelled (G, S + 1): how far the particles and a site's offset have moved, m, and how far directions have turned,
     rad; log_weight (G, 32).
     """

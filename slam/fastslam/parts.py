@@ -4,10 +4,10 @@ What a part does is an implementation of one or more of the functions below for 
 compiler takes it in as if it stood there, so that a choice costs nothing, and what is not chosen is not compiled. A
 part of your own is a NamedTuple with such an implementation; `FastSlam(options, association=Mine())` uses it.
 
-    associate(part, scratch, found, measured, link, place)     association.py
-    score(part, w, out, gate, lack)                            criterion.py
-    place, shift, begin, locate                                landmarks.py
-    offset, absorb, begin_offset                               clock.py
+    associate, may_be_born                                                          association.py
+    score                                                                           criterion.py
+    moved, corrected, place, slopes, begin, begin_spread, begin_gain, locate        landmarks.py
+    expect, absorb, begin_offset, offset_belief                                     clock.py
 """
 
 from __future__ import annotations
