@@ -7,16 +7,15 @@ The attitude is a first-order Gauss-Markov process; an error that all directions
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 
 import numpy as np
 
-from cellslam.sim.recording import Floats, Ints
-from cellslam.slam.api import Estimate, Setup, Snapshot, VtEstimate
+from cellslam.sim.recording import Floats
+from cellslam.slam.api import Estimate, Setup, Snapshot
 from cellslam.slam.attitude_kernel import level, observe
-from cellslam.slam.front_end import FrontEndOptions, persisting
-
-TINY = 1e-12
+from cellslam.slam.front_end import FrontEndOptions
 
 
 class Attitude:
@@ -34,11 +33,10 @@ class Attitude:
         """Return a snapshot's measurements as a level array would have made them, `dt_s` after the last ones."""
         if not self.on:
             return snapshot
-        left = np.exp(-dt_s / self.options.attitude_scale_s)
-        self.mean = left * self.mean
-        self.covariance = left**2 * self.covariance + (1.0 - left**2) * np.diag(self.prior)
-        azimuth, elevation = np.empty(len(snapshot)), np.empty(len(snapshot))
-        level(self.mean[0], self.mean[1], snapshot.azimuth_rad, snapshot.elevation_rad, azimuth, elevation)
+        left = math.exp(-dt_s / self.options.attitude_scale_s)
+        azimuth, elevation = level(
+            self.mean, self.covariance, self.prior, left, snapshot.azimuth_rad, snapshot.elevation_rad
+        )
         return replace(snapshot, azimuth_rad=azimuth, elevation_rad=elevation)
 
     def concluded(self, answer: Estimate, snapshot: Snapshot, variance: Floats, pose: Floats | None = None) -> Estimate:
@@ -50,33 +48,23 @@ class Attitude:
         if not self.on:
             return answer
         if len(snapshot) and answer.association is not None and answer.vts is not None and len(answer.vts.id):
-            which = _rows(answer.association, answer.vts.id)
-            self._observe(answer.pose if pose is None else pose, snapshot, which, answer.vts, variance)
+            vts, place = answer.vts, self.options.persisting[0]
+            observe(
+                self.mean, self.covariance, answer.pose if pose is None else pose, answer.association, vts.id,
+                vts.position_m, vts.covariance, snapshot.azimuth_rad, snapshot.elevation_rad, variance, place,
+            )  # fmt: skip
         mean, covariance = answer.pose.copy(), answer.covariance.copy()
         mean[4:], covariance[4:, 4:] = self.mean, self.covariance
         return replace(answer, pose=mean, covariance=covariance)
-
-    def _observe(self, pose: Floats, snapshot: Snapshot, which: Ints, vts: VtEstimate, variance: Floats) -> None:
-        place, _ = persisting(self.options)
-        observe(
-            self.mean, self.covariance, float(pose[3]), np.ascontiguousarray(pose[:3]), which, vts.position_m,
-            vts.covariance, snapshot.azimuth_rad, snapshot.elevation_rad, variance + TINY, place + TINY,
-        )  # fmt: skip
 
 
 def warm_up() -> None:
     """Compile the kernels, or load them from their cache."""
     one = np.zeros(1)
     one.setflags(write=False)  # as in a drive: compiled code is typed by that
-    level(0.0, 0.0, one, one, np.empty(1), np.empty(1))
+    level(np.zeros(2), np.eye(2), np.ones(2), 1.0, one, one)
+    names = np.zeros(1, np.int64)
     observe(
-        np.zeros(2), np.eye(2), 0.0, np.zeros(3), np.zeros(1, np.int64), np.ones((1, 3)), np.zeros((1, 3, 3)), one, one,
+        np.zeros(2), np.eye(2), np.zeros(6), names, names, np.ones((1, 3)), np.zeros((1, 3, 3)), one, one,
         np.ones((1, 3)), np.ones(3),
     )  # fmt: skip
-
-
-def _rows(association: Ints, names: Ints) -> Ints:
-    """Return which of `names` each association is, -1 for none."""
-    order = np.argsort(names, kind="stable")
-    at = np.minimum(np.searchsorted(names, association, sorter=order), len(order) - 1)
-    return np.where(names[order[at]] == association, order[at], -1)

@@ -8,13 +8,22 @@ import numpy as np
 from numba import njit
 
 GATE = 4.0  # deviations beyond which a direction says nothing
+TINY = 1e-12
 
 
 @njit(cache=True)
-def level(pitch, roll, azimuth, elevation, out_azimuth, out_elevation):
-    """Write azimuth and elevation as a level array would measure them: Ry(pitch) Rx(roll) takes body to level. NaN
-    where either is missing stays as measured."""
-    ct, st, cr, sr = math.cos(pitch), math.sin(pitch), math.cos(roll), math.sin(roll)
+def level(mean, covariance, prior, left, azimuth, elevation):
+    """Let pitch and roll, mean (2,) and covariance (2, 2), decorrelate until `left` of the old is in the new; return
+    azimuth and elevation (m,) as a level array would measure them.
+
+    prior (2,): variances. Ry(pitch) Rx(roll) takes body to level. NaN where either is missing stays as measured.
+    """
+    for r in range(2):
+        mean[r] *= left
+        for c in range(2):
+            covariance[r, c] = left * left * covariance[r, c] + ((1.0 - left * left) * prior[r] if r == c else 0.0)
+    out_azimuth, out_elevation = np.empty(len(azimuth)), np.empty(len(azimuth))
+    ct, st, cr, sr = math.cos(mean[0]), math.sin(mean[0]), math.cos(mean[1]), math.sin(mean[1])
     for i in range(len(azimuth)):
         out_azimuth[i], out_elevation[i] = azimuth[i], elevation[i]
         if math.isnan(azimuth[i]) or math.isnan(elevation[i]):
@@ -24,30 +33,41 @@ def level(pitch, roll, azimuth, elevation, out_azimuth, out_elevation):
         y, z = cr * y - sr * z, sr * y + cr * z
         x, z = ct * x + st * z, ct * z - st * x
         out_azimuth[i], out_elevation[i] = math.atan2(y, x), math.asin(min(max(z, -1.0), 1.0))
+    return out_azimuth, out_elevation
 
 
 @njit(cache=True)
-def observe(mean, covariance, psi, position, which, vts, spreads, azimuth, elevation, variance, common):
+def _row_of(name, names):
+    """Return where `name` is among names (V,), -1 where it is not."""
+    for i in range(len(names)):
+        if names[i] == name:
+            return i
+    return -1
+
+
+@njit(cache=True)
+def observe(mean, covariance, pose, association, names, vts, spreads, azimuth, elevation, variance, common):
     """Update mean (2,) and covariance (2, 2) of pitch and roll by the directions of known VTs, in place.
 
-    `psi` and `position` (3,): yaw and place of the array; measurement i is of row which[i] of `vts` (V, 3)
-    and `spreads` (V, 3, 3), -1 none; `variance` (m, 3) of distance, azimuth, elevation; `common` (3,): that of an error
-    that all measurements of the snapshot have in common.
+    `pose` (6,): place and yaw of the array; measurement i is of the VT that is called association[i], with its place in
+    `names` (V,) a row of `vts` (V, 3) and `spreads` (V, 3, 3); `variance` (m, 3) of distance, azimuth, elevation;
+    `common` (3,): that of an error that all measurements of the snapshot have in common.
     """
     ct, st, cr, sr = math.cos(mean[0]), math.sin(mean[0]), math.cos(mean[1]), math.sin(mean[1])
-    cp, sp = math.cos(psi), math.sin(psi)
+    cp, sp = math.cos(pose[3]), math.sin(pose[3])
     # Pitch, roll, and the errors of azimuth and elevation in common.
     information, score = np.zeros((4, 4)), np.zeros(4)
     determinant = covariance[0, 0] * covariance[1, 1] - covariance[0, 1] ** 2
     information[0, 0], information[1, 1] = covariance[1, 1] / determinant, covariance[0, 0] / determinant
     information[0, 1] = information[1, 0] = -covariance[0, 1] / determinant
-    information[2, 2], information[3, 3] = 1.0 / common[1], 1.0 / common[2]
+    information[2, 2], information[3, 3] = 1.0 / (common[1] + TINY), 1.0 / (common[2] + TINY)
     row, axis = np.empty(4), np.empty(3)
-    for i in range(len(which)):
-        if which[i] < 0 or math.isnan(azimuth[i]) or math.isnan(elevation[i]):
+    for i in range(len(association)):
+        which = _row_of(association[i], names) if association[i] >= 0 else -1
+        if which < 0 or math.isnan(azimuth[i]) or math.isnan(elevation[i]):
             continue
-        vt, spread = vts[which[i]], spreads[which[i]]
-        east, north, up = vt[0] - position[0], vt[1] - position[1], vt[2] - position[2]
+        vt, spread = vts[which], spreads[which]
+        east, north, up = vt[0] - pose[0], vt[1] - pose[1], vt[2] - pose[2]
         ahead, left = cp * east + sp * north, cp * north - sp * east
         reach = math.sqrt(ahead * ahead + left * left + up * up)
         # Level to body: the inverse of `level`.
@@ -72,7 +92,7 @@ def observe(mean, covariance, psi, position, which, vts, spreads, azimuth, eleva
             for r in range(3):
                 for k in range(3):
                     loose += axis[r] * spread[r, k] * axis[k]
-            wide = variance[i, 1 + c] + loose / max(flat if c == 0 else reach, 1.0) ** 2
+            wide = variance[i, 1 + c] + TINY + loose / max(flat if c == 0 else reach, 1.0) ** 2
             if error * error > GATE * GATE * (wide + common[1 + c] + covariance[0, 0] + covariance[1, 1]):
                 continue
             for r in range(4):

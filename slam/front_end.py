@@ -6,7 +6,7 @@ Three kinds of error of a measurement, as `sim.lte` makes them:
                   less variance)
     of place      diffuse energy: changes over a fraction of a metre, the same for the links of one port of a site
     of direction  calibration of the array, scattering by the roof: functions of the direction of arrival in the body
-                frame, the same for all links that see a VT, and they change only as the direction changes
+                frame, alike for all paths from about one direction, and they change only as the direction changes
 
 A single measurement has the sum of the variances; to associate, take that. Many measurements in a row share a draw: the
 mean of n of them has the variance of n / repeats independent ones. To update, take the variance times `repeats`, and
@@ -17,6 +17,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Literal
 
 import numpy as np
@@ -24,11 +25,12 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from cellslam.sim.recording import Floats, Ints
 from cellslam.slam.api import Snapshot
+from cellslam.slam.front_end_kernel import combine, scaled
 
-MOST_REPEATS = 1e5  # standing still, an error that persists is never drawn anew: nearly no information
 # Widths in distance (m), azimuth and elevation (rad) over which clutter lies about paths: what a missing component
 # takes off its density.
 CLUTTER_WIDTH = (20.0, 0.3, 0.25)
+_LOG_WIDTH = np.log(CLUTTER_WIDTH)
 HORIZON = 4096  # snapshots for which the chance of being visible is tabulated
 
 
@@ -81,6 +83,9 @@ class FrontEndOptions(BaseModel):
     direction_scale_deg: float = Field(
         4.0, ge=0, le=180, description="change of direction over which the angles' are drawn anew, deg; 0: white"
     )
+    misfit_scale_s: float = Field(
+        20.0, ge=0, le=1e4, description="time over which directions show to be worse than expected, s; 0: never"
+    )
     pitch_deg: float = Field(
         0.1, ge=0, le=20, description="deviation of a pitch that the odometry does not see, deg; 0: level"
     )
@@ -89,6 +94,32 @@ class FrontEndOptions(BaseModel):
     typical_range_m: float = Field(
         200.0, gt=0, le=1e5, description="distance of a typical VT: driving on turns its direction by speed / range, m"
     )
+
+    @cached_property
+    def noise(self) -> tuple[Floats, Floats]:
+        """White variances (3,) in m^2, rad^2, rad^2: at infinite SNR, and what noise adds at 0 dB."""
+        floor = self.noise_floor_m, self.noise_floor_azimuth_deg, self.noise_floor_elevation_deg
+        unit = self.noise_unit_snr_m, self.noise_unit_snr_azimuth_deg, self.noise_unit_snr_elevation_deg
+        return _variances(*floor), _variances(*unit)
+
+    @cached_property
+    def persisting(self) -> tuple[Floats, Floats]:
+        """Variances (3,) in m^2, rad^2, rad^2 of the errors of place and of direction."""
+        return (
+            _variances(self.place_m, self.place_azimuth_deg, self.place_elevation_deg),
+            _variances(self.direction_m, self.direction_azimuth_deg, self.direction_elevation_deg),
+        )
+
+    @cached_property
+    def scales(self) -> Floats:
+        """Over what errors are drawn anew (4,): way (m) for those of place, change of direction (rad) for those of
+        direction in distance and in angles, and how far off VTs are for that (m)."""
+        by_direction = math.radians(self.direction_distance_scale_deg), math.radians(self.direction_scale_deg)
+        return np.array([self.place_scale_m, *by_direction, self.typical_range_m])
+
+
+def _variances(distance_m: float, azimuth_deg: float, elevation_deg: float) -> Floats:
+    return np.square([distance_m, math.radians(azimuth_deg), math.radians(elevation_deg)])
 
 
 @dataclass(frozen=True)
@@ -109,23 +140,16 @@ class Readings:
     lack: Floats
 
 
-def readings(
-    snapshot: Snapshot, site_of: Ints, port_of: Ints, options: FrontEndOptions, turn_rad: float, moved_m: float
-) -> Readings:
+def readings(snapshot: Snapshot, port_of: Ints, options: FrontEndOptions, turn_rad: float, moved_m: float) -> Readings:
     """Return a snapshot's measurements; since the last one the vehicle has turned and moved so far.
 
-    site_of (L,): site of each link; port_of (L,): a number for each pair of site and port.
+    port_of (L,): a number for each pair of site and port.
     """
-    from cellslam.slam.front_end_kernel import combine
-
-    alone = white(snapshot, options)
-    place, direction = persisting(options)
-    by_place, by_direction = draws(options, turn_rad, moved_m)
-    z = np.stack([snapshot.distance_m, snapshot.azimuth_rad, snapshot.elevation_rad], axis=1)
-    single, many, fresh, lack = combine(
-        z, alone, place, direction, by_place, by_direction, snapshot.link, site_of, port_of
-    )
-    return Readings(z, single, many, fresh, np.isnan(z) @ np.log(CLUTTER_WIDTH), lack)
+    place, direction = options.persisting
+    return Readings(*combine(
+        snapshot.distance_m, snapshot.azimuth_rad, snapshot.elevation_rad, white(snapshot, options), place, direction,
+        options.scales, turn_rad, moved_m, snapshot.link, port_of, _LOG_WIDTH,
+    ))  # fmt: skip
 
 
 def white(snapshot: Snapshot, options: FrontEndOptions) -> Floats:
@@ -134,44 +158,15 @@ def white(snapshot: Snapshot, options: FrontEndOptions) -> Floats:
     With noise_model "claimed" the front end's own deviations are taken where it gives them, less the errors that
     persist. A measurement without SNR gets the floor and the variance at 0 dB.
     """
-    o = options
-    floor = np.array([o.noise_floor_m, np.radians(o.noise_floor_azimuth_deg), np.radians(o.noise_floor_elevation_deg)])
-    unit = np.array(
-        [o.noise_unit_snr_m, np.radians(o.noise_unit_snr_azimuth_deg), np.radians(o.noise_unit_snr_elevation_deg)]
-    )
-    snr_db = np.where(np.isnan(snapshot.snr_db), 0.0, snapshot.snr_db)
-    out: Floats = floor**2 + unit**2 * 10.0 ** (-snr_db / 10.0)[:, None]
-    if o.noise_model == "claimed":
+    out: Floats = scaled(snapshot.snr_db, *options.noise)
+    if options.noise_model == "claimed":
         columns = (snapshot.distance_std_m, snapshot.azimuth_std_rad, snapshot.elevation_std_rad)
-        lasting = np.sum(persisting(o), axis=0)
+        lasting = np.sum(options.persisting, axis=0)
         for i, column in enumerate(columns):
             if column is not None:
                 own = np.maximum(column**2 - lasting[i], 0.01 * column**2)
                 out[:, i] = np.where(np.isfinite(column), own, out[:, i])
     return out
-
-
-def persisting(options: FrontEndOptions) -> tuple[Floats, Floats]:
-    """Return the variances (3,) in m^2, rad^2, rad^2 of the errors of place and of direction."""
-    o = options
-    place = [o.place_m, np.radians(o.place_azimuth_deg), np.radians(o.place_elevation_deg)]
-    direction = [o.direction_m, np.radians(o.direction_azimuth_deg), np.radians(o.direction_elevation_deg)]
-    return np.square(place), np.square(direction)
-
-
-def draws(options: FrontEndOptions, turn_rad: float, moved_m: float) -> tuple[Floats, Floats]:
-    """Return in how many snapshots (3,) one draw of the errors of place and of direction is met, when an interval
-    turns and moves the vehicle so far."""
-    o = options
-    change = abs(turn_rad) + abs(moved_m) / o.typical_range_m
-    scales = np.radians([o.direction_distance_scale_deg, o.direction_scale_deg, o.direction_scale_deg])
-    return np.full(3, repeats(o.place_scale_m, moved_m)), np.array([repeats(float(s), change) for s in scales])
-
-
-def repeats(scale: float, step: float) -> float:
-    """Return how many samples `step` apart share one draw of an error with correlation exp(-x^2 / (2 scale^2)): its
-    sum over all lags."""
-    return min(max(math.sqrt(2.0 * math.pi) * scale / max(abs(step), 1e-12), 1.0), MOST_REPEATS)
 
 
 def ports_of(site_of: Ints, port: Ints) -> Ints:
@@ -181,7 +176,7 @@ def ports_of(site_of: Ints, port: Ints) -> Ints:
 
 def first_of_link(snapshot: Snapshot, links: int) -> Ints:
     """Return the first measurement of each link (L + 1,)."""
-    return np.searchsorted(snapshot.link, np.arange(links + 1)).astype(np.int64)
+    return np.searchsorted(snapshot.link, np.arange(links + 1))
 
 
 def visibility(first: float, stay: float, back: float, detection: float, length: int) -> Floats:

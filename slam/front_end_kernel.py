@@ -7,6 +7,8 @@ import math
 import numpy as np
 from numba import njit
 
+MOST_REPEATS = 1e5  # standing still, an error that persists is never drawn anew: nearly no information
+
 
 @njit(cache=True)
 def count_sharers(z, link, group, q):
@@ -32,24 +34,72 @@ def count_sharers(z, link, group, q):
 
 
 @njit(cache=True)
-def combine(z, white, place, direction, by_place, by_direction, link, site_of, port_of):
-    """Return variances (m, 3) of single measurements, of updates and of births, and (m,) what an update's log-density
-    lacks.
+def scaled(snr_db, floor, unit):
+    """Return variances (m, 3): `floor` (3,) and what noise adds to it, `unit` (3,) at 0 dB; NaN counts as 0 dB."""
+    out = np.empty((len(snr_db), 3))
+    for i in range(len(snr_db)):
+        share = 1.0 if math.isnan(snr_db[i]) else 10.0 ** (-0.1 * snr_db[i])
+        for c in range(3):
+            out[i, c] = floor[c] + unit[c] * share
+    return out
 
-    white (m, 3): white variances; place, direction (3,): those of errors that persist, each met in by_place,
-    by_direction (3,) snapshots, and by all links (L,) of a port or of a site that see the same path.
+
+@njit(cache=True)
+def repeats(scale, step):
+    """Return how many samples `step` apart share one draw of an error with correlation exp(-x^2 / (2 scale^2)): its
+    sum over all lags."""
+    return min(max(math.sqrt(2.0 * math.pi) * scale / max(abs(step), 1e-12), 1.0), MOST_REPEATS)
+
+
+@njit(cache=True)
+def crowd(azimuth, elevation, scale):
+    """Return for each direction (m,) how many directions share its error, itself included: the sum of correlations
+    exp(-angle^2 / (2 scale^2)). An elevation that is missing is taken to be alike, an azimuth not."""
+    count = np.ones(len(azimuth))
+    half = 0.5 / max(scale * scale, 1e-12)
+    for i in range(len(azimuth)):
+        for j in range(i):
+            across = azimuth[i] - azimuth[j]
+            across -= 2.0 * math.pi * math.floor(across / (2.0 * math.pi) + 0.5)
+            up, middle = elevation[i] - elevation[j], 0.5 * (elevation[i] + elevation[j])
+            if math.isnan(up):
+                up, middle = 0.0, 0.0
+            angle = (across * math.cos(middle)) ** 2 + up * up
+            if angle * half < 8.0:
+                share = math.exp(-angle * half)
+                count[i] += share
+                count[j] += share
+    return count
+
+
+@njit(cache=True)
+def combine(distance, azimuth, elevation, white, place, direction, scales, turn, moved, link, port_of, log_width):
+    """Return the measurements (m, 3), variances (m, 3) of single ones, of updates and of births, and (m,) the log-width
+    of clutter in what is missing and what an update's log-density lacks.
+
+    white (m, 3): white variances; place, direction (3,): those of errors that persist over `scales` (see
+    `FrontEndOptions.scales`), and are alike in all links (L,) of a port that see the same path, and in all paths from
+    about one direction. The vehicle has turned and moved since the last snapshot; log_width (3,).
     """
     m = len(link)
-    single, many, fresh, lack = np.empty((m, 3)), np.empty((m, 3)), np.empty((m, 3)), np.zeros(m)
+    z, single, many, fresh = np.empty((m, 3)), np.empty((m, 3)), np.empty((m, 3)), np.empty((m, 3))
+    gap, lack = np.zeros(m), np.zeros(m)
     for i in range(m):
+        z[i, 0], z[i, 1], z[i, 2] = distance[i], azimuth[i], elevation[i]
         for c in range(3):
             single[i, c] = max(white[i, c] + place[c] + direction[c], 1e-12)
-    port, site = count_sharers(z, link, port_of[link], single), count_sharers(z, link, site_of[link], single)
+            gap[i] += log_width[c] if math.isnan(z[i, c]) else 0.0
+    port = count_sharers(z, link, port_of[link], single)
+    near, wide = crowd(z[:, 1], z[:, 2], scales[2]), crowd(z[:, 1], z[:, 2], scales[1])
+    by_place, change = repeats(scales[0], moved), abs(turn) + abs(moved) / scales[3]
+    by_distance, by_angle = repeats(scales[1], change), repeats(scales[2], change)
     for i in range(m):
         for c in range(3):
-            q = white[i, c] + place[c] * by_place[c] * port[i] + direction[c] * by_direction[c] * site[i]
+            alike = wide[i] if c == 0 else near[i]
+            again = by_distance if c == 0 else by_angle
+            q = white[i, c] + place[c] * by_place * port[i] + direction[c] * again * alike
             many[i, c] = max(q, 1e-12)
-            fresh[i, c] = max(white[i, c] + place[c] * port[i] + direction[c] * site[i], 1e-12)
+            fresh[i, c] = max(white[i, c] + place[c] * port[i] + direction[c] * alike, 1e-12)
             if not math.isnan(z[i, c]):
                 lack[i] += 0.5 * math.log(many[i, c] / single[i, c])
-    return single, many, fresh, lack
+    return z, single, many, fresh, gap, lack

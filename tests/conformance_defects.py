@@ -44,7 +44,7 @@ class NoFreshStart(Sound):
     """Goes on from where the last drive ended."""
 
     def start(self, setup: Setup, rng: np.random.Generator) -> None:
-        if not hasattr(self, "_pose"):
+        if not hasattr(self, "_state"):
             super().start(setup, rng)
 
 

@@ -19,8 +19,8 @@ from cellslam.slam.fastslam.measurement_kernel import pack
 from cellslam.slam.fastslam.options import FastSlamOptions
 from cellslam.slam.fastslam.particles import draw, quasi_random, select
 from cellslam.slam.fastslam.summary import map_of
-from cellslam.slam.front_end import draws, existence, readings, repeats, visibility
-from cellslam.slam.front_end_kernel import count_sharers
+from cellslam.slam.front_end import existence, readings, visibility
+from cellslam.slam.front_end_kernel import count_sharers, crowd, repeats
 from cellslam.slam.model import jacobians, predict
 
 SMALL = FastSlamOptions(particles=64, vts_per_link=8, start_phase_s=0.0)
@@ -211,11 +211,6 @@ def test_offset_prior_is_kept_by_its_components():
 
 def test_persisting_errors_count_once():
     options = FastSlamOptions()
-    place, direction = draws(options, np.radians(1.0), 0.1)
-    assert place[0] == pytest.approx(np.sqrt(2 * np.pi) * 0.15 / 0.1)
-    assert direction[1] == pytest.approx(np.sqrt(2 * np.pi) * 4.0 / (1.0 + np.degrees(0.1 / 200.0)))
-    assert np.all(draws(options, 0.0, 0.0)[0] > 1e4)
-    assert np.all(draws(options, np.radians(90.0), 10.0)[1] == 1.0)
     snapshot = make_snapshot(0, [(0, 100.0, 0.1, 0.1), (1, 100.1, 0.1, 0.1), (2, 100.0, 1.0, 0.1)])
     q, z = np.tile([0.3, 1e-4, 1e-4], (3, 1)), np.array([[100.0, 0.1, 0.1], [100.1, 0.1, 0.1], [100.0, 1.0, 0.1]])
     assert list(count_sharers(z, np.arange(3), np.zeros(3, np.int64), q)) == [2, 2, 1]
@@ -223,15 +218,47 @@ def test_persisting_errors_count_once():
     assert list(count_sharers(z, np.array([0, 0, 1]), np.zeros(3, np.int64), q)) == [1, 1, 1]
     unknown = np.where([[False, True, False]] * 3, np.nan, z)
     assert list(count_sharers(unknown, np.arange(3), np.zeros(3, np.int64), q)) == [3, 3, 3]
-    values = readings(snapshot, np.zeros(3, np.int64), np.arange(3), options, np.radians(90.0), 10.0)
-    tables = pack(values.z, values.single, values.many, values.fresh, values.gap, values.lack)
+
+    def values(turn: float, moved: float):
+        return readings(snapshot, np.arange(3), options, turn, moved)
+
+    fast, still = values(np.radians(90.0), 100.0), values(0.0, 0.0)
+    tables = pack(fast.z, fast.single, fast.many, fast.fresh, fast.gap, fast.lack)
     single, many, fresh = (table[:, 5:8] for table in tables)
-    assert np.all(many[:2] > single[:2])
-    assert np.allclose(many[2], single[2])
+    assert np.all(many[:2, 1:] > single[:2, 1:])
+    assert np.allclose(many[2, 1:], single[2, 1:])
     assert np.allclose(fresh, many)  # every error is drawn anew
-    still = readings(snapshot, np.zeros(3, np.int64), np.arange(3), options, 0.0, 0.0)
-    assert np.allclose(still.fresh, values.fresh)
+    assert np.allclose(still.fresh, fast.fresh)
     assert np.all(still.many > 1e3 * still.fresh)
+
+
+def test_directions_that_crowd_share_their_error():
+    """Two of one direction count double, the third half as close counts for its correlation, far ones not at all."""
+    azimuth, elevation = np.radians([10.0, 10.0, 14.0, -170.0]), np.zeros(4)
+    near = np.exp(-0.5)
+    assert crowd(azimuth, elevation, np.radians(4.0)) == pytest.approx([2 + near, 2 + near, 1 + 2 * near, 1.0])
+    assert crowd(np.radians([179.0, -179.0]), np.zeros(2), np.radians(2.0)) == pytest.approx([1 + near, 1 + near])
+    assert crowd(np.full(3, np.nan), np.zeros(3), 0.1) == pytest.approx([1.0, 1.0, 1.0])
+
+
+def test_doubles_become_one():
+    """Two tracks of one VT: the one that is seen less often is given up; a neighbour five metres off stays."""
+
+    def vts(merging: bool) -> int:
+        f = FastSlam(SMALL.model_copy(update={"merging": merging, "gate": 400.0}))
+        f.start(make_setup(offset_std=0.0), np.random.default_rng(0))
+        rng, pose = np.random.default_rng(1), np.zeros(6)
+        for t in range(100):
+            pose = integrate_pose(pose, np.array([1.0, 0, 0, 0, 0, 0]), 0.1 if t else 0.0)
+            seen = [*predict(pose, np.array([[60.0, 40.0, 10.0]]))[0] + [0.2, 0.005, 0.005] * rng.standard_normal(3)]
+            other = [*predict(pose, np.array([[40.0, 60.0, 10.0]]))[0] + [0.2, 0.005, 0.005] * rng.standard_normal(3)]
+            rows = [(0, *seen), (0, *other)]
+            if t < 30:
+                rows.append((0, seen[0] + 0.3, seen[1] + 0.002, seen[2]))
+            estimate = f.step(0.1 if t else 0.0, np.array([1.0, 0, 0, 0, 0, 0]), make_snapshot(t, rows))
+        return len(estimate.vts.id)
+
+    assert (vts(False), vts(True)) == (3, 2)
 
 
 def test_a_repeated_mean_has_the_variance_that_draws_promises():

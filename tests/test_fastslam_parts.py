@@ -25,6 +25,7 @@ from cellslam.slam.fastslam.choice import chosen
 from cellslam.slam.fastslam.clock import OfVt, absorb, begin_offset, expect
 from cellslam.slam.fastslam.filter import FastSlam
 from cellslam.slam.fastslam.layout import (
+    BOUND,
     GAIN,
     LANES,
     MU,
@@ -106,7 +107,8 @@ def scratch(scores: np.ndarray) -> Scratch:
     c, m = scores.shape
     w = np.zeros(W_ROWS * LANES, np.float32)
     return Scratch(
-        w, w.view(np.int32), np.zeros(scratch_rows(3) * LANES), np.arange(c), np.zeros((c, OUT * LANES), np.float32),
+        w, w.view(np.int32), np.zeros(scratch_rows(3) * LANES), np.arange(c), np.ones(c, np.bool_),
+        np.zeros((c, OUT * LANES), np.float32),
         np.repeat(scores[..., None], LANES, 2).astype(np.float32), scores > 0.0, np.empty((m, LANES), np.int32),
         np.empty((c, m)), np.empty(m, np.int64), np.empty(4 * (c + m + 2)), np.empty(4 * (c + m + 2), np.int64),
     )  # fmt: skip
@@ -115,7 +117,7 @@ def scratch(scores: np.ndarray) -> Scratch:
 def link_of(tracks: int) -> Link:
     return Link(
         np.zeros((tracks, LANES), np.int32), np.zeros(tracks, np.int32), np.zeros((tracks, LANES), np.float32),
-        np.arange(tracks), np.arange(tracks, dtype=np.int32), np.zeros((tracks, 16), np.float32),
+        np.arange(tracks), np.arange(tracks, dtype=np.int32), np.zeros((BOUND, tracks), np.float32),
     )  # fmt: skip
 
 

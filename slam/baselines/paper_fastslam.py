@@ -10,7 +10,7 @@ from pydantic import BaseModel, ConfigDict, Field
 from cellslam.sim.frames import integrate_pose, rotation, wrap_angle
 from cellslam.sim.recording import Floats, Ints
 from cellslam.slam.api import Estimate, Setup, Snapshot, VtEstimate
-from cellslam.slam.front_end import FrontEndOptions, first_of_link, persisting, white
+from cellslam.slam.front_end import FrontEndOptions, first_of_link, white
 
 
 class PaperFastSlamOptions(BaseModel):
@@ -95,7 +95,7 @@ class PaperFastSlam:
         from cellslam.slam.baselines.paper_fastslam_kernel import use_snapshot
 
         z = np.stack([snapshot.distance_m, snapshot.azimuth_rad, snapshot.elevation_rad], axis=1)
-        q = white(snapshot, self._front_end) + np.sum(persisting(self._front_end), axis=0)
+        q = white(snapshot, self._front_end) + np.sum(self._front_end.persisting, axis=0)
         whole = np.isfinite(z).all(axis=1)
         first = np.concatenate([[0], np.cumsum(whole)])[first_of_link(snapshot, len(self._offset_of))]
         z, q, count, places = z[whole], q[whole], len(self._pose), self.options.vts_per_link

@@ -13,8 +13,14 @@ from cellslam.slam.fastslam.borrow import borrowed, borrowed_measured, borrowed_
 from cellslam.slam.fastslam.candidates_kernel import candidates, middle
 from cellslam.slam.fastslam.clock import absorb
 from cellslam.slam.fastslam.layout import (
+    BROAD,
+    HIGH,
     HITS,
     LANES,
+    LONG,
+    LOW,
+    MOVED,
+    NEAR,
     POSE,
     POSE_G,
     THETA,
@@ -22,34 +28,42 @@ from cellslam.slam.fastslam.layout import (
     W_B,
     W_MASK,
     W_POSE,
+    WIDTH,
     Link,
 )
+from cellslam.slam.fastslam.merge_kernel import EVERY, merge
 from cellslam.slam.fastslam.motion_kernel import advance, load_site, prepare
 from cellslam.slam.fastslam.nuisance_kernel import collect, condition, forget
 from cellslam.slam.fastslam.pair_kernel import innovate, invert, logarithm
 from cellslam.slam.fastslam.parts import cached_and_not
 from cellslam.slam.fastslam.tracks_kernel import CONFIRMED, DEAD, ONCE, UNCONFIRMED, age_all, common, evict
+from cellslam.slam.fastslam.turns_kernel import all_done, done, take
 from cellslam.slam.fastslam.update_kernel import correct, credit, mask
 
 B = LANES
 
 
 def _advance_blocks(
-    start, stop, parts, rules, now, dt, velocity, state, tracks, travelled, measured, log_weight, association, s
+    turns, blocks, parts, rules, now, dt, velocity, state, tracks, travelled, measured, log_weight, association, s
 ):
-    """Move by velocity (G, 6, LANES) for dt, then use one snapshot, in blocks start to stop.
+    """Move by velocity (G, 6, LANES) for dt, then use one snapshot, in all blocks that nobody else takes.
 
     state (G, F LANES), tracks, travelled (G, S + 1), log_weight (G, LANES) and association (G, M, LANES) are written;
-    `s` is scratch. No block reads another: the result does not depend on how they are split.
+    `s` is scratch; turns: see `turns_kernel`. No block reads another: the result does not depend on who takes which.
     """
+    turns = borrowed(turns)
     velocity, state, travelled = borrowed(velocity), borrowed(state), borrowed(travelled)
     log_weight, association = borrowed(log_weight), borrowed(association)
     own, shared, given = borrowed_scratch(s), borrowed_tracks(tracks), borrowed_measured(measured)
-    for g in range(start, stop):
+    g = take(turns)
+    while g < blocks:
         _block(
             g, parts, rules, now, dt, velocity[g], state[g], shared, travelled[g], given, log_weight[g], association[g],
             own,
         )  # fmt: skip
+        done(turns)
+        g = take(turns)
+    all_done(turns, blocks)
 
 
 advance_blocks: Any = cached_and_not(_advance_blocks)
@@ -77,11 +91,16 @@ def _block(g, parts, rules, now, dt, velocity, state, tracks, travelled, measure
         if measured.leads[number]:
             count = age_all(s.v, now, link, count, rules, share)
             tracks.counts[g, own] = count
-        if last == first:
+        doubles = rules.merging and (now + number) % EVERY == 0
+        if last == first and not doubles:
             continue
         if site != loaded:
             load_site(s.w, state, site, size)
             loaded = site
+        if doubles:
+            merge(parts, s, link, count)
+        if last == first:
+            continue
         found = candidates(
             parts, s, now, link, count, travelled[site], turned, psi, psi_spread, measured.z, first, last, rules
         )
@@ -160,7 +179,7 @@ def _give_births(parts, s, now, link, count, travelled, measured, first, last, r
         complete(w, z[k], block * B, measured.born + k)
         give_birth(parts, w, records[slot], z[k])
         link.ident[slot] = measured.born + k
-        _begin_bound(bounds[slot], z[k], least, travelled)
+        _begin_bound(bounds, slot, z[k], least, travelled)
         row = status[slot]
         for l in range(B):
             on = w[W_MASK * B + l] > 0.5
@@ -171,12 +190,12 @@ def _give_births(parts, s, now, link, count, travelled, measured, first, last, r
 
 
 @njit(cache=True, error_model="numpy")
-def _begin_bound(bound, z, least, travelled):
+def _begin_bound(bounds, slot, z, least, travelled):
     """Write what a track can show at its birth, `least` being the least distance from a particle."""
     spread = 0.0 if z[8] > 0.0 else math.inf
-    bound[0], bound[1], bound[2] = z[0] - spread, z[0] + spread, travelled
-    bound[4], bound[6] = math.inf, max(least, 0.0) * z[3]
-    bound[7], bound[8] = z[5], z[6] + z[7]
+    bounds[LOW, slot], bounds[HIGH, slot], bounds[MOVED, slot] = z[0] - spread, z[0] + spread, travelled
+    bounds[WIDTH, slot], bounds[NEAR, slot] = math.inf, max(least, 0.0) * z[3]
+    bounds[LONG, slot], bounds[BROAD, slot] = z[5], z[6] + z[7]
 
 
 @njit(cache=True, error_model="numpy")

@@ -43,9 +43,9 @@ def borrowed_tracks(t):
 def borrowed_scratch(s):
     """Return the same scratch, not counted."""
     return Scratch(
-        borrowed(s.w), borrowed(s.bits), borrowed(s.v), borrowed(s.near), borrowed(s.rows), borrowed(s.scores),
-        borrowed(s.claims), borrowed(s.row_of), borrowed(s.table), borrowed(s.column), borrowed(s.floats),
-        borrowed(s.ints),
+        borrowed(s.w), borrowed(s.bits), borrowed(s.v), borrowed(s.near), borrowed(s.reached), borrowed(s.rows),
+        borrowed(s.scores), borrowed(s.claims), borrowed(s.row_of), borrowed(s.table), borrowed(s.column),
+        borrowed(s.floats), borrowed(s.ints),
     )  # fmt: skip
 
 

@@ -4,19 +4,29 @@ from __future__ import annotations
 
 import math
 
+import numpy as np
 from numba import njit
 
 from cellslam.slam.fastslam.criterion import NEVER, score
 from cellslam.slam.fastslam.layout import (
+    BROAD,
+    CENTRE,
+    HIGH,
     LANES,
+    LONG,
+    LOW,
+    MOVED,
+    NEAR,
     O_FLAT,
     O_SCORE,
     O_X,
     O_Y,
     O_Z,
+    TURNED,
     W_POSE,
     W_REACH,
     W_SCORE,
+    WIDTH,
 )
 from cellslam.slam.fastslam.pair_kernel import innovate, invert, logarithm, reach
 from cellslam.slam.fastslam.predict_kernel import predict
@@ -51,15 +61,15 @@ def candidates(parts, s, now, link, count, travelled, turned, psi, psi_spread, z
     found = 0
     for i in range(possible):
         slot = near[i]
-        row, out, bound = status[slot], rows[found], bounds[slot]
+        row, out = status[slot], rows[found]
         lane, alike, _ = spokesman(row)
         predict(parts, w, records[slot], out)
         reach(w, out, lane)
-        _bound(w, row, lane, out, bound, travelled, turned)
+        _bound(w, row, lane, out, bounds, slot, travelled, turned)
         chosen = False
         for k in range(first, last):
             claims[found, k - first] = False
-            if not _in_reach(z[k], bound, gate, 0.0, 0.0, psi, psi_spread):
+            if not _fits(z[k], bounds, slot, gate, psi, psi_spread):
                 continue
             if not chosen:
                 _entitle(now, row, lane, alike, tables, rules.log_clutter, out)
@@ -79,53 +89,77 @@ def candidates(parts, s, now, link, count, travelled, turned, psi, psi_spread, z
 def _within_reach(s, link, count, travelled, turned, psi, psi_spread, z, first, last, rules):
     """Write at s.near the tracks that are not passed over, and have their records fetched; return how many there
     are."""
-    order, bounds, records, near = link.order, link.bounds, link.records, s.near
-    slack_m, gate = rules.slack_m, rules.gate
+    order, records, near, reached = link.order, link.records, s.near, s.reached
+    reached[: len(order)] = False
+    for k in range(first, last):
+        _reach_all(reached, link.bounds, z[k], rules.gate, rules.slack_m, travelled, turned, psi, psi_spread)
     possible = 0
     for i in range(count):
         slot = order[i]
-        bound = bounds[slot]
-        far = slack_m + 1.05 * (travelled - bound[2])
-        turn = 1.05 * (turned - bound[5])
-        for k in range(first, last):
-            if _in_reach(z[k], bound, gate, far, turn, psi, psi_spread):
-                near[possible] = slot
-                possible += 1
-                prefetch(records[slot])
-                break
+        if reached[slot]:
+            near[possible] = slot
+            possible += 1
+            prefetch(records[slot])
     return possible
 
 
 @njit(cache=True, error_model="numpy")
-def _in_reach(z, bound, gate, far, turned, psi, psi_spread):
-    """Say whether a measurement could be of a track: `bound` says what the track could show when last predicted.
+def _reach_all(reached, bounds, z, gate, slack_m, travelled, turned, psi, psi_spread):
+    """Note the tracks, in use or not, that a measurement could be of."""
+    d, az, by_d, by_az = np.float64(z[0]), z[12] + psi, z[5], z[6]
+    no_d, no_az = z[8] == 0.0, z[9] == 0.0
+    for j in range(bounds.shape[1]):
+        far, turn = slack_m + 1.05 * (travelled - bounds[MOVED, j]), 1.05 * (turned - bounds[TURNED, j])
+        swing = far / (bounds[NEAR, j] - far)
+        near, broad = bounds[NEAR, j], bounds[BROAD, j]
+        close, by_distance = _distance_fits(
+            d, by_d, gate, far, swing, bounds[LOW, j], bounds[HIGH, j], near, bounds[LONG, j], broad
+        )
+        by_azimuth = _azimuth_fits(
+            az, by_az, gate, turn + psi_spread, swing, bounds[CENTRE, j], bounds[WIDTH, j], broad
+        )
+        reached[j] |= close | ((by_distance | no_d) & (by_azimuth | no_az))
+
+
+@njit(inline="always")
+def _distance_fits(d, variance, gate, far, swing, low, high, near, long, broad):
+    """Say whether a track may be so close that nothing can be told, and whether a distance could be of it.
 
     No component alone has a greater normalised distance than all together. far: how much the distance may have changed
-    since, m; turned: how much directions may have; psi +- psi_spread: yaw of the lanes.
+    since the track was last predicted, m; swing: over its least distance then. The others are its bounds.
     """
-    near = bound[6] - far
-    if near < far:
-        return True
-    swing = far / near
-    if z[8] != 0.0:
-        gap = max(z[0] - bound[1], bound[0] - z[0]) - far
-        across = swing * bound[6]
-        if gap > 0.0 and gap * gap > gate * (bound[7] + across * across * bound[8] + z[5]):
-            return False
-    if z[9] != 0.0:
-        turn = z[12] + psi - bound[3]
-        turn -= 2.0 * math.pi * math.floor(turn / (2.0 * math.pi) + 0.5)
-        gap = abs(turn) - bound[4] - turned - swing - psi_spread
-        closer = 1.0 + swing
-        return gap <= 0.0 or gap * gap <= gate * (bound[8] * closer * closer + z[6])
-    return True
+    gap = max(d - high, low - d) - far
+    across = swing * near
+    return near < far + far, (gap <= 0.0) | (gap * gap <= gate * (long + across * across * broad + variance))
+
+
+@njit(inline="always")
+def _azimuth_fits(azimuth, variance, gate, turned, swing, centre, width, broad):
+    """Say whether an azimuth in the world frame could be of a track; turned: how much directions may have turned since
+    it was last predicted, with the spread of the lanes' yaw."""
+    turn = azimuth - centre
+    turn -= 2.0 * math.pi * math.floor(turn / (2.0 * math.pi) + 0.5)
+    gap = abs(turn) - width - turned - swing
+    closer = 1.0 + swing
+    return (gap <= 0.0) | (gap * gap <= gate * (broad * closer * closer + variance))
 
 
 @njit(cache=True, error_model="numpy")
-def _bound(w, row, first, out, bound, travelled, turned):
-    """Write what the lanes alive expect of a track: least and greatest distance, how far the particles had moved,
-    azimuth in the world frame, give or take, how far they had turned, least distance from a particle, greatest variance
-    of distance and of azimuth."""
+def _fits(z, bounds, slot, gate, psi, psi_spread):
+    """Say whether a measurement could be of a track that was predicted just now."""
+    near, broad = bounds[NEAR, slot], bounds[BROAD, slot]
+    _, by_distance = _distance_fits(
+        z[0], z[5], gate, 0.0, 0.0, bounds[LOW, slot], bounds[HIGH, slot], near, bounds[LONG, slot], broad
+    )
+    by_azimuth = _azimuth_fits(
+        z[12] + psi, z[6], gate, psi_spread, 0.0, bounds[CENTRE, slot], bounds[WIDTH, slot], broad
+    )
+    return near < 0.0 or ((by_distance or z[8] == 0.0) and (by_azimuth or z[9] == 0.0))
+
+
+@njit(cache=True, error_model="numpy")
+def _bound(w, row, first, out, bounds, slot, travelled, turned):
+    """Write what the lanes alive expect of a track (see `layout`)."""
     low, high, left, right, near = math.inf, -math.inf, math.inf, -math.inf, math.inf
     wide, broad, steep = 0.0, 0.0, 0.0
     for l in range(B):
@@ -134,13 +168,13 @@ def _bound(w, row, first, out, bound, travelled, turned):
             wide, broad = max(wide, w[(W_REACH + 1) * B + l]), max(broad, w[(W_REACH + 3) * B + l])
             left, right = min(left, w[(W_REACH + 2) * B + l]), max(right, w[(W_REACH + 2) * B + l])
             near, steep = min(near, out[O_FLAT * B + l]), max(steep, abs(out[O_Z * B + l]))
-    bound[0], bound[1], bound[2] = low, high, travelled
+    bounds[LOW, slot], bounds[HIGH, slot], bounds[MOVED, slot] = low, high, travelled
     centre = math.atan2(out[O_Y * B + first], out[O_X * B + first]) + w[(W_POSE + 3) * B + first]
-    bound[3], bound[4] = centre + 0.5 * (left + right), 0.5 * (right - left)
-    bound[5], bound[6] = turned, near
-    bound[7], bound[8] = wide, broad
+    bounds[CENTRE, slot], bounds[WIDTH, slot] = centre + 0.5 * (left + right), 0.5 * (right - left)
+    bounds[TURNED, slot], bounds[NEAR, slot] = turned, near
+    bounds[LONG, slot], bounds[BROAD, slot] = wide, broad
     if not right - left < 2.0 or steep > STEEP * near:
-        bound[4] = math.inf
+        bounds[WIDTH, slot] = math.inf
 
 
 @njit(cache=True, error_model="numpy")

@@ -9,22 +9,23 @@ from typing import Any, ClassVar
 
 import numba
 import numpy as np
+from numpy.typing import NDArray
 
-from cellslam.sim.frames import wrap_angle
-from cellslam.sim.recording import Floats, Ints
+from cellslam.sim.recording import Floats
 from cellslam.slam.api import Estimate, Setup, Snapshot
 from cellslam.slam.attitude import Attitude
-from cellslam.slam.fastslam import resampling
 from cellslam.slam.fastslam.block_kernel import advance_blocks
 from cellslam.slam.fastslam.choice import Choice, chosen
 from cellslam.slam.fastslam.layout import LANES, OUT, POSE, W_ROWS, Measured, Rules, Scratch, scratch_rows
-from cellslam.slam.fastslam.measurement_kernel import pack
+from cellslam.slam.fastslam.measurement_kernel import census, pack
+from cellslam.slam.fastslam.moments_kernel import moments, normalised
 from cellslam.slam.fastslam.options import FastSlamOptions
 from cellslam.slam.fastslam.particles import Particles, draw, select, widened
 from cellslam.slam.fastslam.sight_kernel import SEEN, sight_blocks
-from cellslam.slam.fastslam.summary import belief, map_of
+from cellslam.slam.fastslam.summary import map_of
 from cellslam.slam.fastslam.threads import over_blocks
-from cellslam.slam.front_end import Readings, existence, first_of_link, ports_of, readings
+from cellslam.slam.front_end import Readings, existence, ports_of, readings
+from cellslam.slam.misfit import Misfit
 
 SLACK_M = 0.3  # of the test that passes over tracks: what its bounds are not told of
 CAPACITY = 24  # tracks a map that there is room for at the start; doubled when needed
@@ -78,30 +79,30 @@ class FastSlam:
         )  # fmt: skip
         self._origin = np.array(setup.start_pose[:3], float)
         self._particles.rows(POSE, 3)[:] -= self._origin[:, None]
-        self._attitude = Attitude(o, setup)
+        self._attitude, self._misfit = Attitude(o, setup), Misfit(o)
         self._time_s = 0.0
         self._now = 0
         self._born = 0
         self._scratch: tuple[Scratch, ...] = ()
-        self._association = np.empty((0, 0, LANES), np.int64)
+        self._association = np.empty((0, 0, LANES), np.int32)
         self._rules: tuple[float, Rules] | None = None
 
     def step(self, dt_s: float, odometry: Floats, snapshot: Snapshot) -> Estimate:
         """Move, weigh, update and, if needed, resample (paper, section IV)."""
-        values = self._read(dt_s, odometry, self._attitude.levelled(dt_s, snapshot))
+        values = self._misfit.widened(self._read(dt_s, odometry, self._attitude.levelled(dt_s, snapshot)), dt_s)
         association = self._update(dt_s, odometry, snapshot, values)
         self._born += len(snapshot)
         self._now += 1
         self._time_s += dt_s
-        return self._conclude(association[:, : len(snapshot)], snapshot, values.many)
+        return self._conclude(association[:, : len(snapshot)], snapshot, values)
 
     def _read(self, dt_s: float, odometry: Floats, snapshot: Snapshot) -> Readings:
         turned, moved = odometry[3] * dt_s, odometry[0] * dt_s
-        return readings(snapshot, self._site_of, self._port_of, self.options, turned, moved)
+        return readings(snapshot, self._port_of, self.options, turned, moved)
 
-    def _update(self, dt_s: float, odometry: Floats, snapshot: Snapshot, values: Readings) -> Ints:
-        first = first_of_link(snapshot, len(self._setup.links))
-        self._reserve(np.diff(first))
+    def _update(self, dt_s: float, odometry: Floats, snapshot: Snapshot, values: Readings) -> NDArray[np.int32]:
+        first, most, needed = census(snapshot.link, self._map_of, self._particles.counts)
+        self._reserve(len(snapshot), most, needed)
         p, association = self._particles, self._association
         association[:, : len(snapshot)] = -1
         z, many, fresh = pack(values.z, values.single, values.many, values.fresh, values.gap, values.lack)
@@ -137,21 +138,21 @@ class FastSlam:
             self._rules = (dt_s, Rules(
                 log_clutter=float(np.log(o.clutter_density)), gate=o.gate, log_birth=float(-np.log1p(-o.birth_ratio)),
                 slack_m=SLACK_M, hits=float(o.confirm_hits), age_once=age_once, age_twice=age_twice,
-                exponent=o.likelihood_exponent, least_score=self.choice.least_score, tables=tables,
+                exponent=o.likelihood_exponent, least_score=self.choice.least_score, merging=o.merging, tables=tables,
             ))  # fmt: skip
         return self._rules[1]
 
-    def _reserve(self, measured: Ints) -> None:
-        """Make room for a snapshot with so many measurements in each link (L,): for births, and scratch a thread."""
+    def _reserve(self, total: int, most: int, needed: int) -> None:
+        """Make room for a snapshot of `total` measurements, `most` in one link: for births, with `needed` tracks in one
+        map, and scratch a thread."""
         o, p = self.options, self._particles
-        most, total, capacity = int(measured.max()), int(measured.sum()), p.order.shape[2]
-        births = np.bincount(self._map_of, measured, len(self._link_of)).astype(np.int64)
-        if capacity < o.vts_per_link and int((p.counts + births).max()) > capacity:
+        capacity = p.order.shape[2]
+        if capacity < o.vts_per_link and needed > capacity:
             capacity = min(2 * capacity, o.vts_per_link)
             self._particles = widened(p, capacity)
             self._scratch = ()
         if self._association.shape[0] != len(p.state) or self._association.shape[1] < total:
-            self._association = np.empty((len(p.state), 2 * total, LANES), np.int64)
+            self._association = np.empty((len(p.state), 2 * total, LANES), np.int32)
         if not self._scratch or self._scratch[0].scores.shape[1] < most:
             threads = int(numba.config.NUMBA_NUM_THREADS)  # type: ignore[attr-defined]
             self._scratch = tuple(self._new_scratch(capacity, max(2 * most, 16)) for _ in range(threads))
@@ -161,28 +162,25 @@ class FastSlam:
         w, work = np.zeros(W_ROWS * LANES, np.float32), 4 * (c + m + 2)
         return Scratch(
             w=w, bits=w.view(np.int32), v=np.zeros(scratch_rows(self._particles.nuisances) * LANES),
-            near=np.empty(c, np.int64), rows=np.empty((c, OUT * LANES), np.float32),
+            near=np.empty(c, np.int64), reached=np.empty(c, np.bool_), rows=np.empty((c, OUT * LANES), np.float32),
             scores=np.empty((c, m, LANES), np.float32), claims=np.empty((c, m), np.bool_),
             row_of=np.empty((m, LANES), np.int32), table=np.empty((c, m)), column=np.empty(m, np.int64),
             floats=np.empty(work), ints=np.empty(work, np.int64),
         )  # fmt: skip
 
-    def _conclude(self, association: Ints, snapshot: Snapshot, many: Floats) -> Estimate:
+    def _conclude(self, association: NDArray[np.int32], snapshot: Snapshot, values: Readings) -> Estimate:
         p, o = self._particles, self.options
-        log_weight = p.log_weight.ravel()
-        weights = np.exp(log_weight - log_weight.max())
-        weights /= weights.sum()
-        best = int(np.argmax(weights))
-        mean, covariance, offset, variance = belief(p, weights)
+        weights, best, effective = normalised(p.log_weight)
+        mean, covariance, offset, variance = moments(p.state, weights, p.nuisances)
         mean[:3] += self._origin
-        mean[3:] = wrap_angle(mean[3:])
-        mine = association[best // LANES, :, best % LANES].copy()
+        block, lane = divmod(int(best), LANES)
         vts = map_of(p, best, self._parts, self._site_of[self._link_of], self._link_of, self._origin)
-        estimate = Estimate(mean, covariance, mine, offset, variance, vts)
-        pose = p.rows(POSE, 6)[best // LANES, :, best % LANES].copy()
+        estimate = Estimate(mean, covariance, association[block, :, lane].astype(np.int64), offset, variance, vts)
+        pose = p.rows(POSE, 6)[block, :, lane].copy()
         pose[:3] += self._origin
-        estimate = self._attitude.concluded(estimate, snapshot, many, pose)
+        self._misfit.learn(estimate, values, pose)
+        estimate = self._attitude.concluded(estimate, snapshot, values.many, pose)
         wanted = -(-o.particles // LANES) * LANES if self._time_s >= o.start_phase_s else len(p)
-        if wanted != len(p) or resampling.effective_size(weights) < o.effective_share * len(p):
-            self._particles = select(p, self.choice.resampling(weights, wanted, self._rng))
+        if wanted != len(p) or effective < o.effective_share * len(p):
+            self._particles = select(p, self.choice.resampling(weights.ravel(), wanted, self._rng))
         return estimate

@@ -2,16 +2,15 @@
 loop.
 
 Particles are kept in blocks of LANES = 32. A block has, for each link, a list of tracks: a track is one VT as born
-from one
-measurement, kept for all particles (lanes) of the block that believe in it. A track's record is RECORD rows:
+from one measurement, kept for all particles (lanes) of the block that believe in it. A track's record is RECORD rows:
 
     s = (range, azimuth, elevation) about a fixed anchor, the particle's position at the VT's birth, axes of the world
     frame;
     s | theta ~ N(mu + G (theta - theta0), Sigma),   theta = (clock offset of its site, yaw-rate bias, odometer scale)
 
 with theta0 the nuisance mean at the last touch: a VT that is not seen is never written. The angles of mu are kept as
-cosines and
-sines, which an update turns by its small correction: no trigonometric function is called in the steady state.
+cosines and sines, which an update turns by its small correction: no trigonometric function is called in the steady
+state.
 
 The kernels work in few flat arrays at constant offsets. That is what lets the compiler prove that rows do not overlap,
 and use the widest vectors of the machine. Records, predictions and W are in single precision, coordinates taken from
@@ -38,8 +37,11 @@ RECORD = 27
 OWN_OFFSET, OWN_VARIANCE = 27, 28  # where each VT has a clock offset of its own, mean and variance of it
 RECORD_WITH_OFFSET = 29
 
-# What a track could show when last predicted: 9 numbers, one cache line.
-BOUND = 16
+# What a track could show when last predicted, rows over the tracks of a map: least and greatest distance, how far the
+# particles had moved, azimuth in the world frame, give or take, how far they had turned, least distance from a
+# particle, greatest variances of distance and of azimuth.
+LOW, HIGH, MOVED, CENTRE, WIDTH, TURNED, NEAR, LONG, BROAD = range(9)
+BOUND = 9
 
 # A block's state: rows of LANES; K nuisances follow, then their covariance (K x K).
 POSE, POSE_G = 0, 6  # POSE_G: d(x, y, psi)/d(bias, scale), row by row
@@ -77,7 +79,7 @@ def scratch_rows(nuisances: int) -> int:
 
 class Rules(NamedTuple):
     """What the kernels take of the options: `tables` (2, 2, ages), logs of visible-and-detected and of missed for VTs
-    seen once and others; ages at which to drop VTs seen once, and unconfirmed ones."""
+    seen once and others; ages at which to drop VTs seen once, and unconfirmed ones; whether to look for doubles."""
 
     log_clutter: float
     gate: float
@@ -88,6 +90,7 @@ class Rules(NamedTuple):
     age_twice: int
     exponent: float
     least_score: float
+    merging: bool
     tables: np.ndarray
 
 
@@ -120,7 +123,8 @@ class Tracks(NamedTuple):
 
 
 class Link(NamedTuple):
-    """One map of one block: status (C, LANES), alike (C,), records (C, RECORD LANES), ident, order (C,), bounds."""
+    """One map of one block: status (C, LANES), alike (C,), records (C, RECORD LANES), ident, order (C,), bounds
+    (BOUND, C)."""
 
     status: np.ndarray
     alike: np.ndarray
@@ -131,14 +135,15 @@ class Link(NamedTuple):
 
 
 class Scratch(NamedTuple):
-    """What one thread works in: W, seen as integers too, and V; for C tracks and M measurements of a link near (C,),
-    rows (C, OUT LANES), scores (C, M, LANES), claims (C, M), row_of (M, LANES), table (C, M), column (M,), floats and
-    ints for the assignment."""
+    """What one thread works in: W, seen as integers too, and V; for C tracks and M measurements of a link near,
+    reached (C,), rows (C, OUT LANES), scores (C, M, LANES), claims (C, M), row_of (M, LANES), table (C, M), column
+    (M,), floats and ints for the assignment."""
 
     w: np.ndarray
     bits: np.ndarray
     v: np.ndarray
     near: np.ndarray
+    reached: np.ndarray
     rows: np.ndarray
     scores: np.ndarray
     claims: np.ndarray

@@ -10,8 +10,9 @@ from numba import njit, prange
 
 from cellslam.slam.fastslam.clock import offset_belief
 from cellslam.slam.fastslam.landmarks import locate
-from cellslam.slam.fastslam.layout import BIAS0, GAIN, LANES, OFFSET0, SCALE0, SIGMA, THETA
+from cellslam.slam.fastslam.layout import BIAS0, GAIN, HIGH, LANES, LOW, NEAR, OFFSET0, SCALE0, SIGMA, THETA, WIDTH
 from cellslam.slam.fastslam.parts import cached_and_not
+from cellslam.slam.fastslam.prefetch import prefetch_column
 from cellslam.slam.fastslam.tracks_kernel import UNKNOWN
 
 B = LANES
@@ -86,10 +87,10 @@ def move_between(
                     for r in range(rows):
                         to_records[h, link, place, r * B : (r + 1) * B] = records[g, link, slot, r * B + a]
                 to_status[h, link, place, b] = s
-                to_bounds[h, link, place, 0] = -math.inf
-                to_bounds[h, link, place, 1] = math.inf
-                to_bounds[h, link, place, 4] = math.inf
-                to_bounds[h, link, place, 6] = 0.0
+                to_bounds[h, link, LOW, place] = -math.inf
+                to_bounds[h, link, HIGH, place] = math.inf
+                to_bounds[h, link, WIDTH, place] = math.inf
+                to_bounds[h, link, NEAR, place] = 0.0
                 for r in range(rows):
                     to_records[h, link, place, r * B + b] = records[g, link, slot, r * B + a]
 
@@ -110,17 +111,24 @@ def _place(name, status, ident, order, counts, block, link):
     return slot, True
 
 
-def _map_into(
-    parts, lane, least, size, state, status, records, ident, order, counts, site_of, link_of, out_id, out_link,
-    position, covariance,
-):  # fmt: skip
-    """Write the VTs of one lane of a block with at least class `least`: x = x(mu), cov = J (Sigma + G P G^T) J^T;
-    return their number.
+def _read_map(parts, lane, least, size, state, status, records, ident, order, counts, site_of, link_of, origin):
+    """Return id and link (V,), position (V, 3) and covariance (V, 3, 3) of the VTs of one lane of a block with at least
+    class `least`: x = x(mu), cov = J (Sigma + G P G^T) J^T.
 
-    site_of, link_of: site of each map, and the link that its VTs are reported for.
+    site_of, link_of: site of each map, and the link that its VTs are reported for; origin (3,) is added.
     """
+    wanted = 0
+    for own in range(counts.shape[0]):
+        for j in range(counts[own]):
+            slot = order[own, j]
+            s = status[own, slot, lane]
+            if s >= 0 and s & 3 >= least:
+                prefetch_column(records[own, slot], lane, B)
+                wanted += 1
+    out_id, out_link = np.empty(wanted, np.int64), np.empty(wanted, np.int64)
+    position, covariance = np.empty((wanted, 3)), np.empty((wanted, 3, 3))
     n = 0
-    jacobian, spread, gain = np.empty((3, 3)), np.empty((3, 3)), np.empty((3, 3))
+    jacobian, gain = np.empty((3, 3)), np.empty((3, 3))
     block, inner = np.empty((3, 3)), np.empty((3, 3))
     for own in range(counts.shape[0]):
         index = (site_of[own], size - 2, size - 1)
@@ -151,14 +159,14 @@ def _map_into(
                     inner[c, r] = inner[r, c]
                     k += 1
             locate(parts.landmarks, v, lane, d0, d1, d2, position[n], jacobian)
-            _congruence(jacobian, inner, spread)
-            covariance[n] = spread
+            _congruence(jacobian, inner, covariance[n])
+            position[n] += origin
             out_id[n], out_link[n] = ident[own, slot], link_of[own]
             n += 1
-    return n
+    return out_id, out_link, position, covariance
 
 
-map_into: Any = cached_and_not(_map_into)
+read_map: Any = cached_and_not(_read_map)
 
 
 @njit(cache=True, error_model="numpy")

@@ -52,6 +52,27 @@ def pack(z, single, many, fresh, gap, lack):
 
 
 @njit(cache=True)
+def census(link, map_of, counts):
+    """Return the first measurement of each link (L + 1,), how many a link has at most, and how many tracks a map of
+    counts (G, maps) could have when each measurement has begun one.
+
+    link (m,): of each measurement, sorted; map_of (L,).
+    """
+    first, born = np.zeros(len(map_of) + 1, np.int64), np.zeros(counts.shape[1], np.int64)
+    for i in range(len(link)):
+        first[link[i] + 1] += 1
+        born[map_of[link[i]]] += 1
+    most = first.max()
+    for i in range(len(map_of)):
+        first[i + 1] += first[i]
+    needed = 0
+    for g in range(counts.shape[0]):
+        for i in range(counts.shape[1]):
+            needed = max(needed, counts[g, i] + born[i])
+    return first, most, needed
+
+
+@njit(cache=True)
 def evenly(particle, birth, sequence):
     """Return a number in [0, 1): over particles and over births evenly spread (additive recurrences)."""
     step = 0.6180339887498949 if sequence == 0 else 0.4142135623730950

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 from numba import njit
 
@@ -11,13 +13,30 @@ B = LANES
 
 
 @njit(cache=True)
-def moments(state, weights, size, mean, covariance, offset, variance):
-    """Write mean (6,) and covariance (6, 6) of the pose, mean and variance (S,) of the offsets of weighted particles.
+def normalised(log_weight):
+    """Return weights (G, LANES) that sum to 1, the place of the greatest, and their effective sample size."""
+    weights = np.empty_like(log_weight)
+    flat, logs = weights.ravel(), log_weight.ravel()
+    best = np.argmax(logs)
+    total, squares = 0.0, 0.0
+    for i in range(len(flat)):
+        flat[i] = math.exp(logs[i] - logs[best])
+        total += flat[i]
+        squares += flat[i] * flat[i]
+    for i in range(len(flat)):
+        flat[i] /= total
+    return weights, best, total * total / squares
+
+
+@njit(cache=True)
+def moments(state, weights, size):
+    """Return mean (6,) and covariance (6, 6) of the pose, mean and variance (S,) of the offsets of weighted particles.
 
     state (G, F LANES); weights (G, LANES) sum to 1; size: number of nuisances. Sums run in a fixed order, about the
-    first particle.
+    first particle; angles are wrapped to (-pi, pi].
     """
     sites = size - 2
+    mean, covariance, offset, variance = np.empty(6), np.empty((6, 6)), np.empty(sites), np.empty(sites)
     square, spread = np.zeros((6, 6)), np.zeros((3, 3))
     centre, offset_centre = np.empty(6), np.empty(sites)
     for c in range(6):
@@ -50,9 +69,12 @@ def moments(state, weights, size, mean, covariance, offset, variance):
                 covariance[places[c], places[r]] += spread[r, c]
     for c in range(6):
         mean[c] += centre[c]
+        if c > 2:
+            mean[c] -= 2.0 * math.pi * math.ceil((mean[c] - math.pi) / (2.0 * math.pi))
     for site in range(sites):
         variance[site] -= offset[site] ** 2
         offset[site] += offset_centre[site]
+    return mean, covariance, offset, variance
 
 
 @njit(cache=True)

@@ -4,13 +4,16 @@ from __future__ import annotations
 
 import math
 
+import numpy as np
 from numba import njit
 
 from cellslam.slam.fastslam.candidates_kernel import STEEP
 from cellslam.slam.fastslam.layout import (
+    BIAS,
     LANES,
     POSE,
     POSE_G,
+    SCALE,
     THETA,
     W_B,
     W_BIAS,
@@ -23,6 +26,29 @@ from cellslam.slam.fastslam.layout import (
 )
 
 B = LANES
+
+
+@njit(cache=True, error_model="numpy")
+def driven(state, odometry, noise, drawn):
+    """Return what each particle (G, 6, LANES) takes for its velocity: odometry (6,), less its biases and drawn white
+    noise of deviations `noise` (6,), over 1 + scale.
+
+    drawn (n, G, LANES): standard normal, for the n components with noise, in turn.
+    """
+    velocity = np.empty((state.shape[0], 6, B))
+    turn = 0
+    for c in range(6):
+        mine = turn if noise[c] != 0.0 else -1
+        turn += 1 if noise[c] != 0.0 else 0
+        bias, scale = (BIAS + c) * B, (SCALE + c) * B
+        for g in range(state.shape[0]):
+            s, v = state[g], velocity[g, c]
+            for l in range(B):
+                v[l] = (odometry[c] - s[bias + l]) / (1.0 + s[scale + l])
+            if mine >= 0:
+                for l in range(B):
+                    v[l] += noise[c] * drawn[mine, g, l] / (1.0 + s[scale + l])
+    return velocity
 
 
 @njit(cache=True, error_model="numpy")

@@ -66,6 +66,7 @@ class FastSlamOptions(FrontEndOptions):
     vts_per_link: int = Field(
         4096, ge=1, le=65536, description="VTs kept per particle and link at most; then the least certain makes room"
     )
+    merging: bool = Field(True, description="whether confirmed VTs of a link that have become one are merged")
     likelihood_exponent: float = Field(
         1.0, gt=0, le=1, description="tempering: the weights take the likelihood to this power"
     )

@@ -25,7 +25,7 @@ class Particles:
     state (G, F * 32) and records (G, L, C, 27 * 32): rows of `layout`; status (G, L, C, 32): -1 where a particle does
     not believe in a track, else 4 * snapshot last seen + class; alike (G, L, C): that of all 32 lanes, or UNKNOWN;
     ident (G, L, C): measurement that the track was born from; order (G, L, C): a permutation, its first counts[g, l]
-    are in use; bounds (G, L, C, BOUND): what the track could show when last predicted (see `candidates_kernel._bound`);
+    are in use; bounds (G, L, BOUND, C): what the track could show when last predicted (see `candidates_kernel._bound`);
     travelled (G, S + 1): how far the particles and a site's offset have moved, m, and how far directions have turned,
     rad; log_weight (G, 32).
     """
@@ -119,7 +119,7 @@ def _empty(blocks: int, size: int, maps: int, capacity: int, record: int) -> Par
         ident=np.zeros(shape, np.int64),
         order=np.broadcast_to(np.arange(capacity, dtype=np.int32), shape).copy(),
         counts=np.zeros((blocks, maps), np.int64),
-        bounds=np.zeros((*shape, BOUND), np.float32),
+        bounds=np.zeros((blocks, maps, BOUND, capacity), np.float32),
         travelled=np.zeros((blocks, size - 1)),
         log_weight=np.zeros((blocks, LANES)),
     )
@@ -130,8 +130,9 @@ def widened(particles: Particles, capacity: int) -> Particles:
     p = particles
     blocks, maps, old = p.order.shape
     wide = _empty(blocks, p.nuisances, maps, capacity, p.record)
-    for name in ("status", "alike", "records", "ident", "order", "bounds"):
+    for name in ("status", "alike", "records", "ident", "order"):
         getattr(wide, name)[:, :, :old] = getattr(p, name)
+    wide.bounds[:, :, :, :old] = p.bounds
     return replace(wide, state=p.state, counts=p.counts, travelled=p.travelled, log_weight=p.log_weight)
 
 

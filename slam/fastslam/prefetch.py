@@ -37,3 +37,10 @@ def prefetch(array):
     step = LINE_BYTES // array.itemsize
     for i in range(0, array.size, step):
         _ask(array, i)
+
+
+@njit
+def prefetch_column(array, first, step):
+    """Ask for array[first], array[first + step] and so on."""
+    for i in range(first, array.size, step):
+        _ask(array, i)

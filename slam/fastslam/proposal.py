@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import math
 from typing import Protocol
 
 import numpy as np
 
 from cellslam.sim.recording import Floats, OdometryModel
-from cellslam.slam.fastslam.layout import BIAS, LANES, SCALE
+from cellslam.slam.fastslam.layout import BIAS, LANES
+from cellslam.slam.fastslam.motion_kernel import driven
 from cellslam.slam.fastslam.particles import SPEED, YAW_RATE, Particles
 
 
@@ -39,11 +41,12 @@ class FromMotion:
         rng: np.random.Generator,
     ) -> Floats:  # fmt: skip
         """Return velocities; the weights stay as they are."""
-        velocity, scale = driven(particles, model, dt_s, odometry, rng), particles.rows(SCALE, 6)
+        noise = np.zeros(6)
         if dt_s > 0.0:
-            for c in np.flatnonzero(model.noise_density):
-                noise = model.noise_density[c] / np.sqrt(dt_s) * rng.standard_normal((len(velocity), LANES))
-                velocity[:, c] += noise / (1.0 + scale[:, c])
+            noise[:] = model.noise_density / math.sqrt(dt_s)
+            walk(particles, model, dt_s, rng)
+        drawn = rng.standard_normal((np.count_nonzero(noise), len(particles.state), LANES))
+        velocity: Floats = driven(particles.state, odometry, noise, drawn)
         return velocity
 
 
@@ -82,16 +85,11 @@ class FromMeasurements:
         return velocity
 
 
-def driven(
-    particles: Particles, model: OdometryModel, dt_s: float, odometry: Floats, rng: np.random.Generator
-) -> Floats:
-    """Return what each particle (G, 6, 32) takes for its velocity, white noise apart; biases walk on."""
+def walk(particles: Particles, model: OdometryModel, dt_s: float, rng: np.random.Generator) -> None:
+    """Let the sampled biases walk on."""
     bias = particles.rows(BIAS, 6)
-    if dt_s > 0.0:
-        for c in np.flatnonzero(model.bias_walk_density):
-            bias[:, c] += model.bias_walk_density[c] * np.sqrt(dt_s) * rng.standard_normal((len(bias), LANES))
-    velocity: Floats = (odometry[:, None] - bias) / (1.0 + particles.rows(SCALE, 6))
-    return velocity
+    for c in np.flatnonzero(model.bias_walk_density):
+        bias[:, c] += model.bias_walk_density[c] * np.sqrt(dt_s) * rng.standard_normal((len(bias), LANES))
 
 
 PROPOSALS: dict[str, Proposal] = {"motion": FromMotion(), "measurements": FromMeasurements()}

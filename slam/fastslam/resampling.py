@@ -46,11 +46,6 @@ SCHEMES: dict[str, Callable[[Floats, int, np.random.Generator], Ints]] = {
 }
 
 
-def effective_size(weights: Floats) -> float:
-    """Return 1 / sum(w^2) of normalised weights: the effective sample size."""
-    return float(1.0 / np.sum(weights * weights))
-
-
 def _inverse(weights: Floats, points: Floats) -> Ints:
     cumulative = np.cumsum(weights)
     cumulative[-1] = np.inf

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
+import numpy as np
 from numba import njit
 
 from cellslam.slam.fastslam.association import associate
@@ -26,24 +27,30 @@ from cellslam.slam.fastslam.motion_kernel import advance, load_site, prepare
 from cellslam.slam.fastslam.nuisance_kernel import forget
 from cellslam.slam.fastslam.pair_kernel import innovate, invert
 from cellslam.slam.fastslam.parts import cached_and_not
+from cellslam.slam.fastslam.turns_kernel import all_done, done, take
 from cellslam.slam.fastslam.update_kernel import mask
 
 B = LANES
 SEEN = 5  # rows of what is seen: y (2) and I (00 01 11) over displacement ahead (m) and turn (rad)
 
 
-def _sight_blocks(start, stop, parts, rules, now, dt, velocity, state, tracks, travelled, measured, seen, s):
-    """Write seen (G, SEEN, LANES) for blocks start to stop as if they had moved by velocity (G, 6, LANES) for dt.
+def _sight_blocks(turns, blocks, parts, rules, now, dt, velocity, state, tracks, travelled, measured, seen, s):
+    """Write seen (G, SEEN, LANES), for all blocks that nobody else takes, as if they had moved by velocity (G, 6,
+    LANES) for dt.
 
-    Particles and maps stay as they are, but for what tracks could show.
+    Particles and maps stay as they are, but for what tracks could show; turns: see `turns_kernel`.
     """
-    moved, way = state[start].copy(), travelled[start].copy()
+    moved, way, turns = np.empty_like(state[0]), np.empty_like(travelled[0]), borrowed(turns)
     velocity, seen = borrowed(velocity), borrowed(seen)
     own, shared, given = borrowed_scratch(s), borrowed_tracks(tracks), borrowed_measured(measured)
-    for g in range(start, stop):
+    g = take(turns)
+    while g < blocks:
         moved[:], way[:] = state[g], travelled[g]
         seen[g] = 0.0
         _sight(g, parts, rules, now, dt, velocity[g], moved, shared, way, given, seen[g], own)
+        done(turns)
+        g = take(turns)
+    all_done(turns, blocks)
 
 
 sight_blocks: Any = cached_and_not(_sight_blocks)

@@ -3,16 +3,50 @@
 from __future__ import annotations
 
 import os
+import threading
 from collections.abc import Callable, Sequence
-from concurrent.futures import ThreadPoolExecutor
+from contextlib import suppress
 from typing import Any
 
 import numba
-import numpy as np
 
-_pools: dict[int, ThreadPoolExecutor] = {}
+from cellslam.slam.fastslam.turns_kernel import DONE, new_turns
+
+
+class _Hand:
+    """A thread that helps with one call at a time."""
+
+    def __init__(self) -> None:
+        self._wanted, self._free = threading.Lock(), threading.Lock()
+        self._wanted.acquire()
+        self._call: tuple[Callable[..., None], tuple[Any, ...]] | None = None
+        threading.Thread(target=self._work, name="cellslam-blocks", daemon=True).start()
+
+    def begin(self, kernel: Callable[..., None], arguments: tuple[Any, ...]) -> None:
+        """Have `kernel` called once the last call is over."""
+        self._free.acquire()
+        self._call = kernel, arguments
+        self._wanted.release()
+
+    def wait(self) -> None:
+        """Return when the call is over."""
+        with self._free:
+            pass
+
+    def _work(self) -> None:
+        while True:
+            self._wanted.acquire()
+            if self._call is not None:
+                kernel, arguments = self._call
+                with suppress(Exception):  # whoever asked makes the same call, and raises the same
+                    kernel(*arguments)
+                self._call = kernel = arguments = None  # type: ignore[assignment]
+            self._free.release()
+
+
+_idle: list[_Hand] = []
 if hasattr(os, "register_at_fork"):
-    os.register_at_fork(after_in_child=_pools.clear)
+    os.register_at_fork(after_in_child=_idle.clear)
 
 
 def threads() -> int:
@@ -21,16 +55,17 @@ def threads() -> int:
 
 
 def over_blocks(kernel: Callable[..., None], blocks: int, scratch: Sequence[Any], *arguments: Any) -> None:
-    """Call kernel(start, stop, *arguments, scratch of the thread) so that all blocks are done."""
-    count = max(1, min(len(scratch), blocks, threads()))
-    edges = np.linspace(0, blocks, count + 1).astype(int).tolist()
+    """Call kernel(turns, blocks, *arguments, scratch of the thread) in as many threads as may be, until all blocks are
+    done."""
+    turns = new_turns()
     others = []
-    for i in range(1, count):
-        if count not in _pools:
-            _pools[count] = ThreadPoolExecutor(count - 1, thread_name_prefix="cellslam-blocks")
-        others.append(_pools[count].submit(kernel, edges[i], edges[i + 1], *arguments, scratch[i]))
+    for i in range(1, min(len(scratch), blocks, threads())):
+        others.append(_idle.pop() if _idle else _Hand())
+        others[-1].begin(kernel, (turns, blocks, *arguments, scratch[i]))
     try:
-        kernel(0, edges[1], *arguments, scratch[0])
+        kernel(turns, blocks, *arguments, scratch[0])
+        if turns[DONE] < blocks:
+            for other in others:
+                other.wait()
     finally:
-        for other in others:
-            other.result()
+        _idle.extend(others)

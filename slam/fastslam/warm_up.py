@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from cellslam.sim.recording import Links, OdometryModel, Sites
-from cellslam.slam import attitude
+from cellslam.slam import attitude, misfit
 from cellslam.slam.api import Setup, Snapshot
 from cellslam.slam.fastslam.choice import Choice
 from cellslam.slam.fastslam.layout import LANES
@@ -43,6 +43,7 @@ def warm_up(options: FastSlamOptions, choice: Choice) -> None:
         snapshot = Snapshot(t, np.arange(3), link, *columns)
         estimator.step(0.0 if t == 0 else 0.1, np.array([1.0, 0, 0, 0, 0, 0]), snapshot)
     attitude.warm_up()
+    misfit.warm_up()
     for blocks, ancestor in ((1, 0), (2, 40)):
         two = draw(setup, blocks * LANES, 20.0, 4, rng, record=choice.record)
         select(two, np.full(len(two), ancestor))

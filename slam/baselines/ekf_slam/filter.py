@@ -30,6 +30,7 @@ from cellslam.slam.baselines.ekf_slam.layout import (
 from cellslam.slam.baselines.ekf_slam.options import EkfSlamOptions, JointOptions
 from cellslam.slam.baselines.ekf_slam.start import Start, begin, mixture
 from cellslam.slam.front_end import existence, first_of_link, ports_of, readings
+from cellslam.slam.misfit import Misfit
 
 NOT_GIVEN = -2
 GUESSING = 3  # times as many places where VTs have several guesses
@@ -62,7 +63,7 @@ class JointFilter:
         """Take the prior; nothing is drawn."""
         del rng
         self._setup, self._time_s, self._now, self._born = _writable(setup), 0.0, 0, 0
-        self._attitude = Attitude(self.options, setup)
+        self._attitude, self._misfit = Attitude(self.options, setup), Misfit(self.options)
         self._ports = ports_of(self._setup.links.site, self._setup.links.port)
         self._start: Start | None = self._begin()
         self._joint: Bank | None = None
@@ -80,6 +81,7 @@ class JointFilter:
             answer = self._step_joint(dt_s, odometry, measured)
         self._now += 1
         self._born += len(snapshot)
+        self._misfit.learn(answer, measured.readings)
         return self._attitude.concluded(answer, snapshot, measured.readings.many)
 
     def _given(self, snapshot: Snapshot) -> Ints:
@@ -112,7 +114,7 @@ class JointFilter:
         association = start.use(self._setup, measured, self.options)
         mean, cov = start.shared()
         offset, variance = start.offsets()
-        if start.resolved(self.options.resolved_std_m) or self._time_s >= self.options.start_limit_s:
+        if (variance <= self.options.resolved_std_m**2).all() or self._time_s >= self.options.start_limit_s:
             self._joint, self._start = self._join(start), None
         return _estimate(mean, cov, association, offset, variance, self._map(start.likeliest()))
 
@@ -142,7 +144,7 @@ class JointFilter:
         cfg[CONFIRM], cfg[AGE_ONCE], cfg[AGE_TWICE] = o.confirm_hits, once, twice
         self._configure(cfg, dt_s)
         site = self._setup.links.site
-        values = readings(snapshot, site, self._ports, o, odometry[3] * dt_s, odometry[0] * dt_s)
+        values = self._misfit.widened(readings(snapshot, self._ports, o, odometry[3] * dt_s, odometry[0] * dt_s), dt_s)
         first = first_of_link(snapshot, len(site))
         begin, begin_q = values.z.copy(), values.fresh.copy()
         flat = np.isnan(begin[:, 2])

@@ -17,6 +17,7 @@ import numpy as np
 
 from cellslam.sim.recording import Floats
 
+LEAST_SHARE = 1e-14  # of the largest variance, below which there is none left but rounding
 SMALLEST = 1e-10  # share of the largest scaled variance below which a direction counts as known
 
 Gaussian = tuple[Floats, Floats]
@@ -38,11 +39,11 @@ def fuse(prior: Gaussian, sites: Sequence[Gaussian]) -> Gaussian:
     root, left = root_of(cov)
     matrix, vector = np.eye(root.shape[1]), np.zeros(root.shape[1])
     for site_mean, site_cov in sites:
-        inverse = np.linalg.pinv(left @ site_cov @ left.T, hermitian=True)
-        values, axes = np.linalg.eigh(inverse - np.eye(len(inverse)))
-        axes = axes[:, values > 0.0]
-        matrix += (axes * values[values > 0.0]) @ axes.T
-        vector += axes @ (axes.T @ (inverse @ (left @ (site_mean - mean))))
+        values, axes = np.linalg.eigh(left @ site_cov @ left.T)
+        told = (values < 1.0) & (values > LEAST_SHARE * values[-1])
+        information, axes = 1.0 / values[told], axes[:, told]
+        matrix += (axes * (information - 1.0)) @ axes.T
+        vector += axes @ (information * (axes.T @ (left @ (site_mean - mean))))
     spread = root @ np.linalg.inv(matrix) @ root.T
     return mean + root @ np.linalg.solve(matrix, vector), 0.5 * (spread + spread.T)
 

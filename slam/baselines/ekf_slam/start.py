@@ -107,10 +107,6 @@ class Start:
         """Return each site's bank and its most likely component."""
         return [(bank, int(np.argmax(bank.log_weight))) for bank in self.banks]
 
-    def resolved(self, std_m: float) -> bool:
-        """Return whether every site's offset is known to `std_m`, all components together."""
-        return bool((self.offsets()[1] <= std_m**2).all())
-
 
 def begin(setup: Setup, options: JointOptions, mode: int, vts: int) -> Start:
     """Return the banks at the start, with places for `vts` VTs."""
@@ -140,11 +136,11 @@ def split(bank: Bank, setup: Setup, site: int, options: JointOptions) -> Bank:
 def likely(bank: Bank, offset: int, least: float) -> Ints:
     """Return the filters to keep: not much less likely than the best, and not the double of a more likely one."""
     weight = bank.log_weight - bank.log_weight.max()
+    at, reach = bank.x[:, offset].tolist(), (0.25 * np.sqrt(bank.p[:, offset, offset])).tolist()
     kept: list[int] = []
-    for i in np.argsort(-weight, kind="stable"):
-        near = [abs(bank.x[i, offset] - bank.x[k, offset]) < 0.25 * np.sqrt(bank.p[k, offset, offset]) for k in kept]
-        if weight[i] >= least and not any(near):
-            kept.append(int(i))
+    for i in np.argsort(-weight, kind="stable").tolist():
+        if weight[i] >= least and not any(abs(at[i] - at[k]) < reach[k] for k in kept):
+            kept.append(i)
     return np.sort(np.array(kept, np.int64))
 
 
@@ -155,7 +151,8 @@ def mixture(bank: Bank, states: slice) -> Gaussian:
     x, p = bank.x[:, : bank.core.size][:, states], bank.p[:, : bank.core.size, : bank.core.size][:, states, states]
     mean = weight @ x
     centred = x - mean
-    return mean, np.tensordot(weight, p, axes=1) + (centred * weight[:, None]).T @ centred
+    within = (weight @ p.reshape(len(p), -1)).reshape(p.shape[1:])
+    return mean, within + (centred * weight[:, None]).T @ centred
 
 
 def _states(bank: Bank, site: int, index: int) -> Ints:

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from cellslam.sim.recording import Links, OdometryModel, Sites, Truth, VirtualTransmitters
-from cellslam.slam import attitude
+from cellslam.slam import attitude, misfit
 from cellslam.slam.api import Setup, Snapshot
 
 if TYPE_CHECKING:
@@ -18,6 +18,7 @@ if TYPE_CHECKING:
 def warm_up(estimator: type[JointFilter], options: JointOptions) -> None:
     """Run four snapshots, the last two in the joint filter."""
     attitude.warm_up()
+    misfit.warm_up()
     sheet = OdometryModel(np.full(6, 0.01), np.full(6, 0.01), np.full(6, 0.001), np.full(6, 0.01))
     links = Links(np.array([0, 1]), np.array([1, 2]), np.array([0, 0]))
     sites = Sites(("A", "B"), np.zeros(2), np.array([150.0, 150.0]))

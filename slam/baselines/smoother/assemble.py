@@ -113,7 +113,7 @@ def _sightings(
         pose = legs[k].inner[inside - 1] if inside else np.zeros(6)
         relative = np.concatenate([rotation(*pose[3:]).ravel(), pose[:3]])
         u, dt = drive.odometry[t], drive.dt_s[t]
-        found = readings(snapshot, setup.links.site, ports, options.fastslam, u[3] * dt, u[0] * dt)
+        found = readings(snapshot, ports, options.fastslam, u[3] * dt, u[0] * dt)
         for m, vt in enumerate(drive.association[t].tolist()):
             if vt in place and np.isfinite(found.z[m]).all():
                 site = int(setup.links.site[snapshot.link[m]])
