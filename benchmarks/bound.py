@@ -73,23 +73,26 @@ def bound(recording: Recording, progress: Progress = silent) -> BoundResult:
     if recording.truth is None:
         raise InputError("the recording has no truth: the bound needs the true trajectory, VTs and measurement noise")
     from cellslam.benchmarks.bound_kernel import covariance_recursion
+    from cellslam.benchmarks.bound_persisting import rates_among
 
     truth, snapshots, sites = recording.truth, len(recording.time_s), len(recording.sites)
     core = core_of(recording.odometry_model, sites)
     motion = Motion(start_variance(recording, core), *linear_motion(recording, truth, core))
     looks, sightings, errors = tracked_measurements(recording, truth, core)
+    drifted = drifted_std(recording)
+    drift = rates_among(errors, drifted)
     work = room(core.size, most_states(looks, sightings, errors, snapshots), looks, sightings, errors)
     pose, offset = np.zeros((snapshots, 6, 6)), np.zeros((snapshots, sites))
     model = work, motion, looks, sightings, errors
     if not covariance_recursion.signatures:
         with progress("compiling Cramer-Rao bound (first use)", 1) as advance:
-            covariance_recursion(*model, 0, 0, core.size, pose, offset)
+            covariance_recursion(*model, 0, 0, core.size, drift, drifted, pose, offset)
             advance(1)
     with progress("Cramer-Rao bound", snapshots) as advance:
         states = core.size
         for begin in range(0, snapshots, BLOCK):
             end = min(begin + BLOCK, snapshots)
-            states = covariance_recursion(*model, begin, end, states, pose, offset)
+            states = covariance_recursion(*model, begin, end, states, drift, drifted, pose, offset)
             advance(end - begin)
     return BoundResult(pose, np.sqrt(np.maximum(offset, 0.0)))
 
@@ -165,12 +168,17 @@ def pose_jacobians(pose: Floats, velocity: Floats, dt_s: Floats) -> tuple[Floats
     return by_pose, by_velocity
 
 
+def drifted_std(recording: Recording) -> Floats:
+    """Return how far each clock may have drifted since the first snapshot, one deviation (T, S)."""
+    return np.asarray(np.multiply.outer(recording.elapsed_s, recording.sites.drift_std_m_s))
+
+
 def tracked_measurements(recording: Recording, truth: Truth, core: Core) -> tuple[Looks, Sightings, Errors]:
     """Return the measurements that carry information, of a true VT that is seen at least twice on its link.
 
-    With their Jacobians and variances at the truth, and the errors that persist.
+    With their Jacobians and variances at the truth, and the errors that persist, rates of clocks among them.
     """
-    from cellslam.benchmarks.bound_persisting import Seen, persisting_errors
+    from cellslam.benchmarks.bound_persisting import Seen, persisting_errors, with_drift
 
     m, vts = recording.measurements, max(len(truth.vts), 1)
     real = np.flatnonzero(truth.measurement_vt >= 0)
@@ -192,10 +200,11 @@ def tracked_measurements(recording: Recording, truth: Truth, core: Core) -> tupl
     by_vt, by_pose = jacobians(truth.poses[snapshot[at]], position)
     distance_m, azimuth_rad, elevation_rad = predict(truth.poses[snapshot[at]], position).T
     seen = Seen(snapshot[at], azimuth_rad, elevation_rad, look, vt_of, recording.links.port[m.link[real]])
-    persisting = persisting_errors(recording, seen)
+    site = recording.links.site[m.link[real[at]]]
+    persisting = with_drift(persisting_errors(recording, seen), drifted_std(recording), seen, site)
     every = np.arange(len(recording.time_s) + 1)
     looks = Looks(
-        np.searchsorted(snapshot[at], every), by_pose, by_vt, core.offsets[recording.links.site[m.link[real[at]]]],
+        np.searchsorted(snapshot[at], every), by_pose, by_vt, core.offsets[site],
         persisting.state, persisting.load,
     )  # fmt: skip
     variance = _white_variance(recording, truth, real, distance_m[look], first, persisting.variance)

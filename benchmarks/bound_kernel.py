@@ -21,10 +21,11 @@ from cellslam.sim.recording import Floats, Ints
 @njit(cache=True)
 def covariance_recursion(
     work: Work, motion: Motion, looks: Looks, sightings: Sightings, errors: Errors, begin: int, end: int, n: int,
-    out_pose: Floats, out_offset: Floats,
+    drift: Ints, drifted: Floats, out_pose: Floats, out_offset: Floats,
 ) -> int:  # fmt: skip
     """Run snapshots `begin` up to `end`, fill their rows of `out_pose` (T, 6, 6) and `out_offset` (T, S).
 
+    drift (S,): error that stands for the rate of a site's clock (-1: none), with drifted (T, S) its load on the offset.
     Takes the number of states in `work.p` (core at first) and returns it: for the call that goes on.
     """
     p, slot_of, id_of = work.p, work.slot_of, work.id_of
@@ -41,12 +42,17 @@ def covariance_recursion(
         for m in range(sightings.rows[t], sightings.rows[t + 1]):
             if sightings.first[m]:
                 n = _birth(p, n, looks, sightings, m, count, slot_of, id_of, work.shared)
-        n = leave(p, n, looks, sightings, errors, t, slot_of, id_of)
         for a in range(POSE):
             for b in range(POSE):
                 out_pose[t, a, b] = p[a, b]
         for s in range(sites):
-            out_offset[t, s] = p[core - sites + s, core - sites + s]
+            own = core - sites + s
+            out_offset[t, s] = p[own, own]
+            if drift[s] >= 0:
+                rate = slot_of[drift[s]]
+                by = drifted[t, s]
+                out_offset[t, s] += by * (2.0 * p[own, rate] + by * p[rate, rate]) if rate >= 0 else by * by
+        n = leave(p, n, looks, sightings, errors, t, slot_of, id_of)
     return n
 
 

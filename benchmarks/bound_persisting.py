@@ -117,6 +117,31 @@ def persisting_errors(recording: Recording, seen: Seen) -> Persisting:
     return Persisting(state, load, own_state, own.load, Errors(last, kind, decay), persisting_std(config) ** 2)
 
 
+def with_drift(persisting: Persisting, drifted: Floats, seen: Seen, site: Ints) -> Persisting:
+    """Return the errors and, as the last of them, the rates of clocks that drift: constants.
+
+    drifted (T, S): what a rate of one deviation has made of the offset; site (n,): of each look.
+    """
+    errors, drifts = persisting.errors, drifted[-1] > 0.0
+    if not drifts.any():
+        return persisting
+    nothing = np.zeros(drifts.sum(), np.int64)
+    last = np.concatenate([errors.last, nothing + len(drifted) - 1])
+    more = Errors(last, np.concatenate([errors.kind, nothing]), errors.decay)
+    state, load = np.full((len(site), 3, 1), -1), np.zeros((len(site), 3, 1))
+    state[:, 0, 0], load[:, 0, 0] = rates_among(more, drifted)[site], drifted[seen.snapshot, site]
+    return replace(
+        persisting, state=np.concatenate([persisting.state, state], axis=2),
+        load=np.concatenate([persisting.load, load], axis=2), errors=more,
+    )  # fmt: skip
+
+
+def rates_among(errors: Errors, drifted: Floats) -> Ints:
+    """Return which of the errors are the rates of the sites' clocks (S,), -1 for constant offsets."""
+    drifts = drifted[-1] > 0.0
+    return np.where(drifts, len(errors.last) - drifts.sum() + np.cumsum(drifts) - 1, -1)
+
+
 def _factor(step: Floats, scale: float) -> Floats:
     """Return how much of a Gauss-Markov state is left after steps (n,) in the unit of `scale` (0: nothing)."""
     return np.exp(-step / (AREA * scale)) if scale > 0.0 else np.zeros(len(step))

@@ -17,8 +17,8 @@ from cellslam.scenarios.options import resolve
 from cellslam.sim.errors import InputError, unknown_name
 from cellslam.sim.frames import mean_velocity, wrap_angle
 from cellslam.sim.randomness import Stream, stream
-from cellslam.sim.recording import Floats, Measurements, Sites
-from cellslam.sim.world import World, prepare
+from cellslam.sim.recording import Floats, Measurements
+from cellslam.sim.world import World, prepare, sites_of
 from cellslam.slam.api import Estimate, Setup, Snapshot
 
 STEERING_LIMIT_RAD, STEERING_RATE_RADPS = 0.6, 0.5
@@ -168,9 +168,8 @@ class ActiveSlamEnv(gym.Env[Observation, Floats]):
         self._end_s = 2.0 * vehicle.duration_s if self._limit_s is None else self._limit_s
         self._now, self._row, self._near, self._believed_near, self._arc_m = 0, 0, 0, 0, 0.0
         self._track = [start.copy()]
-        known = np.full(len(config.sites), config.radio.clock_offset_std_m)
-        sites = Sites(tuple(site.name for site in config.sites), np.zeros(len(known)), known)
-        setup = Setup(links_of(self._world.cells), sites, model, self._world.start_pose, np.array(vehicle.start_std))
+        links, sites = links_of(self._world.cells), sites_of(config)
+        setup = Setup(links, sites, model, self._world.start_pose, np.array(vehicle.start_std))
         (request,) = resolve(self._scenario.estimator, (self._name,))
         if request.oracle:
             raise InputError(f"estimator '{self._name}' needs the truth of a whole drive: choose one that does not")

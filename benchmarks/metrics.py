@@ -43,7 +43,9 @@ def score(recording: Recording, result: TrialResult, bound: BoundResult | None) 
         squared = nees(truth.poses, result.poses, result.covariances)
         scores["nees_mean"] = float(np.nanmean(squared)) if np.isfinite(squared).any() else None
     if result.clock_offset_m is not None and len(recording.sites):
-        scores["clock_offset_rmse_m"] = _rms(result.clock_offset_m[-1] - truth.clock_offsets_m)
+        scores["clock_offset_rmse_m"] = _rms(
+            result.clock_offset_m[-1] - truth.clock_offsets_at(recording.elapsed_s)[-1]
+        )
     if result.vts is not None:
         scores["map_gospa_m"] = map_gospa(recording, truth, result.vts)
     if result.association is not None:

@@ -48,14 +48,15 @@ def pack(recording: Recording, result: TrialResult, limit: BoundResult | None) -
     """Return the compressed file of one result, in NumPy's npz format."""
     truth, empty = recording.truth, np.empty(0)
     offset, variance = result.clock_offset_m, result.clock_offset_variance_m2
+    elapsed_s = recording.elapsed_s
     columns = {
-        "time_s": recording.time_s - recording.time_s[0],
+        "time_s": elapsed_s,
         "poses": result.poses,
         "std_m": result.position_std_m,
         "error_m": empty if truth is None else horizontal_error(truth.poses, result.poses),
         "nees": empty if truth is None else nees(truth.poses, result.poses, result.covariances),
         "bound_std_m": empty if limit is None else limit.horizontal_std_m,
-        "offset_error_m": empty if truth is None or offset is None else offset - truth.clock_offsets_m,
+        "offset_error_m": empty if truth is None or offset is None else offset - truth.clock_offsets_at(elapsed_s),
         "offset_std_m": empty if variance is None else np.sqrt(np.maximum(variance, 0.0)),
         "vt_m": np.empty((0, 3)) if result.vts is None else result.vts.position_m,
     }

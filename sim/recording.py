@@ -52,14 +52,23 @@ class Links:
 
 @dataclass(frozen=True)
 class Sites:
-    """Base-station sites: names and the prior of the clock offset, in metres (std 0: known); no positions."""
+    """Base-station sites: names and the prior of the clock offset, in metres (std 0: known); no positions.
+
+    `clock_drift_std_m_s` (S,): deviation of the rate at which an offset changes, m/s (None: offsets are constant).
+    """
 
     name: tuple[str, ...]
     clock_offset_mean_m: Floats
     clock_offset_std_m: Floats
+    clock_drift_std_m_s: Floats | None = None
 
     def __len__(self) -> int:
         return len(self.name)
+
+    @property
+    def drift_std_m_s(self) -> Floats:
+        """Deviation (S,) of each offset's rate, m/s: zero where it is constant."""
+        return np.zeros(len(self)) if self.clock_drift_std_m_s is None else self.clock_drift_std_m_s
 
 
 @dataclass(frozen=True)
@@ -112,7 +121,8 @@ class Truth:
     `poses` (T, 6); `measurement_vt` (M,), -1 for clutter; `measurement_std` (M, 3): the true standard
     deviations of distance (m), azimuth, elevation (rad), NaN for clutter; `persisting_std` (M, 3): their part that is
     alike over links and changes slowly (None: all errors are white); `site_positions_m` (S, 3); `clock_offsets_m`
-    (S,): b of d = norm(v - r) + b; `odometry_bias` (T, 6): bias plus walk at each snapshot; `odometry_scale` (6,).
+    (S,): b of d = norm(v - r) + b at the first snapshot; `clock_drift_m_s` (S,): its rate (None: constant);
+    `odometry_bias` (T, 6): bias plus walk at each snapshot; `odometry_scale` (6,).
     """
 
     poses: Floats
@@ -124,6 +134,12 @@ class Truth:
     odometry_bias: Floats
     odometry_scale: Floats
     persisting_std: Floats | None = None
+    clock_drift_m_s: Floats | None = None
+
+    def clock_offsets_at(self, elapsed_s: Floats) -> Floats:
+        """Return the clock offsets (n, S) so long (n,) after the first snapshot."""
+        rate = np.zeros_like(self.clock_offsets_m) if self.clock_drift_m_s is None else self.clock_drift_m_s
+        return np.asarray(self.clock_offsets_m + np.multiply.outer(elapsed_s, rate))
 
 
 @dataclass(frozen=True)
@@ -171,6 +187,11 @@ class Recording:
         from cellslam.sim.recording_check import check
 
         check(self)
+
+    @property
+    def elapsed_s(self) -> Floats:
+        """Time (T,) since the first snapshot."""
+        return np.asarray(self.time_s - self.time_s[0])
 
     @property
     def rows(self) -> Ints:

@@ -58,6 +58,10 @@ def _check_links(r: Recording) -> None:
     _finite("sites.clock_offset_mean_m", r.sites.clock_offset_mean_m)
     _require(r.sites.clock_offset_std_m >= 0, "sites.clock_offset_std_m", "is negative")
     _finite("sites.clock_offset_std_m", r.sites.clock_offset_std_m)
+    if r.sites.clock_drift_std_m_s is not None:
+        _shape("sites.clock_drift_std_m_s", r.sites.clock_drift_std_m_s, (len(r.sites),))
+        _require(r.sites.clock_drift_std_m_s >= 0, "sites.clock_drift_std_m_s", "is negative")
+        _finite("sites.clock_drift_std_m_s", r.sites.clock_drift_std_m_s)
     _require(
         (r.links.site >= 0) & (r.links.site < len(r.sites)), "links.site", f"is not one of the {len(r.sites)} sites"
     )
@@ -130,6 +134,8 @@ def _check_truth(truth: Truth, r: Recording) -> None:
     _shape("truth.vts.position_m", truth.vts.position_m, (vts, 3))
     _shape("truth.site_positions_m", truth.site_positions_m, (len(r.sites), 3))
     _shape("truth.clock_offsets_m", truth.clock_offsets_m, (len(r.sites),))
+    if truth.clock_drift_m_s is not None:
+        _shape("truth.clock_drift_m_s", truth.clock_drift_m_s, (len(r.sites),))
     _require(
         (truth.measurement_vt >= -1) & (truth.measurement_vt < vts),
         "truth.measurement_vt",

@@ -8,13 +8,14 @@ from __future__ import annotations
 
 import platform
 from collections import OrderedDict
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field
 
 from cellslam.sim.city.config import CityConfig
+from cellslam.sim.frames import SPEED_OF_LIGHT_MPS
 from cellslam.sim.lte.config import RadioConfig
 from cellslam.sim.progress import Progress, silent
 from cellslam.sim.randomness import Stream, stream
@@ -48,8 +49,9 @@ class WorldConfig(BaseModel):
 
 @dataclass(frozen=True)
 class World:
-    """One trial's world, ready to be measured. `sites_m` (S, 3); `offsets_m` (S,) are the true clock offsets;
-    `fields` the receiver's errors that persist; `signals` is what radio.front_end = "signal" measures with.
+    """One trial's world, ready to be measured. `sites_m` (S, 3); `offsets_m` (S,) are the true clock offsets at the
+    first snapshot, `drift_m_s` (S,) their rates; `fields` the receiver's errors that persist; `signals` is what
+    radio.front_end = "signal" measures with.
     """
 
     config: WorldConfig
@@ -60,6 +62,7 @@ class World:
     cells: Cells
     drive: Drive
     offsets_m: Floats
+    drift_m_s: Floats
     start_pose: Floats
     fields: Fields
     signals: SignalLevel | None
@@ -122,12 +125,26 @@ class World:
             from cellslam.sim.lte.streaming import detect_signals
 
             key = f"{self.config.model_dump_json()} {self.seed} {self.trial}" if len(poses) > 1 else ""
-            return detect_signals(
+            found = detect_signals(
                 self.signals, columns, poses, velocities, odometry, rng.noise, snapshot, key, progress
             )
-        from cellslam.sim.lte.statistical import detect
+        else:
+            from cellslam.sim.lte.statistical import detect
 
-        return detect(radio, self.cells, columns, poses, self.offsets_m, self.fields, rng, snapshot, progress)
+            found = detect(radio, self.cells, columns, poses, self.offsets_m, self.fields, rng, snapshot, progress)
+        return self._drifted(found)
+
+    def _drifted(self, found: Detections) -> Detections:
+        """Return detections with what the sites' clocks have drifted since the first snapshot: the receiver's window
+        follows."""
+        if not self.drift_m_s.any():
+            return found
+        from cellslam.sim.lte.links import links_of
+
+        m = found.measurements
+        elapsed_s = m.snapshot * self.config.vehicle.snapshot_interval_s
+        drifted = m.distance_m + self.drift_m_s[links_of(self.cells).site[m.link]] * elapsed_s
+        return replace(found, measurements=replace(m, distance_m=drifted))
 
 
 def prepare(config: WorldConfig, seed: int, trial: int, progress: Progress = silent) -> World:
@@ -152,6 +169,7 @@ def prepare(config: WorldConfig, seed: int, trial: int, progress: Progress = sil
     rng = stream(seed, trial, Stream.OFFSETS)
     offsets_m = config.radio.clock_offset_std_m * rng.standard_normal(len(config.sites))
     start = driven.poses[0] + np.array(config.vehicle.start_std) * rng.standard_normal(6)
+    drift_m_s = SPEED_OF_LIGHT_MPS * config.radio.clock_drift * rng.standard_normal(len(config.sites))
     receiver_rng = stream(seed, trial, Stream.RECEIVER)
     fields = draw_fields(config.radio, config.vehicle.snapshot_interval_s, receiver_rng)
     signals = None
@@ -159,7 +177,7 @@ def prepare(config: WorldConfig, seed: int, trial: int, progress: Progress = sil
         from cellslam.sim.lte.signal_level import signal_level
 
         signals = signal_level(config.radio, cells, offsets_m, fields, receiver_rng)
-    return World(config, seed, trial, scene, sites_m, cells, driven, offsets_m, start, fields, signals)
+    return World(config, seed, trial, scene, sites_m, cells, driven, offsets_m, drift_m_s, start, fields, signals)
 
 
 def simulate(config: WorldConfig, seed: int, trial: int, progress: Progress = silent) -> Recording:
@@ -174,7 +192,6 @@ def simulate(config: WorldConfig, seed: int, trial: int, progress: Progress = si
     odometry = measure_odometry(world.drive, config.odometry, stream(seed, trial, Stream.ODOMETRY))
     detections, paths = world.measure_drive(world.streams(), progress, odometry.velocity)
     vts, path_vt = virtual_transmitters(paths)
-    known = np.full(len(config.sites), config.radio.clock_offset_std_m)
     measurement_vt = np.where(detections.path >= 0, path_vt[detections.path] if len(path_vt) else -1, -1)
     truth = Truth(
         poses=world.drive.poses,
@@ -183,6 +200,7 @@ def simulate(config: WorldConfig, seed: int, trial: int, progress: Progress = si
         vts=vts,
         site_positions_m=world.sites_m,
         clock_offsets_m=world.offsets_m,
+        clock_drift_m_s=world.drift_m_s if config.radio.clock_drift > 0.0 else None,
         odometry_bias=odometry.bias,
         odometry_scale=odometry.scale,
         persisting_std=np.where(np.isnan(detections.true_std), np.nan, persisting_std(config.radio)),
@@ -192,13 +210,21 @@ def simulate(config: WorldConfig, seed: int, trial: int, progress: Progress = si
         odometry=odometry.velocity,
         odometry_model=odometry.model,
         links=links_of(world.cells),
-        sites=Sites(tuple(site.name for site in config.sites), np.zeros(len(known)), known),
+        sites=sites_of(config),
         measurements=detections.measurements,
         start_pose=world.start_pose,
         start_std=np.array(config.vehicle.start_std, np.float64),
         provenance=provenance(config, seed, trial),
         truth=truth,
     )
+
+
+def sites_of(config: WorldConfig) -> Sites:
+    """Return what is known of the sites beforehand."""
+    count = len(config.sites)
+    drift = np.full(count, SPEED_OF_LIGHT_MPS * config.radio.clock_drift) if config.radio.clock_drift > 0.0 else None
+    offset = np.full(count, config.radio.clock_offset_std_m)
+    return Sites(tuple(site.name for site in config.sites), np.zeros(count), offset, drift)
 
 
 def provenance(config: WorldConfig, seed: int, trial: int) -> dict[str, Any]:

@@ -104,7 +104,7 @@ def setup_of(recording: Recording, with_truth: bool = False) -> Setup:
     links, sites, model = recording.links, recording.sites, recording.odometry_model
     return Setup(
         links=Links(*(_frozen(c) for c in (links.site, links.cell_id, links.port))),
-        sites=Sites(sites.name, _frozen(sites.clock_offset_mean_m), _frozen(sites.clock_offset_std_m)),
+        sites=_frozen_copy(sites),
         odometry_model=OdometryModel(
             *(_frozen(c) for c in (model.noise_density, model.bias, model.bias_walk_density, model.scale))
         ),

@@ -24,6 +24,7 @@ from cellslam.slam.fastslam.association import (
 from cellslam.slam.fastslam.choice import chosen
 from cellslam.slam.fastslam.clock import OfVt, absorb, begin_offset, expect
 from cellslam.slam.fastslam.filter import FastSlam
+from cellslam.slam.fastslam.landmarks import Cartesian
 from cellslam.slam.fastslam.layout import (
     BOUND,
     GAIN,
@@ -152,7 +153,7 @@ def test_told_association_is_the_truth():
 
 @njit
 def expected_with(part, w, rec, out):
-    expect(part, w, rec, out)
+    expect(part, Cartesian(), w, rec, out)
 
 
 @njit

@@ -37,7 +37,8 @@ def draw(figure: Figure, recording: Recording, results: Mapping[str, TrialResult
                 _line_with_band(axes, time_s, mean, band, styles[name])
         for axes in grid[:, site]:
             if recording.truth is not None:
-                axes.axhline(recording.truth.clock_offsets_m[site], color=TRUTH, linestyle=":", label="truth")
+                offset_m = recording.truth.clock_offsets_at(recording.elapsed_s)[:, site]
+                axes.plot(recording.elapsed_s, offset_m, color=TRUTH, linestyle=":", label="truth")
             axes.set_xlim(0, max(float(time_s[-1]), 1e-9))
         grid[0, site].set_title(f"site {recording.sites.name[site]}")
         grid[1, site].set_ylim(*_settled_range(recording, estimates, site))
@@ -73,7 +74,7 @@ def _settled_range(recording: Recording, estimates: Mapping[str, TrialResult], s
         spread = np.zeros_like(mean) if band is None else band[late]
         values += [mean - spread, mean + spread]
     if recording.truth is not None:
-        values.append(recording.truth.clock_offsets_m[site : site + 1])
+        values.append(recording.truth.clock_offsets_at(recording.elapsed_s[late])[:, site])
     every = np.concatenate(values)
     low, high = float(every.min()), float(every.max())
     margin = 0.08 * (high - low) + 0.05

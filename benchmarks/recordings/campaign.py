@@ -61,9 +61,10 @@ class Campaign:
     """What was measured: each table with its own times, all on one clock, in metres, radians, seconds, dB.
 
     `time_s` (M,) and `columns`: a row a path; those of `QUANTITIES` and `CLAIMS` that exist; `link` (M,) indexes
-    `link_sites`, the site of each link. `site_offsets`: clock offset prior (mean, std) in metres by site; a site whose
-    clock is known has (0, 0). `start_pose`: None takes it from the reference. `snapshots_s`: times of all snapshots,
-    empty ones too; None: the times of the measurements. `noise`: OdometryModel's fields by name, each (6,).
+    `link_sites`, the site of each link. `site_offsets`: clock offset prior (mean, std) in metres by site, and where it
+    drifts the deviation of its rate in m/s; a site whose clock is known has (0, 0). `start_pose`: None takes it from
+    the reference. `snapshots_s`: times of all snapshots, empty ones too; None: the times of the measurements. `noise`:
+    OdometryModel's fields by name, each (6,).
     """
 
     time_s: ArrayLike
@@ -73,7 +74,7 @@ class Campaign:
     link_sites: Sequence[str] = ("site",)
     link_cells: Sequence[int] | None = None
     link_ports: Sequence[int] | None = None
-    site_offsets: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+    site_offsets: Mapping[str, tuple[float, ...]] = field(default_factory=dict)
     noise: Mapping[str, Sequence[float]] = field(default_factory=dict)
     start_pose: Sequence[float] | None = None
     start_std: Sequence[float] = NO_NOISE
@@ -171,9 +172,9 @@ def _links(campaign: Campaign) -> tuple[Links, Sites]:
     missing = np.full(len(campaign.link_sites), -1, np.int64)
     cells = missing if campaign.link_cells is None else np.asarray(campaign.link_cells, np.int64)
     ports = missing if campaign.link_ports is None else np.asarray(campaign.link_ports, np.int64)
-    prior = np.array([campaign.site_offsets.get(name, (0.0, 0.0)) for name in names], np.float64)
+    prior = np.array([(*campaign.site_offsets.get(name, (0.0, 0.0)), 0.0)[:3] for name in names], np.float64)
     site: Ints = np.array([names.index(name) for name in campaign.link_sites], np.int64)
-    return Links(site, cells, ports), Sites(names, prior[:, 0], prior[:, 1])
+    return Links(site, cells, ports), Sites(names, prior[:, 0], prior[:, 1], prior[:, 2] if prior[:, 2].any() else None)
 
 
 def _model(noise: Mapping[str, Sequence[float]]) -> OdometryModel:

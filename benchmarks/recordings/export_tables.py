@@ -143,6 +143,7 @@ def _write_manifest(recording: Recording, made: Tables, place: Path, sources: Ma
             name: {
                 "clock_offset_mean_m": float(r.sites.clock_offset_mean_m[i]),
                 "clock_offset_std_m": float(r.sites.clock_offset_std_m[i]),
+                "clock_drift_std_m_s": float(r.sites.drift_std_m_s[i]),
             }
             for i, name in enumerate(r.sites.name)
         },

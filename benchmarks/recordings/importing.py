@@ -97,7 +97,7 @@ def _links(manifest: Manifest, file: TableFile, rows: int) -> tuple[list[str], A
     return known, np.array([index[name] for name in labels], np.int64)
 
 
-def _offsets(manifest: Manifest, sites: list[str]) -> dict[str, tuple[float, float]]:
+def _offsets(manifest: Manifest, sites: list[str]) -> dict[str, tuple[float, ...]]:
     for name in dict.fromkeys(sites):
         if name not in manifest.sites:
             raise InputError(
@@ -108,7 +108,10 @@ def _offsets(manifest: Manifest, sites: list[str]) -> dict[str, tuple[float, flo
     for name in manifest.sites:
         if name not in sites:
             raise InputError(f"[sites.{name}] is the site of no link{nearest_name(name, sites)}; remove it")
-    return {name: (site.clock_offset_mean_m, site.clock_offset_std_m) for name, site in manifest.sites.items()}
+    return {
+        name: (site.clock_offset_mean_m, site.clock_offset_std_m, site.clock_drift_std_m_s)
+        for name, site in manifest.sites.items()
+    }
 
 
 def _clock(manifest: Manifest, table: FileTable) -> Clock:

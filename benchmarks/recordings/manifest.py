@@ -125,6 +125,7 @@ class Site(Table):
 
     clock_offset_mean_m: float = Field(0.0, description="expected clock offset times the speed of light, m")
     clock_offset_std_m: float = Field(ge=0, description="its deviation, m; 0: synchronised")
+    clock_drift_std_m_s: float = Field(0.0, ge=0, description="deviation of its rate, m/s; 0: the offset is constant")
 
 
 class Start(Table):

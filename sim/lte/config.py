@@ -95,5 +95,11 @@ class RadioConfig(BaseModel):
         150.0,
         ge=0.0,
         le=5000.0,
-        description="standard deviation of each site's constant clock offset, m (0: known)",
+        description="standard deviation of each site's clock offset at the start, m (0: known)",
+    )
+    clock_drift: float = Field(
+        0.0,
+        ge=0.0,
+        le=1e-7,
+        description="standard deviation of each site's constant relative frequency error (1e-11: 1.5 m in 500 s)",
     )

@@ -12,7 +12,7 @@ from cellslam.slam.api import Estimate, Setup, Snapshot
 from cellslam.slam.baselines.ekf_slam.motion_kernel import move
 
 STATES = 18  # pose, odometry biases, odometry scales: six of each
-BIAS_OF, SCALE_OF = np.arange(6, 12), np.arange(12, 18)
+BIAS_OF, SCALE_OF, NO_RATES = np.arange(6, 12), np.arange(12, 18), np.zeros(0, np.int64)
 
 
 class DeadReckoning:
@@ -51,7 +51,7 @@ class DeadReckoning:
         if dt_s > 0.0:
             move(
                 self._state, self._covariance, np.zeros(1, np.int64), np.array(odometry, float), float(dt_s),
-                self._noise, self._walk, BIAS_OF, SCALE_OF, STATES, *self._scratch,
+                self._noise, self._walk, BIAS_OF, SCALE_OF, STATES, NO_RATES, STATES, *self._scratch,
             )  # fmt: skip
         pose = self._state[0, :6].copy()
         pose[3:] = wrap_angle(pose[3:])

@@ -11,7 +11,7 @@ from cellslam.slam.fastslam.association import associate, may_be_born
 from cellslam.slam.fastslam.birth_kernel import complete, give_birth
 from cellslam.slam.fastslam.borrow import borrowed, borrowed_measured, borrowed_scratch, borrowed_tracks
 from cellslam.slam.fastslam.candidates_kernel import candidates, middle
-from cellslam.slam.fastslam.clock import absorb
+from cellslam.slam.fastslam.clock import absorb, clock_moves, correct_clock, load_clock, rate_changes
 from cellslam.slam.fastslam.layout import (
     BROAD,
     HIGH,
@@ -76,6 +76,7 @@ def _block(g, parts, rules, now, dt, velocity, state, tracks, travelled, measure
     turned = travelled[size - 2]
     if dt > 0.0:
         advance(state, travelled, velocity, dt, size)
+        clock_moves(parts.clock, state, travelled, dt, size)
     prepare(s.w, state)
     psi, psi_spread = middle(s.w, W_POSE + 3)
     forget(s.w, s.v, size)
@@ -96,6 +97,7 @@ def _block(g, parts, rules, now, dt, velocity, state, tracks, travelled, measure
             continue
         if site != loaded:
             load_site(s.w, state, site, size)
+            load_clock(parts.clock, s.w, state, site, size)
             loaded = site
         if doubles:
             merge(parts, s, link, count)
@@ -114,7 +116,7 @@ def _block(g, parts, rules, now, dt, velocity, state, tracks, travelled, measure
             parts, s, now, link, count, travelled[site], measured, first, last, rules, share, g
         )
     if updates > 0:
-        _apply(s.v, state, travelled, size)
+        _apply(parts, s.v, state, travelled, size)
     for l in range(B):
         log_weight[l] += rules.exponent * s.v[V_WEIGHT * B + l]
 
@@ -139,6 +141,7 @@ def _update(parts, s, now, link, found, measured, first, last, rules, share, ass
             logarithm(w, bits)
             credit(w, v, out, z[k, 11], share)
             absorb(parts.clock, w, v, record, out)
+            correct_clock(parts.clock, w, record, out)
             correct(parts, w, record, out)
             updates += 1
             mine, name = association[k], ident[slot]
@@ -198,8 +201,8 @@ def _begin_bound(bounds, slot, z, least, travelled):
     bounds[LONG, slot], bounds[BROAD, slot] = z[5], z[6] + z[7]
 
 
-@njit(cache=True, error_model="numpy")
-def _apply(v, state, travelled, size):
+@njit(error_model="numpy")
+def _apply(parts, v, state, travelled, size):
     """Condition theta on the snapshot and move theta and pose by its change."""
     change = (v.shape[0] // B - size) * B
     cov = change - size * size * B
@@ -226,3 +229,4 @@ def _apply(v, state, travelled, size):
             largest = max(largest, abs(v[change + site * B + l]))
         travelled[site] += shift + largest
     travelled[size - 2] += turn
+    rate_changes(parts.clock, v, change, travelled)

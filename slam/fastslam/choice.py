@@ -8,13 +8,14 @@ from typing import Any
 
 import numpy as np
 
-from cellslam.sim.recording import Floats, Ints
+from cellslam.sim.recording import Floats, Ints, Sites
 from cellslam.slam.api import Setup, Snapshot
 from cellslam.slam.fastslam.association import Hungarian, Nearest, Sampled
 from cellslam.slam.fastslam.clock import OfSite, OfVt
 from cellslam.slam.fastslam.criterion import Likelihood, Mahalanobis
+from cellslam.slam.fastslam.drift import Drifting
 from cellslam.slam.fastslam.landmarks import Cartesian, Spherical
-from cellslam.slam.fastslam.layout import RECORD, RECORD_WITH_OFFSET
+from cellslam.slam.fastslam.layout import RECORD, RECORD_WITH_OFFSET, RECORD_WITH_RATE
 from cellslam.slam.fastslam.options import FastSlamOptions
 from cellslam.slam.fastslam.parts import Parts
 from cellslam.slam.fastslam.proposal import PROPOSALS, Proposal
@@ -40,17 +41,31 @@ class Choice:
 
     def prior(self, setup: Setup) -> Setup:
         """Return the setup as this choice takes it."""
-        if not self.known_clock:
-            return setup
-        known = np.zeros_like(setup.sites.clock_offset_std_m)
-        return replace(setup, sites=replace(setup.sites, clock_offset_std_m=known))
+        sites = setup.sites
+        if self.known_clock:
+            sites = replace(sites, clock_offset_std_m=np.zeros_like(sites.clock_offset_std_m))
+        if not isinstance(self.parts.clock, OfSite):
+            sites = replace(sites, clock_drift_std_m_s=None)
+        return replace(setup, sites=sites)
 
-    def parts_for(self, snapshot: Snapshot, born: int) -> Parts:
-        """Return the parts for one snapshot, `born` measurements having gone before: a part may ask to see it."""
-        for_snapshot = getattr(self.parts.association, "for_snapshot", None)
-        if for_snapshot is None:
-            return self.parts
-        return self.parts._replace(association=for_snapshot(snapshot, born))
+    def for_clocks(self, sites: Sites) -> Choice:
+        """Return the choice for clocks of one offset a site, which may drift."""
+        if not isinstance(self.parts.clock, (OfSite, Drifting)):
+            return self
+        drifts = bool((sites.drift_std_m_s > 0.0).any())
+        parts = self.parts._replace(clock=Drifting(0.0, len(sites)) if drifts else OfSite())
+        return replace(self, parts=parts, record=RECORD_WITH_RATE if drifts else RECORD)
+
+    def parts_for(self, snapshot: Snapshot, born: int, elapsed_s: float) -> Parts:
+        """Return the parts for one snapshot, so long after the start, `born` measurements having gone before: a part
+        may ask to see it."""
+        parts = self.parts
+        for_snapshot = getattr(parts.association, "for_snapshot", None)
+        if for_snapshot is not None:
+            parts = parts._replace(association=for_snapshot(snapshot, born))
+        if isinstance(parts.clock, Drifting):
+            parts = parts._replace(clock=parts.clock._replace(elapsed_s=elapsed_s))
+        return parts
 
 
 def chosen(options: FastSlamOptions, **given: Any) -> Choice:

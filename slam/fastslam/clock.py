@@ -15,6 +15,7 @@ from cellslam.slam.fastslam.layout import (
     O_OFFSET,
     OWN_OFFSET,
     OWN_VARIANCE,
+    THETA,
     V_WEIGHT,
     W_B,
     W_E,
@@ -38,9 +39,34 @@ class OfVt(NamedTuple):
     """An offset for each VT, a fourth state beside its position, as where transmitters are not known to share one."""
 
 
-def expect(part, w, rec, out):
+def clock_moves(part, state, travelled, dt, size):
+    """Let offsets that drift go on by an interval, and say how far."""
+    raise NotImplementedError
+
+
+def rate_changes(part, v, change, travelled):
+    """Say how far rates that have changed (from row `change` of v on) move what is expected of tracks long unseen."""
+    raise NotImplementedError
+
+
+def load_clock(part, w, state, site, size):
+    """Copy what else concerns a site's clock."""
+    raise NotImplementedError
+
+
+def expect(part, landmarks, w, rec, out):
     """Write at O_OFFSET the offset with which a track's distances are expected, and at W_P what of the nuisances'
-    covariance is the track's own."""
+    covariance is the track's own; bring the record up to the present."""
+    raise NotImplementedError
+
+
+def widen(part, w, rec, out):
+    """Add to C what nuisances do that only this part knows of, once a track is predicted."""
+    raise NotImplementedError
+
+
+def correct_clock(part, w, rec, out):
+    """Update what the record holds for this part alone, where W_MASK is 1, before the rest of it is."""
     raise NotImplementedError
 
 
@@ -55,17 +81,17 @@ def begin_offset(part, w, rec):
 
 
 @overload(expect, **COMPILED)
-def _expect(part, w, rec, out):
+def _expect(part, landmarks, w, rec, out):
     if is_of(part, OfSite):
 
-        def shared(part, w, rec, out):
+        def shared(part, landmarks, w, rec, out):
             for l in range(B):
                 out[O_OFFSET * B + l] = w[W_B * B + l]
 
         return shared
     if is_of(part, OfVt):
 
-        def own(part, w, rec, out):
+        def own(part, landmarks, w, rec, out):
             F = w.dtype.type
             for l in range(B):
                 out[O_OFFSET * B + l] = rec[OWN_OFFSET * B + l]
@@ -92,19 +118,59 @@ def _begin_offset(part, w, rec):
     return None
 
 
-def offset_belief(part, rec, lane, mean, variance):
-    """Return mean and variance of a track's offset in one lane, given those of its site's, and 1 where the two are one,
-    else 0."""
+@overload(clock_moves, **COMPILED)
+def _clock_moves(part, state, travelled, dt, size):
+    if is_of(part, OfSite) or is_of(part, OfVt):
+        return lambda part, state, travelled, dt, size: None
+    return None
+
+
+@overload(rate_changes, **COMPILED)
+def _rate_changes(part, v, change, travelled):
+    if is_of(part, OfSite) or is_of(part, OfVt):
+        return lambda part, v, change, travelled: None
+    return None
+
+
+@overload(load_clock, **COMPILED)
+def _load_clock(part, w, state, site, size):
+    if is_of(part, OfSite) or is_of(part, OfVt):
+        return lambda part, w, state, site, size: None
+    return None
+
+
+@overload(widen, **COMPILED)
+def _widen(part, w, rec, out):
+    if is_of(part, OfSite) or is_of(part, OfVt):
+        return lambda part, w, rec, out: None
+    return None
+
+
+@overload(correct_clock, **COMPILED)
+def _correct_clock(part, w, rec, out):
+    if is_of(part, OfSite) or is_of(part, OfVt):
+        return lambda part, w, rec, out: None
+    return None
+
+
+def offset_belief(part, rec, lane, state, size, site):
+    """Return mean and variance of the offset that a track was last touched under, in one lane of a block's state, and
+    1 where it is its site's, else 0."""
     raise NotImplementedError
 
 
 @overload(offset_belief)
-def _offset_belief(part, rec, lane, mean, variance):
+def _offset_belief(part, rec, lane, state, size, site):
     if is_of(part, OfSite):
-        return lambda part, rec, lane, mean, variance: (mean, variance, 1.0)
+
+        def shared(part, rec, lane, state, size, site):
+            own = (THETA + size + site * size + site) * B + lane
+            return state[(THETA + site) * B + lane], state[own], 1.0
+
+        return shared
     if is_of(part, OfVt):
 
-        def own(part, rec, lane, mean, variance):
+        def own(part, rec, lane, state, size, site):
             return np.float64(rec[OWN_OFFSET * B + lane]), np.float64(rec[OWN_VARIANCE * B + lane]), 0.0
 
         return own

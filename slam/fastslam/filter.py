@@ -73,8 +73,10 @@ class FastSlam:
         if o.sharing == "site":
             _, self._link_of, self._map_of = np.unique(self._site_of, return_index=True, return_inverse=True)
         self._leads = self._link_of[self._map_of] == np.arange(len(setup.links))
+        given = self.choice.prior(setup)
+        self.choice = self.choice.for_clocks(given.sites)
         self._particles: Particles = draw(
-            self.choice.prior(setup), o.particles_start or o.particles, self.choice.component_m,
+            given, o.particles_start or o.particles, self.choice.component_m,
             min(o.vts_per_link, CAPACITY), rng, len(self._link_of), self.choice.record, o.motion == "sampled",
         )  # fmt: skip
         self._origin = np.array(setup.start_pose[:3], float)
@@ -109,7 +111,7 @@ class FastSlam:
         measured = Measured(
             first, self._site_of, self._shares, self._map_of, self._leads, z, many, fresh, self._born
         )  # fmt: skip
-        self._parts, rules = self.choice.parts_for(snapshot, self._born), self._rules_for(dt_s)
+        self._parts, rules = self.choice.parts_for(snapshot, self._born, self._time_s + dt_s), self._rules_for(dt_s)
         sight = partial(self._sight, rules, float(dt_s), measured)
         velocity = self.choice.proposal(p, self._setup.odometry_model, dt_s, odometry, sight, self._rng)
         self._over_blocks(
@@ -175,7 +177,10 @@ class FastSlam:
         mean[:3] += self._origin
         block, lane = divmod(int(best), LANES)
         vts = map_of(p, best, self._parts, self._site_of[self._link_of], self._link_of, self._origin)
-        estimate = Estimate(mean, covariance, association[block, :, lane].astype(np.int64), offset, variance, vts)
+        sites = len(self._setup.sites)
+        estimate = Estimate(
+            mean, covariance, association[block, :, lane].astype(np.int64), offset[:sites], variance[:sites], vts
+        )
         pose = p.rows(POSE, 6)[block, :, lane].copy()
         pose[:3] += self._origin
         self._misfit.learn(estimate, values, pose)

@@ -36,6 +36,8 @@ HITS = 26
 RECORD = 27
 OWN_OFFSET, OWN_VARIANCE = 27, 28  # where each VT has a clock offset of its own, mean and variance of it
 RECORD_WITH_OFFSET = 29
+RATE_GAIN, RATE0, TIME0 = 27, 30, 31  # where clocks drift, see `drift`; RATE_GAIN: 3
+RECORD_WITH_RATE = 32
 
 # What a track could show when last predicted, rows over the tracks of a map: least and greatest distance, how far the
 # particles had moved, azimuth in the world frame, give or take, how far they had turned, least distance from a
@@ -54,7 +56,8 @@ O_X, O_Y, O_Z, O_FLAT, O_FULL = 30, 31, 32, 33, 34  # VT in the body frame
 O_MU = 35  # 5: mu at the present theta
 O_SCORE = 40  # log of visible and detected against missed, less log clutter density
 O_OFFSET = 41  # clock offset that distances are expected with
-OUT = 42
+O_AR = 42  # 3: dh/d(rate) over all paths, where clocks drift
+OUT = 45
 
 # Scratch W: rows of LANES.
 W_POSE, W_G, W_ROT, W_DROT = 0, 6, 12, 21
@@ -65,7 +68,10 @@ W_GUESS = 40  # 4 rows, at births: distance, cos and sin of azimuth, variance of
 W_REACH = 55  # 4 rows: expected distance and its variance, azimuth against the first lane and its variance
 W_LINK = 60  # 9 rows: y (3) and I (00 01 02 11 12 22) of the link at hand, over (offset, bias, scale)
 W_OFFSET_PRIOR = 69  # variance of the site's offset, as it was loaded
-W_ROWS = 70
+W_RATE = 70  # where clocks drift: mean of the rate, and its covariances with itself, offset, bias and scale
+W_PR = 71
+W_SITE = 75  # number of the site, in the first lane
+W_ROWS = 76
 
 # Scratch V: rows of LANES, in double precision: what is summed up over a snapshot.
 V_WEIGHT = 0

@@ -135,14 +135,14 @@ def _read_map(parts, lane, least, size, state, status, records, ident, order, co
         for r in range(3):
             for c in range(3):
                 block[r, c] = state[(THETA + size + index[r] * size + index[c]) * B + lane]
-        mean, variance, by_bias, by_scale = state[(THETA + index[0]) * B + lane], block[0, 0], block[0, 1], block[0, 2]
+        by_bias, by_scale = block[0, 1], block[0, 2]
         for j in range(counts[own]):
             slot = order[own, j]
             s = status[own, slot, lane]
             if s < 0 or s & 3 < least:
                 continue
             v = records[own, slot]
-            offset, block[0, 0], shared = offset_belief(parts.clock, v, lane, mean, variance)
+            offset, block[0, 0], shared = offset_belief(parts.clock, v, lane, state, size, index[0])
             block[0, 1] = block[1, 0] = shared * by_bias
             block[0, 2] = block[2, 0] = shared * by_scale
             d0 = offset - v[OFFSET0 * B + lane]

@@ -19,14 +19,14 @@ YAW_RATE, SPEED = 3, 0  # components of u whose bias and scale are marginalised
 
 @dataclass(frozen=True)
 class Particles:
-    """State of N = 32 G particles with K = S + 2 nuisances (offsets, yaw-rate bias, odometer scale), C tracks in
-    each of L maps.
+    """State of N = 32 G particles with K nuisances (S offsets, their rates where clocks drift, yaw-rate bias, odometer
+    scale), C tracks in each of L maps.
 
     state (G, F * 32) and records (G, L, C, 27 * 32): rows of `layout`; status (G, L, C, 32): -1 where a particle does
     not believe in a track, else 4 * snapshot last seen + class; alike (G, L, C): that of all 32 lanes, or UNKNOWN;
     ident (G, L, C): measurement that the track was born from; order (G, L, C): a permutation, its first counts[g, l]
     are in use; bounds (G, L, BOUND, C): what the track could show when last predicted (see `candidates_kernel._bound`);
-    travelled (G, S + 1): how far the particles and a site's offset have moved, m, and how far directions have turned,
+    travelled (G, K - 1): how far the particles and a site's offset have moved, m, and how far directions have turned,
     rad; log_weight (G, 32).
     """
 
@@ -84,7 +84,8 @@ def draw(
     linearised too far from the truth).
     """
     sites, model = setup.sites, setup.odometry_model
-    blocks, size = -(-count // LANES), len(sites) + 2
+    rates = sites.drift_std_m_s if (sites.drift_std_m_s > 0.0).any() else np.zeros(0)
+    blocks, size = -(-count // LANES), len(sites) + len(rates) + 2
     particles = _empty(blocks, size, maps or len(setup.links), capacity, record)
     prior = sites.clock_offset_std_m
     component = np.minimum(prior, component_std_m)
@@ -104,7 +105,7 @@ def draw(
     fill(BIAS, bias)
     fill(SCALE, scale)
     fill(THETA, sites.clock_offset_mean_m + spread * ndtri(quasi_random(n, len(sites), rng)))
-    variances = np.concatenate([component**2, marginalised**2])
+    variances = np.concatenate([component**2, rates**2, marginalised**2])
     fill(THETA + size, np.tile(np.diag(variances).ravel(), (n, 1)))
     return particles
 

@@ -9,7 +9,7 @@ import math
 
 from numba import njit
 
-from cellslam.slam.fastslam.clock import expect
+from cellslam.slam.fastslam.clock import expect, widen
 from cellslam.slam.fastslam.landmarks import moved, place, slopes
 from cellslam.slam.fastslam.layout import (
     ANCHOR,
@@ -77,7 +77,7 @@ _spread_of_nuisances = _congruence_at(W_P, O_A, O_C)
 def predict(parts, w, rec, out):
     """Predict a record: h, H, A, S = H Sigma H^T, C = A P A^T (method.md: gate), lane by lane."""
     F = w.dtype.type
-    expect(parts.clock, w, rec, out)
+    expect(parts.clock, parts.landmarks, w, rec, out)
     for l in range(B):
         db, dg = out[O_OFFSET * B + l] - rec[OFFSET0 * B + l], w[W_BIAS * B + l] - rec[BIAS0 * B + l]
         ds = w[W_SCALE * B + l] - rec[SCALE0 * B + l]
@@ -163,3 +163,4 @@ def predict(parts, w, rec, out):
         out[(O_A + 8) * B + l] = a8
     _spread_of_vt(rec, out)
     _spread_of_nuisances(w, out)
+    widen(parts.clock, w, rec, out)

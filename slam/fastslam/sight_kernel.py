@@ -10,6 +10,7 @@ from numba import njit
 from cellslam.slam.fastslam.association import associate
 from cellslam.slam.fastslam.borrow import borrowed, borrowed_measured, borrowed_scratch, borrowed_tracks
 from cellslam.slam.fastslam.candidates_kernel import candidates, middle
+from cellslam.slam.fastslam.clock import clock_moves, load_clock
 from cellslam.slam.fastslam.layout import (
     LANES,
     O_FLAT,
@@ -60,6 +61,7 @@ sight_blocks: Any = cached_and_not(_sight_blocks)
 def _sight(g, parts, rules, now, dt, velocity, state, tracks, travelled, measured, seen, s):
     size = travelled.shape[0] + 1
     advance(state, travelled, velocity, dt, size)
+    clock_moves(parts.clock, state, travelled, dt, size)
     turned = travelled[size - 2]
     prepare(s.w, state)
     psi, psi_spread = middle(s.w, W_POSE + 3)
@@ -74,6 +76,7 @@ def _sight(g, parts, rules, now, dt, velocity, state, tracks, travelled, measure
             tracks.order[g, own], tracks.bounds[g, own],
         )  # fmt: skip
         load_site(s.w, state, site, size)
+        load_clock(parts.clock, s.w, state, site, size)
         found = candidates(
             parts, s, now, link, tracks.counts[g, own], travelled[site], turned, psi, psi_spread, measured.z, first,
             last, rules,

@@ -10,8 +10,8 @@ import pytest
 from scipy.linalg import block_diag, solve_triangular
 
 from cellslam.benchmarks import bound_persisting
-from cellslam.benchmarks.bound import bound, core_of, linear_motion, start_variance, tracked_measurements
-from cellslam.benchmarks.bound_persisting import bell_functions, correlation, principal_functions
+from cellslam.benchmarks.bound import bound, core_of, drifted_std, linear_motion, start_variance, tracked_measurements
+from cellslam.benchmarks.bound_persisting import bell_functions, correlation, principal_functions, rates_among
 from cellslam.sim.errors import InputError
 from cellslam.sim.lte import RadioConfig
 from cellslam.sim.lte.persisting import causes, draw_fields, persisting_std
@@ -167,19 +167,25 @@ def exact_covariance(recording: Recording, config: RadioConfig, rows: np.ndarray
     return out.reshape(3 * len(t), -1)
 
 
-def test_bound_equals_the_joint_recursion_with_the_same_states(make_recording, monkeypatch):
+@pytest.mark.parametrize("drift_m_s", [None, 0.3])
+def test_bound_equals_the_joint_recursion_with_the_same_states(make_recording, monkeypatch, drift_m_s):
     recording = make_recording(
         seed=3, snapshots=40, vts_per_site=3, detection=0.5, std=WHITE, start_std=(1, 2, 0.5, 0.05, 0.01, 0.01),
     )  # fmt: skip
     # Roof in bells (more principal functions than allowed), calibration in principal functions.
     monkeypatch.setattr(bound_persisting, "MOST_FUNCTIONS", 8)
     recording = persisting(recording, roof_correlation_deg=2.0)
-    joint, result = JointFilter(recording), bound(recording)
+    if drift_m_s is not None:
+        std = np.full(len(recording.sites), drift_m_s)
+        recording = replace(recording, sites=replace(recording.sites, clock_drift_std_m_s=std))
+    joint, result, drifted = JointFilter(recording), bound(recording), drifted_std(recording)
+    rate = joint.core.size + joint.vts + rates_among(joint.errors, drifted)
     for t, *_ in joint.steps_of():
         pose = joint.covariance[:6, :6]
         scale = np.sqrt(np.diag(pose))
         assert np.abs((result.pose_covariance[t] - pose) / (scale[:, None] * scale)).max() < 1e-5
-        offset = np.sqrt(np.diag(joint.covariance)[joint.core.offsets])
+        now = np.eye(joint.size)[joint.core.offsets] + drifted[t][:, None] * np.eye(joint.size)[rate]
+        offset = np.sqrt(np.diag(now @ joint.covariance @ now.T))
         np.testing.assert_allclose(result.clock_offset_std_m[t], offset, rtol=1e-5)
     assert set(joint.errors.kind) == {0, 1, 2} and (joint.looks.state < 0).any()
     assert joint.size < 800

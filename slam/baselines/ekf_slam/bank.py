@@ -32,15 +32,23 @@ LOST = 64  # confirmed VTs that one snapshot can push out
 
 @dataclass(frozen=True)
 class Core:
-    """States before the VTs: pose (0-5), odometry biases and scales that the data sheet has, clock offsets (S).
+    """States before the VTs: pose (0-5), odometry biases and scales that the data sheet has, clock offsets (S), rates
+    of those that drift.
 
-    `bias`, `scale` (6,): state of each component's error, -1 where it does not exist.
+    `bias`, `scale` (6,), `rate` (S,): state of each component's error and of each offset's rate, -1 where there is
+    none.
     """
 
     bias: Ints
     scale: Ints
     first_offset: int
+    rate: Ints
     size: int
+
+    @property
+    def offsets(self) -> slice:
+        """The clock offsets."""
+        return slice(self.first_offset, self.first_offset + len(self.rate))
 
     @staticmethod
     def of(setup: Setup) -> Core:
@@ -51,7 +59,9 @@ class Core:
         bias[biased] = 6 + np.arange(len(biased))
         scale[scaled] = 6 + len(biased) + np.arange(len(scaled))
         first = 6 + len(biased) + len(scaled)
-        return Core(bias, scale, first, first + len(setup.sites))
+        drifts, after = setup.sites.drift_std_m_s > 0.0, first + len(setup.sites)
+        rate = np.where(drifts, after + np.cumsum(drifts) - 1, -1).astype(np.int64)
+        return Core(bias, scale, first, rate, after + int(drifts.sum()))
 
 
 @dataclass
@@ -111,7 +121,7 @@ class Bank:
         scratch = np.empty((filters, 36)), np.empty((filters, 6, self.core.size + 6)), np.empty((filters, 6, 3 + size))
         move(
             self.x, self.p, mapped, odometry, dt_s, model.noise_density, model.bias_walk_density, self.core.bias,
-            self.core.scale, self.core.size, *scratch,
+            self.core.scale, self.core.first_offset, self.core.rate, self.core.size, *scratch,
         )  # fmt: skip
 
     def use(self, setup: Setup, measured: Measured, forbidden: Ints | None = None) -> Ints:
@@ -208,8 +218,9 @@ def new_bank(setup: Setup, core: Core, mode: int, vts: int, offsets_m: Floats, o
     variance[:6] = setup.start_std**2
     for of, std in ((core.bias, model.bias), (core.scale, model.scale)):
         variance[of[of >= 0]] = std[of >= 0] ** 2
-    variance[core.first_offset :] = offset_std_m**2
-    x[:, :6], x[:, core.first_offset : core.size] = setup.start_pose, offsets_m
+    variance[core.offsets] = offset_std_m**2
+    variance[core.rate[core.rate >= 0]] = setup.sites.drift_std_m_s[core.rate >= 0] ** 2
+    x[:, :6], x[:, core.offsets] = setup.start_pose, offsets_m
     p[:, np.arange(core.size), np.arange(core.size)] = variance
     anchor = np.zeros((filters, vts, ANCHOR))
     anchor[:, :, SHARE] = 1.0

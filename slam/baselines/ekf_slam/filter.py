@@ -131,7 +131,7 @@ class JointFilter:
             self._archive = np.concatenate([self._archive, bank.lost[best, : bank.losses[best]]])
         bank.losses[:] = 0
         mean, cov = mixture(bank, slice(0, bank.core.size))
-        offsets = slice(bank.core.first_offset, bank.core.size)
+        offsets = bank.core.offsets
         variance = np.maximum(np.diag(cov)[offsets], 0.0)
         return _estimate(mean, cov, association[best].copy(), mean[offsets], variance, self._map([(bank, best)]))
 

@@ -40,7 +40,7 @@ def fuse(prior: Gaussian, sites: Sequence[Gaussian]) -> Gaussian:
     matrix, vector = np.eye(root.shape[1]), np.zeros(root.shape[1])
     for site_mean, site_cov in sites:
         values, axes = np.linalg.eigh(left @ site_cov @ left.T)
-        told = (values < 1.0) & (values > LEAST_SHARE * values[-1])
+        told = (values < 1.0) & (values > LEAST_SHARE * values.max(initial=0.0))
         information, axes = 1.0 / values[told], axes[:, told]
         matrix += (axes * (information - 1.0)) @ axes.T
         vector += axes @ (information * (axes.T @ (left @ (site_mean - mean))))

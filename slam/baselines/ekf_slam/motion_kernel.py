@@ -25,7 +25,7 @@ def rotations(rot, psi, theta, phi):
 
 
 @njit(cache=True)
-def _move(x, p, size, odometry, dt, noise, walk, bias_of, scale_of, core, rot, step, rows):
+def _move(x, p, size, odometry, dt, noise, walk, bias_of, scale_of, first_offset, rate_of, core, rot, step, rows):
     for c in range(6):
         rows[c, 0] = odometry[c] - (x[bias_of[c]] if bias_of[c] >= 0 else 0.0)
         rows[c, 1] = 1.0 / (1.0 + (x[scale_of[c]] if scale_of[c] >= 0 else 0.0))
@@ -84,18 +84,27 @@ def _move(x, p, size, odometry, dt, noise, walk, bias_of, scale_of, core, rot, s
     for c in range(6):
         if bias_of[c] >= 0:
             p[bias_of[c], bias_of[c]] += walk[c] * walk[c] * dt
+    for s in range(len(rate_of)):
+        offset, rate = first_offset + s, rate_of[s]
+        if rate >= 0:
+            x[offset] += x[rate] * dt
+            for j in range(size):
+                p[offset, j] += dt * p[rate, j]
+            for i in range(size):
+                p[i, offset] += dt * p[i, rate]
 
 
 @njit(cache=True)
-def move(x, p, count, odometry, dt, noise, walk, bias_of, scale_of, core, geometry, step, rows):
+def move(x, p, count, odometry, dt, noise, walk, bias_of, scale_of, first_offset, rate_of, core, geometry, step, rows):
     """Advance filters x (K, N), p (K, N, N) by `dt` > 0 with mean body velocities odometry (6,).
 
     noise, walk (6,): densities of the data sheet; bias_of, scale_of (6,): state of each component's error, -1 none;
-    core: number of states before the VTs; count (K,): VTs. geometry (K, 36), step (K, 6, core + 6), rows
-    (K, 6, 3 + N): scratch.
+    first_offset, rate_of (S,): states of the clock offsets, and of the rate of each, -1 none; core: number of states
+    before the VTs; count (K,): VTs. geometry (K, 36), step (K, 6, core + 6), rows (K, 6, 3 + N): scratch.
     """
     for f in range(len(x)):
         size = core + 3 * count[f]
         _move(
-            x[f], p[f], size, odometry, dt, noise, walk, bias_of, scale_of, core, geometry[f], step[f], rows[f],
+            x[f], p[f], size, odometry, dt, noise, walk, bias_of, scale_of, first_offset, rate_of, core, geometry[f],
+            step[f], rows[f],
         )  # fmt: skip

@@ -66,7 +66,8 @@ class Start:
 
     def offsets(self) -> tuple[Floats, Floats]:
         """Return mean and variance (S,) of the clock offsets."""
-        moments = [mixture(bank, slice(bank.core.first_offset + s, None)) for s, bank in enumerate(self.banks)]
+        firsts = [bank.core.first_offset + s for s, bank in enumerate(self.banks)]
+        moments = [mixture(bank, slice(i, i + 1)) for bank, i in zip(self.banks, firsts, strict=True)]
         return np.array([m[0][0] for m in moments]), np.array([m[1][0, 0] for m in moments])
 
     def shared(self) -> Gaussian:
@@ -91,7 +92,7 @@ class Start:
         places = max(vts, sum(counts))
         zero = np.zeros((1, len(self.banks)))
         out = new_bank(setup, core, mode, places, zero, zero[0])
-        rows = _order(n, counts, core.size)
+        rows = _order(n, counts, core)
         out.x[0, rows] = mean
         out.p[0][np.ix_(rows, rows)] = cov
         out.count[0] = sum(counts)
@@ -159,7 +160,13 @@ def _states(bank: Bank, site: int, index: int) -> Ints:
     """Return the states that a site's filter contributes: shared ones, its offset, its VTs."""
     core = bank.core
     vts = np.arange(core.size, core.size + 3 * _vts(bank, index))
-    return np.concatenate([np.arange(core.first_offset), [core.first_offset + site], vts]).astype(np.int64)
+    return np.concatenate([np.arange(core.first_offset), _clock(core, site), vts]).astype(np.int64)
+
+
+def _clock(core: Core, site: int) -> Ints:
+    """Return the states of a site's clock: its offset, and its rate where it drifts."""
+    own = [core.first_offset + site, core.rate[site]]
+    return np.array(own if core.rate[site] >= 0 else own[:1], np.int64)
 
 
 def _vts(bank: Bank, index: int) -> int:
@@ -167,11 +174,11 @@ def _vts(bank: Bank, index: int) -> int:
     return 0 if bank.mode == KNOWN_MAP else int(bank.count[index])
 
 
-def _order(shared: int, counts: list[int], core: int) -> Ints:
-    """Return where [c, offset_1, VTs_1, offset_2, VTs_2, ...] go in the joint state."""
-    rows, vt = [np.arange(shared)], core
+def _order(shared: int, counts: list[int], core: Core) -> Ints:
+    """Return where [c, clock_1, VTs_1, clock_2, VTs_2, ...] go in the joint state."""
+    rows, vt = [np.arange(shared)], core.size
     for s, count in enumerate(counts):
-        rows += [np.array([shared + s]), np.arange(vt, vt + 3 * count)]
+        rows += [_clock(core, s), np.arange(vt, vt + 3 * count)]
         vt += 3 * count
     return np.concatenate(rows).astype(np.int64)
 
