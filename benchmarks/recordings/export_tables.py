@@ -105,6 +105,8 @@ def _truth_tables(r: Recording) -> Tables:
         "truth_measurements": {"vt": t.measurement_vt},
         "truth_sites": {**dict(zip(names[:3], t.site_positions_m.T, strict=True)), "clock_offset_m": t.clock_offsets_m},
     }
+    if t.clock_drift_m_s is not None:
+        out["truth_sites"]["clock_drift_m_s"] = t.clock_drift_m_s
     position = dict(zip(names[:3], t.vts.position_m.T, strict=True))
     out["truth_vts"] = {"site": t.vts.site, "order": t.vts.order, **position}
     return out

@@ -11,9 +11,9 @@ import numpy as np
 from cellslam.sim.recording import Floats, Ints, Sites
 from cellslam.slam.api import Setup, Snapshot
 from cellslam.slam.fastslam.association import Hungarian, Nearest, Sampled
-from cellslam.slam.fastslam.clock import OfSite, OfVt
+from cellslam.slam.fastslam.clock import Drifting, OfSite, OfVt
 from cellslam.slam.fastslam.criterion import Likelihood, Mahalanobis
-from cellslam.slam.fastslam.drift import Drifting
+from cellslam.slam.fastslam.drift import drifting
 from cellslam.slam.fastslam.landmarks import Cartesian, Spherical
 from cellslam.slam.fastslam.layout import RECORD, RECORD_WITH_OFFSET, RECORD_WITH_RATE
 from cellslam.slam.fastslam.options import FastSlamOptions
@@ -40,7 +40,7 @@ class Choice:
     least_score: float
 
     def prior(self, setup: Setup) -> Setup:
-        """Return the setup as this choice takes it."""
+        """Return the setup as this choice takes it: rates of clocks are followed where a site has one offset."""
         sites = setup.sites
         if self.known_clock:
             sites = replace(sites, clock_offset_std_m=np.zeros_like(sites.clock_offset_std_m))
@@ -49,12 +49,10 @@ class Choice:
         return replace(setup, sites=sites)
 
     def for_clocks(self, sites: Sites) -> Choice:
-        """Return the choice for clocks of one offset a site, which may drift."""
-        if not isinstance(self.parts.clock, (OfSite, Drifting)):
+        """Return the choice for the clocks of such a setup, which may drift."""
+        if not (sites.drift_std_m_s > 0.0).any():
             return self
-        drifts = bool((sites.drift_std_m_s > 0.0).any())
-        parts = self.parts._replace(clock=Drifting(0.0, len(sites)) if drifts else OfSite())
-        return replace(self, parts=parts, record=RECORD_WITH_RATE if drifts else RECORD)
+        return replace(self, parts=self.parts._replace(clock=drifting(len(sites))), record=RECORD_WITH_RATE)
 
     def parts_for(self, snapshot: Snapshot, born: int, elapsed_s: float) -> Parts:
         """Return the parts for one snapshot, so long after the start, `born` measurements having gone before: a part

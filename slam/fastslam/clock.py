@@ -39,6 +39,13 @@ class OfVt(NamedTuple):
     """An offset for each VT, a fourth state beside its position, as where transmitters are not known to share one."""
 
 
+class Drifting(NamedTuple):
+    """One offset and one rate a site: what it does is in `drift`. `elapsed_s`: since the start; `sites`: how many."""
+
+    elapsed_s: float
+    sites: int
+
+
 def clock_moves(part, state, travelled, dt, size):
     """Let offsets that drift go on by an interval, and say how far."""
     raise NotImplementedError
@@ -120,37 +127,27 @@ def _begin_offset(part, w, rec):
 
 @overload(clock_moves, **COMPILED)
 def _clock_moves(part, state, travelled, dt, size):
-    if is_of(part, OfSite) or is_of(part, OfVt):
-        return lambda part, state, travelled, dt, size: None
-    return None
+    return None if is_of(part, Drifting) else lambda part, state, travelled, dt, size: None
 
 
 @overload(rate_changes, **COMPILED)
 def _rate_changes(part, v, change, travelled):
-    if is_of(part, OfSite) or is_of(part, OfVt):
-        return lambda part, v, change, travelled: None
-    return None
+    return None if is_of(part, Drifting) else lambda part, v, change, travelled: None
 
 
 @overload(load_clock, **COMPILED)
 def _load_clock(part, w, state, site, size):
-    if is_of(part, OfSite) or is_of(part, OfVt):
-        return lambda part, w, state, site, size: None
-    return None
+    return None if is_of(part, Drifting) else lambda part, w, state, site, size: None
 
 
 @overload(widen, **COMPILED)
 def _widen(part, w, rec, out):
-    if is_of(part, OfSite) or is_of(part, OfVt):
-        return lambda part, w, rec, out: None
-    return None
+    return None if is_of(part, Drifting) else lambda part, w, rec, out: None
 
 
 @overload(correct_clock, **COMPILED)
 def _correct_clock(part, w, rec, out):
-    if is_of(part, OfSite) or is_of(part, OfVt):
-        return lambda part, w, rec, out: None
-    return None
+    return None if is_of(part, Drifting) else lambda part, w, rec, out: None
 
 
 def offset_belief(part, rec, lane, state, size, site):

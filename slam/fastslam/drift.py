@@ -10,12 +10,12 @@ which a record takes up whenever it is predicted: RATE_GAIN is G_rate, RATE0 and
 
 from __future__ import annotations
 
-from typing import NamedTuple
-
 import numpy as np
+from numba import njit
 from numba.extending import overload
 
 from cellslam.slam.fastslam.clock import (
+    Drifting,
     absorb,
     begin_offset,
     clock_moves,
@@ -58,11 +58,20 @@ from cellslam.slam.fastslam.parts import COMPILED, is_of
 B = LANES
 
 
-class Drifting(NamedTuple):
-    """One offset and one rate a site. `elapsed_s`: since the start; `sites`: how many there are."""
+def drifting(sites: int) -> Drifting:
+    """Return the part for so many sites, at the start."""
+    return Drifting(0.0, sites)
 
-    elapsed_s: float
-    sites: int
+
+@njit(inline="always")
+def weighed(w, out, l):
+    """Return A_rate (3) and S^-1 A_rate (3) of the pair at hand in lane l, the latter 0 where W_MASK is."""
+    on = w[W_MASK * B + l]
+    a0, a1, a2 = out[O_AR * B + l], out[(O_AR + 1) * B + l], out[(O_AR + 2) * B + l]
+    i0, i1, i2 = w[W_INV * B + l], w[(W_INV + 1) * B + l], w[(W_INV + 2) * B + l]
+    i3, i4, i5 = w[(W_INV + 3) * B + l], w[(W_INV + 4) * B + l], w[(W_INV + 5) * B + l]
+    u0, u1, u2 = i0 * a0 + i1 * a1 + i2 * a2, i1 * a0 + i3 * a1 + i4 * a2, i2 * a0 + i4 * a1 + i5 * a2
+    return a0, a1, a2, on * u0, on * u1, on * u2
 
 
 @overload(clock_moves, **COMPILED)
@@ -216,13 +225,7 @@ def _absorb(part, w, v, rec, out):
             w[(W_LINK + 7) * B + l] += on * i12
             w[(W_LINK + 8) * B + l] += on * i22
         for l in range(B):
-            on = w[W_MASK * B + l]
-            a0, a1, a2 = out[O_AR * B + l], out[(O_AR + 1) * B + l], out[(O_AR + 2) * B + l]
-            i0, i1, i2 = w[W_INV * B + l], w[(W_INV + 1) * B + l], w[(W_INV + 2) * B + l]
-            i3, i4, i5 = w[(W_INV + 3) * B + l], w[(W_INV + 4) * B + l], w[(W_INV + 5) * B + l]
-            u0 = on * (i0 * a0 + i1 * a1 + i2 * a2)
-            u1 = on * (i1 * a0 + i3 * a1 + i4 * a2)
-            u2 = on * (i2 * a0 + i4 * a1 + i5 * a2)
+            a0, a1, a2, u0, u1, u2 = weighed(w, out, l)
             v[own + l] += u0 * w[W_E * B + l] + u1 * w[(W_E + 1) * B + l] + u2 * w[(W_E + 2) * B + l]
             v[by_self + l] += u0 * a0 + u1 * a1 + u2 * a2
             v[by_offset + l] += u0 * out[O_A * B + l] + u1 * out[(O_A + 3) * B + l] + u2 * out[(O_A + 6) * B + l]
@@ -240,13 +243,7 @@ def _correct_clock(part, w, rec, out):
     def drifting(part, w, rec, out):
         # G_rate -= K A_rate, K = Sigma H^T S^-1
         for l in range(B):
-            on = w[W_MASK * B + l]
-            a0, a1, a2 = out[O_AR * B + l], out[(O_AR + 1) * B + l], out[(O_AR + 2) * B + l]
-            i0, i1, i2 = w[W_INV * B + l], w[(W_INV + 1) * B + l], w[(W_INV + 2) * B + l]
-            i3, i4, i5 = w[(W_INV + 3) * B + l], w[(W_INV + 4) * B + l], w[(W_INV + 5) * B + l]
-            u0 = on * (i0 * a0 + i1 * a1 + i2 * a2)
-            u1 = on * (i1 * a0 + i3 * a1 + i4 * a2)
-            u2 = on * (i2 * a0 + i4 * a1 + i5 * a2)
+            _, _, _, u0, u1, u2 = weighed(w, out, l)
             x0 = out[O_H * B + l] * u0 + out[(O_H + 3) * B + l] * u1 + out[(O_H + 6) * B + l] * u2
             x1 = out[(O_H + 1) * B + l] * u0 + out[(O_H + 4) * B + l] * u1 + out[(O_H + 7) * B + l] * u2
             x2 = out[(O_H + 2) * B + l] * u0 + out[(O_H + 5) * B + l] * u1 + out[(O_H + 8) * B + l] * u2

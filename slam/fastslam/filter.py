@@ -74,10 +74,10 @@ class FastSlam:
             _, self._link_of, self._map_of = np.unique(self._site_of, return_index=True, return_inverse=True)
         self._leads = self._link_of[self._map_of] == np.arange(len(setup.links))
         given = self.choice.prior(setup)
-        self.choice = self.choice.for_clocks(given.sites)
+        self._choice = self.choice.for_clocks(given.sites)
         self._particles: Particles = draw(
-            given, o.particles_start or o.particles, self.choice.component_m,
-            min(o.vts_per_link, CAPACITY), rng, len(self._link_of), self.choice.record, o.motion == "sampled",
+            given, o.particles_start or o.particles, self._choice.component_m,
+            min(o.vts_per_link, CAPACITY), rng, len(self._link_of), self._choice.record, o.motion == "sampled",
         )  # fmt: skip
         self._origin = np.array(setup.start_pose[:3], float)
         self._particles.rows(POSE, 3)[:] -= self._origin[:, None]
@@ -111,9 +111,9 @@ class FastSlam:
         measured = Measured(
             first, self._site_of, self._shares, self._map_of, self._leads, z, many, fresh, self._born
         )  # fmt: skip
-        self._parts, rules = self.choice.parts_for(snapshot, self._born, self._time_s + dt_s), self._rules_for(dt_s)
+        self._parts, rules = self._choice.parts_for(snapshot, self._born, self._time_s + dt_s), self._rules_for(dt_s)
         sight = partial(self._sight, rules, float(dt_s), measured)
-        velocity = self.choice.proposal(p, self._setup.odometry_model, dt_s, odometry, sight, self._rng)
+        velocity = self._choice.proposal(p, self._setup.odometry_model, dt_s, odometry, sight, self._rng)
         self._over_blocks(
             advance_blocks(self._parts), self._parts, rules, self._now, float(dt_s), velocity, p.state, p.tracks,
             p.travelled, measured, p.log_weight, association,
@@ -140,7 +140,7 @@ class FastSlam:
             self._rules = (dt_s, Rules(
                 log_clutter=float(np.log(o.clutter_density)), gate=o.gate, log_birth=float(-np.log1p(-o.birth_ratio)),
                 slack_m=SLACK_M, hits=float(o.confirm_hits), age_once=age_once, age_twice=age_twice,
-                exponent=o.likelihood_exponent, least_score=self.choice.least_score, merging=o.merging, tables=tables,
+                exponent=o.likelihood_exponent, least_score=self._choice.least_score, merging=o.merging, tables=tables,
             ))  # fmt: skip
         return self._rules[1]
 
@@ -187,5 +187,5 @@ class FastSlam:
         estimate = self._attitude.concluded(estimate, snapshot, values.many, pose)
         wanted = -(-o.particles // LANES) * LANES if self._time_s >= o.start_phase_s else len(p)
         if wanted != len(p) or effective < o.effective_share * len(p):
-            self._particles = select(p, self.choice.resampling(weights.ravel(), wanted, self._rng))
+            self._particles = select(p, self._choice.resampling(weights.ravel(), wanted, self._rng))
         return estimate

@@ -7,7 +7,8 @@ part of your own is a NamedTuple with such an implementation; `FastSlam(options,
     associate, may_be_born                                                          association.py
     score                                                                           criterion.py
     moved, corrected, place, slopes, begin, begin_spread, begin_gain, locate        landmarks.py
-    expect, absorb, begin_offset, offset_belief                                     clock.py
+    expect, absorb, begin_offset, offset_belief; if it has more to say: clock_moves,
+    rate_changes, load_clock, widen, correct_clock                                  clock.py
 """
 
 from __future__ import annotations
