@@ -157,7 +157,7 @@ def _print_table(job: Job) -> None:
     if not console.is_terminal:
         console = Console(width=PIPE_WIDTH)
     oracles = frozenset(request.name for request in job.requests if request.oracle)
-    console.print(results_table([*job.rows, *job.bounds], _title(job), oracles))
+    console.print(results_table([*job.rows, *job.bounds], _title(job), oracles, console.width))
 
 
 def _title(job: Job) -> str:

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
     from cellslam.benchmarks.trials import Trial
 
-BOUND = "bound"
+BOUND, LONGEST_NAME = "bound", len("oracle-association")
 # Heading and the keys of a column, values joined by a slash; it all fits in 80 characters.
 _COLUMNS = (
     ("RMSE\n(m)", ("position_rmse_m",), 2),
@@ -27,7 +27,7 @@ _COLUMNS = (
     ("x real\ntime", ("realtime_factor",), 0),
 )
 
-# The same over several trials; it all fits in 120 characters. The first one is shown with its interval.
+# The same over several trials, for 120 characters. The first one is shown with its interval.
 _SEVERAL = (
     ("RMSE (m)\n[95 %]", ("position_rmse_m",), 2),
     ("max\n(m)", ("position_max_m",), 2),
@@ -39,8 +39,17 @@ _SEVERAL = (
     ("x real\ntime", ("realtime_factor",), 0),
 )
 _COUNTED = ("share of\nbound", "lost", "trials\nok")
+_FIRST_TO_GO = (
+    "heading\n(rad)",
+    "GOSPA\n(m)",
+    "offset\n(m)",
+    "trials\nok",
+    "max\n(m)",
+    "assoc.\nprec/rec",
+    "NEES\n(2)",
+)
 CONFIDENCE, LOST_M = 0.95, 2.0
-TOO_WIDE = 1e5  # a spoilt covariance claims an NEES of 1e11
+LONG, TOO_WIDE = 1e3, 1e5  # without decimals, as a power of ten: a spoilt covariance claims an NEES of 1e11
 _LEGEND = (
     "medians over the trials that are ok; share of bound: root of the sums of squares, bound over error; "
     f"lost: RMSE above {LOST_M:g} m, or failed"
@@ -63,11 +72,13 @@ def bound_row(trial: Trial) -> dict[str, Any]:
     }
 
 
-def results_table(rows: Sequence[Mapping[str, Any]], title: str, oracles: frozenset[str]) -> Table:
+def results_table(
+    rows: Sequence[Mapping[str, Any]], title: str, oracles: frozenset[str], width: int | None = None
+) -> Table:
     """Return the table of `rows`, one line an estimator in the order met; `oracles` are marked.
 
     Several trials give medians over those that are ok, the median error with its 95 % interval, how many drives were
-    lost, and the share of the bound.
+    lost, and the share of the bound. Columns that do not fit into `width` characters are left out, and named.
     """
     from rich import box
     from rich.markup import escape
@@ -79,21 +90,42 @@ def results_table(rows: Sequence[Mapping[str, Any]], title: str, oracles: frozen
         title=escape(title), title_justify="left", box=box.SIMPLE_HEAD, pad_edge=False, caption_justify="left",
         padding=(0, 1) if not several else (0, 0, 0, 1),
     )  # fmt: skip
-    table.add_column("estimator", overflow="fold")
-    columns = _SEVERAL if several else _COLUMNS
-    for heading in [*(column[0] for column in columns), *(_COUNTED if several else ())]:
+    columns = [_column([row for row in rows if row["estimator"] == name], several) for name in names]
+    cells = {heading: [column[heading] for column in columns] for heading in columns[0]}
+    left_out = _too_many(cells, width) if several and width is not None else []
+    table.add_column("estimator", overflow="fold", min_width=LONGEST_NAME)
+    for heading in cells:
         table.add_column(heading, justify="right", no_wrap=True)
-    for name in names:
-        own = [row for row in rows if row["estimator"] == name]
-        fine = [row for row in own if row["status"] == "ok"]
-        values = [_shown(fine, keys, digits) for _, keys, digits in columns]
-        if several:
-            values = [_with_interval(fine), *values[1:], *_counted(own, fine)]
+    for line, name in enumerate(names):
+        fine = any(row["estimator"] == name and row["status"] == "ok" for row in rows)
         mark = " (oracle)" if name in oracles else "" if fine else " (failed)"
-        table.add_row(escape(f"{name}{mark}"), *map(escape, values))
+        table.add_row(escape(f"{name}{mark}"), *(escape(values[line]) for values in cells.values()))
     notes = [_LEGEND] if several else []
+    notes += [f"in a wider window: {', '.join(heading.split()[0] for heading in left_out)}"] if left_out else []
     table.caption = "\n".join([*notes, *(["oracle: was shown the truth"] if oracles else [])]) or None
     return table
+
+
+def _column(own: Sequence[Mapping[str, Any]], several: bool) -> dict[str, str]:
+    """Return what stands under each heading for the rows of one estimator."""
+    fine = [row for row in own if row["status"] == "ok"]
+    if not several:
+        return {heading: _shown(fine, keys, digits) for heading, keys, digits in _COLUMNS}
+    cells = {heading: _shown(fine, keys, digits) for heading, keys, digits in _SEVERAL}
+    cells[_SEVERAL[0][0]] = _with_interval(fine)
+    return {**cells, **dict(zip(_COUNTED, _counted(own, fine), strict=True))}
+
+
+def _too_many(cells: dict[str, list[str]], width: int) -> list[str]:
+    """Take columns out of `cells`, the least important first, until they fit; return their headings."""
+    out = []
+    for heading in _FIRST_TO_GO:
+        texts = [[*key.split("\n"), *values] for key, values in cells.items()]
+        if LONGEST_NAME + 2 + sum(2 + max(map(len, lines)) for lines in texts) <= width:
+            break
+        cells.pop(heading)
+        out.append(heading)
+    return out
 
 
 def _with_interval(rows: Sequence[Mapping[str, Any]]) -> str:
@@ -125,4 +157,6 @@ def _shown(rows: Sequence[Mapping[str, Any]], keys: Sequence[str], digits: int) 
 
 
 def _number(value: float, digits: int) -> str:
-    return f"{value:.0e}" if abs(value) >= TOO_WIDE else f"{value:.{digits}f}"
+    if abs(value) >= TOO_WIDE:
+        return f"{value:.0e}"
+    return f"{value:.{digits if abs(value) < LONG else 0}f}"

@@ -71,13 +71,13 @@ def test_broken_plugins_are_failed_rows_and_disturb_nobody(plugins: Path, capsys
     assert "in compute" in trace
 
 
-def text_of(table: Any) -> str:
+def text_of(table: Any, width: int = 120) -> str:
     from io import StringIO
 
     from rich.console import Console
 
     file = StringIO()
-    Console(file=file, width=120).print(table)
+    Console(file=file, width=width).print(table)
     return file.getvalue()
 
 
@@ -115,3 +115,17 @@ def test_one_table_with_intervals_robustness_and_share_of_the_bound() -> None:
     assert seer.split()[-3:] == ["1.00", "1/6", "5/6"]
     assert "oracle: was shown the truth" in text
     assert max(map(len, text.splitlines())) <= 120
+
+
+@pytest.mark.parametrize("width", [80, 100, 120])
+def test_a_narrow_window_loses_columns_and_says_which(width: int) -> None:
+    more = dict.fromkeys(("position_max_m", "clock_offset_rmse_m", "map_gospa_m", "nees_mean", "realtime_factor"), 1.0)
+    rows = [row("oracle-association", t, 1.0, heading_rmse_rad=0.01, **more) for t in range(5)]
+    table = results_table(rows, "title", frozenset({"oracle-association"}), width)
+    text = text_of(table, width)
+    headings = [str(column.header).split()[0] for column in table.columns]
+    assert "oracle-association" in text and "…" not in text
+    assert headings[:2] == ["estimator", "RMSE"] and {"share", "lost"} <= set(headings)
+    missing = {"heading", "GOSPA", "offset", "trials", "max", "NEES", "assoc."} - set(headings)
+    assert (width < 120) == bool(missing)
+    assert all(name in text.split("in a wider window:")[-1] for name in missing)
