@@ -16,6 +16,7 @@ from numba import njit
 from cellslam.benchmarks.bound_model import Errors, Looks, Motion, Sightings, Work
 from cellslam.benchmarks.bound_states_kernel import POSE, append, decay, enter, leave, predict
 from cellslam.sim.recording import Floats, Ints
+from cellslam.slam.downdate_kernel import downdate
 
 
 @njit(cache=True)
@@ -127,7 +128,7 @@ def _update(
                 for c in range(3):
                     dots[k, 3 * (other - low) + c] = _shared_dot(row, looks, other, c, slot_of)
             k += 1
-    _subtract(p, g, n, k)
+    downdate(p, n, g, k)
 
 
 @njit(cache=True)
@@ -143,28 +144,6 @@ def _whiten(row: Floats, g: Floats, weight: Floats, k: int, n: int) -> None:
     while j < k:
         _add(row, -weight[j], g[j], n)
         j += 1
-
-
-@njit(cache=True)
-def _subtract(p: Floats, g: Floats, n: int, k: int) -> None:
-    """P <- P - G^T G with G the k gains: the lower triangle, two rows and four gains at once, then its mirror image."""
-    padded = (k + 3) // 4 * 4
-    for j in range(k, padded):
-        g[j, : n + 1] = 0.0
-    for j in range(k):
-        g[j, n] = 0.0
-    for i in range(0, n, 2):
-        row, below = p[i], p[i + 1]
-        for j in range(0, padded, 4):
-            a0, a1, a2, a3 = g[j, i], g[j + 1, i], g[j + 2, i], g[j + 3, i]
-            b0, b1, b2, b3 = g[j, i + 1], g[j + 1, i + 1], g[j + 2, i + 1], g[j + 3, i + 1]
-            g0, g1, g2, g3 = g[j], g[j + 1], g[j + 2], g[j + 3]
-            for x in range(i + 2):
-                row[x] -= a0 * g0[x] + a1 * g1[x] + a2 * g2[x] + a3 * g3[x]
-                below[x] -= b0 * g0[x] + b1 * g1[x] + b2 * g2[x] + b3 * g3[x]
-    for i in range(n):
-        for j in range(i):
-            p[j, i] = p[i, j]
 
 
 @njit(cache=True)

@@ -34,6 +34,7 @@ from cellslam.slam.baselines.ekf_slam.vt_kernel import give_birth, predict
 from cellslam.slam.baselines.oracles import KnownAssociation, KnownMap
 from cellslam.slam.conformance import EstimatorConformance
 from cellslam.slam.conformance_subject import tiny_drive
+from cellslam.slam.downdate_kernel import downdate
 from cellslam.slam.fastslam.assignment import assign
 from cellslam.slam.model import birth as born_at
 from cellslam.slam.model import predict as model_predict
@@ -109,24 +110,42 @@ def test_birth_is_exact_and_correlated_with_pose_and_offset() -> None:
     np.testing.assert_array_equal(p, p.T)
 
 
-def test_update_is_the_textbook_kalman_update() -> None:
+def test_updates_are_textbook_kalman_updates_also_while_they_wait() -> None:
     rng, anchor = np.random.default_rng(1), np.zeros(3)
     root = rng.normal(size=(13, 13)) * 0.02
     x, p = np.zeros(13), root @ root.T
     x[:6], x[6], x[7:10], x[10:] = POSE, 5.0, [80.0, 0.5, 0.2], [60.0, -1.0, 0.1]
-    h, by = predicted(np.concatenate([x[:6], x[7:10]]), anchor)
-    jacobian = np.zeros((3, 13))
-    jacobian[:, :6], jacobian[0, 6], jacobian[:, 7:10] = by[:, :6], 1.0, by[:, 6:]
-    q, z = np.array([0.3, 1e-4, 2e-4]), h + np.array([5.2, 0.01, -0.02])
-    s = jacobian @ p @ jacobian.T + np.diag(q)
-    gain, e = p @ jacobian.T @ np.linalg.inv(s), z - h - [5.0, 0.0, 0.0]
-    mean, cov = x + gain @ e, p - gain @ s @ gain.T
-    value = -0.5 * (e @ np.linalg.solve(s, e) + np.log(np.linalg.det(2.0 * np.pi * s)))
-    g, t = np.zeros(GEOMETRY), np.zeros((3, 13))
-    got = update(g, x, p, 13, anchor, 6, 7, True, z, q, np.zeros(3), np.zeros((3, 3)), t)
-    np.testing.assert_allclose(got, value, rtol=1e-9)
-    np.testing.assert_allclose(x, mean, rtol=1e-9, atol=1e-12)
+    mean, cov, q = x.copy(), p.copy(), np.array([0.3, 1e-4, 2e-4])
+    g, t, pending, rows = np.zeros(GEOMETRY), np.zeros((3, 13)), np.full((15, 13), np.nan), 0
+    for vt, off in ((7, [0.2, 0.01, -0.02]), (10, [-0.3, 0.01, 0.01]), (7, [0.1, np.nan, 0.01]), (10, [0.1, 0.0, 0.0])):
+        h, by = predicted(np.concatenate([mean[:6], mean[vt : vt + 3]]), anchor)
+        z = h + np.array([mean[6], 0.0, 0.0]) + off
+        there = np.isfinite(z)
+        jacobian = np.zeros((3, 13))
+        jacobian[:, :6], jacobian[0, 6], jacobian[:, vt : vt + 3] = by[:, :6], 1.0, by[:, 6:]
+        jacobian, e = jacobian[there], np.array(off)[there]
+        s = jacobian @ cov @ jacobian.T + np.diag(q[there])
+        gain = cov @ jacobian.T @ np.linalg.inv(s)
+        mean, cov = mean + gain @ e, cov - gain @ s @ gain.T
+        value = -0.5 * (e @ np.linalg.solve(s, e) + np.log(np.linalg.det(2.0 * np.pi * s)))
+        got, rows = update(g, x, p, 13, anchor, 6, vt, True, z, q, np.zeros(3), np.zeros((3, 3)), t, pending, rows)
+        np.testing.assert_allclose(got, value, rtol=1e-8)
+        np.testing.assert_allclose(x, mean, rtol=1e-9, atol=1e-12)
+    downdate(p, 13, pending, rows)
     np.testing.assert_allclose(p, cov, rtol=1e-7, atol=1e-12)
+    np.testing.assert_array_equal(p, p.T)
+
+
+@pytest.mark.parametrize("size", [1, 3, 4, 7, 30])
+@pytest.mark.parametrize("gains", [0, 1, 4, 6, 11])
+def test_downdate_is_minus_the_product_of_the_gains(size: int, gains: int) -> None:
+    rng = np.random.default_rng(size)
+    g, p = rng.normal(size=(gains + 3, size + 2)), rng.normal(size=(size + 2, size + 2))
+    p = p + p.T
+    want = p.copy()
+    want[:size, :size] -= g[:gains, :size].T @ g[:gains, :size]
+    downdate(p, size, g, gains)
+    np.testing.assert_allclose(p, want, rtol=1e-12, atol=1e-12)
 
 
 def test_dropping_a_vt_marginalises_it() -> None:

@@ -14,7 +14,7 @@ from cellslam.benchmarks.trials import record
 from cellslam.scenarios.loading import load
 from cellslam.scenarios.options import resolve
 from cellslam.sim.recording import Recording
-from cellslam.slam.baselines.ekf_slam.guess_kernel import AROUND, _consider, begin, correct, sweep
+from cellslam.slam.baselines.ekf_slam.guess_kernel import AROUND, _consider, begin, correct, settle, sweep
 from cellslam.slam.baselines.ekf_slam.layout import ANCHOR, BY_POSE, BY_VT, GEOMETRY, PREDICTED, SHARE, SLOT
 from cellslam.slam.baselines.ekf_slam.motion_kernel import rotations
 from cellslam.slam.baselines.ekf_slam.vt_kernel import predict
@@ -49,10 +49,12 @@ class Filter:
             )  # fmt: skip
             return
         j = int(np.argmax(self.anchor[: self.count, SHARE]))
-        correct(
+        pending, size = np.zeros((9, len(self.x))), CORE + 3 * self.count
+        _, rows = correct(
             self.g, self.x, self.p, CORE, self.anchor, self.slots, self.count, j, now, 6, True, z, Q, np.zeros(3),
-            np.zeros((3, 3)), np.zeros((3, len(self.x))),
+            np.zeros((3, 3)), np.zeros((3, len(self.x))), pending, 0,
         )  # fmt: skip
+        settle(self.p, size, pending, rows)
         self.count = sweep(self.x, self.p, CORE, self.anchor, self.slots, self.count)
 
     def place(self, j: int) -> Any:

@@ -27,6 +27,7 @@ from cellslam.slam.baselines.ekf_slam.map_kernel import map_into
 from cellslam.slam.baselines.ekf_slam.motion_kernel import move
 from cellslam.slam.front_end import Readings
 
+PENDING = 99  # rows of what a snapshot takes off the covariance that may wait
 LOST = 64  # confirmed VTs that one snapshot can push out
 
 
@@ -199,7 +200,7 @@ class Bank:
                 self._scratch = m, ((*common, *small, *pairs, np.empty((k, m)), np.empty((k, 4, 4))), ())
                 return self._scratch[1]
             work = np.empty((k, 3, m), np.int64), np.empty((k, wide)), np.empty((k, wide), np.int64)
-            scratch = (*common, *work, *small)
+            scratch = (*common, *work, *small, np.empty((PENDING, self.x.shape[1])))
             parts = (
                 np.empty((k, rows, 3, self.x.shape[1])), np.empty((k, rows, rows, 3, 3)),
                 np.empty((k, rows, columns, 3)), np.empty((k, 3 * columns, 3 * columns + 1)),

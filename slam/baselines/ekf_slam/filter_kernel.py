@@ -8,7 +8,7 @@ from __future__ import annotations
 from numba import njit
 
 from cellslam.slam.baselines.ekf_slam.associate_kernel import associate, best_rival
-from cellslam.slam.baselines.ekf_slam.guess_kernel import begin, correct, possible, sweep
+from cellslam.slam.baselines.ekf_slam.guess_kernel import begin, correct, possible, settle, sweep
 from cellslam.slam.baselines.ekf_slam.layout import (
     BIRTH,
     CLUTTER,
@@ -24,61 +24,85 @@ from cellslam.slam.baselines.ekf_slam.layout import (
 )
 from cellslam.slam.baselines.ekf_slam.map_kernel import tidy
 
+FRESH, TAKEN = -1, -2  # measurements that are in no VT's gate, and those that nothing is to be made of
+
+
+@njit(cache=True)
+def _pair(mode, now, x, p, core, first_offset, anchor, slots, count, links, first, site_of, z, q, gap, given, tables,
+          cfg, forbidden, scratch):  # fmt: skip
+    """Find for each measurement the slot of its VT, link by link, from what was predicted; return sum of log P(missed).
+
+    Written into the last row of the integer scratch: FRESH for what may begin a VT, TAKEN for what may not.
+    """
+    g, _, score, chosen, ints, work_f, work_i, small, es, joint, _ = scratch
+    row_of, gated, slot_of = ints[0], ints[1], ints[2]
+    total = 0.0
+    for link in range(len(first) - 1):
+        start, stop = first[link], first[link + 1]
+        if links[link] == 0:
+            slot_of[start:stop] = TAKEN
+        elif mode == KNOWN_ASSOCIATION:
+            for k in range(start, stop):
+                slot_of[k] = FRESH
+                for i in range(count):
+                    if slots[i, LINK] == link and slots[i, IDENT] == given[k]:
+                        slot_of[k] = i
+        else:
+            _, missed = associate(
+                g, x, p, core, anchor, slots, count, mode != KNOWN_MAP, now, link, first_offset + site_of[link], z, q,
+                start, stop, tables, cfg, gap, forbidden, score, chosen, row_of, gated, work_f, work_i, small, es[3],
+                es[:3], joint,
+            )  # fmt: skip
+            total += missed
+            for k in range(start, stop):
+                row = row_of[k - start]
+                slot_of[k] = chosen[row] if row >= 0 else (TAKEN if gated[k - start] == 1 else FRESH)
+    return total
+
 
 @njit(cache=True)
 def _snapshot(mode, now, x, p, core, first_offset, anchor, slots, count, links, first, site_of, readings, given, born,
               tables, cfg, forbidden, association, scratch, lost, losses):  # fmt: skip
     """Use one snapshot in one filter; return log-likelihood, number of VTs, and of those given up."""
     z, q, many, gap, lack, first_z, first_q = readings
-    g, t, score, chosen, ints, work_f, work_i, small, es, joint = scratch
-    e, s = es[3], es[:3]
-    row_of, gated = ints[0], ints[1]
-    total = 0.0
-    mapped = mode != KNOWN_MAP
+    g, t, _, _, ints, _, _, small, es, _, pending = scratch
+    slot_of, mapped, rows = ints[2], mode != KNOWN_MAP, 0
+    total = _pair(
+        mode, now, x, p, core, first_offset, anchor, slots, count, links, first, site_of, z, q, gap, given, tables, cfg,
+        forbidden, scratch,
+    )  # fmt: skip
     for link in range(len(first) - 1):
-        start, stop = first[link], first[link + 1]
-        offset = first_offset + site_of[link]
-        if links[link] == 0:
-            continue
-        if mode != KNOWN_ASSOCIATION:
-            _, missed = associate(
-                g, x, p, core, anchor, slots, count, mapped, now, link, offset, z, q, start, stop, tables, cfg, gap,
-                forbidden, score, chosen, row_of, gated, work_f, work_i, small, e, s, joint,
-            )  # fmt: skip
-            total += missed
-        for k in range(start, stop):
-            j = -1
-            association[k] = -1
-            if mode == KNOWN_ASSOCIATION:
-                for i in range(count):
-                    if slots[i, LINK] == link and slots[i, IDENT] == given[k]:
-                        j = i
-            elif row_of[k - start] >= 0:
-                j = chosen[row_of[k - start]]
+        for k in range(first[link], first[link + 1]):
+            j = slot_of[k]
+            association[k] = -1 if j < 0 else slots[j, IDENT]
             if j < 0:
                 continue
             kind = 0 if slots[j, HITS] < 2 else 1
             age = min(now - slots[j, LAST], tables.shape[2] - 1)
-            ident = slots[j, IDENT]
-            value = correct(g, x, p, core, anchor, slots, count, j, now, offset, mapped, z[k], many[k], e, s, t)
+            value, rows = correct(
+                g, x, p, core, anchor, slots, count, j, now, first_offset + site_of[link], mapped, z[k], many[k], es[3],
+                es[:3], t, pending, rows,
+            )  # fmt: skip
             if mode != KNOWN_ASSOCIATION:
                 total += tables[kind, 0, age] - tables[kind, 1, age] - cfg[CLUTTER] - gap[k]
             total += value + lack[k]
-            association[k] = ident
-        for k in range(start, stop):
-            fresh = association[k] < 0 and possible(first_z[k], x[offset])
-            if mode == FREE and fresh and row_of[k - start] < 0 and gated[k - start] == 0:
+    settle(p, core + 3 * count if mapped else core, pending, rows)
+    for link in range(len(first) - 1):
+        offset = first_offset + site_of[link]
+        for k in range(first[link], first[link + 1]):
+            if slot_of[k] != FRESH or not possible(first_z[k], x[offset]):
+                continue
+            ident = born + k
+            if mode == FREE:
                 total += cfg[BIRTH]
-                count, losses = begin(
-                    g, x, p, core, anchor, slots, count, now, cfg[CONFIRM], link, offset, born + k, first_z[k],
-                    first_q[k], small, lost, losses,
-                )  # fmt: skip
-            elif mode == KNOWN_ASSOCIATION and fresh and given[k] >= 0:
-                association[k] = given[k]
-                count, losses = begin(
-                    g, x, p, core, anchor, slots, count, now, cfg[CONFIRM], link, offset, given[k], first_z[k],
-                    first_q[k], small, lost, losses,
-                )  # fmt: skip
+            elif mode == KNOWN_ASSOCIATION and given[k] >= 0:
+                association[k] = ident = given[k]
+            else:
+                continue
+            count, losses = begin(
+                g, x, p, core, anchor, slots, count, now, cfg[CONFIRM], link, offset, ident, first_z[k], first_q[k],
+                small, lost, losses,
+            )  # fmt: skip
     if mapped:
         count = sweep(x, p, core, anchor, slots, count)
     if mode == FREE:
@@ -98,10 +122,11 @@ def use_snapshot(mode, now, x, p, core, first_offset, anchor, slots, count, link
     The rest is scratch.
     """
     for f in range(len(x)):
-        g, t, score, chosen, ints, work_f, work_i, small, es = scratch
+        g, t, score, chosen, ints, work_f, work_i, small, es, pending = scratch
         own = (
             g[f], t[f], score[f], chosen[f], ints[f], work_f[f], work_i[f], small[f], es[f],
             (joint[0][f], joint[1][f], joint[2][f], joint[3][f], joint[4][f], joint[5][f], joint[6]),
+            pending,
         )  # fmt: skip
         value, new_count, new_losses = _snapshot(
             mode, now, x[f], p[f], core, first_offset, anchor[f], slots[f], count[f], links[f], first, site_of,
@@ -121,7 +146,7 @@ def find_rivals(now, x, p, core, first_offset, anchor, slots, count, first, site
     """
     for f in range(len(x)):
         z, q, _, gap, _, _, _ = readings
-        g, _, score, chosen, ints, work_f, work_i, small, es = scratch
+        g, _, score, chosen, ints, work_f, work_i, small, es, _ = scratch
         row_of, gated, second, best = ints[f, 0], ints[f, 1], ints[f, 2], es[f, 3]
         parts = (joint[0][f], joint[1][f], joint[2][f], joint[3][f], joint[4][f], joint[5][f], joint[6])
         rivals[f, 0], rivals[f, 1], rivals[f, 2] = cfg[RIVAL], -1.0, -1.0

@@ -17,6 +17,7 @@ from numba import njit
 from cellslam.slam.baselines.ekf_slam.layout import HITS, IDENT, LAST, LINK, SHARE
 from cellslam.slam.baselines.ekf_slam.map_kernel import add, remove
 from cellslam.slam.baselines.ekf_slam.update_kernel import LOG_2PI, cholesky, innovate, log_likelihood, spread, update
+from cellslam.slam.downdate_kernel import downdate
 
 AROUND, AHEAD = 10, 7  # guesses of an azimuth, of a distance
 NEAREST_M, FARTHER = 15.0, 2.0  # first distance, ratio of one to the next
@@ -56,13 +57,19 @@ def begin(g, x, p, core, anchor, slots, count, now, confirm, link, offset, ident
 
 
 @njit(cache=True)
-def correct(g, x, p, core, anchor, slots, count, j, now, offset, mapped, z, q, e, s, t):
-    """Update by a measurement of VT j, or of its guesses; return log-likelihood. Guesses given up have the share 0."""
+def correct(g, x, p, core, anchor, slots, count, j, now, offset, mapped, z, q, e, s, t, pending, k):
+    """Update by a measurement of VT j, or of its guesses; return log-likelihood, and how much is pending.
+
+    Guesses given up have the share 0.
+    """
     size = core + 3 * count if mapped else core
+    if k + 6 > len(pending):
+        k = settle(p, size, pending, k)
     if anchor[j, SHARE] == 1.0:
         slots[j, LAST] = now
         slots[j, HITS] += 1
-        return update(g, x, p, size, anchor[j], offset, core + 3 * j, mapped, z, q, e, s, t)
+        return update(g, x, p, size, anchor[j], offset, core + 3 * j, mapped, z, q, e, s, t, pending, k)
+    k = settle(p, size, pending, k)
     link, ident = slots[j, LINK], slots[j, IDENT]
     best = -math.inf
     for i in range(count):
@@ -82,12 +89,19 @@ def correct(g, x, p, core, anchor, slots, count, j, now, offset, mapped, z, q, e
     left, last = _unite(x, p, core, anchor, slots, count, link, ident, total)
     if left == 1:
         anchor[last, SHARE] = 1.0
-        update(g, x, p, size, anchor[last], offset, core + 3 * last, True, z, q, e, s, t)
+        _, k = update(g, x, p, size, anchor[last], offset, core + 3 * last, True, z, q, e, s, t, pending, k)
     else:
         for i in range(count):
             if slots[i, IDENT] == ident and slots[i, LINK] == link and anchor[i, SHARE] > 0.0:
                 _consider(g, x, p, size, anchor[i], offset, core + 3 * i, z, q, e, s, t)
-    return best + math.log(total)
+    return best + math.log(total), k
+
+
+@njit(cache=True)
+def settle(p, size, pending, k):
+    """Take off P what is pending; return 0, which is how much is left."""
+    downdate(p, size, pending, k)
+    return 0
 
 
 @njit(cache=True)

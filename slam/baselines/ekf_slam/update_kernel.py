@@ -68,6 +68,12 @@ def spread(g, x, p, size, anchor, offset, v, mapped, s, t):
     rotations(g, x[3], x[4], x[5])
     predict(g, x, anchor, v)
     gains(g, p, size, offset, v, mapped, t)
+    innovation_of(g, t, offset, v, mapped, s)
+
+
+@njit(cache=True)
+def innovation_of(g, t, offset, v, mapped, s):
+    """Write S = T H^T (3, 3) into s."""
     for r in range(3):
         for c in range(3):
             total = t[r, offset] if c == 0 else 0.0
@@ -83,9 +89,39 @@ def spread(g, x, p, size, anchor, offset, v, mapped, s, t):
 
 
 @njit(cache=True)
-def update(g, x, p, size, anchor, offset, v, mapped, z, q, e, s, t):
-    """Kalman update of the whole state by one measurement of the VT at state v; return log N(e; 0, S)."""
-    spread(g, x, p, size, anchor, offset, v, mapped, s, t)
+def explained(g, size, offset, v, mapped, t, pending, k):
+    """Take out of T = H P (3, size) what the first k rows of `pending` have explained: T <- T - (H G^T) G."""
+    for j in range(0, k, 3):
+        g0, g1, g2 = pending[j], pending[j + 1], pending[j + 2]
+        a0, b0, c0 = g0[offset], g1[offset], g2[offset]
+        a1, a2, b1, b2, c1, c2 = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+        for i in range(9 if mapped else 6):
+            at = i if i < 6 else v + i - 6
+            h = BY_POSE + i if i < 6 else BY_VT + i - 6
+            step = 6 if i < 6 else 3
+            h0, h1, h2 = g[h], g[h + step], g[h + 2 * step]
+            a0, a1, a2 = a0 + h0 * g0[at], a1 + h1 * g0[at], a2 + h2 * g0[at]
+            b0, b1, b2 = b0 + h0 * g1[at], b1 + h1 * g1[at], b2 + h2 * g1[at]
+            c0, c1, c2 = c0 + h0 * g2[at], c1 + h1 * g2[at], c2 + h2 * g2[at]
+        t0, t1, t2 = t[0], t[1], t[2]
+        for x in range(size):
+            y0, y1, y2 = g0[x], g1[x], g2[x]
+            t0[x] -= a0 * y0 + b0 * y1 + c0 * y2
+            t1[x] -= a1 * y0 + b1 * y1 + c1 * y2
+            t2[x] -= a2 * y0 + b2 * y1 + c2 * y2
+
+
+@njit(cache=True)
+def update(g, x, p, size, anchor, offset, v, mapped, z, q, e, s, t, pending, k):
+    """Kalman update of the whole state by one measurement of the VT at state v; return log N(e; 0, S), and k.
+
+    P stays as it is: what the update takes off it is left in three more rows of `pending`, P - G^T G being meant.
+    """
+    rotations(g, x[3], x[4], x[5])
+    predict(g, x, anchor, v)
+    gains(g, p, size, offset, v, mapped, t)
+    explained(g, size, offset, v, mapped, t, pending, k)
+    innovation_of(g, t, offset, v, mapped, s)
     for r in range(3):
         if math.isnan(z[r]):
             for j in range(size):
@@ -93,20 +129,16 @@ def update(g, x, p, size, anchor, offset, v, mapped, z, q, e, s, t):
     measured = innovate(g, z, x[offset], e, s, q)
     l0, l1, l2, l3, l4, l5 = cholesky(s)
     if l0 == 0.0:
-        return 0.0
+        return 0.0, k
     w0 = e[0] / l0
     w1 = (e[1] - l1 * w0) / l3
     w2 = (e[2] - l2 * w0 - l4 * w1) / l5
+    g0, g1, g2 = pending[k], pending[k + 1], pending[k + 2]
     for j in range(size):
         u0 = t[0, j] / l0
         u1 = (t[1, j] - l1 * u0) / l3
         u2 = (t[2, j] - l2 * u0 - l4 * u1) / l5
-        t[0, j], t[1, j], t[2, j] = u0, u1, u2
+        g0[j], g1[j], g2[j] = u0, u1, u2
         x[j] += u0 * w0 + u1 * w1 + u2 * w2
-    for i in range(size):
-        u0, u1, u2 = t[0, i], t[1, i], t[2, i]
-        if u0 == 0.0 and u1 == 0.0 and u2 == 0.0:
-            continue
-        for j in range(size):
-            p[i, j] -= u0 * t[0, j] + u1 * t[1, j] + u2 * t[2, j]
-    return -0.5 * (w0 * w0 + w1 * w1 + w2 * w2) - math.log(l0 * l3 * l5) - 0.5 * measured * LOG_2PI
+    value = -0.5 * (w0 * w0 + w1 * w1 + w2 * w2) - math.log(l0 * l3 * l5) - 0.5 * measured * LOG_2PI
+    return value, k + 3
