@@ -22,7 +22,8 @@ from cellslam.slam.api import Setup, setup_of
 from cellslam.slam.baselines.ekf_slam.associate_kernel import _jointly, best_rival
 from cellslam.slam.baselines.ekf_slam.bank import Core, joint_gates, new_bank
 from cellslam.slam.baselines.ekf_slam.filter import EkfSlam
-from cellslam.slam.baselines.ekf_slam.fusion import fuse, join, root_of
+from cellslam.slam.baselines.ekf_slam.fusion import join
+from cellslam.slam.baselines.ekf_slam.fusion_kernel import fuse, likely, moments, root_of
 from cellslam.slam.baselines.ekf_slam.hypotheses import History, prune
 from cellslam.slam.baselines.ekf_slam.layout import BY_POSE, BY_VT, CFG, FREE, GEOMETRY, PREDICTED, RIVAL
 from cellslam.slam.baselines.ekf_slam.map_kernel import remove
@@ -215,7 +216,7 @@ def test_sites_fuse_as_in_one_kalman_filter() -> None:
         cov[:4, :4], cov[4:, 4:] = prior, maps[len(parts)]
         parts.append(kalman(mean, cov, h[:, row], z))
         whole_mean, whole_cov = kalman(whole_mean, whole_cov, h, z)
-    shared = fuse((mean_c, prior), [(m[:4], c[:4, :4]) for m, c in parts])
+    shared = fuse(mean_c, prior, np.array([m[:4] for m, _ in parts]), np.array([c[:4, :4] for _, c in parts]))
     np.testing.assert_allclose(shared[0], whole_mean[:4], atol=1e-8)
     np.testing.assert_allclose(shared[1], whole_cov[:4, :4], atol=1e-8)
     mean, cov = join(shared, parts)
@@ -234,6 +235,23 @@ def test_root_keeps_uncertain_directions_alone() -> None:
     assert root.shape == (3, 2)
     np.testing.assert_allclose(root @ root.T, cov, atol=1e-15)
     np.testing.assert_allclose(left @ root, np.eye(2), atol=1e-12)
+
+
+def test_moments_and_choice_of_a_gaussian_sum() -> None:
+    rng = np.random.default_rng(4)
+    x, p, logs = rng.normal(size=(3, 4)), rng.normal(size=(3, 4, 4)), np.log([0.7, 0.299, 0.001]) + 5.0
+    p = p @ p.transpose(0, 2, 1)
+    draws = np.array([0.7, 0.299, 0.001])
+    mean, cov = moments(logs, x, p, 1, 2)
+    want = draws @ x[:, 1:3]
+    np.testing.assert_allclose(mean, want, rtol=1e-12)
+    second = sum(w * (q[1:3, 1:3] + np.outer(c[1:3], c[1:3])) for w, q, c in zip(draws, p, x, strict=True))
+    np.testing.assert_allclose(cov, second - np.outer(want, want), rtol=1e-10)
+    x[:, 0], p[:, 0, 0] = [0.0, 10.0, 20.0], 1.0
+    assert likely(logs, x, p, 0, np.log(1e-2)).tolist() == [0, 1]
+    assert likely(logs, x, p, 0, np.log(1e-4)).tolist() == [0, 1, 2]
+    x[:, 0] = [10.2, 10.0, 20.0]
+    assert likely(logs, x, p, 0, np.log(1e-4)).tolist() == [0, 2]  # the second is a double of the likelier first
 
 
 def test_components_add_up_to_the_prior() -> None:

@@ -11,6 +11,7 @@ from cellslam.sim.recording import Floats, Ints
 from cellslam.slam.api import Setup, VtEstimate
 from cellslam.slam.baselines.ekf_slam.belief_kernel import believe_snapshot
 from cellslam.slam.baselines.ekf_slam.filter_kernel import find_rivals, use_snapshot
+from cellslam.slam.baselines.ekf_slam.fusion_kernel import moments
 from cellslam.slam.baselines.ekf_slam.layout import (
     ANCHOR,
     BELIEF,
@@ -155,6 +156,11 @@ class Bank:
             setup.links.site, m.columns, m.tables, m.cfg, np.full(2, -1, np.int64), out, *self._work(m),
         )  # fmt: skip
         return out
+
+    def moments(self, first: int, count: int) -> tuple[Floats, Floats]:
+        """Return mean (n,) and covariance (n, n) of `count` states of the core over all filters."""
+        found: tuple[Floats, Floats] = moments(self.log_weight, self.x, self.p, first, count)
+        return found
 
     def vts(self, index: int, hits: int) -> Floats:
         """Return identity, link, position, covariance (v, 14) of one filter's VTs with at least `hits` detections."""

@@ -28,7 +28,7 @@ from cellslam.slam.baselines.ekf_slam.layout import (
     RIVAL,
 )
 from cellslam.slam.baselines.ekf_slam.options import EkfSlamOptions, JointOptions
-from cellslam.slam.baselines.ekf_slam.start import Start, begin, mixture
+from cellslam.slam.baselines.ekf_slam.start import Start, begin
 from cellslam.slam.front_end import existence, first_of_link, ports_of, readings
 from cellslam.slam.misfit import Misfit
 
@@ -130,7 +130,7 @@ class JointFilter:
         if bank.losses[best] > 0:
             self._archive = np.concatenate([self._archive, bank.lost[best, : bank.losses[best]]])
         bank.losses[:] = 0
-        mean, cov = mixture(bank, slice(0, bank.core.size))
+        mean, cov = bank.moments(0, bank.core.size)
         offsets = bank.core.offsets
         variance = np.maximum(np.diag(cov)[offsets], 0.0)
         return _estimate(mean, cov, association[best].copy(), mean[offsets], variance, self._map([(bank, best)]))

@@ -16,36 +16,9 @@ from collections.abc import Sequence
 import numpy as np
 
 from cellslam.sim.recording import Floats
-
-LEAST_SHARE = 1e-14  # of the largest variance, below which there is none left but rounding
-SMALLEST = 1e-10  # share of the largest scaled variance below which a direction counts as known
+from cellslam.slam.baselines.ekf_slam.fusion_kernel import root_of
 
 Gaussian = tuple[Floats, Floats]
-
-
-def root_of(cov: Floats) -> tuple[Floats, Floats]:
-    """Return L (n, r) with cov = L L^T, in the directions that are uncertain, and its left inverse (r, n)."""
-    scale = np.sqrt(np.maximum(np.diag(cov), 0.0))
-    safe = np.where(scale > 0, scale, 1.0)
-    values, basis = np.linalg.eigh(cov / np.outer(safe, safe))
-    kept = values > SMALLEST * max(float(values[-1]), SMALLEST)
-    spread = np.sqrt(values[kept])
-    return scale[:, None] * basis[:, kept] * spread, (basis[:, kept] / spread).T / safe
-
-
-def fuse(prior: Gaussian, sites: Sequence[Gaussian]) -> Gaussian:
-    """Return the product of the odometry's belief and what each site adds to it; negative information is cut off."""
-    mean, cov = prior
-    root, left = root_of(cov)
-    matrix, vector = np.eye(root.shape[1]), np.zeros(root.shape[1])
-    for site_mean, site_cov in sites:
-        values, axes = np.linalg.eigh(left @ site_cov @ left.T)
-        told = (values < 1.0) & (values > LEAST_SHARE * values.max(initial=0.0))
-        information, axes = 1.0 / values[told], axes[:, told]
-        matrix += (axes * (information - 1.0)) @ axes.T
-        vector += axes @ (information * (axes.T @ (left @ (site_mean - mean))))
-    spread = root @ np.linalg.inv(matrix) @ root.T
-    return mean + root @ np.linalg.solve(matrix, vector), 0.5 * (spread + spread.T)
 
 
 def join(shared: Gaussian, parts: Sequence[Gaussian]) -> Gaussian:

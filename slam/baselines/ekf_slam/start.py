@@ -14,7 +14,8 @@ import numpy as np
 from cellslam.sim.recording import Floats, Ints
 from cellslam.slam.api import Setup
 from cellslam.slam.baselines.ekf_slam.bank import Bank, Core, Measured, new_bank
-from cellslam.slam.baselines.ekf_slam.fusion import Gaussian, fuse, join
+from cellslam.slam.baselines.ekf_slam.fusion import Gaussian, join
+from cellslam.slam.baselines.ekf_slam.fusion_kernel import fuse, likely
 from cellslam.slam.baselines.ekf_slam.layout import KNOWN_MAP, SLOT
 from cellslam.slam.baselines.ekf_slam.options import JointOptions
 
@@ -59,27 +60,29 @@ class Start:
             association = bank.use(setup, measured)
             best = association[int(np.argmax(bank.log_weight))]
             answer[mine] = best[mine]
-            kept = likely(bank, bank.core.first_offset + s, np.log(options.prune_ratio))
+            least = float(np.log(options.prune_ratio))
+            kept = likely(bank.log_weight, bank.x, bank.p, bank.core.first_offset + s, least)
             if len(kept) < len(bank):
                 self.banks[s] = bank.take(kept)
         return answer
 
     def offsets(self) -> tuple[Floats, Floats]:
         """Return mean and variance (S,) of the clock offsets."""
-        firsts = [bank.core.first_offset + s for s, bank in enumerate(self.banks)]
-        moments = [mixture(bank, slice(i, i + 1)) for bank, i in zip(self.banks, firsts, strict=True)]
-        return np.array([m[0][0] for m in moments]), np.array([m[1][0, 0] for m in moments])
+        found = [bank.moments(bank.core.first_offset + s, 1) for s, bank in enumerate(self.banks)]
+        return np.array([mean[0] for mean, _ in found]), np.array([cov[0, 0] for _, cov in found])
 
     def shared(self) -> Gaussian:
         """Return the fused belief on pose and odometry errors."""
-        n = self.odometry.core.first_offset
-        prior = self.odometry.x[0, :n], self.odometry.p[0, :n, :n]
-        return fuse(prior, [mixture(bank, slice(0, n)) for bank in self.banks])
+        return self._fused([bank.moments(0, self.odometry.core.first_offset) for bank in self.banks])
+
+    def _fused(self, sites: list[Gaussian]) -> Gaussian:
+        n, means, covs = self.odometry.core.first_offset, *zip(*sites, strict=True)
+        fused: Gaussian = fuse(self.odometry.x[0, :n], self.odometry.p[0, :n, :n], np.array(means), np.array(covs))
+        return fused
 
     def joint(self, setup: Setup, mode: int, vts: int) -> Bank:
         """Return the one joint filter, of `vts` places, that goes on from the best component of each site."""
         core, n = self.odometry.core, self.odometry.core.first_offset
-        prior = self.odometry.x[0, :n], self.odometry.p[0, :n, :n]
         best = [int(np.argmax(bank.log_weight)) for bank in self.banks]
         states = [_states(bank, s, i) for s, (bank, i) in enumerate(zip(self.banks, best, strict=True))]
         own = [(bank.x[i, :n], bank.p[i, :n, :n]) for bank, i in zip(self.banks, best, strict=True)]
@@ -87,7 +90,7 @@ class Start:
             (bank.x[i, rows], bank.p[i][np.ix_(rows, rows)])
             for bank, i, rows in zip(self.banks, best, states, strict=True)
         ]
-        mean, cov = join(fuse(prior, own), gaussians)
+        mean, cov = join(self._fused(own), gaussians)
         counts = [_vts(bank, i) for bank, i in zip(self.banks, best, strict=True)]
         places = max(vts, sum(counts))
         zero = np.zeros((1, len(self.banks)))
@@ -132,28 +135,6 @@ def split(bank: Bank, setup: Setup, site: int, options: JointOptions) -> Bank:
     out.p[:, state, state] = narrow**2
     out.log_weight += logs
     return out
-
-
-def likely(bank: Bank, offset: int, least: float) -> Ints:
-    """Return the filters to keep: not much less likely than the best, and not the double of a more likely one."""
-    weight = bank.log_weight - bank.log_weight.max()
-    at, reach = bank.x[:, offset].tolist(), (0.25 * np.sqrt(bank.p[:, offset, offset])).tolist()
-    kept: list[int] = []
-    for i in np.argsort(-weight, kind="stable").tolist():
-        if weight[i] >= least and not any(abs(at[i] - at[k]) < reach[k] for k in kept):
-            kept.append(i)
-    return np.sort(np.array(kept, np.int64))
-
-
-def mixture(bank: Bank, states: slice) -> Gaussian:
-    """Return mean and covariance of some states of the core over all filters of a bank."""
-    weight = np.exp(bank.log_weight - bank.log_weight.max())
-    weight /= weight.sum()
-    x, p = bank.x[:, : bank.core.size][:, states], bank.p[:, : bank.core.size, : bank.core.size][:, states, states]
-    mean = weight @ x
-    centred = x - mean
-    within = (weight @ p.reshape(len(p), -1)).reshape(p.shape[1:])
-    return mean, within + (centred * weight[:, None]).T @ centred
 
 
 def _states(bank: Bank, site: int, index: int) -> Ints:
