@@ -137,18 +137,6 @@ def test_updates_are_textbook_kalman_updates_also_while_they_wait() -> None:
     np.testing.assert_array_equal(p, p.T)
 
 
-@pytest.mark.parametrize("size", [1, 3, 4, 7, 30])
-@pytest.mark.parametrize("gains", [0, 1, 4, 6, 11])
-def test_downdate_is_minus_the_product_of_the_gains(size: int, gains: int) -> None:
-    rng = np.random.default_rng(size)
-    g, p = rng.normal(size=(gains + 3, size + 2)), rng.normal(size=(size + 2, size + 2))
-    p = p + p.T
-    want = p.copy()
-    want[:size, :size] -= g[:gains, :size].T @ g[:gains, :size]
-    downdate(p, size, g, gains)
-    np.testing.assert_allclose(p, want, rtol=1e-12, atol=1e-12)
-
-
 def test_dropping_a_vt_marginalises_it() -> None:
     rng = np.random.default_rng(2)
     x, p = rng.normal(size=16), rng.normal(size=(16, 16))
