@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
+from typing import TypeVar
 
 import numpy as np
 
@@ -16,6 +17,8 @@ from cellslam.sim.recording import Floats
 from cellslam.slam.api import Estimate, Setup, Snapshot
 from cellslam.slam.attitude_kernel import level, observe
 from cellslam.slam.front_end import FrontEndOptions
+
+Seen = TypeVar("Seen", bound=Snapshot)
 
 
 class Attitude:
@@ -29,7 +32,7 @@ class Attitude:
         self.on = bool((self.prior > 0.0).all()) and not seen.any()
         self.options, self.mean, self.covariance = options, np.zeros(2), np.diag(self.prior)
 
-    def levelled(self, dt_s: float, snapshot: Snapshot) -> Snapshot:
+    def levelled(self, dt_s: float, snapshot: Seen) -> Seen:
         """Return a snapshot's measurements as a level array would have made them, `dt_s` after the last ones."""
         if not self.on:
             return snapshot
@@ -61,7 +64,6 @@ class Attitude:
 def warm_up() -> None:
     """Compile the kernels, or load them from their cache."""
     one = np.zeros(1)
-    one.setflags(write=False)  # as in a drive: compiled code is typed by that
     level(np.zeros(2), np.eye(2), np.ones(2), 1.0, one, one)
     names = np.zeros(1, np.int64)
     observe(

@@ -18,7 +18,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Literal
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field
@@ -26,6 +26,9 @@ from pydantic import BaseModel, ConfigDict, Field
 from cellslam.sim.recording import Floats, Ints
 from cellslam.slam.api import Snapshot
 from cellslam.slam.front_end_kernel import combine, scaled
+
+if TYPE_CHECKING:
+    from cellslam.slam.looks import Looks
 
 # Widths in distance (m), azimuth and elevation (rad) over which clutter lies about paths: what a missing component
 # takes off its density.
@@ -83,6 +86,9 @@ class FrontEndOptions(BaseModel):
     direction_scale_deg: float = Field(
         4.0, ge=0, le=180, description="change of direction over which the angles' are drawn anew, deg; 0: white"
     )
+    sharing: Literal["none", "site"] = Field(
+        "site", description="whether what the ports and sectors of a site measure of a path is taken together"
+    )
     misfit_scale_s: float = Field(
         20.0, ge=0, le=1e4, description="time over which directions show to be worse than expected, s; 0: never"
     )
@@ -128,8 +134,8 @@ class Readings:
 
     `z` (m, 3): distance (m), azimuth and elevation (rad), NaN where not measured. `single` (m, 3): variances of one
     measurement; `many` (m, 3): those with which an update counts for what it is worth; `fresh` (m, 3): those of a VT
-    that begins (links that see the same one share its errors). `gap` (m,): log-width of clutter in what is missing;
-    `lack` (m,): what the log-density of an update lacks against that of one measurement.
+    that begins (links that see the same one share its errors). `gap` (m,): what the log-density of clutter is greater
+    by; `lack` (m,): what the log-density of an update lacks against that of one measurement.
     """
 
     z: Floats
@@ -140,15 +146,15 @@ class Readings:
     lack: Floats
 
 
-def readings(snapshot: Snapshot, port_of: Ints, options: FrontEndOptions, turn_rad: float, moved_m: float) -> Readings:
-    """Return a snapshot's measurements; since the last one the vehicle has turned and moved so far.
+def readings(looks: Looks, port_of: Ints, options: FrontEndOptions, turn_rad: float, moved_m: float) -> Readings:
+    """Return a snapshot's looks with their variances; since the last one the vehicle has turned and moved so far.
 
     port_of (L,): a number for each pair of site and port.
     """
     place, direction = options.persisting
     return Readings(*combine(
-        snapshot.distance_m, snapshot.azimuth_rad, snapshot.elevation_rad, white(snapshot, options), place, direction,
-        options.scales, turn_rad, moved_m, snapshot.link, port_of, _LOG_WIDTH,
+        looks.distance_m, looks.azimuth_rad, looks.elevation_rad, looks.white, looks.ports, looks.doubt, place,
+        direction, options.scales, turn_rad, moved_m, looks.link, port_of, _LOG_WIDTH,
     ))  # fmt: skip
 
 

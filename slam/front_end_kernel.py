@@ -73,24 +73,29 @@ def crowd(azimuth, elevation, scale):
 
 
 @njit(cache=True)
-def combine(distance, azimuth, elevation, white, place, direction, scales, turn, moved, link, port_of, log_width):
-    """Return the measurements (m, 3), variances (m, 3) of single ones, of updates and of births, and (m,) the log-width
-    of clutter in what is missing and what an update's log-density lacks.
+def combine(
+    distance, azimuth, elevation, white, ports, doubt, place, direction, scales, turn, moved, link, port_of, log_width
+):
+    """Return the measurements (m, 3), variances (m, 3) of single ones, of updates and of births, and (m,) what the
+    log-density of clutter is greater by and what an update's lacks.
 
-    white (m, 3): white variances; place, direction (3,): those of errors that persist over `scales` (see
-    `FrontEndOptions.scales`), and are alike in all links (L,) of a port that see the same path, and in all paths from
-    about one direction. The vehicle has turned and moved since the last snapshot; log_width (3,).
+    white (m, 3): white variances; ports (m,): how many ports a measurement is the mean of; doubt (m,): see `Looks`;
+    place, direction (3,): variances of errors that persist over `scales` (see `FrontEndOptions.scales`), those of place
+    in every port, and alike in all links (L,) of a port that see the same path, those of direction in all paths from
+    about one direction. The vehicle has turned and moved since the last snapshot; log_width (3,): of clutter, in what
+    is missing.
     """
     m = len(link)
     z, single, many, fresh = np.empty((m, 3)), np.empty((m, 3)), np.empty((m, 3)), np.empty((m, 3))
-    gap, lack = np.zeros(m), np.zeros(m)
+    gap, lack = doubt.copy(), np.zeros(m)
     for i in range(m):
         z[i, 0], z[i, 1], z[i, 2] = distance[i], azimuth[i], elevation[i]
         for c in range(3):
-            single[i, c] = max(white[i, c] + place[c] + direction[c], 1e-12)
+            single[i, c] = max(white[i, c] + place[c] / ports[i] + direction[c], 1e-12)
             gap[i] += log_width[c] if math.isnan(z[i, c]) else 0.0
     port = count_sharers(z, link, port_of[link], single)
     near, wide = crowd(z[:, 1], z[:, 2], scales[2]), crowd(z[:, 1], z[:, 2], scales[1])
+    port = port / ports
     by_place, change = repeats(scales[0], moved), abs(turn) + abs(moved) / scales[3]
     by_distance, by_angle = repeats(scales[1], change), repeats(scales[2], change)
     for i in range(m):

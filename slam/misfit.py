@@ -19,7 +19,7 @@ from cellslam.slam.api import Estimate
 from cellslam.slam.front_end import FrontEndOptions, Readings
 from cellslam.slam.misfit_kernel import compare
 
-WEIGHT = 100.0  # directions that the expectation counts for at the start
+WEIGHT = 15.0  # directions that the expectation counts for at the start
 
 
 class Misfit:

@@ -287,7 +287,7 @@ def test_known_map_is_better_than_none(white_drive: Recording) -> None:
 
 
 def test_map_stays_bounded() -> None:
-    few = EkfSlamOptions(vts=12, start_vts=8, start_limit_s=3.0)
+    few = EkfSlamOptions(vts=12, start_vts=8, start_limit_s=3.0, sharing="none")
     estimator, recording = EkfSlam(few), tiny_drive()
     from cellslam.slam.api import snapshots_of
 

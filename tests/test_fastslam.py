@@ -21,9 +21,10 @@ from cellslam.slam.fastslam.particles import draw, quasi_random, select
 from cellslam.slam.fastslam.summary import map_of
 from cellslam.slam.front_end import existence, readings, visibility
 from cellslam.slam.front_end_kernel import count_sharers, crowd, repeats
+from cellslam.slam.looks import Grouping
 from cellslam.slam.model import jacobians, predict
 
-SMALL = FastSlamOptions(particles=64, vts_per_link=8, start_phase_s=0.0)
+SMALL = FastSlamOptions(particles=64, vts_per_link=8, start_phase_s=0.0, sharing="none")
 
 
 def best_by_hand(score: np.ndarray) -> float:
@@ -179,7 +180,7 @@ def test_resampling_copies_maps_and_shares_no_memory():
     filter_.start(make_setup(offset_std=50.0), np.random.default_rng(1))
     drive(filter_, VTS, [0, 0, 1, 1], 12, np.random.default_rng(2))
     p = filter_._particles
-    rest = filter_.choice.parts, np.zeros(2, np.int64), np.arange(2), np.zeros(3)
+    rest = filter_.choice.parts, np.zeros(2, np.int64), np.zeros(3)
     maps = [map_of(p, i, *rest) for i in range(len(p))]
     poses = p.columns(POSE, 6)
     ancestors = np.sort(np.random.default_rng(4).choice(len(p), len(p)))
@@ -210,8 +211,10 @@ def test_offset_prior_is_kept_by_its_components():
 
 
 def test_persisting_errors_count_once():
-    options = FastSlamOptions()
+    options = FastSlamOptions(sharing="none")
     snapshot = make_snapshot(0, [(0, 100.0, 0.1, 0.1), (1, 100.1, 0.1, 0.1), (2, 100.0, 1.0, 0.1)])
+    links = Links(np.zeros(3, np.int64), np.arange(3), np.zeros(3, np.int64))
+    looks = Grouping(replace(make_setup(), links=links), options).looks(snapshot)
     q, z = np.tile([0.3, 1e-4, 1e-4], (3, 1)), np.array([[100.0, 0.1, 0.1], [100.1, 0.1, 0.1], [100.0, 1.0, 0.1]])
     assert list(count_sharers(z, np.arange(3), np.zeros(3, np.int64), q)) == [2, 2, 1]
     assert list(count_sharers(z, np.arange(3), np.array([0, 1, 0]), q)) == [1, 1, 1]
@@ -220,10 +223,10 @@ def test_persisting_errors_count_once():
     assert list(count_sharers(unknown, np.arange(3), np.zeros(3, np.int64), q)) == [3, 3, 3]
 
     def values(turn: float, moved: float):
-        return readings(snapshot, np.arange(3), options, turn, moved)
+        return readings(looks, np.arange(3), options, turn, moved)
 
     fast, still = values(np.radians(90.0), 100.0), values(0.0, 0.0)
-    tables = pack(fast.z, fast.single, fast.many, fast.fresh, fast.gap, fast.lack)
+    tables = pack(fast.z, fast.single, fast.many, fast.fresh, fast.gap, fast.lack, np.ones(3, bool))
     single, many, fresh = (table[:, 5:8] for table in tables)
     assert np.all(many[:2, 1:] > single[:2, 1:])
     assert np.allclose(many[2, 1:], single[2, 1:])
@@ -370,7 +373,7 @@ def test_a_component_that_is_missing_leaves_the_rest_its_weight():
     """The score of distance and azimuth alone: their Gaussian against clutter of that density per (m rad)."""
     z = np.array([[300.0, 0.2, np.nan]])
     q = np.full((1, 3), 0.1)
-    single, _, _ = pack(z, q, q, q, np.array([np.log(1.5)]), np.zeros(1))
+    single, _, _ = pack(z, q, q, q, np.array([np.log(1.5)]), np.zeros(1), np.ones(1, bool))
     assert single[0, 11] == pytest.approx(0.5 * np.log(2 * np.pi) - np.log(1.5), rel=1e-6)
     assert list(single[0, 8:11]) == [1.0, 1.0, 0.0]
 

@@ -275,7 +275,7 @@ VARIANTS = {
         {},
     ),
     "own object, bare distance, shared": (
-        {"criterion": "mahalanobis", "sharing": "site", "clock": "sampled"},
+        {"criterion": "mahalanobis", "sharing": "none", "clock": "sampled"},
         {"association": FirstCome()},
     ),
 }

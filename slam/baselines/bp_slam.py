@@ -32,7 +32,7 @@ class BpSlam(JointFilter):
         self.options: BpSlamOptions = options or BpSlamOptions()
 
     def _configure(self, cfg: Floats, dt_s: float) -> None:
-        o = self.options
+        o = self._grouping.options
         cfg[STAY], cfg[BACK] = transitions(o, dt_s) if dt_s > 0.0 else (1.0, 0.0)
         cfg[DETECTION], cfg[DROP] = o.detection_probability, o.drop_probability
         cfg[BIRTH] = o.birth_ratio / (1.0 - o.birth_ratio)

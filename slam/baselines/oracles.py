@@ -9,7 +9,7 @@ from typing import ClassVar
 import numpy as np
 
 from cellslam.sim.recording import Floats, Ints, Truth
-from cellslam.slam.api import Setup, Snapshot, VtEstimate
+from cellslam.slam.api import Setup, VtEstimate
 from cellslam.slam.baselines.ekf_slam.bank import Bank
 from cellslam.slam.baselines.ekf_slam.filter import EkfSlam
 from cellslam.slam.baselines.ekf_slam.layout import HITS, IDENT, KNOWN_ASSOCIATION, KNOWN_MAP, LAST, LINK
@@ -18,6 +18,7 @@ from cellslam.slam.fastslam.association import FromTruth
 from cellslam.slam.fastslam.choice import Choice
 from cellslam.slam.fastslam.filter import FastSlam
 from cellslam.slam.fastslam.warm_up import warm_up as fastslam_warm_up
+from cellslam.slam.looks import Looks
 
 LONG_AGO = -100_000  # snapshots since a known VT was last seen, at the start
 
@@ -34,8 +35,8 @@ class KnownAssociation(EkfSlam):
         self._vt_of = _truth(setup).measurement_vt
         super().start(setup, rng)
 
-    def _given(self, snapshot: Snapshot) -> Ints:
-        return np.array(self._vt_of[snapshot.row], np.int64)
+    def _given(self, looks: Looks) -> Ints:
+        return np.array(self._vt_of[looks.row], np.int64)
 
 
 class FastSlamKnownAssociation(FastSlam):

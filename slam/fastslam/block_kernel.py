@@ -83,15 +83,13 @@ def _block(g, parts, rules, now, dt, velocity, state, tracks, travelled, measure
     updates, loaded = 0, -1
     for number in range(len(measured.site_of)):
         first, last, site = measured.first[number], measured.first[number + 1], measured.site_of[number]
-        own, share = measured.map_of[number], measured.shares[number]
+        share = measured.shares[number]
         link = Link(
-            tracks.status[g, own], tracks.alike[g, own], tracks.records[g, own], tracks.ident[g, own],
-            tracks.order[g, own], tracks.bounds[g, own],
+            tracks.status[g, number], tracks.alike[g, number], tracks.records[g, number], tracks.ident[g, number],
+            tracks.order[g, number], tracks.bounds[g, number],
         )  # fmt: skip
-        count = tracks.counts[g, own]
-        if measured.leads[number]:
-            count = age_all(s.v, now, link, count, rules, share)
-            tracks.counts[g, own] = count
+        count = age_all(s.v, now, link, tracks.counts[g, number], rules, share)
+        tracks.counts[g, number] = count
         doubles = rules.merging and (now + number) % EVERY == 0
         if last == first and not doubles:
             continue
@@ -112,7 +110,7 @@ def _block(g, parts, rules, now, dt, velocity, state, tracks, travelled, measure
         if more > 0:
             collect(s.w, s.v, site, size)
         updates += more
-        tracks.counts[g, own] = _give_births(
+        tracks.counts[g, number] = _give_births(
             parts, s, now, link, count, travelled[site], measured, first, last, rules, share, g
         )
     if updates > 0:
@@ -147,8 +145,6 @@ def _update(parts, s, now, link, found, measured, first, last, rules, share, ass
             mine, name = association[k], ident[slot]
             for l in range(B):
                 on = w[W_MASK * B + l] > 0.5
-                if on and row[l] >> 2 == now:  # seen by another link of a shared map: one look
-                    record[HITS * B + l] -= 1.0
                 looks = record[HITS * B + l]
                 seen = 4 * now + (CONFIRMED if looks >= hits else UNCONFIRMED if looks > 1.0 else ONCE)
                 row[l] = seen if on else row[l]

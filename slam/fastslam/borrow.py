@@ -53,6 +53,6 @@ def borrowed_scratch(s):
 def borrowed_measured(m):
     """Return the same snapshot, not counted."""
     return Measured(
-        borrowed(m.first), borrowed(m.site_of), borrowed(m.shares), borrowed(m.map_of), borrowed(m.leads),
-        borrowed(m.z), borrowed(m.many), borrowed(m.fresh), m.born,
+        borrowed(m.first), borrowed(m.site_of), borrowed(m.shares), borrowed(m.z), borrowed(m.many), borrowed(m.fresh),
+        m.born,
     )  # fmt: skip

@@ -25,6 +25,7 @@ from cellslam.slam.fastslam.sight_kernel import SEEN, sight_blocks
 from cellslam.slam.fastslam.summary import map_of
 from cellslam.slam.fastslam.threads import over_blocks
 from cellslam.slam.front_end import Readings, existence, ports_of, readings
+from cellslam.slam.looks import Grouping, Looks
 from cellslam.slam.misfit import Misfit
 
 SLACK_M = 0.3  # of the test that passes over tracks: what its bounds are not told of
@@ -64,20 +65,17 @@ class FastSlam:
 
     def start(self, setup: Setup, rng: np.random.Generator) -> None:
         """Draw the prior."""
-        o = self.options
-        self._setup, self._rng = setup, rng
-        self._site_of = np.array(setup.links.site, np.int64)  # a writable copy: compiled code is typed by that
+        self._grouping = Grouping(setup, self.options)
+        self._setup = setup = self._grouping.setup
+        self._options = o = self._grouping.options
+        self._rng, self._site_of = rng, setup.links.site
         self._port_of = ports_of(self._site_of, setup.links.port)
         self._shares = 1.0 / np.bincount(self._site_of)[self._site_of] ** o.link_correlation
-        self._link_of, self._map_of = np.arange(len(setup.links)), np.arange(len(setup.links))
-        if o.sharing == "site":
-            _, self._link_of, self._map_of = np.unique(self._site_of, return_index=True, return_inverse=True)
-        self._leads = self._link_of[self._map_of] == np.arange(len(setup.links))
         given = self.choice.prior(setup)
         self._choice = self.choice.for_clocks(given.sites)
         self._particles: Particles = draw(
             given, o.particles_start or o.particles, self._choice.component_m,
-            min(o.vts_per_link, CAPACITY), rng, len(self._link_of), self._choice.record, o.motion == "sampled",
+            min(o.vts_per_link, CAPACITY), rng, len(self._site_of), self._choice.record, o.motion == "sampled",
         )  # fmt: skip
         self._origin = np.array(setup.start_pose[:3], float)
         self._particles.rows(POSE, 3)[:] -= self._origin[:, None]
@@ -91,27 +89,26 @@ class FastSlam:
 
     def step(self, dt_s: float, odometry: Floats, snapshot: Snapshot) -> Estimate:
         """Move, weigh, update and, if needed, resample (paper, section IV)."""
-        values = self._misfit.widened(self._read(dt_s, odometry, self._attitude.levelled(dt_s, snapshot)), dt_s)
-        association = self._update(dt_s, odometry, snapshot, values)
-        self._born += len(snapshot)
+        looks = self._grouping.looks(snapshot)
+        values = self._misfit.widened(self._read(dt_s, odometry, self._attitude.levelled(dt_s, looks)), dt_s)
+        association = self._update(dt_s, odometry, looks, values)
+        self._born += len(looks)
         self._now += 1
         self._time_s += dt_s
-        return self._conclude(association[:, : len(snapshot)], snapshot, values)
+        return self._grouping.answer(self._conclude(association[:, : len(looks)], looks, values), looks)
 
-    def _read(self, dt_s: float, odometry: Floats, snapshot: Snapshot) -> Readings:
+    def _read(self, dt_s: float, odometry: Floats, looks: Looks) -> Readings:
         turned, moved = odometry[3] * dt_s, odometry[0] * dt_s
-        return readings(snapshot, self._port_of, self.options, turned, moved)
+        return readings(looks, self._port_of, self._options, turned, moved)
 
-    def _update(self, dt_s: float, odometry: Floats, snapshot: Snapshot, values: Readings) -> NDArray[np.int32]:
-        first, most, needed = census(snapshot.link, self._map_of, self._particles.counts)
-        self._reserve(len(snapshot), most, needed)
+    def _update(self, dt_s: float, odometry: Floats, looks: Looks, values: Readings) -> NDArray[np.int32]:
+        first, most, needed = census(looks.link, self._particles.counts)
+        self._reserve(len(looks), most, needed)
         p, association = self._particles, self._association
-        association[:, : len(snapshot)] = -1
-        z, many, fresh = pack(values.z, values.single, values.many, values.fresh, values.gap, values.lack)
-        measured = Measured(
-            first, self._site_of, self._shares, self._map_of, self._leads, z, many, fresh, self._born
-        )  # fmt: skip
-        self._parts, rules = self._choice.parts_for(snapshot, self._born, self._time_s + dt_s), self._rules_for(dt_s)
+        association[:, : len(looks)] = -1
+        z, many, fresh = pack(values.z, values.single, values.many, values.fresh, values.gap, values.lack, looks.begins)
+        measured = Measured(first, self._site_of, self._shares, z, many, fresh, self._born)
+        self._parts, rules = self._choice.parts_for(looks, self._born, self._time_s + dt_s), self._rules_for(dt_s)
         sight = partial(self._sight, rules, float(dt_s), measured)
         velocity = self._choice.proposal(p, self._setup.odometry_model, dt_s, odometry, sight, self._rng)
         self._over_blocks(
@@ -133,10 +130,9 @@ class FastSlam:
         over_blocks(kernel, len(self._particles.state), self._scratch, *arguments)
 
     def _rules_for(self, dt_s: float) -> Rules:
-        o = self.options
+        o = self._options
         if self._rules is None or (dt_s > 0.0 and abs(self._rules[0] - dt_s) > 1e-3 * dt_s):
             tables, age_once, age_twice = existence(o, dt_s if dt_s > 0.0 else 0.075)
-            tables[:, :, 0] = 0.0  # what another link of a shared map has seen in this snapshot is settled
             self._rules = (dt_s, Rules(
                 log_clutter=float(np.log(o.clutter_density)), gate=o.gate, log_birth=float(-np.log1p(-o.birth_ratio)),
                 slack_m=SLACK_M, hits=float(o.confirm_hits), age_once=age_once, age_twice=age_twice,
@@ -170,13 +166,13 @@ class FastSlam:
             floats=np.empty(work), ints=np.empty(work, np.int64),
         )  # fmt: skip
 
-    def _conclude(self, association: NDArray[np.int32], snapshot: Snapshot, values: Readings) -> Estimate:
+    def _conclude(self, association: NDArray[np.int32], looks: Looks, values: Readings) -> Estimate:
         p, o = self._particles, self.options
         weights, best, effective = normalised(p.log_weight)
         mean, covariance, offset, variance = moments(p.state, weights, p.nuisances)
         mean[:3] += self._origin
         block, lane = divmod(int(best), LANES)
-        vts = map_of(p, best, self._parts, self._site_of[self._link_of], self._link_of, self._origin)
+        vts = map_of(p, best, self._parts, self._site_of, self._origin)
         sites = len(self._setup.sites)
         estimate = Estimate(
             mean, covariance, association[block, :, lane].astype(np.int64), offset[:sites], variance[:sites], vts
@@ -184,7 +180,7 @@ class FastSlam:
         pose = p.rows(POSE, 6)[block, :, lane].copy()
         pose[:3] += self._origin
         self._misfit.learn(estimate, values, pose)
-        estimate = self._attitude.concluded(estimate, snapshot, values.many, pose)
+        estimate = self._attitude.concluded(estimate, looks, values.many, pose)
         wanted = -(-o.particles // LANES) * LANES if self._time_s >= o.start_phase_s else len(p)
         if wanted != len(p) or effective < o.effective_share * len(p):
             self._particles = select(p, self._choice.resampling(weights.ravel(), wanted, self._rng))

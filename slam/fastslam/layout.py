@@ -102,14 +102,11 @@ class Rules(NamedTuple):
 
 class Measured(NamedTuple):
     """A snapshot: `first` (L + 1,) measurement of each link; `site_of` (L,); `shares` (L,): weight of a link's evidence
-    on which VTs there are; `map_of` (L,): the map that a link's VTs are kept in; `leads` (L,): whether it is the first
-    of its map's links; z, many, fresh (M, 15): see `measurement_kernel.pack`; `born`: number of the first row."""
+    on which VTs there are; z, many, fresh (M, 15): see `measurement_kernel.pack`; `born`: number of the first row."""
 
     first: np.ndarray
     site_of: np.ndarray
     shares: np.ndarray
-    map_of: np.ndarray
-    leads: np.ndarray
     z: np.ndarray
     many: np.ndarray
     fresh: np.ndarray

@@ -15,13 +15,14 @@ LEAST_RANGE_M, MOST_RANGE_M = 3.0, 600.0
 
 
 @njit(cache=True)
-def pack(z, single, many, fresh, gap, lack):
+def pack(z, single, many, fresh, gap, lack, begins):
     """Return three tables (m, 15) in single precision: to associate with, to update with, to give birth with.
 
     Columns: distance, cos and sin of azimuth and of elevation, three variances, three flags: 1 measured, 0 not (then
     the variance is 1); what the log-density lacks: in both that of components that were not measured, against clutter
     of width `gap`, in the second `lack` too, since it is that of an update; azimuth; 6 standard deviations of distance
-    and of azimuth. Arguments: see `front_end.Readings`.
+    and of azimuth. What may not begin a VT (begins (m,)) has neither distance nor azimuth in the third. Other
+    arguments: see `front_end.Readings`.
     """
     m = len(z)
     shape = (m, COLUMNS)
@@ -48,27 +49,25 @@ def pack(z, single, many, fresh, gap, lack):
             if row[8 + c] > 0.0:
                 second[i, 5 + c], third[i, 5 + c] = many[i, c], fresh[i, c]
         second[i, 11] += lack[i]
+        if not begins[i]:
+            third[i, 8], third[i, 9] = 0.0, 0.0
     return first, second, third
 
 
 @njit(cache=True)
-def census(link, map_of, counts):
+def census(link, counts):
     """Return the first measurement of each link (L + 1,), how many a link has at most, and how many tracks a map of
-    counts (G, maps) could have when each measurement has begun one.
-
-    link (m,): of each measurement, sorted; map_of (L,).
-    """
-    first, born = np.zeros(len(map_of) + 1, np.int64), np.zeros(counts.shape[1], np.int64)
+    counts (G, L) could have when each measurement has begun one. link (m,): of each measurement, sorted."""
+    links = counts.shape[1]
+    first = np.zeros(links + 1, np.int64)
     for i in range(len(link)):
         first[link[i] + 1] += 1
-        born[map_of[link[i]]] += 1
-    most = first.max()
-    for i in range(len(map_of)):
-        first[i + 1] += first[i]
-    needed = 0
+    most, needed = first.max(), 0
     for g in range(counts.shape[0]):
-        for i in range(counts.shape[1]):
-            needed = max(needed, counts[g, i] + born[i])
+        for i in range(links):
+            needed = max(needed, counts[g, i] + first[i + 1])
+    for i in range(links):
+        first[i + 1] += first[i]
     return first, most, needed
 
 

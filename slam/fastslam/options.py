@@ -45,9 +45,6 @@ class FastSlamOptions(FrontEndOptions):
         "marginalised",
         description="clock offsets: marginalised per site, sampled, known (the prior's mean), or one for each VT",
     )
-    sharing: Literal["none", "site"] = Field(
-        "none", description="whether the ports and sectors of a site share one map of VTs"
-    )
     resampling: Literal["systematic", "stratified", "residual", "multinomial"] = Field(
         "systematic", description="resampling scheme"
     )

@@ -70,15 +70,14 @@ def _sight(g, parts, rules, now, dt, velocity, state, tracks, travelled, measure
         first, last, site = measured.first[number], measured.first[number + 1], measured.site_of[number]
         if last == first:
             continue
-        own = measured.map_of[number]
         link = Link(
-            tracks.status[g, own], tracks.alike[g, own], tracks.records[g, own], tracks.ident[g, own],
-            tracks.order[g, own], tracks.bounds[g, own],
+            tracks.status[g, number], tracks.alike[g, number], tracks.records[g, number], tracks.ident[g, number],
+            tracks.order[g, number], tracks.bounds[g, number],
         )  # fmt: skip
         load_site(s.w, state, site, size)
         load_clock(parts.clock, s.w, state, site, size)
         found = candidates(
-            parts, s, now, link, tracks.counts[g, own], travelled[site], turned, psi, psi_spread, measured.z, first,
+            parts, s, now, link, tracks.counts[g, number], travelled[site], turned, psi, psi_spread, measured.z, first,
             last, rules,
         )  # fmt: skip
         turn = (now * len(measured.site_of) + number) * len(tracks.counts) + g

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import numpy as np
+
 from cellslam.sim.recording import Floats, Ints
 from cellslam.slam.api import VtEstimate
 from cellslam.slam.fastslam.layout import LANES
@@ -11,14 +13,14 @@ from cellslam.slam.fastslam.parts import Parts
 from cellslam.slam.fastslam.tracks_kernel import CONFIRMED
 
 
-def map_of(particles: Particles, index: int, parts: Parts, site_of: Ints, link_of: Ints, origin: Floats) -> VtEstimate:
+def map_of(particles: Particles, index: int, parts: Parts, site_of: Ints, origin: Floats) -> VtEstimate:
     """Return the confirmed VTs of one particle, in the world frame; `origin` (3,): where the filter's lies.
 
-    site_of, link_of: site of each map, and the link that its VTs are reported for.
+    site_of (L,): site of each link, which has a map.
     """
     block, lane = divmod(index, LANES)
     p = particles
     return VtEstimate(*read_map(parts)(
         parts, lane, CONFIRMED, p.nuisances, p.state[block], p.status[block], p.records[block], p.ident[block],
-        p.order[block], p.counts[block], site_of, link_of, origin,
+        p.order[block], p.counts[block], site_of, np.arange(len(site_of)), origin,
     ))  # fmt: skip

@@ -45,7 +45,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
         patch.setattr(sys, "path", [*sys.path, str(place)])
         tasks.request_of.cache_clear()
         short = [word for key, value in SET.items() for word in ("--set", f"{key}={value}")]
-        line = ["sweep", "tiny", *short, "--sweep", "radio.load=0.1,1", "--sweep", f"{PARTICLES}=10,20"]
+        line = ["sweep", "tiny", *short, "--sweep", "radio.load=0.1,1", "--sweep", f"{PARTICLES}=10,40"]
         for name in ("fastslam", "dead-reckoning", "breaks:Breaks"):
             line += ["--estimator", name]
         assert main([*line, "--trials", "6", "--out", str(place / "out"), "--executor", "serial", "--quiet"]) == 1
@@ -75,14 +75,14 @@ def test_summary_and_curves_hold_the_medians(folder: Path, said: dict[str, Any])
     curves = {curve["key"]: curve["lines"] for curve in said["curves"]}
     assert set(curves) == {"radio.load", PARTICLES}
     along = {line["name"]: line["metrics"].get("position_rmse_m", [[]])[0] for line in curves[PARTICLES]}
-    assert along["fastslam, radio.load = 1"] == [10, 20] and along["dead-reckoning, radio.load = 1"] == [None]
+    assert along["fastslam, radio.load = 1"] == [10, 40] and along["dead-reckoning, radio.load = 1"] == [None]
     assert [p["title"] for p in said["panels"]] == ["radio.load = 0.1", "radio.load = 1"]
 
 
 def test_curves_can_go_along_options(folder: Path, tmp_path: Path) -> None:
     data = load(folder)
     assert curve_keys(data) == ["radio.load", PARTICLES]
-    assert [x for x, _ in sweep_lines(data, PARTICLES)["fastslam, radio.load = 1"]] == [10.0, 20.0]
+    assert [x for x, _ in sweep_lines(data, PARTICLES)["fastslam, radio.load = 1"]] == [10.0, 40.0]
     assert set(sweep_lines(data, "radio.load")) >= {"fastslam, particles = 10", "dead-reckoning"}
     assert main(["figures", str(folder), "--x", PARTICLES, "--out", str(tmp_path), "--quiet"]) == 0
     assert (tmp_path / "sweep.png").stat().st_size > 3000
@@ -134,7 +134,7 @@ def test_sections_show_the_world_of_the_trial(folder: Path, said: dict[str, Any]
 def test_sections_show_what_was_estimated(folder: Path, said: dict[str, Any]) -> None:
     trial = said["trials"][0]
     frame = results(folder)
-    labels = {"dead-reckoning", "fastslam, particles = 10", "fastslam, particles = 20"}
+    labels = {"dead-reckoning", "fastslam, particles = 10", "fastslam, particles = 40"}
     assert {one["label"] for one in trial["estimates"]} == labels
     mine = next(one for one in trial["estimates"] if one["label"] == trial["label"])
     error = np.hypot(*(np.array(mine["position"][:2]) - np.array(trial["scene"]["truth"][:2])))

@@ -30,6 +30,7 @@ from cellslam.slam.baselines.ekf_slam.layout import (
 from cellslam.slam.baselines.ekf_slam.options import EkfSlamOptions, JointOptions
 from cellslam.slam.baselines.ekf_slam.start import Start, begin
 from cellslam.slam.front_end import existence, first_of_link, ports_of, readings
+from cellslam.slam.looks import Grouping, Looks
 from cellslam.slam.misfit import Misfit
 
 NOT_GIVEN = -2
@@ -62,7 +63,8 @@ class JointFilter:
     def start(self, setup: Setup, rng: np.random.Generator) -> None:
         """Take the prior; nothing is drawn."""
         del rng
-        self._setup, self._time_s, self._now, self._born = _writable(setup), 0.0, 0, 0
+        self._grouping = Grouping(setup, self.options)
+        self._setup, self._time_s, self._now, self._born = _writable(self._grouping.setup), 0.0, 0, 0
         self._attitude, self._misfit = Attitude(self.options, setup), Misfit(self.options)
         self._ports = ports_of(self._setup.links.site, self._setup.links.port)
         self._start: Start | None = self._begin()
@@ -74,19 +76,21 @@ class JointFilter:
         """Predict, associate, update."""
         self._time_s += dt_s
         odometry = np.array(odometry)
-        measured = self._measured(dt_s, odometry, self._attitude.levelled(dt_s, snapshot))
+        looks = self._grouping.looks(snapshot)
+        measured = self._measured(dt_s, odometry, self._attitude.levelled(dt_s, looks))
         if self._start is not None:
             answer = self._step_start(self._start, dt_s, odometry, measured)
         else:
             answer = self._step_joint(dt_s, odometry, measured)
         self._now += 1
-        self._born += len(snapshot)
+        self._born += len(looks)
         self._misfit.learn(answer, measured.readings)
-        return self._attitude.concluded(answer, snapshot, measured.readings.many)
+        answer = self._attitude.concluded(answer, looks, measured.readings.many)
+        return self._grouping.answer(answer, looks)
 
-    def _given(self, snapshot: Snapshot) -> Ints:
-        """Return the true VT of each measurement, for the oracle that knows it."""
-        return np.full(len(snapshot), NOT_GIVEN, np.int64)
+    def _given(self, looks: Looks) -> Ints:
+        """Return the true VT of each look, for the oracle that knows it."""
+        return np.full(len(looks), NOT_GIVEN, np.int64)
 
     def _begin(self) -> Start:
         """Return the banks of the start."""
@@ -135,23 +139,24 @@ class JointFilter:
         variance = np.maximum(np.diag(cov)[offsets], 0.0)
         return _estimate(mean, cov, association[best].copy(), mean[offsets], variance, self._map([(bank, best)]))
 
-    def _measured(self, dt_s: float, odometry: Floats, snapshot: Snapshot) -> Measured:
+    def _measured(self, dt_s: float, odometry: Floats, looks: Looks) -> Measured:
         if self._tables is None or (dt_s > 0.0 and abs(self._tables[0] - dt_s) > 1e-3 * dt_s):
-            self._tables = (dt_s, existence(self.options, dt_s if dt_s > 0.0 else 0.075))
+            self._tables = (dt_s, existence(self._grouping.options, dt_s if dt_s > 0.0 else 0.075))
         tables, once, twice = self._tables[1]
-        o, cfg = self.options, np.zeros(CFG)
+        o, cfg = self._grouping.options, np.zeros(CFG)
         cfg[CLUTTER], cfg[GATE], cfg[BIRTH] = np.log(o.clutter_density), o.gate, -np.log1p(-o.birth_ratio)
         cfg[CONFIRM], cfg[AGE_ONCE], cfg[AGE_TWICE] = o.confirm_hits, once, twice
         self._configure(cfg, dt_s)
         site = self._setup.links.site
-        values = self._misfit.widened(readings(snapshot, self._ports, o, odometry[3] * dt_s, odometry[0] * dt_s), dt_s)
-        first = first_of_link(snapshot, len(site))
+        values = self._misfit.widened(readings(looks, self._ports, o, odometry[3] * dt_s, odometry[0] * dt_s), dt_s)
+        first = first_of_link(looks, len(site))
         begin, begin_q = values.z.copy(), values.fresh.copy()
         flat = np.isnan(begin[:, 2])
         begin[flat, 2], begin_q[flat, 2] = 0.0, np.radians(o.elevation_std_deg) ** 2
         if np.isnan(begin[:, :2]).any():
             self._make_room()
-        return Measured(self._now, self._born, first, values, begin, begin_q, self._given(snapshot), tables, cfg)
+        begin[~looks.begins] = np.nan
+        return Measured(self._now, self._born, first, values, begin, begin_q, self._given(looks), tables, cfg)
 
     def _make_room(self) -> None:
         """Make places for the guesses of VTs whose direction or distance is not measured."""

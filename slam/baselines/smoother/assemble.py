@@ -15,6 +15,7 @@ from cellslam.slam.baselines.smoother.graph import Problem, Sighting
 from cellslam.slam.baselines.smoother.odometry import Leg, errors_of, leg, local
 from cellslam.slam.baselines.smoother.options import SmootherOptions
 from cellslam.slam.front_end import ports_of, readings
+from cellslam.slam.looks import Grouping
 
 LARGEST_SHIFT_S = 1e-9
 
@@ -99,7 +100,8 @@ def _sightings(
     drive: Drive, legs: Sequence[Leg], frames: Ints, options: SmootherOptions
 ) -> tuple[list[int], tuple[Sighting, ...]]:
     """Return the identities of the VTs in the graph, and all that was seen of them about each keyframe."""
-    setup = drive.setup
+    grouping = Grouping(drive.setup, options.fastslam)
+    setup = grouping.setup
     ids, counts = np.unique(np.concatenate(drive.association), return_counts=True)
     often = ids[(counts >= options.vt_detections) & (ids >= 0)]
     kept = [int(v) for v in often if int(v) in drive.vts]
@@ -113,10 +115,13 @@ def _sightings(
         pose = legs[k].inner[inside - 1] if inside else np.zeros(6)
         relative = np.concatenate([rotation(*pose[3:]).ravel(), pose[:3]])
         u, dt = drive.odometry[t], drive.dt_s[t]
-        found = readings(snapshot, ports, options.fastslam, u[3] * dt, u[0] * dt)
-        for m, vt in enumerate(drive.association[t].tolist()):
+        looks = grouping.looks(snapshot)
+        found = readings(looks, ports, grouping.options, u[3] * dt, u[0] * dt)
+        answer = np.full(len(looks), -1, np.int64)
+        answer[looks.of] = drive.association[t]
+        for m, vt in enumerate(answer.tolist()):
             if vt in place and np.isfinite(found.z[m]).all():
-                site = int(setup.links.site[snapshot.link[m]])
+                site = int(setup.links.site[looks.link[m]])
                 entry = relative, found.z[m], found.single[m], found.many[m]
                 groups.setdefault((k, place[vt], site), []).append(entry)
     return kept, tuple(_sighting(*key, entries) for key, entries in groups.items())

@@ -1,0 +1,162 @@
+"""Compiled: which measurements of different links are of one path, and their means."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numba import njit
+
+TOGETHER = 16.3  # squared distance of two measurements of one path over its variance, at most
+
+
+@njit(cache=True)
+def taken_together(distance, azimuth, elevation, white, place, link, group_of, port_of, together):
+    """Return the looks of a snapshot, sorted by group: measurements (n, 3), white variances (n, 3), group (n,), how
+    many measurements they are means of (n,), of how many ports (n,), the first of them (n,); and the look of each
+    measurement (m,).
+
+    white (m, 3): variances; place (3,): those of errors that differ from port to port; link (m,), sorted; group_of,
+    port_of (L,). Where `together` is false, each measurement is a look of its own.
+    """
+    m = len(link)
+    z = np.empty((m, 3))
+    for i in range(m):
+        z[i, 0], z[i, 1], z[i, 2] = distance[i], azimuth[i], elevation[i]
+    if together:
+        look, looks = group(z, white + 2.0 * place, link, group_of)
+    else:
+        look, looks = np.arange(m), m
+    lead, count = np.full(looks, -1), np.zeros(group_of.max() + 2, np.int64)
+    for i in range(m):
+        if lead[look[i]] < 0:
+            lead[look[i]] = i
+            count[group_of[link[i]] + 1] += 1
+    count = np.cumsum(count)
+    first, own = np.empty(looks, np.int64), np.empty(looks, np.int64)
+    number = np.empty(looks, np.int64)
+    for n in range(looks):
+        g = group_of[link[lead[n]]]
+        number[n] = count[g]
+        own[count[g]], first[count[g]] = g, lead[n]
+        count[g] += 1
+    for i in range(m):
+        look[i] = number[look[i]]
+    mean, variance, members, ports = means(z, white, link, port_of, look, first)
+    return mean, variance, own, members, ports, first, look
+
+
+@njit(cache=True)
+def group(z, variance, link, group_of):
+    """Return for each measurement (m,) the number of its look, and how many looks there are.
+
+    z (m, 3): distance, azimuth, elevation, NaN where not measured; variance (m, 3): of each, without what all
+    measurements of a path have in common; link (m,): sorted; group_of (L,): links of one group see the same paths, a
+    path at most once each. A look stands where its members do in the mean; of all pairs of a link's measurements and
+    looks, the closest goes first.
+    """
+    m = len(link)
+    look, own, taken = np.empty(m, np.int64), np.empty(m, np.int64), np.zeros(m, np.int64)
+    centre, spread, members = np.zeros((m, 3)), np.zeros((m, 3)), np.zeros((m, 3))
+    looks, start = 0, 0
+    while start < m:
+        stop = start
+        while stop < m and link[stop] == link[start]:
+            look[stop] = -1
+            stop += 1
+        before = looks
+        taken[:before] = 0
+        while True:
+            best, which, where = TOGETHER, -1, -1
+            for k in range(start, stop):
+                if look[k] >= 0:
+                    continue
+                for c in range(before):
+                    if taken[c] == 1 or own[c] != group_of[link[start]]:
+                        continue
+                    apart = _apart(z[k], variance[k], centre[c], spread[c])
+                    if apart < best:
+                        best, which, where = apart, k, c
+            if which < 0:
+                break
+            look[which], taken[where] = where, 1
+            _join(z[which], variance[which], centre[where], spread[where], members[where])
+        for k in range(start, stop):
+            if look[k] < 0:
+                look[k], own[looks] = looks, group_of[link[start]]
+                _join(z[k], variance[k], centre[looks], spread[looks], members[looks])
+                looks += 1
+        start = stop
+    return look, looks
+
+
+@njit(cache=True)
+def means(z, white, link, port_of, look, first):
+    """Return the means (n, 3) of the measurements (m, 3) of each look, their white variances (n, 3), how many there are
+    and of how many ports (n,).
+
+    The measurements of one port count alike, and ports count alike. link (m,), look (m,); port_of (L,); first (n,): one
+    measurement of each look.
+    """
+    m, looks = len(link), len(first)
+    mean, variance, whole = np.zeros((looks, 3)), np.zeros((looks, 3)), np.zeros((looks, 3))
+    members, ports = np.zeros(looks, np.int64), np.zeros(looks, np.int64)
+    for i in range(m):
+        n, alike, before = look[i], 0, 0
+        for j in range(m):
+            if look[j] == n and port_of[link[j]] == port_of[link[i]]:
+                alike += 1
+                before += 1 if j < i else 0
+        members[n] += 1
+        ports[n] += 1 if before == 0 else 0
+        weight = 1.0 / alike
+        for c in range(3):
+            if math.isnan(z[i, c]):
+                continue
+            gap = z[i, c]
+            if c == 1 and not math.isnan(z[first[n], 1]):
+                gap -= z[first[n], 1]
+                gap -= 2.0 * math.pi * math.floor(gap / (2.0 * math.pi) + 0.5)
+            mean[n, c] += weight * gap
+            variance[n, c] += weight * weight * white[i, c]
+            whole[n, c] += weight
+    for n in range(looks):
+        for c in range(3):
+            if whole[n, c] == 0.0:
+                mean[n, c], variance[n, c] = math.nan, white[first[n], c]
+                continue
+            mean[n, c] /= whole[n, c]
+            variance[n, c] /= whole[n, c] * whole[n, c]
+        if not math.isnan(z[first[n], 1]):
+            mean[n, 1] += z[first[n], 1]
+    return mean, variance, members, ports
+
+
+@njit(cache=True)
+def _apart(z, variance, centre, spread):
+    """Return the squared distance of a measurement from a look, over its variance."""
+    total = 0.0
+    for c in range(3):
+        gap = z[c] - centre[c]
+        if math.isnan(gap):
+            continue
+        if c == 1:
+            gap -= 2.0 * math.pi * math.floor(gap / (2.0 * math.pi) + 0.5)
+        total += gap * gap / (variance[c] + spread[c])
+    return total
+
+
+@njit(cache=True)
+def _join(z, variance, centre, spread, members):
+    """Take a measurement into the mean of a look: the first one that has a component begins it."""
+    for c in range(3):
+        if members[c] == 0.0:
+            centre[c], spread[c] = z[c], variance[c]
+        if math.isnan(z[c]):
+            continue
+        members[c] += 1.0
+        gap = z[c] - centre[c]
+        if c == 1:
+            gap -= 2.0 * math.pi * math.floor(gap / (2.0 * math.pi) + 0.5)
+        centre[c] += gap / members[c]
+        spread[c] += (variance[c] - spread[c]) / members[c]
