@@ -13,7 +13,7 @@ from cellslam.benchmarks.bound import BoundResult
 from cellslam.benchmarks.gospa import gospa
 from cellslam.benchmarks.result import METRIC_KEYS, TrialResult
 from cellslam.sim.frames import wrap_angle
-from cellslam.sim.recording import Floats, Recording, Reference, Truth
+from cellslam.sim.recording import Floats, Ints, Recording, Reference, Truth
 from cellslam.slam.api import VtEstimate
 
 GOSPA_CUTOFF_M = 20.0
@@ -134,7 +134,8 @@ def map_gospa(recording: Recording, truth: Truth, vts: VtEstimate) -> float | No
     """Return the GOSPA in metres between final and true VTs, averaged over links; None without links.
 
     The truth of a link are the VTs detected at least 20 times on it. p = 2, cut-off 20 m, alpha = 2. A link
-    with neither true nor estimated VTs counts 0.
+    with neither true nor estimated VTs counts 0; one with no estimated VT has the map of its site's first link that
+    has any, for the links of a site may share a map.
     """
     links, count = len(recording.links), len(truth.vts)
     if links == 0:
@@ -145,13 +146,20 @@ def map_gospa(recording: Recording, truth: Truth, vts: VtEstimate) -> float | No
     distances = [
         gospa(
             truth.vts.position_m[detections[link] >= DETECTIONS_OF_A_TRUE_VT],
-            vts.position_m[vts.link == link],
+            vts.position_m[vts.link == _keeper(vts.link, recording.links.site, link)],
             GOSPA_CUTOFF_M,
             GOSPA_ORDER,
         ).distance_m
         for link in range(links)
     ]
     return float(np.mean(distances))
+
+
+def _keeper(own: Ints, site: Ints, link: int) -> int:
+    """Return the link under which the map of `link` is kept; own (n,): link of each VT; site (L,)."""
+    if (own == link).any():
+        return link
+    return int(min(own[site[own] == site[link]], default=link))
 
 
 def duration_s(recording: Recording) -> float:

@@ -165,3 +165,23 @@ def test_association_of_a_hundred_thousand_measurements_is_fast():
     precision, recall = precision_recall(tracks_of(link, said, true), true)
     assert time.perf_counter() - begin < 1.0
     assert recall == pytest.approx(0.9, abs=0.01) and precision is not None
+
+
+def test_links_of_a_site_may_share_a_map(make_recording):
+    """VTs that are reported under one link of a site count for its others, unless these have a map of their own."""
+    recording = make_recording(seed=5, sites=2, ports=2, vts_per_site=3, snapshots=60)
+    whole = perfect(recording)
+    assert whole.vts is not None
+    site = recording.links.site
+    assert list(site) == [0, 0, 1, 1]
+
+    def of(kept):
+        vts = VtEstimate(*(a[np.isin(whole.vts.link, kept)] for a in whole.vts.__dict__.values()))
+        return score(recording, dataclasses.replace(whole, vts=vts), None)["map_gospa_m"]
+
+    missed = [np.sqrt(200.0 * (whole.vts.link == link).sum()) for link in range(4)]
+    assert of([0, 1, 2, 3]) == of([0, 2]) == of([1, 3]) == 0.0
+    assert of([0, 1]) == pytest.approx((missed[2] + missed[3]) / 4)
+    alone = dataclasses.replace(whole.vts, position_m=whole.vts.position_m + 1e3 * (whole.vts.link == 1)[:, None])
+    far = score(recording, dataclasses.replace(whole, vts=alone), None)["map_gospa_m"]
+    assert far == pytest.approx(np.sqrt(2.0) * missed[1] / 4)
