@@ -55,7 +55,7 @@ class Grouping(Generic[Options]):
         site, self._port = np.array(links.site, np.int64), np.array(links.port, np.int64)
         key = site if options.sharing == "site" else np.arange(len(site))
         _, self._first, self._group = np.unique(key, return_index=True, return_inverse=True)
-        share = len(site) / max(len(self._first), 1)
+        share = max(len(site), 1) / max(len(self._first), 1)
         self._together, self._given, size = share > 1.0, options, np.bincount(self._group)
         self._doubts = doubts(size, options.detection_probability)
         self._begins = (self._doubts <= 0.0) | (size < MANY)[:, None]

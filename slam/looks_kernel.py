@@ -27,7 +27,7 @@ def taken_together(distance, azimuth, elevation, white, place, link, group_of, p
         look, looks = group(z, white + 2.0 * place, link, group_of)
     else:
         look, looks = np.arange(m), m
-    lead, count = np.full(looks, -1), np.zeros(group_of.max() + 2, np.int64)
+    lead, count = np.full(looks, -1), np.zeros(len(group_of) + 1, np.int64)
     for i in range(m):
         if lead[look[i]] < 0:
             lead[look[i]] = i

@@ -193,3 +193,9 @@ def test_detection_and_clutter_are_those_of_looks() -> None:
 def test_an_empty_snapshot() -> None:
     looks = Grouping(setup(), FrontEndOptions()).looks(snapshot([], np.zeros((0, 3))))
     assert isinstance(looks, Looks) and len(looks) == 0
+
+
+def test_a_receiver_without_links() -> None:
+    grouping = Grouping(setup([], []), FrontEndOptions())
+    assert len(grouping.looks(snapshot([], np.zeros((0, 3))))) == 0
+    assert grouping.options.clutter_density == FrontEndOptions().clutter_density
