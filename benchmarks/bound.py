@@ -1,6 +1,6 @@
 """The posterior Cramer-Rao bound of a drive: what a filter that makes no mistake of association could reach.
 
-The covariance recursion of the joint filter over pose, odometry biases and scales, clock offsets, the VTs of every link
+The covariance recursion of the joint filter over pose, odometry biases and scales, clock offsets, the VTs of every site
 and the measurement errors that persist, with all Jacobians at the truth, the true associations, the odometry's noise
 model and each measurement's true covariance. It is conditional on the realised trajectory and detections (Tichavsky,
 Muravchik, Nehorai, "Posterior Cramer-Rao bounds for discrete-time nonlinear filtering", IEEE Trans. Signal Processing
@@ -14,7 +14,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from cellslam.benchmarks.bound_model import Errors, Flags, Looks, Motion, Sightings, room
+from cellslam.benchmarks.bound_model import Errors, Looks, Motion, Sightings, room
 from cellslam.sim.errors import InputError
 from cellslam.sim.frames import mean_velocity, rotation
 from cellslam.sim.progress import Progress, silent
@@ -66,9 +66,9 @@ class Core:
 def bound(recording: Recording, progress: Progress = silent) -> BoundResult:
     """Return the posterior Cramer-Rao bound of a recording with truth.
 
-    VTs enter with a flat prior at their first detection, separately for each link. Errors that persist are states too,
-    where `truth.persisting_std` is there. Pitch, roll and height are known where neither the start nor the odometry's
-    data sheet is uncertain of them. Raises InputError without truth.
+    VTs enter with a flat prior at their first detection, one for all links of a site. Errors that persist are states
+    too, where `truth.persisting_std` is there. Pitch, roll and height are known where neither the start nor the
+    odometry's data sheet is uncertain of them. Raises InputError without truth.
     """
     if recording.truth is None:
         raise InputError("the recording has no truth: the bound needs the true trajectory, VTs and measurement noise")
@@ -174,9 +174,11 @@ def drifted_std(recording: Recording) -> Floats:
 
 
 def tracked_measurements(recording: Recording, truth: Truth, core: Core) -> tuple[Looks, Sightings, Errors]:
-    """Return the measurements that carry information, of a true VT that is seen at least twice on its link.
+    """Return the measurements of true VTs.
 
-    With their Jacobians and variances at the truth, and the errors that persist, rates of clocks among them.
+    With their Jacobians and variances at the truth, and the errors that persist, rates of clocks among them. The ports
+    and sectors of a site stand at one place and see the same VTs. Sectors on one port differ by white noise alone: what
+    they measure of a VT in a snapshot is one measurement of their joint variance, exactly.
     """
     from cellslam.benchmarks.bound_persisting import Seen, persisting_errors, with_drift
 
@@ -184,33 +186,34 @@ def tracked_measurements(recording: Recording, truth: Truth, core: Core) -> tupl
     real = np.flatnonzero(truth.measurement_vt >= 0)
     pose, vt = truth.poses[m.snapshot[real]], truth.vts.position_m[truth.measurement_vt[real]]
     with np.errstate(divide="ignore", invalid="ignore"):
-        regular = np.isfinite(np.concatenate(jacobians(pose, vt), axis=-1)).all(axis=(1, 2))
-    pair = m.link[real] * vts + truth.measurement_vt[real]
-    _, inverse, count = np.unique(np.where(regular, pair, -1), return_inverse=True, return_counts=True)
-    keep = regular & (count[inverse] > 1)
-    real, pair = real[keep], pair[keep]
-    _, first_row, key = np.unique(pair, return_index=True, return_inverse=True)
-    _, last_row = np.unique(pair[::-1], return_index=True)
-    first, last = np.zeros(len(real), np.bool_), np.zeros(len(real), np.bool_)
-    first[first_row], last[len(real) - 1 - last_row] = True, True
+        real = real[np.isfinite(np.concatenate(jacobians(pose, vt), axis=-1)).all(axis=(1, 2))]
+    port, look = recording.links.port[m.link[real]], m.snapshot[real] * vts + truth.measurement_vt[real]
+    _, at, of = np.unique(look * (port.max(initial=0) + 1) + port, return_index=True, return_inverse=True)
+    snapshot, vt_of, port = m.snapshot[real[at]], truth.measurement_vt[real[at]], port[at]
+    _, first_row, key = np.unique(vt_of, return_index=True, return_inverse=True)
+    _, last_row = np.unique(vt_of[::-1], return_index=True)
+    rows = np.arange(len(at))
+    first, last = rows == first_row[key], rows == len(at) - 1 - last_row[key]
 
-    snapshot, vt_of = m.snapshot[real], truth.measurement_vt[real]
-    _, at, look = np.unique(snapshot * vts + vt_of, return_index=True, return_inverse=True)
-    position = truth.vts.position_m[vt_of[at]]
-    by_vt, by_pose = jacobians(truth.poses[snapshot[at]], position)
-    distance_m, azimuth_rad, elevation_rad = predict(truth.poses[snapshot[at]], position).T
-    seen = Seen(snapshot[at], azimuth_rad, elevation_rad, look, vt_of, recording.links.port[m.link[real]])
-    site = recording.links.site[m.link[real[at]]]
+    _, begin, look = np.unique(snapshot * vts + vt_of, return_index=True, return_inverse=True)
+    position = truth.vts.position_m[vt_of[begin]]
+    by_vt, by_pose = jacobians(truth.poses[snapshot[begin]], position)
+    distance_m, azimuth_rad, elevation_rad = predict(truth.poses[snapshot[begin]], position).T
+    seen = Seen(snapshot[begin], azimuth_rad, elevation_rad, look, vt_of, port)
+    site = recording.links.site[m.link[real[at[begin]]]]
     persisting = with_drift(persisting_errors(recording, seen), drifted_std(recording), seen, site)
     every = np.arange(len(recording.time_s) + 1)
     looks = Looks(
-        np.searchsorted(snapshot[at], every), by_pose, by_vt, core.offsets[site],
+        np.searchsorted(snapshot[begin], every), by_pose, by_vt, core.offsets[site],
         persisting.state, persisting.load,
     )  # fmt: skip
-    variance = _white_variance(recording, truth, real, distance_m[look], first, persisting.variance)
+    white = white_variance(recording, truth, real, distance_m[look[of]], persisting.variance)
+    variance = together(white, of, len(at))
+    missing = np.where(first[:, None], BROAD_STD**2, np.inf)
     sightings = Sightings(
-        np.searchsorted(snapshot, every), look, key, first, last, variance, persisting.own_state, persisting.own_load
-    )
+        np.searchsorted(snapshot, every), look, key, first, last, np.where(np.isfinite(variance), variance, missing),
+        persisting.own_state, persisting.own_load,
+    )  # fmt: skip
     return looks, sightings, persisting.errors
 
 
@@ -235,14 +238,18 @@ def _first(enter: Ints, state: Ints, at: Ints) -> None:
     np.minimum.at(enter, state[there], rows[there])
 
 
-def _white_variance(
-    recording: Recording, truth: Truth, rows: Ints, distance_m: Floats, first: Flags, persisting: Floats
-) -> Floats:
+def white_variance(recording: Recording, truth: Truth, rows: Ints, distance_m: Floats, persisting: Floats) -> Floats:
     """Return the variances (n, 3) of the white errors of measurements `rows` (n,); infinite: not measured."""
     m = recording.measurements
     measured = np.stack([m.distance_m[rows], m.azimuth_rad[rows], m.elevation_rad[rows]], axis=1)
     variance = truth.measurement_std[rows] ** 2 - persisting
     smallest = SMALLEST_STD * np.stack([distance_m, np.ones(len(rows)), np.ones(len(rows))], axis=1)
     there = np.isfinite(measured) & np.isfinite(variance)
-    missing = np.where(first[:, None], BROAD_STD, np.inf)
-    return np.where(there, np.maximum(variance, smallest**2), missing**2)
+    return np.where(there, np.maximum(variance, smallest**2), np.inf)
+
+
+def together(variance: Floats, of: Ints, count: int) -> Floats:
+    """Return the variances (count, 3) of what independent measurements, (n, 3) in groups `of` (n,), tell together."""
+    with np.errstate(divide="ignore"):
+        information = np.stack([np.bincount(of, column, count) for column in (1.0 / variance).T], axis=1)
+        return np.asarray(1.0 / information)

@@ -39,10 +39,10 @@ def covariance_recursion(
             predict(p, n, core, motion, t, work.moved)
             decay(p, n, core, errors, t, id_of)
         n = enter(p, n, looks, sightings, t, slot_of, id_of)
-        _update(p, n, looks, sightings, t, count, slot_of, work.gains, work.shared, work.dots)
         for m in range(sightings.rows[t], sightings.rows[t + 1]):
             if sightings.first[m]:
                 n = _birth(p, n, looks, sightings, m, count, slot_of, id_of, work.shared)
+        _update(p, n, looks, sightings, t, count, slot_of, work.gains, work.shared, work.dots)
         for a in range(POSE):
             for b in range(POSE):
                 out_pose[t, a, b] = p[a, b]

@@ -103,7 +103,7 @@ class PaperFastSlam:
         rot = rotation(self._pose[:, 3], self._pose[:, 4], self._pose[:, 5])
         scratch = (
             np.empty((count, places, len(z) + 1)), np.empty((count, 8, 3)), np.empty((count, 3, 3)),
-            np.empty((count, wide)), np.empty((count, len(z) + 1 + wide), np.int64),
+            np.empty((count, wide)), np.empty((count, len(z) + places + 2 + wide), np.int64),
         )  # fmt: skip
         use_snapshot(
             self._now, self._pose, rot, self._means, self._covs, self._slots, self._counts, first, self._offset_of,

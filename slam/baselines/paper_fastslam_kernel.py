@@ -9,6 +9,7 @@ from numba import njit, prange
 from cellslam.slam.fastslam.assignment import assign
 
 LAST, IDENT = 0, 1
+SLACK = 1e-3  # m^2: the predicted distance is never below a millimetre
 
 
 @njit(cache=True)
@@ -80,27 +81,51 @@ def _birth(pose, rot, z, offset, q, mean, cov):
 
 
 @njit(cache=True)
+def _score(pose, rot, mean, cov, z, q, start, stop, offset, gate, score, h, s):
+    """Write by how much each measurement of a link is within a VT's gate, at most 0 where not; return whether any is.
+
+    No component alone has a greater normalised distance than all three, and the variance of the predicted distance is
+    at most the trace of the VT's covariance: what is too far off by that needs no Jacobian.
+    """
+    by, t, e = h[1:4], h[4:7], h[7]
+    full = math.sqrt((mean[0] - pose[0]) ** 2 + (mean[1] - pose[1]) ** 2 + (mean[2] - pose[2]) ** 2)
+    most, predicted, found = cov[0, 0] + cov[1, 1] + cov[2, 2], False, False
+    for k in range(start, stop):
+        score[k - start] = -1.0
+        if (z[k, 0] - offset - full) ** 2 > gate * (most + q[k, 0]) + SLACK:
+            continue
+        if not predicted:
+            _predict(pose, rot, mean, h[0], by)
+            predicted = True
+        det = _spread(by, cov, q[k], t, s)
+        distance2 = _distance2(z[k], offset, h[0], s, e)
+        # A covariance that rounding has spoilt takes no measurement.
+        if det > 0.0 and distance2 >= 0.0:
+            score[k - start] = gate - distance2
+            found |= distance2 < gate
+    return found
+
+
+@njit(cache=True)
 def _particle(now, pose, rot, means, covs, slots, counts, first, offset_of, z, q, born, gate, association, score, h, s,
               work_f, work_i):  # fmt: skip
     weight = 0.0
     by, t, e = h[1:4], h[4:7], h[7]
-    row_of = work_i[: len(z) + 1]
-    solver = work_i[len(z) + 1 :]
+    count, places = len(z) + 1, means.shape[1]
+    row_of, near, solver = work_i[:count], work_i[count : count + places + 1], work_i[count + places + 1 :]
     for link in range(len(first) - 1):
         start, stop, count = first[link], first[link + 1], counts[link]
+        rivals = 0  # VTs with a measurement within the gate: the solver need not know of others
         for j in range(count):
-            if stop > start:
-                _predict(pose, rot, means[link, j], h[0], by)
-            for k in range(start, stop):
-                det = _spread(by, covs[link, j], q[k], t, s)
-                distance2 = _distance2(z[k], offset_of[link], h[0], s, e)
-                # A covariance that rounding has spoilt takes no measurement.
-                score[j, k - start] = gate - distance2 if det > 0.0 and distance2 >= 0.0 else -1.0
-        assign(score, count, stop - start, row_of, work_f, solver)
+            near[rivals] = j
+            rivals += _score(
+                pose, rot, means[link, j], covs[link, j], z, q, start, stop, offset_of[link], gate, score[rivals], h, s
+            )
+        assign(score, rivals, stop - start, row_of, work_f, solver)
         for k in range(start, stop):
-            j = row_of[k - start]
             association[k] = -1
-            if j >= 0:
+            if row_of[k - start] >= 0:
+                j = near[row_of[k - start]]
                 mean, cov = means[link, j], covs[link, j]
                 _predict(pose, rot, mean, h[0], by)
                 det = _spread(by, cov, q[k], t, s)

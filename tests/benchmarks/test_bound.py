@@ -37,8 +37,7 @@ class JointFilter:
         self.recording, self.truth = recording, recording.truth
         self.core = core_of(recording.odometry_model, len(recording.sites))
         self.motion, self.noise, self.walk = linear_motion(recording, self.truth, self.core)
-        pair = recording.measurements.link * len(self.truth.vts) + self.truth.measurement_vt
-        self.keys = np.unique(pair[self.truth.measurement_vt >= 0])
+        self.keys = np.unique(self.truth.measurement_vt[self.truth.measurement_vt >= 0])
         self.size = self.core.size + 3 * len(self.keys)
         p = block_diag(np.diag(start_variance(recording, self.core)), broad_std**2 * np.eye(3 * len(self.keys)))
         self.covariance = p
@@ -60,7 +59,7 @@ class JointFilter:
             h = np.zeros((3, self.size))
             h[:, :6] = by_pose
             h[0, self.core.offsets[self.recording.links.site[link]]] = 1
-            slot = self.core.size + 3 * int(np.searchsorted(self.keys, link * len(self.truth.vts) + vt))
+            slot = self.core.size + 3 * int(np.searchsorted(self.keys, vt))
             h[:, slot : slot + 3] = by_vt
             there = np.isfinite([m.distance_m[row], m.azimuth_rad[row], m.elevation_rad[row]])
             hs.append(h[there])
@@ -226,3 +225,14 @@ def test_one_snapshot_without_measurements_gives_the_prior(make_recording):
 def test_no_truth_no_bound(make_recording):
     with pytest.raises(InputError, match="no truth"):
         bound(without(make_recording(snapshots=5), truth=None))
+
+
+def test_sectors_of_a_port_are_one_measurement_and_ports_share_the_map(make_recording):
+    recording = make_recording(seed=4, snapshots=60, ports=2, detection=1.0)
+    doubled = recording.links
+    halved = without(recording, truth=type(recording.truth)(**{
+        **recording.truth.__dict__, "measurement_std": recording.truth.measurement_std / np.sqrt(2.0)
+    }))  # fmt: skip
+    merged = without(recording, links=type(doubled)(doubled.site, doubled.cell_id, np.zeros_like(doubled.port)))
+    one = keep_rows(halved, recording.links.port[recording.measurements.link] == 0)
+    np.testing.assert_allclose(bound(merged).pose_covariance, bound(one).pose_covariance, rtol=1e-6, atol=1e-12)

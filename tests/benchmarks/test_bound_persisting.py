@@ -120,7 +120,7 @@ def exact_horizontal_std(recording: Recording, at: int) -> float:
     rows = np.flatnonzero((truth.measurement_vt >= 0) & (m.snapshot <= at))
     t, vt, link = m.snapshot[rows], truth.measurement_vt[rows], m.link[rows]
     by_vt, by_pose = jacobians(truth.poses[t], truth.vts.position_m[vt])
-    _, key = np.unique(link * 100 + vt, return_inverse=True)
+    _, key = np.unique(vt, return_inverse=True)
     unknown = maps[-1].shape[1]
     a = np.zeros((len(rows), 3, unknown + 3 * (key.max() + 1)))
     for i in range(len(rows)):
@@ -234,10 +234,8 @@ def test_a_filter_that_meets_the_drawn_fields_makes_errors_of_that_size(make_rec
     error = rng.normal(0, 1, (runs, joint.size)) * np.sqrt(np.diag(joint.covariance))
     # The filter estimates errors that begin at zero, of which it knows the deviation: what it meets is in the fields.
     error[:, known:] = 0.0
-    m, pair, turn, drawn = recording.measurements, {}, np.zeros(3), np.zeros(3)
-    for row in np.flatnonzero(truth.measurement_vt >= 0):
-        pair.setdefault((m.link[row], truth.measurement_vt[row]), []).append(row)
-    met = np.sort(np.concatenate([rows for rows in pair.values() if len(rows) > 1]))
+    m, turn, drawn = recording.measurements, np.zeros(3), np.zeros(3)
+    met = np.flatnonzero(truth.measurement_vt >= 0)
     geometry = predict(truth.poses[m.snapshot[met]], truth.vts.position_m[truth.measurement_vt[met]])
     squares = []
     for t, f, q, h, r, k in joint.steps_of():

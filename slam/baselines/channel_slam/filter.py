@@ -56,6 +56,7 @@ class ChannelSlam:
         self._holder = np.full(o.transmitters, -1, np.int64)  # identity of the track that has each place
         self._link = np.zeros(o.transmitters, np.int64)
         self._archive: list[tuple[int, int, Floats, Floats]] = []
+        self._found: dict[int, list[tuple[int, int, Floats, Floats]]] = {}  # by particle, until anything changes
 
     def step(self, dt_s: float, odometry: Floats, snapshot: Snapshot) -> Estimate:
         """Move, follow the paths, and every `update_m` weigh, resample, and begin transmitters."""
@@ -69,6 +70,7 @@ class ChannelSlam:
         self._way_m += abs(float(odometry[0])) * dt_s
         if self._way_m >= o.update_m:
             self._way_m = 0.0
+            self._found.clear()
             self._use(association, snapshot)
             self._begin()
         weight = self._weights()
@@ -136,19 +138,20 @@ class ChannelSlam:
         over = np.flatnonzero((self._holder >= 0) & ~np.isin(self._holder, self._tracks.id))
         if len(over):
             best = int(np.argmax(self._log_weight))
-            self._archive += [entry for entry in self._described(best, over) if entry is not None]
+            self._archive += self._described(best, over)
             self._holder[over] = -1
+            self._found.clear()
 
-    def _described(self, user: int, places: Ints) -> list[tuple[int, int, Floats, Floats] | None]:
-        """Return identity, link, mean and covariance (x, y, z, offset) of transmitters; None where too uncertain."""
-        out: list[tuple[int, int, Floats, Floats] | None] = []
+    def _described(self, user: int, places: Ints) -> list[tuple[int, int, Floats, Floats]]:
+        """Return identity, link, mean and covariance (x, y, z, offset) of transmitters that are certain enough."""
+        out: list[tuple[int, int, Floats, Floats]] = []
         for place in places:
             found = np.empty((5, 4))
             count = int(self._counts[user, place])
             describe(self._anchor[user, place], self._mixture[user, place], count, np.empty((4, 8)), found)
-            certain = np.sqrt(np.trace(found[1:4, :3])) <= self.options.map_std_m
-            entry = (int(self._holder[place]), int(self._link[place]), found[0], found[1:] + 1e-9 * np.eye(4))
-            out.append(entry if certain else None)
+            if np.sqrt(np.trace(found[1:4, :3])) <= self.options.map_std_m:
+                cov = found[1:] + 1e-9 * np.eye(4)
+                out.append((int(self._holder[place]), int(self._link[place]), found[0], cov))
         return out
 
     def _weights(self) -> Floats:
@@ -160,8 +163,9 @@ class ChannelSlam:
         mean[3:] = self._pose[best, 3:] + weight @ wrap_angle(self._pose[:, 3:] - self._pose[best, 3:])
         centred = np.concatenate([self._pose[:, :3] - mean[:3], wrap_angle(self._pose[:, 3:] - mean[3:])], axis=1)
         mean[3:] = wrap_angle(mean[3:])
-        found = self._described(best, np.flatnonzero(self._holder >= 0))
-        known = [entry for entry in (*self._archive, *found) if entry is not None]
+        if best not in self._found:
+            self._found[best] = self._described(best, np.flatnonzero(self._holder >= 0))
+        known = [*self._archive, *self._found[best]]
         held = np.isin(association, self._holder)
         return Estimate(
             mean, (centred * weight[:, None]).T @ centred, np.where(held, association, -1), *self._offsets(known),
@@ -189,6 +193,7 @@ class ChannelSlam:
             most = int(self._counts[:, place].max())
             self._mixture[:, place, :most] = self._mixture[chosen, place, :most]
         self._log_weight[:] = 0.0
+        self._found.clear()
         width = self.options.kernel_width
         for errors in (self._bias, self._scale):
             mean, std = errors.mean(axis=0), errors.std(axis=0)
