@@ -68,6 +68,25 @@ def precision_recall(tracks: Tracks, measurement_vt: Ints) -> tuple[float | None
     return precision, (float(right.sum() / real.sum()) if real.any() else None)
 
 
+def vt_nees(recording: Recording, vts: VtEstimate, association: Ints) -> Floats:
+    """Return e^T P^-1 e (V,) of the final VTs, NaN where an estimate stands for no true VT or claims to be exact.
+
+    association (M,): id of the VT of each measurement, -1 none; ids count per site. Raises ValueError without truth.
+    """
+    truth, site = recording.truth, recording.links.site
+    if truth is None:
+        raise ValueError("a VT's error needs the truth")
+    tracks = tracks_of(site[recording.measurements.link], association, truth.measurement_vt)
+    known = {(s, i): v for s, i, v in zip(tracks.link.tolist(), tracks.id.tolist(), tracks.stands_for, strict=True)}
+    out = np.full(len(vts.id), np.nan)
+    for row, key in enumerate(zip(site[vts.link].tolist(), vts.id.tolist(), strict=True)):
+        if (vt := known.get(key, -1)) >= 0:
+            error, claimed = vts.position_m[row] - truth.vts.position_m[vt], vts.covariance[row]
+            if np.linalg.det(claimed) > 0.0:
+                out[row] = error @ np.linalg.solve(claimed, error)
+    return out
+
+
 def transmitter_errors(recording: Recording, vts: VtEstimate, tracks: Tracks) -> Floats:
     """Return the distances (n,) in metres between each link's estimate of its line-of-sight VT and the site.
 

@@ -9,6 +9,7 @@ from typing import Any
 from cellslam.benchmarks.cli_options import add_estimators, add_set, number, whole
 
 Add = Callable[[str, str, str], argparse.ArgumentParser]
+FORMATS, FORMAT_HELP = ("text", "md", "csv", "latex", "json"), "csv and json hold the plain numbers"
 _FLAGS = (
     ("--dry-run", "say how many trials there are and how long they may take; do nothing"),
     ("--live", "show the table of results so far every few seconds"),
@@ -18,9 +19,11 @@ _FLAGS = (
 
 
 def add_sweeps(add: Add) -> None:
-    """Add `sweep`, `table`, `figures`, `report`; `add(name, target, summary)` makes a command's parser."""
+    """Add `sweep` and what is made of its results; `add(name, target, summary)` makes a command's parser."""
     _add_sweep(add("sweep", "cli_sweep:sweep", "many variants and trials of a scenario, in parallel, resumable"))
     _add_table(add("table", "cli_table:table", "the results of a sweep as a table"))
+    consistency_help = "whether estimators know how wrong they are: errors against claimed covariances"
+    _add_consistency(add("consistency", "cli_table:consistency", consistency_help))
     _add_figures(add("figures", "cli_table:figures", "the figures of a sweep, as PNG and PDF"))
     _add_report(add("report", "cli_table:report", "one HTML page of a sweep: tables, plots, worst trials"))
 
@@ -73,8 +76,15 @@ def _add_table(parser: argparse.ArgumentParser) -> None:
     interval_help = "with bootstrap intervals of this confidence"
     parser.add_argument("--interval", metavar="PERCENT", type=number, nargs="?", const=95.0, help=interval_help)
     parser.add_argument("--compare", metavar="A,B", help="paired differences of two estimators on the same worlds")
-    formats = ("text", "md", "csv", "latex", "json")
-    parser.add_argument("--format", choices=formats, default="text", help="csv and json hold the plain numbers")
+    parser.add_argument("--format", choices=FORMATS, default="text", help=FORMAT_HELP)
+
+
+def _add_consistency(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("folder", metavar="DIR", help="folder of a sweep")
+    parser.add_argument("--times", metavar="N", type=whole, default=10, help="moments of the drive (default: 10)")
+    rows_help = "a line for each value of this key; may be repeated (default: estimator and all that varies)"
+    parser.add_argument("--rows", metavar="KEY", help=rows_help, action="append", default=[])
+    parser.add_argument("--format", choices=FORMATS, default="text", help=FORMAT_HELP)
 
 
 def _add_figures(parser: argparse.ArgumentParser) -> None:

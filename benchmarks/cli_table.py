@@ -9,7 +9,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from cellslam.benchmarks.cli import DONE
-from cellslam.benchmarks.formats import comparison_grid, render, summary_grid
+from cellslam.benchmarks.formats import comparison_grid, consistency_grid, render, summary_grid
 from cellslam.benchmarks.rows import results
 from cellslam.benchmarks.summaries import Layout, comparison, row_keys, summary
 from cellslam.sim.errors import InputError
@@ -72,6 +72,18 @@ def _compared(arguments: Namespace, folder: Path, rows: tuple[str, ...] | None, 
     columns = list(tidy.columns)
     keys = columns[: columns.index("metric")] if columns else []
     return render(tidy, comparison_grid(tidy, keys, first, second, 100 * share), arguments.format)
+
+
+def consistency(arguments: Namespace) -> int:
+    """Carry out `cellslam consistency`."""
+    from cellslam.benchmarks.consistency import consistency as measured
+
+    folder = Path(arguments.folder)
+    keys = row_keys(folder, Layout(rows=tuple(arguments.rows) or None))
+    tidy = measured(folder, arguments.times, keys)
+    named = tidy["estimator"].unique() if "estimator" in tidy else ()
+    sys.stdout.write(render(tidy, consistency_grid(tidy, keys, oracles(named)), arguments.format))
+    return DONE
 
 
 def figures(arguments: Namespace) -> int:

@@ -74,6 +74,26 @@ def summary_grid(tidy: pd.DataFrame, keys: Sequence[str], columns: str | None, o
     return Grid((*keys, *headings, "trials ok"), body, len(keys), tuple(notes))
 
 
+def consistency_grid(tidy: pd.DataFrame, keys: Sequence[str], oracles: frozenset[str]) -> Grid:
+    """Return the grid of how honest claimed covariances are, a line for each moment."""
+    lines = []
+    for line in tidy.to_dict("records"):
+        row = (_label(key, line[key], oracles) for key in keys)
+        band = f"{number(line['nees_low'], '')} to {number(line['nees_high'], '')}"
+        shares = (_percent(line, "clock"), _percent(line, "vt"))
+        lines.append((*row, f"{line['time_s']:.0f}", number(line["nees"], ""), band, *shares, str(line["trials"])))
+    headings = ("time (s)", "NEES", "95 % if honest", "clocks in 2 sigma", "VTs in 95 %", "trials")
+    notes = ("NEES: of the horizontal position, mean over trials; shares with 95 % intervals; VTs: those at the end",)
+    return Grid((*keys, *headings), tuple(lines), len(keys), notes)
+
+
+def _percent(line: Mapping[str, Any], name: str) -> str:
+    if not line[f"{name}s"]:
+        return "-"
+    share, low, high = (100.0 * line[f"{name}_{part}"] for part in ("share", "low", "high"))
+    return f"{share:.0f} % [{low:.0f}, {high:.0f}]"
+
+
 def comparison_grid(tidy: pd.DataFrame, keys: Sequence[str], first: str, second: str, percent: float) -> Grid:
     """Return the grid of paired differences."""
     headings = ("median difference", f"{percent:g} % interval", "p", f"{first} below", "pairs", "left out")

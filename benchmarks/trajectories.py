@@ -11,13 +11,14 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from cellslam.benchmarks.association import vt_nees
 from cellslam.benchmarks.metrics import horizontal_error, nees
 from cellslam.sim.errors import InputError
 
 if TYPE_CHECKING:
     from cellslam.benchmarks.bound import BoundResult
     from cellslam.benchmarks.result import TrialResult
-    from cellslam.sim.recording import Recording
+    from cellslam.sim.recording import Floats, Recording
 
 Singles = NDArray[np.float32]
 
@@ -28,7 +29,8 @@ class Trajectory:
 
     `time_s` (T,) from 0; `poses` (T, 6); `error_m`, `nees`, `std_m` (claimed), `bound_std_m` (T,), horizontal;
     `offset_error_m`, `offset_std_m` (T, S); `vt_m` (V, 3); `vt_link` (V,); `vt_first` (V,): snapshot of the first
-    measurement that was associated with the VT, -1 where that is not known.
+    measurement that was associated with the VT, -1 where that is not known; `vt_nees` (V,): its normalised error
+    squared (3 is right), NaN where it stands for no true VT.
     """
 
     time_s: Singles
@@ -42,6 +44,7 @@ class Trajectory:
     vt_m: Singles
     vt_link: NDArray[np.int32]
     vt_first: NDArray[np.int32]
+    vt_nees: Singles
 
 
 def pack(recording: Recording, result: TrialResult, limit: BoundResult | None) -> bytes:
@@ -58,6 +61,7 @@ def pack(recording: Recording, result: TrialResult, limit: BoundResult | None) -
         "bound_std_m": empty if limit is None else limit.horizontal_std_m,
         "offset_error_m": empty if truth is None or offset is None else offset - truth.clock_offsets_at(elapsed_s),
         "offset_std_m": empty if variance is None else np.sqrt(np.maximum(variance, 0.0)),
+        "vt_nees": _vt_nees(recording, result),
         "vt_m": np.empty((0, 3)) if result.vts is None else result.vts.position_m,
     }
     whole = {
@@ -78,6 +82,12 @@ def unpack(path: Path) -> Trajectory:
             return Trajectory(**{name: held[name] for name in Trajectory.__dataclass_fields__})
     except (OSError, ValueError, KeyError, zipfile.BadZipFile) as error:
         raise InputError(f"{path}: not a trajectory file ({' '.join(str(error).split())})") from error
+
+
+def _vt_nees(recording: Recording, result: TrialResult) -> Floats:
+    if result.vts is None or result.association is None or recording.truth is None:
+        return np.full(0 if result.vts is None else len(result.vts.id), np.nan)
+    return vt_nees(recording, result.vts, result.association)
 
 
 def _first_associated(recording: Recording, result: TrialResult) -> NDArray[np.int64]:

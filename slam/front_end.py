@@ -25,7 +25,7 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from cellslam.sim.recording import Floats, Ints
 from cellslam.slam.api import Snapshot
-from cellslam.slam.front_end_kernel import combine, scaled
+from cellslam.slam.front_end_kernel import combine, repeats, scaled
 
 if TYPE_CHECKING:
     from cellslam.slam.looks import Looks
@@ -156,6 +156,21 @@ def readings(looks: Looks, port_of: Ints, options: FrontEndOptions, turn_rad: fl
         looks.distance_m, looks.azimuth_rad, looks.elevation_rad, looks.white, looks.ports, looks.doubt, place,
         direction, options.scales, turn_rad, moved_m, looks.link, port_of, _LOG_WIDTH,
     ))  # fmt: skip
+
+
+def novelty(options: FrontEndOptions, turn_rad: float, moved_m: float) -> float:
+    """Return how much of what a snapshot shows the last one has not shown: 1 where all errors are white.
+
+    The variance of one measurement over that with which an update counts, as `combine` has them for a lone path, mean
+    over distance, azimuth and elevation. The vehicle has turned and moved since the last snapshot.
+    """
+    place, direction = options.persisting
+    white = np.maximum(options.noise[0], 1e-12)
+    change = abs(turn_rad) + abs(moved_m) / options.typical_range_m
+    steps = moved_m, change, change
+    by_place, *by = (repeats(scale, step) for scale, step in zip(options.scales[:3], steps, strict=True))
+    again = white + place * by_place + direction * np.array([by[0], by[1], by[1]])
+    return float(np.mean((white + place + direction) / again))
 
 
 def white(snapshot: Snapshot, options: FrontEndOptions) -> Floats:

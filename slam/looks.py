@@ -25,7 +25,7 @@ Options = TypeVar("Options", bound=FrontEndOptions)
 MANY = 3  # links of a site from which on their number decides whether a look may begin a VT
 COINCIDENCE = 0.1  # probability that clutter of a link has clutter of one more link beside it
 UNUSUAL = 0.1  # share of paths that any number of links detect alike, because obstacles hide them from some
-UNMAPPED = 0.1  # share of paths that are not in the map yet: at best so much less likely than a VT is clutter
+UNMAPPED = 0.01  # share of paths that are not in the map yet: at best so much less likely than a VT is clutter
 BIRTH_RATIO = 0.5  # probability that an unexplained look at which links agree is a new VT
 LARGEST_DETECTION = 0.985  # probability that at least one of many links detects a path: not all misses are independent
 

@@ -24,7 +24,7 @@ from cellslam.slam.fastslam.particles import Particles, draw, select, widened
 from cellslam.slam.fastslam.sight_kernel import SEEN, sight_blocks
 from cellslam.slam.fastslam.summary import map_of
 from cellslam.slam.fastslam.threads import over_blocks
-from cellslam.slam.front_end import Readings, existence, ports_of, readings
+from cellslam.slam.front_end import Readings, existence, novelty, ports_of, readings
 from cellslam.slam.looks import Grouping, Looks
 from cellslam.slam.misfit import Misfit
 
@@ -107,7 +107,8 @@ class FastSlam:
         p, association = self._particles, self._association
         association[:, : len(looks)] = -1
         z, many, fresh = pack(values.z, values.single, values.many, values.fresh, values.gap, values.lack, looks.begins)
-        measured = Measured(first, self._site_of, self._shares, z, many, fresh, self._born)
+        shares = self._shares * self._novelty(odometry[3] * dt_s, odometry[0] * dt_s)
+        measured = Measured(first, self._site_of, shares, z, many, fresh, self._born)
         self._parts, rules = self._choice.parts_for(looks, self._born, self._time_s + dt_s), self._rules_for(dt_s)
         sight = partial(self._sight, rules, float(dt_s), measured)
         velocity = self._choice.proposal(p, self._setup.odometry_model, dt_s, odometry, sight, self._rng)
@@ -116,6 +117,9 @@ class FastSlam:
             p.travelled, measured, p.log_weight, association,
         )  # fmt: skip
         return association
+
+    def _novelty(self, turn_rad: float, moved_m: float) -> float:
+        return novelty(self._options, turn_rad, moved_m) if self.options.evidence_lasts else 1.0
 
     def _sight(self, rules: Rules, dt_s: float, measured: Measured, velocity: Floats) -> Floats:
         p = self._particles

@@ -12,6 +12,12 @@ from cellslam.slam.front_end import FrontEndOptions
 class FastSlamOptions(FrontEndOptions):
     """What a scenario may set under `estimator.fastslam`, beside what the front end is like."""
 
+    gate: float = Field(
+        36.0,
+        gt=0,
+        le=1000,
+        description="squared Mahalanobis distance beyond which nothing associates; wide, as particles know their pose",
+    )
     particles: int = Field(1000, ge=1, le=1_000_000, description="number of particles")
     particles_start: int | None = Field(
         None,
@@ -53,6 +59,10 @@ class FastSlamOptions(FrontEndOptions):
         ge=0,
         le=1,
         description="resample when the effective sample size falls below this share of the particles",
+    )
+    evidence_lasts: bool = Field(
+        True,
+        description="whether evidence on which VT is seen lasts as errors do, and counts as much less as the fit does",
     )
     link_correlation: float = Field(
         1.0,
