@@ -19,7 +19,7 @@ from cellslam.slam.fastslam.measurement_kernel import pack
 from cellslam.slam.fastslam.options import FastSlamOptions
 from cellslam.slam.fastslam.particles import draw, quasi_random, select
 from cellslam.slam.fastslam.summary import map_of
-from cellslam.slam.front_end import existence, readings, visibility
+from cellslam.slam.front_end import existence, novelty, readings, visibility
 from cellslam.slam.front_end_kernel import count_sharers, crowd, repeats
 from cellslam.slam.looks import Grouping
 from cellslam.slam.model import jacobians, predict
@@ -402,3 +402,34 @@ def test_vts_are_found_though_a_component_is_never_measured(missing):
     away = np.linalg.norm(found[None, :, :2] - vts[:, None, :2], axis=2).min(axis=1)
     assert np.all(away < 1.5)
     assert np.linalg.norm(estimate.pose[:2] - pose[:2]) < 0.5
+
+
+def test_novelty_is_what_the_last_snapshot_has_not_shown():
+    white = FastSlamOptions(place_scale_m=0.0, direction_scale_deg=0.0, direction_distance_scale_deg=0.0)
+    assert novelty(white, 0.0, 0.08) == pytest.approx(1.0)
+    usual = FastSlamOptions()
+    standing, straight, turning = (novelty(usual, *move) for move in ((0.0, 0.0), (0.0, 0.08), (0.02, 0.08)))
+    assert 0.0 < standing < 1e-4 < straight < 0.02 < turning < 0.5
+    # As an update of a lone path counts it, which is seen with one port.
+    looks = Grouping(make_setup(1), usual).looks(make_snapshot(0, [(0, 150.0, 0.3, 0.1)]))
+    read = readings(looks, np.zeros(1, np.int64), usual, 0.02, 0.08)
+    assert np.mean(read.single / read.many) == pytest.approx(turning, rel=0.05)
+
+
+@pytest.mark.parametrize(("lasts", "least", "most"), [(True, 1000.0, 1024.1), (False, 100.0, 700.0)])
+def test_one_look_off_by_five_deviations_costs_few_particles(lasts, least, most):
+    """Half of the particles have it within the gate: they must not gain what the others lose."""
+    options = FastSlamOptions(particles=1024, effective_share=0.0, evidence_lasts=lasts, misfit_scale_s=0.0)
+    tested, rng, vts = FastSlam(options), np.random.default_rng(3), np.array([[60.0, 40.0, 10.0], [20.0, -50.0, 12.0]])
+    tested.start(make_setup(1), rng)
+    drive(tested, vts, [0, 0], 30, rng)
+    p, (place, direction) = tested._particles, options.persisting
+    deviation = np.sqrt(place[1] + direction[1])
+    p.rows(POSE + 3, 1)[:] += deviation * np.linspace(-1.5, 1.5, 1024).reshape(p.log_weight.shape)[:, None]
+    p.log_weight[:] = 0.0
+    z = predict(np.array([2.9, 0, 0, 0, 0, 0]), vts)
+    z[:, 1] += 5.8 * deviation
+    tested.step(0.1, np.array([1.0, 0, 0, 0, 0, 0]), make_snapshot(30, [(0, *row) for row in z]))
+    associated = (tested._association[:, 0] >= 0).mean()
+    assert 0.2 < associated < 0.8
+    assert least < filter_module.normalised(tested._particles.log_weight)[2] < most
