@@ -25,7 +25,7 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from cellslam.sim.recording import Floats, Ints
 from cellslam.slam.api import Snapshot
-from cellslam.slam.front_end_kernel import combine, repeats, scaled
+from cellslam.slam.front_end_kernel import combine, scaled, share_new
 
 if TYPE_CHECKING:
     from cellslam.slam.looks import Looks
@@ -164,13 +164,7 @@ def novelty(options: FrontEndOptions, turn_rad: float, moved_m: float) -> float:
     The variance of one measurement over that with which an update counts, as `combine` has them for a lone path, mean
     over distance, azimuth and elevation. The vehicle has turned and moved since the last snapshot.
     """
-    place, direction = options.persisting
-    white = np.maximum(options.noise[0], 1e-12)
-    change = abs(turn_rad) + abs(moved_m) / options.typical_range_m
-    steps = moved_m, change, change
-    by_place, *by = (repeats(scale, step) for scale, step in zip(options.scales[:3], steps, strict=True))
-    again = white + place * by_place + direction * np.array([by[0], by[1], by[1]])
-    return float(np.mean((white + place + direction) / again))
+    return float(share_new(*options.persisting, options.noise[0], options.scales, turn_rad, moved_m))
 
 
 def white(snapshot: Snapshot, options: FrontEndOptions) -> Floats:

@@ -73,6 +73,20 @@ def crowd(azimuth, elevation, scale):
 
 
 @njit(cache=True)
+def share_new(place, direction, white, scales, turn, moved):
+    """Return the variance of a measurement over that of an update by it, mean over three components: see `novelty`.
+
+    place, direction, white (3,): variances; `scales` as in `combine`, for a lone path on one port.
+    """
+    by_place, change, total = repeats(scales[0], moved), abs(turn) + abs(moved) / scales[3], 0.0
+    for c in range(3):
+        known = max(white[c], 1e-12)
+        again = repeats(scales[1] if c == 0 else scales[2], change)
+        total += (known + place[c] + direction[c]) / (known + place[c] * by_place + direction[c] * again)
+    return total / 3.0
+
+
+@njit(cache=True)
 def combine(
     distance, azimuth, elevation, white, ports, doubt, place, direction, scales, turn, moved, link, port_of, log_width
 ):
