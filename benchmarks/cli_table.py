@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import sys
 from argparse import Namespace
-from collections.abc import Iterable
 from dataclasses import replace
 from pathlib import Path
 
@@ -13,6 +12,7 @@ from cellslam.benchmarks.formats import comparison_grid, consistency_grid, rende
 from cellslam.benchmarks.rows import results
 from cellslam.benchmarks.summaries import Layout, comparison, row_keys, summary
 from cellslam.sim.errors import InputError
+from cellslam.slam.registry import oracles
 
 
 def table(arguments: Namespace) -> int:
@@ -44,20 +44,6 @@ def _pooled(folder: Path, layout: Layout) -> list[str]:
     shown = {*(layout.rows or ()), layout.columns}
     varied = [key for key in row_keys(folder, Layout(columns=layout.columns)) if key not in shown]
     return [key for key in varied if key != "estimator" or results(folder, ["estimator"])["estimator"].nunique() > 1]
-
-
-def oracles(names: Iterable[str]) -> frozenset[str]:
-    """Return those estimators that are shown the truth; one that cannot be loaded here is not among them."""
-    from cellslam.slam import registry
-
-    found = set()
-    for name in names:
-        try:
-            if getattr(registry.resolve(name), "requires_truth", False):
-                found.add(name)
-        except InputError:
-            continue
-    return frozenset(found)
 
 
 def _compared(arguments: Namespace, folder: Path, rows: tuple[str, ...] | None, confidence: float | None) -> str:

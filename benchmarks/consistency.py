@@ -7,6 +7,7 @@ over N trials the mean of a consistent filter's normalised error squared (NEES) 
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -25,10 +26,22 @@ SHARE = 0.95  # of the intervals, and of a VT's ellipsoid
 SIGMAS = 2.0  # of the clocks' band
 
 
+@dataclass(frozen=True)
+class _Claims:
+    """One drive at K moments: `time_s`, `nees` (K,), `clock_ratio` (K, S or 0): |error| over deviation,
+    `vt_nees` (V,)."""
+
+    time_s: Any
+    nees: Any
+    clock_ratio: Any
+    vt_nees: Any
+
+
 def consistency(folder: str | Path, times: int = 10, rows: Sequence[str] | None = None) -> pd.DataFrame:
     """Return how honest the claimed covariances of a sweep's trials are, by group, at `times` moments up to the end.
 
-    Columns: the row keys, `time_s`, `trials`; `nees` of the horizontal position, mean over trials (2 is right), with
+    Where drives of a group differ in length, a moment is the same share of each. Columns: the row keys, `time_s` (the
+    median), `trials`; `nees` of the horizontal position, mean over trials (2 is right), with
     the band `nees_low`, `nees_high` in which 95 % of such means are if all is right; `clock_share` of the sites' clock
     offsets that lie within two claimed deviations, `vt_share` of the final VTs that lie within their 95 % ellipsoid (at
     the end, and where it is known which VT each stands for), both with Wilson's 95 % interval (`_low`, `_high`) and
@@ -43,8 +56,8 @@ def consistency(folder: str | Path, times: int = 10, rows: Sequence[str] | None 
     lines = []
     for values, group in groups(frame[frame["status"] == "ok"], keys):
         paths = (trajectory_path(Path(folder), key) for key in group["key"])
-        kept = [unpack(path) for path in paths if path.exists()]
-        kept = [one for one in kept if len(one.nees)]
+        read = (unpack(path) for path in paths if path.exists())
+        kept = [_claims(one, times) for one in read if len(one.nees)]
         lines += [{**values, **line} for line in _over_time(kept, times)]
     if not lines:
         raise InputError(f"{folder}: no trajectories with truth are kept (was it swept with --no-trajectories?)")
@@ -59,25 +72,32 @@ def nees_band(trials: int) -> tuple[float, float]:
     return float(low), float(high)
 
 
-def _over_time(kept: Sequence[Trajectory], times: int) -> Iterator[dict[str, Any]]:
+def _claims(trajectory: Trajectory, times: int) -> _Claims:
+    """Return what is compared of one drive: all else of a trajectory is let go."""
+    time_s = trajectory.time_s
+    moments = time_s[-1] * np.arange(1, times + 1) / times
+    at = np.minimum(np.searchsorted(time_s, moments - 1e-6), len(time_s) - 1)
+    ratio = np.zeros((times, 0))
+    if len(trajectory.offset_error_m) and len(trajectory.offset_std_m):
+        ratio = np.abs(trajectory.offset_error_m[at]) / trajectory.offset_std_m[at]
+    return _Claims(moments, trajectory.nees[at], ratio, trajectory.vt_nees)
+
+
+def _over_time(kept: Sequence[_Claims], times: int) -> Iterator[dict[str, Any]]:
     if not kept:
         return
-    end = min(float(one.time_s[-1]) for one in kept)
-    for number in range(1, times + 1):
-        time_s = end * number / times
-        at = [min(int(np.searchsorted(one.time_s, time_s - 1e-6)), len(one.time_s) - 1) for one in kept]
-        squared = np.array([one.nees[t] for one, t in zip(kept, at, strict=True)])
+    for number in range(times):
+        squared = np.array([one.nees[number] for one in kept])
         squared = squared[np.isfinite(squared)]
         low, high = nees_band(len(squared)) if len(squared) else (None, None)
         mean = float(squared.mean()) if len(squared) else None
-        ratio = [np.abs(one.offset_error_m[t]) / one.offset_std_m[t] for one, t in zip(kept, at, strict=True)
-                 if len(one.offset_error_m) and len(one.offset_std_m)]  # fmt: skip
-        clock = _share("clock", np.concatenate(ratio) <= SIGMAS if ratio else np.zeros(0, bool))
-        vt = _share("vt", _vts_inside(kept) if number == times else np.zeros(0, bool))
+        clock = _share("clock", np.concatenate([one.clock_ratio[number] for one in kept]) <= SIGMAS)
+        vt = _share("vt", _vts_inside(kept) if number == times - 1 else np.zeros(0, bool))
+        time_s = float(np.median([one.time_s[number] for one in kept]))
         yield {"time_s": time_s, "trials": len(kept), "nees": mean, "nees_low": low, "nees_high": high, **clock, **vt}
 
 
-def _vts_inside(kept: Sequence[Trajectory]) -> Any:
+def _vts_inside(kept: Sequence[_Claims]) -> Any:
     from scipy.stats import chi2
 
     squared = np.concatenate([one.vt_nees for one in kept])

@@ -6,13 +6,13 @@ import platform
 from collections.abc import Sequence
 from pathlib import Path
 
-from cellslam.benchmarks.cli_table import oracles
 from cellslam.benchmarks.formats import comparison_grid, number
 from cellslam.benchmarks.rows import provenance, results
 from cellslam.benchmarks.statistics import interval, statistic
 from cellslam.benchmarks.summaries import comparison
 from cellslam.scenarios.suites import Suite
 from cellslam.sim.recording import Floats
+from cellslam.slam.registry import oracles
 
 CONFIDENCE = 0.95
 REFERENCE = "fastslam"

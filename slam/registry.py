@@ -30,7 +30,7 @@ class Listed:
     """An estimator that can be asked for: its name, where its class is, and one line about it.
 
     `needs`: a module that an extra of this name installs. `slow`: below five times real time on lund-530 with two
-    cores, and left out of `all`. `foreign`: from another package.
+    cores, and left out of `all`. `oracle`: it is shown the truth. `foreign`: from another package.
     """
 
     name: str
@@ -38,6 +38,7 @@ class Listed:
     summary: str
     needs: str = ""
     slow: bool = False
+    oracle: bool = False
     foreign: bool = False
 
 
@@ -82,16 +83,19 @@ BUILT_IN = (
         "oracle-association",
         "cellslam.slam.baselines.oracles:KnownAssociation",
         "EKF-SLAM that is told the true associations (oracle)",
+        oracle=True,
     ),
     Listed(
         "oracle-fastslam",
         "cellslam.slam.baselines.oracles:FastSlamKnownAssociation",
         "FastSLAM that is told the true associations (oracle)",
+        oracle=True,
     ),
     Listed(
         "oracle-map",
         "cellslam.slam.baselines.oracles:KnownMap",
         "localisation in the true map, clock offsets and associations unknown (oracle)",
+        oracle=True,
     ),
 )
 
@@ -125,6 +129,19 @@ def left_out() -> dict[str, str]:
         elif entry.needs and find_spec(entry.needs) is None:
             out[entry.name] = f"needs {entry.needs}: pip install 'cellslam[{entry.needs}]'"
     return out
+
+
+def oracles(asked: Iterable[str]) -> frozenset[str]:
+    """Return those of the estimators that are shown the truth; one that cannot be loaded here is not among them."""
+    known = {entry.name: entry.oracle for entry in BUILT_IN}
+    return frozenset(name for name in asked if (known[name] if name in known else _needs_truth(name)))
+
+
+def _needs_truth(name: str) -> bool:
+    try:
+        return bool(getattr(resolve(name), "requires_truth", False))
+    except InputError:
+        return False
 
 
 def resolve(name: str) -> type[Any]:

@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from cellslam.benchmarks.cli_table import oracles
 from cellslam.benchmarks.figures.style import estimator_styles
 from cellslam.benchmarks.figures.sweep_data import Series, SweepData, curve_keys, load, shown, sweep_lines
 from cellslam.benchmarks.report import Choice, rounded
@@ -17,6 +16,7 @@ from cellslam.benchmarks.report.worst import failed_trials, worst_trials
 from cellslam.benchmarks.rows import provenance
 from cellslam.benchmarks.statistics import interval, statistic
 from cellslam.sim.progress import Progress
+from cellslam.slam.registry import oracles
 
 if TYPE_CHECKING:
     from cellslam.benchmarks.statistics import Statistic

@@ -12,6 +12,7 @@ from cellslam.benchmarks.report import Choice
 from cellslam.benchmarks.store import reading
 from cellslam.benchmarks.summaries import Layout, metrics_of
 from cellslam.sim.errors import InputError, unknown_name
+from cellslam.slam.registry import oracles
 
 if TYPE_CHECKING:
     from cellslam.benchmarks.figures.sweep_data import Panel, Series, SweepData
@@ -63,8 +64,6 @@ def failed_trials(folder: Path) -> dict[str, Any]:
 
 def _best(data: SweepData, metric: str) -> list[str]:
     """Return the estimator with the lowest median; dead reckoning or an oracle only where there is nothing else."""
-    from cellslam.benchmarks.cli_table import oracles
-
     values: dict[str, list[float]] = {}
     for panel in data.panels:
         for one in panel.series:
