@@ -207,8 +207,8 @@ def tracked_measurements(recording: Recording, truth: Truth, core: Core) -> tupl
         np.searchsorted(snapshot[begin], every), by_pose, by_vt, core.offsets[site],
         persisting.state, persisting.load,
     )  # fmt: skip
-    white = white_variance(recording, truth, real, distance_m[look[of]], persisting.variance)
-    variance = together(white, of, len(at))
+    white = _white_variance(recording, truth, real, distance_m[look[of]], persisting.variance)
+    variance = _together(white, of, len(at))
     missing = np.where(first[:, None], BROAD_STD**2, np.inf)
     sightings = Sightings(
         np.searchsorted(snapshot, every), look, key, first, last, np.where(np.isfinite(variance), variance, missing),
@@ -238,7 +238,7 @@ def _first(enter: Ints, state: Ints, at: Ints) -> None:
     np.minimum.at(enter, state[there], rows[there])
 
 
-def white_variance(recording: Recording, truth: Truth, rows: Ints, distance_m: Floats, persisting: Floats) -> Floats:
+def _white_variance(recording: Recording, truth: Truth, rows: Ints, distance_m: Floats, persisting: Floats) -> Floats:
     """Return the variances (n, 3) of the white errors of measurements `rows` (n,); infinite: not measured."""
     m = recording.measurements
     measured = np.stack([m.distance_m[rows], m.azimuth_rad[rows], m.elevation_rad[rows]], axis=1)
@@ -248,7 +248,7 @@ def white_variance(recording: Recording, truth: Truth, rows: Ints, distance_m: F
     return np.where(there, np.maximum(variance, smallest**2), np.inf)
 
 
-def together(variance: Floats, of: Ints, count: int) -> Floats:
+def _together(variance: Floats, of: Ints, count: int) -> Floats:
     """Return the variances (count, 3) of what independent measurements, (n, 3) in groups `of` (n,), tell together."""
     with np.errstate(divide="ignore"):
         information = np.stack([np.bincount(of, column, count) for column in (1.0 / variance).T], axis=1)

@@ -9,7 +9,7 @@ from numba import njit, prange
 from cellslam.slam.fastslam.assignment import assign
 
 LAST, IDENT = 0, 1
-SLACK = 1e-3  # m^2: the predicted distance is never below a millimetre
+SLACK = 1e-3  # m^2: rounding, and that a predicted distance is never below a millimetre
 
 
 @njit(cache=True)
@@ -111,8 +111,8 @@ def _particle(now, pose, rot, means, covs, slots, counts, first, offset_of, z, q
               work_f, work_i):  # fmt: skip
     weight = 0.0
     by, t, e = h[1:4], h[4:7], h[7]
-    count, places = len(z) + 1, means.shape[1]
-    row_of, near, solver = work_i[:count], work_i[count : count + places + 1], work_i[count + places + 1 :]
+    rows, places = len(z) + 1, means.shape[1]
+    row_of, near, solver = work_i[:rows], work_i[rows : rows + places + 1], work_i[rows + places + 1 :]
     for link in range(len(first) - 1):
         start, stop, count = first[link], first[link + 1], counts[link]
         rivals = 0  # VTs with a measurement within the gate: the solver need not know of others
