@@ -44,9 +44,13 @@ def test_a_dense_link_updates_what_it_measures() -> None:
     row = dense(*DENSE, repeat=1)
     assert row["updates_per_snapshot"] == pytest.approx(DENSE[1], abs=0.2)
     assert row["ns_per_product"] == pytest.approx(1e6 * row["ms_per_snapshot"] / math.prod(DENSE))
-    few = dense(6, 3, 32, repeat=1)
-    assert few["updates_per_snapshot"] == pytest.approx(3, abs=0.2)
     assert len(set(cost_points())) == len(cost_points())
+
+
+@pytest.mark.parametrize(("landmarks", "measurements"), sorted({(6, 3), *(point[:2] for point in cost_points())}))
+def test_it_does_so_at_every_point_of_the_cost(landmarks: int, measurements: int) -> None:
+    row = dense(landmarks, measurements, 32, repeat=1)
+    assert row["updates_per_snapshot"] == pytest.approx(min(landmarks, measurements), abs=0.2)
 
 
 def test_command_prints_rows(capsys: pytest.CaptureFixture[str]) -> None:
