@@ -9,11 +9,12 @@ import pytest
 
 from cellslam.slam.api import Snapshot
 from cellslam.slam.baselines.channel_slam.filter import ChannelSlam
-from cellslam.slam.baselines.channel_slam.kernel import COMPONENT, COV, MEAN, describe, weigh
+from cellslam.slam.baselines.channel_slam.kernel import COMPONENT, COV, MEAN, TRIG, describe, face, weigh
 from cellslam.slam.baselines.channel_slam.tracks import Tracks
 from cellslam.slam.conformance import EstimatorConformance
 
 ANCHOR, USER = np.array([1.0, 2.0, 0.5]), np.array([9.0, -3.0, 0.5, 0.0, 0.0, 0.0])
+UPPER = np.triu_indices(4)
 
 
 def distance(state: Any) -> Any:
@@ -31,14 +32,15 @@ def test_one_distance_updates_and_weighs_as_in_a_kalman_filter() -> None:
     s = slope @ cov @ slope + variance
     gain = cov @ slope / s
     mixture = np.zeros((1, 1, 1, COMPONENT))
-    mixture[0, 0, 0, 0], mixture[0, 0, 0, MEAN:COV], mixture[0, 0, 0, COV:] = 1.0, mean, cov.ravel()
+    mixture[0, 0, 0, 0], mixture[0, 0, 0, MEAN:COV], mixture[0, 0, 0, COV:TRIG] = 1.0, mean, cov[UPPER]
+    face(mixture)
     log_weight, one = np.zeros(1), np.ones((1, 1), np.int64)
     weigh(
         USER[None], ANCHOR[None, None], mixture, one, np.zeros(1, np.int64), np.array([measured]),
-        np.array([variance]), 0.0, 1e-3, log_weight, np.zeros((1, 8)),
+        np.array([variance]), 0.0, 1e-3, log_weight,
     )  # fmt: skip
     np.testing.assert_allclose(mixture[0, 0, 0, MEAN:COV], mean + gain * 0.3, rtol=1e-7)
-    np.testing.assert_allclose(mixture[0, 0, 0, COV:].reshape(4, 4), cov - np.outer(gain, gain) * s, atol=1e-7)
+    np.testing.assert_allclose(mixture[0, 0, 0, COV:TRIG], (cov - np.outer(gain, gain) * s)[UPPER], atol=1e-7)
     assert log_weight[0] == pytest.approx(-0.5 * (0.09 / s + np.log(2 * np.pi * s)), rel=1e-6)
 
 
@@ -48,7 +50,7 @@ def test_moments_of_a_mixture_are_those_of_samples() -> None:
     root = np.diag([0.5, 0.05, 0.04, 3.0])
     root[3, 1] = 1.5
     mixture = np.zeros((2, COMPONENT))
-    mixture[:, 0], mixture[:, MEAN:COV], mixture[:, COV:] = [0.3, 0.7], means, (root @ root.T).ravel()
+    mixture[:, 0], mixture[:, MEAN:COV], mixture[:, COV:TRIG] = [0.3, 0.7], means, (root @ root.T)[UPPER]
     out = np.zeros((5, 4))
     describe(ANCHOR, mixture, 2, np.zeros((4, 8)), out)
     drawn = means[(rng.random(200_000) < 0.7).astype(int)] + rng.normal(size=(200_000, 4)) @ root.T

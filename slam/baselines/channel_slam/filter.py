@@ -9,7 +9,7 @@ import numpy as np
 from cellslam.sim.frames import integrate_pose, wrap_angle
 from cellslam.sim.recording import Floats, Ints
 from cellslam.slam.api import Estimate, Setup, Snapshot, VtEstimate
-from cellslam.slam.baselines.channel_slam.kernel import COMPONENT, COV, MEAN, describe, weigh
+from cellslam.slam.baselines.channel_slam.kernel import COMPONENT, DIAGONAL, MEAN, describe, face, weigh
 from cellslam.slam.baselines.channel_slam.options import ChannelSlamOptions
 from cellslam.slam.baselines.channel_slam.tracks import Tracks
 
@@ -37,7 +37,7 @@ class ChannelSlam:
         user, mixture, one = np.zeros((1, 6)), np.ones((1, 1, 1, COMPONENT)), np.ones((1, 1), np.int64)
         weigh(
             user, np.zeros((1, 1, 3)), mixture, one, np.zeros(1, np.int64), np.ones(1), np.ones(1), 1.0, 0.0,
-            np.zeros(1), np.zeros((1, 8)),
+            np.zeros(1),
         )  # fmt: skip
         describe(np.zeros(3), mixture[0, 0], 1, np.zeros((4, 8)), np.zeros((5, 4)))
 
@@ -98,7 +98,7 @@ class ChannelSlam:
         variance = o.distance_std_m**2 * shared.sum(axis=1)
         weigh(
             self._pose, self._anchor, self._mixture, self._counts, place, np.ascontiguousarray(distance), variance,
-            o.outlier_density, o.drop_weight, self._log_weight, np.empty((o.particles, 8)),
+            o.outlier_density, o.drop_weight, self._log_weight,
         )  # fmt: skip
 
     def _begin(self) -> None:
@@ -116,7 +116,7 @@ class ChannelSlam:
             self._holder[place], self._link[place] = t.id[j], t.link[j]
 
     def _fresh(self, site: int, distance_m: float) -> Floats:
-        """Return the components (M, 21) of a new transmitter: every azimuth, and the clock offset's prior."""
+        """Return the components (M, 19) of a new transmitter: every azimuth, and the clock offset's prior."""
         o, sites = self.options, self._setup.sites
         prior = float(sites.clock_offset_std_m[site])
         spacing = 2.0 * np.pi / o.directions
@@ -130,7 +130,8 @@ class ChannelSlam:
         out[:, MEAN], out[:, MEAN + 1], out[:, MEAN + 2] = distance_m, azimuth.ravel(), np.radians(o.elevation_deg)
         out[:, MEAN + 3] = np.minimum(offset, distance_m - 10.0)
         widths = (o.distance_std_m, 0.6 * spacing, np.radians(o.elevation_std_deg), max(OFFSET_WIDTH * prior, 1e-3))
-        out[:, [COV, COV + 5, COV + 10, COV + 15]] = np.square(widths)
+        out[:, DIAGONAL] = np.square(widths)
+        face(out)
         return out[out[:, 0] > 0.0]
 
     def _end(self) -> None:

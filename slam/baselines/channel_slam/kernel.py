@@ -1,8 +1,9 @@
 """Compiled: transmitters as Gaussian mixtures within each particle of the user, weighed by one distance at a time.
 
-A component (21,): weight; pseudo-range s (distance plus clock offset, m), azimuth and elevation (rad, world) as seen
-from the anchor, clock offset b (m); their covariance (4 x 4). The transmitter stands at anchor + (s - b) n(azimuth,
-elevation): there the first distance says s, and nothing else, exactly.
+A component (19,): weight; pseudo-range s (distance plus clock offset, m), azimuth and elevation (rad, world) as seen
+from the anchor, clock offset b (m); the upper triangle of their covariance, by rows; cosine and sine of azimuth and
+elevation, which turn with these. The transmitter stands at anchor + (s - b) n(azimuth, elevation): there the first
+distance says s, and nothing else, exactly.
 """
 
 from __future__ import annotations
@@ -12,56 +13,92 @@ import math
 import numpy as np
 from numba import njit, prange
 
-MEAN, COV, COMPONENT = 1, 5, 21
+from cellslam.sim.recording import Floats
+
+MEAN, COV, TRIG, COMPONENT = 1, 5, 15, 19
+DIAGONAL = [COV, COV + 4, COV + 7, COV + 9]
 NEAREST_M = 1.0
+PEAK = 1.0 / math.sqrt(2.0 * math.pi)
+NOTHING = 40.0  # a likelihood so many nats below that of an outlier is none
+
+
+def face(components: Floats) -> None:
+    """Write cosines and sines of the directions of components (..., 19) beside them."""
+    azimuth, elevation = components[..., MEAN + 1], components[..., MEAN + 2]
+    trig = (np.cos(azimuth), np.sin(azimuth), np.cos(elevation), np.sin(elevation))
+    components[..., TRIG:] = np.stack(trig, axis=-1)
 
 
 @njit(cache=True)
-def _predict(c, dx, dy, dz, h):
-    """Write d(distance)/d(s, azimuth, elevation, b) into h (4,); return the distance; (dx, dy, dz): anchor - user."""
-    rho = max(c[MEAN] - c[MEAN + 3], NEAREST_M)
-    ca, sa = math.cos(c[MEAN + 1]), math.sin(c[MEAN + 1])
-    ce, se = math.cos(c[MEAN + 2]), math.sin(c[MEAN + 2])
+def _turn(c, at, angle):
+    """Turn the cosine and sine at c[at] by an angle; small ones by the series, whose remainder is below 2e-12."""
+    square = angle * angle
+    if square < 1e-3:
+        cosine = 1.0 - square * (0.5 - square / 24.0)
+        sine = angle * (1.0 - square * (1.0 / 6.0 - square / 120.0))
+    else:
+        cosine, sine = math.cos(angle), math.sin(angle)
+    c[at], c[at + 1] = c[at] * cosine - c[at + 1] * sine, c[at + 1] * cosine + c[at] * sine
+
+
+@njit(cache=True)
+def _update(c, dx, dy, dz, measured, variance, floor, far):
+    """Kalman update of one component by a distance; return its likelihood: Gaussian and a floor for outliers.
+
+    (dx, dy, dz): anchor - user. h: d(distance)/d(s, azimuth, elevation, b); k: covariance times h.
+    """
+    rho = max(c[1] - c[4], NEAREST_M)
+    ca, sa, ce, se = c[15], c[16], c[17], c[18]
     nx, ny = ce * ca, ce * sa
     x, y, z = dx + rho * nx, dy + rho * ny, dz + rho * se
     r = max(math.sqrt(x * x + y * y + z * z), 1e-3)
-    x, y, z = x / r, y / r, z / r
-    h[0] = x * nx + y * ny + z * se
-    h[1] = rho * (-x * ny + y * nx)
-    h[2] = rho * (-x * se * ca - y * se * sa + z * ce)
-    h[3] = 1.0 - h[0]
-    return r + c[MEAN + 3]
-
-
-@njit(cache=True)
-def _update(c, dx, dy, dz, measured, variance, floor, h, k):
-    """Kalman update of one component by a distance; return its likelihood: Gaussian and a floor for outliers."""
-    e = measured - _predict(c, dx, dy, dz, h)
-    s = variance
-    for a in range(4):
-        k[a] = 0.0
-        for b in range(4):
-            k[a] += c[COV + 4 * a + b] * h[b]
-        s += k[a] * h[a]
-    peak = math.exp(-0.5 * e * e / s) / math.sqrt(2.0 * math.pi * s)
+    inverse = 1.0 / r
+    x, y, z = x * inverse, y * inverse, z * inverse
+    h0 = x * nx + y * ny + z * se
+    h1 = rho * (y * nx - x * ny)
+    h2 = rho * (z * ce - se * (x * ca + y * sa))
+    h3 = 1.0 - h0
+    k0 = c[5] * h0 + c[6] * h1 + c[7] * h2 + c[8] * h3
+    k1 = c[6] * h0 + c[9] * h1 + c[10] * h2 + c[11] * h3
+    k2 = c[7] * h0 + c[10] * h1 + c[12] * h2 + c[13] * h3
+    k3 = c[8] * h0 + c[11] * h1 + c[13] * h2 + c[14] * h3
+    e = measured - r - c[4]
+    weight = 1.0 / (variance + k0 * h0 + k1 * h1 + k2 * h2 + k3 * h3)
+    distance2 = e * e * weight
+    if distance2 > far:
+        return floor
+    peak = math.exp(-0.5 * distance2) * math.sqrt(weight) * PEAK
     if peak > floor:
-        for a in range(4):
-            c[MEAN + a] += k[a] / s * e
-            for b in range(4):
-                c[COV + 4 * a + b] -= k[a] * k[b] / s
+        g0, g1, g2, g3 = k0 * weight, k1 * weight, k2 * weight, k3 * weight
+        c[1] += g0 * e
+        c[2] += g1 * e
+        c[3] += g2 * e
+        c[4] += g3 * e
+        c[5] -= g0 * k0
+        c[6] -= g0 * k1
+        c[7] -= g0 * k2
+        c[8] -= g0 * k3
+        c[9] -= g1 * k1
+        c[10] -= g1 * k2
+        c[11] -= g1 * k3
+        c[12] -= g2 * k2
+        c[13] -= g2 * k3
+        c[14] -= g3 * k3
+        _turn(c, TRIG, g1 * e)
+        _turn(c, TRIG + 2, g2 * e)
     return peak + floor
 
 
 @njit(cache=True, parallel=True)
-def weigh(users, anchors, mixture, counts, which, distance_m, variance, floor, least, log_weight, scratch):
+def weigh(users, anchors, mixture, counts, which, distance_m, variance, floor, least, log_weight):
     """Update transmitters `which` (n,) by distances (n,) of variances (n,) in every user particle, and weigh these.
 
-    users (N, 6): poses; anchors (N, J, 3); mixture (N, J, M, 21), counts (N, J): components; floor: density of an
+    users (N, 6): poses; anchors (N, J, 3); mixture (N, J, M, 19), counts (N, J): components; floor: density of an
     outlier, 1/m; least: components of less weight are dropped. log_weight (N,) is added to: log-density of the
-    distance given all earlier ones (Gentner et al., weights of the Rao-Blackwellised filter). scratch (N, 8).
+    distance given all earlier ones (Gentner et al., weights of the Rao-Blackwellised filter).
     """
+    far = 2.0 * (NOTHING - math.log(floor)) if floor > 0.0 else np.inf
     for i in prange(len(users)):
-        h, k = scratch[i, :4], scratch[i, 4:]
         for n in range(len(which)):
             j = which[n]
             dx = anchors[i, j, 0] - users[i, 0]
@@ -70,14 +107,14 @@ def weigh(users, anchors, mixture, counts, which, distance_m, variance, floor, l
             total = 0.0
             for m in range(counts[i, j]):
                 c = mixture[i, j, m]
-                c[0] *= _update(c, dx, dy, dz, distance_m[n], variance[n], floor, h, k)
+                c[0] *= _update(c, dx, dy, dz, distance_m[n], variance[n], floor, far)
                 total += c[0]
             log_weight[i] += math.log(total)
             kept = 0
             for m in range(counts[i, j]):
                 if mixture[i, j, m, 0] >= least * total:
-                    for a in range(COMPONENT):
-                        mixture[i, j, kept, a] = mixture[i, j, m, a]
+                    if kept != m:
+                        mixture[i, j, kept] = mixture[i, j, m]
                     mixture[i, j, kept, 0] /= total
                     kept += 1
             counts[i, j] = kept
@@ -85,7 +122,7 @@ def weigh(users, anchors, mixture, counts, which, distance_m, variance, floor, l
 
 @njit(cache=True)
 def describe(anchor, mixture, count, points, out):
-    """Write mean (4,) and covariance (4, 4) of x, y, z and clock offset over a mixture (M, 21) into out (5, 4).
+    """Write mean (4,) and covariance (4, 4) of x, y, z and clock offset over a mixture (M, 19) into out (5, 4).
 
     Each component is represented by eight sigma points of its four coordinates; points (4, 8): scratch.
     """
@@ -132,7 +169,7 @@ def _sigma_points(c, points):
     root = np.zeros((4, 4))
     for col in range(4):
         for a in range(col, 4):
-            value = c[COV + 4 * a + col]
+            value = c[COV + 4 * col - col * (col - 1) // 2 + a - col]
             for b in range(col):
                 value -= root[a, b] * root[col, b]
             if a == col:
