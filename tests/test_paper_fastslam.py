@@ -18,7 +18,7 @@ from cellslam.slam.api import setup_of, snapshots_of
 from cellslam.slam.baselines.channel_slam.filter import ChannelSlam
 from cellslam.slam.baselines.channel_slam.options import ChannelSlamOptions
 from cellslam.slam.baselines.paper_fastslam import PaperFastSlam, PaperFastSlamOptions
-from cellslam.slam.baselines.paper_fastslam_kernel import _birth, _predict, _spread
+from cellslam.slam.baselines.paper_fastslam_kernel import _birth, _invert, _predict, _spread
 from cellslam.slam.conformance import EstimatorConformance
 from cellslam.slam.conformance_subject import Subject, drive, tiny_drive
 from cellslam.slam.model import birth, jacobians, predict
@@ -41,8 +41,9 @@ def test_prediction_is_that_of_the_model() -> None:
 
 def test_innovation_covariance_is_inverted() -> None:
     root = np.random.default_rng(0).normal(size=(3, 3))
-    cov, by, t, s = root @ root.T, jacobians(POSE, VT)[0], np.zeros((3, 3)), np.zeros((3, 3))
-    det = _spread(by, cov, Q, t, s)
+    cov, by, (t, p, s) = root @ root.T, jacobians(POSE, VT)[0], np.zeros((3, 3, 3))
+    _spread(by, cov, t, p)
+    det = _invert(p, Q, s)
     expected = by @ cov @ by.T + np.diag(Q)
     np.testing.assert_allclose(s @ expected, np.eye(3), atol=1e-8)
     assert det == pytest.approx(np.linalg.det(expected))

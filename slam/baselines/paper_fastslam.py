@@ -102,7 +102,7 @@ class PaperFastSlam:
         some, wide = np.full((count, len(z)), -1, np.int64), 4 * (len(z) + places + 4)
         rot = rotation(self._pose[:, 3], self._pose[:, 4], self._pose[:, 5])
         scratch = (
-            np.empty((count, places, len(z) + 1)), np.empty((count, 8, 3)), np.empty((count, 3, 3)),
+            np.empty((count, places, len(z) + 1)), np.empty((count, 8, 3)), np.empty((count, 6, 3)),
             np.empty((count, wide)), np.empty((count, len(z) + places + 2 + wide), np.int64),
         )  # fmt: skip
         use_snapshot(

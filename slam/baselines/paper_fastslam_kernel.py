@@ -31,16 +31,20 @@ def _predict(pose, rot, vt, h, by):
 
 
 @njit(cache=True)
-def _spread(by, cov, q, t, s):
-    """Write T = H Sigma and the inverse of S = T H^T + Q; return det S (corrected: the paper prints H^T Sigma H)."""
+def _spread(by, cov, t, p):
+    """Write T = H Sigma and P = T H^T (corrected: the paper prints H^T Sigma H)."""
     for r in range(3):
         for c in range(3):
             t[r, c] = by[r, 0] * cov[0, c] + by[r, 1] * cov[1, c] + by[r, 2] * cov[2, c]
     for r in range(3):
         for c in range(3):
-            s[r, c] = t[r, 0] * by[c, 0] + t[r, 1] * by[c, 1] + t[r, 2] * by[c, 2]
-        s[r, r] += q[r]
-    a, b, c, d, e, f = s[0, 0], s[0, 1], s[0, 2], s[1, 1], s[1, 2], s[2, 2]
+            p[r, c] = t[r, 0] * by[c, 0] + t[r, 1] * by[c, 1] + t[r, 2] * by[c, 2]
+
+
+@njit(cache=True)
+def _invert(p, q, s):
+    """Write the inverse of S = P + Q; return det S."""
+    a, b, c, d, e, f = p[0, 0] + q[0], p[0, 1], p[0, 2], p[1, 1] + q[1], p[1, 2], p[2, 2] + q[2]
     m0, m1, m2 = d * f - e * e, c * e - b * f, b * e - c * d
     det = a * m0 + b * m1 + c * m2
     s[0, 0], s[1, 1], s[2, 2] = m0 / det, (a * f - c * c) / det, (a * d - b * b) / det
@@ -81,23 +85,39 @@ def _birth(pose, rot, z, offset, q, mean, cov):
 
 
 @njit(cache=True)
-def _score(pose, rot, mean, cov, z, q, start, stop, offset, gate, score, h, s):
-    """Write by how much each measurement of a link is within a VT's gate, at most 0 where not; return whether any is.
+def _within_reach(pose, means, covs, link, count, z, q, start, stop, offset, gate, near):
+    """Write which of a link's `count` VTs may have a measurement within the gate, by distance; return how many.
 
     No component alone has a greater normalised distance than all three, and the variance of the predicted distance is
     at most the trace of the VT's covariance: what is too far off by that needs no Jacobian.
     """
-    by, t, e = h[1:4], h[4:7], h[7]
-    full = math.sqrt((mean[0] - pose[0]) ** 2 + (mean[1] - pose[1]) ** 2 + (mean[2] - pose[2]) ** 2)
-    most, predicted, found = cov[0, 0] + cov[1, 1] + cov[2, 2], False, False
+    found = 0
+    for j in range(count):
+        x, y, z_up = means[link, j, 0] - pose[0], means[link, j, 1] - pose[1], means[link, j, 2] - pose[2]
+        full = math.sqrt(x * x + y * y + z_up * z_up)
+        most = covs[link, j, 0, 0] + covs[link, j, 1, 1] + covs[link, j, 2, 2]
+        near[found] = j
+        for k in range(start, stop):
+            e = z[k, 0] - offset - full
+            if e * e <= gate * (most + q[k, 0]) + SLACK:
+                found += 1
+                break
+    return found
+
+
+@njit(cache=True)
+def _score(pose, rot, mean, cov, z, q, start, stop, offset, gate, score, h, s):
+    """Write by how much each measurement of a link is within a VT's gate, at most 0 where not; return if any is."""
+    by, t, e, p = h[1:4], h[4:7], h[7], s[3:]
+    _predict(pose, rot, mean, h[0], by)
+    _spread(by, cov, t, p)
+    found = False
     for k in range(start, stop):
         score[k - start] = -1.0
-        if (z[k, 0] - offset - full) ** 2 > gate * (most + q[k, 0]) + SLACK:
+        e0 = z[k, 0] - offset - h[0, 0]
+        if e0 * e0 > gate * (p[0, 0] + q[k, 0]):
             continue
-        if not predicted:
-            _predict(pose, rot, mean, h[0], by)
-            predicted = True
-        det = _spread(by, cov, q[k], t, s)
+        det = _invert(p, q[k], s)
         distance2 = _distance2(z[k], offset, h[0], s, e)
         # A covariance that rounding has spoilt takes no measurement.
         if det > 0.0 and distance2 >= 0.0:
@@ -116,8 +136,9 @@ def _particle(now, pose, rot, means, covs, slots, counts, first, offset_of, z, q
     for link in range(len(first) - 1):
         start, stop, count = first[link], first[link + 1], counts[link]
         rivals = 0  # VTs with a measurement within the gate: the solver need not know of others
-        for j in range(count):
-            near[rivals] = j
+        possible = _within_reach(pose, means, covs, link, count, z, q, start, stop, offset_of[link], gate, near)
+        for n in range(possible):
+            near[rivals] = j = near[n]
             rivals += _score(
                 pose, rot, means[link, j], covs[link, j], z, q, start, stop, offset_of[link], gate, score[rivals], h, s
             )
@@ -128,7 +149,8 @@ def _particle(now, pose, rot, means, covs, slots, counts, first, offset_of, z, q
                 j = near[row_of[k - start]]
                 mean, cov = means[link, j], covs[link, j]
                 _predict(pose, rot, mean, h[0], by)
-                det = _spread(by, cov, q[k], t, s)
+                _spread(by, cov, t, s[3:])
+                det = _invert(s[3:], q[k], s)
                 distance2 = _distance2(z[k], offset_of[link], h[0], s, e)
                 weight += -0.5 * distance2 - 0.5 * math.log(det) - 1.5 * math.log(2.0 * math.pi)
                 for r in range(3):
@@ -165,7 +187,7 @@ def use_snapshot(now, pose, rot, means, covs, slots, counts, first, offset_of, z
 
     pose (N, 6), rot (N, 3, 3); maps, written: means (N, L, C, 3), covs (N, L, C, 3, 3), slots (N, L, C, 2), counts
     (N, L); first (L + 1,), z, q (M, 3); offset_of (L,): clock offset taken for each link; log_weight (N,) is added to,
-    association (N, M) written. score, h (., 8, 3), s, work_f, work_i: scratch, one a particle.
+    association (N, M) written. score, h (., 8, 3), s (., 6, 3), work_f, work_i: scratch, one a particle.
     """
     for i in prange(len(pose)):
         log_weight[i] += _particle(
