@@ -13,6 +13,7 @@ if TYPE_CHECKING:
 
 FORMATS = ("text", "md", "csv", "latex", "json")
 PIPE_WIDTH = 200
+TOO_WIDE = 1e5  # a spoilt covariance claims an NEES of 1e11
 _LATEX = {c: f"\\{c}" for c in "&%$#_{}"} | {"\\": "\\textbackslash{}", "~": "\\textasciitilde{}", "^": "\\^{}"}
 
 
@@ -38,9 +39,11 @@ def render(tidy: pd.DataFrame, grid: Grid, format_: str) -> str:
 
 
 def number(value: float | None, metric: str, statistic: str = "") -> str:
-    """Return a number with the digits that suit its metric."""
+    """Return a number with the digits that suit its metric; one that would fill the line as a power of ten."""
     if value is None or not math.isfinite(value):
         return "-"
+    if abs(value) >= TOO_WIDE:
+        return f"{value:.0e}"
     if statistic.startswith("share>"):
         return f"{value:.3f}"
     digits = 4 if metric.endswith("_rad") else 1 if metric == "realtime_factor" else 2
