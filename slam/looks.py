@@ -8,12 +8,12 @@ that agree tells paths from clutter.
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass, replace
 from typing import Generic, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.special import binom
 
 from cellslam.sim.recording import Floats, Ints, Links
 from cellslam.slam.api import Estimate, Setup, Snapshot, VtEstimate
@@ -100,8 +100,7 @@ def doubts(links: Ints, detection_probability: float) -> Floats:
     out = np.zeros((len(links), int(links.max(initial=0)) + 1))
     for g, count in enumerate(links):
         n = np.arange(1, count + 1)
-        ways = np.array([math.comb(count, k) for k in n])
-        path = ways * detection_probability**n * (1.0 - detection_probability) ** (count - n)
+        path = binom(count, n) * detection_probability**n * (1.0 - detection_probability) ** (count - n)
         clutter = COINCIDENCE ** (n - 1.0)
         path = (1.0 - UNUSUAL) * path / path.sum() + UNUSUAL / count
         if count > 1:

@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from scipy import stats
 
 from cellslam.sim.recording import Links, OdometryModel, Sites
 from cellslam.slam.api import Estimate, Setup, Snapshot, VtEstimate
@@ -199,3 +200,11 @@ def test_a_receiver_without_links() -> None:
     grouping = Grouping(setup([], []), FrontEndOptions())
     assert len(grouping.looks(snapshot([], np.zeros((0, 3))))) == 0
     assert grouping.options.clutter_density == FrontEndOptions().clutter_density
+
+
+def test_many_links_agree_by_the_binomial_law_too() -> None:
+    n = np.arange(1, 101)
+    path, clutter = stats.binom.pmf(n, 100, 0.88), COINCIDENCE ** (n - 1.0)
+    path = (1.0 - UNUSUAL) * path / path.sum() + UNUSUAL / 100
+    expected = np.log(clutter / clutter.sum() / path + UNMAPPED)
+    np.testing.assert_allclose(doubts(np.array([100]), 0.88)[0, 1:], expected, rtol=1e-9)
