@@ -6,12 +6,14 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from cellslam.benchmarks.rows import results
-    from cellslam.benchmarks.summaries import comparison, summary
-    from cellslam.benchmarks.trials import run
+    from cellslam.benchmarks.sweeps.rows import results
+    from cellslam.benchmarks.tables.summaries import comparison, summary
+    from cellslam.benchmarks.trials.trials import run
 
 __all__ = ["comparison", "results", "run", "summary"]
-_HOMES = {"comparison": "summaries", "results": "rows", "run": "trials", "summary": "summaries"}
+_HOMES = {
+    "comparison": "tables.summaries", "results": "sweeps.rows", "run": "trials.trials", "summary": "tables.summaries",
+}  # fmt: skip
 
 
 def __getattr__(name: str) -> Any:

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from cellslam.scenarios.loading import load, preset_names
-    from cellslam.scenarios.model import Scenario
+    from cellslam.scenarios.scenario import Scenario
 
 __all__ = ["Scenario", "load", "preset_names"]
 
@@ -14,7 +14,7 @@ __all__ = ["Scenario", "load", "preset_names"]
 def __getattr__(name: str) -> Any:
     """Load the models when one of the names is asked for (PEP 562): importing the package stays light."""
     if name == "Scenario":
-        from cellslam.scenarios.model import Scenario
+        from cellslam.scenarios.scenario import Scenario
 
         return Scenario
     if name in __all__:

@@ -9,10 +9,10 @@ from importlib.resources import files
 from pathlib import Path
 from typing import Any
 
-from cellslam.scenarios.model import Scenario
-from cellslam.scenarios.options import option_keys
+from cellslam.scenarios.estimator_options import option_keys
 from cellslam.scenarios.overrides import apply
 from cellslam.scenarios.problems import validate
+from cellslam.scenarios.scenario import Scenario
 from cellslam.sim.errors import InputError, unknown_name
 
 

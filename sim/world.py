@@ -14,20 +14,20 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field
 
-from cellslam.sim.city.config import CityConfig
+from cellslam.sim.city.city_config import CityConfig
 from cellslam.sim.frames import SPEED_OF_LIGHT_MPS
-from cellslam.sim.lte.config import RadioConfig
+from cellslam.sim.lte.radio_config import RadioConfig
 from cellslam.sim.progress import Progress, silent
 from cellslam.sim.randomness import Stream, stream
 from cellslam.sim.recording import Floats, Ints, Recording, Sites, Truth, VirtualTransmitters
 from cellslam.sim.sites import SiteConfig
-from cellslam.sim.vehicle.config import OdometryConfig, VehicleConfig
+from cellslam.sim.vehicle.vehicle_config import OdometryConfig, VehicleConfig
 
 if TYPE_CHECKING:
     from cellslam.sim.lte.links import Cells
-    from cellslam.sim.lte.persisting_kernel import Fields
-    from cellslam.sim.lte.signal_level import SignalLevel
-    from cellslam.sim.lte.statistical import Detections, PathColumns, Streams
+    from cellslam.sim.lte.persisting_errors_kernel import Fields
+    from cellslam.sim.lte.signal.signal_front_end import SignalLevel
+    from cellslam.sim.lte.statistical.statistical_front_end import Detections, PathColumns, Streams
     from cellslam.sim.rays import Paths, Scene
     from cellslam.sim.vehicle import Drive
 
@@ -69,7 +69,7 @@ class World:
 
     def streams(self) -> Streams:
         """Return the receiver's generators at the start of the trial."""
-        from cellslam.sim.lte.statistical import Streams
+        from cellslam.sim.lte.statistical.statistical_front_end import Streams
 
         names = (Stream.NOISE, Stream.DETECTION, Stream.CLUTTER)
         return Streams(*(stream(self.seed, self.trial, name) for name in names))
@@ -122,14 +122,14 @@ class World:
     ) -> Detections:  # fmt: skip
         columns, radio = path_columns(paths, len(poses), len(self.sites_m)), self.config.radio
         if self.signals is not None:
-            from cellslam.sim.lte.streaming import detect_signals
+            from cellslam.sim.lte.signal.drive_in_blocks import detect_signals
 
             key = f"{self.config.model_dump_json()} {self.seed} {self.trial}" if len(poses) > 1 else ""
             found = detect_signals(
                 self.signals, columns, poses, velocities, odometry, rng.noise, snapshot, key, progress
             )
         else:
-            from cellslam.sim.lte.statistical import detect
+            from cellslam.sim.lte.statistical.statistical_front_end import detect
 
             found = detect(radio, self.cells, columns, poses, self.offsets_m, self.fields, rng, snapshot, progress)
         return self._drifted(found)
@@ -152,7 +152,7 @@ def prepare(config: WorldConfig, seed: int, trial: int, progress: Progress = sil
     do not fit.
     """
     from cellslam.sim.lte.links import cells_of
-    from cellslam.sim.lte.persisting import draw_fields
+    from cellslam.sim.lte.persisting_errors import draw_fields
     from cellslam.sim.sites import place_sites
     from cellslam.sim.vehicle import drive, plan_route
 
@@ -174,7 +174,7 @@ def prepare(config: WorldConfig, seed: int, trial: int, progress: Progress = sil
     fields = draw_fields(config.radio, config.vehicle.snapshot_interval_s, receiver_rng)
     signals = None
     if config.radio.front_end == "signal":
-        from cellslam.sim.lte.signal_level import signal_level
+        from cellslam.sim.lte.signal.signal_front_end import signal_level
 
         signals = signal_level(config.radio, cells, offsets_m, fields, receiver_rng)
     return World(config, seed, trial, scene, sites_m, cells, driven, offsets_m, drift_m_s, start, fields, signals)
@@ -185,7 +185,7 @@ def simulate(config: WorldConfig, seed: int, trial: int, progress: Progress = si
     recording.
     """
     from cellslam.sim.lte.links import links_of
-    from cellslam.sim.lte.persisting import persisting_std
+    from cellslam.sim.lte.persisting_errors import persisting_std
     from cellslam.sim.vehicle import measure_odometry
 
     world = prepare(config, seed, trial, progress)
@@ -242,7 +242,7 @@ def path_columns(paths: Paths, receivers: int, sites: int) -> PathColumns:
     """Return the columns of traced paths that the front ends read; paths are sorted by receiver, then
     site.
     """
-    from cellslam.sim.lte.statistical import PathColumns
+    from cellslam.sim.lte.statistical.statistical_front_end import PathColumns
 
     key = paths.receiver * sites + paths.transmitter
     rows = np.searchsorted(key, np.arange(receivers * sites + 1)).astype(np.int64)

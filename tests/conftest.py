@@ -15,7 +15,7 @@ from cellslam.sim.recording import (
     Truth,
     VirtualTransmitters,
 )
-from cellslam.slam.model import predict
+from cellslam.slam.model.measurement_model import predict
 
 
 def make_toy_recording(snapshots: int = 40, seed: int = 0, truth: bool = True) -> Recording:

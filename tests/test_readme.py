@@ -9,10 +9,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from cellslam.benchmarks.cli import build_parser
-from cellslam.benchmarks.estimation import estimate
-from cellslam.benchmarks.result import ROW_KEYS
-from cellslam.scenarios.options import resolve
+from cellslam.benchmarks.cli.main import build_parser
+from cellslam.benchmarks.trials.estimation import estimate
+from cellslam.benchmarks.trials.trial_result import ROW_KEYS
+from cellslam.scenarios.estimator_options import resolve
 
 ROOT = Path(__file__).parents[1]
 README = (ROOT / "README.md").read_text(encoding="utf-8")

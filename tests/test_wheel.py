@@ -13,8 +13,8 @@ from pathlib import Path
 
 import pytest
 
-ROOT = Path(__file__).parent.parent
-SOURCES = ("sim", "slam", "scenarios", "benchmarks", "pyproject.toml", "README.md", "LICENSE")
+ROOT = Path(__file__).parents[1]
+SOURCES = ("cellslam", "sim", "slam", "scenarios", "benchmarks", "pyproject.toml", "README.md", "LICENSE")
 
 
 def run(*words: str | Path, cwd: Path) -> str:

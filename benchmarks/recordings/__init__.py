@@ -3,6 +3,7 @@
 `Campaign` and `build` are what a Python adapter for `cellslam import` needs.
 """
 
-from cellslam.benchmarks.recordings.campaign import Campaign, OdometryTable, ReferenceTable, build
+from cellslam.benchmarks.recordings.importing.campaign import Campaign, OdometryTable, ReferenceTable
+from cellslam.benchmarks.recordings.importing.campaign_to_recording import build
 
 __all__ = ["Campaign", "OdometryTable", "ReferenceTable", "build"]

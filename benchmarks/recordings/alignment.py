@@ -6,9 +6,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from cellslam.benchmarks.metrics import within
-from cellslam.benchmarks.recordings.start import rigid
-from cellslam.benchmarks.result import TrialResult
+from cellslam.benchmarks.recordings.importing.start_pose import rigid
+from cellslam.benchmarks.scores.metrics import within
+from cellslam.benchmarks.trials.trial_result import TrialResult
 from cellslam.sim.errors import InputError
 from cellslam.sim.frames import rotation, wrap_angle
 from cellslam.sim.recording import Floats, Recording

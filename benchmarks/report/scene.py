@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from cellslam.benchmarks.report import rounded
-from cellslam.sim.city.model import GROUND, City
+from cellslam.benchmarks.report.choice import rounded
+from cellslam.sim.city.city import GROUND, City
 from cellslam.sim.recording import Floats, Ints
 
 if TYPE_CHECKING:

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from importlib.resources import as_file, files
 
 from cellslam.scenarios.loading import load
-from cellslam.scenarios.model import Scenario
+from cellslam.scenarios.scenario import Scenario
 from cellslam.sim.errors import unknown_name
 
 

@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from cellslam.sim.city.city import TOLERANCES, City, Floats, Ints, Material, Tolerances
 from cellslam.sim.city.facets import merge_facets
-from cellslam.sim.city.model import TOLERANCES, City, Floats, Ints, Material, Tolerances
 from cellslam.sim.errors import InputError
 
 if TYPE_CHECKING:

@@ -7,7 +7,7 @@ import numpy as np
 import shapely
 from shapely import Polygon
 
-from cellslam.sim.city.model import Floats, Ints
+from cellslam.sim.city.city import Floats, Ints
 
 
 def walls(footprint: Polygon, base_m: float, top_m: float) -> tuple[Floats, Ints]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from cellslam.sim.city.model import Facets, Floats, Ints, Tolerances
+from cellslam.sim.city.city import Facets, Floats, Ints, Tolerances
 
 WELD_M = 1e-4
 # Below this height over its longest side a triangle has no usable normal; it still casts a shadow.

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
-from cellslam.sim.city.model import Floats, Ints
+from cellslam.sim.city.city import Floats, Ints
 
 
 @njit(cache=True)

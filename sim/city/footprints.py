@@ -7,8 +7,8 @@ import shapely
 from numpy.typing import NDArray
 from shapely import Polygon
 
+from cellslam.sim.city.city import GROUND, Floats, Ints
 from cellslam.sim.city.facets import triangle_normals
-from cellslam.sim.city.model import GROUND, Floats, Ints
 
 # A triangle this steep (cosine of its slope) shows no area in plan.
 STEEP = 0.02

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike
 
-from cellslam.sim.city.model import GROUND, City, Floats, Ints
+from cellslam.sim.city.city import GROUND, City, Floats, Ints
 from cellslam.sim.errors import InputError
 
 OUTSIDE, UNDERGROUND = -1, -2

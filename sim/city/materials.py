@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from cellslam.sim.city.model import REFERENCE_HZ, Material
+from cellslam.sim.city.city import REFERENCE_HZ, Material
 from cellslam.sim.errors import unknown_name
 
 # name: (a, b, c, d)

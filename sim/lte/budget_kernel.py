@@ -6,8 +6,8 @@ import math
 
 from numba import njit
 
-from cellslam.sim.lte.detector_model import Array, LinkTable
-from cellslam.sim.lte.measurement_kernel import wrap
+from cellslam.sim.lte.statistical.detector_layout import Array, LinkTable
+from cellslam.sim.lte.statistical.measurement_kernel import wrap
 
 
 @njit(cache=True)

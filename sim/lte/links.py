@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cellslam.sim.errors import InputError
-from cellslam.sim.lte.detector_model import LinkTable
+from cellslam.sim.lte.statistical.detector_layout import LinkTable
 from cellslam.sim.recording import Floats, Ints, Links
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike
 
-from cellslam.sim.city.model import Floats
+from cellslam.sim.city.city import Floats
 from cellslam.sim.frames import wrap_angle
 
 

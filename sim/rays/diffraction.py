@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from cellslam.sim.city.model import Floats, Ints
-from cellslam.sim.rays.edges import Edges
+from cellslam.sim.city.city import Floats, Ints
+from cellslam.sim.rays.diffracting_edges import Edges
 from cellslam.sim.rays.first_order import BLOCKS, unobstructed
 from cellslam.sim.rays.gain import Complexes, polarisation_basis
 from cellslam.sim.rays.scene import Scene
@@ -36,7 +36,7 @@ def diffracted_paths(
     scene: Scene, edges: Edges, transmitter: Floats, receivers: Floats, wavelength_m: float
 ) -> tuple[Ints, Ints, Floats]:
     """Return (receiver (P,), edge (P,), point (P, 3)) of all free paths over one edge, centred coordinates."""
-    from cellslam.sim.rays import edge_kernel
+    from cellslam.sim.rays import diffraction_kernel as edge_kernel
 
     if not len(edges) or not len(receivers):
         return np.empty(0, np.int64), np.empty(0, np.int64), np.empty((0, 3))

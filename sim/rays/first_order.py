@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from cellslam.sim.city.model import Floats, Ints
+from cellslam.sim.city.city import Floats, Ints
 from cellslam.sim.rays.scene import CLEARANCE_M, Scene
 
 BLOCKS = np.array([512, 64])
@@ -45,7 +45,7 @@ def single_reflections(
     scene: Scene, transmitter: Floats, receivers: Floats, reflects: NDArray[np.bool_]
 ) -> tuple[Ints, Ints, Floats]:
     """Return (receiver (P,), facet (P,), point (P, 3)) of all free first-order paths, centred."""
-    from cellslam.sim.rays import kernel
+    from cellslam.sim.rays import first_order_kernel as kernel
 
     count = len(scene.table)
     image, side = np.empty((count, 3)), np.empty(count)

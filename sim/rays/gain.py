@@ -9,7 +9,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from cellslam.sim.city.model import Floats, Ints, Material
+from cellslam.sim.city.city import Floats, Ints, Material
 from cellslam.sim.frames import SPEED_OF_LIGHT_MPS
 
 Complexes = NDArray[np.complex128]

@@ -9,10 +9,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from cellslam.sim.city.model import GROUND, City, Floats, Ints
+from cellslam.sim.city.city import GROUND, City, Floats, Ints
 
 if TYPE_CHECKING:
-    from cellslam.sim.rays.edges import Edges
+    from cellslam.sim.rays.diffracting_edges import Edges
 
 # Shadow rays end this far from a wall's plane; float32 would hit the wall itself at less.
 CLEARANCE_M = 1e-3
@@ -55,7 +55,7 @@ class Scene:
     @cached_property
     def edges(self) -> Edges:
         """The edges that diffract; found when first asked for."""
-        from cellslam.sim.rays.edges import find_edges
+        from cellslam.sim.rays.diffracting_edges import find_edges
 
         return find_edges(self.city, self.origin_m)
 

@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from cellslam.sim.city.model import Floats, Ints
+from cellslam.sim.city.city import Floats, Ints
 from cellslam.sim.rays.first_order import BLOCKS, unobstructed
-from cellslam.sim.rays.hidden import HIDDEN_M, hidden
+from cellslam.sim.rays.hidden_facets import HIDDEN_M, hidden
 from cellslam.sim.rays.scene import Scene
 
 PAIRS_AT_ONCE = 100_000
@@ -18,7 +18,7 @@ def _open_pairs(
     scene: Scene, transmitter: Floats, image: Floats, side: Floats, mirrored: Floats, pairs: Ints
 ) -> NDArray[np.bool_]:
     """Tell the pairs (P, 2) of which neither the first leg nor the one between the facets is wholly blocked."""
-    from cellslam.sim.rays import second_kernel
+    from cellslam.sim.rays import second_order_kernel as second_kernel
 
     kept = np.ones(len(pairs), np.bool_)
     for begin in range(0, len(pairs), PAIRS_AT_ONCE):
@@ -39,7 +39,8 @@ def double_reflections(
     scene: Scene, transmitter: Floats, receivers: Floats, reflects: NDArray[np.bool_], lit: Ints
 ) -> tuple[Ints, Ints, Floats]:
     """Return (receiver (P,), facets (P, 2), points (P, 2, 3)) of all free second-order paths, centred."""
-    from cellslam.sim.rays import kernel, second_kernel
+    from cellslam.sim.rays import first_order_kernel as kernel
+    from cellslam.sim.rays import second_order_kernel as second_kernel
 
     count = len(scene.table)
     image, side = np.empty((count, 3)), np.empty(count)

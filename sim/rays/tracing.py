@@ -7,13 +7,13 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from cellslam.sim.city.model import City, Floats, Ints
+from cellslam.sim.city.city import City, Floats, Ints
 from cellslam.sim.errors import InputError
 from cellslam.sim.frames import SPEED_OF_LIGHT_MPS, azimuth_elevation
 from cellslam.sim.progress import Progress, silent
 from cellslam.sim.rays.first_order import lines_of_sight, single_reflections
 from cellslam.sim.rays.gain import Complexes, path_gain
-from cellslam.sim.rays.hidden import lit_facets
+from cellslam.sim.rays.hidden_facets import lit_facets
 from cellslam.sim.rays.paths import MAX_ORDER, Paths, joined
 from cellslam.sim.rays.scene import Scene, prepare
 from cellslam.sim.rays.second_order import double_reflections

@@ -1,9 +1,9 @@
 """The vehicle: its route on street lanes, its true motion, its odometry."""
 
-from cellslam.sim.vehicle.config import OdometryConfig, VehicleConfig
 from cellslam.sim.vehicle.drive import Drive, drive
 from cellslam.sim.vehicle.odometry import Odometry, measure_odometry, odometry_model
 from cellslam.sim.vehicle.route import Route, plan_route
+from cellslam.sim.vehicle.vehicle_config import OdometryConfig, VehicleConfig
 
 __all__ = [
     "Drive",

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from cellslam.sim.vehicle.config import VehicleConfig
+from cellslam.sim.vehicle.vehicle_config import VehicleConfig
 
 Floats = NDArray[np.float64]
 

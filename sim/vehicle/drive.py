@@ -10,9 +10,9 @@ from numpy.typing import NDArray
 from cellslam.sim.errors import InputError
 from cellslam.sim.frames import world_to_body, wrap_angle
 from cellslam.sim.vehicle.attitude import body_motion, random_road
-from cellslam.sim.vehicle.config import VehicleConfig
 from cellslam.sim.vehicle.route import Route
-from cellslam.sim.vehicle.speed import speed_profile
+from cellslam.sim.vehicle.speed_profile import speed_profile
+from cellslam.sim.vehicle.vehicle_config import VehicleConfig
 
 Floats = NDArray[np.float64]
 

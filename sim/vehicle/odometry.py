@@ -9,8 +9,8 @@ from numpy.typing import NDArray
 
 from cellslam.sim.frames import mean_velocity
 from cellslam.sim.recording import OdometryModel
-from cellslam.sim.vehicle.config import OdometryConfig
 from cellslam.sim.vehicle.drive import Drive
+from cellslam.sim.vehicle.vehicle_config import OdometryConfig
 
 Floats = NDArray[np.float64]
 

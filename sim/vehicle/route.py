@@ -9,9 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cellslam.sim.errors import InputError
-from cellslam.sim.vehicle.config import VehicleConfig
 from cellslam.sim.vehicle.lanes import build_lanes
-from cellslam.sim.vehicle.streets import random_walk, street_network
+from cellslam.sim.vehicle.street_walk import random_walk, street_network
+from cellslam.sim.vehicle.vehicle_config import VehicleConfig
 
 if TYPE_CHECKING:
     from cellslam.sim.city import City

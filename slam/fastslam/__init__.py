@@ -1,1 +1,1 @@
-"""The extended FastSLAM and its replaceable parts."""
+"""The extended FastSLAM. `reference` is the algorithm in plain NumPy, `fastslam` the compiled one."""

@@ -18,7 +18,7 @@ from cellslam.sim.recording import (
     Truth,
     VirtualTransmitters,
 )
-from cellslam.slam.model import predict
+from cellslam.slam.model.measurement_model import predict
 
 MakeRecording = Callable[..., Recording]
 

@@ -2,7 +2,7 @@
 
 import numpy as np
 from cellslam.slam.api import Estimate
-from cellslam.slam.baselines.dead_reckoning import DeadReckoning
+from cellslam.slam.dead_reckoning import DeadReckoning
 from pydantic import BaseModel, ConfigDict, Field
 
 

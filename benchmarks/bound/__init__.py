@@ -1,0 +1,1 @@
+"""The posterior Cramer-Rao bound of a drive."""

@@ -1,0 +1,255 @@
+"""The posterior Cramer-Rao bound of a drive: what a filter that makes no mistake of association could reach.
+
+The covariance recursion of the joint filter over pose, odometry biases and scales, clock offsets, the VTs of every site
+and the measurement errors that persist, with all Jacobians at the truth, the true associations, the odometry's noise
+model and each measurement's true covariance. It is conditional on the realised trajectory and detections (Tichavsky,
+Muravchik, Nehorai, "Posterior Cramer-Rao bounds for discrete-time nonlinear filtering", IEEE Trans. Signal Processing
+46(5), 1998, in covariance form, as the odometry noise is singular). Estimators that use the priors, and single trials,
+can fall below it.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from cellslam.benchmarks.bound.bound_model import Errors, Looks, Motion, Sightings, room
+from cellslam.sim.errors import InputError
+from cellslam.sim.frames import mean_velocity, rotation
+from cellslam.sim.progress import Progress, silent
+from cellslam.sim.recording import Floats, Ints, OdometryModel, Recording, Truth
+from cellslam.slam.model.measurement_model import jacobians, predict
+
+# Snapshots from one step of the progress bar to the next.
+BLOCK = 100
+# A component that a VT's first measurement lacks: known this well (m, rad, rad).
+BROAD_STD = np.array([1e4, 10.0, 10.0])
+# Least standard deviation in noiseless recordings: relative for distances, radians for angles.
+SMALLEST_STD = 1e-6
+
+
+@dataclass(frozen=True)
+class BoundResult:
+    """Least covariances of an unbiased filter after each snapshot.
+
+    `pose_covariance` (T, 6, 6) in metres and radians; `clock_offset_std_m` (T, S).
+    """
+
+    pose_covariance: Floats
+    clock_offset_std_m: Floats
+
+    @property
+    def horizontal_std_m(self) -> Floats:
+        """Bound of the horizontal position error (T,): root of the trace of the x-y covariance."""
+        return np.sqrt(self.pose_covariance[:, 0, 0] + self.pose_covariance[:, 1, 1])
+
+    @property
+    def position_rmse_m(self) -> float:
+        """Bound of the root mean squared horizontal error over the drive."""
+        return float(np.sqrt(np.mean(self.horizontal_std_m**2)))
+
+
+@dataclass(frozen=True)
+class Core:
+    """Where the states that all links share stand: pose (0-5), odometry biases and scales, clock offsets.
+
+    `bias` and `scale` (6,): state index of each odometry component, -1 where this error does not exist.
+    """
+
+    bias: Ints
+    scale: Ints
+    offsets: Ints
+    size: int
+
+
+def bound(recording: Recording, progress: Progress = silent) -> BoundResult:
+    """Return the posterior Cramer-Rao bound of a recording with truth.
+
+    VTs enter with a flat prior at their first detection, one for all links of a site. Errors that persist are states
+    too, where `truth.persisting_std` is there. Pitch, roll and height are known where neither the start nor the
+    odometry's data sheet is uncertain of them. Raises InputError without truth.
+    """
+    if recording.truth is None:
+        raise InputError("the recording has no truth: the bound needs the true trajectory, VTs and measurement noise")
+    from cellslam.benchmarks.bound.persisting_states import rates_among
+    from cellslam.benchmarks.bound.recursion_kernel import covariance_recursion
+
+    truth, snapshots, sites = recording.truth, len(recording.time_s), len(recording.sites)
+    core = core_of(recording.odometry_model, sites)
+    motion = Motion(start_variance(recording, core), *linear_motion(recording, truth, core))
+    looks, sightings, errors = tracked_measurements(recording, truth, core)
+    drifted = drifted_std(recording)
+    drift = rates_among(errors, drifted)
+    work = room(core.size, most_states(looks, sightings, errors, snapshots), looks, sightings, errors)
+    pose, offset = np.zeros((snapshots, 6, 6)), np.zeros((snapshots, sites))
+    model = work, motion, looks, sightings, errors
+    if not covariance_recursion.signatures:
+        with progress("compiling Cramer-Rao bound (first use)", 1) as advance:
+            covariance_recursion(*model, 0, 0, core.size, drift, drifted, pose, offset)
+            advance(1)
+    with progress("Cramer-Rao bound", snapshots) as advance:
+        states = core.size
+        for begin in range(0, snapshots, BLOCK):
+            end = min(begin + BLOCK, snapshots)
+            states = covariance_recursion(*model, begin, end, states, drift, drifted, pose, offset)
+            advance(end - begin)
+    return BoundResult(pose, np.sqrt(np.maximum(offset, 0.0)))
+
+
+def core_of(model: OdometryModel, sites: int) -> Core:
+    """Return the layout of the shared states: only odometry errors that the data sheet has become states."""
+    bias, scale = np.full(6, -1, np.int64), np.full(6, -1, np.int64)
+    biased = np.flatnonzero((model.bias > 0) | (model.bias_walk_density > 0))
+    bias[biased] = 6 + np.arange(len(biased))
+    scaled = np.flatnonzero(model.scale > 0)
+    scale[scaled] = 6 + len(biased) + np.arange(len(scaled))
+    first = 6 + len(biased) + len(scaled)
+    return Core(bias, scale, first + np.arange(sites), first + sites)
+
+
+def start_variance(recording: Recording, core: Core) -> Floats:
+    """Return the prior variances (core,) at the first snapshot."""
+    model = recording.odometry_model
+    variance = np.zeros(core.size)
+    variance[:6] = recording.start_std**2
+    variance[core.bias[core.bias >= 0]] = model.bias[core.bias >= 0] ** 2
+    variance[core.scale[core.scale >= 0]] = model.scale[core.scale >= 0] ** 2
+    variance[core.offsets] = recording.sites.clock_offset_std_m**2
+    return variance
+
+
+def linear_motion(recording: Recording, truth: Truth, core: Core) -> tuple[Floats, Floats, Floats]:
+    """Return the pose's transition (T, 6, core), its noise (T, 6, 6) and the core's walk variances (T, core).
+
+    Row t leads from snapshot t - 1 to t; row 0 is not used. Linearised `frames.integrate_pose` at the truth,
+    with true velocity = (measured - bias - white) / (1 + scale).
+    """
+    count, model = len(recording.time_s), recording.odometry_model
+    motion, noise = np.zeros((count, 6, core.size)), np.zeros((count, 6, 6))
+    walk = np.zeros((count, core.size))
+    if count < 2:
+        return motion, noise, walk
+    dt = np.diff(recording.time_s)
+    velocity = mean_velocity(truth.poses[:-1], truth.poses[1:], dt)
+    by_pose, by_velocity = pose_jacobians(truth.poses[:-1], velocity, dt)
+    by_velocity = by_velocity / (1.0 + truth.odometry_scale)
+    motion[1:, :, :6] = by_pose
+    for component in range(6):
+        if core.bias[component] >= 0:
+            motion[1:, :, core.bias[component]] = -by_velocity[:, :, component]
+            walk[1:, core.bias[component]] = model.bias_walk_density[component] ** 2 * dt
+        if core.scale[component] >= 0:
+            motion[1:, :, core.scale[component]] = -by_velocity[:, :, component] * velocity[:, component, None]
+    white = model.noise_density**2 / dt[:, None]
+    noise[1:] = np.einsum("tac,tc,tbc->tab", by_velocity, white, by_velocity)
+    return motion, noise, walk
+
+
+def pose_jacobians(pose: Floats, velocity: Floats, dt_s: Floats) -> tuple[Floats, Floats]:
+    """Return d(pose')/d(pose) and d(pose')/d(velocity), each (n, 6, 6), of `frames.integrate_pose`.
+
+    At poses and velocities (n, 6) and intervals (n,).
+    """
+    middle = pose[:, 3:] + 0.5 * velocity[:, 3:] * dt_s[:, None]
+    r = rotation(middle[:, 0], middle[:, 1], middle[:, 2])
+    moved = np.einsum("nij,nj->ni", r, velocity[:, :3]) * dt_s[:, None]
+    zero = np.zeros(len(pose))
+    # An angle turns the vector about its axis: yaw about z, pitch about the yawed y, roll about the body's x.
+    axes = np.stack(
+        [np.stack([zero, zero, zero + 1.0], -1), rotation(middle[:, 0], zero, zero)[:, :, 1], r[:, :, 0]], 1
+    )
+    turned = np.swapaxes(np.cross(axes, moved[:, None, :]), 1, 2)
+    by_pose, by_velocity = np.tile(np.eye(6), (len(pose), 1, 1)), np.zeros((len(pose), 6, 6))
+    by_pose[:, :3, 3:] = turned
+    by_velocity[:, :3, :3] = r * dt_s[:, None, None]
+    by_velocity[:, :3, 3:] = turned * 0.5 * dt_s[:, None, None]
+    by_velocity[:, 3:, 3:] = np.eye(3) * dt_s[:, None, None]
+    return by_pose, by_velocity
+
+
+def drifted_std(recording: Recording) -> Floats:
+    """Return how far each clock may have drifted since the first snapshot, one deviation (T, S)."""
+    return np.asarray(np.multiply.outer(recording.elapsed_s, recording.sites.drift_std_m_s))
+
+
+def tracked_measurements(recording: Recording, truth: Truth, core: Core) -> tuple[Looks, Sightings, Errors]:
+    """Return the measurements of true VTs.
+
+    With their Jacobians and variances at the truth, and the errors that persist, rates of clocks among them. The ports
+    and sectors of a site stand at one place and see the same VTs. Sectors on one port differ by white noise alone: what
+    they measure of a VT in a snapshot is one measurement of their joint variance, exactly.
+    """
+    from cellslam.benchmarks.bound.persisting_states import Seen, persisting_errors, with_drift
+
+    m, vts = recording.measurements, max(len(truth.vts), 1)
+    real = np.flatnonzero(truth.measurement_vt >= 0)
+    pose, vt = truth.poses[m.snapshot[real]], truth.vts.position_m[truth.measurement_vt[real]]
+    with np.errstate(divide="ignore", invalid="ignore"):
+        real = real[np.isfinite(np.concatenate(jacobians(pose, vt), axis=-1)).all(axis=(1, 2))]
+    port, look = recording.links.port[m.link[real]], m.snapshot[real] * vts + truth.measurement_vt[real]
+    _, at, of = np.unique(look * (port.max(initial=0) + 1) + port, return_index=True, return_inverse=True)
+    snapshot, vt_of, port = m.snapshot[real[at]], truth.measurement_vt[real[at]], port[at]
+    _, first_row, key = np.unique(vt_of, return_index=True, return_inverse=True)
+    _, last_row = np.unique(vt_of[::-1], return_index=True)
+    rows = np.arange(len(at))
+    first, last = rows == first_row[key], rows == len(at) - 1 - last_row[key]
+
+    _, begin, look = np.unique(snapshot * vts + vt_of, return_index=True, return_inverse=True)
+    position = truth.vts.position_m[vt_of[begin]]
+    by_vt, by_pose = jacobians(truth.poses[snapshot[begin]], position)
+    distance_m, azimuth_rad, elevation_rad = predict(truth.poses[snapshot[begin]], position).T
+    seen = Seen(snapshot[begin], azimuth_rad, elevation_rad, look, vt_of, port)
+    site = recording.links.site[m.link[real[at[begin]]]]
+    persisting = with_drift(persisting_errors(recording, seen), drifted_std(recording), seen, site)
+    every = np.arange(len(recording.time_s) + 1)
+    looks = Looks(
+        np.searchsorted(snapshot[begin], every), by_pose, by_vt, core.offsets[site],
+        persisting.state, persisting.load,
+    )  # fmt: skip
+    white = _white_variance(recording, truth, real, distance_m[look[of]], persisting.variance)
+    variance = _together(white, of, len(at))
+    missing = np.where(first[:, None], BROAD_STD**2, np.inf)
+    sightings = Sightings(
+        np.searchsorted(snapshot, every), look, key, first, last, np.where(np.isfinite(variance), variance, missing),
+        persisting.own_state, persisting.own_load,
+    )  # fmt: skip
+    return looks, sightings, persisting.errors
+
+
+def most_states(looks: Looks, sightings: Sightings, errors: Errors, snapshots: int) -> int:
+    """Return the most states beside the core that the recursion holds at once."""
+    enter = np.full(len(errors.last), snapshots)
+    at = np.repeat(np.arange(snapshots), np.diff(looks.rows))
+    _first(enter, looks.state, at)
+    seen_at = np.repeat(np.arange(snapshots), np.diff(sightings.rows))
+    _first(enter, sightings.state, seen_at)
+    used = enter < snapshots
+    change = np.bincount(enter[used], minlength=snapshots + 1)
+    change -= np.bincount(errors.last[used] + 1, minlength=snapshots + 1)
+    change += 3 * np.bincount(seen_at[sightings.first], minlength=snapshots + 1)
+    change -= 3 * np.bincount(seen_at[sightings.last] + 1, minlength=snapshots + 1)
+    return int(np.cumsum(change).max())
+
+
+def _first(enter: Ints, state: Ints, at: Ints) -> None:
+    there = state >= 0
+    rows = np.broadcast_to(at.reshape(-1, *[1] * (state.ndim - 1)), state.shape)
+    np.minimum.at(enter, state[there], rows[there])
+
+
+def _white_variance(recording: Recording, truth: Truth, rows: Ints, distance_m: Floats, persisting: Floats) -> Floats:
+    """Return the variances (n, 3) of the white errors of measurements `rows` (n,); infinite: not measured."""
+    m = recording.measurements
+    measured = np.stack([m.distance_m[rows], m.azimuth_rad[rows], m.elevation_rad[rows]], axis=1)
+    variance = truth.measurement_std[rows] ** 2 - persisting
+    smallest = SMALLEST_STD * np.stack([distance_m, np.ones(len(rows)), np.ones(len(rows))], axis=1)
+    there = np.isfinite(measured) & np.isfinite(variance)
+    return np.where(there, np.maximum(variance, smallest**2), np.inf)
+
+
+def _together(variance: Floats, of: Ints, count: int) -> Floats:
+    """Return the variances (count, 3) of what independent measurements, (n, 3) in groups `of` (n,), tell together."""
+    with np.errstate(divide="ignore"):
+        information = np.stack([np.bincount(of, column, count) for column in (1.0 / variance).T], axis=1)
+        return np.asarray(1.0 / information)

@@ -1,0 +1,116 @@
+"""How the state of the bound's recursion moves, and how parts of it enter and leave."""
+
+from __future__ import annotations
+
+import numpy as np
+from numba import njit
+
+from cellslam.benchmarks.bound.bound_model import Errors, Looks, Motion, Sightings
+from cellslam.sim.recording import Floats, Ints
+
+POSE = 6
+
+
+@njit(cache=True)
+def predict(p: Floats, n: int, core: int, motion: Motion, t: int, moved: Floats) -> None:
+    """P <- F (P + diag(walk)) F^T + Q: the core walks first, as biases do, then F changes the pose only."""
+    for i in range(core):
+        p[i, i] += motion.walk[t, i]
+    for a in range(POSE):
+        row = moved[a]
+        row[:n] = 0.0
+        for c in range(core):
+            factor, other = motion.step[t, a, c], p[c]
+            if factor != 0.0:
+                for j in range(n):
+                    row[j] += factor * other[j]
+    for a in range(POSE):
+        for j in range(POSE, n):
+            p[a, j] = moved[a, j]
+            p[j, a] = moved[a, j]
+    for a in range(POSE):
+        for b in range(a + 1):
+            total = motion.noise[t, a, b]
+            for c in range(core):
+                total += moved[a, c] * motion.step[t, b, c]
+            p[a, b] = total
+            p[b, a] = total
+
+
+@njit(cache=True)
+def decay(p: Floats, n: int, core: int, errors: Errors, t: int, id_of: Ints) -> None:
+    """Gauss-Markov states forget a part and gain as much variance; VTs and constants stay."""
+    for i in range(core, n):
+        k = id_of[i]
+        if k < errors.kind.shape[0] and errors.kind[k] > 0:
+            factor = errors.decay[t, errors.kind[k]]
+            if factor < 1.0:
+                for j in range(n):
+                    p[i, j] *= factor
+                for j in range(n):
+                    p[j, i] *= factor
+                p[i, i] += 1.0 - factor * factor
+
+
+@njit(cache=True)
+def append(p: Floats, n: int, k: np.int64, variance: float, slot_of: Ints, id_of: Ints) -> int:
+    """Add a state that is independent of the others, and return the new size."""
+    p[n, : n + 1] = 0.0
+    p[: n + 1, n] = 0.0
+    p[n, n] = variance
+    slot_of[k], id_of[n] = n, k
+    return n + 1
+
+
+@njit(cache=True)
+def enter(p: Floats, n: int, looks: Looks, sightings: Sightings, t: int, slot_of: Ints, id_of: Ints) -> int:
+    """Add the persisting errors that snapshot t meets for the first time."""
+    for i in range(looks.rows[t], looks.rows[t + 1]):
+        for r in range(3):
+            for w in range(looks.state.shape[2]):
+                k = looks.state[i, r, w]
+                if k >= 0 and slot_of[k] < 0:
+                    n = append(p, n, k, 1.0, slot_of, id_of)
+    for m in range(sightings.rows[t], sightings.rows[t + 1]):
+        for r in range(3):
+            k = sightings.state[m, r]
+            if k >= 0 and slot_of[k] < 0:
+                n = append(p, n, k, 1.0, slot_of, id_of)
+    return n
+
+
+@njit(cache=True)
+def leave(
+    p: Floats, n: int, looks: Looks, sightings: Sightings, errors: Errors, t: int, slot_of: Ints, id_of: Ints
+) -> int:
+    """Remove the states that no later snapshot meets."""
+    for i in range(looks.rows[t], looks.rows[t + 1]):
+        for r in range(3):
+            for w in range(looks.state.shape[2]):
+                k = looks.state[i, r, w]
+                if k >= 0 and errors.last[k] == t and slot_of[k] >= 0:
+                    n = remove(p, n, k, slot_of, id_of)
+    for m in range(sightings.rows[t], sightings.rows[t + 1]):
+        for r in range(3):
+            k = sightings.state[m, r]
+            if k >= 0 and errors.last[k] == t and slot_of[k] >= 0:
+                n = remove(p, n, k, slot_of, id_of)
+        if sightings.last[m]:
+            for c in range(3):
+                n = remove(p, n, errors.last.shape[0] + 3 * sightings.key[m] + c, slot_of, id_of)
+    return n
+
+
+@njit(cache=True)
+def remove(p: Floats, n: int, k: int, slot_of: Ints, id_of: Ints) -> int:
+    """Take state k out, put the last one in its place, and return the new size."""
+    slot, end = slot_of[k], n - 1
+    if slot != end:
+        for j in range(end):
+            p[slot, j] = p[end, j]
+            p[j, slot] = p[end, j]
+        p[slot, slot] = p[end, end]
+        slot_of[id_of[end]] = slot
+        id_of[slot] = id_of[end]
+    slot_of[k] = -1
+    return end

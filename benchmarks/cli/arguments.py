@@ -1,0 +1,95 @@
+"""What several commands share: exit statuses and options."""
+
+from __future__ import annotations
+
+import argparse
+
+DONE, FAILED, WRONG, INTERRUPTED = 0, 1, 2, 130  # exit statuses
+FORMATS, FORMAT_HELP = ("text", "md", "csv", "latex", "json"), "csv and json hold the plain numbers"
+_FLAGS = (
+    ("--dry-run", "say how many trials there are and how long they may take; do nothing"),
+    ("--live", "show the table of results so far every few seconds"),
+    ("--retry-failed", "do trials that are stored as failed again"),
+    ("--no-trajectories", "keep the rows alone: saves disk space, and costs error curves and reports"),
+)
+
+
+def add_set(parser: argparse.ArgumentParser, example: str) -> None:
+    """Add `--set`."""
+    parser.add_argument(
+        "--set",
+        metavar="KEY=VALUE",
+        action="append",
+        default=[],
+        dest="sets",
+        help=f"change one key, as in {example}; may be repeated; 'cellslam show' lists the keys",
+    )
+
+
+def add_options_file(parser: argparse.ArgumentParser) -> None:
+    """Add `--options`."""
+    parser.add_argument(
+        "--options",
+        metavar="FILE.toml",
+        help="take estimators' options from the tables [estimator.NAME] of a file, as fit-noise prints them; "
+        "--set goes before it",
+    )
+
+
+def add_estimators(parser: argparse.ArgumentParser) -> None:
+    """Add `--estimator`."""
+    parser.add_argument(
+        "--estimator",
+        metavar="NAME",
+        action="append",
+        default=[],
+        dest="estimators",
+        help="estimator by name or as module:Class, or all; may be repeated (default: fastslam and dead-reckoning)",
+    )
+
+
+def add_scenario(parser: argparse.ArgumentParser) -> None:
+    """Add SCENARIO and `--set`."""
+    parser.add_argument("scenario", metavar="SCENARIO", help="name of a preset, or path of a .toml file")
+    add_set(parser, "radio.detection_scale=0.8")
+
+
+def add_seed(parser: argparse.ArgumentParser, default: int | None, meaning: str) -> None:
+    """Add `--seed`."""
+    parser.add_argument("--seed", metavar="S", type=whole, default=default, help=meaning)
+
+
+def add_estimation(parser: argparse.ArgumentParser) -> None:
+    """Add what `run` and `replay` share: `--estimator`, `--json`, `--no-figures`."""
+    add_estimators(parser)
+    parser.add_argument("--json", action="store_true", help="print the rows as one JSON array on stdout, nothing else")
+    parser.add_argument("--no-figures", action="store_true", help="do not draw figures")
+
+
+def add_work(parser: argparse.ArgumentParser) -> None:
+    """Add what commands that sweep share: how much is done, and where."""
+    for name, meaning in _FLAGS:
+        parser.add_argument(name, action="store_true", help=meaning)
+    names = ("serial", "processes", "dask")
+    parser.add_argument("--executor", choices=names, default="processes", help="where to work (default: processes)")
+    parser.add_argument("--jobs", metavar="N", type=whole, help="number of processes (default: one a core)")
+    parser.add_argument("--scheduler", metavar="ADDRESS", help="a running Dask scheduler, as tcp://host:8786")
+    time_help = "one estimator's time for one trial, then its process is killed (default: 3600)"
+    parser.add_argument("--time-limit", metavar="SECONDS", type=number, default=3600.0, help=time_help)
+    parser.add_argument("--memory-limit", metavar="GIB", type=number, help="memory of a process (default: fair share)")
+
+
+def whole(text: str) -> int:
+    """Return the whole number that a text says."""
+    try:
+        return int(text)
+    except ValueError:
+        raise argparse.ArgumentTypeError(f"'{text}' is not a whole number") from None
+
+
+def number(text: str) -> float:
+    """Return the number that a text says."""
+    try:
+        return float(text)
+    except ValueError:
+        raise argparse.ArgumentTypeError(f"'{text}' is not a number") from None

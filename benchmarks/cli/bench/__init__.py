@@ -1,0 +1,1 @@
+"""`cellslam bench`: how fast and how good the parts are."""

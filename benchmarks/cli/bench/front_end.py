@@ -1,0 +1,43 @@
+"""`cellslam bench front-end`: what the path estimator finds."""
+
+from __future__ import annotations
+
+import json
+import sys
+from argparse import ArgumentParser, Namespace
+
+from cellslam.benchmarks.cli.arguments import DONE
+from cellslam.benchmarks.cli.bench.studies_tables import print_studies
+from cellslam.benchmarks.cli.progress_bars import bars
+from cellslam.sim.errors import InputError
+
+STUDIES = ("single", "many", "resolution", "collision", "ghosts", "motion", "speed")
+
+
+def add_arguments(parser: ArgumentParser) -> None:
+    """Add the arguments of this command."""
+    parser.add_argument(
+        "--study", metavar="NAME", action="append", default=[], choices=STUDIES, dest="studies",
+        help=f"one study: {', '.join(STUDIES)}; may be repeated (default: all)",
+    )  # fmt: skip
+    parser.add_argument("--runs", metavar="N", type=int, default=150, help="random scenes of each point (default: 150)")
+    parser.add_argument("--seed", metavar="S", type=int, default=0, help="seed of the scenes (default: 0)")
+    parser.add_argument("--json", action="store_true", help="print the rows as JSON on stdout, nothing else")
+
+
+def command(arguments: Namespace) -> int:
+    """Carry out `cellslam bench front-end`."""
+    if arguments.runs < 2 or arguments.seed < 0:
+        raise InputError(f"--runs {arguments.runs} --seed {arguments.seed}: at least 2 runs and a seed from 0 on")
+    from threadpoolctl import threadpool_limits
+
+    from cellslam.benchmarks.bench.front_end_tables import studies
+
+    with bars(arguments.quiet) as progress, threadpool_limits(1):
+        wanted = arguments.studies or STUDIES
+        rows = studies(wanted, arguments.runs, arguments.seed, progress)
+    if arguments.json:
+        sys.stdout.write(json.dumps(rows, indent=1) + "\n")
+    else:
+        print_studies(rows)
+    return DONE

@@ -1,0 +1,1 @@
+"""`cellslam city`: inspect, generate, trace."""

@@ -1,0 +1,65 @@
+"""`cellslam replay`: estimators on a recording."""
+
+from __future__ import annotations
+
+from argparse import ArgumentParser, Namespace
+from collections.abc import Iterator
+from pathlib import Path
+
+from cellslam.benchmarks.cli.arguments import (
+    add_estimation,
+    add_options_file,
+    add_seed,
+    add_set,
+)
+from cellslam.benchmarks.cli.progress_bars import bars
+from cellslam.benchmarks.cli.recordings.origin import Origin, estimator_overrides
+from cellslam.benchmarks.cli.run import Job, note_left_out, report, work_off
+from cellslam.benchmarks.trials import trials
+from cellslam.benchmarks.trials.results_folder import Folder, check_folder
+from cellslam.scenarios.estimator_options import resolve, with_options
+from cellslam.scenarios.overrides import apply
+from cellslam.sim.errors import InputError
+from cellslam.sim.recording import Recording
+
+
+def add_arguments(parser: ArgumentParser) -> None:
+    """Add the arguments of this command."""
+    parser.add_argument("file", metavar="FILE.h5", help="a recording")
+    add_set(parser, "estimator.fastslam.particles=300")
+    add_options_file(parser)
+    add_estimation(parser)
+    parser.add_argument(
+        "--align",
+        action="store_true",
+        help="lay each estimate onto the truth before it is scored, and say so in its row",
+    )
+    add_seed(parser, None, "seed of the estimators' random draws (default: the recording's own)")
+    parser.add_argument("--out", metavar="DIR", help="folder for the results (default: results/replay-FILE)")
+
+
+def command(arguments: Namespace) -> int:
+    """Carry out `cellslam replay`."""
+    overrides = estimator_overrides(arguments)
+    path = Path(arguments.file)
+    recording = Recording.load(path)
+    if arguments.align and recording.truth is None and recording.reference is None:
+        raise InputError(f"--align: {path} has neither truth nor reference to align to; leave the option out")
+    origin = Origin.of(recording, path)
+    seed = origin.seed if arguments.seed is None else arguments.seed
+    trials.check_counts(1, seed)
+    tables = apply({"estimator": origin.options}, overrides)["estimator"]
+    requests = resolve(tables, arguments.estimators or trials.DEFAULT_ESTIMATORS, overrides)
+    note_left_out(arguments)
+    out = Path(arguments.out or f"results/replay-{path.stem}")
+    check_folder(out)
+    scenario = with_options(origin.scenario, requests) if origin.scenario is not None else None
+    job = Job(arguments, scenario, origin.name, requests, 1, Folder(out))
+    with bars(arguments.quiet) as progress:
+
+        def only() -> Iterator[trials.Trial]:
+            align = arguments.align
+            yield trials.score_recording(recording, origin.name, requests, origin.trial, seed, progress, align)
+
+        interrupted = work_off(job, only(), progress)
+    return report(job, interrupted)

@@ -1,0 +1,190 @@
+"""`cellslam run`, and what it shares with `replay`: the loop over trials, the files, what is printed."""
+
+from __future__ import annotations
+
+import json
+import shlex
+import sys
+from argparse import ArgumentParser, Namespace
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from cellslam.benchmarks.cli.arguments import DONE, FAILED, INTERRUPTED, add_estimation, add_scenario, add_seed, whole
+from cellslam.benchmarks.cli.progress_bars import bars
+from cellslam.benchmarks.tables.trials_table import bound_row, results_table
+from cellslam.benchmarks.trials import compile_ahead as ahead
+from cellslam.benchmarks.trials.results_folder import Folder, check_folder
+from cellslam.benchmarks.trials.trials import DEFAULT_ESTIMATORS, Trial, check_counts, simulated_trials
+from cellslam.scenarios.estimator_options import Request, resolve, with_options
+from cellslam.scenarios.loading import load
+from cellslam.scenarios.overrides import parse_all
+from cellslam.slam import registry
+
+if TYPE_CHECKING:
+    from cellslam.scenarios.scenario import Scenario
+    from cellslam.sim.progress import Progress
+    from cellslam.sim.world import World
+
+PIPE_WIDTH = 120
+
+
+@dataclass
+class Job:
+    """What one command does, and what it has done so far."""
+
+    arguments: Namespace
+    scenario: Scenario | None
+    name: str
+    requests: tuple[Request, ...]
+    trials: int
+    folder: Folder
+    rows: list[dict[str, Any]] = field(default_factory=list)
+    bounds: list[dict[str, Any]] = field(default_factory=list)
+    first: Trial | None = None
+
+    def note(self, text: str) -> None:
+        """Say something on stderr, unless --quiet."""
+        if not self.arguments.quiet:
+            sys.stderr.write(f"{text}\n")
+
+
+def add_arguments(parser: ArgumentParser) -> None:
+    """Add the arguments of this command."""
+    add_scenario(parser)
+    add_estimation(parser)
+    parser.add_argument("--rays", action="store_true", help="draw the drive's rays, also as an interactive page")
+    parser.add_argument("--trials", metavar="N", type=whole, default=1, help="trials 0 to N-1 (default: 1)")
+    add_seed(parser, 0, "root seed of all random draws (default: 0)")
+    parser.add_argument("--out", metavar="DIR", help="folder for the results (default: results/SCENARIO-SEED)")
+
+
+def command(arguments: Namespace) -> int:
+    """Carry out `cellslam run`."""
+    if arguments.rays:
+        from cellslam.benchmarks.figures.city_page import check_plotly
+
+        check_plotly()
+    overrides = parse_all(arguments.sets)
+    scenario = load(arguments.scenario, overrides)
+    check_counts(arguments.trials, arguments.seed)
+    requests = resolve(scenario.estimator, arguments.estimators or DEFAULT_ESTIMATORS, overrides)
+    note_left_out(arguments)
+    out = Path(arguments.out or f"results/{scenario.name}-{arguments.seed}")
+    check_folder(out)
+    folder = Folder(out, several=arguments.trials > 1)
+    job = Job(arguments, with_options(scenario, requests), scenario.name, requests, arguments.trials, folder)
+    ahead.begin(requests)
+    with bars(arguments.quiet) as progress:
+        trials = simulated_trials(scenario, requests, arguments.trials, arguments.seed, progress)
+        interrupted = work_off(job, trials, progress)
+    return report(job, interrupted)
+
+
+def note_left_out(arguments: Namespace) -> None:
+    """Say which estimators `all` does not stand for, unless they are asked for by name."""
+    asked = arguments.estimators or ()
+    if registry.ALL in asked and not arguments.quiet:
+        for name, why in registry.left_out().items():
+            if name not in asked:
+                sys.stderr.write(f"left out of all: {name} ({why})\n")
+
+
+def work_off(job: Job, trials: Iterator[Trial], progress: Progress) -> bool:
+    """Go through the trials, writing what each leaves; return whether the user interrupted."""
+    try:
+        for trial in trials:
+            _keep(job, trial)
+        if job.first is not None and not job.arguments.no_figures:
+            world = _world_of(job)
+            job.folder.draw(job.first, world.scene.city if world else None, progress)
+            if world is not None and getattr(job.arguments, "rays", False):
+                from cellslam.benchmarks.figures.rays_of_drive import draw_rays
+
+                draw_rays(world, job.folder.path)
+    except KeyboardInterrupt:
+        if job.rows:
+            job.folder.write_summary(job.rows, _about(job))
+        return True
+    return False
+
+
+def report(job: Job, interrupted: bool) -> int:
+    """Print the rows and return the exit status."""
+    if job.arguments.json:
+        lines = ",\n".join(json.dumps(row, allow_nan=False) for row in job.rows)
+        sys.stdout.write(f"[\n{lines}\n]\n" if job.rows else "[]\n")
+    elif job.rows:
+        _print_table(job)
+    if interrupted:
+        return _interrupted(job)
+    job.note(f"results are in {job.folder.path}")
+    return FAILED if any(row["status"] == "failed" for row in job.rows) else DONE
+
+
+def _keep(job: Job, trial: Trial) -> None:
+    job.rows.extend(outcome.row for outcome in trial.outcomes)
+    job.bounds.extend([row] if (row := bound_row(trial)) else [])
+    if trial.unbound:
+        job.note(f"without the bound: {trial.unbound}")
+    job.folder.write_trial(trial)
+    if job.first is None:
+        job.first = trial
+        if job.scenario is not None:
+            job.folder.write_scenario(job.scenario.toml())
+    job.folder.write_summary(job.rows, _about(job))
+    for outcome in trial.outcomes:
+        if outcome.row["status"] == "failed":
+            job.note(f"trial {trial.number}, {outcome.row['estimator']} failed: {outcome.row['error']}")
+
+
+def _about(job: Job) -> dict[str, Any]:
+    provenance = job.first.recording.provenance if job.first and job.first.recording else {}
+    return {
+        "command": shlex.join(["cellslam", *job.arguments.words]),
+        "scenario": job.name,
+        "trials": job.trials,
+        "versions": provenance.get("versions", {}),
+        "resolved": job.scenario.resolved if job.scenario is not None else None,
+    }
+
+
+def _world_of(job: Job) -> World | None:
+    """Return the world of the first trial, for the maps; None for a recording without scenario."""
+    if job.scenario is None or job.first is None or job.first.recording is None:
+        return None
+    from cellslam.sim.world import prepare
+
+    seed = int(job.first.recording.provenance.get("seed", 0))
+    return prepare(job.scenario.world, seed, job.first.number)
+
+
+def _print_table(job: Job) -> None:
+    from rich.console import Console
+
+    console = Console()
+    if not console.is_terminal:
+        console = Console(width=PIPE_WIDTH)
+    oracles = frozenset(request.name for request in job.requests if request.oracle)
+    console.print(results_table([*job.rows, *job.bounds], _title(job), oracles, console.width))
+
+
+def _title(job: Job) -> str:
+    row = job.rows[0]
+    many = f"medians of {job.trials} trials, " if job.trials > 1 else ""
+    length = f", {row['distance_m']:.0f} m" if row["distance_m"] is not None else ""
+    drive = f"{row['snapshots']} snapshots, {row['duration_s']:.1f} s{length}"
+    drive += ", estimates ALIGNED to the truth" if "alignment" in row else ""
+    return f"{job.name}, seed {row['seed']}: {many}{drive}"
+
+
+def _interrupted(job: Job) -> int:
+    done = len({row["trial"] for row in job.rows})
+    if done:
+        text = f"{done} of {job.trials} trials are finished and kept in {job.folder.path}"
+    else:
+        text = "no trial was finished and nothing was written"
+    again = shlex.join(["cellslam", *job.arguments.words])
+    sys.stderr.write(f"interrupted: {text}; to do it all, repeat: {again}\n")
+    return INTERRUPTED

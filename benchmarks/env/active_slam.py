@@ -1,0 +1,249 @@
+"""`cellslam/ActiveSlam-v0`: drive so as to arrive, and to know where you are on the way."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import gymnasium as gym
+import numpy as np
+from gymnasium import spaces
+
+from cellslam.benchmarks.env.localization import OPTIONS, Observation
+from cellslam.benchmarks.trials.estimation import warm_up
+from cellslam.scenarios.estimator_options import resolve
+from cellslam.scenarios.loading import load
+from cellslam.sim.errors import InputError, unknown_name
+from cellslam.sim.frames import mean_velocity, wrap_angle
+from cellslam.sim.randomness import Stream, stream
+from cellslam.sim.recording import Floats, Measurements
+from cellslam.sim.world import World, prepare, sites_of
+from cellslam.slam.api import Estimate, Setup, Snapshot
+
+STEERING_LIMIT_RAD, STEERING_RATE_RADPS = 0.6, 0.5
+AHEAD, AHEAD_STEP_M = 10, 4.0
+GOAL_M = 3.0
+GOAL_REWARD, CRASH_REWARD = 20.0, -20.0
+WIDE = np.array([1e5, 1e5, 1e4, 4.0, 4.0, 4.0])
+
+
+@dataclass
+class Vehicle:
+    """A kinematic bicycle, referred to its rear axle, on a flat road: `pose` (6,), speed and steering angle."""
+
+    pose: Floats
+    wheelbase_m: float
+    acceleration_mps2: float
+    speed_mps: float = 0.0
+    steering_rad: float = 0.0
+
+    def advance(self, steering_rad: float, speed_mps: float, dt_s: float, parts: int = 5) -> None:
+        """Drive for `dt_s` towards the wanted steering angle and speed, with limited rates of both."""
+        step = dt_s / parts
+        for _ in range(parts):
+            turn_most, gain_most = STEERING_RATE_RADPS * step, self.acceleration_mps2 * step
+            self.steering_rad += float(np.clip(steering_rad - self.steering_rad, -turn_most, turn_most))
+            self.speed_mps += float(np.clip(speed_mps - self.speed_mps, -gain_most, gain_most))
+            turn = np.tan(self.steering_rad) / self.wheelbase_m * self.speed_mps * step
+            middle = self.pose[3] + 0.5 * turn
+            self.pose[:2] += self.speed_mps * step * np.array([np.cos(middle), np.sin(middle)])
+            self.pose[3] = float(wrap_angle(self.pose[3] + turn))
+
+
+class ActiveSlamEnv(gym.Env[Observation, Floats]):
+    """The agent steers along the scenario's route while an estimator runs inside; it sees the belief, not the truth.
+
+    Action (2,), -1 to 1: steering angle in 0.6 rad (left positive), speed from 0 to `top_speed_mps`; both are reached
+    at limited rates and held for `decision_snapshots` snapshots. Observation, all of it from the belief:
+
+        belief (6,)        pose: m, rad
+        std (3,)           standard deviations of x, y (m) and yaw (rad)
+        route (10, 2)      the route ahead, every 4 m, in the believed body frame (m)
+        motion (2,)        speed (m/s), steering angle (rad)
+        to_go_m (1,)       way left along the route
+
+    Reward: metres of progress along the route, less `uncertainty_weight` times the claimed standard deviation of the
+    position (m) per second; 20 at the goal, -20 for a collision with a building or more than `lost_m` off the route,
+    which both end the episode. Cut off after `time_limit_s` (default: twice the scenario's duration).
+    """
+
+    metadata = {"render_modes": ["rgb_array"], "render_fps": 2}  # noqa: RUF012
+
+    def __init__(
+        self,
+        scenario: str = "tiny",
+        estimator: str = "ekf-slam",
+        decision_snapshots: int = 8,
+        top_speed_mps: float = 3.0,
+        uncertainty_weight: float = 0.5,
+        lost_m: float = 15.0,
+        time_limit_s: float | None = None,
+        drives: int | None = None,
+        overrides: Mapping[str, Any] | None = None,
+        render_mode: str | None = None,
+    ) -> None:
+        if render_mode not in (None, "rgb_array"):
+            raise InputError(f"render_mode = {render_mode!r}: must be None or 'rgb_array'")
+        self.render_mode, self.drives, self.top_speed_mps = render_mode, drives, top_speed_mps
+        self.decision_snapshots, self.uncertainty_weight, self.lost_m = decision_snapshots, uncertainty_weight, lost_m
+        self._limit_s, self._name = time_limit_s, estimator
+        self._scenario = load(scenario, overrides)
+        self.action_space = spaces.Box(-1.0, 1.0, (2,), np.float64)
+        self.observation_space: spaces.Space[Any] = spaces.Dict(
+            {
+                "belief": spaces.Box(-WIDE, WIDE, dtype=np.float64),
+                "std": spaces.Box(0.0, 1e6, (3,), np.float64),
+                "route": spaces.Box(-1e5, 1e5, (AHEAD, 2), np.float64),
+                "motion": spaces.Box(-10.0, 100.0, (2,), np.float64),
+                "to_go_m": spaces.Box(0.0, 1e5, (1,), np.float64),
+            }
+        )
+
+    def reset(
+        self, *, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[Observation, dict[str, Any]]:
+        """Stand at the start of the route; the same seed and options give the same world."""
+        super().reset(seed=seed)
+        chosen = dict(options or {})
+        for name in chosen:
+            if name not in OPTIONS:
+                raise unknown_name("option of reset", name, OPTIONS)
+        if "scenario" in chosen or "set" in chosen:
+            self._scenario = load(chosen.get("scenario", self._scenario.name), chosen.get("set"))
+        drawn = int(self.np_random.integers(2**31 if self.drives is None else self.drives))
+        self._begin(int(chosen.get("seed", drawn)), int(chosen.get("trial", 0)))
+        return self._observe(), self._info("")
+
+    def step(self, action: Floats) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
+        """Hold steering angle and speed for some snapshots."""
+        wanted = np.clip(np.asarray(action, np.float64), -1.0, 1.0)
+        steering, speed = float(wanted[0]) * STEERING_LIMIT_RAD, 0.5 * (float(wanted[1]) + 1.0) * self.top_speed_mps
+        before, cost, reason = self._arc_m, 0.0, ""
+        for _ in range(self.decision_snapshots):
+            self._drive(steering, speed)
+            cov = self._answer.covariance
+            cost += self.uncertainty_weight * self._dt_s * float(np.sqrt(max(cov[0, 0] + cov[1, 1], 0.0)))
+            reason = self._ended()
+            if reason:
+                break
+        reward = self._arc_m - before - cost
+        reward += {"goal": GOAL_REWARD, "collision": CRASH_REWARD, "off the route": CRASH_REWARD}.get(reason, 0.0)
+        cut = reason == "" and self._now * self._dt_s >= self._end_s
+        return self._observe(), float(reward), reason != "", cut, self._info(reason)
+
+    def render(self) -> Any:
+        """Return an image (h, w, 3) of city, route, paths, truth, belief and its ellipse."""
+        if self.render_mode is None:
+            return None
+        from cellslam.benchmarks.env.picture import Scene, picture
+
+        city, vts = self._world.scene.city, self._seen_m
+        here = np.array(self._track)
+        scene = Scene(city, here, vts, self._world.sites_m, self._points)
+        return picture(scene, self._answer.pose, self._answer.covariance)
+
+    def _begin(self, seed: int, trial: int) -> None:
+        from shapely import STRtree
+
+        from cellslam.sim.lte.links import links_of
+        from cellslam.sim.vehicle import plan_route
+        from cellslam.sim.vehicle.odometry import odometry_model
+
+        config = self._scenario.world
+        self._world: World = prepare(config, seed, trial)
+        route = plan_route(self._world.scene.city, config.vehicle, stream(seed, trial, Stream.ROUTE))
+        kept = route.arc_m <= config.vehicle.distance_m
+        self._points, self._arcs = route.points_m[kept], route.arc_m[kept]
+        self._walls = STRtree(list(self._world.scene.city.footprints))
+        self._streams, self._rng = self._world.streams(), stream(seed, trial, Stream.ODOMETRY)
+        model = self._model = odometry_model(config.odometry)
+        self._scale = model.scale * self._rng.standard_normal(6)
+        self._bias = model.bias * self._rng.standard_normal(6)
+        start = np.array(self._world.drive.poses[0])
+        start[4:] = 0.0
+        vehicle = config.vehicle
+        self._car = Vehicle(start, vehicle.wheelbase_m, max(vehicle.acceleration_mps2, 1.0))
+        self._dt_s = vehicle.snapshot_interval_s
+        self._end_s = 2.0 * vehicle.duration_s if self._limit_s is None else self._limit_s
+        self._now, self._row, self._near, self._believed_near, self._arc_m = 0, 0, 0, 0, 0.0
+        self._track = [start.copy()]
+        links, sites = links_of(self._world.cells), sites_of(config)
+        setup = Setup(links, sites, model, self._world.start_pose, np.array(vehicle.start_std))
+        (request,) = resolve(self._scenario.estimator, (self._name,))
+        if request.oracle:
+            raise InputError(f"estimator '{self._name}' needs the truth of a whole drive: choose one that does not")
+        warm_up(request)
+        self._estimator = request.estimator(request.options)
+        self._estimator.start(setup, stream(seed, trial, Stream.ESTIMATOR))
+        self._measure(0.0, np.zeros(6), np.zeros(6))
+
+    def _drive(self, steering_rad: float, speed_mps: float) -> None:
+        """Advance by one snapshot: vehicle, odometry, measurements, estimator."""
+        before, model, dt = self._car.pose.copy(), self._model, self._dt_s
+        self._car.advance(steering_rad, speed_mps, dt)
+        self._now += 1
+        self._track.append(self._car.pose.copy())
+        noise = self._rng.standard_normal((2, 6))
+        self._bias = self._bias + noise[0] * np.sqrt(dt) * model.bias_walk_density
+        true = mean_velocity(before, self._car.pose, dt)
+        odometry = (1.0 + self._scale) * true + self._bias + noise[1] * model.noise_density / np.sqrt(dt)
+        self._measure(dt, odometry, true)
+        self._near = _nearest(self._points, self._car.pose, self._near)
+        self._arc_m = float(self._arcs[self._near])
+
+    def _measure(self, dt_s: float, odometry: Floats, velocity: Floats) -> None:
+        found, paths = self._world.measure(self._car.pose, velocity, self._now, self._streams, odometry)
+        self._seen_m = paths.vt_position_m[found.path[found.path >= 0]]
+        snapshot = _snapshot(found.measurements, self._now, self._row)
+        self._row += len(snapshot)
+        self._answer: Estimate = self._estimator.step(dt_s, odometry, snapshot)
+
+    def _ended(self) -> str:
+        from shapely import Point
+
+        x, y = self._car.pose[:2]
+        clearance = self._scenario.world.vehicle.clearance_m
+        if len(self._walls.query(Point(x, y), predicate="dwithin", distance=clearance)):
+            return "collision"
+        if np.hypot(*(self._points[self._near] - (x, y))) > self.lost_m:
+            return "off the route"
+        to_goal = float(np.hypot(*(self._points[-1] - (x, y))))
+        return "goal" if to_goal <= GOAL_M and self._arcs[-1] - self._arc_m <= 2.0 * GOAL_M else ""
+
+    def _observe(self) -> Observation:
+        pose, cov = np.array(self._answer.pose, np.float64), self._answer.covariance
+        self._believed_near = _nearest(self._points, pose, self._believed_near)
+        arc = self._arcs[self._believed_near]
+        ahead = np.minimum(arc + AHEAD_STEP_M * np.arange(1, AHEAD + 1), self._arcs[-1])
+        route = np.stack([np.interp(ahead, self._arcs, self._points[:, i]) for i in range(2)], axis=1) - pose[:2]
+        c, s = np.cos(pose[3]), np.sin(pose[3])
+        return {
+            "belief": pose,
+            "std": np.sqrt(np.maximum(np.diag(cov)[[0, 1, 3]], 0.0)),
+            "route": route @ np.array([[c, -s], [s, c]]),
+            "motion": np.array([self._car.speed_mps, self._car.steering_rad]),
+            "to_go_m": np.array([self._arcs[-1] - arc]),
+        }
+
+    def _info(self, reason: str) -> dict[str, Any]:
+        error = self._answer.pose[:2] - self._car.pose[:2]
+        return {
+            "truth_pose": self._car.pose.copy(),
+            "position_error_m": float(np.hypot(error[0], error[1])),
+            "progress_m": self._arc_m,
+            "time_s": self._now * self._dt_s,
+            "ended": reason,
+        }
+
+
+def _nearest(points_m: Floats, pose: Floats, from_index: int, window: int = 200) -> int:
+    """Return the nearest point of a route, near the last one: a route may cross itself."""
+    low, high = max(from_index - window, 0), min(from_index + window + 1, len(points_m))
+    return low + int(np.argmin(np.sum((points_m[low:high] - pose[:2]) ** 2, axis=1)))
+
+
+def _snapshot(m: Measurements, index: int, first_row: int) -> Snapshot:
+    rows = np.arange(first_row, first_row + len(m))
+    columns = (m.link, m.distance_m, m.azimuth_rad, m.elevation_rad, m.snr_db)
+    return Snapshot(index, rows, *columns, m.distance_std_m, m.azimuth_std_rad, m.elevation_std_rad)

@@ -1,0 +1,225 @@
+"""`cellslam/Localization-v0`: from the odometry and paths of one snapshot to a believed pose increment."""
+
+from __future__ import annotations
+
+import json
+from collections import OrderedDict
+from collections.abc import Mapping
+from typing import Any
+
+import gymnasium as gym
+import numpy as np
+from gymnasium import spaces
+from numpy.typing import NDArray
+
+from cellslam.benchmarks.trials.trials import record
+from cellslam.scenarios.loading import load
+from cellslam.scenarios.scenario import Scenario
+from cellslam.sim.errors import InputError, unknown_name
+from cellslam.sim.frames import integrate_pose, mean_velocity
+from cellslam.sim.recording import Floats, Recording
+from cellslam.slam.api import Setup, Snapshot, setup_of, snapshots_of
+
+Observation = dict[str, NDArray[Any]]
+
+CLAIMED = ("distance_std_m", "azimuth_std_rad", "elevation_std_rad")
+COLUMNS = ("distance_m", "azimuth_rad", "elevation_rad", "snr_db", *CLAIMED)
+LOWEST = np.array([-1e6, -4.0, -2.0, -300.0, 0.0, 0.0, 0.0])
+HIGHEST = np.array([1e6, 4.0, 2.0, 300.0, 1e6, 1e3, 1e3])
+# Metres and radians of an action of 1; powers of two, so that scaling does not round.
+ACTION_UNIT = np.array([32.0, 32.0, 32.0, 4.0, 4.0, 4.0])
+OPTIONS = ("scenario", "set", "seed", "trial")
+KEPT_RECORDINGS = 8
+
+_recordings: OrderedDict[str, Recording] = OrderedDict()
+
+
+def recording_of(scenario: Scenario, seed: int, trial: int) -> Recording:
+    """Return a trial's recording; the last few are kept, so that meeting one again costs nothing."""
+    key = json.dumps([scenario.resolved, seed, trial], sort_keys=True)
+    if key not in _recordings:
+        _recordings[key] = record(scenario, seed, trial)
+        while len(_recordings) > KEPT_RECORDINGS:
+            _recordings.popitem(last=False)
+    _recordings.move_to_end(key)
+    return _recordings[key]
+
+
+def compose(pose: Floats, action: Floats) -> Floats:
+    """Return the pose (6,) after an action (6,): metres in the body frame at mid-turn, radians, in ACTION_UNITs."""
+    return integrate_pose(pose, action * ACTION_UNIT, 1.0)
+
+
+def action_between(before: Floats, after: Floats) -> Floats:
+    """Return the action (6,) that takes pose `before` to `after`: the inverse of `compose`, limited to [-1, 1]."""
+    action: Floats = np.clip(mean_velocity(before, after, 1.0) / ACTION_UNIT, -1.0, 1.0)
+    return action
+
+
+class LocalizationEnv(gym.Env[Observation, Floats]):
+    """An episode is a drive: step t takes the pose increment that the agent believes in, up to snapshot t.
+
+    Action (6,), -1 to 1: forward, left, up in 32 m, then yaw, pitch, roll in 4 rad, since the last snapshot
+    (`action_between` gives it from two poses). The first one is about snapshot 0, from the start pose. Observation:
+
+        dt_s (1,)                  s since the snapshot before it
+        odometry (6,)              mean body velocities, m/s and rad/s
+        paths (max_paths, 7)       distance_m, azimuth_rad, elevation_rad, snr_db, claimed deviations (m, rad, rad)
+        measured (max_paths, 7)    1 where that component was measured; 0 elsewhere, and the value is 0
+        link (max_paths,)          link of each path
+        mask (max_paths,)          1 where there is a path; paths beyond max_paths are dropped, the weakest first
+        last_action (6,)
+
+    Reward: minus the horizontal position error in metres. Truth is in `info` alone. `reset(seed=...)` chooses the
+    drive; `reset(options={...})`: "scenario" (preset or .toml path), "set" (overrides by dotted key), "seed" and
+    "trial" (the drive of `cellslam run --seed`). `drives`: number of different drives to choose from (None: any).
+    """
+
+    metadata = {"render_modes": ["rgb_array"], "render_fps": 13}  # noqa: RUF012
+
+    def __init__(
+        self,
+        scenario: str = "tiny",
+        max_paths: int = 128,
+        drives: int | None = None,
+        overrides: Mapping[str, Any] | None = None,
+        render_mode: str | None = None,
+    ) -> None:
+        if render_mode not in (None, "rgb_array"):
+            raise InputError(f"render_mode = {render_mode!r}: must be None or 'rgb_array'")
+        self.render_mode, self.max_paths, self.drives = render_mode, max_paths, drives
+        self._scenario = load(scenario, overrides)
+        self.belief: Floats = np.zeros(6)
+        self.belief_covariance: Floats | None = None
+        self._now = 0
+        self.action_space = spaces.Box(-1.0, 1.0, (6,), np.float64)
+        wide = (max_paths, len(COLUMNS))
+        self.observation_space: spaces.Space[Any] = spaces.Dict(
+            {
+                "dt_s": spaces.Box(0.0, 1e4, (1,), np.float64),
+                "odometry": spaces.Box(-1e3, 1e3, (6,), np.float64),
+                "paths": spaces.Box(
+                    np.tile(LOWEST, (max_paths, 1)), np.tile(HIGHEST, (max_paths, 1)), dtype=np.float64
+                ),
+                "measured": spaces.Box(0, 1, wide, np.int8),
+                "link": spaces.Box(0, 100_000, (max_paths,), np.int64),
+                "mask": spaces.Box(0, 1, (max_paths,), np.int8),
+                "last_action": spaces.Box(-1.0, 1.0, (6,), np.float64),
+            }
+        )
+
+    @property
+    def setup(self) -> Setup:
+        """What an estimator may know before the drive."""
+        return self._setup
+
+    def reset(
+        self, *, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[Observation, dict[str, Any]]:
+        """Begin a drive; the same seed and options give the same one."""
+        super().reset(seed=seed)
+        chosen = dict(options or {})
+        for name in chosen:
+            if name not in OPTIONS:
+                raise unknown_name("option of reset", name, OPTIONS)
+        if "scenario" in chosen or "set" in chosen:
+            self._scenario = load(chosen.get("scenario", self._scenario.name), chosen.get("set"))
+        drawn = int(self.np_random.integers(2**31 if self.drives is None else self.drives))
+        self._drive = int(chosen.get("seed", drawn)), int(chosen.get("trial", 0))
+        self._begin(recording_of(self._scenario, *self._drive))
+        return self._observe(), self._info()
+
+    def step(self, action: Floats) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
+        """Take the believed increment up to the present snapshot, and go on to the next."""
+        self._action = np.array(action, np.float64)
+        self.belief = compose(self.belief, self._action)
+        truth = self._truth[self._now]
+        error = float(np.hypot(self.belief[0] - truth[0], self.belief[1] - truth[1]))
+        self._errors.append(error)
+        info = self._info()
+        ended = self._now == len(self._snapshots) - 1
+        if not ended:
+            self._now += 1
+        return self._observe(), -error, ended, False, info
+
+    def render(self) -> Any:
+        """Return an image (h, w, 3) of city, paths, truth, belief and its ellipse."""
+        if self.render_mode is None:
+            return None
+        from cellslam.benchmarks.env.picture import Scene, picture
+        from cellslam.sim.world import prepare
+
+        recording, now, world = self._recording, max(len(self._errors) - 1, 0), self._scenario.world
+        truth = recording.truth
+        if truth is None:
+            raise InputError("the drive has no truth to draw")
+        city = prepare(world, *self._drive).scene.city
+        seen = truth.measurement_vt[slice(*recording.rows[now : now + 2])]
+        vts_m = truth.vts.position_m[np.unique(seen[seen >= 0])]
+        scene = Scene(city, truth.poses[: now + 1], vts_m, truth.site_positions_m)
+        return picture(scene, self.belief, self.belief_covariance)
+
+    def _begin(self, recording: Recording) -> None:
+        if recording.truth is None:
+            raise InputError("the drive has no truth to reward against")
+        self._recording, self._setup, self._snapshots = recording, setup_of(recording), snapshots_of(recording)
+        self._truth = recording.truth.poses
+        self._dt_s = np.diff(recording.time_s, prepend=recording.time_s[0])
+        self.belief, self.belief_covariance = np.array(recording.start_pose), None
+        self._now, self._action = 0, np.zeros(6)
+        self._errors: list[float] = []
+
+    def _observe(self) -> Observation:
+        return observation(
+            self._snapshots[self._now], float(self._dt_s[self._now]), self._recording.odometry[self._now], self._action,
+            self.max_paths,
+        )  # fmt: skip
+
+    def _info(self) -> dict[str, Any]:
+        truth = self._truth[self._now]
+        return {
+            "truth_pose": truth.copy(),
+            "belief_pose": self.belief.copy(),
+            "start_pose": np.array(self._recording.start_pose),
+            "position_error_m": self._errors[-1] if self._errors else 0.0,
+            "snapshot": self._now,
+        }
+
+
+def observation(snapshot: Snapshot, dt_s: float, odometry: Floats, last_action: Floats, max_paths: int) -> Observation:
+    """Return a snapshot as padded arrays; where it has more than `max_paths` paths, the strongest in their order."""
+    table = np.full((len(snapshot), len(COLUMNS)), np.nan)
+    for i, name in enumerate(COLUMNS):
+        column = getattr(snapshot, name)
+        if column is not None:
+            table[:, i] = column
+    link = snapshot.link
+    if len(table) > max_paths:
+        strongest = np.sort(np.argsort(-np.nan_to_num(table[:, 3], nan=-np.inf), kind="stable")[:max_paths])
+        table, link = table[strongest], link[strongest]
+    there, count = ~np.isnan(table), len(table)
+    out: Observation = {
+        "dt_s": np.array([dt_s]),
+        "odometry": np.array(odometry),
+        "paths": np.zeros((max_paths, len(COLUMNS))),
+        "measured": np.zeros((max_paths, len(COLUMNS)), np.int8),
+        "link": np.zeros(max_paths, np.int64),
+        "mask": np.zeros(max_paths, np.int8),
+        "last_action": last_action.copy(),
+    }
+    out["paths"][:count] = np.where(there, table, 0.0)
+    out["measured"][:count], out["link"][:count], out["mask"][:count] = there, link, 1
+    return out
+
+
+def snapshot_of(observed: Observation, index: int, first_row: int) -> Snapshot:
+    """Return the snapshot that an observation shows: the inverse of `observation`."""
+    count = int(observed["mask"].sum())
+    table: Floats = np.where(observed["measured"][:count] > 0, observed["paths"][:count], np.nan)
+    values = [np.ascontiguousarray(column) for column in table.T]
+    claimed = [None if np.isnan(v).all() and count else v for v in values[4:]]
+    for column in values:
+        column.setflags(write=False)
+    rows = np.arange(first_row, first_row + count)
+    link = np.array(observed["link"][:count])
+    return Snapshot(index, rows, link, *values[:4], *claimed)

@@ -1,0 +1,73 @@
+"""The curve of a sweep: a statistic with its interval against a key that varies."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from cellslam.benchmarks.figures.style import WIDTH_IN
+from cellslam.benchmarks.figures.sweep.sweep_data import SweepData, sweep_lines
+from cellslam.benchmarks.figures.sweep.sweep_look import Look, series_styles, summed_label
+from cellslam.benchmarks.scores.statistics import interval, statistic
+from cellslam.sim.recording import Floats
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+MOST_TICKS = 10
+# From this ratio on x is logarithmic; intervals of different lines stand beside each other, by this share of the axis.
+LOG_FROM = 10.0
+DODGE = 0.008
+
+
+def draw_curve(figure: Figure, data: SweepData, look: Look, x: str) -> bool:
+    """Draw the statistic with intervals against x; settings besides x are lines of their own."""
+    lines = {
+        name: [(at, one.values(look.metric)) for at, one in points] for name, points in sweep_lines(data, x).items()
+    }
+    lines = {name: kept for name, points in lines.items() if (kept := [p for p in points if len(p[1])])}
+    every = sorted({at for points in lines.values() for at, _ in points if at is not None})
+    if not every:
+        return False
+    figure.set_size_inches(WIDTH_IN * 0.62, 3.2)
+    axes, styles = figure.subplots(), series_styles(lines)
+    logarithmic = every[0] > 0 and every[-1] >= LOG_FROM * every[0]
+    for index, (name, points) in enumerate(lines.items()):
+        aside = DODGE * (index - (len(lines) - 1) / 2)
+        _line(axes, [(_beside(at, every, aside, logarithmic), values) for at, values in points], look, styles[name])
+    if logarithmic:
+        axes.set_xscale("log")
+    if len(every) <= MOST_TICKS:
+        axes.set_xticks(every, [f"{value:g}" for value in every])
+        axes.minorticks_off()
+    axes.set_xlabel(x)
+    trials = max(len(values) for points in lines.values() for _, values in points)
+    axes.set_ylabel(summed_label(look))
+    axes.set_title(f"{100 * look.confidence:g} % intervals, {trials} trials a point")
+    axes.set_ylim(bottom=0)
+    figure.legend(loc="outside lower center", ncols=2)
+    return True
+
+
+def _line(axes: Axes, points: Sequence[tuple[float | None, Floats]], look: Look, style: Mapping[str, Any]) -> None:
+    """Draw one line with its intervals; a point without x is the same everywhere: a level with a band."""
+    of = statistic(look.statistic)
+    middle = np.array([float(of.of(values)) for _, values in points])
+    ends = np.array([interval(values, of, look.confidence) for _, values in points])
+    at = [place for place, _ in points if place is not None]
+    if not at:
+        axes.axhline(middle[0], **style)
+        axes.axhspan(*ends[0], color=style["color"], alpha=0.15, linewidth=0)
+        return
+    reach: Floats = np.nan_to_num(np.abs(ends - middle[:, None])).T
+    axes.errorbar(at, middle, yerr=reach, **style, marker="o", markersize=3.5, capsize=2.5, elinewidth=0.9)
+
+
+def _beside(at: float | None, every: Sequence[float], aside: float, logarithmic: bool) -> float | None:
+    """Return a place moved aside by a share of the axis, so that intervals do not hide each other."""
+    if at is None:
+        return None
+    return at * (every[-1] / every[0]) ** aside if logarithmic else at + aside * (every[-1] - every[0])

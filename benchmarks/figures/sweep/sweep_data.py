@@ -1,0 +1,149 @@
+"""What the figures of a sweep are drawn from: panels of worlds, in them series of estimators with options."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from cellslam.benchmarks.sweeps.rows import results
+from cellslam.benchmarks.sweeps.store import trajectory_path
+from cellslam.benchmarks.sweeps.trajectories import unpack
+from cellslam.benchmarks.tables.summaries import groups
+from cellslam.benchmarks.trials.trial_result import ROW_KEYS
+from cellslam.sim.errors import InputError
+from cellslam.sim.recording import Floats
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+MOST_TRAJECTORIES = 200
+POINTS_IN_TIME = 400
+
+
+@dataclass(frozen=True)
+class Series:
+    """The rows of one estimator with one set of options, in one panel.
+
+    `settings`: what varies of the world; `options`: what varies of the estimator, None where it has no such option.
+    """
+
+    label: str
+    settings: dict[str, Any]
+    options: dict[str, Any]
+    rows: pd.DataFrame
+
+    @property
+    def estimator(self) -> str:
+        """The estimator's name."""
+        return str(self.rows["estimator"].iloc[0])
+
+    def values(self, metric: str) -> Floats:
+        """Return a metric's values in the trials that are ok, those without it left out."""
+        column = np.asarray(self.rows.loc[self.rows["status"] == "ok", metric], np.float64)
+        return column[np.isfinite(column)]
+
+
+@dataclass(frozen=True)
+class Panel:
+    """The series that met the same worlds."""
+
+    title: str
+    series: tuple[Series, ...]
+
+
+@dataclass(frozen=True)
+class SweepData:
+    """All panels of a sweep, and the world's keys that vary."""
+
+    folder: Path
+    panels: tuple[Panel, ...]
+    world_keys: tuple[str, ...]
+
+    @property
+    def labels(self) -> tuple[str, ...]:
+        """The labels of all series, in order."""
+        return tuple(dict.fromkeys(one.label for panel in self.panels for one in panel.series))
+
+    def over_time(self, series: Series, column: str) -> tuple[Floats, Floats] | None:
+        """Return time (P,) and a column of the trajectories (N, P), or (N, P, S) for offsets; None without any."""
+        ok = series.rows.loc[series.rows["status"] == "ok", "key"].tolist()[:MOST_TRAJECTORIES]
+        found = [unpack(path) for path in (trajectory_path(self.folder, key) for key in ok) if path.exists()]
+        found = [trajectory for trajectory in found if len(getattr(trajectory, column))]
+        if not found:
+            return None
+        end = min(float(trajectory.time_s[-1]) for trajectory in found)
+        time_s = np.linspace(0.0, end, min(POINTS_IN_TIME, min(len(t.time_s) for t in found)))
+        return time_s, np.stack([_at(time_s, t.time_s, getattr(t, column)) for t in found])
+
+
+def load(folder: str | Path) -> SweepData:
+    """Return the data of a sweep's folder. Raises InputError if there are no rows."""
+    frame = results(folder)
+    if frame.empty:
+        raise InputError(f"{folder}: no rows yet")
+    varied = [name for name in frame.columns if name not in (*ROW_KEYS, "key")]
+    options = [name for name in varied if name.startswith("estimator.")]
+    worlds = [name for name in varied if name not in options]
+    several = ["scenario"] if frame["scenario"].nunique() > 1 else []
+    panels = []
+    for settings, group in groups(frame, [*several, *worlds]):
+        title = ", ".join(f"{name} = {shown(value)}" for name, value in settings.items())
+        series = tuple(
+            Series(label_of(own["estimator"], own, options), settings, {key: own[key] for key in options}, rows)
+            for own, rows in groups(group, ["estimator", *options])
+        )
+        panels.append(Panel(title, series))
+    return SweepData(Path(folder), tuple(panels), tuple(worlds))
+
+
+def curve_keys(data: SweepData) -> list[str]:
+    """Return what a sweep curve can have along x: the world's keys and the options that vary and are numbers."""
+    series = [one for panel in data.panels for one in panel.series]
+    worlds = [key for key in data.world_keys if all(_is_number(one.settings[key]) for one in series)]
+    options = []
+    for key in series[0].options:
+        values = {one.options[key] for one in series} - {None}
+        if len(values) > 1 and all(_is_number(value) for value in values):
+            options.append(key)
+    return [*worlds, *options]
+
+
+def sweep_lines(data: SweepData, x: str) -> dict[str, list[tuple[float | None, Series]]]:
+    """Return the lines of a sweep curve by name, each its points in order; other keys that vary are in the names.
+
+    x None: the series has no such option, and is the same at every x.
+    """
+    lines: dict[str, list[tuple[float | None, Series]]] = {}
+    for one in (series for panel in data.panels for series in panel.series):
+        value = one.settings.get(x, one.options.get(x))
+        label = label_of(one.estimator, one.options, [key for key in one.options if key != x])
+        others = [f"{key} = {shown(setting)}" for key, setting in one.settings.items() if key != x]
+        place = None if value is None else float(value)
+        lines.setdefault(", ".join([label, *others]), []).append((place, one))
+    return {name: sorted(points, key=lambda point: point[0] or 0.0) for name, points in lines.items()}
+
+
+def shown(value: Any) -> str:
+    """Return a setting's value as text."""
+    return f"{value:g}" if isinstance(value, float) else "-" if value is None else str(value)
+
+
+def label_of(estimator: str, own: Mapping[str, Any], options: Sequence[str]) -> str:
+    """Return what a series is called: its estimator, and the options that vary."""
+    parts = [f"{name.rpartition('.')[2]} = {shown(own[name])}" for name in options if own[name] is not None]
+    return ", ".join([estimator, *parts])
+
+
+def _is_number(value: Any) -> bool:
+    return isinstance(value, int | float) and not isinstance(value, bool)
+
+
+def _at(time_s: Floats, own_s: Any, column: Any) -> Floats:
+    """Return a column (T,) or (T, S) at other times (P,)."""
+    if column.ndim == 1:
+        return np.asarray(np.interp(time_s, own_s, column))
+    return np.stack([np.interp(time_s, own_s, column[:, s]) for s in range(column.shape[1])], axis=1)

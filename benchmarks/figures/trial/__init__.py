@@ -1,0 +1,1 @@
+"""The figures of one trial, as in the paper's section V."""

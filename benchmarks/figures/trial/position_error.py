@@ -1,0 +1,53 @@
+"""Absolute horizontal error against time, with the bound (the paper's Fig. 3)."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from cellslam.benchmarks.bound.cramer_rao import BoundResult
+from cellslam.benchmarks.figures.style import GREY, WIDTH_IN, estimator_styles
+from cellslam.benchmarks.scores.metrics import errors_over_time
+from cellslam.benchmarks.trials.trial_result import TrialResult
+from cellslam.sim.recording import Floats, Recording
+
+ODOMETRY_ALONE = "dead-reckoning"
+
+
+def draw(figure: Figure, recording: Recording, results: Mapping[str, TrialResult], bound: BoundResult | None) -> bool:
+    """Draw the errors in metres, and below them all but dead reckoning magnified.
+
+    Returns False, and draws nothing, without truth, reference or results.
+    """
+    found = {name: errors_over_time(recording, result.poses) for name, result in results.items()}
+    known = {name: pair for name, pair in found.items() if pair is not None}
+    if not known:
+        return False
+    times = next(iter(known.values()))[0] - recording.time_s[0]
+    errors = {name: error for name, (_, error) in known.items()}
+    small = [float(e.max()) for name, e in errors.items() if name != ODOMETRY_ALONE]
+    small += [] if bound is None else [float(bound.horizontal_std_m.max())]
+    magnified = bool(small) and ODOMETRY_ALONE in errors
+    figure.set_size_inches(WIDTH_IN, 4.2 if magnified else 3.0)
+    panels = figure.subplots(2 if magnified else 1, 1, squeeze=False, sharex=True)[:, 0]
+    for axes in panels:
+        _curves(axes, times, errors, bound)
+        axes.set_ylim(bottom=0)
+    panels[0].set_ylabel("horizontal error (m)")
+    panels[0].legend(loc="upper left")
+    panels[-1].set_xlabel("time (s)")
+    if magnified:
+        panels[1].set_ylim(0, 1.1 * max(small) + 1e-9)
+        panels[1].set_ylabel("the same, magnified (m)")
+    return True
+
+
+def _curves(axes: Axes, time_s: Floats, errors: Mapping[str, Floats], bound: BoundResult | None) -> None:
+    for name, line in estimator_styles(errors).items():
+        axes.plot(time_s, errors[name], **line)
+    if bound is not None:
+        axes.fill_between(time_s, bound.horizontal_std_m, color=GREY, alpha=0.35, linewidth=0)
+        axes.plot(time_s, bound.horizontal_std_m, color=GREY, label="Cramér-Rao bound (rms)")
+    axes.set_xlim(0, max(float(time_s[-1]), 1e-9))

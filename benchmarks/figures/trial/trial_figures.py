@@ -1,0 +1,55 @@
+"""The figures of one trial, as in the paper's section V: map, error, associations, clock offsets."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from cellslam.benchmarks.bound.cramer_rao import BoundResult
+from cellslam.benchmarks.trials.trial_result import TrialResult
+from cellslam.sim.progress import Progress, silent
+from cellslam.sim.recording import Recording
+
+if TYPE_CHECKING:
+    from cellslam.sim.city import City
+
+
+def draw_all(
+    city: City | None,
+    recording: Recording,
+    results: Mapping[str, TrialResult],
+    bound: BoundResult | None,
+    out_dir: str | Path,
+    progress: Progress = silent,
+    formats: Sequence[str] = ("png",),
+) -> list[Path]:
+    """Draw every figure that applies, write each as `out_dir`/NAME.FORMAT, and return the paths written.
+
+    `map` needs truth or a result; `error` needs truth; `associations` needs measurements; `clock_offsets` a
+    result with offsets. `city` None: a map without buildings. `formats`: what matplotlib writes, such as png
+    and pdf.
+    """
+    from matplotlib.figure import Figure
+
+    from cellslam.benchmarks.figures import style
+    from cellslam.benchmarks.figures.trial import associations
+    from cellslam.benchmarks.figures.trial import clock_offsets as clock
+    from cellslam.benchmarks.figures.trial import position_error as error
+    from cellslam.benchmarks.figures.trial import trial_map as overview
+
+    drawings: dict[str, Callable[[Figure], bool]] = {
+        "map": lambda figure: overview.draw(figure, city, recording, results),
+        "error": lambda figure: error.draw(figure, recording, results, bound),
+        "associations": lambda figure: associations.draw(figure, recording, results),
+        "clock_offsets": lambda figure: clock.draw(figure, recording, results),
+    }
+    folder, written = Path(out_dir), []
+    folder.mkdir(parents=True, exist_ok=True)
+    with style.context(), progress("figures", len(drawings)) as advance:
+        for name, drawing in drawings.items():
+            figure = Figure(layout="constrained")
+            if drawing(figure):
+                written += [style.save(figure, folder / f"{name}.{format_}") for format_ in formats]
+            advance(1)
+    return written

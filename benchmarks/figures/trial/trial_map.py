@@ -1,0 +1,153 @@
+"""The map: buildings, sites, trajectories, VTs mapped back to the walls (the paper's Fig. 2)."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.collections import PatchCollection
+from matplotlib.figure import Figure
+from matplotlib.patches import PathPatch, Rectangle
+from matplotlib.path import Path as Outline
+
+from cellslam.benchmarks.figures.style import (
+    BLACK,
+    BUILDING,
+    EMPHASIS,
+    GREY,
+    SITES,
+    TRUTH,
+    WIDTH_IN,
+    estimator_styles,
+)
+from cellslam.benchmarks.figures.trial.reflectors import Reflector, reflectors_of
+from cellslam.benchmarks.trials.trial_result import TrialResult
+from cellslam.sim.recording import Floats, Recording
+
+if TYPE_CHECKING:
+    from cellslam.sim.city import City
+
+MARGIN = 0.08
+
+
+def draw(figure: Figure, city: City | None, recording: Recording, results: Mapping[str, TrialResult]) -> bool:
+    """Draw the whole scene on the left, the drive magnified on the right; False if there is nothing.
+
+    Reflecting points are those of the first result with VTs. The building that carries the longest-lived
+    reflected VT is drawn darker.
+    """
+    tracks = {name: result.poses for name, result in results.items()}
+    truth = recording.truth
+    if truth is None and not tracks:
+        return False
+    mapped = next((reflectors_of(recording, r) for r in results.values() if r.vts is not None), [])
+    driven = [*([truth.poses] if truth is not None else []), *tracks.values()]
+    everything = np.concatenate([poses[:, :2] for poses in driven])
+    sites = truth.site_positions_m[:, :2] if truth is not None else np.zeros((0, 2))
+    walls = [reflector.points_m[:, :2] for reflector in mapped]
+    figure.set_size_inches(WIDTH_IN, 4.1)
+    left, right = figure.subplots(1, 2)
+    whole, drive = _square(np.concatenate([everything, sites, *walls])), _square(everything)
+    for axes, extent in ((left, whole), (right, drive)):
+        _buildings(axes, city, mapped)
+        _reflecting_points(axes, recording, mapped)
+        _longest_path(axes, mapped)
+        _trajectories(axes, recording, tracks)
+        _sites(axes, recording, extent)
+        axes.set_xlim(extent[0])
+        axes.set_ylim(extent[1])
+        axes.set_aspect("equal")
+        axes.set_xlabel("east (m)")
+        axes.grid(False)
+    left.set_ylabel("north (m)")
+    (x0, x1), (y0, y1) = drive
+    left.add_patch(Rectangle((x0, y0), x1 - x0, y1 - y0, fill=False, color=GREY, linewidth=0.8, linestyle=":"))
+    left.set_title("sites, reflecting walls")
+    right.set_title("the drive")
+    handles, labels = left.get_legend_handles_labels()
+    figure.legend(handles, labels, loc="outside lower center", ncols=4, markerscale=2)
+    return True
+
+
+def emphasised_building(city: City | None, mapped: Sequence[Reflector]) -> int | None:
+    """Return the building nearest to the points of the longest-lived reflected VT, None without one."""
+    if city is None or not city.footprints or not mapped:
+        return None
+    from shapely import STRtree, points
+
+    nearest = STRtree(city.footprints).nearest(points(mapped[0].points_m[:, :2]))
+    return int(np.bincount(nearest).argmax())
+
+
+def _square(points: Floats) -> tuple[tuple[float, float], tuple[float, float]]:
+    """Return x and y limits of a square that holds the points (n, 2), with a margin."""
+    low, high = points.min(axis=0), points.max(axis=0)
+    half = max(0.5 * float((high - low).max()) * (1 + 2 * MARGIN), 5.0)
+    x, y = (float(c) for c in 0.5 * (low + high))
+    return (x - half, x + half), (y - half, y + half)
+
+
+def _buildings(axes: Axes, city: City | None, mapped: Sequence[Reflector]) -> None:
+    if city is None:
+        return
+    patches = [PathPatch(_outline(footprint)) for footprint in city.footprints]
+    axes.add_collection(PatchCollection(patches, facecolor=BUILDING, edgecolor="#C9C4BB", linewidth=0.4))
+    chosen = emphasised_building(city, mapped)
+    if chosen is not None:
+        style: dict[str, Any] = {"facecolor": EMPHASIS, "edgecolor": BLACK, "linewidth": 1.0}
+        label = "building of the longest-lived reflection"
+        axes.add_patch(PathPatch(_outline(city.footprints[chosen]), label=label, **style))
+
+
+def _outline(polygon: Any) -> Outline:
+    """Return a footprint's outline, courtyards included."""
+    rings = [polygon.exterior, *polygon.interiors]
+    return Outline.make_compound_path(*(Outline(np.asarray(ring.coords)[:, :2], closed=True) for ring in rings))
+
+
+def _reflecting_points(axes: Axes, recording: Recording, mapped: Sequence[Reflector]) -> None:
+    dots: dict[str, Any] = {
+        "linestyle": "none",
+        "marker": ".",
+        "markersize": 3.5,
+        "markeredgewidth": 0,
+        "alpha": 0.6,
+    }
+    for site in range(len(recording.sites)):
+        points = [r.points_m[:, :2] for r in mapped if r.site == site]
+        if points:
+            x, y = np.concatenate(points).T
+            label = f"reflecting points, site {recording.sites.name[site]}"
+            axes.plot(x, y, **dots, color=SITES[site % len(SITES)], label=label)
+
+
+def _longest_path(axes: Axes, mapped: Sequence[Reflector]) -> None:
+    """Draw the path site - wall - vehicle of the longest-lived reflected VT in the middle of its life."""
+    if mapped:
+        first = mapped[0]
+        middle = len(first.points_m) // 2
+        path = np.stack([first.site_m, first.points_m[middle], first.vehicle_m[middle]])
+        axes.plot(*path[:, :2].T, color=BLACK, linewidth=0.7, linestyle="-.", label="its path, half-way")
+
+
+def _trajectories(axes: Axes, recording: Recording, tracks: Mapping[str, Floats]) -> None:
+    if recording.truth is not None:
+        axes.plot(*recording.truth.poses[:, :2].T, color=TRUTH, linewidth=2.4, label="true trajectory")
+        axes.plot(*recording.truth.poses[0, :2], "o", color=TRUTH, markersize=4)
+    elif recording.reference is not None:
+        fixes = recording.reference.position_m[:, :2]
+        axes.plot(*fixes.T, ".", color=TRUTH, markersize=2.5, label="reference")
+    for name, line in estimator_styles(tracks).items():
+        axes.plot(*tracks[name][:, :2].T, **{**line, "linewidth": 1.1})
+
+
+def _sites(axes: Axes, recording: Recording, extent: tuple[tuple[float, float], tuple[float, float]]) -> None:
+    if recording.truth is None:
+        return
+    (x0, x1), (y0, y1) = extent
+    for site, (x, y, _) in enumerate(recording.truth.site_positions_m):
+        if x0 < x < x1 and y0 < y < y1:
+            axes.plot(x, y, "^", color=SITES[site % len(SITES)], markeredgecolor=BLACK, markersize=8)
+            axes.annotate(recording.sites.name[site], (x, y), xytext=(6, 5), textcoords="offset points", weight="bold")

@@ -1,0 +1,1 @@
+"""Adapters: from the files of published campaigns to a recording."""

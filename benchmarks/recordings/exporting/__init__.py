@@ -1,0 +1,1 @@
+"""A recording or an estimate as files of other tools."""

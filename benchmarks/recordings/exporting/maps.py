@@ -1,0 +1,146 @@
+"""Trajectories and VTs of an estimate, or of the truth, in formats of other tools: TUM, GeoJSON, PLY."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from cellslam.benchmarks.trials.trial_result import TrialResult
+from cellslam.benchmarks.trials.tum import write_tum
+from cellslam.sim.errors import InputError
+from cellslam.sim.recording import Floats, Ints, Recording
+
+ELLIPSE_POINTS = 32
+SIGMAS = 2.0
+
+
+@dataclass(frozen=True)
+class Shown:
+    """What is exported: a trajectory (T,), (T, 6), and points (V,) with link, position (V, 3), covariance (V, 3, 3)."""
+
+    name: str
+    time_s: Floats
+    poses: Floats
+    id: Ints
+    link: Ints
+    position_m: Floats
+    covariance: Floats
+
+
+def shown(recording: Recording, result: TrialResult | None) -> Shown:
+    """Return the estimate, or without one the truth or the reference. Raises InputError if there is none of these."""
+    if result is not None:
+        v = result.vts
+        if v is None:
+            return _without_points(result.estimator, recording.time_s, result.poses)
+        return Shown(result.estimator, recording.time_s, result.poses, v.id, v.link, v.position_m, v.covariance)
+    t = recording.truth
+    if t is not None:
+        pairs = np.unique(
+            np.column_stack([recording.measurements.link, t.measurement_vt])[t.measurement_vt >= 0], axis=0
+        )
+        link, vt = pairs.T if len(pairs) else (np.empty(0, np.int64), np.empty(0, np.int64))
+        return Shown("truth", recording.time_s, t.poses, vt, link, t.vts.position_m[vt], np.zeros((len(vt), 3, 3)))
+    r = recording.reference
+    if r is None:
+        raise InputError("the recording has neither truth nor reference: say which --estimator to export")
+    rest = np.zeros((len(r), 2))
+    poses = np.column_stack([np.nan_to_num(r.position_m), np.nan_to_num(r.yaw_rad), rest])
+    known = np.isfinite(r.position_m[:, :2]).all(axis=1)
+    return _without_points("reference", r.time_s[known], poses[known])
+
+
+def _without_points(name: str, time_s: Floats, poses: Floats) -> Shown:
+    none = np.empty(0, np.int64)
+    return Shown(name, time_s, poses, none, none, np.empty((0, 3)), np.empty((0, 3, 3)))
+
+
+def tum(data: Shown, path: Path) -> None:
+    """Write the trajectory."""
+    write_tum(path, data.time_s, data.poses)
+
+
+def geojson(data: Shown, recording: Recording, path: Path) -> None:
+    """Write VTs as points with covariance and 2-sigma ellipses, and the trajectory.
+
+    In longitude and latitude where the recording says how its frame was projected; else in metres of the world frame,
+    which
+    a member `crs_note` says.
+    """
+    place, note = _placement(recording)
+    features = [_feature("LineString", place(data.poses[:, :3]), {"kind": "trajectory", "name": data.name})]
+    for i in range(len(data.id)):
+        covariance = data.covariance[i]
+        about = {
+            "kind": "vt",
+            "id": int(data.id[i]),
+            "link": int(data.link[i]),
+            "position_m": data.position_m[i].tolist(),
+            "covariance_m2": covariance.tolist(),
+            "std_m": np.sqrt(np.maximum(np.diag(covariance), 0.0)).tolist(),
+        }
+        features.append(_feature("Point", place(data.position_m[i : i + 1])[0], about))
+        if covariance.any():
+            ring = place(_ellipse(data.position_m[i], covariance))
+            features.append(_feature("Polygon", [ring], {"kind": "ellipse", "vt": int(data.id[i]), "sigmas": SIGMAS}))
+    text = json.dumps({"type": "FeatureCollection", "crs_note": note, "features": features})
+    path.write_text(text, "utf-8")
+
+
+def _feature(kind: str, coordinates: Any, about: dict[str, Any]) -> dict[str, Any]:
+    return {"type": "Feature", "geometry": {"type": kind, "coordinates": coordinates}, "properties": about}
+
+
+def _ellipse(centre: Floats, covariance: Floats) -> Floats:
+    """Return the closed outline (n, 3) of the horizontal 2-sigma ellipse."""
+    value, axes = np.linalg.eigh(covariance[:2, :2])
+    angle = np.linspace(0.0, 2.0 * np.pi, ELLIPSE_POINTS + 1)
+    circle = np.stack([np.cos(angle), np.sin(angle)])
+    ring = centre[:2, None] + SIGMAS * axes @ (np.sqrt(np.maximum(value, 0.0))[:, None] * circle)
+    out = np.column_stack([*ring, np.full(len(angle), centre[2])])
+    out[-1] = out[0]
+    return out
+
+
+def _placement(recording: Recording) -> tuple[Any, str]:
+    projection = recording.provenance.get("projection")
+    if not isinstance(projection, dict):
+        return (lambda points: points.round(6).tolist()), "metres east, north, up in the recording's world frame"
+    try:
+        import pyproj
+    except ImportError:
+        raise InputError("this recording is placed on the Earth: pip install 'cellslam[gnss]' to export it") from None
+    back = pyproj.Transformer.from_crs(projection["crs"], "EPSG:4326", always_xy=True)
+    east, north = projection["origin_m"]
+
+    def place(points: Floats) -> Any:
+        longitude, latitude = back.transform(points[:, 0] + east, points[:, 1] + north)
+        return np.column_stack([longitude, latitude, points[:, 2]]).round(9).tolist()
+
+    return place, "longitude, latitude (WGS 84), height in m of the recording's world frame"
+
+
+def ply(data: Shown, path: Path) -> None:
+    """Write VTs as vertices with id, link and the six covariance terms in square metres."""
+    terms = ("xx", "xy", "xz", "yy", "yz", "zz")
+    upper = np.triu_indices(3)
+    lines = [
+        "ply",
+        "format ascii 1.0",
+        f"comment VTs of {data.name}, metres",
+        f"element vertex {len(data.id)}",
+        *(f"property double {axis}" for axis in "xyz"),
+        "property int id",
+        "property int link",
+        *(f"property double covariance_{term}" for term in terms),
+        "end_header",
+    ]
+    for i in range(len(data.id)):
+        place = " ".join(f"{x:.6f}" for x in data.position_m[i])
+        spread = " ".join(f"{x:.9g}" for x in data.covariance[i][upper])
+        lines.append(f"{place} {int(data.id[i])} {int(data.link[i])} {spread}")
+    path.write_text("\n".join(lines) + "\n", "ascii")

@@ -1,0 +1,116 @@
+"""A recording played back with an estimate: one page that needs nothing but a browser (plotly, extra `report`)."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from cellslam.benchmarks.figures.city_page import check_plotly
+from cellslam.benchmarks.figures.style import BLACK, BLUE, GREEN, GREY, ORANGE, VERMILLION
+from cellslam.benchmarks.trials.trial_result import TrialResult
+from cellslam.sim.recording import Floats, Recording
+
+FRAMES = 240
+POINTS = 2000
+
+
+def write_page(recording: Recording, result: TrialResult, path: Path) -> None:
+    """Write the page: plan with truth or reference, estimate, its final VTs, and the paths measured at each moment.
+
+    A path is drawn from the estimated pose to where its distance (less the estimated clock offset) and angles point.
+    """
+    check_plotly()
+    import plotly.graph_objects as go
+
+    moments = np.unique(np.linspace(0, len(recording.time_s) - 1, FRAMES).astype(int))
+    fixed = _fixed(go, recording, result)
+    moving = [_moment(go, recording, result, int(t)) for t in moments]
+    figure = go.Figure([*fixed, *moving[0]])
+    places = list(range(len(fixed), len(fixed) + len(moving[0])))
+    names = [f"{recording.time_s[t] - recording.time_s[0]:.1f}" for t in moments]
+    figure.frames = [go.Frame(data=d, traces=places, name=n) for d, n in zip(moving, names, strict=True)]
+    steps = [
+        {
+            "label": n,
+            "method": "animate",
+            "args": [[n], {"mode": "immediate", "frame": {"duration": 0, "redraw": False}}],
+        }
+        for n in names
+    ]
+    play = {"frame": {"duration": 50, "redraw": False}, "fromcurrent": True, "transition": {"duration": 0}}
+    figure.update_layout(
+        title=f"{result.estimator}: {len(recording.time_s)} snapshots, {np.ptp(recording.time_s):.0f} s",
+        xaxis={"title": "x (m)"},
+        yaxis={"title": "y (m)", "scaleanchor": "x"},
+        sliders=[{"steps": steps, "currentvalue": {"prefix": "time (s): "}}],
+        updatemenus=[
+            {
+                "type": "buttons",
+                "buttons": [
+                    {"label": "play", "method": "animate", "args": [None, play]},
+                    {
+                        "label": "stop",
+                        "method": "animate",
+                        "args": [[None], {"mode": "immediate", "frame": {"duration": 0}}],
+                    },
+                ],
+            }
+        ],
+    )
+    figure.write_html(str(path), include_plotlyjs=True)
+
+
+def _fixed(go: Any, recording: Recording, result: TrialResult) -> list[Any]:
+    out = []
+    if recording.truth is not None:
+        out.append(_line(go, recording.truth.poses[:, :2], "truth", BLACK))
+    elif recording.reference is not None:
+        x, y = _thinned(recording.reference.position_m[:, :2]).T
+        style = {"color": BLACK, "size": 3}
+        out.append(go.Scattergl(x=x.round(2), y=y.round(2), mode="markers", marker=style, name="reference"))
+    out.append(_line(go, result.poses[:, :2], result.estimator, BLUE))
+    if result.vts is not None and len(result.vts.id):
+        x, y = result.vts.position_m[:, :2].T.round(2)
+        text = [f"VT {i}, link {k}" for i, k in zip(result.vts.id, result.vts.link, strict=True)]
+        marker = {"color": GREEN, "size": 6, "symbol": "diamond"}
+        out.append(
+            go.Scattergl(x=x, y=y, mode="markers", marker=marker, text=text, name="final VTs", visible="legendonly")
+        )
+    return out
+
+
+def _moment(go: Any, recording: Recording, result: TrialResult, t: int) -> list[Any]:
+    """Return the vehicle and its measured paths at snapshot t."""
+    pose, m, rows = result.poses[t], recording.measurements, recording.rows
+    part = slice(rows[t], rows[t + 1])
+    offset = 0.0 if result.clock_offset_m is None else result.clock_offset_m[t][recording.links.site[m.link[part]]]
+    range_m = np.nan_to_num(m.distance_m[part] - offset, nan=20.0)
+    flat = range_m * np.cos(np.nan_to_num(m.elevation_rad[part]))
+    direction = pose[3] + m.azimuth_rad[part]
+    known = ~np.isnan(direction)
+    ends = pose[:2] + flat[known, None] * np.column_stack([np.cos(direction[known]), np.sin(direction[known])])
+    gap = np.full(len(ends), np.nan)
+    x = np.column_stack([np.full(len(ends), pose[0]), ends[:, 0], gap]).ravel()
+    y = np.column_stack([np.full(len(ends), pose[1]), ends[:, 1], gap]).ravel()
+    rays = go.Scatter(x=x.round(2), y=y.round(2), mode="lines", line={"color": GREY, "width": 1}, name="measured paths")
+    nose = pose[:2] + 4.0 * np.array([np.cos(pose[3]), np.sin(pose[3])])
+    body = go.Scatter(
+        x=[pose[0], nose[0]],
+        y=[pose[1], nose[1]],
+        mode="lines+markers",
+        line={"color": VERMILLION, "width": 3},
+        marker={"size": [10, 1], "color": ORANGE},
+        name="vehicle",
+    )
+    return [rays, body]
+
+
+def _line(go: Any, points: Floats, name: str, colour: str) -> Any:
+    x, y = _thinned(points).T.round(2)
+    return go.Scattergl(x=x, y=y, mode="lines", line={"color": colour}, name=name)
+
+
+def _thinned(points: Floats) -> Floats:
+    return points[:: max(len(points) // POINTS, 1)]

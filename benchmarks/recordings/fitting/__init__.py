@@ -1,0 +1,1 @@
+"""Noise, detection and clutter as a recording itself shows them."""

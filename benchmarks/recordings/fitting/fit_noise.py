@@ -1,0 +1,209 @@
+"""Noise, detection and clutter as a recording itself shows them, without truth.
+
+White noise: the spread of second differences of innovations along tracks, n(t+2) - 2 n(t+1) + n(t), whose variance is
+six times that of one measurement, however smoothly everything else changes. Persisting errors: `fit_persisting`.
+Odometry: what the innovations of a snapshot have in common, over growing intervals: the variance of a sum of K errors
+is white K q + (K b)^2, measurements add a constant. Detection: the share of snapshots within the life of a track that
+have it. Clutter: rows in no track, per link and snapshot and volume.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from cellslam.benchmarks.recordings.fitting.fit_motion import apart
+from cellslam.benchmarks.recordings.fitting.fit_persisting import (
+    LEAST_SNAPSHOTS,
+    NAMES,
+    Persisting,
+    deviations,
+    in_unit,
+    persisting,
+    reach,
+)
+from cellslam.benchmarks.recordings.fitting.fit_tracks import QUANTITIES, Tracks, tracks_of
+from cellslam.sim.errors import InputError
+from cellslam.sim.frames import wrap_angle
+from cellslam.sim.progress import Progress, silent
+from cellslam.sim.recording import COMPONENTS, Floats, Ints, Recording
+from cellslam.slam.front_end.readings import CLUTTER_WIDTH
+
+LEAST_TRIPLES, LEAST_TRACKS, BINS = 100, 5, 8
+LAGS = (1, 2, 4, 8, 16)
+PLANE_ELEVATION_DEG = 0.5  # what estimators are told of the zero elevations of one plane
+
+
+@dataclass(frozen=True)
+class Fitted:
+    """What was found; deviations in m and deg, by the suffix of the options' names.
+
+    `floor`, `unit` (at 0 dB): white; `claimed`: spread over the deviations that the front end claims; `range_m`: of a
+    typical path, None where clocks are unknown; `odometry`: noise density and bias by component.
+    """
+
+    tracks: int
+    rows: int
+    floor: dict[str, float]
+    unit: dict[str, float]
+    persisting: Persisting
+    range_m: float | None
+    claimed: dict[str, float]
+    detection_probability: float
+    clutter_density: float
+    visible_s: float
+    odometry: dict[str, tuple[float, float]]
+
+
+def fit(recording: Recording, progress: Progress = silent) -> Fitted:
+    """Return what a recording shows of its noise. Raises InputError where it has too little to tell."""
+    if np.isnan(recording.measurements.distance_m).all() and np.isnan(recording.measurements.azimuth_rad).all():
+        raise InputError("fit-noise needs distances or azimuths, and the recording has neither")
+    with progress("joining measurements to tracks", 1) as advance:
+        tracks = tracks_of(recording)
+        advance(1)
+    count = len(np.unique(tracks.track[tracks.track >= 0]))
+    if count < LEAST_TRACKS:
+        raise InputError(
+            f"fit-noise found {count} tracks of three detections, and needs {LEAST_TRACKS}: is the odometry right?"
+        )
+    floor, unit, claimed = _white(recording, tracks)
+    second = _triples(tracks)[1]
+    white = {NAMES[n]: in_unit(n, _deviation(second[:, i])) for i, n in enumerate(QUANTITIES) if NAMES[n] in floor}
+    range_m, range_known = reach(recording, tracks)
+    detection, visible_s = _detection(recording, tracks)
+    return Fitted(
+        tracks=count,
+        rows=tracks.rows,
+        floor=floor,
+        unit=unit,
+        persisting=persisting(recording, tracks, white),
+        range_m=range_m if range_known else None,
+        claimed=claimed,
+        detection_probability=detection,
+        clutter_density=_clutter(recording, tracks),
+        visible_s=visible_s,
+        odometry=_odometry(recording, tracks, white),
+    )
+
+
+def _triples(tracks: Tracks) -> tuple[Ints, Floats]:
+    """Return pairs of steps of one snapshot each that follow one another: their middle rows and second differences
+    (n, 3).
+    """
+    steps = tracks.steps
+    single = np.flatnonzero((steps.lag == 1) & (tracks.track[steps.first] >= 0))
+    at = np.full(tracks.rows, -1, np.int64)
+    at[steps.first[single]] = single
+    following = at[steps.second[single]]
+    pairs = following >= 0
+    one, two = single[pairs], following[pairs]
+    difference = steps.innovation[two] - steps.innovation[one]
+    difference[:, 1] = wrap_angle(difference[:, 1])
+    return steps.second[one], difference
+
+
+def _white(r: Recording, tracks: Tracks) -> tuple[dict[str, float], dict[str, float], dict[str, float]]:
+    middle, difference = _triples(tracks)
+    floor, unit, claimed = {}, {}, {}
+    for i, name in enumerate(QUANTITIES):
+        known = ~np.isnan(difference[:, i])
+        if known.sum() < LEAST_TRIPLES:
+            continue
+        values = difference[known, i]
+        snr_db = r.measurements.snr_db[middle[known]]
+        low, at_0_db = _against_snr(values, snr_db)
+        floor[NAMES[name]], unit[NAMES[name]] = in_unit(name, low), in_unit(name, at_0_db)
+        column = getattr(r.measurements, name.replace("_m", "_std_m").replace("_rad", "_std_rad"))
+        if column is not None:
+            claimed[NAMES[name]] = _deviation(values / column[middle[known]])
+    return floor, unit, claimed
+
+
+def _deviation(second_differences: Floats) -> float:
+    known = second_differences[np.isfinite(second_differences)]
+    return 1.4826 * float(np.median(np.abs(known - np.median(known)))) / np.sqrt(6.0) if len(known) else float("nan")
+
+
+def _against_snr(values: Floats, snr_db: Floats) -> tuple[float, float]:
+    """Return floor and deviation at 0 dB of variance = floor^2 + unit^2 / SNR, fitted to bins of equal count."""
+    from scipy.optimize import nnls
+
+    known = ~np.isnan(snr_db)
+    if known.sum() < LEAST_TRIPLES or np.ptp(snr_db[known]) < 3.0:
+        return _deviation(values), 0.0
+    order = np.argsort(snr_db[known])
+    parts = np.array_split(order, BINS)
+    variance = np.array([_deviation(values[known][part]) ** 2 for part in parts])
+    inverse = np.array([np.median(10.0 ** (-snr_db[known][part] / 10.0)) for part in parts])
+    design = np.column_stack([np.ones(BINS), inverse]) / variance[:, None]
+    solution, _ = nnls(design, np.ones(BINS))
+    return float(np.sqrt(solution[0])), float(np.sqrt(solution[1]))
+
+
+def _odometry(r: Recording, tracks: Tracks, white: dict[str, float]) -> dict[str, tuple[float, float]]:
+    """Return noise density and bias of speed and yaw rate."""
+    from scipy.optimize import nnls
+
+    if not {"m", "azimuth_deg"} <= white.keys():
+        return {}
+    step = float(np.median(np.diff(r.time_s)))
+    spreads: dict[str, list[tuple[float, float, float]]] = {"u_x": [], "u_psi": []}
+    for lag in LAGS:
+        motion = apart(r, tracks, lag, deviations(white)).motion
+        if len(motion) < LEAST_SNAPSHOTS:
+            continue
+        for name, column in (("u_x", 0), ("u_psi", 2)):
+            middle = float(np.median(motion[:, column]))
+            spread = (1.4826 * float(np.median(np.abs(motion[:, column] - middle)))) ** 2
+            spreads[name].append((lag * step, spread, middle))
+    out = {}
+    for name, rows in spreads.items():
+        if len(rows) < 3 or np.isnan(r.odometry[:, COMPONENTS.index(name)]).all():
+            continue
+        t, variance, middle = np.array(rows).T
+        design = np.column_stack([np.ones(len(t)), t]) / variance[:, None]
+        (_, density), _ = nnls(design, np.ones(len(t)))
+        out[name] = (float(np.sqrt(density)), abs(float(middle[-1] / t[-1])))
+    return out
+
+
+def _detection(r: Recording, tracks: Tracks) -> tuple[float, float]:
+    """Return the share of snapshots between a track's first and last detection that have it, and its mean life in s."""
+    rows = np.flatnonzero(tracks.track >= 0)
+    _, label = np.unique(tracks.track[rows], return_inverse=True)
+    snapshot = r.measurements.snapshot[rows]
+    count = np.bincount(label)
+    first, last = np.full(len(count), np.iinfo(np.int64).max), np.zeros(len(count), np.int64)
+    np.minimum.at(first, label, snapshot)
+    np.maximum.at(last, label, snapshot)
+    inner = last - first - 1
+    share = (count - 2).sum() / max(inner.sum(), 1)
+    life = r.time_s[last] - r.time_s[first]
+    return float(np.clip(share, 0.01, 0.99)), float(max(np.average(life, weights=count), 1e-3))
+
+
+def _clutter(r: Recording, tracks: Tracks) -> float:
+    """Return rows without a track per link and snapshot and m rad rad (over the middle 90 % of their distances)."""
+    m = r.measurements
+    loose = np.flatnonzero(tracks.track < 0)
+    seen = len(np.unique((m.snapshot * max(len(r.links), 1) + m.link)[: tracks.rows]))
+    # A component that is not measured: the width that the filters take off the density for it.
+    volume = CLUTTER_WIDTH[1] if np.isnan(m.azimuth_rad).all() else 2.0 * np.pi
+    volume *= _spread(m.distance_m, loose, 1.0, 1000.0, CLUTTER_WIDTH[0])
+    if r.plane:
+        volume *= np.sqrt(2.0 * np.pi) * np.radians(PLANE_ELEVATION_DEG)
+    else:
+        volume *= _spread(m.elevation_rad, loose, 0.01, np.pi / 2.0, CLUTTER_WIDTH[2])
+    return float(np.clip(max(len(loose), 1) / max(seen, 1) / volume, 1e-9, 1e3))
+
+
+def _spread(values: Floats, rows: Ints, least: float, most: float, missing: float) -> float:
+    """Return the width of the middle 90 % of some rows of values (n,), at least `least`; `most` if those are too few to
+    tell, `missing` if nothing was measured at all.
+    """
+    if np.isnan(values).all():
+        return missing
+    measured = values[rows][~np.isnan(values[rows])]
+    return max(float(np.diff(np.quantile(measured, (0.05, 0.95)))[0]), least) if len(measured) > 20 else most

@@ -1,0 +1,1 @@
+"""From a folder of tables and its manifest to a recording."""

@@ -1,0 +1,1 @@
+"""What is in a recording, what is missing, what looks wrong."""

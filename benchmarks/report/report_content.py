@@ -1,0 +1,215 @@
+"""What a report says: its tables, curves, distributions, worst trials and provenance, as plain data for the page."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from cellslam.benchmarks.figures.style import estimator_styles
+from cellslam.benchmarks.figures.sweep.sweep_data import Series, SweepData, curve_keys, load, shown, sweep_lines
+from cellslam.benchmarks.report.choice import Choice, rounded
+from cellslam.benchmarks.report.trial_sections import trial_sections
+from cellslam.benchmarks.report.worst_trials import failed_trials, worst_trials
+from cellslam.benchmarks.scores.statistics import interval, statistic
+from cellslam.benchmarks.sweeps.rows import provenance
+from cellslam.sim.progress import Progress
+from cellslam.slam.registry import oracles
+
+if TYPE_CHECKING:
+    from cellslam.benchmarks.scores.statistics import Statistic
+
+CONFIDENCE = 0.95
+MOST_POINTS_OF_CURVES = 400
+MOST_PANELS = 24
+# Metrics that have plots: heading, and digits that matter.
+PLOTTED = {
+    "position_rmse_m": ("position RMSE (m)", 3),
+    "position_max_m": ("largest position error (m)", 3),
+    "position_end_m": ("position error at the end (m)", 3),
+    "heading_rmse_rad": ("heading RMSE (rad)", 5),
+    "clock_offset_rmse_m": ("clock offset error at the end (m)", 3),
+    "map_gospa_m": ("map GOSPA (m)", 3),
+    "nees_mean": ("mean NEES (2 is right)", 3),
+    "estimate_seconds": ("time of the estimator (s a trial)", 4),
+}
+# Headings of tables by metric: text, unit, meaning.
+HEADINGS = {
+    "position_rmse_m": ("RMSE", "m", "root mean square of the horizontal position error over the drive"),
+    "position_max_m": ("largest", "m", "largest position error"),
+    "position_end_m": ("end", "m", "position error at the end"),
+    "heading_rmse_rad": ("heading", "rad", "heading RMSE"),
+    "clock_offset_rmse_m": ("offsets", "m", "clock offset error at the end, root mean square over sites"),
+    "transmitter_rmse_m": ("sites", "m", "error of the sites' estimated positions, root mean square"),
+    "map_gospa_m": ("map", "m", "GOSPA of the virtual transmitters, mean over links"),
+    "association_precision": ("precision", "", "share of associations that are right"),
+    "association_recall": ("recall", "", "share of measurements of a VT that were associated rightly"),
+    "nees_mean": ("NEES", "", "mean normalised error of the horizontal position: 2 is right"),
+    "bound_position_rmse_m": ("bound", "m", "Cramér-Rao bound of the position RMSE"),
+    "realtime_factor": ("x real", "time", "duration of the drive over time of the estimator"),
+}
+# Columns of the summary: metric, statistic, and the heading where it is not the metric's.
+COLUMNS = (
+    ("position_rmse_m", "median", ""),
+    ("position_rmse_m", "q90", "90 %"),
+    ("position_max_m", "median", ""),
+    ("heading_rmse_rad", "median", ""),
+    ("clock_offset_rmse_m", "median", ""),
+    ("map_gospa_m", "median", ""),
+    ("nees_mean", "median", ""),
+    ("bound_position_rmse_m", "median", ""),
+    ("realtime_factor", "median", ""),
+)
+# Columns that need no interval.
+PLAIN = ("bound_position_rmse_m", "realtime_factor")
+
+
+def content(folder: Path, choice: Choice, progress: Progress) -> dict[str, Any]:
+    """Return everything that the page shows. Raises InputError."""
+    data = load(folder)
+    chosen = worst_trials(data, choice)
+    named = {series.label: series.estimator for panel in data.panels for series in panel.series}
+    marked = oracles(set(named.values()))
+    styles = estimator_styles(data.labels)
+    scenarios = sorted({str(s) for panel in data.panels for one in panel.series for s in one.rows["scenario"]})
+    sections, cities = trial_sections(folder, data, chosen, progress)
+    return {
+        "title": f"Report: {', '.join(scenarios)}",
+        "series": [
+            {"label": label, "oracle": named[label] in marked, "colour": styles[label]["color"],
+             "dash": "dash" if styles[label]["linestyle"] == "--" else "solid"}
+            for label in data.labels
+        ],
+        "summary": _summary(data),
+        "curves": _curves(data),
+        "panels": _distributions(data),
+        "columns": {metric: _heading(metric) for metric in HEADINGS},
+        "metrics": {name: heading for name, (heading, _) in PLOTTED.items()},
+        "confidence": 100 * CONFIDENCE,
+        "worst": {"metric": choice.metric, "heading": PLOTTED.get(choice.metric, (choice.metric, 3))[0]},
+        "trials": sections,
+        "cities": cities,
+        "failed": failed_trials(folder),
+        "provenance": _provenance(folder, data),
+    }  # fmt: skip
+
+
+def _summary(data: SweepData) -> dict[str, Any]:
+    """Return the table: a line a panel and series, each value with its interval."""
+    keys = list(data.panels[0].series[0].settings)
+    lines: list[dict[str, Any]] = []
+    for panel in data.panels:
+        for one in panel.series:
+            cells = [_cell(one, metric, statistic(name)) for metric, name, _ in COLUMNS]
+            ok = int((one.rows["status"] == "ok").sum())
+            settings = [_setting(one.settings.get(key)) for key in keys]
+            lines.append({"settings": settings, "label": one.label, "cells": cells, "ok": ok, "all": len(one.rows)})
+    headings = [
+        {**_heading(metric, text), "title": f"{HEADINGS[metric][2]}; {name} over trials"}
+        for metric, name, text in COLUMNS
+    ]
+    empty = [i for i in range(len(COLUMNS)) if all(line["cells"][i] is None for line in lines)]
+    for line in lines:
+        line["cells"] = [cell for i, cell in enumerate(line["cells"]) if i not in empty]
+    return {"keys": keys, "headings": [h for i, h in enumerate(headings) if i not in empty], "lines": lines}
+
+
+def _cell(one: Series, metric: str, of: Statistic) -> list[float | None] | None:
+    """Return value and ends of the interval; None where no trial has the metric."""
+    values = one.values(metric)
+    if not len(values):
+        return None
+    digits = PLOTTED.get(metric, ("", 3))[1]
+    ends = (np.nan, np.nan) if metric in PLAIN else interval(values, of, CONFIDENCE)
+    numbers: list[float | None] = rounded([float(of.of(values)), *ends], digits)
+    return numbers
+
+
+def _curves(data: SweepData) -> list[dict[str, Any]]:
+    """Return for each numeric key that varies its lines: the median with its interval, of every metric."""
+    out, of = [], statistic("median")
+    for key in curve_keys(data):
+        lines, named = [], sweep_lines(data, key)
+        styles = estimator_styles(named)
+        for name, points in named.items():
+            line: dict[str, Any] = {"name": name, "colour": styles[name]["color"], "metrics": {}}
+            for metric, (_, digits) in PLOTTED.items():
+                found = [(x, one.values(metric)) for x, one in points]
+                found = [(x, values) for x, values in found if len(values)]
+                if found:
+                    line["metrics"][metric] = _line(found, of, digits)
+            lines.append(line)
+        if 0 < sum(len(line["metrics"].get("position_rmse_m", [[]])[0]) for line in lines) <= MOST_POINTS_OF_CURVES:
+            out.append({"key": key, "lines": lines})
+    return out
+
+
+def _line(found: Sequence[tuple[float | None, Any]], of: Statistic, digits: int) -> list[list[float | None]]:
+    """Return x, median, low and high of one line; x None: the same at every x."""
+    ends = [interval(values, of, CONFIDENCE) for _, values in found]
+    middle = [float(of.of(values)) for _, values in found]
+    return [
+        [x for x, _ in found],
+        *(rounded(column, digits) for column in (middle, [low for low, _ in ends], [high for _, high in ends])),
+    ]
+
+
+def _distributions(data: SweepData) -> list[dict[str, Any]]:
+    """Return every trial's metrics by panel and series, for the distribution plots."""
+    out = []
+    for panel in data.panels[:MOST_PANELS]:
+        series = []
+        for one in panel.series:
+            fine = one.rows[one.rows["status"] == "ok"]
+            columns = {
+                metric: rounded(np.asarray(fine[metric], np.float64), digits) for metric, (_, digits) in PLOTTED.items()
+            }
+            kept = {metric: column for metric, column in columns.items() if any(v is not None for v in column)}
+            names = [f"trial {trial}, seed {seed}" for trial, seed in zip(fine["trial"], fine["seed"], strict=True)]
+            series.append({"label": one.label, "all": len(one.rows), "names": names, "values": kept})
+        out.append({"title": panel.title or "all trials", "series": series})
+    return out
+
+
+def _provenance(folder: Path, data: SweepData) -> dict[str, Any]:
+    from importlib.metadata import version
+
+    rows = [one.rows for panel in data.panels for one in panel.series]
+    worlds, options = resolved(folder)
+    counts: dict[str, Any] = {
+        "rows": sum(map(len, rows)),
+        "seeds": sorted({int(seed) for frame in rows for seed in frame["seed"]}),
+        "trials": sorted({int(trial) for frame in rows for trial in frame["trial"]}),
+    }
+    counts["trials"] = [counts["trials"][0], counts["trials"][-1]]
+    return {
+        "runs": provenance(folder), **counts, "worlds": worlds[:MOST_PANELS], "more_worlds": len(worlds[MOST_PANELS:]),
+        "options": options, "cellslam": version("cellslam"),
+    }  # fmt: skip
+
+
+def resolved(folder: Path) -> tuple[list[dict[str, Any]], list[dict[str, Any]]]:
+    """Return the resolved worlds of a store, and the options of each estimator in it."""
+    import json
+
+    from cellslam.benchmarks.sweeps.store import reading
+
+    with reading(folder) as database:
+        worlds = [json.loads(t) for (t,) in database.execute("SELECT tables FROM worlds ORDER BY id")]
+        query = (
+            "SELECT DISTINCT r.estimator, o.tables FROM rows r JOIN options o ON o.id = r.options "
+            "ORDER BY r.estimator, o.tables"
+        )
+        options = [{"estimator": name, "options": json.loads(t)} for name, t in database.execute(query)]
+    return worlds, options
+
+
+def _heading(metric: str, text: str = "") -> dict[str, str]:
+    own, unit, meaning = HEADINGS[metric]
+    return {"text": text or own, "unit": unit, "title": meaning}
+
+
+def _setting(value: Any) -> Any:
+    return value if isinstance(value, int | float) and not isinstance(value, bool) else shown(value)

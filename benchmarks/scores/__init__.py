@@ -1,0 +1,1 @@
+"""Scores: errors, association, GOSPA, consistency, and the statistics over trials."""

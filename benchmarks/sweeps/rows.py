@@ -1,0 +1,131 @@
+"""The results of a sweep as one table: a row a trial and estimator, and a column for each key that varies."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
+from sqlite3 import Connection
+from typing import TYPE_CHECKING, Any
+
+from cellslam.benchmarks.sweeps.store import reading
+from cellslam.benchmarks.trials.trial_result import ROW_KEYS
+from cellslam.scenarios.keys import label, nearest_key
+from cellslam.sim.errors import InputError
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+_IDS = ("key", "world", "options")
+Tables = Mapping[str, Mapping[str, Any]]
+
+
+def results(folder: str | Path, keys: Sequence[str] | None = None) -> pd.DataFrame:
+    """Return the rows of a sweep's folder as a DataFrame, also while the sweep is running.
+
+    Columns: `key`, those of a row (`ROW_KEYS`), and every scenario key and estimator option that has more than
+    one value (`estimator.fastslam.particles` is null in the rows of other estimators). `keys`: these row and
+    scenario keys alone, or `world` and `options`: ids of what a row was made from. Rows are ordered by scenario
+    settings, estimator, trial. Raises InputError.
+    """
+    import pandas as pd
+
+    with reading(Path(folder)) as database:
+        pairs, columns = _settings(database)
+        wanted = _wanted(keys, columns)
+        plain = ["key", "estimator", "world", "options", "seed", "trial", *(k for k in ROW_KEYS if k in wanted)]
+        plain = list(dict.fromkeys(plain))
+        names = ", ".join(f'"{name}"' for name in plain)
+        rows = database.execute(f"SELECT {names} FROM rows").fetchall()
+    frame = pd.DataFrame.from_records(rows, columns=plain)
+    place = {pair: index for index, pair in enumerate(pairs)}
+    # Estimator, world and options come after the key.
+    index = [place[row[1:4]] for row in rows]
+    settings = {name: [columns[name][i] for i in index] for name in wanted if name not in plain}
+    frame = pd.concat([frame, pd.DataFrame(settings, index=frame.index, columns=list(settings))], axis=1)
+    varied = [name for name in settings if _sortable(columns[name])]
+    frame = frame.sort_values([*varied, "estimator", "options", "seed", "trial"], kind="stable", ignore_index=True)
+    return frame[["key", *wanted]] if keys is None else frame[list(wanted)]
+
+
+def varying_keys(folder: str | Path) -> list[str]:
+    """Return the scenario keys and options that have more than one value among the rows. Raises InputError."""
+    with reading(Path(folder)) as database:
+        _, columns = _settings(database)
+    return [key for key in _wanted(None, columns) if key not in ROW_KEYS]
+
+
+def flat(table: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, Any]]:
+    """Yield the dotted keys and values of nested tables; items of a list are called by name or index."""
+    for name, value in table.items():
+        yield from _flat_value(value, f"{prefix}{name}")
+
+
+def varying(settings: Sequence[Mapping[str, Any]]) -> list[str]:
+    """Return the keys that have more than one value among `settings`; where a key is missing it is null."""
+    known = dict.fromkeys(key for setting in settings for key in setting)
+    return [key for key in known if len({json.dumps(s.get(key)) for s in settings}) > 1]
+
+
+def provenance(folder: Path) -> list[dict[str, Any]]:
+    """Return the commands that wrote into a sweep's folder: when, where, with which versions."""
+    with reading(folder) as database:
+        rows = database.execute("SELECT started, host, command, versions FROM runs ORDER BY id").fetchall()
+    return [{"started": s, "host": h, "command": c, "versions": json.loads(v)} for s, h, c, v in rows]
+
+
+def _flat_value(value: Any, key: str) -> Iterator[tuple[str, Any]]:
+    if isinstance(value, Mapping):
+        yield from flat(value, f"{key}.")
+    elif isinstance(value, list) and value and all(isinstance(item, Mapping) for item in value):
+        for index, item in enumerate(value):
+            yield from flat(item, f"{key}.{label(item, index)}.")
+    else:
+        yield key, value
+
+
+def _settings(database: Connection) -> tuple[list[tuple[str, str, str]], dict[str, list[Any]]]:
+    """Return each (estimator, world, options) of the rows, and the value of every key for each."""
+    worlds = {i: json.loads(t) for i, t in database.execute("SELECT id, tables FROM worlds")}
+    options = {i: json.loads(t) for i, t in database.execute("SELECT id, tables FROM options")}
+    pairs = database.execute("SELECT DISTINCT estimator, world, options FROM rows").fetchall()
+    return pairs, _columns(pairs, worlds, options)
+
+
+def _columns(pairs: Sequence[tuple[str, str, str]], worlds: Tables, options: Tables) -> dict[str, list[Any]]:
+    """Return the value of every scenario key and option for each (estimator, world, options)."""
+    flat_worlds = {name: dict(flat({k: v for k, v in w.items() if k != "name"})) for name, w in worlds.items()}
+    settings = []
+    for estimator, world, option in pairs:
+        own = flat(options[option] or {}, f"estimator.{estimator}.")
+        settings.append({**flat_worlds[world], **dict(own)})
+    known = dict.fromkeys(key for setting in settings for key in setting)
+    return {key: [_scalar(setting.get(key)) for setting in settings] for key in known}
+
+
+def _wanted(keys: Sequence[str] | None, columns: Mapping[str, Sequence[Any]]) -> tuple[str, ...]:
+    if keys is not None:
+        known = {*ROW_KEYS, *_IDS, *columns}
+        for key in keys:
+            if key not in known:
+                raise _unknown(key, columns)
+        return tuple(dict.fromkeys(keys))
+    # Options of one estimator vary if its own rows differ; the rows of others have none.
+    varied = [name for name, values in columns.items() if len({v for v in values if v is not None}) > 1]
+    return (*ROW_KEYS, *varied)
+
+
+def _unknown(key: str, columns: Mapping[str, Sequence[Any]]) -> InputError:
+    near = nearest_key(key, [*ROW_KEYS, *columns])
+    varied = [name for name, values in columns.items() if len(set(values)) > 1]
+    hint = f"; did you mean '{near}'?" if near else ""
+    return InputError(f"unknown key '{key}'{hint} (keys that vary here: {', '.join(varied) or 'none'})")
+
+
+def _scalar(value: Any) -> Any:
+    """Return a value that can be grouped by: lists as JSON."""
+    return json.dumps(value) if isinstance(value, list | dict) else value
+
+
+def _sortable(values: Sequence[Any]) -> bool:
+    return len({str if isinstance(v, str) else float for v in values if v is not None}) == 1

@@ -1,0 +1,157 @@
+"""The store of a sweep: one SQLite database in a folder, a row a job, trajectories beside it."""
+
+from __future__ import annotations
+
+import json
+import platform
+import sqlite3
+import time
+from collections.abc import Iterator, Mapping
+from contextlib import closing, contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+
+from cellslam.benchmarks.sweeps.lock import check_local, only_writer
+from cellslam.benchmarks.sweeps.tasks import Plan, Result
+from cellslam.benchmarks.trials.results_folder import check_folder
+from cellslam.benchmarks.trials.trial_result import METRIC_KEYS, ROW_KEYS
+from cellslam.sim.errors import InputError
+
+DATABASE = "results.sqlite"
+TRAJECTORIES = "trajectories"
+SCHEMA = 1
+# Columns beside those of a row: ids of world and options, which process wrote it, and how often it was tried.
+OWN_KEYS = ("key", "world", "options", "run", "traceback")
+_NUMBERS = (*METRIC_KEYS, "duration_s", "distance_m", "estimate_seconds", "realtime_factor")
+_WHOLE = ("trial", "seed", "snapshots", "run")
+
+
+def _type(key: str) -> str:
+    return "REAL" if key in _NUMBERS else "INTEGER" if key in _WHOLE else "TEXT"
+
+
+_TABLES = f"""
+CREATE TABLE IF NOT EXISTS worlds (id TEXT PRIMARY KEY, tables TEXT NOT NULL) WITHOUT ROWID;
+CREATE TABLE IF NOT EXISTS options (id TEXT PRIMARY KEY, tables TEXT NOT NULL) WITHOUT ROWID;
+CREATE TABLE IF NOT EXISTS runs (id INTEGER PRIMARY KEY, started TEXT, host TEXT, command TEXT, versions TEXT);
+CREATE TABLE IF NOT EXISTS rows (
+    {", ".join(f'"{key}" {_type(key)}' for key in (*OWN_KEYS, *ROW_KEYS))}, PRIMARY KEY (key)
+) WITHOUT ROWID;
+PRAGMA user_version = {SCHEMA};
+"""
+
+
+@dataclass
+class Store:
+    """The open store of the one process that writes it; see `writing`."""
+
+    folder: Path
+    database: sqlite3.Connection
+    run: int
+
+    def status(self) -> dict[str, str]:
+        """Return the status of every key that is stored."""
+        with _explained(self.folder):
+            return dict(self.database.execute("SELECT key, status FROM rows"))
+
+    def declare(self, plan: Plan) -> None:
+        """Keep the worlds and options of a plan, for the tables."""
+        with _explained(self.folder), self.database:
+            for table, known in (("worlds", plan.worlds), ("options", plan.options)):
+                self.database.executemany(f"INSERT OR IGNORE INTO {table} VALUES (?, ?)", known.items())
+
+    def write(self, result: Result, world: str, options: str) -> None:
+        """Keep a result, replacing an earlier one of the same key: first its trajectory, then its row."""
+        row = {"key": result.key, "world": world, "options": options, "run": self.run, "traceback": result.traceback}
+        with _explained(self.folder):
+            if result.trajectory is not None:
+                _write_bytes(trajectory_path(self.folder, result.key), result.trajectory)
+            values = {**row, **result.row}
+            marks = ", ".join(f":{key}" for key in (*OWN_KEYS, *ROW_KEYS))
+            with self.database:
+                self.database.execute(f"INSERT OR REPLACE INTO rows VALUES ({marks})", values)
+
+
+@contextmanager
+def writing(folder: Path, command: str, versions: Mapping[str, str]) -> Iterator[Store]:
+    """Open the store in `folder`, which is made if need be, as its only writer.
+
+    Raises InputError in one line when the folder is another process's, on a network disk, read-only, full, or
+    holds something that is no store.
+    """
+    check_folder(folder)
+    check_local(folder)
+    with _explained(folder):
+        folder.mkdir(parents=True, exist_ok=True)
+    with only_writer(folder, command), closing(_connect(folder)) as database:
+        with _explained(folder):
+            _prepare(folder, database)
+            with database:
+                told = (time.strftime("%F %T%z"), platform.node(), command, json.dumps(dict(versions)))
+                statement = "INSERT INTO runs (started, host, command, versions) VALUES (?, ?, ?, ?)"
+                run = database.execute(statement, told).lastrowid
+        yield Store(folder, database, int(run or 0))
+
+
+@contextmanager
+def reading(folder: Path) -> Iterator[sqlite3.Connection]:
+    """Open the store in `folder` for reading, also while it is written. Raises InputError."""
+    file = folder / DATABASE
+    if not file.is_file():
+        raise InputError(
+            f"{folder}: no results of a sweep there (no {DATABASE}); 'cellslam sweep ... --out DIR' makes them"
+        )
+    with _explained(folder, "read"):
+        # Without a log beside it nobody writes, and nothing needs to be written to read: works on a read-only disk.
+        quiet = "" if Path(f"{file}-wal").exists() else "&immutable=1"
+        with closing(sqlite3.connect(f"{file.absolute().as_uri()}?mode=ro{quiet}", uri=True)) as database:
+            _check_version(folder, database)
+            yield database
+
+
+def trajectory_path(folder: Path, key: str) -> Path:
+    """Return where the trajectory of a key is kept."""
+    return folder / TRAJECTORIES / key[:2] / f"{key}.npz"
+
+
+def _connect(folder: Path) -> sqlite3.Connection:
+    with _explained(folder):
+        return sqlite3.connect(folder / DATABASE, timeout=10.0)
+
+
+def _prepare(folder: Path, database: sqlite3.Connection) -> None:
+    if database.execute("SELECT count(*) FROM sqlite_master").fetchone()[0]:
+        _check_version(folder, database)
+    database.execute("PRAGMA journal_mode = WAL")
+    # A killed process loses nothing that was committed; a machine that loses power may lose the last rows.
+    database.execute("PRAGMA synchronous = NORMAL")
+    database.executescript(_TABLES)
+
+
+def _check_version(folder: Path, database: sqlite3.Connection) -> None:
+    found = database.execute("PRAGMA user_version").fetchone()[0]
+    if found != SCHEMA:
+        raise InputError(
+            f"{folder / DATABASE}: made by another version of cellslam (schema {found}, expected {SCHEMA})"
+        )
+
+
+def _write_bytes(path: Path, content: bytes) -> None:
+    path.parent.mkdir(parents=True, exist_ok=True)
+    temporary = path.with_name(f".{path.name}.tmp")
+    temporary.write_bytes(content)
+    temporary.replace(path)
+
+
+@contextmanager
+def _explained(folder: Path, verb: str = "written") -> Iterator[None]:
+    """Turn what the disk refuses into one line."""
+    try:
+        yield
+    except OSError as error:
+        raise InputError(f"{folder}: results cannot be {verb} ({error.strerror or error}); {_KEPT}") from error
+    except sqlite3.DatabaseError as error:
+        raise InputError(f"{folder / DATABASE}: results cannot be {verb} ({error}); {_KEPT}") from error
+
+
+_KEPT = "what was finished before is kept, and the same command goes on from there"

@@ -1,0 +1,116 @@
+"""Carrying out a sweep: what is not stored yet is worked off, and each result is stored as it comes."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Mapping
+from dataclasses import replace
+from typing import Any
+
+from cellslam.benchmarks.sweeps.executors import Executor
+from cellslam.benchmarks.sweeps.store import Store
+from cellslam.benchmarks.sweeps.tasks import (
+    Began,
+    Job,
+    Lost,
+    Plan,
+    Result,
+    Task,
+    identity,
+    request_of,
+    scenario_of,
+    work,
+)
+
+Heard = Callable[[Task, Job, Mapping[str, Any]], None]
+SAMPLES_PER_ESTIMATOR = 4
+
+
+def carry_out(plan: Plan, store: Store, executor: Executor, heard: Heard) -> None:
+    """Work off a plan; `heard` is called with task, job and row of each result, once it is stored.
+
+    A job that was lost with its worker is tried once more, alone; lost again, it is a failed row.
+    """
+    owners = {job.key: (task, job) for task in plan.tasks for job in task.jobs}
+    ids = {text: identity(text) for text in (*plan.worlds.values(), *plan.options.values())}
+    store.declare(plan)
+
+    def keep(result: Result) -> None:
+        task, job = owners[result.key]
+        store.write(result, ids[task.world], ids[job.options])
+        heard(task, job, result.row)
+
+    lost: list[Lost] = []
+    for answer in executor.run(plan.tasks):
+        if isinstance(answer, Lost):
+            lost.append(answer)
+        else:
+            keep(answer)
+    for first in lost:
+        for answer in executor.run([first.task.only(first.job)]):
+            keep(_given_up(first, answer) if isinstance(answer, Lost) else answer)
+
+
+def pending(plan: Plan, store: Store, retry_failed: bool) -> Plan:
+    """Return what of a plan is to be done: what is not stored, and what failed if `retry_failed`."""
+    status = store.status()
+    return plan.without({key: s for key, s in status.items() if s == "ok" or not retry_failed})
+
+
+def seconds_of(plan: Plan) -> tuple[float, Mapping[str, float]]:
+    """Return the seconds that one core needs for a plan, and those of one trial by part ("world", estimators).
+
+    One trial of the first world is timed, with a few different options of each estimator, after everything is
+    compiled. Raises InputError when that world cannot be made.
+    """
+    if not plan.tasks:
+        return 0.0, {}
+    first = max(plan.tasks[: len(plan.worlds)], key=lambda task: len(task.jobs))
+    sample = replace(first, jobs=tuple(_sampled(first)))
+    _compile(sample)
+    spent: dict[str, list[float]] = {}
+    names = {job.key: job.estimator for job in sample.jobs}
+    begin, part = time.perf_counter(), "world"
+    for message in work(sample):
+        now = time.perf_counter()
+        if isinstance(message, Began) and message.key is not None:
+            if part == "world":
+                spent.setdefault(part, []).append(now - begin)
+            begin, part = now, names[message.key]
+        elif isinstance(message, Result):
+            spent.setdefault(part, []).append(now - begin)
+    mean = {name: sum(values) / len(values) for name, values in spent.items()}
+    total = len(plan.tasks) * mean["world"]
+    return total + sum(mean.get(job.estimator, 0.0) for task in plan.tasks for job in task.jobs), mean
+
+
+def _given_up(first: Lost, second: Lost) -> Result:
+    from cellslam.benchmarks.trials.trials import failed_row
+
+    again = "alone it was lost again" if second.reason == first.reason else f"alone: {second.reason}"
+    task, job = first.task, first.job
+    row = failed_row(scenario_of(task.world).name, job.estimator, task.trial, task.seed, f"{first.reason}; {again}")
+    return Result(job.key, row, second.details or first.details)
+
+
+def _sampled(task: Task) -> list[Job]:
+    """Return a few jobs of each estimator, evenly chosen."""
+    out = []
+    for name in dict.fromkeys(job.estimator for job in task.jobs):
+        own = [job for job in task.jobs if job.estimator == name]
+        out += own[:: -(-len(own) // SAMPLES_PER_ESTIMATOR)]
+    return out
+
+
+def _compile(task: Task) -> None:
+    from cellslam.benchmarks.bound.cramer_rao import bound
+    from cellslam.benchmarks.trials.estimation import warm_up
+    from cellslam.benchmarks.trials.trials import record
+
+    bound(record(scenario_of(task.world), task.seed, task.trial))
+    for job in task.jobs:
+        try:
+            warm_up(request_of(job.estimator, job.options))
+        except Exception:
+            # The trial itself will say so in its row.
+            continue

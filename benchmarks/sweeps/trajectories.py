@@ -1,0 +1,103 @@
+"""What is kept of a trial beside its row: trajectory, error curves and map, as one compressed file."""
+
+from __future__ import annotations
+
+import io
+import zipfile
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cellslam.benchmarks.scores.association import vt_nees
+from cellslam.benchmarks.scores.metrics import horizontal_error, nees
+from cellslam.sim.errors import InputError
+
+if TYPE_CHECKING:
+    from cellslam.benchmarks.bound.cramer_rao import BoundResult
+    from cellslam.benchmarks.trials.trial_result import TrialResult
+    from cellslam.sim.recording import Floats, Recording
+
+Singles = NDArray[np.float32]
+
+
+@dataclass(frozen=True)
+class Trajectory:
+    """Columns in single precision over T snapshots, S sites, V final VTs; a column that does not apply is empty.
+
+    `time_s` (T,) from 0; `poses` (T, 6); `error_m`, `nees`, `std_m` (claimed), `bound_std_m` (T,), horizontal;
+    `offset_error_m`, `offset_std_m` (T, S); `vt_m` (V, 3); `vt_link` (V,); `vt_first` (V,): snapshot of the first
+    measurement that was associated with the VT, -1 where that is not known; `vt_nees` (V,): its normalised error
+    squared (3 is right), NaN where it stands for no true VT.
+    """
+
+    time_s: Singles
+    poses: Singles
+    error_m: Singles
+    nees: Singles
+    std_m: Singles
+    bound_std_m: Singles
+    offset_error_m: Singles
+    offset_std_m: Singles
+    vt_m: Singles
+    vt_link: NDArray[np.int32]
+    vt_first: NDArray[np.int32]
+    vt_nees: Singles
+
+
+def pack(recording: Recording, result: TrialResult, limit: BoundResult | None) -> bytes:
+    """Return the compressed file of one result, in NumPy's npz format."""
+    truth, empty = recording.truth, np.empty(0)
+    offset, variance = result.clock_offset_m, result.clock_offset_variance_m2
+    elapsed_s = recording.elapsed_s
+    columns = {
+        "time_s": elapsed_s,
+        "poses": result.poses,
+        "std_m": result.position_std_m,
+        "error_m": empty if truth is None else horizontal_error(truth.poses, result.poses),
+        "nees": empty if truth is None else nees(truth.poses, result.poses, result.covariances),
+        "bound_std_m": empty if limit is None else limit.horizontal_std_m,
+        "offset_error_m": empty if truth is None or offset is None else offset - truth.clock_offsets_at(elapsed_s),
+        "offset_std_m": empty if variance is None else np.sqrt(np.maximum(variance, 0.0)),
+        "vt_nees": _vt_nees(recording, result),
+        "vt_m": np.empty((0, 3)) if result.vts is None else result.vts.position_m,
+    }
+    whole = {
+        "vt_link": np.empty(0) if result.vts is None else result.vts.link,
+        "vt_first": _first_associated(recording, result),
+    }
+    file = io.BytesIO()
+    arrays: dict[str, Any] = {name: np.asarray(column, np.float32) for name, column in columns.items()}
+    arrays |= {name: np.asarray(column, np.int32) for name, column in whole.items()}
+    np.savez_compressed(file, **arrays)
+    return file.getvalue()
+
+
+def unpack(path: Path) -> Trajectory:
+    """Return the trajectory of a file. Raises InputError when it cannot be read."""
+    try:
+        with path.open("rb") as file, np.load(file, allow_pickle=False) as held:
+            return Trajectory(**{name: held[name] for name in Trajectory.__dataclass_fields__})
+    except (OSError, ValueError, KeyError, zipfile.BadZipFile) as error:
+        raise InputError(f"{path}: not a trajectory file ({' '.join(str(error).split())})") from error
+
+
+def _vt_nees(recording: Recording, result: TrialResult) -> Floats:
+    if result.vts is None or result.association is None or recording.truth is None:
+        return np.full(0 if result.vts is None else len(result.vts.id), np.nan)
+    return vt_nees(recording, result.vts, result.association)
+
+
+def _first_associated(recording: Recording, result: TrialResult) -> NDArray[np.int64]:
+    if result.vts is None:
+        return np.empty(0, np.int64)
+    first = np.full(len(result.vts.id), -1, np.int64)
+    if result.association is None:
+        return first
+    ids, row = np.unique(result.association, return_index=True)
+    place = np.searchsorted(ids, result.vts.id).clip(max=max(len(ids) - 1, 0))
+    known = ids[place] == result.vts.id if len(ids) else np.zeros(len(first), bool)
+    first[known] = recording.measurements.snapshot[row[place[known]]]
+    return first

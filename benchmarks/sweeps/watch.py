@@ -1,0 +1,131 @@
+"""What a sweep shows on stderr while it runs: how much is done, how fast, what is left, failures, a running table."""
+
+from __future__ import annotations
+
+import sys
+import time
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from statistics import median
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from rich.table import Table
+
+    from cellslam.benchmarks.sweeps.sweeping import Heard
+    from cellslam.benchmarks.sweeps.tasks import Job, Task
+
+LINE_EVERY_S = 10.0
+TABLE_EVERY_S = 3.0
+MOST_LINES = 30
+METRIC = "position_rmse_m"
+
+
+@dataclass
+class Tally:
+    """What was done so far. `names`: what the running table calls a job, by (world, estimator, options)."""
+
+    total: int
+    names: Mapping[tuple[str, str, str], str] = field(default_factory=dict)
+    begin: float = field(default_factory=time.monotonic)
+    done: int = 0
+    failed: int = 0
+    first_error: str = ""
+    groups: dict[str, list[float | None]] = field(default_factory=dict)
+
+    def hear(self, task: Task, job: Job, row: Mapping[str, Any]) -> None:
+        """Count a row."""
+        self.done += 1
+        if row["status"] == "failed":
+            self.failed += 1
+            self.first_error = self.first_error or f"the first: {row['estimator']}: {row['error']}"
+        self.groups.setdefault(self.names.get((task.world, job.estimator, job.options), job.estimator), []).append(
+            row[METRIC]
+        )
+
+    @property
+    def seconds(self) -> float:
+        """The time since it began."""
+        return max(time.monotonic() - self.begin, 1e-9)
+
+    def line(self) -> str:
+        """Return the state in one line."""
+        rate = self.done / self.seconds
+        left = f"{clock((self.total - self.done) / rate)} left" if self.done else "no row yet"
+        failed = f", {self.failed} failed" if self.failed else ""
+        return f"{self.done} of {self.total} rows, {rate:.2f} rows/s, {left}{failed}"
+
+    def table(self) -> Table:
+        """Return the running table: medians so far."""
+        from rich import box
+        from rich.markup import escape
+        from rich.table import Table
+
+        table = Table(box=box.SIMPLE_HEAD, pad_edge=False, title=escape(self.line()), title_justify="left")
+        table.add_column("so far", overflow="fold")
+        for heading in ("median RMSE (m)", "rows", "failed"):
+            table.add_column(heading, justify="right")
+        for name in sorted(self.groups)[:MOST_LINES]:
+            values = [v for v in self.groups[name] if v is not None]
+            bad = len(self.groups[name]) - len(values)
+            table.add_row(
+                escape(name), f"{median(values):.2f}" if values else "-", str(len(self.groups[name])), str(bad)
+            )
+        if len(self.groups) > MOST_LINES:
+            table.caption = f"and {len(self.groups) - MOST_LINES} more"
+        return table
+
+
+@contextmanager
+def watching(tally: Tally, quiet: bool, live: bool) -> Iterator[Heard]:
+    """Show a tally while rows come in; the value is called with each row."""
+    if quiet:
+        yield tally.hear
+    elif sys.stderr.isatty():
+        yield from _on_terminal(tally, live)
+    else:
+        yield from _in_lines(tally, live)
+
+
+def clock(seconds: float) -> str:
+    """Return a duration in words: 45 s, 12 min, 3.5 h."""
+    if seconds < 90:
+        return f"{seconds:.0f} s" if seconds >= 10 else f"{seconds:.1f} s"
+    return f"{seconds / 60:.0f} min" if seconds < 5400 else f"{seconds / 3600:.1f} h"
+
+
+def _on_terminal(tally: Tally, live: bool) -> Iterator[Heard]:
+    from rich.console import Console
+    from rich.live import Live
+
+    class Shown:
+        """Drawn anew at each refresh."""
+
+        def __rich__(self) -> Any:
+            return tally.table() if live else tally.line()
+
+    with Live(Shown(), console=Console(stderr=True), refresh_per_second=1, transient=True):
+        yield tally.hear
+
+
+def _in_lines(tally: Tally, live: bool) -> Iterator[Heard]:
+    shown = [time.monotonic()]
+
+    def hear(task: Task, job: Job, row: Mapping[str, Any]) -> None:
+        tally.hear(task, job, row)
+        if time.monotonic() - shown[0] < (TABLE_EVERY_S if live else LINE_EVERY_S):
+            return
+        shown[0] = time.monotonic()
+        _print(tally, live)
+
+    yield hear
+
+
+def _print(tally: Tally, live: bool) -> None:
+    if live:
+        from rich.console import Console
+
+        Console(stderr=True, width=100).print(tally.table())
+    else:
+        sys.stderr.write(f"{tally.line()}\n")

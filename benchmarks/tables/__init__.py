@@ -1,0 +1,1 @@
+"""Tables: rows summed up, as text, Markdown, LaTeX, CSV and JSON."""

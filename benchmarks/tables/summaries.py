@@ -1,0 +1,149 @@
+"""Summaries of a sweep: statistics of the rows, grouped by any scenario key, option or row key."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from cellslam.benchmarks.scores.statistics import interval, paired, statistic
+from cellslam.benchmarks.sweeps.rows import results, varying_keys
+from cellslam.benchmarks.trials.trial_result import METRIC_KEYS
+from cellslam.sim.errors import InputError, unknown_name
+from cellslam.sim.recording import Floats
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+METRICS = (*METRIC_KEYS, "estimate_seconds", "realtime_factor")
+USUAL_METRICS = ("position_rmse_m", "position_max_m", "position_end_m", "clock_offset_rmse_m", "realtime_factor")
+
+
+@dataclass(frozen=True)
+class Layout:
+    """What a summary shows. `rows` None: the estimator and all that varies. `confidence` None: no intervals."""
+
+    rows: Sequence[str] | None = None
+    columns: str | None = None
+    metrics: Sequence[str] = ()
+    statistics: Sequence[str] = ("median",)
+    confidence: float | None = None
+
+
+def summary(folder: str | Path, layout: Layout | None = None) -> pd.DataFrame:
+    """Return the statistics of a sweep's rows as a tidy DataFrame: one line a group, metric and statistic.
+
+    Columns: the keys of rows and columns, `metric`, `statistic`, `value`, `low`, `high` (with a confidence),
+    `values` (how many trials have the metric), `trials` (of status ok) and `failed`. Raises InputError.
+    """
+    import pandas as pd
+
+    layout = layout or Layout()
+    metrics = metrics_of(layout)
+    statistics = [statistic(name) for name in layout.statistics]
+    check_confidence(layout.confidence)
+    keys = list(dict.fromkeys([*row_keys(folder, layout), *([layout.columns] if layout.columns else [])]))
+    frame = results(folder, [*keys, "status", *metrics])
+    lines: list[dict[str, Any]] = []
+    for values, group in groups(frame, keys):
+        fine = group[group["status"] == "ok"]
+        for metric in metrics:
+            sample = _numbers(fine[metric])
+            counts = {"values": len(sample), "trials": len(fine), "failed": len(group) - len(fine)}
+            for one in statistics:
+                value = float(one.of(sample)) if len(sample) else None
+                line = {**values, "metric": metric, "statistic": one.name, "value": value}
+                if layout.confidence is not None:
+                    line |= _interval(sample, one, layout.confidence)
+                lines.append({**line, **counts})
+    return pd.DataFrame(lines)
+
+
+def comparison(
+    folder: str | Path,
+    first: str,
+    second: str,
+    metric: str = "position_rmse_m",
+    rows: Sequence[str] | None = None,
+    confidence: float = 0.95,
+) -> pd.DataFrame:
+    """Return the paired differences `first` - `second` of two estimators on the same worlds and trials, by group.
+
+    Columns: the row keys, `metric`, `pairs`, `median_difference`, `low`, `high`, `p_value` (Wilcoxon's signed-rank
+    test, not corrected for the number of groups), `share_below`, `left_out` (a trial failed or lacks the metric).
+    """
+    import pandas as pd
+
+    metrics_of(Layout(metrics=(metric,)))
+    check_confidence(confidence)
+    keys = [key for key in row_keys(folder, Layout(rows=rows)) if key != "estimator"]
+    frame = results(folder, [*keys, "estimator", "world", "options", "seed", "trial", "status", metric])
+    for name in (first, second):
+        if name not in set(frame["estimator"]):
+            raise unknown_name("estimator", name, set(frame["estimator"]))
+    other = frame[frame["estimator"] == second]
+    if other["options"].nunique() > 1:
+        raise InputError(
+            f"'{second}' has several options in this sweep: put it first, or sweep them in a folder of their own"
+        )
+    same = ["world", "seed", "trial"]
+    own = frame[frame["estimator"] == first]
+    joined = own.merge(other[[*same, "status", metric]], on=same, suffixes=("", " 2"))
+    lines = []
+    for values, group in groups(joined, keys):
+        fine = group[(group["status"] == "ok") & (group["status 2"] == "ok")].dropna(subset=[metric, f"{metric} 2"])
+        found = paired(_numbers(fine[metric]), _numbers(fine[f"{metric} 2"]), confidence)
+        numbers = {"pairs": found.pairs, "median_difference": found.median, "low": found.low, "high": found.high}
+        rest = {"p_value": found.p_value, "share_below": found.share_below, "left_out": len(group) - len(fine)}
+        lines.append({**values, "metric": metric, **numbers, **rest})
+    return pd.DataFrame(lines)
+
+
+def row_keys(folder: str | Path, layout: Layout) -> list[str]:
+    """Return the keys that group the rows of a summary."""
+    if layout.rows is not None:
+        return list(layout.rows)
+    varied = [name for name in varying_keys(folder) if name != layout.columns]
+    return [*varied, *(["estimator"] if layout.columns != "estimator" else [])]
+
+
+def metrics_of(layout: Layout) -> list[str]:
+    """Return the metrics of a layout, checked: those asked for, or the usual ones."""
+    for name in layout.metrics:
+        if name not in METRICS:
+            raise unknown_name("metric", name, METRICS)
+    return list(layout.metrics or (USUAL_METRICS[:1] if layout.columns else USUAL_METRICS))
+
+
+def check_confidence(confidence: float | None) -> None:
+    """Raise InputError unless a confidence is between one half and one."""
+    if confidence is not None and not 0.5 <= confidence < 1:
+        raise InputError(f"interval = {100 * confidence:g} %: must be 50 to 99.9")
+
+
+def groups(frame: pd.DataFrame, keys: Sequence[str]) -> Iterator[tuple[dict[str, Any], pd.DataFrame]]:
+    """Yield the groups of rows that agree in `keys`, null included, in the order of the rows."""
+    if not keys:
+        yield {}, frame
+        return
+    for values, group in frame.groupby(list(keys), dropna=False, sort=False):
+        yield {key: _plain(value) for key, value in zip(keys, values, strict=True)}, group
+
+
+def _interval(sample: Floats, one: Any, confidence: float) -> dict[str, float | None]:
+    low, high = interval(sample, one, confidence)
+    return {"low": None, "high": None} if np.isnan(low) else {"low": low, "high": high}
+
+
+def _numbers(column: Any) -> Floats:
+    """Return the values of a column that are there."""
+    values = np.asarray(column, np.float64)
+    return values[np.isfinite(values)]
+
+
+def _plain(value: Any) -> Any:
+    value = value.item() if hasattr(value, "item") else value
+    return None if isinstance(value, float) and np.isnan(value) else value

@@ -1,0 +1,1 @@
+"""cellslam: simulation and evaluation of cellular multipath SLAM."""

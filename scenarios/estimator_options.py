@@ -1,0 +1,86 @@
+"""Options of estimators: the scenario's tables, validated by each estimator's own model."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from pydantic import BaseModel
+
+from cellslam.scenarios.overrides import split
+from cellslam.scenarios.problems import validate
+from cellslam.scenarios.scenario import Scenario
+from cellslam.sim.errors import InputError, unknown_name
+from cellslam.slam import registry
+
+Tables = Mapping[str, Mapping[str, Any]]
+
+
+@dataclass(frozen=True)
+class Request:
+    """An estimator that was asked for: its name, its class, and its validated options (None: it has none)."""
+
+    name: str
+    estimator: type[Any]
+    options: BaseModel | None
+
+    @property
+    def oracle(self) -> bool:
+        """Whether it is shown the truth."""
+        return bool(getattr(self.estimator, "requires_truth", False))
+
+
+def resolve(tables: Tables, names: Sequence[str], overrides: Iterable[str] = ()) -> tuple[Request, ...]:
+    """Return the requests for estimators `names`, each once, in their order; `all` stands for every one that is known.
+
+    An estimator whose own code fails when it is loaded is a request too: it raises when it is run. `tables` are a
+    scenario's options by estimator; `overrides` are the dotted keys that the user set: they are validated also for
+    estimators not in `names`. Raises InputError for an unknown estimator or option, or a value out of range.
+    """
+    names = registry.expanded(names)
+    known = {*registry.names(), *names}
+    for name in tables:
+        if name not in known and ":" not in name:
+            raise unknown_name("table", f"estimator.{name}", (f"estimator.{k}" for k in known))
+    requests = tuple(_request(tables, name) for name in dict.fromkeys(names))
+    touched = {split(key)[1] for key in overrides if key.startswith("estimator.")}
+    for name in sorted(touched - set(names)):
+        _request(tables, name)
+    return requests
+
+
+def with_options(scenario: Scenario, requests: Iterable[Request]) -> Scenario:
+    """Return `scenario` with every option of the requested estimators written out, defaults included."""
+    full = {r.name: r.options.model_dump(mode="json") for r in requests if r.options is not None}
+    return scenario.model_copy(update={"estimator": {**scenario.estimator, **full}})
+
+
+def option_keys() -> list[str]:
+    """Return the dotted keys of the options of all built-in estimators."""
+    models = {entry.name: registry.options_model(registry.resolve(entry.name)) for entry in registry.BUILT_IN}
+    return [f"estimator.{name}.{key}" for name, model in models.items() if model for key in model.model_fields]
+
+
+def _request(tables: Tables, name: str) -> Request:
+    try:
+        estimator = registry.resolve(name)
+    except registry.BrokenPluginError as error:
+        return Request(name, broken(error), None)
+    model, table = registry.options_model(estimator), tables.get(name, {})
+    if model is None:
+        if table:
+            raise InputError(f"unknown key 'estimator.{name}.{next(iter(table))}': estimator '{name}' has no options")
+        return Request(name, estimator, None)
+    return Request(name, estimator, validate(model, table, f"estimator.{name}."))
+
+
+def broken(reason: registry.BrokenPluginError) -> type[Any]:
+    """Return a class in the place of an estimator that cannot be loaded: making one raises the reason."""
+
+    class Broken:
+        def __init__(self, options: Any) -> None:
+            del options
+            raise reason
+
+    return Broken

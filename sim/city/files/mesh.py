@@ -1,0 +1,196 @@
+"""Cities from files: meshes that trimesh reads, Mitsuba scenes, CityJSON, OpenStreetMap."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Iterator
+from dataclasses import dataclass
+from functools import lru_cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from cellslam.sim.city.assemble import Part, assemble
+from cellslam.sim.city.city import City, Floats, Ints, Material, Tolerances
+from cellslam.sim.city.city_config import MeshCityConfig
+from cellslam.sim.city.facets import weld
+from cellslam.sim.city.files.cityjson import read_cityjson
+from cellslam.sim.city.files.mitsuba import DISTRIBUTION, building_name, read_scene, shipped_scene
+from cellslam.sim.city.files.osm import load_osm
+from cellslam.sim.city.footprints import buildings, ground_objects
+from cellslam.sim.city.materials import ITU_P2040, itu_material
+from cellslam.sim.errors import InputError
+
+FORMATS = (".ply", ".obj", ".stl", ".glb", ".gltf", ".xml", ".json", ".jsonl", ".osm", ".pbf")
+
+
+@dataclass(frozen=True)
+class MeshObject:
+    """One mesh of a file: `vertices` (V, 3) in metres, `triangles` (K, 3), its building if that is known.
+
+    `assumed`: what the file calls its material ('' nothing), where that tells nothing of it.
+    """
+
+    vertices: Floats
+    triangles: Ints
+    material: Material
+    building: str | None
+    assumed: str | None
+
+
+def load_city(config: MeshCityConfig) -> City:
+    """Return the city of a mesh file or a shipped scene. Raises InputError for whatever is wrong with it."""
+    path = _locate(config.path)
+    try:
+        status = path.stat()
+    except OSError as error:
+        raise InputError(f"cannot read mesh '{config.path}': {error.strerror or 'no such file'}") from None
+    if status.st_size == 0:
+        raise InputError(f"'{config.path}' is empty: the file has no content")
+    return _load(config, path, status.st_mtime_ns)
+
+
+@lru_cache(maxsize=2)
+def _load(config: MeshCityConfig, path: Path, stamp: int) -> City:
+    del stamp  # part of the key: a file that has changed is read again
+    tolerances = Tolerances(config.plane_tolerance_m, config.angle_tolerance_deg)
+    if path.suffix.lower() in (".osm", ".pbf"):
+        return load_osm(path, config.material, config.roughness_m, tolerances)
+    default = itu_material(config.material, config.thickness_m, config.roughness_m)
+    objects = list(_objects(path, default, config))
+    objects = [o for o in objects if len(o.triangles)]
+    if not objects:
+        raise InputError(f"mesh '{config.path}' has no triangles: it is empty, or no mesh")
+    for o in objects:
+        if not np.isfinite(o.vertices).all():
+            where = f" of '{o.building}'" if o.building else ""
+            raise InputError(f"mesh '{config.path}' has a vertex{where} that is not finite (NaN): repair the file")
+    return _city(path.stem, objects, tolerances)
+
+
+def _locate(path: str) -> Path:
+    prefix, _, name = path.partition(":")
+    if prefix == DISTRIBUTION:
+        return shipped_scene(name)
+    file = Path(path).expanduser()
+    if file.suffix.lower() not in FORMATS:
+        raise InputError(
+            f"mesh '{path}' has the format '{file.suffix}'; allowed: {', '.join(FORMATS)}, {DISTRIBUTION}:NAME"
+        )
+    return file
+
+
+def _objects(path: Path, default: Material, config: MeshCityConfig) -> Iterator[MeshObject]:
+    suffix = path.suffix.lower()
+    if suffix == ".xml":
+        return _scene_objects(path, default)
+    if suffix in (".json", ".jsonl"):
+        return (MeshObject(o.vertices, o.triangles, default, o.building, "") for o in read_cityjson(path))
+    return _file_objects(path, default, config)
+
+
+def _scene_objects(path: Path, default: Material) -> Iterator[MeshObject]:
+    for shape in read_scene(path, default):
+        for vertices, triangles, _ in _read_mesh(shape.path):
+            placed = vertices @ shape.to_world[:3, :3].T + shape.to_world[:3, 3]
+            yield MeshObject(placed, triangles, shape.material, building_name(shape.name), shape.assumed)
+
+
+def _file_objects(path: Path, default: Material, config: MeshCityConfig) -> Iterator[MeshObject]:
+    y_up = config.up == "y" or (config.up == "auto" and path.suffix.lower() in (".glb", ".gltf"))
+    for vertices, triangles, name in _read_mesh(path):
+        placed = vertices[:, [0, 2, 1]] * [1.0, -1.0, 1.0] if y_up else vertices
+        known = name.removeprefix("mat-").removeprefix("itu_").removeprefix("itu-")
+        found = itu_material(known, config.thickness_m, config.roughness_m) if known in ITU_P2040 else None
+        yield MeshObject(placed, triangles, found or default, None, None if found else name)
+
+
+def _read_mesh(path: Path) -> Iterator[tuple[Floats, Ints, str]]:
+    """Yield (vertices, triangles, material name or '') of every mesh in a file."""
+    import trimesh
+
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            loaded = trimesh.load(str(path), process=False)
+            found = [_arrays(mesh) for mesh in (loaded.dump() if isinstance(loaded, trimesh.Scene) else [loaded])]
+    except ModuleNotFoundError:  # trimesh asks for a package that guesses encodings
+        raise InputError(f"cannot read mesh '{path}': its text is not UTF-8; is it damaged?") from None
+    except Exception as error:  # a parser meets garbage in its own way each time
+        text = " ".join(str(error).split())[:160] or type(error).__name__
+        raise InputError(f"cannot read mesh '{path}': {text}") from None
+    yield from (mesh for mesh in found if mesh is not None)
+
+
+def _arrays(mesh: Any) -> tuple[Floats, Ints, str] | None:
+    if not hasattr(mesh, "faces") or len(mesh.faces) == 0:
+        return None
+    vertices = np.array(mesh.vertices, np.float64)
+    faces = np.array(mesh.faces, np.int64)
+    if vertices.ndim != 2 or vertices.shape[1] != 3 or faces.min() < 0 or faces.max() >= len(vertices):
+        raise ValueError("faces point to vertices that do not exist")
+    material = getattr(getattr(mesh, "visual", None), "material", None)
+    return vertices, faces, str(getattr(material, "name", None) or "")
+
+
+def _city(name: str, objects: list[MeshObject], tolerances: Tolerances) -> City:
+    """Tell ground from buildings and put the objects together."""
+    materials = list(dict.fromkeys(o.material for o in objects))
+    corners = np.concatenate([o.vertices[o.triangles] for o in objects])
+    counts = [len(o.triangles) for o in objects]
+    item = np.repeat(np.arange(len(objects)), counts)
+    group = _groups(objects)
+    ground = np.isin(group, ground_objects(corners - corners.mean(axis=(0, 1)), group))
+    origin = np.round(corners.mean(axis=(0, 1)))
+    footprints, heights, building = buildings(corners - origin, group, ground)
+    footprints = tuple(_shifted(p, origin) for p in footprints)
+    parts = []
+    for index, obj in enumerate(objects):
+        own = building[item == index]
+        for value in np.unique(own):
+            triangles = obj.triangles[own == value]
+            used, renumbered = np.unique(triangles, return_inverse=True)
+            parts.append(Part(obj.vertices[used], renumbered.reshape(-1, 3), materials.index(obj.material), int(value)))
+    notes = [] if ground.any() else ["no ground found: nothing spans the city and faces up"]
+    notes += _assumptions(objects)
+    return assemble(name, parts, materials, footprints, heights, notes=notes, tolerances=tolerances)
+
+
+def _assumptions(objects: list[MeshObject]) -> list[str]:
+    """Return a note on the objects whose material is assumed."""
+    assumed = [o for o in objects if o.assumed is not None]
+    if not assumed:
+        return []
+    material, names = assumed[0].material, sorted({o.assumed for o in assumed if o.assumed})
+    thick = "a half space" if material.thickness_m is None else f"{material.thickness_m:g} m thick"
+    said = f" but {', '.join(names[:4])}{', ...' if len(names) > 4 else ''}" if names else ""
+    return [f"{len(assumed)} of {len(objects)} objects name no known material{said}: {material.name} assumed, {thick}"]
+
+
+def _groups(objects: list[MeshObject]) -> Ints:
+    """Return the group (K,) of each triangle: objects of one building, or one touching piece of an object."""
+    from scipy.sparse import coo_matrix
+    from scipy.sparse.csgraph import connected_components
+
+    names: dict[str, int] = {}
+    groups, used = [], len({o.building for o in objects if o.building is not None})
+    for o in objects:
+        if o.building is not None:
+            groups.append(np.full(len(o.triangles), names.setdefault(o.building, len(names))))
+            continue
+        corner = weld(o.vertices, np.zeros(len(o.vertices), np.int64))[o.triangles]
+        ends = np.concatenate([corner[:, :2], corner[:, 1:]])
+        size = int(corner.max()) + 1
+        links = coo_matrix((np.ones(len(ends), np.int8), (ends[:, 0], ends[:, 1])), shape=(size, size))
+        _, label = connected_components(links, directed=False)
+        piece = np.unique(label[corner[:, 0]], return_inverse=True)[1]
+        groups.append(used + piece)
+        used += int(piece.max()) + 1
+    return np.concatenate(groups).astype(np.int64)
+
+
+def _shifted(polygon: Any, origin: Floats) -> Any:
+    from shapely.affinity import translate
+
+    return translate(polygon, origin[0], origin[1])

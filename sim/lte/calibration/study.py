@@ -1,0 +1,100 @@
+"""`cellslam bench calibrate`: the study that gives the statistical front end its constants."""
+
+from __future__ import annotations
+
+import hashlib
+import platform
+from importlib.metadata import version
+from importlib.resources import files
+from typing import Any
+
+import numpy as np
+
+from cellslam.sim.lte.calibration.fit_constants import fit_company, fit_detection, fit_floor, fit_overlap, structured
+from cellslam.sim.lte.calibration.persistence import persistence
+from cellslam.sim.lte.calibration.scenes import Sample, config_of, draw_paths, measured_by_signals, scenes_of
+from cellslam.sim.lte.signal.signal_front_end import DEFAULT_HARDWARE
+from cellslam.sim.lte.statistical.statistical_front_end import PathColumns
+from cellslam.sim.lte.statistical.statistics import parse
+from cellslam.sim.progress import Progress
+
+RATIOS_DB = (0.0, 3.0, 6.0, 9.0, 12.0, 16.0, 20.0, 40.0)
+OVERLAP_RATIOS_DB = (3.0, 6.0, 15.0, 40.0)
+NOISE_SHARE = 0.5  # of the scenes of one ratio: as many without any path
+LEAST_DB, MOST_DB = -38.0, 18.0
+
+
+def calibrate(scenes: int, seed: int, progress: Progress) -> dict[str, Any]:
+    """Return the constants and their provenance, from `scenes` scenes of a lone path at each of eight ratios, as
+    many of several paths at four, and half as many without any.
+    """
+    rng, threshold = np.random.default_rng([seed, 1]), config_of(40.0).detection_threshold
+    empty = int(NOISE_SHARE * scenes)
+    lone: dict[float, Sample] = {}
+    several: dict[float, tuple[list[PathColumns], Sample]] = {}
+    total = empty + len(RATIOS_DB) * scenes + len(OVERLAP_RATIOS_DB) * scenes
+    with progress("measuring scenes", total) as advance:
+        nothing = [draw_paths(rng, np.empty(0), config_of(40.0))] * empty
+        noise = measured_by_signals(40.0, nothing, rng, advance)
+        for ratio in RATIOS_DB:
+            drawn = [draw_paths(rng, rng.uniform(LEAST_DB, MOST_DB, 1), config_of(ratio)) for _ in range(scenes)]
+            lone[ratio] = measured_by_signals(ratio, drawn, rng, advance)
+        for ratio in OVERLAP_RATIOS_DB:
+            crowds = scenes_of(rng, scenes, ratio)
+            several[ratio] = crowds, measured_by_signals(ratio, crowds, rng, advance)
+    result = constants(noise, lone, several, threshold)
+    result["persistence"] = persistence(max(scenes // 8, 8), np.random.default_rng([seed, 2]), progress)
+    return {"provenance": provenance(scenes, seed), **rounded(result)}
+
+
+def rounded(value: Any) -> Any:
+    """Return nested lists and tables with every number to five digits: more are not known."""
+    if isinstance(value, dict):
+        return {key: rounded(item) for key, item in value.items()}
+    if isinstance(value, list):
+        return [rounded(item) for item in value]
+    return float(f"{value:.5g}") if isinstance(value, float) else value
+
+
+def constants(
+    noise: Sample,
+    lone: dict[float, Sample],
+    several: dict[float, tuple[list[PathColumns], Sample]],
+    threshold: float,
+) -> dict[str, Any]:
+    """Return the constants that the samples give."""
+    window = config_of(40.0).window_max_m - config_of(40.0).window_min_m
+    rate = len(noise.clutter) / noise.links
+    detection = fit_detection(lone[max(lone)], threshold)
+    first = {
+        "threshold": threshold,
+        "detection": detection,
+        "overlap": fit_overlap({ratio: sample for ratio, (_, sample) in several.items()}, detection, threshold),
+        "noise_cells": rate / float(np.exp(-threshold) * (1.0 + threshold)),
+        "floors": fit_floor(lone),
+        "clutter": {f"{ratio:g}": structured(s, rate, window) for ratio, s in lone.items()},
+        "company": dict.fromkeys(("0", "40"), 1.0),
+    }
+    rng = np.random.default_rng(len(several))
+    company = {f"{ratio:g}": fit_company(ratio, *crowds, parse(first), rng) for ratio, crowds in several.items()}
+    return first | {"company": company}
+
+
+def provenance(scenes: int, seed: int) -> dict[str, Any]:
+    """Return what is needed to make the constants again."""
+    return {
+        "command": f"cellslam bench calibrate --scenes {scenes} --seed {seed}",
+        "versions": {name: version(name) for name in ("cellslam", "numpy", "scipy", "numba")}
+        | {"python": platform.python_version()},
+        "hardware": {"phase_std_deg": DEFAULT_HARDWARE.phase_std_deg, "gain_std_db": DEFAULT_HARDWARE.gain_std_db},
+        "ratios_db": list(RATIOS_DB),
+        "code": code_digest(),
+    }
+
+
+def code_digest() -> str:
+    """Return a digest of the signal-level front end's code: constants measured with other code are out of date."""
+    names = ("channel", "diffuse", "estimator", "receiver", "refine", "refine_kernel", "search_kernel", "signal_level",
+             "spectrum", "climb_kernel", "acquire_kernel", "symbol_kernel")  # fmt: skip
+    texts = [(files("cellslam.sim.lte") / f"{name}.py").read_bytes() for name in names]
+    return hashlib.sha256(b"".join(texts)).hexdigest()[:16]

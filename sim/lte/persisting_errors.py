@@ -1,0 +1,103 @@
+"""Which measurement errors are white and which persist, cause by cause, and the random fields of those that do.
+
+A persisting error is the same for all links that meet it alike, and changes slowly: array calibration and roof
+scattering are fixed functions of the direction in the body frame, diffuse energy is a function of the receiver's place
+for each VT and port, motion of the array within a snapshot turns all its paths together.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from cellslam.sim.lte.persisting_errors_kernel import Fields
+from cellslam.sim.lte.radio_config import RadioConfig
+from cellslam.sim.lte.statistical.statistics import statistics
+from cellslam.sim.recording import Floats
+
+WAVES = 32
+# Waves over a VT's position in rad per m: so short that every VT has a field of its own.
+_APART_RADPM = 40.0
+
+
+@dataclass(frozen=True)
+class Cause:
+    """One cause of error: its deviations (3,) in m, rad, rad, and the scale over which it changes (0: white)."""
+
+    name: str
+    std: Floats
+    scale: float
+
+
+def causes(config: RadioConfig) -> tuple[Cause, ...]:
+    """Return calibration and roof (scale in rad), diffuse energy (m), attitude (s)."""
+    diffuse = np.array(statistics().diffuse_floor) * 10.0 ** (-config.specular_to_diffuse_db / 20.0)
+    angles = np.radians(
+        [
+            [config.calibration_azimuth_deg, config.calibration_elevation_deg],
+            [config.roof_azimuth_deg, config.roof_elevation_deg],
+            [config.attitude_azimuth_deg, config.attitude_elevation_deg],
+        ]
+    )
+    return (
+        Cause(
+            "calibration",
+            np.array([config.calibration_distance_m, *angles[0]]),
+            float(np.radians(config.calibration_correlation_deg)),
+        ),
+        Cause("roof", np.array([0.0, *angles[1]]), float(np.radians(config.roof_correlation_deg))),
+        Cause("diffuse", diffuse, config.diffuse_correlation_m),
+        Cause("attitude", np.array([0.0, *angles[2]]), config.attitude_correlation_s),
+    )
+
+
+def floors(config: RadioConfig) -> Floats:
+    """Return the error floors (3,) in m, rad, rad: the variances of all causes, added."""
+    return np.asarray(np.sqrt(sum(c.std**2 for c in causes(config))), np.float64)
+
+
+def white_floors(config: RadioConfig) -> Floats:
+    """Return the part of the floors (3,) that is drawn anew for every measurement."""
+    white = [c.std**2 for c in causes(config) if c.scale == 0.0]
+    return np.asarray(np.sqrt(sum(white, np.zeros(3))), np.float64)
+
+
+def persisting_std(config: RadioConfig) -> Floats:
+    """Return the marginal deviations (3,) in m, rad, rad of what persists."""
+    return np.asarray(config.noise_scale * np.sqrt(floors(config) ** 2 - white_floors(config) ** 2), np.float64)
+
+
+def draw_fields(config: RadioConfig, interval_s: float, rng: np.random.Generator) -> Fields:
+    """Draw a trial's receiver and surroundings. Every field has a Gaussian correlation, exp(-x^2 / (2 scale^2))."""
+    calibration, roof, diffuse, attitude = causes(config)
+    direction_scale = np.array([calibration.scale] * 3 + [roof.scale] * 2)
+    direction_std = np.concatenate([calibration.std, roof.std[1:]])
+    direction_wave, direction_phase = rng.standard_normal((5, WAVES, 3)), _phases(rng, (5, WAVES))
+    place_wave, place_phase = rng.standard_normal((3, WAVES, 6)), _phases(rng, (3, WAVES))
+    port_phase = _phases(rng, (3, WAVES, 4))
+    time_wave, time_phase = rng.standard_normal((3, WAVES)), _phases(rng, (3, WAVES))
+    place_wave[:, :, :3] *= _per_scale(diffuse.scale)
+    place_wave[:, :, 3:] *= _APART_RADPM
+    # Yaw moves azimuths; pitch and roll move elevations.
+    turns = attitude.std[[1, 2, 2]]
+    return Fields(
+        direction_std=config.noise_scale * np.where(direction_scale > 0.0, direction_std, 0.0),
+        direction_wave=direction_wave * np.array([_per_scale(s) for s in direction_scale])[:, None, None],
+        direction_phase=direction_phase,
+        place_std=config.noise_scale * diffuse.std * (diffuse.scale > 0.0),
+        place_wave=place_wave,
+        place_phase=place_phase,
+        port_phase=port_phase,
+        time_std=config.noise_scale * turns * (attitude.scale > 0.0),
+        time_wave=time_wave * _per_scale(attitude.scale) * interval_s,
+        time_phase=time_phase,
+    )
+
+
+def _per_scale(scale: float) -> float:
+    return 1.0 / scale if scale > 0.0 else 0.0
+
+
+def _phases(rng: np.random.Generator, shape: tuple[int, ...]) -> Floats:
+    return rng.uniform(0.0, 2.0 * np.pi, shape)

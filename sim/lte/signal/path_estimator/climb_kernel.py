@@ -1,0 +1,106 @@
+"""Compiled Levenberg-Marquardt climb of a joint path fit for the circular array; its NumPy twin is `refine`."""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+from numba import njit
+
+from cellslam.sim.lte.signal.path_estimator.joint_fit_kernel import Normal, normal_equations
+from cellslam.sim.lte.signal.path_estimator.one_path_kernel import normal_equations_of_one
+from cellslam.sim.lte.statistical.detector_layout import Array
+from cellslam.sim.lte.statistical.measurement_kernel import wrap
+from cellslam.sim.lte.steering_kernel import steer_circular
+
+
+class SteeringModel(NamedTuple):
+    """What `steer_circular` takes of the array and its motion, and the phase per metre of each tone."""
+
+    columns: int
+    rings: int
+    radius_m: float
+    spacing_m: float
+    wavenumber: float
+    peak_dbi: float
+    curve: float
+    floor_db: float
+    polarisation: Array
+    factor: Array
+    doppler: Array
+    velocity: Array
+    rate: Array
+
+
+@njit(cache=True, nogil=True)
+def evaluate_circular(y: Array, geometry: Array, m: SteeringModel) -> Normal:
+    """Return the normal equations of a fit at `geometry` (n, 3)."""
+    n = len(geometry)
+    shape = (n, len(m.factor), 2)
+    value = np.empty(shape, np.complex128)
+    by_azimuth, by_elevation = np.empty(shape, np.complex128), np.empty(shape, np.complex128)
+    steer_circular(
+        geometry[:, 1].copy(), geometry[:, 2].copy(), m.columns, m.rings, m.radius_m, m.spacing_m, m.wavenumber,
+        m.peak_dbi, m.curve, m.floor_db, m.polarisation, m.factor, m.doppler, m.velocity, value, by_azimuth,
+        by_elevation,
+    )  # fmt: skip
+    if n == 1:
+        return normal_equations_of_one(y, value[0], by_azimuth[0], by_elevation[0], m.rate, geometry[0, 0])
+    return normal_equations(y, value, by_azimuth, by_elevation, m.rate, geometry[:, 0].copy())
+
+
+@njit(cache=True, nogil=True)
+def climb(
+    y: Array, start: Array, least_gain: float, iterations: int, promising: float, longest: Array, steepest: float,
+    m: SteeringModel,
+) -> tuple[Array, Normal]:  # fmt: skip
+    """Return geometry (n, 3) and normal equations after the climb from `start`; see `refine`. Energies as in `y`."""
+    geometry = start.copy()
+    normal = evaluate_circular(y, geometry, m)
+    damping = 1e-3
+    for iteration in range(iterations):
+        matrix = normal.information.copy()
+        for i in range(len(matrix)):
+            matrix[i, i] += damping * matrix[i, i] + 1e-30
+        step = np.linalg.solve(matrix, normal.gradient)
+        gain = 0.0
+        for i in range(len(step)):
+            gain += step[i] * normal.gradient[i]
+        if gain < least_gain or (iteration == 0 and normal.explained + gain < promising):
+            break
+        moved = geometry.copy()
+        for p in range(len(moved)):
+            for c in range(3):
+                moved[p, c] += min(max(step[3 * p + c], -longest[c]), longest[c])
+            moved[p, 1] = wrap(moved[p, 1])
+            moved[p, 2] = min(max(moved[p, 2], -steepest), steepest)
+        trial = evaluate_circular(y, moved, m)
+        if trial.explained > normal.explained:
+            geometry, normal, damping = moved, trial, 0.1 * damping
+        else:
+            damping = max(10.0 * damping, 1e-3)
+    return geometry, normal
+
+
+@njit(cache=True, nogil=True)
+def orthonormal_beams(steering: Array, weight: Array, out: Array) -> None:
+    """Write the beams (2 K, ports): conjugate orthonormal bases of what `steering` (K, 2, ports), its ports weighed by
+    `weight` (ports,), does in each direction.
+    """
+    ports = steering.shape[2]
+    h, v = np.empty(ports, np.complex128), np.empty(ports, np.complex128)
+    for k in range(len(steering)):
+        size, inner = 0.0, 0j
+        for m in range(ports):
+            h[m], v[m] = steering[k, 0, m] * weight[m], steering[k, 1, m] * weight[m]
+            size += h[m].real ** 2 + h[m].imag ** 2
+            inner += h[m].conjugate() * v[m]
+        inner /= size
+        left = 0.0
+        for m in range(ports):
+            v[m] -= inner * h[m]
+            left += v[m].real ** 2 + v[m].imag ** 2
+        for m in range(ports):
+            out[2 * k, m] = h[m].conjugate() / math.sqrt(size)
+            out[2 * k + 1, m] = v[m].conjugate() / math.sqrt(left)

@@ -1,0 +1,292 @@
+"""Path estimator of one link: search, one-path fits, joint maximum-likelihood fit, model order (RIMAX-type).
+
+After Richter, "Estimation of radio channel parameters: models and algorithms", 2005: strongest path first, joint
+refinement, reliability by the Fisher information; local disturbance instead of a parametric diffuse model.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cellslam.sim.errors import InputError
+from cellslam.sim.frames import wrap_angle
+from cellslam.sim.lte.array import CircularArray, Complex, Floats
+from cellslam.sim.lte.signal.path_estimator.acquire_kernel import Rules, next_path
+from cellslam.sim.lte.signal.path_estimator.joint_fit import (
+    FINE_GAIN,
+    ITERATIONS,
+    LONGEST_STEP,
+    STEEPEST_RAD,
+    Fit,
+    covariance,
+    refine,
+)
+from cellslam.sim.lte.signal.path_estimator.search_kernel import subtract_outer
+from cellslam.sim.lte.signal.path_estimator.spectrum import DIFFUSE_MARGIN, Spectrum, in_trail
+from cellslam.sim.lte.signal.receiver import DELAY_PITCH_M, ELEVATIONS, HIGHEST_RAD, LOWEST_RAD, Motion, Receiver
+from cellslam.sim.lte.statistical.detector_layout import GHOST_REACH_M
+
+Cell = tuple[int, int]  # direction and bin of the spectrum
+COARSE = 0.58  # share of the threshold at which a cell is looked at: the grid loses up to 2.4 dB
+_PROMISING = 0.85  # share of the threshold that the first step of a one-path fit must promise
+MOST_FAILURES = 10  # cells that turn out to be noise or diffuse energy before the search ends
+MOST_PATHS = 32
+JOINT_EVERY = 4
+_COARSE_GAIN = 0.2  # noise variances; the last fit is finer
+# A saturated port's residual exceeds the others' by this, and is this share of its power; calibration errors leave 1 %.
+_SATURATED_EXCESS, _SATURATED_SHARE = 6.0, 0.25
+_FARTHEST = np.array([3.0 * DELAY_PITCH_M, np.radians(20.0)])  # that a fit may end from its cell; distances: 100 RB
+_TOUCHING_M = 40.0  # within which dropping one path may save another
+_UNEVEN = 0.4  # nepers of power from which the disturbance of some port differs by more than scatter
+_CELL = np.array([12.0, np.radians(18.0), np.radians(18.0)])  # within which paths may stand for each other
+# A path this much weaker than one within reach may be a ghost of calibration error, and must stand out farther.
+_SUSPECT_SHARE, _SUSPECT_MARGIN = 0.01, 1.4
+_LEAST_RELIABLE = np.array([8.0, np.radians(16.0), np.radians(20.0)])
+
+
+@dataclass(frozen=True)
+class Estimates:
+    """Paths (n,) of one link: `geometry` (n, 3) distance in m, azimuth, elevation in rad; `covariance` (n, 3, 3);
+    `snr_db` (n,) mean signal over disturbance per sample; `statistic` (n,) energy over disturbance.
+    """
+
+    geometry: Floats
+    covariance: Floats
+    snr_db: Floats
+    statistic: Floats
+
+    def __len__(self) -> int:
+        return len(self.geometry)
+
+
+NOTHING = Estimates(np.empty((0, 3)), np.empty((0, 3, 3)), np.empty(0), np.empty(0))
+
+
+def estimate_paths(y: Complex, motion: Motion, start: Floats | None = None) -> Estimates:
+    """Return the paths in a link's samples (ports, tones); `start` (n, 3): geometry to begin with (tracking).
+
+    Ports that deliver nothing, or nothing finite, are left out; so are saturated ones, whose samples the paths of the
+    other ports do not explain. Raises InputError where no port delivers anything, and for samples of
+    another shape.
+    """
+    expected = (motion.receiver.array.ports, len(motion.receiver.rate))
+    if y.shape != expected:
+        raise InputError(f"samples of shape {y.shape}: {expected} (array ports, tones) are expected")
+    working: NDArray[np.bool_] = np.logical_and(np.isfinite(y).all(axis=1), y.any(axis=1))
+    if not working.any():
+        raise InputError("no array port delivered samples: all are zero or not finite")
+    link = _estimated(y, motion, working, start)
+    sound = np.logical_and(working, ~link.saturated())
+    if not np.array_equal(sound, working):
+        link = _estimated(y, motion, sound, start)
+    return link.result()
+
+
+def _estimated(y: Complex, motion: Motion, working: NDArray[np.bool_], start: Floats | None) -> _Link:
+    weight = _port_weights(y, working, motion.receiver)
+    if not (weight == 1.0).all():
+        y = np.asarray(np.where(working[:, None], y, 0.0) * weight[:, None], np.complex128)
+        motion = motion.weighed(weight)
+    link = _Link(np.ascontiguousarray(y, np.complex128), motion)
+    if start is not None and len(start):
+        link.fit_jointly(start, FINE_GAIN)
+    link.search()
+    return link
+
+
+def _port_weights(y: Complex, working: NDArray[np.bool_], receiver: Receiver) -> Floats:
+    """Return weights (ports,) that make the disturbance alike: a port that faces an interferer counts less.
+
+    The disturbance of a port is the median over delays, whose resolved paths are few. Ports of one column and slant
+    face the same way: their mean is taken where they agree. Zero for ports out of work.
+    """
+    tapered = np.where(working[:, None], y, 0.0).astype(np.complex64) @ receiver.quiet_matrix
+    level = np.median(tapered.real**2 + tapered.imag**2, axis=1).astype(np.float64)
+    if isinstance(receiver.array, CircularArray):
+        level = _agreeing(level, working, receiver.array.rings)
+    usual = float(np.median(level[working]))
+    even = (np.abs(np.log(np.maximum(level[working], 1e-300) / usual)) < _UNEVEN).all()
+    weight = np.ones(len(y)) if even else np.sqrt(usual / np.maximum(level, 0.1 * usual))
+    return np.where(working, weight, 0.0)
+
+
+def _agreeing(level: Floats, working: NDArray[np.bool_], rings: int) -> Floats:
+    """Return `level` (ports,), replaced by the mean of its column and slant where it is within a factor of two."""
+    parts, counted = level.reshape(-1, rings, 2), working.reshape(-1, rings, 2)
+    median = np.median(parts, axis=1, keepdims=True)
+    alike = counted & (parts < 2.0 * median) & (parts > 0.5 * median)
+    mean = np.sum(parts * alike, axis=1, keepdims=True) / np.maximum(np.sum(alike, axis=1, keepdims=True), 1)
+    return np.asarray(np.where(alike, mean, parts).reshape(-1), np.float64)
+
+
+class _Link:
+    """Working state of one link and snapshot: the fit so far, the residual and its spectrum."""
+
+    def __init__(self, y: Complex, motion: Motion) -> None:
+        self.y, self.motion, self.receiver = y, motion, motion.receiver
+        self.residual = y
+        self.geometry = np.empty((0, 3))
+        self.fit: Fit | None = None
+        self.level, self.fine = np.empty(0), False
+        self.spectrum = Spectrum(y, motion)
+
+    def fit_jointly(self, geometry: Floats, least_gain: float = _COARSE_GAIN) -> None:
+        """Refine all paths, drop what does not pass, and look at the residual anew."""
+        self.fit, self.geometry, self.level, self.fine = None, np.empty((0, 3)), np.empty(0), least_gain == FINE_GAIN
+        while len(geometry):
+            fit = refine(self.y, self.motion, geometry, self.spectrum.noise, least_gain)
+            self.spectrum.leave(fit)
+            level, asked = self.spectrum.levels(fit.geometry, in_trail(fit.geometry, fit.normal.wald))
+            kept = _kept(fit, level, asked, self.receiver)
+            if kept.all():
+                self.fit, self.geometry, self.level = fit, fit.geometry, level
+                break
+            geometry = fit.geometry[kept]
+        if self.fit is None:
+            self.spectrum.leave(None)
+        self.residual = self.y - self.fit.samples if self.fit else self.y
+
+    def unite(self) -> None:
+        """Drop each path that a close stronger one can stand for: a fit without it explains as much."""
+        tried = 0
+        while self.fit is not None and tried < len(self.geometry):
+            near = _beside_stronger(self.fit, self.receiver)
+            order = [i for i in np.argsort(self.fit.normal.wald) if near[i]]
+            if tried >= len(order):
+                return
+            i = order[tried]
+            rest = np.delete(self.geometry, i, axis=0)
+            alone = refine(self.y, self.motion, rest, self.spectrum.noise)
+            if self.fit.normal.explained - alone.normal.explained < self.receiver.threshold * self.level[i]:
+                self.fit_jointly(alone.geometry, FINE_GAIN)
+                tried = 0
+            else:
+                tried += 1
+
+    def search(self) -> None:
+        """Add paths, the strongest first, until nothing more stands out."""
+        blocked: list[Cell] = []
+        pending: list[Floats] = []
+        failures, most = 0, len(self.geometry)
+        while True:
+            full = len(self.geometry) + len(pending) >= MOST_PATHS
+            found = None
+            if not full and len(pending) < JOINT_EVERY:
+                found, failures = self._next(blocked, failures)
+            if found is None:
+                if not pending:
+                    if not self.fine:
+                        self.fit_jointly(self.geometry, FINE_GAIN)
+                    self.unite()
+                    return
+                self.fit_jointly(np.concatenate([self.geometry, np.array(pending)]))
+                pending = []
+                if len(self.geometry) > most:
+                    # The joint fit has changed the residual: what was tried in vain is worth another look.
+                    most, failures, blocked = len(self.geometry), 0, []
+                else:
+                    failures += 1
+                continue
+            fit, cell = found
+            self.spectrum.subtract(fit)
+            _, asked = self.spectrum.levels(fit.geometry, np.array([self.spectrum.in_trail(fit, cell)]))
+            if fit.normal.explained < self.receiver.threshold * asked[0]:
+                self.spectrum.subtract(fit, -1.0)
+                failures += 1
+                continue
+            self.spectrum.trail(fit)
+            pending.append(fit.geometry[0])
+            if self.residual is self.y:
+                self.residual = self.y.copy()
+            on_ports, on_tones = fit.factors
+            subtract_outer(self.residual, on_ports[0], on_tones[0])
+
+    def _next(self, blocked: list[Cell], failures: int) -> tuple[tuple[Fit, Cell] | None, int]:
+        """Return the next path that a one-path fit confirms, None if there is none, and how many cells failed so far.
+
+        `blocked` takes up each cell that is tried: what the joint fit drops must not come back for ever.
+        """
+        model, r, s = self.motion.model, self.receiver, self.spectrum
+        if model is None:
+            return self._next_any(blocked, failures)
+        cells = np.zeros((len(blocked) + MOST_FAILURES + 1, 2), np.int64)
+        cells[: len(blocked)] = np.array(blocked, np.int64).reshape(-1, 2)
+        farthest = _FARTHEST * r.coarser[[0, 2]]
+        rules = Rules(
+            COARSE * r.threshold, r.threshold, _PROMISING, MOST_FAILURES, float(farthest[0]), float(farthest[1]),
+            DIFFUSE_MARGIN, ELEVATIONS,
+        )  # fmt: skip
+        count, failures, k, d, geometry, normal = next_path(
+            self.residual, s.energy, s.port_energy, s.profile, s.trailing, s.working, cells, len(blocked), failures,
+            r.delays_m, *r.directions, rules, _COARSE_GAIN, ITERATIONS, LONGEST_STEP * r.coarser, float(STEEPEST_RAD),
+            model,
+        )  # fmt: skip
+        blocked.extend((int(a), int(b)) for a, b in cells[len(blocked) : count])
+        return ((Fit(geometry, normal, self.motion), (k, d)) if k >= 0 else None), failures
+
+    def _next_any(self, blocked: list[Cell], failures: int) -> tuple[tuple[Fit, Cell] | None, int]:
+        """Do the same step by step, for any array."""
+        threshold, farthest = self.receiver.threshold, _FARTHEST * self.receiver.coarser[[0, 2]]
+        while failures < MOST_FAILURES:
+            found = self.spectrum.strongest(COARSE * threshold, blocked)
+            if found is None:
+                break
+            start, cell, level = found
+            blocked.append(cell)
+            fit = refine(self.residual, self.motion, start[None, :], level, _COARSE_GAIN, _PROMISING * threshold)
+            away = np.abs(fit.geometry[0] - start)[[0, 2]]
+            if fit.normal.explained >= threshold * level and (away <= farthest).all():
+                return (fit, cell), failures
+            failures += 1
+        return None, failures
+
+    def saturated(self) -> NDArray[np.bool_]:
+        """Return which ports (ports,) hold much that no path explains: a share of their power and far over the rest."""
+        left, power = (np.mean(np.abs(x) ** 2, axis=1) for x in (self.residual, self.y))
+        usual = np.median(left[power > 0.0])
+        return np.array((left > _SATURATED_EXCESS * usual) & (left > _SATURATED_SHARE * power), np.bool_)
+
+    def result(self) -> Estimates:
+        """Return what was found, sorted by distance."""
+        if self.fit is None:
+            return NOTHING
+        energy = self.fit.normal.wald
+        strength = np.sum(np.abs(self.fit.factors[0]) ** 2, axis=1) / len(self.y)
+        order = np.argsort(self.geometry[:, 0], kind="stable")
+        snr_db = 10.0 * np.log10(np.maximum(strength / self.level, 1e-12))
+        spread = covariance(self.fit, self.level)
+        return Estimates(self.geometry[order], spread[order], snr_db[order], (energy / self.level)[order])
+
+
+def _beside_stronger(fit: Fit, receiver: Receiver) -> NDArray[np.bool_]:
+    """Return which paths (n,) have a stronger one within a resolution cell."""
+    apart = fit.geometry[:, None] - fit.geometry[None]
+    apart[..., 1] = wrap_angle(apart[..., 1])
+    weaker = fit.normal.wald[:, None] < fit.normal.wald[None, :]
+    return np.asarray(((np.abs(apart) < _CELL * receiver.coarser).all(axis=-1) & weaker).any(axis=1), np.bool_)
+
+
+def _kept(fit: Fit, level: Floats, asked: Floats, receiver: Receiver) -> NDArray[np.bool_]:
+    """Return which paths (n,) stay: of those below the threshold, unreliable, outside the window or ghosts, the weakest
+    within reach of each other goes.
+    """
+    energy, distance = fit.normal.wald, fit.geometry[:, 0]
+    statistic = energy / asked
+    variance = np.einsum("nii->ni", covariance(fit, level))
+    unreliable = ~((variance > 0.0) & (variance < (_LEAST_RELIABLE * receiver.coarser) ** 2)).all(axis=1)
+    near = np.abs(distance[:, None] - distance[None, :]) < GHOST_REACH_M
+    suspect = (near & (energy[:, None] < _SUSPECT_SHARE * energy[None, :])).any(axis=1)
+    threshold = receiver.threshold * np.where(suspect, _SUSPECT_MARGIN, 1.0)
+    bad = (statistic < threshold) | unreliable
+    bad |= (distance < receiver.window_min_m) | (distance > receiver.window_max_m)
+    bad |= (fit.geometry[:, 2] < LOWEST_RAD) | (fit.geometry[:, 2] > HIGHEST_RAD)
+    rule = 10.0 ** (-receiver.ghost_rule_db / 10.0)
+    bad |= (near & (energy[:, None] < rule * energy[None, :])).any(axis=1)
+    kept = np.ones(len(distance), np.bool_)
+    for i in np.argsort(statistic):
+        if bad[i] and (np.abs(distance[~kept] - distance[i]) > _TOUCHING_M * receiver.coarser[0]).all():
+            kept[i] = False
+    return kept

@@ -1,0 +1,167 @@
+"""What the receiver knows of its own array, and of its motion during one snapshot."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cellslam.sim.frames import SPEED_OF_LIGHT_MPS, unit_vector
+from cellslam.sim.lte.array import AntennaArray, CircularArray, Complex, Floats, Steering, switching_times_s
+from cellslam.sim.lte.signal.path_estimator.climb_kernel import SteeringModel, orthonormal_beams
+from cellslam.sim.lte.single_path_bound import tone_frequencies
+from cellslam.sim.lte.steering_kernel import steer_circular
+
+ComplexSingle = NDArray[np.complex64]
+AZIMUTHS, ELEVATIONS = 28, 7
+LOWEST_RAD, HIGHEST_RAD = np.radians(-15.0), np.radians(60.0)
+DELAY_PITCH_M, WIDEST_BLOCKS = 7.5, 100  # pitch of the searched distances at 100 resource blocks
+
+
+@dataclass(frozen=True)
+class Receiver:
+    """The array as the receiver believes it to be, its switching, its search window. All but motion is constant.
+
+    `times_s` (ports,): when each port is sampled; `threshold`: detection threshold on energy over noise variance.
+    """
+
+    array: AntennaArray = field(default_factory=CircularArray)
+    times_s: Floats = field(default_factory=lambda: switching_times_s(CircularArray()))
+    resource_blocks: int = 100
+    carrier_hz: float = 2.66e9
+    threshold: float = 17.4
+    window_min_m: float = -50.0
+    window_max_m: float = 1700.0
+    ghost_rule_db: float = 25.0
+
+    @cached_property
+    def rate(self) -> Floats:
+        """Phase of each tone per metre (tones,), counted from the middle tone: the weights take up the rest."""
+        frequency = tone_frequencies(self.resource_blocks)
+        return np.asarray(2.0 * np.pi * (frequency - frequency.mean()) / SPEED_OF_LIGHT_MPS, np.float64)
+
+    @cached_property
+    def coarser(self) -> Floats:
+        """Resolution in distance, azimuth and elevation (3,) as a multiple of that at 100 resource blocks."""
+        return np.array([WIDEST_BLOCKS / self.resource_blocks, 1.0, 1.0])
+
+    @cached_property
+    def pitch_m(self) -> float:
+        """Step of the searched distances: somewhat less than half the resolution."""
+        return float(DELAY_PITCH_M * self.coarser[0])
+
+    @cached_property
+    def delays_m(self) -> Floats:
+        """Searched distances (D,)."""
+        return np.arange(self.window_min_m, self.window_max_m + self.pitch_m, self.pitch_m)
+
+    @cached_property
+    def delay_matrix(self) -> ComplexSingle:
+        """Unit vectors (tones, D) that pick each searched distance."""
+        matrix = np.exp(1j * np.outer(self.rate, self.delays_m)) / np.sqrt(len(self.rate))
+        return np.ascontiguousarray(matrix, np.complex64)
+
+    @cached_property
+    def directions(self) -> tuple[Floats, Floats]:
+        """Searched azimuths and elevations (K,), azimuth by azimuth."""
+        azimuth = 2.0 * np.pi * np.arange(AZIMUTHS) / AZIMUTHS - np.pi
+        elevation = np.linspace(LOWEST_RAD, HIGHEST_RAD, ELEVATIONS)
+        grid = np.meshgrid(azimuth, elevation, indexing="ij")
+        return grid[0].ravel(), grid[1].ravel()
+
+    @cached_property
+    def quiet_matrix(self) -> ComplexSingle:
+        """Every other column of the delay matrix with a Hann taper: what is left of a path far from its delay is
+        little.
+        """
+        taper = np.hanning(len(self.rate) + 2)[1:-1]
+        taper = taper / np.sqrt(np.mean(taper**2))
+        return np.ascontiguousarray(self.delay_matrix[:, ::2] * taper[:, None], np.complex64)
+
+    @cached_property
+    def _steering(self) -> Complex:
+        """Steering vectors (K, 2, ports) of the searched directions."""
+        return np.ascontiguousarray(self.array.steer(*self.directions).value.transpose(0, 2, 1))
+
+    @cached_property
+    def doppler(self) -> Floats:
+        """Phase of each port per speed towards the wave (ports,), rad per m/s, zero on average."""
+        later = self.times_s - self.times_s.mean()
+        return np.asarray(2.0 * np.pi * self.carrier_hz / SPEED_OF_LIGHT_MPS * later, np.float64)
+
+    def moving(self, velocity_mps: Floats) -> Motion:
+        """Return the receiver in motion with body velocity (3,)."""
+        factor = np.ones(self.array.ports, np.complex128)
+        return Motion(self, np.asarray(velocity_mps, np.float64), factor)
+
+
+@dataclass(frozen=True)
+class Motion:
+    """The receiver during one snapshot: it steers with the Doppler phase of its velocity (3,), and weighs its ports.
+
+    `factor` (ports,): zero for a dead port, less than one for a port with more disturbance than others.
+    """
+
+    receiver: Receiver
+    velocity_mps: Floats
+    factor: Complex
+
+    def weighed(self, weight: Floats) -> Motion:
+        """Return the same with ports weighed by `weight` (ports,)."""
+        motion = Motion(self.receiver, self.velocity_mps, np.asarray(weight, np.complex128))
+        motion.__dict__["turned"] = self.turned
+        return motion
+
+    @cached_property
+    def turned(self) -> Complex:
+        """Steering vectors (K, 2, ports) of the searched directions, Doppler included."""
+        r = self.receiver
+        phase = np.outer(unit_vector(*r.directions) @ self.velocity_mps, r.doppler)
+        return np.asarray(r._steering * np.exp(1j * phase)[:, None, :], np.complex128)
+
+    @cached_property
+    def beams(self) -> ComplexSingle:
+        """Beam matrix (2 K, ports) of the search: orthonormal bases of what a direction's two polarisations can do."""
+        out = np.empty((2 * len(self.turned), self.receiver.array.ports), np.complex64)
+        orthonormal_beams(self.turned, self.factor, out)
+        return out
+
+    @cached_property
+    def model(self) -> SteeringModel | None:
+        """What the compiled climb needs; None where the array is not the ideal circular one."""
+        array, r = self.receiver.array, self.receiver
+        if not isinstance(array, CircularArray) or array.calibration is not None:
+            return None
+        return SteeringModel(
+            array.columns, array.rings, array.radius_m, array.ring_spacing_m,
+            2.0 * np.pi * array.carrier_hz / SPEED_OF_LIGHT_MPS, array.peak_dbi,
+            12.0 / np.radians(array.width_deg) ** 2, array.floor_db, array.polarisation, self.factor, r.doppler,
+            self.velocity_mps, r.rate,
+        )  # fmt: skip
+
+    def steer(self, azimuth_rad: Floats, elevation_rad: Floats) -> Steering:
+        """Return steering vectors (n, ports, 2) and derivatives, Doppler included."""
+        m = self.model
+        if m is None:
+            return self._steer_any(azimuth_rad, elevation_rad)
+        shape = (len(azimuth_rad), self.receiver.array.ports, 2)
+        out = Steering(*(np.empty(shape, np.complex128) for _ in range(3)))
+        steer_circular(
+            azimuth_rad, elevation_rad, m.columns, m.rings, m.radius_m, m.spacing_m, m.wavenumber, m.peak_dbi, m.curve,
+            m.floor_db, m.polarisation, m.factor, m.doppler, m.velocity, *out,
+        )  # fmt: skip
+        return out
+
+    def _steer_any(self, azimuth_rad: Floats, elevation_rad: Floats) -> Steering:
+        value, by_azimuth, by_elevation = self.receiver.array.steer(azimuth_rad, elevation_rad)
+        ca, sa, ce, se = np.cos(azimuth_rad), np.sin(azimuth_rad), np.cos(elevation_rad), np.sin(elevation_rad)
+        zero = np.zeros_like(ca)
+        towards = np.stack([ce * ca, ce * sa, se], -1), np.stack([-ce * sa, ce * ca, zero], -1)
+        rate, rate_az = towards[0] @ self.velocity_mps, towards[1] @ self.velocity_mps
+        rate_el = np.stack([-se * ca, -se * sa, ce], -1) @ self.velocity_mps
+        doppler = self.receiver.doppler
+        turn = (np.exp(1j * np.outer(rate, doppler)) * self.factor)[:, :, None]
+        slope_az, slope_el = (1j * np.outer(x, doppler)[:, :, None] for x in (rate_az, rate_el))
+        return Steering(value * turn, (by_azimuth + slope_az * value) * turn, (by_elevation + slope_el * value) * turn)

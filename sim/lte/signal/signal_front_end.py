@@ -1,0 +1,279 @@
+"""Signal-level front end: received reference symbols of every snapshot, and the paths that the receiver finds in them.
+
+Snapshots are independent of each other, so that a drive can be measured in blocks, in any order: the receiver acquires
+every snapshot anew.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from scipy.optimize import linear_sum_assignment
+
+from cellslam.sim.errors import InputError
+from cellslam.sim.frames import SPEED_OF_LIGHT_MPS, wrap_angle
+from cellslam.sim.lte.array import (
+    CircularArray,
+    Complex,
+    doppler_phasors,
+    miscalibrated,
+    switching_times_s,
+)
+from cellslam.sim.lte.joint_bound import PathSet
+from cellslam.sim.lte.links import Cells, link_table, slant
+from cellslam.sim.lte.persisting_errors import floors
+from cellslam.sim.lte.persisting_errors_kernel import Fields, write_attitude, write_persisting
+from cellslam.sim.lte.radio_config import RadioConfig
+from cellslam.sim.lte.reference_signals import first_subcarrier
+from cellslam.sim.lte.signal import symbol_kernel
+from cellslam.sim.lte.signal.channel import SLOTS_PER_FRAME, arriving_paths, pilots
+from cellslam.sim.lte.signal.diffuse import SCATTERERS, Surroundings
+from cellslam.sim.lte.signal.path_estimator.cancellation import cancel
+from cellslam.sim.lte.signal.path_estimator.path_estimator import Estimates, estimate_paths
+from cellslam.sim.lte.signal.receiver import ComplexSingle, Receiver
+from cellslam.sim.lte.signal.waveform import SAMPLE_S, SUBCARRIER_SPACING_HZ
+from cellslam.sim.lte.single_path_bound import tone_frequencies
+from cellslam.sim.lte.statistical import detector_layout as k
+from cellslam.sim.lte.statistical.statistical_front_end import PathColumns
+from cellslam.sim.rays.antenna import sector_gain_db
+from cellslam.sim.recording import Floats, Ints
+
+SLOTS_PER_SNAPSHOT = 150
+# An estimate within this of a true path, in the sense of squares, comes from it: half a resolution cell.
+_SAME_PATH = 2.0 * np.array([4.6, np.radians(7.7), np.radians(8.0)])
+
+
+@dataclass(frozen=True)
+class Hardware:
+    """Errors per array port and of the sites' carriers."""
+
+    phase_std_deg: float = 5.0
+    gain_std_db: float = 0.5
+    carrier_offset_std_hz: float = 0.03
+
+
+DEFAULT_HARDWARE = Hardware()
+
+
+@dataclass(frozen=True)
+class SignalLevel:
+    """One trial's air interface and receiver. `offsets_m` (S,) of the sites' clocks; `carrier_offsets_hz` (S,)."""
+
+    config: RadioConfig
+    cells: Cells
+    offsets_m: Floats
+    carrier_offsets_hz: Floats
+    fields: Fields
+    surroundings: Surroundings
+    array: CircularArray
+    receiver: Receiver
+
+    @cached_property
+    def links(self) -> k.LinkTable:
+        """The links as the detector knows them."""
+        return link_table(self.cells)
+
+    @cached_property
+    def combs(self) -> Ints:
+        """First reference subcarrier (L,) of each link in the first symbol."""
+        return np.array([first_subcarrier(*self.name(link), 0, 0) for link in range(len(self.links.site))], np.int64)
+
+    @cached_property
+    def sync_m(self) -> Floats:
+        """Where the receiver's search for cells places each site's delay window (S,): its clock, to a sample."""
+        sample = SPEED_OF_LIGHT_MPS * SAMPLE_S
+        return np.asarray(np.rint(self.offsets_m / sample) * sample, np.float64)
+
+    def name(self, link: int) -> tuple[int, int]:
+        """Return cell ID and antenna port of a link."""
+        return int(self.cells.cell_id[self.links.cell[link]]), int(self.links.port[link])
+
+    def measure(
+        self, paths: PathColumns, pose: Floats, velocity_mps: Floats, odometry_mps: Floats, snapshot: int,
+        rng: np.random.Generator,
+    ) -> Floats:  # fmt: skip
+        """Return the measurements (M, COLUMNS) of one snapshot, whose traced paths are `paths`.
+
+        `velocity_mps` (3,) of the body is true, `odometry_mps` (3,) what the receiver compensates Doppler with.
+        """
+        slots = self.slots(snapshot)
+        truth = self.geometry(paths, pose, snapshot)
+        received = self.receive(paths, pose, velocity_mps, snapshot, slots, rng)
+        motion = self.receiver.moving(odometry_mps)
+        rows = []
+        for link in range(len(self.links.site)):
+            site = int(self.links.site[link])
+            found = estimate_paths(self.samples(link, received, slots), motion)
+            own = slice(int(paths.rows[site]), int(paths.rows[site + 1]))
+            rows.append(self.rows(snapshot, link, found, truth[own], own.start))
+        return np.concatenate(rows)
+
+    def receive(
+        self, paths: PathColumns, pose: Floats, velocity_mps: Floats, snapshot: int, slots: Ints,
+        rng: np.random.Generator,
+    ) -> dict[int, Complex]:  # fmt: skip
+        """Return the elements (ports, tones) of the first symbol on every comb of reference elements in use."""
+        sites = len(self.offsets_m)
+        scattered = self.surroundings.add(paths, sites, pose[:3])
+        shape = (self.array.ports, len(self.receiver.rate))
+        deviation = np.sqrt(0.5 * 10.0 ** (self.config.noise_dbm / 10.0))
+        total: dict[int, ComplexSingle] = {int(comb): np.zeros(shape, np.complex64) for comb in np.unique(self.combs)}
+        for elements in total.values():
+            symbol_kernel.add_noise(elements, rng.standard_normal((*shape, 2), np.float32), deviation)
+        for site in range(sites):
+            rows = slice(int(scattered.rows[site]), int(scattered.rows[site + 1]))
+            if rows.stop > rows.start:
+                self._send(site, scattered, rows, pose, velocity_mps, snapshot, slots, total, rng)
+        return {comb: elements.astype(np.complex128) for comb, elements in total.items()}
+
+    def _send(
+        self, site: int, paths: PathColumns, rows: slice, pose: Floats, velocity_mps: Floats, snapshot: int,
+        slots: Ints, total: dict[int, ComplexSingle], rng: np.random.Generator,
+    ) -> None:  # fmt: skip
+        """Add what every cell of a site sends to the elements `total`."""
+        config = self.config
+        one = np.ones(rows.stop - rows.start)
+        arriving = [
+            arriving_paths(pose, paths.vt_m[rows], paths.gain[rows], slant(np.array(port)), one, config.carrier_hz)
+            for port in range(2)
+        ]
+        geometry = self._perturbed(arriving[0], paths.vt_m[rows], pose, snapshot)
+        length = geometry[:, 0] + self.offsets_m[site]
+        steering = self.array.steer(geometry[:, 1], geometry[:, 2]).value
+        later = self.receiver.times_s - self.receiver.times_s.mean()
+        moving = doppler_phasors(self.receiver.times_s, velocity_mps, geometry[:, 1], geometry[:, 2], config.carrier_hz)
+        moving = moving * np.exp(2j * np.pi * self.carrier_offsets_hz[site] * later)
+        on_ports = [np.einsum("npq,nq->pn", steering, p.weights) * moving.T for p in arriving]
+        frequency = tone_frequencies(config.resource_blocks)
+        delay = np.exp(-2j * np.pi * np.outer(length, frequency) / SPEED_OF_LIGHT_MPS).astype(np.complex64)
+        # What other cells' data add is noise-like: of diffuse energy only the power counts there.
+        specular = slice(None, None, SCATTERERS + 1)
+        whole = np.sqrt(1.0 + 10.0 ** (-config.specular_to_diffuse_db / 10.0))
+        for link in np.flatnonzero(self.links.site == site):
+            cell = int(self.links.cell[link])
+            off, down = (paths.departure_rad[rows] - [self.cells.azimuth_rad[cell], 0.0]).T
+            sector_db = sector_gain_db(off, down, float(self.cells.tilt_rad[cell]), peak_dbi=0.0)
+            amplitude = 10.0 ** ((config.eirp_dbm + sector_db) / 20.0)
+            weighted = on_ports[int(self.links.port[link]) % 2] * amplitude
+            own = {int(self.combs[other]) for other in np.flatnonzero(self.links.cell == cell)}
+            for comb, elements in total.items():
+                shift = np.exp(-2j * np.pi * comb * SUBCARRIER_SPACING_HZ * length / SPEED_OF_LIGHT_MPS)
+                shifted = (weighted * shift).astype(np.complex64)
+                if comb == self.combs[link]:
+                    normal = rng.standard_normal((*elements.shape, 2), np.float32)
+                    sent = self.sent[link][slots]
+                    symbol_kernel.add_pilots(elements, shifted @ delay, sent, normal, config.evm * np.sqrt(0.5))
+                elif comb not in own and config.load > 0.0:
+                    words = rng.integers(0, 65536, elements.shape, np.uint16)
+                    share = float(whole / np.sqrt(self.cells.ports[cell]))
+                    response = shifted[:, specular] @ delay[specular]
+                    symbol_kernel.add_data(elements, response, words, config.load, share)
+
+    def _perturbed(self, arriving: PathSet, vt_m: Floats, pose: Floats, snapshot: int) -> Floats:
+        """Return distance, azimuth and elevation (n, 3) with the errors of roof, attitude and group delay.
+
+        A path's scatterers share its errors.
+        """
+        attitude, error = np.empty(3), np.empty(3)
+        write_attitude(snapshot, self.fields, attitude)
+        geometry = np.stack([arriving.distance_m, arriving.azimuth_rad, arriving.elevation_rad], 1)
+        for first in range(0, len(geometry), SCATTERERS + 1):
+            write_persisting(geometry[first], pose, vt_m[first], 0, attitude, self.fields, error)
+            geometry[first : first + SCATTERERS + 1] += error
+        geometry[:, 2] = np.clip(geometry[:, 2], -1.5, 1.5)
+        return geometry
+
+    @cached_property
+    def sent(self) -> Complex:
+        """The reference values (L, 20 slots, tones) of every link."""
+        blocks, slots = self.config.resource_blocks, range(SLOTS_PER_FRAME)
+        names = [self.name(link) for link in range(len(self.links.site))]
+        return np.array([[pilots(*name, slot, blocks)[1] for slot in slots] for name in names])
+
+    def slots(self, snapshot: int) -> Ints:
+        """Return the slot of the frame in which each array port is sampled (ports,)."""
+        first = SLOTS_PER_SNAPSHOT * snapshot
+        return np.asarray(
+            (first + np.rint(self.receiver.times_s / 0.5e-3).astype(np.int64)) % SLOTS_PER_FRAME, np.int64
+        )
+
+    def samples(self, link: int, received: dict[int, Complex], slots: Ints) -> Complex:
+        """Return a link's descrambled samples (ports, tones), colliding cells cancelled, delays counted from its site's
+        synchronisation.
+        """
+        site, blocks = int(self.links.site[link]), self.config.resource_blocks
+        y: Complex = received[int(self.combs[link])] * self.sent[link][slots].conj()
+        y = y * np.exp(1j * self.receiver.rate * self.sync_m[site])
+        for other in np.flatnonzero(self.combs == self.combs[link]):
+            if other != link:
+                apart = float(self.sync_m[self.links.site[other]] - self.sync_m[site])
+                y = cancel(y, self.name(link), self.name(int(other)), slots, blocks, apart)
+        return y
+
+    def geometry(self, paths: PathColumns, pose: Floats, snapshot: int) -> Floats:
+        """Return distance, azimuth and elevation (P, 3) of the traced paths."""
+        unit = np.ones(len(paths.vt_m))
+        p: PathSet = arriving_paths(pose, paths.vt_m, paths.gain, np.array([1.0, 0.0]), unit, self.config.carrier_hz)
+        return np.stack([p.distance_m, p.azimuth_rad, p.elevation_rad], 1)
+
+    def rows(self, snapshot: int, link: int, found: Estimates, truth: Floats, first: int) -> Floats:
+        """Return a link's measurements (n, COLUMNS): claimed deviations are those of the fit and the floors."""
+        out = np.full((len(found), k.COLUMNS), np.nan)
+        if not len(found):
+            return out
+        site = int(self.links.site[link])
+        geometry = found.geometry.copy()
+        geometry[:, 0] += self.sync_m[site] - self.offsets_m[site]
+        path = _sources(geometry, truth)
+        std = np.sqrt(np.einsum("nii->ni", found.covariance) + floors(self.config) ** 2)
+        out[:, k.SNAPSHOT], out[:, k.LINK] = snapshot, link
+        out[:, k.DISTANCE] = geometry[:, 0] + self.offsets_m[site]
+        out[:, k.AZIMUTH], out[:, k.ELEVATION] = geometry[:, 1], geometry[:, 2]
+        out[:, k.SNR_DB], out[:, k.CLAIMED_STD : k.CLAIMED_STD + 3] = found.snr_db, std
+        real = path >= 0
+        out[real, k.TRUE_STD : k.TRUE_STD + 3] = std[real]
+        out[:, k.PATH] = np.where(real, path + first, -1)
+        return out
+
+
+def signal_level(
+    config: RadioConfig, cells: Cells, offsets_m: Floats, fields: Fields, rng: np.random.Generator,
+    hardware: Hardware = DEFAULT_HARDWARE,
+) -> SignalLevel:  # fmt: skip
+    """Draw a trial's receiver array and surroundings. Raises InputError where the cells do not suit the front end."""
+    if (cells.ports > 2).any():
+        raise InputError(
+            "the signal-level front end receives antenna ports 0 and 1, but a site has more: set its ports to 1 or 2"
+        )
+    if config.noise_scale != 1.0 or config.perfect_detection or config.detection_scale != 1.0:
+        raise InputError(
+            "radio.noise_scale, perfect_detection and detection_scale belong to the statistical front end: leave them "
+            "at 1, false and 1"
+        )
+    ideal = CircularArray(carrier_hz=config.carrier_hz)
+    array = miscalibrated(ideal, hardware.phase_std_deg, hardware.gain_std_db, rng)
+    receiver = Receiver(
+        array=ideal, times_s=switching_times_s(ideal), resource_blocks=config.resource_blocks,
+        carrier_hz=config.carrier_hz, threshold=config.detection_threshold, window_min_m=config.window_min_m,
+        window_max_m=config.window_max_m, ghost_rule_db=config.ghost_rule_db,
+    )  # fmt: skip
+    # Calibration errors come from the array, diffuse ones from the scatterers: only the rest is drawn as such.
+    angles = fields.direction_std * np.array([1.0, 0.0, 0.0, 1.0, 1.0])
+    remaining = fields._replace(direction_std=angles, place_std=np.zeros(3))
+    surroundings = Surroundings(int(rng.integers(2**32)), config.specular_to_diffuse_db)
+    carrier = hardware.carrier_offset_std_hz * rng.standard_normal(len(offsets_m))
+    return SignalLevel(config, cells, offsets_m, carrier, remaining, surroundings, array, receiver)
+
+
+def _sources(found: Floats, truth: Floats) -> Ints:
+    """Return which true path (n,) each estimate comes from, -1 none: least sum of squares, each path once."""
+    out = np.full(len(found), -1, np.int64)
+    apart = found[:, None] - truth[None]
+    apart[..., 1] = wrap_angle(apart[..., 1])
+    cost = np.sum((apart / _SAME_PATH) ** 2, axis=-1)
+    for i, j in zip(*linear_sum_assignment(np.minimum(cost, 1.0)), strict=True):
+        if cost[i, j] < 1.0:
+            out[i] = j
+    return out

@@ -1,0 +1,243 @@
+"""Compiled kernel of the statistical detector: traced paths in, measurements out, snapshot by snapshot.
+
+Everything runs serially and draws from the three generators in a fixed order (per link: one uniform and
+three normals for every path, then the clutter), so one block or many give the same numbers. Powers are in
+milliwatt per resource element, ratios linear, angles in radians, distances in metres.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+from numba import njit
+
+from cellslam.sim.lte.budget_kernel import link_powers
+from cellslam.sim.lte.persisting_errors_kernel import Fields, write_attitude, write_persisting
+from cellslam.sim.lte.single_path_bound import AZIMUTH_EXPONENT
+from cellslam.sim.lte.statistical.clutter_kernel import noise_clutter, structured_clutter, trailing
+from cellslam.sim.lte.statistical.detector_layout import (
+    AZIMUTH,
+    COLUMNS,
+    DIFFUSE_SHARE,
+    DISTANCE,
+    DISTURBED,
+    ELEVATION,
+    GHOST_REACH_M,
+    ISOLATED_LEFTOVER,
+    LINK,
+    MOST_CLUTTER,
+    NEIGHBOUR_M,
+    PATH,
+    SNAPSHOT,
+    SNR_DB,
+    Array,
+    LinkTable,
+    Model,
+)
+from cellslam.sim.lte.statistical.measurement_kernel import (
+    body_geometry,
+    fold,
+    probability,
+    wrap,
+    write_std,
+    write_white_std,
+)
+
+
+@njit(cache=True)
+def captured(a: Array, b: Array, model: Model) -> float:
+    """Return the share of path a's energy inside the tangent space of path b; both (distance, az, el).
+
+    Gaussian ambiguity exp(-s^2) with the bound's widths, value and first derivatives: exp(-s^2) (1 + s^2).
+    """
+    cosine = math.cos(0.5 * (a[2] + b[2])) ** AZIMUTH_EXPONENT
+    u = (a[0] - b[0]) / model.distance_scale
+    v = wrap(a[1] - b[1]) * cosine / model.azimuth_scale
+    w = (a[2] - b[2]) / model.elevation_scale
+    s = u * u + v * v + w * w
+    return float(math.exp(-s) * (1.0 + s))
+
+
+@njit(cache=True)
+def _detect_paths(
+    n: int,
+    geo: Array,
+    gamma: Array,
+    model: Model,
+    table: Array,
+    pose: Array,
+    vt: Array,
+    port: int,
+    attitude: Array,
+    fields: Fields,
+    noise: Any,
+    detection: Any,
+    work: Array,
+    out: Array,
+) -> int:
+    """Draw the measurements of one link's true paths into `out`; return how many.
+
+    `work` (W, 8): order, leftover, nearest stronger path, share of its SNR over noise alone and then whether it was
+    detected, shifts (3), power added.
+    """
+    for i in range(n):
+        j = i
+        while j > 0 and gamma[int(work[j - 1, 0])] < gamma[i]:
+            work[j, 0] = work[j - 1, 0]
+            j -= 1
+        work[j, 0] = i
+    for rank in range(n):
+        p = int(work[rank, 0])
+        leftover, most, near, ghost, disturbance = 1.0, 0.0, -1, False, 1.0
+        for other in range(rank):
+            q = int(work[other, 0])
+            apart = abs(geo[p, 0] - geo[q, 0])
+            if gamma[p] < DIFFUSE_SHARE * gamma[q]:
+                disturbance += gamma[q] * trailing(geo[p], geo[q], model)
+            ghost = ghost or (apart < GHOST_REACH_M and gamma[p] < gamma[q] * model.ghost_rule)
+            if apart < NEIGHBOUR_M:
+                share = captured(geo[p], geo[q], model)
+                leftover *= 1.0 - share
+                if share > most:
+                    most, near = share, q
+        work[p, 1], work[p, 2], work[p, 3] = leftover, near, 0.0 if ghost else 1.0 / disturbance
+    for i in range(n):
+        for column in range(4, 8):
+            work[i, column] = 0.0
+        inside = model.window_min <= geo[i, 0] <= model.window_max
+        seen = gamma[i] * work[i, 1] * work[i, 3]
+        crowded = work[i, 1] <= ISOLATED_LEFTOVER or work[i, 3] < 1.0 / DISTURBED
+        chance = probability(seen, crowded, table, model) * model.detection_scale
+        found = detection.random() < chance and inside and work[i, 3] > 0.0
+        work[i, 3] = 1.0 if found or model.perfect else 0.0
+        if model.perfect:
+            work[i, 1] = 1.0
+    for i in range(n):
+        q = int(work[i, 2])
+        if work[i, 3] == 0.0 and q >= 0:
+            # What is not resolved is attributed to the stronger neighbour, and pulls it.
+            merged = 1.0 - work[i, 1]
+            pull = merged * gamma[i] / (gamma[i] + gamma[q])
+            work[q, 4] += pull * (geo[i, 0] - geo[q, 0])
+            work[q, 5] += pull * wrap(geo[i, 1] - geo[q, 1])
+            work[q, 6] += pull * (geo[i, 2] - geo[q, 2])
+            work[q, 7] += merged * gamma[i]
+    count = 0
+    white, slow = np.empty(3), np.empty(3)
+    for i in range(n):
+        e_d, e_a, e_e = noise.standard_normal(), noise.standard_normal(), noise.standard_normal()
+        if work[i, 3] == 0.0:
+            continue
+        row = out[count]
+        effective = max(gamma[i] * work[i, 1], 1e-2)
+        write_std(row, effective, geo[i, 2], model)
+        write_white_std(effective, geo[i, 2], model, white)
+        write_persisting(geo[i], pose, vt[i], port, attitude, fields, slow)
+        row[DISTANCE] = geo[i, 0] + work[i, 4] * model.noise_scale + white[0] * e_d + slow[0]
+        row[AZIMUTH] = geo[i, 1] + work[i, 5] * model.noise_scale + white[1] * e_a + slow[1]
+        row[ELEVATION] = geo[i, 2] + work[i, 6] * model.noise_scale + white[2] * e_e + slow[2]
+        fold(row)
+        row[SNR_DB] = 10.0 * math.log10(min((gamma[i] + work[i, 7]) / model.samples, model.snr_cap))
+        row[PATH] = i
+        count += 1
+    return count
+
+
+@njit(cache=True)
+def copy_row(source: Array, target: Array) -> None:
+    """Copy one measurement; a loop compiles faster than a slice."""
+    for column in range(COLUMNS):
+        target[column] = source[column]
+
+
+@njit(cache=True)
+def _emit(
+    snapshot: int, link: int, count: int, offset: float, first: int, buffer: Array, order: Array, out: Array
+) -> None:
+    """Copy one link's rows to `out`, sorted by distance, and add the clock offset."""
+    for i in range(count):
+        j = i
+        while j > 0 and buffer[order[j - 1], DISTANCE] > buffer[i, DISTANCE]:
+            order[j] = order[j - 1]
+            j -= 1
+        order[j] = i
+    for i in range(count):
+        row = out[i]
+        copy_row(buffer[order[i]], row)
+        row[SNAPSHOT], row[LINK] = snapshot, link
+        row[DISTANCE] += offset
+        if row[PATH] >= 0.0:
+            row[PATH] += first
+
+
+@njit(cache=True)
+def measure_block(
+    first_snapshot: int,
+    poses: Array,
+    rows: Array,
+    vt: Array,
+    gain: Array,
+    departure: Array,
+    offsets: Array,
+    links: LinkTable,
+    model: Model,
+    fields: Fields,
+    table: Array,
+    threshold: float,
+    noise: Any,
+    detection: Any,
+    clutter: Any,
+) -> Array:
+    """Return the measurements (M, COLUMNS) of `poses` (T, 6), numbered from `first_snapshot`.
+
+    `rows` (T S + 1,): paths of (snapshot, site) are rows[t S + s] up to rows[t S + s + 1] of vt (P, 3), gain
+    (P, 2, 2) as [rx, tx] in (H, V), and departure (P, 2) azimuth, elevation in the world; `offsets` (S,).
+    """
+    sites, count_links = len(offsets), len(links.site)
+    widest = 1
+    for k in range(len(rows) - 1):
+        widest = max(widest, rows[k + 1] - rows[k])
+    geo, attitude = np.empty((sites, widest, 3)), np.empty(3)
+    power = np.empty((count_links, widest))
+    cell_power = np.empty(len(links.cell_site))
+    gamma, work = np.empty(widest), np.empty((widest, 8))
+    most = widest + (widest + 1) * MOST_CLUTTER
+    buffer, order = np.empty((most, COLUMNS)), np.empty(most, np.int64)
+    out, used = np.empty((max(256, 4 * len(vt)), COLUMNS)), 0
+    for t in range(len(poses)):
+        base = t * sites
+        for s in range(sites):
+            for i in range(rows[base + s + 1] - rows[base + s]):
+                body_geometry(poses[t], vt[rows[base + s] + i], geo[s, i])
+        link_powers(rows, base, gain, departure, geo, links, model.eirp, power, cell_power)
+        write_attitude(first_snapshot + t, fields, attitude)
+        total = 0.0
+        for cell in range(len(cell_power)):
+            total += cell_power[cell]
+        for link in range(count_links):
+            site, cell = links.site[link], links.cell[link]
+            first = rows[base + site]
+            n = rows[base + site + 1] - first
+            own = 0.0
+            for i in range(n):
+                own += power[link, i]
+            sigma2 = model.noise + model.load * (total - cell_power[cell]) + model.evm_power * own
+            for i in range(n):
+                gamma[i] = model.samples * min(power[link, i] / sigma2, model.snr_cap)
+            count = _detect_paths(
+                n, geo[site], gamma, model, table, poses[t], vt[first:], links.port[link], attitude, fields, noise,
+                detection, work, buffer,
+            )  # fmt: skip
+            for i in range(n):
+                count += structured_clutter(i, n, geo[site], gamma, model, table, clutter, buffer[count:])
+            count += noise_clutter(model, threshold, clutter, buffer[count:])
+            if used + count > len(out):
+                larger = np.empty((2 * (used + count), COLUMNS))
+                for i in range(used):
+                    copy_row(out[i], larger[i])
+                out = larger
+            _emit(first_snapshot + t, link, count, offsets[site], first, buffer, order, out[used:])
+            used += count
+    return out[:used]

@@ -1,0 +1,91 @@
+"""The layout of a recording's HDF5 file: every dataset with shape, unit and kind of value."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+FORMAT = "cellslam recording"
+SCHEMA_VERSION = 2
+COMPONENTS = ("u_x", "u_y", "u_z", "u_psi", "u_theta", "u_phi")
+NOUNS = {"float": "numbers", "int": "integers", "text": "text"}
+_POSE = ("x", "y", "z", "psi", "theta", "phi")
+_POSE_UNIT = "m, m, m, rad, rad, rad"
+_RATE_UNIT = "m/s, m/s, m/s, rad/s, rad/s, rad/s"
+
+
+@dataclass(frozen=True)
+class Column:
+    """One dataset: its path in the file (with dots: in Recording), shape in symbols, unit, kind of value.
+
+    Symbols: T snapshots, L links, S sites, M measurements, V virtual transmitters, I visible intervals, R fixes.
+    `optional`: may be left out; `absent`: may be left out if its table's attribute `absent` says so.
+    """
+
+    path: str
+    shape: tuple[str | int, ...]
+    unit: str = "1"
+    kind: str = "float"
+    labels: tuple[str, ...] = ()
+    optional: bool = False
+    absent: bool = False
+
+    @property
+    def table(self) -> str:
+        """Path of the group that holds the column; empty for the root."""
+        return self.path.rpartition("/")[0]
+
+    @property
+    def described(self) -> str:
+        """What a file should hold here, for error messages."""
+        shape = ", ".join(str(size) for size in self.shape)
+        return f"{NOUNS[self.kind]} of shape ({shape}) with unit '{self.unit}'"
+
+
+COLUMNS = (
+    Column("time_s", ("T",), "s"),
+    Column("odometry", ("T", 6), _RATE_UNIT, labels=COMPONENTS),
+    Column("odometry_model/noise_density", (6,), "m/s*sqrt(s), rad/s*sqrt(s)", labels=COMPONENTS),
+    Column("odometry_model/bias", (6,), _RATE_UNIT, labels=COMPONENTS),
+    Column("odometry_model/bias_walk_density", (6,), "m/s/sqrt(s), rad/s/sqrt(s)", labels=COMPONENTS),
+    Column("odometry_model/scale", (6,), labels=COMPONENTS),
+    Column("links/site", ("L",), kind="int"),
+    Column("links/cell_id", ("L",), kind="int", absent=True),
+    Column("links/port", ("L",), kind="int", absent=True),
+    Column("sites/name", ("S",), kind="text"),
+    Column("sites/clock_offset_mean_m", ("S",), "m"),
+    Column("sites/clock_offset_std_m", ("S",), "m"),
+    Column("sites/clock_drift_std_m_s", ("S",), "m/s", optional=True),
+    Column("measurements/snapshot", ("M",), kind="int"),
+    Column("measurements/link", ("M",), kind="int"),
+    Column("measurements/distance_m", ("M",), "m", absent=True),
+    Column("measurements/azimuth_rad", ("M",), "rad", absent=True),
+    Column("measurements/elevation_rad", ("M",), "rad", absent=True),
+    Column("measurements/snr_db", ("M",), "dB", absent=True),
+    Column("measurements/distance_std_m", ("M",), "m", optional=True),
+    Column("measurements/azimuth_std_rad", ("M",), "rad", optional=True),
+    Column("measurements/elevation_std_rad", ("M",), "rad", optional=True),
+    Column("start_pose", (6,), _POSE_UNIT, labels=_POSE),
+    Column("start_std", (6,), _POSE_UNIT, labels=_POSE),
+    Column("plane", (), kind="int", optional=True),
+    Column("provenance", (), "JSON", kind="text"),
+    Column("truth/poses", ("T", 6), _POSE_UNIT, labels=_POSE),
+    Column("truth/measurement_vt", ("M",), kind="int"),
+    Column("truth/measurement_std", ("M", 3), "m, rad, rad", labels=("distance", "azimuth", "elevation")),
+    Column("truth/persisting_std", ("M", 3), "m, rad, rad", labels=("distance", "azimuth", "elevation"), optional=True),
+    Column("truth/vts/position_m", ("V", 3), "m", labels=("x", "y", "z")),
+    Column("truth/vts/site", ("V",), kind="int"),
+    Column("truth/vts/order", ("V",), kind="int"),
+    Column("truth/vts/facets", ("V", 2), kind="int", labels=("first", "second")),
+    Column("truth/vts/visible", ("I", 3), kind="int", labels=("vt", "first_snapshot", "last_snapshot")),
+    Column("truth/site_positions_m", ("S", 3), "m", labels=("x", "y", "z")),
+    Column("truth/clock_offsets_m", ("S",), "m"),
+    Column("truth/clock_drift_m_s", ("S",), "m/s", optional=True),
+    Column("truth/odometry_bias", ("T", 6), _RATE_UNIT, labels=COMPONENTS),
+    Column("truth/odometry_scale", (6,), labels=COMPONENTS),
+    Column("reference/time_s", ("R",), "s"),
+    Column("reference/position_m", ("R", 3), "m", labels=("x", "y", "z")),
+    Column("reference/yaw_rad", ("R",), "rad"),
+    Column("reference/position_std_m", ("R",), "m"),
+)
+# Tables that a recording may lack as a whole, with all that is in them.
+TABLES_THAT_MAY_MISS = ("truth", "reference")

@@ -1,0 +1,191 @@
+"""The tables of a recording: what a measurement campaign leaves behind, simulated or real.
+
+Everything is a frozen dataclass of arrays. Estimators see the observable part through `slam.api.Setup` and
+`slam.api.Snapshot`; only scoring reads `truth`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+Floats = NDArray[np.float64]
+Ints = NDArray[np.int64]
+
+
+@dataclass(frozen=True)
+class OdometryModel:
+    """The odometry's data sheet, per component of u = [u_x, u_y, u_z (m/s), u_psi, u_theta, u_phi (rad/s)].
+
+    A measured component is (1 + scale) u + bias + walk + white. All fields have shape (6,) and are standard deviations:
+    `noise_density` of the white noise in unit * sqrt(s) (an interval's mean has noise_density / sqrt(dt)), `bias` in
+    the unit of u, `bias_walk_density` in unit / sqrt(s), `scale` without unit. Zero: this error does not exist.
+    """
+
+    noise_density: Floats
+    bias: Floats
+    bias_walk_density: Floats
+    scale: Floats
+
+
+@dataclass(frozen=True)
+class Links:
+    """One row a link (base station, cell, CRS port): `site` indexes `Sites`; all (L,).
+
+    `cell_id` and `port` are -1 where the campaign has no such thing.
+    """
+
+    site: Ints
+    cell_id: Ints
+    port: Ints
+
+    def __len__(self) -> int:
+        return len(self.site)
+
+
+@dataclass(frozen=True)
+class Sites:
+    """Base-station sites: names and the prior of the clock offset, in metres (std 0: known); no positions.
+
+    `clock_drift_std_m_s` (S,): deviation of the rate at which an offset changes, m/s (None: offsets are constant).
+    """
+
+    name: tuple[str, ...]
+    clock_offset_mean_m: Floats
+    clock_offset_std_m: Floats
+    clock_drift_std_m_s: Floats | None = None
+
+    def __len__(self) -> int:
+        return len(self.name)
+
+    @property
+    def drift_std_m_s(self) -> Floats:
+        """Deviation (S,) of each offset's rate, m/s: zero where it is constant."""
+        return np.zeros(len(self)) if self.clock_drift_std_m_s is None else self.clock_drift_std_m_s
+
+
+@dataclass(frozen=True)
+class Measurements:
+    """Path parameters, one row a path, sorted by (snapshot, link); all columns (M,).
+
+    `distance_m` is c tau with the site's clock offset in it; azimuth and elevation are in the body frame; `snr_db` is
+    rho,
+    per sample. NaN: this component was not measured. The standard deviations are those that the front end
+    claims, and None where it claims none.
+    """
+
+    snapshot: Ints
+    link: Ints
+    distance_m: Floats
+    azimuth_rad: Floats
+    elevation_rad: Floats
+    snr_db: Floats
+    distance_std_m: Floats | None = None
+    azimuth_std_rad: Floats | None = None
+    elevation_std_rad: Floats | None = None
+
+    def __len__(self) -> int:
+        return len(self.snapshot)
+
+
+@dataclass(frozen=True)
+class VirtualTransmitters:
+    """The VTs that the drive meets. A line-of-sight transmitter is one too, of order 0.
+
+    `position_m` (V, 3); `site` (V,); `order` (V,); `facets` (V, 2), -1 where there is none; `visible` (I, 3): rows of
+    VT,
+    first and last snapshot of an interval in which the path exists (detected or not).
+    """
+
+    position_m: Floats
+    site: Ints
+    order: Ints
+    facets: Ints
+    visible: Ints
+
+    def __len__(self) -> int:
+        return len(self.site)
+
+
+@dataclass(frozen=True)
+class Truth:
+    """What really happened: for scoring and oracles only.
+
+    `poses` (T, 6); `measurement_vt` (M,), -1 for clutter; `measurement_std` (M, 3): the true standard
+    deviations of distance (m), azimuth, elevation (rad), NaN for clutter; `persisting_std` (M, 3): their part that is
+    alike over links and changes slowly (None: all errors are white); `site_positions_m` (S, 3); `clock_offsets_m`
+    (S,): b of d = norm(v - r) + b at the first snapshot; `clock_drift_m_s` (S,): its rate (None: constant);
+    `odometry_bias` (T, 6): bias plus walk at each snapshot; `odometry_scale` (6,).
+    """
+
+    poses: Floats
+    measurement_vt: Ints
+    measurement_std: Floats
+    vts: VirtualTransmitters
+    site_positions_m: Floats
+    clock_offsets_m: Floats
+    odometry_bias: Floats
+    odometry_scale: Floats
+    persisting_std: Floats | None = None
+    clock_drift_m_s: Floats | None = None
+
+    def clock_offsets_at(self, elapsed_s: Floats) -> Floats:
+        """Return the clock offsets (n, S) so long (n,) after the first snapshot."""
+        rate = np.zeros_like(self.clock_offsets_m) if self.clock_drift_m_s is None else self.clock_drift_m_s
+        return np.asarray(self.clock_offsets_m + np.multiply.outer(elapsed_s, rate))
+
+
+@dataclass(frozen=True)
+class Reference:
+    """The trajectory as another sensor saw it (GNSS, total station), at its own times: what a real drive has for truth.
+
+    `time_s` (R,), increasing, on the clock of the snapshots; `position_m` (R, 3) of the array in the world frame;
+    `yaw_rad` (R,); `position_std_m` (R,). NaN: not known.
+    """
+
+    time_s: Floats
+    position_m: Floats
+    yaw_rad: Floats
+    position_std_m: Floats
+
+    def __len__(self) -> int:
+        return len(self.time_s)
+
+
+@dataclass(frozen=True)
+class RecordingData:
+    """A drive as it was measured. `start_pose` (6,) and `start_std` (6,) are the estimator's prior at time_s[0].
+
+    `time_s` (T,), at any intervals; `odometry` (T, 6): mean body velocities from time_s[t-1] to time_s[t], row 0
+    zero. NaN: this component was not measured in this interval; where a component never was, its row of
+    `odometry_model` describes the motion itself, about zero (noise density 0: the vehicle does not move that way).
+    `reference` is what a measured drive is scored by, `truth` what a simulated one is; either may be missing.
+    `plane`: array, sources and reflections lie in one horizontal plane, so that all elevations are zero unmeasured.
+    """
+
+    time_s: Floats
+    odometry: Floats
+    odometry_model: OdometryModel
+    links: Links
+    sites: Sites
+    measurements: Measurements
+    start_pose: Floats
+    start_std: Floats
+    provenance: Mapping[str, Any] = field(default_factory=dict)
+    truth: Truth | None = None
+    reference: Reference | None = None
+    plane: bool = False
+
+    @property
+    def elapsed_s(self) -> Floats:
+        """Time (T,) since the first snapshot."""
+        return np.asarray(self.time_s - self.time_s[0])
+
+    @property
+    def rows(self) -> Ints:
+        """First measurement row of each snapshot, (T + 1,): snapshot t has rows[t]:rows[t + 1]."""
+        return np.searchsorted(self.measurements.snapshot, np.arange(len(self.time_s) + 1)).astype(np.int64)

@@ -1,1 +1,0 @@
-"""What the extended FastSLAM is compared with."""

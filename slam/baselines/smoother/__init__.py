@@ -1,1 +1,0 @@
-"""Smoother: a batch factor graph over the whole drive, with the associations of FastSLAM."""

@@ -1,0 +1,1 @@
+"""BP-SLAM: belief propagation over associations, on the joint Gaussian of EKF-SLAM."""

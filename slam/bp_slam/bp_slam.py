@@ -1,0 +1,38 @@
+"""BP-SLAM: belief propagation for multipath-based SLAM, with directions of arrival and unknown clock offsets."""
+
+from __future__ import annotations
+
+from typing import ClassVar
+
+from pydantic import Field
+
+from cellslam.sim.recording import Floats
+from cellslam.slam.ekf_slam.ekf_slam import JointFilter
+from cellslam.slam.ekf_slam.ekf_slam_options import JointOptions
+from cellslam.slam.ekf_slam.state_layout import BACK, BELIEF, BIRTH, DETECTION, DROP, STAY
+from cellslam.slam.front_end.visibility import transitions
+
+
+class BpSlamOptions(JointOptions):
+    """What a scenario may set under `estimator.bp-slam`."""
+
+    drop_probability: float = Field(
+        1e-3, gt=0, lt=1, description="an unconfirmed feature less likely to exist is dropped, a new one not kept"
+    )
+
+
+class BpSlam(JointFilter):
+    """Sum-product message passing between agent, features (VTs) and association variables, snapshot by snapshot."""
+
+    name: ClassVar[str] = "bp-slam"
+    Options: ClassVar[type[BpSlamOptions]] = BpSlamOptions
+    mode: ClassVar[int] = BELIEF
+
+    def __init__(self, options: BpSlamOptions | None = None) -> None:
+        self.options: BpSlamOptions = options or BpSlamOptions()
+
+    def _configure(self, cfg: Floats, dt_s: float) -> None:
+        o = self._grouping.options
+        cfg[STAY], cfg[BACK] = transitions(o, dt_s) if dt_s > 0.0 else (1.0, 0.0)
+        cfg[DETECTION], cfg[DROP] = o.detection_probability, o.drop_probability
+        cfg[BIRTH] = o.birth_ratio / (1.0 - o.birth_ratio)

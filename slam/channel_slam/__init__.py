@@ -1,0 +1,1 @@
+"""Channel-SLAM: positioning by the delays of the paths alone."""

@@ -1,0 +1,126 @@
+"""What the conformance kit checks and on which drive: estimator, options, snapshots as given and changed ones."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, fields, replace
+from functools import cache, cached_property
+from importlib.resources import as_file, files
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cellslam.sim.recording import Floats, Recording
+from cellslam.slam.api import Estimate, Setup, Snapshot, setup_of, snapshots_of
+from cellslam.slam.conformance.answers import ConformanceError, check_answer, finding, require
+
+Step = tuple[float, Floats, Snapshot]
+SHORT = 60  # snapshots of most checks: 4.5 s
+
+
+@dataclass(frozen=True)
+class Subject:
+    """The estimator class to be checked, its options, and the drive: a recording with truth."""
+
+    estimator: type[Any]
+    options: Any
+    recording: Recording
+
+    def new(self) -> Any:
+        """Return a new instance."""
+        return self.estimator(self.options)
+
+    def warm_up(self) -> None:
+        """Let the estimator compile."""
+        compile_now = getattr(self.new(), "warm_up", None)
+        if callable(compile_now):
+            compile_now()
+
+    def setup(self) -> Setup:
+        """Return what the runner gives: truth for a declared oracle alone. Writable copies, to see who writes."""
+        setup: Setup = writable(setup_of(self.recording, bool(getattr(self.estimator, "requires_truth", False))))
+        return setup
+
+    def steps(self, count: int | None = SHORT) -> list[Step]:
+        """Return interval, odometry and snapshot of the first `count` snapshots, as writable copies."""
+        return [(dt, velocity.copy(), writable(snapshot)) for dt, velocity, snapshot in self._every[:count]]
+
+    @cached_property
+    def _every(self) -> list[Step]:
+        dt_s = np.diff(self.recording.time_s, prepend=self.recording.time_s[0])
+        return list(zip(dt_s.tolist(), self.recording.odometry, snapshots_of(self.recording), strict=True))
+
+
+@cache
+def tiny_drive() -> Recording:
+    """Return the drive of the checks: one trial of the preset `tiny`, stored (400 snapshots, 6 links, 2 sites)."""
+    with as_file(files("cellslam.slam.conformance") / "conformance_drive.h5") as path:
+        return Recording.load(path)
+
+
+def drive(estimator: Any, setup: Setup, steps: Sequence[Step], seed: int = 0) -> list[Estimate]:
+    """Return copies of an estimator's answers over `steps`, from a start with the generator of `seed`."""
+    estimator.start(setup, np.random.default_rng(seed))
+    return [copied(estimator.step(*step)) for step in steps]
+
+
+def writable(value: Any) -> Any:
+    """Return a dataclass with its arrays copied, at any depth, and writable."""
+    if isinstance(value, np.ndarray):
+        return value.copy()
+    if hasattr(value, "__dataclass_fields__"):
+        return replace(value, **{f.name: writable(getattr(value, f.name)) for f in fields(value)})
+    return value
+
+
+def copied(answer: Any) -> Estimate:
+    """Return a copy of an answer; raise ConformanceError where it is no Estimate."""
+    what = f"step returned {type(answer).__name__}"
+    require(isinstance(answer, Estimate), what, "return cellslam.slam.api.Estimate(pose, covariance)")
+    copy: Estimate = writable(answer)
+    return copy
+
+
+def merged(steps: Sequence[Step], kept: Sequence[int]) -> list[Step]:
+    """Return the snapshots `kept` (ascending, the first is 0) alone, with mean odometry from each to the next."""
+    out = [steps[0]]
+    for before, now in pairwise(kept):
+        span = steps[before + 1 : now + 1]
+        velocity: Floats = np.mean([u for _, u, _ in span], axis=0)
+        out.append((sum(dt for dt, _, _ in span), velocity, replace(steps[now][2], index=len(out))))
+    return out
+
+
+def taken(snapshot: Snapshot, rows: NDArray[Any]) -> Snapshot:
+    """Return a snapshot with the measurements `rows` alone, in that order."""
+    columns = [f.name for f in fields(Snapshot) if f.name != "index"]
+    values: dict[str, Any] = {name: getattr(snapshot, name) for name in columns}
+    chosen: dict[str, Any] = {name: None if v is None else v[rows] for name, v in values.items()}
+    return replace(snapshot, **chosen)
+
+
+def without(step: Step) -> Step:
+    """Return a step with an empty snapshot."""
+    return step[0], step[1], taken(step[2], np.empty(0, np.int64))
+
+
+def with_holes(snapshot: Snapshot, column: str, rng: np.random.Generator) -> Snapshot:
+    """Return a snapshot with NaN in a third of one column."""
+    values: Floats = getattr(snapshot, column)
+    holed: dict[str, Any] = {column: np.where(rng.random(len(values)) < 1 / 3, np.nan, values)}
+    return replace(snapshot, **holed)
+
+
+def run_checked(subject: Subject, steps: Sequence[Step], situation: str, remedy: str) -> None:
+    """Drive a new instance over `steps`; raise ConformanceError for whatever goes wrong in this situation."""
+    try:
+        setup, estimator = subject.setup(), subject.new()
+        estimator.start(setup, np.random.default_rng(0))
+        for step in steps:
+            check_answer(estimator.step(*step), step[2], setup)
+    except ConformanceError as error:
+        raise ConformanceError(f"{situation}: {str(error).split('; to fix: ')[0]}; to fix: {remedy}") from error
+    except Exception as error:
+        raise finding(f"{situation}: {type(error).__name__}: {error}", remedy) from error

@@ -1,0 +1,58 @@
+"""Dead reckoning: the odometry integrated from the start pose, with the covariance that its data sheet implies."""
+
+from __future__ import annotations
+
+from typing import ClassVar
+
+import numpy as np
+
+from cellslam.sim.frames import wrap_angle
+from cellslam.sim.recording import Floats, Links, OdometryModel, Sites
+from cellslam.slam.api import Estimate, Setup, Snapshot
+from cellslam.slam.ekf_slam.motion_kernel import move
+
+STATES = 18  # pose, odometry biases, odometry scales: six of each
+BIAS_OF, SCALE_OF, NO_RATES = np.arange(6, 12), np.arange(12, 18), np.zeros(0, np.int64)
+
+
+class DeadReckoning:
+    """Integrates mean body velocities (paper, section V: proprioception only); takes no options.
+
+    The covariance is that of a linearised filter over pose (6), odometry biases (6) and scales (6).
+    """
+
+    name: ClassVar[str] = "dead-reckoning"
+    requires_truth: ClassVar[bool] = False
+    Options: ClassVar[None] = None
+
+    def __init__(self, options: None = None) -> None:
+        del options
+
+    def warm_up(self) -> None:
+        """Compile the motion, or load it from its cache."""
+        none = np.zeros(6)
+        links, sites = Links(*np.zeros((3, 1), np.int64)), Sites(("A",), np.zeros(1), np.zeros(1))
+        other = DeadReckoning()
+        other.start(Setup(links, sites, OdometryModel(none, none, none, none), none, none), np.random.default_rng(0))
+        other.step(0.1, none, Snapshot(0, *np.zeros((2, 0), np.int64), *np.zeros((4, 0))))
+
+    def start(self, setup: Setup, rng: np.random.Generator) -> None:
+        """Take the start pose; nothing is drawn."""
+        del rng
+        model = setup.odometry_model
+        self._noise, self._walk = np.array(model.noise_density, float), np.array(model.bias_walk_density, float)
+        self._state, self._covariance = np.zeros((1, STATES)), np.zeros((1, STATES, STATES))
+        self._state[0, :6] = setup.start_pose
+        self._covariance[0] = np.diag(np.concatenate([setup.start_std**2, model.bias**2, model.scale**2]))
+        self._scratch = np.empty((1, 36)), np.empty((1, 6, STATES + 6)), np.empty((1, 6, 3 + STATES))
+
+    def step(self, dt_s: float, odometry: Floats, snapshot: Snapshot) -> Estimate:
+        """Integrate one interval; the measurements are not used."""
+        if dt_s > 0.0:
+            move(
+                self._state, self._covariance, np.zeros(1, np.int64), np.array(odometry, float), float(dt_s),
+                self._noise, self._walk, BIAS_OF, SCALE_OF, STATES, NO_RATES, STATES, *self._scratch,
+            )  # fmt: skip
+        pose = self._state[0, :6].copy()
+        pose[3:] = wrap_angle(pose[3:])
+        return Estimate(pose, self._covariance[0, :6, :6].copy())

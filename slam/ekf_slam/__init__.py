@@ -1,0 +1,1 @@
+"""EKF-SLAM: one Gaussian over pose, odometry errors, clock offsets and virtual transmitters."""

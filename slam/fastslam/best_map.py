@@ -1,0 +1,26 @@
+"""From particles to what is told of the map."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from cellslam.sim.recording import Floats, Ints
+from cellslam.slam.api import VtEstimate
+from cellslam.slam.fastslam.parts.part_types import Parts
+from cellslam.slam.fastslam.state.copy_kernel import read_map
+from cellslam.slam.fastslam.state.layout import LANES
+from cellslam.slam.fastslam.state.particles import Particles
+from cellslam.slam.fastslam.state.tracks_kernel import CONFIRMED
+
+
+def map_of(particles: Particles, index: int, parts: Parts, site_of: Ints, origin: Floats) -> VtEstimate:
+    """Return the confirmed VTs of one particle, in the world frame; `origin` (3,): where the filter's lies.
+
+    site_of (L,): site of each link, which has a map.
+    """
+    block, lane = divmod(index, LANES)
+    p = particles
+    return VtEstimate(*read_map(parts)(
+        parts, lane, CONFIRMED, p.nuisances, p.state[block], p.status[block], p.records[block], p.ident[block],
+        p.order[block], p.counts[block], site_of, np.arange(len(site_of)), origin,
+    ))  # fmt: skip

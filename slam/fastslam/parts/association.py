@@ -1,0 +1,241 @@
+"""Which measurement of a link belongs to which track, in every particle: parts of the filter."""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+from numba import njit
+from numba.extending import overload
+
+from cellslam.sim.recording import Ints
+from cellslam.slam.api import Snapshot
+from cellslam.slam.fastslam.parts.murty_kernel import LEFT_OUT, murty
+from cellslam.slam.fastslam.parts.part_types import COMPILED, is_of
+from cellslam.slam.fastslam.state.layout import LANES, V_WEIGHT, W_D2
+from cellslam.slam.model.assignment_kernel import assign
+
+B = LANES
+
+
+class Hungarian(NamedTuple):
+    """The assignment with the greatest sum of scores; what gains by none is left to clutter and misses."""
+
+
+class Nearest(NamedTuple):
+    """Pair after pair, the best first: what is left takes what is left."""
+
+
+class Sampled(NamedTuple):
+    """A draw among the `hypotheses` best assignments, each as probable as its scores make it; the weight is corrected
+    by the probability of the draw."""
+
+    hypotheses: int
+    seed: int
+
+
+class Told(NamedTuple):
+    """The truth: `vt` (M,) of each measurement, -1 for clutter; `of_birth` that of all so far, by number."""
+
+    vt: np.ndarray
+    of_birth: np.ndarray
+
+
+class FromTruth:
+    """Shows each snapshot what is `Told`, of a recording whose rows come from the VTs `measurement_vt` (M,)."""
+
+    def __init__(self, measurement_vt: Ints) -> None:
+        self._vt, self._of_birth = np.array(measurement_vt, np.int64), np.empty(len(measurement_vt), np.int64)
+
+    def for_snapshot(self, snapshot: Snapshot, born: int) -> Told:
+        """Return the truth of a snapshot, `born` measurements having gone before."""
+        vt = self._vt[snapshot.row]
+        self._of_birth[born : born + len(vt)] = vt
+        return Told(vt, self._of_birth)
+
+
+def associate(part, s, found, first, measured, link, turn, share):
+    """Write s.row_of (measured, LANES): which of the `found` candidates each measurement has in each lane, -1 for none.
+
+    s: scratch, with s.scores (found, measured, LANES) where s.claims (found, measured); first: number of the first
+    measurement in the snapshot; turn: a number that no other call with other measurements or particles has; share: of
+    the link's evidence that counts.
+    """
+    raise NotImplementedError
+
+
+@overload(associate, **COMPILED)
+def _associate(part, s, found, first, measured, link, turn, share):
+    if is_of(part, Hungarian):
+
+        def hungarian(part, s, found, first, measured, link, turn, share):
+            if take_best(s, found, measured):
+                for l in range(B):
+                    if _clash(s.row_of, measured, l):
+                        tabulate(s, found, measured, l)
+                        assign(s.table, found, measured, s.column, s.floats, s.ints)
+                        for k in range(measured):
+                            s.row_of[k, l] = s.column[k]
+
+        return hungarian
+    if is_of(part, Nearest):
+
+        def nearest(part, s, found, first, measured, link, turn, share):
+            if take_best(s, found, measured):
+                for l in range(B):
+                    if _clash(s.row_of, measured, l):
+                        tabulate(s, found, measured, l)
+                        _take_in_turn(s, found, measured)
+                        for k in range(measured):
+                            s.row_of[k, l] = s.column[k]
+
+        return nearest
+    if is_of(part, Sampled):
+
+        def sampled(part, s, found, first, measured, link, turn, share):
+            rivals = take_best(s, found, measured) or _contested(s.claims, found, measured)
+            for l in range(B):
+                if rivals:
+                    tabulate(s, found, measured, l)
+                    uniform = hashed(part.seed, turn * B + l)
+                    log_chance = murty(s.table, found, measured, part.hypotheses, uniform, s.column)
+                    for k in range(measured):
+                        s.row_of[k, l] = s.column[k]
+                else:
+                    log_chance = _toss(part.seed, turn, s, found, measured, l)
+                s.v[V_WEIGHT * B + l] -= share * log_chance
+
+        return sampled
+    if is_of(part, Told):
+
+        def told(part, s, found, first, measured, link, turn, share):
+            for k in range(measured):
+                s.row_of[k, :] = -1
+                vt = part.vt[first + k]
+                for q in range(found):
+                    own = vt >= 0 and part.of_birth[link.ident[s.near[q]]] == vt
+                    s.claims[q, k] = own
+                    if own:
+                        for l in range(B):
+                            s.row_of[k, l] = q if link.status[s.near[q], l] >= 0 else s.row_of[k, l]
+
+        return told
+    return None
+
+
+def may_be_born(part, k):
+    """Say whether measurement k of the snapshot may begin a track."""
+    raise NotImplementedError
+
+
+@overload(may_be_born, **COMPILED)
+def _may_be_born(part, k):
+    if is_of(part, Told):
+        return lambda part, k: part.vt[k] >= 0
+    return lambda part, k: True
+
+
+@njit(cache=True, error_model="numpy")
+def take_best(s, found, measured):
+    """Let each measurement take the track with the greatest positive score, lane by lane; return whether any track
+    could be claimed twice. Where it is not, nothing can be better."""
+    w, scores, claims, row_of = s.w, s.scores, s.claims, s.row_of
+    for k in range(measured):
+        _take_best_of(w, scores, claims, found, k, row_of[k])
+    for q in range(found):
+        total = 0
+        for k in range(measured):
+            total += claims[q, k]
+        if total > 1:
+            return True
+    return False
+
+
+@njit(cache=True, error_model="numpy")
+def _take_best_of(w, scores, claims, found, k, mine):
+    F = w.dtype.type
+    for l in range(B):
+        mine[l] = -1
+        w[W_D2 * B + l] = F(0.0)
+    for q in range(found):
+        if claims[q, k]:
+            gain, track = scores[q, k], np.int32(q)
+            for l in range(B):
+                better = gain[l] > w[W_D2 * B + l]
+                mine[l] = track if better else mine[l]
+                w[W_D2 * B + l] = gain[l] if better else w[W_D2 * B + l]
+
+
+@njit(cache=True, error_model="numpy")
+def _contested(claims, found, measured):
+    """Return whether any measurement could have two tracks."""
+    for k in range(measured):
+        total = 0
+        for q in range(found):
+            total += claims[q, k]
+        if total > 1:
+            return True
+    return False
+
+
+@njit(cache=True, error_model="numpy")
+def _toss(seed, turn, s, found, measured, l):
+    """Decide on each pair of lane l by itself, with the odds that its score is; return the log of the probability of
+    what was drawn."""
+    log_chance = 0.0
+    for k in range(measured):
+        s.row_of[k, l] = -1
+        for q in range(found):
+            if s.claims[q, k] and s.scores[q, k, l] > 0.5 * LEFT_OUT:
+                chance = 1.0 / (1.0 + math.exp(-s.scores[q, k, l]))
+                taken = hashed(seed + k + 1, turn * B + l) < chance
+                s.row_of[k, l] = q if taken else -1
+                log_chance += math.log(chance if taken else 1.0 - chance)
+    return log_chance
+
+
+@njit(cache=True, error_model="numpy")
+def _clash(row_of, measured, l):
+    """Return whether two measurements have the same track in lane l."""
+    for k in range(1, measured):
+        for i in range(k):
+            if row_of[k, l] >= 0 and row_of[k, l] == row_of[i, l]:
+                return True
+    return False
+
+
+@njit(cache=True, error_model="numpy")
+def tabulate(s, found, measured, l):
+    """Write lane l's scores (found, measured) at s.table, LEFT_OUT where a pair is no candidate."""
+    table, scores, claims = s.table, s.scores, s.claims
+    for q in range(found):
+        for k in range(measured):
+            table[q, k] = scores[q, k, l] if claims[q, k] else LEFT_OUT
+
+
+@njit(cache=True, error_model="numpy")
+def _take_in_turn(s, found, measured):
+    """Write s.column (measured,): the track of each measurement, the best pair first."""
+    s.column[:measured] = -1
+    while True:
+        best, row, column = 0.0, -1, -1
+        for q in range(found):
+            for k in range(measured):
+                if s.table[q, k] > best and s.column[k] < 0:
+                    best, row, column = s.table[q, k], q, k
+        if row < 0:
+            return
+        s.column[column] = row
+        for k in range(measured):
+            s.table[row, k] = LEFT_OUT
+
+
+@njit(cache=True)
+def hashed(seed, number):
+    """Return a number in (0, 1), as good as random: SplitMix64 (Steele, Lea and Flood, 2014) of seed and number."""
+    z = np.uint64(seed) * np.uint64(0x9E3779B97F4A7C15) + np.uint64(number) * np.uint64(0xD1B54A32D192ED03)
+    z = (z ^ (z >> np.uint64(30))) * np.uint64(0xBF58476D1CE4E5B9)
+    z = (z ^ (z >> np.uint64(27))) * np.uint64(0x94D049BB133111EB)
+    z ^= z >> np.uint64(31)
+    return (np.float64(z >> np.uint64(11)) + 0.5) / 9007199254740992.0

@@ -1,0 +1,1 @@
+"""How the compiled kernels run: threads, turns, prefetching, compiling ahead of time."""

@@ -1,0 +1,109 @@
+"""Looks: what the links of a site measure of one path, taken together.
+
+The ports and sectors of a site stand at one place, and see a path under the same distance and direction: what they
+measure of it differs by white noise, and from port to port by errors of place. The twelve links of two sites measure
+most paths six times; the mean is one look. Clutter of one link is rarely seen by another, so that the number of links
+that agree tells paths from clutter.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Generic, TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import binom
+
+from cellslam.sim.recording import Floats, Ints, Links
+from cellslam.slam.api import Estimate, Setup, Snapshot, VtEstimate
+from cellslam.slam.front_end.front_end_options import FrontEndOptions
+from cellslam.slam.front_end.looks_kernel import taken_together
+from cellslam.slam.front_end.measurement_noise import white
+
+Options = TypeVar("Options", bound=FrontEndOptions)
+
+MANY = 3  # links of a site from which on their number decides whether a look may begin a VT
+COINCIDENCE = 0.1  # probability that clutter of a link has clutter of one more link beside it
+UNUSUAL = 0.1  # share of paths that any number of links detect alike, because obstacles hide them from some
+UNMAPPED = 0.01  # share of paths that are not in the map yet: at best so much less likely than a VT is clutter
+BIRTH_RATIO = 0.5  # probability that an unexplained look at which links agree is a new VT
+LARGEST_DETECTION = 0.985  # probability that at least one of many links detects a path: not all misses are independent
+
+
+@dataclass(frozen=True, kw_only=True)
+class Looks(Snapshot):
+    """A snapshot whose measurements are looks, n of them, sorted by the group of links that they belong to (`link`).
+
+    `white` (n, 3): white variances in m^2 and rad^2; `ports` (n,): how many ports they are means of; `doubt` (n,): log
+    of how much likelier clutter has so many members than a path; `begins` (n,): whether it may begin a VT; `row` is
+    that of the first measurement; `of` (m,): the look of each measurement.
+    """
+
+    white: Floats
+    ports: Ints
+    doubt: Floats
+    begins: NDArray[np.bool_]
+    of: Ints
+
+
+class Grouping(Generic[Options]):
+    """Which links are taken together. `setup` and `options` as the estimator is to see them: a link for each group."""
+
+    def __init__(self, setup: Setup, options: Options) -> None:
+        """Take the links of each site together, or every link by itself where `options.sharing` is "none"."""
+        links = setup.links
+        site, self._port = np.array(links.site, np.int64), np.array(links.port, np.int64)
+        key = site if options.sharing == "site" else np.arange(len(site))
+        _, self._first, self._group = np.unique(key, return_index=True, return_inverse=True)
+        share = max(len(site), 1) / max(len(self._first), 1)
+        self._together, self._given, size = share > 1.0, options, np.bincount(self._group)
+        self._doubts = doubts(size, options.detection_probability)
+        self._begins = (self._doubts <= 0.0) | (size < MANY)[:, None]
+        missed = (1.0 - options.detection_probability) ** share
+        self.options: Options = options.model_copy(update={
+            "detection_probability": max(min(1.0 - missed, LARGEST_DETECTION), options.detection_probability),
+            "clutter_density": options.clutter_density * share,
+            "birth_ratio": max(BIRTH_RATIO, options.birth_ratio) if (size >= MANY).all() else options.birth_ratio,
+        })  # fmt: skip
+        columns = (np.array(c, np.int64)[self._first] for c in (links.site, links.cell_id, links.port))
+        self.setup = replace(setup, links=Links(*columns))
+
+    def looks(self, snapshot: Snapshot) -> Looks:
+        """Return the looks of a snapshot."""
+        z, noise, own, members, ports, first, look = taken_together(
+            snapshot.distance_m, snapshot.azimuth_rad, snapshot.elevation_rad, white(snapshot, self._given),
+            self._given.persisting[0], snapshot.link, self._group, self._port, self._together,
+        )  # fmt: skip
+        distance_m, azimuth_rad, elevation_rad = np.ascontiguousarray(z.T)
+        return Looks(
+            index=snapshot.index, row=snapshot.row[first], link=own, distance_m=distance_m, azimuth_rad=azimuth_rad,
+            elevation_rad=elevation_rad, snr_db=snapshot.snr_db[first], white=noise, ports=ports,
+            doubt=self._doubts[own, members], begins=self._begins[own, members], of=look,
+        )  # fmt: skip
+
+    def answer(self, estimate: Estimate, looks: Looks) -> Estimate:
+        """Return an answer to looks as one to the measurements that they were made of."""
+        association, vts = estimate.association, estimate.vts
+        if association is not None:
+            association = association[looks.of]
+        if vts is not None:
+            vts = VtEstimate(vts.id, self._first[vts.link], vts.position_m, vts.covariance)
+        return replace(estimate, association=association, vts=vts)
+
+
+def doubts(links: Ints, detection_probability: float) -> Floats:
+    """Return ln P(members | clutter) / P(members | path) by group (G,) of so many links, and number of members.
+
+    Of what a path detects the number is binomial, of clutter geometric. Where many agree it is no clutter, but may be
+    of a VT that is not in the map: that alternative bounds what agreement tells.
+    """
+    out = np.zeros((len(links), int(links.max(initial=0)) + 1))
+    for g, count in enumerate(links):
+        n = np.arange(1, count + 1)
+        path = binom(count, n) * detection_probability**n * (1.0 - detection_probability) ** (count - n)
+        clutter = COINCIDENCE ** (n - 1.0)
+        path = (1.0 - UNUSUAL) * path / path.sum() + UNUSUAL / count
+        if count > 1:
+            out[g, n] = np.log(clutter / clutter.sum() / path + UNMAPPED)
+    return out

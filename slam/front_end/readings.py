@@ -1,0 +1,56 @@
+"""The measurements of a snapshot with the variances that association, updates and births take."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from cellslam.sim.recording import Floats, Ints
+from cellslam.slam.front_end.front_end_options import FrontEndOptions
+from cellslam.slam.front_end.looks import Looks
+from cellslam.slam.front_end.readings_kernel import combine, share_new
+
+# Widths in distance (m), azimuth and elevation (rad) over which clutter lies about paths: what a missing component
+# takes off its density.
+CLUTTER_WIDTH = (20.0, 0.3, 0.25)
+_LOG_WIDTH = np.log(CLUTTER_WIDTH)
+
+
+@dataclass(frozen=True)
+class Readings:
+    """The measurements of a snapshot (m,) with their variances.
+
+    `z` (m, 3): distance (m), azimuth and elevation (rad), NaN where not measured. `single` (m, 3): variances of one
+    measurement; `many` (m, 3): those with which an update counts for what it is worth; `fresh` (m, 3): those of a VT
+    that begins (links that see the same one share its errors). `gap` (m,): what the log-density of clutter is greater
+    by; `lack` (m,): what the log-density of an update lacks against that of one measurement.
+    """
+
+    z: Floats
+    single: Floats
+    many: Floats
+    fresh: Floats
+    gap: Floats
+    lack: Floats
+
+
+def readings(looks: Looks, port_of: Ints, options: FrontEndOptions, turn_rad: float, moved_m: float) -> Readings:
+    """Return a snapshot's looks with their variances; since the last one the vehicle has turned and moved so far.
+
+    port_of (L,): a number for each pair of site and port.
+    """
+    place, direction = options.persisting
+    return Readings(*combine(
+        looks.distance_m, looks.azimuth_rad, looks.elevation_rad, looks.white, looks.ports, looks.doubt, place,
+        direction, options.scales, turn_rad, moved_m, looks.link, port_of, _LOG_WIDTH,
+    ))  # fmt: skip
+
+
+def novelty(options: FrontEndOptions, turn_rad: float, moved_m: float) -> float:
+    """Return how much of what a snapshot shows the last one has not shown: 1 where all errors are white.
+
+    The variance of one measurement over that with which an update counts, as `combine` has them for a lone path, mean
+    over distance, azimuth and elevation. The vehicle has turned and moved since the last snapshot.
+    """
+    return float(share_new(*options.persisting, options.noise[0], options.scales, turn_rad, moved_m))

@@ -1,0 +1,1 @@
+"""The paper's FastSLAM as printed, without this project's corrections."""

@@ -1,0 +1,1 @@
+"""The smoother: one batch factor graph over the whole drive."""

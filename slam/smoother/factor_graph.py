@@ -1,0 +1,202 @@
+"""The factor graph: poses, odometry errors, clock offsets, VTs; built and solved with GTSAM."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import gtsam
+import numpy as np
+from gtsam.symbol_shorthand import B, E, L, X
+
+from cellslam.sim.frames import rotation, rotation_angles
+from cellslam.sim.recording import Floats, Ints
+from cellslam.slam.smoother.factors_kernel import residual
+from cellslam.slam.smoother.odometry_factors import Leg
+
+
+@dataclass(frozen=True)
+class Sighting:
+    """All measurements of one VT about one keyframe: their places relative to it (m, 12), values (m, 3).
+
+    `std` (3,): deviations of their mean, with errors that persist; `single` (3,): of one measurement.
+    """
+
+    keyframe: int
+    vt: int
+    site: int
+    relative: Floats
+    z: Floats
+    std: Floats
+    single: Floats
+
+
+@dataclass(frozen=True)
+class Problem:
+    """What is solved. `start` (6,), `start_std` (6,); keyframes (K, 6) to begin with, legs between them (K - 1).
+
+    `segment` (K - 1,): which odometry errors hold on a leg; `error_std` (e,), `walk_std` (e,) from one segment to the
+    next; `offset_mean_m`, `offset_std_m` (S,) priors, `offset_m` (S,) to begin with; `vts` (V, 3) to begin with.
+    """
+
+    start: Floats
+    start_std: Floats
+    keyframes: Floats
+    legs: tuple[Leg, ...]
+    segment: Ints
+    error_std: Floats
+    walk_std: Floats
+    offset_mean_m: Floats
+    offset_std_m: Floats
+    offset_m: Floats
+    vts: Floats
+    sightings: tuple[Sighting, ...]
+
+
+@dataclass(frozen=True)
+class Solution:
+    """Keyframes (K, 6), clock offsets (S,), VTs (V, 3), and which sightings were left out as outliers (n,)."""
+
+    keyframes: Floats
+    offset_m: Floats
+    vts: Floats
+    outlier: Ints
+
+
+def solve(problem: Problem, gate: float, huber: float, rounds: int, iterations: int) -> Solution:
+    """Solve, leave out what does not fit, and solve again, until nothing changes or for `rounds` times."""
+    values = _initial(problem)
+    outlier = np.zeros(len(problem.sightings), bool)
+    parameters = gtsam.LevenbergMarquardtParams()
+    parameters.setMaxIterations(iterations)
+    parameters.setRelativeErrorTol(1e-5)
+    parameters.setOrdering(_ordering(problem))
+    for _ in range(rounds):
+        graph = _graph(problem, ~outlier, huber)
+        values = gtsam.LevenbergMarquardtOptimizer(graph, values, parameters).optimize()
+        found = np.array([_distance2(values, s) > gate for s in problem.sightings], bool)
+        if (found == outlier).all():
+            break
+        outlier = found
+    frames = np.array([_pose6(values.atPose3(X(k))) for k in range(len(problem.keyframes))])
+    offsets = np.array([values.atVector(B(s))[0] for s in range(len(problem.offset_mean_m))])
+    vts = np.array([values.atPoint3(L(v)) for v in range(len(problem.vts))]).reshape(-1, 3)
+    return Solution(frames, offsets, vts, outlier.astype(np.int64))
+
+
+def _ordering(problem: Problem) -> Any:
+    """Eliminate VTs first, then poses along the drive with the odometry errors of their segment, clock offsets last."""
+    order, seen = gtsam.Ordering(), {s.vt for s in problem.sightings}
+    for v in range(len(problem.vts)):
+        if v in seen:
+            order.push_back(L(v))
+    for k in range(len(problem.keyframes)):
+        order.push_back(X(k))
+    if len(problem.error_std):
+        for segment in range(int(problem.segment.max(initial=0)) + 1):
+            order.push_back(E(segment))
+    for site in range(len(problem.offset_mean_m)):
+        order.push_back(B(site))
+    return order
+
+
+def _initial(problem: Problem) -> Any:
+    values = gtsam.Values()
+    for k, pose in enumerate(problem.keyframes):
+        values.insert(X(k), _pose3(pose))
+    for segment in range(int(problem.segment.max(initial=0)) + 1):
+        values.insert(E(segment), np.zeros(len(problem.error_std)))
+    for site, offset in enumerate(problem.offset_m):
+        values.insert(B(site), np.array([offset]))
+    for v, place in enumerate(problem.vts):
+        values.insert(L(v), place)
+    return values
+
+
+def _graph(problem: Problem, used: Any, huber: float) -> Any:
+    graph, diagonal = gtsam.NonlinearFactorGraph(), gtsam.noiseModel.Diagonal.Sigmas
+    start_std = np.maximum(np.concatenate([problem.start_std[[5, 4, 3]], problem.start_std[:3]]), 1e-4)
+    graph.add(gtsam.PriorFactorPose3(X(0), _pose3(problem.start), diagonal(start_std)))
+    if len(problem.error_std):
+        graph.add(gtsam.PriorFactorVector(E(0), np.zeros(len(problem.error_std)), diagonal(problem.error_std)))
+        for segment in range(int(problem.segment.max(initial=0))):
+            keys = gtsam.KeyVector([E(segment), E(segment + 1)])
+            graph.add(gtsam.CustomFactor(diagonal(problem.walk_std), keys, _walk))
+    for site, (mean, std) in enumerate(zip(problem.offset_mean_m, problem.offset_std_m, strict=True)):
+        graph.add(gtsam.PriorFactorVector(B(site), np.array([mean]), diagonal(np.array([max(std, 1e-6)]))))
+    for k, leg in enumerate(problem.legs):
+        keys = [X(k), X(k + 1), *([E(int(problem.segment[k]))] if len(problem.error_std) else [])]
+        graph.add(gtsam.CustomFactor(diagonal(leg.std), gtsam.KeyVector(keys), _driven(leg)))
+    loss = gtsam.noiseModel.mEstimator.Huber.Create(huber)
+    for sighting in (s for s, use in zip(problem.sightings, used, strict=True) if use):
+        noise = gtsam.noiseModel.Robust.Create(loss, diagonal(sighting.std))
+        keys = [X(sighting.keyframe), L(sighting.vt), B(sighting.site)]
+        graph.add(gtsam.CustomFactor(noise, gtsam.KeyVector(keys), _seen(sighting)))
+    return graph
+
+
+def _walk(factor: Any, values: Any, jacobians: Any) -> Floats:
+    """Odometry biases of one segment and the next."""
+    first, second = factor.keys()
+    a, b = values.atVector(first), values.atVector(second)
+    if jacobians is not None:
+        jacobians[0], jacobians[1] = -np.eye(len(a), order="F"), np.eye(len(a), order="F")
+    return np.asarray(b - a)
+
+
+def _driven(leg: Leg) -> Any:
+    """Return the error function of a leg: rotation vector and translation between odometry and keyframes."""
+    measured = _pose3(leg.relative)
+
+    def error(factor: Any, values: Any, jacobians: Any) -> Floats:
+        keys = factor.keys()
+        between = values.atPose3(keys[0]).between(values.atPose3(keys[1]))
+        apart = measured.between(between)
+        out = gtsam.Pose3.Logmap(apart)
+        if len(keys) == 3:
+            out = out - leg.by_error @ values.atVector(keys[2])
+        if jacobians is not None:
+            slope = gtsam.Pose3.LogmapDerivative(apart)
+            jacobians[0] = np.asfortranarray(-slope @ between.inverse().AdjointMap())
+            jacobians[1] = np.asfortranarray(slope)
+            if len(keys) == 3:
+                jacobians[2] = np.asfortranarray(-leg.by_error)
+        return np.asarray(out)
+
+    return error
+
+
+def _seen(sighting: Sighting) -> Any:
+    """Return the error function of a sighting: mean of h + b - z."""
+
+    def error(factor: Any, values: Any, jacobians: Any) -> Floats:
+        keys = factor.keys()
+        out, by_pose, by_vt = _mean_residual(values, sighting, keys)
+        if jacobians is not None:
+            jacobians[0], jacobians[1] = np.asfortranarray(by_pose), np.asfortranarray(by_vt)
+            jacobians[2] = np.array([[1.0], [0.0], [0.0]], order="F")
+        return out
+
+    return error
+
+
+def _mean_residual(values: Any, sighting: Sighting, keys: Any) -> tuple[Floats, Floats, Floats]:
+    pose, vt, offset = values.atPose3(keys[0]), values.atPoint3(keys[1]), values.atVector(keys[2])[0]
+    out, by_pose, by_vt = np.empty(3), np.empty((3, 6)), np.empty((3, 3))
+    turned = np.ascontiguousarray(pose.rotation().matrix())
+    residual(turned, pose.translation(), vt, offset, sighting.relative, sighting.z, out, by_pose, by_vt)
+    return out, by_pose, by_vt
+
+
+def _distance2(values: Any, sighting: Sighting) -> float:
+    """Return the squared residual of a sighting in deviations of one measurement."""
+    keys = (X(sighting.keyframe), L(sighting.vt), B(sighting.site))
+    return float(np.sum((_mean_residual(values, sighting, keys)[0] / sighting.single) ** 2))
+
+
+def _pose3(pose: Floats) -> Any:
+    return gtsam.Pose3(gtsam.Rot3(rotation(*pose[3:])), pose[:3])
+
+
+def _pose6(pose: Any) -> Floats:
+    return np.concatenate([pose.translation(), rotation_angles(pose.rotation().matrix())])

@@ -1,0 +1,135 @@
+"""From a drive with FastSLAM's associations to the factor graph's problem, and from its keyframes to every pose."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+
+from cellslam.sim.frames import rotation, rotation_angles
+from cellslam.sim.recording import Floats, Ints
+from cellslam.slam.api import Setup, Snapshot
+from cellslam.slam.front_end.looks import Grouping
+from cellslam.slam.front_end.measurement_noise import ports_of
+from cellslam.slam.front_end.readings import readings
+from cellslam.slam.smoother.factor_graph import Problem, Sighting
+from cellslam.slam.smoother.odometry_factors import Leg, errors_of, leg, local
+from cellslam.slam.smoother.smoother_options import SmootherOptions
+
+LARGEST_SHIFT_S = 1e-9
+
+
+@dataclass(frozen=True)
+class Drive:
+    """What was seen: intervals (T,), odometry (T, 6), snapshots, VT of each measurement, filtered poses (T, 6), last
+    known VTs by identity, last clock offsets (S,)."""
+
+    setup: Setup
+    dt_s: Floats
+    odometry: Floats
+    snapshots: Sequence[Snapshot]
+    association: Sequence[Ints]
+    poses: Floats
+    vts: dict[int, Floats]
+    offset_m: Floats
+
+
+def problem_of(drive: Drive, options: SmootherOptions) -> tuple[Problem, Ints]:
+    """Return the problem, and the snapshots (K,) that are keyframes."""
+    setup, model = drive.setup, drive.setup.odometry_model
+    frames = keyframes(drive.dt_s, options.keyframe_s)
+    legs = tuple(
+        leg(drive.odometry[a + 1 : b + 1], drive.dt_s[a + 1 : b + 1], model) for a, b in pairwise(frames.tolist())
+    )
+    biased, scaled = errors_of(model)
+    time_s = np.cumsum(drive.dt_s)
+    segment = (time_s[frames[:-1]] / options.bias_s).astype(np.int64)
+    walk = np.concatenate([model.bias_walk_density[biased] * np.sqrt(options.bias_s), np.zeros(len(scaled))])
+    kept, sightings = _sightings(drive, legs, frames, options)
+    problem = Problem(
+        start=setup.start_pose,
+        start_std=setup.start_std,
+        keyframes=drive.poses[frames],
+        legs=legs,
+        segment=segment,
+        error_std=np.maximum(np.concatenate([model.bias[biased], model.scale[scaled]]), 1e-9),
+        walk_std=np.maximum(walk, 1e-9),
+        offset_mean_m=setup.sites.clock_offset_mean_m,
+        offset_std_m=setup.sites.clock_offset_std_m,
+        offset_m=drive.offset_m,
+        vts=np.array([drive.vts[v] for v in kept]).reshape(-1, 3),
+        sightings=sightings,
+    )
+    return problem, frames
+
+
+def keyframes(dt_s: Floats, spacing_s: float) -> Ints:
+    """Return the snapshots (K,) that are keyframes: the first, the last, and one every `spacing_s`."""
+    number = np.floor(np.cumsum(dt_s) / spacing_s + LARGEST_SHIFT_S)
+    first = np.flatnonzero(np.diff(number, prepend=-1.0) > 0)
+    return np.union1d(first, [len(dt_s) - 1]).astype(np.int64)
+
+
+def between(frames6: Floats, legs: Sequence[Leg], frames: Ints) -> Floats:
+    """Return every pose (T, 6): odometry from keyframe to keyframe, its misclosure spread evenly over the leg."""
+    out = np.empty((int(frames[-1]) + 1, 6))
+    out[frames] = frames6
+    for k, one in enumerate(legs):
+        miss = local(_after(frames6[k], one.relative), frames6[k + 1])
+        count = len(one.inner)
+        for n in range(count - 1):
+            share = miss * (n + 1) / count
+            step = np.concatenate([share[3:], rotation_angles(_turn(share[:3]))])
+            out[frames[k] + 1 + n] = _after(_after(frames6[k], one.inner[n]), step)
+    return out
+
+
+def _turn(vector: Floats) -> Floats:
+    """Return the rotation (3, 3) by a small rotation vector."""
+    return rotation(vector[2], vector[1], vector[0])
+
+
+def _after(pose: Floats, step: Floats) -> Floats:
+    """Return the pose (6,) that is at `step` (6,) in the frame of `pose`."""
+    r = rotation(*pose[3:])
+    return np.concatenate([pose[:3] + r @ step[:3], rotation_angles(r @ rotation(*step[3:]))])
+
+
+def _sightings(
+    drive: Drive, legs: Sequence[Leg], frames: Ints, options: SmootherOptions
+) -> tuple[list[int], tuple[Sighting, ...]]:
+    """Return the identities of the VTs in the graph, and all that was seen of them about each keyframe."""
+    grouping = Grouping(drive.setup, options.fastslam)
+    setup = grouping.setup
+    ids, counts = np.unique(np.concatenate(drive.association), return_counts=True)
+    often = ids[(counts >= options.vt_detections) & (ids >= 0)]
+    kept = [int(v) for v in often if int(v) in drive.vts]
+    place = {v: i for i, v in enumerate(kept)}
+    ports = ports_of(setup.links.site, setup.links.port)
+    groups: dict[tuple[int, int, int], list[tuple[Floats, Floats, Floats, Floats]]] = {}
+    frame_of = np.searchsorted(frames, np.arange(len(drive.dt_s)), side="right") - 1
+    for t, snapshot in enumerate(drive.snapshots):
+        k = int(frame_of[t])
+        inside = t - int(frames[k])
+        pose = legs[k].inner[inside - 1] if inside else np.zeros(6)
+        relative = np.concatenate([rotation(*pose[3:]).ravel(), pose[:3]])
+        u, dt = drive.odometry[t], drive.dt_s[t]
+        looks = grouping.looks(snapshot)
+        found = readings(looks, ports, grouping.options, u[3] * dt, u[0] * dt)
+        answer = np.full(len(looks), -1, np.int64)
+        answer[looks.of] = drive.association[t]
+        for m, vt in enumerate(answer.tolist()):
+            if vt in place and np.isfinite(found.z[m]).all():
+                site = int(setup.links.site[looks.link[m]])
+                entry = relative, found.z[m], found.single[m], found.many[m]
+                groups.setdefault((k, place[vt], site), []).append(entry)
+    return kept, tuple(_sighting(*key, entries) for key, entries in groups.items())
+
+
+def _sighting(keyframe: int, vt: int, site: int, entries: Sequence[tuple[Floats, Floats, Floats, Floats]]) -> Sighting:
+    relative, z, single, many = (np.ascontiguousarray(column) for column in map(np.array, zip(*entries, strict=True)))
+    # The mean of n counts as n updates with the variances `many`; no better than its errors allow for one draw.
+    std = np.sqrt(1.0 / (1.0 / many).sum(axis=0))
+    return Sighting(keyframe, vt, site, relative, z, std, np.sqrt(single.mean(axis=0)))

@@ -1,0 +1,85 @@
+"""The smoother as an estimator: FastSLAM online, and a factor graph at the end of the drive."""
+
+from __future__ import annotations
+
+from importlib.util import find_spec
+from typing import ClassVar
+
+import numpy as np
+
+from cellslam.sim.errors import InputError
+from cellslam.sim.recording import Floats, Ints
+from cellslam.slam.api import Estimate, Setup, Snapshot
+from cellslam.slam.fastslam.fastslam import FastSlam
+from cellslam.slam.smoother.smoother_options import SmootherOptions
+
+
+class Smoother:
+    """Batch maximum-a-posteriori estimate over the whole drive: what a method that need not be causal reaches.
+
+    Sources: Dellaert and Kaess, "Factor graphs for robot perception", Foundations and Trends in Robotics 6, 2017, and
+    their library GTSAM (package extra `gtsam`). While driving it answers as FastSLAM, whose associations it takes; the
+    poses of `finish` come from the graph. Wrong associations: Huber's loss, and sightings that do not fit are left out.
+    """
+
+    name: ClassVar[str] = "smoother"
+    requires_truth: ClassVar[bool] = False
+    Options: ClassVar[type[SmootherOptions]] = SmootherOptions
+
+    def __init__(self, options: SmootherOptions | None = None) -> None:
+        if find_spec("gtsam") is None:
+            raise InputError("estimator 'smoother' needs GTSAM: pip install 'cellslam[gtsam]'")
+        self.options = options or SmootherOptions()
+        self._filter = FastSlam(self.options.fastslam)
+
+    def warm_up(self) -> None:
+        """Compile FastSLAM and the residual."""
+        from cellslam.slam.smoother.factors_kernel import residual
+
+        self._filter.warm_up()
+        row, small = np.zeros(3), np.zeros((3, 3))
+        residual(small, row, row + 1.0, 0.0, np.zeros((1, 12)), np.zeros((1, 3)), row.copy(), np.zeros((3, 6)), small)
+
+    def start(self, setup: Setup, rng: np.random.Generator) -> None:
+        """Begin a drive."""
+        self._setup = setup
+        self._filter.start(setup, rng)
+        self._dt_s: list[float] = []
+        self._odometry: list[Floats] = []
+        self._snapshots: list[Snapshot] = []
+        self._association: list[Ints] = []
+        self._poses: list[Floats] = []
+        self._vts: dict[int, Floats] = {}
+        self._offset: Floats = setup.sites.clock_offset_mean_m
+
+    def step(self, dt_s: float, odometry: Floats, snapshot: Snapshot) -> Estimate:
+        """Answer as FastSLAM, and keep what the graph needs."""
+        answer = self._filter.step(dt_s, odometry, snapshot)
+        self._dt_s.append(dt_s)
+        self._odometry.append(np.array(odometry))
+        self._snapshots.append(snapshot)
+        self._poses.append(answer.pose.copy())
+        association, vts, offset = answer.association, answer.vts, answer.clock_offset_m
+        none = np.full(len(snapshot), -1, np.int64)
+        self._association.append(none if association is None else association.copy())
+        if vts is not None:
+            self._vts.update(zip(vts.id.tolist(), vts.position_m.copy(), strict=True))
+        if offset is not None:
+            self._offset = offset.copy()
+        return answer
+
+    def finish(self) -> Floats | None:
+        """Return the smoothed poses (T, 6); None for a drive of fewer than two snapshots."""
+        from cellslam.slam.smoother.factor_graph import solve
+        from cellslam.slam.smoother.normal_equations import Drive, between, problem_of
+
+        if len(self._poses) < 2:
+            return None
+        drive = Drive(
+            self._setup, np.array(self._dt_s), np.array(self._odometry), self._snapshots, self._association,
+            np.array(self._poses), self._vts, self._offset,
+        )  # fmt: skip
+        problem, frames = problem_of(drive, self.options)
+        o = self.options
+        solution = solve(problem, o.gate, o.huber, o.rounds, o.iterations)
+        return between(solution.keyframes, problem.legs, frames)

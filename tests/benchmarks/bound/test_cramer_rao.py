@@ -1,0 +1,238 @@
+"""The bound against a plain joint Kalman recursion, a Monte Carlo of the filter, and properties."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy.linalg import block_diag
+
+from cellslam.benchmarks.bound.cramer_rao import bound, core_of, linear_motion, pose_jacobians, start_variance
+from cellslam.sim.errors import InputError
+from cellslam.sim.frames import integrate_pose, mean_velocity
+from cellslam.sim.recording import Recording
+from cellslam.slam.model.measurement_model import jacobians
+
+
+def without(recording: Recording, **changes: object) -> Recording:
+    """A copy of a recording with other fields."""
+    return Recording(**{**recording.__dict__, **changes})  # type: ignore[arg-type]
+
+
+def keep_rows(recording: Recording, keep: np.ndarray) -> Recording:
+    """A copy with some of the measurements."""
+    m, truth = recording.measurements, recording.truth
+    assert truth is not None
+    columns = {k: v[keep] for k, v in m.__dict__.items() if v is not None}
+    rows = {"measurement_vt": truth.measurement_vt[keep], "measurement_std": truth.measurement_std[keep]}
+    return without(recording, measurements=type(m)(**columns), truth=type(truth)(**{**truth.__dict__, **rows}))
+
+
+class JointFilter:
+    """The textbook covariance recursion over everything at once: every VT is a state from the start, broad
+    prior.
+    """
+
+    def __init__(self, recording: Recording, broad_std: float = 1e5) -> None:
+        assert recording.truth is not None
+        self.recording, self.truth = recording, recording.truth
+        self.core = core_of(recording.odometry_model, len(recording.sites))
+        self.motion, self.noise, self.walk = linear_motion(recording, self.truth, self.core)
+        self.keys = np.unique(self.truth.measurement_vt[self.truth.measurement_vt >= 0])
+        self.size = self.core.size + 3 * len(self.keys)
+        p = block_diag(np.diag(start_variance(recording, self.core)), broad_std**2 * np.eye(3 * len(self.keys)))
+        self.covariance = p
+
+    def transition(self, t: int) -> tuple[np.ndarray, np.ndarray]:
+        """F and the covariance of what is added, F W F^T + Q: biases walk before they act."""
+        f, q, w = np.eye(self.size), np.zeros((self.size, self.size)), np.zeros(self.size)
+        f[:6, : self.core.size] = self.motion[t]
+        q[:6, :6] = self.noise[t]
+        w[: self.core.size] = self.walk[t]
+        return f, (f * w) @ f.T + q
+
+    def rows(self, t: int) -> tuple[np.ndarray, np.ndarray]:
+        """Stacked H and R of the true measurements of snapshot t, absent components left out."""
+        m, hs, rs = self.recording.measurements, [], []
+        for row in np.flatnonzero((m.snapshot == t) & (self.truth.measurement_vt >= 0)):
+            vt, link = self.truth.measurement_vt[row], m.link[row]
+            by_vt, by_pose = jacobians(self.truth.poses[t], self.truth.vts.position_m[vt])
+            h = np.zeros((3, self.size))
+            h[:, :6] = by_pose
+            h[0, self.core.offsets[self.recording.links.site[link]]] = 1
+            slot = self.core.size + 3 * int(np.searchsorted(self.keys, vt))
+            h[:, slot : slot + 3] = by_vt
+            there = np.isfinite([m.distance_m[row], m.azimuth_rad[row], m.elevation_rad[row]])
+            hs.append(h[there])
+            rs.append(self.truth.measurement_std[row][there] ** 2)
+        return np.concatenate([np.zeros((0, self.size)), *hs]), np.diag(np.concatenate([[], *rs]))
+
+    def gain(self, h: np.ndarray, r: np.ndarray) -> np.ndarray:
+        return np.linalg.solve(h @ self.covariance @ h.T + r, h @ self.covariance).T
+
+    def update(self, k: np.ndarray, h: np.ndarray, r: np.ndarray) -> None:
+        left = np.eye(self.size) - k @ h
+        self.covariance = left @ self.covariance @ left.T + k @ r @ k.T
+
+    def run(self) -> tuple[np.ndarray, np.ndarray]:
+        poses, offsets = [], []
+        for t in range(len(self.recording.time_s)):
+            if t:
+                f, q = self.transition(t)
+                self.covariance = f @ self.covariance @ f.T + q
+            h, r = self.rows(t)
+            if len(h):
+                self.update(self.gain(h, r), h, r)
+            poses.append(self.covariance[:6, :6].copy())
+            offsets.append(np.sqrt(np.diag(self.covariance)[self.core.offsets]))
+        return np.array(poses), np.array(offsets)
+
+
+def test_bound_equals_the_joint_kalman_recursion(make_recording):
+    recording = make_recording(
+        seed=3, snapshots=60, vts_per_site=3, detection=0.5, bias_walk_density=(0, 0, 0, 0.02, 0, 0),
+        start_std=(1, 2, 0.5, 0.05, 0.01, 0.01),
+    )  # fmt: skip
+    pose, offset = JointFilter(recording).run()
+    result = bound(recording)
+    scale = np.sqrt(np.einsum("tii->ti", pose) + 1e-12)
+    relative = (result.pose_covariance - pose) / (scale[:, :, None] * scale[:, None, :])
+    assert np.abs(relative).max() < 1e-5
+    np.testing.assert_allclose(result.clock_offset_std_m, offset, rtol=1e-5)
+    assert offset[-1].max() < 0.9 * offset[0].min()
+
+
+def test_absent_components_carry_no_information(make_recording):
+    full = make_recording(seed=4, snapshots=60, vts_per_site=3, detection=0.6)
+    m, rng = full.measurements, np.random.default_rng(0)
+    columns = dict(m.__dict__)
+    # A row has a distance, or an azimuth, or both; elevations are absent now and then.
+    absent = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1], [0, 1, 1]], bool)[rng.integers(0, 5, len(m))]
+    for name, gone in zip(("distance_m", "azimuth_rad", "elevation_rad"), absent.T, strict=True):
+        columns[name] = np.where(gone, np.nan, columns[name])
+    partial = without(full, measurements=type(m)(**columns))
+    pose, offset = JointFilter(partial, broad_std=3e3).run()
+    result = bound(partial)
+    np.testing.assert_allclose(result.horizontal_std_m, np.sqrt(pose[:, 0, 0] + pose[:, 1, 1]), rtol=2e-3)
+    np.testing.assert_allclose(result.clock_offset_std_m, offset, rtol=2e-2)
+    assert (result.horizontal_std_m >= bound(full).horizontal_std_m - 1e-9).all()
+
+
+def test_the_filter_whose_covariance_this_is_makes_errors_of_that_size(make_recording):
+    recording = make_recording(seed=5, snapshots=40, sites=1, vts_per_site=3, detection=0.6)
+    joint, rng, runs = JointFilter(recording), np.random.default_rng(11), 4000
+    # VTs start with a prior of 1 km in the draws as in the filter: broad, but drawn without loss of digits.
+    joint.covariance[joint.core.size :, joint.core.size :] *= (1e3 / 1e5) ** 2
+    error = rng.normal(0, 1, (runs, joint.size)) * np.sqrt(np.diag(joint.covariance))
+    horizontal = []
+    for t in range(len(recording.time_s)):
+        if t:
+            f, q = joint.transition(t)
+            joint.covariance = f @ joint.covariance @ f.T + q
+            error = error @ f.T + rng.multivariate_normal(np.zeros(joint.size), q, runs, method="eigh")
+        h, r = joint.rows(t)
+        if len(h):
+            k = joint.gain(h, r)
+            error = error - (error @ h.T + rng.normal(0, 1, (runs, len(r))) * np.sqrt(np.diag(r))) @ k.T
+            joint.update(k, h, r)
+        horizontal.append(np.sqrt((error[:, :2] ** 2).sum(1).mean()))
+    # A mean square over 4000 runs has a relative deviation of at most sqrt(2 / 4000) = 2.2 %; five of them,
+    # halved by the root.
+    np.testing.assert_allclose(horizontal, bound(recording).horizontal_std_m, rtol=0.056)
+
+
+def test_more_measurements_never_raise_the_bound(make_recording):
+    recording = make_recording(seed=6, snapshots=120)
+    fewer = keep_rows(recording, np.random.default_rng(1).random(len(recording.measurements)) < 0.5)
+    none = keep_rows(recording, np.zeros(len(recording.measurements), np.bool_))
+    stds = [bound(r).horizontal_std_m for r in (recording, fewer, none)]
+    assert (stds[0] <= stds[1] + 1e-12).all() and (stds[1] <= stds[2] + 1e-12).all()
+    assert stds[0][-1] < stds[2][-1]
+
+
+def test_clutter_does_not_count(make_recording):
+    recording = make_recording(seed=7, snapshots=80, clutter=2.0)
+    assert recording.truth is not None
+    clean = keep_rows(recording, recording.truth.measurement_vt >= 0)
+    np.testing.assert_array_equal(bound(clean).pose_covariance, bound(recording).pose_covariance)
+
+
+def test_known_offsets_lower_the_bound(make_recording):
+    recording = make_recording(seed=8, snapshots=300, offset_std_m=20.0)
+    sites = type(recording.sites)(recording.sites.name, recording.sites.clock_offset_mean_m, np.zeros(2))
+    known, unknown = bound(without(recording, sites=sites)), bound(recording)
+    assert (known.horizontal_std_m <= unknown.horizontal_std_m + 1e-12).all()
+    assert (known.clock_offset_std_m == 0).all() and (unknown.clock_offset_std_m > 0).all()
+
+
+def test_without_measurements_the_bound_is_dead_reckoning_by_hand(make_recording):
+    recording = make_recording(
+        seed=9, snapshots=101, noise_density=(0.1, 0, 0, 0, 0, 0), bias=(0,) * 6, bias_walk_density=(0,) * 6,
+        scale=(0.02, 0, 0, 0, 0, 0), start_std=(0.3, 0.4, 0, 0, 0, 0),
+    )  # fmt: skip
+    assert recording.truth is not None
+    none = keep_rows(recording, np.zeros(len(recording.measurements), np.bool_))
+    moved = recording.truth.poses[-1, :2] - recording.truth.poses[0, :2]
+    factor = 1 / (1 + recording.truth.odometry_scale[0])
+    # start + white noise along the track (density^2 x time) + scale x displacement, in the true velocity's
+    # units.
+    expected = 0.3**2 + 0.4**2 + (0.1 * factor) ** 2 * 7.5 + (0.02 * factor) ** 2 * (moved**2).sum()
+    assert bound(none).horizontal_std_m[-1] ** 2 == pytest.approx(expected, rel=1e-9)
+
+
+def test_pose_jacobians_agree_with_finite_differences():
+    rng = np.random.default_rng(2)
+    pose, after = rng.normal(0, 0.5, (20, 6)), rng.normal(0, 0.5, (20, 6))
+    dt = rng.uniform(0.1, 0.5, 20)
+    velocity = mean_velocity(pose, after, dt)
+    by_pose, by_velocity = pose_jacobians(pose, velocity, dt)
+    for n in range(20):
+        for c in range(6):
+            step = 1e-6 * np.eye(6)[c]
+            forward, back = (integrate_pose(pose[n] + s * step, velocity[n], dt[n]) for s in (1, -1))
+            np.testing.assert_allclose(by_pose[n, :, c], (forward - back) / 2e-6, atol=1e-8)
+            forward, back = (integrate_pose(pose[n], velocity[n] + s * step, dt[n]) for s in (1, -1))
+            np.testing.assert_allclose(by_velocity[n, :, c], (forward - back) / 2e-6, atol=1e-8)
+
+
+@pytest.mark.parametrize("std", [(0.0, 0.0, 0.0), (1e-9, 1e-9, 1e-9)])
+def test_measurements_without_noise_stay_healthy(make_recording, std):
+    result = bound(make_recording(seed=10, snapshots=400, ports=3, std=std, start_std=(0, 0, 0, 0, 0, 0)))
+    variance = np.einsum("tii->ti", result.pose_covariance)
+    assert np.isfinite(variance).all() and (variance >= 0).all()
+    # No VT is seen in the first snapshots, so some of the odometry's error stays for good; the offsets are
+    # found.
+    assert 0 < result.position_rmse_m < 0.04 and (result.clock_offset_std_m[-1] < 1e-3).all()
+
+
+def test_a_vt_overhead_and_one_at_the_array_are_left_out(make_recording):
+    recording = make_recording(seed=12, snapshots=50)
+    truth, at = recording.truth, recording.measurements.snapshot
+    assert truth is not None
+    position = truth.vts.position_m.copy()
+    for vt, above_m in ((0, 30.0), (1, 0.0)):
+        row = np.flatnonzero(truth.measurement_vt == vt)[20]
+        position[vt] = truth.poses[at[row], :3] + [0, 0, above_m]
+    vts = type(truth.vts)(**{**truth.vts.__dict__, "position_m": position})
+    result = bound(without(recording, truth=type(truth)(**{**truth.__dict__, "vts": vts})))
+    assert np.isfinite(result.pose_covariance).all()
+
+
+def test_one_snapshot_without_measurements_gives_the_prior(make_recording):
+    recording = make_recording(snapshots=1, detection=0.0, clutter=0.0, start_std=(3, 4, 0, 0.1, 0, 0))
+    assert bound(recording).position_rmse_m == pytest.approx(5.0)
+
+
+def test_no_truth_no_bound(make_recording):
+    with pytest.raises(InputError, match="no truth"):
+        bound(without(make_recording(snapshots=5), truth=None))
+
+
+def test_sectors_of_a_port_are_one_measurement_and_ports_share_the_map(make_recording):
+    recording = make_recording(seed=4, snapshots=60, ports=2, detection=1.0)
+    doubled = recording.links
+    halved = without(recording, truth=type(recording.truth)(**{
+        **recording.truth.__dict__, "measurement_std": recording.truth.measurement_std / np.sqrt(2.0)
+    }))  # fmt: skip
+    merged = without(recording, links=type(doubled)(doubled.site, doubled.cell_id, np.zeros_like(doubled.port)))
+    one = keep_rows(halved, recording.links.port[recording.measurements.link] == 0)
+    np.testing.assert_allclose(bound(merged).pose_covariance, bound(one).pose_covariance, rtol=1e-6, atol=1e-12)

@@ -1,0 +1,330 @@
+"""The bound with errors that persist: against plain recursions, exact correlations, and the fields that are drawn."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from itertools import pairwise
+
+import numpy as np
+import pytest
+from scipy.linalg import block_diag, solve_triangular
+
+from cellslam.benchmarks.bound import persisting_states as bound_persisting
+from cellslam.benchmarks.bound.cramer_rao import (
+    bound,
+    core_of,
+    drifted_std,
+    linear_motion,
+    start_variance,
+    tracked_measurements,
+)
+from cellslam.benchmarks.bound.persisting_states import bell_functions, correlation, principal_functions, rates_among
+from cellslam.sim.errors import InputError
+from cellslam.sim.lte import RadioConfig
+from cellslam.sim.lte.persisting_errors import causes, draw_fields, persisting_std
+from cellslam.sim.lte.persisting_errors_kernel import write_attitude, write_persisting
+from cellslam.sim.recording import Recording
+from cellslam.slam.model.measurement_model import jacobians, predict
+
+WHITE = (0.15, np.radians(0.3), np.radians(0.3))
+# Odometry so poor that the measurements decide.
+POOR = {"std": (0.1, np.radians(0.2), np.radians(0.2)), "noise_density": (0.3, 0, 0, 0.015, 0, 0)}
+
+
+def persisting(recording: Recording, **radio: object) -> Recording:
+    """A copy whose errors have, beside the white ones, those of a radio configuration."""
+    config = RadioConfig(**{"roof_correlation_deg": 6.0, **radio})  # type: ignore[arg-type]
+    truth = recording.truth
+    assert truth is not None
+    std = np.where(np.isnan(truth.measurement_std), np.nan, persisting_std(config))
+    total = np.sqrt(truth.measurement_std**2 + std**2)
+    provenance = {"world": {"radio": config.model_dump(mode="json")}}
+    return replace(recording, provenance=provenance, truth=replace(truth, measurement_std=total, persisting_std=std))
+
+
+def radio_of(recording: Recording) -> RadioConfig:
+    return RadioConfig(**recording.provenance["world"]["radio"])
+
+
+def all_white(recording: Recording) -> Recording:
+    """The same deviations, drawn anew for each measurement."""
+    assert recording.truth is not None
+    return replace(recording, truth=replace(recording.truth, persisting_std=None))
+
+
+def directions(count: int, seed: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Azimuths, elevations and unit vectors that wander as a drive's do."""
+    rng = np.random.default_rng(seed)
+    azimuth, elevation = np.cumsum(rng.normal(0, 0.02, count)), 0.25 + 0.1 * np.sin(np.linspace(0, 9, count))
+    flat = np.cos(elevation)
+    return azimuth, elevation, np.stack([flat * np.cos(azimuth), flat * np.sin(azimuth), np.sin(elevation)], 1)
+
+
+class JointFilter:
+    """The textbook recursion with every state there from the start: core, VTs of broad prior, persisting errors."""
+
+    def __init__(self, recording: Recording, broad_std: float = 1e5) -> None:
+        assert recording.truth is not None
+        self.core = core_of(recording.odometry_model, len(recording.sites))
+        self.motion, self.noise, self.walk = linear_motion(recording, recording.truth, self.core)
+        self.looks, self.rows, self.errors = tracked_measurements(recording, recording.truth, self.core)
+        self.vts, self.steps = 3 * (int(self.rows.key.max()) + 1), len(recording.time_s)
+        start = np.diag(start_variance(recording, self.core))
+        self.covariance = block_diag(start, broad_std**2 * np.eye(self.vts), np.eye(len(self.errors.last)))
+        self.size = len(self.covariance)
+
+    def transition(self, t: int) -> tuple[np.ndarray, np.ndarray]:
+        f, q, w = np.eye(self.size), np.zeros((self.size, self.size)), np.zeros(self.size)
+        f[:6, : self.core.size], q[:6, :6] = self.motion[t], self.noise[t]
+        w[: self.core.size] = self.walk[t]
+        q = (f * w) @ f.T + q
+        rho = self.errors.decay[t, self.errors.kind]
+        at = np.arange(self.size - len(rho), self.size)
+        f[at, at], q[at, at] = rho, 1 - rho**2
+        return f, q
+
+    def rows_of(self, t: int) -> tuple[np.ndarray, np.ndarray]:
+        """H (n, size) and R (n, n) of a snapshot."""
+        low, high = self.rows.rows[t : t + 2]
+        h = np.zeros((high - low, 3, self.size))
+        first_error = self.core.size + self.vts
+        for i, m in enumerate(range(low, high)):
+            look, vt = self.rows.look[m], self.core.size + 3 * self.rows.key[m]
+            h[i, :, :6], h[i, :, vt : vt + 3] = self.looks.by_pose[look], self.looks.by_vt[look]
+            h[i, 0, self.looks.offset[look]] = 1
+            for r in range(3):
+                for state, load in zip(self.looks.state[look, r], self.looks.load[look, r], strict=True):
+                    h[i, r, first_error + state] += load * (state >= 0)
+                if self.rows.state[m, r] >= 0:
+                    h[i, r, first_error + self.rows.state[m, r]] += self.rows.load[r]
+        return h.reshape(-1, self.size), np.diag(self.rows.variance[low:high].reshape(-1))
+
+    def steps_of(self):
+        """Run; yield snapshot, transition, H and gain of each snapshot, when its covariance is ready."""
+        for t in range(self.steps):
+            f, q = self.transition(t) if t else (np.eye(self.size), np.zeros((self.size, self.size)))
+            self.covariance = f @ self.covariance @ f.T + q
+            h, r = self.rows_of(t)
+            k = np.linalg.solve(h @ self.covariance @ h.T + r, h @ self.covariance).T
+            left = np.eye(self.size) - k @ h
+            self.covariance = left @ self.covariance @ left.T + k @ r @ k.T
+            yield t, f, q, h, r, k
+
+
+def exact_horizontal_std(recording: Recording, at: int) -> float:
+    """The bound after snapshot `at` from all measurements at once, with the fields' own correlations."""
+    truth, m, config = recording.truth, recording.measurements, radio_of(recording)
+    assert truth is not None
+    core = core_of(recording.odometry_model, len(recording.sites))
+    motion, noise, walk = linear_motion(recording, truth, core)
+    maps = [np.diag(np.sqrt(start_variance(recording, core)))]
+    for t in range(1, at + 1):
+        f, q = np.eye(core.size), np.zeros((core.size, core.size))
+        f[:6], q[:6, :6] = motion[t], noise[t]
+        value, vector = np.linalg.eigh(q + (f * walk[t]) @ f.T)
+        keep = value > 1e-13 * value.max()
+        maps.append(np.hstack([f @ maps[-1], vector[:, keep] * np.sqrt(value[keep])]))
+    rows = np.flatnonzero((truth.measurement_vt >= 0) & (m.snapshot <= at))
+    t, vt, link = m.snapshot[rows], truth.measurement_vt[rows], m.link[rows]
+    by_vt, by_pose = jacobians(truth.poses[t], truth.vts.position_m[vt])
+    _, key = np.unique(vt, return_inverse=True)
+    unknown = maps[-1].shape[1]
+    a = np.zeros((len(rows), 3, unknown + 3 * (key.max() + 1)))
+    for i in range(len(rows)):
+        width = maps[t[i]].shape[1]
+        a[i, :, :width] = by_pose[i] @ maps[t[i]][:6]
+        a[i, 0, :width] += maps[t[i]][core.offsets[recording.links.site[link[i]]]]
+        a[i, :, unknown + 3 * key[i] : unknown + 3 * key[i] + 3] = by_vt[i]
+    covariance = exact_covariance(recording, config, rows)
+    a = solve_triangular(np.linalg.cholesky(covariance), a.reshape(3 * len(rows), -1), lower=True)
+    information = a.T @ a
+    information[np.arange(unknown), np.arange(unknown)] += 1
+    scale = 1 / np.sqrt(np.diag(information))
+    p = (np.linalg.inv(information * scale[:, None] * scale) * scale[:, None] * scale)[:unknown, :unknown]
+    return float(np.sqrt(np.trace(maps[-1][:2] @ p @ maps[-1][:2].T)))
+
+
+def exact_covariance(recording: Recording, config: RadioConfig, rows: np.ndarray) -> np.ndarray:
+    """Covariance (3 n, 3 n) of measurement errors: every field has the correlation exp(-x^2 / (2 scale^2))."""
+    truth, t = recording.truth, recording.measurements.snapshot[rows]
+    assert truth is not None and truth.persisting_std is not None
+    vt, port = truth.measurement_vt[rows], recording.links.port[recording.measurements.link[rows]]
+    _, azimuth, elevation = predict(truth.poses[t], truth.vts.position_m[vt]).T
+    flat, tangent = np.cos(elevation), np.tan(elevation)
+    u = np.stack([flat * np.cos(azimuth), flat * np.sin(azimuth), np.sin(elevation)], 1)
+    own = (vt[:, None] == vt) & (port[:, None] == port)
+
+    def fields(x: np.ndarray, scale: float) -> np.ndarray:
+        return np.exp(-((x[:, None] - x) ** 2).sum(2) / (2 * scale**2))
+
+    calibration, roof, diffuse, attitude = causes(config)
+    time = fields(recording.time_s[t][:, None], attitude.scale)
+    yaw = np.stack([np.zeros(len(t)), -np.ones(len(t)), np.zeros(len(t))], 1)
+    pitch = np.stack([np.zeros(len(t)), tangent * np.sin(azimuth), np.cos(azimuth)], 1)
+    roll = np.stack([np.zeros(len(t)), tangent * np.cos(azimuth), -np.sin(azimuth)], 1)
+    out = np.zeros((len(t), 3, len(t), 3))
+    for turn, std in ((yaw, attitude.std[1]), (pitch, attitude.std[2]), (roll, attitude.std[2])):
+        out += std**2 * turn[:, :, None, None] * turn * time[:, None, :, None]
+    for c in range(3):
+        out[:, c, :, c] += calibration.std[c] ** 2 * fields(u, calibration.scale)
+        out[:, c, :, c] += roof.std[c] ** 2 * fields(u, roof.scale)
+        out[:, c, :, c] += diffuse.std[c] ** 2 * fields(truth.poses[t, :3], diffuse.scale) * own
+        white = truth.measurement_std[rows, c] ** 2 - truth.persisting_std[rows, c] ** 2
+        out[np.arange(len(t)), c, np.arange(len(t)), c] += white
+    return out.reshape(3 * len(t), -1)
+
+
+@pytest.mark.parametrize("drift_m_s", [None, 0.3])
+def test_bound_equals_the_joint_recursion_with_the_same_states(make_recording, monkeypatch, drift_m_s):
+    recording = make_recording(
+        seed=3, snapshots=40, vts_per_site=3, detection=0.5, std=WHITE, start_std=(1, 2, 0.5, 0.05, 0.01, 0.01),
+    )  # fmt: skip
+    # Roof in bells (more principal functions than allowed), calibration in principal functions.
+    monkeypatch.setattr(bound_persisting, "MOST_FUNCTIONS", 8)
+    recording = persisting(recording, roof_correlation_deg=2.0)
+    if drift_m_s is not None:
+        std = np.full(len(recording.sites), drift_m_s)
+        recording = replace(recording, sites=replace(recording.sites, clock_drift_std_m_s=std))
+    joint, result, drifted = JointFilter(recording), bound(recording), drifted_std(recording)
+    rate = joint.core.size + joint.vts + rates_among(joint.errors, drifted)
+    for t, *_ in joint.steps_of():
+        pose = joint.covariance[:6, :6]
+        scale = np.sqrt(np.diag(pose))
+        assert np.abs((result.pose_covariance[t] - pose) / (scale[:, None] * scale)).max() < 1e-5
+        now = np.eye(joint.size)[joint.core.offsets] + drifted[t][:, None] * np.eye(joint.size)[rate]
+        offset = np.sqrt(np.diag(now @ joint.covariance @ now.T))
+        np.testing.assert_allclose(result.clock_offset_std_m[t], offset, rtol=1e-5)
+    assert set(joint.errors.kind) == {0, 1, 2} and (joint.looks.state < 0).any()
+    assert joint.size < 800
+
+
+@pytest.mark.parametrize("roof_correlation_deg", [2.0, 20.0])
+def test_bound_is_that_of_the_exact_correlations(make_recording, roof_correlation_deg):
+    recording = make_recording(seed=21, snapshots=180, ports=1, vts_per_site=3, detection=0.9, std=WHITE)
+    recording = persisting(recording, roof_correlation_deg=roof_correlation_deg)
+    result, white = bound(recording).horizontal_std_m, bound(all_white(recording)).horizontal_std_m
+    for at in (60, 179):
+        exact = exact_horizontal_std(recording, at)
+        assert result[at] == pytest.approx(exact, rel=0.02)
+    assert white[-1] < 0.9 * exact
+
+
+# Far from right if attitude is halved (3.6 % below), or one diffuse error serves both ports (15 % above).
+@pytest.mark.parametrize(
+    ("radio", "ports", "off"),
+    [
+        ({"attitude_azimuth_deg": 3.0, "attitude_elevation_deg": 3.0, "attitude_correlation_s": 2.0}, 1, 0.01),
+        ({"specular_to_diffuse_db": 0.0, "diffuse_correlation_m": 1.0}, 2, 0.03),
+    ],
+    ids=["attitude", "diffuse"],
+)
+def test_bound_is_that_of_the_exact_correlations_of_one_cause(make_recording, radio, ports, off):
+    recording = make_recording(
+        seed=21, snapshots=120, ports=ports, vts_per_site=3, detection=0.6 if ports > 1 else 0.9, **POOR
+    )
+    recording = persisting(recording, **radio)
+    exact = exact_horizontal_std(recording, 119)
+    assert bound(recording).horizontal_std_m[-1] == pytest.approx(exact, rel=off)
+    assert bound(all_white(recording)).horizontal_std_m[-1] < 0.85 * exact
+
+
+def test_a_filter_that_meets_the_drawn_fields_makes_errors_of_that_size(make_recording):
+    recording = make_recording(
+        seed=5, snapshots=90, dt_s=0.5, sites=1, vts_per_site=3, detection=0.9, std=POOR["std"],
+        noise_density=(0.02, 0, 0, 0.001, 0, 0),
+    )  # fmt: skip
+    radio = {"roof_correlation_deg": 10.0, "diffuse_correlation_m": 2.0, "specular_to_diffuse_db": 3.0}
+    recording, rng, runs = persisting(recording, **radio), np.random.default_rng(11), 120
+    joint, truth, config = JointFilter(recording, broad_std=1e3), recording.truth, radio_of(recording)
+    fields = [draw_fields(config, 0.5, rng) for _ in range(runs)]
+    known = joint.core.size + joint.vts
+    error = rng.normal(0, 1, (runs, joint.size)) * np.sqrt(np.diag(joint.covariance))
+    # The filter estimates errors that begin at zero, of which it knows the deviation: what it meets is in the fields.
+    error[:, known:] = 0.0
+    m, turn, drawn = recording.measurements, np.zeros(3), np.zeros(3)
+    met = np.flatnonzero(truth.measurement_vt >= 0)
+    geometry = predict(truth.poses[m.snapshot[met]], truth.vts.position_m[truth.measurement_vt[met]])
+    squares = []
+    for t, f, q, h, r, k in joint.steps_of():
+        chosen = np.flatnonzero(m.snapshot[met] == t)
+        persisted = np.zeros((runs, len(chosen), 3))
+        for i, field in enumerate(fields):
+            write_attitude(t, field, turn)
+            for j, x in enumerate(chosen):
+                vt = truth.vts.position_m[truth.measurement_vt[met[x]]]
+                port = recording.links.port[m.link[met[x]]]
+                write_persisting(geometry[x], truth.poses[t], vt, port, turn, field, drawn)
+                persisted[i, j] = drawn
+        error = error @ f.T
+        core = joint.core.size
+        error[:, :core] += rng.multivariate_normal(np.zeros(core), q[:core, :core], runs, method="eigh")
+        noise = rng.normal(0, 1, (runs, len(r))) * np.sqrt(np.diag(r)) + persisted.reshape(runs, -1)
+        # Signs: `error` is truth minus estimate, and of a persisting error minus its estimate, its truth in `noise`.
+        error = error - (error @ h.T + noise) @ k.T
+        squares.append((error[:, :2] ** 2).sum(1).mean())
+    rms, result = np.sqrt(np.mean(squares)), bound(recording).position_rmse_m
+    white = bound(all_white(recording)).position_rmse_m
+    assert rms == pytest.approx(result, rel=0.12)
+    assert white < 0.8 * rms
+
+
+def test_nothing_that_persists_is_the_white_bound(make_recording):
+    recording = make_recording(seed=6, snapshots=80, std=WHITE)
+    names = ("calibration_correlation_deg", "roof_correlation_deg", "diffuse_correlation_m", "attitude_correlation_s")
+    zero = persisting(recording, **dict.fromkeys(names, 0.0))
+    expected = bound(recording).pose_covariance
+    np.testing.assert_array_equal(bound(zero).pose_covariance, expected)
+    small = bound(persisting(recording, noise_scale=1e-5)).pose_covariance
+    np.testing.assert_allclose(small, expected, rtol=1e-5, atol=1e-12)
+
+
+def test_larger_persisting_errors_never_lower_the_bound(make_recording):
+    recording = make_recording(seed=6, snapshots=100, clutter=0.5, **POOR)
+    stds = [bound(persisting(recording, noise_scale=scale)).horizontal_std_m for scale in (0.0, 0.3, 1.0, 3.0)]
+    assert all((low <= high + 1e-12).all() for low, high in pairwise(stds))
+    assert 1.5 * stds[0][-1] < stds[3][-1]
+
+
+def test_errors_that_all_links_share_are_not_averaged_over_links(make_recording):
+    one, four = (make_recording(seed=7, snapshots=120, ports=ports, detection=1.0, **POOR) for ports in (1, 4))
+    radio = {"calibration_distance_m": 0.6, "roof_azimuth_deg": 2.0, "specular_to_diffuse_db": 40.0}
+    one, four = persisting(one, **radio), persisting(four, **radio)
+    gain = bound(one).position_rmse_m / bound(four).position_rmse_m
+    gain_white = bound(all_white(one)).position_rmse_m / bound(all_white(four)).position_rmse_m
+    assert 1.0 <= gain < 1.0 + 0.6 * (gain_white - 1.0)
+
+
+@pytest.mark.parametrize("scale_deg", [30.0, 10.0])
+def test_principal_functions_have_the_correlation(scale_deg):
+    *_, u = directions(800, seed=1)
+    value = principal_functions(u, np.radians(scale_deg))
+    assert value is not None and value.shape[1] <= 60
+    np.testing.assert_allclose((value**2).sum(1), 1.0)
+    assert np.abs(value @ value.T - correlation(u, u, np.radians(scale_deg))).max() < 0.07
+
+
+@pytest.mark.parametrize("scale_deg", [0.5, 3.0, 12.0])
+def test_bell_functions_have_the_correlation(scale_deg):
+    azimuth, elevation, u = directions(800, seed=2)
+    cell, value = bell_functions(azimuth, elevation, np.radians(scale_deg))
+    dense = np.zeros((800, cell.max() + 1))
+    np.add.at(dense, (np.arange(800)[:, None], np.maximum(cell, 0)), value)
+    np.testing.assert_allclose((dense**2).sum(1), 1.0)
+    assert np.abs(dense @ dense.T - correlation(u, u, np.radians(scale_deg))).max() < 0.1
+
+
+def test_bell_functions_near_the_pole():
+    azimuth, elevation = np.linspace(-3, 3, 50), np.linspace(1.4, np.pi / 2, 50)
+    cell, value = bell_functions(azimuth, elevation, 0.05)
+    assert np.isfinite(value).all()
+    np.testing.assert_allclose((value**2).sum(1), 1.0)
+    assert all(len(set(row[row >= 0])) == (row >= 0).sum() for row in cell)
+
+
+def test_a_clear_message_without_the_causes(make_recording):
+    recording = persisting(make_recording(snapshots=20, std=WHITE))
+    with pytest.raises(InputError, match=r"world\.radio"):
+        bound(replace(recording, provenance={}))
+    other = {"world": {"radio": RadioConfig(roof_azimuth_deg=3.0).model_dump()}}
+    with pytest.raises(InputError, match="agree"):
+        bound(replace(recording, provenance=other))

@@ -1,0 +1,203 @@
+"""The gymnasium environments: checked, seeded, vectorised, fast; estimators and agents change places."""
+
+from __future__ import annotations
+
+import time
+import warnings
+from typing import Any
+
+import gymnasium as gym
+import numpy as np
+import pytest
+from gymnasium.utils.env_checker import check_env
+
+import cellslam.benchmarks.env
+from cellslam.benchmarks.env.adapters import AgentEstimator, EstimatorAgent
+from cellslam.benchmarks.env.localization import ACTION_UNIT, LocalizationEnv, observation, snapshot_of
+from cellslam.benchmarks.trials.estimation import estimate, warm_up
+from cellslam.benchmarks.trials.trials import record
+from cellslam.scenarios.estimator_options import Request, resolve
+from cellslam.scenarios.loading import load
+from cellslam.sim.errors import InputError
+from cellslam.sim.randomness import Stream, stream
+from cellslam.slam.api import snapshots_of
+from cellslam.slam.conformance.subject import tiny_drive
+
+NAME, ACTIVE = cellslam.benchmarks.env.LOCALIZATION, cellslam.benchmarks.env.ACTIVE_SLAM
+
+
+def made(**words: Any) -> Any:
+    return gym.make(NAME, **words).unwrapped
+
+
+@pytest.mark.parametrize("name", [NAME, f"cellslam.benchmarks.env:{NAME}", ACTIVE, f"cellslam.benchmarks.env:{ACTIVE}"])
+def test_passes_the_checker_without_warnings(name: str) -> None:
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        check_env(gym.make(name, drives=1, render_mode="rgb_array").unwrapped)
+
+
+def test_same_seed_same_episode() -> None:
+    env, seen = made(drives=4), []
+    for _ in range(2):
+        first, _ = env.reset(seed=3)
+        states = [first, *(env.step(np.full(6, 1e-4))[0] for _ in range(5))]
+        seen.append(np.concatenate([np.ravel(v) for s in states for v in s.values()]))
+    np.testing.assert_array_equal(*seen)
+    other, _ = env.reset()
+    assert not np.array_equal(other["paths"], first["paths"])
+
+
+def test_observation_holds_a_snapshot_exactly() -> None:
+    for t, snapshot in enumerate(snapshots_of(tiny_drive())[:50]):
+        back = snapshot_of(observation(snapshot, 0.1, np.zeros(6), np.zeros(6), 64), t, int(snapshot.row[0]))
+        for name, value in vars(snapshot).items():
+            np.testing.assert_array_equal(getattr(back, name), value, err_msg=name)
+
+
+def test_strongest_paths_are_kept() -> None:
+    snapshot = snapshots_of(tiny_drive())[0]
+    few = observation(snapshot, 0.1, np.zeros(6), np.zeros(6), 5)
+    assert few["mask"].sum() == 5
+    np.testing.assert_array_equal(np.sort(few["paths"][:, 3]), np.sort(snapshot.snr_db)[-5:])
+    assert (np.diff(few["link"]) >= 0).all()
+
+
+def test_truth_is_in_info_alone_and_rewards_are_errors() -> None:
+    env = made(drives=1)
+    _, info = env.reset(seed=0)
+    truth = info["truth_pose"]
+    np.testing.assert_array_equal(info["start_pose"], truth)
+    _, reward, ended, cut, info = env.step(np.array([3.0, 4.0, 0, 0, 0, 0]) / ACTION_UNIT)
+    assert reward == pytest.approx(-5.0)
+    assert info["position_error_m"] == pytest.approx(5.0)
+    assert not ended
+    assert not cut
+
+
+@pytest.mark.parametrize("name", ["ekf-slam", "dead-reckoning"])
+def test_estimator_in_the_environment_is_the_estimator_of_run(name: str) -> None:
+    scenario = load("tiny")
+    (request,) = resolve(scenario.estimator, (name,))
+    warm_up(request)
+    expected = estimate(record(scenario, 11, 0), request, stream(11, 0, Stream.ESTIMATOR))
+    env = made()
+    seen, _ = env.reset(options={"scenario": "tiny", "seed": 11})
+    agent = EstimatorAgent(request.estimator(request.options), env.setup, stream(11, 0, Stream.ESTIMATOR))
+    ended = False
+    while not ended:
+        seen, _, ended, _, info = env.step(agent(seen))
+    np.testing.assert_array_equal(np.array(agent.poses), expected.poses)
+    np.testing.assert_allclose(info["belief_pose"], expected.poses[-1], atol=1e-9)
+    assert len(agent.poses) == info["snapshot"] + 1
+
+
+class Wheels(AgentEstimator):
+    """An agent that believes the odometry."""
+
+    def policy(self) -> Any:
+        return lambda seen: seen["odometry"] * seen["dt_s"] / ACTION_UNIT
+
+
+def test_agent_can_be_scored_as_an_estimator() -> None:
+    recording = tiny_drive()
+    (reference,) = resolve({}, ("dead-reckoning",))
+    poses = [
+        estimate(recording, request, np.random.default_rng(0)).poses
+        for request in (Request("wheels", Wheels, None), reference)
+    ]
+    np.testing.assert_allclose(*poses, atol=1e-9)
+
+
+def test_fast_enough_in_lund() -> None:
+    env = made(scenario="lund-530", drives=1, overrides={"vehicle.distance_m": 60.0, "vehicle.duration_s": 90.0})
+    env.reset(seed=0)
+    action, begin = np.zeros(6), time.perf_counter()
+    for _ in range(1000):
+        env.step(action)
+    assert 1000 / (time.perf_counter() - begin) > 500
+
+
+@pytest.mark.parametrize("mode", ["sync", "async"])
+@pytest.mark.parametrize(("name", "key", "shape"), [(NAME, "paths", (2, 128, 7)), (ACTIVE, "route", (2, 10, 2))])
+def test_vectorises(mode: Any, name: str, key: str, shape: tuple[int, ...]) -> None:
+    spawn = {"context": "spawn"} if mode == "async" else {}
+    vector = gym.make_vec(name, num_envs=2, vectorization_mode=mode, vector_kwargs=spawn, drives=2)
+    try:
+        seen, _ = vector.reset(seed=[1, 2])
+        assert seen[key].shape == shape
+        _, rewards, *_ = vector.step(np.zeros(vector.action_space.shape))
+        assert rewards.shape == (2,)
+    finally:
+        vector.close()
+
+
+def pursuit(seen: Any) -> Any:
+    """Steer towards the route 8 m ahead, at half the top speed."""
+    x, y = seen["route"][1]
+    return np.array([np.clip(np.arctan2(2.0 * 2.9 * y, x * x + y * y) / 0.6, -1, 1), 0.0])
+
+
+def test_a_planner_arrives() -> None:
+    env = gym.make(ACTIVE, drives=1, render_mode="rgb_array").unwrapped
+    total, lengths = [], []
+    for _ in range(2):
+        seen, _ = env.reset(seed=5)
+        rewards, ended, cut = [], False, False
+        while not (ended or cut):
+            seen, reward, ended, cut, info = env.step(pursuit(seen))
+            rewards.append(reward)
+        assert info["ended"] == "goal"
+        assert info["position_error_m"] < 3.0
+        total.append(sum(rewards))
+        lengths.append(len(rewards))
+    assert total[0] == total[1]
+    assert lengths[0] == lengths[1]
+    assert 20.0 < total[0] < 60.0
+    assert len(np.unique(env.render().reshape(-1, 3), axis=0)) > 20
+
+
+@pytest.mark.parametrize(
+    ("action", "words", "reason"),
+    [([1.0, 1.0], {"lost_m": 6.0, "top_speed_mps": 6.0}, "off the route"), ([0.0, -1.0], {"time_limit_s": 3.0}, "")],
+)
+def test_who_goes_astray_or_stands_is_stopped(action: list[float], words: dict[str, Any], reason: str) -> None:
+    env: Any = gym.make(ACTIVE, estimator="dead-reckoning", drives=1, **words).unwrapped
+    env.reset(seed=5)
+    ended, cut, steps = False, False, 0
+    while not (ended or cut):
+        _, reward, ended, cut, info = env.step(np.array(action))
+        steps += 1
+        assert steps < 200
+    assert info["ended"] == reason
+    assert ended == bool(reason)
+    assert (reward < -15) == bool(reason)
+
+
+def test_collisions_end_the_drive() -> None:
+    env: Any = gym.make(ACTIVE, estimator="dead-reckoning", drives=1).unwrapped
+    env.reset(seed=5)
+    wall = np.array(env._world.scene.city.footprints[0].exterior.coords[0])
+    env._car.pose[:2] = wall + 0.5
+    _, reward, ended, _, info = env.step(np.array([0.0, -1.0]))
+    assert ended
+    assert info["ended"] == "collision"
+    assert reward < 0.0
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        ({"scnario": "tiny"}, "did you mean 'scenario'"),
+        ({"scenario": "tny"}, "did you mean 'tiny'"),
+        ({"set": {"radio.clutter": 1.0}}, "unknown key"),
+    ],
+)
+def test_wrong_options_are_explained(options: dict[str, Any], words: str) -> None:
+    with pytest.raises(InputError, match=words):
+        made().reset(options=options)
+
+
+def test_wrong_render_mode_is_explained() -> None:
+    with pytest.raises(InputError, match="rgb_array"):
+        LocalizationEnv(render_mode="human")

@@ -1,0 +1,101 @@
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from cellslam.benchmarks.cli.main import main
+from cellslam.benchmarks.figures.sweep.sweep_data import load
+from cellslam.benchmarks.figures.sweep.sweep_figures import draw_sweep
+from cellslam.benchmarks.figures.sweep.sweep_look import Look
+from cellslam.benchmarks.sweeps.store import writing
+from cellslam.benchmarks.sweeps.tasks import Result, identity, plan, request_of
+from cellslam.benchmarks.sweeps.trajectories import pack
+from cellslam.benchmarks.trials.estimation import estimate
+from cellslam.benchmarks.trials.trial_result import ROW_KEYS
+from cellslam.scenarios import sweep_points as sweep
+from cellslam.sim.errors import InputError
+from cellslam.sim.recording import Recording
+
+ALL = {"sweep", "error_cdf", "map_error", "error_time", "clock_offset", "nees", "time_accuracy"}
+
+
+@pytest.fixture
+def folder(tmp_path: Path, toy_recording: Callable[..., Recording]) -> Path:
+    """A sweep over loads with made-up scores, and trajectories of dead reckoning on the toy recording."""
+    data = {"scenario": "tiny", "grid": {"radio.load": [0.01, 1.0]}}
+    points = sweep.points(sweep.from_tables(data), ("dead-reckoning", "fastslam"))
+    made = plan(points, 6, 0)
+    recording = toy_recording()
+    drawn = np.random.default_rng(0)
+    result = estimate(recording, request_of("dead-reckoning", "null"), drawn)
+    result = dataclasses.replace(
+        result, clock_offset_m=drawn.normal(size=(40, 2)), clock_offset_variance_m2=np.ones((40, 2))
+    )
+    packed = pack(recording, result, None)
+    with writing(tmp_path / "sweep", "made up", {}) as store:
+        store.declare(made)
+        for task in made.tasks:
+            for job in task.jobs:
+                row = {**dict.fromkeys(ROW_KEYS), "scenario": "tiny", "estimator": job.estimator, "status": "ok"}
+                row |= {"trial": task.trial, "seed": 0, "position_rmse_m": drawn.gamma(4.0), "map_gospa_m": 3.0}
+                row["estimate_seconds"] = drawn.gamma(2.0)
+                if task.trial == 2:
+                    row |= {"status": "failed", "position_rmse_m": None, "map_gospa_m": None}
+                kept = packed if task.trial != 2 else None
+                store.write(Result(job.key, row, "", kept), identity(task.world), identity(job.options))
+    return tmp_path / "sweep"
+
+
+def test_every_figure_is_drawn_as_png_and_pdf(folder: Path, tmp_path: Path) -> None:
+    written = draw_sweep(folder, tmp_path / "out", Look(metric="position_rmse_m", statistic="rmse"))
+    assert {path.name for path in written} == {f"{name}.{kind}" for name in ALL for kind in ("png", "pdf")}
+    assert all(path.stat().st_size > 3000 for path in written)
+    again = draw_sweep(folder, tmp_path / "again", Look(statistic="rmse"), formats=("png",))
+    assert [p.read_bytes() for p in again] == [(tmp_path / "out" / p.name).read_bytes() for p in again]
+
+
+def test_data_are_panels_of_worlds_with_series(folder: Path) -> None:
+    data = load(folder)
+    assert len(data.panels) == 2 and data.labels == ("dead-reckoning", "fastslam")
+    one = data.panels[0].series[0]
+    assert one.settings == {"radio.load": 0.01}
+    assert len(one.values("position_rmse_m")) == 5 and len(one.values("nees_mean")) == 0
+    curve = data.over_time(one, "offset_error_m")
+    assert curve is not None and curve[1].shape == (5, 40, 2) and curve[0][-1] == pytest.approx(3.9)
+    assert data.over_time(one, "bound_std_m") is None
+
+
+def test_command_writes_into_the_folder(folder: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    assert main(["figures", str(folder), "--x", "radio.load", "--statistic", "q90"]) == 0
+    assert {path.stem for path in (folder / "figures").iterdir()} == ALL
+    assert "14 files are in" in capfd.readouterr().err
+
+
+def test_wrong_requests_are_one_line(folder: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    for words, expected in (
+        (("--x", "radio.laod"), "--x radio.laod: not a key that varies and is a number (radio.load"),
+        (("--metric", "x"), "unknown metric 'x'"),
+        (("--statistic", "x"), "unknown statistic 'x'"),
+        (("--interval", "0"), "interval = 0 %"),
+    ):
+        assert main(["figures", str(folder), *words]) == 2
+        err = capfd.readouterr().err
+        assert err.count("\n") == 1 and expected in err
+    with pytest.raises(InputError, match="no results"):
+        draw_sweep(folder.parent, folder.parent)
+
+
+def test_a_sweep_without_trajectories_or_numbers_gives_what_it_can(tmp_path: Path) -> None:
+    made = plan(sweep.points(sweep.from_tables({"scenario": "tiny"}), ("dead-reckoning",)), 2, 0)
+    with writing(tmp_path, "made up", {}) as store:
+        store.declare(made)
+        for task in made.tasks:
+            row = {**dict.fromkeys(ROW_KEYS), "scenario": "tiny", "estimator": "dead-reckoning", "status": "ok"}
+            row |= {"trial": task.trial, "seed": 0, "position_rmse_m": 1.0, "estimate_seconds": 1.0}
+            store.write(Result(task.jobs[0].key, row), identity(task.world), identity(task.jobs[0].options))
+    written = draw_sweep(tmp_path, tmp_path / "figures", formats=("png",))
+    assert {path.stem for path in written} == {"error_cdf", "time_accuracy"}

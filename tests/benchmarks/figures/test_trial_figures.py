@@ -1,0 +1,180 @@
+"""The figures: the geometry behind the map, what each figure shows, and the files."""
+
+from __future__ import annotations
+
+import dataclasses
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from matplotlib.figure import Figure
+from shapely import box
+
+from cellslam.benchmarks.bound.cramer_rao import BoundResult
+from cellslam.benchmarks.figures.trial import associations
+from cellslam.benchmarks.figures.trial import clock_offsets as clock
+from cellslam.benchmarks.figures.trial import position_error as error
+from cellslam.benchmarks.figures.trial import trial_map as overview
+from cellslam.benchmarks.figures.trial.reflectors import reflection_point, reflectors_of
+from cellslam.benchmarks.figures.trial.trial_figures import draw_all
+from cellslam.benchmarks.trials.trial_result import TrialResult
+from cellslam.slam.api import VtEstimate
+
+WALL_X_M = 60.0
+
+
+@pytest.fixture
+def scene(make_recording):
+    """One site behind a wall's mirror: VT 0 is the site, VT 1 its image in the wall x = 60 m, which one
+    building carries.
+    """
+    recording = make_recording(seed=1, sites=1, ports=2, vts_per_site=2, snapshots=240, detection=0.9)
+    truth = recording.truth
+    site = np.array([-100.0, 20.0, 40.0])
+    image = np.array([2 * WALL_X_M + 100.0, 20.0, 40.0])
+    vts = dataclasses.replace(truth.vts, position_m=np.stack([site, image]))
+    truth = dataclasses.replace(truth, vts=vts, site_positions_m=site[None])
+    recording = dataclasses.replace(recording, truth=truth)
+    count = len(recording.time_s)
+    # The links' estimates of the site differ by a metre; their mean is right.
+    found = np.stack([site, image, site, image]) + np.outer([0.5, 0, -0.5, 0], [1, 0, 0])
+    known = VtEstimate(np.array([0, 1, 0, 1]), np.array([0, 0, 1, 1]), found, np.tile(np.eye(3), (4, 1, 1)))
+    slam = TrialResult(
+        "fastslam", truth.poses + 0.1, np.tile(np.eye(6), (count, 1, 1)), truth.measurement_vt,
+        np.tile(truth.clock_offsets_m, (count, 1)), np.ones((count, 1)), known,
+    )  # fmt: skip
+    reckoning = TrialResult("dead-reckoning", truth.poses + 1.0, np.tile(np.eye(6), (count, 1, 1)))
+    bound = BoundResult(np.tile(np.eye(6) * 0.04, (count, 1, 1)), np.ones((count, 1)))
+    city = SimpleNamespace(footprints=(box(-50, 60, -30, 80), box(WALL_X_M, -60, WALL_X_M + 15, 30)))
+    return SimpleNamespace(
+        recording=recording, results={"dead-reckoning": reckoning, "fastslam": slam}, bound=bound, city=city
+    )
+
+
+def test_reflection_point_by_hand():
+    site, vt = np.array([0.0, 0, 10]), np.array([20.0, 0, 10])
+    # The wall is x = 10; from (0, 20, 10) the path meets it half-way up to the VT.
+    np.testing.assert_allclose(reflection_point(site, vt, np.array([0.0, 20, 10])), [10, 10, 10])
+    np.testing.assert_allclose(reflection_point(site, vt, np.array([[5.0, 6, 4]])), [[10, 4, 6]])
+    # Behind the wall, and parallel to it, there is none.
+    assert np.isnan(reflection_point(site, vt, np.array([[15.0, 3, 4], [20.0, 3, 4]]))).all()
+
+
+def test_reflected_path_has_the_length_and_the_angles_of_a_mirror():
+    rng = np.random.default_rng(3)
+    for _ in range(50):
+        site, vehicle, normal = rng.normal(0, 50, 3), rng.normal(0, 50, 3), rng.normal(0, 1, 3)
+        normal /= np.linalg.norm(normal)
+        offset = max(site @ normal, vehicle @ normal) + 10
+        vt = site + 2 * (offset - site @ normal) * normal
+        point = reflection_point(site, vt, vehicle)
+        assert point @ normal == pytest.approx(offset)
+        incoming, outgoing = point - site, vehicle - point
+        length = np.linalg.norm(incoming) + np.linalg.norm(outgoing)
+        assert length == pytest.approx(np.linalg.norm(vt - vehicle))
+        assert incoming @ normal / np.linalg.norm(incoming) == pytest.approx(
+            -outgoing @ normal / np.linalg.norm(outgoing)
+        )
+
+
+def test_reflectors_lie_on_the_wall_and_leave_the_site_out(scene):
+    mapped = reflectors_of(scene.recording, scene.results["fastslam"])
+    assert sorted(r.link for r in mapped) == [0, 1] and mapped[0].life_s >= mapped[1].life_s
+    assert len(mapped[0].points_m) > 3
+    np.testing.assert_allclose(mapped[0].points_m[:, 0], WALL_X_M, atol=1e-9)
+    m, truth = scene.recording.measurements, scene.recording.truth
+    seen = np.count_nonzero((truth.measurement_vt == 1) & (m.link == mapped[0].link))
+    assert mapped[0].life_s == pytest.approx(seen * 0.075)
+    assert overview.emphasised_building(scene.city, mapped) == 1
+
+
+def test_no_reflectors_without_map_or_truth(scene):
+    slam, bare = scene.results["fastslam"], dataclasses.replace(scene.recording, truth=None)
+    assert reflectors_of(scene.recording, scene.results["dead-reckoning"]) == []
+    assert reflectors_of(bare, slam) == []
+    assert overview.emphasised_building(scene.city, []) is None
+
+
+def test_map_shows_buildings_trajectories_sites_and_reflecting_points(scene):
+    figure = Figure(layout="constrained")
+    assert overview.draw(figure, scene.city, scene.recording, scene.results)
+    whole, drive = figure.axes
+    for axes in (whole, drive):
+        lines = {line.get_label(): line for line in axes.lines}
+        assert {"true trajectory", "dead-reckoning", "fastslam", "reflecting points, site A"} <= set(lines)
+        np.testing.assert_allclose(lines["fastslam"].get_xdata(), scene.results["fastslam"].poses[:, 0])
+        assert len(axes.collections[0].get_paths()) == 2
+    assert [text.get_text() for text in whole.texts] == ["A"]
+    (x0, x1), (y0, y1) = whole.get_xlim(), whole.get_ylim()
+    assert x0 < -100 and x1 > WALL_X_M and y1 - y0 == pytest.approx(x1 - x0)
+    assert drive.get_xlim()[1] - drive.get_xlim()[0] < x1 - x0
+
+
+def test_error_figure_shows_errors_and_bound(scene):
+    figure = Figure()
+    assert error.draw(figure, scene.recording, scene.results, scene.bound)
+    whole, magnified = figure.axes
+    for axes in (whole, magnified):
+        lines = {line.get_label(): line for line in axes.lines}
+        np.testing.assert_allclose(lines["dead-reckoning"].get_ydata(), np.sqrt(2))
+        np.testing.assert_allclose(lines["fastslam"].get_ydata(), 0.1 * np.sqrt(2))
+        np.testing.assert_allclose(lines["Cramér-Rao bound (rms)"].get_ydata(), np.sqrt(0.08))
+    assert magnified.get_ylim() == (0, pytest.approx(1.1 * np.sqrt(0.08)))
+    alone = Figure()
+    assert error.draw(alone, scene.recording, {"fastslam": scene.results["fastslam"]}, None)
+    assert len(alone.axes) == 1
+    assert not error.draw(Figure(), dataclasses.replace(scene.recording, truth=None), scene.results, None)
+
+
+def test_association_figure_colours_each_vt_and_greys_the_rest(scene):
+    figure, m = Figure(layout="constrained"), scene.recording.measurements
+    idle = dataclasses.replace(scene.results["dead-reckoning"], association=np.full(len(m), -1))
+    assert associations.draw(figure, scene.recording, {"idle": idle, **scene.results})
+    grey, first, second = figure.axes[0].lines
+    mine = m.link == associations.shown_links(scene.recording, 2)[0]
+    truth_vt = scene.recording.truth.measurement_vt[mine]
+    np.testing.assert_allclose(grey.get_ydata(), m.distance_m[mine][truth_vt < 0])
+    assert {len(first.get_xdata()), len(second.get_xdata())} == {(truth_vt == 0).sum(), (truth_vt == 1).sum()}
+    assert len({line.get_color() for line in (grey, first, second)}) == 3
+
+
+def test_association_figure_takes_one_busy_cell_of_each_site(make_recording):
+    recording = make_recording(seed=2, sites=3, ports=2, snapshots=60)
+    counts = np.bincount(recording.measurements.link, minlength=6)
+    assert associations.shown_links(recording, 2) == [int(counts[:2].argmax()), int(2 + counts[2:4].argmax())]
+
+
+def test_clock_figure_shows_estimate_band_and_truth(scene):
+    figure = Figure()
+    assert clock.draw(figure, scene.recording, scene.results)
+    above, below = figure.axes
+    offset = scene.recording.truth.clock_offsets_m[0]
+    for axes in (above, below):
+        estimate, truth = axes.lines
+        np.testing.assert_allclose(estimate.get_ydata(), offset)
+        np.testing.assert_allclose(truth.get_ydata(), offset)
+        band = axes.collections[0].get_paths()[0].vertices[:, 1]
+        assert band.max() - band.min() == pytest.approx(4.0)
+    assert below.get_ylim()[0] < offset - 2 and below.get_ylim()[1] > offset + 2
+    reckoning = {"dead-reckoning": scene.results["dead-reckoning"]}
+    assert not clock.draw(Figure(), scene.recording, reckoning)
+
+
+def test_all_figures_are_written(scene, tmp_path):
+    city, recording = scene.city, scene.recording
+    written = draw_all(city, recording, scene.results, scene.bound, tmp_path, formats=("png", "pdf"))
+    names = ["map", "error", "associations", "clock_offsets"]
+    assert [path.name for path in written] == [f"{name}.{kind}" for name in names for kind in ("png", "pdf")]
+    for path in written:
+        head = path.read_bytes()[:4]
+        assert head == (b"\x89PNG" if path.suffix == ".png" else b"%PDF")
+        assert path.stat().st_size > 5000
+
+
+def test_a_recording_without_truth_and_measurements_still_has_its_map(make_recording, tmp_path):
+    recording = make_recording(snapshots=20, detection=0.0, clutter=0.0)
+    poses = recording.truth.poses
+    bare = dataclasses.replace(recording, truth=None)
+    result = TrialResult("dead-reckoning", poses, np.tile(np.eye(6), (20, 1, 1)))
+    written = draw_all(None, bare, {"dead-reckoning": result}, None, tmp_path)
+    assert [path.name for path in written] == ["map.png"]

@@ -1,0 +1,174 @@
+"""Inspection, exports and the playback page, as a user calls them."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from cellslam.benchmarks.cli import main as cli
+from cellslam.sim.recording import Recording
+
+Toy = Callable[..., Recording]
+
+
+@pytest.fixture
+def drive(toy_recording: Toy, tmp_path: Path) -> Path:
+    path = tmp_path / "toy.h5"
+    toy_recording(snapshots=60).save(path)
+    return path
+
+
+def test_inspect_prints_and_draws(drive: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert cli.main(["inspect", str(drive)]) == 0
+    text = capsys.readouterr().out
+    for word in (
+        "60 in 6 s, every 0.1 s",
+        "links         4 of 2 sites",
+        "cell_id 375",
+        "suspicious    nothing",
+        "truth",
+    ):
+        assert word in text, text
+    assert drive.with_suffix(".png").read_bytes().startswith(b"\x89PNG")
+    assert cli.main(["--quiet", "inspect", str(drive), "--json", "--no-figure"]) == 0
+    found = json.loads(capsys.readouterr().out)
+    assert found["snapshots"]["count"] == 60 and found["suspicions"] == []
+
+
+def test_inspect_tells_gaps_and_what_is_missing(
+    toy_recording: Toy, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    import dataclasses
+
+    r = toy_recording(truth=False)
+    time = r.time_s + np.where(np.arange(40) > 20, 3.0, 0.0)
+    nothing = np.full(len(r.measurements), np.nan)
+    odometry = r.odometry.copy()
+    odometry[:, 2] = np.nan
+    r = dataclasses.replace(
+        r, time_s=time, odometry=odometry, measurements=dataclasses.replace(r.measurements, snr_db=nothing)
+    )
+    r.save(tmp_path / "a.h5")
+    assert cli.main(["--quiet", "inspect", str(tmp_path / "a.h5"), "--no-figure"]) == 0
+    text = capsys.readouterr().out
+    assert "gap         3.1 s at 2 s" in text
+    for missing in ("SNR (never measured)", "odometry u_z (never measured", "missing       truth"):
+        assert missing in text
+
+
+def test_inspect_refuses_a_broken_file_in_one_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (tmp_path / "a.h5").write_text("no")
+    assert cli.main(["inspect", str(tmp_path / "a.h5")]) == 2
+    assert "not an HDF5 file" in capsys.readouterr().err
+    assert [p.name for p in tmp_path.iterdir()] == ["a.h5"]
+
+
+def test_tum(drive: Path, tmp_path: Path) -> None:
+    assert cli.main(["export", str(drive), "--format", "tum", "--out", str(tmp_path / "t.tum")]) == 0
+    table = np.loadtxt(tmp_path / "t.tum")
+    truth = Recording.load(drive).truth
+    assert truth is not None and table.shape == (60, 8)
+    assert np.allclose(table[:, 1:4], truth.poses[:, :3], atol=1e-6)
+    assert np.allclose(np.linalg.norm(table[:, 4:], axis=1), 1.0)
+
+
+def test_maps_of_an_estimate(drive: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    words = ["--quiet", "export", str(drive), "--estimator", "ekf-slam", "--seed", "1"]
+    assert cli.main([*words, "--format", "geojson", "--out", str(tmp_path / "m.geojson")]) == 0
+    assert cli.main([*words, "--format", "ply", "--out", str(tmp_path / "m.ply")]) == 0
+    features = json.loads((tmp_path / "m.geojson").read_text())["features"]
+    points = [f for f in features if f["properties"]["kind"] == "vt"]
+    assert features[0]["geometry"]["type"] == "LineString" and len(points) >= 1
+    covariance = np.array(points[0]["properties"]["covariance_m2"])
+    assert covariance.shape == (3, 3) and (np.linalg.eigvalsh(covariance) > 0).all()
+    rings = [f["geometry"]["coordinates"][0] for f in features if f["properties"]["kind"] == "ellipse"]
+    assert len(rings) == len(points) and all(ring[0] == ring[-1] for ring in rings)
+    # A point of the ellipse is two standard deviations from its centre.
+    offset = np.array(rings[0][5])[:2] - np.array(points[0]["geometry"]["coordinates"])[:2]
+    assert offset @ np.linalg.solve(covariance[:2, :2], offset) == pytest.approx(4.0, rel=1e-3)
+    import trimesh
+
+    cloud = trimesh.load(tmp_path / "m.ply", process=False)
+    assert np.allclose(np.asarray(cloud.vertices), [p["properties"]["position_m"] for p in points], atol=1e-5)
+    assert (
+        cli.main(
+            [
+                "--quiet",
+                "export",
+                str(drive),
+                "--format",
+                "ply",
+                "--estimator",
+                "dead-reckoning",
+                "--out",
+                str(tmp_path / "n.ply"),
+            ]
+        )
+        == 2
+    )
+    assert "makes no map" in capsys.readouterr().err and not (tmp_path / "n.ply").exists()
+
+
+def test_geojson_is_placed_on_the_earth_where_the_recording_says_how(toy_recording: Toy, tmp_path: Path) -> None:
+    import dataclasses
+
+    pytest.importorskip("pyproj", reason="extra gnss")
+    r = toy_recording()
+    origin = [500000.0, 6094791.4]  # zone 33: 15 deg east, about 55 deg north
+    r = dataclasses.replace(r, provenance={"projection": {"crs": "EPSG:32633", "origin_m": origin}})
+    r.save(tmp_path / "a.h5")
+    assert (
+        cli.main(["export", str(tmp_path / "a.h5"), "--format", "geojson", "--out", str(tmp_path / "a.geojson")]) == 0
+    )
+    x, y, _ = json.loads((tmp_path / "a.geojson").read_text())["features"][0]["geometry"]["coordinates"][0]
+    assert x == pytest.approx(15.0, abs=1e-3) and y == pytest.approx(55.0, abs=2e-3)
+
+
+def test_playback_page(drive: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    pytest.importorskip("plotly", reason="extra report")
+    page = tmp_path / "p.html"
+    assert (
+        cli.main(
+            ["--quiet", "export", str(drive), "--format", "html", "--estimator", "dead-reckoning", "--out", str(page)]
+        )
+        == 0
+    )
+    text = page.read_text()
+    assert "dead-reckoning" in text and "measured paths" in text and '"frames"' in text.replace("addFrames", '"frames"')
+    assert "<script src=" not in text  # works offline
+    assert cli.main(["export", str(drive), "--format", "html", "--out", str(page)]) == 2
+    assert "--estimator" in capsys.readouterr().err
+
+
+def test_exports_do_not_overwrite_folders(drive: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (tmp_path / "there").mkdir()
+    (tmp_path / "there" / "mine.txt").write_text("x")
+    assert cli.main(["export", str(drive), "--format", "csv", "--out", str(tmp_path / "there")]) == 2
+    assert "exists already" in capsys.readouterr().err
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["there", "toy.h5"]
+
+
+def test_alignment_is_done_on_request_and_said(drive: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    words = [
+        "--quiet",
+        "replay",
+        str(drive),
+        "--estimator",
+        "dead-reckoning",
+        "--no-figures",
+        "--out",
+        str(tmp_path / "o"),
+    ]
+    assert cli.main([*words, "--json"]) == 0
+    plain = json.loads(capsys.readouterr().out)[0]
+    assert cli.main([*words, "--json", "--align"]) == 0
+    aligned = json.loads(capsys.readouterr().out)[0]
+    assert "alignment" not in plain and "least squares" in aligned["alignment"]
+    assert aligned["position_rmse_m"] < plain["position_rmse_m"] and aligned["bound_position_rmse_m"] is None
+    assert "least squares" in (tmp_path / "o" / "summary.json").read_text()
+    assert cli.main([*words, "--align"]) == 0
+    assert "ALIGNED" in capsys.readouterr().out

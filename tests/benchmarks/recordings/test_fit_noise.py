@@ -1,0 +1,168 @@
+"""fit-noise finds what the maker of the data put in."""
+
+from __future__ import annotations
+
+import dataclasses
+import tomllib
+from collections.abc import Callable
+from importlib.resources import files
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from cellslam.benchmarks.cli import main as cli
+from cellslam.benchmarks.recordings import Campaign, OdometryTable, build
+from cellslam.benchmarks.recordings.fitting.fit_noise import fit
+from cellslam.benchmarks.recordings.fitting.fitted_lines import lines
+from cellslam.scenarios.estimator_options import resolve
+from cellslam.sim.errors import InputError
+from cellslam.sim.recording import Recording
+
+STD_M, STD_RAD, UNIT_M, DETECTED, FALSE = 0.2, np.radians(0.8), 0.3, 0.7, 0.5
+SPEED_NOISE, TURN_NOISE, TURN_BIAS = 0.15, 0.01, 0.012
+AREA_M = 60.0
+
+
+@pytest.fixture(scope="module")
+def world() -> Recording:
+    """Sources in a plane, seen from a winding drive; white noise that falls with the SNR, misses, clutter."""
+    rng = np.random.default_rng(11)
+    dt, count = 0.2, 3000
+    times = dt * np.arange(count)
+    turn = 0.25 * np.sin(0.05 * times)
+    heading = np.concatenate([[0.0], np.cumsum(turn[1:] * dt)])
+    middle = heading[:-1] + 0.5 * turn[1:] * dt
+    steps = 1.5 * dt * np.column_stack([np.cos(middle), np.sin(middle)])
+    place = np.vstack([[0.0, 0.0], np.cumsum(steps, axis=0)])
+    sources = np.array([[20.0 * i, s * (12.0 + 5.0 * (i % 4))] for i in range(-3, 49) for s in (-1, 1)])
+    rows = []
+    for t in range(count):
+        d = sources - place[t]
+        reach = np.hypot(*d.T)
+        near = np.flatnonzero((reach < 45.0) & (rng.random(len(d)) < DETECTED))
+        snr_db = rng.uniform(-5.0, 25.0, len(near))
+        std = np.sqrt(STD_M**2 + UNIT_M**2 * 10 ** (-snr_db / 10))
+        azimuth = np.arctan2(d[near, 1], d[near, 0]) - heading[t] + STD_RAD * rng.standard_normal(len(near))
+        rows.append(
+            np.column_stack(
+                [np.full(len(near), times[t]), reach[near] + std * rng.standard_normal(len(near)), azimuth, snr_db]
+            )
+        )
+        false = rng.poisson(FALSE)
+        rows.append(
+            np.column_stack(
+                [
+                    np.full(false, times[t]),
+                    rng.uniform(5, 5 + AREA_M, false),
+                    rng.uniform(-np.pi, np.pi, false),
+                    np.full(false, 10.0),
+                ]
+            )
+        )
+    table = np.concatenate(rows)
+    speed = np.full(count, 1.5) + SPEED_NOISE / np.sqrt(dt) * rng.standard_normal(count)
+    rate = turn + TURN_BIAS + TURN_NOISE / np.sqrt(dt) * rng.standard_normal(count)
+    return build(
+        Campaign(
+            table[:, 0],
+            {
+                "distance_m": table[:, 1],
+                "azimuth_rad": np.arctan2(np.sin(table[:, 2]), np.cos(table[:, 2])),
+                "snr_db": table[:, 3],
+            },
+            OdometryTable(times, {"u_x": speed, "u_psi": rate}, "before"),
+            start_pose=(0.0,) * 6,
+            snapshots_s=times,
+            plane=True,
+        )
+    )
+
+
+def test_what_was_put_in_is_found(world: Recording) -> None:
+    found = fit(world)
+    assert found.floor["m"] == pytest.approx(STD_M, rel=0.2)
+    assert found.unit["m"] == pytest.approx(UNIT_M, rel=0.25)
+    assert found.floor["azimuth_deg"] == pytest.approx(np.degrees(STD_RAD), rel=0.2)
+    assert found.detection_probability == pytest.approx(DETECTED, abs=0.06)
+    volume = 2 * np.pi * 0.9 * AREA_M * np.sqrt(2 * np.pi) * np.radians(0.5)
+    assert found.clutter_density == pytest.approx(FALSE / volume, rel=0.5)
+    assert found.odometry["u_x"][0] == pytest.approx(SPEED_NOISE, rel=0.4)
+    assert found.odometry["u_psi"][0] == pytest.approx(TURN_NOISE, rel=0.4)
+    assert found.odometry["u_psi"][1] == pytest.approx(TURN_BIAS, rel=0.3)
+
+
+def test_the_lines_can_be_pasted(world: Recording, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    text = lines(Path("a.h5"), world, fit(world))
+    for request in resolve(tomllib.loads(text)["estimator"], ["fastslam", "ekf-slam"], ()):
+        assert request.options.detection_probability == pytest.approx(DETECTED, abs=0.06)
+    sheet = tomllib.loads("\n".join(line[2:] for line in text.splitlines() if line.startswith(("# [", "# n", "# b"))))
+    assert set(sheet["noise"]) == {"u_x", "u_psi"} and sheet["noise"]["u_psi"]["bias"] > 0
+    world.save(tmp_path / "a.h5")
+    (tmp_path / "fitted.toml").write_text(text)
+    words = ["--quiet", "replay", str(tmp_path / "a.h5"), "--estimator", "dead-reckoning", "--json", "--no-figures"]
+    words += ["--out", str(tmp_path / "out"), "--options", str(tmp_path / "fitted.toml")]
+    assert cli.main(words) == 0
+    (tmp_path / "fitted.toml").write_text(text.replace("gate", "gait") + "[city]\nseed = 1\n")
+    capsys.readouterr()
+    assert cli.main([*words[:-3], str(tmp_path / "o"), *words[-2:]]) == 2
+    assert "fitted.toml: has 'city'" in capsys.readouterr().err
+
+
+def test_errors_that_persist_are_told_from_white_ones(world: Recording) -> None:
+    """What was put in is white; then the same errors of place are added to all of a track, over 3 m of the way."""
+    assert fit(world).persisting.place["m"] < 0.5 * STD_M
+    way = np.concatenate([[0.0], np.cumsum(np.diff(world.time_s) * np.abs(world.odometry[1:, 0]))])
+    rng = np.random.default_rng(2)
+    knots = np.arange(0.0, way[-1] + 40.0, 1.0)
+    smooth = np.exp(-0.5 * ((knots[:, None] - knots) / (3.0 / np.sqrt(2.0))) ** 2)
+    m = world.measurements
+    # Paths are told apart by where they lie, to the left or right, near or far: 40 functions of the way.
+    place = rng.standard_normal((40, len(knots))) @ (smooth / np.sqrt((smooth**2).sum(axis=1, keepdims=True))).T
+    kind = source_of(world) % 40
+    extra = place[kind, np.minimum(way[m.snapshot].astype(int), len(knots) - 1)]
+    found = fit(
+        dataclasses.replace(world, measurements=dataclasses.replace(m, distance_m=m.distance_m + 0.5 * extra))
+    ).persisting
+    assert np.hypot(found.place["m"], found.direction["m"]) == pytest.approx(0.5, rel=0.4)
+    assert found.scale_m > 1.0
+
+
+def source_of(world: Recording) -> np.ndarray:
+    """Return a number for each row that a source keeps: where dead reckoning sees it, roughly."""
+    from cellslam.benchmarks.recordings.fitting.fit_tracks import tracks_of
+
+    return np.maximum(tracks_of(world).track, 0)
+
+
+def test_simulated_cellular_noise_at_unit_snr(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """The statistical front end's thermal part is 0.0405 m at 0 dB; its other errors are not white and are kept
+    apart.
+    """
+    path = Path(str(files("cellslam.slam.conformance").joinpath("conformance_drive.h5")))
+    assert cli.main(["--quiet", "fit-noise", str(path)]) == 0
+    options = tomllib.loads(capsys.readouterr().out)["estimator"]["fastslam"]
+    assert options["noise_unit_snr_m"] == pytest.approx(0.0405, rel=0.25)
+    assert options["direction_m"] > options["noise_floor_m"]
+    assert 0.7 < options["detection_probability"] < 0.95
+
+
+def test_too_little_to_tell(world: Recording) -> None:
+    m = world.measurements
+    keep = np.arange(len(m)) % 40 == 0
+    columns = {f.name: getattr(m, f.name) for f in dataclasses.fields(m)}
+    thin = dataclasses.replace(m, **{n: None if c is None else c[keep] for n, c in columns.items()})
+    with pytest.raises(InputError, match=r"tracks of three detections"):
+        fit(dataclasses.replace(world, measurements=thin))
+
+
+@pytest.mark.parametrize("columns", [("distance_m",), ("azimuth_rad",)])
+def test_delays_or_angles_alone_give_white_errors(
+    columns: tuple[str, ...], world: Recording, strip: Callable[..., Recording]
+) -> None:
+    found = fit(strip(world, *columns))
+    assert found.odometry == {} and found.persisting.place == {} and 0.3 < found.detection_probability < 0.99
+    if columns == ("distance_m",):
+        assert found.floor == {"azimuth_deg": pytest.approx(np.degrees(STD_RAD), rel=0.5)} and found.range_m is None
+    else:
+        assert found.floor == {"m": pytest.approx(STD_M, rel=0.5)}

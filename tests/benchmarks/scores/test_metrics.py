@@ -1,0 +1,187 @@
+"""The scores by worked numbers, and what is null when."""
+
+from __future__ import annotations
+
+import dataclasses
+import time
+
+import numpy as np
+import pytest
+
+from cellslam.benchmarks.bound.cramer_rao import BoundResult
+from cellslam.benchmarks.scores.association import precision_recall, tracks_of
+from cellslam.benchmarks.scores.metrics import distance_m, duration_s, nees, score
+from cellslam.benchmarks.trials.trial_result import METRIC_KEYS, TrialResult
+from cellslam.slam.api import VtEstimate
+
+
+def perfect(recording):
+    """The result of an estimator that knows everything."""
+    truth, m = recording.truth, recording.measurements
+    pairs = np.unique(np.column_stack([m.link, truth.measurement_vt])[truth.measurement_vt >= 0], axis=0)
+    seen = [((m.link == link) & (truth.measurement_vt == vt)).sum() >= 20 for link, vt in pairs]
+    link, vt = pairs[seen].T
+    count = len(recording.time_s)
+    return TrialResult(
+        estimator="perfect",
+        poses=truth.poses,
+        covariances=np.tile(np.eye(6), (count, 1, 1)),
+        association=truth.measurement_vt,
+        clock_offset_m=np.tile(truth.clock_offsets_m, (count, 1)),
+        clock_offset_variance_m2=np.ones((count, len(recording.sites))),
+        vts=VtEstimate(vt, link, truth.vts.position_m[vt], np.tile(np.eye(3), (len(vt), 1, 1))),
+    )
+
+
+def test_a_perfect_estimate_scores_perfectly(make_recording):
+    recording = make_recording(seed=1)
+    bound = BoundResult(np.tile(np.diag([9.0, 16.0, 0, 0, 0, 0]), (200, 1, 1)), np.zeros((200, 2)))
+    scores = score(recording, perfect(recording), bound)
+    assert tuple(scores) == METRIC_KEYS
+    assert scores["bound_position_rmse_m"] == pytest.approx(5.0)
+    assert scores["association_precision"] == 1.0 and scores["association_recall"] == 1.0
+    zero = set(METRIC_KEYS) - {"bound_position_rmse_m", "association_precision", "association_recall"}
+    assert {key: scores[key] for key in zero} == dict.fromkeys(zero, 0.0)
+
+
+def test_shifted_estimate_by_worked_numbers(make_recording):
+    recording = make_recording(seed=2, snapshots=4)
+    result = perfect(recording)
+    poses = result.poses.copy()
+    poses[:, 0] += [0, 3, 0, 3]
+    poses[:, 1] += [0, 4, 0, -4]
+    poses[:, 2] += 100.0
+    poses[:, 3] += [2 * np.pi, 0.2, -2 * np.pi + 0.2, 0]
+    covariances = np.tile(np.diag([1.0, 4.0, 1, 1, 1, 1]), (4, 1, 1))
+    covariances[0] = 0
+    offsets = result.clock_offset_m + 99.0
+    offsets[-1] = np.add(recording.truth.clock_offsets_m, [3.0, -4.0])
+    changed = dataclasses.replace(result, poses=poses, covariances=covariances, clock_offset_m=offsets)
+    scores = score(recording, changed, None)
+    assert scores["position_rmse_m"] == pytest.approx(np.sqrt(50 / 4))
+    assert scores["position_max_m"] == pytest.approx(5.0) and scores["position_end_m"] == pytest.approx(5.0)
+    assert scores["heading_rmse_rad"] == pytest.approx(np.sqrt(0.08 / 4))
+    # The first snapshot has a singular covariance and does not count: (9 + 16/4, 0, 9 + 16/4) / 3.
+    assert scores["nees_mean"] == pytest.approx(26 / 3)
+    assert scores["clock_offset_rmse_m"] == pytest.approx(np.sqrt(12.5))
+    assert scores["bound_position_rmse_m"] is None
+
+
+def test_nees_with_correlation():
+    covariance = np.zeros((1, 6, 6))
+    covariance[0, :2, :2] = [[4.0, 1.5], [1.5, 1.0]]
+    e = np.array([1.0, -2.0])
+    expected = e @ np.linalg.inv(covariance[0, :2, :2]) @ e
+    assert nees(np.zeros((1, 6)), np.array([[1.0, -2, 0, 0, 0, 0]]), covariance)[0] == pytest.approx(expected)
+
+
+def test_dead_reckoning_has_no_map_scores(make_recording):
+    recording = make_recording(seed=3, snapshots=50)
+    result = TrialResult("dead-reckoning", recording.truth.poses + 1.0, np.tile(np.eye(6), (50, 1, 1)))
+    scores = score(recording, result, None)
+    missing = {key for key, value in scores.items() if value is None}
+    assert missing == {
+        "clock_offset_rmse_m", "transmitter_rmse_m", "map_gospa_m", "association_precision",
+        "association_recall", "bound_position_rmse_m",
+    }  # fmt: skip
+
+
+def test_without_truth_nothing_applies(make_recording):
+    recording = make_recording(seed=3, snapshots=50)
+    bare = type(recording)(**{**recording.__dict__, "truth": None})
+    scores = score(bare, perfect(recording), None)
+    assert set(scores.values()) == {None}
+    assert distance_m(bare) is None
+
+
+def test_association_by_worked_numbers():
+    #                    VT 5 of link 0 has id 7; id 8 took one of its measurements and two of VT 6
+    link = np.array([0, 0, 0, 0, 0, 0, 0, 0, 1, 1, 1])
+    true = np.array([5, 5, 5, -1, 5, 6, 6, 6, 5, -1, 5])
+    said = np.array([7, 7, -1, 7, 8, 8, 8, -1, 7, 9, 9])
+    tracks = tracks_of(link, said, true)
+    assert list(zip(tracks.link, tracks.id, tracks.stands_for, tracks.count, strict=True)) == [
+        (0, 7, 5, 3),
+        (0, 8, 6, 3),
+        (1, 7, 5, 1),
+        (1, 9, 5, 2),  # one measurement of VT 5, one of clutter: the tie goes to the VT
+    ]
+    precision, recall = precision_recall(tracks, true)
+    # Right: two of id 7 and two of id 8 on link 0, one of id 7 and one of id 9 on link 1.
+    assert precision == pytest.approx(6 / 9) and recall == pytest.approx(6 / 9)
+
+
+def test_a_track_of_clutter_stands_for_nothing():
+    link, true, said = np.zeros(4, np.int64), np.array([-1, -1, 0, 0]), np.array([3, 3, 3, -1])
+    tracks = tracks_of(link, said, true)
+    assert tracks.stands_for.tolist() == [-1]
+    assert precision_recall(tracks, true) == (0.0, 0.0)
+
+
+def test_no_association_has_no_precision():
+    link, true, none = np.zeros(3, np.int64), np.array([-1, 0, 0]), np.full(3, -1)
+    assert precision_recall(tracks_of(link, none, true), true) == (None, 0.0)
+    assert precision_recall(tracks_of(link[:1], none[:1], true[:1]), true[:1]) == (None, None)
+    empty = np.zeros(0, np.int64)
+    assert precision_recall(tracks_of(empty, empty, empty), empty) == (None, None)
+
+
+def test_transmitter_error_takes_the_track_with_most_measurements(make_recording):
+    recording = make_recording(seed=4, sites=1, ports=1, vts_per_site=1, snapshots=100, clutter=0.0, detection=1.0)
+    count, site = len(recording.measurements), recording.truth.site_positions_m[0]
+    association = np.where(np.arange(count) < count // 3, 1, 2)
+    position = site + np.array([[50, 0, 0], [0, 3, 4], [0, 0, 0]])
+    vts = VtEstimate(np.array([1, 2, 2]), np.array([0, 0, 9]), position, np.tile(np.eye(3), (3, 1, 1)))
+    result = dataclasses.replace(perfect(recording), association=association, vts=vts)
+    assert score(recording, result, None)["transmitter_rmse_m"] == pytest.approx(5.0)
+    # Once that one is dropped, the other stands for the site; without any the score is null.
+    for ids, expected in ((np.array([1, 3, 2]), 50.0), (np.array([4, 3, 2]), None)):
+        changed = dataclasses.replace(result, vts=dataclasses.replace(vts, id=ids))
+        assert score(recording, changed, None)["transmitter_rmse_m"] == (expected and pytest.approx(expected))
+
+
+def test_gospa_counts_only_vts_detected_often(make_recording):
+    recording = make_recording(seed=5, sites=1, ports=2, vts_per_site=3, snapshots=60)
+    result = perfect(recording)
+    assert result.vts is not None
+    assert score(recording, result, None)["map_gospa_m"] == 0.0
+    none = dataclasses.replace(result, vts=VtEstimate(*(a[:0] for a in result.vts.__dict__.values())))
+    per_link = np.bincount(result.vts.link, minlength=2)
+    assert score(recording, none, None)["map_gospa_m"] == pytest.approx(np.sqrt(per_link * 200).mean())
+
+
+def test_lengths(make_recording):
+    recording = make_recording(seed=6, snapshots=200, dt_s=0.075)
+    assert duration_s(recording) == pytest.approx(15.0)
+    assert distance_m(recording) == pytest.approx(1.2 * 199 * 0.075, rel=1e-6)
+    assert duration_s(make_recording(snapshots=1)) == 0.0
+
+
+def test_association_of_a_hundred_thousand_measurements_is_fast():
+    rng, count = np.random.default_rng(8), 100_000
+    link, true = rng.integers(0, 12, count), rng.integers(-1, 40, count)
+    said = np.where(rng.random(count) < 0.9, true + 1, -1)
+    begin = time.perf_counter()
+    precision, recall = precision_recall(tracks_of(link, said, true), true)
+    assert time.perf_counter() - begin < 1.0
+    assert recall == pytest.approx(0.9, abs=0.01) and precision is not None
+
+
+def test_links_of_a_site_may_share_a_map(make_recording):
+    """VTs that are reported under one link of a site count for its others, unless these have a map of their own."""
+    recording = make_recording(seed=5, sites=2, ports=2, vts_per_site=3, snapshots=60)
+    whole = perfect(recording)
+    assert whole.vts is not None
+    site = recording.links.site
+    assert list(site) == [0, 0, 1, 1]
+
+    def of(kept):
+        vts = VtEstimate(*(a[np.isin(whole.vts.link, kept)] for a in whole.vts.__dict__.values()))
+        return score(recording, dataclasses.replace(whole, vts=vts), None)["map_gospa_m"]
+
+    missed = [np.sqrt(200.0 * (whole.vts.link == link).sum()) for link in range(4)]
+    assert of([0, 1, 2, 3]) == of([0, 2]) == of([1, 3]) == 0.0
+    assert of([0, 1]) == pytest.approx((missed[2] + missed[3]) / 4)
+    alone = dataclasses.replace(whole.vts, position_m=whole.vts.position_m + 1e3 * (whole.vts.link == 1)[:, None])
+    far = score(recording, dataclasses.replace(whole, vts=alone), None)["map_gospa_m"]
+    assert far == pytest.approx(np.sqrt(2.0) * missed[1] / 4)

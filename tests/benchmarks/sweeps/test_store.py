@@ -1,0 +1,202 @@
+from __future__ import annotations
+
+import dataclasses
+import sqlite3
+import subprocess
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from cellslam.benchmarks.sweeps import store
+from cellslam.benchmarks.sweeps.lock import check_local, only_writer
+from cellslam.benchmarks.sweeps.rows import results
+from cellslam.benchmarks.sweeps.tasks import Plan, Result, identity, plan
+from cellslam.benchmarks.sweeps.trajectories import pack, unpack
+from cellslam.benchmarks.trials.trial_result import ROW_KEYS, TrialResult
+from cellslam.scenarios import sweep_points as sweep
+from cellslam.sim.errors import InputError
+from cellslam.sim.recording import Recording
+from cellslam.slam.api import VtEstimate
+
+DR = ("dead-reckoning",)
+BOTH = ("fastslam", *DR)
+
+
+def plan_of(data: dict[str, Any], estimators: tuple[str, ...] = DR, trials: int = 1, seed: int = 0) -> Plan:
+    return plan(sweep.points(sweep.from_tables({"scenario": "tiny", **data}), estimators), trials, seed)
+
+
+def keys(made: Plan) -> list[str]:
+    return [job.key for task in made.tasks for job in task.jobs]
+
+
+def row(key: str, **values: Any) -> Result:
+    first = {"scenario": "tiny", "estimator": "dead-reckoning", "trial": 0, "seed": 0, "status": "ok"}
+    return Result(key, {**dict.fromkeys(ROW_KEYS), **first, **values})
+
+
+def fill(folder: Path, made: Plan, value: Callable[[int], float] = float) -> None:
+    with store.writing(folder, "test", {}) as open_store:
+        open_store.declare(made)
+        jobs = [(task, job) for task in made.tasks for job in task.jobs]
+        for n, (task, job) in enumerate(jobs):
+            said = {"estimator": job.estimator, "trial": task.trial, "seed": task.seed, "position_rmse_m": value(n)}
+            open_store.write(row(job.key, **said), identity(task.world), identity(job.options))
+
+
+def test_a_world_is_shared_by_all_options_and_estimators() -> None:
+    data = {"grid": {"radio.load": [0.1, 0.2], "estimator.fastslam.particles": [5, 6]}}
+    made = plan_of(data, BOTH, trials=3)
+    assert len(made.tasks) == 2 * 3 and [len(task.jobs) for task in made.tasks] == [3] * 6
+    assert len(made) == len(set(keys(made))) == 18
+    assert [task.trial for task in made.tasks] == [0, 0, 1, 1, 2, 2]
+    assert len(made.worlds) == 2 and len(made.options) == 3
+    cities = plan_of({"grid": {"city.seed": [1, 2, 3]}}, trials=2)
+    assert [task.trial for task in cities.tasks] == [0, 1] * 3
+
+
+def test_keys_tell_what_decides_a_row_apart_and_nothing_else() -> None:
+    same = keys(plan_of({}))[0]
+    assert keys(plan_of({"grid": {"estimator.fastslam.particles": [5]}}, BOTH))[1] == same
+    assert keys(plan_of({"set": {"title": "another"}}))[0] == same
+    others = [
+        plan_of({"set": {"radio.load": 0.125}}),
+        plan_of({"set": {"name": "other"}}),
+        plan_of({}, ("fastslam",)),
+        plan_of({"set": {"estimator.fastslam.particles": 7}}, ("fastslam",)),
+        plan_of({}, seed=1),
+    ]
+    assert len({same, keys(plan_of({}, trials=2))[1], *(keys(p)[0] for p in others)}) == 7
+
+
+def test_rows_come_back_with_the_keys_that_vary(tmp_path: Path) -> None:
+    fill(tmp_path, plan_of({"grid": {"radio.load": [0.2, 0.1], "estimator.fastslam.particles": [5, 6]}}, BOTH))
+    frame = results(tmp_path)
+    assert list(frame.columns) == ["key", *ROW_KEYS, "radio.load", "estimator.fastslam.particles"]
+    assert frame["radio.load"].tolist() == [0.1] * 3 + [0.2] * 3
+    assert frame["estimator.fastslam.particles"].fillna(-1).tolist() == [5, 6, -1, 5, 6, -1]
+    assert frame["position_rmse_m"].tolist() == [3, 5, 4, 0, 2, 1]
+    few = results(tmp_path, ["estimator", "radio.detection_scale"])
+    assert list(few.columns) == ["estimator", "radio.detection_scale"] and set(few["radio.detection_scale"]) == {1.0}
+    with pytest.raises(InputError, match=r"unknown key 'radio.laod'; did you mean 'radio.load'"):
+        results(tmp_path, ["radio.laod"])
+
+
+def test_a_later_result_replaces_an_earlier_one(tmp_path: Path) -> None:
+    made = plan_of({})
+    fill(tmp_path, made)
+    fill(tmp_path, made, lambda _: 7.5)
+    assert results(tmp_path)["position_rmse_m"].tolist() == [7.5]
+    with store.writing(tmp_path, "again", {}) as open_store:
+        assert open_store.status() == {keys(made)[0]: "ok"}
+        assert made.without(open_store.status()).tasks == ()
+
+
+def test_second_writer_is_refused_with_the_first_ones_name(tmp_path: Path) -> None:
+    script = (
+        "import sys; from pathlib import Path; from cellslam.benchmarks.sweeps.store import writing\n"
+        f"with writing(Path({str(tmp_path)!r}), 'the first command', {{}}):\n"
+        "    print('held', flush=True); sys.stdin.read()"
+    )
+    pipe = subprocess.PIPE
+    first = subprocess.Popen([sys.executable, "-c", script], stdin=pipe, stdout=pipe, text=True)
+    assert first.stdout is not None and first.stdout.readline() == "held\n"
+    try:
+        with pytest.raises(InputError) as error, store.writing(tmp_path, "second", {}):
+            raise AssertionError
+        assert f"process {first.pid} on" in str(error.value) and "the first command" in str(error.value)
+        assert len(results(tmp_path)) == 0
+    finally:
+        first.kill()
+        first.communicate()
+    with store.writing(tmp_path, "second", {}):
+        assert "second" in (tmp_path / "lock").read_text()
+
+
+MOUNTS = """\
+/dev/vda / ext4 rw 0 0
+server:/home /home nfs4 rw 0 0
+/dev/vdb /home/me/local\\040disk xfs rw 0 0
+sshfs /mnt fuse.sshfs rw 0 0
+"""
+
+
+def test_network_disks_are_refused() -> None:
+    for path in ("/tmp/x", "/home/me/local disk/out", "/homes"):
+        check_local(Path(path), MOUNTS)
+    for path in ("/home/me/out", "/mnt"):
+        with pytest.raises(InputError, match=r"network file system \((nfs4|fuse.sshfs)\).*local disk"):
+            check_local(Path(path), MOUNTS)
+
+
+def test_a_full_disk_is_one_line_and_keeps_what_was_finished(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    with store.writing(tmp_path, "test", {}) as full:
+        full.write(row("a"), "w", "o")
+        full.database.execute("PRAGMA max_page_count = 1")
+        with pytest.raises(InputError, match="database or disk is full") as error:
+            for n in range(1000):
+                full.write(row(f"b{n}", error="x" * 1000), "w", "o")
+        assert "\n" not in str(error.value) and "kept" in str(error.value)
+
+        def no_space(*_: Any) -> None:
+            raise OSError(28, "No space left on device")
+
+        monkeypatch.setattr(store, "_write_bytes", no_space)
+        with pytest.raises(InputError, match="No space left on device"):
+            full.write(dataclasses.replace(row("c"), trajectory=b"x"), "w", "o")
+        assert full.status()["a"] == "ok" and "c" not in full.status()
+
+
+def test_what_is_no_store_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="no results of a sweep there"):
+        results(tmp_path)
+    (tmp_path / store.DATABASE).write_text("some text that is long enough to be no database" * 100)
+    with pytest.raises(InputError, match="not a database"), store.writing(tmp_path, "test", {}):
+        raise AssertionError
+    (tmp_path / store.DATABASE).unlink()
+    with sqlite3.connect(tmp_path / store.DATABASE) as other:
+        other.execute("CREATE TABLE x (y)")
+        other.execute("PRAGMA user_version = 99")
+    other.close()
+    with pytest.raises(InputError, match="schema 99"), store.writing(tmp_path, "test", {}):
+        raise AssertionError
+    file = tmp_path / "file"
+    file.touch()
+    with pytest.raises(InputError, match="is a file, not a folder"), store.writing(file, "test", {}):
+        raise AssertionError
+    with pytest.raises(InputError, match="cannot be written"), only_writer(tmp_path / "none", "test"):
+        raise AssertionError
+
+
+def test_trajectories_are_kept_compressed(toy_recording: Callable[..., Recording], tmp_path: Path) -> None:
+    recording: Recording = toy_recording()
+    assert recording.truth is not None
+    poses, count = recording.truth.poses + 0.25, len(recording.measurements)
+    association = np.where(np.arange(count) >= 5, recording.measurements.link + 10, -1)
+    vts = VtEstimate(np.array([13, 99, 10]), np.array([3, 0, 0]), np.ones((3, 3)), np.tile(np.eye(3), (3, 1, 1)))
+    result = TrialResult(
+        "x", poses, np.tile(np.eye(6), (40, 1, 1)), association, np.zeros((40, 2)), np.ones((40, 2)), vts
+    )
+    packed = pack(recording, result, None)
+    made = plan_of({})
+    with store.writing(tmp_path, "test", {}) as open_store:
+        open_store.write(dataclasses.replace(row(keys(made)[0]), trajectory=packed), "w", "o")
+    got = unpack(store.trajectory_path(tmp_path, keys(made)[0]))
+    np.testing.assert_allclose(got.poses, poses, atol=1e-6)
+    np.testing.assert_allclose(got.error_m, 0.25 * np.sqrt(2), rtol=1e-6)
+    np.testing.assert_allclose(got.nees, 0.125, rtol=1e-6)
+    np.testing.assert_allclose(got.offset_error_m, np.tile(-recording.truth.clock_offsets_m, (40, 1)), rtol=1e-6)
+    assert len(got.bound_std_m) == 0
+    m = recording.measurements
+    first = [m.snapshot[np.flatnonzero(association == one)[0]] for one in (13, 10)]
+    assert got.vt_first.tolist() == [first[0], -1, first[1]]
+    assert len(packed) < 40 * (6 + 8) * 4 + 3000
+    assert not list((tmp_path / store.TRAJECTORIES).rglob("*.tmp"))
+    damaged = tmp_path / "damaged.npz"
+    damaged.write_bytes(packed[:100])
+    with pytest.raises(InputError, match="not a trajectory file"):
+        unpack(damaged)

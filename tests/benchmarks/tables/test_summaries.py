@@ -1,0 +1,180 @@
+from __future__ import annotations
+
+import csv
+import io
+import json
+import sqlite3
+import time
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from cellslam.benchmarks import comparison, results, summary
+from cellslam.benchmarks.cli.main import main
+from cellslam.benchmarks.sweeps.store import DATABASE, writing
+from cellslam.benchmarks.sweeps.tasks import Result, identity, plan
+from cellslam.benchmarks.tables.summaries import Layout
+from cellslam.benchmarks.trials.trial_result import ROW_KEYS
+from cellslam.scenarios import sweep_points as sweep
+from cellslam.sim.errors import InputError
+
+TRIALS = 12
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Two loads, FastSLAM with two particle counts and dead reckoning; one trial of each load failed."""
+    out = tmp_path_factory.mktemp("sweep")
+    data = {
+        "scenario": "tiny",
+        "grid": {"radio.load": [0.25, 0.5], "estimator.fastslam.particles": [100, 300]},
+    }
+    points = sweep.points(sweep.from_tables(data), ("fastslam", "dead-reckoning"))
+    made = plan(points, TRIALS, 0)
+    with writing(out, "made up", {"cellslam": "0"}) as store:
+        store.declare(made)
+        for task in made.tasks:
+            for job in task.jobs:
+                world, options = identity(task.world), identity(job.options)
+                store.write(Result(job.key, row(task, job)), world, options)
+    return out
+
+
+def row(task: Any, job: Any) -> dict[str, Any]:
+    load = json.loads(task.world)["radio"]["load"]
+    particles = (json.loads(job.options) or {}).get("particles", 0)
+    error = 1.0 + task.trial + 10 * load + (5.0 if particles == 0 else -particles / 1000)
+    first = {"scenario": "tiny", "estimator": job.estimator, "trial": task.trial, "seed": task.seed}
+    fine = {"status": "ok", "position_rmse_m": error, "realtime_factor": 100.0}
+    failed = {"status": "failed", "error": "lost"}
+    return {**dict.fromkeys(ROW_KEYS), **first, **(failed if task.trial == 3 and particles == 300 else fine)}
+
+
+def lines(frame: Any) -> list[dict[str, Any]]:
+    return [dict(line) for line in frame.to_dict("records")]
+
+
+def test_summary_groups_by_all_that_varies(folder: Path) -> None:
+    got = lines(summary(folder, Layout(metrics=("position_rmse_m",), statistics=("median", "rmse", "q90", "share>8"))))
+    assert len(got) == 2 * 3 * 4
+    keys = ["radio.load", "estimator.fastslam.particles", "estimator"]
+    assert [[line[key] for key in keys] for line in got[::4][:3]] == [
+        [0.25, 100, "fastslam"],
+        [0.25, 300, "fastslam"],
+        [0.25, pytest.approx(np.nan, nan_ok=True), "dead-reckoning"],
+    ]
+    errors = 1 + np.arange(TRIALS) + 2.5 - 0.1
+    first = {line["statistic"]: line["value"] for line in got[:4]}
+    expected = {
+        "median": np.median(errors),
+        "rmse": np.sqrt(np.mean(errors**2)),
+        "q90": np.quantile(errors, 0.9),
+        "share>8": np.mean(errors > 8),
+    }
+    assert first == expected
+    assert [(line["trials"], line["failed"]) for line in got[::4][:3]] == [(12, 0), (11, 1), (12, 0)]
+
+
+def test_columns_and_intervals(folder: Path) -> None:
+    tidy = summary(folder, Layout(("estimator",), "radio.load", confidence=0.95))
+    assert list(tidy.columns[:2]) == ["estimator", "radio.load"] and set(tidy["metric"]) == {"position_rmse_m"}
+    assert len(tidy) == 4 and (tidy["low"] < tidy["value"]).all() and (tidy["value"] < tidy["high"]).all()
+    only = summary(folder, Layout(("estimator",), statistics=("mean",), metrics=("nees_mean",), confidence=0.9))
+    assert only["value"].isna().all() and only["values"].tolist() == [0, 0]
+
+
+def test_paired_differences_are_by_world_and_trial(folder: Path) -> None:
+    got = lines(comparison(folder, "fastslam", "dead-reckoning"))
+    assert [(line["radio.load"], line["estimator.fastslam.particles"]) for line in got] == [
+        (0.25, 100),
+        (0.25, 300),
+        (0.5, 100),
+        (0.5, 300),
+    ]
+    assert [line["pairs"] for line in got] == [12, 11, 12, 11] and [line["left_out"] for line in got] == [0, 1, 0, 1]
+    np.testing.assert_allclose([line["median_difference"] for line in got], [-5.1, -5.3] * 2)
+    assert all(line["p_value"] < 0.001 and line["share_below"] == 1 for line in got)
+    with pytest.raises(InputError, match="several options"):
+        comparison(folder, "dead-reckoning", "fastslam")
+    with pytest.raises(InputError, match=r"unknown estimator 'fastslm'; did you mean 'fastslam'"):
+        comparison(folder, "fastslm", "dead-reckoning")
+
+
+def test_the_rows_are_a_frame_in_one_call(folder: Path) -> None:
+    frame = results(folder)
+    assert len(frame) == TRIALS * 6 and set(ROW_KEYS) <= set(frame.columns)
+    assert frame["trial"].tolist()[:TRIALS] == list(range(TRIALS))
+
+
+def shown(capfd: pytest.CaptureFixture[str], *words: str | Path) -> str:
+    assert main(["table", *map(str, words)]) == 0
+    out, err = capfd.readouterr()
+    assert err == ""
+    return out
+
+
+def test_formats(folder: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    words = (folder, "--rows", "estimator", "--columns", "radio.load", "--statistic", "mean", "--interval")
+    text = shown(capfd, *words)
+    assert "radio.load=0.25" in text and "dead-reckoning" in text and "statistic: mean" in text and "23/24" in text
+    markdown = shown(capfd, *words, "--format", "md").splitlines()
+    assert markdown[0] == "| estimator | radio.load=0.25 | radio.load=0.5 | trials ok |"
+    assert markdown[1] == "|---|---:|---:|---:|" and markdown[2].startswith("| dead-reckoning | 14.00 [")
+    latex = shown(capfd, *words, "--format", "latex")
+    assert latex.startswith("% metric: position_rmse_m\n") and r"\begin{tabular}{lrrr}" in latex
+    assert r"\toprule" in latex and r"\bottomrule" in latex and "fastslam & " in latex
+    parsed = list(csv.DictReader(io.StringIO(shown(capfd, *words, "--format", "csv"))))
+    plain = json.loads(shown(capfd, *words, "--format", "json"))
+    assert len(parsed) == len(plain) == 4
+    for a, b in zip(parsed, plain, strict=True):
+        assert (float(a["value"]), float(a["low"])) == (b["value"], b["low"])
+    latex = shown(capfd, folder, "--rows", "estimator.fastslam.particles", "--format", "latex")
+    assert r"estimator.fastslam.particles & position\_rmse\_m" in latex
+    assert "pooled over all values of: radio.load, estimator" in latex
+    assert markdown[-1] == "pooled over all values of: estimator.fastslam.particles"
+    compared = shown(capfd, folder, "--compare", "fastslam,dead-reckoning", "--format", "md")
+    assert "| -5.10 | -5.10 to -5.10 |" in compared and "Wilcoxon" in compared
+
+
+WRONG = {
+    "folder": (("/none",), "no results of a sweep there"),
+    "key": (("--rows", "radio.laod"), "unknown key 'radio.laod'; did you mean 'radio.load'"),
+    "metric": (("--metric", "rmse"), "unknown metric 'rmse'"),
+    "statistic": (("--statistic", "medain"), "unknown statistic 'medain'"),
+    "interval": (("--interval", "100"), "interval = 100 %"),
+    "compare": (("--compare", "fastslam"), "write two estimators"),
+    "compare more": (("--compare", "a,b", "--statistic", "mean"), "--compare goes with"),
+}
+
+
+@pytest.mark.parametrize("kind", WRONG)
+def test_wrong_request_is_one_line(folder: Path, capfd: pytest.CaptureFixture[str], kind: str) -> None:
+    words, expected = WRONG[kind]
+    line = words if kind == "folder" else (str(folder), *words)
+    assert main(["table", *line]) == 2
+    out, err = capfd.readouterr()
+    assert out == "" and err.count("\n") == 1 and expected in err
+
+
+def test_a_hundred_thousand_rows_take_two_seconds(folder: Path, tmp_path: Path) -> None:
+    with sqlite3.connect(folder / DATABASE) as source, sqlite3.connect(tmp_path / DATABASE) as target:
+        source.backup(target)
+        columns = [c[1] for c in target.execute("PRAGMA table_info(rows)")]
+        names = ", ".join(f'"{c}"' for c in columns if c not in ("key", "trial"))
+        target.execute("CREATE TEMP TABLE n AS WITH RECURSIVE c(i) AS (SELECT 0 UNION ALL SELECT i + 1 FROM c"
+                       " WHERE i < 1399) SELECT i FROM c")  # fmt: skip
+        target.execute(
+            f"INSERT INTO rows (key, trial, {names}) SELECT key || i, trial + 100 * (i + 1), {names} FROM rows, n"
+        )
+        count = target.execute("SELECT count(*) FROM rows").fetchone()[0]
+    source.close()
+    target.close()
+    assert count > 1e5
+    begin = time.perf_counter()
+    tidy = summary(tmp_path)
+    seconds = time.perf_counter() - begin
+    assert tidy["trials"].sum() + tidy["failed"].sum() == 5 * count
+    # Alone it takes a second; a busy machine is not what is tested here.
+    assert seconds < 6.0, f"{seconds:.1f} s"

@@ -1,0 +1,293 @@
+from __future__ import annotations
+
+import dataclasses
+import json
+from collections.abc import Callable
+from typing import Any, ClassVar
+
+import numba
+import numpy as np
+import pytest
+from pydantic import BaseModel
+
+from cellslam.benchmarks import run
+from cellslam.benchmarks.scores import metrics
+from cellslam.benchmarks.trials import estimation
+from cellslam.benchmarks.trials.trial_result import ROW_KEYS
+from cellslam.benchmarks.trials.trials import Trial, score_recording
+from cellslam.scenarios import load
+from cellslam.scenarios.estimator_options import Request
+from cellslam.sim.errors import InputError
+from cellslam.sim.frames import integrate_pose
+from cellslam.sim.recording import Recording
+from cellslam.slam.api import Estimate, Setup, Snapshot, VtEstimate
+
+Toy = Callable[..., Recording]
+
+
+class Plain:
+    """Integrates the odometry; the base of the misbehaving ones."""
+
+    name: ClassVar[str] = "plain"
+    requires_truth: ClassVar[bool] = False
+
+    def __init__(self, options: Any) -> None:
+        self.options = options
+
+    def start(self, setup: Setup, rng: np.random.Generator) -> None:
+        self.setup, self.rng, self.pose = setup, rng, setup.start_pose
+
+    def step(self, dt_s: float, odometry: Any, snapshot: Snapshot) -> Estimate:
+        self.pose = integrate_pose(self.pose, odometry, dt_s)
+        return Estimate(self.pose, np.eye(6))
+
+
+class Full(Plain):
+    """Answers everything that can be answered."""
+
+    def step(self, dt_s: float, odometry: Any, snapshot: Snapshot) -> Estimate:
+        belief = super().step(dt_s, odometry, snapshot)
+        vts = VtEstimate(np.arange(2), np.array([0, 3]), np.zeros((2, 3)), np.tile(np.eye(3), (2, 1, 1)))
+        return dataclasses.replace(
+            belief,
+            association=np.asarray(snapshot.link),
+            clock_offset_m=np.full(2, float(snapshot.index)),
+            clock_offset_variance_m2=np.ones(2),
+            vts=vts if snapshot.index == 39 else None,
+        )
+
+
+class Draws(Plain):
+    def step(self, dt_s: float, odometry: Any, snapshot: Snapshot) -> Estimate:
+        return Estimate(self.setup.start_pose + self.rng.normal(size=6), np.eye(6))
+
+
+def request(estimator: type[Any], options: Any = None) -> Request:
+    return Request(estimator.__name__.lower(), estimator, options)
+
+
+def scored(recording: Recording, *estimators: type[Any], seed: int = 4, trial: int = 2) -> Trial:
+    return score_recording(recording, "toy", [request(e) for e in estimators], trial, seed)
+
+
+def without_times(row: dict[str, Any]) -> dict[str, Any]:
+    return {k: v for k, v in row.items() if k not in ("estimate_seconds", "realtime_factor")}
+
+
+def test_row_has_the_keys_and_is_plain_json(toy_recording: Toy) -> None:
+    (plain, full) = scored(toy_recording(), Plain, Full).outcomes
+    for outcome in (plain, full):
+        assert tuple(outcome.row) == ROW_KEYS
+        assert json.loads(json.dumps(outcome.row, allow_nan=False)) == outcome.row
+        assert (outcome.row["status"], outcome.row["error"]) == ("ok", None)
+    row = plain.row
+    assert (row["scenario"], row["estimator"], row["trial"], row["seed"]) == ("toy", "plain", 2, 4)
+    assert (row["snapshots"], row["clock_offset_rmse_m"], row["map_gospa_m"]) == (40, None, None)
+    assert row["duration_s"] == pytest.approx(4.0)
+    assert row["distance_m"] == pytest.approx(3.9, rel=1e-3)
+    assert row["bound_position_rmse_m"] > 0
+    assert full.row["clock_offset_rmse_m"] is not None and full.row["association_recall"] is not None
+
+
+def test_what_is_not_finite_becomes_null(toy_recording: Toy, monkeypatch: pytest.MonkeyPatch) -> None:
+    scores = {"position_rmse_m": np.float64(np.nan), "position_max_m": np.inf, "position_end_m": np.float64(1)}
+    monkeypatch.setattr(metrics, "score", lambda *_: scores)
+    row = scored(toy_recording(), Plain).outcomes[0].row
+    assert (row["position_rmse_m"], row["position_max_m"], row["position_end_m"]) == (None, None, 1.0)
+    assert type(row["position_end_m"]) is float
+
+
+def test_answers_are_collected_in_the_order_of_the_recording(toy_recording: Toy) -> None:
+    recording = toy_recording()
+    result = scored(recording, Full).outcomes[0].result
+    assert result is not None
+    np.testing.assert_array_equal(result.association, recording.measurements.link)
+    np.testing.assert_array_equal(result.clock_offset_m[:, 1], np.arange(40.0))
+    assert len(result.vts.id) == 2 and not result.smoothed
+
+
+def test_same_seed_and_trial_same_draws(toy_recording: Toy) -> None:
+    recording = toy_recording()
+    rows = [without_times(o.row) for o in scored(recording, Draws, Draws).outcomes]
+    assert rows[0] == rows[1]
+    other_seed = without_times(scored(recording, Draws, seed=5).outcomes[0].row)
+    other_trial = without_times(scored(recording, Draws, trial=3).outcomes[0].row)
+    errors = {r["position_rmse_m"] for r in (rows[0], other_seed, other_trial)}
+    assert len(errors) == 3
+
+
+def test_runner_takes_the_time_of_the_estimator_alone(toy_recording: Toy, monkeypatch: pytest.MonkeyPatch) -> None:
+    clock = [0.0]
+
+    class Slow(Plain):
+        def warm_up(self) -> None:
+            clock[0] += 1000.0
+
+        def start(self, setup: Setup, rng: np.random.Generator) -> None:
+            super().start(setup, rng)
+            clock[0] += 2.0
+
+        def step(self, dt_s: float, odometry: Any, snapshot: Snapshot) -> Estimate:
+            clock[0] += 0.25
+            return super().step(dt_s, odometry, snapshot)
+
+        def finish(self) -> Any:
+            clock[0] += 4.0
+            return np.tile(self.pose, (40, 1))
+
+    monkeypatch.setattr(estimation.time, "perf_counter", lambda: clock[0])
+    outcome = scored(toy_recording(), Slow).outcomes[0]
+    assert outcome.row["estimate_seconds"] == 2.0 + 40 * 0.25 + 4.0
+    assert outcome.row["realtime_factor"] == pytest.approx(4.0 / 16.0)
+    assert outcome.result is not None and outcome.result.smoothed
+    assert np.ptp(outcome.result.poses, axis=0).max() == 0.0
+
+
+def test_warm_up_happens_once_for_each_class_and_options(toy_recording: Toy) -> None:
+    calls: list[int] = []
+
+    class Options(BaseModel):
+        size: int
+
+    class Compiled(Plain):
+        def warm_up(self) -> None:
+            calls.append(self.options.size)
+
+    for size in (1, 1, 2):
+        options = Options(size=size)
+        score_recording(toy_recording(), "toy", [request(Compiled, options)], 0, 0)
+    assert calls == [1, 2]
+
+
+def test_observables_only_and_read_only(toy_recording: Toy) -> None:
+    recording = toy_recording()
+    seen: list[Any] = []
+
+    class Curious(Plain):
+        def start(self, setup: Setup, rng: np.random.Generator) -> None:
+            super().start(setup, rng)
+            seen.append(setup.truth)
+
+        def step(self, dt_s: float, odometry: Any, snapshot: Snapshot) -> Estimate:
+            recorded = (recording.odometry, recording.measurements.distance_m, recording.start_pose)
+            given = (odometry, snapshot.distance_m, self.setup.start_pose)
+            for array, original in zip(given, recorded, strict=True):
+                with pytest.raises(ValueError, match="read-only"):
+                    array[...] = 0.0
+                assert not np.shares_memory(array, original)
+            return super().step(dt_s, odometry, snapshot)
+
+    class Oracle(Curious):
+        requires_truth = True
+
+    trial = scored(recording, Curious, Oracle)
+    assert [o.row["status"] for o in trial.outcomes] == ["ok", "ok"]
+    assert seen[0] is None and seen[1] is not None
+    assert trial.outcomes[1].result is not None and trial.outcomes[1].result.oracle
+
+
+def misbehaving(**answer: Any) -> type[Plain]:
+    class Odd(Plain):
+        def step(self, dt_s: float, odometry: Any, snapshot: Snapshot) -> Estimate:
+            belief = super().step(dt_s, odometry, snapshot)
+            return dataclasses.replace(belief, **answer) if snapshot.index == 7 else belief
+
+    return Odd
+
+
+class Raises(Plain):
+    def step(self, dt_s: float, odometry: Any, snapshot: Snapshot) -> Estimate:
+        if snapshot.index == 7:
+            raise ZeroDivisionError("no such\nthing")
+        return super().step(dt_s, odometry, snapshot)
+
+
+class Refuses(Plain):
+    def start(self, setup: Setup, rng: np.random.Generator) -> None:
+        raise RuntimeError
+
+
+class Exits(Plain):
+    def warm_up(self) -> None:
+        raise SystemExit(3)
+
+
+class Silent(Plain):
+    def step(self, dt_s: float, odometry: Any, snapshot: Snapshot) -> Any:
+        return None
+
+
+FAR = VtEstimate(np.arange(1), np.array([9]), np.zeros((1, 3)), np.zeros((1, 3, 3)))
+
+
+@pytest.mark.parametrize(
+    ("estimator", "words"),
+    [
+        (Raises, ["ZeroDivisionError: no such thing", "snapshot 7", "test_trials.py, line", "in step"]),
+        (Refuses, ["RuntimeError", "in start"]),
+        (Exits, ["SystemExit: 3", "in warm_up"]),
+        (Silent, ["step returned NoneType", "snapshot 0"]),
+        (misbehaving(pose=np.full(6, np.nan)), ["pose is not finite, snapshot 7"]),
+        (misbehaving(pose=np.zeros(3)), ["pose has shape (3,), expected (6,), snapshot 7"]),
+        (misbehaving(covariance=np.full((6, 6), np.inf)), ["covariance is not finite"]),
+        (misbehaving(association=np.zeros(99, int)), ["association has shape (99,)"]),
+        (misbehaving(clock_offset_m=np.zeros(3)), ["clock_offset_m has shape (3,), expected (2,)"]),
+        (misbehaving(vts=FAR), ["vts.link", "4 links"]),
+    ],
+)
+def test_an_estimator_that_fails_costs_its_own_row_only(
+    toy_recording: Toy, estimator: type[Any], words: list[str]
+) -> None:
+    bad, good = scored(toy_recording(), estimator, Plain).outcomes
+    assert tuple(bad.row) == ROW_KEYS
+    assert (bad.row["status"], bad.result, bad.row["position_rmse_m"]) == ("failed", None, None)
+    assert bad.row["snapshots"] == 40
+    assert "\n" not in bad.row["error"] and "Traceback" in bad.traceback
+    for word in words:
+        assert word in bad.row["error"]
+    assert without_times(good.row) == without_times(scored(toy_recording(), Plain).outcomes[0].row)
+
+
+def test_interrupt_is_not_swallowed(toy_recording: Toy) -> None:
+    class Interrupted(Plain):
+        def start(self, setup: Setup, rng: np.random.Generator) -> None:
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        scored(toy_recording(), Interrupted)
+
+
+def test_without_truth_there_are_no_scores(toy_recording: Toy) -> None:
+    trial = scored(toy_recording(truth=False), Full)
+    row = trial.outcomes[0].row
+    assert trial.bound is None and row["status"] == "ok"
+    assert (row["distance_m"], row["position_rmse_m"], row["bound_position_rmse_m"]) == (None, None, None)
+    assert row["realtime_factor"] > 0
+
+
+def test_same_rows_on_any_number_of_threads() -> None:
+    overrides = {"estimator.fastslam.particles": 50}
+
+    def rows(threads: int) -> list[dict[str, Any]]:
+        before = numba.get_num_threads()
+        numba.set_num_threads(threads)
+        try:
+            frame = run("tiny", ["fastslam"], 1, 5, overrides)
+        finally:
+            numba.set_num_threads(before)
+        return [without_times(row) for row in frame.to_dict("records")]
+
+    assert numba.config.NUMBA_NUM_THREADS >= 2, "one core: this cannot be tested"
+    assert rows(1) == rows(2)
+
+
+def test_the_frame_has_the_columns_of_a_row() -> None:
+    frame = run("tiny", ["dead-reckoning"], 2, 1)
+    assert tuple(frame.columns) == ROW_KEYS
+    assert frame["trial"].tolist() == [0, 1]
+    assert frame["clock_offset_rmse_m"].isna().all()
+    assert frame["position_rmse_m"].dtype == np.float64
+    with pytest.raises(InputError, match="trials = 0"):
+        run("tiny", trials=0)
+    with pytest.raises(InputError, match="already loaded"):
+        run(load("tiny"), overrides={"radio.load": 0.1})

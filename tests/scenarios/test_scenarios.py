@@ -1,0 +1,259 @@
+from __future__ import annotations
+
+import tomllib
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+import numpy as np
+import pytest
+from pydantic import BaseModel, ConfigDict, Field
+
+from cellslam.scenarios import load, overrides
+from cellslam.scenarios.estimator_options import resolve, with_options
+from cellslam.scenarios.keys import allowed, describe, known_fields, nearest_key, unit_of
+from cellslam.scenarios.problems import validate
+from cellslam.sim.errors import InputError
+
+PLACE = """
+title = "A place"
+[city]
+kind = "procedural"
+seed = 3
+[[sites]]
+name = "A"
+cells = [{ cell_id = 375 }]
+[radio]
+load = 0.2
+[estimator.fastslam]
+particles = 50
+"""
+
+
+@pytest.fixture
+def place(tmp_path: Path) -> Path:
+    path = tmp_path / "place.toml"
+    path.write_text(PLACE)
+    return path
+
+
+def failure(path: Path | str, *sets: str) -> str:
+    with pytest.raises(InputError) as caught:
+        load(path, overrides.parse_all(sets))
+    assert "\n" not in str(caught.value)
+    return str(caught.value)
+
+
+def test_file_and_overrides(place: Path) -> None:
+    scenario = load(place, overrides.parse_all(["radio.load=0.5", "sites.A.ports=1", "sites.0.cells.0.cell_id=2"]))
+    assert (scenario.name, scenario.title) == ("place", "A place")
+    assert scenario.radio.load == 0.5
+    assert scenario.sites[0].ports == 1
+    assert scenario.sites[0].cells[0].cell_id == 2
+    assert load(place).radio.load == 0.2
+
+
+def test_resolved_toml_gives_the_same_scenario(place: Path, tmp_path: Path) -> None:
+    scenario = load(place, {"vehicle.waypoints_m": [[0, 1], [2, 3.5]], "estimator.fastslam.gate": 11.3})
+    again = tmp_path / "scenario.toml"
+    again.write_text(scenario.toml())
+    assert load(again).resolved == scenario.resolved
+    assert load(again).world == scenario.world
+
+
+def test_overrides_from_python_may_be_numpy_values(place: Path) -> None:
+    changed = load(place, {"radio.load": np.float64(0.75), "vehicle.waypoints_m": np.eye(2)})
+    assert changed.radio.load == 0.75
+    assert changed.vehicle.waypoints_m == ((1.0, 0.0), (0.0, 1.0))
+
+
+@pytest.mark.parametrize(
+    ("text", "value"),
+    [
+        ("a.b=1", 1),
+        ("a.b=1.5", 1.5),
+        ("a.b=true", True),
+        ("a.b=word", "word"),
+        ("a.b='1'", "1"),
+        ("a.b = x ", "x"),
+        ("a.b=[1, 2]", [1, 2]),
+        ("a.b=2-ring", "2-ring"),
+        ("a.b=", ""),
+        ("a.b=x=y", "x=y"),
+    ],
+)
+def test_value_of_an_override(text: str, value: Any) -> None:
+    assert overrides.parse(text) == ("a.b", value)
+
+
+@pytest.mark.parametrize("text", ["radio.load", "=3", ".load=3", "radio..load=3", ""])
+def test_what_is_no_override(text: str) -> None:
+    with pytest.raises(InputError, match="write KEY=VALUE"):
+        overrides.parse(text)
+
+
+def test_one_key_cannot_have_two_values() -> None:
+    assert overrides.parse_all(["a=1", "a=1"]) == {"a": 1}
+    with pytest.raises(InputError, match="given twice"):
+        overrides.parse_all(["a=1", "a=2"])
+
+
+def test_overrides_leave_the_given_tables_alone() -> None:
+    tables = {"a": {"b": [{"name": "x", "c": 1}]}}
+    assert overrides.apply(tables, {"a.b.x.c": 2, "d.e": 3}) == {
+        "a": {"b": [{"name": "x", "c": 2}]},
+        "d": {"e": 3},
+    }
+    assert tables == {"a": {"b": [{"name": "x", "c": 1}]}}
+
+
+def test_estimator_given_as_module_and_class_is_one_part() -> None:
+    assert overrides.split("estimator.a.b:C.gain") == ["estimator", "a.b:C", "gain"]
+    assert overrides.split("estimator.fastslam.gain") == ["estimator", "fastslam", "gain"]
+    assert overrides.split("radio.load") == ["radio", "load"]
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("radio.laod=0.3", ["unknown key 'radio.laod'", "did you mean 'radio.load'"]),
+        ("rdio.load=0.3", ["unknown key 'rdio.load'", "did you mean 'radio.load'"]),
+        ("detection_scale=0.3", ["did you mean 'radio.detection_scale'"]),
+        ("particles=3", ["did you mean 'estimator.fastslam.particles'"]),
+        ("sites.A.prts=3", ["unknown key 'sites.A.prts'", "did you mean 'sites.A.ports'"]),
+        ("sites.B.ports=3", ["no 'sites.B'", "known: A"]),
+        ("sites.A.cells.4.cell_id=3", ["no 'sites.A.cells.4'"]),
+        ("radio.load=3", ["radio.load = 3", "0 to 1", "share of other cells"]),
+        ("radio.load=high", ["radio.load = 'high'", "a number, 0 to 1"]),
+        ("radio.load='0.5'", ["radio.load = '0.5'", "a number"]),
+        ("radio.load=nan", ["radio.load = nan", "finite"]),
+        ("radio.load.x=1", ["radio.load is a single value"]),
+        ("radio=5", ["radio = 5", "must be a table"]),
+        ("radio.front_end=magic", ["radio.front_end = 'magic'", "'statistical'"]),
+        ("radio.perfect_detection=1", ["must be true or false"]),
+        ("radio.resource_blocks=2.5", ["2.5", "an integer, 6 to 110"]),
+        ("city.seed=other", ["city.seed = 'other'", "an integer or 'trial'"]),
+        ("city.kind=cloud", ["city.kind = 'cloud'", "'procedural' or 'mesh'"]),
+        ("city={}", ["'city.kind' is missing"]),
+        ("city.height_min_m=100", ["city: height_max_m 35.0 is below height_min_m 100"]),
+        ("sites=[]", ["at least 1 items, not 0"]),
+        ("vehicle.distance_m=-3", ["vehicle.distance_m = -3", "above 0, at most 20000 m"]),
+        ("vehicle.waypoints_m=[[1, 2], [3]]", ["'vehicle.waypoints_m.1.1' is missing"]),
+        ("estimator.particles=5", ["name the estimator", "estimator.fastslam.particles"]),
+        ("name=a/b", ["name = 'a/b'"]),
+    ],
+)
+def test_wrong_override_says_what_is_allowed(place: Path, text: str, words: list[str]) -> None:
+    message = failure(place, text)
+    for word in words:
+        assert word in message
+
+
+def test_wrong_files(tmp_path: Path) -> None:
+    path = tmp_path / "drive.toml"
+    assert "drive.toml: no such scenario file" in failure(path)
+    path.write_text("a = ")
+    assert "drive.toml: not a scenario file" in failure(path)
+    path.write_bytes(b"\xff\xfe\x00")
+    assert "no UTF-8" in failure(path)
+    path.write_text(PLACE.replace("[city]", "[cty]"))
+    assert "drive.toml: unknown key 'cty.kind'; did you mean 'city.kind'?" in failure(path)
+    path.write_text(PLACE.split("[[sites]]")[0])
+    assert "drive.toml: 'sites' is missing" in failure(path)
+    assert "cannot be read" in failure(f"{tmp_path}/")
+
+
+def test_unknown_preset_names_the_nearest() -> None:
+    message = failure("tinny")
+    assert "unknown scenario 'tinny'; did you mean 'tiny'?" in message
+    assert ".toml" in message
+
+
+class Inner(BaseModel):
+    model_config = ConfigDict(frozen=True, extra="forbid")
+    kind: Literal["inner"] = "inner"
+    length_m: float = Field(1.0, gt=0, lt=2, description="a length")
+
+
+class Outer(BaseModel):
+    model_config = ConfigDict(frozen=True, extra="forbid")
+    part: Annotated[Inner, Field(description="a part")] = Inner()
+    items: tuple[Inner, ...] = (Inner(), Inner())
+    count: int = Field(3, ge=1, description="how many")
+    flag: bool = False
+
+
+def test_listing_of_keys() -> None:
+    listed = {key.name: key for key in describe(Outer())}
+    assert list(listed) == [
+        *(
+            "part.kind",
+            "part.length_m",
+            "items.0.kind",
+            "items.0.length_m",
+            "items.1.kind",
+            "items.1.length_m",
+        ),
+        *("count", "flag"),
+    ]
+    key = listed["part.length_m"]
+    assert (key.value, key.unit, key.allowed, key.meaning) == (1.0, "m", "above 0, below 2", "a length")
+    assert listed["count"].allowed == "at least 1"
+    assert listed["flag"].allowed == "true or false"
+    assert listed["part.kind"].allowed == "'inner'"
+
+
+def test_known_fields_and_nearest() -> None:
+    fields = known_fields(Outer, {"items": [{"name": "x"}, {}]})
+    assert {"part", "part.length_m", "items.x.length_m", "items.1.kind", "count"} <= set(fields)
+    assert allowed(fields["items.x.length_m"]) == "above 0, below 2"
+    assert nearest_key("part.lenght_m", list(fields)) == "part.length_m"
+    assert nearest_key("zzz", list(fields)) == ""
+
+
+@pytest.mark.parametrize(
+    ("key", "unit"),
+    [
+        ("a_m", "m"),
+        ("noise_m_per_sqrt_s", "m/sqrt(s)"),
+        ("drift_deg_per_s", "deg/s"),
+        ("stops", ""),
+        ("snr_db", "dB"),
+    ],
+)
+def test_unit_by_the_ending(key: str, unit: str) -> None:
+    assert unit_of(key) == unit
+
+
+def test_validation_converts_only_integers_to_floats() -> None:
+    assert validate(Outer, {"part": {"length_m": 1}}).part.length_m == 1.0
+    for value in ("1", True, [1], None):
+        with pytest.raises(InputError, match="must be a number"):
+            validate(Outer, {"part": {"length_m": value}})
+
+
+def test_options_are_validated_by_the_estimators_own_model(place: Path) -> None:
+    scenario = load(place)
+    (request,) = resolve(scenario.estimator, ["fastslam", "fastslam"])
+    assert request.options is not None
+    assert request.options.model_dump()["particles"] == 50
+    full = with_options(scenario, [request])
+    assert full.resolved["estimator"]["fastslam"]["gate"] > 0
+    assert tomllib.loads(full.toml())["estimator"]["fastslam"]["particles"] == 50
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("estimator.fastslam.particles=0", ["estimator.fastslam.particles = 0", "1 to"]),
+        ("estimator.fastslam.partcles=9", ["did you mean 'estimator.fastslam.particles'"]),
+        ("estimator.fastslm.particles=9", ["unknown table 'estimator.fastslm'", "'estimator.fastslam'"]),
+        ("estimator.dead-reckoning.gain=9", ["'estimator.dead-reckoning.gain'", "no options"]),
+    ],
+)
+def test_wrong_options(place: Path, text: str, words: list[str]) -> None:
+    sets = overrides.parse_all([text])
+    scenario = load(place, sets)
+    with pytest.raises(InputError) as caught:
+        resolve(scenario.estimator, ["dead-reckoning"], sets)
+    for word in words:
+        assert word in str(caught.value)

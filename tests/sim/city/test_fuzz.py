@@ -1,0 +1,112 @@
+"""Damaged city files load or are refused in one line: a hundred here, as many as CELLSLAM_FUZZ says by
+
+CELLSLAM_FUZZ=10000 pytest tests/city/test_fuzz.py --hypothesis-show-statistics
+"""
+
+from __future__ import annotations
+
+import json
+import os
+
+import numpy as np
+import osmium
+import pytest
+import trimesh
+from hypothesis import HealthCheck, event, given, settings
+from hypothesis import strategies as st
+from trimesh.exchange.gltf import export_gltf
+
+from cellslam.sim.city import MeshCityConfig, ProceduralCityConfig, build_city
+from cellslam.sim.city.files.mitsuba_export import write_scene
+from cellslam.sim.errors import InputError
+from cellslam.sim.rays import trace
+
+INPUTS = int(os.environ.get("CELLSLAM_FUZZ", "100"))
+SUFFIXES = (".ply", ".obj", ".stl", ".glb", ".gltf", ".xml", ".json", ".jsonl", ".osm", ".osm.pbf")
+HOUSE = {
+    "type": "CityJSON", "version": "2.0", "transform": {"scale": [0.01, 0.01, 0.01], "translate": [5e5, 5e6, 0.0]},
+    "CityObjects": {"h": {"type": "Building", "geometry": [{"type": "Solid", "lod": "1", "boundaries": [[
+        [[0, 3, 2, 1]], [[4, 5, 6, 7]], [[0, 1, 5, 4]], [[1, 2, 6, 5]], [[2, 3, 7, 6]], [[3, 0, 4, 7]]]]}]}},
+    "vertices": [[0, 0, 0], [1000, 0, 0], [1000, 800, 0], [0, 800, 0],
+                 [0, 0, 900], [1000, 0, 900], [1000, 800, 900], [0, 800, 900]],
+}  # fmt: skip
+OSM = """<osm version="0.6">
+<node id="1" version="1" lat="48.1" lon="11.5"/><node id="2" version="1" lat="48.1" lon="11.501"/>
+<node id="3" version="1" lat="48.101" lon="11.501"/><node id="4" version="1" lat="48.101" lon="11.5"/>
+<way id="1" version="1"><nd ref="1"/><nd ref="2"/><nd ref="3"/><nd ref="4"/><nd ref="1"/>
+<tag k="building" v="yes"/><tag k="height" v="12"/></way></osm>"""
+
+
+@pytest.fixture(scope="module")
+def sound(tmp_path_factory):
+    """Return one sound file of each format, and the folder with the parts of the Mitsuba scene."""
+    folder = tmp_path_factory.mktemp("sound")
+    boxes = [trimesh.creation.box((10.0, 8.0, 6.0 + i)).apply_translation((20.0 * i, 0.0, 3.0)) for i in range(3)]
+    village = trimesh.util.concatenate(boxes)
+    for suffix in (".ply", ".obj", ".stl", ".glb"):
+        village.export(folder / f"sample{suffix}")
+    (folder / "sample.gltf").write_bytes(export_gltf(village.scene(), embed_buffers=True)["model.gltf"])
+    config = ProceduralCityConfig(extent_m=200.0, block_size_m=100.0)
+    write_scene(build_city(config, np.random.default_rng(0)), folder / "sample.xml")
+    (folder / "sample.json").write_text(json.dumps(HOUSE))
+    (folder / "sample.jsonl").write_text("\n".join(json.dumps(d) for d in (HOUSE | {"CityObjects": {}}, HOUSE)))
+    (folder / "sample.osm").write_text(OSM)
+    with osmium.SimpleWriter(str(folder / "sample.osm.pbf")) as writer:
+        for item in osmium.FileProcessor(str(folder / "sample.osm")):
+            writer.add(item)
+    return folder, {suffix: (folder / f"sample{suffix}").read_bytes() for suffix in SUFFIXES}
+
+
+def attempt(path):
+    """Return whether a file loads and lets rays be traced; InputError in one line is the only other end."""
+    try:
+        city = build_city(MeshCityConfig(path=str(path)), np.random.default_rng(0))
+    except InputError as error:
+        assert "\n" not in str(error)
+        return False
+    paths = trace(city, [[5.0, -20.0, 3.0]], [[9.0, -15.0, 1.5]], max_order=2, diffraction=True)
+    assert np.isfinite(paths.length_m).all()
+    assert np.isfinite(paths.gain).all()
+    return True
+
+
+@pytest.mark.parametrize("suffix", SUFFIXES)
+def test_sound_files_load(sound, suffix):
+    assert attempt(sound[0] / f"sample{suffix}")
+
+
+def damaged(data, rng):
+    """Return `data` with some bytes changed, cut out or repeated; half the time numerals alone change."""
+    out = bytearray(data)
+    numerals = [i for i, byte in enumerate(out) if chr(byte).isdecimal()]
+    if numerals and rng.random() < 0.5:
+        for at in rng.choice(numerals, int(rng.integers(1, 9))):
+            out[at] = int(rng.choice(list(b"0123456789-.e")))
+        return bytes(out)
+    for _ in range(int(rng.geometric(0.4))):
+        at, size = int(rng.integers(max(len(out), 1))), int(rng.integers(1, 40))
+        kind = rng.random()
+        if kind < 0.9 and out:
+            out[at] = int(rng.integers(256))
+        elif kind < 0.95:
+            del out[at : at + size]
+        else:
+            out[at:at] = out[at : at + size]
+    return bytes(out)
+
+
+@settings(max_examples=INPUTS, deadline=20_000, database=None, suppress_health_check=list(HealthCheck))
+@given(suffix=st.sampled_from(SUFFIXES), seed=st.integers(0, 2**63))
+def test_damaged_files_load_or_are_refused(sound, suffix, seed):
+    folder, samples = sound
+    path = folder / f"damaged{suffix}"
+    path.write_bytes(damaged(samples[suffix], np.random.default_rng(seed)))
+    event(f"{suffix} {'loaded' if attempt(path) else 'refused'}")
+
+
+@settings(max_examples=INPUTS // 2, deadline=20_000, database=None, suppress_health_check=list(HealthCheck))
+@given(suffix=st.sampled_from(SUFFIXES), content=st.binary(max_size=400))
+def test_any_bytes_load_or_are_refused(sound, suffix, content):
+    path = sound[0] / f"bytes{suffix}"
+    path.write_bytes(content)
+    event(f"{suffix} {'loaded' if attempt(path) else 'refused'}")

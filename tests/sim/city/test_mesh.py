@@ -1,0 +1,243 @@
+"""Mesh cities: every format gives the same city; shipped scenes load; bad files are refused in one line."""
+
+import importlib.metadata
+import json
+import os
+import sys
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import shapely
+import trimesh
+
+from cellslam.sim.city import MeshCityConfig, ProceduralCityConfig, build_city
+from cellslam.sim.city.files.mitsuba_export import write_scene
+from cellslam.sim.errors import InputError
+from cellslam.sim.rays import trace
+
+RNG = np.random.default_rng(0)
+
+
+def load(path, **kwargs):
+    return build_city(MeshCityConfig(path=str(path), **kwargs), RNG)
+
+
+def village():
+    """Return two houses, 10 x 8 x 6 m and 4 x 4 x 9 m, and 100 x 100 m of ground."""
+    first = trimesh.creation.box(bounds=[[0, 0, 0], [10, 8, 6]])
+    second = trimesh.creation.box(bounds=[[20, 0, 0], [24, 4, 9]])
+    ground = trimesh.Trimesh([[-40, -50, 0], [60, -50, 0], [60, 50, 0], [-40, 50, 0]], [[0, 1, 2], [0, 2, 3]])
+    return trimesh.util.concatenate([first, second, ground])
+
+
+def check_village(city):
+    assert len(city.footprints) == 2
+    order = np.argsort(city.heights_m)
+    np.testing.assert_allclose(city.heights_m[order], [6.0, 9.0], atol=1e-5)
+    np.testing.assert_allclose([city.footprints[i].area for i in order], [80.0, 16.0], atol=1e-3)
+    assert len(city.facets) == 13
+    assert (city.facets.building == -1).sum() == 1
+    assert city.buildings_at([[5, 4], [22, 2], [40, 40]])[2] == -1
+
+
+@pytest.mark.parametrize("suffix", [".ply", ".obj", ".stl", ".glb"])
+def test_formats_agree(tmp_path, suffix):
+    mesh = village()
+    if suffix == ".glb":
+        mesh.vertices = mesh.vertices[:, [0, 2, 1]] * [1, 1, -1]  # glTF has y up
+    path = tmp_path / f"village{suffix}"
+    mesh.export(path)
+    city = load(path)
+    check_village(city)
+    paths = trace(city, [[5.0, -20.0, 3.0]], [[9.0, -15.0, 1.5]])
+    np.testing.assert_allclose(paths.vt_position_m[1], [5.0, 20.0, 3.0], atol=1e-5)
+
+
+UTM_M = np.array([500_000.0, 5_000_000.0, 0.0])
+CITYJSON = {"type": "CityJSON", "version": "2.0", "transform": {"scale": [0.001] * 3, "translate": [0.0] * 3}}
+
+
+def write_town(folder, suffix, shift_m):
+    """Write a generated town in a format that keeps double precision, shifted."""
+    config = ProceduralCityConfig(extent_m=200.0, block_size_m=100.0)
+    town = build_city(config, np.random.default_rng(2))
+    vertices, path = np.round(town.vertices, 3) + shift_m, folder / f"town{suffix}"
+    if suffix == ".xml":
+        write_scene(replace(town, vertices=vertices), path)
+    elif suffix == ".obj":
+        lines = [f"v {x:.3f} {y:.3f} {z:.3f}" for x, y, z in vertices]
+        path.write_text("\n".join([*lines, *(f"f {a} {b} {c}" for a, b, c in town.triangles + 1)]))
+    else:
+        surfaces = [[[int(i) for i in t]] for t in town.triangles]
+        house = {"type": "Building", "geometry": [{"type": "MultiSurface", "lod": "2", "boundaries": surfaces}]}
+        whole = {"vertices": np.round((vertices - shift_m) * 1e3).astype(int).tolist(), "CityObjects": {"h": house}}
+        transform = CITYJSON["transform"] | {"translate": shift_m.tolist()}
+        path.write_text(json.dumps(CITYJSON | whole | {"transform": transform}))
+    return path
+
+
+@pytest.mark.parametrize("suffix", [".xml", ".obj", ".json"])
+def test_utm_coordinates_cost_no_accuracy(tmp_path, suffix):
+    rng = np.random.default_rng(0)
+    receivers = np.column_stack([rng.uniform(-90, 90, (400, 2)), np.full(400, 1.5)])
+    sites = np.array([[3.3, 4.1, 28.0]])
+    near, far = (
+        trace(load(write_town(tmp_path, suffix, shift)), sites + shift, receivers + shift, diffraction=True)
+        for shift in (np.zeros(3), UTM_M)
+    )
+    assert len(near) > 100
+    np.testing.assert_array_equal(near.receiver, far.receiver)
+    np.testing.assert_array_equal(near.order, far.order)
+    # Coordinates of 5e6 m have steps of 1e-9 m in double precision, and of half a metre in single.
+    np.testing.assert_allclose(near.length_m, far.length_m, atol=1e-7)
+    np.testing.assert_allclose(near.azimuth_rad, far.azimuth_rad, atol=1e-8)
+    np.testing.assert_allclose(near.vt_position_m + UTM_M, far.vt_position_m, atol=1e-6)
+    np.testing.assert_allclose(near.gain_db, far.gain_db, atol=1e-6)
+
+
+def test_an_edited_file_is_read_again(tmp_path):
+    path = tmp_path / "a.ply"
+    trimesh.creation.box(bounds=[[0, 0, 0], [10, 8, 6]]).export(path)
+    assert load(path).heights_m.max() == pytest.approx(6.0)
+    trimesh.creation.box(bounds=[[0, 0, 0], [10, 8, 7]]).export(path)
+    os.utime(path, ns=(1, 1))
+    assert load(path).heights_m.max() == pytest.approx(7.0)
+
+
+SCENE = """<scene version="2.1.0">
+<bsdf type="itu-radio-material" id="front"><string name="type" value="brick"/>
+<float name="thickness" value="0.2"/></bsdf>
+<bsdf type="twosided" id="mat-itu_metal"><bsdf type="diffuse"/></bsdf>
+<shape type="ply" id="mesh-house-walls">
+<string name="filename" value="walls.ply"/><ref id="front" name="bsdf"/></shape>
+<shape type="ply" id="mesh-house-roof">
+<string name="filename" value="roof.ply"/><ref id="mat-itu_metal" name="bsdf"/></shape>
+<shape type="ply" id="mesh-ground"><string name="filename" value="ground.ply"/>
+<transform name="to_world"><scale value="2"/><translate x="5" y="4"/></transform></shape>
+</scene>"""
+
+
+def write_house(folder, text=SCENE):
+    box = trimesh.creation.box(bounds=[[0, 0, 0], [10, 8, 6]])
+    roof = box.face_normals[:, 2] > 0.9
+    box.submesh([~roof], append=True).export(folder / "walls.ply")
+    box.submesh([roof], append=True).export(folder / "roof.ply")
+    ground = trimesh.Trimesh([[-25, -25, 0], [25, -25, 0], [25, 25, 0], [-25, 25, 0]], [[0, 1, 2], [0, 2, 3]])
+    ground.export(folder / "ground.ply")
+    (folder / "scene.xml").write_text(text)
+    return folder / "scene.xml"
+
+
+def test_mitsuba_scene(tmp_path):
+    city = load(write_house(tmp_path))
+    assert [(m.name, m.thickness_m) for m in city.materials] == [
+        ("brick", 0.2),
+        ("metal", 0.1),
+        ("concrete", 0.1),
+    ]
+    assert len(city.footprints) == 1
+    assert city.footprints[0].symmetric_difference(shapely.box(0, 0, 10, 8)).area < 0.01
+    roof = city.facets.normal[:, 2] > 0.9
+    assert city.materials[city.facets.material[roof & (city.facets.building == 0)][0]].name == "metal"
+    np.testing.assert_allclose(city.bounds[:, :2], [[-45, -46], [55, 54]], atol=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "message"),
+    [
+        ("brick", "brik", "unknown material 'brik'; did you mean 'brick'"),
+        ("walls.ply", "wall.ply", "cannot read mesh.*wall.ply"),
+        ("walls.ply", "walls.txt", "is no mesh file"),
+        ('value="0.2"', 'value="thick"', "no number"),
+        ("<scale", "<squeeze", "<squeeze> that cannot be read"),
+        ('<ref id="front"', '<ref id="back"', "refers to 'back', which the scene does not define"),
+        ("mat-itu_metal", "mat-itu_mettal", "unknown material 'mettal'; did you mean 'metal'"),
+        ("</scene>", "", "not a readable XML scene"),
+        ("scene", "scenery", "root is <scenery>"),
+    ],
+)
+def test_bad_scenes_are_refused(tmp_path, old, new, message):
+    with pytest.raises(InputError, match=message) as error:
+        load(write_house(tmp_path, SCENE.replace(old, new)))
+    assert "\n" not in str(error.value)
+
+
+def test_materials_that_are_assumed_are_told(tmp_path):
+    city = load(write_house(tmp_path, SCENE.replace("mat-itu_metal", "grey")), material="wood")
+    note = "2 of 3 objects name no known material but grey: wood assumed, 0.1 m thick"
+    assert note in city.notes
+    village().export(tmp_path / "village.ply")
+    assert any("1 of 1 objects name no known material: concrete" in n for n in load(tmp_path / "village.ply").notes)
+    assert not any("material" in n for n in load("sionna-rt:simple_street_canyon").notes)
+
+
+def test_shipped_scenes():
+    city = load("sionna-rt:simple_street_canyon")
+    assert len(city.footprints) == 6
+    with pytest.raises(InputError, match="unknown sionna-rt scene 'munic'; did you mean 'munich'"):
+        load("sionna-rt:munic")
+
+
+def test_munich_loads_and_has_paths():
+    city = load("sionna-rt:munich")
+    assert len(city.triangles) == 38_936
+    assert 17_400 < len(city.facets) < 17_600
+    assert 1_100 < len(city.footprints) < 1_250
+    assert {m.name for m in city.materials} >= {"marble", "metal", "concrete"}
+    assert (city.facets.building == -1).sum() == 1
+    # An open place: a hundred receivers in a straight line that no building covers.
+    line = np.column_stack([np.linspace(-686.7, -157.6, 100), np.linspace(438.0, 407.6, 100), np.full(100, 2.0)])
+    paths = trace(city, [[-420.0, 425.0, 10.0]], line)
+    assert (paths.order == 1).sum() > 50
+    np.testing.assert_allclose(paths.length_m, np.linalg.norm(paths.vt_position_m - line[paths.receiver], axis=1))
+
+
+def test_without_the_extra_the_error_says_how_to_get_it(monkeypatch):
+    def missing(name):
+        raise importlib.metadata.PackageNotFoundError(name)
+
+    monkeypatch.setattr(importlib.metadata, "distribution", missing)
+    with pytest.raises(InputError, match=r"pip install cellslam\[cities\]"):
+        load("sionna-rt:munich")
+
+
+@pytest.mark.parametrize(
+    ("name", "content", "message"),
+    [
+        ("empty.ply", b"", "is empty: the file has no content"),
+        ("empty.obj", b"", "is empty: the file has no content"),
+        ("noise.ply", bytes(range(256)) * 20, "cannot read mesh"),
+        ("noise.glb", bytes(range(256)) * 20, "cannot read mesh"),
+        ("text.stl", b"this is no mesh\n" * 9, "has no triangles: it is empty, or no mesh"),
+        ("points.obj", b"v 0 0 0\nv 1 0 0\n", "has no triangles|cannot read"),
+        ("nan.obj", b"v 0 0 0\nv 1 0 0\nv 0 nan 0\nf 1 2 3\n", "not finite"),
+        ("flat.obj", b"v 0 0 0\nv 1 0 0\nv 2 0 0\nf 1 2 3\n", "zero area"),
+        ("beyond.obj", b"v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 9\n", "cannot read mesh|has no triangles"),
+        ("mesh.dwg", b"", "format '.dwg'; allowed: .ply"),
+    ],
+)
+def test_bad_files_are_refused_in_one_line(tmp_path, name, content, message):
+    path = tmp_path / name
+    path.write_bytes(content)
+    with pytest.raises(InputError, match=message) as error:
+        load(path)
+    assert "\n" not in str(error.value)
+
+
+def test_text_that_is_not_utf8(tmp_path, monkeypatch):
+    monkeypatch.setitem(
+        sys.modules, "charset_normalizer", None
+    )  # an optional part of trimesh, here as if not installed
+    path = tmp_path / "latin.obj"
+    path.write_bytes(b"# Stra\xdfe\nv 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n")
+    with pytest.raises(InputError, match="not UTF-8"):
+        load(path)
+
+
+def test_missing_file_and_folder(tmp_path):
+    with pytest.raises(InputError, match="cannot read mesh"):
+        load(tmp_path / "nowhere.ply")
+    (tmp_path / "folder.ply").mkdir()
+    with pytest.raises(InputError, match="cannot read mesh"):
+        load(tmp_path / "folder.ply")

@@ -1,0 +1,346 @@
+"""The path estimator: kernels against NumPy, errors at the bound, detection, ghosts, collisions, motion, faults."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from scipy.ndimage import median_filter
+from threadpoolctl import threadpool_limits
+
+from cellslam.sim.errors import InputError
+from cellslam.sim.frames import wrap_angle
+from cellslam.sim.lte.array import CircularArray, doppler_phasors, miscalibrated, switching_times_s
+from cellslam.sim.lte.joint_bound import PathSet, fisher_information, joint_std
+from cellslam.sim.lte.signal.channel import PortSignal, frequency_response, pilots
+from cellslam.sim.lte.signal.path_estimator.cancellation import cancel
+from cellslam.sim.lte.signal.path_estimator.joint_fit import evaluate, refine, refine_any
+from cellslam.sim.lte.signal.path_estimator.path_estimator import Estimates, estimate_paths
+from cellslam.sim.lte.signal.path_estimator.search_kernel import _surroundings, running_median
+from cellslam.sim.lte.signal.path_estimator.spectrum import Spectrum
+from cellslam.sim.lte.signal.receiver import Receiver
+from cellslam.sim.lte.single_path_bound import tone_frequencies
+
+ARRAY, TONES = CircularArray(), tone_frequencies(100)
+TIMES, CARRIER_HZ = switching_times_s(ARRAY), 2.66e9
+RECEIVER, STILL = Receiver(), np.zeros(3)
+AT_REST = RECEIVER.moving(STILL)
+Complex = NDArray[np.complex128]
+
+
+@pytest.fixture(autouse=True)
+def one_thread() -> Iterator[None]:
+    with threadpool_limits(1):
+        yield
+
+
+def draw(rng: np.random.Generator, rho_db: NDArray[np.float64], reach_m: float = 600.0) -> PathSet:
+    """Paths of given SNR per sample at unit noise, anywhere within `reach_m`."""
+    n = len(rho_db)
+    distance, azimuth = rng.uniform(20.0, 20.0 + reach_m, n), rng.uniform(-np.pi, np.pi, n)
+    elevation = rng.uniform(-0.05, 0.7, n)
+    weights = rng.normal(size=(n, 2)) + 1j * rng.normal(size=(n, 2))
+    signal = np.einsum("npq,nq->np", ARRAY.steer(azimuth, elevation).value, weights)
+    level = 10.0 ** (rho_db / 20.0) / np.sqrt(np.mean(np.abs(signal) ** 2, axis=1))
+    return PathSet(distance, azimuth, elevation, weights * level[:, None])
+
+
+def noise(rng: np.random.Generator) -> Complex:
+    return (rng.normal(size=(128, 200)) + 1j * rng.normal(size=(128, 200))) / np.sqrt(2.0)
+
+
+def channel(paths: PathSet, velocity: NDArray[np.float64] = STILL, array: CircularArray = ARRAY) -> Complex:
+    return frequency_response(array, TONES, TIMES, velocity, PortSignal(375, 0, paths), CARRIER_HZ)
+
+
+def errors(paths: PathSet, found: Estimates) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
+    """Error (n, 3) of each true path's nearest estimate, NaN where none is within 30 m and 60 degrees; its row."""
+    truth = np.stack([paths.distance_m, paths.azimuth_rad, paths.elevation_rad], 1)
+    if not len(found):
+        return np.full(truth.shape, np.nan), np.zeros(len(truth), np.int64)
+    apart = found.geometry[None] - truth[:, None]
+    apart[..., 1] = wrap_angle(apart[..., 1])
+    size = np.sum((apart / np.array([10.0, 0.3, 0.3])) ** 2, axis=-1)
+    nearest = np.argmin(size, axis=1)
+    error = apart[np.arange(len(truth)), nearest]
+    error[(np.abs(error) > [30.0, 1.0, 1.0]).any(axis=1)] = np.nan
+    return error, nearest
+
+
+@pytest.mark.parametrize("velocity", [np.zeros(3), np.array([2.0, -0.5, 0.1])])
+def test_compiled_steering_is_the_array_with_doppler(velocity: NDArray[np.float64]) -> None:
+    azimuth, elevation = np.array([-3.0, 0.4, 2.0]), np.array([-0.3, 0.2, 1.1])
+    motion = RECEIVER.moving(velocity)
+    compiled, general = motion.steer(azimuth, elevation), motion._steer_any(azimuth, elevation)
+    for one, other in zip(compiled, general, strict=True):
+        np.testing.assert_allclose(one, other, rtol=1e-10, atol=1e-10 * np.abs(other).max())
+    turned = doppler_phasors(TIMES, velocity, azimuth, elevation, CARRIER_HZ)
+    expected = ARRAY.steer(azimuth, elevation).value * turned[:, :, None]
+    np.testing.assert_allclose(compiled.value, expected, rtol=1e-9, atol=1e-12)
+    step = 1e-6
+    by_azimuth = motion.steer(azimuth + step, elevation).value - motion.steer(azimuth - step, elevation).value
+    np.testing.assert_allclose(compiled.by_azimuth, by_azimuth / (2.0 * step), atol=1e-4)
+
+
+def test_normal_equations_are_those_of_the_full_jacobian() -> None:
+    rng = np.random.default_rng(1)
+    paths = draw(rng, np.array([0.0, -5.0, -3.0]), 40.0)
+    y = channel(paths) + noise(rng)
+    geometry = np.stack([paths.distance_m + 1.0, paths.azimuth_rad + 0.05, paths.elevation_rad - 0.03], 1)
+    got = evaluate(y, AT_REST, geometry).normal
+    steering = ARRAY.steer(geometry[:, 1], geometry[:, 2])
+    delay = np.exp(-1j * np.outer(geometry[:, 0], RECEIVER.rate))
+    basis = np.einsum("npq,nf->pfnq", steering.value, delay).reshape(128 * 200, 6)
+    weights = np.linalg.lstsq(basis, y.ravel(), rcond=None)[0]
+    np.testing.assert_allclose(got.weights.ravel(), weights, rtol=1e-6)
+    residual = y.ravel() - basis @ weights
+    np.testing.assert_allclose(got.explained, np.sum(np.abs(y) ** 2) - np.sum(np.abs(residual) ** 2), rtol=1e-6)
+    joined = PathSet(geometry[:, 0], geometry[:, 1], geometry[:, 2], weights.reshape(3, 2))
+    # The full information over seven parameters a path (tested against differences elsewhere), weights eliminated.
+    full = fisher_information(ARRAY, TONES - TONES.mean(), joined, 2.0).reshape(3, 7, 3, 7)
+    kept, gone = full[:, :3, :, :3].reshape(9, 9), full[:, 3:, :, 3:].reshape(12, 12)
+    cross = full[:, :3, :, 3:].reshape(9, 12)
+    np.testing.assert_allclose(got.information, kept - cross @ np.linalg.solve(gone, cross.T), rtol=1e-5, atol=1e-2)
+    for p in range(3):
+        others = np.delete(np.arange(6), [2 * p, 2 * p + 1])
+        fit = basis[:, others] @ np.linalg.lstsq(basis[:, others], y.ravel(), rcond=None)[0]
+        lost = np.sum(np.abs(y.ravel() - fit) ** 2) - np.sum(np.abs(residual) ** 2)
+        np.testing.assert_allclose(got.wald[p], lost, rtol=1e-5)
+
+
+@pytest.mark.parametrize("velocity", [np.zeros(3), np.array([1.5, 0.4, 0.0])])
+@pytest.mark.parametrize("rho_db", [[0.0, -8.0, -3.0], [-5.0]])
+def test_compiled_climb_is_the_numpy_one(velocity: NDArray[np.float64], rho_db: list[float]) -> None:
+    rng = np.random.default_rng(2)
+    paths, motion = draw(rng, np.array(rho_db), 60.0), RECEIVER.moving(velocity)
+    y = channel(paths, velocity) + noise(rng)
+    start = np.stack([paths.distance_m + 2.0, paths.azimuth_rad + 0.08, paths.elevation_rad - 0.05], 1)
+    compiled, plain = refine(y, motion, start, 1.0), refine_any(y, motion, start, 1.0)
+    np.testing.assert_allclose(compiled.geometry, plain.geometry, rtol=1e-7, atol=1e-7)
+    for one, other in zip(compiled.normal, plain.normal, strict=True):
+        np.testing.assert_allclose(one, other, rtol=1e-5, atol=1e-5 * np.abs(other).max())
+
+
+def test_search_kernels_are_their_numpy_twins() -> None:
+    rng = np.random.default_rng(4)
+    motion = RECEIVER.moving(np.array([1.0, 0.0, 0.0])).weighed(rng.uniform(0.5, 1.5, 128))
+    spectrum = Spectrum(noise(rng), motion)
+    weighed = motion.turned * motion.factor
+    h = weighed[:, 0] / np.linalg.norm(weighed[:, 0], axis=1, keepdims=True)
+    v = weighed[:, 1] - np.einsum("km,km->k", h.conj(), weighed[:, 1])[:, None] * h
+    v = v / np.linalg.norm(v, axis=1, keepdims=True)
+    np.testing.assert_allclose(motion.beams, np.stack([h, v], 1).conj().reshape(-1, 128), atol=1e-6)
+    both = np.abs(spectrum.beams.reshape(len(h), 2, -1)) ** 2
+    np.testing.assert_allclose(spectrum.energy, both.sum(axis=1), rtol=1e-5)
+    out = np.empty(spectrum.port_energy.shape)
+    running_median(spectrum.port_energy, 31, out)
+    np.testing.assert_allclose(out, median_filter(spectrum.port_energy, 31, mode="nearest"))
+    # The energy under one direction's neighbours, as the disturbance before and behind is taken from it.
+    cells = spectrum.energy.reshape(28, 7, -1)
+    a, e, low, high = 27, 0, 40, 43
+    rows = [cells[(a + da) % 28, max(e + de, 0), low:high] for da in (-1, 0, 1) for de in (-1, 0, 1)]
+    np.testing.assert_allclose(_surroundings(spectrum.energy, 7 * a + e, 7, low, high), 0.5 * np.mean(rows), rtol=1e-5)
+
+
+def test_search_for_the_strongest_cell_is_its_numpy_twin() -> None:
+    rng = np.random.default_rng(13)
+    paths = draw(rng, np.array([5.0, -10.0, -15.0, -20.0]))
+    spectrum = Spectrum(channel(paths) + noise(rng), AT_REST)
+    cells = spectrum.energy.reshape(28, 7, -1).astype(float)
+    bins = cells.shape[2]
+
+    def mean(a: int, e: int, low: int, high: int) -> float:
+        low, high = max(low, 0), min(high, bins)
+        near = [cells[(a + i) % 28, min(max(e + j, 0), 6), low:high] for i in (-1, 0, 1) for j in (-1, 0, 1)]
+        return 0.5 * float(np.mean(near)) if high > low else 0.0
+
+    best = (0.0, (-1, -1))
+    for (a, e, d), peak in np.ndenumerate(cells):
+        quiet = spectrum.profile[d]
+        if peak < 10.0 * quiet or peak <= best[0]:
+            continue
+        before = min(mean(a, e, d - 5, d - 2), mean(a, e, d - 8, d - 5))
+        behind = min(mean(a, e, d + 3, d + 6), mean(a, e, d + 6, d + 9))
+        along = max(before, behind) - 0.01 * peak
+        around = max(spectrum.port_energy[d] - peak, 0.0) / 126.0
+        level = max(quiet, along if along > 1.7 * quiet else 0.0, around if around > 1.15 * quiet else 0.0)
+        if peak >= 10.0 * level:
+            best = (peak, (7 * a + e, d))
+    found = spectrum.strongest(10.0, [])
+    assert found is not None
+    assert found[1] == best[1]
+
+
+def test_taking_a_path_out_of_the_spectrum_is_transforming_the_residual() -> None:
+    rng = np.random.default_rng(6)
+    paths = draw(rng, np.array([10.0, -5.0]))
+    y = channel(paths) + noise(rng)
+    fit = evaluate(y, AT_REST, np.stack([paths.distance_m, paths.azimuth_rad, paths.elevation_rad], 1))
+    spectrum, residual = Spectrum(y, AT_REST), Spectrum(y - fit.samples, AT_REST)
+    spectrum.leave(fit)
+    np.testing.assert_allclose(spectrum.beams, residual.beams, atol=1e-2)
+    np.testing.assert_allclose(spectrum.profile, residual.profile, rtol=1e-2)
+
+
+def test_a_strong_path_is_not_split() -> None:
+    rng = np.random.default_rng(12)
+    for _ in range(25):
+        paths = draw(rng, np.array([20.0]), 1500.0)
+        found = estimate_paths(channel(paths) + noise(rng), AT_REST)
+        assert (np.abs(found.geometry[:, 0] - paths.distance_m[0]) < 12.0).sum() == 1
+
+
+@pytest.mark.parametrize(("component", "step"), [(0, 4.0), (1, np.radians(6.0)), (2, np.radians(6.0))])
+def test_two_close_paths_are_resolved_and_claim_no_more_than_they_know(component: int, step: float) -> None:
+    rng, resolved, normalised = np.random.default_rng(9), 0, []
+    for _ in range(20):
+        one = draw(rng, np.zeros(1), 300.0)
+        geometry = np.array([[one.distance_m[0], one.azimuth_rad[0], min(one.elevation_rad[0], 0.4)]] * 2)
+        geometry[1, component] += step
+        weights = np.repeat(one.weights, 2, axis=0) * np.exp(2j * np.pi * rng.random((2, 2)))
+        paths = PathSet(*geometry.T, weights)
+        found = estimate_paths(channel(paths) + noise(rng), AT_REST)
+        error, row = errors(paths, found)
+        if row[0] == row[1] or np.isnan(error).any() or (np.abs(error[:, component]) > 0.5 * step).any():
+            continue
+        resolved += 1
+        normalised += [e @ np.linalg.solve(found.covariance[r], e) for e, r in zip(error, row, strict=True)]
+    assert resolved >= 10
+    assert np.mean(np.array(normalised) < 11.345) >= 0.9  # the 99 % band of three degrees of freedom
+
+
+@pytest.mark.parametrize(("rho_db", "runs"), [(-28.0, 60), (10.0, 30)])
+def test_single_path_is_at_the_bound_and_knows_its_error(rho_db: float, runs: int) -> None:
+    rng = np.random.default_rng(5)
+    to_bound, to_claim, found = [], [], 0
+    for _ in range(runs):
+        paths = draw(rng, np.array([rho_db]), 1500.0)
+        result = estimate_paths(channel(paths) + noise(rng), AT_REST)
+        error, row = errors(paths, result)
+        if np.isfinite(error).all():
+            found += 1
+            to_bound.append(error[0] / joint_std(ARRAY, TONES, paths, 1.0)[0])
+            to_claim.append(error[0] / np.sqrt(np.diag(result.covariance[row[0]])))
+            assert abs(result.snr_db[row[0]] - rho_db) < 4.0
+    assert found >= runs - 1
+    tolerance = 4.0 / np.sqrt(2.0 * runs)
+    for ratio in (to_bound, to_claim):
+        np.testing.assert_allclose(np.sqrt(np.mean(np.square(ratio), axis=0)), 1.0, atol=tolerance)
+
+
+def test_half_is_found_near_minus_32_5_db() -> None:
+    rng = np.random.default_rng(6)
+    found = 0
+    for _ in range(60):
+        paths = draw(rng, np.array([-32.5]), 1500.0)
+        found += int(np.isfinite(errors(paths, estimate_paths(channel(paths) + noise(rng), AT_REST))[0]).all())
+    assert 12 <= found <= 48
+
+
+def test_ten_paths_are_found_and_tracked() -> None:
+    rng = np.random.default_rng(7)
+    found = tracked = false = 0
+    for _ in range(12):
+        paths = draw(rng, rng.uniform(-30.0, 0.0, 10))
+        result = estimate_paths(channel(paths) + noise(rng), AT_REST)
+        found += int(np.isfinite(errors(paths, result)[0]).all(axis=1).sum())
+        false += max(len(result) - 10, 0)
+        again = estimate_paths(channel(paths) + noise(rng), AT_REST, result.geometry)
+        tracked += int(np.isfinite(errors(paths, again)[0]).all(axis=1).sum())
+    assert found >= 116
+    assert tracked >= 116
+    assert false <= 6
+
+
+@pytest.mark.parametrize("order", ["column", "ring"])
+def test_motion_that_is_known_costs_nothing(order: str) -> None:
+    times = switching_times_s(ARRAY, order)  # type: ignore[arg-type]
+    receiver, velocity = Receiver(times_s=times), np.array([3.0, 0.0, 0.0])
+    at_rest, moving = [], []
+    for run in range(15):
+        rng = np.random.default_rng(run)
+        paths = draw(rng, np.array([-5.0]))
+        still, signal = channel(paths), PortSignal(375, 0, paths)
+        moved = frequency_response(ARRAY, TONES, times, velocity, signal, CARRIER_HZ)
+        added = noise(rng)
+        # The noise is turned with the signal, so that both estimates meet the same.
+        turn = doppler_phasors(times, velocity, paths.azimuth_rad, paths.elevation_rad, CARRIER_HZ)[0]
+        at_rest.append(errors(paths, estimate_paths(still + added, AT_REST))[0][0])
+        moving.append(errors(paths, estimate_paths(moved + added * turn[:, None], receiver.moving(velocity)))[0][0])
+        ignored = errors(paths, estimate_paths(moved + added, AT_REST))[0][0]
+        assert np.isnan(ignored).any() or np.abs(ignored[1:]).max() > 0.5 * np.abs(moving[-1][1:]).max()
+    ratio = np.sqrt(np.mean(np.square(moving), axis=0) / np.mean(np.square(at_rest), axis=0))
+    np.testing.assert_allclose(ratio, 1.0, atol=0.25)
+
+
+def test_a_colliding_cell_ten_thousand_times_as_strong() -> None:
+    rng = np.random.default_rng(3)
+    slots = 20 + np.arange(128)
+    codes = {c: np.array([pilots(c, 0, int(s % 20), 100)[1] for s in slots]) for c in (375, 177)}
+    found = false = 0
+    for _ in range(8):
+        array = miscalibrated(ARRAY, 5.0, 0.5, rng)
+        weak, strong = draw(rng, rng.uniform(-20.0, 0.0, 4)), draw(rng, np.array([20.0, 10.0, 5.0]))
+        mixed = channel(weak, array=array) * codes[375] + channel(strong, array=array) * codes[177] + noise(rng)
+        cleaned = cancel(mixed * codes[375].conj(), (375, 0), (177, 0), slots, 100)
+        result = estimate_paths(cleaned, AT_REST)
+        there = int(np.isfinite(errors(weak, result)[0]).all(axis=1).sum())
+        found, false = found + there, false + len(result) - there
+    assert found >= 31
+    assert false <= 3
+
+
+def test_calibration_error_makes_few_ghosts() -> None:
+    rng = np.random.default_rng(8)
+    ghosts = 0
+    for _ in range(20):
+        paths = draw(rng, np.array([20.0]))
+        ghosts += (
+            len(estimate_paths(channel(paths, array=miscalibrated(ARRAY, 5.0, 0.5, rng)) + noise(rng), AT_REST)) - 1
+        )
+    assert ghosts <= 5
+
+
+@pytest.mark.parametrize("fault", ["dead", "nan", "saturated"])
+def test_a_faulty_port_does_not_break_the_estimate(fault: str) -> None:
+    rng = np.random.default_rng(9)
+    paths = draw(rng, np.array([5.0, -10.0]))
+    y = channel(paths) + noise(rng)
+    strange = {"dead": 0.0, "nan": np.nan, "saturated": 100.0 * noise(rng)[0]}[fault]
+    y[17], y[90] = strange, strange
+    error, _ = errors(paths, estimate_paths(y, AT_REST))
+    assert (np.abs(error) < 6.0 * joint_std(ARRAY, TONES, paths, 1.0)).all()
+
+
+@pytest.mark.parametrize("value", [0.0, np.nan, np.inf])
+def test_a_snapshot_without_samples_is_refused(value: float) -> None:
+    with pytest.raises(InputError, match="no array port delivered"):
+        estimate_paths(np.full((128, 200), value, complex), AT_REST)
+
+
+@pytest.mark.parametrize("shape", [(127, 200), (128, 100), (128,)])
+def test_samples_of_another_shape_are_refused(shape: tuple[int, ...]) -> None:
+    with pytest.raises(InputError, match=r"\(128, 200\) \(array ports, tones\) are expected"):
+        estimate_paths(np.ones(shape, complex), AT_REST)
+
+
+def test_noise_alone_holds_hardly_any_path() -> None:
+    rng = np.random.default_rng(10)
+    assert sum(len(estimate_paths(noise(rng), AT_REST)) for _ in range(15)) <= 5
+
+
+@pytest.mark.parametrize("blocks", [6, 7, 50])
+def test_narrow_bands_are_estimated_too(blocks: int) -> None:
+    rng, tones = np.random.default_rng(blocks), tone_frequencies(blocks)
+    motion = Receiver(resource_blocks=blocks).moving(STILL)
+    for _ in range(6):
+        paths = draw(rng, np.array([0.0]), 800.0)
+        clean = frequency_response(ARRAY, tones, TIMES, STILL, PortSignal(375, 0, paths), CARRIER_HZ)
+        found = estimate_paths(clean + noise(rng)[:, : len(tones)], motion)
+        bound = joint_std(ARRAY, tones - tones.mean(), paths, 1.0)[0]
+        strongest = found.geometry[np.argmax(found.statistic)]
+        apart = strongest - [paths.distance_m[0], paths.azimuth_rad[0], paths.elevation_rad[0]]
+        apart[1] = wrap_angle(apart[1])
+        assert (np.abs(apart) < 5.0 * bound).all()

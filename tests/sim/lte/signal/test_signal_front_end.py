@@ -1,0 +1,168 @@
+"""The signal-level front end: diffuse energy, a link from air to measurement, blocks, restart, what it refuses."""
+
+from __future__ import annotations
+
+import os
+from functools import partial
+from pathlib import Path
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from cellslam.sim.errors import InputError
+from cellslam.sim.lte import RadioConfig
+from cellslam.sim.lte.links import Cells, cells_of
+from cellslam.sim.lte.persisting_errors import draw_fields
+from cellslam.sim.lte.signal import drive_in_blocks as streaming
+from cellslam.sim.lte.signal import symbol_kernel
+from cellslam.sim.lte.signal.block_processes import in_processes
+from cellslam.sim.lte.signal.diffuse import SCATTERERS, Surroundings
+from cellslam.sim.lte.signal.signal_front_end import SignalLevel, signal_level
+from cellslam.sim.lte.statistical.statistical_front_end import PathColumns
+
+Floats = NDArray[np.float64]
+SITES = np.array([[-150.0, 60.0, 35.0], [120.0, -160.0, 40.0]])
+WALL = np.array([-60.0, 260.0, 30.0])
+
+
+def make_cells(ports: int = 2) -> Cells:
+    """Two sites, one cell each, whose reference elements collide."""
+    cells = [SimpleNamespace(cell_id=c, azimuth_deg=a, tilt_deg=6.0) for c, a in ((375, -20.0), (177, 120.0))]
+    return cells_of([SimpleNamespace(cells=[cell], ports=ports) for cell in cells])
+
+
+def front_end(**radio: float | str) -> SignalLevel:
+    config = RadioConfig(**radio)
+    fields = draw_fields(config, 0.075, np.random.default_rng(1))
+    return signal_level(config, make_cells(), np.array([80.0, -130.0]), fields, np.random.default_rng(2))
+
+
+def drive(count: int) -> tuple[PathColumns, Floats, Floats]:
+    """Line of sight to both sites and a reflection of the first, from places along a street."""
+    poses = np.zeros((count, 6))
+    poses[:, 0], poses[:, 2] = 0.3 * np.arange(count), 1.8
+    velocity = np.tile([1.5, 0.0, 0.0, 0.0, 0.0, 0.0], (count, 1))
+    vts = np.array([SITES[0], WALL, SITES[1]])
+    length = np.linalg.norm(vts[None] - poses[:, None, :3], axis=-1)
+    amplitude = 0.113 / (4.0 * np.pi * length) * np.array([1.0, 0.4, 1.0])
+    gain = amplitude.reshape(-1, 1, 1) * np.eye(2)
+    towards = poses[:, None, :3] - vts[None]
+    departure = np.stack(
+        [np.arctan2(towards[..., 1], towards[..., 0]), np.arcsin(towards[..., 2] / length)], -1
+    ).reshape(-1, 2)
+    rows = np.concatenate([[0], np.cumsum(np.tile([2, 1], count))])
+    return PathColumns(rows, np.tile(vts, (count, 1)), gain.astype(np.complex128), departure), poses, velocity
+
+
+def test_scatterers_carry_the_diffuse_power_and_stand_still() -> None:
+    paths, poses, _ = drive(1)
+    power = []
+    for entropy in range(60):
+        more = Surroundings(entropy, 6.0).add(paths, 2, poses[0, :3])
+        assert more.rows.tolist() == [0, 2 * (SCATTERERS + 1), 3 * (SCATTERERS + 1)]
+        first = np.abs(more.gain[1 : SCATTERERS + 1]) ** 2
+        power.append(first.sum() / (np.abs(more.gain[0]) ** 2).sum())
+        np.testing.assert_array_equal(more.vt_m[0], paths.vt_m[0])
+        excess = np.linalg.norm(more.vt_m[1 : SCATTERERS + 1] - poses[0, :3], axis=1)
+        assert (excess > np.linalg.norm(SITES[0] - poses[0, :3]) - 15.0).all()
+    assert abs(np.mean(power) / 10.0**-0.6 - 1.0) < 0.06
+    near = Surroundings(3, 6.0).add(paths, 2, poses[0, :3] + [0.5, 0.3, 0.0])
+    np.testing.assert_array_equal(near.vt_m, Surroundings(3, 6.0).add(paths, 2, poses[0, :3]).vt_m)
+
+
+def test_symbol_kernels_are_their_numpy_twins() -> None:
+    rng = np.random.default_rng(5)
+    normal = rng.standard_normal((4, 7, 2), np.float32)
+    response, sent = (rng.standard_normal((4, 7)) + 1j * rng.standard_normal((4, 7)) for _ in range(2))
+    words = rng.integers(0, 65536, (4, 7), np.uint16)
+    total, error = np.zeros((4, 7), np.complex128), normal[..., 0] + 1j * normal[..., 1]
+    symbol_kernel.add_noise(total, normal, 0.3)
+    expected = 0.3 * error
+    np.testing.assert_allclose(total, expected, rtol=1e-6)
+    symbol_kernel.add_pilots(total, response, sent, normal, 0.1)
+    expected = expected + response * sent * (1.0 + 0.1 * error)
+    np.testing.assert_allclose(total, expected, rtol=1e-6)
+    symbol_kernel.add_data(total, response, words, 0.4, 2.0)
+    symbol = np.where(words & 1, 1.0, -1.0) + 1j * np.where(words & 2, 1.0, -1.0)
+    expected = expected + np.where(words >> 2 < 0.4 * 16384, response * symbol * np.sqrt(2.0), 0.0)
+    np.testing.assert_allclose(total, expected, rtol=1e-6)
+
+
+def test_paths_are_measured_as_claimed() -> None:
+    paths, poses, velocity = drive(6)
+    d = streaming.detect_signals(
+        front_end(specular_to_diffuse_db=15.0), paths, poses, velocity, velocity, np.random.default_rng(3)
+    )
+    m, real = d.measurements, d.path >= 0
+    assert real.sum() >= 0.9 * 6 * 2 * 3
+    vt = paths.vt_m[d.path[real]] - poses[m.snapshot[real], :3]
+    offset = np.array([80.0, -130.0])[m.link[real] // 2]
+    exact = np.stack([np.linalg.norm(vt, axis=1) + offset, np.arctan2(vt[:, 1], vt[:, 0])], 1)
+    assert m.distance_std_m is not None and m.azimuth_std_rad is not None
+    z = np.stack([m.distance_m[real] - exact[:, 0], m.azimuth_rad[real] - exact[:, 1]], 1)
+    z = z / np.stack([m.distance_std_m[real], m.azimuth_std_rad[real]], 1)
+    assert (np.sqrt(np.mean(z**2, axis=0)) < 2.0).all()
+    assert (~real).sum() < 6 * 4 * 2
+    assert (np.diff(m.snapshot * 4 + m.link) >= 0).all()
+
+
+def test_blocks_single_snapshots_and_a_restart_give_the_same(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(streaming, "BLOCK", 2)
+    monkeypatch.setattr(streaming.tempfile, "gettempdir", lambda: str(tmp_path))
+    paths, poses, velocity = drive(4)
+    rng, signals = np.random.default_rng(4), front_end()
+    whole = streaming.detect_signals(signals, paths, poses, velocity, velocity, rng)
+    one, low = streaming.snapshot_paths(paths, 1, 2)
+    alone = streaming.detect_signals(signals, one, poses[1:2], velocity[1:2], velocity[1:2], rng, first_snapshot=1)
+    rows = whole.measurements.snapshot == 1
+    np.testing.assert_array_equal(alone.measurements.distance_m, whole.measurements.distance_m[rows])
+    np.testing.assert_array_equal(np.where(alone.path >= 0, alone.path + low, -1), whole.path[rows])
+
+    measured: list[int] = []
+
+    def counted(self: SignalLevel, *arguments: object) -> Floats:
+        measured.append(arguments[4])  # type: ignore[arg-type]
+        if fails and arguments[4] == 3:
+            raise KeyboardInterrupt
+        return original(self, *arguments)  # type: ignore[arg-type]
+
+    original, fails = SignalLevel.measure, True
+    monkeypatch.setattr(SignalLevel, "measure", counted)
+    with pytest.raises(KeyboardInterrupt):
+        streaming.detect_signals(signals, paths, poses, velocity, velocity, rng, trial_key="a")
+    assert sorted(measured) == [0, 1, 2, 3]
+    fails, before = False, len(measured)
+    resumed = streaming.detect_signals(signals, paths, poses, velocity, velocity, rng, trial_key="a")
+    assert measured[before:] == [2, 3]
+    np.testing.assert_array_equal(resumed.measurements.distance_m, whole.measurements.distance_m)
+    assert not any(path.is_file() for path in tmp_path.rglob("*"))
+
+
+def test_several_processes_give_the_same(monkeypatch: pytest.MonkeyPatch) -> None:
+    paths, poses, velocity = drive(4)
+    signals = front_end()
+    one = streaming.detect_signals(signals, paths, poses, velocity, velocity, np.random.default_rng(4))
+    monkeypatch.setattr(streaming, "BLOCK", 1)
+    several = streaming.detect_signals(signals, paths, poses, velocity, velocity, np.random.default_rng(4))
+    np.testing.assert_array_equal(several.measurements.distance_m, one.measurements.distance_m)
+    np.testing.assert_array_equal(several.path, one.path)
+
+
+def test_answers_of_processes_come_in_order_and_errors_come_through() -> None:
+    assert [a.tolist() for a in in_processes(partial(np.full, 2), range(5), 2)] == [[i, i] for i in range(5)]
+    with pytest.raises(ZeroDivisionError):
+        list(in_processes(partial(divmod, 1), [1, 0], 1))
+    with pytest.raises(InputError, match="status 3; finished blocks are kept"):
+        list(in_processes(os._exit, [3], 1))
+
+
+def test_what_it_cannot_do_is_refused() -> None:
+    config, rng = RadioConfig(), np.random.default_rng(1)
+    fields = draw_fields(config, 0.075, rng)
+    with pytest.raises(InputError, match="ports 0 and 1"):
+        signal_level(config, make_cells(4), np.zeros(2), fields, rng)
+    for key in ({"noise_scale": 0.0}, {"perfect_detection": True}, {"detection_scale": 0.5}):
+        with pytest.raises(InputError, match="belong to the statistical front end"):
+            front_end(**key)

@@ -1,0 +1,192 @@
+"""Array model, measured patterns and the joint bound: derivatives, polarisation, switching, Doppler,
+overlap.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from cellslam.sim.errors import InputError
+from cellslam.sim.frames import SPEED_OF_LIGHT_MPS
+from cellslam.sim.lte.array import (
+    AntennaArray,
+    CircularArray,
+    doppler_phasors,
+    miscalibrated,
+    switching_times_s,
+)
+from cellslam.sim.lte.eadf import eadf_from_grid, load_patterns
+from cellslam.sim.lte.joint_bound import PathSet, fisher_information, joint_std, leftover
+from cellslam.sim.lte.single_path_bound import single_path_std, tone_frequencies
+
+TINY = CircularArray(columns=5, rings=2, radius_m=0.06)
+SMALL_GRID = np.radians(np.arange(0.0, 360.0, 6.0)), np.radians(np.arange(-90.0, 91.0, 6.0))
+
+
+def measured(array: CircularArray) -> np.ndarray:
+    """A smooth, band-limited pattern on the grid: what a measurement in a chamber would give."""
+    azimuth, elevation = np.meshgrid(*SMALL_GRID)
+    smooth = replace(array, floor_db=300.0, width_deg=300.0)
+    value = smooth.steer(azimuth.ravel(), elevation.ravel()).value * np.cos(elevation.ravel())[:, None, None] ** 2
+    return value.reshape(*azimuth.shape, array.ports, 2).transpose(2, 3, 0, 1)
+
+
+@pytest.mark.parametrize("array", [CircularArray(), TINY, eadf_from_grid(measured(TINY))])
+def test_derivatives_agree_with_differences(array: AntennaArray) -> None:
+    azimuth, elevation, step = np.array([-2.9, 0.3, 1.9]), np.array([-0.4, 0.1, 0.9]), 1e-6
+    steering = array.steer(azimuth, elevation)
+    by_azimuth = array.steer(azimuth + step, elevation).value - array.steer(azimuth - step, elevation).value
+    by_elevation = array.steer(azimuth, elevation + step).value - array.steer(azimuth, elevation - step).value
+    scale = np.abs(steering.value).max()
+    np.testing.assert_allclose(steering.by_azimuth, by_azimuth / (2 * step), atol=1e-6 * scale * 100)
+    np.testing.assert_allclose(steering.by_elevation, by_elevation / (2 * step), atol=1e-6 * scale * 100)
+
+
+def test_one_element_by_hand() -> None:
+    # One column looking forward, one ring: on boresight 8 dBi, no phase but the radius; slants see H with
+    # both signs.
+    array = CircularArray(columns=1, rings=1)
+    value = array.steer(0.0, 0.0).value[0]
+    phase = np.exp(2j * np.pi * 0.147 * 2.66e9 / SPEED_OF_LIGHT_MPS)
+    amplitude = 10.0 ** (8.0 / 20.0) / np.sqrt(2.0)
+    np.testing.assert_allclose(value, amplitude * phase * np.array([[1.0, 1.0], [-1.0, 1.0]]), rtol=1e-12)
+
+
+def test_turning_by_one_column_renames_the_ports() -> None:
+    array = CircularArray()
+    here, there = array.steer(0.2, 0.3).value[0], array.steer(0.2 + 2.0 * np.pi / 16, 0.3).value[0]
+    np.testing.assert_allclose(np.roll(here, 8, axis=0), there, rtol=1e-9)
+
+
+def test_mean_port_gain_is_what_the_link_budget_takes() -> None:
+    from cellslam.sim.lte.budget_kernel import array_gain
+
+    azimuth = np.linspace(-3.0, 3.0, 40)
+    for elevation_deg in (0.0, 20.0, 40.0):
+        value = CircularArray().steer(azimuth, np.full(40, np.radians(elevation_deg))).value
+        mean = np.mean(np.abs(value @ np.array([0.6, 0.8j])) ** 2)
+        assert abs(10.0 * np.log10(mean / array_gain(np.radians(elevation_deg)))) < 0.35
+
+
+def test_eadf_interpolates_between_its_samples() -> None:
+    azimuth, elevation = np.array([0.123, -2.2, 3.0]), np.array([0.4, -0.7, 1.2])
+    smooth = replace(TINY, floor_db=300.0, width_deg=300.0)
+    expected = smooth.steer(azimuth, elevation).value * np.cos(elevation)[:, None, None] ** 2
+    got = eadf_from_grid(measured(TINY)).steer(azimuth, elevation).value
+    np.testing.assert_allclose(got, expected, atol=0.02 * np.abs(expected).max())
+
+
+def test_patterns_are_read_from_a_file(tmp_path: Path) -> None:
+    np.savez(tmp_path / "array.npz", patterns=measured(TINY))
+    assert load_patterns(tmp_path / "array.npz").ports == 20
+    np.savez(tmp_path / "other.npz", wrong=np.zeros(3))
+    for name in ("other.npz", "none.npz"):
+        with pytest.raises(InputError, match="cannot be read"):
+            load_patterns(tmp_path / name)
+    with pytest.raises(InputError, match="not finite"):
+        eadf_from_grid(measured(TINY) * np.nan)
+    with pytest.raises(InputError, match="shape"):
+        eadf_from_grid(np.zeros((4, 3, 5, 6), complex))
+
+
+def test_switching_visits_every_port_once_every_half_millisecond() -> None:
+    array = CircularArray()
+    for order in ("column", "ring"):
+        times = np.sort(switching_times_s(array, order))  # type: ignore[arg-type]
+        np.testing.assert_allclose(np.diff(times), 0.5e-3)
+        assert times[0] == 11e-3
+        np.testing.assert_allclose(times[-1] + 0.5e-3, 75e-3)
+    by_ring = switching_times_s(array, "ring").reshape(16, 4, 2)
+    assert (np.diff(by_ring[:, 0, 0]) > 0).all()
+    np.testing.assert_allclose(np.diff(by_ring[0, :, 0]), 16e-3)
+    with pytest.raises(InputError, match="order 'spiral'"):
+        switching_times_s(array, "spiral")  # type: ignore[arg-type]
+
+
+def test_doppler_over_the_aperture() -> None:
+    # 1 m/s towards the wave turns the phase by 204 degrees over 64 ms.
+    times = switching_times_s(CircularArray())
+    phasors = doppler_phasors(times, [1.0, 0.0, 0.0], 0.0, 0.0, 2.66e9)[0]
+    turn = np.degrees(np.unwrap(np.angle(phasors)))
+    np.testing.assert_allclose(turn[-1] - turn[0], 203.6 * 127 / 127.5, rtol=0.01)
+    sideways = doppler_phasors(times, [1.0, 0.0, 0.0], np.pi / 2, 0.0, 2.66e9)
+    np.testing.assert_allclose(sideways, 1.0, atol=1e-12)
+
+
+def test_calibration_errors_have_the_given_size() -> None:
+    array = CircularArray(columns=64, rings=16)
+    wrong = miscalibrated(array, 5.0, 0.5, np.random.default_rng(2)).calibration
+    assert wrong is not None
+    assert abs(np.degrees(np.std(np.angle(wrong))) - 5.0) < 0.4
+    assert abs(np.std(20.0 * np.log10(np.abs(wrong))) - 0.5) < 0.04
+    with pytest.raises(InputError, match="128 ports"):
+        CircularArray(calibration=np.ones(3, complex))
+
+
+def paths(*rows: tuple[float, float, float], level_db: tuple[float, ...] | None = None) -> PathSet:
+    level = np.array(level_db or [0.0] * len(rows))
+    columns = np.array(rows).T
+    weights = 10.0 ** (level / 20.0)[:, None] * np.array([0.6 + 0.2j, 0.7 - 0.1j])
+    return PathSet(columns[0], columns[1], columns[2], weights)
+
+
+def test_joint_information_agrees_with_the_full_jacobian() -> None:
+    tones, both = tone_frequencies(6), paths((100.0, 0.3, 0.2), (140.0, -1.0, 0.1))
+
+    def model(x: np.ndarray) -> np.ndarray:
+        rows = x.reshape(2, 7)
+        weights = rows[:, [3, 5]] + 1j * rows[:, [4, 6]]
+        steering = np.einsum("npq,nq->np", TINY.steer(rows[:, 1], rows[:, 2]).value, weights)
+        delay = np.exp(-2j * np.pi * np.outer(rows[:, 0], tones) / SPEED_OF_LIGHT_MPS)
+        return np.asarray(sum(np.kron(s, d) for s, d in zip(steering, delay, strict=True)))
+
+    w = both.weights
+    x = np.column_stack(
+        [
+            both.distance_m,
+            both.azimuth_rad,
+            both.elevation_rad,
+            w[:, 0].real,
+            w[:, 0].imag,
+            w[:, 1].real,
+            w[:, 1].imag,
+        ]
+    ).ravel()
+    step = 1e-6
+    jacobian = np.array([(model(x + step * e) - model(x - step * e)) / (2 * step) for e in np.eye(14)]).T
+    expected = 2.0 / 0.3 * (jacobian.conj().T @ jacobian).real
+    got = fisher_information(TINY, tones, both, 0.3)
+    np.testing.assert_allclose(got, expected, rtol=1e-5, atol=1e-6 * np.abs(expected).max())
+
+
+def test_single_path_bound_is_the_closed_form() -> None:
+    array, tones, one = CircularArray(), tone_frequencies(100), paths((300.0, 0.4, 0.0))
+    signal = array.steer(0.4, 0.0).value[0] @ one.weights[0]
+    std = joint_std(array, tones, one, float(np.mean(np.abs(signal) ** 2)))[0]
+    np.testing.assert_allclose(std, single_path_std(0.0), rtol=0.02)
+
+
+def test_far_paths_decouple_and_near_ones_do_not() -> None:
+    array, tones = CircularArray(), tone_frequencies(100)
+    alone = joint_std(array, tones, paths((300.0, 0.4, 0.1)), 1.0)[0]
+    far = joint_std(array, tones, paths((300.0, 0.4, 0.1), (700.0, -2.0, 0.3)), 1.0)[0]
+    near = joint_std(array, tones, paths((300.0, 0.4, 0.1), (303.0, 0.42, 0.1)), 1.0)[0]
+    np.testing.assert_allclose(far, alone, rtol=0.02)
+    assert (near > 3.0 * alone).all()
+    assert (near >= alone * (1.0 - 1e-9)).all()
+
+
+@pytest.mark.parametrize(("apart_m", "turn_deg"), [(3.0, 0.0), (6.0, 0.0), (4.0, 5.0), (0.5, 9.0)])
+def test_statistical_overlap_follows_the_array(apart_m: float, turn_deg: float) -> None:
+    from cellslam.sim.lte.radio_config import RadioConfig
+    from cellslam.sim.lte.statistical.detection_kernel import captured
+    from cellslam.sim.lte.statistical.statistical_front_end import model_of
+    from cellslam.sim.lte.statistical.statistics import statistics
+
+    a, b = (300.0, 0.4, 0.1), (300.0 + apart_m, 0.4 + np.radians(turn_deg), 0.1)
+    exact = 1.0 - leftover(CircularArray(), tone_frequencies(100), paths(b), paths(a))
+    assert abs(captured(np.array(a), np.array(b), model_of(RadioConfig(), statistics())) - exact) < 0.05

@@ -1,0 +1,148 @@
+"""Reference signals against check values and against the specification written out bit by bit."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from cellslam.sim.errors import InputError
+from cellslam.sim.lte import reference_signal
+from cellslam.sim.lte.reference_signals import c_init, colliding_ports, first_subcarrier, gold_sequence
+from cellslam.sim.lte.signal.waveform import SYMBOL_S, baseband, subcarrier_frequency_hz, symbol_start_s
+
+CHECK = [
+    (375, 6152943, (3, 0, 0), "++----+-", "-++---++"),
+    (376, 6169329, (4, 1, 1), "+-+-+-++", "-+---+-+"),
+    (177, 2908515, (3, 0, 0), "+++--+--", "+++--+--"),
+    (179, 2941287, (5, 2, 2), "+----+-+", "+---+-++"),
+]
+
+
+def signs(values: np.ndarray) -> str:
+    return "".join("+" if v > 0 else "-" for v in values)
+
+
+@pytest.mark.parametrize(("cell", "seed", "first", "real", "imaginary"), CHECK)
+def test_check_values(cell: int, seed: int, first: tuple[int, ...], real: str, imaginary: str) -> None:
+    port_0, port_1 = reference_signal(cell, 0, 0), reference_signal(cell, 1, 0)
+    assert c_init(cell, 0, 0) == seed
+    assert signs(port_0.values[:8].real) == real
+    assert signs(port_0.values[:8].imag) == imaginary
+    k0 = port_0.subcarriers[0], port_1.subcarriers[0], port_0.subcarriers[port_0.symbols == 4][0]
+    assert k0 == first
+
+
+def serial_gold(seed: int, length: int) -> list[int]:
+    """Clause 7.2, two registers held as integers and clocked one bit at a time."""
+    x1, x2, out = 1, seed, []
+    for n in range(1600 + length):
+        if n >= 1600:
+            out.append((x1 ^ x2) & 1)
+        x1 |= ((x1 ^ (x1 >> 3)) & 1) << 31
+        x2 |= ((x2 ^ (x2 >> 1) ^ (x2 >> 2) ^ (x2 >> 3)) & 1) << 31
+        x1, x2 = x1 >> 1, x2 >> 1
+    return out
+
+
+# v of clause 6.10.1.2, written out: (port, l == 0, slot odd) -> v; ports 2 and 3 have only l = 1.
+SHIFT = {
+    (0, True, 0): 0, (0, True, 1): 0, (0, False, 0): 3, (0, False, 1): 3,
+    (1, True, 0): 3, (1, True, 1): 3, (1, False, 0): 0, (1, False, 1): 0,
+    (2, False, 0): 0, (2, False, 1): 3, (3, False, 0): 3, (3, False, 1): 6,
+}  # fmt: skip
+SYMBOLS = {
+    ("normal", 0): [0, 4], ("normal", 1): [0, 4], ("normal", 2): [1], ("normal", 3): [1],
+    ("extended", 0): [0, 3], ("extended", 1): [0, 3], ("extended", 2): [1], ("extended", 3): [1],
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("prefix", ["normal", "extended"])
+@pytest.mark.parametrize("port", [0, 1, 2, 3])
+@pytest.mark.parametrize(("cell", "slot", "blocks"), [(0, 0, 100), (503, 19, 6), (376, 7, 25), (178, 12, 110)])
+def test_agrees_with_the_specification(prefix: str, port: int, cell: int, slot: int, blocks: int) -> None:
+    got = reference_signal(cell, port, slot, blocks, prefix)
+    rows = []
+    for symbol in SYMBOLS[prefix, port]:
+        n_cp = int(prefix == "normal")
+        seed = 2**10 * (7 * (slot + 1) + symbol + 1) * (2 * cell + 1) + 2 * cell + n_cp
+        c = serial_gold(seed, 440)
+        shift = (SHIFT[port, symbol == 0, slot % 2] + cell % 6) % 6
+        for m in range(2 * blocks):
+            at = m + 110 - blocks
+            value = complex(1 - 2 * c[2 * at], 1 - 2 * c[2 * at + 1]) / 2**0.5
+            rows.append((symbol, 6 * m + shift, value))
+    assert got.symbols.tolist() == [r[0] for r in rows]
+    assert got.subcarriers.tolist() == [r[1] for r in rows]
+    np.testing.assert_allclose(got.values, [r[2] for r in rows], atol=1e-15)
+
+
+def test_every_cell_stays_in_the_band() -> None:
+    for cell in range(0, 504, 7):
+        for port in range(4):
+            signal = reference_signal(cell, port, 3, 6)
+            assert signal.subcarriers.min() >= 0
+            assert signal.subcarriers.max() < 72
+
+
+def test_ports_of_a_cell_never_share_an_element() -> None:
+    for slot in (0, 1):
+        elements = [
+            (int(s), int(k)) for port in range(4) for s, k in zip(*reference_signal(200, port, slot)[:2], strict=True)
+        ]
+        assert len(set(elements)) == len(elements)
+
+
+def test_cells_that_collide() -> None:
+    for a, b in ((375, 177), (376, 178), (377, 179)):
+        assert colliding_ports(a, b) == [(0, 0), (1, 1)]
+    assert colliding_ports(375, 376) == []
+    assert colliding_ports(375, 378) == [(0, 1), (1, 0)]
+    assert first_subcarrier(375, 0, 0, 0) == 3
+
+
+def test_gold_sequence_is_balanced_and_seeded() -> None:
+    bits = gold_sequence(12345, 20_000)
+    assert abs(bits.mean() - 0.5) < 5.0 * 0.5 / np.sqrt(20_000)
+    assert not np.array_equal(bits[:100], gold_sequence(12346, 100))
+
+
+def test_bands_that_are_no_standard_ones_are_cut_from_the_middle_of_the_sequence() -> None:
+    symbols, subcarriers, values = reference_signal(375, 0, 0, 7)
+    whole = reference_signal(375, 0, 0, 109)[2].reshape(2, -1)
+    assert (np.bincount(symbols, minlength=5) == [14, 0, 0, 0, 14]).all()
+    assert subcarriers.max() < 84
+    np.testing.assert_allclose(values.reshape(2, -1), whole[:, 102:116])
+
+
+@pytest.mark.parametrize(
+    ("arguments", "text"),
+    [
+        ((504, 0, 0), "cell ID 504"),
+        ((-1, 0, 0), "cell ID -1"),
+        ((1, 4, 0), "antenna port 4"),
+        ((1, 0, 20), "slot 20"),
+        ((1, 0, 0, 5), "resource_blocks 5"),
+        ((1, 0, 0, 111), "resource_blocks 111"),
+        ((1.5, 0, 0), "cell ID 1.5"),
+        ((1, 0, 0, 100, "short"), "'short' is unknown"),
+    ],
+)
+def test_bad_arguments_are_refused(arguments: tuple[object, ...], text: str) -> None:
+    with pytest.raises(InputError, match=text):
+        reference_signal(*arguments)  # type: ignore[arg-type]
+
+
+def test_baseband_leaves_out_the_carrier_and_repeats_in_the_prefix() -> None:
+    # Three resource elements of a 6-block band around the gap: -15 kHz, +15 kHz, +30 kHz.
+    time_s = np.linspace(-4.7e-6, SYMBOL_S, 50)
+    values, subcarriers = np.array([1.0, 1j, -2.0]), np.array([35, 36, 37])
+    expected = sum(v * np.exp(2j * np.pi * f * time_s) for v, f in zip(values, (-15e3, 15e3, 30e3), strict=True))
+    signal = baseband(values, subcarriers, time_s, 6)
+    np.testing.assert_allclose(signal, expected, atol=1e-12)
+    np.testing.assert_allclose(baseband(values, subcarriers, time_s + SYMBOL_S, 6), signal, atol=1e-9)
+    assert subcarrier_frequency_hz([0, 71], 6).tolist() == [-36 * 15e3, 36 * 15e3]
+
+
+def test_slots_are_half_a_millisecond_long() -> None:
+    np.testing.assert_allclose(symbol_start_s(6) + SYMBOL_S, 0.5e-3, rtol=1e-12)
+    np.testing.assert_allclose(symbol_start_s(5, "extended") + SYMBOL_S, 0.5e-3, rtol=1e-12)

@@ -1,0 +1,208 @@
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import h5py
+import numpy as np
+import pytest
+
+from cellslam.sim.errors import InputError
+from cellslam.sim.recording import Recording
+from cellslam.sim.recording.hdf5_layout import COLUMNS
+
+Toy = Callable[..., Recording]
+
+
+def flat(value: Any, prefix: str = "") -> dict[str, Any]:
+    if not dataclasses.is_dataclass(value):
+        return {prefix: value}
+    out: dict[str, Any] = {}
+    for f in dataclasses.fields(value):
+        out |= flat(getattr(value, f.name), f"{prefix}.{f.name}")
+    return out
+
+
+def assert_identical(a: Recording, b: Recording) -> None:
+    left, right = flat(a), flat(b)
+    assert left.keys() == right.keys()
+    for name, value in left.items():
+        if isinstance(value, np.ndarray):
+            assert value.dtype == right[name].dtype, name
+            assert value.tobytes() == right[name].tobytes(), name
+        else:
+            assert value == right[name], name
+
+
+@pytest.mark.parametrize("truth", [True, False])
+def test_round_trip_is_bit_for_bit(toy_recording: Toy, tmp_path: Path, truth: bool) -> None:
+    recording = toy_recording(snapshots=700, truth=truth)
+    elevation = recording.measurements.elevation_rad.copy()
+    elevation[3], elevation[4] = np.nan, -0.0
+    measurements = dataclasses.replace(
+        recording.measurements, elevation_rad=elevation, distance_std_m=np.full(len(elevation), 0.1)
+    )
+    recording = dataclasses.replace(recording, measurements=measurements, provenance={"k": [1, 0.1, None, "Lund å"]})
+    recording.save(tmp_path / "a.h5")
+    assert_identical(recording, Recording.load(tmp_path / "a.h5"))
+    assert [p.name for p in tmp_path.iterdir()] == ["a.h5"]
+
+
+def test_same_recording_gives_the_same_bytes(toy_recording: Toy, tmp_path: Path) -> None:
+    toy_recording().save(tmp_path / "a.h5")
+    toy_recording().save(tmp_path / "b.h5")
+    assert (tmp_path / "a.h5").read_bytes() == (tmp_path / "b.h5").read_bytes()
+
+
+def test_columns_carry_units_and_plain_types(toy_recording: Toy, tmp_path: Path) -> None:
+    toy_recording().save(tmp_path / "a.h5")
+    with h5py.File(tmp_path / "a.h5") as file:
+        assert file.attrs["schema_version"] == 2
+        for column in COLUMNS:
+            if column.path in file:
+                dataset = file[column.path]
+                assert dataset.attrs["unit"] == column.unit
+                assert dataset.dtype.str in ("<f8", "<i8", "|O"), column.path
+        assert list(file["odometry"].attrs["columns"])[3] == "u_psi"
+
+
+def replace(path: str, value: Any) -> Callable[[h5py.File], None]:
+    def change(file: h5py.File) -> None:
+        attributes = dict(file[path].attrs)
+        del file[path]
+        file[path] = value
+        file[path].attrs.update(attributes)
+
+    return change
+
+
+def assign(path: str, row: Any, value: Any) -> Callable[[h5py.File], None]:
+    def change(file: h5py.File) -> None:
+        file[path][row] = value
+
+    return change
+
+
+def without(path: str) -> Callable[[h5py.File], None]:
+    def change(file: h5py.File) -> None:
+        del file[path]
+
+    return change
+
+
+def attribute(path: str, name: str, value: Any) -> Callable[[h5py.File], None]:
+    def change(file: h5py.File) -> None:
+        file[path].attrs[name] = value
+
+    return change
+
+
+def add(path: str) -> Callable[[h5py.File], None]:
+    return lambda file: file.create_dataset(path, data=np.zeros(3)) and None
+
+
+BROKEN = {
+    "other HDF5": (lambda f: f.attrs.__delitem__("format"), ["not a recording", "cellslam record"]),
+    "newer version": (attribute("/", "schema_version", 99), ["version 99", "reads version 2", "update"]),
+    "no version": (lambda f: f.attrs.__delitem__("schema_version"), ["schema_version", "missing"]),
+    "text version": (attribute("/", "schema_version", "one"), ["schema_version", "no integer"]),
+    "missing table": (without("measurements"), ["table 'measurements' is missing", "distance_m"]),
+    "missing column": (without("measurements/snr_db"), ["'measurements/snr_db' is missing", "'dB'"]),
+    "missing truth column": (without("truth/vts/order"), ["'truth/vts/order' is missing"]),
+    "misspelled": (add("measurements/distance_sd_m"), ["'measurements/distance_sd_m'", "distance_std_m"]),
+    "unknown table": (lambda f: f.create_group("measurments"), ["'measurments'", "did you mean"]),
+    "broken link": (lambda f: f.__setitem__("odd", h5py.SoftLink("/no")), ["'odd'", "broken link"]),
+    "text for numbers": (replace("measurements/distance_m", np.array([b"x"] * 9)), ["holds |S1", "numbers"]),
+    "numbers for text": (replace("sites/name", np.zeros(2)), ["'sites/name'", "text"]),
+    "fractions for indices": (replace("links/site", np.zeros(4)), ["'links/site'", "float64", "integers"]),
+    "group for column": (lambda f: (without("time_s")(f), f.create_group("time_s")), ["'time_s'"]),
+    "no unit": (lambda f: f["time_s"].attrs.__delitem__("unit"), ["'time_s' has no unit", "'s'"]),
+    "wrong unit": (attribute("measurements/azimuth_rad", "unit", "deg"), ["unit 'deg'", "'rad'"]),
+    "short column": (replace("measurements/link", np.zeros(3, np.int64)), ["(3,)", "measurements/snapshot"]),
+    "wrong width": (replace("odometry", np.zeros((40, 5))), ["'odometry'", "(40, 5)", "(T, 6)"]),
+    "flat": (replace("odometry", np.zeros(240)), ["'odometry'", "(240,)"]),
+    "no snapshot": (replace("time_s", np.zeros(0)), ["odometry", "rows like 'time_s'"]),
+    "time not finite": (assign("time_s", 7, np.nan), ["time_s, row 7", "finite"]),
+    "time backwards": (assign("time_s", 7, 0.1), ["time_s, row 7", "sort"]),
+    "unknown link": (assign("measurements/link", 2, 44), ["measurements.link, row 2", "4 links"]),
+    "unsorted": (assign("measurements/snapshot", 0, 5), ["measurements, row", "sorted"]),
+    "degrees": (assign("measurements/azimuth_rad", 4, 90.0), ["azimuth_rad, row 4", "radians"]),
+    "unknown VT": (assign("truth/measurement_vt", 1, 9), ["truth.measurement_vt, row 1", "4 VTs"]),
+    "not JSON": (replace("provenance", "{seed"), ["provenance is not JSON"]),
+    "JSON list": (replace("provenance", "[1]"), ["provenance", "object"]),
+    "not UTF-8": (replace("provenance", np.bytes_(b"\xff\xfe")), ["provenance", "UTF-8"]),
+}
+
+
+@pytest.mark.parametrize("kind", BROKEN)
+def test_broken_file_says_what_is_wrong_where(toy_recording: Toy, tmp_path: Path, kind: str) -> None:
+    change, words = BROKEN[kind]
+    path = tmp_path / "drive.h5"
+    toy_recording().save(path)
+    with h5py.File(path, "r+") as file:
+        change(file)
+    with pytest.raises(InputError) as caught:
+        Recording.load(path)
+    text = str(caught.value)
+    assert "drive.h5" in text and "\n" not in text
+    for word in words:
+        assert word in text
+
+
+def test_files_that_are_no_hdf5(toy_recording: Toy, tmp_path: Path) -> None:
+    path = tmp_path / "drive.h5"
+    with pytest.raises(InputError, match=r"drive\.h5: no such file"):
+        Recording.load(path)
+    path.write_text("time,x,y\n")
+    with pytest.raises(InputError, match=r"drive\.h5: not an HDF5 file"):
+        Recording.load(path)
+    path.write_bytes(b"")
+    with pytest.raises(InputError, match=r"drive\.h5: not an HDF5 file"):
+        Recording.load(path)
+    toy_recording().save(path)
+    path.write_bytes(path.read_bytes()[:5000])
+    with pytest.raises(InputError, match=r"drive\.h5: not an HDF5 file, or a truncated one"):
+        Recording.load(path)
+    with pytest.raises(InputError, match="is a folder"):
+        Recording.load(tmp_path)
+
+
+def test_damaged_data_is_noticed(toy_recording: Toy, tmp_path: Path) -> None:
+    path = tmp_path / "drive.h5"
+    toy_recording(snapshots=3000).save(path)
+    with h5py.File(path) as file:
+        chunk = file["measurements/distance_m"].id.get_chunk_info(0)
+    with path.open("r+b") as raw:
+        raw.seek(chunk.byte_offset + chunk.size // 2)
+        raw.write(b"\x00" * 64)
+    with pytest.raises(InputError, match=r"drive\.h5"):
+        Recording.load(path)
+
+
+def test_a_failed_save_leaves_nothing(toy_recording: Toy, tmp_path: Path) -> None:
+    recording = toy_recording()
+    with pytest.raises(InputError, match="no folder"):
+        recording.save(tmp_path / "missing" / "a.h5")
+    (tmp_path / "taken.h5").mkdir()
+    with pytest.raises(InputError, match="cannot be written"):
+        recording.save(tmp_path / "taken.h5")
+    with pytest.raises(InputError, match="JSON"):
+        dataclasses.replace(recording, provenance={"x": object()}).save(tmp_path / "a.h5")
+    assert [p.name for p in tmp_path.iterdir()] == ["taken.h5"]
+
+
+def test_a_failed_save_keeps_the_old_file(toy_recording: Toy, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    path = tmp_path / "a.h5"
+    toy_recording().save(path)
+    before = path.read_bytes()
+
+    def full(*_: Any, **__: Any) -> None:
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr("cellslam.sim.recording.hdf5._write", full)
+    with pytest.raises(InputError, match="No space left"):
+        toy_recording(seed=1).save(path)
+    assert path.read_bytes() == before
+    assert [p.name for p in tmp_path.iterdir()] == ["a.h5"]

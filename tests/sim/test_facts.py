@@ -1,0 +1,87 @@
+"""Facts of scenarios: by hand, and as written in the presets."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from cellslam.benchmarks.bench.preset_facts import mean_facts, write_facts
+from cellslam.scenarios.loading import load, preset_names
+from cellslam.sim.facts import longest_run, measure_facts
+
+
+def test_longest_run_by_hand() -> None:
+    assert longest_run(np.array([1, 2, 3, 7, 8, 20])) == 3
+    assert longest_run(np.array([5])) == 1
+    assert longest_run(np.array([1, 3, 4, 5, 6])) == 4
+    assert longest_run(np.array([], np.int64)) == 0
+
+
+def test_facts_by_hand() -> None:
+    """Two sites, 100 snapshots: a line of sight for 50 and a wall for 30 of them, with a gap; one glint."""
+    receiver = np.concatenate([np.arange(50), np.arange(40, 60), np.arange(70, 80), [99]])
+    order = np.repeat([0, 1, 1], [50, 30, 1])
+    vt = np.repeat([[0.0, 0.0, 30.0], [9.0, 0.0, 30.0], [5.0, 5.0, 30.0]], [50, 30, 1], axis=0)
+    transmitter = np.repeat([0, 1, 1], [50, 30, 1])
+    paths: Any = SimpleNamespace(receiver=receiver, order=order, transmitter=transmitter, vt_position_m=vt)
+    poses = np.zeros((100, 6))
+    poses[:, 0] = np.arange(100) * 0.5
+    facts = measure_facts(paths, poses, 0.1, sites=2, links=6, measurements=250)
+    assert (facts.snapshots, facts.links, facts.distinct_vts) == (100, 6, 2)
+    assert facts.duration_s == pytest.approx(10.0)
+    assert facts.distance_m == pytest.approx(49.5)
+    assert facts.paths_per_site == pytest.approx(81 / 200)
+    assert facts.line_of_sight_share == pytest.approx(50 / 200)
+    assert facts.no_path_share == pytest.approx(1.0 - 71 / 100)
+    assert facts.longest_reflected_s == pytest.approx(2.0)
+    assert facts.measurements_per_snapshot == pytest.approx(2.5)
+
+
+@pytest.mark.parametrize("name", ["lund-530", "tiny"])
+def test_presets_state_what_is_measured(name: str) -> None:
+    scenario = load(name)
+    measured = mean_facts(scenario)
+    assert list(scenario.facts) == list(measured)
+    for fact, value in measured.items():
+        assert scenario.facts[fact] == pytest.approx(value, rel=0.02, abs=0.02), fact
+
+
+def test_lund_is_as_in_the_paper_and_rich_enough() -> None:
+    scenario = load("lund-530")
+    facts = {name: float(value) for name, value in scenario.facts.items()}
+    assert (facts["snapshots"], facts["duration_s"], facts["links"]) == (6850, 513.75, 12)
+    assert facts["distance_m"] == pytest.approx(530.0, rel=0.005)
+    assert facts["paths_per_site"] >= 1.5
+    assert facts["distinct_vts"] >= 15
+    assert facts["longest_reflected_s"] > 120.0
+    assert facts["line_of_sight_share"] > 0.3
+    assert [c.cell_id for s in scenario.sites for c in s.cells] == [375, 376, 377, 177, 178, 179]
+
+
+def test_noiseless_is_lund_with_another_receiver() -> None:
+    lund, noiseless = load("lund-530"), load("noiseless")
+    for part in ("city", "sites", "vehicle", "odometry"):
+        assert getattr(lund, part) == getattr(noiseless, part)
+    assert lund.radio.clock_offset_std_m == noiseless.radio.clock_offset_std_m == 150.0
+
+
+def test_every_preset_states_its_facts_in_a_short_title() -> None:
+    for name in preset_names():
+        scenario = load(name)
+        assert "paths_per_site" in scenario.facts
+        assert 0 < len(scenario.title) <= 48
+
+
+def test_facts_are_written_once(tmp_path: Path) -> None:
+    preset = tmp_path / "x.toml"
+    preset.write_text('title = "x"\n', "utf-8")
+    write_facts(preset, {"links": 12.0})
+    write_facts(preset, {"links": 6.0, "paths_per_site": 1.25})
+    text = preset.read_text("utf-8")
+    assert text.count("[facts]") == 1
+    assert text.startswith('title = "x"\n')
+    assert text.endswith("links = 6\npaths_per_site = 1.25\n")

@@ -1,0 +1,190 @@
+"""The composed world: recordings that repeat, agree with the single-pose primitive, and carry the truth."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from pydantic import ValidationError
+
+from cellslam.sim import WorldConfig, prepare, simulate
+from cellslam.sim.recording import Recording
+from cellslam.sim.world import visible_intervals
+from cellslam.slam.model.measurement_model import predict
+
+
+def small_world(**radio: float | bool | str) -> WorldConfig:
+    """40 s through a generated city with two sites of two cells."""
+    sites = [
+        {"name": name, "cells": [{"cell_id": i, "azimuth_deg": a} for i, a in cells]}
+        for name, cells in (("A", ((375, 30.0), (376, 150.0))), ("B", ((177, 0.0), (178, 180.0))))
+    ]
+    return WorldConfig.model_validate(
+        {
+            "city": {"kind": "procedural", "seed": 3, "extent_m": 400.0, "open_share": 0.9},
+            "sites": sites,
+            "vehicle": {"route": 5, "distance_m": 40.0, "duration_s": 45.0, "stops": 1},
+            "radio": radio,
+        }
+    )
+
+
+@pytest.fixture(scope="module")
+def recording() -> Recording:
+    return simulate(small_world(), 1, 0)
+
+
+def columns(recording: Recording) -> list[np.ndarray]:
+    m, truth = recording.measurements, recording.truth
+    assert truth is not None
+    return [
+        m.snapshot, m.link, m.distance_m, m.azimuth_rad, m.elevation_rad, m.snr_db, recording.odometry,
+        recording.time_s, truth.poses, truth.measurement_vt, truth.measurement_std, truth.clock_offsets_m,
+        truth.site_positions_m, truth.vts.position_m, truth.vts.visible, recording.start_pose,
+    ]  # fmt: skip
+
+
+def test_same_seed_same_recording(recording: Recording) -> None:
+    for one, other in zip(columns(recording), columns(simulate(small_world(), 1, 0)), strict=True):
+        np.testing.assert_array_equal(one, other)
+
+
+@pytest.mark.parametrize(("seed", "trial"), [(2, 0), (1, 1)])
+def test_another_seed_or_trial_differs_but_is_the_same_place(recording: Recording, seed: int, trial: int) -> None:
+    other = simulate(small_world(), seed, trial)
+    assert recording.truth is not None and other.truth is not None
+    assert not np.array_equal(recording.truth.clock_offsets_m, other.truth.clock_offsets_m)
+    assert not np.array_equal(recording.odometry, other.odometry)
+    np.testing.assert_allclose(recording.start_pose[:2], other.start_pose[:2], atol=1e-6)
+
+
+def test_without_noise_the_truth_predicts_every_measurement() -> None:
+    world = small_world(noise_scale=0.0, clutter_scale=0.0, perfect_detection=True)
+    r = simulate(world, 1, 0)
+    m, truth = r.measurements, r.truth
+    assert truth is not None
+    assert len(m) > 1000
+    assert (truth.measurement_vt >= 0).all()
+    exact = predict(truth.poses[m.snapshot], truth.vts.position_m[truth.measurement_vt])
+    exact[:, 0] += truth.clock_offsets_m[r.links.site[m.link]]
+    measured = np.stack([m.distance_m, m.azimuth_rad, m.elevation_rad], axis=1)
+    np.testing.assert_allclose(measured, exact, atol=1e-9)
+    assert abs(truth.clock_offsets_m).min() > 1.0
+    # Every path is measured on every link of its site: 2 cells x 2 ports.
+    seen = truth.vts.visible
+    assert len(m) == 4 * (seen[:, 2] - seen[:, 1] + 1).sum()
+
+
+def test_measuring_pose_by_pose_gives_the_recording(recording: Recording) -> None:
+    world = prepare(small_world(), 1, 0)
+    streams, m = world.streams(), recording.measurements
+    for t in range(150):
+        detections, _ = world.measure(world.drive.poses[t], world.drive.velocity[t], t, streams)
+        rows = slice(recording.rows[t], recording.rows[t + 1])
+        one = detections.measurements
+        np.testing.assert_array_equal(one.link, m.link[rows])
+        np.testing.assert_array_equal(one.snapshot, m.snapshot[rows])
+        for name in ("distance_m", "azimuth_rad", "elevation_rad", "snr_db"):
+            np.testing.assert_allclose(getattr(one, name), getattr(m, name)[rows], rtol=0.0, atol=1e-9)
+
+
+def test_signal_front_end_gives_the_recording_pose_by_pose(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("tempfile.gettempdir", lambda: str(tmp_path))
+    config = small_world(front_end="signal")
+    vehicle = config.vehicle.model_copy(
+        update={"distance_m": 2.0, "duration_s": 12.0, "stops": 0, "snapshot_interval_s": 0.9}
+    )
+    r = simulate(config.model_copy(update={"vehicle": vehicle}), 1, 0)
+    world = prepare(config.model_copy(update={"vehicle": vehicle}), 1, 0)
+    streams, m, truth = world.streams(), r.measurements, r.truth
+    assert truth is not None and len(m) > 4 * len(r.time_s)
+    for t in (0, len(r.time_s) - 1, 7):
+        found, paths = world.measure(world.drive.poses[t], world.drive.velocity[t], t, streams, r.odometry[t])
+        rows = slice(r.rows[t], r.rows[t + 1])
+        np.testing.assert_allclose(found.measurements.distance_m, m.distance_m[rows], rtol=0.0, atol=1e-6)
+        real = found.path >= 0
+        np.testing.assert_allclose(
+            paths.vt_position_m[found.path[real]], truth.vts.position_m[truth.measurement_vt[rows][real]], atol=1e-6
+        )
+    real = truth.measurement_vt >= 0
+    exact = predict(truth.poses[m.snapshot[real]], truth.vts.position_m[truth.measurement_vt[real]])
+    offset = truth.clock_offsets_m[r.links.site[m.link[real]]]
+    assert np.median(np.abs(m.distance_m[real] - exact[:, 0] - offset)) < 2.0
+
+
+def test_truth_of_the_vts(recording: Recording) -> None:
+    truth, links = recording.truth, recording.links
+    assert truth is not None
+    vts, m = truth.vts, recording.measurements
+    real = truth.measurement_vt >= 0
+    np.testing.assert_array_equal(vts.site[truth.measurement_vt[real]], links.site[m.link[real]])
+    sight = vts.order == 0
+    np.testing.assert_allclose(vts.position_m[sight], truth.site_positions_m[vts.site[sight]])
+    keys = np.column_stack([vts.site, vts.facets])
+    assert len(np.unique(keys, axis=0)) == len(keys)
+    first, last = vts.visible[:, 1], vts.visible[:, 2]
+    for v, t in zip(truth.measurement_vt[real], m.snapshot[real], strict=True):
+        own = vts.visible[:, 0] == v
+        assert ((first[own] <= t) & (t <= last[own])).any()
+
+
+def test_offsets_known_are_zero() -> None:
+    r = simulate(small_world(clock_offset_std_m=0.0), 1, 0)
+    assert r.truth is not None
+    assert (r.truth.clock_offsets_m == 0.0).all()
+    assert (r.sites.clock_offset_std_m == 0.0).all()
+
+
+def test_start_is_drawn_around_the_truth() -> None:
+    world = small_world()
+    vehicle = world.vehicle.model_copy(update={"start_std_m": 2.0, "start_std_deg": 3.0})
+    prepared = prepare(world.model_copy(update={"vehicle": vehicle}), 1, 0)
+    moved = prepared.start_pose - prepared.drive.poses[0]
+    assert (np.abs(moved[[0, 1, 3]]) > 0.0).all()
+    assert (moved[[2, 4, 5]] == 0.0).all()
+    assert np.abs(moved[:2]).max() < 10.0
+    np.testing.assert_array_equal(prepare(world, 1, 0).start_pose, prepared.drive.poses[0])
+
+
+def test_a_city_per_trial() -> None:
+    world = small_world()
+    world = world.model_copy(update={"city": world.city.model_copy(update={"seed": "trial"})})
+    one, two = prepare(world, 1, 0), prepare(world, 1, 1)
+    assert one.scene.city.vertices.shape != two.scene.city.vertices.shape
+    np.testing.assert_array_equal(one.scene.city.vertices, prepare(world, 1, 0).scene.city.vertices)
+
+
+def test_provenance_makes_the_recording_again(recording: Recording) -> None:
+    told = json.loads(json.dumps(recording.provenance))
+    assert told["versions"]["cellslam"]
+    again = simulate(WorldConfig.model_validate(told["world"]), told["seed"], told["trial"])
+    np.testing.assert_array_equal(again.measurements.distance_m, recording.measurements.distance_m)
+
+
+def test_visible_intervals_worked_example() -> None:
+    vt, snapshot = np.array([1, 0, 1, 1, 0, 1]), np.array([3, 5, 4, 7, 6, 8])
+    assert visible_intervals(vt, snapshot).tolist() == [[0, 5, 6], [1, 3, 4], [1, 7, 8]]
+    assert visible_intervals(np.empty(0, np.int64), np.empty(0, np.int64)).shape == (0, 3)
+
+
+def test_unknown_keys_are_refused() -> None:
+    with pytest.raises(ValidationError, match="clutter_scal"):
+        small_world(clutter_scal=0.5)
+
+
+def test_importing_the_configuration_is_light() -> None:
+    heavy = "numba", "scipy", "trimesh", "highway_env", "matplotlib", "embreex"
+    code = f"import sys, cellslam.sim.world; print([m for m in {heavy} if m in sys.modules])"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.strip() == "[]"
+
+
+def test_a_drive_without_any_measurement() -> None:
+    r = simulate(small_world(detection_scale=0.0, clutter_scale=0.0), 1, 0)
+    assert r.truth is not None
+    assert len(r.measurements) == 0
+    assert len(r.truth.vts) > 0

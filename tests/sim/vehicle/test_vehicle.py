@@ -1,0 +1,259 @@
+"""Route, follower, speed profile and the true drive."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+import shapely
+
+from cellslam.sim.errors import InputError
+from cellslam.sim.frames import mean_velocity, wrap_angle
+from cellslam.sim.vehicle import Drive, Route, VehicleConfig, drive, plan_route
+from cellslam.sim.vehicle.follower_kernel import follow
+from cellslam.sim.vehicle.lanes import build_lanes
+from cellslam.sim.vehicle.speed_profile import speed_profile
+from cellslam.sim.vehicle.street_walk import SHARP_RAD, random_walk, street_network
+
+BLOCKS = np.arange(-300.0, 301.0, 75.0)
+
+
+def rng(seed: int = 0) -> np.random.Generator:
+    return np.random.default_rng(seed)
+
+
+@pytest.fixture(scope="module")
+def city() -> Any:
+    """Eight by eight square blocks, streets 20 m wide."""
+    streets = [np.array([[x, -300.0], [x, 300.0]]) for x in BLOCKS]
+    streets += [np.array([[-300.0, y], [300.0, y]]) for y in BLOCKS]
+    houses = tuple(shapely.box(x + 10, y + 10, x + 65, y + 65) for x in BLOCKS[:-1] for y in BLOCKS[:-1])
+    return SimpleNamespace(name="grid", streets=tuple(streets), footprints=houses)
+
+
+def through(city: Any, *waypoints: tuple[float, float], **options: Any) -> Route:
+    return plan_route(city, VehicleConfig(waypoints_m=waypoints, **options), rng())
+
+
+def deviation_m(route: Route, driven: Drive) -> np.ndarray:
+    return np.asarray(shapely.distance(shapely.points(driven.poses[:, :2]), shapely.LineString(route.points_m)))
+
+
+def test_corner_is_rounded_by_the_arc_that_touches_both_legs() -> None:
+    lanes = build_lanes(np.array([[0.0, 0.0], [50.0, 0.0], [50.0, 40.0]]), radius_m=10.0, least_radius_m=4.0)
+    assert lanes.arc_m[-1] == pytest.approx(40.0 + 5.0 * np.pi + 30.0)
+    on_arc = lanes.curvature_per_m > 0.0
+    np.testing.assert_allclose(np.hypot(*(lanes.points_m[on_arc] - (40.0, 10.0)).T), 10.0, atol=1e-9)
+    assert lanes.heading_rad[0] == 0.0
+    assert lanes.heading_rad[-1] == pytest.approx(np.pi / 2)
+    assert np.all(np.diff(lanes.arc_m) > 0.0)
+    assert len(lanes.indices) == 3
+    assert lanes.network.get_lane(lanes.indices[1]).length == pytest.approx(5.0 * np.pi)
+
+
+def test_right_turn_mirrors_the_left_turn() -> None:
+    left = build_lanes(np.array([[0.0, 0.0], [50.0, 0.0], [80.0, 40.0]]), 10.0, 4.0)
+    right = build_lanes(np.array([[0.0, 0.0], [50.0, 0.0], [80.0, -40.0]]), 10.0, 4.0)
+    np.testing.assert_allclose(right.points_m, left.points_m * (1.0, -1.0), atol=1e-9)
+    np.testing.assert_allclose(right.heading_rad, -left.heading_rad, atol=1e-12)
+    np.testing.assert_allclose(right.curvature_per_m, -left.curvature_per_m, atol=1e-12)
+
+
+def test_route_is_smooth_and_sampled_by_arc_length(city: Any) -> None:
+    route = plan_route(city, VehicleConfig(route=5), rng())
+    step = np.diff(route.points_m, axis=0)
+    np.testing.assert_allclose(np.hypot(*step.T), np.diff(route.arc_m), rtol=1e-3)
+    assert np.abs(wrap_angle(np.arctan2(step[:, 1], step[:, 0]) - route.heading_rad[1:])).max() < 0.02
+    assert route.length_m >= 530.0
+
+
+def test_route_through_a_wall_names_the_place(city: Any) -> None:
+    with pytest.raises(InputError, match=r"runs through a wall of building \d+ at \(8\.\d, 37\.5\) m"):
+        through(city, (0.0, 37.5), (100.0, 37.5), distance_m=100.0)
+
+
+def test_route_too_near_a_wall_is_refused(city: Any) -> None:
+    assert through(city, (8.0, 0.0), (8.0, 200.0), distance_m=150.0).length_m == 200.0
+    with pytest.raises(InputError, match=r"nearer than vehicle\.clearance_m"):
+        through(city, (9.3, 0.0), (9.3, 200.0), distance_m=150.0)
+
+
+@pytest.mark.parametrize(
+    ("waypoints", "message"),
+    [
+        (((0.0, 0.0), (0.0, 100.0)), "100.0 m long, but vehicle.distance_m = 530"),
+        (((0.0, 0.0), (0.0, 100.0), (0.0, 0.0)), "turns by"),
+        (((0.0, 0.0), (0.0, 0.0)), "no length"),
+    ],
+)
+def test_impossible_waypoints_are_refused(city: Any, waypoints: Any, message: str) -> None:
+    with pytest.raises(InputError, match=message):
+        through(city, *waypoints)
+
+
+def test_planned_route_is_fixed_by_its_seed_or_drawn_per_trial(city: Any) -> None:
+    fixed = [plan_route(city, VehicleConfig(route=5), rng(trial)).points_m for trial in (1, 2)]
+    np.testing.assert_array_equal(*fixed)
+    drawn = [plan_route(city, VehicleConfig(route="trial"), rng(trial)).points_m for trial in (1, 2)]
+    assert not np.array_equal(drawn[0][0], drawn[1][0])
+
+
+def test_planned_routes_neither_turn_round_nor_hit_walls(city: Any) -> None:
+    for seed in range(5):
+        route = plan_route(city, VehicleConfig(route=seed), rng())
+        assert min(h.distance(shapely.LineString(route.points_m)) for h in city.footprints) > 1.2
+        over_25_m = route.heading_rad[250:] - route.heading_rad[:-250]
+        assert np.abs(over_25_m).max() < SHARP_RAD
+
+
+def test_walks_turn_round_only_at_dead_ends(city: Any) -> None:
+    network = street_network(city.streets)
+    for seed in range(20):
+        walk, cost = random_walk(network, 600.0, rng(seed))
+        step = np.diff(walk, axis=0)
+        assert np.hypot(*step.T).sum() >= 600.0
+        turn = np.abs(wrap_angle(np.diff(np.arctan2(step[:, 1], step[:, 0]))))
+        assert turn.max() < SHARP_RAD
+        assert cost < 1000.0
+    dead_end = street_network([np.array([[0.0, 0.0], [100.0, 0.0]])])
+    walk, cost = random_walk(dead_end, 150.0, rng())
+    assert cost > 1000.0
+
+
+def test_city_without_streets_asks_for_waypoints() -> None:
+    with pytest.raises(InputError, match="waypoints_m"):
+        plan_route(SimpleNamespace(name="bare", streets=(), footprints=()), VehicleConfig(), rng())  # type: ignore[arg-type]
+
+
+def test_crossing_streets_are_joined() -> None:
+    network = street_network([np.array([[0.0, -10.0], [0.0, 10.0]]), np.array([[-10.0, 0.0], [10.0, 0.0]])])
+    assert len(network.edges) == 4
+    assert len(network.at[(0, 0)]) == 4
+
+
+def straight_follow(speed_mps: float, offset_m: float, seconds: float = 120.0) -> tuple[np.ndarray, np.ndarray]:
+    path = np.column_stack([np.arange(0.0, 400.0, 0.1), np.zeros(4000)])
+    speed = np.full(int(seconds / 0.015), speed_mps)
+    start = np.array([0.0, offset_m, 0.0])
+    return follow(path, path[:, 0].copy(), start, speed, 0.015, 2.9, 2.0, 0.8, 0.65, 0.5)
+
+
+@pytest.mark.parametrize("speed_mps", [0.05, 0.3, 1.0, 3.0, 10.0])
+def test_follower_converges_without_chatter(speed_mps: float) -> None:
+    poses, curvature = straight_follow(speed_mps, offset_m=1.0, seconds=40.0 / speed_mps if speed_mps < 3 else 30.0)
+    assert abs(poses[-1, 1]) < 0.01
+    assert poses[:, 1].min() > -0.12
+    # The steering crosses straight ahead a few times at most, and then stays still.
+    tail = curvature[len(curvature) // 2 :]
+    assert np.count_nonzero(np.diff(np.sign(curvature[np.abs(curvature) > 1e-6]))) <= 4
+    assert np.abs(tail).max() < 0.01
+    assert np.abs(np.diff(tail)).max() < 1e-4
+
+
+def test_follower_at_walking_pace_makes_all_of_its_progress() -> None:
+    poses, _ = straight_follow(1.0, offset_m=0.0)
+    assert poses[-1, 0] == pytest.approx(120.0, abs=1e-6)
+    np.testing.assert_array_equal(poses[:, 1:], 0.0)
+
+
+def test_follower_stays_on_the_route_and_holds_the_wheel_when_standing(city: Any) -> None:
+    config = VehicleConfig(route=5)
+    route = plan_route(city, config, rng())
+    driven = drive(route, config, rng(1))
+    assert deviation_m(route, driven).max() < 0.25
+    standing = driven.velocity[:, 0] == 0.0
+    assert np.abs(driven.velocity[standing, 3]).max() == 0.0
+    on_straights = np.interp(np.arange(6850), np.arange(6850), np.abs(driven.velocity[:, 3])) < 1e-3
+    assert on_straights.mean() > 0.6
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_distance_and_duration_come_out(city: Any, seed: int) -> None:
+    config = VehicleConfig(route=5)
+    driven = drive(plan_route(city, config, rng()), config, rng(seed))
+    assert driven.time_s.shape == (6850,)
+    assert driven.time_s[-1] == pytest.approx(513.75 - 0.075)
+    assert driven.distance_m == pytest.approx(530.0, rel=1e-4)
+    assert driven.velocity[[0, -1], 0] == pytest.approx(0.0, abs=1e-3)
+    assert 0.0 < driven.velocity[:, 0].max() < 2.5
+
+
+def test_speed_profile_stops_where_told_and_sums_up() -> None:
+    config = VehicleConfig(stops=3, stop_s=10.0, speed_variation=0.3)
+    speed = speed_profile(np.array([0.0, 600.0]), np.zeros(2), config, 0.015, 34245, rng(3))
+    assert speed.sum() * 0.015 == pytest.approx(530.0, rel=1e-12)
+    assert speed.min() >= 0.0
+    still = (speed == 0.0).astype(int)
+    assert np.count_nonzero(np.diff(still) == 1) == 4
+    assert np.abs(np.diff(speed)).max() / 0.015 <= config.acceleration_mps2 * 1.01
+
+
+def test_turns_slow_the_vehicle_down() -> None:
+    arc, bend = np.linspace(0.0, 100.0, 1001), np.zeros(1001)
+    bend[400:600] = 0.2
+    config = VehicleConfig(
+        distance_m=100.0, duration_s=50.0, stops=0, lateral_acceleration_mps2=0.5, speed_variation=0.0
+    )
+    speed = speed_profile(arc, bend, config, 0.015, 3333, rng())
+    position = np.cumsum(speed) * 0.015
+    in_turn = (position > 42.0) & (position < 58.0)
+    assert speed[in_turn].max() == pytest.approx(np.sqrt(0.5 / 0.2), rel=0.02)
+    assert speed.max() > 2.0
+
+
+def test_too_short_a_duration_is_refused(city: Any) -> None:
+    config = VehicleConfig(route=5, duration_s=40.0)
+    with pytest.raises(InputError, match=r"vehicle\.duration_s = 40 is too short"):
+        drive(plan_route(city, config, rng()), config, rng())
+
+
+def test_velocities_are_the_derivative_of_the_poses(city: Any) -> None:
+    config = VehicleConfig(route=5, road_slope_percent=3.0)
+    driven = drive(plan_route(city, config, rng()), config, rng(2))
+    mean = mean_velocity(driven.poses[:-1], driven.poses[1:], np.diff(driven.time_s))
+    between = 0.5 * (driven.velocity[1:] + driven.velocity[:-1])
+    np.testing.assert_allclose(mean[:, :3], between[:, :3], atol=2e-3)
+    np.testing.assert_allclose(mean[:, 3:], between[:, 3:], atol=3e-3)
+    assert np.abs(driven.velocity[:, 1]).max() < 1e-3
+
+
+def test_body_moves_a_little_and_starts_level(city: Any) -> None:
+    config = VehicleConfig(route=5)
+    driven = drive(plan_route(city, config, rng()), config, rng(2))
+    np.testing.assert_allclose(driven.poses[0, [2, 4, 5]], [1.8, 0.0, 0.0], atol=1e-12)
+    assert 0.005 < driven.poses[:, 2].std() < 0.02
+    pitch_deg, roll_deg = np.degrees(driven.poses[:, 4:].std(axis=0))
+    assert 0.03 < pitch_deg < 0.4
+    assert 0.1 < roll_deg < 0.6
+
+
+def test_braking_dips_the_nose_and_a_left_turn_leans_right() -> None:
+    open_field = SimpleNamespace(name="field", streets=(), footprints=())
+    config = VehicleConfig(
+        waypoints_m=((0, 0), (60, 0), (60, 60)), distance_m=90.0, duration_s=80.0, stops=0,
+        road_height_std_m=0.0, road_roll_std_deg=0.0, speed_variation=0.0,
+    )  # fmt: skip
+    driven = drive(plan_route(open_field, config, rng()), config, rng())  # type: ignore[arg-type]
+    acceleration = np.gradient(driven.velocity[:, 0], driven.time_s)
+    hard = np.abs(acceleration) > 0.5
+    np.testing.assert_allclose(driven.poses[hard, 4], -np.radians(0.25) * acceleration[hard], atol=1e-3)
+    assert driven.poses[:, 5].max() > np.radians(0.05)
+    assert driven.poses[:, 5].min() > -np.radians(0.02)
+
+
+def test_uphill_slope_raises_the_nose_along_the_motion(city: Any) -> None:
+    config = VehicleConfig(route=5, road_slope_percent=5.0, road_height_std_m=0.0, pitch_gradient_deg_per_mps2=0.0)
+    driven = drive(plan_route(city, config, rng()), config, rng())
+    assert driven.poses[-1, 2] - driven.poses[0, 2] == pytest.approx(0.05 * 530.0, rel=1e-3)
+    np.testing.assert_allclose(driven.poses[:, 4], -np.arctan(0.05), atol=1e-9)
+    assert np.abs(driven.velocity[:, 2]).max() < 1e-3
+
+
+def test_same_seed_same_drive(city: Any) -> None:
+    config = VehicleConfig(route=5)
+    route = plan_route(city, config, rng())
+    one, two, other = (drive(route, config, rng(seed)) for seed in (1, 1, 2))
+    np.testing.assert_array_equal(one.poses, two.poses)
+    assert not np.array_equal(one.poses, other.poses)

@@ -1,0 +1,131 @@
+"""`--estimator all`, broken plug-ins, and the one table of a comparison."""
+
+from __future__ import annotations
+
+import importlib
+import json
+import sys
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from cellslam.benchmarks.cli.main import main
+from cellslam.benchmarks.tables.trials_table import results_table
+from cellslam.scenarios.estimator_options import resolve
+from cellslam.slam import registry
+
+BROKEN = """
+def compute():
+    return 1 / 0
+
+compute()
+"""
+
+
+@pytest.fixture
+def plugins(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """Install a package with two broken entry points beside this environment."""
+    info = tmp_path / "site" / "other-1.0.dist-info"
+    info.mkdir(parents=True)
+    (info / "METADATA").write_text("Metadata-Version: 2.1\nName: other\nVersion: 1.0\n")
+    (info / "entry_points.txt").write_text("[cellslam.estimators]\nbroken=broken_plugin:X\nempty=json:Nothing\n")
+    (tmp_path / "site" / "broken_plugin.py").write_text(BROKEN)
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.syspath_prepend(str(tmp_path / "site"))
+    monkeypatch.delitem(sys.modules, "broken_plugin", raising=False)
+    importlib.invalidate_caches()
+    return tmp_path
+
+
+def test_all_is_every_known_estimator_that_is_fast_enough(plugins: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    assert set(registry.expanded(["all"])) == set(registry.names()) - set(registry.left_out())
+    assert registry.expanded(["ekf-slam", "all"])[0] == "ekf-slam"
+    assert {"broken", "empty"} < set(registry.expanded(["all"]))
+    monkeypatch.setattr(registry, "find_spec", lambda name: None)
+    assert registry.left_out()["smoother"] == "needs gtsam: pip install 'cellslam[gtsam]'"
+    assert "smoother" not in registry.expanded(["all"])
+    slow = tuple(registry.Listed(e.name, e.target, e.summary, slow=e.name == "ekf-slam") for e in registry.BUILT_IN)
+    monkeypatch.setattr(registry, "BUILT_IN", slow)
+    assert registry.left_out() == {"ekf-slam": "slower than 5 x real time"}
+    assert "ekf-slam" in registry.expanded(["ekf-slam", "all"])
+
+
+def test_every_built_in_loads_and_oracles_say_so() -> None:
+    requests = resolve({}, [entry.name for entry in registry.BUILT_IN])
+    assert [r.name for r in requests if r.oracle] == ["oracle-association", "oracle-fastslam", "oracle-map"]
+    assert all(r.estimator.name == r.name for r in requests)
+
+
+def test_broken_plugins_are_failed_rows_and_disturb_nobody(plugins: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    names = ("--estimator", "broken", "--estimator", "dead-reckoning", "--estimator", "empty")
+    assert main(["run", "tiny", *names, "--json", "--no-figures", "--quiet"]) == 1
+    rows = {row["estimator"]: row for row in json.loads(capsys.readouterr().out)}
+    assert rows["dead-reckoning"]["status"] == "ok"
+    assert rows["broken"]["status"] == rows["empty"]["status"] == "failed"
+    said = rows["broken"]["error"]
+    assert "ZeroDivisionError: division by zero" in said
+    assert "(broken_plugin.py, line 5, in <module>) (broken_plugin.py, line 3, in compute)" in said
+    assert "unknown class of module json" in rows["empty"]["error"]
+    trace = (plugins / "results" / "tiny-0" / "error-broken.txt").read_text("utf-8")
+    assert "in compute" in trace
+
+
+def text_of(table: Any, width: int = 120) -> str:
+    from io import StringIO
+
+    from rich.console import Console
+
+    file = StringIO()
+    Console(file=file, width=width).print(table)
+    return file.getvalue()
+
+
+def row(name: str, trial: int, error: float | None, **more: Any) -> dict[str, Any]:
+    status = "failed" if error is None else "ok"
+    return {"estimator": name, "trial": trial, "status": status, "position_rmse_m": error,
+            "bound_position_rmse_m": 0.5, **more}  # fmt: skip
+
+
+def test_one_table_with_intervals_robustness_and_share_of_the_bound() -> None:
+    errors = [1.0, 1.0, 1.0, 1.0, 1.0, 3.0]
+    rows = [row("mine", t, e, nees_mean=2.5, map_gospa_m=40.0) for t, e in enumerate(errors)]
+    rows += [row("seer", t, 0.5, nees_mean=4e11) for t in range(5)] + [row("seer", 5, None)]
+    text = text_of(results_table(rows, "title", frozenset({"seer"})))
+    mine, seer = (next(line for line in text.splitlines() if line.startswith(name)) for name in (" mine", " seer"))
+    # Six bounds of 0.5 m over five errors of 1 m and one of 3 m: sqrt(1.5 / 14) = 0.33.
+    assert mine.split() == [
+        "mine",
+        "1.00",
+        "[1.00,",
+        "2.00]",
+        "-",
+        "-",
+        "-",
+        "2.5",
+        "40.0",
+        "-",
+        "-",
+        "0.33",
+        "1/6",
+        "6/6",
+    ]
+    assert seer.split()[:5] == ["seer", "(oracle)", "0.50", "[0.50,", "0.50]"]
+    assert seer.split()[8] == "4e+11"
+    assert seer.split()[-3:] == ["1.00", "1/6", "5/6"]
+    assert "oracle: was shown the truth" in text
+    assert max(map(len, text.splitlines())) <= 120
+
+
+@pytest.mark.parametrize("width", [80, 100, 120])
+def test_a_narrow_window_loses_columns_and_says_which(width: int) -> None:
+    more = dict.fromkeys(("position_max_m", "clock_offset_rmse_m", "map_gospa_m", "nees_mean", "realtime_factor"), 1.0)
+    rows = [row("oracle-association", t, 1.0, heading_rmse_rad=0.01, **more) for t in range(5)]
+    table = results_table(rows, "title", frozenset({"oracle-association"}), width)
+    text = text_of(table, width)
+    headings = [str(column.header).split()[0] for column in table.columns]
+    assert "oracle-association" in text and "…" not in text
+    assert headings[:2] == ["estimator", "RMSE"] and {"share", "lost"} <= set(headings)
+    missing = {"heading", "GOSPA", "offset", "trials", "max", "NEES", "assoc."} - set(headings)
+    assert (width < 120) == bool(missing)
+    assert all(name in text.split("in a wider window:")[-1] for name in missing)
