@@ -1,1 +1,96 @@
-"""cellslam: simulation and evaluation of cellular multipath SLAM."""
+"""cellslam: simulate cellular multipath SLAM, run estimators on it, and score them.
+
+The first ten minutes, in a notebook:
+
+    import cellslam
+    rows = cellslam.run("tiny", ["fastslam", "dead-reckoning"], trials=2)      # a pandas table, a row a trial
+    recording = cellslam.simulate("tiny", seed=1)                              # what the vehicle measured, and the truth
+    cellslam.replay(recording, "fastslam")                                     # estimators on one recording
+    cellslam.sweep("tiny", {"radio.load": [0.0, 0.5]}, out="results/load")     # many variants, in parallel, resumed
+
+`cellslam --help` has the same as commands. Everything is loaded when it is first used.
+"""
+
+from __future__ import annotations
+
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from cellslam.benchmarks.sweeps.python_sweep import sweep
+    from cellslam.benchmarks.sweeps.rows import results
+    from cellslam.benchmarks.tables.summaries import comparison, summary
+    from cellslam.benchmarks.trials.trials import replay, run
+    from cellslam.scenarios.loading import load, preset_names
+    from cellslam.scenarios.recordings import simulate
+    from cellslam.scenarios.scenario import Scenario
+    from cellslam.sim.errors import InputError
+    from cellslam.sim.rays.tracing import trace
+    from cellslam.sim.recording import Recording
+    from cellslam.slam.api import Estimate, Estimator, Setup, Snapshot, VtEstimate
+    from cellslam.slam.registry import names as estimator_names
+
+    __version__: str
+
+_HOMES = {
+    "Estimate": "slam.api",
+    "Estimator": "slam.api",
+    "InputError": "sim.errors",
+    "Recording": "sim.recording",
+    "Scenario": "scenarios.scenario",
+    "Setup": "slam.api",
+    "Snapshot": "slam.api",
+    "VtEstimate": "slam.api",
+    "comparison": "benchmarks.tables.summaries",
+    "estimator_names": "slam.registry:names",
+    "load": "scenarios.loading",
+    "preset_names": "scenarios.loading",
+    "replay": "benchmarks.trials.trials",
+    "results": "benchmarks.sweeps.rows",
+    "run": "benchmarks.trials.trials",
+    "simulate": "scenarios.recordings",
+    "summary": "benchmarks.tables.summaries",
+    "sweep": "benchmarks.sweeps.python_sweep",
+    "trace": "sim.rays.tracing",
+}
+__all__ = [
+    "Estimate",
+    "Estimator",
+    "InputError",
+    "Recording",
+    "Scenario",
+    "Setup",
+    "Snapshot",
+    "VtEstimate",
+    "__version__",
+    "comparison",
+    "estimator_names",
+    "load",
+    "preset_names",
+    "replay",
+    "results",
+    "run",
+    "simulate",
+    "summary",
+    "sweep",
+    "trace",
+]
+
+
+def __getattr__(name: str) -> Any:
+    """Load a name when it is first asked for (PEP 562): `import cellslam` stays light."""
+    if name == "__version__":
+        from importlib.metadata import version
+
+        found: Any = version("cellslam")
+    elif name in _HOMES:
+        module, _, other = _HOMES[name].partition(":")
+        found = getattr(import_module(f"{__name__}.{module}"), other or name)
+    else:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    globals()[name] = found
+    return found
+
+
+def __dir__() -> list[str]:
+    return sorted({*globals(), *__all__})

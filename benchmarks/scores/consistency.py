@@ -68,8 +68,8 @@ def nees_band(trials: int) -> tuple[float, float]:
     """Return the interval that has 95 % of the means of so many consistent trials."""
     from scipy.stats import chi2
 
-    low, high = chi2.ppf([(1.0 - SHARE) / 2.0, (1.0 + SHARE) / 2.0], 2 * trials) / trials
-    return float(low), float(high)
+    tails = ((1.0 - SHARE) / 2.0, (1.0 + SHARE) / 2.0)
+    return float(chi2.ppf(tails[0], 2 * trials) / trials), float(chi2.ppf(tails[1], 2 * trials) / trials)
 
 
 def _claims(trajectory: Trajectory, times: int) -> _Claims:
@@ -107,7 +107,8 @@ def _vts_inside(kept: Sequence[_Claims]) -> Any:
 def _share(name: str, inside: Any) -> dict[str, Any]:
     from scipy.stats import binomtest
 
-    count, numbers = len(inside), (None, None, None)
+    count = len(inside)
+    numbers: tuple[float | None, ...] = (None, None, None)
     if count:
         found = binomtest(int(inside.sum()), count).proportion_ci(SHARE, method="wilson")
         numbers = (float(inside.mean()), float(found.low), float(found.high))

@@ -90,7 +90,7 @@ def consistency_grid(tidy: pd.DataFrame, keys: Sequence[str], oracles: frozenset
     return Grid((*keys, *headings), tuple(lines), len(keys), notes)
 
 
-def _percent(line: Mapping[str, Any], name: str) -> str:
+def _percent(line: Mapping[Any, Any], name: str) -> str:
     if not line[f"{name}s"]:
         return "-"
     share, low, high = (100.0 * line[f"{name}_{part}"] for part in ("share", "low", "high"))

@@ -1,0 +1,114 @@
+"""Numba's `njit` with a cache that notices edits.
+
+Numba looks a cached kernel up by the time and size of its own file alone: after an edit, or an upgrade, of a file that
+the kernel calls into, the old binary would run. Here a kernel's cache has a folder of its own for each digest of all
+the sources that its module can reach by imports, and of Numba's version.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import re
+import shutil
+from collections.abc import Callable, Iterator
+from functools import cache, partial
+from pathlib import Path
+from typing import Any, TypeVar, overload
+
+import numba
+from numba.misc.appdirs import AppDirs
+
+PACKAGE = "cellslam"
+KEPT = 4  # folders of earlier sources that are kept for a module: of branches, or of a version that is still running
+_IMPORT = re.compile(rf"^ *from {PACKAGE}\.([\w.]+) import (?:\(([^)]*)\)|([^\n(]+))", re.MULTILINE)
+
+Kernel = TypeVar("Kernel", bound=Callable[..., Any])
+
+
+@overload
+def njit(function: Kernel, /) -> Kernel: ...
+@overload
+def njit(**options: Any) -> Callable[[Kernel], Kernel]: ...
+
+
+def njit(function: Any = None, /, **options: Any) -> Any:
+    """Compile a function as `numba.njit` does; with `cache=True` into the folder that belongs to its sources."""
+    if function is None:
+        return partial(njit, **options)
+    if not options.get("cache"):
+        return numba.njit(function, **options)
+    before = numba.config.CACHE_DIR  # type: ignore[attr-defined]
+    numba.config.CACHE_DIR = str(cache_folder(function.__module__, Path(function.__code__.co_filename)))  # type: ignore[attr-defined]
+    try:
+        return numba.njit(function, **options)
+    finally:
+        numba.config.CACHE_DIR = before  # type: ignore[attr-defined]
+
+
+def is_compiled(module: str, file: Path) -> bool:
+    """Return whether a kernel of this module was compiled before from the sources as they are, and is in the cache."""
+    return any(cache_folder(module, file).rglob("*.nbi"))
+
+
+@cache
+def cache_folder(module: str, file: Path) -> Path:
+    """Return the cache folder of the kernels of a module of this package, made if need be; older ones are removed.
+
+    It is in `__pycache__` beside the module, or in the user's cache folder where that cannot be written. Numba also
+    compares time and size of the module's own file, so these are part of the digest: what is there is valid.
+    """
+    stamp = file.stat()
+    digest = hashlib.sha256(f"{numba.__version__} {file} {stamp.st_mtime_ns} {stamp.st_size}".encode())
+    for source in sorted(reachable(file, file.parents[module.count(".") - 1])):
+        digest.update(_digest(source))
+    beside = file.parent / "__pycache__"
+    base = beside if os.access(beside if beside.exists() else file.parent, os.W_OK) else Path(_user_folder())
+    folder = base / f"{file.stem}-{digest.hexdigest()[:16]}"
+    if not folder.exists():
+        _remove_old(base, file.stem)
+    return folder
+
+
+def reachable(file: Path, root: Path) -> set[Path]:
+    """Return the sources of the package that a module reaches by its imports, its own file included.
+
+    `root`: the folder that holds the rooms (`sim`, `slam`, ...).
+    """
+    found, todo = {file}, [file]
+    while todo:
+        new = {*_imported(todo.pop(), root)} - found
+        found |= new
+        todo += new
+    return found
+
+
+@cache
+def _imported(file: Path, root: Path) -> tuple[Path, ...]:
+    return tuple(_sources(file.read_text("utf-8"), root))
+
+
+def _sources(source: str, root: Path) -> Iterator[Path]:
+    """Yield the files that the import statements of a source name."""
+    for base, many, few in _IMPORT.findall(source):
+        place = root.joinpath(*base.split("."))
+        if place.with_suffix(".py").is_file():
+            yield place.with_suffix(".py")
+            continue
+        modules = [place / f"{name.split()[0]}.py" for name in (many or few).split(",") if name.strip()]
+        yield from (path for path in (place / "__init__.py", *modules) if path.is_file())
+
+
+@cache
+def _digest(file: Path) -> bytes:
+    return hashlib.sha256(file.read_bytes()).digest()
+
+
+def _remove_old(base: Path, stem: str) -> None:
+    old = sorted(base.glob(f"{stem}-{'[0-9a-f]' * 16}"), key=lambda folder: folder.stat().st_mtime)
+    for folder in old[:-KEPT]:
+        shutil.rmtree(folder, ignore_errors=True)
+
+
+def _user_folder() -> str:
+    return str(AppDirs(PACKAGE, appauthor=False).user_cache_dir)

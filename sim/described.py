@@ -1,0 +1,35 @@
+"""A short `repr` for data classes of arrays: shapes where the values would fill pages."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sized
+from dataclasses import fields
+from typing import Any
+
+LONGEST = 60
+
+
+class Described:
+    """Base of data classes (declared with `repr=False`) whose `repr` tells the shape of each array."""
+
+    def __repr__(self) -> str:
+        return f"{type(self).__name__}({', '.join(self._parts())})"
+
+    def _parts(self) -> Iterator[str]:
+        for one in fields(self):  # type: ignore[arg-type]
+            value = getattr(self, one.name)
+            if value is not None:
+                yield f"{one.name}={described(value)}"
+
+
+def described(value: Any) -> str:
+    """Return a value in a few words: an array by its shape, what is long by its kind and length."""
+    shape = getattr(value, "shape", None)
+    if isinstance(shape, tuple) and shape:
+        return f"array{shape}"
+    text = repr(value)
+    if len(text) <= LONGEST or isinstance(value, Described):
+        return text
+    many = f" of {len(value)}" if isinstance(value, Sized) else ""
+    kind = "mapping" if isinstance(value, Mapping) else type(value).__name__
+    return f"<{kind}{many}>"
