@@ -149,8 +149,11 @@ def test_what_the_documentation_shows() -> None:
     assert len(sweep.points(shown, shown.estimators)) == 3 * 2 * 2 * 2 * 20
     commands = [line for part in re.findall(r"```sh\n(.*?)```", text, re.DOTALL) for line in part.split("\ncellslam ")]
     assert len(commands) == 5
+    swept = 0
     for command in commands:
         arguments = build_parser().parse_args(shlex.split(command.removeprefix("cellslam ").replace("\\\n", " ")))
         if hasattr(arguments, "sweeps"):
+            swept += 1
             estimators = arguments.estimators or DEFAULT_ESTIMATORS
             assert len(sweep.points(requested(arguments), estimators)) == 4
+    assert swept >= 1

@@ -275,7 +275,7 @@ def test_reaches_the_bound_where_errors_are_white(white_drive: Recording) -> Non
         assert scores["position_rmse_m"] < 3.0 * limit.position_rmse_m
         assert scores["association_precision"] > 0.95
         assert scores["clock_offset_rmse_m"] < 4.0 * limit.clock_offset_std_m[-1].max()
-        assert scores["nees_mean"] < 10.0
+        assert 1.0 < scores["nees_mean"] < 3.5  # 2 for an honest filter; this drive has 2.0 and 2.2
 
 
 def test_known_map_is_better_than_none(white_drive: Recording) -> None:
@@ -379,7 +379,7 @@ def test_jcbb_finds_the_largest_jointly_compatible_pairing(seed: int) -> None:
 
 
 def test_best_rival_is_the_second_best_assignment() -> None:
-    rng, cfg = np.random.default_rng(5), np.zeros(CFG)
+    rng, cfg, compared = np.random.default_rng(5), np.zeros(CFG), 0
     cfg[RIVAL] = 50.0
     for _ in range(30):
         score = np.where(rng.random((3, 3)) < 0.7, rng.uniform(0.1, 9.0, (3, 3)), -1.0)
@@ -394,7 +394,9 @@ def test_best_rival_is_the_second_best_assignment() -> None:
         out = np.array([cfg[RIVAL], -1.0, -1.0])
         best_rival(score, 3, 3, row_of, second, work_f, work_i, cfg, out)
         if len(totals) > 1:
+            compared += 1
             assert out[0] == pytest.approx(totals[-1][0] - totals[-2][0])
+    assert compared > 20
 
 
 def test_hypotheses_branch_and_prune() -> None:

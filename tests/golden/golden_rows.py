@@ -1,0 +1,76 @@
+"""The golden rows: what every deterministic estimator has on `tiny` and on the first 600 snapshots of `lund-530`.
+
+    python tests/golden/golden_rows.py        measures them anew and writes rows.json: say in the commit why they change
+"""
+
+from __future__ import annotations
+
+import json
+import platform
+from dataclasses import replace
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any
+
+import llvmlite.binding
+import numpy as np
+
+import cellslam
+from cellslam.sim.recording import Measurements, Recording, Truth
+
+FILE = Path(__file__).with_name("rows.json")
+SNAPSHOTS = 600
+TIMES = ("estimate_seconds", "realtime_factor")
+
+
+def drives() -> dict[str, Recording]:
+    """Return the recordings by name."""
+    return {"tiny": cellslam.simulate("tiny"), "lund-530": first(cellslam.simulate("lund-530"), SNAPSHOTS)}
+
+
+def estimators() -> list[str]:
+    """Return the built-in estimators that need no extra package: all of them are deterministic for a seed."""
+    return [name for name in cellslam.estimator_names() if name != "smoother" and ":" not in name]
+
+
+def rows() -> dict[str, dict[str, Any]]:
+    """Return the row of each drive and estimator, times aside, by "drive estimator"."""
+    found = {}
+    for drive, recording in drives().items():
+        for row in cellslam.replay(recording, estimators()).to_dict("records"):
+            kept = {key: value for key, value in row.items() if key not in TIMES}
+            found[f"{drive} {row['estimator']}"] = json.loads(json.dumps(kept, default=float).replace("NaN", "null"))
+    return found
+
+
+def versions() -> dict[str, str]:
+    """Return what the last digits depend on: libraries, compiler, processor."""
+    packages = {name: version(name) for name in ("numpy", "scipy", "numba", "llvmlite", "embreex")}
+    processor = f"{llvmlite.binding.get_host_cpu_name()} {llvmlite.binding.get_host_cpu_features().flatten()}"
+    return {**packages, "python": platform.python_version(), "processor": processor}
+
+
+def first(recording: Recording, count: int) -> Recording:
+    """Return the first `count` snapshots of a simulated recording."""
+    rows = int(recording.rows[count])
+    truth = recording.truth
+    assert truth is not None
+    visible = truth.vts.visible[truth.vts.visible[:, 1] < count].copy()
+    visible[:, 2] = np.minimum(visible[:, 2], count - 1)
+    persisting = None if truth.persisting_std is None else truth.persisting_std[:rows]
+    shorter = replace(
+        truth, poses=truth.poses[:count], measurement_vt=truth.measurement_vt[:rows],
+        measurement_std=truth.measurement_std[:rows], vts=replace(truth.vts, visible=visible),
+        odometry_bias=truth.odometry_bias[:count], persisting_std=persisting,
+    )  # fmt: skip
+    assert isinstance(shorter, Truth)
+    m = recording.measurements
+    columns = {name: None if value is None else value[:rows] for name, value in vars(m).items()}
+    return replace(
+        recording, time_s=recording.time_s[:count], odometry=recording.odometry[:count],
+        measurements=Measurements(**columns), truth=shorter,
+    )  # fmt: skip
+
+
+if __name__ == "__main__":
+    FILE.write_text(json.dumps({"versions": versions(), "rows": rows()}, indent=1) + "\n", encoding="utf-8")
