@@ -1,0 +1,119 @@
+"""The rooms: their size, their order, no circles; the picture of them; arguments of functions."""
+
+from __future__ import annotations
+
+import ast
+import importlib.util
+import re
+from collections.abc import Mapping
+from graphlib import CycleError, TopologicalSorter
+from pathlib import Path
+from types import ModuleType
+
+import pytest
+
+ROOT = Path(__file__).parents[1]
+FLOORS = ("sim", "slam", "scenarios", "benchmarks")
+MOST_ENTRIES = 16
+MOST_ARGUMENTS = 12
+
+
+def picture() -> ModuleType:
+    spec = importlib.util.spec_from_file_location("draw_architecture", ROOT / "docs" / "draw_architecture.py")
+    assert spec is not None and spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+PICTURE = picture()
+
+
+def modules() -> dict[str, Path]:
+    """Return all modules of the package by dotted name."""
+    found = {"cellslam": ROOT / "cellslam" / "__init__.py"}
+    for floor in FLOORS:
+        for path in sorted((ROOT / floor).rglob("*.py")):
+            parts = ["cellslam", *path.relative_to(ROOT).with_suffix("").parts]
+            found[".".join(parts[:-1] if parts[-1] == "__init__" else parts)] = path
+    return found
+
+
+def imports(known: Mapping[str, Path]) -> dict[str, set[str]]:
+    """Return which module imports which, in functions and for type checking too."""
+    out: dict[str, set[str]] = {}
+    for name, path in known.items():
+        wanted = set()
+        for node in ast.walk(ast.parse(path.read_text("utf-8"))):
+            if isinstance(node, ast.Import):
+                wanted |= {alias.name for alias in node.names}
+            elif isinstance(node, ast.ImportFrom) and node.module:
+                full = {f"{node.module}.{alias.name}" for alias in node.names}
+                wanted |= {other if other in known else node.module for other in full}
+        out[name] = (wanted & known.keys()) - {name}
+    return out
+
+
+def circle(graph: Mapping[str, set[str]]) -> list[str]:
+    """Return a circle of a graph; none: an empty list."""
+    try:
+        list(TopologicalSorter(graph).static_order())
+    except CycleError as error:
+        return list(error.args[1])
+    return []
+
+
+def test_no_module_imports_in_a_circle() -> None:
+    known = modules()
+    assert len(known) > 300
+    assert circle(imports(known)) == []
+    assert circle({"a": {"b"}, "b": {"c"}, "c": {"a"}}) != []
+
+
+@pytest.mark.parametrize("floor", FLOORS)
+def test_no_room_imports_in_a_circle(floor: str) -> None:
+    graph = PICTURE.inside(floor, PICTURE.uses())
+    assert len(graph) > 1
+    assert circle(graph) == []
+
+
+def test_rooms_are_small_and_say_what_they_are_for() -> None:
+    for floor in FLOORS:
+        for folder in (p.parent for p in (ROOT / floor).rglob("__init__.py")):
+            entries = [p for p in folder.iterdir() if p.name != "__pycache__"]
+            assert len(entries) <= MOST_ENTRIES, (folder, len(entries))
+            said = ast.get_docstring(ast.parse((folder / "__init__.py").read_text("utf-8"))) or ""
+            assert len(said) > 20, f"{folder}/__init__.py does not say what the room is for"
+
+
+def test_every_folder_with_code_is_a_room() -> None:
+    packages = re.findall(r'^    "cellslam\.([\w.]+)",$', (ROOT / "pyproject.toml").read_text("utf-8"), re.MULTILINE)
+    folders = {p.parent.relative_to(ROOT).as_posix().replace("/", ".") for f in FLOORS for p in (ROOT / f).rglob("*.py")}
+    assert folders == {name for name in packages if name.split(".")[0] in FLOORS and (ROOT / name.replace(".", "/")).is_dir()}
+
+
+def test_functions_take_few_arguments() -> None:
+    long = []
+    for name, path in modules().items():
+        for node in ast.walk(ast.parse(path.read_text("utf-8"))):
+            if isinstance(node, ast.FunctionDef):
+                count = len(node.args.posonlyargs) + len(node.args.args) + len(node.args.kwonlyargs)
+                long += [f"{name}.{node.name}: {count}"] if count > MOST_ARGUMENTS else []
+    assert long == []
+
+
+def test_few_modules_are_left_out_of_type_checking() -> None:
+    text = (ROOT / "pyproject.toml").read_text("utf-8")
+    (block,) = re.findall(r"module = \[([^\]]*)\]\s*disallow_untyped_defs = false", text)
+    assert len(re.findall(r'"cellslam\.', block)) <= 10
+
+
+def test_picture_is_of_the_code_as_it_is() -> None:
+    assert PICTURE.PICTURE.read_text("utf-8") == PICTURE.drawn(), "run python docs/draw_architecture.py"
+
+
+def test_pages_name_files_that_exist() -> None:
+    for page in ("docs/architecture.md", "CONTRIBUTING.md"):
+        named = re.findall(r"`((?:sim|slam|scenarios|benchmarks|cellslam|tests|docs)/[\w/.]+)`", (ROOT / page).read_text("utf-8"))
+        assert len(named) > 5
+        assert [path for path in named if not (ROOT / path).exists()] == [], page
