@@ -22,8 +22,8 @@ if TYPE_CHECKING:
     from cellslam.benchmarks.tables.summaries import comparison, summary
     from cellslam.benchmarks.trials.trials import replay, run
     from cellslam.scenarios.loading import load, preset_names
-    from cellslam.scenarios.recordings import simulate
     from cellslam.scenarios.scenario import Scenario
+    from cellslam.scenarios.simulation import simulate
     from cellslam.sim.errors import InputError
     from cellslam.sim.rays.tracing import trace
     from cellslam.sim.recording import Recording
@@ -48,7 +48,7 @@ _HOMES = {
     "replay": "benchmarks.trials.trials",
     "results": "benchmarks.sweeps.rows",
     "run": "benchmarks.trials.trials",
-    "simulate": "scenarios.recordings",
+    "simulate": "scenarios.simulation",
     "summary": "benchmarks.tables.summaries",
     "sweep": "benchmarks.sweeps.python_sweep",
     "trace": "sim.rays.tracing",

@@ -1,6 +1,6 @@
 """Draw docs/images/architecture.svg: the rooms, and which uses which, read from the imports; and the way of the data.
 
-    python docs/draw_architecture.py        write the picture anew; a test holds it to the code
+python docs/draw_architecture.py        write the picture anew; a test holds it to the code
 """
 
 from __future__ import annotations
@@ -97,7 +97,9 @@ def drawn() -> str:
     for floor in FLOORS:
         own = inside(floor, graph)
         height = _height(own)
-        parts.append(f'<rect class="floor" x="{MARGIN}" y="{top}" width="{WIDTH - 2 * MARGIN}" height="{height}" rx="6"/>')
+        parts.append(
+            f'<rect class="floor" x="{MARGIN}" y="{top}" width="{WIDTH - 2 * MARGIN}" height="{height}" rx="6"/>'
+        )
         parts.append(f'<text class="name" x="{MARGIN + 10}" y="{top + 21}">{floor}/</text>')
         parts += _rooms(own, top + 34)
         frames[floor] = (top, height)
@@ -105,7 +107,9 @@ def drawn() -> str:
     for upper, lower in zip(FLOORS, FLOORS[1:], strict=False):
         start, end = sum(frames[upper]), frames[lower][0]
         parts.append(f'<path class="floors" marker-end="url(#big)" d="M{WIDTH // 2} {start} V{end - 4}"/>')
-    note = "arrows: uses; what a longer way implies is left out; all floors may use lower ones, slam of sim the recording"
+    note = (
+        "arrows: uses; what a longer way implies is left out; all floors may use lower ones, slam of sim the recording"
+    )
     parts.append(f'<text class="note" x="{MARGIN}" y="{top}">{note}</text>')
     arrow = '<path d="M0 0 L8 4 L0 8 z" fill="{0}"/>'
     markers = "".join(
@@ -113,7 +117,9 @@ def drawn() -> str:
         f'markerUnits="userSpaceOnUse">{arrow.format(colour)}</marker>'
         for name, colour in (("small", "#8a8a86"), ("big", "#d55e00"), ("green", "#009e73"))
     )
-    head = f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 {WIDTH} {top + 16}" width="{WIDTH}" height="{top + 16}">'
+    head = (
+        f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 {WIDTH} {top + 16}" width="{WIDTH}" height="{top + 16}">'
+    )
     back = f'<rect width="{WIDTH}" height="{top + 16}" fill="#fff"/>'
     return "\n".join([head, f"<style>{STYLE}</style><defs>{markers}</defs>", back, *parts, "</svg>", ""])
 

@@ -11,11 +11,12 @@ from typing import Any, ClassVar, Protocol, runtime_checkable
 import numpy as np
 from numpy.typing import NDArray
 
+from cellslam.sim.described import Described
 from cellslam.sim.recording import Floats, Ints, Links, OdometryModel, Recording, Sites, Truth
 
 
-@dataclass(frozen=True)
-class Setup:
+@dataclass(frozen=True, repr=False)
+class Setup(Described):
     """What is known before the drive: links, sites with offset priors, odometry data sheet, start pose and deviations
     (6,).
 
@@ -30,8 +31,8 @@ class Setup:
     truth: Truth | None = None
 
 
-@dataclass(frozen=True)
-class Snapshot:
+@dataclass(frozen=True, repr=False)
+class Snapshot(Described):
     """The measurements of one snapshot, read-only columns (m,), sorted by link; NaN: component not measured.
 
     `row` is the measurement's row in the recording: oracles look truth up by it, others need not look at it.
@@ -52,8 +53,8 @@ class Snapshot:
         return len(self.link)
 
 
-@dataclass(frozen=True)
-class VtEstimate:
+@dataclass(frozen=True, repr=False)
+class VtEstimate(Described):
     """Estimated VTs: `id` (V,), `link` (V,), `position_m` (V, 3), `covariance` (V, 3, 3), in the world frame."""
 
     id: Ints
@@ -62,8 +63,8 @@ class VtEstimate:
     covariance: Floats
 
 
-@dataclass(frozen=True)
-class Estimate:
+@dataclass(frozen=True, repr=False)
+class Estimate(Described):
     """The belief after one snapshot.
 
     `pose` (6,) and `covariance` (6, 6); where the estimator has them: `association` (m,), VT id per measurement, -1

@@ -1,6 +1,6 @@
 """The golden rows: what every deterministic estimator has on `tiny` and on the first 600 snapshots of `lund-530`.
 
-    python tests/golden/golden_rows.py        measures them anew and writes rows.json: say in the commit why they change
+python tests/golden/golden_rows.py        measures them anew and writes rows.json: say in the commit why they change
 """
 
 from __future__ import annotations
