@@ -3,10 +3,10 @@
 The first ten minutes, in a notebook:
 
     import cellslam
-    rows = cellslam.run("tiny", ["fastslam", "dead-reckoning"], trials=2)      # a pandas table, a row a trial
-    recording = cellslam.simulate("tiny", seed=1)                              # what the vehicle measured, and the truth
-    cellslam.replay(recording, "fastslam")                                     # estimators on one recording
-    cellslam.sweep("tiny", {"radio.load": [0.0, 0.5]}, out="results/load")     # many variants, in parallel, resumed
+    cellslam.run("tiny", ["fastslam", "dead-reckoning"], trials=2)      # a pandas table, a row a trial
+    recording = cellslam.simulate("tiny", seed=1)                       # what was measured, and the truth
+    cellslam.replay(recording, "fastslam")                              # estimators on one recording
+    cellslam.sweep("tiny", {"radio.load": [0.0, 0.5]}, "results/load")  # variants, in parallel, resumed
 
 `cellslam --help` has the same as commands. Everything is loaded when it is first used.
 """

@@ -8,6 +8,7 @@ from __future__ import annotations
 import ast
 from collections.abc import Iterator
 from html import escape
+from itertools import pairwise
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -97,14 +98,12 @@ def drawn() -> str:
     for floor in FLOORS:
         own = inside(floor, graph)
         height = _height(own)
-        parts.append(
-            f'<rect class="floor" x="{MARGIN}" y="{top}" width="{WIDTH - 2 * MARGIN}" height="{height}" rx="6"/>'
-        )
+        parts.append(_rect("floor", (MARGIN, top), (WIDTH - 2 * MARGIN, height)))
         parts.append(f'<text class="name" x="{MARGIN + 10}" y="{top + 21}">{floor}/</text>')
         parts += _rooms(own, top + 34)
         frames[floor] = (top, height)
         top += height + GAP
-    for upper, lower in zip(FLOORS, FLOORS[1:], strict=False):
+    for upper, lower in pairwise(FLOORS):
         start, end = sum(frames[upper]), frames[lower][0]
         parts.append(f'<path class="floors" marker-end="url(#big)" d="M{WIDTH // 2} {start} V{end - 4}"/>')
     note = (
@@ -117,11 +116,15 @@ def drawn() -> str:
         f'markerUnits="userSpaceOnUse">{arrow.format(colour)}</marker>'
         for name, colour in (("small", "#8a8a86"), ("big", "#d55e00"), ("green", "#009e73"))
     )
-    head = (
-        f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 {WIDTH} {top + 16}" width="{WIDTH}" height="{top + 16}">'
-    )
+    size = f'viewBox="0 0 {WIDTH} {top + 16}" width="{WIDTH}" height="{top + 16}"'
+    head = f'<svg xmlns="http://www.w3.org/2000/svg" {size}>'
     back = f'<rect width="{WIDTH}" height="{top + 16}" fill="#fff"/>'
     return "\n".join([head, f"<style>{STYLE}</style><defs>{markers}</defs>", back, *parts, "</svg>", ""])
+
+
+def _rect(kind: str, place: tuple[int, int], size: tuple[int, int]) -> str:
+    (x, y), (width, height) = place, size
+    return f'<rect class="{kind}" x="{x}" y="{y}" width="{width}" height="{height}" rx="5"/>'
 
 
 def _way() -> Iterator[str]:
@@ -129,7 +132,7 @@ def _way() -> Iterator[str]:
     step = (WIDTH - 2 * MARGIN) // len(WAY)
     for i, (what, room) in enumerate(WAY):
         x = MARGIN + i * step
-        yield f'<rect class="way" x="{x}" y="44" width="{step - 22}" height="48" rx="5"/>'
+        yield _rect("way", (x, 44), (step - 22, 48))
         yield f'<text x="{x + 8}" y="64">{escape(what)}</text><text class="note" x="{x + 8}" y="82">{room}</text>'
         if i:
             yield f'<path class="use" style="stroke:#009e73" marker-end="url(#green)" d="M{x - 22} 68 H{x - 1}"/>'
@@ -154,14 +157,12 @@ def _rooms(graph: dict[str, set[str]], top: int) -> Iterator[str]:
             places[room] = (2 * MARGIN + i * min(step, 220), top + j * STEP)
     for user, used in reduced(graph):
         (x, y), (u, v) = places[user], places[used]
-        start, end = x + BOX, u - 1
+        start, end, out, into = x + BOX, u - 1, y + HEIGHT // 2, v + HEIGHT // 2
         bend = (end - start) // 2
-        yield (
-            f'<path class="use" marker-end="url(#small)" d="M{start} {y + HEIGHT // 2} C{start + bend} {y + HEIGHT // 2} '
-            f'{end - bend} {v + HEIGHT // 2} {end} {v + HEIGHT // 2}"/>'
-        )
+        curve = f"M{start} {out} C{start + bend} {out} {end - bend} {into} {end} {into}"
+        yield f'<path class="use" marker-end="url(#small)" d="{curve}"/>'
     for room, (x, y) in places.items():
-        yield f'<rect class="room" x="{x}" y="{y}" width="{BOX}" height="{HEIGHT}" rx="4"/>'
+        yield _rect("room", (x, y), (BOX, HEIGHT))
         yield f'<text x="{x + 8}" y="{y + 20}">{room.partition("/")[2]}/</text>'
 
 
