@@ -1,4 +1,4 @@
-"""Looks: what the links of a site measure of one path, taken together.
+"""Looks. A look is a fused measurement: what the links of a site measured of one path in one snapshot.
 
 The ports and sectors of a site stand at one place, and see a path under the same distance and direction: what they
 measure of it differs by white noise, and from port to port by errors of place. The twelve links of two sites measure
