@@ -6,12 +6,14 @@ from typing import ClassVar
 
 import numpy as np
 
-from cellslam.sim.frames import integrate_pose, wrap_angle
+from cellslam.sim.frames import integrate_pose
 from cellslam.sim.recording import Floats, Ints
 from cellslam.slam.api import Estimate, Setup, Snapshot, VtEstimate
 from cellslam.slam.channel_slam.channel_slam_kernel import COMPONENT, DIAGONAL, MEAN, describe, face, weigh
 from cellslam.slam.channel_slam.channel_slam_options import ChannelSlamOptions
 from cellslam.slam.channel_slam.delay_tracks import Tracks
+from cellslam.slam.model.pose_moments import pose_moments
+from cellslam.slam.model.resampling import systematic
 
 OFFSETS, OFFSET_WEIGHTS, OFFSET_WIDTH = (-1.25, 0.0, 1.25), (0.27, 0.46, 0.27), 0.72  # a normal density as three
 
@@ -160,16 +162,13 @@ class ChannelSlam:
         return np.asarray(weight / weight.sum())
 
     def _answer(self, weight: Floats, best: int, association: Ints) -> Estimate:
-        mean = weight @ self._pose
-        mean[3:] = self._pose[best, 3:] + weight @ wrap_angle(self._pose[:, 3:] - self._pose[best, 3:])
-        centred = np.concatenate([self._pose[:, :3] - mean[:3], wrap_angle(self._pose[:, 3:] - mean[3:])], axis=1)
-        mean[3:] = wrap_angle(mean[3:])
+        mean, covariance = pose_moments(self._pose, weight, self._pose[best])
         if best not in self._found:
             self._found[best] = self._described(best, np.flatnonzero(self._holder >= 0))
         known = [*self._archive, *self._found[best]]
         held = np.isin(association, self._holder)
         return Estimate(
-            mean, (centred * weight[:, None]).T @ centred, np.where(held, association, -1), *self._offsets(known),
+            mean, covariance, np.where(held, association, -1), *self._offsets(known),
             _map(known),
         )  # fmt: skip
 
@@ -186,8 +185,7 @@ class ChannelSlam:
 
     def _resample(self, weight: Floats) -> None:
         """Systematic resampling; transmitters are copied, odometry errors spread by a kernel (Liu and West, 2001)."""
-        places = (self._rng.random() + np.arange(len(weight))) / len(weight)
-        chosen = np.minimum(np.searchsorted(np.cumsum(weight), places), len(weight) - 1)
+        chosen = systematic(weight, len(weight), self._rng)
         for name in ("_pose", "_bias", "_scale", "_anchor", "_counts"):
             setattr(self, name, getattr(self, name)[chosen])
         for place in np.flatnonzero(self._holder >= 0):

@@ -1,3 +1,3 @@
 """What every estimator, and the bound, needs once: the measurement model h with its Jacobians, small matrices,
-assignment, resampling.
+assignment, resampling, moments of weighted poses.
 """

@@ -7,12 +7,14 @@ from typing import ClassVar
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field
 
-from cellslam.sim.frames import integrate_pose, rotation, wrap_angle
+from cellslam.sim.frames import integrate_pose, rotation
 from cellslam.sim.recording import Floats, Ints
 from cellslam.slam import warm_up
 from cellslam.slam.api import Estimate, Setup, Snapshot, VtEstimate
 from cellslam.slam.front_end.front_end_options import FrontEndOptions
 from cellslam.slam.front_end.measurement_noise import first_of_link, white
+from cellslam.slam.model.pose_moments import pose_moments
+from cellslam.slam.model.resampling import systematic
 
 
 class PaperFastSlamOptions(BaseModel):
@@ -107,21 +109,17 @@ class PaperFastSlam:
         return association
 
     def _answer(self, weight: Floats, best: int, association: Ints) -> Estimate:
-        mean = weight @ self._pose
-        mean[3:] = self._pose[best, 3:] + weight @ wrap_angle(self._pose[:, 3:] - self._pose[best, 3:])
-        centred = np.concatenate([self._pose[:, :3] - mean[:3], wrap_angle(self._pose[:, 3:] - mean[3:])], axis=1)
-        mean[3:] = wrap_angle(mean[3:])
+        mean, covariance = pose_moments(self._pose, weight, self._pose[best])
         link, place = np.nonzero(np.arange(self.options.vts_per_link) < self._counts[best][:, None])
         vts = VtEstimate(
             self._slots[best, link, place, 1], link.astype(np.int64), self._means[best, link, place],
             self._covs[best, link, place],
         )  # fmt: skip
-        return Estimate(mean, (centred * weight[:, None]).T @ centred, association, vts=vts)
+        return Estimate(mean, covariance, association, vts=vts)
 
     def _resample(self, weight: Floats) -> None:
         """Systematic resampling; maps are copied."""
-        places = (self._rng.random() + np.arange(len(weight))) / len(weight)
-        chosen = np.minimum(np.searchsorted(np.cumsum(weight), places), len(weight) - 1)
+        chosen = systematic(weight, len(weight), self._rng)
         for name in ("_pose", "_bias", "_scale", "_means", "_covs", "_slots", "_counts"):
             setattr(self, name, getattr(self, name)[chosen])
         self._log_weight[:] = 0.0

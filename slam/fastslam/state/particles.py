@@ -13,6 +13,7 @@ from cellslam.slam.api import Setup
 from cellslam.slam.fastslam.state.copy_kernel import move_between, move_within
 from cellslam.slam.fastslam.state.layout import BIAS, BOUND, LANES, POSE, POSE_G, RECORD, SCALE, THETA, Tracks
 from cellslam.slam.fastslam.state.tracks_kernel import DEAD, UNKNOWN
+from cellslam.slam.model.quasi_random import quasi_random
 
 YAW_RATE, SPEED = 3, 0  # components of u whose bias and scale are marginalised
 
@@ -135,20 +136,6 @@ def widened(particles: Particles, capacity: int) -> Particles:
         getattr(wide, name)[:, :, :old] = getattr(p, name)
     wide.bounds[:, :, :, :old] = p.bounds
     return replace(wide, state=p.state, counts=p.counts, travelled=p.travelled, log_weight=p.log_weight)
-
-
-def quasi_random(count: int, dimensions: int, rng: np.random.Generator) -> Floats:
-    """Return `count` points (count, dimensions) in the open unit cube: Roberts' R-sequence, randomly shifted.
-
-    Source: M. Roberts, "The unreasonable effectiveness of quasirandom sequences" (2018): steps by powers of the root of
-    x^(d + 1) = x + 1.
-    """
-    root = 2.0
-    for _ in range(64):
-        root = (1.0 + root) ** (1.0 / (dimensions + 1))
-    steps = root ** -np.arange(1.0, dimensions + 1)
-    points = (rng.random(dimensions) + np.arange(1, count + 1)[:, None] * steps) % 1.0
-    return np.clip(points, 1e-9, 1 - 1e-9)
 
 
 def select(particles: Particles, ancestors: Ints) -> Particles:

@@ -16,7 +16,7 @@ from cellslam.slam.fastslam.fastslam import FastSlam
 from cellslam.slam.fastslam.fastslam_options import FastSlamOptions
 from cellslam.slam.fastslam.snapshot.measurement_kernel import pack
 from cellslam.slam.fastslam.state.layout import LANES, POSE, THETA
-from cellslam.slam.fastslam.state.particles import draw, quasi_random, select
+from cellslam.slam.fastslam.state.particles import draw, select
 from cellslam.slam.front_end.looks import Grouping
 from cellslam.slam.front_end.readings import novelty, readings
 from cellslam.slam.front_end.readings_kernel import count_sharers, crowd, repeats
@@ -24,6 +24,7 @@ from cellslam.slam.front_end.visibility import existence, visibility
 from cellslam.slam.model import resampling
 from cellslam.slam.model.assignment_kernel import assign
 from cellslam.slam.model.measurement_model import jacobians, predict
+from cellslam.slam.model.quasi_random import quasi_random
 
 SMALL = FastSlamOptions(particles=64, vts_per_link=8, start_phase_s=0.0, sharing="none")
 
