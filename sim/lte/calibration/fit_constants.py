@@ -13,8 +13,7 @@ from cellslam.sim.lte.calibration.front_end_check import AHEAD_M, BEHIND_M, BESI
 from cellslam.sim.lte.calibration.overlap import Law, chances, relations
 from cellslam.sim.lte.calibration.scenes import Sample, config_of, measured_by_statistics
 from cellslam.sim.lte.single_path_bound import single_path_std
-from cellslam.sim.lte.statistical.detector_layout import GAMMA_START_DB, GAMMA_STEP_DB
-from cellslam.sim.lte.statistical.statistical_front_end import PathColumns
+from cellslam.sim.lte.statistical.detector_layout import GAMMA_START_DB, GAMMA_STEP_DB, PathColumns
 from cellslam.sim.lte.statistical.statistics import Statistics
 from cellslam.sim.recording import Floats
 

@@ -11,7 +11,7 @@ from cellslam.sim.frames import unit_vector, wrap_angle
 from cellslam.sim.lte.calibration.scenes import POSE, cells, draw_paths, geometry_of, in_scene, signal_bench
 from cellslam.sim.lte.signal.signal_front_end import SignalLevel
 from cellslam.sim.lte.statistical import detector_layout as k
-from cellslam.sim.lte.statistical.statistical_front_end import PathColumns
+from cellslam.sim.lte.statistical.detector_layout import PathColumns
 from cellslam.sim.progress import Progress
 from cellslam.sim.recording import Floats
 

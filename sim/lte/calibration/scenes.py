@@ -21,7 +21,8 @@ from cellslam.sim.lte.persisting_errors import draw_fields
 from cellslam.sim.lte.signal.diffuse import Surroundings
 from cellslam.sim.lte.signal.signal_front_end import DEFAULT_HARDWARE, SignalLevel, signal_level
 from cellslam.sim.lte.statistical import detector_layout as k
-from cellslam.sim.lte.statistical.statistical_front_end import PathColumns, Streams, detect
+from cellslam.sim.lte.statistical.detector_layout import PathColumns, Streams
+from cellslam.sim.lte.statistical.statistical_front_end import detect
 from cellslam.sim.lte.statistical.statistics import Statistics
 from cellslam.sim.recording import Floats, Ints
 

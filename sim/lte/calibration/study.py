@@ -14,7 +14,7 @@ from cellslam.sim.lte.calibration.fit_constants import fit_company, fit_detectio
 from cellslam.sim.lte.calibration.persistence import persistence
 from cellslam.sim.lte.calibration.scenes import Sample, config_of, draw_paths, measured_by_signals, scenes_of
 from cellslam.sim.lte.signal.signal_front_end import DEFAULT_HARDWARE
-from cellslam.sim.lte.statistical.statistical_front_end import PathColumns
+from cellslam.sim.lte.statistical.detector_layout import PathColumns
 from cellslam.sim.lte.statistical.statistics import parse
 from cellslam.sim.progress import Progress
 

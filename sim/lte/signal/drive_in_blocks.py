@@ -18,7 +18,8 @@ from threadpoolctl import threadpool_limits
 from cellslam.sim.lte.signal.block_processes import in_processes
 from cellslam.sim.lte.signal.signal_front_end import SignalLevel
 from cellslam.sim.lte.statistical import detector_layout as k
-from cellslam.sim.lte.statistical.statistical_front_end import Detections, PathColumns, detections_of
+from cellslam.sim.lte.statistical.detector_layout import PathColumns
+from cellslam.sim.lte.statistical.statistical_front_end import Detections, detections_of
 from cellslam.sim.progress import Progress, silent
 from cellslam.sim.recording import Floats
 

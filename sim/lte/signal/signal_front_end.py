@@ -36,7 +36,7 @@ from cellslam.sim.lte.signal.receiver import ComplexSingle, Receiver
 from cellslam.sim.lte.signal.waveform import SAMPLE_S, SUBCARRIER_SPACING_HZ
 from cellslam.sim.lte.single_path_bound import tone_frequencies
 from cellslam.sim.lte.statistical import detector_layout as k
-from cellslam.sim.lte.statistical.statistical_front_end import PathColumns
+from cellslam.sim.lte.statistical.detector_layout import PathColumns
 from cellslam.sim.rays.antenna import sector_gain_db
 from cellslam.sim.recording import Floats, Ints
 
