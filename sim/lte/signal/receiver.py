@@ -10,9 +10,9 @@ from numpy.typing import NDArray
 
 from cellslam.sim.frames import SPEED_OF_LIGHT_MPS, unit_vector
 from cellslam.sim.lte.array import AntennaArray, CircularArray, Complex, Floats, Steering, switching_times_s
-from cellslam.sim.lte.signal.path_estimator.climb_kernel import SteeringModel, orthonormal_beams
+from cellslam.sim.lte.signal.path_estimator.climb_kernel import orthonormal_beams
 from cellslam.sim.lte.single_path_bound import tone_frequencies
-from cellslam.sim.lte.steering_kernel import steer_circular
+from cellslam.sim.lte.steering_kernel import SteeringModel, steer_circular
 
 ComplexSingle = NDArray[np.complex64]
 AZIMUTHS, ELEVATIONS = 28, 7
@@ -148,10 +148,7 @@ class Motion:
             return self._steer_any(azimuth_rad, elevation_rad)
         shape = (len(azimuth_rad), self.receiver.array.ports, 2)
         out = Steering(*(np.empty(shape, np.complex128) for _ in range(3)))
-        steer_circular(
-            azimuth_rad, elevation_rad, m.columns, m.rings, m.radius_m, m.spacing_m, m.wavenumber, m.peak_dbi, m.curve,
-            m.floor_db, m.polarisation, m.factor, m.doppler, m.velocity, *out,
-        )  # fmt: skip
+        steer_circular(azimuth_rad, elevation_rad, m, *out)
         return out
 
     def _steer_any(self, azimuth_rad: Floats, elevation_rad: Floats) -> Steering:

@@ -10,12 +10,12 @@ from numpy.typing import NDArray
 
 from cellslam.sim.frames import wrap_angle
 from cellslam.sim.lte.array import Complex, Floats
-from cellslam.sim.lte.signal.path_estimator.climb_kernel import climb
+from cellslam.sim.lte.signal.path_estimator.climb_kernel import Steps, climb
 from cellslam.sim.lte.signal.path_estimator.joint_fit_kernel import Normal, normal_equations
-from cellslam.sim.lte.signal.receiver import Motion
+from cellslam.sim.lte.signal.receiver import Motion, Receiver
 
 FINE_GAIN = 0.01  # noise variances: a hundredth of a nat
-ITERATIONS = 12
+MOST_STEPS = 12
 LONGEST_STEP = np.array([6.0, np.radians(9.0), np.radians(9.0)])
 STEEPEST_RAD = np.radians(85.0)
 
@@ -70,8 +70,8 @@ def refine(
     """
     if motion.model is not None:
         climbed = climb(
-            y, np.ascontiguousarray(geometry, np.float64), least_gain * noise_variance, ITERATIONS,
-            promising * noise_variance, LONGEST_STEP * motion.receiver.coarser, float(STEEPEST_RAD), motion.model,
+            y, np.ascontiguousarray(geometry, np.float64), least_gain * noise_variance, promising * noise_variance,
+            steps_of(motion.receiver), motion.model,
         )  # fmt: skip
         return Fit(*climbed, motion)
     return refine_any(y, motion, geometry, noise_variance, least_gain, promising)
@@ -83,7 +83,7 @@ def refine_any(
 ) -> Fit:  # fmt: skip
     """Return the same as `refine`, step by step in NumPy, for any array."""
     fit, damping = evaluate(y, motion, geometry), 1e-3
-    for iteration in range(ITERATIONS):
+    for iteration in range(MOST_STEPS):
         step, gain = _step(fit.normal, damping)
         hopeless = iteration == 0 and fit.normal.explained + gain < promising * noise_variance
         if gain < least_gain * noise_variance or hopeless:
@@ -105,6 +105,11 @@ def covariance(fit: Fit, level: Floats) -> Floats:
     inverse = (np.linalg.inv(scaled) * np.outer(scale, scale)).reshape(n, 3, n, 3)
     own = inverse[np.arange(n), :, np.arange(n), :]
     return np.asarray(own * level[:, None, None], np.float64)
+
+
+def steps_of(receiver: Receiver) -> Steps:
+    """Return the limits of a climb at the receiver's bandwidth."""
+    return Steps(MOST_STEPS, LONGEST_STEP * receiver.coarser, float(STEEPEST_RAD))
 
 
 def _step(normal: Normal, damping: float) -> tuple[Floats, float]:

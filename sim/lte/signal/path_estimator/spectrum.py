@@ -31,14 +31,16 @@ class Spectrum:
         self._own_beams = motion.beams @ self._own_ports
         self.ports, self.beams = self._own_ports.copy(), self._own_beams.copy()
         count, bins = len(self.beams) // 2, self.beams.shape[1]
-        self.energy, self.port_energy = np.empty((count, bins), np.float32), np.empty(bins)
-        self.profile, self.trailing = np.empty(bins), np.zeros((AZIMUTHS, bins), np.float32)
-        self.working = int(np.count_nonzero(motion.factor))
+        self.power = search_kernel.PowerSpectrum(
+            energy=np.empty((count, bins), np.float32), port_energy=np.empty(bins), noise=np.empty(bins),
+            trailing=np.zeros((AZIMUTHS, bins), np.float32), ports=int(np.count_nonzero(motion.factor)),
+            elevations=ELEVATIONS,
+        )  # fmt: skip
         self._look()
 
     def leave(self, fit: Fit | None) -> None:
         """Make this the spectrum of what the paths of a fit leave over."""
-        self.trailing[:] = 0.0
+        self.power.trailing[:] = 0.0
         if fit is None:
             self.ports[:], self.beams[:] = self._own_ports, self._own_beams
         else:
@@ -59,10 +61,7 @@ class Spectrum:
     def strongest(self, coarse: float, blocked: list[tuple[int, int]]) -> tuple[Floats, tuple[int, int], float] | None:
         """Return geometry (3,), cell and level to exceed of the strongest cell that stands out; None: there is none."""
         cells = np.array(blocked, np.int64).reshape(-1, 2)
-        k, d, level = search_kernel.strongest(
-            self.energy, self.port_energy, self.profile, coarse, ELEVATIONS, self.working, cells, self.trailing,
-            DIFFUSE_MARGIN,
-        )  # fmt: skip
+        k, d, level = search_kernel.strongest(self.power, coarse, cells, DIFFUSE_MARGIN)
         if k < 0:
             return None
         azimuth, elevation = self.receiver.directions
@@ -76,29 +75,25 @@ class Spectrum:
         rise = np.rint((geometry[:, 2] - LOWEST_RAD) / (HIGHEST_RAD - LOWEST_RAD) * (ELEVATIONS - 1)).astype(np.int64)
         direction = _column(geometry[:, 1]) % AZIMUTHS * ELEVATIONS + np.minimum(np.maximum(rise, 0), ELEVATIONS - 1)
         bins = np.minimum(np.maximum(self._bin(geometry[:, 0]), 0), len(self.receiver.delays_m) - 1)
-        search_kernel.local_levels(
-            direction, bins, self.energy, ELEVATIONS, self.port_energy, self.working, self.profile,
-            np.where(trailing, DIFFUSE_MARGIN, 1.0), out, asked,
-        )  # fmt: skip
+        margin = np.where(trailing, DIFFUSE_MARGIN, 1.0)
+        search_kernel.local_levels(direction, bins, self.power, margin, out, asked)
         return out, asked
 
     def in_trail(self, fit: Fit, cell: tuple[int, int]) -> bool:
         """Return whether a fitted cell is as weak as diffuse energy of a stronger path expected there."""
-        return bool(fit.normal.explained < self.trailing[cell[0] // ELEVATIONS, cell[1]])
+        return bool(fit.normal.explained < self.power.trailing[cell[0] // ELEVATIONS, cell[1]])
 
     def trail(self, fit: Fit) -> None:
         """Note where diffuse energy of paths is to be expected, and how much at most."""
         distance, energy = fit.geometry[:, 0], np.asarray(DIFFUSE_SHARE * fit.normal.wald, np.float32)
         first, last = self._bin(distance + LEAD_M), self._bin(distance + TRAIL_M) + 1
-        search_kernel.note_trail(self.trailing, first, last, _column(fit.geometry[:, 1]), BESIDE, energy)
+        search_kernel.note_trail(self.power.trailing, first, last, _column(fit.geometry[:, 1]), BESIDE, energy)
 
     def _bin(self, distance: Floats) -> Ints:
         return np.rint((distance - self.receiver.window_min_m) / self.receiver.pitch_m).astype(np.int64)
 
     def _look(self) -> None:
-        self.noise: float = search_kernel.look(
-            self.beams, self.ports, self.working, self.energy, self.port_energy, self.profile
-        )
+        self.noise: float = search_kernel.look(self.beams, self.ports, self.power)
 
 
 def _column(azimuth: Floats) -> Ints:
