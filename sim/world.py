@@ -76,7 +76,7 @@ class World:
         return Streams(*(stream(self.seed, self.trial, name) for name in names))
 
     def trace(self, poses: Floats, progress: Progress = silent) -> Paths:
-        """Return the paths from every site to every one of `poses` (T, 6)."""
+        """Return the paths from every site to every one of `poses` (T, 6), in m and rad."""
         from cellslam.sim.rays import trace
 
         city = self.config.city

@@ -1,4 +1,7 @@
-"""Compiled link budget: sector antenna, array, polarisation; powers in milliwatt per resource element."""
+"""Compiled link budget: sector antenna, array, polarisation; powers in milliwatt per resource element.
+
+Source: 3GPP TR 36.814, Table A.2.1.1-2 (sector antenna); TR 38.901, Table 7.3-1 (element of the array).
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,7 @@
-"""Lines of sight and single reflections of one transmitter: candidates, then shadow rays on both legs."""
+"""Lines of sight and single reflections of one transmitter: candidates, then shadow rays on both legs.
+
+Source: image method, which gives the virtual transmitters of the extended FastSLAM paper, section III; docs/rays.md.
+"""
 
 from __future__ import annotations
 
@@ -14,7 +17,7 @@ RUN = 16
 
 
 def unobstructed(scene: Scene, origins: Floats, targets: Floats, reach: Floats) -> NDArray[np.bool_]:
-    """Tell of rays (N, 3) -> (N, 3), centred coordinates, if their first `reach` (N,), 0 to 1, is free."""
+    """Tell of rays (N, 3) -> (N, 3), centred coordinates in m, if their first `reach` (N,), 0 to 1, is free."""
     if not len(origins):
         return np.zeros(0, np.bool_)
     return _free(scene, origins.astype(np.float32), (targets - origins).astype(np.float32), reach.astype(np.float32))
@@ -44,7 +47,7 @@ def lines_of_sight(scene: Scene, transmitter: Floats, receivers: Floats) -> Ints
 def single_reflections(
     scene: Scene, transmitter: Floats, receivers: Floats, reflects: NDArray[np.bool_]
 ) -> tuple[Ints, Ints, Floats]:
-    """Return (receiver (P,), facet (P,), point (P, 3)) of all free first-order paths, centred."""
+    """Return (receiver (P,), facet (P,), point (P, 3)) of all free first-order paths, centred coordinates in m."""
     from cellslam.sim.rays import first_order_kernel as kernel
 
     count = len(scene.table)
@@ -77,7 +80,9 @@ def single_reflections(
 
 
 def first_hits(scene: Scene, origins: Floats, targets: Floats, reach: Floats) -> Ints:
-    """Return the triangle that each ray (N, 3) -> (N, 3) meets first within its `reach` (N,), -1 none."""
+    """Return the index of the triangle that each ray (N, 3) -> (N, 3), in m, meets first within its share `reach` (N,),
+    -1 none.
+    """
     if not len(origins):
         return np.zeros(0, np.int64)
     directions = (targets - origins).astype(np.float32)

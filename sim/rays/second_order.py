@@ -1,4 +1,7 @@
-"""Double reflections of one transmitter: facets that it sees, pairs of facets, then shadow rays on three legs."""
+"""Double reflections of one transmitter: facets that it sees, pairs of facets, then shadow rays on three legs.
+
+Source: image method, which gives the virtual transmitters of the extended FastSLAM paper, section III; docs/rays.md.
+"""
 
 from __future__ import annotations
 
@@ -41,7 +44,7 @@ def _open_pairs(scene: Scene, transmitter: Floats, images: Images, mirrored: Flo
 def double_reflections(
     scene: Scene, transmitter: Floats, receivers: Floats, reflects: NDArray[np.bool_], lit: Ints
 ) -> tuple[Ints, Ints, Floats]:
-    """Return (receiver (P,), facets (P, 2), points (P, 2, 3)) of all free second-order paths, centred."""
+    """Return (receiver (P,), facets (P, 2), points (P, 2, 3)) of all free second-order paths, centred, in m."""
     from cellslam.sim.rays import first_order_kernel as kernel
     from cellslam.sim.rays import second_order_kernel as second_kernel
 

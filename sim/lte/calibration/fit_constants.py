@@ -1,4 +1,7 @@
-"""Constants of the statistical front end from samples of the signal-level one: method of moments and likelihoods."""
+"""Constants of the statistical front end from samples of the signal-level one: method of moments and likelihoods.
+
+Source: own derivation, docs/front-end.md, "Calibration".
+"""
 
 from __future__ import annotations
 
@@ -91,7 +94,7 @@ def structured(sample: Sample, noise_rate: float, window_m: float) -> dict[str, 
 
 
 def evenly(points: Floats) -> Floats:
-    """Return POINTS of the points (n, 4), evenly spread over how much later they are."""
+    """Return POINTS of the points (n, 4), m, rad, rad, dB, evenly spread over how much later they are."""
     ordered = points[np.argsort(points[:, 0], kind="stable")]
     return ordered[((np.arange(POINTS) + 0.5) * len(ordered) / POINTS).astype(np.int64)]
 

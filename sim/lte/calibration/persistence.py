@@ -1,4 +1,7 @@
-"""Which errors of the signal level are white and which persist: correlation over time, links, place, direction."""
+"""Which errors of the signal level are white and which persist: correlation over time, links, place, direction.
+
+Source: own derivation, docs/front-end.md, "Calibration".
+"""
 
 from __future__ import annotations
 

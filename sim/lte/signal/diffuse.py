@@ -3,6 +3,8 @@
 Each path is followed by a cluster whose power falls exponentially with the excess delay. A cluster belongs to a VT and
 a cell of a 20 m grid on the ground: within the cell the scatterers are virtual transmitters that stand still, so that
 their fading follows the motion.
+
+Source: own model, docs/front-end.md, "Channel".
 """
 
 from __future__ import annotations
@@ -29,7 +31,7 @@ class Surroundings:
     ratio_db: float
 
     def add(self, paths: PathColumns, sites: int, position_m: Floats) -> PathColumns:
-        """Return the paths of one snapshot, each followed by its scatterers; `position_m` (3,) of the receiver."""
+        """Return the paths of one snapshot, each followed by its scatterers; `position_m` (3,) of the receiver in m."""
         count = len(paths.vt_m)
         if not count:
             return paths

@@ -1,4 +1,7 @@
-"""Compiled clutter: what is reported around a path besides it, and noise peaks."""
+"""Compiled clutter: what is reported around a path besides it, and noise peaks.
+
+Source: own derivation, docs/front-end.md, "Statistical front end".
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,7 @@
-"""Compiled pieces of one measurement: geometry, detection detection_probability, deviations, range of angles."""
+"""Compiled pieces of one measurement: geometry, detection probability, deviations, range of angles.
+
+Source: own derivation, docs/front-end.md, "Statistical front end".
+"""
 
 from __future__ import annotations
 

@@ -2,6 +2,8 @@
 
 Per link and path: received power, interference, SNR, overlap with stronger paths, detection, error from the
 bound and the floors, in part white and in part persisting; then clutter. The constants are measured (`statistics`).
+
+Source: own derivation, docs/front-end.md, "Statistical front end".
 """
 
 from __future__ import annotations
@@ -43,8 +45,9 @@ def noise_clutter_mean(threshold: float, s: Statistics) -> float:
 
 @lru_cache(maxsize=8)
 def detection_table(threshold: float, s: Statistics) -> Floats:
-    """Return P(T > threshold) of an isolated path over the kernel's grid of Gamma in dB: ncx2.sf(2 x, dof, gain
-    Gamma), the constants measured.
+    """Return the detection probability (1201,) of an isolated path over the kernel's grid of Gamma in dB.
+
+    P(T > x) = ncx2.sf(2 x, dof, gain Gamma) at the threshold x, the constants measured.
     """
     from scipy.stats import ncx2
 
@@ -82,9 +85,9 @@ def detect(
     config: RadioConfig, cells: Cells, paths: PathColumns, poses: Floats, offsets_m: Floats, fields: Fields,
     streams: Streams, first_snapshot: int = 0, progress: Progress = silent, constants: Statistics | None = None,
 ) -> Detections:  # fmt: skip
-    """Return the measurements of `poses` (T, 6), whose paths are `paths`, numbered from `first_snapshot`.
+    """Return the measurements of `poses` (T, 6), in m and rad, whose paths are `paths`, numbered from `first_snapshot`.
 
-    `offsets_m` (S,) is added to the distances; `fields` are the errors that persist (`persisting.draw_fields`).
+    `offsets_m` (S,) is added to the distances; `fields` are the errors that persist (`persisting_errors.draw_fields`).
     The streams advance: a drive in one call or pose by pose gives the same. `constants`: other than the shipped ones.
     """
     from cellslam.sim.lte.statistical.detection_kernel import measure_block
@@ -110,7 +113,7 @@ def detect(
 
 
 def detections_of(table: Floats) -> Detections:
-    """Return the detections in a table (M, COLUMNS) as the kernels write it."""
+    """Return the detections in a table (M, COLUMNS), m, rad, dB, as the kernels write it."""
     c = np.ascontiguousarray(table.T)
     measurements = Measurements(
         snapshot=c[k.SNAPSHOT].astype(np.int64), link=c[k.LINK].astype(np.int64), distance_m=c[k.DISTANCE],

@@ -1,4 +1,7 @@
-"""Compiled: the next path of a spectrum that a one-path fit confirms; `path_estimator._Link._next_any` is its twin."""
+"""Compiled: the next path of a spectrum that a one-path fit confirms; `path_estimator._Link._next_any` is its twin.
+
+Source: own derivation, docs/front-end.md, "Estimator".
+"""
 
 from __future__ import annotations
 

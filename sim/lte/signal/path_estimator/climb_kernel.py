@@ -1,4 +1,4 @@
-"""Compiled Levenberg-Marquardt climb of a joint path fit for the circular array; its NumPy twin is `refine`."""
+"""Compiled Levenberg-Marquardt climb of a joint path fit for the circular array; its NumPy twin is `refine_any`."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ def climb(
     y: Array, start: Array, least_gain: float, promising: float, steps: Steps, m: SteeringModel
 ) -> tuple[Array, Normal]:
     """Return geometry (n, 3) in m, rad, rad and normal equations after the climb from `start` (n, 3) in the samples
-    `y` (ports, tones); see `refine`. Energies as in `y`.
+    `y` (ports, tones); see `joint_fit.refine`. Energies as in `y`.
     """
     geometry = start.copy()
     normal = evaluate_circular(y, geometry, m)

@@ -1,4 +1,8 @@
-"""Joint maximum-likelihood fit of several paths: Levenberg-Marquardt over distances and angles, weights eliminated."""
+"""Joint maximum-likelihood fit of several paths: Levenberg-Marquardt over distances and angles, weights eliminated.
+
+Source: RIMAX, Richter, "Estimation of radio channel parameters: models and algorithms", 2005; weights eliminated by
+variable projection, Golub and Pereyra 1973, in the form of Kaufman 1975.
+"""
 
 from __future__ import annotations
 
@@ -41,7 +45,7 @@ class Fit:
 
     @cached_property
     def in_spectrum(self) -> tuple[NDArray[np.complex64], NDArray[np.complex64]]:
-        """The same over ports (ports, n) and searched delays (n, D)."""
+        """The same over ports (ports, n) and searched delays (n, D), both in units of the samples."""
         on_ports, on_tones = (f.astype(np.complex64) for f in self.factors)
         return np.ascontiguousarray(on_ports.T), on_tones @ self.motion.receiver.delay_matrix
 
@@ -53,7 +57,9 @@ class Fit:
 
 
 def evaluate(y: Complex, motion: Motion, geometry: Floats) -> Fit:
-    """Return the least-squares weights, information and gradient at a geometry (n, 3) of the samples (ports, tones)."""
+    """Return the least-squares weights, information and gradient at a geometry (n, 3), m, rad, rad, of `y` (ports,
+    tones).
+    """
     distance, azimuth, elevation = (np.ascontiguousarray(column) for column in geometry.T)
     steering = motion.steer(azimuth, elevation)
     return Fit(geometry, normal_equations(y, *steering, motion.receiver.rate, distance), motion)
@@ -63,8 +69,8 @@ def refine(
     y: Complex, motion: Motion, geometry: Floats, noise_variance: float, least_gain: float = FINE_GAIN,
     promising: float = 0.0,
 ) -> Fit:  # fmt: skip
-    """Return the joint fit that starts at `geometry` (n, 3); done when a step gains less than `least_gain` noise
-    variances.
+    """Return the joint fit of `y` (ports, tones) that starts at `geometry` (n, 3), m, rad, rad; done when a step gains
+    less than `least_gain` noise variances.
 
     It ends at once where neither the start nor what the first step promises reaches `promising` noise variances.
     """
@@ -81,7 +87,7 @@ def refine_any(
     y: Complex, motion: Motion, geometry: Floats, noise_variance: float, least_gain: float = FINE_GAIN,
     promising: float = 0.0,
 ) -> Fit:  # fmt: skip
-    """Return the same as `refine`, step by step in NumPy, for any array."""
+    """Return the same as `refine` of `y` (ports, tones) at `geometry` (n, 3), m, rad, rad, in NumPy, for any array."""
     fit, damping = evaluate(y, motion, geometry), 1e-3
     for iteration in range(MOST_STEPS):
         step, gain = _step(fit.normal, damping)
@@ -97,7 +103,9 @@ def refine_any(
 
 
 def covariance(fit: Fit, level: Floats) -> Floats:
-    """Return the covariances (n, 3, 3) of each path's geometry at its disturbance per sample `level` (n,)."""
+    """Return the covariances (n, 3, 3) of each path's geometry (m, rad, rad) at its disturbance per sample `level`
+    (n,).
+    """
     information = 2.0 * fit.normal.information
     scale = 1.0 / np.sqrt(np.maximum(np.diag(information), 1e-30))
     scaled = information * np.outer(scale, scale) + 1e-9 * np.eye(len(scale))

@@ -1,7 +1,7 @@
 """Path estimator of one link: search, one-path fits, joint maximum-likelihood fit, model order (RIMAX-type).
 
-After Richter, "Estimation of radio channel parameters: models and algorithms", 2005: strongest path first, joint
-refinement, reliability by the Fisher information; local disturbance instead of a parametric diffuse model.
+Source: after Richter, "Estimation of radio channel parameters: models and algorithms", 2005: strongest path first,
+joint refinement, reliability by the Fisher information; local disturbance instead of a parametric diffuse model.
 """
 
 from __future__ import annotations
@@ -58,7 +58,7 @@ NOTHING = Estimates(np.empty((0, 3)), np.empty((0, 3, 3)), np.empty(0), np.empty
 
 
 def estimate_paths(y: Complex, motion: Motion, start: Floats | None = None) -> Estimates:
-    """Return the paths in a link's samples (ports, tones); `start` (n, 3): geometry to begin with (tracking).
+    """Return the paths in a link's samples (ports, tones); `start` (n, 3) in m, rad, rad: to begin with (tracking).
 
     Ports that deliver nothing, or nothing finite, are left out; so are saturated ones, whose samples the paths of the
     other ports do not explain. Raises InputError where no port delivers anything, and for samples of

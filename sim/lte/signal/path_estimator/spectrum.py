@@ -1,4 +1,7 @@
-"""Delay-direction spectrum of a link's samples: what the search of the path estimator looks at."""
+"""Delay-direction spectrum of a link's samples: what the search of the path estimator looks at.
+
+Source: own derivation, docs/front-end.md, "Estimator".
+"""
 
 from __future__ import annotations
 
@@ -59,7 +62,9 @@ class Spectrum:
         self._look()
 
     def strongest(self, coarse: float, blocked: list[tuple[int, int]]) -> tuple[Floats, tuple[int, int], float] | None:
-        """Return geometry (3,), cell and level to exceed of the strongest cell that stands out; None: there is none."""
+        """Return geometry (3,) in m, rad, rad, cell and level to exceed of the strongest cell that stands out; None:
+        there is none.
+        """
         cells = np.array(blocked, np.int64).reshape(-1, 2)
         k, d, level = search_kernel.strongest(self.power, coarse, cells, DIFFUSE_MARGIN)
         if k < 0:
@@ -68,8 +73,9 @@ class Spectrum:
         return np.array([self.receiver.delays_m[d], azimuth[k], elevation[k]]), (k, d), level
 
     def levels(self, geometry: Floats, trailing: np.ndarray) -> tuple[Floats, Floats]:
-        """Return the disturbance per sample (n,) around each of the paths that were taken out, and the level that it
-        must have stood out of; `trailing` (n,): it lies where diffuse energy of a stronger path is expected.
+        """Return the disturbance per sample (n,), an energy, around each of the paths that were taken out, and the
+        level that it must have stood out of; `trailing` (n,): it lies where diffuse energy of a stronger path is
+        expected.
         """
         out, asked = np.empty(len(geometry)), np.empty(len(geometry))
         rise = np.rint((geometry[:, 2] - LOWEST_RAD) / (HIGHEST_RAD - LOWEST_RAD) * (ELEVATIONS - 1)).astype(np.int64)
@@ -102,7 +108,9 @@ def _column(azimuth: Floats) -> Ints:
 
 
 def in_trail(geometry: Floats, energy: Floats) -> np.ndarray:
-    """Return which paths (n,) lie where diffuse energy of a stronger one is expected."""
+    """Return which paths (n,), of `geometry` (n, 3) in m, rad, rad, lie where diffuse energy of a stronger one is
+    expected.
+    """
     behind = geometry[:, None, 0] - geometry[None, :, 0]
     beside = np.abs(wrap_angle(geometry[:, None, 1] - geometry[None, :, 1])) < _BESIDE_RAD
     inside = (behind > LEAD_M) & (behind < TRAIL_M) & beside & (energy[:, None] < DIFFUSE_SHARE * energy[None, :])
