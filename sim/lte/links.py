@@ -55,7 +55,7 @@ def links_of(cells: Cells) -> Links:
 
 
 def slant(port: NDArray[np.int64]) -> Floats:
-    """Return the ports' polarisations (..., 2) as (H, V) amplitudes, a unit vector each: +45 deg if even, -45 if odd."""
+    """Return the ports' polarisations (..., 2) as (H, V) amplitudes, unit vectors: +45 deg if even, -45 if odd."""
     h = np.where(port % 2 == 0, 1.0, -1.0)
     return np.asarray(np.stack([h, np.ones_like(h)], axis=-1) / np.sqrt(2.0))
 

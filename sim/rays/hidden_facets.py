@@ -17,7 +17,7 @@ HIDDEN_M = 0.01
 
 
 def lit_facets(scene: Scene, transmitter: Floats, reflects: NDArray[np.bool_]) -> Ints:
-    """Return the facets (L,) of which the transmitter (3,), centred, in m, may see a part: all that it sees, and more."""
+    """Return the facets (L,) of which the transmitter (3,), centred, in m, may see a part; none is missing."""
     rows = np.flatnonzero(reflects)
     table = scene.table[rows]
     u, v = table[:, [10, 11, 11, 10]], table[:, [12, 12, 13, 13]]
