@@ -48,7 +48,7 @@ class Receiver:
 
     @cached_property
     def coarser(self) -> Floats:
-        """Resolution in distance, azimuth and elevation (3,) as a multiple, without unit, of that at 100 resource blocks."""
+        """Resolution in distance, azimuth and elevation (3,), without unit: one at 100 resource blocks."""
         return np.array([WIDEST_BLOCKS / self.resource_blocks, 1.0, 1.0])
 
     @cached_property
