@@ -36,7 +36,7 @@ class PowerSpectrum(NamedTuple):
 
 
 @njit(cache=True, nogil=True)
-def look(beams: Array, on_ports: Array, spectrum: PowerSpectrum) -> float:
+def write_energies(beams: Array, on_ports: Array, spectrum: PowerSpectrum) -> float:
     """Write the energies of beam outputs (2 K, D) and port outputs (ports, D), and the noise per sample over delay: the
     running median of the ports' mean energy; return its median.
 

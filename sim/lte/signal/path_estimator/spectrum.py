@@ -39,7 +39,7 @@ class Spectrum:
             trailing=np.zeros((AZIMUTHS, bins), np.float32), ports=int(np.count_nonzero(motion.factor)),
             elevations=ELEVATIONS,
         )  # fmt: skip
-        self._look()
+        self._update()
 
     def leave(self, fit: Fit | None) -> None:
         """Make this the spectrum of what the paths of a fit leave over."""
@@ -51,7 +51,7 @@ class Spectrum:
             np.subtract(self._own_ports, on_ports @ delay, out=self.ports)
             np.subtract(self._own_beams, (self.motion.beams @ on_ports) @ delay, out=self.beams)
             self.trail(fit)
-        self._look()
+        self._update()
 
     def subtract(self, fit: Fit, share: float = 1.0) -> None:
         """Take one more path out, in place; -1: put it back."""
@@ -59,7 +59,7 @@ class Spectrum:
         on_ports = on_ports * np.float32(share)
         search_kernel.subtract_outer(self.ports, on_ports[:, 0], delay[0])
         search_kernel.subtract_outer(self.beams, self.motion.beams @ on_ports[:, 0], delay[0])
-        self._look()
+        self._update()
 
     def strongest(self, coarse: float, blocked: list[tuple[int, int]]) -> tuple[Floats, tuple[int, int], float] | None:
         """Return geometry (3,) in m, rad, rad, cell and level to exceed of the strongest cell that stands out; None:
@@ -98,8 +98,8 @@ class Spectrum:
     def _bin(self, distance: Floats) -> Ints:
         return np.rint((distance - self.receiver.window_min_m) / self.receiver.pitch_m).astype(np.int64)
 
-    def _look(self) -> None:
-        self.noise: float = search_kernel.look(self.beams, self.ports, self.power)
+    def _update(self) -> None:
+        self.noise: float = search_kernel.write_energies(self.beams, self.ports, self.power)
 
 
 def _column(azimuth: Floats) -> Ints:
