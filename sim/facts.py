@@ -60,7 +60,7 @@ def scenario_facts(config: WorldConfig, seed: int = 0, trial: int = 0) -> Facts:
 def measure_facts(
     paths: Paths, poses: Floats, snapshot_interval_s: float, sites: int, links: int, measurements: int
 ) -> Facts:
-    """Return the facts of a drive with true `poses` (T, 6), whose paths to all `sites` were traced."""
+    """Return the facts of a drive with true `poses` (T, 6), in m and rad, whose paths to all `sites` were traced."""
     snapshots = len(poses)
     keys = np.column_stack([paths.transmitter, paths.order, np.round(paths.vt_position_m / SAME_VT_M)])
     vts, vt = np.unique(keys, axis=0, return_inverse=True)

@@ -21,7 +21,7 @@ def wrap_angle(angle_rad: ArrayLike) -> NDArray[np.float64]:
 
 
 def rotation(psi_rad: ArrayLike, theta_rad: ArrayLike, phi_rad: ArrayLike) -> NDArray[np.float64]:
-    """Return R = Rz(psi) Ry(theta) Rx(phi), shape (..., 3, 3), which takes body to world vectors."""
+    """Return R = Rz(psi) Ry(theta) Rx(phi), (..., 3, 3), which takes body to world vectors; angles (...,) in rad."""
     psi, theta, phi = (np.asarray(a, np.float64) for a in (psi_rad, theta_rad, phi_rad))
     cp, sp, ct, st, cr, sr = np.cos(psi), np.sin(psi), np.cos(theta), np.sin(theta), np.cos(phi), np.sin(phi)
     out = np.empty((*np.broadcast(psi, theta, phi).shape, 3, 3))
@@ -32,7 +32,7 @@ def rotation(psi_rad: ArrayLike, theta_rad: ArrayLike, phi_rad: ArrayLike) -> ND
 
 
 def rotation_angles(matrix: ArrayLike) -> NDArray[np.float64]:
-    """Return (psi, theta, phi), shape (..., 3), of rotation matrices (..., 3, 3); inverse of `rotation`."""
+    """Return (psi, theta, phi) in rad, shape (..., 3), of rotation matrices (..., 3, 3); inverse of `rotation`."""
     m = np.asarray(matrix, np.float64)
     psi = np.arctan2(m[..., 1, 0], m[..., 0, 0])
     theta = np.arctan2(-m[..., 2, 0], np.hypot(m[..., 0, 0], m[..., 1, 0]))
@@ -41,19 +41,19 @@ def rotation_angles(matrix: ArrayLike) -> NDArray[np.float64]:
 
 
 def unit_vector(azimuth_rad: ArrayLike, elevation_rad: ArrayLike) -> NDArray[np.float64]:
-    """Return the unit vectors (..., 3) that point to the given azimuths and elevations."""
+    """Return the unit vectors (..., 3) that point to the given azimuths and elevations (...,) in rad."""
     az, el = np.broadcast_arrays(np.asarray(azimuth_rad, np.float64), np.asarray(elevation_rad, np.float64))
     return np.stack([np.cos(el) * np.cos(az), np.cos(el) * np.sin(az), np.sin(el)], axis=-1)
 
 
 def azimuth_elevation(vector: ArrayLike) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return azimuth (...,) and elevation (...,) of vectors (..., 3); atan2 in both, so no length is needed."""
+    """Return azimuth and elevation, (...,) in rad, of vectors (..., 3) of any length: atan2 in both."""
     v = np.asarray(vector, np.float64)
     return np.arctan2(v[..., 1], v[..., 0]), np.arctan2(v[..., 2], np.hypot(v[..., 0], v[..., 1]))
 
 
 def world_to_body(pose: ArrayLike, vector: ArrayLike) -> NDArray[np.float64]:
-    """Return world vectors (..., 3) in the body frame of `pose` (..., 6): R^T v (directions, not points)."""
+    """Return world vectors (..., 3), of any unit, in the body frame of `pose` (..., 6): R^T v; no points."""
     p = np.asarray(pose, np.float64)
     r = rotation(p[..., 3], p[..., 4], p[..., 5])
     turned: NDArray[np.float64] = np.einsum("...ji,...j->...i", r, np.asarray(vector, np.float64))
@@ -61,7 +61,7 @@ def world_to_body(pose: ArrayLike, vector: ArrayLike) -> NDArray[np.float64]:
 
 
 def integrate_pose(pose: ArrayLike, velocity: ArrayLike, dt_s: float) -> NDArray[np.float64]:
-    """Return the pose (..., 6) after `dt_s` at mean body velocities `velocity` (..., 6) = [u_x, u_y, u_z, u_psi,
+    """Return the pose (..., 6) after `dt_s` at mean body velocities (..., 6) in m/s and rad/s: [u_x, u_y, u_z, u_psi,
     u_theta, u_phi].
 
     Yaw, pitch and roll advance at their rates; the translation is rotated with the attitude at mid-interval, which
@@ -75,7 +75,7 @@ def integrate_pose(pose: ArrayLike, velocity: ArrayLike, dt_s: float) -> NDArray
 
 
 def mean_velocity(before: ArrayLike, after: ArrayLike, dt_s: ArrayLike) -> NDArray[np.float64]:
-    """Return the mean body velocities (..., 6) that take pose `before` to pose `after` in `dt_s` (...,).
+    """Return the mean body velocities (..., 6), m/s and rad/s, that take pose `before` to `after` in `dt_s` (...,).
 
     Exact inverse of `integrate_pose`.
     """

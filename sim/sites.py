@@ -56,7 +56,7 @@ class SiteConfig(BaseModel):
 
 
 def place_sites(city: City, route: Route, sites: Sequence[SiteConfig], rng: np.random.Generator) -> Floats:
-    """Return the antenna positions (S, 3); those not given are drawn near the route, on masts and roofs.
+    """Return the antenna positions (S, 3) in m; those not given are drawn near the route, on masts and roofs.
 
     Raises InputError, naming site, value and roof height, where a given position is inside a building.
     """

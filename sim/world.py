@@ -27,7 +27,8 @@ if TYPE_CHECKING:
     from cellslam.sim.lte.links import Cells
     from cellslam.sim.lte.persisting_errors_kernel import Fields
     from cellslam.sim.lte.signal.signal_front_end import SignalLevel
-    from cellslam.sim.lte.statistical.statistical_front_end import Detections, PathColumns, Streams
+    from cellslam.sim.lte.statistical.detector_layout import PathColumns, Streams
+    from cellslam.sim.lte.statistical.statistical_front_end import Detections
     from cellslam.sim.rays import Paths, Scene
     from cellslam.sim.vehicle import Drive
 
@@ -69,13 +70,13 @@ class World:
 
     def streams(self) -> Streams:
         """Return the receiver's generators at the start of the trial."""
-        from cellslam.sim.lte.statistical.statistical_front_end import Streams
+        from cellslam.sim.lte.statistical.detector_layout import Streams
 
         names = (Stream.NOISE, Stream.DETECTION, Stream.CLUTTER)
         return Streams(*(stream(self.seed, self.trial, name) for name in names))
 
     def trace(self, poses: Floats, progress: Progress = silent) -> Paths:
-        """Return the paths from every site to every one of `poses` (T, 6)."""
+        """Return the paths from every site to every one of `poses` (T, 6), in m and rad."""
         from cellslam.sim.rays import trace
 
         city = self.config.city
@@ -242,7 +243,7 @@ def path_columns(paths: Paths, receivers: int, sites: int) -> PathColumns:
     """Return the columns of traced paths that the front ends read; paths are sorted by receiver, then
     site.
     """
-    from cellslam.sim.lte.statistical.statistical_front_end import PathColumns
+    from cellslam.sim.lte.statistical.detector_layout import PathColumns
 
     key = paths.receiver * sites + paths.transmitter
     rows = np.searchsorted(key, np.arange(receivers * sites + 1)).astype(np.int64)

@@ -63,7 +63,7 @@ def draw_snapshot(world: World, number: int, link: int | None, out: Path) -> lis
 
 def _panel(axis: Any, spectrum: Spectrum, true: Floats, found: Floats, clock_m: float, ahead_m: float) -> None:
     """Draw one link; lengths without the clock offset. `ahead_m`: by how much the window's zero is early."""
-    level = spectrum.energy.reshape(AZIMUTHS, ELEVATIONS, -1).max(axis=1) / spectrum.profile
+    level = spectrum.power.energy.reshape(AZIMUTHS, ELEVATIONS, -1).max(axis=1) / spectrum.power.noise
     azimuth = np.degrees(2.0 * np.pi * np.arange(AZIMUTHS) / AZIMUTHS - np.pi)
     length = spectrum.receiver.delays_m - ahead_m
     picture = axis.pcolormesh(

@@ -1,4 +1,8 @@
-"""Cities: meshes in, planar facets out. `build_city` is the door; the heavy parts load when it is called."""
+"""Cities: a mesh file, or rules for a made-up one, in; a `City` of planar facets with materials out.
+
+`build_city` is the door; what it needs loads when it is called: `files` reads meshes, `procedural` makes cities up,
+`assemble` merges triangles to facets (`facets`), `inside` and `footprints` tell buildings, ground and open air apart.
+"""
 
 from __future__ import annotations
 

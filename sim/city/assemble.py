@@ -36,7 +36,10 @@ def assemble(
     notes: Sequence[str] = (),
     tolerances: Tolerances = TOLERANCES,
 ) -> City:
-    """Return the city made of `parts`. Raises InputError for no triangles, no area, or NaN vertices."""
+    """Return the city made of `parts`; `heights_m` (B,) of the buildings, `streets` centre lines (n, 2) in m.
+
+    Raises InputError for no triangles, no area, or vertices that are not finite.
+    """
     parts = [part for part in parts if len(part.triangles)]
     if not parts:
         raise InputError(f"city '{name}' has no triangles: give a mesh with at least one face")

@@ -96,7 +96,7 @@ class City:
         return np.stack([self.vertices.min(axis=0), self.vertices.max(axis=0)])
 
     def facet_triangles(self, facet: int) -> Floats:
-        """Return the corners (k, 3, 3) of the triangles of one facet."""
+        """Return the corners (k, 3, 3) of the triangles of one facet, in m."""
         return np.asarray(self.vertices[self.triangles[self.triangle_facet == facet]], np.float64)
 
     def buildings_at(self, points_m: Any) -> Ints:

@@ -11,7 +11,7 @@ from cellslam.sim.city.city import Floats, Ints
 
 
 def walls(footprint: Polygon, base_m: float, top_m: float) -> tuple[Floats, Ints]:
-    """Return vertices (V, 3) and triangles (K, 3) of the walls of all rings, normals outwards."""
+    """Return vertices (V, 3) and triangles (K, 3) of the walls of all rings, in m, normals outwards."""
     vertices, triangles = [], []
     count = 0
     oriented = shapely.orient_polygons(footprint)
@@ -27,7 +27,7 @@ def walls(footprint: Polygon, base_m: float, top_m: float) -> tuple[Floats, Ints
 
 
 def cap(footprint: Polygon, height_m: float) -> tuple[Floats, Ints]:
-    """Return vertices (V, 3) and triangles (K, 3) of a footprint at one height, normal up, holes open."""
+    """Return vertices (V, 3) and triangles (K, 3) of a footprint at one height, in m, normal up, holes open."""
     oriented = shapely.orient_polygons(footprint)
     rings = [np.asarray(ring.coords)[:-1, :2] for ring in (oriented.exterior, *oriented.interiors)]
     plan = np.concatenate(rings)

@@ -77,7 +77,7 @@ def merge_facets(
 ) -> tuple[Ints, Facets]:
     """Return (triangle_facet (K,), facets) of triangles that touch, lie in one plane and belong together.
 
-    `vertices` (V, 3); `triangles` (K, 3); `part`, `material`, `building` (K,): object, material and building
+    `vertices` (V, 3) in m; `triangles` (K, 3); `part`, `material`, `building` (K,): object, material and building
     of each triangle. `tolerances` are measured from the plane of the largest triangle of each facet.
     """
     from cellslam.sim.city.facets_kernel import grow_facets

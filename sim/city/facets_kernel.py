@@ -21,7 +21,7 @@ def grow_facets(  # type: ignore[no-untyped-def]
 ):
     """Write into `label` (K,) the facet of each triangle and return the number of facets.
 
-    `seeds` (K,) orders the triangles, largest first; `corners` (K, 3, 3); `normals` (K, 3); triangle k
+    `seeds` (K,) orders the triangles, largest first; `corners` (K, 3, 3) in m; `normals` (K, 3); triangle k
     touches `neighbours[first[k]:first[k + 1]]`. A neighbour joins if it has the seed's orientation up to sign
     and all its corners lie near the seed's plane.
     """

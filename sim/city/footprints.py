@@ -20,7 +20,7 @@ SMALLEST_M2 = 0.5
 def ground_objects(corners: Floats, part: Ints) -> Ints:
     """Return the objects that are ground: they face up mostly and span most of the city both ways.
 
-    `corners` (K, 3, 3) of all triangles; `part` (K,): object of each.
+    `corners` (K, 3, 3) of all triangles in m; `part` (K,): object of each.
     """
     normals, area = triangle_normals(corners)
     count = int(part.max(initial=-1)) + 1

@@ -13,7 +13,7 @@ SAME_SURFACE_M = 0.01
 
 
 def enclosing(city: City, points_m: ArrayLike) -> Ints:
-    """Return per point (N, 3) the building that it is in, -1 (outside) or -2 (under the ground).
+    """Return per point (N, 3), in m, the building that it is in, -1 (outside) or -2 (under the ground).
 
     A point is in a building if an odd number of that building's surfaces lies above it: courtyards, passages and
     parts inside one another come out right, floors are not needed. Surfaces a centimetre apart count once.
@@ -41,7 +41,7 @@ def enclosing(city: City, points_m: ArrayLike) -> Ints:
 
 
 def ground_height(city: City, points_m: ArrayLike) -> Floats:
-    """Return the height (N,) of the ground at horizontal points (N, 2), the lowest vertex where there is none."""
+    """Return the height (N,) of the ground in m at horizontal points (N, 2), the lowest vertex where there is none."""
     flat = np.asarray(points_m, np.float64).reshape(-1, np.shape(points_m)[-1])[:, :2]
     point, building, height = _surfaces(city, np.column_stack([flat, np.zeros(len(flat))]))
     ground = building == GROUND
@@ -51,7 +51,7 @@ def ground_height(city: City, points_m: ArrayLike) -> Floats:
 
 
 def check_outside(city: City, points_m: ArrayLike, what: str) -> None:
-    """Raise InputError, with a remedy, for the first of the points (N, 3) in a building or under the ground."""
+    """Raise InputError, with a remedy, for the first of the points (N, 3), in m, in a building or under the ground."""
     points = np.asarray(points_m, np.float64).reshape(-1, 3)
     where = enclosing(city, points)
     for index in np.flatnonzero(where != OUTSIDE):

@@ -1,4 +1,10 @@
-"""LTE: reference signals, error bounds, the statistical path detector and their configuration."""
+"""The LTE front end: traced paths in, measurements out: distance, azimuth, elevation and SNR per cell and port.
+
+There are two: `statistical` draws what a receiver would report, `signal` receives symbols and estimates paths;
+`radio.front_end` chooses. `calibration` measures the constants of the first with the second. Here is what both share:
+`radio_config`, the keys; `links`, `reference_signals`, the `array`; `budget_kernel`, received powers;
+`single_path_bound` and `joint_bound`, Cramer-Rao bounds; `persisting_errors`, which errors are not white.
+"""
 
 from cellslam.sim.lte.radio_config import RadioConfig
 from cellslam.sim.lte.reference_signals import ReferenceSignal, reference_signal

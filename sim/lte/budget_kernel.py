@@ -1,4 +1,7 @@
-"""Compiled link budget: sector antenna, array, polarisation; powers in milliwatt per resource element."""
+"""Compiled link budget: sector antenna, array, polarisation; powers in milliwatt per resource element.
+
+Source: 3GPP TR 36.814, Table A.2.1.1-2 (sector antenna); TR 38.901, Table 7.3-1 (element of the array).
+"""
 
 from __future__ import annotations
 
@@ -6,7 +9,7 @@ import math
 
 from numba import njit
 
-from cellslam.sim.lte.statistical.detector_layout import Array, LinkTable
+from cellslam.sim.lte.statistical.detector_layout import Array, LinkTable, PathColumns
 from cellslam.sim.lte.statistical.measurement_kernel import wrap
 
 
@@ -36,27 +39,21 @@ def path_power(gain: Array, slant: Array) -> float:
 
 @njit(cache=True)
 def link_powers(
-    rows: Array,
-    base: int,
-    gain: Array,
-    departure: Array,
-    geo: Array,
-    links: LinkTable,
-    eirp: float,
-    power: Array,
-    cell_power: Array,
+    paths: PathColumns, base: int, geo: Array, links: LinkTable, eirp: float, power: Array, cell_power: Array
 ) -> None:
-    """Fill `power` (L, W) per link and path, and `cell_power` (C,): the mean over a cell's ports of its
-    total.
+    """Write `power` (L, W) per link and path in mW, and `cell_power` (C,), the mean over a cell's ports of its total.
+
+    `base`: first row of `paths.rows` of this snapshot; `geo` (S, W, 3) as `body_geometry` writes it.
     """
     for cell in range(len(cell_power)):
         cell_power[cell] = 0.0
     for link in range(len(links.site)):
         site, cell = links.site[link], links.cell[link]
-        first = rows[base + site]
-        for i in range(rows[base + site + 1] - first):
+        first = paths.rows[base + site]
+        for i in range(paths.rows[base + site + 1] - first):
             p = first + i
-            sector = sector_gain(departure[p, 0], departure[p, 1], links.cell_azimuth[cell], links.cell_tilt[cell])
-            received = path_power(gain[p], links.slant[link]) * sector * array_gain(geo[site, i, 2])
+            away = paths.departure_rad[p]
+            sector = sector_gain(away[0], away[1], links.cell_azimuth[cell], links.cell_tilt[cell])
+            received = path_power(paths.gain[p], links.slant[link]) * sector * array_gain(geo[site, i, 2])
             power[link, i] = eirp * received
             cell_power[cell] += power[link, i] / links.cell_ports[cell]

@@ -1,6 +1,6 @@
 """Measured array patterns as an effective aperture distribution function: a Fourier series on the sphere.
 
-Landmann, Del Galdo, "Efficient antenna description for MIMO channel modelling and estimation", 2004: patterns
+Source: Landmann, Del Galdo, "Efficient antenna description for MIMO channel modelling and estimation", 2004: patterns
 sampled on a regular grid are continued over the poles, so that they are periodic in both angles; their
 Fourier series interpolates them and gives exact derivatives.
 """
@@ -33,7 +33,7 @@ class EadfArray:
         return int(self.coefficients.shape[0])
 
     def steer(self, azimuth_rad: ArrayLike, elevation_rad: ArrayLike) -> Steering:
-        """Return the steering vectors of n directions in the body frame."""
+        """Return the steering vectors (n, ports, 2) of n directions (n,) in the body frame, rad."""
         az, el = (
             np.atleast_1d(np.asarray(azimuth_rad, np.float64)),
             np.atleast_1d(np.asarray(elevation_rad, np.float64)),

@@ -1,4 +1,8 @@
-"""Joint Cramer-Rao bound of any set of paths: delay, angles and two complex weights each."""
+"""Joint Cramer-Rao bound of any set of paths: delay, angles and two complex weights each.
+
+Source: Kay, "Fundamentals of statistical signal processing: estimation theory", 1993, chapter 15 (complex Gaussian
+data); products of small matrices: Richter, "Estimation of radio channel parameters: models and algorithms", 2005.
+"""
 
 from __future__ import annotations
 
@@ -28,7 +32,7 @@ class PathSet:
 
 
 def fisher_information(array: AntennaArray, tones_hz: Floats, paths: PathSet, noise_variance: float) -> Floats:
-    """Return (7 n, 7 n) = (2 / sigma^2) Re(J^H J), a path's seven parameters in a row (see `PARAMETERS`).
+    """Return (2 / sigma^2) Re(J^H J), (7 n, 7 n), a path's seven parameters in a row: m, rad, rad, weights.
 
     Every column of J is an array vector times a delay vector (Kronecker), so J^H J is the product of two
     small Gram matrices.
@@ -39,8 +43,8 @@ def fisher_information(array: AntennaArray, tones_hz: Floats, paths: PathSet, no
 
 
 def joint_covariance(array: AntennaArray, tones_hz: Floats, paths: PathSet, noise_variance: float) -> Floats:
-    """Return the bound on the covariance of distance (m), azimuth and elevation (rad) of all paths: (n, 3,
-    n, 3).
+    """Return the bound on the covariance of distance, azimuth and elevation of all paths, (n, 3, n, 3) in m
+    and rad.
     """
     information = fisher_information(array, tones_hz, paths, noise_variance)
     scale = 1.0 / np.sqrt(np.diag(information))
@@ -51,13 +55,13 @@ def joint_covariance(array: AntennaArray, tones_hz: Floats, paths: PathSet, nois
 
 
 def joint_std(array: AntennaArray, tones_hz: Floats, paths: PathSet, noise_variance: float) -> Floats:
-    """Return the joint bound's deviations (n, 3) of distance (m), azimuth and elevation (rad)."""
+    """Return the joint bound's deviations (n, 3) of distance, azimuth and elevation, in m, rad, rad."""
     covariance = joint_covariance(array, tones_hz, paths, noise_variance)
     return np.asarray(np.sqrt(np.einsum("iaia->ia", covariance)), np.float64)
 
 
 def leftover(array: AntennaArray, tones_hz: Floats, path: PathSet, others: PathSet) -> float:
-    """Return the share of one path's energy outside the tangent spaces of `others` (weights, delay, angles
+    """Return the share, a scalar, of one path's energy outside the tangent spaces of `others` (weights, delay, angles
     of each).
     """
     signal_array, signal_tones = _factors(array, tones_hz, path)

@@ -1,4 +1,7 @@
-"""The links of a world: one row per base-station cell and reference-signal port."""
+"""The links of a world: one row per base-station cell and reference-signal port.
+
+Source: slants of +-45 degrees, cross-polarised elements of 3GPP TR 38.901, clause 7.3.2.
+"""
 
 from __future__ import annotations
 
@@ -52,7 +55,7 @@ def links_of(cells: Cells) -> Links:
 
 
 def slant(port: NDArray[np.int64]) -> Floats:
-    """Return the ports' polarisations (..., 2) as (H, V) amplitudes: even ones +45 degrees, odd ones -45."""
+    """Return the ports' polarisations (..., 2) as (H, V) amplitudes, unit vectors: +45 deg if even, -45 if odd."""
     h = np.where(port % 2 == 0, 1.0, -1.0)
     return np.asarray(np.stack([h, np.ones_like(h)], axis=-1) / np.sqrt(2.0))
 

@@ -3,6 +3,8 @@
 A persisting error is the same for all links that meet it alike, and changes slowly: array calibration and roof
 scattering are fixed functions of the direction in the body frame, diffuse energy is a function of the receiver's place
 for each VT and port, motion of the array within a snapshot turns all its paths together.
+
+Source: own derivation, docs/front-end.md, "Errors that persist, and where the floors come from".
 """
 
 from __future__ import annotations
@@ -58,7 +60,7 @@ def floors(config: RadioConfig) -> Floats:
 
 
 def white_floors(config: RadioConfig) -> Floats:
-    """Return the part of the floors (3,) that is drawn anew for every measurement."""
+    """Return the part of the floors (3,), in m, rad, rad, that is drawn anew for every measurement."""
     white = [c.std**2 for c in causes(config) if c.scale == 0.0]
     return np.asarray(np.sqrt(sum(white, np.zeros(3))), np.float64)
 

@@ -1,4 +1,7 @@
-"""Compiled evaluation of the errors that persist: smooth random functions of direction, place and time."""
+"""Compiled evaluation of the errors that persist: smooth random functions of direction, place and time.
+
+Source: own derivation, docs/front-end.md, "Errors that persist, and where the floors come from".
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,7 @@
-"""Cell-specific reference signals of LTE (3GPP TS 36.211, clauses 6.10.1 and 7.2)."""
+"""Cell-specific reference signals of LTE.
+
+Source: 3GPP TS 36.211, clauses 6.10.1 (signals and their resource elements) and 7.2 (Gold sequence).
+"""
 
 from __future__ import annotations
 
@@ -73,9 +76,7 @@ def c_init(cell_id: int, slot: int, symbol: int | np.int64, cyclic_prefix: Cycli
 
 
 def gold_sequence(seed: int, length: int) -> NDArray[np.int8]:
-    """Return the first `length` bits of the length-31 Gold sequence with x2 seeded by `seed` (TS 36.211,
-    7.2).
-    """
+    """Return the first bits (length,) of the length-31 Gold sequence with x2 seeded by `seed` (TS 36.211, 7.2)."""
     state = np.array([(seed >> i) & 1 for i in range(_REGISTER)], np.int8)
     return _first_register(length) ^ _shift(state, (0, 1, 2, 3), length)
 

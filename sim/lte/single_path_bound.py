@@ -4,6 +4,8 @@ Gamma = N rho is the integrated SNR over N = 128 ports x 2 tones per resource bl
 sample. With unknown complex weights of both polarisations, delay, azimuth and elevation decouple, and each
 deviation is scale / sqrt(2 Gamma). The scale is also the width of the path's ambiguity function in that
 component.
+
+Source: own derivation from `joint_bound`, docs/front-end.md, "Bound".
 """
 
 from __future__ import annotations
@@ -56,7 +58,7 @@ def bound_scales(resource_blocks: int) -> BoundScales:
 def single_path_std(
     snr_db: ArrayLike, elevation_rad: ArrayLike = 0.0, resource_blocks: int = 100
 ) -> NDArray[np.float64]:
-    """Return bound deviations (..., 3) of distance (m), azimuth and elevation (rad) at SNR per sample rho in
+    """Return bound deviations (..., 3) of distance in m, azimuth and elevation in rad, at the SNR per sample rho in
     dB.
     """
     scales = bound_scales(resource_blocks)

@@ -1,4 +1,7 @@
-"""Antenna patterns: the base station's sector antenna and the element of the vehicle's array."""
+"""Antenna patterns: the base station's sector antenna and the element of the vehicle's array.
+
+Source: 3GPP TR 36.814, Table A.2.1.1-2 (sector antenna) and TR 38.901, Table 7.3-1 (element).
+"""
 
 from __future__ import annotations
 
@@ -19,10 +22,9 @@ def sector_gain_db(
     front_to_back_db: float = 25.0,
     sidelobe_db: float = 20.0,
 ) -> Floats:
-    """Return the gain in dBi of a sector antenna, broadcast over its arguments (3GPP TR 36.814, Table
-    A.2.1.1-2).
+    """Return the gain (...,) in dBi of a sector antenna, broadcast over its arguments (TR 36.814, Table A.2.1.1-2).
 
-    Azimuth from boresight; departure elevation, up positive; down-tilt, down positive; 3 dB widths.
+    Azimuth from boresight; departure elevation, up positive; down-tilt, down positive; 3 dB widths: all in rad.
     """
     azimuth = wrap_angle(azimuth_offset_rad)
     below = -np.asarray(elevation_rad, np.float64) - np.asarray(tilt_rad, np.float64)
@@ -38,10 +40,9 @@ def element_gain_db(
     width_rad: float = np.radians(65.0),
     floor_db: float = 30.0,
 ) -> Floats:
-    """Return the gain in dBi of a patch, broadcast over its arguments (TR 38.901, Table 7.3-1), smooth at its
-    floor.
+    """Return the gain (...,) in dBi of a patch, broadcast over its arguments (TR 38.901, Table 7.3-1).
 
-    Both angles are measured from the patch's normal. The table's min(x, floor) is replaced by
+    Both angles, in rad, are measured from the patch's normal. The table's min(x, floor) is replaced by
     x / (1 + (x / floor)^4)^(1/4), which differs by less than 0.1 dB above -12 dB and has derivatives
     everywhere.
     """

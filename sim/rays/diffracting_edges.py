@@ -1,4 +1,7 @@
-"""Edges of buildings that diffract: where two facets meet and bulge outwards, or where a facet ends."""
+"""Edges of buildings that diffract: where two facets meet and bulge outwards, or where a facet ends.
+
+Source: own derivation; what is computed at them, ITU-R P.526-15, section 4.1 (docs/rays.md).
+"""
 
 from __future__ import annotations
 
@@ -38,7 +41,9 @@ class Edges:
 
 
 def find_edges(city: City, origin_m: Floats) -> Edges:
-    """Return the diffracting edges of a city; concave corners may be among them (they see both ends inside).
+    """Return the diffracting edges of a city, relative to `origin_m` (3,), in m.
+
+    Concave corners may be among them: they see both ends inside.
 
     Left out: ground, seams within a facet, nearly flat seams, lower rims of walls, and edges where another building
     adjoins.

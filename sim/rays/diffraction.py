@@ -1,4 +1,7 @@
-"""Single diffraction at building edges: Fresnel's half-plane (ITU-R P.526-15, section 4.1), phase included."""
+"""Single diffraction at building edges: Fresnel's half-plane, phase included.
+
+Source: ITU-R P.526-15, section 4.1; directions and polarisation, Keller, "Geometrical theory of diffraction", 1962.
+"""
 
 from __future__ import annotations
 
@@ -17,12 +20,12 @@ EDGE_CLEARANCE_M = 0.01
 
 
 def fresnel_nu(excess_m: ArrayLike, wavelength_m: float) -> Floats:
-    """Return the diffraction parameter nu = 2 sqrt(excess length / wavelength) (P.526-15, equation 29)."""
+    """Return nu = 2 sqrt(excess length / wavelength), (...,) without unit, of lengths in m (P.526-15, equation 29)."""
     return np.asarray(2.0 * np.sqrt(np.maximum(excess_m, 0.0) / wavelength_m), np.float64)
 
 
 def knife_edge(nu: ArrayLike) -> Complexes:
-    """Return the field behind a half-plane relative to free space (P.526-15, equation 30; -20 log10 |F| is J(nu)).
+    """Return the field (...,) behind a half-plane relative to free space (P.526-15, equation 30: J = -20 log10 |F| dB).
 
     F = (1 + j)/2 times the integral of exp(-j pi t^2 / 2) from nu on; 1/2 at grazing incidence.
     """
@@ -35,7 +38,7 @@ def knife_edge(nu: ArrayLike) -> Complexes:
 def diffracted_paths(
     scene: Scene, edges: Edges, transmitter: Floats, receivers: Floats, wavelength_m: float
 ) -> tuple[Ints, Ints, Floats]:
-    """Return (receiver (P,), edge (P,), point (P, 3)) of all free paths over one edge, centred coordinates."""
+    """Return (receiver (P,), edge (P,), point (P, 3)) of all free paths over one edge, centred coordinates in m."""
     from cellslam.sim.rays import diffraction_kernel as edge_kernel
 
     if not len(edges) or not len(receivers):
@@ -64,7 +67,7 @@ def diffracted_paths(
 
 
 def in_shadow(edges: Edges, edge: Ints, transmitter: Floats, receiver: Floats) -> NDArray[np.bool_]:
-    """Tell per path (P,) whether the edge's wedge, or its only facet, stands between its ends (P, 3)."""
+    """Tell per path (P,) whether the edge's wedge, or its only facet, stands between its ends (P, 3), in m."""
     origin, along = edges.start[edge], edges.along[edge]
     t, r = (_across(end - origin, along) for end in (transmitter, receiver))
     dt, dr = (np.linalg.norm(v, axis=1, keepdims=True) for v in (t, r))
@@ -78,7 +81,7 @@ def in_shadow(edges: Edges, edge: Ints, transmitter: Floats, receiver: Floats) -
 def diffraction_gain(
     edges: Edges, edge: Ints, transmitter: Floats, point: Floats, receiver: Floats, wavelength_m: float
 ) -> Complexes:
-    """Return gain matrices (P, 2, 2), as `gain.path_gain` does, of paths over edges; all ends (P, 3).
+    """Return gain matrices (P, 2, 2), as `gain.path_gain` does, of paths over edges; all ends (P, 3) in m.
 
     The half-plane treats both polarisations alike; they follow the edge-fixed vectors of geometrical diffraction
     (Keller 1962). Beside the wedge's shadow the sign is reversed: then it is what the edge takes from the line of

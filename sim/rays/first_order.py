@@ -1,4 +1,7 @@
-"""Lines of sight and single reflections of one transmitter: candidates, then shadow rays on both legs."""
+"""Lines of sight and single reflections of one transmitter: candidates, then shadow rays on both legs.
+
+Source: image method, which gives the virtual transmitters of the extended FastSLAM paper, section III; docs/rays.md.
+"""
 
 from __future__ import annotations
 
@@ -14,7 +17,7 @@ RUN = 16
 
 
 def unobstructed(scene: Scene, origins: Floats, targets: Floats, reach: Floats) -> NDArray[np.bool_]:
-    """Tell of rays (N, 3) -> (N, 3), centred coordinates, if their first `reach` (N,), 0 to 1, is free."""
+    """Tell of rays (N, 3) -> (N, 3), centred coordinates in m, if their first `reach` (N,), 0 to 1, is free."""
     if not len(origins):
         return np.zeros(0, np.bool_)
     return _free(scene, origins.astype(np.float32), (targets - origins).astype(np.float32), reach.astype(np.float32))
@@ -44,40 +47,42 @@ def lines_of_sight(scene: Scene, transmitter: Floats, receivers: Floats) -> Ints
 def single_reflections(
     scene: Scene, transmitter: Floats, receivers: Floats, reflects: NDArray[np.bool_]
 ) -> tuple[Ints, Ints, Floats]:
-    """Return (receiver (P,), facet (P,), point (P, 3)) of all free first-order paths, centred."""
+    """Return (receiver (P,), facet (P,), point (P, 3)) of all free first-order paths, centred coordinates in m."""
     from cellslam.sim.rays import first_order_kernel as kernel
 
     count = len(scene.table)
-    image, side = np.empty((count, 3)), np.empty(count)
-    x, y, z = transmitter
-    kernel.images(scene.table, reflects, x, y, z, image, side)
+    facets = kernel.FacetTable(scene.table, scene.first, scene.outline, scene.clearance_m)
+    images = kernel.Images(np.empty((count, 3)), np.empty(count))
+    kernel.mirror(scene.table, reflects, transmitter, images)
     work = np.empty((3, count), np.int64)
     work[0] = np.arange(count)
     room = 160 * len(receivers) + 1024
     while True:
-        pair, point, reach = np.empty((room, 2), np.int64), np.empty((room, 3)), np.empty(room)
-        probe, probed = np.empty(room, np.int64), np.empty(room // RUN + count + 1, np.int64)
-        state = np.zeros((2, count), np.int64)
-        found, probes = kernel.candidates(
-            scene.table, scene.first, scene.outline, scene.clearance_m, image, side, receivers, BLOCKS, RUN, work,
-            state, pair, point, reach, probe, probed,
+        out = kernel.Candidates(
+            pair=np.empty((room, 2), np.int64), point=np.empty((room, 3)), reach=np.empty(room),
+            probe=np.empty(room, np.int64), probed=np.empty(room // RUN + count + 1, np.int64),
         )  # fmt: skip
+        state = np.zeros((2, count), np.int64)
+        found, probes = kernel.candidates(facets, images, receivers, BLOCKS, RUN, work, state, out)
         if found <= room:
             break
         room = found
+    pair, point, reach, _, probed = out
     blocker = first_hits(scene, receivers[pair[probed[:probes], 0]], point[probed[:probes]], reach[probed[:probes]])
     kept = np.empty(found, np.int64)
-    left = kernel.unblocked(found, receivers, scene.corners, blocker, pair, point, reach, probe, kept)
-    kept = kept[:left]
+    kept = kept[: kernel.unblocked(found, receivers, scene.corners, blocker, out, kept)]
     kept = kept[unobstructed(scene, receivers[pair[kept, 0]], point[kept], reach[kept])]
     facet, points = pair[kept, 1], point[kept]
     origins = np.broadcast_to(transmitter, points.shape)
-    free = unobstructed(scene, origins, points, np.maximum(1.0 - scene.clearance_m[facet] / image[facet, 2], 0.0))
+    last = scene.clearance_m[facet] / images.image[facet, 2]
+    free = unobstructed(scene, origins, points, np.maximum(1.0 - last, 0.0))
     return pair[kept[free], 0], facet[free], points[free]
 
 
 def first_hits(scene: Scene, origins: Floats, targets: Floats, reach: Floats) -> Ints:
-    """Return the triangle that each ray (N, 3) -> (N, 3) meets first within its `reach` (N,), -1 none."""
+    """Return the index of the triangle that each ray (N, 3) -> (N, 3), in m, meets first within its share `reach` (N,),
+    -1 none.
+    """
     if not len(origins):
         return np.zeros(0, np.int64)
     directions = (targets - origins).astype(np.float32)

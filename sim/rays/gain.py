@@ -1,5 +1,6 @@
-"""Polarimetric path gain: free space, Fresnel reflection of slabs and half spaces, roughness (ITU-R
-P.2040-3).
+"""Polarimetric path gain: free space, Fresnel reflection of slabs and half spaces, roughness.
+
+Source: ITU-R P.2040-3 (materials, reflection); Ament 1953 (roughness); Friis 1946 (free space).
 """
 
 from __future__ import annotations
@@ -25,7 +26,7 @@ def relative_permittivity(material: Material, carrier_hz: float) -> complex:
 def reflection(
     eta: ArrayLike, cos_incidence: ArrayLike, thickness_m: ArrayLike, wavelength_m: float
 ) -> tuple[Complexes, Complexes]:
-    """Return the reflection coefficients (TE, TM) for incidence from air, broadcast over all arguments.
+    """Return the reflection coefficients (TE, TM) for incidence from air, (...,), broadcast, without unit.
 
     Half space where `thickness_m` is infinite (P.2040-3, eq. 31), else a single slab (eq. 37). The field
     vectors are e_TE and e_TE x k on both legs, so a perfect conductor has TE -1, TM +1.
@@ -42,13 +43,13 @@ def reflection(
 
 
 def roughness_factor(roughness_m: ArrayLike, cos_incidence: ArrayLike, wavelength_m: float) -> Floats:
-    """Return the amplitude factor exp(-8 (pi s cos i / wavelength)^2) of a rough surface (Ament 1953)."""
+    """Return the amplitude factor exp(-8 (pi s cos i / wavelength)^2), (...,), of deviations s in m (Ament 1953)."""
     phase = np.pi * np.asarray(roughness_m, np.float64) * np.asarray(cos_incidence, np.float64) / wavelength_m
     return np.asarray(np.exp(-8.0 * phase**2), np.float64)
 
 
 def polarisation_basis(direction: Floats) -> tuple[Floats, Floats]:
-    """Return H (growing azimuth) and V (growing elevation), each (..., 3), of unit directions (..., 3)."""
+    """Return H (growing azimuth) and V (growing elevation), each (..., 3), unit vectors as the directions (..., 3)."""
     x, y, z = direction[..., 0], direction[..., 1], direction[..., 2]
     flat = np.hypot(x, y)
     azimuth = np.arctan2(y, x)
@@ -67,7 +68,7 @@ def path_gain(
     materials: Sequence[Material],
     carrier_hz: float,
 ) -> Complexes:
-    """Return gain matrices (P, 2, 2) of paths with the corners (P, 4, 3): transmitter, points, receiver.
+    """Return gain matrices (P, 2, 2) of paths with the corners (P, 4, 3) in m: transmitter, points, receiver.
 
     A path of order n uses its first n + 2 corners. `facets` (P, 2) index `normals` (F, 3) and `material`
     (F,).

@@ -1,4 +1,7 @@
-"""Which facets stand wholly behind others, as seen from a point: they need no further thought."""
+"""Which facets stand wholly behind others, as seen from a point: they need no further thought.
+
+Source: own derivation, docs/rays.md.
+"""
 
 from __future__ import annotations
 
@@ -14,7 +17,7 @@ HIDDEN_M = 0.01
 
 
 def lit_facets(scene: Scene, transmitter: Floats, reflects: NDArray[np.bool_]) -> Ints:
-    """Return the facets of which the transmitter (3,), centred, may see a part: none that it sees is left out."""
+    """Return the facets (L,) of which the transmitter (3,), centred, in m, may see a part; none is missing."""
     rows = np.flatnonzero(reflects)
     table = scene.table[rows]
     u, v = table[:, [10, 11, 11, 10]], table[:, [12, 12, 13, 13]]

@@ -1,4 +1,7 @@
-"""The ray tracer's answer: one row a path, in flat columns."""
+"""The ray tracer's answer: one row a path, in flat columns.
+
+Source: image method, which gives the virtual transmitters of the extended FastSLAM paper, section III.
+"""
 
 from __future__ import annotations
 
@@ -65,7 +68,7 @@ class Paths:
         return np.asarray(closing * carrier_hz / SPEED_OF_LIGHT_MPS, np.float64)
 
     def take(self, rows: NDArray[Any]) -> Paths:
-        """Return the paths of an index or a mask over rows."""
+        """Return the paths of an index (n,) or a mask (P,) over rows."""
         return replace(self, **{f.name: getattr(self, f.name)[rows] for f in fields(self)})
 
 

@@ -1,6 +1,11 @@
-"""Double reflections of one transmitter: facets that it sees, pairs of facets, then shadow rays on three legs."""
+"""Double reflections of one transmitter: facets that it sees, pairs of facets, then shadow rays on three legs.
+
+Source: image method, which gives the virtual transmitters of the extended FastSLAM paper, section III; docs/rays.md.
+"""
 
 from __future__ import annotations
+
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,13 +15,14 @@ from cellslam.sim.rays.first_order import BLOCKS, unobstructed
 from cellslam.sim.rays.hidden_facets import HIDDEN_M, hidden
 from cellslam.sim.rays.scene import Scene
 
+if TYPE_CHECKING:
+    from cellslam.sim.rays.first_order_kernel import Images
+
 PAIRS_AT_ONCE = 100_000
 RECEIVERS_AT_ONCE = 512
 
 
-def _open_pairs(
-    scene: Scene, transmitter: Floats, image: Floats, side: Floats, mirrored: Floats, pairs: Ints
-) -> NDArray[np.bool_]:
+def _open_pairs(scene: Scene, transmitter: Floats, images: Images, mirrored: Floats, pairs: Ints) -> NDArray[np.bool_]:
     """Tell the pairs (P, 2) of which neither the first leg nor the one between the facets is wholly blocked."""
     from cellslam.sim.rays import second_order_kernel as second_kernel
 
@@ -24,7 +30,7 @@ def _open_pairs(
     for begin in range(0, len(pairs), PAIRS_AT_ONCE):
         rows = np.arange(begin, min(begin + PAIRS_AT_ONCE, len(pairs)))
         part, start, end = np.empty((3, len(rows), 4, 3))
-        second_kernel.windows(scene.table, image, side, mirrored, pairs[rows], part, start, end)
+        second_kernel.windows(scene.table, images, mirrored, pairs[rows], part, start, end)
         kept[rows] = ~hidden(scene, np.broadcast_to(transmitter, part.shape), part)
         left = rows[kept[rows] & ~np.isnan(start[:, 0, 0])]
         start, end = start[left - begin], end[left - begin]
@@ -38,28 +44,27 @@ def _open_pairs(
 def double_reflections(
     scene: Scene, transmitter: Floats, receivers: Floats, reflects: NDArray[np.bool_], lit: Ints
 ) -> tuple[Ints, Ints, Floats]:
-    """Return (receiver (P,), facets (P, 2), points (P, 2, 3)) of all free second-order paths, centred."""
+    """Return (receiver (P,), facets (P, 2), points (P, 2, 3)) of all free second-order paths, centred, in m."""
     from cellslam.sim.rays import first_order_kernel as kernel
     from cellslam.sim.rays import second_order_kernel as second_kernel
 
     count = len(scene.table)
-    image, side = np.empty((count, 3)), np.empty(count)
-    x, y, z = transmitter
-    kernel.images(scene.table, reflects, x, y, z, image, side)
+    facets = kernel.FacetTable(scene.table, scene.first, scene.outline, scene.clearance_m)
+    images = kernel.Images(np.empty((count, 3)), np.empty(count))
+    kernel.mirror(scene.table, reflects, transmitter, images)
     normal = scene.table[:, :3]
     mirrored = transmitter - 2.0 * (normal @ transmitter - scene.table[:, 3])[:, None] * normal
-    low, high = receivers.min(axis=0), receivers.max(axis=0)
-    around = np.concatenate([(low + high) / 2, (high - low) / 2 + kernel.INSIDE_M])
+    around = kernel.bounds(receivers, 0, len(receivers))
     room = 1 << 20
     while True:
         pairs, second = np.empty((room, 2), np.int64), np.empty((room, 4))
         found = second_kernel.facet_pairs(
-            scene.table, scene.boxes, reflects, lit[side[lit] != 0.0], image, side, mirrored, around, pairs, second
+            scene.table, scene.boxes, reflects, lit[images.side[lit] != 0.0], images, mirrored, around, pairs, second
         )
         if found <= room:
             break
         room = found
-    kept = _open_pairs(scene, transmitter, image, side, mirrored, pairs[:found])
+    kept = _open_pairs(scene, transmitter, images, mirrored, pairs[:found])
     pairs, second = pairs[:found][kept], second[:found][kept]
     work = np.empty((3, len(pairs)), np.int64)
     work[0] = np.arange(len(pairs))
@@ -69,15 +74,13 @@ def double_reflections(
         some = receivers[begin : begin + RECEIVERS_AT_ONCE]
         while True:
             hit, points = np.empty((room, 2), np.int64), np.empty((room, 2, 3))
-            total = second_kernel.second_candidates(
-                scene.table, scene.first, scene.outline, image, side, pairs, second, some, BLOCKS, work, hit, points
-            )
+            total = second_kernel.second_candidates(facets, images, pairs, second, some, BLOCKS, work, hit, points)
             if total <= room:
                 break
             room = 2 * total
-        facets, points = pairs[hit[:total, 1]], points[:total]
-        free = _free_paths(scene, transmitter, some[hit[:total, 0]], facets, points)
-        pieces.append((hit[:total, 0][free] + begin, facets[free], points[free]))
+        both, points = pairs[hit[:total, 1]], points[:total]
+        free = _free_paths(scene, transmitter, some[hit[:total, 0]], both, points)
+        pieces.append((hit[:total, 0][free] + begin, both[free], points[free]))
     row, both, where = (np.concatenate(column) for column in zip(*pieces, strict=True))
     return row, both, where
 

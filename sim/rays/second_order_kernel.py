@@ -1,32 +1,37 @@
-"""Compiled search for second-order specular points: pairs of facets, then the image method twice."""
+"""Compiled search for second-order specular points: pairs of facets, then the image method twice.
+
+Source: image method as in `first_order_kernel`; culls per pair: own derivation, docs/rays.md.
+"""
 
 from __future__ import annotations
+
+from typing import Any
 
 import numpy as np
 from numba import njit
 
-from cellslam.sim.rays.first_order_kernel import INSIDE_M, _inside, _reaches
+from cellslam.sim.rays.first_order_kernel import INSIDE_M, Array, Box, FacetTable, Images, bounds, inside, reaches
 
 
 @njit(cache=True)
-def _beam_reaches(table, image, side, a, b, again, cx, cy, cz, hx, hy, hz):  # type: ignore[no-untyped-def]
-    """Tell whether the box (centre c, half size h) may be lit over the facets a and then b.
+def _beam_reaches(table: Array, images: Images, a: int, b: int, again: Any, box: Box) -> bool:
+    """Tell whether the box may be lit over the facets a and then b.
 
     The box is projected from the second image `again` (u, v, distance, side) onto facet b, what that leaves of b's box
     from the first image onto facet a; each step can only be too large.
     """
     row = table[b]
-    middle = again[3] * (row[0] * cx + row[1] * cy + row[2] * cz - row[3])
-    spread = abs(row[0]) * hx + abs(row[1]) * hy + abs(row[2]) * hz
+    middle = again[3] * (row[0] * box.x + row[1] * box.y + row[2] * box.z - row[3])
+    spread = abs(row[0]) * box.hx + abs(row[1]) * box.hy + abs(row[2]) * box.hz
     if middle + spread <= 0.0:
         return False
     if middle - spread <= 0.0:
         return True
     lu, hu, lv, hv = np.inf, -np.inf, np.inf, -np.inf
     for corner in range(8):
-        x = cx + (hx if corner & 1 else -hx)
-        y = cy + (hy if corner & 2 else -hy)
-        z = cz + (hz if corner & 4 else -hz)
+        x = box.x + (box.hx if corner & 1 else -box.hx)
+        y = box.y + (box.hy if corner & 2 else -box.hy)
+        z = box.z + (box.hz if corner & 4 else -box.hz)
         d = again[3] * (row[0] * x + row[1] * y + row[2] * z - row[3])
         t = again[2] / (again[2] + d)
         u = again[0] + t * (row[4] * x + row[5] * y + row[6] * z - again[0])
@@ -36,7 +41,7 @@ def _beam_reaches(table, image, side, a, b, again, cx, cy, cz, hx, hy, hz):  # t
     lv, hv = max(lv, row[12]) - INSIDE_M, min(hv, row[13]) + INSIDE_M
     if lu > hu or lv > hv:
         return False
-    other = table[a]
+    other, image, side = table[a], images.image[a], images.side[a]
     lp, hp, lq, hq = np.inf, -np.inf, np.inf, -np.inf
     for corner in range(4):
         u = hu if corner & 1 else lu
@@ -44,14 +49,14 @@ def _beam_reaches(table, image, side, a, b, again, cx, cy, cz, hx, hy, hz):  # t
         x = u * row[4] + v * row[7] + row[3] * row[0]
         y = u * row[5] + v * row[8] + row[3] * row[1]
         z = u * row[6] + v * row[9] + row[3] * row[2]
-        d = side[a] * (other[0] * x + other[1] * y + other[2] * z - other[3])
+        d = side * (other[0] * x + other[1] * y + other[2] * z - other[3])
         if d <= 0.0:
             return True
-        t = image[a, 2] / (image[a, 2] + d)
-        p = image[a, 0] + t * (other[4] * x + other[5] * y + other[6] * z - image[a, 0])
-        q = image[a, 1] + t * (other[7] * x + other[8] * y + other[9] * z - image[a, 1])
+        t = image[2] / (image[2] + d)
+        p = image[0] + t * (other[4] * x + other[5] * y + other[6] * z - image[0])
+        q = image[1] + t * (other[7] * x + other[8] * y + other[9] * z - image[1])
         lp, hp, lq, hq = min(lp, p), max(hp, p), min(lq, q), max(hq, q)
-    return (
+    return bool(
         hp >= other[10] - INSIDE_M
         and lp <= other[11] + INSIDE_M
         and hq >= other[12] - INSIDE_M
@@ -60,22 +65,24 @@ def _beam_reaches(table, image, side, a, b, again, cx, cy, cz, hx, hy, hz):  # t
 
 
 @njit(cache=True)
-def facet_pairs(table, boxes, reflects, lit, image, side, mirrored, around, pairs, second):  # type: ignore[no-untyped-def]
+def facet_pairs(
+    table: Array, boxes: Array, reflects: Array, lit: Array, images: Images, mirrored: Array, around: Box, pairs: Array,
+    second: Array,
+) -> int:  # fmt: skip
     """Write the pairs of facets that may carry a path; return their number, which may exceed the room.
 
-    `boxes` (F, 6): centre and half size of each facet; `lit` (L,): facets that the transmitter sees; `image` (F, 3) and
-    `side` (F,) as `kernel.images` writes them; `mirrored` (F, 3): the transmitter's image in each facet; `around` (6,):
-    box of all receivers. Written per pair: `pairs` (first, second facet), `second`: (u, v, distance) of the first
-    image in the second facet's coordinates, and its side.
+    `boxes` (F, 6): centre and half size of each facet in m; `lit` (L,): facets that the transmitter sees; `mirrored`
+    (F, 3): the transmitter's image in each facet, m; `around`: box of all receivers. Written per pair: `pairs` (P, 2)
+    first and second facet, `second` (P, 4): u, v, distance of the first image in the second facet's coordinates, and
+    its side.
     """
     total = 0
-    x, y, z, hx, hy, hz = around[0], around[1], around[2], around[3], around[4], around[5]
     for a in lit:
         row = table[a]
         for b in range(len(table)):
             if b == a or not reflects[b]:
                 continue
-            ahead = side[a] * (row[0] * boxes[b, 0] + row[1] * boxes[b, 1] + row[2] * boxes[b, 2] - row[3])
+            ahead = images.side[a] * (row[0] * boxes[b, 0] + row[1] * boxes[b, 1] + row[2] * boxes[b, 2] - row[3])
             reach = abs(row[0]) * boxes[b, 3] + abs(row[1]) * boxes[b, 4] + abs(row[2]) * boxes[b, 5]
             if ahead + reach <= INSIDE_M:
                 continue
@@ -84,9 +91,8 @@ def facet_pairs(table, boxes, reflects, lit, image, side, mirrored, around, pair
             d = other[0] * ix + other[1] * iy + other[2] * iz - other[3]
             if abs(d) <= INSIDE_M:
                 continue
-            if not _reaches(
-                row, image[a], side[a], boxes[b, 0], boxes[b, 1], boxes[b, 2], boxes[b, 3], boxes[b, 4], boxes[b, 5]
-            ):
+            box = Box(boxes[b, 0], boxes[b, 1], boxes[b, 2], boxes[b, 3], boxes[b, 4], boxes[b, 5])
+            if not reaches(row, images.image[a], images.side[a], box):
                 continue
             s = 1.0 if d > 0.0 else -1.0
             again = (
@@ -95,7 +101,7 @@ def facet_pairs(table, boxes, reflects, lit, image, side, mirrored, around, pair
                 abs(d),
                 s,
             )
-            if not _beam_reaches(table, image, side, a, b, again, x, y, z, hx, hy, hz):
+            if not _beam_reaches(table, images, a, b, again, around):
                 continue
             if total < len(pairs):
                 pairs[total, 0] = a
@@ -106,8 +112,8 @@ def facet_pairs(table, boxes, reflects, lit, image, side, mirrored, around, pair
 
 
 @njit(cache=True)
-def windows(table, image, side, mirrored, pairs, part, start, end):  # type: ignore[no-untyped-def]
-    """Write what two legs of each pair may use: four corners each, seen from a point.
+def windows(table: Array, images: Images, mirrored: Array, pairs: Array, part: Array, start: Array, end: Array) -> None:
+    """Write what two legs of each pair may use: four corners each, seen from a point, in m.
 
     `part` (P, 4, 3): the rectangle of the first facet through which its image sees the second facet's box; `start` and
     `end` (P, 4, 3): the corners of the second facet's box, and where their lines to the image meet the first facet's
@@ -124,15 +130,15 @@ def windows(table, image, side, mirrored, pairs, part, start, end):  # type: ign
             for axis in range(3):
                 end[p, corner, axis] = u * other[4 + axis] + v * other[7 + axis] + other[3] * other[axis]
             x, y, z = end[p, corner, 0], end[p, corner, 1], end[p, corner, 2]
-            d = side[a] * (row[0] * x + row[1] * y + row[2] * z - row[3])
+            d = images.side[a] * (row[0] * x + row[1] * y + row[2] * z - row[3])
             if d <= INSIDE_M:
                 ahead = False
                 continue
-            t = image[a, 2] / (image[a, 2] + d)
+            t = images.image[a, 2] / (images.image[a, 2] + d)
             for axis in range(3):
                 start[p, corner, axis] = mirrored[a, axis] + t * (end[p, corner, axis] - mirrored[a, axis])
-            u = image[a, 0] + t * (row[4] * x + row[5] * y + row[6] * z - image[a, 0])
-            v = image[a, 1] + t * (row[7] * x + row[8] * y + row[9] * z - image[a, 1])
+            u = images.image[a, 0] + t * (row[4] * x + row[5] * y + row[6] * z - images.image[a, 0])
+            v = images.image[a, 1] + t * (row[7] * x + row[8] * y + row[9] * z - images.image[a, 1])
             lu, hu, lv, hv = min(lu, u), max(hu, u), min(lv, v), max(hv, v)
         lu, hu, lv, hv = max(lu, row[10]), min(hu, row[11]), max(lv, row[12]), min(hv, row[13])
         if not ahead:
@@ -146,80 +152,78 @@ def windows(table, image, side, mirrored, pairs, part, start, end):  # type: ign
 
 
 @njit(cache=True)
-def _cull(table, image, side, pairs, second, members, count, receivers, start, stop, kept):  # type: ignore[no-untyped-def]
-    """Write into `kept` those of `members[:count]` that a receiver of rows start:stop can meet; return how many."""
-    lx, ly, lz, hx, hy, hz = np.inf, np.inf, np.inf, -np.inf, -np.inf, -np.inf
-    for r in range(start, stop):
-        x, y, z = receivers[r, 0], receivers[r, 1], receivers[r, 2]
-        lx, ly, lz, hx, hy, hz = min(lx, x), min(ly, y), min(lz, z), max(hx, x), max(hy, y), max(hz, z)
-    cx, cy, cz = 0.5 * (lx + hx), 0.5 * (ly + hy), 0.5 * (lz + hz)
-    hx, hy, hz = 0.5 * (hx - lx) + INSIDE_M, 0.5 * (hy - ly) + INSIDE_M, 0.5 * (hz - lz) + INSIDE_M
+def _cull(
+    table: Array, images: Images, pairs: Array, second: Array, box: Box, members: Array, count: int, kept: Array
+) -> int:
+    """Write into `kept` those of `members[:count]` that a receiver in the box can meet; return how many."""
     found = 0
     for i in range(count):
         e = members[i]
-        if _beam_reaches(table, image, side, pairs[e, 0], pairs[e, 1], second[e], cx, cy, cz, hx, hy, hz):
+        if _beam_reaches(table, images, pairs[e, 0], pairs[e, 1], second[e], box):
             kept[found] = e
             found += 1
     return found
 
 
 @njit(cache=True)
-def _hit(row, outline, start, stop, iu, iv, distance, side, x, y, z):  # type: ignore[no-untyped-def]
-    """Return (d, u, v): distance of (x, y, z) from the facet, where its line to the image meets it; d < 0: none."""
+def _hit(
+    facets: FacetTable, f: int, image: Array, side: float, x: float, y: float, z: float
+) -> tuple[float, float, float]:
+    """Return (d, u, v): distance of (x, y, z) from facet f, where its line to the image meets it; d < 0: none."""
+    row = facets.table[f]
     d = side * (row[0] * x + row[1] * y + row[2] * z - row[3])
     if d <= INSIDE_M:
         return -1.0, 0.0, 0.0
-    t = d / (distance + d)
+    t = d / (image[2] + d)
     u = row[4] * x + row[5] * y + row[6] * z
-    u += t * (iu - u)
+    u += t * (image[0] - u)
     v = row[7] * x + row[8] * y + row[9] * z
-    v += t * (iv - v)
+    v += t * (image[1] - v)
     if (
         u < row[10] - INSIDE_M
         or u > row[11] + INSIDE_M
         or v < row[12] - INSIDE_M
         or v > row[13] + INSIDE_M
-        or not _inside(outline, start, stop, u, v)
+        or not inside(facets.outline, facets.first[f], facets.first[f + 1], u, v)
     ):
         return -1.0, 0.0, 0.0
     return d, u, v
 
 
 @njit(cache=True)
-def second_candidates(  # type: ignore[no-untyped-def]
-    table, first, outline, image, side, pairs, second, receivers, blocks, work, found, points
-):
-    """Write the double reflections of all receivers (N, 3); return how many, which may exceed the room.
+def second_candidates(
+    facets: FacetTable, images: Images, pairs: Array, second: Array, receivers: Array, blocks: Array, work: Array,
+    found: Array, points: Array,
+) -> int:  # fmt: skip
+    """Write the double reflections of all receivers (N, 3), in m; return how many, which may exceed the room.
 
-    Written per candidate: `found` (receiver, pair) and `points` (2, 3), from the transmitter on. `work` (3, pairs):
-    work space, its first row 0..pairs-1.
+    `pairs` (P, 2) and `second` (P, 4) as `facet_pairs` writes them; `blocks` as in `candidates`; `work` (3, P): work
+    space, its first row 0..P-1. Written per candidate: `found` (n, 2) receiver and pair, `points` (n, 2, 3) in m, from
+    the transmitter on.
     """
+    table = facets.table
     total = 0
     for outer in range(0, len(receivers), blocks[0]):
         outer_stop = min(outer + blocks[0], len(receivers))
-        near = _cull(table, image, side, pairs, second, work[0], len(pairs), receivers, outer, outer_stop, work[1])
+        box = bounds(receivers, outer, outer_stop)
+        near = _cull(table, images, pairs, second, box, work[0], len(pairs), work[1])
         for inner in range(outer, outer_stop, blocks[1]):
             inner_stop = min(inner + blocks[1], outer_stop)
-            nearer = _cull(table, image, side, pairs, second, work[1], near, receivers, inner, inner_stop, work[2])
+            box = bounds(receivers, inner, inner_stop)
+            nearer = _cull(table, images, pairs, second, box, work[1], near, work[2])
             for r in range(inner, inner_stop):
                 for i in range(nearer):
                     e = work[2, i]
-                    b = pairs[e, 1]
-                    row = table[b]
-                    d, u, v = _hit(
-                        row, outline, first[b], first[b + 1], second[e, 0], second[e, 1], second[e, 2], second[e, 3],
-                        receivers[r, 0], receivers[r, 1], receivers[r, 2],
-                    )  # fmt: skip
+                    a, b = pairs[e, 0], pairs[e, 1]
+                    row, again = table[b], second[e]
+                    d, u, v = _hit(facets, b, again, again[3], receivers[r, 0], receivers[r, 1], receivers[r, 2])
                     if d < 0.0:
                         continue
                     x = u * row[4] + v * row[7] + row[3] * row[0]
                     y = u * row[5] + v * row[8] + row[3] * row[1]
                     z = u * row[6] + v * row[9] + row[3] * row[2]
-                    a = pairs[e, 0]
                     row = table[a]
-                    d, u, v = _hit(
-                        row, outline, first[a], first[a + 1], image[a, 0], image[a, 1], image[a, 2], side[a], x, y, z
-                    )
+                    d, u, v = _hit(facets, a, images.image[a], images.side[a], x, y, z)
                     if d < 0.0:
                         continue
                     if total < len(found):

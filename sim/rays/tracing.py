@@ -1,4 +1,7 @@
-"""Specular paths between any transmitters and receivers in a city: the image method with exact visibility."""
+"""Specular paths between any transmitters and receivers in a city: the image method with exact visibility.
+
+Source: image method, docs/rays.md; gain as in equation 3 of the extended FastSLAM paper.
+"""
 
 from __future__ import annotations
 
@@ -191,7 +194,7 @@ def _gain(scene: Scene, corners: Floats, order: Ints, found: _Found, carrier_hz:
 
 def images_of(scene: Scene, transmitter: Floats, facets: Ints) -> Floats:
     """Return the transmitter (3,) mirrored in the facets (P, 2), first column first, -1 none; centred
-    coordinates (P, 3).
+    coordinates (P, 3) in m.
     """
     image = np.tile(transmitter, (len(facets), 1))
     for column in range(facets.shape[1]):

@@ -1,4 +1,8 @@
-"""The vehicle: its route on street lanes, its true motion, its odometry."""
+"""The vehicle: streets of a city in, its route, its true poses and velocities, its odometry out.
+
+`plan_route` takes waypoints or walks the streets (`route`, `street_walk`, `lanes`); `drive` follows the route at speeds
+from `speed_profile` with the attitude of `attitude`; `measure_odometry` adds the sensors' errors.
+"""
 
 from cellslam.sim.vehicle.drive import Drive, drive
 from cellslam.sim.vehicle.odometry import Odometry, measure_odometry, odometry_model

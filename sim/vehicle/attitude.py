@@ -29,11 +29,11 @@ class Road:
     correlation_m: float
 
     def height_m(self, arc_m: Floats) -> Floats:
-        """Return the height (n,) at arc lengths (n,)."""
+        """Return the height (n,) at arc lengths (n,), both in m."""
         return self.height_std_m * self._wave(0, arc_m)
 
     def roll_rad(self, arc_m: Floats) -> Floats:
-        """Return the roll (n,) at arc lengths (n,)."""
+        """Return the roll (n,) in rad at arc lengths (n,) in m."""
         return self.roll_std_rad * self._wave(1, arc_m)
 
     def _wave(self, which: int, arc_m: Floats) -> Floats:
@@ -60,7 +60,7 @@ def body_motion(
     road: Road,
     config: VehicleConfig,
 ) -> Floats:
-    """Return [height above the start's ground (m), pitch, roll (rad)], shape (N, 3), at equidistant times.
+    """Return height above the start's ground in m, pitch and roll in rad, (N, 3), at equidistant times.
 
     Braking puts the nose down (positive pitch), a left turn leans the body outward (positive roll); the
     pitch follows the road under the wheels. The attitude turns about the array's phase centre.

@@ -32,7 +32,7 @@ class Lanes:
 
 
 def build_lanes(corners_m: Floats, radius_m: float, least_radius_m: float, step_m: float = 0.1) -> Lanes:
-    """Return the lanes along the polyline `corners_m` (k, 2), rounded with `radius_m` or what fits.
+    """Return the lanes along the polyline `corners_m` (k, 2), in m, rounded with `radius_m` or what fits.
 
     Raises InputError naming the corner where less than `least_radius_m` fits.
     """
@@ -49,7 +49,7 @@ def build_lanes(corners_m: Floats, radius_m: float, least_radius_m: float, step_
 
 
 def without_repeats(points_m: Floats) -> Floats:
-    """Return the points (k, 2) without immediate repeats and without those where the line does not bend."""
+    """Return the points (k, 2), in m, without immediate repeats and without those where the line does not bend."""
     keep = np.r_[True, np.hypot(*np.diff(points_m, axis=0).T) > 1e-6]
     points = points_m[keep]
     if len(points) < 2:

@@ -34,7 +34,7 @@ class SpeedLimits:
     acceleration_mps2: float
 
     def speed(self, cruise_mps: float) -> Floats:
-        """Return the greatest speed (n + 1,) within limits and acceleration, at a given cruise speed."""
+        """Return the greatest speed (n + 1,) in m/s within limits and acceleration, at a given cruise speed."""
         square = np.minimum(cruise_mps * self.factor, self.turn_mps) ** 2
         slope = 2.0 * self.acceleration_mps2 * self.arc_m
         ahead = np.minimum.accumulate((square + slope)[::-1])[::-1] - slope
@@ -42,7 +42,7 @@ class SpeedLimits:
         return np.sqrt(np.maximum(np.minimum(ahead, behind), 0.0))
 
     def travel_time(self, cruise_mps: float) -> Floats:
-        """Return the time (n + 1,) at which each cell's end is reached, standing phases not counted."""
+        """Return the time (n + 1,) in s at which each cell's end is reached, standing phases not counted."""
         v = self.speed(cruise_mps)
         return np.concatenate([[0.0], np.cumsum(np.diff(self.arc_m) * 2.0 / (v[1:] + v[:-1]))])
 
@@ -55,7 +55,7 @@ def speed_profile(
     steps: int,
     rng: np.random.Generator,
 ) -> Floats:
-    """Return the mean speed (steps,) of each substep of `step_s`; they sum up to exactly `config.distance_m`.
+    """Return the mean speed (steps,) in m/s of each substep of `step_s`; they sum up to exactly `config.distance_m`.
 
     The cruise speed is whatever makes the drive last `steps * step_s`. Raises InputError where no speed does.
     """

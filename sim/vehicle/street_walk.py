@@ -29,7 +29,7 @@ class StreetNetwork:
 
 
 def street_network(streets: Sequence[Floats]) -> StreetNetwork:
-    """Return the network of centre lines (n, 2), split where they cross; InputError if there are none."""
+    """Return the network of centre lines (n, 2) in m, split where they cross; InputError if there are none."""
     import shapely
 
     if not streets:

@@ -45,6 +45,7 @@ def test_facts_by_hand() -> None:
 def test_presets_state_what_is_measured(name: str) -> None:
     scenario = load(name)
     measured = mean_facts(scenario)
+    assert measured
     assert list(scenario.facts) == list(measured)
     for fact, value in measured.items():
         assert scenario.facts[fact] == pytest.approx(value, rel=0.02, abs=0.02), fact

@@ -123,6 +123,8 @@ def test_truth_of_the_vts(recording: Recording) -> None:
     real = truth.measurement_vt >= 0
     np.testing.assert_array_equal(vts.site[truth.measurement_vt[real]], links.site[m.link[real]])
     sight = vts.order == 0
+    assert real.any()
+    assert sight.any()
     np.testing.assert_allclose(vts.position_m[sight], truth.site_positions_m[vts.site[sight]])
     keys = np.column_stack([vts.site, vts.facets])
     assert len(np.unique(keys, axis=0)) == len(keys)

@@ -43,6 +43,7 @@ def command(arguments: Namespace) -> int:
         raise InputError(f"--out {arguments.out}: its folder does not exist")
     from threadpoolctl import threadpool_limits
 
+    from cellslam.sim.lte.calibration.code_digest import outdated
     from cellslam.sim.lte.calibration.front_end_check import agreement, records
     from cellslam.sim.lte.calibration.study import calibrate as study
 
@@ -56,6 +57,8 @@ def command(arguments: Namespace) -> int:
             text = json.dumps(study(arguments.scenes, arguments.seed, progress)) + "\n"
     if arguments.check:
         print_studies(rows)
+        if line := outdated():
+            sys.stderr.write(f"{line}\n")
     if arguments.out:
         partial = Path(arguments.out).with_suffix(".tmp")
         partial.write_text(text, encoding="utf-8")

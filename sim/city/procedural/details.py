@@ -53,7 +53,10 @@ def _bays(plan: Polygon, rng: np.random.Generator) -> list[Polygon]:
 def pole_plans(
     streets: Sequence[Floats], widths_m: Sequence[float], footprints: Sequence[Polygon], config: ProceduralCityConfig
 ) -> list[Polygon]:
-    """Return the plans of lamp posts along both kerbs of all streets, `pole_spacing_m` apart, clear of buildings."""
+    """Return the plans of lamp posts along both kerbs of all streets, clear of buildings.
+
+    `streets` centre lines (n, 2) and `widths_m` of the streets, in m; the posts stand `pole_spacing_m` apart.
+    """
     places = []
     for line, width in zip(streets, widths_m, strict=True):
         string = shapely.LineString(line)

@@ -1,4 +1,7 @@
-"""Constants of the statistical front end from samples of the signal-level one: method of moments and likelihoods."""
+"""Constants of the statistical front end from samples of the signal-level one: method of moments and likelihoods.
+
+Source: own derivation, docs/front-end.md, "Calibration".
+"""
 
 from __future__ import annotations
 
@@ -13,8 +16,7 @@ from cellslam.sim.lte.calibration.front_end_check import AHEAD_M, BEHIND_M, BESI
 from cellslam.sim.lte.calibration.overlap import Law, chances, relations
 from cellslam.sim.lte.calibration.scenes import Sample, config_of, measured_by_statistics
 from cellslam.sim.lte.single_path_bound import single_path_std
-from cellslam.sim.lte.statistical.detector_layout import GAMMA_START_DB, GAMMA_STEP_DB
-from cellslam.sim.lte.statistical.statistical_front_end import PathColumns
+from cellslam.sim.lte.statistical.detector_layout import GAMMA_START_DB, GAMMA_STEP_DB, PathColumns
 from cellslam.sim.lte.statistical.statistics import Statistics
 from cellslam.sim.recording import Floats
 
@@ -92,7 +94,7 @@ def structured(sample: Sample, noise_rate: float, window_m: float) -> dict[str, 
 
 
 def evenly(points: Floats) -> Floats:
-    """Return POINTS of the points (n, 4), evenly spread over how much later they are."""
+    """Return POINTS of the points (n, 4), m, rad, rad, dB, evenly spread over how much later they are."""
     ordered = points[np.argsort(points[:, 0], kind="stable")]
     return ordered[((np.arange(POINTS) + 0.5) * len(ordered) / POINTS).astype(np.int64)]
 

@@ -1,4 +1,7 @@
-"""`cellslam bench calibrate --check`: the two front ends in scenes that no calibration has seen."""
+"""`cellslam bench calibrate --check`: the two front ends in scenes that no calibration has seen.
+
+Source: own derivation, docs/front-end.md, "Calibration".
+"""
 
 from __future__ import annotations
 
@@ -96,8 +99,8 @@ def summary(samples: list[Sample]) -> dict[str, tuple[float, int]]:
 
 
 def offsets(sample: Sample) -> tuple[Floats, Floats, NDArray[np.bool_]]:
-    """Return of each clutter point how much later than the nearest path before it, how far beside in azimuth, and
-    whether it belongs to that path.
+    """Return of each clutter point (C,) by how many m it is later than the nearest path before it, how many rad beside
+    it in azimuth, and whether it belongs to that path.
     """
     late, beside = np.empty(len(sample.clutter)), np.empty(len(sample.clutter))
     for i, (link, distance, azimuth, *_) in enumerate(sample.clutter):

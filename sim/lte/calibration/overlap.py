@@ -1,4 +1,7 @@
-"""Detection probability of each path of a sample as the statistical front end computes it, in NumPy."""
+"""Detection probability of each path of a sample as the statistical front end computes it, in NumPy.
+
+Source: own derivation, docs/front-end.md, "Calibration".
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,7 @@
-"""Which errors of the signal level are white and which persist: correlation over time, links, place, direction."""
+"""Which errors of the signal level are white and which persist: correlation over time, links, place, direction.
+
+Source: own derivation, docs/front-end.md, "Calibration".
+"""
 
 from __future__ import annotations
 
@@ -11,7 +14,7 @@ from cellslam.sim.frames import unit_vector, wrap_angle
 from cellslam.sim.lte.calibration.scenes import POSE, cells, draw_paths, geometry_of, in_scene, signal_bench
 from cellslam.sim.lte.signal.signal_front_end import SignalLevel
 from cellslam.sim.lte.statistical import detector_layout as k
-from cellslam.sim.lte.statistical.statistical_front_end import PathColumns
+from cellslam.sim.lte.statistical.detector_layout import PathColumns
 from cellslam.sim.progress import Progress
 from cellslam.sim.recording import Floats
 

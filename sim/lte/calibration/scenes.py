@@ -2,6 +2,8 @@
 
 A scene is one snapshot of one site whose two ports send over a few paths; array errors and surroundings are drawn
 anew for every scene. Roof and attitude are left out: they enter both front ends alike.
+
+Source: own derivation, docs/front-end.md, "Calibration".
 """
 
 from __future__ import annotations
@@ -21,7 +23,8 @@ from cellslam.sim.lte.persisting_errors import draw_fields
 from cellslam.sim.lte.signal.diffuse import Surroundings
 from cellslam.sim.lte.signal.signal_front_end import DEFAULT_HARDWARE, SignalLevel, signal_level
 from cellslam.sim.lte.statistical import detector_layout as k
-from cellslam.sim.lte.statistical.statistical_front_end import PathColumns, Streams, detect
+from cellslam.sim.lte.statistical.detector_layout import PathColumns, Streams
+from cellslam.sim.lte.statistical.statistical_front_end import detect
 from cellslam.sim.lte.statistical.statistics import Statistics
 from cellslam.sim.recording import Floats, Ints
 
@@ -81,7 +84,7 @@ def scenes_of(rng: np.random.Generator, count: int, ratio_db: float) -> list[Pat
 
 
 def gamma_of(paths: PathColumns, config: RadioConfig, port: int, geometry: Floats) -> Floats:
-    """Return the integrated SNR (n,) that the link budget gives each path on a port."""
+    """Return the integrated SNR (n,), without unit, that the link budget gives each path on a port."""
     power = np.array([
         path_power(gain, slant(np.array(port))) * array_gain(e)
         for gain, e in zip(paths.gain, geometry[:, 2], strict=True)
@@ -137,7 +140,7 @@ def measured_by_statistics(
 
 
 def collect(scenes: list[PathColumns], tables: list[Floats], config: RadioConfig) -> Sample:
-    """Return per path and link what became of it, and the clutter."""
+    """Return what became of each path and link, and the clutter, from a table (M, COLUMNS), m, rad, dB, per scene."""
     parts: dict[str, list[Floats]] = {name: [] for name in ("link", "geometry", "gamma", "found", "error", "claim")}
     clutter = []
     for number, (paths, table) in enumerate(zip(scenes, tables, strict=True)):
@@ -169,7 +172,7 @@ def collect(scenes: list[PathColumns], tables: list[Floats], config: RadioConfig
 
 
 def geometry_of(paths: PathColumns) -> Floats:
-    """Return distance, azimuth and elevation (n, 3) of a scene's paths at the array."""
+    """Return distance, azimuth and elevation (n, 3), m, rad, rad, of a scene's paths at the array."""
     from cellslam.sim.lte.statistical.measurement_kernel import body_geometry
 
     out = np.empty((len(paths.vt_m), 3))

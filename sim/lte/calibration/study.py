@@ -2,19 +2,18 @@
 
 from __future__ import annotations
 
-import hashlib
 import platform
 from importlib.metadata import version
-from importlib.resources import files
 from typing import Any
 
 import numpy as np
 
+from cellslam.sim.lte.calibration.code_digest import code_digest
 from cellslam.sim.lte.calibration.fit_constants import fit_company, fit_detection, fit_floor, fit_overlap, structured
 from cellslam.sim.lte.calibration.persistence import persistence
 from cellslam.sim.lte.calibration.scenes import Sample, config_of, draw_paths, measured_by_signals, scenes_of
 from cellslam.sim.lte.signal.signal_front_end import DEFAULT_HARDWARE
-from cellslam.sim.lte.statistical.statistical_front_end import PathColumns
+from cellslam.sim.lte.statistical.detector_layout import PathColumns
 from cellslam.sim.lte.statistical.statistics import parse
 from cellslam.sim.progress import Progress
 
@@ -90,11 +89,3 @@ def provenance(scenes: int, seed: int) -> dict[str, Any]:
         "ratios_db": list(RATIOS_DB),
         "code": code_digest(),
     }
-
-
-def code_digest() -> str:
-    """Return a digest of the signal-level front end's code: constants measured with other code are out of date."""
-    names = ("channel", "diffuse", "estimator", "receiver", "refine", "refine_kernel", "search_kernel", "signal_level",
-             "spectrum", "climb_kernel", "acquire_kernel", "symbol_kernel")  # fmt: skip
-    texts = [(files("cellslam.sim.lte") / f"{name}.py").read_bytes() for name in names]
-    return hashlib.sha256(b"".join(texts)).hexdigest()[:16]

@@ -1,6 +1,8 @@
 """Blocks of a drive measured by processes of their own: threads would wait for each other's Python code.
 
 The processes are started as modules, not forked: what else the caller's program is, or does, is none of their business.
+
+Source: own, docs/front-end.md, "A drive from signals".
 """
 
 from __future__ import annotations
@@ -61,7 +63,7 @@ class _Process:
 
 
 def in_processes(task: Task, numbers: Iterable[int], count: int) -> Iterator[Floats]:
-    """Yield `task` of each number, in order; `count` processes work ahead. `task` must pickle."""
+    """Yield `task` of each number, tables of any shape, in order; `count` processes work ahead. `task` must pickle."""
     processes = [_Process(pickle.dumps(task)) for _ in range(count)]
     free: SimpleQueue[_Process] = SimpleQueue()
     for process in processes:

@@ -2,6 +2,8 @@
 
 Powers are in milliwatt per resource element. One symbol of the slot is kept per array port, each port being sampled in
 a slot of its own: the first carries the reference signals of antenna ports 0 and 1, the second those of 2 and 3.
+
+Source: the extended FastSLAM paper, section II, equations 2 to 4.
 """
 
 from __future__ import annotations
@@ -54,7 +56,7 @@ def arriving_paths(
     amplitude: Floats,
     carrier_hz: float,
 ) -> PathSet:
-    """Return the paths (n,) of one transmit port in the body frame of `pose` (6,).
+    """Return the paths (n,) of one transmit port in the body frame of `pose` (6,); m and rad.
 
     `vt_m` (n, 3); `gain` (n, 2, 2) [received, sent] in the (H, V) of the world frame; `slant` (2,) of the
     transmit port; `amplitude` (n,) in sqrt(mW): radiated power and sector antenna. Weights carry the
@@ -86,10 +88,11 @@ def frequency_response(
     signal: PortSignal,
     carrier_hz: float,
 ) -> Complex:
-    """Return the channel (ports, tones) of one transmit port (equation 2), Doppler over the switched aperture
-    included.
+    """Return the channel (ports, tones) of one transmit port (equation 2), in roots of mW, Doppler over the switched
+    aperture included.
 
-    `times_s` (ports,) from `switching_times_s`; `velocity_mps` (3,) of the array in the body frame.
+    `tones_hz` (tones,) in Hz; `times_s` (ports,) from `switching_times_s`; `velocity_mps` (3,) in m/s of the array in
+    the body frame.
     """
     paths = signal.paths
     steering = array.steer(paths.azimuth_rad, paths.elevation_rad).value
@@ -113,7 +116,7 @@ def received_symbol(
     rng: np.random.Generator,
     symbol: int = 0,
 ) -> Complex:
-    """Return one symbol's elements (ports, 12 N_RB) of a snapshot, all cells summed (equation 4).
+    """Return one symbol's elements (ports, 12 N_RB) of a snapshot in roots of mW, all cells summed (equation 4).
 
     `slots` (ports,): slot of the frame in which each array port is sampled. Reference elements carry each port's own
     signal, the cell's other ports being silent there; a share `load` of a cell's other elements carries data. Raises
@@ -138,8 +141,8 @@ def received_symbol(
 
 
 def reference_response(received: Complex, cell_id: int, port: int, slots: ArrayLike, resource_blocks: int) -> Complex:
-    """Return the least-squares channel (ports, 2 N_RB) of a cell's port: received over sent on its reference
-    elements, of the symbol in which it first sends.
+    """Return the least-squares channel (ports, 2 N_RB), in roots of mW as `received` (ports, 12 N_RB), of a cell's
+    port: received over sent on its reference elements, of the symbol in which it first sends.
     """
     out = np.empty((len(received), 2 * resource_blocks), np.complex128)
     for row, slot in enumerate(np.asarray(slots, np.int64) % SLOTS_PER_FRAME):
@@ -175,8 +178,8 @@ def _sent(
 def pilots(
     cell_id: int, port: int, slot: int, resource_blocks: int
 ) -> tuple[np.ndarray[tuple[int, ...], np.dtype[np.int64]], Complex]:
-    """Return subcarriers and values (2 N_RB,) of a port's reference signal in the first symbol of a slot that has it:
-    symbol 0 for ports 0 and 1, symbol 1 for ports 2 and 3.
+    """Return subcarriers and values (2 N_RB,), of magnitude 1 without unit, of a port's reference signal in the first
+    symbol of a slot that has it: symbol 0 for ports 0 and 1, symbol 1 for ports 2 and 3.
     """
     signal = reference_signal(cell_id, port, slot, resource_blocks)
     first = signal.symbols == signal.symbols[0]

@@ -3,16 +3,18 @@
 Each path is followed by a cluster whose power falls exponentially with the excess delay. A cluster belongs to a VT and
 a cell of a 20 m grid on the ground: within the cell the scatterers are virtual transmitters that stand still, so that
 their fading follows the motion.
+
+Source: own model, docs/front-end.md, "Channel".
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
 from cellslam.sim.frames import azimuth_elevation, unit_vector
-from cellslam.sim.lte.statistical.statistical_front_end import PathColumns
+from cellslam.sim.lte.statistical.detector_layout import PathColumns
 from cellslam.sim.recording import Floats
 
 SCATTERERS = 64
@@ -29,7 +31,7 @@ class Surroundings:
     ratio_db: float
 
     def add(self, paths: PathColumns, sites: int, position_m: Floats) -> PathColumns:
-        """Return the paths of one snapshot, each followed by its scatterers; `position_m` (3,) of the receiver."""
+        """Return the paths of one snapshot, each followed by its scatterers; `position_m` (3,) of the receiver in m."""
         count = len(paths.vt_m)
         if not count:
             return paths
@@ -39,7 +41,7 @@ class Surroundings:
         vt = np.concatenate([np.vstack([v, c[0]]) for v, c in zip(paths.vt_m, clusters, strict=True)])
         gain = np.concatenate([np.concatenate([g[None], c[1]]) for g, c in zip(paths.gain, clusters, strict=True)])
         departure = np.repeat(paths.departure_rad, SCATTERERS + 1, axis=0)
-        return replace(paths, rows=paths.rows * (SCATTERERS + 1), vt_m=vt, gain=gain, departure_rad=departure)
+        return PathColumns(paths.rows * (SCATTERERS + 1), vt, gain, departure)
 
     def _cluster(
         self, vt: Floats, gain: np.ndarray[tuple[int, ...], np.dtype[np.complex128]], ground: np.ndarray, anchor: Floats

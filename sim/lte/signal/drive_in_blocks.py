@@ -1,4 +1,7 @@
-"""A drive at signal level, in blocks of snapshots: several processes, progress, restart where a run was stopped."""
+"""A drive at signal level, in blocks of snapshots: several processes, progress, restart where a run was stopped.
+
+Source: own, docs/front-end.md, "A drive from signals".
+"""
 
 from __future__ import annotations
 
@@ -18,7 +21,8 @@ from threadpoolctl import threadpool_limits
 from cellslam.sim.lte.signal.block_processes import in_processes
 from cellslam.sim.lte.signal.signal_front_end import SignalLevel
 from cellslam.sim.lte.statistical import detector_layout as k
-from cellslam.sim.lte.statistical.statistical_front_end import Detections, PathColumns, detections_of
+from cellslam.sim.lte.statistical.detector_layout import PathColumns
+from cellslam.sim.lte.statistical.statistical_front_end import Detections, detections_of
 from cellslam.sim.progress import Progress, silent
 from cellslam.sim.recording import Floats
 
@@ -34,9 +38,10 @@ def detect_signals(
 ) -> Detections:  # fmt: skip
     """Return the measurements of `poses` (T, 6), whose paths are `paths`, numbered from `first_snapshot`.
 
-    `velocities`, `odometry` (T, 3 or 6): true body velocities, and those that the receiver compensates Doppler with.
-    Every snapshot has a generator of its own, a child of `rng` by its number. With a `trial_key` (what decides the
-    result), finished blocks are kept in the folder for temporary files until the drive is whole, and taken from there.
+    `velocities`, `odometry` (T, 6), m/s first: true body velocities, and those that the receiver compensates Doppler
+    with. Every snapshot has a generator of its own, a child of `rng` by its number. With a `trial_key` (what decides
+    the result), finished blocks are kept in the folder for temporary files until the drive is whole, and taken from
+    there.
     """
     starts, out = range(0, len(poses), BLOCK), []
     with _kept_blocks(trial_key) as folder, threadpool_limits(1), progress("measuring signals", len(poses)) as advance:

@@ -1,4 +1,8 @@
-"""What the receiver knows of its own array, and of its motion during one snapshot."""
+"""What the receiver knows of its own array, and of its motion during one snapshot.
+
+Source: after RIMAX, Richter, "Estimation of radio channel parameters: models and algorithms", 2005; searched grid and
+tapers: own, docs/front-end.md, "Estimator".
+"""
 
 from __future__ import annotations
 
@@ -10,9 +14,9 @@ from numpy.typing import NDArray
 
 from cellslam.sim.frames import SPEED_OF_LIGHT_MPS, unit_vector
 from cellslam.sim.lte.array import AntennaArray, CircularArray, Complex, Floats, Steering, switching_times_s
-from cellslam.sim.lte.signal.path_estimator.climb_kernel import SteeringModel, orthonormal_beams
+from cellslam.sim.lte.signal.path_estimator.climb_kernel import orthonormal_beams
 from cellslam.sim.lte.single_path_bound import tone_frequencies
-from cellslam.sim.lte.steering_kernel import steer_circular
+from cellslam.sim.lte.steering_kernel import SteeringModel, steer_circular
 
 ComplexSingle = NDArray[np.complex64]
 AZIMUTHS, ELEVATIONS = 28, 7
@@ -38,13 +42,13 @@ class Receiver:
 
     @cached_property
     def rate(self) -> Floats:
-        """Phase of each tone per metre (tones,), counted from the middle tone: the weights take up the rest."""
+        """Phase of each tone (tones,) in rad per m, counted from the middle tone: the weights take up the rest."""
         frequency = tone_frequencies(self.resource_blocks)
         return np.asarray(2.0 * np.pi * (frequency - frequency.mean()) / SPEED_OF_LIGHT_MPS, np.float64)
 
     @cached_property
     def coarser(self) -> Floats:
-        """Resolution in distance, azimuth and elevation (3,) as a multiple of that at 100 resource blocks."""
+        """Resolution in distance, azimuth and elevation (3,), without unit: one at 100 resource blocks."""
         return np.array([WIDEST_BLOCKS / self.resource_blocks, 1.0, 1.0])
 
     @cached_property
@@ -54,7 +58,7 @@ class Receiver:
 
     @cached_property
     def delays_m(self) -> Floats:
-        """Searched distances (D,)."""
+        """Searched distances (D,) in m."""
         return np.arange(self.window_min_m, self.window_max_m + self.pitch_m, self.pitch_m)
 
     @cached_property
@@ -65,7 +69,7 @@ class Receiver:
 
     @cached_property
     def directions(self) -> tuple[Floats, Floats]:
-        """Searched azimuths and elevations (K,), azimuth by azimuth."""
+        """Searched azimuths and elevations (K,) in rad, azimuth by azimuth."""
         azimuth = 2.0 * np.pi * np.arange(AZIMUTHS) / AZIMUTHS - np.pi
         elevation = np.linspace(LOWEST_RAD, HIGHEST_RAD, ELEVATIONS)
         grid = np.meshgrid(azimuth, elevation, indexing="ij")
@@ -92,7 +96,7 @@ class Receiver:
         return np.asarray(2.0 * np.pi * self.carrier_hz / SPEED_OF_LIGHT_MPS * later, np.float64)
 
     def moving(self, velocity_mps: Floats) -> Motion:
-        """Return the receiver in motion with body velocity (3,)."""
+        """Return the receiver in motion with body velocity (3,) in m/s."""
         factor = np.ones(self.array.ports, np.complex128)
         return Motion(self, np.asarray(velocity_mps, np.float64), factor)
 
@@ -142,16 +146,13 @@ class Motion:
         )  # fmt: skip
 
     def steer(self, azimuth_rad: Floats, elevation_rad: Floats) -> Steering:
-        """Return steering vectors (n, ports, 2) and derivatives, Doppler included."""
+        """Return steering vectors (n, ports, 2) and derivatives of directions (n,) in rad, Doppler included."""
         m = self.model
         if m is None:
             return self._steer_any(azimuth_rad, elevation_rad)
         shape = (len(azimuth_rad), self.receiver.array.ports, 2)
         out = Steering(*(np.empty(shape, np.complex128) for _ in range(3)))
-        steer_circular(
-            azimuth_rad, elevation_rad, m.columns, m.rings, m.radius_m, m.spacing_m, m.wavenumber, m.peak_dbi, m.curve,
-            m.floor_db, m.polarisation, m.factor, m.doppler, m.velocity, *out,
-        )  # fmt: skip
+        steer_circular(azimuth_rad, elevation_rad, m, *out)
         return out
 
     def _steer_any(self, azimuth_rad: Floats, elevation_rad: Floats) -> Steering:

@@ -2,6 +2,8 @@
 
 Snapshots are independent of each other, so that a drive can be measured in blocks, in any order: the receiver acquires
 every snapshot anew.
+
+Source: the extended FastSLAM paper, section II, equations 2 to 5; own, docs/front-end.md, "Channel" and "Estimator".
 """
 
 from __future__ import annotations
@@ -36,7 +38,7 @@ from cellslam.sim.lte.signal.receiver import ComplexSingle, Receiver
 from cellslam.sim.lte.signal.waveform import SAMPLE_S, SUBCARRIER_SPACING_HZ
 from cellslam.sim.lte.single_path_bound import tone_frequencies
 from cellslam.sim.lte.statistical import detector_layout as k
-from cellslam.sim.lte.statistical.statistical_front_end import PathColumns
+from cellslam.sim.lte.statistical.detector_layout import PathColumns
 from cellslam.sim.rays.antenna import sector_gain_db
 from cellslam.sim.recording import Floats, Ints
 
@@ -94,7 +96,7 @@ class SignalLevel:
         self, paths: PathColumns, pose: Floats, velocity_mps: Floats, odometry_mps: Floats, snapshot: int,
         rng: np.random.Generator,
     ) -> Floats:  # fmt: skip
-        """Return the measurements (M, COLUMNS) of one snapshot, whose traced paths are `paths`.
+        """Return the measurements (M, COLUMNS), m, rad, dB, of one snapshot, whose traced paths are `paths`.
 
         `velocity_mps` (3,) of the body is true, `odometry_mps` (3,) what the receiver compensates Doppler with.
         """
@@ -114,7 +116,9 @@ class SignalLevel:
         self, paths: PathColumns, pose: Floats, velocity_mps: Floats, snapshot: int, slots: Ints,
         rng: np.random.Generator,
     ) -> dict[int, Complex]:  # fmt: skip
-        """Return the elements (ports, tones) of the first symbol on every comb of reference elements in use."""
+        """Return the elements (ports, tones), in roots of mW, of the first symbol on every comb of reference elements
+        in use.
+        """
         sites = len(self.offsets_m)
         scattered = self.surroundings.add(paths, sites, pose[:3])
         shape = (self.array.ports, len(self.receiver.rate))
@@ -213,13 +217,15 @@ class SignalLevel:
         return y
 
     def geometry(self, paths: PathColumns, pose: Floats, snapshot: int) -> Floats:
-        """Return distance, azimuth and elevation (P, 3) of the traced paths."""
+        """Return distance, azimuth and elevation (P, 3), m, rad, rad, of the traced paths."""
         unit = np.ones(len(paths.vt_m))
         p: PathSet = arriving_paths(pose, paths.vt_m, paths.gain, np.array([1.0, 0.0]), unit, self.config.carrier_hz)
         return np.stack([p.distance_m, p.azimuth_rad, p.elevation_rad], 1)
 
     def rows(self, snapshot: int, link: int, found: Estimates, truth: Floats, first: int) -> Floats:
-        """Return a link's measurements (n, COLUMNS): claimed deviations are those of the fit and the floors."""
+        """Return a link's measurements (n, COLUMNS), m, rad, dB: claimed deviations are those of the fit and the
+        floors.
+        """
         out = np.full((len(found), k.COLUMNS), np.nan)
         if not len(found):
             return out
@@ -242,7 +248,10 @@ def signal_level(
     config: RadioConfig, cells: Cells, offsets_m: Floats, fields: Fields, rng: np.random.Generator,
     hardware: Hardware = DEFAULT_HARDWARE,
 ) -> SignalLevel:  # fmt: skip
-    """Draw a trial's receiver array and surroundings. Raises InputError where the cells do not suit the front end."""
+    """Draw a trial's receiver array and surroundings; clock `offsets_m` (S,) of the sites in m.
+
+    Raises InputError where the cells, or keys of the configuration, do not suit the front end.
+    """
     if (cells.ports > 2).any():
         raise InputError(
             "the signal-level front end receives antenna ports 0 and 1, but a site has more: set its ports to 1 or 2"

@@ -1,4 +1,7 @@
-"""OFDM symbols in time: the paper's equation 1, DC gap included (TS 36.211, 6.12)."""
+"""OFDM symbols in time, DC gap included.
+
+Source: the extended FastSLAM paper, equation 1; 3GPP TS 36.211, clause 6.12.
+"""
 
 from __future__ import annotations
 
@@ -13,7 +16,7 @@ _PREFIX = {"normal": (160, 144, 144, 144, 144, 144, 144), "extended": (512,) * 6
 
 
 def subcarrier_frequency_hz(subcarriers: ArrayLike, resource_blocks: int) -> NDArray[np.float64]:
-    """Return the baseband frequency of subcarriers 0 to 12 N_RB - 1: the carrier itself is left out."""
+    """Return the baseband frequency (n,) in Hz of subcarriers (n,), 0 to 12 N_RB - 1: the carrier is left out."""
     k, half = np.asarray(subcarriers, np.int64), 6 * resource_blocks
     return np.asarray(np.where(k < half, k - half, k - half + 1) * SUBCARRIER_SPACING_HZ, np.float64)
 
@@ -21,10 +24,9 @@ def subcarrier_frequency_hz(subcarriers: ArrayLike, resource_blocks: int) -> NDA
 def baseband(
     values: ArrayLike, subcarriers: ArrayLike, time_s: ArrayLike, resource_blocks: int
 ) -> NDArray[np.complex128]:
-    """Return the baseband signal (T,) of one OFDM symbol at `time_s` (T,), from -T_CP to T_s (paper, equation
-    1).
+    """Return the baseband signal (T,) of one OFDM symbol at `time_s` (T,), from -T_CP to T_s.
 
-    `values` (N,) complex are what the `subcarriers` (N,) carry.
+    `values` (N,) complex are what the `subcarriers` (N,) carry; the signal has their unit, times are in s.
     """
     frequency = subcarrier_frequency_hz(subcarriers, resource_blocks)
     phase = 2j * np.pi * np.outer(np.asarray(time_s, np.float64), frequency)

@@ -1,4 +1,10 @@
 """The statistical front end: traced paths in, measurements out, drawn from the signal level's statistics.
 
-`statistics.json` holds the constants; `detection_kernel` decides which path is detected.
+`statistical_front_end.detect` is the door; snapshots are drawn in `detection_kernel.measure_block`. Where to look:
+
+- detection probability: `measurement_kernel.detection_probability`; of an isolated path it is the table that
+  `statistical_front_end.detection_table` makes; what overlap leaves of a path, `detection_kernel._overlap`
+- clutter: `clutter_kernel`
+- errors: `measurement_kernel.write_std` (bound and floors), `persisting_errors` (what is not white)
+- constants: `statistics.json`, read by `statistics`, measured by `sim.lte.calibration`
 """

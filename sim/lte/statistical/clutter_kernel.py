@@ -1,4 +1,7 @@
-"""Compiled clutter: what is reported around a path besides it, and noise peaks."""
+"""Compiled clutter: what is reported around a path besides it, and noise peaks.
+
+Source: own derivation, docs/front-end.md, "Statistical front end".
+"""
 
 from __future__ import annotations
 
@@ -21,7 +24,7 @@ from cellslam.sim.lte.statistical.detector_layout import (
     Array,
     Model,
 )
-from cellslam.sim.lte.statistical.measurement_kernel import clutter_row, probability, wrap
+from cellslam.sim.lte.statistical.measurement_kernel import clutter_row, detection_probability, wrap
 
 # Few points of clutter were measured: what is drawn lies about one of them, so that no two coincide.
 STRETCH, BLUR_M, BLUR_AZIMUTH_RAD, BLUR_ELEVATION_RAD = 0.3, 4.0, math.radians(4.0), math.radians(3.0)
@@ -41,9 +44,7 @@ def trailing(a: Array, b: Array, model: Model) -> float:
 
 
 @njit(cache=True)
-def structured_clutter(
-    path: int, paths: int, geo: Array, gamma: Array, model: Model, table: Array, clutter: Any, out: Array
-) -> int:
+def structured_clutter(path: int, paths: int, geo: Array, gamma: Array, model: Model, clutter: Any, out: Array) -> int:
     """Draw what is reported around one path besides it: pieces of its diffuse energy, ghosts of calibration error. What
     the energy of the other `paths` covers is not seen.
     """
@@ -73,7 +74,7 @@ def structured_clutter(
                 disturbance += gamma[q] * trailing(row[DISTANCE : ELEVATION + 1], geo[q], model)
         chance = model.detection_scale
         if disturbance > DISTURBED:
-            chance *= probability(level * model.samples / disturbance, True, table, model)
+            chance *= detection_probability(level * model.samples / disturbance, True, model)
         inside = model.window_min <= row[DISTANCE] <= model.window_max
         if clutter.random() < chance and inside:
             count += 1
@@ -81,7 +82,7 @@ def structured_clutter(
 
 
 @njit(cache=True)
-def noise_clutter(model: Model, threshold: float, clutter: Any, out: Array) -> int:
+def noise_clutter(model: Model, clutter: Any, out: Array) -> int:
     """Draw noise peaks over the threshold: uniform in delay window and azimuth."""
     count: int = min(clutter.poisson(model.noise_clutter), MOST_CLUTTER)
     for i in range(count):
@@ -90,5 +91,5 @@ def noise_clutter(model: Model, threshold: float, clutter: Any, out: Array) -> i
         elevation = math.radians(-15.0 + 75.0 * clutter.random())
         # The excess of a chi-square tail over its threshold is exponential; T = 2 + 0.93 Gamma' on average.
         excess = -math.log(1.0 - clutter.random())
-        clutter_row(out[i], distance, azimuth, elevation, (threshold + excess - 2.0) / 0.93, model)
+        clutter_row(out[i], distance, azimuth, elevation, (model.threshold + excess - 2.0) / 0.93, model)
     return count

@@ -3,6 +3,8 @@
 Everything runs serially and draws from the three generators in a fixed order (per link: one uniform and
 three normals for every path, then the clutter), so one block or many give the same numbers. Powers are in
 milliwatt per resource element, ratios linear, angles in radians, distances in metres.
+
+Source: own derivation, docs/front-end.md, "Statistical front end".
 """
 
 from __future__ import annotations
@@ -35,15 +37,22 @@ from cellslam.sim.lte.statistical.detector_layout import (
     Array,
     LinkTable,
     Model,
+    PathColumns,
+    Streams,
 )
 from cellslam.sim.lte.statistical.measurement_kernel import (
     body_geometry,
+    detection_probability,
     fold,
-    probability,
     wrap,
     write_std,
     write_white_std,
 )
+
+# Columns of the work space of one link: paths by strength; then of each path the share that no stronger one's tangent
+# space captures, the stronger path that captures most, its SNR as a share of that over noise alone (0: a ghost),
+# whether it is detected, and by how much (3) and with what power undetected neighbours change it.
+ORDER, LEFTOVER, NEAREST, CLEAR, DETECTED, SHIFT, ADDED, WIDTH = 0, 1, 2, 3, 4, 5, 8, 9
 
 
 @njit(cache=True)
@@ -61,38 +70,24 @@ def captured(a: Array, b: Array, model: Model) -> float:
 
 
 @njit(cache=True)
-def _detect_paths(
-    n: int,
-    geo: Array,
-    gamma: Array,
-    model: Model,
-    table: Array,
-    pose: Array,
-    vt: Array,
-    port: int,
-    attitude: Array,
-    fields: Fields,
-    noise: Any,
-    detection: Any,
-    work: Array,
-    out: Array,
-) -> int:
-    """Draw the measurements of one link's true paths into `out`; return how many.
-
-    `work` (W, 8): order, leftover, nearest stronger path, share of its SNR over noise alone and then whether it was
-    detected, shifts (3), power added.
-    """
+def _sort_by_strength(n: int, gamma: Array, work: Array) -> None:
+    """Write the order of n paths into `work`, the strongest first."""
     for i in range(n):
         j = i
-        while j > 0 and gamma[int(work[j - 1, 0])] < gamma[i]:
-            work[j, 0] = work[j - 1, 0]
+        while j > 0 and gamma[int(work[j - 1, ORDER])] < gamma[i]:
+            work[j, ORDER] = work[j - 1, ORDER]
             j -= 1
-        work[j, 0] = i
+        work[j, ORDER] = i
+
+
+@njit(cache=True)
+def _overlap(n: int, geo: Array, gamma: Array, model: Model, work: Array) -> None:
+    """Write what stronger paths leave of each path: LEFTOVER, NEAREST, and CLEAR."""
     for rank in range(n):
-        p = int(work[rank, 0])
+        p = int(work[rank, ORDER])
         leftover, most, near, ghost, disturbance = 1.0, 0.0, -1, False, 1.0
         for other in range(rank):
-            q = int(work[other, 0])
+            q = int(work[other, ORDER])
             apart = abs(geo[p, 0] - geo[q, 0])
             if gamma[p] < DIFFUSE_SHARE * gamma[q]:
                 disturbance += gamma[q] * trailing(geo[p], geo[q], model)
@@ -102,44 +97,67 @@ def _detect_paths(
                 leftover *= 1.0 - share
                 if share > most:
                     most, near = share, q
-        work[p, 1], work[p, 2], work[p, 3] = leftover, near, 0.0 if ghost else 1.0 / disturbance
+        work[p, LEFTOVER], work[p, NEAREST], work[p, CLEAR] = leftover, near, 0.0 if ghost else 1.0 / disturbance
+
+
+@njit(cache=True)
+def _draw_detections(n: int, geo: Array, gamma: Array, model: Model, detection: Any, work: Array) -> None:
+    """Draw which paths are detected, each with its detection probability, into `work`."""
     for i in range(n):
-        for column in range(4, 8):
-            work[i, column] = 0.0
+        clear = work[i, CLEAR]
+        crowded = work[i, LEFTOVER] <= ISOLATED_LEFTOVER or clear < 1.0 / DISTURBED
+        seen = gamma[i] * work[i, LEFTOVER] * clear
+        chance = detection_probability(seen, crowded, model) * model.detection_scale
         inside = model.window_min <= geo[i, 0] <= model.window_max
-        seen = gamma[i] * work[i, 1] * work[i, 3]
-        crowded = work[i, 1] <= ISOLATED_LEFTOVER or work[i, 3] < 1.0 / DISTURBED
-        chance = probability(seen, crowded, table, model) * model.detection_scale
-        found = detection.random() < chance and inside and work[i, 3] > 0.0
-        work[i, 3] = 1.0 if found or model.perfect else 0.0
+        found = detection.random() < chance and inside and clear > 0.0
+        work[i, DETECTED] = 1.0 if found or model.perfect else 0.0
         if model.perfect:
-            work[i, 1] = 1.0
+            work[i, LEFTOVER] = 1.0
+
+
+@njit(cache=True)
+def _merge(n: int, geo: Array, gamma: Array, work: Array) -> None:
+    """Write how undetected paths pull their strongest neighbour, to which they are attributed: SHIFT and ADDED."""
     for i in range(n):
-        q = int(work[i, 2])
-        if work[i, 3] == 0.0 and q >= 0:
-            # What is not resolved is attributed to the stronger neighbour, and pulls it.
-            merged = 1.0 - work[i, 1]
+        for column in range(SHIFT, ADDED + 1):
+            work[i, column] = 0.0
+    for i in range(n):
+        q = int(work[i, NEAREST])
+        if work[i, DETECTED] == 0.0 and q >= 0:
+            merged = 1.0 - work[i, LEFTOVER]
             pull = merged * gamma[i] / (gamma[i] + gamma[q])
-            work[q, 4] += pull * (geo[i, 0] - geo[q, 0])
-            work[q, 5] += pull * wrap(geo[i, 1] - geo[q, 1])
-            work[q, 6] += pull * (geo[i, 2] - geo[q, 2])
-            work[q, 7] += merged * gamma[i]
-    count = 0
+            work[q, SHIFT] += pull * (geo[i, 0] - geo[q, 0])
+            work[q, SHIFT + 1] += pull * wrap(geo[i, 1] - geo[q, 1])
+            work[q, SHIFT + 2] += pull * (geo[i, 2] - geo[q, 2])
+            work[q, ADDED] += merged * gamma[i]
+
+
+@njit(cache=True)
+def _detect_paths(
+    n: int, geo: Array, gamma: Array, model: Model, pose: Array, vt: Array, port: int, attitude: Array, fields: Fields,
+    streams: Streams, work: Array, out: Array,
+) -> int:  # fmt: skip
+    """Draw the measurements of one link's n true paths into `out`; return how many."""
+    _sort_by_strength(n, gamma, work)
+    _overlap(n, geo, gamma, model, work)
+    _draw_detections(n, geo, gamma, model, streams.detection, work)
+    _merge(n, geo, gamma, work)
+    count, noise = 0, streams.noise
     white, slow = np.empty(3), np.empty(3)
     for i in range(n):
         e_d, e_a, e_e = noise.standard_normal(), noise.standard_normal(), noise.standard_normal()
-        if work[i, 3] == 0.0:
+        if work[i, DETECTED] == 0.0:
             continue
         row = out[count]
-        effective = max(gamma[i] * work[i, 1], 1e-2)
+        effective = max(gamma[i] * work[i, LEFTOVER], 1e-2)
         write_std(row, effective, geo[i, 2], model)
         write_white_std(effective, geo[i, 2], model, white)
         write_persisting(geo[i], pose, vt[i], port, attitude, fields, slow)
-        row[DISTANCE] = geo[i, 0] + work[i, 4] * model.noise_scale + white[0] * e_d + slow[0]
-        row[AZIMUTH] = geo[i, 1] + work[i, 5] * model.noise_scale + white[1] * e_a + slow[1]
-        row[ELEVATION] = geo[i, 2] + work[i, 6] * model.noise_scale + white[2] * e_e + slow[2]
+        row[DISTANCE] = geo[i, 0] + work[i, SHIFT] * model.noise_scale + white[0] * e_d + slow[0]
+        row[AZIMUTH] = geo[i, 1] + work[i, SHIFT + 1] * model.noise_scale + white[1] * e_a + slow[1]
+        row[ELEVATION] = geo[i, 2] + work[i, SHIFT + 2] * model.noise_scale + white[2] * e_e + slow[2]
         fold(row)
-        row[SNR_DB] = 10.0 * math.log10(min((gamma[i] + work[i, 7]) / model.samples, model.snr_cap))
+        row[SNR_DB] = 10.0 * math.log10(min((gamma[i] + work[i, ADDED]) / model.samples, model.snr_cap))
         row[PATH] = i
         count += 1
     return count
@@ -174,27 +192,14 @@ def _emit(
 
 @njit(cache=True)
 def measure_block(
-    first_snapshot: int,
-    poses: Array,
-    rows: Array,
-    vt: Array,
-    gain: Array,
-    departure: Array,
-    offsets: Array,
-    links: LinkTable,
-    model: Model,
-    fields: Fields,
-    table: Array,
-    threshold: float,
-    noise: Any,
-    detection: Any,
-    clutter: Any,
-) -> Array:
-    """Return the measurements (M, COLUMNS) of `poses` (T, 6), numbered from `first_snapshot`.
+    first_snapshot: int, poses: Array, paths: PathColumns, offsets: Array, links: LinkTable, model: Model,
+    fields: Fields, streams: Streams,
+) -> Array:  # fmt: skip
+    """Return the measurements (M, COLUMNS) of `poses` (T, 6), numbered from `first_snapshot`; m and rad.
 
-    `rows` (T S + 1,): paths of (snapshot, site) are rows[t S + s] up to rows[t S + s + 1] of vt (P, 3), gain
-    (P, 2, 2) as [rx, tx] in (H, V), and departure (P, 2) azimuth, elevation in the world; `offsets` (S,).
+    `paths` of all (snapshot, site); clock `offsets` (S,) in m.
     """
+    rows = paths.rows
     sites, count_links = len(offsets), len(links.site)
     widest = 1
     for k in range(len(rows) - 1):
@@ -202,16 +207,16 @@ def measure_block(
     geo, attitude = np.empty((sites, widest, 3)), np.empty(3)
     power = np.empty((count_links, widest))
     cell_power = np.empty(len(links.cell_site))
-    gamma, work = np.empty(widest), np.empty((widest, 8))
+    gamma, work = np.empty(widest), np.empty((widest, WIDTH))
     most = widest + (widest + 1) * MOST_CLUTTER
     buffer, order = np.empty((most, COLUMNS)), np.empty(most, np.int64)
-    out, used = np.empty((max(256, 4 * len(vt)), COLUMNS)), 0
+    out, used = np.empty((max(256, 4 * len(paths.vt_m)), COLUMNS)), 0
     for t in range(len(poses)):
         base = t * sites
         for s in range(sites):
             for i in range(rows[base + s + 1] - rows[base + s]):
-                body_geometry(poses[t], vt[rows[base + s] + i], geo[s, i])
-        link_powers(rows, base, gain, departure, geo, links, model.eirp, power, cell_power)
+                body_geometry(poses[t], paths.vt_m[rows[base + s] + i], geo[s, i])
+        link_powers(paths, base, geo, links, model.eirp, power, cell_power)
         write_attitude(first_snapshot + t, fields, attitude)
         total = 0.0
         for cell in range(len(cell_power)):
@@ -227,12 +232,12 @@ def measure_block(
             for i in range(n):
                 gamma[i] = model.samples * min(power[link, i] / sigma2, model.snr_cap)
             count = _detect_paths(
-                n, geo[site], gamma, model, table, poses[t], vt[first:], links.port[link], attitude, fields, noise,
-                detection, work, buffer,
+                n, geo[site], gamma, model, poses[t], paths.vt_m[first:], links.port[link], attitude, fields, streams,
+                work, buffer,
             )  # fmt: skip
             for i in range(n):
-                count += structured_clutter(i, n, geo[site], gamma, model, table, clutter, buffer[count:])
-            count += noise_clutter(model, threshold, clutter, buffer[count:])
+                count += structured_clutter(i, n, geo[site], gamma, model, streams.clutter, buffer[count:])
+            count += noise_clutter(model, streams.clutter, buffer[count:])
             if used + count > len(out):
                 larger = np.empty((2 * (used + count), COLUMNS))
                 for i in range(used):

@@ -1,9 +1,10 @@
-"""What the compiled detector reads and writes: constants of the model, the table of links, output columns."""
+"""What the compiled detector reads and writes: constants of the model, links, traced paths, output columns."""
 
 from __future__ import annotations
 
 from typing import Any, NamedTuple
 
+import numpy as np
 from numpy.typing import NDArray
 
 Array = NDArray[Any]
@@ -41,15 +42,43 @@ class LinkTable(NamedTuple):
     cell_ports: Array
 
 
-class Model(NamedTuple):
-    """The radio configuration in linear units; scales as in `BoundScales`, floors are standard
-    deviations, of all causes and of the white ones.
+class PathColumns(NamedTuple):
+    """Traced paths (P,) as the front ends read them, sorted by (receiver, site).
 
-    `trail`, `around`: disturbance that a stronger path's diffuse energy adds in the same direction and in all, per
-    integrated SNR; `sidelobes`: share of it that spreads over `sidelobe_m` of delay. `company`: how many times as much
-    clutter there is around a path among others as around a lone one. Clutter around a path
-    over nodes (G,) of its integrated SNR: mean number (G,), points (G, N, 4): later (m), beside and above (rad), SNR
-    (dB).
+    `rows` (T S + 1,): paths of receiver t and site s are rows[t S + s] up to rows[t S + s + 1] of `vt_m` (P, 3) in m,
+    `gain` (P, 2, 2) as [received, sent] amplitudes in (H, V), and `departure_rad` (P, 2) azimuth and elevation in the
+    world.
+    """
+
+    rows: NDArray[np.int64]
+    vt_m: NDArray[np.float64]
+    gain: NDArray[np.complex128]
+    departure_rad: NDArray[np.float64]
+
+
+class Streams(NamedTuple):
+    """The generators of a front end: noise, detection, clutter. They advance with every snapshot."""
+
+    noise: np.random.Generator
+    detection: np.random.Generator
+    clutter: np.random.Generator
+
+    @staticmethod
+    def spawn(rng: np.random.Generator) -> Streams:
+        """Return three independent children of `rng`."""
+        return Streams(*rng.spawn(3))
+
+
+class Model(NamedTuple):
+    """The radio configuration in linear units; scales as in `BoundScales`, floors are standard deviations, of all
+    causes and of the white ones.
+
+    `threshold`: least energy over disturbance that is detected; `detection`: probability that an isolated path exceeds
+    it, over integrated SNR from TABLE_START_DB in steps of TABLE_STEP_DB. `trail`, `around`: disturbance that a
+    stronger path's diffuse energy adds in the same direction and in all, per integrated SNR; `sidelobes`: share of it
+    that spreads over `sidelobe_m` of delay. `company`: how many times as much clutter there is around a path among
+    others as around a lone one. Clutter around a path over nodes (G,) of its integrated SNR: mean number (G,), points
+    (G, N, 4): later (m), beside and above (rad), SNR (dB).
     """
 
     eirp: float
@@ -68,6 +97,8 @@ class Model(NamedTuple):
     azimuth_white: float
     elevation_white: float
     noise_scale: float
+    threshold: float
+    detection: Array
     detection_scale: float
     perfect: bool
     window_min: float

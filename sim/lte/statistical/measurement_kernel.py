@@ -1,4 +1,7 @@
-"""Compiled pieces of one measurement: geometry, detection probability, deviations, range of angles."""
+"""Compiled pieces of one measurement: geometry, detection probability, deviations, range of angles.
+
+Source: own derivation, docs/front-end.md, "Statistical front end".
+"""
 
 from __future__ import annotations
 
@@ -44,7 +47,7 @@ def body_geometry(pose: Array, vt: Array, out: Array) -> None:
 
 
 @njit(cache=True)
-def probability(gamma: float, overlapped: bool, table: Array, model: Model) -> float:
+def detection_probability(gamma: float, overlapped: bool, model: Model) -> float:
     """Return the detection probability at integrated SNR `gamma` (leftover already applied)."""
     if gamma <= 1e-2:
         return 0.0
@@ -52,7 +55,7 @@ def probability(gamma: float, overlapped: bool, table: Array, model: Model) -> f
     if overlapped:
         return 1.0 / (1.0 + math.exp(-(gamma_db - model.overlap_centre_db) / model.overlap_width_db))
     at = (gamma_db - TABLE_START_DB) / TABLE_STEP_DB
-    i = int(at)
+    i, table = int(at), model.detection
     if at < 0.0:
         return 0.0
     if i >= len(table) - 1:

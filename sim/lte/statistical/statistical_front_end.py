@@ -2,13 +2,14 @@
 
 Per link and path: received power, interference, SNR, overlap with stronger paths, detection, error from the
 bound and the floors, in part white and in part persisting; then clutter. The constants are measured (`statistics`).
+
+Source: own derivation, docs/front-end.md, "Statistical front end".
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import NamedTuple
 
 import numpy as np
 
@@ -18,39 +19,12 @@ from cellslam.sim.lte.persisting_errors_kernel import Fields
 from cellslam.sim.lte.radio_config import RadioConfig
 from cellslam.sim.lte.single_path_bound import bound_scales
 from cellslam.sim.lte.statistical import detector_layout as k
+from cellslam.sim.lte.statistical.detector_layout import PathColumns, Streams
 from cellslam.sim.lte.statistical.statistics import Statistics, statistics
 from cellslam.sim.progress import Progress, silent
 from cellslam.sim.recording import Floats, Ints, Measurements
 
 BLOCK = 512  # snapshots per kernel call: the step of the progress bar
-
-
-class Streams(NamedTuple):
-    """The generators of a front end: noise, detection, clutter. They advance with every snapshot."""
-
-    noise: np.random.Generator
-    detection: np.random.Generator
-    clutter: np.random.Generator
-
-    @staticmethod
-    def spawn(rng: np.random.Generator) -> Streams:
-        """Return three independent children of `rng`."""
-        return Streams(*rng.spawn(3))
-
-
-@dataclass(frozen=True)
-class PathColumns:
-    """Traced paths as the front ends read them, sorted by (receiver, site).
-
-    `rows` (T S + 1,): paths of receiver t and site s are rows[t S + s] up to rows[t S + s + 1] of `vt_m` (P,
-    3), `gain` (P, 2, 2) as [received, sent] amplitudes in (H, V), and `departure_rad` (P, 2) azimuth and
-    elevation in the world.
-    """
-
-    rows: Ints
-    vt_m: Floats
-    gain: np.ndarray[tuple[int, ...], np.dtype[np.complex128]]
-    departure_rad: Floats
 
 
 @dataclass(frozen=True)
@@ -71,8 +45,9 @@ def noise_clutter_mean(threshold: float, s: Statistics) -> float:
 
 @lru_cache(maxsize=8)
 def detection_table(threshold: float, s: Statistics) -> Floats:
-    """Return P(T > threshold) of an isolated path over the kernel's grid of Gamma in dB: ncx2.sf(2 x, dof, gain
-    Gamma), the constants measured.
+    """Return the detection probability (1201,) of an isolated path over the kernel's grid of Gamma in dB.
+
+    P(T > x) = ncx2.sf(2 x, dof, gain Gamma) at the threshold x, the constants measured.
     """
     from scipy.stats import ncx2
 
@@ -93,6 +68,7 @@ def model_of(config: RadioConfig, s: Statistics) -> k.Model:
         elevation_scale=scales.elevation_rad, distance_floor=float(floor[0]), azimuth_floor=float(floor[1]),
         elevation_floor=float(floor[2]), distance_white=float(white[0]), azimuth_white=float(white[1]),
         elevation_white=float(white[2]), noise_scale=config.noise_scale,
+        threshold=config.detection_threshold, detection=detection_table(config.detection_threshold, s),
         detection_scale=config.detection_scale, perfect=config.perfect_detection,
         window_min=config.window_min_m, window_max=config.window_max_m,
         noise_clutter=noise_clutter_mean(config.detection_threshold, s) * config.clutter_scale,
@@ -109,27 +85,26 @@ def detect(
     config: RadioConfig, cells: Cells, paths: PathColumns, poses: Floats, offsets_m: Floats, fields: Fields,
     streams: Streams, first_snapshot: int = 0, progress: Progress = silent, constants: Statistics | None = None,
 ) -> Detections:  # fmt: skip
-    """Return the measurements of `poses` (T, 6), whose paths are `paths`, numbered from `first_snapshot`.
+    """Return the measurements of `poses` (T, 6), in m and rad, whose paths are `paths`, numbered from `first_snapshot`.
 
-    `offsets_m` (S,) is added to the distances; `fields` are the errors that persist (`persisting.draw_fields`).
+    `offsets_m` (S,) is added to the distances; `fields` are the errors that persist (`persisting_errors.draw_fields`).
     The streams advance: a drive in one call or pose by pose gives the same. `constants`: other than the shipped ones.
     """
     from cellslam.sim.lte.statistical.detection_kernel import measure_block
 
     sites, links = len(offsets_m), link_table(cells)
     s = constants or statistics()
-    model, table = model_of(config, s), detection_table(config.detection_threshold, s)
+    model = model_of(config, s)
     out = [np.empty((0, k.COLUMNS))]
     with progress("measuring", len(poses)) as advance:
         for start in range(0, len(poses), BLOCK):
             part = poses[start : start + BLOCK]
             rows = paths.rows[start * sites : (start + len(part)) * sites + 1]
             low, high = rows[0], rows[-1]
+            own = PathColumns(rows - low, paths.vt_m[low:high], paths.gain[low:high], paths.departure_rad[low:high])
             block = measure_block(
-                first_snapshot + start, np.ascontiguousarray(part, np.float64), rows - low,
-                paths.vt_m[low:high], paths.gain[low:high], paths.departure_rad[low:high],
-                np.asarray(offsets_m, np.float64), links, model, fields, table, config.detection_threshold,
-                streams.noise, streams.detection, streams.clutter,
+                first_snapshot + start, np.ascontiguousarray(part, np.float64), own, np.asarray(offsets_m, np.float64),
+                links, model, fields, streams,
             )  # fmt: skip
             block[:, k.PATH] += np.where(block[:, k.PATH] >= 0, low, 0)
             out.append(block)
@@ -138,7 +113,7 @@ def detect(
 
 
 def detections_of(table: Floats) -> Detections:
-    """Return the detections in a table (M, COLUMNS) as the kernels write it."""
+    """Return the detections in a table (M, COLUMNS), m, rad, dB, as the kernels write it."""
     c = np.ascontiguousarray(table.T)
     measurements = Measurements(
         snapshot=c[k.SNAPSHOT].astype(np.int64), link=c[k.LINK].astype(np.int64), distance_m=c[k.DISTANCE],

@@ -1,4 +1,7 @@
-"""Constants of the statistical front end, as the calibration study measured them (`cellslam bench calibrate`)."""
+"""Constants of the statistical front end, as the calibration study measured them (`cellslam bench calibrate`).
+
+Source: measured; how, docs/front-end.md, "Calibration".
+"""
 
 from __future__ import annotations
 

@@ -1,1 +1,5 @@
-"""The path estimator of one link: samples of the array in, delays, angles and weights of the paths out."""
+"""The path estimator of one link: samples (ports, tones) in, distances, directions, SNR and covariances of paths out.
+
+`path_estimator.estimate_paths` is the door. `cancellation` takes a colliding cell out beforehand; `spectrum` is what is
+searched; `joint_fit` fits paths; `*_kernel` are the compiled parts of the search and the fits.
+"""

@@ -1,4 +1,4 @@
-"""Compiled Levenberg-Marquardt climb of a joint path fit for the circular array; its NumPy twin is `refine`."""
+"""Compiled Levenberg-Marquardt climb of a joint path fit for the circular array; its NumPy twin is `refine_any`."""
 
 from __future__ import annotations
 
@@ -12,25 +12,15 @@ from cellslam.sim.lte.signal.path_estimator.joint_fit_kernel import Normal, norm
 from cellslam.sim.lte.signal.path_estimator.one_path_kernel import normal_equations_of_one
 from cellslam.sim.lte.statistical.detector_layout import Array
 from cellslam.sim.lte.statistical.measurement_kernel import wrap
-from cellslam.sim.lte.steering_kernel import steer_circular
+from cellslam.sim.lte.steering_kernel import SteeringModel, steer_circular
 
 
-class SteeringModel(NamedTuple):
-    """What `steer_circular` takes of the array and its motion, and the phase per metre of each tone."""
+class Steps(NamedTuple):
+    """Limits of the climb: number of steps, the longest in m, rad, rad (3,), and the steepest elevation in rad."""
 
-    columns: int
-    rings: int
-    radius_m: float
-    spacing_m: float
-    wavenumber: float
-    peak_dbi: float
-    curve: float
-    floor_db: float
-    polarisation: Array
-    factor: Array
-    doppler: Array
-    velocity: Array
-    rate: Array
+    most: int
+    longest: Array
+    steepest: float
 
 
 @njit(cache=True, nogil=True)
@@ -40,11 +30,7 @@ def evaluate_circular(y: Array, geometry: Array, m: SteeringModel) -> Normal:
     shape = (n, len(m.factor), 2)
     value = np.empty(shape, np.complex128)
     by_azimuth, by_elevation = np.empty(shape, np.complex128), np.empty(shape, np.complex128)
-    steer_circular(
-        geometry[:, 1].copy(), geometry[:, 2].copy(), m.columns, m.rings, m.radius_m, m.spacing_m, m.wavenumber,
-        m.peak_dbi, m.curve, m.floor_db, m.polarisation, m.factor, m.doppler, m.velocity, value, by_azimuth,
-        by_elevation,
-    )  # fmt: skip
+    steer_circular(geometry[:, 1].copy(), geometry[:, 2].copy(), m, value, by_azimuth, by_elevation)
     if n == 1:
         return normal_equations_of_one(y, value[0], by_azimuth[0], by_elevation[0], m.rate, geometry[0, 0])
     return normal_equations(y, value, by_azimuth, by_elevation, m.rate, geometry[:, 0].copy())
@@ -52,14 +38,15 @@ def evaluate_circular(y: Array, geometry: Array, m: SteeringModel) -> Normal:
 
 @njit(cache=True, nogil=True)
 def climb(
-    y: Array, start: Array, least_gain: float, iterations: int, promising: float, longest: Array, steepest: float,
-    m: SteeringModel,
-) -> tuple[Array, Normal]:  # fmt: skip
-    """Return geometry (n, 3) and normal equations after the climb from `start`; see `refine`. Energies as in `y`."""
+    y: Array, start: Array, least_gain: float, promising: float, steps: Steps, m: SteeringModel
+) -> tuple[Array, Normal]:
+    """Return geometry (n, 3) in m, rad, rad and normal equations after the climb from `start` (n, 3) in the samples
+    `y` (ports, tones); see `joint_fit.refine`. Energies as in `y`.
+    """
     geometry = start.copy()
     normal = evaluate_circular(y, geometry, m)
     damping = 1e-3
-    for iteration in range(iterations):
+    for iteration in range(steps.most):
         matrix = normal.information.copy()
         for i in range(len(matrix)):
             matrix[i, i] += damping * matrix[i, i] + 1e-30
@@ -72,9 +59,9 @@ def climb(
         moved = geometry.copy()
         for p in range(len(moved)):
             for c in range(3):
-                moved[p, c] += min(max(step[3 * p + c], -longest[c]), longest[c])
+                moved[p, c] += min(max(step[3 * p + c], -steps.longest[c]), steps.longest[c])
             moved[p, 1] = wrap(moved[p, 1])
-            moved[p, 2] = min(max(moved[p, 2], -steepest), steepest)
+            moved[p, 2] = min(max(moved[p, 2], -steps.steepest), steps.steepest)
         trial = evaluate_circular(y, moved, m)
         if trial.explained > normal.explained:
             geometry, normal, damping = moved, trial, 0.1 * damping

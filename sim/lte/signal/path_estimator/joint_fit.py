@@ -1,4 +1,8 @@
-"""Joint maximum-likelihood fit of several paths: Levenberg-Marquardt over distances and angles, weights eliminated."""
+"""Joint maximum-likelihood fit of several paths: Levenberg-Marquardt over distances and angles, weights eliminated.
+
+Source: RIMAX, Richter, "Estimation of radio channel parameters: models and algorithms", 2005; weights eliminated by
+variable projection, Golub and Pereyra 1973, in the form of Kaufman 1975.
+"""
 
 from __future__ import annotations
 
@@ -10,12 +14,12 @@ from numpy.typing import NDArray
 
 from cellslam.sim.frames import wrap_angle
 from cellslam.sim.lte.array import Complex, Floats
-from cellslam.sim.lte.signal.path_estimator.climb_kernel import climb
+from cellslam.sim.lte.signal.path_estimator.climb_kernel import Steps, climb
 from cellslam.sim.lte.signal.path_estimator.joint_fit_kernel import Normal, normal_equations
-from cellslam.sim.lte.signal.receiver import Motion
+from cellslam.sim.lte.signal.receiver import Motion, Receiver
 
 FINE_GAIN = 0.01  # noise variances: a hundredth of a nat
-ITERATIONS = 12
+MOST_STEPS = 12
 LONGEST_STEP = np.array([6.0, np.radians(9.0), np.radians(9.0)])
 STEEPEST_RAD = np.radians(85.0)
 
@@ -41,7 +45,7 @@ class Fit:
 
     @cached_property
     def in_spectrum(self) -> tuple[NDArray[np.complex64], NDArray[np.complex64]]:
-        """The same over ports (ports, n) and searched delays (n, D)."""
+        """The same over ports (ports, n) and searched delays (n, D), both in units of the samples."""
         on_ports, on_tones = (f.astype(np.complex64) for f in self.factors)
         return np.ascontiguousarray(on_ports.T), on_tones @ self.motion.receiver.delay_matrix
 
@@ -53,7 +57,9 @@ class Fit:
 
 
 def evaluate(y: Complex, motion: Motion, geometry: Floats) -> Fit:
-    """Return the least-squares weights, information and gradient at a geometry (n, 3) of the samples (ports, tones)."""
+    """Return the least-squares weights, information and gradient at a geometry (n, 3), m, rad, rad, of `y` (ports,
+    tones).
+    """
     distance, azimuth, elevation = (np.ascontiguousarray(column) for column in geometry.T)
     steering = motion.steer(azimuth, elevation)
     return Fit(geometry, normal_equations(y, *steering, motion.receiver.rate, distance), motion)
@@ -63,15 +69,15 @@ def refine(
     y: Complex, motion: Motion, geometry: Floats, noise_variance: float, least_gain: float = FINE_GAIN,
     promising: float = 0.0,
 ) -> Fit:  # fmt: skip
-    """Return the joint fit that starts at `geometry` (n, 3); done when a step gains less than `least_gain` noise
-    variances.
+    """Return the joint fit of `y` (ports, tones) that starts at `geometry` (n, 3), m, rad, rad; done when a step gains
+    less than `least_gain` noise variances.
 
     It ends at once where neither the start nor what the first step promises reaches `promising` noise variances.
     """
     if motion.model is not None:
         climbed = climb(
-            y, np.ascontiguousarray(geometry, np.float64), least_gain * noise_variance, ITERATIONS,
-            promising * noise_variance, LONGEST_STEP * motion.receiver.coarser, float(STEEPEST_RAD), motion.model,
+            y, np.ascontiguousarray(geometry, np.float64), least_gain * noise_variance, promising * noise_variance,
+            steps_of(motion.receiver), motion.model,
         )  # fmt: skip
         return Fit(*climbed, motion)
     return refine_any(y, motion, geometry, noise_variance, least_gain, promising)
@@ -81,9 +87,9 @@ def refine_any(
     y: Complex, motion: Motion, geometry: Floats, noise_variance: float, least_gain: float = FINE_GAIN,
     promising: float = 0.0,
 ) -> Fit:  # fmt: skip
-    """Return the same as `refine`, step by step in NumPy, for any array."""
+    """Return the same as `refine` of `y` (ports, tones) at `geometry` (n, 3), m, rad, rad, in NumPy, for any array."""
     fit, damping = evaluate(y, motion, geometry), 1e-3
-    for iteration in range(ITERATIONS):
+    for iteration in range(MOST_STEPS):
         step, gain = _step(fit.normal, damping)
         hopeless = iteration == 0 and fit.normal.explained + gain < promising * noise_variance
         if gain < least_gain * noise_variance or hopeless:
@@ -97,7 +103,9 @@ def refine_any(
 
 
 def covariance(fit: Fit, level: Floats) -> Floats:
-    """Return the covariances (n, 3, 3) of each path's geometry at its disturbance per sample `level` (n,)."""
+    """Return the covariances (n, 3, 3) of each path's geometry (m, rad, rad) at its disturbance per sample `level`
+    (n,).
+    """
     information = 2.0 * fit.normal.information
     scale = 1.0 / np.sqrt(np.maximum(np.diag(information), 1e-30))
     scaled = information * np.outer(scale, scale) + 1e-9 * np.eye(len(scale))
@@ -105,6 +113,11 @@ def covariance(fit: Fit, level: Floats) -> Floats:
     inverse = (np.linalg.inv(scaled) * np.outer(scale, scale)).reshape(n, 3, n, 3)
     own = inverse[np.arange(n), :, np.arange(n), :]
     return np.asarray(own * level[:, None, None], np.float64)
+
+
+def steps_of(receiver: Receiver) -> Steps:
+    """Return the limits of a climb at the receiver's bandwidth."""
+    return Steps(MOST_STEPS, LONGEST_STEP * receiver.coarser, float(STEEPEST_RAD))
 
 
 def _step(normal: Normal, damping: float) -> tuple[Floats, float]:

@@ -1,4 +1,8 @@
-"""Compiled normal equations of a joint path fit: Kronecker Gram matrices, weights eliminated exactly."""
+"""Compiled normal equations of a joint path fit: Kronecker Gram matrices, weights eliminated exactly.
+
+Source: variable projection, Golub and Pereyra 1973, in the form of Kaufman 1975; products of small matrices, Richter
+2005 (see `path_estimator`).
+"""
 
 from __future__ import annotations
 

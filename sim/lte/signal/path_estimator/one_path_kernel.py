@@ -1,4 +1,7 @@
-"""Compiled normal equations of a fit of one path: what the search evaluates most. Same numbers as `refine_kernel`."""
+"""Compiled normal equations of a fit of one path: what the search evaluates most.
+
+Source: that of `joint_fit_kernel`, whose numbers it gives, to rounding.
+"""
 
 from __future__ import annotations
 

@@ -1,7 +1,7 @@
 """Path estimator of one link: search, one-path fits, joint maximum-likelihood fit, model order (RIMAX-type).
 
-After Richter, "Estimation of radio channel parameters: models and algorithms", 2005: strongest path first, joint
-refinement, reliability by the Fisher information; local disturbance instead of a parametric diffuse model.
+Source: after Richter, "Estimation of radio channel parameters: models and algorithms", 2005: strongest path first,
+joint refinement, reliability by the Fisher information; local disturbance instead of a parametric diffuse model.
 """
 
 from __future__ import annotations
@@ -14,19 +14,11 @@ from numpy.typing import NDArray
 from cellslam.sim.errors import InputError
 from cellslam.sim.frames import wrap_angle
 from cellslam.sim.lte.array import CircularArray, Complex, Floats
-from cellslam.sim.lte.signal.path_estimator.acquire_kernel import Rules, next_path
-from cellslam.sim.lte.signal.path_estimator.joint_fit import (
-    FINE_GAIN,
-    ITERATIONS,
-    LONGEST_STEP,
-    STEEPEST_RAD,
-    Fit,
-    covariance,
-    refine,
-)
+from cellslam.sim.lte.signal.path_estimator.acquire_kernel import Grid, Rules, next_path
+from cellslam.sim.lte.signal.path_estimator.joint_fit import FINE_GAIN, Fit, covariance, refine, steps_of
 from cellslam.sim.lte.signal.path_estimator.search_kernel import subtract_outer
 from cellslam.sim.lte.signal.path_estimator.spectrum import DIFFUSE_MARGIN, Spectrum, in_trail
-from cellslam.sim.lte.signal.receiver import DELAY_PITCH_M, ELEVATIONS, HIGHEST_RAD, LOWEST_RAD, Motion, Receiver
+from cellslam.sim.lte.signal.receiver import DELAY_PITCH_M, HIGHEST_RAD, LOWEST_RAD, Motion, Receiver
 from cellslam.sim.lte.statistical.detector_layout import GHOST_REACH_M
 
 Cell = tuple[int, int]  # direction and bin of the spectrum
@@ -66,7 +58,7 @@ NOTHING = Estimates(np.empty((0, 3)), np.empty((0, 3, 3)), np.empty(0), np.empty
 
 
 def estimate_paths(y: Complex, motion: Motion, start: Floats | None = None) -> Estimates:
-    """Return the paths in a link's samples (ports, tones); `start` (n, 3): geometry to begin with (tracking).
+    """Return the paths in a link's samples (ports, tones); `start` (n, 3) in m, rad, rad: to begin with (tracking).
 
     Ports that deliver nothing, or nothing finite, are left out; so are saturated ones, whose samples the paths of the
     other ports do not explain. Raises InputError where no port delivers anything, and for samples of
@@ -209,7 +201,7 @@ class _Link:
 
         `blocked` takes up each cell that is tried: what the joint fit drops must not come back for ever.
         """
-        model, r, s = self.motion.model, self.receiver, self.spectrum
+        model, r = self.motion.model, self.receiver
         if model is None:
             return self._next_any(blocked, failures)
         cells = np.zeros((len(blocked) + MOST_FAILURES + 1, 2), np.int64)
@@ -217,12 +209,11 @@ class _Link:
         farthest = _FARTHEST * r.coarser[[0, 2]]
         rules = Rules(
             COARSE * r.threshold, r.threshold, _PROMISING, MOST_FAILURES, float(farthest[0]), float(farthest[1]),
-            DIFFUSE_MARGIN, ELEVATIONS,
+            DIFFUSE_MARGIN, _COARSE_GAIN,
         )  # fmt: skip
         count, failures, k, d, geometry, normal = next_path(
-            self.residual, s.energy, s.port_energy, s.profile, s.trailing, s.working, cells, len(blocked), failures,
-            r.delays_m, *r.directions, rules, _COARSE_GAIN, ITERATIONS, LONGEST_STEP * r.coarser, float(STEEPEST_RAD),
-            model,
+            self.residual, self.spectrum.power, Grid(r.delays_m, *r.directions), cells, len(blocked), failures, rules,
+            steps_of(r), model,
         )  # fmt: skip
         blocked.extend((int(a), int(b)) for a, b in cells[len(blocked) : count])
         return ((Fit(geometry, normal, self.motion), (k, d)) if k >= 0 else None), failures

@@ -1,6 +1,11 @@
-"""Compiled search of a link's delay-direction spectrum for the strongest peak that stands out of its surroundings."""
+"""Compiled search of a link's delay-direction spectrum for the strongest peak that stands out of its surroundings.
+
+Source: own derivation, docs/front-end.md, "Estimator".
+"""
 
 from __future__ import annotations
+
+from typing import NamedTuple
 
 import numpy as np
 from numba import njit
@@ -15,14 +20,30 @@ ALIKE = 0.1  # relative difference over delay that is taken for the noise estima
 SIDELOBES = 0.01  # mean energy of a delay peak over the reference cells, relative to the peak
 
 
+class PowerSpectrum(NamedTuple):
+    """Energies, as in the samples, over K directions (`elevations` to an azimuth) and D delays.
+
+    `energy` (K, D) of both polarisations of each beam; `port_energy` (D,) of all `ports` that work; `noise` (D,) per
+    sample; `trailing` (azimuths, D): energy of the paths in whose diffuse energy a cell lies.
+    """
+
+    energy: Array
+    port_energy: Array
+    noise: Array
+    trailing: Array
+    ports: int
+    elevations: int
+
+
 @njit(cache=True, nogil=True)
-def look(beams: Array, on_ports: Array, working: int, energy: Array, port_energy: Array, profile: Array) -> float:
-    """Write energy (K, D) of both polarisations of beam outputs (2 K, D), energy (D,) of all port outputs (ports, D),
-    and the noise per sample over delay (D,): the running median of the ports' mean energy; return its median.
+def write_energies(beams: Array, on_ports: Array, spectrum: PowerSpectrum) -> float:
+    """Write the energies of beam outputs (2 K, D) and port outputs (ports, D), and the noise per sample over delay: the
+    running median of the ports' mean energy; return its median.
 
     Cancelling another cell colours the noise over delay; paths fill few cells of a stretch. What differs by no more
     than scatter is set to the median.
     """
+    energy, port_energy, noise = spectrum.energy, spectrum.port_energy, spectrum.noise
     count, bins = energy.shape
     for k in range(count):
         h, v, row = beams[2 * k], beams[2 * k + 1], energy[k]
@@ -33,14 +54,14 @@ def look(beams: Array, on_ports: Array, working: int, energy: Array, port_energy
         port = on_ports[m]
         for d in range(bins):
             port_energy[d] += port[d].real * port[d].real + port[d].imag * port[d].imag
-    running_median(port_energy, STRETCH_BINS, profile)
+    running_median(port_energy, STRETCH_BINS, noise)
     for d in range(bins):
-        profile[d] /= working
-    noise = float(np.median(profile))
+        noise[d] /= spectrum.ports
+    usual = float(np.median(noise))
     for d in range(bins):
-        if abs(profile[d] - noise) < ALIKE * noise:
-            profile[d] = noise
-    return noise
+        if abs(noise[d] - usual) < ALIKE * usual:
+            noise[d] = usual
+    return usual
 
 
 @njit(cache=True, nogil=True)
@@ -88,15 +109,11 @@ def note_trail(trailing: Array, first: Array, last: Array, column: Array, beside
 
 @njit(cache=True, nogil=True)
 def local_levels(
-    directions: Array, bins: Array, energy: Array, elevations: int, port_energy: Array, ports: int, noise: Array,
-    margin: Array, level: Array, asked: Array,
-) -> None:  # fmt: skip
-    """Write `local_level` of each of n cells whose path was taken out; `margin` (n,)."""
+    directions: Array, bins: Array, spectrum: PowerSpectrum, margin: Array, level: Array, asked: Array
+) -> None:
+    """Write `local_level` of each of n cells (direction, bin) whose path was taken out; all (n,), energies as there."""
     for i in range(len(bins)):
-        d = bins[i]
-        level[i], asked[i] = local_level(
-            directions[i], d, 0.0, energy, elevations, port_energy, ports, noise[d], margin[i]
-        )
+        level[i], asked[i] = local_level(directions[i], bins[i], 0.0, spectrum, margin[i])
 
 
 @njit(cache=True, nogil=True)
@@ -118,15 +135,13 @@ def _surroundings(energy: Array, k: int, elevations: int, low: int, high: int) -
 
 
 @njit(cache=True, nogil=True)
-def local_level(
-    k: int, d: int, peak: float, energy: Array, elevations: int, port_energy: Array, ports: int, noise: float,
-    margin: float,
-) -> tuple[float, float]:  # fmt: skip
+def local_level(k: int, d: int, peak: float, spectrum: PowerSpectrum, margin: float) -> tuple[float, float]:
     """Return the disturbance per sample around a cell of energy `peak`, and the level that the cell must stand out of.
 
     Disturbance is noise, or what exceeds it before or behind in the same directions (greatest-of), or in all other
     directions at the same delay. What stands before or behind counts `margin` times for the second.
     """
+    energy, elevations, noise = spectrum.energy, spectrum.elevations, spectrum.noise[d]
     near, far = GUARD_BINS + 1, GUARD_BINS + 1 + REFERENCE_BINS
     beyond = far + REFERENCE_BINS
     # Of two stretches on each side the lesser: another path there must not hide this one.
@@ -140,7 +155,7 @@ def local_level(
     )
     # A path's own sidelobes over delay are no disturbance.
     along = max(before, behind) - SIDELOBES * peak
-    around = max(port_energy[d] - peak, 0.0) / (ports - 2)
+    around = max(spectrum.port_energy[d] - peak, 0.0) / (spectrum.ports - 2)
     level, asked = noise, noise
     if along > LOCAL_EXCESS * noise:
         level, asked = along, margin * along
@@ -150,25 +165,23 @@ def local_level(
 
 
 @njit(cache=True, nogil=True)
-def strongest(
-    energy: Array, port_energy: Array, noise: Array, coarse: float, elevations: int, ports: int, blocked: Array,
-    trailing: Array, margin: float,
-) -> tuple[int, int, float]:  # fmt: skip
+def strongest(spectrum: PowerSpectrum, coarse: float, blocked: Array, margin: float) -> tuple[int, int, float]:
     """Return (direction, bin, level) of the strongest cell whose energy is `coarse` times the level that it must stand
-    out of; direction -1: none. `noise` (D,) per sample and delay.
+    out of, an energy per sample and delay; direction -1: none.
 
-    `blocked` (B, 2): cells (direction, bin) around which nothing is looked for. `trailing` (azimuths, D): energy of the
-    paths in whose diffuse energy a cell lies; what is weaker must stand out `margin` times as far.
+    `blocked` (B, 2): cells (direction, bin) around which nothing is looked for. A cell weaker than `trailing` must
+    stand out `margin` times as far.
     """
+    energy, elevations = spectrum.energy, spectrum.elevations
     best, at, bin_at, level_at = 0.0, -1, -1, 0.0
     azimuths = energy.shape[0] // elevations
     for k in range(energy.shape[0]):
-        row, behind = energy[k], trailing[k // elevations]
+        row, behind = energy[k], spectrum.trailing[k // elevations]
         for d in range(energy.shape[1]):
-            if row[d] <= best or row[d] < coarse * noise[d]:
+            if row[d] <= best or row[d] < coarse * spectrum.noise[d]:
                 continue
             more = margin if row[d] < behind[d] else 1.0
-            _, level = local_level(k, d, row[d], energy, elevations, port_energy, ports, noise[d], more)
+            _, level = local_level(k, d, row[d], spectrum, more)
             if row[d] < coarse * level:
                 continue
             free = True

@@ -133,22 +133,23 @@ def test_search_kernels_are_their_numpy_twins() -> None:
     v = v / np.linalg.norm(v, axis=1, keepdims=True)
     np.testing.assert_allclose(motion.beams, np.stack([h, v], 1).conj().reshape(-1, 128), atol=1e-6)
     both = np.abs(spectrum.beams.reshape(len(h), 2, -1)) ** 2
-    np.testing.assert_allclose(spectrum.energy, both.sum(axis=1), rtol=1e-5)
-    out = np.empty(spectrum.port_energy.shape)
-    running_median(spectrum.port_energy, 31, out)
-    np.testing.assert_allclose(out, median_filter(spectrum.port_energy, 31, mode="nearest"))
+    np.testing.assert_allclose(spectrum.power.energy, both.sum(axis=1), rtol=1e-5)
+    out = np.empty(spectrum.power.port_energy.shape)
+    running_median(spectrum.power.port_energy, 31, out)
+    np.testing.assert_allclose(out, median_filter(spectrum.power.port_energy, 31, mode="nearest"))
     # The energy under one direction's neighbours, as the disturbance before and behind is taken from it.
-    cells = spectrum.energy.reshape(28, 7, -1)
+    cells = spectrum.power.energy.reshape(28, 7, -1)
     a, e, low, high = 27, 0, 40, 43
     rows = [cells[(a + da) % 28, max(e + de, 0), low:high] for da in (-1, 0, 1) for de in (-1, 0, 1)]
-    np.testing.assert_allclose(_surroundings(spectrum.energy, 7 * a + e, 7, low, high), 0.5 * np.mean(rows), rtol=1e-5)
+    mean = _surroundings(spectrum.power.energy, 7 * a + e, 7, low, high)
+    np.testing.assert_allclose(mean, 0.5 * np.mean(rows), rtol=1e-5)
 
 
 def test_search_for_the_strongest_cell_is_its_numpy_twin() -> None:
     rng = np.random.default_rng(13)
     paths = draw(rng, np.array([5.0, -10.0, -15.0, -20.0]))
     spectrum = Spectrum(channel(paths) + noise(rng), AT_REST)
-    cells = spectrum.energy.reshape(28, 7, -1).astype(float)
+    cells = spectrum.power.energy.reshape(28, 7, -1).astype(float)
     bins = cells.shape[2]
 
     def mean(a: int, e: int, low: int, high: int) -> float:
@@ -158,13 +159,13 @@ def test_search_for_the_strongest_cell_is_its_numpy_twin() -> None:
 
     best = (0.0, (-1, -1))
     for (a, e, d), peak in np.ndenumerate(cells):
-        quiet = spectrum.profile[d]
+        quiet = spectrum.power.noise[d]
         if peak < 10.0 * quiet or peak <= best[0]:
             continue
         before = min(mean(a, e, d - 5, d - 2), mean(a, e, d - 8, d - 5))
         behind = min(mean(a, e, d + 3, d + 6), mean(a, e, d + 6, d + 9))
         along = max(before, behind) - 0.01 * peak
-        around = max(spectrum.port_energy[d] - peak, 0.0) / 126.0
+        around = max(spectrum.power.port_energy[d] - peak, 0.0) / 126.0
         level = max(quiet, along if along > 1.7 * quiet else 0.0, around if around > 1.15 * quiet else 0.0)
         if peak >= 10.0 * level:
             best = (peak, (7 * a + e, d))
@@ -181,7 +182,7 @@ def test_taking_a_path_out_of_the_spectrum_is_transforming_the_residual() -> Non
     spectrum, residual = Spectrum(y, AT_REST), Spectrum(y - fit.samples, AT_REST)
     spectrum.leave(fit)
     np.testing.assert_allclose(spectrum.beams, residual.beams, atol=1e-2)
-    np.testing.assert_allclose(spectrum.profile, residual.profile, rtol=1e-2)
+    np.testing.assert_allclose(spectrum.power.noise, residual.power.noise, rtol=1e-2)
 
 
 def test_a_strong_path_is_not_split() -> None:

@@ -20,7 +20,7 @@ from cellslam.sim.lte.signal import symbol_kernel
 from cellslam.sim.lte.signal.block_processes import in_processes
 from cellslam.sim.lte.signal.diffuse import SCATTERERS, Surroundings
 from cellslam.sim.lte.signal.signal_front_end import SignalLevel, signal_level
-from cellslam.sim.lte.statistical.statistical_front_end import PathColumns
+from cellslam.sim.lte.statistical.detector_layout import PathColumns
 
 Floats = NDArray[np.float64]
 SITES = np.array([[-150.0, 60.0, 35.0], [120.0, -160.0, 40.0]])
