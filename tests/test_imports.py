@@ -10,8 +10,8 @@ import pytest
 
 ROOT = Path(__file__).parents[1]
 ROOMS = ("sim", "slam", "scenarios", "benchmarks")
-# Of sim, estimators see the data contract and the frames; the other three are helpers without a model.
-OPEN_TO_SLAM = ("recording", "frames", "errors", "progress", "randomness")
+# Of sim, estimators see the data contract and the frames; the last three are helpers without a model.
+OPEN_TO_SLAM = ("recording", "frames", "frames_kernel", "errors", "progress", "randomness")
 
 
 def imported(tree: ast.AST) -> Iterator[tuple[int, str]]:

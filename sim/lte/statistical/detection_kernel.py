@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 from numba import njit
 
+from cellslam.sim.frames_kernel import wrap
 from cellslam.sim.lte.budget_kernel import link_powers
 from cellslam.sim.lte.persisting_errors_kernel import Fields, write_attitude, write_persisting
 from cellslam.sim.lte.single_path_bound import AZIMUTH_EXPONENT
@@ -40,7 +41,6 @@ from cellslam.sim.lte.statistical.measurement_kernel import (
     body_geometry,
     fold,
     probability,
-    wrap,
     write_std,
     write_white_std,
 )
