@@ -12,12 +12,13 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 SPEED_OF_LIGHT_MPS = 299_792_458.0
+TURN = 2.0 * np.pi
 
 
 def wrap_angle(angle_rad: ArrayLike) -> NDArray[np.float64]:
-    """Return angles (...,) in radians wrapped to (-pi, pi]."""
-    angle = np.asarray(angle_rad, dtype=np.float64)
-    return angle - 2.0 * np.pi * np.ceil((angle - np.pi) / (2.0 * np.pi))
+    """Return angles (...,) in radians wrapped to (-pi, pi]: exact, however many turns away."""
+    rest = np.fmod(np.asarray(angle_rad, dtype=np.float64), TURN)
+    return rest - TURN * (rest > np.pi) + TURN * (rest <= -np.pi)
 
 
 def rotation(psi_rad: ArrayLike, theta_rad: ArrayLike, phi_rad: ArrayLike) -> NDArray[np.float64]:

@@ -9,8 +9,8 @@ import math
 
 from numba import njit
 
+from cellslam.sim.frames_kernel import wrap
 from cellslam.sim.lte.statistical.detector_layout import Array, LinkTable, PathColumns
-from cellslam.sim.lte.statistical.measurement_kernel import wrap
 
 
 @njit(cache=True)

@@ -12,8 +12,8 @@ from typing import NamedTuple
 
 from numba import njit
 
+from cellslam.sim.frames_kernel import wrap
 from cellslam.sim.lte.statistical.detector_layout import Array
-from cellslam.sim.lte.statistical.measurement_kernel import wrap
 
 
 class SteeringModel(NamedTuple):

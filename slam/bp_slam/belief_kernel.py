@@ -1,9 +1,12 @@
 """Compiled: one snapshot by belief propagation: association probabilities by message passing, soft updates, existence.
 
-Source: Leitinger, Meyer, Hlawatsch, Tufvesson and Win, "A belief propagation algorithm for multipath-based SLAM", IEEE
-Trans. Wireless Communications 18, 2019, sections IV to VI; the message passing of the association is that of Williams
-and Lau, "Approximate evaluation of marginal association probabilities with belief propagation", IEEE Trans. Aerospace
-and Electronic Systems 50, 2014.
+Source: Leitinger, Meyer, Hlawatsch, Witrisal, Tufvesson and Win, "A belief propagation algorithm for multipath-based
+SLAM",
+IEEE Trans. Wireless Communications 18, 2019, sections IV to VI; the message passing of the association is that of
+Williams and Lau, "Approximate evaluation of marginal association probabilities with belief propagation", IEEE Trans.
+Aerospace and Electronic Systems 50, 2014. Messages have the names of these papers: beta from a legacy feature's
+measurements to its association variable, xi from a new feature to that of its measurement, zeta from features to
+measurements, nu back; each over its value for "missed", or "clutter".
 """
 
 from __future__ import annotations
@@ -13,25 +16,37 @@ import math
 import numpy as np
 from numba import njit
 
+from cellslam.sim.recording import Floats, Ints
+from cellslam.slam.ekf_slam.association_kernel import log_density
 from cellslam.slam.ekf_slam.map_kernel import add, remove
-from cellslam.slam.ekf_slam.motion_kernel import rotations
 from cellslam.slam.ekf_slam.state_layout import (
-    BACK,
-    BIRTH,
-    CLUTTER,
-    CONFIRM,
-    DETECTION,
-    DROP,
     EXISTS,
-    GATE,
     HITS,
     IDENT,
     LAST,
     LINK,
-    STAY,
+    BeliefScratch,
+    Filter,
+    Measured,
+    Rules,
+    one_of,
+    states,
 )
-from cellslam.slam.ekf_slam.update_kernel import LOG_2PI, innovate, log_likelihood, spread
-from cellslam.slam.ekf_slam.vt_kernel import innovation, predict
+from cellslam.slam.ekf_slam.update_kernel import Innovation, expect, innovate, log_likelihood
+from cellslam.slam.ekf_slam.vt_kernel import covariance, predict, rotations_of
+from cellslam.slam.model.matrices_kernel import (
+    Sym3,
+    Vec3,
+    adjugate,
+    determinant,
+    outer,
+    sym_minus,
+    sym_plus,
+    sym_scaled,
+    sym_vec,
+    vec_plus,
+    vec_scaled,
+)
 
 ROUNDS, CLOSE = 200, 1e-7
 SURE = 1.0 - 1e-9  # most that existence can be
@@ -39,239 +54,221 @@ NEGLIGIBLE = 1e-4  # probability below which an association moves nothing
 
 
 @njit(cache=True)
-def pass_messages(beta, fresh, rows, columns, out, back, marginal):
+def pass_messages(w: BeliefScratch, rows: int, columns: int) -> float:
     """Run the iterative data association; return the logarithm of the Bethe approximation of its normaliser.
 
-    beta (R, m): messages of legacy features to their association variables, over that of a missed detection; fresh
-    (m,): message of the new feature of a measurement, over that of clutter (0: it can have none). out (R, m), back (R,
-    m): messages to and from the measurements, written; marginal (R, m): P(feature r made measurement c), written.
-    Without loops (a feature or measurement in doubt at most at one end) everything is exact.
+    Taken: w.beta (R, m), messages of legacy features to their association variables, over that of a missed detection;
+    w.xi (m,), message of the new feature of a measurement, over that of clutter (0: it can have none). Written: w.zeta
+    and w.nu (R, m), messages from features to measurements and back; w.marginal (R, m): P(feature r made measurement
+    c). Without loops (a feature or measurement in doubt at most at one end) everything is exact.
     """
+    beta, xi, zeta, nu = w.beta, w.xi, w.zeta, w.nu
     for r in range(rows):
         for c in range(columns):
-            back[r, c] = 1.0 / (1.0 + fresh[c])
+            nu[r, c] = 1.0 / (1.0 + xi[c])
     for _ in range(ROUNDS):
         change = 0.0
-        for r in range(rows):
-            total = 1.0
+        for r in range(rows):  # zeta = beta / (1 + sum of the other beta nu)
+            total = _claims_of(beta[r], nu[r], columns)
             for c in range(columns):
-                total += beta[r, c] * back[r, c]
-            for c in range(columns):
-                out[r, c] = beta[r, c] / max(total - beta[r, c] * back[r, c], 1e-300)
-        for c in range(columns):
-            total = 1.0 + fresh[c]
+                zeta[r, c] = beta[r, c] / max(total - beta[r, c] * nu[r, c], 1e-300)
+        for c in range(columns):  # nu = 1 / (1 + xi + sum of the other zeta)
+            total = _claims_on(xi[c], zeta[:, c], rows)
             for r in range(rows):
-                total += out[r, c]
-            for r in range(rows):
-                value = 1.0 / max(total - out[r, c], 1e-300)
-                change = max(change, abs(math.log(value / back[r, c])))
-                back[r, c] = value
+                value = 1.0 / max(total - zeta[r, c], 1e-300)
+                change = max(change, abs(math.log(value / nu[r, c])))
+                nu[r, c] = value
         if change < CLOSE:
             break
     log_z = 0.0
     for r in range(rows):
-        total = 1.0
-        for c in range(columns):
-            total += beta[r, c] * back[r, c]
+        total = _claims_of(beta[r], nu[r], columns)
         log_z += math.log(total)
         for c in range(columns):
-            marginal[r, c] = beta[r, c] * back[r, c] / total
+            w.marginal[r, c] = beta[r, c] * nu[r, c] / total
     for c in range(columns):
-        total = 1.0 + fresh[c]
         for r in range(rows):
-            total += out[r, c]
-            log_z -= math.log1p(out[r, c] * back[r, c])
-        log_z += math.log(total)
+            log_z -= math.log1p(zeta[r, c] * nu[r, c])
+        log_z += math.log(_claims_on(xi[c], zeta[:, c], rows))
     return log_z
 
 
 @njit(cache=True)
-def _messages(g, x, p, core, anchor, slots, count, link, offset, readings, start, stop, cfg, beta, chosen, small, e, s):
-    """Predict the existence of a link's features and write their messages beta; return rows and log of missing all.
+def _claims_of(beta: Floats, nu: Floats, columns: int) -> float:
+    """Return 1 + sum of beta nu over the measurements: what a feature's association variable sums to."""
+    total = 1.0
+    for c in range(columns):
+        total += beta[c] * nu[c]
+    return float(total)
 
-    Existence: a Markov chain of visible and hidden; only what was confirmed comes back (paper: survival probability).
+
+@njit(cache=True)
+def _claims_on(xi: float, zeta: Floats, rows: int) -> float:
+    """Return 1 + xi + sum of zeta over the legacy features: what a measurement's association variable sums to."""
+    total = 1.0 + xi
+    for r in range(rows):
+        total += zeta[r]
+    return float(total)
+
+
+@njit(cache=True)
+def _evaluate(f: Filter, seen: Measured, link: int, w: BeliefScratch) -> tuple[int, float]:
+    """Predict the existence of a link's features, write their messages w.beta; return rows and log of missing all.
+
+    Existence is a Markov chain of visible and hidden; only what was confirmed comes back (paper: survival probability).
+    With r the probability that a feature exists and p_D that of its detection, a missed detection has 1 - r p_D, and
+    beta is r p_D f(z | feature) / (clutter density) over that.
     """
-    z, q, _, gap, _, _, _ = readings
-    rotations(g, x[3], x[4], x[5])
+    rules, turned, offset = seen.rules, rotations_of(f), f.core.first_offset + seen.site_of[link]
     rows, missed = 0, 0.0
-    for j in range(count):
-        if slots[j, LINK] != link:
+    for j in range(f.count[0]):
+        if f.slots[j, LINK] != link:
             continue
-        exists = anchor[j, EXISTS]
-        exists = exists * cfg[STAY] + (1.0 - exists) * (cfg[BACK] if slots[j, HITS] >= cfg[CONFIRM] else 0.0)
-        anchor[j, EXISTS] = exists
-        silent = 1.0 - exists * cfg[DETECTION]
+        exists = f.anchor[j, EXISTS]
+        exists = exists * rules.stay + (1.0 - exists) * (rules.back if f.slots[j, HITS] >= rules.confirm else 0.0)
+        f.anchor[j, EXISTS] = exists
+        silent = 1.0 - exists * rules.detection
         missed += math.log(silent)
-        v = core + 3 * j
-        predict(g, x, anchor[j], v)
-        chosen[rows] = j
-        innovation(g, p, offset, v, True, small, s)
-        s00, s01, s02, s11, s12, s22 = s[0, 0], s[0, 1], s[0, 2], s[1, 1], s[1, 2], s[2, 2]
-        scale = math.log(max(exists * cfg[DETECTION] / silent, 1e-300)) - cfg[CLUTTER]
-        for k in range(start, stop):
-            s[0, 0], s[1, 1], s[2, 2] = s00, s11, s22
-            s[0, 1] = s[1, 0] = s01
-            s[0, 2] = s[2, 0] = s02
-            s[1, 2] = s[2, 1] = s12
-            measured = innovate(g, z[k], x[offset], e, s, q[k])
-            beta[rows, k - start] = 0.0
-            if measured > 0 and e[0] * e[0] < cfg[GATE] * s[0, 0] and e[1] * e[1] < cfg[GATE] * s[1, 1]:
-                distance2, log_det = log_likelihood(e, s)
-                if distance2 < cfg[GATE]:
-                    value = scale - gap[k] - 0.5 * (distance2 + log_det + measured * LOG_2PI)
-                    beta[rows, k - start] = math.exp(min(value, 300.0))
+        scale = math.log(max(exists * rules.detection / silent, 1e-300)) - rules.log_clutter
+        expected = predict(f, j, turned, w.h)
+        hph = covariance(f, j, offset, w.h, w.narrow)
+        w.chosen[rows] = j
+        for k in range(seen.first[link], seen.first[link + 1]):
+            value = scale - seen.gap[k] + log_density(f, seen, k, offset, expected, hph)
+            w.beta[rows, k - seen.first[link]] = math.exp(min(value, 300.0))
         rows += 1
     return rows, missed
 
 
 @njit(cache=True)
-def soft_update(g, x, p, size, anchor, offset, v, readings, start, stop, share, e, s, t, mixed):
+def _may_begin(f: Filter, seen: Measured, link: int, association: Ints, w: BeliefScratch) -> None:
+    """Write the messages w.xi of new features: the odds of birth where a measurement points to a place, 0 else."""
+    offset = f.core.first_offset + seen.site_of[link]
+    for k in range(seen.first[link], seen.first[link + 1]):
+        z = seen.begin[k]
+        whole = not math.isnan(z[1]) and z[0] - f.x[offset] > 1.0
+        w.xi[k - seen.first[link]] = seen.rules.birth if whole else 0.0
+        association[k] = -1
+
+
+@njit(cache=True)
+def soft_update(f: Filter, seen: Measured, link: int, j: int, share: Floats, w: BeliefScratch) -> float:
     """Update the whole state by one feature's measurements, each with its probability share (m,); return evidence.
 
     The mixture over "missed" and each measurement is replaced by the Gaussian of its mean and covariance: with S_c the
     innovation covariance and w_c = S_c^-1 e_c, the mean moves by T^T sum(share w), the covariance becomes P - T^T M T
     with M = sum(share S_c^-1) - sum(share w w^T) + mean(w) mean(w)^T. The evidence is what the log-likelihood of
-    persisting errors lacks against that of fresh draws. mixed (4, 4): scratch.
+    persisting errors lacks against that of fresh draws.
     """
-    z, q, many, _, lack, _, _ = readings
-    spread(g, x, p, size, anchor, offset, v, True, s, t)
-    s00, s01, s02, s11, s12, s22 = s[0, 0], s[0, 1], s[0, 2], s[1, 1], s[1, 2], s[2, 2]
-    for a in range(4):
-        for b in range(4):
-            mixed[a, b] = 0.0
-    evidence = 0.0
-    for k in range(start, stop):
-        part = share[k - start]
+    x, p, t, offset, evidence = f.x, f.p, w.t, f.core.first_offset + seen.site_of[link], 0.0
+    expected, hph = expect(f, j, offset, w.h, t)
+    mean, m = Vec3(0.0, 0.0, 0.0), Sym3(0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+    for k in range(seen.first[link], seen.first[link + 1]):
+        part, z = share[k - seen.first[link]], seen.z[k]
         if part < NEGLIGIBLE:
             continue
-        for use in range(2):
-            s[0, 0], s[1, 1], s[2, 2] = s00, s11, s22
-            s[0, 1] = s[1, 0] = s01
-            s[0, 2] = s[2, 0] = s02
-            s[1, 2] = s[2, 1] = s12
-            innovate(g, z[k], x[offset], e, s, q[k] if use == 0 else many[k])
-            distance2, log_det = log_likelihood(e, s)
-            if use == 0:
-                evidence += 0.5 * part * (distance2 + log_det)
-            else:
-                evidence += part * (lack[k] - 0.5 * (distance2 + log_det))
-        _add_inverse(s, z[k], e, part, mixed)
-    for a in range(3):
-        for b in range(3):
-            mixed[a, b] += mixed[3, a] * mixed[3, b]
-    for j in range(size):
-        x[j] += t[0, j] * mixed[3, 0] + t[1, j] * mixed[3, 1] + t[2, j] * mixed[3, 2]
+        distance2, log_det = log_likelihood(innovate(z, seen.single[k], expected, x[offset], hph))
+        evidence += 0.5 * part * (distance2 + log_det)
+        i = innovate(z, seen.many[k], expected, x[offset], hph)
+        distance2, log_det = log_likelihood(i)
+        evidence += part * (seen.lack[k] - 0.5 * (distance2 + log_det))
+        whitened, information = _whitened(i, z)
+        mean = vec_plus(mean, vec_scaled(whitened, part))
+        m = sym_plus(m, sym_scaled(sym_minus(information, outer(whitened)), part))
+    m = sym_plus(m, outer(mean))
+    size = states(f)
+    for n in range(size):
+        x[n] += t[0, n] * mean.x + t[1, n] * mean.y + t[2, n] * mean.z
     for i in range(size):
-        t0, t1, t2 = t[0, i], t[1, i], t[2, i]
-        if t0 == 0.0 and t1 == 0.0 and t2 == 0.0:
+        ti = Vec3(t[0, i], t[1, i], t[2, i])
+        if ti.x == 0.0 and ti.y == 0.0 and ti.z == 0.0:
             continue
-        u0 = t0 * mixed[0, 0] + t1 * mixed[1, 0] + t2 * mixed[2, 0]
-        u1 = t0 * mixed[0, 1] + t1 * mixed[1, 1] + t2 * mixed[2, 1]
-        u2 = t0 * mixed[0, 2] + t1 * mixed[1, 2] + t2 * mixed[2, 2]
-        for j in range(i, size):
-            value = p[i, j] - (u0 * t[0, j] + u1 * t[1, j] + u2 * t[2, j])
-            p[i, j] = p[j, i] = value
+        u = sym_vec(m, ti)
+        for n in range(i, size):
+            p[i, n] = p[n, i] = p[i, n] - (u.x * t[0, n] + u.y * t[1, n] + u.z * t[2, n])
     return evidence
 
 
 @njit(cache=True)
-def _add_inverse(s, z, e, part, mixed):
-    """Add part (S^-1 - w w^T) of the measured components to mixed[:3, :3], and part w to mixed[3, :3]; w = S^-1 e."""
-    a, b, c, d, f, h = s[0, 0], s[0, 1], s[0, 2], s[1, 1], s[1, 2], s[2, 2]
-    m00, m01, m02 = d * h - f * f, c * f - b * h, b * f - c * d
-    det = a * m00 + b * m01 + c * m02
-    m11, m12, m22 = a * h - c * c, b * c - a * f, a * d - b * b
-    w0 = (m00 * e[0] + m01 * e[1] + m02 * e[2]) / det
-    w1 = (m01 * e[0] + m11 * e[1] + m12 * e[2]) / det
-    w2 = (m02 * e[0] + m12 * e[1] + m22 * e[2]) / det
-    has0, has1, has2 = not math.isnan(z[0]), not math.isnan(z[1]), not math.isnan(z[2])
-    mixed[0, 0] += part * ((m00 / det if has0 else 0.0) - w0 * w0)
-    mixed[1, 1] += part * ((m11 / det if has1 else 0.0) - w1 * w1)
-    mixed[2, 2] += part * ((m22 / det if has2 else 0.0) - w2 * w2)
-    for r, col, value in ((0, 1, m01 / det - w0 * w1), (0, 2, m02 / det - w0 * w2), (1, 2, m12 / det - w1 * w2)):
-        mixed[r, col] += part * value
-        mixed[col, r] += part * value
-    mixed[3, 0] += part * w0
-    mixed[3, 1] += part * w1
-    mixed[3, 2] += part * w2
+def _whitened(i: Innovation, z: Floats) -> tuple[Vec3, Sym3]:
+    """Return w = S^-1 e, and S^-1 of the measured components, zero elsewhere."""
+    a = adjugate(i.s)
+    det = determinant(i.s, a)
+    w = sym_vec(a, i.e)
+    information = Sym3(
+        0.0 if math.isnan(z[0]) else a.xx / det, a.xy / det, a.xz / det,
+        0.0 if math.isnan(z[1]) else a.yy / det, a.yz / det,
+        0.0 if math.isnan(z[2]) else a.zz / det,
+    )  # fmt: skip
+    return Vec3(w.x / det, w.y / det, w.z / det), information
 
 
 @njit(cache=True)
-def _believe(now, x, p, core, first_offset, anchor, slots, count, links, first, site_of, readings, born, cfg,
-             association, scratch, lost, losses):  # fmt: skip
-    """Use one snapshot in one filter; return log-likelihood, number of features, and of those given up."""
-    first_z, first_q = readings[5], readings[6]
-    g, t, score, chosen, small, es, out, back, marginal, fresh, mixed = scratch
-    e, s = es[3], es[:3]
-    total = 0.0
-    for link in range(len(first) - 1):
-        start, stop = first[link], first[link + 1]
-        if links[link] == 0:
-            continue
-        offset, columns = first_offset + site_of[link], stop - start
-        rows, missed = _messages(
-            g, x, p, core, anchor, slots, count, link, offset, readings, start, stop, cfg, score, chosen, small, e, s
-        )
-        total += missed
-        for k in range(start, stop):
-            whole = not math.isnan(first_z[k, 1]) and first_z[k, 0] - x[offset] > 1.0
-            fresh[k - start] = cfg[BIRTH] if whole else 0.0
-            association[k] = -1
-        total += pass_messages(score, fresh, rows, columns, out, back, marginal)
-        size = core + 3 * count
-        for r in range(rows):
-            j = chosen[r]
-            seen, best = 0.0, 0
-            for c in range(columns):
-                seen += marginal[r, c]
-                if marginal[r, c] > marginal[r, best]:
-                    best = c
-            exists = anchor[j, EXISTS]
-            silent = exists * (1.0 - cfg[DETECTION]) / (1.0 - exists * cfg[DETECTION])
-            anchor[j, EXISTS] = min(seen + (1.0 - seen) * silent, SURE)
-            if seen > NEGLIGIBLE:
-                total += soft_update(
-                    g, x, p, size, anchor[j], offset, core + 3 * j, readings, start, stop, marginal[r], e, s, t, mixed
-                )
-            if seen > 0.5:
-                slots[j, LAST] = now
-                slots[j, HITS] += 1
-                if marginal[r, best] > 0.5:
-                    association[start + best] = slots[j, IDENT]
-        for k in range(start, stop):
-            claims = 1.0 + fresh[k - start]
-            for r in range(rows):
-                claims += out[r, k - start]
-            exists = fresh[k - start] / claims
-            if exists >= cfg[DROP]:
-                count, losses = add(
-                    g, x, p, core, anchor, slots, count, now, cfg[CONFIRM], link, offset, born + k, first_z[k],
-                    first_q[k], True, small, lost, losses,
-                )  # fmt: skip
-                if anchor[count - 1, EXISTS] > SURE:  # there was room for it
-                    anchor[count - 1, EXISTS] = exists
+def _believe_feature(f: Filter, seen: Measured, link: int, row: int, association: Ints, w: BeliefScratch) -> float:
+    """Update the existence and the state of the feature that has this row; return the evidence.
+
+    It exists if it was seen, or missed in spite of it: r (1 - p_D) / (1 - r p_D).
+    """
+    j, start, marginal, rules = w.chosen[row], seen.first[link], w.marginal[row], seen.rules
+    detected, best, evidence = 0.0, 0, 0.0
+    for c in range(seen.first[link + 1] - start):
+        detected += marginal[c]
+        if marginal[c] > marginal[best]:
+            best = c
+    exists = f.anchor[j, EXISTS]
+    silent = exists * (1.0 - rules.detection) / (1.0 - exists * rules.detection)
+    f.anchor[j, EXISTS] = min(detected + (1.0 - detected) * silent, SURE)
+    if detected > NEGLIGIBLE:
+        evidence = soft_update(f, seen, link, j, marginal, w)
+    if detected > 0.5:
+        f.slots[j, LAST] = seen.now
+        f.slots[j, HITS] += 1
+        if marginal[best] > 0.5:
+            association[start + best] = f.slots[j, IDENT]
+    return evidence
+
+
+@njit(cache=True)
+def _begin(f: Filter, seen: Measured, link: int, rows: int, w: BeliefScratch) -> None:
+    """Add the new features that are likely enough: xi over what all claim on the measurement."""
+    rules, offset = seen.rules, f.core.first_offset + seen.site_of[link]
+    for k in range(seen.first[link], seen.first[link + 1]):
+        c = k - seen.first[link]
+        exists = w.xi[c] / _claims_on(w.xi[c], w.zeta[:, c], rows)
+        if exists >= rules.drop and add(
+            f, seen.now, rules.confirm, link, offset, seen.born + k, seen.begin[k], seen.begin_q[k], True
+        ):
+            f.anchor[f.count[0] - 1, EXISTS] = exists
+
+
+@njit(cache=True)
+def _give_up(f: Filter, rules: Rules) -> None:
+    """Drop the unconfirmed features that hardly exist."""
     j = np.int64(0)  # a literal would have `remove` compiled twice
-    while j < count:
-        if anchor[j, EXISTS] < cfg[DROP] and slots[j, HITS] < cfg[CONFIRM]:
-            count = remove(x, p, core, anchor, slots, count, j)
+    while j < f.count[0]:
+        if f.anchor[j, EXISTS] < rules.drop and f.slots[j, HITS] < rules.confirm:
+            remove(f, j)
         else:
             j += 1
-    return total, count, losses
 
 
 @njit(cache=True)
-def believe_snapshot(now, x, p, core, first_offset, anchor, slots, count, links, first, site_of, readings, born, cfg,
-                     log_weight, association, lost, losses, scratch):  # fmt: skip
-    """Use one snapshot in the filters x (K, N), p (K, N, N): arguments as in `filter_kernel.use_snapshot`."""
-    for f in range(len(x)):
-        own = (
-            scratch[0][f], scratch[1][f], scratch[2][f], scratch[3][f], scratch[4][f], scratch[5][f], scratch[6][f],
-            scratch[7][f], scratch[8][f], scratch[9][f], scratch[10][f],
-        )  # fmt: skip
-        value, new_count, new_losses = _believe(
-            now, x[f], p[f], core, first_offset, anchor[f], slots[f], count[f], links[f], first, site_of, readings,
-            born, cfg, association[f], own, lost[f], losses[f],
-        )  # fmt: skip
-        log_weight[f] += value
-        count[f] = new_count
-        losses[f] = new_losses
+def believe_snapshot(filters: Filter, seen: Measured, log_weight: Floats, association: Ints, w: BeliefScratch) -> None:
+    """Use one snapshot in the K filters of a bank, link by link.
+
+    log_weight (K,) is added to, association (K, m) written: identities of VTs.
+    """
+    for k in range(len(filters.x)):
+        f, total = one_of(filters, k), 0.0
+        for link in range(len(seen.first) - 1):
+            if f.links[link] == 0:
+                continue
+            rows, missed = _evaluate(f, seen, link, w)
+            _may_begin(f, seen, link, association[k], w)
+            total += missed
+            total += pass_messages(w, rows, seen.first[link + 1] - seen.first[link])
+            for row in range(rows):
+                total += _believe_feature(f, seen, link, row, association[k], w)
+            _begin(f, seen, link, rows, w)
+        _give_up(f, seen.rules)
+        log_weight[k] += total

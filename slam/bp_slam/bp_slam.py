@@ -6,10 +6,9 @@ from typing import ClassVar
 
 from pydantic import Field
 
-from cellslam.sim.recording import Floats
 from cellslam.slam.ekf_slam.ekf_slam import JointFilter
 from cellslam.slam.ekf_slam.ekf_slam_options import JointOptions
-from cellslam.slam.ekf_slam.state_layout import BACK, BELIEF, BIRTH, DETECTION, DROP, STAY
+from cellslam.slam.ekf_slam.state_layout import BELIEF, Rules
 from cellslam.slam.front_end.visibility import transitions
 
 
@@ -31,8 +30,10 @@ class BpSlam(JointFilter):
     def __init__(self, options: BpSlamOptions | None = None) -> None:
         self.options: BpSlamOptions = options or BpSlamOptions()
 
-    def _configure(self, cfg: Floats, dt_s: float) -> None:
+    def _rules(self, common: Rules, dt_s: float) -> Rules:
         o = self._grouping.options
-        cfg[STAY], cfg[BACK] = transitions(o, dt_s) if dt_s > 0.0 else (1.0, 0.0)
-        cfg[DETECTION], cfg[DROP] = o.detection_probability, o.drop_probability
-        cfg[BIRTH] = o.birth_ratio / (1.0 - o.birth_ratio)
+        stay, back = transitions(o, dt_s) if dt_s > 0.0 else (1.0, 0.0)
+        return common._replace(
+            stay=stay, back=back, detection=o.detection_probability, drop=o.drop_probability,
+            birth=o.birth_ratio / (1.0 - o.birth_ratio),
+        )  # fmt: skip

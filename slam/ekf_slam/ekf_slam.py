@@ -13,27 +13,15 @@ from cellslam.sim.recording import Floats, Ints, Links, OdometryModel
 from cellslam.slam import warm_up
 from cellslam.slam.api import Estimate, Setup, Snapshot, VtEstimate
 from cellslam.slam.ekf_slam.ekf_slam_options import EkfSlamOptions, JointOptions
-from cellslam.slam.ekf_slam.filter_bank import Bank, Measured, vt_estimate
+from cellslam.slam.ekf_slam.filter_bank import Bank, vt_estimate
 from cellslam.slam.ekf_slam.hypotheses import History, branch, prune
 from cellslam.slam.ekf_slam.start.offset_banks import Start, begin
-from cellslam.slam.ekf_slam.state_layout import (
-    AGE_ONCE,
-    AGE_TWICE,
-    BIRTH,
-    CFG,
-    CLUTTER,
-    CONFIRM,
-    FREE,
-    GATE,
-    JOINT,
-    KNOWN_ASSOCIATION,
-    RIVAL,
-)
+from cellslam.slam.ekf_slam.state_layout import ENTRY, FREE, KNOWN_ASSOCIATION, Measured, Rules
 from cellslam.slam.front_end.attitude import Attitude
 from cellslam.slam.front_end.looks import Grouping, Looks
 from cellslam.slam.front_end.measurement_noise import first_of_link, ports_of
 from cellslam.slam.front_end.misfit import Misfit
-from cellslam.slam.front_end.readings import readings
+from cellslam.slam.front_end.readings import Readings, readings
 from cellslam.slam.front_end.visibility import existence
 
 NOT_GIVEN = -2
@@ -70,7 +58,7 @@ class JointFilter:
         self._ports = ports_of(self._setup.links.site, self._setup.links.port)
         self._start: Start | None = self._begin()
         self._joint: Bank | None = None
-        self._archive = np.empty((0, 14))
+        self._archive = np.empty((0, ENTRY))
         self._tables: tuple[float, tuple[Floats, int, int]] | None = None
 
     def step(self, dt_s: float, odometry: Floats, snapshot: Snapshot) -> Estimate:
@@ -78,15 +66,16 @@ class JointFilter:
         self._time_s += dt_s
         odometry = np.array(odometry)
         looks = self._grouping.looks(snapshot)
-        measured = self._measured(dt_s, odometry, self._attitude.levelled(dt_s, looks))
+        values = self._readings(dt_s, odometry, self._attitude.levelled(dt_s, looks))
+        measured = self._measured(dt_s, values, looks)
         if self._start is not None:
             answer = self._step_start(self._start, dt_s, odometry, measured)
         else:
             answer = self._step_joint(dt_s, odometry, measured)
         self._now += 1
         self._born += len(looks)
-        self._misfit.learn(answer, measured.readings)
-        answer = self._attitude.concluded(answer, looks, measured.readings.many)
+        self._misfit.learn(answer, values)
+        answer = self._attitude.concluded(answer, looks, values.many)
         return self._grouping.answer(answer, looks)
 
     def _given(self, looks: Looks) -> Ints:
@@ -106,12 +95,13 @@ class JointFilter:
         rows = [bank.vts(index, self.options.confirm_hits) for bank, index in filters]
         return vt_estimate(np.concatenate([*rows, self._archive]))
 
-    def _configure(self, cfg: Floats, dt_s: float) -> None:
-        """Fill in what the kernels need beside the common entries of the configuration."""
+    def _rules(self, common: Rules, dt_s: float) -> Rules:
+        """Return the common options of the kernels with what they need beside."""
+        return common
 
     def _use(self, bank: Bank, measured: Measured) -> tuple[Bank, Ints]:
         """Use a snapshot in the joint filters; return them and their associations."""
-        return bank, bank.use(self._setup, measured)
+        return bank, bank.use(measured)
 
     def _step_start(self, start: Start, dt_s: float, odometry: Floats, measured: Measured) -> Estimate:
         if dt_s > 0.0:
@@ -140,24 +130,30 @@ class JointFilter:
         variance = np.maximum(np.diag(cov)[offsets], 0.0)
         return _estimate(mean, cov, association[best].copy(), mean[offsets], variance, self._map([(bank, best)]))
 
-    def _measured(self, dt_s: float, odometry: Floats, looks: Looks) -> Measured:
+    def _readings(self, dt_s: float, odometry: Floats, looks: Looks) -> Readings:
+        """Return the looks of a level array with their variances."""
+        return self._misfit.widened(
+            readings(looks, self._ports, self._grouping.options, odometry[3] * dt_s, odometry[0] * dt_s), dt_s
+        )
+
+    def _measured(self, dt_s: float, values: Readings, looks: Looks) -> Measured:
         if self._tables is None or (dt_s > 0.0 and abs(self._tables[0] - dt_s) > 1e-3 * dt_s):
             self._tables = (dt_s, existence(self._grouping.options, dt_s if dt_s > 0.0 else 0.075))
         tables, once, twice = self._tables[1]
-        o, cfg = self._grouping.options, np.zeros(CFG)
-        cfg[CLUTTER], cfg[GATE], cfg[BIRTH] = np.log(o.clutter_density), o.gate, -np.log1p(-o.birth_ratio)
-        cfg[CONFIRM], cfg[AGE_ONCE], cfg[AGE_TWICE] = o.confirm_hits, once, twice
-        self._configure(cfg, dt_s)
-        site = self._setup.links.site
-        values = self._misfit.widened(readings(looks, self._ports, o, odometry[3] * dt_s, odometry[0] * dt_s), dt_s)
-        first = first_of_link(looks, len(site))
+        o, site = self._grouping.options, self._setup.links.site
+        birth = float(-np.log1p(-o.birth_ratio))
+        rules = Rules(self.mode, float(np.log(o.clutter_density)), o.gate, birth, o.confirm_hits, once, twice)
         begin, begin_q = values.z.copy(), values.fresh.copy()
         flat = np.isnan(begin[:, 2])
-        begin[flat, 2], begin_q[flat, 2] = 0.0, np.radians(o.elevation_std_deg) ** 2
+        begin[flat, 2], begin_q[flat, 2] = 0.0, np.radians(self.options.elevation_std_deg) ** 2
         if np.isnan(begin[:, :2]).any():
             self._make_room()
         begin[~looks.begins] = np.nan
-        return Measured(self._now, self._born, first, values, begin, begin_q, self._given(looks), tables, cfg)
+        v, first = values, first_of_link(looks, len(site))
+        return Measured(
+            self._now, self._born, first, site, v.z, v.single, v.many, v.gap, v.lack, begin, begin_q,
+            self._given(looks), tables, self._rules(rules, dt_s),
+        )  # fmt: skip
 
     def _make_room(self) -> None:
         """Make places for the guesses of VTs whose direction or distance is not measured."""
@@ -186,14 +182,14 @@ class EkfSlam(JointFilter):
         super().start(setup, rng)
         self._history = History()
 
-    def _configure(self, cfg: Floats, dt_s: float) -> None:
-        cfg[RIVAL], cfg[JOINT] = self.options.rival_nats, float(self.options.association == "jcbb")
+    def _rules(self, common: Rules, dt_s: float) -> Rules:
+        return common._replace(rival=self.options.rival_nats, joint=self.options.association == "jcbb")
 
     def _use(self, bank: Bank, measured: Measured) -> tuple[Bank, Ints]:
         if self.options.hypotheses == 1:
             return super()._use(bank, measured)
-        bank, forbidden = branch(bank, self._setup, measured, self._history)
-        association = bank.use(self._setup, measured, forbidden)
+        bank, forbidden = branch(bank, measured, self._history)
+        association = bank.use(measured, forbidden)
         return prune(bank, association, self._time_s, self.options, self._history)
 
 

@@ -14,10 +14,13 @@ import math
 import numpy as np
 from numba import njit
 
+from cellslam.sim.frames_kernel import TURN, wrap
+from cellslam.sim.recording import Floats
 from cellslam.slam.ekf_slam.map_kernel import add, remove
-from cellslam.slam.ekf_slam.state_layout import HITS, IDENT, LAST, LINK, SHARE
-from cellslam.slam.ekf_slam.update_kernel import LOG_2PI, cholesky, innovate, log_likelihood, spread, update
+from cellslam.slam.ekf_slam.state_layout import HITS, IDENT, LAST, LINK, SHARE, Filter, Scratch, same_vt, states
+from cellslam.slam.ekf_slam.update_kernel import LOG_2PI, blank, expect, innovate, log_likelihood, update
 from cellslam.slam.model.downdate_kernel import downdate
+from cellslam.slam.model.matrices_kernel import Vec3, cholesky, solved
 
 AROUND, AHEAD = 10, 7  # guesses of an azimuth, of a distance
 NEAREST_M, FARTHER = 15.0, 2.0  # first distance, ratio of one to the next
@@ -27,166 +30,157 @@ AGREE = 0.5  # guesses this close, in their deviations, are one
 
 
 @njit(cache=True)
-def possible(z, b):
+def possible(z: Floats, b: float) -> bool:
     """Return whether a VT can begin with a measurement: its distance, its azimuth or both are known."""
     return z[0] - b > 1.0 or (math.isnan(z[0]) and not math.isnan(z[1]))
 
 
 @njit(cache=True)
-def begin(g, x, p, core, anchor, slots, count, now, confirm, link, offset, ident, z, q, small, lost, losses):
-    """Give birth to a VT, or to its guesses; return as `add`. z, q (3,): elevation is there, or its prior."""
-    whole = not (math.isnan(z[0]) or math.isnan(z[1]))
-    guesses = 1 if whole else (AHEAD if math.isnan(z[0]) else AROUND)
-    guess, wide = z.copy(), q.copy()
+def begin(f: Filter, now: int, confirm: int, link: int, offset: int, ident: int, z: Floats, q: Floats) -> None:
+    """Give birth to a VT, or to its guesses. z, q (3,): elevation is there, or its prior."""
     ranged = not math.isnan(z[0])
+    whole = ranged and not math.isnan(z[1])
+    guesses = 1 if whole else (AROUND if ranged else AHEAD)
+    guess, wide = z.copy(), q.copy()
     for n in range(guesses):
         if not ranged:
             guess[0] = NEAREST_M * FARTHER**n
             wide[0] = (WIDTH * math.log(FARTHER) * guess[0]) ** 2
-            guess[0] += x[offset]
+            guess[0] += f.x[offset]
         elif not whole:
-            guess[1] = 2.0 * math.pi * n / AROUND
-            wide[1] = (WIDTH * 2.0 * math.pi / AROUND) ** 2
-        count, losses = add(
-            g, x, p, core, anchor, slots, count, now, confirm, link, offset, ident, guess, wide, ranged, small, lost,
-            losses,
-        )  # fmt: skip
-        if slots[count - 1, IDENT] == ident and slots[count - 1, LINK] == link:  # there was room
-            anchor[count - 1, SHARE] = 1.0 / guesses
-    return count, losses
+            guess[1] = TURN * n / AROUND
+            wide[1] = (WIDTH * TURN / AROUND) ** 2
+        if add(f, now, confirm, link, offset, ident, guess, wide, ranged):
+            f.anchor[f.count[0] - 1, SHARE] = 1.0 / guesses
 
 
 @njit(cache=True)
-def correct(g, x, p, core, anchor, slots, count, j, now, offset, mapped, z, q, e, s, t, pending, k):
-    """Update by a measurement of VT j, or of its guesses; return log-likelihood, and how much is pending.
+def correct(f: Filter, j: int, offset: int, now: int, z: Floats, q: Floats, w: Scratch, k: int) -> tuple[float, int]:
+    """Update by a measurement z of variances q (3,) of VT j, or of its guesses; return log-likelihood, and how many
+    rows are pending.
 
     Guesses given up have the share 0.
     """
-    size = core + 3 * count if mapped else core
-    if k + 6 > len(pending):
-        k = settle(p, size, pending, k)
-    if anchor[j, SHARE] == 1.0:
-        slots[j, LAST] = now
-        slots[j, HITS] += 1
-        return update(g, x, p, size, anchor[j], offset, core + 3 * j, mapped, z, q, e, s, t, pending, k)
-    k = settle(p, size, pending, k)
-    link, ident = slots[j, LINK], slots[j, IDENT]
+    if k + 6 > len(w.pending):
+        k = settle(f, w.pending, k)
+    if f.anchor[j, SHARE] == 1.0:
+        f.slots[j, LAST] = now
+        f.slots[j, HITS] += 1
+        return update(f, j, offset, z, q, w, k)
+    k = settle(f, w.pending, k)
+    link, ident, share = f.slots[j, LINK], f.slots[j, IDENT], f.anchor[:, SHARE]
     best = -math.inf
-    for i in range(count):
-        if slots[i, IDENT] == ident and slots[i, LINK] == link and anchor[i, SHARE] > 0.0:
-            value = _likelihood(g, x, p, size, anchor[i], offset, core + 3 * i, z, q, e, s, t)
-            anchor[i, SHARE] = math.log(anchor[i, SHARE]) + value
-            best = max(best, anchor[i, SHARE])
-            slots[i, LAST] = now
-            slots[i, HITS] += 1
-        elif slots[i, IDENT] == ident and slots[i, LINK] == link:
-            anchor[i, SHARE] = -math.inf
+    for i in range(f.count[0]):
+        if same_vt(f, i, link, ident):
+            if share[i] > 0.0:
+                share[i] = math.log(share[i]) + _likelihood(f, i, offset, z, q, w)
+                best = max(best, share[i])
+                f.slots[i, LAST] = now
+                f.slots[i, HITS] += 1
+            else:
+                share[i] = -math.inf
     total = 0.0
-    for i in range(count):
-        if slots[i, IDENT] == ident and slots[i, LINK] == link:
-            anchor[i, SHARE] = math.exp(anchor[i, SHARE] - best)
-            total += anchor[i, SHARE]
-    left, last = _unite(x, p, core, anchor, slots, count, link, ident, total)
+    for i in range(f.count[0]):
+        if same_vt(f, i, link, ident):
+            share[i] = math.exp(share[i] - best)
+            total += share[i]
+    left, last = _unite(f, link, ident, total)
     if left == 1:
-        anchor[last, SHARE] = 1.0
-        _, k = update(g, x, p, size, anchor[last], offset, core + 3 * last, True, z, q, e, s, t, pending, k)
+        share[last] = 1.0
+        _, k = update(f, last, offset, z, q, w, k)
     else:
-        for i in range(count):
-            if slots[i, IDENT] == ident and slots[i, LINK] == link and anchor[i, SHARE] > 0.0:
-                _consider(g, x, p, size, anchor[i], offset, core + 3 * i, z, q, e, s, t)
+        for i in range(f.count[0]):
+            if same_vt(f, i, link, ident) and share[i] > 0.0:
+                consider(f, i, offset, z, q, w)
     return best + math.log(total), k
 
 
 @njit(cache=True)
-def settle(p, size, pending, k):
-    """Take off P what is pending; return 0, which is how much is left."""
-    downdate(p, size, pending, k)
+def settle(f: Filter, pending: Floats, k: int) -> int:
+    """Take off P the k rows that are pending; return 0, which is how many are left."""
+    downdate(f.p, states(f), pending, k)
     return 0
 
 
 @njit(cache=True)
-def sweep(x, p, core, anchor, slots, count):
-    """Remove the guesses that were given up; return the number of VTs left."""
+def sweep(f: Filter) -> None:
+    """Remove the guesses that were given up."""
     j = np.int64(0)
-    while j < count:
-        if anchor[j, SHARE] == 0.0:
-            count = remove(x, p, core, anchor, slots, count, j)
+    while j < f.count[0]:
+        if f.anchor[j, SHARE] == 0.0:
+            remove(f, j)
         else:
             j += 1
-    return count
 
 
 @njit(cache=True)
-def _likelihood(g, x, p, size, anchor, offset, v, z, q, e, s, t):
-    """Return log N(e; 0, S) of a measurement for the guess at state v."""
-    spread(g, x, p, size, anchor, offset, v, np.bool_(True), s, t)
-    measured = innovate(g, z, x[offset], e, s, q)
-    distance2, log_det = log_likelihood(e, s)
-    return max(-0.5 * (distance2 + log_det + measured * LOG_2PI), -1e6)
+def _likelihood(f: Filter, j: int, offset: int, z: Floats, q: Floats, w: Scratch) -> float:
+    """Return log N(e; 0, S) of a measurement for guess j."""
+    expected, hph = expect(f, j, offset, w.h, w.t)
+    i = innovate(z, q, expected, f.x[offset], hph)
+    distance2, log_det = log_likelihood(i)
+    return max(-0.5 * (distance2 + log_det + i.measured * LOG_2PI), -1e6)
 
 
 @njit(cache=True)
-def _unite(x, p, core, anchor, slots, count, link, ident, total):
+def _unite(f: Filter, link: int, ident: int, total: float) -> tuple[int, int]:
     """Make the shares of a VT's guesses sum to one, give up the improbable ones and doubles; return how many are left,
     and the last of them."""
-    for i in range(count):
-        if slots[i, IDENT] == ident and slots[i, LINK] == link:
-            anchor[i, SHARE] = anchor[i, SHARE] / total if anchor[i, SHARE] > LEAST * total else 0.0
-    for a in range(count):
-        if slots[a, IDENT] != ident or slots[a, LINK] != link or anchor[a, SHARE] == 0.0:
+    share = f.anchor[:, SHARE]
+    for i in range(f.count[0]):
+        if same_vt(f, i, link, ident):
+            share[i] = share[i] / total if share[i] > LEAST * total else 0.0
+    for a in range(f.count[0]):
+        if not same_vt(f, a, link, ident) or share[a] == 0.0:
             continue
-        for b in range(count):
-            if b == a or slots[b, IDENT] != ident or slots[b, LINK] != link or anchor[b, SHARE] == 0.0:
+        for b in range(f.count[0]):
+            if b == a or not same_vt(f, b, link, ident) or share[b] == 0.0:
                 continue
-            if anchor[b, SHARE] > anchor[a, SHARE] or not _agree(x, p, core + 3 * a, core + 3 * b):
+            if share[b] > share[a] or not _agree(f, a, b):
                 continue
-            anchor[a, SHARE] += anchor[b, SHARE]
-            anchor[b, SHARE] = 0.0
+            share[a] += share[b]
+            share[b] = 0.0
     left, last, total = 0, -1, 0.0
-    for i in range(count):
-        if slots[i, IDENT] == ident and slots[i, LINK] == link and anchor[i, SHARE] > 0.0:
+    for i in range(f.count[0]):
+        if same_vt(f, i, link, ident) and share[i] > 0.0:
             left, last = left + 1, i
-            total += anchor[i, SHARE]
-    for i in range(count):
-        if slots[i, IDENT] == ident and slots[i, LINK] == link:
-            anchor[i, SHARE] /= total
+            total += share[i]
+    for i in range(f.count[0]):
+        if same_vt(f, i, link, ident):
+            share[i] /= total
     return left, last
 
 
 @njit(cache=True)
-def _agree(x, p, a, b):
+def _agree(f: Filter, i: int, j: int) -> bool:
     """Return whether two guesses of one VT are the same by now."""
+    a, b = f.core.size + 3 * i, f.core.size + 3 * j
     for c in range(3):
-        gap = x[a + c] - x[b + c]
+        gap = f.x[a + c] - f.x[b + c]
         if c == 1:
-            gap -= 2.0 * math.pi * math.floor(gap / (2.0 * math.pi) + 0.5)
-        if gap * gap > AGREE * AGREE * (p[a + c, a + c] + p[b + c, b + c]):
+            gap = wrap(gap)
+        if gap * gap > AGREE * AGREE * (f.p[a + c, a + c] + f.p[b + c, b + c]):
             return False
     return True
 
 
 @njit(cache=True)
-def _consider(g, x, p, size, anchor, offset, v, z, q, e, s, t):
-    """Update the VT at state v alone; all else is considered: covariances with it change, its own do not."""
-    spread(g, x, p, size, anchor, offset, v, np.bool_(True), s, t)
-    for r in range(3):
-        if math.isnan(z[r]):
-            for j in range(size):
-                t[r, j] = 0.0
-    innovate(g, z, x[offset], e, s, q)
-    l0, l1, l2, l3, l4, l5 = cholesky(s)
-    if l0 == 0.0:
+def consider(f: Filter, j: int, offset: int, z: Floats, q: Floats, w: Scratch) -> None:
+    """Update VT j alone; all else is considered: covariances with it change, its own do not."""
+    x, p, t, v, size = f.x, f.p, w.t, f.core.size + 3 * j, states(f)
+    expected, hph = expect(f, j, offset, w.h, t)
+    innovation = innovate(z, q, expected, x[offset], hph)
+    root = cholesky(innovation.s)
+    if root.xx == 0.0:
         return
-    w0 = e[0] / l0
-    w1 = (e[1] - l1 * w0) / l3
-    w2 = (e[2] - l2 * w0 - l4 * w1) / l5
-    for j in range(size):
-        u0 = t[0, j] / l0
-        u1 = (t[1, j] - l1 * u0) / l3
-        t[0, j], t[1, j], t[2, j] = u0, u1, (t[2, j] - l2 * u0 - l4 * u1) / l5
+    blank(t, z)
+    whitened = solved(root, innovation.e)
+    for n in range(size):
+        u = solved(root, Vec3(t[0, n], t[1, n], t[2, n]))
+        t[0, n], t[1, n], t[2, n] = u.x, u.y, u.z
     for i in range(v, v + 3):
-        x[i] += t[0, i] * w0 + t[1, i] * w1 + t[2, i] * w2
-        for j in range(size):
-            value = p[i, j] - (t[0, i] * t[0, j] + t[1, i] * t[1, j] + t[2, i] * t[2, j])
-            if j < v or j >= i:  # beside the VT's own block, or in its upper half
-                p[i, j] = p[j, i] = value
+        x[i] += t[0, i] * whitened.x + t[1, i] * whitened.y + t[2, i] * whitened.z
+        for n in range(size):
+            value = p[i, n] - (t[0, i] * t[0, n] + t[1, i] * t[1, n] + t[2, i] * t[2, n])
+            if n < v or n >= i:  # beside the VT's own block, or in its upper half
+                p[i, n] = p[n, i] = value

@@ -11,9 +11,9 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from cellslam.sim.recording import Floats, Ints
-from cellslam.slam.api import Setup
 from cellslam.slam.ekf_slam.ekf_slam_options import EkfSlamOptions
-from cellslam.slam.ekf_slam.filter_bank import Bank, Measured
+from cellslam.slam.ekf_slam.filter_bank import Bank
+from cellslam.slam.ekf_slam.state_layout import Measured
 
 
 @dataclass
@@ -27,9 +27,9 @@ class History:
         self.differed_s = self.differed_s[np.ix_(kept, kept)]
 
 
-def branch(bank: Bank, setup: Setup, measured: Measured, history: History) -> tuple[Bank, Ints]:
+def branch(bank: Bank, measured: Measured, history: History) -> tuple[Bank, Ints]:
     """Return the filters with a copy for each one that has a rival, and the pair that each copy must do without."""
-    rivals = bank.rivals(setup, measured)
+    rivals = bank.rivals(measured)
     split = np.flatnonzero(rivals[:, 1] >= 0.0)
     forbidden = np.full((len(bank) + len(split), 2), -1, np.int64)
     if len(split):

@@ -7,92 +7,93 @@ import math
 import numpy as np
 from numba import njit
 
-from cellslam.slam.ekf_slam.motion_kernel import rotations
+from cellslam.sim.recording import Floats
 from cellslam.slam.ekf_slam.state_layout import (
-    AGE_ONCE,
-    AGE_TWICE,
-    ANCHOR,
-    CONFIRM,
     EXISTS,
     HITS,
     IDENT,
     LAST,
     LINK,
+    POSITION,
     SHARE,
-    SLOT,
+    SPREAD,
+    Filter,
+    Rules,
 )
 from cellslam.slam.ekf_slam.vt_kernel import give_birth
 
 
 @njit(cache=True)
-def remove(x, p, core, anchor, slots, count, j):
+def remove(f: Filter, j: int) -> None:
     """Drop VT j (exact marginalisation): the last one takes its place."""
-    last = count - 1
-    size, a, b = core + 3 * count, core + 3 * j, core + 3 * last
+    last, size = f.count[0] - 1, f.core.size + 3 * f.count[0]
+    a, b = f.core.size + 3 * j, f.core.size + 3 * last
     if j != last:
-        for k in range(3):
-            x[a + k] = x[b + k]
-        for k in range(ANCHOR):
-            anchor[j, k] = anchor[last, k]
-        for k in range(SLOT):
-            slots[j, k] = slots[last, k]
+        f.x[a : a + 3] = f.x[b : b + 3]
+        f.anchor[j] = f.anchor[last]
+        f.slots[j] = f.slots[last]
         for k in range(3):
             for i in range(size):
-                p[a + k, i] = p[b + k, i]
+                f.p[a + k, i] = f.p[b + k, i]
         for k in range(3):
             for i in range(size):
-                p[i, a + k] = p[i, b + k]
-    return last
+                f.p[i, a + k] = f.p[i, b + k]
+    f.count[0] = last
 
 
 @njit(cache=True)
-def room(slots, count, now, confirm):
+def room(f: Filter, now: int, confirm: int) -> int:
     """Return the VT to give up for a new one: unconfirmed before confirmed, then the longest unseen; -1: none."""
     worst, rank = -1, math.inf
-    for j in range(count):
-        if slots[j, LAST] < now:
-            value = slots[j, LAST] + (1e9 if slots[j, HITS] >= confirm else 0.0)
+    for j in range(f.count[0]):
+        if f.slots[j, LAST] < now:
+            value = f.slots[j, LAST] + (1e9 if f.slots[j, HITS] >= confirm else 0.0)
             if value < rank:
                 worst, rank = j, value
     return worst
 
 
 @njit(cache=True)
-def add(g, x, p, core, anchor, slots, count, now, confirm, link, offset, ident, z, q, ranged, small, lost, losses):
-    """Give birth to a VT, making room if need be; return the number of VTs and of confirmed ones given up.
+def add(
+    f: Filter, now: int, confirm: int, link: int, offset: int, ident: int, z: Floats, q: Floats, ranged: bool
+) -> bool:
+    """Give birth to a VT, making room if need be; return whether there was room. Confirmed ones given up are kept.
 
-    ranged: its distance was measured, with the clock offset in it.
+    z, q (3,): measurement and variances; ranged: its distance was measured, with the clock offset in it.
     """
-    if count == len(slots):
-        j = room(slots, count, now, confirm)
+    if f.count[0] == len(f.slots):
+        j = room(f, now, confirm)
         if j < 0:
-            return count, losses
-        if slots[j, HITS] >= confirm and anchor[j, SHARE] > 0.5 and losses < len(lost):
-            keep(x, p, core, anchor, slots, j, lost[losses])
-            losses += 1
-        count = remove(x, p, core, anchor, slots, count, j)
-    rotations(g, x[3], x[4], x[5])
-    give_birth(g, x, p, core + 3 * count, anchor[count], offset, z, q, ranged, small)
-    anchor[count, EXISTS] = anchor[count, SHARE] = 1.0
-    slots[count, LINK], slots[count, HITS], slots[count, LAST], slots[count, IDENT] = link, 1, now, ident
-    return count + 1, losses
+            return False
+        if f.slots[j, HITS] >= confirm and f.anchor[j, SHARE] > 0.5 and f.losses[0] < len(f.lost):
+            keep(f, j, f.lost[f.losses[0]])
+            f.losses[0] += 1
+        remove(f, j)
+    new = f.count[0]
+    give_birth(f, new, offset, z, q, ranged)
+    f.anchor[new, EXISTS] = f.anchor[new, SHARE] = 1.0
+    f.slots[new, LINK], f.slots[new, HITS], f.slots[new, LAST], f.slots[new, IDENT] = link, 1, now, ident
+    f.count[0] = new + 1
+    return True
 
 
 @njit(cache=True)
-def keep(x, p, core, anchor, slots, j, out):
+def keep(f: Filter, j: int, out: Floats) -> None:
     """Write identity, link, position (3) and covariance (9) of VT j into out (14,)."""
-    v = core + 3 * j
-    rho, ca, sa = x[v], math.cos(x[v + 1]), math.sin(x[v + 1])
-    ce, se = math.cos(x[v + 2]), math.sin(x[v + 2])
-    out[0], out[1] = slots[j, IDENT], slots[j, LINK]
-    out[2], out[3], out[4] = anchor[j, 0] + rho * ce * ca, anchor[j, 1] + rho * ce * sa, anchor[j, 2] + rho * se
+    v = f.core.size + 3 * j
+    rho, ca, sa = f.x[v], math.cos(f.x[v + 1]), math.sin(f.x[v + 1])
+    ce, se = math.cos(f.x[v + 2]), math.sin(f.x[v + 2])
+    out[0], out[1] = f.slots[j, IDENT], f.slots[j, LINK]
+    at = f.anchor[j]
+    out[POSITION], out[POSITION + 1] = at[0] + rho * ce * ca, at[1] + rho * ce * sa
+    out[POSITION + 2] = at[2] + rho * se
     for r in range(3):
         for s in range(3):
             total = 0.0
             for a in range(3):
                 for b in range(3):
-                    total += slope(rho, ca, sa, ce, se, r, a) * p[v + a, v + b] * slope(rho, ca, sa, ce, se, s, b)
-            out[5 + 3 * r + s] = total
+                    total += slope(rho, ca, sa, ce, se, r, a) * f.p[v + a, v + b] * slope(rho, ca, sa, ce, se, s, b)
+            out[SPREAD + 3 * r + s] = total
 
 
 @njit(cache=True)
@@ -106,24 +107,23 @@ def slope(rho, ca, sa, ce, se, row, column):
 
 
 @njit(cache=True)
-def map_into(x, p, core, anchor, slots, count, hits, out):
+def map_into(f: Filter, hits: int, out: Floats) -> int:
     """Write the VTs with at least `hits` detections, as their likely guesses, into out (V, 14); return their number."""
     found = 0
-    for j in range(count):
-        if slots[j, HITS] >= hits and anchor[j, SHARE] > 0.5:
-            keep(x, p, core, anchor, slots, j, out[found])
+    for j in range(f.count[0]):
+        if f.slots[j, HITS] >= hits and f.anchor[j, SHARE] > 0.5:
+            keep(f, j, out[found])
             found += 1
     return found
 
 
 @njit(cache=True)
-def tidy(now, x, p, core, anchor, slots, count, cfg):
-    """Drop VTs that were seen once or twice and not again; return the number left."""
+def tidy(f: Filter, now: int, rules: Rules) -> None:
+    """Drop VTs that were seen once or twice and not again."""
     j = np.int64(0)  # a literal would have `remove` compiled twice
-    while j < count:
-        age, hits = now - slots[j, LAST], slots[j, HITS]
-        if hits < cfg[CONFIRM] and age > (cfg[AGE_ONCE] if hits < 2 else cfg[AGE_TWICE]):
-            count = remove(x, p, core, anchor, slots, count, j)
+    while j < f.count[0]:
+        age, hits = now - f.slots[j, LAST], f.slots[j, HITS]
+        if hits < rules.confirm and age > (rules.age_once if hits < 2 else rules.age_twice):
+            remove(f, j)
         else:
             j += 1
-    return count

@@ -2,109 +2,124 @@
 
 from __future__ import annotations
 
-import math
+from typing import NamedTuple
 
+import numpy as np
 from numba import njit
 
+from cellslam.sim.recording import Floats
+from cellslam.slam.ekf_slam.state_layout import POSE, Core, Filter, one_of, states
+from cellslam.slam.model.matrices_kernel import Mat3, Vec3, columns, put_mat, scaled, vec_of
+from cellslam.slam.model.measurement_kernel import rotations
 
-@njit(cache=True)
-def rotations(rot, psi, theta, phi):
-    """Write R(psi, theta, phi) and its derivatives by psi, theta and phi into rot (36,), row by row."""
-    cp, sp, ct, st = math.cos(psi), math.sin(psi), math.cos(theta), math.sin(theta)
-    cr, sr = math.cos(phi), math.sin(phi)
-    rot[0], rot[1], rot[2] = cp * ct, cp * st * sr - sp * cr, cp * st * cr + sp * sr
-    rot[3], rot[4], rot[5] = sp * ct, sp * st * sr + cp * cr, sp * st * cr - cp * sr
-    rot[6], rot[7], rot[8] = -st, ct * sr, ct * cr
-    for c in range(3):
-        rot[9 + c], rot[12 + c], rot[15 + c] = -rot[3 + c], rot[c], 0.0
-    rot[18], rot[19], rot[20] = -cp * st, cp * ct * sr, cp * ct * cr
-    rot[21], rot[22], rot[23] = -sp * st, sp * ct * sr, sp * ct * cr
-    rot[24], rot[25], rot[26] = -ct, -st * sr, -st * cr
-    for r in range(3):
-        rot[27 + 3 * r], rot[28 + 3 * r], rot[29 + 3 * r] = 0.0, rot[3 * r + 2], -rot[3 * r + 1]
+
+class Interval(NamedTuple):
+    """What the odometry says of `dt` (s): mean body velocities `measured` (6,), and the densities (6,) of its white
+    `noise` and of its biases' `walk`."""
+
+    dt: float
+    measured: Floats
+    noise: Floats
+    walk: Floats
 
 
 @njit(cache=True)
-def _move(x, p, size, odometry, dt, noise, walk, bias_of, scale_of, first_offset, rate_of, core, rot, step, rows):
-    for c in range(6):
-        rows[c, 0] = odometry[c] - (x[bias_of[c]] if bias_of[c] >= 0 else 0.0)
-        rows[c, 1] = 1.0 / (1.0 + (x[scale_of[c]] if scale_of[c] >= 0 else 0.0))
-        rows[c, 2] = rows[c, 0] * rows[c, 1]
-    rotations(rot, x[3] + 0.5 * dt * rows[3, 2], x[4] + 0.5 * dt * rows[4, 2], x[5] + 0.5 * dt * rows[5, 2])
-    # step (6, core) = d(next pose)/d(core); columns 0-5 of by_velocity follow in step[:, core:core + 6]
-    for r in range(6):
-        for c in range(core + 6):
-            step[r, c] = 0.0
-        step[r, r] = 1.0
-    for r in range(3):
-        for a in range(3):
-            turned = 0.0
-            for c in range(3):
-                turned += rot[9 + 9 * a + 3 * r + c] * rows[c, 2] * dt
-            step[r, 3 + a] = turned
-            step[r, core + 3 + a] = 0.5 * dt * turned
-            step[r, core + a] = rot[3 * r + a] * dt
-        step[3 + r, core + 3 + r] = dt
-    for c in range(6):
-        for r in range(6):
-            by_velocity = step[r, core + c] * rows[c, 1]
-            step[r, core + c] = by_velocity
-            if bias_of[c] >= 0:
-                step[r, bias_of[c]] = -by_velocity
-            if scale_of[c] >= 0:
-                step[r, scale_of[c]] = -by_velocity * rows[c, 2]
-    for r in range(3):
-        moved = 0.0
-        for c in range(3):
-            moved += rot[3 * r + c] * rows[c, 2] * dt
-        x[r] += moved
-        x[3 + r] += rows[3 + r, 2] * dt
-    # P = F P F^T: the six rows of the pose, then its columns
+def move(filters: Filter, interval: Interval) -> None:
+    """Advance the filters of a bank by an interval of dt > 0.
+
+    The true velocity is (measured - bias - noise) / (1 + scale); the pose moves as in `frames.integrate_pose`.
+    """
+    core = filters.core
+    step = np.empty((POSE, core.size + POSE))  # d(next pose)/d(core), and behind it d(next pose)/d(velocity)
+    rows = np.empty((POSE, filters.p.shape[1]))
+    for k in range(len(filters.x)):
+        f = one_of(filters, k)
+        _move_pose(f.x, core, interval, step)
+        _spread(f, interval, step, rows)
+        _drift(f, interval.dt)
+
+
+@njit
+def _way(m: Mat3, v: Vec3, dt: float) -> Vec3:
+    """Return m v dt."""
+    return Vec3(
+        m.xx * v.x * dt + m.xy * v.y * dt + m.xz * v.z * dt,
+        m.yx * v.x * dt + m.yy * v.y * dt + m.yz * v.z * dt,
+        m.zx * v.x * dt + m.zy * v.y * dt + m.zz * v.z * dt,
+    )
+
+
+@njit(cache=True)
+def _move_pose(x: Floats, core: Core, interval: Interval, step: Floats) -> None:
+    """Move the pose of a mean x, and write the Jacobians of where it gets to."""
+    dt, velocity, share = interval.dt, np.empty(POSE), np.empty(POSE)
+    for c in range(POSE):
+        share[c] = 1.0 / (1.0 + (x[core.scale[c]] if core.scale[c] >= 0 else 0.0))
+        velocity[c] = (interval.measured[c] - (x[core.bias[c]] if core.bias[c] >= 0 else 0.0)) * share[c]
+    ahead, half = vec_of(velocity), 0.5 * dt
+    middle = rotations(x[3] + half * velocity[3], x[4] + half * velocity[4], x[5] + half * velocity[5])
+    way = _way(middle.r, ahead, dt)
+    turned = columns(_way(middle.by_psi, ahead, dt), _way(middle.by_theta, ahead, dt), _way(middle.by_phi, ahead, dt))
+    step[:] = 0.0
+    by_velocity = step[:, core.size :]
+    put_mat(step[:, 3:], turned)
+    put_mat(by_velocity, scaled(middle.r, dt))
+    put_mat(by_velocity[:, 3:], scaled(turned, half))
+    for c in range(POSE):
+        step[c, c] = 1.0
+        if c >= 3:
+            by_velocity[c, c] = dt
+        for r in range(POSE):
+            by_velocity[r, c] *= share[c]
+            if core.bias[c] >= 0:
+                step[r, core.bias[c]] = -by_velocity[r, c]
+            if core.scale[c] >= 0:
+                step[r, core.scale[c]] = -by_velocity[r, c] * velocity[c]
+    x[0] += way.x
+    x[1] += way.y
+    x[2] += way.z
+    for c in range(3, POSE):
+        x[c] += velocity[c] * dt
+
+
+@njit(cache=True)
+def _spread(f: Filter, interval: Interval, step: Floats, rows: Floats) -> None:
+    """P <- F P F^T + Q: F changes the pose only; its six rows, then its columns."""
+    p, core, size = f.p, f.core, states(f)
     for j in range(size):
-        for r in range(6):
+        for r in range(POSE):
             total = 0.0
-            for c in range(core):
+            for c in range(core.size):
                 total += step[r, c] * p[c, j]
-            rows[r, 3 + j] = total
-    for r in range(6):
-        for j in range(size):
-            p[r, j] = rows[r, 3 + j]
+            rows[r, j] = total
+    p[:POSE, :size] = rows[:, :size]
     for i in range(size):
-        for r in range(6):
+        for r in range(POSE):
             total = 0.0
-            for c in range(core):
+            for c in range(core.size):
                 total += step[r, c] * p[i, c]
-            rows[r, 3] = total
-        for r in range(6):
-            p[i, r] = rows[r, 3]
-    for r in range(6):
-        for s in range(6):
-            for c in range(6):
-                p[r, s] += step[r, core + c] * step[s, core + c] * noise[c] * noise[c] / dt
-    for c in range(6):
-        if bias_of[c] >= 0:
-            p[bias_of[c], bias_of[c]] += walk[c] * walk[c] * dt
-    for s in range(len(rate_of)):
-        offset, rate = first_offset + s, rate_of[s]
+            rows[r, 0] = total
+        for r in range(POSE):
+            p[i, r] = rows[r, 0]
+    noise, dt = interval.noise, interval.dt
+    for r in range(POSE):
+        for s in range(POSE):
+            for c in range(POSE):
+                p[r, s] += step[r, core.size + c] * step[s, core.size + c] * noise[c] * noise[c] / dt
+    for c in range(POSE):
+        if core.bias[c] >= 0:
+            p[core.bias[c], core.bias[c]] += interval.walk[c] * interval.walk[c] * dt
+
+
+@njit(cache=True)
+def _drift(f: Filter, dt: float) -> None:
+    """Let the clock offsets run on at their rates."""
+    x, p, size = f.x, f.p, states(f)
+    for s in range(len(f.core.rate)):
+        offset, rate = f.core.first_offset + s, f.core.rate[s]
         if rate >= 0:
             x[offset] += x[rate] * dt
             for j in range(size):
                 p[offset, j] += dt * p[rate, j]
             for i in range(size):
                 p[i, offset] += dt * p[i, rate]
-
-
-@njit(cache=True)
-def move(x, p, count, odometry, dt, noise, walk, bias_of, scale_of, first_offset, rate_of, core, geometry, step, rows):
-    """Advance filters x (K, N), p (K, N, N) by `dt` > 0 with mean body velocities odometry (6,).
-
-    noise, walk (6,): densities of the data sheet; bias_of, scale_of (6,): state of each component's error, -1 none;
-    first_offset, rate_of (S,): states of the clock offsets, and of the rate of each, -1 none; core: number of states
-    before the VTs; count (K,): VTs. geometry (K, 36), step (K, 6, core + 6), rows (K, 6, 3 + N): scratch.
-    """
-    for f in range(len(x)):
-        size = core + 3 * count[f]
-        _move(
-            x[f], p[f], size, odometry, dt, noise, walk, bias_of, scale_of, first_offset, rate_of, core, geometry[f],
-            step[f], rows[f],
-        )  # fmt: skip

@@ -1,8 +1,8 @@
 """The assignment of measurements to VTs of one link, exact, with the option of leaving any of them out.
 
 Most snapshots need no solver: where no measurement has two candidate VTs and no VT two candidate measurements, every
-positive pair is taken. Otherwise the shortest-augmenting-path form of the Hungarian algorithm (Kuhn 1955; Jonker and
-Volgenant 1987) runs on the table with one free column a row.
+positive pair is taken. Otherwise shortest augmenting paths (Kuhn 1955; Jonker and Volgenant 1987) run on the table with
+one more row for each column, which leaves that column out.
 """
 
 from __future__ import annotations
@@ -10,14 +10,18 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
+from cellslam.sim.recording import Floats, Ints
+
+LEFT_OUT = -1e30  # score of a pair that cannot be
+_CANNOT = 0.5 * LEFT_OUT
+
 
 @njit(cache=True)
-def assign(score, rows, columns, row_of, work_f, work_i):
+def assign(score: Floats, rows: int, columns: int, row_of: Ints, work_f: Floats, work_i: Ints) -> None:
     """Write into row_of (columns,) the row assigned to each column, -1 for none, maximising the sum of scores.
 
     `score` (R, C): gain of a pair over leaving both out; pairs that are not positive are never taken. `work_f` and
-    `work_i`
-    are scratch of at least (4 (rows + columns + 2),) floats and integers.
+    `work_i` are scratch of at least (4 (rows + columns + 2),) floats and integers.
     """
     for c in range(columns):
         row_of[c] = -1
@@ -33,55 +37,69 @@ def assign(score, rows, columns, row_of, work_f, work_i):
         if taken > 1:
             conflict = True
     if conflict:
-        _augment(score, rows, columns, row_of, work_f, work_i)
+        alone = work_f[len(work_f) - columns :]
+        alone[:] = 0.0
+        best_sum(score, alone, 0.0, rows, columns, row_of, work_f, work_i)
 
 
 @njit(cache=True)
-def _augment(score, rows, columns, row_of, work_f, work_i):
-    """Solve the general case: columns 1..columns are real, column columns + r is row r's own 'left out', at gain 0."""
-    width = columns + rows + 1
-    u, v = work_f[: rows + 1], work_f[rows + 1 : rows + 1 + width]
-    least = work_f[rows + 1 + width : rows + 1 + 2 * width]
-    owner, way, used = work_i[:width], work_i[width : 2 * width], work_i[2 * width : 3 * width]
-    u[:] = 0.0
-    v[:] = 0.0
+def best_sum(
+    score: Floats, alone: Floats, least: float, rows: int, columns: int, row_of: Ints, work_f: Floats, work_i: Ints
+) -> float:
+    """Write into row_of (columns,) the assignment with the greatest sum of scores, -1 for none; return that sum,
+    LEFT_OUT where there is no assignment.
+
+    `score` (R, C) of pairs, which are possible where it is above `least`; `alone` (columns,): score of a column that
+    has no row, LEFT_OUT where it must have one. Scratch: 3 columns + 2 rows + 3 floats, three times the places.
+    """
+    places = rows + columns + 1
+    potential, price = work_f[: columns + 1], work_f[columns + 1 : columns + 1 + places]
+    shortest = work_f[columns + 1 + places : columns + 1 + 2 * places]
+    owner, way, used = work_i[:places], work_i[places : 2 * places], work_i[2 * places : 3 * places]
+    potential[:] = 0.0
+    price[:] = 0.0
     owner[:] = 0
-    for r in range(1, rows + 1):
-        owner[0] = r
+    for column in range(1, columns + 1):
+        owner[0] = column
         j0 = 0
-        least[:] = np.inf
+        shortest[:] = np.inf
         used[:] = 0
         while True:
             used[j0] = 1
-            i0 = owner[j0]
-            delta = np.inf
-            j1 = 0
-            for j in range(1, width):
+            i0, delta, j1 = owner[j0], np.inf, -1
+            for j in range(1, places):
                 if used[j] == 0:
-                    if j <= columns:
-                        gain = score[i0 - 1, j - 1]
-                        cost = -gain if 0.0 < gain < np.inf else np.inf
-                    else:
-                        cost = 0.0 if j - columns == i0 else np.inf
-                    reduced = cost - u[i0] - v[j]
-                    if reduced < least[j]:
-                        least[j] = reduced
-                        way[j] = j0
-                    if least[j] < delta:
-                        delta = least[j]
-                        j1 = j
-            for j in range(width):
+                    reduced = _cost(score, alone, least, rows, i0 - 1, j - 1) - potential[i0] - price[j]
+                    if reduced < shortest[j]:
+                        shortest[j], way[j] = reduced, j0
+                    if shortest[j] < delta:
+                        delta, j1 = shortest[j], j
+            if j1 < 0:
+                return LEFT_OUT
+            for j in range(places):
                 if used[j] == 1:
-                    u[owner[j]] += delta
-                    v[j] -= delta
+                    potential[owner[j]] += delta
+                    price[j] -= delta
                 else:
-                    least[j] -= delta
+                    shortest[j] -= delta
             j0 = j1
             if owner[j0] == 0:
                 break
         while j0 != 0:
-            j1 = way[j0]
-            owner[j0] = owner[j1]
-            j0 = j1
-    for c in range(columns):
-        row_of[c] = owner[c + 1] - 1
+            owner[j0] = owner[way[j0]]
+            j0 = way[j0]
+    total = 0.0
+    for j in range(1, places):
+        if owner[j] > 0:
+            row_of[owner[j] - 1] = j - 1 if j <= rows else -1
+            total -= _cost(score, alone, least, rows, owner[j] - 1, j - 1)
+    return total
+
+
+@njit(cache=True)
+def _cost(score: Floats, alone: Floats, least: float, rows: int, column: int, place: int) -> float:
+    """Return what a column pays for a place: a row, or from `rows` on the places of columns that have none."""
+    if place < rows:
+        gain = score[place, column]
+        return -gain if least < gain < np.inf else np.inf
+    return -alone[column] if place - rows == column and alone[column] > _CANNOT else np.inf

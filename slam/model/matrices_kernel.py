@@ -6,6 +6,7 @@ with numbered scalars. The functions work in the precision of what they are give
 
 from __future__ import annotations
 
+import math
 from typing import Any, NamedTuple
 
 from numba import njit
@@ -121,7 +122,8 @@ def upper(m: Mat3) -> Sym3:
 @njit
 def congruence(m: Mat3, s: Sym3) -> Sym3:
     """Return m s m^T."""
-    return upper(mat_mat(mat_sym(m, s), transposed(m)))
+    product: Sym3 = upper(mat_mat(mat_sym(m, s), transposed(m)))
+    return product
 
 
 @njit
@@ -181,3 +183,115 @@ def adjugate(s: Sym3) -> Sym3:
 def quadratic(s: Sym3, v: Vec3) -> Any:
     """Return v^T s v."""
     return dot(v, sym_vec(s, v))
+
+
+@njit
+def vec_scaled(v: Vec3, x: Any) -> Vec3:
+    """Return v x, x a scalar."""
+    return Vec3(v.x * x, v.y * x, v.z * x)
+
+
+@njit
+def sym_scaled(s: Sym3, x: Any) -> Sym3:
+    """Return s x, x a scalar."""
+    return Sym3(s.xx * x, s.xy * x, s.xz * x, s.yy * x, s.yz * x, s.zz * x)
+
+
+@njit
+def rotation(psi: Any, theta: Any, phi: Any) -> Mat3:
+    """Return Rz(psi) Ry(theta) Rx(phi), which takes body to world vectors; quickly where pitch and roll are zero."""
+    cp, sp, ct, st, cr, sr = math.cos(psi), math.sin(psi), 1.0, 0.0, 1.0, 0.0
+    if theta != 0.0 or phi != 0.0:
+        ct, st, cr, sr = math.cos(theta), math.sin(theta), math.cos(phi), math.sin(phi)
+    return Mat3(
+        cp * ct, cp * st * sr - sp * cr, cp * st * cr + sp * sr,
+        sp * ct, sp * st * sr + cp * cr, sp * st * cr - cp * sr,
+        -st, ct * sr, ct * cr,
+    )  # fmt: skip
+
+
+@njit
+def determinant(s: Sym3, adjugate_of_s: Sym3) -> Any:
+    """Return det s, with its adjugate."""
+    return s.xx * adjugate_of_s.xx + s.xy * adjugate_of_s.xy + s.xz * adjugate_of_s.xz
+
+
+@njit
+def outer(v: Vec3) -> Sym3:
+    """Return v v^T."""
+    return Sym3(v.x * v.x, v.x * v.y, v.x * v.z, v.y * v.y, v.y * v.z, v.z * v.z)
+
+
+@njit
+def inverse(s: Sym3) -> Sym3:
+    """Return s^-1."""
+    a = adjugate(s)
+    det = determinant(s, a)
+    return Sym3(a.xx / det, a.xy / det, a.xz / det, a.yy / det, a.yz / det, a.zz / det)
+
+
+class Lower3(NamedTuple):
+    """A lower triangular 3 x 3 matrix by rows."""
+
+    xx: Any
+    yx: Any
+    yy: Any
+    zx: Any
+    zy: Any
+    zz: Any
+
+
+@njit
+def cholesky(s: Sym3) -> Lower3:
+    """Return L with L L^T = s; all zero where s is not positive definite."""
+    if s.xx > 0.0:
+        a = math.sqrt(s.xx)
+        b, c = s.xy / a, s.xz / a
+        dd = s.yy - b * b
+        if dd > 0.0:
+            d = math.sqrt(dd)
+            e = (s.yz - b * c) / d
+            ff = s.zz - c * c - e * e
+            if ff > 0.0:
+                return Lower3(a, b, d, c, e, math.sqrt(ff))
+    return Lower3(0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+
+
+@njit
+def solved(lower: Lower3, v: Vec3) -> Vec3:
+    """Return L^-1 v."""
+    x = v.x / lower.xx
+    y = (v.y - lower.yx * x) / lower.yy
+    return Vec3(x, y, (v.z - lower.zx * x - lower.zy * y) / lower.zz)
+
+
+@njit
+def mat_of(a: Any) -> Mat3:
+    """Return an array (3, 3) as a matrix."""
+    return Mat3(a[0, 0], a[0, 1], a[0, 2], a[1, 0], a[1, 1], a[1, 2], a[2, 0], a[2, 1], a[2, 2])
+
+
+@njit
+def sym_of(a: Any) -> Sym3:
+    """Return the upper triangle of an array (3, 3)."""
+    return Sym3(a[0, 0], a[0, 1], a[0, 2], a[1, 1], a[1, 2], a[2, 2])
+
+
+@njit
+def vec_of(a: Any) -> Vec3:
+    """Return an array (3,) as a vector."""
+    return Vec3(a[0], a[1], a[2])
+
+
+@njit
+def columns(a: Vec3, b: Vec3, c: Vec3) -> Mat3:
+    """Return the matrix of three columns."""
+    return Mat3(a.x, b.x, c.x, a.y, b.y, c.y, a.z, b.z, c.z)
+
+
+@njit
+def put_mat(out: Any, m: Mat3) -> None:
+    """Write a matrix into the first three rows and columns of an array."""
+    out[0, 0], out[0, 1], out[0, 2] = m.xx, m.xy, m.xz
+    out[1, 0], out[1, 1], out[1, 2] = m.yx, m.yy, m.yz
+    out[2, 0], out[2, 1], out[2, 2] = m.zx, m.zy, m.zz

@@ -2,7 +2,8 @@
 
 h(r, v) = (distance, azimuth, elevation) of VT v seen from pose r, without clock offset (paper, section IV, with
 the elevation corrected: atan2(z, sqrt(x^2 + y^2))). With the offset b of its site a measurement is
-z = h(r, v) + (b, 0, 0) + noise.
+z = h(r, v) + (b, 0, 0) + noise. Azimuth and its Jacobian have no limit straight above the array: the horizontal part of
+the way to a VT, in the body frame, counts as LEAST_FLAT_M at least. `measurement_kernel` has the same, compiled.
 """
 
 from __future__ import annotations
@@ -10,23 +11,25 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike
 
-from cellslam.sim.frames import azimuth_elevation, rotation, unit_vector, world_to_body
+from cellslam.sim.frames import rotation, unit_vector, world_to_body
 from cellslam.sim.recording import Floats
+
+LEAST_FLAT_M = 1e-3
 
 
 def predict(pose: ArrayLike, vt: ArrayLike) -> Floats:
     """Return h (..., 3): distance (m), azimuth and elevation (rad, body frame) of VTs (..., 3) from poses (..., 6)."""
     p, v = np.asarray(pose, np.float64), np.asarray(vt, np.float64)
-    body = world_to_body(p, v - p[..., :3])
-    azimuth, elevation = azimuth_elevation(body)
-    return np.stack([np.linalg.norm(body, axis=-1), azimuth, elevation], axis=-1)
+    x, y, z = np.moveaxis(world_to_body(p, v - p[..., :3]), -1, 0)
+    flat = np.maximum(np.hypot(x, y), LEAST_FLAT_M)
+    full = np.sqrt(np.maximum(x * x + y * y, LEAST_FLAT_M**2) + z * z)
+    return np.stack([full, np.arctan2(y, x), np.arctan2(z, flat)], axis=-1)
 
 
 def jacobians(pose: ArrayLike, vt: ArrayLike) -> tuple[Floats, Floats]:
     """Return dh/dv (..., 3, 3) and dh/dr (..., 3, 6) for poses (..., 6) and VTs (..., 3).
 
-    Units: m/m, rad/m for the position columns; m/rad, rad/rad for yaw, pitch and roll. Undefined (not finite) for a
-    VT straight above or at the array.
+    Units: m/m, rad/m for the position columns; m/rad, rad/rad for yaw, pitch and roll.
     """
     p, v = np.broadcast_arrays(np.asarray(pose, np.float64)[..., :, None], np.asarray(vt, np.float64)[..., None, :])
     pose_b, vt_b = p[..., 0], v[..., 0, :]
@@ -51,7 +54,7 @@ def birth(pose: ArrayLike, distance_m: ArrayLike, azimuth_rad: ArrayLike, elevat
 def _spherical_jacobian(body: Floats) -> Floats:
     """Return d(distance, azimuth, elevation)/d(x, y, z), (..., 3, 3)."""
     x, y, z = body[..., 0], body[..., 1], body[..., 2]
-    flat2 = x * x + y * y
+    flat2 = np.maximum(x * x + y * y, LEAST_FLAT_M**2)
     flat, full2 = np.sqrt(flat2), flat2 + z * z
     full = np.sqrt(full2)
     zero = np.zeros_like(x)

@@ -10,6 +10,7 @@ from typing import Any
 
 from numba import njit
 
+from cellslam.sim.frames_kernel import wrap
 from cellslam.sim.lte.statistical.detector_layout import (
     DIFFUSE_SHARE,
     DIFFUSE_TO_M,
@@ -24,7 +25,7 @@ from cellslam.sim.lte.statistical.detector_layout import (
     Array,
     Model,
 )
-from cellslam.sim.lte.statistical.measurement_kernel import clutter_row, detection_probability, wrap
+from cellslam.sim.lte.statistical.measurement_kernel import clutter_row, detection_probability
 
 # Few points of clutter were measured: what is drawn lies about one of them, so that no two coincide.
 STRETCH, BLUR_M, BLUR_AZIMUTH_RAD, BLUR_ELEVATION_RAD = 0.3, 4.0, math.radians(4.0), math.radians(3.0)

@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 from numba import njit
 
+from cellslam.sim.frames_kernel import wrap
 from cellslam.sim.lte.budget_kernel import link_powers
 from cellslam.sim.lte.persisting_errors_kernel import Fields, write_attitude, write_persisting
 from cellslam.sim.lte.single_path_bound import AZIMUTH_EXPONENT
@@ -44,7 +45,6 @@ from cellslam.sim.lte.statistical.measurement_kernel import (
     body_geometry,
     detection_probability,
     fold,
-    wrap,
     write_std,
     write_white_std,
 )

@@ -9,6 +9,7 @@ import math
 
 from numba import njit
 
+from cellslam.sim.frames_kernel import wrap
 from cellslam.sim.lte.single_path_bound import AZIMUTH_EXPONENT, ELEVATION_GROWTH
 from cellslam.sim.lte.statistical.detector_layout import (
     AZIMUTH,
@@ -23,12 +24,6 @@ from cellslam.sim.lte.statistical.detector_layout import (
     Array,
     Model,
 )
-
-
-@njit(cache=True)
-def wrap(angle: float) -> float:
-    """Wrap to (-pi, pi]."""
-    return angle - 2.0 * math.pi * math.ceil((angle - math.pi) / (2.0 * math.pi))
 
 
 @njit(cache=True)

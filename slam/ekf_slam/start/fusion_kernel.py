@@ -7,13 +7,15 @@ import math
 import numpy as np
 from numba import njit
 
+from cellslam.sim.recording import Floats, Ints
+
 LEAST_SHARE = 1e-14  # of the largest variance, below which there is none left but rounding
 SMALLEST = 1e-10  # share of the largest scaled variance below which a direction counts as known
 DOUBLE = 0.25  # components closer than this, in deviations of the likelier one, are one
 
 
 @njit(cache=True)
-def root_of(cov):
+def root_of(cov: Floats) -> tuple[Floats, Floats]:
     """Return L (n, r) with cov = L L^T, in the directions that are uncertain, and its left inverse (r, n)."""
     n = len(cov)
     scale, scaled = np.empty(n), np.empty((n, n))
@@ -34,7 +36,7 @@ def root_of(cov):
 
 
 @njit(cache=True)
-def fuse(mean, cov, means, covs):
+def fuse(mean: Floats, cov: Floats, means: Floats, covs: Floats) -> tuple[Floats, Floats]:
     """Return the product of the odometry's belief (n,), (n, n) and what each site's, (S, n) and (S, n, n), adds to it.
 
     Negative information is cut off.
@@ -61,7 +63,7 @@ def fuse(mean, cov, means, covs):
 
 
 @njit(cache=True)
-def moments(log_weight, x, p, first, n):
+def moments(log_weight: Floats, x: Floats, p: Floats, first: int, n: int) -> tuple[Floats, Floats]:
     """Return mean (n,) and covariance (n, n) of the states from `first` on of a Gaussian sum x (K, N), p (K, N, N)."""
     weight = np.exp(log_weight - log_weight.max())
     weight /= weight.sum()
@@ -78,7 +80,7 @@ def moments(log_weight, x, p, first, n):
 
 
 @njit(cache=True)
-def likely(log_weight, x, p, state, least):
+def likely(log_weight: Floats, x: Floats, p: Floats, state: int, least: float) -> Ints:
     """Return which components (K,) to keep: not less likely than the best by `least` (log, below 0), and no double of
     a more likely one in the given state."""
     best, kept = log_weight.max(), np.zeros(len(log_weight), np.bool_)

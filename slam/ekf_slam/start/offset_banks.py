@@ -14,10 +14,10 @@ import numpy as np
 from cellslam.sim.recording import Floats, Ints
 from cellslam.slam.api import Setup
 from cellslam.slam.ekf_slam.ekf_slam_options import JointOptions
-from cellslam.slam.ekf_slam.filter_bank import Bank, Core, Measured, new_bank
+from cellslam.slam.ekf_slam.filter_bank import Bank, new_bank
 from cellslam.slam.ekf_slam.start.fusion import Gaussian, join
 from cellslam.slam.ekf_slam.start.fusion_kernel import fuse, likely
-from cellslam.slam.ekf_slam.state_layout import KNOWN_MAP, SLOT
+from cellslam.slam.ekf_slam.state_layout import KNOWN_MAP, SLOT, Core, Measured
 
 REACH = 3.0  # the components cover this many deviations of the prior
 
@@ -51,13 +51,13 @@ class Start:
 
     def use(self, setup: Setup, measured: Measured, options: JointOptions) -> Ints:
         """Use a snapshot in every bank, drop what has become unlikely, and return the best components' association."""
-        answer = np.full(len(measured), -1, np.int64)
+        answer = np.full(len(measured.z), -1, np.int64)
         for s in range(len(self.banks)):
             mine = setup.links.site[_link_of(measured)] == s
-            if not self.ranged[s] and np.isfinite(measured.readings.z[mine, 0]).any():
+            if not self.ranged[s] and np.isfinite(measured.z[mine, 0]).any():
                 self.banks[s], self.ranged[s] = split(self.banks[s], setup, s, options), True
             bank = self.banks[s]
-            association = bank.use(setup, measured)
+            association = bank.use(measured)
             best = association[int(np.argmax(bank.log_weight))]
             answer[mine] = best[mine]
             least = float(np.log(options.prune_ratio))

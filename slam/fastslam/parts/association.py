@@ -11,10 +11,10 @@ from numba.extending import overload
 
 from cellslam.sim.recording import Ints
 from cellslam.slam.api import Snapshot
-from cellslam.slam.fastslam.parts.murty_kernel import LEFT_OUT, murty
+from cellslam.slam.fastslam.parts.murty_kernel import murty
 from cellslam.slam.fastslam.parts.part_types import COMPILED, is_of
 from cellslam.slam.fastslam.state.layout import LANES, V_WEIGHT, W_D2
-from cellslam.slam.model.assignment_kernel import assign
+from cellslam.slam.model.assignment_kernel import LEFT_OUT, assign
 
 B = LANES
 

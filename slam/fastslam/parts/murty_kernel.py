@@ -6,13 +6,18 @@ import math
 
 import numpy as np
 from numba import njit
+from numpy.typing import NDArray
 
-LEFT_OUT = -1e30  # score of a pair that cannot be
+from cellslam.sim.recording import Floats, Ints
+from cellslam.slam.model.assignment_kernel import LEFT_OUT, best_sum
+
+Flags = NDArray[np.bool_]
+
 _FREE, _NONE = -2, -1  # of what is fixed: nothing; that the column has no row
 
 
 @njit(cache=True, error_model="numpy")
-def murty(score, rows, columns, most, uniform, row_of):
+def murty(score: Floats, rows: int, columns: int, most: int, uniform: float, row_of: Ints) -> float:
     """Write into row_of (columns,) one of the `most` best assignments, drawn with probabilities in proportion to exp of
     their sums of scores; return the log of the probability of the draw.
 
@@ -37,7 +42,7 @@ def murty(score, rows, columns, most, uniform, row_of):
 
 
 @njit(cache=True, error_model="numpy")
-def best_assignments(score, rows, columns, choices, totals):
+def best_assignments(score: Floats, rows: int, columns: int, choices: Ints, totals: Floats) -> int:
     """Write the best assignments, best first, into choices (most, columns), row of each column or -1, and totals
     (most,); return how many there are.
 
@@ -50,7 +55,7 @@ def best_assignments(score, rows, columns, choices, totals):
     forbidden = np.empty((room, columns, rows + 1), np.bool_)  # the last: having no row
     best, value = np.empty((room, columns), np.int64), np.empty(room)
     fixed[0], forbidden[0] = _FREE, False
-    value[0] = _solve(score, rows, columns, fixed[0], forbidden[0], best[0])
+    value[0] = _best_of(score, rows, columns, fixed[0], forbidden[0], best[0])
     sets, count = 1, 0
     while count < most:
         at = 0
@@ -74,70 +79,21 @@ def best_assignments(score, rows, columns, choices, totals):
                 fixed[sets, earlier] = choices[count - 1, earlier]
             own = choices[count - 1, c]
             forbidden[sets, c, own if own >= 0 else rows] = True
-            value[sets] = _solve(score, rows, columns, fixed[sets], forbidden[sets], best[sets])
+            value[sets] = _best_of(score, rows, columns, fixed[sets], forbidden[sets], best[sets])
             sets += 1
     return count
 
 
 @njit(cache=True, error_model="numpy")
-def _solve(score, rows, columns, fixed, forbidden, row_of):
-    """Write the best assignment that keeps to a set, return its total, LEFT_OUT if there is none.
-
-    Shortest augmenting paths (Jonker and Volgenant 1987), column by column: each has a place of its own for having no
-    row.
-    """
-    places = rows + columns
-    price, potential = np.zeros(places + 1), np.zeros(columns + 1)
-    owner, way = np.zeros(places + 1, np.int64), np.zeros(places + 1, np.int64)
-    least, used = np.empty(places + 1), np.empty(places + 1, np.bool_)
-    for column in range(1, columns + 1):
-        owner[0] = column
-        j0 = 0
-        least[:] = np.inf
-        used[:] = False
-        while True:
-            used[j0] = True
-            i0, delta, j1 = owner[j0], np.inf, -1
-            for j in range(1, places + 1):
-                if not used[j]:
-                    reduced = _cost(score, rows, fixed, forbidden, i0 - 1, j - 1) - potential[i0] - price[j]
-                    if reduced < least[j]:
-                        least[j], way[j] = reduced, j0
-                    if least[j] < delta:
-                        delta, j1 = least[j], j
-            if j1 < 0:
-                return LEFT_OUT
-            for j in range(places + 1):
-                if used[j]:
-                    potential[owner[j]] += delta
-                    price[j] -= delta
-                else:
-                    least[j] -= delta
-            j0 = j1
-            if owner[j0] == 0:
-                break
-        while j0 != 0:
-            owner[j0] = owner[way[j0]]
-            j0 = way[j0]
-    total = 0.0
-    for j in range(1, places + 1):
-        if owner[j] > 0:
-            row_of[owner[j] - 1] = j - 1 if j <= rows else _NONE
-            total += score[j - 1, owner[j] - 1] if j <= rows else 0.0
-    return total
-
-
-@njit(cache=True, error_model="numpy")
-def _cost(score, rows, fixed, forbidden, column, place):
-    """Return what a column pays for a place: a row, or from `rows` on the places of columns that have none."""
-    if place >= rows:
-        wanted = _NONE
-        if place - rows != column or forbidden[column, rows]:
-            return np.inf
-    else:
-        wanted = place
-        if forbidden[column, place] or score[place, column] < 0.5 * LEFT_OUT:
-            return np.inf
-    if fixed[column] != _FREE and fixed[column] != wanted:
-        return np.inf
-    return -score[place, column] if place < rows else 0.0
+def _best_of(score: Floats, rows: int, columns: int, fixed: Ints, forbidden: Flags, row_of: Ints) -> float:
+    """Write the best assignment that keeps to a set, return its total, LEFT_OUT if there is none."""
+    allowed, alone = np.full((rows, columns), LEFT_OUT), np.full(columns, LEFT_OUT)
+    for c in range(columns):
+        if not forbidden[c, rows] and (fixed[c] == _FREE or fixed[c] == _NONE):
+            alone[c] = 0.0
+        for r in range(rows):
+            if not forbidden[c, r] and (fixed[c] == _FREE or fixed[c] == r):
+                allowed[r, c] = score[r, c]
+    room = 4 * (rows + columns + 2)
+    work_f, work_i = np.empty(room), np.empty(room, np.int64)
+    return best_sum(allowed, alone, 0.5 * LEFT_OUT, rows, columns, row_of, work_f, work_i)

@@ -25,7 +25,7 @@ from cellslam.slam.fastslam.parts.association import (
 from cellslam.slam.fastslam.parts.choice import chosen
 from cellslam.slam.fastslam.parts.clock import OfVt, absorb, begin_offset, expect
 from cellslam.slam.fastslam.parts.landmarks import Cartesian
-from cellslam.slam.fastslam.parts.murty_kernel import LEFT_OUT, best_assignments, murty
+from cellslam.slam.fastslam.parts.murty_kernel import best_assignments, murty
 from cellslam.slam.fastslam.parts.proposal import FromMeasurements, FromMotion
 from cellslam.slam.fastslam.snapshot import nuisance_kernel, pair_kernel, update_kernel
 from cellslam.slam.fastslam.state.layout import (
@@ -54,6 +54,7 @@ from cellslam.slam.fastslam.state.layout import (
     scratch_rows,
 )
 from cellslam.slam.fastslam.state.particles import draw
+from cellslam.slam.model.assignment_kernel import LEFT_OUT
 
 from .test_exact import UPPER, read, row
 from .test_fastslam import VTS, drive, make_setup, make_snapshot

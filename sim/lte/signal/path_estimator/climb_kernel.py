@@ -8,10 +8,10 @@ from typing import NamedTuple
 import numpy as np
 from numba import njit
 
+from cellslam.sim.frames_kernel import wrap
 from cellslam.sim.lte.signal.path_estimator.joint_fit_kernel import Normal, normal_equations
 from cellslam.sim.lte.signal.path_estimator.one_path_kernel import normal_equations_of_one
 from cellslam.sim.lte.statistical.detector_layout import Array
-from cellslam.sim.lte.statistical.measurement_kernel import wrap
 from cellslam.sim.lte.steering_kernel import SteeringModel, steer_circular
 
 
