@@ -6,6 +6,7 @@ with numbered scalars. The functions work in the precision of what they are give
 
 from __future__ import annotations
 
+import math
 from typing import Any, NamedTuple
 
 from numba import njit
@@ -121,7 +122,8 @@ def upper(m: Mat3) -> Sym3:
 @njit
 def congruence(m: Mat3, s: Sym3) -> Sym3:
     """Return m s m^T."""
-    return upper(mat_mat(mat_sym(m, s), transposed(m)))
+    product: Sym3 = upper(mat_mat(mat_sym(m, s), transposed(m)))
+    return product
 
 
 @njit
@@ -180,4 +182,61 @@ def adjugate(s: Sym3) -> Sym3:
 @njit
 def quadratic(s: Sym3, v: Vec3) -> Any:
     """Return v^T s v."""
-    return dot(v, sym_vec(s, v))
+    crossed = s.xy * v.x * v.y + s.xz * v.x * v.z + s.yz * v.y * v.z
+    return s.xx * v.x * v.x + s.yy * v.y * v.y + s.zz * v.z * v.z + (crossed + crossed)
+
+
+@njit
+def vec_scaled(v: Vec3, x: Any) -> Vec3:
+    """Return v x, x a scalar."""
+    return Vec3(v.x * x, v.y * x, v.z * x)
+
+
+@njit
+def mat_plus(a: Mat3, b: Mat3) -> Mat3:
+    """Return a + b."""
+    return Mat3(
+        a.xx + b.xx, a.xy + b.xy, a.xz + b.xz,
+        a.yx + b.yx, a.yy + b.yy, a.yz + b.yz,
+        a.zx + b.zx, a.zy + b.zy, a.zz + b.zz,
+    )  # fmt: skip
+
+
+@njit
+def sym_scaled(s: Sym3, x: Any) -> Sym3:
+    """Return s x, x a scalar."""
+    return Sym3(s.xx * x, s.xy * x, s.xz * x, s.yy * x, s.yz * x, s.zz * x)
+
+
+@njit
+def outer_sum(a: Vec3, b: Vec3) -> Sym3:
+    """Return a b^T + b a^T."""
+    return Sym3(
+        2.0 * a.x * b.x, a.x * b.y + a.y * b.x, a.x * b.z + a.z * b.x,
+        2.0 * a.y * b.y, a.y * b.z + a.z * b.y, 2.0 * a.z * b.z,
+    )  # fmt: skip
+
+
+@njit
+def rotation(psi: Any, theta: Any, phi: Any) -> Mat3:
+    """Return Rz(psi) Ry(theta) Rx(phi), which takes body to world vectors; quickly where pitch and roll are zero."""
+    cp, sp, ct, st, cr, sr = math.cos(psi), math.sin(psi), 1.0, 0.0, 1.0, 0.0
+    if theta != 0.0 or phi != 0.0:
+        ct, st, cr, sr = math.cos(theta), math.sin(theta), math.cos(phi), math.sin(phi)
+    return Mat3(
+        cp * ct, cp * st * sr - sp * cr, cp * st * cr + sp * sr,
+        sp * ct, sp * st * sr + cp * cr, sp * st * cr - cp * sr,
+        -st, ct * sr, ct * cr,
+    )  # fmt: skip
+
+
+@njit
+def sym_times(a: Sym3, b: Sym3) -> Sym3:
+    """Return the product of a and b element by element."""
+    return Sym3(a.xx * b.xx, a.xy * b.xy, a.xz * b.xz, a.yy * b.yy, a.yz * b.yz, a.zz * b.zz)
+
+
+@njit
+def determinant(s: Sym3, adjugate_of_s: Sym3) -> Any:
+    """Return det s, with its adjugate."""
+    return s.xx * adjugate_of_s.xx + s.xy * adjugate_of_s.xy + s.xz * adjugate_of_s.xz
