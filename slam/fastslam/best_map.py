@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import numpy as np
-
 from cellslam.sim.recording import Floats, Ints
 from cellslam.slam.api import VtEstimate
 from cellslam.slam.fastslam.parts.part_types import Parts
@@ -19,8 +17,5 @@ def map_of(particles: Particles, index: int, parts: Parts, site_of: Ints, origin
     site_of (L,): site of each link, which has a map.
     """
     block, lane = divmod(index, LANES)
-    p = particles
-    return VtEstimate(*read_map(parts)(
-        parts, lane, CONFIRMED, p.nuisances, p.state[block], p.status[block], p.records[block], p.ident[block],
-        p.order[block], p.counts[block], site_of, np.arange(len(site_of)), origin,
-    ))  # fmt: skip
+    read = read_map(parts)
+    return VtEstimate(*read(parts, block, lane, CONFIRMED, particles.nuisances, particles.held, site_of, origin))

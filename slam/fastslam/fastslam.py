@@ -21,7 +21,7 @@ from cellslam.slam.fastslam.running.threads import over_blocks
 from cellslam.slam.fastslam.snapshot.block_kernel import advance_blocks
 from cellslam.slam.fastslam.snapshot.measurement_kernel import census, pack
 from cellslam.slam.fastslam.snapshot.sight_kernel import SEEN, sight_blocks
-from cellslam.slam.fastslam.state.layout import LANES, OUT, POSE, W_ROWS, Measured, Rules, Scratch, scratch_rows
+from cellslam.slam.fastslam.state.layout import LANES, OUT, POSE, W_ROWS, Measured, Rules, Scratch, Step, sums_of
 from cellslam.slam.fastslam.state.moments_kernel import moments, normalised
 from cellslam.slam.fastslam.state.particles import Particles, draw, select, widened
 from cellslam.slam.front_end.attitude import Attitude
@@ -121,10 +121,8 @@ class FastSlam:
         self._parts, rules = self._choice.parts_for(looks, self._born, self._time_s + dt_s), self._rules_for(dt_s)
         sight = partial(self._sight, rules, float(dt_s), measured)
         velocity = self._choice.proposal(p, self._setup.odometry_model, dt_s, odometry, sight, self._rng)
-        self._over_blocks(
-            advance_blocks(self._parts), self._parts, rules, self._now, float(dt_s), velocity, p.state, p.tracks,
-            p.travelled, measured, p.log_weight, association,
-        )  # fmt: skip
+        step = Step(self._now, float(dt_s), velocity, measured, rules)
+        self._over_blocks(advance_blocks(self._parts), self._parts, step, p.held, association)
         return association
 
     def _novelty(self, turn_rad: float, moved_m: float) -> float:
@@ -133,10 +131,8 @@ class FastSlam:
     def _sight(self, rules: Rules, dt_s: float, measured: Measured, velocity: Floats) -> Floats:
         p = self._particles
         seen = np.empty((len(p.state), SEEN, LANES))
-        self._over_blocks(
-            sight_blocks(self._parts), self._parts, rules, self._now, dt_s, velocity, p.state, p.tracks, p.travelled,
-            measured, seen,
-        )  # fmt: skip
+        step = Step(self._now, dt_s, velocity, measured, rules)
+        self._over_blocks(sight_blocks(self._parts), self._parts, step, p.held, seen)
         return seen
 
     def _over_blocks(self, kernel: Callable[..., None], *arguments: Any) -> None:
@@ -172,7 +168,7 @@ class FastSlam:
         """Return a thread's scratch for maps of `c` tracks and links of `m` measurements."""
         w, work = np.zeros(W_ROWS * LANES, np.float32), 4 * (c + m + 2)
         return Scratch(
-            w=w, bits=w.view(np.int32), v=np.zeros(scratch_rows(self._particles.nuisances) * LANES),
+            w=w, bits=w.view(np.int32), v=np.zeros(sums_of(self._particles.nuisances).rows * LANES),
             near=np.empty(c, np.int64), reached=np.empty(c, np.bool_), rows=np.empty((c, OUT * LANES), np.float32),
             scores=np.empty((c, m, LANES), np.float32), claims=np.empty((c, m), np.bool_),
             row_of=np.empty((m, LANES), np.int32), table=np.empty((c, m)), column=np.empty(m, np.int64),

@@ -182,7 +182,8 @@ def adjugate(s: Sym3) -> Sym3:
 @njit
 def quadratic(s: Sym3, v: Vec3) -> Any:
     """Return v^T s v."""
-    return dot(v, sym_vec(s, v))
+    crossed = s.xy * v.x * v.y + s.xz * v.x * v.z + s.yz * v.y * v.z
+    return s.xx * v.x * v.x + s.yy * v.y * v.y + s.zz * v.z * v.z + (crossed + crossed)
 
 
 @njit
@@ -192,9 +193,28 @@ def vec_scaled(v: Vec3, x: Any) -> Vec3:
 
 
 @njit
+def mat_plus(a: Mat3, b: Mat3) -> Mat3:
+    """Return a + b."""
+    return Mat3(
+        a.xx + b.xx, a.xy + b.xy, a.xz + b.xz,
+        a.yx + b.yx, a.yy + b.yy, a.yz + b.yz,
+        a.zx + b.zx, a.zy + b.zy, a.zz + b.zz,
+    )  # fmt: skip
+
+
+@njit
 def sym_scaled(s: Sym3, x: Any) -> Sym3:
     """Return s x, x a scalar."""
     return Sym3(s.xx * x, s.xy * x, s.xz * x, s.yy * x, s.yz * x, s.zz * x)
+
+
+@njit
+def outer_sum(a: Vec3, b: Vec3) -> Sym3:
+    """Return a b^T + b a^T."""
+    return Sym3(
+        2.0 * a.x * b.x, a.x * b.y + a.y * b.x, a.x * b.z + a.z * b.x,
+        2.0 * a.y * b.y, a.y * b.z + a.z * b.y, 2.0 * a.z * b.z,
+    )  # fmt: skip
 
 
 @njit
@@ -295,3 +315,9 @@ def put_mat(out: Any, m: Mat3) -> None:
     out[0, 0], out[0, 1], out[0, 2] = m.xx, m.xy, m.xz
     out[1, 0], out[1, 1], out[1, 2] = m.yx, m.yy, m.yz
     out[2, 0], out[2, 1], out[2, 2] = m.zx, m.zy, m.zz
+
+
+@njit
+def sym_times(a: Sym3, b: Sym3) -> Sym3:
+    """Return the product of a and b element by element."""
+    return Sym3(a.xx * b.xx, a.xy * b.xy, a.xz * b.xz, a.yy * b.yy, a.yz * b.yz, a.zz * b.zz)

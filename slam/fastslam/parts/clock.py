@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numba import njit
 from numba.extending import overload
 
+from cellslam.sim.recording import Floats
 from cellslam.slam.fastslam.parts.part_types import COMPILED, is_of
+from cellslam.slam.fastslam.state.lanes_kernel import add_where, mat_at, sym_at, vec_at
 from cellslam.slam.fastslam.state.layout import (
     LANES,
     O_A,
@@ -20,15 +22,17 @@ from cellslam.slam.fastslam.state.layout import (
     V_WEIGHT,
     W_B,
     W_E,
+    W_INFO,
     W_INV,
-    W_LINK,
     W_MASK,
     W_OFFSET_PRIOR,
     W_P,
+    W_Y,
+    Rows,
 )
+from cellslam.slam.model.matrices_kernel import Sym3, Vec3, mat_mat, mat_sym, mat_vec, transposed, upper
 
 B = LANES
-A = O_A * B
 
 
 class OfSite(NamedTuple):
@@ -46,43 +50,43 @@ class Drifting(NamedTuple):
     sites: int
 
 
-def clock_moves(part, state, travelled, dt, size):
+def clock_moves(part: Any, state: Rows, travelled: Floats, dt: float, size: int) -> None:
     """Let offsets that drift go on by an interval, and say how far."""
     raise NotImplementedError
 
 
-def rate_changes(part, v, change, travelled):
+def rate_changes(part: Any, v: Rows, change: int, travelled: Floats) -> None:
     """Say how far rates that have changed (from row `change` of v on) move what is expected of tracks long unseen."""
     raise NotImplementedError
 
 
-def load_clock(part, w, state, site, size):
+def load_clock(part: Any, w: Rows, state: Rows, site: int, size: int) -> None:
     """Copy what else concerns a site's clock."""
     raise NotImplementedError
 
 
-def expect(part, landmarks, w, rec, out):
+def expect(part: Any, landmarks: Any, w: Rows, rec: Rows, out: Rows) -> None:
     """Write at O_OFFSET the offset with which a track's distances are expected, and at W_P what of the nuisances'
     covariance is the track's own; bring the record up to the present."""
     raise NotImplementedError
 
 
-def widen(part, w, rec, out):
+def widen(part: Any, w: Rows, rec: Rows, out: Rows) -> None:
     """Add to C what nuisances do that only this part knows of, once a track is predicted."""
     raise NotImplementedError
 
 
-def correct_clock(part, w, rec, out):
+def correct_clock(part: Any, w: Rows, rec: Rows, out: Rows) -> None:
     """Update what the record holds for this part alone, where W_MASK is 1, before the rest of it is."""
     raise NotImplementedError
 
 
-def absorb(part, w, v, rec, out):
+def absorb(part: Any, w: Rows, v: Rows, rec: Rows, out: Rows) -> None:
     """Add A^T S^-1 e and A^T S^-1 A of the association at hand, where W_MASK is 1, to the link's sums."""
     raise NotImplementedError
 
 
-def begin_offset(part, w, rec):
+def begin_offset(part: Any, w: Rows, rec: Rows) -> None:
     """Write what of the offset is a new track's own."""
     raise NotImplementedError
 
@@ -150,7 +154,7 @@ def _correct_clock(part, w, rec, out):
     return None if is_of(part, Drifting) else lambda part, w, rec, out: None
 
 
-def offset_belief(part, rec, lane, state, size, site):
+def offset_belief(part: Any, rec: Rows, lane: int, state: Rows, size: int, site: int) -> tuple[float, float, float]:
     """Return mean and variance of the offset that a track was last touched under, in one lane of a block's state, and
     1 where it is its site's, else 0."""
     raise NotImplementedError
@@ -174,46 +178,29 @@ def _offset_belief(part, rec, lane, state, size, site):
     return None
 
 
-@njit(inline="always")
-def information(w, out, l):
-    """Return y = A^T S^-1 e (3) and I = A^T S^-1 A (00 01 02 11 12 22) of the pair at hand in lane l."""
-    i0, i1, i2 = w[W_INV * B + l], w[(W_INV + 1) * B + l], w[(W_INV + 2) * B + l]
-    i3, i4, i5 = w[(W_INV + 3) * B + l], w[(W_INV + 4) * B + l], w[(W_INV + 5) * B + l]
-    a0, a1, a2 = out[A + l], out[A + B + l], out[A + 2 * B + l]
-    a3, a4, a5 = out[A + 3 * B + l], out[A + 4 * B + l], out[A + 5 * B + l]
-    a6, a7, a8 = out[A + 6 * B + l], out[A + 7 * B + l], out[A + 8 * B + l]
-    e0, e1, e2 = w[W_E * B + l], w[(W_E + 1) * B + l], w[(W_E + 2) * B + l]
-    b0, b1, b2 = i0 * a0 + i1 * a3 + i2 * a6, i1 * a0 + i3 * a3 + i4 * a6, i2 * a0 + i4 * a3 + i5 * a6
-    g0, g1, g2 = i0 * a1 + i1 * a4 + i2 * a7, i1 * a1 + i3 * a4 + i4 * a7, i2 * a1 + i4 * a4 + i5 * a7
-    s0, s1, s2 = i0 * a2 + i1 * a5 + i2 * a8, i1 * a2 + i3 * a5 + i4 * a8, i2 * a2 + i4 * a5 + i5 * a8
-    return (
-        b0 * e0 + b1 * e1 + b2 * e2, g0 * e0 + g1 * e1 + g2 * e2, s0 * e0 + s1 * e1 + s2 * e2,
-        b0 * a0 + b1 * a3 + b2 * a6, b0 * a1 + b1 * a4 + b2 * a7, b0 * a2 + b1 * a5 + b2 * a8,
-        g0 * a1 + g1 * a4 + g2 * a7, g0 * a2 + g1 * a5 + g2 * a8, s0 * a2 + s1 * a5 + s2 * a8,
-    )  # fmt: skip
+@njit(error_model="numpy")
+def information(w: Rows, out: Rows, l: int) -> tuple[Vec3, Sym3]:
+    """Return y = A^T S^-1 e and I = A^T S^-1 A of the pair at hand in lane l."""
+    a = mat_at(out, O_A, l)
+    weighed = mat_sym(transposed(a), sym_at(w, W_INV, l))
+    return mat_vec(weighed, vec_at(w, W_E, l)), upper(mat_mat(weighed, a))
+
+
+@njit(error_model="numpy")
+def absorb_all(w: Rows, out: Rows) -> None:
+    """Add y and I of the pair at hand, where W_MASK is 1, to the link's sums."""
+    half = w.dtype.type(0.5)
+    for l in range(B):
+        on = w[W_MASK * B + l] > half
+        y, info = information(w, out, l)
+        add_where(w, W_Y, l, on, y)
+        add_where(w, W_INFO, l, on, info)
 
 
 @overload(absorb, **COMPILED)
 def _absorb(part, w, v, rec, out):
     if is_of(part, OfSite):
-
-        def of_site(part, w, v, rec, out):
-            F = w.dtype.type
-            none = F(0.0)
-            for l in range(B):
-                on = w[W_MASK * B + l] > F(0.5)
-                y0, y1, y2, i00, i01, i02, i11, i12, i22 = information(w, out, l)
-                w[W_LINK * B + l] += y0 if on else none
-                w[(W_LINK + 1) * B + l] += y1 if on else none
-                w[(W_LINK + 2) * B + l] += y2 if on else none
-                w[(W_LINK + 3) * B + l] += i00 if on else none
-                w[(W_LINK + 4) * B + l] += i01 if on else none
-                w[(W_LINK + 5) * B + l] += i02 if on else none
-                w[(W_LINK + 6) * B + l] += i11 if on else none
-                w[(W_LINK + 7) * B + l] += i12 if on else none
-                w[(W_LINK + 8) * B + l] += i22 if on else none
-
-        return of_site
+        return lambda part, w, v, rec, out: absorb_all(w, out)
     if is_of(part, OfVt):
 
         def of_vt(part, w, v, rec, out):
@@ -222,18 +209,17 @@ def _absorb(part, w, v, rec, out):
             none = F(0.0)
             for l in range(B):
                 on = w[W_MASK * B + l] > F(0.5)
-                y0, y1, y2, i00, i01, i02, i11, i12, i22 = information(w, out, l)
+                y, i = information(w, out, l)
                 variance = rec[OWN_VARIANCE * B + l]
-                left = variance / (F(1.0) + variance * i00)
+                left = variance / (F(1.0) + variance * i.xx)
                 if on:
-                    rec[OWN_OFFSET * B + l] += left * y0
+                    rec[OWN_OFFSET * B + l] += left * y.x
                     rec[OWN_VARIANCE * B + l] = left
-                    v[V_WEIGHT * B + l] += 0.5 * left * y0 * y0 - 0.5 * math.log(1.0 + variance * i00)
-                w[(W_LINK + 1) * B + l] += y1 - i01 * left * y0 if on else none
-                w[(W_LINK + 2) * B + l] += y2 - i02 * left * y0 if on else none
-                w[(W_LINK + 6) * B + l] += i11 - i01 * left * i01 if on else none
-                w[(W_LINK + 7) * B + l] += i12 - i01 * left * i02 if on else none
-                w[(W_LINK + 8) * B + l] += i22 - i02 * left * i02 if on else none
+                    v[V_WEIGHT * B + l] += 0.5 * left * y.x * y.x - 0.5 * math.log(1.0 + variance * i.xx)
+                by_bias, by_scale = i.xy * left, i.xz * left
+                add_where(w, W_Y, l, on, Vec3(none, y.y - by_bias * y.x, y.z - by_scale * y.x))
+                schur = i.yy - by_bias * i.xy, i.yz - by_bias * i.xz, i.zz - by_scale * i.xz
+                add_where(w, W_INFO + 3, l, on, schur)
 
         return of_vt
     return None

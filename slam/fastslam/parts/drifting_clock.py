@@ -17,11 +17,11 @@ from numba.extending import overload
 from cellslam.slam.fastslam.parts.clock import (
     Drifting,
     absorb,
+    absorb_all,
     begin_offset,
     clock_moves,
     correct_clock,
     expect,
-    information,
     load_clock,
     offset_belief,
     rate_changes,
@@ -29,6 +29,7 @@ from cellslam.slam.fastslam.parts.clock import (
 )
 from cellslam.slam.fastslam.parts.landmarks import moved
 from cellslam.slam.fastslam.parts.part_types import COMPILED, is_of
+from cellslam.slam.fastslam.state.lanes_kernel import five_at, mat_at, put, sym_at, vec_at
 from cellslam.slam.fastslam.state.layout import (
     GAIN,
     LANES,
@@ -48,11 +49,23 @@ from cellslam.slam.fastslam.state.layout import (
     W_B,
     W_E,
     W_INV,
-    W_LINK,
     W_MASK,
     W_PR,
     W_RATE,
     W_SITE,
+    Rows,
+)
+from cellslam.slam.model.matrices_kernel import (
+    Vec3,
+    dot,
+    mat_vec,
+    outer_sum,
+    sym_plus,
+    sym_vec,
+    transposed_vec,
+    vec_minus,
+    vec_plus,
+    vec_scaled,
 )
 
 B = LANES
@@ -63,15 +76,11 @@ def drifting(sites: int) -> Drifting:
     return Drifting(0.0, sites)
 
 
-@njit(inline="always")
-def weighed(w, out, l):
-    """Return A_rate (3) and S^-1 A_rate (3) of the pair at hand in lane l, the latter 0 where W_MASK is."""
-    on = w[W_MASK * B + l]
-    a0, a1, a2 = out[O_AR * B + l], out[(O_AR + 1) * B + l], out[(O_AR + 2) * B + l]
-    i0, i1, i2 = w[W_INV * B + l], w[(W_INV + 1) * B + l], w[(W_INV + 2) * B + l]
-    i3, i4, i5 = w[(W_INV + 3) * B + l], w[(W_INV + 4) * B + l], w[(W_INV + 5) * B + l]
-    u0, u1, u2 = i0 * a0 + i1 * a1 + i2 * a2, i1 * a0 + i3 * a1 + i4 * a2, i2 * a0 + i4 * a1 + i5 * a2
-    return a0, a1, a2, on * u0, on * u1, on * u2
+@njit(error_model="numpy")
+def weighed(w: Rows, out: Rows, l: int) -> Vec3:
+    """Return S^-1 A_rate of the pair at hand in lane l, 0 where W_MASK is."""
+    weighed: Vec3 = vec_scaled(sym_vec(sym_at(w, W_INV, l), vec_at(out, O_AR, l)), w[W_MASK * B + l])
+    return weighed
 
 
 @overload(clock_moves, **COMPILED)
@@ -108,7 +117,7 @@ def _rate_changes(part, v, change, travelled):
         for site in range(part.sites):
             largest = 0.0
             for l in range(B):
-                largest = max(largest, abs(v[change + (part.sites + site) * B + l]))
+                largest = max(largest, abs(v[(change + part.sites + site) * B + l]))
             travelled[site] += largest * part.elapsed_s
 
     return drifting
@@ -143,24 +152,12 @@ def _expect(part, landmarks, w, rec, out):
         now = F(part.elapsed_s)
         for l in range(B):
             since, was = now - rec[TIME0 * B + l], rec[RATE0 * B + l]
-            r0 = rec[RATE_GAIN * B + l] - since * rec[GAIN * B + l]
-            r1 = rec[(RATE_GAIN + 1) * B + l] - since * rec[(GAIN + 3) * B + l]
-            r2 = rec[(RATE_GAIN + 2) * B + l] - since * rec[(GAIN + 6) * B + l]
-            rec[RATE_GAIN * B + l] = r0
-            rec[(RATE_GAIN + 1) * B + l] = r1
-            rec[(RATE_GAIN + 2) * B + l] = r2
+            by_offset = Vec3(rec[GAIN * B + l], rec[(GAIN + 3) * B + l], rec[(GAIN + 6) * B + l])
+            gain = vec_minus(vec_at(rec, RATE_GAIN, l), vec_scaled(by_offset, since))
+            put(rec, RATE_GAIN, l, gain)
             rec[OFFSET0 * B + l] += since * was
-            change = w[W_RATE * B + l] - was
-            mu = (
-                rec[MU * B + l], rec[(MU + 1) * B + l], rec[(MU + 2) * B + l], rec[(MU + 3) * B + l],
-                rec[(MU + 4) * B + l],
-            )  # fmt: skip
-            m0, m1, m2, m3, m4 = moved(landmarks, F, mu, change * r0, change * r1, change * r2)
-            rec[MU * B + l] = m0
-            rec[(MU + 1) * B + l] = m1
-            rec[(MU + 2) * B + l] = m2
-            rec[(MU + 3) * B + l] = m3
-            rec[(MU + 4) * B + l] = m4
+            change = vec_scaled(gain, w[W_RATE * B + l] - was)
+            put(rec, MU, l, moved(landmarks, F, five_at(rec, MU, l), change))
             rec[RATE0 * B + l] = w[W_RATE * B + l]
             rec[TIME0 * B + l] = now
             out[O_OFFSET * B + l] = w[W_B * B + l]
@@ -175,28 +172,12 @@ def _widen(part, w, rec, out):
 
     def drifting(part, w, rec, out):
         for l in range(B):
-            r0, r1 = rec[RATE_GAIN * B + l], rec[(RATE_GAIN + 1) * B + l]
-            r2 = rec[(RATE_GAIN + 2) * B + l]
-            a0 = out[O_H * B + l] * r0 + out[(O_H + 1) * B + l] * r1 + out[(O_H + 2) * B + l] * r2
-            a1 = out[(O_H + 3) * B + l] * r0 + out[(O_H + 4) * B + l] * r1 + out[(O_H + 5) * B + l] * r2
-            a2 = out[(O_H + 6) * B + l] * r0 + out[(O_H + 7) * B + l] * r1 + out[(O_H + 8) * B + l] * r2
-            out[O_AR * B + l] = a0
-            out[(O_AR + 1) * B + l] = a1
-            out[(O_AR + 2) * B + l] = a2
-            half, by_b = 0.5 * w[W_PR * B + l], w[(W_PR + 1) * B + l]
-            by_g, by_s = w[(W_PR + 2) * B + l], w[(W_PR + 3) * B + l]
-            # A P A^T gains q a^T + a q^T, q = A P_rate + a P_rate,rate / 2
-            q0 = out[O_A * B + l] * by_b + out[(O_A + 1) * B + l] * by_g + out[(O_A + 2) * B + l] * by_s + a0 * half
-            q1 = out[(O_A + 3) * B + l] * by_b + out[(O_A + 4) * B + l] * by_g + out[(O_A + 5) * B + l] * by_s
-            q1 += a1 * half
-            q2 = out[(O_A + 6) * B + l] * by_b + out[(O_A + 7) * B + l] * by_g + out[(O_A + 8) * B + l] * by_s
-            q2 += a2 * half
-            out[O_C * B + l] += 2.0 * q0 * a0
-            out[(O_C + 1) * B + l] += q0 * a1 + q1 * a0
-            out[(O_C + 2) * B + l] += q0 * a2 + q2 * a0
-            out[(O_C + 3) * B + l] += 2.0 * q1 * a1
-            out[(O_C + 4) * B + l] += q1 * a2 + q2 * a1
-            out[(O_C + 5) * B + l] += 2.0 * q2 * a2
+            # A_rate = H G_rate; A P A^T gains q A_rate^T + A_rate q^T, q = A P_rate + A_rate P_rate,rate / 2
+            by_rate = mat_vec(mat_at(out, O_H, l), vec_at(rec, RATE_GAIN, l))
+            put(out, O_AR, l, by_rate)
+            by_others = mat_vec(mat_at(out, O_A, l), vec_at(w, W_PR + 1, l))
+            q = vec_plus(by_others, vec_scaled(by_rate, 0.5 * w[W_PR * B + l]))
+            put(out, O_C, l, sym_plus(sym_at(out, O_C, l), outer_sum(q, by_rate)))
 
     return drifting
 
@@ -207,30 +188,19 @@ def _absorb(part, w, v, rec, out):
         return None
 
     def drifting(part, w, v, rec, out):
+        absorb_all(w, out)
         size, site = 2 * part.sites + 2, int(w[W_SITE * B])
-        rate = part.sites + site
-        own, square = (V_Y + rate) * B, V_Y + size
-        by_offset, by_self = (square + rate * size + site) * B, (square + rate * size + rate) * B
-        by_bias, by_scale = (square + (size - 2) * size + rate) * B, (square + (size - 1) * size + rate) * B
+        rate, square = part.sites + site, V_Y + size
+        own, by_self, by_offset = V_Y + rate, square + rate * size + rate, square + rate * size + site
+        by_bias, by_scale = square + (size - 2) * size + rate, square + (size - 1) * size + rate
         for l in range(B):
-            on = w[W_MASK * B + l]
-            y0, y1, y2, i00, i01, i02, i11, i12, i22 = information(w, out, l)
-            w[W_LINK * B + l] += on * y0
-            w[(W_LINK + 1) * B + l] += on * y1
-            w[(W_LINK + 2) * B + l] += on * y2
-            w[(W_LINK + 3) * B + l] += on * i00
-            w[(W_LINK + 4) * B + l] += on * i01
-            w[(W_LINK + 5) * B + l] += on * i02
-            w[(W_LINK + 6) * B + l] += on * i11
-            w[(W_LINK + 7) * B + l] += on * i12
-            w[(W_LINK + 8) * B + l] += on * i22
-        for l in range(B):
-            a0, a1, a2, u0, u1, u2 = weighed(w, out, l)
-            v[own + l] += u0 * w[W_E * B + l] + u1 * w[(W_E + 1) * B + l] + u2 * w[(W_E + 2) * B + l]
-            v[by_self + l] += u0 * a0 + u1 * a1 + u2 * a2
-            v[by_offset + l] += u0 * out[O_A * B + l] + u1 * out[(O_A + 3) * B + l] + u2 * out[(O_A + 6) * B + l]
-            v[by_bias + l] += u0 * out[(O_A + 1) * B + l] + u1 * out[(O_A + 4) * B + l] + u2 * out[(O_A + 7) * B + l]
-            v[by_scale + l] += u0 * out[(O_A + 2) * B + l] + u1 * out[(O_A + 5) * B + l] + u2 * out[(O_A + 8) * B + l]
+            u = weighed(w, out, l)
+            i = transposed_vec(mat_at(out, O_A, l), u)
+            v[own * B + l] += dot(u, vec_at(w, W_E, l))
+            v[by_self * B + l] += dot(u, vec_at(out, O_AR, l))
+            v[by_offset * B + l] += i.x
+            v[by_bias * B + l] += i.y
+            v[by_scale * B + l] += i.z
 
     return drifting
 
@@ -243,15 +213,8 @@ def _correct_clock(part, w, rec, out):
     def drifting(part, w, rec, out):
         # G_rate -= K A_rate, K = Sigma H^T S^-1
         for l in range(B):
-            _, _, _, u0, u1, u2 = weighed(w, out, l)
-            x0 = out[O_H * B + l] * u0 + out[(O_H + 3) * B + l] * u1 + out[(O_H + 6) * B + l] * u2
-            x1 = out[(O_H + 1) * B + l] * u0 + out[(O_H + 4) * B + l] * u1 + out[(O_H + 7) * B + l] * u2
-            x2 = out[(O_H + 2) * B + l] * u0 + out[(O_H + 5) * B + l] * u1 + out[(O_H + 8) * B + l] * u2
-            s0, s1, s2 = rec[SIGMA * B + l], rec[(SIGMA + 1) * B + l], rec[(SIGMA + 2) * B + l]
-            s3, s4, s5 = rec[(SIGMA + 3) * B + l], rec[(SIGMA + 4) * B + l], rec[(SIGMA + 5) * B + l]
-            rec[RATE_GAIN * B + l] -= s0 * x0 + s1 * x1 + s2 * x2
-            rec[(RATE_GAIN + 1) * B + l] -= s1 * x0 + s3 * x1 + s4 * x2
-            rec[(RATE_GAIN + 2) * B + l] -= s2 * x0 + s4 * x1 + s5 * x2
+            gained = sym_vec(sym_at(rec, SIGMA, l), transposed_vec(mat_at(out, O_H, l), weighed(w, out, l)))
+            put(rec, RATE_GAIN, l, vec_minus(vec_at(rec, RATE_GAIN, l), gained))
 
     return drifting
 
@@ -264,9 +227,7 @@ def _begin_offset(part, w, rec):
     def drifting(part, w, rec):
         F = w.dtype.type
         for l in range(B):
-            rec[RATE_GAIN * B + l] = F(0.0)
-            rec[(RATE_GAIN + 1) * B + l] = F(0.0)
-            rec[(RATE_GAIN + 2) * B + l] = F(0.0)
+            put(rec, RATE_GAIN, l, (F(0.0), F(0.0), F(0.0)))
             rec[RATE0 * B + l] = w[W_RATE * B + l]
             rec[TIME0 * B + l] = F(part.elapsed_s)
 

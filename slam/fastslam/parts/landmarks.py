@@ -1,22 +1,23 @@
 """How a VT is kept: parts of the filter. Both keep s | theta ~ N(mu + G (theta - theta0), Sigma) (see `layout`).
 
-What is inlined into the vector loops takes and returns numbers, never arrays: a reference to an array inside a loop
-keeps the compiler from using vectors. F is the type of the numbers.
+What is inlined into the vector loops takes and returns numbers, vectors and matrices of `matrices_kernel`, never
+arrays: a reference to an array inside a loop keeps the compiler from using vectors. F is the type of the numbers.
 """
 
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
+import numpy as np
 from numba import njit
 from numba.extending import overload
 
 from cellslam.slam.fastslam.parts.part_types import COMPILED, INLINE, is_of
 from cellslam.slam.fastslam.state.angle_kernel import cosine, sine
-from cellslam.slam.fastslam.state.layout import ANCHOR, CA, CE, GAIN, LANES, RANGE, SA, SE
-
-B = LANES
+from cellslam.slam.fastslam.state.lanes_kernel import five_at, mat_at, vec_at
+from cellslam.slam.fastslam.state.layout import ANCHOR, GAIN, MU, Five, Rows
+from cellslam.slam.model.matrices_kernel import Mat3, Sym3, Vec3, mat_vec, vec_plus
 
 
 class Spherical(NamedTuple):
@@ -33,80 +34,96 @@ class Cartesian(NamedTuple):
     """
 
 
-def moved(part, F, mu, first, second, third):
-    """Return mu (5) moved by three components of s."""
+def moved(part: Any, F: Any, mu: Five, change: Vec3) -> Five:
+    """Return mu moved by a change of s."""
     raise NotImplementedError
 
 
-def corrected(part, F, mu, first, second, third):
+def corrected(part: Any, F: Any, mu: Five, change: Vec3) -> Five:
     """Return the same after an update: what has drifted from the unit circle goes back."""
     raise NotImplementedError
 
 
-def place(part, F, anchor, mu):
-    """Return the position (3) that belongs to mu (5), with the place of birth (3)."""
+def place(part: Any, F: Any, anchor: Vec3, mu: Five) -> Vec3:
+    """Return the position that belongs to mu, with the place of birth."""
     raise NotImplementedError
 
 
-def slopes(part, F, mu):
-    """Return d(position)/ds (9, row by row)."""
+def slopes(part: Any, F: Any, mu: Five) -> Mat3:
+    """Return d(position)/ds."""
     raise NotImplementedError
 
 
-def begin(part, F, anchor, rho, n):
-    """Return mu (5) of a VT born at `anchor` (3) and distance rho in direction n (3)."""
+def begin(part: Any, F: Any, anchor: Vec3, rho: Any, n: Vec3) -> Five:
+    """Return mu of a VT born at `anchor` and distance rho in direction n."""
     raise NotImplementedError
 
 
-def begin_spread(part, F, rho, n, by_azimuth, by_elevation, q0, q1, q2):
-    """Return Sigma (00 01 02 11 12 22) of such a VT, with n's derivatives (3) by the measured angles, and three
-    variances."""
+def begin_spread(part: Any, F: Any, rho: Any, n: Vec3, by_azimuth: Vec3, by_elevation: Vec3, q: Vec3) -> Sym3:
+    """Return Sigma of such a VT, with n's derivatives by the measured angles, and the variances of what was measured."""
     raise NotImplementedError
 
 
-def begin_gain(part, F, rho, n, measured, by_bias, by_scale):
-    """Return G (9, row by row): measured: whether the distance was; by_bias, by_scale: d(x, y, psi) of the pose."""
+def begin_gain(part: Any, F: Any, rho: Any, n: Vec3, measured: Any, by_bias: Vec3, by_scale: Vec3) -> Mat3:
+    """Return G: measured: whether the distance was; by_bias, by_scale: d(x, y, psi) of the pose."""
     raise NotImplementedError
 
 
-def locate(part, rec, lane, d0, d1, d2, position, jacobian):
-    """Write position (3,) and d(position)/ds (3, 3) of one lane in double precision, theta having changed by d0, d1,
-    d2 since the last touch."""
+def locate(part: Any, rec: Rows, lane: int, change: Vec3) -> tuple[Vec3, Mat3]:
+    """Return position and d(position)/ds of one lane in double precision, theta having changed since the last touch."""
     raise NotImplementedError
+
+
+@njit(error_model="numpy")
+def turned(F: Any, c: Any, s: Any, angle: Any) -> tuple[Any, Any]:
+    """Return cosine and sine of an angle that a small one is added to."""
+    by_c, by_s = cosine(F, angle), sine(F, angle)
+    return c * by_c - s * by_s, s * by_c + c * by_s
+
+
+@njit(error_model="numpy")
+def on_circle(F: Any, c: Any, s: Any) -> tuple[Any, Any]:
+    """Return a point close to the unit circle moved onto it, to first order."""
+    size = F(1.5) - F(0.5) * (c * c + s * s)
+    return c * size, s * size
+
+
+@njit(error_model="numpy")
+def flat_of(F: Any, n: Vec3) -> tuple[Any, Any]:
+    """Return a direction's length in the plane, squared and as it is."""
+    f2 = max(n.x * n.x + n.y * n.y, F(1e-18))
+    return f2, math.sqrt(f2)
 
 
 @overload(moved, **INLINE)
-def _moved(part, F, mu, first, second, third):
+def _moved(part, F, mu, change):
     if is_of(part, Spherical):
 
-        def spherical(part, F, mu, first, second, third):
-            s, c = sine(F, second), cosine(F, second)
-            t, d = sine(F, third), cosine(F, third)
-            return (
-                mu[0] + first, mu[1] * c - mu[2] * s, mu[2] * c + mu[1] * s, mu[3] * d - mu[4] * t,
-                mu[4] * d + mu[3] * t,
-            )  # fmt: skip
+        def spherical(part, F, mu, change):
+            rho, ca, sa, ce, se = mu
+            ca, sa = turned(F, ca, sa, change.y)
+            ce, se = turned(F, ce, se, change.z)
+            return rho + change.x, ca, sa, ce, se
 
         return spherical
     if is_of(part, Cartesian):
-        return lambda part, F, mu, first, second, third: (mu[0] + first, mu[1] + second, mu[2] + third, mu[3], mu[4])
+        return lambda part, F, mu, change: (mu[0] + change.x, mu[1] + change.y, mu[2] + change.z, mu[3], mu[4])
     return None
 
 
 @overload(corrected, **INLINE)
-def _corrected(part, F, mu, first, second, third):
+def _corrected(part, F, mu, change):
     if is_of(part, Spherical):
 
-        def spherical(part, F, mu, first, second, third):
-            s, c = sine(F, second), cosine(F, second)
-            t, d = sine(F, third), cosine(F, third)
-            ca, sa, ce, se = mu[1] * c - mu[2] * s, mu[2] * c + mu[1] * s, mu[3] * d - mu[4] * t, mu[4] * d + mu[3] * t
-            a, e = F(1.5) - F(0.5) * (ca * ca + sa * sa), F(1.5) - F(0.5) * (ce * ce + se * se)
-            return mu[0] + first, ca * a, sa * a, ce * e, se * e
+        def spherical(part, F, mu, change):
+            rho, ca, sa, ce, se = moved(part, F, mu, change)
+            ca, sa = on_circle(F, ca, sa)
+            ce, se = on_circle(F, ce, se)
+            return rho, ca, sa, ce, se
 
         return spherical
     if is_of(part, Cartesian):
-        return lambda part, F, mu, first, second, third: (mu[0] + first, mu[1] + second, mu[2] + third, mu[3], mu[4])
+        return lambda part, F, mu, change: moved(part, F, mu, change)
     return None
 
 
@@ -115,12 +132,13 @@ def _place(part, F, anchor, mu):
     if is_of(part, Spherical):
 
         def spherical(part, F, anchor, mu):
-            flat = mu[0] * mu[3]
-            return anchor[0] + flat * mu[1], anchor[1] + flat * mu[2], anchor[2] + mu[0] * mu[4]
+            rho, ca, sa, ce, se = mu
+            flat = rho * ce
+            return Vec3(anchor.x + flat * ca, anchor.y + flat * sa, anchor.z + rho * se)
 
         return spherical
     if is_of(part, Cartesian):
-        return lambda part, F, anchor, mu: (mu[0], mu[1], mu[2])
+        return lambda part, F, anchor, mu: Vec3(mu[0], mu[1], mu[2])
     return None
 
 
@@ -129,15 +147,16 @@ def _slopes(part, F, mu):
     if is_of(part, Spherical):
 
         def spherical(part, F, mu):
-            nx, ny, rise = mu[3] * mu[1], mu[3] * mu[2], mu[0] * mu[4]
-            return nx, -mu[0] * ny, -rise * mu[1], ny, mu[0] * nx, -rise * mu[2], mu[4], F(0.0), mu[0] * mu[3]
+            rho, ca, sa, ce, se = mu
+            nx, ny, rise = ce * ca, ce * sa, rho * se
+            return Mat3(nx, -rho * ny, -rise * ca, ny, rho * nx, -rise * sa, se, F(0.0), rho * ce)
 
         return spherical
     if is_of(part, Cartesian):
 
         def cartesian(part, F, mu):
             none, one = F(0.0), F(1.0)
-            return one, none, none, none, one, none, none, none, one
+            return Mat3(one, none, none, none, one, none, none, none, one)
 
         return cartesian
     return None
@@ -148,48 +167,47 @@ def _begin(part, F, anchor, rho, n):
     if is_of(part, Spherical):
 
         def spherical(part, F, anchor, rho, n):
-            flat = math.sqrt(max(n[0] * n[0] + n[1] * n[1], F(1e-18)))
-            return rho, n[0] / flat, n[1] / flat, flat, n[2]
+            _, flat = flat_of(F, n)
+            return rho, n.x / flat, n.y / flat, flat, n.z
 
         return spherical
     if is_of(part, Cartesian):
 
         def cartesian(part, F, anchor, rho, n):
-            return anchor[0] + rho * n[0], anchor[1] + rho * n[1], anchor[2] + rho * n[2], F(0.0), F(0.0)
+            return anchor.x + rho * n.x, anchor.y + rho * n.y, anchor.z + rho * n.z, F(0.0), F(0.0)
 
         return cartesian
     return None
 
 
 @overload(begin_spread, **INLINE)
-def _begin_spread(part, F, rho, n, by_azimuth, by_elevation, q0, q1, q2):
+def _begin_spread(part, F, rho, n, by_azimuth, by_elevation, q):
     if is_of(part, Spherical):
 
-        def spherical(part, F, rho, n, by_azimuth, by_elevation, q0, q1, q2):
-            f2 = max(n[0] * n[0] + n[1] * n[1], F(1e-18))
-            flat = math.sqrt(f2)
-            jaa = (n[0] * by_azimuth[1] - n[1] * by_azimuth[0]) / f2
-            jae = (n[0] * by_elevation[1] - n[1] * by_elevation[0]) / f2
-            jea = flat * by_azimuth[2] - n[2] * (n[0] * by_azimuth[0] + n[1] * by_azimuth[1]) / flat
-            jee = flat * by_elevation[2] - n[2] * (n[0] * by_elevation[0] + n[1] * by_elevation[1]) / flat
-            return (
-                q0, F(0.0), F(0.0), jaa * jaa * q1 + jae * jae * q2, jaa * jea * q1 + jae * jee * q2,
-                jea * jea * q1 + jee * jee * q2,
+        def spherical(part, F, rho, n, by_azimuth, by_elevation, q):
+            f2, flat = flat_of(F, n)
+            u, v = by_azimuth, by_elevation
+            jaa, jae = (n.x * u.y - n.y * u.x) / f2, (n.x * v.y - n.y * v.x) / f2
+            jea = flat * u.z - n.z * (n.x * u.x + n.y * u.y) / flat
+            jee = flat * v.z - n.z * (n.x * v.x + n.y * v.y) / flat
+            return Sym3(
+                q.x, F(0.0), F(0.0), jaa * jaa * q.y + jae * jae * q.z, jaa * jea * q.y + jae * jee * q.z,
+                jea * jea * q.y + jee * jee * q.z,
             )  # fmt: skip
 
         return spherical
     if is_of(part, Cartesian):
 
-        def cartesian(part, F, rho, n, by_azimuth, by_elevation, q0, q1, q2):
-            a, e = rho * rho * q1, rho * rho * q2
+        def cartesian(part, F, rho, n, by_azimuth, by_elevation, q):
+            d, a, e = q.x, rho * rho * q.y, rho * rho * q.z
             u, v = by_azimuth, by_elevation
-            return (
-                n[0] * n[0] * q0 + u[0] * u[0] * a + v[0] * v[0] * e,
-                n[0] * n[1] * q0 + u[0] * u[1] * a + v[0] * v[1] * e,
-                n[0] * n[2] * q0 + u[0] * u[2] * a + v[0] * v[2] * e,
-                n[1] * n[1] * q0 + u[1] * u[1] * a + v[1] * v[1] * e,
-                n[1] * n[2] * q0 + u[1] * u[2] * a + v[1] * v[2] * e,
-                n[2] * n[2] * q0 + u[2] * u[2] * a + v[2] * v[2] * e,
+            return Sym3(
+                n.x * n.x * d + u.x * u.x * a + v.x * v.x * e,
+                n.x * n.y * d + u.x * u.y * a + v.x * v.y * e,
+                n.x * n.z * d + u.x * u.z * a + v.x * v.z * e,
+                n.y * n.y * d + u.y * u.y * a + v.y * v.y * e,
+                n.y * n.z * d + u.y * u.z * a + v.y * v.z * e,
+                n.z * n.z * d + u.z * u.z * a + v.z * v.z * e,
             )
 
         return cartesian
@@ -201,14 +219,13 @@ def _begin_gain(part, F, rho, n, measured, by_bias, by_scale):
     if is_of(part, Spherical):
 
         def spherical(part, F, rho, n, measured, by_bias, by_scale):
-            f2 = max(n[0] * n[0] + n[1] * n[1], F(1e-18))
-            flat = math.sqrt(f2)
-            along_bias, along_scale = n[0] * by_bias[0] + n[1] * by_bias[1], n[0] * by_scale[0] + n[1] * by_scale[1]
-            rise = -n[2] / (flat * rho)
-            return (
+            f2, flat = flat_of(F, n)
+            along_bias, along_scale = n.x * by_bias.x + n.y * by_bias.y, n.x * by_scale.x + n.y * by_scale.y
+            rise = -n.z / (flat * rho)
+            return Mat3(
                 -measured, along_bias, along_scale,
-                F(0.0), (n[0] * by_bias[1] - n[1] * by_bias[0]) / (f2 * rho) + by_bias[2],
-                (n[0] * by_scale[1] - n[1] * by_scale[0]) / (f2 * rho) + by_scale[2],
+                F(0.0), (n.x * by_bias.y - n.y * by_bias.x) / (f2 * rho) + by_bias.z,
+                (n.x * by_scale.y - n.y * by_scale.x) / (f2 * rho) + by_scale.z,
                 F(0.0), rise * along_bias, rise * along_scale,
             )  # fmt: skip
 
@@ -216,10 +233,10 @@ def _begin_gain(part, F, rho, n, measured, by_bias, by_scale):
     if is_of(part, Cartesian):
 
         def cartesian(part, F, rho, n, measured, by_bias, by_scale):
-            return (
-                -measured * n[0], by_bias[0] - rho * n[1] * by_bias[2], by_scale[0] - rho * n[1] * by_scale[2],
-                -measured * n[1], by_bias[1] + rho * n[0] * by_bias[2], by_scale[1] + rho * n[0] * by_scale[2],
-                -measured * n[2], F(0.0), F(0.0),
+            return Mat3(
+                -measured * n.x, by_bias.x - rho * n.y * by_bias.z, by_scale.x - rho * n.y * by_scale.z,
+                -measured * n.y, by_bias.y + rho * n.x * by_bias.z, by_scale.y + rho * n.x * by_scale.z,
+                -measured * n.z, F(0.0), F(0.0),
             )  # fmt: skip
 
         return cartesian
@@ -227,40 +244,24 @@ def _begin_gain(part, F, rho, n, measured, by_bias, by_scale):
 
 
 @overload(locate, **COMPILED)
-def _locate(part, rec, lane, d0, d1, d2, position, jacobian):
+def _locate(part, rec, lane, change):
     if is_of(part, Spherical):
 
-        def spherical(part, rec, lane, d0, d1, d2, position, jacobian):
-            change = _change(rec, lane, d0, d1, d2)
-            rho = rec[RANGE * B + lane] + change[0]
-            az = math.atan2(rec[SA * B + lane], rec[CA * B + lane]) + change[1]
-            el = math.atan2(rec[SE * B + lane], rec[CE * B + lane]) + change[2]
+        def spherical(part, rec, lane, change):
+            by = mat_vec(mat_at(rec, GAIN, lane), change)
+            rho, ca, sa, ce, se = five_at(rec, MU, lane)
+            rho, az, el = rho + by.x, math.atan2(sa, ca) + by.y, math.atan2(se, ce) + by.z
             ca, sa, ce, se = math.cos(az), math.sin(az), math.cos(el), math.sin(el)
-            jacobian[0, 0], jacobian[0, 1], jacobian[0, 2] = ce * ca, -rho * ce * sa, -rho * se * ca
-            jacobian[1, 0], jacobian[1, 1], jacobian[1, 2] = ce * sa, rho * ce * ca, -rho * se * sa
-            jacobian[2, 0], jacobian[2, 1], jacobian[2, 2] = se, 0.0, rho * ce
-            for r in range(3):
-                position[r] = rec[(ANCHOR + r) * B + lane] + rho * jacobian[r, 0]
+            nx, ny = ce * ca, ce * sa
+            jacobian = Mat3(nx, -rho * ce * sa, -rho * se * ca, ny, rho * ce * ca, -rho * se * sa, se, 0.0, rho * ce)
+            return vec_plus(vec_at(rec, ANCHOR, lane), Vec3(rho * nx, rho * ny, rho * se)), jacobian
 
         return spherical
     if is_of(part, Cartesian):
 
-        def cartesian(part, rec, lane, d0, d1, d2, position, jacobian):
-            change = _change(rec, lane, d0, d1, d2)
-            jacobian[:] = 0.0
-            for r in range(3):
-                jacobian[r, r] = 1.0
-                position[r] = rec[(RANGE + r) * B + lane] + change[r]
+        def cartesian(part, rec, lane, change):
+            mu, by = five_at(rec, MU, lane), mat_vec(mat_at(rec, GAIN, lane), change)
+            return vec_plus(Vec3(mu[0], mu[1], mu[2]), by), slopes(part, np.float64, mu)
 
         return cartesian
     return None
-
-
-@njit(error_model="numpy")
-def _change(rec, lane, d0, d1, d2):
-    """Return G (theta - theta0) of one lane."""
-    return (
-        rec[GAIN * B + lane] * d0 + rec[(GAIN + 1) * B + lane] * d1 + rec[(GAIN + 2) * B + lane] * d2,
-        rec[(GAIN + 3) * B + lane] * d0 + rec[(GAIN + 4) * B + lane] * d1 + rec[(GAIN + 5) * B + lane] * d2,
-        rec[(GAIN + 6) * B + lane] * d0 + rec[(GAIN + 7) * B + lane] * d1 + rec[(GAIN + 8) * B + lane] * d2,
-    )

@@ -12,7 +12,7 @@ from numba import njit
 from numba.core import cgutils
 from numba.extending import intrinsic
 
-from cellslam.slam.fastslam.state.layout import Measured, Scratch, Tracks
+from cellslam.slam.fastslam.state.layout import Blocks, Measured, Scratch, Step, Tracks
 
 
 def _borrowed(context: Any, array: Any) -> Any:
@@ -31,16 +31,18 @@ borrowed: Any = intrinsic(_borrowed)
 
 
 @njit
-def borrowed_tracks(t):
-    """Return the same maps, not counted."""
-    return Tracks(
+def borrowed_blocks(b: Blocks) -> Blocks:
+    """Return the same particles, not counted."""
+    t = b.tracks
+    tracks = Tracks(
         borrowed(t.status), borrowed(t.alike), borrowed(t.records), borrowed(t.ident), borrowed(t.order),
         borrowed(t.counts), borrowed(t.bounds),
     )  # fmt: skip
+    return Blocks(borrowed(b.state), tracks, borrowed(b.travelled), borrowed(b.log_weight))
 
 
 @njit
-def borrowed_scratch(s):
+def borrowed_scratch(s: Scratch) -> Scratch:
     """Return the same scratch, not counted."""
     return Scratch(
         borrowed(s.w), borrowed(s.bits), borrowed(s.v), borrowed(s.near), borrowed(s.reached), borrowed(s.rows),
@@ -50,9 +52,11 @@ def borrowed_scratch(s):
 
 
 @njit
-def borrowed_measured(m):
+def borrowed_step(s: Step) -> Step:
     """Return the same snapshot, not counted."""
-    return Measured(
+    m = s.measured
+    measured = Measured(
         borrowed(m.first), borrowed(m.site_of), borrowed(m.shares), borrowed(m.z), borrowed(m.many), borrowed(m.fresh),
         m.born,
     )  # fmt: skip
+    return Step(s.now, s.dt, borrowed(s.velocity), measured, s.rules)

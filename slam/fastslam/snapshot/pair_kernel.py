@@ -5,10 +5,13 @@ Angles never leave the unit circle: a difference of angles comes from cross and 
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 from numba import njit
 
 from cellslam.slam.fastslam.state.angle_kernel import arc_tangent
+from cellslam.slam.fastslam.state.lanes_kernel import five_at, put, sym_at, vec_at
 from cellslam.slam.fastslam.state.layout import (
     LANES,
     O_C,
@@ -18,7 +21,6 @@ from cellslam.slam.fastslam.state.layout import (
     O_S,
     O_X,
     O_Y,
-    O_Z,
     W_D2,
     W_DET,
     W_E,
@@ -27,13 +29,23 @@ from cellslam.slam.fastslam.state.layout import (
     W_LOG,
     W_POSE,
     W_REACH,
+    Rows,
 )
+from cellslam.slam.model.matrices_kernel import Sym3, adjugate, determinant, quadratic, sym_plus, sym_scaled, sym_times
 
 B = LANES
 
 
+@njit(error_model="numpy")
+def _angle(F: Any, sine: Any, one_and_cosine: Any, scale: Any) -> Any:
+    """Return the angle of which `scale` times sine and 1 + cosine are given, 2 atan(sine / (1 + cosine)), within
+    +-1.16 rad."""
+    t = sine / max(one_and_cosine, F(1e-3) * scale)
+    return F(2.0) * arc_tangent(F, min(max(t, -F(0.66)), F(0.66)))
+
+
 @njit(cache=True, error_model="numpy")
-def reach(w, out, first):
+def reach(w: Rows, out: Rows, first: int) -> None:
     """Write what each lane expects to measure, and its variance without that of the measurement: distance, and azimuth
     in the world frame against that of lane `first` (+-1.16 rad where they differ by more)."""
     F = w.dtype.type
@@ -45,13 +57,12 @@ def reach(w, out, first):
         w[(W_REACH + 3) * B + l] = out[(O_S + 3) * B + l] + out[(O_C + 3) * B + l]
     for l in range(B):
         x, y, scale = out[O_X * B + l], out[O_Y * B + l], out[O_FLAT * B + l] * flat_r
-        t = (xr * y - yr * x) / max(scale + xr * x + yr * y, F(1e-3) * scale)
-        turn = F(2.0) * arc_tangent(F, min(max(t, -F(0.66)), F(0.66)))
+        turn = _angle(F, xr * y - yr * x, scale + xr * x + yr * y, scale)
         w[(W_REACH + 2) * B + l] = turn + w[(W_POSE + 3) * B + l] - psi
 
 
 @njit(cache=True, error_model="numpy")
-def innovate(w, out, z):
+def innovate(w: Rows, out: Rows, z: Rows) -> None:
     """Write e = z - h at W_E; z (12,): distance, cos and sin of azimuth and of elevation, 3 variances, 3 flags
     (measured).
 
@@ -60,46 +71,32 @@ def innovate(w, out, z):
     F = w.dtype.type
     d, ca, sa, ce, se, f0, f1, f2 = z[0], z[1], z[2], z[3], z[4], z[8], z[9], z[10]
     for l in range(B):
-        x, y, flat = out[O_X * B + l], out[O_Y * B + l], out[O_FLAT * B + l]
-        zz, full = out[O_Z * B + l], out[O_FULL * B + l]
+        x, y, zz, flat, full = five_at(out, O_X, l)
         w[W_E * B + l] = f0 * (d - out[O_OFFSET * B + l] - full)
-        t = (sa * x - ca * y) / max(flat + ca * x + sa * y, F(1e-3) * flat)
-        w[(W_E + 1) * B + l] = f1 * F(2.0) * arc_tangent(F, min(max(t, -F(0.66)), F(0.66)))
-        t = (se * flat - ce * zz) / max(full + ce * flat + se * zz, F(1e-3) * full)
-        w[(W_E + 2) * B + l] = f2 * F(2.0) * arc_tangent(F, min(max(t, -F(0.66)), F(0.66)))
+        w[(W_E + 1) * B + l] = f1 * _angle(F, sa * x - ca * y, flat + ca * x + sa * y, flat)
+        w[(W_E + 2) * B + l] = f2 * _angle(F, se * flat - ce * zz, full + ce * flat + se * zz, full)
 
 
 @njit(cache=True, error_model="numpy")
-def invert(w, out, z, share):
-    """Write S^-1 (6 rows at W_INV), det S and e^T S^-1 e for S = H Sigma H^T + share A P A^T + Q."""
+def invert(w: Rows, out: Rows, z: Rows, share: float) -> None:
+    """Write S^-1, det S and e^T S^-1 e for S = H Sigma H^T + share A P A^T + Q; rows and columns of what was not
+    measured are those of Q alone in S, and 0 in S^-1."""
     F = w.dtype.type
-    share = F(share)
-    q0, q1, q2, f0, f1, f2 = z[5], z[6], z[7], z[8], z[9], z[10]
-    f01, f02, f12 = f0 * f1, f0 * f2, f1 * f2
+    part, f0, f1, f2 = F(share), z[8], z[9], z[10]
+    flags = Sym3(f0, f0 * f1, f0 * f2, f1, f1 * f2, f2)
     for l in range(B):
-        a = f0 * (out[O_S * B + l] + share * out[O_C * B + l]) + q0
-        b = f01 * (out[(O_S + 1) * B + l] + share * out[(O_C + 1) * B + l])
-        c = f02 * (out[(O_S + 2) * B + l] + share * out[(O_C + 2) * B + l])
-        d = f1 * (out[(O_S + 3) * B + l] + share * out[(O_C + 3) * B + l]) + q1
-        e = f12 * (out[(O_S + 4) * B + l] + share * out[(O_C + 4) * B + l])
-        f = f2 * (out[(O_S + 5) * B + l] + share * out[(O_C + 5) * B + l]) + q2
-        m0, m1, m2 = d * f - e * e, c * e - b * f, b * e - c * d
-        det = a * m0 + b * m1 + c * m2
-        s = F(1.0) / det
-        i0, i1, i2, i3, i4, i5 = m0 * s, m1 * s, m2 * s, (a * f - c * c) * s, (b * c - a * e) * s, (a * d - b * b) * s
-        x, y, zz = w[W_E * B + l], w[(W_E + 1) * B + l], w[(W_E + 2) * B + l]
-        w[W_D2 * B + l] = i0 * x * x + i3 * y * y + i5 * zz * zz + F(2.0) * (i1 * x * y + i2 * x * zz + i4 * y * zz)
+        seen = sym_times(sym_plus(sym_at(out, O_S, l), sym_scaled(sym_at(out, O_C, l), part)), flags)
+        s = Sym3(seen.xx + z[5], seen.xy, seen.xz, seen.yy + z[6], seen.yz, seen.zz + z[7])
+        adjugate_of_s = adjugate(s)
+        det = determinant(s, adjugate_of_s)
+        inverse = sym_scaled(adjugate_of_s, F(1.0) / det)
+        w[W_D2 * B + l] = quadratic(inverse, vec_at(w, W_E, l))
         w[W_DET * B + l] = det
-        w[W_INV * B + l] = i0 * f0
-        w[(W_INV + 1) * B + l] = i1 * f01
-        w[(W_INV + 2) * B + l] = i2 * f02
-        w[(W_INV + 3) * B + l] = i3 * f1
-        w[(W_INV + 4) * B + l] = i4 * f12
-        w[(W_INV + 5) * B + l] = i5 * f2
+        put(w, W_INV, l, sym_times(inverse, flags))
 
 
 @njit(cache=True, error_model="numpy")
-def logarithm(w, bits):
+def logarithm(w: Rows, bits: Rows) -> None:
     """Write log det S at W_LOG; `bits` is W seen as integers of its size: exponent and mantissa are taken apart."""
     F = w.dtype.type
     if bits.itemsize == 4:
@@ -116,7 +113,7 @@ def logarithm(w, bits):
 
 
 @njit(cache=True, error_model="numpy")
-def _take_apart(w, bits, width, bias, mantissa, one):
+def _take_apart(w: Rows, bits: Rows, width: Any, bias: Any, mantissa: Any, one: Any) -> None:
     """Write the binary exponent of det S at W_EXPONENT and its mantissa, 1 to 2, at W_LOG."""
     F = w.dtype.type
     for l in range(B):

@@ -8,31 +8,34 @@ from typing import Any
 import numpy as np
 from numba import njit, prange
 
+from cellslam.sim.recording import Floats, Ints
 from cellslam.slam.fastslam.parts.clock import offset_belief
 from cellslam.slam.fastslam.parts.landmarks import locate
-from cellslam.slam.fastslam.parts.part_types import cached_and_not
+from cellslam.slam.fastslam.parts.part_types import Parts, cached_and_not
 from cellslam.slam.fastslam.running.prefetch import prefetch_column
+from cellslam.slam.fastslam.state.lanes_kernel import covariance_at, mat_at, sym_at, theta_at, vec_at
 from cellslam.slam.fastslam.state.layout import (
-    BIAS0,
     GAIN,
     HIGH,
     LANES,
     LOW,
     NEAR,
-    OFFSET0,
-    SCALE0,
     SIGMA,
-    THETA,
+    THETA0,
     WIDTH,
+    Blocks,
+    Tracks,
 )
-from cellslam.slam.fastslam.state.tracks_kernel import UNKNOWN
+from cellslam.slam.fastslam.state.tracks_kernel import UNKNOWN, link_of
+from cellslam.slam.model.matrices_kernel import Sym3, Vec3, congruence, sym_plus, vec_minus
 
 B = LANES
 
 
 @njit(cache=True, parallel=True)
-def move_within(steps, starts, state, status, records, order, counts):
+def move_within(steps: Ints, starts: Ints, state: Floats, tracks: Tracks) -> None:
     """Copy particles to other lanes of their own block: steps (n, 3) = block, from, to, sorted; starts (G + 1,)."""
+    status, records, order, counts = tracks.status, tracks.records, tracks.order, tracks.counts
     for g in prange(state.shape[0]):
         a, b = starts[g], starts[g + 1]
         if a == b:
@@ -57,136 +60,95 @@ def move_within(steps, starts, state, status, records, order, counts):
 
 
 @njit(cache=True)
-def move_between(
-    steps,
-    state,
-    status,
-    records,
-    ident,
-    order,
-    counts,
-    to_state,
-    to_status,
-    to_alike,
-    to_records,
-    to_ident,
-    to_order,
-    to_counts,
-    to_bounds,
-):
+def move_between(steps: Ints, state: Floats, tracks: Tracks, to_state: Floats, to: Tracks) -> None:
     """Copy particles to lanes of other blocks: steps (n, 4) = block, lane, to block, to lane; tracks are matched by
     identity."""
+    rows = tracks.records.shape[3] // B
     for i in range(steps.shape[0]):
         g, a, h, b = steps[i]
         for r in range(state.shape[1] // B):
             to_state[h, r * B + b] = state[g, r * B + a]
-        for link in range(counts.shape[1]):
-            to_alike[h, link, :] = UNKNOWN
-            for j in range(to_counts[h, link]):
-                to_status[h, link, to_order[h, link, j], b] = -1
-            for j in range(counts[g, link]):
-                slot = order[g, link, j]
-                s = status[g, link, slot, a]
+        for link in range(tracks.counts.shape[1]):
+            to.alike[h, link, :] = UNKNOWN
+            for j in range(to.counts[h, link]):
+                to.status[h, link, to.order[h, link, j], b] = -1
+            for j in range(tracks.counts[g, link]):
+                slot = tracks.order[g, link, j]
+                s = tracks.status[g, link, slot, a]
                 if s < 0:
                     continue
-                place, new = _place(
-                    ident[g, link, slot], to_status[h, link], to_ident[h, link], to_order[h, link], to_counts, h, link
-                )
+                place, new = _place(tracks.ident[g, link, slot], to, h, link)
                 if place < 0:
                     continue
-                rows = records.shape[3] // B
+                source, target = tracks.records[g, link, slot], to.records[h, link, place]
                 if new:
                     for r in range(rows):
-                        to_records[h, link, place, r * B : (r + 1) * B] = records[g, link, slot, r * B + a]
-                to_status[h, link, place, b] = s
-                to_bounds[h, link, LOW, place] = -math.inf
-                to_bounds[h, link, HIGH, place] = math.inf
-                to_bounds[h, link, WIDTH, place] = math.inf
-                to_bounds[h, link, NEAR, place] = 0.0
+                        target[r * B : (r + 1) * B] = source[r * B + a]
+                to.status[h, link, place, b] = s
+                to.bounds[h, link, LOW, place] = -math.inf
+                to.bounds[h, link, HIGH, place] = math.inf
+                to.bounds[h, link, WIDTH, place] = math.inf
+                to.bounds[h, link, NEAR, place] = 0.0
                 for r in range(rows):
-                    to_records[h, link, place, r * B + b] = records[g, link, slot, r * B + a]
+                    target[r * B + b] = source[r * B + a]
 
 
 @njit(cache=True)
-def _place(name, status, ident, order, counts, block, link):
-    """Return the slot of the track called `name` and whether it had to be taken from the free ones; -1 if all are in
-    use."""
-    for j in range(counts[block, link]):
-        if ident[order[j]] == name:
-            return order[j], False
-    if counts[block, link] == order.shape[0]:
+def _place(name: int, tracks: Tracks, block: int, number: int) -> tuple[int, bool]:
+    """Return the slot of the track called `name` in one map and whether it had to be taken from the free ones; -1 if
+    all are in use."""
+    link, counts = link_of(tracks, block, number), tracks.counts
+    for j in range(counts[block, number]):
+        if link.ident[link.order[j]] == name:
+            return link.order[j], False
+    if counts[block, number] == link.order.shape[0]:
         return -1, False
-    slot = order[counts[block, link]]
-    counts[block, link] += 1
-    ident[slot] = name
-    status[slot, :] = -1
+    slot = link.order[counts[block, number]]
+    counts[block, number] += 1
+    link.ident[slot] = name
+    link.status[slot, :] = -1
     return slot, True
 
 
-def _read_map(parts, lane, least, size, state, status, records, ident, order, counts, site_of, link_of, origin):
+def _read_map(
+    parts: Parts, block: int, lane: int, least: int, size: int, held: Blocks, site_of: Ints, origin: Floats
+) -> tuple[Ints, Ints, Floats, Floats]:
     """Return id and link (V,), position (V, 3) and covariance (V, 3, 3) of the VTs of one lane of a block with at least
     class `least`: x = x(mu), cov = J (Sigma + G P G^T) J^T.
 
-    site_of, link_of: site of each map, and the link that its VTs are reported for; origin (3,) is added.
+    site_of (L,): site of each link, which has a map; origin (3,) is added.
     """
-    wanted = 0
-    for own in range(counts.shape[0]):
-        for j in range(counts[own]):
-            slot = order[own, j]
-            s = status[own, slot, lane]
+    state, tracks, wanted = held.state[block], held.tracks, 0
+    for number in range(tracks.counts.shape[1]):
+        for j in range(tracks.counts[block, number]):
+            slot = tracks.order[block, number, j]
+            s = tracks.status[block, number, slot, lane]
             if s >= 0 and s & 3 >= least:
-                prefetch_column(records[own, slot], lane, B)
+                prefetch_column(tracks.records[block, number, slot], lane, B)
                 wanted += 1
     out_id, out_link = np.empty(wanted, np.int64), np.empty(wanted, np.int64)
     position, covariance = np.empty((wanted, 3)), np.empty((wanted, 3, 3))
     n = 0
-    jacobian, gain = np.empty((3, 3)), np.empty((3, 3))
-    block, inner = np.empty((3, 3)), np.empty((3, 3))
-    for own in range(counts.shape[0]):
-        index = (site_of[own], size - 2, size - 1)
-        for r in range(3):
-            for c in range(3):
-                block[r, c] = state[(THETA + size + index[r] * size + index[c]) * B + lane]
-        by_bias, by_scale = block[0, 1], block[0, 2]
-        for j in range(counts[own]):
-            slot = order[own, j]
-            s = status[own, slot, lane]
+    for number in range(tracks.counts.shape[1]):
+        site = site_of[number]
+        theta, p = theta_at(state, site, size, lane), covariance_at(state, site, size, lane)
+        for j in range(tracks.counts[block, number]):
+            slot = tracks.order[block, number, j]
+            s = tracks.status[block, number, slot, lane]
             if s < 0 or s & 3 < least:
                 continue
-            v = records[own, slot]
-            offset, block[0, 0], shared = offset_belief(parts.clock, v, lane, state, size, index[0])
-            block[0, 1] = block[1, 0] = shared * by_bias
-            block[0, 2] = block[2, 0] = shared * by_scale
-            d0 = offset - v[OFFSET0 * B + lane]
-            d1 = state[(THETA + size - 2) * B + lane] - v[BIAS0 * B + lane]
-            d2 = state[(THETA + size - 1) * B + lane] - v[SCALE0 * B + lane]
-            k = 0
-            for r in range(3):
-                for c in range(3):
-                    gain[r, c] = v[(GAIN + 3 * r + c) * B + lane]
-            _congruence(gain, block, inner)
-            for r in range(3):
-                for c in range(r, 3):
-                    inner[r, c] += v[(SIGMA + k) * B + lane]
-                    inner[c, r] = inner[r, c]
-                    k += 1
-            locate(parts.landmarks, v, lane, d0, d1, d2, position[n], jacobian)
-            _congruence(jacobian, inner, covariance[n])
-            position[n] += origin
-            out_id[n], out_link[n] = ident[own, slot], link_of[own]
+            rec = tracks.records[block, number, slot]
+            offset, variance, shared = offset_belief(parts.clock, rec, lane, state, size, site)
+            own = Sym3(variance, shared * p.xy, shared * p.xz, p.yy, p.yz, p.zz)
+            spread = sym_plus(congruence(mat_at(rec, GAIN, lane), own), sym_at(rec, SIGMA, lane))
+            change = vec_minus(Vec3(offset, theta.y, theta.z), vec_at(rec, THETA0, lane))
+            place, jacobian = locate(parts.landmarks, rec, lane, change)
+            c = congruence(jacobian, spread)
+            covariance[n].ravel()[:] = (c.xx, c.xy, c.xz, c.xy, c.yy, c.yz, c.xz, c.yz, c.zz)
+            position[n] = (place.x + origin[0], place.y + origin[1], place.z + origin[2])
+            out_id[n], out_link[n] = tracks.ident[block, number, slot], number
             n += 1
     return out_id, out_link, position, covariance
 
 
 read_map: Any = cached_and_not(_read_map)
-
-
-@njit(cache=True, error_model="numpy")
-def _congruence(m, s, out):
-    """Write M S M^T of 3 x 3 matrices, S symmetric."""
-    for r in range(3):
-        for c in range(r + 1):
-            total = 0.0
-            for i in range(3):
-                total += m[r, i] * (s[i, 0] * m[c, 0] + s[i, 1] * m[c, 1] + s[i, 2] * m[c, 2])
-            out[r, c] = out[c, r] = total

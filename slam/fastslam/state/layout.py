@@ -20,24 +20,45 @@ weights are in double precision.
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from collections.abc import Iterator
+from itertools import accumulate
+from typing import Any, NamedTuple
 
 import numpy as np
+from numba.extending import register_jitable
+from numpy.typing import NDArray
 
 LANES = 32
+Rows = NDArray[Any]  # rows of LANES numbers, flat
+Five = tuple[Any, Any, Any, Any, Any]
 
-# A track's record: rows of LANES.
-ANCHOR, MU = 0, 3  # MU: 5 numbers, see `landmarks`
-RANGE, CA, SA, CE, SE = 3, 4, 5, 6, 7  # of them, where a VT is kept in spherical coordinates
-SIGMA = 8  # 6: 00 01 02 11 12 22
-GAIN = 14  # 9: G, row by row
-OFFSET0, BIAS0, SCALE0 = 23, 24, 25
-HITS = 26
-RECORD = 27
-OWN_OFFSET, OWN_VARIANCE = 27, 28  # where each VT has a clock offset of its own, mean and variance of it
-RECORD_WITH_OFFSET = 29
-RATE_GAIN, RATE0, TIME0 = 27, 30, 31  # where clocks drift, see `drift`; RATE_GAIN: 3
-RECORD_WITH_RATE = 32
+
+class Layout:
+    """Fields, name and number of rows each, that follow one another from row `first` on.
+
+    Iterating gives the first row of each field, and the row after the last.
+    """
+
+    def __init__(self, first: int = 0, **sizes: int) -> None:
+        self.first, self.sizes = first, sizes
+
+    def __iter__(self) -> Iterator[int]:
+        return accumulate(self.sizes.values(), initial=self.first)
+
+
+# A track's record: rows of LANES. MU: five numbers (see `landmarks`); SIGMA: 00 01 02 11 12 22; GAIN: G, row by row.
+RECORD_LAYOUT = Layout(ANCHOR=3, MU=5, SIGMA=6, GAIN=9, OFFSET0=1, BIAS0=1, SCALE0=1, HITS=1)
+ANCHOR, MU, SIGMA, GAIN, OFFSET0, BIAS0, SCALE0, HITS, RECORD = RECORD_LAYOUT
+THETA0 = OFFSET0  # offset, bias and scale together
+# Where a VT is kept in spherical coordinates, MU is made up of:
+SPHERICAL_LAYOUT = Layout(MU, RANGE=1, CA=1, SA=1, CE=1, SE=1)
+RANGE, CA, SA, CE, SE, _ = SPHERICAL_LAYOUT
+# Where each VT has a clock offset of its own, a record goes on with its mean and variance:
+OWN_LAYOUT = Layout(RECORD, OWN_OFFSET=1, OWN_VARIANCE=1)
+OWN_OFFSET, OWN_VARIANCE, RECORD_WITH_OFFSET = OWN_LAYOUT
+# Where clocks drift, with this (see `drifting_clock`):
+RATE_LAYOUT = Layout(RECORD, RATE_GAIN=3, RATE0=1, TIME0=1)
+RATE_GAIN, RATE0, TIME0, RECORD_WITH_RATE = RATE_LAYOUT
 
 # What a track could show when last predicted, rows over the tracks of a map: least and greatest distance, how far the
 # particles had moved, azimuth in the world frame, give or take, how far they had turned, least distance from a
@@ -45,42 +66,71 @@ RECORD_WITH_RATE = 32
 LOW, HIGH, MOVED, CENTRE, WIDTH, TURNED, NEAR, LONG, BROAD = range(9)
 BOUND = 9
 
-# A block's state: rows of LANES; K nuisances follow, then their covariance (K x K).
-POSE, POSE_G = 0, 6  # POSE_G: d(x, y, psi)/d(bias, scale), row by row
-BIAS, SCALE = 12, 18  # sampled errors of each odometry component
-THETA = 24
+# A block's state: rows of LANES; K nuisances follow, then their covariance (K x K). POSE_G: d(x, y, psi)/d(bias,
+# scale), row by row; BIAS, SCALE: sampled errors of each odometry component.
+STATE_LAYOUT = Layout(POSE=6, POSE_G=6, BIAS=6, SCALE=6)
+POSE, POSE_G, BIAS, SCALE, THETA = STATE_LAYOUT
 
 # A track's prediction: rows of LANES.
-O_H, O_A, O_S, O_C = 0, 9, 18, 24  # dh/ds, dh/dtheta over all paths, H Sigma H^T, A P A^T
-O_X, O_Y, O_Z, O_FLAT, O_FULL = 30, 31, 32, 33, 34  # VT in the body frame
-O_MU = 35  # 5: mu at the present theta
-O_SCORE = 40  # log of visible and detected against missed, less log clutter density
-O_OFFSET = 41  # clock offset that distances are expected with
-O_AR = 42  # 3: dh/d(rate) over all paths, where clocks drift
-OUT = 45
+OUT_LAYOUT = Layout(
+    O_H=9, O_A=9, O_S=6, O_C=6,  # dh/ds, dh/dtheta over all paths, H Sigma H^T, A P A^T
+    O_X=1, O_Y=1, O_Z=1, O_FLAT=1, O_FULL=1,  # VT in the body frame
+    O_MU=5,  # mu at the present theta
+    O_SCORE=1,  # log of visible and detected against missed, less log clutter density
+    O_OFFSET=1,  # clock offset that distances are expected with
+    O_AR=3,  # dh/d(rate) over all paths, where clocks drift
+)  # fmt: skip
+O_H, O_A, O_S, O_C, O_X, O_Y, O_Z, O_FLAT, O_FULL, O_MU, O_SCORE, O_OFFSET, O_AR, OUT = OUT_LAYOUT
 
 # Scratch W: rows of LANES.
-W_POSE, W_G, W_ROT, W_DROT = 0, 6, 12, 21
-W_B, W_BIAS, W_SCALE, W_P = 30, 31, 32, 33  # nuisance mean, and its covariance for this site (6)
-W_E, W_D2, W_DET, W_SCORE, W_MASK, W_INV = 40, 43, 44, 45, 46, 47  # one pair; W_INV 6 rows
-W_LOG, W_EXPONENT = 53, 54
-W_GUESS = 40  # 4 rows, at births: distance, cos and sin of azimuth, variance of range
-W_REACH = 55  # 4 rows: expected distance and its variance, azimuth against the first lane and its variance
-W_LINK = 60  # 9 rows: y (3) and I (00 01 02 11 12 22) of the link at hand, over (offset, bias, scale)
-W_OFFSET_PRIOR = 69  # variance of the site's offset, as it was loaded
-W_RATE = 70  # where clocks drift: mean of the rate, and its covariances with itself, offset, bias and scale
-W_PR = 71
-W_SITE = 75  # number of the site, in the first lane
-W_ROWS = 76
+W_LAYOUT = Layout(
+    W_POSE=6, W_G=6, W_ROT=9,  # pose, its sensitivity as POSE_G, rotation
+    W_B=1, W_BIAS=1, W_SCALE=1, W_P=6,  # nuisance mean, and its covariance for this site
+    W_E=3, W_D2=1, W_DET=1, W_SCORE=1, W_MASK=1, W_INV=6,  # one pair: e, e^T S^-1 e, det S, S^-1
+    W_LOG=1, W_EXPONENT=1,  # its log det S
+    W_REACH=4,  # expected distance and its variance, azimuth against the first lane and its variance
+    W_Y=3, W_INFO=6,  # y and I of the link at hand, over (offset, bias, scale)
+    W_OFFSET_PRIOR=1,  # variance of the site's offset, as it was loaded
+    W_RATE=1, W_PR=4,  # where clocks drift: mean of the rate, its covariances with itself, offset, bias and scale
+    W_SITE=1,  # number of the site, in the first lane
+)  # fmt: skip
+(
+    W_POSE, W_G, W_ROT, W_B, W_BIAS, W_SCALE, W_P, W_E, W_D2, W_DET, W_SCORE, W_MASK, W_INV, W_LOG, W_EXPONENT,
+    W_REACH, W_Y, W_INFO, W_OFFSET_PRIOR, W_RATE, W_PR, W_SITE, W_ROWS,
+) = W_LAYOUT  # fmt: skip
+W_THETA = W_B  # offset, bias and scale together
+# At births the rows of a pair hold what a lane takes for distance, cos and sin of azimuth, and variance of range:
+GUESS_LAYOUT = Layout(W_E, W_GUESS=4)
+W_GUESS, _ = GUESS_LAYOUT
 
-# Scratch V: rows of LANES, in double precision: what is summed up over a snapshot.
-V_WEIGHT = 0
-V_Y = 1  # K rows: A^T S^-1 e; then K x K rows: A^T S^-1 A, and scratch for the solve
+
+class Sums(NamedTuple):
+    """First rows of what scratch V holds, in double precision: the log-weight, what is summed up over a snapshot,
+    y = A^T S^-1 e and I = A^T S^-1 A, then room for the update of theta: P, its factor L, I L, X, the mean's change."""
+
+    weight: int
+    y: int
+    info: int
+    cov: int
+    lower: int
+    product: int
+    root: int
+    change: int
+    rows: int
 
 
-def scratch_rows(nuisances: int) -> int:
-    """Return the number of rows of V for K nuisances."""
-    return V_Y + 2 * nuisances + 5 * nuisances * nuisances
+@register_jitable
+def sums_of(nuisances: int) -> Sums:
+    """Return the layout of V for K nuisances."""
+    k, square = nuisances, nuisances * nuisances
+    info = V_Y + k
+    end = info + 5 * square
+    return Sums(
+        V_WEIGHT, V_Y, info, info + square, info + 2 * square, info + 3 * square, info + 4 * square, end, end + k
+    )
+
+
+V_WEIGHT, V_Y = 0, 1
 
 
 class Rules(NamedTuple):
@@ -125,6 +175,27 @@ class Tracks(NamedTuple):
     bounds: np.ndarray
 
 
+class Step(NamedTuple):
+    """What all blocks go by in one snapshot: its number, the interval before it, velocity (G, 6, LANES) in that, what
+    was measured, and rules."""
+
+    now: int
+    dt: float
+    velocity: np.ndarray
+    measured: Measured
+    rules: Rules
+
+
+class Blocks(NamedTuple):
+    """What is held of all particles: state (G, F LANES), maps, travelled (G, K - 1), log_weight (G, LANES): see
+    `particles.Particles`."""
+
+    state: np.ndarray
+    tracks: Tracks
+    travelled: np.ndarray
+    log_weight: np.ndarray
+
+
 class Link(NamedTuple):
     """One map of one block: status (C, LANES), alike (C,), records (C, RECORD LANES), ident, order (C,), bounds
     (BOUND, C)."""
@@ -135,6 +206,34 @@ class Link(NamedTuple):
     ident: np.ndarray
     order: np.ndarray
     bounds: np.ndarray
+
+
+class Scene(NamedTuple):
+    """One link as one block sees it in a snapshot: numbers of its first measurement and of the next link's, share of
+    its evidence that counts; how far the block's particles have travelled and turned, the middle of their yaw, and how
+    far they lie from it."""
+
+    first: int
+    last: int
+    share: float
+    travelled: float
+    turned: float
+    psi: float
+    psi_spread: float
+
+
+class Bound(NamedTuple):
+    """One track's column of `bounds`."""
+
+    low: float
+    high: float
+    moved: float
+    centre: float
+    width: float
+    turned: float
+    near: float
+    long: float
+    broad: float
 
 
 class Scratch(NamedTuple):

@@ -11,7 +11,7 @@ from scipy.special import ndtri
 from cellslam.sim.recording import Floats, Ints
 from cellslam.slam.api import Setup
 from cellslam.slam.fastslam.state.copy_kernel import move_between, move_within
-from cellslam.slam.fastslam.state.layout import BIAS, BOUND, LANES, POSE, POSE_G, RECORD, SCALE, THETA, Tracks
+from cellslam.slam.fastslam.state.layout import BIAS, BOUND, LANES, POSE, POSE_G, RECORD, SCALE, THETA, Blocks, Tracks
 from cellslam.slam.fastslam.state.tracks_kernel import DEAD, UNKNOWN
 from cellslam.slam.model.quasi_random import quasi_random
 
@@ -56,9 +56,10 @@ class Particles:
         return int(self.records.shape[3]) // LANES
 
     @property
-    def tracks(self) -> Tracks:
-        """The maps as the kernels take them."""
-        return Tracks(self.status, self.alike, self.records, self.ident, self.order, self.counts, self.bounds)
+    def held(self) -> Blocks:
+        """All of it as the kernels take it."""
+        tracks = Tracks(self.status, self.alike, self.records, self.ident, self.order, self.counts, self.bounds)
+        return Blocks(self.state, tracks, self.travelled, self.log_weight)
 
     def rows(self, first: int, count: int) -> Floats:
         """Return a view (G, count, 32) of `count` rows of the state."""
@@ -183,14 +184,9 @@ def _carry_out(
     if within:
         steps = np.array(within, np.int64)
         starts = np.searchsorted(steps[:, 0], np.arange(len(source.state) + 1))
-        move_within(steps, starts, source.state, source.status, source.records, source.order, source.counts)
+        move_within(steps, starts, source.state, source.held.tracks)
     if between:
-        move_between(
-            np.array(between, np.int64), source.state, source.status, source.records, source.ident, source.order,
-            source.counts,
-            target.state, target.status, target.alike, target.records, target.ident, target.order, target.counts,
-            target.bounds,
-        )  # fmt: skip
+        move_between(np.array(between, np.int64), source.state, source.held.tracks, target.state, target.held.tracks)
 
 
 __all__ = ["POSE_G", "Particles", "draw", "select"]
