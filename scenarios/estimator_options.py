@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from pydantic import BaseModel
+from pydantic import BaseModel, create_model
 
 from cellslam.scenarios.overrides import split
 from cellslam.scenarios.problems import validate
@@ -15,15 +15,21 @@ from cellslam.sim.errors import InputError, unknown_name
 from cellslam.slam import registry
 
 Tables = Mapping[str, Mapping[str, Any]]
+# Asks the estimator of a module and name, with a table of options, for all of its options and whether it is an oracle.
+Ask = Callable[[str, str, Mapping[str, Any]], tuple[Mapping[str, Any] | None, bool]]
 
 
 @dataclass(frozen=True)
 class Request:
-    """An estimator that was asked for: its name, its class, and its validated options (None: it has none)."""
+    """An estimator that was asked for: its name, its class, and its validated options (None: it has none).
+
+    `foreign`: it is loaded and run in a process of its own alone; `estimator` only says whether it is an oracle.
+    """
 
     name: str
     estimator: type[Any]
     options: BaseModel | None
+    foreign: bool = False
 
     @property
     def oracle(self) -> bool:
@@ -31,23 +37,36 @@ class Request:
         return bool(getattr(self.estimator, "requires_truth", False))
 
 
-def resolve(tables: Tables, names: Sequence[str], overrides: Iterable[str] = ()) -> tuple[Request, ...]:
+def resolve(
+    tables: Tables, names: Sequence[str], overrides: Iterable[str] = (), ask: Ask | None = None
+) -> tuple[Request, ...]:
     """Return the requests for estimators `names`, each once, in their order; `all` stands for every one that is known.
 
     An estimator whose own code fails when it is loaded is a request too: it raises when it is run. `tables` are a
     scenario's options by estimator; `overrides` are the dotted keys that the user set: they are validated also for
-    estimators not in `names`. Raises InputError for an unknown estimator or option, or a value out of range.
+    estimators not in `names`. `ask`: other people's estimators are not loaded here, but asked by it
+    (`foreign_options.asking`). Raises InputError for an unknown estimator or option, or a value out of range.
     """
     names = registry.expanded(names)
     known = {*registry.names(), *names}
     for name in tables:
         if name not in known and ":" not in name:
             raise unknown_name("table", f"estimator.{name}", (f"estimator.{k}" for k in known))
-    requests = tuple(_request(tables, name) for name in dict.fromkeys(names))
+    requests = tuple(_request(tables, name, ask) for name in dict.fromkeys(names))
     touched = {split(key)[1] for key in overrides if key.startswith("estimator.")}
     for name in sorted(touched - set(names)):
-        _request(tables, name)
+        _request(tables, name, ask)
     return requests
+
+
+def foreign(name: str, options: Mapping[str, Any] | None, oracle: bool) -> Request:
+    """Return the request for an estimator that runs in a process of its own; `options` are all of its options."""
+    stand_in = type("Foreign", (), {"requires_truth": oracle})
+    if options is None:
+        return Request(name, stand_in, None, True)
+    fields: dict[str, Any] = {key: (Any, value) for key, value in options.items()}
+    model: Any = create_model("Options", **fields)
+    return Request(name, stand_in, model(), True)
 
 
 def with_options(scenario: Scenario, requests: Iterable[Request]) -> Scenario:
@@ -62,12 +81,10 @@ def option_keys() -> list[str]:
     return [f"estimator.{name}.{key}" for name, model in models.items() if model for key in model.model_fields]
 
 
-def _request(tables: Tables, name: str) -> Request:
-    try:
-        estimator = registry.resolve(name)
-    except registry.BrokenPluginError as error:
-        return Request(name, broken(error), None)
-    model, table = registry.options_model(estimator), tables.get(name, {})
+def loaded(name: str, table: Mapping[str, Any]) -> Request:
+    """Return the request for an estimator that is loaded in this process. Raises InputError, BrokenPluginError."""
+    estimator = registry.resolve(name)
+    model = registry.options_model(estimator)
     if model is None:
         if table:
             raise InputError(f"unknown key 'estimator.{name}.{next(iter(table))}': estimator '{name}' has no options")
@@ -75,7 +92,7 @@ def _request(tables: Tables, name: str) -> Request:
     return Request(name, estimator, validate(model, table, f"estimator.{name}."))
 
 
-def broken(reason: registry.BrokenPluginError) -> type[Any]:
+def broken(reason: InputError) -> type[Any]:
     """Return a class in the place of an estimator that cannot be loaded: making one raises the reason."""
 
     class Broken:
@@ -84,3 +101,11 @@ def broken(reason: registry.BrokenPluginError) -> type[Any]:
             raise reason
 
     return Broken
+
+
+def _request(tables: Tables, name: str, ask: Ask | None) -> Request:
+    table, module = tables.get(name, {}), None if ask is None else registry.module_of(name)
+    try:
+        return loaded(name, table) if ask is None or module is None else foreign(name, *ask(module, name, table))
+    except registry.BrokenPluginError as error:
+        return Request(name, broken(error), None)

@@ -18,7 +18,8 @@ from typing import Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field
 
-from cellslam.scenarios.estimator_options import Request, resolve
+from cellslam.scenarios.estimator_options import Ask, Request, resolve
+from cellslam.scenarios.foreign_options import asking
 from cellslam.scenarios.keys import describe
 from cellslam.scenarios.loading import load, preset_names
 from cellslam.scenarios.overrides import parse, parse_value, split
@@ -176,18 +177,21 @@ def points(sweep: Sweep, estimators: Sequence[str]) -> tuple[Point, ...]:
     count = math.prod(len(axis) for axis in sweep.axes)
     if not 0 < count <= MOST_POINTS:
         raise InputError(f"the sweep has {count} points: must be 1 to {MOST_POINTS}")
-    out = []
+    with asking() as ask:
+        return tuple(_points(sweep, estimators, ask))
+
+
+def _points(sweep: Sweep, estimators: Sequence[str], ask: Ask) -> Iterator[Point]:
     # Points that differ in the world alone have the same requests; resolving them looks through all installed packages.
     known: dict[str, tuple[Request, ...]] = {}
-    for combination in itertools.product(*_completed(sweep, estimators)):
+    for combination in itertools.product(*_completed(sweep, estimators, ask)):
         settings = {key: value for setting in combination for key, value in setting.items()}
         overrides = {**sweep.overrides, **settings}
         scenario = load(sweep.scenario, overrides)
         options = json.dumps(scenario.estimator, sort_keys=True)
         if options not in known:
-            known[options] = resolve(scenario.estimator, estimators, overrides)
-        out.append(Point(settings, scenario, known[options]))
-    return tuple(out)
+            known[options] = resolve(scenario.estimator, estimators, overrides, ask)
+        yield Point(settings, scenario, known[options])
 
 
 def _check_keys(sweep: Sweep, estimators: Sequence[str]) -> None:
@@ -203,7 +207,7 @@ def _check_keys(sweep: Sweep, estimators: Sequence[str]) -> None:
                 raise InputError(f"{key} is swept, but '{name}' is not among the estimators ({', '.join(estimators)})")
 
 
-def _completed(sweep: Sweep, estimators: Sequence[str]) -> Iterator[Axis]:
+def _completed(sweep: Sweep, estimators: Sequence[str], ask: Ask) -> Iterator[Axis]:
     """Yield the axes; where a setting of a list leaves out a key of another, the scenario's own value stands."""
     values: dict[str, Any] | None = None
     for axis in sweep.axes:
@@ -212,15 +216,15 @@ def _completed(sweep: Sweep, estimators: Sequence[str]) -> Iterator[Axis]:
             yield axis
             continue
         if values is None:
-            values = _values_of(load(sweep.scenario, sweep.overrides), estimators)
+            values = _values_of(load(sweep.scenario, sweep.overrides), estimators, ask)
         own = {key: values[key] for key in keys if key in values}
         yield tuple({**own, **setting} for setting in axis)
 
 
-def _values_of(scenario: Scenario, estimators: Sequence[str]) -> dict[str, Any]:
+def _values_of(scenario: Scenario, estimators: Sequence[str], ask: Ask) -> dict[str, Any]:
     """Return the value of every key of a scenario, options of the estimators included."""
     found = {key.name: key.value for key in describe(scenario)}
-    for request in resolve(scenario.estimator, estimators):
+    for request in resolve(scenario.estimator, estimators, ask=ask):
         if request.options is not None:
             found |= {key.name: key.value for key in describe(request.options, f"estimator.{request.name}.")}
     return found

@@ -13,7 +13,7 @@ from pathlib import Path
 from types import ModuleType
 from typing import Any
 
-from cellslam.sim.errors import InputError, unknown_name
+from cellslam.sim.errors import InputError, one_line, unknown_name
 
 ENTRY_POINT_GROUP = "cellslam.estimators"
 ALL = "all"
@@ -165,6 +165,18 @@ def resolve(name: str) -> type[Any]:
     raise _unknown(name)
 
 
+def module_of(name: str) -> str | None:
+    """Return the module of an estimator of other people's, which runs in a process of its own; None for the others.
+
+    cellslam's own are trusted. One that is defined in `__main__`, as in a notebook, is nowhere but in that process.
+    """
+    if ":" in name:
+        module = name.partition(":")[0]
+        return None if module in ("", "__main__") or module.startswith("cellslam.") else module
+    known = (entry.target.partition(":")[0] for entry in listing() if entry.foreign and entry.name == name)
+    return next(known, None)
+
+
 def options_model(estimator: type[Any]) -> type[Any] | None:
     """Return the pydantic model of an estimator's options: its class attribute `Options`, or None."""
     model: type[Any] | None = getattr(estimator, "Options", None)
@@ -199,12 +211,12 @@ def _load(name: str, target: str) -> type[Any]:
 def _import(name: str, module: str) -> ModuleType:
     try:
         return importlib.import_module(module)
-    except (Exception, SystemExit) as error:
+    except BaseException as error:
         missing = error.name if isinstance(error, ModuleNotFoundError) else None
         if missing is not None and f"{module}.".startswith(f"{missing}."):
             text = f"there is no module '{missing}' in {Path.cwd()} or among the installed packages"
             raise InputError(f"estimator '{name}': {text}") from error
-        text = f"its module cannot be imported: {type(error).__name__}: {' '.join(str(error).split())}"
+        text = f"its module cannot be imported: {type(error).__name__}: {one_line(error)}"
         raise BrokenPluginError(f"estimator '{name}': {text}{own_traceback(error)}") from error
 
 

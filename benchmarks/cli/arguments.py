@@ -3,6 +3,12 @@
 from __future__ import annotations
 
 import argparse
+from typing import TYPE_CHECKING
+
+from cellslam.sim.errors import InputError
+
+if TYPE_CHECKING:
+    from cellslam.benchmarks.trials.child_process import Limits
 
 DONE, FAILED, WRONG, INTERRUPTED = 0, 1, 2, 130  # exit statuses
 FORMATS, FORMAT_HELP = ("text", "md", "csv", "latex", "json"), "csv and json hold the plain numbers"
@@ -64,6 +70,7 @@ def add_estimation(parser: argparse.ArgumentParser) -> None:
     add_estimators(parser)
     parser.add_argument("--json", action="store_true", help="print the rows as one JSON array on stdout, nothing else")
     parser.add_argument("--no-figures", action="store_true", help="do not draw figures")
+    add_limits(parser, "other people's estimators")
 
 
 def add_work(parser: argparse.ArgumentParser) -> None:
@@ -74,9 +81,25 @@ def add_work(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--executor", choices=names, default="processes", help="where to work (default: processes)")
     parser.add_argument("--jobs", metavar="N", type=whole, help="number of processes (default: one a core)")
     parser.add_argument("--scheduler", metavar="ADDRESS", help="a running Dask scheduler, as tcp://host:8786")
-    time_help = "one estimator's time for one trial, then its process is killed (default: 3600)"
+    add_limits(parser, "every estimator")
+
+
+def add_limits(parser: argparse.ArgumentParser, of: str) -> None:
+    """Add the limits of what runs in a process of its own."""
+    time_help = f"time of {of} for one trial, then its process is killed (default: 3600)"
     parser.add_argument("--time-limit", metavar="SECONDS", type=number, default=3600.0, help=time_help)
     parser.add_argument("--memory-limit", metavar="GIB", type=number, help="memory of a process (default: fair share)")
+
+
+def limits(arguments: argparse.Namespace, jobs: int) -> Limits:
+    """Return the limits that were asked for, of each of `jobs` processes. Raises InputError."""
+    from cellslam.benchmarks.trials.child_process import Limits, shares
+
+    for name, value in (("time", arguments.time_limit), ("memory", arguments.memory_limit)):
+        if value is not None and not value > 0:
+            raise InputError(f"--{name}-limit {value:g}: must be above 0")
+    fair = shares(jobs, arguments.time_limit)
+    return Limits(fair.seconds, int(arguments.memory_limit * 2**30)) if arguments.memory_limit else fair
 
 
 def whole(text: str) -> int:

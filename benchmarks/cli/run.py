@@ -11,13 +11,24 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from cellslam.benchmarks.cli.arguments import DONE, FAILED, INTERRUPTED, add_estimation, add_scenario, add_seed, whole
+from cellslam.benchmarks.cli.arguments import (
+    DONE,
+    FAILED,
+    INTERRUPTED,
+    add_estimation,
+    add_scenario,
+    add_seed,
+    limits,
+    whole,
+)
 from cellslam.benchmarks.cli.progress_bars import bars
 from cellslam.benchmarks.tables.trials_table import bound_row, results_table
 from cellslam.benchmarks.trials import compile_ahead as ahead
+from cellslam.benchmarks.trials.guests import Guests
 from cellslam.benchmarks.trials.results_folder import Folder, check_folder
 from cellslam.benchmarks.trials.trials import DEFAULT_ESTIMATORS, Trial, check_counts, simulated_trials
-from cellslam.scenarios.estimator_options import Request, resolve, with_options
+from cellslam.scenarios import foreign_options
+from cellslam.scenarios.estimator_options import Request, with_options
 from cellslam.scenarios.loading import load
 from cellslam.scenarios.overrides import parse_all
 from cellslam.slam import registry
@@ -69,15 +80,17 @@ def command(arguments: Namespace) -> int:
     overrides = parse_all(arguments.sets)
     scenario = load(arguments.scenario, overrides)
     check_counts(arguments.trials, arguments.seed)
-    requests = resolve(scenario.estimator, arguments.estimators or DEFAULT_ESTIMATORS, overrides)
+    asked = arguments.estimators or DEFAULT_ESTIMATORS
+    requests = foreign_options.requests(scenario.estimator, asked, overrides)
     note_left_out(arguments)
     out = Path(arguments.out or f"results/{scenario.name}-{arguments.seed}")
     check_folder(out)
     folder = Folder(out, several=arguments.trials > 1)
     job = Job(arguments, with_options(scenario, requests), scenario.name, requests, arguments.trials, folder)
-    ahead.begin(requests)
-    with bars(arguments.quiet) as progress:
-        trials = simulated_trials(scenario, requests, arguments.trials, arguments.seed, progress)
+    with Guests(limits(arguments, 1)) as guests, bars(arguments.quiet) as progress:
+        ahead.begin(requests)
+        guests.begin(requests)
+        trials = simulated_trials(scenario, requests, arguments.trials, arguments.seed, guests, progress)
         interrupted = work_off(job, trials, progress)
     return report(job, interrupted)
 

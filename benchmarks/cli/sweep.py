@@ -9,13 +9,22 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 
-from cellslam.benchmarks.cli.arguments import DONE, FAILED, INTERRUPTED, add_estimators, add_set, add_work, whole
-from cellslam.benchmarks.sweeps.executors import Executor, cores, executor, memory_share_bytes
+from cellslam.benchmarks.cli.arguments import (
+    DONE,
+    FAILED,
+    INTERRUPTED,
+    add_estimators,
+    add_set,
+    add_work,
+    limits,
+    whole,
+)
+from cellslam.benchmarks.sweeps.executors import Executor, Serial, cores, executor
 from cellslam.benchmarks.sweeps.store import Store, writing
 from cellslam.benchmarks.sweeps.sweeping import carry_out, pending, seconds_of
 from cellslam.benchmarks.sweeps.tasks import Plan, options_json, plan, world_json
 from cellslam.benchmarks.sweeps.watch import Tally, clock, watching
-from cellslam.benchmarks.sweeps.worker_pool import Limits
+from cellslam.benchmarks.trials.child_process import Limits
 from cellslam.benchmarks.trials.results_folder import check_folder
 from cellslam.benchmarks.trials.trials import DEFAULT_ESTIMATORS, check_counts
 from cellslam.scenarios import sweep_points as sweeps
@@ -53,11 +62,12 @@ def command(arguments: Namespace) -> int:
 
 def carry(arguments: Namespace, points: Sequence[sweeps.Point], trials: int, seed: int, out: Path) -> int:
     """Carry out trials 0 to `trials` - 1 of every point into the store in `out`, or estimate how long they take."""
-    jobs, limits = _resources(arguments)
+    jobs = _jobs(arguments)
+    allowed = limits(arguments, jobs)
     made = plan(points, trials, seed, not arguments.no_trajectories)
     check_folder(out)
     if arguments.dry_run:
-        _dry_run(made, len(points), jobs, out)
+        _dry_run(made, len(points), jobs, allowed, out)
         return DONE
     command = shlex.join(["cellslam", *arguments.words])
     tally = Tally(0, _names(points))
@@ -65,7 +75,7 @@ def carry(arguments: Namespace, points: Sequence[sweeps.Point], trials: int, see
         with writing(out, command, _versions(points)) as store:
             todo = pending(made, store, arguments.retry_failed)
             _note(arguments, _said(made, todo))
-            with executor(arguments.executor, jobs, limits, arguments.scheduler) as pool:
+            with executor(arguments.executor, jobs, allowed, arguments.scheduler) as pool:
                 _work(arguments, todo, store, pool, tally)
             status = store.status()
     except KeyboardInterrupt:
@@ -95,17 +105,12 @@ def requested(arguments: Namespace) -> sweeps.Sweep:
     )
 
 
-def _resources(arguments: Namespace) -> tuple[int, Limits]:
+def _jobs(arguments: Namespace) -> int:
     if arguments.jobs is not None and arguments.jobs < 1:
         raise InputError(f"--jobs {arguments.jobs}: must be at least 1")
     if arguments.scheduler is not None and arguments.executor != "dask":
         raise InputError("--scheduler is for --executor dask")
-    for name, value in (("time", arguments.time_limit), ("memory", arguments.memory_limit)):
-        if value is not None and not value > 0:
-            raise InputError(f"--{name}-limit {value:g}: must be above 0")
-    jobs = 1 if arguments.executor == "serial" else arguments.jobs or cores()
-    memory = int(arguments.memory_limit * 2**30) if arguments.memory_limit else memory_share_bytes(jobs)
-    return jobs, Limits(arguments.time_limit, memory)
+    return 1 if arguments.executor == "serial" else arguments.jobs or cores()
 
 
 def _work(arguments: Namespace, todo: Plan, store: Store, pool: Executor, tally: Tally) -> None:
@@ -114,8 +119,7 @@ def _work(arguments: Namespace, todo: Plan, store: Store, pool: Executor, tally:
         carry_out(todo, store, pool, heard)
 
 
-def _dry_run(made: Plan, points: int, jobs: int, out: Path) -> None:
-    from cellslam.benchmarks.sweeps.executors import executor as open_executor
+def _dry_run(made: Plan, points: int, jobs: int, allowed: Limits, out: Path) -> None:
     from cellslam.benchmarks.sweeps.store import DATABASE, reading
 
     todo = made
@@ -123,8 +127,8 @@ def _dry_run(made: Plan, points: int, jobs: int, out: Path) -> None:
         with reading(out) as database:
             todo = made.without(dict(database.execute("SELECT key, status FROM rows")))
     print(f"{_counted(points, 'point')}, {_said(made, todo)}")
-    with open_executor("serial", 1, Limits(0, 0)):
-        seconds, parts = seconds_of(todo)
+    with Serial(allowed) as one:
+        seconds, parts = seconds_of(todo, one.guests)
     if parts:
         said = ", ".join(f"{name} {clock(value)}" for name, value in parts.items())
         print(f"about {clock(seconds / jobs)} on {_counted(jobs, 'core')} (one trial, timed now: {said})")

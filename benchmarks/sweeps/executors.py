@@ -5,17 +5,17 @@ from __future__ import annotations
 import os
 import threading
 from collections.abc import Iterable, Iterator
-from contextlib import AbstractContextManager, contextmanager
+from contextlib import AbstractContextManager, ExitStack, contextmanager
 from importlib import import_module
 from typing import Any, Protocol
 
-from cellslam.benchmarks.sweeps.tasks import Lost, Result, Task, work
-from cellslam.benchmarks.sweeps.worker_pool import Limits, Pool
+from cellslam.benchmarks.sweeps.tasks import Began, Lost, Result, Task, work
+from cellslam.benchmarks.sweeps.worker_pool import Pool
+from cellslam.benchmarks.trials.child_process import Limits
+from cellslam.benchmarks.trials.guests import Guests
 from cellslam.sim.errors import InputError
 
 NAMES = ("serial", "processes", "dask")
-LEAST_MEMORY_BYTES = 2 * 2**30
-SHARE_OF_MEMORY = 0.9
 CONNECT_S = 20
 TASKS_AHEAD = 4
 
@@ -33,7 +33,7 @@ class Executor(Protocol):
 def executor(name: str, jobs: int, limits: Limits, scheduler: str | None = None) -> AbstractContextManager[Executor]:
     """Return the executor of that name as a context; `scheduler` is the address of a running Dask scheduler."""
     if name == "serial":
-        return _serial()
+        return Serial(limits)
     return Pool(jobs, limits) if name == "processes" else _dask(jobs, limits, scheduler)
 
 
@@ -42,20 +42,30 @@ def cores() -> int:
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
-def memory_share_bytes(jobs: int) -> int:
-    """Return a fair share of this machine's memory for each of `jobs` workers, at least 2 GiB."""
-    total = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
-    return max(LEAST_MEMORY_BYTES, int(SHARE_OF_MEMORY * total / jobs))
-
-
 class Serial:
-    """This process, one thread. Nothing protects it from an estimator that hangs or ends the process."""
+    """This process, one thread; other people's estimators in processes of their own. Use as a context."""
+
+    def __init__(self, limits: Limits) -> None:
+        self.guests, self._open = Guests(limits, one_thread=True), ExitStack()
+
+    def __enter__(self) -> Serial:
+        import numba
+        from threadpoolctl import threadpool_limits
+
+        self._open.callback(numba.set_num_threads, numba.get_num_threads())
+        numba.set_num_threads(1)
+        self._open.enter_context(threadpool_limits(1))
+        self._open.enter_context(self.guests)
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._open.close()
 
     def run(self, tasks: Iterable[Task]) -> Iterator[Result | Lost]:
         """Yield the results in order."""
         for task in tasks:
-            for message in work(task):
-                if isinstance(message, Result):
+            for message in work(task, self.guests):
+                if not isinstance(message, Began):
                     yield message
 
 
@@ -106,20 +116,6 @@ def _answers(future: Any, task: Task) -> Iterator[Result | Lost]:
     else:
         reason = f"its Dask worker was lost ({type(error).__name__}: {' '.join(str(error).split())[:200]})"
         yield from (Lost(task, job, reason) for job in task.jobs)
-
-
-@contextmanager
-def _serial() -> Iterator[Executor]:
-    import numba
-    from threadpoolctl import threadpool_limits
-
-    before = numba.get_num_threads()
-    numba.set_num_threads(1)
-    try:
-        with threadpool_limits(1):
-            yield Serial()
-    finally:
-        numba.set_num_threads(before)
 
 
 @contextmanager

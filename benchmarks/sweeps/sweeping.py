@@ -21,6 +21,7 @@ from cellslam.benchmarks.sweeps.tasks import (
     scenario_of,
     work,
 )
+from cellslam.benchmarks.trials.guests import Guests
 
 Heard = Callable[[Task, Job, Mapping[str, Any]], None]
 SAMPLES_PER_ESTIMATOR = 4
@@ -57,7 +58,7 @@ def pending(plan: Plan, store: Store, retry_failed: bool) -> Plan:
     return plan.without({key: s for key, s in status.items() if s == "ok" or not retry_failed})
 
 
-def seconds_of(plan: Plan) -> tuple[float, Mapping[str, float]]:
+def seconds_of(plan: Plan, guests: Guests) -> tuple[float, Mapping[str, float]]:
     """Return the seconds that one core needs for a plan, and those of one trial by part ("world", estimators).
 
     One trial of the first world is timed, with a few different options of each estimator, after everything is
@@ -67,17 +68,17 @@ def seconds_of(plan: Plan) -> tuple[float, Mapping[str, float]]:
         return 0.0, {}
     first = max(plan.tasks[: len(plan.worlds)], key=lambda task: len(task.jobs))
     sample = replace(first, jobs=tuple(_sampled(first)))
-    _compile(sample)
+    _compile(sample, guests)
     spent: dict[str, list[float]] = {}
     names = {job.key: job.estimator for job in sample.jobs}
     begin, part = time.perf_counter(), "world"
-    for message in work(sample):
+    for message in work(sample, guests):
         now = time.perf_counter()
         if isinstance(message, Began) and message.key is not None:
             if part == "world":
                 spent.setdefault(part, []).append(now - begin)
             begin, part = now, names[message.key]
-        elif isinstance(message, Result):
+        elif not isinstance(message, Began):
             spent.setdefault(part, []).append(now - begin)
     mean = {name: sum(values) / len(values) for name, values in spent.items()}
     total = len(plan.tasks) * mean["world"]
@@ -102,7 +103,7 @@ def _sampled(task: Task) -> list[Job]:
     return out
 
 
-def _compile(task: Task) -> None:
+def _compile(task: Task, guests: Guests) -> None:
     from cellslam.benchmarks.bound.cramer_rao import bound
     from cellslam.benchmarks.trials.estimation import warm_up
     from cellslam.benchmarks.trials.trials import record
@@ -110,7 +111,8 @@ def _compile(task: Task) -> None:
     bound(record(scenario_of(task.world), task.seed, task.trial))
     for job in task.jobs:
         try:
-            warm_up(request_of(job.estimator, job.options))
+            request = request_of(job.estimator, job.options, job.oracle)
+            (guests.warm_up if request.foreign else warm_up)(request)
         except Exception:
             # The trial itself will say so in its row.
             continue

@@ -9,13 +9,15 @@ from dataclasses import dataclass, field, replace
 from functools import lru_cache
 from typing import TYPE_CHECKING, Any
 
+from cellslam.scenarios.estimator_options import Request, broken, foreign, loaded
 from cellslam.scenarios.sweep_points import Point
+from cellslam.sim.errors import InputError
 from cellslam.sim.world import KEPT_SCENES, WorldConfig
+from cellslam.slam import registry
 
 if TYPE_CHECKING:
-    from cellslam.benchmarks.bound.cramer_rao import BoundResult
-    from cellslam.benchmarks.trials.trials import Outcome
-    from cellslam.scenarios.estimator_options import Request
+    from cellslam.benchmarks.trials.guests import Guests
+    from cellslam.benchmarks.trials.trials import Drive, Outcome
     from cellslam.scenarios.scenario import Scenario
     from cellslam.sim.recording import Recording
 
@@ -29,6 +31,7 @@ class Job:
     key: str
     estimator: str
     options: str
+    oracle: bool = False
 
 
 @dataclass(frozen=True)
@@ -52,9 +55,10 @@ class Task:
 
 @dataclass(frozen=True)
 class Began:
-    """A worker turns to a job; `key` None: it makes the world."""
+    """A worker turns to a job; `key` None: it makes the world. `apart`: the job runs in a process that must start."""
 
     key: str | None
+    apart: bool = False
 
 
 @dataclass(frozen=True)
@@ -75,6 +79,11 @@ class Lost:
     job: Job
     reason: str
     details: str = ""
+
+    @property
+    def key(self) -> str:
+        """The key of the job."""
+        return self.job.key
 
 
 @dataclass(frozen=True)
@@ -100,13 +109,13 @@ def plan(points: Sequence[Point], trials: int, seed: int, trajectories: bool = T
     Points that differ in estimators' options alone share a world, which is then made once a trial; a job that
     several points share is done once.
     """
-    jobs: dict[str, dict[tuple[str, str], None]] = {}
+    jobs: dict[str, dict[tuple[str, str], bool]] = {}
     cities = set()
     for point in points:
         world = world_json(point.scenario)
         cities.add(point.scenario.city.model_dump_json())
-        asked = ((request.name, options_json(request)) for request in point.requests)
-        jobs.setdefault(world, {}).update(dict.fromkeys(asked))
+        asked = {(request.name, options_json(request)): request.oracle for request in point.requests}
+        jobs.setdefault(world, {}).update(asked)
     order = (
         ((world, trial) for trial in range(trials) for world in jobs)
         if len(cities) <= KEPT_SCENES
@@ -140,55 +149,40 @@ def canonical(value: Any) -> str:
     return json.dumps(value, sort_keys=True, separators=(",", ":"), allow_nan=False)
 
 
-def work(task: Task) -> Iterator[Began | Result]:
-    """Do a task in this process: yield when each job begins, and its result. Whatever goes wrong is a failed row."""
-    from cellslam.benchmarks.bound.cramer_rao import bound
-    from cellslam.benchmarks.trials.trials import explained, failed_row, record
+def work(task: Task, guests: Guests) -> Iterator[Began | Result | Lost]:
+    """Do a task: yield when each job begins, and what it gave. `guests`: processes of other people's estimators."""
+    from cellslam.benchmarks.trials.trials import record, score_trial
 
     yield Began(None)
     scenario = scenario_of(task.world)
-    try:
-        recording = record(scenario, task.seed, task.trial)
-        limit = bound(recording)
-    except Exception as error:
-        text = f"the world cannot be made: {error if _expected(error) else explained(error)}"
-        for job in task.jobs:
-            yield Result(job.key, failed_row(scenario.name, job.estimator, task.trial, task.seed, text))
-        return
-    for job in task.jobs:
-        yield Began(job.key)
-        yield _result(task, job, scenario.name, recording, limit)
+    requests = [request_of(job.estimator, job.options, job.oracle) for job in task.jobs]
+
+    def make() -> Recording:
+        return record(scenario, task.seed, task.trial)
+
+    drive, outcomes = score_trial(make, scenario.name, requests, task.trial, task.seed, guests)
+    for job, request in zip(task.jobs, requests, strict=True):
+        yield Began(job.key, request.foreign)
+        outcome = next(outcomes)
+        if outcome.lost:
+            yield Lost(task, job, outcome.row["error"])
+        else:
+            yield _result(task, job, drive, outcome)
 
 
-def _result(task: Task, job: Job, scenario: str, recording: Recording, limit: BoundResult) -> Result:
-    import traceback
-
+def _result(task: Task, job: Job, drive: Drive, outcome: Outcome) -> Result:
     from cellslam.benchmarks.sweeps.trajectories import pack
-    from cellslam.benchmarks.trials.trials import explained, failed_row, outcome_of
 
-    try:
-        request = request_of(job.estimator, job.options)
-        outcome = outcome_of(recording, scenario, request, task.trial, task.seed, limit)
-        packed = pack(recording, outcome.result, limit) if task.trajectories and outcome.result is not None else None
-    except (Exception, SystemExit) as error:
-        row = failed_row(scenario, job.estimator, task.trial, task.seed, explained(error))
-        return Result(job.key, row, traceback.format_exc())
-    return _packed(job, outcome, packed)
+    packed = None
+    if task.trajectories and drive.recording is not None and outcome.result is not None:
+        packed = pack(drive.recording, outcome.result, drive.bound)
+    note = f"without the bound: {drive.unbound}" if drive.unbound else ""
+    return Result(job.key, outcome.row, outcome.traceback or note, packed)
 
 
-def _packed(job: Job, outcome: Outcome, packed: bytes | None) -> Result:
-    return Result(job.key, outcome.row, outcome.traceback, packed)
-
-
-def _jobs(world: str, asked: Mapping[tuple[str, str], None], trial: int, seed: int) -> Iterator[Job]:
-    for estimator, options in asked:
-        yield Job(identity(world, estimator, options, str(seed), str(trial)), estimator, options)
-
-
-def _expected(error: Exception) -> bool:
-    from cellslam.sim.errors import InputError
-
-    return isinstance(error, InputError)
+def _jobs(world: str, asked: Mapping[tuple[str, str], bool], trial: int, seed: int) -> Iterator[Job]:
+    for (estimator, options), oracle in asked.items():
+        yield Job(identity(world, estimator, options, str(seed), str(trial)), estimator, options, oracle)
 
 
 @lru_cache(maxsize=16)
@@ -200,8 +194,12 @@ def scenario_of(world: str) -> Scenario:
 
 
 @lru_cache(maxsize=64)
-def request_of(estimator: str, options: str) -> Request:
-    """Return the request of an estimator with options as JSON."""
-    from cellslam.scenarios.estimator_options import resolve
-
-    return resolve({estimator: json.loads(options) or {}}, [estimator])[0]
+def request_of(estimator: str, options: str, oracle: bool = False) -> Request:
+    """Return the request of an estimator with options as JSON; other people's is not loaded, `oracle` is believed."""
+    table = json.loads(options)
+    if registry.module_of(estimator) is not None:
+        return foreign(estimator, table, oracle)
+    try:
+        return loaded(estimator, table or {})
+    except InputError as error:
+        return Request(estimator, broken(error), None)

@@ -3,35 +3,24 @@
 from __future__ import annotations
 
 import os
-import signal
-import subprocess
-import sys
 import tempfile
 import time
 from collections import deque
 from collections.abc import Iterable, Iterator
-from dataclasses import dataclass
+from dataclasses import replace
 from multiprocessing import Pipe
 from multiprocessing.connection import Connection, wait
 from typing import IO
 
 from cellslam.benchmarks.sweeps.tasks import Began, Lost, Result, Task
-from cellslam.benchmarks.sweeps.worker import ONE_THREAD, Ready
+from cellslam.benchmarks.sweeps.worker import Ready
+from cellslam.benchmarks.trials.child_process import POLL_S, START_LIMIT_S, Limits, ending, started
 from cellslam.sim.errors import InputError
 
 # Generous: a first use compiles.
-START_LIMIT_S = 300.0
 WORLD_LIMIT_S = 1800.0
-POLL_S = 0.5
 PRINTED_LAST = 4000
-
-
-@dataclass(frozen=True)
-class Limits:
-    """What one job may take, its world not counted: seconds, and bytes of memory in its worker."""
-
-    seconds: float
-    memory_bytes: int
+PROCESS = "its worker process"
 
 
 class Pool:
@@ -98,17 +87,8 @@ class _Worker:
         self.reason = self._last = ""
         self._output: IO[bytes] = tempfile.TemporaryFile()  # noqa: SIM115  (closed by end())
         self.connection, theirs = Pipe()
-        # -P: a file of the current directory must not hide a module.
-        code = "from cellslam.benchmarks.sweeps.worker import main; main()"
-        words = [sys.executable, "-P", "-X", "faulthandler", "-c", code, str(theirs.fileno()), str(limits.memory_bytes)]
-        self.process = subprocess.Popen(
-            words,
-            pass_fds=[theirs.fileno()],
-            stdin=subprocess.DEVNULL,
-            stdout=self._output,
-            stderr=self._output,
-            env={**os.environ, **ONE_THREAD, "OMP_WAIT_POLICY": "PASSIVE"},
-        )
+        numbers = (theirs.fileno(), limits.memory_bytes, round(1e3 * limits.seconds))
+        self.process = started("cellslam.benchmarks.sweeps.worker", numbers, numbers[:1], self._output, True)
         theirs.close()
         self._deadline = time.monotonic() + START_LIMIT_S
 
@@ -137,7 +117,7 @@ class _Worker:
             while self.connection.poll():
                 yield from self._message(self.connection.recv())
         except (EOFError, OSError):
-            yield from self._lost(self._end_of_process())
+            yield from self._lost(ending(self.process, PROCESS))
             return
         if self.overdue:
             self.process.kill()
@@ -146,7 +126,7 @@ class _Worker:
             )
             yield from self._lost(f"no answer within the {what}")
         elif self.died and not self.connection.poll():
-            yield from self._lost(self._end_of_process())
+            yield from self._lost(ending(self.process, PROCESS))
 
     def end(self) -> None:
         """End the process at once."""
@@ -164,9 +144,11 @@ class _Worker:
         self._output.seek(max(0, size - PRINTED_LAST))
         return self._output.read().decode("utf-8", "replace")
 
-    def _message(self, message: Began | Result | Ready) -> Iterator[Result]:
+    def _message(self, message: Began | Result | Lost | Ready) -> Iterator[Result | Lost]:
         at_world = not isinstance(message, Began) or message.key is None
-        self._deadline = time.monotonic() + (WORLD_LIMIT_S if at_world else self.limits.seconds)
+        apart = isinstance(message, Began) and message.apart  # that process has the limit, once it has started
+        limit_s = WORLD_LIMIT_S if at_world else self.limits.seconds + (START_LIMIT_S if apart else 0.0)
+        self._deadline = time.monotonic() + limit_s
         if isinstance(message, Ready):
             self.started = self.idle = True
             self.task = self.job = None
@@ -175,7 +157,7 @@ class _Worker:
         else:
             assert self.task is not None
             self.task = self.task.without(message.key)
-            yield message
+            yield replace(message, details=self.printed()) if isinstance(message, Lost) else message
 
     def _lost(self, reason: str) -> Iterator[Lost | Task]:
         self.reason, self._last = reason, self.printed()
@@ -192,15 +174,3 @@ class _Worker:
             task = task.without(job.key)
         if task.jobs:
             yield task
-
-    def _end_of_process(self) -> str:
-        try:
-            status = self.process.wait(timeout=POLL_S)
-        except subprocess.TimeoutExpired:
-            self.process.kill()
-            return "its worker process closed the connection"
-        if status >= 0:
-            return f"its worker process ended with exit status {status}"
-        name = signal.Signals(-status).name
-        hint = " (out of memory?)" if name == "SIGKILL" else ""
-        return f"its worker process was killed by {name}{hint}"

@@ -1,28 +1,40 @@
-"""Trials: one world for all estimators, each driven over it and scored; an error costs its own row only."""
+"""Trials: one world for all estimators, each driven over it and scored.
+
+What fails what, in `run`, `replay`, `sweep` and the suites alike (`score_trial`): a world that cannot be made, whatever
+the error, fails every row of its trial, which say so; a bound that cannot be computed leaves nulls and a note; an
+estimator's error is its own row's alone. In one place the request itself is blamed: where `run` cannot make the world
+of its first trial as the scenario asks for what cannot be (InputError), it ends with that line and no rows.
+
+cellslam's own estimators run in this process; other people's never do (`guests`), but for one that was defined in
+`__main__`, as in a notebook, since no other process has it.
+"""
 
 from __future__ import annotations
 
 import math
-import traceback
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from cellslam.benchmarks.trials.estimation import BadAnswerError, estimate, warm_up
+import numpy as np
+
+from cellslam.benchmarks.trials.estimation import estimate, warm_up
+from cellslam.benchmarks.trials.failures import GuestError, LostError, details, explained
 from cellslam.benchmarks.trials.trial_result import METRIC_KEYS, ROW_KEYS, TrialResult
-from cellslam.scenarios.estimator_options import Request, resolve
+from cellslam.scenarios import foreign_options
+from cellslam.scenarios.estimator_options import Request
 from cellslam.scenarios.scenario import Scenario
 from cellslam.sim.errors import InputError
 from cellslam.sim.progress import Progress, silent
 from cellslam.sim.randomness import Stream, stream
 from cellslam.sim.recording import Recording
-from cellslam.slam.registry import own_traceback
 
 if TYPE_CHECKING:
     import pandas as pd
 
     from cellslam.benchmarks.bound.cramer_rao import BoundResult
+    from cellslam.benchmarks.trials.guests import Guests
 
 Row = dict[str, Any]
 DEFAULT_ESTIMATORS = ("fastslam", "dead-reckoning")
@@ -31,19 +43,33 @@ ALIGNED = "horizontal, least squares over the whole drive"
 
 @dataclass(frozen=True)
 class Outcome:
-    """One estimator's trial: its row, and its result, or the traceback of why there is none."""
+    """One estimator's trial: its row, and its result, or the traceback of why there is none.
+
+    `lost`: its process died or was killed, which need not be its own fault.
+    """
 
     row: Row
     result: TrialResult | None
     traceback: str = ""
+    lost: bool = False
+
+
+@dataclass(frozen=True)
+class Drive:
+    """What the estimators of a trial meet; without a recording, the `problem` that there was.
+
+    `unbound`: why a recording with truth has no bound.
+    """
+
+    recording: Recording | None
+    bound: BoundResult | None = None
+    unbound: str = ""
+    problem: Exception | None = None
 
 
 @dataclass(frozen=True)
 class Trial:
-    """One trial of all estimators; recording and bound are None where its world could not be made.
-
-    `unbound`: why a recording with truth has no bound.
-    """
+    """One trial of all estimators; recording and bound are None where its world could not be made."""
 
     number: int
     recording: Recording | None
@@ -64,10 +90,11 @@ def run(
 
     `scenario` is a preset's name, a .toml path, or a Scenario (then without overrides); `overrides` are by
     dotted key. A trial that failed is a row with status "failed" and its error. Raises InputError for a wrong
-    request.
+    request. Needs no `if __name__ == "__main__"`.
     """
     import pandas as pd
 
+    from cellslam.benchmarks.trials.guests import Guests
     from cellslam.scenarios.loading import load
 
     if not isinstance(scenario, Scenario):
@@ -75,9 +102,10 @@ def run(
     elif overrides:
         raise InputError("overrides cannot change a Scenario that is already loaded: give its name or path")
     check_counts(trials, seed)
-    requests = resolve(scenario.estimator, estimators, overrides or ())
-    done = simulated_trials(scenario, requests, trials, seed, progress)
-    frame = pd.DataFrame([o.row for trial in done for o in trial.outcomes], columns=list(ROW_KEYS))
+    requests = foreign_options.requests(scenario.estimator, estimators, overrides or ())
+    with Guests() as guests:
+        done = simulated_trials(scenario, requests, trials, seed, guests, progress)
+        frame = pd.DataFrame([o.row for trial in done for o in trial.outcomes], columns=list(ROW_KEYS))
     numbers = [key for key in ROW_KEYS if key in METRIC_KEYS or key.endswith(("_s", "_m", "_seconds", "_factor"))]
     return frame.astype(dict.fromkeys(numbers, "float64"))
 
@@ -99,64 +127,51 @@ def record(scenario: Scenario, seed: int, trial: int, progress: Progress = silen
 
 
 def simulated_trials(
-    scenario: Scenario, requests: Sequence[Request], trials: int, seed: int, progress: Progress = silent
+    scenario: Scenario,
+    requests: Sequence[Request],
+    trials: int,
+    seed: int,
+    guests: Guests,
+    progress: Progress = silent,
 ) -> Iterator[Trial]:
     """Yield trials 0 to `trials` - 1 of root seed `seed`, one after the other.
 
-    Raises InputError when the world of the first trial cannot be made; of a later one it fails that trial.
+    Raises InputError when the world of the first trial cannot be made as the scenario asks.
     """
     for number in range(trials):
-        try:
-            recording = record(scenario, seed, number, progress)
-        except InputError as error:
-            if number == 0:
-                raise
-            text = f"the world cannot be made: {error}"
-            failed = (Outcome(failed_row(scenario.name, r.name, number, seed, text), None) for r in requests)
-            yield Trial(number, None, None, tuple(failed))
-            continue
-        yield score_recording(recording, scenario.name, requests, number, seed, progress)
+
+        def make(trial: int = number) -> Recording:
+            return record(scenario, seed, trial, progress)
+
+        drive, outcomes = score_trial(make, scenario.name, requests, number, seed, guests, progress)
+        if number == 0 and isinstance(drive.problem, InputError):
+            raise drive.problem
+        yield Trial(number, drive.recording, drive.bound, tuple(outcomes), drive.unbound)
 
 
-def score_recording(
-    recording: Recording,
+def score_trial(
+    make: Callable[[], Recording],
     scenario: str,
     requests: Sequence[Request],
     trial: int,
     seed: int,
+    guests: Guests | None = None,
     progress: Progress = silent,
     align: bool = False,
-) -> Trial:
-    """Return the trial of all requested estimators on one recording; seed and trial give their streams.
+) -> tuple[Drive, Iterator[Outcome]]:
+    """Return a trial's drive, and the outcome of each request as it is asked for; seed and trial give their streams.
 
-    `align`: each estimate is first laid onto the truth, and its row says so; there is no bound then.
+    `make` returns the recording. `guests` are the processes of other people's estimators, needed where one is asked
+    for. `align`: each estimate is first laid onto the truth, and its row says so; there is no bound then.
     """
-    from cellslam.benchmarks.bound.cramer_rao import bound
-
-    limit, unbound = None, ""
-    if recording.truth is not None and not align:
-        try:
-            limit = bound(recording, progress)
-        except InputError as error:  # a recording of another version, whose errors are not those of this one
-            unbound = str(error)
-    answers = (outcome_of(recording, scenario, r, trial, seed, limit, progress, align) for r in requests)
-    return Trial(trial, recording, limit, tuple(answers), unbound)
+    drive = _drive(make, progress, align)
+    return drive, (outcome_of(drive, scenario, r, trial, seed, guests, progress, align) for r in requests)
 
 
-def outcome_of(
-    recording: Recording,
-    scenario: str,
-    request: Request,
-    trial: int,
-    seed: int,
-    limit: BoundResult | None,
-    progress: Progress = silent,
-    align: bool = False,
-) -> Outcome:
-    """Return what one estimator makes of a recording; `limit` is the recording's bound, `align` as above."""
-    row = _row(recording, scenario, request.name, trial, seed)
-    outcome = _outcome(recording, row, request, limit, stream(seed, trial, Stream.ESTIMATOR), progress, align)
-    return replace(outcome, row={**outcome.row, "alignment": ALIGNED}) if align else outcome
+def score_recording(recording: Recording, scenario: str, requests: Sequence[Request], *more: Any) -> Trial:
+    """Return the trial of all requests on a recording; further arguments as of `score_trial`, from `trial` on."""
+    drive, outcomes = score_trial(lambda: recording, scenario, requests, *more)
+    return Trial(more[0], drive.recording, drive.bound, tuple(outcomes), drive.unbound)
 
 
 def failed_row(scenario: str, estimator: str, trial: int, seed: int, error: str) -> Row:
@@ -165,28 +180,73 @@ def failed_row(scenario: str, estimator: str, trial: int, seed: int, error: str)
     return {**dict.fromkeys(ROW_KEYS), **first, "status": "failed", "error": error}
 
 
-def _outcome(
-    recording: Recording,
-    row: Row,
+def _drive(make: Callable[[], Recording], progress: Progress, align: bool) -> Drive:
+    from cellslam.benchmarks.bound.cramer_rao import bound
+
+    try:
+        recording = make()
+    except Exception as error:
+        return Drive(None, problem=error)
+    if recording.truth is None or align:
+        return Drive(recording)
+    try:
+        return Drive(recording, bound(recording, progress))
+    except Exception as error:  # of a recording of another version, the errors are not those of this one
+        return Drive(recording, unbound=explained(error))
+
+
+def outcome_of(
+    drive: Drive,
+    scenario: str,
     request: Request,
-    limit: BoundResult | None,
-    rng: Any,
-    progress: Progress,
+    trial: int,
+    seed: int,
+    guests: Guests | None = None,
+    progress: Progress = silent,
     align: bool = False,
 ) -> Outcome:
+    """Return what one estimator makes of a drive; arguments as of `score_trial`."""
+    if drive.recording is None:
+        assert drive.problem is not None
+        text = f"the world cannot be made: {explained(drive.problem)}"
+        return Outcome(failed_row(scenario, request.name, trial, seed, text), None, details(drive.problem))
+    row = _row(drive.recording, scenario, request.name, trial, seed)
+    try:
+        rng = stream(seed, trial, Stream.ESTIMATOR)
+        result = _estimate(drive.recording, request, rng, guests, progress)
+        row, result = _scored(drive.recording, drive.bound, row, result, align)
+    except (Exception, SystemExit) as error:
+        row = {**row, "status": "failed", "error": explained(error)}
+        return Outcome(_labelled(row, align), None, details(error), isinstance(error, LostError))
+    return Outcome(_labelled(row, align), result)
+
+
+def _estimate(
+    recording: Recording, request: Request, rng: np.random.Generator, guests: Guests | None, progress: Progress
+) -> TrialResult:
+    if request.foreign:
+        if guests is None:
+            raise GuestError(f"{request.name} runs in a process of its own, and there is none here")
+        return guests.estimate(recording, request, rng, progress)
+    warm_up(request, progress)
+    return estimate(recording, request, rng, progress)
+
+
+def _scored(
+    recording: Recording, limit: BoundResult | None, row: Row, result: TrialResult, align: bool
+) -> tuple[Row, TrialResult]:
     from cellslam.benchmarks.recordings.alignment import aligned
     from cellslam.benchmarks.scores.metrics import score
 
-    try:
-        warm_up(request, progress)
-        result = estimate(recording, request, rng, progress)
-        result = aligned(recording, result) if align else result
-    except (Exception, SystemExit) as error:
-        return Outcome({**row, "status": "failed", "error": explained(error)}, None, traceback.format_exc())
+    result = aligned(recording, result) if align else result
     seconds = result.estimate_seconds
     times = {"estimate_seconds": seconds, "realtime_factor": row["duration_s"] / seconds}
     row = {**row, "status": "ok", **score(recording, result, limit), **times}
-    return Outcome({key: _plain(row[key]) for key in ROW_KEYS}, result)
+    return {key: _plain(row[key]) for key in ROW_KEYS}, result
+
+
+def _labelled(row: Row, align: bool) -> Row:
+    return {**row, "alignment": ALIGNED} if align else row
 
 
 def _row(recording: Recording, scenario: str, estimator: str, trial: int, seed: int) -> Row:
@@ -195,16 +255,6 @@ def _row(recording: Recording, scenario: str, estimator: str, trial: int, seed: 
     first = {"scenario": scenario, "estimator": estimator, "trial": trial, "seed": seed}
     size = {"snapshots": len(recording.time_s), "duration_s": duration_s(recording)}
     return {**dict.fromkeys(ROW_KEYS), **first, **size, "distance_m": distance_m(recording)}
-
-
-def explained(error: BaseException) -> str:
-    """Return an error as one line: what, in which snapshot, and the estimator's own traceback."""
-    text = " ".join(str(error).split())
-    if isinstance(error, InputError):
-        return text
-    line = text if isinstance(error, BadAnswerError) else f"{type(error).__name__}: {text}".removesuffix(": ")
-    notes = "".join(f", {note}" for note in getattr(error, "__notes__", ()))
-    return line + notes + ("" if isinstance(error, BadAnswerError) else own_traceback(error))
 
 
 def _plain(value: Any) -> Any:

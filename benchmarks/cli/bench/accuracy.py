@@ -11,6 +11,7 @@ from cellslam.benchmarks.cli.arguments import DONE, FAILED, add_work, whole
 from cellslam.benchmarks.cli.sweep import carry
 from cellslam.benchmarks.trials.results_folder import check_file
 from cellslam.scenarios.estimator_options import resolve
+from cellslam.scenarios.foreign_options import asking
 from cellslam.scenarios.suites import Suite, scenario_of, suite
 from cellslam.scenarios.sweep_points import Point
 from cellslam.sim.errors import InputError
@@ -40,10 +41,9 @@ def command(arguments: Namespace) -> int:
     trials = _trials(arguments, one)
     scenarios = tuple(arguments.scenarios) or one.scenarios
     estimators = registry.expanded(arguments.estimators) or built_in()
-    points = []
-    for name in scenarios:
-        scenario = scenario_of(one, name)
-        points.append(Point({}, scenario, resolve(scenario.estimator, estimators)))
+    with asking() as ask:
+        every = [scenario_of(one, name) for name in scenarios]
+        points = [Point({}, s, resolve(s.estimator, estimators, ask=ask)) for s in every]
     out = Path(arguments.out or f"results/{one.name}")
     if arguments.write:
         check_file(Path(arguments.write))

@@ -17,12 +17,12 @@ from typing import Any
 
 from cellslam.benchmarks.cli.arguments import DONE, add_estimators, add_set, whole
 from cellslam.benchmarks.cli.progress_bars import bars
-from cellslam.benchmarks.sweeps.executors import executor, memory_share_bytes
+from cellslam.benchmarks.sweeps.executors import Serial, executor
 from cellslam.benchmarks.sweeps.store import DATABASE, Store, writing
 from cellslam.benchmarks.sweeps.sweeping import carry_out, seconds_of
 from cellslam.benchmarks.sweeps.tasks import Plan, plan
-from cellslam.benchmarks.sweeps.worker_pool import Limits
 from cellslam.benchmarks.trials import trials
+from cellslam.benchmarks.trials.child_process import shares
 from cellslam.benchmarks.trials.trials import DEFAULT_ESTIMATORS, check_counts
 from cellslam.scenarios import sweep_points as sweeps
 from cellslam.scenarios.overrides import parse_all
@@ -70,15 +70,16 @@ def command(arguments: Namespace) -> int:
 
 def parts(points: tuple[sweeps.Point, ...]) -> dict[str, Any]:
     """Return the seconds of one trial by part: its world with the bound, and each estimator."""
-    with executor("serial", 1, Limits(LIMIT_S, 0)):
-        return {"seconds_by_part": {name: round(s, 4) for name, s in seconds_of(plan(points, 1, 0))[1].items()}}
+    with Serial(shares(1, LIMIT_S)) as one:
+        _, seconds = seconds_of(plan(points, 1, 0), one.guests)
+    return {"seconds_by_part": {name: round(s, 4) for name, s in seconds.items()}}
 
 
 def rates(points: tuple[sweeps.Point, ...], count: int, jobs: int, place: Path, progress: Progress) -> dict[str, Any]:
     """Return trials a second of one process and of `jobs` warm ones, and what a sweep adds to the work itself."""
     made, few = plan(points, count, 0), plan(points, 2 * jobs, WARM_SEED)
     out: dict[str, Any] = {}
-    limits = Limits(LIMIT_S, memory_share_bytes(jobs))
+    limits = shares(jobs, LIMIT_S)
     for name, executor_name in (("one", "serial"), ("several", "processes")):
         with executor(executor_name, jobs, limits) as pool, writing(place / name, "bench", {}) as store:
             with progress(f"warming up ({executor_name})", len(few)) as advance:

@@ -72,16 +72,18 @@ def _estimate(recording: Recording, path: Path, arguments: Namespace) -> TrialRe
     """Return the estimate that `cellslam replay` of this file would make."""
     from cellslam.benchmarks.cli.recordings.origin import Origin, estimator_overrides
     from cellslam.benchmarks.trials import trials
-    from cellslam.scenarios.estimator_options import resolve
+    from cellslam.benchmarks.trials.guests import Guests
+    from cellslam.scenarios import foreign_options
     from cellslam.scenarios.overrides import apply
 
     overrides = estimator_overrides(arguments)
     origin = Origin.of(recording, path)
     tables = apply({"estimator": origin.options}, overrides)["estimator"]
-    request = resolve(tables, [arguments.estimator], overrides)[0]
+    request = foreign_options.requests(tables, [arguments.estimator], overrides)[0]
     seed = origin.seed if arguments.seed is None else arguments.seed
-    with bars(arguments.quiet) as progress:
-        outcome = trials.outcome_of(recording, origin.name, request, origin.trial, seed, None, progress)
+    with bars(arguments.quiet) as progress, Guests() as guests:
+        drive = trials.Drive(recording)
+        outcome = trials.outcome_of(drive, origin.name, request, origin.trial, seed, guests, progress)
     if outcome.result is None:
         raise InputError(f"--estimator {arguments.estimator} failed on {path}: {outcome.row['error']}")
     return outcome.result

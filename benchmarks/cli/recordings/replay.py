@@ -11,13 +11,16 @@ from cellslam.benchmarks.cli.arguments import (
     add_options_file,
     add_seed,
     add_set,
+    limits,
 )
 from cellslam.benchmarks.cli.progress_bars import bars
 from cellslam.benchmarks.cli.recordings.origin import Origin, estimator_overrides
 from cellslam.benchmarks.cli.run import Job, note_left_out, report, work_off
 from cellslam.benchmarks.trials import trials
+from cellslam.benchmarks.trials.guests import Guests
 from cellslam.benchmarks.trials.results_folder import Folder, check_folder
-from cellslam.scenarios.estimator_options import resolve, with_options
+from cellslam.scenarios import foreign_options
+from cellslam.scenarios.estimator_options import with_options
 from cellslam.scenarios.overrides import apply
 from cellslam.sim.errors import InputError
 from cellslam.sim.recording import Recording
@@ -49,17 +52,18 @@ def command(arguments: Namespace) -> int:
     seed = origin.seed if arguments.seed is None else arguments.seed
     trials.check_counts(1, seed)
     tables = apply({"estimator": origin.options}, overrides)["estimator"]
-    requests = resolve(tables, arguments.estimators or trials.DEFAULT_ESTIMATORS, overrides)
+    requests = foreign_options.requests(tables, arguments.estimators or trials.DEFAULT_ESTIMATORS, overrides)
     note_left_out(arguments)
     out = Path(arguments.out or f"results/replay-{path.stem}")
     check_folder(out)
     scenario = with_options(origin.scenario, requests) if origin.scenario is not None else None
     job = Job(arguments, scenario, origin.name, requests, 1, Folder(out))
-    with bars(arguments.quiet) as progress:
+    with Guests(limits(arguments, 1)) as guests, bars(arguments.quiet) as progress:
+        guests.begin(requests)
 
         def only() -> Iterator[trials.Trial]:
-            align = arguments.align
-            yield trials.score_recording(recording, origin.name, requests, origin.trial, seed, progress, align)
+            more = (origin.trial, seed, guests, progress, arguments.align)
+            yield trials.score_recording(recording, origin.name, requests, *more)
 
         interrupted = work_off(job, only(), progress)
     return report(job, interrupted)

@@ -1,0 +1,154 @@
+"""What an estimator answers: plain copies, the bytes that carry them to another process, and what is refused."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cellslam.sim.recording import Floats, Recording
+from cellslam.slam.api import Estimate, VtEstimate
+
+Columns = dict[str, NDArray[Any]]
+MOST = 1e9  # metres, radians; a covariance has its square
+MOST_VTS = 100_000
+MOST_ID = 2**53
+ROUNDING = 1e-6  # of a covariance's largest entry: what it may be asymmetric, or its eigenvalues negative
+_NUMBERS = ("pose", "covariance", "clock_offset_m", "clock_offset_variance_m2")
+_VTS = ("id", "link", "position_m", "covariance")
+_WHOLE = frozenset(("association", "vts.id", "vts.link"))
+_SQUARES = frozenset(("covariance", "clock_offset_variance_m2", "vts.covariance"))
+
+
+class BadAnswerError(ValueError):
+    """An answer that breaks the contract of `slam.api`: wrong shape, not finite, or absurd."""
+
+
+def plain(answer: Any) -> Columns:
+    """Return copies of what an Estimate holds, by name, as 64-bit numbers; `vts` as `vts.id` and so on.
+
+    Raises BadAnswerError for anything but an Estimate of numbers, with whole numbers for ids.
+    """
+    if not isinstance(answer, Estimate):
+        raise BadAnswerError(f"step returned {type(answer).__name__}, expected cellslam.slam.api.Estimate")
+    given = {name: getattr(answer, name) for name in (*_NUMBERS, "association")}
+    kept = {name: value for name, value in given.items() if value is not None or name in _NUMBERS[:2]}
+    if answer.vts is not None:
+        kept |= {f"vts.{name}": getattr(answer.vts, name) for name in _VTS}
+    return {name: numbers(name, value) for name, value in kept.items()}
+
+
+def numbers(name: str, value: Any) -> NDArray[Any]:
+    """Return a copy of one array as float64, of ids as int64. Raises BadAnswerError where it holds something else."""
+    array = np.array(value)
+    if array.dtype.kind not in "iuf":
+        raise BadAnswerError(f"{name} holds {array.dtype}, expected real numbers")
+    if name not in _WHOLE:
+        return array.astype(np.float64, copy=False)
+    if not ((np.abs(array) <= MOST_ID) & (array == np.floor(array))).all():
+        raise BadAnswerError(f"{name} holds more than whole numbers up to 2^53")
+    return array.astype(np.int64, copy=False)
+
+
+def encoded(header: Mapping[str, Any], columns: Columns) -> bytes:
+    """Return a message: a line of JSON, then the arrays' bytes."""
+    about = [[name, array.dtype.str, array.shape] for name, array in columns.items()]
+    line = json.dumps({**header, "columns": about}).encode()
+    return b"".join([line, b"\n", *(np.ascontiguousarray(array).tobytes() for array in columns.values())])
+
+
+def decoded(message: bytes) -> tuple[dict[str, Any], Columns]:
+    """Return header and arrays of a message, whoever wrote it. Raises ValueError where it is none."""
+    line, _, rest = message.partition(b"\n")
+    try:
+        header = json.loads(line)
+        columns, at = {}, 0
+        for name, kind, shape in header["columns"]:
+            if kind not in ("<f8", "<i8") or not all(type(n) is int and n >= 0 for n in shape):
+                raise ValueError(kind)
+            count = int(np.prod(shape, dtype=object))
+            columns[str(name)] = np.frombuffer(rest, kind, count, at).reshape(shape)
+            at += 8 * count
+    except (ValueError, TypeError, KeyError, RecursionError) as error:
+        raise ValueError("not a message of this protocol") from error
+    return header, columns
+
+
+class Log:
+    """The answers of a drive so far, checked; optional columns begin when the estimator first gives them."""
+
+    def __init__(self, recording: Recording) -> None:
+        self.rows, self.links, self.sites = recording.rows, len(recording.links), len(recording.sites)
+        self.count = len(recording.time_s)
+        self.columns: Columns = {}
+        self.vts: VtEstimate | None = None
+
+    def add(self, t: int, answer: Columns) -> None:
+        """Keep the answer of snapshot `t`."""
+        part = slice(self.rows[t], self.rows[t + 1])
+        sites = (self.sites,)
+        shapes = {"pose": (6,), "covariance": (6, 6), "clock_offset_m": sites, "clock_offset_variance_m2": sites}
+        for name, shape in (*shapes.items(), ("association", (part.stop - part.start,))):
+            if name not in answer:
+                continue
+            array = checked(name, answer[name], shape)
+            if name == "association":
+                if (array < -1).any():
+                    raise BadAnswerError(f"association holds {array.min()}, expected a VT's id, or -1 for none")
+                self.columns.setdefault(name, np.full(self.rows[-1], -1, np.int64))[part] = array
+            else:
+                self.columns.setdefault(name, np.full((self.count, *shape), np.nan))[t] = array
+        if "vts.id" in answer:
+            self.vts = self._checked_vts(answer)
+
+    def check(self) -> None:
+        """Raise BadAnswerError unless what was claimed over the drive can be variances and covariances."""
+        check_covariances("covariance", self.columns["covariance"], "snapshot")
+        variance = self.columns.get("clock_offset_variance_m2")
+        if variance is not None and (variance < 0.0).any():
+            raise BadAnswerError(
+                f"clock_offset_variance_m2 holds {np.nanmin(variance):.6g}: a variance is not negative"
+            )
+        if self.vts is not None:
+            check_covariances("vts.covariance", self.vts.covariance, "VT")
+
+    def _checked_vts(self, answer: Columns) -> VtEstimate:
+        count = answer["vts.id"].size
+        if count > MOST_VTS:
+            raise BadAnswerError(f"vts has {count} VTs, the most are {MOST_VTS}")
+        shapes = ((count,), (count,), (count, 3), (count, 3, 3))
+        vts = VtEstimate(*(checked(f"vts.{n}", answer[f"vts.{n}"], s) for n, s in zip(_VTS, shapes, strict=True)))
+        if ((vts.link < 0) | (vts.link >= self.links)).any():
+            raise BadAnswerError(f"vts.link has a link that is not one of the {self.links} links")
+        return vts
+
+
+def checked(name: str, array: NDArray[Any], shape: tuple[int, ...]) -> NDArray[Any]:
+    """Return an array unless it has another shape, is not finite, or beyond what it can be (BadAnswerError)."""
+    if array.shape != shape:
+        raise BadAnswerError(f"{name} has shape {array.shape}, expected {shape}")
+    most = MOST_ID if name in _WHOLE else MOST**2 if name in _SQUARES else MOST
+    if not (np.abs(array) <= most).all():
+        if np.isfinite(array).all():
+            raise BadAnswerError(f"{name} holds {np.abs(array).max():.3g}, the most is {most:.3g}")
+        raise BadAnswerError(f"{name} is not finite")
+    return array
+
+
+def check_covariances(name: str, stack: Floats, of: str) -> None:
+    """Raise BadAnswerError unless all matrices (N, n, n) are symmetric, without negative eigenvalues, to rounding."""
+    scale = np.abs(stack).max(axis=(1, 2), initial=0.0)
+    skew = np.abs(stack - np.swapaxes(stack, 1, 2)).max(axis=(1, 2), initial=0.0)
+    least = np.linalg.eigvalsh(stack)[:, 0]
+    variance = np.diagonal(stack, axis1=1, axis2=2).min(axis=1)
+    faults = {
+        "is not symmetric": skew > ROUNDING * scale,
+        "has a negative variance": variance < -1e-12 * scale,
+        "has a negative eigenvalue": least < -ROUNDING * scale,
+    }
+    for what, wrong in faults.items():
+        if wrong.any():
+            raise BadAnswerError(f"{name} {what}, {of} {int(np.argmax(wrong))}")

@@ -1,0 +1,187 @@
+"""Other people's estimators, each in a process of its own, seen from the process that scores them.
+
+Nothing of theirs is imported or unpickled here: numbers arrive, and are checked as every estimator's answers are.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import pickle
+import signal
+import sys
+import threading
+import time
+from collections.abc import Generator, Iterator, Sequence
+from contextlib import contextmanager, suppress
+from dataclasses import replace
+from multiprocessing.connection import wait
+from typing import Any
+
+import numpy as np
+
+from cellslam.benchmarks.trials.answers import Columns, decoded
+from cellslam.benchmarks.trials.child_process import POLL_S, START_LIMIT_S, Limits, ending, shares, started
+from cellslam.benchmarks.trials.estimation import Answer, collected
+from cellslam.benchmarks.trials.failures import GuestError, LostError
+from cellslam.benchmarks.trials.trial_result import TrialResult
+from cellslam.scenarios.estimator_options import Request
+from cellslam.sim.errors import one_line
+from cellslam.sim.progress import Progress, silent
+from cellslam.sim.recording import Recording
+
+MOST_PROCESSES = 8  # at a time; beyond, the one that was started first makes room
+MOST_BYTES = 2**26  # of one message
+MOST_READ = 2**20
+MOST_ERROR = 10_000
+STDERR = 2
+PROCESS = "its process"
+Replies = Generator[tuple[dict[str, Any], Columns]]
+
+
+class Guests:
+    """The processes of other people's estimators, started when first needed. Leaving the context ends them.
+
+    `one_thread`: their libraries keep to one thread.
+    """
+
+    def __init__(self, limits: Limits | None = None, one_thread: bool = False) -> None:
+        self.limits, self.one_thread = limits or shares(1), one_thread
+        self._alive: dict[str, _Guest] = {}
+
+    def __enter__(self) -> Guests:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        for name in list(self._alive):
+            self._end(name)
+
+    def begin(self, requests: Sequence[Request]) -> None:
+        """Start the process of the first foreign estimator, while a world is made."""
+        for request in [r for r in requests if r.foreign][:1]:
+            self._of(request)
+
+    def warm_up(self, request: Request) -> None:
+        """Let a foreign estimator start and compile. Raises GuestError."""
+        with self._asked(request, None) as replies:
+            next(replies)
+
+    def estimate(
+        self, recording: Recording, request: Request, rng: np.random.Generator, progress: Progress = silent
+    ) -> TrialResult:
+        """Return what a foreign estimator says about a recording. Raises GuestError and BadAnswerError.
+
+        It is sent the truth only if it declares to be an oracle.
+        """
+        shown = recording if request.oracle else replace(recording, truth=None, reference=None, provenance={})
+        with self._asked(request, (shown, rng)) as replies:
+            with progress(f"starting {request.name}", 1):
+                next(replies)
+            return collected(recording, request, _answers(replies), progress)
+
+    @contextmanager
+    def _asked(self, request: Request, drive: Any) -> Iterator[Replies]:
+        """Ask for a drive. The process is ended where this does not end well, but for an error that it reported."""
+        try:
+            yield self._of(request).ask(request, drive)
+        except BaseException as error:
+            if type(error) is not GuestError:
+                self._end(request.name)
+            raise
+
+    def _of(self, request: Request) -> _Guest:
+        if request.name not in self._alive:
+            if len(self._alive) >= MOST_PROCESSES:
+                self._end(next(iter(self._alive)))
+            self._alive[request.name] = _Guest(request.name, self.limits, self.one_thread)
+        return self._alive[request.name]
+
+    def _end(self, name: str) -> None:
+        self._alive.pop(name).end()
+
+
+class _Guest:
+    """One process, and the bytes of it that have arrived."""
+
+    def __init__(self, name: str, limits: Limits, one_thread: bool) -> None:
+        self.limits, self._arrived, self._started = limits, bytearray(), False
+        theirs, self._requests = os.pipe()
+        self._replies, answering = os.pipe()
+        arguments = (theirs, answering, limits.memory_bytes)
+        self.process = started("cellslam.benchmarks.trials.guest", arguments, arguments[:2], STDERR, one_thread)
+        os.close(theirs)
+        os.close(answering)
+        self._writing = threading.Thread(target=_write, args=(self._requests, (name, sys.path)), daemon=True)
+        self._writing.start()
+
+    def ask(self, request: Request, drive: Any) -> Replies:
+        """Send options and drive; yield the replies, all within the limit of time. Raises GuestError."""
+        if not self._started:
+            self._reply(time.monotonic() + START_LIMIT_S, START_LIMIT_S)
+            self._started = True
+        options = None if request.options is None else request.options.model_dump(mode="json")
+        self._writing.join()
+        # In a thread: a process that does not read must not keep this one.
+        message = (json.dumps(options), drive)
+        self._writing = threading.Thread(target=_write, args=(self._requests, message), daemon=True)
+        self._writing.start()
+        deadline = time.monotonic() + self.limits.seconds
+        while True:
+            yield self._reply(deadline, self.limits.seconds)
+
+    def end(self) -> None:
+        """End the process at once, and what it has started in its session."""
+        with suppress(ProcessLookupError):
+            os.killpg(self.process.pid, signal.SIGKILL)
+        self.process.wait()
+        self._writing.join(POLL_S)
+        os.close(self._replies)
+        if not self._writing.is_alive():
+            os.close(self._requests)
+
+    def _reply(self, deadline: float, limit_s: float) -> tuple[dict[str, Any], Columns]:
+        while (message := self._message()) is None:
+            left = deadline - time.monotonic()
+            if left <= 0.0:
+                raise LostError(f"no answer within the time limit of {limit_s:g} s")
+            if wait([self._replies], min(left, POLL_S)):
+                chunk = os.read(self._replies, MOST_READ)
+                if not chunk:
+                    raise LostError(ending(self.process, PROCESS))
+                self._arrived += chunk
+            elif self.process.poll() is not None:  # a process that it has started holds the pipe
+                raise LostError(ending(self.process, PROCESS))
+        try:
+            header, columns = decoded(message)
+        except ValueError as error:
+            raise LostError(f"{PROCESS} sent {error}") from error
+        if "error" in header:
+            raise GuestError(one_line(header["error"], MOST_ERROR), str(header.get("details", "")))
+        return header, columns
+
+    def _message(self) -> bytes | None:
+        """Return the next message, None where it has not arrived yet. Raises LostError."""
+        size = int.from_bytes(self._arrived[:8], "little")
+        if size > MOST_BYTES:
+            raise LostError(f"{PROCESS} sent what is no answer, or one of more than {MOST_BYTES} bytes")
+        if len(self._arrived) < 8 + size:
+            return None
+        message = bytes(self._arrived[8 : 8 + size])
+        del self._arrived[: 8 + size]
+        return message
+
+
+def _answers(replies: Replies) -> Iterator[Answer]:
+    begin = time.perf_counter()
+    for header, columns in replies:
+        seconds = header.get("seconds")
+        if not (isinstance(seconds, float) and 0.0 < seconds <= time.perf_counter() - begin + POLL_S):
+            raise LostError(f"{PROCESS} sent a time that cannot be")
+        yield Answer(seconds, columns)
+
+
+def _write(pipe: int, message: Any) -> None:
+    rest = memoryview(pickle.dumps(message))
+    with suppress(OSError):
+        while rest:
+            rest = rest[os.write(pipe, rest) :]
