@@ -4,15 +4,17 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from pydantic import BaseModel, create_model
 
 from cellslam.scenarios.overrides import split
 from cellslam.scenarios.problems import validate
-from cellslam.scenarios.scenario import Scenario
 from cellslam.sim.errors import InputError, unknown_name
 from cellslam.slam import registry
+
+if TYPE_CHECKING:
+    from cellslam.scenarios.scenario import Scenario
 
 Tables = Mapping[str, Mapping[str, Any]]
 # Asks the estimator of a module and name, with a table of options, for all of its options and whether it is an oracle.

@@ -72,7 +72,7 @@ def decoded(message: bytes) -> tuple[dict[str, Any], Columns]:
             count = int(np.prod(shape, dtype=object))
             columns[str(name)] = np.frombuffer(rest, kind, count, at).reshape(shape)
             at += 8 * count
-    except (ValueError, TypeError, KeyError, RecursionError) as error:
+    except (ValueError, TypeError, KeyError, OverflowError, RecursionError) as error:
         raise ValueError("not a message of this protocol") from error
     return header, columns
 

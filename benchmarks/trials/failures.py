@@ -26,8 +26,10 @@ class LostError(GuestError):
 
 def explained(error: BaseException) -> str:
     """Return an error as one line: what, in which snapshot, and the estimator's own traceback."""
+    if isinstance(error, GuestError):
+        return str(error)
     text = one_line(error)
-    if isinstance(error, InputError | GuestError):
+    if isinstance(error, InputError):
         return text
     known = isinstance(error, BadAnswerError)
     line = text if known else f"{type(error).__name__}: {text}".removesuffix(": ")

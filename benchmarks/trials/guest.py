@@ -38,8 +38,8 @@ def main() -> None:
         while True:
             options, drive = pickle.load(requests)
             _serve(name, options, drive, reply)
-    finally:
-        os._exit(0)  # nothing that the estimator has left, a thread or a handler, keeps this process
+    finally:  # nothing that the estimator has left, a thread or a handler, keeps this process
+        os._exit(1)
 
 
 def _serve(name: str, options: str, drive: Any, reply: Callable[..., None]) -> None:

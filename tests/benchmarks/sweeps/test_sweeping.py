@@ -23,7 +23,8 @@ from cellslam.benchmarks.cli.main import main
 from cellslam.benchmarks.sweeps import executors, sweeping, tasks
 from cellslam.benchmarks.sweeps.rows import results
 from cellslam.benchmarks.sweeps.store import DATABASE, TRAJECTORIES, writing
-from cellslam.benchmarks.sweeps.worker_pool import Limits, Pool
+from cellslam.benchmarks.sweeps.worker_pool import Pool
+from cellslam.benchmarks.trials.child_process import Limits
 from cellslam.benchmarks.trials.trial_result import ROW_KEYS
 from cellslam.scenarios import sweep_points as sweep
 from cellslam.sim.errors import InputError
@@ -130,12 +131,12 @@ def test_misfits_cost_their_own_rows_only(place: Path, capfd: pytest.CaptureFixt
     assert errors["Hangs"] == "no answer within the time limit of 2 s; alone it was lost again"
     assert "pose is not finite, snapshot 5" in errors["NotFinite"]
     assert "MemoryError" in errors["EatsMemory"]
-    assert errors["Exits"] == "its worker process ended with exit status 7; alone it was lost again"
+    assert errors["Exits"] == "its process ended with exit status 7; alone it was lost again"
     before = [row for row in rows("out") if row["status"] == "ok"]
     assert before == [found["Good"]]
     # Resumed, nothing is done again; with --retry-failed what failed is.
     (place / "misfits.py").write_text(PLUGIN.replace("snapshot.index == 5", "False"))
-    del sys.modules["misfits"]
+    assert "misfits" not in sys.modules
     tasks.request_of.cache_clear()
     assert main(words(*names, trials=1, more=("--executor", "serial"))) == 1
     assert sum(row["status"] == "failed" for row in rows("out")) == 5
@@ -159,8 +160,8 @@ def test_what_is_lost_once_is_done_alone(place: Path) -> None:
                     yield tasks.Lost(task, lost, "killed")
                 yield from super().run([task.without(lost.key) if len(asked) == 1 else task])
 
-    with writing(place / "out", "test", {}) as store:
-        sweeping.carry_out(made, store, Unlucky(), lambda *_: None)
+    with writing(place / "out", "test", {}) as store, Unlucky(Limits(60, 2**31)) as unlucky:
+        sweeping.carry_out(made, store, unlucky, lambda *_: None)
     assert asked == [["misfits:Good", "dead-reckoning"], ["misfits:Good"]]
     assert {(row["estimator"], row["status"]) for row in rows("out")} == {
         ("misfits:Good", "ok"),
@@ -174,7 +175,9 @@ def test_a_world_is_made_once_for_all_estimators(place: Path, monkeypatch: pytes
     made: list[tuple[int, float]] = []
     real = trials.record
     monkeypatch.setattr(
-        trials, "record", lambda s, seed, trial: made.append((trial, s.radio.load)) or real(s, seed, trial)
+        trials,
+        "record",
+        lambda s, seed, trial, *more: made.append((trial, s.radio.load)) or real(s, seed, trial, *more),
     )
     names = ("misfits:Good", "misfits:Raises", "dead-reckoning")
     assert main(words(*names, more=("--executor", "serial", "--sweep", "radio.load=0.1,0.2"))) == 1
@@ -218,7 +221,6 @@ def undisturbed(tmp_path_factory: pytest.TempPathFactory) -> list[dict[str, Any]
         patch.setattr(sys, "path", list(sys.path))
         tasks.request_of.cache_clear()
         assert main(words("misfits:Slow", "dead-reckoning", trials=TRIALS, more=("--executor", "serial"))) == 0
-        patch.delitem(sys.modules, "misfits")
     return rows(folder / "out")
 
 

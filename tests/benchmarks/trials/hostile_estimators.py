@@ -1,0 +1,311 @@
+"""Estimators that do what none should, each in its own way, at snapshot 5 if not said otherwise; `Good` does not."""
+
+from __future__ import annotations
+
+import ctypes
+import dataclasses
+import os
+import signal
+import sys
+import threading
+import time
+import warnings
+from typing import Any
+
+import numpy as np
+
+from cellslam.sim.frames import integrate_pose
+from cellslam.slam.api import Estimate, Setup, Snapshot, VtEstimate
+
+NOW = 5
+
+
+class Good:
+    """Integrates the odometry."""
+
+    name = "good"
+
+    def __init__(self, options: Any) -> None:
+        del options
+
+    def start(self, setup: Setup, rng: np.random.Generator) -> None:
+        self.setup, self.pose, self.rng = setup, setup.start_pose, rng
+
+    def step(self, dt_s: float, odometry: Any, snapshot: Snapshot) -> Any:
+        self.pose = integrate_pose(self.pose, odometry, dt_s)
+        answer = Estimate(self.pose + 0.01 * self.rng.normal(size=6), np.eye(6))
+        return self.odd(answer, snapshot) if snapshot.index == NOW else answer
+
+    def odd(self, answer: Estimate, snapshot: Snapshot) -> Any:
+        del snapshot
+        return answer
+
+
+class NoTextError(Exception):
+    def __str__(self) -> str:
+        raise RuntimeError("no text")
+
+    __repr__ = __str__
+
+
+class OwnError(BaseException):
+    pass
+
+
+def raising(error: Any) -> Any:
+    def odd(self: Any, answer: Estimate, snapshot: Snapshot) -> Any:
+        raise error() if callable(error) else error
+
+    return odd
+
+
+def noted() -> Exception:
+    error = ValueError("with notes")
+    error.__notes__ = [NoTextError(), "\ud800"]  # type: ignore[list-item]
+    return error
+
+
+def answering(**values: Any) -> Any:
+    def odd(self: Any, answer: Estimate, snapshot: Snapshot) -> Any:
+        return dataclasses.replace(answer, **{k: v(snapshot) if callable(v) else v for k, v in values.items()})
+
+    return odd
+
+
+def doing(act: Any) -> Any:
+    def odd(self: Any, answer: Estimate, snapshot: Snapshot) -> Any:
+        act(self)
+        return answer
+
+    return odd
+
+
+def hang(_: Any) -> None:
+    while True:
+        time.sleep(0.1)
+
+
+def hang_in_c(_: Any) -> None:
+    ctypes.PyDLL(None).sleep(1000)  # holds the interpreter: no thread of Python runs
+
+
+def segfault(_: Any) -> None:
+    ctypes.string_at(0)
+
+
+def eat_memory(_: Any) -> None:
+    kept = [np.empty(10**8) for _ in range(100)]
+    del kept
+
+
+def close_everything(_: Any) -> None:
+    os.closerange(3, 256)
+
+
+def pipe_garbage(_: Any) -> None:
+    for fd in range(3, 64):
+        try:
+            os.write(fd, b"\xffgarbage" * 100)
+        except OSError:
+            continue
+
+
+def pipe_pickle(_: Any) -> None:
+    evil = b"cos\nsystem\n(S'touch pickled'\ntR."
+    for fd in range(3, 64):
+        try:
+            os.write(fd, len(evil).to_bytes(8, "little") + evil)
+        except OSError:
+            continue
+
+
+def leave_child_and_die(_: Any) -> None:
+    if os.fork():
+        os._exit(3)
+    time.sleep(20)  # holds the pipe open
+
+
+def stop(_: Any) -> None:
+    os.kill(os.getpid(), signal.SIGSTOP)
+
+
+ASYMMETRIC = np.eye(6)
+ASYMMETRIC[0, 1] = 0.5
+INDEFINITE = np.eye(6)
+INDEFINITE[0, 1] = INDEFINITE[1, 0] = 2.0
+SMALL = (np.zeros(1, int), np.zeros((1, 3)), np.zeros((1, 3, 3)))
+
+# What each does, and the words that its row then says.
+ODD: dict[str, tuple[Any, str]] = {
+    "Surrogate": (raising(ValueError("lone \ud800 surrogate")), "ValueError: lone \ufffd surrogate, snapshot 5"),
+    "NoWords": (raising(NoTextError), "NoTextError: (no text: its __str__ raised RuntimeError), snapshot 5"),
+    "Notes": (raising(noted), "ValueError: with notes, (no text: its __str__ raised RuntimeError), \ufffd, snapshot 5"),
+    "Long": (raising(lambda: ValueError("x" * 50_000_000)), "(shortened from 50000000 characters), snapshot 5"),
+    "Null": (raising(ValueError("a\0b\x1b[31m")), "ValueError: a\ufffdb\ufffd[31m, snapshot 5"),
+    "Interrupts": (raising(KeyboardInterrupt), "KeyboardInterrupt, snapshot 5"),
+    "GeneratorExits": (raising(GeneratorExit), "GeneratorExit, snapshot 5"),
+    "SystemExits": (raising(SystemExit), "SystemExit, snapshot 5"),
+    "OwnBase": (raising(OwnError), "OwnError, snapshot 5"),
+    "Stops": (raising(StopIteration), "generator raised StopIteration"),
+    "Recursion": (doing(lambda self: self.odd(None, None)), "RecursionError"),
+    "Exits": (doing(lambda _: os._exit(7)), "its process ended with exit status 7"),
+    "Segfaults": (doing(segfault), "its process was killed by SIGSEGV"),
+    "Kills": (
+        doing(lambda _: os.kill(os.getpid(), 9)),
+        "its process was killed by SIGKILL (out of memory?)",
+    ),
+    "LeavesChild": (doing(leave_child_and_die), "its process ended with exit status 3"),
+    "Hangs": (doing(hang), "no answer within the time limit of"),
+    "HangsInC": (doing(hang_in_c), "no answer within the time limit of"),
+    "SuspendsItself": (doing(stop), "no answer within the time limit of"),
+    "EatsMemory": (doing(eat_memory), "MemoryError"),
+    "ClosesAll": (doing(close_everything), "its process ended with exit status"),
+    "Garbage": (doing(pipe_garbage), "its process sent what is no answer"),
+    "Pickle": (doing(pipe_pickle), "its process sent"),
+    "NotFinite": (answering(pose=np.full(6, np.nan)), "pose is not finite, snapshot 5"),
+    "Infinite": (answering(covariance=np.full((6, 6), np.inf)), "covariance is not finite, snapshot 5"),
+    "Complex": (answering(pose=np.zeros(6, complex)), "pose holds complex128, expected real numbers, snapshot 5"),
+    "Strings": (answering(pose=["a"] * 6), "pose holds <U1, expected real numbers, snapshot 5"),
+    "Objects": (answering(pose=np.array([object()] * 6)), "pose holds object, expected real numbers, snapshot 5"),
+    "Booleans": (answering(covariance=np.eye(6, dtype=bool)), "covariance holds bool, expected real numbers"),
+    "Ragged": (answering(pose=[1, [2, 3]]), "ValueError: setting an array element with a sequence"),
+    "Nothing": (answering(pose=None), "pose holds object, expected real numbers"),
+    "NoEstimate": (lambda *_: {"pose": 1}, "step returned dict, expected cellslam.slam.api.Estimate, snapshot 5"),
+    "Far": (answering(pose=np.full(6, 1e200)), "pose holds 1e+200, the most is 1e+09, snapshot 5"),
+    "Huge": (answering(covariance=1e100 * np.eye(6)), "covariance holds 1e+100, the most is 1e+18, snapshot 5"),
+    "Negative": (answering(covariance=-np.eye(6)), "covariance has a negative variance, snapshot 5"),
+    "Asymmetric": (answering(covariance=ASYMMETRIC), "covariance is not symmetric, snapshot 5"),
+    "Indefinite": (answering(covariance=INDEFINITE), "covariance has a negative eigenvalue, snapshot 5"),
+    "BigIds": (
+        answering(association=lambda snapshot: np.full(len(snapshot), 1e300)),
+        "association holds more than whole numbers up to 2^53, snapshot 5",
+    ),
+    "HalfIds": (
+        answering(association=lambda snapshot: np.full(len(snapshot), 0.5)),
+        "association holds more than whole numbers up to 2^53, snapshot 5",
+    ),
+    "NegativeIds": (
+        answering(association=lambda snapshot: np.full(len(snapshot), -7)),
+        "association holds -7, expected a VT's id, or -1 for none, snapshot 5",
+    ),
+    "TwoDimensionalIds": (
+        answering(vts=VtEstimate(np.zeros((1, 1), int), *SMALL)),
+        "vts.id has shape (1, 1), expected (1,), snapshot 5",
+    ),
+    "NegativeVts": (
+        answering(vts=VtEstimate(np.zeros(1, int), *SMALL[:2], -np.eye(3)[None])),
+        "vts.covariance has a negative variance, VT 0",
+    ),
+    "NegativeOffset": (
+        answering(clock_offset_variance_m2=lambda _: np.full(2, -1.0)),
+        "clock_offset_variance_m2 holds -1: a variance is not negative",
+    ),
+}
+for _name, (_odd, _) in ODD.items():
+    globals()[_name] = type(_name, (Good,), {"odd": _odd, "__module__": __name__})
+
+
+class Constructor(Good):
+    def __init__(self, options: Any) -> None:
+        raise OwnError("not made")
+
+
+class HangsAtStart(Good):
+    def start(self, setup: Setup, rng: np.random.Generator) -> None:
+        hang(self)
+
+
+class WarmUpExits(Good):
+    def warm_up(self) -> None:
+        os._exit(5)
+
+
+class FinishOfAnotherShape(Good):
+    def finish(self) -> Any:
+        return np.zeros((3, 6))
+
+
+ELSEWHERE = {
+    "Constructor": "OwnError: not made",
+    "HangsAtStart": "no answer within the time limit of",
+    "WarmUpExits": "its process ended with exit status 5",
+    "FinishOfAnotherShape": "finish(): poses has shape (3, 6)",
+}
+
+
+# Those that follow answer rightly, and must have the row of `Good`: what they do stays with them.
+
+
+class Patches(Good):
+    """Would make every score 0, for all."""
+
+    def start(self, setup: Setup, rng: np.random.Generator) -> None:
+        super().start(setup, rng)
+        for name, module in list(sys.modules.items()):
+            if name.startswith("cellslam.benchmarks"):
+                for key, value in list(vars(module).items()):
+                    if callable(value) and key in ("score", "horizontal_error", "explained", "bound", "record"):
+                        setattr(module, key, lambda *_, **__: {"position_rmse_m": 0.0})
+        from cellslam.benchmarks.scores import metrics
+
+        metrics.score = lambda *_: {"position_rmse_m": 0.0}  # type: ignore[assignment,dict-item]
+
+
+class Disturbs(Good):
+    """Changes what a process has of its own, and leaves it changed."""
+
+    def start(self, setup: Setup, rng: np.random.Generator) -> None:
+        super().start(setup, rng)
+        print("printed on stdout")
+        os.write(1, b"written on stdout\n")
+        os.chdir("/")
+        np.seterr(all="raise")
+        np.random.seed(0)  # noqa: NPY002
+        os.environ.clear()
+        warnings.simplefilter("error")
+        sys.setrecursionlimit(200)
+        signal.signal(signal.SIGTERM, signal.SIG_IGN)
+        sys.stdout = sys.stderr = None  # type: ignore[assignment]
+        sys.path.clear()
+        threading.Thread(target=time.sleep, args=(3600,)).start()
+
+
+class Mutates(Good):
+    """Writes into what it is given, and into what it has answered."""
+
+    def start(self, setup: Setup, rng: np.random.Generator) -> None:
+        super().start(setup, rng)
+        self.buffer, self.before = np.zeros(6), None
+        pose = setup.start_pose.copy()
+        object.__setattr__(setup, "start_pose", np.full(6, 1e6))
+        setup.start_std.setflags(write=True)
+        setup.start_std[:] = 1e6
+        self.pose = pose
+
+    def step(self, dt_s: float, odometry: Any, snapshot: Snapshot) -> Any:
+        answer = super().step(dt_s, odometry, snapshot)
+        self.buffer[:] = answer.pose
+        snapshot.distance_m.setflags(write=True)
+        snapshot.distance_m[:] = np.nan
+        covariance = np.eye(6)
+        if self.before is not None:
+            self.before[:] = np.nan
+        self.before = covariance
+        return dataclasses.replace(answer, pose=self.buffer, covariance=covariance)
+
+
+class Peeks(Good):
+    """Looks for the truth in all that its process holds."""
+
+    def step(self, dt_s: float, odometry: Any, snapshot: Snapshot) -> Any:
+        import gc
+
+        from cellslam.sim.recording import Recording
+
+        held = [one for one in gc.get_objects() if isinstance(one, Recording)] if snapshot.index == NOW else []
+        if any(one.truth is not None or one.provenance for one in held):
+            raise RuntimeError("the truth is here")
+        return super().step(dt_s, odometry, snapshot)
+
+
+HARMLESS = ("Patches", "Disturbs", "Mutates", "Peeks")

@@ -1,0 +1,197 @@
+"""Whatever a stranger's estimator does costs its own row: one line says what, the others' rows are as without it."""
+
+from __future__ import annotations
+
+import importlib.util
+import json
+import sqlite3
+import sys
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from cellslam.benchmarks import run as run_trials
+from cellslam.benchmarks.cli.main import main
+from cellslam.benchmarks.sweeps.rows import results
+from cellslam.benchmarks.sweeps.store import DATABASE
+from cellslam.benchmarks.trials import guests as guests_module
+from cellslam.benchmarks.trials.answers import decoded
+from cellslam.benchmarks.trials.child_process import Limits
+from cellslam.benchmarks.trials.guests import Guests
+from cellslam.benchmarks.trials.trials import score_recording, score_trial
+from cellslam.scenarios.estimator_options import Request, foreign
+from cellslam.sim.recording import Recording
+
+FILE = Path(__file__).with_name("hostile_estimators.py")
+MODULE = "hostile_estimators"
+SET = {"vehicle.distance_m": 5, "vehicle.duration_s": 7.5, "vehicle.stops": 0, "vehicle.stand_first_s": 0}
+SHORT = tuple(word for key, value in SET.items() for word in ("--set", f"{key}={value}"))
+TIMES = ("estimate_seconds", "realtime_factor")
+GIB = 2**30
+# Of all those in the module, the ones that are driven through the commands; and those that need their process to end.
+COMMANDS = ("Surrogate", "NoWords", "Long", "OwnBase", "Exits", "Garbage", "Far", "TwoDimensionalIds")
+PROCESSES = (
+    *("Notes", "Interrupts", "SystemExits", "Segfaults", "Kills", "LeavesChild", "Hangs", "HangsInC"),
+    *("SuspendsItself", "EatsMemory", "ClosesAll", "Pickle", "Constructor", "HangsAtStart", "WarmUpExits"),
+)
+
+
+def load() -> Any:
+    spec = importlib.util.spec_from_file_location("hostile_estimators_here", FILE)
+    assert spec is not None and spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+HOSTILE = load()
+WORDS = {**{name: said for name, (_, said) in HOSTILE.ODD.items()}, **HOSTILE.ELSEWHERE}
+ANSWERS = [name for name in WORDS if name not in (*COMMANDS, *PROCESSES)]
+
+
+@pytest.fixture
+def place(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / f"{MODULE}.py").write_text(FILE.read_text("utf-8"), "utf-8")
+    return tmp_path
+
+
+@pytest.fixture
+def guests() -> Iterator[Guests]:
+    with Guests(Limits(4.0, int(1.5 * GIB)), one_thread=True) as opened:
+        yield opened
+
+
+def asked(*names: str) -> list[str]:
+    return [word for name in names for word in ("--estimator", f"{MODULE}:{name}")]
+
+
+def steady(row: dict[str, Any]) -> dict[str, Any]:
+    return {key: value for key, value in row.items() if key not in (*TIMES, "estimator", "key")}
+
+
+def plain(row: dict[str, Any]) -> dict[str, Any]:
+    return {key: None if value != value else value for key, value in row.items()}
+
+
+def check(rows: list[dict[str, Any]]) -> None:
+    """The hostile ones have failed in one line each; who answers rightly has the row that `Good` has, without them."""
+    found = {row["estimator"].removeprefix(f"{MODULE}:"): row for row in rows}
+    for name in found.keys() & WORDS:
+        error = found[name]["error"]
+        assert found[name]["status"] == "failed" and WORDS[name] in error, (name, error)
+        assert "\n" not in error and len(error) < 5000
+    alone = run_trials("tiny", [f"{MODULE}:Good", "dead-reckoning"], overrides=SET).to_dict("records")
+    good, dead = (plain(steady(row)) for row in alone)
+    assert good["status"] == "ok" and good["position_rmse_m"] > 0.0
+    assert steady(found["dead-reckoning"]) == dead
+    for name in found.keys() & {"Good", *HOSTILE.HARMLESS}:
+        assert steady(found[name]) == good, name
+    assert MODULE not in sys.modules
+
+
+NAMES = ("Patches", "Disturbs", *COMMANDS, "Mutates", "Peeks", "Good")
+
+
+def test_in_run(place: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    few = ("--json", "--no-figures", "--time-limit", "8", "--memory-limit", "1.5", "--out", "out")
+    assert main(["run", "tiny", *SHORT, *asked(*NAMES, "Hangs"), "--estimator", "dead-reckoning", *few]) == 1
+    out = capfd.readouterr().out
+    rows = json.loads(out)
+    check(rows)
+    assert json.loads((place / "out" / "summary.json").read_text("utf-8"))["rows"] == rows
+    longest = (place / "out" / f"error-{MODULE}_Long.txt").read_text("utf-8")
+    assert "Traceback" in longest and len(longest) < 30_000
+    assert "surrogate" in (place / "out" / f"error-{MODULE}_Surrogate.txt").read_text("utf-8")
+
+
+@pytest.mark.parametrize("executor", ["processes", "serial"])
+def test_in_sweep(place: Path, executor: str) -> None:
+    few = ("--quiet", "--time-limit", "60", "--memory-limit", "1.5", "--jobs", "1", "--executor", executor)
+    names = ("Patches", "Exits", "Disturbs", "Surrogate", "Good")
+    words = ["sweep", "tiny", *SHORT, *asked(*names), "--estimator", "dead-reckoning", *few, "--out", "out"]
+    assert main(words) == 1
+    check([plain(row) for row in results(place / "out").to_dict("records")])
+    with sqlite3.connect(place / "out" / DATABASE) as database:
+        (length,) = database.execute("SELECT max(length(traceback)) FROM rows").fetchone()
+    database.close()
+    assert length < 30_000
+
+
+@pytest.mark.parametrize("name", PROCESSES)
+def test_a_process_that_ends_or_hangs(
+    place: Path, guests: Guests, toy_recording: Callable[..., Recording], name: str
+) -> None:
+    asked_for = [foreign(f"{MODULE}:{one}", None, False) for one in (name, "Good")]
+    bad, good = score_recording(toy_recording(), "toy", asked_for, 0, 0, guests).outcomes
+    assert bad.row["status"] == "failed" and WORDS[name] in bad.row["error"], bad.row["error"]
+    assert bad.lost == ("its process" in WORDS[name] or "no answer" in WORDS[name])
+    assert good.row["status"] == "ok", good.row["error"]
+    assert not Path("pickled").exists()
+
+
+@pytest.mark.parametrize("name", ANSWERS)
+def test_an_answer_that_is_none(toy_recording: Callable[..., Recording], name: str) -> None:
+    try:
+        asked_for = [Request(name, getattr(HOSTILE, name), None)]
+        (outcome,) = score_recording(toy_recording(), "toy", asked_for, 0, 0).outcomes
+    except GeneratorExit:  # in a process of its own it is a row, here it ends what runs
+        assert name == "GeneratorExits"
+        return
+    assert outcome.row["status"] == "failed" and WORDS[name] in outcome.row["error"], outcome.row["error"]
+    assert not outcome.lost
+
+
+def test_the_same_process_is_used_again_after_an_error_that_it_reports(
+    place: Path, guests: Guests, toy_recording: Callable[..., Recording]
+) -> None:
+    request, ids = foreign(f"{MODULE}:Complex", None, False), []
+    for trial in range(2):
+        _, outcomes = score_trial(toy_recording, "toy", [request], trial, 0, guests)
+        assert next(outcomes).row["status"] == "failed"
+        ids.append(guests._alive[request.name].process.pid)
+    assert ids[0] == ids[1]
+
+
+def test_no_more_processes_than_allowed(
+    place: Path, guests: Guests, toy_recording: Callable[..., Recording], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(guests_module, "MOST_PROCESSES", 1)
+    names = ("Good", "Mutates", "Good")
+    asked_for = [foreign(f"{MODULE}:{name}", None, False) for name in names]
+    outcomes = score_recording(toy_recording(), "toy", asked_for, 0, 0, guests).outcomes
+    assert [outcome.row["status"] for outcome in outcomes] == ["ok"] * 3 and len(guests._alive) == 1
+
+
+IMPORTS = {
+    "exits": ("import os; os._exit(4)", "its module cannot be imported: its process ended with exit status 4"),
+    "raises": ("raise KeyboardInterrupt", "its module cannot be imported: KeyboardInterrupt"),
+}
+
+
+@pytest.mark.parametrize("kind", IMPORTS)
+def test_a_module_that_cannot_be_imported(place: Path, kind: str) -> None:
+    source, words = IMPORTS[kind]
+    (place / "at_import.py").write_text(source)
+    names = ["at_import:X", "dead-reckoning"]
+    bad, good = run_trials("tiny", names, overrides=SET).to_dict("records")
+    assert (bad["status"], good["status"]) == ("failed", "ok") and words in bad["error"]
+
+
+def test_what_is_patched_at_import_stays_there(place: Path) -> None:
+    patch = "from cellslam.benchmarks.scores import metrics\nmetrics.score = lambda *_: {}\n"
+    (place / "patching.py").write_text(f"{FILE.read_text('utf-8')}\n{patch}", "utf-8")
+    rows = run_trials("tiny", ["patching:Good", "dead-reckoning"], overrides=SET).to_dict("records")
+    assert all(row["position_rmse_m"] > 0.0 for row in rows)
+
+
+@pytest.mark.parametrize(
+    "message",
+    [b"", b"\n", b"[]\n", b'{"columns": [["pose", "O", [1]]]}\n', b'{"columns": [["pose", "<f8", [-1]]]}\n12345678',
+     b'{"columns": [["pose", "<f8", [99999999999, 99999999999]]]}\n', b'{"columns": 3}\n', b"[" * 100_000],
+)  # fmt: skip
+def test_bytes_that_are_no_message_are_refused(message: bytes) -> None:
+    with pytest.raises(ValueError, match="not a message"):
+        decoded(message)
