@@ -10,6 +10,7 @@ from collections.abc import Iterator, Mapping
 from contextlib import closing, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 from cellslam.benchmarks.sweeps.lock import check_local, only_writer
 from cellslam.benchmarks.sweeps.tasks import Plan, Result
@@ -66,7 +67,7 @@ class Store:
         with _explained(self.folder):
             if result.trajectory is not None:
                 _write_bytes(trajectory_path(self.folder, result.key), result.trajectory)
-            values = {**row, **result.row}
+            values = {key: _storable(value) for key, value in {**row, **result.row}.items()}
             marks = ", ".join(f":{key}" for key in (*OWN_KEYS, *ROW_KEYS))
             with self.database:
                 self.database.execute(f"INSERT OR REPLACE INTO rows VALUES ({marks})", values)
@@ -87,7 +88,7 @@ def writing(folder: Path, command: str, versions: Mapping[str, str]) -> Iterator
         with _explained(folder):
             _prepare(folder, database)
             with database:
-                told = (time.strftime("%F %T%z"), platform.node(), command, json.dumps(dict(versions)))
+                told = (time.strftime("%F %T%z"), platform.node(), _storable(command), json.dumps(dict(versions)))
                 statement = "INSERT INTO runs (started, host, command, versions) VALUES (?, ?, ?, ?)"
                 run = database.execute(statement, told).lastrowid
         yield Store(folder, database, int(run or 0))
@@ -126,6 +127,11 @@ def _prepare(folder: Path, database: sqlite3.Connection) -> None:
     # A killed process loses nothing that was committed; a machine that loses power may lose the last rows.
     database.execute("PRAGMA synchronous = NORMAL")
     database.executescript(_TABLES)
+
+
+def _storable(value: Any) -> Any:
+    """Return a value as SQLite takes it: of text, what is no Unicode (as in an odd file's name) escaped."""
+    return value.encode("utf-8", "backslashreplace").decode() if isinstance(value, str) else value
 
 
 def _check_version(folder: Path, database: sqlite3.Connection) -> None:

@@ -89,9 +89,9 @@ def file_name(estimator: str) -> str:
 
 
 def write_text(path: Path, text: str) -> None:
-    """Write a text file at once: first a temporary one beside it, which then takes its place."""
+    """Write a text file at once, whatever the text: first a temporary one beside it, which then takes its place."""
     temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
-    temporary.write_text(text, "utf-8")
+    temporary.write_text(text, "utf-8", "backslashreplace")
     temporary.replace(path)
 
 

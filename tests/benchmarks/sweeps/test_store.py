@@ -96,6 +96,17 @@ def test_a_later_result_replaces_an_earlier_one(tmp_path: Path) -> None:
         assert made.without(open_store.status()).tasks == ()
 
 
+def test_any_text_is_kept(tmp_path: Path) -> None:
+    made = plan_of({})
+    with store.writing(tmp_path, "command \udcff", {}) as open_store:
+        open_store.declare(made)
+        odd = row(keys(made)[0], status="failed", error="lone \ud800, null \0, \x1b")
+        open_store.write(dataclasses.replace(odd, traceback="\udfff"), "w", "o")
+        assert open_store.database.execute("SELECT error, traceback FROM rows").fetchall() == [
+            ("lone \\ud800, null \0, \x1b", "\\udfff")
+        ]
+
+
 def test_second_writer_is_refused_with_the_first_ones_name(tmp_path: Path) -> None:
     script = (
         "import sys; from pathlib import Path; from cellslam.benchmarks.sweeps.store import writing\n"

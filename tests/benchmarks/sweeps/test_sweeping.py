@@ -191,6 +191,22 @@ def test_a_world_that_cannot_be_made_fails_its_rows(place: Path) -> None:
     assert len(failed) == 1 and failed[0]["error"].startswith("the world cannot be made: ")
 
 
+def test_a_bound_that_cannot_be_computed_leaves_nulls_and_a_note(place: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    from cellslam.benchmarks.bound import cramer_rao
+
+    def singular(*_: Any) -> None:
+        raise ArithmeticError("singular")
+
+    monkeypatch.setattr(cramer_rao, "bound", singular)
+    assert main(words("dead-reckoning", trials=1, more=("--executor", "serial"))) == 0
+    (row,) = rows("out")
+    assert row["position_rmse_m"] > 0.0 and row["bound_position_rmse_m"] is None
+    with sqlite3.connect(place / "out" / DATABASE) as database:
+        (note,) = database.execute("SELECT traceback FROM rows").fetchone()
+    database.close()
+    assert note.startswith("without the bound: ArithmeticError: singular")
+
+
 def start(line: list[str], **more: Any) -> subprocess.Popen[str]:
     pipe = subprocess.PIPE
     return subprocess.Popen([COMMAND, *line], stdout=pipe, stderr=pipe, text=True, start_new_session=True, **more)

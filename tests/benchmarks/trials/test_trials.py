@@ -11,10 +11,11 @@ import pytest
 from pydantic import BaseModel
 
 from cellslam.benchmarks import run
+from cellslam.benchmarks.bound import cramer_rao
 from cellslam.benchmarks.scores import metrics
-from cellslam.benchmarks.trials import estimation
+from cellslam.benchmarks.trials import estimation, trials
 from cellslam.benchmarks.trials.trial_result import ROW_KEYS
-from cellslam.benchmarks.trials.trials import Trial, score_recording
+from cellslam.benchmarks.trials.trials import Trial, score_recording, score_trial
 from cellslam.scenarios import load
 from cellslam.scenarios.estimator_options import Request
 from cellslam.sim.errors import InputError
@@ -246,6 +247,44 @@ def test_an_estimator_that_fails_costs_its_own_row_only(
     for word in words:
         assert word in bad.row["error"]
     assert without_times(good.row) == without_times(scored(toy_recording(), Plain).outcomes[0].row)
+
+
+def test_a_world_that_cannot_be_made_fails_the_rows(toy_recording: Toy) -> None:
+    def make() -> Recording:
+        raise ZeroDivisionError("no\nstreet")
+
+    drive, outcomes = score_trial(make, "toy", [request(Plain), request(Full)], 2, 4)
+    rows = [outcome.row for outcome in outcomes]
+    assert drive.recording is None and [row["estimator"] for row in rows] == ["plain", "full"]
+    for row in rows:
+        assert (row["status"], row["trial"], row["snapshots"]) == ("failed", 2, None)
+        assert row["error"].startswith("the world cannot be made: ZeroDivisionError: no street (")
+
+
+def test_any_error_in_the_world_of_any_trial_costs_that_trial(monkeypatch: pytest.MonkeyPatch) -> None:
+    real = trials.record
+
+    def record(scenario: Any, seed: int, trial: int, *more: Any) -> Recording:
+        return real(scenario, seed, trial, *more) if trial == 1 else 1 // 0
+
+    monkeypatch.setattr(trials, "record", record)
+    frame = run("tiny", ["dead-reckoning"], 2)
+    assert frame["status"].tolist() == ["failed", "ok"]
+    assert "the world cannot be made: ZeroDivisionError" in frame["error"][0]
+
+
+def test_a_bound_that_cannot_be_computed_leaves_nulls_and_a_note(
+    toy_recording: Toy, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def singular(*_: Any) -> None:
+        raise np.linalg.LinAlgError("singular")
+
+    whole = scored(toy_recording(), Plain).outcomes[0].row
+    monkeypatch.setattr(cramer_rao, "bound", singular)
+    trial = scored(toy_recording(), Plain)
+    assert trial.bound is None and trial.unbound.startswith("LinAlgError: singular")
+    expected = {**without_times(whole), "bound_position_rmse_m": None}
+    assert without_times(trial.outcomes[0].row) == expected
 
 
 def test_interrupt_is_not_swallowed(toy_recording: Toy) -> None:
