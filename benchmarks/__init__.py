@@ -6,13 +6,14 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from cellslam.benchmarks.python_api import replay, run, sweep
     from cellslam.benchmarks.sweeps.rows import results
     from cellslam.benchmarks.tables.summaries import comparison, summary
-    from cellslam.benchmarks.trials.trials import run
 
-__all__ = ["comparison", "results", "run", "summary"]
+__all__ = ["comparison", "replay", "results", "run", "summary", "sweep"]
 _HOMES = {
-    "comparison": "tables.summaries", "results": "sweeps.rows", "run": "trials.trials", "summary": "tables.summaries",
+    "comparison": "tables.summaries", "replay": "python_api", "results": "sweeps.rows", "run": "python_api",
+    "summary": "tables.summaries", "sweep": "python_api",
 }  # fmt: skip
 
 

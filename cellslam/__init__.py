@@ -17,10 +17,9 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from cellslam.benchmarks.sweeps.python_sweep import sweep
+    from cellslam.benchmarks.python_api import replay, run, sweep
     from cellslam.benchmarks.sweeps.rows import results
     from cellslam.benchmarks.tables.summaries import comparison, summary
-    from cellslam.benchmarks.trials.trials import replay, run
     from cellslam.scenarios.loading import load, preset_names
     from cellslam.scenarios.scenario import Scenario
     from cellslam.scenarios.simulation import simulate
@@ -45,12 +44,12 @@ _HOMES = {
     "estimator_names": "slam.registry:names",
     "load": "scenarios.loading",
     "preset_names": "scenarios.loading",
-    "replay": "benchmarks.trials.trials",
+    "replay": "benchmarks.python_api",
     "results": "benchmarks.sweeps.rows",
-    "run": "benchmarks.trials.trials",
+    "run": "benchmarks.python_api",
     "simulate": "scenarios.simulation",
     "summary": "benchmarks.tables.summaries",
-    "sweep": "benchmarks.sweeps.python_sweep",
+    "sweep": "benchmarks.python_api",
     "trace": "sim.rays.tracing",
 }
 __all__ = [

@@ -9,10 +9,11 @@ import numpy as np
 from cellslam.sim.frames import wrap_angle
 from cellslam.sim.recording import Floats, Links, OdometryModel, Sites
 from cellslam.slam.api import Estimate, Setup, Snapshot
-from cellslam.slam.ekf_slam.motion_kernel import move
+from cellslam.slam.ekf_slam.motion_kernel import Interval, move
+from cellslam.slam.ekf_slam.state_layout import Core, Filter
 
 STATES = 18  # pose, odometry biases, odometry scales: six of each
-BIAS_OF, SCALE_OF, NO_RATES = np.arange(6, 12), np.arange(12, 18), np.zeros(0, np.int64)
+CORE = Core(np.arange(6, 12), np.arange(12, 18), STATES, np.zeros(0, np.int64), STATES)
 
 
 class DeadReckoning:
@@ -39,20 +40,20 @@ class DeadReckoning:
     def start(self, setup: Setup, rng: np.random.Generator) -> None:
         """Take the start pose; nothing is drawn."""
         del rng
-        model = setup.odometry_model
-        self._noise, self._walk = np.array(model.noise_density, float), np.array(model.bias_walk_density, float)
-        self._state, self._covariance = np.zeros((1, STATES)), np.zeros((1, STATES, STATES))
-        self._state[0, :6] = setup.start_pose
-        self._covariance[0] = np.diag(np.concatenate([setup.start_std**2, model.bias**2, model.scale**2]))
-        self._scratch = np.empty((1, 36)), np.empty((1, 6, STATES + 6)), np.empty((1, 6, 3 + STATES))
+        self._model = setup.odometry_model
+        state, covariance = np.zeros((1, STATES)), np.zeros((1, STATES, STATES))
+        state[0, :6] = setup.start_pose
+        covariance[0] = np.diag(np.concatenate([setup.start_std**2, self._model.bias**2, self._model.scale**2]))
+        self._filter = Filter(
+            CORE, True, state, covariance, np.zeros((1, 0, 5)), np.zeros((1, 0, 4), np.int64),
+            np.zeros(1, np.int64), np.zeros((1, 1), np.int64), np.zeros((1, 0, 14)), np.zeros((1, 1), np.int64),
+        )  # fmt: skip
 
     def step(self, dt_s: float, odometry: Floats, snapshot: Snapshot) -> Estimate:
         """Integrate one interval; the measurements are not used."""
         if dt_s > 0.0:
-            move(
-                self._state, self._covariance, np.zeros(1, np.int64), np.array(odometry, float), float(dt_s),
-                self._noise, self._walk, BIAS_OF, SCALE_OF, STATES, NO_RATES, STATES, *self._scratch,
-            )  # fmt: skip
-        pose = self._state[0, :6].copy()
+            noise, walk = np.array(self._model.noise_density, float), np.array(self._model.bias_walk_density, float)
+            move(self._filter, Interval(float(dt_s), np.array(odometry, float), noise, walk))
+        pose = self._filter.x[0, :6].copy()
         pose[3:] = wrap_angle(pose[3:])
-        return Estimate(pose, self._covariance[0, :6, :6].copy())
+        return Estimate(pose, self._filter.p[0, :6, :6].copy())

@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 from cellslam.benchmarks.cli.main import build_parser
+from cellslam.benchmarks.scores.trial_result import ROW_KEYS
 from cellslam.benchmarks.trials.estimation import estimate
-from cellslam.benchmarks.trials.trial_result import ROW_KEYS
 from cellslam.scenarios.estimator_options import resolve
 
 ROOT = Path(__file__).parents[1]

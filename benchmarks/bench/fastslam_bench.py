@@ -10,8 +10,8 @@ import numba
 import numpy as np
 
 from cellslam.benchmarks.bench.rays_bench import peak_memory_bytes
-from cellslam.benchmarks.trials.trials import record
 from cellslam.scenarios import load
+from cellslam.scenarios.simulation import simulate
 from cellslam.sim.progress import Progress
 from cellslam.sim.recording import Floats, Links, OdometryModel, Recording, Sites
 from cellslam.slam.api import Setup, Snapshot, odometry_of, setup_of, snapshots_of
@@ -34,7 +34,7 @@ def drive(scenario: str, seed: int, particles: int, repeat: int, progress: Progr
 
     An update is one measurement used in one particle for one VT.
     """
-    recording = record(load(scenario, {}), seed, 0, progress)
+    recording = simulate(load(scenario, {}), seed, 0, progress=progress)
     seconds, updates = np.inf, 0.0
     with progress(f"FastSLAM, {particles} particles", repeat * len(recording.time_s)) as advance:
         for _ in range(repeat):

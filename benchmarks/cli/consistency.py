@@ -23,7 +23,7 @@ def add_arguments(parser: ArgumentParser) -> None:
 
 def command(arguments: Namespace) -> int:
     """Carry out `cellslam consistency`."""
-    from cellslam.benchmarks.scores.consistency import consistency as measured
+    from cellslam.benchmarks.tables.consistency import consistency as measured
 
     folder = Path(arguments.folder)
     keys = row_keys(folder, Layout(rows=tuple(arguments.rows) or None))

@@ -25,7 +25,7 @@ def command(arguments: Namespace) -> int:
     from cellslam.benchmarks.cli.progress_bars import bars
     from cellslam.benchmarks.figures.sweep.sweep_figures import draw_sweep
     from cellslam.benchmarks.figures.sweep.sweep_look import Look
-    from cellslam.benchmarks.trials.results_folder import check_folder
+    from cellslam.benchmarks.trials.output_files import check_folder
 
     folder = Path(arguments.folder)
     look = Look(arguments.x, arguments.metric, arguments.statistic, arguments.interval / 100)

@@ -22,10 +22,11 @@ from cellslam.benchmarks.cli.arguments import (
     whole,
 )
 from cellslam.benchmarks.cli.progress_bars import bars
+from cellslam.benchmarks.cli.results_folder import Folder
 from cellslam.benchmarks.tables.trials_table import bound_row, results_table
 from cellslam.benchmarks.trials import compile_ahead as ahead
 from cellslam.benchmarks.trials.guests import Guests
-from cellslam.benchmarks.trials.results_folder import Folder, check_folder
+from cellslam.benchmarks.trials.output_files import check_folder
 from cellslam.benchmarks.trials.trials import DEFAULT_ESTIMATORS, Trial, check_counts, simulated_trials
 from cellslam.scenarios import foreign_options
 from cellslam.scenarios.estimator_options import Request, with_options

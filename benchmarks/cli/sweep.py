@@ -21,11 +21,11 @@ from cellslam.benchmarks.cli.arguments import (
 )
 from cellslam.benchmarks.sweeps.executors import Executor, Serial, cores, executor
 from cellslam.benchmarks.sweeps.store import Store, writing
-from cellslam.benchmarks.sweeps.sweeping import carry_out, pending, seconds_of
+from cellslam.benchmarks.sweeps.sweeping import carry_out, pending, seconds_of, versions
 from cellslam.benchmarks.sweeps.tasks import Plan, options_json, plan, world_json
 from cellslam.benchmarks.sweeps.watch import Tally, clock, watching
 from cellslam.benchmarks.trials.child_process import Limits
-from cellslam.benchmarks.trials.results_folder import check_folder
+from cellslam.benchmarks.trials.output_files import check_folder
 from cellslam.benchmarks.trials.trials import DEFAULT_ESTIMATORS, check_counts
 from cellslam.scenarios import sweep_points as sweeps
 from cellslam.scenarios.overrides import parse_all
@@ -72,7 +72,7 @@ def carry(arguments: Namespace, points: Sequence[sweeps.Point], trials: int, see
     command = shlex.join(["cellslam", *arguments.words])
     tally = Tally(0, _names(points))
     try:
-        with writing(out, command, _versions(points)) as store:
+        with writing(out, command, versions(points)) as store:
             todo = pending(made, store, arguments.retry_failed)
             _note(arguments, _said(made, todo))
             with executor(arguments.executor, jobs, allowed, arguments.scheduler) as pool:
@@ -158,13 +158,6 @@ def _names(points: Sequence[sweeps.Point]) -> Mapping[tuple[str, str, str], str]
             )
             names.setdefault((world, request.name, options_json(request)), ", ".join([*own, request.name]))
     return names
-
-
-def _versions(points: Sequence[sweeps.Point]) -> Mapping[str, str]:
-    from cellslam.sim.world import provenance
-
-    versions: Mapping[str, str] = provenance(points[0].scenario.world, 0, 0)["versions"]
-    return versions
 
 
 def _note(arguments: Namespace, text: str) -> None:

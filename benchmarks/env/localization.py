@@ -12,9 +12,9 @@ import numpy as np
 from gymnasium import spaces
 from numpy.typing import NDArray
 
-from cellslam.benchmarks.trials.trials import record
 from cellslam.scenarios.loading import load
 from cellslam.scenarios.scenario import Scenario
+from cellslam.scenarios.simulation import simulate
 from cellslam.sim.errors import InputError, unknown_name
 from cellslam.sim.frames import integrate_pose, mean_velocity
 from cellslam.sim.recording import Floats, Recording
@@ -38,7 +38,7 @@ def recording_of(scenario: Scenario, seed: int, trial: int) -> Recording:
     """Return a trial's recording; the last few are kept, so that meeting one again costs nothing."""
     key = json.dumps([scenario.resolved, seed, trial], sort_keys=True)
     if key not in _recordings:
-        _recordings[key] = record(scenario, seed, trial)
+        _recordings[key] = simulate(scenario, seed, trial)
         while len(_recordings) > KEPT_RECORDINGS:
             _recordings.popitem(last=False)
     _recordings.move_to_end(key)

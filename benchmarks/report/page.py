@@ -25,7 +25,7 @@ def write_report(
     """
     from cellslam.benchmarks.figures.city_page import check_plotly
     from cellslam.benchmarks.report.report_content import content
-    from cellslam.benchmarks.trials.results_folder import check_file
+    from cellslam.benchmarks.trials.output_files import check_file
 
     check_plotly()
     path = Path(folder) / PAGE if out is None else Path(out)
@@ -38,7 +38,7 @@ def write_page(path: Path, content: Mapping[str, Any]) -> None:
     """Write the page of a report's content at once. Raises InputError when the disk refuses."""
     from plotly.offline import get_plotlyjs
 
-    from cellslam.benchmarks.trials.results_folder import write_text
+    from cellslam.benchmarks.trials.output_files import write_text
     from cellslam.sim.errors import InputError
 
     own = files("cellslam.benchmarks.report")

@@ -11,10 +11,10 @@ import numpy as np
 
 from cellslam.benchmarks.report.choice import rounded
 from cellslam.benchmarks.report.scene import scene_of
+from cellslam.benchmarks.scores.trial_result import METRIC_KEYS
 from cellslam.benchmarks.sweeps.store import reading, trajectory_path
 from cellslam.benchmarks.sweeps.tasks import identity, scenario_of
 from cellslam.benchmarks.sweeps.trajectories import Trajectory, unpack
-from cellslam.benchmarks.trials.trial_result import METRIC_KEYS
 from cellslam.sim.errors import InputError
 from cellslam.sim.progress import Progress
 from cellslam.sim.recording import Floats, Ints

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from cellslam.benchmarks.bound.cramer_rao import BoundResult
 from cellslam.benchmarks.scores.association import precision_recall, tracks_of, transmitter_errors
 from cellslam.benchmarks.scores.gospa import gospa
-from cellslam.benchmarks.trials.trial_result import METRIC_KEYS, TrialResult
+from cellslam.benchmarks.scores.trial_result import METRIC_KEYS, TrialResult
 from cellslam.sim.frames import wrap_angle
 from cellslam.sim.recording import Floats, Ints, Recording, Reference, Truth
 from cellslam.slam.api import VtEstimate

@@ -8,8 +8,8 @@ from pathlib import Path
 from sqlite3 import Connection
 from typing import TYPE_CHECKING, Any
 
+from cellslam.benchmarks.scores.trial_result import ROW_KEYS
 from cellslam.benchmarks.sweeps.store import reading
-from cellslam.benchmarks.trials.trial_result import ROW_KEYS
 from cellslam.scenarios.keys import label, nearest_key
 from cellslam.sim.errors import InputError
 

@@ -12,10 +12,10 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from cellslam.benchmarks.scores.trial_result import METRIC_KEYS, ROW_KEYS
 from cellslam.benchmarks.sweeps.lock import check_local, only_writer
 from cellslam.benchmarks.sweeps.tasks import Plan, Result
-from cellslam.benchmarks.trials.results_folder import check_folder
-from cellslam.benchmarks.trials.trial_result import METRIC_KEYS, ROW_KEYS
+from cellslam.benchmarks.trials.output_files import check_folder
 from cellslam.sim.errors import InputError
 
 DATABASE = "results.sqlite"

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -22,6 +22,7 @@ from cellslam.benchmarks.sweeps.tasks import (
     work,
 )
 from cellslam.benchmarks.trials.guests import Guests
+from cellslam.scenarios.sweep_points import Point
 
 Heard = Callable[[Task, Job, Mapping[str, Any]], None]
 SAMPLES_PER_ESTIMATOR = 4
@@ -56,6 +57,14 @@ def pending(plan: Plan, store: Store, retry_failed: bool) -> Plan:
     """Return what of a plan is to be done: what is not stored, and what failed if `retry_failed`."""
     status = store.status()
     return plan.without({key: s for key, s in status.items() if s == "ok" or not retry_failed})
+
+
+def versions(points: Sequence[Point]) -> Mapping[str, str]:
+    """Return the versions of what the rows of a sweep depend on."""
+    from cellslam.sim.world import provenance
+
+    found: Mapping[str, str] = provenance(points[0].scenario.world, 0, 0)["versions"]
+    return found
 
 
 def seconds_of(plan: Plan, guests: Guests) -> tuple[float, Mapping[str, float]]:
@@ -106,9 +115,9 @@ def _sampled(task: Task) -> list[Job]:
 def _compile(task: Task, guests: Guests) -> None:
     from cellslam.benchmarks.bound.cramer_rao import bound
     from cellslam.benchmarks.trials.estimation import warm_up
-    from cellslam.benchmarks.trials.trials import record
+    from cellslam.scenarios.simulation import simulate
 
-    bound(record(scenario_of(task.world), task.seed, task.trial))
+    bound(simulate(scenario_of(task.world), task.seed, task.trial))
     for job in task.jobs:
         try:
             request = request_of(job.estimator, job.options, job.oracle)

@@ -151,14 +151,15 @@ def canonical(value: Any) -> str:
 
 def work(task: Task, guests: Guests) -> Iterator[Began | Result | Lost]:
     """Do a task: yield when each job begins, and what it gave. `guests`: processes of other people's estimators."""
-    from cellslam.benchmarks.trials.trials import record, score_trial
+    from cellslam.benchmarks.trials.trials import score_trial
+    from cellslam.scenarios.simulation import simulate
 
     yield Began(None)
     scenario = scenario_of(task.world)
     requests = [request_of(job.estimator, job.options, job.oracle) for job in task.jobs]
 
     def make() -> Recording:
-        return record(scenario, task.seed, task.trial)
+        return simulate(scenario, task.seed, task.trial)
 
     drive, outcomes = score_trial(make, scenario.name, requests, task.trial, task.seed, guests)
     for job, request in zip(task.jobs, requests, strict=True):

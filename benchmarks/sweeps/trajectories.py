@@ -17,7 +17,7 @@ from cellslam.sim.errors import InputError
 
 if TYPE_CHECKING:
     from cellslam.benchmarks.bound.cramer_rao import BoundResult
-    from cellslam.benchmarks.trials.trial_result import TrialResult
+    from cellslam.benchmarks.scores.trial_result import TrialResult
     from cellslam.sim.recording import Floats, Recording
 
 Singles = NDArray[np.float32]

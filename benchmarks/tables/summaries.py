@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from cellslam.benchmarks.scores.statistics import interval, paired, statistic
+from cellslam.benchmarks.scores.trial_result import METRIC_KEYS
 from cellslam.benchmarks.sweeps.rows import results, varying_keys
-from cellslam.benchmarks.trials.trial_result import METRIC_KEYS
 from cellslam.sim.errors import InputError, unknown_name
 from cellslam.sim.recording import Floats
 

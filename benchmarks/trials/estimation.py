@@ -10,9 +10,9 @@ from typing import Any
 
 import numpy as np
 
+from cellslam.benchmarks.scores.trial_result import TrialResult
 from cellslam.benchmarks.trials import compile_ahead as ahead
 from cellslam.benchmarks.trials.answers import BadAnswerError, Columns, Log, checked, numbers, plain
-from cellslam.benchmarks.trials.trial_result import TrialResult
 from cellslam.scenarios.estimator_options import Request
 from cellslam.sim.progress import Progress, silent
 from cellslam.sim.recording import Recording

@@ -20,11 +20,11 @@ from typing import Any
 
 import numpy as np
 
+from cellslam.benchmarks.scores.trial_result import TrialResult
 from cellslam.benchmarks.trials.answers import Columns, decoded
 from cellslam.benchmarks.trials.child_process import POLL_S, START_LIMIT_S, Limits, ending, shares, started
 from cellslam.benchmarks.trials.estimation import Answer, collected
 from cellslam.benchmarks.trials.failures import GuestError, LostError
-from cellslam.benchmarks.trials.trial_result import TrialResult
 from cellslam.scenarios.estimator_options import Request
 from cellslam.sim.errors import one_line
 from cellslam.sim.progress import Progress, silent

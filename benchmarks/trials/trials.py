@@ -12,27 +12,24 @@ cellslam's own estimators run in this process; other people's never do (`guests`
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
-from pathlib import Path
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from cellslam.benchmarks.scores.trial_result import ROW_KEYS, TrialResult
 from cellslam.benchmarks.trials.estimation import estimate, warm_up
 from cellslam.benchmarks.trials.failures import GuestError, LostError, details, explained
-from cellslam.benchmarks.trials.trial_result import METRIC_KEYS, ROW_KEYS, TrialResult
-from cellslam.scenarios import foreign_options
 from cellslam.scenarios.estimator_options import Request
 from cellslam.scenarios.scenario import Scenario
+from cellslam.scenarios.simulation import simulate
 from cellslam.sim.errors import InputError
 from cellslam.sim.progress import Progress, silent
 from cellslam.sim.randomness import Stream, stream
 from cellslam.sim.recording import Recording
 
 if TYPE_CHECKING:
-    import pandas as pd
-
     from cellslam.benchmarks.bound.cramer_rao import BoundResult
     from cellslam.benchmarks.trials.guests import Guests
 
@@ -78,52 +75,12 @@ class Trial:
     unbound: str = ""
 
 
-def run(
-    scenario: str | Path | Scenario,
-    estimators: Sequence[str] = DEFAULT_ESTIMATORS,
-    trials: int = 1,
-    seed: int = 0,
-    overrides: Mapping[str, Any] | None = None,
-    progress: Progress = silent,
-) -> pd.DataFrame:
-    """Return the rows of `trials` trials of `estimators` in a scenario, one a trial and estimator.
-
-    `scenario` is a preset's name, a .toml path, or a Scenario (then without overrides); `overrides` are by
-    dotted key. A trial that failed is a row with status "failed" and its error. Raises InputError for a wrong
-    request. Needs no `if __name__ == "__main__"`.
-    """
-    import pandas as pd
-
-    from cellslam.benchmarks.trials.guests import Guests
-    from cellslam.scenarios.loading import load
-
-    if not isinstance(scenario, Scenario):
-        scenario = load(scenario, overrides)
-    elif overrides:
-        raise InputError("overrides cannot change a Scenario that is already loaded: give its name or path")
-    check_counts(trials, seed)
-    requests = foreign_options.requests(scenario.estimator, estimators, overrides or ())
-    with Guests() as guests:
-        done = simulated_trials(scenario, requests, trials, seed, guests, progress)
-        frame = pd.DataFrame([o.row for trial in done for o in trial.outcomes], columns=list(ROW_KEYS))
-    numbers = [key for key in ROW_KEYS if key in METRIC_KEYS or key.endswith(("_s", "_m", "_seconds", "_factor"))]
-    return frame.astype(dict.fromkeys(numbers, "float64"))
-
-
 def check_counts(trials: int, seed: int) -> None:
     """Raise InputError unless there is at least one trial and the seed is not negative."""
     if trials < 1:
         raise InputError(f"trials = {trials}: must be at least 1")
     if seed < 0:
         raise InputError(f"seed = {seed}: must be 0 or more")
-
-
-def record(scenario: Scenario, seed: int, trial: int, progress: Progress = silent) -> Recording:
-    """Return the recording of one trial; its provenance holds the resolved scenario, root seed and trial."""
-    from cellslam.sim.world import simulate
-
-    recording = simulate(scenario.world, seed, trial, progress)
-    return replace(recording, provenance={"scenario": scenario.resolved, **recording.provenance})
 
 
 def simulated_trials(
@@ -141,7 +98,7 @@ def simulated_trials(
     for number in range(trials):
 
         def make(trial: int = number) -> Recording:
-            return record(scenario, seed, trial, progress)
+            return simulate(scenario, seed, trial, progress=progress)
 
         drive, outcomes = score_trial(make, scenario.name, requests, number, seed, guests, progress)
         if number == 0 and isinstance(drive.problem, InputError):
@@ -235,7 +192,7 @@ def _estimate(
 def _scored(
     recording: Recording, limit: BoundResult | None, row: Row, result: TrialResult, align: bool
 ) -> tuple[Row, TrialResult]:
-    from cellslam.benchmarks.recordings.alignment import aligned
+    from cellslam.benchmarks.scores.alignment import aligned
     from cellslam.benchmarks.scores.metrics import score
 
     result = aligned(recording, result) if align else result

@@ -11,11 +11,11 @@ import pytest
 
 from cellslam.benchmarks.bound.cramer_rao import bound
 from cellslam.benchmarks.scores.metrics import score
+from cellslam.benchmarks.scores.trial_result import TrialResult
 from cellslam.benchmarks.trials.estimation import estimate, warm_up
-from cellslam.benchmarks.trials.trial_result import TrialResult
-from cellslam.benchmarks.trials.trials import record
 from cellslam.scenarios.estimator_options import resolve
 from cellslam.scenarios.loading import load
+from cellslam.scenarios.simulation import simulate
 from cellslam.sim.frames import integrate_pose
 from cellslam.sim.recording import Recording
 from cellslam.slam.api import Setup, setup_of
@@ -258,7 +258,7 @@ def test_components_add_up_to_the_prior() -> None:
 def white_drive() -> Recording:
     """40 m of lund-530 whose measurement errors are white, as the filter assumes."""
     shorter = {"vehicle.distance_m": 40.0, "vehicle.duration_s": 45.0, "vehicle.stops": 1}
-    return record(load("lund-530", {**WHITE, **shorter}), 4000, 0)
+    return simulate(load("lund-530", {**WHITE, **shorter}), 4000, 0)
 
 
 def answer(recording: Recording, name: str, **options: Any) -> TrialResult:

@@ -10,9 +10,9 @@ import pytest
 
 from cellslam.benchmarks.scores.metrics import score
 from cellslam.benchmarks.trials.estimation import estimate, warm_up
-from cellslam.benchmarks.trials.trials import record
 from cellslam.scenarios.estimator_options import resolve
 from cellslam.scenarios.loading import load
+from cellslam.scenarios.simulation import simulate
 from cellslam.sim.frames import rotation
 from cellslam.slam.api import setup_of, snapshots_of
 from cellslam.slam.channel_slam.channel_slam import ChannelSlam
@@ -62,7 +62,7 @@ def test_birth_is_where_the_measurement_points() -> None:
 
 
 def scores_of(overrides: dict[str, Any]) -> dict[str, Any]:
-    recording = record(load("tiny", overrides), 4000, 0)
+    recording = simulate(load("tiny", overrides), 4000, 0)
     (request,) = resolve({}, ("paper-fastslam",))
     warm_up(request)
     return score(recording, estimate(recording, request, np.random.default_rng(0)), None)

@@ -10,9 +10,9 @@ import pytest
 
 from cellslam.benchmarks.scores.metrics import score
 from cellslam.benchmarks.trials.estimation import estimate, warm_up
-from cellslam.benchmarks.trials.trials import record
 from cellslam.scenarios.estimator_options import resolve
 from cellslam.scenarios.loading import load
+from cellslam.scenarios.simulation import simulate
 from cellslam.sim.recording import Recording
 from cellslam.slam.ekf_slam.guess_kernel import AROUND, _consider, begin, correct, settle, sweep
 from cellslam.slam.ekf_slam.motion_kernel import rotations
@@ -135,7 +135,7 @@ def test_guesses_of_a_lone_distance_go_round_the_circle() -> None:
 @pytest.fixture(scope="module")
 def drifting() -> Recording:
     """A drive of `tiny` with a gyro twenty times worse than the default."""
-    return record(load("tiny", DRIFT), 5, 0)
+    return simulate(load("tiny", DRIFT), 5, 0)
 
 
 def without(recording: Recording, *columns: str) -> Recording:

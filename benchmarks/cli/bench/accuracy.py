@@ -9,7 +9,7 @@ from pathlib import Path
 
 from cellslam.benchmarks.cli.arguments import DONE, FAILED, add_work, whole
 from cellslam.benchmarks.cli.sweep import carry
-from cellslam.benchmarks.trials.results_folder import check_file
+from cellslam.benchmarks.trials.output_files import check_file
 from cellslam.scenarios.estimator_options import resolve
 from cellslam.scenarios.foreign_options import asking
 from cellslam.scenarios.suites import Suite, scenario_of, suite
@@ -51,7 +51,7 @@ def command(arguments: Namespace) -> int:
     if status not in (DONE, FAILED) or arguments.dry_run:
         return status
     from cellslam.benchmarks.tables.suite_tables import suite_markdown
-    from cellslam.benchmarks.trials.results_folder import write_text
+    from cellslam.benchmarks.trials.output_files import write_text
 
     command = shlex.join(["cellslam", *arguments.words])
     left = "" if arguments.estimators else _left_out()

@@ -10,7 +10,7 @@ from typing import Any
 from cellslam.benchmarks.cli.arguments import DONE, whole
 from cellslam.benchmarks.cli.city.city_output import note, write_pictures
 from cellslam.benchmarks.cli.progress_bars import bars
-from cellslam.benchmarks.trials.results_folder import check_folder
+from cellslam.benchmarks.trials.output_files import check_folder
 from cellslam.scenarios.loading import from_tables
 from cellslam.scenarios.overrides import parse_all
 from cellslam.sim.city import build_city

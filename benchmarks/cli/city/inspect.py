@@ -15,7 +15,7 @@ from cellslam.benchmarks.cli.city.city_arguments import MESH_HELP, add_mesh_opti
 from cellslam.benchmarks.cli.city.city_output import note, write_pictures
 from cellslam.benchmarks.cli.city.places import find_city
 from cellslam.benchmarks.cli.progress_bars import bars
-from cellslam.benchmarks.trials.results_folder import check_folder, file_name
+from cellslam.benchmarks.trials.output_files import check_folder, file_name
 from cellslam.sim.city.city_summary import Summary, summarise
 
 

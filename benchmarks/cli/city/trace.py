@@ -14,7 +14,7 @@ from cellslam.benchmarks.cli.city.city_arguments import MESH_HELP, add_mesh_opti
 from cellslam.benchmarks.cli.city.city_output import note
 from cellslam.benchmarks.cli.city.places import find_city, parse_positions, read_positions, write_paths
 from cellslam.benchmarks.cli.progress_bars import bars
-from cellslam.benchmarks.trials.results_folder import check_file
+from cellslam.benchmarks.trials.output_files import check_file
 from cellslam.sim.city import City
 
 if TYPE_CHECKING:

@@ -9,12 +9,12 @@ from typing import TYPE_CHECKING
 
 from cellslam.benchmarks.cli.arguments import DONE, add_options_file
 from cellslam.benchmarks.cli.progress_bars import bars
-from cellslam.benchmarks.trials.results_folder import check_file
+from cellslam.benchmarks.trials.output_files import check_file
 from cellslam.sim.errors import InputError
 from cellslam.sim.recording import Recording
 
 if TYPE_CHECKING:
-    from cellslam.benchmarks.trials.trial_result import TrialResult
+    from cellslam.benchmarks.scores.trial_result import TrialResult
 from cellslam.benchmarks.cli.recordings.write_at_once import at_once
 
 EXPORTS = ("csv", "mat", "tum", "geojson", "ply", "html")
@@ -70,11 +70,12 @@ def command(arguments: Namespace) -> int:
 
 def _estimate(recording: Recording, path: Path, arguments: Namespace) -> TrialResult:
     """Return the estimate that `cellslam replay` of this file would make."""
-    from cellslam.benchmarks.cli.recordings.origin import Origin, estimator_overrides
+    from cellslam.benchmarks.cli.recordings.estimator_options import estimator_overrides
     from cellslam.benchmarks.trials import trials
     from cellslam.benchmarks.trials.guests import Guests
     from cellslam.scenarios import foreign_options
     from cellslam.scenarios.overrides import apply
+    from cellslam.scenarios.recording_origin import Origin
 
     overrides = estimator_overrides(arguments)
     origin = Origin.of(recording, path)

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from cellslam.benchmarks.cli.arguments import DONE
-from cellslam.benchmarks.trials.results_folder import check_file
+from cellslam.benchmarks.trials.output_files import check_file
 from cellslam.sim.recording import Recording
 
 if TYPE_CHECKING:

@@ -14,10 +14,11 @@ from cellslam.benchmarks.cli.arguments import (
 )
 from cellslam.benchmarks.cli.progress_bars import bars
 from cellslam.benchmarks.trials import trials
-from cellslam.benchmarks.trials.results_folder import check_file
+from cellslam.benchmarks.trials.output_files import check_file
 from cellslam.scenarios.estimator_options import resolve
 from cellslam.scenarios.loading import load
 from cellslam.scenarios.overrides import parse_all
+from cellslam.scenarios.simulation import simulate
 from cellslam.sim.errors import InputError
 
 
@@ -40,7 +41,7 @@ def command(arguments: Namespace) -> int:
     path = Path(arguments.out)
     check_file(path)
     with bars(arguments.quiet) as progress:
-        recording = trials.record(scenario, arguments.seed, arguments.trial, progress)
+        recording = simulate(scenario, arguments.seed, arguments.trial, progress=progress)
         recording.save(path)
     if not arguments.quiet:
         sys.stderr.write(

@@ -14,14 +14,16 @@ from cellslam.benchmarks.cli.arguments import (
     limits,
 )
 from cellslam.benchmarks.cli.progress_bars import bars
-from cellslam.benchmarks.cli.recordings.origin import Origin, estimator_overrides
+from cellslam.benchmarks.cli.recordings.estimator_options import estimator_overrides
+from cellslam.benchmarks.cli.results_folder import Folder
 from cellslam.benchmarks.cli.run import Job, note_left_out, report, work_off
 from cellslam.benchmarks.trials import trials
 from cellslam.benchmarks.trials.guests import Guests
-from cellslam.benchmarks.trials.results_folder import Folder, check_folder
+from cellslam.benchmarks.trials.output_files import check_folder
 from cellslam.scenarios import foreign_options
 from cellslam.scenarios.estimator_options import with_options
 from cellslam.scenarios.overrides import apply
+from cellslam.scenarios.recording_origin import Origin
 from cellslam.sim.errors import InputError
 from cellslam.sim.recording import Recording
 

@@ -9,11 +9,11 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from cellslam.benchmarks.scores.trial_result import ROW_KEYS
 from cellslam.benchmarks.sweeps.rows import results
 from cellslam.benchmarks.sweeps.store import trajectory_path
 from cellslam.benchmarks.sweeps.trajectories import unpack
 from cellslam.benchmarks.tables.summaries import groups
-from cellslam.benchmarks.trials.trial_result import ROW_KEYS
 from cellslam.sim.errors import InputError
 from cellslam.sim.recording import Floats
 

@@ -10,7 +10,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from cellslam.benchmarks.figures.style import GREY, LANDMARKS, WIDTH_IN
-from cellslam.benchmarks.trials.trial_result import TrialResult
+from cellslam.benchmarks.scores.trial_result import TrialResult
 from cellslam.sim.recording import Ints, Recording
 
 PANELS = 2

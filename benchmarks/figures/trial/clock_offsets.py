@@ -10,7 +10,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from cellslam.benchmarks.figures.style import TRUTH, WIDTH_IN, estimator_styles
-from cellslam.benchmarks.trials.trial_result import TrialResult
+from cellslam.benchmarks.scores.trial_result import TrialResult
 from cellslam.sim.recording import Floats, Recording
 
 SETTLED_SHARE = 0.25

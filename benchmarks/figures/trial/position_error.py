@@ -10,7 +10,7 @@ from matplotlib.figure import Figure
 from cellslam.benchmarks.bound.cramer_rao import BoundResult
 from cellslam.benchmarks.figures.style import GREY, WIDTH_IN, estimator_styles
 from cellslam.benchmarks.scores.metrics import errors_over_time
-from cellslam.benchmarks.trials.trial_result import TrialResult
+from cellslam.benchmarks.scores.trial_result import TrialResult
 from cellslam.sim.recording import Floats, Recording
 
 ODOMETRY_ALONE = "dead-reckoning"

@@ -8,7 +8,7 @@ import numpy as np
 
 from cellslam.benchmarks.scores.association import Tracks, tracks_of
 from cellslam.benchmarks.scores.metrics import duration_s
-from cellslam.benchmarks.trials.trial_result import TrialResult
+from cellslam.benchmarks.scores.trial_result import TrialResult
 from cellslam.sim.recording import Floats, Ints, Recording
 
 # A VT this near to its site is the site itself, seen in line of sight.

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from cellslam.benchmarks.bound.cramer_rao import BoundResult
-from cellslam.benchmarks.trials.trial_result import TrialResult
+from cellslam.benchmarks.scores.trial_result import TrialResult
 from cellslam.sim.progress import Progress, silent
 from cellslam.sim.recording import Recording
 

@@ -23,7 +23,7 @@ from cellslam.benchmarks.figures.style import (
     estimator_styles,
 )
 from cellslam.benchmarks.figures.trial.reflectors import Reflector, reflectors_of
-from cellslam.benchmarks.trials.trial_result import TrialResult
+from cellslam.benchmarks.scores.trial_result import TrialResult
 from cellslam.sim.recording import Floats, Recording
 
 if TYPE_CHECKING:

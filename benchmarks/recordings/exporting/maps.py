@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from cellslam.benchmarks.trials.trial_result import TrialResult
+from cellslam.benchmarks.scores.trial_result import TrialResult
 from cellslam.benchmarks.trials.tum import write_tum
 from cellslam.sim.errors import InputError
 from cellslam.sim.recording import Floats, Ints, Recording

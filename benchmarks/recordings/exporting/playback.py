@@ -9,7 +9,7 @@ import numpy as np
 
 from cellslam.benchmarks.figures.city_page import check_plotly
 from cellslam.benchmarks.figures.style import BLACK, BLUE, GREEN, GREY, ORANGE, VERMILLION
-from cellslam.benchmarks.trials.trial_result import TrialResult
+from cellslam.benchmarks.scores.trial_result import TrialResult
 from cellslam.sim.recording import Floats, Recording
 
 FRAMES = 240

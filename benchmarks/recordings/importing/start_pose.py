@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from cellslam.benchmarks.recordings.importing.odometry_resampling import Motion, at_array, integrate
+from cellslam.benchmarks.scores.alignment import rigid
 from cellslam.sim.errors import InputError
 from cellslam.sim.recording import Floats, Reference
 
@@ -64,14 +65,3 @@ def _driven(motion: Motion, times: Floats, bias_radps: float) -> Floats:
     """Return the positions (N, 2) at times[1:] from the origin, with a yaw rate lower by `bias_radps`."""
     freed = replace(motion, velocity=motion.velocity - np.array([0.0, 0.0, 0.0, bias_radps, 0.0, 0.0]))
     return integrate(freed, times, np.zeros(6))[0][1:, :2]
-
-
-def rigid(points: Floats, onto: Floats) -> tuple[float, Floats]:
-    """Return angle and shift (2,) of the rigid motion in the plane that takes points (N, 2) best onto others.
-
-    Source: S. Umeyama, Least-squares estimation of transformation parameters, 1991, in two dimensions without scale.
-    """
-    a, b = points - points.mean(axis=0), onto - onto.mean(axis=0)
-    angle = float(np.arctan2((a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]).sum(), (a * b).sum()))
-    c, s = np.cos(angle), np.sin(angle)
-    return angle, onto.mean(axis=0) - np.array([[c, -s], [s, c]]) @ points.mean(axis=0)

@@ -21,7 +21,7 @@ import pytest
 
 from cellslam.benchmarks import run as run_trials
 from cellslam.benchmarks.cli.main import main
-from cellslam.benchmarks.trials.trial_result import ROW_KEYS
+from cellslam.benchmarks.scores.trial_result import ROW_KEYS
 from cellslam.scenarios import load
 
 COMMAND = Path(sys.executable).parent / "cellslam"
@@ -301,14 +301,14 @@ def test_later_world_that_cannot_be_made_fails_its_rows(
     from cellslam.benchmarks.trials import trials
     from cellslam.sim.errors import InputError
 
-    real = trials.record
+    real = trials.simulate
 
-    def second_is_impossible(scenario: Any, seed: int, trial: int, progress: Any) -> Any:
+    def second_is_impossible(scenario: Any, seed: int, trial: int, **more: Any) -> Any:
         if trial == 1:
             raise InputError("no street is long enough")
-        return real(scenario, seed, trial, progress)
+        return real(scenario, seed, trial, **more)
 
-    monkeypatch.setattr(trials, "record", second_is_impossible)
+    monkeypatch.setattr(trials, "simulate", second_is_impossible)
     done = cellslam("run", "tiny", "--estimator", "dead-reckoning", "--trials", "2", "--json", "--no-figures")
     assert done.status == 1
     assert [row["status"] for row in done.rows] == ["ok", "failed"]

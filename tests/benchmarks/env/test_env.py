@@ -15,9 +15,9 @@ import cellslam.benchmarks.env
 from cellslam.benchmarks.env.adapters import AgentEstimator, EstimatorAgent
 from cellslam.benchmarks.env.localization import ACTION_UNIT, LocalizationEnv, observation, snapshot_of
 from cellslam.benchmarks.trials.estimation import estimate, warm_up
-from cellslam.benchmarks.trials.trials import record
 from cellslam.scenarios.estimator_options import Request, resolve
 from cellslam.scenarios.loading import load
+from cellslam.scenarios.simulation import simulate
 from cellslam.sim.errors import InputError
 from cellslam.sim.randomness import Stream, stream
 from cellslam.slam.api import snapshots_of
@@ -80,7 +80,7 @@ def test_estimator_in_the_environment_is_the_estimator_of_run(name: str) -> None
     scenario = load("tiny")
     (request,) = resolve(scenario.estimator, (name,))
     warm_up(request)
-    expected = estimate(record(scenario, 11, 0), request, stream(11, 0, Stream.ESTIMATOR))
+    expected = estimate(simulate(scenario, 11, 0), request, stream(11, 0, Stream.ESTIMATOR))
     env = made()
     seen, _ = env.reset(options={"scenario": "tiny", "seed": 11})
     agent = EstimatorAgent(request.estimator(request.options), env.setup, stream(11, 0, Stream.ESTIMATOR))

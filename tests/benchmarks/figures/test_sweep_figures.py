@@ -11,11 +11,11 @@ from cellslam.benchmarks.cli.main import main
 from cellslam.benchmarks.figures.sweep.sweep_data import load
 from cellslam.benchmarks.figures.sweep.sweep_figures import draw_sweep
 from cellslam.benchmarks.figures.sweep.sweep_look import Look
+from cellslam.benchmarks.scores.trial_result import ROW_KEYS
 from cellslam.benchmarks.sweeps.store import writing
 from cellslam.benchmarks.sweeps.tasks import Result, identity, plan, request_of
 from cellslam.benchmarks.sweeps.trajectories import pack
 from cellslam.benchmarks.trials.estimation import estimate
-from cellslam.benchmarks.trials.trial_result import ROW_KEYS
 from cellslam.scenarios import sweep_points as sweep
 from cellslam.sim.errors import InputError
 from cellslam.sim.recording import Recording

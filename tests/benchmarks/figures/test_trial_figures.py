@@ -17,7 +17,7 @@ from cellslam.benchmarks.figures.trial import position_error as error
 from cellslam.benchmarks.figures.trial import trial_map as overview
 from cellslam.benchmarks.figures.trial.reflectors import reflection_point, reflectors_of
 from cellslam.benchmarks.figures.trial.trial_figures import draw_all
-from cellslam.benchmarks.trials.trial_result import TrialResult
+from cellslam.benchmarks.scores.trial_result import TrialResult
 from cellslam.slam.api import VtEstimate
 
 WALL_X_M = 60.0

@@ -12,10 +12,10 @@ import numpy as np
 import pytest
 
 from cellslam.benchmarks.recordings import Campaign, OdometryTable, ReferenceTable, build
-from cellslam.benchmarks.recordings.alignment import aligned
+from cellslam.benchmarks.scores.alignment import aligned
 from cellslam.benchmarks.scores.metrics import score
+from cellslam.benchmarks.scores.trial_result import TrialResult
 from cellslam.benchmarks.trials.estimation import estimate, warm_up
-from cellslam.benchmarks.trials.trial_result import TrialResult
 from cellslam.scenarios.estimator_options import resolve
 from cellslam.sim.errors import InputError
 from cellslam.sim.frames import integrate_pose

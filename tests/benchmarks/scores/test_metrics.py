@@ -11,7 +11,7 @@ import pytest
 from cellslam.benchmarks.bound.cramer_rao import BoundResult
 from cellslam.benchmarks.scores.association import precision_recall, tracks_of
 from cellslam.benchmarks.scores.metrics import distance_m, duration_s, nees, score
-from cellslam.benchmarks.trials.trial_result import METRIC_KEYS, TrialResult
+from cellslam.benchmarks.scores.trial_result import METRIC_KEYS, TrialResult
 from cellslam.slam.api import VtEstimate
 
 

@@ -11,12 +11,12 @@ from typing import Any
 import numpy as np
 import pytest
 
+from cellslam.benchmarks.scores.trial_result import ROW_KEYS, TrialResult
 from cellslam.benchmarks.sweeps import store
 from cellslam.benchmarks.sweeps.lock import check_local, only_writer
 from cellslam.benchmarks.sweeps.rows import results
 from cellslam.benchmarks.sweeps.tasks import Plan, Result, identity, plan
 from cellslam.benchmarks.sweeps.trajectories import pack, unpack
-from cellslam.benchmarks.trials.trial_result import ROW_KEYS, TrialResult
 from cellslam.scenarios import sweep_points as sweep
 from cellslam.sim.errors import InputError
 from cellslam.sim.recording import Recording

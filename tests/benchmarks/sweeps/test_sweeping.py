@@ -20,12 +20,12 @@ import psutil
 import pytest
 
 from cellslam.benchmarks.cli.main import main
+from cellslam.benchmarks.scores.trial_result import ROW_KEYS
 from cellslam.benchmarks.sweeps import executors, sweeping, tasks
 from cellslam.benchmarks.sweeps.rows import results
 from cellslam.benchmarks.sweeps.store import DATABASE, TRAJECTORIES, writing
 from cellslam.benchmarks.sweeps.worker_pool import Pool
 from cellslam.benchmarks.trials.child_process import Limits
-from cellslam.benchmarks.trials.trial_result import ROW_KEYS
 from cellslam.scenarios import sweep_points as sweep
 from cellslam.sim.errors import InputError
 
@@ -170,13 +170,13 @@ def test_what_is_lost_once_is_done_alone(place: Path) -> None:
 
 
 def test_a_world_is_made_once_for_all_estimators(place: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    from cellslam.benchmarks.trials import trials
+    from cellslam.scenarios import simulation
 
     made: list[tuple[int, float]] = []
-    real = trials.record
+    real = simulation.simulate
     monkeypatch.setattr(
-        trials,
-        "record",
+        simulation,
+        "simulate",
         lambda s, seed, trial, *more: made.append((trial, s.radio.load)) or real(s, seed, trial, *more),
     )
     names = ("misfits:Good", "misfits:Raises", "dead-reckoning")

@@ -13,10 +13,10 @@ import pytest
 
 from cellslam.benchmarks import comparison, results, summary
 from cellslam.benchmarks.cli.main import main
+from cellslam.benchmarks.scores.trial_result import ROW_KEYS
 from cellslam.benchmarks.sweeps.store import DATABASE, writing
 from cellslam.benchmarks.sweeps.tasks import Result, identity, plan
 from cellslam.benchmarks.tables.summaries import Layout
-from cellslam.benchmarks.trials.trial_result import ROW_KEYS
 from cellslam.scenarios import sweep_points as sweep
 from cellslam.sim.errors import InputError
 

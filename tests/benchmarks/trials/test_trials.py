@@ -13,8 +13,8 @@ from pydantic import BaseModel
 from cellslam.benchmarks import run
 from cellslam.benchmarks.bound import cramer_rao
 from cellslam.benchmarks.scores import metrics
+from cellslam.benchmarks.scores.trial_result import ROW_KEYS
 from cellslam.benchmarks.trials import estimation, trials
-from cellslam.benchmarks.trials.trial_result import ROW_KEYS
 from cellslam.benchmarks.trials.trials import Trial, score_recording, score_trial
 from cellslam.scenarios import load
 from cellslam.scenarios.estimator_options import Request
@@ -262,12 +262,12 @@ def test_a_world_that_cannot_be_made_fails_the_rows(toy_recording: Toy) -> None:
 
 
 def test_any_error_in_the_world_of_any_trial_costs_that_trial(monkeypatch: pytest.MonkeyPatch) -> None:
-    real = trials.record
+    real = trials.simulate
 
-    def record(scenario: Any, seed: int, trial: int, *more: Any) -> Recording:
-        return real(scenario, seed, trial, *more) if trial == 1 else 1 // 0
+    def simulate(scenario: Any, seed: int, trial: int, **more: Any) -> Recording:
+        return real(scenario, seed, trial, **more) if trial == 1 else 1 // 0
 
-    monkeypatch.setattr(trials, "record", record)
+    monkeypatch.setattr(trials, "simulate", simulate)
     frame = run("tiny", ["dead-reckoning"], 2)
     assert frame["status"].tolist() == ["failed", "ok"]
     assert "the world cannot be made: ZeroDivisionError" in frame["error"][0]

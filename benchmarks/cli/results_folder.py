@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import json
-import os
-import re
 from collections.abc import Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from cellslam.benchmarks.trials.output_files import file_name, write_text
 from cellslam.sim.errors import InputError
 from cellslam.sim.progress import Progress, silent
 
@@ -63,36 +62,6 @@ class Folder:
             return []
         with _writing(self.path):
             return draw_all(city, trial.recording, results, trial.bound, self.path, progress)
-
-
-def check_folder(path: Path) -> None:
-    """Raise InputError unless a folder `path` exists or can be made, and can be written. Makes nothing."""
-    existing = next(place for place in (path, *path.absolute().parents) if place.exists())
-    if not existing.is_dir():
-        raise InputError(f"--out {path}: {existing} is a file, not a folder; give another --out")
-    if not os.access(existing, os.W_OK | os.X_OK):
-        raise InputError(f"--out {path}: no permission to write in {existing}; give another --out")
-
-
-def check_file(path: Path) -> None:
-    """Raise InputError unless a file `path` can be written in a folder that exists. Makes nothing."""
-    if path.is_dir():
-        raise InputError(f"--out {path}: is a folder; give the name of a file in it")
-    if not path.absolute().parent.is_dir():
-        raise InputError(f"--out {path}: there is no folder {path.parent}; create it first")
-    check_folder(path.absolute().parent)
-
-
-def file_name(estimator: str) -> str:
-    """Return an estimator's name as a part of a file name."""
-    return re.sub(r"[^\w.-]", "_", estimator)
-
-
-def write_text(path: Path, text: str) -> None:
-    """Write a text file at once, whatever the text: first a temporary one beside it, which then takes its place."""
-    temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
-    temporary.write_text(text, "utf-8", "backslashreplace")
-    temporary.replace(path)
 
 
 @contextmanager

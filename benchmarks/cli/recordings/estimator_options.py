@@ -1,47 +1,15 @@
-"""What a recording says of its origin, and the options of estimators on it: for `replay` and `export`."""
+"""Options of estimators on a recording, for `replay` and `export`: those of `--options` and `--set`."""
 
 from __future__ import annotations
 
 import tomllib
 from argparse import Namespace
 from collections.abc import Mapping
-from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
-from cellslam.scenarios.loading import from_tables
 from cellslam.scenarios.overrides import parse_all
 from cellslam.sim.errors import InputError
-from cellslam.sim.recording import Recording
-
-if TYPE_CHECKING:
-    from cellslam.scenarios.scenario import Scenario
-
-
-@dataclass(frozen=True)
-class Origin:
-    """What a recording says about where it comes from; a measured one may say nothing."""
-
-    name: str
-    seed: int
-    trial: int
-    options: Mapping[str, Any]
-    scenario: Scenario | None
-
-    @staticmethod
-    def of(recording: Recording, path: Path) -> Origin:
-        """Read the provenance of a recording loaded from `path`."""
-        said = recording.provenance
-        tables = said.get("scenario")
-        if not isinstance(tables, Mapping):
-            return Origin(path.stem, _count(said.get("seed")), _count(said.get("trial")), {}, None)
-        try:
-            scenario = from_tables(tables)
-        except InputError:
-            # Written by another version of the models: estimators need its options only, not its world.
-            scenario = None
-        name, options = str(tables.get("name", path.stem)), tables.get("estimator", {})
-        return Origin(name, _count(said.get("seed")), _count(said.get("trial")), options, scenario)
 
 
 def estimator_overrides(arguments: Namespace) -> dict[str, Any]:
@@ -66,7 +34,3 @@ def _options_of(path: Path) -> dict[str, Any]:
         what = f"has '{other}'" if other else "has no table [estimator.NAME]"
         raise InputError(f"--options {path}: {what}; it takes tables [estimator.NAME] alone, as fit-noise prints them")
     return {f"estimator.{name}.{key}": value for name, table in estimators.items() for key, value in table.items()}
-
-
-def _count(value: Any) -> int:
-    return value if isinstance(value, int) and not isinstance(value, bool) and value >= 0 else 0

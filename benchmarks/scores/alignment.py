@@ -6,9 +6,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from cellslam.benchmarks.recordings.importing.start_pose import rigid
 from cellslam.benchmarks.scores.metrics import within
-from cellslam.benchmarks.trials.trial_result import TrialResult
+from cellslam.benchmarks.scores.trial_result import TrialResult
 from cellslam.sim.errors import InputError
 from cellslam.sim.frames import rotation, wrap_angle
 from cellslam.sim.recording import Floats, Recording
@@ -47,3 +46,14 @@ def _pairs(recording: Recording, poses: Floats) -> tuple[Floats, Floats]:
     at = reference.time_s[rows]
     estimated = np.column_stack([np.interp(at, recording.time_s, poses[:, i]) for i in range(2)])
     return estimated, reference.position_m[rows, :2]
+
+
+def rigid(points: Floats, onto: Floats) -> tuple[float, Floats]:
+    """Return angle and shift (2,) of the rigid motion in the plane that takes points (N, 2) best onto others.
+
+    Source: S. Umeyama, Least-squares estimation of transformation parameters, 1991, in two dimensions without scale.
+    """
+    a, b = points - points.mean(axis=0), onto - onto.mean(axis=0)
+    angle = float(np.arctan2((a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]).sum(), (a * b).sum()))
+    c, s = np.cos(angle), np.sin(angle)
+    return angle, onto.mean(axis=0) - np.array([[c, -s], [s, c]]) @ points.mean(axis=0)

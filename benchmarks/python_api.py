@@ -1,0 +1,131 @@
+"""`run`, `replay` and `sweep` for Python: the commands of these names, with tables instead of files."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from cellslam.benchmarks.scores.trial_result import METRIC_KEYS, ROW_KEYS
+from cellslam.benchmarks.trials.guests import Guests
+from cellslam.benchmarks.trials.trials import (
+    DEFAULT_ESTIMATORS,
+    Trial,
+    check_counts,
+    score_recording,
+    simulated_trials,
+)
+from cellslam.scenarios import foreign_options
+from cellslam.scenarios.overrides import apply
+from cellslam.scenarios.recording_origin import Origin
+from cellslam.scenarios.scenario import Scenario
+from cellslam.scenarios.simulation import scenario_of
+from cellslam.scenarios.sweep_points import Sweep, points
+from cellslam.sim.errors import InputError
+from cellslam.sim.progress import Progress, silent
+from cellslam.sim.recording import Recording
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+Estimators = str | type[Any] | Sequence[str | type[Any]]
+
+
+def run(
+    scenario: str | Path | Scenario,
+    estimators: Estimators = DEFAULT_ESTIMATORS,
+    trials: int = 1,
+    seed: int = 0,
+    overrides: Mapping[str, Any] | None = None,
+    progress: Progress = silent,
+) -> pd.DataFrame:
+    """Return the rows of `trials` trials of `estimators` in a scenario, one a trial and estimator.
+
+    `scenario` is a preset's name, a .toml path, or a Scenario (then without overrides); an estimator is a name,
+    "module:Class", or a class; `overrides` are by dotted key. A trial that failed is a row with status "failed" and its
+    error. Raises InputError for a wrong request. Needs no `if __name__ == "__main__"`.
+    """
+    chosen = scenario_of(scenario, overrides)
+    check_counts(trials, seed)
+    requests = foreign_options.requests(chosen.estimator, names_of(estimators), overrides or ())
+    with Guests() as guests:
+        return _table(simulated_trials(chosen, requests, trials, seed, guests, progress))
+
+
+def replay(
+    recording: str | Path | Recording,
+    estimators: Estimators = DEFAULT_ESTIMATORS,
+    seed: int | None = None,
+    overrides: Mapping[str, Any] | None = None,
+    align: bool = False,
+    progress: Progress = silent,
+) -> pd.DataFrame:
+    """Return the rows of `estimators` on a recording or the file of one, each scored by truth or reference.
+
+    `seed`: of the estimators' draws (None: the recording's own); `overrides`: options as
+    "estimator.fastslam.particles"; `align`: each estimate is first laid onto the truth. Raises InputError.
+    """
+    place = Path("recording" if isinstance(recording, Recording) else recording)
+    drive = recording if isinstance(recording, Recording) else Recording.load(place)
+    origin = Origin.of(drive, place)
+    root = origin.seed if seed is None else seed
+    check_counts(1, root)
+    tables = apply({"estimator": origin.options}, overrides or {})["estimator"]
+    requests = foreign_options.requests(tables, names_of(estimators), overrides or ())
+    with Guests() as guests:
+        return _table([score_recording(drive, origin.name, requests, origin.trial, root, guests, progress, align)])
+
+
+def sweep(
+    scenario: str | Path,
+    axes: Mapping[str, Sequence[Any]],
+    out: str | Path,
+    estimators: Estimators = DEFAULT_ESTIMATORS,
+    trials: int = 1,
+    seed: int = 0,
+    overrides: Mapping[str, Any] | None = None,
+    jobs: int | None = None,
+    progress: Progress = silent,
+) -> pd.DataFrame:
+    """Return the rows of every combination of the `axes`, keys with their values, kept in the folder `out`.
+
+    What `out` has already is not done again. `jobs`: processes (None: one a core). The table has a column for each key
+    that varies; `cellslam.summary(out)` and `cellslam table` sum it up. Raises InputError.
+    """
+    from cellslam.benchmarks.sweeps.executors import cores, executor
+    from cellslam.benchmarks.sweeps.rows import results
+    from cellslam.benchmarks.sweeps.store import writing
+    from cellslam.benchmarks.sweeps.sweeping import carry_out, pending, versions
+    from cellslam.benchmarks.sweeps.tasks import plan
+    from cellslam.benchmarks.trials.child_process import shares
+
+    check_counts(trials, seed)
+    values = tuple(tuple({key: value} for value in several) for key, several in axes.items())
+    asked = points(Sweep(str(scenario), overrides or {}, values), names_of(estimators))
+    processes = jobs or cores()
+    command = f"cellslam.sweep({str(scenario)!r}, {dict(axes)!r})"
+    with writing(Path(out), command, versions(asked)) as store:
+        todo = pending(plan(asked, trials, seed), store, retry_failed=False)
+        with executor("processes", processes, shares(processes)) as pool, progress("trials", len(todo)) as advance:
+            carry_out(todo, store, pool, lambda *_: advance(1))
+    return results(out)
+
+
+def names_of(estimators: Estimators) -> tuple[str, ...]:
+    """Return estimators, one or several, as names; a class is "module:Class"."""
+    several = (estimators,) if isinstance(estimators, str | type) else tuple(estimators)
+    wrong = [one for one in several if not isinstance(one, str | type)]
+    if wrong:
+        raise InputError(f"estimator {wrong[0]!r}: give a name, 'module:Class', or the class itself")
+    return tuple(one if isinstance(one, str) else f"{one.__module__}:{one.__qualname__}" for one in several)
+
+
+def _table(trials: Iterable[Trial]) -> pd.DataFrame:
+    import pandas as pd
+
+    def rows() -> Iterator[dict[str, Any]]:
+        return (outcome.row for trial in trials for outcome in trial.outcomes)
+
+    frame = pd.DataFrame(rows(), columns=list(ROW_KEYS))
+    numbers = [key for key in ROW_KEYS if key in METRIC_KEYS or key.endswith(("_s", "_m", "_seconds", "_factor"))]
+    return frame.astype(dict.fromkeys(numbers, "float64"))
