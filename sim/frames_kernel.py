@@ -5,7 +5,8 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
+
+from cellslam.sim.compiling import njit
 
 TURN = 2.0 * math.pi
 

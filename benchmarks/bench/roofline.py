@@ -10,8 +10,8 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numba import njit
 
+from cellslam.sim.compiling import njit
 from cellslam.slam.fastslam.parts import clock
 from cellslam.slam.fastslam.snapshot import pair_kernel, predict_kernel, update_kernel
 from cellslam.slam.fastslam.state.layout import LANES, RECORD

@@ -11,10 +11,10 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
 
 from cellslam.benchmarks.bound.bound_model import Errors, Looks, Motion, Sightings, Work
 from cellslam.benchmarks.bound.states_kernel import POSE, append, decay, enter, leave, predict
+from cellslam.sim.compiling import njit
 from cellslam.sim.recording import Floats, Ints
 from cellslam.slam.model.downdate_kernel import downdate
 

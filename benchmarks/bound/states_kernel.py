@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 
 from cellslam.benchmarks.bound.bound_model import Errors, Looks, Motion, Sightings
+from cellslam.sim.compiling import njit
 from cellslam.sim.recording import Floats, Ints
 
 POSE = 6

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 
 from cellslam.sim.city.city import Floats, Ints
+from cellslam.sim.compiling import njit
 
 
 @njit(cache=True)

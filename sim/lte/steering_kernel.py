@@ -10,8 +10,7 @@ import cmath
 import math
 from typing import NamedTuple
 
-from numba import njit
-
+from cellslam.sim.compiling import njit
 from cellslam.sim.frames_kernel import wrap
 from cellslam.sim.lte.statistical.detector_layout import Array
 

@@ -6,7 +6,8 @@ Source: the law of diffraction, Keller, "Geometrical theory of diffraction", 196
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
+
+from cellslam.sim.compiling import njit
 
 
 @njit(cache=True)

@@ -10,8 +10,9 @@ from __future__ import annotations
 from typing import Any, NamedTuple
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
+
+from cellslam.sim.compiling import njit
 
 Array = NDArray[Any]
 INSIDE_M = 1e-6

@@ -8,8 +8,8 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from numba import njit
 
+from cellslam.sim.compiling import njit
 from cellslam.sim.rays.first_order_kernel import INSIDE_M, Array, Box, FacetTable, Images, bounds, inside, reaches
 
 

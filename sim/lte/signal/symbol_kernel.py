@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import math
 
-from numba import njit
-
+from cellslam.sim.compiling import njit
 from cellslam.sim.lte.statistical.detector_layout import Array
 
 

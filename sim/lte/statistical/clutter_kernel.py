@@ -8,8 +8,7 @@ from __future__ import annotations
 import math
 from typing import Any
 
-from numba import njit
-
+from cellslam.sim.compiling import njit
 from cellslam.sim.frames_kernel import wrap
 from cellslam.sim.lte.statistical.detector_layout import (
     DIFFUSE_SHARE,

@@ -13,8 +13,8 @@ import math
 from typing import Any
 
 import numpy as np
-from numba import njit
 
+from cellslam.sim.compiling import njit
 from cellslam.sim.frames_kernel import wrap
 from cellslam.sim.lte.budget_kernel import link_powers
 from cellslam.sim.lte.persisting_errors_kernel import Fields, write_attitude, write_persisting

@@ -8,8 +8,8 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 
+from cellslam.sim.compiling import njit
 from cellslam.sim.lte.signal.path_estimator.climb_kernel import Steps, climb
 from cellslam.sim.lte.signal.path_estimator.joint_fit_kernel import Normal
 from cellslam.sim.lte.signal.path_estimator.search_kernel import PowerSpectrum, strongest

@@ -6,8 +6,8 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 
+from cellslam.sim.compiling import njit
 from cellslam.sim.frames_kernel import wrap
 from cellslam.sim.lte.signal.path_estimator.joint_fit_kernel import Normal, normal_equations
 from cellslam.sim.lte.signal.path_estimator.one_path_kernel import normal_equations_of_one

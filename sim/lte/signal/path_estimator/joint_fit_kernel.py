@@ -10,8 +10,8 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 
+from cellslam.sim.compiling import njit
 from cellslam.sim.lte.statistical.detector_layout import Array
 
 RIDGE = 1e-10  # of the largest diagonal element: keeps coincident paths solvable

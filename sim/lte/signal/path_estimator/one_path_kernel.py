@@ -8,8 +8,8 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
 
+from cellslam.sim.compiling import njit
 from cellslam.sim.lte.signal.path_estimator.joint_fit_kernel import Normal, cholesky_inverse
 from cellslam.sim.lte.statistical.detector_layout import Array
 

@@ -1,0 +1,95 @@
+"""Compiled kernels after an edit of what they call: the new number, from a cache that knows its sources."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from cellslam.sim import compiling
+
+ROOT = Path(__file__).parents[2]
+CALL = """
+import numpy as np
+from cellslam.sim.lte.statistical import measurement_kernel as m
+row = np.zeros(16)
+row[m.AZIMUTH] = 4.0
+m.fold(row)
+print(row[m.AZIMUTH], sum(m.fold.stats.cache_hits.values()), m.__file__)
+"""
+
+
+@pytest.fixture
+def package(tmp_path: Path) -> Path:
+    """Return a copy of the package's floor `sim`."""
+    home = tmp_path / "cellslam"
+    shutil.copytree(ROOT / "sim", home / "sim", ignore=shutil.ignore_patterns("__pycache__"))
+    shutil.copy(ROOT / "cellslam" / "__init__.py", home)
+    return home
+
+
+def called(package: Path) -> tuple[float, int]:
+    """Return the number that a kernel of the copy gives in a process of its own, and how often the cache had it."""
+    environment = {**os.environ, "PYTHONPATH": str(package.parent)}
+    words = [sys.executable, "-c", CALL]
+    done = subprocess.run(words, env=environment, cwd=package.parent, capture_output=True, text=True, check=True)
+    number, hits, file = done.stdout.split()
+    assert Path(file).is_relative_to(package)
+    return float(number), int(hits)
+
+
+def test_edit_of_a_callee_in_another_file_is_noticed(package: Path) -> None:
+    before, hits = called(package)
+    assert (before, hits) == (pytest.approx(4.0 - 2.0 * 3.141592653589793), 0)
+    assert called(package) == (before, 1)
+    callee = package / "sim" / "frames_kernel.py"
+    text = callee.read_text("utf-8")
+    assert text.count("return rest - TURN") == 1
+    callee.write_text(text.replace("return rest - TURN", "return 100.0 + rest - TURN"), "utf-8")
+    assert called(package) == (pytest.approx(100.0 + before), 0)
+
+
+def test_only_compiled_sources_as_they_are_count_as_compiled(package: Path) -> None:
+    kernel = package / "sim" / "lte" / "statistical" / "measurement_kernel.py"
+    name = "cellslam.sim.lte.statistical.measurement_kernel"
+    assert not compiling.is_compiled(name, kernel)
+    called(package)
+    assert compiling.is_compiled(name, kernel)
+    compiling.cache_folder.cache_clear()
+    os.utime(kernel, ns=(1, 1))  # an upgrade in place
+    assert not compiling.is_compiled(name, kernel)
+
+
+def test_sources_are_those_that_imports_reach(tmp_path: Path) -> None:
+    (tmp_path / "sim").mkdir()
+    sources = {
+        "a": "from cellslam.sim.b import f, g\nfrom numba import njit\n",
+        "b": "def f():\n    from cellslam.sim import (\n        c,\n        nothing as d,\n    )\n",
+        "c": "import math\n",
+        "d": "",
+    }
+    for name, text in sources.items():
+        (tmp_path / "sim" / f"{name}.py").write_text(text)
+    found = compiling.reachable(tmp_path / "sim" / "a.py", tmp_path)
+    assert {path.stem for path in found} == {"a", "b", "c"}
+
+
+def test_old_folders_are_removed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    package = tmp_path / "cellslam" / "sim"
+    package.mkdir(parents=True)
+    kernel = package / "one_kernel.py"
+    made = []
+    for edit in range(compiling.KEPT + 3):
+        kernel.write_text(f"edit = {edit}\n")
+        os.utime(kernel, ns=(edit, edit))
+        compiling.cache_folder.cache_clear()
+        compiling._digest.cache_clear()
+        folder = compiling.cache_folder("cellslam.sim.one_kernel", kernel)
+        folder.mkdir(parents=True)
+        os.utime(folder, (edit, edit))
+        made.append(folder)
+    assert [folder.exists() for folder in made] == [False] * 2 + [True] * (compiling.KEPT + 1)
