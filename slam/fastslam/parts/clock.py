@@ -30,7 +30,7 @@ from cellslam.slam.fastslam.state.layout import (
     W_Y,
     Rows,
 )
-from cellslam.slam.model.matrices_kernel import Sym3, Vec3, mat_mat, mat_sym, mat_vec, transposed, upper
+from cellslam.slam.model.matrices_kernel import Mat3, Sym3, Vec3, mat_mat, mat_sym, mat_vec, transposed, upper
 
 B = LANES
 
@@ -179,11 +179,10 @@ def _offset_belief(part, rec, lane, state, size, site):
 
 
 @njit(error_model="numpy")
-def information(w: Rows, out: Rows, l: int) -> tuple[Vec3, Sym3]:
-    """Return y = A^T S^-1 e and I = A^T S^-1 A of the pair at hand in lane l."""
-    a = mat_at(out, O_A, l)
-    weighed = mat_sym(transposed(a), sym_at(w, W_INV, l))
-    return mat_vec(weighed, vec_at(w, W_E, l)), upper(mat_mat(weighed, a))
+def information(a: Mat3, inverse: Sym3, e: Vec3) -> tuple[Vec3, Sym3]:
+    """Return y = A^T S^-1 e and I = A^T S^-1 A."""
+    weighed = mat_sym(transposed(a), inverse)
+    return mat_vec(weighed, e), upper(mat_mat(weighed, a))
 
 
 @njit(error_model="numpy")
@@ -192,7 +191,7 @@ def absorb_all(w: Rows, out: Rows) -> None:
     half = w.dtype.type(0.5)
     for l in range(B):
         on = w[W_MASK * B + l] > half
-        y, info = information(w, out, l)
+        y, info = information(mat_at(out, O_A, l), sym_at(w, W_INV, l), vec_at(w, W_E, l))
         add_where(w, W_Y, l, on, y)
         add_where(w, W_INFO, l, on, info)
 
@@ -209,7 +208,7 @@ def _absorb(part, w, v, rec, out):
             none = F(0.0)
             for l in range(B):
                 on = w[W_MASK * B + l] > F(0.5)
-                y, i = information(w, out, l)
+                y, i = information(mat_at(out, O_A, l), sym_at(w, W_INV, l), vec_at(w, W_E, l))
                 variance = rec[OWN_VARIANCE * B + l]
                 left = variance / (F(1.0) + variance * i.xx)
                 if on:

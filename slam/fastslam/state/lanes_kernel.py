@@ -64,7 +64,16 @@ def put(rows: Rows, first: int, l: int, values: Any) -> None:
 def add_where(rows: Rows, first: int, l: int, on: bool, values: Any) -> None:
     """Add a vector or a matrix, if `on`."""
     for i, value in enumerate(values):
-        rows[(first + i) * B + l] += value if on else rows.dtype.type(0.0)
+        was = rows[(first + i) * B + l]
+        rows[(first + i) * B + l] = was + value if on else was
+
+
+@njit
+def put_where(rows: Rows, first: int, l: int, on: bool, values: Any) -> None:
+    """Write a vector, a matrix or five numbers, if `on`."""
+    for i, value in enumerate(values):
+        was = rows[(first + i) * B + l]
+        rows[(first + i) * B + l] = value if on else was
 
 
 @njit
