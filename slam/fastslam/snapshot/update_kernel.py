@@ -42,8 +42,8 @@ from cellslam.slam.model.matrices_kernel import (
     mat_vec,
     scaled,
     sym_minus,
+    sym_product,
     transposed,
-    upper,
 )
 
 B = LANES
@@ -61,7 +61,7 @@ def correct(parts: Parts, w: Rows, rec: Rows, out: Rows) -> None:
         mu = corrected(parts.landmarks, F, five_at(out, O_MU, l), mat_vec(k, vec_at(w, W_E, l)))
         put_where(rec, MU, l, on > F(0.5), mu)
         put(rec, GAIN, l, mat_minus(mat_at(rec, GAIN, l), mat_mat(k, a)))
-        put(rec, SIGMA, l, sym_minus(sigma, upper(mat_mat(k, t))))
+        put(rec, SIGMA, l, sym_minus(sigma, sym_product(k, t)))
         rec[HITS * B + l] += on
         # theta0 is the present theta
         old = F(1.0) - on
