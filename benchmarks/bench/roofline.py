@@ -14,16 +14,14 @@ import numpy as np
 from cellslam.sim.compiling import njit
 from cellslam.slam.fastslam.parts import clock
 from cellslam.slam.fastslam.snapshot import pair_kernel, predict_kernel, update_kernel
-from cellslam.slam.fastslam.state.layout import LANES, RECORD
+from cellslam.slam.fastslam.state.layout import LANES, RECORD, RECORD_LAYOUT
 
 SINGLE = 4  # bytes of a number of a record
 # What one VT and one measurement that belong to each other go through.
-PREDICTED: tuple[Any, ...] = (
-    predict_kernel.predict, predict_kernel._spread_of_vt, predict_kernel._spread_of_nuisances, pair_kernel.reach,
-)  # fmt: skip
+PREDICTED: tuple[Any, ...] = (predict_kernel.predict, pair_kernel.reach)
 PAIRED: tuple[Any, ...] = (pair_kernel.innovate, pair_kernel.invert, pair_kernel.logarithm)
 UPDATED: tuple[Any, ...] = (
-    pair_kernel.innovate, pair_kernel.invert, pair_kernel.logarithm, update_kernel.credit, clock.information,
+    pair_kernel.innovate, pair_kernel.invert, pair_kernel.logarithm, update_kernel.credit, clock.absorb_all,
     update_kernel.correct,
 )  # fmt: skip
 
@@ -44,8 +42,8 @@ def work_of_update() -> Work:
 
 
 def operations_of(kernel: Any) -> int:
-    """Return the arithmetic operations of a compiled kernel on one lane: those in its source, what it calls from the
-    same module included; indices do not count, nor do parts of the filter."""
+    """Return the arithmetic operations of a compiled kernel on one lane: those in its source and in compiled
+    functions that it calls; indices do not count, nor do parts of the filter."""
     tree, names = _parsed(kernel), vars(inspect.getmodule(kernel.py_func))
     captured = inspect.getclosurevars(kernel.py_func).nonlocals
     total = 0
@@ -62,15 +60,15 @@ def operations_of(kernel: Any) -> int:
 
 
 def rows_written(kernel: Any, record: str = "rec") -> int:
-    """Return how many rows of `record` a kernel writes."""
-    targets = [
-        target
-        for node in ast.walk(_parsed(kernel))
-        if isinstance(node, ast.Assign | ast.AugAssign)
-        for target in (node.targets if isinstance(node, ast.Assign) else [node.target])
-    ]
-    stores = {ast.unparse(t.slice) for t in targets if isinstance(t, ast.Subscript) and ast.unparse(t.value) == record}
-    return len(stores)
+    """Return how many rows of `record` a kernel writes: one by one, or a field of its layout by a function `put...`."""
+    stores, fields = set(), set()
+    for node in ast.walk(_parsed(kernel)):
+        if isinstance(node, ast.Subscript) and isinstance(node.ctx, ast.Store) and ast.unparse(node.value) == record:
+            stores.add(ast.unparse(node.slice))
+        elif isinstance(node, ast.Call) and ast.unparse(node.func).startswith("put"):
+            where, field = (ast.unparse(a) for a in node.args[:2])
+            fields |= {field} if where == record else set()
+    return len(stores) + sum(RECORD_LAYOUT.sizes[field] for field in fields)
 
 
 def _parsed(kernel: Any) -> ast.AST:

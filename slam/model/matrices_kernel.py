@@ -114,15 +114,22 @@ def transposed(m: Mat3) -> Mat3:
 
 
 @njit
-def upper(m: Mat3) -> Sym3:
-    """Return the upper triangle of a product that is symmetric."""
-    return Sym3(m.xx, m.xy, m.xz, m.yy, m.yz, m.zz)
+def sym_product(a: Mat3, b: Mat3) -> Sym3:
+    """Return a b, a product that is symmetric."""
+    return Sym3(
+        a.xx * b.xx + a.xy * b.yx + a.xz * b.zx,
+        a.xx * b.xy + a.xy * b.yy + a.xz * b.zy,
+        a.xx * b.xz + a.xy * b.yz + a.xz * b.zz,
+        a.yx * b.xy + a.yy * b.yy + a.yz * b.zy,
+        a.yx * b.xz + a.yy * b.yz + a.yz * b.zz,
+        a.zx * b.xz + a.zy * b.yz + a.zz * b.zz,
+    )
 
 
 @njit
 def congruence(m: Mat3, s: Sym3) -> Sym3:
     """Return m s m^T."""
-    product: Sym3 = upper(mat_mat(mat_sym(m, s), transposed(m)))
+    product: Sym3 = sym_product(mat_sym(m, s), transposed(m))
     return product
 
 
@@ -190,16 +197,6 @@ def quadratic(s: Sym3, v: Vec3) -> Any:
 def vec_scaled(v: Vec3, x: Any) -> Vec3:
     """Return v x, x a scalar."""
     return Vec3(v.x * x, v.y * x, v.z * x)
-
-
-@njit
-def mat_plus(a: Mat3, b: Mat3) -> Mat3:
-    """Return a + b."""
-    return Mat3(
-        a.xx + b.xx, a.xy + b.xy, a.xz + b.xz,
-        a.yx + b.yx, a.yy + b.yy, a.yz + b.yz,
-        a.zx + b.zx, a.zy + b.zy, a.zz + b.zz,
-    )  # fmt: skip
 
 
 @njit

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numba import njit
@@ -13,7 +13,7 @@ from cellslam.sim.recording import Ints
 from cellslam.slam.api import Snapshot
 from cellslam.slam.fastslam.parts.murty_kernel import murty
 from cellslam.slam.fastslam.parts.part_types import COMPILED, is_of
-from cellslam.slam.fastslam.state.layout import LANES, V_WEIGHT, W_D2
+from cellslam.slam.fastslam.state.layout import LANES, V_WEIGHT, W_D2, Link, Rows, Scratch
 from cellslam.slam.model.assignment_kernel import LEFT_OUT, assign
 
 B = LANES
@@ -55,7 +55,9 @@ class FromTruth:
         return Told(vt, self._of_birth)
 
 
-def associate(part, s, found, first, measured, link, turn, share):
+def associate(
+    part: Any, s: Scratch, found: int, first: int, measured: int, link: Link, turn: int, share: float
+) -> None:
     """Write s.row_of (measured, LANES): which of the `found` candidates each measurement has in each lane, -1 for none.
 
     s: scratch, with s.scores (found, measured, LANES) where s.claims (found, measured); first: number of the first
@@ -124,7 +126,7 @@ def _associate(part, s, found, first, measured, link, turn, share):
     return None
 
 
-def may_be_born(part, k):
+def may_be_born(part: Any, k: int) -> bool:
     """Say whether measurement k of the snapshot may begin a track."""
     raise NotImplementedError
 
@@ -137,7 +139,7 @@ def _may_be_born(part, k):
 
 
 @njit(cache=True, error_model="numpy")
-def take_best(s, found, measured):
+def take_best(s: Scratch, found: int, measured: int) -> bool:
     """Let each measurement take the track with the greatest positive score, lane by lane; return whether any track
     could be claimed twice. Where it is not, nothing can be better."""
     w, scores, claims, row_of = s.w, s.scores, s.claims, s.row_of
@@ -153,7 +155,8 @@ def take_best(s, found, measured):
 
 
 @njit(cache=True, error_model="numpy")
-def _take_best_of(w, scores, claims, found, k, mine):
+def _take_best_of(w: Rows, scores: Rows, claims: Rows, found: int, k: int, mine: Rows) -> None:
+    """Let measurement k take the best of the tracks that it may be of."""
     F = w.dtype.type
     for l in range(B):
         mine[l] = -1
@@ -168,7 +171,7 @@ def _take_best_of(w, scores, claims, found, k, mine):
 
 
 @njit(cache=True, error_model="numpy")
-def _contested(claims, found, measured):
+def _contested(claims: Rows, found: int, measured: int) -> bool:
     """Return whether any measurement could have two tracks."""
     for k in range(measured):
         total = 0
@@ -180,7 +183,7 @@ def _contested(claims, found, measured):
 
 
 @njit(cache=True, error_model="numpy")
-def _toss(seed, turn, s, found, measured, l):
+def _toss(seed: int, turn: int, s: Scratch, found: int, measured: int, l: int) -> float:
     """Decide on each pair of lane l by itself, with the odds that its score is; return the log of the probability of
     what was drawn."""
     log_chance = 0.0
@@ -196,7 +199,7 @@ def _toss(seed, turn, s, found, measured, l):
 
 
 @njit(cache=True, error_model="numpy")
-def _clash(row_of, measured, l):
+def _clash(row_of: Rows, measured: int, l: int) -> bool:
     """Return whether two measurements have the same track in lane l."""
     for k in range(1, measured):
         for i in range(k):
@@ -206,7 +209,7 @@ def _clash(row_of, measured, l):
 
 
 @njit(cache=True, error_model="numpy")
-def tabulate(s, found, measured, l):
+def tabulate(s: Scratch, found: int, measured: int, l: int) -> None:
     """Write lane l's scores (found, measured) at s.table, LEFT_OUT where a pair is no candidate."""
     table, scores, claims = s.table, s.scores, s.claims
     for q in range(found):
@@ -215,7 +218,7 @@ def tabulate(s, found, measured, l):
 
 
 @njit(cache=True, error_model="numpy")
-def _take_in_turn(s, found, measured):
+def _take_in_turn(s: Scratch, found: int, measured: int) -> None:
     """Write s.column (measured,): the track of each measurement, the best pair first."""
     s.column[:measured] = -1
     while True:
@@ -232,7 +235,7 @@ def _take_in_turn(s, found, measured):
 
 
 @njit(cache=True)
-def hashed(seed, number):
+def hashed(seed: int, number: int) -> float:
     """Return a number in (0, 1), as good as random: SplitMix64 (Steele, Lea and Flood, 2014) of seed and number."""
     z = np.uint64(seed) * np.uint64(0x9E3779B97F4A7C15) + np.uint64(number) * np.uint64(0xD1B54A32D192ED03)
     z = (z ^ (z >> np.uint64(30))) * np.uint64(0xBF58476D1CE4E5B9)

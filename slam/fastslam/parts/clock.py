@@ -11,7 +11,7 @@ from numba.extending import overload
 
 from cellslam.sim.recording import Floats
 from cellslam.slam.fastslam.parts.part_types import COMPILED, is_of
-from cellslam.slam.fastslam.state.lanes_kernel import add_where, mat_at, sym_at, vec_at
+from cellslam.slam.fastslam.state.lanes_kernel import mat_at, put_where, sym_at, vec_at
 from cellslam.slam.fastslam.state.layout import (
     LANES,
     O_A,
@@ -30,7 +30,17 @@ from cellslam.slam.fastslam.state.layout import (
     W_Y,
     Rows,
 )
-from cellslam.slam.model.matrices_kernel import Sym3, Vec3, mat_mat, mat_sym, mat_vec, transposed, upper
+from cellslam.slam.model.matrices_kernel import (
+    Mat3,
+    Sym3,
+    Vec3,
+    mat_sym,
+    mat_vec,
+    sym_plus,
+    sym_product,
+    transposed,
+    vec_plus,
+)
 
 B = LANES
 
@@ -179,11 +189,10 @@ def _offset_belief(part, rec, lane, state, size, site):
 
 
 @njit(error_model="numpy")
-def information(w: Rows, out: Rows, l: int) -> tuple[Vec3, Sym3]:
-    """Return y = A^T S^-1 e and I = A^T S^-1 A of the pair at hand in lane l."""
-    a = mat_at(out, O_A, l)
-    weighed = mat_sym(transposed(a), sym_at(w, W_INV, l))
-    return mat_vec(weighed, vec_at(w, W_E, l)), upper(mat_mat(weighed, a))
+def information(a: Mat3, inverse: Sym3, e: Vec3) -> tuple[Vec3, Sym3]:
+    """Return y = A^T S^-1 e and I = A^T S^-1 A."""
+    weighed = mat_sym(transposed(a), inverse)
+    return mat_vec(weighed, e), sym_product(weighed, a)
 
 
 @njit(error_model="numpy")
@@ -192,9 +201,9 @@ def absorb_all(w: Rows, out: Rows) -> None:
     half = w.dtype.type(0.5)
     for l in range(B):
         on = w[W_MASK * B + l] > half
-        y, info = information(w, out, l)
-        add_where(w, W_Y, l, on, y)
-        add_where(w, W_INFO, l, on, info)
+        y, info = information(mat_at(out, O_A, l), sym_at(w, W_INV, l), vec_at(w, W_E, l))
+        put_where(w, W_Y, l, on, vec_plus(vec_at(w, W_Y, l), y))
+        put_where(w, W_INFO, l, on, sym_plus(sym_at(w, W_INFO, l), info))
 
 
 @overload(absorb, **COMPILED)
@@ -209,7 +218,7 @@ def _absorb(part, w, v, rec, out):
             none = F(0.0)
             for l in range(B):
                 on = w[W_MASK * B + l] > F(0.5)
-                y, i = information(w, out, l)
+                y, i = information(mat_at(out, O_A, l), sym_at(w, W_INV, l), vec_at(w, W_E, l))
                 variance = rec[OWN_VARIANCE * B + l]
                 left = variance / (F(1.0) + variance * i.xx)
                 if on:
@@ -217,9 +226,12 @@ def _absorb(part, w, v, rec, out):
                     rec[OWN_VARIANCE * B + l] = left
                     v[V_WEIGHT * B + l] += 0.5 * left * y.x * y.x - 0.5 * math.log(1.0 + variance * i.xx)
                 by_bias, by_scale = i.xy * left, i.xz * left
-                add_where(w, W_Y, l, on, Vec3(none, y.y - by_bias * y.x, y.z - by_scale * y.x))
-                schur = i.yy - by_bias * i.xy, i.yz - by_bias * i.xz, i.zz - by_scale * i.xz
-                add_where(w, W_INFO + 3, l, on, schur)
+                rest = Vec3(none, y.y - by_bias * y.x, y.z - by_scale * y.x)
+                schur = Sym3(
+                    none, none, none, i.yy - by_bias * i.xy, i.yz - by_bias * i.xz, i.zz - by_scale * i.xz
+                )  # fmt: skip
+                put_where(w, W_Y, l, on, vec_plus(vec_at(w, W_Y, l), rest))
+                put_where(w, W_INFO, l, on, sym_plus(sym_at(w, W_INFO, l), schur))
 
         return of_vt
     return None

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
+from collections.abc import Callable
+from typing import Any, NamedTuple
 
 from numba.extending import overload
 
 from cellslam.slam.fastslam.parts.part_types import COMPILED, is_of
-from cellslam.slam.fastslam.state.layout import LANES, O_SCORE, W_D2, W_DET, W_LOG, W_SCORE
+from cellslam.slam.fastslam.state.layout import LANES, O_SCORE, W_D2, W_DET, W_LOG, W_SCORE, Rows
 
 B = LANES
 LOG_2PI_3 = 1.5 * math.log(2.0 * math.pi)
@@ -24,17 +25,17 @@ class Mahalanobis(NamedTuple):
     nor clutter."""
 
 
-def score(part, w, out, gate, lack):
+def score(part: Any, w: Rows, out: Rows, gate: float, lack: Any) -> None:
     """Write the pair's score at W_SCORE, which is positive where it should be associated; NEVER outside the gate and
     where the track's score is NEVER. `lack`: see `measurement_kernel.pack`."""
     raise NotImplementedError
 
 
 @overload(score, **COMPILED)
-def _score(part, w, out, gate, lack):
+def _score(part: Any, w: Rows, out: Rows, gate: float, lack: Any) -> Callable[..., None] | None:
     if is_of(part, Likelihood):
 
-        def likelihood(part, w, out, gate, lack):
+        def likelihood(part: Any, w: Rows, out: Rows, gate: float, lack: Any) -> None:
             F = w.dtype.type
             limit, rest = F(gate), F(lack - LOG_2PI_3)
             for l in range(B):
@@ -45,7 +46,7 @@ def _score(part, w, out, gate, lack):
         return likelihood
     if is_of(part, Mahalanobis):
 
-        def mahalanobis(part, w, out, gate, lack):
+        def mahalanobis(part: Any, w: Rows, out: Rows, gate: float, lack: Any) -> None:
             F = w.dtype.type
             limit = F(gate)
             for l in range(B):

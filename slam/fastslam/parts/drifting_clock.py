@@ -10,6 +10,8 @@ which a record takes up whenever it is predicted: RATE_GAIN is G_rate, RATE0 and
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 from numba import njit
 from numba.extending import overload
@@ -53,9 +55,9 @@ from cellslam.slam.fastslam.state.layout import (
     W_PR,
     W_RATE,
     W_SITE,
-    Rows,
 )
 from cellslam.slam.model.matrices_kernel import (
+    Sym3,
     Vec3,
     dot,
     mat_vec,
@@ -77,9 +79,9 @@ def drifting(sites: int) -> Drifting:
 
 
 @njit(error_model="numpy")
-def weighed(w: Rows, out: Rows, l: int) -> Vec3:
-    """Return S^-1 A_rate of the pair at hand in lane l, 0 where W_MASK is."""
-    weighed: Vec3 = vec_scaled(sym_vec(sym_at(w, W_INV, l), vec_at(out, O_AR, l)), w[W_MASK * B + l])
+def weighed(inverse: Sym3, by_rate: Vec3, on: Any) -> Vec3:
+    """Return S^-1 A_rate, 0 where `on` is."""
+    weighed: Vec3 = vec_scaled(sym_vec(inverse, by_rate), on)
     return weighed
 
 
@@ -194,7 +196,7 @@ def _absorb(part, w, v, rec, out):
         own, by_self, by_offset = V_Y + rate, square + rate * size + rate, square + rate * size + site
         by_bias, by_scale = square + (size - 2) * size + rate, square + (size - 1) * size + rate
         for l in range(B):
-            u = weighed(w, out, l)
+            u = weighed(sym_at(w, W_INV, l), vec_at(out, O_AR, l), w[W_MASK * B + l])
             i = transposed_vec(mat_at(out, O_A, l), u)
             v[own * B + l] += dot(u, vec_at(w, W_E, l))
             v[by_self * B + l] += dot(u, vec_at(out, O_AR, l))
@@ -213,7 +215,8 @@ def _correct_clock(part, w, rec, out):
     def drifting(part, w, rec, out):
         # G_rate -= K A_rate, K = Sigma H^T S^-1
         for l in range(B):
-            gained = sym_vec(sym_at(rec, SIGMA, l), transposed_vec(mat_at(out, O_H, l), weighed(w, out, l)))
+            u = weighed(sym_at(w, W_INV, l), vec_at(out, O_AR, l), w[W_MASK * B + l])
+            gained = sym_vec(sym_at(rec, SIGMA, l), transposed_vec(mat_at(out, O_H, l), u))
             put(rec, RATE_GAIN, l, vec_minus(vec_at(rec, RATE_GAIN, l), gained))
 
     return drifting

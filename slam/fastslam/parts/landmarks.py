@@ -60,7 +60,7 @@ def begin(part: Any, F: Any, anchor: Vec3, rho: Any, n: Vec3) -> Five:
 
 
 def begin_spread(part: Any, F: Any, rho: Any, n: Vec3, by_azimuth: Vec3, by_elevation: Vec3, q: Vec3) -> Sym3:
-    """Return Sigma of such a VT, with n's derivatives by the measured angles, and the variances of what was measured."""
+    """Return Sigma of such a VT, with n's derivatives by the measured angles and the variances of z."""
     raise NotImplementedError
 
 

@@ -20,8 +20,8 @@ def _borrowed(context: Any, array: Any) -> Any:
 
     def generate(target: Any, builder: Any, signature: Any, arguments: Any) -> Any:
         view = target.make_array(signature.args[0])(target, builder, arguments[0])
-        view.meminfo = cgutils.get_null_value(view.meminfo.type)
-        view.parent = cgutils.get_null_value(view.parent.type)
+        null: Any = cgutils.get_null_value
+        view.meminfo, view.parent = null(view.meminfo.type), null(view.parent.type)
         return view._getvalue()
 
     return array(array), generate
@@ -30,7 +30,7 @@ def _borrowed(context: Any, array: Any) -> Any:
 borrowed: Any = intrinsic(_borrowed)
 
 
-@njit
+@njit(error_model="numpy")
 def borrowed_blocks(b: Blocks) -> Blocks:
     """Return the same particles, not counted."""
     t = b.tracks
@@ -41,7 +41,7 @@ def borrowed_blocks(b: Blocks) -> Blocks:
     return Blocks(borrowed(b.state), tracks, borrowed(b.travelled), borrowed(b.log_weight))
 
 
-@njit
+@njit(error_model="numpy")
 def borrowed_scratch(s: Scratch) -> Scratch:
     """Return the same scratch, not counted."""
     return Scratch(
@@ -51,7 +51,7 @@ def borrowed_scratch(s: Scratch) -> Scratch:
     )  # fmt: skip
 
 
-@njit
+@njit(error_model="numpy")
 def borrowed_step(s: Step) -> Step:
     """Return the same snapshot, not counted."""
     m = s.measured

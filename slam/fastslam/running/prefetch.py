@@ -7,6 +7,7 @@ from typing import Any
 from llvmlite import ir
 from numba import njit, types
 from numba.extending import intrinsic
+from numpy.typing import NDArray
 
 LINE_BYTES = 64
 
@@ -31,16 +32,16 @@ def _asked(context: Any, array: Any, index: Any) -> Any:
 _ask: Any = intrinsic(_asked)
 
 
-@njit
-def prefetch(array):
+@njit(error_model="numpy")
+def prefetch(array: NDArray[Any]) -> None:
     """Ask for a contiguous array, line by line."""
     step = LINE_BYTES // array.itemsize
     for i in range(0, array.size, step):
         _ask(array, i)
 
 
-@njit
-def prefetch_column(array, first, step):
+@njit(error_model="numpy")
+def prefetch_column(array: NDArray[Any], first: int, step: int) -> None:
     """Ask for array[first], array[first + step] and so on."""
     for i in range(first, array.size, step):
         _ask(array, i)

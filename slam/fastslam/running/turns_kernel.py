@@ -11,6 +11,7 @@ import numpy as np
 from llvmlite import ir
 from numba import njit, types
 from numba.extending import intrinsic
+from numpy.typing import NDArray
 
 TAKEN, DONE = 0, 8  # places of the counters, on cache lines of their own
 COUNTERS = 16
@@ -45,25 +46,25 @@ _add: Any = intrinsic(_added)
 _look: Any = intrinsic(_looked)
 
 
-def new_turns() -> np.ndarray:
+def new_turns() -> NDArray[np.int64]:
     """Return counters (16,) at the start."""
     return np.zeros(COUNTERS, np.int64)
 
 
-@njit
-def take(turns):
+@njit(error_model="numpy")
+def take(turns: NDArray[np.int64]) -> int:
     """Return the number of a block that nobody has taken yet; past the last block, one too many."""
-    return _add(turns, TAKEN)
+    return int(_add(turns, TAKEN))
 
 
-@njit
-def done(turns):
+@njit(error_model="numpy")
+def done(turns: NDArray[np.int64]) -> None:
     """Say that a block is done: others may read what was written."""
     _add(turns, DONE)
 
 
-@njit
-def all_done(turns, blocks):
+@njit(error_model="numpy")
+def all_done(turns: NDArray[np.int64], blocks: int) -> None:
     """Look for a while whether all blocks are done."""
     for _ in range(PATIENCE):
         if _look(turns, DONE) >= blocks:

@@ -43,6 +43,7 @@ from cellslam.slam.fastslam.state.layout import (
     Blocks,
     Link,
     Rows,
+    Rules,
     Scene,
     Scratch,
     Step,
@@ -118,11 +119,13 @@ def _block(g: int, parts: Parts, step: Step, held: Blocks, association: Rows, s:
         found = candidates(parts, s, now, link, count, scene, measured.z, rules)
         turn = (now * links + number) * len(tracks.counts) + g
         associate(parts.association, s, found, first, last - first, link, turn, share)
-        more = _update(parts, s, step, link, found, scene, association)
+        more = _update(parts, s, now, link, found, scene, measured.many, rules.hits, association)
         if more > 0:
             collect(s.w, s.v, site, size)
         updates += more
-        tracks.counts[g, number] = _give_births(parts, s, step, link, count, scene, g)
+        tracks.counts[g, number] = _give_births(
+            parts, s, now, link, count, scene, measured.fresh, g * B, measured.born, rules
+        )
     if updates > 0:
         _apply(parts, s.v, state, travelled, size)
     for l in range(B):
@@ -131,50 +134,57 @@ def _block(g: int, parts: Parts, step: Step, held: Blocks, association: Rows, s:
 
 @njit(error_model="numpy")
 def _update(
-    parts: Parts, s: Scratch, step: Step, link: Link, found: int, scene: Scene, association: NDArray[np.int32]
-) -> int:
+    parts: Parts, s: Scratch, now: int, link: Link, found: int, scene: Scene, z: Rows, hits: float,
+    association: NDArray[np.int32],
+) -> int:  # fmt: skip
     """Update every associated track; return the number of associations, lanes counted once.
 
     `association` takes up those with confirmed VTs.
     """
-    w, v, z, first = s.w, s.v, step.measured.many, scene.first
-    hits, updates = step.rules.hits, 0
+    w, bits, v, near, rows, claims, row_of = s.w, s.bits, s.v, s.near, s.rows, s.claims, s.row_of
+    records, status, alike, ident, first, updates = link.records, link.status, link.alike, link.ident, scene.first, 0
     for q in range(found):
-        slot = s.near[q]
-        record, out, row = link.records[slot], s.rows[q], link.status[slot]
+        slot = near[q]
+        record, out, row = records[slot], rows[q], status[slot]
         for k in range(first, scene.last):
-            if not s.claims[q, k - first] or not mask(w, s.row_of[k - first], q):
+            if not claims[q, k - first] or not mask(w, row_of[k - first], q):
                 continue
             innovate(w, out, z[k])
             invert(w, out, z[k], 0.0)
-            logarithm(w, s.bits)
+            logarithm(w, bits)
             credit(w, v, out, z[k, 11], scene.share)
             absorb(parts.clock, w, v, record, out)
             correct_clock(parts.clock, w, record, out)
             correct(parts, w, record, out)
             updates += 1
-            mine, name = association[k], link.ident[slot]
+            mine, name = association[k], ident[slot]
             for l in range(B):
                 on = w[W_MASK * B + l] > 0.5
                 looks = record[HITS * B + l]
-                seen = 4 * step.now + (CONFIRMED if looks >= hits else UNCONFIRMED if looks > 1.0 else ONCE)
+                seen = 4 * now + (CONFIRMED if looks >= hits else UNCONFIRMED if looks > 1.0 else ONCE)
                 row[l] = seen if on else row[l]
                 mine[l] = name if on and seen & 3 == CONFIRMED else mine[l]
-            link.alike[slot] = common(row)
+            alike[slot] = common(row)
     return updates
 
 
 @njit(error_model="numpy")
-def _give_births(parts: Parts, s: Scratch, step: Step, link: Link, count: int, scene: Scene, block: int) -> int:
-    """Start a track for each measurement that no particle's VT explains; return the number of tracks."""
-    w, v, z, rules, born = s.w, s.v, step.measured.fresh, step.rules, step.measured.born
-    credit_of_birth = scene.share * rules.log_birth
-    new = 4 * step.now + (CONFIRMED if rules.hits <= 1.0 else ONCE)
-    for k in range(scene.first, scene.last):
+def _give_births(
+    parts: Parts, s: Scratch, now: int, link: Link, count: int, scene: Scene, z: Rows, particle: int, born: int,
+    rules: Rules,
+) -> int:  # fmt: skip
+    """Start a track for each measurement that no particle's VT explains; return the number of tracks.
+
+    particle: number of the first lane's; born: number of the snapshot's first measurement.
+    """
+    w, v, row_of, first = s.w, s.v, s.row_of, scene.first
+    records, status, bounds, order = link.records, link.status, link.bounds, link.order
+    credit_of_birth, new = scene.share * rules.log_birth, 4 * now + (CONFIRMED if rules.hits <= 1.0 else ONCE)
+    for k in range(first, scene.last):
         if z[k, 8] + z[k, 9] == 0.0 or not may_be_born(parts.association, k):
             continue
         anywhere, least = False, z[k, 0] if z[k, 8] > 0.0 else 0.0
-        mine = s.row_of[k - scene.first]
+        mine = row_of[k - first]
         for l in range(B):
             on = mine[l] < 0 and (z[k, 8] == 0.0 or z[k, 0] - w[W_B * B + l] > 1.0)
             w[W_MASK * B + l] = 1.0 if on else 0.0
@@ -182,15 +192,15 @@ def _give_births(parts: Parts, s: Scratch, step: Step, link: Link, count: int, s
             least = min(least, z[k, 0] - w[W_B * B + l]) if on else least
         if not anywhere:
             continue
-        if count == len(link.order):
-            count = evict(step.now, link, count)
-        slot = link.order[count]
+        if count == len(order):
+            count = evict(now, link, count)
+        slot = order[count]
         count += 1
-        complete(w, z[k], block * B, born + k)
-        give_birth(parts, w, link.records[slot], z[k])
+        complete(w, z[k], particle, born + k)
+        give_birth(parts, w, records[slot], z[k])
         link.ident[slot] = born + k
-        _begin_bound(link.bounds, slot, z[k], least, scene.travelled)
-        row = link.status[slot]
+        _begin_bound(bounds, slot, z[k], least, scene.travelled)
+        row = status[slot]
         for l in range(B):
             on = w[W_MASK * B + l] > 0.5
             row[l] = new if on else DEAD

@@ -63,28 +63,29 @@ def candidates(parts: Parts, s: Scratch, now: int, link: Link, count: int, scene
     moved since, is passed over without reading its record.
     """
     possible = _within_reach(s, link, count, scene, z, rules)
-    w, near, first = s.w, s.near, scene.first
-    found = 0
+    status, records, bounds = link.status, link.records, link.bounds
+    w, bits, near, rows, scores, claims = s.w, s.bits, s.near, s.rows, s.scores, s.claims
+    gate, first, found = rules.gate, scene.first, 0
     for i in range(possible):
         slot = near[i]
-        row, out = link.status[slot], s.rows[found]
+        row, out = status[slot], rows[found]
         lane, alike, _ = spokesman(row)
-        predict(parts, w, link.records[slot], out)
+        predict(parts, w, records[slot], out)
         reach(w, out, lane)
-        _bound(w, row, lane, out, link.bounds, slot, scene)
-        chosen = False
+        _bound(w, row, lane, out, bounds, slot, scene)
+        chosen, bound = False, bound_at(bounds, slot)
         for k in range(first, scene.last):
-            s.claims[found, k - first] = False
-            if not _fits(z[k], bound_at(link.bounds, slot), rules.gate, scene):
+            claims[found, k - first] = False
+            if not _fits(z[k], bound, gate, scene.psi, scene.psi_spread):
                 continue
             if not chosen:
                 _entitle(now, row, lane, alike, rules, out)
                 chosen = True
             innovate(w, out, z[k])
             invert(w, out, z[k], 1.0)
-            logarithm(w, s.bits)
-            score(parts.criterion, w, out, rules.gate, z[k, 11])
-            s.claims[found, k - first] = _note(w, s.scores[found, k - first], rules.least_score)
+            logarithm(w, bits)
+            score(parts.criterion, w, out, gate, z[k, 11])
+            claims[found, k - first] = _note(w, scores[found, k - first], rules.least_score)
         if chosen:
             near[found] = slot
             found += 1
@@ -125,10 +126,10 @@ def _reach_all(reached: Rows, bounds: Rows, z: Rows, scene: Scene, rules: Rules)
 
 
 @njit(cache=True, error_model="numpy")
-def _fits(z: Rows, bound: Bound, gate: float, scene: Scene) -> bool:
+def _fits(z: Rows, bound: Bound, gate: float, psi: float, psi_spread: float) -> bool:
     """Say whether a measurement could be of a track that was predicted just now."""
     by_distance = _distance_fits(z[0], z[5], bound, gate, 0.0, 0.0)
-    by_azimuth = _azimuth_fits(z[12] + scene.psi, z[6], bound, gate, scene.psi_spread, 0.0)
+    by_azimuth = _azimuth_fits(z[12] + psi, z[6], bound, gate, psi_spread, 0.0)
     return bound.near < 0.0 or ((by_distance or z[8] == 0.0) and (by_azimuth or z[9] == 0.0))
 
 

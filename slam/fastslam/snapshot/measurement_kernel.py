@@ -6,6 +6,9 @@ import math
 
 import numpy as np
 from numba import njit
+from numpy.typing import NDArray
+
+from cellslam.sim.recording import Floats, Ints
 
 COLUMNS = 15
 # A VT that is born without a component begins as wide as this about a place of its own in each particle.
@@ -15,7 +18,9 @@ LEAST_RANGE_M, MOST_RANGE_M = 3.0, 600.0
 
 
 @njit(cache=True)
-def pack(z, single, many, fresh, gap, lack, begins):
+def pack(
+    z: Floats, single: Floats, many: Floats, fresh: Floats, gap: Floats, lack: Floats, begins: NDArray[np.bool_]
+) -> tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.float32]]:
     """Return three tables (m, 15) in single precision: to associate with, to update with, to give birth with.
 
     Columns: distance, cos and sin of azimuth and of elevation, three variances, three flags: 1 measured, 0 not (then
@@ -55,7 +60,7 @@ def pack(z, single, many, fresh, gap, lack, begins):
 
 
 @njit(cache=True)
-def census(link, counts):
+def census(link: Ints, counts: Ints) -> tuple[Ints, int, int]:
     """Return the first measurement of each link (L + 1,), how many a link has at most, and how many tracks a map of
     counts (G, L) could have when each measurement has begun one. link (m,): of each measurement, sorted."""
     links = counts.shape[1]
@@ -72,7 +77,7 @@ def census(link, counts):
 
 
 @njit(cache=True)
-def evenly(particle, birth, sequence):
+def evenly(particle: int, birth: int, sequence: int) -> float:
     """Return a number in [0, 1): over particles and over births evenly spread (additive recurrences)."""
     step = 0.6180339887498949 if sequence == 0 else 0.4142135623730950
     value = step * particle + 0.7548776662466927 * birth

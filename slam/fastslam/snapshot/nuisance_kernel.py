@@ -63,9 +63,11 @@ def _condition_4(v: Rows) -> None:
         lower = cholesky(triangle_at(v, at.cov, l))
         c = cholesky(one_and_congruence(triangle_at(v, at.info, l), lower))
         x = (
-            forward(c, Vec4(lower.aa, 0.0, 0.0, 0.0)), forward(c, Vec4(lower.ba, lower.bb, 0.0, 0.0)),
-            forward(c, Vec4(lower.ca, lower.cb, lower.cc, 0.0)), forward(c, Vec4(lower.da, lower.db, lower.dc, lower.dd)),
-        )  # fmt: skip
+            forward(c, Vec4(lower.aa, 0.0, 0.0, 0.0)),
+            forward(c, Vec4(lower.ba, lower.bb, 0.0, 0.0)),
+            forward(c, Vec4(lower.ca, lower.cb, lower.cc, 0.0)),
+            forward(c, Vec4(lower.da, lower.db, lower.dc, lower.dd)),
+        )
         y = vec4_at(v, V_Y, l)
         xy = Vec4(
             x[0].a * y.a + x[1].a * y.b + x[2].a * y.c + x[3].a * y.d,

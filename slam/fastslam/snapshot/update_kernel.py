@@ -10,7 +10,7 @@ from numba import njit
 from cellslam.slam.fastslam.parts.criterion import LOG_2PI_3
 from cellslam.slam.fastslam.parts.landmarks import corrected
 from cellslam.slam.fastslam.parts.part_types import Parts
-from cellslam.slam.fastslam.state.lanes_kernel import five_at, mat_at, put, sym_at, vec_at
+from cellslam.slam.fastslam.state.lanes_kernel import five_at, mat_at, put, put_where, sym_at, vec_at
 from cellslam.slam.fastslam.state.layout import (
     BIAS0,
     GAIN,
@@ -42,8 +42,8 @@ from cellslam.slam.model.matrices_kernel import (
     mat_vec,
     scaled,
     sym_minus,
+    sym_product,
     transposed,
-    upper,
 )
 
 B = LANES
@@ -55,13 +55,13 @@ def correct(parts: Parts, w: Rows, rec: Rows, out: Rows) -> None:
     F = w.dtype.type
     for l in range(B):
         on = w[W_MASK * B + l]
-        sigma, h, a, was = sym_at(rec, SIGMA, l), mat_at(out, O_H, l), mat_at(out, O_A, l), five_at(rec, MU, l)
+        sigma, h, a = sym_at(rec, SIGMA, l), mat_at(out, O_H, l), mat_at(out, O_A, l)
         t = mat_sym(h, sigma)
         k = scaled(mat_sym(transposed(t), sym_at(w, W_INV, l)), on)
         mu = corrected(parts.landmarks, F, five_at(out, O_MU, l), mat_vec(k, vec_at(w, W_E, l)))
-        put(rec, MU, l, mu if on > F(0.5) else was)
+        put_where(rec, MU, l, on > F(0.5), mu)
         put(rec, GAIN, l, mat_minus(mat_at(rec, GAIN, l), mat_mat(k, a)))
-        put(rec, SIGMA, l, sym_minus(sigma, upper(mat_mat(k, t))))
+        put(rec, SIGMA, l, sym_minus(sigma, sym_product(k, t)))
         rec[HITS * B + l] += on
         # theta0 is the present theta
         old = F(1.0) - on

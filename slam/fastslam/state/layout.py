@@ -122,12 +122,11 @@ class Sums(NamedTuple):
 @register_jitable
 def sums_of(nuisances: int) -> Sums:
     """Return the layout of V for K nuisances."""
-    k, square = nuisances, nuisances * nuisances
-    info = V_Y + k
-    end = info + 5 * square
-    return Sums(
-        V_WEIGHT, V_Y, info, info + square, info + 2 * square, info + 3 * square, info + 4 * square, end, end + k
-    )
+    square = nuisances * nuisances
+    info = V_Y + nuisances
+    cov = info + square
+    lower, product, root, change = cov + square, cov + 2 * square, cov + 3 * square, cov + 4 * square
+    return Sums(V_WEIGHT, V_Y, info, cov, lower, product, root, change, change + nuisances)
 
 
 V_WEIGHT, V_Y = 0, 1

@@ -7,13 +7,14 @@ import math
 import numpy as np
 from numba import njit
 
+from cellslam.sim.recording import Floats
 from cellslam.slam.fastslam.state.layout import LANES, POSE, POSE_G, THETA
 
 B = LANES
 
 
 @njit(cache=True)
-def normalised(log_weight):
+def normalised(log_weight: Floats) -> tuple[Floats, int, float]:
     """Return weights (G, LANES) that sum to 1, the place of the greatest, and their effective sample size."""
     weights = np.empty_like(log_weight)
     flat, logs = weights.ravel(), log_weight.ravel()
@@ -25,11 +26,11 @@ def normalised(log_weight):
         squares += flat[i] * flat[i]
     for i in range(len(flat)):
         flat[i] /= total
-    return weights, best, total * total / squares
+    return weights, int(best), total * total / squares
 
 
 @njit(cache=True)
-def moments(state, weights, size):
+def moments(state: Floats, weights: Floats, size: int) -> tuple[Floats, Floats, Floats, Floats]:
     """Return mean (6,) and covariance (6, 6) of the pose, mean and variance (S,) of the offsets of weighted particles.
 
     state (G, F LANES); weights (G, LANES) sum to 1; size: number of nuisances. Sums run in a fixed order, about the
@@ -78,7 +79,7 @@ def moments(state, weights, size):
 
 
 @njit(cache=True)
-def _total(sums, row):
+def _total(sums: Floats, row: int) -> float:
     """Return the sum of a row."""
     total = 0.0
     for l in range(B):
@@ -87,7 +88,7 @@ def _total(sums, row):
 
 
 @njit(cache=True, error_model="numpy")
-def _add_block(s, weights, size, centre, offset_centre, sums):
+def _add_block(s: Floats, weights: Floats, size: int, centre: Floats, offset_centre: Floats, sums: Floats) -> None:
     """Add one block, lane by lane: rows are 21 second moments of the pose, 6 of what is marginalised, 6 means, and
     mean and second moment of each offset."""
     last = size - 2

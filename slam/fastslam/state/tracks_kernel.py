@@ -19,7 +19,7 @@ ONCE, UNCONFIRMED, CONFIRMED = 1, 2, 3
 UNKNOWN = -2  # in `alike`, the status that all lanes of a track have: they differ, or were not looked at
 
 
-@njit
+@njit(error_model="numpy")
 def link_of(tracks: Tracks, block: int, number: int) -> Link:
     """Return one map of one block."""
     return Link(

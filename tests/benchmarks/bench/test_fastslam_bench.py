@@ -11,7 +11,13 @@ from numba import njit
 from cellslam.benchmarks.bench.fastslam_bench import DENSE, cost_points, dense
 from cellslam.benchmarks.bench.roofline import operations_of, rows_written, work_of_update
 from cellslam.benchmarks.cli.main import main
-from cellslam.slam.fastslam.state.layout import RECORD
+from cellslam.slam.fastslam.state.layout import GAIN, RECORD, SIGMA
+
+
+@njit
+def put(rec, first, lane, values):
+    for i, value in enumerate(values):
+        rec[(first + i) * 32 + lane] = value
 
 
 @njit
@@ -25,12 +31,14 @@ def outer(rec, w):
         a = rec[3 * 32 + i] - w[(2 + 1) * 32 + i]
         rec[5 * 32 + i] = math.sqrt(max(a, 0.0)) * inner(a)
         rec[6 * 32 + i] += 2.0
+        put(rec, SIGMA, i, (a, a, a, a, a, a))
+        put(w, GAIN, i, (a, a))
 
 
 def test_operations_and_written_rows_are_counted_in_the_source() -> None:
     """One difference, a root, a maximum, a product, the two operations of `inner`, one sum; indices are none."""
     assert operations_of(outer) == 7
-    assert rows_written(outer) == 2
+    assert rows_written(outer) == 2 + 6
 
 
 def test_work_of_an_update_is_plausible() -> None:

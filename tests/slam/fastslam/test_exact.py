@@ -33,7 +33,7 @@ from cellslam.slam.fastslam.state.layout import (
     W_MASK,
     W_ROWS,
     W_SCALE,
-    scratch_rows,
+    sums_of,
 )
 
 UPPER = np.triu_indices(3)
@@ -61,7 +61,7 @@ def test_marginalised_offset_bias_and_scale_agree_with_a_joint_filter():
     """Two VTs of one site, 40 snapshots: means, covariances and the likelihood of all data agree to 1e-9."""
     rng = np.random.default_rng(11)
     size = 3  # one site: offset, bias, scale
-    w, out, v = np.zeros(W_ROWS * LANES), np.zeros(OUT * LANES), np.zeros(scratch_rows(size) * LANES)
+    w, out, v = np.zeros(W_ROWS * LANES), np.zeros(OUT * LANES), np.zeros(sums_of(size).rows * LANES)
     theta, p = np.array([3.0, 0.01, -0.02]), np.diag([25.0, 1e-3, 4e-3])
     records, joint_mean = [], [theta]
     blocks = []
@@ -121,12 +121,11 @@ def test_marginalised_offset_bias_and_scale_agree_with_a_joint_filter():
             absorbed(PARTS, w, v, record, out)
             update_kernel.correct(PARTS, w, record, out)
         nuisance_kernel.collect(w, v, 0, size)
-        change_at = v.size // LANES - size
-        cov_at = change_at - size * size
-        row(v, cov_at, p.ravel())
-        nuisance_kernel.condition(v, cov_at * LANES, change_at * LANES, size)
-        theta = theta + read(v, change_at, size)
-        p = read(v, cov_at, size * size).reshape(size, size)
+        at = sums_of(size)
+        row(v, at.cov, p.ravel())
+        nuisance_kernel.condition(v, size)
+        theta = theta + read(v, at.change, size)
+        p = read(v, at.cov, size * size).reshape(size, size)
         found += read(v, V_WEIGHT, 1)[0]
         big, e = np.vstack(rows_all), np.concatenate(residuals)
         s = big @ cov @ big.T + np.diag(np.tile(q, 2))

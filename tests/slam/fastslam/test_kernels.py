@@ -32,7 +32,6 @@ from cellslam.slam.fastslam.state.layout import (
     W_BIAS,
     W_D2,
     W_DET,
-    W_DROT,
     W_E,
     W_G,
     W_LOG,
@@ -42,7 +41,7 @@ from cellslam.slam.fastslam.state.layout import (
     W_ROT,
     W_ROWS,
     W_SCALE,
-    scratch_rows,
+    sums_of,
 )
 from cellslam.slam.model.measurement_model import predict as h
 
@@ -54,7 +53,7 @@ class Lanes:
     """The kernels' arrays, whose rows are read and written by name, all lanes with different numbers."""
 
     def __init__(self, nuisances: int = 4) -> None:
-        rows = {"w": W_ROWS, "rec": RECORD, "out": OUT, "v": scratch_rows(nuisances)}
+        rows = {"w": W_ROWS, "rec": RECORD, "out": OUT, "v": sums_of(nuisances).rows}
         self.w, self.rec, self.out, self.v = (np.zeros(n * LANES) for n in rows.values())
 
     def get(self, where: str, row: int, count: int) -> np.ndarray:
@@ -76,7 +75,6 @@ def scene(seed: int) -> tuple[Lanes, dict[str, np.ndarray]]:
     lanes = Lanes()
     pose = np.column_stack([rng.normal(0, 30, (LANES, 3)), rng.uniform(-3, 3, LANES), rng.normal(0, 0.1, (LANES, 2))])
     r = rotation(*pose[:, 3:].T)
-    dr = (rotation(pose[:, 3] + 1e-6, *pose[:, 4:].T) - rotation(pose[:, 3] - 1e-6, *pose[:, 4:].T)) / 2e-6
     root = rng.normal(size=(LANES, 3, 3))
     spread = root @ np.swapaxes(root, 1, 2) * [[1, 0.01, 0.01], [0.01, 1e-4, 1e-4], [0.01, 1e-4, 1e-4]]
     root = rng.normal(size=(LANES, 3, 3))
@@ -97,7 +95,6 @@ def scene(seed: int) -> tuple[Lanes, dict[str, np.ndarray]]:
     lanes.set("w", W_POSE, pose)
     lanes.set("w", W_G, parts["pose_g"])
     lanes.set("w", W_ROT, r.reshape(LANES, 9))
-    lanes.set("w", W_DROT, dr.reshape(LANES, 9))
     for row, column in zip((W_B, W_BIAS, W_SCALE), parts["theta"].T, strict=True):
         lanes.set("w", row, column[:, None])
     for row, column in zip((OFFSET0, BIAS0, SCALE0), parts["theta"].T, strict=True):
@@ -217,24 +214,23 @@ def test_logarithm_is_good_enough_to_choose_by():
 
 
 @pytest.mark.parametrize("known", [False, True])
-def test_nuisances_follow_the_information_form(known):
+@pytest.mark.parametrize("n", [4, 5])
+def test_nuisances_follow_the_information_form(n, known):
     """P_new = (P^-1 + I)^-1 and the exact evidence, also where an offset is known (a zero row of P)."""
     rng = np.random.default_rng(6)
-    n = 4
     lanes = Lanes(n)
     p_root, i_root = rng.normal(size=(LANES, n, n)), rng.normal(size=(LANES, n, 2))
     if known:
         p_root[:, 1] = 0.0
     p, info = p_root @ np.swapaxes(p_root, 1, 2), i_root @ np.swapaxes(i_root, 1, 2)
     y = rng.normal(size=(LANES, n))
-    change_at = lanes.v.size // LANES - n
-    cov_at = change_at - n * n
-    lanes.set("v", cov_at, p.reshape(LANES, -1))
+    at = sums_of(n)
+    lanes.set("v", at.cov, p.reshape(LANES, -1))
     lanes.set("v", V_Y, y)
-    lanes.set("v", V_Y + n, np.tril(info).reshape(LANES, -1))
-    nuisance_kernel.condition(lanes.v, cov_at * LANES, change_at * LANES, n)
+    lanes.set("v", at.info, np.tril(info).reshape(LANES, -1))
+    nuisance_kernel.condition(lanes.v, n)
     new = np.linalg.solve(np.eye(n) + p @ info, p)
-    assert np.allclose(lanes.get("v", cov_at, n * n).reshape(LANES, n, n), new, rtol=1e-9, atol=1e-11)
-    assert np.allclose(lanes.get("v", change_at, n), np.einsum("lij,lj->li", new, y), rtol=1e-9, atol=1e-10)
+    assert np.allclose(lanes.get("v", at.cov, n * n).reshape(LANES, n, n), new, rtol=1e-9, atol=1e-11)
+    assert np.allclose(lanes.get("v", at.change, n), np.einsum("lij,lj->li", new, y), rtol=1e-9, atol=1e-10)
     evidence = 0.5 * np.einsum("li,lij,lj->l", y, new, y) - 0.5 * np.log(np.linalg.det(np.eye(n) + p @ info))
     assert np.allclose(lanes.get("v", V_WEIGHT, 1)[:, 0], evidence, rtol=1e-9)

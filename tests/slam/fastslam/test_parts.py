@@ -51,7 +51,7 @@ from cellslam.slam.fastslam.state.layout import (
     W_ROWS,
     Link,
     Scratch,
-    scratch_rows,
+    sums_of,
 )
 from cellslam.slam.fastslam.state.particles import draw
 from cellslam.slam.model.assignment_kernel import LEFT_OUT
@@ -109,7 +109,7 @@ def scratch(scores: np.ndarray) -> Scratch:
     c, m = scores.shape
     w = np.zeros(W_ROWS * LANES, np.float32)
     return Scratch(
-        w, w.view(np.int32), np.zeros(scratch_rows(3) * LANES), np.arange(c), np.ones(c, np.bool_),
+        w, w.view(np.int32), np.zeros(sums_of(3).rows * LANES), np.arange(c), np.ones(c, np.bool_),
         np.zeros((c, OUT * LANES), np.float32),
         np.repeat(scores[..., None], LANES, 2).astype(np.float32), scores > 0.0, np.empty((m, LANES), np.int32),
         np.empty((c, m)), np.empty(m, np.int64), np.empty(4 * (c + m + 2)), np.empty(4 * (c + m + 2), np.int64),
@@ -171,7 +171,7 @@ def test_an_offset_of_its_own_is_a_fourth_state():
     """One Cartesian VT, its offset its own, in a linear world: as one Kalman filter of four states."""
     rng = np.random.default_rng(2)
     parts = chosen(FastSlamOptions(landmarks="cartesian", clock="per-vt")).parts
-    w, out, v = np.zeros(W_ROWS * LANES), np.zeros(OUT * LANES), np.zeros(scratch_rows(3) * LANES)
+    w, out, v = np.zeros(W_ROWS * LANES), np.zeros(OUT * LANES), np.zeros(sums_of(3).rows * LANES)
     rec = np.zeros(RECORD_WITH_OFFSET * LANES)
     mean, cov = np.array([40.0, -20.0, 10.0, 3.0]), np.diag([4.0, 9.0, 2.0, 25.0])
     gain = rng.normal(size=3)
