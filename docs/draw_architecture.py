@@ -26,10 +26,10 @@ WAY = (
     ("scores, bound", "benchmarks/scores"),
     ("table, report", "benchmarks/tables"),
 )
-WIDTH, MARGIN, BOX, HEIGHT, STEP, GAP = 1180, 20, 128, 30, 46, 24
+WIDTH, MARGIN, BOX, HEIGHT, STEP, GAP = 1180, 20, 108, 30, 46, 24
 STYLE = """text{font:13px sans-serif;fill:#1b1b1b}.floor{fill:#f4f4f2;stroke:#b9b9b4}.room{fill:#fff;stroke:#0072b2}
 .name{font-weight:600}.way{fill:#fff;stroke:#009e73}.use{fill:none;stroke:#8a8a86}.floors{fill:none;stroke:#d55e00;stroke-width:2}
-.note{fill:#5a5a56}"""
+.note{fill:#5a5a56}.small{font-size:10.5px;fill:#5a5a56}"""
 
 
 def rooms(floor: str) -> list[str]:
@@ -133,7 +133,7 @@ def _way() -> Iterator[str]:
     for i, (what, room) in enumerate(WAY):
         x = MARGIN + i * step
         yield _rect("way", (x, 44), (step - 22, 48))
-        yield f'<text x="{x + 8}" y="64">{escape(what)}</text><text class="note" x="{x + 8}" y="82">{room}</text>'
+        yield f'<text x="{x + 8}" y="64">{escape(what)}</text><text class="small" x="{x + 8}" y="82">{room}</text>'
         if i:
             yield f'<path class="use" style="stroke:#009e73" marker-end="url(#green)" d="M{x - 22} 68 H{x - 1}"/>'
 

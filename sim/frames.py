@@ -18,7 +18,7 @@ TURN = 2.0 * np.pi
 def wrap_angle(angle_rad: ArrayLike) -> NDArray[np.float64]:
     """Return angles (...,) in radians wrapped to (-pi, pi]: exact, however many turns away."""
     rest = np.fmod(np.asarray(angle_rad, dtype=np.float64), TURN)
-    return rest - TURN * (rest > np.pi) + TURN * (rest <= -np.pi)
+    return np.asarray(rest - TURN * (rest > np.pi) + TURN * (rest <= -np.pi))
 
 
 def rotation(psi_rad: ArrayLike, theta_rad: ArrayLike, phi_rad: ArrayLike) -> NDArray[np.float64]:

@@ -86,7 +86,7 @@ def _outside_indices(node: ast.AST) -> list[ast.AST]:
 
 
 @njit(cache=True, error_model="numpy")
-def _turn(values, rounds):
+def _turn(values: Any, rounds: int) -> Any:
     """Multiply and add, two operations each, in as many chains as keep a core busy."""
     F = values.dtype.type
     for _ in range(rounds):

@@ -84,7 +84,7 @@ def bound(recording: Recording, progress: Progress = silent) -> BoundResult:
     work = room(core.size, most_states(looks, sightings, errors, snapshots), looks, sightings, errors)
     pose, offset = np.zeros((snapshots, 6, 6)), np.zeros((snapshots, sites))
     model = work, motion, looks, sightings, errors
-    if not covariance_recursion.signatures:
+    if not covariance_recursion.signatures:  # type: ignore[attr-defined]
         with progress("compiling Cramer-Rao bound (first use)", 1) as advance:
             covariance_recursion(*model, 0, 0, core.size, drift, drifted, pose, offset)
             advance(1)

@@ -11,8 +11,9 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit, prange
+from numba import prange
 
+from cellslam.sim.compiling import njit
 from cellslam.sim.recording import Floats
 
 MEAN, COV, TRIG, COMPONENT = 1, 5, 15, 19

@@ -5,8 +5,8 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
 
+from cellslam.sim.compiling import njit
 from cellslam.sim.frames_kernel import wrap
 from cellslam.sim.recording import Ints
 from cellslam.slam.ekf_slam.state_layout import (
@@ -155,8 +155,8 @@ def jointly(f: Filter, seen: Measured, link: int, rows: int, w: Scratch) -> bool
             used += 1
     for r in range(used, rows):
         score[r, :columns] = -1.0
-    _blocks(f, seen, link, used, w)
-    _branch(seen, link, used, w)
+    _blocks(f, seen, link, int(used), w)
+    _branch(seen, link, int(used), w)
     return True
 
 
@@ -240,7 +240,7 @@ def _branch(seen: Measured, link: int, used: int, w: Scratch) -> None:
     tried[0] = 0
     while column >= 0:
         if column == columns:
-            distance, _ = _joint_distance(seen, start, count, w.joint)
+            distance, _ = _joint_distance(seen, start, int(count), w.joint)
             if count > best or (count == best and distance < best_distance):
                 best, best_distance = count, distance
                 row_of[:columns] = -1
@@ -262,7 +262,7 @@ def _branch(seen: Measured, link: int, used: int, w: Scratch) -> None:
                 if not free:
                     continue
                 pairs[count, 0], pairs[count, 1] = column, row
-                distance, size = _joint_distance(seen, start, count + 1, w.joint)
+                distance, size = _joint_distance(seen, start, int(count) + 1, w.joint)
                 if distance > w.joint.gates[size]:
                     continue
                 count += 1

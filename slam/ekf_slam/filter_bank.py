@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
+from typing import Any
 
 import numpy as np
 
 from cellslam.sim.recording import Floats, Ints
 from cellslam.slam.api import Setup, VtEstimate
-from cellslam.slam.bp_slam.belief_kernel import believe_snapshot
+from cellslam.slam.ekf_slam.belief_kernel import believe_snapshot
 from cellslam.slam.ekf_slam.map_kernel import map_into
 from cellslam.slam.ekf_slam.motion_kernel import Interval, move
 from cellslam.slam.ekf_slam.snapshot_kernel import find_rivals, use_snapshot
@@ -58,7 +59,7 @@ class Bank:
     log_weight: Floats
     lost: Floats
     losses: Ints
-    _scratch: Scratch | BeliefScratch | None = field(default=None, repr=False)
+    _scratch: Any = field(default=None, repr=False)
 
     def __len__(self) -> int:
         return len(self.x)
@@ -124,8 +125,8 @@ class Bank:
             slots=np.pad(self.slots, far), _scratch=None,
         )  # fmt: skip
 
-    def _room(self, measured: Measured) -> Scratch | BeliefScratch:
-        """Return scratch, made anew when a snapshot needs more."""
+    def _room(self, measured: Measured) -> Any:
+        """Return scratch of the mode, made anew when a snapshot needs more."""
         had = self._scratch
         if had is None or len(had[-1] if self.mode == BELIEF else had.row_of) < len(measured.z):
             places, columns = self.anchor.shape[1], max(2 * len(measured.z), 32)
@@ -138,8 +139,8 @@ def _scratch(size: int, places: int, columns: int, rules: Rules) -> Scratch | Be
     pairs, whole = (places, columns), np.int64
     h, t, narrow = np.empty((3, TOUCHED)), np.empty((3, size)), np.empty((3, TOUCHED))
     if rules.mode == BELIEF:
-        messages = (np.empty(pairs) for _ in range(4))
-        return BeliefScratch(h, t, narrow, np.empty(places, whole), *messages, np.empty(columns))
+        beta, zeta, nu, marginal = (np.empty(pairs) for _ in range(4))
+        return BeliefScratch(h, t, narrow, np.empty(places, whole), beta, zeta, nu, marginal, np.empty(columns))
     work = 4 * (places + columns + 2)
     return Scratch(
         h, t, narrow, np.empty(pairs), np.empty(places, whole), np.empty(columns, whole), np.empty(columns, whole),

@@ -12,8 +12,8 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
 
+from cellslam.sim.compiling import njit
 from cellslam.sim.frames_kernel import TURN, wrap
 from cellslam.sim.recording import Floats
 from cellslam.slam.ekf_slam.map_kernel import add, remove
@@ -108,7 +108,7 @@ def sweep(f: Filter) -> None:
     j = np.int64(0)
     while j < f.count[0]:
         if f.anchor[j, SHARE] == 0.0:
-            remove(f, j)
+            remove(f, int(j))
         else:
             j += 1
 

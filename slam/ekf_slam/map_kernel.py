@@ -5,8 +5,8 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
 
+from cellslam.sim.compiling import njit
 from cellslam.sim.recording import Floats
 from cellslam.slam.ekf_slam.state_layout import (
     EXISTS,
@@ -68,7 +68,7 @@ def add(
         if f.slots[j, HITS] >= confirm and f.anchor[j, SHARE] > 0.5 and f.losses[0] < len(f.lost):
             keep(f, j, f.lost[f.losses[0]])
             f.losses[0] += 1
-        remove(f, j)
+        remove(f, int(j))
     new = f.count[0]
     give_birth(f, new, offset, z, q, ranged)
     f.anchor[new, EXISTS] = f.anchor[new, SHARE] = 1.0
@@ -97,7 +97,7 @@ def keep(f: Filter, j: int, out: Floats) -> None:
 
 
 @njit(cache=True)
-def slope(rho, ca, sa, ce, se, row, column):
+def slope(rho: float, ca: float, sa: float, ce: float, se: float, row: int, column: int) -> float:
     """Return d(position)/d(range, azimuth, elevation)[row, column]."""
     if column == 0:
         return ce * ca if row == 0 else (ce * sa if row == 1 else se)
@@ -124,6 +124,6 @@ def tidy(f: Filter, now: int, rules: Rules) -> None:
     while j < f.count[0]:
         age, hits = now - f.slots[j, LAST], f.slots[j, HITS]
         if hits < rules.confirm and age > (rules.age_once if hits < 2 else rules.age_twice):
-            remove(f, j)
+            remove(f, int(j))
         else:
             j += 1

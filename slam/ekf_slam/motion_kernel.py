@@ -5,8 +5,8 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 
+from cellslam.sim.compiling import njit
 from cellslam.sim.recording import Floats
 from cellslam.slam.ekf_slam.state_layout import POSE, Core, Filter, one_of, states
 from cellslam.slam.model.matrices_kernel import Mat3, Vec3, columns, put_mat, scaled, vec_of

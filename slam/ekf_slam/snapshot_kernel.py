@@ -5,8 +5,7 @@ One thread: filters are many only during the start, and parallel code takes long
 
 from __future__ import annotations
 
-from numba import njit
-
+from cellslam.sim.compiling import njit
 from cellslam.sim.recording import Floats, Ints
 from cellslam.slam.ekf_slam.association_kernel import associate, best_rival
 from cellslam.slam.ekf_slam.guess_kernel import begin, correct, possible, settle, sweep

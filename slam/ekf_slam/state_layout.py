@@ -5,8 +5,8 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 
+from cellslam.sim.compiling import njit
 from cellslam.sim.recording import Floats, Ints
 from cellslam.slam.api import Setup
 
@@ -74,7 +74,7 @@ class Filter(NamedTuple):
     p: Floats
     anchor: Floats
     slots: Ints
-    count: Ints
+    count: Ints  # type: ignore[assignment]  # hides tuple.count
     links: Ints
     lost: Floats
     losses: Ints
@@ -199,4 +199,4 @@ def states(f: Filter) -> int:
 @njit(cache=True)
 def same_vt(f: Filter, i: int, link: int, ident: int) -> bool:
     """Return whether slot i holds a VT, or a guess of it, of this identity on a link."""
-    return f.slots[i, IDENT] == ident and f.slots[i, LINK] == link
+    return bool(f.slots[i, IDENT] == ident and f.slots[i, LINK] == link)

@@ -5,8 +5,7 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
-from numba import njit
-
+from cellslam.sim.compiling import njit
 from cellslam.sim.frames_kernel import wrap
 from cellslam.sim.recording import Floats
 from cellslam.slam.ekf_slam.state_layout import OFFSET, POSE, TOUCHED, Filter, Scratch, states

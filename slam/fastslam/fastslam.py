@@ -11,6 +11,7 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
+from cellslam.sim.compiling import is_compiled
 from cellslam.sim.recording import Floats
 from cellslam.slam import warm_up
 from cellslam.slam.api import Estimate, Setup, Snapshot
@@ -18,6 +19,7 @@ from cellslam.slam.fastslam.best_map import map_of
 from cellslam.slam.fastslam.fastslam_options import FastSlamOptions
 from cellslam.slam.fastslam.parts.choice import Choice, chosen
 from cellslam.slam.fastslam.running.threads import over_blocks
+from cellslam.slam.fastslam.snapshot import block_kernel
 from cellslam.slam.fastslam.snapshot.block_kernel import advance_blocks
 from cellslam.slam.fastslam.snapshot.measurement_kernel import census, pack
 from cellslam.slam.fastslam.snapshot.sight_kernel import SEEN, sight_blocks
@@ -57,8 +59,7 @@ class FastSlam:
     @staticmethod
     def compiled() -> bool:
         """Return whether the kernels have been compiled before, and are in Numba's cache."""
-        folder = Path(advance_blocks.cached.stats.cache_path or "")
-        return any(folder.glob("block_kernel._advance_blocks-*.nbi"))
+        return is_compiled(block_kernel.__name__, Path(block_kernel.__file__))
 
     def warm_up(self) -> None:
         """Compile every kernel on a drive of four snapshots."""

@@ -5,14 +5,18 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
+
+from cellslam.sim.compiling import njit
+from cellslam.sim.recording import Floats, Ints
 
 GATE = 4.0  # deviations beyond which a direction says nothing
 TINY = 1e-12
 
 
 @njit(cache=True)
-def level(mean, covariance, prior, left, azimuth, elevation):
+def level(
+    mean: Floats, covariance: Floats, prior: Floats, left: float, azimuth: Floats, elevation: Floats
+) -> tuple[Floats, Floats]:
     """Let pitch and roll, mean (2,) and covariance (2, 2), decorrelate until `left` of the old is in the new; return
     azimuth and elevation (m,) as a level array would measure them.
 
@@ -37,7 +41,7 @@ def level(mean, covariance, prior, left, azimuth, elevation):
 
 
 @njit(cache=True)
-def _row_of(name, names):
+def _row_of(name: int, names: Ints) -> int:
     """Return where `name` is among names (V,), -1 where it is not."""
     for i in range(len(names)):
         if names[i] == name:
@@ -46,7 +50,19 @@ def _row_of(name, names):
 
 
 @njit(cache=True)
-def observe(mean, covariance, pose, association, names, vts, spreads, azimuth, elevation, variance, common):
+def observe(
+    mean: Floats,
+    covariance: Floats,
+    pose: Floats,
+    association: Ints,
+    names: Ints,
+    vts: Floats,
+    spreads: Floats,
+    azimuth: Floats,
+    elevation: Floats,
+    variance: Floats,
+    common: Floats,
+) -> None:
     """Update mean (2,) and covariance (2, 2) of pitch and roll by the directions of known VTs, in place.
 
     `pose` (6,): place and yaw of the array; measurement i is of the VT that is called association[i], with its place in

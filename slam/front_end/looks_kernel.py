@@ -5,13 +5,25 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
+
+from cellslam.sim.compiling import njit
+from cellslam.sim.recording import Floats, Ints
 
 TOGETHER = 16.3  # squared distance of two measurements of one path over its variance, at most
 
 
 @njit(cache=True)
-def taken_together(distance, azimuth, elevation, white, place, link, group_of, port_of, together):
+def taken_together(
+    distance: Floats,
+    azimuth: Floats,
+    elevation: Floats,
+    white: Floats,
+    place: Floats,
+    link: Ints,
+    group_of: Ints,
+    port_of: Ints,
+    together: bool,
+) -> tuple[Floats, Floats, Ints, Ints, Ints, Ints, Ints]:
     """Return the looks of a snapshot, sorted by group: measurements (n, 3), white variances (n, 3), group (n,), how
     many measurements they are means of (n,), of how many ports (n,), the first of them (n,); and the look of each
     measurement (m,).
@@ -47,7 +59,7 @@ def taken_together(distance, azimuth, elevation, white, place, link, group_of, p
 
 
 @njit(cache=True)
-def group(z, variance, link, group_of):
+def group(z: Floats, variance: Floats, link: Ints, group_of: Ints) -> tuple[Ints, int]:
     """Return for each measurement (m,) the number of its look, and how many looks there are.
 
     z (m, 3): distance, azimuth, elevation, NaN where not measured; variance (m, 3): of each, without what all
@@ -91,7 +103,9 @@ def group(z, variance, link, group_of):
 
 
 @njit(cache=True)
-def means(z, white, link, port_of, look, first):
+def means(
+    z: Floats, white: Floats, link: Ints, port_of: Ints, look: Ints, first: Ints
+) -> tuple[Floats, Floats, Ints, Ints]:
     """Return the means (n, 3) of the measurements (m, 3) of each look, their white variances (n, 3), how many there are
     and of how many ports (n,).
 
@@ -133,7 +147,7 @@ def means(z, white, link, port_of, look, first):
 
 
 @njit(cache=True)
-def _apart(z, variance, centre, spread):
+def _apart(z: Floats, variance: Floats, centre: Floats, spread: Floats) -> float:
     """Return the squared distance of a measurement from a look, over its variance."""
     total = 0.0
     for c in range(3):
@@ -147,7 +161,7 @@ def _apart(z, variance, centre, spread):
 
 
 @njit(cache=True)
-def _join(z, variance, centre, spread, members):
+def _join(z: Floats, variance: Floats, centre: Floats, spread: Floats, members: Floats) -> None:
     """Take a measurement into the mean of a look: the first one that has a component begins it."""
     for c in range(3):
         if members[c] == 0.0:

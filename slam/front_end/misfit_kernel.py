@@ -4,14 +4,26 @@ from __future__ import annotations
 
 import math
 
-from numba import njit
+from cellslam.sim.compiling import njit
+from cellslam.sim.recording import Floats, Ints
 
 MOST = 9.0  # a squared error over its variance counts at most so much
 LEAST_FLAT = 0.2  # a VT higher than this share of its range says nothing of azimuth
 
 
 @njit(cache=True)
-def compare(pose, association, names, vts, spreads, z, single, factor, keep, sums):
+def compare(
+    pose: Floats,
+    association: Ints,
+    names: Ints,
+    vts: Floats,
+    spreads: Floats,
+    z: Floats,
+    single: Floats,
+    factor: Floats,
+    keep: float,
+    sums: Floats,
+) -> None:
     """Update sums (2, 2): of azimuth and of elevation the squared errors over their variances, and how many, after
     `keep` of what they were.
 

@@ -5,7 +5,8 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
+
+from cellslam.sim.compiling import njit
 
 MOST_REPEATS = 1e5  # standing still, an error that persists is never drawn anew: nearly no information
 

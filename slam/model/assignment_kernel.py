@@ -8,8 +8,8 @@ one more row for each column, which leaves that column out.
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 
+from cellslam.sim.compiling import njit
 from cellslam.sim.recording import Floats, Ints
 
 LEFT_OUT = -1e30  # score of a pair that cannot be

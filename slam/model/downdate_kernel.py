@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from numba import njit
+from cellslam.sim.compiling import njit
+from cellslam.sim.recording import Floats
 
 
 @njit(cache=True, fastmath={"contract"})
-def downdate(p, n, g, k):
+def downdate(p: Floats, n: int, g: Floats, k: int) -> None:
     """Subtract from the first n rows and columns of a symmetric P the products of k gains (rows of g).
 
     Of g (K, N) rows k to k + 3 are zeroed, K >= k + 3. The lower triangle, four rows and four gains at once, which

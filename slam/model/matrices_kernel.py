@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 from typing import Any, NamedTuple
 
-from numba import njit
+from cellslam.sim.compiling import njit
 
 
 class Vec3(NamedTuple):

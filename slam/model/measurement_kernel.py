@@ -11,8 +11,7 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
-from numba import njit
-
+from cellslam.sim.compiling import njit
 from cellslam.slam.model.matrices_kernel import Mat3, Vec3, rotation
 from cellslam.slam.model.measurement_model import LEAST_FLAT_M
 

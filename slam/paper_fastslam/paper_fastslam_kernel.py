@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import math
 
-from numba import njit, prange
+from numba import prange
 
+from cellslam.sim.compiling import njit
 from cellslam.slam.model.assignment_kernel import assign
 
 LAST, IDENT = 0, 1

@@ -5,11 +5,23 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
+
+from cellslam.sim.compiling import njit
+from cellslam.sim.recording import Floats
 
 
 @njit(cache=True)
-def residual(rotation, position, vt, offset, relative, z, out, by_pose, by_vt):
+def residual(
+    rotation: Floats,
+    position: Floats,
+    vt: Floats,
+    offset: float,
+    relative: Floats,
+    z: Floats,
+    out: Floats,
+    by_pose: Floats,
+    by_vt: Floats,
+) -> int:
     """Write the mean over measurements of h + offset - z, and its Jacobians; return the number of measurements.
 
     rotation (3, 3), position (3,): keyframe; vt (3,); relative (m, 12): rotation row by row, and place, of the vehicle

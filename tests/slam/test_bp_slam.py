@@ -8,9 +8,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from cellslam.slam.bp_slam.belief_kernel import pass_messages, soft_update
 from cellslam.slam.bp_slam.bp_slam import BpSlam
 from cellslam.slam.conformance import EstimatorConformance
+from cellslam.slam.ekf_slam.belief_kernel import pass_messages, soft_update
 from cellslam.slam.ekf_slam.motion_kernel import rotations
 from cellslam.slam.ekf_slam.state_layout import BY_POSE, BY_VT, GEOMETRY, PREDICTED
 from cellslam.slam.ekf_slam.vt_kernel import predict

@@ -5,8 +5,8 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
 
+from cellslam.sim.compiling import njit
 from cellslam.sim.recording import Floats, Ints
 
 LEAST_SHARE = 1e-14  # of the largest variance, below which there is none left but rounding

@@ -6,9 +6,9 @@ import math
 from typing import Any, NamedTuple
 
 import numpy as np
-from numba import njit
 from numba.extending import overload
 
+from cellslam.sim.compiling import njit
 from cellslam.sim.recording import Ints
 from cellslam.slam.api import Snapshot
 from cellslam.slam.fastslam.parts.murty_kernel import murty

@@ -6,9 +6,9 @@ import math
 from typing import Any, NamedTuple
 
 import numpy as np
-from numba import njit
 from numba.extending import overload
 
+from cellslam.sim.compiling import njit
 from cellslam.sim.recording import Floats
 from cellslam.slam.fastslam.parts.part_types import COMPILED, is_of
 from cellslam.slam.fastslam.state.lanes_kernel import mat_at, put_where, sym_at, vec_at

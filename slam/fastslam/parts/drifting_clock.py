@@ -13,9 +13,9 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from numba import njit
 from numba.extending import overload
 
+from cellslam.sim.compiling import njit
 from cellslam.slam.fastslam.parts.clock import (
     Drifting,
     absorb,

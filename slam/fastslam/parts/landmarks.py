@@ -10,9 +10,9 @@ import math
 from typing import Any, NamedTuple
 
 import numpy as np
-from numba import njit
 from numba.extending import overload
 
+from cellslam.sim.compiling import njit
 from cellslam.slam.fastslam.parts.part_types import COMPILED, INLINE, is_of
 from cellslam.slam.fastslam.state.angle_kernel import cosine, sine
 from cellslam.slam.fastslam.state.lanes_kernel import five_at, mat_at, vec_at

@@ -5,9 +5,9 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from cellslam.sim.compiling import njit
 from cellslam.sim.recording import Floats, Ints
 from cellslam.slam.model.assignment_kernel import LEFT_OUT, best_sum
 
@@ -38,7 +38,7 @@ def murty(score: Floats, rows: int, columns: int, most: int, uniform: float, row
             break
     for c in range(columns):
         row_of[c] = choices[chosen, c]
-    return totals[chosen] - totals[0] - math.log(weight)
+    return float(totals[chosen] - totals[0] - math.log(weight))
 
 
 @njit(cache=True, error_model="numpy")

@@ -8,10 +8,10 @@ from __future__ import annotations
 
 from typing import Any
 
-from numba import njit
 from numba.core import cgutils
 from numba.extending import intrinsic
 
+from cellslam.sim.compiling import njit
 from cellslam.slam.fastslam.state.layout import Blocks, Measured, Scratch, Step, Tracks
 
 

@@ -9,9 +9,11 @@ from typing import Any
 
 import numpy as np
 from llvmlite import ir
-from numba import njit, types
+from numba import types
 from numba.extending import intrinsic
 from numpy.typing import NDArray
+
+from cellslam.sim.compiling import njit
 
 TAKEN, DONE = 0, 8  # places of the counters, on cache lines of their own
 COUNTERS = 16

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import math
 
-from numba import njit
-
+from cellslam.sim.compiling import njit
 from cellslam.slam.fastslam.parts.clock import begin_offset
 from cellslam.slam.fastslam.parts.landmarks import begin, begin_gain, begin_spread
 from cellslam.slam.fastslam.parts.part_types import Parts

@@ -6,9 +6,9 @@ import math
 from typing import Any
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from cellslam.sim.compiling import njit
 from cellslam.sim.recording import Floats, Ints
 from cellslam.slam.fastslam.parts.association import associate, may_be_born
 from cellslam.slam.fastslam.parts.clock import absorb, clock_moves, correct_clock, load_clock, rate_changes

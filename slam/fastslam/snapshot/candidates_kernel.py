@@ -6,8 +6,8 @@ import math
 from typing import Any
 
 import numpy as np
-from numba import njit
 
+from cellslam.sim.compiling import njit
 from cellslam.slam.fastslam.parts.criterion import NEVER, score
 from cellslam.slam.fastslam.parts.part_types import Parts
 from cellslam.slam.fastslam.running.prefetch import prefetch

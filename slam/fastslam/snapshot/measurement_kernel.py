@@ -5,9 +5,9 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from cellslam.sim.compiling import njit
 from cellslam.sim.recording import Floats, Ints
 
 COLUMNS = 15

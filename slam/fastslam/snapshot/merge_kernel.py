@@ -5,8 +5,8 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
 
+from cellslam.sim.compiling import njit
 from cellslam.slam.fastslam.parts.part_types import Parts
 from cellslam.slam.fastslam.snapshot.predict_kernel import predict
 from cellslam.slam.fastslam.state.lanes_kernel import five_at, mat_at, sym_at

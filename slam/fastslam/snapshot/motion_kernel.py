@@ -5,8 +5,8 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
 
+from cellslam.sim.compiling import njit
 from cellslam.sim.recording import Floats
 from cellslam.slam.fastslam.snapshot.candidates_kernel import STEEP
 from cellslam.slam.fastslam.state.lanes_kernel import covariance_at, put, theta_at, vec_at

@@ -11,8 +11,7 @@ from __future__ import annotations
 
 import math
 
-from numba import njit
-
+from cellslam.sim.compiling import njit
 from cellslam.slam.fastslam.state.layout import LANES, V_WEIGHT, V_Y, W_INFO, W_Y, Rows, sums_of
 from cellslam.slam.fastslam.state.triangles_kernel import (
     Vec4,

@@ -8,8 +8,8 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from numba import njit
 
+from cellslam.sim.compiling import njit
 from cellslam.slam.fastslam.state.angle_kernel import arc_tangent
 from cellslam.slam.fastslam.state.lanes_kernel import five_at, put, sym_at, vec_at
 from cellslam.slam.fastslam.state.layout import (

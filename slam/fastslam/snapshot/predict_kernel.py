@@ -8,8 +8,7 @@ from __future__ import annotations
 import math
 from typing import Any
 
-from numba import njit
-
+from cellslam.sim.compiling import njit
 from cellslam.slam.fastslam.parts.clock import expect, widen
 from cellslam.slam.fastslam.parts.landmarks import moved, place, slopes
 from cellslam.slam.fastslam.parts.part_types import Parts

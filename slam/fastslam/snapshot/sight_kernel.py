@@ -5,8 +5,8 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from numba import njit
 
+from cellslam.sim.compiling import njit
 from cellslam.sim.recording import Floats, Ints
 from cellslam.slam.fastslam.parts.association import associate
 from cellslam.slam.fastslam.parts.clock import clock_moves, load_clock

@@ -5,8 +5,8 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from numba import njit
 
+from cellslam.sim.compiling import njit
 from cellslam.slam.fastslam.parts.criterion import LOG_2PI_3
 from cellslam.slam.fastslam.parts.landmarks import corrected
 from cellslam.slam.fastslam.parts.part_types import Parts

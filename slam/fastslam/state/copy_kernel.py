@@ -6,8 +6,9 @@ import math
 from typing import Any
 
 import numpy as np
-from numba import njit, prange
+from numba import prange
 
+from cellslam.sim.compiling import njit
 from cellslam.sim.recording import Floats, Ints
 from cellslam.slam.fastslam.parts.clock import offset_belief
 from cellslam.slam.fastslam.parts.landmarks import locate

@@ -7,8 +7,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from numba import njit
-
+from cellslam.sim.compiling import njit
 from cellslam.slam.fastslam.state.layout import LANES, THETA, Five, Rows
 from cellslam.slam.model.matrices_kernel import Mat3, Sym3, Vec3
 

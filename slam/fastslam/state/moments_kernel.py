@@ -5,8 +5,8 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
 
+from cellslam.sim.compiling import njit
 from cellslam.sim.recording import Floats
 from cellslam.slam.fastslam.state.layout import LANES, POSE, POSE_G, THETA
 

@@ -9,8 +9,8 @@ import math
 from typing import Any
 
 import numpy as np
-from numba import njit
 
+from cellslam.sim.compiling import njit
 from cellslam.slam.fastslam.state.layout import LANES, V_WEIGHT, Link, Rows, Rules, Tracks
 
 B = LANES

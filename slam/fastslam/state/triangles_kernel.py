@@ -5,8 +5,7 @@ from __future__ import annotations
 import math
 from typing import Any, NamedTuple
 
-from numba import njit
-
+from cellslam.sim.compiling import njit
 from cellslam.slam.fastslam.state.layout import LANES, Rows
 
 B = LANES

@@ -14,8 +14,8 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
 
+from cellslam.sim.compiling import njit
 from cellslam.sim.recording import Floats, Ints
 from cellslam.slam.ekf_slam.association_kernel import log_density
 from cellslam.slam.ekf_slam.map_kernel import add, remove
@@ -169,10 +169,10 @@ def soft_update(f: Filter, seen: Measured, link: int, j: int, share: Floats, w: 
             continue
         distance2, log_det = log_likelihood(innovate(z, seen.single[k], expected, x[offset], hph))
         evidence += 0.5 * part * (distance2 + log_det)
-        i = innovate(z, seen.many[k], expected, x[offset], hph)
-        distance2, log_det = log_likelihood(i)
+        many = innovate(z, seen.many[k], expected, x[offset], hph)
+        distance2, log_det = log_likelihood(many)
         evidence += part * (seen.lack[k] - 0.5 * (distance2 + log_det))
-        whitened, information = _whitened(i, z)
+        whitened, information = _whitened(many, z)
         mean = vec_plus(mean, vec_scaled(whitened, part))
         m = sym_plus(m, sym_scaled(sym_minus(information, outer(whitened)), part))
     m = sym_plus(m, outer(mean))
@@ -247,7 +247,7 @@ def _give_up(f: Filter, rules: Rules) -> None:
     j = np.int64(0)  # a literal would have `remove` compiled twice
     while j < f.count[0]:
         if f.anchor[j, EXISTS] < rules.drop and f.slots[j, HITS] < rules.confirm:
-            remove(f, j)
+            remove(f, int(j))
         else:
             j += 1
 
