@@ -38,7 +38,7 @@ def murty(score: Floats, rows: int, columns: int, most: int, uniform: float, row
             break
     for c in range(columns):
         row_of[c] = choices[chosen, c]
-    return totals[chosen] - totals[0] - math.log(weight)
+    return float(totals[chosen] - totals[0] - math.log(weight))
 
 
 @njit(cache=True, error_model="numpy")
