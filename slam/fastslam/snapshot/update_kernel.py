@@ -51,7 +51,7 @@ B = LANES
 
 @njit(error_model="numpy")
 def correct(parts: Parts, w: Rows, rec: Rows, out: Rows) -> None:
-    """Update a record where W_MASK is 1: K = Sigma H^T S^-1, mu += K e, G -= K A, Sigma -= K H Sigma (method.md)."""
+    """Update a record where W_MASK is 1: K = Sigma H^T S^-1, mu += K e, G -= K A, Sigma -= K H Sigma."""
     F = w.dtype.type
     for l in range(B):
         on = w[W_MASK * B + l]

@@ -1,6 +1,9 @@
 """Compiled: what a lane has in neighbouring rows, read and written as vectors and matrices.
 
-`rows` is flat, LANES numbers a row (see `layout`); `first`: the first of the rows; `l`: the lane.
+`rows` is flat, LANES numbers a row (see `layout`); `first`: the first of the rows; `l`: the lane. The compiler takes
+vectors and matrices apart, so that a loop over lanes that reads as equations is as fast as one over numbered scalars,
+as long as functions that give more than one matrix take matrices, not rows, and arrays are taken out of their tuples
+before the loop.
 """
 
 from __future__ import annotations
