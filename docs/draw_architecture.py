@@ -78,12 +78,12 @@ def inside(floor: str, graph: dict[str, set[str]]) -> dict[str, set[str]]:
 
 
 def levels(graph: dict[str, set[str]]) -> dict[str, int]:
-    """Return how far each room is from those that use no other."""
+    """Return how far each room is from those that no other uses."""
     found: dict[str, int] = {}
 
     def level(room: str) -> int:
         if room not in found:
-            found[room] = 1 + max((level(other) for other in graph[room]), default=-1)
+            found[room] = 1 + max((level(user) for user in graph if room in graph[user]), default=-1)
         return found[room]
 
     for room in graph:
@@ -140,8 +140,7 @@ def _way() -> Iterator[str]:
 
 def _columns(graph: dict[str, set[str]]) -> list[list[str]]:
     found = levels(graph)
-    deepest = max(found.values(), default=0)
-    return [sorted(room for room, level in found.items() if level == deepest - i) for i in range(deepest + 1)]
+    return [sorted(room for room in found if found[room] == i) for i in range(1 + max(found.values(), default=-1))]
 
 
 def _height(graph: dict[str, set[str]]) -> int:
