@@ -10,9 +10,9 @@ from pathlib import Path
 import numpy as np
 import tomli_w
 
+from cellslam.benchmarks.bench.scenario_facts import scenario_facts
 from cellslam.scenarios.loading import load, preset_names
 from cellslam.scenarios.scenario import Scenario
-from cellslam.sim.facts import scenario_facts
 
 TRIALS = 10
 """Trials whose mean is written down for a scenario that draws another place in each trial."""

@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 from cellslam.benchmarks.bench.preset_facts import mean_facts, write_facts
+from cellslam.benchmarks.bench.scenario_facts import longest_run, measure_facts
 from cellslam.scenarios.loading import load, preset_names
-from cellslam.sim.facts import longest_run, measure_facts
 
 
 def test_longest_run_by_hand() -> None:
