@@ -160,9 +160,10 @@ def _first(database: Any) -> tuple[list[str], tuple[Any, ...]]:
 def _inner() -> Iterator[dict[str, float]]:
     """Count this process's time inside what makes worlds, bounds and estimates: what is outside, the sweep adds."""
     from cellslam.benchmarks.bound import cramer_rao as bound
+    from cellslam.scenarios import simulation
 
     spent = {"cpu_s": 0.0}
-    places = [(trials, "record"), (bound, "bound"), (trials, "outcome_of")]
+    places = [(simulation, "simulate"), (bound, "bound"), (trials, "outcome_of")]
     real = {name: getattr(module, name) for module, name in places}
 
     def counted(function: Any) -> Any:

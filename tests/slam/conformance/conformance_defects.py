@@ -44,7 +44,7 @@ class NoFreshStart(Sound):
     """Goes on from where the last drive ended."""
 
     def start(self, setup: Setup, rng: np.random.Generator) -> None:
-        if not hasattr(self, "_state"):
+        if not hasattr(self, "_filter"):
             super().start(setup, rng)
 
 
