@@ -315,6 +315,15 @@ def put_mat(out: Any, m: Mat3) -> None:
 
 
 @njit
+def put_sym(out: Any, s: Sym3) -> None:
+    """Write a symmetric matrix into an array (3, 3)."""
+    out[0, 0], out[1, 1], out[2, 2] = s.xx, s.yy, s.zz
+    out[0, 1] = out[1, 0] = s.xy
+    out[0, 2] = out[2, 0] = s.xz
+    out[1, 2] = out[2, 1] = s.yz
+
+
+@njit
 def sym_times(a: Sym3, b: Sym3) -> Sym3:
     """Return the product of a and b element by element."""
     return Sym3(a.xx * b.xx, a.xy * b.xy, a.xz * b.xz, a.yy * b.yy, a.yz * b.yz, a.zz * b.zz)

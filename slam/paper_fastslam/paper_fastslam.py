@@ -87,22 +87,23 @@ class PaperFastSlam:
         self._pose = integrate_pose(self._pose, velocity, dt_s)
 
     def _use(self, snapshot: Snapshot) -> Ints:
-        from cellslam.slam.paper_fastslam.paper_fastslam_kernel import use_snapshot
+        from cellslam.slam.paper_fastslam.paper_fastslam_kernel import Maps, Measured, Scratch, use_snapshot
 
         z = np.stack([snapshot.distance_m, snapshot.azimuth_rad, snapshot.elevation_rad], axis=1)
         q = white(snapshot, self._front_end) + np.sum(self._front_end.persisting, axis=0)
         whole = np.isfinite(z).all(axis=1)
         first = np.concatenate([[0], np.cumsum(whole)])[first_of_link(snapshot, len(self._offset_of))]
-        z, q, count, places = z[whole], q[whole], len(self._pose), self.options.vts_per_link
-        some, wide = np.full((count, len(z)), -1, np.int64), 4 * (len(z) + places + 4)
-        rot = rotation(self._pose[:, 3], self._pose[:, 4], self._pose[:, 5])
-        scratch = (
-            np.empty((count, places, len(z) + 1)), np.empty((count, 8, 3)), np.empty((count, 6, 3)),
-            np.empty((count, wide)), np.empty((count, len(z) + places + 2 + wide), np.int64),
+        given = Measured(z[whole], q[whole], first, self._offset_of)
+        count, places, measured = len(self._pose), self.options.vts_per_link, len(given.z)
+        wide, some = 4 * (measured + places + 4), np.full((count, measured), -1, np.int64)
+        scratch = Scratch(
+            np.empty((count, places, measured + 1)), np.empty((count, wide)),
+            np.empty((count, measured + places + 2 + wide), np.int64),
         )  # fmt: skip
         use_snapshot(
-            self._now, self._pose, rot, self._means, self._covs, self._slots, self._counts, first, self._offset_of,
-            z, q, self._born, self.options.gate, self._log_weight, some, *scratch,
+            self._now, self._pose, rotation(self._pose[:, 3], self._pose[:, 4], self._pose[:, 5]),
+            Maps(self._means, self._covs, self._slots, self._counts), given, self._born, self.options.gate,
+            self._log_weight, some, scratch,
         )  # fmt: skip
         association = np.full((count, len(snapshot)), -1, np.int64)
         association[:, whole] = some

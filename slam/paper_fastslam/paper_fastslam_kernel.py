@@ -1,197 +1,236 @@
-"""Compiled: the paper's FastSLAM, a snapshot for every particle. Cartesian VTs, an EKF each, Hungarian association."""
+"""Compiled: the paper's FastSLAM, a snapshot for every particle. Cartesian VTs, an EKF each, Hungarian association.
+
+Source: Chen, Whiton and Tufvesson, "Extended FastSLAM using cellular multipath component delays and angular
+information", section III (h, H and the EKF of a VT) and section IV (association).
+"""
 
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
+import numpy as np
 from numba import prange
 
 from cellslam.sim.compiling import njit
+from cellslam.sim.frames_kernel import wrap
+from cellslam.sim.recording import Floats, Ints
 from cellslam.slam.model.assignment_kernel import assign
+from cellslam.slam.model.matrices_kernel import (
+    Mat3,
+    Sym3,
+    Vec3,
+    adjugate,
+    determinant,
+    mat_mat,
+    mat_of,
+    mat_sym,
+    mat_vec,
+    put_sym,
+    quadratic,
+    sym_minus,
+    sym_of,
+    sym_product,
+    sym_scaled,
+    transposed,
+    transposed_vec,
+    vec_minus,
+    vec_of,
+    vec_plus,
+)
+from cellslam.slam.model.measurement_kernel import (
+    Spherical,
+    cartesian_jacobian,
+    direction,
+    spherical,
+    spherical_jacobian,
+)
 
 LAST, IDENT = 0, 1
 SLACK = 1e-3  # m^2: rounding, and that a predicted distance is never below a millimetre
+NEAREST_M = 1.0  # a VT is born no nearer
+LOG_TURN = math.log(2.0 * math.pi)
+
+
+class Maps(NamedTuple):
+    """VTs of N particles: means (N, L, C, 3) and covs (N, L, C, 3, 3) in m, slots (N, L, C, 2): snapshot of the last
+    update and identity, counts (N, L). Within a particle, the same without N."""
+
+    means: Floats
+    covs: Floats
+    slots: Ints
+    counts: Ints
+
+
+class Measured(NamedTuple):
+    """The measurements z (M, 3) in m and rad, their variances q (M, 3), first (L + 1,) of each link, offset (L,): clock
+    offset (m) taken for each link."""
+
+    z: Floats
+    q: Floats
+    first: Ints
+    offset: Floats
+
+
+class Scratch(NamedTuple):
+    """Memory to work in, for each of N particles: score (N, C, M + 1), work (N, .), numbers (N, .)."""
+
+    score: Floats
+    work: Floats
+    numbers: Ints
+
+
+class Seen(NamedTuple):
+    """A VT as a particle sees it: h, H Sigma and H Sigma H^T."""
+
+    h: Spherical
+    h_sigma: Mat3
+    spread: Sym3
+
+
+class Innovation(NamedTuple):
+    """e = z - h; det S and S^-1 where S = H Sigma H^T + Q; e^T S^-1 e."""
+
+    e: Vec3
+    det: float
+    inverse: Sym3
+    distance2: float
 
 
 @njit(cache=True)
-def _predict(pose, rot, vt, h, by):
-    """Write h (3,) and dh/dv (3, 3) for a VT (3,) seen from a pose with rotation rot (3, 3) (paper, eq. for h)."""
-    wx, wy, wz = vt[0] - pose[0], vt[1] - pose[1], vt[2] - pose[2]
-    x = rot[0, 0] * wx + rot[1, 0] * wy + rot[2, 0] * wz
-    y = rot[0, 1] * wx + rot[1, 1] * wy + rot[2, 1] * wz
-    z = rot[0, 2] * wx + rot[1, 2] * wy + rot[2, 2] * wz
-    flat2 = max(x * x + y * y, 1e-6)
-    full2 = flat2 + z * z
-    flat, full = math.sqrt(flat2), math.sqrt(full2)
-    h[0], h[1], h[2] = full, math.atan2(y, x), math.atan2(z, flat)
-    for c in range(3):
-        a, b, d = rot[c, 0], rot[c, 1], rot[c, 2]
-        by[0, c] = (x * a + y * b + z * d) / full
-        by[1, c] = (-y * a + x * b) / flat2
-        by[2, c] = (-(x * a + y * b) * z / flat + flat * d) / full2
+def _seen(place: Vec3, r: Mat3, mean: Vec3, cov: Sym3) -> Seen:
+    """Return how a VT is seen from a place with the rotation R, body to world (corrected: the paper prints
+    H^T Sigma H)."""
+    v = transposed_vec(r, vec_minus(mean, place))
+    jacobian = mat_mat(spherical_jacobian(v), transposed(r))
+    h_sigma = mat_sym(jacobian, cov)
+    return Seen(spherical(v), h_sigma, sym_product(h_sigma, transposed(jacobian)))
 
 
 @njit(cache=True)
-def _spread(by, cov, t, p):
-    """Write T = H Sigma and P = T H^T (corrected: the paper prints H^T Sigma H)."""
-    for r in range(3):
-        for c in range(3):
-            t[r, c] = by[r, 0] * cov[0, c] + by[r, 1] * cov[1, c] + by[r, 2] * cov[2, c]
-    for r in range(3):
-        for c in range(3):
-            p[r, c] = t[r, 0] * by[c, 0] + t[r, 1] * by[c, 1] + t[r, 2] * by[c, 2]
+def _innovation(seen: Seen, z: Floats, q: Floats, offset: float) -> Innovation:
+    h, p = seen.h, seen.spread
+    e = Vec3(z[0] - offset - h.distance, wrap(z[1] - h.azimuth), z[2] - h.elevation)
+    s = Sym3(p.xx + q[0], p.xy, p.xz, p.yy + q[1], p.yz, p.zz + q[2])
+    cofactors = adjugate(s)
+    det = determinant(s, cofactors)
+    inverse = sym_scaled(cofactors, 1.0 / det)
+    return Innovation(e, det, inverse, quadratic(inverse, e))
 
 
 @njit(cache=True)
-def _invert(p, q, s):
-    """Write the inverse of S = P + Q; return det S."""
-    a, b, c, d, e, f = p[0, 0] + q[0], p[0, 1], p[0, 2], p[1, 1] + q[1], p[1, 2], p[2, 2] + q[2]
-    m0, m1, m2 = d * f - e * e, c * e - b * f, b * e - c * d
-    det = a * m0 + b * m1 + c * m2
-    s[0, 0], s[1, 1], s[2, 2] = m0 / det, (a * f - c * c) / det, (a * d - b * b) / det
-    s[0, 1] = s[1, 0] = m1 / det
-    s[0, 2] = s[2, 0] = m2 / det
-    s[1, 2] = s[2, 1] = (b * c - a * e) / det
-    return det
-
-
-@njit(cache=True)
-def _distance2(z, offset, h, s, e):
-    """Write the innovation e (3,) and return its squared Mahalanobis distance."""
-    e[0], e[2] = z[0] - offset - h[0], z[2] - h[2]
-    turn = z[1] - h[1]
-    e[1] = turn - 2.0 * math.pi * math.floor((turn + math.pi) / (2.0 * math.pi))
-    total = 0.0
-    for r in range(3):
-        for c in range(3):
-            total += e[r] * s[r, c] * e[c]
-    return total
-
-
-@njit(cache=True)
-def _birth(pose, rot, z, offset, q, mean, cov):
-    """Write mean and covariance of the VT that a measurement points to: Sigma = J Q J^T."""
-    rho = max(z[0] - offset, 1.0)
-    ca, sa, ce, se = math.cos(z[1]), math.sin(z[1]), math.cos(z[2]), math.sin(z[2])
-    for r in range(3):
-        a, b, d = rot[r, 0], rot[r, 1], rot[r, 2]
-        mean[r] = pose[r] + rho * (a * ce * ca + b * ce * sa + d * se)
-        j0 = a * ce * ca + b * ce * sa + d * se
-        j1, j2 = rho * ce * (b * ca - a * sa), rho * (d * ce - se * (a * ca + b * sa))
-        for c in range(3):
-            a2, b2, d2 = rot[c, 0], rot[c, 1], rot[c, 2]
-            k0 = a2 * ce * ca + b2 * ce * sa + d2 * se
-            k1, k2 = rho * ce * (b2 * ca - a2 * sa), rho * (d2 * ce - se * (a2 * ca + b2 * sa))
-            cov[r, c] = q[0] * j0 * k0 + q[1] * j1 * k1 + q[2] * j2 * k2
-
-
-@njit(cache=True)
-def _within_reach(pose, means, covs, link, count, z, q, start, stop, offset, gate, near):
-    """Write which of a link's `count` VTs may have a measurement within the gate, by distance; return how many.
+def _within_reach(place: Vec3, maps: Maps, link: int, given: Measured, gate: float, near: Ints) -> int:
+    """Write which of a link's VTs may have a measurement within the gate, by distance; return how many.
 
     No component alone has a greater normalised distance than all three, and the variance of the predicted distance is
     at most the trace of the VT's covariance: what is too far off by that needs no Jacobian.
     """
     found = 0
-    for j in range(count):
-        x, y, z_up = means[link, j, 0] - pose[0], means[link, j, 1] - pose[1], means[link, j, 2] - pose[2]
-        full = math.sqrt(x * x + y * y + z_up * z_up)
-        most = covs[link, j, 0, 0] + covs[link, j, 1, 1] + covs[link, j, 2, 2]
+    for j in range(maps.counts[link]):
+        w, cov = vec_minus(vec_of(maps.means[link, j]), place), maps.covs[link, j]
+        distance = math.sqrt(w.x * w.x + w.y * w.y + w.z * w.z)
+        most = cov[0, 0] + cov[1, 1] + cov[2, 2]
         near[found] = j
-        for k in range(start, stop):
-            e = z[k, 0] - offset - full
-            if e * e <= gate * (most + q[k, 0]) + SLACK:
+        for k in range(given.first[link], given.first[link + 1]):
+            e = given.z[k, 0] - given.offset[link] - distance
+            if e * e <= gate * (most + given.q[k, 0]) + SLACK:
                 found += 1
                 break
     return found
 
 
 @njit(cache=True)
-def _score(pose, rot, mean, cov, z, q, start, stop, offset, gate, score, h, s):
+def _score(seen: Seen, given: Measured, link: int, gate: float, score: Floats) -> bool:
     """Write by how much each measurement of a link is within a VT's gate, at most 0 where not; return if any is."""
-    by, t, e, p = h[1:4], h[4:7], h[7], s[3:]
-    _predict(pose, rot, mean, h[0], by)
-    _spread(by, cov, t, p)
-    found = False
-    for k in range(start, stop):
+    found, start = False, given.first[link]
+    for k in range(start, given.first[link + 1]):
         score[k - start] = -1.0
-        e0 = z[k, 0] - offset - h[0, 0]
-        if e0 * e0 > gate * (p[0, 0] + q[k, 0]):
+        e = given.z[k, 0] - given.offset[link] - seen.h.distance
+        if e * e > gate * (seen.spread.xx + given.q[k, 0]):
             continue
-        det = _invert(p, q[k], s)
-        distance2 = _distance2(z[k], offset, h[0], s, e)
+        new = _innovation(seen, given.z[k], given.q[k], given.offset[link])
         # A covariance that rounding has spoilt takes no measurement.
-        if det > 0.0 and distance2 >= 0.0:
-            score[k - start] = gate - distance2
-            found |= distance2 < gate
+        if new.det > 0.0 and new.distance2 >= 0.0:
+            score[k - start] = gate - new.distance2
+            found |= new.distance2 < gate
     return found
 
 
 @njit(cache=True)
-def _particle(now, pose, rot, means, covs, slots, counts, first, offset_of, z, q, born, gate, association, score, h, s,
-              work_f, work_i):  # fmt: skip
-    weight = 0.0
-    by, t, e = h[1:4], h[4:7], h[7]
-    rows, places = len(z) + 1, means.shape[1]
-    row_of, near, solver = work_i[:rows], work_i[rows : rows + places + 1], work_i[rows + places + 1 :]
-    for link in range(len(first) - 1):
-        start, stop, count = first[link], first[link + 1], counts[link]
+def _update(seen: Seen, new: Innovation, mean: Floats, cov: Floats) -> float:
+    """Update a VT: K = Sigma H^T S^-1, mean + K e, Sigma - K H Sigma; return the measurement's log-density."""
+    gain = mat_sym(transposed(seen.h_sigma), new.inverse)
+    moved = vec_plus(vec_of(mean), mat_vec(gain, new.e))
+    mean[0], mean[1], mean[2] = moved.x, moved.y, moved.z
+    put_sym(cov, sym_minus(sym_of(cov), sym_product(gain, seen.h_sigma)))
+    return -0.5 * (new.distance2 + math.log(new.det) + 3.0 * LOG_TURN)
+
+
+@njit(cache=True)
+def _give_birth(place: Vec3, r: Mat3, z: Floats, q: Floats, offset: float, mean: Floats, cov: Floats) -> None:
+    """Write mean and covariance of the VT that a measurement points to: Sigma = J Q J^T."""
+    distance = max(z[0] - offset, NEAREST_M)
+    n = mat_vec(r, direction(z[1], z[2]))
+    mean[0], mean[1], mean[2] = place.x + distance * n.x, place.y + distance * n.y, place.z + distance * n.z
+    j = mat_mat(r, cartesian_jacobian(distance, z[1], z[2]))
+    put_sym(cov, sym_product(mat_sym(j, Sym3(q[0], 0.0, 0.0, q[1], 0.0, q[2])), transposed(j)))
+
+
+@njit(cache=True)
+def _room(maps: Maps, link: int) -> int:
+    """Return a place for a VT of a link: a new one, or that of the one unseen for longest."""
+    if maps.counts[link] < maps.means.shape[1]:
+        maps.counts[link] += 1
+        return maps.counts[link] - 1
+    return int(np.argmin(maps.slots[link, :, LAST]))
+
+
+@njit(cache=True)
+def _particle(
+    now: int, pose: Floats, rotation: Floats, maps: Maps, given: Measured, born: int, gate: float, association: Ints,
+    scratch: Scratch,
+) -> float:  # fmt: skip
+    """Use a snapshot in one particle; return its log-likelihood."""
+    place, r, log_weight = vec_of(pose), mat_of(rotation), 0.0
+    rows, places = len(given.z) + 1, maps.means.shape[1]
+    row_of, near = scratch.numbers[:rows], scratch.numbers[rows : rows + places + 1]
+    for link in range(len(given.offset)):
+        start, stop, offset = given.first[link], given.first[link + 1], given.offset[link]
         rivals = 0  # VTs with a measurement within the gate: the solver need not know of others
-        possible = _within_reach(pose, means, covs, link, count, z, q, start, stop, offset_of[link], gate, near)
-        for n in range(possible):
+        for n in range(_within_reach(place, maps, link, given, gate, near)):
             near[rivals] = j = near[n]
-            rivals += _score(
-                pose, rot, means[link, j], covs[link, j], z, q, start, stop, offset_of[link], gate, score[rivals], h, s
-            )
-        assign(score, rivals, stop - start, row_of, work_f, solver)
+            seen = _seen(place, r, vec_of(maps.means[link, j]), sym_of(maps.covs[link, j]))
+            rivals += _score(seen, given, link, gate, scratch.score[rivals])
+        assign(scratch.score, rivals, stop - start, row_of, scratch.work, scratch.numbers[rows + places + 1 :])
         for k in range(start, stop):
             association[k] = -1
             if row_of[k - start] >= 0:
                 j = near[row_of[k - start]]
-                mean, cov = means[link, j], covs[link, j]
-                _predict(pose, rot, mean, h[0], by)
-                _spread(by, cov, t, s[3:])
-                det = _invert(s[3:], q[k], s)
-                distance2 = _distance2(z[k], offset_of[link], h[0], s, e)
-                weight += -0.5 * distance2 - 0.5 * math.log(det) - 1.5 * math.log(2.0 * math.pi)
-                for r in range(3):
-                    for c in range(3):
-                        by[r, c] = t[0, r] * s[0, c] + t[1, r] * s[1, c] + t[2, r] * s[2, c]
-                for r in range(3):
-                    for c in range(3):
-                        mean[r] += by[r, c] * e[c]
-                for r in range(3):
-                    for c in range(r, 3):
-                        value = cov[r, c] - (by[r, 0] * t[0, c] + by[r, 1] * t[1, c] + by[r, 2] * t[2, c])
-                        cov[r, c] = cov[c, r] = value
-                slots[link, j, LAST] = now
-                association[k] = slots[link, j, IDENT]
+                mean, cov = maps.means[link, j], maps.covs[link, j]
+                seen = _seen(place, r, vec_of(mean), sym_of(cov))
+                log_weight += _update(seen, _innovation(seen, given.z[k], given.q[k], offset), mean, cov)
+                maps.slots[link, j, LAST] = now
+                association[k] = maps.slots[link, j, IDENT]
         for k in range(start, stop):
             if row_of[k - start] < 0:
-                j = counts[link]
-                if j == means.shape[1]:
-                    j = 0
-                    for i in range(means.shape[1]):
-                        if slots[link, i, LAST] < slots[link, j, LAST]:
-                            j = i
-                else:
-                    counts[link] += 1
-                _birth(pose, rot, z[k], offset_of[link], q[k], means[link, j], covs[link, j])
-                slots[link, j, LAST], slots[link, j, IDENT] = now, born + k
-    return weight
+                j = _room(maps, link)
+                _give_birth(place, r, given.z[k], given.q[k], offset, maps.means[link, j], maps.covs[link, j])
+                maps.slots[link, j, LAST], maps.slots[link, j, IDENT] = now, born + k
+    return log_weight
 
 
 @njit(cache=True, parallel=True)
-def use_snapshot(now, pose, rot, means, covs, slots, counts, first, offset_of, z, q, born, gate, log_weight,
-                 association, score, h, s, work_f, work_i):  # fmt: skip
+def use_snapshot(
+    now: int, poses: Floats, rotations: Floats, maps: Maps, given: Measured, born: int, gate: float, log_weight: Floats,
+    association: Ints, scratch: Scratch,
+) -> None:  # fmt: skip
     """Use one snapshot in N particles.
 
-    pose (N, 6), rot (N, 3, 3); maps, written: means (N, L, C, 3), covs (N, L, C, 3, 3), slots (N, L, C, 2), counts
-    (N, L); first (L + 1,), z, q (M, 3); offset_of (L,): clock offset taken for each link; log_weight (N,) is added to,
-    association (N, M) written. score, h (., 8, 3), s (., 6, 3), work_f, work_i: scratch, one a particle.
+    poses (N, 6) in m and rad, rotations (N, 3, 3), body to world; maps: written; now: number of the snapshot, born:
+    identity of the VT that the first measurement may bear; gate: squared Mahalanobis distance; log_weight (N,):
+    log-likelihoods are added; association (N, M): identities of VTs are written, -1 for none.
     """
-    for i in prange(len(pose)):
-        log_weight[i] += _particle(
-            now, pose[i], rot[i], means[i], covs[i], slots[i], counts[i], first, offset_of, z, q, born, gate,
-            association[i], score[i], h[i], s[i], work_f[i], work_i[i],
-        )  # fmt: skip
+    for i in prange(len(poses)):
+        own = Maps(maps.means[i], maps.covs[i], maps.slots[i], maps.counts[i])
+        room = Scratch(scratch.score[i], scratch.work[i], scratch.numbers[i])
+        log_weight[i] += _particle(now, poses[i], rotations[i], own, given, born, gate, association[i], room)

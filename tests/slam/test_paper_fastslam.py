@@ -13,18 +13,20 @@ from cellslam.benchmarks.trials.estimation import estimate, warm_up
 from cellslam.scenarios.estimator_options import resolve
 from cellslam.scenarios.loading import load
 from cellslam.scenarios.simulation import simulate
+from cellslam.sim.compiling import njit
 from cellslam.sim.frames import rotation
 from cellslam.slam.api import setup_of, snapshots_of
 from cellslam.slam.channel_slam.channel_slam import ChannelSlam
 from cellslam.slam.channel_slam.channel_slam_options import ChannelSlamOptions
 from cellslam.slam.conformance import EstimatorConformance
 from cellslam.slam.conformance.subject import Subject, drive, tiny_drive
+from cellslam.slam.model.matrices_kernel import mat_of, sym_of, vec_of
 from cellslam.slam.model.measurement_model import birth, jacobians, predict
 from cellslam.slam.paper_fastslam.paper_fastslam import PaperFastSlam, PaperFastSlamOptions
-from cellslam.slam.paper_fastslam.paper_fastslam_kernel import _birth, _invert, _predict, _spread
+from cellslam.slam.paper_fastslam.paper_fastslam_kernel import _give_birth, _innovation, _seen, _update
 
 POSE, VT = np.array([3.0, -2.0, 1.5, 0.7, 0.1, -0.2]), np.array([60.0, 45.0, 20.0])
-Q = np.array([0.4, 3e-4, 5e-4])
+R, Q = rotation(*POSE[3:]), np.array([0.4, 3e-4, 5e-4])
 # Without clutter and persisting errors, with known offsets: what the paper's filter was written for.
 KIND = {
     "radio.clock_offset_std_m": 0.0, "radio.clutter_scale": 0.0, "radio.calibration_correlation_deg": 0.0,
@@ -32,26 +34,47 @@ KIND = {
 }  # fmt: skip
 
 
-def test_prediction_is_that_of_the_model() -> None:
-    h, by = np.zeros(3), np.zeros((3, 3))
-    _predict(POSE, rotation(*POSE[3:]), VT, h, by)
-    np.testing.assert_allclose(h, predict(POSE, VT), rtol=1e-12)
-    np.testing.assert_allclose(by, jacobians(POSE, VT)[0], rtol=1e-10, atol=1e-14)
+@njit
+def seen(place: Any, r: Any, mean: Any, cov: Any) -> Any:
+    return _seen(vec_of(place), mat_of(r), vec_of(mean), sym_of(cov))
 
 
-def test_innovation_covariance_is_inverted() -> None:
+@njit
+def updated(place: Any, r: Any, mean: Any, cov: Any, z: Any, q: Any, offset: float) -> float:
+    of_vt = _seen(vec_of(place), mat_of(r), vec_of(mean), sym_of(cov))
+    return _update(of_vt, _innovation(of_vt, z, q, offset), mean, cov)
+
+
+@njit
+def born(place: Any, r: Any, z: Any, offset: float, q: Any, mean: Any, cov: Any) -> None:
+    _give_birth(vec_of(place), mat_of(r), z, q, offset, mean, cov)
+
+
+def a_covariance() -> Any:
     root = np.random.default_rng(0).normal(size=(3, 3))
-    cov, by, (t, p, s) = root @ root.T, jacobians(POSE, VT)[0], np.zeros((3, 3, 3))
-    _spread(by, cov, t, p)
-    det = _invert(p, Q, s)
-    expected = by @ cov @ by.T + np.diag(Q)
-    np.testing.assert_allclose(s @ expected, np.eye(3), atol=1e-8)
-    assert det == pytest.approx(np.linalg.det(expected))
+    return root @ root.T
+
+
+def test_prediction_is_that_of_the_model() -> None:
+    h, h_sigma, _ = seen(POSE[:3], R, VT, np.eye(3))
+    np.testing.assert_allclose(h, predict(POSE, VT), rtol=1e-12)
+    np.testing.assert_allclose(np.reshape(h_sigma, (3, 3)), jacobians(POSE, VT)[0], rtol=1e-10, atol=1e-14)
+
+
+def test_update_is_the_textbook_one() -> None:
+    cov, by, offset = a_covariance(), jacobians(POSE, VT)[0], 12.0
+    z = predict(POSE, VT) + np.array([offset + 0.7, 2.0 * np.pi + 0.01, -0.02])
+    mean, after, e, s = VT.copy(), cov.copy(), np.array([0.7, 0.01, -0.02]), by @ cov @ by.T + np.diag(Q)
+    value = updated(POSE[:3], R, mean, after, z, Q, offset)
+    gain = cov @ by.T @ np.linalg.inv(s)
+    np.testing.assert_allclose(mean, VT + gain @ e, rtol=1e-10)
+    np.testing.assert_allclose(after, cov - gain @ by @ cov, rtol=1e-8, atol=1e-10)
+    assert value == pytest.approx(-0.5 * (e @ np.linalg.solve(s, e) + np.log(np.linalg.det(2.0 * np.pi * s))))
 
 
 def test_birth_is_where_the_measurement_points() -> None:
     z, mean, cov = predict(POSE, VT) + np.array([12.0, 0.0, 0.0]), np.zeros(3), np.zeros((3, 3))
-    _birth(POSE, rotation(*POSE[3:]), z, 12.0, Q, mean, cov)
+    born(POSE[:3], R, z, 12.0, Q, mean, cov)
     np.testing.assert_allclose(mean, VT, rtol=1e-12)
     slope = np.zeros((3, 3))
     for i in range(3):
