@@ -14,6 +14,7 @@ The first ten minutes, in a notebook:
 from __future__ import annotations
 
 from importlib import import_module
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
@@ -74,6 +75,10 @@ __all__ = [
     "sweep",
     "trace",
 ]
+
+# In a checkout the rooms stand beside this folder, not in it: Python started there finds them, too.
+if not (Path(__file__).parent / "sim").is_dir():
+    __path__.append(str(Path(__file__).parents[1]))
 
 
 def __getattr__(name: str) -> Any:

@@ -111,4 +111,4 @@ def _remove_old(base: Path, stem: str) -> None:
 
 
 def _user_folder() -> str:
-    return str(AppDirs(PACKAGE, appauthor=False).user_cache_dir)
+    return str(AppDirs(PACKAGE, appauthor=False).user_cache_dir)  # type: ignore[no-untyped-call]

@@ -8,10 +8,14 @@ from __future__ import annotations
 import numpy as np
 
 from cellslam.sim.compiling import njit
+from cellslam.sim.recording import Floats, Ints
 
 
 @njit(cache=True)
-def _excess(start, along, length, tx, ty, tz, rx, ry, rz, clamp):  # type: ignore[no-untyped-def]
+def _excess(
+    start: Floats, along: Floats, length: float, tx: float, ty: float, tz: float, rx: float, ry: float, rz: float,
+    clamp: bool,
+) -> tuple[float, float]:  # fmt: skip
     """Return (excess length over the straight line, position along the edge) of the shortest way over an edge.
 
     The position is where both legs make the same angle with the edge; with `clamp` it is kept on the edge, else
@@ -34,7 +38,10 @@ def _excess(start, along, length, tx, ty, tz, rx, ry, rz, clamp):  # type: ignor
 
 
 @njit(cache=True)
-def _near(start, along, length, t, receivers, low, high, members, count, most, kept):  # type: ignore[no-untyped-def]
+def _near(
+    start: Floats, along: Floats, length: Floats, t: Floats, receivers: Floats, low: int, high: int, members: Ints,
+    count: int, most: float, kept: Ints,
+) -> int:  # fmt: skip
     """Write into `kept` those of `members[:count]` that may stay below `most` metres of excess; return how many."""
     x, y, z, n = 0.0, 0.0, 0.0, high - low
     for r in range(low, high):
@@ -55,11 +62,16 @@ def _near(start, along, length, t, receivers, low, high, members, count, most, k
 
 
 @njit(cache=True)
-def diffractions(  # type: ignore[no-untyped-def]
-    start, along, length, into, t, receivers, most, blocks, work, found, position, excess
-):
-    """Write (receiver, edge), the position on the edge and the excess length of all candidates; return their number,
-    which may exceed the room. Both ends lie outside the wedge of the edge.
+def diffractions(
+    start: Floats, along: Floats, length: Floats, into: Floats, t: Floats, receivers: Floats, most: float,
+    blocks: Ints, work: Ints, found: Ints, position: Floats, excess: Floats,
+) -> int:  # fmt: skip
+    """Write the candidates with at most `most` metres of excess: (receiver, edge) into found (P, 2), the position on
+    the edge and the excess length (P,) in m; return their number, which may exceed the room.
+
+    start (E, 3) in m, along (E, 3) unit vectors, length (E,) in m, into (E, 2, 3): of the edges; t (3,), receivers
+    (R, 3) in m; blocks: of how many receivers edges are culled together, at first and then (2,); work (3, E): scratch,
+    work[0] the edges to try. Both ends of a path lie outside the wedge of its edge.
     """
     total = 0
     for outer in range(0, len(receivers), blocks[0]):
@@ -85,7 +97,7 @@ def diffractions(  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True)
-def _within(into, start, point):  # type: ignore[no-untyped-def]
+def _within(into: Floats, start: Floats, point: Floats) -> bool:
     """Tell whether a point lies in the wedge between the two facets of an edge; a single facet has none."""
     if np.isnan(into[1, 0]):
         return False

@@ -14,7 +14,7 @@ import numpy as np
 from numba import prange
 
 from cellslam.sim.compiling import njit
-from cellslam.sim.recording import Floats
+from cellslam.sim.recording import Floats, Ints
 
 MEAN, COV, TRIG, COMPONENT = 1, 5, 15, 19
 DIAGONAL = [COV, COV + 4, COV + 7, COV + 9]
@@ -31,7 +31,7 @@ def face(components: Floats) -> None:
 
 
 @njit(cache=True)
-def _turn(c, at, angle):
+def _turn(c: Floats, at: int, angle: float) -> None:
     """Turn the cosine and sine at c[at] by an angle; small ones by the series, whose remainder is below 2e-12."""
     square = angle * angle
     if square < 1e-3:
@@ -43,7 +43,9 @@ def _turn(c, at, angle):
 
 
 @njit(cache=True)
-def _update(c, dx, dy, dz, measured, variance, floor, far):
+def _update(
+    c: Floats, dx: float, dy: float, dz: float, measured: float, variance: float, floor: float, far: float
+) -> float:
     """Kalman update of one component by a distance; return its likelihood: Gaussian and a floor for outliers.
 
     (dx, dy, dz): anchor - user. h: d(distance)/d(s, azimuth, elevation, b); k: covariance times h.
@@ -91,7 +93,10 @@ def _update(c, dx, dy, dz, measured, variance, floor, far):
 
 
 @njit(cache=True, parallel=True)
-def weigh(users, anchors, mixture, counts, which, distance_m, variance, floor, least, log_weight):
+def weigh(
+    users: Floats, anchors: Floats, mixture: Floats, counts: Ints, which: Ints, distance_m: Floats, variance: Floats,
+    floor: float, least: float, log_weight: Floats,
+) -> None:  # fmt: skip
     """Update transmitters `which` (n,) by distances (n,) of variances (n,) in every user particle, and weigh these.
 
     users (N, 6): poses; anchors (N, J, 3); mixture (N, J, M, 19), counts (N, J): components; floor: density of an
@@ -122,7 +127,7 @@ def weigh(users, anchors, mixture, counts, which, distance_m, variance, floor, l
 
 
 @njit(cache=True)
-def describe(anchor, mixture, count, points, out):
+def describe(anchor: Floats, mixture: Floats, count: int, points: Floats, out: Floats) -> None:
     """Write mean (4,) and covariance (4, 4) of x, y, z and clock offset over a mixture (M, 19) into out (5, 4).
 
     Each component is represented by eight sigma points of its four coordinates; points (4, 8): scratch.
@@ -154,7 +159,7 @@ def describe(anchor, mixture, count, points, out):
 
 
 @njit(cache=True)
-def _accumulate(out, share, x, y, z, b):
+def _accumulate(out: Floats, share: float, x: float, y: float, z: float, b: float) -> None:
     d = (x, y, z, b)
     for r in range(4):
         for c in range(4):
@@ -162,7 +167,7 @@ def _accumulate(out, share, x, y, z, b):
 
 
 @njit(cache=True)
-def _sigma_points(c, points):
+def _sigma_points(c: Floats, points: Floats) -> None:
     """Write mean +- 2 columns of the root of the covariance (4, 4) of a component into points (4, 8)."""
     for a in range(4):
         for n in range(8):

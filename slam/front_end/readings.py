@@ -9,7 +9,7 @@ import numpy as np
 from cellslam.sim.recording import Floats, Ints
 from cellslam.slam.front_end.front_end_options import FrontEndOptions
 from cellslam.slam.front_end.looks import Looks
-from cellslam.slam.front_end.readings_kernel import combine, share_new
+from cellslam.slam.front_end.readings_kernel import Persisting, combine, share_new
 
 # Widths in distance (m), azimuth and elevation (rad) over which clutter lies about paths: what a missing component
 # takes off its density.
@@ -40,10 +40,10 @@ def readings(looks: Looks, port_of: Ints, options: FrontEndOptions, turn_rad: fl
 
     port_of (L,): a number for each pair of site and port.
     """
-    place, direction = options.persisting
-    return Readings(*combine(
-        looks.distance_m, looks.azimuth_rad, looks.elevation_rad, looks.white, looks.ports, looks.doubt, place,
-        direction, options.scales, turn_rad, moved_m, looks.link, port_of, _LOG_WIDTH,
+    z = np.stack([looks.distance_m, looks.azimuth_rad, looks.elevation_rad], axis=1)
+    persisting = Persisting(*options.persisting, options.scales)
+    return Readings(z, *combine(
+        z, looks.link, port_of, looks.white, looks.ports, looks.doubt, persisting, turn_rad, moved_m, _LOG_WIDTH,
     ))  # fmt: skip
 
 
@@ -53,4 +53,5 @@ def novelty(options: FrontEndOptions, turn_rad: float, moved_m: float) -> float:
     The variance of one measurement over that with which an update counts, as `combine` has them for a lone path, mean
     over distance, azimuth and elevation. The vehicle has turned and moved since the last snapshot.
     """
-    return float(share_new(*options.persisting, options.noise[0], options.scales, turn_rad, moved_m))
+    persisting = Persisting(*options.persisting, options.scales)
+    return float(share_new(persisting, options.noise[0], turn_rad, moved_m))

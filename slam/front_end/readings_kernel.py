@@ -3,16 +3,30 @@
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 
 from cellslam.sim.compiling import njit
+from cellslam.sim.frames_kernel import wrap
+from cellslam.sim.recording import Floats, Ints
 
+LEAST = 1e-12  # m^2 and rad^2: variances are no smaller
 MOST_REPEATS = 1e5  # standing still, an error that persists is never drawn anew: nearly no information
 
 
+class Persisting(NamedTuple):
+    """Errors that persist: variances (3,) in m^2 and rad^2 of those of place, in every port and alike in all links of
+    a port that see the same path, and of those of direction, in all paths from about one direction; the scales (4,)
+    over which they persist (see `FrontEndOptions.scales`)."""
+
+    place: Floats
+    direction: Floats
+    scales: Floats
+
+
 @njit(cache=True)
-def count_sharers(z, link, group, q):
+def count_sharers(z: Floats, link: Ints, group: Ints, q: Floats) -> Floats:
     """Return for each measurement (m,) how many links of its group measured the same path, its own included.
 
     z (m, 3): distance, azimuth, elevation, NaN where not measured; q (m, 3): their variances; group (m,).
@@ -25,8 +39,7 @@ def count_sharers(z, link, group, q):
             same = True
             for c in range(3):
                 gap = z[i, c] - z[j, c]
-                if c == 1:
-                    gap -= 2.0 * math.pi * math.floor(gap / (2.0 * math.pi) + 0.5)
+                gap = wrap(gap) if c == 1 else gap
                 same = same and not gap * gap > 9.0 * (q[i, c] + q[j, c])
             if same:
                 count[i] += 1.0
@@ -35,7 +48,7 @@ def count_sharers(z, link, group, q):
 
 
 @njit(cache=True)
-def scaled(snr_db, floor, unit):
+def scaled(snr_db: Floats, floor: Floats, unit: Floats) -> Floats:
     """Return variances (m, 3): `floor` (3,) and what noise adds to it, `unit` (3,) at 0 dB; NaN counts as 0 dB."""
     out = np.empty((len(snr_db), 3))
     for i in range(len(snr_db)):
@@ -46,22 +59,21 @@ def scaled(snr_db, floor, unit):
 
 
 @njit(cache=True)
-def repeats(scale, step):
+def repeats(scale: float, step: float) -> float:
     """Return how many samples `step` apart share one draw of an error with correlation exp(-x^2 / (2 scale^2)): its
     sum over all lags."""
     return min(max(math.sqrt(2.0 * math.pi) * scale / max(abs(step), 1e-12), 1.0), MOST_REPEATS)
 
 
 @njit(cache=True)
-def crowd(azimuth, elevation, scale):
+def crowd(azimuth: Floats, elevation: Floats, scale: float) -> Floats:
     """Return for each direction (m,) how many directions share its error, itself included: the sum of correlations
     exp(-angle^2 / (2 scale^2)). An elevation that is missing is taken to be alike, an azimuth not."""
     count = np.ones(len(azimuth))
     half = 0.5 / max(scale * scale, 1e-12)
     for i in range(len(azimuth)):
         for j in range(i):
-            across = azimuth[i] - azimuth[j]
-            across -= 2.0 * math.pi * math.floor(across / (2.0 * math.pi) + 0.5)
+            across = wrap(azimuth[i] - azimuth[j])
             up, middle = elevation[i] - elevation[j], 0.5 * (elevation[i] + elevation[j])
             if math.isnan(up):
                 up, middle = 0.0, 0.0
@@ -74,14 +86,15 @@ def crowd(azimuth, elevation, scale):
 
 
 @njit(cache=True)
-def share_new(place, direction, white, scales, turn, moved):
+def share_new(persisting: Persisting, white: Floats, turn: float, moved: float) -> float:
     """Return the variance of a measurement over that of an update by it, mean over three components: see `novelty`.
 
-    place, direction, white (3,): variances; `scales` as in `combine`, for a lone path on one port.
+    white (3,): variances of what does not persist, in m^2 and rad^2; turn (rad), moved (m), as in `combine`.
     """
+    place, direction, scales = persisting
     by_place, change, total = repeats(scales[0], moved), abs(turn) + abs(moved) / scales[3], 0.0
     for c in range(3):
-        known = max(white[c], 1e-12)
+        known = max(white[c], LEAST)
         again = repeats(scales[1] if c == 0 else scales[2], change)
         total += (known + place[c] + direction[c]) / (known + place[c] * by_place + direction[c] * again)
     return total / 3.0
@@ -89,24 +102,24 @@ def share_new(place, direction, white, scales, turn, moved):
 
 @njit(cache=True)
 def combine(
-    distance, azimuth, elevation, white, ports, doubt, place, direction, scales, turn, moved, link, port_of, log_width
-):
-    """Return the measurements (m, 3), variances (m, 3) of single ones, of updates and of births, and (m,) what the
+    z: Floats, link: Ints, port_of: Ints, white: Floats, ports: Ints, doubt: Floats, persisting: Persisting,
+    turn: float, moved: float, log_width: Floats,
+) -> tuple[Floats, Floats, Floats, Floats, Floats]:  # fmt: skip
+    """Return the variances (m, 3) of single measurements, of updates and of births, in m^2 and rad^2, and (m,) what the
     log-density of clutter is greater by and what an update's lacks.
 
-    white (m, 3): white variances; ports (m,): how many ports a measurement is the mean of; doubt (m,): see `Looks`;
-    place, direction (3,): variances of errors that persist over `scales` (see `FrontEndOptions.scales`), those of place
-    in every port, and alike in all links (L,) of a port that see the same path, those of direction in all paths from
-    about one direction. The vehicle has turned and moved since the last snapshot; log_width (3,): of clutter, in what
-    is missing.
+    z (m, 3): distance (m), azimuth and elevation (rad), NaN where not measured; link (m,), port_of (L,): a number for
+    each pair of site and port; white (m, 3): variances of what does not persist; ports (m,): how many ports a
+    measurement is the mean of; doubt (m,): see `Looks`. The vehicle has turned (rad) and moved (m) since the last
+    snapshot; log_width (3,): of clutter, in what is missing.
     """
     m = len(link)
-    z, single, many, fresh = np.empty((m, 3)), np.empty((m, 3)), np.empty((m, 3)), np.empty((m, 3))
+    place, direction, scales = persisting
+    single, many, fresh = np.empty((m, 3)), np.empty((m, 3)), np.empty((m, 3))
     gap, lack = doubt.copy(), np.zeros(m)
     for i in range(m):
-        z[i, 0], z[i, 1], z[i, 2] = distance[i], azimuth[i], elevation[i]
         for c in range(3):
-            single[i, c] = max(white[i, c] + place[c] / ports[i] + direction[c], 1e-12)
+            single[i, c] = max(white[i, c] + place[c] / ports[i] + direction[c], LEAST)
             gap[i] += log_width[c] if math.isnan(z[i, c]) else 0.0
     port = count_sharers(z, link, port_of[link], single)
     near, wide = crowd(z[:, 1], z[:, 2], scales[2]), crowd(z[:, 1], z[:, 2], scales[1])
@@ -118,8 +131,8 @@ def combine(
             alike = wide[i] if c == 0 else near[i]
             again = by_distance if c == 0 else by_angle
             q = white[i, c] + place[c] * by_place * port[i] + direction[c] * again * alike
-            many[i, c] = max(q, 1e-12)
-            fresh[i, c] = max(white[i, c] + place[c] * port[i] + direction[c] * alike, 1e-12)
+            many[i, c] = max(q, LEAST)
+            fresh[i, c] = max(white[i, c] + place[c] * port[i] + direction[c] * alike, LEAST)
             if not math.isnan(z[i, c]):
                 lack[i] += 0.5 * math.log(many[i, c] / single[i, c])
-    return z, single, many, fresh, gap, lack
+    return single, many, fresh, gap, lack

@@ -181,7 +181,7 @@ def _room(maps: Maps, link: int) -> int:
     """Return a place for a VT of a link: a new one, or that of the one unseen for longest."""
     if maps.counts[link] < maps.means.shape[1]:
         maps.counts[link] += 1
-        return maps.counts[link] - 1
+        return int(maps.counts[link]) - 1
     return int(np.argmin(maps.slots[link, :, LAST]))
 
 
