@@ -7,12 +7,12 @@ from typing import ClassVar
 from pydantic import Field
 
 from cellslam.slam.ekf_slam.ekf_slam import JointFilter
-from cellslam.slam.ekf_slam.ekf_slam_options import JointOptions
+from cellslam.slam.ekf_slam.ekf_slam_options import EkfSlamOptions
 from cellslam.slam.ekf_slam.state_layout import BELIEF, Rules
 from cellslam.slam.front_end.visibility import transitions
 
 
-class BpSlamOptions(JointOptions):
+class BpSlamOptions(EkfSlamOptions):
     """What a scenario may set under `estimator.bp-slam`."""
 
     drop_probability: float = Field(

@@ -12,9 +12,8 @@ from cellslam.sim.frames import wrap_angle
 from cellslam.sim.recording import Floats, Ints, Links, OdometryModel
 from cellslam.slam import warm_up
 from cellslam.slam.api import Estimate, Setup, Snapshot, VtEstimate
-from cellslam.slam.ekf_slam.ekf_slam_options import EkfSlamOptions, JointOptions
+from cellslam.slam.ekf_slam.ekf_slam_options import EkfSlamOptions
 from cellslam.slam.ekf_slam.filter_bank import Bank, vt_estimate
-from cellslam.slam.ekf_slam.hypotheses import History, branch, prune
 from cellslam.slam.ekf_slam.start.offset_banks import Start, begin
 from cellslam.slam.ekf_slam.state_layout import ENTRY, FREE, KNOWN_ASSOCIATION, Measured, Rules
 from cellslam.slam.front_end.attitude import Attitude
@@ -40,10 +39,10 @@ class JointFilter:
     name: ClassVar[str]
     requires_truth: ClassVar[bool] = False
     mode: ClassVar[int] = FREE
-    options: JointOptions
+    options: EkfSlamOptions
 
     def __init__(self, options: Any = None) -> None:
-        self.options = options or JointOptions()
+        self.options = options or EkfSlamOptions()
 
     def warm_up(self) -> None:
         """Compile every kernel on a made-up drive of four snapshots."""
@@ -99,10 +98,6 @@ class JointFilter:
         """Return the common options of the kernels with what they need beside."""
         return common
 
-    def _use(self, bank: Bank, measured: Measured) -> tuple[Bank, Ints]:
-        """Use a snapshot in the joint filters; return them and their associations."""
-        return bank, bank.use(measured)
-
     def _step_start(self, start: Start, dt_s: float, odometry: Floats, measured: Measured) -> Estimate:
         if dt_s > 0.0:
             start.move(self._setup, dt_s, odometry)
@@ -119,8 +114,7 @@ class JointFilter:
             raise RuntimeError("step() was called before start()")
         if dt_s > 0.0:
             bank.move(self._setup, dt_s, odometry)
-        bank, association = self._use(bank, measured)
-        self._joint = bank
+        association = bank.use(measured)
         best = int(np.argmax(bank.log_weight))
         if bank.losses[best] > 0:
             self._archive = np.concatenate([self._archive, bank.lost[best, : bank.losses[best]]])
@@ -166,31 +160,13 @@ class JointFilter:
 
 
 class EkfSlam(JointFilter):
-    """EKF-SLAM: hard association by the Hungarian algorithm or by joint compatibility, multi-hypothesis if wanted.
+    """EKF-SLAM: hard association by the Hungarian algorithm.
 
     Pairs are scored against clutter, missed detections and births as in docs/estimators.md.
     """
 
     name: ClassVar[str] = "ekf-slam"
     Options: ClassVar[type[EkfSlamOptions]] = EkfSlamOptions
-
-    def __init__(self, options: EkfSlamOptions | None = None) -> None:
-        self.options: EkfSlamOptions = options or EkfSlamOptions()
-
-    def start(self, setup: Setup, rng: np.random.Generator) -> None:
-        """Take the prior; nothing is drawn."""
-        super().start(setup, rng)
-        self._history = History()
-
-    def _rules(self, common: Rules, dt_s: float) -> Rules:
-        return common._replace(rival=self.options.rival_nats, joint=self.options.association == "jcbb")
-
-    def _use(self, bank: Bank, measured: Measured) -> tuple[Bank, Ints]:
-        if self.options.hypotheses == 1:
-            return super()._use(bank, measured)
-        bank, forbidden = branch(bank, measured, self._history)
-        association = bank.use(measured, forbidden)
-        return prune(bank, association, self._time_s, self.options, self._history)
 
 
 def _estimate(

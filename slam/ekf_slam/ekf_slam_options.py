@@ -2,15 +2,13 @@
 
 from __future__ import annotations
 
-from typing import Literal
-
 from pydantic import Field
 
 from cellslam.slam.front_end.front_end_options import FrontEndOptions
 
 
-class JointOptions(FrontEndOptions):
-    """What every filter with one joint covariance takes."""
+class EkfSlamOptions(FrontEndOptions):
+    """What a scenario may set under `estimator.ekf-slam`, as under every filter with one joint covariance."""
 
     vts: int = Field(100, ge=4, le=2000, description="VTs kept in the joint state; the longest unseen make room")
     start_vts: int = Field(
@@ -26,21 +24,3 @@ class JointOptions(FrontEndOptions):
     resolved_std_m: float = Field(5.0, gt=0, le=1000, description="a clock offset known to this is resolved, m")
     start_limit_s: float = Field(150.0, ge=0, le=1e5, description="the start ends at this time at the latest, s")
     prune_ratio: float = Field(1e-5, gt=0, lt=1, description="components less likely than the best by this are dropped")
-
-
-class EkfSlamOptions(JointOptions):
-    """What a scenario may set under `estimator.ekf-slam`."""
-
-    association: Literal["hungarian", "jcbb"] = Field(
-        "hungarian", description="best sum of scores within the gate, or joint compatibility by branch and bound"
-    )
-    hypotheses: int = Field(1, ge=1, le=100, description="joint filters that follow rival associations after the start")
-    rival_nats: float = Field(
-        5.0, gt=0, le=50, description="a rival association is followed if less likely than the best by at most this"
-    )
-    hypothesis_ratio: float = Field(
-        1e-3, gt=0, lt=1, description="hypotheses less likely than the best by this are dropped"
-    )
-    scan_s: float = Field(
-        6.0, gt=0, le=1e4, description="hypotheses that have agreed for so long are one: the likelier stays, s"
-    )

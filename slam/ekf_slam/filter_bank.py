@@ -12,14 +12,12 @@ from cellslam.slam.api import Setup, VtEstimate
 from cellslam.slam.ekf_slam.belief_kernel import believe_snapshot
 from cellslam.slam.ekf_slam.map_kernel import map_into
 from cellslam.slam.ekf_slam.motion_kernel import Interval, move
-from cellslam.slam.ekf_slam.snapshot_kernel import find_rivals, use_snapshot
+from cellslam.slam.ekf_slam.snapshot_kernel import use_snapshot
 from cellslam.slam.ekf_slam.start.fusion_kernel import moments
 from cellslam.slam.ekf_slam.state_layout import (
     ANCHOR,
     BELIEF,
     ENTRY,
-    JOINT_MEASUREMENTS,
-    JOINT_VTS,
     KNOWN_MAP,
     POSE,
     POSITION,
@@ -30,7 +28,6 @@ from cellslam.slam.ekf_slam.state_layout import (
     BeliefScratch,
     Core,
     Filter,
-    JointScratch,
     Measured,
     Rules,
     Scratch,
@@ -77,24 +74,14 @@ class Bank:
         model = setup.odometry_model
         move(self.arrays, Interval(dt_s, odometry, model.noise_density, model.bias_walk_density))
 
-    def use(self, measured: Measured, forbidden: Ints | None = None) -> Ints:
-        """Use a snapshot in every filter; return the associations (K, M).
-
-        forbidden (K, 2): measurement and identity of a VT that a filter must not pair, -1 for none.
-        """
+    def use(self, measured: Measured) -> Ints:
+        """Use a snapshot in every filter; return the associations (K, M)."""
         association = np.full((len(self), len(measured.z)), -1, np.int64)
         if self.mode == BELIEF:
             believe_snapshot(self.arrays, measured, self.log_weight, association, self._room(measured))
-            return association
-        nothing = np.full((len(self), 2), -1, np.int64) if forbidden is None else forbidden
-        use_snapshot(self.arrays, measured, nothing, self.log_weight, association, self._room(measured))
+        else:
+            use_snapshot(self.arrays, measured, self.log_weight, association, self._room(measured))
         return association
-
-    def rivals(self, measured: Measured) -> Floats:
-        """Return loss (nats), measurement and VT (K, 3) of each filter's second-best association."""
-        out = np.empty((len(self), 3))
-        find_rivals(self.arrays, measured, np.full(2, -1, np.int64), out, self._room(measured))
-        return out
 
     def moments(self, first: int, count: int) -> tuple[Floats, Floats]:
         """Return mean (n,) and covariance (n, n) of `count` states of the core over all filters."""
@@ -145,16 +132,6 @@ def _scratch(size: int, places: int, columns: int, rules: Rules) -> Scratch | Be
     return Scratch(
         h, t, narrow, np.empty(pairs), np.empty(places, whole), np.empty(columns, whole), np.empty(columns, whole),
         np.empty(columns, whole), np.empty(work), np.empty(work, whole), np.empty((PENDING, size)),
-        joint_scratch(size, rules),
-    )  # fmt: skip
-
-
-def joint_scratch(size: int, rules: Rules) -> JointScratch:
-    """Return room for joint compatibility in filters of `size` states."""
-    r, m = (JOINT_VTS, JOINT_MEASUREMENTS) if rules.joint else (1, 1)
-    return JointScratch(
-        np.empty((r, 3, size)), np.empty((r, r, 3, 3)), np.empty((r, m, 3)), np.empty((3 * m, 3 * m + 1)),
-        np.empty((m, 2), np.int64), np.empty(m + 1, np.int64), joint_gates(rules.gate),
     )  # fmt: skip
 
 
@@ -185,11 +162,3 @@ def vt_estimate(rows: Floats) -> VtEstimate:
     covariance = rows[:, SPREAD:].reshape(-1, 3, 3)
     ids, link = rows[:, 0].astype(np.int64), rows[:, 1].astype(np.int64)
     return VtEstimate(ids, link, rows[:, POSITION:SPREAD].copy(), 0.5 * (covariance + np.swapaxes(covariance, 1, 2)))
-
-
-def joint_gates(gate: float) -> Floats:
-    """Return the chi-square gates by number of components, with the tail probability of `gate` for three."""
-    from scipy.stats import chi2
-
-    degrees = np.arange(1, 3 * JOINT_MEASUREMENTS + 1)
-    return np.concatenate([[0.0], chi2.isf(chi2.sf(gate, 3), degrees)])

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from cellslam.sim.compiling import njit
 from cellslam.sim.recording import Floats, Ints
-from cellslam.slam.ekf_slam.association_kernel import associate, best_rival
+from cellslam.slam.ekf_slam.association_kernel import associate
 from cellslam.slam.ekf_slam.guess_kernel import begin, correct, possible, settle, sweep
 from cellslam.slam.ekf_slam.map_kernel import tidy
 from cellslam.slam.ekf_slam.state_layout import (
@@ -27,7 +27,7 @@ FRESH, TAKEN = -1, -2  # measurements that are in no VT's gate, and those that n
 
 
 @njit(cache=True)
-def _pair(f: Filter, seen: Measured, forbidden: Ints, w: Scratch) -> float:
+def _pair(f: Filter, seen: Measured, w: Scratch) -> float:
     """Find for each measurement the slot of its VT, link by link, from what was predicted; return sum of log P(missed).
 
     Written into w.slot_of: FRESH for what may begin a VT, TAKEN for what may not.
@@ -44,7 +44,7 @@ def _pair(f: Filter, seen: Measured, forbidden: Ints, w: Scratch) -> float:
                     if same_vt(f, i, link, seen.given[k]):
                         slot_of[k] = i
         else:
-            total += associate(f, seen, link, forbidden, w)[1]
+            total += associate(f, seen, link, w)
             for k in range(start, stop):
                 row = w.row_of[k - start]
                 slot_of[k] = w.chosen[row] if row >= 0 else (TAKEN if w.gated[k - start] == 1 else FRESH)
@@ -93,37 +93,16 @@ def _begin(f: Filter, seen: Measured, association: Ints, total: float, w: Scratc
 
 
 @njit(cache=True)
-def use_snapshot(
-    filters: Filter, seen: Measured, forbidden: Ints, log_weight: Floats, association: Ints, w: Scratch
-) -> None:
+def use_snapshot(filters: Filter, seen: Measured, log_weight: Floats, association: Ints, w: Scratch) -> None:
     """Use one snapshot in the K filters of a bank.
 
-    forbidden (K, 2): see `score_pairs`. log_weight (K,) is added to, association (K, m) written: identities of VTs.
+    log_weight (K,) is added to, association (K, m) written: identities of VTs.
     """
     for k in range(len(filters.x)):
         f = one_of(filters, k)
-        total = _update(f, seen, association[k], _pair(f, seen, forbidden[k], w), w)
+        total = _update(f, seen, association[k], _pair(f, seen, w), w)
         log_weight[k] += _begin(f, seen, association[k], total, w)
         if f.mapped:
             sweep(f)
         if seen.rules.mode == FREE:
             tidy(f, seen.now, seen.rules)
-
-
-@njit(cache=True)
-def find_rivals(filters: Filter, seen: Measured, nothing: Ints, rivals: Floats, w: Scratch) -> None:
-    """Write the loss (nats) of each filter's best rival association, its measurement, and the VT it does without.
-
-    rivals (K, 3): loss (rules.rival: none is better), measurement, identity; nothing (2,): -1.
-    """
-    for k in range(len(filters.x)):
-        f = one_of(filters, k)
-        rivals[k, 0], rivals[k, 1], rivals[k, 2] = seen.rules.rival, -1.0, -1.0
-        for link in range(len(seen.first) - 1):
-            start, stop = seen.first[link], seen.first[link + 1]
-            if stop == start:
-                continue
-            rows, _ = associate(f, seen, link, nothing, w)
-            loss, column, row = best_rival(w, rows, stop - start, seen.rules.rival)
-            if column >= 0 and loss < rivals[k, 0]:
-                rivals[k, 0], rivals[k, 1], rivals[k, 2] = loss, start + column, f.slots[w.chosen[row], IDENT]

@@ -23,8 +23,6 @@ POSE = 6
 OFFSET, VT, TOUCHED = POSE, POSE + 1, POSE + 4
 # A VT of the map: identity, link, position (3), covariance (9).
 POSITION, SPREAD, ENTRY = 2, 5, 14
-# Pairs of one link that joint compatibility looks at: VTs, and measurements.
-JOINT_VTS, JOINT_MEASUREMENTS = 16, 12
 
 
 class Core(NamedTuple):
@@ -86,9 +84,8 @@ class Rules(NamedTuple):
     `mode`: what the measurements may do to the map; `log_clutter`: log of the clutter density; `gate`: squared
     Mahalanobis distance; `birth`: what a birth adds to the log-likelihood (belief propagation: the odds of a new VT
     against clutter); `confirm`: detections that confirm a VT; `age_once`, `age_twice`: snapshots after which one that
-    was seen once, or a few times, is dropped; `rival`: loss (nats) below which a rival association is followed;
-    `joint`: by joint compatibility. Belief propagation: probabilities that a visible VT stays so, that a hidden one
-    comes `back`, of `detection`, and below which a VT is given up, `drop`.
+    was seen once, or a few times, is dropped. Belief propagation: probabilities that a visible VT stays so, that a
+    hidden one comes `back`, of `detection`, and below which a VT is given up, `drop`.
     """
 
     mode: int
@@ -98,8 +95,6 @@ class Rules(NamedTuple):
     confirm: int
     age_once: int
     age_twice: int
-    rival: float = 0.0
-    joint: bool = False
     stay: float = 1.0
     back: float = 0.0
     detection: float = 1.0
@@ -131,21 +126,6 @@ class Measured(NamedTuple):
     rules: Rules
 
 
-class JointScratch(NamedTuple):
-    """Room for joint compatibility of R VTs and m measurements: see `association_kernel`.
-
-    `gates` (3 m + 1,): chi-square gates by number of components.
-    """
-
-    t: Floats
-    blocks: Floats
-    e: Floats
-    root: Floats
-    pairs: Ints
-    tried: Ints
-    gates: Floats
-
-
 class Scratch(NamedTuple):
     """Room for one filter at a time: Jacobian `h` (3, 10), `t` = H P (3, N) and, where H touches, `narrow` (3, 10);
     `score` (C, m), VTs `chosen` (C,) of its rows; of m measurements `row_of`, `gated`, `slot_of`; the assignment's
@@ -163,7 +143,6 @@ class Scratch(NamedTuple):
     work_f: Floats
     work_i: Ints
     pending: Floats
-    joint: JointScratch
 
 
 class BeliefScratch(NamedTuple):

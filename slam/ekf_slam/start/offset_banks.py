@@ -13,7 +13,7 @@ import numpy as np
 
 from cellslam.sim.recording import Floats, Ints
 from cellslam.slam.api import Setup
-from cellslam.slam.ekf_slam.ekf_slam_options import JointOptions
+from cellslam.slam.ekf_slam.ekf_slam_options import EkfSlamOptions
 from cellslam.slam.ekf_slam.filter_bank import Bank, new_bank
 from cellslam.slam.ekf_slam.start.fusion import Gaussian, join
 from cellslam.slam.ekf_slam.start.fusion_kernel import fuse, likely
@@ -49,7 +49,7 @@ class Start:
         for bank in (self.odometry, *self.banks):
             bank.move(setup, dt_s, velocity)
 
-    def use(self, setup: Setup, measured: Measured, options: JointOptions) -> Ints:
+    def use(self, setup: Setup, measured: Measured, options: EkfSlamOptions) -> Ints:
         """Use a snapshot in every bank, drop what has become unlikely, and return the best components' association."""
         answer = np.full(len(measured.z), -1, np.int64)
         for s in range(len(self.banks)):
@@ -112,7 +112,7 @@ class Start:
         return [(bank, int(np.argmax(bank.log_weight))) for bank in self.banks]
 
 
-def begin(setup: Setup, options: JointOptions, mode: int, vts: int) -> Start:
+def begin(setup: Setup, options: EkfSlamOptions, mode: int, vts: int) -> Start:
     """Return the banks at the start, with places for `vts` VTs."""
     core, sites = Core.of(setup), setup.sites
     banks = []
@@ -125,7 +125,7 @@ def begin(setup: Setup, options: JointOptions, mode: int, vts: int) -> Start:
     return Start(nothing, banks, [False] * len(sites))
 
 
-def split(bank: Bank, setup: Setup, site: int, options: JointOptions) -> Bank:
+def split(bank: Bank, setup: Setup, site: int, options: EkfSlamOptions) -> Bank:
     """Return a bank of one filter as one of narrow components of the site's offset, which nothing is correlated with
     yet."""
     std, state = float(setup.sites.clock_offset_std_m[site]), bank.core.first_offset + site
