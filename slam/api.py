@@ -1,6 +1,9 @@
 """The estimator contract: what an estimator is given, what it answers.
 
 An estimator sees copies of observables only. `Setup` and `Snapshot` hold no reference to the recording.
+
+Source: paper, sections II and III: body velocities (eq. 14), distance, azimuth and elevation of each path (eq. 7), SNR
+(eq. 8), clock offsets (eq. 5).
 """
 
 from __future__ import annotations
@@ -96,7 +99,10 @@ class Estimator(Protocol):
         ...
 
     def step(self, dt_s: float, odometry: Floats, snapshot: Snapshot) -> Estimate:
-        """Advance by `dt_s` with mean body velocities `odometry` (6,), then use `snapshot`. First call: dt_s = 0."""
+        """Advance by `dt_s` with mean body velocities `odometry` (6,) in m/s and rad/s, then use `snapshot`.
+
+        First call: dt_s = 0.
+        """
         ...
 
 
@@ -116,7 +122,7 @@ def setup_of(recording: Recording, with_truth: bool = False) -> Setup:
 
 
 def odometry_of(recording: Recording) -> Floats:
-    """Return odometry (T, 6) as estimators take it, read-only.
+    """Return odometry (T, 6) in m/s and rad/s as estimators take it, read-only.
 
     A component that was never measured is zero (its data sheet then says how the vehicle moves that way); in a gap the
     last measured value holds.

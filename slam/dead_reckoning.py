@@ -17,9 +17,10 @@ CORE = Core(np.arange(6, 12), np.arange(12, 18), STATES, np.zeros(0, np.int64), 
 
 
 class DeadReckoning:
-    """Integrates mean body velocities (paper, section V: proprioception only); takes no options.
+    """Integrates mean body velocities; takes no options.
 
-    The covariance is that of a linearised filter over pose (6), odometry biases (6) and scales (6).
+    The covariance is that of a linearised filter over pose (6,), odometry biases (6,) and scales (6,). Source: paper,
+    section V (proprioception only), with the velocities of eq. 14.
     """
 
     name: ClassVar[str] = "dead-reckoning"
@@ -50,7 +51,10 @@ class DeadReckoning:
         )  # fmt: skip
 
     def step(self, dt_s: float, odometry: Floats, snapshot: Snapshot) -> Estimate:
-        """Integrate one interval; the measurements are not used."""
+        """Integrate one interval; the measurements are not used.
+
+        dt_s in s; odometry (6,): mean body velocities in m/s and rad/s.
+        """
         if dt_s > 0.0:
             noise, walk = np.array(self._model.noise_density, float), np.array(self._model.bias_walk_density, float)
             move(self._filter, Interval(float(dt_s), np.array(odometry, float), noise, walk))

@@ -50,7 +50,7 @@ class Bench:
 
     @property
     def tones_hz(self) -> Floats:
-        """Frequencies of the reference tones (tones,)."""
+        """Frequencies of the reference tones (tones,), in Hz."""
         return tone_frequencies(self.receiver.resource_blocks)
 
     def draw(self, rng: np.random.Generator, rho_db: Floats, reach_m: float) -> PathSet:

@@ -47,7 +47,7 @@ class Comparison:
 
 
 def compare(scene: Scene, transmitter: Floats, receivers: Floats, ours: Paths, theirs: PeerPaths) -> Comparison:
-    """Compare the paths from one transmitter (3,) to receivers (N, 3), up to first order."""
+    """Compare the paths from one transmitter (3,) to receivers (N, 3), both in m, up to first order."""
     mine, found, both = _matches(ours, theirs)
     pairs = mine[both]
     length, angle = _differences(ours, pairs, theirs, both)

@@ -46,7 +46,8 @@ class Timing:
 def time_trace(
     scene: Scene, transmitters: Floats, receivers: Floats, max_order: int, repeat: int, ground_reflection: bool = False
 ) -> Timing:
-    """Trace `repeat` times, or as often as ten seconds allow, and keep the best time."""
+    """Trace from transmitters (S, 3) to receivers (N, 3), in m, `repeat` times, or as often as ten seconds allow; keep
+    the best time."""
     best, found, begin = np.inf, 0, time.perf_counter()
     for run in range(repeat):
         if run and time.perf_counter() - begin > LONG_S:

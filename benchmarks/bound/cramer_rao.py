@@ -2,10 +2,11 @@
 
 The covariance recursion of the joint filter over pose, odometry biases and scales, clock offsets, the VTs of every site
 and the measurement errors that persist, with all Jacobians at the truth, the true associations, the odometry's noise
-model and each measurement's true covariance. It is conditional on the realised trajectory and detections (Tichavsky,
-Muravchik, Nehorai, "Posterior Cramer-Rao bounds for discrete-time nonlinear filtering", IEEE Trans. Signal Processing
-46(5), 1998, in covariance form, as the odometry noise is singular). Estimators that use the priors, and single trials,
-can fall below it.
+model and each measurement's true covariance. It is conditional on the realised trajectory and detections. Estimators
+that use the priors, and single trials, can fall below it.
+
+Source: Tichavsky, Muravchik and Nehorai, "Posterior Cramer-Rao bounds for discrete-time nonlinear filtering", IEEE
+Trans. Signal Processing 46(5), 1998, in covariance form, as the odometry noise is singular.
 """
 
 from __future__ import annotations
@@ -41,7 +42,7 @@ class BoundResult:
 
     @property
     def horizontal_std_m(self) -> Floats:
-        """Bound of the horizontal position error (T,): root of the trace of the x-y covariance."""
+        """Bound of the horizontal position error (T,) in m: root of the trace of the x-y covariance."""
         return np.sqrt(self.pose_covariance[:, 0, 0] + self.pose_covariance[:, 1, 1])
 
     @property
@@ -109,7 +110,7 @@ def core_of(model: OdometryModel, sites: int) -> Core:
 
 
 def start_variance(recording: Recording, core: Core) -> Floats:
-    """Return the prior variances (core,) at the first snapshot."""
+    """Return the prior variances (core,) at the first snapshot, in the squared units of the states."""
     model = recording.odometry_model
     variance = np.zeros(core.size)
     variance[:6] = recording.start_std**2
@@ -122,8 +123,8 @@ def start_variance(recording: Recording, core: Core) -> Floats:
 def linear_motion(recording: Recording, truth: Truth, core: Core) -> tuple[Floats, Floats, Floats]:
     """Return the pose's transition (T, 6, core), its noise (T, 6, 6) and the core's walk variances (T, core).
 
-    Row t leads from snapshot t - 1 to t; row 0 is not used. Linearised `frames.integrate_pose` at the truth,
-    with true velocity = (measured - bias - white) / (1 + scale).
+    Row t leads from snapshot t - 1 to t; row 0 is not used. Linearised `frames.integrate_pose` at the truth, with true
+    velocity = (measured - bias - white) / (1 + scale). Units: those of the states (m, rad, m/s, rad/s).
     """
     count, model = len(recording.time_s), recording.odometry_model
     motion, noise = np.zeros((count, 6, core.size)), np.zeros((count, 6, 6))
@@ -149,7 +150,7 @@ def linear_motion(recording: Recording, truth: Truth, core: Core) -> tuple[Float
 def pose_jacobians(pose: Floats, velocity: Floats, dt_s: Floats) -> tuple[Floats, Floats]:
     """Return d(pose')/d(pose) and d(pose')/d(velocity), each (n, 6, 6), of `frames.integrate_pose`.
 
-    At poses and velocities (n, 6) and intervals (n,).
+    At poses (n, 6) in m and rad, body velocities (n, 6) in m/s and rad/s and intervals (n,) in s.
     """
     middle = pose[:, 3:] + 0.5 * velocity[:, 3:] * dt_s[:, None]
     r = rotation(middle[:, 0], middle[:, 1], middle[:, 2])
@@ -169,7 +170,7 @@ def pose_jacobians(pose: Floats, velocity: Floats, dt_s: Floats) -> tuple[Floats
 
 
 def drifted_std(recording: Recording) -> Floats:
-    """Return how far each clock may have drifted since the first snapshot, one deviation (T, S)."""
+    """Return how far each clock may have drifted since the first snapshot, one deviation (T, S) in m."""
     return np.asarray(np.multiply.outer(recording.elapsed_s, recording.sites.drift_std_m_s))
 
 

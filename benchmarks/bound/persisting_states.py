@@ -7,6 +7,11 @@ enter and leave as the drive passes. All links and VTs share them. Diffuse energ
 array (all paths) live shortly against the drive's own errors, so that only the area below the correlation counts: a
 first-order Gauss-Markov state with the same area stands for them. For slowly changing errors it would not do: it takes
 them as rougher than they are, and the bound comes out half as high again as it is.
+
+Sources: Williams and Rasmussen, "Gaussian processes for machine learning", 2006, section 4.3 (principal functions,
+Nystrom's method); Higdon, "A process-convolution approach to modelling temperatures in the North Atlantic Ocean",
+Environmental and Ecological Statistics 5, 1998 (bell functions on a grid); Gelb, "Applied optimal estimation", 1974,
+chapter 3 (Gauss-Markov states).
 """
 
 from __future__ import annotations
@@ -65,7 +70,7 @@ class Seen:
 
     @property
     def direction(self) -> Floats:
-        """Unit vectors (n, 3) in the body frame."""
+        """Unit vectors (n, 3) in the body frame; dimensionless."""
         flat = np.cos(self.elevation_rad)
         return np.stack(
             [flat * np.cos(self.azimuth_rad), flat * np.sin(self.azimuth_rad), np.sin(self.elevation_rad)], axis=1
@@ -120,7 +125,7 @@ def persisting_errors(recording: Recording, seen: Seen) -> Persisting:
 def with_drift(persisting: Persisting, drifted: Floats, seen: Seen, site: Ints) -> Persisting:
     """Return the errors and, as the last of them, the rates of clocks that drift: constants.
 
-    drifted (T, S): what a rate of one deviation has made of the offset; site (n,): of each look.
+    drifted (T, S): what a rate of one deviation has made of the offset, in m; site (n,): index of each look's site.
     """
     errors, drifts = persisting.errors, drifted[-1] > 0.0
     if not drifts.any():
@@ -137,7 +142,10 @@ def with_drift(persisting: Persisting, drifted: Floats, seen: Seen, site: Ints) 
 
 
 def rates_among(errors: Errors, drifted: Floats) -> Ints:
-    """Return which of the errors are the rates of the sites' clocks (S,), -1 for constant offsets."""
+    """Return which of the errors are the rates of the sites' clocks, indices (S,), -1 for constant offsets.
+
+    drifted (T, S): as for `with_drift`, in m.
+    """
     drifts = drifted[-1] > 0.0
     return np.where(drifts, len(errors.last) - drifts.sum() + np.cumsum(drifts) - 1, -1)
 
@@ -170,7 +178,10 @@ def radio_of(recording: Recording) -> RadioConfig | None:
 
 
 def turned(seen: Seen) -> Floats:
-    """Return the change (n, 3, 3) of distance, azimuth and elevation per yaw, pitch and roll of the array."""
+    """Return the change (n, 3, 3) of distance, azimuth and elevation per yaw, pitch and roll of the array.
+
+    Units: m/rad (none) for distance, rad/rad for angles. First order in the turns, from the body-frame direction.
+    """
     tangent = np.sin(seen.elevation_rad) / np.maximum(np.cos(seen.elevation_rad), 0.05)
     sine, cosine = np.sin(seen.azimuth_rad), np.cos(seen.azimuth_rad)
     out = np.zeros((len(sine), 3, 3))
@@ -220,6 +231,7 @@ def principal_functions(direction: Floats, scale: float) -> Floats | None:
     """Return the values (n, K) of the principal functions at directions (n, 3); None where too many are needed.
 
     Eigenfunctions of the correlation under the density of the directions, by Nystrom's method on their cells.
+    Directions are unit vectors, `scale` is a chord on the unit sphere, values are dimensionless.
     """
     cells, of, count = np.unique(np.round(direction / (0.4 * scale)), axis=0, return_inverse=True, return_counts=True)
     if len(cells) > 12 * MOST_FUNCTIONS:

@@ -4,6 +4,9 @@ The state is [core, others] with core = [pose (6), odometry biases, odometry sca
 coordinates and errors that persist, enter when they are first met and leave when they will not be met again (exact
 marginalisation: the last one takes the place). A snapshot's measurements are taken one component after the other, but
 their whitened gains are subtracted together: a rank-K update.
+
+Source: the recursion of Tichavsky et al. 1998 (see `cramer_rao`), measured components taken one after the other as in
+Anderson and Moore, "Optimal filtering", 1979, chapter 6.
 """
 
 from __future__ import annotations

@@ -1,4 +1,9 @@
-"""How the state of the bound's recursion moves, and how parts of it enter and leave."""
+"""How the state of the bound's recursion moves, and how parts of it enter and leave.
+
+P is the covariance (size, size) of the states, in products of their units (m, rad, m/s, rad/s; errors that persist are
+in their own deviations), of which the first n rows and columns are in use. Source: Gelb, "Applied optimal estimation",
+1974, chapters 3 and 4 (Gauss-Markov states, covariance prediction); a Gaussian is marginalised by leaving rows out.
+"""
 
 from __future__ import annotations
 
@@ -13,7 +18,10 @@ POSE = 6
 
 @njit(cache=True)
 def predict(p: Floats, n: int, core: int, motion: Motion, t: int, moved: Floats) -> None:
-    """P <- F (P + diag(walk)) F^T + Q: the core walks first, as biases do, then F changes the pose only."""
+    """P <- F (P + diag(walk)) F^T + Q: the core walks first, as biases do, then F changes the pose only.
+
+    p (size, size): written, in its units; moved (6, size): scratch.
+    """
     for i in range(core):
         p[i, i] += motion.walk[t, i]
     for a in range(POSE):
@@ -39,7 +47,10 @@ def predict(p: Floats, n: int, core: int, motion: Motion, t: int, moved: Floats)
 
 @njit(cache=True)
 def decay(p: Floats, n: int, core: int, errors: Errors, t: int, id_of: Ints) -> None:
-    """Gauss-Markov states forget a part and gain as much variance; VTs and constants stay."""
+    """Gauss-Markov states of p (size, size) forget a part and gain as much variance; VTs and constants stay.
+
+    id_of (size,): index of what each state is. Dimensionless: variances of these states are 1 throughout.
+    """
     for i in range(core, n):
         k = id_of[i]
         if k < errors.kind.shape[0] and errors.kind[k] > 0:
@@ -54,7 +65,10 @@ def decay(p: Floats, n: int, core: int, errors: Errors, t: int, id_of: Ints) -> 
 
 @njit(cache=True)
 def append(p: Floats, n: int, k: np.int64, variance: float, slot_of: Ints, id_of: Ints) -> int:
-    """Add a state that is independent of the others, and return the new size."""
+    """Add to p (size, size) a state with a variance, in its squared unit, and no covariances; return the new size.
+
+    slot_of (K,), id_of (size,): where state k is, and its inverse, by index.
+    """
     p[n, : n + 1] = 0.0
     p[: n + 1, n] = 0.0
     p[n, n] = variance
@@ -64,7 +78,7 @@ def append(p: Floats, n: int, k: np.int64, variance: float, slot_of: Ints, id_of
 
 @njit(cache=True)
 def enter(p: Floats, n: int, looks: Looks, sightings: Sightings, t: int, slot_of: Ints, id_of: Ints) -> int:
-    """Add the persisting errors that snapshot t meets for the first time."""
+    """Add to p (size, size) the persisting errors that snapshot t meets for the first time; return the new size."""
     for i in range(looks.rows[t], looks.rows[t + 1]):
         for r in range(3):
             for w in range(looks.state.shape[2]):
@@ -83,7 +97,7 @@ def enter(p: Floats, n: int, looks: Looks, sightings: Sightings, t: int, slot_of
 def leave(
     p: Floats, n: int, looks: Looks, sightings: Sightings, errors: Errors, t: int, slot_of: Ints, id_of: Ints
 ) -> int:
-    """Remove the states that no later snapshot meets."""
+    """Remove from p (size, size) the states that no snapshot after t meets; return the new size."""
     for i in range(looks.rows[t], looks.rows[t + 1]):
         for r in range(3):
             for w in range(looks.state.shape[2]):
@@ -103,7 +117,10 @@ def leave(
 
 @njit(cache=True)
 def remove(p: Floats, n: int, k: int, slot_of: Ints, id_of: Ints) -> int:
-    """Take state k out, put the last one in its place, and return the new size."""
+    """Take state k out of p (size, size), put the last one in its place, and return the new size.
+
+    slot_of (K,), id_of (size,): as for `append`, indices.
+    """
     slot, end = slot_of[k], n - 1
     if slot != end:
         for j in range(end):

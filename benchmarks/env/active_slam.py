@@ -116,7 +116,7 @@ class ActiveSlamEnv(gym.Env[Observation, Floats]):
         return self._observe(), self._info("")
 
     def step(self, action: Floats) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
-        """Hold steering angle and speed for some snapshots."""
+        """Hold steering angle and speed, an action (2,) as shares of their limits in [-1, 1], for some snapshots."""
         wanted = np.clip(np.asarray(action, np.float64), -1.0, 1.0)
         steering, speed = float(wanted[0]) * STEERING_LIMIT_RAD, 0.5 * (float(wanted[1]) + 1.0) * self.top_speed_mps
         before, cost, reason = self._arc_m, 0.0, ""

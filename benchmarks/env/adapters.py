@@ -64,7 +64,7 @@ class AgentEstimator:
         self._policy, self._pose, self._action = self.policy(), np.array(setup.start_pose), np.zeros(6)
 
     def step(self, dt_s: float, odometry: Floats, snapshot: Snapshot) -> Estimate:
-        """Show the snapshot to the agent, and add up its increments."""
+        """Show the snapshot and odometry (6,), in m/s and rad/s, to the agent, and add up its increments."""
         shown = observation(snapshot, dt_s, odometry, self._action, self.max_paths)
         self._action = np.array(self._policy(shown), np.float64)
         self._pose = compose(self._pose, self._action)

@@ -51,7 +51,8 @@ def compose(pose: Floats, action: Floats) -> Floats:
 
 
 def action_between(before: Floats, after: Floats) -> Floats:
-    """Return the action (6,) that takes pose `before` to `after`: the inverse of `compose`, limited to [-1, 1]."""
+    """Return the action (6,) that takes pose `before` to `after`, (6,) in m and rad: the inverse of `compose`, limited
+    to [-1, 1]."""
     action: Floats = np.clip(mean_velocity(before, after, 1.0) / ACTION_UNIT, -1.0, 1.0)
     return action
 
@@ -130,7 +131,8 @@ class LocalizationEnv(gym.Env[Observation, Floats]):
         return self._observe(), self._info()
 
     def step(self, action: Floats) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
-        """Take the believed increment up to the present snapshot, and go on to the next."""
+        """Take the believed increment (6,) up to the present snapshot, in shares of the limits, and go on to the
+        next."""
         self._action = np.array(action, np.float64)
         self.belief = compose(self.belief, self._action)
         truth = self._truth[self._now]
@@ -187,7 +189,10 @@ class LocalizationEnv(gym.Env[Observation, Floats]):
 
 
 def observation(snapshot: Snapshot, dt_s: float, odometry: Floats, last_action: Floats, max_paths: int) -> Observation:
-    """Return a snapshot as padded arrays; where it has more than `max_paths` paths, the strongest in their order."""
+    """Return a snapshot as padded arrays (max_paths, ...); where it has more paths, the strongest in their order.
+
+    dt_s in s; odometry (6,) in m/s and rad/s; last_action (6,) without unit.
+    """
     table = np.full((len(snapshot), len(COLUMNS)), np.nan)
     for i, name in enumerate(COLUMNS):
         column = getattr(snapshot, name)

@@ -30,7 +30,7 @@ def check_plotly() -> None:
 def write_html(path: Path, city: City, paths: Paths, transmitters: Floats, receivers: Floats) -> None:
     """Write the page. Rays are grouped by order, for the legend to switch them; at most 4000 are drawn.
 
-    Raises InputError where plotly is not installed.
+    Transmitters (S, 3) and receivers (N, 3) in m. Raises InputError where plotly is not installed.
     """
     check_plotly()
     import plotly.graph_objects as go

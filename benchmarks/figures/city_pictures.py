@@ -26,7 +26,10 @@ SHOWN_RAYS = 600
 
 
 def ray_lines(paths: Paths, transmitters: Floats, receivers: Floats) -> list[Floats]:
-    """Return per path its corners (order + 2, 3): transmitter, specular points, receiver."""
+    """Return per path its corners (order + 2, 3) in m: transmitter, specular points, receiver.
+
+    Transmitters (S, 3), receivers (N, 3).
+    """
     ends = transmitters[paths.transmitter], receivers[paths.receiver]
     corners = np.concatenate([ends[0][:, None], paths.points_m, ends[1][:, None]], axis=1)
     return [c[~np.isnan(c[:, 0])] for c in corners]
@@ -48,7 +51,10 @@ def draw_plan(
     transmitters: Floats | None = None,
     receivers: Floats | None = None,
 ) -> None:
-    """Write the plan of a city, buildings shaded by height, with rays seen from above."""
+    """Write the plan of a city, buildings shaded by height, with rays seen from above.
+
+    Transmitters (S, 3) and receivers (N, 3) in m.
+    """
     with context():
         low, high = _extent(_shown(city, paths, transmitters, receivers)[:, :2])
         wide, tall = (high - low) / (high - low).max()
@@ -80,7 +86,10 @@ def draw_view(
     receivers: Floats | None = None,
     width: int = 1400,
 ) -> None:
-    """Write a picture of a city from above and aside, with shadows; rays are drawn over it."""
+    """Write a picture of a city from above and aside, `width` pixels wide, with shadows; rays are drawn over it.
+
+    Transmitters (S, 3) and receivers (N, 3) in m.
+    """
     scene = city if isinstance(city, Scene) else prepare(city)
     camera = camera_for(_shown(scene.city, paths, transmitters, receivers) - scene.origin_m)
     picture = render(scene, camera, width)

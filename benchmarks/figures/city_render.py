@@ -40,7 +40,7 @@ class Camera:
     half: Floats
 
     def project(self, points: Floats) -> Floats:
-        """Return picture coordinates (N, 2), from 0 at the lower left to 1, of points (N, 3), centred."""
+        """Return picture coordinates (N, 2), from 0 at the lower left to 1, of points (N, 3) in m, centred."""
         away = points - self.centre
         return np.column_stack([away @ self.right / self.half[0], away @ self.up / self.half[1]]) * 0.5 + 0.5
 
@@ -51,7 +51,7 @@ def material_colour(name: str) -> tuple[float, float, float]:
 
 
 def camera_for(points: Floats, azimuth_rad: float = -2.0, elevation_rad: float = 0.62) -> Camera:
-    """Return a camera that shows the points (N, 3), centred, from a direction (azimuth, elevation)."""
+    """Return a camera that shows the points (N, 3) in m, centred, from a direction (azimuth, elevation) in rad."""
     cos, sin = np.cos(elevation_rad), np.sin(elevation_rad)
     ahead = -np.array([cos * np.cos(azimuth_rad), cos * np.sin(azimuth_rad), sin])
     right = np.cross(ahead, [0.0, 0.0, 1.0])

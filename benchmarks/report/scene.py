@@ -23,7 +23,8 @@ TO_LIGHT = np.array([1.0, -2.0, 3.0])
 
 
 def scene_of(world: World, steps: Ints) -> tuple[dict[str, Any], Mapping[str, Any]]:
-    """Return sites, drive, rays and true VTs of a world at some snapshots, and the part of the city around them."""
+    """Return sites, drive, rays and true VTs of a world at snapshots `steps` (n,), and the part of the city around
+    them."""
     from cellslam.sim.world import virtual_transmitters
 
     poses = world.drive.poses[steps]
@@ -43,7 +44,8 @@ def scene_of(world: World, steps: Ints) -> tuple[dict[str, Any], Mapping[str, An
 
 
 def mesh_of(city: City, box: Floats) -> dict[str, Any]:
-    """Return the buildings (whole) and the ground of a city within a box (2, 2), each as vertices and triangles."""
+    """Return the buildings (whole) and the ground of a city within a box (2, 2) in m, each as vertices and
+    triangles."""
     corners = city.vertices[city.triangles]
     inside = ((corners[:, :, :2] >= box[0]) & (corners[:, :, :2] <= box[1])).all(axis=2).any(axis=1)
     building = city.facets.building[city.triangle_facet]

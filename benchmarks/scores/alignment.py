@@ -49,7 +49,8 @@ def _pairs(recording: Recording, poses: Floats) -> tuple[Floats, Floats]:
 
 
 def rigid(points: Floats, onto: Floats) -> tuple[float, Floats]:
-    """Return angle and shift (2,) of the rigid motion in the plane that takes points (N, 2) best onto others.
+    """Return angle (rad) and shift (2,) of the rigid motion in the plane that takes points (N, 2) in m best onto
+    others.
 
     Source: S. Umeyama, Least-squares estimation of transformation parameters, 1991, in two dimensions without scale.
     """

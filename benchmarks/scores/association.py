@@ -1,4 +1,9 @@
-"""Which true VT each VT of an estimate stands for, and how right its associations are."""
+"""Which true VT each VT of an estimate stands for, and how right its associations are.
+
+Sources: Manning, Raghavan and Schuetze, "Introduction to information retrieval", 2008, sections 8.3 (precision, recall)
+and 16.3 (each cluster counts for the class of its majority); Bar-Shalom, Li and Kirubarajan, "Estimation with
+applications to tracking and navigation", 2001, section 5.4.2 (NEES).
+"""
 
 from __future__ import annotations
 
@@ -54,10 +59,10 @@ def tracks_of(link: Ints, association: Ints, measurement_vt: Ints) -> Tracks:
 def precision_recall(tracks: Tracks, measurement_vt: Ints) -> tuple[float | None, float | None]:
     """Return precision and recall over measurements, each None where it has no denominator.
 
-    Right: a measurement of a true VT, associated with a track that stands for this VT. Precision: right ones
-    among all that were associated. Recall: right ones among all that came from a true VT, those of VTs that
-    were seen only once included. Several tracks on one link may stand for one true VT (it was lost and found
-    again): what they hold is right; duplicates that remain at the end cost in GOSPA.
+    measurement_vt (M,): true VT of each, -1 for clutter. Right: a measurement of a true VT, associated with a track
+    that stands for this VT. Precision: right ones among all that were associated. Recall: right ones among all that
+    came from a true VT, those of VTs that were seen only once included. Several tracks on one link may stand for one
+    true VT (it was lost and found again): what they hold is right; duplicates that remain at the end cost in GOSPA.
     """
     used = tracks.row_track >= 0
     real = measurement_vt >= 0
@@ -71,7 +76,8 @@ def precision_recall(tracks: Tracks, measurement_vt: Ints) -> tuple[float | None
 def vt_nees(recording: Recording, vts: VtEstimate, association: Ints) -> Floats:
     """Return e^T P^-1 e (V,) of the final VTs, NaN where an estimate stands for no true VT or claims to be exact.
 
-    association (M,): id of the VT of each measurement, -1 none; ids count per site. Raises ValueError without truth.
+    association (M,): id of the VT of each measurement, -1 none; ids count per site. Dimensionless; its mean is 3 where
+    the covariances are right. Raises ValueError without truth.
     """
     truth, site = recording.truth, recording.links.site
     if truth is None:

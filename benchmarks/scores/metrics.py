@@ -1,6 +1,6 @@
 """The scores of one trial, from a recording with truth, an estimator's result and the bound.
 
-Position errors are horizontal, absolute and not aligned, as in the paper's section V.
+Position errors are horizontal, absolute and not aligned. Source: paper, section V.
 """
 
 from __future__ import annotations
@@ -88,7 +88,7 @@ def reference_scores(recording: Recording, reference: Reference, result: TrialRe
 
 
 def errors_over_time(recording: Recording, poses: Floats) -> tuple[Floats, Floats] | None:
-    """Return times (N,) and horizontal errors (N,) of poses (T, 6); None without truth and reference.
+    """Return times (N,) in s and horizontal errors (N,) in m of poses (T, 6); None without truth and reference.
 
     Against the truth at every snapshot, against a reference at its fixes.
     """
@@ -115,11 +115,11 @@ def horizontal_error(truth_poses: Floats, poses: Floats) -> Floats:
 
 
 def nees(truth_poses: Floats, poses: Floats, covariances: Floats) -> Floats:
-    """Return the normalised estimation error squared e^T P^-1 e (T,) of the horizontal position.
+    """Return the normalised estimation error squared e^T P^-1 e (T,) of the horizontal position, dimensionless.
 
-    Its mean is 2 for a consistent estimator. NaN where the claimed covariance (T, 6, 6) has no inverse, as at
-    a start that is known exactly. Source: Bar-Shalom, Li, Kirubarajan, Estimation with Applications, section
-    5.4.2.
+    Its mean is 2 for a consistent estimator. NaN where the claimed covariance (T, 6, 6) has no inverse, as at a start
+    that is known exactly. Source: Bar-Shalom, Li and Kirubarajan, "Estimation with applications to tracking and
+    navigation", 2001, section 5.4.2.
     """
     e = poses[:, :2] - truth_poses[:, :2]
     xx, xy, yy = covariances[:, 0, 0], covariances[:, 0, 1], covariances[:, 1, 1]

@@ -1,4 +1,9 @@
-"""Statistics over trials: location, spread, bootstrap intervals, paired differences."""
+"""Statistics over trials: location, spread, bootstrap intervals, paired differences.
+
+Sources: Efron and Tibshirani, "An introduction to the bootstrap", 1993, chapters 12 (bootstrap-t) and 13 (percentiles);
+Wilson, "Probable inference, the law of succession, and statistical inference", J. American Statistical Association 22,
+1927; Wilcoxon, "Individual comparisons by ranking methods", Biometrics Bulletin 1, 1945.
+"""
 
 from __future__ import annotations
 
@@ -108,7 +113,7 @@ def interval(values: Floats, of: Statistic, confidence: float) -> tuple[float, f
 
 
 def paired(first: Floats, second: Floats, confidence: float = 0.95) -> Paired:
-    """Return how `first` (n,) differs from `second` (n,), trial by trial."""
+    """Return how `first` (n,) differs from `second` (n,), of the same unit, trial by trial."""
     difference = np.asarray(first) - np.asarray(second)
     count = len(difference)
     if not count:
@@ -120,7 +125,8 @@ def paired(first: Floats, second: Floats, confidence: float = 0.95) -> Paired:
 
 
 def wilcoxon_p(difference: Floats) -> float:
-    """Return the p-value of Wilcoxon's signed-rank test that differences (n,) are symmetric about zero."""
+    """Return the p-value of Wilcoxon's signed-rank test that differences (n,), in any unit, are symmetric about
+    zero."""
     from scipy.stats import wilcoxon
 
     return float(wilcoxon(difference).pvalue) if np.any(difference != 0.0) else 1.0

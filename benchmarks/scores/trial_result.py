@@ -16,7 +16,7 @@ ROW_KEYS = (
     "transmitter_rmse_m", "map_gospa_m", "association_precision", "association_recall", "nees_mean",
     "bound_position_rmse_m", "estimate_seconds", "realtime_factor",
 )  # fmt: skip
-# Those of them that `benchmarks.metrics.score` fills; each may be None.
+# Those of them that `benchmarks.scores.metrics.score` fills; each may be None.
 METRIC_KEYS = (
     "position_rmse_m", "position_max_m", "position_end_m", "heading_rmse_rad", "clock_offset_rmse_m",
     "transmitter_rmse_m", "map_gospa_m", "association_precision", "association_recall", "nees_mean",
@@ -48,5 +48,5 @@ class TrialResult:
 
     @property
     def position_std_m(self) -> Floats:
-        """Claimed horizontal standard deviation (T,): root of the trace of the x-y covariance."""
+        """Claimed horizontal standard deviation (T,) in m: root of the trace of the x-y covariance."""
         return np.asarray(np.sqrt(self.covariances[:, 0, 0] + self.covariances[:, 1, 1]))

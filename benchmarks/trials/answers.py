@@ -42,7 +42,10 @@ def plain(answer: Any) -> Columns:
 
 
 def numbers(name: str, value: Any) -> NDArray[Any]:
-    """Return a copy of one array as float64, of ids as int64. Raises BadAnswerError where it holds something else."""
+    """Return a copy of one array of any shape, units unchanged, as float64, of ids as int64.
+
+    Raises BadAnswerError where it holds something else.
+    """
     array = np.array(value)
     if array.dtype.kind not in "iuf":
         raise BadAnswerError(f"{name} holds {array.dtype}, expected real numbers")
@@ -127,7 +130,7 @@ class Log:
 
 
 def checked(name: str, array: NDArray[Any], shape: tuple[int, ...]) -> NDArray[Any]:
-    """Return an array unless it has another shape, is not finite, or beyond what it can be (BadAnswerError)."""
+    """Return an array, units unchanged; raise BadAnswerError for another shape, or a value not finite or too large."""
     if array.shape != shape:
         raise BadAnswerError(f"{name} has shape {array.shape}, expected {shape}")
     most = MOST_ID if name in _WHOLE else MOST**2 if name in _SQUARES else MOST
@@ -139,7 +142,10 @@ def checked(name: str, array: NDArray[Any], shape: tuple[int, ...]) -> NDArray[A
 
 
 def check_covariances(name: str, stack: Floats, of: str) -> None:
-    """Raise BadAnswerError unless all matrices (N, n, n) are symmetric, without negative eigenvalues, to rounding."""
+    """Raise BadAnswerError unless all matrices (N, n, n) are symmetric, without negative eigenvalues, to rounding.
+
+    In any units: rounding is relative to each matrix's largest element.
+    """
     scale = np.abs(stack).max(axis=(1, 2), initial=0.0)
     skew = np.abs(stack - np.swapaxes(stack, 1, 2)).max(axis=(1, 2), initial=0.0)
     least = np.linalg.eigvalsh(stack)[:, 0]

@@ -16,7 +16,7 @@ def write_tum(path: str | Path, time_s: Floats, poses: Floats) -> None:
 
 
 def quaternions(poses: Floats) -> Floats:
-    """Return the unit quaternions (T, 4) = [qx, qy, qz, qw], qw >= 0, of poses (T, 6), body to world."""
+    """Return the unit quaternions (T, 4) = [qx, qy, qz, qw], qw >= 0, of poses (T, 6) in m and rad, body to world."""
     half = 0.5 * poses[:, 3:]
     (cz, cy, cx), (sz, sy, sx) = np.cos(half).T, np.sin(half).T
     q = np.stack(

@@ -57,7 +57,7 @@ def edge_neighbours(triangles: Ints, group: Ints) -> tuple[Ints, Ints]:
 
 
 def triangle_normals(corners: Floats) -> tuple[Floats, Floats]:
-    """Return unit normals (K, 3) and areas in m2 (K,) of triangles (K, 3, 3); a sliver has a zero normal."""
+    """Return unit normals (K, 3) and areas in m^2 (K,) of triangles (K, 3, 3); a sliver has a zero normal."""
     edges = corners - np.roll(corners, -1, axis=1)
     longest = np.sqrt((edges**2).sum(axis=2).max(axis=1, initial=0.0))
     cross = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])

@@ -61,7 +61,10 @@ class ChannelSlam:
         self._found: dict[int, list[tuple[int, int, Floats, Floats]]] = {}  # by particle, until anything changes
 
     def step(self, dt_s: float, odometry: Floats, snapshot: Snapshot) -> Estimate:
-        """Move, follow the paths, and every `update_m` weigh, resample, and begin transmitters."""
+        """Move, follow the paths, and every `update_m` weigh, resample, and begin transmitters.
+
+        dt_s in s; odometry (6,): mean body velocities in m/s and rad/s.
+        """
         o = self.options
         self._time_s += dt_s
         if dt_s > 0.0:

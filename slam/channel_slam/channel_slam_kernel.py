@@ -4,6 +4,9 @@ A component (19,): weight; pseudo-range s (distance plus clock offset, m), azimu
 from the anchor, clock offset b (m); the upper triangle of their covariance, by rows; cosine and sine of azimuth and
 elevation, which turn with these. The transmitter stands at anchor + (s - b) n(azimuth, elevation): there the first
 distance says s, and nothing else, exactly.
+
+Source: Gentner et al. 2016 (see `channel_slam`); a mixture of Gaussians after Alspach and Sorenson, "Nonlinear Bayesian
+estimation using Gaussian sum approximations", IEEE Trans. Automatic Control 17(4), 1972.
 """
 
 from __future__ import annotations
@@ -24,7 +27,7 @@ NOTHING = 40.0  # a likelihood so many nats below that of an outlier is none
 
 
 def face(components: Floats) -> None:
-    """Write cosines and sines of the directions of components (..., 19) beside them."""
+    """Write cosines and sines of the directions (rad) of components (..., 19) beside them."""
     azimuth, elevation = components[..., MEAN + 1], components[..., MEAN + 2]
     trig = (np.cos(azimuth), np.sin(azimuth), np.cos(elevation), np.sin(elevation))
     components[..., TRIG:] = np.stack(trig, axis=-1)

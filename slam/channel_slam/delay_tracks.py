@@ -1,7 +1,9 @@
 """Tracks of delays: which measurement continues which path, by its distance alone.
 
-In the place of the path tracker KEST that Channel-SLAM builds on (Jost, Wang, Fiebig and Perez-Fontan, IEEE Trans.
-Antennas and Propagation 60, 2012): a constant-rate filter on each path of a link, nearest neighbour within a gate.
+In the place of the path tracker KEST that Channel-SLAM builds on: a constant-rate filter on each path of a link,
+nearest neighbour within a gate. Sources: Jost, Wang, Fiebig and Perez-Fontan, "Detection and tracking of mobile
+propagation channel paths", IEEE Trans. Antennas and Propagation 60(10), 2012 (KEST); Bar-Shalom, Li and Kirubarajan,
+"Estimation with applications to tracking and navigation", 2001, section 6.2 (constant rate).
 """
 
 from __future__ import annotations
@@ -40,7 +42,7 @@ class Tracks:
     def follow(self, snapshot: Snapshot, time_s: float, dt_s: float, gate_m: float, gap_s: float, born: int) -> Ints:
         """Predict, assign a snapshot's measurements, start and end tracks; return the track's identity (m,), -1 none.
 
-        `born`: identity of a track that begins with measurement 0.
+        time_s, dt_s, gap_s in s, gate_m in m; `born`: identity of a track that begins with measurement 0.
         """
         self.distance_m = self.distance_m + self.rate_mps * dt_s
         answer = np.full(len(snapshot), -1, np.int64)

@@ -77,7 +77,10 @@ def check_array(name: str, value: Any, shape: tuple[int, ...]) -> None:
 
 
 def check_covariance(what: str, matrix: Floats, remedy: str) -> None:
-    """Raise ConformanceError unless a matrix is symmetric without negative eigenvalues (to 1e-9 of its scale)."""
+    """Raise ConformanceError unless a matrix (n, n) is symmetric without negative eigenvalues.
+
+    In any units: to 1e-9 of its largest element.
+    """
     scale = max(float(np.abs(matrix).max()), 1e-12)
     require(float(np.abs(matrix - matrix.T).max()) <= 1e-9 * scale, f"{what} is not symmetric", remedy)
     least = float(np.linalg.eigvalsh(matrix)[0])

@@ -94,7 +94,7 @@ def merged(steps: Sequence[Step], kept: Sequence[int]) -> list[Step]:
 
 
 def taken(snapshot: Snapshot, rows: NDArray[Any]) -> Snapshot:
-    """Return a snapshot with the measurements `rows` alone, in that order."""
+    """Return a snapshot with the measurements `rows` (n,) alone, in that order."""
     columns = [f.name for f in fields(Snapshot) if f.name != "index"]
     values: dict[str, Any] = {name: getattr(snapshot, name) for name in columns}
     chosen: dict[str, Any] = {name: None if v is None else v[rows] for name, v in values.items()}

@@ -1,4 +1,8 @@
-"""Compiled: which measurement of a link came from which VT: scores, best assignment."""
+"""Compiled: which measurement of a link came from which VT: scores, best assignment.
+
+A pair scores its log-likelihood ratio to a missed VT and clutter. Source: Bar-Shalom and Li, "Multitarget-multisensor
+tracking", 1995.
+"""
 
 from __future__ import annotations
 

@@ -61,7 +61,10 @@ class JointFilter:
         self._tables: tuple[float, tuple[Floats, int, int]] | None = None
 
     def step(self, dt_s: float, odometry: Floats, snapshot: Snapshot) -> Estimate:
-        """Predict, associate, update."""
+        """Predict, associate, update.
+
+        dt_s in s; odometry (6,): mean body velocities in m/s and rad/s.
+        """
         self._time_s += dt_s
         odometry = np.array(odometry)
         looks = self._grouping.looks(snapshot)

@@ -1,4 +1,9 @@
-"""A bank of joint EKFs: their arrays, the prior, one step of motion and of measurement."""
+"""A bank of joint EKFs: their arrays, the prior, one step of motion and of measurement.
+
+Sources: Smith, Self and Cheeseman, "Estimating uncertain spatial relationships in robotics", 1990 (one covariance of
+pose and map); Alspach and Sorenson, "Nonlinear Bayesian estimation using Gaussian sum approximations", IEEE Trans.
+Automatic Control 17(4), 1972 (several filters).
+"""
 
 from __future__ import annotations
 
@@ -70,7 +75,7 @@ class Bank:
         )  # fmt: skip
 
     def move(self, setup: Setup, dt_s: float, odometry: Floats) -> None:
-        """Advance every filter by an interval."""
+        """Advance every filter by an interval: dt_s in s, mean body velocities `odometry` (6,) in m/s and rad/s."""
         model = setup.odometry_model
         move(self.arrays, Interval(dt_s, odometry, model.noise_density, model.bias_walk_density))
 
@@ -84,17 +89,21 @@ class Bank:
         return association
 
     def moments(self, first: int, count: int) -> tuple[Floats, Floats]:
-        """Return mean (n,) and covariance (n, n) of `count` states of the core over all filters."""
+        """Return mean (n,) and covariance (n, n) of `count` states of the core over all filters, in the units of the
+        states."""
         found: tuple[Floats, Floats] = moments(self.log_weight, self.x, self.p, first, count)
         return found
 
     def vts(self, index: int, hits: int) -> Floats:
-        """Return identity, link, position, covariance (v, 14) of one filter's VTs with at least `hits` detections."""
+        """Return rows (v, 14) of one filter's VTs with at least `hits` detections.
+
+        Identity, link, position in m (3), its covariance in m^2 (9).
+        """
         out = np.empty((int(self.count[index]), ENTRY))
         return out[: map_into(one_of(self.arrays, index), hits, out)]
 
     def take(self, kept: Ints) -> Bank:
-        """Return the filters `kept`."""
+        """Return the filters `kept` (n,), in that order."""
         return Bank(
             self.core, self.mode, self.x[kept], self.p[kept], self.anchor[kept], self.slots[kept], self.count[kept],
             self.links[kept], self.log_weight[kept], self.lost[kept], self.losses[kept],
@@ -136,7 +145,10 @@ def _scratch(size: int, places: int, columns: int, rules: Rules) -> Scratch | Be
 
 
 def new_bank(setup: Setup, core: Core, mode: int, vts: int, offsets_m: Floats, offset_std_m: Floats) -> Bank:
-    """Return K filters at the start without VTs, with clock offsets (K, S) of deviations (S,); all links in use."""
+    """Return K filters at the start without VTs, all links in use.
+
+    Clock offsets (K, S) and their deviations (S,) in m.
+    """
     filters, model = len(offsets_m), setup.odometry_model
     size = core.size + 3 * vts
     x, p = np.zeros((filters, size)), np.zeros((filters, *((core.size if mode == KNOWN_MAP else size,) * 2)))
@@ -158,7 +170,7 @@ def new_bank(setup: Setup, core: Core, mode: int, vts: int, offsets_m: Floats, o
 
 
 def vt_estimate(rows: Floats) -> VtEstimate:
-    """Return rows (v, 14) of identity, link, position and covariance as VTs."""
+    """Return rows (v, 14) of identity, link, position (m) and covariance (m^2) as VTs."""
     covariance = rows[:, SPREAD:].reshape(-1, 3, 3)
     ids, link = rows[:, 0].astype(np.int64), rows[:, 1].astype(np.int64)
     return VtEstimate(ids, link, rows[:, POSITION:SPREAD].copy(), 0.5 * (covariance + np.swapaxes(covariance, 1, 2)))

@@ -1,10 +1,13 @@
 """Compiled: VTs whose direction or distance was not measured: several guesses, of which time leaves one.
 
 A lone distance begins VTs around the circle, a lone direction begins VTs at distances that double, all of them with one
-identity and a share of the probability each: a Gaussian sum for one VT (Alspach and Sorenson 1972; for distances also
-Sola et al., "Undelayed initialization in bearing only SLAM", IROS 2005). While guesses are left, measurements correct
-them and their shares, but not the pose or the clock offset, which are considered only (Schmidt 1966): whatever a wrong
-guess would teach does no harm. Guesses that agree become one, and the last one is a VT like any other.
+identity and a share of the probability each: a Gaussian sum for one VT. While guesses are left, measurements correct
+them and their shares, but not the pose or the clock offset, which are considered only: whatever a wrong guess would
+teach does no harm. Guesses that agree become one, and the last one is a VT like any other.
+
+Sources: Alspach and Sorenson, "Nonlinear Bayesian estimation using Gaussian sum approximations", IEEE Trans. Automatic
+Control 17(4), 1972; Sola et al., "Undelayed initialization in bearing only SLAM", IROS 2005 (distances that grow
+geometrically); Schmidt, "Application of state-space methods to navigation problems", 1966 (considered states).
 """
 
 from __future__ import annotations
@@ -31,13 +34,19 @@ AGREE = 0.5  # guesses this close, in their deviations, are one
 
 @njit(cache=True)
 def possible(z: Floats, b: float) -> bool:
-    """Return whether a VT can begin with a measurement: its distance, its azimuth or both are known."""
+    """Return whether a VT can begin with a measurement z (3,): its distance, its azimuth or both are known.
+
+    A distance must be 1 m beyond the clock offset b (m).
+    """
     return z[0] - b > 1.0 or (math.isnan(z[0]) and not math.isnan(z[1]))
 
 
 @njit(cache=True)
 def begin(f: Filter, now: int, confirm: int, link: int, offset: int, ident: int, z: Floats, q: Floats) -> None:
-    """Give birth to a VT, or to its guesses. z, q (3,): elevation is there, or its prior."""
+    """Give birth to a VT, or to its guesses.
+
+    z, q (3,): measurement in m and rad, and its variances; elevation is there, or its prior.
+    """
     ranged = not math.isnan(z[0])
     whole = ranged and not math.isnan(z[1])
     guesses = 1 if whole else (AROUND if ranged else AHEAD)
@@ -59,7 +68,7 @@ def correct(f: Filter, j: int, offset: int, now: int, z: Floats, q: Floats, w: S
     """Update by a measurement z of variances q (3,) of VT j, or of its guesses; return log-likelihood, and how many
     rows are pending.
 
-    Guesses given up have the share 0.
+    z in m and rad. Guesses given up have the share 0.
     """
     if k + 6 > len(w.pending):
         k = settle(f, w.pending, k)
@@ -97,7 +106,7 @@ def correct(f: Filter, j: int, offset: int, now: int, z: Floats, q: Floats, w: S
 
 @njit(cache=True)
 def settle(f: Filter, pending: Floats, k: int) -> int:
-    """Take off P the k rows that are pending; return 0, which is how many are left."""
+    """Take off P the k rows of `pending` (K, N); return 0, which is how many are left."""
     downdate(f.p, states(f), pending, k)
     return 0
 
@@ -166,7 +175,10 @@ def _agree(f: Filter, i: int, j: int) -> bool:
 
 @njit(cache=True)
 def consider(f: Filter, j: int, offset: int, z: Floats, q: Floats, w: Scratch) -> None:
-    """Update VT j alone; all else is considered: covariances with it change, its own do not."""
+    """Update VT j alone; all else is considered: covariances with it change, its own do not.
+
+    z, q (3,): measurement in m and rad, and its variances.
+    """
     x, p, t, v, size = f.x, f.p, w.t, f.core.size + 3 * j, states(f)
     expected, hph = expect(f, j, offset, w.h, t)
     innovation = innovate(z, q, expected, x[offset], hph)

@@ -1,4 +1,8 @@
-"""Compiled: VTs come and go in a filter's state; the map in the world frame."""
+"""Compiled: VTs come and go in a filter's state; the map in the world frame.
+
+Source: Smith, Self and Cheeseman, "Estimating uncertain spatial relationships in robotics", 1990: the state augmented
+and marginalised, covariances through Jacobians.
+"""
 
 from __future__ import annotations
 
@@ -59,7 +63,7 @@ def add(
 ) -> bool:
     """Give birth to a VT, making room if need be; return whether there was room. Confirmed ones given up are kept.
 
-    z, q (3,): measurement and variances; ranged: its distance was measured, with the clock offset in it.
+    z, q (3,): measurement in m and rad, and variances; ranged: its distance was measured, with the clock offset in it.
     """
     if f.count[0] == len(f.slots):
         j = room(f, now, confirm)
@@ -79,7 +83,7 @@ def add(
 
 @njit(cache=True)
 def keep(f: Filter, j: int, out: Floats) -> None:
-    """Write identity, link, position (3) and covariance (9) of VT j into out (14,)."""
+    """Write identity, link, position (3,) in m and covariance (9,) in m^2 of VT j into out (14,)."""
     v = f.core.size + 3 * j
     rho, ca, sa = f.x[v], math.cos(f.x[v + 1]), math.sin(f.x[v + 1])
     ce, se = math.cos(f.x[v + 2]), math.sin(f.x[v + 2])
@@ -108,7 +112,10 @@ def slope(rho: float, ca: float, sa: float, ce: float, se: float, row: int, colu
 
 @njit(cache=True)
 def map_into(f: Filter, hits: int, out: Floats) -> int:
-    """Write the VTs with at least `hits` detections, as their likely guesses, into out (V, 14); return their number."""
+    """Write the VTs with at least `hits` detections, as their likely guesses, into out (V, 14); return their number.
+
+    Columns as `keep` writes them, in m and m^2.
+    """
     found = 0
     for j in range(f.count[0]):
         if f.slots[j, HITS] >= hits and f.anchor[j, SHARE] > 0.5:

@@ -1,6 +1,9 @@
 """Compiled: one snapshot for every filter of a bank: associate link by link, update, give birth, drop; likelihoods.
 
 One thread: filters are many only during the start, and parallel code takes longer to compile than it saves.
+
+Source: Bar-Shalom, Li and Kirubarajan, "Estimation with applications to tracking and navigation", 2001, chapter 5 (the
+Kalman filter and its likelihood); existence of VTs as in `front_end.visibility`.
 """
 
 from __future__ import annotations

@@ -1,4 +1,8 @@
-"""Compiled: innovation of one measurement, its likelihood, and the Kalman update of the whole state."""
+"""Compiled: innovation of one measurement, its likelihood, and the Kalman update of the whole state.
+
+Source: Bar-Shalom, Li and Kirubarajan, "Estimation with applications to tracking and navigation", 2001, section 5.2,
+with S = R R^T and gains whitened by R.
+"""
 
 from __future__ import annotations
 
@@ -27,8 +31,10 @@ class Innovation(NamedTuple):
 
 @njit(cache=True)
 def innovate(z: Floats, q: Floats, expected: Spherical, offset_m: float, hph: Sym3) -> Innovation:
-    """Return the innovation of a measurement z (3,) of variances q (3,), NaN where there is none, against what is
-    expected of it but for the clock offset; hph: H P H^T."""
+    """Return the innovation of a measurement against what is expected of it but for the clock offset; hph: H P H^T.
+
+    z (3,): distance (m), azimuth and elevation (rad), NaN where there is none; q (3,): their variances.
+    """
     far, across, up = not math.isnan(z[0]), not math.isnan(z[1]), not math.isnan(z[2])
     e = Vec3(
         z[0] - expected.distance - offset_m if far else 0.0,
@@ -54,7 +60,7 @@ def log_likelihood(i: Innovation) -> tuple[float, float]:
 
 @njit(cache=True)
 def expect(f: Filter, j: int, offset: int, h: Floats, t: Floats) -> tuple[Spherical, Sym3]:
-    """Return what is expected of VT j, and H P H^T; write H into h (3, 10), T = H P into t (3, states)."""
+    """Return what is expected of VT j in m and rad, and H P H^T; write H into h (3, 10), T = H P into t (3, states)."""
     expected = predict(f, j, rotations_of(f), h)
     gains(f, j, offset, h, t)
     return expected, covariance_of(f, j, offset, h, t)
@@ -87,8 +93,8 @@ def explained(f: Filter, j: int, offset: int, w: Scratch, k: int) -> None:
 def update(f: Filter, j: int, offset: int, z: Floats, q: Floats, w: Scratch, k: int) -> tuple[float, int]:
     """Kalman update of the whole state by one measurement of VT j; return log N(e; 0, S), and k.
 
-    P stays as it is: what the update takes off it is left in three more rows of w.pending, of which k are in use,
-    P - G^T G being meant.
+    z, q (3,): measurement in m and rad, and variances. P stays as it is: what the update takes off it is left in three
+    more rows of w.pending, of which k are in use, P - G^T G being meant.
     """
     x, t = f.x, w.t
     expected = predict(f, j, rotations_of(f), w.h)
@@ -111,7 +117,7 @@ def update(f: Filter, j: int, offset: int, z: Floats, q: Floats, w: Scratch, k: 
 
 @njit(cache=True)
 def blank(t: Floats, z: Floats) -> None:
-    """Clear the rows of T = H P of what was not measured."""
+    """Clear the rows of T = H P, t (3, N), of what was not measured: NaN in z (3,)."""
     for r in range(3):
         if math.isnan(z[r]):
             t[r] = 0.0

@@ -1,4 +1,9 @@
-"""Compiled: one VT in spherical coordinates about its anchor: prediction, Jacobians, innovation covariance, birth."""
+"""Compiled: one VT in spherical coordinates about its anchor: prediction, Jacobians, innovation covariance, birth.
+
+Sources: paper, eq. 22 to 27, with the elevation corrected; coordinates about an anchor as in Civera, Davison and
+Montiel, "Inverse depth parametrization for monocular SLAM", IEEE Trans. Robotics 24(5), 2008, but with the range
+itself.
+"""
 
 from __future__ import annotations
 
@@ -47,10 +52,10 @@ def state_of(f: Filter, j: int, offset: int, column: int) -> int:
 
 @njit(cache=True)
 def predict(f: Filter, j: int, turned: Rotations, h: Floats) -> Spherical:
-    """Return h of VT j without the clock offset, seen from the filter's pose, whose rotation is `turned`; write its
-    Jacobian by the pose, the clock offset and range, azimuth, elevation of the VT into h (3, 10).
+    """Return h of VT j without the clock offset, and write its Jacobian into h (3, 10).
 
-    The VT stands at anchor + range * n(azimuth, elevation), angles in the world frame.
+    Seen from the filter's pose, whose rotation is `turned`; the Jacobian is by pose, clock offset and range, azimuth,
+    elevation of the VT. It stands at anchor + range * n(azimuth, elevation), angles in the world frame. In m and rad.
     """
     v, x, anchor = f.core.size + 3 * j, f.x, f.anchor[j]
     rho, ca, sa, ce, se = x[v], math.cos(x[v + 1]), math.sin(x[v + 1]), math.cos(x[v + 2]), math.sin(x[v + 2])
@@ -74,7 +79,10 @@ def predict(f: Filter, j: int, turned: Rotations, h: Floats) -> Spherical:
 
 @njit(cache=True)
 def gains(f: Filter, j: int, offset: int, h: Floats, t: Floats) -> None:
-    """Write T = H P (3, states) into t, H over pose, clock offset and, where it is mapped, VT j."""
+    """Write T = H P (3, states) into t, H over pose, clock offset and, where it is mapped, VT j.
+
+    h (3, 10) as `predict` writes it, in m and rad; T has the units of measurement times state.
+    """
     p, size = f.p, states(f)
     t[:, :size] = 0.0
     t[0, :size] = p[offset, :size]
@@ -90,7 +98,7 @@ def gains(f: Filter, j: int, offset: int, h: Floats, t: Floats) -> None:
 
 @njit(cache=True)
 def covariance_of(f: Filter, j: int, offset: int, h: Floats, t: Floats) -> Sym3:
-    """Return T H^T, T (3, states) as `gains` writes it; the mean of both triangles."""
+    """Return T H^T in m^2, m rad and rad^2, T (3, states) as `gains` writes it; the mean of both triangles."""
     xy, yx = _product(f, j, offset, t[0], h[1]), _product(f, j, offset, t[1], h[0])
     xz, zx = _product(f, j, offset, t[0], h[2]), _product(f, j, offset, t[2], h[0])
     yz, zy = _product(f, j, offset, t[1], h[2]), _product(f, j, offset, t[2], h[1])
@@ -112,7 +120,7 @@ def _product(f: Filter, j: int, offset: int, t: Floats, h: Floats) -> float:
 
 @njit(cache=True)
 def covariance(f: Filter, j: int, offset: int, h: Floats, narrow: Floats) -> Sym3:
-    """Return H P H^T; `narrow` (3, 10): scratch. H P for the columns that H touches alone."""
+    """Return H P H^T in m^2, m rad and rad^2; `narrow` (3, 10): scratch. H P for the columns that H touches alone."""
     p, touched = f.p, TOUCHED if f.mapped else VT
     narrow[:] = 0.0
     for k in range(touched):
@@ -142,10 +150,11 @@ def _dot(a: Floats, b: Floats) -> float:
 
 @njit(cache=True)
 def give_birth(f: Filter, j: int, offset: int, z: Floats, q: Floats, ranged: bool) -> None:
-    """Append VT j, the last one, where a measurement z (3,) with variances q (3,) points to, its covariance through
-    pose, clock offset and measurement.
+    """Append VT j, the last one, where a measurement points to, its covariance through pose, clock offset and
+    measurement.
 
-    ranged: the distance was measured; a guess has nothing to do with the offset.
+    z, q (3,): measurement in m and rad, and its variances; ranged: the distance was measured; a guess has nothing to do
+    with the offset.
     """
     x, p, v, turned = f.x, f.p, f.core.size + 3 * j, rotations_of(f)
     by_offset = 1.0 if ranged else 0.0

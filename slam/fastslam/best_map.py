@@ -1,4 +1,7 @@
-"""From particles to what is told of the map."""
+"""From particles to what is told of the map: that of one particle.
+
+Source: Thrun, Burgard and Fox, "Probabilistic robotics", 2005, chapter 13 (each particle of FastSLAM has a map).
+"""
 
 from __future__ import annotations
 
@@ -12,7 +15,7 @@ from cellslam.slam.fastslam.state.tracks_kernel import CONFIRMED
 
 
 def map_of(particles: Particles, index: int, parts: Parts, site_of: Ints, origin: Floats) -> VtEstimate:
-    """Return the confirmed VTs of one particle, in the world frame; `origin` (3,): where the filter's lies.
+    """Return the confirmed VTs of one particle, in the world frame, in m; `origin` (3,): where the filter's lies.
 
     site_of (L,): site of each link, which has a map.
     """

@@ -98,7 +98,10 @@ class FastSlam:
         self._rules: tuple[float, Rules] | None = None
 
     def step(self, dt_s: float, odometry: Floats, snapshot: Snapshot) -> Estimate:
-        """Move, weigh, update and, if needed, resample (paper, section IV)."""
+        """Move, weigh, update and, if needed, resample (paper, section IV).
+
+        dt_s in s; odometry (6,): mean body velocities in m/s and rad/s.
+        """
         looks = self._grouping.looks(snapshot)
         values = self._misfit.widened(self._read(dt_s, odometry, self._attitude.levelled(dt_s, looks)), dt_s)
         association = self._update(dt_s, odometry, looks, values)

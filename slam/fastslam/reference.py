@@ -3,9 +3,11 @@
 The place to begin reading, and to begin a variant from. It is the filter as it is by default: motion drawn from the
 odometry, VTs in range, azimuth and elevation about their place of birth, clock offsets, yaw-rate bias and odometer
 scale marginalised, Hungarian association by likelihood. `fastslam.FastSlam` gives the same answers a thousand times as
-fast; `tests/slam/fastslam/test_reference.py` holds it to this file. Equations are those of Chen, Whiton and Tufvesson,
-"Extended FastSLAM using cellular multipath component delays and angular information", by number, and of
-docs/fastslam.md, by the name of the step, which says what was added and why.
+fast; `tests/slam/fastslam/test_reference.py` holds it to this file.
+
+Source: Chen, Whiton and Tufvesson, "Extended FastSLAM using cellular multipath component delays and angular
+information". Equations are the paper's, by number, and those of docs/fastslam.md, by the name of the step, which says
+what was added and why.
 
 Left out: the other parts and clocks that drift (refused); VTs begun by measurements without distance or azimuth; the
 limit `vts_per_link`. What makes the compiled filter's numbers others than these:
@@ -124,7 +126,7 @@ class Existence(NamedTuple):
         return (self.age_once, self.age_twice, math.inf)[self.kind(vt)]
 
     def log_chances(self, vt: Vt, now: int) -> Floats:
-        """Return log(r p_D) and log(1 - r p_D), r the probability that a VT is visible."""
+        """Return log(r p_D) and log(1 - r p_D), (2,), r the probability that a VT is visible."""
         table = self.log_chance[min(self.kind(vt), 1)]
         chances: Floats = table[:, min(now - vt.seen, table.shape[1] - 1)]
         return chances
@@ -156,7 +158,10 @@ class ReferenceFastSlam:
         self.particles = drawn(self._setup, self._options, rng)
 
     def step(self, dt_s: float, odometry: Floats, snapshot: Snapshot) -> Estimate:
-        """Move, use the snapshot in every particle, answer, resample if needed (paper, section IV)."""
+        """Move, use the snapshot in every particle, answer, resample if needed (paper, section IV).
+
+        dt_s in s; odometry (6,): mean body velocities in m/s and rad/s.
+        """
         o, links = self._options, self._setup.links
         turned, moved = odometry[YAW_RATE] * dt_s, odometry[SPEED] * dt_s
         looks = self._grouping.looks(snapshot)
@@ -247,8 +252,9 @@ def drawn(setup: Setup, o: FastSlamOptions, rng: np.random.Generator) -> list[Pa
 
 
 def move(p: Particle, velocity: Floats, dt_s: float) -> None:
-    """Advance the pose at body velocities (6,), corrected by the mean of bias and scale (paper, eq. 14, 17; docs,
-    "Move"), and d(x, y, psi)/d(bias, scale): through the heading at mid-interval, and through the speed."""
+    """Advance the pose at body velocities (6,) in m/s and rad/s, corrected by the mean of bias and scale (paper, eq.
+    14, 17; docs, "Move"), and d(x, y, psi)/d(bias, scale): through the heading at mid-interval, and through the
+    speed."""
     (bias, scale), before, u = p.theta[-2:], p.pose, velocity.copy()
     u[YAW_RATE] -= bias
     u[SPEED] /= 1.0 + scale
@@ -261,7 +267,7 @@ def move(p: Particle, velocity: Floats, dt_s: float) -> None:
 
 
 def slopes(s: Floats) -> Floats:
-    """Return d(position)/ds (3, 3) of s = (range, azimuth, elevation)."""
+    """Return d(position)/ds (3, 3) of s (3,) = range (m), azimuth and elevation (rad)."""
     rho, (ca, sa, ce, se) = s[0], (math.cos(s[1]), math.sin(s[1]), math.cos(s[2]), math.sin(s[2]))
     return np.array([
         [ce * ca, -rho * ce * sa, -rho * se * ca],
@@ -271,7 +277,7 @@ def slopes(s: Floats) -> Floats:
 
 
 def at_present(p: Particle, vt: Vt) -> tuple[Floats, Floats]:
-    """Return s (3,) of a VT at the present theta, and its place in the world (3,)."""
+    """Return s (3,) of a VT at the present theta, in m and rad, and its place in the world (3,) in m."""
     s = vt.mean + vt.gain @ (p.theta - vt.theta0)
     return s, vt.anchor + s[0] * unit_vector(s[1], s[2])
 
@@ -291,7 +297,7 @@ def predicted(p: Particle, vt: Vt) -> Prediction:
 
 
 def innovation(z: Floats, expected: Floats) -> tuple[NDArray[np.bool_], Floats]:
-    """Return which components were measured (3,), and by how much those differ from what is expected."""
+    """Return which components were measured (3,), and by how much those differ from what is expected, in m and rad."""
     e, known = z - expected, ~np.isnan(z)
     e[1:] = wrap_angle(e[1:])
     return known, e[known]
@@ -309,8 +315,11 @@ def score(seen: Prediction, odds: float, values: Readings, k: int, gate: float) 
 
 
 def associated(scores: Floats) -> Ints:
-    """Return the VT of each measurement (M,), -1 for none: the greatest sum of scores (V, M), of which none is taken
-    that is not positive (paper, eq. 35 and the Hungarian algorithm)."""
+    """Return the VT of each measurement (M,), -1 for none: the greatest sum of scores, of which none is taken that is
+    not positive (paper, eq. 35 and the Hungarian algorithm).
+
+    scores (V, M): log-likelihood ratios.
+    """
     out = np.full(scores.shape[1], -1)
     vt, measurement = linear_sum_assignment(np.maximum(scores, 0.0), maximize=True)
     gains = scores[vt, measurement] > 0.0
@@ -325,7 +334,8 @@ def updated(
     """Update a VT by measurement k, add A^T S^-1 e to y and A^T S^-1 A to the information; return the log-weight: the
     fit in full, `share` of the evidence that the VT is there (docs, "Update", "Evidence lasts as errors do").
 
-    Given theta: K = Sigma H^T S^-1, mu += K e, G -= K A, Sigma -= K H Sigma (paper, eq. 28-30, 32).
+    Given theta: K = Sigma H^T S^-1, mu += K e, G -= K A, Sigma -= K H Sigma (paper, eq. 28-30, 32). theta and y (K,),
+    information (K, K).
     """
     known, e = innovation(values.z[k], seen.z)
     h, a = seen.by_vt[known], seen.by_theta[known]
@@ -342,7 +352,10 @@ def updated(
 
 def conditioned(p: Particle, y: Floats, information: Floats) -> float:
     """Condition theta on a snapshot, P_new = (P^-1 + I)^-1, theta += P_new y, move the pose along; return the evidence
-    -log det(1 + I P) / 2 + y^T P_new y / 2 (docs, "Nuisances")."""
+    -log det(1 + I P) / 2 + y^T P_new y / 2, a log-weight (docs, "Nuisances").
+
+    y (K,), information (K, K).
+    """
     m = np.eye(len(y)) + information @ p.covariance
     p.covariance = p.covariance @ np.linalg.inv(m)
     change = p.covariance @ y
@@ -352,13 +365,16 @@ def conditioned(p: Particle, y: Floats, information: Floats) -> float:
 
 
 def can_begin(z: Floats, offset: float) -> bool:
-    """Say whether a measurement (3,) shows where a VT would be."""
+    """Say whether a measurement z (3,) shows where a VT would be; `offset` in m."""
     return bool(z[0] - offset > LEAST_RANGE_M and not np.isnan(z[1]))
 
 
 def begun(p: Particle, site: int, z: Floats, variance: Floats, identity: int, now: int) -> Vt:
     """Return a VT born from a measurement: s is the direction turned to the world, Sigma = J Q J^T with J = ds/dz, G =
-    ds/dtheta through the offset, -1 in range, and through what the pose owes to bias and scale (docs, "Births")."""
+    ds/dtheta through the offset, -1 in range, and through what the pose owes to bias and scale (docs, "Births").
+
+    z, variance (3,): in m and rad, and their squares.
+    """
     body, variance = z.copy(), variance.copy()
     body[0] -= p.theta[site]
     if np.isnan(z[2]):
@@ -393,7 +409,10 @@ def merged(p: Particle, vts: list[Vt], existing: Existence) -> list[Vt]:
 
 def moments(particles: list[Particle], weights: Floats, best: int, sites: int) -> tuple[Floats, Floats, Floats, Floats]:
     """Return mean (6,) and covariance (6, 6) of the pose, mean and variance (S,) of the clock offsets: over particles,
-    and within each, where the pose is r + G_pose (theta - theta_hat) (docs, "State")."""
+    and within each, where the pose is r + G_pose (theta - theta_hat) (docs, "State").
+
+    weights (N,) sum to 1. In m, rad and their squares.
+    """
     mean, covariance = pose_moments(np.array([p.pose for p in particles]), weights, particles[best].pose)
     within = [p.slope @ p.covariance[-2:, -2:] @ p.slope.T for p in particles]
     covariance[np.ix_(PLANE, PLANE)] += np.tensordot(weights, within, 1)

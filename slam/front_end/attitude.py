@@ -3,6 +3,8 @@
 Acceleration, turns and the road tilt the array by tenths of a degree for seconds. Twenty directions at once, most of
 landmarks that are well known, tell by how much; what the next snapshot measures is then turned into the level frame.
 The attitude is a first-order Gauss-Markov process; an error that all directions have in common is left out.
+
+Source: Gelb, "Applied optimal estimation", 1974, chapters 3 (Gauss-Markov process) and 4 (Kalman filter).
 """
 
 from __future__ import annotations

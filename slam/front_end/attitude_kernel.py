@@ -1,4 +1,8 @@
-"""Compiled: directions turned into the level frame, and what a snapshot's directions say of pitch and roll."""
+"""Compiled: directions turned into the level frame, and what a snapshot's directions say of pitch and roll.
+
+Source: Gelb, "Applied optimal estimation", 1974, chapters 3 (Gauss-Markov process) and 4 (update in information form),
+with the azimuth and elevation of the paper, eq. 25 to 27.
+"""
 
 from __future__ import annotations
 
@@ -17,10 +21,11 @@ TINY = 1e-12
 def level(
     mean: Floats, covariance: Floats, prior: Floats, left: float, azimuth: Floats, elevation: Floats
 ) -> tuple[Floats, Floats]:
-    """Let pitch and roll, mean (2,) and covariance (2, 2), decorrelate until `left` of the old is in the new; return
-    azimuth and elevation (m,) as a level array would measure them.
+    """Let pitch and roll decorrelate until `left` of the old is in the new; return directions as a level array would
+    measure them.
 
-    prior (2,): variances. Ry(pitch) Rx(roll) takes body to level. NaN where either is missing stays as measured.
+    mean (2,) in rad and covariance (2, 2), written; prior (2,): variances; azimuth, elevation (m,) in rad, as returned.
+    Ry(pitch) Rx(roll) takes body to level. NaN where either is missing stays as measured.
     """
     for r in range(2):
         mean[r] *= left
@@ -63,7 +68,7 @@ def observe(
     variance: Floats,
     common: Floats,
 ) -> None:
-    """Update mean (2,) and covariance (2, 2) of pitch and roll by the directions of known VTs, in place.
+    """Update mean (2,) and covariance (2, 2) of pitch and roll, in rad, by the directions of known VTs, in place.
 
     `pose` (6,): place and yaw of the array; measurement i is of the VT that is called association[i], with its place in
     `names` (V,) a row of `vts` (V, 3) and `spreads` (V, 3, 3); `variance` (m, 3) of distance, azimuth, elevation;

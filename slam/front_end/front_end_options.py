@@ -11,6 +11,9 @@ Three kinds of error of a measurement, as `sim.lte` makes them:
 A single measurement has the sum of the variances; to associate, take that. Many measurements in a row share a draw: the
 mean of n of them has the variance of n / repeats independent ones. To update, take the variance times `repeats`, and
 times the links that share it.
+
+Sources: paper, eq. 34, corrected; Priestley, "Spectral analysis and time series", 1981, section 5.3 (variance of the
+mean of a correlated sequence).
 """
 
 from __future__ import annotations

@@ -95,8 +95,9 @@ class Grouping(Generic[Options]):
 def doubts(links: Ints, detection_probability: float) -> Floats:
     """Return ln P(members | clutter) / P(members | path) by group (G,) of so many links, and number of members.
 
-    Of what a path detects the number is binomial, of clutter geometric. Where many agree it is no clutter, but may be
-    of a VT that is not in the map: that alternative bounds what agreement tells.
+    A log-likelihood ratio (G, links + 1). Of what a path detects the number is binomial, of clutter geometric. Where
+    many agree it is no clutter, but may be of a VT that is not in the map: that alternative bounds what agreement
+    tells. Source: own derivation: Bayes' rule for these two distributions.
     """
     out = np.zeros((len(links), int(links.max(initial=0)) + 1))
     for g, count in enumerate(links):

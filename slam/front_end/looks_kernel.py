@@ -1,4 +1,8 @@
-"""Compiled: which measurements of different links are of one path, and their means."""
+"""Compiled: which measurements of different links are of one path, and their means.
+
+Sources: Bar-Shalom and Li, "Multitarget-multisensor tracking", 1995 (normalised distance, nearest neighbour); the
+variance of a weighted mean.
+"""
 
 from __future__ import annotations
 
@@ -28,8 +32,9 @@ def taken_together(
     many measurements they are means of (n,), of how many ports (n,), the first of them (n,); and the look of each
     measurement (m,).
 
-    white (m, 3): variances; place (3,): those of errors that differ from port to port; link (m,), sorted; group_of,
-    port_of (L,). Where `together` is false, each measurement is a look of its own.
+    distance (m,) in m, azimuth and elevation (m,) in rad; white (m, 3): variances; place (3,): those of errors that
+    differ from port to port; link (m,), sorted; group_of, port_of (L,). Where `together` is false, each measurement is
+    a look of its own.
     """
     m = len(link)
     z = np.empty((m, 3))
@@ -62,9 +67,9 @@ def taken_together(
 def group(z: Floats, variance: Floats, link: Ints, group_of: Ints) -> tuple[Ints, int]:
     """Return for each measurement (m,) the number of its look, and how many looks there are.
 
-    z (m, 3): distance, azimuth, elevation, NaN where not measured; variance (m, 3): of each, without what all
-    measurements of a path have in common; link (m,): sorted; group_of (L,): links of one group see the same paths, a
-    path at most once each. A look stands where its members do in the mean; of all pairs of a link's measurements and
+    z (m, 3): distance (m), azimuth and elevation (rad), NaN where not measured; variance (m, 3): of each, without what
+    all measurements of a path have in common; link (m,): sorted; group_of (L,): links of one group see the same paths,
+    a path at most once each. A look stands where its members do in the mean; of all pairs of a link's measurements and
     looks, the closest goes first.
     """
     m = len(link)

@@ -1,4 +1,7 @@
-"""The white noise of a snapshot's measurements, and which links share what."""
+"""The white noise of a snapshot's measurements, and which links share what.
+
+Source: paper, eq. 34, corrected to Q = Q_floor + Q_0 / lambda: a higher SNR lambda means a smaller variance.
+"""
 
 from __future__ import annotations
 

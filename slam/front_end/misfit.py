@@ -2,9 +2,10 @@
 
 Where paths come close together, as in a street canyon, the front end takes two for one, and their directions err by
 twice what its noise model says. Each snapshot's directions are held against the VTs that are known well; where they
-have lately been worse than expected on the whole, all variances are raised by as much (an adaptive Kalman filter by
-innovation matching: Mehra, "Approaches to adaptive filtering", IEEE Trans. Automatic Control 17(5), 1972). Never
-lowered: errors that persist are in the VTs too, and do not show.
+have lately been worse than expected on the whole, all variances are raised by as much: an adaptive Kalman filter by
+innovation matching. Never lowered: errors that persist are in the VTs too, and do not show.
+
+Source: Mehra, "Approaches to adaptive filtering", IEEE Trans. Automatic Control 17(5), 1972.
 """
 
 from __future__ import annotations
@@ -43,8 +44,10 @@ class Misfit:
         return replace(values, single=values.single * by, many=values.many * by, fresh=values.fresh * by)
 
     def learn(self, answer: Estimate, values: Readings, pose: Floats | None = None) -> None:
-        """Compare measurements with the answer to them. `pose` (6,): from where the answer's VTs were seen, where that
-        is not its pose."""
+        """Compare measurements with the answer to them.
+
+        `pose` (6,) in m and rad: from where the answer's VTs were seen, where that is not its pose.
+        """
         if self._scale_s == 0.0 or answer.association is None or answer.vts is None or not len(answer.association):
             return
         compare(

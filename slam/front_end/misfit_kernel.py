@@ -1,4 +1,7 @@
-"""Compiled: how large the errors of directions are against what was expected."""
+"""Compiled: how large the errors of directions are against what was expected.
+
+Source: Mehra, "Approaches to adaptive filtering", IEEE Trans. Automatic Control 17(5), 1972 (covariance matching).
+"""
 
 from __future__ import annotations
 
@@ -27,9 +30,9 @@ def compare(
     """Update sums (2, 2): of azimuth and of elevation the squared errors over their variances, and how many, after
     `keep` of what they were.
 
-    Measurement i of z (m, 3), with variances `single` (m, 3) that hold `factor` (2,), is of the VT that is called
-    association[i], with its place in `names` (V,) a row of `vts` (V, 3) and `spreads` (V, 3, 3); seen from `pose` (6,),
-    level. A VT that is known no better than one measurement says nothing.
+    Measurement i of z (m, 3), in m and rad, with variances `single` (m, 3) that hold `factor` (2,), is of the VT that
+    is called association[i], with its place in `names` (V,) a row of `vts` (V, 3) and `spreads` (V, 3, 3); seen from
+    `pose` (6,), level. A VT that is known no better than one measurement says nothing.
     """
     for c in range(2):
         sums[c, 0] *= keep

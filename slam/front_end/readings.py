@@ -1,4 +1,8 @@
-"""The measurements of a snapshot with the variances that association, updates and births take."""
+"""The measurements of a snapshot with the variances that association, updates and births take.
+
+Source: Priestley, "Spectral analysis and time series", 1981, section 5.3: how many independent draws a correlated
+sequence is worth.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,8 @@
-"""Virtual transmitters come and go: how likely one is visible so long after it was last detected."""
+"""Virtual transmitters come and go: how likely one is visible so long after it was last detected.
+
+Source: Musicki, Evans and Stankovic, "Integrated probabilistic data association", IEEE Trans. Automatic Control 39(6),
+1994: existence as a Markov chain, and a miss by Bayes' rule.
+"""
 
 from __future__ import annotations
 
@@ -11,8 +15,7 @@ HORIZON = 4096  # snapshots for which the chance of being visible is tabulated
 
 
 def visibility(first: float, stay: float, back: float, detection: float, length: int) -> Floats:
-    """Return P(visible) before the n-th snapshot since the last detection, n = 0..length-1 (entry 0 is unused:
-    `first`).
+    """Return P(visible) before the n-th snapshot since the last detection, (length,); entry 0 is unused: `first`.
 
     `first`: P(visible) just after the detection; `stay`, `back`: transition probabilities to visible.
     """

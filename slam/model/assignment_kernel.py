@@ -1,8 +1,11 @@
 """The assignment of measurements to VTs of one link, exact, with the option of leaving any of them out.
 
 Most snapshots need no solver: where no measurement has two candidate VTs and no VT two candidate measurements, every
-positive pair is taken. Otherwise shortest augmenting paths (Kuhn 1955; Jonker and Volgenant 1987) run on the table with
-one more row for each column, which leaves that column out.
+positive pair is taken. Otherwise shortest augmenting paths run on the table with one more row for each column, which
+leaves that column out.
+
+Sources: Kuhn, "The Hungarian method for the assignment problem", Naval Research Logistics Quarterly 2, 1955; Jonker and
+Volgenant, "A shortest augmenting path algorithm for dense and sparse linear assignment problems", Computing 38, 1987.
 """
 
 from __future__ import annotations
@@ -20,8 +23,8 @@ _CANNOT = 0.5 * LEFT_OUT
 def assign(score: Floats, rows: int, columns: int, row_of: Ints, work_f: Floats, work_i: Ints) -> None:
     """Write into row_of (columns,) the row assigned to each column, -1 for none, maximising the sum of scores.
 
-    `score` (R, C): gain of a pair over leaving both out; pairs that are not positive are never taken. `work_f` and
-    `work_i` are scratch of at least (4 (rows + columns + 2),) floats and integers.
+    `score` (R, C), in any one unit: gain of a pair over leaving both out; pairs that are not positive are never taken.
+    `work_f` and `work_i` are scratch of at least (4 (rows + columns + 2),) floats and integers.
     """
     for c in range(columns):
         row_of[c] = -1

@@ -1,4 +1,8 @@
-"""Compiled: P <- P - G^T G, what many measurements take off a covariance at once."""
+"""Compiled: P <- P - G^T G, what many measurements take off a covariance at once.
+
+Source: rank-k update of a symmetric matrix (SYRK) of Dongarra et al., "A set of level 3 basic linear algebra
+subprograms", ACM Trans. Mathematical Software 16(1), 1990.
+"""
 
 from __future__ import annotations
 

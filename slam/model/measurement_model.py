@@ -1,9 +1,9 @@
 """The measurement model h, its Jacobians, and births: used by every estimator and by the bound.
 
-h(r, v) = (distance, azimuth, elevation) of VT v seen from pose r, without clock offset (paper, section IV, with
-the elevation corrected: atan2(z, sqrt(x^2 + y^2))). With the offset b of its site a measurement is
-z = h(r, v) + (b, 0, 0) + noise. Azimuth and its Jacobian have no limit straight above the array: the horizontal part of
-the way to a VT, in the body frame, counts as LEAST_FLAT_M at least. `measurement_kernel` has the same, compiled.
+h(r, v) = (distance, azimuth, elevation) of VT v seen from pose r, without clock offset. With the offset b of its site a
+measurement is z = h(r, v) + (b, 0, 0) + noise. Azimuth and its Jacobian have no limit straight above the array: the
+horizontal part of the way to a VT, in the body frame, counts as LEAST_FLAT_M at least. `measurement_kernel` has the
+same, compiled. Source: paper, eq. 22 to 27, with azimuth atan2(y, x) and elevation atan2(z, sqrt(x^2 + y^2)).
 """
 
 from __future__ import annotations
@@ -18,7 +18,8 @@ LEAST_FLAT_M = 1e-3
 
 
 def predict(pose: ArrayLike, vt: ArrayLike) -> Floats:
-    """Return h (..., 3): distance (m), azimuth and elevation (rad, body frame) of VTs (..., 3) from poses (..., 6)."""
+    """Return h (..., 3): distance in m, azimuth and elevation in rad (body frame) of VTs (..., 3) from poses (...,
+    6)."""
     p, v = np.asarray(pose, np.float64), np.asarray(vt, np.float64)
     x, y, z = np.moveaxis(world_to_body(p, v - p[..., :3]), -1, 0)
     flat = np.maximum(np.hypot(x, y), LEAST_FLAT_M)
@@ -43,7 +44,11 @@ def jacobians(pose: ArrayLike, vt: ArrayLike) -> tuple[Floats, Floats]:
 
 
 def birth(pose: ArrayLike, distance_m: ArrayLike, azimuth_rad: ArrayLike, elevation_rad: ArrayLike) -> Floats:
-    """Return the VT (..., 3) that a measurement points to: inverse of `predict`; `distance_m` without clock offset."""
+    """Return the VT (..., 3) in m that a measurement points to: inverse of `predict`; `distance_m` without clock
+    offset.
+
+    pose (..., 6); the measurement's components (...,).
+    """
     p = np.asarray(pose, np.float64)
     body = np.asarray(distance_m, np.float64)[..., None] * unit_vector(azimuth_rad, elevation_rad)
     r = rotation(p[..., 3], p[..., 4], p[..., 5])

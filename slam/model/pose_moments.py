@@ -1,4 +1,8 @@
-"""Mean and covariance of weighted poses."""
+"""Mean and covariance of weighted poses.
+
+Source: Bar-Shalom, Li and Kirubarajan, "Estimation with applications to tracking and navigation", 2001, section 1.4
+(moments of a mixture).
+"""
 
 from __future__ import annotations
 

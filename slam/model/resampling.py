@@ -14,22 +14,29 @@ from cellslam.sim.recording import Floats, Ints
 
 
 def systematic(weights: Floats, count: int, rng: np.random.Generator) -> Ints:
-    """One uniform draw, `count` equally spaced points: least variance of the schemes here."""
+    """Return ancestors (count,) by one uniform draw and `count` equally spaced points: least variance of the schemes
+    here.
+
+    weights (N,).
+    """
     return _inverse(weights, (np.arange(count) + rng.random()) / count)
 
 
 def stratified(weights: Floats, count: int, rng: np.random.Generator) -> Ints:
-    """One uniform draw in each of `count` equal strata."""
+    """Return ancestors (count,) by one uniform draw in each of `count` equal strata; weights (N,)."""
     return _inverse(weights, (np.arange(count) + rng.random(count)) / count)
 
 
 def multinomial(weights: Floats, count: int, rng: np.random.Generator) -> Ints:
-    """Return `count` independent draws, sorted."""
+    """Return ancestors (count,) by independent draws, sorted; weights (N,)."""
     return _inverse(weights, np.sort(rng.random(count)))
 
 
 def residual(weights: Floats, count: int, rng: np.random.Generator) -> Ints:
-    """The integer part of count * weight copies of each, the remainder by multinomial draws."""
+    """Return ancestors (count,): the integer part of count * weight copies of each, the rest by multinomial draws.
+
+    weights (N,).
+    """
     copies = np.floor(count * weights).astype(np.int64)
     rest = count - int(copies.sum())
     if rest > 0:

@@ -66,7 +66,10 @@ class PaperFastSlam:
         self._now = self._born = 0
 
     def step(self, dt_s: float, odometry: Floats, snapshot: Snapshot) -> Estimate:
-        """Sample the motion, associate, update, weigh, resample."""
+        """Sample the motion, associate, update, weigh, resample.
+
+        dt_s in s; odometry (6,): mean body velocities in m/s and rad/s.
+        """
         if dt_s > 0.0:
             self._move(dt_s, odometry)
         association = self._use(snapshot)

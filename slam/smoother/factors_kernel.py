@@ -1,4 +1,8 @@
-"""Compiled: mean residual and Jacobians of a VT's measurements about one keyframe."""
+"""Compiled: mean residual and Jacobians of a VT's measurements about one keyframe.
+
+Sources: paper, eq. 22 to 27, with the elevation corrected; Barfoot, "State estimation for robotics", 2017, chapter 7
+(derivatives by a rotation vector).
+"""
 
 from __future__ import annotations
 
@@ -24,9 +28,9 @@ def residual(
 ) -> int:
     """Write the mean over measurements of h + offset - z, and its Jacobians; return the number of measurements.
 
-    rotation (3, 3), position (3,): keyframe; vt (3,); relative (m, 12): rotation row by row, and place, of the vehicle
-    in the keyframe's frame; z (m, 3): distance, azimuth, elevation. out (3,); by_pose (3, 6): rotation vector and
-    translation in the keyframe's frame; by_vt (3, 3). The offset's Jacobian is (1, 0, 0).
+    rotation (3, 3), position (3,): keyframe; vt (3,) and offset in m; relative (m, 12): rotation row by row, and place,
+    of the vehicle in the keyframe's frame; z (m, 3): distance, azimuth, elevation, in m and rad. out (3,); by_pose (3,
+    6): rotation vector and translation in the keyframe's frame; by_vt (3, 3). The offset's Jacobian is (1, 0, 0).
     """
     out[:] = 0.0
     by_pose[:] = 0.0

@@ -1,4 +1,8 @@
-"""From a drive with FastSLAM's associations to the factor graph's problem, and from its keyframes to every pose."""
+"""From a drive with FastSLAM's associations to the factor graph's problem, and from its keyframes to every pose.
+
+Sources: Dellaert and Kaess, "Factor graphs for robot perception", Foundations and Trends in Robotics 6, 2017; between
+keyframes the compass (Bowditch) rule of traverse adjustment: a misclosure is spread evenly.
+"""
 
 from __future__ import annotations
 
@@ -66,14 +70,21 @@ def problem_of(drive: Drive, options: SmootherOptions) -> tuple[Problem, Ints]:
 
 
 def keyframes(dt_s: Floats, spacing_s: float) -> Ints:
-    """Return the snapshots (K,) that are keyframes: the first, the last, and one every `spacing_s`."""
+    """Return the snapshots (K,) that are keyframes: the first, the last, and one every `spacing_s`.
+
+    dt_s (T,): since the snapshot before.
+    """
     number = np.floor(np.cumsum(dt_s) / spacing_s + LARGEST_SHIFT_S)
     first = np.flatnonzero(np.diff(number, prepend=-1.0) > 0)
     return np.union1d(first, [len(dt_s) - 1]).astype(np.int64)
 
 
 def between(frames6: Floats, legs: Sequence[Leg], frames: Ints) -> Floats:
-    """Return every pose (T, 6): odometry from keyframe to keyframe, its misclosure spread evenly over the leg."""
+    """Return every pose (T, 6) in m and rad: odometry from keyframe to keyframe, its misclosure spread evenly over the
+    leg.
+
+    frames6 (K, 6): poses of the keyframes; frames (K,): their snapshots.
+    """
     out = np.empty((int(frames[-1]) + 1, 6))
     out[frames] = frames6
     for k, one in enumerate(legs):

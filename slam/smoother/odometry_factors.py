@@ -1,4 +1,8 @@
-"""Odometry between keyframes: relative motion, its covariance, and how biases and scales change it."""
+"""Odometry between keyframes: relative motion, its covariance, and how biases and scales change it.
+
+Source: Lupton and Sukkarieh, "Visual-inertial-aided navigation for high-dynamic motion in built environments without
+initial conditions", IEEE Trans. Robotics 28(1), 2012 (preintegration, with derivatives by the errors).
+"""
 
 from __future__ import annotations
 
@@ -28,18 +32,18 @@ class Leg:
 
     @property
     def relative(self) -> Floats:
-        """The end in the frame of the start, (6,)."""
+        """The end in the frame of the start, (6,), in m and rad."""
         end: Floats = self.inner[-1]
         return end
 
 
 def errors_of(model: OdometryModel) -> tuple[Ints, Ints]:
-    """Return the components of the odometry that have a bias, and those that have a scale error."""
+    """Return the components of the odometry that have a bias (b,), and those that have a scale error (s,)."""
     return np.flatnonzero((model.bias > 0) | (model.bias_walk_density > 0)), np.flatnonzero(model.scale > 0)
 
 
 def leg(velocity: Floats, dt_s: Floats, model: OdometryModel) -> Leg:
-    """Return the motion at mean body velocities (n, 6) over intervals (n,)."""
+    """Return the motion at mean body velocities (n, 6), in m/s and rad/s, over intervals (n,) in s."""
     biased, scaled = errors_of(model)
     inner = _inner(velocity, dt_s)
     columns = []
@@ -64,7 +68,10 @@ def leg(velocity: Floats, dt_s: Floats, model: OdometryModel) -> Leg:
 
 
 def local(a: Floats, b: Floats) -> Floats:
-    """Return pose b in the frame of pose a, nearby: rotation vector (small angles) and translation, (6,)."""
+    """Return pose b in the frame of pose a, nearby: rotation vector (small angles, rad) and translation (m), (6,).
+
+    a, b (6,): poses in m and rad.
+    """
     ra, rb = rotation(*a[3:]), rotation(*b[3:])
     turned = ra.T @ rb
     vector = 0.5 * np.array([turned[2, 1] - turned[1, 2], turned[0, 2] - turned[2, 0], turned[1, 0] - turned[0, 1]])

@@ -53,7 +53,10 @@ class Smoother:
         self._offset: Floats = setup.sites.clock_offset_mean_m
 
     def step(self, dt_s: float, odometry: Floats, snapshot: Snapshot) -> Estimate:
-        """Answer as FastSLAM, and keep what the graph needs."""
+        """Answer as FastSLAM, and keep what the graph needs.
+
+        dt_s in s; odometry (6,): mean body velocities in m/s and rad/s.
+        """
         answer = self._filter.step(dt_s, odometry, snapshot)
         self._dt_s.append(dt_s)
         self._odometry.append(np.array(odometry))
@@ -69,7 +72,7 @@ class Smoother:
         return answer
 
     def finish(self) -> Floats | None:
-        """Return the smoothed poses (T, 6); None for a drive of fewer than two snapshots."""
+        """Return the smoothed poses (T, 6) in m and rad; None for a drive of fewer than two snapshots."""
         from cellslam.slam.smoother.factor_graph import solve
         from cellslam.slam.smoother.normal_equations import Drive, between, problem_of
 

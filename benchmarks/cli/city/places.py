@@ -42,7 +42,7 @@ def _mesh_config(name: str, given: dict[str, str | float]) -> MeshCityConfig:
 
 
 def parse_positions(texts: list[str], option: str) -> Floats:
-    """Return positions (S, 3) written as X,Y,Z. Raises InputError."""
+    """Return positions (S, 3) in m written as X,Y,Z. Raises InputError."""
     rows = []
     for text in texts:
         try:
@@ -56,7 +56,10 @@ def parse_positions(texts: list[str], option: str) -> Floats:
 
 
 def read_positions(path: Path) -> tuple[Floats, Floats | None]:
-    """Return positions (N, 3) and, where a CSV file has the columns vx, vy, vz, velocities. Raises InputError."""
+    """Return positions (N, 3) in m and, where a CSV file has the columns vx, vy, vz, velocities (N, 3) in m/s.
+
+    Raises InputError.
+    """
     import pandas as pd
 
     try:
@@ -78,7 +81,10 @@ def read_positions(path: Path) -> tuple[Floats, Floats | None]:
 
 
 def write_paths(path: Path, paths: Paths, doppler_hz: Floats | None = None) -> None:
-    """Write paths as CSV, nine decimals; points that do not exist are empty cells, `edge` is -1 without diffraction."""
+    """Write N paths as CSV, nine decimals, with their Doppler shifts (N,) in Hz. Raises InputError.
+
+    Points that do not exist are empty cells, `edge` is -1 without diffraction.
+    """
     rows = [HEAD if doppler_hz is None else f"{HEAD},doppler_hz"]
     numbers = np.column_stack(
         [paths.length_m, paths.azimuth_rad, paths.elevation_rad, paths.gain_db, paths.vt_position_m]

@@ -42,7 +42,7 @@ class Series:
         return str(self.rows["estimator"].iloc[0])
 
     def values(self, metric: str) -> Floats:
-        """Return a metric's values in the trials that are ok, those without it left out."""
+        """Return a metric's values (n,), in the metric's units, in the n trials that are ok and have it."""
         column = np.asarray(self.rows.loc[self.rows["status"] == "ok", metric], np.float64)
         return column[np.isfinite(column)]
 
@@ -69,7 +69,7 @@ class SweepData:
         return tuple(dict.fromkeys(one.label for panel in self.panels for one in panel.series))
 
     def over_time(self, series: Series, column: str) -> tuple[Floats, Floats] | None:
-        """Return time (P,) and a column of the trajectories (N, P), or (N, P, S) for offsets; None without any."""
+        """Return time (P,) in s and a column of the trajectories (N, P), or (N, P, S) for offsets; None without any."""
         ok = series.rows.loc[series.rows["status"] == "ok", "key"].tolist()[:MOST_TRAJECTORIES]
         found = [unpack(path) for path in (trajectory_path(self.folder, key) for key in ok) if path.exists()]
         found = [trajectory for trajectory in found if len(getattr(trajectory, column))]

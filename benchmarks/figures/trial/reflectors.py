@@ -34,10 +34,10 @@ class Reflector:
 
 
 def reflection_point(site_m: Floats, vt_m: Floats, vehicle_m: Floats) -> Floats:
-    """Return where the path from the site to `vehicle_m` (..., 3) meets the wall that makes `vt_m`, (..., 3).
+    """Return where the path from the site to `vehicle_m` (..., 3) meets the wall that makes `vt_m`, (..., 3) in m.
 
-    The wall is the perpendicular bisector plane of site and VT; the point is where the segment from the
-    vehicle to the VT meets it, NaN where it does not (the vehicle is behind the wall).
+    The wall is the perpendicular bisector plane of site and VT; the point is where the segment from the vehicle to the
+    VT meets it, NaN where it does not (the vehicle is behind the wall).
     """
     normal = vt_m - site_m
     towards = vt_m - vehicle_m
@@ -49,7 +49,7 @@ def reflection_point(site_m: Floats, vt_m: Floats, vehicle_m: Floats) -> Floats:
 
 
 def site_estimates(recording: Recording, result: TrialResult, tracks: Tracks) -> dict[int, Floats]:
-    """Return each site's position (3,): mean of the estimated VTs that stand for it, else the truth."""
+    """Return each site's position (3,) in m: mean of the estimated VTs that stand for it, else the truth."""
     truth, vts, found = recording.truth, result.vts, {}
     if truth is None or vts is None:
         return {}

@@ -67,7 +67,7 @@ def load(folder: Path) -> Recording:
 
 
 def velocities(speed_mps: Floats, steering_rad: Floats) -> dict[str, Floats]:
-    """Return velocities of the laser from the rear left wheel's speed and the steering angle (N,), by component.
+    """Return velocities of the laser, in m/s and rad/s, from the rear left wheel's speed and the steering angle (N,).
 
     v = v_wheel / (1 - H tan(alpha) / L), omega = v tan(alpha) / L, u = (v - b omega, a omega).
     """

@@ -38,7 +38,7 @@ class Apart:
 
 
 def pairs(tracks: Tracks, recording: Recording, lag: int) -> tuple[Ints, Ints]:
-    """Return rows of one track, `lag` snapshots apart, whether or not it was detected in between."""
+    """Return rows (n,), (n,) of one track, `lag` snapshots apart, whether or not it was detected in between."""
     rows = np.flatnonzero(tracks.track >= 0)
     snapshots = len(recording.time_s) + lag
     code = tracks.track[rows] * snapshots + recording.measurements.snapshot[rows]
@@ -72,7 +72,7 @@ def apart(recording: Recording, tracks: Tracks, lag: int, white: Floats) -> Apar
 
 
 def offset_known(recording: Recording, rows: Ints) -> NDArray[np.bool_]:
-    """Return for each row whether its site's clock offset is known, so that its distance is a range."""
+    """Return for each row (n,) whether its site's clock offset is known, so that its distance is a range."""
     r = recording
     known: NDArray[np.bool_] = r.sites.clock_offset_std_m[r.links.site[r.measurements.link[rows]]] == 0.0
     return known

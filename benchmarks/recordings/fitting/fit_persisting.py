@@ -61,7 +61,7 @@ def persisting(r: Recording, tracks: Tracks, white: dict[str, float]) -> Persist
 
 
 def deviations(white: dict[str, float]) -> Floats:
-    """Return the white deviations of distance (m) and azimuth (rad), (2,), never zero."""
+    """Return the white deviations of distance and azimuth (2,), in m and rad, never zero."""
     return np.maximum([white["m"], np.radians(white["azimuth_deg"])], 1e-6)
 
 

@@ -95,9 +95,10 @@ def at_array(motion: Motion) -> Motion:
 
 
 def mean_velocities(motion: Motion, times: Floats, start_pose: Floats) -> Floats:
-    """Return mean body velocities (T, 6) between `times` (T,), row 0 zero; NaN where less than half was measured.
+    """Return mean body velocities (T, 6), in m/s and rad/s, between `times` (T,) in s, row 0 zero.
 
-    The held velocities are integrated exactly (`frames.integrate_pose` on every piece) from the start's attitude.
+    NaN where less than half was measured. The held velocities are integrated exactly (`frames.integrate_pose` on every
+    piece) from the attitude of start_pose (6,).
     """
     out = np.zeros((len(times), 6))
     if np.array_equal(motion.edges_s[1:], times):  # already means between these very times
@@ -112,7 +113,11 @@ def mean_velocities(motion: Motion, times: Floats, start_pose: Floats) -> Floats
 
 
 def integrate(motion: Motion, times: Floats, start_pose: Floats) -> tuple[Floats, NDArray[np.bool_]]:
-    """Return the dead-reckoned poses (T, 6) at `times`, and for each interval (T - 1, 6) whether it was measured."""
+    """Return the dead-reckoned poses (T, 6) at `times` (T,) in s, and for each interval (T - 1, 6) whether it was
+    measured.
+
+    Poses in m and rad, from start_pose (6,).
+    """
     inside = motion.edges_s[(motion.edges_s > times[0]) & (motion.edges_s < times[-1])]
     knots = np.union1d(times, inside)
     middle = 0.5 * (knots[1:] + knots[:-1])

@@ -34,7 +34,7 @@ class TableFile:
             raise InputError(f"{self.path}: '{suffix}' files are not read; export it as .csv or .mat")
 
     def numbers(self, name: str) -> Floats:
-        """Return a column as floats (N,); an empty cell is NaN."""
+        """Return a column as floats (N,), in the unit of the file; an empty cell is NaN. Raises InputError."""
         raw = self._raw(name)
         try:
             values = np.asarray(raw, np.float64)

@@ -53,7 +53,10 @@ def factors_of(name: str) -> dict[str, float]:
 
 
 def in_ours(name: str, column: Column, values: Floats, sample_rate_hz: float | None = None) -> Floats:
-    """Return a column in our unit: (zero + sign * value) times the unit. Raises InputError without a sample rate."""
+    """Return a column (N,) in our unit: (zero + sign * value) times the unit of m, rad, s or dB.
+
+    Raises InputError where samples are to be converted without a sample rate (Hz).
+    """
     if column.unit == "samples":
         if sample_rate_hz is None:
             raise InputError(f"measurements.columns.{name}: unit 'samples' needs measurements.sample_rate_hz")
@@ -66,7 +69,7 @@ def in_ours(name: str, column: Column, values: Floats, sample_rate_hz: float | N
 
 
 def on_clock(times: Floats, clock: Clock) -> Floats:
-    """Return times of a table on the recording's clock."""
+    """Return times (N,) of a table, in s, on the recording's clock."""
     if clock.offset_s == 0.0 and clock.drift_ppm == 0.0:
         return times
     return clock.offset_s + (1.0 + 1e-6 * clock.drift_ppm) * times

@@ -54,7 +54,7 @@ class Track:
 
 
 def dead_reckoned(recording: Recording, times: Floats) -> Floats:
-    """Return poses (N, 6) of the odometry alone at `times` (N,) within the drive."""
+    """Return poses (N, 6), in m and rad, of the odometry alone at `times` (N,) in s within the drive."""
     motion = Motion(recording.time_s, odometry_of(recording)[1:], (True,) * 6)
     poses, _ = integrate(
         motion,

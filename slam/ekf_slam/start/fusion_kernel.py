@@ -1,4 +1,9 @@
-"""Compiled: Gaussians multiplied, what they share counted once; moments of a Gaussian sum; which components stay."""
+"""Compiled: Gaussians multiplied, what they share counted once; moments of a Gaussian sum; which components stay.
+
+Sources: Grime and Durrant-Whyte, "Data fusion in decentralized sensor networks", Control Engineering Practice 2(5),
+1994 (what is shared is divided out); Alspach and Sorenson, "Nonlinear Bayesian estimation using Gaussian sum
+approximations", IEEE Trans. Automatic Control 17(4), 1972 (the sum).
+"""
 
 from __future__ import annotations
 
@@ -16,7 +21,10 @@ DOUBLE = 0.25  # components closer than this, in deviations of the likelier one,
 
 @njit(cache=True)
 def root_of(cov: Floats) -> tuple[Floats, Floats]:
-    """Return L (n, r) with cov = L L^T, in the directions that are uncertain, and its left inverse (r, n)."""
+    """Return L (n, r) with cov = L L^T, in the directions that are uncertain, and its left inverse (r, n).
+
+    cov (n, n), any units: states are scaled by their deviations first.
+    """
     n = len(cov)
     scale, scaled = np.empty(n), np.empty((n, n))
     for i in range(n):
@@ -39,7 +47,7 @@ def root_of(cov: Floats) -> tuple[Floats, Floats]:
 def fuse(mean: Floats, cov: Floats, means: Floats, covs: Floats) -> tuple[Floats, Floats]:
     """Return the product of the odometry's belief (n,), (n, n) and what each site's, (S, n) and (S, n, n), adds to it.
 
-    Negative information is cut off.
+    In the units of the states. Negative information is cut off.
     """
     root, left = root_of(cov)
     rank = root.shape[1]
@@ -64,7 +72,10 @@ def fuse(mean: Floats, cov: Floats, means: Floats, covs: Floats) -> tuple[Floats
 
 @njit(cache=True)
 def moments(log_weight: Floats, x: Floats, p: Floats, first: int, n: int) -> tuple[Floats, Floats]:
-    """Return mean (n,) and covariance (n, n) of the states from `first` on of a Gaussian sum x (K, N), p (K, N, N)."""
+    """Return mean (n,) and covariance (n, n) of the states from `first` on of a Gaussian sum x (K, N), p (K, N, N).
+
+    log_weight (K,): log-weights of its components. Results are in the units of the states.
+    """
     weight = np.exp(log_weight - log_weight.max())
     weight /= weight.sum()
     mean, cov = np.zeros(n), np.zeros((n, n))
@@ -81,8 +92,11 @@ def moments(log_weight: Floats, x: Floats, p: Floats, first: int, n: int) -> tup
 
 @njit(cache=True)
 def likely(log_weight: Floats, x: Floats, p: Floats, state: int, least: float) -> Ints:
-    """Return which components (K,) to keep: not less likely than the best by `least` (log, below 0), and no double of
-    a more likely one in the given state."""
+    """Return which components (n,) of K to keep, by index: not less likely than the best by `least`, and no double of a
+    more likely one in the given state.
+
+    log_weight (K,); x (K, N) and p (K, N, N) in the units of the states; `least`: a log, below 0.
+    """
     best, kept = log_weight.max(), np.zeros(len(log_weight), np.bool_)
     for i in np.argsort(-log_weight, kind="mergesort"):
         if log_weight[i] - best < least:

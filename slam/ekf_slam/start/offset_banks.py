@@ -1,8 +1,9 @@
 """The start: clock offsets are too wide for one linearisation, so each site has a bank of narrow components.
 
-A Gaussian sum (Sorenson and Alspach, "Recursive Bayesian estimation using Gaussian sums", Automatica 7, 1971) over the
-offset of one site at a time, not over all at once: the sites share nothing but the pose, which odometry knows well at
-the start, so S banks of K filters do in place of K^S filters.
+A Gaussian sum over the offset of one site at a time, not over all at once: the sites share nothing but the pose, which
+odometry knows well at the start, so S banks of K filters do in place of K^S filters.
+
+Source: Sorenson and Alspach, "Recursive Bayesian estimation using Gaussian sums", Automatica 7, 1971.
 """
 
 from __future__ import annotations
@@ -45,12 +46,13 @@ class Start:
     ranged: list[bool]
 
     def move(self, setup: Setup, dt_s: float, velocity: Floats) -> None:
-        """Advance everything by an interval."""
+        """Advance everything by an interval: dt_s in s, mean body velocities (6,) in m/s and rad/s."""
         for bank in (self.odometry, *self.banks):
             bank.move(setup, dt_s, velocity)
 
     def use(self, setup: Setup, measured: Measured, options: EkfSlamOptions) -> Ints:
-        """Use a snapshot in every bank, drop what has become unlikely, and return the best components' association."""
+        """Use a snapshot in every bank, drop what has become unlikely, and return the best components' association
+        (m,)."""
         answer = np.full(len(measured.z), -1, np.int64)
         for s in range(len(self.banks)):
             mine = setup.links.site[_link_of(measured)] == s
@@ -67,7 +69,7 @@ class Start:
         return answer
 
     def offsets(self) -> tuple[Floats, Floats]:
-        """Return mean and variance (S,) of the clock offsets."""
+        """Return mean (S,) in m and variance (S,) in m^2 of the clock offsets."""
         found = [bank.moments(bank.core.first_offset + s, 1) for s, bank in enumerate(self.banks)]
         return np.array([mean[0] for mean, _ in found]), np.array([cov[0, 0] for _, cov in found])
 

@@ -1,4 +1,9 @@
-"""Whose the clock offset is: parts of the filter."""
+"""Whose the clock offset is: parts of the filter.
+
+Source: Schoen, Gustafsson and Nordlund, "Marginalized particle filters for mixed linear/nonlinear state-space models",
+IEEE Trans. Signal Processing 53(7), 2005: the offsets are the linear part. That VTs depend on each other through their
+offset alone is an own derivation (see `nuisance_kernel`).
+"""
 
 from __future__ import annotations
 
@@ -61,12 +66,15 @@ class Drifting(NamedTuple):
 
 
 def clock_moves(part: Any, state: Rows, travelled: Floats, dt: float, size: int) -> None:
-    """Let offsets that drift go on by an interval, and say how far."""
+    """Let offsets that drift go on by an interval dt (s), and say how far (m) in travelled (size,)."""
     raise NotImplementedError
 
 
 def rate_changes(part: Any, v: Rows, change: int, travelled: Floats) -> None:
-    """Say how far rates that have changed (from row `change` of v on) move what is expected of tracks long unseen."""
+    """Say how far rates that have changed move what is expected of tracks long unseen, in m, in travelled (size,).
+
+    From row `change` of v on.
+    """
     raise NotImplementedError
 
 

@@ -1,4 +1,8 @@
-"""The best assignments in order (Murty 1968), and a draw among them: small tables, as gating leaves them."""
+"""The best assignments in order, and a draw among them: small tables, as gating leaves them.
+
+Source: Murty, "An algorithm for ranking all the assignments in order of increasing cost", Operations Research 16(3),
+1968.
+"""
 
 from __future__ import annotations
 
@@ -43,10 +47,10 @@ def murty(score: Floats, rows: int, columns: int, most: int, uniform: float, row
 
 @njit(cache=True, error_model="numpy")
 def best_assignments(score: Floats, rows: int, columns: int, choices: Ints, totals: Floats) -> int:
-    """Write the best assignments, best first, into choices (most, columns), row of each column or -1, and totals
-    (most,); return how many there are.
+    """Write the best assignments, best first, and their sums of scores; return how many there are.
 
-    Each found assignment splits the rest of its set by the first column in which they differ from it (Murty's
+    score (R, C): log-likelihood ratios as for `murty`; choices (most, columns): row of each column or -1; totals
+    (most,). Each found assignment splits the rest of its set by the first column in which they differ from it (Murty's
     partition); a set is kept as its fixed columns and forbidden pairs.
     """
     most = len(totals)

@@ -1,4 +1,7 @@
-"""Compiled: memory asked for before it is needed, so that the processor need not wait for it."""
+"""Compiled: memory asked for before it is needed, so that the processor need not wait for it.
+
+Source: LLVM language reference, `llvm.prefetch`.
+"""
 
 from __future__ import annotations
 
@@ -36,7 +39,7 @@ _ask: Any = intrinsic(_asked)
 
 @njit(error_model="numpy")
 def prefetch(array: NDArray[Any]) -> None:
-    """Ask for a contiguous array, line by line."""
+    """Ask for a contiguous array of any shape, in any units, line by line."""
     step = LINE_BYTES // array.itemsize
     for i in range(0, array.size, step):
         _ask(array, i)
@@ -44,6 +47,6 @@ def prefetch(array: NDArray[Any]) -> None:
 
 @njit(error_model="numpy")
 def prefetch_column(array: NDArray[Any], first: int, step: int) -> None:
-    """Ask for array[first], array[first + step] and so on."""
+    """Ask for array[first], array[first + step] and so on, by index into an array of any shape."""
     for i in range(first, array.size, step):
         _ask(array, i)

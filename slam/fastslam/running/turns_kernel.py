@@ -1,6 +1,9 @@
 """Compiled: blocks of particles handed out to threads one at a time, by counters that all of them see.
 
 A thread that the machine holds up takes fewer; none waits for the other before all blocks are taken.
+
+Source: LLVM language reference, `atomicrmw`; blocks are handed out as in Tang and Yew, "Processor self-scheduling for
+multiple-nested parallel loops", ICPP 1986.
 """
 
 from __future__ import annotations
@@ -55,19 +58,20 @@ def new_turns() -> NDArray[np.int64]:
 
 @njit(error_model="numpy")
 def take(turns: NDArray[np.int64]) -> int:
-    """Return the number of a block that nobody has taken yet; past the last block, one too many."""
+    """Return the number of a block that nobody has taken yet, by the counters (16,); past the last block, one too
+    many."""
     return int(_add(turns, TAKEN))
 
 
 @njit(error_model="numpy")
 def done(turns: NDArray[np.int64]) -> None:
-    """Say that a block is done: others may read what was written."""
+    """Say in the counters (16,) that a block is done: others may read what was written."""
     _add(turns, DONE)
 
 
 @njit(error_model="numpy")
 def all_done(turns: NDArray[np.int64], blocks: int) -> None:
-    """Look for a while whether all blocks are done."""
+    """Look for a while at the counters (16,), whether all blocks are done."""
     for _ in range(PATIENCE):
         if _look(turns, DONE) >= blocks:
             return

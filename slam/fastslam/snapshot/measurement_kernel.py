@@ -1,4 +1,7 @@
-"""Compiled: a snapshot's measurements as the kernels want them."""
+"""Compiled: a snapshot's measurements as the kernels want them.
+
+Source: paper, eq. 7 and 32: components of a measurement, and the constants of its log-density.
+"""
 
 from __future__ import annotations
 
@@ -23,11 +26,11 @@ def pack(
 ) -> tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.float32]]:
     """Return three tables (m, 15) in single precision: to associate with, to update with, to give birth with.
 
-    Columns: distance, cos and sin of azimuth and of elevation, three variances, three flags: 1 measured, 0 not (then
-    the variance is 1); what the log-density lacks: in both that of components that were not measured, against clutter
-    of width `gap`, in the second `lack` too, since it is that of an update; azimuth; 6 standard deviations of distance
-    and of azimuth. What may not begin a VT (begins (m,)) has neither distance nor azimuth in the third. Other
-    arguments: see `front_end.Readings`.
+    Columns: distance (m), cos and sin of azimuth and of elevation, three variances, three flags: 1 measured, 0 not
+    (then the variance is 1); what the log-density lacks: in both that of components that were not measured, against
+    clutter of width `gap`, in the second `lack` too, since it is that of an update; azimuth (rad); 6 standard
+    deviations of distance and of azimuth. What may not begin a VT (begins (m,)) has neither distance nor azimuth in the
+    third. Other arguments: see `front_end.Readings`.
     """
     m = len(z)
     shape = (m, COLUMNS)

@@ -1,4 +1,8 @@
-"""Compiled: particles move, and what depends on their poses alone is worked out."""
+"""Compiled: particles move, and what depends on their poses alone is worked out.
+
+Sources: paper, eq. 14, 17 and 19; Thrun, Burgard and Fox, "Probabilistic robotics", 2005, section 5.3 (velocity motion
+model).
+"""
 
 from __future__ import annotations
 
@@ -30,8 +34,8 @@ B = LANES
 
 @njit(cache=True, error_model="numpy")
 def driven(state: Floats, odometry: Floats, noise: Floats, drawn: Floats) -> Floats:
-    """Return what each particle (G, 6, LANES) takes for its velocity: odometry (6,), less its biases and drawn white
-    noise of deviations `noise` (6,), over 1 + scale.
+    """Return what each particle takes for its velocity (G, 6, LANES), in m/s and rad/s: odometry (6,), less its biases
+    and drawn white noise of deviations `noise` (6,), over 1 + scale.
 
     drawn (n, G, LANES): standard normal, for the n components with noise, in turn.
     """
@@ -53,10 +57,11 @@ def driven(state: Floats, odometry: Floats, noise: Floats, drawn: Floats) -> Flo
 
 @njit(cache=True, error_model="numpy")
 def advance(s: Rows, travelled: Floats, u: Floats, dt: float, size: int) -> None:
-    """Advance the poses of a block by sampled body velocities u (6, LANES), corrected by the nuisance mean; carry the
-    sensitivities.
+    """Advance the poses of a block by sampled body velocities u (6, LANES) in m/s and rad/s, corrected by the nuisance
+    mean; carry the sensitivities.
 
-    The paper's motion model, with the attitude taken at mid-interval. u: measured, less what was sampled of its errors.
+    The attitude is taken at mid-interval. u: measured, less what was sampled of its errors; dt in s. travelled (size,):
+    how far particles have moved at most (m) and turned (rad), added to.
     """
     farthest, widest = 0.0, 0.0
     for l in range(B):

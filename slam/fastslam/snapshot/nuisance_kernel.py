@@ -1,10 +1,13 @@
 """Compiled: the information that a snapshot gives on the nuisances theta, and theta's update, lane by lane.
 
-Source: method of the marginalised clock offset, written for a vector: with I = sum A^T S^-1 A and y = sum A^T S^-1 e
-over a snapshot's associations, P_new = (P^-1 + I)^-1, the mean moves by P_new y, and the log-weight is
--log det(1 + P I) / 2 + y^T P_new y / 2.
+With I = sum A^T S^-1 A and y = sum A^T S^-1 e over a snapshot's associations, P_new = (P^-1 + I)^-1, the mean moves by
+P_new y, and the log-weight is -log det(1 + P I) / 2 + y^T P_new y / 2. With P = L L^T and M = 1 + L^T I L = C C^T: X =
+C^-1 L^T, P_new = X^T X. M's eigenvalues are at least 1.
 
-With P = L L^T and M = 1 + L^T I L = C C^T: X = C^-1 L^T, P_new = X^T X. M's eigenvalues are at least 1.
+Sources: Schoen, Gustafsson and Nordlund, "Marginalized particle filters for mixed linear/nonlinear state-space models",
+IEEE Trans. Signal Processing 53(7), 2005; the measurements of a snapshot share theta, which gives the sums and the
+weight, as in Bayesian linear regression (Bishop, "Pattern recognition and machine learning", 2006, section 3.3 and
+3.5).
 """
 
 from __future__ import annotations

@@ -1,4 +1,7 @@
-"""Compiled: particles copied at resampling, and the map of one particle read out for an estimate."""
+"""Compiled: particles copied at resampling, and the map of one particle read out for an estimate.
+
+Source: Thrun, Burgard and Fox, "Probabilistic robotics", 2005, chapter 13: a particle is copied with its whole map.
+"""
 
 from __future__ import annotations
 
@@ -35,7 +38,10 @@ B = LANES
 
 @njit(cache=True, parallel=True)
 def move_within(steps: Ints, starts: Ints, state: Floats, tracks: Tracks) -> None:
-    """Copy particles to other lanes of their own block: steps (n, 3) = block, from, to, sorted; starts (G + 1,)."""
+    """Copy particles to other lanes of their own block, by index.
+
+    steps (n, 3) = block, from, to, sorted; starts (G + 1,): first step of each block.
+    """
     status, records, order, counts = tracks.status, tracks.records, tracks.order, tracks.counts
     for g in prange(state.shape[0]):
         a, b = starts[g], starts[g + 1]
@@ -62,8 +68,10 @@ def move_within(steps: Ints, starts: Ints, state: Floats, tracks: Tracks) -> Non
 
 @njit(cache=True)
 def move_between(steps: Ints, state: Floats, tracks: Tracks, to_state: Floats, to: Tracks) -> None:
-    """Copy particles to lanes of other blocks: steps (n, 4) = block, lane, to block, to lane; tracks are matched by
-    identity."""
+    """Copy particles to lanes of other blocks, by index; tracks are matched by identity.
+
+    steps (n, 4) = block, lane, to block, to lane.
+    """
     rows = tracks.records.shape[3] // B
     for i in range(steps.shape[0]):
         g, a, h, b = steps[i]

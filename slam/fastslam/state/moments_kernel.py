@@ -1,4 +1,9 @@
-"""Compiled: mean and covariance of what the particles hold."""
+"""Compiled: mean and covariance of what the particles hold.
+
+Sources: Kong, Liu and Wong, "Sequential imputations and Bayesian missing data problems", J. American Statistical
+Association 89, 1994 (effective sample size); Bar-Shalom, Li and Kirubarajan, "Estimation with applications to tracking
+and navigation", 2001, section 1.4 (moments of a mixture).
+"""
 
 from __future__ import annotations
 
@@ -34,7 +39,7 @@ def moments(state: Floats, weights: Floats, size: int) -> tuple[Floats, Floats, 
     """Return mean (6,) and covariance (6, 6) of the pose, mean and variance (S,) of the offsets of weighted particles.
 
     state (G, F LANES); weights (G, LANES) sum to 1; size: number of nuisances. Sums run in a fixed order, about the
-    first particle; angles are wrapped to (-pi, pi].
+    first particle; angles are wrapped to (-pi, pi]. In m, rad and their squares.
     """
     sites = size - 2
     mean, covariance, offset, variance = np.empty(6), np.empty((6, 6)), np.empty(sites), np.empty(sites)

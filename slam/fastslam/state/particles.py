@@ -1,4 +1,8 @@
-"""The particle set: blocks of states and maps, initial draw, copying at resampling."""
+"""The particle set: blocks of states and maps, initial draw, copying at resampling.
+
+Source: Murray, Lee and Jacob, "Parallel resampling in the particle filter", J. Computational and Graphical Statistics
+25(3), 2016: ancestors permuted so that survivors stay in place.
+"""
 
 from __future__ import annotations
 
@@ -143,8 +147,7 @@ def select(particles: Particles, ancestors: Ints) -> Particles:
     """Return the particles named by `ancestors` (count,), which share no memory, with equal weights.
 
     With the count unchanged survivors stay where they are and only the places of particles without children are
-    overwritten, from
-    within their block where that is possible.
+    overwritten, from within their block where that is possible.
     """
     if len(ancestors) != len(particles):
         return _regrouped(particles, ancestors)
