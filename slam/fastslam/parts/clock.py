@@ -59,7 +59,10 @@ class OfVt(NamedTuple):
 
 
 class Drifting(NamedTuple):
-    """One offset and one rate a site: what it does is in `drift`. `elapsed_s`: since the start; `sites`: how many."""
+    """One offset and one rate a site: what it does is in `drifting_clock`.
+
+    `elapsed_s`: since the start; `sites`: how many.
+    """
 
     elapsed_s: float
     sites: int

@@ -32,7 +32,8 @@ from cellslam.sim.errors import InputError
 COMMAND = Path(sys.executable).parent / "cellslam"
 SET = {"vehicle.distance_m": 5, "vehicle.duration_s": 7.5, "vehicle.stops": 0, "vehicle.stand_first_s": 0}
 SHORT = tuple(word for key, value in SET.items() for word in ("--set", f"{key}={value}"))
-# How often driver and workers are killed; the full test: CELLSLAM_KILLS=20 pytest tests/test_sweeping.py -k kill
+# How often driver and workers are killed; the full test: CELLSLAM_KILLS=20 pytest
+# tests/benchmarks/sweeps/test_sweeping.py -k kill
 KILLS = int(os.environ.get("CELLSLAM_KILLS", "1"))
 TRIALS = 3 + 2 * KILLS
 TIMES = ("estimate_seconds", "realtime_factor")
@@ -285,7 +286,9 @@ def _kill_once(
     assert all(row in undisturbed or "SIGKILL" in row["error"] for row in kept)
 
 
-@pytest.mark.skipif(KILLS == 1, reason="a long test: CELLSLAM_KILLS=20 pytest tests/test_sweeping.py -k kill")
+@pytest.mark.skipif(
+    KILLS == 1, reason="a long test: CELLSLAM_KILLS=20 pytest tests/benchmarks/sweeps/test_sweeping.py -k kill"
+)
 def test_killed_workers_cost_nothing(place: Path, undisturbed: list[dict[str, Any]]) -> None:
     draw, kills, sweeps = random.Random(6), 0, 0
     line = ("--jobs", "2", "--retry-failed")

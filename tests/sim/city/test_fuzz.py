@@ -1,6 +1,6 @@
 """Damaged city files load or are refused in one line: a hundred here, as many as CELLSLAM_FUZZ says by
 
-CELLSLAM_FUZZ=10000 pytest tests/city/test_fuzz.py --hypothesis-show-statistics
+CELLSLAM_FUZZ=10000 pytest tests/sim/city/test_fuzz.py --hypothesis-show-statistics
 """
 
 from __future__ import annotations

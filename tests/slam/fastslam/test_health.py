@@ -1,6 +1,6 @@
 """FastSLAM stays finite and its covariances positive definite, whatever it is fed, for as long as it is fed.
 
-`CELLSLAM_SNAPSHOTS=100000 pytest tests/test_fastslam_health.py` drives as far; the suite a fifth of it.
+`CELLSLAM_SNAPSHOTS=100000 pytest tests/slam/fastslam/test_health.py` drives as far; the suite a fifth of it.
 """
 
 import os
