@@ -30,7 +30,7 @@ def pack(
     (then the variance is 1); what the log-density lacks: in both that of components that were not measured, against
     clutter of width `gap`, in the second `lack` too, since it is that of an update; azimuth (rad); 6 standard
     deviations of distance and of azimuth. What may not begin a VT (begins (m,)) has neither distance nor azimuth in the
-    third. Other arguments: see `front_end.Readings`.
+    third. Other arguments: see `readings.Readings`.
     """
     m = len(z)
     shape = (m, COLUMNS)

@@ -51,7 +51,7 @@ B = LANES
 
 @njit(error_model="numpy")
 def predict(parts: Parts, w: Rows, rec: Rows, out: Rows) -> None:
-    """Predict a record: h, H, A, S = H Sigma H^T, C = A P A^T (docs/fastslam.md, step 2), lane by lane."""
+    """Predict a record: h, H, A, H Sigma H^T (O_S), C = A P A^T (docs/fastslam.md, step 2), lane by lane."""
     F = w.dtype.type
     expect(parts.clock, parts.landmarks, w, rec, out)
     for l in range(B):
