@@ -131,7 +131,7 @@ def weigh(
 
 @njit(cache=True)
 def describe(anchor: Floats, mixture: Floats, count: int, points: Floats, out: Floats) -> None:
-    """Write mean (4,) and covariance (4, 4) of x, y, z and clock offset over a mixture (M, 19) into out (5, 4).
+    """Write mean (4,) and covariance (4, 4) of x, y, z and clock offset, in m, over a mixture (M, 19) into out (5, 4).
 
     Each component is represented by eight sigma points of its four coordinates; points (4, 8): scratch.
     """

@@ -1,4 +1,8 @@
-"""Compiled: the variances with which measurements associate and update."""
+"""Compiled: the variances with which measurements associate and update.
+
+Sources: paper, eq. 34, corrected; Priestley, "Spectral analysis and time series", 1981, section 5.3: the variance of
+the mean of a correlated sequence, of which `repeats` is the sum of correlations.
+"""
 
 from __future__ import annotations
 
@@ -29,7 +33,7 @@ class Persisting(NamedTuple):
 def count_sharers(z: Floats, link: Ints, group: Ints, q: Floats) -> Floats:
     """Return for each measurement (m,) how many links of its group measured the same path, its own included.
 
-    z (m, 3): distance, azimuth, elevation, NaN where not measured; q (m, 3): their variances; group (m,).
+    z (m, 3): distance (m), azimuth and elevation (rad), NaN where not measured; q (m, 3): their variances; group (m,).
     """
     count = np.ones(len(link))
     for i in range(len(link)):
