@@ -26,6 +26,12 @@ class Scenario(WorldConfig):
         default_factory=dict, description="options of the estimators, a table each"
     )
 
+    def __repr__(self) -> str:
+        options = f", estimator={self.estimator}" if self.estimator else ""
+        return f"Scenario({self.name!r}: {self.title or 'no title'}; {len(self.sites)} sites{options})"
+
+    __str__ = __repr__
+
     @property
     def world(self) -> WorldConfig:
         """The part that decides what is true and what is measured."""

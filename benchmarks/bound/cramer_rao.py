@@ -16,6 +16,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from cellslam.benchmarks.bound.bound_model import Errors, Looks, Motion, Sightings, room
+from cellslam.sim.described import Described
 from cellslam.sim.errors import InputError
 from cellslam.sim.frames import mean_velocity, rotation
 from cellslam.sim.progress import Progress, silent
@@ -30,8 +31,8 @@ BROAD_STD = np.array([1e4, 10.0, 10.0])
 SMALLEST_STD = 1e-6
 
 
-@dataclass(frozen=True)
-class BoundResult:
+@dataclass(frozen=True, repr=False)
+class BoundResult(Described):
     """Least covariances of an unbiased filter after each snapshot.
 
     `pose_covariance` (T, 6, 6) in metres and radians; `clock_offset_std_m` (T, S).

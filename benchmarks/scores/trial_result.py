@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from cellslam.sim.described import Described
 from cellslam.sim.recording import Floats, Ints
 from cellslam.slam.api import VtEstimate
 
@@ -24,8 +25,8 @@ METRIC_KEYS = (
 )  # fmt: skip
 
 
-@dataclass(frozen=True)
-class TrialResult:
+@dataclass(frozen=True, repr=False)
+class TrialResult(Described):
     """The estimates of one drive; T snapshots, M measurements, S sites, in the order of the recording.
 
     `poses` (T, 6) and `covariances` (T, 6, 6): the answer that is scored. `smoothed`: the poses are those of

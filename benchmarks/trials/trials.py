@@ -24,6 +24,7 @@ from cellslam.benchmarks.trials.failures import GuestError, LostError, details, 
 from cellslam.scenarios.estimator_options import Request
 from cellslam.scenarios.scenario import Scenario
 from cellslam.scenarios.simulation import simulate
+from cellslam.sim.described import Described
 from cellslam.sim.errors import InputError
 from cellslam.sim.progress import Progress, silent
 from cellslam.sim.randomness import Stream, stream
@@ -38,8 +39,8 @@ DEFAULT_ESTIMATORS = ("fastslam", "dead-reckoning")
 ALIGNED = "horizontal, least squares over the whole drive"
 
 
-@dataclass(frozen=True)
-class Outcome:
+@dataclass(frozen=True, repr=False)
+class Outcome(Described):
     """One estimator's trial: its row, and its result, or the traceback of why there is none.
 
     `lost`: its process died or was killed, which need not be its own fault.
@@ -51,8 +52,8 @@ class Outcome:
     lost: bool = False
 
 
-@dataclass(frozen=True)
-class Drive:
+@dataclass(frozen=True, repr=False)
+class Drive(Described):
     """What the estimators of a trial meet; without a recording, the `problem` that there was.
 
     `unbound`: why a recording with truth has no bound.
@@ -64,8 +65,8 @@ class Drive:
     problem: Exception | None = None
 
 
-@dataclass(frozen=True)
-class Trial:
+@dataclass(frozen=True, repr=False)
+class Trial(Described):
     """One trial of all estimators; recording and bound are None where its world could not be made."""
 
     number: int

@@ -8,6 +8,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from cellslam.sim.described import Described
+
 if TYPE_CHECKING:
     from shapely import Polygon
 
@@ -39,8 +41,8 @@ class Material:
         return self.eps_r * ratio**self.eps_exponent, self.sigma_spm * ratio**self.sigma_exponent
 
 
-@dataclass(frozen=True)
-class Facets:
+@dataclass(frozen=True, repr=False)
+class Facets(Described):
     """Planar pieces of surface: normal (F, 3) and offset (F,) with normal . x = offset, in metres.
 
     `area_m2` (F,); `material` (F,) indexes `City.materials`; `building` (F,) indexes `City.footprints`, -1 is
@@ -69,8 +71,8 @@ class Tolerances:
 TOLERANCES = Tolerances()
 
 
-@dataclass(frozen=True)
-class City:
+@dataclass(frozen=True, repr=False)
+class City(Described):
     """A city in local metres (east, north, up).
 
     `vertices` (V, 3); `triangles` (K, 3) into vertices; `triangle_facet` (K,); one footprint and one height

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from cellslam.sim.described import Described
 from cellslam.sim.frames import SPEED_OF_LIGHT_MPS
 
 Floats = NDArray[np.float64]
@@ -18,8 +19,8 @@ Ints = NDArray[np.int64]
 MAX_ORDER = 2
 
 
-@dataclass(frozen=True)
-class Paths:
+@dataclass(frozen=True, repr=False)
+class Paths(Described):
     """Paths (P,), sorted by receiver, transmitter, order, facets; world frame, isotropic antennas.
 
     `receiver`, `transmitter` index what was traced; `order` counts reflections, a diffraction being one more;

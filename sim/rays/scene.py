@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cellslam.sim.city.city import GROUND, City, Floats, Ints
+from cellslam.sim.described import Described
 
 if TYPE_CHECKING:
     from cellslam.sim.rays.diffracting_edges import Edges
@@ -22,8 +23,8 @@ CLEARANCE_M = 1e-3
 CONVEX_SHARE = 1e-6
 
 
-@dataclass(frozen=True)
-class Scene:
+@dataclass(frozen=True, repr=False)
+class Scene(Described):
     """A prepared city. All coordinates are relative to `origin_m` (3,), the middle of the city's bounds.
 
     `table` (F, 14): normal, offset, two unit vectors in the plane, and the facet's box in these two coordinates

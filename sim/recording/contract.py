@@ -9,7 +9,7 @@ from cellslam.sim.recording.checks import check
 from cellslam.sim.recording.tables import RecordingData
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Recording(RecordingData):
     """A drive as it was measured, whole and consistent: see `RecordingData` for its columns.
 

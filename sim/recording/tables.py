@@ -6,19 +6,21 @@ Everything is a frozen dataclass of arrays. Estimators see the observable part t
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from cellslam.sim.described import Described
+
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
 
 
-@dataclass(frozen=True)
-class OdometryModel:
+@dataclass(frozen=True, repr=False)
+class OdometryModel(Described):
     """The odometry's data sheet, per component of u = [u_x, u_y, u_z (m/s), u_psi, u_theta, u_phi (rad/s)].
 
     A measured component is (1 + scale) u + bias + walk + white. All fields have shape (6,) and are standard deviations:
@@ -32,8 +34,8 @@ class OdometryModel:
     scale: Floats
 
 
-@dataclass(frozen=True)
-class Links:
+@dataclass(frozen=True, repr=False)
+class Links(Described):
     """One row a link (base station, cell, CRS port): `site` indexes `Sites`; all (L,).
 
     `cell_id` and `port` are -1 where the campaign has no such thing.
@@ -47,8 +49,8 @@ class Links:
         return len(self.site)
 
 
-@dataclass(frozen=True)
-class Sites:
+@dataclass(frozen=True, repr=False)
+class Sites(Described):
     """Base-station sites: names and the prior of the clock offset, in metres (std 0: known); no positions.
 
     `clock_drift_std_m_s` (S,): deviation of the rate at which an offset changes, m/s (None: offsets are constant).
@@ -68,8 +70,8 @@ class Sites:
         return np.zeros(len(self)) if self.clock_drift_std_m_s is None else self.clock_drift_std_m_s
 
 
-@dataclass(frozen=True)
-class Measurements:
+@dataclass(frozen=True, repr=False)
+class Measurements(Described):
     """Path parameters, one row a path, sorted by (snapshot, link); all columns (M,).
 
     `distance_m` is c tau with the site's clock offset in it; azimuth and elevation are in the body frame; `snr_db` is
@@ -92,8 +94,8 @@ class Measurements:
         return len(self.snapshot)
 
 
-@dataclass(frozen=True)
-class VirtualTransmitters:
+@dataclass(frozen=True, repr=False)
+class VirtualTransmitters(Described):
     """The VTs that the drive meets. A line-of-sight transmitter is one too, of order 0.
 
     `position_m` (V, 3); `site` (V,); `order` (V,); `facets` (V, 2), -1 where there is none; `visible` (I, 3): rows of
@@ -111,8 +113,8 @@ class VirtualTransmitters:
         return len(self.site)
 
 
-@dataclass(frozen=True)
-class Truth:
+@dataclass(frozen=True, repr=False)
+class Truth(Described):
     """What really happened: for scoring and oracles only.
 
     `poses` (T, 6); `measurement_vt` (M,), -1 for clutter; `measurement_std` (M, 3): the true standard
@@ -139,8 +141,8 @@ class Truth:
         return np.asarray(self.clock_offsets_m + np.multiply.outer(elapsed_s, rate))
 
 
-@dataclass(frozen=True)
-class Reference:
+@dataclass(frozen=True, repr=False)
+class Reference(Described):
     """The trajectory as another sensor saw it (GNSS, total station), at its own times: what a real drive has for truth.
 
     `time_s` (R,), increasing, on the clock of the snapshots; `position_m` (R, 3) of the array in the world frame;
@@ -156,8 +158,8 @@ class Reference:
         return len(self.time_s)
 
 
-@dataclass(frozen=True)
-class RecordingData:
+@dataclass(frozen=True, repr=False)
+class RecordingData(Described):
     """A drive as it was measured. `start_pose` (6,) and `start_std` (6,) are the estimator's prior at time_s[0].
 
     `time_s` (T,), at any intervals; `odometry` (T, 6): mean body velocities from time_s[t-1] to time_s[t], row 0
@@ -189,3 +191,16 @@ class RecordingData:
     def rows(self) -> Ints:
         """First measurement row of each snapshot, (T + 1,): snapshot t has rows[t]:rows[t + 1]."""
         return np.searchsorted(self.measurements.snapshot, np.arange(len(self.time_s) + 1)).astype(np.int64)
+
+    def _parts(self) -> Iterator[str]:
+        """Yield what there is of the drive, in a few words."""
+        yield f"{len(self.time_s)} snapshots"
+        if len(self.time_s):
+            yield f"{self.time_s[-1] - self.time_s[0]:.1f} s"
+        yield f"sites={', '.join(self.sites.name)}"
+        yield f"{len(self.links)} links"
+        yield f"{len(self.measurements)} measurements"
+        if self.truth is not None:
+            yield f"truth with {len(self.truth.vts)} VTs"
+        if self.reference is not None:
+            yield "reference"

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from cellslam.sim.described import Described
 from cellslam.sim.errors import InputError
 from cellslam.sim.frames import world_to_body, wrap_angle
 from cellslam.sim.vehicle.attitude import body_motion, random_road
@@ -23,8 +24,8 @@ STEERING_LIMIT_RAD = 0.65
 STEERING_RATE_RADPS = 0.5
 
 
-@dataclass(frozen=True)
-class Drive:
+@dataclass(frozen=True, repr=False)
+class Drive(Described):
     """What the vehicle did: `time_s` (T,); `poses` (T, 6) of the array's phase centre; `velocity` (T, 6).
 
     The velocities are instantaneous: three in the body frame (m/s), then yaw, pitch and roll rates (rad/s).

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from cellslam.sim.described import Described
 from cellslam.sim.frames import mean_velocity
 from cellslam.sim.recording import OdometryModel
 from cellslam.sim.vehicle.drive import Drive
@@ -17,8 +18,8 @@ Floats = NDArray[np.float64]
 FORWARD, YAW = 0, 3
 
 
-@dataclass(frozen=True)
-class Odometry:
+@dataclass(frozen=True, repr=False)
+class Odometry(Described):
     """Measured `velocity` (T, 6): row t is the mean from time t - 1 to t, row 0 is zero.
 
     `model`: the data sheet; the errors drawn from it: `bias` (T, 6), the walk included, and `scale` (6,).

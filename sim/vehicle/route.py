@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from cellslam.sim.described import Described
 from cellslam.sim.errors import InputError
 from cellslam.sim.vehicle.lanes import build_lanes
 from cellslam.sim.vehicle.street_walk import random_walk, street_network
@@ -26,8 +27,8 @@ CANDIDATES = 100
 GOOD_WALKS = 8
 
 
-@dataclass(frozen=True)
-class Route:
+@dataclass(frozen=True, repr=False)
+class Route(Described):
     """A way through the city on the lanes of a highway-env `network` (`lanes`: indices in driving order).
 
     Centre line sampled every 0.1 m or less: `points_m` (n, 2), `arc_m` (n,), `heading_rad` (n,) unwrapped,

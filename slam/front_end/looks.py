@@ -31,7 +31,7 @@ BIRTH_RATIO = 0.5  # probability that an unexplained look at which links agree i
 LARGEST_DETECTION = 0.985  # probability that at least one of many links detects a path: not all misses are independent
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True, repr=False)
 class Looks(Snapshot):
     """A snapshot whose measurements are looks, n of them, sorted by the group of links that they belong to (`link`).
 

@@ -10,6 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from cellslam.sim.described import Described
 from cellslam.sim.recording import Floats, Ints
 from cellslam.slam.front_end.front_end_options import FrontEndOptions
 from cellslam.slam.front_end.looks import Looks
@@ -21,8 +22,8 @@ CLUTTER_WIDTH = (20.0, 0.3, 0.25)
 _LOG_WIDTH = np.log(CLUTTER_WIDTH)
 
 
-@dataclass(frozen=True)
-class Readings:
+@dataclass(frozen=True, repr=False)
+class Readings(Described):
     """The measurements of a snapshot (m,) with their variances.
 
     `z` (m, 3): distance (m), azimuth and elevation (rad), NaN where not measured. `single` (m, 3): variances of one
