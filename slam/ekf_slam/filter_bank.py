@@ -126,11 +126,11 @@ class Bank:
         had = self._scratch
         if had is None or len(had[-1] if self.mode == BELIEF else had.row_of) < len(measured.z):
             places, columns = self.anchor.shape[1], max(2 * len(measured.z), 32)
-            self._scratch = _scratch(self.x.shape[1], places, columns, measured.rules)
+            self._scratch = scratch_of(self.x.shape[1], places, columns, measured.rules)
         return self._scratch
 
 
-def _scratch(size: int, places: int, columns: int, rules: Rules) -> Scratch | BeliefScratch:
+def scratch_of(size: int, places: int, columns: int, rules: Rules) -> Scratch | BeliefScratch:
     """Return room for filters of `size` states and so many VTs, and for so many measurements."""
     pairs, whole = (places, columns), np.int64
     h, t, narrow = np.empty((3, TOUCHED)), np.empty((3, size)), np.empty((3, TOUCHED))
