@@ -93,7 +93,7 @@ def correct(f: Filter, j: int, offset: int, now: int, z: Floats, q: Floats, w: S
         if same_vt(f, i, link, ident):
             share[i] = math.exp(share[i] - best)
             total += share[i]
-    left, last = _unite(f, link, ident, total)
+    left, last = unite(f, link, ident, total)
     if left == 1:
         share[last] = 1.0
         _, k = update(f, last, offset, z, q, w, k)
@@ -132,7 +132,7 @@ def _likelihood(f: Filter, j: int, offset: int, z: Floats, q: Floats, w: Scratch
 
 
 @njit(cache=True)
-def _unite(f: Filter, link: int, ident: int, total: float) -> tuple[int, int]:
+def unite(f: Filter, link: int, ident: int, total: float) -> tuple[int, int]:
     """Make the shares of a VT's guesses sum to one, give up the improbable ones and doubles; return how many are left,
     and the last of them."""
     share = f.anchor[:, SHARE]

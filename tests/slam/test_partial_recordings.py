@@ -14,7 +14,7 @@ from cellslam.scenarios.estimator_options import resolve
 from cellslam.scenarios.loading import load
 from cellslam.scenarios.simulation import simulate
 from cellslam.sim.recording import Recording
-from cellslam.slam.ekf_slam.guess_kernel import AROUND, begin, consider, correct, settle, sweep
+from cellslam.slam.ekf_slam.guess_kernel import AROUND, begin, consider, correct, settle, sweep, unite
 from cellslam.slam.ekf_slam.state_layout import SHARE
 from cellslam.slam.model.measurement_model import predict
 
@@ -92,6 +92,16 @@ def test_guesses_of_a_lone_distance_go_round_the_circle(one_filter: Any) -> None
     places = np.array([one.place(j) for j in range(AROUND)])
     np.testing.assert_allclose(np.hypot(places[:, 0], places[:, 1]), 50.0)
     np.testing.assert_allclose(places.mean(axis=0), 0.0, atol=1e-9)
+
+
+def test_guesses_that_agree_are_one_also_behind_the_array(one_filter: Any) -> None:
+    one = one_filter(4)
+    one.put(np.zeros(6), 0.0, [50.0, 3.1, 0.0], [50.0, -3.1, 0.0], [50.0, 1.0, 0.0], [50.0, 2.0, 0.0])
+    one.f.p[:] = 0.1 * np.eye(19)
+    share = one.f.anchor[:, SHARE]
+    share[:] = [0.6, 0.4, 1.0, 1e-4]
+    assert unite(one.f, 0, 0, share.sum()) == (2, 2)
+    np.testing.assert_allclose(share, [0.5, 0.0, 0.5, 0.0], rtol=1e-3)
 
 
 @pytest.fixture(scope="module")

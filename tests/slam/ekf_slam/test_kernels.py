@@ -65,20 +65,16 @@ def test_birth_is_exact_and_correlated_with_pose_and_offset(one_filter: Any) -> 
     by, p = slopes(born, given), one.f.p
     np.testing.assert_allclose(one.f.x[7:], born(given), rtol=1e-12)
     np.testing.assert_allclose(p[7:, :7], by[:, :7] @ before, rtol=1e-5, atol=1e-9)
-    np.testing.assert_allclose(p[7:, 7:], by[:, :7] @ before @ by[:, :7].T + (by[:, 7:] * q) @ by[:, 7:].T,
-                               rtol=1e-5, atol=1e-9)  # fmt: skip
+    spread = by[:, :7] @ before @ by[:, :7].T + (by[:, 7:] * q) @ by[:, 7:].T
+    np.testing.assert_allclose(p[7:, 7:], spread, rtol=1e-5, atol=1e-9)
     np.testing.assert_array_equal(p, p.T)
 
 
 def test_updates_are_textbook_kalman_updates_also_while_they_wait(one_filter: Any, kalman: Callable[..., Any]) -> None:
-    one, root, q, k = (
-        one_filter(2),
-        np.random.default_rng(1).normal(size=(13, 13)) * 0.02,
-        np.array([0.3, 1e-4, 2e-4]),
-        0,
-    )
+    one, root = one_filter(2), np.random.default_rng(1).normal(size=(13, 13)) * 0.02
+    q, turn, k = np.array([0.3, 1e-4, 2e-4]), np.array([0.0, 2.0 * np.pi, 0.0]), 0
     one.put(POSE, 5.0, [80.0, 0.5, 0.2], [60.0, -1.0, 0.1])
-    x, p, turn = one.f.x, one.f.p, np.array([0.0, 2.0 * np.pi, 0.0])
+    x, p = one.f.x, one.f.p
     p[:] = root @ root.T
     mean, cov = x.copy(), p.copy()
     for j, e in ((0, [0.2, 0.01, -0.02]), (1, [-0.3, 0.01, 0.01]), (0, [0.1, np.nan, 0.01]), (1, [0.1, 0.0, 0.0])):
