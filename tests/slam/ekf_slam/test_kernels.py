@@ -7,10 +7,12 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
+import pytest
 
 from cellslam.sim.frames import integrate_pose
 from cellslam.slam.api import setup_of
 from cellslam.slam.conformance.subject import tiny_drive
+from cellslam.slam.ekf_slam.association_kernel import log_density
 from cellslam.slam.ekf_slam.filter_bank import new_bank
 from cellslam.slam.ekf_slam.map_kernel import remove
 from cellslam.slam.ekf_slam.state_layout import FREE, Core
@@ -86,6 +88,22 @@ def test_updates_are_textbook_kalman_updates_also_while_they_wait(one_filter: An
     downdate(p, 13, one.w.pending, k)
     np.testing.assert_allclose(p, cov, rtol=1e-7, atol=1e-12)
     np.testing.assert_array_equal(p, p.T)
+
+
+def test_density_of_a_pair_ends_at_the_gate(one_filter: Any, kalman: Callable[..., Any]) -> None:
+    one, root, q = one_filter(1), np.random.default_rng(1).normal(size=(10, 10)) * 0.02, np.array([0.3, 1e-4, 2e-4])
+    one.put(POSE, 5.0, [80.0, 0.5, 0.2])
+    one.f.p[:] = root @ root.T
+    h, by = one.model(0)
+    given = expect(one.f, 0, 6, one.w.h, one.w.t)
+    for e in np.array([[0.2, 0.01, -0.02], [0.3, np.nan, 0.02]]):
+        there = np.isfinite(e)
+        s = (by @ one.f.p @ by.T + np.diag(q))[np.ix_(there, there)]
+        e /= np.sqrt(e[there] @ np.linalg.solve(s, e[there]))
+        near, far = np.sqrt(one.rules.gate - 0.01) * e, np.sqrt(one.rules.gate + 0.01) * e
+        seen = one.seen(h + np.array([near, far]), np.array([q, q]))
+        assert log_density(one.f, seen, 0, 6, *given) == pytest.approx(kalman(one.f.x, one.f.p, by, near, q)[2])
+        assert log_density(one.f, seen, 1, 6, *given) == -np.inf
 
 
 def test_dropping_a_vt_marginalises_it(one_filter: Any) -> None:
