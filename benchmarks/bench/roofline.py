@@ -12,8 +12,7 @@ from typing import Any
 import numpy as np
 
 from cellslam.sim.compiling import njit
-from cellslam.slam.fastslam.parts import clock
-from cellslam.slam.fastslam.snapshot import pair_kernel, predict_kernel, update_kernel
+from cellslam.slam.fastslam.snapshot import nuisance_kernel, pair_kernel, predict_kernel, update_kernel
 from cellslam.slam.fastslam.state.layout import LANES, RECORD, RECORD_LAYOUT
 
 SINGLE = 4  # bytes of a number of a record
@@ -21,7 +20,7 @@ SINGLE = 4  # bytes of a number of a record
 PREDICTED: tuple[Any, ...] = (predict_kernel.predict, pair_kernel.reach)
 PAIRED: tuple[Any, ...] = (pair_kernel.innovate, pair_kernel.invert, pair_kernel.logarithm)
 UPDATED: tuple[Any, ...] = (
-    pair_kernel.innovate, pair_kernel.invert, pair_kernel.logarithm, update_kernel.credit, clock.absorb_all,
+    pair_kernel.innovate, pair_kernel.invert, pair_kernel.logarithm, update_kernel.credit, nuisance_kernel.absorb,
     update_kernel.correct,
 )  # fmt: skip
 
@@ -45,7 +44,6 @@ def operations_of(kernel: Any) -> int:
     """Return the arithmetic operations of a compiled kernel on one lane: those in its source and in compiled
     functions that it calls; indices do not count, nor do parts of the filter."""
     tree, names = _parsed(kernel), vars(inspect.getmodule(kernel.py_func))
-    captured = inspect.getclosurevars(kernel.py_func).nonlocals
     total = 0
     for node in _outside_indices(tree):
         if isinstance(node, ast.BinOp | ast.AugAssign):
@@ -54,7 +52,7 @@ def operations_of(kernel: Any) -> int:
             called = ast.unparse(node.func)
             if called in ("math.sqrt", "max", "min", "abs"):
                 total += 1
-            elif hasattr(names.get(called), "py_func") and called not in captured:
+            elif hasattr(names.get(called), "py_func"):
                 total += operations_of(names[called])
     return total
 

@@ -51,7 +51,7 @@ class FastSlam:
     def __init__(self, options: FastSlamOptions | None = None, **parts: Any) -> None:
         """Take options, and parts as objects where they are not those that the options name.
 
-        parts: association, criterion, landmarks, clock, proposal, resampling; see `parts`, `proposal`, `resampling`.
+        parts: association, criterion, clock, proposal, resampling; see `part_types`, `proposal`, `resampling`.
         """
         self.options = options or FastSlamOptions()
         self.choice: Choice = chosen(self.options, **parts)

@@ -35,7 +35,7 @@ class FastSlamOptions(FrontEndOptions):
     proposal: Literal["motion", "measurements"] = Field(
         "motion", description="what motion is drawn from: the odometry (FastSLAM 1.0), or the snapshot too (2.0)"
     )
-    association: Literal["hungarian", "nearest", "sampled"] = Field(
+    association: Literal["hungarian", "sampled"] = Field(
         "hungarian", description="how a link's measurements are given to VTs in each particle"
     )
     hypotheses: int = Field(8, ge=1, le=1000, description="assignments that a sampled association draws from")
@@ -44,12 +44,8 @@ class FastSlamOptions(FrontEndOptions):
         "likelihood",
         description="what is best: the likelihood against misses and clutter, or the paper's bare distance",
     )
-    landmarks: Literal["spherical", "cartesian"] = Field(
-        "spherical", description="coordinates of VTs: about the place of birth, or x, y, z"
-    )
-    clock: Literal["marginalised", "sampled", "known", "per-vt"] = Field(
-        "marginalised",
-        description="clock offsets: marginalised per site, sampled, known (the prior's mean), or one for each VT",
+    clock: Literal["marginalised", "sampled", "known"] = Field(
+        "marginalised", description="clock offsets: marginalised per site, sampled, or known (the prior's mean)"
     )
     resampling: Literal["systematic", "stratified", "residual", "multinomial"] = Field(
         "systematic", description="resampling scheme"

@@ -6,13 +6,12 @@ import math
 from typing import Any, NamedTuple
 
 import numpy as np
-from numba.extending import overload
 
 from cellslam.sim.compiling import njit
 from cellslam.sim.recording import Ints
 from cellslam.slam.api import Snapshot
 from cellslam.slam.fastslam.parts.murty_kernel import murty
-from cellslam.slam.fastslam.parts.part_types import COMPILED, is_of
+from cellslam.slam.fastslam.parts.part_types import replaceable, variant
 from cellslam.slam.fastslam.state.layout import LANES, V_WEIGHT, W_D2, Link, Rows, Scratch
 from cellslam.slam.model.assignment_kernel import LEFT_OUT, assign
 
@@ -21,10 +20,6 @@ B = LANES
 
 class Hungarian(NamedTuple):
     """The assignment with the greatest sum of scores; what gains by none is left to clutter and misses."""
-
-
-class Nearest(NamedTuple):
-    """Pair after pair, the best first: what is left takes what is left."""
 
 
 class Sampled(NamedTuple):
@@ -55,6 +50,7 @@ class FromTruth:
         return Told(vt, self._of_birth)
 
 
+@replaceable
 def associate(
     part: Any, s: Scratch, found: int, first: int, measured: int, link: Link, turn: int, share: float
 ) -> None:
@@ -64,78 +60,57 @@ def associate(
     measurement in the snapshot; turn: a number that no other call with other measurements or particles has; share: of
     the link's evidence that counts.
     """
-    raise NotImplementedError
+    if take_best(s, found, measured):
+        for l in range(B):
+            if _clash(s.row_of, measured, l):
+                tabulate(s, found, measured, l)
+                assign(s.table, found, measured, s.column, s.floats, s.ints)
+                for k in range(measured):
+                    s.row_of[k, l] = s.column[k]
 
 
-@overload(associate, **COMPILED)
-def _associate(part, s, found, first, measured, link, turn, share):
-    if is_of(part, Hungarian):
-
-        def hungarian(part, s, found, first, measured, link, turn, share):
-            if take_best(s, found, measured):
-                for l in range(B):
-                    if _clash(s.row_of, measured, l):
-                        tabulate(s, found, measured, l)
-                        assign(s.table, found, measured, s.column, s.floats, s.ints)
-                        for k in range(measured):
-                            s.row_of[k, l] = s.column[k]
-
-        return hungarian
-    if is_of(part, Nearest):
-
-        def nearest(part, s, found, first, measured, link, turn, share):
-            if take_best(s, found, measured):
-                for l in range(B):
-                    if _clash(s.row_of, measured, l):
-                        tabulate(s, found, measured, l)
-                        _take_in_turn(s, found, measured)
-                        for k in range(measured):
-                            s.row_of[k, l] = s.column[k]
-
-        return nearest
-    if is_of(part, Sampled):
-
-        def sampled(part, s, found, first, measured, link, turn, share):
-            rivals = take_best(s, found, measured) or _contested(s.claims, found, measured)
-            for l in range(B):
-                if rivals:
-                    tabulate(s, found, measured, l)
-                    uniform = hashed(part.seed, turn * B + l)
-                    log_chance = murty(s.table, found, measured, part.hypotheses, uniform, s.column)
-                    for k in range(measured):
-                        s.row_of[k, l] = s.column[k]
-                else:
-                    log_chance = _toss(part.seed, turn, s, found, measured, l)
-                s.v[V_WEIGHT * B + l] -= share * log_chance
-
-        return sampled
-    if is_of(part, Told):
-
-        def told(part, s, found, first, measured, link, turn, share):
+@variant(associate, Sampled)
+def _sampled(
+    part: Sampled, s: Scratch, found: int, first: int, measured: int, link: Link, turn: int, share: float
+) -> None:
+    """Draw an assignment in every lane."""
+    rivals = take_best(s, found, measured) or _contested(s.claims, found, measured)
+    for l in range(B):
+        if rivals:
+            tabulate(s, found, measured, l)
+            uniform = hashed(part.seed, turn * B + l)
+            log_chance = murty(s.table, found, measured, part.hypotheses, uniform, s.column)
             for k in range(measured):
-                s.row_of[k, :] = -1
-                vt = part.vt[first + k]
-                for q in range(found):
-                    own = vt >= 0 and part.of_birth[link.ident[s.near[q]]] == vt
-                    s.claims[q, k] = own
-                    if own:
-                        for l in range(B):
-                            s.row_of[k, l] = q if link.status[s.near[q], l] >= 0 else s.row_of[k, l]
-
-        return told
-    return None
+                s.row_of[k, l] = s.column[k]
+        else:
+            log_chance = _toss(part.seed, turn, s, found, measured, l)
+        s.v[V_WEIGHT * B + l] -= share * log_chance
 
 
+@variant(associate, Told)
+def _told(part: Told, s: Scratch, found: int, first: int, measured: int, link: Link, turn: int, share: float) -> None:
+    """Take the tracks of the VTs that measurements came from."""
+    for k in range(measured):
+        s.row_of[k, :] = -1
+        vt = part.vt[first + k]
+        for q in range(found):
+            own = vt >= 0 and part.of_birth[link.ident[s.near[q]]] == vt
+            s.claims[q, k] = own
+            if own:
+                for l in range(B):
+                    s.row_of[k, l] = q if link.status[s.near[q], l] >= 0 else s.row_of[k, l]
+
+
+@replaceable
 def may_be_born(part: Any, k: int) -> bool:
     """Say whether measurement k of the snapshot may begin a track."""
-    raise NotImplementedError
+    return True
 
 
-@overload(may_be_born, **COMPILED)
-def _may_be_born(part, k):
-    if is_of(part, Told):
-        return lambda part, k: part.vt[k] >= 0
-    return lambda part, k: True
+@variant(may_be_born, Told)
+def _may_be_born(part: Told, k: int) -> bool:
+    """Say whether it came from a VT."""
+    return bool(part.vt[k] >= 0)
 
 
 @njit(cache=True, error_model="numpy")
@@ -215,23 +190,6 @@ def tabulate(s: Scratch, found: int, measured: int, l: int) -> None:
     for q in range(found):
         for k in range(measured):
             table[q, k] = scores[q, k, l] if claims[q, k] else LEFT_OUT
-
-
-@njit(cache=True, error_model="numpy")
-def _take_in_turn(s: Scratch, found: int, measured: int) -> None:
-    """Write s.column (measured,): the track of each measurement, the best pair first."""
-    s.column[:measured] = -1
-    while True:
-        best, row, column = 0.0, -1, -1
-        for q in range(found):
-            for k in range(measured):
-                if s.table[q, k] > best and s.column[k] < 0:
-                    best, row, column = s.table[q, k], q, k
-        if row < 0:
-            return
-        s.column[column] = row
-        for k in range(measured):
-            s.table[row, k] = LEFT_OUT
 
 
 @njit(cache=True)

@@ -11,40 +11,41 @@ import numpy as np
 from cellslam.sim.recording import Floats, Ints, Sites
 from cellslam.slam.api import Setup, Snapshot
 from cellslam.slam.fastslam.fastslam_options import FastSlamOptions
-from cellslam.slam.fastslam.parts.association import Hungarian, Nearest, Sampled
-from cellslam.slam.fastslam.parts.clock import Drifting, OfSite, OfVt
+from cellslam.slam.fastslam.parts.association import Hungarian, Sampled
+from cellslam.slam.fastslam.parts.clock import Constant, Drifting
 from cellslam.slam.fastslam.parts.criterion import Likelihood, Mahalanobis
-from cellslam.slam.fastslam.parts.drifting_clock import drifting
-from cellslam.slam.fastslam.parts.landmarks import Cartesian, Spherical
 from cellslam.slam.fastslam.parts.part_types import Parts
 from cellslam.slam.fastslam.parts.proposal import PROPOSALS, Proposal
-from cellslam.slam.fastslam.state.layout import RECORD, RECORD_WITH_OFFSET, RECORD_WITH_RATE
+from cellslam.slam.fastslam.state.layout import RECORD, RECORD_WITH_RATE
 from cellslam.slam.model.resampling import SCHEMES
 
 LEAST_SAMPLED = -4.0  # log-likelihood ratio from which a draw may take a pair that is more likely clutter
-_LANDMARKS: dict[str, Any] = {"spherical": Spherical(), "cartesian": Cartesian()}
 _CRITERIA: dict[str, Any] = {"likelihood": Likelihood(), "mahalanobis": Mahalanobis()}
 
 
 @dataclass(frozen=True)
 class Choice:
     """The parts in use. `component_m`: width of one particle's clock offset at the start; `known_clock`: the mean of
-    the prior is taken for it; `record`: rows of a track; `least_score`: from which a pair is considered."""
+    the prior is taken for it; `least_score`: from which a pair is considered."""
 
     parts: Parts
     proposal: Proposal
     resampling: Callable[[Floats, int, np.random.Generator], Ints]
     component_m: float
     known_clock: bool
-    record: int
     least_score: float
 
+    @property
+    def record(self) -> int:
+        """Rows of a track."""
+        return RECORD_WITH_RATE if isinstance(self.parts.clock, Drifting) else RECORD
+
     def prior(self, setup: Setup) -> Setup:
-        """Return the setup as this choice takes it: rates of clocks are followed where a site has one offset."""
+        """Return the setup as this choice takes it: a clock of one's own knows no rates."""
         sites = setup.sites
         if self.known_clock:
             sites = replace(sites, clock_offset_std_m=np.zeros_like(sites.clock_offset_std_m))
-        if not isinstance(self.parts.clock, OfSite):
+        if not isinstance(self.parts.clock, Constant):
             sites = replace(sites, clock_drift_std_m_s=None)
         return replace(setup, sites=sites)
 
@@ -52,7 +53,7 @@ class Choice:
         """Return the choice for the clocks of such a setup, which may drift."""
         if not (sites.drift_std_m_s > 0.0).any():
             return self
-        return replace(self, parts=self.parts._replace(clock=drifting(len(sites))), record=RECORD_WITH_RATE)
+        return replace(self, parts=self.parts._replace(clock=Drifting(0.0, len(sites))))
 
     def parts_for(self, snapshot: Snapshot, born: int, elapsed_s: float) -> Parts:
         """Return the parts for one snapshot, so long after the start, `born` measurements having gone before: a part
@@ -69,21 +70,20 @@ class Choice:
 def chosen(options: FastSlamOptions, **given: Any) -> Choice:
     """Return the parts that the options name, with objects that are `given` in their place."""
     o = options
-    unknown = set(given) - {"association", "criterion", "landmarks", "clock", "proposal", "resampling"}
+    unknown = set(given) - {"association", "criterion", "clock", "proposal", "resampling"}
     if unknown:
         raise TypeError(f"FastSlam has no part {', '.join(map(repr, sorted(unknown)))}")
-    associations: dict[str, Any] = {
-        "hungarian": Hungarian(), "nearest": Nearest(), "sampled": Sampled(o.hypotheses, o.association_seed)
-    }  # fmt: skip
+    associations: dict[str, Any] = {"hungarian": Hungarian(), "sampled": Sampled(o.hypotheses, o.association_seed)}
     parts = Parts(
         association=given.get("association", associations[o.association]),
         criterion=given.get("criterion", _CRITERIA[o.criterion]),
-        landmarks=given.get("landmarks", _LANDMARKS[o.landmarks]),
-        clock=given.get("clock", OfVt() if o.clock == "per-vt" else OfSite()),
+        clock=given.get("clock", Constant()),
     )
-    widths = {"marginalised": o.offset_component_std_m, "sampled": 0.0, "known": 0.0, "per-vt": np.inf}
     return Choice(
-        parts, given.get("proposal", PROPOSALS[o.proposal]), given.get("resampling", SCHEMES[o.resampling]),
-        float(widths[o.clock]), o.clock == "known", RECORD_WITH_OFFSET if isinstance(parts.clock, OfVt) else RECORD,
-        LEAST_SAMPLED if isinstance(parts.association, Sampled) else 0.0,
-    )  # fmt: skip
+        parts,
+        given.get("proposal", PROPOSALS[o.proposal]),
+        given.get("resampling", SCHEMES[o.resampling]),
+        component_m=0.0 if o.clock == "sampled" else o.offset_component_std_m,
+        known_clock=o.clock == "known",
+        least_score=LEAST_SAMPLED if isinstance(parts.association, Sampled) else 0.0,
+    )

@@ -1,248 +1,245 @@
-"""Whose the clock offset is: parts of the filter.
+"""Clock offsets, one a site, constant or drifting: parts of the filter.
+
+They are marginalised with the odometer errors. Where clocks drift theta has a constant rate for each site, between the
+offsets and the odometer errors, and the offsets of the present. A VT was touched under the offset of its time, b(t0) =
+b(t) - rate (t - t0), so that given the present theta
+
+    s | theta ~ N(mu + G (theta - theta0) + G_rate (rate - rate0), Sigma),   G_rate -= (t - t0) G_offset,
+
+which a record takes up whenever it is predicted: RATE_GAIN is G_rate, RATE0 and TIME0 are rate0 and t0. While a clock
+is constant the functions below have nothing to do.
 
 Source: Schoen, Gustafsson and Nordlund, "Marginalized particle filters for mixed linear/nonlinear state-space models",
-IEEE Trans. Signal Processing 53(7), 2005: the offsets are the linear part. That VTs depend on each other through their
-offset alone is an own derivation (see `nuisance_kernel`).
+IEEE Trans. Signal Processing 53(7), 2005: offsets and rates are the linear part. That VTs depend on each other through
+them alone is an own derivation (see `nuisance_kernel`).
 """
 
 from __future__ import annotations
 
-import math
 from typing import Any, NamedTuple
 
 import numpy as np
-from numba.extending import overload
 
 from cellslam.sim.compiling import njit
 from cellslam.sim.recording import Floats
-from cellslam.slam.fastslam.parts.part_types import COMPILED, is_of
-from cellslam.slam.fastslam.state.lanes_kernel import mat_at, put_where, sym_at, vec_at
+from cellslam.slam.fastslam.parts.part_types import replaceable, variant
+from cellslam.slam.fastslam.state.lanes_kernel import five_at, mat_at, put, sym_at, vec_at
 from cellslam.slam.fastslam.state.layout import (
+    GAIN,
     LANES,
+    MU,
     O_A,
-    O_OFFSET,
-    OWN_OFFSET,
-    OWN_VARIANCE,
+    O_AR,
+    O_C,
+    O_H,
+    RATE0,
+    RATE_GAIN,
+    SIGMA,
     THETA,
-    V_WEIGHT,
-    W_B,
+    THETA0,
+    TIME0,
+    V_Y,
     W_E,
-    W_INFO,
     W_INV,
     W_MASK,
-    W_OFFSET_PRIOR,
-    W_P,
-    W_Y,
+    W_PR,
+    W_RATE,
+    W_SITE,
     Rows,
 )
+from cellslam.slam.fastslam.state.spherical_vt_kernel import moved
 from cellslam.slam.model.matrices_kernel import (
-    Mat3,
     Sym3,
     Vec3,
-    mat_sym,
+    dot,
     mat_vec,
+    outer_sum,
     sym_plus,
-    sym_product,
-    transposed,
+    sym_vec,
+    transposed_vec,
+    vec_minus,
     vec_plus,
+    vec_scaled,
 )
 
 B = LANES
 
 
-class OfSite(NamedTuple):
-    """One offset a site, marginalised with the odometer errors: its VTs depend on each other through it alone."""
-
-
-class OfVt(NamedTuple):
-    """An offset for each VT, a fourth state beside its position, as where transmitters are not known to share one."""
+class Constant(NamedTuple):
+    """One offset a site: its VTs depend on each other through it, and through the odometer errors."""
 
 
 class Drifting(NamedTuple):
-    """One offset and one rate a site: what it does is in `drifting_clock`.
-
-    `elapsed_s`: since the start; `sites`: how many.
-    """
+    """One offset and one rate a site. `elapsed_s`: since the start; `sites`: how many."""
 
     elapsed_s: float
     sites: int
 
 
+@replaceable
 def clock_moves(part: Any, state: Rows, travelled: Floats, dt: float, size: int) -> None:
-    """Let offsets that drift go on by an interval dt (s), and say how far (m) in travelled (size,)."""
-    raise NotImplementedError
+    """Let offsets go on by an interval dt (s), and say how far (m) in travelled (size,)."""
 
 
+@variant(clock_moves, Drifting)
+def _clock_moves(part: Drifting, state: Rows, travelled: Floats, dt: float, size: int) -> None:
+    """Move means, and rows and columns of the covariance."""
+    for site in range(part.sites):
+        offset, rate = site, part.sites + site
+        fastest = 0.0
+        for l in range(B):
+            state[(THETA + offset) * B + l] += dt * state[(THETA + rate) * B + l]
+            fastest = max(fastest, abs(state[(THETA + rate) * B + l]))
+        travelled[site] += fastest * dt
+        for j in range(size):
+            to, of = (THETA + size + offset * size + j) * B, (THETA + size + rate * size + j) * B
+            for l in range(B):
+                state[to + l] += dt * state[of + l]
+        for i in range(size):
+            to, of = (THETA + size + i * size + offset) * B, (THETA + size + i * size + rate) * B
+            for l in range(B):
+                state[to + l] += dt * state[of + l]
+
+
+@replaceable
 def rate_changes(part: Any, v: Rows, change: int, travelled: Floats) -> None:
     """Say how far rates that have changed move what is expected of tracks long unseen, in m, in travelled (size,).
 
     From row `change` of v on.
     """
-    raise NotImplementedError
 
 
+@variant(rate_changes, Drifting)
+def _rate_changes(part: Drifting, v: Rows, change: int, travelled: Floats) -> None:
+    """Take tracks unseen since the start."""
+    for site in range(part.sites):
+        largest = 0.0
+        for l in range(B):
+            largest = max(largest, abs(v[(change + part.sites + site) * B + l]))
+        travelled[site] += largest * part.elapsed_s
+
+
+@replaceable
 def load_clock(part: Any, w: Rows, state: Rows, site: int, size: int) -> None:
-    """Copy what else concerns a site's clock."""
-    raise NotImplementedError
+    """Copy what concerns a site's clock beside its offset."""
 
 
-def expect(part: Any, landmarks: Any, w: Rows, rec: Rows, out: Rows) -> None:
-    """Write at O_OFFSET the offset with which a track's distances are expected, and at W_P what of the nuisances'
-    covariance is the track's own; bring the record up to the present."""
-    raise NotImplementedError
+@variant(load_clock, Drifting)
+def _load_clock(part: Drifting, w: Rows, state: Rows, site: int, size: int) -> None:
+    """Copy the rate's mean and covariances."""
+    rate = part.sites + site
+    cov = THETA + size + rate * size
+    w[W_SITE * B] = w.dtype.type(site)
+    for l in range(B):
+        w[W_RATE * B + l] = state[(THETA + rate) * B + l]
+        w[W_PR * B + l] = state[(cov + rate) * B + l]
+        w[(W_PR + 1) * B + l] = state[(cov + site) * B + l]
+        w[(W_PR + 2) * B + l] = state[(cov + size - 2) * B + l]
+        w[(W_PR + 3) * B + l] = state[(cov + size - 1) * B + l]
 
 
+@replaceable
+def begin_clock(part: Any, w: Rows, rec: Rows) -> None:
+    """Write what of the clock a new track's record begins with, beside the offset."""
+
+
+@variant(begin_clock, Drifting)
+def _begin_clock(part: Drifting, w: Rows, rec: Rows) -> None:
+    """Write G_rate = 0, the present rate and time."""
+    F = w.dtype.type
+    for l in range(B):
+        put(rec, RATE_GAIN, l, (F(0.0), F(0.0), F(0.0)))
+        rec[RATE0 * B + l] = w[W_RATE * B + l]
+        rec[TIME0 * B + l] = F(part.elapsed_s)
+
+
+@replaceable
+def refresh(part: Any, w: Rows, rec: Rows) -> None:
+    """Bring a track's record up to the present, before it is predicted."""
+
+
+@variant(refresh, Drifting)
+def _refresh(part: Drifting, w: Rows, rec: Rows) -> None:
+    """Let G_rate and the offset of the last touch go on, and take up the present rate."""
+    F = w.dtype.type
+    now = F(part.elapsed_s)
+    for l in range(B):
+        since, was = now - rec[TIME0 * B + l], rec[RATE0 * B + l]
+        by_offset = Vec3(rec[GAIN * B + l], rec[(GAIN + 3) * B + l], rec[(GAIN + 6) * B + l])
+        gain = vec_minus(vec_at(rec, RATE_GAIN, l), vec_scaled(by_offset, since))
+        put(rec, RATE_GAIN, l, gain)
+        rec[THETA0 * B + l] += since * was
+        change = vec_scaled(gain, w[W_RATE * B + l] - was)
+        put(rec, MU, l, moved(F, five_at(rec, MU, l), change))
+        rec[RATE0 * B + l] = w[W_RATE * B + l]
+        rec[TIME0 * B + l] = now
+
+
+@replaceable
 def widen(part: Any, w: Rows, rec: Rows, out: Rows) -> None:
     """Add to C what nuisances do that only this part knows of, once a track is predicted."""
-    raise NotImplementedError
 
 
-def correct_clock(part: Any, w: Rows, rec: Rows, out: Rows) -> None:
-    """Update what the record holds for this part alone, where W_MASK is 1, before the rest of it is."""
-    raise NotImplementedError
-
-
-def absorb(part: Any, w: Rows, v: Rows, rec: Rows, out: Rows) -> None:
-    """Add A^T S^-1 e and A^T S^-1 A of the association at hand, where W_MASK is 1, to the link's sums."""
-    raise NotImplementedError
-
-
-def begin_offset(part: Any, w: Rows, rec: Rows) -> None:
-    """Write what of the offset is a new track's own."""
-    raise NotImplementedError
-
-
-@overload(expect, **COMPILED)
-def _expect(part, landmarks, w, rec, out):
-    if is_of(part, OfSite):
-
-        def shared(part, landmarks, w, rec, out):
-            for l in range(B):
-                out[O_OFFSET * B + l] = w[W_B * B + l]
-
-        return shared
-    if is_of(part, OfVt):
-
-        def own(part, landmarks, w, rec, out):
-            F = w.dtype.type
-            for l in range(B):
-                out[O_OFFSET * B + l] = rec[OWN_OFFSET * B + l]
-                w[W_P * B + l] = rec[OWN_VARIANCE * B + l]
-                w[(W_P + 1) * B + l] = F(0.0)
-                w[(W_P + 2) * B + l] = F(0.0)
-
-        return own
-    return None
-
-
-@overload(begin_offset, **COMPILED)
-def _begin_offset(part, w, rec):
-    if is_of(part, OfSite):
-        return lambda part, w, rec: None
-    if is_of(part, OfVt):
-
-        def own(part, w, rec):
-            for l in range(B):
-                rec[OWN_OFFSET * B + l] = w[W_B * B + l]
-                rec[OWN_VARIANCE * B + l] = w[W_OFFSET_PRIOR * B + l]
-
-        return own
-    return None
-
-
-@overload(clock_moves, **COMPILED)
-def _clock_moves(part, state, travelled, dt, size):
-    return None if is_of(part, Drifting) else lambda part, state, travelled, dt, size: None
-
-
-@overload(rate_changes, **COMPILED)
-def _rate_changes(part, v, change, travelled):
-    return None if is_of(part, Drifting) else lambda part, v, change, travelled: None
-
-
-@overload(load_clock, **COMPILED)
-def _load_clock(part, w, state, site, size):
-    return None if is_of(part, Drifting) else lambda part, w, state, site, size: None
-
-
-@overload(widen, **COMPILED)
-def _widen(part, w, rec, out):
-    return None if is_of(part, Drifting) else lambda part, w, rec, out: None
-
-
-@overload(correct_clock, **COMPILED)
-def _correct_clock(part, w, rec, out):
-    return None if is_of(part, Drifting) else lambda part, w, rec, out: None
-
-
-def offset_belief(part: Any, rec: Rows, lane: int, state: Rows, size: int, site: int) -> tuple[float, float, float]:
-    """Return mean and variance of the offset that a track was last touched under, in one lane of a block's state, and
-    1 where it is its site's, else 0."""
-    raise NotImplementedError
-
-
-@overload(offset_belief)
-def _offset_belief(part, rec, lane, state, size, site):
-    if is_of(part, OfSite):
-
-        def shared(part, rec, lane, state, size, site):
-            own = (THETA + size + site * size + site) * B + lane
-            return state[(THETA + site) * B + lane], state[own], 1.0
-
-        return shared
-    if is_of(part, OfVt):
-
-        def own(part, rec, lane, state, size, site):
-            return np.float64(rec[OWN_OFFSET * B + lane]), np.float64(rec[OWN_VARIANCE * B + lane]), 0.0
-
-        return own
-    return None
-
-
-@njit(error_model="numpy")
-def information(a: Mat3, inverse: Sym3, e: Vec3) -> tuple[Vec3, Sym3]:
-    """Return y = A^T S^-1 e and I = A^T S^-1 A."""
-    weighed = mat_sym(transposed(a), inverse)
-    return mat_vec(weighed, e), sym_product(weighed, a)
-
-
-@njit(error_model="numpy")
-def absorb_all(w: Rows, out: Rows) -> None:
-    """Add y and I of the pair at hand, where W_MASK is 1, to the link's sums."""
-    half = w.dtype.type(0.5)
+@variant(widen, Drifting)
+def _widen(part: Drifting, w: Rows, rec: Rows, out: Rows) -> None:
+    """Add q A_rate^T + A_rate q^T, A_rate = H G_rate, q = A P_rate + A_rate P_rate,rate / 2."""
     for l in range(B):
-        on = w[W_MASK * B + l] > half
-        y, info = information(mat_at(out, O_A, l), sym_at(w, W_INV, l), vec_at(w, W_E, l))
-        put_where(w, W_Y, l, on, vec_plus(vec_at(w, W_Y, l), y))
-        put_where(w, W_INFO, l, on, sym_plus(sym_at(w, W_INFO, l), info))
+        by_rate = mat_vec(mat_at(out, O_H, l), vec_at(rec, RATE_GAIN, l))
+        put(out, O_AR, l, by_rate)
+        by_others = mat_vec(mat_at(out, O_A, l), vec_at(w, W_PR + 1, l))
+        q = vec_plus(by_others, vec_scaled(by_rate, 0.5 * w[W_PR * B + l]))
+        put(out, O_C, l, sym_plus(sym_at(out, O_C, l), outer_sum(q, by_rate)))
 
 
-@overload(absorb, **COMPILED)
-def _absorb(part, w, v, rec, out):
-    if is_of(part, OfSite):
-        return lambda part, w, v, rec, out: absorb_all(w, out)
-    if is_of(part, OfVt):
+@replaceable
+def learn(part: Any, w: Rows, v: Rows, rec: Rows, out: Rows) -> None:
+    """Use the association at hand, where W_MASK is 1, for what only this part knows of: the snapshot's y and I, and the
+    record, the rest of which is updated after."""
 
-        def of_vt(part, w, v, rec, out):
-            # The offset is settled at once: P' = P / (1 + P I); what is left for the others is the Schur complement.
-            F = w.dtype.type
-            none = F(0.0)
-            for l in range(B):
-                on = w[W_MASK * B + l] > F(0.5)
-                y, i = information(mat_at(out, O_A, l), sym_at(w, W_INV, l), vec_at(w, W_E, l))
-                variance = rec[OWN_VARIANCE * B + l]
-                left = variance / (F(1.0) + variance * i.xx)
-                if on:
-                    rec[OWN_OFFSET * B + l] += left * y.x
-                    rec[OWN_VARIANCE * B + l] = left
-                    v[V_WEIGHT * B + l] += 0.5 * left * y.x * y.x - 0.5 * math.log(1.0 + variance * i.xx)
-                by_bias, by_scale = i.xy * left, i.xz * left
-                rest = Vec3(none, y.y - by_bias * y.x, y.z - by_scale * y.x)
-                schur = Sym3(
-                    none, none, none, i.yy - by_bias * i.xy, i.yz - by_bias * i.xz, i.zz - by_scale * i.xz
-                )  # fmt: skip
-                put_where(w, W_Y, l, on, vec_plus(vec_at(w, W_Y, l), rest))
-                put_where(w, W_INFO, l, on, sym_plus(sym_at(w, W_INFO, l), schur))
 
-        return of_vt
-    return None
+@variant(learn, Drifting)
+def _learn(part: Drifting, w: Rows, v: Rows, rec: Rows, out: Rows) -> None:
+    """Add the rate's rows of y and I; G_rate -= K A_rate, K = Sigma H^T S^-1."""
+    size, site = 2 * part.sites + 2, int(w[W_SITE * B])
+    rate, square = part.sites + site, V_Y + size
+    own, by_self, by_offset = V_Y + rate, square + rate * size + rate, square + rate * size + site
+    by_bias, by_scale = square + (size - 2) * size + rate, square + (size - 1) * size + rate
+    for l in range(B):
+        u = _weighed(sym_at(w, W_INV, l), vec_at(out, O_AR, l), w[W_MASK * B + l])
+        i = transposed_vec(mat_at(out, O_A, l), u)
+        v[own * B + l] += dot(u, vec_at(w, W_E, l))
+        v[by_self * B + l] += dot(u, vec_at(out, O_AR, l))
+        v[by_offset * B + l] += i.x
+        v[by_bias * B + l] += i.y
+        v[by_scale * B + l] += i.z
+    for l in range(B):
+        u = _weighed(sym_at(w, W_INV, l), vec_at(out, O_AR, l), w[W_MASK * B + l])
+        gained = sym_vec(sym_at(rec, SIGMA, l), transposed_vec(mat_at(out, O_H, l), u))
+        put(rec, RATE_GAIN, l, vec_minus(vec_at(rec, RATE_GAIN, l), gained))
+
+
+@njit(error_model="numpy")
+def _weighed(inverse: Sym3, by_rate: Vec3, on: Any) -> Vec3:
+    """Return S^-1 A_rate, 0 where `on` is."""
+    weighed: Vec3 = vec_scaled(sym_vec(inverse, by_rate), on)
+    return weighed
+
+
+@replaceable
+def offset_belief(part: Any, rec: Rows, lane: int, state: Rows, size: int, site: int) -> tuple[float, float]:
+    """Return mean (m) and variance (m^2) of the offset that a track was last touched under, in one lane of a block's
+    state."""
+    return state[(THETA + site) * B + lane], state[(THETA + size + site * size + site) * B + lane]
+
+
+@variant(offset_belief, Drifting)
+def _offset_belief(part: Drifting, rec: Rows, lane: int, state: Rows, size: int, site: int) -> tuple[float, float]:
+    """Take the time of the last touch."""
+    rate = part.sites + site
+    since = part.elapsed_s - np.float64(rec[TIME0 * B + lane])
+    cov = THETA + size
+    mean = state[(THETA + site) * B + lane] - since * state[(THETA + rate) * B + lane]
+    variance = state[(cov + site * size + site) * B + lane]
+    variance -= 2.0 * since * state[(cov + site * size + rate) * B + lane]
+    variance += since * since * state[(cov + rate * size + rate) * B + lane]
+    return mean, variance

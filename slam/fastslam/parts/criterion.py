@@ -3,12 +3,9 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from typing import Any, NamedTuple
 
-from numba.extending import overload
-
-from cellslam.slam.fastslam.parts.part_types import COMPILED, is_of
+from cellslam.slam.fastslam.parts.part_types import replaceable, variant
 from cellslam.slam.fastslam.state.layout import LANES, O_SCORE, W_D2, W_DET, W_LOG, W_SCORE, Rows
 
 B = LANES
@@ -25,33 +22,23 @@ class Mahalanobis(NamedTuple):
     nor clutter."""
 
 
+@replaceable
 def score(part: Any, w: Rows, out: Rows, gate: float, lack: Any) -> None:
     """Write the pair's score at W_SCORE, which is positive where it should be associated; NEVER outside the gate and
     where the track's score is NEVER. `lack`: see `measurement_kernel.pack`."""
-    raise NotImplementedError
+    F = w.dtype.type
+    limit, rest = F(gate), F(lack - LOG_2PI_3)
+    for l in range(B):
+        value = out[O_SCORE * B + l] - F(0.5) * w[W_D2 * B + l] - F(0.5) * w[W_LOG * B + l] + rest
+        inside = w[W_D2 * B + l] < limit and w[W_DET * B + l] > F(0.0) and out[O_SCORE * B + l] > -F(1e29)
+        w[W_SCORE * B + l] = value if inside else F(NEVER)
 
 
-@overload(score, **COMPILED)
-def _score(part: Any, w: Rows, out: Rows, gate: float, lack: Any) -> Callable[..., None] | None:
-    if is_of(part, Likelihood):
-
-        def likelihood(part: Any, w: Rows, out: Rows, gate: float, lack: Any) -> None:
-            F = w.dtype.type
-            limit, rest = F(gate), F(lack - LOG_2PI_3)
-            for l in range(B):
-                value = out[O_SCORE * B + l] - F(0.5) * w[W_D2 * B + l] - F(0.5) * w[W_LOG * B + l] + rest
-                inside = w[W_D2 * B + l] < limit and w[W_DET * B + l] > F(0.0) and out[O_SCORE * B + l] > -F(1e29)
-                w[W_SCORE * B + l] = value if inside else F(NEVER)
-
-        return likelihood
-    if is_of(part, Mahalanobis):
-
-        def mahalanobis(part: Any, w: Rows, out: Rows, gate: float, lack: Any) -> None:
-            F = w.dtype.type
-            limit = F(gate)
-            for l in range(B):
-                inside = w[W_D2 * B + l] < limit and w[W_DET * B + l] > F(0.0) and out[O_SCORE * B + l] > -F(1e29)
-                w[W_SCORE * B + l] = limit - w[W_D2 * B + l] if inside else F(NEVER)
-
-        return mahalanobis
-    return None
+@variant(score, Mahalanobis)
+def _score(part: Mahalanobis, w: Rows, out: Rows, gate: float, lack: Any) -> None:
+    """Score by distance."""
+    F = w.dtype.type
+    limit = F(gate)
+    for l in range(B):
+        inside = w[W_D2 * B + l] < limit and w[W_DET * B + l] > F(0.0) and out[O_SCORE * B + l] > -F(1e29)
+        w[W_SCORE * B + l] = limit - w[W_D2 * B + l] if inside else F(NEVER)

@@ -1,36 +1,57 @@
 """The parts of the filter that can be replaced: each is a tuple type, and the kernels are compiled for the types given.
 
-What a part does is an implementation of one or more of the functions below for its type, by Numba's `overload`: the
+A function that is `replaceable` is what the filter does by default; a part's type may have a `variant` of it. The
 compiler takes it in as if it stood there, so that a choice costs nothing, and what is not chosen is not compiled. A
-part of your own is a NamedTuple with such an implementation; `FastSlam(options, association=Mine())` uses it.
+part of your own is a NamedTuple with variants of one or more of these; `FastSlam(options, association=Mine())` uses it:
 
-    associate, may_be_born                                                          association.py
-    score                                                                           criterion.py
-    moved, corrected, place, slopes, begin, begin_spread, begin_gain, locate        landmarks.py
-    expect, absorb, begin_offset, offset_belief; if it has more to say: clock_moves,
-    rate_changes, load_clock, widen, correct_clock                                  clock.py
+    associate, may_be_born                                          association.py
+    score                                                           criterion.py
+    clock_moves, rate_changes, load_clock, begin_clock, refresh, widen, learn, offset_belief
+                                                                    clock.py
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeVar
+
+from numba.extending import overload
 
 from cellslam.sim.compiling import njit
 
+Function = TypeVar("Function", bound=Callable[..., Any])
+
 
 class Parts(NamedTuple):
-    """How measurements are associated, by which criterion, how VTs are kept, and what is done about clock offsets."""
+    """How measurements are associated, by which criterion, and what is done about clock offsets."""
 
     association: Any
     criterion: Any
-    landmarks: Any
     clock: Any
 
 
-def is_of(part: Any, kind: type) -> bool:
-    """Return whether the Numba type `part` is that of tuples of class `kind`."""
-    return getattr(part, "instance_class", None) is kind
+_VARIANTS: dict[Any, dict[Any, Any]] = {}  # of each function that is replaceable: what it is for types of parts
+
+
+def replaceable(function: Function) -> Function:
+    """Let compiled code that calls the function with a part first take the part's `variant`, if there is one."""
+    variants = _VARIANTS.setdefault(function, {})
+
+    def chosen(part: Any, *others: Any) -> Any:
+        return variants.get(getattr(part, "instance_class", None), function)
+
+    overload(function, jit_options={"error_model": "numpy"}, strict=False)(chosen)
+    return function
+
+
+def variant(function: Callable[..., Any], kind: type) -> Callable[[Function], Function]:
+    """Take the decorated function in place of a replaceable one where the part is a `kind`."""
+
+    def register(own: Function) -> Function:
+        _VARIANTS[function][kind] = own
+        return own
+
+    return register
 
 
 def are_own(parts: Parts) -> bool:
@@ -52,7 +73,3 @@ def cached_and_not(kernel: Callable[..., Any]) -> Callable[[Parts], Any]:
 
     suitable.cached = cached  # type: ignore[attr-defined]
     return suitable
-
-
-INLINE: dict[str, Any] = {"jit_options": {"error_model": "numpy"}, "inline": "always"}
-COMPILED: dict[str, Any] = {"jit_options": {"error_model": "numpy"}}

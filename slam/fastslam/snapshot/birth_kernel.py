@@ -5,8 +5,7 @@ from __future__ import annotations
 import math
 
 from cellslam.sim.compiling import njit
-from cellslam.slam.fastslam.parts.clock import begin_offset
-from cellslam.slam.fastslam.parts.landmarks import begin, begin_gain, begin_spread
+from cellslam.slam.fastslam.parts.clock import begin_clock
 from cellslam.slam.fastslam.parts.part_types import Parts
 from cellslam.slam.fastslam.snapshot.measurement_kernel import LEAST_RANGE_M, MOST_RANGE_M, evenly
 from cellslam.slam.fastslam.state.lanes_kernel import columns_at, mat_at, put, vec_at
@@ -26,6 +25,7 @@ from cellslam.slam.fastslam.state.layout import (
     W_THETA,
     Rows,
 )
+from cellslam.slam.fastslam.state.spherical_vt_kernel import begin, begin_gain, begin_spread
 from cellslam.slam.model.matrices_kernel import Vec3, mat_vec
 
 B = LANES
@@ -74,9 +74,9 @@ def give_birth(parts: Parts, w: Rows, rec: Rows, z: Rows) -> None:
         q = Vec3(w[(W_GUESS + 3) * B + l], z[6], z[7])
         pose_by_bias, pose_by_scale = columns_at(w, W_G, l)
         put(rec, ANCHOR, l, anchor)
-        put(rec, MU, l, begin(parts.landmarks, F, anchor, rho, n))
-        put(rec, SIGMA, l, begin_spread(parts.landmarks, F, rho, n, by_azimuth, by_elevation, q))
-        put(rec, GAIN, l, begin_gain(parts.landmarks, F, rho, n, z[8], pose_by_bias, pose_by_scale))
+        put(rec, MU, l, begin(F, rho, n))
+        put(rec, SIGMA, l, begin_spread(F, n, by_azimuth, by_elevation, q))
+        put(rec, GAIN, l, begin_gain(F, rho, n, z[8], pose_by_bias, pose_by_scale))
         put(rec, THETA0, l, vec_at(w, W_THETA, l))
         rec[HITS * B + l] = F(1.0)
-    begin_offset(parts.clock, w, rec)
+    begin_clock(parts.clock, w, rec)

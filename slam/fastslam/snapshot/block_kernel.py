@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from cellslam.sim.compiling import njit
 from cellslam.sim.recording import Floats, Ints
 from cellslam.slam.fastslam.parts.association import associate, may_be_born
-from cellslam.slam.fastslam.parts.clock import absorb, clock_moves, correct_clock, load_clock, rate_changes
+from cellslam.slam.fastslam.parts.clock import clock_moves, learn, load_clock, rate_changes
 from cellslam.slam.fastslam.parts.part_types import Parts, cached_and_not
 from cellslam.slam.fastslam.running.borrow import borrowed, borrowed_blocks, borrowed_scratch, borrowed_step
 from cellslam.slam.fastslam.running.turns_kernel import all_done, done, take
@@ -19,7 +19,7 @@ from cellslam.slam.fastslam.snapshot.birth_kernel import complete, give_birth
 from cellslam.slam.fastslam.snapshot.candidates_kernel import candidates, middle
 from cellslam.slam.fastslam.snapshot.merge_kernel import EVERY, merge
 from cellslam.slam.fastslam.snapshot.motion_kernel import advance, load_site, prepare
-from cellslam.slam.fastslam.snapshot.nuisance_kernel import collect, condition, forget
+from cellslam.slam.fastslam.snapshot.nuisance_kernel import absorb, collect, condition, forget
 from cellslam.slam.fastslam.snapshot.pair_kernel import innovate, invert, logarithm
 from cellslam.slam.fastslam.snapshot.update_kernel import correct, credit, mask
 from cellslam.slam.fastslam.state.lanes_kernel import columns_at
@@ -153,9 +153,9 @@ def _update(
             invert(w, out, z[k], 0.0)
             logarithm(w, bits)
             credit(w, v, out, z[k, 11], scene.share)
-            absorb(parts.clock, w, v, record, out)
-            correct_clock(parts.clock, w, record, out)
-            correct(parts, w, record, out)
+            absorb(w, out)
+            learn(parts.clock, w, v, record, out)
+            correct(w, record, out)
             updates += 1
             mine, name = association[k], ident[slot]
             for l in range(B):

@@ -16,7 +16,6 @@ from cellslam.slam.fastslam.state.layout import (
     LANES,
     LOW,
     O_A,
-    O_OFFSET,
     O_S,
     O_X,
     W_MASK,
@@ -87,7 +86,7 @@ def _compare(w: Rows, one: Rows, other: Rows, status: Rows, other_status: Rows) 
         x2, y2, z2, flat2, full2 = five_at(other, O_X, l)
         ahead = x1 * x2 + y1 * y2 > F(0.0)
         apart = Vec3(
-            full1 + one[O_OFFSET * B + l] - full2 - other[O_OFFSET * B + l],
+            full1 - full2,
             (x2 * y1 - x1 * y2) / (flat1 * flat2),
             (z1 * flat2 - z2 * flat1) / (full1 * full2),
         )

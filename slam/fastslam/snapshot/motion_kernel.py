@@ -20,7 +20,6 @@ from cellslam.slam.fastslam.state.layout import (
     POSE,
     POSE_G,
     SCALE,
-    W_OFFSET_PRIOR,
     W_P,
     W_POSE,
     W_ROT,
@@ -107,4 +106,3 @@ def load_site(w: Rows, state: Rows, site: int, size: int) -> None:
     for l in range(B):
         put(w, W_THETA, l, theta_at(state, site, size, l))
         put(w, W_P, l, covariance_at(state, site, size, l))
-        w[W_OFFSET_PRIOR * B + l] = w[W_P * B + l]

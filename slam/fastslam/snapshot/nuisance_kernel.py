@@ -15,7 +15,20 @@ from __future__ import annotations
 import math
 
 from cellslam.sim.compiling import njit
-from cellslam.slam.fastslam.state.layout import LANES, V_WEIGHT, V_Y, W_INFO, W_Y, Rows, sums_of
+from cellslam.slam.fastslam.state.lanes_kernel import mat_at, put_where, sym_at, vec_at
+from cellslam.slam.fastslam.state.layout import (
+    LANES,
+    O_A,
+    V_WEIGHT,
+    V_Y,
+    W_E,
+    W_INFO,
+    W_INV,
+    W_MASK,
+    W_Y,
+    Rows,
+    sums_of,
+)
 from cellslam.slam.fastslam.state.triangles_kernel import (
     Vec4,
     cholesky,
@@ -25,6 +38,7 @@ from cellslam.slam.fastslam.state.triangles_kernel import (
     triangle_at,
     vec4_at,
 )
+from cellslam.slam.model.matrices_kernel import mat_sym, mat_vec, sym_plus, sym_product, transposed, vec_plus
 
 B = LANES
 
@@ -34,6 +48,17 @@ def forget(w: Rows, v: Rows, size: int) -> None:
     """Set the weight, y, I and the link's sums to zero."""
     w[W_Y * B : (W_INFO + 6) * B] = 0.0
     v[: sums_of(size).cov * B] = 0.0
+
+
+@njit(cache=True, error_model="numpy")
+def absorb(w: Rows, out: Rows) -> None:
+    """Add A^T S^-1 e and A^T S^-1 A of the association at hand, where W_MASK is 1, to the link's sums."""
+    half = w.dtype.type(0.5)
+    for l in range(B):
+        on, a = w[W_MASK * B + l] > half, mat_at(out, O_A, l)
+        weighed = mat_sym(transposed(a), sym_at(w, W_INV, l))
+        put_where(w, W_Y, l, on, vec_plus(vec_at(w, W_Y, l), mat_vec(weighed, vec_at(w, W_E, l))))
+        put_where(w, W_INFO, l, on, sym_plus(sym_at(w, W_INFO, l), sym_product(weighed, a)))
 
 
 @njit(cache=True, error_model="numpy")

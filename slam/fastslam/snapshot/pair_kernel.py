@@ -17,10 +17,10 @@ from cellslam.slam.fastslam.state.layout import (
     O_C,
     O_FLAT,
     O_FULL,
-    O_OFFSET,
     O_S,
     O_X,
     O_Y,
+    W_B,
     W_D2,
     W_DET,
     W_E,
@@ -52,7 +52,7 @@ def reach(w: Rows, out: Rows, first: int) -> None:
     xr, yr, psi = out[O_X * B + first], out[O_Y * B + first], w[(W_POSE + 3) * B + first]
     flat_r = out[O_FLAT * B + first]
     for l in range(B):
-        w[W_REACH * B + l] = out[O_FULL * B + l] + out[O_OFFSET * B + l]
+        w[W_REACH * B + l] = out[O_FULL * B + l] + w[W_B * B + l]
         w[(W_REACH + 1) * B + l] = out[O_S * B + l] + out[O_C * B + l]
         w[(W_REACH + 3) * B + l] = out[(O_S + 3) * B + l] + out[(O_C + 3) * B + l]
     for l in range(B):
@@ -72,7 +72,7 @@ def innovate(w: Rows, out: Rows, z: Rows) -> None:
     d, ca, sa, ce, se, f0, f1, f2 = z[0], z[1], z[2], z[3], z[4], z[8], z[9], z[10]
     for l in range(B):
         x, y, zz, flat, full = five_at(out, O_X, l)
-        w[W_E * B + l] = f0 * (d - out[O_OFFSET * B + l] - full)
+        w[W_E * B + l] = f0 * (d - w[W_B * B + l] - full)
         w[(W_E + 1) * B + l] = f1 * _angle(F, sa * x - ca * y, flat + ca * x + sa * y, flat)
         w[(W_E + 2) * B + l] = f2 * _angle(F, se * flat - ce * zz, full + ce * flat + se * zz, full)
 

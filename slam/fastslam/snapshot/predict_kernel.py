@@ -9,8 +9,7 @@ import math
 from typing import Any
 
 from cellslam.sim.compiling import njit
-from cellslam.slam.fastslam.parts.clock import expect, widen
-from cellslam.slam.fastslam.parts.landmarks import moved, place, slopes
+from cellslam.slam.fastslam.parts.clock import refresh, widen
 from cellslam.slam.fastslam.parts.part_types import Parts
 from cellslam.slam.fastslam.state.lanes_kernel import columns_at, five_at, mat_at, put, sym_at, vec_at
 from cellslam.slam.fastslam.state.layout import (
@@ -22,19 +21,18 @@ from cellslam.slam.fastslam.state.layout import (
     O_C,
     O_H,
     O_MU,
-    O_OFFSET,
     O_S,
     O_X,
     SIGMA,
     THETA0,
-    W_BIAS,
     W_G,
     W_P,
     W_POSE,
     W_ROT,
-    W_SCALE,
+    W_THETA,
     Rows,
 )
+from cellslam.slam.fastslam.state.spherical_vt_kernel import moved, place, slopes
 from cellslam.slam.model.matrices_kernel import (
     Mat3,
     Vec3,
@@ -53,17 +51,16 @@ B = LANES
 def predict(parts: Parts, w: Rows, rec: Rows, out: Rows) -> None:
     """Predict a record: h, H, A, H Sigma H^T (O_S), C = A P A^T (docs/fastslam.md, step 2), lane by lane."""
     F = w.dtype.type
-    expect(parts.clock, parts.landmarks, w, rec, out)
+    refresh(parts.clock, w, rec)
     for l in range(B):
-        theta = Vec3(out[O_OFFSET * B + l], w[W_BIAS * B + l], w[W_SCALE * B + l])
         gain = mat_at(rec, GAIN, l)
         # mu + G (theta - theta0)
-        change = mat_vec(gain, vec_minus(theta, vec_at(rec, THETA0, l)))
-        mu = moved(parts.landmarks, F, five_at(rec, MU, l), change)
+        change = mat_vec(gain, vec_minus(vec_at(w, W_THETA, l), vec_at(rec, THETA0, l)))
+        mu = moved(F, five_at(rec, MU, l), change)
         put(out, O_MU, l, mu)
         # the VT from the body, q = R^T (v - r)
         rotation = mat_at(w, W_ROT, l)
-        away = vec_minus(place(parts.landmarks, F, vec_at(rec, ANCHOR, l), mu), vec_at(w, W_POSE, l))
+        away = vec_minus(place(vec_at(rec, ANCHOR, l), mu), vec_at(w, W_POSE, l))
         x, y, z = transposed_vec(rotation, away)
         flat2 = max(x * x + y * y, F(1e-6))
         full2 = flat2 + z * z
@@ -72,7 +69,7 @@ def predict(parts: Parts, w: Rows, rec: Rows, out: Rows) -> None:
         # M = dh/dq, V = dh/dv = M R^T, H = V dv/ds
         by_body = _slopes_in_body(F, x, y, z, flat2, flat, full)
         by_place = mat_mat(by_body, transposed(rotation))
-        h = mat_mat(by_place, slopes(parts.landmarks, F, mu))
+        h = mat_mat(by_place, slopes(F, mu))
         put(out, O_H, l, h)
         # A = H G + H_pose G_pose + e_d e_b^T; yaw turns about the world's z: (dR/dpsi)^T a = R^T (a_y, -a_x, 0)
         by_yaw = mat_vec(by_body, transposed_vec(rotation, Vec3(away.y, -away.x, F(0.0))))

@@ -8,11 +8,8 @@ import numpy as np
 
 from cellslam.sim.compiling import njit
 from cellslam.slam.fastslam.parts.criterion import LOG_2PI_3
-from cellslam.slam.fastslam.parts.landmarks import corrected
-from cellslam.slam.fastslam.parts.part_types import Parts
 from cellslam.slam.fastslam.state.lanes_kernel import five_at, mat_at, put, put_where, sym_at, vec_at
 from cellslam.slam.fastslam.state.layout import (
-    BIAS0,
     GAIN,
     HITS,
     LANES,
@@ -20,21 +17,19 @@ from cellslam.slam.fastslam.state.layout import (
     O_A,
     O_H,
     O_MU,
-    O_OFFSET,
     O_SCORE,
-    OFFSET0,
-    SCALE0,
     SIGMA,
+    THETA0,
     V_WEIGHT,
-    W_BIAS,
     W_D2,
     W_E,
     W_INV,
     W_LOG,
     W_MASK,
-    W_SCALE,
+    W_THETA,
     Rows,
 )
+from cellslam.slam.fastslam.state.spherical_vt_kernel import corrected
 from cellslam.slam.model.matrices_kernel import (
     mat_mat,
     mat_minus,
@@ -49,8 +44,8 @@ from cellslam.slam.model.matrices_kernel import (
 B = LANES
 
 
-@njit(error_model="numpy")
-def correct(parts: Parts, w: Rows, rec: Rows, out: Rows) -> None:
+@njit(cache=True, error_model="numpy")
+def correct(w: Rows, rec: Rows, out: Rows) -> None:
     """Update a record where W_MASK is 1: K = Sigma H^T S^-1, mu += K e, G -= K A, Sigma -= K H Sigma."""
     F = w.dtype.type
     for l in range(B):
@@ -58,16 +53,12 @@ def correct(parts: Parts, w: Rows, rec: Rows, out: Rows) -> None:
         sigma, h, a = sym_at(rec, SIGMA, l), mat_at(out, O_H, l), mat_at(out, O_A, l)
         t = mat_sym(h, sigma)
         k = scaled(mat_sym(transposed(t), sym_at(w, W_INV, l)), on)
-        mu = corrected(parts.landmarks, F, five_at(out, O_MU, l), mat_vec(k, vec_at(w, W_E, l)))
+        mu = corrected(F, five_at(out, O_MU, l), mat_vec(k, vec_at(w, W_E, l)))
         put_where(rec, MU, l, on > F(0.5), mu)
         put(rec, GAIN, l, mat_minus(mat_at(rec, GAIN, l), mat_mat(k, a)))
         put(rec, SIGMA, l, sym_minus(sigma, sym_product(k, t)))
         rec[HITS * B + l] += on
-        # theta0 is the present theta
-        old = F(1.0) - on
-        rec[OFFSET0 * B + l] = on * out[O_OFFSET * B + l] + old * rec[OFFSET0 * B + l]
-        rec[BIAS0 * B + l] = on * w[W_BIAS * B + l] + old * rec[BIAS0 * B + l]
-        rec[SCALE0 * B + l] = on * w[W_SCALE * B + l] + old * rec[SCALE0 * B + l]
+        put_where(rec, THETA0, l, on > F(0.5), vec_at(w, W_THETA, l))
 
 
 @njit(cache=True, error_model="numpy")

@@ -14,7 +14,6 @@ from numba import prange
 from cellslam.sim.compiling import njit
 from cellslam.sim.recording import Floats, Ints
 from cellslam.slam.fastslam.parts.clock import offset_belief
-from cellslam.slam.fastslam.parts.landmarks import locate
 from cellslam.slam.fastslam.parts.part_types import Parts, cached_and_not
 from cellslam.slam.fastslam.running.prefetch import prefetch_column
 from cellslam.slam.fastslam.state.lanes_kernel import covariance_at, mat_at, sym_at, theta_at, vec_at
@@ -30,6 +29,7 @@ from cellslam.slam.fastslam.state.layout import (
     Blocks,
     Tracks,
 )
+from cellslam.slam.fastslam.state.spherical_vt_kernel import locate
 from cellslam.slam.fastslam.state.tracks_kernel import UNKNOWN, link_of
 from cellslam.slam.model.matrices_kernel import Sym3, Vec3, congruence, sym_plus, vec_minus
 
@@ -147,11 +147,11 @@ def _read_map(
             if s < 0 or s & 3 < least:
                 continue
             rec = tracks.records[block, number, slot]
-            offset, variance, shared = offset_belief(parts.clock, rec, lane, state, size, site)
-            own = Sym3(variance, shared * p.xy, shared * p.xz, p.yy, p.yz, p.zz)
+            offset, variance = offset_belief(parts.clock, rec, lane, state, size, site)
+            own = Sym3(variance, p.xy, p.xz, p.yy, p.yz, p.zz)
             spread = sym_plus(congruence(mat_at(rec, GAIN, lane), own), sym_at(rec, SIGMA, lane))
             change = vec_minus(Vec3(offset, theta.y, theta.z), vec_at(rec, THETA0, lane))
-            place, jacobian = locate(parts.landmarks, rec, lane, change)
+            place, jacobian = locate(rec, lane, change)
             c = congruence(jacobian, spread)
             covariance[n].ravel()[:] = (c.xx, c.xy, c.xz, c.xy, c.yy, c.yz, c.xz, c.yz, c.zz)
             position[n] = (place.x + origin[0], place.y + origin[1], place.z + origin[2])

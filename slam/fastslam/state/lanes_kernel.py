@@ -25,7 +25,7 @@ def vec_at(rows: Rows, first: int, l: int) -> Vec3:
 
 @njit(error_model="numpy")
 def five_at(rows: Rows, first: int, l: int) -> Five:
-    """Return the five numbers of a mean (see `parts.landmarks`)."""
+    """Return the five numbers of a mean (see `spherical_vt_kernel`)."""
     return (
         rows[first * B + l], rows[(first + 1) * B + l], rows[(first + 2) * B + l],
         rows[(first + 3) * B + l], rows[(first + 4) * B + l],

@@ -46,17 +46,11 @@ class Layout:
         return accumulate(self.sizes.values(), initial=self.first)
 
 
-# A track's record: rows of LANES. MU: five numbers (see `landmarks`); SIGMA: 00 01 02 11 12 22; GAIN: G, row by row.
-RECORD_LAYOUT = Layout(ANCHOR=3, MU=5, SIGMA=6, GAIN=9, OFFSET0=1, BIAS0=1, SCALE0=1, HITS=1)
-ANCHOR, MU, SIGMA, GAIN, OFFSET0, BIAS0, SCALE0, HITS, RECORD = RECORD_LAYOUT
-THETA0 = OFFSET0  # offset, bias and scale together
-# Where a VT is kept in spherical coordinates, MU is made up of:
-SPHERICAL_LAYOUT = Layout(MU, RANGE=1, CA=1, SA=1, CE=1, SE=1)
-RANGE, CA, SA, CE, SE, _ = SPHERICAL_LAYOUT
-# Where each VT has a clock offset of its own, a record goes on with its mean and variance:
-OWN_LAYOUT = Layout(RECORD, OWN_OFFSET=1, OWN_VARIANCE=1)
-OWN_OFFSET, OWN_VARIANCE, RECORD_WITH_OFFSET = OWN_LAYOUT
-# Where clocks drift, with this (see `drifting_clock`):
+# A track's record: rows of LANES. MU: range, cosine and sine of azimuth and of elevation; SIGMA: 00 01 02 11 12 22;
+# GAIN: G, row by row; THETA0: offset, bias and scale.
+RECORD_LAYOUT = Layout(ANCHOR=3, MU=5, SIGMA=6, GAIN=9, THETA0=3, HITS=1)
+ANCHOR, MU, SIGMA, GAIN, THETA0, HITS, RECORD = RECORD_LAYOUT
+# Where clocks drift, a record goes on (see `clock`):
 RATE_LAYOUT = Layout(RECORD, RATE_GAIN=3, RATE0=1, TIME0=1)
 RATE_GAIN, RATE0, TIME0, RECORD_WITH_RATE = RATE_LAYOUT
 
@@ -77,28 +71,26 @@ OUT_LAYOUT = Layout(
     O_X=1, O_Y=1, O_Z=1, O_FLAT=1, O_FULL=1,  # VT in the body frame
     O_MU=5,  # mu at the present theta
     O_SCORE=1,  # log of visible and detected against missed, less log clutter density
-    O_OFFSET=1,  # clock offset that distances are expected with
     O_AR=3,  # dh/d(rate) over all paths, where clocks drift
 )  # fmt: skip
-O_H, O_A, O_S, O_C, O_X, O_Y, O_Z, O_FLAT, O_FULL, O_MU, O_SCORE, O_OFFSET, O_AR, OUT = OUT_LAYOUT
+O_H, O_A, O_S, O_C, O_X, O_Y, O_Z, O_FLAT, O_FULL, O_MU, O_SCORE, O_AR, OUT = OUT_LAYOUT
 
 # Scratch W: rows of LANES.
 W_LAYOUT = Layout(
     W_POSE=6, W_G=6, W_ROT=9,  # pose, its sensitivity as POSE_G, rotation
-    W_B=1, W_BIAS=1, W_SCALE=1, W_P=6,  # nuisance mean, and its covariance for this site
+    W_THETA=3, W_P=6,  # mean of offset, bias and scale, and its covariance, for this site
     W_E=3, W_D2=1, W_DET=1, W_SCORE=1, W_MASK=1, W_INV=6,  # one pair: e, e^T S^-1 e, det S, S^-1
     W_LOG=1, W_EXPONENT=1,  # its log det S
     W_REACH=4,  # expected distance and its variance, azimuth against the first lane and its variance
     W_Y=3, W_INFO=6,  # y and I of the link at hand, over (offset, bias, scale)
-    W_OFFSET_PRIOR=1,  # variance of the site's offset, as it was loaded
     W_RATE=1, W_PR=4,  # where clocks drift: mean of the rate, its covariances with itself, offset, bias and scale
     W_SITE=1,  # number of the site, in the first lane
 )  # fmt: skip
 (
-    W_POSE, W_G, W_ROT, W_B, W_BIAS, W_SCALE, W_P, W_E, W_D2, W_DET, W_SCORE, W_MASK, W_INV, W_LOG, W_EXPONENT,
-    W_REACH, W_Y, W_INFO, W_OFFSET_PRIOR, W_RATE, W_PR, W_SITE, W_ROWS,
+    W_POSE, W_G, W_ROT, W_THETA, W_P, W_E, W_D2, W_DET, W_SCORE, W_MASK, W_INV, W_LOG, W_EXPONENT,
+    W_REACH, W_Y, W_INFO, W_RATE, W_PR, W_SITE, W_ROWS,
 ) = W_LAYOUT  # fmt: skip
-W_THETA = W_B  # offset, bias and scale together
+W_B = W_THETA  # the offset alone
 # At births the rows of a pair hold what a lane takes for distance, cos and sin of azimuth, and variance of range:
 GUESS_LAYOUT = Layout(W_E, W_GUESS=4)
 W_GUESS, _ = GUESS_LAYOUT

@@ -1,50 +1,28 @@
 """The marginalised nuisances against one joint Kalman filter, in a linear world where both are exact."""
 
 import numpy as np
-from numba import njit
 
-from cellslam.slam.fastslam.fastslam_options import FastSlamOptions
-from cellslam.slam.fastslam.parts.choice import chosen
-from cellslam.slam.fastslam.parts.clock import absorb
 from cellslam.slam.fastslam.snapshot import nuisance_kernel, pair_kernel, update_kernel
 from cellslam.slam.fastslam.state.layout import (
-    BIAS0,
-    CA,
-    CE,
     GAIN,
     LANES,
     MU,
     O_A,
     O_H,
     O_MU,
-    O_OFFSET,
     O_S,
-    OFFSET0,
     OUT,
-    RANGE,
-    SA,
-    SCALE0,
-    SE,
     SIGMA,
+    THETA0,
     V_WEIGHT,
-    W_B,
-    W_BIAS,
     W_E,
     W_MASK,
     W_ROWS,
-    W_SCALE,
+    W_THETA,
     sums_of,
 )
 
 UPPER = np.triu_indices(3)
-PARTS = chosen(FastSlamOptions()).parts
-
-
-@njit
-def absorbed(parts, w, v, record, out):
-    absorb(parts.clock, w, v, record, out)
-
-
 LOG_2PI = np.log(2 * np.pi)
 
 
@@ -70,11 +48,10 @@ def test_marginalised_offset_bias_and_scale_agree_with_a_joint_filter():
         sigma, gain = root @ root.T, rng.normal(size=(3, 3)) * [[1, 5, 5], [0.01, 0.5, 0.5], [0.01, 0.5, 0.5]]
         mean = np.array([rng.uniform(50, 90), rng.uniform(-0.3, 0.3), rng.uniform(-0.2, 0.2)])
         record = np.zeros(27 * LANES)
-        row(record, RANGE, mean[0])
-        row(record, CA, [np.cos(mean[1]), np.sin(mean[1]), np.cos(mean[2]), np.sin(mean[2])])
+        row(record, MU, [mean[0], np.cos(mean[1]), np.sin(mean[1]), np.cos(mean[2]), np.sin(mean[2])])
         row(record, SIGMA, sigma[UPPER])
         row(record, GAIN, gain.ravel())
-        row(record, OFFSET0, theta)
+        row(record, THETA0, theta)
         records.append(record)
         joint_mean.append(mean)
         blocks.append((sigma, gain))
@@ -90,7 +67,7 @@ def test_marginalised_offset_bias_and_scale_agree_with_a_joint_filter():
     for _ in range(40):
         nuisance_kernel.forget(w, v, size)
         rows_all, residuals = [], []
-        row(w, W_B, theta)
+        row(w, W_THETA, theta)
         for i, record in enumerate(records):
             h = np.eye(3) + rng.normal(size=(3, 3)) * [[0.1, 10, 10], [1e-3, 0.1, 0.1], [1e-3, 0.1, 0.1]]
             extra = rng.normal(size=(3, 3)) * [[0, 5, 5], [0, 0.1, 0.1], [0, 0.1, 0.1]]
@@ -104,13 +81,12 @@ def test_marginalised_offset_bias_and_scale_agree_with_a_joint_filter():
             sigma = np.zeros((3, 3))
             sigma[UPPER] = read(record, SIGMA, 6)
             sigma = sigma + sigma.T - np.diag(np.diag(sigma))
-            c = read(record, CA, 4)
-            mu = np.array([read(record, RANGE, 1)[0], np.arctan2(c[1], c[0]), np.arctan2(c[3], c[2])])
-            mu = mu + gain @ (theta - read(record, OFFSET0, 3))
+            c = read(record, MU, 5)
+            mu = np.array([c[0], np.arctan2(c[2], c[1]), np.arctan2(c[4], c[3])])
+            mu = mu + gain @ (theta - read(record, THETA0, 3))
             row(out, O_H, h.ravel())
             row(out, O_A, (h @ gain + extra).ravel())
             row(out, O_S, (h @ sigma @ h.T)[UPPER])
-            row(out, O_OFFSET, theta[0])
             row(out, O_MU, [mu[0], np.cos(mu[1]), np.sin(mu[1]), np.cos(mu[2]), np.sin(mu[2])])
             row(w, W_E, z - h @ mu - extra @ theta)
             row(w, W_MASK, 1.0)
@@ -118,8 +94,8 @@ def test_marginalised_offset_bias_and_scale_agree_with_a_joint_filter():
             pair_kernel.invert(w, out, numbers, 0.0)
             pair_kernel.logarithm(w, w.view(np.int64))
             update_kernel.credit(w, v, out, 0.0, 1.0)
-            absorbed(PARTS, w, v, record, out)
-            update_kernel.correct(PARTS, w, record, out)
+            nuisance_kernel.absorb(w, out)
+            update_kernel.correct(w, record, out)
         nuisance_kernel.collect(w, v, 0, size)
         at = sums_of(size)
         row(v, at.cov, p.ravel())
@@ -137,9 +113,9 @@ def test_marginalised_offset_bias_and_scale_agree_with_a_joint_filter():
     assert np.allclose(p, cov[:3, :3], rtol=1e-8, atol=1e-11)
     assert abs(found - evidence) < 1e-7
     for i, record in enumerate(records):
-        c, gain = read(record, CA, 4), read(record, GAIN, 9).reshape(3, 3)
-        mu = np.array([read(record, RANGE, 1)[0], np.arctan2(c[1], c[0]), np.arctan2(c[3], c[2])])
-        mu = mu + gain @ (theta - read(record, OFFSET0, 3))
+        c, gain = read(record, MU, 5), read(record, GAIN, 9).reshape(3, 3)
+        mu = np.array([c[0], np.arctan2(c[2], c[1]), np.arctan2(c[4], c[3])])
+        mu = mu + gain @ (theta - read(record, THETA0, 3))
         assert np.allclose(mu, mean_all[3 + 3 * i : 6 + 3 * i], rtol=1e-9, atol=1e-9)
         sigma = np.zeros((3, 3))
         sigma[UPPER] = read(record, SIGMA, 6)
@@ -147,12 +123,3 @@ def test_marginalised_offset_bias_and_scale_agree_with_a_joint_filter():
         assert np.allclose(
             sigma + gain @ p @ gain.T, cov[3 + 3 * i : 6 + 3 * i, 3 + 3 * i : 6 + 3 * i], rtol=1e-7, atol=1e-11
         )
-
-
-def test_layout_keeps_the_rows_that_are_filled_together():
-    """The test above writes neighbouring rows in one go; the kernels rely on the same order."""
-    assert MU == RANGE
-    assert (CA + 1, CA + 2, CA + 3) == (SA, CE, SE)
-    assert (OFFSET0 + 1, OFFSET0 + 2) == (BIAS0, SCALE0)
-    assert (W_B + 1, W_B + 2) == (W_BIAS, W_SCALE)
-    assert W_MASK > W_E + 2

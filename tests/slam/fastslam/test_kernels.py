@@ -9,27 +9,18 @@ from cellslam.slam.fastslam.parts.choice import chosen
 from cellslam.slam.fastslam.snapshot import nuisance_kernel, pair_kernel, predict_kernel, update_kernel
 from cellslam.slam.fastslam.state.layout import (
     ANCHOR,
-    BIAS0,
-    CA,
-    CE,
     GAIN,
     LANES,
     MU,
     O_A,
     O_H,
     O_S,
-    OFFSET0,
     OUT,
-    RANGE,
     RECORD,
-    SA,
-    SCALE0,
-    SE,
     SIGMA,
+    THETA0,
     V_WEIGHT,
     V_Y,
-    W_B,
-    W_BIAS,
     W_D2,
     W_DET,
     W_E,
@@ -40,13 +31,12 @@ from cellslam.slam.fastslam.state.layout import (
     W_POSE,
     W_ROT,
     W_ROWS,
-    W_SCALE,
+    W_THETA,
     sums_of,
 )
 from cellslam.slam.model.measurement_model import predict as h
 
 PARTS = chosen(FastSlamOptions()).parts
-CARTESIAN = chosen(FastSlamOptions(landmarks="cartesian")).parts
 
 
 class Lanes:
@@ -95,55 +85,39 @@ def scene(seed: int) -> tuple[Lanes, dict[str, np.ndarray]]:
     lanes.set("w", W_POSE, pose)
     lanes.set("w", W_G, parts["pose_g"])
     lanes.set("w", W_ROT, r.reshape(LANES, 9))
-    for row, column in zip((W_B, W_BIAS, W_SCALE), parts["theta"].T, strict=True):
-        lanes.set("w", row, column[:, None])
-    for row, column in zip((OFFSET0, BIAS0, SCALE0), parts["theta"].T, strict=True):
-        lanes.set("rec", row, column[:, None])
+    lanes.set("w", W_THETA, parts["theta"])
+    lanes.set("rec", THETA0, parts["theta"])
     lanes.set("w", W_P, theta_cov[:, *upper])
     lanes.set("rec", ANCHOR, parts["anchor"])
-    lanes.set("rec", RANGE, parts["range"][:, None])
     az, el = parts["az"], parts["el"]
-    lanes.set("rec", CA, np.column_stack([np.cos(az), np.sin(az), np.cos(el), np.sin(el)]))
+    lanes.set("rec", MU, np.column_stack([parts["range"], np.cos(az), np.sin(az), np.cos(el), np.sin(el)]))
     lanes.set("rec", SIGMA, spread[:, *upper])
     lanes.set("rec", GAIN, parts["gain"].reshape(LANES, 9))
     return lanes, parts
 
 
-def measured(parts, ds, dtheta, lane, cartesian=False):
+def measured(parts, ds, dtheta, lane):
     """Return h + offset of one lane for a VT displaced by ds and nuisances changed by dtheta."""
     p = parts
     g = p["pose_g"][lane].reshape(3, 2)
     pose = p["pose"][lane].copy()
     pose[[0, 1, 3]] += g @ dtheta[1:]
-    s = np.array([p["range"][lane], p["az"][lane], p["el"][lane]])
-    change = ds + p["gain"][lane] @ dtheta
-    if cartesian:
-        vt = p["anchor"][lane] + s[0] * unit_vector(s[1], s[2]) + change
-    else:
-        s = s + change
-        vt = p["anchor"][lane] + s[0] * unit_vector(s[1], s[2])
+    s = np.array([p["range"][lane], p["az"][lane], p["el"][lane]]) + ds + p["gain"][lane] @ dtheta
+    vt = p["anchor"][lane] + s[0] * unit_vector(s[1], s[2])
     return h(pose, vt) + np.array([p["theta"][lane, 0] + dtheta[0], 0, 0])
 
 
-@pytest.mark.parametrize("cartesian", [False, True])
-def test_prediction_has_the_derivatives_of_the_model(cartesian):
+def test_prediction_has_the_derivatives_of_the_model():
     lanes, parts = scene(1)
-    if cartesian:
-        n = unit_vector(parts["az"], parts["el"])
-        lanes.set("rec", MU, parts["anchor"] + parts["range"][:, None] * n)
-    predict_kernel.predict(CARTESIAN if cartesian else PARTS, lanes.w, lanes.rec, lanes.out)
+    predict_kernel.predict(PARTS, lanes.w, lanes.rec, lanes.out)
     hs = lanes.get("out", O_H, 9).reshape(LANES, 3, 3)
     a = lanes.get("out", O_A, 9).reshape(LANES, 3, 3)
     for lane in range(LANES):
         for c in range(3):
             step, zero = np.zeros(3), np.zeros(3)
             step[c] = (1e-3, 1e-6, 1e-6)[c]
-            by_s = (measured(parts, step, zero, lane, cartesian) - measured(parts, -step, zero, lane, cartesian)) / (
-                2 * step[c]
-            )
-            by_theta = (
-                measured(parts, zero, step, lane, cartesian) - measured(parts, zero, -step, lane, cartesian)
-            ) / (2 * step[c])
+            by_s = (measured(parts, step, zero, lane) - measured(parts, -step, zero, lane)) / (2 * step[c])
+            by_theta = (measured(parts, zero, step, lane) - measured(parts, zero, -step, lane)) / (2 * step[c])
             assert np.allclose(hs[lane, :, c], by_s, rtol=1e-5, atol=1e-7)
             assert np.allclose(a[lane, :, c], by_theta, rtol=2e-5, atol=1e-6)
     upper = np.triu_indices(3)
@@ -189,15 +163,14 @@ def test_correction_is_the_kalman_update_and_leaves_masked_lanes_alone():
     lanes.set("w", W_MASK, mask[:, None])
     before = lanes.get("rec", 0, 27)
     e, a = lanes.get("w", W_E, 3), lanes.get("out", O_A, 9).reshape(LANES, 3, 3)
-    update_kernel.correct(PARTS, lanes.w, lanes.rec, lanes.out)
+    update_kernel.correct(lanes.w, lanes.rec, lanes.out)
     after = lanes.get("rec", 0, 27)
     assert np.array_equal(after[::2], before[::2])
     s = hs @ parts["sigma"] @ np.swapaxes(hs, 1, 2) + np.diag(z[5:8])
     k = parts["sigma"] @ np.swapaxes(hs, 1, 2) @ np.linalg.inv(s)
     mean = np.column_stack([parts["range"], parts["az"], parts["el"]]) + np.einsum("lij,lj->li", k, e)
-    got = np.column_stack(
-        [after[:, RANGE], np.arctan2(after[:, SA], after[:, CA]), np.arctan2(after[:, SE], after[:, CE])]
-    )
+    rho, ca, sa, ce, se = after[:, MU : MU + 5].T
+    got = np.column_stack([rho, np.arctan2(sa, ca), np.arctan2(se, ce)])
     assert np.allclose(got[1::2], mean[1::2], rtol=1e-9, atol=1e-9)
     sigma = parts["sigma"] - k @ hs @ parts["sigma"]
     assert np.allclose(after[1::2, SIGMA : SIGMA + 6], sigma[1::2][:, *np.triu_indices(3)], rtol=1e-7, atol=1e-12)

@@ -10,8 +10,8 @@ from cellslam.slam.fastslam.state import layout
 from cellslam.slam.fastslam.state.layout import Layout, sums_of
 
 WHOLE = {"RECORD_LAYOUT": "RECORD", "STATE_LAYOUT": "THETA", "OUT_LAYOUT": "OUT", "W_LAYOUT": "W_ROWS"}
-LONGER = {"OWN_LAYOUT": "RECORD_WITH_OFFSET", "RATE_LAYOUT": "RECORD_WITH_RATE"}  # records go on
-SHARED = {"SPHERICAL_LAYOUT": ("RECORD_LAYOUT", "MU"), "GUESS_LAYOUT": ("W_LAYOUT", "W_E")}  # in rows of another's
+LONGER = {"RATE_LAYOUT": "RECORD_WITH_RATE"}  # records go on
+SHARED = {"GUESS_LAYOUT": ("W_LAYOUT", "W_E")}  # in rows of another's
 
 
 def faults(name: str) -> list[str]:
@@ -35,11 +35,10 @@ def test_fields_follow_one_another(name: str) -> None:
 
 
 def test_what_shares_rows_does_so_within_those_it_is_said_to() -> None:
-    """Spherical coordinates are all of MU; a guess takes the place of a pair's innovation and its distance."""
+    """A guess takes the place of a pair's innovation and its distance."""
     for name, (whole, field) in SHARED.items():
         assert getattr(layout, name).first == getattr(layout, field)
         assert field in getattr(layout, whole).sizes
-    assert sum(layout.SPHERICAL_LAYOUT.sizes.values()) == layout.RECORD_LAYOUT.sizes["MU"]
     assert layout.W_GUESS + layout.GUESS_LAYOUT.sizes["W_GUESS"] <= layout.W_DET
     assert layout.LONG < layout.BOUND
 

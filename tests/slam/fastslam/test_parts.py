@@ -9,54 +9,26 @@ from typing import NamedTuple
 import numpy as np
 import pytest
 from numba import njit
-from numba.extending import overload
 
 from cellslam.slam.fastslam.fastslam import FastSlam
 from cellslam.slam.fastslam.fastslam_options import FastSlamOptions
 from cellslam.slam.fastslam.parts.association import (
     FromTruth,
     Hungarian,
-    Nearest,
     Sampled,
     associate,
     hashed,
+    may_be_born,
     take_best,
 )
 from cellslam.slam.fastslam.parts.choice import chosen
-from cellslam.slam.fastslam.parts.clock import OfVt, absorb, begin_offset, expect
-from cellslam.slam.fastslam.parts.landmarks import Cartesian
 from cellslam.slam.fastslam.parts.murty_kernel import best_assignments, murty
+from cellslam.slam.fastslam.parts.part_types import variant
 from cellslam.slam.fastslam.parts.proposal import FromMeasurements, FromMotion
-from cellslam.slam.fastslam.snapshot import nuisance_kernel, pair_kernel, update_kernel
-from cellslam.slam.fastslam.state.layout import (
-    BOUND,
-    GAIN,
-    LANES,
-    MU,
-    O_A,
-    O_H,
-    O_MU,
-    O_S,
-    OFFSET0,
-    OUT,
-    OWN_OFFSET,
-    OWN_VARIANCE,
-    RECORD_WITH_OFFSET,
-    SIGMA,
-    V_WEIGHT,
-    W_B,
-    W_E,
-    W_MASK,
-    W_OFFSET_PRIOR,
-    W_ROWS,
-    Link,
-    Scratch,
-    sums_of,
-)
+from cellslam.slam.fastslam.state.layout import BOUND, LANES, OUT, V_WEIGHT, W_ROWS, Link, Scratch, sums_of
 from cellslam.slam.fastslam.state.particles import draw
 from cellslam.slam.model.assignment_kernel import LEFT_OUT
 
-from .test_exact import UPPER, read, row
 from .test_fastslam import VTS, drive, make_setup, make_snapshot
 
 
@@ -100,6 +72,11 @@ def test_draws_are_as_probable_as_their_scores_say():
 
 
 @njit
+def born(part, k):
+    return may_be_born(part, k)
+
+
+@njit
 def associated(part, s, found, measured, link):
     associate(part, s, found, 0, measured, link, 7, 1.0)
 
@@ -123,13 +100,11 @@ def link_of(tracks: int) -> Link:
     )  # fmt: skip
 
 
-def test_hungarian_is_best_nearest_takes_the_best_pair_first():
+def test_hungarian_does_not_take_the_best_pair_first():
     """The best pair leaves the other measurement a bad one: together the others are worth more."""
-    scores = np.array([[5.0, 4.0], [4.5, 0.5]])
-    for part, rows in ((Hungarian(), [1, 0]), (Nearest(), [0, 1])):
-        s = scratch(scores)
-        associated(part, s, 2, 2, link_of(2))
-        assert s.row_of.tolist() == [[rows[0]] * LANES, [rows[1]] * LANES]
+    s = scratch(np.array([[5.0, 4.0], [4.5, 0.5]]))
+    associated(Hungarian(), s, 2, 2, link_of(2))
+    assert s.row_of.tolist() == [[1] * LANES, [0] * LANES]
 
 
 def test_sampled_association_corrects_the_weight_by_the_chance_of_the_draw():
@@ -150,76 +125,7 @@ def test_told_association_is_the_truth():
     s = scratch(np.full((3, 3), -1.0))
     associated(first, s, 3, 3, link_of(3))
     assert s.row_of[:, 0].tolist() == [0, -1, 2]
-
-
-@njit
-def expected_with(part, w, rec, out):
-    expect(part, Cartesian(), w, rec, out)
-
-
-@njit
-def begun(part, w, rec):
-    begin_offset(part, w, rec)
-
-
-@njit
-def absorbed(part, w, v, rec, out):
-    absorb(part, w, v, rec, out)
-
-
-def test_an_offset_of_its_own_is_a_fourth_state():
-    """One Cartesian VT, its offset its own, in a linear world: as one Kalman filter of four states."""
-    rng = np.random.default_rng(2)
-    parts = chosen(FastSlamOptions(landmarks="cartesian", clock="per-vt")).parts
-    w, out, v = np.zeros(W_ROWS * LANES), np.zeros(OUT * LANES), np.zeros(sums_of(3).rows * LANES)
-    rec = np.zeros(RECORD_WITH_OFFSET * LANES)
-    mean, cov = np.array([40.0, -20.0, 10.0, 3.0]), np.diag([4.0, 9.0, 2.0, 25.0])
-    gain = rng.normal(size=3)
-    cov[:3, :3] += 25.0 * np.outer(gain, gain)
-    cov[:3, 3] = cov[3, :3] = 25.0 * gain
-    row(w, W_B, 3.0)
-    row(w, W_OFFSET_PRIOR, 25.0)
-    row(w, W_MASK, 1.0)
-    begun(OfVt(), w, rec)
-    row(rec, OFFSET0, 3.0)
-    row(rec, MU, [40.0, -20.0, 10.0, 0.0, 0.0])
-    row(rec, SIGMA, np.diag([4.0, 9.0, 2.0])[UPPER])
-    row(rec, GAIN, np.column_stack([gain, np.zeros((3, 2))]).ravel())
-    q, evidence = np.array([0.3, 0.2, 0.4]), 0.0
-    for _ in range(20):
-        h = np.eye(3) + 0.3 * rng.normal(size=(3, 3))
-        full = np.column_stack([h, [1.0, 0.0, 0.0]])
-        e = full @ rng.normal(size=4)
-        nuisance_kernel.forget(w, v, 3)
-        expected_with(OfVt(), w, rec, out)
-        gain = read(rec, GAIN, 9).reshape(3, 3)
-        sigma = np.zeros((3, 3))
-        sigma[UPPER] = read(rec, SIGMA, 6)
-        sigma = sigma + np.triu(sigma, 1).T
-        row(out, O_H, h.ravel())
-        row(out, O_A, (h @ gain + np.array([[1, 0, 0], [0, 0, 0], [0, 0, 0]])).ravel())
-        row(out, O_S, (h @ sigma @ h.T)[UPPER])
-        moved = gain[:, 0] * (read(rec, OWN_OFFSET, 1)[0] - read(rec, OFFSET0, 1)[0])
-        row(out, O_MU, np.append(read(rec, MU, 3) + moved, [0.0, 0.0]))
-        row(w, W_E, e)
-        numbers = np.array([0, 1, 0, 1, 0, *q, 1, 1, 1, 0.0])
-        pair_kernel.invert(w, out, numbers, 0.0)
-        pair_kernel.logarithm(w, w.view(np.int64))
-        update_kernel.credit(w, v, out, 0.0, 1.0)
-        absorbed(OfVt(), w, v, rec, out)
-        update_kernel.correct(parts, w, rec, out)
-        s = full @ cov @ full.T + np.diag(q)
-        k = cov @ full.T @ np.linalg.inv(s)
-        evidence = -0.5 * (e @ np.linalg.solve(s, e) + np.linalg.slogdet(s)[1] + 3 * np.log(2 * np.pi))
-        mean, cov = mean + k @ e, cov - k @ s @ k.T
-        assert read(v, V_WEIGHT, 1)[0] == pytest.approx(evidence, abs=1e-6)
-    offset, variance = read(rec, OWN_OFFSET, 1)[0], read(rec, OWN_VARIANCE, 1)[0]
-    assert (offset, variance) == pytest.approx((mean[3], cov[3, 3]), rel=1e-9)
-    gain = read(rec, GAIN, 9).reshape(3, 3)[:, 0]
-    assert np.allclose(read(rec, MU, 3) + gain * (offset - read(rec, OFFSET0, 1)[0]), mean[:3], atol=1e-9)
-    sigma[UPPER] = read(rec, SIGMA, 6)
-    sigma = np.triu(sigma) + np.triu(sigma, 1).T
-    assert np.allclose(sigma + variance * np.outer(gain, gain), cov[:3, :3], atol=1e-9)
+    assert [born(first, k) for k in range(3)] == [True, False, True]
 
 
 def test_noise_is_drawn_from_its_posterior_and_the_weight_takes_prior_over_proposal():
@@ -253,28 +159,20 @@ class FirstCome(NamedTuple):
     """An association of one's own: each measurement takes the track it likes best, whoever has it already."""
 
 
-@overload(associate, jit_options={"error_model": "numpy"})
+@variant(associate, FirstCome)
 def _first_come(part, s, found, first, measured, link, turn, share):
-    if getattr(part, "instance_class", None) is not FirstCome:
-        return None
+    take_best(s, found, measured)
 
-    def implementation(part, s, found, first, measured, link, turn, share):
-        take_best(s, found, measured)
 
-    return implementation
+def test_what_a_part_has_no_variant_of_is_as_by_default():
+    s = scratch(np.array([[5.0, 4.0], [4.5, 0.5]]))
+    associated(FirstCome(), s, 2, 2, link_of(2))
+    assert s.row_of.tolist() == [[0] * LANES, [0] * LANES]
+    assert born(FirstCome(), 0)
 
 
 VARIANTS = {
-    "sampled, Cartesian, an offset each, from measurements": (
-        {
-            "association": "sampled",
-            "landmarks": "cartesian",
-            "clock": "per-vt",
-            "proposal": "measurements",
-            "motion": "sampled",
-        },
-        {},
-    ),
+    "sampled, from measurements": ({"association": "sampled", "proposal": "measurements", "motion": "sampled"}, {}),
     "own object, bare distance, shared": (
         {"criterion": "mahalanobis", "sharing": "none", "clock": "sampled"},
         {"association": FirstCome()},
@@ -306,7 +204,7 @@ def test_filter_works_with_other_parts(variant):
 
 def test_parts_are_named_and_pickle():
     with pytest.raises(TypeError, match="no part 'asociation'"):
-        FastSlam(asociation=Nearest())
-    options = FastSlamOptions(association="nearest", landmarks="cartesian", proposal="measurements")
+        FastSlam(asociation=Hungarian())
+    options = FastSlamOptions(association="sampled", criterion="mahalanobis", proposal="measurements")
     copy = pickle.loads(pickle.dumps(FastSlam(options, association=Hungarian())))
     assert copy.choice.parts == chosen(options).parts._replace(association=Hungarian())
