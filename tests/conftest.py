@@ -1,5 +1,7 @@
 from __future__ import annotations
 
+import subprocess
+import sys
 from collections.abc import Callable
 
 import numpy as np
@@ -73,3 +75,15 @@ def make_toy_recording(snapshots: int = 40, seed: int = 0, truth: bool = True) -
 @pytest.fixture
 def toy_recording() -> Callable[..., Recording]:
     return make_toy_recording
+
+
+def pytest_sessionstart(session: pytest.Session) -> None:
+    """Compile the filters once, each in a process of its own, before the workers of a whole suite all begin to."""
+    config = session.config
+    if hasattr(config, "workerinput") or config.args_source is not config.ArgsSource.TESTPATHS:
+        return
+    ahead = "from cellslam.slam.registry import resolve; [resolve(name)().warm_up() for name in {names!r}]"
+    filters = (("fastslam",), ("ekf-slam", "bp-slam"))
+    started = [subprocess.Popen([sys.executable, "-P", "-c", ahead.format(names=names)]) for names in filters]
+    for process in started:
+        assert process.wait() == 0
