@@ -77,13 +77,16 @@ def toy_recording() -> Callable[..., Recording]:
     return make_toy_recording
 
 
+WORLD = "from cellslam.benchmarks.bound.cramer_rao import bound; import cellslam; bound(cellslam.simulate('tiny'))"
+FILTER = "from cellslam.slam.registry import resolve; resolve({!r})().warm_up()"
+
+
 def pytest_sessionstart(session: pytest.Session) -> None:
-    """Compile the filters once, each in a process of its own, before the workers of a whole suite all begin to."""
+    """Compile worlds and filters once, in two processes, before the workers of a whole suite all begin to."""
     config = session.config
     if hasattr(config, "workerinput") or config.args_source is not config.ArgsSource.TESTPATHS:
         return
-    ahead = "from cellslam.slam.registry import resolve; [resolve(name)().warm_up() for name in {names!r}]"
-    filters = (("fastslam",), ("ekf-slam", "bp-slam"))
-    started = [subprocess.Popen([sys.executable, "-P", "-c", ahead.format(names=names)]) for names in filters]
+    parts = ((FILTER.format("fastslam"), WORLD), (FILTER.format("ekf-slam"), FILTER.format("bp-slam")))
+    started = [subprocess.Popen([sys.executable, "-P", "-c", "\n".join(part)]) for part in parts]
     for process in started:
         assert process.wait() == 0

@@ -60,7 +60,7 @@ def place(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 @pytest.fixture
 def guests() -> Iterator[Guests]:
-    with Guests(Limits(4.0, int(1.5 * GIB)), one_thread=True) as opened:
+    with Guests(Limits(2.5, int(1.5 * GIB)), one_thread=True) as opened:
         yield opened
 
 
