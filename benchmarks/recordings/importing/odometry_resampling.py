@@ -13,7 +13,8 @@ from cellslam.sim.frames import mean_velocity, rotation
 from cellslam.sim.recording import COMPONENTS, Floats
 
 HOLDS = ("next", "before", "linear")
-LONGEST_HOLD = 5.0  # a row is taken to be valid for so many median intervals at most; then nothing was measured
+LONGEST_HOLD = 5.0  # a sample is taken to be valid for so many median intervals at most; then nothing was measured
+STILL = 1e-9  # m/s and rad/s: a component that the odometry does not have, and that its motion does not amount to
 
 
 @dataclass(frozen=True)
@@ -66,8 +67,7 @@ def _held(times: Floats, values: Floats, hold: str, lever_arm_m: tuple[float, ..
         edges, velocity = np.append(times, times[-1] + step), values.copy()
         velocity[:-1][gap] = np.nan
     elif hold == "before":
-        edges, velocity = np.insert(times, 0, times[0] - step), values.copy()
-        velocity[1:][gap] = np.nan
+        edges, velocity = np.insert(times, 0, times[0] - step), values.copy()  # means, however long they are of
     else:
         edges, velocity = times, 0.5 * (values[1:] + values[:-1])
         velocity[gap] = np.nan
@@ -98,7 +98,8 @@ def mean_velocities(motion: Motion, times: Floats, start_pose: Floats) -> Floats
     """Return mean body velocities (T, 6), in m/s and rad/s, between `times` (T,) in s, row 0 zero.
 
     NaN where less than half was measured. The held velocities are integrated exactly (`frames.integrate_pose` on every
-    piece) from the attitude of start_pose (6,).
+    piece) from the attitude of start_pose (6,). Driving ahead in a turn moves the vehicle to the side of its mean
+    heading: a velocity that the odometry does not have is measured where its motion amounts to one.
     """
     out = np.zeros((len(times), 6))
     if np.array_equal(motion.edges_s[1:], times):  # already means between these very times
@@ -107,8 +108,12 @@ def mean_velocities(motion: Motion, times: Floats, start_pose: Floats) -> Floats
         return out
     poses, known = integrate(motion, times, start_pose)
     out[1:] = mean_velocity(poses[:-1], poses[1:], np.diff(times))
+    measured = np.array(motion.measured)
+    absent = np.flatnonzero(~measured)
+    amounts = np.abs(out[:, absent]).max(axis=0) > STILL
+    known[:, absent] = known[:, measured].all(axis=1)[:, None]
     out[1:][~known] = np.nan
-    out[:, np.logical_not(motion.measured)] = np.nan
+    out[:, absent[~amounts]] = np.nan
     return out
 
 

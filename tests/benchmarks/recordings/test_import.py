@@ -242,6 +242,22 @@ def test_round_trip_gives_the_same_measurements_and_rows(
         assert two["map_gospa_m"] is None and two["bound_position_rmse_m"] is None and two["status"] == "ok"
 
 
+@pytest.mark.parametrize("kind", ["mat", "csv"])
+def test_round_trip_keeps_odometry_of_any_intervals(kind: str, toy_recording: Toy, tmp_path: Path) -> None:
+    """Places in place of a drive: most intervals are short, some last twenty times as long."""
+    toy = toy_recording(snapshots=60)
+    steps = np.where(np.arange(60) % 7 == 3, 2.0, 0.1)
+    odometry = toy.odometry.copy()
+    odometry[30:33, 3] = np.nan
+    irregular = dataclasses.replace(toy, time_s=np.cumsum(steps), odometry=odometry, truth=None)
+    irregular.save(tmp_path / "a.h5")
+    assert cli.main(["export", str(tmp_path / "a.h5"), "--format", kind, "--out", str(tmp_path / "folder")]) == 0
+    assert cli.main(["--quiet", "import", str(tmp_path / "folder"), "--out", str(tmp_path / "b.h5")]) == 0
+    again = Recording.load(tmp_path / "b.h5")
+    np.testing.assert_allclose(again.time_s, irregular.time_s, rtol=1e-12)
+    np.testing.assert_allclose(again.odometry, irregular.odometry, rtol=1e-11, atol=1e-300)
+
+
 def test_hdf5_round_trip_and_run_give_the_same_rows_bit_for_bit(
     recorded: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

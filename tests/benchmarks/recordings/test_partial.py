@@ -157,6 +157,25 @@ def test_odometry_at_another_rate_integrates_to_the_same_drive(hold: str) -> Non
     assert np.isnan(recording.odometry[:, [2, 4, 5]]).all()
 
 
+def test_turns_between_snapshots_are_integrated_as_they_were_given() -> None:
+    """Speed and yaw rate at 20 Hz, snapshots seconds apart: dead reckoning from one to the next loses nothing."""
+    fine, rng = np.arange(0.0, 120.0, 0.05), np.random.default_rng(5)
+    speed, rate = 3.0 + np.sin(0.3 * fine), 0.6 * np.sin(0.23 * fine) + 0.2
+    table = OdometryTable(fine, {"u_x": speed, "u_psi": rate})
+    times = np.concatenate([[0.0], np.sort(rng.uniform(0.0, 119.0, 40))])
+    recording = build(Campaign(times, {"distance_m": times}, table, start_pose=(0.0,) * 6))
+    pose, fixed = np.zeros(6), np.zeros(6)
+    for t in range(1, len(times)):
+        pose = integrate_pose(pose, odometry_of(recording)[t], times[t] - times[t - 1])
+    for t, (v, w) in enumerate(zip(speed, rate, strict=True)):
+        dt = min(0.05, times[-1] - fine[t])
+        if dt > 0:
+            fixed = integrate_pose(fixed, [v, 0, 0, w, 0, 0], dt)
+    assert pose[:2] == pytest.approx(fixed[:2], abs=1e-4)
+    assert np.nanmax(np.abs(recording.odometry[:, 1])) > 0.1
+    assert np.isnan(recording.odometry[:, [2, 4, 5]]).all()
+
+
 def test_where_odometry_pauses_nothing_is_made_up() -> None:
     times = np.arange(0.0, 20.0, 0.5)
     own = times[(times < 5.0) | (times > 12.0)]
