@@ -111,7 +111,7 @@ def mean_velocities(motion: Motion, times: Floats, start_pose: Floats) -> Floats
     measured = np.array(motion.measured)
     absent = np.flatnonzero(~measured)
     amounts = np.abs(out[:, absent]).max(axis=0) > STILL
-    known[:, absent] = known[:, measured].all(axis=1)[:, None]
+    known[:, absent] = np.all(known[:, measured], axis=1, keepdims=True)
     out[1:][~known] = np.nan
     out[:, absent[~amounts]] = np.nan
     return out
