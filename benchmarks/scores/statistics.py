@@ -14,6 +14,7 @@ from dataclasses import dataclass
 from typing import Any, Literal
 
 import numpy as np
+from numpy.typing import NDArray
 
 from cellslam.sim.errors import InputError
 from cellslam.sim.recording import Floats
@@ -97,8 +98,7 @@ def interval(values: Floats, of: Statistic, confidence: float) -> tuple[float, f
     if of.method == "mean":
         return _studentised(values, confidence)
     if of.method == "mean square":
-        low, high = _studentised(np.square(values), confidence, logarithm=True)
-        return math.sqrt(low), math.sqrt(high)
+        return _root_ratio(np.square(values), np.ones(len(values)), confidence)
     found = bootstrap(
         (values,),
         of.of,
@@ -110,6 +110,21 @@ def interval(values: Floats, of: Statistic, confidence: float) -> tuple[float, f
         rng=np.random.default_rng(0),
     ).confidence_interval
     return float(found.low), float(found.high)
+
+
+def efficiency_ratio(error: Floats, bound: Floats, confidence: float) -> tuple[float, float, float]:
+    """Return the efficiency ratio sqrt(mean error^2 / mean bound^2) of drives (n,), in m, and the ends of its interval.
+
+    1 is the least that any filter can have on average. The interval is NaN below five drives, the ratio without any;
+    drives are resampled, error and bound together. Median errors over bounds would mislead: a drive's error has few
+    degrees of freedom, and an efficient filter has 0.8.
+    """
+    squares, least = np.square(error), np.square(bound)
+    if not len(squares) or np.sum(least) == 0.0:
+        return float("nan"), float("nan"), float("nan")
+    ratio = math.sqrt(np.sum(squares) / np.sum(least))
+    few = len(squares) < LEAST_VALUES or np.ptp(squares) == 0.0
+    return (ratio, float("nan"), float("nan")) if few else (ratio, *_root_ratio(squares, least, confidence))
 
 
 def paired(first: Floats, second: Floats, confidence: float = 0.95) -> Paired:
@@ -136,23 +151,45 @@ def _rms(values: Floats, axis: int = -1) -> Any:
     return np.sqrt(np.mean(np.square(values), axis=axis))
 
 
-def _studentised(values: Floats, confidence: float, logarithm: bool = False) -> tuple[float, float]:
-    """Return the bootstrap-t interval of a mean; on the logarithm `values` must not be negative."""
-    rng, count = np.random.default_rng(0), len(values)
-    mean, error = float(np.mean(values)), float(np.std(values)) / math.sqrt(count)
+def _studentised(values: Floats, confidence: float) -> tuple[float, float]:
+    """Return the bootstrap-t interval of a mean."""
+    mean, error = float(np.mean(values)), float(np.std(values)) / math.sqrt(len(values))
     t = []
-    for size in _batches(max(1, _BATCH // count)):
-        drawn = values[rng.integers(0, count, (size, count))]
-        means, errors = drawn.mean(axis=1), drawn.std(axis=1) / math.sqrt(count)
-        # A resample of equal values says nothing about its error, and is left out.
+    for drawn in _resampled(len(values)):
+        chosen = values[drawn]
+        means, errors = chosen.mean(axis=1), chosen.std(axis=1) / math.sqrt(len(values))
         fine = errors > 1e-9 * error
-        means, errors = means[fine], errors[fine]
-        t.append((np.log(means / mean) * means if logarithm else means - mean) / errors)
+        t.append((means[fine] - mean) / errors[fine])
     low, high = np.quantile(np.concatenate(t), [(1 - confidence) / 2, (1 + confidence) / 2]).tolist()
-    if logarithm:
-        relative = error / mean
-        return mean * math.exp(min(-high * relative, 300.0)), mean * math.exp(min(-low * relative, 300.0))
     return mean - high * error, mean - low * error
+
+
+def _root_ratio(above: Floats, below: Floats, confidence: float) -> tuple[float, float]:
+    """Return the interval of sqrt(mean above / mean below), none negative: bootstrap-t on the logarithm."""
+
+    def log_ratio(a: Floats, b: Floats) -> tuple[Any, Any]:
+        mean_a, mean_b = (np.maximum(v.mean(axis=-1, keepdims=True), 1e-300) for v in (a, b))
+        error = (a / mean_a - b / mean_b).std(axis=-1) / math.sqrt(a.shape[-1])
+        return np.log(mean_a / mean_b)[..., 0], error
+
+    value, error = log_ratio(above, below)
+    t = []
+    for drawn in _resampled(len(above)):
+        values, errors = log_ratio(above[drawn], below[drawn])
+        fine = errors > 1e-9 * error
+        t.append((values[fine] - value) / errors[fine])
+    low, high = np.quantile(np.concatenate(t), [(1 - confidence) / 2, (1 + confidence) / 2]).tolist()
+    return math.exp(0.5 * min(value - high * error, 300.0)), math.exp(0.5 * min(value - low * error, 300.0))
+
+
+def _resampled(count: int) -> Iterator[NDArray[np.int64]]:
+    """Yield which of `count` values each resample has, in batches (n, count).
+
+    A resample of equal values says nothing about its error, and is left out of bootstrap-t.
+    """
+    rng = np.random.default_rng(0)
+    for size in _batches(max(1, _BATCH // count)):
+        yield rng.integers(0, count, (size, count))
 
 
 def _batches(size: int) -> Iterator[int]:

@@ -53,22 +53,26 @@ def number(value: float | None, metric: str, statistic: str = "") -> str:
 def summary_grid(tidy: pd.DataFrame, keys: Sequence[str], columns: str | None, oracles: frozenset[str]) -> Grid:
     """Return the grid of a summary: a column for each value of key `columns`, metric and statistic."""
     across = [*([columns] if columns else []), "metric", "statistic"]
-    several = {key: tidy[key].nunique(dropna=False) > 1 for key in across}
+    several = {key: tidy.loc[tidy[key] != "", key].nunique(dropna=False) > 1 for key in across}
     cells: dict[tuple[str, ...], dict[str, str]] = {}
     headings: dict[str, None] = {}
     trials: dict[tuple[str, ...], set[tuple[int, int]]] = {}
     for line in tidy.to_dict("records"):
         row = tuple(_label(key, line[key], oracles) for key in keys)
         heading = ", ".join(
-            _heading(key, line[key], columns, oracles) for key in across if several[key] or key == columns
+            _heading(key, line[key], columns, oracles)
+            for key in across
+            if (several[key] or key == columns) and line[key] != ""
         )
-        heading = heading or f"{line['statistic']} of {line['metric']}"
+        named = f"{line['statistic']} of {line['metric']}" if line["statistic"] else line["metric"]
+        heading = heading or named
         headings.setdefault(heading)
         cells.setdefault(row, {})[heading] = _cell(line)
         trials.setdefault(row, set()).add((line["trials"], line["failed"]))
-    notes = [
-        f"{key}: {tidy[key].iloc[0]}" for key in ("metric", "statistic") if not several[key] and any(several.values())
-    ]
+    same = {
+        key: tidy.loc[tidy[key] != "", key].iloc[:1].tolist() for key in ("metric", "statistic") if not several[key]
+    }
+    notes = [f"{key}: {value}" for key, values in same.items() for value in values if any(several.values())]
     body = tuple(
         (*row, *(cells[row].get(heading, "-") for heading in headings), _counted(trials[row])) for row in cells
     )

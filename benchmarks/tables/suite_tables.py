@@ -5,20 +5,26 @@ from __future__ import annotations
 import platform
 from collections.abc import Sequence
 from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
 
 from cellslam.benchmarks.scores.statistics import interval, statistic
 from cellslam.benchmarks.sweeps.rows import provenance, results
 from cellslam.benchmarks.tables.formats import comparison_grid, number
-from cellslam.benchmarks.tables.summaries import comparison
+from cellslam.benchmarks.tables.summaries import EFFICIENCY, comparison, efficiency, finite
 from cellslam.scenarios.suites import Suite
-from cellslam.sim.recording import Floats
 from cellslam.slam.registry import oracles
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 CONFIDENCE = 0.95
 REFERENCE = "fastslam"
 # Columns: heading, metric, statistic, with an interval.
 COLUMNS = (
     ("RMSE (m) [95 %]", "position_rmse_m", "median", True),
+    ("efficiency ratio [95 %]", EFFICIENCY, "", True),
     ("90 % (m)", "position_rmse_m", "q90", False),
     ("max (m)", "position_max_m", "median", False),
     ("end (m)", "position_end_m", "median", False),
@@ -43,7 +49,8 @@ def suite_markdown(folder: Path, one: Suite, scenarios: Sequence[str], trials: i
         f"# Accuracy: {title}",
         "" if whole else "\nNot the suite's result: it takes all scenarios and trials.\n",
         f"Root seed {one.seed}, trials 0 to {trials - 1} of each scenario. Medians over trials; RMSE with its "
-        f"{100 * CONFIDENCE:g} % interval by resampling; position errors are horizontal, absolute, not aligned.",
+        f"{100 * CONFIDENCE:g} % interval by resampling; position errors are horizontal, absolute, not aligned. "
+        "Efficiency ratio: root mean square of the RMSE over that of the bound, 1 at best.",
         f"Made with {said}, on {platform.machine()}, by",
         f"\n    {command}\n",
         left,
@@ -52,14 +59,15 @@ def suite_markdown(folder: Path, one: Suite, scenarios: Sequence[str], trials: i
 
 
 def _scenario(folder: Path, name: str, trials: int, seed: int) -> str:
-    frame = results(folder, ["scenario", "estimator", "trial", "seed", "status", *{c[1] for c in COLUMNS}])
+    metrics = [metric for _, metric, _, _ in COLUMNS if metric != EFFICIENCY]
+    frame = results(folder, ["scenario", "estimator", "trial", "seed", "status", *metrics])
     own = frame[(frame["scenario"] == name) & (frame["trial"] < trials) & (frame["seed"] == seed)]
     marked = oracles(own["estimator"].unique())
     lines = ["| estimator | " + " | ".join(c[0] for c in COLUMNS) + " | ok |", "|---|" + "---:|" * (len(COLUMNS) + 1)]
     for estimator in own["estimator"].unique():
         rows = own[own["estimator"] == estimator]
         fine = rows[rows["status"] == "ok"]
-        cells = [_cell(_values(fine[metric]), metric, of, ends) for _, metric, of, ends in COLUMNS]
+        cells = [_cell(fine, metric, of, ends) for _, metric, of, ends in COLUMNS]
         shown = f"{estimator} (oracle)" if estimator in marked else estimator
         lines.append("| " + " | ".join([shown, *cells, f"{len(fine)}/{len(rows)}"]) + " |")
     return "\n".join([f"\n## {name}\n", *lines, *_compared(folder, name, list(own["estimator"].unique()))])
@@ -82,19 +90,12 @@ def _compared(folder: Path, scenario: str, estimators: Sequence[str]) -> list[st
     return [*out, "| " + " | ".join(heads) + " |", "|---|" + "---:|" * (len(heads) - 1), *body]
 
 
-def _values(column: object) -> Floats:
-    import numpy as np
-
-    values = np.asarray(column, np.float64)
-    return values[np.isfinite(values)]
-
-
-def _cell(values: Floats, metric: str, name: str, ends: bool) -> str:
-    if not len(values):
-        return "-"
-    of = statistic(name)
-    text = number(float(of.of(values)), metric)
-    if not ends:
-        return text
-    low, high = interval(values, of, CONFIDENCE)
-    return f"{text} [{number(low, metric)}, {number(high, metric)}]"
+def _cell(rows: pd.DataFrame, metric: str, name: str, ends: bool) -> str:
+    if metric == EFFICIENCY:
+        value, low, high = efficiency(rows, CONFIDENCE)
+    else:
+        values, of = finite(rows[metric]), statistic(name)
+        value = float(of.of(values)) if len(values) else float("nan")
+        low, high = interval(values, of, CONFIDENCE) if ends else (float("nan"), float("nan"))
+    text = number(value, metric)
+    return text if np.isnan(low) else f"{text} [{number(low, metric)}, {number(high, metric)}]"

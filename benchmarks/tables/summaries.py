@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from cellslam.benchmarks.scores.statistics import interval, paired, statistic
+from cellslam.benchmarks.scores.statistics import efficiency_ratio, interval, paired, statistic
 from cellslam.benchmarks.scores.trial_result import METRIC_KEYS
 from cellslam.benchmarks.sweeps.rows import results, varying_keys
 from cellslam.sim.errors import InputError, unknown_name
@@ -18,8 +18,17 @@ from cellslam.sim.recording import Floats
 if TYPE_CHECKING:
     import pandas as pd
 
-METRICS = (*METRIC_KEYS, "estimate_seconds", "realtime_factor")
-USUAL_METRICS = ("position_rmse_m", "position_max_m", "position_end_m", "clock_offset_rmse_m", "realtime_factor")
+EFFICIENCY = "efficiency_ratio"  # of a group of rows, not of one
+METRICS = (*METRIC_KEYS, "estimate_seconds", "realtime_factor", EFFICIENCY)
+RATIO_OF = ("position_rmse_m", "bound_position_rmse_m")
+USUAL_METRICS = (
+    "position_rmse_m",
+    EFFICIENCY,
+    "position_max_m",
+    "position_end_m",
+    "clock_offset_rmse_m",
+    "realtime_factor",
+)
 
 
 @dataclass(frozen=True)
@@ -37,7 +46,8 @@ def summary(folder: str | Path, layout: Layout | None = None) -> pd.DataFrame:
     """Return the statistics of a sweep's rows as a tidy DataFrame: one line a group, metric and statistic.
 
     Columns: the keys of rows and columns, `metric`, `statistic`, `value`, `low`, `high` (with a confidence),
-    `values` (how many trials have the metric), `trials` (of status ok) and `failed`. Raises InputError.
+    `values` (how many trials have the metric), `trials` (of status ok) and `failed`. The efficiency ratio, root mean
+    square of the RMSE over that of the bound, is one number a group, of no statistic. Raises InputError.
     """
     import pandas as pd
 
@@ -46,13 +56,17 @@ def summary(folder: str | Path, layout: Layout | None = None) -> pd.DataFrame:
     statistics = [statistic(name) for name in layout.statistics]
     check_confidence(layout.confidence)
     keys = list(dict.fromkeys([*row_keys(folder, layout), *([layout.columns] if layout.columns else [])]))
-    frame = results(folder, [*keys, "status", *metrics])
+    frame = results(folder, list(dict.fromkeys([*keys, "status", *columns_of(metrics)])))
     lines: list[dict[str, Any]] = []
     for values, group in groups(frame, keys):
         fine = group[group["status"] == "ok"]
         for metric in metrics:
-            sample = _numbers(fine[metric])
-            counts = {"values": len(sample), "trials": len(fine), "failed": len(group) - len(fine)}
+            counts = {"trials": len(fine), "failed": len(group) - len(fine)}
+            if metric == EFFICIENCY:
+                lines.append({**values, "metric": metric, "statistic": "", **_efficiency(fine, layout), **counts})
+                continue
+            sample = finite(fine[metric])
+            counts = {"values": len(sample), **counts}
             for one in statistics:
                 value = float(one.of(sample)) if len(sample) else None
                 line = {**values, "metric": metric, "statistic": one.name, "value": value}
@@ -77,6 +91,8 @@ def comparison(
     """
     import pandas as pd
 
+    if metric == EFFICIENCY:
+        raise InputError(f"'{EFFICIENCY}' is of a group of drives, not of one: compare position_rmse_m")
     metrics_of(Layout(metrics=(metric,)))
     check_confidence(confidence)
     keys = [key for key in row_keys(folder, Layout(rows=rows)) if key != "estimator"]
@@ -95,11 +111,23 @@ def comparison(
     lines = []
     for values, group in groups(joined, keys):
         fine = group[(group["status"] == "ok") & (group["status 2"] == "ok")].dropna(subset=[metric, f"{metric} 2"])
-        found = paired(_numbers(fine[metric]), _numbers(fine[f"{metric} 2"]), confidence)
+        found = paired(finite(fine[metric]), finite(fine[f"{metric} 2"]), confidence)
         numbers = {"pairs": found.pairs, "median_difference": found.median, "low": found.low, "high": found.high}
         rest = {"p_value": found.p_value, "share_below": found.share_below, "left_out": len(group) - len(fine)}
         lines.append({**values, "metric": metric, **numbers, **rest})
     return pd.DataFrame(lines)
+
+
+def columns_of(metrics: Sequence[str]) -> list[str]:
+    """Return the row keys that metrics are made of."""
+    return [key for metric in metrics for key in (RATIO_OF if metric == EFFICIENCY else (metric,))]
+
+
+def efficiency(rows: pd.DataFrame, confidence: float) -> tuple[float, float, float]:
+    """Return the efficiency ratio of rows that have RMSE and bound, and the ends of its interval; NaN: not known."""
+    known = rows.dropna(subset=list(RATIO_OF))
+    error, bound = (np.asarray(known[key], np.float64) for key in RATIO_OF)
+    return efficiency_ratio(error, bound, confidence)
 
 
 def row_keys(folder: str | Path, layout: Layout) -> list[str]:
@@ -133,13 +161,19 @@ def groups(frame: pd.DataFrame, keys: Sequence[str]) -> Iterator[tuple[dict[str,
         yield {key: _plain(value) for key, value in zip(keys, values, strict=True)}, group
 
 
+def _efficiency(rows: pd.DataFrame, layout: Layout) -> dict[str, float | int | None]:
+    value, low, high = (None if np.isnan(v) else v for v in efficiency(rows, layout.confidence or 0.95))
+    line: dict[str, float | int | None] = {"value": value, "values": len(rows.dropna(subset=list(RATIO_OF)))}
+    return line if layout.confidence is None else {**line, "low": low, "high": high}
+
+
 def _interval(sample: Floats, one: Any, confidence: float) -> dict[str, float | None]:
     low, high = interval(sample, one, confidence)
     return {"low": None, "high": None} if np.isnan(low) else {"low": low, "high": high}
 
 
-def _numbers(column: Any) -> Floats:
-    """Return the values of a column that are there."""
+def finite(column: Any) -> Floats:
+    """Return the values (n,) of a column that are there."""
     values = np.asarray(column, np.float64)
     return values[np.isfinite(values)]
 

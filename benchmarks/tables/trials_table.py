@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from cellslam.benchmarks.scores.statistics import interval, statistic
+from cellslam.benchmarks.scores.statistics import efficiency_ratio, interval, statistic
 from cellslam.benchmarks.tables.formats import TOO_WIDE
 from cellslam.sim.recording import Floats
 
@@ -39,7 +39,7 @@ _SEVERAL = (
     ("assoc.\nprec/rec", ("association_precision", "association_recall"), 2),
     ("x real\ntime", ("realtime_factor",), 0),
 )
-_COUNTED = ("share of\nbound", "lost", "trials\nok")
+_COUNTED = ("efficiency\nratio", "lost", "trials\nok")
 _FIRST_TO_GO = (
     "heading\n(rad)",
     "GOSPA\n(m)",
@@ -52,7 +52,7 @@ _FIRST_TO_GO = (
 CONFIDENCE, LOST_M = 0.95, 2.0
 LONG = 1e3  # without decimals
 _LEGEND = (
-    "medians over the trials that are ok; share of bound: root of the sums of squares, bound over error; "
+    "medians over the trials that are ok; efficiency ratio: root mean square error over that of the bound; "
     f"lost: RMSE above {LOST_M:g} m, or failed"
 )
 
@@ -79,7 +79,7 @@ def results_table(
     """Return the table of `rows`, one line an estimator in the order met; `oracles` are marked.
 
     Several trials give medians over those that are ok, the median error with its 95 % interval, how many drives were
-    lost, and the share of the bound. Columns that do not fit into `width` characters are left out, and named.
+    lost, and the efficiency ratio. Columns that do not fit into `width` characters are left out, and named.
     """
     from rich import box
     from rich.markup import escape
@@ -135,16 +135,21 @@ def _with_interval(rows: Sequence[Mapping[str, Any]]) -> str:
     if len(values) == 0:
         return "-"
     low, high = interval(values, statistic("median"), CONFIDENCE)
-    return f"{np.median(values):.2f}" + ("" if np.isnan(low) else f" [{low:.2f}, {high:.2f}]")
+    return _bracketed(float(np.median(values)), low, high)
 
 
 def _counted(own: Sequence[Mapping[str, Any]], fine: Sequence[Mapping[str, Any]]) -> list[str]:
-    """Return share of the bound, drives lost, and trials ok."""
+    """Return the efficiency ratio, drives lost, and trials ok."""
     pairs = [row for row in fine if row.get("bound_position_rmse_m") is not None and row["position_rmse_m"] is not None]
-    error = np.sum(_values(pairs, "position_rmse_m") ** 2)
-    share = np.sqrt(np.sum(_values(pairs, "bound_position_rmse_m") ** 2) / error) if pairs and error > 0 else None
+    found = efficiency_ratio(_values(pairs, "position_rmse_m"), _values(pairs, "bound_position_rmse_m"), CONFIDENCE)
     lost = len(own) - len(fine) + int(np.sum(_values(fine, "position_rmse_m") > LOST_M))
-    return ["-" if share is None else f"{share:.2f}", f"{lost}/{len(own)}", f"{len(fine)}/{len(own)}"]
+    return [_bracketed(*found), f"{lost}/{len(own)}", f"{len(fine)}/{len(own)}"]
+
+
+def _bracketed(value: float, low: float, high: float) -> str:
+    if np.isnan(value):
+        return "-"
+    return f"{value:.2f}" + ("" if np.isnan(low) else f" [{low:.2f}, {high:.2f}]")
 
 
 def _values(rows: Sequence[Mapping[str, Any]], key: str) -> Floats:

@@ -42,6 +42,22 @@ def test_coverage_check_finds_a_wrong_interval(monkeypatch: pytest.MonkeyPatch) 
     assert coverage("mean", 100, 400, monkeypatch) < 0.93
 
 
+def test_efficiency_ratio_is_of_mean_squares_and_its_interval_covers(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Errors of few degrees of freedom about a bound: an efficient filter has 1, where its median ratio has 0.79."""
+    assert s.efficiency_ratio(np.array([1.0, 3.0]), np.array([1.0, 2.0]), 0.95)[0] == pytest.approx(np.sqrt(2.0))
+    assert np.isnan(s.efficiency_ratio(np.zeros(0), np.zeros(0), 0.95)).all()
+    monkeypatch.setattr(s, "RESAMPLES", 499)
+    rng, inside, medians, repetitions = np.random.default_rng(14), 0, [], 400
+    for _ in range(repetitions):
+        bound = 0.6 + 0.1 * rng.random(60)
+        error = bound * np.sqrt(rng.exponential(size=60))
+        _, low, high = s.efficiency_ratio(error, bound, 0.95)
+        inside += low <= 1.0 <= high
+        medians.append(np.median(error / bound))
+    assert 0.92 <= inside / repetitions <= 0.975
+    assert 0.79 < np.mean(medians) < 0.87
+
+
 def test_paired_test_has_the_false_alarm_rate_it_states() -> None:
     rng, repetitions = np.random.default_rng(12), 2000
     alarms = 0

@@ -175,6 +175,6 @@ def test_a_hundred_thousand_rows_take_two_seconds(folder: Path, tmp_path: Path) 
     begin = time.perf_counter()
     tidy = summary(tmp_path)
     seconds = time.perf_counter() - begin
-    assert tidy["trials"].sum() + tidy["failed"].sum() == 5 * count
+    assert tidy["trials"].sum() + tidy["failed"].sum() == 6 * count
     # Alone it takes a second; a busy machine is not what is tested here.
     assert seconds < 6.0, f"{seconds:.1f} s"
