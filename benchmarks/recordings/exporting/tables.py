@@ -16,7 +16,6 @@ from cellslam.benchmarks.recordings.importing.manifest import NAME
 from cellslam.sim.errors import InputError
 from cellslam.sim.recording import COMPONENTS, Recording
 
-DIGITS = "%.12g"
 UNITS = {
     "time_s": "s",
     "distance_m": "m",
@@ -48,7 +47,7 @@ def write_csv(recording: Recording, folder: Path) -> None:
     made = tables(recording)
     with new_folder(folder) as place:
         for name, columns in {**made, **_truth_tables(recording)}.items():
-            pd.DataFrame(columns).to_csv(place / f"{name}.csv", index=False, float_format=DIGITS)
+            pd.DataFrame(columns).to_csv(place / f"{name}.csv", index=False)
         _write_manifest(recording, made, place, {name: {"file": f"{name}.csv"} for name in made})
 
 

@@ -37,7 +37,7 @@ def motion_of(table: OdometryTable) -> Motion:
         if name not in COMPONENTS:
             near = nearest_name(name, COMPONENTS)
             raise InputError(f"odometry: unknown component '{name}'{near} (known: {', '.join(COMPONENTS)})")
-    if not table.components or len(times) < 2:
+    if not table.components or len(times) < (1 if table.hold == "before" else 2):
         raise InputError("odometry needs one component and two rows at least: leave the table out if there is none")
     bad = np.flatnonzero(~np.isfinite(times))
     if len(bad):
@@ -61,7 +61,7 @@ def motion_of(table: OdometryTable) -> Motion:
 
 def _held(times: Floats, values: Floats, hold: str, lever_arm_m: tuple[float, ...]) -> Motion:
     measured = tuple(not np.isnan(column).all() for column in values.T)
-    step = float(np.median(np.diff(times)))
+    step = float(np.median(np.diff(times))) if len(times) > 1 else 1.0
     gap = np.diff(times) > LONGEST_HOLD * step
     if hold == "next":
         edges, velocity = np.append(times, times[-1] + step), values.copy()
