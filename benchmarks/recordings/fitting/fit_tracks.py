@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from cellslam.benchmarks.recordings.inspection.contradictions import dead_reckoned
+from cellslam.benchmarks.recordings.inspection.corrections import dead_reckoned
 from cellslam.sim.frames import wrap_angle
 from cellslam.sim.recording import Floats, Ints, Recording
 

@@ -13,7 +13,24 @@ from cellslam.sim.errors import InputError
 
 NAME = "recording.toml"
 Unit = Literal[
-    "m", "km", "cm", "mm", "s", "ms", "us", "ns", "samples", "rad", "deg", "rad/s", "deg/s", "m/s", "km/h", "dB", "1"
+    "m",
+    "km",
+    "cm",
+    "mm",
+    "ft",
+    "s",
+    "ms",
+    "us",
+    "ns",
+    "samples",
+    "rad",
+    "deg",
+    "rad/s",
+    "deg/s",
+    "m/s",
+    "km/h",
+    "dB",
+    "1",
 ]
 Triple = tuple[float, float, float]
 

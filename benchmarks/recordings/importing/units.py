@@ -10,7 +10,7 @@ from cellslam.sim.frames import SPEED_OF_LIGHT_MPS
 from cellslam.sim.recording import Floats
 
 SECONDS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
-METRES = {"m": 1.0, "km": 1e3, "cm": 1e-2, "mm": 1e-3}
+METRES = {"m": 1.0, "km": 1e3, "cm": 1e-2, "mm": 1e-3, "ft": 0.3048}
 ANGLES = {"rad": 1.0, "deg": np.pi / 180.0}
 RATES = {"rad/s": 1.0, "deg/s": np.pi / 180.0}
 SPEEDS = {"m/s": 1.0, "km/h": 1.0 / 3.6}
