@@ -13,11 +13,12 @@ from matplotlib.figure import Figure
 BLACK, ORANGE, SKY, GREEN = "#000000", "#E69F00", "#56B4E9", "#009E73"
 YELLOW, BLUE, VERMILLION, PURPLE = "#F0E442", "#0072B2", "#D55E00", "#CC79A7"
 GREY, LIGHT, BUILDING, EMPHASIS = "#999999", "#DDDDDD", "#E4E1DC", "#A79F92"
-TRUTH = BLACK
+TRUTH, VT = BLACK, GREEN
 SITES = (VERMILLION, GREEN, PURPLE, ORANGE, SKY)
 LANDMARKS = (BLUE, ORANGE, GREEN, PURPLE, VERMILLION, SKY, "#7A5C00", "#5D3A9B")
 WIDTH_IN = 7.16
 PIXELS_PER_INCH = 160
+TITLE = 40  # characters in a line of a title over half of the width
 
 
 def context() -> AbstractContextManager[None]:

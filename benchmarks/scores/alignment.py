@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from cellslam.benchmarks.scores.metrics import within
+from cellslam.benchmarks.scores.reference_fixes import usable
 from cellslam.benchmarks.scores.trial_result import TrialResult
 from cellslam.sim.errors import InputError
 from cellslam.sim.frames import rotation, wrap_angle
@@ -42,7 +42,7 @@ def _pairs(recording: Recording, poses: Floats) -> tuple[Floats, Floats]:
     reference = recording.reference
     if reference is None:
         raise InputError("cannot align: the recording has neither truth nor reference")
-    rows = within(recording, reference) & np.isfinite(reference.position_m[:, :2]).all(axis=1)
+    rows = usable(recording, reference)
     at = reference.time_s[rows]
     estimated = np.column_stack([np.interp(at, recording.time_s, poses[:, i]) for i in range(2)])
     return estimated, reference.position_m[rows, :2]

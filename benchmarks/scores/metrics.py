@@ -6,11 +6,11 @@ Position errors are horizontal, absolute and not aligned. Source: paper, section
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from cellslam.benchmarks.bound.cramer_rao import BoundResult
 from cellslam.benchmarks.scores.association import precision_recall, tracks_of, transmitter_errors
 from cellslam.benchmarks.scores.gospa import gospa
+from cellslam.benchmarks.scores.reference_fixes import usable, within
 from cellslam.benchmarks.scores.trial_result import METRIC_KEYS, TrialResult
 from cellslam.sim.frames import wrap_angle
 from cellslam.sim.recording import Floats, Ints, Recording, Reference, Truth
@@ -61,7 +61,8 @@ def score(recording: Recording, result: TrialResult, bound: BoundResult | None) 
 def reference_scores(recording: Recording, reference: Reference, result: TrialResult) -> dict[str, float | None]:
     """Return the scores against a reference: the estimate interpolated at its times, where they lie within the drive.
 
-    The NEES adds the reference's variance to the claimed one, and is None where the reference does not state its own.
+    Positions far off their neighbours are left out (`reference_fixes.outlying`). The NEES adds the reference's variance
+    to the claimed one, and is None where the reference does not state its own.
     """
     scores: dict[str, float | None] = {}
     times, rows = recording.time_s, within(recording, reference)
@@ -71,7 +72,7 @@ def reference_scores(recording: Recording, reference: Reference, result: TrialRe
     turns = np.unwrap(result.poses[:, 3:], axis=0)
     poses = np.column_stack([np.interp(at, times, column) for column in (*result.poses[:, :3].T, *turns.T)])
     known = np.column_stack([reference.position_m[rows], reference.yaw_rad[rows]])
-    there = np.isfinite(known[:, :2]).all(axis=1)
+    there = usable(recording, reference)[rows]
     if there.any():
         error = horizontal_error(known[there], poses[there])
         scores["position_rmse_m"], scores["position_max_m"] = _rms(error), float(error.max())
@@ -90,23 +91,17 @@ def reference_scores(recording: Recording, reference: Reference, result: TrialRe
 def errors_over_time(recording: Recording, poses: Floats) -> tuple[Floats, Floats] | None:
     """Return times (N,) in s and horizontal errors (N,) in m of poses (T, 6); None without truth and reference.
 
-    Against the truth at every snapshot, against a reference at its fixes.
+    Against the truth at every snapshot, against a reference at its fixes (`reference_fixes.usable`).
     """
     if recording.truth is not None:
         return recording.time_s, horizontal_error(recording.truth.poses, poses)
     reference = recording.reference
     if reference is None:
         return None
-    rows = within(recording, reference) & np.isfinite(reference.position_m[:, :2]).all(axis=1)
+    rows = usable(recording, reference)
     at = reference.time_s[rows]
     there = np.column_stack([np.interp(at, recording.time_s, poses[:, i]) for i in range(2)])
     return (at, horizontal_error(reference.position_m[rows], there)) if rows.any() else None
-
-
-def within(recording: Recording, reference: Reference) -> NDArray[np.bool_]:
-    """Return which fixes (R,) of a reference lie within the drive, and so can be compared with an estimate."""
-    times: NDArray[np.bool_] = (reference.time_s >= recording.time_s[0]) & (reference.time_s <= recording.time_s[-1])
-    return times
 
 
 def horizontal_error(truth_poses: Floats, poses: Floats) -> Floats:
@@ -174,8 +169,7 @@ def distance_m(recording: Recording) -> float | None:
         return float(np.linalg.norm(np.diff(recording.truth.poses[:, :2], axis=0), axis=1).sum())
     if recording.reference is None:
         return None
-    fixes = recording.reference.position_m[within(recording, recording.reference), :2]
-    return _length(fixes[np.isfinite(fixes).all(axis=1)])
+    return _length(recording.reference.position_m[usable(recording, recording.reference), :2])
 
 
 def _length(points: Floats) -> float | None:

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from textwrap import fill
 from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from cellslam.benchmarks.figures.style import GREY, LANDMARKS, WIDTH_IN
+from cellslam.benchmarks.figures.style import GREY, LANDMARKS, TITLE, WIDTH_IN
 from cellslam.benchmarks.scores.trial_result import TrialResult
 from cellslam.sim.recording import Ints, Recording
 
@@ -33,7 +34,8 @@ def draw(figure: Figure, recording: Recording, results: Mapping[str, TrialResult
     grid = figure.subplots(1, len(chosen), squeeze=False)[0]
     for axes, link in zip(grid, chosen, strict=True):
         _panel(axes, recording, association, link)
-    grid[0].set_ylabel("measured path distance (m),\nclock offset included")
+    offset = (recording.sites.clock_offset_std_m > 0.0).any()
+    grid[0].set_ylabel("measured path distance (m)" + (",\nclock offset included" if offset else ""))
     handles, labels = grid[0].get_legend_handles_labels()
     figure.legend(handles, labels, loc="outside lower center", ncols=2, markerscale=4)
     return True
@@ -71,11 +73,13 @@ def _panel(axes: Axes, recording: Recording, association: Ints, link: int) -> No
         here, colour = vt == one, LANDMARKS[k % len(LANDMARKS)]
         label = "associated, one colour a VT" if k == 0 else None
         axes.plot(time_s[here], distance_m[here], **dots, color=colour, markersize=DOT + 0.8, label=label)
-    if not loose.all():
-        low, high = float(distance_m[~loose].min()), float(distance_m[~loose].max())
-        axes.set_ylim(low - 0.15 * (high - low) - 20.0, high + 0.3 * (high - low) + 20.0)
-    site = recording.sites.name[links.site[link]]
-    axes.set_title(f"site {site}, cell {links.cell_id[link]}, port {links.port[link]}")
+    if np.isfinite(distance_m[~loose]).any():
+        low, high = float(np.nanmin(distance_m[~loose])), float(np.nanmax(distance_m[~loose]))
+        span = high - low
+        axes.set_ylim(max(low - 0.2 * span - 1.0, min(low, 0.0)), high + 0.35 * span + 1.0)
+    known = [("cell", links.cell_id[link]), ("port", links.port[link])]
+    named = [f"site {recording.sites.name[links.site[link]]}", *(f"{word} {n}" for word, n in known if n >= 0)]
+    axes.set_title(fill(", ".join(named), TITLE))
     axes.set_xlabel("time (s)")
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
+import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
@@ -14,6 +15,7 @@ from cellslam.benchmarks.scores.trial_result import TrialResult
 from cellslam.sim.recording import Floats, Recording
 
 ODOMETRY_ALONE = "dead-reckoning"
+GAP, LEAST_GAP_S = 5.0, 2.0  # a pause of so many median intervals breaks a curve, if it is no shorter
 
 
 def draw(figure: Figure, recording: Recording, results: Mapping[str, TrialResult], bound: BoundResult | None) -> bool:
@@ -46,8 +48,20 @@ def draw(figure: Figure, recording: Recording, results: Mapping[str, TrialResult
 
 def _curves(axes: Axes, time_s: Floats, errors: Mapping[str, Floats], bound: BoundResult | None) -> None:
     for name, line in estimator_styles(errors).items():
-        axes.plot(time_s, errors[name], **line)
+        times, error = broken(time_s, errors[name])
+        axes.plot(times, error, **line)
+        alone = np.isnan(np.append(error[1:], np.nan)) & np.isnan(np.insert(error[:-1], 0, np.nan))
+        axes.plot(times[alone], error[alone], ".", color=line["color"], markersize=2.0)
     if bound is not None:
         axes.fill_between(time_s, bound.horizontal_std_m, color=GREY, alpha=0.35, linewidth=0)
         axes.plot(time_s, bound.horizontal_std_m, color=GREY, label="Cramér-Rao bound (rms)")
     axes.set_xlim(0, max(float(time_s[-1]), 1e-9))
+
+
+def broken(time_s: Floats, values: Floats) -> tuple[Floats, Floats]:
+    """Return times and values (N,) with NaN between those that a pause parts: nothing is drawn through it."""
+    step = np.diff(time_s)
+    if not len(step):
+        return time_s, values
+    after = np.flatnonzero(step > max(GAP * float(np.median(step)), LEAST_GAP_S)) + 1
+    return np.insert(time_s, after, np.nan), np.insert(values, after, np.nan)

@@ -19,10 +19,13 @@ from cellslam.benchmarks.figures.style import (
     GREY,
     SITES,
     TRUTH,
+    VT,
     WIDTH_IN,
     estimator_styles,
 )
+from cellslam.benchmarks.figures.trial.position_error import ODOMETRY_ALONE
 from cellslam.benchmarks.figures.trial.reflectors import Reflector, reflectors_of
+from cellslam.benchmarks.scores.reference_fixes import usable
 from cellslam.benchmarks.scores.trial_result import TrialResult
 from cellslam.sim.recording import Floats, Recording
 
@@ -30,30 +33,36 @@ if TYPE_CHECKING:
     from cellslam.sim.city import City
 
 MARGIN = 0.08
+LARGER = 1.15
+FAR = 5.0  # of the drive's size, or of half of the VTs' distance: what lies beyond is not drawn
+Extent = tuple[tuple[float, float], tuple[float, float]]
 
 
 def draw(figure: Figure, city: City | None, recording: Recording, results: Mapping[str, TrialResult]) -> bool:
     """Draw the whole scene on the left, the drive magnified on the right; False if there is nothing.
 
-    Reflecting points are those of the first result with VTs. The building that carries the longest-lived
-    reflected VT is drawn darker.
+    The scene of a simulated drive has sites and reflecting points, that of a measured one the final VTs; where that is
+    hardly larger than the drive, it is drawn alone. Both are those of the first result with VTs. The building that
+    carries the longest-lived reflected VT is drawn darker.
     """
     tracks = {name: result.poses for name, result in results.items()}
     truth = recording.truth
     if truth is None and not tracks:
         return False
     mapped = next((reflectors_of(recording, r) for r in results.values() if r.vts is not None), [])
-    driven = [*([truth.poses] if truth is not None else []), *tracks.values()]
-    everything = np.concatenate([poses[:, :2] for poses in driven])
+    drive = _square(_driven(recording, tracks))
+    vts = _final_vts(results, drive) if truth is None else {}
     sites = truth.site_positions_m[:, :2] if truth is not None else np.zeros((0, 2))
-    walls = [reflector.points_m[:, :2] for reflector in mapped]
-    figure.set_size_inches(WIDTH_IN, 4.1)
-    left, right = figure.subplots(1, 2)
-    whole, drive = _square(np.concatenate([everything, sites, *walls])), _square(everything)
-    for axes, extent in ((left, whole), (right, drive)):
+    seen = [sites, *(reflector.points_m[:, :2] for reflector in mapped), *vts.values()]
+    scene = _square(np.concatenate([_driven(recording, tracks), *(poses[:, :2] for poses in tracks.values()), *seen]))
+    alone = truth is None and np.ptp(scene[0]) < LARGER * np.ptp(drive[0])
+    figure.set_size_inches(0.6 * WIDTH_IN if alone else WIDTH_IN, 4.1)
+    panels = figure.subplots(1, 1 if alone else 2, squeeze=False)[0]
+    for axes, extent in zip(panels, (scene, drive)[: len(panels)], strict=True):
         _buildings(axes, city, mapped)
         _reflecting_points(axes, recording, mapped)
         _longest_path(axes, mapped)
+        _vts(axes, vts)
         _trajectories(axes, recording, tracks)
         _sites(axes, recording, extent)
         axes.set_xlim(extent[0])
@@ -61,14 +70,42 @@ def draw(figure: Figure, city: City | None, recording: Recording, results: Mappi
         axes.set_aspect("equal")
         axes.set_xlabel("east (m)")
         axes.grid(False)
-    left.set_ylabel("north (m)")
-    (x0, x1), (y0, y1) = drive
-    left.add_patch(Rectangle((x0, y0), x1 - x0, y1 - y0, fill=False, color=GREY, linewidth=0.8, linestyle=":"))
-    left.set_title("sites, reflecting walls")
-    right.set_title("the drive")
-    handles, labels = left.get_legend_handles_labels()
-    figure.legend(handles, labels, loc="outside lower center", ncols=4, markerscale=2)
+    panels[0].set_ylabel("north (m)")
+    panels[-1].set_title("the drive")
+    if not alone:
+        (x0, x1), (y0, y1) = drive
+        panels[0].add_patch(Rectangle((x0, y0), x1 - x0, y1 - y0, fill=False, color=GREY, linewidth=0.8, linestyle=":"))
+        panels[0].set_title("sites, reflecting walls" if truth is not None else "the map")
+    handles, labels = panels[0].get_legend_handles_labels()
+    figure.legend(handles, labels, loc="outside lower center", ncols=2 if alone else 4, markerscale=2)
     return True
+
+
+def _driven(recording: Recording, tracks: Mapping[str, Floats]) -> Floats:
+    """Return where the vehicle was (n, 2): truth or reference, and estimates, but odometry alone where others are."""
+    others = {name: poses for name, poses in tracks.items() if name != ODOMETRY_ALONE} or tracks
+    known = []
+    if recording.truth is not None:
+        known.append(recording.truth.poses[:, :2])
+    elif recording.reference is not None:
+        known.append(recording.reference.position_m[usable(recording, recording.reference), :2])
+    return np.concatenate([*known, *(poses[:, :2] for poses in (tracks if recording.truth else others).values())])
+
+
+def _final_vts(results: Mapping[str, TrialResult], drive: Extent) -> dict[str, Floats]:
+    """Return horizontal positions (V, 2) of the first result's VTs, by its name; without those five times as far off as
+    half of them."""
+    for name, result in results.items():
+        if result.vts is not None and len(result.vts.id):
+            place = result.vts.position_m[:, :2]
+            off = np.hypot(*(place - np.mean(drive, axis=1)).T)
+            return {name: place[off <= FAR * max(float(np.median(off)), float(np.ptp(drive[0])))]}
+    return {}
+
+
+def _vts(axes: Axes, vts: Mapping[str, Floats]) -> None:
+    for name, place in vts.items():
+        axes.plot(*place.T, "x", color=VT, markersize=3, markeredgewidth=0.7, label=f"VTs of {name}")
 
 
 def emphasised_building(city: City | None, mapped: Sequence[Reflector]) -> int | None:
@@ -81,7 +118,7 @@ def emphasised_building(city: City | None, mapped: Sequence[Reflector]) -> int |
     return int(np.bincount(nearest).argmax())
 
 
-def _square(points: Floats) -> tuple[tuple[float, float], tuple[float, float]]:
+def _square(points: Floats) -> Extent:
     """Return x and y limits of a square that holds the points (n, 2), with a margin."""
     low, high = points.min(axis=0), points.max(axis=0)
     half = max(0.5 * float((high - low).max()) * (1 + 2 * MARGIN), 5.0)
@@ -137,13 +174,13 @@ def _trajectories(axes: Axes, recording: Recording, tracks: Mapping[str, Floats]
         axes.plot(*recording.truth.poses[:, :2].T, color=TRUTH, linewidth=2.4, label="true trajectory")
         axes.plot(*recording.truth.poses[0, :2], "o", color=TRUTH, markersize=4)
     elif recording.reference is not None:
-        fixes = recording.reference.position_m[:, :2]
+        fixes = recording.reference.position_m[usable(recording, recording.reference), :2]
         axes.plot(*fixes.T, ".", color=TRUTH, markersize=2.5, label="reference")
     for name, line in estimator_styles(tracks).items():
         axes.plot(*tracks[name][:, :2].T, **{**line, "linewidth": 1.1})
 
 
-def _sites(axes: Axes, recording: Recording, extent: tuple[tuple[float, float], tuple[float, float]]) -> None:
+def _sites(axes: Axes, recording: Recording, extent: Extent) -> None:
     if recording.truth is None:
         return
     (x0, x1), (y0, y1) = extent

@@ -12,7 +12,7 @@ from cellslam.benchmarks.figures.style import BLACK, BLUE, GREEN, GREY, ORANGE, 
 from cellslam.benchmarks.scores.trial_result import TrialResult
 from cellslam.sim.recording import Floats, Recording
 
-FRAMES = 240
+STEP_S, FEWEST, MOST = 1.0, 240, 1800  # from frame to frame; frames
 POINTS = 2000
 
 
@@ -24,7 +24,9 @@ def write_page(recording: Recording, result: TrialResult, path: Path) -> None:
     check_plotly()
     import plotly.graph_objects as go
 
-    moments = np.unique(np.linspace(0, len(recording.time_s) - 1, FRAMES).astype(int))
+    frames = int(np.clip(np.ptp(recording.time_s) / STEP_S, FEWEST, MOST))
+    even = np.linspace(recording.time_s[0], recording.time_s[-1], frames)
+    moments = np.unique(np.clip(np.searchsorted(recording.time_s, even), 0, len(recording.time_s) - 1))
     fixed = _fixed(go, recording, result)
     moving = [_moment(go, recording, result, int(t)) for t in moments]
     figure = go.Figure([*fixed, *moving[0]])
@@ -75,9 +77,7 @@ def _fixed(go: Any, recording: Recording, result: TrialResult) -> list[Any]:
         x, y = result.vts.position_m[:, :2].T.round(2)
         text = [f"VT {i}, link {k}" for i, k in zip(result.vts.id, result.vts.link, strict=True)]
         marker = {"color": GREEN, "size": 6, "symbol": "diamond"}
-        out.append(
-            go.Scattergl(x=x, y=y, mode="markers", marker=marker, text=text, name="final VTs", visible="legendonly")
-        )
+        out.append(go.Scattergl(x=x, y=y, mode="markers", marker=marker, text=text, name="final VTs"))
     return out
 
 

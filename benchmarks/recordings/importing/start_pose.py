@@ -8,6 +8,7 @@ import numpy as np
 
 from cellslam.benchmarks.recordings.importing.odometry_resampling import Motion, at_array, integrate
 from cellslam.benchmarks.scores.alignment import rigid
+from cellslam.benchmarks.scores.reference_fixes import outlying
 from cellslam.sim.errors import InputError
 from cellslam.sim.recording import Floats, Reference
 
@@ -25,7 +26,7 @@ def start_from_reference(motion: Motion | None, reference: Reference, time_s: fl
     Height, pitch and roll are zero where the reference does not know them. Raises InputError where it does not reach
     back to the start.
     """
-    known = np.isfinite(reference.position_m[:, :2]).all(axis=1)
+    known = np.isfinite(reference.position_m[:, :2]).all(axis=1) & ~outlying(reference)
     fixes, times = reference.position_m[known], reference.time_s[known]
     if not len(times) or times[-1] < time_s:
         raise InputError("the reference has no position at or after the first snapshot: give the start pose instead")

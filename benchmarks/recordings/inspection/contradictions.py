@@ -13,7 +13,7 @@ from cellslam.benchmarks.recordings.inspection.explanations import EXPLANATIONS,
 from cellslam.benchmarks.recordings.inspection.path_evidence import PathEvidence
 from cellslam.benchmarks.recordings.inspection.range_evidence import RangeEvidence
 from cellslam.benchmarks.recordings.inspection.reference_evidence import ReferenceEvidence
-from cellslam.benchmarks.scores.metrics import within
+from cellslam.benchmarks.scores.reference_fixes import usable
 from cellslam.sim.recording import Floats, Ints, Recording
 
 ROUNDS = 5  # of refinement
@@ -95,7 +95,7 @@ def fixes_of(recording: Recording) -> tuple[Floats, Floats] | None:
     """Return times (R,) in s and places (R, 2) in m where the vehicle is known to have been, within the drive."""
     r = recording.reference
     if r is not None:
-        rows = within(recording, r) & np.isfinite(r.position_m[:, :2]).all(axis=1)
+        rows = usable(recording, r)
         return (r.time_s[rows], r.position_m[rows, :2]) if rows.sum() > 2 else None
     return None if recording.truth is None else (recording.time_s, recording.truth.poses[:, :2])
 

@@ -12,7 +12,8 @@ from numpy.typing import ArrayLike
 
 from cellslam.benchmarks.recordings.importing.campaign import CLAIMS, QUANTITIES
 from cellslam.benchmarks.recordings.inspection.suspicions import suspicions
-from cellslam.benchmarks.scores.metrics import duration_s, within
+from cellslam.benchmarks.scores.metrics import duration_s
+from cellslam.benchmarks.scores.reference_fixes import outlying, within
 from cellslam.sim.recording import COMPONENTS, Recording
 
 GAP = 5.0  # an interval longer than so many median ones is a gap
@@ -109,6 +110,7 @@ def _reference(r: Recording) -> dict[str, Any] | None:
         "longest_gap_s": _number(step.max()) if len(step) else None,
         "yaw": bool(np.isfinite(f.yaw_rad).any()),
         "height": bool(np.isfinite(f.position_m[:, 2]).any()),
+        "outlying_at_s": _short(f.time_s[outlying(f) & within(r, f)]),
         "std_m": _number(np.nanmedian(f.position_std_m)) if np.isfinite(f.position_std_m).any() else None,
     }
 
@@ -183,6 +185,12 @@ def as_text(path: Path, recording: Recording, found: Mapping[str, Any]) -> str:
             f"reference     {f['count']} fixes, {f['within_the_drive']} within the drive, every "
             f"{f['interval_s']} s, {extra}"
         )
+        if f["outlying_at_s"]:
+            at, more = f["outlying_at_s"], "" if len(f["outlying_at_s"]) <= 5 else ", ..."
+            lines.append(
+                f"  outliers    {len(at)} far off their neighbours, at {', '.join(f'{t:g}' for t in at[:5])}{more} s: "
+                "left out of scores and figures"
+            )
     if recording.truth is not None:
         lines.append(f"truth         poses, {len(recording.truth.vts)} VTs, associations (simulated)")
     lines += [f"missing       {what}" for what in found["missing"]]

@@ -157,7 +157,7 @@ class PathEvidence:
         """Return the log-likelihood (n,) of pairs of moments, in units as recorded; NaN outside of the drive."""
         times = (pairs.before_s + c.odometry_late_s, pairs.after_s + c.odometry_late_s)
         moved = _displacement(*(self.drive.poses(t, c, c.odometry_arm_m) for t in times))
-        inside = np.isfinite(moved).all(axis=1) & among
+        inside = np.asarray(np.isfinite(moved).all(axis=1) & among)
         at = pairs.pair[pairs.at]
         range_error, azimuth_error = self._innovations(pairs, moved[at], c)
         # In units as recorded: a correction that shrinks what is recorded is not the better for it.
@@ -217,7 +217,7 @@ class PathEvidence:
 def _moves(poses: Floats) -> Floats:
     """Return how many steps, or turns, lie between poses (N, 3)."""
     step = np.hypot(*np.diff(poses[:, :2], axis=0).T)
-    return np.maximum(step / STEP_M, np.abs(np.diff(poses[:, 2])) / TURN_RAD)
+    return np.asarray(np.maximum(step / STEP_M, np.abs(np.diff(poses[:, 2])) / TURN_RAD))
 
 
 def _displacement(a: Floats, b: Floats) -> Floats:

@@ -18,6 +18,7 @@ from cellslam.benchmarks.figures.trial import trial_map as overview
 from cellslam.benchmarks.figures.trial.reflectors import reflection_point, reflectors_of
 from cellslam.benchmarks.figures.trial.trial_figures import draw_all
 from cellslam.benchmarks.scores.trial_result import TrialResult
+from cellslam.sim.recording import Reference
 from cellslam.slam.api import VtEstimate
 
 WALL_X_M = 60.0
@@ -178,3 +179,49 @@ def test_a_recording_without_truth_and_measurements_still_has_its_map(make_recor
     result = TrialResult("dead-reckoning", poses, np.tile(np.eye(6), (20, 1, 1)))
     written = draw_all(None, bare, {"dead-reckoning": result}, None, tmp_path)
     assert [path.name for path in written] == ["map.png"]
+
+
+def measured(scene):
+    """The scene as a campaign would have left it: a reference with an outage of 8 s in place of the truth."""
+    r = scene.recording
+    rows = np.flatnonzero((r.elapsed_s < 5.0) | (r.elapsed_s > 13.0))
+    unknown = np.full(len(rows), np.nan)
+    reference = Reference(r.time_s[rows], r.truth.poses[rows, :3], unknown, unknown)
+    return dataclasses.replace(r, truth=None, reference=reference)
+
+
+def test_nothing_is_drawn_through_an_outage(scene):
+    figure = Figure()
+    assert error.draw(figure, measured(scene), scene.results, None)
+    line = next(line for line in figure.axes[0].lines if line.get_label() == "fastslam")
+    times, values = (np.asarray(data, float) for data in line.get_data())
+    assert np.isnan(values).sum() == 1 and times[np.isnan(values).argmax() - 1] < 5.0
+    assert np.nanmax(np.diff(times)) < 0.1
+
+
+def test_map_of_a_measured_drive_shows_the_estimated_vts_or_the_drive_alone(scene):
+    figure = Figure()
+    assert overview.draw(figure, None, measured(scene), scene.results)
+    vts = next(line for line in figure.axes[0].lines if line.get_label() == "VTs of fastslam")
+    np.testing.assert_allclose(np.column_stack(vts.get_data()), scene.results["fastslam"].vts.position_m[:, :2])
+    (whole, _), (drive, _) = (axes.get_xlim() for axes in figure.axes)
+    assert len(figure.axes) == 2 and whole < drive
+    figure = Figure()
+    assert overview.draw(figure, None, measured(scene), {"dead-reckoning": scene.results["dead-reckoning"]})
+    assert len(figure.axes) == 1
+
+
+def test_known_clocks_have_no_figure(scene):
+    known = dataclasses.replace(scene.recording.sites, clock_offset_std_m=np.zeros(1))
+    assert not clock.draw(Figure(), dataclasses.replace(scene.recording, sites=known), scene.results)
+
+
+def test_titles_name_what_there_is_and_fit(scene):
+    links = dataclasses.replace(scene.recording.links, cell_id=np.full(2, -1), port=np.full(2, -1))
+    sites = dataclasses.replace(
+        scene.recording.sites, name=("transmitter on the roof of the eastern building, mast 2",)
+    )
+    figure = Figure()
+    assert associations.draw(figure, dataclasses.replace(scene.recording, links=links, sites=sites), scene.results)
+    title = figure.axes[0].get_title()
+    assert "-1" not in title and max(len(line) for line in title.split("\n")) <= 40
