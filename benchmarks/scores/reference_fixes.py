@@ -1,7 +1,7 @@
 """Which fixes of a reference are used: those within the drive that have a position, and are not far off the others.
 
-Source: R. K. Pearson et al., Generalized Hampel filters, EURASIP Journal on Advances in Signal Processing, 2016: samples
-far from the median of those around them.
+Source: R. K. Pearson et al., Generalized Hampel filters, EURASIP Journal on Advances in Signal Processing, 2016:
+samples far from the median of those around them.
 """
 
 from __future__ import annotations

@@ -225,17 +225,20 @@ def _clocks(table: str) -> Explanation:
     )
 
 
-def _factors(field: str, values: Sequence[float], say: Say) -> Explanation:
-    corrections = [Correction().having(field, value) for value in (*values, *SCALES)]
-    return Explanation(corrections, say, _scale_harmless(field), _scaled(field))
+def _factors(field: str, values: Sequence[float], say: Say) -> list[Explanation]:
+    """Return known factors, each an explanation of its own, and any other one."""
+    known = [Correction().having(field, value) for value in values]
+    other = [*known, *(Correction().having(field, value) for value in SCALES)]
+    alone = [Explanation([c], say) for c in known]
+    return [*alone, Explanation(other, say, _scale_harmless(field), _scaled(field))]
 
 
 ZEROS = [np.radians(z) for z in (30, 60, 90, 120, 150, -30, -60, -90, -120, -150)]
 EXPLANATIONS = (
     Explanation([Correction(speed=-1.0)], _speed),
-    _factors("speed", (1 / 3.6, 3.6, FOOT_M, 1e-3, 1e-2), _speed),
+    *_factors("speed", (1 / 3.6, 3.6, FOOT_M, 1e-3, 1e-2), _speed),
     Explanation([Correction(yaw_rate=-1.0)], _yaw_rate),
-    _factors("yaw_rate", (DEGREE, -DEGREE, 1 / DEGREE), _yaw_rate),
+    *_factors("yaw_rate", (DEGREE, -DEGREE, 1 / DEGREE), _yaw_rate),
     Explanation([Correction(yaw_rate=-1.0, side=-1.0)], _yaw_rate),
     _clocks("odometry"),
     _clocks("measurements"),
@@ -251,13 +254,13 @@ EXPLANATIONS = (
         lambda c: c.azimuth > 0.0 and abs(c.azimuth_zero_rad) < ZERO_RAD,
         _moved("azimuth_zero_rad", np.radians(10.0)),
     ),
-    _factors("distance", (NANOSECOND_M, 1 / NANOSECOND_M, 1e3, 1e-3, 1e-2), _distance),
+    *_factors("distance", (NANOSECOND_M, 1 / NANOSECOND_M, 0.5, 2.0, 1e3, 1e-3, 1e-2), _distance),
     Explanation(
         [Correction(distance_zero_m=shift) for shift in SHIFTS_M],
         _shift,
         lambda c: abs(c.distance_zero_m) < SHIFT_M,
         _moved("distance_zero_m", 4.0),
     ),
-    _factors("reference", (FOOT_M, 1 / FOOT_M, 1e3, 1e-3, 1e-2), _reference),
+    *_factors("reference", (FOOT_M, 1 / FOOT_M, 1e3, 1e-3, 1e-2), _reference),
     Explanation([Correction(mirrored=True)], _reference),
 )
