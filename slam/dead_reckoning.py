@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import ClassVar
 
 import numpy as np
@@ -9,11 +10,10 @@ import numpy as np
 from cellslam.sim.frames import wrap_angle
 from cellslam.sim.recording import Floats, Links, OdometryModel, Sites
 from cellslam.slam.api import Estimate, Setup, Snapshot
-from cellslam.slam.ekf_slam.motion_kernel import Interval, move
-from cellslam.slam.ekf_slam.state_layout import Core, Filter
-
-STATES = 18  # pose, odometry biases, odometry scales: six of each
-CORE = Core(np.arange(6, 12), np.arange(12, 18), STATES, np.zeros(0, np.int64), STATES)
+from cellslam.slam.ekf_slam.bank import core_of, new_bank
+from cellslam.slam.ekf_slam.snapshot.motion_kernel import Interval, Step, move
+from cellslam.slam.ekf_slam.state.array_errors import NO_ERRORS
+from cellslam.slam.ekf_slam.state.layout import one_of
 
 
 class DeadReckoning:
@@ -42,13 +42,10 @@ class DeadReckoning:
         """Take the start pose; nothing is drawn."""
         del rng
         self._model = setup.odometry_model
-        state, covariance = np.zeros((1, STATES)), np.zeros((1, STATES, STATES))
-        state[0, :6] = setup.start_pose
-        covariance[0] = np.diag(np.concatenate([setup.start_std**2, self._model.bias**2, self._model.scale**2]))
-        self._filter = Filter(
-            CORE, True, state, covariance, np.zeros((1, 0, 5)), np.zeros((1, 0, 4), np.int64),
-            np.zeros(1, np.int64), np.zeros((1, 1), np.int64), np.zeros((1, 0, 14)), np.zeros((1, 1), np.int64),
-        )  # fmt: skip
+        none = replace(setup, sites=Sites((), np.zeros(0), np.zeros(0)), links=Links(*np.zeros((3, 0), np.int64)))
+        bank = new_bank(none, core_of(none, NO_ERRORS), NO_ERRORS, np.zeros((1, 0)), np.zeros(0))
+        self._filter, size = one_of(bank.arrays, 0), bank.core.size
+        self._room = Step(np.empty((6, size + 6)), np.empty((6, bank.arrays.x.shape[1])))
 
     def step(self, dt_s: float, odometry: Floats, snapshot: Snapshot) -> Estimate:
         """Integrate one interval; the measurements are not used.
@@ -57,7 +54,7 @@ class DeadReckoning:
         """
         if dt_s > 0.0:
             noise, walk = np.array(self._model.noise_density, float), np.array(self._model.bias_walk_density, float)
-            move(self._filter, Interval(float(dt_s), np.array(odometry, float), noise, walk))
-        pose = self._filter.x[0, :6].copy()
+            move(self._filter, Interval(float(dt_s), np.array(odometry, float), noise, walk), self._room)
+        pose = self._filter.x[:6].copy()
         pose[3:] = wrap_angle(pose[3:])
-        return Estimate(pose, self._filter.p[0, :6, :6].copy())
+        return Estimate(pose, self._filter.p[:6, :6].copy())

@@ -10,10 +10,20 @@ import numpy as np
 
 from cellslam.sim.recording import Floats, Ints, Truth
 from cellslam.slam.api import Setup, VtEstimate
+from cellslam.slam.ekf_slam.bank import Bank
 from cellslam.slam.ekf_slam.ekf_slam import EkfSlam
-from cellslam.slam.ekf_slam.filter_bank import Bank
-from cellslam.slam.ekf_slam.start.offset_banks import Start, begin
-from cellslam.slam.ekf_slam.state_layout import HITS, IDENT, KNOWN_ASSOCIATION, KNOWN_MAP, LAST, LINK
+from cellslam.slam.ekf_slam.state.layout import (
+    HITS,
+    IDENT,
+    KNOWN_ASSOCIATION,
+    KNOWN_MAP,
+    LAST,
+    LINK,
+    SHARE,
+    VT,
+    VT_STATES,
+)
+from cellslam.slam.ekf_slam.state.states_kernel import owner_of
 from cellslam.slam.fastslam.fastslam import FastSlam
 from cellslam.slam.fastslam.parts.association import FromTruth
 from cellslam.slam.fastslam.parts.choice import Choice
@@ -65,33 +75,25 @@ class KnownMap(EkfSlam):
         self._truth = _truth(setup)
         super().start(setup, rng)
 
-    def _begin(self) -> Start:
-        out = begin(self._setup, self.options, self.mode, self._places())
-        for bank in out.banks:
-            self._install(bank)
-        return out
-
-    def _join(self, start: Start) -> Bank:
-        bank = start.joint(self._setup, self.mode, self._places())
-        self._install(bank)
-        return bank
-
     def _map(self, filters: Sequence[tuple[Bank, int]]) -> VtEstimate | None:
         return None
 
-    def _places(self) -> int:
-        return max(1, sum(int((self._truth.vts.site == site).sum()) for site in self._setup.links.site))
-
     def _install(self, bank: Bank) -> None:
         """Put every VT of a link's site on that link, without uncertainty."""
-        pairs = [(link, vt) for link, site in enumerate(self._setup.links.site)
-                 for vt in np.flatnonzero(self._truth.vts.site == site)]  # fmt: skip
-        bank.count[:] = len(pairs)
+        vts = self._truth.vts
+        pairs = [
+            (link, vt) for link, site in enumerate(self._setup.links.site) for vt in np.flatnonzero(vts.site == site)
+        ]
+        bank.reserve(3 * len(pairs), len(pairs))
+        f, first, here = bank.arrays, bank.core.size, self._setup.start_pose[:3]
+        f.count[:], f.size[:] = len(pairs), first + 3 * len(pairs)
         for j, (link, vt) in enumerate(pairs):
-            bank.slots[:, j, [LINK, HITS, LAST, IDENT]] = link, 1000, LONG_AGO, vt
-            bank.anchor[:, j, :3] = self._setup.start_pose[:3]
-            place = bank.core.size + 3 * j
-            bank.x[:, place : place + 3] = _spherical(self._truth.vts.position_m[vt] - self._setup.start_pose[:3])
+            f.slots[:, j, [LINK, HITS, LAST, IDENT]] = link, 1000, LONG_AGO, vt
+            f.anchor[:, j, :3], f.anchor[:, j, SHARE] = here, 1.0
+            at = first + 3 * j + np.arange(3)
+            f.vt_state[:, j], f.vt_state[:, j, VT : VT + 3] = -1, at
+            f.owner[:, at] = [owner_of(j, VT + c, VT_STATES) for c in range(3)]
+            f.x[:, at] = _spherical(vts.position_m[vt] - here)
 
 
 def _spherical(vector: Floats) -> Floats:

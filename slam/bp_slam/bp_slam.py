@@ -8,7 +8,7 @@ from pydantic import Field
 
 from cellslam.slam.ekf_slam.ekf_slam import JointFilter
 from cellslam.slam.ekf_slam.ekf_slam_options import EkfSlamOptions
-from cellslam.slam.ekf_slam.state_layout import BELIEF, Rules
+from cellslam.slam.ekf_slam.state.layout import BELIEF, Rules
 from cellslam.slam.front_end.visibility import transitions
 
 

@@ -1,7 +1,8 @@
-"""EKF-SLAM: one Gaussian over pose, odometry errors, clock offsets and VTs."""
+"""EKF-SLAM: one Gaussian over pose, odometry errors, clock offsets, VTs, and errors of measurements that persist."""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any, ClassVar
@@ -12,28 +13,30 @@ from cellslam.sim.frames import wrap_angle
 from cellslam.sim.recording import Floats, Ints, Links, OdometryModel
 from cellslam.slam import warm_up
 from cellslam.slam.api import Estimate, Setup, Snapshot, VtEstimate
+from cellslam.slam.ekf_slam.bank import LONGEST, MOST_STATES, Bank, core_of, new_bank, vt_estimate
 from cellslam.slam.ekf_slam.ekf_slam_options import EkfSlamOptions
-from cellslam.slam.ekf_slam.filter_bank import Bank, vt_estimate
-from cellslam.slam.ekf_slam.start.offset_banks import Start, begin
-from cellslam.slam.ekf_slam.state_layout import ENTRY, FREE, KNOWN_ASSOCIATION, Measured, Rules
-from cellslam.slam.front_end.attitude import Attitude
+from cellslam.slam.ekf_slam.sizes import Sizes, sizes_of
+from cellslam.slam.ekf_slam.snapshot.motion_kernel import Interval
+from cellslam.slam.ekf_slam.start import Start, begin
+from cellslam.slam.ekf_slam.state.array_errors import array_errors
+from cellslam.slam.ekf_slam.state.layout import ENTRY, FREE, Measured, Rules
 from cellslam.slam.front_end.looks import Grouping, Looks
 from cellslam.slam.front_end.measurement_noise import first_of_link, ports_of
-from cellslam.slam.front_end.misfit import Misfit
-from cellslam.slam.front_end.readings import Readings, readings
+from cellslam.slam.front_end.readings import Readings, novelty, readings, white_readings
 from cellslam.slam.front_end.visibility import existence
 
 NOT_GIVEN = -2
-GUESSING = 3  # times as many places where VTs have several guesses
+WAY_M, TURN = 0.6, np.radians(2.0)  # a block of snapshots ends after so long a way or turn
+EVIDENCE = 0.0125  # least share of detections, misses and births that is news: what hides a VT lasts for seconds
 
 
 class JointFilter:
     """What EKF-SLAM, its oracles and BP-SLAM share: one joint covariance after a Gaussian-sum start.
 
-    State: pose, odometry biases and scales, clock offsets, and VTs in anchored spherical coordinates. Sources: Smith,
-    Self and Cheeseman, "Estimating uncertain spatial relationships in robotics" (1990), for the joint covariance;
-    Bar-Shalom, Li and Kirubarajan (2001), section 5, for the filter; measurement model and births are those of the
-    extended FastSLAM (paper, section IV, corrected).
+    Sources: Smith, Self and Cheeseman, "Estimating uncertain spatial relationships in robotics" (1990), for the joint
+    covariance; Bar-Shalom, Li and Kirubarajan (2001), section 5, for the filter; Higdon, "A process-convolution
+    approach to modelling temperatures in the North Atlantic Ocean" (1998), for fields of direction as states;
+    measurement model and births are those of the extended FastSLAM (paper, section IV, corrected).
     """
 
     name: ClassVar[str]
@@ -53,12 +56,21 @@ class JointFilter:
         del rng
         self._grouping = Grouping(setup, self.options)
         self._setup, self._time_s, self._now, self._born = _writable(self._grouping.setup), 0.0, 0, 0
-        self._attitude, self._misfit = Attitude(self.options, setup), Misfit(self.options)
         self._ports = ports_of(self._setup.links.site, self._setup.links.port)
-        self._start: Start | None = self._begin()
-        self._joint: Bank | None = None
+        self._errors = array_errors(self.options, setup, self.options.errors == "states")
+        self._core = core_of(self._setup, self._errors)
+        self._past: list[tuple[Interval, Measured]] = []
         self._archive = np.empty((0, ENTRY))
-        self._tables: tuple[float, tuple[Floats, int, int]] | None = None
+        self._tables: dict[int, tuple[Floats, int, int]] = {}
+        sites = self._setup.sites
+        self._start: Start | None = None
+        self._joint: Bank | None = None
+        if (sites.clock_offset_std_m > self.options.component_std_m).any():
+            self._start = begin(self._setup, self._core, self._errors, self.options)
+            for bank in self._start.banks:
+                self._install(bank)
+        else:
+            self._join(np.array(sites.clock_offset_mean_m, float)[None], np.zeros(1))
 
     def step(self, dt_s: float, odometry: Floats, snapshot: Snapshot) -> Estimate:
         """Predict, associate, update.
@@ -66,31 +78,32 @@ class JointFilter:
         dt_s in s; odometry (6,): mean body velocities in m/s and rad/s.
         """
         self._time_s += dt_s
-        odometry = np.array(odometry)
-        looks = self._grouping.looks(snapshot)
-        values = self._readings(dt_s, odometry, self._attitude.levelled(dt_s, looks))
-        measured = self._measured(dt_s, values, looks)
+        odometry, looks, model = np.array(odometry), self._grouping.looks(snapshot), self._setup.odometry_model
+        measured = self._measured(dt_s, odometry, self._readings(dt_s, odometry, looks), looks)
+        interval = Interval(dt_s, odometry, model.noise_density, model.bias_walk_density)
         if self._start is not None:
-            answer = self._step_start(self._start, dt_s, odometry, measured)
+            answer = self._step_start(self._start, interval, measured)
         else:
-            answer = self._step_joint(dt_s, odometry, measured)
+            answer = self._step_joint(interval, measured)
         self._now += 1
         self._born += len(looks)
-        self._misfit.learn(answer, values)
-        answer = self._attitude.concluded(answer, looks, values.many)
         return self._grouping.answer(answer, looks)
+
+    def sizes(self) -> Sizes:
+        """Return what the drive so far says of the sizes of errors: noise, array, odometry.
+
+        Raises RuntimeError while the clock offsets are wide.
+        """
+        if self._joint is None:
+            raise RuntimeError("sizes are learnt once the clock offsets are resolved")
+        return sizes_of(self._joint, self._errors)
 
     def _given(self, looks: Looks) -> Ints:
         """Return the true VT of each look, for the oracle that knows it."""
         return np.full(len(looks), NOT_GIVEN, np.int64)
 
-    def _begin(self) -> Start:
-        """Return the banks of the start."""
-        return begin(self._setup, self.options, self.mode, self.options.start_vts)
-
-    def _join(self, start: Start) -> Bank:
-        """Return the joint filter."""
-        return start.joint(self._setup, self.mode, self.options.vts)
+    def _install(self, bank: Bank) -> None:
+        """Put into new filters what is known of the map."""
 
     def _map(self, filters: Sequence[tuple[Bank, int]]) -> VtEstimate | None:
         """Return the confirmed VTs of some filters of banks, with those that had to make room."""
@@ -101,65 +114,79 @@ class JointFilter:
         """Return the common options of the kernels with what they need beside."""
         return common
 
-    def _step_start(self, start: Start, dt_s: float, odometry: Floats, measured: Measured) -> Estimate:
-        if dt_s > 0.0:
-            start.move(self._setup, dt_s, odometry)
-        association = start.use(self._setup, measured, self.options)
-        mean, cov = start.shared()
+    def _step_start(self, start: Start, interval: Interval, measured: Measured) -> Estimate:
+        """Use a snapshot in the banks of the start; once offsets are resolved, go through all snapshots again."""
+        self._past.append((interval, measured))
+        association = start.use(interval, measured)
+        mean, covariance = start.pose()
         offset, variance = start.offsets()
         if (variance <= self.options.resolved_std_m**2).all() or self._time_s >= self.options.start_limit_s:
-            self._joint, self._start = self._join(start), None
-        return _estimate(mean, cov, association, offset, variance, self._map(start.likeliest()))
+            self._start = None
+            self._join(*start.combinations())
+            for past in self._past:
+                self._use(*past)
+            self._past = []
+        return _estimate(mean, covariance, association, offset, variance, self._map(start.likeliest()))
 
-    def _step_joint(self, dt_s: float, odometry: Floats, measured: Measured) -> Estimate:
+    def _step_joint(self, interval: Interval, measured: Measured) -> Estimate:
+        association = self._use(interval, measured)
         bank = self._joint
         if bank is None:
             raise RuntimeError("step() was called before start()")
-        if dt_s > 0.0:
-            bank.move(self._setup, dt_s, odometry)
-        association = bank.use(measured)
-        best = int(np.argmax(bank.log_weight))
-        if bank.losses[best] > 0:
-            self._archive = np.concatenate([self._archive, bank.lost[best, : bank.losses[best]]])
-        bank.losses[:] = 0
-        mean, cov = bank.moments(0, bank.core.size)
-        offsets = bank.core.offsets
+        best, offsets = int(np.argmax(bank.log_weight)), self._core.offsets
+        mean, cov = bank.moments()
         variance = np.maximum(np.diag(cov)[offsets], 0.0)
         return _estimate(mean, cov, association[best].copy(), mean[offsets], variance, self._map([(bank, best)]))
 
+    def _join(self, offsets_m: Floats, log_weight: Floats) -> None:
+        """Begin the filters of all sites with these combinations of clock offsets (K, S) and their log-weights (K,)."""
+        std = np.minimum(self._setup.sites.clock_offset_std_m, self.options.component_std_m)
+        self._joint = new_bank(self._setup, self._core, self._errors, offsets_m, std, self.options.vts, MOST_STATES)
+        self._joint.log_weight += log_weight
+        self._install(self._joint)
+
+    def _use(self, interval: Interval, measured: Measured) -> Ints:
+        """Use a snapshot in the filters of all sites; return the associations (K, m)."""
+        bank = self._joint
+        if bank is None:
+            raise RuntimeError("step() was called before start()")
+        association = bank.use(self._errors, interval, measured, self.options.vts)
+        lost = bank.lost(int(np.argmax(bank.log_weight)))
+        if len(lost):
+            self._archive = np.concatenate([self._archive, lost])
+        if len(bank) > 1:
+            kept = bank.apart(self._core.offsets, self.options.prune_ratio)
+            if len(kept) < len(bank):
+                self._joint, association = bank.take(kept), association[kept]
+        return association
+
     def _readings(self, dt_s: float, odometry: Floats, looks: Looks) -> Readings:
-        """Return the looks of a level array with their variances."""
-        return self._misfit.widened(
-            readings(looks, self._ports, self._grouping.options, odometry[3] * dt_s, odometry[0] * dt_s), dt_s
-        )
+        """Return the looks with their variances."""
+        if self.options.errors == "states":
+            return white_readings(looks, self._grouping.options)
+        return readings(looks, self._ports, self._grouping.options, odometry[3] * dt_s, odometry[0] * dt_s)
 
-    def _measured(self, dt_s: float, values: Readings, looks: Looks) -> Measured:
-        if self._tables is None or (dt_s > 0.0 and abs(self._tables[0] - dt_s) > 1e-3 * dt_s):
-            self._tables = (dt_s, existence(self._grouping.options, dt_s if dt_s > 0.0 else 0.075))
-        tables, once, twice = self._tables[1]
-        o, site = self._grouping.options, self._setup.links.site
-        birth = float(-np.log1p(-o.birth_ratio))
-        rules = Rules(self.mode, float(np.log(o.clutter_density)), o.gate, birth, o.confirm_hits, once, twice)
-        begin, begin_q = values.z.copy(), values.fresh.copy()
-        flat = np.isnan(begin[:, 2])
-        begin[flat, 2], begin_q[flat, 2] = 0.0, np.radians(self.options.elevation_std_deg) ** 2
-        if np.isnan(begin[:, :2]).any():
-            self._make_room()
-        begin[~looks.begins] = np.nan
-        v, first = values, first_of_link(looks, len(site))
-        return Measured(
-            self._now, self._born, first, site, v.z, v.single, v.many, v.gap, v.lack, begin, begin_q,
-            self._given(looks), tables, self._rules(rules, dt_s),
+    def _measured(self, dt_s: float, odometry: Floats, values: Readings, looks: Looks) -> Measured:
+        o, site, step_s = self._grouping.options, self._setup.links.site, dt_s if dt_s > 0.0 else 0.075
+        key = round(100.0 * math.log(step_s))
+        if key not in self._tables:
+            self._tables[key] = existence(o, step_s)
+        tables, once, twice = self._tables[key]
+        states = self.options.errors == "states"
+        rules = Rules(
+            self.mode, float(np.log(o.clutter_density)), o.gate, float(-np.log1p(-o.birth_ratio)), o.confirm_hits,
+            once, twice, min(max(round(o.block_s / step_s), 1), LONGEST) if states else 1, WAY_M, TURN,
+            max(EVIDENCE, novelty(o, odometry[3] * dt_s, odometry[0] * dt_s)), int(o.hold_s / step_s),
         )  # fmt: skip
-
-    def _make_room(self) -> None:
-        """Make places for the guesses of VTs whose direction or distance is not measured."""
-        if self.mode not in (FREE, KNOWN_ASSOCIATION):
-            return
-        if self._start is not None:
-            self._start.banks = [b.grown(GUESSING * self.options.start_vts) for b in self._start.banks]
-        elif self._joint is not None:
-            self._joint = self._joint.grown(GUESSING * self.options.vts)
+        begin_z, begin_q = values.z.copy(), values.fresh.copy()
+        flat = np.isnan(begin_z[:, 2])
+        begin_z[flat, 2], begin_q[flat, 2] = 0.0, np.radians(self.options.elevation_std_deg) ** 2
+        begin_z[~looks.begins] = np.nan
+        share, v = 1.0 / np.sqrt(looks.ports), values
+        return Measured(
+            self._now, self._born, first_of_link(looks, len(site)), site, v.z, v.single, v.many, begin_q, share, v.gap,
+            begin_z, self._given(looks), tables, self._rules(rules, step_s),
+        )  # fmt: skip
 
 
 class EkfSlam(JointFilter):

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Literal
+
 from pydantic import Field
 
 from cellslam.slam.front_end.front_end_options import FrontEndOptions
@@ -10,10 +12,17 @@ from cellslam.slam.front_end.front_end_options import FrontEndOptions
 class EkfSlamOptions(FrontEndOptions):
     """What a scenario may set under `estimator.ekf-slam`, as under every filter with one joint covariance."""
 
-    vts: int = Field(100, ge=4, le=2000, description="VTs kept in the joint state; the longest unseen make room")
-    start_vts: int = Field(
-        48, ge=4, le=2000, description="the same while clock offsets are wide, per site and component"
+    gate: float = Field(
+        36.0, gt=0, le=1000, description="squared Mahalanobis distance beyond which nothing associates (chi-square)"
     )
+    errors: Literal["states", "counted"] = Field(
+        "states", description="errors that persist: as states of the filter, or counted as so many fewer measurements"
+    )
+    block_s: float = Field(
+        0.6, ge=0, le=1.2, description="looks at a VT are averaged over so long at most, s; 0: never"
+    )
+    hold_s: float = Field(40.0, gt=0, le=1e6, description="time for which the roof's errors in a direction are kept, s")
+    vts: int = Field(100, ge=4, le=2000, description="VTs kept in the joint state; the longest unseen make room")
     elevation_std_deg: float = Field(
         20.0, gt=0, le=90, description="deviation of a new VT's elevation from the horizon where none is measured, deg"
     )
@@ -21,6 +30,6 @@ class EkfSlamOptions(FrontEndOptions):
         20.0, gt=0, le=1000, description="width of one component of the clock-offset prior at the start, m"
     )
     component_step: float = Field(1.25, gt=0, le=3, description="distance of neighbouring components, in their widths")
-    resolved_std_m: float = Field(5.0, gt=0, le=1000, description="a clock offset known to this is resolved, m")
+    resolved_std_m: float = Field(15.0, gt=0, le=1000, description="a clock offset known to this is resolved, m")
     start_limit_s: float = Field(150.0, ge=0, le=1e5, description="the start ends at this time at the latest, s")
     prune_ratio: float = Field(1e-5, gt=0, lt=1, description="components less likely than the best by this are dropped")

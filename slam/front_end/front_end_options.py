@@ -1,16 +1,17 @@
 """What estimators assume of the front end: detection, clutter, coming and going of VTs, and errors that persist.
 
-Three kinds of error of a measurement, as `sim.lte` makes them:
+Errors of a measurement, cause by cause, as `sim.lte` makes them:
 
     white         Q = Q_floor + Q_0 / lambda, lambda the linear SNR (paper, section IV, corrected: more SNR,
                   less variance)
-    of place      diffuse energy: changes over a fraction of a metre, the same for the links of one port of a site
-    of direction  calibration of the array, scattering by the roof: functions of the direction of arrival in the body
-                frame, alike for all paths from about one direction, and they change only as the direction changes
+    diffuse, sway   diffuse energy: changes over a fraction of a metre, the same for the links of one port of a site;
+                  the array's sway: over a fraction of a second, the same for all paths
+    calibration, roof   functions of the direction of arrival in the body frame: alike for all paths from about one
+                  direction, and they change only as the direction changes
 
-A single measurement has the sum of the variances; to associate, take that. Many measurements in a row share a draw: the
-mean of n of them has the variance of n / repeats independent ones. To update, take the variance times `repeats`, and
-times the links that share it.
+A filter either keeps what persists as states, or counts it. Counted, a single measurement has the sum of the variances:
+to associate, take that. Many measurements in a row share a draw: the mean of n of them has the variance of n / repeats
+independent ones. To update, take the variance times `repeats`, and times the links that share it.
 
 Sources: paper, eq. 34, corrected; Priestley, "Spectral analysis and time series", 1981, section 5.3 (variance of the
 mean of a correlated sequence).
@@ -26,6 +27,13 @@ import numpy as np
 from pydantic import BaseModel, ConfigDict, Field
 
 from cellslam.sim.recording import Floats
+
+# Options of a front end whose errors are white.
+NOTHING_PERSISTS = {
+    "calibration_m": 0.0, "calibration_azimuth_deg": 0.0, "calibration_elevation_deg": 0.0, "roof_azimuth_deg": 0.0,
+    "roof_elevation_deg": 0.0, "diffuse_m": 0.0, "diffuse_azimuth_deg": 0.0, "diffuse_elevation_deg": 0.0,
+    "sway_azimuth_deg": 0.0, "sway_elevation_deg": 0.0,
+}  # fmt: skip
 
 
 class FrontEndOptions(BaseModel):
@@ -60,23 +68,30 @@ class FrontEndOptions(BaseModel):
     noise_unit_snr_m: float = Field(0.0405, ge=0, le=1000, description="distance deviation due to noise at 0 dB, m")
     noise_unit_snr_azimuth_deg: float = Field(0.0685, ge=0, le=90, description="the same for azimuth, deg")
     noise_unit_snr_elevation_deg: float = Field(0.0704, ge=0, le=90, description="the same for elevation, deg")
-    place_m: float = Field(
-        0.71, ge=0, le=100, description="distance error that changes with the place (diffuse energy), m"
+    calibration_m: float = Field(
+        0.2, ge=0, le=100, description="distance error of the array's calibration, a function of the direction, m"
     )
-    place_azimuth_deg: float = Field(0.80, ge=0, le=90, description="the same for azimuth, with the array's sway, deg")
-    place_elevation_deg: float = Field(0.71, ge=0, le=90, description="the same for elevation, deg")
-    place_scale_m: float = Field(0.15, ge=0, le=1000, description="way over which it is drawn anew, m; 0: white")
-    direction_m: float = Field(
-        0.2, ge=0, le=100, description="distance error that is a function of the direction of arrival (array), m"
+    calibration_azimuth_deg: float = Field(0.25, ge=0, le=90, description="the same for azimuth, deg")
+    calibration_elevation_deg: float = Field(0.35, ge=0, le=90, description="the same for elevation, deg")
+    calibration_scale_deg: float = Field(
+        15.0, ge=0, le=180, description="change of direction over which it is drawn anew, deg; 0: white"
     )
-    direction_azimuth_deg: float = Field(0.65, ge=0, le=90, description="the same for azimuth (array, roof), deg")
-    direction_elevation_deg: float = Field(1.25, ge=0, le=90, description="the same for elevation, deg")
-    direction_distance_scale_deg: float = Field(
-        15.0, ge=0, le=180, description="change of direction over which the distance's is drawn anew, deg; 0: white"
+    roof_azimuth_deg: float = Field(
+        0.6, ge=0, le=90, description="azimuth error by scattering of the roof, a function of the direction, deg"
     )
-    direction_scale_deg: float = Field(
-        4.0, ge=0, le=180, description="change of direction over which the angles' are drawn anew, deg; 0: white"
+    roof_elevation_deg: float = Field(1.2, ge=0, le=90, description="the same for elevation, deg")
+    roof_scale_deg: float = Field(
+        2.0, ge=0, le=180, description="change of direction over which it is drawn anew, deg; 0: white"
     )
+    diffuse_m: float = Field(0.71, ge=0, le=100, description="distance error by diffuse energy, of each VT and port, m")
+    diffuse_azimuth_deg: float = Field(0.75, ge=0, le=90, description="the same for azimuth, deg")
+    diffuse_elevation_deg: float = Field(0.51, ge=0, le=90, description="the same for elevation, deg")
+    diffuse_scale_m: float = Field(0.15, ge=0, le=1000, description="way over which it is drawn anew, m; 0: white")
+    sway_azimuth_deg: float = Field(
+        0.3, ge=0, le=90, description="azimuth error of all paths of a snapshot, as the array sways, deg"
+    )
+    sway_elevation_deg: float = Field(0.5, ge=0, le=90, description="the same for elevation (pitch and roll), deg")
+    sway_scale_s: float = Field(0.15, ge=0, le=1000, description="time over which it is drawn anew, s; 0: white")
     sharing: Literal["none", "site"] = Field(
         "site", description="whether what the ports and sectors of a site measure of a path is taken together"
     )
@@ -100,20 +115,58 @@ class FrontEndOptions(BaseModel):
         return _variances(*floor), _variances(*unit)
 
     @cached_property
+    def calibration(self) -> Floats:
+        """Deviations (3,) in m and rad of the array's calibration."""
+        return _deviations(self.calibration_m, self.calibration_azimuth_deg, self.calibration_elevation_deg)
+
+    @cached_property
+    def roof(self) -> Floats:
+        """Deviations (3,) in m and rad of what the roof scatters."""
+        return _deviations(0.0, self.roof_azimuth_deg, self.roof_elevation_deg)
+
+    @cached_property
+    def diffuse(self) -> Floats:
+        """Deviations (3,) in m and rad of what diffuse energy does to a path in one port."""
+        return _deviations(self.diffuse_m, self.diffuse_azimuth_deg, self.diffuse_elevation_deg)
+
+    @cached_property
+    def sway(self) -> Floats:
+        """Deviations (3,) in m and rad of what the array's sway does to a direction."""
+        return _deviations(0.0, self.sway_azimuth_deg, self.sway_elevation_deg)
+
+    @cached_property
     def persisting(self) -> tuple[Floats, Floats]:
-        """Variances (3,) in m^2, rad^2, rad^2 of the errors of place and of direction."""
-        return (
-            _variances(self.place_m, self.place_azimuth_deg, self.place_elevation_deg),
-            _variances(self.direction_m, self.direction_azimuth_deg, self.direction_elevation_deg),
-        )
+        """Variances (3,) in m^2, rad^2, rad^2 of the errors of place (diffuse, sway) and of direction (calibration,
+        roof)."""
+        return self.diffuse**2 + self.sway**2, self.calibration**2 + self.roof**2
+
+    @cached_property
+    def beside_states(self) -> tuple[Floats, Floats, Floats]:
+        """Variances for a filter that has what persists as states, in m^2 and rad^2: of causes without a scale, which
+        are white, (2, 3), in all and by port; and (3,), (3,) of diffuse errors and sway with one."""
+        diffuse, sway = self.diffuse**2, self.sway**2
+        lasts, sways = self.diffuse_scale_m > 0.0, self.sway_scale_s > 0.0
+        plain = sway * (not sways) + self.calibration**2 * (self.calibration_scale_deg == 0.0)
+        plain += self.roof**2 * (self.roof_scale_deg == 0.0)
+        return np.stack([plain, diffuse * (not lasts)]), diffuse * lasts, sway * sways
 
     @cached_property
     def scales(self) -> Floats:
         """Over what errors are drawn anew (4,): way (m) for those of place, change of direction (rad) for those of
-        direction in distance and in angles, and how far off VTs are for that (m)."""
-        by_direction = math.radians(self.direction_distance_scale_deg), math.radians(self.direction_scale_deg)
-        return np.array([self.place_scale_m, *by_direction, self.typical_range_m])
+        direction in distance and in angles, and how far off VTs are for that (m).
+
+        In angles the mean of both scales by the variances of azimuth, or of elevation where azimuth has none.
+        """
+        of = 1 if self.persisting[1][1] > 0.0 else 2
+        by = np.array([self.calibration[of] ** 2, self.roof[of] ** 2]) + 1e-30
+        scales_deg = np.array([self.calibration_scale_deg, self.roof_scale_deg])
+        angle = math.radians(float(by @ scales_deg / by.sum()))
+        return np.array([self.diffuse_scale_m, math.radians(self.calibration_scale_deg), angle, self.typical_range_m])
+
+
+def _deviations(distance_m: float, azimuth_deg: float, elevation_deg: float) -> Floats:
+    return np.array([distance_m, math.radians(azimuth_deg), math.radians(elevation_deg)])
 
 
 def _variances(distance_m: float, azimuth_deg: float, elevation_deg: float) -> Floats:
-    return np.square([distance_m, math.radians(azimuth_deg), math.radians(elevation_deg)])
+    return np.square(_deviations(distance_m, azimuth_deg, elevation_deg))

@@ -14,7 +14,7 @@ from cellslam.sim.described import Described
 from cellslam.sim.recording import Floats, Ints
 from cellslam.slam.front_end.front_end_options import FrontEndOptions
 from cellslam.slam.front_end.looks import Looks
-from cellslam.slam.front_end.readings_kernel import Persisting, combine, share_new
+from cellslam.slam.front_end.readings_kernel import LEAST, Persisting, combine, share_new
 
 # Widths in distance (m), azimuth and elevation (rad) over which clutter lies about paths: what a missing component
 # takes off its density.
@@ -50,6 +50,19 @@ def readings(looks: Looks, port_of: Ints, options: FrontEndOptions, turn_rad: fl
     return Readings(z, *combine(
         z, looks.link, port_of, looks.white, looks.ports, looks.doubt, persisting, turn_rad, moved_m, _LOG_WIDTH,
     ))  # fmt: skip
+
+
+def white_readings(looks: Looks, options: FrontEndOptions) -> Readings:
+    """Return a snapshot's looks for a filter that has the errors that persist as states: these are white but for those,
+    and `single` has the diffuse error and the sway, too, which are not known before the update.
+
+    A cause without a scale is white.
+    """
+    z = np.stack([looks.distance_m, looks.azimuth_rad, looks.elevation_rad], axis=1)
+    plain, diffuse, sway = options.beside_states
+    white = np.maximum(looks.white + plain[0] + plain[1] / looks.ports[:, None], LEAST)
+    gap = looks.doubt + np.isnan(z) @ _LOG_WIDTH
+    return Readings(z, white + diffuse / looks.ports[:, None] + sway, white, white, gap, np.zeros(len(z)))
 
 
 def novelty(options: FrontEndOptions, turn_rad: float, moved_m: float) -> float:

@@ -8,53 +8,80 @@ import pytest
 
 from cellslam.sim.recording import Floats, Links, OdometryModel, Sites
 from cellslam.slam.api import Setup
-from cellslam.slam.ekf_slam.filter_bank import new_bank, scratch_of
-from cellslam.slam.ekf_slam.state_layout import FREE, Core, Measured, Rules, one_of, states
-from cellslam.slam.ekf_slam.update_kernel import expect
+from cellslam.slam.ekf_slam.bank import core_of, new_bank
+from cellslam.slam.ekf_slam.snapshot.sight_kernel import coordinates, errors_of, geometry, rotations_of
+from cellslam.slam.ekf_slam.snapshot.snapshot_kernel import new_room
+from cellslam.slam.ekf_slam.snapshot.update_kernel import Look
+from cellslam.slam.ekf_slam.state.array_errors import NO_ERRORS
+from cellslam.slam.ekf_slam.state.layout import FREE, Block, Measured, Rules, one_of
+from cellslam.slam.ekf_slam.state.states_kernel import enter, owner_of
+from cellslam.slam.model.matrices_kernel import Vec3
 
-OFFSET, CORE = 6, 7  # the clock offset's place behind the pose, the first VT's behind that
+NOW = 3  # number of a snapshot
 
 
 class OneFilter:
-    """A joint filter `f` of pose, one clock offset and VTs, on one link, with scratch `w` (NaN) for its kernels."""
+    """A joint filter `f` of pose, one clock offset and VTs, on one link, with room `w` for its kernels."""
 
-    def __init__(self, places: int, **rules: Any) -> None:
+    def __init__(self, errors: Any = NO_ERRORS, **rules: Any) -> None:
         none, nowhere = np.zeros(1, np.int64), np.zeros(6)
         setup = Setup(
             Links(none, none, none), Sites(("A",), np.zeros(1), np.ones(1)), OdometryModel(*(np.zeros((4, 6)))),
             nowhere, nowhere,
         )  # fmt: skip
-        self.rules = Rules(**{"mode": FREE, "log_clutter": 0.0, "gate": 16.3, "birth": 0.0, "confirm": 3,
-                              "age_once": 9, "age_twice": 9, **rules})  # fmt: skip
-        bank = new_bank(setup, Core.of(setup), self.rules.mode, places, np.zeros((1, 1)), np.zeros(1))
-        self.f, self.w = one_of(bank.arrays, 0), scratch_of(CORE + 3 * places, places, 12, self.rules)
-        for part in self.w:
-            if isinstance(part, np.ndarray) and part.dtype == float:
-                part[:] = np.nan
+        self.rules = Rules(**{"mode": FREE, "log_clutter": 0.0, "gate": 16.3, "birth": 0.0, "confirm": 3, "age_once": 9,
+                              "age_twice": 9, "snapshots": 1, "way": 1.0, "turn": 1.0, "evidence": 1.0, "hold": 5,
+                              **rules})  # fmt: skip
+        self.bank, self.errors = new_bank(setup, core_of(setup, errors), errors, np.zeros((1, 1)), np.zeros(1)), errors
+        self.f, self.block = one_of(self.bank.arrays, 0), Block(*(part[0] for part in self.bank.blocks))
+        self.offset, self.w = self.bank.core.first_offset, new_room(self.f, 12)
+        self.w.pending.rows[:], self.w.pending.t[:] = np.nan, np.nan
+
+    @property
+    def n(self) -> int:
+        """How many states there are."""
+        return int(self.f.size[0])
 
     def put(self, pose: Any, offset_m: float, *vts: Any, anchor: Any = (0.0, 0.0, 0.0)) -> None:
-        """Set the mean: pose (6,), clock offset, VTs (range, azimuth, elevation) about an anchor (3,)."""
-        self.f.x[: CORE + 3 * len(vts)] = np.concatenate([pose, [offset_m], *vts])
-        self.f.anchor[: len(vts), :3], self.f.count[0] = anchor, len(vts)
+        """Set the mean: pose (6,), clock offset; enter VTs (range, azimuth, elevation) about an anchor (3,)."""
+        self.f.x[:6], self.f.x[self.offset] = pose, offset_m
+        for j, vt in enumerate(vts):
+            self.f.vt_state[j] = -1
+            for c in range(3):
+                self.f.x[enter(self.f, owner_of(j, c, self.f.vt_state.shape[1]), 1.0)] = vt[c]
+            self.f.anchor[j, :3] = anchor
+        self.f.count[0] = len(vts)
+
+    def spread(self, root: Floats) -> Floats:
+        """Set the covariance of all states to root root^T, and return it."""
+        self.f.p[: self.n, : self.n] = root @ root.T
+        return np.array(root @ root.T)
 
     def model(self, j: int) -> tuple[Floats, Floats]:
-        """Return what is expected of a measurement of VT j (3,), and its whole Jacobian H (3, states)."""
-        expected, _ = expect(self.f, j, OFFSET, self.w.h, self.w.t)
-        whole, v = np.zeros((3, states(self.f))), CORE + 3 * j
-        whole[:, :CORE], whole[:, v : v + 3] = self.w.h[:, :CORE], self.w.h[:, CORE:]
-        return np.array(expected) + self.f.x[OFFSET] * np.eye(3)[0], whole
+        """Return what is expected of a look at VT j (3,), and its whole Jacobian H (3, n)."""
+        f, s = self.f, self.w.sight
+        h = geometry(f, j, self.offset, Vec3(*f.x[:3]), rotations_of(f), coordinates(f, j), s)
+        errors = errors_of(f, self.errors, j, h, 1.0, 1.0, NOW, s)
+        whole = np.zeros((3, self.n))
+        for k in range(s.size[0]):
+            whole[:, s.at[k]] += s.by[:, k]
+        return np.array(h) + np.array(errors) + [f.x[self.offset], 0.0, 0.0], whole
+
+    def look(self, z: Floats, q: Floats) -> Look:
+        """Return a look z (3,) of variances q (3,) from where the filter is."""
+        return Look(z, q, Vec3(*self.f.x[:3]), rotations_of(self.f), 1.0, 1.0, NOW)
 
     def seen(self, z: Floats, q: Floats) -> Measured:
-        """Return measurements z (m, 3) of variances q (m, 3) as the kernels take them."""
+        """Return looks z (m, 3) of variances q (m, 3) as the kernels take them."""
         m = len(z)
         return Measured(
-            0, 0, np.array([0, m]), np.zeros(1, np.int64), z, q, q, np.zeros(m), np.zeros(m), z, q,
-            np.full(m, -2), np.zeros((2, 2, 1)), self.rules,
+            NOW, 100, np.array([0, m]), np.zeros(1, np.int64), z, q, q, q, np.ones(m), np.zeros(m), z, np.full(m, -2),
+            np.zeros((2, 2, 8)), self.rules,
         )  # fmt: skip
 
     def place(self, j: int) -> Floats:
         """Return the position (3,) of VT j."""
-        rho, az, el = self.f.x[CORE + 3 * j : CORE + 3 * j + 3]
+        rho, az, el = coordinates(self.f, j)
         direction = np.array([np.cos(el) * np.cos(az), np.cos(el) * np.sin(az), np.sin(el)])
         return np.asarray(self.f.anchor[j, :3] + rho * direction)
 

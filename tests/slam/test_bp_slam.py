@@ -1,4 +1,4 @@
-"""BP-SLAM: message passing against enumeration, soft updates against the mixture they replace, existence, a drive."""
+"""BP-SLAM: message passing against enumeration, existence, the conformance kit."""
 
 from __future__ import annotations
 
@@ -10,8 +10,10 @@ import pytest
 
 from cellslam.slam.bp_slam.bp_slam import BpSlam
 from cellslam.slam.conformance import EstimatorConformance
-from cellslam.slam.ekf_slam.belief_kernel import pass_messages, soft_update
-from cellslam.slam.ekf_slam.state_layout import BELIEF
+from cellslam.slam.ekf_slam.snapshot.association_kernel import FRESH, Messages
+from cellslam.slam.ekf_slam.snapshot.belief_kernel import believe, pass_messages
+from cellslam.slam.ekf_slam.state.array_errors import NO_ERRORS
+from cellslam.slam.ekf_slam.state.layout import BELIEF, EXISTS
 
 
 def enumerated(beta: Any, xi: Any) -> tuple[float, Any]:
@@ -31,19 +33,13 @@ def enumerated(beta: Any, xi: Any) -> tuple[float, Any]:
     return total, marginal / total
 
 
-@pytest.fixture
-def passed(one_filter: Any) -> Any:
-    """Message passing: the log of the normaliser, and the marginals."""
-    w = one_filter(3, mode=BELIEF).w
-
-    def run(beta: Any, xi: Any) -> tuple[float, Any]:
-        w.beta[:3, :3], w.xi[:3] = beta, xi
-        return pass_messages(w, 3, 3), w.marginal[:3, :3]
-
-    return run
+def passed(beta: Any, xi: Any) -> tuple[float, Any]:
+    """Return the log of the normaliser, and the marginals, by message passing."""
+    m = Messages(beta, np.empty((3, 3)), np.empty((3, 3)), np.empty((3, 3)), xi)
+    return pass_messages(m, 3, 3), m.marginal
 
 
-def test_messages_are_exact_without_loops(passed: Any) -> None:
+def test_messages_are_exact_without_loops() -> None:
     beta, xi = np.array([[3.0, 0.5, 0.0], [0.0, 2.0, 0.0], [0.0, 0.0, 0.2]]), np.array([0.05, 0.1, 0.0])
     value, marginal = passed(beta, xi)
     total, expected = enumerated(beta, xi)
@@ -51,7 +47,7 @@ def test_messages_are_exact_without_loops(passed: Any) -> None:
     np.testing.assert_allclose(marginal, expected, atol=1e-7)
 
 
-def test_messages_are_close_with_loops(passed: Any) -> None:
+def test_messages_are_close_with_loops() -> None:
     rng = np.random.default_rng(0)
     for _ in range(50):
         beta, xi = np.exp(rng.normal(0.0, 2.0, (3, 3))), np.full(3, 0.05)
@@ -63,23 +59,19 @@ def test_messages_are_close_with_loops(passed: Any) -> None:
         assert (marginal.sum(axis=1) <= 1.0 + 1e-6).all()
 
 
-def test_soft_update_has_the_moments_of_the_mixture(one_filter: Any, kalman: Any) -> None:
-    """Missed, or one of two measurements: mean and covariance of the three Kalman updates, weighed."""
-    one, root = one_filter(1, mode=BELIEF), np.random.default_rng(1).normal(size=(10, 10)) * 0.02
+def test_existence_sinks_with_misses_and_comes_back_with_a_look(one_filter: Any) -> None:
+    one = one_filter(mode=BELIEF, log_clutter=-12.0, stay=0.9, back=0.05, detection=0.8, drop=1e-3, birth=0.1)
     one.put([3.0, -2.0, 1.5, 0.7, 0.1, -0.2], 5.0, [80.0, 0.5, 0.2])
-    one.f.p[:] = root @ root.T
-    x, p, (expected, h) = one.f.x.copy(), one.f.p.copy(), one.model(0)
-    e = np.array([[0.2, 0.01, -0.02], [-0.5, 0.03, np.nan]])
-    q, weight = np.array([[0.3, 1e-4, 2e-4], [0.2, 3e-4, 1.0]]), np.array([0.2, 0.5, 0.3])
-    means, covs, _ = zip((x, p, 0.0), *(kalman(x, p, h, *part) for part in zip(e, q, strict=True)), strict=True)
-    mean = weight @ np.array(means)
-    spread = np.array(means) - mean
-    cov = np.tensordot(weight, np.array(covs), axes=1) + (spread * weight[:, None]).T @ spread
-    z = expected + e + [[0.0, 2.0 * np.pi, 0.0], [0.0, -2.0 * np.pi, 0.0]]
-    lack = soft_update(one.f, one.seen(z, q), 0, 0, weight[1:], one.w)
-    np.testing.assert_allclose(one.f.x, mean, rtol=1e-9, atol=1e-12)
-    np.testing.assert_allclose(one.f.p, cov, rtol=1e-7, atol=1e-12)
-    assert lack == pytest.approx(0.0, abs=1e-12)
+    one.f.slots[0, 1], one.f.anchor[0, 3:5] = 5, 1.0
+    none = one.seen(np.zeros((0, 3)), np.zeros((0, 3)))
+    believe(one.f, NO_ERRORS, none, 0, one.w.sight, one.w.pairs)
+    assert one.f.anchor[0, EXISTS] == pytest.approx(0.9 * 0.2 / (1.0 - 0.9 * 0.8))
+    h, _ = one.model(0)
+    seen = one.seen(np.array([h, h + np.array([40.0, 0.5, 0.0])]), np.tile([0.3, 1e-4, 2e-4], (2, 1)))
+    believe(one.f, NO_ERRORS, seen, 0, one.w.sight, one.w.pairs)
+    assert one.f.anchor[0, EXISTS] > 0.99
+    assert one.w.pairs.slot_of[:2].tolist() == [0, FRESH]
+    assert one.w.pairs.exists[1] == pytest.approx(0.1 / 1.1)  # a new feature, or clutter
 
 
 class TestBpSlam(EstimatorConformance):

@@ -18,6 +18,7 @@ from cellslam.slam.ekf_slam.ekf_slam_options import EkfSlamOptions
 from cellslam.slam.fastslam.fastslam import FastSlam
 from cellslam.slam.fastslam.fastslam_options import FastSlamOptions
 from cellslam.slam.fastslam.state.layout import THETA
+from cellslam.slam.front_end.front_end_options import NOTHING_PERSISTS
 from cellslam.slam.model.measurement_model import jacobians, predict
 
 DRIFT = 1e-9
@@ -85,10 +86,10 @@ STD = np.array([0.1, np.radians(0.05), np.radians(0.05)])
 PRIOR_M, PRIOR_M_S, DT, STEPS = 5.0, 0.05, 0.1, 300
 OFFSET_M, RATE_M_S = 3.0, -0.04
 QUIET: dict[str, Any] = {
-    "place_m": 0.0, "place_azimuth_deg": 0.0, "place_elevation_deg": 0.0, "direction_m": 0.0,
-    "direction_azimuth_deg": 0.0, "direction_elevation_deg": 0.0, "noise_unit_snr_m": 0.0,
+    **NOTHING_PERSISTS, "noise_unit_snr_m": 0.0,
     "noise_unit_snr_azimuth_deg": 0.0, "noise_unit_snr_elevation_deg": 0.0, "noise_floor_m": STD[0],
-    "noise_floor_azimuth_deg": 0.05, "noise_floor_elevation_deg": 0.05, "pitch_deg": 0.0, "misfit_scale_s": 0.0,
+    "noise_floor_azimuth_deg": 0.05, "noise_floor_elevation_deg": 0.05, "pitch_deg": 0.0, "roll_deg": 0.0,
+    "misfit_scale_s": 0.0,
 }  # fmt: skip
 
 
@@ -147,7 +148,7 @@ def test_filters_find_offset_and_rate_as_a_batch_does(name: str) -> None:
     by = np.array([1.0, (STEPS - 1) * DT])
     assert estimate.clock_offset_m is not None and estimate.clock_offset_variance_m2 is not None
     std = np.sqrt(by @ cov @ by)
-    assert abs(estimate.clock_offset_m[0] - by @ mean) < 0.1 * std
+    assert abs(estimate.clock_offset_m[0] - by @ mean) < 0.2 * std
     assert np.sqrt(estimate.clock_offset_variance_m2[0]) == pytest.approx(std, rel=0.03)
     if name == "fastslam":
         rate = fastslam._particles.columns(THETA, 2)[:, 1]

@@ -20,16 +20,14 @@ from cellslam.slam.conformance import EstimatorConformance
 from cellslam.slam.conformance.subject import tiny_drive
 from cellslam.slam.ekf_slam.ekf_slam import EkfSlam
 from cellslam.slam.ekf_slam.ekf_slam_options import EkfSlamOptions
+from cellslam.slam.front_end.front_end_options import NOTHING_PERSISTS
 from cellslam.slam.oracles import KnownAssociation, KnownMap
 
 WHITE = {
     "radio.calibration_correlation_deg": 0.0, "radio.roof_correlation_deg": 0.0, "radio.diffuse_correlation_m": 0.0,
     "radio.attitude_correlation_s": 0.0,
 }  # fmt: skip
-AS_CLAIMED: dict[str, Any] = {
-    "noise_model": "claimed", "place_m": 0.0, "place_azimuth_deg": 0.0, "place_elevation_deg": 0.0,
-    "direction_m": 0.0, "direction_azimuth_deg": 0.0, "direction_elevation_deg": 0.0,
-}  # fmt: skip
+AS_CLAIMED: dict[str, Any] = {"noise_model": "claimed", **NOTHING_PERSISTS}
 
 
 @pytest.fixture(scope="module")
@@ -65,16 +63,16 @@ def test_known_map_is_better_than_none(white_drive: Recording) -> None:
 
 
 def test_map_stays_bounded() -> None:
-    few = EkfSlamOptions(vts=12, start_vts=8, start_limit_s=3.0, sharing="none")
+    few = EkfSlamOptions(vts=12, start_limit_s=3.0, sharing="none")
     estimator, recording = EkfSlam(few), tiny_drive()
     estimator.start(setup_of(recording), np.random.default_rng(0))
     for t, snapshot in enumerate(snapshots_of(recording)):
         last = estimator.step(0.075 if t else 0.0, recording.odometry[t], snapshot)
     bank = estimator._joint
     assert bank is not None
-    assert bank.count[0] <= 16
+    assert bank.arrays.count[0, 0] <= 16
     assert last.vts is not None
-    assert len(last.vts.id) > bank.count[0]  # those that made room are still on the map
+    assert len(last.vts.id) > bank.arrays.count[0, 0]  # those that made room are still on the map
     assert np.linalg.eigvalsh(last.vts.covariance).min() >= -1e-9
 
 

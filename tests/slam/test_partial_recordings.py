@@ -14,8 +14,11 @@ from cellslam.scenarios.estimator_options import resolve
 from cellslam.scenarios.loading import load
 from cellslam.scenarios.simulation import simulate
 from cellslam.sim.recording import Recording
-from cellslam.slam.ekf_slam.guess_kernel import AROUND, begin, consider, correct, settle, sweep, unite
-from cellslam.slam.ekf_slam.state_layout import SHARE
+from cellslam.slam.ekf_slam.snapshot.birth_kernel import tidy
+from cellslam.slam.ekf_slam.snapshot.guess_kernel import AROUND, _unite, begin, consider, correct_guesses
+from cellslam.slam.ekf_slam.snapshot.update_kernel import compare, correct, innovate, settle
+from cellslam.slam.ekf_slam.state.array_errors import NO_ERRORS
+from cellslam.slam.ekf_slam.state.layout import SHARE
 from cellslam.slam.model.measurement_model import predict
 
 VT, Q = np.array([60.0, 45.0, 12.0]), np.array([0.01, 1e-4, 1e-4])
@@ -24,15 +27,21 @@ DRIFT = {"odometry.gyro_bias_deg_per_s": 0.5}
 
 def see(one: Any, now: int, pose: Any, z: Any) -> None:
     """Let a filter of an exactly known vehicle be at a pose and measure: give birth, or correct the VT."""
-    f = one.f
+    f, w = one.f, one.w
     f.x[:6] = pose
+    seen = one.seen(z[None], Q[None])._replace(now=now)
     if f.count[0] == 0:
         flat = np.isnan(z[2])
-        begin(f, now, 3, 0, 6, 1, np.array([*z[:2], 0.0]) if flat else z, np.array([*Q[:2], 0.1]) if flat else Q)
+        first = np.array([*z[:2], 0.0]) if flat else z, np.array([*Q[:2], 0.1]) if flat else Q
+        seen = seen._replace(begin=first[0][None], fresh=first[1][None])
+        begin(f, NO_ERRORS, one.block, seen, 0, 1, 0, w.sight, w.pending)
         return
     j = int(np.argmax(f.anchor[: f.count[0], SHARE]))
-    settle(f, one.w.pending, correct(f, j, 6, now, z, Q, one.w, 0)[1])
-    sweep(f)
+    settle(f, w.pending)
+    use = correct_guesses if f.anchor[j, SHARE] < 1.0 else correct
+    use(f, NO_ERRORS, j, 6, one.look(z, Q), w.sight, w.pending)
+    settle(f, w.pending)
+    tidy(f, NO_ERRORS, one.block, now, one.rules)
 
 
 def corner(steps: int) -> Any:
@@ -43,7 +52,7 @@ def corner(steps: int) -> Any:
 
 @pytest.mark.parametrize("missing", [[0], [0, 2], [1, 2], [1], [2]])
 def test_a_vt_is_found_though_a_component_is_never_measured(missing: list[int], one_filter: Any) -> None:
-    rng, one = np.random.default_rng(0), one_filter(12)
+    rng, one = np.random.default_rng(0), one_filter(confirm=0)
     for now, pose in enumerate(corner(120)):
         z = predict(pose, VT) + np.sqrt(Q) * rng.standard_normal(3)
         z[missing] = np.nan
@@ -57,7 +66,7 @@ def test_a_vt_is_found_though_a_component_is_never_measured(missing: list[int], 
 
 def test_on_a_straight_street_two_sides_remain(one_filter: Any) -> None:
     """Distances do not tell left from right: both guesses stay, mirrored, and the vehicle is not moved by either."""
-    one = one_filter(12)
+    one = one_filter(confirm=0)
     one.f.p[[0, 1], [0, 1]] = 0.01
     before = one.f.p[:7, :7].copy()
     for now, way in enumerate(np.linspace(0.0, 40.0, 80)):
@@ -72,21 +81,23 @@ def test_on_a_straight_street_two_sides_remain(one_filter: Any) -> None:
 
 
 def test_guesses_are_corrected_as_a_schmidt_filter_does(one_filter: Any) -> None:
-    one, root = one_filter(2), np.random.default_rng(1).normal(size=(13, 13)) * 0.02
+    one = one_filter()
     one.put([3.0, -2.0, 1.5, 0.7, 0.1, -0.2], 5.0, [80.0, 0.5, 0.2], [60.0, -1.0, 0.1])
-    one.f.p[:] = root @ root.T
-    x, p, (expected, h) = one.f.x.copy(), one.f.p.copy(), one.model(0)
+    p = one.spread(np.random.default_rng(1).normal(size=(13, 13)) * 0.02)
+    x, (expected, h) = one.f.x[:13].copy(), one.model(0)
     e, q = np.array([0.4, 0.01, -0.02]), np.array([0.3, 1e-4, 2e-4])
     gain = p @ h.T @ np.linalg.inv(h @ p @ h.T + np.diag(q))
     gain[np.r_[:7, 10:13]] = 0.0
     left = np.eye(13) - gain @ h
-    consider(one.f, 0, 6, expected + e + [0.0, 2.0 * np.pi, 0.0], q, one.w)
-    np.testing.assert_allclose(one.f.x, x + gain @ e, rtol=1e-9, atol=1e-12)
-    np.testing.assert_allclose(one.f.p, left @ p @ left.T + (gain * q) @ gain.T, rtol=1e-7, atol=1e-12)
+    look = one.look(expected + e + [0.0, 2.0 * np.pi, 0.0], q)
+    given, hph = compare(one.f, NO_ERRORS, 0, 6, look, one.w.sight, one.w.pending)
+    consider(one.f, 0, innovate(given, q, hph), given, one.w.pending)
+    np.testing.assert_allclose(one.f.x[:13], x + gain @ e, rtol=1e-9, atol=1e-12)
+    np.testing.assert_allclose(one.f.p[:13, :13], left @ p @ left.T + (gain * q) @ gain.T, rtol=1e-7, atol=1e-12)
 
 
 def test_guesses_of_a_lone_distance_go_round_the_circle(one_filter: Any) -> None:
-    one = one_filter(12)
+    one = one_filter(confirm=0)
     see(one, 0, np.zeros(6), np.array([50.0, np.nan, np.nan]))
     assert one.f.count[0] == AROUND
     places = np.array([one.place(j) for j in range(AROUND)])
@@ -95,12 +106,12 @@ def test_guesses_of_a_lone_distance_go_round_the_circle(one_filter: Any) -> None
 
 
 def test_guesses_that_agree_are_one_also_behind_the_array(one_filter: Any) -> None:
-    one = one_filter(4)
+    one = one_filter()
     one.put(np.zeros(6), 0.0, [50.0, 3.1, 0.0], [50.0, -3.1, 0.0], [50.0, 1.0, 0.0], [50.0, 2.0, 0.0])
-    one.f.p[:] = 0.1 * np.eye(19)
-    share = one.f.anchor[:, SHARE]
+    one.spread(np.sqrt(0.1) * np.eye(19))
+    share = one.f.anchor[:4, SHARE]
     share[:] = [0.6, 0.4, 1.0, 1e-4]
-    assert unite(one.f, 0, 0, share.sum()) == (2, 2)
+    assert _unite(one.f, 0, 0, share.sum()) == (2, 2)
     np.testing.assert_allclose(share, [0.5, 0.0, 0.5, 0.0], rtol=1e-3)
 
 

@@ -73,15 +73,14 @@ def _components(
 
     from cellslam.slam.front_end.front_end_options import FrontEndOptions
 
-    taken = FrontEndOptions()
-    scales_deg = (taken.direction_distance_scale_deg, taken.direction_scale_deg, taken.direction_scale_deg)
+    scale_deg = FrontEndOptions().calibration_scale_deg
     misfit, place, direction = 0.0, {}, {}
     for i, name in enumerate(QUANTITIES):
         key = NAMES[name]
         variance = np.array([in_unit(name, _spread(part.left[:, i])) ** 2 for part in parts])
         if key not in white or not (variance > 0.0).all():
             continue
-        columns = [-np.expm1(-0.5 * (way / scale_m) ** 2), -np.expm1(-0.5 * (change_deg / scales_deg[i]) ** 2)]
+        columns = [-np.expm1(-0.5 * (way / scale_m) ** 2), -np.expm1(-0.5 * (change_deg / scale_deg) ** 2)]
         target = np.maximum(variance - white[key] ** 2, 0.0) / variance
         share, rest = nnls(np.column_stack(columns) / variance[:, None], target)
         misfit += rest**2

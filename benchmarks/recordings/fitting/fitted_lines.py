@@ -40,10 +40,10 @@ def options(recording: Recording, fitted: Fitted, least: Mapping[str, float]) ->
         if floor is not None:
             out[f"noise_floor_{key}"] = max(floor, least.get(key, 0.0))
             out[f"noise_unit_snr_{key}"] = fitted.unit.get(key, 0.0)
-            out[f"place_{key}"] = fitted.persisting.place.get(key, 0.0)
-            out[f"direction_{key}"] = fitted.persisting.direction.get(key, 0.0)
+            out[f"diffuse_{key}"] = fitted.persisting.place.get(key, 0.0)
+            out[f"calibration_{key}"] = fitted.persisting.direction.get(key, 0.0)
     if fitted.persisting.scale_m:
-        out["place_scale_m"] = fitted.persisting.scale_m
+        out["diffuse_scale_m"] = fitted.persisting.scale_m
     if fitted.range_m is not None:
         out["typical_range_m"] = fitted.range_m
     return {name: float(f"{value:.3g}") for name, value in out.items() if name in FrontEndOptions.model_fields}

@@ -109,7 +109,7 @@ def mean_velocities(motion: Motion, times: Floats, start_pose: Floats) -> Floats
     poses, known = integrate(motion, times, start_pose)
     out[1:] = mean_velocity(poses[:-1], poses[1:], np.diff(times))
     measured = np.array(motion.measured)
-    absent = np.flatnonzero(~measured)
+    absent = np.flatnonzero(np.logical_not(measured))
     amounts = np.abs(out[:, absent]).max(axis=0) > STILL
     known[:, absent] = np.all(known[:, measured], axis=1, keepdims=True)
     out[1:][~known] = np.nan

@@ -19,16 +19,14 @@ from cellslam.benchmarks.trials.estimation import estimate, warm_up
 from cellslam.scenarios.estimator_options import resolve
 from cellslam.sim.errors import InputError
 from cellslam.sim.recording import Measurements, Recording
+from cellslam.slam.front_end.front_end_options import NOTHING_PERSISTS
 
 FITTED = {
     "noise_floor_m": 0.1,
     "noise_floor_azimuth_deg": 0.3,
     "noise_unit_snr_m": 0.0,
     "noise_unit_snr_azimuth_deg": 0.0,
-    "place_m": 0.0,
-    "place_azimuth_deg": 0.0,
-    "direction_m": 0.0,
-    "direction_azimuth_deg": 0.0,
+    **NOTHING_PERSISTS,
     "clutter_density": 0.01,
 }
 

@@ -143,7 +143,7 @@ def test_simulated_cellular_noise_at_unit_snr(tmp_path: Path, capsys: pytest.Cap
     assert cli.main(["--quiet", "fit-noise", str(path)]) == 0
     options = tomllib.loads(capsys.readouterr().out)["estimator"]["fastslam"]
     assert options["noise_unit_snr_m"] == pytest.approx(0.0405, rel=0.25)
-    assert options["direction_m"] > options["noise_floor_m"]
+    assert options["calibration_m"] > options["noise_floor_m"]
     assert 0.7 < options["detection_probability"] < 0.95
 
 

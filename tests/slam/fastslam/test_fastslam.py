@@ -17,6 +17,7 @@ from cellslam.slam.fastslam.fastslam_options import FastSlamOptions
 from cellslam.slam.fastslam.snapshot.measurement_kernel import pack
 from cellslam.slam.fastslam.state.layout import LANES, POSE, THETA
 from cellslam.slam.fastslam.state.particles import draw, select
+from cellslam.slam.front_end.front_end_options import NOTHING_PERSISTS
 from cellslam.slam.front_end.looks import Grouping
 from cellslam.slam.front_end.readings import novelty, readings
 from cellslam.slam.front_end.readings_kernel import count_sharers, crowd, repeats
@@ -385,8 +386,8 @@ def test_vts_are_found_though_a_component_is_never_measured(missing):
     """A drive round a corner past two VTs: 20 m ahead, then 20 m to the left."""
     vts = np.array([[30.0, 14.0, 4.0], [10.0, -25.0, 3.0]])
     options = replace_options(
-        SMALL, particles=256, place_m=0.1, place_azimuth_deg=0.3, direction_m=0.0, direction_azimuth_deg=0.0,
-        direction_elevation_deg=0.0, place_scale_m=0.0,
+        SMALL, particles=256, **NOTHING_PERSISTS | {"diffuse_m": 0.1, "diffuse_azimuth_deg": 0.3,
+        "diffuse_elevation_deg": 0.71}, diffuse_scale_m=0.0,
     )  # fmt: skip
     filter_, rng = FastSlam(options), np.random.default_rng(3)
     filter_.start(make_setup(links=1), np.random.default_rng(1))
@@ -407,7 +408,7 @@ def test_vts_are_found_though_a_component_is_never_measured(missing):
 
 
 def test_novelty_is_what_the_last_snapshot_has_not_shown():
-    white = FastSlamOptions(place_scale_m=0.0, direction_scale_deg=0.0, direction_distance_scale_deg=0.0)
+    white = FastSlamOptions(diffuse_scale_m=0.0, calibration_scale_deg=0.0, roof_scale_deg=0.0)
     assert novelty(white, 0.0, 0.08) == pytest.approx(1.0)
     usual = FastSlamOptions()
     standing, straight, turning = (novelty(usual, *move) for move in ((0.0, 0.0), (0.0, 0.08), (0.02, 0.08)))

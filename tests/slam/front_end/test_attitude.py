@@ -11,12 +11,12 @@ from cellslam.sim.frames import azimuth_elevation, rotation, unit_vector
 from cellslam.sim.recording import Links, OdometryModel, Sites
 from cellslam.slam.api import Estimate, Setup, Snapshot, VtEstimate
 from cellslam.slam.front_end.attitude import Attitude
-from cellslam.slam.front_end.front_end_options import FrontEndOptions
+from cellslam.slam.front_end.front_end_options import NOTHING_PERSISTS, FrontEndOptions
 from cellslam.slam.model.measurement_model import predict
 
 POSE = np.array([12.0, -7.0, 1.8, 2.9, 0.0, 0.0])
 TILT = np.radians([0.15, -0.4])
-OPTIONS = FrontEndOptions(place_azimuth_deg=0.05, place_elevation_deg=0.05)
+OPTIONS = FrontEndOptions(**NOTHING_PERSISTS | {"diffuse_azimuth_deg": 0.05, "diffuse_elevation_deg": 0.05})
 
 
 def setup(**changes: np.ndarray) -> Setup:

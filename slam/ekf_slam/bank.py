@@ -1,0 +1,229 @@
+"""A bank of joint filters: the arrays, and what is done to them from Python.
+
+Source: Sorenson and Alspach, "Recursive Bayesian estimation using Gaussian sums", Automatica 7, 1971.
+"""
+
+from __future__ import annotations
+
+import os
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from functools import cache
+from typing import Any, TypeVar
+
+import numpy as np
+
+from cellslam.sim.recording import Floats, Ints
+from cellslam.slam.api import Setup, VtEstimate
+from cellslam.slam.ekf_slam.snapshot.birth_kernel import map_into
+from cellslam.slam.ekf_slam.snapshot.motion_kernel import Interval
+from cellslam.slam.ekf_slam.snapshot.sizes_kernel import SIZES
+from cellslam.slam.ekf_slam.snapshot.snapshot_kernel import use_in_bank
+from cellslam.slam.ekf_slam.state.layout import (
+    ANCHOR,
+    ENTRY,
+    NOBODY,
+    POSE,
+    POSITION,
+    SHARE,
+    SLOT,
+    SPREAD,
+    VT_STATES,
+    ArrayErrors,
+    Block,
+    Core,
+    Filter,
+    Measured,
+    one_of,
+)
+
+LONGEST = 16  # snapshots in a block at most
+THREADS = os.cpu_count() or 1
+STATES, VTS = 256, 48  # room of a new filter
+MOST_STATES = 2040  # that a filter of all sites has, as a rule: memory that is not used costs nothing
+NEW_STATES, NEW_VTS = 160, 24  # that a snapshot may bring
+SAME = 0.5  # deviations by which filters differ, or the likelier stays
+LOST = 64  # confirmed VTs that one block can push out
+
+
+def core_of(setup: Setup, errors: ArrayErrors) -> Core:
+    """Return the layout of the states that are always there."""
+    model = setup.odometry_model
+    bias, scale, noise, sway = *(np.full(POSE, -1, np.int64) for _ in range(3)), np.full(3, -1, np.int64)
+    biased, scaled = np.flatnonzero((model.bias > 0) | (model.bias_walk_density > 0)), np.flatnonzero(model.scale)
+    noisy = np.flatnonzero(model.noise_density)
+    at = POSE
+    if errors.sway.any():
+        sway, at = at + np.arange(3), at + 3
+    bias[biased] = at + np.arange(len(biased))
+    scale[scaled] = at + len(biased) + np.arange(len(scaled))
+    noise[noisy] = at + len(biased) + len(scaled) + np.arange(len(noisy))
+    first = at + len(biased) + len(scaled) + len(noisy)
+    drifts, after = setup.sites.drift_std_m_s > 0.0, first + len(setup.sites)
+    rate = np.where(drifts, after + np.cumsum(drifts) - 1, -1).astype(np.int64)
+    return Core(sway, bias, scale, noise, first, rate, after + int(drifts.sum()))
+
+
+Tables = TypeVar("Tables", Filter, Block)
+OF_VTS, OF_LOOKS = ("vt_state", "anchor", "slots"), ("looks", "seen", "e", "q", "measured", "diffuse", "odds")
+
+
+@cache
+def _pool() -> ThreadPoolExecutor:
+    return ThreadPoolExecutor(THREADS)
+
+
+@dataclass
+class Bank:
+    """K filters: `arrays`, each with a leading axis, their blocks, and log-weights (K,)."""
+
+    arrays: Filter
+    blocks: Block
+    log_weight: Floats
+
+    def __len__(self) -> int:
+        return len(self.log_weight)
+
+    def use(self, errors: ArrayErrors, interval: Interval, measured: Measured, most_vts: int) -> Ints:
+        """Move every filter by an interval and use a snapshot; return the associations (K, m).
+
+        Of VTs each keeps so many at most; those that make room stay in `lost` until the next snapshot.
+        """
+        self.reserve(NEW_STATES, min(NEW_VTS, max(most_vts - int(self.arrays.count.max()), 0)))
+        self.arrays.losses[:] = 0
+        association = np.full((len(self), len(measured.z)), -1, np.int64)
+        threads = min(len(self), THREADS)
+
+        def part(first: int) -> None:
+            use_in_bank(
+                self.arrays, errors, self.blocks, interval, measured, association, self.log_weight, first, threads
+            )
+
+        if threads == 1:
+            part(0)
+        else:
+            list(_pool().map(part, range(threads)))
+        return association
+
+    def take(self, kept: Ints) -> Bank:
+        """Return the filters `kept`."""
+        core, *arrays = self.arrays
+        chosen: Any = [array[kept] for array in arrays]
+        blocks: Any = [array[kept] for array in self.blocks]
+        return Bank(Filter(core, *chosen), Block(*blocks), self.log_weight[kept])
+
+    def reserve(self, states: int, vts: int) -> None:
+        """Grow the arrays to have room for so many more states and VTs."""
+        arrays, blocks, width, places = self.arrays, self.blocks, len(self.arrays.x[0]), len(self.arrays.slots[0])
+        if int(arrays.size.max()) + states > width:
+            more = max(width // 2, states)
+            arrays = arrays._replace(
+                x=_padded(arrays.x, more),
+                owner=_padded(arrays.owner, more),
+                p=_padded(_padded(arrays.p, more), more, 1),
+            )
+        if int(arrays.count.max()) + vts > places:
+            more = max(places // 2, vts)
+            arrays, blocks = _with_rows(arrays, OF_VTS, more), _with_rows(blocks, OF_LOOKS, more)
+        self.arrays, self.blocks = arrays, blocks
+
+    def shares(self) -> Floats:
+        """Return the weights (K,), which sum to one."""
+        weight = np.exp(self.log_weight - self.log_weight.max())
+        return np.asarray(weight / weight.sum())
+
+    def moments(self) -> tuple[Floats, Floats]:
+        """Return mean (C,) and covariance (C, C), in m and rad, of the core states, over all filters."""
+        size = self.core.size
+        if len(self) == 1:
+            return self.arrays.x[0, :size].copy(), self.arrays.p[0, :size, :size].copy()
+        weight = self.shares()
+        x, p = self.arrays.x[:, :size], self.arrays.p[:, :size, :size]
+        mean = weight @ x
+        apart = x - mean
+        return mean, np.einsum("k,kij->ij", weight, p) + (apart * weight[:, None]).T @ apart
+
+    @property
+    def core(self) -> Core:
+        """The layout of the states that are always there."""
+        return self.arrays.core
+
+    def apart(self, of: slice, ratio: float) -> Ints:
+        """Return the filters that are not less likely than the best by this ratio, and whose states `of` differ from
+        those of all likelier ones, the likeliest first."""
+        x, kept = self.arrays.x[:, of], list[int]()
+        variance = np.maximum(np.diagonal(self.arrays.p, axis1=1, axis2=2)[:, of], 0.0)
+        for i in np.argsort(-self.log_weight, kind="stable").tolist():
+            likely = self.log_weight[i] >= self.log_weight.max() + np.log(ratio)
+            same = (((x[i] - x[kept]) ** 2 <= SAME**2 * np.minimum(variance[i], variance[kept])).all(axis=1)).any()
+            if likely and not same:
+                kept.append(i)
+        return np.array(kept, np.int64)
+
+    def lost(self, index: int) -> Floats:
+        """Return the confirmed VTs of one filter that made room for others in the last snapshot, as `vts` does."""
+        return self.arrays.lost[index, : int(self.arrays.losses[index, 0])]
+
+    def vts(self, index: int, hits: int) -> Floats:
+        """Return identity, link, position (m), covariance (v, 14) of a filter's VTs with at least `hits` detections."""
+        out = np.empty((int(self.arrays.count[index, 0]), ENTRY))
+        return out[: map_into(one_of(self.arrays, index), hits, out)]
+
+
+def _with_rows(tables: Tables, names: tuple[str, ...], more: int) -> Tables:
+    """Return a NamedTuple whose arrays (K, V, ...) of these names have so many VTs more."""
+    return tables._replace(**{name: _padded(getattr(tables, name), more, 1) for name in names})
+
+
+def _padded(array: Any, more: int, axis: int = -1) -> Any:
+    """Return an array (K, ...) with so many zeros more along an axis."""
+    width = [(0, 0)] * array.ndim
+    width[axis] = (0, more)
+    return np.pad(array, width)
+
+
+def vt_estimate(rows: Floats) -> VtEstimate:
+    """Return rows (v, 14) of identity, link, position (m) and covariance (m^2) as VTs."""
+    covariance = rows[:, SPREAD:].reshape(-1, 3, 3)
+    ids, link = rows[:, 0].astype(np.int64), rows[:, 1].astype(np.int64)
+    return VtEstimate(ids, link, rows[:, POSITION:SPREAD].copy(), 0.5 * (covariance + np.swapaxes(covariance, 1, 2)))
+
+
+def new_bank(
+    setup: Setup, core: Core, errors: ArrayErrors, offsets_m: Floats, offset_std_m: Floats, vts: int = VTS,
+    states: int = STATES,
+) -> Bank:  # fmt: skip
+    """Return K filters at the start, without VTs.
+
+    offsets_m (K, S): clock offsets, offset_std_m (S,): their deviations. All links are in use.
+    """
+    k, model, whole, vts = len(offsets_m), setup.odometry_model, np.int64, min(vts, VTS)
+    x, p, variance = np.zeros((k, states)), np.zeros((k, states, states)), np.zeros(core.size)
+    variance[:POSE] = setup.start_std**2
+    variance[4:POSE] = np.maximum(variance[4:POSE], errors.tilt**2)
+    if core.sway[0] >= 0:
+        variance[core.sway] = errors.sway**2
+    for of, std in ((core.bias, model.bias), (core.scale, model.scale)):
+        variance[of[of >= 0]] = std[of >= 0] ** 2
+    variance[core.offsets] = offset_std_m**2
+    variance[core.rate[core.rate >= 0]] = setup.sites.drift_std_m_s[core.rate >= 0] ** 2
+    x[:, :POSE], x[:, core.offsets] = setup.start_pose, offsets_m
+    p[:, np.arange(core.size), np.arange(core.size)] = variance
+    weights = sum(
+        int((std > 0.0).sum()) * grid.cells
+        for std, grid in ((errors.calibration, errors.calibration_grid), (errors.roof, errors.roof_grid))
+    )
+    anchor = np.zeros((k, vts, ANCHOR))
+    anchor[:, :, SHARE] = 1.0
+    arrays = Filter(
+        core, x, p, np.full((k, 1), core.size), np.full((k, states), NOBODY), np.full((k, weights), -1),
+        np.zeros((k, weights), whole), np.full((k, vts, VT_STATES), -1), anchor, np.zeros((k, vts, SLOT), whole),
+        np.zeros((k, 1), whole), np.ones((k, len(setup.links)), whole), np.zeros((k, LOST, ENTRY)),
+        np.zeros((k, 1), whole), np.zeros((k, 2, SIZES)),np.zeros((k, 1)),
+    )  # fmt: skip
+    blocks = Block(
+        np.zeros((k, 1), whole), np.zeros((k, LONGEST, POSE)), np.zeros((k, LONGEST, 2)), np.zeros((k, 3)),
+        np.zeros((k, vts), whole), np.zeros((k, vts, LONGEST), whole), np.zeros((k, vts, 3)), np.zeros((k, vts, 3)),
+        np.zeros((k, vts, 3)), np.zeros((k, vts)), np.zeros((k, vts)),
+    )  # fmt: skip
+    return Bank(arrays, blocks, np.zeros(k))

@@ -1,0 +1,198 @@
+"""Compiled: VTs whose direction or distance was not measured: several guesses, of which time leaves one.
+
+A lone distance begins VTs around the circle, a lone direction begins VTs at distances that double, all of them with one
+identity and a share of the probability each: a Gaussian sum for one VT. While guesses are left, looks correct them and
+their shares, but not the pose or the clock offset, which are considered only: whatever a wrong guess would teach does
+no harm. Guesses that agree become one, and the last one is a VT like any other.
+
+Sources: Alspach and Sorenson, "Nonlinear Bayesian estimation using Gaussian sum approximations", IEEE Trans. Automatic
+Control 17(4), 1972; Sola et al., "Undelayed initialization in bearing only SLAM", IROS 2005 (distances that grow
+geometrically); Schmidt, "Application of state-space methods to navigation problems", 1966 (considered states).
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from cellslam.sim.compiling import njit
+from cellslam.sim.frames_kernel import TURN, wrap
+from cellslam.sim.recording import Floats
+from cellslam.slam.ekf_slam.snapshot.birth_kernel import add
+from cellslam.slam.ekf_slam.snapshot.sight_kernel import Sight
+from cellslam.slam.ekf_slam.snapshot.update_kernel import (
+    LOG_2PI,
+    Innovation,
+    Look,
+    Pending,
+    blank,
+    compare,
+    correct,
+    innovate,
+    log_likelihood,
+    settle,
+)
+from cellslam.slam.ekf_slam.state.layout import (
+    HITS,
+    IDENT,
+    LAST,
+    LINK,
+    SHARE,
+    VT,
+    ArrayErrors,
+    Block,
+    Filter,
+    Measured,
+)
+from cellslam.slam.model.matrices_kernel import Vec3, cholesky, solved
+
+AROUND, AHEAD = 10, 7  # guesses of an azimuth, of a distance
+NEAREST_M, FARTHER = 15.0, 2.0  # first distance, ratio of one to the next
+WIDTH = 0.5  # deviation of a guess, in distances of neighbours
+LEAST = 1e-3  # share below which a guess is given up
+AGREE = 0.5  # guesses this close, in their deviations, are one
+
+
+@njit(cache=True)
+def possible(z: Floats, b: float) -> bool:
+    """Return whether a VT can begin with a look z (3,): its distance, its azimuth or both are known.
+
+    A distance must be 1 m beyond the clock offset b (m).
+    """
+    return z[0] - b > 1.0 or (math.isnan(z[0]) and not math.isnan(z[1]))
+
+
+@njit(cache=True)
+def begin(
+    f: Filter, a: ArrayErrors, b: Block, seen: Measured, link: int, ident: int, k: int, s: Sight, w: Pending
+) -> None:
+    """Give birth to a VT, or to its guesses, with look k of a snapshot."""
+    z, q = seen.begin[k], seen.fresh[k]
+    ranged = not math.isnan(z[0])
+    whole = ranged and not math.isnan(z[1])
+    guesses = 1 if whole else (AROUND if ranged else AHEAD)
+    guess, wide = z.copy(), q.copy()
+    for n in range(guesses):
+        if not ranged:
+            guess[0] = NEAREST_M * FARTHER**n
+            wide[0] = (WIDTH * math.log(FARTHER) * guess[0]) ** 2
+        elif not whole:
+            guess[1] = TURN * n / AROUND
+            wide[1] = (WIDTH * TURN / AROUND) ** 2
+        if add(f, a, b, seen, link, ident, k, guess, wide, ranged, s, w):
+            f.anchor[f.count[0] - 1, SHARE] = 1.0 / guesses
+
+
+@njit
+def is_guess(f: Filter, i: int, link: int, ident: int) -> bool:
+    """Return whether VT i is a guess of this VT."""
+    return bool(f.slots[i, IDENT] == ident and f.slots[i, LINK] == link)
+
+
+@njit(cache=True)
+def correct_guesses(f: Filter, a: ArrayErrors, j: int, offset: int, look: Look, s: Sight, w: Pending) -> float:
+    """Update the guesses of the VT that j is one of by a look; return its log-density.
+
+    Guesses given up have the share 0.
+    """
+    settle(f, w)
+    link, ident, last, hits, share = (
+        f.slots[j, LINK],
+        f.slots[j, IDENT],
+        f.slots[j, LAST],
+        f.slots[j, HITS],
+        f.anchor[:, SHARE],
+    )
+    best = -math.inf
+    for i in range(f.count[0]):
+        if is_guess(f, i, link, ident):
+            f.slots[i, LAST], f.slots[i, HITS] = last, hits
+            if share[i] > 0.0:
+                e, hph = compare(f, a, i, offset, look, s, w)
+                new = innovate(e, look.q, hph)
+                distance2, log_det = log_likelihood(new)
+                share[i] = math.log(share[i]) + max(-0.5 * (distance2 + log_det + new.measured * LOG_2PI), -1e6)
+                best = max(best, share[i])
+            else:
+                share[i] = -math.inf
+    total = 0.0
+    for i in range(f.count[0]):
+        if is_guess(f, i, link, ident):
+            share[i] = math.exp(share[i] - best)
+            total += share[i]
+    left, only = _unite(f, link, ident, total)
+    if left == 1:
+        share[only] = 1.0
+        correct(f, a, only, offset, look, s, w)
+    else:
+        for i in range(f.count[0]):
+            if is_guess(f, i, link, ident) and share[i] > 0.0:
+                e, hph = compare(f, a, i, offset, look, s, w)
+                consider(f, i, innovate(e, look.q, hph), e, w)
+    return best + math.log(total)
+
+
+@njit(cache=True)
+def _unite(f: Filter, link: int, ident: int, total: float) -> tuple[int, int]:
+    """Make the shares of a VT's guesses sum to one, give up the improbable ones and doubles; return how many are left,
+    and the last of them."""
+    share = f.anchor[:, SHARE]
+    for i in range(f.count[0]):
+        if is_guess(f, i, link, ident):
+            share[i] = share[i] / total if share[i] > LEAST * total else 0.0
+    for a in range(f.count[0]):
+        if not is_guess(f, a, link, ident) or share[a] == 0.0:
+            continue
+        for b in range(f.count[0]):
+            if b == a or not is_guess(f, b, link, ident) or share[b] == 0.0:
+                continue
+            if share[b] > share[a] or not _agree(f, a, b):
+                continue
+            share[a] += share[b]
+            share[b] = 0.0
+    left, last, total = 0, -1, 0.0
+    for i in range(f.count[0]):
+        if is_guess(f, i, link, ident) and share[i] > 0.0:
+            left, last = left + 1, i
+            total += share[i]
+    for i in range(f.count[0]):
+        if is_guess(f, i, link, ident):
+            share[i] /= total
+    return left, last
+
+
+@njit(cache=True)
+def _agree(f: Filter, i: int, j: int) -> bool:
+    """Return whether two guesses of one VT are the same by now."""
+    for c in range(3):
+        a, b = f.vt_state[i, VT + c], f.vt_state[j, VT + c]
+        gap = wrap(f.x[a] - f.x[b]) if c == 1 else f.x[a] - f.x[b]
+        if gap * gap > AGREE * AGREE * (f.p[a, a] + f.p[b, b]):
+            return False
+    return True
+
+
+@njit(cache=True)
+def consider(f: Filter, j: int, new: Innovation, e: Vec3, w: Pending) -> None:
+    """Update VT j alone by an innovation, T being in w.t, and e with NaN where not measured; all else is considered:
+    covariances with it change, its own do not."""
+    x, p, t, at, n = f.x, f.p, w.t, f.vt_state[j], f.size[0]
+    root = cholesky(new.s)
+    if root.xx == 0.0:
+        return
+    blank(w, e)
+    whitened = solved(root, new.e)
+    for i in range(n):
+        u = solved(root, Vec3(t[0, i], t[1, i], t[2, i]))
+        t[0, i], t[1, i], t[2, i] = u.x, u.y, u.z
+    own = np.empty((3, n))
+    for c in range(3):
+        i = at[VT + c]
+        x[i] += t[0, i] * whitened.x + t[1, i] * whitened.y + t[2, i] * whitened.z
+        for k in range(n):
+            own[c, k] = p[i, k] - (t[0, i] * t[0, k] + t[1, i] * t[1, k] + t[2, i] * t[2, k])
+    for c in range(3):
+        i = at[VT + c]
+        p[i, :n] = own[c]
+        p[:n, i] = own[c]

@@ -1,0 +1,165 @@
+"""Compiled: motion of a joint filter by mean body velocities, and what time and way do to errors that persist."""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+from cellslam.sim.compiling import njit
+from cellslam.sim.recording import Floats
+from cellslam.slam.ekf_slam.state.layout import DIFFUSE, OF_VT, POSE, ArrayErrors, Filter
+from cellslam.slam.ekf_slam.state.states_kernel import fade
+from cellslam.slam.model.matrices_kernel import Mat3, Vec3, columns, put_mat, scaled
+from cellslam.slam.model.measurement_kernel import rotations
+
+AREA = math.sqrt(math.pi / 2.0)  # exp(-x / (AREA l)) has the area of exp(-x^2 / (2 l^2))
+
+
+class Interval(NamedTuple):
+    """What the odometry says of `dt` (s): mean body velocities `measured` (6,), and the densities (6,) of its white
+    `noise` and of its biases' `walk`."""
+
+    dt: float
+    measured: Floats
+    noise: Floats
+    walk: Floats
+
+
+class Step(NamedTuple):
+    """Room for one step: `by` (6, core + 6): d(next pose)/d(core), and behind it d(next pose)/d(velocity); `rows`
+    (6, N)."""
+
+    by: Floats
+    rows: Floats
+
+
+@njit(cache=True)
+def move(f: Filter, interval: Interval, w: Step) -> Vec3:
+    """Advance by an interval of dt > 0; return the way in the world, in m.
+
+    The true velocity is (measured - bias - noise) / (1 + scale); the pose moves as in `frames.integrate_pose`.
+    """
+    way = _move_pose(f, interval, w.by)
+    _spread(f, interval, w)
+    _drift(f, interval.dt)
+    return way
+
+
+@njit
+def _way(m: Mat3, v: Vec3, dt: float) -> Vec3:
+    """Return m v dt."""
+    return Vec3(
+        m.xx * v.x * dt + m.xy * v.y * dt + m.xz * v.z * dt,
+        m.yx * v.x * dt + m.yy * v.y * dt + m.yz * v.z * dt,
+        m.zx * v.x * dt + m.zy * v.y * dt + m.zz * v.z * dt,
+    )
+
+
+@njit(cache=True)
+def _velocity(f: Filter, interval: Interval, c: int) -> float:
+    bias, scale = f.core.bias[c], f.core.scale[c]
+    given, factor = interval.measured[c] - (f.x[bias] if bias >= 0 else 0.0), 1.0 + (f.x[scale] if scale >= 0 else 0.0)
+    return float(given / factor)
+
+
+@njit(cache=True)
+def _move_pose(f: Filter, interval: Interval, by: Floats) -> Vec3:
+    """Move the pose, and write the Jacobians of where it gets to; return the way."""
+    x, core, dt, half = f.x, f.core, interval.dt, 0.5 * interval.dt
+    ahead = Vec3(_velocity(f, interval, 0), _velocity(f, interval, 1), _velocity(f, interval, 2))
+    turn = Vec3(_velocity(f, interval, 3), _velocity(f, interval, 4), _velocity(f, interval, 5))
+    middle = rotations(x[3] + half * turn.x, x[4] + half * turn.y, x[5] + half * turn.z)
+    way = _way(middle.r, ahead, dt)
+    turned = columns(_way(middle.by_psi, ahead, dt), _way(middle.by_theta, ahead, dt), _way(middle.by_phi, ahead, dt))
+    by[:] = 0.0
+    by_velocity = by[:, core.size :]
+    put_mat(by[:, 3:], turned)
+    put_mat(by_velocity, scaled(middle.r, dt))
+    put_mat(by_velocity[:, 3:], scaled(turned, half))
+    for c in range(POSE):
+        by[c, c] = 1.0
+        if c >= 3:
+            by_velocity[c, c] = dt
+        share = 1.0 / (1.0 + (x[core.scale[c]] if core.scale[c] >= 0 else 0.0))
+        velocity = _velocity(f, interval, c)
+        for r in range(POSE):
+            by_velocity[r, c] *= share
+            if core.bias[c] >= 0:
+                by[r, core.bias[c]] = -by_velocity[r, c]
+            if core.scale[c] >= 0:
+                by[r, core.scale[c]] = -by_velocity[r, c] * velocity
+    x[0] += way.x
+    x[1] += way.y
+    x[2] += way.z
+    x[3] += turn.x * dt
+    x[4] += turn.y * dt
+    x[5] += turn.z * dt
+    return way
+
+
+@njit(cache=True)
+def _spread(f: Filter, interval: Interval, w: Step) -> None:
+    """P <- F P F^T + Q: F changes the pose only, and most of its entries are zero."""
+    p, core, n, by, rows = f.p, f.core, f.size[0], w.by, w.rows
+    for r in range(POSE):
+        rows[r, :n] = 0.0
+        for c in range(core.size):
+            factor = by[r, c]
+            if factor != 0.0 and p[c, c] > 0.0:
+                row, other = rows[r], p[c]
+                for i in range(n):
+                    row[i] += factor * other[i]
+    for r in range(POSE):
+        p[r, POSE:n] = rows[r, POSE:n]
+        p[POSE:n, r] = rows[r, POSE:n]
+    noise, dt = interval.noise, interval.dt
+    for r in range(POSE):
+        for s in range(r, POSE):
+            total = 0.0
+            for c in range(core.size):
+                total += rows[r, c] * by[s, c]
+            for c in range(POSE):
+                total += by[r, core.size + c] * by[s, core.size + c] * noise[c] * noise[c] / dt
+            p[r, s] = total
+            p[s, r] = total
+    for c in range(POSE):
+        place, variance = core.noise[c], noise[c] * noise[c]
+        if place >= 0:
+            p[place, place] += variance * dt
+            for r in range(POSE):
+                p[r, place] -= by[r, core.size + c] * variance
+                p[place, r] = p[r, place]
+        if core.bias[c] >= 0:
+            p[core.bias[c], core.bias[c]] += interval.walk[c] * interval.walk[c] * dt
+
+
+@njit(cache=True)
+def _drift(f: Filter, dt: float) -> None:
+    """Let the clock offsets run on at their rates."""
+    x, p, n = f.x, f.p, f.size[0]
+    for s in range(len(f.core.rate)):
+        offset, rate = f.core.first_offset + s, f.core.rate[s]
+        if rate >= 0:
+            x[offset] += x[rate] * dt
+            for j in range(n):
+                p[offset, j] += dt * p[rate, j]
+            for i in range(n):
+                p[i, offset] += dt * p[i, rate]
+
+
+@njit(cache=True)
+def forget(f: Filter, a: ArrayErrors, moved: float, dt: float) -> None:
+    """Let what persists be drawn anew after a way (m) and a time (s): diffuse errors, turns, pitch and roll."""
+    kept = math.exp(-moved / (AREA * a.diffuse_m)) if a.diffuse_m > 0.0 else 0.0
+    width = f.vt_state.shape[1]
+    for place in range(f.core.size, f.size[0]):
+        owner = f.owner[place]
+        if kept < 1.0 and owner <= OF_VT and (OF_VT - owner) % width >= DIFFUSE:
+            fade(f, place, kept, 1.0)
+    if f.core.sway[0] >= 0 and dt > 0.0:
+        kept = math.exp(-dt / (AREA * a.sway_s))
+        for c in range(3):
+            fade(f, f.core.sway[c], kept, a.sway[c] ** 2)
+    for c in range(2):
+        if a.tilt[c] > 0.0 and dt > 0.0:
+            fade(f, 4 + c, math.exp(-dt / (AREA * a.tilt_s)), a.tilt[c] ** 2)

@@ -1,0 +1,97 @@
+"""Compiled: what a drive says of the sizes that a filter was told: are the errors as large as their data sheets say?
+
+A size is a standard deviation. With s the error that it is of, V = size^2 what it is told and m, v the mean and the
+variance that the measurements leave of s, the slope of the log-likelihood in log size is the sum over all s of
+(m^2 + v) / V - 1, and its information, about, of 2 ((V - v) / V)^2. Where the size is right the slope has mean zero and
+the information as its variance: a test; their ratio is a step towards the likeliest size.
+
+Sources: Fisher's identity, as in Louis, "Finding the observed information matrix when using the EM algorithm", J. Royal
+Statistical Society B 44, 1982; Mehra, "Approaches to adaptive filtering", IEEE Trans. Automatic Control 17(5), 1972.
+"""
+
+from __future__ import annotations
+
+from cellslam.sim.compiling import njit
+from cellslam.sim.recording import Floats, Ints
+from cellslam.slam.ekf_slam.snapshot.sight_kernel import roof_first
+from cellslam.slam.ekf_slam.state.layout import POSE, ArrayErrors, Filter
+from cellslam.slam.model.matrices_kernel import Sym3, Vec3, inverse, sym_vec
+
+# Sizes: white noise and diffuse errors of distance, azimuth, elevation; sway in yaw, pitch, roll; white noise of the
+# six velocities; calibration and roof, of distance, azimuth, elevation.
+WHITE, DIFFUSE_SIZE, SWAY, ODOMETRY, CALIBRATION, ROOF, SIZES = 0, 3, 6, 9, 15, 18, 21
+TOLD, LONGEST_SUM_S = 0.5, 60.0  # share of its variance that a sum of noise keeps when it is told; sums are no longer
+
+
+@njit
+def count(f: Filter, size: int, told: float, mean2: float, left: float) -> None:
+    """Take in an error whose variance was told, of which the measurements leave a squared mean and a variance."""
+    share = (told - left) / told
+    f.sizes[0, size] += (mean2 + left) / told - 1.0
+    f.sizes[1, size] += 2.0 * share * share
+
+
+@njit(cache=True)
+def count_look(f: Filter, e: Vec3, s: Sym3, q: Floats, std: Floats, share: float) -> None:
+    """Take in the white noise and the diffuse errors of a look, whose innovation is e with the covariance s.
+
+    e, s: with 0 and 1 where nothing was measured; q (3,): variances of the white noise, in m^2 and rad^2; std (3,): of
+    the diffuse errors, of which a share is in the look. An error of variance V in component c has the mean V (s^-1 e)_c
+    and the variance V - V^2 (s^-1)_cc.
+    """
+    information = inverse(s)
+    w = sym_vec(information, e)
+    at = (w.x, w.y, w.z)
+    own = (information.xx, information.yy, information.zz)
+    for c in range(3):
+        if at[c] == 0.0:
+            continue
+        count(f, WHITE + c, q[c], (q[c] * at[c]) ** 2, q[c] - q[c] * q[c] * own[c])
+        v = (share * std[c]) ** 2
+        if v > 0.0:
+            count(f, DIFFUSE_SIZE + c, v, (v * at[c]) ** 2, v - v * v * own[c])
+
+
+@njit(cache=True)
+def count_states(f: Filter, places: Ints, first_size: int, told: Floats) -> None:
+    """Take in states with variances `told` (n,), in m^2 and rad^2, sizes from the first on; -1: no such state."""
+    for c in range(len(places)):
+        place = places[c]
+        if place >= 0 and told[c] > 0.0:
+            count(f, first_size + c, told[c], f.x[place] ** 2, f.p[place, place])
+
+
+@njit(cache=True)
+def count_weight(f: Filter, a: ArrayErrors, place: int) -> None:
+    """Take in the weight of a field that is the state at this place."""
+    owner, first, std, size = f.owner[place], 0, a.calibration, CALIBRATION
+    cells = a.calibration_grid.cells
+    if owner >= roof_first(a):
+        first, std, size, cells = roof_first(a), a.roof, ROOF, a.roof_grid.cells
+    component = (owner - first) // cells
+    for c in range(3):
+        if std[c] > 0.0:
+            if component == 0:
+                count(f, size + c, 1.0, f.x[place] ** 2, f.p[place, place])
+            component -= 1
+
+
+@njit(cache=True)
+def count_motion(f: Filter, noise: Floats, dt: float) -> None:
+    """Sum up the odometry's white noise, of densities (6,), over dt (s) more; once the measurements tell the sum, or
+    after a while, take it in and begin anew."""
+    f.summed[0] += dt
+    told, tells = f.summed[0], f.summed[0] > LONGEST_SUM_S
+    for c in range(POSE):
+        place, variance = f.core.noise[c], noise[c] * noise[c] * told
+        tells = tells or (place >= 0 and variance > 0.0 and f.p[place, place] < TOLD * variance)
+    if not tells:
+        return
+    n, f.summed[0] = f.size[0], 0.0
+    count_states(f, f.core.noise, ODOMETRY, noise * noise * told)
+    for c in range(POSE):
+        place = f.core.noise[c]
+        if place >= 0:
+            f.x[place] = 0.0
+            f.p[place, :n] = 0.0
+            f.p[:n, place] = 0.0

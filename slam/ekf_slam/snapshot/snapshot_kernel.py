@@ -1,0 +1,293 @@
+"""Compiled: one snapshot for every filter of a bank, and the update at the end of each block of snapshots.
+
+Looks are associated and counted at every snapshot; what those at a VT differ by from what is expected is averaged over
+a block, some tenths of a second at most, and the state is updated by the means. A mean is of the middle place.
+
+Source: Bar-Shalom, Li and Kirubarajan, Estimation with Applications to Tracking and Navigation, 2001, section 5.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from cellslam.sim.compiling import njit
+from cellslam.sim.frames_kernel import wrap
+from cellslam.sim.recording import Floats, Ints
+from cellslam.slam.ekf_slam.snapshot.association_kernel import FRESH, TAKEN, Messages, Pairs, associate
+from cellslam.slam.ekf_slam.snapshot.belief_kernel import believe
+from cellslam.slam.ekf_slam.snapshot.birth_kernel import clear, tidy
+from cellslam.slam.ekf_slam.snapshot.guess_kernel import begin, correct_guesses, possible
+from cellslam.slam.ekf_slam.snapshot.motion_kernel import Interval, Step, forget, move
+from cellslam.slam.ekf_slam.snapshot.sight_kernel import Sight, coordinates, geometry, rotations_of
+from cellslam.slam.ekf_slam.snapshot.sizes_kernel import SWAY, count_motion, count_states
+from cellslam.slam.ekf_slam.snapshot.update_kernel import LOG_2PI, Look, Pending, correct, settle
+from cellslam.slam.ekf_slam.state.layout import (
+    BELIEF,
+    EXISTS,
+    FREE,
+    HITS,
+    IDENT,
+    KNOWN_ASSOCIATION,
+    LAST,
+    LINK,
+    POSE,
+    SHARE,
+    TOUCHED,
+    VT,
+    ArrayErrors,
+    Block,
+    Filter,
+    Measured,
+    one_of,
+)
+from cellslam.slam.model.field_kernel import MOST_BELLS
+from cellslam.slam.model.matrices_kernel import Vec3
+from cellslam.slam.model.measurement_kernel import Spherical, rotations
+
+PENDING = 51  # rows of what looks take off the covariance that may wait
+
+
+class Room(NamedTuple):
+    """Room for one filter at a time."""
+
+    step: Step
+    sight: Sight
+    pairs: Pairs
+    pending: Pending
+
+
+@njit(cache=True)
+def advance(f: Filter, b: Block, interval: Interval, w: Step) -> None:
+    """Move a filter by an interval of dt > 0."""
+    yaw = f.x[3]
+    way = move(f, interval, w)
+    b.total[0] += math.sqrt(way.x * way.x + way.y * way.y + way.z * way.z)
+    b.total[1] += f.x[3] - yaw
+    b.total[2] += interval.dt
+
+
+@njit(cache=True)
+def pair(f: Filter, a: ArrayErrors, seen: Measured, s: Sight, w: Pairs) -> None:
+    """Write into w.slot_of (m,) the VT of each look: FRESH for what may begin one, TAKEN for what may not."""
+    for link in range(len(seen.first) - 1):
+        start, stop = seen.first[link], seen.first[link + 1]
+        if f.links[link] == 0:
+            w.slot_of[start:stop] = TAKEN
+        elif seen.rules.mode == KNOWN_ASSOCIATION:
+            for k in range(start, stop):
+                w.slot_of[k] = FRESH
+                for j in range(f.count[0]):
+                    if f.slots[j, IDENT] == seen.given[k] and f.slots[j, LINK] == link:
+                        w.slot_of[k] = j
+        elif seen.rules.mode == BELIEF:
+            believe(f, a, seen, link, s, w)
+        elif stop > start:
+            associate(f, a, seen, link, s, w)
+            for k in range(start, stop):
+                row = w.row_of[k - start]
+                w.slot_of[k] = w.chosen[row] if row >= 0 else (TAKEN if w.gated[k - start] == 1 else FRESH)
+
+
+@njit(cache=True)
+def count_odds(f: Filter, b: Block, seen: Measured, w: Pairs) -> None:
+    """Add to each VT's log-odds that it was detected or missed in this snapshot."""
+    horizon = seen.tables.shape[2] - 1
+    for j in range(f.count[0]):
+        if f.links[f.slots[j, LINK]] == 1 and (f.anchor[j, SHARE] > 0.5 or f.anchor[j, SHARE] == 1.0):
+            kind, age = 0 if f.slots[j, HITS] < 2 else 1, min(seen.now - f.slots[j, LAST], horizon)
+            b.odds[j] += seen.tables[kind, 1, age]
+    for k in range(len(seen.z)):
+        j = w.slot_of[k]
+        if j >= 0:
+            kind, age = 0 if f.slots[j, HITS] < 2 else 1, min(seen.now - f.slots[j, LAST], horizon)
+            b.odds[j] += seen.tables[kind, 0, age] - seen.tables[kind, 1, age] - seen.rules.log_clutter - seen.gap[k]
+
+
+@njit(cache=True)
+def take_in(f: Filter, b: Block, seen: Measured, association: Ints, s: Sight, w: Pairs) -> None:
+    """Take what the looks at VTs differ by from what is expected, errors that persist left out, into the block."""
+    turned, here, n = rotations_of(f), Vec3(f.x[0], f.x[1], f.x[2]), b.snapshots[0]
+    b.pose[n] = f.x[:POSE]
+    b.at[n, 0], b.at[n, 1] = b.total[0], b.total[2]
+    for link in range(len(seen.first) - 1):
+        offset = f.core.first_offset + seen.site_of[link]
+        for k in range(seen.first[link], seen.first[link + 1]):
+            j = w.slot_of[k]
+            association[k] = -1 if j < 0 else f.slots[j, IDENT]
+            if j < 0:
+                continue
+            h = geometry(f, j, offset, here, turned, coordinates(f, j), s)
+            _count(b, j, 0, seen.z[k, 0] - h.distance - f.x[offset], seen.many[k, 0])
+            _count(b, j, 1, wrap(seen.z[k, 1] - h.azimuth), seen.many[k, 1])
+            _count(b, j, 2, seen.z[k, 2] - h.elevation, seen.many[k, 2])
+            b.diffuse[j] += seen.diffuse[k] ** 2
+            b.seen[j, b.looks[j]] = n
+            b.looks[j] += 1
+            link_slot = f.slots[j]
+            link_slot[LAST] = seen.now
+            link_slot[HITS] += 1
+    b.snapshots[0] = n + 1
+
+
+@njit
+def _count(b: Block, j: int, c: int, e: float, q: float) -> None:
+    if not math.isnan(e):
+        b.e[j, c] += e
+        b.q[j, c] += q
+        b.measured[j, c] += 1.0
+
+
+@njit(cache=True)
+def give_births(
+    f: Filter, a: ArrayErrors, b: Block, seen: Measured, association: Ints, s: Sight, w: Pairs, p: Pending
+) -> float:
+    """Begin VTs with looks that nothing explains; return what that adds to the log-likelihood."""
+    rules, total = seen.rules, 0.0
+    for link in range(len(seen.first) - 1):
+        offset = f.core.first_offset + seen.site_of[link]
+        for k in range(seen.first[link], seen.first[link + 1]):
+            if w.slot_of[k] != FRESH or not possible(seen.begin[k], f.x[offset]):
+                continue
+            ident = seen.born + k
+            if rules.mode == FREE or rules.mode == BELIEF:
+                total += rules.birth
+            elif rules.mode == KNOWN_ASSOCIATION and seen.given[k] >= 0:
+                ident = seen.given[k]
+                association[k] = ident
+            else:
+                continue
+            before = f.count[0]
+            begin(f, a, b, seen, link, ident, k, s, p)
+            if rules.mode == BELIEF:
+                f.anchor[before : f.count[0], EXISTS] = w.exists[k]
+    return total
+
+
+@njit(cache=True)
+def shares(b: Block, a: ArrayErrors, j: int) -> tuple[float, float]:
+    """Return what of the deviation of diffuse errors and of turns is left in the mean of a VT's looks in the block."""
+    n, by_way, by_time = b.looks[j], 0.0, 0.0
+    for i in range(n):
+        for k in range(n):
+            way, time = b.at[b.seen[j, i], 0] - b.at[b.seen[j, k], 0], b.at[b.seen[j, i], 1] - b.at[b.seen[j, k], 1]
+            by_way += math.exp(-0.5 * (way / a.diffuse_m) ** 2) if a.diffuse_m > 0.0 else 0.0
+            by_time += math.exp(-0.5 * (time / a.sway_s) ** 2) if a.sway_s > 0.0 else 0.0
+    return math.sqrt(by_way / (n * n) * b.diffuse[j] / n), math.sqrt(by_time / (n * n))
+
+
+@njit(cache=True)
+def conclude(f: Filter, a: ArrayErrors, b: Block, noise: Floats, seen: Measured, s: Sight, p: Pending) -> float:
+    """Update the state by what the block has of each VT; return the log-likelihood of that.
+
+    noise (6,): densities of the odometry's.
+    """
+    forget(f, a, b.total[0], b.total[2])
+    total, rules = 0.0, seen.rules
+    before, z, q = f.x[: f.size[0]].copy(), np.empty(3), np.empty(3)
+    for j in range(f.count[0]):
+        if b.looks[j] == 0:
+            total += rules.evidence * b.odds[j]
+            clear(b, j)
+            continue
+        link = f.slots[j, LINK]
+        offset, at = f.core.first_offset + seen.site_of[link], f.vt_state[j]
+        middle = b.pose[b.seen[j, b.looks[j] // 2]]
+        old = rotations(middle[3], middle[4], middle[5])
+        was = Spherical(before[at[VT]], before[at[VT + 1]], before[at[VT + 2]])
+        h = geometry(f, j, offset, Vec3(middle[0], middle[1], middle[2]), old, was, s)
+        z[0], z[1], z[2] = h.distance + before[offset], h.azimuth, h.elevation
+        for c in range(3):
+            n = b.measured[j, c]
+            z[c] += b.e[j, c] / n if n > 0.0 else math.nan
+            q[c] = b.q[j, c] / (n * n) if n > 0.0 else 1.0
+        diffuse, turn = shares(b, a, j)
+        # The middle place moves with the last one.
+        here = Vec3(
+            middle[0] + f.x[0] - before[0], middle[1] + f.x[1] - before[1], middle[2] + f.x[2] - before[2]
+        )  # fmt: skip
+        now = rotations(middle[3] + f.x[3] - before[3], middle[4] + f.x[4] - before[4], middle[5] + f.x[5] - before[5])
+        look = Look(z, q, here, now, diffuse, turn, seen.now)
+        if f.anchor[j, SHARE] < 1.0:
+            total += correct_guesses(f, a, j, offset, look, s, p)
+        else:
+            total += correct(f, a, j, offset, look, s, p)
+        known = 0.0
+        for c in range(3):
+            if b.measured[j, c] > 0.0:
+                known += 0.5 * (1.0 + LOG_2PI + math.log(q[c] + (diffuse * a.diffuse[c]) ** 2))
+        # A pair's density counts as fit in so far as it is one VT's or another's; what any VT would have is evidence.
+        total += known + rules.evidence * (b.odds[j] - b.looks[j] * known)
+        clear(b, j)
+    settle(f, p)
+    count_states(f, f.core.sway, SWAY, a.sway * a.sway)
+    count_motion(f, noise, b.total[2])
+    b.snapshots[0] = 0
+    b.total[:] = 0.0
+    tidy(f, a, b, seen.now, rules)
+    return total
+
+
+@njit(inline="always")
+def use_snapshot(
+    f: Filter, a: ArrayErrors, b: Block, interval: Interval, seen: Measured, association: Ints, w: Room
+) -> float:
+    """Move a filter by an interval and use a snapshot; return the log-likelihood that this adds.
+
+    association (m,): identities of VTs are written, -1 for none.
+    """
+    rules = seen.rules
+    if interval.dt > 0.0:
+        advance(f, b, interval, w.step)
+    pair(f, a, seen, w.sight, w.pairs)
+    count_odds(f, b, seen, w.pairs)
+    take_in(f, b, seen, association, w.sight, w.pairs)
+    total = rules.evidence * give_births(f, a, b, seen, association, w.sight, w.pairs, w.pending)
+    if b.snapshots[0] >= rules.snapshots or b.total[0] > rules.way or abs(b.total[1]) > rules.turn:
+        total += conclude(f, a, b, interval.noise, seen, w.sight, w.pending)
+    return total
+
+
+@njit(cache=True, nogil=True)
+def use_in_bank(
+    bank: Filter, a: ArrayErrors, blocks: Block, interval: Interval, seen: Measured, association: Ints,
+    log_weight: Floats, first: int, step: int,
+) -> None:  # fmt: skip
+    """Use a snapshot in every `step`-th of the K filters of a bank, from the first on.
+
+    log_weight (K,) is added to, association (K, m) written.
+    """
+    room = new_room(one_of(bank, 0), len(seen.z))
+    for k in range(first, len(bank.x), step):
+        f = one_of(bank, k)
+        b = Block(
+            blocks.snapshots[k], blocks.pose[k], blocks.at[k], blocks.total[k], blocks.looks[k], blocks.seen[k],
+            blocks.e[k], blocks.q[k], blocks.measured[k], blocks.diffuse[k], blocks.odds[k],
+        )  # fmt: skip
+        log_weight[k] += use_snapshot(f, a, b, interval, seen, association[k], room)
+
+
+@njit(cache=True)
+def new_room(f: Filter, looks: int) -> Room:
+    """Return room for one filter and a snapshot of so many looks."""
+    states, vts = len(f.x), len(f.slots)
+    work = 4 * (vts + looks + 2)
+    return Room(
+        Step(np.empty((POSE, f.core.size + POSE)), np.empty((POSE, states))),
+        Sight(
+            np.empty(TOUCHED, np.int64), np.empty((3, TOUCHED)), np.empty(1, np.int64), np.empty(MOST_BELLS, np.int64),
+            np.empty(MOST_BELLS),
+        ),
+        Pairs(
+            np.empty((vts, looks)), np.empty(vts, np.int64), np.empty(looks, np.int64), np.empty(looks, np.int64),
+            np.empty(looks, np.int64), np.empty(work), np.empty(work, np.int64),
+            Messages(
+                np.empty((vts, looks)), np.empty((vts, looks)), np.empty((vts, looks)), np.empty((vts, looks)),
+                np.empty(looks),
+            ),
+            np.empty(looks),
+        ),
+        Pending(np.empty((PENDING, states)), np.zeros(1, np.int64), np.empty((3, states))),
+    )  # fmt: skip

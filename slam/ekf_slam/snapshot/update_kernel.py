@@ -1,0 +1,198 @@
+"""Compiled: innovation of one look, its likelihood, and the Kalman update of the whole state.
+
+Several looks are taken in before the covariance is written: what they take off it, P - G^T G, waits in the rows of G.
+Source: Bar-Shalom, Li and Kirubarajan, "Estimation with applications to tracking and navigation", 2001, section 5.2,
+with S = R R^T and gains whitened by R.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+from cellslam.sim.compiling import njit
+from cellslam.sim.frames_kernel import wrap
+from cellslam.sim.recording import Floats, Ints
+from cellslam.slam.ekf_slam.snapshot.sight_kernel import Sight, coordinates, errors_of, geometry
+from cellslam.slam.ekf_slam.snapshot.sizes_kernel import count_look
+from cellslam.slam.ekf_slam.state.layout import ArrayErrors, Filter
+from cellslam.slam.model.downdate_kernel import downdate
+from cellslam.slam.model.matrices_kernel import Sym3, Vec3, cholesky, dot, solved
+from cellslam.slam.model.measurement_kernel import Rotations
+
+LOG_2PI = math.log(2.0 * math.pi)
+
+
+class Pending(NamedTuple):
+    """What updates have taken off the covariance: `rows` (K, N), of which `used` (1,); `t` (3, N): H P of a look."""
+
+    rows: Floats
+    used: Ints
+    t: Floats
+
+
+class Look(NamedTuple):
+    """A look, or the mean of several: `z`, `q` (3,): distance, azimuth, elevation in m and rad, NaN where not measured,
+    and their variances; seen from `place` (m) with the rotation `turned`; `diffuse`, `turn`: what is left in it of the
+    deviation of these errors; `now`: snapshot."""
+
+    z: Floats
+    q: Floats
+    place: Vec3
+    turned: Rotations
+    diffuse: float
+    turn: float
+    now: int
+
+
+class Innovation(NamedTuple):
+    """Innovation `e` = z - h(x), its covariance `s` = H P H^T + Q, and how many components were measured: a missing one
+    is 0 in e, and in s as if it were independent, of variance 1."""
+
+    e: Vec3
+    s: Sym3
+    measured: int
+
+
+@njit(cache=True)
+def innovate(e: Vec3, q: Floats, hph: Sym3) -> Innovation:
+    """Return the innovation e (m and rad, NaN where not measured) with its covariance.
+
+    q (3,): variances of the look; hph: H P H^T.
+    """
+    far, across, up = not math.isnan(e.x), not math.isnan(e.y), not math.isnan(e.z)
+    s = Sym3(
+        hph.xx + q[0] if far else 1.0, hph.xy if far and across else 0.0, hph.xz if far and up else 0.0,
+        hph.yy + q[1] if across else 1.0, hph.yz if across and up else 0.0, hph.zz + q[2] if up else 1.0,
+    )  # fmt: skip
+    given = Vec3(e.x if far else 0.0, wrap(e.y) if across else 0.0, e.z if up else 0.0)
+    return Innovation(given, s, int(far) + int(across) + int(up))
+
+
+@njit(cache=True)
+def log_likelihood(i: Innovation) -> tuple[float, float]:
+    """Return e^T S^-1 e and log det S; infinite where S has no root."""
+    root = cholesky(i.s)
+    if root.xx == 0.0:
+        return math.inf, 0.0
+    w = solved(root, i.e)
+    return dot(w, w), 2.0 * math.log(root.xx * root.yy * root.zz)
+
+
+@njit(cache=True)
+def covariance(f: Filter, s: Sight) -> Sym3:
+    """Return H P H^T in m^2, m rad and rad^2, H being the Jacobian s."""
+    xx, xy, xz, yy, yz, zz = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+    for k in range(s.size[0]):
+        row, x, y, z = f.p[s.at[k]], 0.0, 0.0, 0.0
+        for c in range(s.size[0]):
+            value = row[s.at[c]]
+            x += s.by[0, c] * value
+            y += s.by[1, c] * value
+            z += s.by[2, c] * value
+        a, b, c = s.by[0, k], s.by[1, k], s.by[2, k]
+        xx, xy, xz, yy, yz, zz = xx + a * x, xy + a * y, xz + a * z, yy + b * y, yz + b * z, zz + c * z
+    return Sym3(xx, xy, xz, yy, yz, zz)
+
+
+@njit(cache=True)
+def gains(f: Filter, s: Sight, w: Pending) -> Sym3:
+    """Write T = H P (3, N) into w.t, less what the pending rows G have taken off: T - (H G^T) G; return T H^T."""
+    n, t0, t1, t2 = f.size[0], w.t[0], w.t[1], w.t[2]
+    t0[:n] = 0.0
+    t1[:n] = 0.0
+    t2[:n] = 0.0
+    for k in range(s.size[0]):
+        row, h0, h1, h2 = f.p[s.at[k]], s.by[0, k], s.by[1, k], s.by[2, k]
+        if h0 != 0.0 and h1 == 0.0 and h2 == 0.0:
+            _add(t0, h0, row, n)
+        elif h0 == 0.0 and h1 != 0.0 and h2 == 0.0:
+            _add(t1, h1, row, n)
+        elif h0 == 0.0 and h1 == 0.0 and h2 != 0.0:
+            _add(t2, h2, row, n)
+        elif row[s.at[k]] > 0.0:
+            for i in range(n):
+                t0[i] += h0 * row[i]
+                t1[i] += h1 * row[i]
+                t2[i] += h2 * row[i]
+    for r in range(w.used[0]):
+        g, a0, a1, a2 = w.rows[r], 0.0, 0.0, 0.0
+        for k in range(s.size[0]):
+            value = g[s.at[k]]
+            a0, a1, a2 = a0 + s.by[0, k] * value, a1 + s.by[1, k] * value, a2 + s.by[2, k] * value
+        for i in range(n):
+            t0[i] -= a0 * g[i]
+            t1[i] -= a1 * g[i]
+            t2[i] -= a2 * g[i]
+    xx, xy, xz, yy, yz, zz = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+    for k in range(s.size[0]):
+        at, h0, h1, h2 = s.at[k], s.by[0, k], s.by[1, k], s.by[2, k]
+        xx, xy, xz = xx + t0[at] * h0, xy + t0[at] * h1, xz + t0[at] * h2
+        yy, yz, zz = yy + t1[at] * h1, yz + t1[at] * h2, zz + t2[at] * h2
+    return Sym3(xx, xy, xz, yy, yz, zz)
+
+
+@njit
+def _add(t: Floats, factor: float, row: Floats, n: int) -> None:
+    for i in range(n):
+        t[i] += factor * row[i]
+
+
+@njit(cache=True)
+def update(f: Filter, i: Innovation, w: Pending) -> float:
+    """Update the mean by an innovation whose T is in w.t; what it takes off P goes to three more rows of w.rows, rows
+    of what was not measured being zero. Return log N(e; 0, S)."""
+    root = cholesky(i.s)
+    if root.xx == 0.0:
+        return 0.0
+    whitened, k, n, x = solved(root, i.e), w.used[0], f.size[0], f.x
+    t0, t1, t2, g0, g1, g2 = w.t[0], w.t[1], w.t[2], w.rows[k], w.rows[k + 1], w.rows[k + 2]
+    for m in range(n):
+        u = solved(root, Vec3(t0[m], t1[m], t2[m]))
+        g0[m], g1[m], g2[m] = u.x, u.y, u.z
+        x[m] += dot(u, whitened)
+    w.rows[k : k + 3, n:] = 0.0  # states may enter before these rows are settled
+    w.used[0] = k + 3
+    log_root = math.log(root.xx * root.yy * root.zz)
+    return float(-0.5 * dot(whitened, whitened) - log_root - 0.5 * i.measured * LOG_2PI)
+
+
+@njit(cache=True)
+def blank(w: Pending, e: Vec3) -> None:
+    """Clear the rows of T of what was not measured: NaN in e."""
+    if math.isnan(e.x):
+        w.t[0] = 0.0
+    if math.isnan(e.y):
+        w.t[1] = 0.0
+    if math.isnan(e.z):
+        w.t[2] = 0.0
+
+
+@njit(cache=True)
+def settle(f: Filter, w: Pending) -> None:
+    """Take off P what is pending."""
+    downdate(f.p, f.size[0], w.rows, w.used[0])
+    w.used[0] = 0
+
+
+@njit(cache=True)
+def correct(f: Filter, a: ArrayErrors, j: int, offset: int, look: Look, s: Sight, w: Pending) -> float:
+    """Update the whole state by a look at VT j; return its log-density."""
+    if w.used[0] + 6 > len(w.rows):
+        settle(f, w)
+    e, hph = compare(f, a, j, offset, look, s, w)
+    blank(w, e)
+    new = innovate(e, look.q, hph)
+    count_look(f, new.e, new.s, look.q, a.diffuse, look.diffuse)
+    return update(f, new, w)
+
+
+@njit(cache=True)
+def compare(f: Filter, a: ArrayErrors, j: int, offset: int, look: Look, s: Sight, w: Pending) -> tuple[Vec3, Sym3]:
+    """Return what a look at VT j differs by from what is expected, and H P H^T; H P is left in w.t."""
+    seen, z = geometry(f, j, offset, look.place, look.turned, coordinates(f, j), s), look.z
+    errors = errors_of(f, a, j, seen, look.diffuse, look.turn, look.now, s)
+    e = Vec3(
+        z[0] - seen.distance - f.x[offset] - errors.x, z[1] - seen.azimuth - errors.y, z[2] - seen.elevation - errors.z
+    )
+    return e, gains(f, s, w)

@@ -1,0 +1,127 @@
+"""The start: clock offsets are too wide for one linearisation, so each site has a bank of narrow components.
+
+A Gaussian sum over the offset of one site at a time, not over all at once: the sites share nothing but the pose, which
+odometry knows well at the start, so S banks of K filters do in place of K^S filters. Errors of direction are counted
+here, which a bank can do without as states. When every offset is known well enough, the likeliest combinations of
+components go through the drive so far once more, all sites and all states together.
+
+Source: Sorenson and Alspach, "Recursive Bayesian estimation using Gaussian sums", Automatica 7, 1971.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from itertools import product
+
+import numpy as np
+
+from cellslam.sim.recording import Floats, Ints
+from cellslam.slam.api import Setup
+from cellslam.slam.ekf_slam.bank import Bank, new_bank
+from cellslam.slam.ekf_slam.ekf_slam_options import EkfSlamOptions
+from cellslam.slam.ekf_slam.snapshot.motion_kernel import Interval
+from cellslam.slam.ekf_slam.state.layout import ArrayErrors, Core, Measured
+from cellslam.slam.front_end.readings_kernel import repeats
+
+REACH = 3.0  # the components cover this many deviations of the prior
+COMBINATIONS, LEAST = 4, 0.02  # of components that go on, and how likely each must be against the best of its site
+PRUNE_EVERY = 8  # snapshots
+TYPICAL_RANGE_M, MOST_REPEATS = 200.0, 400.0
+
+
+def components(std_m: float, component_std_m: float, step: float) -> tuple[Floats, Floats, float]:
+    """Return means (K,), log-weights (K,) and deviation of the components of a prior N(0, std_m^2), in m."""
+    if std_m <= component_std_m:
+        return np.zeros(1), np.zeros(1), std_m
+    spread = float(np.sqrt(std_m**2 - component_std_m**2))
+    half = int(np.ceil(REACH * spread / (step * component_std_m)))
+    means = step * component_std_m * np.arange(-half, half + 1)
+    logs = -0.5 * (means / spread) ** 2
+    return np.asarray(means), np.asarray(logs - np.log(np.exp(logs).sum())), component_std_m
+
+
+@dataclass
+class Start:
+    """A bank for each site, whose offset is its own; `errors`: those that are states, `counted` those that are not."""
+
+    core: Core
+    errors: ArrayErrors
+    counted: ArrayErrors
+    banks: list[Bank]
+    site: Ints
+    options: EkfSlamOptions
+
+    def use(self, interval: Interval, measured: Measured) -> Ints:
+        """Use a snapshot in every bank, drop what has become unlikely; return the likeliest filters' association
+        (m,)."""
+        answer = np.full(len(measured.z), -1, np.int64)
+        counted, ends = self._counted(interval, measured), measured.now % PRUNE_EVERY == 0
+        site_of_look = np.repeat(self.site, np.diff(measured.first))
+        for site, bank in enumerate(self.banks):
+            association = bank.use(self.errors, interval, counted, self.options.vts)
+            mine = site_of_look == site
+            answer[mine] = association[int(np.argmax(bank.log_weight)), mine]
+            if not ends:
+                continue
+            at = self.core.first_offset + site
+            kept = bank.apart(slice(at, at + 1), self.options.prune_ratio)
+            if len(kept) < len(bank):
+                self.banks[site] = bank.take(kept)
+        return answer
+
+    def offsets(self) -> tuple[Floats, Floats]:
+        """Return mean (S,) in m and variance (S,) in m^2 of the clock offsets."""
+        found = [bank.moments() for bank in self.banks]
+        at = self.core.first_offset + np.arange(len(found))
+        return (
+            np.array([mean[i] for i, (mean, _) in zip(at, found, strict=True)]),
+            np.array([max(cov[i, i], 0.0) for i, (_, cov) in zip(at, found, strict=True)]),
+        )
+
+    def pose(self) -> tuple[Floats, Floats]:
+        """Return the pose (6,), in m and rad, and its covariance (6, 6) of the bank that knows its place best."""
+        found = [bank.moments() for bank in self.banks]
+        mean, cov = min(found, key=lambda one: float(one[1][0, 0] + one[1][1, 1]))
+        return mean[:6], cov[:6, :6]
+
+    def likeliest(self) -> list[tuple[Bank, int]]:
+        """Return each bank and its likeliest filter."""
+        return [(bank, int(np.argmax(bank.log_weight))) for bank in self.banks]
+
+    def combinations(self) -> tuple[Floats, Floats]:
+        """Return the likeliest combinations of offsets (C, S), in m, and their log-weights (C,)."""
+        likely = []
+        for site, bank in enumerate(self.banks):
+            mean, log_share = bank.arrays.x[:, self.core.first_offset + site], np.log(bank.shares())
+            keep = np.flatnonzero(log_share >= log_share.max() + np.log(LEAST))
+            likely.append([(mean[i], log_share[i]) for i in keep])
+        found = sorted(product(*likely), key=lambda one: -sum(log for _, log in one))[:COMBINATIONS]
+        return (
+            np.array([[mean for mean, _ in one] for one in found]),
+            np.array([sum(log for _, log in one) for one in found]),
+        )
+
+    def _counted(self, interval: Interval, measured: Measured) -> Measured:
+        """Return a snapshot whose variances have the errors of direction, for as often as one draw is repeated."""
+        m, errors, once, often = measured, self.counted, np.zeros(3), np.zeros(3)
+        change = (abs(interval.measured[3]) + abs(interval.measured[0]) / TYPICAL_RANGE_M) * interval.dt
+        for std, grid in ((errors.calibration, errors.calibration_grid), (errors.roof, errors.roof_grid)):
+            once += std**2
+            often += std**2 * min(repeats(grid.scale, change), MOST_REPEATS)
+        return m._replace(single=m.single + once, many=m.many + often, fresh=m.fresh + once)
+
+
+def begin(setup: Setup, core: Core, errors: ArrayErrors, options: EkfSlamOptions) -> Start:
+    """Return the banks at the start."""
+    sites, banks = setup.sites, []
+    coarse = errors._replace(calibration=np.zeros(3), roof=np.zeros(3))
+    for site in range(len(sites)):
+        std_m = float(sites.clock_offset_std_m[site])
+        means, logs, std = components(std_m, options.component_std_m, options.component_step)
+        offsets = np.tile(np.asarray(sites.clock_offset_mean_m, np.float64), (len(means), 1))
+        offsets[:, site] += means
+        bank = new_bank(setup, core, coarse, offsets, np.where(np.arange(len(sites)) == site, std, 0.0), options.vts)
+        bank.arrays.links[:] = setup.links.site == site
+        bank.log_weight += logs
+        banks.append(bank)
+    return Start(core, coarse, errors, banks, setup.links.site, options)

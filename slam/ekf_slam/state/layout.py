@@ -1,0 +1,187 @@
+"""What travels together through the compiled joint filters, and where things stand in their arrays."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+from cellslam.sim.compiling import njit
+from cellslam.sim.recording import Floats, Ints
+from cellslam.slam.model.field_kernel import MOST_BELLS, Grid
+
+POSE = 6
+# Owners of states: weights of fields have their number; core states nobody; a VT's are OF_VT and below.
+NOBODY, OF_VT = -1, -2
+# States of a VT: range, azimuth, elevation about its anchor, and its diffuse errors in distance, azimuth, elevation.
+VT, DIFFUSE, VT_STATES = 0, 3, 6
+# Integers of a VT: link, detections, snapshot of the last one, identity.
+LINK, HITS, LAST, IDENT, SLOT = range(5)
+# Behind the three coordinates of an anchor: the probability that the VT exists and is visible (belief propagation);
+# and what share a guess has in its VT (1: the only one, 0: given up).
+EXISTS, SHARE, ANCHOR = range(3, 6)
+# What the measurements may do to the map.
+FREE, KNOWN_ASSOCIATION, KNOWN_MAP, BELIEF = range(4)
+# A VT of the map: identity, link, position (3), covariance (9).
+POSITION, SPREAD, ENTRY = 2, 5, 14
+# States that one look touches at most: pose, sway, clock offset, VT and its diffuse errors; weights of five fields.
+TOUCHED = POSE + 3 + 1 + VT_STATES + 5 * MOST_BELLS
+
+
+class Core(NamedTuple):
+    """States that are always there: pose (0-5), turns of the array within a snapshot (yaw, pitch, roll), odometry
+    biases and scales that the data sheet has, what its white noise has summed up to lately, clock
+    offsets (S), rates of those that drift.
+
+    `bias`, `scale`, `noise` (6,), `rate` (S,): place of each component's error and of each offset's rate, `sway` (3,),
+    -1 where there is none.
+    """
+
+    sway: Ints
+    bias: Ints
+    scale: Ints
+    noise: Ints
+    first_offset: int
+    rate: Ints
+    size: int
+
+    @property
+    def offsets(self) -> slice:
+        """The clock offsets."""
+        return slice(self.first_offset, self.first_offset + len(self.rate))
+
+
+class ArrayErrors(NamedTuple):
+    """Errors that persist, as states: deviations in m and rad, 0 where there is no such error.
+
+    `calibration` (3,), `roof` (3,): of functions of the direction, weights of bells on their grids; `diffuse` (3,): of
+    each VT, over `diffuse_m`; `sway` (3,): turns of the array in yaw, pitch, roll over `sway_s`; `tilt` (2,): of
+    pitch and roll over `tilt_s`.
+    """
+
+    calibration: Floats
+    calibration_grid: Grid
+    roof: Floats
+    roof_grid: Grid
+    diffuse: Floats
+    diffuse_m: float
+    sway: Floats
+    sway_s: float
+    tilt: Floats
+    tilt_s: float
+
+
+class Filter(NamedTuple):
+    """One filter, with room for N states and V VTs; or a bank of them, all arrays with a leading axis.
+
+    mean `x` (N,), covariance `p` (N, N), of which `size` (1,) are in use; `owner` (N,); `weight_state` (W,): place of
+    each weight of the fields, `weight_met` (W,): snapshot; `vt_state` (V, 6): places of a VT's states, -1 where there
+    is none; `anchor` (V, 5); `slots` (V, 4); `count` (1,): VTs; `links` (L,): 1 where it uses a link; confirmed VTs
+    that were given up are in `lost` (E, 14), `losses` (1,) of them; `sizes`
+    (2, Z): what was learnt of the sizes (see `sizes_kernel`), `summed` (1,): time (s) of the sums of noise. A VT that
+    is known exactly has states without variance.
+    """
+
+    core: Core
+    x: Floats
+    p: Floats
+    size: Ints
+    owner: Ints
+    weight_state: Ints
+    weight_met: Ints
+    vt_state: Ints
+    anchor: Floats
+    slots: Ints
+    count: Ints  # type: ignore[assignment]  # hides tuple.count
+    links: Ints
+    lost: Floats
+    losses: Ints
+    sizes: Floats
+    summed: Floats
+
+
+class Rules(NamedTuple):
+    """Options of the compiled filters.
+
+    `mode`: what the measurements may do to the map; `log_clutter`: log of the clutter density; `gate`: squared
+    Mahalanobis distance; `birth`: what a birth adds to the log-likelihood (belief propagation: the odds of a new VT
+    against clutter); `confirm`: detections that confirm a VT; `age_once`, `age_twice`: snapshots after which one that
+    was seen once, or a few times, is dropped. A block ends after so many `snapshots`, so long a `way` (m) or `turn`
+    (rad); `evidence`: what share of detections, misses and births counts; `hold`: snapshots after which a weight that
+    was not met is given up. Belief propagation: probabilities that a visible VT stays so, that a hidden one comes
+    `back`, of `detection`, and below which a VT is given up, `drop`.
+    """
+
+    mode: int
+    log_clutter: float
+    gate: float
+    birth: float
+    confirm: int
+    age_once: int
+    age_twice: int
+    snapshots: int
+    way: float
+    turn: float
+    evidence: float
+    hold: int
+    stay: float = 1.0
+    back: float = 0.0
+    detection: float = 1.0
+    drop: float = 0.0
+
+
+class Measured(NamedTuple):
+    """One snapshot of m looks as the kernels take it, snapshot number `now`.
+
+    `born`: identity of look 0 as a VT; `first` (L + 1,): first look of each link; `site_of` (L,); `z` (m, 3): in m and
+    rad, NaN where not measured; variances (m, 3) besides those of the states: `single` of a look, `many` of what it
+    counts for in an update, `fresh` of a birth; `diffuse` (m,): share of the diffuse errors' deviation that is left in
+    a look; `gap` (m,): what the log-density of clutter is greater by; `begin` (m, 3): looks as births take them, with a
+    prior where there is no elevation, NaN where none may begin; `given` (m,): true VT of each look in mode
+    KNOWN_ASSOCIATION; `tables` (2, 2, H): see `front_end.visibility.existence`.
+    """
+
+    now: int
+    born: int
+    first: Ints
+    site_of: Ints
+    z: Floats
+    single: Floats
+    many: Floats
+    fresh: Floats
+    diffuse: Floats
+    gap: Floats
+    begin: Floats
+    given: Ints
+    tables: Floats
+    rules: Rules
+
+
+class Block(NamedTuple):
+    """What has been measured since the last update, up to B snapshots: `snapshots` (1,); of each its `pose` (B, 6), way
+    (m) and time (s) from the begin `at` (B, 2); `total` (3,): way, turn (rad), time.
+
+    Of each VT: how many `looks` (V,), in which snapshots `seen` (V, B); sums of innovations, variances and how many
+    were measured: `e`, `q`, `measured` (V, 3), of squared shares of diffuse errors `diffuse` (V,), and of the log-odds
+    of what was detected and missed `odds` (V,).
+    """
+
+    snapshots: Ints
+    pose: Floats
+    at: Floats
+    total: Floats
+    looks: Ints
+    seen: Ints
+    e: Floats
+    q: Floats
+    measured: Floats
+    diffuse: Floats
+    odds: Floats
+
+
+@njit(cache=True)
+def one_of(bank: Filter, k: int) -> Filter:
+    """Return filter k of a bank."""
+    return Filter(
+        bank.core, bank.x[k], bank.p[k], bank.size[k], bank.owner[k], bank.weight_state[k], bank.weight_met[k],
+        bank.vt_state[k], bank.anchor[k], bank.slots[k], bank.count[k], bank.links[k], bank.lost[k], bank.losses[k],
+        bank.sizes[k], bank.summed[k],
+    )  # fmt: skip

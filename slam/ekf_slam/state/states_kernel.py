@@ -1,0 +1,70 @@
+"""Compiled: the state of a joint filter: what comes and goes in it.
+
+States before `core.size` are always there. The others enter as they are met and leave by exact marginalisation, the
+last one taking the place of one that leaves: `owner` says whose each of them is, `vt_state` and `weight_state` where
+they are. Source: Smith, Self and Cheeseman, "Estimating uncertain spatial relationships in robotics", 1990.
+"""
+
+from __future__ import annotations
+
+from cellslam.sim.compiling import njit
+from cellslam.slam.ekf_slam.state.layout import OF_VT, Filter
+
+
+@njit(cache=True)
+def enter(f: Filter, owner: int, variance: float) -> int:
+    """Add an independent state of mean zero; return its place, -1 where there is no room."""
+    n = f.size[0]
+    if n == len(f.x):
+        return -1
+    f.x[n] = 0.0
+    f.p[n, : n + 1] = 0.0
+    f.p[: n + 1, n] = 0.0
+    f.p[n, n] = variance
+    f.size[0] = n + 1
+    _settle_in(f, n, owner)
+    return int(n)
+
+
+@njit(cache=True)
+def leave(f: Filter, place: int) -> None:
+    """Take a state out; the last one takes its place."""
+    last = f.size[0] - 1
+    _settle_in(f, -1, f.owner[place])
+    if place != last:
+        f.x[place] = f.x[last]
+        f.p[place, :last] = f.p[last, :last]
+        f.p[:last, place] = f.p[last, :last]
+        f.p[place, place] = f.p[last, last]
+        _settle_in(f, place, f.owner[last])
+    f.size[0] = last
+
+
+@njit(cache=True)
+def _settle_in(f: Filter, place: int, owner: int) -> None:
+    """Write down that the state of this owner is at a place, -1 for nowhere."""
+    if place >= 0:
+        f.owner[place] = owner
+    if owner >= 0:
+        f.weight_state[owner] = place
+    elif owner <= OF_VT:
+        k = OF_VT - owner
+        f.vt_state[k // f.vt_state.shape[1], k % f.vt_state.shape[1]] = place
+
+
+@njit(cache=True)
+def owner_of(j: int, coordinate: int, width: int) -> int:
+    """Return the owner's number of a coordinate of VT j, of `width` each."""
+    return OF_VT - (j * width + coordinate)
+
+
+@njit(cache=True)
+def fade(f: Filter, place: int, kept: float, variance: float) -> None:
+    """Let a Gauss-Markov state keep this share of itself; `variance`: what it has in the long run."""
+    n = f.size[0]
+    for i in range(n):
+        f.p[place, i] *= kept
+    for i in range(n):
+        f.p[i, place] *= kept
+    f.p[place, place] += (1.0 - kept * kept) * variance
+    f.x[place] *= kept
