@@ -1,4 +1,9 @@
-"""The start pose of a recording that does not say where it starts, from its reference and its odometry."""
+"""The start pose of a recording that does not say where it starts, from its reference and its odometry.
+
+The first stretch of odometry is laid onto the fixes by generalised least squares. What both get wrong for long weighs
+as such: fixes step by a metre when satellites come and go, and stay so; a turn that the yaw rate misses turns all that
+follows. Least squares without it bends the stretch until it fits such a step.
+"""
 
 from __future__ import annotations
 
@@ -13,21 +18,22 @@ from cellslam.sim.errors import InputError
 from cellslam.sim.recording import Floats, Reference
 
 FIRST_PATH_M = 60.0  # the heading is fitted over so much of the way
-LEAST_FIXES = 5
-# A gyro or steering bias bends the first stretch: the heading is fitted for each of these, and the best taken.
-BIASES_RADPS = np.linspace(-0.02, 0.02, 41)
-BIAS_STD_RADPS = 0.01
+LEAST_FIXES, MOST_FIXES = 5, 100
+# Deviations of wheels, gyros and GNSS in general: a campaign's own data sheet may be wrong.
+YAW_RATE_BIAS_RADPS, YAW_RATE_SCALE, SPEED_SCALE = 0.01, 0.05, 0.05
+YAW_NOISE, PLACE_NOISE = 0.01, 0.1  # rad, m; each times root second
+FIX_STD_M, FIX_LASTS_S, FIX_WHITE_SHARE = 1.0, 20.0, 0.1
+STEPS, SMALL = 6, 1e-4
 
 
 def start_from_reference(motion: Motion | None, reference: Reference, time_s: float) -> Floats:
-    """Return the pose (6,) at `time_s`: as the reference says, or so that the first 60 m of odometry, freed
-    from a constant error of the yaw rate, fit it best.
+    """Return the pose (6,) at `time_s`: as the reference says, or so that the first 60 m of odometry fit it best.
 
     Height, pitch and roll are zero where the reference does not know them. Raises InputError where it does not reach
     back to the start.
     """
     known = np.isfinite(reference.position_m[:, :2]).all(axis=1) & ~outlying(reference)
-    fixes, times = reference.position_m[known], reference.time_s[known]
+    fixes, times, std = reference.position_m[known], reference.time_s[known], reference.position_std_m[known]
     if not len(times) or times[-1] < time_s:
         raise InputError("the reference has no position at or after the first snapshot: give the start pose instead")
     at_start = [np.interp(time_s, times, fixes[:, i]) for i in range(3)]
@@ -36,33 +42,70 @@ def start_from_reference(motion: Motion | None, reference: Reference, time_s: fl
         return np.array([*np.nan_to_num(at_start), np.interp(time_s, times, np.unwrap(yaw)), 0.0, 0.0])
     if motion is None:
         raise InputError("the reference has no heading and there is no odometry: give the start pose")
-    return _fitted(at_array(motion), fixes, times, time_s, float(np.nan_to_num(at_start[2])))
+    first = _first_stretch(at_array(motion), times, time_s)
+    std = np.where(np.isfinite(std), std, FIX_STD_M)[first]
+    x, y, psi = fitted_start(at_array(motion), times[first], fixes[first, :2], std, time_s)
+    return np.array([x, y, np.nan_to_num(at_start[2]), psi, 0.0, 0.0])
 
 
-def _fitted(motion: Motion, fixes: Floats, times: Floats, time_s: float, height_m: float) -> Floats:
-    later = times > time_s
-    fixes, times = fixes[later], times[later]
-    poses, _ = integrate(motion, np.insert(times, 0, time_s), np.zeros(6))
+def _first_stretch(motion: Motion, times: Floats, time_s: float) -> slice:
+    """Return the fixes after `time_s` that lie on the first of the way, not more than MOST_FIXES."""
+    begin = int(np.searchsorted(times, time_s, side="right"))
+    poses, _ = integrate(motion, np.insert(times[begin:], 0, time_s), np.zeros(6))
     way = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(poses[:, :2], axis=0).T))])[1:]
-    count = max(int(np.searchsorted(way, FIRST_PATH_M)), LEAST_FIXES)
-    if len(times) < LEAST_FIXES or way[min(count, len(way)) - 1] < 1.0:
+    count = min(max(int(np.searchsorted(way, FIRST_PATH_M)), LEAST_FIXES), len(way))
+    if len(way) < LEAST_FIXES or way[count - 1] < 1.0:
         raise InputError(
             "the reference has too few positions while the vehicle moves to tell its heading: give the start pose"
         )
-    times, fixes = times[:count], fixes[:count, :2]
-    fits = []
-    for bias in BIASES_RADPS if motion.measured[3] else (0.0,):
-        points = _driven(motion, np.insert(times, 0, time_s), float(bias))
-        angle, shift = rigid(points, fixes)
-        c, s = np.cos(angle), np.sin(angle)
-        rest = fixes - shift - points @ np.array([[c, s], [-s, c]])
-        fits.append((float((rest**2).sum(axis=1).mean()), float(bias), angle, *shift))
-    noise = max(min(fit[0] for fit in fits), 1e-4)
-    _, _, angle, x, y = min(fits, key=lambda fit: len(times) * fit[0] / noise + (fit[1] / BIAS_STD_RADPS) ** 2)
-    return np.array([x, y, height_m, angle, 0.0, 0.0])
+    return slice(begin, begin + count, -(-count // MOST_FIXES))
 
 
-def _driven(motion: Motion, times: Floats, bias_radps: float) -> Floats:
-    """Return the positions (N, 2) at times[1:] from the origin, with a yaw rate lower by `bias_radps`."""
-    freed = replace(motion, velocity=motion.velocity - np.array([0.0, 0.0, 0.0, bias_radps, 0.0, 0.0]))
-    return integrate(freed, times, np.zeros(6))[0][1:, :2]
+def fitted_start(motion: Motion, times: Floats, fixes: Floats, std_m: Floats, time_s: float) -> Floats:
+    """Return x, y, yaw (3,) at `time_s` that lay odometry best onto fixes (N, 2) at times (N,) with deviations (N,).
+
+    Found together with a bias and scale of the yaw rate and a scale of the speed by Gauss-Newton steps on the posterior
+    in which the odometry's noise adds up and the errors of fixes fade over FIX_LASTS_S.
+    """
+    drive = _Drive(motion, np.insert(times, 0, time_s))
+    angle, shift = rigid(drive.poses(np.zeros(6))[1:, :2], fixes)
+    state = np.array([*shift, angle, 0.0, 0.0, 0.0])
+    prior = np.array([0.0, 0.0, 0.0, YAW_RATE_BIAS_RADPS**-2, YAW_RATE_SCALE**-2, SPEED_SCALE**-2])
+    for _ in range(STEPS):
+        poses = drive.poses(state)
+        slope = np.stack([(drive.poses(state + step) - poses)[1:, :2] / SMALL for step in SMALL * np.eye(6)], axis=-1)
+        slope = slope.reshape(-1, 6)
+        weighted = np.linalg.solve(_covariance(drive.times_s, poses, std_m), slope).T
+        rest = (fixes - poses[1:, :2]).ravel()
+        state = state + np.linalg.solve(weighted @ slope + np.diag(prior), weighted @ rest - prior * state)
+    return state[:3]
+
+
+class _Drive:
+    """The dead-reckoned stretch at `times_s` (N + 1,), as a function of the state that is fitted."""
+
+    def __init__(self, motion: Motion, times_s: Floats) -> None:
+        self.motion, self.times_s = motion, times_s
+
+    def poses(self, state: Floats) -> Floats:
+        """Return the poses (N + 1, 6) for x, y, yaw, yaw-rate bias and scale, speed scale (6,)."""
+        x, y, psi, bias, turn_scale, speed_scale = state
+        factor = 1.0 + np.array([speed_scale, speed_scale, 0.0, turn_scale, 0.0, 0.0])
+        velocity = self.motion.velocity * factor + np.array([0.0, 0.0, 0.0, bias, 0.0, 0.0])
+        start = np.array([x, y, 0.0, psi, 0.0, 0.0])
+        return integrate(replace(self.motion, velocity=velocity), self.times_s, start)[0]
+
+
+def _covariance(times: Floats, poses: Floats, std_m: Floats) -> Floats:
+    """Return the covariance (2N, 2N) in m^2 of fixes minus dead-reckoned places at times[1:], both x and y."""
+    dt, places, count = np.diff(times), poses[:, :2], len(times) - 1
+    # A turn in an interval swings all later places about the one where it happened.
+    arm = places[1:, None] - places[None, :-1]
+    swing = np.stack([-arm[..., 1], arm[..., 0]], axis=1) * np.tri(count)[:, None]
+    swing = (swing * YAW_NOISE * np.sqrt(dt)).reshape(2 * count, count)
+    moved = PLACE_NOISE**2 * (np.minimum.outer(times[1:], times[1:]) - times[0])
+    apart = np.abs(np.subtract.outer(times[1:], times[1:]))
+    lasting = np.outer(std_m, std_m) * np.exp(-apart / FIX_LASTS_S)
+    alone = np.diag((FIX_WHITE_SHARE * std_m) ** 2)
+    covariance: Floats = swing @ swing.T + np.kron(moved + lasting + alone, np.eye(2))
+    return covariance

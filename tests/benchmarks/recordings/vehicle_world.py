@@ -111,19 +111,21 @@ def scans(world: VehicleDrive, rng: np.random.Generator) -> tuple[Floats, NDArra
     return world.time_s[index], out
 
 
-def files(world: VehicleDrive, rng: np.random.Generator) -> dict[str, dict[str, Any]]:
-    """Return the variables of the data set's three .mat files: times in ms, columns."""
-    laser_s, ranges = scans(world, rng)
+def files(world: VehicleDrive, rng: np.random.Generator, detected: bool) -> dict[str, dict[str, Any]]:
+    """Return the variables of the data set's .mat files: times in ms, columns; without the scans if `detected`."""
     start_ms = 5000.0
+    out: dict[str, dict[str, Any]] = {}
+    if not detected:
+        laser_s, ranges = scans(world, rng)
+        out["aa3_lsr2"] = {"TLsr": (start_ms + 1000.0 * laser_s + 7.0).astype(np.uint32)[:, None], "LASER": ranges}
     gps = np.arange(0, len(world.time_s), GPS_EVERY)
     fixes = world.poses[gps, :2] + 0.3 * rng.standard_normal((len(gps), 2))
-    return {
+    return out | {
         "aa3_dr": {
             "time": (start_ms + 1000.0 * world.time_s)[:, None],
             "speed": world.speed[:, None],
             "steering": world.steering[:, None],
         },
-        "aa3_lsr2": {"TLsr": (start_ms + 1000.0 * laser_s + 7.0).astype(np.uint32)[:, None], "LASER": ranges},
         "aa3_gpsx": {
             "timeGps": (start_ms + 1000.0 * world.time_s[gps])[:, None],
             "Lo_m": fixes[:, :1],
@@ -132,9 +134,28 @@ def files(world: VehicleDrive, rng: np.random.Generator) -> dict[str, dict[str, 
     }
 
 
-def write(folder: Path, world: VehicleDrive, seed: int) -> None:
-    """Write the three .mat files."""
+def detections(world: VehicleDrive, rng: np.random.Generator) -> Floats:
+    """Return rows (n, 4) of `measurements.dat`: s since the log began, m, rad (pi/2 ahead), trunk diameter in m."""
+    rows = []
+    for i in range(0, len(world.time_s), LASER_EVERY):
+        x, y, heading = world.poses[i]
+        dx, dy = world.trees[:, 0] - x, world.trees[:, 1] - y
+        bearing = np.arctan2(dy, dx) - heading
+        bearing = np.arctan2(np.sin(bearing), np.cos(bearing))
+        seen = (np.hypot(dx, dy) < MOST_RANGE_M) & (np.abs(bearing) < 1.5) & (rng.random(len(dx)) < 0.8)
+        range_m, ahead = np.hypot(dx, dy)[seen], bearing[seen] + 0.5 * np.pi
+        noise = rng.standard_normal((2, len(ahead)))
+        columns = (range_m + 0.1 * noise[0], ahead + 0.005 * noise[1], 2.0 * world.trees[seen, 2])
+        rows.append(np.column_stack([np.full(len(ahead), world.time_s[i]), *columns]))
+    return np.vstack(rows)
+
+
+def write(folder: Path, world: VehicleDrive, seed: int, detected: bool = False) -> None:
+    """Write the three .mat files, or `measurements.dat` in place of the scans."""
     from scipy.io import savemat
 
-    for name, variables in files(world, np.random.default_rng(seed)).items():
+    rng = np.random.default_rng(seed)
+    for name, variables in files(world, rng, detected).items():
         savemat(folder / f"{name}.mat", variables)
+    if detected:
+        np.savetxt(folder / "measurements.dat", detections(world, rng), "%10.5f")
