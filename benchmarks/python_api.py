@@ -6,6 +6,7 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from cellslam.benchmarks.recordings.importing.data_sheet import changed_sheet
 from cellslam.benchmarks.scores.trial_result import METRIC_KEYS, ROW_KEYS
 from cellslam.benchmarks.trials.guests import Guests
 from cellslam.benchmarks.trials.trials import (
@@ -63,17 +64,21 @@ def replay(
     """Return the rows of `estimators` on a recording or the file of one, each scored by truth or reference.
 
     `seed`: of the estimators' draws (None: the recording's own); `overrides`: options as
-    "estimator.fastslam.particles"; `align`: each estimate is first laid onto the truth. Raises InputError.
+    "estimator.fastslam.particles", and the odometry's data sheet as "noise.u_psi.noise_density"; `align`: each
+    estimate is first laid onto the truth. Raises InputError.
     """
     place = Path("recording" if isinstance(recording, Recording) else recording)
     drive = recording if isinstance(recording, Recording) else Recording.load(place)
     origin = Origin.of(drive, place)
     root = origin.seed if seed is None else seed
     check_counts(1, root)
-    tables = apply({"estimator": origin.options}, overrides or {})["estimator"]
-    requests = foreign_options.requests(tables, names_of(estimators), overrides or ())
+    given = dict(overrides or {})
+    sheet = changed_sheet(drive.odometry_model, {k: given.pop(k) for k in list(given) if k.startswith("noise.")})
+    tables = apply({"estimator": origin.options}, given)["estimator"]
+    requests = foreign_options.requests(tables, names_of(estimators), given)
     with Guests() as guests:
-        return _table([score_recording(drive, origin.name, requests, origin.trial, root, guests, progress, align)])
+        more = (origin.trial, root, guests, progress, align, sheet)
+        return _table([score_recording(drive, origin.name, requests, *more)])
 
 
 def sweep(

@@ -37,8 +37,8 @@ def add_options_file(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--options",
         metavar="FILE.toml",
-        help="take estimators' options from the tables [estimator.NAME] of a file, as fit-noise prints them; "
-        "--set goes before it",
+        help="take estimators' options from the tables [estimator.NAME] of a file, as fit-noise prints them, and the "
+        "odometry's data sheet from its [noise.COMPONENT]; --set goes before it",
     )
 
 

@@ -13,7 +13,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -28,7 +28,7 @@ from cellslam.sim.described import Described
 from cellslam.sim.errors import InputError
 from cellslam.sim.progress import Progress, silent
 from cellslam.sim.randomness import Stream, stream
-from cellslam.sim.recording import Recording
+from cellslam.sim.recording import OdometryModel, Recording
 
 if TYPE_CHECKING:
     from cellslam.benchmarks.bound.cramer_rao import BoundResult
@@ -116,13 +116,17 @@ def score_trial(
     guests: Guests | None = None,
     progress: Progress = silent,
     align: bool = False,
+    sheet: OdometryModel | None = None,
 ) -> tuple[Drive, Iterator[Outcome]]:
     """Return a trial's drive, and the outcome of each request as it is asked for; seed and trial give their streams.
 
     `make` returns the recording. `guests` are the processes of other people's estimators, needed where one is asked
     for. `align`: each estimate is first laid onto the truth, and its row says so; there is no bound then.
+    `sheet`: what estimators are told of the odometry's errors; the bound keeps to what the recording says.
     """
     drive = _drive(make, progress, align)
+    if sheet is not None and drive.recording is not None:
+        drive = replace(drive, recording=replace(drive.recording, odometry_model=sheet))
     return drive, (outcome_of(drive, scenario, r, trial, seed, guests, progress, align) for r in requests)
 
 

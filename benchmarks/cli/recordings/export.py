@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from argparse import ArgumentParser, Namespace
+from argparse import ArgumentParser, ArgumentTypeError, Namespace
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -14,17 +15,23 @@ from cellslam.sim.errors import InputError
 from cellslam.sim.recording import Recording
 
 if TYPE_CHECKING:
+    from cellslam.benchmarks.recordings.exporting.maps import Place
     from cellslam.benchmarks.scores.trial_result import TrialResult
 from cellslam.benchmarks.cli.recordings.write_at_once import at_once
 
-EXPORTS = ("csv", "mat", "tum", "geojson", "ply", "html")
+TABLES = ("csv", "mat")
+EXPORTS = (*TABLES, "tum", "geojson", "ply", "html")
 
 
 def add_arguments(parser: ArgumentParser) -> None:
     """Add the arguments of this command."""
     parser.add_argument("file", metavar="FILE.h5", help="a recording")
-    parser.add_argument("--format", choices=EXPORTS, required=True, help="csv and mat: a folder; others: a file")
-    parser.add_argument("--out", metavar="PATH", required=True, help="the folder or file to write")
+    format_help = "csv and mat: a folder; others: a file; may be repeated, each with its own --out"
+    parser.add_argument("--format", choices=EXPORTS, action="append", required=True, dest="formats", help=format_help)
+    out_help = "the folder or file to write"
+    parser.add_argument("--out", metavar="PATH", action="append", required=True, dest="outs", help=out_help)
+    origin_help = "geojson: where on the Earth the zero of the recording's frame lies, as in --origin=-33.86,151.21"
+    parser.add_argument("--origin", metavar="LAT,LON", type=_degrees, help=origin_help)
     estimator_help = "export what this estimator makes of it (default: the truth or the reference)"
     parser.add_argument("--estimator", metavar="NAME", help=estimator_help)
     set_help = "change one option, as in estimator.fastslam.particles=300; may be repeated"
@@ -34,43 +41,68 @@ def add_arguments(parser: ArgumentParser) -> None:
 
 
 def command(arguments: Namespace) -> int:
-    """Carry out `cellslam export`."""
+    """Carry out `cellslam export`. The estimator drives once, whatever the number of formats."""
+    from cellslam.benchmarks.recordings.exporting.maps import placement
+
+    path, name = Path(arguments.file), arguments.estimator
+    if len(arguments.formats) != len(arguments.outs):
+        raise InputError(f"{len(arguments.formats)} --format and {len(arguments.outs)} --out: give each format its own")
+    targets = [(kind, Path(out)) for kind, out in zip(arguments.formats, arguments.outs, strict=True)]
+    for kind, out in targets:
+        if kind in TABLES and name:
+            raise InputError(
+                f"--format {kind} writes the recording itself: leave --estimator out, or use tum, geojson, ply"
+            )
+        if kind == "html" and not name:
+            raise InputError("--format html plays back an estimate: say which --estimator, as in --estimator fastslam")
+        if kind not in TABLES:
+            check_file(out)
+    recording = Recording.load(path)
+    place = placement(recording, arguments.origin) if "geojson" in arguments.formats else None
+    result = _estimate(recording, path, arguments) if name else None
+    for kind, out in targets:
+        _write(kind, out, recording, result, place)
+    return DONE
+
+
+def _write(kind: str, out: Path, recording: Recording, result: TrialResult | None, place: Place | None) -> None:
     from cellslam.benchmarks.recordings.exporting import maps as export_maps
     from cellslam.benchmarks.recordings.exporting import playback
     from cellslam.benchmarks.recordings.exporting import tables as export_tables
 
-    path, out, kind = Path(arguments.file), Path(arguments.out), arguments.format
-    recording = Recording.load(path)
-    if kind in ("csv", "mat"):
-        if arguments.estimator:
-            raise InputError(
-                f"--format {kind} writes the recording itself: leave --estimator out, or use tum, geojson, ply"
-            )
-        write = export_tables.write_csv if kind == "csv" else export_tables.write_mat
-        write(recording, out)
-        return DONE
-    check_file(out)
-    if kind == "html" and not arguments.estimator:
-        raise InputError("--format html plays back an estimate: say which --estimator, as in --estimator fastslam")
-    result = _estimate(recording, path, arguments) if arguments.estimator else None
-    if kind == "html" and result is not None:
-        at_once(out, lambda place: playback.write_page(recording, result, place))
-        return DONE
-    data = export_maps.shown(recording, result)
+    if kind in TABLES:
+        (export_tables.write_csv if kind == "csv" else export_tables.write_mat)(recording, out)
+        return
     if kind in ("geojson", "ply") and result is not None and result.vts is None:
-        raise InputError(f"--estimator {arguments.estimator} makes no map: use one that does, as fastslam or ekf-slam")
+        raise InputError(f"--estimator {result.estimator} makes no map: use one that does, as fastslam or ekf-slam")
+    if kind == "html":
+        assert result is not None
+        at_once(out, lambda file: playback.write_page(recording, result, file))
+        return
+    data = export_maps.shown(recording, result)
     writers: dict[str, Callable[[Path], None]] = {
-        "tum": lambda place: export_maps.tum(data, place),
-        "geojson": lambda place: export_maps.geojson(data, recording, place),
-        "ply": lambda place: export_maps.ply(data, place),
+        "tum": lambda file: export_maps.tum(data, file),
+        "ply": lambda file: export_maps.ply(data, file),
     }
+    if place is not None:
+        writers["geojson"] = lambda file: export_maps.geojson(data, place, file)
     at_once(out, writers[kind])
-    return DONE
+
+
+def _degrees(text: str) -> tuple[float, float]:
+    """Return latitude and longitude in degrees. Raises ArgumentTypeError."""
+    try:
+        latitude, longitude = (float(part) for part in text.split(","))
+    except ValueError:
+        raise ArgumentTypeError(f"'{text}' is no LATITUDE,LONGITUDE in degrees, as in 55.71,13.21") from None
+    if not (abs(latitude) < 90.0 and abs(longitude) <= 180.0):
+        raise ArgumentTypeError(f"'{text}' is out of range: latitude first, in degrees")
+    return latitude, longitude
 
 
 def _estimate(recording: Recording, path: Path, arguments: Namespace) -> TrialResult:
     """Return the estimate that `cellslam replay` of this file would make."""
-    from cellslam.benchmarks.cli.recordings.estimator_options import estimator_overrides
+    from cellslam.benchmarks.cli.recordings.estimator_options import data_sheet, estimator_overrides
     from cellslam.benchmarks.trials import trials
     from cellslam.benchmarks.trials.guests import Guests
     from cellslam.scenarios import foreign_options
@@ -83,7 +115,7 @@ def _estimate(recording: Recording, path: Path, arguments: Namespace) -> TrialRe
     request = foreign_options.requests(tables, [arguments.estimator], overrides)[0]
     seed = origin.seed if arguments.seed is None else arguments.seed
     with bars(arguments.quiet) as progress, Guests() as guests:
-        drive = trials.Drive(recording)
+        drive = trials.Drive(replace(recording, odometry_model=data_sheet(arguments, recording)))
         outcome = trials.outcome_of(drive, origin.name, request, origin.trial, seed, guests, progress)
     if outcome.result is None:
         raise InputError(f"--estimator {arguments.estimator} failed on {path}: {outcome.row['error']}")

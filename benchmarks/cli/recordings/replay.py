@@ -14,7 +14,7 @@ from cellslam.benchmarks.cli.arguments import (
     limits,
 )
 from cellslam.benchmarks.cli.progress_bars import bars
-from cellslam.benchmarks.cli.recordings.estimator_options import estimator_overrides
+from cellslam.benchmarks.cli.recordings.estimator_options import data_sheet, estimator_overrides
 from cellslam.benchmarks.cli.results_folder import Folder
 from cellslam.benchmarks.cli.run import Job, note_left_out, report, work_off
 from cellslam.benchmarks.trials import trials
@@ -48,6 +48,7 @@ def command(arguments: Namespace) -> int:
     overrides = estimator_overrides(arguments)
     path = Path(arguments.file)
     recording = Recording.load(path)
+    sheet = data_sheet(arguments, recording)
     if arguments.align and recording.truth is None and recording.reference is None:
         raise InputError(f"--align: {path} has neither truth nor reference to align to; leave the option out")
     origin = Origin.of(recording, path)
@@ -64,7 +65,7 @@ def command(arguments: Namespace) -> int:
         guests.begin(requests)
 
         def only() -> Iterator[trials.Trial]:
-            more = (origin.trial, seed, guests, progress, arguments.align)
+            more = (origin.trial, seed, guests, progress, arguments.align, sheet)
             yield trials.score_recording(recording, origin.name, requests, *more)
 
         interrupted = work_off(job, only(), progress)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -16,6 +17,8 @@ from cellslam.sim.recording import Floats, Ints, Recording
 
 ELLIPSE_POINTS = 32
 SIGMAS = 2.0
+SEMI_MAJOR_M, ECCENTRICITY_2 = 6378137.0, 0.00669437999014  # WGS 84
+Place = Callable[[Floats], Any]
 
 
 @dataclass(frozen=True)
@@ -64,14 +67,8 @@ def tum(data: Shown, path: Path) -> None:
     write_tum(path, data.time_s, data.poses)
 
 
-def geojson(data: Shown, recording: Recording, path: Path) -> None:
-    """Write VTs as points with covariance and 2-sigma ellipses, and the trajectory.
-
-    In longitude and latitude where the recording says how its frame was projected; else in metres of the world frame,
-    which
-    a member `crs_note` says.
-    """
-    place, note = _placement(recording)
+def geojson(data: Shown, place: Place, path: Path) -> None:
+    """Write VTs as points with covariance and 2-sigma ellipses, and the trajectory, `place`d on the Earth."""
     features = [_feature("LineString", place(data.poses[:, :3]), {"kind": "trajectory", "name": data.name})]
     for i in range(len(data.id)):
         covariance = data.covariance[i]
@@ -87,7 +84,7 @@ def geojson(data: Shown, recording: Recording, path: Path) -> None:
         if covariance.any():
             ring = place(_ellipse(data.position_m[i], covariance))
             features.append(_feature("Polygon", [ring], {"kind": "ellipse", "vt": int(data.id[i]), "sigmas": SIGMAS}))
-    text = json.dumps({"type": "FeatureCollection", "crs_note": note, "features": features})
+    text = json.dumps({"type": "FeatureCollection", "features": features})
     path.write_text(text, "utf-8")
 
 
@@ -106,10 +103,22 @@ def _ellipse(centre: Floats, covariance: Floats) -> Floats:
     return out
 
 
-def _placement(recording: Recording) -> tuple[Any, str]:
+def placement(recording: Recording, origin_deg: tuple[float, float] | None) -> Place:
+    """Return what makes longitude and latitude (WGS 84) in degrees of points (n, 3) in the recording's world frame.
+
+    Its zero lies at `origin_deg` (latitude, longitude), or where the reference was projected from. Raises InputError
+    where neither is known: GeoJSON has no metres (RFC 7946, section 4).
+    """
+    return _at_origin(*origin_deg) if origin_deg is not None else _as_projected(recording)
+
+
+def _as_projected(recording: Recording) -> Place:
     projection = recording.provenance.get("projection")
     if not isinstance(projection, dict):
-        return (lambda points: points.round(6).tolist()), "metres east, north, up in the recording's world frame"
+        raise InputError(
+            "GeoJSON holds longitudes and latitudes, and this recording does not say where on the Earth it lies: give "
+            "--origin LATITUDE,LONGITUDE of its world frame's zero (x east, y north), or write ply and tum, in metres"
+        )
     try:
         import pyproj
     except ImportError:
@@ -121,7 +130,24 @@ def _placement(recording: Recording) -> tuple[Any, str]:
         longitude, latitude = back.transform(points[:, 0] + east, points[:, 1] + north)
         return np.column_stack([longitude, latitude, points[:, 2]]).round(9).tolist()
 
-    return place, "longitude, latitude (WGS 84), height in m of the recording's world frame"
+    return place
+
+
+def _at_origin(latitude_deg: float, longitude_deg: float) -> Place:
+    """Return the placement of points in the plane that touches WGS 84 at the origin, exact to 1 m over 3 km.
+
+    By the radii of curvature there: E. Krakiwsky and D. Thomson, Geodetic position computations, 1974, section 1.
+    """
+    sine = np.sin(np.radians(latitude_deg))
+    across = SEMI_MAJOR_M / np.sqrt(1.0 - ECCENTRICITY_2 * sine**2)
+    along = across * (1.0 - ECCENTRICITY_2) / (1.0 - ECCENTRICITY_2 * sine**2)
+
+    def place(points: Floats) -> Any:
+        longitude = longitude_deg + np.degrees(points[:, 0] / (across * np.sqrt(1.0 - sine**2)))
+        latitude = latitude_deg + np.degrees(points[:, 1] / along)
+        return np.column_stack([longitude, latitude, points[:, 2]]).round(9).tolist()
+
+    return place
 
 
 def ply(data: Shown, path: Path) -> None:

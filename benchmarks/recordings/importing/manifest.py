@@ -44,7 +44,9 @@ class Table(BaseModel):
 class Column(Table):
     """One column: ours = zero + sign * theirs, in `unit`."""
 
-    column: str = Field(description="name of the column in the CSV header, or of the variable in the .mat file")
+    column: str = Field(
+        description="name of the column in the header, or of the variable in the .mat file; without names its number"
+    )
     unit: Unit = Field(
         description="unit of the column; a delay in s, ns or samples is a distance times the speed of light"
     )
@@ -70,9 +72,12 @@ class Clock(Table):
 class FileTable(Table):
     """A table in a file of the folder."""
 
-    file: str = Field(description="file in the folder: .csv (with header line), .txt, .tsv or .mat")
-    variable: str = Field("", description="struct of the .mat file that holds the columns; empty: the file itself")
-    delimiter: str = Field(",", min_length=1, max_length=1, description="what separates the columns of a text file")
+    file: str = Field(description="file in the folder: .csv, .txt, .tsv, .dat or .mat")
+    variable: str = Field("", description="struct or matrix of the .mat file with the columns; empty: the file itself")
+    delimiter: str = Field(
+        "", max_length=1, description="what separates the columns of a text file; empty: comma, semicolon, tab or "
+        "white space, as its first line has it",
+    )  # fmt: skip
     clock: str = Field("", description="name of one of [clocks]; empty: the recording's own")
 
 

@@ -44,7 +44,7 @@ def _snapshots(r: Recording) -> dict[str, Any]:
         median = float(np.median(step))
         gaps = np.flatnonzero(step > GAP * median)
         out |= {"interval_s": _number(median), "shortest_s": _number(step.min()), "longest_s": _number(step.max())}
-        out["gaps"] = [{"at_s": _number(r.time_s[i]), "lasts_s": _number(step[i])} for i in gaps[:20]]
+        out["gaps"] = [{"at_s": round(float(r.time_s[i]), 3), "lasts_s": _number(step[i])} for i in gaps[:20]]
         out["gap_count"] = len(gaps)
     empty = np.diff(r.rows) == 0
     out["without_measurement"] = int(empty.sum())
@@ -154,7 +154,7 @@ def as_text(path: Path, recording: Recording, found: Mapping[str, Any]) -> str:
     lines.append(
         f"snapshots     {s['count']} in {s['duration_s']:g} s{interval}; {s['without_measurement']} without measurement"
     )
-    lines += [f"  gap         {gap['lasts_s']:g} s at {gap['at_s']:g} s" for gap in s.get("gaps", [])[:5]]
+    lines += [f"  gap         {gap['lasts_s']:g} s at {gap['at_s']:.14g} s" for gap in s.get("gaps", [])[:5]]
     if s.get("gap_count", 0) > 5:
         lines.append(f"  gaps        {s['gap_count']} in all")
     lines.append(

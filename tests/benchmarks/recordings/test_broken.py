@@ -181,7 +181,7 @@ BROKEN: dict[str, tuple[Callable[[Path], None], tuple[str, ...]]] = {
     "header alone": (put("paths.csv", "t,tx,range,az,snr\n"), ("measurements have no row",)),
     "no header": (
         put("paths.csv", FILES["paths.csv"].split("\n", 1)[1]),
-        ("paths.csv", "first line holds numbers", "header"),
+        ("paths.csv", "no column 't'", "it has: 1, 2, 3, 4, 5", "by their number"),
     ),
     "column missing": (swap("paths.csv", "range", "rang"), ("paths.csv", "no column 'range'", "did you mean 'rang'")),
     "negative SNR column name": (swap("paths.csv", "snr", "-snr"), ("paths.csv", "no column 'snr'", "-snr")),
@@ -203,7 +203,7 @@ BROKEN: dict[str, tuple[Callable[[Path], None], tuple[str, ...]]] = {
     ),
     "decimal commas": (
         put("wheels.csv", "t;v;w\n0,0;1,0;0,1\n0,1;1,0;0,1\n"),
-        ("wheels.csv", "delimiter", "decimal points"),
+        ("wheels.csv", "line 2", "'0,0' is not a number", "decimal points"),
     ),
     "ragged line": (swap("paths.csv", "54,0.5,6", "54,0.5,6,7"), ("paths.csv", "line", "header")),
     "not UTF-8": (put("paths.csv", b"t,tx,range,az,snr\n0,\xff\xfe,1,1,1\n"), ("paths.csv", "UTF-8")),

@@ -48,7 +48,7 @@ def test_inspect_tells_gaps_and_what_is_missing(
     import dataclasses
 
     r = toy_recording(truth=False)
-    time = r.time_s + np.where(np.arange(40) > 20, 3.0, 0.0)
+    time = 1248272270.0 + r.time_s + np.where(np.arange(40) > 20, 3.0, 0.0)
     nothing = np.full(len(r.measurements), np.nan)
     odometry = r.odometry.copy()
     odometry[:, 2] = np.nan
@@ -58,7 +58,7 @@ def test_inspect_tells_gaps_and_what_is_missing(
     r.save(tmp_path / "a.h5")
     assert cli.main(["--quiet", "inspect", str(tmp_path / "a.h5"), "--no-figure"]) == 0
     text = capsys.readouterr().out
-    assert "gap         3.1 s at 2 s" in text
+    assert "gap         3.1 s at 1248272272 s" in text
     for missing in ("SNR (never measured)", "odometry u_z (never measured", "missing       truth"):
         assert missing in text
 
@@ -81,8 +81,12 @@ def test_tum(drive: Path, tmp_path: Path) -> None:
 
 def test_maps_of_an_estimate(drive: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     words = ["--quiet", "export", str(drive), "--estimator", "ekf-slam", "--seed", "1"]
-    assert cli.main([*words, "--format", "geojson", "--out", str(tmp_path / "m.geojson")]) == 0
-    assert cli.main([*words, "--format", "ply", "--out", str(tmp_path / "m.ply")]) == 0
+    geojson = ["--format", "geojson", "--out", str(tmp_path / "m.geojson")]
+    assert cli.main([*words, *geojson]) == 2  # GeoJSON has no metres
+    assert "give --origin" in capsys.readouterr().err and not (tmp_path / "m.geojson").exists()
+    assert (
+        cli.main([*words, *geojson, "--origin=-33.9,151.2", "--format", "ply", "--out", str(tmp_path / "m.ply")]) == 0
+    )
     features = json.loads((tmp_path / "m.geojson").read_text())["features"]
     points = [f for f in features if f["properties"]["kind"] == "vt"]
     assert features[0]["geometry"]["type"] == "LineString" and len(points) >= 1
@@ -90,8 +94,9 @@ def test_maps_of_an_estimate(drive: Path, tmp_path: Path, capsys: pytest.Capture
     assert covariance.shape == (3, 3) and (np.linalg.eigvalsh(covariance) > 0).all()
     rings = [f["geometry"]["coordinates"][0] for f in features if f["properties"]["kind"] == "ellipse"]
     assert len(rings) == len(points) and all(ring[0] == ring[-1] for ring in rings)
-    # A point of the ellipse is two standard deviations from its centre.
+    # A point of the ellipse is two standard deviations from its centre. Metres a degree there: WGS 84, tables.
     offset = np.array(rings[0][5])[:2] - np.array(points[0]["geometry"]["coordinates"])[:2]
+    offset = offset * [92_503.0, 110_922.0]
     assert offset @ np.linalg.solve(covariance[:2, :2], offset) == pytest.approx(4.0, rel=1e-3)
     import trimesh
 
@@ -114,6 +119,53 @@ def test_maps_of_an_estimate(drive: Path, tmp_path: Path, capsys: pytest.Capture
         == 2
     )
     assert "makes no map" in capsys.readouterr().err and not (tmp_path / "n.ply").exists()
+
+
+def test_one_drive_of_the_estimator_for_all_formats(
+    drive: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    from cellslam.benchmarks.trials import trials
+
+    driven = []
+    outcome_of = trials.outcome_of
+
+    def counted(*arguments: object) -> object:
+        driven.append(arguments)
+        return outcome_of(*arguments)  # type: ignore[arg-type]
+
+    monkeypatch.setattr(trials, "outcome_of", counted)
+    words = ["--quiet", "export", str(drive), "--estimator", "ekf-slam", "--format", "tum", "--format", "ply"]
+    assert cli.main([*words, "--out", str(tmp_path / "a.tum"), "--out", str(tmp_path / "a.ply")]) == 0
+    assert len(driven) == 1 and len(np.loadtxt(tmp_path / "a.tum")) == 60
+    assert (tmp_path / "a.ply").read_bytes().startswith(b"ply")
+    assert cli.main([*words, "--out", str(tmp_path / "b.tum")]) == 2
+    assert "2 --format and 1 --out" in capsys.readouterr().err
+
+
+def test_another_data_sheet_needs_no_new_import(
+    drive: Path, capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    """The filter believes its odometry less and less; the bound keeps to what the recording says."""
+    (tmp_path / "sheet.toml").write_text("[noise.u_psi]\nnoise_density = 3.0\n[noise.u_x]\nscale = 0.5\n")
+    words = ["--quiet", "replay", str(drive), "--estimator", "ekf-slam", "--no-figures", "--json", "--out"]
+    rows = []
+    for name, more in (
+        ("a", []),
+        ("b", ["--options", str(tmp_path / "sheet.toml")]),
+        ("c", ["--set", "noise.u_x.bias=9"]),
+    ):
+        assert cli.main([*words, str(tmp_path / name), *more]) == 0
+        rows += json.loads(capsys.readouterr().out)
+    assert len({row["position_rmse_m"] for row in rows}) == 3
+    assert len({row["bound_position_rmse_m"] for row in rows}) == 1 and rows[0]["bound_position_rmse_m"] > 0
+    for wrong, said in (
+        ("noise.u_yaw.bias=1", "did you mean 'u_y'"),
+        ("noise.u_x.bais=1", "did you mean 'noise.u_x.bias'"),
+        ("noise.u_x.bias=-1", "noise.u_x.bias"),
+        ("radio.load=1", "can be set"),
+    ):
+        assert cli.main([*words, str(tmp_path / "d"), "--set", wrong]) == 2
+        assert said in capsys.readouterr().err
 
 
 def test_geojson_is_placed_on_the_earth_where_the_recording_says_how(toy_recording: Toy, tmp_path: Path) -> None:
