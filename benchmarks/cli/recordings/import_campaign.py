@@ -5,13 +5,10 @@ from __future__ import annotations
 import sys
 from argparse import ArgumentParser, Namespace
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from cellslam.benchmarks.cli.arguments import DONE
 from cellslam.benchmarks.trials.output_files import check_file
-
-if TYPE_CHECKING:
-    pass
+from cellslam.sim.errors import InputError
 
 
 def add_arguments(parser: ArgumentParser) -> None:
@@ -21,8 +18,10 @@ def add_arguments(parser: ArgumentParser) -> None:
     parser.add_argument(
         "--adapter",
         metavar="NAME",
-        help="instead of recording.toml: victoria-park, tampere-60ghz, or your own as module:function",
+        help="instead of recording.toml: victoria-park, tampere-60ghz, mrclam, plaza, or your own as module:function",
     )
+    set_help = "an option of the adapter, as in robot=2; may be repeated"
+    parser.add_argument("--set", metavar="KEY=VALUE", action="append", default=[], dest="sets", help=set_help)
 
 
 def command(arguments: Namespace) -> int:
@@ -30,10 +29,16 @@ def command(arguments: Namespace) -> int:
     from cellslam.benchmarks.recordings.adapters.adapter_loading import import_adapter
     from cellslam.benchmarks.recordings.importing.importing import import_folder
     from cellslam.benchmarks.recordings.inspection.suspicions import suspicions
+    from cellslam.scenarios.overrides import parse_all
 
     out, folder = Path(arguments.out), Path(arguments.folder)
     check_file(out)
-    recording = import_adapter(folder, arguments.adapter) if arguments.adapter else import_folder(folder)
+    options = parse_all(arguments.sets)
+    if options and not arguments.adapter:
+        raise InputError(
+            "--set is for options of an adapter; what a folder of tables means stands in its recording.toml"
+        )
+    recording = import_adapter(folder, arguments.adapter, options) if arguments.adapter else import_folder(folder)
     recording.save(out)
     if not arguments.quiet:
         sys.stderr.write(

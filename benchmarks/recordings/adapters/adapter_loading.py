@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import importlib
+import inspect
 import sys
 import traceback
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -17,20 +18,23 @@ from cellslam.sim.recording import Recording
 ADAPTERS = {
     "victoria-park": "cellslam.benchmarks.recordings.adapters.victoria_park:load",
     "tampere-60ghz": "cellslam.benchmarks.recordings.adapters.tampere:load",
+    "mrclam": "cellslam.benchmarks.recordings.adapters.mrclam:load",
+    "plaza": "cellslam.benchmarks.recordings.adapters.plaza:load",
 }
 
 
-def import_adapter(folder: Path, name: str) -> Recording:
+def import_adapter(folder: Path, name: str, options: Mapping[str, Any] | None = None) -> Recording:
     """Return what the adapter `name`, a built-in one or `module:function`, makes of `folder`.
 
-    The current directory is appended to the import path, last. Raises InputError with the place in the adapter where it
-    failed.
+    `options` are its keyword-only parameters by name. The current directory is appended to the import path, last.
+    Raises InputError with the place in the adapter where it failed.
     """
     function = _adapter(name)
+    _known_options(name, function, options or {})
     if not folder.exists():
         raise InputError(f"{folder}: no such folder; give the one with the campaign's files")
     try:
-        made = function(folder)
+        made = function(folder, **(options or {}))
     except InputError:
         raise
     except Exception as error:
@@ -44,7 +48,16 @@ def import_adapter(folder: Path, name: str) -> Recording:
     return recording
 
 
-def _adapter(name: str) -> Callable[[Path], Any]:
+def _known_options(name: str, function: Callable[..., Any], options: Mapping[str, Any]) -> None:
+    parameters = inspect.signature(function).parameters.values()
+    known = [parameter.name for parameter in parameters if parameter.kind is parameter.KEYWORD_ONLY]
+    for key in options:
+        if key not in known:
+            has = f"known: {', '.join(known)}" if known else "it has none"
+            raise InputError(f"adapter '{name}' has no option '{key}'{nearest_name(key, known)} ({has})")
+
+
+def _adapter(name: str) -> Callable[..., Any]:
     target = ADAPTERS.get(name, name)
     module_name, _, function_name = target.partition(":")
     if not (module_name and function_name):

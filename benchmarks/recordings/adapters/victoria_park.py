@@ -14,6 +14,7 @@ from pathlib import Path
 
 import numpy as np
 
+from cellslam.benchmarks.recordings.adapters.matrices import matrix
 from cellslam.benchmarks.recordings.adapters.tree_trunks import TreeRules, find_trees
 from cellslam.benchmarks.recordings.importing.campaign import Campaign, OdometryTable, ReferenceTable
 from cellslam.benchmarks.recordings.importing.campaign_to_recording import build
@@ -69,12 +70,7 @@ def load(folder: Path) -> Recording:
 
 def _detected(path: Path, begin_s: float) -> tuple[Floats, Floats, Floats, Floats]:
     """Return time, range and bearing of each tree and the times of the scans that saw one, of `measurements.dat`."""
-    try:
-        table = np.loadtxt(path, ndmin=2)
-    except ValueError as error:
-        raise InputError(f"{path}: not a table of numbers ({error}); download it again") from error
-    if table.shape[1] != 4:
-        raise InputError(f"{path}: has {table.shape[1]} columns, expected 4: time, range, bearing, diameter")
+    table = matrix(path, ("time", "range", "bearing", "diameter"))
     times = begin_s + table[:, 0]
     return times, table[:, 1], table[:, 2] - 0.5 * np.pi, np.unique(times)
 

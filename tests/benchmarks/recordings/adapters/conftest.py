@@ -1,0 +1,58 @@
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+import pytest
+
+from cellslam.benchmarks.scores.metrics import score
+from cellslam.benchmarks.trials.estimation import estimate, warm_up
+from cellslam.scenarios.estimator_options import resolve
+from cellslam.sim.recording import Recording
+
+STEP_S = 0.02
+
+
+@dataclass(frozen=True)
+class Circuit:
+    """A robot that drives figures of eight of some metres: times (N,), poses x, y, yaw (N, 3), speed, yaw rate (N,)."""
+
+    time_s: np.ndarray
+    poses: np.ndarray
+    speed: np.ndarray
+    turn: np.ndarray
+
+    def at(self, time_s: np.ndarray) -> np.ndarray:
+        """Return poses (n, 3) at other times."""
+        return np.column_stack([np.interp(time_s, self.time_s, column) for column in self.poses.T])
+
+
+def circuit(duration_s: float, speed_mps: float, turn_radps: float) -> Circuit:
+    """Return a drive of figures of eight, each loop 2 pi / turn_radps long."""
+    t = STEP_S * np.arange(int(duration_s / STEP_S) + 1)
+    turn = turn_radps * np.where(np.sin(0.5 * turn_radps * t) >= 0.0, 1.0, -1.0)
+    yaw = 0.3 + np.concatenate([[0.0], np.cumsum(turn[:-1] * STEP_S)])
+    middle = yaw + 0.5 * turn * STEP_S
+    moves = speed_mps * STEP_S * np.column_stack([np.cos(middle), np.sin(middle)])
+    place = np.array([2.0, -1.0]) + np.vstack([[0.0, 0.0], np.cumsum(moves[:-1], axis=0)])
+    return Circuit(t, np.column_stack([place, yaw]), np.full(len(t), speed_mps), turn)
+
+
+@pytest.fixture(scope="session")
+def drive_eights() -> Callable[..., Circuit]:
+    """The function `circuit`."""
+    return circuit
+
+
+@pytest.fixture(scope="session")
+def position_rmse() -> Callable[..., float]:
+    """Position RMSE in m of an estimator by name and options on a recording."""
+
+    def rmse(recording: Recording, name: str, **options: object) -> float:
+        request = resolve({name: options} if options else {}, [name], ())[0]
+        warm_up(request)
+        result = estimate(recording, request, np.random.default_rng(5))
+        return float(score(recording, result, None)["position_rmse_m"])
+
+    return rmse
