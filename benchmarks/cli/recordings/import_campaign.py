@@ -18,7 +18,7 @@ def add_arguments(parser: ArgumentParser) -> None:
     parser.add_argument(
         "--adapter",
         metavar="NAME",
-        help="instead of recording.toml: victoria-park, tampere-60ghz, mrclam, plaza, or your own as module:function",
+        help="not recording.toml, but victoria-park, tampere-60ghz, mrclam, plaza, tui, or your own as module:function",
     )
     set_help = "an option of the adapter, as in robot=2; may be repeated"
     parser.add_argument("--set", metavar="KEY=VALUE", action="append", default=[], dest="sets", help=set_help)

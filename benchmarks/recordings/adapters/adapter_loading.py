@@ -20,6 +20,7 @@ ADAPTERS = {
     "tampere-60ghz": "cellslam.benchmarks.recordings.adapters.tampere:load",
     "mrclam": "cellslam.benchmarks.recordings.adapters.mrclam:load",
     "plaza": "cellslam.benchmarks.recordings.adapters.plaza:load",
+    "tui": "cellslam.benchmarks.recordings.adapters.tui.campaign:load",
 }
 
 

@@ -19,11 +19,12 @@ from pathlib import Path
 
 import numpy as np
 
-from cellslam.benchmarks.recordings.importing.campaign import Campaign, OdometryTable, ReferenceTable
+from cellslam.benchmarks.recordings.adapters.simulated_odometry import simulated
+from cellslam.benchmarks.recordings.importing.campaign import Campaign, ReferenceTable
 from cellslam.benchmarks.recordings.importing.campaign_to_recording import build
 from cellslam.benchmarks.recordings.importing.matlab import variables
 from cellslam.sim.errors import InputError
-from cellslam.sim.frames import mean_velocity, wrap_angle
+from cellslam.sim.frames import wrap_angle
 from cellslam.sim.recording import Floats, Recording
 
 NAME = "Kampusareena_slam_measurements_svd_p999.mat"
@@ -71,7 +72,7 @@ def load(folder: Path) -> Recording:
                 "azimuth_std_rad": np.full(len(rows), AZIMUTH_STD_RAD),
             },
             snapshots_s=times,
-            odometry=_simulated(rx, yaw, times),
+            odometry=simulated(times, rx[:2].T, yaw, NOISE),
             link_sites=("transmitter",),
             noise={"noise_density": NOISE},
             start_pose=(rx[0, 0], rx[1, 0], 0.0, float(yaw[0]), 0.0, 0.0),
@@ -83,13 +84,3 @@ def load(folder: Path) -> Recording:
             },
         )
     )
-
-
-def _simulated(rx: Floats, yaw: Floats, times: Floats) -> OdometryTable:
-    nothing = np.zeros(len(yaw))
-    poses = np.column_stack([rx[0], rx[1], nothing, yaw, nothing, nothing])
-    u = mean_velocity(poses[:-1], poses[1:], np.diff(times))
-    u = np.vstack(
-        [np.zeros(6), u + np.asarray(NOISE) / np.sqrt(INTERVAL_S) * np.random.default_rng(0).standard_normal(u.shape)]
-    )
-    return OdometryTable(times, {"u_x": u[:, 0], "u_y": u[:, 1], "u_psi": u[:, 3]}, hold="before")

@@ -28,7 +28,8 @@ DELAY_PITCH_M, WIDEST_BLOCKS = 7.5, 100  # pitch of the searched distances at 10
 class Receiver:
     """The array as the receiver believes it to be, its switching, its search window. All but motion is constant.
 
-    `times_s` (ports,): when each port is sampled; `threshold`: detection threshold on energy over noise variance.
+    `times_s` (ports,): when each port is sampled; `threshold`: detection threshold on energy over noise variance;
+    `tones_hz` (tones,): what is received in place of the reference tones of `resource_blocks`.
     """
 
     array: AntennaArray = field(default_factory=CircularArray)
@@ -39,17 +40,20 @@ class Receiver:
     window_min_m: float = -50.0
     window_max_m: float = 1700.0
     ghost_rule_db: float = 25.0
+    tones_hz: Floats | None = None
 
     @cached_property
     def rate(self) -> Floats:
         """Phase of each tone (tones,) in rad per m, counted from the middle tone: the weights take up the rest."""
-        frequency = tone_frequencies(self.resource_blocks)
+        frequency = tone_frequencies(self.resource_blocks) if self.tones_hz is None else self.tones_hz
         return np.asarray(2.0 * np.pi * (frequency - frequency.mean()) / SPEED_OF_LIGHT_MPS, np.float64)
 
     @cached_property
     def coarser(self) -> Floats:
         """Resolution in distance, azimuth and elevation (3,), without unit: one at 100 resource blocks."""
-        return np.array([WIDEST_BLOCKS / self.resource_blocks, 1.0, 1.0])
+        if self.tones_hz is None:
+            return np.array([WIDEST_BLOCKS / self.resource_blocks, 1.0, 1.0])
+        return np.array([np.ptp(tone_frequencies(WIDEST_BLOCKS)) / np.ptp(self.tones_hz), 1.0, 1.0])
 
     @cached_property
     def pitch_m(self) -> float:
