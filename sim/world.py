@@ -30,7 +30,7 @@ if TYPE_CHECKING:
     from cellslam.sim.lte.statistical.detector_layout import PathColumns, Streams
     from cellslam.sim.lte.statistical.statistical_front_end import Detections
     from cellslam.sim.rays import Paths, Scene
-    from cellslam.sim.vehicle import Drive
+    from cellslam.sim.vehicle import Drive, Odometry
 
 KEPT_SCENES = 2
 _scenes: OrderedDict[str, Scene] = OrderedDict()
@@ -49,16 +49,15 @@ class WorldConfig(BaseModel):
 
 
 @dataclass(frozen=True)
-class World:
-    """One trial's world, ready to be measured. `sites_m` (S, 3); `offsets_m` (S,) are the true clock offsets at the
-    first snapshot, `drift_m_s` (S,) their rates; `fields` the receiver's errors that persist; `signals` is what
-    radio.front_end = "signal" measures with.
+class Reception:
+    """One trial's drive, sites and receiver, without the world that the paths come from. `sites_m` (S, 3);
+    `offsets_m` (S,) are the true clock offsets at the first snapshot, `drift_m_s` (S,) their rates; `fields` the
+    receiver's errors that persist; `signals` is what radio.front_end = "signal" measures with.
     """
 
     config: WorldConfig
     seed: int
     trial: int
-    scene: Scene
     sites_m: Floats
     cells: Cells
     drive: Drive
@@ -74,6 +73,45 @@ class World:
 
         names = (Stream.NOISE, Stream.DETECTION, Stream.CLUTTER)
         return Streams(*(stream(self.seed, self.trial, name) for name in names))
+
+    def detect(
+        self, paths: Paths, poses: Floats, velocities: Floats, odometry: Floats, rng: Streams, snapshot: int = 0,
+        progress: Progress = silent, key: str = "",
+    ) -> Detections:  # fmt: skip
+        """Return what the receiver reports of `paths`, at `poses` (T, 6) in m and rad numbered from `snapshot`, at true
+        and measured body velocities (T, 6) in m/s and rad/s. `key`: all that decides them, to keep what is finished.
+        """
+        columns, radio = path_columns(paths, len(poses), len(self.sites_m)), self.config.radio
+        if self.signals is not None:
+            from cellslam.sim.lte.signal.drive_in_blocks import detect_signals
+
+            found = detect_signals(
+                self.signals, columns, poses, velocities, odometry, rng.noise, snapshot, key, progress
+            )
+        else:
+            from cellslam.sim.lte.statistical.statistical_front_end import detect
+
+            found = detect(radio, self.cells, columns, poses, self.offsets_m, self.fields, rng, snapshot, progress)
+        return self._drifted(found)
+
+    def _drifted(self, found: Detections) -> Detections:
+        """Return detections with what the sites' clocks have drifted since the first snapshot: the receiver's window
+        follows."""
+        if not self.drift_m_s.any():
+            return found
+        from cellslam.sim.lte.links import links_of
+
+        m = found.measurements
+        elapsed_s = m.snapshot * self.config.vehicle.snapshot_interval_s
+        drifted = m.distance_m + self.drift_m_s[links_of(self.cells).site[m.link]] * elapsed_s
+        return replace(found, measurements=replace(m, distance_m=drifted))
+
+
+@dataclass(frozen=True)
+class World(Reception):
+    """One trial's world, ready to be measured."""
+
+    scene: Scene
 
     def trace(self, poses: Floats, progress: Progress = silent) -> Paths:
         """Return the paths from every site to every one of `poses` (T, 6), in m and rad."""
@@ -104,7 +142,7 @@ class World:
         poses, velocities = np.asarray(pose, np.float64)[None, :], np.asarray(velocity, np.float64)[None, :]
         known = velocities if odometry is None else np.asarray(odometry, np.float64)[None, :]
         paths = self.trace(poses)
-        return self._detect(paths, poses, velocities, known, rng, snapshot, silent), paths
+        return self.detect(paths, poses, velocities, known, rng, snapshot), paths
 
     def measure_drive(
         self, rng: Streams, progress: Progress = silent, odometry: Floats | None = None
@@ -115,49 +153,17 @@ class World:
         """
         paths, velocities = self.trace(self.drive.poses, progress), self.drive.velocity
         known = velocities if odometry is None else odometry
-        return self._detect(paths, self.drive.poses, velocities, known, rng, 0, progress), paths
-
-    def _detect(
-        self, paths: Paths, poses: Floats, velocities: Floats, odometry: Floats, rng: Streams, snapshot: int,
-        progress: Progress,
-    ) -> Detections:  # fmt: skip
-        columns, radio = path_columns(paths, len(poses), len(self.sites_m)), self.config.radio
-        if self.signals is not None:
-            from cellslam.sim.lte.signal.drive_in_blocks import detect_signals
-
-            key = f"{self.config.model_dump_json()} {self.seed} {self.trial}" if len(poses) > 1 else ""
-            found = detect_signals(
-                self.signals, columns, poses, velocities, odometry, rng.noise, snapshot, key, progress
-            )
-        else:
-            from cellslam.sim.lte.statistical.statistical_front_end import detect
-
-            found = detect(radio, self.cells, columns, poses, self.offsets_m, self.fields, rng, snapshot, progress)
-        return self._drifted(found)
-
-    def _drifted(self, found: Detections) -> Detections:
-        """Return detections with what the sites' clocks have drifted since the first snapshot: the receiver's window
-        follows."""
-        if not self.drift_m_s.any():
-            return found
-        from cellslam.sim.lte.links import links_of
-
-        m = found.measurements
-        elapsed_s = m.snapshot * self.config.vehicle.snapshot_interval_s
-        drifted = m.distance_m + self.drift_m_s[links_of(self.cells).site[m.link]] * elapsed_s
-        return replace(found, measurements=replace(m, distance_m=drifted))
+        key = f"{self.config.model_dump_json()} {self.seed} {self.trial}"
+        return self.detect(paths, self.drive.poses, velocities, known, rng, 0, progress, key), paths
 
 
 def prepare(config: WorldConfig, seed: int, trial: int, progress: Progress = silent) -> World:
     """Draw the world of one trial: city, route, sites, drive and clock offsets. Raises InputError where they
     do not fit.
     """
-    from cellslam.sim.lte.links import cells_of
-    from cellslam.sim.lte.persisting_errors import draw_fields
     from cellslam.sim.sites import place_sites
     from cellslam.sim.vehicle import drive, plan_route
 
-    cells = cells_of(config.sites)
     with progress("preparing the world", 4) as advance:
         scene = _scene(config, seed, trial)
         advance(1)
@@ -167,6 +173,17 @@ def prepare(config: WorldConfig, seed: int, trial: int, progress: Progress = sil
         advance(1)
         driven = drive(route, config.vehicle, stream(seed, trial, Stream.VEHICLE))
         advance(1)
+    return World(**vars(draw_reception(config, seed, trial, sites_m, driven)), scene=scene)
+
+
+def draw_reception(config: WorldConfig, seed: int, trial: int, sites_m: Floats, driven: Drive) -> Reception:
+    """Draw clock offsets, start and receiver of a trial with sites (S, 3) in m. Raises InputError where they do not
+    fit.
+    """
+    from cellslam.sim.lte.links import cells_of
+    from cellslam.sim.lte.persisting_errors import draw_fields
+
+    cells = cells_of(config.sites)
     rng = stream(seed, trial, Stream.OFFSETS)
     offsets_m = config.radio.clock_offset_std_m * rng.standard_normal(len(config.sites))
     start = driven.poses[0] + np.array(config.vehicle.start_std) * rng.standard_normal(6)
@@ -178,20 +195,27 @@ def prepare(config: WorldConfig, seed: int, trial: int, progress: Progress = sil
         from cellslam.sim.lte.signal.signal_front_end import signal_level
 
         signals = signal_level(config.radio, cells, offsets_m, fields, receiver_rng)
-    return World(config, seed, trial, scene, sites_m, cells, driven, offsets_m, drift_m_s, start, fields, signals)
+    return Reception(config, seed, trial, sites_m, cells, driven, offsets_m, drift_m_s, start, fields, signals)
 
 
 def simulate(config: WorldConfig, seed: int, trial: int, progress: Progress = silent) -> Recording:
     """Return the recording of trial `trial` of root seed `seed`, truth included. Same arguments, same
     recording.
     """
-    from cellslam.sim.lte.links import links_of
-    from cellslam.sim.lte.persisting_errors import persisting_std
     from cellslam.sim.vehicle import measure_odometry
 
     world = prepare(config, seed, trial, progress)
     odometry = measure_odometry(world.drive, config.odometry, stream(seed, trial, Stream.ODOMETRY))
     detections, paths = world.measure_drive(world.streams(), progress, odometry.velocity)
+    return recorded(world, odometry, detections, paths)
+
+
+def recorded(world: Reception, odometry: Odometry, detections: Detections, paths: Paths) -> Recording:
+    """Return the recording of a drive, truth included."""
+    from cellslam.sim.lte.links import links_of
+    from cellslam.sim.lte.persisting_errors import persisting_std
+
+    config = world.config
     vts, path_vt = virtual_transmitters(paths)
     measurement_vt = np.where(detections.path >= 0, path_vt[detections.path] if len(path_vt) else -1, -1)
     truth = Truth(
@@ -215,7 +239,7 @@ def simulate(config: WorldConfig, seed: int, trial: int, progress: Progress = si
         measurements=detections.measurements,
         start_pose=world.start_pose,
         start_std=np.array(config.vehicle.start_std, np.float64),
-        provenance=provenance(config, seed, trial),
+        provenance=provenance(config, world.seed, world.trial),
         truth=truth,
     )
 

@@ -24,6 +24,7 @@ class Command(NamedTuple):
 COMMANDS = {
     "run": Command("run", "simulate a scenario, run estimators on it, score them"),
     "record": Command("recordings.record", "simulate a scenario and keep it as a recording"),
+    "simulate-from": Command("recordings.simulate_from", "a recording of paths that another ray tracer found"),
     "replay": Command("recordings.replay", "run estimators on a recording and score them"),
     "import": Command(
         "recordings.import_campaign", "a recording of measured data: tables with recording.toml, or an adapter"

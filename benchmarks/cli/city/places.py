@@ -3,13 +3,18 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 
+from cellslam.benchmarks.trials.output_files import check_file
 from cellslam.scenarios.loading import load, preset_names
 from cellslam.sim.city import City, MeshCityConfig, build_city
 from cellslam.sim.errors import InputError
 from cellslam.sim.rays.paths import Floats, Paths
+
+if TYPE_CHECKING:
+    from cellslam.sim.rays.exchange import Traced
 
 COLUMNS, VELOCITIES = ("x", "y", "z"), ("vx", "vy", "vz")
 HEAD = "receiver,order,length_m,azimuth_rad,elevation_rad,gain_db,vt_x,vt_y,vt_z,x1,y1,z1,x2,y2,z2,transmitter,edge"
@@ -98,5 +103,24 @@ def write_paths(path: Path, paths: Paths, doppler_hz: Floats | None = None) -> N
         rows.append(f"{row},{paths.edge[index]}{shift}")
     try:
         path.write_text("\n".join(rows) + "\n", "utf-8")
+    except OSError as error:
+        raise InputError(f"{path}: cannot be written ({error.strerror or error})") from None
+
+
+def check_export(path: Path, kind: str) -> None:
+    """Raise InputError where paths cannot be written to `path` as "csv", "sionna" or "deepmimo"."""
+    if kind == "sionna" and path.suffix != ".npz":
+        raise InputError(f"--out {path}: --format sionna writes an .npz; give a name that ends so")
+    if kind == "deepmimo" and path.exists():
+        raise InputError(f"--out {path}: exists already; give the name of a new folder")
+    check_file(path)
+
+
+def export_paths(path: Path, kind: str, traced: Traced, carrier_hz: float) -> None:
+    """Write paths as "sionna" or "deepmimo". Raises InputError."""
+    from cellslam.sim.rays.exchange import write_deepmimo, write_sionna
+
+    try:
+        (write_sionna if kind == "sionna" else write_deepmimo)(path, traced, carrier_hz)
     except OSError as error:
         raise InputError(f"{path}: cannot be written ({error.strerror or error})") from None

@@ -12,7 +12,14 @@ import numpy as np
 from cellslam.benchmarks.cli.arguments import DONE, whole
 from cellslam.benchmarks.cli.city.city_arguments import MESH_HELP, add_mesh_options, mesh_options
 from cellslam.benchmarks.cli.city.city_output import note
-from cellslam.benchmarks.cli.city.places import find_city, parse_positions, read_positions, write_paths
+from cellslam.benchmarks.cli.city.places import (
+    check_export,
+    export_paths,
+    find_city,
+    parse_positions,
+    read_positions,
+    write_paths,
+)
 from cellslam.benchmarks.cli.progress_bars import bars
 from cellslam.benchmarks.trials.output_files import check_file
 from cellslam.sim.city import City
@@ -33,7 +40,9 @@ def add_arguments(parser: ArgumentParser) -> None:
         help="transmitter in metres; may be repeated",
     )  # fmt: skip
     parser.add_argument("--rx", metavar="RX.csv", required=True, help="receivers: columns x,y,z (vx,vy,vz: Doppler)")
-    parser.add_argument("--out", metavar="PATHS.csv", required=True, help="the table to write")
+    parser.add_argument("--out", metavar="PATHS", required=True, help="the table, .npz or folder to write")
+    format_help = "csv: a row a path; sionna: .npz as of Sionna RT; deepmimo: a scenario's folder (default: csv)"
+    parser.add_argument("--format", choices=("csv", "sionna", "deepmimo"), default="csv", help=format_help)
     parser.add_argument("--max-order", metavar="N", type=whole, default=1, help="reflections: 0, 1 or 2 (default: 1)")
     parser.add_argument("--carrier", metavar="HZ", type=float, default=2.66e9, help="carrier in Hz (default: 2.66e9)")
     parser.add_argument("--ground", action="store_true", help="let the ground reflect too")
@@ -47,9 +56,11 @@ def command(arguments: Namespace) -> int:
     """Carry out `cellslam city trace`."""
     from cellslam.sim.city.inside import OUTSIDE, check_outside, enclosing
     from cellslam.sim.rays import prepare, trace
+    from cellslam.sim.rays.exchange import Traced
 
     pictures = [Path(p) for p in (arguments.plan, arguments.view, arguments.html) if p]
-    for path in (Path(arguments.out), *pictures):
+    check_export(Path(arguments.out), arguments.format)
+    for path in pictures:
         check_file(path)
     if arguments.html:
         from cellslam.benchmarks.figures.city_page import check_plotly
@@ -67,7 +78,11 @@ def command(arguments: Namespace) -> int:
             ground_reflection=arguments.ground, diffraction=arguments.diffraction, progress=progress,
         )  # fmt: skip
         doppler = None if velocity is None else paths.doppler_hz(velocity, arguments.carrier)
-        write_paths(Path(arguments.out), paths, doppler)
+        if arguments.format == "csv":
+            write_paths(Path(arguments.out), paths, doppler)
+        else:
+            traced = Traced(paths, transmitters, receivers)
+            export_paths(Path(arguments.out), arguments.format, traced, arguments.carrier)
         _draw(arguments, city, paths, transmitters, receivers)
     inside = int(np.count_nonzero(enclosing(city, receivers) != OUTSIDE))
     counts = np.bincount(paths.order[paths.edge < 0], minlength=arguments.max_order + 1)
