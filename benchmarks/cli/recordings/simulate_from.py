@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import math
 import re
 import sys
-from argparse import ArgumentParser, Namespace
+from argparse import ArgumentParser, ArgumentTypeError, Namespace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -30,6 +31,8 @@ def add_arguments(parser: ArgumentParser) -> None:
     )  # fmt: skip
     parser.add_argument("--rx", metavar="RX.csv", help=".npz without 'targets': receivers, columns x,y,z")
     parser.add_argument("--polarisation", choices=("V", "H", "VH"), default="V", help=".npz: antennas (default: V)")
+    tolerance_help = "how far delays and angles may miss geometry (default: 0.01,0.5; measured ones need more)"
+    parser.add_argument("--tolerance", metavar="M,DEG", type=_tolerance, help=tolerance_help)
     parser.add_argument("--rx-set", metavar="N", type=whole, help="folder: the receiver set, where there are several")
     along_help = "places x,y,z of a drive: take the receivers nearest to them (default: all, in order)"
     parser.add_argument("--along", metavar="PLACES.csv", help=along_help)
@@ -63,12 +66,24 @@ def command(arguments: Namespace) -> int:
 
 def _read(place: Path, arguments: Namespace) -> Traced:
     from cellslam.benchmarks.cli.city.places import parse_positions, read_positions
-    from cellslam.sim.rays.exchange import read_deepmimo, read_sionna
+    from cellslam.sim.rays.exchange import EXACT, Tolerance, read_deepmimo, read_sionna
 
+    tolerance = EXACT if arguments.tolerance is None else Tolerance(*arguments.tolerance)
     if place.is_dir():
-        return read_deepmimo(place, arguments.rx_set)
+        return read_deepmimo(place, arguments.rx_set, tolerance)
     if not place.is_file():
         raise InputError(f"{place}: no such file or folder; give Sionna RT's paths as .npz, or a DeepMIMO folder")
     transmitters = parse_positions(arguments.bs, "--bs") if arguments.bs else None
     receivers = read_positions(Path(arguments.rx))[0] if arguments.rx else None
-    return read_sionna(place, arguments.polarisation, transmitters, receivers)
+    return read_sionna(place, arguments.polarisation, transmitters, receivers, tolerance)
+
+
+def _tolerance(text: str) -> tuple[float, float]:
+    """Return metres and radians. Raises ArgumentTypeError."""
+    try:
+        metres, degrees = (float(part) for part in text.split(","))
+    except ValueError:
+        raise ArgumentTypeError(f"'{text}' is no METRES,DEGREES, as in 5,10") from None
+    if not (metres > 0.0 and 0.0 < degrees < 90.0):
+        raise ArgumentTypeError(f"'{text}' is out of range: metres above 0, degrees above 0 and below 90")
+    return metres, math.radians(degrees)

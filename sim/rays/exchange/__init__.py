@@ -6,6 +6,6 @@ checks what was read against geometry, whatever the format, and makes `Paths` of
 
 from cellslam.sim.rays.exchange.deepmimo import read_deepmimo, write_deepmimo
 from cellslam.sim.rays.exchange.sionna import read_sionna, write_sionna
-from cellslam.sim.rays.exchange.traced_paths import Traced
+from cellslam.sim.rays.exchange.traced_paths import EXACT, Tolerance, Traced
 
-__all__ = ["Traced", "read_deepmimo", "read_sionna", "write_deepmimo", "write_sionna"]
+__all__ = ["EXACT", "Tolerance", "Traced", "read_deepmimo", "read_sionna", "write_deepmimo", "write_sionna"]

@@ -22,7 +22,15 @@ from numpy.typing import NDArray
 
 from cellslam.sim.errors import InputError
 from cellslam.sim.frames import SPEED_OF_LIGHT_MPS, unit_vector
-from cellslam.sim.rays.exchange.traced_paths import Columns, Traced, places_in_links, traced, zenith
+from cellslam.sim.rays.exchange.traced_paths import (
+    EXACT,
+    Columns,
+    Tolerance,
+    Traced,
+    places_in_links,
+    traced,
+    zenith,
+)
 from cellslam.sim.rays.paths import Floats, Ints
 
 NAME = "{key}_t{tx_set:03}_tx{tx:03}_r{rx_set:03}"
@@ -32,7 +40,7 @@ FILE = re.compile(r"(\w+)_t(\d+)_tx(\d+)_r(\d+)\.(npz|npy|mat)")
 RECEIVERS, TRANSMITTERS = 1, 0  # sets that are written
 
 
-def read_deepmimo(folder: Path, rx_set: int | None = None) -> Traced:
+def read_deepmimo(folder: Path, rx_set: int | None = None, tolerance: Tolerance = EXACT) -> Traced:
     """Return the paths of a scenario's folder, each of its transmitters one, to the receivers of a set.
 
     Coefficients are taken for vertical antennas. Raises InputError naming the file that does not fit.
@@ -61,7 +69,7 @@ def read_deepmimo(folder: Path, rx_set: int | None = None) -> Traced:
         *(np.concatenate([_deep(getattr(p, f), depth, f) for p in pieces]) for f in Columns.__annotations__)
     )
     columns = _pointing_back(columns, np.array(sent), received)
-    return traced(str(folder), columns, np.array(sent), received, _carrier(folder / "params.json"))
+    return traced(str(folder), columns, np.array(sent), received, _carrier(folder / "params.json"), tolerance)
 
 
 def _carrier(path: Path) -> float | None:

@@ -18,7 +18,15 @@ from numpy.typing import NDArray
 
 from cellslam.sim.errors import InputError
 from cellslam.sim.frames import SPEED_OF_LIGHT_MPS
-from cellslam.sim.rays.exchange.traced_paths import Columns, Traced, places_in_links, traced, zenith
+from cellslam.sim.rays.exchange.traced_paths import (
+    EXACT,
+    Columns,
+    Tolerance,
+    Traced,
+    places_in_links,
+    traced,
+    zenith,
+)
 from cellslam.sim.rays.paths import Floats, Ints, Paths
 
 NEEDED = ("a", "tau", "theta_r", "phi_r", "theta_t", "phi_t")
@@ -28,8 +36,9 @@ POLARISATIONS = {"V": (1,), "H": (0,), "VH": (1, 0)}  # rows of (H, V) by antenn
 
 
 def read_sionna(
-    path: Path, polarisation: str = "V", transmitters_m: Floats | None = None, receivers_m: Floats | None = None
-) -> Traced:
+    path: Path, polarisation: str = "V", transmitters_m: Floats | None = None, receivers_m: Floats | None = None,
+    tolerance: Tolerance = EXACT,
+) -> Traced:  # fmt: skip
     """Return the paths of an .npz; positions (S, 3) and (N, 3) in m are its `sources` and `targets` if not given.
 
     `polarisation` of the isotropic antenna at both ends: "V" (along theta), "H" (along phi), or "VH", a pair of both.
@@ -62,7 +71,7 @@ def read_sionna(
     sent = _positions(path, arrays, "sources", tau.shape[1], transmitters_m)
     received = _positions(path, arrays, "targets", tau.shape[0], receivers_m)
     carrier = float(arrays["frequency"]) if "frequency" in arrays else None
-    return traced(str(path), columns, sent, received, carrier)
+    return traced(str(path), columns, sent, received, carrier, tolerance)
 
 
 def _loaded(path: Path) -> dict[str, NDArray[Any]]:

@@ -9,6 +9,7 @@ of the formats, in `sionna` and `deepmimo`.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,9 +18,18 @@ from cellslam.sim.errors import InputError
 from cellslam.sim.frames import SPEED_OF_LIGHT_MPS, unit_vector, wrap_angle
 from cellslam.sim.rays.paths import Floats, Ints, Paths, joined
 
-LENGTH_TOLERANCE_M, LENGTH_TOLERANCE = 0.01, 1e-5  # single precision leaves 1e-7
-ANGLE_TOLERANCE_RAD = np.radians(0.5)
+LENGTH_SHARE = 1e-5  # of single precision; it leaves 1e-7
 SAME_VT_M = 0.1
+
+
+class Tolerance(NamedTuple):
+    """By how much a length in m and an angle in rad may miss what geometry says: those of measured paths do."""
+
+    length_m: float = 0.01
+    angle_rad: float = float(np.radians(0.5))
+
+
+EXACT = Tolerance()
 
 
 @dataclass(frozen=True)
@@ -49,7 +59,7 @@ class Columns:
 
 
 def traced(
-    name: str, c: Columns, transmitters_m: Floats, receivers_m: Floats, carrier_hz: float | None = None
+    name: str, c: Columns, transmitters_m: Floats, receivers_m: Floats, carrier_hz: float | None, tolerance: Tolerance
 ) -> Traced:
     """Return checked paths; of a file called `name`, between transmitters (S, 3) and receivers (N, 3) in m.
 
@@ -67,9 +77,10 @@ def traced(
     straight = np.linalg.norm(sent - received, axis=1)
     legs = np.nansum(np.linalg.norm(np.diff(c.points_m, axis=1), axis=2), axis=1)
     around = np.linalg.norm(first - sent, axis=1) + legs + np.linalg.norm(received - last, axis=1)
-    _check_lengths(name, length, straight, np.where(c.order == 0, straight, np.where(whole, around, np.nan)))
-    _check_angles(name, "arrival", c.arrival_rad, (last - received)[whole], whole)
-    _check_angles(name, "departure", c.departure_rad, (first - sent)[whole], whole)
+    way = np.where(c.order == 0, straight, np.where(whole, around, np.nan))
+    _check_lengths(name, length, straight, way, tolerance.length_m)
+    _check_angles(name, "arrival", c.arrival_rad, (last - received)[whole], whole, tolerance.angle_rad)
+    _check_angles(name, "departure", c.departure_rad, (first - sent)[whole], whole, tolerance.angle_rad)
     vt = received + length[:, None] * unit_vector(*c.arrival_rad.T)
     facets = np.full((len(length), 2), -1, np.int64)
     facets[:, 0] = _vt_numbers(vt, c.transmitter, c.order)
@@ -92,9 +103,9 @@ def _whole(c: Columns) -> NDArray[np.bool_]:
     return np.asarray((c.order == 0) | (known == c.order), np.bool_)
 
 
-def _check_lengths(name: str, length: Floats, straight: Floats, way: Floats) -> None:
+def _check_lengths(name: str, length: Floats, straight: Floats, way: Floats, tolerance_m: float) -> None:
     """Raise InputError for a delay (P,) in m that is no `way` over its points, or less than the straight line."""
-    allowed = LENGTH_TOLERANCE_M + LENGTH_TOLERANCE * length
+    allowed = tolerance_m + LENGTH_SHARE * length
     for wrong, there, what in (
         (length < straight - allowed, straight, "its ends are {:.3f} m apart"),
         (np.abs(way - length) > allowed, way, "its points make a way of {:.3f} m"),
@@ -108,7 +119,9 @@ def _check_lengths(name: str, length: Floats, straight: Floats, way: Floats) -> 
             )
 
 
-def _check_angles(name: str, end: str, angle: Floats, towards: Floats, known: NDArray[np.bool_]) -> None:
+def _check_angles(
+    name: str, end: str, angle: Floats, towards: Floats, known: NDArray[np.bool_], tolerance_rad: float
+) -> None:
     """Raise InputError unless the angles (P, 2) of paths that are `known` point along their legs (K, 3)."""
     if not known.any():
         return
@@ -120,7 +133,7 @@ def _check_angles(name: str, end: str, angle: Floats, towards: Floats, known: ND
         return np.asarray(np.arctan2(across, np.einsum("pi,pi->p", unit_vector(az, el), leg)))
 
     error = off(azimuth, elevation)
-    if error.max() < ANGLE_TOLERANCE_RAD:
+    if error.max() < tolerance_rad:
         return
     others = {
         "they point the other way": (azimuth + np.pi, -elevation),
@@ -128,7 +141,7 @@ def _check_angles(name: str, end: str, angle: Floats, towards: Floats, known: ND
         "their azimuths are clockwise": (-azimuth, elevation),
         "their azimuths are counted from north": (0.5 * np.pi - azimuth, elevation),
     }
-    fits = [text for text, (az, el) in others.items() if off(az, el).max() < ANGLE_TOLERANCE_RAD]
+    fits = [text for text, (az, el) in others.items() if off(az, el).max() < tolerance_rad]
     why = f": it would if {fits[0]}" if fits else ""
     row = np.flatnonzero(known)[int(np.argmax(error))]
     by = np.degrees(error.max())

@@ -56,6 +56,8 @@ def test_paths_feed_the_front_end(places: Path, own: Recording, name: str, more:
     # One coefficient in place of a polarimetric matrix costs some detections.
     assert len(m) == pytest.approx(len(own.measurements), rel=0.02 if more else 0.3)
     assert len(t.vts.order) == len(true.vts.order) and r.provenance["description"] == f"paths of {name}"
+    said = [site["position_m"] for site in r.provenance["world"]["sites"]]
+    assert np.allclose(said, t.site_positions_m)
 
 
 def test_a_recording_of_paths_is_replayed(places: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -12,7 +13,7 @@ import pytest
 from cellslam.sim.errors import InputError
 from cellslam.sim.frames import SPEED_OF_LIGHT_MPS
 from cellslam.sim.rays import Paths, trace
-from cellslam.sim.rays.exchange import Traced, read_deepmimo, read_sionna, write_deepmimo, write_sionna
+from cellslam.sim.rays.exchange import Tolerance, Traced, read_deepmimo, read_sionna, write_deepmimo, write_sionna
 
 SENT = np.array([[120.0, -70.0, 35.0], [-60.0, 90.0, 22.0]])
 RECEIVED = np.array([[-13.0, 42.0, 1.8], [31.0, -8.0, 2.1], [5.0, 77.0, 1.2]])
@@ -148,6 +149,26 @@ def test_another_convention_does_not_pass(made: Callable[[], Arrays], says: str,
         read_sionna(saved(tmp_path, made()))
 
 
+def test_measured_paths_may_err(tmp_path: Path) -> None:
+    rng = np.random.default_rng(1)
+    arrays = sionna()
+    del arrays["vertices"]
+    arrays["tau"] = arrays["tau"] + arrays["valid"] * 2.0 / SPEED_OF_LIGHT_MPS * rng.uniform(-1, 1, arrays["tau"].shape)
+    arrays["phi_r"] = arrays["phi_r"] + np.radians(4.0) * rng.uniform(-1, 1, arrays["tau"].shape)
+    path = saved(tmp_path, arrays)
+    with pytest.raises(InputError, match="are delays counted"):
+        read_sionna(path)
+    with pytest.raises(InputError, match="angle of arrival"):
+        read_sionna(path, tolerance=Tolerance(2.1))
+    found = read_sionna(path, tolerance=Tolerance(2.1, np.radians(4.1))).paths
+    assert len(found) == np.count_nonzero(arrays["valid"])
+    measured = SPEED_OF_LIGHT_MPS * arrays["tau"][arrays["valid"]]
+    np.testing.assert_allclose(np.sort(found.length_m), np.sort(measured))
+    arrays["theta_r"] = np.pi / 2 - arrays["theta_r"]
+    with pytest.raises(InputError, match="their zenith angles are elevations"):
+        read_sionna(saved(tmp_path, arrays), tolerance=Tolerance(2.1, np.radians(4.1)))
+
+
 def test_pickles_are_not_loaded(tmp_path: Path) -> None:
     np.savez(tmp_path / "paths.npz", a=np.array([{}], object))
     with pytest.raises(InputError, match=r"not an \.npz of arrays"):
@@ -244,10 +265,18 @@ def test_our_own_paths_there_and_back(own: Traced, tmp_path: Path) -> None:
     found = read_sionna(tmp_path / "p.npz", "VH")
     same(p, found.paths, lambda g: g, 1e-6)
     assert found.carrier_hz == 2.66e9
+    written = np.load(tmp_path / "p.npz")
+    assert set(written["interactions"].ravel()) == {0, 1, 8}
     write_deepmimo(tmp_path / "p", own, 2.66e9)
     found = read_deepmimo(tmp_path / "p")
     same(p, found.paths, lambda g: g[:, 1, 1], 1e-3)
     assert found.carrier_hz == 2.66e9
+    inter = np.load(tmp_path / "p/inter_t000_tx000_r001.npz")["inter"]
+    assert set(inter[np.isfinite(inter)]) == {0, 1, 2, 11}
+    # The strongest stands first, gaps last, whatever the order of paths.
+    write_deepmimo(tmp_path / "q", replace(own, paths=replace(p, gain=p.gain[::-1])), 2.66e9)
+    power = np.load(tmp_path / "q/power_t000_tx000_r001.npz")["power"]
+    assert np.all(np.diff(np.nan_to_num(power, nan=-999.0)) <= 0.0)
     # Reflections that the tracer knows by their facets are told apart by their images.
     static = (p.order > 0) & (p.edge < 0)
     ours = len(np.unique(np.column_stack([p.transmitter, p.facets])[static], axis=0))
