@@ -110,7 +110,7 @@ def _reference(r: Recording) -> dict[str, Any] | None:
         "longest_gap_s": _number(step.max()) if len(step) else None,
         "yaw": bool(np.isfinite(f.yaw_rad).any()),
         "height": bool(np.isfinite(f.position_m[:, 2]).any()),
-        "outlying_at_s": _short(f.time_s[outlying(f) & within(r, f)]),
+        "outlying_at_s": f.time_s[outlying(f) & within(r, f)].round(3).tolist(),
         "std_m": _number(np.nanmedian(f.position_std_m)) if np.isfinite(f.position_std_m).any() else None,
     }
 
@@ -188,7 +188,7 @@ def as_text(path: Path, recording: Recording, found: Mapping[str, Any]) -> str:
         if f["outlying_at_s"]:
             at, more = f["outlying_at_s"], "" if len(f["outlying_at_s"]) <= 5 else ", ..."
             lines.append(
-                f"  outliers    {len(at)} far off their neighbours, at {', '.join(f'{t:g}' for t in at[:5])}{more} s: "
+                f"  outliers    {len(at)} far off their neighbours, at {', '.join(f'{t:.14g}' for t in at[:5])}{more} s: "
                 "left out of scores and figures"
             )
     if recording.truth is not None:

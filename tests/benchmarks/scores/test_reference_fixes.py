@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Callable
+from pathlib import Path
 
 import numpy as np
 import pytest
 
-from cellslam.benchmarks.recordings.inspection.inspection import inspected
+from cellslam.benchmarks.recordings.inspection.inspection import as_text, inspected
 from cellslam.benchmarks.scores.metrics import distance_m, errors_over_time, score
 from cellslam.benchmarks.scores.reference_fixes import outlying
 from cellslam.benchmarks.scores.trial_result import TrialResult
@@ -56,3 +57,6 @@ def test_an_outlier_spoils_neither_scores_nor_figures(toy_recording: Callable[..
     assert curve is not None and len(curve[0]) == 79 and curve[1].max() == pytest.approx(2.0)
     assert distance_m(recording) == pytest.approx(3.0 * 39.5, abs=1.5)
     assert inspected(recording)["reference"]["outlying_at_s"] == [16.5]
+    since_1970 = recording.time_s + 1248272270.0
+    late = dataclasses.replace(recording, time_s=since_1970, reference=reference(position, since_1970[::5]))
+    assert "at 1248272286.5 s: left out" in as_text(Path("a.h5"), late, inspected(late))
