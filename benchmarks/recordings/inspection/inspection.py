@@ -38,7 +38,7 @@ def inspected(recording: Recording) -> dict[str, Any]:
 
 
 def _snapshots(r: Recording) -> dict[str, Any]:
-    step = np.diff(r.time_s)
+    step = np.diff(r.time_s).round(6)  # times since 1970 are known to 0.2 us
     out: dict[str, Any] = {"count": len(r.time_s), "duration_s": _number(duration_s(r))}
     if len(step):
         median = float(np.median(step))
@@ -102,7 +102,7 @@ def _reference(r: Recording) -> dict[str, Any] | None:
     if r.reference is None:
         return None
     f = r.reference
-    step = np.diff(f.time_s)
+    step = np.diff(f.time_s).round(6)
     return {
         "count": len(f),
         "within_the_drive": int(within(r, f).sum()),
@@ -187,9 +187,9 @@ def as_text(path: Path, recording: Recording, found: Mapping[str, Any]) -> str:
         )
         if f["outlying_at_s"]:
             at, more = f["outlying_at_s"], "" if len(f["outlying_at_s"]) <= 5 else ", ..."
+            times = ", ".join(f"{t:.14g}" for t in at[:5])
             lines.append(
-                f"  outliers    {len(at)} far off their neighbours, at {', '.join(f'{t:.14g}' for t in at[:5])}{more} s: "
-                "left out of scores and figures"
+                f"  outliers    {len(at)} far off their neighbours, at {times}{more} s: left out of scores and figures"
             )
     if recording.truth is not None:
         lines.append(f"truth         poses, {len(recording.truth.vts)} VTs, associations (simulated)")

@@ -59,4 +59,5 @@ def test_an_outlier_spoils_neither_scores_nor_figures(toy_recording: Callable[..
     assert inspected(recording)["reference"]["outlying_at_s"] == [16.5]
     since_1970 = recording.time_s + 1248272270.0
     late = dataclasses.replace(recording, time_s=since_1970, reference=reference(position, since_1970[::5]))
-    assert "at 1248272286.5 s: left out" in as_text(Path("a.h5"), late, inspected(late))
+    text = as_text(Path("a.h5"), late, inspected(late))
+    assert "at 1248272286.5 s: left out" in text and "every 0.1 s (0.1 to 0.1 s)" in text
