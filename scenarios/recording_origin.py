@@ -15,13 +15,18 @@ from cellslam.sim.recording import Recording
 
 @dataclass(frozen=True)
 class Origin:
-    """What a recording says about where it comes from; a measured one may say nothing."""
+    """What a recording says about where it comes from; a `measured` one says nothing of a scenario."""
 
     name: str
     seed: int
     trial: int
     options: Mapping[str, Any]
     scenario: Scenario | None
+    measured: bool = False
+
+    def told(self) -> Mapping[str, Any] | None:
+        """Return the options of ekf-slam that a simulated recording has; None: nobody modelled its front end."""
+        return None if self.measured else self.options.get("ekf-slam", {})
 
     @staticmethod
     def of(recording: Recording, path: Path = Path("recording")) -> Origin:
@@ -29,7 +34,7 @@ class Origin:
         said = recording.provenance
         tables = said.get("scenario")
         if not isinstance(tables, Mapping):
-            return Origin(path.stem, _count(said.get("seed")), _count(said.get("trial")), {}, None)
+            return Origin(path.stem, _count(said.get("seed")), _count(said.get("trial")), {}, None, True)
         try:
             scenario = from_tables(tables)
         except InputError:

@@ -40,6 +40,11 @@ def add_options_file(parser: argparse.ArgumentParser) -> None:
         help="take estimators' options from the tables [estimator.NAME] of a file, as fit-noise prints them, and the "
         "odometry's data sheet from its [noise.COMPONENT]; --set goes before it",
     )
+    parser.add_argument(
+        "--fit",
+        action=argparse.BooleanOptionalAction,
+        help="first learn the sizes of all errors from the recording (default: for measured ones, without --options)",
+    )
 
 
 def add_estimators(parser: argparse.ArgumentParser) -> None:

@@ -53,6 +53,12 @@ class Folder:
         with _writing(self.path):
             write_text(self.path / "scenario.toml", toml)
 
+    def write_fit(self, toml: str) -> None:
+        """Write what was learnt of the errors as fit.toml."""
+        with _writing(self.path):
+            self.path.mkdir(parents=True, exist_ok=True)
+            write_text(self.path / "fit.toml", toml)
+
     def draw(self, trial: Trial, city: City | None, progress: Progress = silent) -> list[Path]:
         """Draw the figures of a trial and return their paths."""
         from cellslam.benchmarks.figures.trial.trial_figures import draw_all

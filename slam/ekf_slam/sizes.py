@@ -26,6 +26,7 @@ OPTIONS = (
     *(f"calibration_{part}" for part in _PARTS), *(f"roof_{part}" for part in _PARTS),
 )  # fmt: skip
 LEAST_INFORMATION = 10.0  # a size told less well than to a third is left as it is
+SURE = 3.0  # but a slope of so many deviations says that it is too small
 MOST_STEP = math.log(4.0)  # of one pass
 MOST = {"m": 100.0, "g": 90.0}  # m, deg
 
@@ -57,7 +58,8 @@ class Sizes(Described):
         for name in dict.fromkeys(OPTIONS):
             which = [k for k, other in enumerate(OPTIONS) if other == name]
             slope, information = float(self.slope[which].sum()), float(self.information[which].sum())
-            if information >= LEAST_INFORMATION:
+            too_small = slope > max(SURE * math.sqrt(information), 1.0)
+            if information >= LEAST_INFORMATION or (too_small and information > 0.0):
                 out[name] = (slope, information)
         return out
 

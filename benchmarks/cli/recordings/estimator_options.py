@@ -4,27 +4,69 @@ from __future__ import annotations
 
 import tomllib
 from argparse import Namespace
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
+from cellslam.benchmarks.recordings.fitting.fit_noise import UNKNOWN
+from cellslam.benchmarks.recordings.fitting.fit_sizes import Learnt, learn
 from cellslam.benchmarks.recordings.importing.data_sheet import changed_sheet
-from cellslam.scenarios.overrides import parse_all
+from cellslam.scenarios import foreign_options
+from cellslam.scenarios.estimator_options import Request
+from cellslam.scenarios.overrides import apply, parse_all
+from cellslam.scenarios.recording_origin import Origin
 from cellslam.sim.errors import InputError
+from cellslam.sim.progress import Progress
 from cellslam.sim.recording import OdometryModel, Recording
 
 TABLES = ("estimator", "noise")
 
 
-def estimator_overrides(arguments: Namespace) -> dict[str, Any]:
-    """Return the options of `--options` and `--set` by dotted key; those of `--set` win. Raises InputError."""
-    return {key: value for key, value in _given(arguments).items() if key.startswith("estimator.")}
+@dataclass(frozen=True)
+class Told:
+    """What estimators are told of a recording: their requests, with all options, and the odometry's data sheet.
+
+    `learnt`: what the recording itself gave, None if it was not asked, or could not answer (`why`).
+    """
+
+    requests: tuple[Request, ...]
+    odometry_model: OdometryModel
+    learnt: Learnt | None = None
+    why: str = ""
 
 
-def data_sheet(arguments: Namespace, recording: Recording) -> OdometryModel:
-    """Return the recording's odometry model with what `--options` and `--set` say of `noise`. Raises InputError."""
-    given = {key: value for key, value in _given(arguments).items() if key.startswith("noise.")}
-    return changed_sheet(recording.odometry_model, given)
+def told(arguments: Namespace, recording: Recording, origin: Origin, names: Sequence[str], progress: Progress) -> Told:
+    """Return what estimators `names` are told: by the recording's scenario, or else by what it shows itself (`--fit`);
+    what `--options` and `--set` say goes before. Raises InputError.
+    """
+    given = _given(arguments)
+    overrides = {key: value for key, value in given.items() if key.startswith("estimator.")}
+    sheet = changed_sheet(recording.odometry_model, {k: v for k, v in given.items() if k.startswith("noise.")})
+    fit = origin.measured and not arguments.options if arguments.fit is None else arguments.fit
+    requests = _requests(origin.options, names, overrides)
+    if not fit:
+        return Told(requests, sheet)
+    try:
+        learnt = learn(replace(recording, odometry_model=sheet), origin.told(), progress)
+    except InputError as error:
+        learnt = Learnt(dict(UNKNOWN), sheet, {}, 0)
+        return Told(_with(learnt, origin, requests, overrides), sheet, None, str(error))
+    return Told(_with(learnt, origin, requests, overrides), learnt.odometry_model, learnt)
+
+
+def _with(
+    learnt: Learnt, origin: Origin, requests: Sequence[Request], overrides: Mapping[str, Any]
+) -> tuple[Request, ...]:
+    """Return the requests with the options that were learnt."""
+    tables = {r.name: learnt.table(type(r.options) if r.options else None) for r in requests}
+    merged = {name: {**origin.options.get(name, {}), **table} for name, table in tables.items()}
+    return _requests({**origin.options, **merged}, [r.name for r in requests], overrides)
+
+
+def _requests(tables: Mapping[str, Any], names: Sequence[str], overrides: Mapping[str, Any]) -> tuple[Request, ...]:
+    full = apply({"estimator": tables}, overrides)["estimator"]
+    return foreign_options.requests(full, names, overrides)
 
 
 def _given(arguments: Namespace) -> dict[str, Any]:

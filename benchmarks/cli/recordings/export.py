@@ -102,21 +102,17 @@ def _degrees(text: str) -> tuple[float, float]:
 
 def _estimate(recording: Recording, path: Path, arguments: Namespace) -> TrialResult:
     """Return the estimate that `cellslam replay` of this file would make."""
-    from cellslam.benchmarks.cli.recordings.estimator_options import data_sheet, estimator_overrides
+    from cellslam.benchmarks.cli.recordings.estimator_options import told
     from cellslam.benchmarks.trials import trials
     from cellslam.benchmarks.trials.guests import Guests
-    from cellslam.scenarios import foreign_options
-    from cellslam.scenarios.overrides import apply
     from cellslam.scenarios.recording_origin import Origin
 
-    overrides = estimator_overrides(arguments)
     origin = Origin.of(recording, path)
-    tables = apply({"estimator": origin.options}, overrides)["estimator"]
-    request = foreign_options.requests(tables, [arguments.estimator], overrides)[0]
     seed = origin.seed if arguments.seed is None else arguments.seed
     with bars(arguments.quiet) as progress, Guests() as guests:
-        drive = trials.Drive(replace(recording, odometry_model=data_sheet(arguments, recording)))
-        outcome = trials.outcome_of(drive, origin.name, request, origin.trial, seed, guests, progress)
+        given = told(arguments, recording, origin, [arguments.estimator], progress)
+        drive = trials.Drive(replace(recording, odometry_model=given.odometry_model))
+        outcome = trials.outcome_of(drive, origin.name, given.requests[0], origin.trial, seed, guests, progress)
     if outcome.result is None:
         raise InputError(f"--estimator {arguments.estimator} failed on {path}: {outcome.row['error']}")
     return outcome.result

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from argparse import ArgumentParser, Namespace
 from collections.abc import Iterator
 from pathlib import Path
@@ -14,15 +15,14 @@ from cellslam.benchmarks.cli.arguments import (
     limits,
 )
 from cellslam.benchmarks.cli.progress_bars import bars
-from cellslam.benchmarks.cli.recordings.estimator_options import data_sheet, estimator_overrides
+from cellslam.benchmarks.cli.recordings.estimator_options import Told, told
 from cellslam.benchmarks.cli.results_folder import Folder
 from cellslam.benchmarks.cli.run import Job, note_left_out, report, work_off
+from cellslam.benchmarks.recordings.fitting.fitted_lines import said, toml
 from cellslam.benchmarks.trials import trials
 from cellslam.benchmarks.trials.guests import Guests
 from cellslam.benchmarks.trials.output_files import check_folder
-from cellslam.scenarios import foreign_options
 from cellslam.scenarios.estimator_options import with_options
-from cellslam.scenarios.overrides import apply
 from cellslam.scenarios.recording_origin import Origin
 from cellslam.sim.errors import InputError
 from cellslam.sim.recording import Recording
@@ -45,28 +45,39 @@ def add_arguments(parser: ArgumentParser) -> None:
 
 def command(arguments: Namespace) -> int:
     """Carry out `cellslam replay`."""
-    overrides = estimator_overrides(arguments)
     path = Path(arguments.file)
     recording = Recording.load(path)
-    sheet = data_sheet(arguments, recording)
     if arguments.align and recording.truth is None and recording.reference is None:
         raise InputError(f"--align: {path} has neither truth nor reference to align to; leave the option out")
     origin = Origin.of(recording, path)
     seed = origin.seed if arguments.seed is None else arguments.seed
     trials.check_counts(1, seed)
-    tables = apply({"estimator": origin.options}, overrides)["estimator"]
-    requests = foreign_options.requests(tables, arguments.estimators or trials.DEFAULT_ESTIMATORS, overrides)
     note_left_out(arguments)
     out = Path(arguments.out or f"results/replay-{path.stem}")
     check_folder(out)
+    names = arguments.estimators or trials.DEFAULT_ESTIMATORS
+    with bars(arguments.quiet) as progress:
+        given = told(arguments, recording, origin, names, progress)
+    requests, folder = given.requests, Folder(out)
+    _say(given, path, folder, arguments.quiet)
     scenario = with_options(origin.scenario, requests) if origin.scenario is not None else None
-    job = Job(arguments, scenario, origin.name, requests, 1, Folder(out))
+    job = Job(arguments, scenario, origin.name, requests, 1, folder)
     with Guests(limits(arguments, 1)) as guests, bars(arguments.quiet) as progress:
         guests.begin(requests)
 
         def only() -> Iterator[trials.Trial]:
-            more = (origin.trial, seed, guests, progress, arguments.align, sheet)
+            more = (origin.trial, seed, guests, progress, arguments.align, given.odometry_model)
             yield trials.score_recording(recording, origin.name, requests, *more)
 
         interrupted = work_off(job, only(), progress)
     return report(job, interrupted)
+
+
+def _say(given: Told, path: Path, folder: Folder, quiet: bool) -> None:
+    """Say what was learnt, and keep it."""
+    lines = [f"nothing learnt from {path}: {given.why}"] if given.why else []
+    if given.learnt is not None:
+        lines = said(given.learnt)
+        folder.write_fit(toml(path, given.learnt))
+    if not quiet:
+        sys.stderr.write("".join(f"{line}\n" for line in lines))

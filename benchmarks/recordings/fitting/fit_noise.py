@@ -1,9 +1,8 @@
-"""Noise, detection and clutter as a recording itself shows them, without truth.
+"""Noise, detection and clutter as the tracks of a recording's measurements show them, before any filter has run.
 
 White noise: the spread of second differences of innovations along tracks, n(t+2) - 2 n(t+1) + n(t), whose variance is
 six times that of one measurement, however smoothly everything else changes. Persisting errors: `fit_persisting`.
-Odometry: what the innovations of a snapshot have in common, over growing intervals: the variance of a sum of K errors
-is white K q + (K b)^2, measurements add a constant. Detection: the share of snapshots within the life of a track that
+Detection: the share of snapshots within the life of a track that
 have it. Clutter: rows in no track, per link and snapshot and volume.
 """
 
@@ -13,12 +12,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from cellslam.benchmarks.recordings.fitting.fit_motion import apart
 from cellslam.benchmarks.recordings.fitting.fit_persisting import (
-    LEAST_SNAPSHOTS,
     NAMES,
     Persisting,
-    deviations,
     in_unit,
     persisting,
     reach,
@@ -27,11 +23,17 @@ from cellslam.benchmarks.recordings.fitting.fit_tracks import QUANTITIES, Tracks
 from cellslam.sim.errors import InputError
 from cellslam.sim.frames import wrap_angle
 from cellslam.sim.progress import Progress, silent
-from cellslam.sim.recording import COMPONENTS, Floats, Ints, Recording
+from cellslam.sim.recording import Floats, Ints, Recording
+from cellslam.slam.front_end.front_end_options import NOTHING_PERSISTS
 from cellslam.slam.front_end.readings import CLUTTER_WIDTH
 
 LEAST_TRIPLES, LEAST_TRACKS, BINS = 100, 5, 8
-LAGS = (1, 2, 4, 8, 16)
+LEAST_WHITE = {"m": 1e-3, "azimuth_deg": 1e-3, "elevation_deg": 1e-3}  # exact is what no filter can be told
+# Of a front end that nobody modelled, as far as too little was measured to tell its noise.
+UNKNOWN = {
+    **NOTHING_PERSISTS, "noise_floor_m": 0.3, "noise_floor_azimuth_deg": 2.0, "noise_floor_elevation_deg": 2.0,
+    "noise_unit_snr_m": 0.0, "noise_unit_snr_azimuth_deg": 0.0, "noise_unit_snr_elevation_deg": 0.0,
+}  # fmt: skip
 PLANE_ELEVATION_DEG = 0.5  # what estimators are told of the zero elevations of one plane
 
 
@@ -40,7 +42,7 @@ class Fitted:
     """What was found; deviations in m and deg, by the suffix of the options' names.
 
     `floor`, `unit` (at 0 dB): white; `claimed`: spread over the deviations that the front end claims; `range_m`: of a
-    typical path, None where clocks are unknown; `odometry`: noise density and bias by component.
+    typical path, None where clocks are unknown.
     """
 
     tracks: int
@@ -53,7 +55,32 @@ class Fitted:
     detection_probability: float
     clutter_density: float
     visible_s: float
-    odometry: dict[str, tuple[float, float]]
+
+
+def first_guess(recording: Recording, progress: Progress = silent) -> dict[str, float]:
+    """Return the front-end options (m, deg, s) that the tracks of a recording give, by name.
+
+    Raises InputError where there are too few tracks to tell.
+    """
+    fitted = fit(recording, progress)
+    out = {
+        **UNKNOWN,
+        "detection_probability": fitted.detection_probability,
+        "clutter_density": fitted.clutter_density,
+        "visible_s": fitted.visible_s,
+    }
+    for key in NAMES.values():
+        floor = PLANE_ELEVATION_DEG if recording.plane and key == "elevation_deg" else fitted.floor.get(key)
+        if floor is not None:
+            out[f"noise_floor_{key}"] = max(floor, LEAST_WHITE[key])
+            out[f"noise_unit_snr_{key}"] = fitted.unit.get(key, 0.0)
+            out[f"diffuse_{key}"] = fitted.persisting.place.get(key, 0.0)
+            out[f"calibration_{key}"] = fitted.persisting.direction.get(key, 0.0)
+    if fitted.persisting.scale_m:
+        out["diffuse_scale_m"] = fitted.persisting.scale_m
+    if fitted.range_m is not None:
+        out["typical_range_m"] = fitted.range_m
+    return out
 
 
 def fit(recording: Recording, progress: Progress = silent) -> Fitted:
@@ -84,16 +111,16 @@ def fit(recording: Recording, progress: Progress = silent) -> Fitted:
         detection_probability=detection,
         clutter_density=_clutter(recording, tracks),
         visible_s=visible_s,
-        odometry=_odometry(recording, tracks, white),
     )
 
 
 def _triples(tracks: Tracks) -> tuple[Ints, Floats]:
-    """Return pairs of steps of one snapshot each that follow one another: their middle rows and second differences
-    (n, 3).
+    """Return pairs of steps that follow one another, each of as many snapshots as most have: their middle rows and
+    second differences (n, 3).
     """
     steps = tracks.steps
-    single = np.flatnonzero((steps.lag == 1) & (tracks.track[steps.first] >= 0))
+    tracked = tracks.track[steps.first] >= 0
+    single = np.flatnonzero(tracked & (steps.lag == np.bincount(steps.lag[tracked], minlength=2).argmax()))
     at = np.full(tracks.rows, -1, np.int64)
     at[steps.first[single]] = single
     following = at[steps.second[single]]
@@ -140,33 +167,6 @@ def _against_snr(values: Floats, snr_db: Floats) -> tuple[float, float]:
     design = np.column_stack([np.ones(BINS), inverse]) / variance[:, None]
     solution, _ = nnls(design, np.ones(BINS))
     return float(np.sqrt(solution[0])), float(np.sqrt(solution[1]))
-
-
-def _odometry(r: Recording, tracks: Tracks, white: dict[str, float]) -> dict[str, tuple[float, float]]:
-    """Return noise density and bias of speed and yaw rate."""
-    from scipy.optimize import nnls
-
-    if not {"m", "azimuth_deg"} <= white.keys():
-        return {}
-    step = float(np.median(np.diff(r.time_s)))
-    spreads: dict[str, list[tuple[float, float, float]]] = {"u_x": [], "u_psi": []}
-    for lag in LAGS:
-        motion = apart(r, tracks, lag, deviations(white)).motion
-        if len(motion) < LEAST_SNAPSHOTS:
-            continue
-        for name, column in (("u_x", 0), ("u_psi", 2)):
-            middle = float(np.median(motion[:, column]))
-            spread = (1.4826 * float(np.median(np.abs(motion[:, column] - middle)))) ** 2
-            spreads[name].append((lag * step, spread, middle))
-    out = {}
-    for name, rows in spreads.items():
-        if len(rows) < 3 or np.isnan(r.odometry[:, COMPONENTS.index(name)]).all():
-            continue
-        t, variance, middle = np.array(rows).T
-        design = np.column_stack([np.ones(len(t)), t]) / variance[:, None]
-        (_, density), _ = nnls(design, np.ones(len(t)))
-        out[name] = (float(np.sqrt(density)), abs(float(middle[-1] / t[-1])))
-    return out
 
 
 def _detection(r: Recording, tracks: Tracks) -> tuple[float, float]:

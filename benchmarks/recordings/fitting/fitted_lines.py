@@ -1,69 +1,57 @@
-"""What `fit_noise` found, as the lines of a scenario."""
+"""What was learnt of a recording's errors, as a file for `--options` and as lines to read."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from pathlib import Path
 
-import numpy as np
+from cellslam.benchmarks.recordings.fitting.fit_sizes import Learnt
+from cellslam.sim.recording import COMPONENTS
+from cellslam.slam import registry
 
-from cellslam.benchmarks.recordings.fitting.fit_noise import PLANE_ELEVATION_DEG, Fitted
-from cellslam.benchmarks.recordings.fitting.fit_persisting import NAMES
-from cellslam.sim.recording import Recording
-
-
-def least_floor(recording: Recording) -> dict[str, float]:
-    """Return the least deviations (m, deg) with which a filter of particles can tell its particles apart.
-
-    A step of the vehicle is drawn with the odometry's white noise. A likelihood of n paths that is much narrower leaves
-    one particle, whatever the truth: so no path counts for less than sqrt(n) times that noise.
-    """
-    rows, steps = np.diff(recording.rows), np.diff(recording.time_s)
-    paths = float(np.median(rows[rows > 0])) if (rows > 0).any() else 1.0
-    step = float(np.sqrt(paths * np.median(steps))) if len(steps) else 0.0
-    density = recording.odometry_model.noise_density
-    return {"m": step * float(density[0]), "azimuth_deg": step * float(np.degrees(density[3]))}
+SHOWN = ("ekf-slam", "fastslam")
+NOTABLE = 1.25  # factor by which a size must have changed to be said
+_WORDS = {
+    "m": "distance", "azimuth_deg": "azimuth", "elevation_deg": "elevation",
+    "u_x": "speed", "u_y": "speed to the left", "u_z": "speed upwards", "u_psi": "yaw rate", "u_theta": "pitch rate",
+    "u_phi": "roll rate",
+}  # fmt: skip
 
 
-def options(recording: Recording, fitted: Fitted, least: Mapping[str, float]) -> dict[str, float | int]:
-    """Return the front-end options that the estimators share, as fitted, floors of `least` at least; names that they
-    do not have are left out."""
-    from cellslam.slam.front_end.front_end_options import FrontEndOptions
-
-    out: dict[str, float | int] = {
-        "detection_probability": fitted.detection_probability,
-        "clutter_density": fitted.clutter_density,
-        "visible_s": fitted.visible_s,
-    }
-    for key in NAMES.values():
-        floor = PLANE_ELEVATION_DEG if recording.plane and key == "elevation_deg" else fitted.floor.get(key)
-        if floor is not None:
-            out[f"noise_floor_{key}"] = max(floor, least.get(key, 0.0))
-            out[f"noise_unit_snr_{key}"] = fitted.unit.get(key, 0.0)
-            out[f"diffuse_{key}"] = fitted.persisting.place.get(key, 0.0)
-            out[f"calibration_{key}"] = fitted.persisting.direction.get(key, 0.0)
-    if fitted.persisting.scale_m:
-        out["diffuse_scale_m"] = fitted.persisting.scale_m
-    if fitted.range_m is not None:
-        out["typical_range_m"] = fitted.range_m
-    return {name: float(f"{value:.3g}") for name, value in out.items() if name in FrontEndOptions.model_fields}
-
-
-def lines(path: Path, recording: Recording, fitted: Fitted) -> str:
-    """Return the scenario lines to paste, or for `replay --options`; comments say what they are from."""
-    out = [f"# {path}: {fitted.tracks} tracks in {fitted.rows} measurements"]
-    for key, ratio in fitted.claimed.items():
-        name = "distance" if key == "m" else key.removesuffix("_deg")
-        out.append(f"# white errors are {ratio:.2f} times the deviations that the front end claims ({name})")
-    out += ["# cellslam replay takes this file as --options FILE.toml"]
-    for name, least in (("fastslam", least_floor(recording)), ("ekf-slam", {})):
-        table = options(recording, fitted, least)
-        out += ["", f"[estimator.{name}]"]
-        if table != options(recording, fitted, {}):
-            out.append("# noise_floor: raised to sqrt(paths) times the odometry's noise of a step, for few particles")
-        out += [f"{key} = {value:g}" for key, value in table.items()]
-    if fitted.odometry:
-        out += ["", "# for recording.toml: the odometry's data sheet"]
-        for name, (density, bias) in fitted.odometry.items():
-            out += [f"# [noise.{name}]", f"# noise_density = {density:.3g}", f"# bias = {bias:.3g}"]
+def toml(path: Path, learnt: Learnt) -> str:
+    """Return the tables [estimator.NAME] and [noise.COMPONENT] that `--options` takes; comments say where from."""
+    out = [f"# learnt from {path}; cellslam replay takes this file as --options FILE.toml"]
+    out += [f"# {line}" for line in said(learnt)]
+    for name in SHOWN:
+        table = learnt.table(registry.options_model(registry.resolve(name)))
+        out += ["", f"[estimator.{name}]", *(f"{key} = {_value(value)}" for key, value in table.items())]
+    sheet = learnt.odometry_model
+    for i, component in enumerate(COMPONENTS):
+        values = {kind: getattr(sheet, kind)[i] for kind in ("noise_density", "bias", "bias_walk_density", "scale")}
+        if any(values.values()):
+            out += ["", f"[noise.{component}]", *(f"{kind} = {value:.4g}" for kind, value in values.items())]
     return "\n".join(out) + "\n"
+
+
+def said(learnt: Learnt) -> list[str]:
+    """Return lines that say what differs from what was told."""
+    if not learnt.passes:
+        return ["sizes of errors as told: the clock offsets were never resolved, so nothing could be learnt"]
+    lines = [
+        f"{_name(name)}: {factor:.2g} times as large as told (+- {100.0 * deviation:.0f} %)"
+        for name, (factor, deviation) in learnt.changes.items()
+        if not 1.0 / NOTABLE < factor < NOTABLE
+    ]
+    begin = f"sizes of errors, as the whole drive shows them (pass {learnt.passes} of ekf-slam)"
+    return [f"{begin}:", *(f"  {line}" for line in lines)] if lines else [f"{begin}, are those that were told"]
+
+
+def _name(size: str) -> str:
+    """Return a size of `slam.ekf_slam.sizes.OPTIONS` in words."""
+    if size in COMPONENTS:
+        return f"noise of the odometry's {_WORDS[size]}"
+    cause, _, part = size.partition("_")
+    return f"{'white noise' if cause == 'noise' else cause} of {_WORDS[part]}"
+
+
+def _value(value: float | str) -> str:
+    return f'"{value}"' if isinstance(value, str) else f"{value:.4g}"

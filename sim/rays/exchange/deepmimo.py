@@ -6,7 +6,7 @@ in degrees, zenith angles; `delay` in s, absolute; `power` in dB of unit power s
 from the transmitter on (0 line of sight, 1 reflection, 2 diffraction, 3 scattering, 4 transmission); `inter_pos`
 (N, P, I, 3) in m. Angles of arrival point from the receiver to where the path comes from; some converted scenarios have
 them the other way, which a line of sight or the last point shows. Source: DeepMIMO/DeepMIMO 4.0.1, deepmimo/consts.py,
-docs/resources/conventions.md, specs.md.
+its pages conventions and specs.
 """
 
 from __future__ import annotations

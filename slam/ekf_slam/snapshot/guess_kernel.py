@@ -47,7 +47,7 @@ from cellslam.slam.ekf_slam.state.layout import (
 )
 from cellslam.slam.model.matrices_kernel import Vec3, cholesky, solved
 
-AROUND, AHEAD = 10, 7  # guesses of an azimuth, of a distance
+AROUND, AHEAD = 20, 7  # guesses of an azimuth, of a distance
 NEAREST_M, FARTHER = 15.0, 2.0  # first distance, ratio of one to the next
 WIDTH = 0.5  # deviation of a guess, in distances of neighbours
 LEAST = 1e-3  # share below which a guess is given up

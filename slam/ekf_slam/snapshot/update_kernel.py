@@ -31,6 +31,9 @@ class Pending(NamedTuple):
     t: Floats
 
 
+LIKELY = 9.0
+
+
 class Look(NamedTuple):
     """A look, or the mean of several: `z`, `q` (3,): distance, azimuth, elevation in m and rad, NaN where not measured,
     and their variances; seen from `place` (m) with the rotation `turned`; `diffuse`, `turn`: what is left in it of the
@@ -184,7 +187,21 @@ def correct(f: Filter, a: ArrayErrors, j: int, offset: int, look: Look, s: Sight
     blank(w, e)
     new = innovate(e, look.q, hph)
     count_look(f, new.e, new.s, look.q, a.diffuse, look.diffuse)
-    return update(f, new, w)
+    return update(f, weakened(new), w)
+
+
+@njit
+def weakened(i: Innovation) -> Innovation:
+    """Return an innovation that is unlikely large with as much more covariance as makes it likely: what no model has,
+    as paths that merge, must not outweigh what it has.
+
+    Source: Huber, Robust Statistics, 1981, section 7: weights that fall as the residual.
+    """
+    distance2, _ = log_likelihood(i)
+    if not LIKELY < distance2 < math.inf:
+        return i
+    k, s = distance2 / LIKELY, i.s
+    return Innovation(i.e, Sym3(k * s.xx, k * s.xy, k * s.xz, k * s.yy, k * s.yz, k * s.zz), i.measured)
 
 
 @njit(cache=True)

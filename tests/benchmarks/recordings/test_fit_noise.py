@@ -13,8 +13,9 @@ import pytest
 
 from cellslam.benchmarks.cli import main as cli
 from cellslam.benchmarks.recordings import Campaign, OdometryTable, build
-from cellslam.benchmarks.recordings.fitting.fit_noise import fit
-from cellslam.benchmarks.recordings.fitting.fitted_lines import lines
+from cellslam.benchmarks.recordings.fitting.fit_noise import first_guess, fit
+from cellslam.benchmarks.recordings.fitting.fit_sizes import BURSTS, Learnt, learn
+from cellslam.benchmarks.recordings.fitting.fitted_lines import said
 from cellslam.scenarios.estimator_options import resolve
 from cellslam.sim.errors import InputError
 from cellslam.sim.recording import Recording
@@ -87,26 +88,76 @@ def test_what_was_put_in_is_found(world: Recording) -> None:
     assert found.detection_probability == pytest.approx(DETECTED, abs=0.06)
     volume = 2 * np.pi * 0.9 * AREA_M * np.sqrt(2 * np.pi) * np.radians(0.5)
     assert found.clutter_density == pytest.approx(FALSE / volume, rel=0.5)
-    assert found.odometry["u_x"][0] == pytest.approx(SPEED_NOISE, rel=0.4)
-    assert found.odometry["u_psi"][0] == pytest.approx(TURN_NOISE, rel=0.4)
-    assert found.odometry["u_psi"][1] == pytest.approx(TURN_BIAS, rel=0.3)
 
 
-def test_the_lines_can_be_pasted(world: Recording, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    text = lines(Path("a.h5"), world, fit(world))
-    for request in resolve(tomllib.loads(text)["estimator"], ["fastslam", "ekf-slam"], ()):
-        assert request.options.detection_probability == pytest.approx(DETECTED, abs=0.06)
-    sheet = tomllib.loads("\n".join(line[2:] for line in text.splitlines() if line.startswith(("# [", "# n", "# b"))))
-    assert set(sheet["noise"]) == {"u_x", "u_psi"} and sheet["noise"]["u_psi"]["bias"] > 0
-    world.save(tmp_path / "a.h5")
-    (tmp_path / "fitted.toml").write_text(text)
-    words = ["--quiet", "replay", str(tmp_path / "a.h5"), "--estimator", "dead-reckoning", "--json", "--no-figures"]
-    words += ["--out", str(tmp_path / "out"), "--options", str(tmp_path / "fitted.toml")]
+@pytest.fixture(scope="module")
+def learnt(world: Recording) -> Learnt:
+    """What is learnt with a data sheet that is five times too wide in speed and five times too tight in turning."""
+    return learn(with_sheet(world, 5.0 * SPEED_NOISE, 0.2 * TURN_NOISE), None)
+
+
+def with_sheet(world: Recording, speed: float, turn: float) -> Recording:
+    density = np.array([speed, 0.0, 0.0, turn, 0.0, 0.0])
+    return dataclasses.replace(world, odometry_model=dataclasses.replace(world.odometry_model, noise_density=density))
+
+
+def test_odometry_and_noise_are_learnt_whatever_the_sheet_says(learnt: Learnt) -> None:
+    speed, turn = learnt.odometry_model.noise_density[[0, 3]] / BURSTS
+    assert speed == pytest.approx(SPEED_NOISE, rel=0.3)
+    assert turn == pytest.approx(TURN_NOISE, rel=0.3)
+    assert TURN_BIAS / 2.0 < learnt.odometry_model.bias[3] < BURSTS * TURN_BIAS
+    assert learnt.options["noise_floor_m"] == pytest.approx(STD_M, rel=0.3)
+    assert learnt.options["noise_floor_azimuth_deg"] == pytest.approx(np.degrees(STD_RAD), rel=0.3)
+
+
+def test_what_was_told_wrong_is_said(learnt: Learnt) -> None:
+    text = "\n".join(said(learnt))
+    assert "noise of the odometry's speed: 0.2 times as large as told" in text
+    assert "noise of the odometry's yaw rate: " in text and "white noise" not in text
+
+
+def test_nothing_is_learnt_where_offsets_are_never_resolved(world: Recording) -> None:
+    """Azimuths alone do not tell an offset of 150 m."""
+    few = thin(world)
+    angles = dataclasses.replace(few.measurements, distance_m=np.full(len(few.measurements), np.nan))
+    sites = dataclasses.replace(world.sites, clock_offset_std_m=np.array([150.0]))
+    found = learn(dataclasses.replace(few, measurements=angles, sites=sites), {"start_limit_s": 1e5, "vts": 4})
+    assert found.passes == 0 and "never resolved" in said(found)[0]
+    np.testing.assert_array_equal(found.odometry_model.noise_density, world.odometry_model.noise_density)
+
+
+def test_one_command_learns_and_replays(
+    world: Recording, learnt: Learnt, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Without an option a measured recording is fitted first; the tables that this leaves can be given again."""
+    drive = tmp_path / "a.h5"
+    with_sheet(world, 5.0 * SPEED_NOISE, 0.2 * TURN_NOISE).save(drive)
+    words = ["replay", str(drive), "--estimator", "ekf-slam", "--no-figures", "--out", str(tmp_path / "out")]
     assert cli.main(words) == 0
-    (tmp_path / "fitted.toml").write_text(text.replace("gate", "gait") + "[city]\nseed = 1\n")
-    capsys.readouterr()
-    assert cli.main([*words[:-3], str(tmp_path / "o"), *words[-2:]]) == 2
-    assert "fitted.toml: has 'city'" in capsys.readouterr().err
+    shown = capsys.readouterr()
+    assert "noise of the odometry's speed: 0.2 times as large as told" in shown.err
+    fitted = tmp_path / "out" / "fit.toml"
+    tables = tomllib.loads(fitted.read_text("utf-8"))
+    assert set(tables) == {"estimator", "noise"} and set(tables["noise"]) == {"u_x", "u_psi"}
+    assert tables["noise"]["u_x"]["noise_density"] == pytest.approx(learnt.odometry_model.noise_density[0], rel=1e-3)
+    for request in resolve(tables["estimator"], ["fastslam", "ekf-slam"], ()):
+        assert request.options.detection_probability == pytest.approx(DETECTED, abs=0.06)
+    assert cli.main([*words[:-1], str(tmp_path / "again"), "--options", str(fitted)]) == 0
+    again = capsys.readouterr()
+    assert "as told" not in again.err
+    ends = [np.loadtxt(tmp_path / folder / "trajectory-ekf-slam.tum")[-1, 1:3] for folder in ("out", "again")]
+    np.testing.assert_allclose(ends[0], ends[1], atol=0.1)
+    fitted.write_text(fitted.read_text("utf-8") + "[city]\nseed = 1\n")
+    assert cli.main([*words[:-1], str(tmp_path / "o"), "--options", str(fitted)]) == 2
+    assert "fit.toml: has 'city'" in capsys.readouterr().err
+
+
+def test_too_little_to_learn_is_said(world: Recording, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    thin(world).save(tmp_path / "a.h5")
+    words = ["replay", str(tmp_path / "a.h5"), "--estimator", "dead-reckoning", "--no-figures", "--out"]
+    assert cli.main([*words, str(tmp_path / "out")]) == 0
+    assert "nothing learnt from" in capsys.readouterr().err
+    assert cli.main(["fit-noise", str(tmp_path / "a.h5")]) == 2
 
 
 def test_errors_that_persist_are_told_from_white_ones(world: Recording) -> None:
@@ -135,25 +186,27 @@ def source_of(world: Recording) -> np.ndarray:
     return np.maximum(tracks_of(world).track, 0)
 
 
-def test_simulated_cellular_noise_at_unit_snr(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_simulated_cellular_noise_at_unit_snr() -> None:
     """The statistical front end's thermal part is 0.0405 m at 0 dB; its other errors are not white and are kept
     apart.
     """
-    path = Path(str(files("cellslam.slam.conformance").joinpath("conformance_drive.h5")))
-    assert cli.main(["--quiet", "fit-noise", str(path)]) == 0
-    options = tomllib.loads(capsys.readouterr().out)["estimator"]["fastslam"]
-    assert options["noise_unit_snr_m"] == pytest.approx(0.0405, rel=0.25)
-    assert options["calibration_m"] > options["noise_floor_m"]
-    assert 0.7 < options["detection_probability"] < 0.95
+    found = first_guess(Recording.load(str(files("cellslam.slam.conformance").joinpath("conformance_drive.h5"))))
+    assert found["noise_unit_snr_m"] == pytest.approx(0.0405, rel=0.25)
+    assert found["calibration_m"] > found["noise_floor_m"]
+    assert 0.7 < found["detection_probability"] < 0.95
 
 
-def test_too_little_to_tell(world: Recording) -> None:
+def thin(world: Recording) -> Recording:
     m = world.measurements
     keep = np.arange(len(m)) % 40 == 0
     columns = {f.name: getattr(m, f.name) for f in dataclasses.fields(m)}
-    thin = dataclasses.replace(m, **{n: None if c is None else c[keep] for n, c in columns.items()})
+    few = dataclasses.replace(m, **{n: None if c is None else c[keep] for n, c in columns.items()})
+    return dataclasses.replace(world, measurements=few)
+
+
+def test_too_little_to_tell(world: Recording) -> None:
     with pytest.raises(InputError, match=r"tracks of three detections"):
-        fit(dataclasses.replace(world, measurements=thin))
+        fit(thin(world))
 
 
 @pytest.mark.parametrize("columns", [("distance_m",), ("azimuth_rad",)])
@@ -161,7 +214,7 @@ def test_delays_or_angles_alone_give_white_errors(
     columns: tuple[str, ...], world: Recording, strip: Callable[..., Recording]
 ) -> None:
     found = fit(strip(world, *columns))
-    assert found.odometry == {} and found.persisting.place == {} and 0.3 < found.detection_probability < 0.99
+    assert found.persisting.place == {} and 0.3 < found.detection_probability < 0.99
     if columns == ("distance_m",):
         assert found.floor == {"azimuth_deg": pytest.approx(np.degrees(STD_RAD), rel=0.5)} and found.range_m is None
     else:

@@ -18,7 +18,18 @@ from cellslam.slam.ekf_slam.snapshot.birth_kernel import give_birth, remove, tid
 from cellslam.slam.ekf_slam.snapshot.motion_kernel import Interval, Step, forget, move
 from cellslam.slam.ekf_slam.snapshot.sight_kernel import field, rotations_of
 from cellslam.slam.ekf_slam.snapshot.sizes_kernel import DIFFUSE_SIZE, ODOMETRY, WHITE, count_look, count_motion
-from cellslam.slam.ekf_slam.snapshot.update_kernel import Vec3, compare, correct, gains, innovate, settle, update
+from cellslam.slam.ekf_slam.snapshot.update_kernel import (
+    LIKELY,
+    Innovation,
+    Vec3,
+    compare,
+    correct,
+    gains,
+    innovate,
+    settle,
+    update,
+    weakened,
+)
 from cellslam.slam.ekf_slam.state.array_errors import NO_ERRORS
 from cellslam.slam.ekf_slam.state.layout import ArrayErrors, one_of
 from cellslam.slam.ekf_slam.state.states_kernel import enter, leave
@@ -319,3 +330,17 @@ def test_sums_of_odometry_noise_are_taken_in_when_they_are_told() -> None:
     assert f.sizes[0, ODOMETRY] == pytest.approx((0.04 + 0.001) / 0.005 - 1.0)
     assert f.sizes[1, ODOMETRY] == pytest.approx(2.0 * 0.8**2)
     assert f.summed[0] == 0.0 and not f.p[forward].any() and f.x[forward] == 0.0
+
+
+def test_a_look_that_is_too_far_off_counts_for_less() -> None:
+    """Whatever its distance, it moves the state as one that is just likely does, by less and less."""
+    s = Sym3(4.0, 1.0, 0.0, 2.0, 0.5, 1.0)
+    inverse = np.linalg.inv([[4.0, 1.0, 0.0], [1.0, 2.0, 0.5], [0.0, 0.5, 1.0]])
+    e = np.array([1.0, -0.5, 0.25])
+    for size in (1.0, 2.0, 10.0, 1000.0):
+        distance2 = float(size**2 * e @ inverse @ e)
+        new = weakened(Innovation(Vec3(*(size * e)), s, 3))
+        factor = max(distance2 / LIKELY, 1.0)
+        np.testing.assert_allclose(np.array(new.s), factor * np.array(s), rtol=1e-12)
+        np.testing.assert_allclose(np.array(new.e), size * e)
+    assert distance2 > LIKELY

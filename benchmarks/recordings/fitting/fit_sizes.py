@@ -1,0 +1,132 @@
+"""Sizes of all errors as a whole drive shows them: EKF-SLAM goes through it again and again, told what it learnt.
+
+After each pass the filter has, for the white noise, every cause of errors that persist, and the odometry, the slope of
+the log-likelihood in the logarithm of its size, and the curvature; the next pass is told sizes that are a step nearer
+to the likeliest, all at once. The sizes of the likeliest pass are the result.
+
+Sources: Shumway and Stoffer, "An approach to time series smoothing and forecasting using the EM algorithm", Journal of
+Time Series Analysis 3(4), 1982; `slam.ekf_slam.sizes` has those of the steps.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from pydantic import BaseModel
+
+from cellslam.benchmarks.recordings.fitting.fit_noise import first_guess
+from cellslam.sim.progress import Progress, silent
+from cellslam.sim.recording import COMPONENTS, Floats, OdometryModel, Recording
+from cellslam.slam.api import odometry_of, setup_of, snapshots_of
+from cellslam.slam.ekf_slam.ekf_slam import EkfSlam
+from cellslam.slam.ekf_slam.ekf_slam_options import EkfSlamOptions
+from cellslam.slam.ekf_slam.sizes import Sizes, keys_of, stepped
+from cellslam.slam.front_end.front_end_options import FrontEndOptions
+
+PASSES, WHOLE = 7, 2  # passes at most; so many take whole steps, the others half of them
+ALIKE = 0.1  # a pass that would change no size by more is the last
+# Slip comes in bursts: a filter that is told the deviation over the whole drive is too sure in these.
+BURSTS = 3.0
+# Bias and scale that any odometer may have, m/s and rad/s: what a data sheet leaves out cannot be learnt.
+LEAST_BIAS, LEAST_SCALE = {"u_psi": 1e-3}, {"u_x": 0.01, "u_psi": 0.01}
+
+
+@dataclass(frozen=True)
+class Learnt:
+    """What was learnt: `options` that all map builders share, by name, and the odometry's data sheet.
+
+    `changes`: by what factor a size of `slam.ekf_slam.sizes.OPTIONS` differs from what was told, and its relative
+    standard deviation as the drive tells it; what it does not tell is left out, and stays as told. `passes`: which one
+    was the likeliest, 0: none, clock offsets were never resolved.
+    """
+
+    options: dict[str, Any]
+    odometry_model: OdometryModel
+    changes: dict[str, tuple[float, float]]
+    passes: int
+
+    def table(self, model: type[BaseModel] | None) -> dict[str, Any]:
+        """Return the options of an estimator, those that its model has; empty for one that shares none."""
+        if model is None or not issubclass(model, FrontEndOptions):
+            return {}
+        # Particles drawn from an odometry that is told wide, by few paths that are exact, would all miss.
+        return self.options | ({"proposal": "measurements"} if "proposal" in model.model_fields else {})
+
+
+def learn(recording: Recording, told: Mapping[str, Any] | None, progress: Progress = silent) -> Learnt:
+    """Return the sizes that a recording shows.
+
+    `told`: front-end options to begin with, by name; None: nobody modelled this front end, and the tracks of its
+    measurements give them. Raises InputError where these are too few to tell.
+    """
+    sheet = recording.odometry_model
+    if told is None:
+        told, sheet = first_guess(recording, progress), _with_least(recording, sheet)
+    options = first = EkfSlamOptions(**told)
+    keys, best, likeliest, last = set(told), Learnt(dict(told), sheet, {}, 0), -math.inf, False
+    with progress("learning the sizes of errors", PASSES) as advance:
+        for number in range(PASSES):
+            estimator = EkfSlam(options)
+            _drive(estimator, replace(recording, odometry_model=sheet))
+            advance(1)
+            try:
+                found = estimator.sizes()
+            except RuntimeError:
+                break
+            if found.log_likelihood > likeliest:
+                likeliest, given = found.log_likelihood, recording.odometry_model.noise_density
+                ratio = np.divide(sheet.noise_density, given, out=np.ones(6), where=given > 0.0)
+                changes = {
+                    name: (_factor(name, first, options, ratio), deviation)
+                    for name, deviation in found.deviations().items()
+                }
+                shared = {key: getattr(options, key) for key in sorted(keys)}
+                best = Learnt(shared, _safe(sheet, found), changes, number + 1)
+            if last:
+                break
+            options, sheet, steps = stepped(options, sheet, found, 1.0 if number < WHOLE else 0.5)
+            keys |= {key for name in steps if name not in COMPONENTS for key in keys_of(name)}
+            last = all(abs(step) <= ALIKE for step in steps.values())
+    return best
+
+
+def _drive(estimator: EkfSlam, recording: Recording) -> None:
+    odometry, dt_s = odometry_of(recording), np.diff(recording.time_s, prepend=recording.time_s[0])
+    estimator.start(setup_of(recording), np.random.default_rng(0))
+    for t, snapshot in enumerate(snapshots_of(recording)):
+        estimator.step(float(dt_s[t]), odometry[t], snapshot)
+
+
+def _safe(sheet: OdometryModel, found: Sizes) -> OdometryModel:
+    """Return a data sheet to be told, of one that was likely: as wide as it must be where slip comes in bursts, with
+    no wider bias and scale than the drive shows."""
+    bias, scale = BURSTS * np.sqrt(found.bias), BURSTS * np.sqrt(found.scale)
+    return replace(
+        sheet,
+        noise_density=BURSTS * sheet.noise_density,
+        bias=np.fmin(sheet.bias, bias),
+        scale=np.fmin(sheet.scale, scale),
+    )
+
+
+def _factor(name: str, first: EkfSlamOptions, now: EkfSlamOptions, odometry: Floats) -> float:
+    """Return by what factor a size has changed."""
+    if name in COMPONENTS:
+        return float(odometry[COMPONENTS.index(name)])
+    key = max(keys_of(name), key=lambda key: float(getattr(first, key)))
+    return float(getattr(now, key) / getattr(first, key))
+
+
+def _with_least(recording: Recording, sheet: OdometryModel) -> OdometryModel:
+    """Return a data sheet with a bias and a scale for each velocity that is measured."""
+    bias, scale = sheet.bias.copy(), sheet.scale.copy()
+    for values, least in ((bias, LEAST_BIAS), (scale, LEAST_SCALE)):
+        for name, value in least.items():
+            i = COMPONENTS.index(name)
+            if not np.isnan(recording.odometry[:, i]).all():
+                values[i] = max(values[i], value)
+    return replace(sheet, bias=bias, scale=scale)
