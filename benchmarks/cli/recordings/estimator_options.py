@@ -19,6 +19,7 @@ from cellslam.scenarios.recording_origin import Origin
 from cellslam.sim.errors import InputError
 from cellslam.sim.progress import Progress
 from cellslam.sim.recording import OdometryModel, Recording
+from cellslam.slam.front_end.front_end_options import FrontEndOptions
 
 TABLES = ("estimator", "noise")
 
@@ -37,15 +38,16 @@ class Told:
 
 
 def told(arguments: Namespace, recording: Recording, origin: Origin, names: Sequence[str], progress: Progress) -> Told:
-    """Return what estimators `names` are told: by the recording's scenario, or else by what it shows itself (`--fit`);
-    what `--options` and `--set` say goes before. Raises InputError.
+    """Return what estimators `names` are told: by the recording's scenario, or by what it shows itself (`--fit`; for
+    map builders on a measured one the default). What `--options` and `--set` say goes before. Raises InputError.
     """
     given = _given(arguments)
     overrides = {key: value for key, value in given.items() if key.startswith("estimator.")}
     sheet = changed_sheet(recording.odometry_model, {k: v for k, v in given.items() if k.startswith("noise.")})
-    fit = origin.measured and not arguments.options if arguments.fit is None else arguments.fit
     requests = _requests(origin.options, names, overrides)
-    if not fit:
+    mapping = any(isinstance(r.options, FrontEndOptions) for r in requests)
+    by_default = origin.measured and mapping and not arguments.options
+    if not (by_default if arguments.fit is None else arguments.fit):
         return Told(requests, sheet)
     try:
         learnt = learn(replace(recording, odometry_model=sheet), origin.told(), progress)

@@ -155,7 +155,9 @@ def test_one_command_learns_and_replays(
 def test_too_little_to_learn_is_said(world: Recording, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     thin(world).save(tmp_path / "a.h5")
     words = ["replay", str(tmp_path / "a.h5"), "--estimator", "dead-reckoning", "--no-figures", "--out"]
-    assert cli.main([*words, str(tmp_path / "out")]) == 0
+    assert cli.main([*words, str(tmp_path / "alone")]) == 0
+    assert "learnt" not in capsys.readouterr().err
+    assert cli.main([*words, str(tmp_path / "out"), "--fit"]) == 0
     assert "nothing learnt from" in capsys.readouterr().err
     assert cli.main(["fit-noise", str(tmp_path / "a.h5")]) == 2
 

@@ -181,7 +181,7 @@ z_m = {column = "d", unit = "m"}
 
 
 def rows_of(path: Path, capsys: pytest.CaptureFixture[str], out: Path) -> list[dict[str, Any]]:
-    words = ["replay", str(path), "--estimator", "dead-reckoning", "--estimator", "ekf-slam", "--seed", "3"]
+    words = ["replay", str(path), "--no-fit", "--estimator", "dead-reckoning", "--estimator", "ekf-slam", "--seed", "3"]
     assert cli.main(["--quiet", *words, "--json", "--no-figures", "--out", str(out)]) == 0
     rows: list[dict[str, Any]] = json.loads(capsys.readouterr().out)
     return [

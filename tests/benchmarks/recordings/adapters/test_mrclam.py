@@ -11,6 +11,7 @@ import pytest
 
 from cellslam.benchmarks.cli import main as cli
 from cellslam.sim.recording import Recording
+from cellslam.slam.front_end.front_end_options import NOTHING_PERSISTS
 
 BEGIN_S = 1248272272.841
 LANDMARKS = {6: (5.5, 3.0), 7: (-2.5, 4.5), 8: (-6.0, -1.5), 9: (0.5, -6.5), 10: (7.0, -4.0), 11: (2.0, 1.5)}
@@ -20,8 +21,8 @@ MISREAD = 99
 OPTIONS = {
     "noise_floor_m": 0.1,
     "noise_floor_azimuth_deg": 1.0,
-    **dict.fromkeys(("noise_unit_snr_m", "noise_unit_snr_azimuth_deg", "place_m", "place_azimuth_deg"), 0.0),
-    **dict.fromkeys(("direction_m", "direction_azimuth_deg"), 0.0),
+    **dict.fromkeys(("noise_unit_snr_m", "noise_unit_snr_azimuth_deg"), 0.0),
+    **NOTHING_PERSISTS,
 }
 
 
