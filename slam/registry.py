@@ -69,6 +69,11 @@ BUILT_IN = (
         "belief propagation: probabilistic association and existence of features, Gaussian-mixture messages",
     ),
     Listed(
+        "phd-slam",
+        "cellslam.slam.phd_slam.phd_slam:PhdSlam",
+        "Rao-Blackwellised PHD filter: particles of the path, the map of each the intensity of a random finite set",
+    ),
+    Listed(
         "channel-slam",
         "cellslam.slam.channel_slam.channel_slam:ChannelSlam",
         "delays alone: a filter for each transmitter within each particle of the vehicle",
