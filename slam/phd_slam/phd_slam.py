@@ -7,7 +7,7 @@ from typing import Any, ClassVar
 import numpy as np
 from scipy.special import ndtri
 
-from cellslam.sim.recording import Floats, Ints
+from cellslam.sim.recording import Floats, Ints, Sites
 from cellslam.slam import warm_up
 from cellslam.slam.api import Estimate, Setup, Snapshot, VtEstimate
 from cellslam.slam.front_end.attitude import Attitude
@@ -42,6 +42,8 @@ from cellslam.slam.phd_slam.snapshot_kernel import Particles, resample, use_snap
 
 CAPACITY = 64  # Gaussians that there is room for at the start; doubled when needed
 DRIFT_SCALE_S = 1.0  # an offset that drifts is taken to walk: so far in so long as its rate says
+ANCHOR_STD_M = 1e-3
+SURVEYED = 1000.0  # detections that a surveyed transmitter counts as
 TRIANGLE = np.array([[0, 1, 2], [1, 3, 4], [2, 4, 5]])
 
 
@@ -76,7 +78,7 @@ class PhdSlam:
         self._view = FieldOfView(len(links))
         self._attitude, self._misfit = Attitude(self._options, self._grouping.setup), Misfit(self._options)
         self._particles = self._drawn(setup)
-        self._born = 0
+        self._born = len(links)  # anchors have the first identities
 
     def step(self, dt_s: float, odometry: Floats, snapshot: Snapshot) -> Estimate:
         """Draw velocities, update maps, weigh, and resample if needed.
@@ -108,11 +110,13 @@ class PhdSlam:
         component = np.minimum(sites.clock_offset_std_m, o.offset_component_std_m)
         between = np.sqrt(sites.clock_offset_std_m**2 - component**2)
         offset = sites.clock_offset_mean_m + between * ndtri(quasi_random(n, len(sites), self._rng))
+        room = _room(n, max(CAPACITY, 2 * len(self._site_of)))
+        _put_anchors(room, sites, self._site_of)
         doubt = np.stack([model.bias**2, np.zeros(6), model.scale**2], axis=1)
         return Particles(
             pose=setup.start_pose + setup.start_std * self._rng.standard_normal((n, 6)),
             error=np.zeros((n, 6, 2)), doubt=np.tile(doubt, (n, 1, 1)), offset=offset,
-            variance=np.tile(component**2, (n, 1)), log_weight=np.zeros(n), **_room(n, CAPACITY),
+            variance=np.tile(component**2, (n, 1)), log_weight=np.zeros(n), **room,
         )  # fmt: skip
 
     def _draws(self) -> Floats:
@@ -184,6 +188,19 @@ class PhdSlam:
             wider = p._replace(**_room(n, min(2 * capacity, self._options.components)))
             wider.rows[:, :capacity], wider.names[:, :capacity], wider.count[:] = p.rows, p.names, p.count
             self._particles = wider
+
+
+def _put_anchors(room: dict[str, Any], sites: Sites, site_of: Ints) -> None:
+    """Begin every map with the transmitters that are known before the drive."""
+    if sites.position_m is None:
+        return
+    known = np.flatnonzero(np.isfinite(sites.position_m[site_of]).all(axis=1))
+    rows, names = room["rows"][:, : len(known)], room["names"][:, : len(known)]
+    rows[:, :, MEAN:COVARIANCE] = sites.position_m[site_of[known]]
+    rows[:, :, COVARIANCE + np.diag(TRIANGLE)] = ANCHOR_STD_M**2
+    rows[:, :, VISIBLE], rows[:, :, HITS] = 1.0, SURVEYED
+    names[:, :, LINK] = names[:, :, NAME] = known
+    room["count"][:] = len(known)
 
 
 def _room(particles: int, capacity: int) -> dict[str, Any]:
