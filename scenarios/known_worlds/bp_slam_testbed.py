@@ -94,8 +94,9 @@ def _ranges(poses: Floats, seed: int, trial: int) -> Returns:
 _LEVEL_DEG, _AZIMUTH_WIDTH = 0.3, 0.3
 _LEVEL = 1.0 / (math.sqrt(2.0 * math.pi) * math.radians(_LEVEL_DEG))
 _OPTIONS = {
-    **WHITE, "noise_floor_m": ASSUMED_STD_M, "noise_floor_elevation_deg": _LEVEL_DEG, "detection_probability": DETECTION,
-    "visible_s": 1e3, "hidden_s": 1e5, "clutter_density": CLUTTER / REACH_M / _AZIMUTH_WIDTH * _LEVEL,
+    **WHITE, "noise_floor_m": ASSUMED_STD_M, "noise_floor_elevation_deg": _LEVEL_DEG,
+    "detection_probability": DETECTION, "visible_s": 1e3, "hidden_s": 1e5,
+    "clutter_density": CLUTTER / REACH_M / _AZIMUTH_WIDTH * _LEVEL,
 }  # fmt: skip
 WORLD = KnownWorld(
     name="bp-slam-testbed",

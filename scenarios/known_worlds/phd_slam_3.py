@@ -167,7 +167,7 @@ _LEVEL_DEG = 0.3
 _LEVEL = 1.0 / (math.sqrt(2.0 * math.pi) * math.radians(_LEVEL_DEG))
 _OPTIONS = {
     **WHITE, "noise_floor_m": float(STD[0]), "noise_floor_azimuth_deg": 0.3, "noise_floor_elevation_deg": _LEVEL_DEG,
-    "detection_probability": DETECTION, "visible_s": 1e4, "hidden_s": 1e5, "effective_share": 0.2,
+    "detection_probability": DETECTION, "visible_s": 1e4, "hidden_s": 1e5, "effective_share": 0.2, "confirm_hits": 3,
     "clutter_density": DETECTION * CLUTTER / (2.0 * REACH_M * SPAN_RAD) * _LEVEL,
 }  # fmt: skip
 _PUBLISHED = {1: (3.45, 0.42, 46.84), 10: (2.66, 0.34, 38.27), 100: (2.18, 0.29, 32.12)}

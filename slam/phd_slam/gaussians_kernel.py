@@ -52,7 +52,7 @@ class Map(NamedTuple):
 
     rows: Floats
     names: Ints
-    count: Ints
+    size: Ints
 
 
 class Measured(NamedTuple):
@@ -187,7 +187,7 @@ def put_update(out: Floats, n: int, rows: Floats, j: int, seen: Seen, new: Innov
 def follow(own: Map, site_of: Ints, change: Floats) -> None:
     """Let the means follow their sites' clock offsets, which have changed by `change` (S,) in m."""
     rows, names = own.rows, own.names
-    for j in range(own.count[0]):
+    for j in range(own.size[0]):
         by = change[site_of[names[j, LINK]]]
         for c in range(3):
             rows[j, MEAN + c] += rows[j, GAIN + c] * by
@@ -201,7 +201,7 @@ def forget(own: Map, site_of: Ints, kept: Floats) -> None:
     share and P (1 - kept) in m^2.
     """
     rows, names = own.rows, own.names
-    for j in range(own.count[0]):
+    for j in range(own.size[0]):
         site = site_of[names[j, LINK]]
         g = gain_of(rows, j)
         spread = sym_plus(covariance_of(rows, j), sym_scaled(outer(g), kept[site, 1]))
@@ -212,7 +212,7 @@ def forget(own: Map, site_of: Ints, kept: Floats) -> None:
 def come_and_go(own: Map, stay: float, back: float) -> None:
     """Let VTs become hidden and visible again: a step of the Markov chain with these probabilities."""
     rows = own.rows
-    for j in range(own.count[0]):
+    for j in range(own.size[0]):
         visible, hidden = rows[j, VISIBLE], rows[j, HIDDEN]
         rows[j, VISIBLE] = stay * visible + back * hidden
         rows[j, HIDDEN] = (1.0 - stay) * visible + (1.0 - back) * hidden
@@ -229,7 +229,7 @@ def put_row(rows: Floats, names: Ints, j: int, source: Floats, source_names: Int
 @njit(cache=True)
 def copy_map(source: Map, target: Map) -> None:
     """Copy a map into another one."""
-    count = source.count[0]
-    target.count[0] = count
+    count = source.size[0]
+    target.size[0] = count
     target.rows[:count] = source.rows[:count]
     target.names[:count] = source.names[:count]

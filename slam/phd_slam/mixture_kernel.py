@@ -16,7 +16,6 @@ from cellslam.sim.recording import Floats, Ints
 from cellslam.slam.model.matrices_kernel import (
     Mat3,
     Sym3,
-    Vec3,
     congruence,
     inverse,
     mat_mat,
@@ -54,6 +53,7 @@ from cellslam.slam.phd_slam.motion_kernel import Moved
 LEAST_RANGE_M = 1.0  # a VT is born no nearer
 AROUND, GUESSES, NEAREST_GUESS_M = 24, 7, 15.0  # of a lone distance or a lone azimuth
 APART = 0.3  # deviation of a guess over its distance from the next one
+SETTLING = 20.0  # detections after which a guess that has not been refuted counts as found
 UNKNOWN_ELEVATION_RAD = math.radians(15.0)
 
 
@@ -62,7 +62,7 @@ class Pool(NamedTuple):
 
     rows: Floats
     names: Ints
-    count: Ints
+    size: Ints
 
 
 @njit(cache=True)
@@ -74,8 +74,8 @@ def new_pool(most: int) -> Pool:
 @njit
 def added(pool: Pool, link: int, name: int, visible: float, hidden: float, hits: float) -> int:
     """Return the place of a new Gaussian, whose mean, covariance and gain are still to be written."""
-    n = pool.count[0]
-    pool.count[0] = n + 1
+    n = pool.size[0]
+    pool.size[0] = n + 1
     pool.rows[n, VISIBLE], pool.rows[n, HIDDEN], pool.rows[n, HITS] = visible, hidden, hits
     pool.names[n, LINK], pool.names[n, NAME] = link, name
     return int(n)
@@ -84,35 +84,38 @@ def added(pool: Pool, link: int, name: int, visible: float, hidden: float, hits:
 @njit(cache=True)
 def give_birth(pool: Pool, at: Moved, offset: float, span: float, measured: Measured, k: int, weight: float) -> None:
     """Add the Gaussians of a VT that a measurement may be of, with `weight` in all: one, or, where the distance or the
-    azimuth is missing, as many guesses as go round the field of view or up to its end."""
+    azimuth is missing, as many guesses as go round the field of view or up to its end.
+
+    Guesses have a negative number of detections until they have settled.
+    """
     z, known, var = vec_at(measured.z, k, 0), vec_at(measured.known, k, 0), vec_at(measured.fresh, k, 0)
     elevation, var_elevation = (z.z, var.z) if known.z > 0.0 else (0.0, UNKNOWN_ELEVATION_RAD**2)
     distance = z.x - offset
     if known.x > 0.0 and distance < LEAST_RANGE_M:
         return
     if known.x > 0.0 and known.y > 0.0:
-        _born(pool, at, measured, k, (distance, z.y, elevation), (var.x, var.y, var_elevation), weight)
+        _born(pool, at, measured, k, (distance, z.y, elevation), (var.x, var.y, var_elevation), weight, 1.0)
     elif known.x > 0.0:
         step = 2.0 * span / AROUND
         for i in range(AROUND):
             guess = distance, (i + 0.5) * step - span, elevation
-            _born(pool, at, measured, k, guess, (var.x, (APART * step) ** 2, var_elevation), weight / AROUND)
+            _born(pool, at, measured, k, guess, (var.x, (APART * step) ** 2, var_elevation), weight / AROUND, -SETTLING)
     elif known.y > 0.0:
         for i in range(GUESSES):
             far = NEAREST_GUESS_M * 2.0**i
             guess = far, z.y, elevation
-            _born(pool, at, measured, k, guess, ((APART * far) ** 2, var.y, var_elevation), weight / GUESSES)
+            _born(pool, at, measured, k, guess, ((APART * far) ** 2, var.y, var_elevation), weight / GUESSES, -SETTLING)
 
 
 @njit
 def _born(
     pool: Pool, at: Moved, measured: Measured, k: int, z: tuple[float, float, float], var: tuple[float, float, float],
-    weight: float,
+    weight: float, hits: float,
 ) -> None:  # fmt: skip
     """Add the Gaussian of a measurement: Sigma = J Q J^T; a greater clock offset brings it nearer."""
     ahead = mat_vec(at.turned.r, direction(z[1], z[2]))
     j: Mat3 = mat_mat(at.turned.r, cartesian_jacobian(z[0], z[1], z[2]))
-    n = added(pool, measured.link[k], measured.born + k, weight, 0.0, 1.0)
+    n = added(pool, measured.link[k], measured.born + k, weight, 0.0, hits)
     put_gaussian(
         pool.rows, n,
         vec_plus(at.place, vec_scaled(ahead, z[0])),
@@ -126,8 +129,8 @@ def condense(pool: Pool, own: Map, drop: float, merge: float) -> None:
     """Move the pool's Gaussians into the map, the weightiest first, each with those that lie within its reach; drop
     what weighs less than `drop`, and what there is no room for."""
     rows, names, target, target_names = pool.rows, pool.names, own.rows, own.names
-    n, size = 0, own.count[0]
-    weights = rows[: pool.count[0], VISIBLE] + rows[: pool.count[0], HIDDEN]
+    n, size = 0, own.size[0]
+    weights = rows[: pool.size[0], VISIBLE] + rows[: pool.size[0], HIDDEN]
     order, taken = np.argsort(-weights), np.zeros(len(weights), np.bool_)
     x, y, wide_x, wide_y = np.empty(len(order)), np.empty(len(order)), np.empty(len(order)), np.empty(len(order))
     for i in order:
@@ -152,7 +155,7 @@ def condense(pool: Pool, own: Map, drop: float, merge: float) -> None:
                 _absorb(rows, i, k)
         put_row(target, target_names, size, rows, names, i)
         size += 1
-    own.count[0] = size
+    own.size[0] = size
 
 
 @njit(cache=True)

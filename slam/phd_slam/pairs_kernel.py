@@ -85,7 +85,7 @@ def _inside(margin: float, variance: float) -> float:
 @njit(cache=True)
 def find_near(own: Map, at: Moved, offset: Floats, rules: Rules) -> Near:
     """Return which Gaussians may be detected; the edge of the field of view is as soft as they are uncertain."""
-    rows, names, limits, site_of, count = own.rows, own.names, rules.limits, rules.site_of, own.count[0]
+    rows, names, limits, site_of, count = own.rows, own.names, rules.limits, rules.site_of, own.size[0]
     place, where, probability, n = np.empty(count, np.int64), np.empty((count, 4)), np.empty(count), 0
     for j in range(count):
         link = names[j, LINK]

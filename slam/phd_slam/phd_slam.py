@@ -94,7 +94,10 @@ class PhdSlam:
         measured, first = self._measured(looks, values)
         model = self._model
         interval = Interval(
-            float(dt_s), np.array(odometry, np.float64), np.array(model.noise_density), np.array(model.bias_walk_density)
+            float(dt_s),
+            np.array(odometry, np.float64),
+            np.array(model.noise_density),
+            np.array(model.bias_walk_density),
         )
         walk = self._drift**2 * dt_s * DRIFT_SCALE_S
         association = np.empty((len(p.pose), len(looks)), np.int64)
@@ -122,7 +125,8 @@ class PhdSlam:
     def _draws(self) -> Floats:
         """Draw normal numbers (N, 6) whose mean over the particles is zero: one particle goes by the mean."""
         drawn = self._rng.standard_normal((len(self._particles.pose), 6))
-        return drawn - drawn.mean(axis=0)
+        drawn -= drawn.mean(axis=0)
+        return drawn
 
     def _measured(self, looks: Looks, values: Readings) -> tuple[Measured, Ints]:
         """Return a snapshot as the kernels take it, and the first measurement of each link (L + 1,)."""
@@ -168,7 +172,7 @@ class PhdSlam:
     def _reported(self, particle: int) -> VtEstimate:
         """Return the Gaussians of a particle that are VTs rather than clutter."""
         p, o = self._particles, self._options
-        count = int(p.count[particle, 0])
+        count = int(p.size[particle, 0])
         rows, names = p.rows[particle, :count], p.names[particle, :count]
         weight = rows[:, VISIBLE] + rows[:, HIDDEN]
         sure = np.flatnonzero((weight >= o.report_weight) & (rows[:, HITS] >= o.confirm_hits))
@@ -184,9 +188,9 @@ class PhdSlam:
     def _reserve(self) -> None:
         """Double the room for Gaussians where a map is half full."""
         p, (n, capacity) = self._particles, self._particles.names.shape[:2]
-        if 2 * p.count.max() > capacity and capacity < self._options.components:
+        if 2 * p.size.max() > capacity and capacity < self._options.components:
             wider = p._replace(**_room(n, min(2 * capacity, self._options.components)))
-            wider.rows[:, :capacity], wider.names[:, :capacity], wider.count[:] = p.rows, p.names, p.count
+            wider.rows[:, :capacity], wider.names[:, :capacity], wider.size[:] = p.rows, p.names, p.size
             self._particles = wider
 
 
@@ -200,9 +204,9 @@ def _put_anchors(room: dict[str, Any], sites: Sites, site_of: Ints) -> None:
     rows[:, :, COVARIANCE + np.diag(TRIANGLE)] = ANCHOR_STD_M**2
     rows[:, :, VISIBLE], rows[:, :, HITS] = 1.0, SURVEYED
     names[:, :, LINK] = names[:, :, NAME] = known
-    room["count"][:] = len(known)
+    room["size"][:] = len(known)
 
 
 def _room(particles: int, capacity: int) -> dict[str, Any]:
     rows, names = (particles, capacity, WIDTH), (particles, capacity, NAMES)
-    return {"rows": np.zeros(rows), "names": np.zeros(names, np.int64), "count": np.zeros((particles, 1), np.int64)}
+    return {"rows": np.zeros(rows), "names": np.zeros(names, np.int64), "size": np.zeros((particles, 1), np.int64)}

@@ -15,14 +15,17 @@ class PhdSlamOptions(FrontEndOptions):
         0.5, ge=0, le=1, description="resample when the effective sample size falls below this share of the particles"
     )
     iterations: int = Field(
-        2, ge=0, le=20, description="linearisations of the motion's importance density; 0: the motion alone (PHD-SLAM 1)"
+        2,
+        ge=0,
+        le=20,
+        description="linearisations of the importance density of the motion; 0: odometry alone",
     )
     offset_component_std_m: float = Field(
         20.0, gt=0, le=1000, description="width of one particle's clock-offset component at the start, m"
     )
     drop_weight: float = Field(1e-5, gt=0, lt=1, description="a Gaussian of the map of less weight is dropped")
     report_weight: float = Field(
-        1e-3, gt=0, le=1, description="a Gaussian of at least this weight, detected often enough, is reported as a VT"
+        1e-4, gt=0, le=1, description="a Gaussian of at least this weight, detected often enough, is reported as a VT"
     )
     merge_distance2: float = Field(
         10.0, gt=0, le=1000, description="squared Mahalanobis distance up to which Gaussians of the map are merged"

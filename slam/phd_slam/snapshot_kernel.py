@@ -53,13 +53,13 @@ from cellslam.slam.phd_slam.motion_kernel import (
 )
 from cellslam.slam.phd_slam.pairs_kernel import Near, Pairs, Rules, exclusive, find_near, pair_up
 
-SURE = 0.5  # a measurement is of a VT that it belongs to with at least this probability
+SURE = 0.5  # a measurement is taken to be of a VT to which it belongs with at least this probability
 
 
 class Particles(NamedTuple):
     """N particles: pose (N, 6) in m and rad; of bias and scale of the odometry the means, error (N, 6, 2), and
     variances with covariance, doubt (N, 6, 3); offset and variance (N, S) of clocks in m and m^2; log_weight (N,); a
-    map in rows, names and count."""
+    map in rows, names and size (N, 1)."""
 
     pose: Floats
     error: Floats
@@ -69,7 +69,7 @@ class Particles(NamedTuple):
     log_weight: Floats
     rows: Floats
     names: Ints
-    count: Ints
+    size: Ints
 
 
 class One(NamedTuple):
@@ -87,7 +87,7 @@ class One(NamedTuple):
 @njit
 def one_of(p: Particles, i: int) -> One:
     """Return one of the particles."""
-    own = Map(p.rows[i], p.names[i], p.count[i])
+    own = Map(p.rows[i], p.names[i], p.size[i])
     return One(p.pose[i], p.error[i], p.doubt[i], p.offset[i], p.variance[i], p.log_weight[i : i + 1], own)
 
 
@@ -164,11 +164,14 @@ def _inform(
     one: One, at: Moved, std: Floats, measured: Measured, rules: Rules, near: Near, pairs: Pairs, shares: Floats,
     x: Floats, information: Floats, y: Floats,
 ) -> None:  # fmt: skip
-    """Add what all pairs, each by its probability, say of the velocity, linearised at x (6,) deviations of it."""
+    """Add what the pairs say of the velocity, linearised at x (6,) deviations of it, each by its probability.
+
+    A guess that has not settled says nothing: of those of a VT all but one are wrong.
+    """
     for p in range(len(pairs.odds)):
-        if shares[p] < rules.drop:
-            continue
         j, k = near.place[pairs.gaussian[p]], pairs.measurement[p]
+        if shares[p] < rules.drop or one.map.rows[j, HITS] <= 0.0:
+            continue
         site = rules.site_of[measured.link[k]]
         seen = seen_from(at.place, at.turned.r, one.map.rows, j, one.offset[site])
         by = slopes(seen, mean_of(one.map.rows, j), at, std)
@@ -178,9 +181,7 @@ def _inform(
 
 
 @njit(cache=True)
-def _update(
-    one: One, at: Moved, measured: Measured, first: Ints, rules: Rules, association: Ints
-) -> None:
+def _update(one: One, at: Moved, measured: Measured, first: Ints, rules: Rules, association: Ints) -> None:
     """Update the clock offsets, the map and the weight of a particle whose pose is drawn."""
     own, nothing = one.map, np.zeros(6)
     near = find_near(own, at, one.offset, rules)
@@ -190,14 +191,16 @@ def _update(
         near = find_near(own, at, one.offset, rules)
         known = np.zeros(len(one.variance))
         pairs = pair_up(own, near, at, nothing, one.offset, known, measured, first, rules)
-    total = np.ones(len(measured.z))
+    total, settled, evidence = np.ones(len(measured.z)), np.ones(len(measured.z)), 0.0
     for p in range(len(pairs.odds)):
         total[pairs.measurement[p]] += pairs.odds[p]
-    evidence = 0.0
-    for k in range(len(total)):
-        evidence += math.log(total[k])
+        if own.rows[near.place[pairs.gaussian[p]], HITS] > 0.0:
+            settled[pairs.measurement[p]] += pairs.odds[p]
+    for k in range(len(settled)):
+        evidence += math.log(settled[k])
     for n in range(len(near.place)):
-        evidence -= near.chance[n] * own.rows[near.place[n], VISIBLE]
+        if own.rows[near.place[n], HITS] > 0.0:
+            evidence -= near.chance[n] * own.rows[near.place[n], VISIBLE]
     one.log_weight[0] += rules.new * evidence
     pool = _updated(one, at, measured, rules, near, pairs, total, association)
     condense(pool, own, rules.drop, rules.merge)
@@ -205,7 +208,7 @@ def _update(
 
 @njit(cache=True)
 def _learn_offsets(one: One, at: Moved, measured: Measured, rules: Rules, near: Near, pairs: Pairs) -> None:
-    """Condition the clock offsets on the snapshot, each pair by its probability; weigh by what that costs.
+    """Condition the clock offsets on the pairs, each by its probability; weigh by what that costs.
 
     I = sum A^T S^-1 A, y = sum A^T S^-1 e with A = dh/db: P_new = P / (1 + I P), b += P_new y (Laplace's method).
     """
@@ -217,7 +220,7 @@ def _learn_offsets(one: One, at: Moved, measured: Measured, rules: Rules, near: 
         j, k = near.place[pairs.gaussian[p]], pairs.measurement[p]
         site = rules.site_of[measured.link[k]]
         share = pairs.odds[p] / total[k]
-        if share < rules.drop or one.variance[site] == 0.0:
+        if share < rules.drop or one.variance[site] == 0.0 or one.map.rows[j, HITS] <= 0.0:
             continue
         seen = seen_from(at.place, at.turned.r, one.map.rows, j, one.offset[site])
         e = residual(seen, vec_at(measured.z, k, 0), vec_at(measured.known, k, 0))
@@ -256,7 +259,7 @@ def _updated(
             if share > rules.drop:
                 e = residual(seen, vec_at(z, k, 0), vec_at(known, k, 0))
                 new = innovation(e, seen.spread, vec_at(many, k, 0))
-                put_update(pool.rows, added(pool, link, name, share, 0.0, hits + 1.0), rows, j, seen, new)
+                put_update(pool.rows, added(pool, link, name, share, 0.0, hits + share), rows, j, seen, new)
             if share > best[k]:
                 best[k], association[k] = share, name
             p += 1
@@ -297,6 +300,6 @@ def resample(particles: Particles, ancestors: Ints) -> None:
 def _take_out(own: Map, near: Near) -> None:
     """Take the Gaussians in view, whose places ascend, out of the map: the last ones fill the gaps."""
     for n in range(len(near.place) - 1, -1, -1):
-        j, last = near.place[n], own.count[0] - 1
+        j, last = near.place[n], own.size[0] - 1
         put_row(own.rows, own.names, j, own.rows, own.names, last)
-        own.count[0] = last
+        own.size[0] = last
