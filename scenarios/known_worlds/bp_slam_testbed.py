@@ -46,7 +46,7 @@ LAST_RUN = (0.857492925713, -0.514495755428)
 
 @cache
 def trajectory() -> Floats:
-    """Return the poses (T, 6); the heading stays as it is."""
+    """Return the poses (T, 6), in m and rad; the heading stays as it is."""
     steps = [np.tile(STEP_M * np.array(ahead, float), (count, 1)) for count, *ahead in RUNS]
     rest = STEPS - 1 - sum(len(part) for part in steps) - 1
     steps += [np.array([CORNER_M]), np.tile(STEP_M * np.array(LAST_RUN), (rest, 1))]

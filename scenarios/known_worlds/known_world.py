@@ -67,7 +67,7 @@ class Returns:
 
 
 def columns(returns: Returns, rng: np.random.Generator) -> tuple[Measurements, Ints]:
-    """Return the table of measurements, within a snapshot and link in random order, and the VT of each row."""
+    """Return the table of measurements, within a snapshot and link in random order, and the VT (M,) of each row."""
     r = returns
     order = np.lexsort((rng.random(len(r.snapshot)), r.link, r.snapshot))
     nothing = np.full(len(order), np.nan)
@@ -77,7 +77,8 @@ def columns(returns: Returns, rng: np.random.Generator) -> tuple[Measurements, I
 
 
 def plane_truth(poses: Floats, vts_m: Floats, site: Ints, vt: Ints, std: Floats) -> Truth:
-    """Return the truth of a drive among VTs (V, 2) that stand in the plane, visible all the time; vt (M,): of each
+    """Return the truth of a drive among VTs (V, 2), in m, that stand in the plane, visible all the time; vt (M,): of
+    each
     measurement; std (2,): of distance (m) and azimuth (rad)."""
     count, last, zero = len(vts_m), len(poses) - 1, np.zeros(6)
     whole = np.column_stack([vts_m, np.zeros(count)])

@@ -89,7 +89,8 @@ LANDMARKS_M = np.array((
 
 @cache
 def trajectory() -> Floats:
-    """Return the poses (T, 6): controls as published, drawn once, and in each block of 100 steps so corrected, by
+    """Return the poses (T, 6), in m and rad: controls as published, drawn once, and in each block of 100 steps so
+    corrected, by
     constant changes of speed and turn rate and one that grows, that they meet the published trajectory."""
     rng = np.random.default_rng(2024)
     turn = np.concatenate([np.full(count, rate) for count, rate in SEGMENTS])

@@ -1,4 +1,8 @@
-"""The field of view of a front end, learnt from what it has measured: nothing is missed where nothing is ever seen."""
+"""The field of view of a front end, learnt from what it has measured: nothing is missed where nothing is ever seen.
+
+Source: Mullane et al., "A random-finite-set approach to Bayesian SLAM", IEEE Trans. Robotics 27(2), 2011 (probability
+of detection as a function of pose and place).
+"""
 
 from __future__ import annotations
 
@@ -18,7 +22,8 @@ class FieldOfView:
         self.limits: Floats = np.tile([0.0, 0.0, 1.0, 1e-4], (links, 1))
 
     def widen(self, link: Ints, values: Readings) -> None:
-        """Take the measurements of a snapshot into account; a component that is not measured has no limit."""
+        """Take the measurements of a snapshot, their links (m,), into account, in m and rad; a component that is not
+        measured has no limit."""
         reach, span = np.nan_to_num(values.z[:, 0], nan=UNKNOWN_M), np.nan_to_num(np.abs(values.z[:, 1]), nan=np.pi)
         np.maximum.at(self.limits[:, 0], link, reach)
         np.maximum.at(self.limits[:, 1], link, span)

@@ -92,38 +92,38 @@ class Innovation(NamedTuple):
 
 @njit
 def vec_at(a: Floats, i: int, first: int) -> Vec3:
-    """Return three neighbours in row i of an array as a vector."""
+    """Return three neighbours in row i of an array (n, k), of any unit, as a vector."""
     return Vec3(a[i, first], a[i, first + 1], a[i, first + 2])
 
 
 @njit
 def mean_of(rows: Floats, j: int) -> Vec3:
-    """Return the mean of a row."""
+    """Return the mean (m) of a row of rows (C, WIDTH)."""
     return Vec3(rows[j, MEAN], rows[j, MEAN + 1], rows[j, MEAN + 2])
 
 
 @njit
 def covariance_of(rows: Floats, j: int) -> Sym3:
-    """Return the covariance of a row, given the clock offset."""
+    """Return the covariance (m^2) of a row of rows (C, WIDTH), given the clock offset."""
     c = COVARIANCE
     return Sym3(rows[j, c], rows[j, c + 1], rows[j, c + 2], rows[j, c + 3], rows[j, c + 4], rows[j, c + 5])
 
 
 @njit
 def trace_of(rows: Floats, j: int) -> float:
-    """Return the trace of the covariance of a row."""
+    """Return the trace (m^2) of the covariance of a row of rows (C, WIDTH)."""
     return float(rows[j, COVARIANCE] + rows[j, COVARIANCE + 3] + rows[j, COVARIANCE + 5])
 
 
 @njit
 def gain_of(rows: Floats, j: int) -> Vec3:
-    """Return d(place)/d(clock offset) of a row."""
+    """Return d(place)/d(clock offset), in m/m, of a row of rows (C, WIDTH)."""
     return Vec3(rows[j, GAIN], rows[j, GAIN + 1], rows[j, GAIN + 2])
 
 
 @njit
 def put_gaussian(rows: Floats, j: int, mean: Vec3, covariance: Sym3, gain: Vec3) -> None:
-    """Write mean, covariance and gain into a row."""
+    """Write mean (m), covariance (m^2) and gain into a row of rows (C, WIDTH)."""
     rows[j, MEAN], rows[j, MEAN + 1], rows[j, MEAN + 2] = mean.x, mean.y, mean.z
     c = COVARIANCE
     rows[j, c], rows[j, c + 1], rows[j, c + 2] = covariance.xx, covariance.xy, covariance.xz
@@ -133,7 +133,8 @@ def put_gaussian(rows: Floats, j: int, mean: Vec3, covariance: Sym3, gain: Vec3)
 
 @njit
 def seen_from(place: Vec3, r: Mat3, rows: Floats, j: int, offset: float) -> Seen:
-    """Return how a Gaussian is seen from a place (m) with the rotation r, body to world; `offset` (m) of its clock."""
+    """Return how a Gaussian, row j of rows (C, WIDTH), is seen from a place (m) with the rotation r, body to world;
+    `offset` (m) of its clock."""
     v = transposed_vec(r, vec_minus(mean_of(rows, j), place))
     h = spherical(v)
     by_place = mat_mat(spherical_jacobian(v), transposed(r))
@@ -172,7 +173,8 @@ def with_clock(seen: Seen, variance: float) -> Sym3:
 
 @njit
 def put_update(out: Floats, n: int, rows: Floats, j: int, seen: Seen, new: Innovation) -> None:
-    """Write row j into row n of `out` as a measurement corrects it: K = Sigma H^T S^-1, mean + K e, Sigma - K H Sigma,
+    """Write row j of rows (C, WIDTH), in m, into row n of `out` (P, WIDTH) as a measurement corrects it: K = Sigma
+    H^T S^-1, mean + K e, Sigma - K H Sigma,
     and gain - K dh/db. `new` is given the clock offset."""
     k = mat_sym(transposed(seen.h_sigma), new.inverse)
     put_gaussian(
@@ -198,7 +200,7 @@ def forget(own: Map, site_of: Ints, kept: Floats) -> None:
     """Let clock offsets walk: of their variances P the share kept[:, 0] is left in the new ones.
 
     Regression on the new offset: gain' = gain kept, Sigma' = Sigma + gain gain^T P (1 - kept); `kept` (S, 2) has that
-    share and P (1 - kept) in m^2.
+    share and P (1 - kept) in m^2; site_of (L,): indices.
     """
     rows, names = own.rows, own.names
     for j in range(own.size[0]):
@@ -220,7 +222,7 @@ def come_and_go(own: Map, stay: float, back: float) -> None:
 
 @njit(cache=True)
 def put_row(rows: Floats, names: Ints, j: int, source: Floats, source_names: Ints, i: int) -> None:
-    """Copy row i of a source into row j."""
+    """Copy row i of a source (P, WIDTH) with its names (P, NAMES), indices, into row j of rows (C, WIDTH)."""
     for c in range(WIDTH):
         rows[j, c] = source[i, c]
     names[j, LINK], names[j, NAME] = source_names[i, LINK], source_names[i, NAME]

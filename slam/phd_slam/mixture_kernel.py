@@ -67,7 +67,7 @@ class Pool(NamedTuple):
 
 @njit(cache=True)
 def new_pool(most: int) -> Pool:
-    """Return an empty pool with room for so many."""
+    """Return an empty pool with room for so many rows (n, WIDTH)."""
     return Pool(np.empty((most, WIDTH)), np.empty((most, NAMES), np.int64), np.zeros(1, np.int64))
 
 

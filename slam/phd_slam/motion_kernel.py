@@ -70,7 +70,7 @@ class Slopes(NamedTuple):
 
 @njit(cache=True)
 def predict_velocity(error: Floats, doubt: Floats, interval: Interval, mean: Floats, std: Floats) -> None:
-    """Write mean and deviations (6,) of the true velocity: (measured - bias - noise) / (1 + scale).
+    """Write mean and deviations (6,), in m/s and rad/s, of the true velocity: (measured - bias - noise) / (1 + scale).
 
     error (6, 2): means of bias and scale, doubt (6, 3): their variances and, between, covariance; the biases walk.
     """
@@ -84,7 +84,9 @@ def predict_velocity(error: Floats, doubt: Floats, interval: Interval, mean: Flo
 
 @njit(cache=True)
 def learn(error: Floats, doubt: Floats, interval: Interval, velocity: Floats) -> None:
-    """Condition bias and scale of each component on the velocity (6,) that was drawn."""
+    """Condition bias and scale of each component, error (6, 2) and doubt (6, 3), on the velocity (6,) that was
+    drawn, in
+    m/s and rad/s."""
     for c in range(6):
         v = velocity[c]
         to_bias, to_scale = doubt[c, 0] + v * doubt[c, 1], doubt[c, 1] + v * doubt[c, 2]
@@ -100,7 +102,8 @@ def learn(error: Floats, doubt: Floats, interval: Interval, velocity: Floats) ->
 
 @njit(cache=True)
 def moved(pose: Floats, velocity: Floats, dt: float) -> Moved:
-    """Return where a pose (6,) is after `dt` (s) at body velocities (6,): the attitude at mid-interval turns them."""
+    """Return where a pose (6,), in m and rad, is after `dt` (s) at body velocities (6,): the attitude at
+    mid-interval turns them."""
     half, v = 0.5 * dt, vec_of(velocity)
     psi, theta, phi = pose[3], pose[4], pose[5]
     middle = rotations(psi + half * velocity[3], theta + half * velocity[4], phi + half * velocity[5])
@@ -113,7 +116,7 @@ def moved(pose: Floats, velocity: Floats, dt: float) -> Moved:
 
 @njit(cache=True)
 def put_pose(pose: Floats, velocity: Floats, at: Moved) -> None:
-    """Write the pose that a velocity has led to."""
+    """Write the pose (6,), in m and rad, that a velocity (6,) has led to."""
     pose[0], pose[1], pose[2] = at.place.x, at.place.y, at.place.z
     for c in range(3, 6):
         pose[c] = wrap(pose[c] + at.dt * velocity[c])
@@ -131,7 +134,7 @@ def _by_std(m: Mat3, std: Vec3) -> Mat3:
 
 @njit
 def slopes(seen: Seen, mean: Vec3, at: Moved, std: Floats) -> Slopes:
-    """Return how h changes with the velocity that has led here, whose deviations are `std` (6,)."""
+    """Return how h changes with the velocity that has led here, whose deviations are `std` (6,) in m/s and rad/s."""
     w, r = vec_minus(mean, at.place), at.turned
     to_spherical = mat_mat(seen.by_place, r.r)
     by_angles = mat_mat(
@@ -154,14 +157,16 @@ def squared(m: Mat3) -> Sym3:
 
 @njit
 def times(by: Slopes, x: Floats) -> Vec3:
-    """Return the change of h with a change x (6,) of the velocity, in units of its deviations."""
+    """Return the change of h, in m and rad, with a change x (6,) of the velocity in units of its deviations."""
     a, b = mat_vec(by.velocity, vec_of(x)), mat_vec(by.rates, Vec3(x[3], x[4], x[5]))
     return Vec3(a.x + b.x, a.y + b.y, a.z + b.z)
 
 
 @njit
 def inform(by: Slopes, inverse: Sym3, e: Vec3, share: float, information: Floats, y: Floats) -> None:
-    """Add share J^T S^-1 J to the lower triangle of the information (6, 6), and share J^T S^-1 e to y (6,)."""
+    """Add share J^T S^-1 J to the lower triangle of the information (6, 6), and share J^T S^-1 e to y (6,);
+    velocities in
+    units of their deviations."""
     j, s = np.empty((6, 3)), np.empty((6, 3))
     v, w = by
     j[0, 0], j[0, 1], j[0, 2] = v.xx, v.yx, v.zx
@@ -181,7 +186,8 @@ def inform(by: Slopes, inverse: Sym3, e: Vec3, share: float, information: Floats
 
 @njit(cache=True)
 def factorise(information: Floats, y: Floats, mean: Floats) -> None:
-    """Turn the lower triangle of I + information (6, 6) into its Cholesky factor L, and write L^-T L^-1 y as mean."""
+    """Turn the lower triangle of I + information (6, 6) into its Cholesky factor L, and write L^-T L^-1 y (6,) as mean
+    (6,), in units of deviations."""
     for i in range(6):
         information[i, i] += 1.0
         for j in range(i + 1):
@@ -199,7 +205,7 @@ def factorise(information: Floats, y: Floats, mean: Floats) -> None:
 
 @njit(cache=True)
 def back(factor: Floats, x: Floats) -> None:
-    """Solve L^T x = x in place; the lower triangle of `factor` (6, 6) is L."""
+    """Solve L^T x = x (6,) in place, in units of deviations; the lower triangle of `factor` (6, 6) is L."""
     for i in range(5, -1, -1):
         total = x[i]
         for c in range(i + 1, 6):

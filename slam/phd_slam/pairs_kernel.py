@@ -84,7 +84,8 @@ def _inside(margin: float, variance: float) -> float:
 
 @njit(cache=True)
 def find_near(own: Map, at: Moved, offset: Floats, rules: Rules) -> Near:
-    """Return which Gaussians may be detected; the edge of the field of view is as soft as they are uncertain."""
+    """Return which Gaussians may be detected, offset (S,) in m the clocks; the edge of the field of view is as soft as
+    they are uncertain."""
     rows, names, limits, site_of, count = own.rows, own.names, rules.limits, rules.site_of, own.size[0]
     place, where, probability, n = np.empty(count, np.int64), np.empty((count, 4)), np.empty(count), 0
     for j in range(count):
@@ -115,7 +116,8 @@ def pair_up(
 ) -> Pairs:  # fmt: skip
     """Return the pairs of Gaussians and measurements within the gate, with p_D w N(e; 0, S) / kappa.
 
-    std (6,): deviations of the velocity that has led here, in S too; offset, variance (S,): of the clocks; first (L +
+    std (6,): deviations (m/s, rad/s) of the velocity that has led here, in S too; offset, variance (S,): of the
+    clocks; first (L +
     1,): measurements of each link. Jacobians are worked out where they are needed only: no component alone has a
     greater normalised distance than all, and a Gaussian's trace bounds the variances of its distance and azimuth.
     """
@@ -155,7 +157,8 @@ def pair_up(
 
 @njit(cache=True)
 def exclusive(pairs: Pairs, measurements: int) -> Floats:
-    """Return the marginal probability of each pair, where a Gaussian has one measurement at most and the reverse."""
+    """Return the marginal probability (P,) of each pair, where a Gaussian has one measurement at most and the
+    reverse."""
     gaussian, measurement, odds = pairs
     size = len(odds)
     ratio, out, of_measurement = np.ones(size), np.empty(size), np.empty(measurements)

@@ -278,7 +278,7 @@ def _updated(
 
 @njit(cache=True)
 def resample(particles: Particles, ancestors: Ints) -> None:
-    """Put copies of the ancestors (N,), sorted, in the place of particles that have no offspring."""
+    """Put copies of the ancestors, sorted indices (N,), in the place of particles that have no offspring."""
     n = len(ancestors)
     kept, free = np.zeros(n, np.bool_), 0
     for a in ancestors:
