@@ -9,13 +9,12 @@ from typing import Any
 import numpy as np
 
 from cellslam.sim.recording import Floats, Ints, Links, Measurements, Recording, Truth, VirtualTransmitters
+from cellslam.slam.front_end.front_end_options import NOTHING_PERSISTS
 
 # Every error is white, and nothing moves the array but the vehicle.
-WHITE = {
+WHITE = NOTHING_PERSISTS | {
     "noise_unit_snr_m": 0.0, "noise_unit_snr_azimuth_deg": 0.0, "noise_unit_snr_elevation_deg": 0.0,
-    "place_m": 0.0, "place_azimuth_deg": 0.0, "place_elevation_deg": 0.0, "direction_m": 0.0,
-    "direction_azimuth_deg": 0.0, "direction_elevation_deg": 0.0, "misfit_scale_s": 0.0, "pitch_deg": 0.0,
-    "roll_deg": 0.0,
+    "misfit_scale_s": 0.0, "pitch_deg": 0.0, "roll_deg": 0.0,
 }  # fmt: skip
 
 
@@ -78,8 +77,7 @@ def columns(returns: Returns, rng: np.random.Generator) -> tuple[Measurements, I
 
 def plane_truth(poses: Floats, vts_m: Floats, site: Ints, vt: Ints, std: Floats) -> Truth:
     """Return the truth of a drive among VTs (V, 2), in m, that stand in the plane, visible all the time; vt (M,): of
-    each
-    measurement; std (2,): of distance (m) and azimuth (rad)."""
+    each measurement; std (2,): of distance (m) and azimuth (rad)."""
     count, last, zero = len(vts_m), len(poses) - 1, np.zeros(6)
     whole = np.column_stack([vts_m, np.zeros(count)])
     always = np.column_stack([np.arange(count), np.zeros(count, np.int64), np.full(count, last)])

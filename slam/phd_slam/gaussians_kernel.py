@@ -174,8 +174,7 @@ def with_clock(seen: Seen, variance: float) -> Sym3:
 @njit
 def put_update(out: Floats, n: int, rows: Floats, j: int, seen: Seen, new: Innovation) -> None:
     """Write row j of rows (C, WIDTH), in m, into row n of `out` (P, WIDTH) as a measurement corrects it: K = Sigma
-    H^T S^-1, mean + K e, Sigma - K H Sigma,
-    and gain - K dh/db. `new` is given the clock offset."""
+    H^T S^-1, mean + K e, Sigma - K H Sigma, and gain - K dh/db. `new` is given the clock offset."""
     k = mat_sym(transposed(seen.h_sigma), new.inverse)
     put_gaussian(
         out, n,

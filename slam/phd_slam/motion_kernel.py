@@ -85,8 +85,7 @@ def predict_velocity(error: Floats, doubt: Floats, interval: Interval, mean: Flo
 @njit(cache=True)
 def learn(error: Floats, doubt: Floats, interval: Interval, velocity: Floats) -> None:
     """Condition bias and scale of each component, error (6, 2) and doubt (6, 3), on the velocity (6,) that was
-    drawn, in
-    m/s and rad/s."""
+    drawn, in m/s and rad/s."""
     for c in range(6):
         v = velocity[c]
         to_bias, to_scale = doubt[c, 0] + v * doubt[c, 1], doubt[c, 1] + v * doubt[c, 2]
@@ -165,8 +164,8 @@ def times(by: Slopes, x: Floats) -> Vec3:
 @njit
 def inform(by: Slopes, inverse: Sym3, e: Vec3, share: float, information: Floats, y: Floats) -> None:
     """Add share J^T S^-1 J to the lower triangle of the information (6, 6), and share J^T S^-1 e to y (6,);
-    velocities in
-    units of their deviations."""
+    velocities
+    in units of their deviations."""
     j, s = np.empty((6, 3)), np.empty((6, 3))
     v, w = by
     j[0, 0], j[0, 1], j[0, 2] = v.xx, v.yx, v.zx

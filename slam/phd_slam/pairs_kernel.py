@@ -35,6 +35,7 @@ from cellslam.slam.phd_slam.motion_kernel import Moved, slopes, squared
 SWEEPS = 3  # of belief propagation: nearly all associations are of one or two rivals
 FARTHEST = 4.0  # deviations beyond the field of view at which a Gaussian need not be looked at
 LARGEST_LOG = 600.0  # of a likelihood ratio: its exponential is still a number
+SURELY2 = 36.0  # squared deviations from an edge at which there is none
 UNSEEN = 1e-3  # probability of detection below which it is not looked at either
 
 
@@ -79,6 +80,8 @@ class Pairs(NamedTuple):
 @njit
 def _inside(margin: float, variance: float) -> float:
     """Return the probability that something so far inside of an edge, with that variance, is inside."""
+    if margin * margin > SURELY2 * variance:
+        return 1.0 if margin > 0.0 else 0.0
     return 0.5 + 0.5 * math.erf(margin / math.sqrt(2.0 * variance))
 
 

@@ -14,12 +14,7 @@ class PhdSlamOptions(FrontEndOptions):
     effective_share: float = Field(
         0.5, ge=0, le=1, description="resample when the effective sample size falls below this share of the particles"
     )
-    iterations: int = Field(
-        2,
-        ge=0,
-        le=20,
-        description="linearisations of the importance density of the motion; 0: odometry alone",
-    )
+    iterations: int = Field(2, ge=1, le=20, description="linearisations of the importance density of the motion")
     offset_component_std_m: float = Field(
         20.0, gt=0, le=1000, description="width of one particle's clock-offset component at the start, m"
     )

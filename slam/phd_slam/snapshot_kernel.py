@@ -146,13 +146,10 @@ def _move(
         for c in range(6):
             velocity[c] = mean[c] + std[c] * x[c]
     part = drawn.copy()
+    back(factor, part)
     log_ratio = 0.0
-    if rules.iterations > 0:
-        back(factor, part)
     for c in range(6):
-        log_ratio += 0.5 * drawn[c] * drawn[c] - 0.5 * (x[c] + part[c]) ** 2
-        if rules.iterations > 0:
-            log_ratio -= math.log(factor[c, c])
+        log_ratio += 0.5 * drawn[c] * drawn[c] - 0.5 * (x[c] + part[c]) ** 2 - math.log(factor[c, c])
         velocity[c] = mean[c] + std[c] * (x[c] + part[c])
     one.log_weight[0] += log_ratio
     put_pose(one.pose, velocity, moved(one.pose, velocity, interval.dt))
