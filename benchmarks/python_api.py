@@ -100,16 +100,17 @@ def sweep(
     from cellslam.benchmarks.sweeps.executors import cores, executor
     from cellslam.benchmarks.sweeps.rows import results
     from cellslam.benchmarks.sweeps.store import writing
-    from cellslam.benchmarks.sweeps.sweeping import carry_out, pending, versions
+    from cellslam.benchmarks.sweeps.sweeping import carry_out, pending
     from cellslam.benchmarks.sweeps.tasks import plan
     from cellslam.benchmarks.trials.child_process import shares
+    from cellslam.sim.world import versions
 
     check_counts(trials, seed)
     values = tuple(tuple({key: value} for value in several) for key, several in axes.items())
     asked = points(Sweep(str(scenario), overrides or {}, values), names_of(estimators))
     processes = jobs or cores()
     command = f"cellslam.sweep({str(scenario)!r}, {dict(axes)!r})"
-    with writing(Path(out), command, versions(asked)) as store:
+    with writing(Path(out), command, versions()) as store:
         todo = pending(plan(asked, trials, seed), store, retry_failed=False)
         with executor("processes", processes, shares(processes)) as pool, progress("trials", len(todo)) as advance:
             carry_out(todo, store, pool, lambda *_: advance(1))

@@ -256,11 +256,15 @@ def provenance(config: WorldConfig, seed: int, trial: int) -> dict[str, Any]:
     """Return what is needed to make a recording again: resolved world, root seed, trial, versions.
     JSON-able.
     """
+    return {"world": config.model_dump(mode="json"), "seed": seed, "trial": trial, "versions": versions()}
+
+
+def versions() -> dict[str, str]:
+    """Return the versions of what recordings and rows depend on."""
     from importlib.metadata import version
 
     packages = ("cellslam", "numpy", "numba", "scipy", "embreex", "highway-env")
-    versions = {name: version(name) for name in packages} | {"python": platform.python_version()}
-    return {"world": config.model_dump(mode="json"), "seed": seed, "trial": trial, "versions": versions}
+    return {name: version(name) for name in packages} | {"python": platform.python_version()}
 
 
 def path_columns(paths: Paths, receivers: int, sites: int) -> PathColumns:

@@ -60,13 +60,18 @@ BUILT_IN = (
     ),
     Listed(
         "paper-fastslam",
-        "cellslam.slam.paper_fastslam.paper_fastslam:PaperFastSlam",
+        "cellslam.slam.fastslam.paper.paper_fastslam:PaperFastSlam",
         "the paper's FastSLAM as printed: bare Mahalanobis association, no clutter, clock offsets given or ignored",
     ),
     Listed(
         "bp-slam",
         "cellslam.slam.bp_slam.bp_slam:BpSlam",
         "belief propagation: probabilistic association and existence of features, Gaussian-mixture messages",
+    ),
+    Listed(
+        "phd-slam",
+        "cellslam.slam.phd_slam.phd_slam:PhdSlam",
+        "Rao-Blackwellised PHD filter: particles of the path, the map of each the intensity of a random finite set",
     ),
     Listed(
         "channel-slam",

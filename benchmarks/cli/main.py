@@ -33,6 +33,7 @@ COMMANDS = {
     "export": Command("recordings.export", "a recording or an estimate as CSV, .mat, TUM, GeoJSON, PLY or HTML"),
     "fit-noise": Command("recordings.fit_noise", "noise, detection and clutter as the recording itself shows them"),
     "sweep": Command("sweep", "many variants and trials of a scenario, in parallel, resumable"),
+    "reproduce": Command("reproduce", "the published figures of a known world of others, beside one's own"),
     "table": Command("results.table", "the results of a sweep as a table"),
     "consistency": Command("results.consistency", "whether estimators know how wrong they are: errors and claims"),
     "figures": Command("results.figures", "the figures of a sweep, as PNG and PDF"),

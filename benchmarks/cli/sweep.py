@@ -21,7 +21,7 @@ from cellslam.benchmarks.cli.arguments import (
 )
 from cellslam.benchmarks.sweeps.executors import Executor, Serial, cores, executor
 from cellslam.benchmarks.sweeps.store import Store, writing
-from cellslam.benchmarks.sweeps.sweeping import carry_out, pending, seconds_of, versions
+from cellslam.benchmarks.sweeps.sweeping import carry_out, pending, seconds_of
 from cellslam.benchmarks.sweeps.tasks import Plan, options_json, plan, world_json
 from cellslam.benchmarks.sweeps.watch import Tally, clock, watching
 from cellslam.benchmarks.trials.child_process import Limits
@@ -30,6 +30,8 @@ from cellslam.benchmarks.trials.trials import DEFAULT_ESTIMATORS, check_counts
 from cellslam.scenarios import sweep_points as sweeps
 from cellslam.scenarios.overrides import parse_all
 from cellslam.sim.errors import InputError
+
+Names = Mapping[tuple[str, str, str], str]
 
 
 def add_arguments(parser: ArgumentParser) -> None:
@@ -62,17 +64,27 @@ def command(arguments: Namespace) -> int:
 
 def carry(arguments: Namespace, points: Sequence[sweeps.Point], trials: int, seed: int, out: Path) -> int:
     """Carry out trials 0 to `trials` - 1 of every point into the store in `out`, or estimate how long they take."""
+    made = plan(points, trials, seed, not arguments.no_trajectories)
+    return carry_plan(arguments, made, _counted(len(points), "point"), _names(points), out)
+
+
+def carry_plan(arguments: Namespace, made: Plan, of: str, names: Names, out: Path) -> int:
+    """Carry out a plan into the store in `out`, or say how long it may take.
+
+    `of`: what it is a plan of, in words; `names`: what its jobs are called.
+    """
+    from cellslam.sim.world import versions
+
     jobs = _jobs(arguments)
     allowed = limits(arguments, jobs)
-    made = plan(points, trials, seed, not arguments.no_trajectories)
     check_folder(out)
     if arguments.dry_run:
-        _dry_run(made, len(points), jobs, allowed, out)
+        _dry_run(made, of, jobs, allowed, out)
         return DONE
     command = shlex.join(["cellslam", *arguments.words])
-    tally = Tally(0, _names(points))
+    tally = Tally(0, names)
     try:
-        with writing(out, command, versions(points)) as store:
+        with writing(out, command, versions()) as store:
             todo = pending(made, store, arguments.retry_failed)
             _note(arguments, _said(made, todo))
             with executor(arguments.executor, jobs, allowed, arguments.scheduler) as pool:
@@ -119,14 +131,14 @@ def _work(arguments: Namespace, todo: Plan, store: Store, pool: Executor, tally:
         carry_out(todo, store, pool, heard)
 
 
-def _dry_run(made: Plan, points: int, jobs: int, allowed: Limits, out: Path) -> None:
+def _dry_run(made: Plan, of: str, jobs: int, allowed: Limits, out: Path) -> None:
     from cellslam.benchmarks.sweeps.store import DATABASE, reading
 
     todo = made
     if (out / DATABASE).is_file():
         with reading(out) as database:
             todo = made.without(dict(database.execute("SELECT key, status FROM rows")))
-    print(f"{_counted(points, 'point')}, {_said(made, todo)}")
+    print(f"{of}, {_said(made, todo)}")
     with Serial(allowed) as one:
         seconds, parts = seconds_of(todo, one.guests)
     if parts:
@@ -144,7 +156,7 @@ def _counted(count: int, noun: str) -> str:
     return f"{count} {noun}{'' if count == 1 else 's'}"
 
 
-def _names(points: Sequence[sweeps.Point]) -> Mapping[tuple[str, str, str], str]:
+def _names(points: Sequence[sweeps.Point]) -> Names:
     """Return what a job is called in the running table: what varies, and the estimator."""
     names: dict[tuple[str, str, str], str] = {}
     for point in points:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 from typing import Any
 
@@ -17,12 +17,13 @@ from cellslam.benchmarks.sweeps.tasks import (
     Result,
     Task,
     identity,
+    is_known,
+    name_of,
+    recording_of,
     request_of,
-    scenario_of,
     work,
 )
 from cellslam.benchmarks.trials.guests import Guests
-from cellslam.scenarios.sweep_points import Point
 
 Heard = Callable[[Task, Job, Mapping[str, Any]], None]
 SAMPLES_PER_ESTIMATOR = 4
@@ -59,14 +60,6 @@ def pending(plan: Plan, store: Store, retry_failed: bool) -> Plan:
     return plan.without({key: s for key, s in status.items() if s == "ok" or not retry_failed})
 
 
-def versions(points: Sequence[Point]) -> Mapping[str, str]:
-    """Return the versions of what the rows of a sweep depend on."""
-    from cellslam.sim.world import provenance
-
-    found: Mapping[str, str] = provenance(points[0].scenario.world, 0, 0)["versions"]
-    return found
-
-
 def seconds_of(plan: Plan, guests: Guests) -> tuple[float, Mapping[str, float]]:
     """Return the seconds that one core needs for a plan, and those of one trial by part ("world", estimators).
 
@@ -99,7 +92,7 @@ def _given_up(first: Lost, second: Lost) -> Result:
 
     again = "alone it was lost again" if second.reason == first.reason else f"alone: {second.reason}"
     task, job = first.task, first.job
-    row = failed_row(scenario_of(task.world).name, job.estimator, task.trial, task.seed, f"{first.reason}; {again}")
+    row = failed_row(name_of(task.world), job.estimator, task.trial, task.seed, f"{first.reason}; {again}")
     return Result(job.key, row, second.details or first.details)
 
 
@@ -115,9 +108,10 @@ def _sampled(task: Task) -> list[Job]:
 def _compile(task: Task, guests: Guests) -> None:
     from cellslam.benchmarks.bound.cramer_rao import bound
     from cellslam.benchmarks.trials.estimation import warm_up
-    from cellslam.scenarios.simulation import simulate
 
-    bound(simulate(scenario_of(task.world), task.seed, task.trial))
+    recording = recording_of(task)
+    if not is_known(task.world):
+        bound(recording)
     for job in task.jobs:
         try:
             request = request_of(job.estimator, job.options, job.oracle)

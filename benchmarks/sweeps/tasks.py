@@ -18,10 +18,13 @@ from cellslam.slam import registry
 if TYPE_CHECKING:
     from cellslam.benchmarks.trials.guests import Guests
     from cellslam.benchmarks.trials.trials import Drive, Outcome
+    from cellslam.scenarios.known_worlds.known_world import KnownWorld
     from cellslam.scenarios.scenario import Scenario
     from cellslam.sim.recording import Recording
 
 KEY_LENGTH = 32
+KNOWN = "known_world"  # key of a world that is one of others
+Asked = dict[str, dict[tuple[str, str], bool]]
 
 
 @dataclass(frozen=True)
@@ -109,16 +112,28 @@ def plan(points: Sequence[Point], trials: int, seed: int, trajectories: bool = T
     Points that differ in estimators' options alone share a world, which is then made once a trial; a job that
     several points share is done once.
     """
-    jobs: dict[str, dict[tuple[str, str], bool]] = {}
+    jobs: Asked = {}
     cities = set()
     for point in points:
         world = world_json(point.scenario)
         cities.add(point.scenario.city.model_dump_json())
         asked = {(request.name, options_json(request)): request.oracle for request in point.requests}
         jobs.setdefault(world, {}).update(asked)
+    return _planned(jobs, trials, seed, trajectories, trial_by_trial=len(cities) <= KEPT_SCENES)
+
+
+def plan_known(world: KnownWorld, trials: int, seed: int, trajectories: bool = True) -> Plan:
+    """Return the tasks of a known world of others: all its entries in every trial."""
+    requests = [loaded(entry.estimator, entry.options) for entry in world.entries]
+    asked = {(request.name, options_json(request)): request.oracle for request in requests}
+    text = canonical({"name": world.name, KNOWN: world.name})
+    return _planned({text: asked}, trials, seed, trajectories, trial_by_trial=True)
+
+
+def _planned(jobs: Asked, trials: int, seed: int, trajectories: bool, trial_by_trial: bool) -> Plan:
     order = (
         ((world, trial) for trial in range(trials) for world in jobs)
-        if len(cities) <= KEPT_SCENES
+        if trial_by_trial
         else ((world, trial) for world in jobs for trial in range(trials))
     )
     tasks = tuple(
@@ -152,16 +167,15 @@ def canonical(value: Any) -> str:
 def work(task: Task, guests: Guests) -> Iterator[Began | Result | Lost]:
     """Do a task: yield when each job begins, and what it gave. `guests`: processes of other people's estimators."""
     from cellslam.benchmarks.trials.trials import score_trial
-    from cellslam.scenarios.simulation import simulate
 
     yield Began(None)
-    scenario = scenario_of(task.world)
     requests = [request_of(job.estimator, job.options, job.oracle) for job in task.jobs]
 
     def make() -> Recording:
-        return simulate(scenario, task.seed, task.trial)
+        return recording_of(task)
 
-    drive, outcomes = score_trial(make, scenario.name, requests, task.trial, task.seed, guests)
+    name = name_of(task.world)
+    drive, outcomes = score_trial(make, name, requests, task.trial, task.seed, guests, bounded=not is_known(task.world))
     for job, request in zip(task.jobs, requests, strict=True):
         yield Began(job.key, request.foreign)
         outcome = next(outcomes)
@@ -184,6 +198,26 @@ def _result(task: Task, job: Job, drive: Drive, outcome: Outcome) -> Result:
 def _jobs(world: str, asked: Mapping[tuple[str, str], bool], trial: int, seed: int) -> Iterator[Job]:
     for (estimator, options), oracle in asked.items():
         yield Job(identity(world, estimator, options, str(seed), str(trial)), estimator, options, oracle)
+
+
+def recording_of(task: Task) -> Recording:
+    """Return the recording of a task's world and trial. Raises InputError where it cannot be made."""
+    from cellslam.scenarios.known_worlds import known_world
+    from cellslam.scenarios.simulation import simulate
+
+    if is_known(task.world):
+        return known_world(json.loads(task.world)[KNOWN]).simulate(task.seed, task.trial)
+    return simulate(scenario_of(task.world), task.seed, task.trial)
+
+
+def is_known(world: str) -> bool:
+    """Return whether a world as JSON is a known one of others, not a scenario."""
+    return KNOWN in json.loads(world)
+
+
+def name_of(world: str) -> str:
+    """Return the name of a world as JSON."""
+    return str(json.loads(world)["name"])
 
 
 @lru_cache(maxsize=16)

@@ -117,14 +117,16 @@ def score_trial(
     progress: Progress = silent,
     align: bool = False,
     sheet: OdometryModel | None = None,
+    bounded: bool = True,
 ) -> tuple[Drive, Iterator[Outcome]]:
     """Return a trial's drive, and the outcome of each request as it is asked for; seed and trial give their streams.
 
     `make` returns the recording. `guests` are the processes of other people's estimators, needed where one is asked
-    for. `align`: each estimate is first laid onto the truth, and its row says so; there is no bound then.
+    for. `align`: each estimate is first laid onto the truth, and its row says so; there is no bound then,
+    nor where the trial is not `bounded`.
     `sheet`: what estimators are told of the odometry's errors; the bound keeps to what the recording says.
     """
-    drive = _drive(make, progress, align)
+    drive = _drive(make, progress, bounded and not align)
     if sheet is not None and drive.recording is not None:
         drive = replace(drive, recording=replace(drive.recording, odometry_model=sheet))
     return drive, (outcome_of(drive, scenario, r, trial, seed, guests, progress, align) for r in requests)
@@ -142,14 +144,14 @@ def failed_row(scenario: str, estimator: str, trial: int, seed: int, error: str)
     return {**dict.fromkeys(ROW_KEYS), **first, "status": "failed", "error": error}
 
 
-def _drive(make: Callable[[], Recording], progress: Progress, align: bool) -> Drive:
+def _drive(make: Callable[[], Recording], progress: Progress, bounded: bool) -> Drive:
     from cellslam.benchmarks.bound.cramer_rao import bound
 
     try:
         recording = make()
     except Exception as error:
         return Drive(None, problem=error)
-    if recording.truth is None or align:
+    if recording.truth is None or not bounded:
         return Drive(recording)
     try:
         return Drive(recording, bound(recording, progress))

@@ -60,6 +60,8 @@ def _check_links(r: RecordingData) -> None:
         _shape("sites.clock_drift_std_m_s", r.sites.clock_drift_std_m_s, (len(r.sites),))
         _require(r.sites.clock_drift_std_m_s >= 0, "sites.clock_drift_std_m_s", "is negative")
         _finite("sites.clock_drift_std_m_s", r.sites.clock_drift_std_m_s)
+    if r.sites.position_m is not None:
+        _shape("sites.position_m", r.sites.position_m, (len(r.sites), 3))
     _require(
         (r.links.site >= 0) & (r.links.site < len(r.sites)), "links.site", f"is not one of the {len(r.sites)} sites"
     )

@@ -55,6 +55,7 @@ COLUMNS = (
     Column("sites/clock_offset_mean_m", ("S",), "m"),
     Column("sites/clock_offset_std_m", ("S",), "m"),
     Column("sites/clock_drift_std_m_s", ("S",), "m/s", optional=True),
+    Column("sites/position_m", ("S", 3), "m", labels=("x", "y", "z"), optional=True),
     Column("measurements/snapshot", ("M",), kind="int"),
     Column("measurements/link", ("M",), kind="int"),
     Column("measurements/distance_m", ("M",), "m", absent=True),

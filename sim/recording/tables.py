@@ -51,15 +51,18 @@ class Links(Described):
 
 @dataclass(frozen=True, repr=False)
 class Sites(Described):
-    """Base-station sites: names and the prior of the clock offset, in metres (std 0: known); no positions.
+    """Base-station sites: names and the prior of the clock offset, in metres (std 0: known).
 
     `clock_drift_std_m_s` (S,): deviation of the rate at which an offset changes, m/s (None: offsets are constant).
+    `position_m` (S, 3): where transmitters stand that are known before the drive, as surveyed anchors are; NaN, or
+    None for all: not known.
     """
 
     name: tuple[str, ...]
     clock_offset_mean_m: Floats
     clock_offset_std_m: Floats
     clock_drift_std_m_s: Floats | None = None
+    position_m: Floats | None = None
 
     def __len__(self) -> int:
         return len(self.name)

@@ -20,10 +20,10 @@ from cellslam.slam.channel_slam.channel_slam import ChannelSlam
 from cellslam.slam.channel_slam.channel_slam_options import ChannelSlamOptions
 from cellslam.slam.conformance import EstimatorConformance
 from cellslam.slam.conformance.subject import Subject, drive, tiny_drive
+from cellslam.slam.fastslam.paper.paper_fastslam import PaperFastSlam, PaperFastSlamOptions
+from cellslam.slam.fastslam.paper.paper_fastslam_kernel import _give_birth, _innovation, _seen, _update
 from cellslam.slam.model.matrices_kernel import mat_of, sym_of, vec_of
 from cellslam.slam.model.measurement_model import birth, jacobians, predict
-from cellslam.slam.paper_fastslam.paper_fastslam import PaperFastSlam, PaperFastSlamOptions
-from cellslam.slam.paper_fastslam.paper_fastslam_kernel import _give_birth, _innovation, _seen, _update
 
 POSE, VT = np.array([3.0, -2.0, 1.5, 0.7, 0.1, -0.2]), np.array([60.0, 45.0, 20.0])
 R, Q = rotation(*POSE[3:]), np.array([0.4, 3e-4, 5e-4])

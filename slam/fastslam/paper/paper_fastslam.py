@@ -90,7 +90,7 @@ class PaperFastSlam:
         self._pose = integrate_pose(self._pose, velocity, dt_s)
 
     def _use(self, snapshot: Snapshot) -> Ints:
-        from cellslam.slam.paper_fastslam.paper_fastslam_kernel import Maps, Measured, Scratch, use_snapshot
+        from cellslam.slam.fastslam.paper.paper_fastslam_kernel import Maps, Measured, Scratch, use_snapshot
 
         z = np.stack([snapshot.distance_m, snapshot.azimuth_rad, snapshot.elevation_rad], axis=1)
         q = white(snapshot, self._front_end) + np.sum(self._front_end.persisting, axis=0)

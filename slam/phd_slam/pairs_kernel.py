@@ -1,0 +1,185 @@
+"""Compiled: which measurements may be of which Gaussians, and the probabilities of it.
+
+Sources: Williams and Lau, "Approximate evaluation of marginal association probabilities with belief propagation", IEEE
+Trans. AES 50(4), 2014; Mullane et al., "A random-finite-set approach to Bayesian SLAM", IEEE Trans. Robotics 27(2),
+2011 (field of view).
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from cellslam.sim.compiling import njit
+from cellslam.sim.frames_kernel import wrap
+from cellslam.sim.recording import Floats, Ints
+from cellslam.slam.model.matrices_kernel import dot, sym_plus, transposed_vec, vec_minus
+from cellslam.slam.model.measurement_kernel import LEAST_FLAT2
+from cellslam.slam.phd_slam.gaussians_kernel import (
+    LINK,
+    VISIBLE,
+    Map,
+    Measured,
+    innovation,
+    mean_of,
+    residual,
+    seen_from,
+    trace_of,
+    vec_at,
+    with_clock,
+)
+from cellslam.slam.phd_slam.motion_kernel import Moved, slopes, squared
+
+SWEEPS = 3  # of belief propagation: nearly all associations are of one or two rivals
+FARTHEST = 4.0  # deviations beyond the field of view at which a Gaussian need not be looked at
+LARGEST_LOG = 600.0  # of a likelihood ratio: its exponential is still a number
+SURELY2 = 36.0  # squared deviations from an edge at which there is none
+UNSEEN = 1e-3  # probability of detection below which it is not looked at either
+
+
+class Rules(NamedTuple):
+    """What does not change within a snapshot: probability of detection of what is visible, gate, least weight, birth
+    ratio, transition probabilities to visible, squared distance of merging, linearisations, what share of the
+    evidence is new, field of view (L, 4) of each link (farthest distance in m, largest azimuth in rad, variances of
+    both), site of each link (L,)."""
+
+    detection: float
+    gate: float
+    drop: float
+    birth: float
+    stay: float
+    back: float
+    merge: float
+    iterations: int
+    new: float
+    limits: Floats
+    site_of: Ints
+
+
+class Near(NamedTuple):
+    """Gaussians in the field of view, or nearly: their places in the map, which ascend; distance (m, with the clock's
+    offset), azimuth (rad), squared horizontal distance (m^2) and trace of the covariance (m^2) in rows (., 4);
+    probabilities of detection."""
+
+    place: Ints
+    where: Floats
+    chance: Floats
+
+
+class Pairs(NamedTuple):
+    """Places of the Gaussian in `Near` and of the measurement of each pair, sorted by Gaussians, and how likely the
+    pair is against clutter."""
+
+    gaussian: Ints
+    measurement: Ints
+    odds: Floats
+
+
+@njit
+def _inside(margin: float, variance: float) -> float:
+    """Return the probability that something so far inside of an edge, with that variance, is inside."""
+    if margin * margin > SURELY2 * variance:
+        return 1.0 if margin > 0.0 else 0.0
+    return 0.5 + 0.5 * math.erf(margin / math.sqrt(2.0 * variance))
+
+
+@njit(cache=True)
+def find_near(own: Map, at: Moved, offset: Floats, rules: Rules) -> Near:
+    """Return which Gaussians may be detected, offset (S,) in m the clocks; the edge of the field of view is as soft as
+    they are uncertain."""
+    rows, names, limits, site_of, count = own.rows, own.names, rules.limits, rules.site_of, own.size[0]
+    place, where, probability, n = np.empty(count, np.int64), np.empty((count, 4)), np.empty(count), 0
+    for j in range(count):
+        link = names[j, LINK]
+        reach, span, clock = limits[link, 0], limits[link, 1], offset[site_of[link]]
+        w, loose = vec_minus(mean_of(rows, j), at.place), trace_of(rows, j)
+        most = reach - clock + FARTHEST * math.sqrt(limits[link, 2] + loose)
+        full2 = dot(w, w)
+        if most <= 0.0 or full2 > most * most:
+            continue
+        v = transposed_vec(at.turned.r, w)
+        flat2 = max(v.x * v.x + v.y * v.y, LEAST_FLAT2)
+        distance, azimuth = math.sqrt(full2) + clock, math.atan2(v.y, v.x)
+        chance = rules.detection * _inside(reach - distance, limits[link, 2] + loose)
+        if span < math.pi:
+            chance *= _inside(span - abs(azimuth), limits[link, 3] + loose / flat2)
+        if chance > UNSEEN:
+            place[n], probability[n] = j, chance
+            where[n, 0], where[n, 1], where[n, 2], where[n, 3] = distance, azimuth, flat2, loose
+            n += 1
+    return Near(place[:n], where[:n], probability[:n])
+
+
+@njit(cache=True)
+def pair_up(
+    own: Map, near: Near, at: Moved, std: Floats, offset: Floats, variance: Floats, measured: Measured, first: Ints,
+    rules: Rules,
+) -> Pairs:  # fmt: skip
+    """Return the pairs of Gaussians and measurements within the gate, with p_D w N(e; 0, S) / kappa.
+
+    std (6,): deviations (m/s, rad/s) of the velocity that has led here, in S too; offset, variance (S,): of the
+    clocks; first (L +
+    1,): measurements of each link. Jacobians are worked out where they are needed only: no component alone has a
+    greater normalised distance than all, and a Gaussian's trace bounds the variances of its distance and azimuth.
+    """
+    rows, names, site_of, where = own.rows, own.names, rules.site_of, near.where
+    z, known, single, gain, gate = measured.z, measured.known, measured.single, measured.gain, rules.gate
+    most, size, dt2 = len(where) * len(z), 0, at.dt * at.dt
+    gaussian, measurement, odds = np.empty(most, np.int64), np.empty(most, np.int64), np.empty(most)
+    way, turn = dt2 * (std[0] ** 2 + std[1] ** 2 + std[2] ** 2), dt2 * (std[3] ** 2 + std[4] ** 2 + std[5] ** 2)
+    for n in range(len(where)):
+        j = near.place[n]
+        link, mean, distance, azimuth, flat2 = names[j, LINK], mean_of(rows, j), where[n, 0], where[n, 1], where[n, 2]
+        site = site_of[link]
+        wide = where[n, 3] + 3.0 * (way + 2.0 * variance[site])
+        across, looked = wide / flat2 + 3.0 * turn, False
+        wide += 3.0 * turn * flat2
+        for k in range(first[link], first[link + 1]):
+            e = known[k, 0] * (z[k, 0] - distance)
+            if e * e > gate * (single[k, 0] + wide):
+                continue
+            e = known[k, 1] * wrap(z[k, 1] - azimuth)
+            if e * e > gate * (single[k, 1] + across):
+                continue
+            if not looked:
+                seen = seen_from(at.place, at.turned.r, rows, j, offset[site])
+                spread, looked = with_clock(seen, variance[site]), True
+                if way + turn > 0.0:
+                    by = slopes(seen, mean, at, std)
+                    spread = sym_plus(spread, sym_plus(squared(by.velocity), squared(by.rates)))
+            new = innovation(residual(seen, vec_at(z, k, 0), vec_at(known, k, 0)), spread, vec_at(single, k, 0))
+            if 0.0 <= new.distance2 < gate:
+                gaussian[size], measurement[size] = n, k
+                likelihood = math.exp(min(new.log_density + gain[k], LARGEST_LOG))
+                odds[size] = near.chance[n] * rows[j, VISIBLE] * likelihood
+                size += 1
+    return Pairs(gaussian[:size], measurement[:size], odds[:size])
+
+
+@njit(cache=True)
+def exclusive(pairs: Pairs, measurements: int) -> Floats:
+    """Return the marginal probability (P,) of each pair, where a Gaussian has one measurement at most and the
+    reverse."""
+    gaussian, measurement, odds = pairs
+    size = len(odds)
+    ratio, out, of_measurement = np.ones(size), np.empty(size), np.empty(measurements)
+    for sweep in range(SWEEPS + 1):
+        begin = 0
+        while begin < size:
+            end, total = begin, 1.0
+            while end < size and gaussian[end] == gaussian[begin]:
+                total += odds[end] * ratio[end]
+                end += 1
+            for p in range(begin, end):
+                mine = odds[p] * ratio[p]
+                out[p] = mine / total if sweep == SWEEPS else odds[p] / max(total - mine, 1.0)
+            begin = end
+        if sweep < SWEEPS:
+            of_measurement[:] = 1.0
+            for p in range(size):
+                of_measurement[measurement[p]] += out[p]
+            for p in range(size):
+                ratio[p] = 1.0 / max(of_measurement[measurement[p]] - out[p], 1.0)
+    return out

@@ -1,0 +1,212 @@
+"""PHD-SLAM: the map of each particle is the intensity of a random finite set, a mixture of Gaussians."""
+
+from __future__ import annotations
+
+from typing import Any, ClassVar
+
+import numpy as np
+from scipy.special import ndtri
+
+from cellslam.sim.recording import Floats, Ints, Sites
+from cellslam.slam import warm_up
+from cellslam.slam.api import Estimate, Setup, Snapshot, VtEstimate
+from cellslam.slam.front_end.attitude import Attitude
+from cellslam.slam.front_end.looks import Grouping, Looks
+from cellslam.slam.front_end.measurement_noise import ports_of
+from cellslam.slam.front_end.misfit import Misfit
+from cellslam.slam.front_end.readings import Readings, novelty, readings
+from cellslam.slam.front_end.visibility import transitions
+from cellslam.slam.model.pose_moments import pose_moments
+from cellslam.slam.model.quasi_random import quasi_random
+from cellslam.slam.model.resampling import systematic
+from cellslam.slam.phd_slam.field_of_view import FieldOfView
+from cellslam.slam.phd_slam.gaussians_kernel import (
+    COVARIANCE,
+    GAIN,
+    HIDDEN,
+    HITS,
+    LINK,
+    LOG_TURN,
+    MEAN,
+    MISSING,
+    NAME,
+    NAMES,
+    VISIBLE,
+    WIDTH,
+    Measured,
+)
+from cellslam.slam.phd_slam.motion_kernel import Interval
+from cellslam.slam.phd_slam.pairs_kernel import Rules
+from cellslam.slam.phd_slam.phd_slam_options import PhdSlamOptions
+from cellslam.slam.phd_slam.snapshot_kernel import Particles, resample, use_snapshot
+
+CAPACITY = 64  # Gaussians that there is room for at the start; doubled when needed
+DRIFT_SCALE_S = 1.0  # an offset that drifts is taken to walk: so far in so long as its rate says
+ANCHOR_STD_M = 1e-3
+SURVEYED = 1000.0  # detections that a surveyed transmitter counts as
+TRIANGLE = np.array([[0, 1, 2], [1, 3, 4], [2, 4, 5]])
+
+
+class PhdSlam:
+    """Rao-Blackwellised PHD filter: particles of the vehicle's path, and in each a Gaussian-mixture PHD of the VTs.
+
+    Velocities are drawn from their density given the snapshot, clock offsets and the odometry's biases and scales are
+    Gaussian in each particle. Source: Mullane, Vo, Adams and Vo, "A random-finite-set approach to Bayesian SLAM", IEEE
+    Trans. Robotics 27(2), 2011; Kaltiokallio et al., "A multihypotheses importance density for SLAM in cluttered
+    scenarios", IEEE Trans. Robotics 40, 2024.
+    """
+
+    name: ClassVar[str] = "phd-slam"
+    requires_truth: ClassVar[bool] = False
+    Options: ClassVar[type[PhdSlamOptions]] = PhdSlamOptions
+
+    def __init__(self, options: PhdSlamOptions | None = None) -> None:
+        self.options = options or PhdSlamOptions()
+
+    def warm_up(self) -> None:
+        """Compile the kernels on a drive of four snapshots."""
+        warm_up.drive(type(self)(self.options.model_copy(update={"particles": 4, "effective_share": 1.0})))
+
+    def start(self, setup: Setup, rng: np.random.Generator) -> None:
+        """Draw the prior: poses, and components of each clock offset's prior."""
+        self._grouping = Grouping(setup, self.options)
+        self._options, self._rng = self._grouping.options, rng
+        links, sites = self._grouping.setup.links, setup.sites
+        self._site_of = np.array(links.site, np.int64)
+        self._port_of = ports_of(links.site, links.port)
+        self._model, self._drift = setup.odometry_model, np.array(sites.drift_std_m_s, np.float64)
+        self._view = FieldOfView(len(links))
+        self._attitude, self._misfit = Attitude(self._options, self._grouping.setup), Misfit(self._options)
+        self._particles = self._drawn(setup)
+        self._born = len(links)  # anchors have the first identities
+
+    def step(self, dt_s: float, odometry: Floats, snapshot: Snapshot) -> Estimate:
+        """Draw velocities, update maps, weigh, and resample if needed.
+
+        dt_s in s; odometry (6,): mean body velocities in m/s and rad/s.
+        """
+        o, p = self._options, self._particles
+        looks = self._grouping.looks(snapshot)
+        turned, moved = odometry[3] * dt_s, odometry[0] * dt_s
+        level = self._attitude.levelled(dt_s, looks)
+        values = self._misfit.widened(readings(level, self._port_of, o, turned, moved), dt_s)
+        self._view.widen(looks.link, values)
+        measured, first = self._measured(looks, values)
+        model = self._model
+        interval = Interval(
+            float(dt_s),
+            np.array(odometry, np.float64),
+            np.array(model.noise_density),
+            np.array(model.bias_walk_density),
+        )
+        walk = self._drift**2 * dt_s * DRIFT_SCALE_S
+        association = np.empty((len(p.pose), len(looks)), np.int64)
+        use_snapshot(
+            p, interval, measured, first, self._rules(dt_s, novelty(o, turned, moved)), walk, self._draws(), association
+        )
+        self._born += len(looks)
+        return self._grouping.answer(self._conclude(association, looks, values), looks)
+
+    def _drawn(self, setup: Setup) -> Particles:
+        o, model, sites = self._options, setup.odometry_model, setup.sites
+        n = o.particles
+        component = np.minimum(sites.clock_offset_std_m, o.offset_component_std_m)
+        between = np.sqrt(sites.clock_offset_std_m**2 - component**2)
+        offset = sites.clock_offset_mean_m + between * ndtri(quasi_random(n, len(sites), self._rng))
+        room = _room(n, max(CAPACITY, 2 * len(self._site_of)))
+        _put_anchors(room, sites, self._site_of)
+        doubt = np.stack([model.bias**2, np.zeros(6), model.scale**2], axis=1)
+        return Particles(
+            pose=setup.start_pose + setup.start_std * self._rng.standard_normal((n, 6)),
+            error=np.zeros((n, 6, 2)), doubt=np.tile(doubt, (n, 1, 1)), offset=offset,
+            variance=np.tile(component**2, (n, 1)), log_weight=np.zeros(n), **room,
+        )  # fmt: skip
+
+    def _draws(self) -> Floats:
+        """Draw normal numbers (N, 6) whose mean over the particles is zero: one particle goes by the mean."""
+        drawn = self._rng.standard_normal((len(self._particles.pose), 6))
+        drawn -= drawn.mean(axis=0)
+        return drawn
+
+    def _measured(self, looks: Looks, values: Readings) -> tuple[Measured, Ints]:
+        """Return a snapshot as the kernels take it, and the first measurement of each link (L + 1,)."""
+        known = np.isfinite(values.z)
+        missing = 0.5 * (LOG_TURN + np.log(MISSING)) * np.sum(~known, axis=1)
+        single, many, fresh = (np.where(known, q, MISSING) for q in (values.single, values.many, values.fresh))
+        gain = missing - values.gap - np.log(self._options.clutter_density)
+        link = np.array(looks.link, np.int64)
+        measured = Measured(
+            np.where(known, values.z, 0.0), known.astype(np.float64), single, many, fresh, gain, link,
+            np.array(looks.begins), self._born,
+        )  # fmt: skip
+        return measured, np.searchsorted(link, np.arange(len(self._site_of) + 1))
+
+    def _rules(self, dt_s: float, new: float) -> Rules:
+        o = self._options
+        stay, back = transitions(o, dt_s)
+        return Rules(
+            detection=o.detection_probability, gate=o.gate, drop=o.drop_weight, birth=o.birth_ratio, stay=stay,
+            back=back, merge=o.merge_distance2, iterations=o.iterations, new=new, limits=self._view.limits,
+            site_of=self._site_of,
+        )  # fmt: skip
+
+    def _conclude(self, association: Ints, looks: Looks, values: Readings) -> Estimate:
+        p = self._particles
+        best = int(np.argmax(p.log_weight))
+        weight = np.exp(p.log_weight - p.log_weight[best])
+        weight /= weight.sum()
+        mean, covariance = pose_moments(p.pose, weight, p.pose[best])
+        offset = weight @ p.offset
+        variance = weight @ ((p.offset - offset) ** 2 + p.variance)
+        vts = self._reported(best)
+        own = np.where(np.isin(association[best], vts.id), association[best], -1)
+        answer = Estimate(mean, covariance, own, offset, variance, vts)
+        pose = p.pose[best].copy()
+        self._misfit.learn(answer, values, pose)
+        answer = self._attitude.concluded(answer, looks, values.many, pose)
+        if 1.0 / np.sum(weight**2) < self._options.effective_share * len(weight):
+            resample(p, systematic(weight, len(weight), self._rng))
+        self._reserve()
+        return answer
+
+    def _reported(self, particle: int) -> VtEstimate:
+        """Return the Gaussians of a particle that are VTs rather than clutter."""
+        p, o = self._particles, self._options
+        count = int(p.size[particle, 0])
+        rows, names = p.rows[particle, :count], p.names[particle, :count]
+        weight = rows[:, VISIBLE] + rows[:, HIDDEN]
+        sure = np.flatnonzero((weight >= o.report_weight) & (rows[:, HITS] >= o.confirm_hits))
+        # Of Gaussians that have come of one, the weightiest is reported.
+        sure = sure[np.argsort(-weight[sure], kind="stable")]
+        sure = sure[np.unique(names[sure, NAME], return_index=True)[1]]
+        rows, names = rows[sure], names[sure]
+        gain, own = rows[:, GAIN:VISIBLE], rows[:, COVARIANCE:GAIN][:, TRIANGLE]
+        clock = p.variance[particle, self._site_of[names[:, LINK]]]
+        covariance = own + clock[:, None, None] * gain[:, :, None] * gain[:, None, :]
+        return VtEstimate(names[:, NAME].copy(), names[:, LINK].copy(), rows[:, MEAN:COVARIANCE].copy(), covariance)
+
+    def _reserve(self) -> None:
+        """Double the room for Gaussians where a map is half full."""
+        p, (n, capacity) = self._particles, self._particles.names.shape[:2]
+        if 2 * p.size.max() > capacity and capacity < self._options.components:
+            wider = p._replace(**_room(n, min(2 * capacity, self._options.components)))
+            wider.rows[:, :capacity], wider.names[:, :capacity], wider.size[:] = p.rows, p.names, p.size
+            self._particles = wider
+
+
+def _put_anchors(room: dict[str, Any], sites: Sites, site_of: Ints) -> None:
+    """Begin every map with the transmitters that are known before the drive."""
+    if sites.position_m is None:
+        return
+    known = np.flatnonzero(np.isfinite(sites.position_m[site_of]).all(axis=1))
+    rows, names = room["rows"][:, : len(known)], room["names"][:, : len(known)]
+    rows[:, :, MEAN:COVARIANCE] = sites.position_m[site_of[known]]
+    rows[:, :, COVARIANCE + np.diag(TRIANGLE)] = ANCHOR_STD_M**2
+    rows[:, :, VISIBLE], rows[:, :, HITS] = 1.0, SURVEYED
+    names[:, :, LINK] = names[:, :, NAME] = known
+    room["size"][:] = len(known)
+
+
+def _room(particles: int, capacity: int) -> dict[str, Any]:
+    rows, names = (particles, capacity, WIDTH), (particles, capacity, NAMES)
+    return {"rows": np.zeros(rows), "names": np.zeros(names, np.int64), "size": np.zeros((particles, 1), np.int64)}

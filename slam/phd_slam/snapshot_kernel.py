@@ -1,0 +1,302 @@
+"""Compiled: a snapshot for every particle: a velocity is drawn, the map updated, the particle weighed.
+
+Sources: Mullane, Vo, Adams and Vo, "A random-finite-set approach to Bayesian SLAM", IEEE Trans. Robotics 27(2), 2011;
+Kaltiokallio et al., "A multihypotheses importance density for SLAM in cluttered scenarios", IEEE Trans. Robotics 40,
+2024; the evidence of a snapshot under a Poisson map: Vo and Ma, IEEE Trans. Signal Processing 54(11), 2006.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+from numba import prange
+
+from cellslam.sim.compiling import njit
+from cellslam.sim.recording import Floats, Ints
+from cellslam.slam.model.matrices_kernel import dot, sym_vec, vec_plus
+from cellslam.slam.phd_slam.gaussians_kernel import (
+    HIDDEN,
+    HITS,
+    LINK,
+    NAME,
+    VISIBLE,
+    Map,
+    Measured,
+    come_and_go,
+    copy_map,
+    follow,
+    forget,
+    innovation,
+    mean_of,
+    put_row,
+    put_update,
+    residual,
+    seen_from,
+    vec_at,
+    with_clock,
+)
+from cellslam.slam.phd_slam.mixture_kernel import AROUND, Pool, added, condense, give_birth, new_pool
+from cellslam.slam.phd_slam.motion_kernel import (
+    Interval,
+    Moved,
+    back,
+    factorise,
+    inform,
+    learn,
+    moved,
+    predict_velocity,
+    put_pose,
+    slopes,
+    times,
+)
+from cellslam.slam.phd_slam.pairs_kernel import Near, Pairs, Rules, exclusive, find_near, pair_up
+
+SURE = 0.5  # a measurement is taken to be of a VT to which it belongs with at least this probability
+
+
+class Particles(NamedTuple):
+    """N particles: pose (N, 6) in m and rad; of bias and scale of the odometry the means, error (N, 6, 2), and
+    variances with covariance, doubt (N, 6, 3); offset and variance (N, S) of clocks in m and m^2; log_weight (N,); a
+    map in rows, names and size (N, 1)."""
+
+    pose: Floats
+    error: Floats
+    doubt: Floats
+    offset: Floats
+    variance: Floats
+    log_weight: Floats
+    rows: Floats
+    names: Ints
+    size: Ints
+
+
+class One(NamedTuple):
+    """One of the particles; log_weight (1,)."""
+
+    pose: Floats
+    error: Floats
+    doubt: Floats
+    offset: Floats
+    variance: Floats
+    log_weight: Floats
+    map: Map
+
+
+@njit
+def one_of(p: Particles, i: int) -> One:
+    """Return one of the particles."""
+    own = Map(p.rows[i], p.names[i], p.size[i])
+    return One(p.pose[i], p.error[i], p.doubt[i], p.offset[i], p.variance[i], p.log_weight[i : i + 1], own)
+
+
+@njit(cache=True, parallel=True)
+def use_snapshot(
+    particles: Particles, interval: Interval, measured: Measured, first: Ints, rules: Rules, walk: Floats,
+    drawn: Floats, association: Ints,
+) -> None:  # fmt: skip
+    """Use one snapshot in every particle.
+
+    first (L + 1,): measurements of each link; walk (S,): variance of the clock offsets' change, in m^2; drawn (N, 6):
+    standard normal; association (N, M): written, identity of the VT or -1, with the share of its detections beside.
+    """
+    for i in prange(len(particles.pose)):
+        one = one_of(particles, i)
+        own = one.map
+        _walk(one, walk, rules)
+        velocity = np.zeros(6)
+        if interval.dt > 0.0:
+            come_and_go(own, rules.stay, rules.back)
+            _move(one, interval, measured, first, rules, drawn[i], velocity)
+        _update(one, moved(one.pose, np.zeros(6), 0.0), measured, first, rules, association[i])
+
+
+@njit(cache=True)
+def _walk(one: One, walk: Floats, rules: Rules) -> None:
+    """Let the clock offsets walk."""
+    kept, any_walks = np.ones((len(walk), 2)), False
+    for s in range(len(walk)):
+        if walk[s] > 0.0:
+            any_walks = True
+            kept[s, 0] = one.variance[s] / (one.variance[s] + walk[s])
+            kept[s, 1] = one.variance[s] * (1.0 - kept[s, 0])
+            one.variance[s] += walk[s]
+    if any_walks:
+        forget(one.map, rules.site_of, kept)
+
+
+@njit(cache=True)
+def _move(
+    one: One, interval: Interval, measured: Measured, first: Ints, rules: Rules, drawn: Floats, velocity: Floats
+) -> None:
+    """Draw the velocity from its density given the snapshot, linearised at its mean; weigh by prior over density."""
+    mean, std, x, factor = np.empty(6), np.empty(6), np.zeros(6), np.zeros((6, 6))
+    predict_velocity(one.error, one.doubt, interval, mean, std)
+    velocity[:] = mean
+    at = moved(one.pose, mean, interval.dt)
+    near = find_near(one.map, at, one.offset, rules)
+    pairs = pair_up(one.map, near, at, std, one.offset, one.variance, measured, first, rules)
+    shares = exclusive(pairs, len(measured.z))
+    for _ in range(rules.iterations):
+        y = np.zeros(6)
+        factor[:] = 0.0
+        _inform(one, moved(one.pose, velocity, interval.dt), std, measured, rules, near, pairs, shares, x, factor, y)
+        factorise(factor, y, x)
+        for c in range(6):
+            velocity[c] = mean[c] + std[c] * x[c]
+    part = drawn.copy()
+    back(factor, part)
+    log_ratio = 0.0
+    for c in range(6):
+        log_ratio += 0.5 * drawn[c] * drawn[c] - 0.5 * (x[c] + part[c]) ** 2 - math.log(factor[c, c])
+        velocity[c] = mean[c] + std[c] * (x[c] + part[c])
+    one.log_weight[0] += log_ratio
+    put_pose(one.pose, velocity, moved(one.pose, velocity, interval.dt))
+    learn(one.error, one.doubt, interval, velocity)
+
+
+@njit(cache=True)
+def _inform(
+    one: One, at: Moved, std: Floats, measured: Measured, rules: Rules, near: Near, pairs: Pairs, shares: Floats,
+    x: Floats, information: Floats, y: Floats,
+) -> None:  # fmt: skip
+    """Add what the pairs say of the velocity, linearised at x (6,) deviations of it, each by its probability.
+
+    A guess that has not settled says nothing: of those of a VT all but one are wrong.
+    """
+    for p in range(len(pairs.odds)):
+        j, k = near.place[pairs.gaussian[p]], pairs.measurement[p]
+        if shares[p] < rules.drop or one.map.rows[j, HITS] <= 0.0:
+            continue
+        site = rules.site_of[measured.link[k]]
+        seen = seen_from(at.place, at.turned.r, one.map.rows, j, one.offset[site])
+        by = slopes(seen, mean_of(one.map.rows, j), at, std)
+        e = vec_plus(residual(seen, vec_at(measured.z, k, 0), vec_at(measured.known, k, 0)), times(by, x))
+        inverse = innovation(e, with_clock(seen, one.variance[site]), vec_at(measured.many, k, 0)).inverse
+        inform(by, inverse, e, shares[p], information, y)
+
+
+@njit(cache=True)
+def _update(one: One, at: Moved, measured: Measured, first: Ints, rules: Rules, association: Ints) -> None:
+    """Update the clock offsets, the map and the weight of a particle whose pose is drawn."""
+    own, nothing = one.map, np.zeros(6)
+    near = find_near(own, at, one.offset, rules)
+    pairs = pair_up(own, near, at, nothing, one.offset, one.variance, measured, first, rules)
+    if one.variance.any():
+        _learn_offsets(one, at, measured, rules, near, pairs)
+        near = find_near(own, at, one.offset, rules)
+        known = np.zeros(len(one.variance))
+        pairs = pair_up(own, near, at, nothing, one.offset, known, measured, first, rules)
+    total, settled, evidence = np.ones(len(measured.z)), np.ones(len(measured.z)), 0.0
+    for p in range(len(pairs.odds)):
+        total[pairs.measurement[p]] += pairs.odds[p]
+        if own.rows[near.place[pairs.gaussian[p]], HITS] > 0.0:
+            settled[pairs.measurement[p]] += pairs.odds[p]
+    for k in range(len(settled)):
+        evidence += math.log(settled[k])
+    for n in range(len(near.place)):
+        if own.rows[near.place[n], HITS] > 0.0:
+            evidence -= near.chance[n] * own.rows[near.place[n], VISIBLE]
+    one.log_weight[0] += rules.new * evidence
+    pool = _updated(one, at, measured, rules, near, pairs, total, association)
+    condense(pool, own, rules.drop, rules.merge)
+
+
+@njit(cache=True)
+def _learn_offsets(one: One, at: Moved, measured: Measured, rules: Rules, near: Near, pairs: Pairs) -> None:
+    """Condition the clock offsets on the pairs, each by its probability; weigh by what that costs.
+
+    I = sum A^T S^-1 A, y = sum A^T S^-1 e with A = dh/db: P_new = P / (1 + I P), b += P_new y (Laplace's method).
+    """
+    total, sites = np.ones(len(measured.z)), len(one.offset)
+    information, y, change = np.zeros(sites), np.zeros(sites), np.zeros(sites)
+    for p in range(len(pairs.odds)):
+        total[pairs.measurement[p]] += pairs.odds[p]
+    for p in range(len(pairs.odds)):
+        j, k = near.place[pairs.gaussian[p]], pairs.measurement[p]
+        site = rules.site_of[measured.link[k]]
+        share = pairs.odds[p] / total[k]
+        if share < rules.drop or one.variance[site] == 0.0 or one.map.rows[j, HITS] <= 0.0:
+            continue
+        seen = seen_from(at.place, at.turned.r, one.map.rows, j, one.offset[site])
+        e = residual(seen, vec_at(measured.z, k, 0), vec_at(measured.known, k, 0))
+        known = sym_vec(innovation(e, seen.spread, vec_at(measured.many, k, 0)).inverse, seen.by_offset)
+        information[site] += share * dot(known, seen.by_offset)
+        y[site] += share * dot(known, e)
+    for s in range(sites):
+        if one.variance[s] > 0.0:
+            left = 1.0 + information[s] * one.variance[s]
+            change[s] = one.variance[s] / left * y[s]
+            one.log_weight[0] -= 0.5 * (change[s] ** 2 / one.variance[s] + math.log(left))
+            one.variance[s] /= left
+            one.offset[s] += change[s]
+    follow(one.map, rules.site_of, change)
+
+
+@njit(cache=True)
+def _updated(
+    one: One, at: Moved, measured: Measured, rules: Rules, near: Near, pairs: Pairs, total: Floats, association: Ints
+) -> Pool:
+    """Take the Gaussians in view out of the map; return them as they are if missed, with one for each detection, and
+    those that are born."""
+    rows, names, z, known, many = one.map.rows, one.map.names, measured.z, measured.known, measured.many
+    pool, count = new_pool(len(pairs.odds) + len(near.place) + AROUND * len(total)), len(pairs.odds)
+    best, p = np.full(len(total), SURE), 0
+    association[:] = -1
+    for n in range(len(near.place)):
+        j, found = near.place[n], 0.0
+        link, name, hits = names[j, LINK], names[j, NAME], rows[j, HITS]
+        if p < count and pairs.gaussian[p] == n:
+            seen = seen_from(at.place, at.turned.r, rows, j, one.offset[rules.site_of[link]])
+        while p < count and pairs.gaussian[p] == n:
+            k = pairs.measurement[p]
+            share = pairs.odds[p] / total[k]
+            found += share
+            if share > rules.drop:
+                e = residual(seen, vec_at(z, k, 0), vec_at(known, k, 0))
+                new = innovation(e, seen.spread, vec_at(many, k, 0))
+                put_update(pool.rows, added(pool, link, name, share, 0.0, hits + share), rows, j, seen, new)
+            if share > best[k]:
+                best[k], association[k] = share, name
+            p += 1
+        missed = added(pool, link, name, 0.0, 0.0, hits)
+        put_row(pool.rows, pool.names, missed, rows, names, j)
+        pool.rows[missed, VISIBLE] *= 1.0 - near.chance[n]
+        pool.rows[missed, HIDDEN] *= max(1.0 - found, 0.0)
+    _take_out(one.map, near)
+    for k in range(len(total)):
+        weight = rules.birth / total[k]
+        if weight > rules.drop and measured.begins[k]:
+            link = measured.link[k]
+            give_birth(pool, at, one.offset[rules.site_of[link]], rules.limits[link, 1], measured, k, weight)
+    return pool
+
+
+@njit(cache=True)
+def resample(particles: Particles, ancestors: Ints) -> None:
+    """Put copies of the ancestors, sorted indices (N,), in the place of particles that have no offspring."""
+    n = len(ancestors)
+    kept, free = np.zeros(n, np.bool_), 0
+    for a in ancestors:
+        kept[a] = True
+    p = particles
+    for i in range(n):
+        a = ancestors[i]
+        if i > 0 and ancestors[i - 1] == a:
+            while kept[free]:
+                free += 1
+            p.pose[free], p.error[free], p.doubt[free] = p.pose[a], p.error[a], p.doubt[a]
+            p.offset[free], p.variance[free] = p.offset[a], p.variance[a]
+            copy_map(one_of(p, a).map, one_of(p, free).map)
+            kept[free] = True
+    p.log_weight[:] = 0.0
+
+
+@njit(cache=True)
+def _take_out(own: Map, near: Near) -> None:
+    """Take the Gaussians in view, whose places ascend, out of the map: the last ones fill the gaps."""
+    for n in range(len(near.place) - 1, -1, -1):
+        j, last = near.place[n], own.size[0] - 1
+        put_row(own.rows, own.names, j, own.rows, own.names, last)
+        own.size[0] = last

@@ -1,0 +1,216 @@
+"""PHD-SLAM: its kernels against plain formulas, and what it does where components of measurements are missing."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from itertools import product
+from typing import Any
+
+import numpy as np
+import pytest
+
+from cellslam.scenarios.known_worlds import phd_slam_3
+from cellslam.sim.compiling import njit
+from cellslam.sim.frames import integrate_pose, rotation
+from cellslam.sim.recording import Recording
+from cellslam.slam.api import odometry_of, setup_of, snapshots_of
+from cellslam.slam.conformance import EstimatorConformance
+from cellslam.slam.dead_reckoning import DeadReckoning
+from cellslam.slam.model.matrices_kernel import mat_of, vec_of
+from cellslam.slam.model.measurement_model import jacobians, predict
+from cellslam.slam.phd_slam.gaussians_kernel import (
+    COVARIANCE,
+    GAIN,
+    HIDDEN,
+    MEAN,
+    NAMES,
+    VISIBLE,
+    WIDTH,
+    Map,
+    innovation,
+    put_update,
+    residual,
+    seen_from,
+)
+from cellslam.slam.phd_slam.mixture_kernel import Pool, condense
+from cellslam.slam.phd_slam.motion_kernel import Interval, factorise, inform, learn, moved, slopes
+from cellslam.slam.phd_slam.pairs_kernel import Pairs, exclusive
+from cellslam.slam.phd_slam.phd_slam import TRIANGLE, PhdSlam
+from cellslam.slam.phd_slam.phd_slam_options import PhdSlamOptions
+from cellslam.slam.phd_slam.snapshot_kernel import Particles, resample
+
+POSE, VT = np.array([3.0, -2.0, 1.5, 0.7, 0.1, -0.2]), np.array([60.0, 45.0, 20.0])
+Q, UPPER = np.array([0.4, 3e-4, 5e-4]), np.triu_indices(3)
+
+
+def a_row(seed: int = 0) -> tuple[Any, Any, Any]:
+    """Return a map of one Gaussian at VT, its covariance and gain."""
+    root, gain = np.random.default_rng(seed).normal(size=(3, 3)), np.array([-0.7, -0.5, -0.2])
+    rows, covariance = np.zeros((1, WIDTH)), root @ root.T
+    rows[0, MEAN:COVARIANCE], rows[0, COVARIANCE:GAIN], rows[0, GAIN:VISIBLE] = VT, covariance[UPPER], gain
+    return rows, covariance, gain
+
+
+@njit
+def updated(place: Any, r: Any, rows: Any, offset: float, z: Any, q: Any, out: Any) -> float:
+    seen = seen_from(vec_of(place), mat_of(r), rows, 0, offset)
+    new = innovation(residual(seen, vec_of(z), vec_of(np.ones(3))), seen.spread, vec_of(q))
+    put_update(out, 0, rows, 0, seen, new)
+    return new.log_density
+
+
+@njit
+def informed(pose: Any, velocity: Any, std: Any, rows: Any, z: Any, q: Any, information: Any, y: Any) -> None:
+    at = moved(pose, velocity, 0.5)
+    seen = seen_from(at.place, at.turned.r, rows, 0, 0.0)
+    new = innovation(residual(seen, vec_of(z), vec_of(np.ones(3))), seen.spread, vec_of(q))
+    inform(slopes(seen, vec_of(rows[0]), at, std), new.inverse, new.e, 0.7, information, y)
+
+
+def test_update_with_its_gain_is_that_of_place_and_clock_offset_together() -> None:
+    """Given the offset, a VT is at mean + gain (b - b_hat): conditioning both jointly must give the same."""
+    rows, covariance, gain = a_row()
+    out, h, by = np.zeros((1, WIDTH)), predict(POSE, VT), jacobians(POSE, VT)[0]
+    e = np.array([0.7, 0.01, -0.02])
+    value = updated(POSE[:3], rotation(*POSE[3:]), rows, 12.0, h + e + [12.0, 2.0 * np.pi, 0.0], Q, out)
+    s = by @ covariance @ by.T + np.diag(Q)
+    assert value == pytest.approx(-0.5 * (e @ np.linalg.solve(s, e) + np.log(np.linalg.det(2.0 * np.pi * s))))
+    variance, a = 9.0, by @ gain + [1.0, 0.0, 0.0]
+    joint = np.zeros((4, 4))
+    joint[:3, :3], joint[3, 3] = covariance + variance * np.outer(gain, gain), variance
+    joint[:3, 3] = joint[3, :3] = variance * gain
+    full = np.column_stack([by, [1.0, 0.0, 0.0]])
+    k = joint @ full.T @ np.linalg.inv(full @ joint @ full.T + np.diag(Q))
+    posterior, change = joint - k @ full @ joint, k @ e
+    left = 1.0 / (1.0 / variance + a @ np.linalg.solve(s, a))
+    db = left * a @ np.linalg.solve(s, e)
+    assert (posterior[3, 3], change[3]) == pytest.approx((left, db))
+    g = out[0, GAIN:VISIBLE]
+    np.testing.assert_allclose(out[0, MEAN:COVARIANCE] + g * db, VT + change[:3], rtol=1e-9)
+    given = out[0, COVARIANCE:GAIN][TRIANGLE]
+    np.testing.assert_allclose(given + left * np.outer(g, g), posterior[:3, :3], rtol=1e-7, atol=1e-10)
+
+
+def test_information_on_the_velocity_is_that_of_differences() -> None:
+    rows, covariance, _ = a_row()
+    velocity, std = np.array([3.0, 0.2, 0.0, 0.3, 0.0, 0.1]), np.array([0.5, 0.1, 0.0, 0.05, 0.01, 0.02])
+    at, e = integrate_pose(POSE, velocity, 0.5), np.array([0.5, -0.02, 0.01])
+    information, y, mean = np.zeros((6, 6)), np.zeros(6), np.zeros(6)
+    informed(POSE, velocity, std, rows, predict(at, VT) + e, Q, information, y)
+    steps = 1e-6 * np.eye(6)
+    j = np.array([
+        predict(integrate_pose(POSE, velocity + d, 0.5), VT) - predict(integrate_pose(POSE, velocity - d, 0.5), VT)
+        for d in steps
+    ]).T / 2e-6 * std  # fmt: skip
+    by = jacobians(at, VT)[0]
+    s = np.linalg.inv(by @ covariance @ by.T + np.diag(Q))
+    np.testing.assert_allclose(np.tril(information), np.tril(0.7 * j.T @ s @ j), rtol=1e-4, atol=1e-6)
+    np.testing.assert_allclose(y, 0.7 * j.T @ s @ e, rtol=1e-4, atol=1e-6)
+    factorise(information, y, mean)
+    np.testing.assert_allclose(mean, np.linalg.solve(np.eye(6) + 0.7 * j.T @ s @ j, y), rtol=1e-3, atol=1e-6)
+
+
+def test_bias_and_scale_learn_as_a_kalman_filter_does() -> None:
+    error, doubt, v = np.zeros((6, 2)), np.tile([0.04, 0.0, 0.01], (6, 1)), np.full(6, 2.0)
+    interval = Interval(0.5, np.full(6, 2.5), np.full(6, 0.1), np.zeros(6))
+    prior, h = np.diag([0.04, 0.01]), np.array([1.0, 2.0])
+    learn(error, doubt, interval, v)
+    k = prior @ h / (h @ prior @ h + 0.02)
+    np.testing.assert_allclose(error[0], k * 0.5)
+    np.testing.assert_allclose(doubt[0], (prior - np.outer(k, h) @ prior)[[0, 0, 1], [0, 1, 1]], atol=1e-12)
+
+
+def test_marginals_are_those_of_all_exclusive_assignments() -> None:
+    """Exact without a loop: two Gaussians that share one measurement, one of them with another."""
+    odds = {(0, 0): 5.0, (0, 1): 2.0, (1, 1): 9.0}
+    found = exclusive(Pairs(*map(np.array, ([0, 0, 1], [0, 1, 1], [5.0, 2.0, 9.0]))), 2)
+    total, marginal = 0.0, dict.fromkeys(odds, 0.0)
+    for choice in product((None, 0, 1), (None, 1)):
+        if choice[0] is not None and choice[0] == choice[1]:
+            continue
+        pairs = [(j, k) for j, k in enumerate(choice) if k is not None]
+        weight = float(np.prod([odds[pair] for pair in pairs]))
+        total += weight
+        for pair in pairs:
+            marginal[pair] += weight
+    np.testing.assert_allclose(found, [marginal[pair] / total for pair in odds], rtol=1e-9)
+
+
+def test_merging_keeps_weight_and_moments_of_what_it_merges() -> None:
+    rows, names = np.zeros((4, WIDTH)), np.zeros((4, NAMES), np.int64)
+    rows[:, VISIBLE], rows[:, HIDDEN] = [0.5, 0.2, 0.4, 1e-9], [0.1, 0.0, 0.0, 0.0]
+    rows[:, MEAN] = [0.0, 1.0, 50.0, 0.0]
+    rows[:, COVARIANCE:GAIN] = np.eye(3)[UPPER]
+    own = Map(np.zeros((8, WIDTH)), np.zeros((8, NAMES), np.int64), np.zeros(1, np.int64))
+    condense(Pool(rows.copy(), names, np.array([4])), own, 1e-6, 4.0)
+    assert own.size[0] == 2
+    share = 0.2 / 0.8
+    assert own.rows[0, [VISIBLE, HIDDEN]] == pytest.approx([0.7, 0.1])
+    assert own.rows[0, [MEAN, COVARIANCE]] == pytest.approx([share, 1.0 + share * (1.0 - share)])
+    assert own.rows[1, MEAN] == 50.0
+
+
+def test_resampled_particles_share_nothing() -> None:
+    n = 4
+    parts = [np.arange(n * k, dtype=float).reshape(n, *shape) for k, shape in ((6, (6,)), (12, (6, 2)), (18, (6, 3)))]
+    maps = np.arange(n * 2 * WIDTH, dtype=float).reshape(n, 2, WIDTH), np.zeros((n, 2, NAMES), np.int64)
+    p = Particles(*parts, np.zeros((n, 1)), np.zeros((n, 1)), np.ones(n), *maps, np.full((n, 1), 2))
+    before = p.rows.copy()
+    resample(p, np.array([1, 1, 1, 3]))
+    np.testing.assert_array_equal(p.rows, before[[1, 1, 1, 3]])
+    p.rows[0] = -1.0
+    np.testing.assert_array_equal(p.rows[1], before[1])
+    assert not p.log_weight.any()
+
+
+def first_minutes(steps: int = 500, **gone: Any) -> Recording:
+    """Return the beginning of the PHD-SLAM world, some columns of its measurements replaced."""
+    whole = phd_slam_3.simulate(77, 0)
+    rows = slice(0, int(whole.rows[steps]))
+    table = {name: None if value is None else value[rows] for name, value in vars(whole.measurements).items()}
+    measurements = replace(whole.measurements, **(table | {k: np.full_like(table[k], v) for k, v in gone.items()}))
+    return replace(
+        whole, time_s=whole.time_s[:steps], odometry=whole.odometry[:steps], measurements=measurements, truth=None
+    )
+
+
+def rmse(recording: Recording, estimator: Any) -> float:
+    estimator.start(setup_of(recording), np.random.default_rng(1))
+    steps = zip(np.diff(recording.time_s, prepend=0.0), odometry_of(recording), snapshots_of(recording), strict=True)
+    poses = np.array([estimator.step(float(dt), u, snapshot).pose for dt, u, snapshot in steps])
+    apart = poses[:, :2] - phd_slam_3.trajectory()[: len(poses), :2]
+    return float(np.sqrt(np.mean(np.sum(apart**2, axis=1))))
+
+
+def like(particles: int) -> PhdSlam:
+    return PhdSlam(PhdSlamOptions(**(dict(phd_slam_3.WORLD.entries[0].options) | {"particles": particles})))
+
+
+def test_one_particle_maps_what_odometry_alone_loses() -> None:
+    recording = first_minutes()
+    assert rmse(recording, like(1)) < 0.2 * rmse(recording, DeadReckoning())
+
+
+def test_distances_alone_do_little_harm() -> None:
+    recording = first_minutes(azimuth_rad=np.nan)
+    assert rmse(recording, like(20)) < 1.5 * rmse(recording, DeadReckoning())
+
+
+def test_known_transmitters_are_in_the_map_from_the_start() -> None:
+    recording = first_minutes(3)
+    sites = replace(recording.sites, position_m=np.array([[310.0, 395.0, 0.0]]))
+    estimator = like(2)
+    estimator.start(setup_of(replace(recording, sites=sites)), np.random.default_rng(0))
+    vts = estimator.step(0.0, np.zeros(6), snapshots_of(recording)[0]).vts
+    assert vts is not None
+    np.testing.assert_allclose(vts.position_m, sites.position_m, atol=0.01)
+
+
+class TestPhdSlam(EstimatorConformance):
+    @pytest.fixture
+    def estimator(self) -> type[Any]:
+        return PhdSlam
+
+    @pytest.fixture
+    def options(self) -> Any:
+        return PhdSlamOptions(particles=20)
