@@ -16,18 +16,25 @@ import numpy as np
 from cellslam.sim.recording import Floats, Ints
 from cellslam.slam.api import Setup, VtEstimate
 from cellslam.slam.ekf_slam.snapshot.birth_kernel import map_into
+from cellslam.slam.ekf_slam.snapshot.guess_kernel import AHEAD, AROUND
 from cellslam.slam.ekf_slam.snapshot.motion_kernel import Interval
 from cellslam.slam.ekf_slam.snapshot.sizes_kernel import SIZES
 from cellslam.slam.ekf_slam.snapshot.snapshot_kernel import use_in_bank
 from cellslam.slam.ekf_slam.state.layout import (
     ANCHOR,
     ENTRY,
+    EXISTS,
+    HITS,
+    IDENT,
+    LAST,
+    LINK,
     NOBODY,
     POSE,
     POSITION,
     SHARE,
     SLOT,
     SPREAD,
+    VT,
     VT_STATES,
     ArrayErrors,
     Block,
@@ -36,6 +43,7 @@ from cellslam.slam.ekf_slam.state.layout import (
     Measured,
     one_of,
 )
+from cellslam.slam.ekf_slam.state.states_kernel import owner_of
 
 LONGEST = 16  # snapshots in a block at most
 THREADS = os.cpu_count() or 1
@@ -44,6 +52,8 @@ MOST_STATES = 2040  # that a filter of all sites has, as a rule: memory that is 
 NEW_STATES, NEW_VTS = 160, 24  # that a snapshot may bring
 SAME = 0.5  # deviations by which filters differ, or the likelier stays
 LOST = 64  # confirmed VTs that one block can push out
+ROOM = 4  # times as many VTs as are kept, where a VT may begin as several guesses
+KNOWN = 1000  # detections of a VT known before the drive
 
 
 def core_of(setup: Setup, errors: ArrayErrors) -> Core:
@@ -89,7 +99,9 @@ class Bank:
 
         Of VTs each keeps so many at most; those that make room stay in `lost` until the next snapshot.
         """
-        self.reserve(NEW_STATES, min(NEW_VTS, max(most_vts - int(self.arrays.count.max()), 0)))
+        guesses = int(np.isnan(measured.begin[:, :2]).sum(axis=0) @ [AHEAD, AROUND])
+        new, most = NEW_VTS + guesses, most_vts * (ROOM if guesses else 1)
+        self.reserve(NEW_STATES + 3 * new, min(new, max(most - int(self.arrays.count.max()), 0)))
         self.arrays.losses[:] = 0
         association = np.full((len(self), len(measured.z)), -1, np.int64)
         threads = min(len(self), THREADS)
@@ -132,6 +144,23 @@ class Bank:
         weight = np.exp(self.log_weight - self.log_weight.max())
         return np.asarray(weight / weight.sum())
 
+    def know(self, link: Ints, ident: Ints, position_m: Floats, last: int) -> None:
+        """Put VTs on links (v,) into filters that have none, at positions (v, 3) in the world, without uncertainty.
+
+        `last`: snapshot in which they were last seen.
+        """
+        self.reserve(3 * len(link), len(link))
+        f, first = self.arrays, self.core.size
+        here = f.x[0, :3].copy()
+        f.count[:], f.size[:] = len(link), first + 3 * len(link)
+        for j, way in enumerate(position_m - here):
+            f.slots[:, j, [LINK, HITS, LAST, IDENT]] = link[j], KNOWN, last, ident[j]
+            f.anchor[:, j, :3], f.anchor[:, j, [EXISTS, SHARE]] = here, 1.0
+            at = first + 3 * j + np.arange(3)
+            f.vt_state[:, j], f.vt_state[:, j, VT : VT + 3] = -1, at
+            f.owner[:, at] = [owner_of(j, VT + c, VT_STATES) for c in range(3)]
+            f.x[:, at] = _spherical(way)
+
     def moments(self) -> tuple[Floats, Floats]:
         """Return mean (C,) and covariance (C, C), in m and rad, of the core states, over all filters."""
         size = self.core.size
@@ -168,6 +197,12 @@ class Bank:
         """Return identity, link, position (m), covariance (v, 14) of a filter's VTs with at least `hits` detections."""
         out = np.empty((int(self.arrays.count[index, 0]), ENTRY))
         return out[: map_into(one_of(self.arrays, index), hits, out)]
+
+
+def _spherical(vector: Floats) -> Floats:
+    """Return length, azimuth and elevation (3,)."""
+    flat = np.hypot(vector[0], vector[1])
+    return np.array([np.hypot(flat, vector[2]), np.arctan2(vector[1], vector[0]), np.arctan2(vector[2], flat)])
 
 
 def _with_rows(tables: Tables, names: tuple[str, ...], more: int) -> Tables:

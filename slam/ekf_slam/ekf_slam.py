@@ -55,7 +55,8 @@ class JointFilter:
         """Take the prior; nothing is drawn."""
         del rng
         self._grouping = Grouping(setup, self.options)
-        self._setup, self._time_s, self._now, self._born = _writable(self._grouping.setup), 0.0, 0, 0
+        self._setup, self._time_s, self._now = _writable(self._grouping.setup), 0.0, 0
+        self._born = len(self._setup.links)
         self._ports = ports_of(self._setup.links.site, self._setup.links.port)
         self._errors = array_errors(self.options, setup, self.options.errors == "states")
         self._core = core_of(self._setup, self._errors)
@@ -103,7 +104,11 @@ class JointFilter:
         return np.full(len(looks), NOT_GIVEN, np.int64)
 
     def _install(self, bank: Bank) -> None:
-        """Put into new filters what is known of the map."""
+        """Put into new filters what is known of the map: transmitters whose place was surveyed."""
+        places = self._setup.sites.position_m
+        if places is not None:
+            link = np.flatnonzero(np.isfinite(places[self._setup.links.site]).all(axis=1))
+            bank.know(link, link, places[self._setup.links.site[link]], 0)
 
     def _map(self, filters: Sequence[tuple[Bank, int]]) -> VtEstimate | None:
         """Return the confirmed VTs of some filters of banks, with those that had to make room."""

@@ -7,6 +7,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from cellslam.benchmarks.scores.metrics import score
+from cellslam.benchmarks.trials.estimation import estimate
+from cellslam.scenarios.estimator_options import resolve
 from cellslam.scenarios.known_worlds import NAMES, bp_slam_testbed, known_world, phd_slam_3
 from cellslam.sim.errors import InputError
 from cellslam.sim.frames import wrap_angle
@@ -81,3 +84,13 @@ def test_names_and_published_figures() -> None:
         assert all(set(entry.published) == {figure.name for figure in world.figures} for entry in world.entries)
     with pytest.raises(InputError, match="unknown known world 'phd-slam'"):
         known_world("phd-slam")
+
+
+def test_bp_slam_meets_its_own_test_bed() -> None:
+    """Published: 0.08 m. Anchors are known, all else begins as lone distances with guesses all around."""
+    entry, found = bp_slam_testbed.WORLD.entries[0], []
+    (request,) = resolve({entry.estimator: dict(entry.options)}, (entry.estimator,))
+    for trial in range(200, 204):
+        recording = bp_slam_testbed.simulate(0, trial)
+        found.append(score(recording, estimate(recording, request, np.random.default_rng(0)), None)["position_rmse_m"])
+    assert np.median(found) < 0.08

@@ -149,10 +149,11 @@ def clear(b: Block, j: int) -> None:
 
 @njit(cache=True)
 def _gives_way(f: Filter, b: Block, now: int, confirm: int) -> int:
-    """Return the VT to give up for a new one, -1: none."""
+    """Return the VT to give up for a new one, -1: none. What was surveyed, a VT without variance, stays."""
     worst, rank = -1, math.inf
     for j in range(f.count[0]):
-        if f.slots[j, LAST] < now and b.looks[j] == 0:
+        place = f.vt_state[j, VT]
+        if f.slots[j, LAST] < now and b.looks[j] == 0 and f.p[place, place] > 0.0:
             value = f.slots[j, LAST] + (1e9 if f.slots[j, HITS] >= confirm else 0.0)
             if value < rank:
                 worst, rank = j, value

@@ -50,7 +50,7 @@ from cellslam.slam.model.matrices_kernel import Vec3, cholesky, solved
 AROUND, AHEAD = 20, 7  # guesses of an azimuth, of a distance
 NEAREST_M, FARTHER = 15.0, 2.0  # first distance, ratio of one to the next
 WIDTH = 0.5  # deviation of a guess, in distances of neighbours
-LEAST = 1e-3  # share below which a guess is given up
+LEAST = 1e-5  # share below which a guess is given up
 AGREE = 0.5  # guesses this close, in their deviations, are one
 
 
@@ -73,6 +73,8 @@ def begin(
     whole = ranged and not math.isnan(z[1])
     guesses = 1 if whole else (AROUND if ranged else AHEAD)
     guess, wide = z.copy(), q.copy()
+    if guesses > 1 and not _room_for(f, guesses):
+        return
     for n in range(guesses):
         if not ranged:
             guess[0] = NEAREST_M * FARTHER**n
@@ -82,6 +84,12 @@ def begin(
             wide[1] = (WIDTH * TURN / AROUND) ** 2
         if add(f, a, b, seen, link, ident, k, guess, wide, ranged, s, w):
             f.anchor[f.count[0] - 1, SHARE] = 1.0 / guesses
+
+
+@njit
+def _room_for(f: Filter, guesses: int) -> bool:
+    """Return whether so many VTs can be added without that others make room."""
+    return bool(f.count[0] + guesses <= len(f.slots) and f.size[0] + 3 * guesses <= len(f.x))
 
 
 @njit
