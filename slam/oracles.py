@@ -14,8 +14,9 @@ from cellslam.slam.ekf_slam.bank import Bank
 from cellslam.slam.ekf_slam.ekf_slam import EkfSlam
 from cellslam.slam.ekf_slam.state.layout import KNOWN_ASSOCIATION, KNOWN_MAP
 from cellslam.slam.fastslam.fastslam import FastSlam
+from cellslam.slam.fastslam.fastslam_options import FastSlamOptions
 from cellslam.slam.fastslam.parts.association import FromTruth
-from cellslam.slam.fastslam.parts.choice import Choice
+from cellslam.slam.fastslam.path_particles import PathParticles
 from cellslam.slam.front_end.looks import Looks
 
 LONG_AGO = -100_000  # snapshot in which the map was last seen, at the start
@@ -43,13 +44,18 @@ class FastSlamKnownAssociation(FastSlam):
     name: ClassVar[str] = "oracle-fastslam"
     requires_truth: ClassVar[bool] = True
 
-    def start(self, setup: Setup, rng: np.random.Generator) -> None:
-        """Draw the prior, and take the associations."""
-        self.choice = self._told(_truth(setup).measurement_vt)
-        super().start(setup, rng)
+    def __init__(self, options: FastSlamOptions | None = None) -> None:
+        super().__init__(options)
+        if not isinstance(self._filter, PathParticles):
+            self._filter = KnownAssociation(self.options)
 
-    def _told(self, measurement_vt: Ints) -> Choice:
-        return replace(self.choice, parts=self.choice.parts._replace(association=FromTruth(measurement_vt)))
+    def start(self, setup: Setup, rng: np.random.Generator) -> None:
+        """Take the prior and the associations."""
+        one = self._filter
+        if isinstance(one, PathParticles):
+            parts = one.choice.parts._replace(association=FromTruth(_truth(setup).measurement_vt))
+            one.choice = replace(one.choice, parts=parts)
+        super().start(setup, rng)
 
 
 class KnownMap(EkfSlam):

@@ -15,8 +15,8 @@ from cellslam.scenarios.simulation import simulate
 from cellslam.sim.progress import Progress
 from cellslam.sim.recording import Floats, Links, OdometryModel, Recording, Sites
 from cellslam.slam.api import Setup, Snapshot, odometry_of, setup_of, snapshots_of
-from cellslam.slam.fastslam.fastslam import FastSlam
 from cellslam.slam.fastslam.fastslam_options import FastSlamOptions
+from cellslam.slam.fastslam.path_particles import PathParticles
 from cellslam.slam.fastslam.state.tracks_kernel import ONCE
 from cellslam.slam.model.measurement_model import predict
 
@@ -52,7 +52,7 @@ def drive(scenario: str, seed: int, particles: int, repeat: int, progress: Progr
 
 def _time_drive(recording: Recording, particles: int, advance: Any) -> tuple[float, float]:
     """Return the seconds of one run, and the updates a snapshot."""
-    estimator = FastSlam(FastSlamOptions(particles=particles))
+    estimator = PathParticles(FastSlamOptions(particles=particles, errors="counted"))
     estimator.warm_up()
     snapshots, odometry = snapshots_of(recording), odometry_of(recording)
     dt_s = np.diff(recording.time_s, prepend=recording.time_s[0]).tolist()
@@ -68,7 +68,7 @@ def _time_drive(recording: Recording, particles: int, advance: Any) -> tuple[flo
     return seconds, updates / counted
 
 
-def _updates(estimator: FastSlam) -> float:
+def _updates(estimator: PathParticles) -> float:
     """Return how many VTs the last snapshot updated, on average over particles.
 
     Resampling since then copies particles: the number is that of the survivors.
@@ -109,7 +109,7 @@ def _time_link(landmarks: int, measurements: int, particles: int) -> tuple[float
         particles=particles, effective_share=0.0, pitch_deg=0.0, vts_per_link=4 * landmarks, clutter_density=1e-4,
         detection_probability=min(0.95, measurements / landmarks),
     )  # fmt: skip
-    estimator = FastSlam(options)
+    estimator = PathParticles(options)
     estimator.warm_up()
     estimator.start(_dense_setup(), np.random.default_rng(0))
     velocity, spent, updates = np.array([SPEED_MPS, 0, 0, 0, 0, 0]), [], []

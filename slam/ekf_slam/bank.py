@@ -6,6 +6,7 @@ Source: Sorenson and Alspach, "Recursive Bayesian estimation using Gaussian sums
 from __future__ import annotations
 
 import os
+from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import cache
@@ -19,7 +20,7 @@ from cellslam.slam.ekf_slam.snapshot.birth_kernel import map_into
 from cellslam.slam.ekf_slam.snapshot.guess_kernel import AHEAD, AROUND
 from cellslam.slam.ekf_slam.snapshot.motion_kernel import Interval
 from cellslam.slam.ekf_slam.snapshot.sizes_kernel import SIZES
-from cellslam.slam.ekf_slam.snapshot.snapshot_kernel import use_in_bank
+from cellslam.slam.ekf_slam.snapshot.snapshot_kernel import Paired, pair_in_bank, use_in_bank
 from cellslam.slam.ekf_slam.state.layout import (
     ANCHOR,
     ENTRY,
@@ -85,7 +86,7 @@ def _pool() -> ThreadPoolExecutor:
 
 @dataclass
 class Bank:
-    """K filters: `arrays`, each with a leading axis, their blocks, and log-weights (K,)."""
+    """K filters: `arrays`, each with a leading axis of at least K, their blocks, and log-weights (K,)."""
 
     arrays: Filter
     blocks: Block
@@ -94,35 +95,88 @@ class Bank:
     def __len__(self) -> int:
         return len(self.log_weight)
 
-    def use(self, errors: ArrayErrors, interval: Interval, measured: Measured, most_vts: int) -> Ints:
+    def use(self, errors: ArrayErrors, interval: Interval, measured: Measured, most_vts: int, most: int = 1) -> Ints:
         """Move every filter by an interval and use a snapshot; return the associations (K, m).
 
-        Of VTs each keeps so many at most; those that make room stay in `lost` until the next snapshot.
+        Of VTs each keeps so many at most; those that make room stay in `lost` until the next snapshot. Filters that
+        doubt an association become two, as long as there are less than `most`.
         """
-        guesses = int(np.isnan(measured.begin[:, :2]).sum(axis=0) @ [AHEAD, AROUND])
-        new, most = NEW_VTS + guesses, most_vts * (ROOM if guesses else 1)
-        self.reserve(NEW_STATES + 3 * new, min(new, max(most - int(self.arrays.count.max()), 0)))
+        far, across = ~np.isnan(measured.begin[:, :2].T)
+        guesses = int(AROUND * (far & ~across).sum() + AHEAD * (across & ~far).sum())
+        room = most_vts * (ROOM if guesses else 1) - int(self.arrays.count.max())
+        self.reserve(NEW_STATES + 3 * guesses, min(NEW_VTS + guesses, max(room, 0)))
         self.arrays.losses[:] = 0
-        association = np.full((len(self), len(measured.z)), -1, np.int64)
-        threads = min(len(self), THREADS)
-
-        def part(first: int) -> None:
-            use_in_bank(
-                self.arrays, errors, self.blocks, interval, measured, association, self.log_weight, first, threads
-            )
-
-        if threads == 1:
-            part(0)
-        else:
-            list(_pool().map(part, range(threads)))
+        k, m = len(self), len(measured.z)
+        pairs = Paired(*(np.empty((k, n), kind) for n, kind in ((m, np.int64), (m, float), (1, float), (4, np.int64))),
+                       np.zeros(k, np.int64))  # fmt: skip
+        self._each(pair_in_bank, self.arrays, errors, self.blocks, interval, measured, pairs)
+        if k < most:
+            pairs = self._doubt(pairs, measured.rules.doubt, most)
+        association = np.full((len(self), m), -1, np.int64)
+        self._each(
+            use_in_bank, self.arrays, errors, self.blocks, interval.noise, measured, pairs, association, self.log_weight
+        )
         return association
 
-    def take(self, kept: Ints) -> Bank:
-        """Return the filters `kept`."""
-        core, *arrays = self.arrays
-        chosen: Any = [array[kept] for array in arrays]
-        blocks: Any = [array[kept] for array in self.blocks]
-        return Bank(Filter(core, *chosen), Block(*blocks), self.log_weight[kept])
+    def _each(self, kernel: Callable[..., None], *arguments: Any) -> None:
+        """Run a kernel over all filters, in as many threads as there are cores."""
+        threads = min(len(self), THREADS)
+        if threads == 1:
+            kernel(*arguments, 0, 1)
+        else:
+            list(_pool().map(lambda first: kernel(*arguments, first, threads), range(threads)))
+
+    def _doubt(self, pairs: Paired, doubt: float, most: int) -> Paired:
+        """Give each filter with a rival association a double that has it, the likeliest first; return all pairs."""
+        loss = pairs.loss[:, 0]
+        found = np.flatnonzero(loss < doubt)
+        found = found[np.argsort(loss[found] - self.log_weight[found], kind="stable")][: most - len(self)]
+        if not len(found):
+            return pairs
+        parents = np.append(np.arange(len(self)), found)
+        pairs = Paired(*(column[parents] for column in pairs))
+        for double, parent in enumerate(found, len(self)):
+            self._copy(int(parent), double)
+            first, slot, second, other = pairs.change[double]
+            pairs.slot_of[double, first] = slot
+            if second >= 0:
+                pairs.slot_of[double, second] = other
+            pairs.ends[[parent, double]] = 1
+        self.log_weight = self.log_weight[parents]
+        return pairs
+
+    def _copy(self, source: int, target: int) -> None:
+        """Make one filter a copy of another."""
+        if target == len(self.arrays.x):
+            self._resize(2 * target)
+        n = int(self.arrays.size[source, 0])
+        for name, array in (*self.arrays._asdict().items(), *self.blocks._asdict().items()):
+            if name == "p":
+                array[target, :n, :n] = array[source, :n, :n]
+            elif name != "core":
+                array[target] = array[source]
+
+    def _resize(self, filters: int) -> None:
+        """Make room for so many filters, and no more; memory of the covariance that is not used is not touched."""
+        old, before = self.arrays, len(self.arrays.x)
+        self.arrays, self.blocks = (
+            _with_rows(tables, tuple(name for name in tables._fields if name not in ("core", "p")), filters - before, 0)
+            for tables in (self.arrays, self.blocks)
+        )
+        p = np.zeros((filters, *old.p.shape[1:]))
+        for k, n in enumerate(old.size[: min(before, filters), 0].tolist()):
+            p[k, :n, :n] = old.p[k, :n, :n]
+        self.arrays = self.arrays._replace(p=p)
+
+    def keep(self, kept: Ints) -> None:
+        """Keep the filters `kept`, and no others, in the order in which they are."""
+        kept = np.sort(kept)
+        for place, k in enumerate(kept.tolist()):
+            if place != k:
+                self._copy(k, place)
+        self.log_weight = self.log_weight[kept]
+        if 2 * len(kept) < len(self.arrays.x):
+            self._resize(len(kept))
 
     def reserve(self, states: int, vts: int) -> None:
         """Grow the arrays to have room for so many more states and VTs."""
@@ -166,8 +220,8 @@ class Bank:
         size = self.core.size
         if len(self) == 1:
             return self.arrays.x[0, :size].copy(), self.arrays.p[0, :size, :size].copy()
-        weight = self.shares()
-        x, p = self.arrays.x[:, :size], self.arrays.p[:, :size, :size]
+        weight, k = self.shares(), len(self)
+        x, p = self.arrays.x[:k, :size], self.arrays.p[:k, :size, :size]
         mean = weight @ x
         apart = x - mean
         return mean, np.einsum("k,kij->ij", weight, p) + (apart * weight[:, None]).T @ apart
@@ -180,8 +234,9 @@ class Bank:
     def apart(self, of: slice, ratio: float) -> Ints:
         """Return the filters that are not less likely than the best by this ratio, and whose states `of` differ from
         those of all likelier ones, the likeliest first."""
-        x, kept = self.arrays.x[:, of], list[int]()
-        variance = np.maximum(np.diagonal(self.arrays.p, axis1=1, axis2=2)[:, of], 0.0)
+        k, kept = len(self), list[int]()
+        x = self.arrays.x[:k, of]
+        variance = np.maximum(np.diagonal(self.arrays.p, axis1=1, axis2=2)[:k, of], 0.0)
         for i in np.argsort(-self.log_weight, kind="stable").tolist():
             likely = self.log_weight[i] >= self.log_weight.max() + np.log(ratio)
             same = (((x[i] - x[kept]) ** 2 <= SAME**2 * np.minimum(variance[i], variance[kept])).all(axis=1)).any()
@@ -205,13 +260,15 @@ def _spherical(vector: Floats) -> Floats:
     return np.array([np.hypot(flat, vector[2]), np.arctan2(vector[1], vector[0]), np.arctan2(vector[2], flat)])
 
 
-def _with_rows(tables: Tables, names: tuple[str, ...], more: int) -> Tables:
-    """Return a NamedTuple whose arrays (K, V, ...) of these names have so many VTs more."""
-    return tables._replace(**{name: _padded(getattr(tables, name), more, 1) for name in names})
+def _with_rows(tables: Tables, names: tuple[str, ...], more: int, axis: int = 1) -> Tables:
+    """Return a NamedTuple whose arrays (K, V, ...) of these names have so many filters or VTs more."""
+    return tables._replace(**{name: _padded(getattr(tables, name), more, axis) for name in names})
 
 
 def _padded(array: Any, more: int, axis: int = -1) -> Any:
-    """Return an array (K, ...) with so many zeros more along an axis."""
+    """Return an array (K, ...) with so many zeros more along an axis, or with so many filters less."""
+    if more < 0:
+        return array[:more].copy()
     width = [(0, 0)] * array.ndim
     width[axis] = (0, more)
     return np.pad(array, width)

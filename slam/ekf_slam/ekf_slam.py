@@ -26,6 +26,7 @@ from cellslam.slam.front_end.readings import Readings, novelty, readings, white_
 from cellslam.slam.front_end.visibility import existence
 
 NOT_GIVEN = -2
+DOUBT = 4.0  # log-likelihood that a rival association may lose
 WAY_M, TURN = 0.6, np.radians(2.0)  # a block of snapshots ends after so long a way or turn
 EVIDENCE = 0.0125  # least share of detections, misses and births that is news: what hides a VT lasts for seconds
 
@@ -110,6 +111,11 @@ class JointFilter:
             link = np.flatnonzero(np.isfinite(places[self._setup.links.site]).all(axis=1))
             bank.know(link, link, places[self._setup.links.site[link]], 0)
 
+    @property
+    def _most(self) -> int:
+        """How many filters there may be side by side after the start."""
+        return 1
+
     def _map(self, filters: Sequence[tuple[Bank, int]]) -> VtEstimate | None:
         """Return the confirmed VTs of some filters of banks, with those that had to make room."""
         rows = [bank.vts(index, self.options.confirm_hits) for bank, index in filters]
@@ -155,14 +161,15 @@ class JointFilter:
         bank = self._joint
         if bank is None:
             raise RuntimeError("step() was called before start()")
-        association = bank.use(self._errors, interval, measured, self.options.vts)
+        association = bank.use(self._errors, interval, measured, self.options.vts, self._most)
         lost = bank.lost(int(np.argmax(bank.log_weight)))
         if len(lost):
             self._archive = np.concatenate([self._archive, lost])
         if len(bank) > 1:
-            kept = bank.apart(self._core.offsets, self.options.prune_ratio)
+            kept = np.sort(bank.apart(slice(0, self._core.size), self.options.prune_ratio))
             if len(kept) < len(bank):
-                self._joint, association = bank.take(kept), association[kept]
+                bank.keep(kept)
+                association = association[kept]
         return association
 
     def _readings(self, dt_s: float, odometry: Floats, looks: Looks) -> Readings:
@@ -182,6 +189,7 @@ class JointFilter:
             self.mode, float(np.log(o.clutter_density)), o.gate, float(-np.log1p(-o.birth_ratio)), o.confirm_hits,
             once, twice, min(max(round(o.block_s / step_s), 1), LONGEST) if states else 1, WAY_M, TURN,
             max(EVIDENCE, novelty(o, odometry[3] * dt_s, odometry[0] * dt_s)), int(o.hold_s / step_s),
+            DOUBT if self._most > 1 else 0.0,
         )  # fmt: skip
         begin_z, begin_q = values.z.copy(), values.fresh.copy()
         flat = np.isnan(begin_z[:, 2])

@@ -66,7 +66,7 @@ class Start:
             at = self.core.first_offset + site
             kept = bank.apart(slice(at, at + 1), self.options.prune_ratio)
             if len(kept) < len(bank):
-                self.banks[site] = bank.take(kept)
+                bank.keep(kept)
         return answer
 
     def offsets(self) -> tuple[Floats, Floats]:
@@ -92,7 +92,7 @@ class Start:
         """Return the likeliest combinations of offsets (C, S), in m, and their log-weights (C,)."""
         likely = []
         for site, bank in enumerate(self.banks):
-            mean, log_share = bank.arrays.x[:, self.core.first_offset + site], np.log(bank.shares())
+            mean, log_share = bank.arrays.x[: len(bank), self.core.first_offset + site], np.log(bank.shares())
             keep = np.flatnonzero(log_share >= log_share.max() + np.log(LEAST))
             likely.append([(mean[i], log_share[i]) for i in keep])
         found = sorted(product(*likely), key=lambda one: -sum(log for _, log in one))[:COMBINATIONS]

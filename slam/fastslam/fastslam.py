@@ -1,47 +1,33 @@
-"""The extended FastSLAM: the paper's filter with clock offsets and odometer errors marginalised."""
+"""FastSLAM: particles whose VTs are Gaussian, with errors that persist as states or counted."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from functools import partial
 from pathlib import Path
 from typing import Any, ClassVar
 
-import numba
 import numpy as np
-from numpy.typing import NDArray
 
 from cellslam.sim.compiling import is_compiled
 from cellslam.sim.recording import Floats
-from cellslam.slam import warm_up
 from cellslam.slam.api import Estimate, Setup, Snapshot
-from cellslam.slam.fastslam.best_map import map_of
+from cellslam.slam.ekf_slam.ekf_slam import JointFilter
+from cellslam.slam.ekf_slam.sizes import Sizes
+from cellslam.slam.ekf_slam.snapshot import snapshot_kernel
+from cellslam.slam.fastslam.association_particles import AssociationParticles
 from cellslam.slam.fastslam.fastslam_options import FastSlamOptions
-from cellslam.slam.fastslam.parts.choice import Choice, chosen
-from cellslam.slam.fastslam.running.threads import over_blocks
-from cellslam.slam.fastslam.snapshot import block_kernel
-from cellslam.slam.fastslam.snapshot.block_kernel import advance_blocks
-from cellslam.slam.fastslam.snapshot.measurement_kernel import census, pack
-from cellslam.slam.fastslam.snapshot.sight_kernel import SEEN, sight_blocks
-from cellslam.slam.fastslam.state.layout import LANES, OUT, POSE, W_ROWS, Measured, Rules, Scratch, Step, sums_of
-from cellslam.slam.fastslam.state.moments_kernel import moments, normalised
-from cellslam.slam.fastslam.state.particles import Particles, draw, select, widened
-from cellslam.slam.front_end.attitude import Attitude
-from cellslam.slam.front_end.looks import Grouping, Looks
-from cellslam.slam.front_end.measurement_noise import ports_of
-from cellslam.slam.front_end.misfit import Misfit
-from cellslam.slam.front_end.readings import Readings, novelty, readings
-from cellslam.slam.front_end.visibility import existence
-
-SLACK_M = 0.3  # of the test that passes over tracks: what its bounds are not told of
-CAPACITY = 24  # tracks a map that there is room for at the start; doubled when needed
+from cellslam.slam.fastslam.path_particles import PathParticles
 
 
 class FastSlam:
-    """Rao-Blackwellised particle filter over the vehicle's path; VTs and nuisances are Gaussian in each particle.
+    """Rao-Blackwellised particle filter: what a particle is given, the rest is Gaussian in it.
 
-    Source: Chen, Whiton and Tufvesson, "Extended FastSLAM using cellular multipath component delays and angular
-    information", sections III and IV; the corrections are in docs/fastslam.md.
+    With errors as states a particle is a sequence of associations, with a mode of the clock offsets, and pose, VTs and
+    errors are one Gaussian in it. With errors counted it is a path, as in the paper, and every VT is a Gaussian of its
+    own; parts of that filter can be replaced.
+
+    Sources: Chen, Whiton and Tufvesson, "Extended FastSLAM using cellular multipath component delays and angular
+    information"; Doucet, de Freitas, Murphy and Russell, "Rao-Blackwellised particle filtering for dynamic Bayesian
+    networks", UAI 2000.
     """
 
     name: ClassVar[str] = "fastslam"
@@ -49,152 +35,43 @@ class FastSlam:
     Options: ClassVar[type[FastSlamOptions]] = FastSlamOptions
 
     def __init__(self, options: FastSlamOptions | None = None, **parts: Any) -> None:
-        """Take options, and parts as objects where they are not those that the options name.
+        """Take options, and parts as objects where they are not those that the options name, with errors counted.
 
         parts: association, criterion, clock, proposal, resampling; see `part_types`, `proposal`, `resampling`.
         """
         self.options = options or FastSlamOptions()
-        self.choice: Choice = chosen(self.options, **parts)
+        counted = self.options.errors == "counted"
+        if parts and not counted:
+            raise TypeError(f"{', '.join(sorted(parts))}: a part of the filter with errors='counted'; set that option")
+        self._filter: PathParticles | JointFilter = (
+            PathParticles(self.options, **parts) if counted else AssociationParticles(self.options)
+        )
 
     @staticmethod
     def compiled() -> bool:
-        """Return whether the kernels have been compiled before, and are in Numba's cache."""
-        return is_compiled(block_kernel.__name__, Path(block_kernel.__file__))
+        """Return whether the kernels of errors as states have been compiled before, and are in Numba's cache."""
+        return is_compiled(snapshot_kernel.__name__, Path(snapshot_kernel.__file__))
 
     def warm_up(self) -> None:
-        """Compile every kernel on a drive of four snapshots."""
-        small = {
-            "particles": 8, "particles_start": 12, "start_phase_s": 0.2, "effective_share": 1.0, "vts_per_link": 4,
-        }  # fmt: skip
-        one = type(self)(self.options.model_copy(update=small))
-        one.choice = self.choice
-        setup = warm_up.drive(one)
-        for blocks, ancestor in ((1, 0), (2, 40)):
-            two = draw(setup, blocks * LANES, 20.0, 4, np.random.default_rng(0), record=self.choice.record)
-            select(two, np.full(len(two), ancestor))
+        """Compile every kernel on a made-up drive."""
+        self._filter.warm_up()
 
     def start(self, setup: Setup, rng: np.random.Generator) -> None:
-        """Draw the prior."""
-        self._grouping = Grouping(setup, self.options)
-        self._setup = setup = self._grouping.setup
-        self._options = o = self._grouping.options
-        self._rng, self._site_of = rng, setup.links.site
-        self._port_of = ports_of(self._site_of, setup.links.port)
-        self._shares = 1.0 / np.bincount(self._site_of)[self._site_of] ** o.link_correlation
-        given = self.choice.prior(setup)
-        self._choice = self.choice.for_clocks(given.sites)
-        self._particles: Particles = draw(
-            given, o.particles_start or o.particles, self._choice.component_m,
-            min(o.vts_per_link, CAPACITY), rng, len(self._site_of), self._choice.record, o.motion == "sampled",
-        )  # fmt: skip
-        self._origin = np.array(setup.start_pose[:3], float)
-        self._particles.rows(POSE, 3)[:] -= self._origin[:, None]
-        self._attitude, self._misfit = Attitude(o, setup), Misfit(o)
-        self._time_s = 0.0
-        self._now = 0
-        self._born = 0
-        self._scratch: tuple[Scratch, ...] = ()
-        self._association = np.empty((0, 0, LANES), np.int32)
-        self._rules: tuple[float, Rules] | None = None
+        """Take the prior."""
+        self._filter.start(setup, rng)
 
     def step(self, dt_s: float, odometry: Floats, snapshot: Snapshot) -> Estimate:
-        """Move, weigh, update and, if needed, resample (paper, section IV).
+        """Answer a snapshot.
 
         dt_s in s; odometry (6,): mean body velocities in m/s and rad/s.
         """
-        looks = self._grouping.looks(snapshot)
-        values = self._misfit.widened(self._read(dt_s, odometry, self._attitude.levelled(dt_s, looks)), dt_s)
-        association = self._update(dt_s, odometry, looks, values)
-        self._born += len(looks)
-        self._now += 1
-        self._time_s += dt_s
-        return self._grouping.answer(self._conclude(association[:, : len(looks)], looks, values), looks)
+        return self._filter.step(dt_s, odometry, snapshot)
 
-    def _read(self, dt_s: float, odometry: Floats, looks: Looks) -> Readings:
-        turned, moved = odometry[3] * dt_s, odometry[0] * dt_s
-        return readings(looks, self._port_of, self._options, turned, moved)
+    def sizes(self) -> Sizes:
+        """Return what the drive so far says of the sizes of errors, with errors as states.
 
-    def _update(self, dt_s: float, odometry: Floats, looks: Looks, values: Readings) -> NDArray[np.int32]:
-        first, most, needed = census(looks.link, self._particles.counts)
-        self._reserve(len(looks), most, needed)
-        p, association = self._particles, self._association
-        association[:, : len(looks)] = -1
-        z, many, fresh = pack(values.z, values.single, values.many, values.fresh, values.gap, values.lack, looks.begins)
-        shares = self._shares * self._novelty(odometry[3] * dt_s, odometry[0] * dt_s)
-        measured = Measured(first, self._site_of, shares, z, many, fresh, self._born)
-        self._parts, rules = self._choice.parts_for(looks, self._born, self._time_s + dt_s), self._rules_for(dt_s)
-        sight = partial(self._sight, rules, float(dt_s), measured)
-        velocity = self._choice.proposal(p, self._setup.odometry_model, dt_s, odometry, sight, self._rng)
-        step = Step(self._now, float(dt_s), velocity, measured, rules)
-        self._over_blocks(advance_blocks(self._parts), self._parts, step, p.held, association)
-        return association
-
-    def _novelty(self, turn_rad: float, moved_m: float) -> float:
-        return novelty(self._options, turn_rad, moved_m) if self.options.evidence_lasts else 1.0
-
-    def _sight(self, rules: Rules, dt_s: float, measured: Measured, velocity: Floats) -> Floats:
-        p = self._particles
-        seen = np.empty((len(p.state), SEEN, LANES))
-        step = Step(self._now, dt_s, velocity, measured, rules)
-        self._over_blocks(sight_blocks(self._parts), self._parts, step, p.held, seen)
-        return seen
-
-    def _over_blocks(self, kernel: Callable[..., None], *arguments: Any) -> None:
-        over_blocks(kernel, len(self._particles.state), self._scratch, *arguments)
-
-    def _rules_for(self, dt_s: float) -> Rules:
-        o = self._options
-        if self._rules is None or (dt_s > 0.0 and abs(self._rules[0] - dt_s) > 1e-3 * dt_s):
-            tables, age_once, age_twice = existence(o, dt_s if dt_s > 0.0 else 0.075)
-            self._rules = (dt_s, Rules(
-                log_clutter=float(np.log(o.clutter_density)), gate=o.gate, log_birth=float(-np.log1p(-o.birth_ratio)),
-                slack_m=SLACK_M, hits=float(o.confirm_hits), age_once=age_once, age_twice=age_twice,
-                exponent=o.likelihood_exponent, least_score=self._choice.least_score, merging=o.merging, tables=tables,
-            ))  # fmt: skip
-        return self._rules[1]
-
-    def _reserve(self, total: int, most: int, needed: int) -> None:
-        """Make room for a snapshot of `total` measurements, `most` in one link: for births, with `needed` tracks in one
-        map, and scratch a thread."""
-        o, p = self.options, self._particles
-        capacity = p.order.shape[2]
-        if capacity < o.vts_per_link and needed > capacity:
-            capacity = min(2 * capacity, o.vts_per_link)
-            self._particles = widened(p, capacity)
-            self._scratch = ()
-        if self._association.shape[0] != len(p.state) or self._association.shape[1] < total:
-            self._association = np.empty((len(p.state), 2 * total, LANES), np.int32)
-        if not self._scratch or self._scratch[0].scores.shape[1] < most:
-            threads = int(numba.config.NUMBA_NUM_THREADS)  # type: ignore[attr-defined]
-            self._scratch = tuple(self._new_scratch(capacity, max(2 * most, 16)) for _ in range(threads))
-
-    def _new_scratch(self, c: int, m: int) -> Scratch:
-        """Return a thread's scratch for maps of `c` tracks and links of `m` measurements."""
-        w, work = np.zeros(W_ROWS * LANES, np.float32), 4 * (c + m + 2)
-        return Scratch(
-            w=w, bits=w.view(np.int32), v=np.zeros(sums_of(self._particles.nuisances).rows * LANES),
-            near=np.empty(c, np.int64), reached=np.empty(c, np.bool_), rows=np.empty((c, OUT * LANES), np.float32),
-            scores=np.empty((c, m, LANES), np.float32), claims=np.empty((c, m), np.bool_),
-            row_of=np.empty((m, LANES), np.int32), table=np.empty((c, m)), column=np.empty(m, np.int64),
-            floats=np.empty(work), ints=np.empty(work, np.int64),
-        )  # fmt: skip
-
-    def _conclude(self, association: NDArray[np.int32], looks: Looks, values: Readings) -> Estimate:
-        p, o = self._particles, self.options
-        weights, best, effective = normalised(p.log_weight)
-        mean, covariance, offset, variance = moments(p.state, weights, p.nuisances)
-        mean[:3] += self._origin
-        block, lane = divmod(int(best), LANES)
-        vts = map_of(p, best, self._parts, self._site_of, self._origin)
-        sites = len(self._setup.sites)
-        estimate = Estimate(
-            mean, covariance, association[block, :, lane].astype(np.int64), offset[:sites], variance[:sites], vts
-        )
-        pose = p.rows(POSE, 6)[block, :, lane].copy()
-        pose[:3] += self._origin
-        self._misfit.learn(estimate, values, pose)
-        estimate = self._attitude.concluded(estimate, looks, values.many, pose)
-        wanted = -(-o.particles // LANES) * LANES if self._time_s >= o.start_phase_s else len(p)
-        if wanted != len(p) or effective < o.effective_share * len(p):
-            self._particles = select(p, self._choice.resampling(weights.ravel(), wanted, self._rng))
-        return estimate
+        Raises RuntimeError while the clock offsets are wide, and with errors counted.
+        """
+        if isinstance(self._filter, PathParticles):
+            raise RuntimeError("sizes are learnt with errors='states' alone")
+        return self._filter.sizes()

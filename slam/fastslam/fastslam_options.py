@@ -2,23 +2,17 @@
 
 from __future__ import annotations
 
-from typing import Literal
+from typing import Literal, Self
 
-from pydantic import Field
+from pydantic import Field, model_validator
 
-from cellslam.slam.front_end.front_end_options import FrontEndOptions
+from cellslam.slam.ekf_slam.ekf_slam_options import EkfSlamOptions
 
 
-class FastSlamOptions(FrontEndOptions):
+class FastSlamOptions(EkfSlamOptions):
     """What a scenario may set under `estimator.fastslam`, beside what the front end is like."""
 
-    gate: float = Field(
-        36.0,
-        gt=0,
-        le=1000,
-        description="squared Mahalanobis distance beyond which nothing associates; wide, as particles know their pose",
-    )
-    particles: int = Field(1000, ge=1, le=1_000_000, description="number of particles")
+    particles: int = Field(1000, ge=1, le=1_000_000, description="number of particles; with errors as states, at most")
     particles_start: int | None = Field(
         None,
         ge=1,
@@ -73,3 +67,12 @@ class FastSlamOptions(FrontEndOptions):
     likelihood_exponent: float = Field(
         1.0, gt=0, le=1, description="tempering: the weights take the likelihood to this power"
     )
+
+    @model_validator(mode="after")
+    def _of_one_filter(self) -> Self:
+        """Refuse options of the filter with errors counted where errors are states."""
+        own = set(FastSlamOptions.model_fields) - set(EkfSlamOptions.model_fields) - {"particles"}
+        for name in sorted(own & self.model_fields_set) if self.errors == "states" else ():
+            if getattr(self, name) != FastSlamOptions.model_fields[name].default:
+                raise ValueError(f"{name} is an option of the filter with errors counted: set errors=counted, too")
+        return self

@@ -95,12 +95,12 @@ def test_what_a_setting_of_a_list_leaves_out_is_the_scenarios(tmp_path: Path) ->
     file = tmp_path / "s.toml"
     file.write_text(
         'scenario = "tiny"\n[set]\nradio.clutter_scale = 3.0\n[[list]]\nradio.load = 0.25\n[[list]]\n'
-        'estimator.fastslam.association = "sampled"\n'
+        "estimator.fastslam.gate = 16.0\n"
     )
     first, second = sweep.points(sweep.read(file), ("fastslam",))
     default = sweep.points(sweep.Sweep("tiny"), ("fastslam",))[0].scenario.world.radio.load
-    assert first.settings == {"radio.load": 0.25, "estimator.fastslam.association": "hungarian"}
-    assert second.settings == {"radio.load": default, "estimator.fastslam.association": "sampled"}
+    assert first.settings == {"radio.load": 0.25, "estimator.fastslam.gate": 36.0}
+    assert second.settings == {"radio.load": default, "estimator.fastslam.gate": 16.0}
 
 
 WRONG = {

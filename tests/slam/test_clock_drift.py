@@ -15,8 +15,8 @@ from cellslam.sim.recording import Floats, Links, OdometryModel, Recording, Site
 from cellslam.slam.api import Setup, Snapshot, odometry_of, setup_of, snapshots_of
 from cellslam.slam.ekf_slam.ekf_slam import EkfSlam
 from cellslam.slam.ekf_slam.ekf_slam_options import EkfSlamOptions
-from cellslam.slam.fastslam.fastslam import FastSlam
 from cellslam.slam.fastslam.fastslam_options import FastSlamOptions
+from cellslam.slam.fastslam.path_particles import PathParticles
 from cellslam.slam.fastslam.state.layout import THETA
 from cellslam.slam.front_end.front_end_options import NOTHING_PERSISTS
 from cellslam.slam.model.measurement_model import jacobians, predict
@@ -52,18 +52,21 @@ def test_a_filter_starts_afresh_on_a_drifting_drive(drifting: Recording) -> None
     """The same drive twice, then one whose clocks are constant, through one filter."""
     snapshots, odometry = snapshots_of(drifting)[:40], odometry_of(drifting)
 
-    def offsets(estimator: FastSlam, recording: Recording) -> Floats:
+    def offsets(estimator: PathParticles, recording: Recording) -> Floats:
         estimator.start(setup_of(recording), np.random.default_rng(1))
         for t, snapshot in enumerate(snapshots):
             estimate = estimator.step(0.075 if t else 0.0, odometry[t], snapshot)
         assert estimate.clock_offset_m is not None
         return estimate.clock_offset_m
 
-    constant, one = with_rate_std(drifting, None), FastSlam(FastSlamOptions(particles=32, start_phase_s=0.0))
+    constant, one = (
+        with_rate_std(drifting, None),
+        PathParticles(FastSlamOptions(errors="counted", particles=32, start_phase_s=0.0)),
+    )
     told = [offsets(one, recording) for recording in (drifting, drifting, constant)]
     np.testing.assert_array_equal(told[0], told[1])
     assert not np.array_equal(told[0], told[2])
-    fresh = FastSlam(FastSlamOptions(particles=32, start_phase_s=0.0))
+    fresh = PathParticles(FastSlamOptions(errors="counted", particles=32, start_phase_s=0.0))
     np.testing.assert_array_equal(told[2], offsets(fresh, constant))
 
 
@@ -140,7 +143,7 @@ def test_filters_find_offset_and_rate_as_a_batch_does(name: str) -> None:
         Links(*np.zeros((3, 1), np.int64)), Sites(("A",), np.zeros(1), np.array([PRIOR_M]), np.array([PRIOR_M_S])),
         OdometryModel(zero, zero, zero, zero), zero, zero,
     )  # fmt: skip
-    fastslam = FastSlam(FastSlamOptions(particles=32, **QUIET))
+    fastslam = PathParticles(FastSlamOptions(errors="counted", particles=32, **QUIET))
     estimator = fastslam if name == "fastslam" else EkfSlam(EkfSlamOptions(**QUIET))
     estimator.start(setup, np.random.default_rng(0))
     for t, snapshot in enumerate(snapshots):

@@ -53,8 +53,7 @@ class Learnt:
         """Return the options of an estimator, those that its model has; empty for one that shares none."""
         if model is None or not issubclass(model, FrontEndOptions):
             return {}
-        # Particles drawn from an odometry that is told wide, by few paths that are exact, would all miss.
-        return self.options | ({"proposal": "measurements"} if "proposal" in model.model_fields else {})
+        return self.options
 
 
 def learn(recording: Recording, told: Mapping[str, Any] | None, progress: Progress = silent) -> Learnt:

@@ -154,7 +154,9 @@ def score_pairs(f: Filter, a: ArrayErrors, seen: Measured, link: int, s: Sight, 
 
 
 @njit(cache=True)
-def associate(f: Filter, a: ArrayErrors, seen: Measured, link: int, s: Sight, w: Pairs) -> None:
-    """Write into w.row_of (m,) the row of `chosen` for each look of a link, -1 none: the best sum of scores."""
+def associate(f: Filter, a: ArrayErrors, seen: Measured, link: int, s: Sight, w: Pairs) -> int:
+    """Write into w.row_of (m,) the row of `chosen` for each look of a link, -1 none: the best sum of scores; return how
+    many rows there are."""
     rows = score_pairs(f, a, seen, link, s, w)
     assign(w.score, rows, seen.first[link + 1] - seen.first[link], w.row_of, w.work_f, w.work_i)
+    return rows

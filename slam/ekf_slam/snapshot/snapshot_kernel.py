@@ -21,6 +21,7 @@ from cellslam.slam.ekf_slam.snapshot.belief_kernel import believe
 from cellslam.slam.ekf_slam.snapshot.birth_kernel import clear, tidy
 from cellslam.slam.ekf_slam.snapshot.guess_kernel import begin, correct_guesses, possible
 from cellslam.slam.ekf_slam.snapshot.motion_kernel import Interval, Step, forget, move
+from cellslam.slam.ekf_slam.snapshot.rival_kernel import Rival, find_rival
 from cellslam.slam.ekf_slam.snapshot.sight_kernel import Sight, coordinates, geometry, rotations_of
 from cellslam.slam.ekf_slam.snapshot.sizes_kernel import SWAY, count_motion, count_states
 from cellslam.slam.ekf_slam.snapshot.update_kernel import LOG_2PI, Look, Pending, correct, settle
@@ -41,6 +42,7 @@ from cellslam.slam.ekf_slam.state.layout import (
     Block,
     Filter,
     Measured,
+    block_of,
     one_of,
 )
 from cellslam.slam.model.field_kernel import MOST_BELLS
@@ -48,6 +50,17 @@ from cellslam.slam.model.matrices_kernel import Vec3
 from cellslam.slam.model.measurement_kernel import Spherical, rotations
 
 PENDING = 51  # rows of what looks take off the covariance that may wait
+
+
+class Paired(NamedTuple):
+    """How the looks of a snapshot are paired in K filters: `slot_of` (K, m), `exists` (K, m) as in `Pairs`; `loss`
+    (K, 1) and `change` (K, 4) of the best rivals; `ends` (K,): 1 where the block ends with this snapshot."""
+
+    slot_of: Ints
+    exists: Floats
+    loss: Floats
+    change: Ints
+    ends: Ints
 
 
 class Room(NamedTuple):
@@ -70,8 +83,9 @@ def advance(f: Filter, b: Block, interval: Interval, w: Step) -> None:
 
 
 @njit(cache=True)
-def pair(f: Filter, a: ArrayErrors, seen: Measured, s: Sight, w: Pairs) -> None:
-    """Write into w.slot_of (m,) the VT of each look: FRESH for what may begin one, TAKEN for what may not."""
+def pair(f: Filter, a: ArrayErrors, seen: Measured, s: Sight, w: Pairs, rival: Rival) -> None:
+    """Write into w.slot_of (m,) the VT of each look: FRESH for what may begin one, TAKEN for what may not; and into
+    `rival` the best other association."""
     for link in range(len(seen.first) - 1):
         start, stop = seen.first[link], seen.first[link + 1]
         if f.links[link] == 0:
@@ -85,7 +99,8 @@ def pair(f: Filter, a: ArrayErrors, seen: Measured, s: Sight, w: Pairs) -> None:
         elif seen.rules.mode == BELIEF:
             believe(f, a, seen, link, s, w)
         elif stop > start:
-            associate(f, a, seen, link, s, w)
+            rows = associate(f, a, seen, link, s, w)
+            find_rival(f, a, seen, link, rows, s, w, rival)
             for k in range(start, stop):
                 row = w.row_of[k - start]
                 w.slot_of[k] = w.chosen[row] if row >= 0 else (TAKEN if w.gated[k - start] == 1 else FRESH)
@@ -96,9 +111,9 @@ def count_odds(f: Filter, b: Block, seen: Measured, w: Pairs) -> None:
     """Add to each VT's log-odds that it was detected or missed in this snapshot."""
     horizon = seen.tables.shape[2] - 1
     for j in range(f.count[0]):
-        if f.links[f.slots[j, LINK]] == 1 and (f.anchor[j, SHARE] > 0.5 or f.anchor[j, SHARE] == 1.0):
+        if f.links[f.slots[j, LINK]] == 1:
             kind, age = 0 if f.slots[j, HITS] < 2 else 1, min(seen.now - f.slots[j, LAST], horizon)
-            b.odds[j] += seen.tables[kind, 1, age]
+            b.odds[j] += f.anchor[j, SHARE] * seen.tables[kind, 1, age]
     for k in range(len(seen.z)):
         j = w.slot_of[k]
         if j >= 0:
@@ -230,43 +245,42 @@ def conclude(f: Filter, a: ArrayErrors, b: Block, noise: Floats, seen: Measured,
     return total
 
 
-@njit(inline="always")
-def use_snapshot(
-    f: Filter, a: ArrayErrors, b: Block, interval: Interval, seen: Measured, association: Ints, w: Room
-) -> float:
-    """Move a filter by an interval and use a snapshot; return the log-likelihood that this adds.
-
-    association (m,): identities of VTs are written, -1 for none.
-    """
-    rules = seen.rules
-    if interval.dt > 0.0:
-        advance(f, b, interval, w.step)
-    pair(f, a, seen, w.sight, w.pairs)
-    count_odds(f, b, seen, w.pairs)
-    take_in(f, b, seen, association, w.sight, w.pairs)
-    total = rules.evidence * give_births(f, a, b, seen, association, w.sight, w.pairs, w.pending)
-    if b.snapshots[0] >= rules.snapshots or b.total[0] > rules.way or abs(b.total[1]) > rules.turn:
-        total += conclude(f, a, b, interval.noise, seen, w.sight, w.pending)
-    return total
+@njit(cache=True, nogil=True)
+def pair_in_bank(
+    bank: Filter, a: ArrayErrors, blocks: Block, interval: Interval, seen: Measured, pairs: Paired, first: int,
+    step: int,
+) -> None:  # fmt: skip
+    """Move every `step`-th of the K filters of a bank, from the first on, and pair a snapshot's looks with its VTs."""
+    room = new_room(one_of(bank, 0), len(seen.z))
+    for k in range(first, len(pairs.loss), step):
+        f, rival = one_of(bank, k), Rival(pairs.loss[k], pairs.change[k])
+        if interval.dt > 0.0:
+            advance(f, block_of(blocks, k), interval, room.step)
+        rival.loss[0] = seen.rules.doubt
+        pair(f, a, seen, room.sight, room.pairs, rival)
+        pairs.slot_of[k], pairs.exists[k] = room.pairs.slot_of, room.pairs.exists
 
 
 @njit(cache=True, nogil=True)
 def use_in_bank(
-    bank: Filter, a: ArrayErrors, blocks: Block, interval: Interval, seen: Measured, association: Ints,
+    bank: Filter, a: ArrayErrors, blocks: Block, noise: Floats, seen: Measured, pairs: Paired, association: Ints,
     log_weight: Floats, first: int, step: int,
 ) -> None:  # fmt: skip
-    """Use a snapshot in every `step`-th of the K filters of a bank, from the first on.
+    """Use a snapshot, as it is paired, in every `step`-th of the K filters of a bank, from the first on.
 
-    log_weight (K,) is added to, association (K, m) written.
+    noise (6,): densities of the odometry's; log_weight (K,) is added to; association (K, m): identities of VTs are
+    written, -1 for none.
     """
-    room = new_room(one_of(bank, 0), len(seen.z))
-    for k in range(first, len(bank.x), step):
-        f = one_of(bank, k)
-        b = Block(
-            blocks.snapshots[k], blocks.pose[k], blocks.at[k], blocks.total[k], blocks.looks[k], blocks.seen[k],
-            blocks.e[k], blocks.q[k], blocks.measured[k], blocks.diffuse[k], blocks.odds[k],
-        )  # fmt: skip
-        log_weight[k] += use_snapshot(f, a, b, interval, seen, association[k], room)
+    room, rules = new_room(one_of(bank, 0), len(seen.z)), seen.rules
+    for k in range(first, len(log_weight), step):
+        f, b, w = one_of(bank, k), block_of(blocks, k), room.pairs
+        w.slot_of[:], w.exists[:] = pairs.slot_of[k], pairs.exists[k]
+        count_odds(f, b, seen, w)
+        take_in(f, b, seen, association[k], room.sight, w)
+        log_weight[k] += rules.evidence * give_births(f, a, b, seen, association[k], room.sight, w, room.pending)
+        full = b.snapshots[0] >= rules.snapshots or b.total[0] > rules.way or abs(b.total[1]) > rules.turn
+        if full or pairs.ends[k] == 1:
+            log_weight[k] += conclude(f, a, b, noise, seen, room.sight, room.pending)
 
 
 @njit(cache=True)

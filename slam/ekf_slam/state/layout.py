@@ -106,8 +106,9 @@ class Rules(NamedTuple):
     against clutter); `confirm`: detections that confirm a VT; `age_once`, `age_twice`: snapshots after which one that
     was seen once, or a few times, is dropped. A block ends after so many `snapshots`, so long a `way` (m) or `turn`
     (rad); `evidence`: what share of detections, misses and births counts; `hold`: snapshots after which a weight that
-    was not met is given up. Belief propagation: probabilities that a visible VT stays so, that a hidden one comes
-    `back`, of `detection`, and below which a VT is given up, `drop`.
+    was not met is given up; `doubt`: what a rival association may lose of log-likelihood. Belief propagation:
+    probabilities that a visible VT stays so, that a hidden one comes `back`, of `detection`, and below which a VT is
+    given up, `drop`.
     """
 
     mode: int
@@ -122,6 +123,7 @@ class Rules(NamedTuple):
     turn: float
     evidence: float
     hold: int
+    doubt: float = 0.0
     stay: float = 1.0
     back: float = 0.0
     detection: float = 1.0
@@ -184,4 +186,13 @@ def one_of(bank: Filter, k: int) -> Filter:
         bank.core, bank.x[k], bank.p[k], bank.size[k], bank.owner[k], bank.weight_state[k], bank.weight_met[k],
         bank.vt_state[k], bank.anchor[k], bank.slots[k], bank.count[k], bank.links[k], bank.lost[k], bank.losses[k],
         bank.sizes[k], bank.summed[k],
+    )  # fmt: skip
+
+
+@njit(cache=True)
+def block_of(blocks: Block, k: int) -> Block:
+    """Return the block of filter k of a bank."""
+    return Block(
+        blocks.snapshots[k], blocks.pose[k], blocks.at[k], blocks.total[k], blocks.looks[k], blocks.seen[k],
+        blocks.e[k], blocks.q[k], blocks.measured[k], blocks.diffuse[k], blocks.odds[k],
     )  # fmt: skip

@@ -10,10 +10,10 @@ from cellslam.sim.frames import integrate_pose
 from cellslam.sim.recording import Links, OdometryModel, Sites
 from cellslam.slam.api import Setup, Snapshot
 from cellslam.slam.dead_reckoning import DeadReckoning
-from cellslam.slam.fastslam import fastslam as filter_module
+from cellslam.slam.fastslam import path_particles as filter_module
 from cellslam.slam.fastslam.best_map import map_of
-from cellslam.slam.fastslam.fastslam import FastSlam
 from cellslam.slam.fastslam.fastslam_options import FastSlamOptions
+from cellslam.slam.fastslam.path_particles import PathParticles
 from cellslam.slam.fastslam.snapshot.measurement_kernel import pack
 from cellslam.slam.fastslam.state.layout import LANES, POSE, THETA
 from cellslam.slam.fastslam.state.particles import draw, select
@@ -27,7 +27,7 @@ from cellslam.slam.model.assignment_kernel import assign
 from cellslam.slam.model.measurement_model import jacobians, predict
 from cellslam.slam.model.quasi_random import quasi_random
 
-SMALL = FastSlamOptions(particles=64, vts_per_link=8, start_phase_s=0.0, sharing="none")
+SMALL = FastSlamOptions(errors="counted", particles=64, vts_per_link=8, start_phase_s=0.0, sharing="none")
 
 
 def best_by_hand(score: np.ndarray) -> float:
@@ -92,7 +92,7 @@ def test_visibility_falls_with_misses_and_comes_back_for_known_vts():
         (0.99 * 0.1 / (1 - 0.99 * 0.9)) * 0.99 + (1 - 0.99 * 0.1 / (1 - 0.99 * 0.9)) * 0.01
     )
     assert 0.005 < known[-1] < 0.02
-    logs, age_once, age_twice = existence(FastSlamOptions(), 0.075)
+    logs, age_once, age_twice = existence(FastSlamOptions(errors="counted"), 0.075)
     assert np.all(logs <= 0.0)
     assert 0 < age_once < age_twice
 
@@ -120,7 +120,7 @@ def make_snapshot(t: int, rows: list[tuple[int, float, float, float]]) -> Snapsh
     return Snapshot(t, np.arange(len(rows)), link.astype(np.int64), d, az, el, np.full(len(rows), 20.0))
 
 
-def drive(filter_: FastSlam, vts: np.ndarray, links: list[int], snapshots: int, rng: np.random.Generator):
+def drive(filter_: PathParticles, vts: np.ndarray, links: list[int], snapshots: int, rng: np.random.Generator):
     """Drive straight at 1 m/s past `vts`, measured with small noise; return estimates and true poses."""
     poses, estimates = np.zeros((snapshots, 6)), []
     poses[:, 0] = 0.1 * np.arange(snapshots)
@@ -136,7 +136,7 @@ VTS = np.array([[60.0, 80.0, 20.0], [-40.0, 90.0, 25.0], [30.0, -70.0, 15.0], [1
 
 
 def test_filter_maps_and_follows():
-    filter_ = FastSlam(SMALL)
+    filter_ = PathParticles(SMALL)
     filter_.start(make_setup(), np.random.default_rng(1))
     estimates, poses = drive(filter_, VTS, [0, 0, 1, 1], 150, np.random.default_rng(2))
     last = estimates[-1]
@@ -152,14 +152,14 @@ def test_filter_maps_and_follows():
 
 def test_links_never_share_vts():
     """The same path in two links makes two VTs, one in each."""
-    filter_ = FastSlam(SMALL)
+    filter_ = PathParticles(SMALL)
     filter_.start(make_setup(), np.random.default_rng(1))
     estimates, _ = drive(filter_, VTS[[0, 0]], [0, 1], 30, np.random.default_rng(2))
     assert sorted(estimates[-1].vts.link) == [0, 1]
 
 
 def test_unseen_vts_are_never_written():
-    filter_ = FastSlam(replace_options(SMALL, effective_share=0.0))
+    filter_ = PathParticles(replace_options(SMALL, effective_share=0.0))
     filter_.start(make_setup(offset_std=50.0), np.random.default_rng(1))
     drive(filter_, VTS, [0, 0, 1, 1], 20, np.random.default_rng(2))
     p = filter_._particles
@@ -179,7 +179,7 @@ def replace_options(options: FastSlamOptions, **changes) -> FastSlamOptions:
 
 
 def test_resampling_copies_maps_and_shares_no_memory():
-    filter_ = FastSlam(replace_options(SMALL, effective_share=0.0))
+    filter_ = PathParticles(replace_options(SMALL, effective_share=0.0))
     filter_.start(make_setup(offset_std=50.0), np.random.default_rng(1))
     drive(filter_, VTS, [0, 0, 1, 1], 12, np.random.default_rng(2))
     p = filter_._particles
@@ -214,7 +214,7 @@ def test_offset_prior_is_kept_by_its_components():
 
 
 def test_persisting_errors_count_once():
-    options = FastSlamOptions(sharing="none")
+    options = FastSlamOptions(errors="counted", sharing="none")
     snapshot = make_snapshot(0, [(0, 100.0, 0.1, 0.1), (1, 100.1, 0.1, 0.1), (2, 100.0, 1.0, 0.1)])
     links = Links(np.zeros(3, np.int64), np.arange(3), np.zeros(3, np.int64))
     looks = Grouping(replace(make_setup(), links=links), options).looks(snapshot)
@@ -251,7 +251,7 @@ def test_doubles_become_one():
     """Two tracks of one VT: the one that is seen less often is given up; a neighbour five metres off stays."""
 
     def vts(merging: bool) -> int:
-        f = FastSlam(SMALL.model_copy(update={"merging": merging, "gate": 400.0}))
+        f = PathParticles(SMALL.model_copy(update={"merging": merging, "gate": 400.0}))
         f.start(make_setup(offset_std=0.0), np.random.default_rng(0))
         rng, pose = np.random.default_rng(1), np.zeros(6)
         for t in range(100):
@@ -295,7 +295,7 @@ def hostile(rng: np.random.Generator, t: int) -> list[tuple[int, float, float, f
 
 
 def test_awkward_measurements_leave_finite_estimates():
-    filter_ = FastSlam(SMALL)
+    filter_ = PathParticles(SMALL)
     filter_.start(make_setup(offset_std=150.0), np.random.default_rng(1))
     rng = np.random.default_rng(2)
     for t in range(60):
@@ -310,7 +310,7 @@ def test_awkward_measurements_leave_finite_estimates():
 
 
 def test_distance_alone_is_used_once_a_vt_is_known():
-    filter_ = FastSlam(SMALL)
+    filter_ = PathParticles(SMALL)
     filter_.start(make_setup(), np.random.default_rng(1))
     drive(filter_, VTS, [0, 0, 1, 1], 40, np.random.default_rng(2))
     for t in range(40, 60):
@@ -322,7 +322,7 @@ def test_distance_alone_is_used_once_a_vt_is_known():
 
 def test_same_seed_same_answer():
     def once(seed: int) -> np.ndarray:
-        filter_ = FastSlam(SMALL)
+        filter_ = PathParticles(SMALL)
         filter_.start(make_setup(offset_std=150.0), np.random.default_rng(seed))
         estimates, _ = drive(filter_, VTS, [0, 0, 1, 1], 30, np.random.default_rng(2))
         return np.array([e.pose for e in estimates])
@@ -351,7 +351,7 @@ def test_room_for_vts_grows_when_needed():
     for capacity in (filter_module.CAPACITY, 128):
         with pytest.MonkeyPatch.context() as patch:
             patch.setattr(filter_module, "CAPACITY", capacity)
-            f = FastSlam(SMALL.model_copy(update={"vts_per_link": 200}))
+            f = PathParticles(SMALL.model_copy(update={"vts_per_link": 200}))
             f.start(make_setup(offset_std=0.0), np.random.default_rng(0))
             for t in range(6):
                 noisy = [(link, d + 0.1 * np.sin(7 * t + d), a, e) for link, d, a, e in rows]
@@ -363,7 +363,7 @@ def test_room_for_vts_grows_when_needed():
 
 
 def test_the_cap_on_vts_holds():
-    f = FastSlam(SMALL.model_copy(update={"vts_per_link": 10}))
+    f = PathParticles(SMALL.model_copy(update={"vts_per_link": 10}))
     f.start(make_setup(offset_std=0.0), np.random.default_rng(0))
     rows = [(0, 50.0 + 12.0 * i, -3.0 + 0.15 * i, 0.1) for i in range(40)]
     for t in range(4):
@@ -389,7 +389,7 @@ def test_vts_are_found_though_a_component_is_never_measured(missing):
         SMALL, particles=256, **NOTHING_PERSISTS | {"diffuse_m": 0.1, "diffuse_azimuth_deg": 0.3,
         "diffuse_elevation_deg": 0.71}, diffuse_scale_m=0.0,
     )  # fmt: skip
-    filter_, rng = FastSlam(options), np.random.default_rng(3)
+    filter_, rng = PathParticles(options), np.random.default_rng(3)
     filter_.start(make_setup(links=1), np.random.default_rng(1))
     pose = np.zeros(6)
     for t in range(240):
@@ -408,9 +408,9 @@ def test_vts_are_found_though_a_component_is_never_measured(missing):
 
 
 def test_novelty_is_what_the_last_snapshot_has_not_shown():
-    white = FastSlamOptions(diffuse_scale_m=0.0, calibration_scale_deg=0.0, roof_scale_deg=0.0)
+    white = FastSlamOptions(errors="counted", diffuse_scale_m=0.0, calibration_scale_deg=0.0, roof_scale_deg=0.0)
     assert novelty(white, 0.0, 0.08) == pytest.approx(1.0)
-    usual = FastSlamOptions()
+    usual = FastSlamOptions(errors="counted")
     standing, straight, turning = (novelty(usual, *move) for move in ((0.0, 0.0), (0.0, 0.08), (0.02, 0.08)))
     assert 0.0 < standing < 1e-4 < straight < 0.02 < turning < 0.5
     # As an update of a lone path counts it, which is seen with one port.
@@ -422,8 +422,14 @@ def test_novelty_is_what_the_last_snapshot_has_not_shown():
 @pytest.mark.parametrize(("lasts", "least", "most"), [(True, 1000.0, 1024.1), (False, 100.0, 700.0)])
 def test_one_look_off_by_five_deviations_costs_few_particles(lasts, least, most):
     """Half of the particles have it within the gate: they must not gain what the others lose."""
-    options = FastSlamOptions(particles=1024, effective_share=0.0, evidence_lasts=lasts, misfit_scale_s=0.0)
-    tested, rng, vts = FastSlam(options), np.random.default_rng(3), np.array([[60.0, 40.0, 10.0], [20.0, -50.0, 12.0]])
+    options = FastSlamOptions(
+        errors="counted", particles=1024, effective_share=0.0, evidence_lasts=lasts, misfit_scale_s=0.0
+    )
+    tested, rng, vts = (
+        PathParticles(options),
+        np.random.default_rng(3),
+        np.array([[60.0, 40.0, 10.0], [20.0, -50.0, 12.0]]),
+    )
     tested.start(make_setup(1), rng)
     drive(tested, vts, [0, 0], 30, rng)
     p, (place, direction) = tested._particles, options.persisting

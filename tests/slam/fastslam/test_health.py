@@ -11,8 +11,8 @@ import pytest
 from cellslam.sim.frames import integrate_pose, wrap_angle
 from cellslam.sim.recording import Floats, Links, OdometryModel, Sites
 from cellslam.slam.api import Estimate, Setup, Snapshot
-from cellslam.slam.fastslam.fastslam import FastSlam
 from cellslam.slam.fastslam.fastslam_options import FastSlamOptions
+from cellslam.slam.fastslam.path_particles import PathParticles
 from cellslam.slam.model.measurement_model import predict
 
 SNAPSHOTS = int(os.environ.get("CELLSLAM_SNAPSHOTS", "20000"))
@@ -87,7 +87,10 @@ def healthy(t: int, estimate: Estimate, weights: Floats) -> None:
 
 @pytest.mark.filterwarnings("error")
 def test_stays_healthy_whatever_happens() -> None:
-    rng, estimator = np.random.default_rng(3), FastSlam(FastSlamOptions(particles=32, start_phase_s=0.0))
+    rng, estimator = (
+        np.random.default_rng(3),
+        PathParticles(FastSlamOptions(errors="counted", particles=32, start_phase_s=0.0)),
+    )
     given = setup()
     estimator.start(given, np.random.default_rng(0))
     pose, velocity = given.start_pose.copy(), np.array([SPEED, 0, 0, TURN, 0, 0])

@@ -36,7 +36,7 @@ from cellslam.slam.fastslam.state.layout import (
 )
 from cellslam.slam.model.measurement_model import predict as h
 
-PARTS = chosen(FastSlamOptions()).parts
+PARTS = chosen(FastSlamOptions(errors="counted")).parts
 
 
 class Lanes:

@@ -10,7 +10,6 @@ import numpy as np
 import pytest
 from numba import njit
 
-from cellslam.slam.fastslam.fastslam import FastSlam
 from cellslam.slam.fastslam.fastslam_options import FastSlamOptions
 from cellslam.slam.fastslam.parts.association import (
     FromTruth,
@@ -25,6 +24,7 @@ from cellslam.slam.fastslam.parts.choice import chosen
 from cellslam.slam.fastslam.parts.murty_kernel import best_assignments, murty
 from cellslam.slam.fastslam.parts.part_types import variant
 from cellslam.slam.fastslam.parts.proposal import FromMeasurements, FromMotion
+from cellslam.slam.fastslam.path_particles import PathParticles
 from cellslam.slam.fastslam.state.layout import BOUND, LANES, OUT, V_WEIGHT, W_ROWS, Link, Scratch, sums_of
 from cellslam.slam.fastslam.state.particles import draw
 from cellslam.slam.model.assignment_kernel import LEFT_OUT
@@ -178,10 +178,10 @@ OTHER_PARTS = {
 
 
 def test_filter_works_with_other_parts():
-    options = FastSlamOptions(particles=64, vts_per_link=16, start_phase_s=0.0, **OTHER_PARTS)
+    options = FastSlamOptions(errors="counted", particles=64, vts_per_link=16, start_phase_s=0.0, **OTHER_PARTS)
 
     def once() -> tuple[list, np.ndarray]:
-        filter_ = FastSlam(options)
+        filter_ = PathParticles(options)
         filter_.start(make_setup(offset_std=5.0), np.random.default_rng(1))
         return drive(filter_, VTS, [0, 0, 1, 1], 120, np.random.default_rng(2))
 
@@ -199,7 +199,7 @@ def test_filter_works_with_other_parts():
 
 def test_parts_are_named_and_pickle():
     with pytest.raises(TypeError, match="no part 'asociation'"):
-        FastSlam(asociation=Hungarian())
-    options = FastSlamOptions(association="sampled", criterion="mahalanobis", proposal="measurements")
-    copy = pickle.loads(pickle.dumps(FastSlam(options, association=Hungarian())))
+        PathParticles(asociation=Hungarian())
+    options = FastSlamOptions(errors="counted", association="sampled", criterion="mahalanobis", proposal="measurements")
+    copy = pickle.loads(pickle.dumps(PathParticles(options, association=Hungarian())))
     assert copy.choice.parts == chosen(options).parts._replace(association=Hungarian())

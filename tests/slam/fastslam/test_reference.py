@@ -16,8 +16,8 @@ from cellslam.sim.recording import Floats, Ints
 from cellslam.slam.api import Estimate, VtEstimate, setup_of
 from cellslam.slam.conformance.subject import Step, Subject, taken, tiny_drive, with_holes
 from cellslam.slam.fastslam import reference as reference_module
-from cellslam.slam.fastslam.fastslam import FastSlam
 from cellslam.slam.fastslam.fastslam_options import FastSlamOptions
+from cellslam.slam.fastslam.path_particles import PathParticles
 from cellslam.slam.fastslam.reference import ReferenceFastSlam
 from cellslam.slam.fastslam.state.layout import HITS, LANES, POSE, THETA
 from cellslam.slam.fastslam.state.particles import _moves
@@ -49,7 +49,7 @@ class Placed:
 
 def drive_both(options: FastSlamOptions, steps: Sequence[Step], tilt_rad: float = 0.0) -> Placed:
     """Drive both filters with the same seed, and compare them after every snapshot; tilt_rad: pitch, and less roll."""
-    placed, compiled, reference = Placed(), FastSlam(options), ReferenceFastSlam(options)
+    placed, compiled, reference = Placed(), PathParticles(options), ReferenceFastSlam(options)
     reference.resampling = placed
     setup = setup_of(tiny_drive())
     tilted = setup.start_pose + tilt_rad * np.array([0.0, 0.0, 0.0, 0.0, 1.0, -1.0])
@@ -84,7 +84,7 @@ def in_order(vts: VtEstimate) -> VtEstimate:
     return VtEstimate(vts.id[order], vts.link[order], vts.position_m[order], vts.covariance[order])
 
 
-def particles_agree(compiled: FastSlam, reference: ReferenceFastSlam) -> None:
+def particles_agree(compiled: PathParticles, reference: ReferenceFastSlam) -> None:
     """Compare pose, nuisances, weight of each particle, and which VTs it believes in, seen how often and when."""
     p, particles = compiled._particles, reference.particles
     assert len(p) == len(particles)
@@ -105,11 +105,13 @@ def particles_agree(compiled: FastSlam, reference: ReferenceFastSlam) -> None:
 
 
 def steps_of(count: int) -> list[Step]:
-    return Subject(FastSlam, None, tiny_drive()).steps(count)
+    return Subject(PathParticles, None, tiny_drive()).steps(count)
 
 
 def test_compiled_filter_is_the_reference_over_200_snapshots() -> None:
-    options = FastSlamOptions(particles=32, particles_start=64, start_phase_s=3.0, effective_share=0.9)
+    options = FastSlamOptions(
+        errors="counted", particles=32, particles_start=64, start_phase_s=3.0, effective_share=0.9
+    )
     placed = drive_both(options, steps_of(200))
     assert placed.regrouped == 1
     assert placed.within > 30
@@ -135,7 +137,7 @@ def test_doubles_are_merged_and_elevations_missed_as_in_the_reference(monkeypatc
         return left
 
     monkeypatch.setattr(reference_module, "merged", counted)
-    drive_both(FastSlamOptions(particles=32), list(doubled(steps_of(65))), tilt_rad=0.1)
+    drive_both(FastSlamOptions(errors="counted", particles=32), list(doubled(steps_of(65))), tilt_rad=0.1)
     assert sum(given_up) > 30
 
 
@@ -148,7 +150,7 @@ def test_doubles_are_merged_and_elevations_missed_as_in_the_reference(monkeypatc
 )  # fmt: skip
 def test_other_parts_are_refused(part: str, name: str) -> None:
     with pytest.raises(InputError, match=f"{part} = .*, not {name}"):
-        ReferenceFastSlam(FastSlamOptions(**{part: name}))
+        ReferenceFastSlam(FastSlamOptions(errors="counted", **{part: name}))
 
 
 def test_drifting_clocks_are_refused() -> None:
