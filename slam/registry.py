@@ -46,7 +46,7 @@ BUILT_IN = (
     Listed(
         "fastslam",
         "cellslam.slam.fastslam.fastslam:FastSlam",
-        "extended FastSLAM: particles of the pose, one EKF a virtual transmitter, clock offsets marginalised",
+        "extended FastSLAM: particles of associations and offset modes, all else one Gaussian in each",
     ),
     Listed(
         "dead-reckoning",

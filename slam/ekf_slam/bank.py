@@ -107,8 +107,10 @@ class Bank:
         self.reserve(NEW_STATES + 3 * guesses, min(NEW_VTS + guesses, max(room, 0)))
         self.arrays.losses[:] = 0
         k, m = len(self), len(measured.z)
-        pairs = Paired(*(np.empty((k, n), kind) for n, kind in ((m, np.int64), (m, float), (1, float), (4, np.int64))),
-                       np.zeros(k, np.int64))  # fmt: skip
+        whole = np.int64
+        pairs = Paired(
+            np.empty((k, m), whole), np.empty((k, m)), np.empty((k, 1)), np.empty((k, 4), whole), np.zeros(k, whole)
+        )  # fmt: skip
         self._each(pair_in_bank, self.arrays, errors, self.blocks, interval, measured, pairs)
         if k < most:
             pairs = self._doubt(pairs, measured.rules.doubt, most)
@@ -134,9 +136,10 @@ class Bank:
         if not len(found):
             return pairs
         parents = np.append(np.arange(len(self)), found)
-        pairs = Paired(*(column[parents] for column in pairs))
-        for double, parent in enumerate(found, len(self)):
-            self._copy(int(parent), double)
+        columns: Any = [column[parents] for column in pairs]
+        pairs = Paired(*columns)
+        for double, parent in enumerate(found.tolist(), len(self)):
+            self._copy(parent, double)
             first, slot, second, other = pairs.change[double]
             pairs.slot_of[double, first] = slot
             if second >= 0:
@@ -158,13 +161,11 @@ class Bank:
 
     def _resize(self, filters: int) -> None:
         """Make room for so many filters, and no more; memory of the covariance that is not used is not touched."""
-        old, before = self.arrays, len(self.arrays.x)
-        self.arrays, self.blocks = (
-            _with_rows(tables, tuple(name for name in tables._fields if name not in ("core", "p")), filters - before, 0)
-            for tables in (self.arrays, self.blocks)
-        )
+        old, more = self.arrays, filters - len(self.arrays.x)
+        of_filters = tuple(name for name in Filter._fields if name not in ("core", "p"))
+        self.arrays, self.blocks = _with_rows(old, of_filters, more, 0), _with_rows(self.blocks, Block._fields, more, 0)
         p = np.zeros((filters, *old.p.shape[1:]))
-        for k, n in enumerate(old.size[: min(before, filters), 0].tolist()):
+        for k, n in enumerate(old.size[:filters, 0].tolist()):
             p[k, :n, :n] = old.p[k, :n, :n]
         self.arrays = self.arrays._replace(p=p)
 
