@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from functools import partial
-from typing import Any
+from typing import Any, ClassVar
 
 import numba
 import numpy as np
@@ -40,6 +40,8 @@ class PathParticles:
     Source: Chen, Whiton and Tufvesson, "Extended FastSLAM using cellular multipath component delays and angular
     information", sections III and IV; the corrections are in docs/fastslam.md.
     """
+
+    requires_truth: ClassVar[bool] = False
 
     def __init__(self, options: FastSlamOptions | None = None, **parts: Any) -> None:
         """Take options, and parts as objects where they are not those that the options name.

@@ -27,7 +27,8 @@ from cellslam.sim.recording import Floats, Ints, Recording
 from cellslam.slam.front_end.front_end_options import NOTHING_PERSISTS
 from cellslam.slam.front_end.readings import CLUTTER_WIDTH
 
-LEAST_TRIPLES, LEAST_TRACKS, BINS = 100, 5, 8
+LEAST_TRIPLES, LEAST_TRACKED, BINS = 100, 15, 8
+BIRTH_RATIO = (0.01, 0.5)  # bounds of what is learnt
 LEAST_WHITE = {"m": 1e-3, "azimuth_deg": 1e-3, "elevation_deg": 1e-3}  # exact is what no filter can be told
 # Of a front end that nobody modelled, as far as too little was measured to tell its noise.
 UNKNOWN = {
@@ -54,6 +55,7 @@ class Fitted:
     claimed: dict[str, float]
     detection_probability: float
     clutter_density: float
+    birth_ratio: float
     visible_s: float
 
 
@@ -68,6 +70,7 @@ def first_guess(recording: Recording, progress: Progress = silent) -> dict[str, 
         "detection_probability": fitted.detection_probability,
         "clutter_density": fitted.clutter_density,
         "visible_s": fitted.visible_s,
+        "birth_ratio": fitted.birth_ratio,
     }
     for key in NAMES.values():
         floor = PLANE_ELEVATION_DEG if recording.plane and key == "elevation_deg" else fitted.floor.get(key)
@@ -91,9 +94,11 @@ def fit(recording: Recording, progress: Progress = silent) -> Fitted:
         tracks = tracks_of(recording)
         advance(1)
     count = len(np.unique(tracks.track[tracks.track >= 0]))
-    if count < LEAST_TRACKS:
+    tracked = int((tracks.track >= 0).sum())
+    if tracked < LEAST_TRACKED:
         raise InputError(
-            f"fit-noise found {count} tracks of three detections, and needs {LEAST_TRACKS}: is the odometry right?"
+            f"fit-noise found {count} tracks of three detections or more, with {tracked} in all, and needs "
+            f"{LEAST_TRACKED}: is the odometry right?"
         )
     floor, unit, claimed = _white(recording, tracks)
     second = _triples(tracks)[1]
@@ -110,6 +115,7 @@ def fit(recording: Recording, progress: Progress = silent) -> Fitted:
         claimed=claimed,
         detection_probability=detection,
         clutter_density=_clutter(recording, tracks),
+        birth_ratio=float(np.clip(count / (count + (tracks.track < 0).sum()), *BIRTH_RATIO)),
         visible_s=visible_s,
     )
 

@@ -13,7 +13,7 @@ from cellslam.sim.frames import wrap_angle
 from cellslam.sim.recording import Floats, Ints, Recording
 
 ROWS = 250_000  # of a long recording the first so many measurements
-MISSES = 3  # a track may pause for so many snapshots
+MISSES = 3  # a track may pause for so many looks of its link
 GATE = 4.0  # standard deviations of a prediction's error, in each quantity
 FIRST_GUESS = (2.0, np.radians(5.0), np.radians(5.0))
 QUANTITIES = ("distance_m", "azimuth_rad", "elevation_rad")
@@ -21,8 +21,9 @@ QUANTITIES = ("distance_m", "azimuth_rad", "elevation_rad")
 
 @dataclass(frozen=True)
 class Steps:
-    """Pairs of rows (n,) of one track, `lag` snapshots apart, and how far the later one is from its prediction (n,
-    3).
+    """Pairs of rows (n,) of one track, `lag` looks apart, and how far the later one is from its prediction (n, 3).
+
+    A look of a link is a snapshot in which it has measurements: beacons that are polled in turn have one in several.
     """
 
     first: Ints
@@ -81,13 +82,14 @@ def _joined(r: Recording, poses: Floats, rows: int, scale: Floats) -> Steps:
     predecessor.
     """
     m = r.measurements
-    links, last = max(len(r.links), 1), len(r.time_s) - 1
-    key = (m.snapshot * links + m.link)[:rows]
+    links, look = max(len(r.links), 1), _looks(m.snapshot[:rows], m.link[:rows])
+    key = look * links + m.link[:rows]
+    order = np.argsort(key, kind="stable")
     has_next, has_last = np.zeros(rows, bool), np.zeros(rows, bool)
     parts = []
     for lag in range(1, MISSES + 2):
-        open_rows = np.flatnonzero(~has_next & (m.snapshot[:rows] + lag <= last))
-        first, second = _candidates(key, open_rows, lag * links)
+        first, second = _candidates(key[order], key, np.flatnonzero(~has_next), lag * links)
+        second = order[second]
         free = ~has_last[second]
         first, second = first[free], second[free]
         innovation = _innovation(r, poses, first, second)
@@ -105,9 +107,18 @@ def _joined(r: Recording, poses: Floats, rows: int, scale: Floats) -> Steps:
     return Steps(*(np.concatenate([part[i] for part in parts]) for i in range(4)))
 
 
-def _candidates(key: Ints, rows: Ints, shift: int) -> tuple[Ints, Ints]:
-    """Return all pairs of a row and a row of the same link `shift` keys later."""
-    begin, end = np.searchsorted(key, key[rows] + shift), np.searchsorted(key, key[rows] + shift, side="right")
+def _looks(snapshot: Ints, link: Ints) -> Ints:
+    """Return the number of each row's snapshot (M,) among those in which its link has measurements."""
+    out = np.empty(len(snapshot), np.int64)
+    for one in np.unique(link):
+        rows = np.flatnonzero(link == one)
+        out[rows] = np.unique(snapshot[rows], return_inverse=True)[1]
+    return out
+
+
+def _candidates(ordered: Ints, key: Ints, rows: Ints, shift: int) -> tuple[Ints, Ints]:
+    """Return all pairs of a row and a place in the ordered keys whose key is `shift` higher."""
+    begin, end = np.searchsorted(ordered, key[rows] + shift), np.searchsorted(ordered, key[rows] + shift, side="right")
     count = end - begin
     first = np.repeat(rows, count)
     second = np.arange(count.sum()) - np.repeat(np.cumsum(count) - count, count) + np.repeat(begin, count)

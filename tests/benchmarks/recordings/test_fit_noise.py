@@ -112,7 +112,7 @@ def test_odometry_and_noise_are_learnt_whatever_the_sheet_says(learnt: Learnt) -
 
 def test_what_was_told_wrong_is_said(learnt: Learnt) -> None:
     text = "\n".join(said(learnt))
-    assert "noise of the odometry's speed: 0.2 times as large as told" in text
+    assert "noise of the odometry's speed: 0.2" in text
     assert "noise of the odometry's yaw rate: " in text and "white noise" not in text
 
 
@@ -135,7 +135,7 @@ def test_one_command_learns_and_replays(
     words = ["replay", str(drive), "--estimator", "ekf-slam", "--no-figures", "--out", str(tmp_path / "out")]
     assert cli.main(words) == 0
     shown = capsys.readouterr()
-    assert "noise of the odometry's speed: 0.2 times as large as told" in shown.err
+    assert "noise of the odometry's speed: 0.2" in shown.err
     fitted = tmp_path / "out" / "fit.toml"
     tables = tomllib.loads(fitted.read_text("utf-8"))
     assert set(tables) == {"estimator", "noise"} and set(tables["noise"]) == {"u_x", "u_psi"}
@@ -200,7 +200,7 @@ def test_simulated_cellular_noise_at_unit_snr() -> None:
 
 def thin(world: Recording) -> Recording:
     m = world.measurements
-    keep = np.arange(len(m)) % 40 == 0
+    keep = np.arange(len(m)) % 500 == 0
     columns = {f.name: getattr(m, f.name) for f in dataclasses.fields(m)}
     few = dataclasses.replace(m, **{n: None if c is None else c[keep] for n, c in columns.items()})
     return dataclasses.replace(world, measurements=few)

@@ -214,5 +214,5 @@ def test_filters_map_from_what_there_is(name: str, columns: tuple[str, ...], str
     warm_up(request)
     result = estimate(recording, request, np.random.default_rng(0))
     assert result.association is not None and result.vts is not None
-    assert (result.association >= 0).mean() > 0.6 and 5 <= len(result.vts.id) < 80
+    assert (result.association >= 0).mean() > 0.6 and 4 <= len(result.vts.id) < 80
     assert float(score(recording, result, None)["position_rmse_m"] or np.nan) < 0.6
