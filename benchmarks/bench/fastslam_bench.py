@@ -106,8 +106,8 @@ def dense(landmarks: int, measurements: int, particles: int, repeat: int = 5) ->
 def _time_link(landmarks: int, measurements: int, particles: int) -> tuple[float, float]:
     """Return the median seconds of a snapshot, and the updates a particle."""
     options = FastSlamOptions(
-        errors="counted", particles=particles, effective_share=0.0, pitch_deg=0.0, vts_per_link=4 * landmarks, clutter_density=1e-4,
-        detection_probability=min(0.95, measurements / landmarks),
+        errors="counted", particles=particles, effective_share=0.0, pitch_deg=0.0, vts_per_link=4 * landmarks,
+        clutter_density=1e-4, detection_probability=min(0.95, measurements / landmarks),
     )  # fmt: skip
     estimator = PathParticles(options)
     estimator.warm_up()
