@@ -6,7 +6,7 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from cellslam.benchmarks.recordings.importing.data_sheet import changed_sheet
+from cellslam.benchmarks.recordings.fitting.told import told
 from cellslam.benchmarks.scores.trial_result import METRIC_KEYS, ROW_KEYS
 from cellslam.benchmarks.trials.guests import Guests
 from cellslam.benchmarks.trials.trials import (
@@ -17,7 +17,6 @@ from cellslam.benchmarks.trials.trials import (
     simulated_trials,
 )
 from cellslam.scenarios import foreign_options
-from cellslam.scenarios.overrides import apply
 from cellslam.scenarios.recording_origin import Origin
 from cellslam.scenarios.scenario import Scenario
 from cellslam.scenarios.simulation import scenario_of
@@ -60,25 +59,24 @@ def replay(
     overrides: Mapping[str, Any] | None = None,
     align: bool = False,
     progress: Progress = silent,
+    fit: bool | None = None,
 ) -> pd.DataFrame:
     """Return the rows of `estimators` on a recording or the file of one, each scored by truth or reference.
 
     `seed`: of the estimators' draws (None: the recording's own); `overrides`: options as
     "estimator.fastslam.particles", and the odometry's data sheet as "noise.u_psi.noise_density"; `align`: each
-    estimate is first laid onto the truth. Raises InputError.
+    estimate is first laid onto the truth; `fit`: the sizes of errors are learnt from the recording first (None: if it
+    was measured). Raises InputError.
     """
     place = Path("recording" if isinstance(recording, Recording) else recording)
     drive = recording if isinstance(recording, Recording) else Recording.load(place)
     origin = Origin.of(drive, place)
     root = origin.seed if seed is None else seed
     check_counts(1, root)
-    given = dict(overrides or {})
-    sheet = changed_sheet(drive.odometry_model, {k: given.pop(k) for k in list(given) if k.startswith("noise.")})
-    tables = apply({"estimator": origin.options}, given)["estimator"]
-    requests = foreign_options.requests(tables, names_of(estimators), given)
+    given = told(drive, origin, names_of(estimators), overrides or {}, fit, progress)
     with Guests() as guests:
-        more = (origin.trial, root, guests, progress, align, sheet)
-        return _table([score_recording(drive, origin.name, requests, *more)])
+        more = (origin.trial, root, guests, progress, align, given.odometry_model)
+        return _table([score_recording(drive, origin.name, given.requests, *more)])
 
 
 def sweep(

@@ -165,7 +165,11 @@ def _studentised(values: Floats, confidence: float) -> tuple[float, float]:
 
 
 def _root_ratio(above: Floats, below: Floats, confidence: float) -> tuple[float, float]:
-    """Return the interval of sqrt(mean above / mean below), none negative: bootstrap-t on the logarithm."""
+    """Return the interval of sqrt(mean above / mean below), none negative: bootstrap-t on the logarithm.
+
+    It ends where every value above were as large as the largest: of one that outweighs all others, the bootstrap has no
+    idea how often it happens.
+    """
 
     def log_ratio(a: Floats, b: Floats) -> tuple[Any, Any]:
         mean_a, mean_b = (np.maximum(v.mean(axis=-1, keepdims=True), 1e-300) for v in (a, b))
@@ -179,7 +183,8 @@ def _root_ratio(above: Floats, below: Floats, confidence: float) -> tuple[float,
         fine = errors > 1e-9 * error
         t.append((values[fine] - value) / errors[fine])
     low, high = np.quantile(np.concatenate(t), [(1 - confidence) / 2, (1 + confidence) / 2]).tolist()
-    return math.exp(0.5 * min(value - high * error, 300.0)), math.exp(0.5 * min(value - low * error, 300.0))
+    most = math.log(max(float(above.max()), 1e-300) / max(float(below.mean()), 1e-300))
+    return math.exp(0.5 * min(value - high * error, most)), math.exp(0.5 * min(value - low * error, most))
 
 
 def _resampled(count: int) -> Iterator[NDArray[np.int64]]:

@@ -1,74 +1,75 @@
-"""What `replay` and `export` change of a recording: options of estimators, the odometry's data sheet."""
+"""What `replay` and `export` are given of a recording's estimators: options, the odometry's data sheet, a file."""
 
 from __future__ import annotations
 
 import tomllib
 from argparse import Namespace
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
-from cellslam.benchmarks.recordings.fitting.fit_noise import UNKNOWN
-from cellslam.benchmarks.recordings.fitting.fit_sizes import Learnt, learn
-from cellslam.benchmarks.recordings.importing.data_sheet import changed_sheet
-from cellslam.scenarios import foreign_options
-from cellslam.scenarios.estimator_options import Request
-from cellslam.scenarios.overrides import apply, parse_all
+import numpy as np
+
+from cellslam.benchmarks.cli.progress_bars import bars
+from cellslam.benchmarks.recordings.fitting.told import Told, told
+from cellslam.benchmarks.scores.departure import worse_than_odometry
+from cellslam.benchmarks.scores.trial_result import TrialResult
+from cellslam.benchmarks.trials import trials
+from cellslam.benchmarks.trials.estimation import estimate
+from cellslam.benchmarks.trials.guests import Guests
+from cellslam.scenarios.estimator_options import resolve
+from cellslam.scenarios.overrides import parse_all
 from cellslam.scenarios.recording_origin import Origin
 from cellslam.sim.errors import InputError
 from cellslam.sim.progress import Progress
-from cellslam.sim.recording import OdometryModel, Recording
-from cellslam.slam.front_end.front_end_options import FrontEndOptions
+from cellslam.sim.recording import Recording
 
 TABLES = ("estimator", "noise")
+ALONE = "dead-reckoning"
 
 
-@dataclass(frozen=True)
-class Told:
-    """What estimators are told of a recording: their requests, with all options, and the odometry's data sheet.
+class Estimated(NamedTuple):
+    """A recording with the data sheet that estimators were told, and their estimates."""
 
-    `learnt`: what the recording itself gave, None if it was not asked, or could not answer (`why`).
+    recording: Recording
+    results: list[TrialResult]
+
+
+def told_by(arguments: Namespace, recording: Recording, origin: Origin, names: Sequence[str], bar: Progress) -> Told:
+    """Return what estimators `names` are told by the arguments of a command, and where these say nothing by the
+    recording (`told`). Raises InputError.
     """
-
-    requests: tuple[Request, ...]
-    odometry_model: OdometryModel
-    learnt: Learnt | None = None
-    why: str = ""
+    fit = False if arguments.fit is None and arguments.options else arguments.fit
+    return told(recording, origin, names, _given(arguments), fit, bar)
 
 
-def told(arguments: Namespace, recording: Recording, origin: Origin, names: Sequence[str], progress: Progress) -> Told:
-    """Return what estimators `names` are told: by the recording's scenario, or by what it shows itself (`--fit`; for
-    map builders on a measured one the default). What `--options` and `--set` say goes before. Raises InputError.
+def estimate_by(arguments: Namespace, recording: Recording, path: Path, names: Sequence[str]) -> Estimated:
+    """Return the recording as its estimators are told of it, and what each of `names` makes of it, as `cellslam replay`
+    of the file does. Raises InputError where one fails.
     """
-    given = _given(arguments)
-    overrides = {key: value for key, value in given.items() if key.startswith("estimator.")}
-    sheet = changed_sheet(recording.odometry_model, {k: v for k, v in given.items() if k.startswith("noise.")})
-    requests = _requests(origin.options, names, overrides)
-    mapping = any(isinstance(r.options, FrontEndOptions) for r in requests)
-    by_default = origin.measured and mapping and not arguments.options
-    if not (by_default if arguments.fit is None else arguments.fit):
-        return Told(requests, sheet)
-    try:
-        learnt = learn(replace(recording, odometry_model=sheet), origin.told(), progress)
-    except InputError as error:
-        learnt = Learnt(dict(UNKNOWN), sheet, {}, 0)
-        return Told(_with(learnt, origin, requests, overrides), sheet, None, str(error))
-    return Told(_with(learnt, origin, requests, overrides), learnt.odometry_model, learnt)
+    origin = Origin.of(recording, path)
+    seed = origin.seed if arguments.seed is None else arguments.seed
+    with bars(arguments.quiet) as progress, Guests() as guests:
+        given = told_by(arguments, recording, origin, names, progress)
+        drive = trials.Drive(replace(recording, odometry_model=given.odometry_model))
+        more = (origin.trial, seed, guests, progress)
+        outcomes = [trials.outcome_of(drive, origin.name, request, *more) for request in given.requests]
+    for outcome in outcomes:
+        if outcome.result is None:
+            raise InputError(f"--estimator {outcome.row['estimator']} failed on {path}: {outcome.row['error']}")
+    assert drive.recording is not None
+    return Estimated(drive.recording, [outcome.result for outcome in outcomes if outcome.result is not None])
 
 
-def _with(
-    learnt: Learnt, origin: Origin, requests: Sequence[Request], overrides: Mapping[str, Any]
-) -> tuple[Request, ...]:
-    """Return the requests with the options that were learnt."""
-    tables = {r.name: learnt.table(type(r.options) if r.options else None) for r in requests}
-    merged = {name: {**origin.options.get(name, {}), **table} for name, table in tables.items()}
-    return _requests({**origin.options, **merged}, [r.name for r in requests], overrides)
+def doubts(recording: Recording, results: Sequence[TrialResult]) -> dict[str, list[str]]:
+    """Return by estimator what speaks against its estimate (`worse_than_odometry`).
 
-
-def _requests(tables: Mapping[str, Any], names: Sequence[str], overrides: Mapping[str, Any]) -> tuple[Request, ...]:
-    full = apply({"estimator": tables}, overrides)["estimator"]
-    return foreign_options.requests(full, names, overrides)
+    `recording` has the data sheet that estimators were told.
+    """
+    (request,) = resolve({}, (ALONE,), ())
+    alone = estimate(recording, request, np.random.default_rng(0))
+    return {r.estimator: worse_than_odometry(recording, r, alone) for r in results if r.estimator != ALONE}
 
 
 def _given(arguments: Namespace) -> dict[str, Any]:

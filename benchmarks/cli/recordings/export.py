@@ -4,12 +4,10 @@ from __future__ import annotations
 
 from argparse import ArgumentParser, ArgumentTypeError, Namespace
 from collections.abc import Callable
-from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from cellslam.benchmarks.cli.arguments import DONE, add_options_file
-from cellslam.benchmarks.cli.progress_bars import bars
 from cellslam.benchmarks.trials.output_files import check_file
 from cellslam.sim.errors import InputError
 from cellslam.sim.recording import Recording
@@ -59,7 +57,7 @@ def command(arguments: Namespace) -> int:
             check_file(out)
     recording = Recording.load(path)
     place = placement(recording, arguments.origin) if "geojson" in arguments.formats else None
-    result = _estimate(recording, path, arguments) if name else None
+    result = _estimate(arguments, recording, path) if name else None
     for kind, out in targets:
         _write(kind, out, recording, result, place)
     return DONE
@@ -100,19 +98,7 @@ def _degrees(text: str) -> tuple[float, float]:
     return latitude, longitude
 
 
-def _estimate(recording: Recording, path: Path, arguments: Namespace) -> TrialResult:
-    """Return the estimate that `cellslam replay` of this file would make."""
-    from cellslam.benchmarks.cli.recordings.estimator_options import told
-    from cellslam.benchmarks.trials import trials
-    from cellslam.benchmarks.trials.guests import Guests
-    from cellslam.scenarios.recording_origin import Origin
+def _estimate(arguments: Namespace, recording: Recording, path: Path) -> TrialResult:
+    from cellslam.benchmarks.cli.recordings.estimator_options import estimate_by
 
-    origin = Origin.of(recording, path)
-    seed = origin.seed if arguments.seed is None else arguments.seed
-    with bars(arguments.quiet) as progress, Guests() as guests:
-        given = told(arguments, recording, origin, [arguments.estimator], progress)
-        drive = trials.Drive(replace(recording, odometry_model=given.odometry_model))
-        outcome = trials.outcome_of(drive, origin.name, given.requests[0], origin.trial, seed, guests, progress)
-    if outcome.result is None:
-        raise InputError(f"--estimator {arguments.estimator} failed on {path}: {outcome.row['error']}")
-    return outcome.result
+    return estimate_by(arguments, recording, path, [arguments.estimator]).results[0]

@@ -5,6 +5,7 @@ from __future__ import annotations
 import sys
 from argparse import ArgumentParser, Namespace
 from collections.abc import Iterator
+from itertools import chain
 from pathlib import Path
 
 from cellslam.benchmarks.cli.arguments import (
@@ -15,10 +16,11 @@ from cellslam.benchmarks.cli.arguments import (
     limits,
 )
 from cellslam.benchmarks.cli.progress_bars import bars
-from cellslam.benchmarks.cli.recordings.estimator_options import Told, told
+from cellslam.benchmarks.cli.recordings.estimator_options import doubts, told_by
 from cellslam.benchmarks.cli.results_folder import Folder
 from cellslam.benchmarks.cli.run import Job, note_left_out, report, work_off
 from cellslam.benchmarks.recordings.fitting.fitted_lines import said, toml
+from cellslam.benchmarks.recordings.fitting.told import Told
 from cellslam.benchmarks.trials import trials
 from cellslam.benchmarks.trials.guests import Guests
 from cellslam.benchmarks.trials.output_files import check_folder
@@ -57,7 +59,7 @@ def command(arguments: Namespace) -> int:
     check_folder(out)
     names = arguments.estimators or trials.DEFAULT_ESTIMATORS
     with bars(arguments.quiet) as progress:
-        given = told(arguments, recording, origin, names, progress)
+        given = told_by(arguments, recording, origin, names, progress)
     requests, folder = given.requests, Folder(out)
     _say(given, path, folder, arguments.quiet)
     scenario = with_options(origin.scenario, requests) if origin.scenario is not None else None
@@ -70,7 +72,12 @@ def command(arguments: Namespace) -> int:
             yield trials.score_recording(recording, origin.name, requests, *more)
 
         interrupted = work_off(job, only(), progress)
-    return report(job, interrupted)
+    status = report(job, interrupted)
+    if job.first is not None and job.first.recording is not None:
+        results = [outcome.result for outcome in job.first.outcomes if outcome.result is not None]
+        for line in chain(*doubts(job.first.recording, results).values()):
+            job.note(line)
+    return status
 
 
 def _say(given: Told, path: Path, folder: Folder, quiet: bool) -> None:

@@ -195,6 +195,8 @@ def as_text(path: Path, recording: Recording, found: Mapping[str, Any]) -> str:
         lines.append(f"truth         poses, {len(recording.truth.vts)} VTs, associations (simulated)")
     lines += [f"missing       {what}" for what in found["missing"]]
     lines += [f"SUSPICIOUS    {what['text']}" for what in found["suspicions"]] or ["suspicious    nothing"]
+    for name, doubts in found.get("estimators", {}).items():
+        lines += [f"SUSPICIOUS    {line}" for line in doubts] or [f"{name:<14}nothing speaks against its estimate"]
     return "\n".join(lines) + "\n"
 
 

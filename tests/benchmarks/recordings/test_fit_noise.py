@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import json
 import tomllib
 from collections.abc import Callable
 from importlib.resources import files
@@ -11,8 +12,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+import cellslam
 from cellslam.benchmarks.cli import main as cli
-from cellslam.benchmarks.recordings import Campaign, OdometryTable, build
+from cellslam.benchmarks.recordings import Campaign, OdometryTable, ReferenceTable, build
 from cellslam.benchmarks.recordings.fitting.fit_noise import first_guess, fit
 from cellslam.benchmarks.recordings.fitting.fit_sizes import BURSTS, Learnt, learn
 from cellslam.benchmarks.recordings.fitting.fitted_lines import said
@@ -76,6 +78,7 @@ def world() -> Recording:
             start_pose=(0.0,) * 6,
             snapshots_s=times,
             plane=True,
+            reference=ReferenceTable(times[::10], place[::10]),
         )
     )
 
@@ -147,6 +150,9 @@ def test_one_command_learns_and_replays(
     assert "as told" not in again.err
     ends = [np.loadtxt(tmp_path / folder / "trajectory-ekf-slam.tum")[-1, 1:3] for folder in ("out", "again")]
     np.testing.assert_allclose(ends[0], ends[1], atol=0.1)
+    asked = cellslam.replay(drive, "ekf-slam"), cellslam.replay(drive, "ekf-slam", fit=False)
+    shown_rmse = json.loads((tmp_path / "out" / "summary.json").read_text())["rows"][0]["position_rmse_m"]
+    assert [frame["position_rmse_m"][0] == shown_rmse for frame in asked] == [True, False]
     fitted.write_text(fitted.read_text("utf-8") + "[city]\nseed = 1\n")
     assert cli.main([*words[:-1], str(tmp_path / "o"), "--options", str(fitted)]) == 2
     assert "fit.toml: has 'city'" in capsys.readouterr().err

@@ -1,0 +1,89 @@
+"""An estimate that departs from the odometry by more than it may is told, with and without truth."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from cellslam.benchmarks.cli import main as cli
+from cellslam.benchmarks.scores.departure import departure, worse_than_odometry
+from cellslam.benchmarks.scores.trial_result import TrialResult
+from cellslam.sim.recording import Recording
+
+Toy = Callable[..., Recording]
+LOST = """
+import numpy as np
+from cellslam.slam.api import Estimate
+
+class Lost:
+    '''Runs sideways at 5 m/s, and says that it is sure.'''
+    name = "lost"
+    requires_truth = False
+
+    def __init__(self, options):
+        pass
+
+    def start(self, setup, rng):
+        self.pose = setup.start_pose.copy()
+
+    def step(self, dt_s, odometry, snapshot):
+        self.pose = self.pose + dt_s * np.array([5.0, 5.0, 0, 0, 0, 0])
+        return Estimate(self.pose, 0.01 * np.eye(6))
+"""
+
+
+def result_of(poses: np.ndarray, std: float = 1e-3, name: str = "one") -> TrialResult:
+    return TrialResult(name, poses, np.tile(std**2 * np.eye(6), (len(poses), 1, 1)))
+
+
+def test_the_truth_departs_as_the_data_sheet_says(toy_recording: Toy) -> None:
+    drives = [toy_recording(600, seed) for seed in range(20)]
+    # Sideways and in yaw, too, the odometry of these has white noise and a scale error of which none was drawn.
+    found = [departure(replace(d, odometry_model=replace(d.odometry_model, scale=np.zeros(6))),
+                       result_of(d.truth.poses)) for d in drives if d.truth]  # fmt: skip
+    assert np.sqrt(np.mean(np.square(found))) == pytest.approx(1.0, abs=0.06)
+
+
+def test_corrections_may_be_as_large_as_the_estimate_was_uncertain(toy_recording: Toy) -> None:
+    drive = toy_recording(600)
+    assert drive.truth is not None
+    jump = drive.truth.poses + 4.0 * (np.arange(600) > 250)[:, None] * np.eye(6)[0]
+    assert departure(drive, result_of(jump)) > 4.0
+    assert departure(drive, result_of(jump, 4.0)) < 1.0
+
+
+def test_what_speaks_against_an_estimate_is_said(toy_recording: Toy) -> None:
+    drive = toy_recording(600)
+    assert drive.truth is not None
+    alone = result_of(drive.truth.poses + 0.5 * np.eye(6)[0])
+    assert worse_than_odometry(drive, result_of(drive.truth.poses), alone) == []
+    steps = np.cumsum(np.full(600, 0.05))[:, None] * np.eye(6)[1]
+    worse, away = worse_than_odometry(drive, result_of(drive.truth.poses + steps), alone)
+    assert worse.startswith("one: ") and worse.endswith("is worse than odometry alone, 0.50 m")
+    assert away.startswith("one departs from the odometry by ")
+    unscored = replace(drive, truth=None)
+    assert worse_than_odometry(unscored, result_of(drive.truth.poses + steps), alone) == [away]
+
+
+def test_replay_and_inspect_say_it(
+    toy_recording: Toy, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "lost.py").write_text(LOST)
+    monkeypatch.chdir(tmp_path)
+    toy_recording(300).save(tmp_path / "a.h5")
+    both = ["--estimator", "lost:Lost", "--estimator", "ekf-slam"]
+    assert cli.main(["replay", "a.h5", *both, "--no-figures"]) == 0
+    said = capsys.readouterr().err
+    assert "lost:Lost departs from the odometry by" in said and "lost:Lost: " in said and "ekf-slam departs" not in said
+    assert cli.main(["inspect", "a.h5", *both, "--no-figure"]) == 0
+    text = capsys.readouterr().out
+    assert "SUSPICIOUS    lost:Lost departs from the odometry by" in text
+    assert "ekf-slam      nothing speaks against its estimate" in text
+    assert cli.main(["inspect", "a.h5", *both, "--no-figure", "--json"]) == 0
+    found = json.loads(capsys.readouterr().out)["estimators"]
+    assert found["ekf-slam"] == [] and len(found["lost:Lost"]) == 2
