@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 
@@ -28,20 +29,27 @@ OPTIONS = (
 LEAST_INFORMATION = 10.0  # a size told less well than to a third is left as it is
 SURE = 3.0  # but a slope of so many deviations says that it is too small
 MOST_STEP = math.log(4.0)  # of one pass
+# A field of direction can explain whatever goes on for long, as paths that merge: it does not become wider than this.
+FIELDS, MOST_OF_FIELD = ("calibration_", "roof_"), 3.0
 MOST = {"m": 100.0, "g": 90.0}  # m, deg
 
 
 @dataclass(frozen=True)
 class Sizes(Described):
     """Slope of the log-likelihood in each log size (Z,), its information (Z,), and the mean square (6,) of the
-    odometry's biases and scales, in the units of its data sheet; NaN where there are none. `log_likelihood`: of the
-    drive, to compare sizes by."""
+    odometry's biases and scales, in the units of its data sheet; NaN where there are none."""
 
     slope: Floats
     information: Floats
     bias: Floats
     scale: Floats
-    log_likelihood: float
+
+    @property
+    def misfit(self) -> float:
+        """Mean square of the slopes in their standard deviations, over the sizes that the drive tells: about 1 where
+        they are right (score test; Rao, Proc. Cambridge Philosophical Society 44, 1948); 0 where it tells none."""
+        squares = [slope * slope / information for slope, information in self._told().values()]
+        return float(np.mean(squares)) if squares else 0.0
 
     def steps(self) -> dict[str, float]:
         """Return the step of each log size that the drive tells towards the likeliest: of options by their names, of
@@ -74,33 +82,40 @@ def sizes_of(bank: Bank, errors: ArrayErrors) -> Sizes:
     def squares(of: Ints) -> Floats:
         return np.array([f.x[i] ** 2 + f.p[i, i] if i >= 0 else np.nan for i in of])
 
-    return Sizes(
-        f.sizes[0], f.sizes[1], squares(core.bias), squares(core.scale), float(bank.log_weight[best])
-    )  # fmt: skip
+    return Sizes(f.sizes[0], f.sizes[1], squares(core.bias), squares(core.scale))
 
 
-def stepped(
-    options: EkfSlamOptions, sheet: OdometryModel, found: Sizes, share: float = 1.0
-) -> tuple[EkfSlamOptions, OdometryModel, dict[str, float]]:
-    """Return options and data sheet (m/s and rad/s) whose sizes are a share of a step nearer to the likeliest, and the
-    steps of their logarithms.
+class Sheets(NamedTuple):
+    """What a filter is told: `options`, with the sizes of measurement errors, and the odometry's data sheet, m/s and
+    rad/s."""
 
-    Biases and scales, of which a drive has one draw each, only grow.
+    options: EkfSlamOptions
+    odometry: OdometryModel
+
+
+def stepped(sheets: Sheets, found: Sizes, told: Sheets, share: float = 1.0) -> tuple[Sheets, dict[str, float]]:
+    """Return sheets whose sizes are a share of a step nearer to the likeliest, and the steps of their logarithms.
+
+    Biases and scales, of which a drive has one draw each, only grow. Sizes that the drive does not tell are as `told`:
+    what a pass that was lost believed of them is not kept.
     """
     steps = {name: share * min(max(step, -MOST_STEP), MOST_STEP) for name, step in found.steps().items()}
-    changed, noise = dict[str, float](), sheet.noise_density.copy()
-    for name, step in steps.items():
+    odometry, options = sheets.odometry, sheets.options
+    changed, noise = dict[str, float](), told.odometry.noise_density.copy()
+    for name in OPTIONS:
         if name in COMPONENTS:
-            noise[COMPONENTS.index(name)] *= math.exp(step)
+            if name in steps:
+                noise[COMPONENTS.index(name)] = odometry.noise_density[COMPONENTS.index(name)] * math.exp(steps[name])
             continue
         for key in keys_of(name):
-            changed[key] = min(getattr(options, key) * math.exp(step), MOST[name[-1]])
-    bias, scale = np.fmax(np.sqrt(found.bias), sheet.bias), np.fmax(np.sqrt(found.scale), sheet.scale)
-    return (
-        type(options)(**(options.model_dump() | changed)),
-        replace(sheet, noise_density=noise, bias=bias, scale=scale),
-        steps,
-    )
+            if name in steps:
+                most = MOST_OF_FIELD * getattr(told.options, key) if name.startswith(FIELDS) else MOST[name[-1]]
+                changed[key] = min(getattr(options, key) * math.exp(steps[name]), most)
+            elif key in type(options).model_fields:  # no roof has an error of distance
+                changed[key] = getattr(told.options, key)
+    bias, scale = np.fmax(np.sqrt(found.bias), odometry.bias), np.fmax(np.sqrt(found.scale), odometry.scale)
+    nearer = replace(odometry, noise_density=noise, bias=bias, scale=scale)
+    return Sheets(type(options)(**(options.model_dump() | changed)), nearer), steps
 
 
 def keys_of(name: str) -> tuple[str, ...]:

@@ -2,7 +2,8 @@
 
 After each pass the filter has, for the white noise, every cause of errors that persist, and the odometry, the slope of
 the log-likelihood in the logarithm of its size, and the curvature; the next pass is told sizes that are a step nearer
-to the likeliest, all at once. The sizes of the likeliest pass are the result.
+to the likeliest, all at once, and half a step where the drive has no answer to them. The sizes that fit best are the
+result: where no slope is more than the drive's own chance makes it.
 
 Sources: Shumway and Stoffer, "An approach to time series smoothing and forecasting using the EM algorithm", Journal of
 Time Series Analysis 3(4), 1982; `slam.ekf_slam.sizes` has those of the steps.
@@ -10,10 +11,9 @@ Time Series Analysis 3(4), 1982; `slam.ekf_slam.sizes` has those of the steps.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from pydantic import BaseModel
@@ -24,12 +24,12 @@ from cellslam.sim.recording import COMPONENTS, Floats, OdometryModel, Recording
 from cellslam.slam.api import odometry_of, setup_of, snapshots_of
 from cellslam.slam.ekf_slam.ekf_slam import EkfSlam
 from cellslam.slam.ekf_slam.ekf_slam_options import EkfSlamOptions
-from cellslam.slam.ekf_slam.sizes import Sizes, keys_of, stepped
+from cellslam.slam.ekf_slam.sizes import Sheets, Sizes, keys_of, stepped
 from cellslam.slam.front_end.front_end_options import FrontEndOptions
 
-PASSES, WHOLE = 7, 2  # passes at most; so many take whole steps, the others half of them
-ALIKE = 0.1  # a pass that would change no size by more is the last
-# Slip comes in bursts: a filter that is told the deviation over the whole drive is too sure in these.
+PASSES, WHOLE = 8, 2  # passes at most; so many take whole steps, the others half of them
+FITS = 2.0  # misfit from which on sizes are as good as right
+# Slip of a real vehicle comes in bursts: a filter told the deviation over the whole drive is too sure in these.
 BURSTS = 3.0
 # Bias and scale that any odometer may have, m/s and rad/s: what a data sheet leaves out cannot be learnt.
 LEAST_BIAS, LEAST_SCALE = {"u_psi": 1e-3}, {"u_x": 0.01, "u_psi": 0.01}
@@ -40,14 +40,14 @@ class Learnt:
     """What was learnt: `options` that all map builders share, by name, and the odometry's data sheet.
 
     `changes`: by what factor a size of `slam.ekf_slam.sizes.OPTIONS` differs from what was told, and its relative
-    standard deviation as the drive tells it; what it does not tell is left out, and stays as told. `passes`: which one
-    was the likeliest, 0: none, clock offsets were never resolved.
+    standard deviation as the drive tells it; what it does not tell is left out, and stays as told. `resolved`: False
+    where clock offsets never were, so that nothing is learnt.
     """
 
     options: dict[str, Any]
     odometry_model: OdometryModel
     changes: dict[str, tuple[float, float]]
-    passes: int
+    resolved: bool
 
     def table(self, model: type[BaseModel] | None) -> dict[str, Any]:
         """Return the options of an estimator, those that its model has; empty for one that shares none."""
@@ -62,35 +62,56 @@ def learn(recording: Recording, told: Mapping[str, Any] | None, progress: Progre
     `told`: front-end options to begin with, by name; None: nobody modelled this front end, and the tracks of its
     measurements give them. Raises InputError where these are too few to tell.
     """
-    sheet = recording.odometry_model
+    sheet, bursts = recording.odometry_model, 1.0
     if told is None:
-        told, sheet = first_guess(recording, progress), _with_least(recording, sheet)
-    options = first = EkfSlamOptions(**told)
-    keys, best, likeliest, last = set(told), Learnt(dict(told), sheet, {}, 0), -math.inf, False
+        told, sheet, bursts = first_guess(recording, progress), _with_least(recording, sheet), BURSTS
+    first = tried = Sheets(EkfSlamOptions(**told), sheet)
+    last: Pass | None = None
+    fitting: Pass | None = None
+    keys, share = set(told), 1.0
     with progress("learning the sizes of errors", PASSES) as advance:
         for number in range(PASSES):
-            estimator = EkfSlam(options)
-            _drive(estimator, replace(recording, odometry_model=sheet))
+            found = _found(recording, tried)
             advance(1)
-            try:
-                found = estimator.sizes()
-            except RuntimeError:
+            if found is not None:
+                last, share = Pass(tried, found), 1.0 if number < WHOLE else 0.5
+                fitting = min((fitting or last, last), key=lambda one: one.found.misfit)
+                if found.misfit < FITS:
+                    break
+            elif last is None:
                 break
-            if found.log_likelihood > likeliest:
-                likeliest, given = found.log_likelihood, recording.odometry_model.noise_density
-                ratio = np.divide(sheet.noise_density, given, out=np.ones(6), where=given > 0.0)
-                changes = {
-                    name: (_factor(name, first, options, ratio), deviation)
-                    for name, deviation in found.deviations().items()
-                }
-                shared = {key: getattr(options, key) for key in sorted(keys)}
-                best = Learnt(shared, _safe(sheet, found), changes, number + 1)
-            if last:
-                break
-            options, sheet, steps = stepped(options, sheet, found, 1.0 if number < WHOLE else 0.5)
+            else:
+                share *= 0.5
+            tried, steps = stepped(last.sheets, last.found, first, share)
             keys |= {key for name in steps if name not in COMPONENTS for key in keys_of(name)}
-            last = all(abs(step) <= ALIKE for step in steps.values())
-    return best
+    if fitting is None:
+        return Learnt(dict(told), sheet, {}, False)
+    options, odometry = fitting.sheets
+    noise = recording.odometry_model.noise_density
+    ratio = np.divide(odometry.noise_density, noise, out=np.ones(6), where=noise > 0.0)
+    changes = {
+        name: (_factor(name, first.options, options, ratio), deviation)
+        for name, deviation in fitting.found.deviations().items()
+    }
+    shared = {key: getattr(options, key) for key in sorted(keys)}
+    return Learnt(shared, _safe(odometry, fitting.found, bursts), changes, True)
+
+
+class Pass(NamedTuple):
+    """A pass through the drive: what the filter was told, and what it found."""
+
+    sheets: Sheets
+    found: Sizes
+
+
+def _found(recording: Recording, sheets: Sheets) -> Sizes | None:
+    """Return what ekf-slam finds of sizes on a drive; None: clock offsets are never resolved."""
+    estimator = EkfSlam(sheets.options)
+    _drive(estimator, replace(recording, odometry_model=sheets.odometry))
+    try:
+        return estimator.sizes()
+    except RuntimeError:
+        return None
 
 
 def _drive(estimator: EkfSlam, recording: Recording) -> None:
@@ -100,15 +121,14 @@ def _drive(estimator: EkfSlam, recording: Recording) -> None:
         estimator.step(float(dt_s[t]), odometry[t], snapshot)
 
 
-def _safe(sheet: OdometryModel, found: Sizes) -> OdometryModel:
+def _safe(sheet: OdometryModel, found: Sizes, bursts: float) -> OdometryModel:
     """Return a data sheet to be told, of one that was likely: as wide as it must be where slip comes in bursts, with
     no wider bias and scale than the drive shows."""
-    bias, scale = BURSTS * np.sqrt(found.bias), BURSTS * np.sqrt(found.scale)
     return replace(
         sheet,
-        noise_density=BURSTS * sheet.noise_density,
-        bias=np.fmin(sheet.bias, bias),
-        scale=np.fmin(sheet.scale, scale),
+        noise_density=bursts * sheet.noise_density,
+        bias=np.fmin(sheet.bias, BURSTS * np.sqrt(found.bias)),
+        scale=np.fmin(sheet.scale, BURSTS * np.sqrt(found.scale)),
     )
 
 

@@ -34,14 +34,14 @@ def toml(path: Path, learnt: Learnt) -> str:
 
 def said(learnt: Learnt) -> list[str]:
     """Return lines that say what differs from what was told."""
-    if not learnt.passes:
+    if not learnt.resolved:
         return ["sizes of errors as told: the clock offsets were never resolved, so nothing could be learnt"]
     lines = [
         f"{_name(name)}: {factor:.2g} times as large as told (+- {100.0 * deviation:.0f} %)"
         for name, (factor, deviation) in learnt.changes.items()
         if not 1.0 / NOTABLE < factor < NOTABLE
     ]
-    begin = f"sizes of errors, as the whole drive shows them (pass {learnt.passes} of ekf-slam)"
+    begin = "sizes of errors, as the whole drive shows them"
     return [f"{begin}:", *(f"  {line}" for line in lines)] if lines else [f"{begin}, are those that were told"]
 
 

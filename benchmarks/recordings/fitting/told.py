@@ -50,7 +50,7 @@ def told(
     try:
         learnt = learn(replace(recording, odometry_model=sheet), origin.told(), progress)
     except InputError as error:
-        learnt = Learnt(dict(UNKNOWN), sheet, {}, 0)
+        learnt = Learnt(dict(UNKNOWN), sheet, {}, False)
         return Told(_with(learnt, origin, requests, overrides), sheet, None, str(error))
     return Told(_with(learnt, origin, requests, overrides), learnt.odometry_model, learnt)
 

@@ -20,14 +20,18 @@ from cellslam.slam.model.matrices_kernel import Sym3, Vec3, inverse, sym_vec
 # Sizes: white noise and diffuse errors of distance, azimuth, elevation; sway in yaw, pitch, roll; white noise of the
 # six velocities; calibration and roof, of distance, azimuth, elevation.
 WHITE, DIFFUSE_SIZE, SWAY, ODOMETRY, CALIBRATION, ROOF, SIZES = 0, 3, 6, 9, 15, 18, 21
+MOST2 = 9.0  # squared deviations
 TOLD, LONGEST_SUM_S = 0.5, 60.0  # share of its variance that a sum of noise keeps when it is told; sums are no longer
 
 
 @njit
 def count(f: Filter, size: int, told: float, mean2: float, left: float) -> None:
-    """Take in an error whose variance was told, of which the measurements leave a squared mean and a variance."""
+    """Take in an error whose variance was told, of which the measurements leave a squared mean and a variance.
+
+    One of more than so many deviations counts as one of so many: it may be none of what sizes are of.
+    """
     share = (told - left) / told
-    f.sizes[0, size] += (mean2 + left) / told - 1.0
+    f.sizes[0, size] += (min(mean2, MOST2 * told) + left) / told - 1.0
     f.sizes[1, size] += 2.0 * share * share
 
 

@@ -17,7 +17,7 @@ from cellslam.slam.ekf_slam.snapshot.sight_kernel import Sight, coordinates, err
 from cellslam.slam.ekf_slam.snapshot.sizes_kernel import count_look
 from cellslam.slam.ekf_slam.state.layout import ArrayErrors, Filter
 from cellslam.slam.model.downdate_kernel import downdate
-from cellslam.slam.model.matrices_kernel import Sym3, Vec3, cholesky, dot, solved
+from cellslam.slam.model.matrices_kernel import Sym3, Vec3, cholesky, dot, solved, sym_scaled, vec_scaled
 from cellslam.slam.model.measurement_kernel import Rotations
 
 LOG_2PI = math.log(2.0 * math.pi)
@@ -186,22 +186,20 @@ def correct(f: Filter, a: ArrayErrors, j: int, offset: int, look: Look, s: Sight
     e, hph = compare(f, a, j, offset, look, s, w)
     blank(w, e)
     new = innovate(e, look.q, hph)
-    count_look(f, new.e, new.s, look.q, a.diffuse, look.diffuse)
-    return update(f, weakened(new), w)
+    share = likely_share(new)
+    count_look(f, vec_scaled(new.e, math.sqrt(share)), new.s, look.q, a.diffuse, look.diffuse)
+    return update(f, Innovation(new.e, sym_scaled(new.s, 1.0 / share), new.measured), w)
 
 
 @njit
-def weakened(i: Innovation) -> Innovation:
-    """Return an innovation that is unlikely large with as much more covariance as makes it likely: what no model has,
-    as paths that merge, must not outweigh what it has.
+def likely_share(i: Innovation) -> float:
+    """Return by what an innovation that is unlikely large counts for less: what no model has, as paths that merge, must
+    not outweigh what it has.
 
     Source: Huber, Robust Statistics, 1981, section 7: weights that fall as the residual.
     """
     distance2, _ = log_likelihood(i)
-    if not LIKELY < distance2 < math.inf:
-        return i
-    k, s = distance2 / LIKELY, i.s
-    return Innovation(i.e, Sym3(k * s.xx, k * s.xy, k * s.xz, k * s.yy, k * s.yz, k * s.zz), i.measured)
+    return LIKELY / distance2 if LIKELY < distance2 < math.inf else 1.0
 
 
 @njit(cache=True)

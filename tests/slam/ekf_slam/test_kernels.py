@@ -26,9 +26,9 @@ from cellslam.slam.ekf_slam.snapshot.update_kernel import (
     correct,
     gains,
     innovate,
+    likely_share,
     settle,
     update,
-    weakened,
 )
 from cellslam.slam.ekf_slam.state.array_errors import NO_ERRORS
 from cellslam.slam.ekf_slam.state.layout import ArrayErrors, one_of
@@ -339,8 +339,6 @@ def test_a_look_that_is_too_far_off_counts_for_less() -> None:
     e = np.array([1.0, -0.5, 0.25])
     for size in (1.0, 2.0, 10.0, 1000.0):
         distance2 = float(size**2 * e @ inverse @ e)
-        new = weakened(Innovation(Vec3(*(size * e)), s, 3))
-        factor = max(distance2 / LIKELY, 1.0)
-        np.testing.assert_allclose(np.array(new.s), factor * np.array(s), rtol=1e-12)
-        np.testing.assert_allclose(np.array(new.e), size * e)
+        share = likely_share(Innovation(Vec3(*(size * e)), s, 3))
+        assert share == pytest.approx(min(LIKELY / distance2, 1.0), rel=1e-12)
     assert distance2 > LIKELY
