@@ -9,11 +9,13 @@ the normalised innovation squared.
 
 from __future__ import annotations
 
+from itertools import pairwise
+
 import numpy as np
 
 from cellslam.benchmarks.scores.metrics import score
 from cellslam.benchmarks.scores.trial_result import TrialResult
-from cellslam.sim.frames import mean_velocity, rotation
+from cellslam.sim.frames import integrate_pose, wrap_angle
 from cellslam.sim.recording import Floats, Recording
 
 WINDOW_S = 10.0
@@ -25,33 +27,39 @@ SMALLEST = 1e-12  # variance
 def departure(recording: Recording, result: TrialResult) -> float:
     """Return by how many standard deviations an estimate moves otherwise than the odometry, root mean square.
 
-    In windows of 10 s: along, across and yaw, over the root of the variance of the odometry's data sheet in the window
-    and the covariance that the estimator claims at its beginning. Right ones have 1 or less. `recording` has the data
-    sheet that the estimator was told. NaN for a recording of a single snapshot.
+    In windows of 10 s: x, y and yaw at the end, less what the odometry makes of the estimate at the beginning, over the
+    root of what the claimed covariance becomes meanwhile by the data sheet. Right ones have 1 or less. `recording` has
+    the data sheet that the estimator was told. NaN for a recording of a single snapshot.
     """
-    time, model = recording.time_s, recording.odometry_model
-    dt_s = np.diff(time)
-    if not len(dt_s):
+    time = recording.time_s
+    if len(time) < 2:
         return float("nan")
-    u = np.nan_to_num(recording.odometry[1:])
-    more = ((mean_velocity(result.poses[:-1], result.poses[1:], dt_s) - u) * dt_s[:, None])[:, PLANAR]
-    way = (np.abs(u) * dt_s[:, None])[:, PLANAR]
-    edges = np.linspace(time[0], time[-1], max(round((time[-1] - time[0]) / WINDOW_S), 1) + 1)[:-1]
-    first = np.unique(np.searchsorted(time, edges))
-    lasts_s = np.add.reduceat(dt_s, first)[:, None]
+    edges = np.linspace(time[0], time[-1], max(round((time[-1] - time[0]) / WINDOW_S), 1) + 1)
+    squares = []
+    for first, last in pairwise(np.unique(np.searchsorted(time, edges)).tolist()):
+        pose, s = _carried_on(recording, result.poses[first], result.covariances[first], first, last)
+        e = (result.poses[last] - pose)[PLANAR]
+        e[2] = wrap_angle(e[2])
+        squares.append(e @ np.linalg.solve(s + SMALLEST * np.eye(3), e))
+    return float(np.sqrt(np.mean(squares) / len(PLANAR)))
+
+
+def _carried_on(recording: Recording, pose: Floats, covariance: Floats, first: int, last: int) -> tuple[Floats, Floats]:
+    """Return the pose (6,) that the odometry leads to, from snapshot `first` to `last`, and the covariance (3, 3) of x,
+    y (m) and yaw (rad) there, of which errors of white noise, bias and scale are part."""
+    model, s = recording.odometry_model, covariance[np.ix_(PLANAR, PLANAR)]
     noise, bias, scale = (values[PLANAR] for values in (model.noise_density, model.bias, model.scale))
-    variance = noise**2 * lasts_s + (bias * lasts_s) ** 2 + (scale * np.add.reduceat(way, first)) ** 2
-    s = _in_body(result.poses[first], result.covariances[first]) + (variance + SMALLEST)[:, :, None] * np.eye(3)
-    e = np.add.reduceat(more, first)
-    return float(np.sqrt(np.mean(np.einsum("ni,nij,nj->n", e, np.linalg.inv(s), e)) / len(PLANAR)))
-
-
-def _in_body(poses: Floats, covariances: Floats) -> Floats:
-    """Return covariances (n, 3, 3) of x and y in the body frame, m, and yaw, rad, of such (n, 6, 6) in the world."""
-    turn = np.zeros((len(poses), 3, 3))
-    turn[:, :2, :2] = rotation(poses[:, 3], 0.0, 0.0)[:, :2, :2]
-    turn[:, 2, 2] = 1.0
-    return np.asarray(np.swapaxes(turn, 1, 2) @ covariances[:, PLANAR][:, :, PLANAR] @ turn)
+    by_bias = by_scale = np.zeros((3, 3))
+    for t in range(first + 1, last + 1):
+        dt_s, u = recording.time_s[t] - recording.time_s[t - 1], np.nan_to_num(recording.odometry[t])
+        after = integrate_pose(pose, u, dt_s)
+        c, s_ = np.cos(pose[3]), np.sin(pose[3])
+        step = np.array([[1.0, 0.0, pose[1] - after[1]], [0.0, 1.0, after[0] - pose[0]], [0.0, 0.0, 1.0]])
+        turned = np.array([[c, -s_, 0.0], [s_, c, 0.0], [0.0, 0.0, 1.0]])
+        s = step @ s @ step.T + turned * (noise**2 * dt_s) @ turned.T
+        by_bias, by_scale = step @ by_bias + turned * dt_s, step @ by_scale + turned * (u[PLANAR] * dt_s)
+        pose = after
+    return pose, s + by_bias * bias**2 @ by_bias.T + by_scale * scale**2 @ by_scale.T
 
 
 def worse_than_odometry(recording: Recording, result: TrialResult, alone: TrialResult) -> list[str]:

@@ -221,7 +221,7 @@ def memory_does_not_grow(subject: Subject) -> None:
             traced.append(_traced())
             for _ in range(DRIVES):
                 drive(estimator, setup, subject.steps(SHORT // 2))
-        leaked = min(np.diff(traced))
+        leaked = int(min(np.diff(traced)))
     finally:
         tracemalloc.stop()
     require(

@@ -41,24 +41,29 @@ def result_of(poses: np.ndarray, std: float = 1e-3, name: str = "one") -> TrialR
     return TrialResult(name, poses, np.tile(std**2 * np.eye(6), (len(poses), 1, 1)))
 
 
+def flat(drive: Recording) -> Recording:
+    """Return a drive whose odometry errs in the plane alone, with white noise alone."""
+    odometry = drive.odometry.copy()
+    odometry[:, [2, 4, 5]] = 0.0
+    return replace(drive, odometry=odometry, odometry_model=replace(drive.odometry_model, scale=np.zeros(6)))
+
+
 def test_the_truth_departs_as_the_data_sheet_says(toy_recording: Toy) -> None:
-    drives = [toy_recording(600, seed) for seed in range(20)]
-    # Sideways and in yaw, too, the odometry of these has white noise and a scale error of which none was drawn.
-    found = [departure(replace(d, odometry_model=replace(d.odometry_model, scale=np.zeros(6))),
-                       result_of(d.truth.poses)) for d in drives if d.truth]  # fmt: skip
+    drives = [flat(toy_recording(600, seed)) for seed in range(20)]
+    found = [departure(d, result_of(d.truth.poses)) for d in drives if d.truth]
     assert np.sqrt(np.mean(np.square(found))) == pytest.approx(1.0, abs=0.06)
 
 
 def test_corrections_may_be_as_large_as_the_estimate_was_uncertain(toy_recording: Toy) -> None:
-    drive = toy_recording(600)
+    drive = flat(toy_recording(600))
     assert drive.truth is not None
     jump = drive.truth.poses + 4.0 * (np.arange(600) > 250)[:, None] * np.eye(6)[0]
-    assert departure(drive, result_of(jump)) > 4.0
+    assert departure(drive, result_of(jump)) > 3.0
     assert departure(drive, result_of(jump, 4.0)) < 1.0
 
 
 def test_what_speaks_against_an_estimate_is_said(toy_recording: Toy) -> None:
-    drive = toy_recording(600)
+    drive = flat(toy_recording(600))
     assert drive.truth is not None
     alone = result_of(drive.truth.poses + 0.5 * np.eye(6)[0])
     assert worse_than_odometry(drive, result_of(drive.truth.poses), alone) == []
