@@ -78,7 +78,15 @@ def toy_recording() -> Callable[..., Recording]:
 
 
 WORLD = "from cellslam.benchmarks.bound.cramer_rao import bound; import cellslam; bound(cellslam.simulate('tiny'))"
-FILTER = "from cellslam.slam.registry import resolve; resolve({!r})().warm_up()"
+FILTER = (
+    "from cellslam.slam.registry import options_model, resolve; "
+    "resolve({0!r})(options_model(resolve({0!r}))({1})).warm_up()"
+)
+# What two processes compile, about as long each.
+PARTS = (
+    (FILTER.format("ekf-slam", ""), FILTER.format("paper-fastslam", ""), FILTER.format("channel-slam", "")),
+    (FILTER.format("fastslam", "errors='counted'"), FILTER.format("phd-slam", ""), WORLD),
+)
 
 
 def pytest_sessionstart(session: pytest.Session) -> None:
@@ -86,7 +94,6 @@ def pytest_sessionstart(session: pytest.Session) -> None:
     config = session.config
     if hasattr(config, "workerinput") or config.args_source is not config.ArgsSource.TESTPATHS:
         return
-    parts = ((FILTER.format("fastslam"), WORLD), (FILTER.format("ekf-slam"), FILTER.format("bp-slam")))
-    started = [subprocess.Popen([sys.executable, "-P", "-c", "\n".join(part)]) for part in parts]
+    started = [subprocess.Popen([sys.executable, "-P", "-c", "\n".join(part)]) for part in PARTS]
     for process in started:
         assert process.wait() == 0

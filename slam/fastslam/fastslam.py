@@ -37,7 +37,7 @@ class FastSlam:
     def __init__(self, options: FastSlamOptions | None = None, **parts: Any) -> None:
         """Take options, and parts as objects where they are not those that the options name, with errors counted.
 
-        parts: association, criterion, clock, proposal, resampling; see `part_types`, `proposal`, `resampling`.
+        parts: association, criterion, clock, resampling; see `part_types`, `resampling`.
         """
         self.options = options or FastSlamOptions()
         counted = self.options.errors == "counted"

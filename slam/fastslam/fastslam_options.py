@@ -26,14 +26,6 @@ class FastSlamOptions(EkfSlamOptions):
     motion: Literal["marginalised", "sampled"] = Field(
         "marginalised", description="yaw-rate bias and odometer scale: marginalised with the offsets, or sampled"
     )
-    proposal: Literal["motion", "measurements"] = Field(
-        "motion", description="what motion is drawn from: the odometry (FastSLAM 1.0), or the snapshot too (2.0)"
-    )
-    association: Literal["hungarian", "sampled"] = Field(
-        "hungarian", description="how a link's measurements are given to VTs in each particle"
-    )
-    hypotheses: int = Field(8, ge=1, le=1000, description="assignments that a sampled association draws from")
-    association_seed: int = Field(0, ge=0, le=2**31, description="seed of sampled associations")
     criterion: Literal["likelihood", "mahalanobis"] = Field(
         "likelihood",
         description="what is best: the likelihood against misses and clutter, or the paper's bare distance",

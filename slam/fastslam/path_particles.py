@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from functools import partial
 from typing import Any, ClassVar
 
 import numba
@@ -19,10 +17,9 @@ from cellslam.slam.fastslam.parts.choice import Choice, chosen
 from cellslam.slam.fastslam.running.threads import over_blocks
 from cellslam.slam.fastslam.snapshot.block_kernel import advance_blocks
 from cellslam.slam.fastslam.snapshot.measurement_kernel import census, pack
-from cellslam.slam.fastslam.snapshot.sight_kernel import SEEN, sight_blocks
 from cellslam.slam.fastslam.state.layout import LANES, OUT, POSE, W_ROWS, Measured, Rules, Scratch, Step, sums_of
 from cellslam.slam.fastslam.state.moments_kernel import moments, normalised
-from cellslam.slam.fastslam.state.particles import Particles, draw, select, widened
+from cellslam.slam.fastslam.state.particles import Particles, draw, draw_velocities, select, widened
 from cellslam.slam.front_end.attitude import Attitude
 from cellslam.slam.front_end.looks import Grouping, Looks
 from cellslam.slam.front_end.measurement_noise import ports_of
@@ -46,7 +43,7 @@ class PathParticles:
     def __init__(self, options: FastSlamOptions | None = None, **parts: Any) -> None:
         """Take options, and parts as objects where they are not those that the options name.
 
-        parts: association, criterion, clock, proposal, resampling; see `part_types`, `proposal`, `resampling`.
+        parts: association, criterion, clock, resampling; see `part_types`, `resampling`.
         """
         self.options = options or FastSlamOptions()
         self.choice: Choice = chosen(self.options, **parts)
@@ -113,24 +110,14 @@ class PathParticles:
         shares = self._shares * self._novelty(odometry[3] * dt_s, odometry[0] * dt_s)
         measured = Measured(first, self._site_of, shares, z, many, fresh, self._born)
         self._parts, rules = self._choice.parts_for(looks, self._born, self._time_s + dt_s), self._rules_for(dt_s)
-        sight = partial(self._sight, rules, float(dt_s), measured)
-        velocity = self._choice.proposal(p, self._setup.odometry_model, dt_s, odometry, sight, self._rng)
+        velocity = draw_velocities(p, self._setup.odometry_model, dt_s, odometry, self._rng)
         step = Step(self._now, float(dt_s), velocity, measured, rules)
-        self._over_blocks(advance_blocks(self._parts), self._parts, step, p.held, association)
+        kernel = advance_blocks(self._parts)
+        over_blocks(kernel, len(p.state), self._scratch, self._parts, step, p.held, association)
         return association
 
     def _novelty(self, turn_rad: float, moved_m: float) -> float:
         return novelty(self._options, turn_rad, moved_m) if self.options.evidence_lasts else 1.0
-
-    def _sight(self, rules: Rules, dt_s: float, measured: Measured, velocity: Floats) -> Floats:
-        p = self._particles
-        seen = np.empty((len(p.state), SEEN, LANES))
-        step = Step(self._now, dt_s, velocity, measured, rules)
-        self._over_blocks(sight_blocks(self._parts), self._parts, step, p.held, seen)
-        return seen
-
-    def _over_blocks(self, kernel: Callable[..., None], *arguments: Any) -> None:
-        over_blocks(kernel, len(self._particles.state), self._scratch, *arguments)
 
     def _rules_for(self, dt_s: float) -> Rules:
         o = self._options
@@ -139,7 +126,7 @@ class PathParticles:
             self._rules = (dt_s, Rules(
                 log_clutter=float(np.log(o.clutter_density)), gate=o.gate, log_birth=float(-np.log1p(-o.birth_ratio)),
                 slack_m=SLACK_M, hits=float(o.confirm_hits), age_once=age_once, age_twice=age_twice,
-                exponent=o.likelihood_exponent, least_score=self._choice.least_score, merging=o.merging, tables=tables,
+                exponent=o.likelihood_exponent, merging=o.merging, tables=tables,
             ))  # fmt: skip
         return self._rules[1]
 

@@ -56,7 +56,7 @@ LEAST_RANGE_M = 1.0  # a distance that leaves less, once the offset is taken off
 UNKNOWN_ELEVATION_RAD = 0.2  # deviation of a VT that begins without elevation
 MERGE_EVERY = 64  # snapshots from one search for doubles to the next
 MERGE_DISTANCE2, MERGE_STD = 2.0, np.array([2.0, math.radians(2.5), math.radians(3.5)])
-DEFAULTS = ("motion", "proposal", "association", "criterion", "clock")
+DEFAULTS = ("motion", "criterion", "clock")
 
 
 @dataclass

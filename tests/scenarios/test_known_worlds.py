@@ -81,7 +81,7 @@ def test_names_and_published_figures() -> None:
     for name in NAMES:
         world = known_world(name)
         assert world.name == name and world.differences
-        assert all(set(entry.published) == {figure.name for figure in world.figures} for entry in world.entries)
+        assert all(set(entry.published) <= {figure.name for figure in world.figures} for entry in world.entries)
     with pytest.raises(InputError, match="unknown known world 'phd-slam'"):
         known_world("phd-slam")
 

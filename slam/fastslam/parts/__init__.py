@@ -1,1 +1,1 @@
-"""The replaceable parts of FastSLAM: association, criterion, landmarks, clock, proposal."""
+"""The replaceable parts of FastSLAM: association, criterion, clock."""

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -10,9 +9,8 @@ import numpy as np
 from cellslam.sim.compiling import njit
 from cellslam.sim.recording import Ints
 from cellslam.slam.api import Snapshot
-from cellslam.slam.fastslam.parts.murty_kernel import murty
 from cellslam.slam.fastslam.parts.part_types import replaceable, variant
-from cellslam.slam.fastslam.state.layout import LANES, V_WEIGHT, W_D2, Link, Rows, Scratch
+from cellslam.slam.fastslam.state.layout import LANES, W_D2, Link, Rows, Scratch
 from cellslam.slam.model.assignment_kernel import LEFT_OUT, assign
 
 B = LANES
@@ -20,14 +18,6 @@ B = LANES
 
 class Hungarian(NamedTuple):
     """The assignment with the greatest sum of scores; what gains by none is left to clutter and misses."""
-
-
-class Sampled(NamedTuple):
-    """A draw among the `hypotheses` best assignments, each as probable as its scores make it; the weight is corrected
-    by the probability of the draw."""
-
-    hypotheses: int
-    seed: int
 
 
 class Told(NamedTuple):
@@ -51,14 +41,11 @@ class FromTruth:
 
 
 @replaceable
-def associate(
-    part: Any, s: Scratch, found: int, first: int, measured: int, link: Link, turn: int, share: float
-) -> None:
+def associate(part: Any, s: Scratch, found: int, first: int, measured: int, link: Link) -> None:
     """Write s.row_of (measured, LANES): which of the `found` candidates each measurement has in each lane, -1 for none.
 
     s: scratch, with s.scores (found, measured, LANES) where s.claims (found, measured); first: number of the first
-    measurement in the snapshot; turn: a number that no other call with other measurements or particles has; share: of
-    the link's evidence that counts.
+    measurement in the snapshot.
     """
     if take_best(s, found, measured):
         for l in range(B):
@@ -69,26 +56,8 @@ def associate(
                     s.row_of[k, l] = s.column[k]
 
 
-@variant(associate, Sampled)
-def _sampled(
-    part: Sampled, s: Scratch, found: int, first: int, measured: int, link: Link, turn: int, share: float
-) -> None:
-    """Draw an assignment in every lane."""
-    rivals = take_best(s, found, measured) or _contested(s.claims, found, measured)
-    for l in range(B):
-        if rivals:
-            tabulate(s, found, measured, l)
-            uniform = hashed(part.seed, turn * B + l)
-            log_chance = murty(s.table, found, measured, part.hypotheses, uniform, s.column)
-            for k in range(measured):
-                s.row_of[k, l] = s.column[k]
-        else:
-            log_chance = _toss(part.seed, turn, s, found, measured, l)
-        s.v[V_WEIGHT * B + l] -= share * log_chance
-
-
 @variant(associate, Told)
-def _told(part: Told, s: Scratch, found: int, first: int, measured: int, link: Link, turn: int, share: float) -> None:
+def _told(part: Told, s: Scratch, found: int, first: int, measured: int, link: Link) -> None:
     """Take the tracks of the VTs that measurements came from."""
     for k in range(measured):
         s.row_of[k, :] = -1
@@ -146,34 +115,6 @@ def _take_best_of(w: Rows, scores: Rows, claims: Rows, found: int, k: int, mine:
 
 
 @njit(cache=True, error_model="numpy")
-def _contested(claims: Rows, found: int, measured: int) -> bool:
-    """Return whether any measurement could have two tracks."""
-    for k in range(measured):
-        total = 0
-        for q in range(found):
-            total += claims[q, k]
-        if total > 1:
-            return True
-    return False
-
-
-@njit(cache=True, error_model="numpy")
-def _toss(seed: int, turn: int, s: Scratch, found: int, measured: int, l: int) -> float:
-    """Decide on each pair of lane l by itself, with the odds that its score is; return the log of the probability of
-    what was drawn."""
-    log_chance = 0.0
-    for k in range(measured):
-        s.row_of[k, l] = -1
-        for q in range(found):
-            if s.claims[q, k] and s.scores[q, k, l] > 0.5 * LEFT_OUT:
-                chance = 1.0 / (1.0 + math.exp(-s.scores[q, k, l]))
-                taken = hashed(seed + k + 1, turn * B + l) < chance
-                s.row_of[k, l] = q if taken else -1
-                log_chance += math.log(chance if taken else 1.0 - chance)
-    return log_chance
-
-
-@njit(cache=True, error_model="numpy")
 def _clash(row_of: Rows, measured: int, l: int) -> bool:
     """Return whether two measurements have the same track in lane l."""
     for k in range(1, measured):
@@ -190,13 +131,3 @@ def tabulate(s: Scratch, found: int, measured: int, l: int) -> None:
     for q in range(found):
         for k in range(measured):
             table[q, k] = scores[q, k, l] if claims[q, k] else LEFT_OUT
-
-
-@njit(cache=True)
-def hashed(seed: int, number: int) -> float:
-    """Return a number in (0, 1), as good as random: SplitMix64 (Steele, Lea and Flood, 2014) of seed and number."""
-    z = np.uint64(seed) * np.uint64(0x9E3779B97F4A7C15) + np.uint64(number) * np.uint64(0xD1B54A32D192ED03)
-    z = (z ^ (z >> np.uint64(30))) * np.uint64(0xBF58476D1CE4E5B9)
-    z = (z ^ (z >> np.uint64(27))) * np.uint64(0x94D049BB133111EB)
-    z ^= z >> np.uint64(31)
-    return (np.float64(z >> np.uint64(11)) + 0.5) / 9007199254740992.0

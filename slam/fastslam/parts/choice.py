@@ -11,29 +11,25 @@ import numpy as np
 from cellslam.sim.recording import Floats, Ints, Sites
 from cellslam.slam.api import Setup, Snapshot
 from cellslam.slam.fastslam.fastslam_options import FastSlamOptions
-from cellslam.slam.fastslam.parts.association import Hungarian, Sampled
+from cellslam.slam.fastslam.parts.association import Hungarian
 from cellslam.slam.fastslam.parts.clock import Constant, Drifting
 from cellslam.slam.fastslam.parts.criterion import Likelihood, Mahalanobis
 from cellslam.slam.fastslam.parts.part_types import Parts
-from cellslam.slam.fastslam.parts.proposal import PROPOSALS, Proposal
 from cellslam.slam.fastslam.state.layout import RECORD, RECORD_WITH_RATE
 from cellslam.slam.model.resampling import SCHEMES
 
-LEAST_SAMPLED = -4.0  # log-likelihood ratio from which a draw may take a pair that is more likely clutter
 _CRITERIA: dict[str, Any] = {"likelihood": Likelihood(), "mahalanobis": Mahalanobis()}
 
 
 @dataclass(frozen=True)
 class Choice:
     """The parts in use. `component_m`: width of one particle's clock offset at the start; `known_clock`: the mean of
-    the prior is taken for it; `least_score`: from which a pair is considered."""
+    the prior is taken for it."""
 
     parts: Parts
-    proposal: Proposal
     resampling: Callable[[Floats, int, np.random.Generator], Ints]
     component_m: float
     known_clock: bool
-    least_score: float
 
     @property
     def record(self) -> int:
@@ -70,20 +66,17 @@ class Choice:
 def chosen(options: FastSlamOptions, **given: Any) -> Choice:
     """Return the parts that the options name, with objects that are `given` in their place."""
     o = options
-    unknown = set(given) - {"association", "criterion", "clock", "proposal", "resampling"}
+    unknown = set(given) - {"association", "criterion", "clock", "resampling"}
     if unknown:
         raise TypeError(f"FastSlam has no part {', '.join(map(repr, sorted(unknown)))}")
-    associations: dict[str, Any] = {"hungarian": Hungarian(), "sampled": Sampled(o.hypotheses, o.association_seed)}
     parts = Parts(
-        association=given.get("association", associations[o.association]),
+        association=given.get("association", Hungarian()),
         criterion=given.get("criterion", _CRITERIA[o.criterion]),
         clock=given.get("clock", Constant()),
     )
     return Choice(
         parts,
-        given.get("proposal", PROPOSALS[o.proposal]),
         given.get("resampling", SCHEMES[o.resampling]),
         component_m=0.0 if o.clock == "sampled" else o.offset_component_std_m,
         known_clock=o.clock == "known",
-        least_score=LEAST_SAMPLED if isinstance(parts.association, Sampled) else 0.0,
     )

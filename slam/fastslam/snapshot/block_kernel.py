@@ -25,6 +25,7 @@ from cellslam.slam.fastslam.snapshot.update_kernel import correct, credit, mask
 from cellslam.slam.fastslam.state.lanes_kernel import columns_at
 from cellslam.slam.fastslam.state.layout import (
     BROAD,
+    CENTRE,
     HIGH,
     HITS,
     LANES,
@@ -117,8 +118,7 @@ def _block(g: int, parts: Parts, step: Step, held: Blocks, association: Rows, s:
             continue
         scene = Scene(first, last, share, travelled[site], turned, psi, psi_spread)
         found = candidates(parts, s, now, link, count, scene, measured.z, rules)
-        turn = (now * links + number) * len(tracks.counts) + g
-        associate(parts.association, s, found, first, last - first, link, turn, share)
+        associate(parts.association, s, found, first, last - first, link)
         more = _update(parts, s, now, link, found, scene, measured.many, rules.hits, association)
         if more > 0:
             collect(s.w, s.v, site, size)
@@ -214,7 +214,7 @@ def _begin_bound(bounds: Rows, slot: int, z: Rows, least: float, travelled: floa
     """Write what a track can show at its birth, `least` being the least distance from a particle."""
     spread = 0.0 if z[8] > 0.0 else math.inf
     bounds[LOW, slot], bounds[HIGH, slot], bounds[MOVED, slot] = z[0] - spread, z[0] + spread, travelled
-    bounds[WIDTH, slot], bounds[NEAR, slot] = math.inf, max(least, 0.0) * z[3]
+    bounds[CENTRE, slot], bounds[WIDTH, slot], bounds[NEAR, slot] = 0.0, math.inf, max(least, 0.0) * z[3]
     bounds[LONG, slot], bounds[BROAD, slot] = z[5], z[6] + z[7]
 
 

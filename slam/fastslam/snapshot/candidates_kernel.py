@@ -85,7 +85,7 @@ def candidates(parts: Parts, s: Scratch, now: int, link: Link, count: int, scene
             invert(w, out, z[k], 1.0)
             logarithm(w, bits)
             score(parts.criterion, w, out, gate, z[k, 11])
-            claims[found, k - first] = _note(w, scores[found, k - first], rules.least_score)
+            claims[found, k - first] = _note(w, scores[found, k - first])
         if chosen:
             near[found] = slot
             found += 1
@@ -206,11 +206,11 @@ def _title(now: int, seen: int, rules: Rules) -> Any:
 
 
 @njit(cache=True, error_model="numpy")
-def _note(w: Rows, scores: Rows, least: float) -> bool:
+def _note(w: Rows, scores: Rows) -> bool:
     """Keep a pair's scores, lane by lane; return whether any lane could associate it."""
     best = NEVER
     for l in range(B):
         value = w[W_SCORE * B + l]
         scores[l] = value
         best = max(best, value)
-    return bool(best > least)
+    return bool(best > 0.0)

@@ -136,7 +136,6 @@ class Rules(NamedTuple):
     age_once: int
     age_twice: int
     exponent: float
-    least_score: float
     merging: bool
     tables: np.ndarray
 

@@ -6,14 +6,16 @@ Source: Murray, Lee and Jacob, "Parallel resampling in the particle filter", J. 
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.special import ndtri
 
-from cellslam.sim.recording import Floats, Ints
+from cellslam.sim.recording import Floats, Ints, OdometryModel
 from cellslam.slam.api import Setup
+from cellslam.slam.fastslam.snapshot.motion_kernel import driven
 from cellslam.slam.fastslam.state.copy_kernel import move_between, move_within
 from cellslam.slam.fastslam.state.layout import BIAS, BOUND, LANES, POSE, POSE_G, RECORD, SCALE, THETA, Blocks, Tracks
 from cellslam.slam.fastslam.state.tracks_kernel import DEAD, UNKNOWN
@@ -143,6 +145,22 @@ def widened(particles: Particles, capacity: int) -> Particles:
     return replace(wide, state=p.state, counts=p.counts, travelled=p.travelled, log_weight=p.log_weight)
 
 
+def draw_velocities(
+    particles: Particles, model: OdometryModel, dt_s: float, odometry: Floats, rng: np.random.Generator
+) -> Floats:
+    """Return body velocities (G, 6, 32) drawn from the odometry (6,), in m/s and rad/s, less each particle's own errors
+    of it, whose biases walk on."""
+    noise = np.zeros(6)
+    if dt_s > 0.0:
+        noise[:] = model.noise_density / math.sqrt(dt_s)
+        bias = particles.rows(BIAS, 6)
+        for c in np.flatnonzero(model.bias_walk_density):
+            bias[:, c] += model.bias_walk_density[c] * np.sqrt(dt_s) * rng.standard_normal((len(bias), LANES))
+    drawn = rng.standard_normal((np.count_nonzero(noise), len(particles.state), LANES))
+    velocity: Floats = driven(particles.state, odometry, noise, drawn)
+    return velocity
+
+
 def select(particles: Particles, ancestors: Ints) -> Particles:
     """Return the particles named by `ancestors` (count,), which share no memory, with equal weights.
 
@@ -192,4 +210,4 @@ def _carry_out(
         move_between(np.array(between, np.int64), source.state, source.held.tracks, target.state, target.held.tracks)
 
 
-__all__ = ["POSE_G", "Particles", "draw", "select"]
+__all__ = ["POSE_G", "Particles", "draw", "draw_velocities", "select"]

@@ -144,8 +144,7 @@ def test_doubles_are_merged_and_elevations_missed_as_in_the_reference(monkeypatc
 @pytest.mark.parametrize(
     ("part", "name"),
     [
-        ("motion", "sampled"), ("proposal", "measurements"), ("association", "sampled"), ("criterion", "mahalanobis"),
-        ("clock", "known"),
+        ("motion", "sampled"), ("criterion", "mahalanobis"), ("clock", "known"),
     ],
 )  # fmt: skip
 def test_other_parts_are_refused(part: str, name: str) -> None:
