@@ -16,6 +16,7 @@ from cellslam.sim.recording import Floats, Ints
 from cellslam.slam.model.matrices_kernel import (
     Mat3,
     Sym3,
+    Vec3,
     congruence,
     inverse,
     mat_mat,
@@ -34,7 +35,6 @@ from cellslam.slam.phd_slam.gaussians_kernel import (
     HIDDEN,
     HITS,
     LINK,
-    MEAN,
     NAME,
     NAMES,
     VISIBLE,
@@ -51,9 +51,6 @@ from cellslam.slam.phd_slam.gaussians_kernel import (
 from cellslam.slam.phd_slam.motion_kernel import Moved
 
 LEAST_RANGE_M = 1.0  # a VT is born no nearer
-AROUND, GUESSES, NEAREST_GUESS_M = 24, 7, 15.0  # of a lone distance or a lone azimuth
-APART = 0.3  # deviation of a guess over its distance from the next one
-SETTLING = 20.0  # detections after which a guess that has not been refuted counts as found
 UNKNOWN_ELEVATION_RAD = math.radians(15.0)
 
 
@@ -82,94 +79,100 @@ def added(pool: Pool, link: int, name: int, visible: float, hidden: float, hits:
 
 
 @njit(cache=True)
-def give_birth(pool: Pool, at: Moved, offset: float, span: float, measured: Measured, k: int, weight: float) -> None:
-    """Add the Gaussians of a VT that a measurement may be of, with `weight` in all: one, or, where the distance or the
-    azimuth is missing, as many guesses as go round the field of view or up to its end.
+def give_birth(pool: Pool, at: Moved, offset: float, measured: Measured, k: int, weight: float) -> None:
+    """Add the Gaussian of a VT that a measurement may be of: Sigma = J Q J^T; a greater clock offset brings it nearer.
 
-    Guesses have a negative number of detections until they have settled.
+    Without distance or azimuth, where it is could be anywhere: then none is added.
     """
     z, known, var = vec_at(measured.z, k, 0), vec_at(measured.known, k, 0), vec_at(measured.fresh, k, 0)
-    elevation, var_elevation = (z.z, var.z) if known.z > 0.0 else (0.0, UNKNOWN_ELEVATION_RAD**2)
     distance = z.x - offset
-    if known.x > 0.0 and distance < LEAST_RANGE_M:
+    if known.x == 0.0 or known.y == 0.0 or distance < LEAST_RANGE_M:
         return
-    if known.x > 0.0 and known.y > 0.0:
-        _born(pool, at, measured, k, (distance, z.y, elevation), (var.x, var.y, var_elevation), weight, 1.0)
-    elif known.x > 0.0:
-        step = 2.0 * span / AROUND
-        for i in range(AROUND):
-            guess = distance, (i + 0.5) * step - span, elevation
-            _born(pool, at, measured, k, guess, (var.x, (APART * step) ** 2, var_elevation), weight / AROUND, -SETTLING)
-    elif known.y > 0.0:
-        for i in range(GUESSES):
-            far = NEAREST_GUESS_M * 2.0**i
-            guess = far, z.y, elevation
-            _born(pool, at, measured, k, guess, ((APART * far) ** 2, var.y, var_elevation), weight / GUESSES, -SETTLING)
-
-
-@njit
-def _born(
-    pool: Pool, at: Moved, measured: Measured, k: int, z: tuple[float, float, float], var: tuple[float, float, float],
-    weight: float, hits: float,
-) -> None:  # fmt: skip
-    """Add the Gaussian of a measurement: Sigma = J Q J^T; a greater clock offset brings it nearer."""
-    ahead = mat_vec(at.turned.r, direction(z[1], z[2]))
-    j: Mat3 = mat_mat(at.turned.r, cartesian_jacobian(z[0], z[1], z[2]))
-    n = added(pool, measured.link[k], measured.born + k, weight, 0.0, hits)
+    elevation, var_elevation = (z.z, var.z) if known.z > 0.0 else (0.0, UNKNOWN_ELEVATION_RAD**2)
+    ahead = mat_vec(at.turned.r, direction(z.y, elevation))
+    j: Mat3 = mat_mat(at.turned.r, cartesian_jacobian(distance, z.y, elevation))
+    n = added(pool, measured.link[k], measured.born + k, weight, 0.0, 1.0)
     put_gaussian(
         pool.rows, n,
-        vec_plus(at.place, vec_scaled(ahead, z[0])),
-        congruence(j, Sym3(var[0], 0.0, 0.0, var[1], 0.0, var[2])),
-        vec_scaled(ahead, -measured.known[k, 0]),
+        vec_plus(at.place, vec_scaled(ahead, distance)),
+        congruence(j, Sym3(var.x, 0.0, 0.0, var.y, 0.0, var_elevation)),
+        vec_scaled(ahead, -1.0),
     )  # fmt: skip
 
 
 @njit(cache=True)
-def condense(pool: Pool, own: Map, drop: float, merge: float) -> None:
-    """Move the pool's Gaussians into the map, the weightiest first, each with those that lie within its reach; drop
-    what weighs less than `drop`, and what there is no room for."""
+def condense(pool: Pool, own: Map, place: Ints, drop: float, merge: float) -> None:
+    """Take the pool's Gaussians into the map, the weightiest first: into a weightier one at one of the places in view
+    (V,), which ascend, if it is within reach, else with those lighter ones that are; drop what weighs less than `drop`.
+
+    Those in view that no measurement has changed have been compared before.
+    """
     rows, names, target, target_names = pool.rows, pool.names, own.rows, own.names
-    n, size = 0, own.size[0]
-    weights = rows[: pool.size[0], VISIBLE] + rows[: pool.size[0], HIDDEN]
-    order, taken = np.argsort(-weights), np.zeros(len(weights), np.bool_)
-    x, y, wide_x, wide_y = np.empty(len(order)), np.empty(len(order)), np.empty(len(order)), np.empty(len(order))
-    for i in order:
-        if weights[i] < drop:
-            break
-        x[n], wide_x[n] = rows[i, MEAN], merge * rows[i, COVARIANCE]
-        y[n], wide_y[n] = rows[i, MEAN + 1], merge * rows[i, COVARIANCE + 3]
-        n += 1
+    n, size, gone = pool.size[0], own.size[0], np.zeros(len(place), np.bool_)
+    for v in range(len(place)):
+        gone[v] = _weight(target, place[v]) < drop
+    weights = rows[:n, VISIBLE] + rows[:n, HIDDEN]
+    order, taken = np.argsort(-weights), weights < drop
     for a in range(n):
-        if taken[a] or size == len(target):
+        i = order[a]
+        if taken[i]:
             continue
-        i, east, north = order[a], x[a], y[a]
-        centre = mean_of(rows, i)
+        centre, host = mean_of(rows, i), -1
+        for v in range(len(place)):
+            j = place[v]
+            if not gone[v] and target_names[j, LINK] == names[i, LINK]:
+                lighter = _weight(target, j) < weights[i]
+                if lighter and _within(target, j, centre, merge):
+                    gone[v] = True
+                    _absorb(rows, i, target, j)
+                elif not lighter and _within(rows, i, mean_of(target, j), merge):
+                    host = j
+                    break
+        if host >= 0:
+            _absorb(target, host, rows, i)
+            continue
         for b in range(a + 1, n):
-            dx, dy = x[b] - east, y[b] - north
-            if dx * dx > wide_x[b] or dy * dy > wide_y[b] or taken[b]:
-                continue
             k = order[b]
-            apart = vec_minus(mean_of(rows, k), centre)
-            if names[k, LINK] == names[i, LINK] and quadratic(inverse(covariance_of(rows, k)), apart) <= merge:
-                taken[b] = True
-                _absorb(rows, i, k)
-        put_row(target, target_names, size, rows, names, i)
-        size += 1
+            if not taken[k] and names[k, LINK] == names[i, LINK] and _within(rows, k, centre, merge):
+                taken[k] = True
+                _absorb(rows, i, rows, k)
+        if size < len(target):
+            put_row(target, target_names, size, rows, names, i)
+            size += 1
+    for v in range(len(place) - 1, -1, -1):
+        if gone[v]:
+            size -= 1
+            put_row(target, target_names, place[v], target, target_names, size)
     own.size[0] = size
 
 
+@njit
+def _weight(rows: Floats, j: int) -> float:
+    """Return how many VTs a row stands for."""
+    return float(rows[j, VISIBLE] + rows[j, HIDDEN])
+
+
+@njit
+def _within(rows: Floats, j: int, place: Vec3, merge: float) -> bool:
+    """Return whether the squared normalised distance of a place (m) from the Gaussian in a row is at most `merge`."""
+    apart = vec_minus(mean_of(rows, j), place)
+    if apart.x * apart.x > merge * rows[j, COVARIANCE] or apart.y * apart.y > merge * rows[j, COVARIANCE + 3]:
+        return False
+    return bool(quadratic(inverse(covariance_of(rows, j)), apart) <= merge)
+
+
 @njit(cache=True)
-def _absorb(rows: Floats, i: int, k: int) -> None:
-    """Replace two Gaussians by one of their weight, mean and covariance, in row i."""
-    mine, its = rows[i, VISIBLE] + rows[i, HIDDEN], rows[k, VISIBLE] + rows[k, HIDDEN]
+def _absorb(rows: Floats, i: int, source: Floats, k: int) -> None:
+    """Replace row i by a Gaussian of the weight, mean and covariance of itself and of row k of a source together."""
+    mine, its = _weight(rows, i), _weight(source, k)
     share = its / (mine + its)
-    apart = vec_minus(mean_of(rows, k), mean_of(rows, i))
-    within = sym_plus(sym_scaled(covariance_of(rows, i), 1.0 - share), sym_scaled(covariance_of(rows, k), share))
+    apart = vec_minus(mean_of(source, k), mean_of(rows, i))
+    within = sym_plus(sym_scaled(covariance_of(rows, i), 1.0 - share), sym_scaled(covariance_of(source, k), share))
     put_gaussian(
         rows, i,
         vec_plus(mean_of(rows, i), vec_scaled(apart, share)),
         sym_plus(within, sym_scaled(outer(apart), share * (1.0 - share))),
-        vec_plus(vec_scaled(gain_of(rows, i), 1.0 - share), vec_scaled(gain_of(rows, k), share)),
+        vec_plus(vec_scaled(gain_of(rows, i), 1.0 - share), vec_scaled(gain_of(source, k), share)),
     )  # fmt: skip
-    rows[i, VISIBLE] += rows[k, VISIBLE]
-    rows[i, HIDDEN] += rows[k, HIDDEN]
+    rows[i, VISIBLE] += source[k, VISIBLE]
+    rows[i, HIDDEN] += source[k, HIDDEN]

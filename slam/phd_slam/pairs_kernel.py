@@ -13,9 +13,8 @@ from typing import NamedTuple
 import numpy as np
 
 from cellslam.sim.compiling import njit
-from cellslam.sim.frames_kernel import wrap
 from cellslam.sim.recording import Floats, Ints
-from cellslam.slam.model.matrices_kernel import dot, sym_plus, transposed_vec, vec_minus
+from cellslam.slam.model.matrices_kernel import Vec3, dot, sym_plus, transposed_vec, vec_minus
 from cellslam.slam.model.measurement_kernel import LEAST_FLAT2
 from cellslam.slam.phd_slam.gaussians_kernel import (
     LINK,
@@ -36,6 +35,7 @@ SWEEPS = 3  # of belief propagation: nearly all associations are of one or two r
 FARTHEST = 4.0  # deviations beyond the field of view at which a Gaussian need not be looked at
 LARGEST_LOG = 600.0  # of a likelihood ratio: its exponential is still a number
 SURELY2 = 36.0  # squared deviations from an edge at which there is none
+RIGHT2 = (0.5 * math.pi) ** 2  # square of a right angle
 UNSEEN = 1e-3  # probability of detection below which it is not looked at either
 
 
@@ -60,8 +60,8 @@ class Rules(NamedTuple):
 
 class Near(NamedTuple):
     """Gaussians in the field of view, or nearly: their places in the map, which ascend; distance (m, with the clock's
-    offset), azimuth (rad), squared horizontal distance (m^2) and trace of the covariance (m^2) in rows (., 4);
-    probabilities of detection."""
+    offset), way ahead and to the left (m), squared horizontal distance (m^2) and trace of the covariance (m^2) in rows
+    (., 5); probabilities of detection."""
 
     place: Ints
     where: Floats
@@ -85,13 +85,27 @@ def _inside(margin: float, variance: float) -> float:
     return 0.5 + 0.5 * math.erf(margin / math.sqrt(2.0 * variance))
 
 
+@njit
+def _within(v: Vec3, span: float, variance: float, flat2: float) -> float:
+    """Return the probability that the azimuth of v (m) is below the span, with that variance in rad^2.
+
+    Behind, an arc is longer than its chord: most of what is there needs no arc tangent.
+    """
+    least = span - 0.5 * math.pi + v.x / math.sqrt(flat2)
+    if v.x < 0.0 and least < 0.0 and least * least > SURELY2 * variance:
+        return 0.0
+    return _inside(span - abs(math.atan2(v.y, v.x)), variance)
+
+
 @njit(cache=True)
-def find_near(own: Map, at: Moved, offset: Floats, rules: Rules) -> Near:
-    """Return which Gaussians may be detected, offset (S,) in m the clocks; the edge of the field of view is as soft as
-    they are uncertain."""
-    rows, names, limits, site_of, count = own.rows, own.names, rules.limits, rules.site_of, own.size[0]
-    place, where, probability, n = np.empty(count, np.int64), np.empty((count, 4)), np.empty(count), 0
-    for j in range(count):
+def find_near(own: Map, among: Ints, at: Moved, offset: Floats, rules: Rules, way: float, turn: float) -> Near:
+    """Return which of the Gaussians at these places, which ascend, may be detected; offset (S,) in m: the clocks.
+
+    The edge of the field of view is as soft as they are uncertain, and the pose (way in m^2, turn in rad^2).
+    """
+    rows, names, limits, site_of, count = own.rows, own.names, rules.limits, rules.site_of, len(among)
+    place, where, probability, n = np.empty(count, np.int64), np.empty((count, 5)), np.empty(count), 0
+    for j in among:
         link = names[j, LINK]
         reach, span, clock = limits[link, 0], limits[link, 1], offset[site_of[link]]
         w, loose = vec_minus(mean_of(rows, j), at.place), trace_of(rows, j)
@@ -101,15 +115,26 @@ def find_near(own: Map, at: Moved, offset: Floats, rules: Rules) -> Near:
             continue
         v = transposed_vec(at.turned.r, w)
         flat2 = max(v.x * v.x + v.y * v.y, LEAST_FLAT2)
-        distance, azimuth = math.sqrt(full2) + clock, math.atan2(v.y, v.x)
-        chance = rules.detection * _inside(reach - distance, limits[link, 2] + loose)
+        distance, chance = math.sqrt(full2) + clock, rules.detection
         if span < math.pi:
-            chance *= _inside(span - abs(azimuth), limits[link, 3] + loose / flat2)
+            chance *= _within(v, span, limits[link, 3] + turn + loose / flat2, flat2)
+        if chance > UNSEEN:
+            chance *= _inside(reach - distance, limits[link, 2] + way + loose)
         if chance > UNSEEN:
             place[n], probability[n] = j, chance
-            where[n, 0], where[n, 1], where[n, 2], where[n, 3] = distance, azimuth, flat2, loose
+            where[n, 0], where[n, 1], where[n, 2], where[n, 3], where[n, 4] = distance, v.x, v.y, flat2, loose
             n += 1
     return Near(place[:n], where[:n], probability[:n])
+
+
+@njit
+def _off(c: float, s: float, ahead: float, aside: float, limit2: float) -> bool:
+    """Return whether the angle between the directions (c, s), of length 1, and (ahead, aside) is surely above the root
+    of limit2, in rad: its sine is smaller, and behind it is above a right angle."""
+    cross, along = c * aside - s * ahead, c * ahead + s * aside
+    if along < 0.0:
+        return limit2 < RIGHT2
+    return cross * cross > limit2 * (cross * cross + along * along)
 
 
 @njit(cache=True)
@@ -128,20 +153,22 @@ def pair_up(
     z, known, single, gain, gate = measured.z, measured.known, measured.single, measured.gain, rules.gate
     most, size, dt2 = len(where) * len(z), 0, at.dt * at.dt
     gaussian, measurement, odds = np.empty(most, np.int64), np.empty(most, np.int64), np.empty(most)
+    toward = np.empty((len(z), 2))
+    for k in range(len(z)):
+        toward[k, 0], toward[k, 1] = math.cos(z[k, 1]), math.sin(z[k, 1])
     way, turn = dt2 * (std[0] ** 2 + std[1] ** 2 + std[2] ** 2), dt2 * (std[3] ** 2 + std[4] ** 2 + std[5] ** 2)
     for n in range(len(where)):
         j = near.place[n]
-        link, mean, distance, azimuth, flat2 = names[j, LINK], mean_of(rows, j), where[n, 0], where[n, 1], where[n, 2]
-        site = site_of[link]
-        wide = where[n, 3] + 3.0 * (way + 2.0 * variance[site])
+        link, mean, distance, flat2 = names[j, LINK], mean_of(rows, j), where[n, 0], where[n, 3]
+        site, ahead, aside = site_of[link], where[n, 1], where[n, 2]
+        wide = where[n, 4] + 3.0 * (way + 2.0 * variance[site])
         across, looked = wide / flat2 + 3.0 * turn, False
         wide += 3.0 * turn * flat2
         for k in range(first[link], first[link + 1]):
             e = known[k, 0] * (z[k, 0] - distance)
             if e * e > gate * (single[k, 0] + wide):
                 continue
-            e = known[k, 1] * wrap(z[k, 1] - azimuth)
-            if e * e > gate * (single[k, 1] + across):
+            if known[k, 1] > 0.0 and _off(toward[k, 0], toward[k, 1], ahead, aside, gate * (single[k, 1] + across)):
                 continue
             if not looked:
                 seen = seen_from(at.place, at.turned.r, rows, j, offset[site])

@@ -30,14 +30,13 @@ from cellslam.slam.phd_slam.gaussians_kernel import (
     forget,
     innovation,
     mean_of,
-    put_row,
     put_update,
     residual,
     seen_from,
     vec_at,
     with_clock,
 )
-from cellslam.slam.phd_slam.mixture_kernel import AROUND, Pool, added, condense, give_birth, new_pool
+from cellslam.slam.phd_slam.mixture_kernel import Pool, added, condense, give_birth, new_pool
 from cellslam.slam.phd_slam.motion_kernel import (
     Interval,
     Moved,
@@ -105,11 +104,11 @@ def use_snapshot(
         one = one_of(particles, i)
         own = one.map
         _walk(one, walk, rules)
-        velocity = np.zeros(6)
+        among = np.arange(own.size[0])
         if interval.dt > 0.0:
             come_and_go(own, rules.stay, rules.back)
-            _move(one, interval, measured, first, rules, drawn[i], velocity)
-        _update(one, moved(one.pose, np.zeros(6), 0.0), measured, first, rules, association[i])
+            among = _move(one, interval, measured, first, rules, drawn[i])
+        _update(one, moved(one.pose, np.zeros(6), 0.0), among, measured, first, rules, association[i])
 
 
 @njit(cache=True)
@@ -127,15 +126,17 @@ def _walk(one: One, walk: Floats, rules: Rules) -> None:
 
 
 @njit(cache=True)
-def _move(
-    one: One, interval: Interval, measured: Measured, first: Ints, rules: Rules, drawn: Floats, velocity: Floats
-) -> None:
-    """Draw the velocity from its density given the snapshot, linearised at its mean; weigh by prior over density."""
+def _move(one: One, interval: Interval, measured: Measured, first: Ints, rules: Rules, drawn: Floats) -> Ints:
+    """Draw the velocity from its density given the snapshot, linearised at its mean; weigh by prior over density.
+
+    Return the places of what may be seen.
+    """
     mean, std, x, factor = np.empty(6), np.empty(6), np.zeros(6), np.zeros((6, 6))
     predict_velocity(one.error, one.doubt, interval, mean, std)
-    velocity[:] = mean
-    at = moved(one.pose, mean, interval.dt)
-    near = find_near(one.map, at, one.offset, rules)
+    velocity, dt2 = mean.copy(), interval.dt**2
+    at, everywhere = moved(one.pose, mean, interval.dt), np.arange(one.map.size[0])
+    way, turn = dt2 * np.sum(std[:3] ** 2), dt2 * np.sum(std[3:] ** 2)
+    near = find_near(one.map, everywhere, at, one.offset, rules, way, turn)
     pairs = pair_up(one.map, near, at, std, one.offset, one.variance, measured, first, rules)
     shares = exclusive(pairs, len(measured.z))
     for _ in range(rules.iterations):
@@ -154,6 +155,7 @@ def _move(
     one.log_weight[0] += log_ratio
     put_pose(one.pose, velocity, moved(one.pose, velocity, interval.dt))
     learn(one.error, one.doubt, interval, velocity)
+    return near.place
 
 
 @njit(cache=True)
@@ -161,13 +163,10 @@ def _inform(
     one: One, at: Moved, std: Floats, measured: Measured, rules: Rules, near: Near, pairs: Pairs, shares: Floats,
     x: Floats, information: Floats, y: Floats,
 ) -> None:  # fmt: skip
-    """Add what the pairs say of the velocity, linearised at x (6,) deviations of it, each by its probability.
-
-    A guess that has not settled says nothing: of those of a VT all but one are wrong.
-    """
+    """Add what the pairs say of the velocity, linearised at x (6,) deviations of it, each by its probability."""
     for p in range(len(pairs.odds)):
         j, k = near.place[pairs.gaussian[p]], pairs.measurement[p]
-        if shares[p] < rules.drop or one.map.rows[j, HITS] <= 0.0:
+        if shares[p] < rules.drop:
             continue
         site = rules.site_of[measured.link[k]]
         seen = seen_from(at.place, at.turned.r, one.map.rows, j, one.offset[site])
@@ -178,29 +177,27 @@ def _inform(
 
 
 @njit(cache=True)
-def _update(one: One, at: Moved, measured: Measured, first: Ints, rules: Rules, association: Ints) -> None:
-    """Update the clock offsets, the map and the weight of a particle whose pose is drawn."""
+def _update(one: One, at: Moved, among: Ints, measured: Measured, first: Ints, rules: Rules, association: Ints) -> None:
+    """Update the clock offsets, the map, of which the Gaussians at the places `among` may be seen, and the weight of a
+    particle whose pose is drawn."""
     own, nothing = one.map, np.zeros(6)
-    near = find_near(own, at, one.offset, rules)
+    near = find_near(own, among, at, one.offset, rules, 0.0, 0.0)
     pairs = pair_up(own, near, at, nothing, one.offset, one.variance, measured, first, rules)
     if one.variance.any():
         _learn_offsets(one, at, measured, rules, near, pairs)
-        near = find_near(own, at, one.offset, rules)
+        near = find_near(own, among, at, one.offset, rules, 0.0, 0.0)
         known = np.zeros(len(one.variance))
         pairs = pair_up(own, near, at, nothing, one.offset, known, measured, first, rules)
-    total, settled, evidence = np.ones(len(measured.z)), np.ones(len(measured.z)), 0.0
+    total, evidence = np.ones(len(measured.z)), 0.0
     for p in range(len(pairs.odds)):
         total[pairs.measurement[p]] += pairs.odds[p]
-        if own.rows[near.place[pairs.gaussian[p]], HITS] > 0.0:
-            settled[pairs.measurement[p]] += pairs.odds[p]
-    for k in range(len(settled)):
-        evidence += math.log(settled[k])
+    for k in range(len(total)):
+        evidence += math.log(total[k])
     for n in range(len(near.place)):
-        if own.rows[near.place[n], HITS] > 0.0:
-            evidence -= near.chance[n] * own.rows[near.place[n], VISIBLE]
+        evidence -= near.chance[n] * own.rows[near.place[n], VISIBLE]
     one.log_weight[0] += rules.new * evidence
     pool = _updated(one, at, measured, rules, near, pairs, total, association)
-    condense(pool, own, rules.drop, rules.merge)
+    condense(pool, own, near.place, rules.drop, rules.merge)
 
 
 @njit(cache=True)
@@ -217,7 +214,7 @@ def _learn_offsets(one: One, at: Moved, measured: Measured, rules: Rules, near: 
         j, k = near.place[pairs.gaussian[p]], pairs.measurement[p]
         site = rules.site_of[measured.link[k]]
         share = pairs.odds[p] / total[k]
-        if share < rules.drop or one.variance[site] == 0.0 or one.map.rows[j, HITS] <= 0.0:
+        if share < rules.drop or one.variance[site] == 0.0:
             continue
         seen = seen_from(at.place, at.turned.r, one.map.rows, j, one.offset[site])
         e = residual(seen, vec_at(measured.z, k, 0), vec_at(measured.known, k, 0))
@@ -238,10 +235,10 @@ def _learn_offsets(one: One, at: Moved, measured: Measured, rules: Rules, near: 
 def _updated(
     one: One, at: Moved, measured: Measured, rules: Rules, near: Near, pairs: Pairs, total: Floats, association: Ints
 ) -> Pool:
-    """Take the Gaussians in view out of the map; return them as they are if missed, with one for each detection, and
-    those that are born."""
+    """Leave the Gaussians in view in the map as they are if missed; return one for each detection, and those that are
+    born."""
     rows, names, z, known, many = one.map.rows, one.map.names, measured.z, measured.known, measured.many
-    pool, count = new_pool(len(pairs.odds) + len(near.place) + AROUND * len(total)), len(pairs.odds)
+    pool, count = new_pool(len(pairs.odds) + len(total)), len(pairs.odds)
     best, p = np.full(len(total), SURE), 0
     association[:] = -1
     for n in range(len(near.place)):
@@ -260,43 +257,33 @@ def _updated(
             if share > best[k]:
                 best[k], association[k] = share, name
             p += 1
-        missed = added(pool, link, name, 0.0, 0.0, hits)
-        put_row(pool.rows, pool.names, missed, rows, names, j)
-        pool.rows[missed, VISIBLE] *= 1.0 - near.chance[n]
-        pool.rows[missed, HIDDEN] *= max(1.0 - found, 0.0)
-    _take_out(one.map, near)
+        rows[j, VISIBLE] *= 1.0 - near.chance[n]
+        rows[j, HIDDEN] *= max(1.0 - found, 0.0)
     for k in range(len(total)):
         weight = rules.birth / total[k]
         if weight > rules.drop and measured.begins[k]:
             link = measured.link[k]
-            give_birth(pool, at, one.offset[rules.site_of[link]], rules.limits[link, 1], measured, k, weight)
+            give_birth(pool, at, one.offset[rules.site_of[link]], measured, k, weight)
     return pool
 
 
-@njit(cache=True)
+@njit(cache=True, parallel=True)
 def resample(particles: Particles, ancestors: Ints) -> None:
     """Put copies of the ancestors, sorted indices (N,), in the place of particles that have no offspring."""
-    n = len(ancestors)
-    kept, free = np.zeros(n, np.bool_), 0
-    for a in ancestors:
-        kept[a] = True
-    p = particles
-    for i in range(n):
-        a = ancestors[i]
-        if i > 0 and ancestors[i - 1] == a:
-            while kept[free]:
-                free += 1
-            p.pose[free], p.error[free], p.doubt[free] = p.pose[a], p.error[a], p.doubt[a]
-            p.offset[free], p.variance[free] = p.offset[a], p.variance[a]
-            copy_map(one_of(p, a).map, one_of(p, free).map)
-            kept[free] = True
+    p, n = particles, len(ancestors)
+    children = np.zeros(n, np.int64)
+    for ancestor in ancestors:
+        children[ancestor] += 1
+    spare = np.repeat(np.arange(n), np.maximum(children - 1, 0))
+    free = np.flatnonzero(children == 0)
+    for i in prange(len(free)):
+        _copy(p, spare[i], free[i])
     p.log_weight[:] = 0.0
 
 
 @njit(cache=True)
-def _take_out(own: Map, near: Near) -> None:
-    """Take the Gaussians in view, whose places ascend, out of the map: the last ones fill the gaps."""
-    for n in range(len(near.place) - 1, -1, -1):
-        j, last = near.place[n], own.size[0] - 1
-        put_row(own.rows, own.names, j, own.rows, own.names, last)
-        own.size[0] = last
+def _copy(p: Particles, a: int, b: int) -> None:
+    """Put a copy of particle a in the place of particle b."""
+    p.pose[b], p.error[b], p.doubt[b] = p.pose[a], p.error[a], p.doubt[a]
+    p.offset[b], p.variance[b] = p.offset[a], p.variance[a]
+    copy_map(one_of(p, a).map, one_of(p, b).map)

@@ -142,7 +142,7 @@ def test_merging_keeps_weight_and_moments_of_what_it_merges() -> None:
     rows[:, MEAN] = [0.0, 1.0, 50.0, 0.0]
     rows[:, COVARIANCE:GAIN] = np.eye(3)[UPPER]
     own = Map(np.zeros((8, WIDTH)), np.zeros((8, NAMES), np.int64), np.zeros(1, np.int64))
-    condense(Pool(rows.copy(), names, np.array([4])), own, 1e-6, 4.0)
+    condense(Pool(rows.copy(), names, np.array([4])), own, np.empty(0, np.int64), 1e-6, 4.0)
     assert own.size[0] == 2
     share = 0.2 / 0.8
     assert own.rows[0, [VISIBLE, HIDDEN]] == pytest.approx([0.7, 0.1])
@@ -155,11 +155,12 @@ def test_resampled_particles_share_nothing() -> None:
     parts = [np.arange(n * k, dtype=float).reshape(n, *shape) for k, shape in ((6, (6,)), (12, (6, 2)), (18, (6, 3)))]
     maps = np.arange(n * 2 * WIDTH, dtype=float).reshape(n, 2, WIDTH), np.zeros((n, 2, NAMES), np.int64)
     p = Particles(*parts, np.zeros((n, 1)), np.zeros((n, 1)), np.ones(n), *maps, np.full((n, 1), 2))
-    before = p.rows.copy()
+    before = [part.copy() for part in (p.pose, p.error, p.doubt, p.rows)]
     resample(p, np.array([1, 1, 1, 3]))
-    np.testing.assert_array_equal(p.rows, before[[1, 1, 1, 3]])
+    for part, was in zip((p.pose, p.error, p.doubt, p.rows), before, strict=True):
+        np.testing.assert_array_equal(part, was[[1, 1, 1, 3]])
     p.rows[0] = -1.0
-    np.testing.assert_array_equal(p.rows[1], before[1])
+    np.testing.assert_array_equal(p.rows[1], before[3][1])
     assert not p.log_weight.any()
 
 
@@ -191,9 +192,9 @@ def test_one_particle_maps_what_odometry_alone_loses() -> None:
     assert rmse(recording, like(1)) < 0.2 * rmse(recording, DeadReckoning())
 
 
-def test_distances_alone_do_little_harm() -> None:
+def test_distances_alone_do_no_harm() -> None:
     recording = first_minutes(azimuth_rad=np.nan)
-    assert rmse(recording, like(20)) < 1.5 * rmse(recording, DeadReckoning())
+    assert rmse(recording, like(20)) < 1.1 * rmse(recording, DeadReckoning())
 
 
 def test_known_transmitters_are_in_the_map_from_the_start() -> None:
