@@ -98,7 +98,7 @@ class JointFilter:
         """
         if self._joint is None:
             raise RuntimeError("sizes are learnt once the clock offsets are resolved")
-        return sizes_of(self._joint, self._errors)
+        return sizes_of(self._joint, self._errors, self._setup.odometry_model.noise_density)
 
     def _given(self, looks: Looks) -> Ints:
         """Return the true VT of each look, for the oracle that knows it."""

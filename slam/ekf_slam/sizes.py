@@ -16,7 +16,7 @@ from cellslam.sim.described import Described
 from cellslam.sim.recording import COMPONENTS, Floats, Ints, OdometryModel
 from cellslam.slam.ekf_slam.bank import Bank
 from cellslam.slam.ekf_slam.ekf_slam_options import EkfSlamOptions
-from cellslam.slam.ekf_slam.snapshot.sizes_kernel import count_weight
+from cellslam.slam.ekf_slam.snapshot.sizes_kernel import ODOMETRY, count_states, count_weight
 from cellslam.slam.ekf_slam.state.layout import ArrayErrors, one_of
 
 _PARTS = ("m", "azimuth_deg", "elevation_deg")
@@ -26,8 +26,8 @@ OPTIONS = (
     "sway_azimuth_deg", "sway_elevation_deg", "sway_elevation_deg", *COMPONENTS,
     *(f"calibration_{part}" for part in _PARTS), *(f"roof_{part}" for part in _PARTS),
 )  # fmt: skip
-LEAST_INFORMATION = 10.0  # a size told less well than to a third is left as it is
-SURE = 3.0  # but a slope of so many deviations says that it is too small
+# What is told of a size may be wrong by a factor: so much is known of its logarithm without the drive.
+TOLD = 1.0 / math.log(5.0) ** 2
 MOST_STEP = math.log(4.0)  # of one pass
 # A field of direction can explain whatever goes on for long, as paths that merge: it does not become wider than this.
 FIELDS, MOST_OF_FIELD = ("calibration_", "roof_"), 3.0
@@ -44,40 +44,31 @@ class Sizes(Described):
     bias: Floats
     scale: Floats
 
-    @property
-    def misfit(self) -> float:
-        """Mean square of the slopes in their standard deviations, over the sizes that the drive tells: about 1 where
-        they are right (score test; Rao, Proc. Cambridge Philosophical Society 44, 1948); 0 where it tells none."""
-        squares = [slope * slope / information for slope, information in self._told().values()]
-        return float(np.mean(squares)) if squares else 0.0
-
-    def steps(self) -> dict[str, float]:
-        """Return the step of each log size that the drive tells towards the likeliest: of options by their names, of
-        the odometry's noise by its component."""
-        return {name: slope / information for name, (slope, information) in self._told().items()}
-
-    def deviations(self) -> dict[str, float]:
-        """Return the standard deviation of each log size that the drive tells."""
-        return {name: 1.0 / math.sqrt(information) for name, (_, information) in self._told().items()}
-
-    def _told(self) -> dict[str, tuple[float, float]]:
-        """Return slope and information of the sizes that the drive tells well enough."""
+    def told(self) -> dict[str, tuple[float, float]]:
+        """Return slope and information of each log size: of options by their names, of the odometry's noise by its
+        component. Those that no error was seen of are left out."""
         out = {}
         for name in dict.fromkeys(OPTIONS):
             which = [k for k, other in enumerate(OPTIONS) if other == name]
-            slope, information = float(self.slope[which].sum()), float(self.information[which].sum())
-            too_small = slope > max(SURE * math.sqrt(information), 1.0)
-            if information >= LEAST_INFORMATION or (too_small and information > 0.0):
-                out[name] = (slope, information)
+            if (information := float(self.information[which].sum())) > 0.0:
+                out[name] = (float(self.slope[which].sum()), information)
         return out
 
+    def deviations(self) -> dict[str, float]:
+        """Return the standard deviation of each log size, as the drive and what was told of it tell it."""
+        return {name: 1.0 / math.sqrt(information + TOLD) for name, (_, information) in self.told().items()}
 
-def sizes_of(bank: Bank, errors: ArrayErrors) -> Sizes:
-    """Return what the likeliest filter of a bank has learnt; the bank's own counts stay as they are."""
+
+def sizes_of(bank: Bank, errors: ArrayErrors, noise: Floats) -> Sizes:
+    """Return what the likeliest filter of a bank has learnt; the bank's own counts stay as they are.
+
+    noise (6,): densities of the odometry's white noise, whose sums have not been taken in lately.
+    """
     best, core = int(np.argmax(bank.log_weight)), bank.core
     f = one_of(bank.arrays, best)._replace(sizes=bank.arrays.sizes[best].copy())
     for place in np.flatnonzero(f.owner[: f.size[0]] >= 0):
         count_weight(f, errors, int(place))
+    count_states(f, core.noise, ODOMETRY, noise**2 * f.summed[0])
 
     def squares(of: Ints) -> Floats:
         return np.array([f.x[i] ** 2 + f.p[i, i] if i >= 0 else np.nan for i in of])
@@ -93,29 +84,41 @@ class Sheets(NamedTuple):
     odometry: OdometryModel
 
 
-def stepped(sheets: Sheets, found: Sizes, told: Sheets, share: float = 1.0) -> tuple[Sheets, dict[str, float]]:
-    """Return sheets whose sizes are a share of a step nearer to the likeliest, and the steps of their logarithms.
+def stepped(sheets: Sheets, found: Sizes, told: Sheets, share: float = 1.0) -> tuple[Sheets, float]:
+    """Return sheets whose sizes are a share of a step nearer to the likeliest, and how far those of now are off.
 
-    Biases and scales, of which a drive has one draw each, only grow. Sizes that the drive does not tell are as `told`:
-    what a pass that was lost believed of them is not kept.
+    The likeliest: by what the drive says and what was `told`. Off by: mean square of the slopes in their deviations,
+    over as many sizes as the drive tells: about 1 where they are right (score test; Rao, Proc. Cambridge Philosophical
+    Society 44, 1948). Biases and scales, of which a drive has one draw each, only grow.
     """
-    steps = {name: share * min(max(step, -MOST_STEP), MOST_STEP) for name, step in found.steps().items()}
     odometry, options = sheets.odometry, sheets.options
-    changed, noise = dict[str, float](), told.odometry.noise_density.copy()
-    for name in OPTIONS:
+    changed, noise, squares, number = dict[str, float](), odometry.noise_density.copy(), 0.0, 0.0
+    for name, (slope, information) in found.told().items():
         if name in COMPONENTS:
-            if name in steps:
-                noise[COMPONENTS.index(name)] = odometry.noise_density[COMPONENTS.index(name)] * math.exp(steps[name])
+            at = COMPONENTS.index(name)
+            now, first = {name: float(noise[at])}, {name: float(told.odometry.noise_density[at])}
+        else:
+            now, first = ({key: getattr(of.options, key) for key in keys_of(name)} for of in (sheets, told))
+        if not (largest := max(now, key=lambda key: now[key])) or not now[largest]:
             continue
-        for key in keys_of(name):
-            if name in steps:
-                most = MOST_OF_FIELD * getattr(told.options, key) if name.startswith(FIELDS) else MOST[name[-1]]
-                changed[key] = min(getattr(options, key) * math.exp(steps[name]), most)
-            elif key in type(options).model_fields:  # no roof has an error of distance
-                changed[key] = getattr(told.options, key)
+        slope -= TOLD * math.log(now[largest] / first[largest])
+        squares += slope * slope / (information + TOLD)
+        number += information / (information + TOLD)
+        # The step is one of the variance: moments are matched at once where the error itself is measured.
+        step = 0.5 * math.log1p(max(2.0 * slope / (information + TOLD), math.exp(-2.0 * MOST_STEP) - 1.0))
+        factor = math.exp(share * min(step, MOST_STEP))
+        if name in COMPONENTS:
+            noise[at] *= factor
+            continue
+        for key in now:
+            most = MOST_OF_FIELD * first[key] if name.startswith(FIELDS) else MOST[name[-1]]
+            changed[key] = min(now[key] * factor, most)
     bias, scale = np.fmax(np.sqrt(found.bias), odometry.bias), np.fmax(np.sqrt(found.scale), odometry.scale)
-    nearer = replace(odometry, noise_density=noise, bias=bias, scale=scale)
-    return Sheets(type(options)(**(options.model_dump() | changed)), nearer), steps
+    nearer = Sheets(
+        type(options)(**(options.model_dump() | changed)),
+        replace(odometry, noise_density=noise, bias=bias, scale=scale),
+    )
+    return nearer, squares / max(number, 1e-9)
 
 
 def keys_of(name: str) -> tuple[str, ...]:

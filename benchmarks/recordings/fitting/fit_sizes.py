@@ -28,7 +28,8 @@ from cellslam.slam.ekf_slam.sizes import Sheets, Sizes, keys_of, stepped
 from cellslam.slam.front_end.front_end_options import FrontEndOptions
 
 PASSES, WHOLE = 8, 2  # passes at most; so many take whole steps, the others half of them
-FITS = 2.0  # misfit from which on sizes are as good as right
+FITS = 2.0  # mean square of the slopes, in their deviations, from which on sizes are as good as right
+SAID = 0.5  # relative deviation of a size beyond which nothing is said of it
 # Slip of a real vehicle comes in bursts: a filter told the deviation over the whole drive is too sure in these.
 BURSTS = 3.0
 # Bias and scale that any odometer may have, m/s and rad/s: what a data sheet leaves out cannot be learnt.
@@ -40,8 +41,8 @@ class Learnt:
     """What was learnt: `options` that all map builders share, by name, and the odometry's data sheet.
 
     `changes`: by what factor a size of `slam.ekf_slam.sizes.OPTIONS` differs from what was told, and its relative
-    standard deviation as the drive tells it; what it does not tell is left out, and stays as told. `resolved`: False
-    where clock offsets never were, so that nothing is learnt.
+    standard deviation; what the drive does not tell is left out, and stays as told. `resolved`: False where clock
+    offsets never were, so that nothing is learnt.
     """
 
     options: dict[str, Any]
@@ -68,40 +69,44 @@ def learn(recording: Recording, told: Mapping[str, Any] | None, progress: Progre
     first = tried = Sheets(EkfSlamOptions(**told), sheet)
     last: Pass | None = None
     fitting: Pass | None = None
-    keys, share = set(told), 1.0
+    share = 1.0
     with progress("learning the sizes of errors", PASSES) as advance:
         for number in range(PASSES):
             found = _found(recording, tried)
             advance(1)
             if found is not None:
-                last, share = Pass(tried, found), 1.0 if number < WHOLE else 0.5
-                fitting = min((fitting or last, last), key=lambda one: one.found.misfit)
-                if found.misfit < FITS:
+                share = 1.0 if number < WHOLE else 0.5
+                nearer, off = stepped(tried, found, first, share)
+                last = Pass(tried, found, off)
+                fitting = last if fitting is None or off < fitting.off else fitting
+                if off < FITS:
                     break
+                tried = nearer
             elif last is None:
-                break
+                return Learnt(dict(told), sheet, {}, False)
             else:
                 share *= 0.5
-            tried, steps = stepped(last.sheets, last.found, first, share)
-            keys |= {key for name in steps if name not in COMPONENTS for key in keys_of(name)}
-    if fitting is None:
-        return Learnt(dict(told), sheet, {}, False)
+                tried, _ = stepped(last.sheets, last.found, first, share)
+    assert fitting is not None
     options, odometry = fitting.sheets
     noise = recording.odometry_model.noise_density
     ratio = np.divide(odometry.noise_density, noise, out=np.ones(6), where=noise > 0.0)
     changes = {
         name: (_factor(name, first.options, options, ratio), deviation)
         for name, deviation in fitting.found.deviations().items()
+        if deviation < SAID
     }
-    shared = {key: getattr(options, key) for key in sorted(keys)}
+    was, now = first.options.model_dump(), options.model_dump()
+    shared = {key: value for key, value in sorted(now.items()) if key in told or value != was[key]}
     return Learnt(shared, _safe(odometry, fitting.found, bursts), changes, True)
 
 
 class Pass(NamedTuple):
-    """A pass through the drive: what the filter was told, and what it found."""
+    """A pass through the drive: what the filter was told, what it found, and how far off that says these are."""
 
     sheets: Sheets
     found: Sizes
+    off: float
 
 
 def _found(recording: Recording, sheets: Sheets) -> Sizes | None:

@@ -15,7 +15,7 @@ from cellslam.sim.compiling import njit
 from cellslam.sim.recording import Floats, Ints
 from cellslam.slam.ekf_slam.snapshot.sight_kernel import roof_first
 from cellslam.slam.ekf_slam.state.layout import POSE, ArrayErrors, Filter
-from cellslam.slam.model.matrices_kernel import Sym3, Vec3, inverse, sym_vec
+from cellslam.slam.model.matrices_kernel import Sym3, Vec3, dot, inverse, sym_vec
 
 # Sizes: white noise and diffuse errors of distance, azimuth, elevation; sway in yaw, pitch, roll; white noise of the
 # six velocities; calibration and roof, of distance, azimuth, elevation.
@@ -36,24 +36,31 @@ def count(f: Filter, size: int, told: float, mean2: float, left: float) -> None:
 
 
 @njit(cache=True)
-def count_look(f: Filter, e: Vec3, s: Sym3, q: Floats, std: Floats, share: float) -> None:
-    """Take in the white noise and the diffuse errors of a look, whose innovation is e with the covariance s.
+def count_white(f: Filter, e: Vec3, s: Sym3, q: Floats) -> None:
+    """Take in the white noise of a look, of variances q (3,) in m^2 and rad^2.
 
-    e, s: with 0 and 1 where nothing was measured; q (3,): variances of the white noise, in m^2 and rad^2; std (3,): of
-    the diffuse errors, of which a share is in the look. An error of variance V in component c has the mean V (s^-1 e)_c
-    and the variance V - V^2 (s^-1)_cc.
+    Its innovation is e with the covariance s, 0 and 1 where nothing was measured. An error of variance V in component
+    c has the mean V (s^-1 e)_c and the variance V - V^2 (s^-1)_cc.
     """
     information = inverse(s)
     w = sym_vec(information, e)
     at = (w.x, w.y, w.z)
     own = (information.xx, information.yy, information.zz)
     for c in range(3):
-        if at[c] == 0.0:
-            continue
-        count(f, WHITE + c, q[c], (q[c] * at[c]) ** 2, q[c] - q[c] * q[c] * own[c])
-        v = (share * std[c]) ** 2
-        if v > 0.0:
-            count(f, DIFFUSE_SIZE + c, v, (v * at[c]) ** 2, v - v * v * own[c])
+        if at[c] != 0.0:
+            count(f, WHITE + c, q[c], (q[c] * at[c]) ** 2, q[c] - q[c] * q[c] * own[c])
+
+
+@njit(cache=True)
+def count_news(f: Filter, size: int, told: float, t: Vec3, e: Vec3, s: Sym3) -> None:
+    """Take in by how much a look changes what is known of a state: of a size that stays, so that only news counts.
+
+    told: its variance before; t: its covariance with the innovation e, of covariance s. It changes by t s^-1 e, and
+    its variance by t s^-1 t.
+    """
+    gain = sym_vec(inverse(s), t)
+    if told > 0.0:
+        count(f, size, told, dot(gain, e) ** 2, told - dot(gain, t))
 
 
 @njit(cache=True)

@@ -14,8 +14,8 @@ from cellslam.sim.compiling import njit
 from cellslam.sim.frames_kernel import wrap
 from cellslam.sim.recording import Floats, Ints
 from cellslam.slam.ekf_slam.snapshot.sight_kernel import Sight, coordinates, errors_of, geometry
-from cellslam.slam.ekf_slam.snapshot.sizes_kernel import count_look
-from cellslam.slam.ekf_slam.state.layout import ArrayErrors, Filter
+from cellslam.slam.ekf_slam.snapshot.sizes_kernel import DIFFUSE_SIZE, count_news, count_white
+from cellslam.slam.ekf_slam.state.layout import DIFFUSE, ArrayErrors, Filter
 from cellslam.slam.model.downdate_kernel import downdate
 from cellslam.slam.model.matrices_kernel import Sym3, Vec3, cholesky, dot, solved, sym_scaled, vec_scaled
 from cellslam.slam.model.measurement_kernel import Rotations
@@ -187,8 +187,21 @@ def correct(f: Filter, a: ArrayErrors, j: int, offset: int, look: Look, s: Sight
     blank(w, e)
     new = innovate(e, look.q, hph)
     share = likely_share(new)
-    count_look(f, vec_scaled(new.e, math.sqrt(share)), new.s, look.q, a.diffuse, look.diffuse)
+    count_sizes(f, j, look, Innovation(vec_scaled(new.e, math.sqrt(share)), new.s, new.measured), w)
     return update(f, Innovation(new.e, sym_scaled(new.s, 1.0 / share), new.measured), w)
+
+
+@njit
+def count_sizes(f: Filter, j: int, look: Look, i: Innovation, w: Pending) -> None:
+    """Take in what a look at VT j, whose T is in w.t, says of the sizes of white noise and diffuse errors."""
+    count_white(f, i.e, i.s, look.q)
+    for c in range(3):
+        place = f.vt_state[j, DIFFUSE + c]
+        if place >= 0:
+            told = f.p[place, place]
+            for r in range(w.used[0]):
+                told -= w.rows[r, place] ** 2
+            count_news(f, DIFFUSE_SIZE + c, told, Vec3(w.t[0, place], w.t[1, place], w.t[2, place]), i.e, i.s)
 
 
 @njit

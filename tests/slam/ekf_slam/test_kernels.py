@@ -17,7 +17,14 @@ from cellslam.slam.ekf_slam.snapshot.association_kernel import expect, score_pai
 from cellslam.slam.ekf_slam.snapshot.birth_kernel import give_birth, remove, tidy
 from cellslam.slam.ekf_slam.snapshot.motion_kernel import Interval, Step, forget, move
 from cellslam.slam.ekf_slam.snapshot.sight_kernel import field, rotations_of
-from cellslam.slam.ekf_slam.snapshot.sizes_kernel import DIFFUSE_SIZE, ODOMETRY, WHITE, count_look, count_motion
+from cellslam.slam.ekf_slam.snapshot.sizes_kernel import (
+    DIFFUSE_SIZE,
+    ODOMETRY,
+    WHITE,
+    count_motion,
+    count_news,
+    count_white,
+)
 from cellslam.slam.ekf_slam.snapshot.update_kernel import (
     LIKELY,
     Innovation,
@@ -289,20 +296,23 @@ def test_motion_is_that_of_the_frames_module() -> None:
 
 
 def test_sizes_have_the_slope_and_information_of_the_likelihood(one_filter: Any) -> None:
-    """Of a look with white noise and a diffuse error: the numeric slope of log N in the log of each size."""
+    """Of a look with white noise and a state that it shows: the numeric slope of log N in the log of each size."""
     one, rng = one_filter(ERRORS), np.random.default_rng(4)
-    root, q, std = rng.normal(size=(3, 3)), np.array([0.3, 0.5, 0.2]), np.array([0.6, 0.4, 0.7])
+    root, q, load, told = rng.normal(size=(3, 3)), np.array([0.3, 0.5, 0.2]), np.array([0.6, 0.4, 0.7]), 0.8
     e = rng.normal(size=3) * 2.0
 
     def log_density(factor: Any) -> Any:
-        s = root @ root.T + np.diag(q * np.exp(2.0 * factor[:3]) + std**2 * np.exp(2.0 * factor[3:]))
+        state = told * np.exp(2.0 * factor[3]) * np.outer(load, load)
+        s = root @ root.T + np.diag(q * np.exp(2.0 * factor[:3])) + state
         return np.array([-0.5 * (e @ np.linalg.solve(s, e) + np.log(np.linalg.det(s)))])
 
-    s = root @ root.T + np.diag(q + std**2)
-    count_look(one.f, Vec3(*e), innovate(Vec3(*e), q, sym(s - np.diag(q))).s, q, std, 1.0)
-    at = np.append(np.arange(WHITE, WHITE + 3), np.arange(DIFFUSE_SIZE, DIFFUSE_SIZE + 3))
-    np.testing.assert_allclose(one.f.sizes[0, at], slopes(log_density, np.zeros(6))[0], rtol=1e-5)
-    information = 2.0 * (np.append(q, std**2) * np.tile(np.diag(np.linalg.inv(s)), 2)) ** 2
+    s = root @ root.T + np.diag(q) + told * np.outer(load, load)
+    count_white(one.f, Vec3(*e), sym(s), q)
+    count_news(one.f, DIFFUSE_SIZE, told, Vec3(*(told * load)), Vec3(*e), sym(s))
+    at = np.append(np.arange(WHITE, WHITE + 3), DIFFUSE_SIZE)
+    np.testing.assert_allclose(one.f.sizes[0, at], slopes(log_density, np.zeros(4))[0], rtol=1e-5)
+    inverse = np.linalg.inv(s)
+    information = 2.0 * np.append(q * np.diag(inverse), told * load @ inverse @ load) ** 2
     np.testing.assert_allclose(one.f.sizes[1, at], information, rtol=1e-9)
 
 
