@@ -101,11 +101,17 @@ class Log:
             if name == "association":
                 if (array < -1).any():
                     raise BadAnswerError(f"association holds {array.min()}, expected a VT's id, or -1 for none")
-                self.columns.setdefault(name, np.full(self.rows[-1], -1, np.int64))[part] = array
+                self._column(name, (self.rows[-1],), -1)[part] = array
             else:
-                self.columns.setdefault(name, np.full((self.count, *shape), np.nan))[t] = array
+                self._column(name, (self.count, *shape), np.nan)[t] = array
         if "vts.id" in answer:
             self.vts = self._checked_vts(answer)
+
+    def _column(self, name: str, shape: tuple[int, ...], empty: float) -> NDArray[Any]:
+        """Return a column, made when it is first asked for."""
+        if name not in self.columns:
+            self.columns[name] = np.full(shape, empty)
+        return self.columns[name]
 
     def check(self) -> None:
         """Raise BadAnswerError unless what was claimed over the drive can be variances and covariances."""

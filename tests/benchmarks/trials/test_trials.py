@@ -14,7 +14,7 @@ from cellslam.benchmarks import run
 from cellslam.benchmarks.bound import cramer_rao
 from cellslam.benchmarks.scores import metrics
 from cellslam.benchmarks.scores.trial_result import ROW_KEYS
-from cellslam.benchmarks.trials import estimation, trials
+from cellslam.benchmarks.trials import answers, estimation, trials
 from cellslam.benchmarks.trials.trials import Trial, score_recording, score_trial
 from cellslam.scenarios import load
 from cellslam.scenarios.estimator_options import Request
@@ -105,6 +105,16 @@ def test_answers_are_collected_in_the_order_of_the_recording(toy_recording: Toy)
     np.testing.assert_array_equal(result.association, recording.measurements.link)
     np.testing.assert_array_equal(result.clock_offset_m[:, 1], np.arange(40.0))
     assert len(result.vts.id) == 2 and not result.smoothed
+
+
+def test_a_column_is_made_once(toy_recording: Toy, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Not at every snapshot: an hour's columns are megabytes."""
+    made, full = [], np.full
+    monkeypatch.setattr(answers.np, "full", lambda shape, *more: made.append(shape) or full(shape, *more))
+    log = answers.Log(toy_recording())
+    for t in range(3):
+        log.add(t, {"pose": np.zeros(6), "covariance": np.eye(6)})
+    assert made == [(log.count, 6), (log.count, 6, 6)]
 
 
 def test_same_seed_and_trial_same_draws(toy_recording: Toy) -> None:
