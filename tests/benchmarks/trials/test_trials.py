@@ -109,9 +109,9 @@ def test_answers_are_collected_in_the_order_of_the_recording(toy_recording: Toy)
 
 def test_a_column_is_made_once(toy_recording: Toy, monkeypatch: pytest.MonkeyPatch) -> None:
     """Not at every snapshot: an hour's columns are megabytes."""
-    made, full = [], np.full
+    recording, made, full = toy_recording(), [], np.full
     monkeypatch.setattr(answers.np, "full", lambda shape, *more: made.append(shape) or full(shape, *more))
-    log = answers.Log(toy_recording())
+    log = answers.Log(recording)
     for t in range(3):
         log.add(t, {"pose": np.zeros(6), "covariance": np.eye(6)})
     assert made == [(log.count, 6), (log.count, 6, 6)]
