@@ -30,7 +30,7 @@ OPTIONS = (
 TOLD = 1.0 / math.log(5.0) ** 2
 MOST_STEP = math.log(4.0)  # of one pass
 # A field of direction can explain whatever goes on for long, as paths that merge: it does not become wider than this.
-FIELDS, MOST_OF_FIELD = ("calibration_", "roof_"), 3.0
+FIELDS, MOST_OF_FIELD = ("calibration_", "roof_"), 6.0
 MOST = {"m": 100.0, "g": 90.0}  # m, deg
 
 

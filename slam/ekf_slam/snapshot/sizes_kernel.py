@@ -20,7 +20,7 @@ from cellslam.slam.model.matrices_kernel import Sym3, Vec3, dot, inverse, sym_ve
 # Sizes: white noise and diffuse errors of distance, azimuth, elevation; sway in yaw, pitch, roll; white noise of the
 # six velocities; calibration and roof, of distance, azimuth, elevation.
 WHITE, DIFFUSE_SIZE, SWAY, ODOMETRY, CALIBRATION, ROOF, SIZES = 0, 3, 6, 9, 15, 18, 21
-MOST2 = 9.0  # squared deviations
+MOST2 = 4.0  # squared deviations
 TOLD, LONGEST_SUM_S = 0.5, 60.0  # share of its variance that a sum of noise keeps when it is told; sums are no longer
 
 
@@ -28,10 +28,11 @@ TOLD, LONGEST_SUM_S = 0.5, 60.0  # share of its variance that a sum of noise kee
 def count(f: Filter, size: int, told: float, mean2: float, left: float) -> None:
     """Take in an error whose variance was told, of which the measurements leave a squared mean and a variance.
 
-    One of more than so many deviations counts as one of so many: it may be none of what sizes are of.
+    The mean has the variance told - left. One of more than so many deviations counts as one of so many: it may be none
+    of what sizes are of.
     """
     share = (told - left) / told
-    f.sizes[0, size] += (min(mean2, MOST2 * told) + left) / told - 1.0
+    f.sizes[0, size] += (min(mean2, MOST2 * (told - left)) + left) / told - 1.0
     f.sizes[1, size] += 2.0 * share * share
 
 

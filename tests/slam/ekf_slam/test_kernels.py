@@ -21,6 +21,7 @@ from cellslam.slam.ekf_slam.snapshot.sizes_kernel import (
     DIFFUSE_SIZE,
     ODOMETRY,
     WHITE,
+    count,
     count_motion,
     count_news,
     count_white,
@@ -299,7 +300,7 @@ def test_sizes_have_the_slope_and_information_of_the_likelihood(one_filter: Any)
     """Of a look with white noise and a state that it shows: the numeric slope of log N in the log of each size."""
     one, rng = one_filter(ERRORS), np.random.default_rng(4)
     root, q, load, told = rng.normal(size=(3, 3)), np.array([0.3, 0.5, 0.2]), np.array([0.6, 0.4, 0.7]), 0.8
-    e = rng.normal(size=3) * 2.0
+    e = rng.normal(size=3)
 
     def log_density(factor: Any) -> Any:
         state = told * np.exp(2.0 * factor[3]) * np.outer(load, load)
@@ -314,6 +315,15 @@ def test_sizes_have_the_slope_and_information_of_the_likelihood(one_filter: Any)
     inverse = np.linalg.inv(s)
     information = 2.0 * np.append(q * np.diag(inverse), told * load @ inverse @ load) ** 2
     np.testing.assert_allclose(one.f.sizes[1, at], information, rtol=1e-9)
+
+
+def test_what_is_far_off_says_little_of_a_size_that_the_drive_hardly_tells(one_filter: Any) -> None:
+    """A mean of variance 0.01, ten deviations off, counts as one of two: it is none of what the size is of."""
+    f = one_filter(ERRORS).f
+    count(f, ODOMETRY, 1.0, 1.0, 0.99)
+    assert f.sizes[0, ODOMETRY] == pytest.approx(4.0 * 0.01 + 0.99 - 1.0)
+    count(f, ODOMETRY, 1.0, 0.01, 0.99)
+    assert f.sizes[0, ODOMETRY] == pytest.approx(0.03)
 
 
 def sym(m: Any) -> Any:
@@ -335,9 +345,9 @@ def test_sums_of_odometry_noise_are_taken_in_when_they_are_told() -> None:
     assert f.p[forward, forward] == pytest.approx(0.1**2 * 0.5)
     count_motion(f, sheet.noise_density, 0.5)
     assert f.summed[0] == 0.5  # nothing is told yet
-    f.x[forward], f.p[forward, forward] = 0.2, 0.001
+    f.x[forward], f.p[forward, forward] = 0.12, 0.001
     count_motion(f, sheet.noise_density, 0.0)
-    assert f.sizes[0, ODOMETRY] == pytest.approx((0.04 + 0.001) / 0.005 - 1.0)
+    assert f.sizes[0, ODOMETRY] == pytest.approx((0.12**2 + 0.001) / 0.005 - 1.0)
     assert f.sizes[1, ODOMETRY] == pytest.approx(2.0 * 0.8**2)
     assert f.summed[0] == 0.0 and not f.p[forward].any() and f.x[forward] == 0.0
 
