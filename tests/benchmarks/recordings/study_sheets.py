@@ -3,9 +3,9 @@
 `python tests/benchmarks/recordings/study_sheets.py OUT.jsonl [WORLD ...] [--trials N] [--estimator NAME ...]` appends a
 line a run to OUT.jsonl (what is there is not run again), and prints a table: the RMSE as told (before) and after what
 `replay --fit` learns, over that with the right sizes, medians over worlds and trials. WORLD: presets, "trees", an hour
-in a park, whose recording says nothing of its front end. Trials have the root seed 61000. How outliers
-count and how far fields grow was chosen on trial 0 of canyon, after a look at the first pass of canyon 1 and lund-530 0:
-judge by other trials.
+in a park, whose recording says nothing of its front end. Trials have the root seed 61000. How outliers count and how
+far fields grow was chosen on trial 0 of canyon, after a look at the first pass of canyon 1 and lund-530 0: judge by
+other trials.
 """
 
 from __future__ import annotations
