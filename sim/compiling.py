@@ -36,6 +36,7 @@ def njit(function: Any = None, /, **options: Any) -> Any:
     """Compile a function as `numba.njit` does; with `cache=True` into the folder that belongs to its sources."""
     if function is None:
         return partial(njit, **options)
+    options.setdefault("_nrt", True)
     if not options.get("cache"):
         return numba.njit(function, **options)
     before = numba.config.CACHE_DIR  # type: ignore[attr-defined]
@@ -44,6 +45,21 @@ def njit(function: Any = None, /, **options: Any) -> Any:
         return numba.njit(function, **options)
     finally:
         numba.config.CACHE_DIR = before  # type: ignore[attr-defined]
+
+
+@overload
+def lean(function: Kernel, /) -> Kernel: ...
+@overload
+def lean(**options: Any) -> Callable[[Kernel], Kernel]: ...
+
+
+def lean(function: Any = None, /, **options: Any) -> Any:
+    """Compile a function that makes no arrays and returns none, as `njit` does.
+
+    Numba counts the references to each array that a function is handed, which can cost more than what small functions
+    do with them. Here nothing is counted. A function that makes an array all the same is refused by Numba.
+    """
+    return njit(function, _nrt=False, **options)
 
 
 def is_compiled(module: str, file: Path) -> bool:

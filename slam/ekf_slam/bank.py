@@ -6,21 +6,21 @@ Source: Sorenson and Alspach, "Recursive Bayesian estimation using Gaussian sums
 from __future__ import annotations
 
 import os
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
-from functools import cache
+from functools import cache, partial
 from typing import Any, TypeVar
 
 import numpy as np
 
 from cellslam.sim.recording import Floats, Ints
 from cellslam.slam.api import Setup, VtEstimate
-from cellslam.slam.ekf_slam.snapshot.birth_kernel import map_into
+from cellslam.slam.ekf_slam.snapshot.birth_kernel import map_of
 from cellslam.slam.ekf_slam.snapshot.guess_kernel import AHEAD, AROUND
 from cellslam.slam.ekf_slam.snapshot.motion_kernel import Interval
 from cellslam.slam.ekf_slam.snapshot.sizes_kernel import SIZES
-from cellslam.slam.ekf_slam.snapshot.snapshot_kernel import Paired, pair_in_bank, use_in_bank
+from cellslam.slam.ekf_slam.snapshot.snapshot_kernel import Paired, pair_and_use_in_bank, pair_in_bank, use_in_bank
 from cellslam.slam.ekf_slam.state.layout import (
     ANCHOR,
     ENTRY,
@@ -42,7 +42,6 @@ from cellslam.slam.ekf_slam.state.layout import (
     Core,
     Filter,
     Measured,
-    one_of,
 )
 from cellslam.slam.ekf_slam.state.states_kernel import owner_of
 
@@ -79,9 +78,26 @@ Tables = TypeVar("Tables", Filter, Block)
 OF_VTS, OF_LOOKS = ("vt_state", "anchor", "slots"), ("looks", "seen", "e", "q", "measured", "diffuse", "odds")
 
 
+Work = Callable[[int, int], object]  # done for every `step`-th filter, from the `first` on
+
+
 @cache
 def _pool() -> ThreadPoolExecutor:
     return ThreadPoolExecutor(THREADS)
+
+
+def together(works: Sequence[Work], filters: int) -> None:
+    """Do some work for so many filters, in as many threads as there are cores."""
+    threads = min(filters, THREADS)
+
+    def share(first: int) -> None:
+        for work in works:
+            work(first, threads)
+
+    others = [_pool().submit(share, first) for first in range(1, threads)]
+    share(0)
+    for other in others:
+        other.result()
 
 
 @dataclass
@@ -101,32 +117,29 @@ class Bank:
         Of VTs each keeps so many at most; those that make room stay in `lost` until the next snapshot. Filters that
         doubt an association become two, as long as there are less than `most`.
         """
-        far, across = ~np.isnan(measured.begin[:, :2].T)
-        guesses = int(AROUND * (far & ~across).sum() + AHEAD * (across & ~far).sum())
+        if len(self) >= most:
+            return side_by_side([self], errors, interval, measured, most_vts)[0]
+        pairs = self._unpaired(measured, most_vts)
+        together([partial(pair_in_bank, self.arrays, errors, self.blocks, interval, measured, pairs)], len(self))
+        pairs = self._doubt(pairs, measured.rules.doubt, most)
+        association = np.full((len(self), len(measured.z)), -1, np.int64)
+        use = partial(use_in_bank, self.arrays, errors, self.blocks, interval, measured, pairs)
+        together([partial(use, association, self.log_weight)], len(self))
+        return association
+
+    def _unpaired(self, measured: Measured, most_vts: int) -> Paired:
+        """Make room for what a snapshot may bring; return room for how it is paired."""
+        no_distance, no_azimuth = np.isnan(measured.begin[:, :2]).T
+        guesses = 0
+        if (no_distance != no_azimuth).any():
+            guesses = int(AROUND * (no_azimuth > no_distance).sum() + AHEAD * (no_distance > no_azimuth).sum())
         room = most_vts * (ROOM if guesses else 1) - int(self.arrays.count.max())
         self.reserve(NEW_STATES + 3 * guesses, min(NEW_VTS + guesses, max(room, 0)))
         self.arrays.losses[:] = 0
-        k, m = len(self), len(measured.z)
-        whole = np.int64
-        pairs = Paired(
+        k, m, whole = len(self), len(measured.z), np.int64
+        return Paired(
             np.empty((k, m), whole), np.empty((k, m)), np.empty((k, 1)), np.empty((k, 4), whole), np.zeros(k, whole)
         )  # fmt: skip
-        self._each(pair_in_bank, self.arrays, errors, self.blocks, interval, measured, pairs)
-        if k < most:
-            pairs = self._doubt(pairs, measured.rules.doubt, most)
-        association = np.full((len(self), m), -1, np.int64)
-        self._each(
-            use_in_bank, self.arrays, errors, self.blocks, interval.noise, measured, pairs, association, self.log_weight
-        )
-        return association
-
-    def _each(self, kernel: Callable[..., None], *arguments: Any) -> None:
-        """Run a kernel over all filters, in as many threads as there are cores."""
-        threads = min(len(self), THREADS)
-        if threads == 1:
-            kernel(*arguments, 0, 1)
-        else:
-            list(_pool().map(lambda first: kernel(*arguments, first, threads), range(threads)))
 
     def _doubt(self, pairs: Paired, doubt: float, most: int) -> Paired:
         """Give each filter with a rival association a double that has it, the likeliest first; return all pairs."""
@@ -251,8 +264,22 @@ class Bank:
 
     def vts(self, index: int, hits: int) -> Floats:
         """Return identity, link, position (m), covariance (v, 14) of a filter's VTs with at least `hits` detections."""
-        out = np.empty((int(self.arrays.count[index, 0]), ENTRY))
-        return out[: map_into(one_of(self.arrays, index), hits, out)]
+        return map_of(self.arrays, index, hits)
+
+
+def side_by_side(
+    banks: Sequence[Bank], errors: ArrayErrors, interval: Interval, measured: Measured, most_vts: int
+) -> list[Ints]:
+    """Use a snapshot in all filters of some banks, as `Bank.use` does; return each bank's associations (K, m)."""
+    associations, works = list[Ints](), list[Work]()
+    for bank in banks:
+        pairs, found = bank._unpaired(measured, most_vts), np.full((len(bank), len(measured.z)), -1, np.int64)
+        associations.append(found)
+        works.append(partial(
+            pair_and_use_in_bank, bank.arrays, errors, bank.blocks, interval, measured, pairs, found, bank.log_weight
+        ))  # fmt: skip
+    together(works, sum(len(bank) for bank in banks))
+    return associations
 
 
 def _spherical(vector: Floats) -> Floats:
@@ -277,9 +304,8 @@ def _padded(array: Any, more: int, axis: int = -1) -> Any:
 
 def vt_estimate(rows: Floats) -> VtEstimate:
     """Return rows (v, 14) of identity, link, position (m) and covariance (m^2) as VTs."""
-    covariance = rows[:, SPREAD:].reshape(-1, 3, 3)
-    ids, link = rows[:, 0].astype(np.int64), rows[:, 1].astype(np.int64)
-    return VtEstimate(ids, link, rows[:, POSITION:SPREAD].copy(), 0.5 * (covariance + np.swapaxes(covariance, 1, 2)))
+    ids, link = rows[:, :POSITION].T.astype(np.int64)
+    return VtEstimate(ids, link, rows[:, POSITION:SPREAD], rows[:, SPREAD:].reshape(-1, 3, 3))
 
 
 def new_bank(

@@ -17,7 +17,7 @@ import numpy as np
 
 from cellslam.sim.recording import Floats, Ints
 from cellslam.slam.api import Setup
-from cellslam.slam.ekf_slam.bank import Bank, new_bank
+from cellslam.slam.ekf_slam.bank import Bank, new_bank, side_by_side
 from cellslam.slam.ekf_slam.ekf_slam_options import EkfSlamOptions
 from cellslam.slam.ekf_slam.snapshot.motion_kernel import Interval
 from cellslam.slam.ekf_slam.state.layout import ArrayErrors, Core, Measured
@@ -57,8 +57,8 @@ class Start:
         answer = np.full(len(measured.z), -1, np.int64)
         counted, ends = self._counted(interval, measured), measured.now % PRUNE_EVERY == 0
         site_of_look = np.repeat(self.site, np.diff(measured.first))
-        for site, bank in enumerate(self.banks):
-            association = bank.use(self.errors, interval, counted, self.options.vts)
+        associations = side_by_side(self.banks, self.errors, interval, counted, self.options.vts)
+        for site, (bank, association) in enumerate(zip(self.banks, associations, strict=True)):
             mine = site_of_look == site
             answer[mine] = association[int(np.argmax(bank.log_weight)), mine]
             if not ends:

@@ -6,11 +6,11 @@ subprograms", ACM Trans. Mathematical Software 16(1), 1990.
 
 from __future__ import annotations
 
-from cellslam.sim.compiling import njit
+from cellslam.sim.compiling import lean
 from cellslam.sim.recording import Floats
 
 
-@njit(cache=True, fastmath={"contract"})
+@lean(cache=True, fastmath={"contract"})
 def downdate(p: Floats, n: int, g: Floats, k: int) -> None:
     """Subtract from the first n rows and columns of a symmetric P the products of k gains (rows of g).
 

@@ -15,7 +15,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from cellslam.sim.compiling import njit
+from cellslam.sim.compiling import lean
 from cellslam.sim.recording import Floats, Ints
 
 MOST_BELLS = 48  # that reach one direction, at the spacings and radii in use
@@ -47,7 +47,7 @@ def grid(scale_rad: float, spacing: float, reach: float) -> Grid:
     return Grid(scale_rad, step, (reach * scale_rad) ** 2, beyond, around, first, int(around.sum()))
 
 
-@njit(cache=True)
+@lean(cache=True)
 def bells(g: Grid, azimuth: float, elevation: float, cells: Ints, values: Floats) -> int:
     """Write the numbers of the cells whose bells reach a direction (rad), and their values there; return how many.
 

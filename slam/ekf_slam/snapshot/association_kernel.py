@@ -8,7 +8,7 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
-from cellslam.sim.compiling import njit
+from cellslam.sim.compiling import lean
 from cellslam.sim.recording import Floats, Ints
 from cellslam.slam.ekf_slam.snapshot.sight_kernel import (
     Sight,
@@ -73,7 +73,7 @@ class Expected(NamedTuple):
     hph: Sym3
 
 
-@njit(cache=True)
+@lean(cache=True)
 def expect(f: Filter, a: ArrayErrors, j: int, offset: int, turned: Rotations, s: Sight) -> Expected:
     """Return what is expected of a look at VT j at this moment.
 
@@ -101,13 +101,13 @@ def expect(f: Filter, a: ArrayErrors, j: int, offset: int, turned: Rotations, s:
     )  # fmt: skip
 
 
-@njit
+@lean
 def difference(z: Floats, expected: Vec3) -> Vec3:
     """Return what a look (3,), in m and rad, differs by from what is expected; azimuth not wrapped."""
     return Vec3(z[0] - expected.x, z[1] - expected.y, z[2] - expected.z)
 
 
-@njit(cache=True)
+@lean(cache=True)
 def score_pairs(f: Filter, a: ArrayErrors, seen: Measured, link: int, s: Sight, w: Pairs) -> int:
     """Score the looks of a link against its VTs; return how many candidates there are.
 
@@ -153,7 +153,7 @@ def score_pairs(f: Filter, a: ArrayErrors, seen: Measured, link: int, s: Sight, 
     return rows
 
 
-@njit(cache=True)
+@lean(cache=True)
 def associate(f: Filter, a: ArrayErrors, seen: Measured, link: int, s: Sight, w: Pairs) -> int:
     """Write into w.row_of (m,) the row of `chosen` for each look of a link, -1 none: the best sum of scores; return how
     many rows there are."""

@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import math
 
-from cellslam.sim.compiling import njit
+from cellslam.sim.compiling import lean
 from cellslam.sim.recording import Floats
 from cellslam.slam.ekf_slam.snapshot.association_kernel import FRESH, TAKEN, Messages, Pairs, score_pairs
 from cellslam.slam.ekf_slam.snapshot.guess_kernel import is_guess, possible
@@ -23,7 +23,7 @@ ROUNDS, CLOSE = 200, 1e-7
 SURE = 1.0 - 1e-9  # most that existence can be
 
 
-@njit(cache=True)
+@lean(cache=True)
 def pass_messages(w: Messages, rows: int, columns: int) -> float:
     """Run the iterative data association; return the logarithm of the Bethe approximation of its normaliser.
 
@@ -63,7 +63,7 @@ def pass_messages(w: Messages, rows: int, columns: int) -> float:
     return log_z
 
 
-@njit(cache=True)
+@lean(cache=True)
 def _claims_of(beta: Floats, nu: Floats, columns: int) -> float:
     """Return 1 + sum of beta nu over the measurements: what a feature's association variable sums to."""
     total = 1.0
@@ -72,7 +72,7 @@ def _claims_of(beta: Floats, nu: Floats, columns: int) -> float:
     return float(total)
 
 
-@njit(cache=True)
+@lean(cache=True)
 def _claims_on(xi: float, zeta: Floats, rows: int) -> float:
     """Return 1 + xi + sum of zeta over the legacy features: what a measurement's association variable sums to."""
     total = 1.0 + xi
@@ -81,7 +81,7 @@ def _claims_on(xi: float, zeta: Floats, rows: int) -> float:
     return float(total)
 
 
-@njit(cache=True)
+@lean(cache=True)
 def believe(f: Filter, a: ArrayErrors, seen: Measured, link: int, s: Sight, w: Pairs) -> None:
     """Write into w.slot_of (m,) the VT that more likely than not made each look of a link, FRESH or TAKEN, and into
     w.exists (m,) how likely a new VT is that it began; VTs' existence is predicted and updated.

@@ -10,7 +10,7 @@ import math
 
 import numpy as np
 
-from cellslam.sim.compiling import njit
+from cellslam.sim.compiling import lean, njit
 from cellslam.sim.recording import Floats
 from cellslam.slam.ekf_slam.snapshot.sight_kernel import (
     Sight,
@@ -25,6 +25,7 @@ from cellslam.slam.ekf_slam.snapshot.update_kernel import Pending, gains
 from cellslam.slam.ekf_slam.state.layout import (
     BELIEF,
     DIFFUSE,
+    ENTRY,
     EXISTS,
     FREE,
     HITS,
@@ -41,6 +42,7 @@ from cellslam.slam.ekf_slam.state.layout import (
     Filter,
     Measured,
     Rules,
+    one_of,
 )
 from cellslam.slam.ekf_slam.state.states_kernel import enter, leave, owner_of
 from cellslam.slam.model.matrices_kernel import (
@@ -58,7 +60,7 @@ NEAREST_M = 1.0  # a VT does not begin nearer
 UNKNOWN = 0.9999  # variance, of 1, from which an error is as good as unknown
 
 
-@njit(cache=True)
+@lean(cache=True)
 def give_birth(
     f: Filter, a: ArrayErrors, j: int, offset: int, z: Floats, q: Floats, ranged: bool, diffuse: float, now: int,
     s: Sight, w: Pending,
@@ -108,7 +110,7 @@ def give_birth(
     return True
 
 
-@njit(cache=True)
+@lean(cache=True)
 def add(
     f: Filter, a: ArrayErrors, b: Block, seen: Measured, link: int, ident: int, k: int, z: Floats, q: Floats,
     ranged: bool, s: Sight, w: Pending,
@@ -136,7 +138,7 @@ def add(
     return True
 
 
-@njit(cache=True)
+@lean(cache=True)
 def clear(b: Block, j: int) -> None:
     """Forget what the block has of VT j."""
     b.looks[j] = 0
@@ -147,7 +149,7 @@ def clear(b: Block, j: int) -> None:
     b.odds[j] = 0.0
 
 
-@njit(cache=True)
+@lean(cache=True)
 def _gives_way(f: Filter, b: Block, now: int, confirm: int) -> int:
     """Return the VT to give up for a new one, -1: none. What was surveyed, a VT without variance, stays."""
     worst, rank = -1, math.inf
@@ -200,20 +202,21 @@ def keep(f: Filter, j: int, out: Floats) -> None:
 
 
 @njit(cache=True)
-def map_into(f: Filter, hits: int, out: Floats) -> int:
-    """Write the VTs with at least `hits` detections, as their likely guesses, into out (V, 14); return their number.
+def map_of(bank: Filter, k: int, hits: int) -> Floats:
+    """Return the VTs of filter k of a bank with at least `hits` detections, as their likely guesses, (v, 14).
 
     Columns as `keep` writes them, in m and m^2.
     """
-    found = 0
+    f, found = one_of(bank, k), 0
+    out = np.empty((f.count[0], ENTRY))
     for j in range(f.count[0]):
         if f.slots[j, HITS] >= hits and f.anchor[j, SHARE] > 0.5:
             keep(f, j, out[found])
             found += 1
-    return found
+    return out[:found]
 
 
-@njit(cache=True)
+@lean(cache=True)
 def tidy(f: Filter, a: ArrayErrors, b: Block, now: int, rules: Rules) -> None:
     """Drop VTs that were seen once or twice and not again, guesses given up, weights of the roof that were not met for
     long, and diffuse errors that are as good as unknown again."""

@@ -16,7 +16,7 @@ import math
 
 import numpy as np
 
-from cellslam.sim.compiling import njit
+from cellslam.sim.compiling import lean, njit
 from cellslam.sim.frames_kernel import TURN, wrap
 from cellslam.sim.recording import Floats
 from cellslam.slam.ekf_slam.snapshot.birth_kernel import add
@@ -54,7 +54,7 @@ LEAST = 1e-5  # share below which a guess is given up
 AGREE = 0.5  # guesses this close, in their deviations, are one
 
 
-@njit(cache=True)
+@lean(cache=True)
 def possible(z: Floats, b: float) -> bool:
     """Return whether a VT can begin with a look z (3,): its distance, its azimuth or both are known.
 
@@ -86,19 +86,19 @@ def begin(
             f.anchor[f.count[0] - 1, SHARE] = 1.0 / guesses
 
 
-@njit
+@lean
 def _room_for(f: Filter, guesses: int) -> bool:
     """Return whether so many VTs can be added without that others make room."""
     return bool(f.count[0] + guesses <= len(f.slots) and f.size[0] + 3 * guesses <= len(f.x))
 
 
-@njit
+@lean
 def is_guess(f: Filter, i: int, link: int, ident: int) -> bool:
     """Return whether VT i is a guess of this VT."""
     return bool(f.slots[i, IDENT] == ident and f.slots[i, LINK] == link)
 
 
-@njit(cache=True)
+@lean(cache=True)
 def correct_guesses(f: Filter, a: ArrayErrors, j: int, offset: int, look: Look, s: Sight, w: Pending) -> float:
     """Update the guesses of the VT that j is one of by a look; return its log-density.
 
@@ -141,7 +141,7 @@ def correct_guesses(f: Filter, a: ArrayErrors, j: int, offset: int, look: Look, 
     return best + math.log(total)
 
 
-@njit(cache=True)
+@lean(cache=True)
 def _unite(f: Filter, link: int, ident: int, total: float) -> tuple[int, int]:
     """Make the shares of a VT's guesses sum to one, give up the improbable ones and doubles; return how many are left,
     and the last of them."""
@@ -170,7 +170,7 @@ def _unite(f: Filter, link: int, ident: int, total: float) -> tuple[int, int]:
     return left, last
 
 
-@njit(cache=True)
+@lean(cache=True)
 def _agree(f: Filter, i: int, j: int) -> bool:
     """Return whether two guesses of one VT are the same by now."""
     for c in range(3):

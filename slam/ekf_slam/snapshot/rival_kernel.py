@@ -12,7 +12,7 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
-from cellslam.sim.compiling import njit
+from cellslam.sim.compiling import lean
 from cellslam.sim.frames_kernel import wrap
 from cellslam.sim.recording import Floats, Ints
 from cellslam.slam.ekf_slam.snapshot.association_kernel import TAKEN, Pairs, difference, expect
@@ -33,7 +33,7 @@ class Rival(NamedTuple):
     change: Ints
 
 
-@njit(cache=True)
+@lean(cache=True)
 def find_rival(f: Filter, a: ArrayErrors, seen: Measured, link: int, rows: int, s: Sight, w: Pairs, out: Rival) -> None:
     """Look for a rival of the assignment of a link, w.row_of (m,), that loses less than the one in `out`."""
     start = seen.first[link]
@@ -59,13 +59,13 @@ def find_rival(f: Filter, a: ArrayErrors, seen: Measured, link: int, rows: int, 
                 _put(out, loss, start + c, w.chosen[row], start + other if other >= 0 else NONE, back)
 
 
-@njit
+@lean
 def _put(out: Rival, loss: float, look: int, slot: int, second: int, second_slot: int) -> None:
     out.loss[0] = loss
     out.change[0], out.change[1], out.change[2], out.change[3] = look, slot, second, second_slot
 
 
-@njit(cache=True)
+@lean(cache=True)
 def _moves(
     f: Filter, a: ArrayErrors, seen: Measured, link: int, row: int, before: int, after: int, s: Sight, w: Pairs
 ) -> bool:

@@ -13,7 +13,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from cellslam.sim.compiling import njit
+from cellslam.sim.compiling import lean, njit
 from cellslam.sim.frames_kernel import wrap
 from cellslam.sim.recording import Floats, Ints
 from cellslam.slam.ekf_slam.snapshot.association_kernel import FRESH, TAKEN, Messages, Pairs, associate
@@ -72,7 +72,7 @@ class Room(NamedTuple):
     pending: Pending
 
 
-@njit(cache=True)
+@lean(cache=True)
 def advance(f: Filter, b: Block, interval: Interval, w: Step) -> None:
     """Move a filter by an interval of dt > 0."""
     yaw = f.x[3]
@@ -82,7 +82,7 @@ def advance(f: Filter, b: Block, interval: Interval, w: Step) -> None:
     b.total[2] += interval.dt
 
 
-@njit(cache=True)
+@lean(cache=True)
 def pair(f: Filter, a: ArrayErrors, seen: Measured, s: Sight, w: Pairs, rival: Rival) -> None:
     """Write into w.slot_of (m,) the VT of each look: FRESH for what may begin one, TAKEN for what may not; and into
     `rival` the best other association."""
@@ -106,7 +106,7 @@ def pair(f: Filter, a: ArrayErrors, seen: Measured, s: Sight, w: Pairs, rival: R
                 w.slot_of[k] = w.chosen[row] if row >= 0 else (TAKEN if w.gated[k - start] == 1 else FRESH)
 
 
-@njit(cache=True)
+@lean(cache=True)
 def count_odds(f: Filter, b: Block, seen: Measured, w: Pairs) -> None:
     """Add to each VT's log-odds that it was detected or missed in this snapshot."""
     horizon = seen.tables.shape[2] - 1
@@ -147,7 +147,7 @@ def take_in(f: Filter, b: Block, seen: Measured, association: Ints, s: Sight, w:
     b.snapshots[0] = n + 1
 
 
-@njit
+@lean
 def _count(b: Block, j: int, c: int, e: float, q: float) -> None:
     if not math.isnan(e):
         b.e[j, c] += e
@@ -155,7 +155,7 @@ def _count(b: Block, j: int, c: int, e: float, q: float) -> None:
         b.measured[j, c] += 1.0
 
 
-@njit(cache=True)
+@lean(cache=True)
 def give_births(
     f: Filter, a: ArrayErrors, b: Block, seen: Measured, association: Ints, s: Sight, w: Pairs, p: Pending
 ) -> float:
@@ -181,7 +181,7 @@ def give_births(
     return total
 
 
-@njit(cache=True)
+@lean(cache=True)
 def shares(b: Block, a: ArrayErrors, j: int) -> tuple[float, float]:
     """Return what of the deviation of diffuse errors and of turns is left in the mean of a VT's looks in the block."""
     n, by_way, by_time = b.looks[j], 0.0, 0.0
@@ -263,12 +263,12 @@ def pair_in_bank(
 
 @njit(cache=True, nogil=True)
 def use_in_bank(
-    bank: Filter, a: ArrayErrors, blocks: Block, noise: Floats, seen: Measured, pairs: Paired, association: Ints,
+    bank: Filter, a: ArrayErrors, blocks: Block, interval: Interval, seen: Measured, pairs: Paired, association: Ints,
     log_weight: Floats, first: int, step: int,
 ) -> None:  # fmt: skip
     """Use a snapshot, as it is paired, in every `step`-th of the K filters of a bank, from the first on.
 
-    noise (6,): densities of the odometry's; log_weight (K,) is added to; association (K, m): identities of VTs are
+    log_weight (K,) is added to; association (K, m): identities of VTs are
     written, -1 for none.
     """
     room, rules = new_room(one_of(bank, 0), len(seen.z)), seen.rules
@@ -280,7 +280,17 @@ def use_in_bank(
         log_weight[k] += rules.evidence * give_births(f, a, b, seen, association[k], room.sight, w, room.pending)
         full = b.snapshots[0] >= rules.snapshots or b.total[0] > rules.way or abs(b.total[1]) > rules.turn
         if full or pairs.ends[k] == 1:
-            log_weight[k] += conclude(f, a, b, noise, seen, room.sight, room.pending)
+            log_weight[k] += conclude(f, a, b, interval.noise, seen, room.sight, room.pending)
+
+
+@njit(cache=True, nogil=True)
+def pair_and_use_in_bank(
+    bank: Filter, a: ArrayErrors, blocks: Block, interval: Interval, seen: Measured, pairs: Paired, association: Ints,
+    log_weight: Floats, first: int, step: int,
+) -> None:  # fmt: skip
+    """Do both at once, where no association is doubted."""
+    pair_in_bank(bank, a, blocks, interval, seen, pairs, first, step)
+    use_in_bank(bank, a, blocks, interval, seen, pairs, association, log_weight, first, step)
 
 
 @njit(cache=True)

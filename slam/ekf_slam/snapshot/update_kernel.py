@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
-from cellslam.sim.compiling import njit
+from cellslam.sim.compiling import lean
 from cellslam.sim.frames_kernel import wrap
 from cellslam.sim.recording import Floats, Ints
 from cellslam.slam.ekf_slam.snapshot.sight_kernel import Sight, coordinates, errors_of, geometry
@@ -57,7 +57,7 @@ class Innovation(NamedTuple):
     measured: int
 
 
-@njit(cache=True)
+@lean(cache=True)
 def innovate(e: Vec3, q: Floats, hph: Sym3) -> Innovation:
     """Return the innovation e (m and rad, NaN where not measured) with its covariance.
 
@@ -72,7 +72,7 @@ def innovate(e: Vec3, q: Floats, hph: Sym3) -> Innovation:
     return Innovation(given, s, int(far) + int(across) + int(up))
 
 
-@njit(cache=True)
+@lean(cache=True)
 def log_likelihood(i: Innovation) -> tuple[float, float]:
     """Return e^T S^-1 e and log det S; infinite where S has no root."""
     root = cholesky(i.s)
@@ -82,7 +82,7 @@ def log_likelihood(i: Innovation) -> tuple[float, float]:
     return dot(w, w), 2.0 * math.log(root.xx * root.yy * root.zz)
 
 
-@njit(cache=True)
+@lean(cache=True)
 def covariance(f: Filter, s: Sight) -> Sym3:
     """Return H P H^T in m^2, m rad and rad^2, H being the Jacobian s."""
     xx, xy, xz, yy, yz, zz = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
@@ -98,7 +98,7 @@ def covariance(f: Filter, s: Sight) -> Sym3:
     return Sym3(xx, xy, xz, yy, yz, zz)
 
 
-@njit(cache=True)
+@lean(cache=True)
 def gains(f: Filter, s: Sight, w: Pending) -> Sym3:
     """Write T = H P (3, N) into w.t, less what the pending rows G have taken off: T - (H G^T) G; return T H^T."""
     n, t0, t1, t2 = f.size[0], w.t[0], w.t[1], w.t[2]
@@ -135,13 +135,13 @@ def gains(f: Filter, s: Sight, w: Pending) -> Sym3:
     return Sym3(xx, xy, xz, yy, yz, zz)
 
 
-@njit
+@lean
 def _add(t: Floats, factor: float, row: Floats, n: int) -> None:
     for i in range(n):
         t[i] += factor * row[i]
 
 
-@njit(cache=True)
+@lean(cache=True)
 def update(f: Filter, i: Innovation, w: Pending) -> float:
     """Update the mean by an innovation whose T is in w.t; what it takes off P goes to three more rows of w.rows, rows
     of what was not measured being zero. Return log N(e; 0, S)."""
@@ -160,7 +160,7 @@ def update(f: Filter, i: Innovation, w: Pending) -> float:
     return float(-0.5 * dot(whitened, whitened) - log_root - 0.5 * i.measured * LOG_2PI)
 
 
-@njit(cache=True)
+@lean(cache=True)
 def blank(w: Pending, e: Vec3) -> None:
     """Clear the rows of T of what was not measured: NaN in e."""
     if math.isnan(e.x):
@@ -171,14 +171,14 @@ def blank(w: Pending, e: Vec3) -> None:
         w.t[2] = 0.0
 
 
-@njit(cache=True)
+@lean(cache=True)
 def settle(f: Filter, w: Pending) -> None:
     """Take off P what is pending."""
     downdate(f.p, f.size[0], w.rows, w.used[0])
     w.used[0] = 0
 
 
-@njit(cache=True)
+@lean(cache=True)
 def correct(f: Filter, a: ArrayErrors, j: int, offset: int, look: Look, s: Sight, w: Pending) -> float:
     """Update the whole state by a look at VT j; return its log-density."""
     if w.used[0] + 6 > len(w.rows):
@@ -191,7 +191,7 @@ def correct(f: Filter, a: ArrayErrors, j: int, offset: int, look: Look, s: Sight
     return update(f, Innovation(new.e, sym_scaled(new.s, 1.0 / share), new.measured), w)
 
 
-@njit
+@lean
 def count_sizes(f: Filter, j: int, look: Look, i: Innovation, w: Pending) -> None:
     """Take in what a look at VT j, whose T is in w.t, says of the sizes of white noise and diffuse errors."""
     count_white(f, i.e, i.s, look.q)
@@ -204,7 +204,7 @@ def count_sizes(f: Filter, j: int, look: Look, i: Innovation, w: Pending) -> Non
             count_news(f, DIFFUSE_SIZE + c, told, Vec3(w.t[0, place], w.t[1, place], w.t[2, place]), i.e, i.s)
 
 
-@njit
+@lean
 def likely_share(i: Innovation) -> float:
     """Return by what an innovation that is unlikely large counts for less: what no model has, as paths that merge, must
     not outweigh what it has.
@@ -215,7 +215,7 @@ def likely_share(i: Innovation) -> float:
     return LIKELY / distance2 if LIKELY < distance2 < math.inf else 1.0
 
 
-@njit(cache=True)
+@lean(cache=True)
 def compare(f: Filter, a: ArrayErrors, j: int, offset: int, look: Look, s: Sight, w: Pending) -> tuple[Vec3, Sym3]:
     """Return what a look at VT j differs by from what is expected, and H P H^T; H P is left in w.t."""
     seen, z = geometry(f, j, offset, look.place, look.turned, coordinates(f, j), s), look.z

@@ -7,11 +7,11 @@ they are. Source: Smith, Self and Cheeseman, "Estimating uncertain spatial relat
 
 from __future__ import annotations
 
-from cellslam.sim.compiling import njit
+from cellslam.sim.compiling import lean, njit
 from cellslam.slam.ekf_slam.state.layout import OF_VT, Filter
 
 
-@njit(cache=True)
+@lean(cache=True)
 def enter(f: Filter, owner: int, variance: float) -> int:
     """Add an independent state of mean zero; return its place, -1 where there is no room."""
     n = f.size[0]
@@ -40,7 +40,7 @@ def leave(f: Filter, place: int) -> None:
     f.size[0] = last
 
 
-@njit(cache=True)
+@lean(cache=True)
 def _settle_in(f: Filter, place: int, owner: int) -> None:
     """Write down that the state of this owner is at a place, -1 for nowhere."""
     if place >= 0:
@@ -52,13 +52,13 @@ def _settle_in(f: Filter, place: int, owner: int) -> None:
         f.vt_state[k // f.vt_state.shape[1], k % f.vt_state.shape[1]] = place
 
 
-@njit(cache=True)
+@lean(cache=True)
 def owner_of(j: int, coordinate: int, width: int) -> int:
     """Return the owner's number of a coordinate of VT j, of `width` each."""
     return OF_VT - (j * width + coordinate)
 
 
-@njit(cache=True)
+@lean(cache=True)
 def fade(f: Filter, place: int, kept: float, variance: float) -> None:
     """Let a Gauss-Markov state keep this share of itself; `variance`: what it has in the long run."""
     n = f.size[0]
