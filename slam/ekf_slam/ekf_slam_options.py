@@ -31,5 +31,5 @@ class EkfSlamOptions(FrontEndOptions):
     )
     component_step: float = Field(1.25, gt=0, le=3, description="distance of neighbouring components, in their widths")
     resolved_std_m: float = Field(15.0, gt=0, le=1000, description="a clock offset known to this is resolved, m")
-    start_limit_s: float = Field(150.0, ge=0, le=1e5, description="the start ends at this time at the latest, s")
+    start_limit_s: float = Field(600.0, ge=0, le=1e5, description="the start ends at this time at the latest, s")
     prune_ratio: float = Field(1e-5, gt=0, lt=1, description="components less likely than the best by this are dropped")
