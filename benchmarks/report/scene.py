@@ -28,7 +28,7 @@ def scene_of(world: World, steps: Ints) -> tuple[dict[str, Any], Mapping[str, An
     from cellslam.sim.world import virtual_transmitters
 
     poses = world.drive.poses[steps]
-    paths = world.trace(poses)
+    paths = world.free_paths(poses, steps)
     vts, path_vt = virtual_transmitters(paths)
     box = _box(np.concatenate([poses[:, :3], world.sites_m]))
     scene = {
