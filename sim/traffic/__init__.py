@@ -9,11 +9,10 @@ from cellslam.sim.traffic.blocking import Blocked, blocked_paths
 from cellslam.sim.traffic.driving import draw_traffic
 from cellslam.sim.traffic.reflecting import reflected_paths, reflecting_vehicle
 from cellslam.sim.traffic.traffic import Traffic
-from cellslam.sim.traffic.traffic_config import KindConfig, TrafficConfig
+from cellslam.sim.traffic.traffic_config import TrafficConfig
 
 __all__ = [
     "Blocked",
-    "KindConfig",
     "Traffic",
     "TrafficConfig",
     "blocked_paths",

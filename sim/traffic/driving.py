@@ -49,7 +49,7 @@ def draw_traffic(
     if not len(kind):
         return None
     poses = _poses(route, states[before // KEPT :], vehicle.road_slope_percent / 100.0)
-    return Traffic(tuple(KINDS[k] for k in kind), size, when[::KEPT], poses)
+    return Traffic(tuple(KINDS[k].name for k in kind), size, when[::KEPT], poses)
 
 
 def lanes_that_fit(config: TrafficConfig, city: City, route: Route) -> tuple[Floats, Floats]:
@@ -98,9 +98,8 @@ def _flow(
     count = len(lane)
     # Evenly but for a tenth; the first place is that of our vehicle.
     slot = np.tile(np.arange(1, each + 1), len(lanes)) + rng.uniform(-0.1, 0.1, count)
-    share = np.array([kind.share for kind in config.kinds])
-    kind = rng.choice(len(KINDS), count, p=share / share.sum()) if count else np.empty(0, np.int64)
-    size = np.array([[k.length_m, k.width_m, k.height_m] for k in config.kinds])[kind]
+    kind = rng.choice(len(KINDS), count, p=np.array(config.shares) / sum(config.shares))
+    size = np.array([[k.length_m, k.width_m, k.height_m] for k in KINDS])[kind]
     wanted = config.speed_mps * rng.uniform(1.0 - SPREAD, 1.0 + SPREAD, count)
     timer = rng.uniform(0.0, rules().delay, count)
     own = 0.0 if direction > 0 else NOBODY_M

@@ -15,11 +15,11 @@ from numpy.typing import NDArray
 from cellslam.sim.frames import azimuth_elevation
 from cellslam.sim.recording import Floats, Ints
 from cellslam.sim.traffic.traffic import LONGEST_STEP_M, Traffic
+from cellslam.sim.traffic.traffic_config import KINDS
 
 if TYPE_CHECKING:
     from cellslam.sim.rays import Paths, Scene
 
-MIRRORS = ("lorry", "bus")
 FIRST = -2  # what stands for vehicle 0 in `Paths.facets`; -3 for vehicle 1, and so on
 
 
@@ -35,7 +35,7 @@ def reflected_paths(
     vehicle: those that no building blocks, whatever vehicles do."""
     from cellslam.sim.traffic.reflecting_kernel import mirror_points
 
-    mirrors = np.flatnonzero(np.isin(traffic.kind, MIRRORS))
+    mirrors = np.flatnonzero(np.isin(traffic.kind, [kind.name for kind in KINDS if kind.reflects]))
     steps = traffic.steps(time_s)
     out = []
     for site, transmitter in enumerate(transmitters_m):

@@ -1,29 +1,34 @@
-"""Settings of the other vehicles (table [traffic] of a scenario)."""
+"""Settings of the other vehicles (table [traffic] of a scenario), and the sizes of their kinds."""
 
 from __future__ import annotations
 
-from pydantic import BaseModel, ConfigDict, Field
+from typing import NamedTuple
 
-KINDS = ("car", "van", "lorry", "bus")
+from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 
-class KindConfig(BaseModel):
-    """A kind of vehicle: how many of it there are, and its box."""
+class Kind(NamedTuple):
+    """A kind of vehicle as a box on the ground, in metres, without mirrors."""
 
-    model_config = ConfigDict(frozen=True, extra="forbid")
+    name: str
+    length_m: float
+    width_m: float
+    height_m: float
+    reflects: bool
 
-    share: float = Field(ge=0.0, le=1000.0, description="how many there are, in proportion to the other kinds")
-    length_m: float = Field(ge=1.0, le=25.0, description="length")
-    width_m: float = Field(ge=0.5, le=2.6, description="width, without mirrors")
-    height_m: float = Field(ge=0.5, le=5.0, description="height above ground")
+
+# Cars: 3GPP TR 37.885, table 6.1.2-1, as in highway-env. Vans: long, with a high roof, as Ford Transit and Mercedes
+# Sprinter are. Lorries (two axles, box body) and city buses: as usually built, within Directive 96/53/EC.
+KINDS = (
+    Kind("car", 5.0, 2.0, 1.6, False),
+    Kind("van", 5.9, 2.0, 2.6, False),
+    Kind("lorry", 9.0, 2.55, 3.6, True),
+    Kind("bus", 12.0, 2.55, 3.1, True),
+)
 
 
 class TrafficConfig(BaseModel):
-    """Other vehicles on the lanes along the route. Default: none.
-
-    Sizes: cars of 3GPP TR 37.885, table 6.1.2-1 (5.0 x 2.0 x 1.6 m, as in highway-env); vans, lorries (two axles, box
-    body) and city buses as usually built, widths within Directive 96/53/EC. Shares are a plausible choice.
-    """
+    """Other vehicles on the lanes along the route. Default: none. Shares of kinds are a plausible choice."""
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 
@@ -32,19 +37,22 @@ class TrafficConfig(BaseModel):
     lanes: int = Field(2, ge=1, le=3, description="lanes in our direction: ours and those to its right that fit")
     oncoming_lanes: int = Field(1, ge=0, le=3, description="lanes in the other direction, to our left, that fit")
     lane_width_m: float = Field(3.5, ge=2.75, le=5.0, description="width of a lane")
-    reflect: bool = Field(False, description="whether the sides of lorries and buses reflect")
-    car: KindConfig = Field(
-        KindConfig(share=78.0, length_m=5.0, width_m=2.0, height_m=1.6), description="passenger cars"
+    van_share: float = Field(0.12, ge=0.0, le=1.0, description="probability that a vehicle is a van, 5.9 x 2.0 x 2.6 m")
+    lorry_share: float = Field(0.05, ge=0.0, le=1.0, description="that it is a lorry, 9.0 x 2.55 x 3.6 m")
+    bus_share: float = Field(
+        0.05, ge=0.0, le=1.0, description="that it is a bus, 12.0 x 2.55 x 3.1 m; cars are the rest"
     )
-    van: KindConfig = Field(
-        KindConfig(share=12.0, length_m=5.9, width_m=2.0, height_m=2.6), description="vans with a high roof"
-    )
-    lorry: KindConfig = Field(
-        KindConfig(share=5.0, length_m=9.0, width_m=2.55, height_m=3.6), description="lorries without a trailer"
-    )
-    bus: KindConfig = Field(KindConfig(share=5.0, length_m=12.0, width_m=2.55, height_m=3.1), description="city buses")
+    reflect: bool = Field(False, description="whether the long sides of lorries and buses reflect")
+
+    @model_validator(mode="after")
+    def _check_shares(self) -> TrafficConfig:
+        others = self.van_share + self.lorry_share + self.bus_share
+        if others > 1.0 + 1e-9:
+            raise ValueError(f"van_share, lorry_share and bus_share add up to {others:g}: at most 1, cars are the rest")
+        return self
 
     @property
-    def kinds(self) -> tuple[KindConfig, ...]:
-        """The kinds in the order of KINDS."""
-        return self.car, self.van, self.lorry, self.bus
+    def shares(self) -> tuple[float, float, float, float]:
+        """The probabilities of the KINDS."""
+        others = self.van_share + self.lorry_share + self.bus_share
+        return max(1.0 - others, 0.0), self.van_share, self.lorry_share, self.bus_share
