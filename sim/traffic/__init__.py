@@ -8,7 +8,7 @@
 from cellslam.sim.traffic.blocking import Blocked, blocked_paths
 from cellslam.sim.traffic.driving import draw_traffic
 from cellslam.sim.traffic.reflecting import reflected_paths, reflecting_vehicle
-from cellslam.sim.traffic.traffic import Traffic
+from cellslam.sim.traffic.traffic import Traffic, traffic_of
 from cellslam.sim.traffic.traffic_config import TrafficConfig
 
 __all__ = [
@@ -19,4 +19,5 @@ __all__ = [
     "draw_traffic",
     "reflected_paths",
     "reflecting_vehicle",
+    "traffic_of",
 ]

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from cellslam.sim.described import Described
-from cellslam.sim.recording import Floats
+from cellslam.sim.recording import Floats, Recording
 
 LONGEST_STEP_M = 25.0
 """A vehicle that is farther off than this after one step has left the lane's end and comes in at its beginning."""
@@ -48,3 +48,9 @@ class Traffic(Described):
         c, s = np.cos(poses[..., 3])[..., None], np.sin(poses[..., 3])[..., None]
         turned = np.stack([c * half[..., 0] - s * half[..., 1], s * half[..., 0] + c * half[..., 1]], axis=-1)
         return np.asarray(poses[:, :, None, :2] + turned)
+
+
+def traffic_of(recording: Recording) -> Traffic | None:
+    """Return the traffic of a simulated drive, None without any."""
+    found = None if recording.truth is None else recording.truth.vehicles
+    return None if found is None else Traffic(found.kind, found.size_m, found.time_s, found.poses)

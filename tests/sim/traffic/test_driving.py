@@ -17,7 +17,7 @@ from cellslam.sim.errors import InputError
 from cellslam.sim.randomness import Stream, stream
 from cellslam.sim.traffic import Traffic, TrafficConfig, draw_traffic
 from cellslam.sim.traffic.driving import STEP_S, lanes_that_fit, rules
-from cellslam.sim.traffic.driving_kernel import Cars, Road, drive_all, is_better, progress
+from cellslam.sim.traffic.driving_kernel import RADIUS_M, Cars, Road, drive_all, is_better, progress
 from cellslam.sim.vehicle import plan_route
 from cellslam.sim.world import prepare
 
@@ -106,6 +106,10 @@ def test_a_queue_stands_still() -> None:
     for standing in (moved[300:400], moved[1100:]):
         assert standing.max() < 1e-4
     assert np.ptp(states[300:400, :, 2], axis=0).max() < 1e-4
+    # Nobody turns on the spot.
+    way = np.hypot(moved, np.diff(states[..., 1], axis=0))
+    assert (np.abs(np.diff(states[..., 2], axis=0)) <= way / RADIUS_M + 1e-9).all()
+    assert np.ptp(states[..., 2]) > 0.01
     # While all creep, speeds vary slowly: no vehicle stops and goes.
     creeping = moved[600:800] / STEP_S
     assert (creeping > 0.1).all() and np.abs(np.diff(creeping, axis=0)).max() < 0.05
