@@ -18,10 +18,10 @@ from pydantic import BaseModel, ConfigDict, Field
 from cellslam.sim.city.city_config import CityConfig
 from cellslam.sim.frames import SPEED_OF_LIGHT_MPS
 from cellslam.sim.lte.radio_config import RadioConfig
+from cellslam.sim.lte.sites import SiteConfig
 from cellslam.sim.progress import Progress, silent
 from cellslam.sim.randomness import Stream, stream
 from cellslam.sim.recording import Floats, Ints, Recording, Sites, Truth, Vehicles, VirtualTransmitters
-from cellslam.sim.sites import SiteConfig
 from cellslam.sim.traffic.traffic_config import TrafficConfig
 from cellslam.sim.vehicle.vehicle_config import OdometryConfig, VehicleConfig
 
@@ -184,7 +184,7 @@ def prepare(config: WorldConfig, seed: int, trial: int, progress: Progress = sil
     """Draw the world of one trial: city, route, sites, drive, traffic and clock offsets. Raises InputError where they
     do not fit.
     """
-    from cellslam.sim.sites import place_sites
+    from cellslam.sim.lte.sites import place_sites
     from cellslam.sim.traffic import draw_traffic
     from cellslam.sim.vehicle import drive, plan_route
 

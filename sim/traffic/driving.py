@@ -104,14 +104,14 @@ def _flow(
     timer = rng.uniform(0.0, rules().delay, count)
     own = 0.0 if direction > 0 else NOBODY_M
     cars = Cars(
-        along=np.append(ours[0, 0] + slot * length / (each + 1), 0.0), side=np.append(direction * lanes[lane], own),
+        along=np.append((ours[0, 0] + slot * length / (each + 1)) % length, 0.0),
+        side=np.append(direction * lanes[lane], own),
         speed=np.append(0.5 * wanted, 0.0), heading=np.zeros(count + 1), lane=np.append(lane, 0),
         timer=np.append(timer, 0.0), size=np.append(size[:, 0], OUR_LENGTH_M),
         wanted=np.append(wanted, config.speed_mps),
     )  # fmt: skip
     road = Road(length, direction * lanes, config.lane_width_m, _limit(route)[::direction].copy())
     states = drive_all(cars, ours, road, rules(), STEP_S, KEPT)
-    states[..., 0] = states[..., 0] % length
     if direction < 0:
         states = np.stack([length - states[..., 0], -states[..., 1], states[..., 2] + np.pi], axis=-1)
     return kind, size, states

@@ -52,8 +52,9 @@ class Road(NamedTuple):
 
 
 class Cars(NamedTuple):
-    """State of all vehicles: along and to the side in m, speed in m/s, heading in rad relative to the lane, the lane
-    wanted, seconds since lanes were looked at; lengths in m, wanted speeds in m/s. All (N,); the last one is ours.
+    """State of all vehicles, all (N,), the last one being ours: along (m, below the road's length) and to the side (m),
+    speed (m/s), heading (rad) relative to the lane, the lane wanted, seconds since lanes were looked at; length (m) and
+    wanted speed (m/s).
     """
 
     along: Floats
@@ -86,13 +87,20 @@ def wanted_gap(speed: float, closing: float, rules: Rules) -> float:
 
 
 @njit(cache=True)
+def ahead_by(cars: Cars, i: int, j: int, road: Road) -> float:
+    """Return how far (m) j is ahead of i, round to its back."""
+    distance = cars.along[j] - cars.along[i]
+    return distance if distance >= 0.0 else distance + road.length
+
+
+@njit(cache=True)
 def _neighbours(cars: Cars, i: int, side: float, road: Road) -> tuple[int, int]:
     """Return the vehicles ahead of and behind i on the lane at `side`, -1 none."""
     ahead, behind, least, most = -1, -1, np.inf, -np.inf
     for j in range(len(cars.along)):
         if j == i or abs(cars.side[j] - side) > 0.5 * road.width + BESIDE_M:
             continue
-        distance = (cars.along[j] - cars.along[i]) % road.length
+        distance = ahead_by(cars, i, j, road)
         if distance < least:
             least, ahead = distance, j
         if distance > most:
@@ -106,11 +114,11 @@ def _follow(cars: Cars, i: int, j: int, road: Road, rules: Rules) -> float:
     vehicles of 5 m each: so is the gap here, with the lengths made good."""
     if i < 0:
         return 0.0
-    cell = int((cars.along[i] % road.length) / road.length * len(road.limit))
+    cell = int(cars.along[i] / road.length * len(road.limit))
     wanted = min(cars.wanted[i], road.limit[min(cell, len(road.limit) - 1)])
     if j < 0:
         return following(cars.speed[i], wanted, np.inf, 0.0, rules)
-    gap = (cars.along[j] - cars.along[i]) % road.length + 5.0 - 0.5 * (cars.size[i] + cars.size[j])
+    gap = ahead_by(cars, i, j, road) + 5.0 - 0.5 * (cars.size[i] + cars.size[j])
     return following(cars.speed[i], wanted, gap, cars.speed[i] - cars.speed[j], rules)
 
 
@@ -141,7 +149,7 @@ def _choose_lane(cars: Cars, i: int, road: Road, rules: Rules) -> None:
     if lane != wanted:
         for j in range(len(cars.along)):
             if j != i and cars.lane[j] == wanted and nearest_lane(cars.side[j], road) != wanted:
-                distance = (cars.along[j] - cars.along[i]) % road.length
+                distance = ahead_by(cars, i, j, road)
                 if 0.0 < distance < wanted_gap(cars.speed[i], cars.speed[i] - cars.speed[j], rules):
                     cars.lane[i] = lane
                     return
@@ -178,21 +186,21 @@ def _move(cars: Cars, i: int, acceleration: float, step_s: float, road: Road) ->
     ahead = max(LOOKAHEAD_M, LOOKAHEAD_S * v)
     turn = np.arctan2(road.lanes[cars.lane[i]] - cars.side[i], ahead) - cars.heading[i]
     cars.heading[i] += min(max(turn, -way / RADIUS_M), way / RADIUS_M)
-    cars.along[i] += way * np.cos(cars.heading[i])
+    cars.along[i] = (cars.along[i] + way * np.cos(cars.heading[i])) % road.length
     cars.side[i] += way * np.sin(cars.heading[i])
     cars.timer[i] += step_s
 
 
 @njit(cache=True)
 def drive_all(cars: Cars, ours: Floats, road: Road, rules: Rules, step_s: float, kept: int) -> Floats:
-    """Return along (m, not wrapped), side (m) and heading (rad) (K, N - 1, 3) of all vehicles but the last, ours, which
+    """Return along (m), side (m) and heading (rad) (K, N - 1, 3) of all vehicles but the last, ours, which
     is (k, 2): along in m and speed in m/s at every step of `step_s`. Every `kept`-th step is returned.
     """
     others = len(cars.along) - 1
     out = np.empty(((len(ours) - 1) // kept + 1, others, 3))
     wanted = np.empty(others)
     for step in range(len(ours)):
-        cars.along[others], cars.speed[others] = ours[step, 0], ours[step, 1]
+        cars.along[others], cars.speed[others] = ours[step, 0] % road.length, ours[step, 1]
         if step % kept == 0:
             out[step // kept, :, 0] = cars.along[:others]
             out[step // kept, :, 1] = cars.side[:others]
