@@ -137,7 +137,7 @@ class World(Reception):
             diffraction=city.diffraction,
             progress=progress,
         )
-        time_s = np.asarray(snapshots) * self.config.vehicle.snapshot_interval_s
+        time_s = np.asarray(snapshots, np.float64) * self.config.vehicle.snapshot_interval_s
         if self.traffic is not None and self.config.traffic.reflect:
             carrier = self.config.radio.carrier_hz
             more = reflected_paths(self.traffic, self.scene, self.sites_m, receivers_m, time_s, carrier)

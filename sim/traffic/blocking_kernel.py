@@ -19,13 +19,13 @@ Point = tuple[float, float, float]
 
 class Lines(NamedTuple):
     """Paths (P,), sorted by snapshot: `step` (P,) between the boxes' poses; `corners` (P, 4, 3) in m, of which the
-    first `count` (P,) are used, the last of these being the receiver; `own` (P,): the vehicle that a path is reflected
+    first `used` (P,) count, the last of these being the receiver; `own` (P,): the vehicle that a path is reflected
     by, -1 none.
     """
 
     step: Floats
     corners: Floats
-    count: Ints
+    used: Ints
     own: Ints
 
 
@@ -89,7 +89,7 @@ def blocking_pairs(lines: Lines, poses: Floats, longest_m: float, size_m: Floats
             step = lines.step[p]
             place(poses, step, longest_m, now)
             top = np.max(now[:, 2] + size_m[:, 2])
-        corners, last = lines.corners[p], lines.count[p] - 1
+        corners, last = lines.corners[p], lines.used[p] - 1
         for k in range(last):
             x, y, half = _below(_point(corners, k), _point(corners, k + 1), top)
             if half < 0.0:

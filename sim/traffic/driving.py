@@ -37,7 +37,7 @@ def draw_traffic(
     axle_m = progress(route.points_m, route.arc_m, np.ascontiguousarray(driven.poses[:, :2]))
     before = round(BEFORE_S / STEP_S)
     count = KEPT * (int(np.ceil(driven.time_s[-1] / (STEP_S * KEPT))) + 1)
-    when = STEP_S * np.arange(count + 1)
+    when = STEP_S * np.arange(count + 1, dtype=np.float64)
     along = np.interp(when, driven.time_s, axle_m) + 0.5 * vehicle.wheelbase_m
     ours = np.column_stack([along, np.gradient(along, STEP_S)])
     ours = np.concatenate([np.tile([along[0], 0.0], (before, 1)), ours])

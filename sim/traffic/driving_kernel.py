@@ -72,24 +72,24 @@ def following(speed: float, wanted: float, gap: float, closing: float, rules: Ru
     """Return the acceleration (m/s^2) of the IDM at a speed, with `gap` m to the vehicle ahead (inf: none), closing in
     on it by `closing` m/s.
     """
-    free = rules.acceleration * (1.0 - (max(speed, 0.0) / max(wanted, 0.01)) ** rules.exponent)
+    free: float = rules.acceleration * (1.0 - (max(speed, 0.0) / max(wanted, 0.01)) ** rules.exponent)
     if gap == np.inf:
         return free
     desired = wanted_gap(speed, closing, rules)
-    return free - rules.acceleration * (desired / max(gap, 0.01)) ** 2
+    return free - rules.acceleration * (desired / max(gap, 0.01)) ** 2.0
 
 
 @njit(cache=True)
 def wanted_gap(speed: float, closing: float, rules: Rules) -> float:
     """Return the gap (m) that the IDM wants."""
-    dynamic = speed * closing / (2.0 * np.sqrt(rules.acceleration * rules.braking))
+    dynamic: float = speed * closing / (2.0 * np.sqrt(rules.acceleration * rules.braking))
     return rules.jam_gap + speed * rules.time_gap + dynamic
 
 
 @njit(cache=True)
 def ahead_by(cars: Cars, i: int, j: int, road: Road) -> float:
     """Return how far (m) j is ahead of i, round to its back."""
-    distance = cars.along[j] - cars.along[i]
+    distance: float = cars.along[j] - cars.along[i]
     return distance if distance >= 0.0 else distance + road.length
 
 

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from cellslam.sim.described import Described
 from cellslam.sim.recording import Floats, Recording
@@ -27,7 +29,7 @@ class Traffic(Described):
     def __len__(self) -> int:
         return len(self.kind)
 
-    def at(self, time_s: Floats) -> Floats:
+    def at(self, time_s: NDArray[np.floating[Any]]) -> Floats:
         """Return the poses (n, N, 4), in m and rad, at times (n,) in s; the ends are held."""
         from cellslam.sim.traffic.blocking_kernel import place
 
@@ -36,7 +38,7 @@ class Traffic(Described):
             place(self.poses, float(step), LONGEST_STEP_M, row)
         return out
 
-    def steps(self, time_s: Floats) -> Floats:
+    def steps(self, time_s: NDArray[np.floating[Any]]) -> Floats:
         """Return times (n,) in s as steps between the poses, without unit."""
         step_s = self.time_s[1] - self.time_s[0]
         return np.asarray((time_s - self.time_s[0]) / step_s)
