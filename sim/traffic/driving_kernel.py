@@ -76,7 +76,8 @@ def following(speed: float, wanted: float, gap: float, closing: float, rules: Ru
     if gap == np.inf:
         return free
     desired = wanted_gap(speed, closing, rules)
-    return free - rules.acceleration * (desired / max(gap, 0.01)) ** 2.0
+    share = desired / max(gap, 0.01)
+    return free - rules.acceleration * share * share
 
 
 @njit(cache=True)
