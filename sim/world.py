@@ -12,15 +12,17 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field
 
 from cellslam.sim.city.city_config import CityConfig
 from cellslam.sim.frames import SPEED_OF_LIGHT_MPS
 from cellslam.sim.lte.radio_config import RadioConfig
+from cellslam.sim.lte.sites import SiteConfig
 from cellslam.sim.progress import Progress, silent
 from cellslam.sim.randomness import Stream, stream
-from cellslam.sim.recording import Floats, Ints, Recording, Sites, Truth, VirtualTransmitters
-from cellslam.sim.sites import SiteConfig
+from cellslam.sim.recording import Floats, Ints, Recording, Sites, Truth, Vehicles, VirtualTransmitters
+from cellslam.sim.traffic.traffic_config import TrafficConfig
 from cellslam.sim.vehicle.vehicle_config import OdometryConfig, VehicleConfig
 
 if TYPE_CHECKING:
@@ -30,6 +32,7 @@ if TYPE_CHECKING:
     from cellslam.sim.lte.statistical.detector_layout import PathColumns, Streams
     from cellslam.sim.lte.statistical.statistical_front_end import Detections
     from cellslam.sim.rays import Paths, Scene
+    from cellslam.sim.traffic import Blocked, Traffic
     from cellslam.sim.vehicle import Drive, Odometry
 
 KEPT_SCENES = 2
@@ -45,6 +48,7 @@ class WorldConfig(BaseModel):
     sites: tuple[SiteConfig, ...] = Field(min_length=1, description="base-station sites and their cells")
     vehicle: VehicleConfig = Field(default_factory=VehicleConfig, description="route and motion")
     odometry: OdometryConfig = Field(default_factory=OdometryConfig, description="errors of wheels and gyro")
+    traffic: TrafficConfig = Field(default_factory=TrafficConfig, description="other vehicles, which block paths")
     radio: RadioConfig = Field(default_factory=RadioConfig, description="the LTE link and the receiver")
 
 
@@ -109,25 +113,41 @@ class Reception:
 
 @dataclass(frozen=True)
 class World(Reception):
-    """One trial's world, ready to be measured."""
+    """One trial's world, ready to be measured. `traffic`: other vehicles, None without any."""
 
     scene: Scene
+    traffic: Traffic | None
 
-    def trace(self, poses: Floats, progress: Progress = silent) -> Paths:
-        """Return the paths from every site to every one of `poses` (T, 6), in m and rad."""
+    def trace(self, poses: Floats, snapshots: Ints, progress: Progress = silent) -> tuple[Paths, Blocked]:
+        """Return the paths from every site to every one of `poses` (T, 6), in m and rad, and which of them vehicles
+        block, being where they are at `snapshots` (T,)."""
         from cellslam.sim.rays import trace
+        from cellslam.sim.rays.paths import joined
+        from cellslam.sim.traffic import blocked_paths, reflected_paths
 
         city = self.config.city
-        return trace(
+        receivers_m = np.ascontiguousarray(poses[:, :3])
+        paths = trace(
             self.scene,
             self.sites_m,
-            np.ascontiguousarray(poses[:, :3]),
+            receivers_m,
             city.max_order,
             carrier_hz=self.config.radio.carrier_hz,
             ground_reflection=city.ground_reflection,
             diffraction=city.diffraction,
             progress=progress,
         )
+        time_s = np.asarray(snapshots, np.float64) * self.config.vehicle.snapshot_interval_s
+        if self.traffic is not None and self.config.traffic.reflect:
+            carrier = self.config.radio.carrier_hz
+            more = reflected_paths(self.traffic, self.scene, self.sites_m, receivers_m, time_s, carrier)
+            paths = joined([paths, *more])
+        return paths, blocked_paths(self.traffic, paths, self.sites_m, receivers_m, time_s)
+
+    def free_paths(self, poses: Floats, snapshots: Ints) -> Paths:
+        """Return the paths to `poses` (T, 6), in m and rad, at `snapshots` (T,), less those that vehicles block."""
+        paths, blocked = self.trace(poses, snapshots)
+        return paths.take(blocked.free(len(paths)))
 
     def measure(
         self, pose: Floats, velocity: Floats, snapshot: int, rng: Streams, odometry: Floats | None = None
@@ -141,30 +161,34 @@ class World(Reception):
         """
         poses, velocities = np.asarray(pose, np.float64)[None, :], np.asarray(velocity, np.float64)[None, :]
         known = velocities if odometry is None else np.asarray(odometry, np.float64)[None, :]
-        paths = self.trace(poses)
+        paths = self.free_paths(poses, np.array([snapshot]))
         return self.detect(paths, poses, velocities, known, rng, snapshot), paths
 
     def measure_drive(
         self, rng: Streams, progress: Progress = silent, odometry: Floats | None = None
-    ) -> tuple[Detections, Paths]:
-        """Return all detections of the trial's drive, and its paths, receiver t being snapshot t.
+    ) -> tuple[Detections, Paths, Blocked]:
+        """Return all detections of the trial's drive, its paths, receiver t being snapshot t, and which are blocked.
 
         `odometry` (T, 6): measured body velocities, with which the receiver undoes Doppler (None: the truth).
         """
-        paths, velocities = self.trace(self.drive.poses, progress), self.drive.velocity
+        poses, velocities = self.drive.poses, self.drive.velocity
+        paths, blocked = self.trace(poses, np.arange(len(poses)), progress)
         known = velocities if odometry is None else odometry
         key = f"{self.config.model_dump_json()} {self.seed} {self.trial}"
-        return self.detect(paths, self.drive.poses, velocities, known, rng, 0, progress, key), paths
+        free = np.flatnonzero(blocked.free(len(paths)))
+        found = self.detect(paths.take(free), poses, velocities, known, rng, 0, progress, key)
+        return replace(found, path=np.append(free, -1)[found.path]), paths, blocked
 
 
 def prepare(config: WorldConfig, seed: int, trial: int, progress: Progress = silent) -> World:
-    """Draw the world of one trial: city, route, sites, drive and clock offsets. Raises InputError where they
+    """Draw the world of one trial: city, route, sites, drive, traffic and clock offsets. Raises InputError where they
     do not fit.
     """
-    from cellslam.sim.sites import place_sites
+    from cellslam.sim.lte.sites import place_sites
+    from cellslam.sim.traffic import draw_traffic
     from cellslam.sim.vehicle import drive, plan_route
 
-    with progress("preparing the world", 4) as advance:
+    with progress("preparing the world", 5) as advance:
         scene = _scene(config, seed, trial)
         advance(1)
         route = plan_route(scene.city, config.vehicle, stream(seed, trial, Stream.ROUTE))
@@ -173,7 +197,11 @@ def prepare(config: WorldConfig, seed: int, trial: int, progress: Progress = sil
         advance(1)
         driven = drive(route, config.vehicle, stream(seed, trial, Stream.VEHICLE))
         advance(1)
-    return World(**vars(draw_reception(config, seed, trial, sites_m, driven)), scene=scene)
+        rng = stream(seed, trial, Stream.TRAFFIC)
+        traffic = draw_traffic(config.traffic, scene.city, route, driven, config.vehicle, rng)
+        advance(1)
+    reception = draw_reception(config, seed, trial, sites_m, driven)
+    return World(**vars(reception), scene=scene, traffic=traffic)
 
 
 def draw_reception(config: WorldConfig, seed: int, trial: int, sites_m: Floats, driven: Drive) -> Reception:
@@ -206,29 +234,52 @@ def simulate(config: WorldConfig, seed: int, trial: int, progress: Progress = si
 
     world = prepare(config, seed, trial, progress)
     odometry = measure_odometry(world.drive, config.odometry, stream(seed, trial, Stream.ODOMETRY))
-    detections, paths = world.measure_drive(world.streams(), progress, odometry.velocity)
-    return recorded(world, odometry, detections, paths)
+    detections, paths, blocked = world.measure_drive(world.streams(), progress, odometry.velocity)
+    recording = recorded(world, odometry, detections, paths, blocked.free(len(paths)))
+    if world.traffic is None or recording.truth is None:
+        return recording
+    from cellslam.sim.traffic import reflecting_vehicle
+
+    _, path_vt = virtual_transmitters(paths)
+    vehicles = Vehicles(
+        **vars(world.traffic),
+        blocked=_blocked_intervals(blocked, path_vt, paths.receiver),
+        reflected=np.append(reflecting_vehicle(paths.facets), -1)[detections.path],
+    )
+    return replace(recording, truth=replace(recording.truth, vehicles=vehicles))
 
 
-def recorded(world: Reception, odometry: Odometry, detections: Detections, paths: Paths) -> Recording:
-    """Return the recording of a drive, truth included."""
+def _blocked_intervals(blocked: Blocked, path_vt: Ints, snapshot: Ints) -> Ints:
+    """Return (B, 4): VT, vehicle, first and last snapshot of each time that a vehicle blocks a VT's path."""
+    own = path_vt[blocked.path] >= 0
+    path, vehicle = blocked.path[own], blocked.vehicle[own]
+    pair, which = np.unique(np.stack([path_vt[path], vehicle], axis=1), axis=0, return_inverse=True)
+    runs = visible_intervals(which.reshape(-1), snapshot[path])
+    return np.concatenate([pair[runs[:, 0]], runs[:, 1:]], axis=1).reshape(-1, 4)
+
+
+def recorded(
+    world: Reception, odometry: Odometry, detections: Detections, paths: Paths, free: NDArray[np.bool_] | None = None
+) -> Recording:
+    """Return the recording of a drive, truth included. `free` (P,): which of the paths exist, None for all."""
     from cellslam.sim.lte.links import links_of
     from cellslam.sim.lte.persisting_errors import persisting_std
 
     config = world.config
-    vts, path_vt = virtual_transmitters(paths)
+    vts, path_vt = virtual_transmitters(paths, free)
     measurement_vt = np.where(detections.path >= 0, path_vt[detections.path] if len(path_vt) else -1, -1)
+    true_std = np.where(measurement_vt[:, None] >= 0, detections.true_std, np.nan)
     truth = Truth(
         poses=world.drive.poses,
         measurement_vt=measurement_vt.astype(np.int64),
-        measurement_std=detections.true_std,
+        measurement_std=true_std,
         vts=vts,
         site_positions_m=world.sites_m,
         clock_offsets_m=world.offsets_m,
         clock_drift_m_s=world.drift_m_s if config.radio.clock_drift > 0.0 else None,
         odometry_bias=odometry.bias,
         odometry_scale=odometry.scale,
-        persisting_std=np.where(np.isnan(detections.true_std), np.nan, persisting_std(config.radio)),
+        persisting_std=np.where(np.isnan(true_std), np.nan, persisting_std(config.radio)),
     )
     return Recording(
         time_s=world.drive.time_s,
@@ -279,19 +330,25 @@ def path_columns(paths: Paths, receivers: int, sites: int) -> PathColumns:
     return PathColumns(rows, np.ascontiguousarray(paths.vt_position_m), np.ascontiguousarray(paths.gain), departure)
 
 
-def virtual_transmitters(paths: Paths) -> tuple[VirtualTransmitters, Ints]:
+def virtual_transmitters(paths: Paths, free: NDArray[np.bool_] | None = None) -> tuple[VirtualTransmitters, Ints]:
     """Return the VTs of a drive's paths, one per (site, facets), with their visible intervals, and the VT of
-    each path (P,).
+    each path (P,), -1 if a vehicle reflects it. `free` (P,): which paths exist, None for all; a VT may have none of
+    these.
     """
-    key = np.column_stack([paths.transmitter, paths.facets, paths.edge])
+    from cellslam.sim.traffic import reflecting_vehicle
+
+    still = np.flatnonzero(reflecting_vehicle(paths.facets) < 0)
+    key = np.column_stack([paths.transmitter, paths.facets, paths.edge])[still]
     _, first, inverse = np.unique(key, axis=0, return_index=True, return_inverse=True)
-    path_vt = inverse.reshape(-1).astype(np.int64)
+    path_vt = np.full(len(paths), -1, np.int64)
+    path_vt[still], first = inverse.reshape(-1), still[first]
+    exists = (path_vt >= 0) & (True if free is None else free)
     vts = VirtualTransmitters(
         position_m=paths.vt_position_m[first],
         site=paths.transmitter[first].astype(np.int64),
         order=paths.order[first].astype(np.int64),
         facets=paths.facets[first].astype(np.int64),
-        visible=visible_intervals(path_vt, paths.receiver),
+        visible=visible_intervals(path_vt[exists], paths.receiver[exists]),
     )
     return vts, path_vt
 

@@ -15,6 +15,7 @@ from cellslam.sim.recording.tables import (
     Reference,
     Sites,
     Truth,
+    Vehicles,
     VirtualTransmitters,
 )
 
@@ -30,5 +31,6 @@ __all__ = [
     "Reference",
     "Sites",
     "Truth",
+    "Vehicles",
     "VirtualTransmitters",
 ]

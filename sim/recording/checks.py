@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cellslam.sim.errors import InputError
-from cellslam.sim.recording.tables import Floats, Ints, Measurements, RecordingData, Reference, Truth
+from cellslam.sim.recording.tables import Floats, Ints, Measurements, RecordingData, Reference, Truth, Vehicles
 
 MEASURED = ("distance_m", "azimuth_rad", "elevation_rad")
 CLAIMED = ("distance_std_m", "azimuth_std_rad", "elevation_std_rad")
@@ -141,6 +141,24 @@ def _check_truth(truth: Truth, r: RecordingData) -> None:
         "truth.measurement_vt",
         f"is not one of the {vts} VTs",
     )
+    if truth.vehicles is not None:
+        _check_vehicles(truth.vehicles, vts, len(r.time_s), len(r.measurements))
+
+
+def _check_vehicles(v: Vehicles, vts: int, snapshots: int, measurements: int) -> None:
+    _shape("truth.vehicles.size_m", v.size_m, (len(v), 3))
+    _require(v.size_m > 0, "truth.vehicles.size_m", "is not a size (must be > 0)")
+    _shape("truth.vehicles.time_s", v.time_s, (len(v.time_s),))
+    _require(np.diff(v.time_s) > 0, "truth.vehicles.time_s", "is not after the row before it: sort by time", offset=1)
+    _shape("truth.vehicles.poses", v.poses, (len(v.time_s), len(v), 4))
+    _finite("truth.vehicles.poses", v.poses)
+    _shape("truth.vehicles.blocked", v.blocked, (len(v.blocked), 4))
+    for column, (what, count) in enumerate((("VTs", vts), ("vehicles", len(v)), *2 * (("snapshots", snapshots),))):
+        own = v.blocked[:, column]
+        _require((own >= 0) & (own < count), "truth.vehicles.blocked", f"is not one of the {count} {what}")
+    _shape("truth.vehicles.reflected", v.reflected, (measurements,))
+    reflected = (v.reflected >= -1) & (v.reflected < len(v))
+    _require(reflected, "truth.vehicles.reflected", f"is not one of the {len(v)} vehicles")
 
 
 def _check_reference(reference: Reference) -> None:

@@ -27,6 +27,7 @@ from cellslam.sim.recording.tables import (
     Reference,
     Sites,
     Truth,
+    Vehicles,
     VirtualTransmitters,
 )
 
@@ -163,8 +164,8 @@ def _check_names(file: h5py.File) -> None:
         if not is_group and path not in known:
             raise InputError(f"unknown column '{path}'{nearest_name(path, known)}")
     for column in COLUMNS:
-        whole = column.path.partition("/")[0]
-        if column.optional or (whole in TABLES_THAT_MAY_MISS and whole not in file):
+        missing = (whole for whole in TABLES_THAT_MAY_MISS if whole not in file)
+        if column.optional or any(column.path.startswith(f"{whole}/") for whole in missing):
             continue
         table = column.table
         if table and table not in file:
@@ -238,7 +239,9 @@ def _recording(values: dict[str, Any], make: type[Kind]) -> Kind:
 
     truth = None
     if "truth/poses" in values:
-        truth = Truth(**table("truth"), vts=VirtualTransmitters(**table("truth/vts")))
+        own = table("truth/vehicles")
+        vehicles = Vehicles(**(own | {"kind": tuple(own["kind"].tolist())})) if own else None
+        truth = Truth(**table("truth"), vts=VirtualTransmitters(**table("truth/vts")), vehicles=vehicles)
     reference = Reference(**table("reference")) if "reference/time_s" in values else None
     sites = table("sites")
     return make(

@@ -17,7 +17,8 @@ _RATE_UNIT = "m/s, m/s, m/s, rad/s, rad/s, rad/s"
 class Column:
     """One dataset: its path in the file (with dots: in Recording), shape in symbols, unit, kind of value.
 
-    Symbols: T snapshots, L links, S sites, M measurements, V virtual transmitters, I visible intervals, R fixes.
+    Symbols: T snapshots, L links, S sites, M measurements, V virtual transmitters, I visible intervals, R fixes,
+    N other vehicles, K times of their poses, B times that they block.
     `optional`: may be left out; `absent`: may be left out if its table's attribute `absent` says so.
     """
 
@@ -83,10 +84,16 @@ COLUMNS = (
     Column("truth/clock_drift_m_s", ("S",), "m/s", optional=True),
     Column("truth/odometry_bias", ("T", 6), _RATE_UNIT, labels=COMPONENTS),
     Column("truth/odometry_scale", (6,), labels=COMPONENTS),
+    Column("truth/vehicles/kind", ("N",), kind="text"),
+    Column("truth/vehicles/size_m", ("N", 3), "m", labels=("length", "width", "height")),
+    Column("truth/vehicles/time_s", ("K",), "s"),
+    Column("truth/vehicles/poses", ("K", "N", 4), "m, m, m, rad", labels=("x", "y", "ground", "yaw")),
+    Column("truth/vehicles/blocked", ("B", 4), kind="int", labels=("vt", "vehicle", "first_snapshot", "last_snapshot")),
+    Column("truth/vehicles/reflected", ("M",), kind="int"),
     Column("reference/time_s", ("R",), "s"),
     Column("reference/position_m", ("R", 3), "m", labels=("x", "y", "z")),
     Column("reference/yaw_rad", ("R",), "rad"),
     Column("reference/position_std_m", ("R",), "m"),
 )
 # Tables that a recording may lack as a whole, with all that is in them.
-TABLES_THAT_MAY_MISS = ("truth", "reference")
+TABLES_THAT_MAY_MISS = ("truth", "truth/vehicles", "reference")

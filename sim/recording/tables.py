@@ -117,6 +117,27 @@ class VirtualTransmitters(Described):
 
 
 @dataclass(frozen=True, repr=False)
+class Vehicles(Described):
+    """Other vehicles of a drive, as boxes on the ground, and what they blocked.
+
+    `kind` (N,) in words; `size_m` (N, 3): length, width, height; `time_s` (K,), equidistant, since the first snapshot;
+    `poses` (K, N, 4): x, y, ground of the box's centre (m), yaw (rad), linear in between unless a vehicle leaves and
+    comes in anew; `blocked` (B, 4): row of the VT, vehicle, first and last snapshot of each time that it blocks a path;
+    `reflected` (M,): the vehicle whose side a measurement was reflected by, -1 none; such a measurement has no VT.
+    """
+
+    kind: tuple[str, ...]
+    size_m: Floats
+    time_s: Floats
+    poses: Floats
+    blocked: Ints
+    reflected: Ints
+
+    def __len__(self) -> int:
+        return len(self.kind)
+
+
+@dataclass(frozen=True, repr=False)
 class Truth(Described):
     """What really happened: for scoring and oracles only.
 
@@ -124,7 +145,7 @@ class Truth(Described):
     deviations of distance (m), azimuth, elevation (rad), NaN for clutter; `persisting_std` (M, 3): their part that is
     alike over links and changes slowly (None: all errors are white); `site_positions_m` (S, 3); `clock_offsets_m`
     (S,): b of d = norm(v - r) + b at the first snapshot; `clock_drift_m_s` (S,): its rate (None: constant);
-    `odometry_bias` (T, 6): bias plus walk at each snapshot; `odometry_scale` (6,).
+    `odometry_bias` (T, 6): bias plus walk at each snapshot; `odometry_scale` (6,); `vehicles`: None without traffic.
     """
 
     poses: Floats
@@ -137,6 +158,7 @@ class Truth(Described):
     odometry_scale: Floats
     persisting_std: Floats | None = None
     clock_drift_m_s: Floats | None = None
+    vehicles: Vehicles | None = None
 
     def clock_offsets_at(self, elapsed_s: Floats) -> Floats:
         """Return the clock offsets (n, S) so long (n,) after the first snapshot."""
