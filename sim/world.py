@@ -229,6 +229,7 @@ def recorded(world: Reception, odometry: Odometry, detections: Detections, paths
         odometry_bias=odometry.bias,
         odometry_scale=odometry.scale,
         persisting_std=np.where(np.isnan(detections.true_std), np.nan, persisting_std(config.radio)),
+        merging_shift=detections.merging_shift if config.radio.front_end == "statistical" else None,
     )
     return Recording(
         time_s=world.drive.time_s,
