@@ -38,11 +38,14 @@ class BoundResult(Described):
 
     `pose_covariance` (T, 6, 6) in metres and radians; `clock_offset_std_m` (T, S); `pose_error` (T, 6): estimate less
     truth, on this drive, of the filter that is linear about the truth and has these covariances (`drawn_errors`).
+    `merged_m`: the bound of the drive's horizontal error without merged measurements, None where few are
+    (`merged_paths`).
     """
 
     pose_covariance: Floats
     clock_offset_std_m: Floats
     pose_error: Floats
+    merged_m: float | None = None
 
     @property
     def horizontal_std_m(self) -> Floats:
@@ -59,8 +62,8 @@ class BoundResult(Described):
 class Core:
     """Where the states that all links share stand: pose (0-5), odometry biases and scales, clock offsets.
 
-    `bias` and `scale` (6,): state index of each odometry component, -1 where this error does not exist. `mean`: no state;
-    here the covariance has the error of the filter's mean (`recursion_kernel`).
+    `bias` and `scale` (6,): state index of each odometry component, -1 where this error does not exist. `mean`: no
+    state; here the covariance has the error of the filter's mean (`recursion_kernel`).
     """
 
     bias: Ints
@@ -267,4 +270,4 @@ def _together(variance: Floats, residual: Floats, of: Ints, count: int) -> tuple
         information, weighted = (
             np.stack([np.bincount(of, column, count) for column in x.T], axis=1) for x in (weight, weight * residual)
         )
-        return 1.0 / information, np.divide(weighted, information, out=np.zeros_like(weighted), where=information > 0.0)
+        return 1.0 / information, weighted / np.where(information > 0.0, information, 1.0)

@@ -12,10 +12,25 @@ from dataclasses import replace
 import numpy as np
 
 from cellslam.benchmarks.bound.bound_model import Flags
+from cellslam.benchmarks.bound.cramer_rao import BoundResult, bound
+from cellslam.sim.progress import Progress, silent
 from cellslam.sim.recording import Recording
 
 # A measurement is merged where it is moved by more than this share of its deviation.
 LEAST_SHIFT = 0.5
+# Where fewer are merged the upper bound is not computed: it takes as long as the lower one.
+LEAST_SHARE = 0.05
+
+
+def both_bounds(recording: Recording, progress: Progress = silent) -> BoundResult:
+    """Return the bound of a recording with truth, and where many are merged the one without merged measurements, in m.
+
+    Raises InputError as `bound` does.
+    """
+    lower = bound(recording, progress)
+    if not merged_share(recording) > LEAST_SHARE:
+        return lower
+    return replace(lower, merged_m=bound(without_merged(recording), progress).position_rmse_m)
 
 
 def merged(recording: Recording) -> Flags | None:
