@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
@@ -10,6 +11,21 @@ from numpy.typing import NDArray
 from cellslam.sim.recording import Floats, Ints
 
 Flags = NDArray[np.bool_]
+
+
+@dataclass(frozen=True)
+class Core:
+    """Where the states that all links share stand: pose (0-5), odometry biases and scales, clock offsets.
+
+    `bias` and `scale` (6,): state index of each odometry component, -1 where this error does not exist. `mean`: no
+    state; here the covariance has the error of the filter's mean (`recursion_kernel`).
+    """
+
+    bias: Ints
+    scale: Ints
+    mean: int
+    offsets: Ints
+    size: int
 
 
 class Motion(NamedTuple):

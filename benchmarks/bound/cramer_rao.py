@@ -15,7 +15,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from cellslam.benchmarks.bound.bound_model import Errors, Found, Looks, Motion, Sightings, room
+from cellslam.benchmarks.bound.bound_model import Core, Errors, Found, Looks, Motion, Sightings, room
 from cellslam.benchmarks.bound.drawn_errors import jumps, residuals
 from cellslam.sim.described import Described
 from cellslam.sim.errors import InputError
@@ -56,21 +56,6 @@ class BoundResult(Described):
     def position_rmse_m(self) -> float:
         """Bound of the root mean squared horizontal error over the drive."""
         return float(np.sqrt(np.mean(self.horizontal_std_m**2)))
-
-
-@dataclass(frozen=True)
-class Core:
-    """Where the states that all links share stand: pose (0-5), odometry biases and scales, clock offsets.
-
-    `bias` and `scale` (6,): state index of each odometry component, -1 where this error does not exist. `mean`: no
-    state; here the covariance has the error of the filter's mean (`recursion_kernel`).
-    """
-
-    bias: Ints
-    scale: Ints
-    mean: int
-    offsets: Ints
-    size: int
 
 
 def bound(recording: Recording, progress: Progress = silent) -> BoundResult:

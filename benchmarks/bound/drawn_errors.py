@@ -10,15 +10,11 @@ bound computation for deterministic nonlinear systems", IEEE Trans. Automatic Co
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import numpy as np
 
-from cellslam.sim.frames import mean_velocity, wrap_angle
+from cellslam.benchmarks.bound.bound_model import Core
+from cellslam.sim.frames import integrate_pose, wrap_angle
 from cellslam.sim.recording import Floats, Ints, Recording, Truth
-
-if TYPE_CHECKING:
-    from cellslam.benchmarks.bound.cramer_rao import Core
 
 
 def jumps(recording: Recording, truth: Truth, core: Core, step: Floats) -> Floats:
@@ -27,8 +23,6 @@ def jumps(recording: Recording, truth: Truth, core: Core, step: Floats) -> Float
     Row 0 is the error of the priors. After it the odometry's errors move the pose, and the biases' walks add up, over
     the transition `step` (T, 6, core).
     """
-    from cellslam.benchmarks.bound.cramer_rao import pose_jacobians
-
     out = np.zeros((len(recording.time_s), core.size))
     out[0, :6] = recording.start_pose - truth.poses[0]
     out[0, 3:6] = wrap_angle(out[0, 3:6])
@@ -37,13 +31,10 @@ def jumps(recording: Recording, truth: Truth, core: Core, step: Floats) -> Float
     out[0, core.offsets] = recording.sites.clock_offset_mean_m - truth.clock_offsets_m
     if len(out) < 2:
         return out
-    dt_s = np.diff(recording.time_s)
-    velocity = mean_velocity(truth.poses[:-1], truth.poses[1:], dt_s)
-    scaled = 1.0 + truth.odometry_scale
-    drawn = (recording.odometry[1:] - truth.odometry_bias[1:]) / scaled - velocity
-    _, by_velocity = pose_jacobians(truth.poses[:-1], velocity, dt_s)
+    velocity = (np.nan_to_num(recording.odometry[1:]) - truth.odometry_bias[1:]) / (1.0 + truth.odometry_scale)
+    out[1:, :6] = integrate_pose(truth.poses[:-1], velocity, np.diff(recording.time_s)[:, None]) - truth.poses[1:]
+    out[1:, 3:6] = wrap_angle(out[1:, 3:6])
     out[1:, core.bias[core.bias >= 0]] = -np.diff(truth.odometry_bias, axis=0)[:, core.bias >= 0]
-    out[1:, :6] = np.einsum("tac,tc->ta", by_velocity, np.nan_to_num(drawn))
     out[1:, :6] += np.einsum("tac,tc->ta", step[1:, :, 6:], out[1:, 6:])
     return out
 
