@@ -280,6 +280,11 @@ def recorded(
         odometry_bias=odometry.bias,
         odometry_scale=odometry.scale,
         persisting_std=np.where(np.isnan(true_std), np.nan, persisting_std(config.radio)),
+        merging_shift=(
+            np.where(np.isnan(true_std), np.nan, detections.merging_shift)
+            if config.radio.front_end == "statistical"
+            else None
+        ),
     )
     return Recording(
         time_s=world.drive.time_s,

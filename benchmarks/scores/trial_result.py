@@ -15,13 +15,13 @@ ROW_KEYS = (
     "scenario", "estimator", "trial", "seed", "status", "error", "snapshots", "duration_s", "distance_m",
     "position_rmse_m", "position_max_m", "position_end_m", "heading_rmse_rad", "clock_offset_rmse_m",
     "transmitter_rmse_m", "map_gospa_m", "association_precision", "association_recall", "nees_mean",
-    "bound_position_rmse_m", "estimate_seconds", "realtime_factor",
+    "bound_position_rmse_m", "bound_merged_m", "estimate_seconds", "realtime_factor",
 )  # fmt: skip
 # Those of them that `benchmarks.scores.metrics.score` fills; each may be None.
 METRIC_KEYS = (
     "position_rmse_m", "position_max_m", "position_end_m", "heading_rmse_rad", "clock_offset_rmse_m",
     "transmitter_rmse_m", "map_gospa_m", "association_precision", "association_recall", "nees_mean",
-    "bound_position_rmse_m",
+    "bound_position_rmse_m", "bound_merged_m",
 )  # fmt: skip
 
 

@@ -129,8 +129,9 @@ def _check_truth(truth: Truth, r: RecordingData) -> None:
     _finite("truth.poses", truth.poses)
     _shape("truth.measurement_vt", truth.measurement_vt, (len(r.measurements),))
     _shape("truth.measurement_std", truth.measurement_std, (len(r.measurements), 3))
-    if truth.persisting_std is not None:
-        _shape("truth.persisting_std", truth.persisting_std, (len(r.measurements), 3))
+    for name in ("persisting_std", "merging_shift"):
+        if (column := getattr(truth, name)) is not None:
+            _shape(f"truth.{name}", column, (len(r.measurements), 3))
     _shape("truth.vts.position_m", truth.vts.position_m, (vts, 3))
     _shape("truth.site_positions_m", truth.site_positions_m, (len(r.sites), 3))
     _shape("truth.clock_offsets_m", truth.clock_offsets_m, (len(r.sites),))

@@ -74,6 +74,7 @@ COLUMNS = (
     Column("truth/measurement_vt", ("M",), kind="int"),
     Column("truth/measurement_std", ("M", 3), "m, rad, rad", labels=("distance", "azimuth", "elevation")),
     Column("truth/persisting_std", ("M", 3), "m, rad, rad", labels=("distance", "azimuth", "elevation"), optional=True),
+    Column("truth/merging_shift", ("M", 3), "m, rad, rad", labels=("distance", "azimuth", "elevation"), optional=True),
     Column("truth/vts/position_m", ("V", 3), "m", labels=("x", "y", "z")),
     Column("truth/vts/site", ("V",), kind="int"),
     Column("truth/vts/order", ("V",), kind="int"),
