@@ -25,6 +25,7 @@ class Stream(IntEnum):
     SITES = 8
     VEHICLE = 9
     RECEIVER = 10
+    ARRAY = 11
 
 
 def stream(seed: int, trial: int, name: Stream) -> np.random.Generator:
