@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from cellslam.sim.recording import Floats, Recording
 from cellslam.sim.errors import InputError
+from cellslam.sim.recording import Floats, Recording
 from cellslam.slam.api import Estimate, VtEstimate
 from cellslam.slam.model.calibration import Calibration
 

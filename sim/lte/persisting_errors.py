@@ -82,7 +82,10 @@ def draw_fields(config: RadioConfig, interval_s: float, rng: np.random.Generator
     direction_wave, direction_phase = rng.standard_normal((5, WAVES, 3)), _phases(rng, (5, WAVES))
     if config.array_seed is not None:
         array_rng = stream(config.array_seed, 0, Stream.ARRAY)
-        direction_wave[:3], direction_phase[:3] = array_rng.standard_normal((3, WAVES, 3)), _phases(array_rng, (3, WAVES))
+        direction_wave[:3], direction_phase[:3] = (
+            array_rng.standard_normal((3, WAVES, 3)),
+            _phases(array_rng, (3, WAVES)),
+        )
     place_wave, place_phase = rng.standard_normal((3, WAVES, 6)), _phases(rng, (3, WAVES))
     port_phase = _phases(rng, (3, WAVES, 4))
     time_wave, time_phase = rng.standard_normal((3, WAVES)), _phases(rng, (3, WAVES))

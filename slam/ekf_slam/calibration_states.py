@@ -36,14 +36,15 @@ def found(bank: Bank, errors: ArrayErrors) -> Calibration:
     covariance = np.einsum("k,kij->ij", share, p) + (apart * share[:, None]).T @ apart
     std = size[component[met]]
     return Calibration(
-        size, errors.calibration_grid.scale, *CALIBRATION_GRID, component[met], owners[met] % errors.calibration_grid.cells,
+        size, errors.calibration_grid.scale, *CALIBRATION_GRID, component[met],
+        owners[met] % errors.calibration_grid.cells,
         std * mean, 0.5 * (covariance + covariance.T) * std[:, None] * std,
     )  # fmt: skip
 
 
 def begin_with(bank: Bank, errors: ArrayErrors, known: Calibration) -> None:
     """Let the weights of a calibration enter all filters of a new bank, as they are known."""
-    _, component, size = _owners(errors)
+    size = errors.calibration
     first = np.concatenate([[0], np.cumsum(size > 0.0)])[known.component] * errors.calibration_grid.cells
     owner, std, count = first + known.cell, size[known.component], len(known.mean)
     bank.reserve(count, 0)
@@ -51,14 +52,16 @@ def begin_with(bank: Bank, errors: ArrayErrors, known: Calibration) -> None:
     f.x[:, at] = known.mean / std
     f.p[:, at[:, None], at] = known.covariance / (std[:, None] * std)
     f.owner[:, at], f.weight_state[:, owner] = owner, at
-    f.size += count
+    f.size[:] += count
 
 
 def check_fits(known: Calibration, size: Floats, scale_rad: float) -> None:
     """Raise InputError unless a filter with errors of these sizes (3,), m and rad, and this scale can begin with a
     calibration."""
     if not (size > 0.0).any() or scale_rad <= 0.0:
-        raise InputError("a calibration, but no calibration error as a state: give its sizes and scale, or leave it out")
+        raise InputError(
+            "a calibration, but no calibration error as a state: give its sizes and scale, or leave it out"
+        )
     ours = (scale_rad, *CALIBRATION_GRID)
     if not np.allclose((known.scale_rad, known.spacing, known.reach), ours, rtol=1e-9, atol=0.0):
         raise InputError(

@@ -1,7 +1,7 @@
 """The array's calibration as an estimator found it: a field of direction, with its uncertainty, and its file.
 
-The field is a sum of bells on a grid over the sphere (`field_kernel`), fixed in the array's frame. Weights of bells that
-a drive met have a joint mean and covariance; the others are independent, of mean zero and the deviation of the prior.
+The field is a sum of bells on a grid over the sphere (`field_kernel`), fixed in the array's frame. Weights that a
+drive met have a joint mean and covariance; the others are independent, of mean zero and the deviation of the prior.
 """
 
 from __future__ import annotations
@@ -75,7 +75,11 @@ class Calibration(Described):
 
     def _loads(self, directions: Floats) -> Floats:
         """Return the values (n, cells) of all bells at directions (n, 2)."""
-        out, cells, values = np.zeros((len(directions), self.grid.cells)), np.empty(MOST_BELLS, np.int64), np.empty(MOST_BELLS)
+        out, cells, values = (
+            np.zeros((len(directions), self.grid.cells)),
+            np.empty(MOST_BELLS, np.int64),
+            np.empty(MOST_BELLS),
+        )
         for row, (azimuth, elevation) in zip(out, directions.tolist(), strict=True):
             count = bells(self.grid, azimuth, elevation, cells, values)
             row[cells[:count]] = values[:count]

@@ -2,8 +2,8 @@
 bound.
 
 `python tests/slam/ekf_slam/study_calibration.py OUT.jsonl [--pairs N] [--estimator NAME ...] [--seed S]` appends a line
-a second drive to OUT.jsonl (what is there is not run again), and prints a table of efficiency ratios, root of the sum of
-squared errors over that of the bound that knows the array's calibration, with 95 % bootstrap intervals. Pair n is
+a second drive to OUT.jsonl (what is there is not run again), and prints efficiency ratios, root of the sum of squared
+errors over that of the bound that knows the array's calibration, with 95 % bootstrap intervals. Pair n is
 trials 2n and 2n + 1 of `lund-530` with `radio.array_seed` = S + n. Nothing was chosen on the root seed 71000.
 """
 
@@ -38,7 +38,14 @@ def drive_pair(seed: int, pair: int, names: tuple[str, ...]) -> Iterator[dict[st
         with tempfile.NamedTemporaryFile(suffix=".h5") as file:
             learnt.save(file.name)
             found = [answered(second, name, {})[1], answered(second, name, {"calibration_file": file.name})[1]]
-        yield {"seed": seed, "pair": pair, "estimator": name, "first": rmse, **dict(zip(WAYS, found, strict=True)), **limits}
+        yield {
+            "seed": seed,
+            "pair": pair,
+            "estimator": name,
+            "first": rmse,
+            **dict(zip(WAYS, found, strict=True)),
+            **limits,
+        }
 
 
 def answered(recording: Recording, name: str, options: dict[str, Any]) -> tuple[Any, float]:
