@@ -2,6 +2,8 @@
 
 The field is a sum of bells on a grid over the sphere (`field_kernel`), fixed in the array's frame. Weights that a
 drive met have a joint mean and covariance; the others are independent, of mean zero and the deviation of the prior.
+
+Source: Higdon, "Space and space-time modeling using process convolutions", 2002.
 """
 
 from __future__ import annotations

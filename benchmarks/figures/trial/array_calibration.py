@@ -28,13 +28,13 @@ def draw(figure: Figure, calibration: Calibration, provenance: Mapping[str, Any]
         return False
     rows = [COMPONENTS.index(name) for name in calibration.components]
     known = field.truth is not None
-    figure.set_size_inches(WIDTH_IN * (1.0 if known else 0.6), 0.7 + 1.15 * len(rows))
+    figure.set_size_inches(WIDTH_IN * (1.0 if known else 0.6), 0.7 + 1.35 * len(rows))
     axes = figure.subplots(len(rows), 4 if known else 2, squeeze=False, sharex=True, sharey=True)
     for line, c in zip(axes, rows, strict=True):
         _row(figure, line, field, c)
     for one in axes[-1]:
         one.set_xlabel("azimuth (deg)")
-        one.set_xticks([-180, -90, 0, 90, 180])
+        one.set_xticks([-90, 0, 90])
     low, high = np.degrees(field.elevation_rad[there][[0, -1]])
     axes[0, 0].set_ylim(low - 3.0, high + 3.0)
     return True
@@ -55,10 +55,10 @@ def _row(figure: Figure, line: Any, field: FieldMap, c: int) -> None:
         else:
             image = _image(axes, field, factor * field.std[..., c], "viridis", (0.0, factor * most))
         if title in ("standard deviation", order[-1]):
-            figure.colorbar(image, ax=axes, label=f"{name} ({unit})" if title == order[-1] else None, aspect=12)
+            figure.colorbar(image, ax=axes, label=f"{name} error ({unit})" if title == order[-1] else None, aspect=12)
         if line[0].get_subplotspec().is_first_row():
             axes.set_title(title)
-    line[0].set_ylabel(f"{name} ({unit})\n\nelevation (deg)")
+    line[0].set_ylabel("elevation (deg)")
 
 
 def _image(axes: Axes, field: FieldMap, values: Floats, colours: str, span: tuple[float, float]) -> Any:
