@@ -61,8 +61,8 @@ def calibration_of(answer: Columns) -> Calibration | None:
         return None
     try:
         scale, spacing, reach = checked("calibration.grid", answer["calibration.grid"], (3,)).tolist()
-        size, *weights = (answer[f"calibration.{name}"] for name in _CALIBRATION)
-        calibration = Calibration(size, scale, spacing, reach, *weights)
+        size, component, cell, mean, covariance = (answer[f"calibration.{name}"] for name in _CALIBRATION)
+        calibration = Calibration(size, scale, spacing, reach, component, cell, mean, covariance)
         calibration.check()
     except (KeyError, InputError) as error:
         raise BadAnswerError(f"calibration: {error}") from error

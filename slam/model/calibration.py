@@ -139,8 +139,8 @@ class Calibration(Described):
                 if file.attrs.get("format") != FORMAT:
                     raise InputError(f"{path}: not a calibration, which 'cellslam run --save-calibration FILE' writes")
                 size, of_grid = (np.asarray(file[name][()], np.float64) for name in ("size", "grid"))
-                whole = [np.asarray(file[name][()], np.int64) for name in ("component", "cell")]
-                real = [np.asarray(file[name][()], np.float64) for name in ("mean", "covariance")]
+                component, cell = [np.asarray(file[name][()], np.int64) for name in ("component", "cell")]
+                mean, covariance = [np.asarray(file[name][()], np.float64) for name in ("mean", "covariance")]
                 scale, spacing, reach = (float(value) for value in of_grid)
                 about = json.loads(str(file.attrs["provenance"]))
         except InputError:
@@ -150,7 +150,7 @@ class Calibration(Described):
                 f"{path}: not a calibration, or a truncated one ({error}); 'cellslam run --save-calibration FILE' "
                 "writes one"
             ) from error
-        found = Calibration(size, scale, spacing, reach, *whole, *real, about)  # type: ignore[arg-type]
+        found = Calibration(size, scale, spacing, reach, component, cell, mean, covariance, about)
         try:
             found.check()
         except InputError as error:

@@ -22,6 +22,7 @@ from cellslam.slam.dead_reckoning import DeadReckoning
 from cellslam.slam.ekf_slam.calibration_states import begin_with, found
 from cellslam.slam.ekf_slam.ekf_slam import EkfSlam
 from cellslam.slam.ekf_slam.ekf_slam_options import EkfSlamOptions
+from cellslam.slam.ekf_slam.snapshot.motion_kernel import Interval
 from cellslam.slam.ekf_slam.state.layout import one_of
 from cellslam.slam.ekf_slam.state.states_kernel import leave
 from cellslam.slam.model.calibration import Calibration
@@ -143,6 +144,23 @@ def test_other_sizes_leave_what_was_found_as_it_is(
         again.covariance[np.ix_(order[0], order[0])], calibration.covariance[np.ix_(order[1], order[1])], rtol=1e-9
     )
     assert again.size[0] == pytest.approx(0.8)
+
+
+def test_start_takes_off_what_is_known(
+    drives: tuple[Recording, Recording], calibration: Calibration, tmp_path: Path
+) -> None:
+    setup, odometry = setup_of(drives[1]), odometry_of(drives[1])[0].copy()
+    wide = replace(setup, sites=replace(setup.sites, clock_offset_std_m=np.full(len(setup.sites), 150.0)))
+    estimator = EkfSlam(told(tmp_path, calibration))
+    estimator.start(wide, RNG)
+    looks = estimator._grouping.looks(snapshots_of(drives[1])[0])
+    seen = estimator._measured(0.0, odometry, estimator._readings(0.0, odometry, looks), looks)
+    assert estimator._start is not None and len(seen.z) > 3
+    counted = estimator._start._counted(Interval(0.0, odometry, np.zeros(6), np.zeros(6)), seen)
+    mean, std = calibration.at(seen.z[:, 1:])
+    np.testing.assert_allclose(counted.z, seen.z - mean)
+    np.testing.assert_allclose(counted.begin, seen.begin - mean)
+    np.testing.assert_allclose(counted.single, seen.single + std**2 + estimator.options.roof**2)
 
 
 def test_mixture_counts_what_one_filter_has_not_met_as_its_prior(learnt: EkfSlam, calibration: Calibration) -> None:
