@@ -79,3 +79,48 @@ def test_estimator_that_has_no_such_states_leaves_no_file(tmp_path: Path, drive:
     car, counted = tmp_path / "car.h5", "estimator.ekf-slam.errors=counted"
     assert replayed(drive, tmp_path / "c", "--save-calibration", str(car), "--no-figures", "--set", counted) == 1
     assert not car.exists() and (tmp_path / "c" / "summary.json").exists()
+
+
+OWN = """
+import numpy as np
+from pydantic import BaseModel
+
+import cellslam
+
+
+class Own:
+    name = "own"
+
+    class Options(BaseModel):
+        calibration_file: str | None = None
+
+    def __init__(self, options):
+        self.file = options.calibration_file
+
+    def start(self, setup, rng):
+        self.pose = setup.start_pose.copy()
+
+    def step(self, dt_s, odometry, snapshot):
+        return cellslam.Estimate(self.pose, np.eye(6))
+
+    def calibration(self):
+        return cellslam.Calibration.load(self.file) if self.file else None
+"""
+
+
+def test_estimator_in_a_process_of_its_own_takes_and_gives_one(
+    drive: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    Path("owned.py").write_text(OWN)
+    size, weights = np.array([0.2, 0.0, 0.0]), np.array([0.1, -0.3])
+    covariance = np.array([[0.02, 0.01], [0.01, 0.03]])
+    given = Calibration(size, np.radians(15.0), 1.1, 1.9, np.zeros(2, int), np.array([4, 9]), weights, covariance)
+    given.save("car.h5")
+    own = ("replay", str(drive), "--estimator", "owned:Own", "--no-figures", "--out", "out")
+    assert cli.main(["--quiet", *own, "--calibration", "car.h5", "--save-calibration", "next.h5"]) == 0
+    found = Calibration.load("next.h5")
+    np.testing.assert_array_equal(found.covariance, covariance)
+    np.testing.assert_array_equal(found.cell, given.cell)
+    assert found.provenance["estimator"] == "owned:Own"
+    assert cli.main(["--quiet", *own, "--save-calibration", "none.h5"]) == 1
