@@ -26,6 +26,7 @@ class Stream(IntEnum):
     VEHICLE = 9
     RECEIVER = 10
     TRAFFIC = 11
+    ARRAY = 12
 
 
 def stream(seed: int, trial: int, name: Stream) -> np.random.Generator:

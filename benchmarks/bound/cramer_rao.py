@@ -58,12 +58,13 @@ class BoundResult(Described):
         return float(np.sqrt(np.mean(self.horizontal_std_m**2)))
 
 
-def bound(recording: Recording, progress: Progress = silent) -> BoundResult:
+def bound(recording: Recording, progress: Progress = silent, calibrated: bool = False) -> BoundResult:
     """Return the posterior Cramer-Rao bound of a recording with truth.
 
     VTs enter with a flat prior at their first detection, one for all links of a site. Errors that persist are states
     too, where `truth.persisting_std` is there. Pitch, roll and height are known where neither the start nor the
-    odometry's data sheet is uncertain of them. Raises InputError without truth.
+    odometry's data sheet is uncertain of them. `calibrated`: the array's calibration is
+    known. Raises InputError without truth.
     """
     if recording.truth is None:
         raise InputError("the recording has no truth: the bound needs the true trajectory, VTs and measurement noise")
@@ -75,7 +76,7 @@ def bound(recording: Recording, progress: Progress = silent) -> BoundResult:
     step, noise, walk = linear_motion(recording, truth, core)
     drawn = jumps(recording, truth, core, step)
     motion = Motion(start_variance(recording, core), step, noise, walk, drawn, core.mean)
-    looks, sightings, errors = tracked_measurements(recording, truth, core)
+    looks, sightings, errors = tracked_measurements(recording, truth, core, calibrated)
     drifted = drifted_std(recording)
     drift = rates_among(errors, drifted)
     work = room(core.size, most_states(looks, sightings, errors, snapshots), looks, sightings, errors)
@@ -170,7 +171,9 @@ def drifted_std(recording: Recording) -> Floats:
     return np.asarray(np.multiply.outer(recording.elapsed_s, recording.sites.drift_std_m_s))
 
 
-def tracked_measurements(recording: Recording, truth: Truth, core: Core) -> tuple[Looks, Sightings, Errors]:
+def tracked_measurements(
+    recording: Recording, truth: Truth, core: Core, calibrated: bool = False
+) -> tuple[Looks, Sightings, Errors]:
     """Return the measurements of true VTs.
 
     With their Jacobians and variances at the truth, and the errors that persist, rates of clocks among them. The ports
@@ -198,7 +201,7 @@ def tracked_measurements(recording: Recording, truth: Truth, core: Core) -> tupl
     distance_m, azimuth_rad, elevation_rad = predict(truth.poses[snapshot[begin]], position).T
     seen = Seen(snapshot[begin], azimuth_rad, elevation_rad, look, vt_of, port)
     site = recording.links.site[m.link[real[at[begin]]]]
-    persisting = with_drift(persisting_errors(recording, seen), drifted_std(recording), seen, site)
+    persisting = with_drift(persisting_errors(recording, seen, calibrated), drifted_std(recording), seen, site)
     every = np.arange(len(recording.time_s) + 1)
     looks = Looks(
         np.searchsorted(snapshot[begin], every), by_pose, by_vt, core.offsets[site],
