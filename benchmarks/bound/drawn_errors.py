@@ -32,7 +32,7 @@ def jumps(recording: Recording, truth: Truth, core: Core, step: Floats) -> Float
     if len(out) < 2:
         return out
     velocity = (np.nan_to_num(recording.odometry[1:]) - truth.odometry_bias[1:]) / (1.0 + truth.odometry_scale)
-    out[1:, :6] = integrate_pose(truth.poses[:-1], velocity, np.diff(recording.time_s)[:, None]) - truth.poses[1:]
+    out[1:, :6] = integrate_pose(truth.poses[:-1], velocity, np.diff(recording.time_s)) - truth.poses[1:]
     out[1:, 3:6] = wrap_angle(out[1:, 3:6])
     out[1:, core.bias[core.bias >= 0]] = -np.diff(truth.odometry_bias, axis=0)[:, core.bias >= 0]
     out[1:, :6] += np.einsum("tac,tc->ta", step[1:, :, 6:], out[1:, 6:])
