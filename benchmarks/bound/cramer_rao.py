@@ -63,8 +63,8 @@ def bound(recording: Recording, progress: Progress = silent, calibrated: bool = 
 
     VTs enter with a flat prior at their first detection, one for all links of a site. Errors that persist are states
     too, where `truth.persisting_std` is there. Pitch, roll and height are known where neither the start nor the
-    odometry's data sheet is uncertain of them. `calibrated`: the array's calibration is
-    known. Raises InputError without truth.
+    odometry's data sheet is uncertain of them. `calibrated`: the array's calibration is known. Raises InputError
+    without truth.
     """
     if recording.truth is None:
         raise InputError("the recording has no truth: the bound needs the true trajectory, VTs and measurement noise")
