@@ -13,7 +13,7 @@ from __future__ import annotations
 import math
 from typing import Any, NamedTuple
 
-from cellslam.sim.compiling import njit
+from cellslam.sim.compiling import lean, njit
 from cellslam.sim.frames_kernel import wrap
 from cellslam.sim.recording import Floats, Ints
 from cellslam.slam.model.matrices_kernel import (
@@ -90,38 +90,38 @@ class Innovation(NamedTuple):
     log_density: float
 
 
-@njit
+@lean
 def vec_at(a: Floats, i: int, first: int) -> Vec3:
     """Return three neighbours in row i of an array (n, k), of any unit, as a vector."""
     return Vec3(a[i, first], a[i, first + 1], a[i, first + 2])
 
 
-@njit
+@lean
 def mean_of(rows: Floats, j: int) -> Vec3:
     """Return the mean (m) of a row of rows (C, WIDTH)."""
     return Vec3(rows[j, MEAN], rows[j, MEAN + 1], rows[j, MEAN + 2])
 
 
-@njit
+@lean
 def covariance_of(rows: Floats, j: int) -> Sym3:
     """Return the covariance (m^2) of a row of rows (C, WIDTH), given the clock offset."""
     c = COVARIANCE
     return Sym3(rows[j, c], rows[j, c + 1], rows[j, c + 2], rows[j, c + 3], rows[j, c + 4], rows[j, c + 5])
 
 
-@njit
+@lean
 def trace_of(rows: Floats, j: int) -> float:
     """Return the trace (m^2) of the covariance of a row of rows (C, WIDTH)."""
     return float(rows[j, COVARIANCE] + rows[j, COVARIANCE + 3] + rows[j, COVARIANCE + 5])
 
 
-@njit
+@lean
 def gain_of(rows: Floats, j: int) -> Vec3:
     """Return d(place)/d(clock offset), in m/m, of a row of rows (C, WIDTH)."""
     return Vec3(rows[j, GAIN], rows[j, GAIN + 1], rows[j, GAIN + 2])
 
 
-@njit
+@lean
 def put_gaussian(rows: Floats, j: int, mean: Vec3, covariance: Sym3, gain: Vec3) -> None:
     """Write mean (m), covariance (m^2) and gain into a row of rows (C, WIDTH)."""
     rows[j, MEAN], rows[j, MEAN + 1], rows[j, MEAN + 2] = mean.x, mean.y, mean.z
@@ -131,7 +131,7 @@ def put_gaussian(rows: Floats, j: int, mean: Vec3, covariance: Sym3, gain: Vec3)
     rows[j, GAIN], rows[j, GAIN + 1], rows[j, GAIN + 2] = gain.x, gain.y, gain.z
 
 
-@njit
+@lean
 def seen_from(place: Vec3, r: Mat3, rows: Floats, j: int, offset: float) -> Seen:
     """Return how a Gaussian, row j of rows (C, WIDTH), is seen from a place (m) with the rotation r, body to world;
     `offset` (m) of its clock."""
@@ -146,14 +146,14 @@ def seen_from(place: Vec3, r: Mat3, rows: Floats, j: int, offset: float) -> Seen
     )  # fmt: skip
 
 
-@njit
+@lean
 def residual(seen: Seen, z: Vec3, known: Vec3) -> Vec3:
     """Return z - h, zero where it was not measured."""
     h = seen.h
     return Vec3(known.x * (z.x - h.distance), known.y * wrap(z.y - h.azimuth), known.z * (z.z - h.elevation))
 
 
-@njit
+@lean
 def innovation(e: Vec3, spread: Sym3, variance: Vec3) -> Innovation:
     """Return the innovation e with S = spread + diag(variance)."""
     s = sym_plus(spread, Sym3(variance.x, 0.0, 0.0, variance.y, 0.0, variance.z))
@@ -164,14 +164,14 @@ def innovation(e: Vec3, spread: Sym3, variance: Vec3) -> Innovation:
     return Innovation(e, inverse, distance2, -0.5 * (distance2 + math.log(det) + 3.0 * LOG_TURN))
 
 
-@njit
+@lean
 def with_clock(seen: Seen, variance: float) -> Sym3:
     """Return the spread of what is seen where the clock offset has a variance (m^2), too."""
     spread: Sym3 = sym_plus(seen.spread, sym_scaled(outer(seen.by_offset), variance))
     return spread
 
 
-@njit
+@lean
 def put_update(out: Floats, n: int, rows: Floats, j: int, seen: Seen, new: Innovation) -> None:
     """Write row j of rows (C, WIDTH), in m, into row n of `out` (P, WIDTH) as a measurement corrects it: K = Sigma
     H^T S^-1, mean + K e, Sigma - K H Sigma, and gain - K dh/db. `new` is given the clock offset."""
@@ -184,7 +184,7 @@ def put_update(out: Floats, n: int, rows: Floats, j: int, seen: Seen, new: Innov
     )  # fmt: skip
 
 
-@njit(cache=True)
+@lean(cache=True)
 def follow(own: Map, site_of: Ints, change: Floats) -> None:
     """Let the means follow their sites' clock offsets, which have changed by `change` (S,) in m."""
     rows, names = own.rows, own.names
@@ -194,7 +194,7 @@ def follow(own: Map, site_of: Ints, change: Floats) -> None:
             rows[j, MEAN + c] += rows[j, GAIN + c] * by
 
 
-@njit(cache=True)
+@lean(cache=True)
 def forget(own: Map, site_of: Ints, kept: Floats) -> None:
     """Let clock offsets walk: of their variances P the share kept[:, 0] is left in the new ones.
 
@@ -209,7 +209,7 @@ def forget(own: Map, site_of: Ints, kept: Floats) -> None:
         put_gaussian(rows, j, mean_of(rows, j), spread, vec_scaled(g, kept[site, 0]))
 
 
-@njit(cache=True)
+@lean(cache=True)
 def come_and_go(own: Map, stay: float, back: float) -> None:
     """Let VTs become hidden and visible again: a step of the Markov chain with these probabilities."""
     rows = own.rows
@@ -219,7 +219,7 @@ def come_and_go(own: Map, stay: float, back: float) -> None:
         rows[j, HIDDEN] = (1.0 - stay) * visible + (1.0 - back) * hidden
 
 
-@njit(cache=True)
+@lean(cache=True)
 def put_row(rows: Floats, names: Ints, j: int, source: Floats, source_names: Ints, i: int) -> None:
     """Copy row i of a source (P, WIDTH) with its names (P, NAMES), indices, into row j of rows (C, WIDTH)."""
     for c in range(WIDTH):

@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from cellslam.sim.compiling import njit
+from cellslam.sim.compiling import lean, njit
 from cellslam.sim.recording import Floats, Ints
 from cellslam.slam.model.matrices_kernel import (
     Mat3,
@@ -68,7 +68,7 @@ def new_pool(most: int) -> Pool:
     return Pool(np.empty((most, WIDTH)), np.empty((most, NAMES), np.int64), np.zeros(1, np.int64))
 
 
-@njit
+@lean
 def added(pool: Pool, link: int, name: int, visible: float, hidden: float, hits: float) -> int:
     """Return the place of a new Gaussian, whose mean, covariance and gain are still to be written."""
     n = pool.size[0]
@@ -78,7 +78,7 @@ def added(pool: Pool, link: int, name: int, visible: float, hidden: float, hits:
     return int(n)
 
 
-@njit(cache=True)
+@lean(cache=True)
 def give_birth(pool: Pool, at: Moved, offset: float, measured: Measured, k: int, weight: float) -> None:
     """Add the Gaussian of a VT that a measurement may be of: Sigma = J Q J^T; a greater clock offset brings it nearer.
 
@@ -146,13 +146,13 @@ def condense(pool: Pool, own: Map, place: Ints, drop: float, merge: float) -> No
     own.size[0] = size
 
 
-@njit
+@lean
 def _weight(rows: Floats, j: int) -> float:
     """Return how many VTs a row stands for."""
     return float(rows[j, VISIBLE] + rows[j, HIDDEN])
 
 
-@njit
+@lean
 def _within(rows: Floats, j: int, place: Vec3, merge: float) -> bool:
     """Return whether the squared normalised distance of a place (m) from the Gaussian in a row is at most `merge`."""
     apart = vec_minus(mean_of(rows, j), place)
@@ -161,7 +161,7 @@ def _within(rows: Floats, j: int, place: Vec3, merge: float) -> bool:
     return bool(quadratic(inverse(covariance_of(rows, j)), apart) <= merge)
 
 
-@njit(cache=True)
+@lean(cache=True)
 def _absorb(rows: Floats, i: int, source: Floats, k: int) -> None:
     """Replace row i by a Gaussian of the weight, mean and covariance of itself and of row k of a source together."""
     mine, its = _weight(rows, i), _weight(source, k)

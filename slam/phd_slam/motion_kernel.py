@@ -13,9 +13,7 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
-import numpy as np
-
-from cellslam.sim.compiling import njit
+from cellslam.sim.compiling import lean
 from cellslam.sim.frames_kernel import wrap
 from cellslam.sim.recording import Floats
 from cellslam.slam.model.matrices_kernel import (
@@ -23,15 +21,18 @@ from cellslam.slam.model.matrices_kernel import (
     Sym3,
     Vec3,
     columns,
+    dot,
     mat_mat,
     mat_minus,
     mat_vec,
     scaled,
     sym_product,
+    sym_vec,
     transposed,
     transposed_vec,
     vec_minus,
     vec_of,
+    vec_scaled,
 )
 from cellslam.slam.model.measurement_kernel import Rotations, rotations
 from cellslam.slam.phd_slam.gaussians_kernel import Seen
@@ -68,7 +69,7 @@ class Slopes(NamedTuple):
     rates: Mat3
 
 
-@njit(cache=True)
+@lean(cache=True)
 def predict_velocity(error: Floats, doubt: Floats, interval: Interval, mean: Floats, std: Floats) -> None:
     """Write mean and deviations (6,), in m/s and rad/s, of the true velocity: (measured - bias - noise) / (1 + scale).
 
@@ -82,7 +83,7 @@ def predict_velocity(error: Floats, doubt: Floats, interval: Interval, mean: Flo
         std[c] = math.sqrt(max(known + interval.noise[c] ** 2 / interval.dt, 0.0)) * abs(share)
 
 
-@njit(cache=True)
+@lean(cache=True)
 def learn(error: Floats, doubt: Floats, interval: Interval, velocity: Floats) -> None:
     """Condition bias and scale of each component, error (6, 2) and doubt (6, 3), on the velocity (6,) that was
     drawn, in m/s and rad/s."""
@@ -99,7 +100,7 @@ def learn(error: Floats, doubt: Floats, interval: Interval, velocity: Floats) ->
             doubt[c, 2] -= to_scale * to_scale / s
 
 
-@njit(cache=True)
+@lean(cache=True)
 def moved(pose: Floats, velocity: Floats, dt: float) -> Moved:
     """Return where a pose (6,), in m and rad, is after `dt` (s) at body velocities (6,): the attitude at
     mid-interval turns them."""
@@ -113,7 +114,7 @@ def moved(pose: Floats, velocity: Floats, dt: float) -> Moved:
     return Moved(place, after, scaled(middle.r, dt), scaled(turning, half * dt), dt)
 
 
-@njit(cache=True)
+@lean(cache=True)
 def put_pose(pose: Floats, velocity: Floats, at: Moved) -> None:
     """Write the pose (6,), in m and rad, that a velocity (6,) has led to."""
     pose[0], pose[1], pose[2] = at.place.x, at.place.y, at.place.z
@@ -121,7 +122,7 @@ def put_pose(pose: Floats, velocity: Floats, at: Moved) -> None:
         pose[c] = wrap(pose[c] + at.dt * velocity[c])
 
 
-@njit
+@lean
 def _by_std(m: Mat3, std: Vec3) -> Mat3:
     """Return m diag(std)."""
     return Mat3(
@@ -131,7 +132,7 @@ def _by_std(m: Mat3, std: Vec3) -> Mat3:
     )  # fmt: skip
 
 
-@njit
+@lean
 def slopes(seen: Seen, mean: Vec3, at: Moved, std: Floats) -> Slopes:
     """Return how h changes with the velocity that has led here, whose deviations are `std` (6,) in m/s and rad/s."""
     w, r = vec_minus(mean, at.place), at.turned
@@ -147,43 +148,37 @@ def slopes(seen: Seen, mean: Vec3, at: Moved, std: Floats) -> Slopes:
     )  # fmt: skip
 
 
-@njit
+@lean
 def squared(m: Mat3) -> Sym3:
     """Return m m^T."""
     product: Sym3 = sym_product(m, transposed(m))
     return product
 
 
-@njit
+@lean
 def times(by: Slopes, x: Floats) -> Vec3:
     """Return the change of h, in m and rad, with a change x (6,) of the velocity in units of its deviations."""
     a, b = mat_vec(by.velocity, vec_of(x)), mat_vec(by.rates, Vec3(x[3], x[4], x[5]))
     return Vec3(a.x + b.x, a.y + b.y, a.z + b.z)
 
 
-@njit
+@lean
 def inform(by: Slopes, inverse: Sym3, e: Vec3, share: float, information: Floats, y: Floats) -> None:
-    """Add share J^T S^-1 J to the lower triangle of the information (6, 6), and share J^T S^-1 e to y (6,);
-    velocities
+    """Add share J^T S^-1 J to the lower triangle of the information (6, 6), and share J^T S^-1 e to y (6,); velocities
     in units of their deviations."""
-    j, s = np.empty((6, 3)), np.empty((6, 3))
     v, w = by
-    j[0, 0], j[0, 1], j[0, 2] = v.xx, v.yx, v.zx
-    j[1, 0], j[1, 1], j[1, 2] = v.xy, v.yy, v.zy
-    j[2, 0], j[2, 1], j[2, 2] = v.xz, v.yz, v.zz
-    j[3, 0], j[3, 1], j[3, 2] = w.xx, w.yx, w.zx
-    j[4, 0], j[4, 1], j[4, 2] = w.xy, w.yy, w.zy
-    j[5, 0], j[5, 1], j[5, 2] = w.xz, w.yz, w.zz
+    j = (
+        Vec3(v.xx, v.yx, v.zx), Vec3(v.xy, v.yy, v.zy), Vec3(v.xz, v.yz, v.zz),
+        Vec3(w.xx, w.yx, w.zx), Vec3(w.xy, w.yy, w.zy), Vec3(w.xz, w.yz, w.zz),
+    )  # fmt: skip
     for a in range(6):
-        s[a, 0] = share * (j[a, 0] * inverse.xx + j[a, 1] * inverse.xy + j[a, 2] * inverse.xz)
-        s[a, 1] = share * (j[a, 0] * inverse.xy + j[a, 1] * inverse.yy + j[a, 2] * inverse.yz)
-        s[a, 2] = share * (j[a, 0] * inverse.xz + j[a, 1] * inverse.yz + j[a, 2] * inverse.zz)
-        y[a] += s[a, 0] * e.x + s[a, 1] * e.y + s[a, 2] * e.z
+        s = vec_scaled(sym_vec(inverse, j[a]), share)
+        y[a] += dot(s, e)
         for b in range(a + 1):
-            information[a, b] += s[a, 0] * j[b, 0] + s[a, 1] * j[b, 1] + s[a, 2] * j[b, 2]
+            information[a, b] += dot(s, j[b])
 
 
-@njit(cache=True)
+@lean(cache=True)
 def factorise(information: Floats, y: Floats, mean: Floats) -> None:
     """Turn the lower triangle of I + information (6, 6) into its Cholesky factor L, and write L^-T L^-1 y (6,) as mean
     (6,), in units of deviations."""
@@ -202,7 +197,7 @@ def factorise(information: Floats, y: Floats, mean: Floats) -> None:
     back(information, mean)
 
 
-@njit(cache=True)
+@lean(cache=True)
 def back(factor: Floats, x: Floats) -> None:
     """Solve L^T x = x (6,) in place, in units of deviations; the lower triangle of `factor` (6, 6) is L."""
     for i in range(5, -1, -1):

@@ -12,7 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from cellslam.sim.compiling import njit
+from cellslam.sim.compiling import lean, njit
 from cellslam.sim.recording import Floats, Ints
 from cellslam.slam.model.matrices_kernel import Vec3, dot, sym_plus, transposed_vec, vec_minus
 from cellslam.slam.model.measurement_kernel import LEAST_FLAT2
@@ -77,7 +77,7 @@ class Pairs(NamedTuple):
     odds: Floats
 
 
-@njit
+@lean
 def _inside(margin: float, variance: float) -> float:
     """Return the probability that something so far inside of an edge, with that variance, is inside."""
     if margin * margin > SURELY2 * variance:
@@ -85,7 +85,7 @@ def _inside(margin: float, variance: float) -> float:
     return 0.5 + 0.5 * math.erf(margin / math.sqrt(2.0 * variance))
 
 
-@njit
+@lean
 def _within(v: Vec3, span: float, variance: float, flat2: float) -> float:
     """Return the probability that the azimuth of v (m) is below the span, with that variance in rad^2.
 
@@ -127,7 +127,7 @@ def find_near(own: Map, among: Ints, at: Moved, offset: Floats, rules: Rules, wa
     return Near(place[:n], where[:n], probability[:n])
 
 
-@njit
+@lean
 def _off(c: float, s: float, ahead: float, aside: float, limit2: float) -> bool:
     """Return whether the angle between the directions (c, s), of length 1, and (ahead, aside) is surely above the root
     of limit2, in rad: its sine is smaller, and behind it is above a right angle."""

@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 from numba import prange
 
-from cellslam.sim.compiling import njit
+from cellslam.sim.compiling import lean, njit
 from cellslam.sim.recording import Floats, Ints
 from cellslam.slam.model.matrices_kernel import dot, sym_vec, vec_plus
 from cellslam.slam.phd_slam.gaussians_kernel import (
@@ -158,7 +158,7 @@ def _move(one: One, interval: Interval, measured: Measured, first: Ints, rules: 
     return near.place
 
 
-@njit(cache=True)
+@lean(cache=True)
 def _inform(
     one: One, at: Moved, std: Floats, measured: Measured, rules: Rules, near: Near, pairs: Pairs, shares: Floats,
     x: Floats, information: Floats, y: Floats,
