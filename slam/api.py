@@ -86,8 +86,9 @@ class Estimate(Described):
 
 @runtime_checkable
 class Estimator(Protocol):
-    """What the runner drives. `warm_up()` (compile; not timed), `finish()` (a smoother's poses (T, 6)) and, asked for
-    after it, `calibration()` (a `Calibration`: what the drive has shown of the array, or None) are optional."""
+    """What the runner drives. Optional: `warm_up()` (compile; not timed), `finish()` (a smoother's poses (T, 6)) and,
+    asked for after it, `calibration()` (a `Calibration`: what the drive has shown of the array, or None) and
+    `remarks()` (lines of text about the drive)."""
 
     name: ClassVar[str]
     requires_truth: ClassVar[bool] = False

@@ -35,7 +35,7 @@ class TrialResult(Described):
     `association` (M,): VT id per measurement, -1 for none, as said in its own snapshot. `clock_offset_m` and
     `clock_offset_variance_m2` (T, S). `vts`: the last ones reported.
     `calibration`: of the array, at the end. None: the estimator does not give this.
-    `oracle`: the estimator was shown the truth.
+    `remarks`: what the estimator says of the drive in words. `oracle`: it was shown the truth.
     """
 
     estimator: str
@@ -46,6 +46,7 @@ class TrialResult(Described):
     clock_offset_variance_m2: Floats | None = None
     vts: VtEstimate | None = None
     calibration: Calibration | None = None
+    remarks: tuple[str, ...] = ()
     smoothed: bool = False
     oracle: bool = False
     estimate_seconds: float = float("nan")

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -21,6 +21,7 @@ from cellslam.benchmarks.trials.answers import (
     numbers,
     plain,
     plain_calibration,
+    plain_remarks,
 )
 from cellslam.scenarios.estimator_options import Request
 from cellslam.sim.progress import Progress, silent
@@ -36,10 +37,12 @@ _warm: set[tuple[type[Any], str]] = set()
 
 @dataclass(frozen=True)
 class Answer:
-    """Plain copies of one answer; `seconds`: what the estimator has taken since its start. The last is of the end."""
+    """Plain copies of one answer; `seconds`: what the estimator has taken since its start. The last is of the end, with
+    the estimator's remarks."""
 
     seconds: float
     columns: Columns
+    remarks: Sequence[str] = ()
 
 
 def warm_up(request: Request, progress: Progress = silent) -> None:
@@ -69,8 +72,8 @@ def estimate(
 
 
 def answers(recording: Recording, request: Request, rng: np.random.Generator) -> Iterator[Answer]:
-    """Drive an estimator in this process: yield its answer to each snapshot, then those of `finish` and `calibration`,
-    if any."""
+    """Drive an estimator in this process: yield its answer to each snapshot, then those of `finish`, `calibration` and
+    `remarks`, if any."""
     setup, snapshots = setup_of(recording, request.oracle), snapshots_of(recording)
     dt_s = np.diff(recording.time_s, prepend=recording.time_s[0])
     odometry = odometry_of(recording)
@@ -93,7 +96,9 @@ def answers(recording: Recording, request: Request, rng: np.random.Generator) ->
     seconds += time.perf_counter() - begin
     columns = {} if final is None else {"finish": numbers("finish(): poses", final)}
     calibration = getattr(estimator, "calibration", None)
-    yield Answer(seconds, columns | (plain_calibration(calibration()) if callable(calibration) else {}))
+    columns |= plain_calibration(calibration()) if callable(calibration) else {}
+    remarks = getattr(estimator, "remarks", None)
+    yield Answer(seconds, columns, plain_remarks(remarks()) if callable(remarks) else ())
 
 
 def collected(
@@ -124,5 +129,6 @@ def collected(
         smoothed=final is not None,
         oracle=request.oracle,
         calibration=calibration_of(last.columns),
+        remarks=tuple(last.remarks),
         estimate_seconds=last.seconds,
     )

@@ -21,7 +21,7 @@ from typing import Any
 import numpy as np
 
 from cellslam.benchmarks.scores.trial_result import TrialResult
-from cellslam.benchmarks.trials.answers import Columns, decoded
+from cellslam.benchmarks.trials.answers import Columns, decoded, plain_remarks
 from cellslam.benchmarks.trials.child_process import POLL_S, START_LIMIT_S, Limits, ending, shares, started
 from cellslam.benchmarks.trials.estimation import Answer, collected
 from cellslam.benchmarks.trials.failures import GuestError, LostError
@@ -177,7 +177,7 @@ def _answers(replies: Replies) -> Iterator[Answer]:
         seconds = header.get("seconds")
         if not (isinstance(seconds, float) and 0.0 < seconds <= time.perf_counter() - begin + POLL_S):
             raise LostError(f"{PROCESS} sent a time that cannot be")
-        yield Answer(seconds, columns)
+        yield Answer(seconds, columns, plain_remarks(header.get("remarks", [])))
 
 
 def _write(pipe: int, message: Any) -> None:

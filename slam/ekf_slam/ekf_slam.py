@@ -102,6 +102,10 @@ class JointFilter:
             raise RuntimeError("sizes are learnt once the clock offsets are resolved")
         return sizes_of(self._joint, self._errors, self._setup.odometry_model.noise_density)
 
+    def remarks(self) -> list[str]:
+        """Return what the drive says against the sizes of errors that the filter was told."""
+        return [] if self._joint is None else self.sizes().remarks()
+
     def calibration(self) -> Calibration | None:
         """Return the array's calibration as the drive has shown it; None where it is no state.
 

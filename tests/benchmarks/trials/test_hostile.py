@@ -98,8 +98,9 @@ NAMES = ("Patches", "Disturbs", *COMMANDS, "Mutates", "Peeks", "Good")
 def test_in_run(place: Path, capfd: pytest.CaptureFixture[str]) -> None:
     few = ("--json", "--no-figures", "--time-limit", "8", "--memory-limit", "1.5", "--out", "out")
     assert main(["run", "tiny", *SHORT, *asked(*NAMES, "Hangs"), "--estimator", "dead-reckoning", *few]) == 1
-    out = capfd.readouterr().out
+    out, err = capfd.readouterr()
     rows = json.loads(out)
+    assert f"trial 0, {MODULE}:Disturbs: two" in err
     check(rows)
     assert json.loads((place / "out" / "summary.json").read_text("utf-8"))["rows"] == rows
     longest = (place / "out" / f"error-{MODULE}_Long.txt").read_text("utf-8")
