@@ -131,7 +131,7 @@ def _cell(one: Series, metric: str, of: Statistic) -> list[float | None] | None:
 def _curves(data: SweepData) -> list[dict[str, Any]]:
     """Return for each numeric key that varies its lines: the median with its interval, of every metric."""
     out, of = [], statistic("median")
-    for key in curve_keys(data):
+    for key in (key for key, is_number in curve_keys(data).items() if is_number):
         lines, named = [], sweep_lines(data, key)
         styles = estimator_styles(named)
         for name, points in named.items():

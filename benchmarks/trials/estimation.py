@@ -12,6 +12,7 @@ import numpy as np
 
 from cellslam.benchmarks.scores.trial_result import TrialResult
 from cellslam.benchmarks.trials import compile_ahead as ahead
+from cellslam.benchmarks.trials import memory
 from cellslam.benchmarks.trials.answers import (
     BadAnswerError,
     Columns,
@@ -36,10 +37,14 @@ _warm: set[tuple[type[Any], str]] = set()
 
 @dataclass(frozen=True)
 class Answer:
-    """Plain copies of one answer; `seconds`: what the estimator has taken since its start. The last is of the end."""
+    """Plain copies of one answer; `seconds`: what the estimator has taken since its start. The last is of the end.
+
+    `peak_memory_mb`: of the last answer alone.
+    """
 
     seconds: float
     columns: Columns
+    peak_memory_mb: float = float("nan")
 
 
 def warm_up(request: Request, progress: Progress = silent) -> None:
@@ -62,8 +67,8 @@ def estimate(
 ) -> TrialResult:
     """Return what the requested estimator, driven in this process, says about a recording.
 
-    `estimate_seconds` covers start, steps and finish alone. Raises BadAnswerError, or whatever the estimator
-    raises, with the snapshot added to its notes.
+    `estimate_seconds` covers start, steps and finish alone, `peak_memory_mb` what is kept of the answers too. Raises
+    BadAnswerError, or whatever the estimator raises, with the snapshot added to its notes.
     """
     return collected(recording, request, answers(recording, request, rng), progress)
 
@@ -74,6 +79,7 @@ def answers(recording: Recording, request: Request, rng: np.random.Generator) ->
     setup, snapshots = setup_of(recording, request.oracle), snapshots_of(recording)
     dt_s = np.diff(recording.time_s, prepend=recording.time_s[0])
     odometry = odometry_of(recording)
+    before = memory.begin()
     estimator = request.estimator(request.options)
     seconds = -time.perf_counter()
     estimator.start(setup, rng)
@@ -93,7 +99,8 @@ def answers(recording: Recording, request: Request, rng: np.random.Generator) ->
     seconds += time.perf_counter() - begin
     columns = {} if final is None else {"finish": numbers("finish(): poses", final)}
     calibration = getattr(estimator, "calibration", None)
-    yield Answer(seconds, columns | (plain_calibration(calibration()) if callable(calibration) else {}))
+    columns |= plain_calibration(calibration()) if callable(calibration) else {}
+    yield Answer(seconds, columns, memory.grown_mb(before))
 
 
 def collected(
@@ -125,4 +132,5 @@ def collected(
         oracle=request.oracle,
         calibration=calibration_of(last.columns),
         estimate_seconds=last.seconds,
+        peak_memory_mb=last.peak_memory_mb,
     )

@@ -49,7 +49,7 @@ def _serve(name: str, options: str, drive: Any, reply: Callable[..., None]) -> N
         warm_up(request)
         reply({}, {})
         for answer in answers(drive[0], request, drive[1]) if drive is not None else ():
-            reply({"seconds": answer.seconds}, answer.columns)
+            reply({"seconds": answer.seconds, "peak_memory_mb": answer.peak_memory_mb}, answer.columns)
     except BaseException as error:
         reply({"error": explained(error), "details": details(error)}, {})
 

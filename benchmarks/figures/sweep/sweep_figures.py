@@ -68,8 +68,8 @@ def draw_sweep(
 def _x_key(data: SweepData, look: Look) -> str | None:
     keys = curve_keys(data)
     if look.x is not None and look.x not in keys:
-        raise InputError(f"--x {look.x}: not a key that varies and is a number ({', '.join(keys) or 'there is none'})")
-    return look.x or (keys[0] if keys else None)
+        raise InputError(f"--x {look.x}: not a key that varies ({', '.join(keys) or 'there is none'})")
+    return look.x or next(iter(keys), None)
 
 
 def _cdf(figure: Figure, data: SweepData, metric: str) -> bool:

@@ -77,7 +77,7 @@ def test_command_writes_into_the_folder(folder: Path, capfd: pytest.CaptureFixtu
 
 def test_wrong_requests_are_one_line(folder: Path, capfd: pytest.CaptureFixture[str]) -> None:
     for words, expected in (
-        (("--x", "radio.laod"), "--x radio.laod: not a key that varies and is a number (radio.load"),
+        (("--x", "radio.laod"), "--x radio.laod: not a key that varies (radio.load"),
         (("--metric", "x"), "unknown metric 'x'"),
         (("--statistic", "x"), "unknown statistic 'x'"),
         (("--interval", "0"), "interval = 0 %"),
