@@ -1,4 +1,4 @@
-"""Which estimators differ on the same drives: ranks, their critical difference, and a test of every pair.
+"""Which estimators differ in the same trials: ranks, their critical difference, and a test of every pair.
 
 Sources: Demsar, "Statistical comparisons of classifiers over multiple data sets", J. Machine Learning Research 7, 2006
 (Friedman's test, Nemenyi's critical difference); Holm, "A simple sequentially rejective multiple test procedure",
@@ -19,21 +19,21 @@ from cellslam.benchmarks.scores.statistics import wilcoxon_p
 from cellslam.sim.recording import Floats
 
 LEVEL = 0.05  # of all tests
-LEAST_DRIVES = 6  # with five, no pair can differ at that level
+LEAST_TRIALS = 6  # with five, no pair can differ at that level
 
 
 @dataclass(frozen=True)
 class Verdict:
-    """How k estimators compare over n drives, the best mean rank first.
+    """How k estimators compare over n trials, the best mean rank first.
 
-    `mean_rank` (k,): 1 is the best on every drive. `friedman_p`: of all being equally good; NaN below three estimators.
+    `mean_rank` (k,): 1 is the best in every trial. `friedman_p`: of all being equally good; NaN below three estimators.
     `critical_difference`: what two mean ranks must differ by, by Nemenyi's test. `difference` (k, k): median of row
     minus column in the scores' unit. `p_value` (k, k): Wilcoxon's test of the pair, corrected for all pairs by Holm's
     method; 1 on the diagonal.
     """
 
     names: tuple[str, ...]
-    drives: int
+    trials: int
     mean_rank: Floats
     friedman_p: float
     critical_difference: float
@@ -59,12 +59,12 @@ class Verdict:
 
 
 def verdict(scores: Mapping[str, Floats]) -> Verdict | None:
-    """Return the verdict on the scores (n,) of each estimator on the same n drives, in any unit, the least the best.
+    """Return the verdict on the scores (n,) of each estimator in the same n trials, in any unit, the least the best.
 
-    A score that is not finite, of a drive that failed, is worse than all others. None: fewer than two estimators or
-    six drives, which cannot differ.
+    A score that is not finite, of a trial that failed, is worse than all others. None: fewer than two estimators or
+    six trials, which cannot differ.
     """
-    if len(scores) < 2 or len(next(iter(scores.values()))) < LEAST_DRIVES:
+    if len(scores) < 2 or len(next(iter(scores.values()))) < LEAST_TRIALS:
         return None
     from scipy.stats import friedmanchisquare, rankdata
 
@@ -72,7 +72,7 @@ def verdict(scores: Mapping[str, Floats]) -> Verdict | None:
     ranks = rankdata(table, axis=1).mean(axis=0)
     order = np.argsort(ranks, kind="stable")
     table, ranks = table[:, order], ranks[order]
-    drives, count = table.shape
+    trials, count = table.shape
     between = [table[:, i] - table[:, j] for i, j in combinations(range(count), 2)]
     corrected = holm([wilcoxon_p(one) for one in between])
     p_value, difference = np.ones((count, count)), np.zeros((count, count))
@@ -81,15 +81,15 @@ def verdict(scores: Mapping[str, Floats]) -> Verdict | None:
         difference[i, j], difference[j, i] = np.median(one), -np.median(one)
     friedman_p = float(friedmanchisquare(*table.T).pvalue) if count > 2 else float("nan")
     names = tuple(np.array(list(scores))[order].tolist())
-    return Verdict(names, drives, ranks, friedman_p, critical_difference(count, drives), difference, p_value)
+    return Verdict(names, trials, ranks, friedman_p, critical_difference(count, trials), difference, p_value)
 
 
-def critical_difference(count: int, drives: int, level: float = LEVEL) -> float:
-    """Return by how much the mean ranks of two of `count` estimators over `drives` must differ (Nemenyi's test)."""
+def critical_difference(count: int, trials: int, level: float = LEVEL) -> float:
+    """Return by how much the mean ranks of two of `count` estimators over `trials` must differ (Nemenyi's test)."""
     from scipy.stats import studentized_range
 
     quantile = float(studentized_range.ppf(1.0 - level, count, np.inf)) / math.sqrt(2.0)
-    return quantile * math.sqrt(count * (count + 1) / (6.0 * drives))
+    return quantile * math.sqrt(count * (count + 1) / (6.0 * trials))
 
 
 def holm(p_values: Sequence[float]) -> Floats:

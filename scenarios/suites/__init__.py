@@ -5,6 +5,8 @@ A suite never changes: what would change its results is another version, under a
 
 from __future__ import annotations
 
+import hashlib
+import json
 from dataclasses import dataclass
 from importlib.resources import as_file, files
 
@@ -36,6 +38,14 @@ def suite(name: str) -> Suite:
     if known not in SUITES:
         raise unknown_name("suite", name, (*LATEST, *SUITES))
     return SUITES[known]
+
+
+def digest(one: Suite) -> str:
+    """Return the SHA-256 of all that a suite is: what it is called, and every value of its scenarios."""
+    folder = files("cellslam.scenarios.suites") / one.name
+    texts = {scenario: (folder / f"{scenario}.toml").read_text("utf-8") for scenario in one.scenarios}
+    said = json.dumps([one.name, one.scenarios, one.seed, one.trials, texts])
+    return hashlib.sha256(said.encode()).hexdigest()
 
 
 def scenario_of(one: Suite, name: str) -> Scenario:

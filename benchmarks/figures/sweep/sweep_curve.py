@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 MOST_TICKS, MOST_LETTERS = 10, 45
+MARKERS = "osD"  # of as many lines as there are colours, then the next
 # From this ratio on x is logarithmic; intervals of different lines stand beside each other, by this share of the axis.
 LOG_FROM = 10.0
 DODGE = 0.008
@@ -41,7 +42,10 @@ def draw_curve(figure: Figure, data: SweepData, look: Look, x: str) -> bool:
     figure.set_size_inches(WIDTH_IN * 0.62, 3.2)
     axes, styles = figure.subplots(), series_styles(lines)
     if names:
-        styles = {name: {**style, "linestyle": "none"} for name, style in styles.items()}
+        styles = {
+            name: {**style, "linestyle": "none", "marker": MARKERS[i // 7 % len(MARKERS)]}
+            for i, (name, style) in enumerate(styles.items())
+        }
     logarithmic = not names and every[0] > 0 and every[-1] >= LOG_FROM * every[0]
     for index, (name, points) in enumerate(lines.items()):
         aside = DODGE * (index - (len(lines) - 1) / 2)
@@ -58,7 +62,11 @@ def draw_curve(figure: Figure, data: SweepData, look: Look, x: str) -> bool:
     trials = max(len(values) for points in lines.values() for _, values in points)
     axes.set_ylabel(summed_label(look))
     axes.set_title(f"{100 * look.confidence:g} % intervals, {trials} trials a point")
-    axes.set_ylim(bottom=0)
+    if names:
+        axes.set_yscale("log")
+        axes.yaxis.set_major_formatter("{x:g}")
+    else:
+        axes.set_ylim(bottom=0)
     figure.legend(loc="outside lower center", ncols=2)
     return True
 
@@ -74,7 +82,7 @@ def _line(axes: Axes, points: Sequence[tuple[float | None, Floats]], look: Look,
         axes.axhspan(*ends[0], color=style["color"], alpha=0.15, linewidth=0)
         return
     reach: Floats = np.nan_to_num(np.abs(ends - middle[:, None])).T
-    axes.errorbar(at, middle, yerr=reach, **style, marker="o", markersize=3.5, capsize=2.5, elinewidth=0.9)
+    axes.errorbar(at, middle, yerr=reach, **{"marker": "o", **style}, markersize=3.5, capsize=2.5, elinewidth=0.9)
 
 
 def _beside(at: float | None, every: Sequence[float], aside: float, logarithmic: bool) -> float | None:

@@ -12,12 +12,15 @@ import numpy as np
 from cellslam.benchmarks.sweeps.rows import results, varying_keys
 from cellslam.benchmarks.sweeps.store import trajectory_path
 from cellslam.benchmarks.sweeps.trajectories import unpack
+from cellslam.benchmarks.tables.rankings import verdicts
 from cellslam.benchmarks.tables.summaries import groups
 from cellslam.sim.errors import InputError
 from cellslam.sim.recording import Floats
 
 if TYPE_CHECKING:
     import pandas as pd
+
+    from cellslam.benchmarks.scores.verdicts import Verdict
 
 MOST_TRAJECTORIES = 200
 POINTS_IN_TIME = 400
@@ -96,6 +99,15 @@ def load(folder: str | Path) -> SweepData:
         )
         panels.append(Panel(title, series))
     return SweepData(Path(folder), tuple(panels), tuple(worlds))
+
+
+def verdicts_of(data: SweepData) -> dict[str, Verdict]:
+    """Return the verdict on each panel's series, and over all panels."""
+    import pandas as pd
+
+    return verdicts({
+        panel.title: pd.concat([one.rows.assign(label=one.label) for one in panel.series]) for panel in data.panels
+    }, "label")  # fmt: skip
 
 
 def curve_keys(data: SweepData) -> dict[str, bool]:
