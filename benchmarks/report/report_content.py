@@ -172,7 +172,7 @@ def _curves(data: SweepData) -> list[dict[str, Any]]:
         for name, points in named.items():
             line: dict[str, Any] = {"name": name, "colour": styles[name]["color"], "metrics": {}}
             for metric, (_, digits) in PLOTTED.items():
-                found = [(x, one.values(metric)) for x, one in points]
+                found = [(x, one.values(metric)) for x, one in points if not isinstance(x, str)]
                 found = [(x, values) for x, values in found if len(values)]
                 if found:
                     line["metrics"][metric] = _line(found, of, digits)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from functools import reduce
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -27,9 +28,11 @@ def verdicts(panels: Mapping[str, pd.DataFrame], label: str = "estimator") -> di
     """
     tables = {title: _scores(rows, label) for title, rows in panels.items()}
     if len(tables) > 1:
-        logs = [np.log(table) for table in tables.values()]
-        tables[ALL] = np.exp(sum(logs[1:], logs[0]) / len(logs)).dropna(axis=1, how="all").dropna()
-    found = {title: verdict({name: table[name].to_numpy() for name in table}) for title, table in tables.items()}
+        with np.errstate(divide="ignore"):
+            logs = [table.apply(np.log) for table in tables.values()]
+        mean = reduce(lambda one, other: one + other, logs) / len(logs)
+        tables[ALL] = mean.apply(np.exp).dropna(axis=1, how="all").dropna()
+    found = {title: verdict({str(name): table[name].to_numpy() for name in table}) for title, table in tables.items()}
     return {title: one for title, one in found.items() if one is not None}
 
 

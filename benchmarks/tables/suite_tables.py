@@ -149,8 +149,9 @@ The file holds the rows, the versions and the suite's digest. Whoever has the es
 def _overall_efficiency(rows: pd.DataFrame) -> str:
     """Return the efficiency ratio over all scenarios; a trial's drives are resampled together."""
     known = rows.dropna(subset=list(RATIO_OF[:2]))
-    squares = known[list(RATIO_OF[:2])].astype(float).pow(2).groupby(known["trial"]).sum().pow(0.5)
-    return _bracketed(*efficiency_ratio(*(squares[key].to_numpy() for key in RATIO_OF[:2]), CONFIDENCE), EFFICIENCY)
+    squares = known[list(RATIO_OF[:2])].astype(float).pow(2).groupby(known["trial"]).sum()
+    error, bound = (np.sqrt(squares[key].to_numpy()) for key in RATIO_OF[:2])
+    return _bracketed(*efficiency_ratio(error, bound, CONFIDENCE), EFFICIENCY)
 
 
 def _cell(rows: pd.DataFrame, metric: str, name: str, ends: bool) -> str:
