@@ -7,11 +7,15 @@ from __future__ import annotations
 
 import hashlib
 import json
+from collections.abc import Sequence
 from dataclasses import dataclass
 from importlib.resources import as_file, files
 
+from cellslam.scenarios.estimator_options import resolve
+from cellslam.scenarios.foreign_options import asking
 from cellslam.scenarios.loading import load
 from cellslam.scenarios.scenario import Scenario
+from cellslam.scenarios.sweep_points import Point
 from cellslam.sim.errors import unknown_name
 
 
@@ -54,3 +58,10 @@ def scenario_of(one: Suite, name: str) -> Scenario:
         raise unknown_name(f"scenario of {one.name}", name, one.scenarios)
     with as_file(files("cellslam.scenarios.suites") / one.name / f"{name}.toml") as path:
         return load(path)
+
+
+def points_of(one: Suite, scenarios: Sequence[str], estimators: Sequence[str]) -> list[Point]:
+    """Return what is driven: each of the `scenarios` with all estimators. Raises InputError."""
+    with asking() as ask:
+        every = [scenario_of(one, name) for name in scenarios]
+        return [Point({}, s, resolve(s.estimator, estimators, ask=ask)) for s in every]

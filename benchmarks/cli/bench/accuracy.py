@@ -5,17 +5,13 @@ from __future__ import annotations
 import shlex
 import sys
 from argparse import ArgumentParser, Namespace
-from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from cellslam.benchmarks.cli.arguments import DONE, FAILED, add_work, whole
 from cellslam.benchmarks.cli.sweep import carry
 from cellslam.benchmarks.trials.output_files import check_file, write_text
-from cellslam.scenarios.estimator_options import resolve
-from cellslam.scenarios.foreign_options import asking
-from cellslam.scenarios.suites import Suite, scenario_of, suite
-from cellslam.scenarios.sweep_points import Point
+from cellslam.scenarios.suites import Suite, points_of, suite
 from cellslam.sim.errors import InputError
 from cellslam.slam import registry
 
@@ -80,13 +76,6 @@ def command(arguments: Namespace) -> int:
     if arguments.rows:
         write_text(Path(arguments.rows), suite_rows.as_text(some))
     return status
-
-
-def points_of(one: Suite, scenarios: Sequence[str], estimators: Sequence[str]) -> list[Point]:
-    """Return what is driven: every scenario with all estimators."""
-    with asking() as ask:
-        every = [scenario_of(one, name) for name in scenarios]
-        return [Point({}, s, resolve(s.estimator, estimators, ask=ask)) for s in every]
 
 
 def draw_verdicts(some: SuiteRows, path: Path) -> str:

@@ -20,11 +20,11 @@ TOLERANCE = 0.01
 
 def check(arguments: Namespace) -> int:
     """Drive a sample of an entry's drives again; print each beside what the entry says. FAILED: one differs."""
-    from cellslam.benchmarks.cli.bench.accuracy import points_of
     from cellslam.benchmarks.cli.sweep import processes
     from cellslam.benchmarks.sweeps.executors import executor
     from cellslam.benchmarks.sweeps.tasks import Lost, plan
     from cellslam.benchmarks.tables.suite_rows import read
+    from cellslam.scenarios.suites import points_of
     from cellslam.sim.world import versions
 
     path = Path(arguments.check)

@@ -8,12 +8,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from cellslam.benchmarks.cli.bench import accuracy as cli_suite
 from cellslam.benchmarks.cli.bench.accuracy import built_in
 from cellslam.benchmarks.cli.main import main
 from cellslam.benchmarks.sweeps.rows import results
 from cellslam.benchmarks.tables import suite_rows
-from cellslam.scenarios import load
+from cellslam.scenarios import load, suites
 from cellslam.scenarios.suites import SUITES, Suite, digest, scenario_of, suite
 from cellslam.sim.errors import InputError
 
@@ -43,7 +42,7 @@ def test_accuracy_writes_its_tables_and_resumes(
     tmp_path: Path, capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     # The suite's drives take seconds: a short one under the name of one of them.
-    monkeypatch.setattr(cli_suite, "scenario_of", lambda _, name: load("tiny", {**SHORT, "name": name}))
+    monkeypatch.setattr(suites, "scenario_of", lambda _, name: load("tiny", {**SHORT, "name": name}))
     page = tmp_path / "results.md"
     line = ["bench", "accuracy", "--trials", "1", "--scenario", "canyon", "--estimator", "dead-reckoning"]
     line += ["--executor", "serial", "--out", str(tmp_path / "out"), "--write", str(page)]
@@ -66,7 +65,7 @@ def test_accuracy_writes_its_tables_and_resumes(
 def entry(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """The rows of two estimators in a suite of two scenarios and six trials: short drives under names of standard-1."""
     monkeypatch.setitem(SUITES, "standard-1", Suite("standard-1", ("open", "canyon"), 530, 6))
-    monkeypatch.setattr(cli_suite, "scenario_of", lambda _, name: load("tiny", {**SHORT, "name": name}))
+    monkeypatch.setattr(suites, "scenario_of", lambda _, name: load("tiny", {**SHORT, "name": name}))
     line = ["bench", "accuracy", "--estimator", "dead-reckoning", "--estimator", "ekf-slam", "--executor", "serial"]
     words = [
         "--out",

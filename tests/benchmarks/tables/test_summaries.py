@@ -84,8 +84,9 @@ def test_what_the_scenario_determines_is_left_out(scenarios: Path, capfd: pytest
     found = sweep_lines(data, "scenario")
     assert [x for x, _ in found["fastslam, radio.load = 0.25"]] == ["canyon", "open"]
     assert main(["table", str(scenarios)]) == 0
-    out = capfd.readouterr().out.splitlines()
-    assert out[0].split()[:3] == ["scenario", "radio.load", "estimator"] and len(out) == 7
+    head, *body = capfd.readouterr().out.strip().splitlines()
+    assert head.split()[:3] == ["scenario", "radio.load", "estimator"]
+    assert sum("fastslam" in line for line in body) == 5
     assert main(["figures", str(scenarios), "--x", "scenario"]) == 0
     assert (scenarios / "figures" / "sweep.png").exists()
 
