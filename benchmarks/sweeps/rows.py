@@ -43,7 +43,7 @@ def results(folder: str | Path, keys: Sequence[str] | None = None) -> pd.DataFra
     index = [place[row[1:4]] for row in rows]
     settings = {name: [columns[name][i] for i in index] for name in wanted if name not in plain}
     frame = pd.concat([frame, pd.DataFrame(settings, index=frame.index, columns=list(settings))], axis=1)
-    order = [name for name in ("scenario", *settings) if _sortable(columns.get(name, ()))]
+    order = [name for name in ("scenario", *settings) if name in frame and _sortable(columns.get(name, ()))]
     frame = frame.sort_values([*order, "estimator", "options", "seed", "trial"], kind="stable", ignore_index=True)
     return frame[["key", *wanted]] if keys is None else frame[list(wanted)]
 
