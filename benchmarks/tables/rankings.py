@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from functools import reduce
 from typing import TYPE_CHECKING
 
@@ -19,14 +19,16 @@ METRIC = "position_rmse_m"
 ALL = "all scenarios"
 
 
-def verdicts(panels: Mapping[str, pd.DataFrame], label: str = "estimator") -> dict[str, Verdict]:
+def verdicts(
+    panels: Mapping[str, pd.DataFrame], oracles: Collection[str] = (), label: str = "estimator"
+) -> dict[str, Verdict]:
     """Return the verdict on the position RMSE in each panel of rows, and, if there are several, over `ALL` of them.
 
-    Compared are the values of column `label`, oracles aside, on the drives that all of them met; a drive that failed is
-    worse than any other. Over all panels a trial counts once, with the geometric mean of its RMSEs: trials of one
-    number have random draws in common in every world, so that they are no further evidence.
+    Compared are the values of column `label`, those of `oracles` aside, on the drives that all of them met; a drive
+    that failed is worse than any other. Over all panels a trial counts once, with the geometric mean of its RMSEs:
+    trials of one number have random draws in common in every world, so that they are no further evidence.
     """
-    tables = {title: _scores(rows, label) for title, rows in panels.items()}
+    tables = {title: _scores(rows[~rows["estimator"].isin(oracles)], label) for title, rows in panels.items()}
     if len(tables) > 1:
         with np.errstate(divide="ignore"):
             logs = [table.apply(np.log) for table in tables.values()]
@@ -66,7 +68,5 @@ def told_apart(one: Verdict) -> str:
 
 def _scores(rows: pd.DataFrame, label: str) -> pd.DataFrame:
     """Return the errors in m by drive and column `label`, infinite where it failed."""
-    marked = registry.oracles(rows["estimator"].unique())
-    rows = rows[~rows["estimator"].isin(marked)]
     score = rows[METRIC].astype(float).where(rows["status"] == "ok", np.inf)
-    return rows.assign(score=score).pivot(index=["seed", "trial"], columns=label, values="score").dropna()
+    return score.groupby([rows["seed"], rows["trial"], rows[label]]).mean().unstack().dropna()

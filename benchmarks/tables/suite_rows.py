@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import math
 import platform
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -14,6 +14,7 @@ from cellslam.benchmarks.scores.trial_result import ROW_KEYS
 from cellslam.benchmarks.sweeps.rows import provenance, results
 from cellslam.scenarios.suites import Suite, digest, suite
 from cellslam.sim.errors import InputError
+from cellslam.slam.registry import oracles
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -23,13 +24,15 @@ COLUMNS = ("key", *ROW_KEYS)  # the key is a hash of scenario, estimator, option
 
 @dataclass(frozen=True)
 class SuiteRows:
-    """Rows of a suite: what of it was run, with which versions and on what machine, and a row a drive and estimator."""
+    """Rows of a suite, one a drive and estimator: what of it was run, with which versions, on what machine, and which
+    estimators are oracles."""
 
     suite: Suite
     scenarios: tuple[str, ...]
     trials: int
     versions: Mapping[str, str]
     machine: str
+    oracles: frozenset[str]
     rows: pd.DataFrame
 
     @property
@@ -43,12 +46,13 @@ class SuiteRows:
         return {name: self.rows[self.rows["scenario"] == name] for name in self.scenarios}
 
 
-def stored(folder: Path, one: Suite, scenarios: Sequence[str], trials: int) -> SuiteRows:
-    """Return the rows of a suite in a store: those of its `scenarios`, root seed and first `trials`."""
+def stored(folder: Path, one: Suite, scenarios: Sequence[str], trials: int, keys: Collection[str]) -> SuiteRows:
+    """Return the rows of these `keys` in a store, which are what was run of a suite: `scenarios` and first `trials`."""
     rows = results(folder, COLUMNS)
-    own = rows["scenario"].isin(scenarios) & (rows["trial"] < trials) & (rows["seed"] == one.seed)
+    rows = rows[rows["key"].isin(keys)]
     versions = provenance(folder)[-1]["versions"]
-    return SuiteRows(one, tuple(scenarios), trials, versions, platform.machine(), rows[own])
+    marked = oracles(rows["estimator"].unique())
+    return SuiteRows(one, tuple(scenarios), trials, versions, platform.machine(), marked, rows)
 
 
 def as_text(some: SuiteRows) -> str:
@@ -56,6 +60,7 @@ def as_text(some: SuiteRows) -> str:
     if not some.whole:
         raise InputError(f"rows of a part of {some.suite.name} are no entry: leave out --trials and --scenario")
     head = {"suite": some.suite.name, "digest": digest(some.suite), "machine": some.machine, "versions": some.versions}
+    head["oracles"] = sorted(some.oracles)
     rows = ([_plain(value) for value in row] for row in some.rows[list(COLUMNS)].astype(object).to_numpy().tolist())
     lines = ",\n".join(json.dumps(row, allow_nan=False) for row in rows)
     about = json.dumps({**head, "columns": COLUMNS}, indent=1)[:-2]
@@ -77,7 +82,8 @@ def read(path: Path) -> SuiteRows:
         table: Any = json.loads(path.read_text("utf-8"))
         frame = pd.DataFrame(table["rows"], columns=table["columns"])
         one, said = suite(str(table["suite"])), str(table["digest"])
-        found = SuiteRows(one, one.scenarios, one.trials, dict(table["versions"]), str(table["machine"]), frame)
+        made, machine, marked = dict(table["versions"]), str(table["machine"]), frozenset(table["oracles"])
+        found = SuiteRows(one, one.scenarios, one.trials, made, machine, marked, frame)
         estimators = frame["estimator"].unique()
         drives = sorted(zip(frame["estimator"], frame["scenario"], frame["trial"], strict=True))
     except OSError as error:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -14,7 +14,6 @@ from cellslam.benchmarks.tables.rankings import ALL, map_builders, told_apart, v
 from cellslam.benchmarks.tables.suite_rows import SuiteRows
 from cellslam.benchmarks.tables.summaries import EFFICIENCY, MERGED, RATIO_OF, efficiency, finite
 from cellslam.scenarios.suites import Suite
-from cellslam.slam.registry import oracles
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -57,7 +56,7 @@ def suite_markdown(some: SuiteRows, command: str, left: str, picture: str = "") 
     """Return the whole page. `left`: what was left out, and why; `picture`: the file of the ranks' diagram, if any."""
     one, trials = some.suite, some.trials
     title = one.name if some.whole else f"{one.name}, a part: trials 0 to {trials - 1} of {', '.join(some.scenarios)}"
-    judged, power = verdicts(some.panels), verdicts(map_builders(some.panels))
+    judged, power = verdicts(some.panels, some.oracles), verdicts(map_builders(some.panels))
     said = ", ".join(f"{name} {text}" for name, text in some.versions.items())
     head = [
         f"# Accuracy: {title}",
@@ -67,7 +66,9 @@ def suite_markdown(some: SuiteRows, command: str, left: str, picture: str = "") 
         f"\n    {command}\n",
         left,
     ]
-    parts = [_scenario(rows, name, judged.get(name), power.get(name)) for name, rows in some.panels.items()]
+    parts = [
+        _scenario(name, rows, some.oracles, judged.get(name), power.get(name)) for name, rows in some.panels.items()
+    ]
     if len(some.scenarios) > 1:
         whole = [f"\n## All scenarios\n\n{standings(some, judged)}", *_judged(judged.get(ALL), power.get(ALL))]
         parts.insert(0, "\n".join([*whole, *([f"\n![Mean ranks]({picture})"] if picture else [])]))
@@ -77,11 +78,12 @@ def suite_markdown(some: SuiteRows, command: str, left: str, picture: str = "") 
 def leaderboard_markdown(some: SuiteRows, made_with: dict[str, str], command: str, picture: str) -> str:
     """Return the page of a leaderboard. `made_with`: the version of cellslam by estimator; `picture`: the diagram."""
     one = some.suite
-    judged, power = verdicts(some.panels), verdicts(map_builders(some.panels))
+    judged, power = verdicts(some.panels, some.oracles), verdicts(map_builders(some.panels))
     return "\n".join([
         f"# Leaderboard: {one.name}\n",
         f"{one.trials} drives of each of {', '.join(f'`{name}`' for name in one.scenarios)} (root seed {one.seed}), by "
-        f"the mean rank; for each scenario the median RMSE in metres. {RULES}\n",
+        "the mean rank; for each scenario the median RMSE in metres; times are of the machine that made the entry. "
+        f"{RULES}\n",
         standings(some, judged, made_with),
         *_judged(judged.get(ALL), power.get(ALL)),
         f"\n![Mean ranks and critical differences]({picture})\n",
@@ -94,8 +96,9 @@ def standings(some: SuiteRows, judged: dict[str, Verdict], made_with: dict[str, 
     """Return the table over all scenarios: a line an estimator, the best mean rank first, oracles last."""
     overall = judged.get(ALL)
     rank = dict(zip(overall.names, overall.mean_rank.tolist(), strict=True)) if overall else {}
-    marked = oracles(some.rows["estimator"].unique())
-    names = sorted(some.rows["estimator"].unique(), key=lambda name: (name in marked, rank.get(name, np.inf), name))
+    names = sorted(
+        some.rows["estimator"].unique(), key=lambda name: (name in some.oracles, rank.get(name, np.inf), name)
+    )
     heads = ["mean rank", "efficiency ratio [95 %]", *some.scenarios, *(c[0] for c in COSTS), "ok"]
     lines = [f"| estimator | {' | '.join([*heads, *(['cellslam'] if made_with else [])])} |"]
     lines.append("|---|" + "---:|" * (len(heads) + bool(made_with)))
@@ -105,20 +108,21 @@ def standings(some: SuiteRows, judged: dict[str, Verdict], made_with: dict[str, 
         medians = (_cell(fine[fine["scenario"] == s], "position_rmse_m", "median", False) for s in some.scenarios)
         costs = (_cell(fine, metric, of, ends) for _, metric, of, ends in COSTS)
         cells = [number(rank.get(name), ""), _overall_efficiency(fine), *medians, *costs, f"{len(fine)}/{len(rows)}"]
-        shown = f"{name} (oracle)" if name in marked else name
+        shown = f"{name} (oracle)" if name in some.oracles else name
         lines.append(f"| {shown} | " + " | ".join([*cells, *([made_with[name]] if made_with else [])]) + " |")
     return "\n".join(lines)
 
 
-def _scenario(rows: pd.DataFrame, name: str, judged: Verdict | None, power: Verdict | None) -> str:
-    marked = oracles(rows["estimator"].unique())
+def _scenario(
+    name: str, rows: pd.DataFrame, oracles: Collection[str], judged: Verdict | None, power: Verdict | None
+) -> str:
     columns = [c for c in (*COLUMNS, *COSTS) if c[1] != MERGED or rows["bound_merged_m"].notna().any()]
     lines = ["| estimator | " + " | ".join(c[0] for c in columns) + " | ok |", "|---|" + "---:|" * (len(columns) + 1)]
     for estimator in rows["estimator"].unique():
         own = rows[rows["estimator"] == estimator]
         fine = own[own["status"] == "ok"]
         cells = [_cell(fine, metric, of, ends) for _, metric, of, ends in columns]
-        shown = f"{estimator} (oracle)" if estimator in marked else estimator
+        shown = f"{estimator} (oracle)" if estimator in oracles else estimator
         lines.append("| " + " | ".join([shown, *cells, f"{len(fine)}/{len(own)}"]) + " |")
     return "\n".join([f"\n## {name}\n", *lines, *_judged(judged, power)])
 

@@ -62,10 +62,12 @@ def command(arguments: Namespace) -> int:
     status = carry(arguments, points, trials, one.seed, out)
     if status not in (DONE, FAILED) or arguments.dry_run:
         return status
+    from cellslam.benchmarks.sweeps.tasks import plan
     from cellslam.benchmarks.tables import suite_rows
     from cellslam.benchmarks.tables.suite_tables import suite_markdown
 
-    some = suite_rows.stored(out, one, scenarios, trials)
+    keys = {job.key for task in plan(points, trials, one.seed).tasks for job in task.jobs}
+    some = suite_rows.stored(out, one, scenarios, trials, keys)
     page = Path(arguments.write) if arguments.write else None
     picture = draw_verdicts(some, page.with_suffix(".png")) if page else ""
     command = shlex.join(["cellslam", *arguments.words])
@@ -88,7 +90,7 @@ def draw_verdicts(some: SuiteRows, path: Path) -> str:
 
     with context():
         figure = Figure(layout="constrained")
-        return save(figure, path).name if draw_ranks(figure, verdicts(some.panels)) else ""
+        return save(figure, path).name if draw_ranks(figure, verdicts(some.panels, some.oracles)) else ""
 
 
 def built_in() -> tuple[str, ...]:

@@ -39,7 +39,8 @@ def command(arguments: Namespace) -> int:
             if name in made_with:
                 raise InputError(f"{file}: '{name}' is in another file too; give each estimator once")
             made_with[name] = entry.versions.get("cellslam", "-")
-    every = replace(entries[0], rows=pd.concat([entry.rows for entry in entries], ignore_index=True))
+    rows = pd.concat([entry.rows for entry in entries], ignore_index=True)
+    every = replace(entries[0], rows=rows, oracles=frozenset().union(*(entry.oracles for entry in entries)))
     picture = draw_verdicts(every, page.with_suffix(".png"))
     command = shlex.join(["cellslam", *arguments.words])
     write_text(page, leaderboard_markdown(every, made_with, command, picture))

@@ -16,6 +16,7 @@ from cellslam.benchmarks.tables.rankings import verdicts
 from cellslam.benchmarks.tables.summaries import groups
 from cellslam.sim.errors import InputError
 from cellslam.sim.recording import Floats
+from cellslam.slam.registry import oracles
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -105,9 +106,8 @@ def verdicts_of(data: SweepData) -> dict[str, Verdict]:
     """Return the verdict on each panel's series, and over all panels."""
     import pandas as pd
 
-    return verdicts({
-        panel.title: pd.concat([one.rows.assign(label=one.label) for one in panel.series]) for panel in data.panels
-    }, "label")  # fmt: skip
+    panels = {p.title: pd.concat([one.rows.assign(label=one.label) for one in p.series]) for p in data.panels}
+    return verdicts(panels, oracles({one.estimator for panel in data.panels for one in panel.series}), "label")
 
 
 def curve_keys(data: SweepData) -> dict[str, bool]:
