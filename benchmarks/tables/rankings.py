@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     import pandas as pd
 
 METRIC = "position_rmse_m"
-ALL = "all scenarios"
+ALL = "overall"
 
 
 def verdicts(

@@ -92,6 +92,11 @@ def test_an_entry_is_ranked_and_holds_when_it_is_driven_again(entry: Path, capfd
     out = capfd.readouterr().out
     assert out.count("as said") == 4 and "4 of 4 drives are as the entry says" in out
 
+    alone = entry.with_name("alone.json")
+    words = ["--estimator", "ekf-slam", "--executor", "serial", "--out", str(entry.with_name("out"))]
+    assert main(["bench", "accuracy", *words, "--rows", str(alone), "--quiet"]) == 0
+    assert set(suite_rows.read(alone).rows["estimator"]) == {"ekf-slam"}
+
     page = entry.with_name("board.md")
     assert main(["bench", "leaderboard", str(entry), "--write", str(page)]) == 0
     board = page.read_text()
