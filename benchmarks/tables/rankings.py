@@ -17,6 +17,7 @@ if TYPE_CHECKING:
 
 METRIC = "position_rmse_m"
 ALL = "overall"
+MOST_PANELS = 12
 
 
 def verdicts(
@@ -26,7 +27,8 @@ def verdicts(
 
     Compared are the values of column `label`, those of `oracles` aside, on the drives that all of them met; a drive
     that failed is worse than any other. Over all panels a trial counts once, with the geometric mean of its RMSEs:
-    trials of one number have random draws in common in every world, so that they are no further evidence.
+    trials of one number have random draws in common in every world, so that they are no further evidence. Of more than
+    twelve panels that verdict stands alone.
     """
     tables = {title: _scores(rows[~rows["estimator"].isin(oracles)], label) for title, rows in panels.items()}
     if len(tables) > 1:
@@ -34,6 +36,8 @@ def verdicts(
             logs = [table.apply(np.log) for table in tables.values()]
         mean = reduce(lambda one, other: one + other, logs) / len(logs)
         tables[ALL] = mean.apply(np.exp).dropna(axis=1, how="all").dropna()
+    if len(panels) > MOST_PANELS:
+        tables = {ALL: tables[ALL]}
     found = {title: verdict({str(name): table[name].to_numpy() for name in table}) for title, table in tables.items()}
     return {title: one for title, one in found.items() if one is not None}
 

@@ -37,6 +37,7 @@ def test_all_scenarios_are_one_score_a_trial_and_oracles_are_not_ranked() -> Non
     # The geometric mean of x and 9 x is 3 x.
     np.testing.assert_allclose(found[ALL].difference[:2, :2], 3.0 * found["easy"].difference[:2, :2])
     assert list(verdicts({"": panel(1.0)}, ORACLES)) == [""]
+    assert list(verdicts({f"{i}": panel(1.0) for i in range(13)}, ORACLES)) == [ALL]
 
 
 def test_power_is_of_built_in_map_builders_whatever_else_is_there() -> None:
