@@ -60,6 +60,7 @@ GROUPS = {
             "fastslam": Command("bench.fastslam", "what a drive, an update and a particle of FastSLAM cost"),
             "rays": Command("bench.rays", "time the ray tracer, beside Sionna RT and DiffeRT where installed"),
             "accuracy": Command("bench.accuracy", "a fixed suite of scenarios, seeds and trials, for comparison"),
+            "leaderboard": Command("bench.leaderboard", "one page of all entries to a suite, the best first"),
             "monte-carlo": Command("bench.monte_carlo", "time sweeps: rates, overhead, tables"),
         },
     ),

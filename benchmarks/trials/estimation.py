@@ -12,6 +12,7 @@ import numpy as np
 
 from cellslam.benchmarks.scores.trial_result import TrialResult
 from cellslam.benchmarks.trials import compile_ahead as ahead
+from cellslam.benchmarks.trials import memory
 from cellslam.benchmarks.trials.answers import (
     BadAnswerError,
     Columns,
@@ -38,11 +39,12 @@ _warm: set[tuple[type[Any], str]] = set()
 @dataclass(frozen=True)
 class Answer:
     """Plain copies of one answer; `seconds`: what the estimator has taken since its start. The last is of the end, with
-    the estimator's remarks."""
+    the estimator's remarks and `peak_memory_mb`."""
 
     seconds: float
     columns: Columns
     remarks: Sequence[str] = ()
+    peak_memory_mb: float = float("nan")
 
 
 def warm_up(request: Request, progress: Progress = silent) -> None:
@@ -65,8 +67,8 @@ def estimate(
 ) -> TrialResult:
     """Return what the requested estimator, driven in this process, says about a recording.
 
-    `estimate_seconds` covers start, steps and finish alone. Raises BadAnswerError, or whatever the estimator
-    raises, with the snapshot added to its notes.
+    `estimate_seconds` covers start, steps and finish alone, `peak_memory_mb` what is kept of the answers too. Raises
+    BadAnswerError, or whatever the estimator raises, with the snapshot added to its notes.
     """
     return collected(recording, request, answers(recording, request, rng), progress)
 
@@ -77,6 +79,7 @@ def answers(recording: Recording, request: Request, rng: np.random.Generator) ->
     setup, snapshots = setup_of(recording, request.oracle), snapshots_of(recording)
     dt_s = np.diff(recording.time_s, prepend=recording.time_s[0])
     odometry = odometry_of(recording)
+    before = memory.begin()
     estimator = request.estimator(request.options)
     seconds = -time.perf_counter()
     estimator.start(setup, rng)
@@ -98,7 +101,8 @@ def answers(recording: Recording, request: Request, rng: np.random.Generator) ->
     calibration = getattr(estimator, "calibration", None)
     columns |= plain_calibration(calibration()) if callable(calibration) else {}
     remarks = getattr(estimator, "remarks", None)
-    yield Answer(seconds, columns, plain_remarks(remarks()) if callable(remarks) else ())
+    said = plain_remarks(remarks()) if callable(remarks) else ()
+    yield Answer(seconds, columns, said, memory.grown_mb(before))
 
 
 def collected(
@@ -131,4 +135,5 @@ def collected(
         calibration=calibration_of(last.columns),
         remarks=tuple(last.remarks),
         estimate_seconds=last.seconds,
+        peak_memory_mb=last.peak_memory_mb,
     )

@@ -174,10 +174,12 @@ class _Guest:
 def _answers(replies: Replies) -> Iterator[Answer]:
     begin = time.perf_counter()
     for header, columns in replies:
-        seconds = header.get("seconds")
+        seconds, peak_memory_mb = header.get("seconds"), header.get("peak_memory_mb")
         if not (isinstance(seconds, float) and 0.0 < seconds <= time.perf_counter() - begin + POLL_S):
             raise LostError(f"{PROCESS} sent a time that cannot be")
-        yield Answer(seconds, columns, plain_remarks(header.get("remarks", [])))
+        if not (isinstance(peak_memory_mb, float) and not peak_memory_mb < 0.0):
+            raise LostError(f"{PROCESS} sent a size of memory that cannot be")
+        yield Answer(seconds, columns, plain_remarks(header.get("remarks", [])), peak_memory_mb)
 
 
 def _write(pipe: int, message: Any) -> None:
