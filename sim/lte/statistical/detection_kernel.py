@@ -19,7 +19,7 @@ from cellslam.sim.frames_kernel import wrap
 from cellslam.sim.lte.budget_kernel import link_powers
 from cellslam.sim.lte.persisting_errors_kernel import Fields, write_attitude, write_persisting
 from cellslam.sim.lte.single_path_bound import AZIMUTH_EXPONENT
-from cellslam.sim.lte.statistical.clutter_kernel import noise_clutter, structured_clutter, trailing
+from cellslam.sim.lte.statistical.clutter_kernel import noise_clutter, standing_clutter, structured_clutter, trailing
 from cellslam.sim.lte.statistical.detector_layout import (
     AZIMUTH,
     COLUMNS,
@@ -196,11 +196,11 @@ def _emit(
 @njit(cache=True)
 def measure_block(
     first_snapshot: int, poses: Array, paths: PathColumns, offsets: Array, links: LinkTable, model: Model,
-    fields: Fields, streams: Streams,
+    fields: Fields, streams: Streams, place: np.uint64,
 ) -> Array:  # fmt: skip
     """Return the measurements (M, COLUMNS) of `poses` (T, 6), numbered from `first_snapshot`; m and rad.
 
-    `paths` of all (snapshot, site); clock `offsets` (S,) in m.
+    `paths` of all (snapshot, site); clock `offsets` (S,) in m; `place`: key of what stands still.
     """
     rows = paths.rows
     sites, count_links = len(offsets), len(links.site)
@@ -211,7 +211,7 @@ def measure_block(
     power = np.empty((count_links, widest))
     cell_power = np.empty(len(links.cell_site))
     gamma, work = np.empty(widest), np.empty((widest, WIDTH))
-    most = widest + (widest + 1) * MOST_CLUTTER
+    most = widest + (2 * widest + 1) * MOST_CLUTTER
     buffer, order = np.empty((most, COLUMNS)), np.empty(most, np.int64)
     out, used = np.empty((max(256, 4 * len(paths.vt_m)), COLUMNS)), 0
     for t in range(len(poses)):
@@ -240,6 +240,11 @@ def measure_block(
             )  # fmt: skip
             for i in range(n):
                 count += structured_clutter(i, n, geo[site], gamma, model, streams.clutter, buffer[count:])
+                if model.standing.share > 0.0:
+                    count += standing_clutter(
+                        i, n, geo[site], gamma, poses[t], paths.vt_m[first + i], links.port[link], place, model,
+                        streams.clutter, buffer[count:],
+                    )  # fmt: skip
             count += noise_clutter(model, streams.clutter, buffer[count:])
             if used + count > len(out):
                 larger = np.empty((2 * (used + count), COLUMNS))

@@ -69,6 +69,21 @@ class Streams(NamedTuple):
         return Streams(*rng.spawn(3))
 
 
+class Standing(NamedTuple):
+    """Clutter that stands still: its `share` of all; the side of the squares of ground within which the scatterers
+    behind a path are the same (`life_m`), and of those within which a port sees the same of them (`fading_m`); the
+    share of these in which it sees a scatterer (`lit`), and with which chance it is then reported (`reported`).
+    `missed`: share of paths whose detection is drawn for such a square, not for each snapshot.
+    """
+
+    share: float
+    life_m: float
+    fading_m: float
+    lit: float
+    reported: float
+    missed: float
+
+
 class Model(NamedTuple):
     """The radio configuration in linear units; scales as in `BoundScales`, floors are standard deviations, of all
     causes and of the white ones.
@@ -78,7 +93,7 @@ class Model(NamedTuple):
     stronger path's diffuse energy adds in the same direction and in all, per integrated SNR; `sidelobes`: share of it
     that spreads over `sidelobe_m` of delay. `company`: how many times as much clutter there is around a path among
     others as around a lone one. Clutter around a path over nodes (G,) of its integrated SNR: mean number (G,), points
-    (G, N, 4): later (m), beside and above (rad), SNR (dB).
+    (G, N, 4): later (m), beside and above (rad), SNR (dB). `standing`: share of it that stands still.
     """
 
     eirp: float
@@ -114,3 +129,4 @@ class Model(NamedTuple):
     company: float
     clutter_mean: Array
     clutter_points: Array
+    standing: Standing
