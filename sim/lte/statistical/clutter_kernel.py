@@ -57,8 +57,8 @@ def trailing(a: Array, b: Array, model: Model) -> float:
 
 @njit(cache=True)
 def expected_clutter(gamma: float, paths: int, model: Model) -> tuple[float, int, float]:
-    """Return how many measurements around a path of integrated SNR `gamma`, one of `paths`, come from elsewhere; the node
-    below it and how far it is to the next.
+    """Return the mean clutter around one of `paths` of integrated SNR `gamma`, the node below that, and how far it is
+    on the way to the next.
     """
     nodes = len(model.clutter_mean)
     at = (10.0 * math.log10(max(gamma, 1e-9)) - GAMMA_START_DB) / GAMMA_STEP_DB
@@ -110,15 +110,15 @@ def structured_clutter(path: int, paths: int, geo: Array, gamma: Array, model: M
 
 @njit(cache=True)
 def standing_clutter(
-    path: int, paths: int, geo: Array, gamma: Array, pose: Array, vt: Array, port: int, place: np.uint64, model: Model,
-    clutter: Any, out: Array,
+    path: int, paths: int, geo: Array, gamma: Array, pose: Array, vt: Array, port: int, model: Model, clutter: Any,
+    out: Array,
 ) -> int:  # fmt: skip
-    """Draw what is reported around one path besides it of scatterers that stand still, as virtual transmitters: the same
-    in a square of ground for all links; which of them a port sees changes over less way.
+    """Draw what is reported around one path besides it where that stands still: virtual transmitters, the same for all
+    links in a square of ground. Which of them a port sees changes over less way.
     """
     standing = model.standing
     mean, low, part = expected_clutter(gamma[path], paths, model)
-    source = key_of_place(place, vt)
+    source = key_of_place(standing.world, vt)
     square = square_of(source, pose, standing.life_m)
     centre, seen, toward, scatterer = np.zeros(6), np.empty(3), np.empty(3), np.empty(3)
     write_centre(source, pose, standing.life_m, centre)

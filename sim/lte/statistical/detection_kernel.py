@@ -40,6 +40,7 @@ from cellslam.sim.lte.statistical.detector_layout import (
     LinkTable,
     Model,
     PathColumns,
+    Standing,
     Streams,
 )
 from cellslam.sim.lte.statistical.measurement_kernel import (
@@ -49,11 +50,14 @@ from cellslam.sim.lte.statistical.measurement_kernel import (
     write_std,
     write_white_std,
 )
+from cellslam.sim.lte.statistical.place_draws_kernel import joined, key_of_place, square_of, uniform
 
 # Columns of the work space of one link: paths by strength; then of each path the share that no stronger one's tangent
 # space captures, the stronger path that captures most, its SNR as a share of that over noise alone (0: a ghost),
 # whether it is detected, and by how much (3) and with what power undetected neighbours change it.
 ORDER, LEFTOVER, NEAREST, CLEAR, DETECTED, SHIFT, ADDED, WIDTH = 0, 1, 2, 3, 4, 5, 8, 9
+# Numbers under which a square's draws for detection are drawn of its key: kind and draw.
+KIND_OF_MISS, MISS = -1, -2
 
 
 @njit(cache=True)
@@ -102,7 +106,23 @@ def _overlap(n: int, geo: Array, gamma: Array, model: Model, work: Array) -> Non
 
 
 @njit(cache=True)
-def _draw_detections(n: int, geo: Array, gamma: Array, model: Model, detection: Any, work: Array) -> None:
+def _detection_draw(pose: Array, vt: Array, port: int, standing: Standing, detection: Any) -> float:
+    """Return the uniform draw that decides whether a path is detected: a new one, or that of a square of ground."""
+    draw: float = detection.random()
+    source = key_of_place(standing.world, vt)
+    square = square_of(source, pose, standing.missed_life_m)
+    kind = uniform(square, KIND_OF_MISS)
+    if kind < standing.missed_life:
+        return uniform(square, MISS)
+    if kind < standing.missed_life + standing.missed_fading:
+        return uniform(joined(square_of(source, pose, standing.fading_m), port), MISS)
+    return draw
+
+
+@njit(cache=True)
+def _draw_detections(
+    n: int, geo: Array, gamma: Array, model: Model, pose: Array, vt: Array, port: int, detection: Any, work: Array
+) -> None:
     """Draw which paths are detected, each with its detection probability, into `work`."""
     for i in range(n):
         clear = work[i, CLEAR]
@@ -110,7 +130,8 @@ def _draw_detections(n: int, geo: Array, gamma: Array, model: Model, detection: 
         seen = gamma[i] * work[i, LEFTOVER] * clear
         chance = detection_probability(seen, crowded, model) * model.detection_scale
         inside = model.window_min <= geo[i, 0] <= model.window_max
-        found = detection.random() < chance and inside and clear > 0.0
+        draw = _detection_draw(pose, vt[i], port, model.standing, detection)
+        found = draw < chance and inside and clear > 0.0
         work[i, DETECTED] = 1.0 if found or model.perfect else 0.0
         if model.perfect:
             work[i, LEFTOVER] = 1.0
@@ -141,7 +162,7 @@ def _detect_paths(
     """Draw the measurements of one link's n true paths into `out`; return how many."""
     _sort_by_strength(n, gamma, work)
     _overlap(n, geo, gamma, model, work)
-    _draw_detections(n, geo, gamma, model, streams.detection, work)
+    _draw_detections(n, geo, gamma, model, pose, vt, port, streams.detection, work)
     _merge(n, geo, gamma, work)
     count, noise = 0, streams.noise
     white, slow = np.empty(3), np.empty(3)
@@ -196,11 +217,11 @@ def _emit(
 @njit(cache=True)
 def measure_block(
     first_snapshot: int, poses: Array, paths: PathColumns, offsets: Array, links: LinkTable, model: Model,
-    fields: Fields, streams: Streams, place: np.uint64,
+    fields: Fields, streams: Streams,
 ) -> Array:  # fmt: skip
     """Return the measurements (M, COLUMNS) of `poses` (T, 6), numbered from `first_snapshot`; m and rad.
 
-    `paths` of all (snapshot, site); clock `offsets` (S,) in m; `place`: key of what stands still.
+    `paths` of all (snapshot, site); clock `offsets` (S,) in m.
     """
     rows = paths.rows
     sites, count_links = len(offsets), len(links.site)
@@ -242,7 +263,7 @@ def measure_block(
                 count += structured_clutter(i, n, geo[site], gamma, model, streams.clutter, buffer[count:])
                 if model.standing.share > 0.0:
                     count += standing_clutter(
-                        i, n, geo[site], gamma, poses[t], paths.vt_m[first + i], links.port[link], place, model,
+                        i, n, geo[site], gamma, poses[t], paths.vt_m[first + i], links.port[link], model,
                         streams.clutter, buffer[count:],
                     )  # fmt: skip
             count += noise_clutter(model, streams.clutter, buffer[count:])

@@ -79,7 +79,7 @@ def model_of(config: RadioConfig, s: Statistics) -> k.Model:
         sidelobe_m=s.sidelobe_m,
         company=s.company_at(config.specular_to_diffuse_db),
         clutter_mean=clutter.mean * config.clutter_scale, clutter_points=clutter.points,
-        standing=s.standing if config.persisting_clutter else s.standing._replace(share=0.0, missed=0.0),
+        standing=s.standing if config.persisting_clutter else k.NOTHING_STANDS,
     )  # fmt: skip
 
 
@@ -97,7 +97,9 @@ def detect(
 
     sites, links = len(offsets_m), link_table(cells)
     s = constants or statistics()
-    model, place = model_of(config, s), streams.clutter.bit_generator.seed_seq.generate_state(1, np.uint64)[0]
+    world = streams.clutter.bit_generator.seed_seq.generate_state(1, np.uint64)[0]
+    model = model_of(config, s)
+    model = model._replace(standing=model.standing._replace(world=world))
     out = [np.empty((0, k.COLUMNS))]
     with progress("measuring", len(poses)) as advance:
         for start in range(0, len(poses), BLOCK):
@@ -107,7 +109,7 @@ def detect(
             own = PathColumns(rows - low, paths.vt_m[low:high], paths.gain[low:high], paths.departure_rad[low:high])
             block = measure_block(
                 first_snapshot + start, np.ascontiguousarray(part, np.float64), own, np.asarray(offsets_m, np.float64),
-                links, model, fields, streams, place,
+                links, model, fields, streams,
             )  # fmt: skip
             block[:, k.PATH] += np.where(block[:, k.PATH] >= 0, low, 0)
             out.append(block)
