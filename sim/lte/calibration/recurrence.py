@@ -32,7 +32,7 @@ from cellslam.sim.recording import Floats
 
 RATIO_DB = 6.0
 # Ways from the first snapshot; two more are at its place: whether both repeat it tells seldom from often.
-SHIFTS_M = (0.0, 0.0, 0.1, 0.3, 1.0, 4.0, 12.0)
+SHIFTS_M = (0.0, 0.0, 0.1, 0.3, 1.0, 4.0, 10.0, 25.0)
 LINKS, PORTS, ACROSS_M = 6, 2, 20.0
 DRAWS, REPEATS = 200, 8  # of the statistical front end, which is cheap: for the chance of each path, of each scene
 LONGEST_M = 60.0  # what lasts longer cannot be told from what lasts for as long
@@ -98,7 +98,7 @@ def seen_by_signals(ratio_db: float, scenes: list[Scene], rng: np.random.Generat
 def seen_by_statistics(
     ratio_db: float, scenes: list[Scene], rng: np.random.Generator, constants: Statistics, persisting: bool
 ) -> list[list[Floats]]:
-    """Return what the statistical front end reports of each scene, REPEATS times over."""
+    """Return what the statistical front end reports (M, COLUMNS), m, rad, dB, of each scene, REPEATS times over."""
     keys = {"front_end": "statistical", "persisting_clutter": persisting}
     config = config_of_scenes(ratio_db).model_copy(update=keys)
     return [[_drawn(config, scene, scene.poses, rng, constants) for scene in scenes] for _ in range(REPEATS)]
@@ -181,8 +181,8 @@ def _found(table: Floats, snapshots: int, paths: int) -> Floats:
 
 
 def same_square(way: Floats) -> Floats:
-    """Return the probability that two places, `way` sides of a square apart in any direction, lie in one square; those
-    more than a side apart, which only a diagonal holds, count as 0.
+    """Return the probability (S,) that two places lie in one square, being `way` (S,) of its sides apart in any
+    direction; those more than a side apart, which only a diagonal holds, count as 0.
     """
     return np.asarray(np.where(way < 1.0, 1.0 - (4.0 * way - way * way) / np.pi, 0.0), np.float64)
 
@@ -243,9 +243,9 @@ def _both(
     ratio_db: float, count: int, rng: np.random.Generator, constants: Statistics, persisting: bool, progress: Progress
 ) -> tuple[Recurrence, Recurrence]:
     """Return the recurrence at signal level and in the statistical front end, in the same scenes."""
-    scenes = [draw_scene(rng, ratio_db) for _ in range(count)]
+    scenes, draws = [draw_scene(rng, ratio_db) for _ in range(count)], rng.spawn(1)[0]
     signals = seen_by_signals(ratio_db, scenes, rng, progress)
-    chance = chances(ratio_db, scenes, rng, constants)
-    drawn = seen_by_statistics(ratio_db, scenes, rng, constants, persisting)
+    chance = chances(ratio_db, scenes, draws, constants)
+    drawn = seen_by_statistics(ratio_db, scenes, draws, constants, persisting)
     several = recurrence(scenes * REPEATS, [table for tables in drawn for table in tables], chance * REPEATS)
     return recurrence(scenes, signals, chance), several

@@ -31,7 +31,7 @@ def drive(places: Floats, standing: Standing, seed: int = 1, ports: int = 1, **k
     poses = np.zeros((count, 6))
     poses[:, :2] = places
     paths = PathColumns(
-        np.arange(count + 1), np.tile([4000.0, 5000.0, 0.0], (count, 1)),
+        np.arange(count + 1), np.tile([800.0, 900.0, 0.0], (count, 1)),
         np.tile(amplitude * np.eye(2, dtype=np.complex128), (count, 1, 1)), np.zeros((count, 2)),
     )  # fmt: skip
     fields = draw_fields(config, 0.075, np.random.default_rng(seed))
