@@ -36,7 +36,7 @@ SHIFTS_M = (0.0, 0.0, 0.1, 0.3, 1.0, 4.0, 10.0, 25.0)
 LINKS, PORTS, ACROSS_M = 6, 2, 20.0
 DRAWS, REPEATS = 200, 8  # of the statistical front end, which is cheap: for the chance of each path, of each scene
 LONGEST_M = 60.0  # what lasts longer cannot be told from what lasts for as long
-CLUTTER_LIMIT, MISSES_LIMIT = 0.06, 0.2  # of the check, for shares and correlations
+CLUTTER_LIMIT, MISSES_LIMIT = 0.1, 0.2  # of the check, for shares and correlations
 
 
 @dataclass(frozen=True)
