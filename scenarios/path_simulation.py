@@ -8,12 +8,12 @@ import numpy as np
 
 from cellslam.scenarios.scenario import Scenario
 from cellslam.sim.errors import InputError
-from cellslam.sim.frames import mean_velocity
+from cellslam.sim.frames import held, mean_velocity
 from cellslam.sim.progress import Progress, silent
 from cellslam.sim.randomness import Stream, stream
 from cellslam.sim.rays.exchange import Traced
 from cellslam.sim.recording import Floats, Recording
-from cellslam.sim.vehicle import Drive, measure_odometry
+from cellslam.sim.vehicle import Drive, measure_odometry, with_faults
 
 FASTEST_MPS = 70.0
 HEADING_OVER_M = 0.1
@@ -37,8 +37,9 @@ def simulate_paths(
     driven = drive_through(traced.receivers_m, config.vehicle.snapshot_interval_s)
     reception = draw_reception(config, seed, trial, traced.transmitters_m, driven)
     odometry = measure_odometry(driven, config.odometry, stream(seed, trial, Stream.ODOMETRY))
+    odometry = with_faults(odometry, driven.time_s, config.odometry, stream(seed, trial, Stream.SENSORS))
     streams = reception.streams()
-    found = reception.detect(traced.paths, driven.poses, driven.velocity, odometry.velocity, streams, progress=progress)
+    found = reception.detect(traced.paths, driven.poses, driven.velocity, held(odometry.velocity), streams, progress=progress)
     recording = recorded(reception, odometry, found, traced.paths)
     return replace(recording, provenance={"description": f"paths of {name}", **recording.provenance})
 

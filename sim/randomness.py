@@ -25,6 +25,9 @@ class Stream(IntEnum):
     SITES = 8
     VEHICLE = 9
     RECEIVER = 10
+    CLOCKS = 11
+    SENSORS = 12
+    REPORTS = 13
 
 
 def stream(seed: int, trial: int, name: Stream) -> np.random.Generator:

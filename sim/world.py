@@ -15,7 +15,8 @@ import numpy as np
 from pydantic import BaseModel, ConfigDict, Field
 
 from cellslam.sim.city.city_config import CityConfig
-from cellslam.sim.frames import SPEED_OF_LIGHT_MPS
+from cellslam.sim.clocks import ClockErrors, draw_clock_errors, walk_densities
+from cellslam.sim.frames import SPEED_OF_LIGHT_MPS, held
 from cellslam.sim.lte.radio_config import RadioConfig
 from cellslam.sim.progress import Progress, silent
 from cellslam.sim.randomness import Stream, stream
@@ -26,6 +27,7 @@ from cellslam.sim.vehicle.vehicle_config import OdometryConfig, VehicleConfig
 if TYPE_CHECKING:
     from cellslam.sim.lte.links import Cells
     from cellslam.sim.lte.persisting_errors_kernel import Fields
+    from cellslam.sim.lte.reports import Reports
     from cellslam.sim.lte.signal.signal_front_end import SignalLevel
     from cellslam.sim.lte.statistical.detector_layout import PathColumns, Streams
     from cellslam.sim.lte.statistical.statistical_front_end import Detections
@@ -51,8 +53,8 @@ class WorldConfig(BaseModel):
 @dataclass(frozen=True)
 class Reception:
     """One trial's drive, sites and receiver, without the world that the paths come from. `sites_m` (S, 3);
-    `offsets_m` (S,) are the true clock offsets at the first snapshot, `drift_m_s` (S,) their rates; `fields` the
-    receiver's errors that persist; `signals` is what radio.front_end = "signal" measures with.
+    `offsets_m` (S,) are the true clock offsets at the first snapshot, `drift_m_s` (S,) their rates,
+    `clock_errors` what else they do; `fields` the receiver's errors that persist; `signals` is what radio.front_end = "signal" measures with.
     """
 
     config: WorldConfig
@@ -63,6 +65,7 @@ class Reception:
     drive: Drive
     offsets_m: Floats
     drift_m_s: Floats
+    clock_errors: ClockErrors | None
     start_pose: Floats
     fields: Fields
     signals: SignalLevel | None
@@ -97,13 +100,16 @@ class Reception:
     def _drifted(self, found: Detections) -> Detections:
         """Return detections with what the sites' clocks have drifted since the first snapshot: the receiver's window
         follows."""
-        if not self.drift_m_s.any():
+        if not self.drift_m_s.any() and self.clock_errors is None:
             return found
         from cellslam.sim.lte.links import links_of
 
         m = found.measurements
-        elapsed_s = m.snapshot * self.config.vehicle.snapshot_interval_s
-        drifted = m.distance_m + self.drift_m_s[links_of(self.cells).site[m.link]] * elapsed_s
+        elapsed_s, site = m.snapshot * self.config.vehicle.snapshot_interval_s, links_of(self.cells).site[m.link]
+        drifted = m.distance_m + self.drift_m_s[site] * elapsed_s
+        if self.clock_errors is not None:
+            wander_m = self.clock_errors.wander_m
+            drifted += wander_m[np.minimum(m.snapshot, len(wander_m) - 1), site]
         return replace(found, measurements=replace(m, distance_m=drifted))
 
 
@@ -145,16 +151,22 @@ class World(Reception):
         return self.detect(paths, poses, velocities, known, rng, snapshot), paths
 
     def measure_drive(
-        self, rng: Streams, progress: Progress = silent, odometry: Floats | None = None
+        self, rng: Streams, progress: Progress = silent, odometry: Floats | None = None, late_s: Floats | None = None
     ) -> tuple[Detections, Paths]:
         """Return all detections of the trial's drive, and its paths, receiver t being snapshot t.
 
-        `odometry` (T, 6): measured body velocities, with which the receiver undoes Doppler (None: the truth).
+        `odometry` (T, 6): measured body velocities, with which the receiver undoes Doppler (None: the truth);
+        `late_s` (T,): how long before its snapshot each was measured (None: in time).
         """
-        paths, velocities = self.trace(self.drive.poses, progress), self.drive.velocity
+        from cellslam.sim.lte.reports import poses_before
+
+        poses = self.drive.poses
+        if late_s is not None:
+            poses = poses_before(poses, self.drive.time_s, late_s)
+        paths, velocities = self.trace(poses, progress), self.drive.velocity
         known = velocities if odometry is None else odometry
         key = f"{self.config.model_dump_json()} {self.seed} {self.trial}"
-        return self.detect(paths, self.drive.poses, velocities, known, rng, 0, progress, key), paths
+        return self.detect(paths, poses, velocities, known, rng, 0, progress, key), paths
 
 
 def prepare(config: WorldConfig, seed: int, trial: int, progress: Progress = silent) -> World:
@@ -189,34 +201,46 @@ def draw_reception(config: WorldConfig, seed: int, trial: int, sites_m: Floats, 
     start = driven.poses[0] + np.array(config.vehicle.start_std) * rng.standard_normal(6)
     drift_m_s = SPEED_OF_LIGHT_MPS * config.radio.clock_drift * rng.standard_normal(len(config.sites))
     receiver_rng = stream(seed, trial, Stream.RECEIVER)
+    clock_errors = draw_clock_errors(
+        config.radio, driven.time_s - driven.time_s[0], len(config.sites), stream(seed, trial, Stream.CLOCKS)
+    )
     fields = draw_fields(config.radio, config.vehicle.snapshot_interval_s, receiver_rng)
     signals = None
     if config.radio.front_end == "signal":
         from cellslam.sim.lte.signal.signal_front_end import signal_level
 
         signals = signal_level(config.radio, cells, offsets_m, fields, receiver_rng)
-    return Reception(config, seed, trial, sites_m, cells, driven, offsets_m, drift_m_s, start, fields, signals)
+    return Reception(config, seed, trial, sites_m, cells, driven, offsets_m, drift_m_s, clock_errors, start, fields, signals)
 
 
 def simulate(config: WorldConfig, seed: int, trial: int, progress: Progress = silent) -> Recording:
     """Return the recording of trial `trial` of root seed `seed`, truth included. Same arguments, same
     recording.
     """
-    from cellslam.sim.vehicle import measure_odometry
+    from cellslam.sim.lte.reports import draw_reports
+    from cellslam.sim.vehicle import measure_odometry, with_faults
 
     world = prepare(config, seed, trial, progress)
+    time_s = world.drive.time_s
     odometry = measure_odometry(world.drive, config.odometry, stream(seed, trial, Stream.ODOMETRY))
-    detections, paths = world.measure_drive(world.streams(), progress, odometry.velocity)
-    return recorded(world, odometry, detections, paths)
+    odometry = with_faults(odometry, time_s, config.odometry, stream(seed, trial, Stream.SENSORS))
+    reports = draw_reports(config.radio, len(time_s), stream(seed, trial, Stream.REPORTS))
+    late_s = None if reports is None else reports.late_s
+    detections, paths = world.measure_drive(world.streams(), progress, held(odometry.velocity), late_s)
+    return recorded(world, odometry, detections, paths, reports)
 
 
-def recorded(world: Reception, odometry: Odometry, detections: Detections, paths: Paths) -> Recording:
-    """Return the recording of a drive, truth included."""
+def recorded(
+    world: Reception, odometry: Odometry, detections: Detections, paths: Paths, reports: Reports | None = None
+) -> Recording:
+    """Return the recording of a drive, truth included; `reports`: how its snapshots came (None: in time, and once)."""
     from cellslam.sim.lte.links import links_of
     from cellslam.sim.lte.persisting_errors import persisting_std
 
     config = world.config
     vts, path_vt = virtual_transmitters(paths)
+    if reports is not None:
+        detections = _as_reported(detections, reports)
     measurement_vt = np.where(detections.path >= 0, path_vt[detections.path] if len(path_vt) else -1, -1)
     truth = Truth(
         poses=world.drive.poses,
@@ -229,6 +253,10 @@ def recorded(world: Reception, odometry: Odometry, detections: Detections, paths
         odometry_bias=odometry.bias,
         odometry_scale=odometry.scale,
         persisting_std=np.where(np.isnan(detections.true_std), np.nan, persisting_std(config.radio)),
+        clock_wander_m=None if world.clock_errors is None else world.clock_errors.wander_m,
+        clock_steps=None if world.clock_errors is None else world.clock_errors.steps,
+        odometry_slip=odometry.slip,
+        age_s=None if reports is None else reports.age_s(world.drive.time_s),
     )
     return Recording(
         time_s=world.drive.time_s,
@@ -244,12 +272,24 @@ def recorded(world: Reception, odometry: Odometry, detections: Detections, paths
     )
 
 
+def _as_reported(found: Detections, reports: Reports) -> Detections:
+    """Return detections in which some snapshots have another one's once more."""
+    from cellslam.sim.lte.reports import rows_of
+
+    rows, snapshot = rows_of(found.measurements.snapshot, reports.source)
+    columns = {name: None if c is None else c[rows] for name, c in vars(found.measurements).items()}
+    measurements = replace(found.measurements, **{**columns, "snapshot": snapshot})
+    return replace(found, measurements=measurements, path=found.path[rows], true_std=found.true_std[rows])
+
+
 def sites_of(config: WorldConfig) -> Sites:
     """Return what is known of the sites beforehand."""
     count = len(config.sites)
     drift = np.full(count, SPEED_OF_LIGHT_MPS * config.radio.clock_drift) if config.radio.clock_drift > 0.0 else None
-    offset = np.full(count, config.radio.clock_offset_std_m)
-    return Sites(tuple(site.name for site in config.sites), np.zeros(count), offset, drift)
+    offset, walks = np.full(count, config.radio.clock_offset_std_m), (None, None)
+    if config.radio.clock_oscillator != "ideal":
+        walks = tuple(np.full(count, density) for density in walk_densities(config.radio.clock_oscillator))
+    return Sites(tuple(site.name for site in config.sites), np.zeros(count), offset, drift, None, *walks)
 
 
 def provenance(config: WorldConfig, seed: int, trial: int) -> dict[str, Any]:

@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cellslam.sim.described import Described
+from cellslam.sim.frames import held
 from cellslam.sim.recording import Floats, Ints, Links, OdometryModel, Recording, Sites, Truth
 
 
@@ -127,12 +128,7 @@ def odometry_of(recording: Recording) -> Floats:
     A component that was never measured is zero (its data sheet then says how the vehicle moves that way); in a gap the
     last measured value holds.
     """
-    out = recording.odometry.copy()
-    for index in np.flatnonzero(np.isnan(out).any(axis=0)):
-        column = out[:, index]
-        known = ~np.isnan(column)
-        last = np.maximum.accumulate(np.where(known, np.arange(len(column)), 0))
-        column[:] = np.nan_to_num(column[last])
+    out = held(recording.odometry)
     out.setflags(write=False)
     return out
 

@@ -7,6 +7,7 @@
 from cellslam.sim.recording.contract import Recording
 from cellslam.sim.recording.hdf5_layout import COMPONENTS, SCHEMA_VERSION
 from cellslam.sim.recording.tables import (
+    ClockSteps,
     Floats,
     Ints,
     Links,
@@ -20,6 +21,7 @@ from cellslam.sim.recording.tables import (
 
 __all__ = [
     "COMPONENTS",
+    "ClockSteps",
     "SCHEMA_VERSION",
     "Floats",
     "Ints",

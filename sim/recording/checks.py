@@ -60,6 +60,12 @@ def _check_links(r: RecordingData) -> None:
         _shape("sites.clock_drift_std_m_s", r.sites.clock_drift_std_m_s, (len(r.sites),))
         _require(r.sites.clock_drift_std_m_s >= 0, "sites.clock_drift_std_m_s", "is negative")
         _finite("sites.clock_drift_std_m_s", r.sites.clock_drift_std_m_s)
+    for name in ("clock_walk_m_sqrt_s", "clock_drift_walk_m_s_sqrt_s"):
+        column = getattr(r.sites, name)
+        if column is not None:
+            _shape(f"sites.{name}", column, (len(r.sites),))
+            _require(column >= 0, f"sites.{name}", "is negative")
+            _finite(f"sites.{name}", column)
     if r.sites.position_m is not None:
         _shape("sites.position_m", r.sites.position_m, (len(r.sites), 3))
     _require(
@@ -136,6 +142,19 @@ def _check_truth(truth: Truth, r: RecordingData) -> None:
     _shape("truth.clock_offsets_m", truth.clock_offsets_m, (len(r.sites),))
     if truth.clock_drift_m_s is not None:
         _shape("truth.clock_drift_m_s", truth.clock_drift_m_s, (len(r.sites),))
+    if truth.clock_wander_m is not None:
+        _shape("truth.clock_wander_m", truth.clock_wander_m, (len(r.time_s), len(r.sites)))
+        _finite("truth.clock_wander_m", truth.clock_wander_m)
+    for name in ("odometry_slip", "age_s"):
+        column = getattr(truth, name)
+        if column is not None:
+            _shape(f"truth.{name}", column, (len(r.time_s),))
+    if truth.clock_steps is not None:
+        steps = truth.clock_steps
+        _require(
+            (steps.site >= 0) & (steps.site < len(r.sites)), "truth.clock_steps.site",
+            f"is not one of the {len(r.sites)} sites",
+        )  # fmt: skip
     _require(
         (truth.measurement_vt >= -1) & (truth.measurement_vt < vts),
         "truth.measurement_vt",

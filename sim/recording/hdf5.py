@@ -20,6 +20,7 @@ from cellslam.sim.errors import InputError, nearest_name
 from cellslam.sim.recording import damage
 from cellslam.sim.recording.hdf5_layout import COLUMNS, FORMAT, SCHEMA_VERSION, TABLES_THAT_MAY_MISS, Column
 from cellslam.sim.recording.tables import (
+    ClockSteps,
     Links,
     Measurements,
     OdometryModel,
@@ -163,8 +164,8 @@ def _check_names(file: h5py.File) -> None:
         if not is_group and path not in known:
             raise InputError(f"unknown column '{path}'{nearest_name(path, known)}")
     for column in COLUMNS:
-        whole = column.path.partition("/")[0]
-        if column.optional or (whole in TABLES_THAT_MAY_MISS and whole not in file):
+        missing = any(column.path.startswith(f"{t}/") and t not in file for t in TABLES_THAT_MAY_MISS)
+        if column.optional or missing:
             continue
         table = column.table
         if table and table not in file:
@@ -238,7 +239,8 @@ def _recording(values: dict[str, Any], make: type[Kind]) -> Kind:
 
     truth = None
     if "truth/poses" in values:
-        truth = Truth(**table("truth"), vts=VirtualTransmitters(**table("truth/vts")))
+        steps = ClockSteps(**table("truth/clock_steps")) if "truth/clock_steps/site" in values else None
+        truth = Truth(**table("truth"), vts=VirtualTransmitters(**table("truth/vts")), clock_steps=steps)
     reference = Reference(**table("reference")) if "reference/time_s" in values else None
     sites = table("sites")
     return make(

@@ -17,7 +17,8 @@ _RATE_UNIT = "m/s, m/s, m/s, rad/s, rad/s, rad/s"
 class Column:
     """One dataset: its path in the file (with dots: in Recording), shape in symbols, unit, kind of value.
 
-    Symbols: T snapshots, L links, S sites, M measurements, V virtual transmitters, I visible intervals, R fixes.
+    Symbols: T snapshots, L links, S sites, M measurements, V virtual transmitters, I visible intervals, R fixes,
+    K steps of clocks.
     `optional`: may be left out; `absent`: may be left out if its table's attribute `absent` says so.
     """
 
@@ -55,6 +56,8 @@ COLUMNS = (
     Column("sites/clock_offset_mean_m", ("S",), "m"),
     Column("sites/clock_offset_std_m", ("S",), "m"),
     Column("sites/clock_drift_std_m_s", ("S",), "m/s", optional=True),
+    Column("sites/clock_walk_m_sqrt_s", ("S",), "m/sqrt(s)", optional=True),
+    Column("sites/clock_drift_walk_m_s_sqrt_s", ("S",), "m/s/sqrt(s)", optional=True),
     Column("sites/position_m", ("S", 3), "m", labels=("x", "y", "z"), optional=True),
     Column("measurements/snapshot", ("M",), kind="int"),
     Column("measurements/link", ("M",), kind="int"),
@@ -81,12 +84,18 @@ COLUMNS = (
     Column("truth/site_positions_m", ("S", 3), "m", labels=("x", "y", "z")),
     Column("truth/clock_offsets_m", ("S",), "m"),
     Column("truth/clock_drift_m_s", ("S",), "m/s", optional=True),
+    Column("truth/clock_wander_m", ("T", "S"), "m", optional=True),
+    Column("truth/clock_steps/site", ("K",), kind="int"),
+    Column("truth/clock_steps/time_s", ("K",), "s"),
+    Column("truth/clock_steps/size_m", ("K",), "m"),
     Column("truth/odometry_bias", ("T", 6), _RATE_UNIT, labels=COMPONENTS),
     Column("truth/odometry_scale", (6,), labels=COMPONENTS),
+    Column("truth/odometry_slip", ("T",), optional=True),
+    Column("truth/age_s", ("T",), "s", optional=True),
     Column("reference/time_s", ("R",), "s"),
     Column("reference/position_m", ("R", 3), "m", labels=("x", "y", "z")),
     Column("reference/yaw_rad", ("R",), "rad"),
     Column("reference/position_std_m", ("R",), "m"),
 )
 # Tables that a recording may lack as a whole, with all that is in them.
-TABLES_THAT_MAY_MISS = ("truth", "reference")
+TABLES_THAT_MAY_MISS = ("truth", "truth/clock_steps", "reference")
