@@ -39,7 +39,8 @@ class Setup(Described):
 class Snapshot(Described):
     """The measurements of one snapshot, read-only columns (m,), sorted by link; NaN: component not measured.
 
-    `row` is the measurement's row in the recording: oracles look truth up by it, others need not look at it.
+    `odometry_held_s` (6,): where odometry has a gap, for how long each component's last value has been held (None: all
+    are measured, or never were). `row` is the measurement's row in the recording: oracles look truth up by it, others need not look at it.
     """
 
     index: int
@@ -52,6 +53,7 @@ class Snapshot(Described):
     distance_std_m: Floats | None = None
     azimuth_std_rad: Floats | None = None
     elevation_std_rad: Floats | None = None
+    odometry_held_s: Floats | None = None
 
     def __len__(self) -> int:
         return len(self.link)
@@ -143,7 +145,7 @@ def snapshots_of(recording: Recording) -> list[Snapshot]:
     elevation = np.zeros(len(m)) if recording.plane else m.elevation_rad
     columns = (every_row, m.link, m.distance_m, m.azimuth_rad, elevation, m.snr_db)
     claimed = (m.distance_std_m, m.azimuth_std_rad, m.elevation_std_rad)
-    out = []
+    out, held_s = [], _held_s(recording)
     for t in range(len(recording.time_s)):
         part = slice(rows[t], rows[t + 1])
         out.append(
@@ -151,9 +153,19 @@ def snapshots_of(recording: Recording) -> list[Snapshot]:
                 t,
                 *(_frozen(c[part]) for c in columns),
                 *(None if c is None else _frozen(c[part]) for c in claimed),
+                odometry_held_s=_frozen(held_s[t]) if held_s[t].any() else None,
             )
         )
     return out
+
+
+def _held_s(recording: Recording) -> Floats:
+    """Return for how long (T, 6), in s, each component of odometry that is measured at all has not been."""
+    missing = np.isnan(recording.odometry)
+    missing &= ~missing[1:].all(axis=0)
+    row = np.arange(len(missing))[:, None]
+    last = np.maximum.accumulate(np.where(missing, 0, row), axis=0)
+    return np.asarray(recording.time_s[:, None] - recording.time_s[last])
 
 
 def _frozen(array: NDArray[Any]) -> NDArray[Any]:

@@ -69,9 +69,10 @@ def core_of(setup: Setup, errors: ArrayErrors) -> Core:
     scale[scaled] = at + len(biased) + np.arange(len(scaled))
     noise[noisy] = at + len(biased) + len(scaled) + np.arange(len(noisy))
     first = at + len(biased) + len(scaled) + len(noisy)
-    drifts, after = setup.sites.drift_std_m_s > 0.0, first + len(setup.sites)
+    wander = setup.sites.walk_densities
+    drifts, after = (setup.sites.drift_std_m_s > 0.0) | (wander[1] > 0.0), first + len(setup.sites)
     rate = np.where(drifts, after + np.cumsum(drifts) - 1, -1).astype(np.int64)
-    return Core(sway, bias, scale, noise, first, rate, after + int(drifts.sum()))
+    return Core(sway, bias, scale, noise, first, rate, wander, after + int(drifts.sum()))
 
 
 Tables = TypeVar("Tables", Filter, Block)

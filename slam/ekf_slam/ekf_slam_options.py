@@ -32,4 +32,8 @@ class EkfSlamOptions(FrontEndOptions):
     component_step: float = Field(1.25, gt=0, le=3, description="distance of neighbouring components, in their widths")
     resolved_std_m: float = Field(15.0, gt=0, le=1000, description="a clock offset known to this is resolved, m")
     start_limit_s: float = Field(150.0, ge=0, le=1e5, description="the start ends at this time at the latest, s")
+    step_probability: float = Field(
+        1e-6, ge=0, lt=1, description="probability that a site's clock steps within a block; 0: it never does"
+    )
+    step_std_m: float = Field(100.0, gt=0, le=1e4, description="deviation of the size of such a step, m")
     prune_ratio: float = Field(1e-5, gt=0, lt=1, description="components less likely than the best by this are dropped")

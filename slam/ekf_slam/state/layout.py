@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import NamedTuple
 
 from cellslam.sim.compiling import njit
@@ -32,7 +33,7 @@ class Core(NamedTuple):
     offsets (S), rates of those that drift.
 
     `bias`, `scale`, `noise` (6,), `rate` (S,): place of each component's error and of each offset's rate, `sway` (3,),
-    -1 where there is none.
+    -1 where there is none. `wander` (2, S): densities of the walks of offsets and rates, m/sqrt(s), (m/s)/sqrt(s).
     """
 
     sway: Ints
@@ -41,6 +42,7 @@ class Core(NamedTuple):
     noise: Ints
     first_offset: int
     rate: Ints
+    wander: Floats
     size: int
 
     @property
@@ -108,7 +110,7 @@ class Rules(NamedTuple):
     (rad); `evidence`: what share of detections, misses and births counts; `hold`: snapshots after which a weight that
     was not met is given up; `doubt`: what a rival association may lose of log-likelihood. Belief propagation:
     probabilities that a visible VT stays so, that a hidden one comes `back`, of `detection`, and below which a VT is
-    given up, `drop`.
+    given up, `drop`. Clocks: log-probability of a `step` in a block, and the deviation of its size, `step_m` (m).
     """
 
     mode: int
@@ -128,6 +130,8 @@ class Rules(NamedTuple):
     back: float = 0.0
     detection: float = 1.0
     drop: float = 0.0
+    step: float = -math.inf
+    step_m: float = 1.0
 
 
 class Measured(NamedTuple):
