@@ -39,7 +39,9 @@ def simulate_paths(
     odometry = measure_odometry(driven, config.odometry, stream(seed, trial, Stream.ODOMETRY))
     odometry = with_faults(odometry, driven.time_s, config.odometry, stream(seed, trial, Stream.SENSORS))
     streams = reception.streams()
-    found = reception.detect(traced.paths, driven.poses, driven.velocity, held(odometry.velocity), streams, progress=progress)
+    found = reception.detect(
+        traced.paths, driven.poses, driven.velocity, held(odometry.velocity), streams, progress=progress
+    )
     recording = recorded(reception, odometry, found, traced.paths)
     return replace(recording, provenance={"description": f"paths of {name}", **recording.provenance})
 

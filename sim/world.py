@@ -54,7 +54,8 @@ class WorldConfig(BaseModel):
 class Reception:
     """One trial's drive, sites and receiver, without the world that the paths come from. `sites_m` (S, 3);
     `offsets_m` (S,) are the true clock offsets at the first snapshot, `drift_m_s` (S,) their rates,
-    `clock_errors` what else they do; `fields` the receiver's errors that persist; `signals` is what radio.front_end = "signal" measures with.
+    `clock_errors` what else they do; `fields` the receiver's errors that persist; `signals` is what radio.front_end =
+    "signal" measures with.
     """
 
     config: WorldConfig
@@ -210,7 +211,8 @@ def draw_reception(config: WorldConfig, seed: int, trial: int, sites_m: Floats, 
         from cellslam.sim.lte.signal.signal_front_end import signal_level
 
         signals = signal_level(config.radio, cells, offsets_m, fields, receiver_rng)
-    return Reception(config, seed, trial, sites_m, cells, driven, offsets_m, drift_m_s, clock_errors, start, fields, signals)
+    clocks = offsets_m, drift_m_s, clock_errors
+    return Reception(config, seed, trial, sites_m, cells, driven, *clocks, start, fields, signals)
 
 
 def simulate(config: WorldConfig, seed: int, trial: int, progress: Progress = silent) -> Recording:

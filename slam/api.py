@@ -40,7 +40,8 @@ class Snapshot(Described):
     """The measurements of one snapshot, read-only columns (m,), sorted by link; NaN: component not measured.
 
     `odometry_held_s` (6,): where odometry has a gap, for how long each component's last value has been held (None: all
-    are measured, or never were). `row` is the measurement's row in the recording: oracles look truth up by it, others need not look at it.
+    are measured, or never were).
+    `row` is the measurement's row in the recording: oracles look truth up by it, others need not look at it.
     """
 
     index: int

@@ -14,13 +14,17 @@ Flags = NDArray[np.bool_]
 
 class Motion(NamedTuple):
     """Prior variances `start` (core,); `step` (T, 6, core), `noise` (T, 6, 6), `walk` (T, core): the pose's transition,
-    covariance of its noise, variances that the core gains. Row t leads from snapshot t - 1 to t; row 0 is not used.
+    covariance of its noise, variances that the core gains; `rate` (S,): state that says what rate a site's clock has
+    walked to (-1: none), by which its offset grows over `dt_s` (T,). Row t leads from snapshot t - 1 to t; row 0 is not
+    used.
     """
 
     start: Floats
     step: Floats
     noise: Floats
     walk: Floats
+    rate: Ints
+    dt_s: Floats
 
 
 class Looks(NamedTuple):

@@ -112,9 +112,7 @@ class RadioConfig(BaseModel):
     clock_step_times_s: tuple[float, ...] = Field(
         (), description="further steps of every site's clock, at these times since the first snapshot"
     )
-    clock_step_std_m: float = Field(
-        50.0, ge=0.0, le=5000.0, description="standard deviation of the size of a step, m"
-    )
+    clock_step_std_m: float = Field(50.0, ge=0.0, le=5000.0, description="standard deviation of the size of a step, m")
     clock_steps_together: bool = Field(
         False, description="all clocks step at once and alike, as when the receiver's own does"
     )

@@ -21,8 +21,8 @@ from cellslam.sim.recording.tables import (
 
 __all__ = [
     "COMPONENTS",
-    "ClockSteps",
     "SCHEMA_VERSION",
+    "ClockSteps",
     "Floats",
     "Ints",
     "Links",

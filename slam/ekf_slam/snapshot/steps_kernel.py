@@ -5,8 +5,8 @@ still to be corrected after some updates, and H left is what the next innovation
 with and without a step, times the probability of a step in a block, decides. If there is none, the expected ratio is
 one, so that by Markov's inequality the probability of a false alarm is no greater than that probability.
 
-A large step takes all looks out of the gates: then looks that no VT explains, though all would be explained by one shift
-of the distances, are evidence in the same way.
+A large step takes all looks out of the gates: then looks that no VT explains, though all would be explained by one
+shift of the distances, are evidence in the same way.
 
 Source: Willsky and Jones, "A generalized likelihood ratio approach to the detection and estimation of jumps in linear
 systems", IEEE Trans. Automatic Control 21(1), 1976.
@@ -125,4 +125,3 @@ def _likely_shift(f: Filter, a: ArrayErrors, seen: Measured, site: int, s: Sight
             if gain > best and there.paired >= none.paired + AGREE:
                 best, size, variance = gain, i.e.x, i.s.xx
     return size, variance
-
