@@ -260,8 +260,10 @@ def pair_in_bank(
         if interval.dt > 0.0:
             advance(f, block_of(blocks, k), interval, room.step)
         rival.loss[0] = seen.rules.doubt
-        shift_clocks(f, a, seen, room.sight, room.pairs)
         pair(f, a, seen, room.sight, room.pairs, rival)
+        if shift_clocks(f, block_of(blocks, k), a, seen, room.sight, room.pairs):
+            rival.loss[0] = seen.rules.doubt
+            pair(f, a, seen, room.sight, room.pairs, rival)
         pairs.slot_of[k], pairs.exists[k] = room.pairs.slot_of, room.pairs.exists
 
 

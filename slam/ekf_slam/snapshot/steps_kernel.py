@@ -5,8 +5,8 @@ still to be corrected after some updates, and H left is what the next innovation
 with and without a step, times the probability of a step in a block, decides. If there is none, the expected ratio is
 one, so that by Markov's inequality the probability of a false alarm is no greater than that probability.
 
-A large step takes all looks out of the gates: then looks that no VT explains, though all would be explained by one
-shift of the distances, are evidence in the same way.
+A large step takes all looks out of the gates. That one shift of the distances would explain what no confirmed VT does
+is evidence in the same way, at once where several looks agree, in a few snapshots where a site has but one.
 
 Source: Willsky and Jones, "A generalized likelihood ratio approach to the detection and estimation of jumps in linear
 systems", IEEE Trans. Automatic Control 21(1), 1976.
@@ -21,16 +21,19 @@ from cellslam.sim.compiling import lean
 from cellslam.slam.ekf_slam.snapshot.association_kernel import Pairs, associate, difference, expect
 from cellslam.slam.ekf_slam.snapshot.sight_kernel import Sight, rotations_of
 from cellslam.slam.ekf_slam.snapshot.update_kernel import Steps, innovate
-from cellslam.slam.ekf_slam.state.layout import HITS, LINK, ArrayErrors, Filter, Measured, Rules
+from cellslam.slam.ekf_slam.state.layout import HITS, LINK, ArrayErrors, Block, Filter, Measured, Rules
 
-AGREE = 2  # looks that a shift must explain, and that nothing else does
+AGREE = 2  # looks whose agreement on a shift is evidence at once
+ALONE = 3.0  # a look that is alone can give this part of the evidence needed in a snapshot, so that it takes several
 
 
 class Shift(NamedTuple):
-    """What the looks of a site are worth if distances are shifted: `score`, log-likelihood ratio to clutter, and how
-    many are `paired`."""
+    """A shift of a site's distances: `size` (m), its `variance` (m^2); by how much more likely looks are with it,
+    `gain`, and how many more are `paired`."""
 
-    score: float
+    size: float
+    variance: float
+    gain: float
     paired: int
 
 
@@ -65,31 +68,52 @@ def take_steps(f: Filter, rules: Rules, steps: Steps) -> float:
 
 
 @lean(cache=True)
-def shift_clocks(f: Filter, a: ArrayErrors, seen: Measured, s: Sight, w: Pairs) -> None:
-    """Shift the clock of each site whose looks, which nothing explains, one shift of their distances explains."""
+def shift_clocks(f: Filter, b: Block, a: ArrayErrors, seen: Measured, s: Sight, w: Pairs) -> bool:
+    """Shift the clock of each site whose looks, as paired in w.slot_of, confirmed VTs explain if distances are shifted;
+    return whether there is any. The evidence of a site that nothing explains adds up over snapshots in `b.shift`."""
+    shifted, rules = False, seen.rules
+    if rules.step == -math.inf:
+        return False
     for site in range(len(f.core.rate)):
-        offset = f.core.first_offset + site
-        if f.p[offset, offset] > 0.0 and seen.rules.step > -math.inf and _unexplained(f, a, seen, site, s, w) >= AGREE:
-            size, variance = _likely_shift(f, a, seen, site, s, w)
-            f.x[offset] += size
-            f.p[offset, offset] += variance
+        offset, (known, unknown) = f.core.first_offset + site, _explained(f, seen, site, w)
+        if known > 0:
+            b.shift[site] = 0.0
+        if f.p[offset, offset] == 0.0 or unknown < (AGREE if known > 0 else 1):
+            continue
+        found = _likely_shift(f, a, seen, site, s, w)
+        if found.paired < (AGREE if known > 0 else 1):
+            continue
+        prior = rules.step + 0.5 * (math.log(found.variance / rules.step_m**2) - (found.size / rules.step_m) ** 2)
+        gain = found.gain if found.paired >= AGREE else min(found.gain, -prior / ALONE)
+        if (found.size - b.shift[site, 0]) ** 2 <= rules.gate * found.variance:
+            gain += b.shift[site, 1]
+        b.shift[site, 0], b.shift[site, 1] = found.size, gain
+        if gain + prior > 0.0:
+            f.x[offset] += found.size
+            f.p[offset, offset] += found.variance
+            b.shift[site], shifted = 0.0, True
+    return shifted
 
 
 @lean(cache=True)
-def _unexplained(f: Filter, a: ArrayErrors, seen: Measured, site: int, s: Sight, w: Pairs) -> int:
-    """Return how many looks of a site with a distance have no VT in whose gate they are."""
-    count = 0
+def _explained(f: Filter, seen: Measured, site: int, w: Pairs) -> tuple[int, int]:
+    """Return how many looks of a site are of confirmed VTs, and how many others have a distance."""
+    known, unknown = 0, 0
     for link in range(len(seen.first) - 1):
-        if seen.site_of[link] == site and f.links[link] == 1 and seen.first[link + 1] > seen.first[link]:
-            associate(f, a, seen, link, s, w)
+        if seen.site_of[link] == site and f.links[link] == 1:
             for k in range(seen.first[link], seen.first[link + 1]):
-                count += 1 if w.gated[k - seen.first[link]] == 0 and not math.isnan(seen.z[k, 0]) else 0
-    return count
+                j = w.slot_of[k]
+                if j >= 0 and f.slots[j, HITS] >= seen.rules.confirm:
+                    known += 1
+                elif not math.isnan(seen.z[k, 0]):
+                    unknown += 1
+    return known, unknown
 
 
 @lean(cache=True)
-def _worth(f: Filter, a: ArrayErrors, seen: Measured, site: int, shift: float, s: Sight, w: Pairs) -> Shift:
-    """Return what the looks of a site are worth with a shift of its clock, in m."""
+def _worth(f: Filter, a: ArrayErrors, seen: Measured, site: int, shift: float, s: Sight, w: Pairs) -> tuple[float, int]:
+    """Return the log-likelihood ratio to clutter of a site's looks that are of confirmed VTs, if its clock is shifted
+    by so many m, and how many there are."""
     offset, score, paired = f.core.first_offset + site, 0.0, 0
     before = f.x[offset]
     f.x[offset] += shift
@@ -97,31 +121,30 @@ def _worth(f: Filter, a: ArrayErrors, seen: Measured, site: int, shift: float, s
         if seen.site_of[link] == site and f.links[link] == 1 and seen.first[link + 1] > seen.first[link]:
             associate(f, a, seen, link, s, w)
             for k in range(seen.first[link + 1] - seen.first[link]):
-                if w.row_of[k] >= 0:
-                    score += w.score[w.row_of[k], k]
+                row = w.row_of[k]
+                if row >= 0 and f.slots[w.chosen[row], HITS] >= seen.rules.confirm:
+                    score += w.score[row, k]
                     paired += 1
     f.x[offset] = before
-    return Shift(score, paired)
+    return score, paired
 
 
 @lean(cache=True)
-def _likely_shift(f: Filter, a: ArrayErrors, seen: Measured, site: int, s: Sight, w: Pairs) -> tuple[float, float]:
-    """Return the shift of a site's distances (m) that its looks agree on, and its variance (m^2); zeros: none."""
-    none, rules, offset = _worth(f, a, seen, site, 0.0, s, w), seen.rules, f.core.first_offset + site
-    turned, best, size, variance = rotations_of(f), 0.0, 0.0, 0.0
+def _likely_shift(f: Filter, a: ArrayErrors, seen: Measured, site: int, s: Sight, w: Pairs) -> Shift:
+    """Return the shift of a site's distances that most looks agree on."""
+    score, paired = _worth(f, a, seen, site, 0.0, s, w)
+    turned, rules, best = rotations_of(f), seen.rules, Shift(0.0, 1.0, 0.0, 0)
     for j in range(f.count[0]):
         link = f.slots[j, LINK]
         if seen.site_of[link] != site or f.links[link] == 0 or f.slots[j, HITS] < rules.confirm:
             continue
-        expected = expect(f, a, j, offset, turned, s)
+        expected = expect(f, a, j, f.core.first_offset + site, turned, s)
         for k in range(seen.first[link], seen.first[link + 1]):
             i = innovate(difference(seen.z[k], expected.z), seen.single[k], expected.hph)
             apart = i.e.y * i.e.y / i.s.yy + i.e.z * i.e.z / i.s.zz
             if math.isnan(seen.z[k, 0]) or apart > rules.gate or i.e.x * i.e.x <= rules.gate * i.s.xx:
                 continue
-            there = _worth(f, a, seen, site, i.e.x, s, w)
-            prior = rules.step + 0.5 * (math.log(i.s.xx / rules.step_m**2) - (i.e.x / rules.step_m) ** 2)
-            gain = there.score - none.score + prior
-            if gain > best and there.paired >= none.paired + AGREE:
-                best, size, variance = gain, i.e.x, i.s.xx
-    return size, variance
+            there, agree = _worth(f, a, seen, site, i.e.x, s, w)
+            if there - score > best.gain:
+                best = Shift(i.e.x, i.s.xx, there - score, agree - paired)
+    return best

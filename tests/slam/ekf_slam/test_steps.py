@@ -25,9 +25,7 @@ def prepared(one_filter, **rules):
 def use(one, looks):
     """Take looks at all VTs in as one block; return what the decision on steps adds to the log-likelihood."""
     expect_steps(one.f, one.w.pending.steps)
-    total = sum(
-        correct(one.f, one.errors, j, one.offset, one.look(z, Q), one.w.sight, one.w.pending) for j, z in looks
-    )
+    total = sum(correct(one.f, one.errors, j, one.offset, one.look(z, Q), one.w.sight, one.w.pending) for j, z in looks)
     settle(one.f, one.w.pending)
     return total + take_steps(one.f, one.rules, one.w.pending.steps)
 
@@ -74,10 +72,14 @@ def test_false_alarms_are_as_rare_as_stated(one_filter):
     assert abs(alarms - blocks * rate) < 3.0 * np.sqrt(blocks * rate)
 
 
-@pytest.mark.parametrize(("step_m", "found"), [(40.0, True), (0.0, False)])
-def test_a_large_step_is_found_where_nothing_associates(one_filter, step_m, found):
+@pytest.mark.parametrize(("step_m", "looks", "snapshots"), [(40.0, 4, 1), (40.0, 1, 4), (0.0, 4, None)])
+def test_a_large_step_is_found_where_nothing_associates(one_filter, step_m, looks, snapshots):
+    """At once where looks agree, after some snapshots where there is one alone."""
     one, root = prepared(one_filter, step=float(np.log(1e-6)), step_m=100.0, log_clutter=-9.0, confirm=0)
     one.spread(root)
-    z = np.array([one.model(j)[0] + [step_m, 0.0, 0.0] for j in range(len(VTS))])
-    shift_clocks(one.f, one.errors, one.seen(z, np.tile(Q, (4, 1))), one.w.sight, one.w.pairs)
-    assert (abs(one.f.x[one.offset] - 5.0 - step_m) < 1e-9) and ((one.f.p[one.offset, one.offset] > 0.15) == found)
+    z = np.array([one.model(j)[0] + [step_m, 0.0, 0.0] for j in range(looks)])
+    seen, room = one.seen(z, np.tile(Q, (looks, 1))), one.w
+    room.pairs.slot_of[:] = -1 if step_m else 0
+    found = [shift_clocks(one.f, one.block, one.errors, seen, room.sight, room.pairs) for _ in range(snapshots or 6)]
+    assert found == [False] * (len(found) - 1) + [snapshots is not None]
+    assert one.f.x[one.offset] == pytest.approx(5.0 + step_m, abs=1e-9)
