@@ -30,6 +30,8 @@ def predict(p: Floats, n: int, core: int, motion: Motion, t: int, moved: Floats)
                 p[offset, j] += dt_s * p[rate, j]
             for i in range(n):
                 p[i, offset] += dt_s * p[i, rate]
+            p[offset, rate] += 0.5 * dt_s * motion.walk[t, rate]
+            p[rate, offset] = p[offset, rate]
     for i in range(core):
         p[i, i] += motion.walk[t, i]
     for a in range(POSE):
