@@ -15,8 +15,8 @@ import numpy as np
 from pydantic import BaseModel, ConfigDict, Field
 
 from cellslam.sim.city.city_config import CityConfig
-from cellslam.sim.clocks import ClockErrors, draw_clock_errors, walk_densities
 from cellslam.sim.frames import SPEED_OF_LIGHT_MPS, held
+from cellslam.sim.lte.faults.clock_errors import ClockErrors, draw_clock_errors, walk_densities
 from cellslam.sim.lte.radio_config import RadioConfig
 from cellslam.sim.progress import Progress, silent
 from cellslam.sim.randomness import Stream, stream
@@ -25,9 +25,9 @@ from cellslam.sim.sites import SiteConfig
 from cellslam.sim.vehicle.vehicle_config import OdometryConfig, VehicleConfig
 
 if TYPE_CHECKING:
+    from cellslam.sim.lte.faults.reports import Reports
     from cellslam.sim.lte.links import Cells
     from cellslam.sim.lte.persisting_errors_kernel import Fields
-    from cellslam.sim.lte.reports import Reports
     from cellslam.sim.lte.signal.signal_front_end import SignalLevel
     from cellslam.sim.lte.statistical.detector_layout import PathColumns, Streams
     from cellslam.sim.lte.statistical.statistical_front_end import Detections
@@ -159,7 +159,7 @@ class World(Reception):
         `odometry` (T, 6): measured body velocities, with which the receiver undoes Doppler (None: the truth);
         `late_s` (T,): how long before its snapshot each was measured (None: in time).
         """
-        from cellslam.sim.lte.reports import poses_before
+        from cellslam.sim.lte.faults.reports import poses_before
 
         poses = self.drive.poses
         if late_s is not None:
@@ -219,7 +219,7 @@ def simulate(config: WorldConfig, seed: int, trial: int, progress: Progress = si
     """Return the recording of trial `trial` of root seed `seed`, truth included. Same arguments, same
     recording.
     """
-    from cellslam.sim.lte.reports import draw_reports
+    from cellslam.sim.lte.faults.reports import draw_reports
     from cellslam.sim.vehicle import measure_odometry, with_faults
 
     world = prepare(config, seed, trial, progress)
@@ -276,7 +276,7 @@ def recorded(
 
 def _as_reported(found: Detections, reports: Reports) -> Detections:
     """Return detections in which some snapshots have another one's once more."""
-    from cellslam.sim.lte.reports import rows_of
+    from cellslam.sim.lte.faults.reports import rows_of
 
     rows, snapshot = rows_of(found.measurements.snapshot, reports.source)
     columns = {name: None if c is None else c[rows] for name, c in vars(found.measurements).items()}

@@ -5,8 +5,8 @@ import pytest
 
 from cellslam.scenarios import load
 from cellslam.sim import simulate
-from cellslam.sim.clocks import allan_variance, draw_clock_errors, walk_densities
 from cellslam.sim.frames import SPEED_OF_LIGHT_MPS
+from cellslam.sim.lte.faults.clock_errors import allan_variance, draw_clock_errors, walk_densities
 from cellslam.sim.lte.radio_config import RadioConfig
 from cellslam.sim.recording import Recording
 
