@@ -217,7 +217,7 @@ def held_noise(held_s: Floats) -> Floats:
     """Return the noise densities (6,) of velocities that have been held so long (6,) in s.
 
     A constant unknown acceleration a moves the vehicle by a t^2 / 2 in t: white noise of density a t^1.5 has the same
-    variance at any time.
+    variance at any time. Source: own derivation.
     """
     return np.asarray(HELD * held_s**1.5)
 

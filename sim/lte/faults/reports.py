@@ -1,4 +1,7 @@
-"""How the receiver's reports come: with a late time stamp, or once more in place of the next one."""
+"""How the receiver's reports come: with a late time stamp, or once more in place of the next one.
+
+Source: own model, of independent faults of single reports.
+"""
 
 from __future__ import annotations
 
