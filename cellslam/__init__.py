@@ -28,11 +28,13 @@ if TYPE_CHECKING:
     from cellslam.sim.rays.tracing import trace
     from cellslam.sim.recording import Recording
     from cellslam.slam.api import Estimate, Estimator, Setup, Snapshot, VtEstimate
+    from cellslam.slam.model.calibration import Calibration
     from cellslam.slam.registry import names as estimator_names
 
     __version__: str
 
 _HOMES = {
+    "Calibration": "slam.model.calibration",
     "Estimate": "slam.api",
     "Estimator": "slam.api",
     "InputError": "sim.errors",
@@ -54,6 +56,7 @@ _HOMES = {
     "trace": "sim.rays.tracing",
 }
 __all__ = [
+    "Calibration",
     "Estimate",
     "Estimator",
     "InputError",

@@ -20,6 +20,7 @@ UNITS = {
     "_rad_per_s": "rad/s",
     "_deg_per_s": "deg/s",
     "_percent": "%",
+    "_per_km": "1/km",
     "_mps2": "m/s2",
     "_mps": "m/s",
     "_dbm": "dBm",

@@ -59,7 +59,7 @@ def lean(function: Any = None, /, **options: Any) -> Any:
     Numba counts the references to each array that a function is handed, which can cost more than what small functions
     do with them. Here nothing is counted. A function that makes an array all the same is refused by Numba.
     """
-    return njit(function, _nrt=False, **options)
+    return partial(lean, **options) if function is None else njit(_nrt=False, **options)(function)
 
 
 def is_compiled(module: str, file: Path) -> bool:

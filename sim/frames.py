@@ -72,17 +72,17 @@ def world_to_body(pose: ArrayLike, vector: ArrayLike) -> NDArray[np.float64]:
     return turned
 
 
-def integrate_pose(pose: ArrayLike, velocity: ArrayLike, dt_s: float) -> NDArray[np.float64]:
-    """Return the pose (..., 6) after `dt_s` at mean body velocities (..., 6) in m/s and rad/s: [u_x, u_y, u_z, u_psi,
-    u_theta, u_phi].
+def integrate_pose(pose: ArrayLike, velocity: ArrayLike, dt_s: ArrayLike) -> NDArray[np.float64]:
+    """Return the pose (..., 6) after `dt_s` (...,) at mean body velocities (..., 6) in m/s and rad/s: [u_x, u_y, u_z,
+    u_psi, u_theta, u_phi].
 
     Yaw, pitch and roll advance at their rates; the translation is rotated with the attitude at mid-interval, which
     is exact to third order in the turn of one interval.
     """
-    p, u = np.asarray(pose, np.float64), np.asarray(velocity, np.float64)
-    turn = u[..., 3:] * dt_s
+    p, u, dt = np.asarray(pose, np.float64), np.asarray(velocity, np.float64), np.asarray(dt_s, np.float64)[..., None]
+    turn = u[..., 3:] * dt
     middle = p[..., 3:] + 0.5 * turn
-    moved = np.einsum("...ij,...j->...i", rotation(middle[..., 0], middle[..., 1], middle[..., 2]), u[..., :3] * dt_s)
+    moved = np.einsum("...ij,...j->...i", rotation(middle[..., 0], middle[..., 1], middle[..., 2]), u[..., :3] * dt)
     return np.concatenate([p[..., :3] + moved, wrap_angle(p[..., 3:] + turn)], axis=-1)
 
 

@@ -25,9 +25,11 @@ class Stream(IntEnum):
     SITES = 8
     VEHICLE = 9
     RECEIVER = 10
-    CLOCKS = 11
-    SENSORS = 12
-    REPORTS = 13
+    TRAFFIC = 11
+    ARRAY = 12
+    CLOCKS = 13
+    SENSORS = 14
+    REPORTS = 15
 
 
 def stream(seed: int, trial: int, name: Stream) -> np.random.Generator:

@@ -12,26 +12,28 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field
 
 from cellslam.sim.city.city_config import CityConfig
 from cellslam.sim.frames import SPEED_OF_LIGHT_MPS, held
 from cellslam.sim.lte.faults.clock_errors import ClockErrors, draw_clock_errors, walk_densities
 from cellslam.sim.lte.radio_config import RadioConfig
+from cellslam.sim.lte.sites import SiteConfig
 from cellslam.sim.progress import Progress, silent
 from cellslam.sim.randomness import Stream, stream
-from cellslam.sim.recording import Floats, Ints, Recording, Sites, Truth, VirtualTransmitters
-from cellslam.sim.sites import SiteConfig
+from cellslam.sim.recording import Floats, Ints, Recording, Sites, Truth, Vehicles, VirtualTransmitters
+from cellslam.sim.traffic.traffic_config import TrafficConfig
 from cellslam.sim.vehicle.vehicle_config import OdometryConfig, VehicleConfig
 
 if TYPE_CHECKING:
-    from cellslam.sim.lte.faults.reports import Reports
     from cellslam.sim.lte.links import Cells
     from cellslam.sim.lte.persisting_errors_kernel import Fields
     from cellslam.sim.lte.signal.signal_front_end import SignalLevel
     from cellslam.sim.lte.statistical.detector_layout import PathColumns, Streams
     from cellslam.sim.lte.statistical.statistical_front_end import Detections
     from cellslam.sim.rays import Paths, Scene
+    from cellslam.sim.traffic import Blocked, Traffic
     from cellslam.sim.vehicle import Drive, Odometry
 
 KEPT_SCENES = 2
@@ -47,6 +49,7 @@ class WorldConfig(BaseModel):
     sites: tuple[SiteConfig, ...] = Field(min_length=1, description="base-station sites and their cells")
     vehicle: VehicleConfig = Field(default_factory=VehicleConfig, description="route and motion")
     odometry: OdometryConfig = Field(default_factory=OdometryConfig, description="errors of wheels and gyro")
+    traffic: TrafficConfig = Field(default_factory=TrafficConfig, description="other vehicles, which block paths")
     radio: RadioConfig = Field(default_factory=RadioConfig, description="the LTE link and the receiver")
 
 
@@ -116,25 +119,41 @@ class Reception:
 
 @dataclass(frozen=True)
 class World(Reception):
-    """One trial's world, ready to be measured."""
+    """One trial's world, ready to be measured. `traffic`: other vehicles, None without any."""
 
     scene: Scene
+    traffic: Traffic | None
 
-    def trace(self, poses: Floats, progress: Progress = silent) -> Paths:
-        """Return the paths from every site to every one of `poses` (T, 6), in m and rad."""
+    def trace(self, poses: Floats, snapshots: Ints | Floats, progress: Progress = silent) -> tuple[Paths, Blocked]:
+        """Return the paths from every site to every one of `poses` (T, 6), in m and rad, and which of them vehicles
+        block, being where they are at `snapshots` (T,), which may lie between two."""
         from cellslam.sim.rays import trace
+        from cellslam.sim.rays.paths import joined
+        from cellslam.sim.traffic import blocked_paths, reflected_paths
 
         city = self.config.city
-        return trace(
+        receivers_m = np.ascontiguousarray(poses[:, :3])
+        paths = trace(
             self.scene,
             self.sites_m,
-            np.ascontiguousarray(poses[:, :3]),
+            receivers_m,
             city.max_order,
             carrier_hz=self.config.radio.carrier_hz,
             ground_reflection=city.ground_reflection,
             diffraction=city.diffraction,
             progress=progress,
         )
+        time_s = np.asarray(snapshots, np.float64) * self.config.vehicle.snapshot_interval_s
+        if self.traffic is not None and self.config.traffic.reflect:
+            carrier = self.config.radio.carrier_hz
+            more = reflected_paths(self.traffic, self.scene, self.sites_m, receivers_m, time_s, carrier)
+            paths = joined([paths, *more])
+        return paths, blocked_paths(self.traffic, paths, self.sites_m, receivers_m, time_s)
+
+    def free_paths(self, poses: Floats, snapshots: Ints) -> Paths:
+        """Return the paths to `poses` (T, 6), in m and rad, at `snapshots` (T,), less those that vehicles block."""
+        paths, blocked = self.trace(poses, snapshots)
+        return paths.take(blocked.free(len(paths)))
 
     def measure(
         self, pose: Floats, velocity: Floats, snapshot: int, rng: Streams, odometry: Floats | None = None
@@ -148,36 +167,41 @@ class World(Reception):
         """
         poses, velocities = np.asarray(pose, np.float64)[None, :], np.asarray(velocity, np.float64)[None, :]
         known = velocities if odometry is None else np.asarray(odometry, np.float64)[None, :]
-        paths = self.trace(poses)
+        paths = self.free_paths(poses, np.array([snapshot]))
         return self.detect(paths, poses, velocities, known, rng, snapshot), paths
 
     def measure_drive(
         self, rng: Streams, progress: Progress = silent, odometry: Floats | None = None, late_s: Floats | None = None
-    ) -> tuple[Detections, Paths]:
-        """Return all detections of the trial's drive, and its paths, receiver t being snapshot t.
+    ) -> tuple[Detections, Paths, Blocked]:
+        """Return all detections of the trial's drive, its paths, receiver t being snapshot t, and which are blocked.
 
         `odometry` (T, 6): measured body velocities, with which the receiver undoes Doppler (None: the truth);
         `late_s` (T,): how long before its snapshot each was measured (None: in time).
         """
         from cellslam.sim.lte.faults.reports import poses_before
 
-        poses = self.drive.poses
+        poses, velocities = self.drive.poses, self.drive.velocity
+        moment = np.arange(len(poses), dtype=np.float64)
         if late_s is not None:
             poses = poses_before(poses, self.drive.time_s, late_s)
-        paths, velocities = self.trace(poses, progress), self.drive.velocity
+            moment = np.maximum(moment - late_s / self.config.vehicle.snapshot_interval_s, 0.0)
+        paths, blocked = self.trace(poses, moment, progress)
         known = velocities if odometry is None else odometry
         key = f"{self.config.model_dump_json()} {self.seed} {self.trial}"
-        return self.detect(paths, poses, velocities, known, rng, 0, progress, key), paths
+        free = np.flatnonzero(blocked.free(len(paths)))
+        found = self.detect(paths.take(free), poses, velocities, known, rng, 0, progress, key)
+        return replace(found, path=np.append(free, -1)[found.path]), paths, blocked
 
 
 def prepare(config: WorldConfig, seed: int, trial: int, progress: Progress = silent) -> World:
-    """Draw the world of one trial: city, route, sites, drive and clock offsets. Raises InputError where they
+    """Draw the world of one trial: city, route, sites, drive, traffic and clock offsets. Raises InputError where they
     do not fit.
     """
-    from cellslam.sim.sites import place_sites
+    from cellslam.sim.lte.sites import place_sites
+    from cellslam.sim.traffic import draw_traffic
     from cellslam.sim.vehicle import drive, plan_route
 
-    with progress("preparing the world", 4) as advance:
+    with progress("preparing the world", 5) as advance:
         scene = _scene(config, seed, trial)
         advance(1)
         route = plan_route(scene.city, config.vehicle, stream(seed, trial, Stream.ROUTE))
@@ -186,7 +210,11 @@ def prepare(config: WorldConfig, seed: int, trial: int, progress: Progress = sil
         advance(1)
         driven = drive(route, config.vehicle, stream(seed, trial, Stream.VEHICLE))
         advance(1)
-    return World(**vars(draw_reception(config, seed, trial, sites_m, driven)), scene=scene)
+        rng = stream(seed, trial, Stream.TRAFFIC)
+        traffic = draw_traffic(config.traffic, scene.city, route, driven, config.vehicle, rng)
+        advance(1)
+    reception = draw_reception(config, seed, trial, sites_m, driven)
+    return World(**vars(reception), scene=scene, traffic=traffic)
 
 
 def draw_reception(config: WorldConfig, seed: int, trial: int, sites_m: Floats, driven: Drive) -> Reception:
@@ -219,7 +247,7 @@ def simulate(config: WorldConfig, seed: int, trial: int, progress: Progress = si
     """Return the recording of trial `trial` of root seed `seed`, truth included. Same arguments, same
     recording.
     """
-    from cellslam.sim.lte.faults.reports import draw_reports
+    from cellslam.sim.lte.faults.reports import as_reported, draw_reports
     from cellslam.sim.vehicle import measure_odometry, with_faults
 
     world = prepare(config, seed, trial, progress)
@@ -228,37 +256,66 @@ def simulate(config: WorldConfig, seed: int, trial: int, progress: Progress = si
     odometry = with_faults(odometry, time_s, config.odometry, stream(seed, trial, Stream.SENSORS))
     reports = draw_reports(config.radio, len(time_s), stream(seed, trial, Stream.REPORTS))
     late_s = None if reports is None else reports.late_s
-    detections, paths = world.measure_drive(world.streams(), progress, held(odometry.velocity), late_s)
-    return recorded(world, odometry, detections, paths, reports)
+    detections, paths, blocked = world.measure_drive(world.streams(), progress, held(odometry.velocity), late_s)
+    age_s = None
+    if reports is not None:
+        detections, age_s = as_reported(detections, reports), reports.age_s(time_s)
+    recording = recorded(world, odometry, detections, paths, blocked.free(len(paths)), age_s)
+    if world.traffic is None or recording.truth is None:
+        return recording
+    from cellslam.sim.traffic import reflecting_vehicle
+
+    _, path_vt = virtual_transmitters(paths)
+    vehicles = Vehicles(
+        **vars(world.traffic),
+        blocked=_blocked_intervals(blocked, path_vt, paths.receiver),
+        reflected=np.append(reflecting_vehicle(paths.facets), -1)[detections.path],
+    )
+    return replace(recording, truth=replace(recording.truth, vehicles=vehicles))
+
+
+def _blocked_intervals(blocked: Blocked, path_vt: Ints, snapshot: Ints) -> Ints:
+    """Return (B, 4): VT, vehicle, first and last snapshot of each time that a vehicle blocks a VT's path."""
+    own = path_vt[blocked.path] >= 0
+    path, vehicle = blocked.path[own], blocked.vehicle[own]
+    pair, which = np.unique(np.stack([path_vt[path], vehicle], axis=1), axis=0, return_inverse=True)
+    runs = visible_intervals(which.reshape(-1), snapshot[path])
+    return np.concatenate([pair[runs[:, 0]], runs[:, 1:]], axis=1).reshape(-1, 4)
 
 
 def recorded(
-    world: Reception, odometry: Odometry, detections: Detections, paths: Paths, reports: Reports | None = None
-) -> Recording:
-    """Return the recording of a drive, truth included; `reports`: how its snapshots came (None: in time, and once)."""
+    world: Reception, odometry: Odometry, detections: Detections, paths: Paths, free: NDArray[np.bool_] | None = None,
+    age_s: Floats | None = None,
+) -> Recording:  # fmt: skip
+    """Return the recording of a drive, truth included. `free` (P,): which of the paths exist, None for all; `age_s`
+    (T,): how much older than its stamp a snapshot is, None: not at all."""
     from cellslam.sim.lte.links import links_of
     from cellslam.sim.lte.persisting_errors import persisting_std
 
     config = world.config
-    vts, path_vt = virtual_transmitters(paths)
-    if reports is not None:
-        detections = _as_reported(detections, reports)
+    vts, path_vt = virtual_transmitters(paths, free)
     measurement_vt = np.where(detections.path >= 0, path_vt[detections.path] if len(path_vt) else -1, -1)
+    true_std = np.where(measurement_vt[:, None] >= 0, detections.true_std, np.nan)
     truth = Truth(
         poses=world.drive.poses,
         measurement_vt=measurement_vt.astype(np.int64),
-        measurement_std=detections.true_std,
+        measurement_std=true_std,
         vts=vts,
         site_positions_m=world.sites_m,
         clock_offsets_m=world.offsets_m,
         clock_drift_m_s=world.drift_m_s if config.radio.clock_drift > 0.0 else None,
         odometry_bias=odometry.bias,
         odometry_scale=odometry.scale,
-        persisting_std=np.where(np.isnan(detections.true_std), np.nan, persisting_std(config.radio)),
+        persisting_std=np.where(np.isnan(true_std), np.nan, persisting_std(config.radio)),
+        merging_shift=(
+            np.where(np.isnan(true_std), np.nan, detections.merging_shift)
+            if config.radio.front_end == "statistical"
+            else None
+        ),
         clock_wander_m=None if world.clock_errors is None else world.clock_errors.wander_m,
         clock_steps=None if world.clock_errors is None else world.clock_errors.steps,
         odometry_slip=odometry.slip,
-        age_s=None if reports is None else reports.age_s(world.drive.time_s),
+        age_s=age_s,
     )
     return Recording(
         time_s=world.drive.time_s,
@@ -274,24 +331,18 @@ def recorded(
     )
 
 
-def _as_reported(found: Detections, reports: Reports) -> Detections:
-    """Return detections in which some snapshots have another one's once more."""
-    from cellslam.sim.lte.faults.reports import rows_of
-
-    rows, snapshot = rows_of(found.measurements.snapshot, reports.source)
-    columns = {name: None if c is None else c[rows] for name, c in vars(found.measurements).items()}
-    measurements = replace(found.measurements, **{**columns, "snapshot": snapshot})
-    return replace(found, measurements=measurements, path=found.path[rows], true_std=found.true_std[rows])
-
-
 def sites_of(config: WorldConfig) -> Sites:
     """Return what is known of the sites beforehand."""
     count = len(config.sites)
     drift = np.full(count, SPEED_OF_LIGHT_MPS * config.radio.clock_drift) if config.radio.clock_drift > 0.0 else None
-    offset, walks = np.full(count, config.radio.clock_offset_std_m), (None, None)
-    if config.radio.clock_oscillator != "ideal":
-        walks = tuple(np.full(count, density) for density in walk_densities(config.radio.clock_oscillator))
-    return Sites(tuple(site.name for site in config.sites), np.zeros(count), offset, drift, None, *walks)
+    offset, radio = np.full(count, config.radio.clock_offset_std_m), config.radio
+    sites = Sites(tuple(site.name for site in config.sites), np.zeros(count), offset, drift)
+    if radio.clock_oscillator != "ideal":
+        walk, rate_walk = (np.full(count, density) for density in walk_densities(radio.clock_oscillator))
+        sites = replace(sites, clock_walk_m_sqrt_s=walk, clock_drift_walk_m_s_sqrt_s=rate_walk)
+    if radio.clock_steps_per_hour > 0.0 or radio.clock_step_times_s:
+        sites = replace(sites, clock_step_std_m=np.full(count, radio.clock_step_std_m))
+    return sites
 
 
 def provenance(config: WorldConfig, seed: int, trial: int) -> dict[str, Any]:
@@ -321,19 +372,25 @@ def path_columns(paths: Paths, receivers: int, sites: int) -> PathColumns:
     return PathColumns(rows, np.ascontiguousarray(paths.vt_position_m), np.ascontiguousarray(paths.gain), departure)
 
 
-def virtual_transmitters(paths: Paths) -> tuple[VirtualTransmitters, Ints]:
+def virtual_transmitters(paths: Paths, free: NDArray[np.bool_] | None = None) -> tuple[VirtualTransmitters, Ints]:
     """Return the VTs of a drive's paths, one per (site, facets), with their visible intervals, and the VT of
-    each path (P,).
+    each path (P,), -1 if a vehicle reflects it. `free` (P,): which paths exist, None for all; a VT may have none of
+    these.
     """
-    key = np.column_stack([paths.transmitter, paths.facets, paths.edge])
+    from cellslam.sim.traffic import reflecting_vehicle
+
+    still = np.flatnonzero(reflecting_vehicle(paths.facets) < 0)
+    key = np.column_stack([paths.transmitter, paths.facets, paths.edge])[still]
     _, first, inverse = np.unique(key, axis=0, return_index=True, return_inverse=True)
-    path_vt = inverse.reshape(-1).astype(np.int64)
+    path_vt = np.full(len(paths), -1, np.int64)
+    path_vt[still], first = inverse.reshape(-1), still[first]
+    exists = (path_vt >= 0) & (True if free is None else free)
     vts = VirtualTransmitters(
         position_m=paths.vt_position_m[first],
         site=paths.transmitter[first].astype(np.int64),
         order=paths.order[first].astype(np.int64),
         facets=paths.facets[first].astype(np.int64),
-        visible=visible_intervals(path_vt, paths.receiver),
+        visible=visible_intervals(path_vt[exists], paths.receiver[exists]),
     )
     return vts, path_vt
 

@@ -90,8 +90,8 @@ class Estimate(Described):
 
 @runtime_checkable
 class Estimator(Protocol):
-    """What the runner drives. `warm_up()` (compile; not timed) and `finish()` (a smoother's poses (T, 6)) are
-    optional."""
+    """What the runner drives. `warm_up()` (compile; not timed), `finish()` (a smoother's poses (T, 6)) and, asked for
+    after it, `calibration()` (a `Calibration`: what the drive has shown of the array, or None) are optional."""
 
     name: ClassVar[str]
     requires_truth: ClassVar[bool] = False

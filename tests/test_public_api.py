@@ -118,3 +118,8 @@ def test_sweep_goes_on_where_it_stopped(tmp_path: Path) -> None:
 def test_wrong_requests_name_the_value(call: Any, says: str) -> None:
     with pytest.raises(cellslam.InputError, match=says):
         call()
+
+
+def test_the_command_line_is_a_module_too() -> None:
+    shown = subprocess.run([sys.executable, "-m", "cellslam", "--help"], capture_output=True, text=True, check=True)
+    assert shown.stdout.startswith("usage: cellslam ")

@@ -51,7 +51,8 @@ def scenario_facts(config: WorldConfig, seed: int = 0, trial: int = 0) -> Facts:
     from cellslam.sim.world import prepare
 
     world = prepare(config, seed, trial)
-    detections, paths = world.measure_drive(world.streams())
+    detections, paths, blocked = world.measure_drive(world.streams())
+    paths = paths.take(blocked.free(len(paths)))
     links = sum(len(site.cells) * site.ports for site in config.sites)
     interval_s = config.vehicle.snapshot_interval_s
     return measure_facts(paths, world.drive.poses, interval_s, len(config.sites), links, len(detections.measurements))

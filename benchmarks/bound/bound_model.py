@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
@@ -12,17 +13,36 @@ from cellslam.sim.recording import Floats, Ints
 Flags = NDArray[np.bool_]
 
 
+@dataclass(frozen=True)
+class Core:
+    """Where the states that all links share stand: pose (0-5), odometry biases and scales, rates that clocks
+    have walked to, clock offsets.
+
+    `bias` and `scale` (6,): state index of each odometry component, `rate` (S,) of each site, -1 where there is none.
+    `mean`: no state; here the covariance has the error of the filter's mean (`recursion_kernel`).
+    """
+
+    bias: Ints
+    scale: Ints
+    rate: Ints
+    mean: int
+    offsets: Ints
+    size: int
+
+
 class Motion(NamedTuple):
     """Prior variances `start` (core,); `step` (T, 6, core), `noise` (T, 6, 6), `walk` (T, core): the pose's transition,
-    covariance of its noise, variances that the core gains; `rate` (S,): state that says what rate a site's clock has
-    walked to (-1: none), by which its offset grows over `dt_s` (T,). Row t leads from snapshot t - 1 to t; row 0 is not
-    used.
+    covariance of its noise, variances that the core gains. `jump` (T, core): what the error of the filter's mean gains
+    (`drawn_errors.jumps`), which has column `mean`. `rate` (S,): state of the rate that a site's clock has walked to
+    (-1: none), by which its offset grows over `dt_s` (T,). Row t leads from snapshot t - 1 to t; row 0 is not used.
     """
 
     start: Floats
     step: Floats
     noise: Floats
     walk: Floats
+    jump: Floats
+    mean: int
     rate: Ints
     dt_s: Floats
 
@@ -44,8 +64,8 @@ class Looks(NamedTuple):
 
 class Sightings(NamedTuple):
     """The measurements, m of them: `rows` (T + 1,), `look` (m,), `key` (m,) of the VT on its link, whether it is its
-    `first` and its `last` one, `variance` (m, 3) of the white errors (infinite: not measured); `state` (m, 3): the
-    persisting error of its own (-1: none) with loads `load` (3,).
+    `first` and its `last` one, `variance` (m, 3) of the white errors (infinite: not measured), `residual` (m, 3): what
+    it is off in all; `state` (m, 3): the persisting error of its own (-1: none) with loads `load` (3,).
     """
 
     rows: Ints
@@ -54,6 +74,7 @@ class Sightings(NamedTuple):
     first: Flags
     last: Flags
     variance: Floats
+    residual: Floats
     state: Ints
     load: Floats
 
@@ -81,6 +102,16 @@ class Work(NamedTuple):
     moved: Floats
     slot_of: Ints
     id_of: Ints
+
+
+class Found(NamedTuple):
+    """What the recursion fills: covariance of the pose `pose` (T, 6, 6), variance of the clock `offset` (T, S), and
+    `error` (T, 6), the pose's error of the filter.
+    """
+
+    pose: Floats
+    offset: Floats
+    error: Floats
 
 
 def room(core: int, states: int, looks: Looks, sightings: Sightings, errors: Errors) -> Work:

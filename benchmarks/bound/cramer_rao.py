@@ -15,7 +15,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from cellslam.benchmarks.bound.bound_model import Errors, Looks, Motion, Sightings, room
+from cellslam.benchmarks.bound.bound_model import Core, Errors, Found, Looks, Motion, Sightings, room
+from cellslam.benchmarks.bound.drawn_errors import jumps, residuals
 from cellslam.sim.described import Described
 from cellslam.sim.errors import InputError
 from cellslam.sim.frames import mean_velocity, rotation
@@ -37,11 +38,16 @@ SMALLEST_STD = 1e-6
 class BoundResult(Described):
     """Least covariances of an unbiased filter after each snapshot.
 
-    `pose_covariance` (T, 6, 6) in metres and radians; `clock_offset_std_m` (T, S).
+    `pose_covariance` (T, 6, 6) in metres and radians; `clock_offset_std_m` (T, S); `pose_error` (T, 6): estimate less
+    truth, on this drive, of the filter that is linear about the truth and has these covariances (`drawn_errors`).
+    `merged_m`: the bound of the drive's horizontal error without merged measurements, None where few are
+    (`merged_paths`).
     """
 
     pose_covariance: Floats
     clock_offset_std_m: Floats
+    pose_error: Floats
+    merged_m: float | None = None
 
     @property
     def horizontal_std_m(self) -> Floats:
@@ -54,27 +60,13 @@ class BoundResult(Described):
         return float(np.sqrt(np.mean(self.horizontal_std_m**2)))
 
 
-@dataclass(frozen=True)
-class Core:
-    """Where the states that all links share stand: pose (0-5), odometry biases and scales, rates that clocks have
-    walked to, clock offsets.
-
-    `bias` and `scale` (6,): state index of each odometry component, `rate` (S,) of each site: -1 where there is none.
-    """
-
-    bias: Ints
-    scale: Ints
-    rate: Ints
-    offsets: Ints
-    size: int
-
-
-def bound(recording: Recording, progress: Progress = silent) -> BoundResult:
+def bound(recording: Recording, progress: Progress = silent, calibrated: bool = False) -> BoundResult:
     """Return the posterior Cramer-Rao bound of a recording with truth.
 
     VTs enter with a flat prior at their first detection, one for all links of a site. Errors that persist are states
     too, where `truth.persisting_std` is there. Pitch, roll and height are known where neither the start nor the
-    odometry's data sheet is uncertain of them. Raises InputError without truth.
+    odometry's data sheet is uncertain of them. `calibrated`: the array's calibration is known. Raises InputError
+    without truth.
     """
     if recording.truth is None:
         raise InputError("the recording has no truth: the bound needs the true trajectory, VTs and measurement noise")
@@ -83,25 +75,26 @@ def bound(recording: Recording, progress: Progress = silent) -> BoundResult:
 
     truth, snapshots, sites = recording.truth, len(recording.time_s), len(recording.sites)
     core = core_of(recording.odometry_model, recording.sites)
-    dt_s = np.diff(recording.time_s, prepend=recording.time_s[0])
-    motion = Motion(start_variance(recording, core), *linear_motion(recording, truth, core), core.rate, dt_s)
-    looks, sightings, errors = tracked_measurements(recording, truth, core)
+    step, noise, walk = linear_motion(recording, truth, core)
+    drawn, dt_s = jumps(recording, truth, core, step), np.diff(recording.time_s, prepend=recording.time_s[0])
+    motion = Motion(start_variance(recording, core), step, noise, walk, drawn, core.mean, core.rate, dt_s)
+    looks, sightings, errors = tracked_measurements(recording, truth, core, calibrated)
     drifted = drifted_std(recording)
     drift = rates_among(errors, drifted)
     work = room(core.size, most_states(looks, sightings, errors, snapshots), looks, sightings, errors)
-    pose, offset = np.zeros((snapshots, 6, 6)), np.zeros((snapshots, sites))
+    found = Found(np.zeros((snapshots, 6, 6)), np.zeros((snapshots, sites)), np.zeros((snapshots, 6)))
     model = work, motion, looks, sightings, errors
     if not covariance_recursion.signatures:  # type: ignore[attr-defined]
         with progress("compiling Cramer-Rao bound (first use)", 1) as advance:
-            covariance_recursion(*model, 0, 0, core.size, drift, drifted, pose, offset)
+            covariance_recursion(*model, 0, 0, core.size, drift, drifted, found)
             advance(1)
     with progress("Cramer-Rao bound", snapshots) as advance:
         states = core.size
         for begin in range(0, snapshots, BLOCK):
             end = min(begin + BLOCK, snapshots)
-            states = covariance_recursion(*model, begin, end, states, drift, drifted, pose, offset)
+            states = covariance_recursion(*model, begin, end, states, drift, drifted, found)
             advance(end - begin)
-    return BoundResult(pose, np.sqrt(np.maximum(offset, 0.0)))
+    return BoundResult(found.pose, np.sqrt(np.maximum(found.offset, 0.0)), found.error)
 
 
 def core_of(model: OdometryModel, sites: Sites) -> Core:
@@ -111,10 +104,11 @@ def core_of(model: OdometryModel, sites: Sites) -> Core:
     bias[biased] = 6 + np.arange(len(biased))
     scaled = np.flatnonzero(model.scale > 0)
     scale[scaled] = 6 + len(biased) + np.arange(len(scaled))
-    first, walks = 6 + len(biased) + len(scaled), sites.walk_densities[1] > 0.0
+    walks = sites.walk_densities[1] > 0.0
+    first = 6 + len(biased) + len(scaled)
     rate = np.where(walks, first + np.cumsum(walks) - 1, -1).astype(np.int64)
-    first += int(walks.sum())
-    return Core(bias, scale, rate, first + np.arange(len(sites)), first + len(sites))
+    mean = first + int(walks.sum())
+    return Core(bias, scale, rate, mean, mean + 1 + np.arange(len(sites)), mean + 1 + len(sites))
 
 
 def start_variance(recording: Recording, core: Core) -> Floats:
@@ -196,7 +190,9 @@ def drifted_std(recording: Recording) -> Floats:
     return np.asarray(np.multiply.outer(recording.elapsed_s, recording.sites.drift_std_m_s))
 
 
-def tracked_measurements(recording: Recording, truth: Truth, core: Core) -> tuple[Looks, Sightings, Errors]:
+def tracked_measurements(
+    recording: Recording, truth: Truth, core: Core, calibrated: bool = False
+) -> tuple[Looks, Sightings, Errors]:
     """Return the measurements of true VTs.
 
     With their Jacobians and variances at the truth, and the errors that persist, rates of clocks among them. The ports
@@ -224,18 +220,20 @@ def tracked_measurements(recording: Recording, truth: Truth, core: Core) -> tupl
     distance_m, azimuth_rad, elevation_rad = predict(truth.poses[snapshot[begin]], position).T
     seen = Seen(snapshot[begin], azimuth_rad, elevation_rad, look, vt_of, port)
     site = recording.links.site[m.link[real[at[begin]]]]
-    persisting = with_drift(persisting_errors(recording, seen), drifted_std(recording), seen, site)
+    persisting = with_drift(persisting_errors(recording, seen, calibrated), drifted_std(recording), seen, site)
     every = np.arange(len(recording.time_s) + 1)
     looks = Looks(
         np.searchsorted(snapshot[begin], every), by_pose, by_vt, core.offsets[site],
         persisting.state, persisting.load,
     )  # fmt: skip
-    white = _white_variance(recording, truth, real, distance_m[look[of]], persisting.variance)
-    variance = _together(white, of, len(at))
+    at_look = look[of]
+    white = _white_variance(recording, truth, real, distance_m[at_look], persisting.variance)
+    predicted = np.stack([distance_m, azimuth_rad, elevation_rad], axis=1)[at_look]
+    variance, residual = _together(white, residuals(recording, truth, real, predicted), of, len(at))
     missing = np.where(first[:, None], BROAD_STD**2, np.inf)
     sightings = Sightings(
         np.searchsorted(snapshot, every), look, key, first, last, np.where(np.isfinite(variance), variance, missing),
-        persisting.own_state, persisting.own_load,
+        residual, persisting.own_state, persisting.own_load,
     )  # fmt: skip
     return looks, sightings, persisting.errors
 
@@ -271,8 +269,12 @@ def _white_variance(recording: Recording, truth: Truth, rows: Ints, distance_m: 
     return np.where(there, np.maximum(variance, smallest**2), np.inf)
 
 
-def _together(variance: Floats, of: Ints, count: int) -> Floats:
-    """Return the variances (count, 3) of what independent measurements, (n, 3) in groups `of` (n,), tell together."""
+def _together(variance: Floats, residual: Floats, of: Ints, count: int) -> tuple[Floats, Floats]:
+    """Return variance and residual (count, 3) of what independent measurements, (n, 3) in groups `of` (n,), tell
+    together."""
     with np.errstate(divide="ignore"):
-        information = np.stack([np.bincount(of, column, count) for column in (1.0 / variance).T], axis=1)
-        return np.asarray(1.0 / information)
+        weight = 1.0 / variance
+        information, weighted = (
+            np.stack([np.bincount(of, column, count) for column in x.T], axis=1) for x in (weight, weight * residual)
+        )
+        return 1.0 / information, weighted / np.where(information > 0.0, information, 1.0)

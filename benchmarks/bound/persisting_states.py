@@ -87,8 +87,11 @@ class Part:
     kind: int
 
 
-def persisting_errors(recording: Recording, seen: Seen) -> Persisting:
-    """Return the persisting errors of a recording with truth. Raises InputError where their causes are not known."""
+def persisting_errors(recording: Recording, seen: Seen, calibrated: bool = False) -> Persisting:
+    """Return the persisting errors of a recording with truth, those of the array left out where it is `calibrated`.
+
+    Raises InputError where their causes are not known.
+    """
     assert recording.truth is not None
     looks, rows, snapshots = len(seen.snapshot), len(seen.look), len(recording.time_s)
     config, decay = radio_of(recording), np.ones((snapshots, 3))
@@ -99,6 +102,8 @@ def persisting_errors(recording: Recording, seen: Seen) -> Persisting:
     calibration, roof, diffuse, attitude = (
         replace(c, std=config.noise_scale * c.std * (c.scale > 0.0)) for c in causes(config)
     )
+    if calibrated:
+        calibration = replace(calibration, std=np.zeros(3))
     way = np.linalg.norm(np.diff(recording.truth.poses[:, :3], axis=0), axis=1)
     decay[1:, BY_TIME] = _factor(np.diff(recording.time_s), attitude.scale)
     decay[1:, BY_PLACE] = _factor(way, diffuse.scale)

@@ -5,6 +5,10 @@ VTs' coordinates and errors that persist, enter when they are first met and leav
 marginalisation: the last one takes the place). A snapshot's measurements are taken one component after the other, but
 their whitened gains are subtracted together: a rank-K update.
 
+One column of the core, `mean`, is no state: it has the covariance's place of what the filter's mean is off. With a gain
+K s^1/2 in a state's column and minus the innovation over s^1/2 in this one, P - G^T G moves the mean by K times the
+innovation, as it moves the covariance; prediction and marginalisation treat it as any other.
+
 Source: the recursion of Tichavsky et al. 1998 (see `cramer_rao`), measured components taken one after the other as in
 Anderson and Moore, "Optimal filtering", 1979, chapter 6.
 """
@@ -15,7 +19,7 @@ import math
 
 import numpy as np
 
-from cellslam.benchmarks.bound.bound_model import Errors, Looks, Motion, Sightings, Work
+from cellslam.benchmarks.bound.bound_model import Errors, Found, Looks, Motion, Sightings, Work
 from cellslam.benchmarks.bound.states_kernel import POSE, append, decay, enter, leave, predict
 from cellslam.sim.compiling import njit
 from cellslam.sim.recording import Floats, Ints
@@ -25,15 +29,15 @@ from cellslam.slam.model.downdate_kernel import downdate
 @njit(cache=True)
 def covariance_recursion(
     work: Work, motion: Motion, looks: Looks, sightings: Sightings, errors: Errors, begin: int, end: int, n: int,
-    drift: Ints, drifted: Floats, out_pose: Floats, out_offset: Floats,
+    drift: Ints, drifted: Floats, found: Found,
 ) -> int:  # fmt: skip
-    """Run snapshots `begin` up to `end`, fill their rows of `out_pose` (T, 6, 6) and `out_offset` (T, S).
+    """Run snapshots `begin` up to `end`, fill their rows of `found`.
 
     drift (S,): error that stands for the rate of a site's clock (-1: none), with drifted (T, S) its load on the offset.
     Takes the number of states in `work.p` (core at first) and returns it: for the call that goes on.
     """
-    p, slot_of, id_of = work.p, work.slot_of, work.id_of
-    core, count, sites = motion.start.shape[0], errors.last.shape[0], out_offset.shape[1]
+    p, slot_of, id_of, mean = work.p, work.slot_of, work.id_of, motion.mean
+    core, count, sites = motion.start.shape[0], errors.last.shape[0], found.offset.shape[1]
     for t in range(begin, end):
         if t == 0:
             for i in range(core):
@@ -41,21 +45,26 @@ def covariance_recursion(
         else:
             predict(p, n, core, motion, t, work.moved)
             decay(p, n, core, errors, t, id_of)
+        for i in range(core):
+            if i != mean:
+                p[i, mean] += motion.jump[t, i]
+                p[mean, i] = p[i, mean]
         n = enter(p, n, looks, sightings, t, slot_of, id_of)
         for m in range(sightings.rows[t], sightings.rows[t + 1]):
             if sightings.first[m]:
-                n = _birth(p, n, looks, sightings, m, count, slot_of, id_of, work.shared)
-        _update(p, n, looks, sightings, t, count, slot_of, work.gains, work.shared, work.dots)
+                n = _birth(p, n, looks, sightings, m, count, mean, slot_of, id_of, work.shared)
+        _update(p, n, looks, sightings, t, count, mean, slot_of, work.gains, work.shared, work.dots)
         for a in range(POSE):
+            found.error[t, a] = p[a, mean]
             for b in range(POSE):
-                out_pose[t, a, b] = p[a, b]
+                found.pose[t, a, b] = p[a, b]
         for s in range(sites):
             own = core - sites + s
-            out_offset[t, s] = p[own, own]
+            found.offset[t, s] = p[own, own]
             if drift[s] >= 0:
                 rate = slot_of[drift[s]]
                 by = drifted[t, s]
-                out_offset[t, s] += by * (2.0 * p[own, rate] + by * p[rate, rate]) if rate >= 0 else by * by
+                found.offset[t, s] += by * (2.0 * p[own, rate] + by * p[rate, rate]) if rate >= 0 else by * by
         n = leave(p, n, looks, sightings, errors, t, slot_of, id_of)
     return n
 
@@ -94,7 +103,7 @@ def _shared_dot(row: Floats, looks: Looks, i: int, r: int, slot_of: Ints) -> flo
 
 @njit(cache=True)
 def _update(
-    p: Floats, n: int, looks: Looks, sightings: Sightings, t: int, count: int, slot_of: Ints, g: Floats,
+    p: Floats, n: int, looks: Looks, sightings: Sightings, t: int, count: int, mean: int, slot_of: Ints, g: Floats,
     shared: Floats, dots: Floats,
 ) -> None:  # fmt: skip
     """Take in the snapshot's measurements of VTs that are in the state."""
@@ -118,6 +127,7 @@ def _update(
             q_row, p0, p1, p2, p3 = shared[q], p[v0], p[v1], p[v2], p[own]
             for j in range(n):
                 row[j] = q_row[j] + h0 * p0[j] + h1 * p1[j] + h2 * p2[j] + load * p3[j]
+            row[mean] -= sightings.residual[m, r]
             for j in range(k):
                 weight[j] = dots[j, q] + h0 * g[j, v0] + h1 * g[j, v1] + h2 * g[j, v2] + load * g[j, own]
             _whiten(row, g, weight, k, n)
@@ -151,8 +161,9 @@ def _whiten(row: Floats, g: Floats, weight: Floats, k: int, n: int) -> None:
 
 @njit(cache=True)
 def _birth(
-    p: Floats, n: int, looks: Looks, sightings: Sightings, m: int, count: int, slot_of: Ints, id_of: Ints, g: Floats
-) -> int:
+    p: Floats, n: int, looks: Looks, sightings: Sightings, m: int, count: int, mean: int, slot_of: Ints, id_of: Ints,
+    g: Floats,
+) -> int:  # fmt: skip
     """Append a VT that is known from this measurement alone: the limit of a broad prior.
 
     v = D (z - H_r r - b - errors) with D the inverse of H_v; the other states learn nothing.
@@ -163,6 +174,7 @@ def _birth(
         _shared_gain(p, n, looks, i, r, slot_of, g[r])
         if sightings.state[m, r] >= 0:
             _add(g[r], sightings.load[r], p[slot_of[sightings.state[m, r]]], n)
+        g[r, mean] -= sightings.residual[m, r]
     for r in range(3):
         for q in range(3):
             full[r, q] = _shared_dot(g[r], looks, i, q, slot_of)

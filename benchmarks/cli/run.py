@@ -21,6 +21,7 @@ from cellslam.benchmarks.cli.arguments import (
     limits,
     whole,
 )
+from cellslam.benchmarks.cli.calibration_files import add_calibration, calibrated, save
 from cellslam.benchmarks.cli.progress_bars import bars
 from cellslam.benchmarks.cli.results_folder import Folder
 from cellslam.benchmarks.tables.trials_table import bound_row, results_table
@@ -55,10 +56,11 @@ class Job:
     rows: list[dict[str, Any]] = field(default_factory=list)
     bounds: list[dict[str, Any]] = field(default_factory=list)
     first: Trial | None = None
+    unsaved: str = ""
 
     def note(self, text: str) -> None:
-        """Say something on stderr, unless --quiet."""
-        if not self.arguments.quiet:
+        """Say something, if it is something, on stderr, unless --quiet."""
+        if text and not self.arguments.quiet:
             sys.stderr.write(f"{text}\n")
 
 
@@ -66,6 +68,7 @@ def add_arguments(parser: ArgumentParser) -> None:
     """Add the arguments of this command."""
     add_scenario(parser)
     add_estimation(parser)
+    add_calibration(parser)
     parser.add_argument("--rays", action="store_true", help="draw the drive's rays, also as an interactive page")
     parser.add_argument("--trials", metavar="N", type=whole, default=1, help="trials 0 to N-1 (default: 1)")
     add_seed(parser, 0, "root seed of all random draws (default: 0)")
@@ -83,11 +86,13 @@ def command(arguments: Namespace) -> int:
     check_counts(arguments.trials, arguments.seed)
     asked = arguments.estimators or DEFAULT_ESTIMATORS
     requests = foreign_options.requests(scenario.estimator, asked, overrides)
+    requests, note = calibrated(arguments, requests, arguments.trials)
     note_left_out(arguments)
     out = Path(arguments.out or f"results/{scenario.name}-{arguments.seed}")
     check_folder(out)
     folder = Folder(out, several=arguments.trials > 1)
     job = Job(arguments, with_options(scenario, requests), scenario.name, requests, arguments.trials, folder)
+    job.note(note)
     with Guests(limits(arguments, 1)) as guests, bars(arguments.quiet) as progress:
         ahead.begin(requests)
         guests.begin(requests)
@@ -134,7 +139,7 @@ def report(job: Job, interrupted: bool) -> int:
     if interrupted:
         return _interrupted(job)
     job.note(f"results are in {job.folder.path}")
-    return FAILED if any(row["status"] == "failed" for row in job.rows) else DONE
+    return FAILED if job.unsaved or any(row["status"] == "failed" for row in job.rows) else DONE
 
 
 def _keep(job: Job, trial: Trial) -> None:
@@ -151,6 +156,8 @@ def _keep(job: Job, trial: Trial) -> None:
     for outcome in trial.outcomes:
         if outcome.row["status"] == "failed":
             job.note(f"trial {trial.number}, {outcome.row['estimator']} failed: {outcome.row['error']}")
+    job.unsaved = save(job.arguments, job.requests, trial)
+    job.note(job.unsaved)
 
 
 def _about(job: Job) -> dict[str, Any]:

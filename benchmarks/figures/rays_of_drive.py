@@ -18,8 +18,9 @@ SHOWN_SNAPSHOTS = 200
 
 def draw_rays(world: World, folder: Path) -> list[Path]:
     """Write rays.png, rays-view.png and rays.html of a drive, at 200 of its snapshots; return their paths."""
-    poses = world.drive.poses[:: max(1, len(world.drive.poses) // SHOWN_SNAPSHOTS)]
-    paths, receivers = world.trace(poses), np.ascontiguousarray(poses[:, :3])
+    steps = np.arange(0, len(world.drive.poses), max(1, len(world.drive.poses) // SHOWN_SNAPSHOTS))
+    poses = world.drive.poses[steps]
+    paths, receivers = world.free_paths(poses, steps), np.ascontiguousarray(poses[:, :3])
     written = [folder / name for name in ("rays.png", "rays-view.png", "rays.html")]
     draw_plan(written[0], world.scene.city, paths, world.sites_m, receivers)
     draw_view(written[1], world.scene, paths, world.sites_m, receivers)

@@ -31,7 +31,9 @@ def draw_snapshot(world: World, number: int, link: int | None, out: Path) -> lis
     if link is not None and not 0 <= link < links:
         raise InputError(f"--link {link}: the scenario has links 0 to {links - 1}")
     pose, velocity = world.drive.poses[number], world.drive.velocity[number, :3]
-    columns, _ = snapshot_paths(path_columns(world.trace(pose[None]), 1, len(world.sites_m)), 0, len(world.sites_m))
+    columns, _ = snapshot_paths(
+        path_columns(world.free_paths(pose[None], np.array([number])), 1, len(world.sites_m)), 0, len(world.sites_m)
+    )
     noise = world.streams().noise
     table = signals.measure(columns, pose, velocity, velocity, number, snapshot_rng(noise, number))
     slots = signals.slots(number)

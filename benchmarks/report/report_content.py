@@ -48,6 +48,7 @@ HEADINGS = {
     "association_recall": ("recall", "", "share of measurements of a VT that were associated rightly"),
     "nees_mean": ("NEES", "", "mean normalised error of the horizontal position: 2 is right"),
     "bound_position_rmse_m": ("bound", "m", "Cramér-Rao bound of the position RMSE"),
+    "bound_merged_m": ("bound, merging in", "m", "the same without merged measurements, where many are"),
     "realtime_factor": ("x real", "time", "duration of the drive over time of the estimator"),
 }
 # Columns of the summary: metric, statistic, and the heading where it is not the metric's.

@@ -28,7 +28,7 @@ def scene_of(world: World, steps: Ints) -> tuple[dict[str, Any], Mapping[str, An
     from cellslam.sim.world import virtual_transmitters
 
     poses = world.drive.poses[steps]
-    paths = world.trace(poses)
+    paths = world.free_paths(poses, steps)
     vts, path_vt = virtual_transmitters(paths)
     box = _box(np.concatenate([poses[:, :3], world.sites_m]))
     scene = {
@@ -39,8 +39,17 @@ def scene_of(world: World, steps: Ints) -> tuple[dict[str, Any], Mapping[str, An
         "vts": rounded(vts.position_m.T, 1),
         "visible": _visible(paths, path_vt, len(poses)),
         "box": rounded(box.T, 0),
+        "vehicles": _vehicles(world, steps),
     }
     return scene, mesh_of(world.scene.city, box)
+
+
+def _vehicles(world: World, steps: Ints) -> dict[str, Any] | None:
+    """Return sizes of other vehicles, and for each step x, y, ground and yaw of each of them."""
+    if world.traffic is None:
+        return None
+    poses = world.traffic.at(steps * world.config.vehicle.snapshot_interval_s)
+    return {"size": rounded(world.traffic.size_m, 2), "poses": [rounded(now, 2) for now in poses]}
 
 
 def mesh_of(city: City, box: Floats) -> dict[str, Any]:

@@ -98,6 +98,7 @@ function drawScene(home, trial) {
         points3(none, { name: `${one.label}: virtual transmitters`, mode: "markers", showlegend: one.first.length > 0,
           marker: { color: colour, size: 3, symbol: "diamond" } })];
     }),
+    ...(scene.vehicles ? [boxTrace(scene.vehicles.size.length)] : []),
   );
   const axis = (text) => ({ title: { text }, backgroundcolor: "#eef2f5", showspikes: false });
   const extent = extentOf(trial, false);
@@ -112,9 +113,38 @@ function drawScene(home, trial) {
   const moving = traces.slice(still).map((_, i) => still + i);
   return (step) => {
     const now = [...raysAt(scene, step), at(scene.truth, step), pick(scene.vts, scene.visible[step]),
-      ...estimates.flatMap((one) => [at(one.position, step), pick(one.vts, one.first.flatMap((first, v) => (first <= step ? [v] : [])))])];
+      ...estimates.flatMap((one) => [at(one.position, step), pick(one.vts, one.first.flatMap((first, v) => (first <= step ? [v] : [])))]),
+      ...(scene.vehicles ? [cornersOf(scene.vehicles, step)] : [])];
     Plotly.restyle(home, { x: now.map((p) => p[0]), y: now.map((p) => p[1]), z: now.map((p) => p[2]) }, moving);
   };
+}
+
+// Boxes of other vehicles: eight corners each, four below and four above; two triangles a side, none below.
+const BOX_SIDES = [[0, 1, 5], [0, 5, 4], [1, 2, 6], [1, 6, 5], [2, 3, 7], [2, 7, 6], [3, 0, 4], [3, 4, 7], [4, 5, 6], [4, 6, 7]];
+const BOX_SHADES = ["#5b6b8c", "#5b6b8c", "#4d5b78", "#4d5b78", "#5b6b8c", "#5b6b8c", "#4d5b78", "#4d5b78", "#7586ab", "#7586ab"];
+
+function boxTrace(count) {
+  const numbers = Array.from({ length: count }, (_, n) => 8 * n);
+  const [i, j, k] = [0, 1, 2].map((c) => numbers.flatMap((first) => BOX_SIDES.map((side) => first + side[c])));
+  return { type: "mesh3d", x: [], y: [], z: [], i, j, k, facecolor: numbers.flatMap(() => BOX_SHADES), name: "other vehicles",
+    color: "#5b6b8c", showlegend: true, hoverinfo: "name", flatshading: true,
+    lighting: { ambient: 1, diffuse: 0, specular: 0, roughness: 1, fresnel: 0 } };
+}
+
+function cornersOf({ size, poses }, step) {
+  const columns = [[], [], []];
+  poses[step].forEach(([x, y, ground, yaw], n) => {
+    const [length, width, height] = size[n];
+    for (const up of [0, height]) {
+      for (const [a, b] of [[1, 1], [-1, 1], [-1, -1], [1, -1]]) {
+        const [along, left] = [(a * length) / 2, (b * width) / 2];
+        columns[0].push(x + Math.cos(yaw) * along - Math.sin(yaw) * left);
+        columns[1].push(y + Math.sin(yaw) * along + Math.cos(yaw) * left);
+        columns[2].push(ground + up);
+      }
+    }
+  });
+  return columns;
 }
 
 const at = (columns, step) => columns.map((column) => [column[step]]);

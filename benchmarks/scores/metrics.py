@@ -30,7 +30,7 @@ def score(recording: Recording, result: TrialResult, bound: BoundResult | None) 
     """
     scores: dict[str, float | None] = dict.fromkeys(METRIC_KEYS)
     if bound is not None:
-        scores["bound_position_rmse_m"] = bound.position_rmse_m
+        scores["bound_position_rmse_m"], scores["bound_merged_m"] = bound.position_rmse_m, bound.merged_m
     truth = recording.truth
     if truth is None:
         return scores | (reference_scores(recording, recording.reference, result) if recording.reference else {})

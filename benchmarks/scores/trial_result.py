@@ -9,19 +9,20 @@ import numpy as np
 from cellslam.sim.described import Described
 from cellslam.sim.recording import Floats, Ints
 from cellslam.slam.api import VtEstimate
+from cellslam.slam.model.calibration import Calibration
 
 # Keys of one row of results, in the order in which they are written; a value that does not apply is null.
 ROW_KEYS = (
     "scenario", "estimator", "trial", "seed", "status", "error", "snapshots", "duration_s", "distance_m",
     "position_rmse_m", "position_max_m", "position_end_m", "heading_rmse_rad", "clock_offset_rmse_m",
     "transmitter_rmse_m", "map_gospa_m", "association_precision", "association_recall", "nees_mean",
-    "bound_position_rmse_m", "estimate_seconds", "realtime_factor",
+    "bound_position_rmse_m", "bound_merged_m", "estimate_seconds", "realtime_factor",
 )  # fmt: skip
 # Those of them that `benchmarks.scores.metrics.score` fills; each may be None.
 METRIC_KEYS = (
     "position_rmse_m", "position_max_m", "position_end_m", "heading_rmse_rad", "clock_offset_rmse_m",
     "transmitter_rmse_m", "map_gospa_m", "association_precision", "association_recall", "nees_mean",
-    "bound_position_rmse_m",
+    "bound_position_rmse_m", "bound_merged_m",
 )  # fmt: skip
 
 
@@ -32,7 +33,8 @@ class TrialResult(Described):
     `poses` (T, 6) and `covariances` (T, 6, 6): the answer that is scored. `smoothed`: the poses are those of
     `finish()`, which used the whole drive, while the covariances are still those of the snapshots.
     `association` (M,): VT id per measurement, -1 for none, as said in its own snapshot. `clock_offset_m` and
-    `clock_offset_variance_m2` (T, S). `vts`: the last ones reported. None: the estimator does not give this.
+    `clock_offset_variance_m2` (T, S). `vts`: the last ones reported.
+    `calibration`: of the array, at the end. None: the estimator does not give this.
     `oracle`: the estimator was shown the truth.
     """
 
@@ -43,6 +45,7 @@ class TrialResult(Described):
     clock_offset_m: Floats | None = None
     clock_offset_variance_m2: Floats | None = None
     vts: VtEstimate | None = None
+    calibration: Calibration | None = None
     smoothed: bool = False
     oracle: bool = False
     estimate_seconds: float = float("nan")

@@ -12,7 +12,7 @@ import numpy as np
 from cellslam.benchmarks.scores.statistics import interval, statistic
 from cellslam.benchmarks.sweeps.rows import provenance, results
 from cellslam.benchmarks.tables.formats import comparison_grid, number
-from cellslam.benchmarks.tables.summaries import EFFICIENCY, comparison, efficiency, finite
+from cellslam.benchmarks.tables.summaries import EFFICIENCY, MERGED, RATIO_OF, comparison, efficiency, finite
 from cellslam.scenarios.suites import Suite
 from cellslam.slam.registry import oracles
 
@@ -25,6 +25,7 @@ REFERENCE = "fastslam"
 COLUMNS = (
     ("RMSE (m) [95 %]", "position_rmse_m", "median", True),
     ("efficiency ratio [95 %]", EFFICIENCY, "", True),
+    ("merging counted in", MERGED, "", True),  # where a drive has that bound
     ("90 % (m)", "position_rmse_m", "q90", False),
     ("max (m)", "position_max_m", "median", False),
     ("end (m)", "position_end_m", "median", False),
@@ -50,7 +51,8 @@ def suite_markdown(folder: Path, one: Suite, scenarios: Sequence[str], trials: i
         "" if whole else "\nNot the suite's result: it takes all scenarios and trials.\n",
         f"Root seed {one.seed}, trials 0 to {trials - 1} of each scenario. Medians over trials; RMSE with its "
         f"{100 * CONFIDENCE:g} % interval by resampling; position errors are horizontal, absolute, not aligned. "
-        "Efficiency ratio: root mean square of the RMSE over that of the bound, 1 at best.",
+        "Efficiency ratio: root mean square of the RMSE over that of the bound, 1 at best; merging counted in: over "
+        "that of the bound without merged measurements.",
         f"Made with {said}, on {platform.machine()}, by",
         f"\n    {command}\n",
         left,
@@ -59,15 +61,16 @@ def suite_markdown(folder: Path, one: Suite, scenarios: Sequence[str], trials: i
 
 
 def _scenario(folder: Path, name: str, trials: int, seed: int) -> str:
-    metrics = [metric for _, metric, _, _ in COLUMNS if metric != EFFICIENCY]
-    frame = results(folder, ["scenario", "estimator", "trial", "seed", "status", *metrics])
+    metrics = [metric for _, metric, _, _ in COLUMNS if metric not in (EFFICIENCY, MERGED, *RATIO_OF)]
+    frame = results(folder, ["scenario", "estimator", "trial", "seed", "status", *RATIO_OF, *metrics])
     own = frame[(frame["scenario"] == name) & (frame["trial"] < trials) & (frame["seed"] == seed)]
     marked = oracles(own["estimator"].unique())
-    lines = ["| estimator | " + " | ".join(c[0] for c in COLUMNS) + " | ok |", "|---|" + "---:|" * (len(COLUMNS) + 1)]
+    columns = [c for c in COLUMNS if c[1] != MERGED or own["bound_merged_m"].notna().any()]
+    lines = ["| estimator | " + " | ".join(c[0] for c in columns) + " | ok |", "|---|" + "---:|" * (len(columns) + 1)]
     for estimator in own["estimator"].unique():
         rows = own[own["estimator"] == estimator]
         fine = rows[rows["status"] == "ok"]
-        cells = [_cell(fine, metric, of, ends) for _, metric, of, ends in COLUMNS]
+        cells = [_cell(fine, metric, of, ends) for _, metric, of, ends in columns]
         shown = f"{estimator} (oracle)" if estimator in marked else estimator
         lines.append("| " + " | ".join([shown, *cells, f"{len(fine)}/{len(rows)}"]) + " |")
     return "\n".join([f"\n## {name}\n", *lines, *_compared(folder, name, list(own["estimator"].unique()))])
@@ -91,8 +94,8 @@ def _compared(folder: Path, scenario: str, estimators: Sequence[str]) -> list[st
 
 
 def _cell(rows: pd.DataFrame, metric: str, name: str, ends: bool) -> str:
-    if metric == EFFICIENCY:
-        value, low, high = efficiency(rows, CONFIDENCE)
+    if metric in (EFFICIENCY, MERGED):
+        value, low, high = efficiency(rows, CONFIDENCE, metric == MERGED)
     else:
         values, of = finite(rows[metric]), statistic(name)
         value = float(of.of(values)) if len(values) else float("nan")

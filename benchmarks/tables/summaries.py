@@ -18,9 +18,9 @@ from cellslam.sim.recording import Floats
 if TYPE_CHECKING:
     import pandas as pd
 
-EFFICIENCY = "efficiency_ratio"  # of a group of rows, not of one
-METRICS = (*METRIC_KEYS, "estimate_seconds", "realtime_factor", EFFICIENCY)
-RATIO_OF = ("position_rmse_m", "bound_position_rmse_m")
+EFFICIENCY, MERGED = "efficiency_ratio", "efficiency_ratio_merged"  # of a group of rows, not of one
+METRICS = (*METRIC_KEYS, "estimate_seconds", "realtime_factor", EFFICIENCY, MERGED)
+RATIO_OF = ("position_rmse_m", "bound_position_rmse_m", "bound_merged_m")
 USUAL_METRICS = (
     "position_rmse_m",
     EFFICIENCY,
@@ -47,7 +47,8 @@ def summary(folder: str | Path, layout: Layout | None = None) -> pd.DataFrame:
 
     Columns: the keys of rows and columns, `metric`, `statistic`, `value`, `low`, `high` (with a confidence),
     `values` (how many trials have the metric), `trials` (of status ok) and `failed`. The efficiency ratio, root mean
-    square of the RMSE over that of the bound, is one number a group, of no statistic. Raises InputError.
+    square of the RMSE over that of the bound, is one number a group, of no statistic; so is the one against the bound
+    without merged measurements. Raises InputError.
     """
     import pandas as pd
 
@@ -62,8 +63,9 @@ def summary(folder: str | Path, layout: Layout | None = None) -> pd.DataFrame:
         fine = group[group["status"] == "ok"]
         for metric in metrics:
             counts = {"trials": len(fine), "failed": len(group) - len(fine)}
-            if metric == EFFICIENCY:
-                lines.append({**values, "metric": metric, "statistic": "", **_efficiency(fine, layout), **counts})
+            if metric in (EFFICIENCY, MERGED):
+                ratio = _efficiency(fine, layout, metric == MERGED)
+                lines.append({**values, "metric": metric, "statistic": "", **ratio, **counts})
                 continue
             sample = finite(fine[metric])
             counts = {"values": len(sample), **counts}
@@ -91,8 +93,8 @@ def comparison(
     """
     import pandas as pd
 
-    if metric == EFFICIENCY:
-        raise InputError(f"'{EFFICIENCY}' is of a group of drives, not of one: compare position_rmse_m")
+    if metric in (EFFICIENCY, MERGED):
+        raise InputError(f"'{metric}' is of a group of drives, not of one: compare position_rmse_m")
     metrics_of(Layout(metrics=(metric,)))
     check_confidence(confidence)
     keys = [key for key in row_keys(folder, Layout(rows=rows)) if key != "estimator"]
@@ -120,14 +122,17 @@ def comparison(
 
 def columns_of(metrics: Sequence[str]) -> list[str]:
     """Return the row keys that metrics are made of."""
-    return [key for metric in metrics for key in (RATIO_OF if metric == EFFICIENCY else (metric,))]
+    return [key for metric in metrics for key in (RATIO_OF if metric in (EFFICIENCY, MERGED) else (metric,))]
 
 
-def efficiency(rows: pd.DataFrame, confidence: float) -> tuple[float, float, float]:
-    """Return the efficiency ratio of rows that have RMSE and bound, and the ends of its interval; NaN: not known."""
-    known = rows.dropna(subset=list(RATIO_OF))
-    error, bound = (np.asarray(known[key], np.float64) for key in RATIO_OF)
-    return efficiency_ratio(error, bound, confidence)
+def efficiency(rows: pd.DataFrame, confidence: float, merged: bool = False) -> tuple[float, float, float]:
+    """Return the efficiency ratio of rows that have RMSE and bound, and the ends of its interval; NaN: not known.
+
+    merged: against the bound without merged measurements, where a row has it.
+    """
+    known = rows.dropna(subset=list(RATIO_OF[:2]))
+    error, bound, without = (np.asarray(known[key], np.float64) for key in RATIO_OF)
+    return efficiency_ratio(error, np.where(np.isnan(without), bound, without) if merged else bound, confidence)
 
 
 def row_keys(folder: str | Path, layout: Layout) -> list[str]:
@@ -161,9 +166,9 @@ def groups(frame: pd.DataFrame, keys: Sequence[str]) -> Iterator[tuple[dict[str,
         yield {key: _plain(value) for key, value in zip(keys, values, strict=True)}, group
 
 
-def _efficiency(rows: pd.DataFrame, layout: Layout) -> dict[str, float | int | None]:
-    value, low, high = (None if np.isnan(v) else v for v in efficiency(rows, layout.confidence or 0.95))
-    line: dict[str, float | int | None] = {"value": value, "values": len(rows.dropna(subset=list(RATIO_OF)))}
+def _efficiency(rows: pd.DataFrame, layout: Layout, merged: bool) -> dict[str, float | int | None]:
+    value, low, high = (None if np.isnan(v) else v for v in efficiency(rows, layout.confidence or 0.95, merged))
+    line: dict[str, float | int | None] = {"value": value, "values": len(rows.dropna(subset=list(RATIO_OF[:2])))}
     return line if layout.confidence is None else {**line, "low": low, "high": high}
 
 

@@ -39,7 +39,8 @@ _SEVERAL = (
     ("assoc.\nprec/rec", ("association_precision", "association_recall"), 2),
     ("x real\ntime", ("realtime_factor",), 0),
 )
-_COUNTED = ("efficiency\nratio", "lost", "trials\nok")
+MERGING = "merging\ncounted in"  # where a drive has that bound
+_COUNTED = ("efficiency\nratio", MERGING, "lost", "trials\nok")
 _FIRST_TO_GO = (
     "heading\n(rad)",
     "GOSPA\n(m)",
@@ -48,11 +49,13 @@ _FIRST_TO_GO = (
     "max\n(m)",
     "assoc.\nprec/rec",
     "NEES\n(2)",
+    MERGING,
 )
 CONFIDENCE, LOST_M = 0.95, 2.0
 LONG = 1e3  # without decimals
 _LEGEND = (
-    "medians over the trials that are ok; efficiency ratio: root mean square error over that of the bound; "
+    "medians over the trials that are ok; efficiency ratio: root mean square error over that of the bound, "
+    "merging counted in: of the bound without merged measurements; "
     f"lost: RMSE above {LOST_M:g} m, or failed"
 )
 
@@ -67,6 +70,7 @@ def bound_row(trial: Trial) -> dict[str, Any]:
         "status": "ok",
         "position_rmse_m": trial.bound.position_rmse_m,
         "bound_position_rmse_m": trial.bound.position_rmse_m,
+        "bound_merged_m": trial.bound.merged_m,
         "position_max_m": float(std.max()),
         "position_end_m": float(std[-1]),
         "clock_offset_rmse_m": float(np.sqrt(np.mean(trial.bound.clock_offset_std_m[-1] ** 2))),
@@ -93,6 +97,8 @@ def results_table(
     )  # fmt: skip
     columns = [_column([row for row in rows if row["estimator"] == name], several) for name in names]
     cells = {heading: [column[heading] for column in columns] for heading in columns[0]}
+    if several and not any(row.get("bound_merged_m") is not None for row in rows):
+        cells.pop(MERGING)
     left_out = _too_many(cells, width) if several and width is not None else []
     table.add_column("estimator", overflow="fold", min_width=LONGEST_NAME)
     for heading in cells:
@@ -139,11 +145,13 @@ def _with_interval(rows: Sequence[Mapping[str, Any]]) -> str:
 
 
 def _counted(own: Sequence[Mapping[str, Any]], fine: Sequence[Mapping[str, Any]]) -> list[str]:
-    """Return the efficiency ratio, drives lost, and trials ok."""
+    """Return the efficiency ratios, merging ignored and counted in, drives lost, and trials ok."""
     pairs = [row for row in fine if row.get("bound_position_rmse_m") is not None and row["position_rmse_m"] is not None]
-    found = efficiency_ratio(_values(pairs, "position_rmse_m"), _values(pairs, "bound_position_rmse_m"), CONFIDENCE)
+    error, bound = _values(pairs, "position_rmse_m"), _values(pairs, "bound_position_rmse_m")
+    merged = np.array([row.get("bound_merged_m") or row["bound_position_rmse_m"] for row in pairs], np.float64)
+    ratios = [_bracketed(*efficiency_ratio(error, one, CONFIDENCE)) for one in (bound, merged)]
     lost = len(own) - len(fine) + int(np.sum(_values(fine, "position_rmse_m") > LOST_M))
-    return [_bracketed(*found), f"{lost}/{len(own)}", f"{len(fine)}/{len(own)}"]
+    return [*ratios, f"{lost}/{len(own)}", f"{len(fine)}/{len(own)}"]
 
 
 def _bracketed(value: float, low: float, high: float) -> str:

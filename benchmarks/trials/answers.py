@@ -9,8 +9,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from cellslam.sim.errors import InputError
 from cellslam.sim.recording import Floats, Recording
 from cellslam.slam.api import Estimate, VtEstimate
+from cellslam.slam.model.calibration import Calibration
 
 Columns = dict[str, NDArray[Any]]
 MOST = 1e9  # metres, radians; a covariance has its square
@@ -19,7 +21,8 @@ MOST_ID = 2**53
 ROUNDING = 1e-6  # of a covariance's largest entry: what it may be asymmetric, or its eigenvalues negative
 _NUMBERS = ("pose", "covariance", "clock_offset_m", "clock_offset_variance_m2")
 _VTS = ("id", "link", "position_m", "covariance")
-_WHOLE = frozenset(("association", "vts.id", "vts.link"))
+_CALIBRATION = ("size", "component", "cell", "mean", "covariance")
+_WHOLE = frozenset(("association", "vts.id", "vts.link", "calibration.component", "calibration.cell"))
 _SQUARES = frozenset(("covariance", "clock_offset_variance_m2", "vts.covariance"))
 
 
@@ -39,6 +42,31 @@ def plain(answer: Any) -> Columns:
     if answer.vts is not None:
         kept |= {f"vts.{name}": getattr(answer.vts, name) for name in _VTS}
     return {name: numbers(name, value) for name, value in kept.items()}
+
+
+def plain_calibration(answer: Any) -> Columns:
+    """Return copies of what a Calibration holds, by name. Raises BadAnswerError for anything else but None."""
+    if answer is None:
+        return {}
+    if not isinstance(answer, Calibration):
+        raise BadAnswerError(f"calibration() returned {type(answer).__name__}, expected cellslam.Calibration or None")
+    of_grid = [answer.scale_rad, answer.spacing, answer.reach]
+    given = {f"calibration.{name}": getattr(answer, name) for name in _CALIBRATION} | {"calibration.grid": of_grid}
+    return {name: numbers(name, value) for name, value in given.items()}
+
+
+def calibration_of(answer: Columns) -> Calibration | None:
+    """Return the Calibration that columns are of, checked; None where there is none. Raises BadAnswerError."""
+    if "calibration.grid" not in answer:
+        return None
+    try:
+        scale, spacing, reach = checked("calibration.grid", answer["calibration.grid"], (3,)).tolist()
+        size, component, cell, mean, covariance = (answer[f"calibration.{name}"] for name in _CALIBRATION)
+        calibration = Calibration(size, scale, spacing, reach, component, cell, mean, covariance)
+        calibration.check()
+    except (KeyError, InputError) as error:
+        raise BadAnswerError(f"calibration: {error}") from error
+    return calibration
 
 
 def numbers(name: str, value: Any) -> NDArray[Any]:

@@ -12,7 +12,16 @@ import numpy as np
 
 from cellslam.benchmarks.scores.trial_result import TrialResult
 from cellslam.benchmarks.trials import compile_ahead as ahead
-from cellslam.benchmarks.trials.answers import BadAnswerError, Columns, Log, checked, numbers, plain
+from cellslam.benchmarks.trials.answers import (
+    BadAnswerError,
+    Columns,
+    Log,
+    calibration_of,
+    checked,
+    numbers,
+    plain,
+    plain_calibration,
+)
 from cellslam.scenarios.estimator_options import Request
 from cellslam.sim.progress import Progress, silent
 from cellslam.sim.recording import Recording
@@ -27,7 +36,7 @@ _warm: set[tuple[type[Any], str]] = set()
 
 @dataclass(frozen=True)
 class Answer:
-    """Plain copies of one answer; `seconds`: what the estimator has taken since its start. The last is of `finish`."""
+    """Plain copies of one answer; `seconds`: what the estimator has taken since its start. The last is of the end."""
 
     seconds: float
     columns: Columns
@@ -60,7 +69,8 @@ def estimate(
 
 
 def answers(recording: Recording, request: Request, rng: np.random.Generator) -> Iterator[Answer]:
-    """Drive an estimator in this process: yield its answer to each snapshot, then that of `finish`, if any."""
+    """Drive an estimator in this process: yield its answer to each snapshot, then those of `finish` and `calibration`,
+    if any."""
     setup, snapshots = setup_of(recording, request.oracle), snapshots_of(recording)
     dt_s = np.diff(recording.time_s, prepend=recording.time_s[0])
     odometry = odometry_of(recording)
@@ -81,7 +91,9 @@ def answers(recording: Recording, request: Request, rng: np.random.Generator) ->
     begin = time.perf_counter()
     final = estimator.finish() if callable(getattr(estimator, "finish", None)) else None
     seconds += time.perf_counter() - begin
-    yield Answer(seconds, {} if final is None else {"finish": numbers("finish(): poses", final)})
+    columns = {} if final is None else {"finish": numbers("finish(): poses", final)}
+    calibration = getattr(estimator, "calibration", None)
+    yield Answer(seconds, columns | (plain_calibration(calibration()) if callable(calibration) else {}))
 
 
 def collected(
@@ -111,5 +123,6 @@ def collected(
         vts=log.vts,
         smoothed=final is not None,
         oracle=request.oracle,
+        calibration=calibration_of(last.columns),
         estimate_seconds=last.seconds,
     )

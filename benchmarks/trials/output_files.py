@@ -9,22 +9,22 @@ from pathlib import Path
 from cellslam.sim.errors import InputError
 
 
-def check_folder(path: Path) -> None:
+def check_folder(path: Path, option: str = "--out") -> None:
     """Raise InputError unless a folder `path` exists or can be made, and can be written. Makes nothing."""
     existing = next(place for place in (path, *path.absolute().parents) if place.exists())
     if not existing.is_dir():
-        raise InputError(f"--out {path}: {existing} is a file, not a folder; give another --out")
+        raise InputError(f"{option} {path}: {existing} is a file, not a folder; give another {option}")
     if not os.access(existing, os.W_OK | os.X_OK):
-        raise InputError(f"--out {path}: no permission to write in {existing}; give another --out")
+        raise InputError(f"{option} {path}: no permission to write in {existing}; give another {option}")
 
 
-def check_file(path: Path) -> None:
+def check_file(path: Path, option: str = "--out") -> None:
     """Raise InputError unless a file `path` can be written in a folder that exists. Makes nothing."""
     if path.is_dir():
-        raise InputError(f"--out {path}: is a folder; give the name of a file in it")
+        raise InputError(f"{option} {path}: is a folder; give the name of a file in it")
     if not path.absolute().parent.is_dir():
-        raise InputError(f"--out {path}: there is no folder {path.parent}; create it first")
-    check_folder(path.absolute().parent)
+        raise InputError(f"{option} {path}: there is no folder {path.parent}; create it first")
+    check_folder(path.absolute().parent, option)
 
 
 def file_name(estimator: str) -> str:

@@ -145,7 +145,7 @@ def failed_row(scenario: str, estimator: str, trial: int, seed: int, error: str)
 
 
 def _drive(make: Callable[[], Recording], progress: Progress, bounded: bool) -> Drive:
-    from cellslam.benchmarks.bound.cramer_rao import bound
+    from cellslam.benchmarks.bound.merged_paths import both_bounds
 
     try:
         recording = make()
@@ -154,7 +154,7 @@ def _drive(make: Callable[[], Recording], progress: Progress, bounded: bool) -> 
     if recording.truth is None or not bounded:
         return Drive(recording)
     try:
-        return Drive(recording, bound(recording, progress))
+        return Drive(recording, both_bounds(recording, progress))
     except Exception as error:  # of a recording of another version, the errors are not those of this one
         return Drive(recording, unbound=explained(error))
 

@@ -16,6 +16,7 @@ import numpy as np
 from cellslam.sim.lte.persisting_errors_kernel import Fields
 from cellslam.sim.lte.radio_config import RadioConfig
 from cellslam.sim.lte.statistical.statistics import statistics
+from cellslam.sim.randomness import Stream, stream
 from cellslam.sim.recording import Floats
 
 WAVES = 32
@@ -71,11 +72,20 @@ def persisting_std(config: RadioConfig) -> Floats:
 
 
 def draw_fields(config: RadioConfig, interval_s: float, rng: np.random.Generator) -> Fields:
-    """Draw a trial's receiver and surroundings. Every field has a Gaussian correlation, exp(-x^2 / (2 scale^2))."""
+    """Draw a trial's receiver and surroundings. Every field has a Gaussian correlation, exp(-x^2 / (2 scale^2)).
+
+    With `config.array_seed` the array's calibration is that of the seed, whatever `rng` is.
+    """
     calibration, roof, diffuse, attitude = causes(config)
     direction_scale = np.array([calibration.scale] * 3 + [roof.scale] * 2)
     direction_std = np.concatenate([calibration.std, roof.std[1:]])
     direction_wave, direction_phase = rng.standard_normal((5, WAVES, 3)), _phases(rng, (5, WAVES))
+    if config.array_seed is not None:
+        array_rng = stream(config.array_seed, 0, Stream.ARRAY)
+        direction_wave[:3], direction_phase[:3] = (
+            array_rng.standard_normal((3, WAVES, 3)),
+            _phases(array_rng, (3, WAVES)),
+        )
     place_wave, place_phase = rng.standard_normal((3, WAVES, 6)), _phases(rng, (3, WAVES))
     port_phase = _phases(rng, (3, WAVES, 4))
     time_wave, time_phase = rng.standard_normal((3, WAVES)), _phases(rng, (3, WAVES))
@@ -95,6 +105,15 @@ def draw_fields(config: RadioConfig, interval_s: float, rng: np.random.Generator
         time_wave=time_wave * _per_scale(attitude.scale) * interval_s,
         time_phase=time_phase,
     )
+
+
+def calibration_at(fields: Fields, directions: Floats) -> Floats:
+    """Return the array's calibration errors (n, 3) in m, rad, rad at directions (n, 2): azimuth, elevation, body
+    frame."""
+    flat = np.cos(directions[:, 1])
+    unit = np.stack([flat * np.cos(directions[:, 0]), flat * np.sin(directions[:, 0]), np.sin(directions[:, 1])])
+    angle = np.einsum("fwi,in->nfw", fields.direction_wave[:3], unit) + fields.direction_phase[:3]
+    return np.asarray(fields.direction_std[:3] * np.sqrt(2.0 / angle.shape[2]) * np.cos(angle).sum(axis=2))
 
 
 def _per_scale(scale: float) -> float:

@@ -61,6 +61,9 @@ class RadioConfig(BaseModel):
     calibration_correlation_deg: float = Field(
         15.0, ge=0.0, le=180.0, description="turn over which the calibration error changes, deg (0: white errors)"
     )
+    array_seed: int | None = Field(
+        None, ge=0, description="drives with the same seed share one array's calibration errors (none: of each trial)"
+    )
     roof_azimuth_deg: float = Field(
         0.6, ge=0.0, le=20.0, description="floor: scattering off the car's roof, azimuth, deg"
     )

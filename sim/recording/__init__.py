@@ -7,6 +7,7 @@
 from cellslam.sim.recording.contract import Recording
 from cellslam.sim.recording.hdf5_layout import COMPONENTS, SCHEMA_VERSION
 from cellslam.sim.recording.tables import (
+    CLOCK_PRIOR,
     ClockSteps,
     Floats,
     Ints,
@@ -16,10 +17,12 @@ from cellslam.sim.recording.tables import (
     Reference,
     Sites,
     Truth,
+    Vehicles,
     VirtualTransmitters,
 )
 
 __all__ = [
+    "CLOCK_PRIOR",
     "COMPONENTS",
     "SCHEMA_VERSION",
     "ClockSteps",
@@ -32,5 +35,6 @@ __all__ = [
     "Reference",
     "Sites",
     "Truth",
+    "Vehicles",
     "VirtualTransmitters",
 ]

@@ -8,7 +8,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cellslam.sim.errors import InputError
-from cellslam.sim.recording.tables import Floats, Ints, Measurements, RecordingData, Reference, Truth
+from cellslam.sim.recording.tables import (
+    CLOCK_PRIOR,
+    Floats,
+    Ints,
+    Measurements,
+    RecordingData,
+    Reference,
+    Truth,
+    Vehicles,
+)
 
 MEASURED = ("distance_m", "azimuth_rad", "elevation_rad")
 CLAIMED = ("distance_std_m", "azimuth_std_rad", "elevation_std_rad")
@@ -51,20 +60,12 @@ def _check_odometry(r: RecordingData, count: int) -> None:
 def _check_links(r: RecordingData) -> None:
     for name in ("site", "cell_id", "port"):
         _shape(f"links.{name}", getattr(r.links, name), (len(r.links),))
-    _shape("sites.clock_offset_mean_m", r.sites.clock_offset_mean_m, (len(r.sites),))
-    _shape("sites.clock_offset_std_m", r.sites.clock_offset_std_m, (len(r.sites),))
-    _finite("sites.clock_offset_mean_m", r.sites.clock_offset_mean_m)
-    _require(r.sites.clock_offset_std_m >= 0, "sites.clock_offset_std_m", "is negative")
-    _finite("sites.clock_offset_std_m", r.sites.clock_offset_std_m)
-    if r.sites.clock_drift_std_m_s is not None:
-        _shape("sites.clock_drift_std_m_s", r.sites.clock_drift_std_m_s, (len(r.sites),))
-        _require(r.sites.clock_drift_std_m_s >= 0, "sites.clock_drift_std_m_s", "is negative")
-        _finite("sites.clock_drift_std_m_s", r.sites.clock_drift_std_m_s)
-    for name in ("clock_walk_m_sqrt_s", "clock_drift_walk_m_s_sqrt_s"):
+    for name in CLOCK_PRIOR:
         column = getattr(r.sites, name)
         if column is not None:
             _shape(f"sites.{name}", column, (len(r.sites),))
-            _require(column >= 0, f"sites.{name}", "is negative")
+            if name != "clock_offset_mean_m":
+                _require(column >= 0, f"sites.{name}", "is negative")
             _finite(f"sites.{name}", column)
     if r.sites.position_m is not None:
         _shape("sites.position_m", r.sites.position_m, (len(r.sites), 3))
@@ -135,8 +136,9 @@ def _check_truth(truth: Truth, r: RecordingData) -> None:
     _finite("truth.poses", truth.poses)
     _shape("truth.measurement_vt", truth.measurement_vt, (len(r.measurements),))
     _shape("truth.measurement_std", truth.measurement_std, (len(r.measurements), 3))
-    if truth.persisting_std is not None:
-        _shape("truth.persisting_std", truth.persisting_std, (len(r.measurements), 3))
+    for name in ("persisting_std", "merging_shift"):
+        if (column := getattr(truth, name)) is not None:
+            _shape(f"truth.{name}", column, (len(r.measurements), 3))
     _shape("truth.vts.position_m", truth.vts.position_m, (vts, 3))
     _shape("truth.site_positions_m", truth.site_positions_m, (len(r.sites), 3))
     _shape("truth.clock_offsets_m", truth.clock_offsets_m, (len(r.sites),))
@@ -160,6 +162,24 @@ def _check_truth(truth: Truth, r: RecordingData) -> None:
         "truth.measurement_vt",
         f"is not one of the {vts} VTs",
     )
+    if truth.vehicles is not None:
+        _check_vehicles(truth.vehicles, vts, len(r.time_s), len(r.measurements))
+
+
+def _check_vehicles(v: Vehicles, vts: int, snapshots: int, measurements: int) -> None:
+    _shape("truth.vehicles.size_m", v.size_m, (len(v), 3))
+    _require(v.size_m > 0, "truth.vehicles.size_m", "is not a size (must be > 0)")
+    _shape("truth.vehicles.time_s", v.time_s, (len(v.time_s),))
+    _require(np.diff(v.time_s) > 0, "truth.vehicles.time_s", "is not after the row before it: sort by time", offset=1)
+    _shape("truth.vehicles.poses", v.poses, (len(v.time_s), len(v), 4))
+    _finite("truth.vehicles.poses", v.poses)
+    _shape("truth.vehicles.blocked", v.blocked, (len(v.blocked), 4))
+    for column, (what, count) in enumerate((("VTs", vts), ("vehicles", len(v)), *2 * (("snapshots", snapshots),))):
+        own = v.blocked[:, column]
+        _require((own >= 0) & (own < count), "truth.vehicles.blocked", f"is not one of the {count} {what}")
+    _shape("truth.vehicles.reflected", v.reflected, (measurements,))
+    reflected = (v.reflected >= -1) & (v.reflected < len(v))
+    _require(reflected, "truth.vehicles.reflected", f"is not one of the {len(v)} vehicles")
 
 
 def _check_reference(reference: Reference) -> None:

@@ -28,6 +28,7 @@ from cellslam.sim.recording.tables import (
     Reference,
     Sites,
     Truth,
+    Vehicles,
     VirtualTransmitters,
 )
 
@@ -164,8 +165,8 @@ def _check_names(file: h5py.File) -> None:
         if not is_group and path not in known:
             raise InputError(f"unknown column '{path}'{nearest_name(path, known)}")
     for column in COLUMNS:
-        missing = any(column.path.startswith(f"{t}/") and t not in file for t in TABLES_THAT_MAY_MISS)
-        if column.optional or missing:
+        missing = (whole for whole in TABLES_THAT_MAY_MISS if whole not in file)
+        if column.optional or any(column.path.startswith(f"{whole}/") for whole in missing):
             continue
         table = column.table
         if table and table not in file:
@@ -239,8 +240,11 @@ def _recording(values: dict[str, Any], make: type[Kind]) -> Kind:
 
     truth = None
     if "truth/poses" in values:
+        own = table("truth/vehicles")
+        vehicles = Vehicles(**(own | {"kind": tuple(own["kind"].tolist())})) if own else None
         steps = ClockSteps(**table("truth/clock_steps")) if "truth/clock_steps/site" in values else None
-        truth = Truth(**table("truth"), vts=VirtualTransmitters(**table("truth/vts")), clock_steps=steps)
+        vts = VirtualTransmitters(**table("truth/vts"))
+        truth = Truth(**table("truth"), vts=vts, vehicles=vehicles, clock_steps=steps)
     reference = Reference(**table("reference")) if "reference/time_s" in values else None
     sites = table("sites")
     return make(

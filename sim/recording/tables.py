@@ -49,13 +49,21 @@ class Links(Described):
         return len(self.site)
 
 
+# The columns of a site that say what is known of its clock before the drive; from the third on they may be None.
+CLOCK_PRIOR = (
+    "clock_offset_mean_m", "clock_offset_std_m", "clock_drift_std_m_s", "clock_walk_m_sqrt_s",
+    "clock_drift_walk_m_s_sqrt_s", "clock_step_std_m",
+)  # fmt: skip
+
+
 @dataclass(frozen=True, repr=False)
 class Sites(Described):
     """Base-station sites: names and the prior of the clock offset, in metres (std 0: known).
 
     `clock_drift_std_m_s` (S,): deviation of the rate at which an offset changes, m/s (None: offsets are constant).
     `clock_walk_m_sqrt_s` and `clock_drift_walk_m_s_sqrt_s` (S,): densities of the random walks of offset and rate, in m
-    and m/s per square root of a second (None: they do not walk).
+    and m/s per square root of a second (None: they do not walk). `clock_step_std_m` (S,): deviation of the size of
+    steps that happen at unknown times, m (None, 0: none do).
     `position_m` (S, 3): where transmitters stand that are known before the drive, as surveyed anchors are; NaN, or
     None for all: not known.
     """
@@ -67,6 +75,7 @@ class Sites(Described):
     position_m: Floats | None = None
     clock_walk_m_sqrt_s: Floats | None = None
     clock_drift_walk_m_s_sqrt_s: Floats | None = None
+    clock_step_std_m: Floats | None = None
 
     def __len__(self) -> int:
         return len(self.name)
@@ -81,6 +90,11 @@ class Sites(Described):
         """Densities (2, S) of the random walks of offset and rate, in m and m/s per sqrt(s): zero where none is."""
         given = (self.clock_walk_m_sqrt_s, self.clock_drift_walk_m_s_sqrt_s)
         return np.array([np.zeros(len(self)) if column is None else column for column in given])
+
+    @property
+    def step_std_m(self) -> Floats:
+        """Deviation (S,) of the size of steps, m: zero where a clock does not step."""
+        return np.zeros(len(self)) if self.clock_step_std_m is None else self.clock_step_std_m
 
 
 @dataclass(frozen=True, repr=False)
@@ -128,7 +142,7 @@ class VirtualTransmitters(Described):
 
 @dataclass(frozen=True, repr=False)
 class ClockSteps(Described):
-    """Steps of clock offsets, sorted by time: `site` (K,), `time_s` (K,) since the first snapshot, `size_m` (K,)."""
+    """Steps of clock offsets, sorted by time: `site` (C,), `time_s` (C,) since the first snapshot, `size_m` (C,)."""
 
     site: Ints
     time_s: Floats
@@ -139,18 +153,41 @@ class ClockSteps(Described):
 
 
 @dataclass(frozen=True, repr=False)
+class Vehicles(Described):
+    """Other vehicles of a drive, as boxes on the ground, and what they blocked.
+
+    `kind` (N,) in words; `size_m` (N, 3): length, width, height; `time_s` (K,), equidistant, since the first snapshot;
+    `poses` (K, N, 4): x, y, ground of the box's centre (m), yaw (rad), linear in between unless a vehicle leaves and
+    comes in anew; `blocked` (B, 4): row of the VT, vehicle, first and last snapshot of each time that it blocks a path;
+    `reflected` (M,): the vehicle whose side a measurement was reflected by, -1 none; such a measurement has no VT.
+    """
+
+    kind: tuple[str, ...]
+    size_m: Floats
+    time_s: Floats
+    poses: Floats
+    blocked: Ints
+    reflected: Ints
+
+    def __len__(self) -> int:
+        return len(self.kind)
+
+
+@dataclass(frozen=True, repr=False)
 class Truth(Described):
     """What really happened: for scoring and oracles only.
 
     `poses` (T, 6); `measurement_vt` (M,), -1 for clutter; `measurement_std` (M, 3): the true standard
     deviations of distance (m), azimuth, elevation (rad), NaN for clutter; `persisting_std` (M, 3): their part that is
-    alike over links and changes slowly (None: all errors are white); `site_positions_m` (S, 3); `clock_offsets_m`
-    (S,): b of d = norm(v - r) + b at the first snapshot; `clock_drift_m_s` (S,): its rate (None: constant);
-    `odometry_bias` (T, 6): bias plus walk and steps at each snapshot; `odometry_scale` (6,).
+    alike over links and changes slowly (None: all errors are white); `merging_shift` (M, 3): by how much paths that
+    were not told apart from it moved it (m, rad, rad), NaN for clutter (None: not known); `site_positions_m` (S, 3);
+    `clock_offsets_m` (S,): b of d = norm(v - r) + b at the first snapshot; `clock_drift_m_s` (S,): its rate (None:
+    constant); `odometry_bias` (T, 6): bias plus walk and steps at each snapshot; `odometry_scale` (6,).
 
-    What is None where it does not happen: `clock_wander_m` (T, S), what walk and steps have added to the offsets since
-    the first snapshot, with the steps `clock_steps`; `odometry_slip` (T,), factor by which the speed of an interval is
-    measured too large; `age_s` (T,), how much older than their time stamp a snapshot's measurements are.
+    What is None where it does not happen: `vehicles`, traffic; `clock_wander_m` (T, S), what walk and steps have added
+    to the offsets since the first snapshot, with the steps `clock_steps`; `odometry_slip` (T,), factor by which the
+    speed of an interval is measured too large; `age_s` (T,), how much older than their time stamp a snapshot's
+    measurements are.
     """
 
     poses: Floats
@@ -162,11 +199,13 @@ class Truth(Described):
     odometry_bias: Floats
     odometry_scale: Floats
     persisting_std: Floats | None = None
+    merging_shift: Floats | None = None
     clock_drift_m_s: Floats | None = None
     clock_wander_m: Floats | None = None
     clock_steps: ClockSteps | None = None
     odometry_slip: Floats | None = None
     age_s: Floats | None = None
+    vehicles: Vehicles | None = None
 
     def clock_offsets_at(self, elapsed_s: Floats) -> Floats:
         """Return the clock offsets (T, S) at all snapshots, so long (T,) after the first one."""

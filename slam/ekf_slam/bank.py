@@ -72,7 +72,7 @@ def core_of(setup: Setup, errors: ArrayErrors) -> Core:
     wander = setup.sites.walk_densities
     drifts, after = (setup.sites.drift_std_m_s > 0.0) | (wander[1] > 0.0), first + len(setup.sites)
     rate = np.where(drifts, after + np.cumsum(drifts) - 1, -1).astype(np.int64)
-    return Core(sway, bias, scale, noise, first, rate, wander, after + int(drifts.sum()))
+    return Core(sway, bias, scale, noise, first, rate, wander, setup.sites.step_std_m, after + int(drifts.sum()))
 
 
 Tables = TypeVar("Tables", Filter, Block)
@@ -344,6 +344,6 @@ def new_bank(
     blocks = Block(
         np.zeros((k, 1), whole), np.zeros((k, LONGEST, POSE)), np.zeros((k, LONGEST, 2)), np.zeros((k, 3)),
         np.zeros((k, vts), whole), np.zeros((k, vts, LONGEST), whole), np.zeros((k, vts, 3)), np.zeros((k, vts, 3)),
-        np.zeros((k, vts, 3)), np.zeros((k, vts)), np.zeros((k, vts)), np.zeros((k, len(core.rate), 2)),
+        np.zeros((k, vts, 3)), np.zeros((k, vts)), np.zeros((k, vts)),
     )  # fmt: skip
     return Bank(arrays, blocks, np.zeros(k))

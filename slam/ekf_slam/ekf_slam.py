@@ -14,6 +14,7 @@ from cellslam.sim.recording import Floats, Ints, Links, OdometryModel
 from cellslam.slam import warm_up
 from cellslam.slam.api import Estimate, Setup, Snapshot, VtEstimate
 from cellslam.slam.ekf_slam.bank import LONGEST, MOST_STATES, Bank, core_of, new_bank, vt_estimate
+from cellslam.slam.ekf_slam.calibration_states import begin_with, found
 from cellslam.slam.ekf_slam.ekf_slam_options import EkfSlamOptions
 from cellslam.slam.ekf_slam.sizes import Sizes, sizes_of
 from cellslam.slam.ekf_slam.snapshot.motion_kernel import Interval
@@ -24,6 +25,7 @@ from cellslam.slam.front_end.looks import Grouping, Looks
 from cellslam.slam.front_end.measurement_noise import first_of_link, ports_of
 from cellslam.slam.front_end.readings import Readings, novelty, readings, white_readings
 from cellslam.slam.front_end.visibility import existence
+from cellslam.slam.model.calibration import Calibration
 
 NOT_GIVEN = -2
 # Accelerations of a vehicle whose odometry is silent, in m/s^2 and rad/s^2; it neither climbs nor tilts.
@@ -105,6 +107,15 @@ class JointFilter:
             raise RuntimeError("sizes are learnt once the clock offsets are resolved")
         return sizes_of(self._joint, self._errors, self._setup.odometry_model.noise_density)
 
+    def calibration(self) -> Calibration | None:
+        """Return the array's calibration as the drive has shown it; None where it is no state.
+
+        While the clock offsets are wide the drive has shown nothing: what the filter began with.
+        """
+        if self._joint is None or not self._errors.calibration.any():
+            return self.options.known_calibration
+        return found(self._joint, self._errors)
+
     def _given(self, looks: Looks) -> Ints:
         """Return the true VT of each look, for the oracle that knows it."""
         return np.full(len(looks), NOT_GIVEN, np.int64)
@@ -166,6 +177,8 @@ class JointFilter:
         self._joint = new_bank(self._setup, self._core, self._errors, offsets_m, std, self.options.vts, MOST_STATES)
         self._joint.log_weight += log_weight
         self._install(self._joint)
+        if self.options.known_calibration is not None:
+            begin_with(self._joint, self._errors, self.options.known_calibration)
 
     def _use(self, interval: Interval, measured: Measured) -> Ints:
         """Use a snapshot in the filters of all sites; return the associations (K, m)."""
@@ -200,7 +213,7 @@ class JointFilter:
             self.mode, float(np.log(o.clutter_density)), o.gate, float(-np.log1p(-o.birth_ratio)), o.confirm_hits,
             once, twice, min(max(round(o.block_s / step_s), 1), LONGEST) if states else 1, WAY_M, TURN,
             max(EVIDENCE, novelty(o, odometry[3] * dt_s, odometry[0] * dt_s)), int(o.hold_s / step_s),
-            DOUBT if self._most > 1 else 0.0, step=self._log_step, step_m=self.options.step_std_m,
+            DOUBT if self._most > 1 else 0.0, step=self._log_step,
         )  # fmt: skip
         begin_z, begin_q = values.z.copy(), values.fresh.copy()
         flat = np.isnan(begin_z[:, 2])

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
-from typing import Literal
+import math
+from functools import cached_property
+from typing import Literal, Self
 
-from pydantic import Field
+from pydantic import Field, model_validator
 
 from cellslam.slam.front_end.front_end_options import FrontEndOptions
+from cellslam.slam.model.calibration import Calibration
 
 
 class EkfSlamOptions(FrontEndOptions):
@@ -31,9 +34,27 @@ class EkfSlamOptions(FrontEndOptions):
     )
     component_step: float = Field(1.25, gt=0, le=3, description="distance of neighbouring components, in their widths")
     resolved_std_m: float = Field(15.0, gt=0, le=1000, description="a clock offset known to this is resolved, m")
-    start_limit_s: float = Field(150.0, ge=0, le=1e5, description="the start ends at this time at the latest, s")
+    start_limit_s: float = Field(600.0, ge=0, le=1e5, description="the start ends at this time at the latest, s")
     step_probability: float = Field(
-        1e-6, ge=0, lt=1, description="probability that a site's clock steps within a block; 0: it never does"
+        1e-6, ge=0, lt=1, description="probability that a site's clock steps within a block, where it may; 0: never"
     )
-    step_std_m: float = Field(100.0, gt=0, le=1e4, description="deviation of the size of such a step, m")
     prune_ratio: float = Field(1e-5, gt=0, lt=1, description="components less likely than the best by this are dropped")
+    calibration_file: str | None = Field(
+        None, min_length=1, description="file of the array's calibration as an earlier drive found it, to begin with"
+    )
+
+    @cached_property
+    def known_calibration(self) -> Calibration | None:
+        """The calibration to begin with. Raises InputError where the file is none."""
+        return None if self.calibration_file is None else Calibration.load(self.calibration_file)
+
+    @model_validator(mode="after")
+    def _can_begin_with_it(self) -> Self:
+        """Refuse a calibration that is none, or that this filter cannot begin with."""
+        if self.known_calibration is not None:
+            from cellslam.slam.ekf_slam.calibration_states import check_fits
+
+            if self.errors == "counted":
+                raise ValueError("a filter with errors=counted begins with no calibration: set errors=states")
+            check_fits(self.known_calibration, self.calibration, math.radians(self.calibration_scale_deg))
+        return self

@@ -102,12 +102,18 @@ class Start:
         )
 
     def _counted(self, interval: Interval, measured: Measured) -> Measured:
-        """Return a snapshot whose variances have the errors of direction, for as often as one draw is repeated."""
-        m, errors, once, often = measured, self.counted, np.zeros(3), np.zeros(3)
+        """Return a snapshot whose variances have the errors of direction, for as often as one draw is repeated; what is
+        known of the calibration is taken off."""
+        m, errors, known = measured, self.counted, self.options.known_calibration
+        calibration = np.tile(errors.calibration**2, (len(m.z), 1))
+        if known is not None:
+            mean, std = known.at(np.nan_to_num(m.z[:, 1:]))
+            m, calibration = m._replace(z=m.z - mean, begin=m.begin - mean), std**2
+        once, often = np.zeros(m.z.shape), np.zeros(m.z.shape)
         change = (abs(interval.measured[3]) + abs(interval.measured[0]) / TYPICAL_RANGE_M) * interval.dt
-        for std, grid in ((errors.calibration, errors.calibration_grid), (errors.roof, errors.roof_grid)):
-            once += std**2
-            often += std**2 * min(repeats(grid.scale, change), MOST_REPEATS)
+        for variance, grid in ((calibration, errors.calibration_grid), (errors.roof**2, errors.roof_grid)):
+            once += variance
+            often += variance * min(repeats(grid.scale, change), MOST_REPEATS)
         return m._replace(single=m.single + once, many=m.many + often, fresh=m.fresh + once)
 
 

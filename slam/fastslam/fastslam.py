@@ -16,6 +16,7 @@ from cellslam.slam.ekf_slam.snapshot import snapshot_kernel
 from cellslam.slam.fastslam.association_particles import AssociationParticles
 from cellslam.slam.fastslam.fastslam_options import FastSlamOptions
 from cellslam.slam.fastslam.path_particles import PathParticles
+from cellslam.slam.model.calibration import Calibration
 
 
 class FastSlam:
@@ -75,3 +76,7 @@ class FastSlam:
         if isinstance(self._filter, PathParticles):
             raise RuntimeError("sizes are learnt with errors='states' alone")
         return self._filter.sizes()
+
+    def calibration(self) -> Calibration | None:
+        """Return the array's calibration as the drive has shown it; None with errors counted."""
+        return None if isinstance(self._filter, PathParticles) else self._filter.calibration()

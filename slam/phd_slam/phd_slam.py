@@ -171,11 +171,11 @@ class PhdSlam:
 
     def _reported(self, particle: int) -> VtEstimate:
         """Return the Gaussians of a particle that are VTs rather than clutter."""
-        p, o = self._particles, self._options
+        p = self._particles
         count = int(p.size[particle, 0])
         rows, names = p.rows[particle, :count], p.names[particle, :count]
         weight = rows[:, VISIBLE] + rows[:, HIDDEN]
-        sure = np.flatnonzero((weight >= o.report_weight) & (rows[:, HITS] >= o.confirm_hits))
+        sure = np.flatnonzero(rows[:, HITS] >= self._options.confirm_hits)
         # Of Gaussians that have come of one, the weightiest is reported.
         sure = sure[np.argsort(-weight[sure], kind="stable")]
         sure = sure[np.unique(names[sure, NAME], return_index=True)[1]]

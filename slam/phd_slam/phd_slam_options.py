@@ -18,10 +18,7 @@ class PhdSlamOptions(FrontEndOptions):
     offset_component_std_m: float = Field(
         20.0, gt=0, le=1000, description="width of one particle's clock-offset component at the start, m"
     )
-    drop_weight: float = Field(1e-5, gt=0, lt=1, description="a Gaussian of the map of less weight is dropped")
-    report_weight: float = Field(
-        1e-4, gt=0, le=1, description="a Gaussian of at least this weight, detected often enough, is reported as a VT"
-    )
+    drop_weight: float = Field(1e-4, gt=0, lt=1, description="a Gaussian of the map of less weight is dropped")
     merge_distance2: float = Field(
         10.0, gt=0, le=1000, description="squared Mahalanobis distance up to which Gaussians of the map are merged"
     )

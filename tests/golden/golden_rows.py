@@ -58,10 +58,11 @@ def first(recording: Recording, count: int) -> Recording:
     visible = truth.vts.visible[truth.vts.visible[:, 1] < count].copy()
     visible[:, 2] = np.minimum(visible[:, 2], count - 1)
     persisting = None if truth.persisting_std is None else truth.persisting_std[:rows]
+    shift = None if truth.merging_shift is None else truth.merging_shift[:rows]
     shorter = replace(
         truth, poses=truth.poses[:count], measurement_vt=truth.measurement_vt[:rows],
         measurement_std=truth.measurement_std[:rows], vts=replace(truth.vts, visible=visible),
-        odometry_bias=truth.odometry_bias[:count], persisting_std=persisting,
+        odometry_bias=truth.odometry_bias[:count], persisting_std=persisting, merging_shift=shift,
     )  # fmt: skip
     assert isinstance(shorter, Truth)
     m = recording.measurements

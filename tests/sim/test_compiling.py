@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import ast
 import os
+import re
 import shutil
 import subprocess
 import sys
@@ -93,3 +95,20 @@ def test_old_folders_are_removed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch
         os.utime(folder, (edit, edit))
         made.append(folder)
     assert [folder.exists() for folder in made] == [False] * 2 + [True] * (compiling.KEPT + 1)
+
+
+def test_lean_kernels_neither_return_arrays_nor_call_what_does() -> None:
+    """References are not counted there: an array that is handed on would be freed too early, or never."""
+    lean, arrays = dict[str, set[str]](), set[str]()
+    for file in [file for room in ("ekf_slam", "model") for file in (ROOT / "slam" / room).rglob("*.py")]:
+        for node in ast.parse(file.read_text("utf-8")).body:
+            if not (isinstance(node, ast.FunctionDef) and node.decorator_list):
+                continue
+            if re.search(r"Floats|Ints|Filter|Block|Room|Rival", ast.unparse(node.returns or ast.Constant(""))):
+                arrays.add(node.name)
+            if any("lean" in ast.unparse(one) for one in node.decorator_list):
+                calls = [one.func for one in ast.walk(node) if isinstance(one, ast.Call)]
+                lean[node.name] = {one.id for one in calls if isinstance(one, ast.Name)}
+    assert len(lean) > 50 and {"one_of", "new_room"} <= arrays
+    assert not arrays & lean.keys()
+    assert not {name: found for name, calls in lean.items() if (found := calls & arrays)}

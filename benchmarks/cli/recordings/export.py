@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 from cellslam.benchmarks.cli.recordings.write_at_once import at_once
 
 TABLES = ("csv", "mat")
-EXPORTS = (*TABLES, "tum", "geojson", "ply", "html")
+EXPORTS = (*TABLES, "tum", "geojson", "ply", "html", "calibration")
 
 
 def add_arguments(parser: ArgumentParser) -> None:
@@ -53,6 +53,8 @@ def command(arguments: Namespace) -> int:
             )
         if kind == "html" and not name:
             raise InputError("--format html plays back an estimate: say which --estimator, as in --estimator fastslam")
+        if kind == "calibration" and not name:
+            raise InputError("--format calibration is a CSV file of what an estimator found: say --estimator ekf-slam")
         if kind not in TABLES:
             check_file(out)
     recording = Recording.load(path)
@@ -64,8 +66,8 @@ def command(arguments: Namespace) -> int:
 
 
 def _write(kind: str, out: Path, recording: Recording, result: TrialResult | None, place: Place | None) -> None:
+    from cellslam.benchmarks.recordings.exporting import calibrations, playback
     from cellslam.benchmarks.recordings.exporting import maps as export_maps
-    from cellslam.benchmarks.recordings.exporting import playback
     from cellslam.benchmarks.recordings.exporting import tables as export_tables
 
     if kind in TABLES:
@@ -76,6 +78,13 @@ def _write(kind: str, out: Path, recording: Recording, result: TrialResult | Non
     if kind == "html":
         assert result is not None
         at_once(out, lambda file: playback.write_page(recording, result, file))
+        return
+    if kind == "calibration":
+        assert result is not None
+        if result.calibration is None:
+            raise InputError(f"--estimator {result.estimator} finds no calibration: use ekf-slam or fastslam")
+        calibration = result.calibration
+        at_once(out, lambda file: calibrations.write_csv(calibration, recording.provenance, file))
         return
     data = export_maps.shown(recording, result)
     writers: dict[str, Callable[[Path], None]] = {

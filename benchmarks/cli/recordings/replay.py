@@ -15,6 +15,7 @@ from cellslam.benchmarks.cli.arguments import (
     add_set,
     limits,
 )
+from cellslam.benchmarks.cli.calibration_files import add_calibration, calibrated
 from cellslam.benchmarks.cli.progress_bars import bars
 from cellslam.benchmarks.cli.recordings.estimator_options import doubts, told_by
 from cellslam.benchmarks.cli.results_folder import Folder
@@ -36,6 +37,7 @@ def add_arguments(parser: ArgumentParser) -> None:
     add_set(parser, "estimator.fastslam.particles=300")
     add_options_file(parser)
     add_estimation(parser)
+    add_calibration(parser)
     parser.add_argument(
         "--align",
         action="store_true",
@@ -60,10 +62,11 @@ def command(arguments: Namespace) -> int:
     names = arguments.estimators or trials.DEFAULT_ESTIMATORS
     with bars(arguments.quiet) as progress:
         given = told_by(arguments, recording, origin, names, progress)
-    requests, folder = given.requests, Folder(out)
+    (requests, note), folder = calibrated(arguments, given.requests, 1), Folder(out)
     _say(given, path, folder, arguments.quiet)
     scenario = with_options(origin.scenario, requests) if origin.scenario is not None else None
     job = Job(arguments, scenario, origin.name, requests, 1, folder)
+    job.note(note)
     with Guests(limits(arguments, 1)) as guests, bars(arguments.quiet) as progress:
         guests.begin(requests)
 

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.collections import PatchCollection
+from matplotlib.collections import PatchCollection, PolyCollection
 from matplotlib.figure import Figure
 from matplotlib.patches import PathPatch, Rectangle
 from matplotlib.path import Path as Outline
@@ -19,6 +19,7 @@ from cellslam.benchmarks.figures.style import (
     GREY,
     SITES,
     TRUTH,
+    VEHICLES,
     VT,
     WIDTH_IN,
     estimator_styles,
@@ -28,6 +29,7 @@ from cellslam.benchmarks.figures.trial.reflectors import Reflector, reflectors_o
 from cellslam.benchmarks.scores.reference_fixes import usable
 from cellslam.benchmarks.scores.trial_result import TrialResult
 from cellslam.sim.recording import Floats, Recording
+from cellslam.sim.traffic import traffic_of
 
 if TYPE_CHECKING:
     from cellslam.sim.city import City
@@ -64,6 +66,7 @@ def draw(figure: Figure, city: City | None, recording: Recording, results: Mappi
         _longest_path(axes, mapped)
         _vts(axes, vts)
         _trajectories(axes, recording, tracks)
+        _traffic(axes, recording)
         _sites(axes, recording, extent)
         axes.set_xlim(extent[0])
         axes.set_ylim(extent[1])
@@ -178,6 +181,25 @@ def _trajectories(axes: Axes, recording: Recording, tracks: Mapping[str, Floats]
         axes.plot(*fixes.T, ".", color=TRUTH, markersize=2.5, label="reference")
     for name, line in estimator_styles(tracks).items():
         axes.plot(*tracks[name][:, :2].T, **{**line, "linewidth": 1.1})
+
+
+def _traffic(axes: Axes, recording: Recording) -> None:
+    """Draw the other vehicles where they are half-way, and where one of them blocks a line of sight."""
+    traffic, truth = traffic_of(recording), recording.truth
+    if traffic is None or truth is None or truth.vehicles is None:
+        return
+    middle = recording.elapsed_s[[len(recording.elapsed_s) // 2]]
+    outlines = PolyCollection(list(traffic.outlines(middle)[0]), facecolor=VEHICLES, edgecolor="white", linewidth=0.3)
+    outlines.set(zorder=3, label="vehicles, half-way")
+    axes.add_collection(outlines, autolim=False)
+    sights = truth.vehicles.blocked[truth.vts.order[truth.vehicles.blocked[:, 0]] == 0]
+    blocked = np.zeros(len(truth.poses), np.bool_)
+    for first, last in sights[:, 2:]:
+        blocked[first : last + 1] = True
+    if blocked.any():
+        style: dict[str, Any] = {"linestyle": "none", "marker": "o", "markersize": 4, "zorder": 4}
+        style |= {"color": VEHICLES, "markeredgecolor": "white", "markeredgewidth": 0.5}
+        axes.plot(*truth.poses[blocked, :2][::20].T, **style, label="a site behind a vehicle")
 
 
 def _sites(axes: Axes, recording: Recording, extent: Extent) -> None:

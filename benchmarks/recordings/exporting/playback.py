@@ -8,9 +8,10 @@ from typing import Any
 import numpy as np
 
 from cellslam.benchmarks.figures.city_page import check_plotly
-from cellslam.benchmarks.figures.style import BLACK, BLUE, GREEN, GREY, ORANGE, VERMILLION
+from cellslam.benchmarks.figures.style import BLACK, BLUE, GREEN, GREY, ORANGE, VEHICLES, VERMILLION
 from cellslam.benchmarks.scores.trial_result import TrialResult
 from cellslam.sim.recording import Floats, Recording
+from cellslam.sim.traffic import traffic_of
 
 STEP_S, FEWEST, MOST = 1.0, 240, 1800  # from frame to frame; frames
 POINTS = 2000
@@ -29,6 +30,10 @@ def write_page(recording: Recording, result: TrialResult, path: Path) -> None:
     moments = np.unique(np.clip(np.searchsorted(recording.time_s, even), 0, len(recording.time_s) - 1))
     fixed = _fixed(go, recording, result)
     moving = [_moment(go, recording, result, int(t)) for t in moments]
+    traffic = traffic_of(recording)
+    if traffic is not None:
+        boxes = traffic.outlines(recording.elapsed_s[moments])
+        moving = [[_boxes(go, outlines), *rest] for outlines, rest in zip(boxes, moving, strict=True)]
     figure = go.Figure([*fixed, *moving[0]])
     places = list(range(len(fixed), len(fixed) + len(moving[0])))
     names = [f"{recording.time_s[t] - recording.time_s[0]:.1f}" for t in moments]
@@ -105,6 +110,14 @@ def _moment(go: Any, recording: Recording, result: TrialResult, t: int) -> list[
         name="vehicle",
     )
     return [rays, body]
+
+
+def _boxes(go: Any, outlines: Floats) -> Any:
+    """Return other vehicles with the corners (N, 4, 2) as one trace of closed outlines."""
+    closed = np.concatenate([outlines, outlines[:, :1], np.full((len(outlines), 1, 2), np.nan)], axis=1)
+    x, y = closed.reshape(-1, 2).T.round(2)
+    style = {"line": {"color": VEHICLES, "width": 1}, "fill": "toself", "fillcolor": VEHICLES, "hoverinfo": "skip"}
+    return go.Scatter(x=x, y=y, mode="lines", name="other vehicles", **style)
 
 
 def _line(go: Any, points: Floats, name: str, colour: str) -> Any:

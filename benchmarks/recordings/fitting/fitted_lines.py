@@ -8,7 +8,6 @@ from cellslam.benchmarks.recordings.fitting.fit_sizes import Learnt
 from cellslam.sim.recording import COMPONENTS
 from cellslam.slam import registry
 
-SHOWN = ("ekf-slam", "fastslam")
 NOTABLE = 1.25  # factor by which a size must have changed to be said
 _WORDS = {
     "m": "distance", "azimuth_deg": "azimuth", "elevation_deg": "elevation",
@@ -18,12 +17,14 @@ _WORDS = {
 
 
 def toml(path: Path, learnt: Learnt) -> str:
-    """Return the tables [estimator.NAME] and [noise.COMPONENT] that `--options` takes; comments say where from."""
+    """Return the tables [estimator.NAME] and [noise.COMPONENT] that `--options` takes, for every estimator that has
+    these options; comments say where from."""
     out = [f"# learnt from {path}; cellslam replay takes this file as --options FILE.toml"]
     out += [f"# {line}" for line in said(learnt)]
-    for name in SHOWN:
-        table = learnt.table(registry.options_model(registry.resolve(name)))
-        out += ["", f"[estimator.{name}]", *(f"{key} = {_value(value)}" for key, value in table.items())]
+    tables = {e.name: learnt.table(registry.options_model(registry.resolve(e.name))) for e in registry.BUILT_IN}
+    for name, table in tables.items():
+        if table:
+            out += ["", f"[estimator.{name}]", *(f"{key} = {_value(value)}" for key, value in table.items())]
     sheet = learnt.odometry_model
     for i, component in enumerate(COMPONENTS):
         values = {kind: getattr(sheet, kind)[i] for kind in ("noise_density", "bias", "bias_walk_density", "scale")}

@@ -5,12 +5,16 @@ Source: own model, of independent faults of single reports.
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from dataclasses import replace
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
 from cellslam.sim.lte.radio_config import RadioConfig
 from cellslam.sim.recording import Floats, Ints
+
+if TYPE_CHECKING:
+    from cellslam.sim.lte.statistical.statistical_front_end import Detections
 
 
 class Reports(NamedTuple):
@@ -44,10 +48,14 @@ def poses_before(poses: Floats, time_s: Floats, late_s: Floats) -> Floats:
     return out
 
 
-def rows_of(snapshot: Ints, source: Ints) -> tuple[Ints, Ints]:
-    """Return which rows of a table with sorted snapshots (M,) snapshots have that repeat those of `source` (T,), and
-    the snapshot of each row then."""
-    first = np.searchsorted(snapshot, np.arange(len(source) + 1))
-    count = np.diff(first)[source]
-    rows = np.repeat(first[source] - np.concatenate([[0], np.cumsum(count)[:-1]]), count) + np.arange(count.sum())
-    return rows.astype(np.int64), np.repeat(np.arange(len(source)), count)
+def as_reported(found: Detections, reports: Reports) -> Detections:
+    """Return detections in which some snapshots have those of another one once more."""
+    m = found.measurements
+    first = np.searchsorted(m.snapshot, np.arange(len(reports.source) + 1))
+    count = np.diff(first)[reports.source]
+    begin = first[reports.source] - np.concatenate([[0], np.cumsum(count)[:-1]])
+    rows = np.repeat(begin, count) + np.arange(count.sum())
+    columns = {name: None if c is None else c[rows] for name, c in vars(m).items()}
+    columns["snapshot"] = np.repeat(np.arange(len(count)), count)
+    own = {name: column[rows] for name, column in vars(found).items() if name != "measurements"}
+    return replace(found, measurements=replace(m, **columns), **own)

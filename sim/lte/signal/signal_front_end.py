@@ -39,6 +39,7 @@ from cellslam.sim.lte.signal.waveform import SAMPLE_S, SUBCARRIER_SPACING_HZ
 from cellslam.sim.lte.single_path_bound import tone_frequencies
 from cellslam.sim.lte.statistical import detector_layout as k
 from cellslam.sim.lte.statistical.detector_layout import PathColumns
+from cellslam.sim.randomness import Stream, stream
 from cellslam.sim.rays.antenna import sector_gain_db
 from cellslam.sim.recording import Floats, Ints
 
@@ -262,7 +263,8 @@ def signal_level(
             "at 1, false and 1"
         )
     ideal = CircularArray(carrier_hz=config.carrier_hz)
-    array = miscalibrated(ideal, hardware.phase_std_deg, hardware.gain_std_db, rng)
+    array_rng = rng if config.array_seed is None else stream(config.array_seed, 1, Stream.ARRAY)
+    array = miscalibrated(ideal, hardware.phase_std_deg, hardware.gain_std_db, array_rng)
     receiver = Receiver(
         array=ideal, times_s=switching_times_s(ideal), resource_blocks=config.resource_blocks,
         carrier_hz=config.carrier_hz, threshold=config.detection_threshold, window_min_m=config.window_min_m,

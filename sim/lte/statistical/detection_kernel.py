@@ -30,6 +30,7 @@ from cellslam.sim.lte.statistical.detector_layout import (
     GHOST_REACH_M,
     ISOLATED_LEFTOVER,
     LINK,
+    MERGING_SHIFT,
     MOST_CLUTTER,
     NEIGHBOUR_M,
     PATH,
@@ -153,9 +154,11 @@ def _detect_paths(
         write_std(row, effective, geo[i, 2], model)
         write_white_std(effective, geo[i, 2], model, white)
         write_persisting(geo[i], pose, vt[i], port, attitude, fields, slow)
-        row[DISTANCE] = geo[i, 0] + work[i, SHIFT] * model.noise_scale + white[0] * e_d + slow[0]
-        row[AZIMUTH] = geo[i, 1] + work[i, SHIFT + 1] * model.noise_scale + white[1] * e_a + slow[1]
-        row[ELEVATION] = geo[i, 2] + work[i, SHIFT + 2] * model.noise_scale + white[2] * e_e + slow[2]
+        for r in range(3):
+            row[MERGING_SHIFT + r] = work[i, SHIFT + r] * model.noise_scale
+        row[DISTANCE] = geo[i, 0] + row[MERGING_SHIFT] + white[0] * e_d + slow[0]
+        row[AZIMUTH] = geo[i, 1] + row[MERGING_SHIFT + 1] + white[1] * e_a + slow[1]
+        row[ELEVATION] = geo[i, 2] + row[MERGING_SHIFT + 2] + white[2] * e_e + slow[2]
         fold(row)
         row[SNR_DB] = 10.0 * math.log10(min((gamma[i] + work[i, ADDED]) / model.samples, model.snr_cap))
         row[PATH] = i

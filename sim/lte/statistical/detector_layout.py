@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 Array = NDArray[Any]
 # Output columns.
 SNAPSHOT, LINK, DISTANCE, AZIMUTH, ELEVATION, SNR_DB = 0, 1, 2, 3, 4, 5
-CLAIMED_STD, TRUE_STD, PATH, COLUMNS = 6, 9, 12, 13
+CLAIMED_STD, TRUE_STD, PATH, MERGING_SHIFT, COLUMNS = 6, 9, 12, 13, 16
 # More clutter of one kind from one cause than this is not drawn: far beyond what the config's ranges reach.
 MOST_CLUTTER = 512
 NEIGHBOUR_M = 40.0

@@ -15,6 +15,7 @@ from cellslam.sim.lte.statistical.detector_layout import (
     CLAIMED_STD,
     DISTANCE,
     ELEVATION,
+    MERGING_SHIFT,
     PATH,
     SNR_DB,
     TABLE_START_DB,
@@ -107,5 +108,5 @@ def clutter_row(row: Array, distance: float, azimuth: float, elevation: float, g
     row[SNR_DB] = 10.0 * math.log10(gamma / model.samples)
     write_std(row, gamma, row[ELEVATION], model)
     for i in range(3):
-        row[TRUE_STD + i] = math.nan
+        row[TRUE_STD + i], row[MERGING_SHIFT + i] = math.nan, math.nan
     row[PATH] = -1.0

@@ -29,13 +29,14 @@ BLOCK = 512  # snapshots per kernel call: the step of the progress bar
 
 @dataclass(frozen=True)
 class Detections:
-    """Measurements, and of each the path row that it came from (-1 clutter) and its true deviations (M, 3),
-    of white and persisting errors together, NaN for clutter.
+    """Measurements, and of each the path row that it came from (-1 clutter), its true deviations (M, 3), of white and
+    persisting errors together, and what merged paths moved it by (M, 3); NaN for clutter and where it is not known.
     """
 
     measurements: Measurements
     path: Ints
     true_std: Floats
+    merging_shift: Floats
 
 
 def noise_clutter_mean(threshold: float, s: Statistics) -> float:
@@ -121,4 +122,6 @@ def detections_of(table: Floats) -> Detections:
         distance_std_m=c[k.CLAIMED_STD], azimuth_std_rad=c[k.CLAIMED_STD + 1],
         elevation_std_rad=c[k.CLAIMED_STD + 2],
     )  # fmt: skip
-    return Detections(measurements, c[k.PATH].astype(np.int64), np.ascontiguousarray(c[k.TRUE_STD : k.TRUE_STD + 3].T))
+    path = c[k.PATH].astype(np.int64)
+    std, shift = (np.ascontiguousarray(c[first : first + 3].T) for first in (k.TRUE_STD, k.MERGING_SHIFT))
+    return Detections(measurements, path, std, shift)

@@ -202,7 +202,7 @@ def conclude(f: Filter, a: ArrayErrors, b: Block, noise: Floats, seen: Measured,
     """
     forget(f, a, b.total[0], b.total[2])
     total, rules = 0.0, seen.rules
-    expect_steps(f, p.steps)
+    expect_steps(f, rules, p.steps)
     before, z, q = f.x[: f.size[0]].copy(), np.empty(3), np.empty(3)
     for j in range(f.count[0]):
         if b.looks[j] == 0:
@@ -261,7 +261,7 @@ def pair_in_bank(
             advance(f, block_of(blocks, k), interval, room.step)
         rival.loss[0] = seen.rules.doubt
         pair(f, a, seen, room.sight, room.pairs, rival)
-        if shift_clocks(f, block_of(blocks, k), a, seen, room.sight, room.pairs):
+        if shift_clocks(f, a, seen, room.sight, room.pairs):
             rival.loss[0] = seen.rules.doubt
             pair(f, a, seen, room.sight, room.pairs, rival)
         pairs.slot_of[k], pairs.exists[k] = room.pairs.slot_of, room.pairs.exists
@@ -303,8 +303,8 @@ def pair_and_use_in_bank(
 def new_room(f: Filter, looks: int) -> Room:
     """Return room for one filter and a snapshot of so many looks."""
     states, vts = len(f.x), len(f.slots)
-    work, sites = 4 * (vts + looks + 2), len(f.core.rate)
-    steps = Steps(np.zeros((sites, states)), np.zeros(sites), np.zeros(sites))
+    work, rows = 4 * (vts + looks + 2), len(f.core.step_m) + 1
+    steps = Steps(np.zeros(1, np.int64), np.zeros((rows, states)), np.zeros(rows), np.zeros(rows))
     return Room(
         Step(np.empty((POSE, f.core.size + POSE)), np.empty((POSE, states))),
         Sight(

@@ -3,10 +3,11 @@
 A small step leaves its mark in a block's innovations: of a unit step at the block's begin, `left` of a state's error is
 still to be corrected after some updates, and H left is what the next innovation shows of it. The ratio of likelihoods
 with and without a step, times the probability of a step in a block, decides. If there is none, the expected ratio is
-one, so that by Markov's inequality the probability of a false alarm is no greater than that probability.
+one, so that by Markov's inequality the probability of a false alarm is no greater than that probability. Wheels that
+slip put all sites off: what a shift of the vehicle along its way explains as well is no step.
 
 A large step takes all looks out of the gates. That one shift of the distances would explain what no confirmed VT does
-is evidence in the same way, at once where several looks agree, in a few snapshots where a site has but one.
+is evidence in the same way, where several looks agree.
 
 Source: Willsky and Jones, "A generalized likelihood ratio approach to the detection and estimation of jumps in linear
 systems", IEEE Trans. Automatic Control 21(1), 1976.
@@ -21,10 +22,10 @@ from cellslam.sim.compiling import lean
 from cellslam.slam.ekf_slam.snapshot.association_kernel import Pairs, associate, difference, expect
 from cellslam.slam.ekf_slam.snapshot.sight_kernel import Sight, rotations_of
 from cellslam.slam.ekf_slam.snapshot.update_kernel import Steps, innovate
-from cellslam.slam.ekf_slam.state.layout import HITS, LINK, ArrayErrors, Block, Filter, Measured, Rules
+from cellslam.slam.ekf_slam.state.layout import HITS, LINK, ArrayErrors, Filter, Measured, Rules
 
-AGREE = 2  # looks whose agreement on a shift is evidence at once
-ALONE = 3.0  # a look that is alone can give this part of the evidence needed in a snapshot, so that it takes several
+AGREE = 2  # looks that must agree on a large step
+SLIP_M = 1.0  # deviation of how far slipping wheels shift the vehicle in a block
 
 
 class Shift(NamedTuple):
@@ -38,76 +39,80 @@ class Shift(NamedTuple):
 
 
 @lean(cache=True)
-def expect_steps(f: Filter, steps: Steps) -> None:
-    """Begin a block: nothing of a unit step of a clock is corrected. A clock that is known does not step."""
+def expect_steps(f: Filter, rules: Rules, steps: Steps) -> None:
+    """Begin a block: nothing of a unit step of a clock, or shift of the vehicle along its way, is corrected."""
+    sites = len(f.core.step_m)
+    steps.used[0] = 0
     steps.left[:] = 0.0
     steps.score[:], steps.information[:] = 0.0, 0.0
-    for site in range(len(f.core.rate)):
-        offset = f.core.first_offset + site
-        if f.p[offset, offset] > 0.0:
-            steps.left[site, offset] = 1.0
+    for site in range(sites):
+        steps.left[site, f.core.first_offset + site] = 1.0
+        if f.core.step_m[site] > 0.0 and rules.step > -math.inf:
+            steps.used[0] = sites + 1
+    steps.left[sites, 0], steps.left[sites, 1] = math.cos(f.x[3]), math.sin(f.x[3])
 
 
 @lean(cache=True)
 def take_steps(f: Filter, rules: Rules, steps: Steps) -> float:
-    """End a block: correct the state by the steps that are likelier than none, as if the offset's variance had been
-    open before it; return what that adds to the log-likelihood."""
-    total, n = 0.0, f.size[0]
-    for site in range(len(f.core.rate)):
-        information = steps.information[site] + 1.0 / rules.step_m**2
-        size, variance = steps.score[site] / information, 1.0 / information
-        gain = rules.step + 0.5 * (size * steps.score[site] + math.log(variance / rules.step_m**2))
-        if gain > 0.0:
-            left = steps.left[site]
-            for i in range(n):
-                f.x[i] += left[i] * size
-                for j in range(n):
-                    f.p[i, j] += left[i] * variance * left[j]
-            total += gain
+    """End a block: correct the state by the steps that are likelier than none and than a slip, as if the offset's
+    variance had been open before it; return what that adds to the log-likelihood."""
+    if steps.used[0] == 0:
+        return 0.0
+    total, n, sites = 0.0, f.size[0], len(f.core.step_m)
+    slip = _likely_size(steps, sites, SLIP_M)
+    for site in range(sites):
+        if f.core.step_m[site] > 0.0:
+            found, left = _likely_size(steps, site, f.core.step_m[site]), steps.left[site]
+            gain = rules.step + found.gain
+            if gain > max(slip.gain, 0.0):
+                for i in range(n):
+                    f.x[i] += left[i] * found.size
+                    for j in range(n):
+                        f.p[i, j] += left[i] * found.variance * left[j]
+                total += gain
     return total
 
 
 @lean(cache=True)
-def shift_clocks(f: Filter, b: Block, a: ArrayErrors, seen: Measured, s: Sight, w: Pairs) -> bool:
+def _likely_size(steps: Steps, row: int, std_m: float) -> Shift:
+    """Return the likeliest size of a step with this prior deviation, and the log-ratio of likelihoods."""
+    information = steps.information[row] + 1.0 / std_m**2
+    size, variance = steps.score[row] / information, 1.0 / information
+    return Shift(size, variance, 0.5 * (size * steps.score[row] + math.log(variance / std_m**2)), 0)
+
+
+@lean(cache=True)
+def shift_clocks(f: Filter, a: ArrayErrors, seen: Measured, s: Sight, w: Pairs) -> bool:
     """Shift the clock of each site whose looks, as paired in w.slot_of, confirmed VTs explain if distances are shifted;
-    return whether there is any. The evidence of a site that nothing explains adds up over snapshots in `b.shift`."""
+    return whether there is any."""
     shifted, rules = False, seen.rules
     if rules.step == -math.inf:
         return False
-    for site in range(len(f.core.rate)):
-        offset, (known, unknown) = f.core.first_offset + site, _explained(f, seen, site, w)
-        if known > 0:
-            b.shift[site] = 0.0
-        if f.p[offset, offset] == 0.0 or unknown < (AGREE if known > 0 else 1):
+    for site in range(len(f.core.step_m)):
+        offset, step_m = f.core.first_offset + site, f.core.step_m[site]
+        if step_m == 0.0 or _unexplained(f, seen, site, w) < AGREE:
             continue
         found = _likely_shift(f, a, seen, site, s, w)
-        if found.paired < (AGREE if known > 0 else 1):
-            continue
-        prior = rules.step + 0.5 * (math.log(found.variance / rules.step_m**2) - (found.size / rules.step_m) ** 2)
-        gain = found.gain if found.paired >= AGREE else min(found.gain, -prior / ALONE)
-        if (found.size - b.shift[site, 0]) ** 2 <= rules.gate * found.variance:
-            gain += b.shift[site, 1]
-        b.shift[site, 0], b.shift[site, 1] = found.size, gain
-        if gain + prior > 0.0:
+        prior = rules.step + 0.5 * (math.log(found.variance / step_m**2) - (found.size / step_m) ** 2)
+        if found.paired >= AGREE and found.gain + prior > 0.0:
             f.x[offset] += found.size
             f.p[offset, offset] += found.variance
-            b.shift[site], shifted = 0.0, True
+            shifted = True
     return shifted
 
 
 @lean(cache=True)
-def _explained(f: Filter, seen: Measured, site: int, w: Pairs) -> tuple[int, int]:
-    """Return how many looks of a site are of confirmed VTs, and how many others have a distance."""
-    known, unknown = 0, 0
+def _unexplained(f: Filter, seen: Measured, site: int, w: Pairs) -> int:
+    """Return how many looks of a site that have a distance are of no confirmed VT."""
+    count = 0
     for link in range(len(seen.first) - 1):
         if seen.site_of[link] == site and f.links[link] == 1:
             for k in range(seen.first[link], seen.first[link + 1]):
                 j = w.slot_of[k]
-                if j >= 0 and f.slots[j, HITS] >= seen.rules.confirm:
-                    known += 1
-                elif not math.isnan(seen.z[k, 0]):
-                    unknown += 1
-    return known, unknown
+                confirmed = j >= 0 and f.slots[j, HITS] >= seen.rules.confirm
+                if not confirmed and not math.isnan(seen.z[k, 0]):
+                    count += 1
+    return count
 
 
 @lean(cache=True)

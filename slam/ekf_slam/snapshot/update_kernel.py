@@ -24,9 +24,11 @@ LOG_2PI = math.log(2.0 * math.pi)
 
 
 class Steps(NamedTuple):
-    """What a block says of steps of the S clocks at its begin: of a unit step, what is `left` (S, N) to be corrected in
-    each state; `score` (S,), the slope of the log-likelihood by the step, 1/m, and its `information` (S,), 1/m^2."""
+    """What a block says of steps of the S clocks, and of a shift of the vehicle along its way, at its begin: of a unit
+    step, what is `left` (S + 1, N) to be corrected in each state; `score` (S + 1,), the slope of the log-likelihood by
+    the step, 1/m, and its `information` (S + 1,), 1/m^2. Rows `used` (1,): none where no clock may step."""
 
+    used: Ints
     left: Floats
     score: Floats
     information: Floats
@@ -209,15 +211,17 @@ def correct(f: Filter, a: ArrayErrors, j: int, offset: int, look: Look, s: Sight
 def show_steps(f: Filter, e: Vec3, new: Innovation, counted: Sym3, s: Sight, w: Pending) -> None:
     """Take in what an innovation says of steps of clocks, after the update by it, which took `counted` for its
     covariance; e with NaN where not measured."""
+    if w.steps.used[0] == 0:
+        return
     root, taken, n, k = cholesky(new.s), cholesky(counted), f.size[0], w.used[0] - 3
     if root.xx == 0.0 or taken.xx == 0.0:
         return
     seen, g0, g1, g2 = solved(root, new.e), w.rows[k], w.rows[k + 1], w.rows[k + 2]
-    for site in range(len(w.steps.score)):
-        left, shows = w.steps.left[site], _shown(w.steps.left[site], e, s)
+    for row in range(w.steps.used[0]):
+        left, shows = w.steps.left[row], _shown(w.steps.left[row], e, s)
         told, gone = solved(root, shows), solved(taken, shows)
-        w.steps.score[site] += dot(told, seen)
-        w.steps.information[site] += dot(told, told)
+        w.steps.score[row] += dot(told, seen)
+        w.steps.information[row] += dot(told, told)
         for i in range(n):
             left[i] -= gone.x * g0[i] + gone.y * g1[i] + gone.z * g2[i]
 

@@ -27,7 +27,7 @@ def of_first_site(recording: Recording) -> Recording:
     m, truth = recording.measurements, recording.truth
     rows = recording.links.site[m.link] == 0
     columns = {name: None if c is None else c[rows] for name, c in vars(m).items()}
-    of_rows = ("measurement_vt", "measurement_std", "persisting_std")
+    of_rows = ("measurement_vt", "measurement_std", "persisting_std", "merging_shift")
     truth = replace(truth, **{name: getattr(truth, name)[rows] for name in of_rows})
     return replace(recording, measurements=replace(m, **columns), truth=truth)
 

@@ -18,6 +18,7 @@ from cellslam.benchmarks.bound.cramer_rao import (
     start_variance,
     tracked_measurements,
 )
+from cellslam.benchmarks.bound.drawn_errors import jumps
 from cellslam.benchmarks.bound.persisting_states import bell_functions, correlation, principal_functions, rates_among
 from cellslam.sim.errors import InputError
 from cellslam.sim.lte import RadioConfig
@@ -186,8 +187,13 @@ def test_bound_equals_the_joint_recursion_with_the_same_states(make_recording, m
         std = np.full(len(recording.sites), drift_m_s)
         recording = replace(recording, sites=replace(recording.sites, clock_drift_std_m_s=std))
     joint, result, drifted = JointFilter(recording), bound(recording), drifted_std(recording)
+    drawn, error = jumps(recording, recording.truth, joint.core, joint.motion), np.zeros(joint.size)
     rate = joint.core.size + joint.vts + rates_among(joint.errors, drifted)
-    for t, *_ in joint.steps_of():
+    for t, f, _, h, _, k in joint.steps_of():
+        error = f @ error
+        error[: joint.core.size] += drawn[t]
+        error += k @ (joint.rows.residual[joint.rows.rows[t] : joint.rows.rows[t + 1]].reshape(-1) - h @ error)
+        np.testing.assert_allclose(result.pose_error[t], error[:6], atol=1e-5)
         pose = joint.covariance[:6, :6]
         scale = np.sqrt(np.diag(pose))
         assert np.abs((result.pose_covariance[t] - pose) / (scale[:, None] * scale)).max() < 1e-5
@@ -238,7 +244,10 @@ def test_a_filter_that_meets_the_drawn_fields_makes_errors_of_that_size(make_rec
     joint, truth, config = JointFilter(recording, broad_std=1e3), recording.truth, radio_of(recording)
     fields = [draw_fields(config, 0.5, rng) for _ in range(runs)]
     known = joint.core.size + joint.vts
-    error = rng.normal(0, 1, (runs, joint.size)) * np.sqrt(np.diag(joint.covariance))
+    drawn_states = np.delete(np.arange(joint.size), joint.core.mean)
+    error = np.zeros((runs, joint.size))
+    error[:, drawn_states] = rng.normal(0, 1, (runs, joint.size - 1))
+    error *= np.sqrt(np.diag(joint.covariance))
     # The filter estimates errors that begin at zero, of which it knows the deviation: what it meets is in the fields.
     error[:, known:] = 0.0
     m, turn, drawn = recording.measurements, np.zeros(3), np.zeros(3)
@@ -256,8 +265,9 @@ def test_a_filter_that_meets_the_drawn_fields_makes_errors_of_that_size(make_rec
                 write_persisting(geometry[x], truth.poses[t], vt, port, turn, field, drawn)
                 persisted[i, j] = drawn
         error = error @ f.T
-        core = joint.core.size
-        error[:, :core] += rng.multivariate_normal(np.zeros(core), q[:core, :core], runs, method="eigh")
+        core = drawn_states[drawn_states < joint.core.size]
+        moved = q[np.ix_(core, core)]
+        error[:, core] += rng.multivariate_normal(np.zeros(len(core)), moved, runs, method="eigh")
         noise = rng.normal(0, 1, (runs, len(r))) * np.sqrt(np.diag(r)) + persisted.reshape(runs, -1)
         # Signs: `error` is truth minus estimate, and of a persisting error minus its estimate, its truth in `noise`.
         error = error - (error @ h.T + noise) @ k.T

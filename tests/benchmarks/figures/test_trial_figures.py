@@ -45,7 +45,7 @@ def scene(make_recording):
         np.tile(truth.clock_offsets_m, (count, 1)), np.ones((count, 1)), known,
     )  # fmt: skip
     reckoning = TrialResult("dead-reckoning", truth.poses + 1.0, np.tile(np.eye(6), (count, 1, 1)))
-    bound = BoundResult(np.tile(np.eye(6) * 0.04, (count, 1, 1)), np.ones((count, 1)))
+    bound = BoundResult(np.tile(np.eye(6) * 0.04, (count, 1, 1)), np.ones((count, 1)), np.zeros((count, 6)))
     city = SimpleNamespace(footprints=(box(-50, 60, -30, 80), box(WALL_X_M, -60, WALL_X_M + 15, 30)))
     return SimpleNamespace(
         recording=recording, results={"dead-reckoning": reckoning, "fastslam": slam}, bound=bound, city=city

@@ -17,10 +17,12 @@ from cellslam.benchmarks.cli import main as cli
 from cellslam.benchmarks.recordings import Campaign, OdometryTable, ReferenceTable, build
 from cellslam.benchmarks.recordings.fitting.fit_noise import first_guess, fit
 from cellslam.benchmarks.recordings.fitting.fit_sizes import BURSTS, Learnt, learn
-from cellslam.benchmarks.recordings.fitting.fitted_lines import said
+from cellslam.benchmarks.recordings.fitting.fitted_lines import said, toml
 from cellslam.scenarios.estimator_options import resolve
 from cellslam.sim.errors import InputError
-from cellslam.sim.recording import Recording
+from cellslam.sim.recording import OdometryModel, Recording
+from cellslam.slam import registry
+from cellslam.slam.front_end.front_end_options import FrontEndOptions
 
 STD_M, STD_RAD, UNIT_M, DETECTED, FALSE = 0.2, np.radians(0.8), 0.3, 0.7, 0.5
 SPEED_NOISE, TURN_NOISE, TURN_BIAS = 0.15, 0.01, 0.012
@@ -158,6 +160,18 @@ def test_one_command_learns_and_replays(
     fitted.write_text(fitted.read_text("utf-8") + "[city]\nseed = 1\n")
     assert cli.main([*words[:-1], str(tmp_path / "o"), "--options", str(fitted)]) == 2
     assert "fit.toml: has 'city'" in capsys.readouterr().err
+
+
+def test_what_was_learnt_is_given_to_every_map_builder() -> None:
+    """`replay --options fit.toml` tells an estimator what plain `replay` tells it."""
+    options = {"detection_probability": 0.61, "clutter_density": 0.17, "noise_floor_m": 0.23}
+    learnt = Learnt(options, OdometryModel(*np.zeros((4, 6))), {}, True)
+    names = [entry.name for entry in registry.BUILT_IN]
+    given = resolve(tomllib.loads(toml(Path("a.h5"), learnt))["estimator"], names, ())
+    told = {r.name: r.options for r in given if isinstance(r.options, FrontEndOptions)}
+    assert {"ekf-slam", "fastslam", "bp-slam", "phd-slam"} <= set(told)
+    for own in told.values():
+        assert {key: getattr(own, key) for key in options} == options
 
 
 def test_too_little_to_learn_is_said(world: Recording, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

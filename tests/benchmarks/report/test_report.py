@@ -231,7 +231,7 @@ slider.dispatchEvent(new Event("input"));
 """
 SORT = """
 const first = (cell) => (cell.firstChild.firstChild || cell.firstChild).textContent;
-const heading = [...document.querySelectorAll("#summary th")].find((cell) => cell.textContent.startsWith("NEES"));
+const heading = [...document.querySelectorAll("#summary th")].find((cell) => cell.textContent.startsWith("x real"));
 heading.querySelector("button").click();
 return [...document.querySelectorAll("#summary tbody tr")].map((row) => first(row.cells[heading.cellIndex]));
 """

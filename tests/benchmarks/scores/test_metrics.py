@@ -35,12 +35,14 @@ def perfect(recording):
 
 def test_a_perfect_estimate_scores_perfectly(make_recording):
     recording = make_recording(seed=1)
-    bound = BoundResult(np.tile(np.diag([9.0, 16.0, 0, 0, 0, 0]), (200, 1, 1)), np.zeros((200, 2)))
+    bound = BoundResult(
+        np.tile(np.diag([9.0, 16.0, 0, 0, 0, 0]), (200, 1, 1)), np.zeros((200, 2)), np.zeros((200, 6)), 6.0
+    )
     scores = score(recording, perfect(recording), bound)
     assert tuple(scores) == METRIC_KEYS
-    assert scores["bound_position_rmse_m"] == pytest.approx(5.0)
+    assert scores["bound_position_rmse_m"] == pytest.approx(5.0) and scores["bound_merged_m"] == 6.0
     assert scores["association_precision"] == 1.0 and scores["association_recall"] == 1.0
-    zero = set(METRIC_KEYS) - {"bound_position_rmse_m", "association_precision", "association_recall"}
+    zero = set(METRIC_KEYS) - {"bound_position_rmse_m", "bound_merged_m", "association_precision", "association_recall"}
     assert {key: scores[key] for key in zero} == dict.fromkeys(zero, 0.0)
 
 
@@ -82,7 +84,7 @@ def test_dead_reckoning_has_no_map_scores(make_recording):
     missing = {key for key, value in scores.items() if value is None}
     assert missing == {
         "clock_offset_rmse_m", "transmitter_rmse_m", "map_gospa_m", "association_precision",
-        "association_recall", "bound_position_rmse_m",
+        "association_recall", "bound_position_rmse_m", "bound_merged_m",
     }  # fmt: skip
 
 

@@ -193,12 +193,12 @@ def test_a_world_that_cannot_be_made_fails_its_rows(place: Path) -> None:
 
 
 def test_a_bound_that_cannot_be_computed_leaves_nulls_and_a_note(place: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    from cellslam.benchmarks.bound import cramer_rao
+    from cellslam.benchmarks.bound import merged_paths
 
     def singular(*_: Any) -> None:
         raise ArithmeticError("singular")
 
-    monkeypatch.setattr(cramer_rao, "bound", singular)
+    monkeypatch.setattr(merged_paths, "both_bounds", singular)
     assert main(words("dead-reckoning", trials=1, more=("--executor", "serial"))) == 0
     (row,) = rows("out")
     assert row["position_rmse_m"] > 0.0 and row["bound_position_rmse_m"] is None

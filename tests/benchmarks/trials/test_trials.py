@@ -11,7 +11,7 @@ import pytest
 from pydantic import BaseModel
 
 from cellslam.benchmarks import run
-from cellslam.benchmarks.bound import cramer_rao
+from cellslam.benchmarks.bound import merged_paths
 from cellslam.benchmarks.scores import metrics
 from cellslam.benchmarks.scores.trial_result import ROW_KEYS
 from cellslam.benchmarks.trials import answers, estimation, trials
@@ -290,7 +290,7 @@ def test_a_bound_that_cannot_be_computed_leaves_nulls_and_a_note(
         raise np.linalg.LinAlgError("singular")
 
     whole = scored(toy_recording(), Plain).outcomes[0].row
-    monkeypatch.setattr(cramer_rao, "bound", singular)
+    monkeypatch.setattr(merged_paths, "both_bounds", singular)
     trial = scored(toy_recording(), Plain)
     assert trial.bound is None and trial.unbound.startswith("LinAlgError: singular")
     expected = {**without_times(whole), "bound_position_rmse_m": None}
@@ -324,7 +324,7 @@ def test_same_rows_on_any_number_of_threads() -> None:
             frame = run("tiny", ["fastslam"], 1, 5, overrides)
         finally:
             numba.set_num_threads(before)
-        return [without_times(row) for row in frame.to_dict("records")]
+        return [without_times(row) for row in frame.astype(object).where(frame.notna(), None).to_dict("records")]
 
     assert numba.config.NUMBA_NUM_THREADS >= 2, "one core: this cannot be tested"
     assert rows(1) == rows(2)

@@ -166,3 +166,15 @@ def test_what_it_cannot_do_is_refused() -> None:
     for key in ({"noise_scale": 0.0}, {"perfect_detection": True}, {"detection_scale": 0.5}):
         with pytest.raises(InputError, match="belong to the statistical front end"):
             front_end(**key)
+
+
+def test_receivers_of_one_seed_share_their_array_and_nothing_else() -> None:
+    def receiver(seed: int | None, trial: int) -> SignalLevel:
+        config, rng = RadioConfig(front_end="signal", array_seed=seed), np.random.default_rng(trial)
+        return signal_level(config, make_cells(), np.zeros(2), draw_fields(config, 0.075, rng), rng)
+
+    one, other, another, own = receiver(3, 1), receiver(3, 2), receiver(4, 1), receiver(None, 1)
+    np.testing.assert_array_equal(one.array.calibration, other.array.calibration)
+    for unlike in (another, own):
+        assert not np.array_equal(one.array.calibration, unlike.array.calibration)
+    assert one.surroundings != other.surroundings

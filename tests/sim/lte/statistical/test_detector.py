@@ -229,6 +229,7 @@ def test_merged_paths_pull_the_stronger_one() -> None:
     std = d.true_std[alone, 0].mean() / np.sqrt(alone.sum())
     assert abs(d.measurements.distance_m[alone].mean() - 100.0 - shift) < 5.0 * std
     assert shift > 4.0 * std
+    np.testing.assert_allclose(np.median(d.merging_shift[alone], axis=0), [shift, 0.0, 0.0], rtol=1e-3, atol=1e-12)
 
 
 def test_far_paths_do_not_merge() -> None:

@@ -13,7 +13,7 @@ from cellslam.sim.city.assemble import Part, assemble
 from cellslam.sim.city.extrude import cap, walls
 from cellslam.sim.city.materials import itu_material
 from cellslam.sim.errors import InputError
-from cellslam.sim.sites import CellConfig, SiteConfig, place_sites, roof_height
+from cellslam.sim.lte.sites import CellConfig, SiteConfig, place_sites, roof_height
 
 CELL = (CellConfig(cell_id=1),)
 

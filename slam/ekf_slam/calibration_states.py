@@ -1,0 +1,84 @@
+"""The array's calibration in a bank of joint filters: what they have found, and what they begin with.
+
+A weight's state is in deviations of its field; a calibration is in m and rad, so that it means the same to filters that
+are told other sizes. What an earlier drive found holds as it is; where it met nothing the prior is that of this filter.
+
+Source: Smith, Self and Cheeseman, "Estimating uncertain spatial relationships in robotics", 1990 (states that stay).
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from cellslam.sim.errors import InputError
+from cellslam.sim.recording import Floats, Ints
+from cellslam.slam.ekf_slam.bank import Bank
+from cellslam.slam.ekf_slam.state.array_errors import CALIBRATION_GRID
+from cellslam.slam.ekf_slam.state.layout import ArrayErrors
+from cellslam.slam.model.calibration import Calibration
+
+
+def found(bank: Bank, errors: ArrayErrors) -> Calibration:
+    """Return the calibration as all filters of a bank have it, by their weights: mean and covariance of the mixture.
+
+    A filter that has not met a weight has its prior.
+    """
+    owners, component, size = _owners(errors)
+    k, states = len(bank), bank.arrays.weight_state[: len(bank), : len(owners)]
+    met = np.flatnonzero((states >= 0).any(axis=0))
+    x, p = np.zeros((k, len(met))), np.tile(np.eye(len(met)), (k, 1, 1))
+    for i in range(k):
+        there = np.flatnonzero(states[i, met] >= 0)
+        place = states[i, met[there]]
+        x[i, there] = bank.arrays.x[i, place]
+        p[i][np.ix_(there, there)] = bank.arrays.p[i][np.ix_(place, place)]
+    share = bank.shares()
+    mean = share @ x
+    apart = x - mean
+    covariance = np.einsum("k,kij->ij", share, p) + (apart * share[:, None]).T @ apart
+    std = size[component[met]]
+    return Calibration(
+        size, errors.calibration_grid.scale, *CALIBRATION_GRID, component[met],
+        owners[met] % errors.calibration_grid.cells,
+        std * mean, 0.5 * (covariance + covariance.T) * std[:, None] * std,
+    )  # fmt: skip
+
+
+def begin_with(bank: Bank, errors: ArrayErrors, known: Calibration) -> None:
+    """Let the weights of a calibration enter all filters of a new bank, as they are known."""
+    size = errors.calibration
+    first = np.concatenate([[0], np.cumsum(size > 0.0)])[known.component] * errors.calibration_grid.cells
+    owner, std, count = first + known.cell, size[known.component], len(known.mean)
+    bank.reserve(count, 0)
+    f, at = bank.arrays, int(bank.arrays.size[0, 0]) + np.arange(count)
+    f.x[:, at] = known.mean / std
+    f.p[:, at[:, None], at] = known.covariance / (std[:, None] * std)
+    f.owner[:, at], f.weight_state[:, owner] = owner, at
+    f.size[:] += count
+
+
+def check_fits(known: Calibration, size: Floats, scale_rad: float) -> None:
+    """Raise InputError unless a filter with errors of these sizes (3,), m and rad, and this scale can begin with a
+    calibration."""
+    if not (size > 0.0).any() or scale_rad <= 0.0:
+        raise InputError(
+            "a calibration, but no calibration error as a state: give its sizes and scale, or leave it out"
+        )
+    ours = (scale_rad, *CALIBRATION_GRID)
+    if not np.allclose((known.scale_rad, known.spacing, known.reach), ours, rtol=1e-9, atol=0.0):
+        raise InputError(
+            f"a calibration over {np.degrees(known.scale_rad):g} deg on a grid of spacing {known.spacing:g} and reach "
+            f"{known.reach:g}, but the filter's is over {np.degrees(scale_rad):g} deg with {CALIBRATION_GRID[0]:g} and "
+            f"{CALIBRATION_GRID[1]:g}: set calibration_scale_deg = {np.degrees(known.scale_rad):g}, or calibrate anew"
+        )
+    if ((known.size > 0.0) != (size > 0.0)).any():
+        raise InputError(
+            f"a calibration of {', '.join(known.components)}, but the filter has sizes {size.tolist()} (m, rad, rad) "
+            "of distance, azimuth, elevation: set calibration_m, _azimuth_deg, _elevation_deg above 0 for those alone"
+        )
+
+
+def _owners(errors: ArrayErrors) -> tuple[Ints, Ints, Floats]:
+    """Return the numbers (W,) of all weights of the calibration, their components (W,), and its sizes (3,)."""
+    there, cells = np.flatnonzero(errors.calibration > 0.0), errors.calibration_grid.cells
+    return np.arange(len(there) * cells), np.repeat(there, cells), np.array(errors.calibration)
