@@ -24,7 +24,7 @@ def prepared(one_filter, **rules):
 
 def use(one, looks):
     """Take looks at all VTs in as one block; return what the decision on steps adds to the log-likelihood."""
-    expect_steps(one.f, one.w.pending.steps)
+    expect_steps(one.f, one.rules, one.w.pending.steps)
     total = sum(correct(one.f, one.errors, j, one.offset, one.look(z, Q), one.w.sight, one.w.pending) for j, z in looks)
     settle(one.f, one.w.pending)
     return total + take_steps(one.f, one.rules, one.w.pending.steps)
@@ -60,7 +60,7 @@ def test_false_alarms_are_as_rare_as_stated(one_filter):
         one.f.x[: one.n] = x
         one.spread(root)
         z = expected + h @ (root @ rng.standard_normal(one.n)) + np.tile(np.sqrt(Q), 4) * rng.standard_normal(12)
-        expect_steps(one.f, one.w.pending.steps)
+        expect_steps(one.f, one.rules, one.w.pending.steps)
         for j in range(len(VTS)):
             correct(one.f, one.errors, j, one.offset, one.look(z[3 * j : 3 * j + 3], Q), one.w.sight, one.w.pending)
         settle(one.f, one.w.pending)
@@ -72,14 +72,23 @@ def test_false_alarms_are_as_rare_as_stated(one_filter):
     assert abs(alarms - blocks * rate) < 3.0 * np.sqrt(blocks * rate)
 
 
-@pytest.mark.parametrize(("step_m", "looks", "snapshots"), [(40.0, 4, 1), (40.0, 1, 4), (0.0, 4, None)])
-def test_a_large_step_is_found_where_nothing_associates(one_filter, step_m, looks, snapshots):
-    """At once where looks agree, after some snapshots where there is one alone."""
+@pytest.mark.parametrize(("azimuths", "found"), [((0.3, 0.4, 0.2), False), ((0.3, 1.8, -2.8), True)])
+def test_what_a_slip_explains_is_no_step(one_filter, azimuths, found):
+    """All distances are 0.8 m short: where VTs are ahead alone, the vehicle may as well be farther than it knows."""
+    one = one_filter(step=float(np.log(1e-6)), step_m=50.0)
+    one.put(POSE, 5.0, *((rho, azimuth, 0.05) for rho, azimuth in zip((60.0, 80.0, 45.0), azimuths, strict=True)))
+    one.spread(np.diag(np.where(np.arange(one.n) < 3, 0.05, 0.01)))
+    use(one, [(j, one.model(j)[0] - [0.8, 0.0, 0.0]) for j in range(3)])
+    assert (one.f.x[one.offset] < 4.5) == found
+
+
+@pytest.mark.parametrize(("step_m", "looks", "found"), [(40.0, 4, True), (40.0, 1, False), (0.0, 4, False)])
+def test_a_large_step_is_found_where_looks_agree(one_filter, step_m, looks, found):
+    """One look that nothing explains may as well be of a new VT."""
     one, root = prepared(one_filter, step=float(np.log(1e-6)), step_m=100.0, log_clutter=-9.0, confirm=0)
     one.spread(root)
     z = np.array([one.model(j)[0] + [step_m, 0.0, 0.0] for j in range(looks)])
     seen, room = one.seen(z, np.tile(Q, (looks, 1))), one.w
     room.pairs.slot_of[:] = -1 if step_m else 0
-    found = [shift_clocks(one.f, one.block, one.errors, seen, room.sight, room.pairs) for _ in range(snapshots or 6)]
-    assert found == [False] * (len(found) - 1) + [snapshots is not None]
-    assert one.f.x[one.offset] == pytest.approx(5.0 + step_m, abs=1e-9)
+    assert shift_clocks(one.f, one.errors, seen, room.sight, room.pairs) == found
+    assert one.f.x[one.offset] == pytest.approx(5.0 + found * step_m, abs=1e-9)
