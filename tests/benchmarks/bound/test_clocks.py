@@ -55,3 +55,15 @@ def test_a_known_step_is_found_again(plain: Recording) -> None:
     assert (stepped.clock_offset_std_m[at:, 0] > known.clock_offset_std_m[at:, 0]).all()
     assert stepped.clock_offset_std_m[-1, 0] < 2.0 * known.clock_offset_std_m[-1, 0]
     assert stepped.horizontal_std_m[-1] < 1.5 * known.horizontal_std_m[-1]
+
+
+def test_the_filters_mean_follows_a_walk() -> None:
+    """Of clocks ten times as bad as a TCXO its error is as large as its covariance says; without a walk it is lost."""
+    drive = simulate(load("tiny", {"radio.clock_oscillator": "tcxo"}).world, 3, 0)
+    m, wander_m = drive.measurements, drive.truth.clock_wander_m
+    distance_m = m.distance_m + 9.0 * wander_m[m.snapshot, drive.links.site[m.link]]
+    drive = replace(drive, measurements=replace(m, distance_m=distance_m))
+    told, still = bound(walking(drive, *(10.0 * drive.sites.walk_densities[:, 0]))), bound(walking(drive, 0.0, 0.0))
+    squared = [np.sum(result.pose_error[1:, :2] ** 2, axis=1) for result in (told, still)]
+    assert np.mean(squared[0] / told.horizontal_std_m[1:] ** 2) < 3.0
+    assert np.mean(squared[1] / still.horizontal_std_m[1:] ** 2) > 10.0
