@@ -344,6 +344,6 @@ def new_bank(
     blocks = Block(
         np.zeros((k, 1), whole), np.zeros((k, LONGEST, POSE)), np.zeros((k, LONGEST, 2)), np.zeros((k, 3)),
         np.zeros((k, vts), whole), np.zeros((k, vts, LONGEST), whole), np.zeros((k, vts, 3)), np.zeros((k, vts, 3)),
-        np.zeros((k, vts, 3)), np.zeros((k, vts)), np.zeros((k, vts)),
+        np.zeros((k, vts, 3)), np.zeros((k, vts)), np.zeros((k, vts)), np.zeros((k, len(core.rate), 2)),
     )  # fmt: skip
     return Bank(arrays, blocks, np.zeros(k))

@@ -261,7 +261,7 @@ def pair_in_bank(
             advance(f, block_of(blocks, k), interval, room.step)
         rival.loss[0] = seen.rules.doubt
         pair(f, a, seen, room.sight, room.pairs, rival)
-        if shift_clocks(f, a, seen, room.sight, room.pairs):
+        if shift_clocks(f, block_of(blocks, k), a, seen, room.sight, room.pairs):
             rival.loss[0] = seen.rules.doubt
             pair(f, a, seen, room.sight, room.pairs, rival)
         pairs.slot_of[k], pairs.exists[k] = room.pairs.slot_of, room.pairs.exists

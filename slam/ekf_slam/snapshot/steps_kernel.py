@@ -7,7 +7,7 @@ one, so that by Markov's inequality the probability of a false alarm is no great
 slip put all sites off: what a shift of the vehicle along its way explains as well is no step.
 
 A large step takes all looks out of the gates. That one shift of the distances would explain what no confirmed VT does
-is evidence in the same way, where several looks agree.
+is evidence in the same way, at once where several looks agree, in a few snapshots where a site has but one.
 
 Source: Willsky and Jones, "A generalized likelihood ratio approach to the detection and estimation of jumps in linear
 systems", IEEE Trans. Automatic Control 21(1), 1976.
@@ -22,9 +22,10 @@ from cellslam.sim.compiling import lean
 from cellslam.slam.ekf_slam.snapshot.association_kernel import Pairs, associate, difference, expect
 from cellslam.slam.ekf_slam.snapshot.sight_kernel import Sight, rotations_of
 from cellslam.slam.ekf_slam.snapshot.update_kernel import Steps, innovate
-from cellslam.slam.ekf_slam.state.layout import HITS, LINK, ArrayErrors, Filter, Measured, Rules
+from cellslam.slam.ekf_slam.state.layout import HITS, LINK, ArrayErrors, Block, Filter, Measured, Rules
 
-AGREE = 2  # looks that must agree on a large step
+AGREE = 2  # looks whose agreement on a shift is evidence at once
+ALONE = 3.0  # a look that is alone can give this part of the evidence needed in a snapshot, so that it takes several
 SLIP_M = 1.0  # deviation of how far slipping wheels shift the vehicle in a block
 
 
@@ -82,37 +83,47 @@ def _likely_size(steps: Steps, row: int, std_m: float) -> Shift:
 
 
 @lean(cache=True)
-def shift_clocks(f: Filter, a: ArrayErrors, seen: Measured, s: Sight, w: Pairs) -> bool:
+def shift_clocks(f: Filter, b: Block, a: ArrayErrors, seen: Measured, s: Sight, w: Pairs) -> bool:
     """Shift the clock of each site whose looks, as paired in w.slot_of, confirmed VTs explain if distances are shifted;
-    return whether there is any."""
+    return whether there is any. The evidence of a site that nothing explains adds up over snapshots in `b.shift`."""
     shifted, rules = False, seen.rules
     if rules.step == -math.inf:
         return False
     for site in range(len(f.core.step_m)):
-        offset, step_m = f.core.first_offset + site, f.core.step_m[site]
-        if step_m == 0.0 or _unexplained(f, seen, site, w) < AGREE:
+        offset, step_m, (known, unknown) = f.core.first_offset + site, f.core.step_m[site], _explained(f, seen, site, w)
+        if known > 0:
+            b.shift[site] = 0.0
+        least = AGREE if known > 0 else 1
+        if step_m == 0.0 or unknown < least:
             continue
         found = _likely_shift(f, a, seen, site, s, w)
+        if found.paired < least:
+            continue
         prior = rules.step + 0.5 * (math.log(found.variance / step_m**2) - (found.size / step_m) ** 2)
-        if found.paired >= AGREE and found.gain + prior > 0.0:
+        gain = found.gain if found.paired >= AGREE else min(found.gain, -prior / ALONE)
+        if (found.size - b.shift[site, 0]) ** 2 <= rules.gate * found.variance:
+            gain += b.shift[site, 1]
+        b.shift[site, 0], b.shift[site, 1] = found.size, gain
+        if gain + prior > 0.0:
             f.x[offset] += found.size
             f.p[offset, offset] += found.variance
-            shifted = True
+            b.shift[site], shifted = 0.0, True
     return shifted
 
 
 @lean(cache=True)
-def _unexplained(f: Filter, seen: Measured, site: int, w: Pairs) -> int:
-    """Return how many looks of a site that have a distance are of no confirmed VT."""
-    count = 0
+def _explained(f: Filter, seen: Measured, site: int, w: Pairs) -> tuple[int, int]:
+    """Return how many looks of a site are of confirmed VTs, and how many others have a distance."""
+    known, unknown = 0, 0
     for link in range(len(seen.first) - 1):
         if seen.site_of[link] == site and f.links[link] == 1:
             for k in range(seen.first[link], seen.first[link + 1]):
                 j = w.slot_of[k]
-                confirmed = j >= 0 and f.slots[j, HITS] >= seen.rules.confirm
-                if not confirmed and not math.isnan(seen.z[k, 0]):
-                    count += 1
-    return count
+                if j >= 0 and f.slots[j, HITS] >= seen.rules.confirm:
+                    known += 1
+                elif not math.isnan(seen.z[k, 0]):
+                    unknown += 1
+    return known, unknown
 
 
 @lean(cache=True)

@@ -168,7 +168,8 @@ class Block(NamedTuple):
 
     Of each VT: how many `looks` (V,), in which snapshots `seen` (V, B); sums of innovations, variances and how many
     were measured: `e`, `q`, `measured` (V, 3), of squared shares of diffuse errors `diffuse` (V,), and of the log-odds
-    of what was detected and missed `odds` (V,).
+    of what was detected and missed `odds` (V,). Of each site, across blocks: the `shift` (S, 2) of its clock that looks
+    speak for lately, in m, and how strongly.
     """
 
     snapshots: Ints
@@ -182,6 +183,7 @@ class Block(NamedTuple):
     measured: Floats
     diffuse: Floats
     odds: Floats
+    shift: Floats
 
 
 @njit(cache=True)
@@ -200,4 +202,5 @@ def block_of(blocks: Block, k: int) -> Block:
     return Block(
         blocks.snapshots[k], blocks.pose[k], blocks.at[k], blocks.total[k], blocks.looks[k], blocks.seen[k],
         blocks.e[k], blocks.q[k], blocks.measured[k], blocks.diffuse[k], blocks.odds[k],
+        blocks.shift[k],
     )  # fmt: skip

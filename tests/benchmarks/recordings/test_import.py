@@ -271,7 +271,7 @@ def partial_drive(draw: st.DrawFn, toy: Toy) -> Recording:
 def test_a_round_trip_is_a_round_trip(
     write: Callable[[Recording, Path], None], toy_recording: Toy, data: st.DataObject
 ) -> None:
-    """Times, odometry, measurements, reference and what is known of clocks come back to the last digit: so does dead reckoning."""
+    """Times, odometry, measurements, reference, what is known of clocks: all come back to the last digit."""
     drive = partial_drive(data.draw, toy_recording)
     with TemporaryDirectory() as folder:
         write(drive, Path(folder) / "out")

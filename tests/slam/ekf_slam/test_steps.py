@@ -82,13 +82,14 @@ def test_what_a_slip_explains_is_no_step(one_filter, azimuths, found):
     assert (one.f.x[one.offset] < 4.5) == found
 
 
-@pytest.mark.parametrize(("step_m", "looks", "found"), [(40.0, 4, True), (40.0, 1, False), (0.0, 4, False)])
-def test_a_large_step_is_found_where_looks_agree(one_filter, step_m, looks, found):
-    """One look that nothing explains may as well be of a new VT."""
+@pytest.mark.parametrize(("step_m", "looks", "snapshots"), [(40.0, 4, 1), (40.0, 1, 4), (0.0, 4, None)])
+def test_a_large_step_is_found_where_nothing_associates(one_filter, step_m, looks, snapshots):
+    """At once where looks agree, after some snapshots where there is one alone."""
     one, root = prepared(one_filter, step=float(np.log(1e-6)), step_m=100.0, log_clutter=-9.0, confirm=0)
     one.spread(root)
     z = np.array([one.model(j)[0] + [step_m, 0.0, 0.0] for j in range(looks)])
     seen, room = one.seen(z, np.tile(Q, (looks, 1))), one.w
     room.pairs.slot_of[:] = -1 if step_m else 0
-    assert shift_clocks(one.f, one.errors, seen, room.sight, room.pairs) == found
-    assert one.f.x[one.offset] == pytest.approx(5.0 + found * step_m, abs=1e-9)
+    found = [shift_clocks(one.f, one.block, one.errors, seen, room.sight, room.pairs) for _ in range(snapshots or 6)]
+    assert found == [False] * (len(found) - 1) + [snapshots is not None]
+    assert one.f.x[one.offset] == pytest.approx(5.0 + step_m, abs=1e-9)
