@@ -22,11 +22,13 @@ from cellslam.sim.compiling import lean
 from cellslam.slam.ekf_slam.snapshot.association_kernel import Pairs, associate, difference, expect
 from cellslam.slam.ekf_slam.snapshot.sight_kernel import Sight, rotations_of
 from cellslam.slam.ekf_slam.snapshot.update_kernel import Steps, innovate
-from cellslam.slam.ekf_slam.state.layout import HITS, LINK, ArrayErrors, Block, Filter, Measured, Rules
+from cellslam.slam.ekf_slam.state.layout import HITS, LAST, LINK, ArrayErrors, Block, Filter, Measured, Rules
 
 AGREE = 2  # looks whose agreement on a shift is evidence at once
 ALONE = 3.0  # a look that is alone can give this part of the evidence needed in a snapshot, so that it takes several
 SLIP_M = 1.0  # deviation of how far slipping wheels shift the vehicle in a block
+
+RECENT = 16  # snapshots after which a VT that was seen no more is not evidence alone: another may be in its direction
 
 
 class Shift(NamedTuple):
@@ -147,7 +149,7 @@ def _worth(f: Filter, a: ArrayErrors, seen: Measured, site: int, shift: float, s
 
 @lean(cache=True)
 def _likely_shift(f: Filter, a: ArrayErrors, seen: Measured, site: int, s: Sight, w: Pairs) -> Shift:
-    """Return the shift of a site's distances that most looks agree on."""
+    """Return the shift of a site's distances that most looks agree on; a look alone must be of a VT seen lately."""
     score, paired = _worth(f, a, seen, site, 0.0, s, w)
     turned, rules, best = rotations_of(f), seen.rules, Shift(0.0, 1.0, 0.0, 0)
     for j in range(f.count[0]):
@@ -161,6 +163,7 @@ def _likely_shift(f: Filter, a: ArrayErrors, seen: Measured, site: int, s: Sight
             if math.isnan(seen.z[k, 0]) or apart > rules.gate or i.e.x * i.e.x <= rules.gate * i.s.xx:
                 continue
             there, agree = _worth(f, a, seen, site, i.e.x, s, w)
-            if there - score > best.gain:
+            recent = seen.now - f.slots[j, LAST] <= RECENT
+            if there - score > best.gain and (recent or agree - paired >= AGREE):
                 best = Shift(i.e.x, i.s.xx, there - score, agree - paired)
     return best
