@@ -27,7 +27,6 @@ from cellslam.slam.ekf_slam.state.layout import HITS, LAST, LINK, ArrayErrors, B
 AGREE = 2  # looks whose agreement on a shift is evidence at once
 ALONE = 3.0  # a look that is alone can give this part of the evidence needed in a snapshot, so that it takes several
 SLIP_M = 1.0  # deviation of how far slipping wheels shift the vehicle in a block
-
 RECENT = 16  # snapshots after which a VT that was seen no more is not evidence alone: another may be in its direction
 
 

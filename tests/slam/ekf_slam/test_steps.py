@@ -6,7 +6,9 @@ from scipy.stats import chi2
 
 from cellslam.slam.ekf_slam.snapshot.steps_kernel import expect_steps, shift_clocks, take_steps
 from cellslam.slam.ekf_slam.snapshot.update_kernel import correct, settle
+from cellslam.slam.ekf_slam.state.layout import LAST
 
+NOW = 3  # number of the fixture's snapshot
 POSE = (1.0, 2.0, 0.0, 0.3, 0.0, 0.0)
 VTS = ((60.0, 0.4, 0.2), (80.0, 2.0, 0.1), (45.0, -1.5, 0.3), (90.0, -2.6, 0.15))
 Q = np.array([0.2, 0.01, 0.01]) ** 2
@@ -82,14 +84,17 @@ def test_what_a_slip_explains_is_no_step(one_filter, azimuths, found):
     assert (one.f.x[one.offset] < 4.5) == found
 
 
-@pytest.mark.parametrize(("step_m", "looks", "snapshots"), [(40.0, 4, 1), (40.0, 1, 4), (0.0, 4, None)])
-def test_a_large_step_is_found_where_nothing_associates(one_filter, step_m, looks, snapshots):
-    """At once where looks agree, after some snapshots where there is one alone."""
+@pytest.mark.parametrize(
+    ("step_m", "looks", "last", "snapshots"),
+    [(40.0, 4, NOW, 1), (40.0, 4, NOW - 100, 1), (40.0, 1, NOW, 4), (40.0, 1, NOW - 100, None), (0.0, 4, NOW, None)],
+)
+def test_a_large_step_is_found_where_nothing_associates(one_filter, step_m, looks, last, snapshots):
+    """At once where looks agree; after some snapshots where there is one alone, if its VT was seen lately."""
     one, root = prepared(one_filter, step=float(np.log(1e-6)), step_m=100.0, log_clutter=-9.0, confirm=0)
     one.spread(root)
     z = np.array([one.model(j)[0] + [step_m, 0.0, 0.0] for j in range(looks)])
     seen, room = one.seen(z, np.tile(Q, (looks, 1))), one.w
-    room.pairs.slot_of[:] = -1 if step_m else 0
+    room.pairs.slot_of[:], one.f.slots[:, LAST] = -1 if step_m else 0, last
     found = [shift_clocks(one.f, one.block, one.errors, seen, room.sight, room.pairs) for _ in range(snapshots or 6)]
     assert found == [False] * (len(found) - 1) + [snapshots is not None]
-    assert one.f.x[one.offset] == pytest.approx(5.0 + step_m, abs=1e-9)
+    assert one.f.x[one.offset] == pytest.approx(5.0 + (step_m if snapshots else 0.0), abs=1e-9)
