@@ -154,7 +154,7 @@ def snapshots_of(recording: Recording) -> list[Snapshot]:
                 t,
                 *(_frozen(c[part]) for c in columns),
                 *(None if c is None else _frozen(c[part]) for c in claimed),
-                odometry_held_s=_frozen(held_s[t]) if held_s[t].any() else None,
+                _frozen(held_s[t]) if held_s[t].any() else None,
             )
         )
     return out

@@ -75,10 +75,10 @@ def _draw_steps(config: RadioConfig, duration_s: float, sites: int, rng: np.rand
     """Return the steps of a drive in order of time: at the given times, and others as a Poisson process."""
     together = config.clock_steps_together
     times, of_site = [], []
-    for site in range(1 if together else sites):
+    for row in range(1 if together else sites):
         drawn = rng.uniform(0.0, duration_s, rng.poisson(config.clock_steps_per_hour * duration_s / 3600.0))
         times.append(np.concatenate([np.array(config.clock_step_times_s, np.float64), drawn]))
-        of_site.append(np.full(len(times[-1]), site))
+        of_site.append(np.full(len(times[-1]), row))
     time_s, site = np.concatenate(times), np.concatenate(of_site)
     size_m = config.clock_step_std_m * rng.standard_normal(len(time_s))
     if together:

@@ -6,7 +6,7 @@ Source: own model, of independent faults of single reports.
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
@@ -55,7 +55,7 @@ def as_reported(found: Detections, reports: Reports) -> Detections:
     count = np.diff(first)[reports.source]
     begin = first[reports.source] - np.concatenate([[0], np.cumsum(count)[:-1]])
     rows = np.repeat(begin, count) + np.arange(count.sum())
-    columns = {name: None if c is None else c[rows] for name, c in vars(m).items()}
+    columns: dict[str, Any] = {name: None if c is None else c[rows] for name, c in vars(m).items()}
     columns["snapshot"] = np.repeat(np.arange(len(count)), count)
-    own = {name: column[rows] for name, column in vars(found).items() if name != "measurements"}
+    own: dict[str, Any] = {name: column[rows] for name, column in vars(found).items() if name != "measurements"}
     return replace(found, measurements=replace(m, **columns), **own)
