@@ -149,14 +149,14 @@ def snapshots_of(recording: Recording) -> list[Snapshot]:
     out, held_s = [], _held_s(recording)
     for t in range(len(recording.time_s)):
         part = slice(rows[t], rows[t + 1])
-        out.append(
-            Snapshot(
-                t,
-                *(_frozen(c[part]) for c in columns),
-                *(None if c is None else _frozen(c[part]) for c in claimed),
-                _frozen(held_s[t]) if held_s[t].any() else None,
-            )
+        snapshot = Snapshot(
+            t,
+            *(_frozen(c[part]) for c in columns),
+            *(None if c is None else _frozen(c[part]) for c in claimed),
         )
+        if held_s[t].any():
+            snapshot = replace(snapshot, odometry_held_s=_frozen(held_s[t]))
+        out.append(snapshot)
     return out
 
 
