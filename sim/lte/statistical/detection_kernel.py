@@ -16,9 +16,9 @@ import numpy as np
 
 from cellslam.sim.compiling import njit
 from cellslam.sim.frames_kernel import wrap
-from cellslam.sim.lte.budget_kernel import link_powers
 from cellslam.sim.lte.persisting_errors_kernel import Fields, write_attitude, write_persisting
 from cellslam.sim.lte.single_path_bound import AZIMUTH_EXPONENT
+from cellslam.sim.lte.statistical.budget_kernel import link_powers
 from cellslam.sim.lte.statistical.clutter_kernel import noise_clutter, standing_clutter, structured_clutter, trailing
 from cellslam.sim.lte.statistical.detector_layout import (
     AZIMUTH,

@@ -22,7 +22,7 @@ from cellslam.benchmarks.recordings.importing.matlab import variables
 from cellslam.benchmarks.scores.trial_result import COST_KEYS
 from cellslam.sim.errors import InputError
 from cellslam.sim.frames import SPEED_OF_LIGHT_MPS
-from cellslam.sim.recording import Recording, Reference
+from cellslam.sim.recording import CLOCK_PRIOR, Recording, Reference
 
 Toy = Callable[..., Recording]
 
@@ -258,7 +258,10 @@ def partial_drive(draw: st.DrawFn, toy: Toy) -> Recording:
     unknown = np.full(len(steps), np.nan)
     time_s = draw(st.sampled_from([0.0, 1.7e9])) + np.cumsum(steps)
     reference = Reference(time_s + 0.03, fixes, unknown, unknown)
-    return dataclasses.replace(made, time_s=time_s, odometry=odometry, reference=reference)
+    clocks = {name: rng.random(len(made.sites)) for name in CLOCK_PRIOR}
+    clocks[CLOCK_PRIOR[-1]] = draw(st.sampled_from([None, clocks[CLOCK_PRIOR[-1]]]))
+    sites = dataclasses.replace(made.sites, **clocks)
+    return dataclasses.replace(made, time_s=time_s, odometry=odometry, reference=reference, sites=sites)
 
 
 @settings(max_examples=25, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
@@ -267,7 +270,7 @@ def partial_drive(draw: st.DrawFn, toy: Toy) -> Recording:
 def test_a_round_trip_is_a_round_trip(
     write: Callable[[Recording, Path], None], toy_recording: Toy, data: st.DataObject
 ) -> None:
-    """Times, odometry, measurements and reference come back to the last digit: so does dead reckoning."""
+    """Times, odometry, measurements, reference, what is known of clocks: all come back to the last digit."""
     drive = partial_drive(data.draw, toy_recording)
     with TemporaryDirectory() as folder:
         write(drive, Path(folder) / "out")
@@ -278,6 +281,8 @@ def test_a_round_trip_is_a_round_trip(
     for one, two in ((again.measurements, drive.measurements), (again.reference, drive.reference)):
         for field in dataclasses.fields(one):
             np.testing.assert_array_equal(getattr(one, field.name), getattr(two, field.name))
+    for name in CLOCK_PRIOR:
+        np.testing.assert_array_equal(getattr(again.sites, name), getattr(drive.sites, name))
 
 
 def test_hdf5_round_trip_and_run_give_the_same_rows_bit_for_bit(
