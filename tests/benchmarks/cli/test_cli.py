@@ -259,7 +259,6 @@ WRONG = {
         ["none.ply"],
     ),
     "command": (("rnu", "tiny"), ["unknown command 'rnu'", "did you mean 'run'"]),
-    "no command": ((), ["COMMAND"]),
     "option": ((*RUN, "--jsn"), ["--jsn"]),
     "list": (("list", "cities"), ["'cities'", "scenarios"]),
     "record": (("record", "tiny", "--out", "none/a.h5"), ["no folder none"]),
