@@ -209,10 +209,10 @@ def tracked_measurements(
     port, look = recording.links.port[m.link[real]], m.snapshot[real] * vts + truth.measurement_vt[real]
     _, at, of = np.unique(look * (port.max(initial=0) + 1) + port, return_index=True, return_inverse=True)
     snapshot, vt_of, port = m.snapshot[real[at]], truth.measurement_vt[real[at]], port[at]
-    _, first_row, key = np.unique(vt_of, return_index=True, return_inverse=True)
+    _, first_row, nth = np.unique(vt_of, return_index=True, return_inverse=True)
     _, last_row = np.unique(vt_of[::-1], return_index=True)
     rows = np.arange(len(at))
-    first, last = rows == first_row[key], rows == len(at) - 1 - last_row[key]
+    first, last = rows == first_row[nth], rows == len(at) - 1 - last_row[nth]
 
     _, begin, look = np.unique(snapshot * vts + vt_of, return_index=True, return_inverse=True)
     position = truth.vts.position_m[vt_of[begin]]
@@ -232,7 +232,7 @@ def tracked_measurements(
     variance, residual = _together(white, residuals(recording, truth, real, predicted), of, len(at))
     missing = np.where(first[:, None], BROAD_STD**2, np.inf)
     sightings = Sightings(
-        np.searchsorted(snapshot, every), look, key, first, last, np.where(np.isfinite(variance), variance, missing),
+        np.searchsorted(snapshot, every), look, vt_of, first, last, np.where(np.isfinite(variance), variance, missing),
         residual, persisting.own_state, persisting.own_load,
     )  # fmt: skip
     return looks, sightings, persisting.errors
