@@ -75,9 +75,7 @@ def bound(recording: Recording, progress: Progress = silent, calibrated: bool = 
 
     truth, snapshots, sites = recording.truth, len(recording.time_s), len(recording.sites)
     core = core_of(recording.odometry_model, recording.sites)
-    step, noise, walk = linear_motion(recording, truth, core)
-    drawn, dt_s = jumps(recording, truth, core, step), np.diff(recording.time_s, prepend=recording.time_s[0])
-    motion = Motion(start_variance(recording, core), step, noise, walk, drawn, core.mean, core.rate, dt_s)
+    motion = motion_of(recording, truth, core)
     looks, sightings, errors = tracked_measurements(recording, truth, core, calibrated)
     drifted = drifted_std(recording)
     drift = rates_among(errors, drifted)
@@ -109,6 +107,13 @@ def core_of(model: OdometryModel, sites: Sites) -> Core:
     rate = np.where(walks, first + np.cumsum(walks) - 1, -1).astype(np.int64)
     mean = first + int(walks.sum())
     return Core(bias, scale, rate, mean, mean + 1 + np.arange(len(sites)), mean + 1 + len(sites))
+
+
+def motion_of(recording: Recording, truth: Truth, core: Core) -> Motion:
+    """Return the drive's motion about the truth, with what was drawn of its errors; units as in `Motion`."""
+    step, noise, walk = linear_motion(recording, truth, core)
+    drawn, dt_s = jumps(recording, truth, core, step), np.diff(recording.time_s, prepend=recording.time_s[0])
+    return Motion(start_variance(recording, core), step, noise, walk, drawn, core.mean, core.rate, dt_s)
 
 
 def start_variance(recording: Recording, core: Core) -> Floats:

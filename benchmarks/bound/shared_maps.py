@@ -20,12 +20,10 @@ from cellslam.benchmarks.bound.cramer_rao import (
     BoundResult,
     core_of,
     drifted_std,
-    linear_motion,
     most_states,
-    start_variance,
+    motion_of,
     tracked_measurements,
 )
-from cellslam.benchmarks.bound.drawn_errors import jumps
 from cellslam.sim.errors import InputError
 from cellslam.sim.recording import Floats, Recording, Truth
 
@@ -55,7 +53,7 @@ def shared_map_bounds(
     from cellslam.benchmarks.bound.recursion_kernel import covariance_recursion
 
     _check(recordings, walls)
-    core = core_of(recordings[0].odometry_model, len(recordings[0].sites))
+    core = core_of(recordings[0].odometry_model, recordings[0].sites)
     drives = [_drive(recording, core, calibrated) for recording in recordings]
     drives = _padded(list((_with_walls if walls else _with_vts)(recordings, drives)))
     work, constant = _room(drives, core), np.full(len(core.offsets), -1)
@@ -75,17 +73,15 @@ def _check(recordings: Sequence[Recording], walls: bool) -> None:
             raise InputError("a recording has no truth: the bound needs it")
         if not np.array_equal(truth.site_positions_m, first.site_positions_m):
             raise InputError("the sites of the recordings are not the same: drives that share a map share their sites")
-        if drifted_std(recording).any():
-            raise InputError("clocks drift: the bound of a shared map takes offsets for constant within a drive")
+        if drifted_std(recording).any() or recording.sites.walk_densities.any():
+            raise InputError("clocks drift or walk: the bound of a shared map takes offsets for constant in a drive")
         if walls and truth.vts.order.max(initial=0) > 1:
             raise InputError("paths have two reflections: the bound with walls takes one at most (city.max_order = 1)")
 
 
 def _drive(recording: Recording, core: Core, calibrated: bool) -> Drive:
     truth = _truth(recording)
-    step, noise, walk = linear_motion(recording, truth, core)
-    motion = Motion(start_variance(recording, core), step, noise, walk, jumps(recording, truth, core, step), core.mean)
-    return Drive(motion, *tracked_measurements(recording, truth, core, calibrated))
+    return Drive(motion_of(recording, truth, core), *tracked_measurements(recording, truth, core, calibrated))
 
 
 def _with_vts(recordings: Sequence[Recording], drives: Sequence[Drive]) -> Iterator[Drive]:
@@ -152,7 +148,8 @@ def _by_landmarks(truth: Truth) -> Floats:
     out[:, :, 3] = -2.0 * along[:, None] * n - length[:, None] * turned
     out[:, :, 4] = 2.0 * n
     out[~mirrored, :, 3:] = 0.0
-    return out * np.array([SITE_STD_M, SITE_STD_M, SITE_STD_M, *WALL_STD])
+    scaled: Floats = out * np.array([SITE_STD_M, SITE_STD_M, SITE_STD_M, *WALL_STD])
+    return scaled
 
 
 def _truth(recording: Recording) -> Truth:
