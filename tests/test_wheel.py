@@ -81,5 +81,5 @@ def test_installed_wheel_runs_from_an_empty_directory(wheel: Path, tmp_path: Pat
     assert run(command, "show", "lund-530", cwd=empty).startswith("lund-530: ")
     check = "import cellslam; from cellslam.sim.lte.statistical.statistics import statistics; statistics()"
     run(python, "-c", f"{check}; print(cellslam.__version__, cellslam.load('canyon'))", cwd=empty)
-    assert "\nlund-530: " in run(command, "list", "scenarios", cwd=empty)
+    assert "\n lund-530 " in run(command, "list", "scenarios", cwd=empty)
     assert not list(empty.iterdir())

@@ -71,7 +71,8 @@ class Sizes(Described):
         out = {}
         for name, (slope, information) in self.told().items():
             factor = math.exp(max(-MOST_STEP, min(slope / information, MOST_STEP)))
-            if abs(slope) > DOUBTED * math.sqrt(information) and not 1.0 / NOTABLE < factor < NOTABLE:
+            cautious = name in COMPONENTS and slope < 0.0  # an odometry better than told is no mistake: slip is rare
+            if abs(slope) > DOUBTED * math.sqrt(information) and not 1.0 / NOTABLE < factor < NOTABLE and not cautious:
                 out[name] = factor
         return out
 

@@ -148,7 +148,7 @@ def test_what_the_documentation_shows() -> None:
     shown = sweep.from_tables(tomllib.loads(block))
     assert len(sweep.points(shown, shown.estimators)) == 3 * 2 * 2 * 2 * 20
     commands = [line for part in re.findall(r"```sh\n(.*?)```", text, re.DOTALL) for line in part.split("\ncellslam ")]
-    assert len(commands) == 5
+    assert len(commands) == 8
     swept = 0
     for command in commands:
         arguments = build_parser().parse_args(shlex.split(command.removeprefix("cellslam ").replace("\\\n", " ")))
