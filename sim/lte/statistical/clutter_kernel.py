@@ -9,7 +9,7 @@ import math
 from typing import Any
 
 from cellslam.sim.compiling import njit
-from cellslam.sim.frames_kernel import wrap
+from cellslam.sim.frames.frames_kernel import wrap
 from cellslam.sim.lte.statistical.detector_layout import (
     DIFFUSE_SHARE,
     DIFFUSE_TO_M,
