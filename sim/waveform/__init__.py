@@ -1,0 +1,5 @@
+"""What a front end must know of a downlink waveform, and what LTE and NR share: `Waveform`, the Gold sequence."""
+
+from cellslam.sim.waveform.waveform import ReferenceSignal
+
+__all__ = ["ReferenceSignal"]
