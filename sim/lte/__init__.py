@@ -6,8 +6,8 @@ There are two: `statistical` draws what a receiver would report, `signal` receiv
 `single_path_bound` and `joint_bound`, Cramer-Rao bounds; `persisting_errors`, which errors are not white.
 """
 
+from cellslam.sim.lte.downlink.reference_signals import reference_signal
 from cellslam.sim.lte.radio_config import RadioConfig
-from cellslam.sim.lte.reference_signals import reference_signal
 from cellslam.sim.waveform import ReferenceSignal
 
 __all__ = ["RadioConfig", "ReferenceSignal", "reference_signal"]

@@ -97,18 +97,23 @@ def _check(
     check_integers({
         "numerology": (numerology, 0, NUMEROLOGIES - 1),
         "sequence_id": (sequence_id, 0, SEQUENCE_IDS - 1),
-        "resource_blocks": (resource_blocks, FEWEST_RESOURCE_BLOCKS, MOST_RESOURCE_BLOCKS),
         "first_symbol": (first_symbol, 0, LAST_FIRST_SYMBOL),
         "first_block": (first_block, 0, LAST_FIRST_BLOCK),
     })  # fmt: skip
     check_integers({"slot": (slot, 0, slots_per_frame(numerology) - 1)})
+    check_resource_blocks(resource_blocks)
+    check_comb(comb, symbols)
+    check_integers({f"element_offset of comb {comb}:": (element_offset, 0, comb - 1)})
+
+
+def check_resource_blocks(resource_blocks: int) -> None:
+    """Raise InputError for a bandwidth that no positioning reference signal has."""
+    check_integers({"resource_blocks": (resource_blocks, FEWEST_RESOURCE_BLOCKS, MOST_RESOURCE_BLOCKS)})
     if resource_blocks % BLOCK_STEP:
         raise InputError(
             f"resource_blocks {resource_blocks} is not one of {FEWEST_RESOURCE_BLOCKS}, "
             f"{FEWEST_RESOURCE_BLOCKS + BLOCK_STEP}, ..., {MOST_RESOURCE_BLOCKS}"
         )
-    check_comb(comb, symbols)
-    check_integers({f"element_offset of comb {comb}:": (element_offset, 0, comb - 1)})
 
 
 def check_comb(comb: int, symbols: int) -> None:

@@ -77,4 +77,4 @@ def prs_slots(
         sent &= np.asarray(muting, bool)[since // (muting_repetition * period) % len(muting)]
     if len(repetition_muting):
         sent &= np.asarray(repetition_muting, bool)[which % repetition]
-    return number[sent]
+    return np.asarray(number[sent], np.int64)

@@ -1,5 +1,5 @@
 """What a front end must know of a downlink waveform, and what LTE and NR share: `Waveform`, the Gold sequence."""
 
-from cellslam.sim.waveform.waveform import ReferenceSignal
+from cellslam.sim.waveform.waveform import ReferenceSignal, Waveform
 
-__all__ = ["ReferenceSignal"]
+__all__ = ["ReferenceSignal", "Waveform"]

@@ -16,7 +16,7 @@ import numpy as np
 
 from cellslam.sim.frames import unit_vector, wrap_angle
 from cellslam.sim.lte import RadioConfig
-from cellslam.sim.lte.array import CircularArray, miscalibrated
+from cellslam.sim.lte.array import array_at, miscalibrated
 from cellslam.sim.lte.budget_kernel import array_gain, path_power
 from cellslam.sim.lte.links import Cells, cells_of, slant
 from cellslam.sim.lte.persisting_errors import draw_fields
@@ -102,7 +102,7 @@ def signal_bench(ratio_db: float) -> SignalLevel:
 def in_scene(front_end: SignalLevel, rng: np.random.Generator) -> SignalLevel:
     """Return the front end with another array and other surroundings."""
     array = miscalibrated(
-        CircularArray(carrier_hz=front_end.config.carrier_hz), DEFAULT_HARDWARE.phase_std_deg,
+        array_at(front_end.config.carrier_hz), DEFAULT_HARDWARE.phase_std_deg,
         DEFAULT_HARDWARE.gain_std_db, rng,
     )  # fmt: skip
     surroundings = Surroundings(int(rng.integers(2**32)), front_end.config.specular_to_diffuse_db)

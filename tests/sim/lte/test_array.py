@@ -19,9 +19,10 @@ from cellslam.sim.lte.array import (
     miscalibrated,
     switching_times_s,
 )
+from cellslam.sim.lte.downlink.lte_waveform import tone_frequencies
 from cellslam.sim.lte.eadf import eadf_from_grid, load_patterns
 from cellslam.sim.lte.joint_bound import PathSet, fisher_information, joint_std, leftover
-from cellslam.sim.lte.single_path_bound import single_path_std, tone_frequencies
+from cellslam.sim.lte.single_path_bound import single_path_std
 
 TINY = CircularArray(columns=5, rings=2, radius_m=0.06)
 SMALL_GRID = np.radians(np.arange(0.0, 360.0, 6.0)), np.radians(np.arange(-90.0, 91.0, 6.0))

@@ -7,8 +7,8 @@ import pytest
 
 from cellslam.sim.errors import InputError
 from cellslam.sim.lte import reference_signal
-from cellslam.sim.lte.reference_signals import c_init, colliding_ports, first_subcarrier
-from cellslam.sim.lte.signal.waveform import SYMBOL_S, baseband, subcarrier_frequency_hz, symbol_start_s
+from cellslam.sim.lte.downlink.ofdm import SYMBOL_S, baseband, subcarrier_frequency_hz, symbol_start_s
+from cellslam.sim.lte.downlink.reference_signals import c_init, colliding_ports, first_subcarrier
 
 CHECK = [
     (375, 6152943, (3, 0, 0), "++----+-", "-++---++"),

@@ -7,7 +7,8 @@ import pytest
 from numpy.typing import NDArray
 
 from cellslam.sim.frames import SPEED_OF_LIGHT_MPS
-from cellslam.sim.lte.single_path_bound import bound_scales, single_path_std, tone_frequencies
+from cellslam.sim.lte.downlink.lte_waveform import LteWaveform, tone_frequencies
+from cellslam.sim.lte.single_path_bound import bound_scales, single_path_std
 
 WAVELENGTH_M = SPEED_OF_LIGHT_MPS / 2.66e9
 
@@ -67,8 +68,8 @@ def test_twenty_decibel_are_a_factor_of_ten() -> None:
 def test_delay_bound_scales_with_bandwidth() -> None:
     narrow = tone_frequencies(25)
     numeric = fisher_std(0.4, 0.0, narrow)
-    np.testing.assert_allclose(single_path_std(0.0, 0.0, 25)[0], numeric[0], rtol=1e-3)
-    assert bound_scales(25).samples == 128 * 50
+    np.testing.assert_allclose(single_path_std(0.0, 0.0, LteWaveform(25))[0], numeric[0], rtol=1e-3)
+    assert bound_scales(LteWaveform(25)).samples == 128 * 50
 
 
 def test_tones_leave_out_the_carrier() -> None:
