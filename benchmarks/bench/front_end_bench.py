@@ -32,10 +32,14 @@ from cellslam.sim.lte.signal.path_estimator.cancellation import cancel
 from cellslam.sim.lte.signal.path_estimator.path_estimator import Estimates, estimate_paths
 from cellslam.sim.lte.signal.receiver import Motion, Receiver, receiver_of
 from cellslam.sim.nr.nr_waveform import NrWaveform
+from cellslam.sim.waveform import Waveform
 
 # Carrier, waveform and detection threshold of the receivers under test: 20 MHz of LTE, 100 MHz of NR with as few false
 # paths over five times as many delays.
-RECEIVERS = {"lte": (2.66e9, LteWaveform(), 17.4), "nr": (3.5e9, NrWaveform(), 19.2)}
+RECEIVERS: dict[str, tuple[float, Waveform, float]] = {
+    "lte": (2.66e9, LteWaveform(), 17.4),
+    "nr": (3.5e9, NrWaveform(), 19.2),
+}
 STILL = np.zeros(3)
 PHASE_STD_DEG, GAIN_STD_DB = 5.0, 0.5  # calibration errors of the studies that have them
 Row = dict[str, Any]

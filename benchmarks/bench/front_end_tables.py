@@ -29,6 +29,7 @@ from cellslam.sim.lte.array import array_at, switching_times_s
 from cellslam.sim.lte.signal.receiver import receiver_of
 from cellslam.sim.progress import Progress
 
+# SNR per sample with the tones of LTE.
 RHO_DB = (-32.5, -30.0, -28.0, -20.0, -10.0, 0.0, 10.0, 20.0)
 # Steps of the resolution table: distance in m, azimuth and elevation in deg, for three integrated SNRs.
 STEPS: dict[float, tuple[Sequence[float], Sequence[float], Sequence[float]]] = {
@@ -100,8 +101,19 @@ def _speeds(technology: str, runs: int) -> list[Point]:
     return [partial(point, sizes=sizes) for sizes in speed_points()]
 
 
+def _singles(technology: str, runs: int) -> list[Point]:
+    """Return the points of a single path: the same integrated SNR in all technologies."""
+
+    def point(rng: np.random.Generator, rho_db: float) -> Row:
+        bench = default_bench(technology)
+        more_db = 10.0 * np.log10(len(bench.tones_hz) / len(default_bench("lte").tones_hz))
+        return single_path(bench, rho_db - more_db, runs, rng)
+
+    return [partial(point, rho_db=rho_db) for rho_db in RHO_DB]
+
+
 STUDIES: dict[str, Points] = {
-    "single": _each(single_path, RHO_DB), "many": _each(many_paths, (3, 10, 20)), "resolution": _resolutions,
+    "single": _singles, "many": _each(many_paths, (3, 10, 20)), "resolution": _resolutions,
     "collision": _each(collision, (0.0, 20.0, 40.0)), "ghosts": _each(ghosts, (10.0, 20.0, 25.0)),
     "motion": _motions, "speed": _speeds,
 }  # fmt: skip

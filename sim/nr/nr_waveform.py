@@ -51,12 +51,12 @@ class NrWaveform:
     @property
     def element_hz(self) -> float:
         """Subcarrier spacing in Hz."""
-        return 15e3 * 2**self.numerology
+        return float(15e3 * 2**self.numerology)
 
     @property
     def slot_s(self) -> float:
         """Length of a slot in s."""
-        return 1e-3 / 2**self.numerology
+        return float(1e-3 / 2**self.numerology)
 
     @property
     def slots(self) -> int:

@@ -34,6 +34,8 @@ class ReferenceSignal(NamedTuple):
 class Waveform(Protocol):
     """A downlink signal: `radio.technology` names it. Hashable; two that are equal send the same."""
 
+    def __hash__(self) -> int: ...
+
     @property
     def slot_s(self) -> float:
         """Length of a slot in s. An array port is sampled once within one."""

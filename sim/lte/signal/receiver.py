@@ -63,7 +63,7 @@ class Receiver:
 
     @cached_property
     def rate(self) -> Floats:
-        """Phase of each fitted tone (groups,) in rad per m, counted from the middle tone: the weights take up the rest."""
+        """Phase of each fitted tone (groups,) in rad per m, counted from the middle: the weights take up the rest."""
         return phase_rate(self.fitted.tones_hz)
 
     @cached_property
@@ -134,7 +134,7 @@ class Receiver:
 def receiver_of(waveform: Waveform, carrier_hz: float = 2.66e9, **more: Any) -> Receiver:
     """Return the receiver of a waveform, its array built for the carrier; `more`: other fields."""
     array = array_at(carrier_hz)
-    own = {"array": array, "times_s": switching_times_s(array), "carrier_hz": carrier_hz}
+    own: dict[str, Any] = {"array": array, "times_s": switching_times_s(array), "carrier_hz": carrier_hz}
     return Receiver(tones_hz=waveform.tones_hz, bandwidth_hz=waveform.bandwidth_hz, **(own | more))
 
 

@@ -22,6 +22,7 @@ from cellslam.sim.lte.signal.path_estimator.path_estimator import Estimates, est
 from cellslam.sim.lte.signal.path_estimator.search_kernel import _surroundings, running_median
 from cellslam.sim.lte.signal.path_estimator.spectrum import Spectrum
 from cellslam.sim.lte.signal.receiver import Receiver, receiver_of
+from cellslam.sim.nr.nr_waveform import NrWaveform
 
 ARRAY, TONES = CircularArray(), tone_frequencies(100)
 TIMES, CARRIER_HZ = switching_times_s(ARRAY), 2.66e9
@@ -345,3 +346,22 @@ def test_narrow_bands_are_estimated_too(blocks: int) -> None:
         apart = strongest - [paths.distance_m[0], paths.azimuth_rad[0], paths.elevation_rad[0]]
         apart[1] = wrap_angle(apart[1])
         assert (np.abs(apart) < 5.0 * bound).all()
+
+
+@pytest.mark.parametrize(("comb", "symbols"), [(4, 4), (4, 12)])
+def test_nr_is_estimated_at_the_bound(comb: int, symbols: int) -> None:
+    rng, waveform = np.random.default_rng(comb + symbols), NrWaveform(40, 1, comb, symbols)
+    receiver, tones = receiver_of(waveform, 3.5e9), waveform.tones_hz
+    assert receiver.fitted.size > 1
+    apart, level_db = [], []
+    for _ in range(10):
+        paths = draw(rng, np.array([0.0]), 800.0)
+        signal = frequency_response(receiver.array, tones, TIMES, STILL, PortSignal(375, 0, paths), 3.5e9)
+        pair = rng.standard_normal((2, 128, len(tones)))
+        found = estimate_paths(signal + (pair[0] + 1j * pair[1]) / np.sqrt(2.0), receiver.moving(STILL))
+        error, row = errors(paths, found)
+        apart.append(error[0] / joint_std(receiver.array, tones, paths, 1.0)[0])
+        level_db.append(found.snr_db[row[0]])
+    ratio = np.sqrt(np.mean(np.square(apart), axis=0))
+    assert (ratio > 0.5).all() and (ratio < 1.6).all()
+    assert abs(np.median(level_db)) < 0.2
