@@ -20,7 +20,6 @@ from cellslam.sim.lte.array import array_at, miscalibrated
 from cellslam.sim.lte.budget_kernel import array_gain, path_power
 from cellslam.sim.lte.links import Cells, cells_of, slant
 from cellslam.sim.lte.persisting_errors import draw_fields
-from cellslam.sim.lte.signal.diffuse import Surroundings
 from cellslam.sim.lte.signal.signal_front_end import DEFAULT_HARDWARE, SignalLevel, signal_level
 from cellslam.sim.lte.statistical import detector_layout as k
 from cellslam.sim.lte.statistical.detector_layout import PathColumns, Streams
@@ -105,7 +104,7 @@ def in_scene(front_end: SignalLevel, rng: np.random.Generator) -> SignalLevel:
         array_at(front_end.config.carrier_hz), DEFAULT_HARDWARE.phase_std_deg,
         DEFAULT_HARDWARE.gain_std_db, rng,
     )  # fmt: skip
-    surroundings = Surroundings(int(rng.integers(2**32)), front_end.config.specular_to_diffuse_db)
+    surroundings = replace(front_end.surroundings, entropy=int(rng.integers(2**32)))
     return replace(front_end, array=array, surroundings=surroundings)
 
 

@@ -145,7 +145,7 @@ class SignalLevel:
         on_ports = [np.einsum("npq,nq->pn", steering, p.weights) * moving.T for p in arriving]
         delay = np.exp(-2j * np.pi * np.outer(length, self.waveform.tones_hz) / SPEED_OF_LIGHT_MPS).astype(np.complex64)
         # What other cells' data add is noise-like: of diffuse energy only the power counts there.
-        specular = slice(None, None, SCATTERERS + 1)
+        specular = slice(None, None, self.surroundings.scatterers + 1)
         whole = np.sqrt(1.0 + 10.0 ** (-config.specular_to_diffuse_db / 10.0))
         for link in np.flatnonzero(self.links.site == site):
             cell = int(self.links.cell[link])
@@ -175,9 +175,10 @@ class SignalLevel:
         attitude, error = np.empty(3), np.empty(3)
         write_attitude(snapshot, self.fields, attitude)
         geometry = np.stack([arriving.distance_m, arriving.azimuth_rad, arriving.elevation_rad], 1)
-        for first in range(0, len(geometry), SCATTERERS + 1):
+        together = self.surroundings.scatterers + 1
+        for first in range(0, len(geometry), together):
             write_persisting(geometry[first], pose, vt_m[first], 0, attitude, self.fields, error)
-            geometry[first : first + SCATTERERS + 1] += error
+            geometry[first : first + together] += error
         geometry[:, 2] = np.clip(geometry[:, 2], -1.5, 1.5)
         return geometry
 
@@ -265,7 +266,9 @@ def signal_level(
     # Calibration errors come from the array, diffuse ones from the scatterers: only the rest is drawn as such.
     angles = fields.direction_std * np.array([1.0, 0.0, 0.0, 1.0, 1.0])
     remaining = fields._replace(direction_std=angles, place_std=np.zeros(3))
-    surroundings = Surroundings(int(rng.integers(2**32)), config.specular_to_diffuse_db)
+    # A finer resolution needs more scatterers: as many in a cell as in LTE's.
+    scatterers = round(SCATTERERS / receiver.finer)
+    surroundings = Surroundings(int(rng.integers(2**32)), config.specular_to_diffuse_db, scatterers)
     carrier = hardware.carrier_offset_std_hz * rng.standard_normal(len(offsets_m))
     return SignalLevel(config, waveform, cells, offsets_m, carrier, remaining, surroundings, array, receiver)
 

@@ -204,6 +204,20 @@ def test_other_waveforms_are_measured_as_claimed(
     assert (np.sqrt(np.mean(z**2, axis=0)) < 2.0).all()
 
 
+def test_a_finer_resolution_meets_more_scatterers_of_the_same_power() -> None:
+    paths, poses, _ = drive(1)
+    assert front_end().surroundings.scatterers == SCATTERERS
+    wide = front_end(**NR | {"resource_blocks": 272}).surroundings
+    assert wide.scatterers == pytest.approx(SCATTERERS * 97.92 / 20.0, abs=0.5)
+    power = [
+        np.sum(
+            np.abs(Surroundings(e, 6.0, wide.scatterers).add(paths, 2, poses[0, :3]).gain[1 : wide.scatterers + 1]) ** 2
+        )
+        for e in range(30)
+    ]
+    assert abs(np.mean(power) / np.sum(np.abs(paths.gain[0]) ** 2) / 10.0**-0.6 - 1.0) < 0.06
+
+
 def test_nr_samples_are_the_channel_and_other_cells_do_not_reach_them() -> None:
     quiet = {"noise_dbm": -140.0, "load": 0.0, "evm": 0.0, "specular_to_diffuse_db": 40.0}
     signals = front_end(resource_blocks=24, **NR, **quiet)
