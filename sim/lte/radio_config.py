@@ -149,9 +149,11 @@ class RadioConfig(BaseModel):
             from cellslam.sim.nr.nr_waveform import NrWaveform
 
             return NrWaveform(self.resource_blocks, self.numerology, self.prs_comb, self.prs_symbols)
+        from cellslam.sim.waveform.conformance import checked
+
         module, _, name = self.technology.partition(":")
         try:
-            made: Waveform = getattr(import_module(module), name)(self)
+            kind = getattr(import_module(module), name)
         except (ImportError, AttributeError) as error:
             raise InputError(f"radio.technology '{self.technology}' cannot be loaded: {error}") from error
-        return made
+        return checked(kind(self), self.window_max_m - self.window_min_m)

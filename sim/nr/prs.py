@@ -118,9 +118,9 @@ def check_resource_blocks(resource_blocks: int) -> None:
 
 def check_comb(comb: int, symbols: int) -> None:
     """Raise InputError for a comb that is none, and for a number of symbols that does not go with it."""
-    if comb not in LENGTHS:
+    if not isinstance(comb, (int, np.integer)) or comb not in LENGTHS:
         raise InputError(f"comb {comb} is not one of {', '.join(map(str, LENGTHS))}")
-    if symbols not in LENGTHS[comb]:
+    if not isinstance(symbols, (int, np.integer)) or symbols not in LENGTHS[comb]:
         raise InputError(f"symbols {symbols} do not go with comb {comb}: {_choice(LENGTHS[comb])} do")
 
 

@@ -53,7 +53,7 @@ def prs_slots(
         ("muting of length", len(muting), (0, *MUTING_LENGTHS)),
         ("repetition_muting of length", len(repetition_muting), (0, repetition) if repetition > 1 else (0,)),
     ):
-        if value not in allowed:
+        if not isinstance(value, (int, np.integer)) or value not in allowed:
             raise InputError(f"{name} {value} is not one of {', '.join(map(str, allowed))}")
     check_integers({
         "slots": (slots, 0, FRAMES * slots_per_frame(numerology)),

@@ -134,6 +134,8 @@ def test_every_subcarrier_is_hit_alike_and_offsets_never_meet(length: int, comb:
         ((0, 0, 1, 26, 2, 2), "resource_blocks 26 is not one of 24, 28, ..., 272"),
         ((0, 0, 1, 276, 2, 2), "resource_blocks 276 is not an integer from 24 to 272"),
         ((0, 0, 1, 24, 3, 6), "comb 3 is not one of 2, 4, 6, 12"),
+        ((0, 0, 1, 24, 4.0, 4), "comb 4.0 is not one of"),
+        ((0, 0, 1, 24, 4, 4.0), "symbols 4.0 do not go"),
         ((0, 0, 1, 24, 4, 6), "symbols 6 do not go with comb 4: 4 or 12 do"),
         ((0, 0, 1, 24, 12, 6), "symbols 6 do not go with comb 12: 12 do"),
         ((0, 0, 1, 24, 6, 6, 9), "first_symbol must be 0 to 8"),

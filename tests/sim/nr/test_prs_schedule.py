@@ -59,6 +59,7 @@ def test_by_hand() -> None:
     [
         (4, 10, {}, "numerology 4"),
         (1, 5, {}, "period at numerology 1: 5 is not one of 8, 10, 16"),
+        (0, 10.0, {}, "period at numerology 0: 10.0"),
         (0, 10, {"offset": 10}, "offset 10 is not an integer from 0 to 9"),
         (0, 10, {"resource_offset": 512}, "resource_offset 512"),
         (0, 10, {"repetition": 3}, "repetition 3 is not one of 1, 2, 4"),
@@ -70,6 +71,6 @@ def test_by_hand() -> None:
         (0, 10, {"repetition": 2, "repetition_muting": [1]}, "repetition_muting of length 1 is not one of 0, 2"),
     ],
 )
-def test_bad_arguments_are_refused(numerology: int, period: int, more: dict[str, object], text: str) -> None:
+def test_bad_arguments_are_refused(numerology: int, period: float, more: dict[str, object], text: str) -> None:
     with pytest.raises(InputError, match=text):
         prs_slots(numerology, period, 40, **more)  # type: ignore[arg-type]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+from fractions import Fraction
 from pathlib import Path
 
 import numpy as np
@@ -14,6 +15,7 @@ from cellslam.sim.lte.downlink.lte_waveform import LteWaveform
 from cellslam.sim.nr.nr_waveform import NrWaveform
 from cellslam.sim.nr.prs import positioning_reference_signal
 from cellslam.sim.waveform import Waveform
+from cellslam.sim.waveform.conformance import checked
 
 EXAMPLES = Path(__file__).parents[3] / "docs" / "examples" / "own-waveform"
 PORTS = [(cell, port) for cell in (375, 376, 177) for port in (0, 1)]
@@ -89,6 +91,29 @@ def test_a_waveform_that_cannot_be_loaded_is_named() -> None:
     for technology in ("nowhere:At", "pilot_tones:Other"):
         with pytest.raises(InputError, match=f"'{technology}' cannot be loaded"):
             RadioConfig(technology=technology, front_end="signal").waveform()
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "text"),
+    [
+        ("slot_s", 1e-3, "slot_s = 0.001 is longer than 0.0005"),
+        ("bandwidth_hz", 1e6, "reach over more than bandwidth_hz"),
+        ("tones_hz", np.arange(-9e6, 9e6, 240e3), "delays repeat every 1249 m, within the search window of 1750 m"),
+        ("tones_hz", np.zeros((2, 2)), "not two or more ascending"),
+        ("values", lambda self, port, comb, slot: np.ones(3), r"values have shape \(3,\)"),
+        ("values", lambda self, port, comb, slot: np.full(200, 2.0), "not all of magnitude 1"),
+        ("slots", 0, "slots = 0"),
+    ],
+)
+def test_what_is_wrong_with_a_waveform_is_said(name: str, value: object, text: str) -> None:
+    mistaken = type("Mistaken", (type(own()),), {name: value})
+    with pytest.raises(InputError, match=text):
+        checked(mistaken(None), 1750.0)
+
+
+def test_what_is_no_waveform_is_said() -> None:
+    with pytest.raises(InputError, match="Fraction is no waveform: it lacks slot_s"):
+        checked(Fraction(1, 2), 1750.0)
 
 
 def test_noise_follows_the_bandwidth_of_an_element() -> None:
