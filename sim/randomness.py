@@ -27,6 +27,9 @@ class Stream(IntEnum):
     RECEIVER = 10
     TRAFFIC = 11
     ARRAY = 12
+    CLOCKS = 13
+    SENSORS = 14
+    REPORTS = 15
 
 
 def stream(seed: int, trial: int, name: Stream) -> np.random.Generator:

@@ -16,7 +16,8 @@ from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field
 
 from cellslam.sim.city.city_config import CityConfig
-from cellslam.sim.frames import SPEED_OF_LIGHT_MPS
+from cellslam.sim.frames import SPEED_OF_LIGHT_MPS, held
+from cellslam.sim.lte.faults.clock_errors import ClockErrors, draw_clock_errors, walk_densities
 from cellslam.sim.lte.radio_config import RadioConfig
 from cellslam.sim.lte.sites import SiteConfig
 from cellslam.sim.progress import Progress, silent
@@ -55,8 +56,9 @@ class WorldConfig(BaseModel):
 @dataclass(frozen=True)
 class Reception:
     """One trial's drive, sites and receiver, without the world that the paths come from. `sites_m` (S, 3);
-    `offsets_m` (S,) are the true clock offsets at the first snapshot, `drift_m_s` (S,) their rates; `fields` the
-    receiver's errors that persist; `signals` is what radio.front_end = "signal" measures with.
+    `offsets_m` (S,) are the true clock offsets at the first snapshot, `drift_m_s` (S,) their rates,
+    `clock_errors` what else they do; `fields` the receiver's errors that persist; `signals` is what radio.front_end =
+    "signal" measures with.
     """
 
     config: WorldConfig
@@ -67,6 +69,7 @@ class Reception:
     drive: Drive
     offsets_m: Floats
     drift_m_s: Floats
+    clock_errors: ClockErrors | None
     start_pose: Floats
     fields: Fields
     signals: SignalLevel | None
@@ -101,13 +104,16 @@ class Reception:
     def _drifted(self, found: Detections) -> Detections:
         """Return detections with what the sites' clocks have drifted since the first snapshot: the receiver's window
         follows."""
-        if not self.drift_m_s.any():
+        if not self.drift_m_s.any() and self.clock_errors is None:
             return found
         from cellslam.sim.lte.links import links_of
 
         m = found.measurements
-        elapsed_s = m.snapshot * self.config.vehicle.snapshot_interval_s
-        drifted = m.distance_m + self.drift_m_s[links_of(self.cells).site[m.link]] * elapsed_s
+        elapsed_s, site = m.snapshot * self.config.vehicle.snapshot_interval_s, links_of(self.cells).site[m.link]
+        drifted = m.distance_m + self.drift_m_s[site] * elapsed_s
+        if self.clock_errors is not None:
+            wander_m = self.clock_errors.wander_m
+            drifted += wander_m[np.minimum(m.snapshot, len(wander_m) - 1), site]
         return replace(found, measurements=replace(m, distance_m=drifted))
 
 
@@ -118,9 +124,9 @@ class World(Reception):
     scene: Scene
     traffic: Traffic | None
 
-    def trace(self, poses: Floats, snapshots: Ints, progress: Progress = silent) -> tuple[Paths, Blocked]:
+    def trace(self, poses: Floats, snapshots: Ints | Floats, progress: Progress = silent) -> tuple[Paths, Blocked]:
         """Return the paths from every site to every one of `poses` (T, 6), in m and rad, and which of them vehicles
-        block, being where they are at `snapshots` (T,)."""
+        block, being where they are at `snapshots` (T,), which may lie between two."""
         from cellslam.sim.rays import trace
         from cellslam.sim.rays.paths import joined
         from cellslam.sim.traffic import blocked_paths, reflected_paths
@@ -165,14 +171,21 @@ class World(Reception):
         return self.detect(paths, poses, velocities, known, rng, snapshot), paths
 
     def measure_drive(
-        self, rng: Streams, progress: Progress = silent, odometry: Floats | None = None
+        self, rng: Streams, progress: Progress = silent, odometry: Floats | None = None, late_s: Floats | None = None
     ) -> tuple[Detections, Paths, Blocked]:
         """Return all detections of the trial's drive, its paths, receiver t being snapshot t, and which are blocked.
 
-        `odometry` (T, 6): measured body velocities, with which the receiver undoes Doppler (None: the truth).
+        `odometry` (T, 6): measured body velocities, with which the receiver undoes Doppler (None: the truth);
+        `late_s` (T,): how long before its snapshot each was measured (None: in time).
         """
+        from cellslam.sim.lte.faults.reports import poses_before
+
         poses, velocities = self.drive.poses, self.drive.velocity
-        paths, blocked = self.trace(poses, np.arange(len(poses)), progress)
+        moment = np.arange(len(poses), dtype=np.float64)
+        if late_s is not None:
+            poses = poses_before(poses, self.drive.time_s, late_s)
+            moment = np.maximum(moment - late_s / self.config.vehicle.snapshot_interval_s, 0.0)
+        paths, blocked = self.trace(poses, moment, progress)
         known = velocities if odometry is None else odometry
         key = f"{self.config.model_dump_json()} {self.seed} {self.trial}"
         free = np.flatnonzero(blocked.free(len(paths)))
@@ -217,25 +230,37 @@ def draw_reception(config: WorldConfig, seed: int, trial: int, sites_m: Floats, 
     start = driven.poses[0] + np.array(config.vehicle.start_std) * rng.standard_normal(6)
     drift_m_s = SPEED_OF_LIGHT_MPS * config.radio.clock_drift * rng.standard_normal(len(config.sites))
     receiver_rng = stream(seed, trial, Stream.RECEIVER)
+    clock_errors = draw_clock_errors(
+        config.radio, driven.time_s - driven.time_s[0], len(config.sites), stream(seed, trial, Stream.CLOCKS)
+    )
     fields = draw_fields(config.radio, config.vehicle.snapshot_interval_s, receiver_rng)
     signals = None
     if config.radio.front_end == "signal":
         from cellslam.sim.lte.signal.signal_front_end import signal_level
 
         signals = signal_level(config.radio, cells, offsets_m, fields, receiver_rng)
-    return Reception(config, seed, trial, sites_m, cells, driven, offsets_m, drift_m_s, start, fields, signals)
+    clocks = offsets_m, drift_m_s, clock_errors
+    return Reception(config, seed, trial, sites_m, cells, driven, *clocks, start, fields, signals)
 
 
 def simulate(config: WorldConfig, seed: int, trial: int, progress: Progress = silent) -> Recording:
     """Return the recording of trial `trial` of root seed `seed`, truth included. Same arguments, same
     recording.
     """
-    from cellslam.sim.vehicle import measure_odometry
+    from cellslam.sim.lte.faults.reports import as_reported, draw_reports
+    from cellslam.sim.vehicle import measure_odometry, with_faults
 
     world = prepare(config, seed, trial, progress)
+    time_s = world.drive.time_s
     odometry = measure_odometry(world.drive, config.odometry, stream(seed, trial, Stream.ODOMETRY))
-    detections, paths, blocked = world.measure_drive(world.streams(), progress, odometry.velocity)
-    recording = recorded(world, odometry, detections, paths, blocked.free(len(paths)))
+    odometry = with_faults(odometry, time_s, config.odometry, stream(seed, trial, Stream.SENSORS))
+    reports = draw_reports(config.radio, len(time_s), stream(seed, trial, Stream.REPORTS))
+    late_s = None if reports is None else reports.late_s
+    detections, paths, blocked = world.measure_drive(world.streams(), progress, held(odometry.velocity), late_s)
+    age_s = None
+    if reports is not None:
+        detections, age_s = as_reported(detections, reports), reports.age_s(time_s)
+    recording = recorded(world, odometry, detections, paths, blocked.free(len(paths)), age_s)
     if world.traffic is None or recording.truth is None:
         return recording
     from cellslam.sim.traffic import reflecting_vehicle
@@ -259,9 +284,11 @@ def _blocked_intervals(blocked: Blocked, path_vt: Ints, snapshot: Ints) -> Ints:
 
 
 def recorded(
-    world: Reception, odometry: Odometry, detections: Detections, paths: Paths, free: NDArray[np.bool_] | None = None
-) -> Recording:
-    """Return the recording of a drive, truth included. `free` (P,): which of the paths exist, None for all."""
+    world: Reception, odometry: Odometry, detections: Detections, paths: Paths, free: NDArray[np.bool_] | None = None,
+    age_s: Floats | None = None,
+) -> Recording:  # fmt: skip
+    """Return the recording of a drive, truth included. `free` (P,): which of the paths exist, None for all; `age_s`
+    (T,): how much older than its stamp a snapshot is, None: not at all."""
     from cellslam.sim.lte.links import links_of
     from cellslam.sim.lte.persisting_errors import persisting_std
 
@@ -285,6 +312,10 @@ def recorded(
             if config.radio.front_end == "statistical"
             else None
         ),
+        clock_wander_m=None if world.clock_errors is None else world.clock_errors.wander_m,
+        clock_steps=None if world.clock_errors is None else world.clock_errors.steps,
+        odometry_slip=odometry.slip,
+        age_s=age_s,
     )
     return Recording(
         time_s=world.drive.time_s,
@@ -304,8 +335,14 @@ def sites_of(config: WorldConfig) -> Sites:
     """Return what is known of the sites beforehand."""
     count = len(config.sites)
     drift = np.full(count, SPEED_OF_LIGHT_MPS * config.radio.clock_drift) if config.radio.clock_drift > 0.0 else None
-    offset = np.full(count, config.radio.clock_offset_std_m)
-    return Sites(tuple(site.name for site in config.sites), np.zeros(count), offset, drift)
+    offset, radio = np.full(count, config.radio.clock_offset_std_m), config.radio
+    sites = Sites(tuple(site.name for site in config.sites), np.zeros(count), offset, drift)
+    if radio.clock_oscillator != "ideal":
+        walk, rate_walk = (np.full(count, density) for density in walk_densities(radio.clock_oscillator))
+        sites = replace(sites, clock_walk_m_sqrt_s=walk, clock_drift_walk_m_s_sqrt_s=rate_walk)
+    if radio.clock_steps_per_hour > 0.0 or radio.clock_step_times_s:
+        sites = replace(sites, clock_step_std_m=np.full(count, radio.clock_step_std_m))
+    return sites
 
 
 def provenance(config: WorldConfig, seed: int, trial: int) -> dict[str, Any]:

@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cellslam.sim.described import Described
+from cellslam.sim.frames import held
 from cellslam.sim.recording import Floats, Ints, Links, OdometryModel, Recording, Sites, Truth
 
 
@@ -38,6 +39,8 @@ class Setup(Described):
 class Snapshot(Described):
     """The measurements of one snapshot, read-only columns (m,), sorted by link; NaN: component not measured.
 
+    `odometry_held_s` (6,): where odometry has a gap, for how long each component's last value has been held (None: all
+    are measured, or never were).
     `row` is the measurement's row in the recording: oracles look truth up by it, others need not look at it.
     """
 
@@ -51,6 +54,7 @@ class Snapshot(Described):
     distance_std_m: Floats | None = None
     azimuth_std_rad: Floats | None = None
     elevation_std_rad: Floats | None = None
+    odometry_held_s: Floats | None = None
 
     def __len__(self) -> int:
         return len(self.link)
@@ -86,8 +90,9 @@ class Estimate(Described):
 
 @runtime_checkable
 class Estimator(Protocol):
-    """What the runner drives. `warm_up()` (compile; not timed), `finish()` (a smoother's poses (T, 6)) and, asked for
-    after it, `calibration()` (a `Calibration`: what the drive has shown of the array, or None) are optional."""
+    """What the runner drives. Optional: `warm_up()` (compile; not timed), `finish()` (a smoother's poses (T, 6)) and,
+    asked for after it, `calibration()` (a `Calibration`: what the drive has shown of the array, or None) and
+    `remarks()` (lines of text about the drive)."""
 
     name: ClassVar[str]
     requires_truth: ClassVar[bool] = False
@@ -127,12 +132,7 @@ def odometry_of(recording: Recording) -> Floats:
     A component that was never measured is zero (its data sheet then says how the vehicle moves that way); in a gap the
     last measured value holds.
     """
-    out = recording.odometry.copy()
-    for index in np.flatnonzero(np.isnan(out).any(axis=0)):
-        column = out[:, index]
-        known = ~np.isnan(column)
-        last = np.maximum.accumulate(np.where(known, np.arange(len(column)), 0))
-        column[:] = np.nan_to_num(column[last])
+    out = held(recording.odometry)
     out.setflags(write=False)
     return out
 
@@ -147,17 +147,27 @@ def snapshots_of(recording: Recording) -> list[Snapshot]:
     elevation = np.zeros(len(m)) if recording.plane else m.elevation_rad
     columns = (every_row, m.link, m.distance_m, m.azimuth_rad, elevation, m.snr_db)
     claimed = (m.distance_std_m, m.azimuth_std_rad, m.elevation_std_rad)
-    out = []
+    out, held_s = [], _held_s(recording)
     for t in range(len(recording.time_s)):
         part = slice(rows[t], rows[t + 1])
-        out.append(
-            Snapshot(
-                t,
-                *(_frozen(c[part]) for c in columns),
-                *(None if c is None else _frozen(c[part]) for c in claimed),
-            )
+        snapshot = Snapshot(
+            t,
+            *(_frozen(c[part]) for c in columns),
+            *(None if c is None else _frozen(c[part]) for c in claimed),
         )
+        if held_s[t].any():
+            snapshot = replace(snapshot, odometry_held_s=_frozen(held_s[t]))
+        out.append(snapshot)
     return out
+
+
+def _held_s(recording: Recording) -> Floats:
+    """Return for how long (T, 6), in s, each component of odometry that is measured at all has not been."""
+    missing = np.isnan(recording.odometry)
+    missing &= ~missing[1:].all(axis=0)
+    row = np.arange(len(missing))[:, None]
+    last = np.maximum.accumulate(np.where(missing, 0, row), axis=0)
+    return np.asarray(recording.time_s[:, None] - recording.time_s[last])
 
 
 def _frozen(array: NDArray[Any]) -> NDArray[Any]:

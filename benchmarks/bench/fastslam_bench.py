@@ -9,7 +9,7 @@ from typing import Any
 import numba
 import numpy as np
 
-from cellslam.benchmarks.bench.rays_bench import peak_memory_bytes
+from cellslam.benchmarks.trials.memory import peak_bytes
 from cellslam.scenarios import load
 from cellslam.scenarios.simulation import simulate
 from cellslam.sim.progress import Progress
@@ -46,7 +46,7 @@ def drive(scenario: str, seed: int, particles: int, repeat: int, progress: Progr
         "scenario": scenario, "particles": particles, "links": len(recording.links), "snapshots": snapshots,
         "measurements_per_snapshot": len(recording.measurements) / snapshots, "updates_per_snapshot": updates,
         "ms_per_snapshot": 1e3 * seconds / snapshots, "realtime_factor": lasted / seconds,
-        "threads": numba.get_num_threads(), "peak_memory_mb": peak_memory_bytes() / 1e6,
+        "threads": numba.get_num_threads(), "peak_memory_mb": peak_bytes() / 1e6,
     }  # fmt: skip
 
 

@@ -2,16 +2,13 @@
 
 from __future__ import annotations
 
-import re
-import resource
-import sys
 import time
 from dataclasses import dataclass
-from pathlib import Path
 
 import networkx as nx
 import numpy as np
 
+from cellslam.benchmarks.trials.memory import peak_bytes
 from cellslam.sim.city import City
 from cellslam.sim.city.inside import OUTSIDE, enclosing, ground_height
 from cellslam.sim.errors import InputError
@@ -55,21 +52,7 @@ def time_trace(
         start = time.perf_counter()
         found = len(trace(scene, transmitters, receivers, max_order, ground_reflection=ground_reflection))
         best = min(best, time.perf_counter() - start)
-    return Timing(len(receivers), len(transmitters), found, best, peak_memory_bytes())
-
-
-def peak_memory_bytes() -> int:
-    """Return the largest resident memory that this process has had.
-
-    Linux tells it apart from that of a parent, which `ru_maxrss` starts at.
-    """
-    status = Path("/proc/self/status")
-    if status.exists():
-        found = re.search(r"^VmHWM:\s*(\d+) kB", status.read_text(), re.MULTILINE)
-        if found is not None:
-            return int(found[1]) * 1024
-    unit = 1 if sys.platform == "darwin" else 1024
-    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * unit
+    return Timing(len(receivers), len(transmitters), found, best, peak_bytes())
 
 
 def drive_in(city: City) -> Floats:

@@ -15,14 +15,16 @@ Flags = NDArray[np.bool_]
 
 @dataclass(frozen=True)
 class Core:
-    """Where the states that all links share stand: pose (0-5), odometry biases and scales, clock offsets.
+    """Where the states that all links share stand: pose (0-5), odometry biases and scales, rates that clocks
+    have walked to, clock offsets.
 
-    `bias` and `scale` (6,): state index of each odometry component, -1 where this error does not exist. `mean`: no
-    state; here the covariance has the error of the filter's mean (`recursion_kernel`).
+    `bias` and `scale` (6,): state index of each odometry component, `rate` (S,) of each site, -1 where there is none.
+    `mean`: no state; here the covariance has the error of the filter's mean (`recursion_kernel`).
     """
 
     bias: Ints
     scale: Ints
+    rate: Ints
     mean: int
     offsets: Ints
     size: int
@@ -30,8 +32,9 @@ class Core:
 
 class Motion(NamedTuple):
     """Prior variances `start` (core,); `step` (T, 6, core), `noise` (T, 6, 6), `walk` (T, core): the pose's transition,
-    covariance of its noise, variances that the core gains. Row t leads from snapshot t - 1 to t; row 0 is not used.
-    `jump` (T, core): what the error of the filter's mean gains (`drawn_errors.jumps`), which has column `mean`.
+    covariance of its noise, variances that the core gains. `jump` (T, core): what the error of the filter's mean gains
+    (`drawn_errors.jumps`), which has column `mean`. `rate` (S,): state of the rate that a site's clock has walked to
+    (-1: none), by which its offset grows over `dt_s` (T,). Row t leads from snapshot t - 1 to t; row 0 is not used.
     """
 
     start: Floats
@@ -40,6 +43,8 @@ class Motion(NamedTuple):
     walk: Floats
     jump: Floats
     mean: int
+    rate: Ints
+    dt_s: Floats
 
 
 class Looks(NamedTuple):
@@ -58,7 +63,7 @@ class Looks(NamedTuple):
 
 
 class Sightings(NamedTuple):
-    """The measurements, m of them: `rows` (T + 1,), `look` (m,), `key` (m,) of the VT on its link, whether it is its
+    """The measurements, m of them: `rows` (T + 1,), `look` (m,), `key` (m,): row of the VT, whether it is its
     `first` and its `last` one, `variance` (m, 3) of the white errors (infinite: not measured), `residual` (m, 3): what
     it is off in all; `state` (m, 3): the persisting error of its own (-1: none) with loads `load` (3,).
     """

@@ -21,13 +21,15 @@ from cellslam.sim.described import Described
 from cellslam.sim.errors import InputError
 from cellslam.sim.frames import mean_velocity, rotation
 from cellslam.sim.progress import Progress, silent
-from cellslam.sim.recording import Floats, Ints, OdometryModel, Recording, Truth
+from cellslam.sim.recording import Floats, Ints, OdometryModel, Recording, Sites, Truth
 from cellslam.slam.model.measurement_model import jacobians, predict
 
 # Snapshots from one step of the progress bar to the next.
 BLOCK = 100
 # A component that a VT's first measurement lacks: known this well (m, rad, rad).
 BROAD_STD = np.array([1e4, 10.0, 10.0])
+# How little is known of a clock's offset after a step, m.
+STEP_STD_M = 1e3
 # Least standard deviation in noiseless recordings: relative for distances, radians for angles.
 SMALLEST_STD = 1e-6
 
@@ -72,10 +74,10 @@ def bound(recording: Recording, progress: Progress = silent, calibrated: bool = 
     from cellslam.benchmarks.bound.recursion_kernel import covariance_recursion
 
     truth, snapshots, sites = recording.truth, len(recording.time_s), len(recording.sites)
-    core = core_of(recording.odometry_model, sites)
+    core = core_of(recording.odometry_model, recording.sites)
     step, noise, walk = linear_motion(recording, truth, core)
-    drawn = jumps(recording, truth, core, step)
-    motion = Motion(start_variance(recording, core), step, noise, walk, drawn, core.mean)
+    drawn, dt_s = jumps(recording, truth, core, step), np.diff(recording.time_s, prepend=recording.time_s[0])
+    motion = Motion(start_variance(recording, core), step, noise, walk, drawn, core.mean, core.rate, dt_s)
     looks, sightings, errors = tracked_measurements(recording, truth, core, calibrated)
     drifted = drifted_std(recording)
     drift = rates_among(errors, drifted)
@@ -95,15 +97,18 @@ def bound(recording: Recording, progress: Progress = silent, calibrated: bool = 
     return BoundResult(found.pose, np.sqrt(np.maximum(found.offset, 0.0)), found.error)
 
 
-def core_of(model: OdometryModel, sites: int) -> Core:
-    """Return the layout of the shared states: only odometry errors that the data sheet has become states."""
+def core_of(model: OdometryModel, sites: Sites) -> Core:
+    """Return the layout of the shared states: only errors that the data sheets have become states."""
     bias, scale = np.full(6, -1, np.int64), np.full(6, -1, np.int64)
     biased = np.flatnonzero((model.bias > 0) | (model.bias_walk_density > 0))
     bias[biased] = 6 + np.arange(len(biased))
     scaled = np.flatnonzero(model.scale > 0)
     scale[scaled] = 6 + len(biased) + np.arange(len(scaled))
-    mean = 6 + len(biased) + len(scaled)
-    return Core(bias, scale, mean, mean + 1 + np.arange(sites), mean + 1 + sites)
+    walks = sites.walk_densities[1] > 0.0
+    first = 6 + len(biased) + len(scaled)
+    rate = np.where(walks, first + np.cumsum(walks) - 1, -1).astype(np.int64)
+    mean = first + int(walks.sum())
+    return Core(bias, scale, rate, mean, mean + 1 + np.arange(len(sites)), mean + 1 + len(sites))
 
 
 def start_variance(recording: Recording, core: Core) -> Floats:
@@ -129,6 +134,7 @@ def linear_motion(recording: Recording, truth: Truth, core: Core) -> tuple[Float
     if count < 2:
         return motion, noise, walk
     dt = np.diff(recording.time_s)
+    walk[1:] = clock_walk(recording, truth, core)[1:]
     velocity = mean_velocity(truth.poses[:-1], truth.poses[1:], dt)
     by_pose, by_velocity = pose_jacobians(truth.poses[:-1], velocity, dt)
     by_velocity = by_velocity / (1.0 + truth.odometry_scale)
@@ -142,6 +148,19 @@ def linear_motion(recording: Recording, truth: Truth, core: Core) -> tuple[Float
     white = model.noise_density**2 / dt[:, None]
     noise[1:] = np.einsum("tac,tc,tbc->tab", by_velocity, white, by_velocity)
     return motion, noise, walk
+
+
+def clock_walk(recording: Recording, truth: Truth, core: Core) -> Floats:
+    """Return the variances (T, core), in m^2 and (m/s)^2, that clock offsets and rates gain: by their walks, and where
+    a clock steps, at a known time, by a step of which nothing is known."""
+    out, dt = np.zeros((len(recording.time_s), core.size)), np.diff(recording.time_s, prepend=recording.time_s[0])
+    walk, rate_walk = recording.sites.walk_densities
+    out[:, core.offsets] = np.outer(dt, walk**2) + np.outer(dt**3 / 3.0, rate_walk**2)
+    out[:, core.rate[core.rate >= 0]] = np.outer(dt, rate_walk[core.rate >= 0] ** 2)
+    steps = truth.clock_steps
+    if steps is not None:
+        np.add.at(out, (np.searchsorted(recording.elapsed_s, steps.time_s), core.offsets[steps.site]), STEP_STD_M**2)
+    return out
 
 
 def pose_jacobians(pose: Floats, velocity: Floats, dt_s: Floats) -> tuple[Floats, Floats]:
@@ -190,10 +209,10 @@ def tracked_measurements(
     port, look = recording.links.port[m.link[real]], m.snapshot[real] * vts + truth.measurement_vt[real]
     _, at, of = np.unique(look * (port.max(initial=0) + 1) + port, return_index=True, return_inverse=True)
     snapshot, vt_of, port = m.snapshot[real[at]], truth.measurement_vt[real[at]], port[at]
-    _, first_row, key = np.unique(vt_of, return_index=True, return_inverse=True)
+    _, first_row, nth = np.unique(vt_of, return_index=True, return_inverse=True)
     _, last_row = np.unique(vt_of[::-1], return_index=True)
     rows = np.arange(len(at))
-    first, last = rows == first_row[key], rows == len(at) - 1 - last_row[key]
+    first, last = rows == first_row[nth], rows == len(at) - 1 - last_row[nth]
 
     _, begin, look = np.unique(snapshot * vts + vt_of, return_index=True, return_inverse=True)
     position = truth.vts.position_m[vt_of[begin]]
@@ -213,7 +232,7 @@ def tracked_measurements(
     variance, residual = _together(white, residuals(recording, truth, real, predicted), of, len(at))
     missing = np.where(first[:, None], BROAD_STD**2, np.inf)
     sightings = Sightings(
-        np.searchsorted(snapshot, every), look, key, first, last, np.where(np.isfinite(variance), variance, missing),
+        np.searchsorted(snapshot, every), look, vt_of, first, last, np.where(np.isfinite(variance), variance, missing),
         residual, persisting.own_state, persisting.own_load,
     )  # fmt: skip
     return looks, sightings, persisting.errors

@@ -13,7 +13,7 @@ from __future__ import annotations
 import numpy as np
 
 from cellslam.benchmarks.bound.bound_model import Core
-from cellslam.sim.frames import integrate_pose, wrap_angle
+from cellslam.sim.frames import held, integrate_pose, wrap_angle
 from cellslam.sim.recording import Floats, Ints, Recording, Truth
 
 
@@ -31,7 +31,7 @@ def jumps(recording: Recording, truth: Truth, core: Core, step: Floats) -> Float
     out[0, core.offsets] = recording.sites.clock_offset_mean_m - truth.clock_offsets_m
     if len(out) < 2:
         return out
-    velocity = (np.nan_to_num(recording.odometry[1:]) - truth.odometry_bias[1:]) / (1.0 + truth.odometry_scale)
+    velocity = (held(recording.odometry)[1:] - truth.odometry_bias[1:]) / (1.0 + truth.odometry_scale)
     out[1:, :6] = integrate_pose(truth.poses[:-1], velocity, np.diff(recording.time_s)) - truth.poses[1:]
     out[1:, 3:6] = wrap_angle(out[1:, 3:6])
     out[1:, core.bias[core.bias >= 0]] = -np.diff(truth.odometry_bias, axis=0)[:, core.bias >= 0]
@@ -42,7 +42,8 @@ def jumps(recording: Recording, truth: Truth, core: Core, step: Floats) -> Float
 def residuals(recording: Recording, truth: Truth, rows: Ints, predicted: Floats) -> Floats:
     """Return what measurements `rows` (n,) are off, distance, azimuth and elevation (n, 3) in m and rad.
 
-    `predicted` (n, 3): of the true VTs from the true poses. What was not measured is zero.
+    `predicted` (n, 3): of the true VTs from the true poses. What was not measured is zero. Clock offsets are taken as
+    at the first snapshot: what clocks do after it is left in, for the filter to follow.
     """
     m = recording.measurements
     off = np.stack([m.distance_m[rows], m.azimuth_rad[rows], m.elevation_rad[rows]], axis=1) - predicted

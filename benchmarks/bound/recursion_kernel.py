@@ -1,7 +1,7 @@
 """The compiled covariance recursion of the bound: one pass over a drive.
 
-The state is [core, others] with core = [pose (6), odometry biases, odometry scales, clock offsets]. The others, VTs'
-coordinates and errors that persist, enter when they are first met and leave when they will not be met again (exact
+The state is [core, others] with core = [pose (6), odometry biases and scales, clock rates, clock offsets]. The others,
+VTs' coordinates and errors that persist, enter when they are first met and leave when they will not be met again (exact
 marginalisation: the last one takes the place). A snapshot's measurements are taken one component after the other, but
 their whitened gains are subtracted together: a rank-K update.
 

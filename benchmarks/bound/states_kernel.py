@@ -18,10 +18,20 @@ POSE = 6
 
 @njit(cache=True)
 def predict(p: Floats, n: int, core: int, motion: Motion, t: int, moved: Floats) -> None:
-    """P <- F (P + diag(walk)) F^T + Q: the core walks first, as biases do, then F changes the pose only.
+    """P <- F (P + diag(walk)) F^T + Q: the core walks first, as biases do, then F changes the pose only. Before that,
+    offsets grow by the rates that their clocks have walked to.
 
     p (size, size): written, in its units; moved (6, size): scratch.
     """
+    for s in range(len(motion.rate)):
+        offset, rate, dt_s = core - len(motion.rate) + s, motion.rate[s], motion.dt_s[t]
+        if rate >= 0:
+            for j in range(n):
+                p[offset, j] += dt_s * p[rate, j]
+            for i in range(n):
+                p[i, offset] += dt_s * p[i, rate]
+            p[offset, rate] += 0.5 * dt_s * motion.walk[t, rate]
+            p[rate, offset] = p[offset, rate]
     for i in range(core):
         p[i, i] += motion.walk[t, i]
     for a in range(POSE):

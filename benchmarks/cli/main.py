@@ -8,79 +8,18 @@ import re
 import sys
 from collections.abc import Sequence
 from importlib import import_module
-from typing import Any, NamedTuple, NoReturn
+from typing import Any, NoReturn
 
 from cellslam.benchmarks.cli.arguments import DONE, INTERRUPTED, WRONG
+from cellslam.benchmarks.cli.commands import GROUPS, SECTIONS, Command
 from cellslam.sim.errors import InputError, nearest_name
 
-
-class Command(NamedTuple):
-    """A command: its module in this room, which has `add_arguments` and `command`, and one line about it."""
-
-    module: str
-    summary: str
-
-
-COMMANDS = {
-    "run": Command("run", "simulate a scenario, run estimators on it, score them"),
-    "record": Command("recordings.record", "simulate a scenario and keep it as a recording"),
-    "simulate-from": Command("recordings.simulate_from", "a recording of paths that another ray tracer found"),
-    "replay": Command("recordings.replay", "run estimators on a recording and score them"),
-    "import": Command(
-        "recordings.import_campaign", "a recording of measured data: tables with recording.toml, or an adapter"
-    ),
-    "inspect": Command("recordings.inspect", "what is in a recording, what is missing, what looks wrong"),
-    "export": Command("recordings.export", "a recording or an estimate as CSV, .mat, TUM, GeoJSON, PLY or HTML"),
-    "fit-noise": Command("recordings.fit_noise", "noise, detection and clutter as the recording itself shows them"),
-    "sweep": Command("sweep", "many variants and trials of a scenario, in parallel, resumable"),
-    "reproduce": Command("reproduce", "the published figures of a known world of others, beside one's own"),
-    "table": Command("results.table", "the results of a sweep as a table"),
-    "consistency": Command("results.consistency", "whether estimators know how wrong they are: errors and claims"),
-    "figures": Command("results.figures", "the figures of a sweep, as PNG and PDF"),
-    "report": Command("results.report", "one HTML page of a sweep: tables, plots, worst trials"),
-    "show": Command("show", "every key of a scenario: value, unit, range, meaning"),
-    "list": Command("list_known", "the scenarios or estimators that are known by name"),
-    "check-estimator": Command("check_estimator", "check an estimator against the contract; say what to fix"),
-}
-GROUPS = {
-    "city": (
-        "look at cities, generate them, trace paths in them",
-        {
-            "inspect": Command("city.inspect", "what a city consists of, and pictures of it"),
-            "generate": Command("city.generate", "draw a city, and write it with a scenario that drives in it"),
-            "trace": Command("city.trace", "all paths from transmitters to receivers, as a table"),
-        },
-    ),
-    "bench": (
-        "measure how fast parts of it are",
-        {
-            "front-end": Command("bench.front_end", "what the path estimator finds, how well, and how fast"),
-            "calibrate": Command("bench.calibrate", "constants of the statistical front end, or their check"),
-            "snapshot": Command("bench.snapshot", "picture of one snapshot at signal level: spectrum and paths"),
-            "fastslam": Command("bench.fastslam", "what a drive, an update and a particle of FastSLAM cost"),
-            "rays": Command("bench.rays", "time the ray tracer, beside Sionna RT and DiffeRT where installed"),
-            "accuracy": Command("bench.accuracy", "a fixed suite of scenarios, seeds and trials, for comparison"),
-            "monte-carlo": Command("bench.monte_carlo", "time sweeps: rates, overhead, tables"),
-        },
-    ),
-}
 _DESCRIPTION = """\
 Position a vehicle with cellular multipath: simulate a drive through a ray-traced city,
 run estimators on it, and score them.
 """
-_EXAMPLES = """\
-examples:
-  cellslam run tiny                                  a drive of seconds, for first contact
-  cellslam run lund-530 --seed 7                     the drive of the paper, another trial
-  cellslam run lund-530 --trials 10 --json           ten trials, their rows as JSON
-  cellslam run munich-530 --set radio.clutter_scale=2 --estimator my_module:MyEstimator
-  cellslam record tiny --out tiny.h5                 keep the measurements ...
-  cellslam replay tiny.h5 --estimator fastslam       ... and estimate again from them
-  cellslam import campaign --out drive.h5            measured data: tables and recording.toml to a recording
-  cellslam inspect drive.h5                          ... what is in it, what is missing, what looks wrong
-  cellslam sweep tiny --sweep radio.load=0,0.5 --trials 20 --out s     many variants, in parallel
-  cellslam show tiny                                 every key that --set can change
-  cellslam city trace sionna-rt:munich --bs=42,-50,30 --rx rx.csv --out paths.csv    paths for other work
+_CLOSING = """\
+'cellslam COMMAND --help' has examples. A first drive, of seconds: cellslam run tiny
 """
 
 
@@ -97,6 +36,11 @@ class Parser(argparse.ArgumentParser):
         sys.stderr.write(f"cellslam: {message}; see '{self.prog} --help'\n")
         raise SystemExit(WRONG)
 
+    def refuse(self, word: str) -> NoReturn:
+        """Say that there is no such argument, and what is like it."""
+        known = [option for action in self._actions for option in action.option_strings]
+        self.error(f"unknown argument '{word}'{nearest_name(word, known)}")
+
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Run the command line `argv` (default: the process's own) and return the exit status.
@@ -105,8 +49,14 @@ def main(argv: Sequence[str] | None = None) -> int:
     """
     words = list(sys.argv[1:] if argv is None else argv)
     try:
-        arguments = build_parser(words).parse_args(words)
+        parser = build_parser(words)
+        arguments, unknown = parser.parse_known_args(words)
         arguments.words = words
+        if unknown:
+            arguments.parser.refuse(unknown[0])
+        if arguments.command is None:
+            parser.print_help()
+            return DONE
         status: int = arguments.command(arguments)
         sys.stdout.flush()
         return status
@@ -133,32 +83,54 @@ def build_parser(words: Sequence[str] | None = None) -> argparse.ArgumentParser:
     parser = Parser(
         prog="cellslam",
         description=_DESCRIPTION,
-        epilog=_EXAMPLES,
+        epilog=_overview() + _CLOSING,
         formatter_class=argparse.RawDescriptionHelpFormatter,
         allow_abbrev=False,
     )
-    parser.add_argument("--version", action=_Version, help="show the version and exit")
+    parser.add_argument("--version", "-V", action=_Version, help="show the version and exit")
     parser.add_argument("--quiet", action="store_true", default=False, help="no progress, no notes on stderr")
-    commands = parser.add_subparsers(
-        title="commands", metavar="COMMAND", dest="command_name", required=True, parser_class=Parser
-    )
-    for name, command in COMMANDS.items():
-        _add(commands, common, name, command, words)
+    parser.set_defaults(command=None, parser=parser)
+    commands = parser.add_subparsers(metavar="COMMAND", dest="command_name", help="as below", parser_class=Parser)
+    for section in SECTIONS.values():
+        for name, command in section.items():
+            _add(commands, common, name, command, words)
     for group, (summary, members) in GROUPS.items():
-        inner = commands.add_parser(group, help=summary, description=summary, allow_abbrev=False)
+        inner = commands.add_parser(group, description=summary, allow_abbrev=False)
         nested = inner.add_subparsers(
             title="commands", metavar="COMMAND", dest=f"{group}_command", required=True, parser_class=Parser
         )
         for name, command in members.items():
-            _add(nested, common, name, command, words)
+            _add(nested, common, name, command, words, help=command.summary)
     return parser
 
 
-def _add(commands: Any, common: Parser, name: str, command: Command, words: Sequence[str] | None) -> None:
-    """Add one command; its module is imported where `words` may name it."""
+def _overview() -> str:
+    """Return all commands by what they are for, a line each."""
+    grouped = {
+        summary: {f"{group} {name}": command for name, command in members.items()}
+        for group, (summary, members) in GROUPS.items()
+    }
+    lines = []
+    for title, commands in (SECTIONS | grouped).items():
+        lines += [f"{title}:", *(f"  {name:18}{command.summary}" for name, command in commands.items()), ""]
+    return "\n".join(lines) + "\n"
+
+
+def _add(
+    commands: Any, common: Parser, name: str, command: Command, words: Sequence[str] | None, **listed: str
+) -> None:
+    """Add one command; its module is imported where `words` may name it. `listed`: its help in the list of commands."""
+    examples = "\n".join(f"  cellslam {line}" for line in command.examples)
     sub = commands.add_parser(
-        name, parents=[common], help=command.summary, description=command.summary, allow_abbrev=False
+        name,
+        parents=[common],
+        description=command.summary,
+        epilog=f"examples:\n{examples}\n",
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+        allow_abbrev=False,
+        **listed,
     )
+    sub.set_defaults(parser=sub)
     if words is None or name in words:
         module = import_module(f"cellslam.benchmarks.cli.{command.module}")
         module.add_arguments(sub)

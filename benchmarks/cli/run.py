@@ -156,6 +156,8 @@ def _keep(job: Job, trial: Trial) -> None:
     for outcome in trial.outcomes:
         if outcome.row["status"] == "failed":
             job.note(f"trial {trial.number}, {outcome.row['estimator']} failed: {outcome.row['error']}")
+        for remark in outcome.result.remarks if outcome.result is not None else ():
+            job.note(f"trial {trial.number}, {outcome.row['estimator']}: {remark}")
     job.unsaved = save(job.arguments, job.requests, trial)
     job.note(job.unsaved)
 

@@ -75,7 +75,7 @@ def carry_plan(arguments: Namespace, made: Plan, of: str, names: Names, out: Pat
     """
     from cellslam.sim.world import versions
 
-    jobs = _jobs(arguments)
+    jobs = processes(arguments)
     allowed = limits(arguments, jobs)
     check_folder(out)
     if arguments.dry_run:
@@ -117,7 +117,8 @@ def requested(arguments: Namespace) -> sweeps.Sweep:
     )
 
 
-def _jobs(arguments: Namespace) -> int:
+def processes(arguments: Namespace) -> int:
+    """Return how many processes were asked for. Raises InputError."""
     if arguments.jobs is not None and arguments.jobs < 1:
         raise InputError(f"--jobs {arguments.jobs}: must be at least 1")
     if arguments.scheduler is not None and arguments.executor != "dask":

@@ -91,6 +91,18 @@ function estimate(cell) {
   return make("span", {}, shown(value), below);
 }
 
+function ranksPicture() {
+  const home = part("ranks");
+  if (!data.ranks) {
+    home.hidden = true;
+    return;
+  }
+  home.append(make("img", { src: data.ranks.image, alt: "mean ranks and critical differences", style: "max-width:100%" }),
+    make("p", {}, `Told apart: ${data.ranks.told_apart.join("; ")}.`),
+    make("p", { class: "note" }, "Ranks of the position RMSE over trials, 1 the best, oracles aside; a bar joins what Nemenyi's test cannot"
+      + " tell apart. Pairs are told apart by Wilcoxon's signed-rank test, corrected for all pairs by Holm's method, at 5 %."));
+}
+
 function failedTable() {
   const { count, rows } = data.failed;
   if (!count) {

@@ -2,19 +2,33 @@
 
 from __future__ import annotations
 
+from base64 import b64encode
 from collections.abc import Sequence
+from io import BytesIO
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from matplotlib.figure import Figure
 
-from cellslam.benchmarks.figures.style import estimator_styles
-from cellslam.benchmarks.figures.sweep.sweep_data import Series, SweepData, curve_keys, load, shown, sweep_lines
+from cellslam.benchmarks.figures.style import context, estimator_styles
+from cellslam.benchmarks.figures.sweep.critical_difference import draw_ranks
+from cellslam.benchmarks.figures.sweep.sweep_data import (
+    Series,
+    SweepData,
+    curve_keys,
+    load,
+    shown,
+    sweep_lines,
+    verdicts_of,
+)
 from cellslam.benchmarks.report.choice import Choice, rounded
 from cellslam.benchmarks.report.trial_sections import trial_sections
 from cellslam.benchmarks.report.worst_trials import failed_trials, worst_trials
 from cellslam.benchmarks.scores.statistics import interval, statistic
 from cellslam.benchmarks.sweeps.rows import provenance
+from cellslam.benchmarks.tables.rankings import told_apart
+from cellslam.benchmarks.tables.summaries import EFFICIENCY, efficiency
 from cellslam.sim.progress import Progress
 from cellslam.slam.registry import oracles
 
@@ -50,21 +64,24 @@ HEADINGS = {
     "bound_position_rmse_m": ("bound", "m", "Cramér-Rao bound of the position RMSE"),
     "bound_merged_m": ("bound, merging in", "m", "the same without merged measurements, where many are"),
     "realtime_factor": ("x real", "time", "duration of the drive over time of the estimator"),
+    "peak_memory_mb": ("memory", "MB", "what resident memory grew by at the most while the estimator ran"),
+    EFFICIENCY: ("efficiency ratio", "", "root mean square of the RMSE over that of the bound, 1 at best"),
 }
 # Columns of the summary: metric, statistic, and the heading where it is not the metric's.
 COLUMNS = (
     ("position_rmse_m", "median", ""),
+    (EFFICIENCY, "", ""),
     ("position_rmse_m", "q90", "90 %"),
-    ("position_max_m", "median", ""),
     ("heading_rmse_rad", "median", ""),
     ("clock_offset_rmse_m", "median", ""),
     ("map_gospa_m", "median", ""),
     ("nees_mean", "median", ""),
     ("bound_position_rmse_m", "median", ""),
     ("realtime_factor", "median", ""),
+    ("peak_memory_mb", "max", ""),
 )
 # Columns that need no interval.
-PLAIN = ("bound_position_rmse_m", "realtime_factor")
+PLAIN = ("bound_position_rmse_m", "realtime_factor", "peak_memory_mb")
 
 
 def content(folder: Path, choice: Choice, progress: Progress) -> dict[str, Any]:
@@ -84,6 +101,7 @@ def content(folder: Path, choice: Choice, progress: Progress) -> dict[str, Any]:
             for label in data.labels
         ],
         "summary": _summary(data),
+        "ranks": _ranks(data),
         "curves": _curves(data),
         "panels": _distributions(data),
         "columns": {metric: _heading(metric) for metric in HEADINGS},
@@ -103,12 +121,12 @@ def _summary(data: SweepData) -> dict[str, Any]:
     lines: list[dict[str, Any]] = []
     for panel in data.panels:
         for one in panel.series:
-            cells = [_cell(one, metric, statistic(name)) for metric, name, _ in COLUMNS]
+            cells = [_cell(one, metric, name) for metric, name, _ in COLUMNS]
             ok = int((one.rows["status"] == "ok").sum())
             settings = [_setting(one.settings.get(key)) for key in keys]
             lines.append({"settings": settings, "label": one.label, "cells": cells, "ok": ok, "all": len(one.rows)})
     headings = [
-        {**_heading(metric, text), "title": f"{HEADINGS[metric][2]}; {name} over trials"}
+        {**_heading(metric, text), "title": HEADINGS[metric][2] + (f"; {name} over trials" if name else "")}
         for metric, name, text in COLUMNS
     ]
     empty = [i for i in range(len(COLUMNS)) if all(line["cells"][i] is None for line in lines)]
@@ -117,27 +135,44 @@ def _summary(data: SweepData) -> dict[str, Any]:
     return {"keys": keys, "headings": [h for i, h in enumerate(headings) if i not in empty], "lines": lines}
 
 
-def _cell(one: Series, metric: str, of: Statistic) -> list[float | None] | None:
+def _cell(one: Series, metric: str, name: str) -> list[float | None] | None:
     """Return value and ends of the interval; None where no trial has the metric."""
+    if metric == EFFICIENCY:
+        ratio = efficiency(one.rows[one.rows["status"] == "ok"], CONFIDENCE)
+        return None if np.isnan(ratio[0]) else rounded(ratio)
     values = one.values(metric)
     if not len(values):
         return None
     digits = PLOTTED.get(metric, ("", 3))[1]
+    of = statistic(name)
     ends = (np.nan, np.nan) if metric in PLAIN else interval(values, of, CONFIDENCE)
     numbers: list[float | None] = rounded([float(of.of(values)), *ends], digits)
     return numbers
 
 
+def _ranks(data: SweepData) -> dict[str, Any] | None:
+    """Return the diagram of mean ranks as an SVG in a data URI, and how many pairs are told apart in each panel."""
+    judged = verdicts_of(data)
+    with context():
+        figure = Figure(layout="constrained")
+        if not draw_ranks(figure, judged):
+            return None
+        drawn = BytesIO()
+        figure.savefig(drawn, format="svg", metadata={"Date": None})
+    said = [f"{title}: {told_apart(one)}" if title else told_apart(one) for title, one in judged.items()]
+    return {"image": f"data:image/svg+xml;base64,{b64encode(drawn.getvalue()).decode()}", "told_apart": said}
+
+
 def _curves(data: SweepData) -> list[dict[str, Any]]:
     """Return for each numeric key that varies its lines: the median with its interval, of every metric."""
     out, of = [], statistic("median")
-    for key in curve_keys(data):
+    for key in (key for key, is_number in curve_keys(data).items() if is_number):
         lines, named = [], sweep_lines(data, key)
         styles = estimator_styles(named)
         for name, points in named.items():
             line: dict[str, Any] = {"name": name, "colour": styles[name]["color"], "metrics": {}}
             for metric, (_, digits) in PLOTTED.items():
-                found = [(x, one.values(metric)) for x, one in points]
+                found = [(x, one.values(metric)) for x, one in points if not isinstance(x, str)]
                 found = [(x, values) for x, values in found if len(values)]
                 if found:
                     line["metrics"][metric] = _line(found, of, digits)

@@ -256,6 +256,7 @@ function worstTrials() {
 }
 
 summaryTable();
+ranksPicture();
 sweepPlots();
 distributionPlots();
 worstTrials();

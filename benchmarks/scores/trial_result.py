@@ -16,8 +16,10 @@ ROW_KEYS = (
     "scenario", "estimator", "trial", "seed", "status", "error", "snapshots", "duration_s", "distance_m",
     "position_rmse_m", "position_max_m", "position_end_m", "heading_rmse_rad", "clock_offset_rmse_m",
     "transmitter_rmse_m", "map_gospa_m", "association_precision", "association_recall", "nees_mean",
-    "bound_position_rmse_m", "bound_merged_m", "estimate_seconds", "realtime_factor",
+    "bound_position_rmse_m", "bound_merged_m", "estimate_seconds", "realtime_factor", "peak_memory_mb",
 )  # fmt: skip
+# What the estimator took, which varies from run to run; all else of a row is the same for a seed.
+COST_KEYS = ("estimate_seconds", "realtime_factor", "peak_memory_mb")
 # Those of them that `benchmarks.scores.metrics.score` fills; each may be None.
 METRIC_KEYS = (
     "position_rmse_m", "position_max_m", "position_end_m", "heading_rmse_rad", "clock_offset_rmse_m",
@@ -35,7 +37,8 @@ class TrialResult(Described):
     `association` (M,): VT id per measurement, -1 for none, as said in its own snapshot. `clock_offset_m` and
     `clock_offset_variance_m2` (T, S). `vts`: the last ones reported.
     `calibration`: of the array, at the end. None: the estimator does not give this.
-    `oracle`: the estimator was shown the truth.
+    `remarks`: what the estimator says of the drive in words. `oracle`: it was shown the truth. `estimate_seconds`,
+    `peak_memory_mb`: what it took; NaN: not known.
     """
 
     estimator: str
@@ -46,9 +49,11 @@ class TrialResult(Described):
     clock_offset_variance_m2: Floats | None = None
     vts: VtEstimate | None = None
     calibration: Calibration | None = None
+    remarks: tuple[str, ...] = ()
     smoothed: bool = False
     oracle: bool = False
     estimate_seconds: float = float("nan")
+    peak_memory_mb: float = float("nan")
 
     @property
     def position_std_m(self) -> Floats:

@@ -24,9 +24,9 @@ def results(folder: str | Path, keys: Sequence[str] | None = None) -> pd.DataFra
     """Return the rows of a sweep's folder as a DataFrame, also while the sweep is running.
 
     Columns: `key`, those of a row (`ROW_KEYS`), and every scenario key and estimator option that has more than
-    one value (`estimator.fastslam.particles` is null in the rows of other estimators). `keys`: these row and
-    scenario keys alone, or `world` and `options`: ids of what a row was made from. Rows are ordered by scenario
-    settings, estimator, trial. Raises InputError.
+    one value (`estimator.fastslam.particles` is null in the rows of other estimators); of several scenarios, what the
+    scenario's name determines is left out. `keys`: these row and scenario keys alone, or `world` and `options`: ids of
+    what a row was made from. Rows are ordered by scenario, its settings, estimator, trial. Raises InputError.
     """
     import pandas as pd
 
@@ -43,16 +43,18 @@ def results(folder: str | Path, keys: Sequence[str] | None = None) -> pd.DataFra
     index = [place[row[1:4]] for row in rows]
     settings = {name: [columns[name][i] for i in index] for name in wanted if name not in plain}
     frame = pd.concat([frame, pd.DataFrame(settings, index=frame.index, columns=list(settings))], axis=1)
-    varied = [name for name in settings if _sortable(columns[name])]
-    frame = frame.sort_values([*varied, "estimator", "options", "seed", "trial"], kind="stable", ignore_index=True)
+    order = [name for name in ("scenario", *settings) if name in frame and _sortable(columns.get(name, ()))]
+    frame = frame.sort_values([*order, "estimator", "options", "seed", "trial"], kind="stable", ignore_index=True)
     return frame[["key", *wanted]] if keys is None else frame[list(wanted)]
 
 
 def varying_keys(folder: str | Path) -> list[str]:
-    """Return the scenario keys and options that have more than one value among the rows. Raises InputError."""
+    """Return the scenario keys and options that have more than one value among the rows. Raises InputError.
+
+    Where there are several scenarios, `scenario` stands for all that its name determines.
+    """
     with reading(Path(folder)) as database:
-        _, columns = _settings(database)
-    return [key for key in _wanted(None, columns) if key not in ROW_KEYS]
+        return _varied(_settings(database)[1])
 
 
 def flat(table: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, Any]]:
@@ -94,7 +96,9 @@ def _settings(database: Connection) -> tuple[list[tuple[str, str, str]], dict[st
 
 def _columns(pairs: Sequence[tuple[str, str, str]], worlds: Tables, options: Tables) -> dict[str, list[Any]]:
     """Return the value of every scenario key and option for each (estimator, world, options)."""
-    flat_worlds = {name: dict(flat({k: v for k, v in w.items() if k != "name"})) for name, w in worlds.items()}
+    flat_worlds = {
+        i: dict(flat({"scenario" if k == "name" else k: v for k, v in w.items()})) for i, w in worlds.items()
+    }
     settings = []
     for estimator, world, option in pairs:
         own = flat(options[option] or {}, f"estimator.{estimator}.")
@@ -110,16 +114,26 @@ def _wanted(keys: Sequence[str] | None, columns: Mapping[str, Sequence[Any]]) ->
             if key not in known:
                 raise _unknown(key, columns)
         return tuple(dict.fromkeys(keys))
+    return tuple(dict.fromkeys((*ROW_KEYS, *_varied(columns))))
+
+
+def _varied(columns: Mapping[str, Sequence[Any]]) -> list[str]:
+    """Return the keys that have more than one value; of several scenarios, those that its name does not determine."""
     # Options of one estimator vary if its own rows differ; the rows of others have none.
-    varied = [name for name, values in columns.items() if len({v for v in values if v is not None}) > 1]
-    return (*ROW_KEYS, *varied)
+    pairs = {
+        key: {(name, value) for name, value in zip(columns["scenario"], values, strict=True) if value is not None}
+        for key, values in columns.items()
+    }
+    several = [key for key, own in pairs.items() if len({value for _, value in own}) > 1]
+    if "scenario" not in several:
+        return several
+    return ["scenario", *(key for key in several if len(pairs[key]) > len({name for name, _ in pairs[key]}))]
 
 
 def _unknown(key: str, columns: Mapping[str, Sequence[Any]]) -> InputError:
     near = nearest_key(key, [*ROW_KEYS, *columns])
-    varied = [name for name, values in columns.items() if len(set(values)) > 1]
     hint = f"; did you mean '{near}'?" if near else ""
-    return InputError(f"unknown key '{key}'{hint} (keys that vary here: {', '.join(varied) or 'none'})")
+    return InputError(f"unknown key '{key}'{hint} (keys that vary here: {', '.join(_varied(columns)) or 'none'})")
 
 
 def _scalar(value: Any) -> Any:

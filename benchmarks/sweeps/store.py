@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from cellslam.benchmarks.scores.trial_result import METRIC_KEYS, ROW_KEYS
+from cellslam.benchmarks.scores.trial_result import COST_KEYS, METRIC_KEYS, ROW_KEYS
 from cellslam.benchmarks.sweeps.lock import check_local, only_writer
 from cellslam.benchmarks.sweeps.tasks import Plan, Result
 from cellslam.benchmarks.trials.output_files import check_folder
@@ -20,10 +20,10 @@ from cellslam.sim.errors import InputError
 
 DATABASE = "results.sqlite"
 TRAJECTORIES = "trajectories"
-SCHEMA = 2
+SCHEMA = 3
 # Columns beside those of a row: ids of world and options, which process wrote it, and how often it was tried.
 OWN_KEYS = ("key", "world", "options", "run", "traceback")
-_NUMBERS = (*METRIC_KEYS, "duration_s", "distance_m", "estimate_seconds", "realtime_factor")
+_NUMBERS = (*METRIC_KEYS, "duration_s", "distance_m", *COST_KEYS)
 _WHOLE = ("trial", "seed", "snapshots", "run")
 
 

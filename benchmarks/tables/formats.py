@@ -46,7 +46,7 @@ def number(value: float | None, metric: str, statistic: str = "") -> str:
         return f"{value:.0e}"
     if statistic.startswith("share>"):
         return f"{value:.3f}"
-    digits = 4 if metric.endswith("_rad") else 1 if metric == "realtime_factor" else 2
+    digits = 4 if metric.endswith("_rad") else 1 if metric in ("realtime_factor", "peak_memory_mb") else 2
     return f"{value:.{digits}f}"
 
 

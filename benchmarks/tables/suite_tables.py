@@ -1,28 +1,27 @@
-"""The results of a suite as Markdown: how they were made, and a table a scenario."""
+"""The results of a suite as Markdown: a verdict and a table over all scenarios, and both for each; the leaderboard."""
 
 from __future__ import annotations
 
-import platform
-from collections.abc import Sequence
-from pathlib import Path
+from collections.abc import Collection, Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from cellslam.benchmarks.scores.statistics import interval, statistic
-from cellslam.benchmarks.sweeps.rows import provenance, results
-from cellslam.benchmarks.tables.formats import comparison_grid, number
-from cellslam.benchmarks.tables.summaries import EFFICIENCY, MERGED, RATIO_OF, comparison, efficiency, finite
+from cellslam.benchmarks.scores.statistics import efficiency_ratio, interval, statistic
+from cellslam.benchmarks.scores.verdicts import Verdict
+from cellslam.benchmarks.tables.formats import number
+from cellslam.benchmarks.tables.rankings import ALL, map_builders, told_apart, verdict_lines, verdicts
+from cellslam.benchmarks.tables.suite_rows import SuiteRows
+from cellslam.benchmarks.tables.summaries import EFFICIENCY, MERGED, RATIO_OF, efficiency, finite
 from cellslam.scenarios.suites import Suite
-from cellslam.slam.registry import oracles
 
 if TYPE_CHECKING:
     import pandas as pd
 
 CONFIDENCE = 0.95
-REFERENCE = "fastslam"
 # Columns: heading, metric, statistic, with an interval.
-COLUMNS = (
+Columns = Sequence[tuple[str, str, str, bool]]
+COLUMNS: Columns = (
     ("RMSE (m) [95 %]", "position_rmse_m", "median", True),
     ("efficiency ratio [95 %]", EFFICIENCY, "", True),
     ("merging counted in", MERGED, "", True),  # where a drive has that bound
@@ -36,69 +35,137 @@ COLUMNS = (
     ("recall", "association_recall", "median", False),
     ("NEES", "nees_mean", "median", False),
     ("bound (m)", "bound_position_rmse_m", "median", False),
-    ("x real time", "realtime_factor", "median", False),
 )
+COSTS: Columns = (
+    ("s a drive", "estimate_seconds", "median", False),
+    ("x real time", "realtime_factor", "median", False),
+    ("memory (MB)", "peak_memory_mb", "max", False),
+)
+RULES = """\
+Position errors are horizontal, absolute, not aligned. Efficiency ratio: root mean square of the RMSE over that of the
+bound, 1 at best, its 95 % interval by resampling trials; merging counted in: over that of the bound without merged
+measurements. Memory: what resident memory grew by at the most. A pair is told apart where Wilcoxon's signed-rank test,
+corrected for all pairs by Holm's method, says so at 5 %. Ranks are over trials, 1 the best; by Nemenyi's test those
+that differ by less than the critical difference may be equal. Over all scenarios a trial counts once, with the
+geometric mean of its RMSEs, as its random draws are common to all of them. A drive that failed is worse than any other.
+Oracles, which were shown the truth, are not ranked."""
+RULES = " ".join(RULES.split("\n"))
 
 
-def suite_markdown(folder: Path, one: Suite, scenarios: Sequence[str], trials: int, command: str, left: str) -> str:
-    """Return the whole page. `trials`, `scenarios`: what was run of the suite; `left`: what was left out, and why."""
-    whole = trials == one.trials and tuple(scenarios) == one.scenarios
-    title = one.name if whole else f"{one.name}, a part: trials 0 to {trials - 1} of {', '.join(scenarios)}"
-    versions = provenance(folder)[-1]["versions"]
-    said = ", ".join(f"{name} {text}" for name, text in versions.items())
+def suite_markdown(some: SuiteRows, command: str, left: str, picture: str = "") -> str:
+    """Return the whole page. `left`: what was left out, and why; `picture`: the file of the ranks' diagram, if any."""
+    one, trials = some.suite, some.trials
+    title = one.name if some.whole else f"{one.name}, a part: trials 0 to {trials - 1} of {', '.join(some.scenarios)}"
+    judged, power = verdicts(some.panels, some.oracles), verdicts(map_builders(some.panels))
+    said = ", ".join(f"{name} {text}" for name, text in some.versions.items())
     head = [
         f"# Accuracy: {title}",
-        "" if whole else "\nNot the suite's result: it takes all scenarios and trials.\n",
-        f"Root seed {one.seed}, trials 0 to {trials - 1} of each scenario. Medians over trials; RMSE with its "
-        f"{100 * CONFIDENCE:g} % interval by resampling; position errors are horizontal, absolute, not aligned. "
-        "Efficiency ratio: root mean square of the RMSE over that of the bound, 1 at best; merging counted in: over "
-        "that of the bound without merged measurements.",
-        f"Made with {said}, on {platform.machine()}, by",
+        "" if some.whole else "\nNot the suite's result: it takes all scenarios and trials.\n",
+        f"Root seed {one.seed}, trials 0 to {trials - 1} of each scenario. Medians over trials. {RULES}",
+        f"Made with {said}, on {some.machine}, by",
         f"\n    {command}\n",
         left,
     ]
-    return "\n".join([*head, *(_scenario(folder, name, trials, one.seed) for name in scenarios)]).rstrip() + "\n"
+    parts = [
+        _scenario(name, rows, some.oracles, judged.get(name), power.get(name)) for name, rows in some.panels.items()
+    ]
+    if len(some.scenarios) > 1:
+        whole = [f"\n## All scenarios\n\n{standings(some, judged)}", *_judged(judged.get(ALL), power.get(ALL))]
+        parts.insert(0, "\n".join([*whole, *([f"\n![Mean ranks]({picture})"] if picture else [])]))
+    return "\n".join([*head, *parts]).rstrip() + "\n"
 
 
-def _scenario(folder: Path, name: str, trials: int, seed: int) -> str:
-    metrics = [metric for _, metric, _, _ in COLUMNS if metric not in (EFFICIENCY, MERGED, *RATIO_OF)]
-    frame = results(folder, ["scenario", "estimator", "trial", "seed", "status", *RATIO_OF, *metrics])
-    own = frame[(frame["scenario"] == name) & (frame["trial"] < trials) & (frame["seed"] == seed)]
-    marked = oracles(own["estimator"].unique())
-    columns = [c for c in COLUMNS if c[1] != MERGED or own["bound_merged_m"].notna().any()]
-    lines = ["| estimator | " + " | ".join(c[0] for c in columns) + " | ok |", "|---|" + "---:|" * (len(columns) + 1)]
-    for estimator in own["estimator"].unique():
-        rows = own[own["estimator"] == estimator]
+def leaderboard_markdown(some: SuiteRows, made_with: dict[str, str], command: str, picture: str) -> str:
+    """Return the page of a leaderboard. `made_with`: the version of cellslam by estimator; `picture`: the diagram."""
+    one = some.suite
+    judged, power = verdicts(some.panels, some.oracles), verdicts(map_builders(some.panels))
+    return "\n".join([
+        f"# Leaderboard: {one.name}\n",
+        f"{one.trials} drives of each of {', '.join(f'`{name}`' for name in one.scenarios)} (root seed {one.seed}), by "
+        "the mean rank; for each scenario the median RMSE in metres; times are of the machine that made the entry. "
+        f"{RULES}\n",
+        standings(some, judged, made_with),
+        *_judged(judged.get(ALL), power.get(ALL)),
+        f"\n![Mean ranks and critical differences]({picture})\n",
+        _yours(one),
+        f"This page is made by\n\n    {command}",
+    ]) + "\n"  # fmt: skip
+
+
+def standings(some: SuiteRows, judged: dict[str, Verdict], made_with: dict[str, str] | None = None) -> str:
+    """Return the table over all scenarios: a line an estimator, the best mean rank first, oracles last."""
+    overall = judged.get(ALL)
+    rank = dict(zip(overall.names, overall.mean_rank.tolist(), strict=True)) if overall else {}
+    names = sorted(
+        some.rows["estimator"].unique(), key=lambda name: (name in some.oracles, rank.get(name, np.inf), name)
+    )
+    heads = ["mean rank", "efficiency ratio [95 %]", *some.scenarios, *(c[0] for c in COSTS), "ok"]
+    lines = [f"| estimator | {' | '.join([*heads, *(['cellslam'] if made_with else [])])} |"]
+    lines.append("|---|" + "---:|" * (len(heads) + bool(made_with)))
+    for name in names:
+        rows = some.rows[some.rows["estimator"] == name]
         fine = rows[rows["status"] == "ok"]
+        medians = (_cell(fine[fine["scenario"] == s], "position_rmse_m", "median", False) for s in some.scenarios)
+        costs = (_cell(fine, metric, of, ends) for _, metric, of, ends in COSTS)
+        cells = [number(rank.get(name), ""), _overall_efficiency(fine), *medians, *costs, f"{len(fine)}/{len(rows)}"]
+        shown = f"{name} (oracle)" if name in some.oracles else name
+        lines.append(f"| {shown} | " + " | ".join([*cells, *([made_with[name]] if made_with else [])]) + " |")
+    return "\n".join(lines)
+
+
+def _scenario(
+    name: str, rows: pd.DataFrame, oracles: Collection[str], judged: Verdict | None, power: Verdict | None
+) -> str:
+    columns = [c for c in (*COLUMNS, *COSTS) if c[1] != MERGED or rows["bound_merged_m"].notna().any()]
+    lines = ["| estimator | " + " | ".join(c[0] for c in columns) + " | ok |", "|---|" + "---:|" * (len(columns) + 1)]
+    for estimator in rows["estimator"].unique():
+        own = rows[rows["estimator"] == estimator]
+        fine = own[own["status"] == "ok"]
         cells = [_cell(fine, metric, of, ends) for _, metric, of, ends in columns]
-        shown = f"{estimator} (oracle)" if estimator in marked else estimator
-        lines.append("| " + " | ".join([shown, *cells, f"{len(fine)}/{len(rows)}"]) + " |")
-    return "\n".join([f"\n## {name}\n", *lines, *_compared(folder, name, list(own["estimator"].unique()))])
+        shown = f"{estimator} (oracle)" if estimator in oracles else estimator
+        lines.append("| " + " | ".join([shown, *cells, f"{len(fine)}/{len(own)}"]) + " |")
+    return "\n".join([f"\n## {name}\n", *lines, *_judged(judged, power)])
 
 
-def _compared(folder: Path, scenario: str, estimators: Sequence[str]) -> list[str]:
-    """Return the paired differences to the reference, in one scenario."""
-    if REFERENCE not in estimators or len(estimators) < 2:
+def _judged(one: Verdict | None, power: Verdict | None) -> list[str]:
+    """Return a verdict in words and as a table, and the power: what is told apart of the built-in map builders."""
+    if one is None:
         return []
-    out = [f"\nPaired with {REFERENCE}, on the same worlds (median difference of the RMSE, its interval, p of"
-           " Wilcoxon's signed-rank test):\n"]  # fmt: skip
-    body = []
-    for name in estimators:
-        if name == REFERENCE:
-            continue
-        tidy = comparison(folder, name, REFERENCE, rows=["scenario"], confidence=CONFIDENCE)
-        grid = comparison_grid(tidy[tidy["scenario"] == scenario], [], name, REFERENCE, 100 * CONFIDENCE)
-        body += [f"| {name} | " + " | ".join(cell for cell in line) + " |" for line in grid.lines]
-    heads = ("estimator", "difference (m)", "95 % interval", "p", "better", "pairs", "left out")
-    return [*out, "| " + " | ".join(heads) + " |", "|---|" + "---:|" * (len(heads) - 1), *body]
+    equal = "" if np.isnan(one.friedman_p) else f"; all equally good: p = {one.friedman_p:.2g} (Friedman)"
+    said = f"\nTold apart: {told_apart(one)}. Critical difference of mean ranks: {one.critical_difference:.2f}{equal}."
+    if power is not None:
+        said += f" Power: of the built-in map builders, tested by themselves, {told_apart(power)}."
+    note = "Median difference of the RMSE on the same drives in m, row minus column; bold: told apart.\n"
+    return [said, note, *verdict_lines(one)]
+
+
+def _yours(one: Suite) -> str:
+    return f"""\
+Yours is added by one command, which takes the time of its drives, and the file that it writes:
+
+    cellslam bench accuracy --suite {one.name} --estimator my_module:MyEstimator --rows my-estimator.json
+
+The file holds the rows, the versions and the suite's digest. Whoever has the estimator too can verify it:
+`cellslam bench accuracy --check my-estimator.json` drives a sample of the drives again and compares.
+"""
+
+
+def _overall_efficiency(rows: pd.DataFrame) -> str:
+    """Return the efficiency ratio over all scenarios; a trial's drives are resampled together."""
+    known = rows.dropna(subset=list(RATIO_OF[:2]))
+    squares = known[list(RATIO_OF[:2])].astype(float).pow(2).groupby(known["trial"]).sum()
+    error, bound = (np.sqrt(squares[key].to_numpy()) for key in RATIO_OF[:2])
+    return _bracketed(*efficiency_ratio(error, bound, CONFIDENCE), EFFICIENCY)
 
 
 def _cell(rows: pd.DataFrame, metric: str, name: str, ends: bool) -> str:
     if metric in (EFFICIENCY, MERGED):
-        value, low, high = efficiency(rows, CONFIDENCE, metric == MERGED)
-    else:
-        values, of = finite(rows[metric]), statistic(name)
-        value = float(of.of(values)) if len(values) else float("nan")
-        low, high = interval(values, of, CONFIDENCE) if ends else (float("nan"), float("nan"))
+        return _bracketed(*efficiency(rows, CONFIDENCE, metric == MERGED), metric)
+    values, of = finite(rows[metric]), statistic(name)
+    value = float(of.of(values)) if len(values) else float("nan")
+    return _bracketed(value, *(interval(values, of, CONFIDENCE) if ends else (float("nan"),) * 2), metric)
+
+
+def _bracketed(value: float, low: float, high: float, metric: str) -> str:
     text = number(value, metric)
     return text if np.isnan(low) else f"{text} [{number(low, metric)}, {number(high, metric)}]"

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from cellslam.benchmarks.scores.statistics import efficiency_ratio, interval, paired, statistic
-from cellslam.benchmarks.scores.trial_result import METRIC_KEYS
+from cellslam.benchmarks.scores.trial_result import COST_KEYS, METRIC_KEYS
 from cellslam.benchmarks.sweeps.rows import results, varying_keys
 from cellslam.sim.errors import InputError, unknown_name
 from cellslam.sim.recording import Floats
@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     import pandas as pd
 
 EFFICIENCY, MERGED = "efficiency_ratio", "efficiency_ratio_merged"  # of a group of rows, not of one
-METRICS = (*METRIC_KEYS, "estimate_seconds", "realtime_factor", EFFICIENCY, MERGED)
+METRICS = (*METRIC_KEYS, *COST_KEYS, EFFICIENCY, MERGED)
 RATIO_OF = ("position_rmse_m", "bound_position_rmse_m", "bound_merged_m")
 USUAL_METRICS = (
     "position_rmse_m",

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from cellslam.sim.errors import InputError
+from cellslam.sim.errors import InputError, one_line
 from cellslam.sim.recording import Floats, Recording
 from cellslam.slam.api import Estimate, VtEstimate
 from cellslam.slam.model.calibration import Calibration
@@ -17,6 +17,7 @@ from cellslam.slam.model.calibration import Calibration
 Columns = dict[str, NDArray[Any]]
 MOST = 1e9  # metres, radians; a covariance has its square
 MOST_VTS = 100_000
+MOST_REMARKS, MOST_REMARK = 10, 400  # lines, characters
 MOST_ID = 2**53
 ROUNDING = 1e-6  # of a covariance's largest entry: what it may be asymmetric, or its eigenvalues negative
 _NUMBERS = ("pose", "covariance", "clock_offset_m", "clock_offset_variance_m2")
@@ -53,6 +54,13 @@ def plain_calibration(answer: Any) -> Columns:
     of_grid = [answer.scale_rad, answer.spacing, answer.reach]
     given = {f"calibration.{name}": getattr(answer, name) for name in _CALIBRATION} | {"calibration.grid": of_grid}
     return {name: numbers(name, value) for name, value in given.items()}
+
+
+def plain_remarks(answer: Any) -> list[str]:
+    """Return what an estimator remarks, lines of text, as single lines. Raises BadAnswerError for anything else."""
+    if not isinstance(answer, list | tuple) or not all(isinstance(line, str) for line in answer):
+        raise BadAnswerError(f"remarks() returned {type(answer).__name__}, expected a list of lines of text")
+    return [one_line(line, MOST_REMARK) for line in answer[:MOST_REMARKS]]
 
 
 def calibration_of(answer: Columns) -> Calibration | None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -12,6 +12,7 @@ import numpy as np
 
 from cellslam.benchmarks.scores.trial_result import TrialResult
 from cellslam.benchmarks.trials import compile_ahead as ahead
+from cellslam.benchmarks.trials import memory
 from cellslam.benchmarks.trials.answers import (
     BadAnswerError,
     Columns,
@@ -21,6 +22,7 @@ from cellslam.benchmarks.trials.answers import (
     numbers,
     plain,
     plain_calibration,
+    plain_remarks,
 )
 from cellslam.scenarios.estimator_options import Request
 from cellslam.sim.progress import Progress, silent
@@ -36,10 +38,13 @@ _warm: set[tuple[type[Any], str]] = set()
 
 @dataclass(frozen=True)
 class Answer:
-    """Plain copies of one answer; `seconds`: what the estimator has taken since its start. The last is of the end."""
+    """Plain copies of one answer; `seconds`: what the estimator has taken since its start. The last is of the end, with
+    the estimator's remarks and `peak_memory_mb`."""
 
     seconds: float
     columns: Columns
+    remarks: Sequence[str] = ()
+    peak_memory_mb: float = float("nan")
 
 
 def warm_up(request: Request, progress: Progress = silent) -> None:
@@ -62,18 +67,19 @@ def estimate(
 ) -> TrialResult:
     """Return what the requested estimator, driven in this process, says about a recording.
 
-    `estimate_seconds` covers start, steps and finish alone. Raises BadAnswerError, or whatever the estimator
-    raises, with the snapshot added to its notes.
+    `estimate_seconds` covers start, steps and finish alone, `peak_memory_mb` what is kept of the answers too. Raises
+    BadAnswerError, or whatever the estimator raises, with the snapshot added to its notes.
     """
     return collected(recording, request, answers(recording, request, rng), progress)
 
 
 def answers(recording: Recording, request: Request, rng: np.random.Generator) -> Iterator[Answer]:
-    """Drive an estimator in this process: yield its answer to each snapshot, then those of `finish` and `calibration`,
-    if any."""
+    """Drive an estimator in this process: yield its answer to each snapshot, then those of `finish`, `calibration` and
+    `remarks`, if any."""
     setup, snapshots = setup_of(recording, request.oracle), snapshots_of(recording)
     dt_s = np.diff(recording.time_s, prepend=recording.time_s[0])
     odometry = odometry_of(recording)
+    before = memory.begin()
     estimator = request.estimator(request.options)
     seconds = -time.perf_counter()
     estimator.start(setup, rng)
@@ -93,7 +99,10 @@ def answers(recording: Recording, request: Request, rng: np.random.Generator) ->
     seconds += time.perf_counter() - begin
     columns = {} if final is None else {"finish": numbers("finish(): poses", final)}
     calibration = getattr(estimator, "calibration", None)
-    yield Answer(seconds, columns | (plain_calibration(calibration()) if callable(calibration) else {}))
+    columns |= plain_calibration(calibration()) if callable(calibration) else {}
+    remarks = getattr(estimator, "remarks", None)
+    said = plain_remarks(remarks()) if callable(remarks) else ()
+    yield Answer(seconds, columns, said, memory.grown_mb(before))
 
 
 def collected(
@@ -124,5 +133,7 @@ def collected(
         smoothed=final is not None,
         oracle=request.oracle,
         calibration=calibration_of(last.columns),
+        remarks=tuple(last.remarks),
         estimate_seconds=last.seconds,
+        peak_memory_mb=last.peak_memory_mb,
     )

@@ -49,7 +49,8 @@ def _serve(name: str, options: str, drive: Any, reply: Callable[..., None]) -> N
         warm_up(request)
         reply({}, {})
         for answer in answers(drive[0], request, drive[1]) if drive is not None else ():
-            reply({"seconds": answer.seconds}, answer.columns)
+            header = {"seconds": answer.seconds, "remarks": answer.remarks, "peak_memory_mb": answer.peak_memory_mb}
+            reply(header, answer.columns)
     except BaseException as error:
         reply({"error": explained(error), "details": details(error)}, {})
 

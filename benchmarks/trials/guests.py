@@ -21,7 +21,7 @@ from typing import Any
 import numpy as np
 
 from cellslam.benchmarks.scores.trial_result import TrialResult
-from cellslam.benchmarks.trials.answers import Columns, decoded
+from cellslam.benchmarks.trials.answers import Columns, decoded, plain_remarks
 from cellslam.benchmarks.trials.child_process import POLL_S, START_LIMIT_S, Limits, ending, shares, started
 from cellslam.benchmarks.trials.estimation import Answer, collected
 from cellslam.benchmarks.trials.failures import GuestError, LostError
@@ -174,10 +174,12 @@ class _Guest:
 def _answers(replies: Replies) -> Iterator[Answer]:
     begin = time.perf_counter()
     for header, columns in replies:
-        seconds = header.get("seconds")
+        seconds, peak_memory_mb = header.get("seconds"), header.get("peak_memory_mb")
         if not (isinstance(seconds, float) and 0.0 < seconds <= time.perf_counter() - begin + POLL_S):
             raise LostError(f"{PROCESS} sent a time that cannot be")
-        yield Answer(seconds, columns)
+        if not (isinstance(peak_memory_mb, float) and not peak_memory_mb < 0.0):
+            raise LostError(f"{PROCESS} sent a size of memory that cannot be")
+        yield Answer(seconds, columns, plain_remarks(header.get("remarks", [])), peak_memory_mb)
 
 
 def _write(pipe: int, message: Any) -> None:

@@ -204,8 +204,9 @@ def _scored(
 
     result = aligned(recording, result) if align else result
     seconds = result.estimate_seconds
-    times = {"estimate_seconds": seconds, "realtime_factor": row["duration_s"] / seconds}
-    row = {**row, "status": "ok", **score(recording, result, limit), **times}
+    cost = {"estimate_seconds": seconds, "realtime_factor": row["duration_s"] / seconds}
+    cost["peak_memory_mb"] = result.peak_memory_mb
+    row = {**row, "status": "ok", **score(recording, result, limit), **cost}
     return {key: _plain(row[key]) for key in ROW_KEYS}, result
 
 

@@ -5,11 +5,17 @@ A suite never changes: what would change its results is another version, under a
 
 from __future__ import annotations
 
+import hashlib
+import json
+from collections.abc import Sequence
 from dataclasses import dataclass
 from importlib.resources import as_file, files
 
+from cellslam.scenarios.estimator_options import resolve
+from cellslam.scenarios.foreign_options import asking
 from cellslam.scenarios.loading import load
 from cellslam.scenarios.scenario import Scenario
+from cellslam.scenarios.sweep_points import Point
 from cellslam.sim.errors import unknown_name
 
 
@@ -38,9 +44,24 @@ def suite(name: str) -> Suite:
     return SUITES[known]
 
 
+def digest(one: Suite) -> str:
+    """Return the SHA-256 of all that a suite is: what it is called, and every value of its scenarios."""
+    folder = files("cellslam.scenarios.suites") / one.name
+    texts = {scenario: (folder / f"{scenario}.toml").read_text("utf-8") for scenario in one.scenarios}
+    said = json.dumps([one.name, one.scenarios, one.seed, one.trials, texts])
+    return hashlib.sha256(said.encode()).hexdigest()
+
+
 def scenario_of(one: Suite, name: str) -> Scenario:
     """Return a scenario of a suite. Raises InputError for one that is not in it."""
     if name not in one.scenarios:
         raise unknown_name(f"scenario of {one.name}", name, one.scenarios)
     with as_file(files("cellslam.scenarios.suites") / one.name / f"{name}.toml") as path:
         return load(path)
+
+
+def points_of(one: Suite, scenarios: Sequence[str], estimators: Sequence[str]) -> list[Point]:
+    """Return what is driven: each of the `scenarios` with all estimators. Raises InputError."""
+    with asking() as ask:
+        every = [scenario_of(one, name) for name in scenarios]
+        return [Point({}, s, resolve(s.estimator, estimators, ask=ask)) for s in every]

@@ -21,6 +21,17 @@ def wrap_angle(angle_rad: ArrayLike) -> NDArray[np.float64]:
     return np.asarray(rest - TURN * (rest > np.pi) + TURN * (rest <= -np.pi))
 
 
+def held(odometry: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return odometry (T, 6), of any unit, in which the last value holds where a component is NaN, 0 before the first
+    one."""
+    out = odometry.copy()
+    for index in np.flatnonzero(np.isnan(out).any(axis=0)):
+        column = out[:, index]
+        last = np.maximum.accumulate(np.where(np.isnan(column), 0, np.arange(len(column))))
+        column[:] = np.nan_to_num(column[last])
+    return out
+
+
 def rotation(psi_rad: ArrayLike, theta_rad: ArrayLike, phi_rad: ArrayLike) -> NDArray[np.float64]:
     """Return R = Rz(psi) Ry(theta) Rx(phi), (..., 3, 3), which takes body to world vectors; angles (...,) in rad."""
     psi, theta, phi = (np.asarray(a, np.float64) for a in (psi_rad, theta_rad, phi_rad))

@@ -2,8 +2,9 @@
 
 There are two: `statistical` draws what a receiver would report, `signal` receives symbols and estimates paths;
 `radio.front_end` chooses. `calibration` measures the constants of the first with the second. Here is what both share:
-`radio_config`, the keys; `links`, `reference_signals`, the `array`; `budget_kernel`, received powers;
-`single_path_bound` and `joint_bound`, Cramer-Rao bounds; `persisting_errors`, which errors are not white.
+`radio_config`, the keys; `links`, `reference_signals`, the `array`; `single_path_bound` and
+`joint_bound`, Cramer-Rao bounds; `persisting_errors`, which errors are not white; `faults`, clocks that walk and step,
+reports that come late or twice.
 """
 
 from cellslam.sim.lte.downlink.reference_signals import reference_signal

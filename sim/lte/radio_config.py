@@ -103,6 +103,9 @@ class RadioConfig(BaseModel):
     )
 
     clutter_scale: float = Field(1.0, ge=0.0, le=20.0, description="factor on the mean number of clutter measurements")
+    persisting_clutter: bool = Field(
+        False, description="clutter and missed paths last as at signal level (false: drawn anew for each snapshot)"
+    )
     ghost_rule_db: float = Field(
         25.0,
         ge=0.0,
@@ -121,6 +124,27 @@ class RadioConfig(BaseModel):
         ge=0.0,
         le=1e-7,
         description="standard deviation of each site's constant relative frequency error (1e-11: 1.5 m in 500 s)",
+    )
+    clock_oscillator: Literal["ideal", "rubidium", "ocxo", "tcxo"] = Field(
+        "ideal", description="oscillator of the sites, free running: offset and rate walk as it does (ideal: not)"
+    )
+    clock_steps_per_hour: float = Field(
+        0.0, ge=0.0, le=3600.0, description="steps of each site's clock, at random times"
+    )
+    clock_step_times_s: tuple[float, ...] = Field(
+        (), description="further steps of every site's clock, at these times since the first snapshot"
+    )
+    clock_step_std_m: float = Field(50.0, ge=0.0, le=5000.0, description="standard deviation of the size of a step, m")
+    clock_steps_together: bool = Field(
+        False, description="all clocks step at once and alike, as when the receiver's own does"
+    )
+
+    late_probability: float = Field(
+        0.0, ge=0.0, le=1.0, description="share of snapshots whose time stamp is late: measured before it"
+    )
+    late_s: float = Field(0.05, ge=0.0, le=10.0, description="by how much a late time stamp is late")
+    repeat_probability: float = Field(
+        0.0, ge=0.0, le=1.0, description="share of snapshots whose report comes again, in place of the next one's"
     )
 
     @model_validator(mode="after")

@@ -7,6 +7,8 @@
 from cellslam.sim.recording.contract import Recording
 from cellslam.sim.recording.hdf5_layout import COMPONENTS, SCHEMA_VERSION
 from cellslam.sim.recording.tables import (
+    CLOCK_PRIOR,
+    ClockSteps,
     Floats,
     Ints,
     Links,
@@ -20,8 +22,10 @@ from cellslam.sim.recording.tables import (
 )
 
 __all__ = [
+    "CLOCK_PRIOR",
     "COMPONENTS",
     "SCHEMA_VERSION",
+    "ClockSteps",
     "Floats",
     "Ints",
     "Links",

@@ -8,7 +8,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cellslam.sim.errors import InputError
-from cellslam.sim.recording.tables import Floats, Ints, Measurements, RecordingData, Reference, Truth, Vehicles
+from cellslam.sim.recording.tables import (
+    CLOCK_PRIOR,
+    Floats,
+    Ints,
+    Measurements,
+    RecordingData,
+    Reference,
+    Truth,
+    Vehicles,
+)
 
 MEASURED = ("distance_m", "azimuth_rad", "elevation_rad")
 CLAIMED = ("distance_std_m", "azimuth_std_rad", "elevation_std_rad")
@@ -51,15 +60,13 @@ def _check_odometry(r: RecordingData, count: int) -> None:
 def _check_links(r: RecordingData) -> None:
     for name in ("site", "cell_id", "port"):
         _shape(f"links.{name}", getattr(r.links, name), (len(r.links),))
-    _shape("sites.clock_offset_mean_m", r.sites.clock_offset_mean_m, (len(r.sites),))
-    _shape("sites.clock_offset_std_m", r.sites.clock_offset_std_m, (len(r.sites),))
-    _finite("sites.clock_offset_mean_m", r.sites.clock_offset_mean_m)
-    _require(r.sites.clock_offset_std_m >= 0, "sites.clock_offset_std_m", "is negative")
-    _finite("sites.clock_offset_std_m", r.sites.clock_offset_std_m)
-    if r.sites.clock_drift_std_m_s is not None:
-        _shape("sites.clock_drift_std_m_s", r.sites.clock_drift_std_m_s, (len(r.sites),))
-        _require(r.sites.clock_drift_std_m_s >= 0, "sites.clock_drift_std_m_s", "is negative")
-        _finite("sites.clock_drift_std_m_s", r.sites.clock_drift_std_m_s)
+    for name in CLOCK_PRIOR:
+        column = getattr(r.sites, name)
+        if column is not None:
+            _shape(f"sites.{name}", column, (len(r.sites),))
+            if name != "clock_offset_mean_m":
+                _require(column >= 0, f"sites.{name}", "is negative")
+            _finite(f"sites.{name}", column)
     if r.sites.position_m is not None:
         _shape("sites.position_m", r.sites.position_m, (len(r.sites), 3))
     _require(
@@ -137,6 +144,19 @@ def _check_truth(truth: Truth, r: RecordingData) -> None:
     _shape("truth.clock_offsets_m", truth.clock_offsets_m, (len(r.sites),))
     if truth.clock_drift_m_s is not None:
         _shape("truth.clock_drift_m_s", truth.clock_drift_m_s, (len(r.sites),))
+    if truth.clock_wander_m is not None:
+        _shape("truth.clock_wander_m", truth.clock_wander_m, (len(r.time_s), len(r.sites)))
+        _finite("truth.clock_wander_m", truth.clock_wander_m)
+    for name in ("odometry_slip", "age_s"):
+        column = getattr(truth, name)
+        if column is not None:
+            _shape(f"truth.{name}", column, (len(r.time_s),))
+    if truth.clock_steps is not None:
+        steps = truth.clock_steps
+        _require(
+            (steps.site >= 0) & (steps.site < len(r.sites)), "truth.clock_steps.site",
+            f"is not one of the {len(r.sites)} sites",
+        )  # fmt: skip
     _require(
         (truth.measurement_vt >= -1) & (truth.measurement_vt < vts),
         "truth.measurement_vt",

@@ -20,6 +20,7 @@ from cellslam.sim.errors import InputError, nearest_name
 from cellslam.sim.recording import damage
 from cellslam.sim.recording.hdf5_layout import COLUMNS, FORMAT, SCHEMA_VERSION, TABLES_THAT_MAY_MISS, Column
 from cellslam.sim.recording.tables import (
+    ClockSteps,
     Links,
     Measurements,
     OdometryModel,
@@ -241,7 +242,9 @@ def _recording(values: dict[str, Any], make: type[Kind]) -> Kind:
     if "truth/poses" in values:
         own = table("truth/vehicles")
         vehicles = Vehicles(**(own | {"kind": tuple(own["kind"].tolist())})) if own else None
-        truth = Truth(**table("truth"), vts=VirtualTransmitters(**table("truth/vts")), vehicles=vehicles)
+        steps = ClockSteps(**table("truth/clock_steps")) if "truth/clock_steps/site" in values else None
+        vts = VirtualTransmitters(**table("truth/vts"))
+        truth = Truth(**table("truth"), vts=vts, vehicles=vehicles, clock_steps=steps)
     reference = Reference(**table("reference")) if "reference/time_s" in values else None
     sites = table("sites")
     return make(

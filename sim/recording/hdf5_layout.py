@@ -18,7 +18,7 @@ class Column:
     """One dataset: its path in the file (with dots: in Recording), shape in symbols, unit, kind of value.
 
     Symbols: T snapshots, L links, S sites, M measurements, V virtual transmitters, I visible intervals, R fixes,
-    N other vehicles, K times of their poses, B times that they block.
+    N other vehicles, K times of their poses, B times that they block, C steps of clocks.
     `optional`: may be left out; `absent`: may be left out if its table's attribute `absent` says so.
     """
 
@@ -56,6 +56,9 @@ COLUMNS = (
     Column("sites/clock_offset_mean_m", ("S",), "m"),
     Column("sites/clock_offset_std_m", ("S",), "m"),
     Column("sites/clock_drift_std_m_s", ("S",), "m/s", optional=True),
+    Column("sites/clock_walk_m_sqrt_s", ("S",), "m/sqrt(s)", optional=True),
+    Column("sites/clock_drift_walk_m_s_sqrt_s", ("S",), "m/s/sqrt(s)", optional=True),
+    Column("sites/clock_step_std_m", ("S",), "m", optional=True),
     Column("sites/position_m", ("S", 3), "m", labels=("x", "y", "z"), optional=True),
     Column("measurements/snapshot", ("M",), kind="int"),
     Column("measurements/link", ("M",), kind="int"),
@@ -83,8 +86,14 @@ COLUMNS = (
     Column("truth/site_positions_m", ("S", 3), "m", labels=("x", "y", "z")),
     Column("truth/clock_offsets_m", ("S",), "m"),
     Column("truth/clock_drift_m_s", ("S",), "m/s", optional=True),
+    Column("truth/clock_wander_m", ("T", "S"), "m", optional=True),
+    Column("truth/clock_steps/site", ("C",), kind="int"),
+    Column("truth/clock_steps/time_s", ("C",), "s"),
+    Column("truth/clock_steps/size_m", ("C",), "m"),
     Column("truth/odometry_bias", ("T", 6), _RATE_UNIT, labels=COMPONENTS),
     Column("truth/odometry_scale", (6,), labels=COMPONENTS),
+    Column("truth/odometry_slip", ("T",), optional=True),
+    Column("truth/age_s", ("T",), "s", optional=True),
     Column("truth/vehicles/kind", ("N",), kind="text"),
     Column("truth/vehicles/size_m", ("N", 3), "m", labels=("length", "width", "height")),
     Column("truth/vehicles/time_s", ("K",), "s"),
@@ -97,4 +106,4 @@ COLUMNS = (
     Column("reference/position_std_m", ("R",), "m"),
 )
 # Tables that a recording may lack as a whole, with all that is in them.
-TABLES_THAT_MAY_MISS = ("truth", "truth/vehicles", "reference")
+TABLES_THAT_MAY_MISS = ("truth", "truth/clock_steps", "truth/vehicles", "reference")

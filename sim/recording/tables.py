@@ -49,11 +49,21 @@ class Links(Described):
         return len(self.site)
 
 
+# The columns of a site that say what is known of its clock before the drive; from the third on they may be None.
+CLOCK_PRIOR = (
+    "clock_offset_mean_m", "clock_offset_std_m", "clock_drift_std_m_s", "clock_walk_m_sqrt_s",
+    "clock_drift_walk_m_s_sqrt_s", "clock_step_std_m",
+)  # fmt: skip
+
+
 @dataclass(frozen=True, repr=False)
 class Sites(Described):
     """Base-station sites: names and the prior of the clock offset, in metres (std 0: known).
 
     `clock_drift_std_m_s` (S,): deviation of the rate at which an offset changes, m/s (None: offsets are constant).
+    `clock_walk_m_sqrt_s` and `clock_drift_walk_m_s_sqrt_s` (S,): densities of the random walks of offset and rate, in m
+    and m/s per square root of a second (None: they do not walk). `clock_step_std_m` (S,): deviation of the size of
+    steps that happen at unknown times, m (None, 0: none do).
     `position_m` (S, 3): where transmitters stand that are known before the drive, as surveyed anchors are; NaN, or
     None for all: not known.
     """
@@ -63,6 +73,9 @@ class Sites(Described):
     clock_offset_std_m: Floats
     clock_drift_std_m_s: Floats | None = None
     position_m: Floats | None = None
+    clock_walk_m_sqrt_s: Floats | None = None
+    clock_drift_walk_m_s_sqrt_s: Floats | None = None
+    clock_step_std_m: Floats | None = None
 
     def __len__(self) -> int:
         return len(self.name)
@@ -71,6 +84,17 @@ class Sites(Described):
     def drift_std_m_s(self) -> Floats:
         """Deviation (S,) of each offset's rate, m/s: zero where it is constant."""
         return np.zeros(len(self)) if self.clock_drift_std_m_s is None else self.clock_drift_std_m_s
+
+    @property
+    def walk_densities(self) -> Floats:
+        """Densities (2, S) of the random walks of offset and rate, in m and m/s per sqrt(s): zero where none is."""
+        given = (self.clock_walk_m_sqrt_s, self.clock_drift_walk_m_s_sqrt_s)
+        return np.array([np.zeros(len(self)) if column is None else column for column in given])
+
+    @property
+    def step_std_m(self) -> Floats:
+        """Deviation (S,) of the size of steps, m: zero where a clock does not step."""
+        return np.zeros(len(self)) if self.clock_step_std_m is None else self.clock_step_std_m
 
 
 @dataclass(frozen=True, repr=False)
@@ -117,6 +141,18 @@ class VirtualTransmitters(Described):
 
 
 @dataclass(frozen=True, repr=False)
+class ClockSteps(Described):
+    """Steps of clock offsets, sorted by time: `site` (C,), `time_s` (C,) since the first snapshot, `size_m` (C,)."""
+
+    site: Ints
+    time_s: Floats
+    size_m: Floats
+
+    def __len__(self) -> int:
+        return len(self.site)
+
+
+@dataclass(frozen=True, repr=False)
 class Vehicles(Described):
     """Other vehicles of a drive, as boxes on the ground, and what they blocked.
 
@@ -146,8 +182,12 @@ class Truth(Described):
     alike over links and changes slowly (None: all errors are white); `merging_shift` (M, 3): by how much paths that
     were not told apart from it moved it (m, rad, rad), NaN for clutter (None: not known); `site_positions_m` (S, 3);
     `clock_offsets_m` (S,): b of d = norm(v - r) + b at the first snapshot; `clock_drift_m_s` (S,): its rate (None:
-    constant); `odometry_bias` (T, 6): bias plus walk at each snapshot; `odometry_scale` (6,); `vehicles`: None without
-    traffic.
+    constant); `odometry_bias` (T, 6): bias plus walk and steps at each snapshot; `odometry_scale` (6,).
+
+    What is None where it does not happen: `vehicles`, traffic; `clock_wander_m` (T, S), what walk and steps have added
+    to the offsets since the first snapshot, with the steps `clock_steps`; `odometry_slip` (T,), factor by which the
+    speed of an interval is measured too large; `age_s` (T,), how much older than their time stamp a snapshot's
+    measurements are.
     """
 
     poses: Floats
@@ -161,12 +201,17 @@ class Truth(Described):
     persisting_std: Floats | None = None
     merging_shift: Floats | None = None
     clock_drift_m_s: Floats | None = None
+    clock_wander_m: Floats | None = None
+    clock_steps: ClockSteps | None = None
+    odometry_slip: Floats | None = None
+    age_s: Floats | None = None
     vehicles: Vehicles | None = None
 
     def clock_offsets_at(self, elapsed_s: Floats) -> Floats:
-        """Return the clock offsets (n, S) so long (n,) after the first snapshot."""
+        """Return the clock offsets (T, S) at all snapshots, so long (T,) after the first one."""
         rate = np.zeros_like(self.clock_offsets_m) if self.clock_drift_m_s is None else self.clock_drift_m_s
-        return np.asarray(self.clock_offsets_m + np.multiply.outer(elapsed_s, rate))
+        offsets = np.asarray(self.clock_offsets_m + np.multiply.outer(elapsed_s, rate))
+        return offsets if self.clock_wander_m is None else offsets + self.clock_wander_m
 
 
 @dataclass(frozen=True, repr=False)

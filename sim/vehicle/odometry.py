@@ -22,13 +22,15 @@ FORWARD, YAW = 0, 3
 class Odometry(Described):
     """Measured `velocity` (T, 6): row t is the mean from time t - 1 to t, row 0 is zero.
 
-    `model`: the data sheet; the errors drawn from it: `bias` (T, 6), the walk included, and `scale` (6,).
+    `model`: the data sheet; the errors drawn from it: `bias` (T, 6), the walk included, and `scale` (6,); `slip` (T,):
+    factor on the measured speed (None: wheels never slip). NaN: nothing was measured.
     """
 
     velocity: Floats
     model: OdometryModel
     bias: Floats
     scale: Floats
+    slip: Floats | None = None
 
 
 def odometry_model(config: OdometryConfig) -> OdometryModel:

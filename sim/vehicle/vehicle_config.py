@@ -70,7 +70,7 @@ class VehicleConfig(BaseModel):
 
 
 class OdometryConfig(BaseModel):
-    """The odometry's data sheet: standard deviations of what a trial draws.
+    """The odometry's data sheet, standard deviations of what a trial draws; and what goes wrong, which it does not say.
 
     Defaults: automotive MEMS gyro after a zero-velocity calibration, wheel speed sensors.
     """
@@ -90,4 +90,15 @@ class OdometryConfig(BaseModel):
         ge=0.0,
         le=0.1,
         description="random walk of the gyro bias, in deg/s per square root of a second",
+    )
+    slips_per_hour: float = Field(0.0, ge=0.0, le=3600.0, description="bursts in which the wheels slip")
+    slip_s: float = Field(2.0, gt=0.0, le=60.0, description="length of such a burst")
+    slip_factor: float = Field(1.5, ge=0.0, le=10.0, description="factor on the measured speed in it (0: locked)")
+    dropouts_per_hour: float = Field(0.0, ge=0.0, le=3600.0, description="gaps in which nothing is measured")
+    dropout_s: float = Field(3.0, gt=0.0, le=60.0, description="length of such a gap")
+    gyro_step_deg_per_s: float = Field(
+        0.0, ge=0.0, le=1.0, description="standard deviation of the one step of the gyro's bias (0: none)"
+    )
+    gyro_step_s: float | None = Field(
+        None, ge=0.0, le=20_000.0, description="time of that step after the start; absent: any time of the drive"
     )

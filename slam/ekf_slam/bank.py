@@ -69,9 +69,10 @@ def core_of(setup: Setup, errors: ArrayErrors) -> Core:
     scale[scaled] = at + len(biased) + np.arange(len(scaled))
     noise[noisy] = at + len(biased) + len(scaled) + np.arange(len(noisy))
     first = at + len(biased) + len(scaled) + len(noisy)
-    drifts, after = setup.sites.drift_std_m_s > 0.0, first + len(setup.sites)
+    wander = setup.sites.walk_densities
+    drifts, after = (setup.sites.drift_std_m_s > 0.0) | (wander[1] > 0.0), first + len(setup.sites)
     rate = np.where(drifts, after + np.cumsum(drifts) - 1, -1).astype(np.int64)
-    return Core(sway, bias, scale, noise, first, rate, after + int(drifts.sum()))
+    return Core(sway, bias, scale, noise, first, rate, wander, setup.sites.step_std_m, after + int(drifts.sum()))
 
 
 Tables = TypeVar("Tables", Filter, Block)
@@ -343,6 +344,6 @@ def new_bank(
     blocks = Block(
         np.zeros((k, 1), whole), np.zeros((k, LONGEST, POSE)), np.zeros((k, LONGEST, 2)), np.zeros((k, 3)),
         np.zeros((k, vts), whole), np.zeros((k, vts, LONGEST), whole), np.zeros((k, vts, 3)), np.zeros((k, vts, 3)),
-        np.zeros((k, vts, 3)), np.zeros((k, vts)), np.zeros((k, vts)),
+        np.zeros((k, vts, 3)), np.zeros((k, vts)), np.zeros((k, vts)), np.zeros((k, len(core.rate), 2)),
     )  # fmt: skip
     return Bank(arrays, blocks, np.zeros(k))

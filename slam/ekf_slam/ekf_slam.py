@@ -28,6 +28,8 @@ from cellslam.slam.front_end.visibility import existence
 from cellslam.slam.model.calibration import Calibration
 
 NOT_GIVEN = -2
+# Accelerations of a vehicle whose odometry is silent, in m/s^2 and rad/s^2; it neither climbs nor tilts.
+HELD = np.array([0.6, 0.0, 0.0, 0.1, 0.0, 0.0])
 DOUBT = 4.0  # log-likelihood that a rival association may lose
 WAY_M, TURN = 0.6, np.radians(2.0)  # a block of snapshots ends after so long a way or turn
 EVIDENCE = 0.0125  # least share of detections, misses and births that is news: what hides a VT lasts for seconds
@@ -84,7 +86,10 @@ class JointFilter:
         self._time_s += dt_s
         odometry, looks, model = np.array(odometry), self._grouping.looks(snapshot), self._setup.odometry_model
         measured = self._measured(dt_s, odometry, self._readings(dt_s, odometry, looks), looks)
-        interval = Interval(dt_s, odometry, model.noise_density, model.bias_walk_density)
+        noise = model.noise_density
+        if snapshot.odometry_held_s is not None:
+            noise = np.hypot(noise, held_noise(np.array(snapshot.odometry_held_s)))
+        interval = Interval(dt_s, odometry, noise, model.bias_walk_density)
         if self._start is not None:
             answer = self._step_start(self._start, interval, measured)
         else:
@@ -101,6 +106,10 @@ class JointFilter:
         if self._joint is None:
             raise RuntimeError("sizes are learnt once the clock offsets are resolved")
         return sizes_of(self._joint, self._errors, self._setup.odometry_model.noise_density)
+
+    def remarks(self) -> list[str]:
+        """Return what the drive says against the sizes of errors that the filter was told."""
+        return [] if self._joint is None else self.sizes().remarks()
 
     def calibration(self) -> Calibration | None:
         """Return the array's calibration as the drive has shown it; None where it is no state.
@@ -126,6 +135,12 @@ class JointFilter:
     def _most(self) -> int:
         """How many filters there may be side by side after the start."""
         return 1
+
+    @property
+    def _log_step(self) -> float:
+        """Log-probability that a clock steps in a block; while offsets are wide none is looked for."""
+        sought = self._start is None and self.options.step_probability > 0.0
+        return math.log(self.options.step_probability) if sought else -math.inf
 
     def _map(self, filters: Sequence[tuple[Bank, int]]) -> VtEstimate | None:
         """Return the confirmed VTs of some filters of banks, with those that had to make room."""
@@ -202,7 +217,7 @@ class JointFilter:
             self.mode, float(np.log(o.clutter_density)), o.gate, float(-np.log1p(-o.birth_ratio)), o.confirm_hits,
             once, twice, min(max(round(o.block_s / step_s), 1), LONGEST) if states else 1, WAY_M, TURN,
             max(EVIDENCE, novelty(o, odometry[3] * dt_s, odometry[0] * dt_s)), int(o.hold_s / step_s),
-            DOUBT if self._most > 1 else 0.0,
+            DOUBT if self._most > 1 else 0.0, step=self._log_step,
         )  # fmt: skip
         begin_z, begin_q = values.z.copy(), values.fresh.copy()
         flat = np.isnan(begin_z[:, 2])
@@ -213,6 +228,15 @@ class JointFilter:
             self._now, self._born, first_of_link(looks, len(site)), site, v.z, v.single, v.many, begin_q, share, v.gap,
             begin_z, self._given(looks), tables, self._rules(rules, step_s),
         )  # fmt: skip
+
+
+def held_noise(held_s: Floats) -> Floats:
+    """Return the noise densities (6,) of velocities that have been held so long (6,) in s.
+
+    A constant unknown acceleration a moves the vehicle by a t^2 / 2 in t: white noise of density a t^1.5 has the same
+    variance at any time. Source: own derivation.
+    """
+    return np.asarray(HELD * held_s**1.5)
 
 
 class EkfSlam(JointFilter):

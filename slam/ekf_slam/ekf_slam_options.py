@@ -35,6 +35,9 @@ class EkfSlamOptions(FrontEndOptions):
     component_step: float = Field(1.25, gt=0, le=3, description="distance of neighbouring components, in their widths")
     resolved_std_m: float = Field(15.0, gt=0, le=1000, description="a clock offset known to this is resolved, m")
     start_limit_s: float = Field(600.0, ge=0, le=1e5, description="the start ends at this time at the latest, s")
+    step_probability: float = Field(
+        1e-6, ge=0, lt=1, description="probability that a site's clock steps within a block, where it may; 0: never"
+    )
     prune_ratio: float = Field(1e-5, gt=0, lt=1, description="components less likely than the best by this are dropped")
     calibration_file: str | None = Field(
         None, min_length=1, description="file of the array's calibration as an earlier drive found it, to begin with"

@@ -20,6 +20,11 @@ from cellslam.slam.ekf_slam.snapshot.sizes_kernel import ODOMETRY, count_states,
 from cellslam.slam.ekf_slam.state.layout import ArrayErrors, one_of
 
 _PARTS = ("m", "azimuth_deg", "elevation_deg")
+_WORDS = {
+    "m": "distance", "azimuth_deg": "azimuth", "elevation_deg": "elevation",
+    "u_x": "speed", "u_y": "speed to the left", "u_z": "speed upwards", "u_psi": "yaw rate", "u_theta": "pitch rate",
+    "u_phi": "roll rate",
+}  # fmt: skip
 # Options that a size of the kernels stands for, in their order; those of the odometry are components of its data sheet.
 OPTIONS = (
     *(f"noise_{part}" for part in _PARTS), *(f"diffuse_{part}" for part in _PARTS),
@@ -32,6 +37,8 @@ MOST_STEP = math.log(4.0)  # of one pass
 # A field of direction can explain whatever goes on for long, as paths that merge: it does not become wider than this.
 FIELDS, MOST_OF_FIELD = ("calibration_", "roof_"), 6.0
 MOST = {"m": 100.0, "g": 90.0}  # m, deg
+# What is told of a size is doubted from so many deviations of its slope on, and if it is wrong by such a factor.
+DOUBTED, NOTABLE = 6.0, 1.35
 
 
 @dataclass(frozen=True)
@@ -57,6 +64,21 @@ class Sizes(Described):
     def deviations(self) -> dict[str, float]:
         """Return the standard deviation of each log size, as the drive and what was told of it tell it."""
         return {name: 1.0 / math.sqrt(information + TOLD) for name, (_, information) in self.told().items()}
+
+    def doubted(self) -> dict[str, float]:
+        """Return by what factor sizes are likely to be larger than told, where that is surely not so (score test; Rao,
+        Proc. Cambridge Philosophical Society 44, 1948)."""
+        out = {}
+        for name, (slope, information) in self.told().items():
+            factor = math.exp(max(-MOST_STEP, min(slope / information, MOST_STEP)))
+            if abs(slope) > DOUBTED * math.sqrt(information) and not 1.0 / NOTABLE < factor < NOTABLE:
+                out[name] = factor
+        return out
+
+    def remarks(self) -> list[str]:
+        """Return a line that says which sizes are doubted, if any are."""
+        found = ", ".join(f"{in_words(name)} {factor:.2g} times" for name, factor in self.doubted().items())
+        return [f"errors do not look as large as told: {found}"] if found else []
 
 
 def sizes_of(bank: Bank, errors: ArrayErrors, noise: Floats) -> Sizes:
@@ -119,6 +141,14 @@ def stepped(sheets: Sheets, found: Sizes, told: Sheets, share: float = 1.0) -> t
         replace(odometry, noise_density=noise, bias=bias, scale=scale),
     )
     return nearer, squares / max(number, 1e-9)
+
+
+def in_words(name: str) -> str:
+    """Return a size of `OPTIONS` in words."""
+    if name in COMPONENTS:
+        return f"noise of the odometry's {_WORDS[name]}"
+    cause, _, part = name.partition("_")
+    return f"{'white noise' if cause == 'noise' else cause} of {_WORDS[part]}"
 
 
 def keys_of(name: str) -> tuple[str, ...]:

@@ -77,6 +77,10 @@ class FastSlam:
             raise RuntimeError("sizes are learnt with errors='states' alone")
         return self._filter.sizes()
 
+    def remarks(self) -> list[str]:
+        """Return what the drive says against the sizes of errors that the filter was told; none with errors counted."""
+        return [] if isinstance(self._filter, PathParticles) else self._filter.remarks()
+
     def calibration(self) -> Calibration | None:
         """Return the array's calibration as the drive has shown it; None with errors counted."""
         return None if isinstance(self._filter, PathParticles) else self._filter.calibration()

@@ -16,11 +16,11 @@ import llvmlite.binding
 import numpy as np
 
 import cellslam
+from cellslam.benchmarks.scores.trial_result import COST_KEYS
 from cellslam.sim.recording import Measurements, Recording, Truth
 
 FILE = Path(__file__).with_name("rows.json")
 SNAPSHOTS = 600
-TIMES = ("estimate_seconds", "realtime_factor")
 
 
 def drives() -> dict[str, Recording]:
@@ -38,7 +38,7 @@ def rows() -> dict[str, dict[str, Any]]:
     found = {}
     for drive, recording in drives().items():
         for row in cellslam.replay(recording, estimators()).to_dict("records"):
-            kept = {key: value for key, value in row.items() if key not in TIMES}
+            kept = {key: value for key, value in row.items() if key not in COST_KEYS}
             found[f"{drive} {row['estimator']}"] = json.loads(json.dumps(kept, default=float).replace("NaN", "null"))
     return found
 

@@ -23,11 +23,11 @@ NOW = 3  # number of a snapshot
 class OneFilter:
     """A joint filter `f` of pose, one clock offset and VTs, on one link, with room `w` for its kernels."""
 
-    def __init__(self, errors: Any = NO_ERRORS, **rules: Any) -> None:
+    def __init__(self, errors: Any = NO_ERRORS, step_m: float = 0.0, **rules: Any) -> None:
         none, nowhere = np.zeros(1, np.int64), np.zeros(6)
         setup = Setup(
-            Links(none, none, none), Sites(("A",), np.zeros(1), np.ones(1)), OdometryModel(*(np.zeros((4, 6)))),
-            nowhere, nowhere,
+            Links(none, none, none), Sites(("A",), np.zeros(1), np.ones(1), clock_step_std_m=np.array([step_m])),
+            OdometryModel(*(np.zeros((4, 6)))), nowhere, nowhere,
         )  # fmt: skip
         self.rules = Rules(**{"mode": FREE, "log_clutter": 0.0, "gate": 16.3, "birth": 0.0, "confirm": 3, "age_once": 9,
                               "age_twice": 9, "snapshots": 1, "way": 1.0, "turn": 1.0, "evidence": 1.0, "hold": 5,

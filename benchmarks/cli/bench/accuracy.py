@@ -6,16 +6,17 @@ import shlex
 import sys
 from argparse import ArgumentParser, Namespace
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from cellslam.benchmarks.cli.arguments import DONE, FAILED, add_work, whole
 from cellslam.benchmarks.cli.sweep import carry
-from cellslam.benchmarks.trials.output_files import check_file
-from cellslam.scenarios.estimator_options import resolve
-from cellslam.scenarios.foreign_options import asking
-from cellslam.scenarios.suites import Suite, scenario_of, suite
-from cellslam.scenarios.sweep_points import Point
+from cellslam.benchmarks.trials.output_files import check_file, write_text
+from cellslam.scenarios.suites import Suite, points_of, suite
 from cellslam.sim.errors import InputError
 from cellslam.slam import registry
+
+if TYPE_CHECKING:
+    from cellslam.benchmarks.tables.suite_rows import SuiteRows
 
 
 def add_arguments(parser: ArgumentParser) -> None:
@@ -31,35 +32,65 @@ def add_arguments(parser: ArgumentParser) -> None:
     )
     parser.add_argument("--out", metavar="DIR", help="folder of the results; one that exists is resumed "
                         "(default: results/SUITE)")  # fmt: skip
-    parser.add_argument("--write", metavar="FILE.md", help="write the tables as Markdown, besides printing them")
+    write_help = "write the tables as Markdown, besides printing them, and beside them the ranks as FILE.png"
+    parser.add_argument("--write", metavar="FILE.md", help=write_help)
+    rows_help = "write the rows of the whole suite: an entry for 'bench leaderboard'"
+    parser.add_argument("--rows", metavar="FILE.json", help=rows_help)
+    check_help = "verify an entry instead: drive a sample of its drives again, and compare"
+    parser.add_argument("--check", metavar="FILE.json", help=check_help)
+    sample_help = "how many drives --check takes, at random (default: 5)"
+    parser.add_argument("--sample", metavar="N", type=whole, default=5, help=sample_help)
     add_work(parser)
 
 
 def command(arguments: Namespace) -> int:
     """Carry out `cellslam bench accuracy`."""
+    if arguments.check:
+        from cellslam.benchmarks.cli.bench.check_rows import check
+
+        return check(arguments)
     one = suite(arguments.suite)
     trials = _trials(arguments, one)
     scenarios = tuple(arguments.scenarios) or one.scenarios
-    estimators = registry.expanded(arguments.estimators) or built_in()
-    with asking() as ask:
-        every = [scenario_of(one, name) for name in scenarios]
-        points = [Point({}, s, resolve(s.estimator, estimators, ask=ask)) for s in every]
+    points = points_of(one, scenarios, registry.expanded(arguments.estimators) or built_in())
     out = Path(arguments.out or f"results/{one.name}")
-    if arguments.write:
-        check_file(Path(arguments.write))
+    for file in (arguments.write, arguments.rows):
+        if file:
+            check_file(Path(file))
+    if arguments.rows and (trials, scenarios) != (one.trials, one.scenarios):
+        raise InputError("--rows is of a whole suite: leave out --trials and --scenario")
     status = carry(arguments, points, trials, one.seed, out)
     if status not in (DONE, FAILED) or arguments.dry_run:
         return status
+    from cellslam.benchmarks.sweeps.tasks import plan
+    from cellslam.benchmarks.tables import suite_rows
     from cellslam.benchmarks.tables.suite_tables import suite_markdown
-    from cellslam.benchmarks.trials.output_files import write_text
 
+    keys = {job.key for task in plan(points, trials, one.seed).tasks for job in task.jobs}
+    some = suite_rows.stored(out, one, scenarios, trials, keys)
+    page = Path(arguments.write) if arguments.write else None
+    picture = draw_verdicts(some, page.with_suffix(".png")) if page else ""
     command = shlex.join(["cellslam", *arguments.words])
-    left = "" if arguments.estimators else _left_out()
-    text = suite_markdown(out, one, scenarios, trials, command, left)
+    text = suite_markdown(some, command, "" if arguments.estimators else _left_out(), picture)
     sys.stdout.write(text)
-    if arguments.write:
-        write_text(Path(arguments.write), text)
+    if page:
+        write_text(page, text)
+    if arguments.rows:
+        write_text(Path(arguments.rows), suite_rows.as_text(some))
     return status
+
+
+def draw_verdicts(some: SuiteRows, path: Path) -> str:
+    """Draw the ranks of a suite as a picture; return its name, empty where there is nothing to draw."""
+    from matplotlib.figure import Figure
+
+    from cellslam.benchmarks.figures.style import context, save
+    from cellslam.benchmarks.figures.sweep.critical_difference import draw_ranks
+    from cellslam.benchmarks.tables.rankings import verdicts
+
+    with context():
+        figure = Figure(layout="constrained")
+        return save(figure, path).name if draw_ranks(figure, verdicts(some.panels, some.oracles)) else ""
 
 
 def built_in() -> tuple[str, ...]:

@@ -45,13 +45,16 @@ def command(arguments: Namespace) -> int:
 
     from cellslam.sim.lte.calibration.code_digest import outdated
     from cellslam.sim.lte.calibration.front_end_check import agreement, records
+    from cellslam.sim.lte.calibration.recurrence import recurring
     from cellslam.sim.lte.calibration.study import calibrate as study
 
     rows: dict[str, list[dict[str, Any]]] = {}
     with bars(arguments.quiet) as progress, threadpool_limits(1):
         if arguments.check:
             for ratio in arguments.ratios or CHECKED_DB:
-                rows[f"{ratio:g} dB"] = records(agreement(arguments.scenes, arguments.seed, ratio, progress))
+                moving = recurring(max(arguments.scenes // 6, 8), arguments.seed, ratio, progress)
+                figures = agreement(arguments.scenes, arguments.seed, ratio, progress) + moving
+                rows[f"{ratio:g} dB"] = records(figures)
             text = json.dumps(rows, indent=1) + "\n"
         else:
             text = json.dumps(study(arguments.scenes, arguments.seed, progress)) + "\n"

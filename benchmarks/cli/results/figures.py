@@ -13,7 +13,8 @@ from cellslam.sim.errors import InputError
 def add_arguments(parser: ArgumentParser) -> None:
     """Add the arguments of this command."""
     parser.add_argument("folder", metavar="DIR", help="folder of a sweep, or a file that --save-calibration wrote")
-    parser.add_argument("--x", metavar="KEY", help="key along the sweep curve (default: the first number that varies)")
+    x_help = "key along the sweep curve (default: the first that varies, a number if any is)"
+    parser.add_argument("--x", metavar="KEY", help=x_help)
     parser.add_argument("--metric", metavar="NAME", default="position_rmse_m", help="default: position_rmse_m")
     parser.add_argument("--statistic", metavar="NAME", default="median", help="as for 'table' (default: median)")
     interval_help = "confidence of the intervals (default: 95)"

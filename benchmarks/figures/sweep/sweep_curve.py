@@ -17,16 +17,23 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-MOST_TICKS = 10
+MOST_TICKS, MOST_LETTERS = 10, 45
+MARKERS = "osD"  # of as many lines as there are colours, then the next
 # From this ratio on x is logarithmic; intervals of different lines stand beside each other, by this share of the axis.
 LOG_FROM = 10.0
 DODGE = 0.008
 
 
 def draw_curve(figure: Figure, data: SweepData, look: Look, x: str) -> bool:
-    """Draw the statistic with intervals against x; settings besides x are lines of their own."""
+    """Draw the statistic with intervals against x; settings besides x are lines of their own.
+
+    What is no number stands side by side, and nothing leads from one to the next.
+    """
+    found = sweep_lines(data, x)
+    names = list(dict.fromkeys(at for points in found.values() for at, _ in points if isinstance(at, str)))
     lines = {
-        name: [(at, one.values(look.metric)) for at, one in points] for name, points in sweep_lines(data, x).items()
+        name: [(float(names.index(at)) if isinstance(at, str) else at, one.values(look.metric)) for at, one in points]
+        for name, points in found.items()
     }
     lines = {name: kept for name, points in lines.items() if (kept := [p for p in points if len(p[1])])}
     every = sorted({at for points in lines.values() for at, _ in points if at is not None})
@@ -34,20 +41,32 @@ def draw_curve(figure: Figure, data: SweepData, look: Look, x: str) -> bool:
         return False
     figure.set_size_inches(WIDTH_IN * 0.62, 3.2)
     axes, styles = figure.subplots(), series_styles(lines)
-    logarithmic = every[0] > 0 and every[-1] >= LOG_FROM * every[0]
+    if names:
+        styles = {
+            name: {**style, "linestyle": "none", "marker": MARKERS[i // 7 % len(MARKERS)]}
+            for i, (name, style) in enumerate(styles.items())
+        }
+    logarithmic = not names and every[0] > 0 and every[-1] >= LOG_FROM * every[0]
     for index, (name, points) in enumerate(lines.items()):
         aside = DODGE * (index - (len(lines) - 1) / 2)
         _line(axes, [(_beside(at, every, aside, logarithmic), values) for at, values in points], look, styles[name])
     if logarithmic:
         axes.set_xscale("log")
-    if len(every) <= MOST_TICKS:
+    if names:
+        axes.set_xticks(range(len(names)), names, rotation=0 if len("".join(names)) < MOST_LETTERS else 25)
+        axes.margins(x=0.08)
+    elif len(every) <= MOST_TICKS:
         axes.set_xticks(every, [f"{value:g}" for value in every])
         axes.minorticks_off()
     axes.set_xlabel(x)
     trials = max(len(values) for points in lines.values() for _, values in points)
     axes.set_ylabel(summed_label(look))
     axes.set_title(f"{100 * look.confidence:g} % intervals, {trials} trials a point")
-    axes.set_ylim(bottom=0)
+    if names:
+        axes.set_yscale("log")
+        axes.yaxis.set_major_formatter("{x:g}")
+    else:
+        axes.set_ylim(bottom=0)
     figure.legend(loc="outside lower center", ncols=2)
     return True
 
@@ -63,7 +82,7 @@ def _line(axes: Axes, points: Sequence[tuple[float | None, Floats]], look: Look,
         axes.axhspan(*ends[0], color=style["color"], alpha=0.15, linewidth=0)
         return
     reach: Floats = np.nan_to_num(np.abs(ends - middle[:, None])).T
-    axes.errorbar(at, middle, yerr=reach, **style, marker="o", markersize=3.5, capsize=2.5, elinewidth=0.9)
+    axes.errorbar(at, middle, yerr=reach, **{"marker": "o", **style}, markersize=3.5, capsize=2.5, elinewidth=0.9)
 
 
 def _beside(at: float | None, every: Sequence[float], aside: float, logarithmic: bool) -> float | None:

@@ -9,16 +9,19 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from cellslam.benchmarks.scores.trial_result import ROW_KEYS
-from cellslam.benchmarks.sweeps.rows import results
+from cellslam.benchmarks.sweeps.rows import results, varying_keys
 from cellslam.benchmarks.sweeps.store import trajectory_path
 from cellslam.benchmarks.sweeps.trajectories import unpack
+from cellslam.benchmarks.tables.rankings import verdicts
 from cellslam.benchmarks.tables.summaries import groups
 from cellslam.sim.errors import InputError
 from cellslam.sim.recording import Floats
+from cellslam.slam.registry import oracles
 
 if TYPE_CHECKING:
     import pandas as pd
+
+    from cellslam.benchmarks.scores.verdicts import Verdict
 
 MOST_TRAJECTORIES = 200
 POINTS_IN_TIME = 400
@@ -85,13 +88,12 @@ def load(folder: str | Path) -> SweepData:
     frame = results(folder)
     if frame.empty:
         raise InputError(f"{folder}: no rows yet")
-    varied = [name for name in frame.columns if name not in (*ROW_KEYS, "key")]
+    varied = varying_keys(folder)
     options = [name for name in varied if name.startswith("estimator.")]
     worlds = [name for name in varied if name not in options]
-    several = ["scenario"] if frame["scenario"].nunique() > 1 else []
     panels = []
-    for settings, group in groups(frame, [*several, *worlds]):
-        title = ", ".join(f"{name} = {shown(value)}" for name, value in settings.items())
+    for settings, group in groups(frame, worlds):
+        title = ", ".join(value if key == "scenario" else f"{key} = {shown(value)}" for key, value in settings.items())
         series = tuple(
             Series(label_of(own["estimator"], own, options), settings, {key: own[key] for key in options}, rows)
             for own, rows in groups(group, ["estimator", *options])
@@ -100,31 +102,43 @@ def load(folder: str | Path) -> SweepData:
     return SweepData(Path(folder), tuple(panels), tuple(worlds))
 
 
-def curve_keys(data: SweepData) -> list[str]:
-    """Return what a sweep curve can have along x: the world's keys and the options that vary and are numbers."""
+def verdicts_of(data: SweepData) -> dict[str, Verdict]:
+    """Return the verdict on each panel's series, and over all panels."""
+    import pandas as pd
+
+    panels = {p.title: pd.concat([one.rows.assign(label=one.label) for one in p.series]) for p in data.panels}
+    return verdicts(panels, oracles({one.estimator for panel in data.panels for one in panel.series}), "label")
+
+
+def curve_keys(data: SweepData) -> dict[str, bool]:
+    """Return what a sweep curve can have along x, the world's keys and options that vary, and whether it is a number.
+
+    Numbers come first.
+    """
     series = [one for panel in data.panels for one in panel.series]
-    worlds = [key for key in data.world_keys if all(_is_number(one.settings[key]) for one in series)]
-    options = []
-    for key in series[0].options:
-        values = {one.options[key] for one in series} - {None}
-        if len(values) > 1 and all(_is_number(value) for value in values):
-            options.append(key)
-    return [*worlds, *options]
+    worlds = {key: {one.settings[key] for one in series} for key in data.world_keys}
+    options = {key: {one.options[key] for one in series} - {None} for key in series[0].options}
+    found = {key: all(map(_is_number, values)) for key, values in {**worlds, **options}.items() if len(values) > 1}
+    return dict(sorted(found.items(), key=lambda item: not item[1]))
 
 
-def sweep_lines(data: SweepData, x: str) -> dict[str, list[tuple[float | None, Series]]]:
+def sweep_lines(data: SweepData, x: str) -> dict[str, list[tuple[float | str | None, Series]]]:
     """Return the lines of a sweep curve by name, each its points in order; other keys that vary are in the names.
 
-    x None: the series has no such option, and is the same at every x.
+    Where x is no number, each of its values is a text. x None: the series has no such option, and is the same at
+    every x.
     """
-    lines: dict[str, list[tuple[float | None, Series]]] = {}
+    lines: dict[str, list[tuple[float | str | None, Series]]] = {}
+    numbers = curve_keys(data)[x]
     for one in (series for panel in data.panels for series in panel.series):
         value = one.settings.get(x, one.options.get(x))
         label = label_of(one.estimator, one.options, [key for key in one.options if key != x])
         others = [f"{key} = {shown(setting)}" for key, setting in one.settings.items() if key != x]
-        place = None if value is None else float(value)
+        place = None if value is None else float(value) if numbers else shown(value)
         lines.setdefault(", ".join([label, *others]), []).append((place, one))
-    return {name: sorted(points, key=lambda point: point[0] or 0.0) for name, points in lines.items()}
+    if not numbers:
+        return lines
+    return {name: sorted(points, key=lambda point: float(point[0] or 0.0)) for name, points in lines.items()}
 
 
 def shown(value: Any) -> str:

@@ -1,4 +1,4 @@
-"""The figures of a sweep: distributions, error against time, sweep curves, consistency, clocks, cost."""
+"""The figures of a sweep: distributions, error against time, sweep curves, ranks, consistency, clocks, cost."""
 
 from __future__ import annotations
 
@@ -9,8 +9,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from cellslam.benchmarks.figures.style import BLACK, GREY, WIDTH_IN, context, save
+from cellslam.benchmarks.figures.sweep.critical_difference import draw_ranks
 from cellslam.benchmarks.figures.sweep.sweep_curve import draw_curve
-from cellslam.benchmarks.figures.sweep.sweep_data import Panel, SweepData, curve_keys, load
+from cellslam.benchmarks.figures.sweep.sweep_data import Panel, SweepData, curve_keys, load, verdicts_of
 from cellslam.benchmarks.figures.sweep.sweep_look import AXIS, Look, series_styles, summed_label
 from cellslam.benchmarks.scores.statistics import interval, statistic
 from cellslam.benchmarks.tables.summaries import Layout, check_confidence, metrics_of
@@ -53,6 +54,7 @@ def draw_sweep(
         "clock_offset": lambda figure: _over_time(figure, data, "offset_error_m", "clock offset error (m)", np.abs),
         "nees": lambda figure: _nees(figure, data),
         "time_accuracy": lambda figure: _cost(figure, data, look),
+        "ranks": lambda figure: draw_ranks(figure, verdicts_of(data)),
     }
     out, written = Path(out_dir), []
     out.mkdir(parents=True, exist_ok=True)
@@ -68,8 +70,8 @@ def draw_sweep(
 def _x_key(data: SweepData, look: Look) -> str | None:
     keys = curve_keys(data)
     if look.x is not None and look.x not in keys:
-        raise InputError(f"--x {look.x}: not a key that varies and is a number ({', '.join(keys) or 'there is none'})")
-    return look.x or (keys[0] if keys else None)
+        raise InputError(f"--x {look.x}: not a key that varies ({', '.join(keys) or 'there is none'})")
+    return look.x or next(iter(keys), None)
 
 
 def _cdf(figure: Figure, data: SweepData, metric: str) -> bool:

@@ -24,7 +24,7 @@ STATISTICS = {"rmse": "root mean square"}
 
 @dataclass(frozen=True)
 class Look:
-    """What the sweep curve shows: key along x (None: the first that varies and is a number), metric, statistic."""
+    """What the sweep curve shows: key along x (None: the first that varies, a number if any is), metric, statistic."""
 
     x: str | None = None
     metric: str = "position_rmse_m"

@@ -76,7 +76,7 @@ def _settled_range(recording: Recording, estimates: Mapping[str, TrialResult], s
         spread = np.zeros_like(mean) if band is None else band[late]
         values += [mean - spread, mean + spread]
     if recording.truth is not None:
-        values.append(recording.truth.clock_offsets_at(recording.elapsed_s[late])[:, site])
+        values.append(recording.truth.clock_offsets_at(recording.elapsed_s)[late, site])
     every = np.concatenate(values)
     low, high = float(every.min()), float(every.max())
     margin = 0.08 * (high - low) + 0.05

@@ -14,7 +14,7 @@ import numpy as np
 from cellslam.benchmarks.recordings.importing.campaign import CLAIMS, QUANTITIES
 from cellslam.benchmarks.recordings.importing.manifest import NAME
 from cellslam.sim.errors import InputError
-from cellslam.sim.recording import COMPONENTS, Recording
+from cellslam.sim.recording import CLOCK_PRIOR, COMPONENTS, Recording
 
 UNITS = {
     "time_s": "s",
@@ -141,11 +141,7 @@ def _write_manifest(recording: Recording, made: Tables, place: Path, sources: Ma
             for i in range(len(r.links))
         },
         "sites": {
-            name: {
-                "clock_offset_mean_m": float(r.sites.clock_offset_mean_m[i]),
-                "clock_offset_std_m": float(r.sites.clock_offset_std_m[i]),
-                "clock_drift_std_m_s": float(r.sites.drift_std_m_s[i]),
-            }
+            name: {c: float(getattr(r.sites, c)[i]) for c in CLOCK_PRIOR if getattr(r.sites, c) is not None}
             for i, name in enumerate(r.sites.name)
         },
     }

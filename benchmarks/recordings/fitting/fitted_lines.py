@@ -7,13 +7,9 @@ from pathlib import Path
 from cellslam.benchmarks.recordings.fitting.fit_sizes import Learnt
 from cellslam.sim.recording import COMPONENTS
 from cellslam.slam import registry
+from cellslam.slam.ekf_slam.sizes import in_words
 
 NOTABLE = 1.25  # factor by which a size must have changed to be said
-_WORDS = {
-    "m": "distance", "azimuth_deg": "azimuth", "elevation_deg": "elevation",
-    "u_x": "speed", "u_y": "speed to the left", "u_z": "speed upwards", "u_psi": "yaw rate", "u_theta": "pitch rate",
-    "u_phi": "roll rate",
-}  # fmt: skip
 
 
 def toml(path: Path, learnt: Learnt) -> str:
@@ -38,20 +34,12 @@ def said(learnt: Learnt) -> list[str]:
     if not learnt.resolved:
         return ["sizes of errors as told: the clock offsets were never resolved, so nothing could be learnt"]
     lines = [
-        f"{_name(name)}: {factor:.2g} times as large as told (+- {100.0 * deviation:.0f} %)"
+        f"{in_words(name)}: {factor:.2g} times as large as told (+- {100.0 * deviation:.0f} %)"
         for name, (factor, deviation) in learnt.changes.items()
         if not 1.0 / NOTABLE < factor < NOTABLE
     ]
     begin = "sizes of errors, as the whole drive shows them"
     return [f"{begin}:", *(f"  {line}" for line in lines)] if lines else [f"{begin}, are those that were told"]
-
-
-def _name(size: str) -> str:
-    """Return a size of `slam.ekf_slam.sizes.OPTIONS` in words."""
-    if size in COMPONENTS:
-        return f"noise of the odometry's {_WORDS[size]}"
-    cause, _, part = size.partition("_")
-    return f"{'white noise' if cause == 'noise' else cause} of {_WORDS[part]}"
 
 
 def _value(value: float | str) -> str:

@@ -43,10 +43,10 @@ class Campaign:
     """What was measured: each table with its own times, all on one clock, in metres, radians, seconds, dB.
 
     `time_s` (M,) and `columns`: a row a path; those of `QUANTITIES` and `CLAIMS` that exist; `link` (M,) indexes
-    `link_sites`, the site of each link. `site_offsets`: clock offset prior (mean, std) in metres by site, and where it
-    drifts the deviation of its rate in m/s; a site whose clock is known has (0, 0). `start_pose`: None takes it from
-    the reference. `snapshots_s`: times of all snapshots, empty ones too; None: the times of the measurements. `noise`:
-    OdometryModel's fields by name, each (6,).
+    `link_sites`, the site of each link. `site_offsets`: by site, the prior of the clock offset (mean, std) in
+    metres and as many as there are of the further columns of `CLOCK_PRIOR`; a site whose clock is known has (0, 0).
+    `start_pose`: None takes it from the reference. `snapshots_s`: times of all snapshots, empty ones too; None: the
+    times of the measurements. `noise`: OdometryModel's fields by name, each (6,).
     """
 
     time_s: ArrayLike

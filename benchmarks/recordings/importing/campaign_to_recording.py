@@ -19,6 +19,7 @@ from cellslam.benchmarks.recordings.importing.start_pose import start_from_refer
 from cellslam.sim.errors import InputError
 from cellslam.sim.frames import wrap_angle
 from cellslam.sim.recording import (
+    CLOCK_PRIOR,
     COMPONENTS,
     Floats,
     Ints,
@@ -121,9 +122,13 @@ def _links(campaign: Campaign) -> tuple[Links, Sites]:
     missing = np.full(len(campaign.link_sites), -1, np.int64)
     cells = missing if campaign.link_cells is None else np.asarray(campaign.link_cells, np.int64)
     ports = missing if campaign.link_ports is None else np.asarray(campaign.link_ports, np.int64)
-    prior = np.array([(*campaign.site_offsets.get(name, (0.0, 0.0)), 0.0)[:3] for name in names], np.float64)
+    prior = np.zeros((len(CLOCK_PRIOR), len(names)))
+    for i, name in enumerate(names):
+        given = campaign.site_offsets.get(name, ())
+        prior[: len(given), i] = given
+    clocks = {name: row for i, (name, row) in enumerate(zip(CLOCK_PRIOR, prior, strict=True)) if i < 2 or row.any()}
     site: Ints = np.array([names.index(name) for name in campaign.link_sites], np.int64)
-    return Links(site, cells, ports), Sites(names, prior[:, 0], prior[:, 1], prior[:, 2] if prior[:, 2].any() else None)
+    return Links(site, cells, ports), Sites(names, **clocks)
 
 
 def _model(noise: Mapping[str, Sequence[float]]) -> OdometryModel:

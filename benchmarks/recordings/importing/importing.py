@@ -29,7 +29,7 @@ from cellslam.benchmarks.recordings.importing.tables import TableFile
 from cellslam.benchmarks.recordings.importing.units import in_ours, known_columns, on_clock
 from cellslam.sim.errors import InputError, nearest_name
 from cellslam.sim.frames import mean_velocity, rotation
-from cellslam.sim.recording import COMPONENTS, Floats, Recording
+from cellslam.sim.recording import CLOCK_PRIOR, COMPONENTS, Floats, Recording
 
 POSES = ("x_m", "y_m", "z_m", "yaw_rad", "pitch_rad", "roll_rad")
 REFERENCE = ("x_m", "y_m", "z_m", "latitude_rad", "longitude_rad", "yaw_rad", "std_m")
@@ -115,10 +115,7 @@ def _offsets(manifest: Manifest, sites: list[str]) -> dict[str, tuple[float, ...
     for name in manifest.sites:
         if name not in sites:
             raise InputError(f"[sites.{name}] is the site of no link{nearest_name(name, sites)}; remove it")
-    return {
-        name: (site.clock_offset_mean_m, site.clock_offset_std_m, site.clock_drift_std_m_s)
-        for name, site in manifest.sites.items()
-    }
+    return {name: tuple(getattr(site, column) for column in CLOCK_PRIOR) for name, site in manifest.sites.items()}
 
 
 def _clock(manifest: Manifest, table: FileTable) -> Clock:

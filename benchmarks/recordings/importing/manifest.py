@@ -148,6 +148,9 @@ class Site(Table):
     clock_offset_mean_m: float = Field(0.0, description="expected clock offset times the speed of light, m")
     clock_offset_std_m: float = Field(ge=0, description="its deviation, m; 0: synchronised")
     clock_drift_std_m_s: float = Field(0.0, ge=0, description="deviation of its rate, m/s; 0: the offset is constant")
+    clock_walk_m_sqrt_s: float = Field(0.0, ge=0, description="density of the offset's random walk, m/sqrt(s)")
+    clock_drift_walk_m_s_sqrt_s: float = Field(0.0, ge=0, description="density of the rate's walk, (m/s)/sqrt(s)")
+    clock_step_std_m: float = Field(0.0, ge=0, description="deviation of steps at unknown times, m; 0: none")
 
 
 class Start(Table):

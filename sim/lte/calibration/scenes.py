@@ -17,11 +17,11 @@ import numpy as np
 from cellslam.sim.frames import unit_vector, wrap_angle
 from cellslam.sim.lte import RadioConfig
 from cellslam.sim.lte.array import array_at, miscalibrated
-from cellslam.sim.lte.budget_kernel import array_gain, path_power
 from cellslam.sim.lte.links import Cells, cells_of, slant
 from cellslam.sim.lte.persisting_errors import draw_fields
 from cellslam.sim.lte.signal.signal_front_end import DEFAULT_HARDWARE, SignalLevel, signal_level
 from cellslam.sim.lte.statistical import detector_layout as k
+from cellslam.sim.lte.statistical.budget_kernel import array_gain, path_power
 from cellslam.sim.lte.statistical.detector_layout import PathColumns, Streams
 from cellslam.sim.lte.statistical.statistical_front_end import detect
 from cellslam.sim.lte.statistical.statistics import Statistics

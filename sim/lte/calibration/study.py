@@ -11,9 +11,10 @@ import numpy as np
 from cellslam.sim.lte.calibration.code_digest import code_digest
 from cellslam.sim.lte.calibration.fit_constants import fit_company, fit_detection, fit_floor, fit_overlap, structured
 from cellslam.sim.lte.calibration.persistence import persistence
+from cellslam.sim.lte.calibration.recurrence import standing
 from cellslam.sim.lte.calibration.scenes import Sample, config_of, draw_paths, measured_by_signals, scenes_of
 from cellslam.sim.lte.signal.signal_front_end import DEFAULT_HARDWARE
-from cellslam.sim.lte.statistical.detector_layout import PathColumns
+from cellslam.sim.lte.statistical.detector_layout import NOTHING_STANDS, PathColumns
 from cellslam.sim.lte.statistical.statistics import parse
 from cellslam.sim.progress import Progress
 
@@ -42,6 +43,8 @@ def calibrate(scenes: int, seed: int, progress: Progress) -> dict[str, Any]:
             crowds = scenes_of(rng, scenes, ratio)
             several[ratio] = crowds, measured_by_signals(ratio, crowds, rng, advance)
     result = constants(noise, lone, several, threshold)
+    moved = np.random.default_rng([seed, 4])
+    result["standing"], result["recurrence"] = standing(max(scenes // 6, 8), moved, parse(result), progress)
     result["persistence"] = persistence(max(scenes // 8, 8), np.random.default_rng([seed, 2]), progress)
     return {"provenance": provenance(scenes, seed), **rounded(result)}
 
@@ -73,6 +76,7 @@ def constants(
         "floors": fit_floor(lone),
         "clutter": {f"{ratio:g}": structured(s, rate, window) for ratio, s in lone.items()},
         "company": dict.fromkeys(("0", "40"), 1.0),
+        "standing": NOTHING_STANDS._asdict(),
     }
     rng = np.random.default_rng(len(several))
     company = {f"{ratio:g}": fit_company(ratio, *crowds, parse(first), rng) for ratio, crowds in several.items()}

@@ -37,7 +37,7 @@ from cellslam.sim.waveform.waveform import Waveform
 
 SNAPSHOT_S = 0.075
 # An estimate within this of a true path, in the sense of squares, comes from it: half a resolution cell of LTE.
-_SAME_PATH = 2.0 * np.array([4.6, np.radians(7.7), np.radians(8.0)])
+SAME_PATH = 2.0 * np.array([4.6, np.radians(7.7), np.radians(8.0)])
 
 
 @dataclass(frozen=True)
@@ -280,7 +280,7 @@ def _sources(found: Floats, truth: Floats, finer: float) -> Ints:
     out = np.full(len(found), -1, np.int64)
     apart = found[:, None] - truth[None]
     apart[..., 1] = wrap_angle(apart[..., 1])
-    cost = np.sum((apart / (_SAME_PATH * [finer, 1.0, 1.0])) ** 2, axis=-1)
+    cost = np.sum((apart / (SAME_PATH * [finer, 1.0, 1.0])) ** 2, axis=-1)
     for i, j in zip(*linear_sum_assignment(np.minimum(cost, 1.0)), strict=True):
         if cost[i, j] < 1.0:
             out[i] = j

@@ -4,7 +4,7 @@
 
 - detection probability: `measurement_kernel.detection_probability`; of an isolated path it is the table that
   `statistical_front_end.detection_table` makes; what overlap leaves of a path, `detection_kernel._overlap`
-- clutter: `clutter_kernel`
+- received powers: `budget_kernel`; clutter: `clutter_kernel`
 - errors: `measurement_kernel.write_std` (bound and floors), `persisting_errors` (what is not white)
 - constants: `statistics.json`, read by `statistics`, measured by `sim.lte.calibration`
 """

@@ -8,9 +8,12 @@ from __future__ import annotations
 import math
 from typing import Any
 
+import numpy as np
+
 from cellslam.sim.compiling import njit
 from cellslam.sim.frames.frames_kernel import wrap
 from cellslam.sim.lte.statistical.detector_layout import (
+    CLAIMED_STD,
     DIFFUSE_SHARE,
     DIFFUSE_TO_M,
     DISTANCE,
@@ -24,7 +27,16 @@ from cellslam.sim.lte.statistical.detector_layout import (
     Array,
     Model,
 )
-from cellslam.sim.lte.statistical.measurement_kernel import clutter_row, detection_probability
+from cellslam.sim.lte.statistical.measurement_kernel import body_geometry, clutter_row, detection_probability, fold
+from cellslam.sim.lte.statistical.place_draws_kernel import (
+    joined,
+    key_of_place,
+    normal,
+    poisson,
+    square_of,
+    uniform,
+    write_centre,
+)
 
 # Few points of clutter were measured: what is drawn lies about one of them, so that no two coincide.
 STRETCH, BLUR_M, BLUR_AZIMUTH_RAD, BLUR_ELEVATION_RAD = 0.3, 4.0, math.radians(4.0), math.radians(3.0)
@@ -44,38 +56,98 @@ def trailing(a: Array, b: Array, model: Model) -> float:
 
 
 @njit(cache=True)
-def structured_clutter(path: int, paths: int, geo: Array, gamma: Array, model: Model, clutter: Any, out: Array) -> int:
-    """Draw what is reported around one path besides it: pieces of its diffuse energy, ghosts of calibration error. What
-    the energy of the other `paths` covers is not seen.
+def expected_clutter(gamma: float, paths: int, model: Model) -> tuple[float, int, float]:
+    """Return the mean clutter around one of `paths` of integrated SNR `gamma`, the node below that, and how far it is
+    on the way to the next.
     """
-    own = geo[path]
     nodes = len(model.clutter_mean)
-    at = (10.0 * math.log10(max(gamma[path], 1e-9)) - GAMMA_START_DB) / GAMMA_STEP_DB
+    at = (10.0 * math.log10(max(gamma, 1e-9)) - GAMMA_START_DB) / GAMMA_STEP_DB
     at = min(max(at, 0.0), nodes - 1.001)
     low = int(at)
     part = at - low
     mean = (1.0 - part) * model.clutter_mean[low] + part * model.clutter_mean[low + 1]
     if paths > 1:
         mean *= model.company
+    return mean, low, part
+
+
+@njit(cache=True)
+def uncovered(row: Array, level: float, path: int, paths: int, geo: Array, gamma: Array, model: Model) -> float:
+    """Return the probability that clutter of this integrated SNR is reported beside the energy of the other paths."""
+    disturbance = 1.0
+    for q in range(paths):
+        if q != path and level < DIFFUSE_SHARE * gamma[q]:
+            disturbance += gamma[q] * trailing(row[DISTANCE : ELEVATION + 1], geo[q], model)
+    chance = model.detection_scale
+    if disturbance > DISTURBED:
+        chance *= detection_probability(level / disturbance, True, model)
+    return chance
+
+
+@njit(cache=True)
+def structured_clutter(path: int, paths: int, geo: Array, gamma: Array, model: Model, clutter: Any, out: Array) -> int:
+    """Draw what is reported around one path besides it: pieces of its diffuse energy, ghosts of calibration error. What
+    the energy of the other `paths` covers is not seen.
+    """
+    own = geo[path]
+    mean, low, part = expected_clutter(gamma[path], paths, model)
     count = 0
-    for _ in range(min(clutter.poisson(mean), MOST_CLUTTER)):
+    for _ in range(min(clutter.poisson(mean * (1.0 - model.standing.share)), MOST_CLUTTER)):
         node = low + 1 if clutter.random() < part else low
         point = model.clutter_points[node, int(clutter.random() * model.clutter_points.shape[1])]
         stretch = 1.0 + STRETCH * (2.0 * clutter.random() - 1.0)
         later = point[0] * stretch + BLUR_M * clutter.standard_normal()
         azimuth = own[1] + point[1] * stretch + BLUR_AZIMUTH_RAD * clutter.standard_normal()
         elevation = own[2] + point[2] * stretch + BLUR_ELEVATION_RAD * clutter.standard_normal()
-        level = 10.0 ** (0.1 * point[3])
+        level = 10.0 ** (0.1 * point[3]) * model.samples
         row = out[count]
-        clutter_row(row, own[0] + later, azimuth, elevation, level * model.samples, model)
-        disturbance = 1.0
-        for q in range(paths):
-            if q != path and level * model.samples < DIFFUSE_SHARE * gamma[q]:
-                disturbance += gamma[q] * trailing(row[DISTANCE : ELEVATION + 1], geo[q], model)
-        chance = model.detection_scale
-        if disturbance > DISTURBED:
-            chance *= detection_probability(level * model.samples / disturbance, True, model)
+        clutter_row(row, own[0] + later, azimuth, elevation, level, model)
         inside = model.window_min <= row[DISTANCE] <= model.window_max
+        if clutter.random() < uncovered(row, level, path, paths, geo, gamma, model) and inside:
+            count += 1
+    return count
+
+
+@njit(cache=True)
+def standing_clutter(
+    path: int, paths: int, geo: Array, gamma: Array, pose: Array, vt: Array, port: int, model: Model, clutter: Any,
+    out: Array,
+) -> int:  # fmt: skip
+    """Draw what is reported around one path besides it where that stands still: virtual transmitters, the same for all
+    links in a square of ground. Which of them a port sees changes over less way.
+    """
+    standing = model.standing
+    mean, low, part = expected_clutter(gamma[path], paths, model)
+    source = key_of_place(standing.world, vt)
+    square = square_of(source, pose, standing.life_m)
+    centre, seen, toward, scatterer = np.zeros(6), np.empty(3), np.empty(3), np.empty(3)
+    write_centre(source, pose, standing.life_m, centre)
+    body_geometry(centre, vt, toward)
+    count, here = 0, mean * standing.share / (standing.lit * standing.reported)
+    for number in range(poisson(here, uniform(square, 0), MOST_CLUTTER)):
+        key = joined(square, 1 + number)
+        spot = joined(square_of(key, pose, standing.fading_m), port)
+        if uniform(spot, 0) >= standing.lit:
+            continue
+        node = low + 1 if uniform(key, 0) < part else low
+        point = model.clutter_points[node, int(uniform(key, 1) * model.clutter_points.shape[1])]
+        stretch = 1.0 + STRETCH * (2.0 * uniform(key, 2) - 1.0)
+        reach = toward[0] + point[0] * stretch + BLUR_M * normal(key, 3)
+        azimuth = toward[1] + point[1] * stretch + BLUR_AZIMUTH_RAD * normal(key, 4)
+        elevation = toward[2] + point[2] * stretch + BLUR_ELEVATION_RAD * normal(key, 5)
+        flat = reach * math.cos(elevation)
+        scatterer[0] = centre[0] + flat * math.cos(azimuth)
+        scatterer[1] = centre[1] + flat * math.sin(azimuth)
+        scatterer[2] = centre[2] + reach * math.sin(elevation)
+        body_geometry(pose, scatterer, seen)
+        level = 10.0 ** (0.1 * point[3]) * model.samples
+        row = out[count]
+        clutter_row(row, seen[0], seen[1], seen[2], level, model)
+        for i in range(3):
+            row[DISTANCE + i] += row[CLAIMED_STD + i] * clutter.standard_normal()
+        fold(row)
+        inside = model.window_min <= row[DISTANCE] <= model.window_max
+        chance = standing.reported * uncovered(row, level, path, paths, geo, gamma, model)
         if clutter.random() < chance and inside:
             count += 1
     return count

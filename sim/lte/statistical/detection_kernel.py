@@ -16,10 +16,10 @@ import numpy as np
 
 from cellslam.sim.compiling import njit
 from cellslam.sim.frames.frames_kernel import wrap
-from cellslam.sim.lte.budget_kernel import link_powers
 from cellslam.sim.lte.persisting_errors_kernel import Fields, write_attitude, write_persisting
 from cellslam.sim.lte.single_path_bound import AZIMUTH_EXPONENT
-from cellslam.sim.lte.statistical.clutter_kernel import noise_clutter, structured_clutter, trailing
+from cellslam.sim.lte.statistical.budget_kernel import link_powers
+from cellslam.sim.lte.statistical.clutter_kernel import noise_clutter, standing_clutter, structured_clutter, trailing
 from cellslam.sim.lte.statistical.detector_layout import (
     AZIMUTH,
     COLUMNS,
@@ -40,6 +40,7 @@ from cellslam.sim.lte.statistical.detector_layout import (
     LinkTable,
     Model,
     PathColumns,
+    Standing,
     Streams,
 )
 from cellslam.sim.lte.statistical.measurement_kernel import (
@@ -49,11 +50,14 @@ from cellslam.sim.lte.statistical.measurement_kernel import (
     write_std,
     write_white_std,
 )
+from cellslam.sim.lte.statistical.place_draws_kernel import joined, key_of_place, square_of, uniform
 
 # Columns of the work space of one link: paths by strength; then of each path the share that no stronger one's tangent
 # space captures, the stronger path that captures most, its SNR as a share of that over noise alone (0: a ghost),
 # whether it is detected, and by how much (3) and with what power undetected neighbours change it.
 ORDER, LEFTOVER, NEAREST, CLEAR, DETECTED, SHIFT, ADDED, WIDTH = 0, 1, 2, 3, 4, 5, 8, 9
+# Numbers under which a square's draws for detection are drawn of its key: kind and draw.
+KIND_OF_MISS, MISS = -1, -2
 
 
 @njit(cache=True)
@@ -102,7 +106,23 @@ def _overlap(n: int, geo: Array, gamma: Array, model: Model, work: Array) -> Non
 
 
 @njit(cache=True)
-def _draw_detections(n: int, geo: Array, gamma: Array, model: Model, detection: Any, work: Array) -> None:
+def _detection_draw(pose: Array, vt: Array, port: int, standing: Standing, detection: Any) -> float:
+    """Return the uniform draw that decides whether a path is detected: a new one, or that of a square of ground."""
+    draw: float = detection.random()
+    source = key_of_place(standing.world, vt)
+    square = square_of(source, pose, standing.missed_life_m)
+    kind = uniform(square, KIND_OF_MISS)
+    if kind < standing.missed_life:
+        return uniform(square, MISS)
+    if kind < standing.missed_life + standing.missed_fading:
+        return uniform(joined(square_of(source, pose, standing.fading_m), port), MISS)
+    return draw
+
+
+@njit(cache=True)
+def _draw_detections(
+    n: int, geo: Array, gamma: Array, model: Model, pose: Array, vt: Array, port: int, detection: Any, work: Array
+) -> None:
     """Draw which paths are detected, each with its detection probability, into `work`."""
     for i in range(n):
         clear = work[i, CLEAR]
@@ -110,7 +130,8 @@ def _draw_detections(n: int, geo: Array, gamma: Array, model: Model, detection: 
         seen = gamma[i] * work[i, LEFTOVER] * clear
         chance = detection_probability(seen, crowded, model) * model.detection_scale
         inside = model.window_min <= geo[i, 0] <= model.window_max
-        found = detection.random() < chance and inside and clear > 0.0
+        draw = _detection_draw(pose, vt[i], port, model.standing, detection)
+        found = draw < chance and inside and clear > 0.0
         work[i, DETECTED] = 1.0 if found or model.perfect else 0.0
         if model.perfect:
             work[i, LEFTOVER] = 1.0
@@ -141,7 +162,7 @@ def _detect_paths(
     """Draw the measurements of one link's n true paths into `out`; return how many."""
     _sort_by_strength(n, gamma, work)
     _overlap(n, geo, gamma, model, work)
-    _draw_detections(n, geo, gamma, model, streams.detection, work)
+    _draw_detections(n, geo, gamma, model, pose, vt, port, streams.detection, work)
     _merge(n, geo, gamma, work)
     count, noise = 0, streams.noise
     white, slow = np.empty(3), np.empty(3)
@@ -211,7 +232,7 @@ def measure_block(
     power = np.empty((count_links, widest))
     cell_power = np.empty(len(links.cell_site))
     gamma, work = np.empty(widest), np.empty((widest, WIDTH))
-    most = widest + (widest + 1) * MOST_CLUTTER
+    most = widest + (2 * widest + 1) * MOST_CLUTTER
     buffer, order = np.empty((most, COLUMNS)), np.empty(most, np.int64)
     out, used = np.empty((max(256, 4 * len(paths.vt_m)), COLUMNS)), 0
     for t in range(len(poses)):
@@ -240,6 +261,11 @@ def measure_block(
             )  # fmt: skip
             for i in range(n):
                 count += structured_clutter(i, n, geo[site], gamma, model, streams.clutter, buffer[count:])
+                if model.standing.share > 0.0:
+                    count += standing_clutter(
+                        i, n, geo[site], gamma, poses[t], paths.vt_m[first + i], links.port[link], model,
+                        streams.clutter, buffer[count:],
+                    )  # fmt: skip
             count += noise_clutter(model, streams.clutter, buffer[count:])
             if used + count > len(out):
                 larger = np.empty((2 * (used + count), COLUMNS))

@@ -69,6 +69,28 @@ class Streams(NamedTuple):
         return Streams(*rng.spawn(3))
 
 
+class Standing(NamedTuple):
+    """What stands still: the `share` of clutter around paths that does; the side of the squares of ground within which
+    the scatterers behind a path are the same (`life_m`), and of those within which a port sees the same of them
+    (`fading_m`); the share of these in which it sees a scatterer (`lit`), and the chance that this is then reported
+    (`reported`). Share of paths that are seen or missed for as long as squares of `missed_life_m` last (`missed_life`),
+    or those of the fading (`missed_fading`). `world`: key of the trial's surroundings.
+    """
+
+    share: float
+    life_m: float
+    fading_m: float
+    lit: float
+    reported: float
+    missed_life: float
+    missed_life_m: float
+    missed_fading: float
+    world: np.uint64 = np.uint64(0)
+
+
+NOTHING_STANDS = Standing(0.0, 1.0, 1.0, 1.0, 1.0, 0.0, 1.0, 0.0)
+
+
 class Model(NamedTuple):
     """The radio configuration in linear units; scales as in `BoundScales`, floors are standard deviations, of all
     causes and of the white ones.
@@ -78,7 +100,7 @@ class Model(NamedTuple):
     stronger path's diffuse energy adds in the same direction and in all, per integrated SNR; `sidelobes`: share of it
     that spreads over `sidelobe_m` of delay. `company`: how many times as much clutter there is around a path among
     others as around a lone one. Clutter around a path over nodes (G,) of its integrated SNR: mean number (G,), points
-    (G, N, 4): later (m), beside and above (rad), SNR (dB).
+    (G, N, 4): later (m), beside and above (rad), SNR (dB). `standing`: what of clutter and misses stands still.
     """
 
     eirp: float
@@ -114,3 +136,4 @@ class Model(NamedTuple):
     company: float
     clutter_mean: Array
     clutter_points: Array
+    standing: Standing

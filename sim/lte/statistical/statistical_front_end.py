@@ -79,6 +79,7 @@ def model_of(config: RadioConfig, s: Statistics) -> k.Model:
         sidelobe_m=s.sidelobe_m,
         company=s.company_at(config.specular_to_diffuse_db),
         clutter_mean=clutter.mean * config.clutter_scale, clutter_points=clutter.points,
+        standing=s.standing if config.persisting_clutter else k.NOTHING_STANDS,
     )  # fmt: skip
 
 
@@ -89,13 +90,16 @@ def detect(
     """Return the measurements of `poses` (T, 6), in m and rad, whose paths are `paths`, numbered from `first_snapshot`.
 
     `offsets_m` (S,) is added to the distances; `fields` are the errors that persist (`persisting_errors.draw_fields`).
-    The streams advance: a drive in one call or pose by pose gives the same. `constants`: other than the shipped ones.
+    The streams advance: a drive in one call or pose by pose gives the same. What stands still depends on how the stream
+    of clutter was seeded, not on what was drawn from it. `constants`: other than the shipped ones.
     """
     from cellslam.sim.lte.statistical.detection_kernel import measure_block
 
     sites, links = len(offsets_m), link_table(cells)
     s = constants or statistics()
+    world = streams.clutter.bit_generator.seed_seq.generate_state(1, np.uint64)[0]
     model = model_of(config, s)
+    model = model._replace(standing=model.standing._replace(world=world))
     out = [np.empty((0, k.COLUMNS))]
     with progress("measuring", len(poses)) as advance:
         for start in range(0, len(poses), BLOCK):

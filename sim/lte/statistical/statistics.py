@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 
+from cellslam.sim.lte.statistical.detector_layout import Standing
 from cellslam.sim.recording import Floats
 
 FILE = Path(__file__).with_name("statistics.json")
@@ -35,7 +36,8 @@ class Statistics:
     `trail`, `around`: disturbance behind a path at a specular-to-diffuse ratio of 0 dB, in its direction and in all;
     `sidelobes`: share of it that spreads over `sidelobe_m` of delay. `noise_cells`: noise peaks over x are Poisson
     with mean noise_cells exp(-x) (1 + x). `diffuse_floor` (3,) in m, rad, rad at 0 dB. By ratio in dB: `company`, how
-    many times as much clutter there is around a path among others as around a lone one; `clutter`.
+    many times as much clutter there is around a path among others as around a lone one; `clutter`. `standing`: what of
+    clutter and misses stands still.
     """
 
     dof: float
@@ -50,6 +52,7 @@ class Statistics:
     diffuse_floor: tuple[float, float, float]
     company: tuple[tuple[float, float], ...]
     clutter: tuple[tuple[float, Clutter], ...]
+    standing: Standing
 
     def company_at(self, ratio_db: float) -> float:
         """Return `company` at a specular-to-diffuse ratio."""
@@ -88,5 +91,5 @@ def parse(data: dict[str, Any]) -> Statistics:
         sidelobe_m=data["overlap"]["sidelobe_m"], noise_cells=data["noise_cells"],
         diffuse_floor=tuple(floor[n]["diffuse_at_0_db"] for n in ("distance_m", "azimuth_rad", "elevation_rad")),
         company=tuple(company),
-        clutter=tuple(sorted(clutter, key=lambda item: item[0])),
+        clutter=tuple(sorted(clutter, key=lambda item: item[0])), standing=Standing(**data["standing"]),
     )  # fmt: skip

@@ -136,7 +136,7 @@ def _spread(f: Filter, interval: Interval, w: Step) -> None:
 
 @lean(cache=True)
 def _drift(f: Filter, dt: float) -> None:
-    """Let the clock offsets run on at their rates."""
+    """Let the clock offsets run on at their rates, and both walk."""
     x, p, n = f.x, f.p, f.size[0]
     for s in range(len(f.core.rate)):
         offset, rate = f.core.first_offset + s, f.core.rate[s]
@@ -146,6 +146,12 @@ def _drift(f: Filter, dt: float) -> None:
                 p[offset, j] += dt * p[rate, j]
             for i in range(n):
                 p[i, offset] += dt * p[i, rate]
+        walk, rate_walk = f.core.wander[0, s] ** 2 * dt, f.core.wander[1, s] ** 2 * dt
+        p[offset, offset] += walk + rate_walk * dt * dt / 3.0
+        if rate >= 0:
+            p[rate, rate] += rate_walk
+            p[offset, rate] += 0.5 * rate_walk * dt
+            p[rate, offset] = p[offset, rate]
 
 
 @lean(cache=True)

@@ -24,7 +24,8 @@ from cellslam.slam.ekf_slam.snapshot.motion_kernel import Interval, Step, forget
 from cellslam.slam.ekf_slam.snapshot.rival_kernel import Rival, find_rival
 from cellslam.slam.ekf_slam.snapshot.sight_kernel import Sight, coordinates, geometry, rotations_of
 from cellslam.slam.ekf_slam.snapshot.sizes_kernel import SWAY, count_motion, count_states
-from cellslam.slam.ekf_slam.snapshot.update_kernel import LOG_2PI, Look, Pending, correct, settle
+from cellslam.slam.ekf_slam.snapshot.steps_kernel import expect_steps, shift_clocks, take_steps
+from cellslam.slam.ekf_slam.snapshot.update_kernel import LOG_2PI, Look, Pending, Steps, correct, settle
 from cellslam.slam.ekf_slam.state.layout import (
     BELIEF,
     EXISTS,
@@ -201,6 +202,7 @@ def conclude(f: Filter, a: ArrayErrors, b: Block, noise: Floats, seen: Measured,
     """
     forget(f, a, b.total[0], b.total[2])
     total, rules = 0.0, seen.rules
+    expect_steps(f, rules, p.steps)
     before, z, q = f.x[: f.size[0]].copy(), np.empty(3), np.empty(3)
     for j in range(f.count[0]):
         if b.looks[j] == 0:
@@ -237,6 +239,7 @@ def conclude(f: Filter, a: ArrayErrors, b: Block, noise: Floats, seen: Measured,
         total += known + rules.evidence * (b.odds[j] - b.looks[j] * known)
         clear(b, j)
     settle(f, p)
+    total += take_steps(f, rules, p.steps)
     count_states(f, f.core.sway, SWAY, a.sway * a.sway)
     count_motion(f, noise, b.total[2])
     b.snapshots[0] = 0
@@ -258,6 +261,9 @@ def pair_in_bank(
             advance(f, block_of(blocks, k), interval, room.step)
         rival.loss[0] = seen.rules.doubt
         pair(f, a, seen, room.sight, room.pairs, rival)
+        if shift_clocks(f, block_of(blocks, k), a, seen, room.sight, room.pairs):
+            rival.loss[0] = seen.rules.doubt
+            pair(f, a, seen, room.sight, room.pairs, rival)
         pairs.slot_of[k], pairs.exists[k] = room.pairs.slot_of, room.pairs.exists
 
 
@@ -297,7 +303,8 @@ def pair_and_use_in_bank(
 def new_room(f: Filter, looks: int) -> Room:
     """Return room for one filter and a snapshot of so many looks."""
     states, vts = len(f.x), len(f.slots)
-    work = 4 * (vts + looks + 2)
+    work, rows = 4 * (vts + looks + 2), len(f.core.step_m) + 1
+    steps = Steps(np.zeros(1, np.int64), np.zeros((rows, states)), np.zeros(rows), np.zeros(rows))
     return Room(
         Step(np.empty((POSE, f.core.size + POSE)), np.empty((POSE, states))),
         Sight(
@@ -313,5 +320,5 @@ def new_room(f: Filter, looks: int) -> Room:
             ),
             np.empty(looks),
         ),
-        Pending(np.empty((PENDING, states)), np.zeros(1, np.int64), np.empty((3, states))),
+        Pending(np.empty((PENDING, states)), np.zeros(1, np.int64), np.empty((3, states)), steps),
     )  # fmt: skip

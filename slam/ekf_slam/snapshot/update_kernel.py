@@ -23,12 +23,25 @@ from cellslam.slam.model.measurement_kernel import Rotations
 LOG_2PI = math.log(2.0 * math.pi)
 
 
+class Steps(NamedTuple):
+    """What a block says of steps of the S clocks, and of a shift of the vehicle along its way, at its begin: of a unit
+    step, what is `left` (S + 1, N) to be corrected in each state; `score` (S + 1,), the slope of the log-likelihood by
+    the step, 1/m, and its `information` (S + 1,), 1/m^2. Rows `used` (1,): none where no clock may step."""
+
+    used: Ints
+    left: Floats
+    score: Floats
+    information: Floats
+
+
 class Pending(NamedTuple):
-    """What updates have taken off the covariance: `rows` (K, N), of which `used` (1,); `t` (3, N): H P of a look."""
+    """What updates have taken off the covariance: `rows` (K, N), of which `used` (1,); `t` (3, N): H P of a look; and
+    what the looks say of `steps`."""
 
     rows: Floats
     used: Ints
     t: Floats
+    steps: Steps
 
 
 LIKELY = 9.0
@@ -188,7 +201,39 @@ def correct(f: Filter, a: ArrayErrors, j: int, offset: int, look: Look, s: Sight
     new = innovate(e, look.q, hph)
     share = likely_share(new)
     count_sizes(f, j, look, Innovation(vec_scaled(new.e, math.sqrt(share)), new.s, new.measured), w)
-    return update(f, Innovation(new.e, sym_scaled(new.s, 1.0 / share), new.measured), w)
+    counted = Innovation(new.e, sym_scaled(new.s, 1.0 / share), new.measured)
+    density = update(f, counted, w)
+    show_steps(f, e, new, counted.s, s, w)
+    return density
+
+
+@lean(cache=True)
+def show_steps(f: Filter, e: Vec3, new: Innovation, counted: Sym3, s: Sight, w: Pending) -> None:
+    """Take in what an innovation says of steps of clocks, after the update by it, which took `counted` for its
+    covariance; e with NaN where not measured."""
+    if w.steps.used[0] == 0:
+        return
+    root, taken, n, k = cholesky(new.s), cholesky(counted), f.size[0], w.used[0] - 3
+    if root.xx == 0.0 or taken.xx == 0.0:
+        return
+    seen, g0, g1, g2 = solved(root, new.e), w.rows[k], w.rows[k + 1], w.rows[k + 2]
+    for row in range(w.steps.used[0]):
+        left, shows = w.steps.left[row], _shown(w.steps.left[row], e, s)
+        told, gone = solved(root, shows), solved(taken, shows)
+        w.steps.score[row] += dot(told, seen)
+        w.steps.information[row] += dot(told, told)
+        for i in range(n):
+            left[i] -= gone.x * g0[i] + gone.y * g1[i] + gone.z * g2[i]
+
+
+@lean(cache=True)
+def _shown(left: Floats, e: Vec3, s: Sight) -> Vec3:
+    """Return H left, zero where e is NaN."""
+    x, y, z = 0.0, 0.0, 0.0
+    for k in range(s.size[0]):
+        value = left[s.at[k]]
+        x, y, z = x + s.by[0, k] * value, y + s.by[1, k] * value, z + s.by[2, k] * value
+    return Vec3(0.0 if math.isnan(e.x) else x, 0.0 if math.isnan(e.y) else y, 0.0 if math.isnan(e.z) else z)
 
 
 @lean

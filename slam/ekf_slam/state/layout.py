@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import NamedTuple
 
 from cellslam.sim.compiling import njit
@@ -32,7 +33,8 @@ class Core(NamedTuple):
     offsets (S), rates of those that drift.
 
     `bias`, `scale`, `noise` (6,), `rate` (S,): place of each component's error and of each offset's rate, `sway` (3,),
-    -1 where there is none.
+    -1 where there is none. `wander` (2, S): densities of the walks of offsets and rates, m/sqrt(s), (m/s)/sqrt(s);
+    `step_m` (S,): deviation of the size of steps of offsets, m, 0 where a clock does not step.
     """
 
     sway: Ints
@@ -41,6 +43,8 @@ class Core(NamedTuple):
     noise: Ints
     first_offset: int
     rate: Ints
+    wander: Floats
+    step_m: Floats
     size: int
 
     @property
@@ -108,7 +112,7 @@ class Rules(NamedTuple):
     (rad); `evidence`: what share of detections, misses and births counts; `hold`: snapshots after which a weight that
     was not met is given up; `doubt`: what a rival association may lose of log-likelihood. Belief propagation:
     probabilities that a visible VT stays so, that a hidden one comes `back`, of `detection`, and below which a VT is
-    given up, `drop`.
+    given up, `drop`. `step`: log-probability that a clock which may step does so in a block.
     """
 
     mode: int
@@ -128,6 +132,7 @@ class Rules(NamedTuple):
     back: float = 0.0
     detection: float = 1.0
     drop: float = 0.0
+    step: float = -math.inf
 
 
 class Measured(NamedTuple):
@@ -163,7 +168,8 @@ class Block(NamedTuple):
 
     Of each VT: how many `looks` (V,), in which snapshots `seen` (V, B); sums of innovations, variances and how many
     were measured: `e`, `q`, `measured` (V, 3), of squared shares of diffuse errors `diffuse` (V,), and of the log-odds
-    of what was detected and missed `odds` (V,).
+    of what was detected and missed `odds` (V,). Of each site, across blocks: the `shift` (S, 2) of its clock that looks
+    speak for lately, in m, and how strongly.
     """
 
     snapshots: Ints
@@ -177,6 +183,7 @@ class Block(NamedTuple):
     measured: Floats
     diffuse: Floats
     odds: Floats
+    shift: Floats
 
 
 @njit(cache=True)
@@ -195,4 +202,5 @@ def block_of(blocks: Block, k: int) -> Block:
     return Block(
         blocks.snapshots[k], blocks.pose[k], blocks.at[k], blocks.total[k], blocks.looks[k], blocks.seen[k],
         blocks.e[k], blocks.q[k], blocks.measured[k], blocks.diffuse[k], blocks.odds[k],
+        blocks.shift[k],
     )  # fmt: skip

@@ -35,7 +35,7 @@ class JointFilter:
     def __init__(self, recording: Recording, broad_std: float = 1e5) -> None:
         assert recording.truth is not None
         self.recording, self.truth = recording, recording.truth
-        self.core = core_of(recording.odometry_model, len(recording.sites))
+        self.core = core_of(recording.odometry_model, recording.sites)
         self.motion, self.noise, self.walk = linear_motion(recording, self.truth, self.core)
         self.keys = np.unique(self.truth.measurement_vt[self.truth.measurement_vt >= 0])
         self.size = self.core.size + 3 * len(self.keys)

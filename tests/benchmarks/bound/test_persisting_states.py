@@ -66,7 +66,7 @@ class JointFilter:
 
     def __init__(self, recording: Recording, broad_std: float = 1e5) -> None:
         assert recording.truth is not None
-        self.core = core_of(recording.odometry_model, len(recording.sites))
+        self.core = core_of(recording.odometry_model, recording.sites)
         self.motion, self.noise, self.walk = linear_motion(recording, recording.truth, self.core)
         self.looks, self.rows, self.errors = tracked_measurements(recording, recording.truth, self.core)
         self.vts, self.steps = 3 * (int(self.rows.key.max()) + 1), len(recording.time_s)
@@ -116,7 +116,7 @@ def exact_horizontal_std(recording: Recording, at: int) -> float:
     """The bound after snapshot `at` from all measurements at once, with the fields' own correlations."""
     truth, m, config = recording.truth, recording.measurements, radio_of(recording)
     assert truth is not None
-    core = core_of(recording.odometry_model, len(recording.sites))
+    core = core_of(recording.odometry_model, recording.sites)
     motion, noise, walk = linear_motion(recording, truth, core)
     maps = [np.diag(np.sqrt(start_variance(recording, core)))]
     for t in range(1, at + 1):

@@ -20,7 +20,7 @@ from cellslam.scenarios import sweep_points as sweep
 from cellslam.sim.errors import InputError
 from cellslam.sim.recording import Recording
 
-ALL = {"sweep", "error_cdf", "map_error", "error_time", "clock_offset", "nees", "time_accuracy"}
+ALL = {"sweep", "error_cdf", "map_error", "error_time", "clock_offset", "nees", "ranks", "time_accuracy"}
 
 
 @pytest.fixture
@@ -72,12 +72,12 @@ def test_data_are_panels_of_worlds_with_series(folder: Path) -> None:
 def test_command_writes_into_the_folder(folder: Path, capfd: pytest.CaptureFixture[str]) -> None:
     assert main(["figures", str(folder), "--x", "radio.load", "--statistic", "q90"]) == 0
     assert {path.stem for path in (folder / "figures").iterdir()} == ALL
-    assert "14 files are in" in capfd.readouterr().err
+    assert "16 files are in" in capfd.readouterr().err
 
 
 def test_wrong_requests_are_one_line(folder: Path, capfd: pytest.CaptureFixture[str]) -> None:
     for words, expected in (
-        (("--x", "radio.laod"), "--x radio.laod: not a key that varies and is a number (radio.load"),
+        (("--x", "radio.laod"), "--x radio.laod: not a key that varies (radio.load"),
         (("--metric", "x"), "unknown metric 'x'"),
         (("--statistic", "x"), "unknown statistic 'x'"),
         (("--interval", "0"), "interval = 0 %"),

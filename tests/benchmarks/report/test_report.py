@@ -73,6 +73,13 @@ def test_summary_and_curves_hold_the_medians(folder: Path, said: dict[str, Any])
         assert line["ok"] == len(own) == 6
         assert line["cells"][0][0] == pytest.approx(own["position_rmse_m"].median(), abs=6e-4)
         assert line["cells"][0][1] <= line["cells"][0][0] <= line["cells"][0][2]
+        squares = own[["position_rmse_m", "bound_position_rmse_m"]].pow(2).sum()
+        assert line["cells"][1][0] == pytest.approx(np.sqrt(squares.iloc[0] / squares.iloc[1]), abs=6e-3)
+    # Four estimators are six pairs, with each load and over both.
+    assert [text.split(":")[0] for text in said["ranks"]["told_apart"]] == [
+        "radio.load = 0.1", "radio.load = 1", "overall",
+    ]  # fmt: skip
+    assert all(" of 6 pairs" in text for text in said["ranks"]["told_apart"])
     curves = {curve["key"]: curve["lines"] for curve in said["curves"]}
     assert set(curves) == {"radio.load", PARTICLES}
     along = {line["name"]: line["metrics"].get("position_rmse_m", [[]])[0] for line in curves[PARTICLES]}
@@ -82,7 +89,7 @@ def test_summary_and_curves_hold_the_medians(folder: Path, said: dict[str, Any])
 
 def test_curves_can_go_along_options(folder: Path, tmp_path: Path) -> None:
     data = load(folder)
-    assert curve_keys(data) == ["radio.load", PARTICLES]
+    assert curve_keys(data) == {"radio.load": True, PARTICLES: True}
     assert [x for x, _ in sweep_lines(data, PARTICLES)["fastslam, radio.load = 1"]] == [10.0, 40.0]
     assert set(sweep_lines(data, "radio.load")) >= {"fastslam, particles = 10", "dead-reckoning"}
     assert main(["figures", str(folder), "--x", PARTICLES, "--out", str(tmp_path), "--quiet"]) == 0
@@ -250,6 +257,7 @@ def test_page_in_a_browser(folder: Path, tmp_path: Path, capfd: pytest.CaptureFi
     with module.browser(1280) as browser:
         _opens(browser, page, 1280)
         _sorts(browser)
+        assert browser.wait("return document.querySelector('#ranks img').naturalWidth") > 300
         browser.run("document.querySelector('article').scrollIntoView()")
         browser.wait("return document.querySelector('article .scene canvas') && "
                      "document.querySelectorAll('article .plots .main-svg').length > 0")  # fmt: skip

@@ -20,7 +20,7 @@ import psutil
 import pytest
 
 from cellslam.benchmarks.cli.main import main
-from cellslam.benchmarks.scores.trial_result import ROW_KEYS
+from cellslam.benchmarks.scores.trial_result import COST_KEYS, ROW_KEYS
 from cellslam.benchmarks.sweeps import executors, sweeping, tasks
 from cellslam.benchmarks.sweeps.rows import results
 from cellslam.benchmarks.sweeps.store import DATABASE, TRAJECTORIES, writing
@@ -36,7 +36,6 @@ SHORT = tuple(word for key, value in SET.items() for word in ("--set", f"{key}={
 # tests/benchmarks/sweeps/test_sweeping.py -k kill
 KILLS = int(os.environ.get("CELLSLAM_KILLS", "1"))
 TRIALS = 3 + 2 * KILLS
-TIMES = ("estimate_seconds", "realtime_factor")
 PLUGIN = """
 import os, time
 import numpy as np
@@ -96,7 +95,7 @@ def words(*estimators: str, out: str = "out", trials: int = 2, more: tuple[str, 
 
 def rows(out: str | Path) -> list[dict[str, Any]]:
     """Return the rows of a store without their times, in an order of their own."""
-    kept = [key for key in ROW_KEYS if key not in TIMES]
+    kept = [key for key in ROW_KEYS if key not in COST_KEYS]
     with sqlite3.connect(Path(out) / DATABASE) as database:
         found = database.execute(f"SELECT key, {', '.join(kept)} FROM rows ORDER BY key").fetchall()
     database.close()

@@ -2,20 +2,18 @@
 
 from __future__ import annotations
 
-import hashlib
 import json
-from importlib.resources import files
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from cellslam.benchmarks.cli.bench import accuracy as cli_suite
 from cellslam.benchmarks.cli.bench.accuracy import built_in
 from cellslam.benchmarks.cli.main import main
 from cellslam.benchmarks.sweeps.rows import results
-from cellslam.scenarios import load
-from cellslam.scenarios.suites import SUITES, scenario_of, suite
+from cellslam.benchmarks.tables import suite_rows
+from cellslam.scenarios import load, suites
+from cellslam.scenarios.suites import SUITES, Suite, digest, scenario_of, suite
 from cellslam.sim.errors import InputError
 
 SHORT = {"vehicle.distance_m": 5, "vehicle.duration_s": 7.5, "vehicle.stops": 0, "vehicle.stand_first_s": 0}
@@ -28,10 +26,7 @@ DIGESTS = {
 @pytest.mark.parametrize("name", SUITES)
 def test_a_suite_never_changes(name: str) -> None:
     one = suite(name)
-    folder = files("cellslam.scenarios.suites") / name
-    texts = {scenario: (folder / f"{scenario}.toml").read_text("utf-8") for scenario in one.scenarios}
-    said = json.dumps([one.name, one.scenarios, one.seed, one.trials, texts])
-    assert hashlib.sha256(said.encode()).hexdigest() == DIGESTS[name]
+    assert digest(one) == DIGESTS[name]
     for scenario in one.scenarios:
         assert scenario_of(one, scenario).name == scenario
 
@@ -47,7 +42,7 @@ def test_accuracy_writes_its_tables_and_resumes(
     tmp_path: Path, capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     # The suite's drives take seconds: a short one under the name of one of them.
-    monkeypatch.setattr(cli_suite, "scenario_of", lambda _, name: load("tiny", {**SHORT, "name": name}))
+    monkeypatch.setattr(suites, "scenario_of", lambda _, name: load("tiny", {**SHORT, "name": name}))
     page = tmp_path / "results.md"
     line = ["bench", "accuracy", "--trials", "1", "--scenario", "canyon", "--estimator", "dead-reckoning"]
     line += ["--executor", "serial", "--out", str(tmp_path / "out"), "--write", str(page)]
@@ -66,6 +61,83 @@ def test_accuracy_writes_its_tables_and_resumes(
     )
 
 
+@pytest.fixture
+def entry(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """The rows of two estimators in a suite of two scenarios and six trials: short drives under names of standard-1."""
+    monkeypatch.setitem(SUITES, "standard-1", Suite("standard-1", ("open", "canyon"), 530, 6))
+    monkeypatch.setattr(suites, "scenario_of", lambda _, name: load("tiny", {**SHORT, "name": name}))
+    line = ["bench", "accuracy", "--estimator", "dead-reckoning", "--estimator", "ekf-slam", "--executor", "serial"]
+    words = [
+        "--out",
+        str(tmp_path / "out"),
+        "--write",
+        str(tmp_path / "page.md"),
+        "--rows",
+        str(tmp_path / "rows.json"),
+    ]
+    assert main([*line, *words, "--quiet"]) == 0
+    return tmp_path / "rows.json"
+
+
+def test_an_entry_is_ranked_and_holds_when_it_is_driven_again(entry: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    text = entry.with_name("page.md").read_text()
+    assert text.index("## All scenarios") < text.index("## open") < text.index("## canyon")
+    assert text.count("Critical difference of mean ranks: 0.80") == 3 and "of 1 pairs" in text
+    assert "![Mean ranks](page.png)" in text and entry.with_name("page.png").stat().st_size > 3000
+    some = suite_rows.read(entry)
+    assert some.whole and len(some.rows) == 24 and some.rows["peak_memory_mb"].notna().all()
+    capfd.readouterr()
+    check = ["bench", "accuracy", "--check", str(entry), "--sample", "2", "--executor", "serial"]
+    assert main(check) == 0
+    out = capfd.readouterr().out
+    assert out.count("as said") == 4 and "4 of 4 drives are as the entry says" in out
+
+    alone = entry.with_name("alone.json")
+    words = ["--estimator", "ekf-slam", "--executor", "serial", "--out", str(entry.with_name("out"))]
+    assert main(["bench", "accuracy", *words, "--rows", str(alone), "--quiet"]) == 0
+    assert set(suite_rows.read(alone).rows["estimator"]) == {"ekf-slam"}
+
+    page = entry.with_name("board.md")
+    assert main(["bench", "leaderboard", str(entry), "--write", str(page)]) == 0
+    board = page.read_text()
+    ranked = [line.split("|")[1].strip() for line in board.splitlines() if line.startswith(("| ekf", "| dead"))]
+    assert sorted(ranked[:2]) == sorted(some.rows["estimator"].unique()) and ranked[:2] == ranked[2:]
+    assert "![Mean ranks and critical differences](board.png)" in board and "--suite standard-1 --estimator" in board
+
+
+def test_an_entry_that_is_not_what_its_estimator_does_is_found_out(
+    entry: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    text = entry.read_text()
+    false = json.loads(text)
+    at = {name: index for index, name in enumerate(false["columns"])}
+    for row in false["rows"]:
+        row[at["position_rmse_m"]] *= 0.95 if row[at["estimator"]] == "ekf-slam" else 1.001
+    entry.write_text(json.dumps(false))
+    capfd.readouterr()
+    check = ["bench", "accuracy", "--check", str(entry), "--executor", "serial"]
+    assert main([*check, "--sample", "1"]) == 1
+    out = capfd.readouterr().out
+    assert "1 of 2 drives are as the entry says" in out
+    assert any("ekf-slam" in line and "position_rmse_m" in line for line in out.splitlines())
+
+    board = ["bench", "leaderboard", str(entry), str(entry), "--write", str(entry.with_name("board.md"))]
+    several = json.dumps({**false, "rows": false["rows"][1:]})
+    options = json.dumps({**false, "rows": [["other", *row[1:]] for row in false["rows"]]})
+    for content, words, expected in (
+        (text, board, "is in another file too"),
+        (text.replace('"digest": "', '"digest": "0'), board, "made with another standard-1"),
+        (several, board, "not every drive of standard-1 once for each estimator"),
+        ("{}", check, "not rows of a suite"),
+        (options, check, "dead-reckoning has other options here"),
+        (text, [*check, "--sample", "13"], "--sample 13: standard-1 has 1 to 12 drives"),
+    ):
+        entry.write_text(content)
+        assert main(words) == 2
+        err = capfd.readouterr().err
+        assert err.count("\n") == 1 and expected in err
+
+
 @pytest.mark.parametrize(
     ("words", "expected"),
     [
@@ -73,6 +145,8 @@ def test_accuracy_writes_its_tables_and_resumes(
         (("--trials", "21"), "--trials 21: standard-1 has 1 to 20"),
         (("--scenario", "tiny"), "unknown scenario of standard-1 'tiny'"),
         (("--write", "/nowhere/x.md"), "there is no folder"),
+        (("--trials", "2", "--rows", "x.json"), "--rows is of a whole suite"),
+        (("--check", "/nowhere/x.json"), "cannot be read"),
     ],
 )
 def test_wrong_requests_are_one_line(

@@ -13,7 +13,9 @@ import pytest
 
 from cellslam.benchmarks import comparison, results, summary
 from cellslam.benchmarks.cli.main import main
+from cellslam.benchmarks.figures.sweep.sweep_data import curve_keys, load, sweep_lines
 from cellslam.benchmarks.scores.trial_result import ROW_KEYS
+from cellslam.benchmarks.sweeps.rows import varying_keys
 from cellslam.benchmarks.sweeps.store import DATABASE, writing
 from cellslam.benchmarks.sweeps.tasks import Result, identity, plan
 from cellslam.benchmarks.tables.summaries import Layout
@@ -50,6 +52,43 @@ def row(task: Any, job: Any) -> dict[str, Any]:
     fine = {"status": "ok", "position_rmse_m": error, "realtime_factor": 100.0}
     failed = {"status": "failed", "error": "lost"}
     return {**dict.fromkeys(ROW_KEYS), **first, **(failed if task.trial == 3 and particles == 300 else fine)}
+
+
+@pytest.fixture(scope="module")
+def scenarios(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Three scenarios that differ in nearly every key, two of them with two loads."""
+    out = tmp_path_factory.mktemp("scenarios")
+    loads = {"grid": {"radio.load": [0.25, 0.5]}}
+    asked = [{"scenario": "open", **loads}, {"scenario": "canyon", **loads}, {"scenario": "tiny"}]
+    points = [point for one in asked for point in sweep.points(sweep.from_tables(one), ("fastslam",))]
+    made = plan(points, 2, 0)
+    with writing(out, "made up", {"cellslam": "0"}) as store:
+        store.declare(made)
+        for task in made.tasks:
+            one = row(task, task.jobs[0]) | {"scenario": json.loads(task.world)["name"]}
+            store.write(Result(task.jobs[0].key, one), identity(task.world), identity(task.jobs[0].options))
+    return out
+
+
+def test_what_the_scenario_determines_is_left_out(scenarios: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    assert varying_keys(scenarios) == ["scenario", "radio.load"]
+    assert results(scenarios)["scenario"].tolist() == ["canyon"] * 4 + ["open"] * 4 + ["tiny"] * 2
+    assert results(scenarios, ["city.street_width_m"])["city.street_width_m"].nunique() > 1
+    data = load(scenarios)
+    assert [panel.title for panel in data.panels][::2] == [
+        "canyon, radio.load = 0.25",
+        "open, radio.load = 0.25",
+        "tiny, radio.load = 0.3",
+    ]
+    assert curve_keys(data) == {"radio.load": True, "scenario": False}
+    found = sweep_lines(data, "scenario")
+    assert [x for x, _ in found["fastslam, radio.load = 0.25"]] == ["canyon", "open"]
+    assert main(["table", str(scenarios)]) == 0
+    head, *body = capfd.readouterr().out.strip().splitlines()
+    assert head.split()[:3] == ["scenario", "radio.load", "estimator"]
+    assert sum("fastslam" in line for line in body) == 5
+    assert main(["figures", str(scenarios), "--x", "scenario"]) == 0
+    assert (scenarios / "figures" / "sweep.png").exists()
 
 
 def lines(frame: Any) -> list[dict[str, Any]]:

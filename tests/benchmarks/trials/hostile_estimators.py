@@ -225,11 +225,17 @@ class FinishOfAnotherShape(Good):
         return np.zeros((3, 6))
 
 
+class RemarksANumber(Good):
+    def remarks(self) -> Any:
+        return 7
+
+
 ELSEWHERE = {
     "Constructor": "OwnError: not made",
     "HangsAtStart": "no answer within the time limit of",
     "WarmUpExits": "its process ended with exit status 5",
     "FinishOfAnotherShape": "finish(): poses has shape (3, 6)",
+    "RemarksANumber": "remarks() returned int, expected a list of lines of text",
 }
 
 
@@ -268,6 +274,9 @@ class Disturbs(Good):
         sys.stdout = sys.stderr = None  # type: ignore[assignment]
         sys.path.clear()
         threading.Thread(target=time.sleep, args=(3600,)).start()
+
+    def remarks(self) -> list[str]:
+        return ["two\nlines"]
 
 
 class Mutates(Good):

@@ -14,6 +14,7 @@ import pytest
 
 from cellslam.benchmarks import run as run_trials
 from cellslam.benchmarks.cli.main import main
+from cellslam.benchmarks.scores.trial_result import COST_KEYS
 from cellslam.benchmarks.sweeps.rows import results
 from cellslam.benchmarks.sweeps.store import DATABASE
 from cellslam.benchmarks.trials import guests as guests_module
@@ -28,7 +29,6 @@ FILE = Path(__file__).with_name("hostile_estimators.py")
 MODULE = "hostile_estimators"
 SET = {"vehicle.distance_m": 5, "vehicle.duration_s": 7.5, "vehicle.stops": 0, "vehicle.stand_first_s": 0}
 SHORT = tuple(word for key, value in SET.items() for word in ("--set", f"{key}={value}"))
-TIMES = ("estimate_seconds", "realtime_factor")
 GIB = 2**30
 # Of all those in the module, the ones that are driven through the commands; and those that need their process to end.
 COMMANDS = ("Surrogate", "NoWords", "Long", "OwnBase", "Exits", "Garbage", "Far", "TwoDimensionalIds")
@@ -69,7 +69,7 @@ def asked(*names: str) -> list[str]:
 
 
 def steady(row: dict[str, Any]) -> dict[str, Any]:
-    return {key: value for key, value in row.items() if key not in (*TIMES, "estimator", "key")}
+    return {key: value for key, value in row.items() if key not in (*COST_KEYS, "estimator", "key")}
 
 
 def plain(row: dict[str, Any]) -> dict[str, Any]:
@@ -98,8 +98,9 @@ NAMES = ("Patches", "Disturbs", *COMMANDS, "Mutates", "Peeks", "Good")
 def test_in_run(place: Path, capfd: pytest.CaptureFixture[str]) -> None:
     few = ("--json", "--no-figures", "--time-limit", "8", "--memory-limit", "1.5", "--out", "out")
     assert main(["run", "tiny", *SHORT, *asked(*NAMES, "Hangs"), "--estimator", "dead-reckoning", *few]) == 1
-    out = capfd.readouterr().out
+    out, err = capfd.readouterr()
     rows = json.loads(out)
+    assert f"trial 0, {MODULE}:Disturbs: two" in err
     check(rows)
     assert json.loads((place / "out" / "summary.json").read_text("utf-8"))["rows"] == rows
     longest = (place / "out" / f"error-{MODULE}_Long.txt").read_text("utf-8")

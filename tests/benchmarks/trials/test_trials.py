@@ -3,6 +3,7 @@ from __future__ import annotations
 import dataclasses
 import json
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any, ClassVar
 
 import numba
@@ -13,7 +14,7 @@ from pydantic import BaseModel
 from cellslam.benchmarks import run
 from cellslam.benchmarks.bound import merged_paths
 from cellslam.benchmarks.scores import metrics
-from cellslam.benchmarks.scores.trial_result import ROW_KEYS
+from cellslam.benchmarks.scores.trial_result import COST_KEYS, ROW_KEYS
 from cellslam.benchmarks.trials import answers, estimation, trials
 from cellslam.benchmarks.trials.trials import Trial, score_recording, score_trial
 from cellslam.scenarios import load
@@ -71,8 +72,8 @@ def scored(recording: Recording, *estimators: type[Any], seed: int = 4, trial: i
     return score_recording(recording, "toy", [request(e) for e in estimators], trial, seed)
 
 
-def without_times(row: dict[str, Any]) -> dict[str, Any]:
-    return {k: v for k, v in row.items() if k not in ("estimate_seconds", "realtime_factor")}
+def without_costs(row: dict[str, Any]) -> dict[str, Any]:
+    return {k: v for k, v in row.items() if k not in COST_KEYS}
 
 
 def test_row_has_the_keys_and_is_plain_json(toy_recording: Toy) -> None:
@@ -119,12 +120,23 @@ def test_a_column_is_made_once(toy_recording: Toy, monkeypatch: pytest.MonkeyPat
 
 def test_same_seed_and_trial_same_draws(toy_recording: Toy) -> None:
     recording = toy_recording()
-    rows = [without_times(o.row) for o in scored(recording, Draws, Draws).outcomes]
+    rows = [without_costs(o.row) for o in scored(recording, Draws, Draws).outcomes]
     assert rows[0] == rows[1]
-    other_seed = without_times(scored(recording, Draws, seed=5).outcomes[0].row)
-    other_trial = without_times(scored(recording, Draws, trial=3).outcomes[0].row)
+    other_seed = without_costs(scored(recording, Draws, seed=5).outcomes[0].row)
+    other_trial = without_costs(scored(recording, Draws, trial=3).outcomes[0].row)
     errors = {r["position_rmse_m"] for r in (rows[0], other_seed, other_trial)}
     assert len(errors) == 3
+
+
+@pytest.mark.skipif(not Path("/proc/self/clear_refs").exists(), reason="this system cannot tell")
+def test_runner_says_how_much_memory_the_estimator_took(toy_recording: Toy) -> None:
+    class Large(Plain):
+        def start(self, setup: Setup, rng: np.random.Generator) -> None:
+            super().start(setup, rng)
+            np.ones(25_000_000)  # 200 MB, let go at once
+
+    before, large, after = (o.row["peak_memory_mb"] for o in scored(toy_recording(), Plain, Large, Plain).outcomes)
+    assert large == pytest.approx(200.0, abs=10.0) and before < 10.0 and after < 10.0
 
 
 def test_runner_takes_the_time_of_the_estimator_alone(toy_recording: Toy, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -256,7 +268,7 @@ def test_an_estimator_that_fails_costs_its_own_row_only(
     assert "\n" not in bad.row["error"] and "Traceback" in bad.traceback
     for word in words:
         assert word in bad.row["error"]
-    assert without_times(good.row) == without_times(scored(toy_recording(), Plain).outcomes[0].row)
+    assert without_costs(good.row) == without_costs(scored(toy_recording(), Plain).outcomes[0].row)
 
 
 def test_a_world_that_cannot_be_made_fails_the_rows(toy_recording: Toy) -> None:
@@ -293,8 +305,8 @@ def test_a_bound_that_cannot_be_computed_leaves_nulls_and_a_note(
     monkeypatch.setattr(merged_paths, "both_bounds", singular)
     trial = scored(toy_recording(), Plain)
     assert trial.bound is None and trial.unbound.startswith("LinAlgError: singular")
-    expected = {**without_times(whole), "bound_position_rmse_m": None}
-    assert without_times(trial.outcomes[0].row) == expected
+    expected = {**without_costs(whole), "bound_position_rmse_m": None}
+    assert without_costs(trial.outcomes[0].row) == expected
 
 
 def test_interrupt_is_not_swallowed(toy_recording: Toy) -> None:
@@ -324,7 +336,7 @@ def test_same_rows_on_any_number_of_threads() -> None:
             frame = run("tiny", ["fastslam"], 1, 5, overrides)
         finally:
             numba.set_num_threads(before)
-        return [without_times(row) for row in frame.astype(object).where(frame.notna(), None).to_dict("records")]
+        return [without_costs(row) for row in frame.astype(object).where(frame.notna(), None).to_dict("records")]
 
     assert numba.config.NUMBA_NUM_THREADS >= 2, "one core: this cannot be tested"
     assert rows(1) == rows(2)

@@ -65,7 +65,7 @@ def test_turning_by_one_column_renames_the_ports() -> None:
 
 
 def test_mean_port_gain_is_what_the_link_budget_takes() -> None:
-    from cellslam.sim.lte.budget_kernel import array_gain
+    from cellslam.sim.lte.statistical.budget_kernel import array_gain
 
     azimuth = np.linspace(-3.0, 3.0, 40)
     for elevation_deg in (0.0, 20.0, 40.0):

@@ -267,8 +267,9 @@ def test_angles_stay_in_range_near_the_pole() -> None:
     assert 0.3 < np.mean(np.abs(m.azimuth_rad - np.arctan2(0.5, 1.0)) > np.pi / 2) < 0.7
 
 
-def test_blocks_and_single_snapshots_draw_the_same() -> None:
-    count, config = 1300, RadioConfig(clutter_scale=3.0)
+@pytest.mark.parametrize("persisting", [False, True])
+def test_blocks_and_single_snapshots_draw_the_same(persisting: bool) -> None:
+    count, config = 1300, RadioConfig(clutter_scale=3.0, persisting_clutter=persisting)
     paths = make_paths(np.array([[100.0, 0.0, 0.0], [0.0, 150.0, 9.0]]), np.array([1e-6, 1e-8]), count)
     cells, poses = make_cells(0.0, 120.0, ports=2), np.zeros((count, 6))
     whole = detect(config, cells, paths, poses, np.zeros(1), FIELDS, Streams.spawn(np.random.default_rng(2)))
@@ -327,7 +328,7 @@ def test_a_cell_id_given_twice_is_refused() -> None:
 
 
 def test_compiled_sector_pattern_is_that_of_the_antenna_module() -> None:
-    from cellslam.sim.lte.budget_kernel import sector_gain
+    from cellslam.sim.lte.statistical.budget_kernel import sector_gain
     from cellslam.sim.rays.antenna import sector_gain_db
 
     rng = np.random.default_rng(3)

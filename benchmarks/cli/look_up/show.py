@@ -20,6 +20,7 @@ from cellslam.scenarios.keys import Key, describe
 from cellslam.scenarios.loading import load
 from cellslam.scenarios.overrides import parse_all
 from cellslam.scenarios.scenario import Scenario
+from cellslam.sim.errors import InputError
 from cellslam.slam import registry
 
 _PIPE_WIDTH = 160
@@ -30,6 +31,9 @@ _NOT_KEYS = ("name", "title", "description", "facts", "estimator")
 def add_arguments(parser: ArgumentParser) -> None:
     """Add the arguments of this command."""
     add_scenario(parser)
+    parser.add_argument(
+        "only", metavar="WORD", nargs="*", help="only keys with all of these in name or meaning, as in: radio noise"
+    )
 
 
 def command(arguments: Namespace) -> int:
@@ -41,6 +45,9 @@ def command(arguments: Namespace) -> int:
     console = _console()
     console.print(escape(f"{scenario.name}: {scenario.title}\n{scenario.description}".strip()), highlight=False)
     keys = [*_world_keys(scenario), *_option_keys((r.name, r.options) for r in requests)]
+    keys = [key for key in keys if all(word in f"{key.name} {key.meaning}" for word in arguments.only)]
+    if not keys:
+        raise InputError(f"no key of {scenario.name} has {' and '.join(arguments.only)} in its name or meaning")
     if console.width < _WIDTH_OF_TABLE:
         _print_narrow(console, keys)
     else:

@@ -7,31 +7,32 @@ from argparse import ArgumentParser, Namespace
 from rich import box
 from rich.console import Console
 from rich.markup import escape
-from rich.padding import Padding
 from rich.table import Table
 
 from cellslam.benchmarks.cli.arguments import DONE
-from cellslam.scenarios.keys import unit_of
 from cellslam.scenarios.loading import load, preset_names
 from cellslam.slam import registry
 
-_PIPE_WIDTH = 160
-_WIDTH_OF_TABLE = 130
-_NOT_KEYS = ("name", "title", "description", "facts", "estimator")
+_PIPE_WIDTH = 100
+# Facts of a scenario's first drive, and how their columns are headed.
+FACTS = {
+    "duration_s": "length\n(s)", "distance_m": "length\n(m)", "paths_per_site": "paths\na site",
+    "distinct_vts": "VTs", "measurements_per_snapshot": "paths\nmeasured",
+}  # fmt: skip
 
 
 def add_arguments(parser: ArgumentParser) -> None:
     """Add the arguments of this command."""
-    parser.add_argument("kind", choices=("scenarios", "estimators"), help="what to list")
+    parser.add_argument("kind", nargs="?", choices=("scenarios", "estimators"), help="what to list (default: both)")
 
 
 def command(arguments: Namespace) -> int:
     """Carry out `cellslam list`."""
     console = _console()
-    if arguments.kind == "estimators":
+    if arguments.kind != "estimators":
+        console.print(_scenarios())
+    if arguments.kind != "scenarios":
         console.print(_estimators())
-    else:
-        _print_scenarios(console)
     return DONE
 
 
@@ -45,22 +46,16 @@ def _estimators() -> Table:
     return table
 
 
-def _print_scenarios(console: Console) -> None:
+def _scenarios() -> Table:
+    table = Table(box=box.SIMPLE_HEAD, pad_edge=False)
+    table.add_column("scenario", no_wrap=True)
+    table.add_column("what it is")
+    for title in FACTS.values():
+        table.add_column(title, justify="right")
     for scenario in (load(name) for name in preset_names()):
-        console.print(escape(f"{scenario.name}: {scenario.title}"), highlight=False)
-        facts = ((*_fact(fact), _number(value)) for fact, value in scenario.facts.items())
-        line = ", ".join(f"{name} {value}{f' {unit}' if unit else ''}" for name, unit, value in facts)
-        console.print(Padding(escape(line), (0, 0, 0, 4)), highlight=False, style="dim")
-
-
-def _fact(key: str) -> tuple[str, str]:
-    """Return the words of a fact's key and its unit."""
-    unit = unit_of(key)
-    return (key.rpartition("_")[0] if unit else key).replace("_", " "), unit
-
-
-def _number(value: float | str) -> str:
-    return value if isinstance(value, str) else f"{value:g}"
+        facts = (f"{scenario.facts[key]:g}" if key in scenario.facts else "" for key in FACTS)
+        table.add_row(scenario.name, escape(scenario.title), *facts)
+    return table
 
 
 def _console() -> Console:

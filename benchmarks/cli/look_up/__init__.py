@@ -1,0 +1,1 @@
+"""Commands that say what there is: scenarios, estimators, keys, and the machine."""

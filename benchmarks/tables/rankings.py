@@ -1,0 +1,76 @@
+"""Who beats whom over the drives of a sweep: a verdict for each of its worlds, and one over all of them."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Mapping
+from functools import reduce
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from cellslam.benchmarks.scores.verdicts import Verdict, verdict
+from cellslam.benchmarks.tables.formats import number
+from cellslam.slam import registry
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+METRIC = "position_rmse_m"
+ALL = "overall"
+MOST_PANELS = 12
+
+
+def verdicts(
+    panels: Mapping[str, pd.DataFrame], oracles: Collection[str] = (), label: str = "estimator"
+) -> dict[str, Verdict]:
+    """Return the verdict on the position RMSE in each panel of rows, and, if there are several, over `ALL` of them.
+
+    Compared are the values of column `label`, those of `oracles` aside, on the drives that all of them met; a drive
+    that failed is worse than any other. Over all panels a trial counts once, with the geometric mean of its RMSEs:
+    trials of one number have random draws in common in every world, so that they are no further evidence. Of more than
+    twelve panels that verdict stands alone.
+    """
+    tables = {title: _scores(rows[~rows["estimator"].isin(oracles)], label) for title, rows in panels.items()}
+    if len(tables) > 1:
+        with np.errstate(divide="ignore"):
+            logs = [table.apply(np.log) for table in tables.values()]
+        mean = reduce(lambda one, other: one + other, logs) / len(logs)
+        tables[ALL] = mean.apply(np.exp).dropna(axis=1, how="all").dropna()
+    if len(panels) > MOST_PANELS:
+        tables = {ALL: tables[ALL]}
+    found = {title: verdict({str(name): table[name].to_numpy() for name in table}) for title, table in tables.items()}
+    return {title: one for title, one in found.items() if one is not None}
+
+
+def map_builders(panels: Mapping[str, pd.DataFrame]) -> dict[str, pd.DataFrame]:
+    """Return the rows of the built-in estimators that build a map and are no oracles: what a suite's power is of."""
+    own = {entry.name for entry in registry.BUILT_IN if not entry.oracle}
+    building = {name for rows in panels.values() for name in rows.loc[rows["map_gospa_m"].notna(), "estimator"]}
+    return {title: rows[rows["estimator"].isin(own & building)] for title, rows in panels.items()}
+
+
+def verdict_lines(one: Verdict) -> list[str]:
+    """Return a verdict as a Markdown table: mean ranks, and median differences, bold where a pair is told apart."""
+    lines = [
+        "| estimator | mean rank | " + " | ".join(one.names) + " |",
+        "|---|" + "---:|" * (len(one.names) + 1),
+    ]
+    for i, name in enumerate(one.names):
+        cells = [
+            "" if i == j else f"**{text}**" if one.differ[i, j] else text
+            for j, text in enumerate(number(value, METRIC) for value in one.difference[i].tolist())
+        ]
+        lines.append(f"| {name} | {one.mean_rank[i]:.2f} | " + " | ".join(cells) + " |")
+    return lines
+
+
+def told_apart(one: Verdict) -> str:
+    """Return how many pairs a verdict tells apart, as in `12 of 15 pairs (80 %)`."""
+    apart, pairs = one.pairs
+    return f"{apart} of {pairs} pairs ({100 * apart / pairs:.0f} %)"
+
+
+def _scores(rows: pd.DataFrame, label: str) -> pd.DataFrame:
+    """Return the errors in m by drive and column `label`, infinite where it failed."""
+    score = rows[METRIC].astype(float).where(rows["status"] == "ok", np.inf)
+    return score.groupby([rows["seed"], rows["trial"], rows[label]]).mean().unstack().dropna()

@@ -1,0 +1,140 @@
+"""The bound of drives that share a map: against a plain joint recursion that goes on, and against mirrored points."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from cellslam.benchmarks.bound.cramer_rao import bound, start_variance
+from cellslam.benchmarks.bound.shared_maps import SITE_STD_M, WALL_STD, shared_map_bounds
+from cellslam.sim.errors import InputError
+from cellslam.sim.frames import rotation
+from cellslam.sim.recording import Recording
+from tests.benchmarks.bound.test_cramer_rao import JointFilter
+
+SITES = np.array([[80.0, -40.0, 30.0], [-60.0, 90.0, 25.0]])
+WALLS = np.array([[0.3, 60.0], [2.0, 45.0], [-1.2, 70.0]])  # azimuth of the normal in rad, distance in m
+DRIVE = {"snapshots": 50, "detection": 0.6, "clutter": 0.0, "vts_per_site": 4}
+
+
+def mirrored(site: np.ndarray, wall: np.ndarray) -> np.ndarray:
+    """A site as its reflection is heard; a wall of NaN: as itself."""
+    if np.isnan(wall).any():
+        return site
+    n = np.array([np.cos(wall[0]), np.sin(wall[0]), 0.0])
+    return site - 2.0 * (n @ site - wall[1]) * n
+
+
+@pytest.fixture
+def drives(make_recording) -> list[Recording]:
+    """Two drives past two sites and three walls: each site is heard directly and over each wall."""
+    out = []
+    for seed in (1, 2):
+        recording = make_recording(seed=seed, **DRIVE)
+        vts, walls = recording.truth.vts, np.vstack([[np.nan, np.nan], WALLS])
+        facet = np.tile(np.arange(-1, 3), 2)
+        places = [mirrored(SITES[s], walls[f + 1]) for s, f in zip(vts.site, facet, strict=True)]
+        facets = np.stack([facet, np.full(8, -1)], axis=1)
+        vts = replace(vts, position_m=np.array(places), order=(facet >= 0).astype(np.int64), facets=facets)
+        out.append(replace(recording, truth=replace(recording.truth, vts=vts, site_positions_m=SITES)))
+    assert np.array_equal(out[0].truth.vts.site, np.repeat([0, 1], 4))
+    return out
+
+
+class Going(JointFilter):
+    """The plain recursion of a drive that begins with the map (3 K, 3 K) that another one has left."""
+
+    def __init__(self, recording: Recording, known: np.ndarray) -> None:
+        super().__init__(recording)
+        assert len(self.keys) == len(recording.truth.vts)
+        core = self.core.size
+        self.covariance[:core, core:] = self.covariance[core:, :core] = 0.0
+        self.covariance[:core, :core] = np.diag(start_variance(recording, self.core))
+        self.covariance[core:, core:] = known
+
+    @property
+    def left(self) -> np.ndarray:
+        return self.covariance[self.core.size :, self.core.size :]
+
+
+def close(result: np.ndarray, expected: np.ndarray, tolerance: float) -> None:
+    scale = np.sqrt(np.einsum("tii->ti", expected) + 1e-12)
+    assert (np.abs(result - expected) / (scale[:, :, None] * scale[:, None, :])).max() < tolerance
+
+
+def test_the_first_of_several_drives_is_as_it_is_alone(drives):
+    alone = bound(drives[0])
+    first, second = shared_map_bounds(drives)
+    np.testing.assert_allclose(first.pose_covariance, alone.pose_covariance, rtol=1e-9, atol=1e-14)
+    np.testing.assert_allclose(first.pose_error, alone.pose_error, rtol=1e-6, atol=1e-9)
+    assert second.position_rmse_m < 0.9 * bound(drives[1]).position_rmse_m
+
+
+def test_the_second_drive_goes_on_with_the_map_alone(drives):
+    broad = Going(drives[0], 1e8 * np.eye(24))
+    broad.run()
+    pose, offset = Going(drives[1], broad.left).run()
+    _, second = shared_map_bounds(drives)
+    close(second.pose_covariance, pose, 1e-4)
+    np.testing.assert_allclose(second.clock_offset_std_m, offset, rtol=1e-4)
+
+
+def test_walls_are_points_that_are_mirrored(drives):
+    """The joint recursion over points whose prior is that of their sites and walls."""
+    state = np.concatenate([SITES.ravel(), WALLS.ravel()])
+    std = np.concatenate([np.full(6, SITE_STD_M), np.tile(WALL_STD, 3)])
+
+    def points(x: np.ndarray) -> np.ndarray:
+        sites, walls = x[:6].reshape(2, 3), np.vstack([[np.nan, np.nan], x[6:].reshape(3, 2)])
+        return np.concatenate([mirrored(site, wall) for site in sites for wall in walls])
+
+    step = 1e-5
+    by = np.stack([(points(state + e) - points(state - e)) / (2.0 * step) for e in step * np.eye(12)], axis=1)
+    first = Going(drives[0], (by * std**2) @ by.T)
+    pose, offset = first.run()
+    again, _ = Going(drives[1], first.left).run()
+    results = list(shared_map_bounds(drives, walls=True))
+    close(results[0].pose_covariance, pose, 1e-4)
+    np.testing.assert_allclose(results[0].clock_offset_std_m, offset, rtol=1e-4)
+    close(results[1].pose_covariance, again, 1e-4)
+    for result, plain in zip(results, shared_map_bounds(drives), strict=True):
+        assert result.position_rmse_m < plain.position_rmse_m
+
+
+def test_what_the_filter_errs_fits_what_it_is_sure_of(make_recording, drives):
+    """The second drive's filter, with the errors of map and measurements as they were drawn: NEES of 2 on average."""
+    squares = []
+    for seed in range(30):
+        several = []
+        for recording, own in zip(drives, (2 * seed, 2 * seed + 1), strict=True):
+            drawn = make_recording(seed=100 + own, **DRIVE)
+            rng = np.random.default_rng(own)
+            vts, m = recording.truth.vts.position_m, drawn.measurements
+            sight = vts[drawn.truth.measurement_vt] - drawn.truth.poses[m.snapshot, :3]
+            body = np.einsum("nji,nj->ni", rotation(*drawn.truth.poses[m.snapshot, 3:].T), sight)
+            exact = np.stack(
+                [
+                    np.linalg.norm(body, axis=1) + drawn.truth.clock_offsets_m[drawn.links.site[m.link]],
+                    np.arctan2(body[:, 1], body[:, 0]),
+                    np.arctan2(body[:, 2], np.hypot(body[:, 0], body[:, 1])),
+                ]
+            )
+            z = exact + drawn.truth.measurement_std.T * rng.standard_normal(exact.shape)
+            values = dict(zip(("distance_m", "azimuth_rad", "elevation_rad"), z, strict=True))
+            truth = replace(drawn.truth, vts=recording.truth.vts, site_positions_m=SITES)
+            several.append(replace(drawn, truth=truth, measurements=replace(m, **values)))
+        *_, last = shared_map_bounds(several)
+        error, covariance = last.pose_error[-1, :2], last.pose_covariance[-1, :2, :2]
+        squares.append(error @ np.linalg.solve(covariance, error))
+    assert 1.2 < np.mean(squares) < 3.0
+
+
+def test_what_cannot_share_a_map_is_refused(make_recording, drives):
+    elsewhere = replace(drives[1], truth=replace(drives[1].truth, site_positions_m=SITES + 1.0))
+    with pytest.raises(InputError, match="sites of the recordings are not the same"):
+        list(shared_map_bounds([drives[0], elsewhere]))
+    twice = replace(drives[1].truth.vts, order=drives[1].truth.vts.order + 1)
+    with pytest.raises(InputError, match="two reflections"):
+        list(shared_map_bounds([drives[0], replace(drives[1], truth=replace(drives[1].truth, vts=twice))], walls=True))

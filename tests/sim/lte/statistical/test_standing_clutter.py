@@ -1,0 +1,163 @@
+"""Clutter and misses that last: as many as drawn anew, where they are in space, for as long as worked numbers say."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from cellslam.sim.frames import unit_vector
+from cellslam.sim.lte import RadioConfig
+from cellslam.sim.lte.persisting_errors import draw_fields
+from cellslam.sim.lte.statistical.detector_layout import PathColumns, Standing, Streams
+from cellslam.sim.lte.statistical.place_draws_kernel import joined, normal, poisson, square_of, uniform
+from cellslam.sim.lte.statistical.statistical_front_end import Detections, detect
+from cellslam.sim.lte.statistical.statistics import statistics
+from tests.sim.lte.statistical.test_detector import amplitude_for, make_cells
+
+Floats = NDArray[np.float64]
+SIDE = 20.0
+ALWAYS = Standing(1.0, SIDE, 0.5, 1.0, 1.0, 0.0, SIDE, 0.0)  # all clutter stands still, and all of it is reported
+GAMMA_DB = 25.0
+
+
+def drive(places: Floats, standing: Standing, seed: int = 1, ports: int = 1, **keys: float | bool) -> Detections:
+    """Measure one path from places (T, 2): exact but for the least error of a claim, no noise peaks."""
+    own = {"load": 0.0, "evm": 0.0, "noise_scale": 0.0, "detection_threshold": 40.0, "persisting_clutter": True}
+    config = RadioConfig(**(own | keys))
+    count, amplitude = len(places), amplitude_for(10.0 ** (GAMMA_DB / 10.0), config)
+    poses = np.zeros((count, 6))
+    poses[:, :2] = places
+    paths = PathColumns(
+        np.arange(count + 1), np.tile([800.0, 900.0, 0.0], (count, 1)),
+        np.tile(amplitude * np.eye(2, dtype=np.complex128), (count, 1, 1)), np.zeros((count, 2)),
+    )  # fmt: skip
+    fields = draw_fields(config, 0.075, np.random.default_rng(seed))
+    streams = Streams.spawn(np.random.default_rng(seed))
+    constants = replace(statistics(), standing=standing)
+    window = config.model_copy(update={"window_max_m": 6600.0})
+    cells = make_cells(0.0, ports=ports)
+    return detect(window, cells, paths, poses, np.zeros(1), fields, streams, constants=constants)
+
+
+def in_space(d: Detections, places: Floats) -> Floats:
+    """Return snapshot, link and position to half a metre (C, 5) of clutter."""
+    m, clutter = d.measurements, d.path < 0
+    at = np.zeros((len(d.path), 3))
+    at[:, :2] = places[m.snapshot]
+    at += m.distance_m[:, None] * unit_vector(m.azimuth_rad, m.elevation_rad)
+    return np.column_stack([m.snapshot, m.link, at])[clutter]
+
+
+def scatterers(rows: Floats) -> NDArray[np.int64]:
+    """Return which scatterer each row of clutter is: rows within 4 m are one."""
+    known: list[Floats] = []
+    out = []
+    for point in rows[:, 2:]:
+        near = [i for i, other in enumerate(known) if np.linalg.norm(point - other) < 4.0]
+        if not near:
+            known.append(point)
+        out.append(near[0] if near else len(known) - 1)
+    return np.array(out, np.int64)
+
+
+def along(way_m: float, step_m: float) -> Floats:
+    """Return places along an axis."""
+    x = np.arange(0.0, way_m, step_m)
+    return np.stack([x, np.full_like(x, 7.0)], 1)
+
+
+def test_draws_of_keys_are_uniform_normal_and_poisson() -> None:
+    key, count = np.uint64(5), 20_000
+    u = np.array([uniform(key, i) for i in range(-count // 2, count // 2)])
+    z = np.array([normal(key, i) for i in range(count)])
+    n = np.array([poisson(1.7, x, 512) for x in u])
+    assert u.min() >= 0.0
+    assert u.max() < 1.0
+    assert len(np.unique(u)) == count
+    np.testing.assert_allclose([u.mean(), u.var()], [1.0 / 2.0, 1.0 / 12.0], atol=5.0 / np.sqrt(12.0 * count))
+    np.testing.assert_allclose([z.mean(), z.std()], [0.0, 1.0], atol=5.0 / np.sqrt(count))
+    np.testing.assert_allclose([n.mean(), n.var()], 1.7, atol=5.0 * np.sqrt((1.7 + 2.0 * 1.7**2) / count))
+    assert abs(np.corrcoef(u[1:], u[:-1])[0, 1]) < 5.0 / np.sqrt(count)
+    assert poisson(1e3, 1.0 - 2.0**-53, 512) == 512
+
+
+def test_squares_are_shared_as_far_as_geometry_says() -> None:
+    from cellslam.sim.lte.calibration.recurrence import same_square
+
+    rng, count = np.random.default_rng(3), 4000
+    for way in (0.25, 0.5, 0.9):
+        place, turn = rng.uniform(-100.0, 100.0, (count, 3)), rng.uniform(-np.pi, np.pi, count)
+        other = place + way * SIDE * np.stack([np.cos(turn), np.sin(turn), np.zeros(count)], 1)
+        keys = [np.uint64(joined(np.uint64(9), i)) for i in range(count)]
+        same = [square_of(k, a, SIDE) == square_of(k, b, SIDE) for k, a, b in zip(keys, place, other, strict=True)]
+        # Half a side apart, at random: (1 - |cos| / 2) (1 - |sin| / 2) over all directions is 1 - 1.75 / pi = 0.443.
+        expected = float(same_square(np.array(way)))
+        assert abs(np.mean(same) - expected) < 5.0 * np.sqrt(expected * (1.0 - expected) / count)
+    assert same_square(np.array(0.5)) == pytest.approx(0.443, abs=1e-3)
+
+
+def test_scatterers_last_for_the_area_below_their_correlation() -> None:
+    # Along an axis the correlation over the way x is 1 - x / side, the area below it, both ways, one side. So on a way
+    # of 50 sides 51 draws of Poisson numbers are met, each of the mean, and each scatterer for a side on average.
+    way, step = 50.0 * SIDE, 0.5
+    places = along(way, step)
+    mean = float(statistics().clutter_at(6.0).mean[4])
+    rows = [in_space(drive(places, ALWAYS, seed), places) for seed in range(6)]
+    met = sum(len(np.unique(scatterers(r))) for r in rows)
+    expected = 6.0 * 51.0 * mean
+    assert abs(met - expected) < 5.0 * np.sqrt(expected)
+    assert sum(map(len, rows)) * step / met == pytest.approx(SIDE * 50.0 / 51.0, rel=0.1)
+
+
+def test_as_much_clutter_as_drawn_anew() -> None:
+    rng, count = np.random.default_rng(8), 40_000
+    places = rng.uniform(-2000.0, 2000.0, (count, 2))
+    mean = float(statistics().clutter_at(6.0).mean[4])
+    for standing in (ALWAYS, Standing(0.6, SIDE, 0.3, 0.3, 0.5, 0.4, 40.0, 0.3)):
+        got = (drive(places, standing).path < 0).sum()
+        assert abs(got - mean * count) < 5.0 * np.sqrt(2.0 * mean * count)
+
+
+def test_a_port_sees_its_share_of_what_another_sees() -> None:
+    rng, count, lit = np.random.default_rng(8), 20_000, 0.3
+    places = rng.uniform(-2000.0, 2000.0, (count, 2))
+    rows = in_space(drive(places, ALWAYS._replace(lit=lit), ports=2), places)
+    one, other = (rows[rows[:, 1] == port] for port in range(2))
+    reach: dict[int, list[Floats]] = {}
+    for row in other:
+        reach.setdefault(int(row[0]), []).append(row[2:])
+    shared = [any(np.linalg.norm(r[2:] - x) < 4.0 for x in reach.get(int(r[0]), [])) for r in one]
+    assert abs(np.mean(shared) - lit) < 5.0 * np.sqrt(lit * (1.0 - lit) / len(one))
+
+
+def test_standing_still_repeats_what_is_seen() -> None:
+    # A quarter of the scatterers is seen from here, at every snapshot or never; these are reported half the time.
+    standing, count = ALWAYS._replace(lit=0.25, reported=0.5), 400
+    shares = []
+    for seed in range(60):
+        places = np.zeros((count, 2))
+        rows = in_space(drive(places, standing, seed), places)
+        shares += [n / count for n in np.bincount(scatterers(rows))] if len(rows) else []
+    assert len(shares) > 20
+    assert abs(np.median(shares) - 0.5) < 5.0 * 0.5 / np.sqrt(count)
+    assert np.mean(np.abs(np.array(shares) - 0.5) < 5.0 * 0.5 / np.sqrt(count)) > 0.9  # else two lie within 4 m
+
+
+@pytest.mark.parametrize(("standing", "way"), [((0.0, 0.0), 0.0), ((1.0, 0.0), SIDE), ((0.0, 1.0), 0.5)])
+def test_misses_last_as_long_as_their_square(standing: tuple[float, float], way: float) -> None:
+    # The chance stays 0.4; of independent draws, one a snapshot or a square, 0.48 follow one of the other kind.
+    lasting = ALWAYS._replace(share=0.0, missed_life=standing[0], missed_fading=standing[1])
+    places, step = along(6000.0, 0.1), 0.1
+    keys = {"clutter_scale": 0.0, "detection_scale": 0.4, "detection_threshold": 17.4}
+    found = np.zeros(len(places))
+    for seed in range(4):
+        d = drive(places, lasting, seed, **keys)
+        found = np.zeros(len(places))
+        found[d.measurements.snapshot] = 1.0
+        draws = 6000.0 / max(way, step)
+        assert abs(found.mean() - 0.4) < 5.0 * np.sqrt(0.24 / draws)
+        changes = np.abs(np.diff(found)).sum()
+        assert abs(changes - 0.48 * draws) < 5.0 * np.sqrt(0.48 * draws)

@@ -1,0 +1,100 @@
+"""Steps of clocks: found as by the textbook filter whose offset is open, with no more false alarms than stated."""
+
+import numpy as np
+import pytest
+from scipy.stats import chi2
+
+from cellslam.slam.ekf_slam.snapshot.steps_kernel import expect_steps, shift_clocks, take_steps
+from cellslam.slam.ekf_slam.snapshot.update_kernel import correct, settle
+from cellslam.slam.ekf_slam.state.layout import LAST
+
+NOW = 3  # number of the fixture's snapshot
+POSE = (1.0, 2.0, 0.0, 0.3, 0.0, 0.0)
+VTS = ((60.0, 0.4, 0.2), (80.0, 2.0, 0.1), (45.0, -1.5, 0.3), (90.0, -2.6, 0.15))
+Q = np.array([0.2, 0.01, 0.01]) ** 2
+
+
+def prepared(one_filter, **rules):
+    """Return a filter that knows pose, offset and VTs well, and its covariance's root."""
+    one = one_filter(**rules)
+    one.put(POSE, 5.0, *VTS)
+    std = np.full(one.n, 0.01)
+    std[:3], std[one.offset] = 0.1, 0.3
+    root = np.diag(std) @ (np.eye(one.n) + 0.3 * np.random.default_rng(1).standard_normal((one.n, one.n)) / one.n)
+    return one, root
+
+
+def use(one, looks):
+    """Take looks at all VTs in as one block; return what the decision on steps adds to the log-likelihood."""
+    expect_steps(one.f, one.rules, one.w.pending.steps)
+    total = sum(correct(one.f, one.errors, j, one.offset, one.look(z, Q), one.w.sight, one.w.pending) for j, z in looks)
+    settle(one.f, one.w.pending)
+    return total + take_steps(one.f, one.rules, one.w.pending.steps)
+
+
+def test_a_step_is_found_as_if_the_offset_had_been_open(one_filter, kalman):
+    """With a step that is certain a priori, mean, covariance and likelihood are those of an opened variance."""
+    one, root = prepared(one_filter, step=0.0, step_m=3.0)
+    p = one.spread(root)
+    looks = [(j, one.model(j)[0] + np.array([0.7, 0.003, -0.002])) for j in range(len(VTS))]
+    h = [one.model(j)[1] for j in range(len(VTS))]
+    x, p[one.offset, one.offset], total = one.f.x[: one.n].copy(), p[one.offset, one.offset] + 9.0, 0.0
+    start = x.copy()
+    for (_, z), jacobian, (expected, _) in zip(looks, h, [one.model(j) for j in range(len(VTS))], strict=True):
+        x, p, density = kalman(x, p, jacobian, z - expected - jacobian @ (x - start), Q)
+        total += density
+    found = use(one, looks)
+    # The compiled filter linearises anew after each look.
+    assert found == pytest.approx(total, abs=0.05)
+    std = np.sqrt(np.diag(p))
+    assert np.abs((one.f.x[: one.n] - x) / std).max() < 0.02
+    np.testing.assert_allclose(one.f.p[: one.n, : one.n] / np.outer(std, std), p / np.outer(std, std), atol=0.01)
+
+
+def test_false_alarms_are_as_rare_as_stated(one_filter):
+    """Blocks drawn from the filter's own model: alarms come as chi-square says, below the stated probability."""
+    probability, rng, alarms, blocks = 0.05, np.random.default_rng(5), 0, 4000
+    one, root = prepared(one_filter, step=float(np.log(probability)), step_m=1.0)
+    h = np.concatenate([one.model(j)[1] for j in range(len(VTS))])
+    expected = np.concatenate([one.model(j)[0] for j in range(len(VTS))])
+    x = one.f.x[: one.n].copy()
+    for _ in range(blocks):
+        one.f.x[: one.n] = x
+        one.spread(root)
+        z = expected + h @ (root @ rng.standard_normal(one.n)) + np.tile(np.sqrt(Q), 4) * rng.standard_normal(12)
+        expect_steps(one.f, one.rules, one.w.pending.steps)
+        for j in range(len(VTS)):
+            correct(one.f, one.errors, j, one.offset, one.look(z[3 * j : 3 * j + 3], Q), one.w.sight, one.w.pending)
+        settle(one.f, one.w.pending)
+        alarms += take_steps(one.f, one.rules, one.w.pending.steps) > 0.0
+    told = one.w.pending.steps.information[0]
+    least = (np.log(1.0 + told) - 2.0 * np.log(probability)) * (1.0 + 1.0 / told)
+    rate = chi2.sf(least, 1)
+    assert rate < probability
+    assert abs(alarms - blocks * rate) < 3.0 * np.sqrt(blocks * rate)
+
+
+@pytest.mark.parametrize(("azimuths", "found"), [((0.3, 0.4, 0.2), False), ((0.3, 1.8, -2.8), True)])
+def test_what_a_slip_explains_is_no_step(one_filter, azimuths, found):
+    """All distances are 0.8 m short: where VTs are ahead alone, the vehicle may as well be farther than it knows."""
+    one = one_filter(step=float(np.log(1e-6)), step_m=50.0)
+    one.put(POSE, 5.0, *((rho, azimuth, 0.05) for rho, azimuth in zip((60.0, 80.0, 45.0), azimuths, strict=True)))
+    one.spread(np.diag(np.where(np.arange(one.n) < 3, 0.05, 0.01)))
+    use(one, [(j, one.model(j)[0] - [0.8, 0.0, 0.0]) for j in range(3)])
+    assert (one.f.x[one.offset] < 4.5) == found
+
+
+@pytest.mark.parametrize(
+    ("step_m", "looks", "last", "snapshots"),
+    [(40.0, 4, NOW, 1), (40.0, 4, NOW - 100, 1), (40.0, 1, NOW, 4), (40.0, 1, NOW - 100, None), (0.0, 4, NOW, None)],
+)
+def test_a_large_step_is_found_where_nothing_associates(one_filter, step_m, looks, last, snapshots):
+    """At once where looks agree; after some snapshots where there is one alone, if its VT was seen lately."""
+    one, root = prepared(one_filter, step=float(np.log(1e-6)), step_m=100.0, log_clutter=-9.0, confirm=0)
+    one.spread(root)
+    z = np.array([one.model(j)[0] + [step_m, 0.0, 0.0] for j in range(looks)])
+    seen, room = one.seen(z, np.tile(Q, (looks, 1))), one.w
+    room.pairs.slot_of[:], one.f.slots[:, LAST] = -1 if step_m else 0, last
+    found = [shift_clocks(one.f, one.block, one.errors, seen, room.sight, room.pairs) for _ in range(snapshots or 6)]
+    assert found == [False] * (len(found) - 1) + [snapshots is not None]
+    assert one.f.x[one.offset] == pytest.approx(5.0 + (step_m if snapshots else 0.0), abs=1e-9)
