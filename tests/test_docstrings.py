@@ -23,7 +23,7 @@ UNIT = re.compile(
     r"logs?|weights?|shares?|indices|index|counts?|rows)\b"
 )
 # Rooms that carry out published methods: there each function's docstring, or its module's, gives a source.
-METHODS = ("sim/rays", "sim/lte", "slam", "benchmarks/bound", "benchmarks/scores")
+METHODS = ("sim/rays", "sim/lte", "sim/nr", "sim/waveform", "slam", "benchmarks/bound", "benchmarks/scores")
 SOURCE = re.compile(r"\bSources?:")
 
 

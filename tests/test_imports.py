@@ -11,7 +11,7 @@ import pytest
 ROOT = Path(__file__).parents[1]
 ROOMS = ("sim", "slam", "scenarios", "benchmarks")
 # Of sim, estimators see the data contract and the frames; the others are helpers without a model.
-OPEN_TO_SLAM = ("recording", "frames", "frames_kernel", "errors", "progress", "randomness", "described", "compiling")
+OPEN_TO_SLAM = ("recording", "frames", "errors", "progress", "randomness", "described", "compiling")
 
 
 def imported(tree: ast.AST) -> Iterator[tuple[int, str]]:

@@ -20,18 +20,26 @@ from cellslam.sim.lte.array import (
     Complex,
     Floats,
     Steering,
+    array_at,
     doppler_phasors,
     miscalibrated,
     switching_times_s,
 )
+from cellslam.sim.lte.downlink.lte_waveform import LteWaveform
 from cellslam.sim.lte.joint_bound import PathSet, joint_std
-from cellslam.sim.lte.signal.channel import SLOTS_PER_FRAME, PortSignal, frequency_response, pilots
+from cellslam.sim.lte.signal.channel import PortSignal, frequency_response
 from cellslam.sim.lte.signal.path_estimator.cancellation import cancel
 from cellslam.sim.lte.signal.path_estimator.path_estimator import Estimates, estimate_paths
-from cellslam.sim.lte.signal.receiver import Motion, Receiver
-from cellslam.sim.lte.single_path_bound import tone_frequencies
+from cellslam.sim.lte.signal.receiver import Motion, Receiver, receiver_of
+from cellslam.sim.nr.nr_waveform import NrWaveform
+from cellslam.sim.waveform import Waveform
 
-CARRIER_HZ = 2.66e9
+# Carrier, waveform and detection threshold of the receivers under test: 20 MHz of LTE, 100 MHz of NR with as few false
+# paths over five times as many delays.
+RECEIVERS: dict[str, tuple[float, Waveform, float]] = {
+    "lte": (2.66e9, LteWaveform(), 17.4),
+    "nr": (3.5e9, NrWaveform(), 19.2),
+}
 STILL = np.zeros(3)
 PHASE_STD_DEG, GAIN_STD_DB = 5.0, 0.5  # calibration errors of the studies that have them
 Row = dict[str, Any]
@@ -51,7 +59,7 @@ class Bench:
     @property
     def tones_hz(self) -> Floats:
         """Frequencies of the reference tones (tones,), in Hz."""
-        return tone_frequencies(self.receiver.resource_blocks)
+        return self.receiver.tones_hz
 
     def draw(self, rng: np.random.Generator, rho_db: Floats, reach_m: float) -> PathSet:
         """Draw paths (n,) of given SNR per sample, anywhere within `reach_m` and up to 40 degrees above the horizon."""
@@ -72,7 +80,9 @@ class Bench:
         """Return the noiseless samples (ports, tones) of the paths, seen with `array` (None: the believed one)."""
         signal = PortSignal(375, 0, paths)
         seen = array or self.array
-        return frequency_response(seen, self.tones_hz, self.receiver.times_s, velocity, signal, CARRIER_HZ)
+        return frequency_response(
+            seen, self.tones_hz, self.receiver.times_s, velocity, signal, self.receiver.carrier_hz
+        )
 
     def noise(self, rng: np.random.Generator) -> Complex:
         """Return unit noise (ports, tones)."""
@@ -98,10 +108,11 @@ def errors(paths: PathSet, found: Estimates) -> tuple[Floats, np.ndarray]:
 
 
 @lru_cache(maxsize=4)
-def default_bench(order: Literal["column", "ring"] = "column", resource_blocks: int = 100) -> Bench:
-    """Return the bench of the paper's receiver."""
-    array = CircularArray()
-    return Bench(Receiver(array=array, times_s=switching_times_s(array, order), resource_blocks=resource_blocks))
+def default_bench(technology: str = "lte", order: Literal["column", "ring"] = "column") -> Bench:
+    """Return the bench of the paper's receiver, or of the same for another waveform of RECEIVERS."""
+    carrier_hz, waveform, threshold = RECEIVERS[technology]
+    times_s = switching_times_s(array_at(carrier_hz), order)
+    return Bench(receiver_of(waveform, carrier_hz, times_s=times_s, threshold=threshold))
 
 
 def single_path(bench: Bench, rho_db: float, runs: int, rng: np.random.Generator) -> Row:
@@ -179,15 +190,15 @@ def resolution(
 def collision(bench: Bench, ratio_db: float, runs: int, rng: np.random.Generator) -> Row:
     """A weak cell under one that shares its reference elements and is `ratio_db` stronger; calibration errors."""
     slots = 20 + np.arange(bench.array.ports)
-    blocks = bench.receiver.resource_blocks
-    codes = {c: np.array([pilots(c, 0, int(s % SLOTS_PER_FRAME), blocks)[1] for s in slots]) for c in (375, 177)}
+    lte = LteWaveform()
+    codes = {c: np.array([lte.values((c, 0), 3, int(s % lte.slots)) for s in slots]) for c in (375, 177)}
     found = false = total = 0
     for _ in range(runs):
         array = _spoilt(bench, rng)
         weak = bench.draw(rng, rng.uniform(-20.0, 0.0, 4), 600.0)
         strong = bench.draw(rng, np.array([ratio_db - 20.0, ratio_db - 30.0, ratio_db - 35.0]), 600.0)
         mixed = bench.channel(weak, array=array) * codes[375] + bench.channel(strong, array=array) * codes[177]
-        cleaned = cancel((mixed + bench.noise(rng)) * codes[375].conj(), (375, 0), (177, 0), slots, blocks)
+        cleaned = cancel((mixed + bench.noise(rng)) * codes[375].conj(), lte, (375, 0), (177, 0), 3, slots)
         result = bench.estimate(cleaned)
         hit = int(np.isfinite(errors(weak, result)[0]).all(axis=1).sum())
         found, total, false = found + hit, total + len(weak), false + max(len(result) - hit, 0)
@@ -203,12 +214,12 @@ def ghosts(bench: Bench, rho_db: float, runs: int, rng: np.random.Generator) -> 
     return {"rho_db": rho_db, "runs": runs, "ghosts": extra / runs}
 
 
-def motion(order: Literal["column", "ring"], speed_mps: float, runs: int, seed: int) -> Row:
+def motion(technology: str, order: Literal["column", "ring"], speed_mps: float, runs: int, seed: int) -> Row:
     """One path seen in motion with known velocity, against the same path at rest: ratios (3,) of RMSE and of bound.
 
     The noise is turned with the wave's Doppler phase, so that both estimates meet the same.
     """
-    bench, velocity = default_bench(order), np.array([speed_mps, 0.0, 0.0])
+    bench, velocity = default_bench(technology, order), np.array([speed_mps, 0.0, 0.0])
     moving: list[Floats] = []
     at_rest: list[Floats] = []
     bounds: list[list[Floats]] = []
@@ -218,7 +229,7 @@ def motion(order: Literal["column", "ring"], speed_mps: float, runs: int, seed: 
         paths = bench.draw(scene, np.array([-10.0]), 1500.0)
         noise = bench.noise(scene)
         times = bench.receiver.times_s
-        turn = doppler_phasors(times, velocity, paths.azimuth_rad, paths.elevation_rad, CARRIER_HZ)[0]
+        turn = doppler_phasors(times, velocity, paths.azimuth_rad, paths.elevation_rad, bench.receiver.carrier_hz)[0]
         bounds.append([joint_std(a, bench.tones_hz, paths, 1.0)[0] for a in (in_motion, still)])
         for velocity_now, sink, added in ((velocity, moving, turn[:, None] * noise), (STILL, at_rest, noise)):
             result = bench.estimate(bench.channel(paths, velocity_now) + added, velocity_now)

@@ -5,12 +5,14 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
 from functools import partial
 from typing import Any, Literal
 
 import numpy as np
 
 from cellslam.benchmarks.bench.front_end_bench import (
+    RECEIVERS,
     STILL,
     Bench,
     Row,
@@ -22,10 +24,12 @@ from cellslam.benchmarks.bench.front_end_bench import (
     resolution,
     single_path,
 )
-from cellslam.sim.lte.array import CircularArray, switching_times_s
-from cellslam.sim.lte.signal.receiver import Receiver
+from cellslam.sim.errors import InputError
+from cellslam.sim.lte.array import array_at, switching_times_s
+from cellslam.sim.lte.signal.receiver import receiver_of
 from cellslam.sim.progress import Progress
 
+# SNR per sample with the tones of LTE.
 RHO_DB = (-32.5, -30.0, -28.0, -20.0, -10.0, 0.0, 10.0, 20.0)
 # Steps of the resolution table: distance in m, azimuth and elevation in deg, for three integrated SNRs.
 STEPS: dict[float, tuple[Sequence[float], Sequence[float], Sequence[float]]] = {
@@ -37,12 +41,19 @@ ACQUIRE_MS, TRACK_MS, INTERVAL_MS = 120.0, 51.0, 75.0
 
 
 Point = Callable[[np.random.Generator], Row]
-Points = Callable[[int], list[Point]]
+Points = Callable[[str, int], list[Point]]
 
 
-def studies(wanted: Sequence[str], runs: int, seed: int, progress: Progress) -> dict[str, list[Row]]:
-    """Return the rows of the studies by name."""
-    points, out = {name: STUDIES[name](runs) for name in wanted}, {}
+def studies(
+    wanted: Sequence[str], runs: int, seed: int, progress: Progress, technology: str = "lte"
+) -> dict[str, list[Row]]:
+    """Return the rows of the studies by name; none wanted: of all. Raises InputError for one that the technology has
+    not.
+    """
+    if technology != "lte" and "collision" in wanted:
+        raise InputError(f"study collision: ports of {technology} share no reference elements; lte has it")
+    wanted = wanted or [name for name in STUDIES if technology == "lte" or name != "collision"]
+    points, out = {name: STUDIES[name](technology, runs) for name in wanted}, {}
     with progress("measuring", sum(map(len, points.values()))) as advance:
         for name in wanted:
             rows: list[Row] = []
@@ -56,41 +67,53 @@ def studies(wanted: Sequence[str], runs: int, seed: int, progress: Progress) -> 
 def _each(study: Callable[[Bench, Any, int, np.random.Generator], Row], values: Sequence[float]) -> Points:
     """Return the points of a study that varies one value."""
 
-    def points(runs: int) -> list[Point]:
+    def points(technology: str, runs: int) -> list[Point]:
         def point(rng: np.random.Generator, value: float) -> Row:
-            return study(default_bench(), value, runs, rng)
+            return study(default_bench(technology), value, runs, rng)
 
         return [partial(point, value=value) for value in values]
 
     return points
 
 
-def _resolutions(runs: int) -> list[Point]:
+def _resolutions(technology: str, runs: int) -> list[Point]:
     def point(rng: np.random.Generator, gamma_db: float, component: int) -> Row:
-        steps = _si(STEPS[gamma_db][component], component)
-        return resolution(default_bench(), gamma_db, component, steps, max(runs // 4, 2), rng)
+        bench = default_bench(technology)
+        steps = _si(STEPS[gamma_db][component], component) * bench.receiver.coarser[component]
+        return resolution(bench, gamma_db, component, steps, max(runs // 4, 2), rng)
 
     return [partial(point, gamma_db=gamma_db, component=c) for gamma_db in STEPS for c in range(3)]
 
 
-def _motions(runs: int) -> list[Point]:
+def _motions(technology: str, runs: int) -> list[Point]:
     orders: tuple[Literal["column", "ring"], ...] = ("column", "ring")
 
     def point(rng: np.random.Generator, order: Literal["column", "ring"], speed_mps: float) -> Row:
-        return motion(order, speed_mps, runs, int(rng.integers(2**31)))
+        return motion(technology, order, speed_mps, runs, int(rng.integers(2**31)))
 
     return [partial(point, order=order, speed_mps=v) for order in orders for v in (1.0, 3.0)]
 
 
-def _speeds(runs: int) -> list[Point]:
+def _speeds(technology: str, runs: int) -> list[Point]:
     def point(rng: np.random.Generator, sizes: tuple[int, int, int]) -> Row:
-        return speed(*sizes, rng)
+        return speed(technology, sizes, rng)
 
     return [partial(point, sizes=sizes) for sizes in speed_points()]
 
 
+def _singles(technology: str, runs: int) -> list[Point]:
+    """Return the points of a single path: the same integrated SNR in all technologies."""
+
+    def point(rng: np.random.Generator, rho_db: float) -> Row:
+        bench = default_bench(technology)
+        more_db = 10.0 * np.log10(len(bench.tones_hz) / len(default_bench("lte").tones_hz))
+        return single_path(bench, rho_db - more_db, runs, rng)
+
+    return [partial(point, rho_db=rho_db) for rho_db in RHO_DB]
+
+
 STUDIES: dict[str, Points] = {
-    "single": _each(single_path, RHO_DB), "many": _each(many_paths, (3, 10, 20)), "resolution": _resolutions,
+    "single": _singles, "many": _each(many_paths, (3, 10, 20)), "resolution": _resolutions,
     "collision": _each(collision, (0.0, 20.0, 40.0)), "ghosts": _each(ghosts, (10.0, 20.0, 25.0)),
     "motion": _motions, "speed": _speeds,
 }  # fmt: skip
@@ -101,10 +124,16 @@ def speed_points() -> list[tuple[int, int, int]]:
     return [(3, 12, 16), (10, 12, 16), (20, 12, 16), (10, 4, 16), (10, 24, 16), (10, 12, 8), (10, 12, 24)]
 
 
-def speed(paths: int, links: int, columns: int, rng: np.random.Generator, repeat: int = 5) -> Row:
-    """Time acquisition and tracking of one snapshot of all links: best wall time on two threads, and processor time."""
-    array = CircularArray(columns=columns, radius_m=0.147 * columns / 16)
-    bench = Bench(Receiver(array=array, times_s=switching_times_s(array)))
+def speed(technology: str, sizes: tuple[int, int, int], rng: np.random.Generator, repeat: int = 5) -> Row:
+    """Time acquisition and tracking of one snapshot of all links: best wall time on two threads, and processor time.
+
+    `sizes`: paths, links, columns of the array.
+    """
+    (paths, links, columns), (carrier_hz, waveform, threshold) = sizes, RECEIVERS[technology]
+    usual = array_at(carrier_hz)
+    array = replace(usual, columns=columns, radius_m=usual.radius_m * columns / 16)
+    times_s = switching_times_s(array)
+    bench = Bench(receiver_of(waveform, carrier_hz, array=array, times_s=times_s, threshold=threshold))
     clean = [bench.channel(bench.draw(rng, rng.uniform(-30.0, 0.0, paths), 600.0)) for _ in range(links)]
     first = [c + bench.noise(rng) for c in clean]
     second = [c + bench.noise(rng) for c in clean]

@@ -45,7 +45,9 @@ def draw_snapshot(world: World, number: int, link: int | None, out: Path) -> lis
     axes = figure.subplots((len(shown) + 1) // 2, min(len(shown), 2), squeeze=False).ravel()
     lines = []
     for axis, one in zip(axes, shown, strict=False):
-        spectrum = Spectrum(signals.samples(one, received, slots), signals.receiver.moving(velocity))
+        spectrum = Spectrum(
+            signals.receiver.fitted.of(signals.samples(one, received, slots)), signals.receiver.moving(velocity)
+        )
         site = int(signals.links.site[one])
         true = truth[int(columns.rows[site]) : int(columns.rows[site + 1])]
         found = table[table[:, k.LINK] == one]

@@ -7,7 +7,8 @@ There are two: `statistical` draws what a receiver would report, `signal` receiv
 reports that come late or twice.
 """
 
+from cellslam.sim.lte.downlink.reference_signals import reference_signal
 from cellslam.sim.lte.radio_config import RadioConfig
-from cellslam.sim.lte.reference_signals import ReferenceSignal, reference_signal
+from cellslam.sim.waveform import ReferenceSignal
 
 __all__ = ["RadioConfig", "ReferenceSignal", "reference_signal"]

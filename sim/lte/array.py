@@ -125,6 +125,17 @@ def _smooth_floor(loss_db: Floats, floor_db: float) -> tuple[Floats, Floats]:
     return loss_db * base**-0.25, base**-1.25
 
 
+def array_at(carrier_hz: float) -> CircularArray:
+    """Return the default array built for another carrier: its radius and the spacing of its rings follow the
+    wavelength.
+    """
+    array = CircularArray()
+    scale = array.carrier_hz / carrier_hz
+    return replace(
+        array, radius_m=scale * array.radius_m, ring_spacing_m=scale * array.ring_spacing_m, carrier_hz=carrier_hz
+    )
+
+
 def calibration_error(ports: int, phase_std_deg: float, gain_std_db: float, rng: np.random.Generator) -> Complex:
     """Return complex factors (ports,) of random phase and gain errors, one draw per port."""
     phase = np.radians(phase_std_deg) * rng.standard_normal(ports)

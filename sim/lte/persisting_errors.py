@@ -13,8 +13,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from cellslam.sim.frames import SPEED_OF_LIGHT_MPS
+from cellslam.sim.lte.downlink.lte_waveform import LteWaveform
 from cellslam.sim.lte.persisting_errors_kernel import Fields
 from cellslam.sim.lte.radio_config import RadioConfig
+from cellslam.sim.lte.statistical.detector_layout import TRAIL_DECAY_M
 from cellslam.sim.lte.statistical.statistics import statistics
 from cellslam.sim.randomness import Stream, stream
 from cellslam.sim.recording import Floats
@@ -35,7 +38,7 @@ class Cause:
 
 def causes(config: RadioConfig) -> tuple[Cause, ...]:
     """Return calibration and roof (scale in rad), diffuse energy (m), attitude (s)."""
-    diffuse = np.array(statistics().diffuse_floor) * 10.0 ** (-config.specular_to_diffuse_db / 20.0)
+    diffuse = _diffuse_floor(config) * 10.0 ** (-config.specular_to_diffuse_db / 20.0)
     angles = np.radians(
         [
             [config.calibration_azimuth_deg, config.calibration_elevation_deg],
@@ -53,6 +56,20 @@ def causes(config: RadioConfig) -> tuple[Cause, ...]:
         Cause("diffuse", diffuse, config.diffuse_correlation_m),
         Cause("attitude", np.array([0.0, *angles[2]]), config.attitude_correlation_s),
     )
+
+
+def _diffuse_floor(config: RadioConfig) -> Floats:
+    """Return the deviations (3,) in m, rad, rad that diffuse energy as strong as its path causes.
+
+    They were measured with LTE. Of another band so much as falls into its resolution cell disturbs a path, in amplitude
+    its root; and the cell is what an error of distance is a share of.
+    """
+    floor = np.array(statistics().diffuse_floor)
+    if config.technology == "lte":
+        return floor
+    measured, own = (SPEED_OF_LIGHT_MPS / b for b in (LteWaveform().bandwidth_hz, config.waveform().bandwidth_hz))
+    inside = np.sqrt(np.expm1(-own / TRAIL_DECAY_M) / np.expm1(-measured / TRAIL_DECAY_M))
+    return np.asarray(floor * inside * [own / measured, 1.0, 1.0], np.float64)
 
 
 def floors(config: RadioConfig) -> Floats:

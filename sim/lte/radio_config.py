@@ -1,10 +1,18 @@
-"""Configuration of the LTE link and of the receiver's front end."""
+"""Configuration of the radio link and of the receiver's front end."""
 
 from __future__ import annotations
 
-from typing import Literal
+from importlib import import_module
+from typing import TYPE_CHECKING, Literal
 
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import BaseModel, ConfigDict, Field, model_validator
+
+from cellslam.sim.errors import InputError
+
+if TYPE_CHECKING:
+    from cellslam.sim.waveform import Waveform
+
+NOISE_BANDWIDTH_HZ = 15e3  # that `noise_dbm` is given for
 
 
 class RadioConfig(BaseModel):
@@ -16,15 +24,23 @@ class RadioConfig(BaseModel):
         "statistical",
         description="how measurements are made: drawn from statistics, or estimated from received signals",
     )
+    technology: str = Field(
+        "lte",
+        pattern=r"^(lte|nr|[\w.]+:\w+)$",
+        description="waveform: lte, nr, or module:Class of one's own (signal level)",
+    )
     carrier_hz: float = Field(2.66e9, ge=0.4e9, le=6e9, description="carrier frequency, Hz")
-    resource_blocks: int = Field(100, ge=6, le=110, description="bandwidth in resource blocks of 180 kHz (100: 20 MHz)")
+    resource_blocks: int = Field(
+        100, ge=6, le=272, description="bandwidth in resource blocks of 12 subcarriers (lte: 6-110, 100: 20 MHz)"
+    )
+    numerology: int = Field(1, ge=1, le=2, description="nr: subcarriers of 30 or 60 kHz")
+    prs_comb: int = Field(12, ge=2, le=12, description="nr: a port sends on every so many-th subcarrier of a symbol")
+    prs_symbols: int = Field(12, ge=2, le=12, description="nr: symbols of a slot in which a port sends")
 
     eirp_dbm: float = Field(
         30.0, ge=-30.0, le=60.0, description="radiated power per reference element and port at boresight, dBm"
     )
-    noise_dbm: float = Field(
-        -123.0, ge=-140.0, le=-80.0, description="receiver noise per resource element and array port, dBm"
-    )
+    noise_dbm: float = Field(-123.0, ge=-140.0, le=-80.0, description="receiver noise per 15 kHz and array port, dBm")
     load: float = Field(
         0.3, ge=0.0, le=1.0, description="share of other cells' elements that carry data (interference)"
     )
@@ -130,3 +146,38 @@ class RadioConfig(BaseModel):
     repeat_probability: float = Field(
         0.0, ge=0.0, le=1.0, description="share of snapshots whose report comes again, in place of the next one's"
     )
+
+    @model_validator(mode="after")
+    def _check_waveform(self) -> RadioConfig:
+        if self.technology == "lte" and self.resource_blocks > 110:
+            raise ValueError(f"resource_blocks = {self.resource_blocks}: LTE has 6 to 110 (nr: up to 272)")
+        if self.technology != "lte" and self.front_end == "statistical":
+            raise ValueError(
+                f"technology = '{self.technology}' has no statistics of its detector: set radio.front_end to signal"
+            )
+        if self.technology == "nr":
+            self.waveform()
+        return self
+
+    def noise_mw(self) -> float:
+        """Return the receiver's noise per resource element and array port, in mW."""
+        return float(10.0 ** (self.noise_dbm / 10.0) * (self.waveform().element_hz / NOISE_BANDWIDTH_HZ))
+
+    def waveform(self) -> Waveform:
+        """Return the waveform of these keys: `technology` says which. Raises InputError where there is none."""
+        if self.technology == "lte":
+            from cellslam.sim.lte.downlink.lte_waveform import LteWaveform
+
+            return LteWaveform(self.resource_blocks)
+        if self.technology == "nr":
+            from cellslam.sim.nr.nr_waveform import NrWaveform
+
+            return NrWaveform(self.resource_blocks, self.numerology, self.prs_comb, self.prs_symbols)
+        from cellslam.sim.waveform.conformance import checked
+
+        module, _, name = self.technology.partition(":")
+        try:
+            kind = getattr(import_module(module), name)
+        except (ImportError, AttributeError) as error:
+            raise InputError(f"radio.technology '{self.technology}' cannot be loaded: {error}") from error
+        return checked(kind(self), self.window_max_m - self.window_min_m)

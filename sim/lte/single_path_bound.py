@@ -1,6 +1,6 @@
-"""Cramer-Rao bound of a single path in closed form, for the stacked uniform circular array and CRS tones.
+"""Cramer-Rao bound of a single path in closed form, for the stacked uniform circular array and any tones.
 
-Gamma = N rho is the integrated SNR over N = 128 ports x 2 tones per resource block; rho is the mean SNR per
+Gamma = N rho is the integrated SNR over N = 128 ports x tones (LTE: 2 a resource block); rho is the mean SNR per
 sample. With unknown complex weights of both polarisations, delay, azimuth and elevation decouple, and each
 deviation is scale / sqrt(2 Gamma). The scale is also the width of the path's ambiguity function in that
 component.
@@ -16,10 +16,10 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from cellslam.sim.frames import SPEED_OF_LIGHT_MPS
-from cellslam.sim.lte.signal.waveform import subcarrier_frequency_hz
+from cellslam.sim.lte.downlink.lte_waveform import LteWaveform
+from cellslam.sim.waveform.waveform import Waveform
 
 ARRAY_PORTS = 128
-TONES_PER_RESOURCE_BLOCK = 2
 # sd_az = 0.0685 deg and sd_el = 0.0704 deg at rho = 0 dB, elevation 0, Gamma = 25 600: 16 x 4 patches, 0.147
 # m, 57.7 mm.
 _AZIMUTH_SCALE_RAD = np.radians(0.0685) * np.sqrt(2.0 * 25_600.0)
@@ -40,28 +40,20 @@ class BoundScales:
     elevation_rad: float
 
 
-def tone_frequencies(resource_blocks: int, first: int = 0) -> NDArray[np.float64]:
-    """Return baseband frequencies (2 RB,) in Hz of one port's reference tones: every sixth subcarrier from
-    `first`, DC gap included (TS 36.211, 6.10.1.2 and 6.12).
-    """
-    k = first + 6 * np.arange(TONES_PER_RESOURCE_BLOCK * resource_blocks)
-    return subcarrier_frequency_hz(k, resource_blocks)
-
-
-def bound_scales(resource_blocks: int) -> BoundScales:
-    """Return the scales of the single-path bound for a bandwidth; sd_d = c / (beta sqrt(2 Gamma))."""
-    beta_radps = 2.0 * np.pi * float(np.std(tone_frequencies(resource_blocks)))
-    samples = ARRAY_PORTS * TONES_PER_RESOURCE_BLOCK * resource_blocks
+def bound_scales(waveform: Waveform) -> BoundScales:
+    """Return the scales of the single-path bound for a waveform; sd_d = c / (beta sqrt(2 Gamma))."""
+    beta_radps = 2.0 * np.pi * float(np.std(waveform.tones_hz))
+    samples = ARRAY_PORTS * len(waveform.tones_hz)
     return BoundScales(samples, SPEED_OF_LIGHT_MPS / beta_radps, float(_AZIMUTH_SCALE_RAD), float(_ELEVATION_SCALE_RAD))
 
 
 def single_path_std(
-    snr_db: ArrayLike, elevation_rad: ArrayLike = 0.0, resource_blocks: int = 100
+    snr_db: ArrayLike, elevation_rad: ArrayLike = 0.0, waveform: Waveform | None = None
 ) -> NDArray[np.float64]:
     """Return bound deviations (..., 3) of distance in m, azimuth and elevation in rad, at the SNR per sample rho in
-    dB.
+    dB; no waveform: LTE of 20 MHz.
     """
-    scales = bound_scales(resource_blocks)
+    scales = bound_scales(waveform or LteWaveform())
     rho, el = np.broadcast_arrays(
         10.0 ** (np.asarray(snr_db, np.float64) / 10.0), np.asarray(elevation_rad, np.float64)
     )

@@ -11,7 +11,7 @@ import math
 from typing import NamedTuple
 
 from cellslam.sim.compiling import njit
-from cellslam.sim.frames_kernel import wrap
+from cellslam.sim.frames.frames_kernel import wrap
 from cellslam.sim.lte.statistical.detector_layout import Array
 
 

@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 
 from cellslam.sim.compiling import njit
-from cellslam.sim.frames_kernel import wrap
+from cellslam.sim.frames.frames_kernel import wrap
 from cellslam.sim.recording import Floats, Ints
 
 LEAST = 1e-12  # m^2 and rad^2: variances are no smaller

@@ -14,7 +14,7 @@ import math
 from typing import Any, NamedTuple
 
 from cellslam.sim.compiling import lean, njit
-from cellslam.sim.frames_kernel import wrap
+from cellslam.sim.frames.frames_kernel import wrap
 from cellslam.sim.recording import Floats, Ints
 from cellslam.slam.model.matrices_kernel import (
     Mat3,

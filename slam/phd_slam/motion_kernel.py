@@ -14,7 +14,7 @@ import math
 from typing import NamedTuple
 
 from cellslam.sim.compiling import lean
-from cellslam.sim.frames_kernel import wrap
+from cellslam.sim.frames.frames_kernel import wrap
 from cellslam.sim.recording import Floats
 from cellslam.slam.model.matrices_kernel import (
     Mat3,

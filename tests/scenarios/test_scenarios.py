@@ -130,7 +130,7 @@ def test_estimator_given_as_module_and_class_is_one_part() -> None:
         ("radio=5", ["radio = 5", "must be a table"]),
         ("radio.front_end=magic", ["radio.front_end = 'magic'", "'statistical'"]),
         ("radio.perfect_detection=1", ["must be true or false"]),
-        ("radio.resource_blocks=2.5", ["2.5", "an integer, 6 to 110"]),
+        ("radio.resource_blocks=2.5", ["2.5", "an integer, 6 to 272"]),
         ("city.seed=other", ["city.seed = 'other'", "an integer or 'trial'"]),
         ("city.kind=cloud", ["city.kind = 'cloud'", "'procedural' or 'mesh'"]),
         ("city={}", ["'city.kind' is missing"]),

@@ -48,7 +48,7 @@ def test_edit_of_a_callee_in_another_file_is_noticed(package: Path) -> None:
     before, hits = called(package)
     assert (before, hits) == (pytest.approx(4.0 - 2.0 * 3.141592653589793), 0)
     assert called(package) == (before, 1)
-    callee = package / "sim" / "frames_kernel.py"
+    callee = package / "sim" / "frames" / "frames_kernel.py"
     text = callee.read_text("utf-8")
     assert text.count("return rest - TURN") == 1
     callee.write_text(text.replace("return rest - TURN", "return 100.0 + rest - TURN"), "utf-8")

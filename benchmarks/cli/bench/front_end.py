@@ -11,6 +11,7 @@ from cellslam.benchmarks.cli.bench.studies_tables import print_studies
 from cellslam.benchmarks.cli.progress_bars import bars
 from cellslam.sim.errors import InputError
 
+TECHNOLOGIES = ("lte", "nr")
 STUDIES = ("single", "many", "resolution", "collision", "ghosts", "motion", "speed")
 
 
@@ -19,6 +20,10 @@ def add_arguments(parser: ArgumentParser) -> None:
     parser.add_argument(
         "--study", metavar="NAME", action="append", default=[], choices=STUDIES, dest="studies",
         help=f"one study: {', '.join(STUDIES)}; may be repeated (default: all)",
+    )  # fmt: skip
+    parser.add_argument(
+        "--technology", metavar="NAME", default="lte", choices=TECHNOLOGIES,
+        help="waveform: lte (20 MHz at 2.66 GHz) or nr (100 MHz at 3.5 GHz; no collisions) (default: lte)",
     )  # fmt: skip
     parser.add_argument("--runs", metavar="N", type=int, default=150, help="random scenes of each point (default: 150)")
     parser.add_argument("--seed", metavar="S", type=int, default=0, help="seed of the scenes (default: 0)")
@@ -34,8 +39,7 @@ def command(arguments: Namespace) -> int:
     from cellslam.benchmarks.bench.front_end_tables import studies
 
     with bars(arguments.quiet) as progress, threadpool_limits(1):
-        wanted = arguments.studies or STUDIES
-        rows = studies(wanted, arguments.runs, arguments.seed, progress)
+        rows = studies(arguments.studies, arguments.runs, arguments.seed, progress, arguments.technology)
     if arguments.json:
         sys.stdout.write(json.dumps(rows, indent=1) + "\n")
     else:

@@ -13,8 +13,8 @@ from cellslam.sim.lte.statistical.statistics import FILE
 SIM = Path(__file__).parents[2]
 # The signal-level front end, processes and blocks aside, and what it shares with the statistical one.
 CODE = ("lte/signal", "lte/array.py", "lte/joint_bound.py", "lte/links.py", "lte/persisting_errors_kernel.py",
-        "lte/reference_signals.py", "lte/single_path_bound.py", "lte/steering_kernel.py",
-        "lte/statistical/detector_layout.py", "rays/antenna.py")  # fmt: skip
+        "lte/downlink", "lte/single_path_bound.py", "lte/steering_kernel.py",
+        "lte/statistical/detector_layout.py", "rays/antenna.py", "waveform")  # fmt: skip
 RUNNING = ("block_processes.py", "drive_in_blocks.py")
 _UNSEEN = {"annotation", "returns", "type_comment", "type_params", "kind"}
 

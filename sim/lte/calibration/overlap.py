@@ -12,6 +12,7 @@ from scipy.stats import ncx2
 
 from cellslam.sim.frames import wrap_angle
 from cellslam.sim.lte.calibration.scenes import Sample
+from cellslam.sim.lte.downlink.lte_waveform import LteWaveform
 from cellslam.sim.lte.single_path_bound import AZIMUTH_EXPONENT, bound_scales
 from cellslam.sim.lte.statistical import detector_layout as k
 from cellslam.sim.recording import Floats
@@ -62,7 +63,7 @@ def relations(sample: Sample) -> list[Relations]:
 
 def captured(apart: Floats, geometry: Floats) -> Floats:
     """Return the share of a path's energy in the tangent space of another, for all pairs (n, n)."""
-    scales = bound_scales(100)
+    scales = bound_scales(LteWaveform())
     cosine = np.cos(0.5 * (geometry[:, None, 2] + geometry[None, :, 2])) ** AZIMUTH_EXPONENT
     s = (
         (apart[..., 0] / scales.distance_m) ** 2

@@ -16,10 +16,9 @@ import numpy as np
 
 from cellslam.sim.frames import unit_vector, wrap_angle
 from cellslam.sim.lte import RadioConfig
-from cellslam.sim.lte.array import CircularArray, miscalibrated
+from cellslam.sim.lte.array import array_at, miscalibrated
 from cellslam.sim.lte.links import Cells, cells_of, slant
 from cellslam.sim.lte.persisting_errors import draw_fields
-from cellslam.sim.lte.signal.diffuse import Surroundings
 from cellslam.sim.lte.signal.signal_front_end import DEFAULT_HARDWARE, SignalLevel, signal_level
 from cellslam.sim.lte.statistical import detector_layout as k
 from cellslam.sim.lte.statistical.budget_kernel import array_gain, path_power
@@ -102,10 +101,10 @@ def signal_bench(ratio_db: float) -> SignalLevel:
 def in_scene(front_end: SignalLevel, rng: np.random.Generator) -> SignalLevel:
     """Return the front end with another array and other surroundings."""
     array = miscalibrated(
-        CircularArray(carrier_hz=front_end.config.carrier_hz), DEFAULT_HARDWARE.phase_std_deg,
+        array_at(front_end.config.carrier_hz), DEFAULT_HARDWARE.phase_std_deg,
         DEFAULT_HARDWARE.gain_std_db, rng,
     )  # fmt: skip
-    surroundings = Surroundings(int(rng.integers(2**32)), front_end.config.specular_to_diffuse_db)
+    surroundings = replace(front_end.surroundings, entropy=int(rng.integers(2**32)))
     return replace(front_end, array=array, surroundings=surroundings)
 
 

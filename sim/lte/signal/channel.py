@@ -16,11 +16,11 @@ from numpy.typing import ArrayLike
 from cellslam.sim.errors import InputError
 from cellslam.sim.frames import SPEED_OF_LIGHT_MPS, azimuth_elevation, rotation, unit_vector
 from cellslam.sim.lte.array import AntennaArray, Complex, Floats, doppler_phasors
+from cellslam.sim.lte.downlink.lte_waveform import pilots
+from cellslam.sim.lte.downlink.ofdm import subcarrier_frequency_hz
+from cellslam.sim.lte.downlink.reference_signals import SLOTS
 from cellslam.sim.lte.joint_bound import PathSet
-from cellslam.sim.lte.reference_signals import reference_signal
-from cellslam.sim.lte.signal.waveform import subcarrier_frequency_hz
 
-SLOTS_PER_FRAME = 20
 SUBCARRIERS_PER_BLOCK = 12
 
 
@@ -125,7 +125,7 @@ def received_symbol(
     """
     count = SUBCARRIERS_PER_BLOCK * resource_blocks
     tones = subcarrier_frequency_hz(np.arange(count), resource_blocks)
-    slot = np.asarray(slots, np.int64) % SLOTS_PER_FRAME
+    slot = np.asarray(slots, np.int64) % SLOTS
     total = _complex_normal(rng, (array.ports, count), impairments.noise_mw)
     for signal in signals:
         listed = {other.port for other in signals if other.cell_id == signal.cell_id}
@@ -145,7 +145,7 @@ def reference_response(received: Complex, cell_id: int, port: int, slots: ArrayL
     port: received over sent on its reference elements, of the symbol in which it first sends.
     """
     out = np.empty((len(received), 2 * resource_blocks), np.complex128)
-    for row, slot in enumerate(np.asarray(slots, np.int64) % SLOTS_PER_FRAME):
+    for row, slot in enumerate(np.asarray(slots, np.int64) % SLOTS):
         subcarriers, values = pilots(cell_id, port, int(slot), resource_blocks)
         out[row] = received[row, subcarriers] * values.conj()
     return out
@@ -173,17 +173,6 @@ def _sent(
             elements, values = pilots(signal.cell_id, port, int(s), count // SUBCARRIERS_PER_BLOCK)
             sent[row, elements] = values if port == signal.port else 0.0
     return np.asarray(sent + sent * _complex_normal(rng, shape, impairments.evm**2), np.complex128)
-
-
-def pilots(
-    cell_id: int, port: int, slot: int, resource_blocks: int
-) -> tuple[np.ndarray[tuple[int, ...], np.dtype[np.int64]], Complex]:
-    """Return subcarriers and values (2 N_RB,), of magnitude 1 without unit, of a port's reference signal in the first
-    symbol of a slot that has it: symbol 0 for ports 0 and 1, symbol 1 for ports 2 and 3.
-    """
-    signal = reference_signal(cell_id, port, slot, resource_blocks)
-    first = signal.symbols == signal.symbols[0]
-    return signal.subcarriers[first], signal.values[first]
 
 
 def _complex_normal(rng: np.random.Generator, shape: tuple[int, ...], power: float) -> Complex:

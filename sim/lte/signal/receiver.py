@@ -8,52 +8,78 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from cellslam.sim.frames import SPEED_OF_LIGHT_MPS, unit_vector
-from cellslam.sim.lte.array import AntennaArray, CircularArray, Complex, Floats, Steering, switching_times_s
+from cellslam.sim.lte.array import (
+    AntennaArray,
+    CircularArray,
+    Complex,
+    Floats,
+    Steering,
+    array_at,
+    switching_times_s,
+)
+from cellslam.sim.lte.downlink.lte_waveform import LteWaveform
 from cellslam.sim.lte.signal.path_estimator.climb_kernel import orthonormal_beams
-from cellslam.sim.lte.single_path_bound import tone_frequencies
+from cellslam.sim.lte.signal.tone_reduction import ToneReduction, reduction_of
 from cellslam.sim.lte.steering_kernel import SteeringModel, steer_circular
+from cellslam.sim.waveform.waveform import Waveform
 
 ComplexSingle = NDArray[np.complex64]
 AZIMUTHS, ELEVATIONS = 28, 7
 LOWEST_RAD, HIGHEST_RAD = np.radians(-15.0), np.radians(60.0)
-DELAY_PITCH_M, WIDEST_BLOCKS = 7.5, 100  # pitch of the searched distances at 100 resource blocks
+# Pitch of the searched distances at the bandwidth of 100 resource blocks of LTE, which lengths here are given for.
+DELAY_PITCH_M, REFERENCE_BANDWIDTH_HZ = 7.5, 18e6
+WIDEST_LTE_HZ = 20e6
+STRETCH_BINS = 31  # of delay in LTE, over which noise is taken for constant
 
 
 @dataclass(frozen=True)
 class Receiver:
     """The array as the receiver believes it to be, its switching, its search window. All but motion is constant.
 
-    `times_s` (ports,): when each port is sampled; `threshold`: detection threshold on energy over noise variance;
-    `tones_hz` (tones,): what is received in place of the reference tones of `resource_blocks`.
+    `times_s` (ports,): when each port is sampled; `tones_hz` (tones,): what is received, in a band of `bandwidth_hz`;
+    `threshold`: detection threshold on energy over noise variance. The tones that are fitted are fewer, `fitted`.
     """
 
     array: AntennaArray = field(default_factory=CircularArray)
     times_s: Floats = field(default_factory=lambda: switching_times_s(CircularArray()))
-    resource_blocks: int = 100
+    tones_hz: Floats = field(default_factory=lambda: LteWaveform().tones_hz)
+    bandwidth_hz: float = REFERENCE_BANDWIDTH_HZ
     carrier_hz: float = 2.66e9
     threshold: float = 17.4
     window_min_m: float = -50.0
     window_max_m: float = 1700.0
     ghost_rule_db: float = 25.0
-    tones_hz: Floats | None = None
+
+    @cached_property
+    def fitted(self) -> ToneReduction:
+        """The tones that are fitted, from those that are received."""
+        return reduction_of(self.tones_hz, self.window_min_m, self.window_max_m)
 
     @cached_property
     def rate(self) -> Floats:
-        """Phase of each tone (tones,) in rad per m, counted from the middle tone: the weights take up the rest."""
-        frequency = tone_frequencies(self.resource_blocks) if self.tones_hz is None else self.tones_hz
-        return np.asarray(2.0 * np.pi * (frequency - frequency.mean()) / SPEED_OF_LIGHT_MPS, np.float64)
+        """Phase of each fitted tone (groups,) in rad per m, counted from the middle: the weights take up the rest."""
+        return phase_rate(self.fitted.tones_hz)
 
     @cached_property
     def coarser(self) -> Floats:
-        """Resolution in distance, azimuth and elevation (3,), without unit: one at 100 resource blocks."""
-        if self.tones_hz is None:
-            return np.array([WIDEST_BLOCKS / self.resource_blocks, 1.0, 1.0])
-        return np.array([np.ptp(tone_frequencies(WIDEST_BLOCKS)) / np.ptp(self.tones_hz), 1.0, 1.0])
+        """Resolution in distance, azimuth and elevation (3,), without unit: one at 100 resource blocks of LTE."""
+        return np.array([REFERENCE_BANDWIDTH_HZ / self.bandwidth_hz, 1.0, 1.0])
+
+    @cached_property
+    def finer(self) -> float:
+        """Resolution in distance over that of the widest LTE band, at most one."""
+        return min(1.0, WIDEST_LTE_HZ / self.bandwidth_hz)
+
+    @cached_property
+    def stretch_bins(self) -> int:
+        """Number of searched distances, odd, over which noise is taken for constant: as far as in LTE, or farther."""
+        return int(STRETCH_BINS / self.finer) // 2 * 2 + 1
 
     @cached_property
     def pitch_m(self) -> float:
@@ -103,6 +129,18 @@ class Receiver:
         """Return the receiver in motion with body velocity (3,) in m/s."""
         factor = np.ones(self.array.ports, np.complex128)
         return Motion(self, np.asarray(velocity_mps, np.float64), factor)
+
+
+def receiver_of(waveform: Waveform, carrier_hz: float = 2.66e9, **more: Any) -> Receiver:
+    """Return the receiver of a waveform, its array built for the carrier; `more`: other fields."""
+    array = array_at(carrier_hz)
+    own: dict[str, Any] = {"array": array, "times_s": switching_times_s(array), "carrier_hz": carrier_hz}
+    return Receiver(tones_hz=waveform.tones_hz, bandwidth_hz=waveform.bandwidth_hz, **(own | more))
+
+
+def phase_rate(tones_hz: Floats) -> Floats:
+    """Return the phase of tones (tones,), in Hz, in rad per m of delay, counted from the middle tone."""
+    return np.asarray(2.0 * np.pi * (tones_hz - tones_hz.mean()) / SPEED_OF_LIGHT_MPS, np.float64)
 
 
 @dataclass(frozen=True)

@@ -16,35 +16,27 @@ from scipy.optimize import linear_sum_assignment
 
 from cellslam.sim.errors import InputError
 from cellslam.sim.frames import SPEED_OF_LIGHT_MPS, wrap_angle
-from cellslam.sim.lte.array import (
-    CircularArray,
-    Complex,
-    doppler_phasors,
-    miscalibrated,
-    switching_times_s,
-)
+from cellslam.sim.lte.array import CircularArray, Complex, array_at, doppler_phasors, miscalibrated
 from cellslam.sim.lte.joint_bound import PathSet
 from cellslam.sim.lte.links import Cells, link_table, slant
 from cellslam.sim.lte.persisting_errors import floors
 from cellslam.sim.lte.persisting_errors_kernel import Fields, write_attitude, write_persisting
 from cellslam.sim.lte.radio_config import RadioConfig
-from cellslam.sim.lte.reference_signals import first_subcarrier
 from cellslam.sim.lte.signal import symbol_kernel
-from cellslam.sim.lte.signal.channel import SLOTS_PER_FRAME, arriving_paths, pilots
+from cellslam.sim.lte.signal.channel import arriving_paths
 from cellslam.sim.lte.signal.diffuse import SCATTERERS, Surroundings
 from cellslam.sim.lte.signal.path_estimator.cancellation import cancel
 from cellslam.sim.lte.signal.path_estimator.path_estimator import Estimates, estimate_paths
-from cellslam.sim.lte.signal.receiver import ComplexSingle, Receiver
-from cellslam.sim.lte.signal.waveform import SAMPLE_S, SUBCARRIER_SPACING_HZ
-from cellslam.sim.lte.single_path_bound import tone_frequencies
+from cellslam.sim.lte.signal.receiver import ComplexSingle, Receiver, phase_rate, receiver_of
 from cellslam.sim.lte.statistical import detector_layout as k
 from cellslam.sim.lte.statistical.detector_layout import PathColumns
 from cellslam.sim.randomness import Stream, stream
 from cellslam.sim.rays.antenna import sector_gain_db
 from cellslam.sim.recording import Floats, Ints
+from cellslam.sim.waveform.waveform import Waveform
 
-SLOTS_PER_SNAPSHOT = 150
-# An estimate within this of a true path, in the sense of squares, comes from it: half a resolution cell.
+SNAPSHOT_S = 0.075
+# An estimate within this of a true path, in the sense of squares, comes from it: half a resolution cell of LTE.
 SAME_PATH = 2.0 * np.array([4.6, np.radians(7.7), np.radians(8.0)])
 
 
@@ -65,6 +57,7 @@ class SignalLevel:
     """One trial's air interface and receiver. `offsets_m` (S,) of the sites' clocks; `carrier_offsets_hz` (S,)."""
 
     config: RadioConfig
+    waveform: Waveform
     cells: Cells
     offsets_m: Floats
     carrier_offsets_hz: Floats
@@ -80,13 +73,14 @@ class SignalLevel:
 
     @cached_property
     def combs(self) -> Ints:
-        """First reference subcarrier (L,) of each link in the first symbol."""
-        return np.array([first_subcarrier(*self.name(link), 0, 0) for link in range(len(self.links.site))], np.int64)
+        """The comb (L,) of reference elements that each link is sent on."""
+        names = [self.name(link) for link in range(len(self.links.site))]
+        return np.array(self.waveform.combs(names), np.int64)
 
     @cached_property
     def sync_m(self) -> Floats:
         """Where the receiver's search for cells places each site's delay window (S,): its clock, to a sample."""
-        sample = SPEED_OF_LIGHT_MPS * SAMPLE_S
+        sample = SPEED_OF_LIGHT_MPS * self.waveform.sample_s
         return np.asarray(np.rint(self.offsets_m / sample) * sample, np.float64)
 
     def name(self, link: int) -> tuple[int, int]:
@@ -117,13 +111,11 @@ class SignalLevel:
         self, paths: PathColumns, pose: Floats, velocity_mps: Floats, snapshot: int, slots: Ints,
         rng: np.random.Generator,
     ) -> dict[int, Complex]:  # fmt: skip
-        """Return the elements (ports, tones), in roots of mW, of the first symbol on every comb of reference elements
-        in use.
-        """
+        """Return the elements (ports, tones), in roots of mW, on every comb of reference elements in use."""
         sites = len(self.offsets_m)
         scattered = self.surroundings.add(paths, sites, pose[:3])
-        shape = (self.array.ports, len(self.receiver.rate))
-        deviation = np.sqrt(0.5 * 10.0 ** (self.config.noise_dbm / 10.0))
+        shape = (self.array.ports, len(self.waveform.tones_hz))
+        deviation = np.sqrt(0.5 * self.config.noise_mw())
         total: dict[int, ComplexSingle] = {int(comb): np.zeros(shape, np.complex64) for comb in np.unique(self.combs)}
         for elements in total.values():
             symbol_kernel.add_noise(elements, rng.standard_normal((*shape, 2), np.float32), deviation)
@@ -151,10 +143,9 @@ class SignalLevel:
         moving = doppler_phasors(self.receiver.times_s, velocity_mps, geometry[:, 1], geometry[:, 2], config.carrier_hz)
         moving = moving * np.exp(2j * np.pi * self.carrier_offsets_hz[site] * later)
         on_ports = [np.einsum("npq,nq->pn", steering, p.weights) * moving.T for p in arriving]
-        frequency = tone_frequencies(config.resource_blocks)
-        delay = np.exp(-2j * np.pi * np.outer(length, frequency) / SPEED_OF_LIGHT_MPS).astype(np.complex64)
+        delay = np.exp(-2j * np.pi * np.outer(length, self.waveform.tones_hz) / SPEED_OF_LIGHT_MPS).astype(np.complex64)
         # What other cells' data add is noise-like: of diffuse energy only the power counts there.
-        specular = slice(None, None, SCATTERERS + 1)
+        specular = slice(None, None, self.surroundings.scatterers + 1)
         whole = np.sqrt(1.0 + 10.0 ** (-config.specular_to_diffuse_db / 10.0))
         for link in np.flatnonzero(self.links.site == site):
             cell = int(self.links.cell[link])
@@ -164,7 +155,7 @@ class SignalLevel:
             weighted = on_ports[int(self.links.port[link]) % 2] * amplitude
             own = {int(self.combs[other]) for other in np.flatnonzero(self.links.cell == cell)}
             for comb, elements in total.items():
-                shift = np.exp(-2j * np.pi * comb * SUBCARRIER_SPACING_HZ * length / SPEED_OF_LIGHT_MPS)
+                shift = np.exp(-2j * np.pi * comb * self.waveform.comb_step_hz * length / SPEED_OF_LIGHT_MPS)
                 shifted = (weighted * shift).astype(np.complex64)
                 if comb == self.combs[link]:
                     normal = rng.standard_normal((*elements.shape, 2), np.float32)
@@ -184,37 +175,40 @@ class SignalLevel:
         attitude, error = np.empty(3), np.empty(3)
         write_attitude(snapshot, self.fields, attitude)
         geometry = np.stack([arriving.distance_m, arriving.azimuth_rad, arriving.elevation_rad], 1)
-        for first in range(0, len(geometry), SCATTERERS + 1):
+        together = self.surroundings.scatterers + 1
+        for first in range(0, len(geometry), together):
             write_persisting(geometry[first], pose, vt_m[first], 0, attitude, self.fields, error)
-            geometry[first : first + SCATTERERS + 1] += error
+            geometry[first : first + together] += error
         geometry[:, 2] = np.clip(geometry[:, 2], -1.5, 1.5)
         return geometry
 
     @cached_property
     def sent(self) -> Complex:
-        """The reference values (L, 20 slots, tones) of every link."""
-        blocks, slots = self.config.resource_blocks, range(SLOTS_PER_FRAME)
-        names = [self.name(link) for link in range(len(self.links.site))]
-        return np.array([[pilots(*name, slot, blocks)[1] for slot in slots] for name in names])
+        """The reference values (L, slots, tones) of every link."""
+        combs = self.combs.tolist()
+        return np.array([
+            [self.waveform.values(self.name(link), comb, slot) for slot in range(self.waveform.slots)]
+            for link, comb in enumerate(combs)
+        ])  # fmt: skip
 
     def slots(self, snapshot: int) -> Ints:
         """Return the slot of the frame in which each array port is sampled (ports,)."""
-        first = SLOTS_PER_SNAPSHOT * snapshot
+        first, slot_s = round(SNAPSHOT_S / self.waveform.slot_s) * snapshot, self.waveform.slot_s
         return np.asarray(
-            (first + np.rint(self.receiver.times_s / 0.5e-3).astype(np.int64)) % SLOTS_PER_FRAME, np.int64
+            (first + np.rint(self.receiver.times_s / slot_s).astype(np.int64)) % self.waveform.slots, np.int64
         )
 
     def samples(self, link: int, received: dict[int, Complex], slots: Ints) -> Complex:
         """Return a link's descrambled samples (ports, tones), colliding cells cancelled, delays counted from its site's
         synchronisation.
         """
-        site, blocks = int(self.links.site[link]), self.config.resource_blocks
-        y: Complex = received[int(self.combs[link])] * self.sent[link][slots].conj()
-        y = y * np.exp(1j * self.receiver.rate * self.sync_m[site])
-        for other in np.flatnonzero(self.combs == self.combs[link]):
+        site, comb = int(self.links.site[link]), int(self.combs[link])
+        y: Complex = received[comb] * self.sent[link][slots].conj()
+        y = y * np.exp(1j * phase_rate(self.waveform.tones_hz) * self.sync_m[site])
+        for other in np.flatnonzero(self.combs == comb):
             if other != link:
                 apart = float(self.sync_m[self.links.site[other]] - self.sync_m[site])
-                y = cancel(y, self.name(link), self.name(int(other)), slots, blocks, apart)
+                y = cancel(y, self.waveform, self.name(link), self.name(int(other)), comb, slots, apart)
         return y
 
     def geometry(self, paths: PathColumns, pose: Floats, snapshot: int) -> Floats:
@@ -233,7 +227,7 @@ class SignalLevel:
         site = int(self.links.site[link])
         geometry = found.geometry.copy()
         geometry[:, 0] += self.sync_m[site] - self.offsets_m[site]
-        path = _sources(geometry, truth)
+        path = _sources(geometry, truth, self.receiver.finer)
         std = np.sqrt(np.einsum("nii->ni", found.covariance) + floors(self.config) ** 2)
         out[:, k.SNAPSHOT], out[:, k.LINK] = snapshot, link
         out[:, k.DISTANCE] = geometry[:, 0] + self.offsets_m[site]
@@ -262,28 +256,31 @@ def signal_level(
             "radio.noise_scale, perfect_detection and detection_scale belong to the statistical front end: leave them "
             "at 1, false and 1"
         )
-    ideal = CircularArray(carrier_hz=config.carrier_hz)
-    array_rng = rng if config.array_seed is None else stream(config.array_seed, 1, Stream.ARRAY)
-    array = miscalibrated(ideal, hardware.phase_std_deg, hardware.gain_std_db, array_rng)
-    receiver = Receiver(
-        array=ideal, times_s=switching_times_s(ideal), resource_blocks=config.resource_blocks,
-        carrier_hz=config.carrier_hz, threshold=config.detection_threshold, window_min_m=config.window_min_m,
+    waveform = config.waveform()
+    receiver = receiver_of(
+        waveform, config.carrier_hz, threshold=config.detection_threshold, window_min_m=config.window_min_m,
         window_max_m=config.window_max_m, ghost_rule_db=config.ghost_rule_db,
     )  # fmt: skip
+    array_rng = rng if config.array_seed is None else stream(config.array_seed, 1, Stream.ARRAY)
+    array = miscalibrated(array_at(config.carrier_hz), hardware.phase_std_deg, hardware.gain_std_db, array_rng)
     # Calibration errors come from the array, diffuse ones from the scatterers: only the rest is drawn as such.
     angles = fields.direction_std * np.array([1.0, 0.0, 0.0, 1.0, 1.0])
     remaining = fields._replace(direction_std=angles, place_std=np.zeros(3))
-    surroundings = Surroundings(int(rng.integers(2**32)), config.specular_to_diffuse_db)
+    # A finer resolution needs more scatterers: as many in a cell as in LTE's.
+    scatterers = round(SCATTERERS / receiver.finer)
+    surroundings = Surroundings(int(rng.integers(2**32)), config.specular_to_diffuse_db, scatterers)
     carrier = hardware.carrier_offset_std_hz * rng.standard_normal(len(offsets_m))
-    return SignalLevel(config, cells, offsets_m, carrier, remaining, surroundings, array, receiver)
+    return SignalLevel(config, waveform, cells, offsets_m, carrier, remaining, surroundings, array, receiver)
 
 
-def _sources(found: Floats, truth: Floats) -> Ints:
-    """Return which true path (n,) each estimate comes from, -1 none: least sum of squares, each path once."""
+def _sources(found: Floats, truth: Floats, finer: float) -> Ints:
+    """Return which true path (n,) each estimate comes from, -1 none: least sum of squares, each path once. `finer`: by
+    what the resolution in distance is finer than LTE's.
+    """
     out = np.full(len(found), -1, np.int64)
     apart = found[:, None] - truth[None]
     apart[..., 1] = wrap_angle(apart[..., 1])
-    cost = np.sum((apart / SAME_PATH) ** 2, axis=-1)
+    cost = np.sum((apart / (SAME_PATH * [finer, 1.0, 1.0])) ** 2, axis=-1)
     for i, j in zip(*linear_sum_assignment(np.minimum(cost, 1.0)), strict=True):
         if cost[i, j] < 1.0:
             out[i] = j

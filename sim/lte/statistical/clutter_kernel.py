@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from cellslam.sim.compiling import njit
-from cellslam.sim.frames_kernel import wrap
+from cellslam.sim.frames.frames_kernel import wrap
 from cellslam.sim.lte.statistical.detector_layout import (
     CLAIMED_STD,
     DIFFUSE_SHARE,

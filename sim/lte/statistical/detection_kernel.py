@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from cellslam.sim.compiling import njit
-from cellslam.sim.frames_kernel import wrap
+from cellslam.sim.frames.frames_kernel import wrap
 from cellslam.sim.lte.persisting_errors_kernel import Fields, write_attitude, write_persisting
 from cellslam.sim.lte.single_path_bound import AZIMUTH_EXPONENT
 from cellslam.sim.lte.statistical.budget_kernel import link_powers

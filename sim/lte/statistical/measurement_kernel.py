@@ -8,7 +8,7 @@ from __future__ import annotations
 import math
 
 from cellslam.sim.compiling import njit
-from cellslam.sim.frames_kernel import wrap
+from cellslam.sim.frames.frames_kernel import wrap
 from cellslam.sim.lte.single_path_bound import AZIMUTH_EXPONENT, ELEVATION_GROWTH
 from cellslam.sim.lte.statistical.detector_layout import (
     AZIMUTH,

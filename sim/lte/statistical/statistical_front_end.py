@@ -59,7 +59,7 @@ def detection_table(threshold: float, s: Statistics) -> Floats:
 @lru_cache(maxsize=8)
 def model_of(config: RadioConfig, s: Statistics) -> k.Model:
     """Return the kernel's constants for a radio configuration."""
-    scales = bound_scales(config.resource_blocks)
+    scales = bound_scales(config.waveform())
     floor, white = floors(config), white_floors(config)
     clutter = s.clutter_at(config.specular_to_diffuse_db)
     return k.Model(

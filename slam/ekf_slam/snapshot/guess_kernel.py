@@ -17,7 +17,7 @@ import math
 import numpy as np
 
 from cellslam.sim.compiling import lean, njit
-from cellslam.sim.frames_kernel import TURN, wrap
+from cellslam.sim.frames.frames_kernel import TURN, wrap
 from cellslam.sim.recording import Floats
 from cellslam.slam.ekf_slam.snapshot.birth_kernel import add
 from cellslam.slam.ekf_slam.snapshot.sight_kernel import Sight

@@ -13,7 +13,7 @@ import math
 from typing import NamedTuple
 
 from cellslam.sim.compiling import lean
-from cellslam.sim.frames_kernel import wrap
+from cellslam.sim.frames.frames_kernel import wrap
 from cellslam.sim.recording import Floats, Ints
 from cellslam.slam.ekf_slam.snapshot.association_kernel import TAKEN, Pairs, difference, expect
 from cellslam.slam.ekf_slam.snapshot.sight_kernel import Sight, rotations_of

@@ -14,7 +14,7 @@ from typing import NamedTuple
 import numpy as np
 
 from cellslam.sim.compiling import lean, njit
-from cellslam.sim.frames_kernel import wrap
+from cellslam.sim.frames.frames_kernel import wrap
 from cellslam.sim.recording import Floats, Ints
 from cellslam.slam.ekf_slam.snapshot.association_kernel import FRESH, TAKEN, Messages, Pairs, associate
 from cellslam.slam.ekf_slam.snapshot.belief_kernel import believe

@@ -11,7 +11,7 @@ import math
 from typing import NamedTuple
 
 from cellslam.sim.compiling import lean
-from cellslam.sim.frames_kernel import wrap
+from cellslam.sim.frames.frames_kernel import wrap
 from cellslam.sim.recording import Floats, Ints
 from cellslam.slam.ekf_slam.snapshot.sight_kernel import Sight, coordinates, errors_of, geometry
 from cellslam.slam.ekf_slam.snapshot.sizes_kernel import DIFFUSE_SIZE, count_news, count_white

@@ -13,7 +13,7 @@ import numpy as np
 from numba import prange
 
 from cellslam.sim.compiling import njit
-from cellslam.sim.frames_kernel import wrap
+from cellslam.sim.frames.frames_kernel import wrap
 from cellslam.sim.recording import Floats, Ints
 from cellslam.slam.model.assignment_kernel import assign
 from cellslam.slam.model.matrices_kernel import (

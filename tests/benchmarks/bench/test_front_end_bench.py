@@ -132,9 +132,19 @@ def test_studies_print_their_rows(capfd: pytest.CaptureFixture[str]) -> None:
     assert len(rows["motion"]) == 4 and np.allclose([r["rmse_over_rest"] for r in rows["motion"]], 1.0, atol=0.5)
 
 
+def test_nr_is_studied_at_the_same_integrated_snr(capfd: pytest.CaptureFixture[str]) -> None:
+    line = ["bench", "front-end", "--technology", "nr", "--study", "single", "--runs", "2", "--quiet", "--json"]
+    assert main(line) == 0
+    rows = json.loads(capfd.readouterr().out)["single"]
+    assert [r["detected"] for r in rows[2:]] == [1.0] * 6
+    # 3264 tones in place of 200.
+    assert rows[0]["rho_db"] == pytest.approx(-32.5 - 10.0 * np.log10(3264 / 200))
+
+
 @pytest.mark.parametrize(
     ("words", "expected"),
     [
+        (("front-end", "--technology", "nr", "--study", "collision"), "ports of nr share no reference elements"),
         (("front-end", "--runs", "1"), "--runs 1"),
         (("calibrate", "--scenes", "10"), "--scenes 10"),
         (("calibrate", "--ratio", "50", "--check"), "--ratio 50"),

@@ -15,13 +15,15 @@ from cellslam.sim.frames import SPEED_OF_LIGHT_MPS
 from cellslam.sim.lte.array import (
     AntennaArray,
     CircularArray,
+    array_at,
     doppler_phasors,
     miscalibrated,
     switching_times_s,
 )
+from cellslam.sim.lte.downlink.lte_waveform import tone_frequencies
 from cellslam.sim.lte.eadf import eadf_from_grid, load_patterns
 from cellslam.sim.lte.joint_bound import PathSet, fisher_information, joint_std, leftover
-from cellslam.sim.lte.single_path_bound import single_path_std, tone_frequencies
+from cellslam.sim.lte.single_path_bound import single_path_std
 
 TINY = CircularArray(columns=5, rings=2, radius_m=0.06)
 SMALL_GRID = np.radians(np.arange(0.0, 360.0, 6.0)), np.radians(np.arange(-90.0, 91.0, 6.0))
@@ -190,3 +192,11 @@ def test_statistical_overlap_follows_the_array(apart_m: float, turn_deg: float) 
     a, b = (300.0, 0.4, 0.1), (300.0 + apart_m, 0.4 + np.radians(turn_deg), 0.1)
     exact = 1.0 - leftover(CircularArray(), tone_frequencies(100), paths(b), paths(a))
     assert abs(captured(np.array(a), np.array(b), model_of(RadioConfig(), statistics())) - exact) < 0.05
+
+
+def test_an_array_for_another_carrier_is_the_same_in_wavelengths() -> None:
+    usual, other = CircularArray(), array_at(3.5e9)
+    assert other.radius_m == pytest.approx(0.1117, abs=1e-4)
+    for here, there in zip(usual.steer([0.3, -2.0], [0.1, 0.5]), other.steer([0.3, -2.0], [0.1, 0.5]), strict=True):
+        np.testing.assert_allclose(there, here, rtol=1e-9)
+    assert array_at(2.66e9) == usual

@@ -122,3 +122,15 @@ def test_sectors_of_a_site_share_the_error_and_the_claim_covers_it() -> None:
         off = m.distance_m[m.link == link] - distance
         assert abs(np.std(off) / d.true_std[0, 0] - 1.0) < 0.15
     np.testing.assert_allclose(m.distance_m[m.link == 0], m.distance_m[m.link == 1], atol=0.05)
+
+
+def test_a_wide_band_has_less_of_its_diffuse_energy_in_a_cell() -> None:
+    def diffuse(**radio: float | str) -> Floats:
+        return next(c for c in causes(RadioConfig(**radio)) if c.name == "diffuse").std
+
+    lte, nr = diffuse(), diffuse(technology="nr", front_end="signal", resource_blocks=272)
+    np.testing.assert_array_equal(diffuse(resource_blocks=25), lte)
+    # Cells of 3.06 and 16.66 m, energy that decays over 35 m.
+    share = (1.0 - np.exp(-3.0616 / 35.0)) / (1.0 - np.exp(-16.655 / 35.0))
+    np.testing.assert_allclose(nr[1:] / lte[1:], np.sqrt(share), rtol=1e-3)
+    np.testing.assert_allclose(nr[0] / lte[0], np.sqrt(share) * 3.0616 / 16.655, rtol=1e-3)

@@ -7,8 +7,8 @@ import pytest
 
 from cellslam.sim.errors import InputError
 from cellslam.sim.lte import reference_signal
-from cellslam.sim.lte.reference_signals import c_init, colliding_ports, first_subcarrier, gold_sequence
-from cellslam.sim.lte.signal.waveform import SYMBOL_S, baseband, subcarrier_frequency_hz, symbol_start_s
+from cellslam.sim.lte.downlink.ofdm import SYMBOL_S, baseband, subcarrier_frequency_hz, symbol_start_s
+from cellslam.sim.lte.downlink.reference_signals import c_init, colliding_ports, first_subcarrier
 
 CHECK = [
     (375, 6152943, (3, 0, 0), "++----+-", "-++---++"),
@@ -98,12 +98,6 @@ def test_cells_that_collide() -> None:
     assert colliding_ports(375, 376) == []
     assert colliding_ports(375, 378) == [(0, 1), (1, 0)]
     assert first_subcarrier(375, 0, 0, 0) == 3
-
-
-def test_gold_sequence_is_balanced_and_seeded() -> None:
-    bits = gold_sequence(12345, 20_000)
-    assert abs(bits.mean() - 0.5) < 5.0 * 0.5 / np.sqrt(20_000)
-    assert not np.array_equal(bits[:100], gold_sequence(12346, 100))
 
 
 def test_bands_that_are_no_standard_ones_are_cut_from_the_middle_of_the_sequence() -> None:

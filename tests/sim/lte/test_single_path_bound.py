@@ -7,7 +7,9 @@ import pytest
 from numpy.typing import NDArray
 
 from cellslam.sim.frames import SPEED_OF_LIGHT_MPS
-from cellslam.sim.lte.single_path_bound import bound_scales, single_path_std, tone_frequencies
+from cellslam.sim.lte.downlink.lte_waveform import LteWaveform, tone_frequencies
+from cellslam.sim.lte.single_path_bound import bound_scales, single_path_std
+from cellslam.sim.nr.nr_waveform import NrWaveform
 
 WAVELENGTH_M = SPEED_OF_LIGHT_MPS / 2.66e9
 
@@ -67,8 +69,15 @@ def test_twenty_decibel_are_a_factor_of_ten() -> None:
 def test_delay_bound_scales_with_bandwidth() -> None:
     narrow = tone_frequencies(25)
     numeric = fisher_std(0.4, 0.0, narrow)
-    np.testing.assert_allclose(single_path_std(0.0, 0.0, 25)[0], numeric[0], rtol=1e-3)
-    assert bound_scales(25).samples == 128 * 50
+    np.testing.assert_allclose(single_path_std(0.0, 0.0, LteWaveform(25))[0], numeric[0], rtol=1e-3)
+    assert bound_scales(LteWaveform(25)).samples == 128 * 50
+
+
+@pytest.mark.parametrize(("blocks", "comb", "symbols"), [(24, 4, 4), (48, 6, 12)])
+def test_any_waveform_has_its_bound(blocks: int, comb: int, symbols: int) -> None:
+    nr = NrWaveform(blocks, 1, comb, symbols)
+    numeric = np.mean([fisher_std(a, 0.0, nr.tones_hz) for a in (-2.3, 0.1, 1.7)], axis=0)
+    np.testing.assert_allclose(single_path_std(0.0, 0.0, nr), numeric, rtol=0.02)
 
 
 def test_tones_leave_out_the_carrier() -> None:

@@ -73,7 +73,8 @@ def _receiver(array: EadfArray, tones: Floats, interval_s: float) -> Receiver:
     reach = SPEED_OF_LIGHT_MPS / abs(float(steps[0]))
     return Receiver(
         array=array, times_s=interval_s * np.arange(array.ports, dtype=np.float64), carrier_hz=float(tones.mean()),
-        tones_hz=tones, window_min_m=WINDOW[0] * reach, window_max_m=WINDOW[1] * reach,
+        tones_hz=tones, bandwidth_hz=len(tones) * abs(float(steps[0])), window_min_m=WINDOW[0] * reach,
+        window_max_m=WINDOW[1] * reach,
     )  # fmt: skip
 
 

@@ -15,10 +15,9 @@ import numpy as np
 
 from cellslam.sim.frames import SPEED_OF_LIGHT_MPS
 from cellslam.sim.lte.array import Complex
-from cellslam.sim.lte.signal.channel import SLOTS_PER_FRAME, pilots
 from cellslam.sim.lte.signal.receiver import ComplexSingle
-from cellslam.sim.lte.single_path_bound import tone_frequencies
 from cellslam.sim.recording import Ints
+from cellslam.sim.waveform.waveform import PortName, Waveform
 
 WINDOW_M = (-75.0, 695.0)
 _KEPT = 1e-3  # singular values of the window's delay vectors, relative to the largest, that span its subspace
@@ -27,30 +26,30 @@ _RIDGE = 1e-3
 
 
 def cancel(
-    y: Complex, own: tuple[int, int], other: tuple[int, int], slots: Ints, resource_blocks: int, apart_m: float = 0.0
+    y: Complex, waveform: Waveform, own: PortName, other: PortName, comb: int, slots: Ints, apart_m: float = 0.0
 ) -> Complex:
-    """Return `y` (ports, tones), descrambled samples of cell and port `own`, without what `other` adds.
+    """Return `y` (ports, tones), descrambled samples of port `own`, without what `other` on the same comb adds.
 
     `slots` (ports,): slot of the frame in which each array port is sampled; `apart_m`: by how many m later the
     other cell's window begins.
     """
     single, out = y.astype(np.complex64), y.astype(np.complex128)
-    slot = np.asarray(slots, np.int64) % SLOTS_PER_FRAME
+    slot = np.asarray(slots, np.int64) % waveform.slots
     for s in np.unique(slot):
         rows = slot == s
-        fit, back = _operator(own, other, int(s), resource_blocks, apart_m)
+        fit, back = _operator(waveform, own, other, comb, int(s), apart_m)
         out[rows] -= (single[rows] @ fit) @ back
     return out
 
 
 @lru_cache(maxsize=512)
 def _operator(
-    own: tuple[int, int], other: tuple[int, int], slot: int, resource_blocks: int, apart_m: float
+    waveform: Waveform, own: PortName, other: PortName, comb: int, slot: int, apart_m: float
 ) -> tuple[ComplexSingle, ComplexSingle]:
     """Return (tones, r) and (r, tones): samples to the other cell's coefficients, and those to its samples."""
-    basis = _window_basis(resource_blocks)
-    (_, mine), (_, theirs) = (pilots(*cell, slot, resource_blocks) for cell in (own, other))
-    later = np.exp(-2j * np.pi * tone_frequencies(resource_blocks) * apart_m / SPEED_OF_LIGHT_MPS)
+    basis = _window_basis(waveform)
+    mine, theirs = (waveform.values(port, comb, slot) for port in (own, other))
+    later = np.exp(-2j * np.pi * waveform.tones_hz * apart_m / SPEED_OF_LIGHT_MPS)
     foreign = (mine.conj() * theirs * later)[:, None] * basis
     both = np.concatenate([foreign, basis], axis=1)
     gram = both.conj().T @ both + _RIDGE * np.eye(both.shape[1])
@@ -59,10 +58,9 @@ def _operator(
 
 
 @lru_cache(maxsize=8)
-def _window_basis(resource_blocks: int) -> Complex:
+def _window_basis(waveform: Waveform) -> Complex:
     """Return an orthonormal basis (tones, r) of the delay vectors within the window."""
-    frequency = tone_frequencies(resource_blocks)
     distance = np.arange(WINDOW_M[0], WINDOW_M[1], 4.0)
-    vectors = np.exp(-2j * np.pi * np.outer(frequency, distance) / SPEED_OF_LIGHT_MPS)
+    vectors = np.exp(-2j * np.pi * np.outer(waveform.tones_hz, distance) / SPEED_OF_LIGHT_MPS)
     left, size, _ = np.linalg.svd(vectors, full_matrices=False)
     return np.asarray(left[:, size > _KEPT * size[0]], np.complex128)

@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from cellslam.sim.compiling import njit
-from cellslam.sim.frames_kernel import wrap
+from cellslam.sim.frames.frames_kernel import wrap
 from cellslam.sim.lte.signal.path_estimator.joint_fit_kernel import Normal, normal_equations
 from cellslam.sim.lte.signal.path_estimator.one_path_kernel import normal_equations_of_one
 from cellslam.sim.lte.statistical.detector_layout import Array

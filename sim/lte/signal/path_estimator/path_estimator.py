@@ -64,12 +64,13 @@ def estimate_paths(y: Complex, motion: Motion, start: Floats | None = None) -> E
     other ports do not explain. Raises InputError where no port delivers anything, and for samples of
     another shape.
     """
-    expected = (motion.receiver.array.ports, len(motion.receiver.rate))
+    expected = (motion.receiver.array.ports, len(motion.receiver.tones_hz))
     if y.shape != expected:
         raise InputError(f"samples of shape {y.shape}: {expected} (array ports, tones) are expected")
     working: NDArray[np.bool_] = np.logical_and(np.isfinite(y).all(axis=1), y.any(axis=1))
     if not working.any():
         raise InputError("no array port delivered samples: all are zero or not finite")
+    y = motion.receiver.fitted.of(y)
     link = _estimated(y, motion, working, start)
     sound = np.logical_and(working, ~link.saturated())
     if not np.array_equal(sound, working):
@@ -247,7 +248,8 @@ class _Link:
         energy = self.fit.normal.wald
         strength = np.sum(np.abs(self.fit.factors[0]) ** 2, axis=1) / len(self.y)
         order = np.argsort(self.geometry[:, 0], kind="stable")
-        snr_db = 10.0 * np.log10(np.maximum(strength / self.level, 1e-12))
+        of_fitted = 10.0 * np.log10(np.maximum(strength / self.level, 1e-12))
+        snr_db = of_fitted - 10.0 * np.log10(self.receiver.fitted.size)
         spread = covariance(self.fit, self.level)
         return Estimates(self.geometry[order], spread[order], snr_db[order], (energy / self.level)[order])
 

@@ -13,7 +13,6 @@ from cellslam.sim.compiling import njit
 from cellslam.sim.lte.statistical.detector_layout import Array
 
 GUARD_BINS, REFERENCE_BINS = 2, 3  # cells skipped, then averaged, before and behind the cell under test
-STRETCH_BINS = 31  # of delay, over which noise is taken for constant
 # Disturbance below these multiples of the noise is taken for its estimate's scatter: of few cells, of all ports.
 LOCAL_EXCESS, AROUND_EXCESS = 1.7, 1.15
 ALIKE = 0.1  # relative difference over delay that is taken for the noise estimate's scatter
@@ -24,13 +23,15 @@ class PowerSpectrum(NamedTuple):
     """Energies, as in the samples, over K directions (`elevations` to an azimuth) and D delays.
 
     `energy` (K, D) of both polarisations of each beam; `port_energy` (D,) of all `ports` that work; `noise` (D,) per
-    sample; `trailing` (azimuths, D): energy of the paths in whose diffuse energy a cell lies.
+    sample, taken for constant over `stretch` (odd) delays; `trailing` (azimuths, D): energy of the paths in whose
+    diffuse energy a cell lies.
     """
 
     energy: Array
     port_energy: Array
     noise: Array
     trailing: Array
+    stretch: int
     ports: int
     elevations: int
 
@@ -54,7 +55,7 @@ def write_energies(beams: Array, on_ports: Array, spectrum: PowerSpectrum) -> fl
         port = on_ports[m]
         for d in range(bins):
             port_energy[d] += port[d].real * port[d].real + port[d].imag * port[d].imag
-    running_median(port_energy, STRETCH_BINS, noise)
+    running_median(port_energy, spectrum.stretch, noise)
     for d in range(bins):
         noise[d] /= spectrum.ports
     usual = float(np.median(noise))

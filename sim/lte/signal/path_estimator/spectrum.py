@@ -36,6 +36,7 @@ class Spectrum:
         count, bins = len(self.beams) // 2, self.beams.shape[1]
         self.power = search_kernel.PowerSpectrum(
             energy=np.empty((count, bins), np.float32), port_energy=np.empty(bins), noise=np.empty(bins),
+            stretch=self.receiver.stretch_bins,
             trailing=np.zeros((AZIMUTHS, bins), np.float32), ports=int(np.count_nonzero(motion.factor)),
             elevations=ELEVATIONS,
         )  # fmt: skip

@@ -10,6 +10,7 @@ import pytest
 from cellslam.sim.errors import InputError
 from cellslam.sim.frames import SPEED_OF_LIGHT_MPS, rotation
 from cellslam.sim.lte.array import CircularArray, switching_times_s
+from cellslam.sim.lte.downlink.ofdm import subcarrier_frequency_hz
 from cellslam.sim.lte.joint_bound import PathSet
 from cellslam.sim.lte.signal.channel import (
     Impairments,
@@ -20,7 +21,6 @@ from cellslam.sim.lte.signal.channel import (
     received_symbol,
     reference_response,
 )
-from cellslam.sim.lte.signal.waveform import subcarrier_frequency_hz
 
 ARRAY = CircularArray(columns=4, rings=2)
 TIMES = switching_times_s(ARRAY)

@@ -13,15 +13,16 @@ from threadpoolctl import threadpool_limits
 from cellslam.sim.errors import InputError
 from cellslam.sim.frames import wrap_angle
 from cellslam.sim.lte.array import CircularArray, doppler_phasors, miscalibrated, switching_times_s
+from cellslam.sim.lte.downlink.lte_waveform import LteWaveform, pilots, tone_frequencies
 from cellslam.sim.lte.joint_bound import PathSet, fisher_information, joint_std
-from cellslam.sim.lte.signal.channel import PortSignal, frequency_response, pilots
+from cellslam.sim.lte.signal.channel import PortSignal, frequency_response
 from cellslam.sim.lte.signal.path_estimator.cancellation import cancel
 from cellslam.sim.lte.signal.path_estimator.joint_fit import evaluate, refine, refine_any
 from cellslam.sim.lte.signal.path_estimator.path_estimator import Estimates, estimate_paths
 from cellslam.sim.lte.signal.path_estimator.search_kernel import _surroundings, running_median
 from cellslam.sim.lte.signal.path_estimator.spectrum import Spectrum
-from cellslam.sim.lte.signal.receiver import Receiver
-from cellslam.sim.lte.single_path_bound import tone_frequencies
+from cellslam.sim.lte.signal.receiver import Receiver, receiver_of
+from cellslam.sim.nr.nr_waveform import NrWaveform
 
 ARRAY, TONES = CircularArray(), tone_frequencies(100)
 TIMES, CARRIER_HZ = switching_times_s(ARRAY), 2.66e9
@@ -285,7 +286,7 @@ def test_a_colliding_cell_ten_thousand_times_as_strong() -> None:
         array = miscalibrated(ARRAY, 5.0, 0.5, rng)
         weak, strong = draw(rng, rng.uniform(-20.0, 0.0, 4)), draw(rng, np.array([20.0, 10.0, 5.0]))
         mixed = channel(weak, array=array) * codes[375] + channel(strong, array=array) * codes[177] + noise(rng)
-        cleaned = cancel(mixed * codes[375].conj(), (375, 0), (177, 0), slots, 100)
+        cleaned = cancel(mixed * codes[375].conj(), LteWaveform(), (375, 0), (177, 0), 3, slots)
         result = estimate_paths(cleaned, AT_REST)
         there = int(np.isfinite(errors(weak, result)[0]).all(axis=1).sum())
         found, false = found + there, false + len(result) - there
@@ -335,7 +336,7 @@ def test_noise_alone_holds_hardly_any_path() -> None:
 @pytest.mark.parametrize("blocks", [6, 7, 50])
 def test_narrow_bands_are_estimated_too(blocks: int) -> None:
     rng, tones = np.random.default_rng(blocks), tone_frequencies(blocks)
-    motion = Receiver(resource_blocks=blocks).moving(STILL)
+    motion = receiver_of(LteWaveform(blocks)).moving(STILL)
     for _ in range(6):
         paths = draw(rng, np.array([0.0]), 800.0)
         clean = frequency_response(ARRAY, tones, TIMES, STILL, PortSignal(375, 0, paths), CARRIER_HZ)
@@ -345,3 +346,22 @@ def test_narrow_bands_are_estimated_too(blocks: int) -> None:
         apart = strongest - [paths.distance_m[0], paths.azimuth_rad[0], paths.elevation_rad[0]]
         apart[1] = wrap_angle(apart[1])
         assert (np.abs(apart) < 5.0 * bound).all()
+
+
+@pytest.mark.parametrize(("comb", "symbols"), [(4, 4), (4, 12)])
+def test_nr_is_estimated_at_the_bound(comb: int, symbols: int) -> None:
+    rng, waveform = np.random.default_rng(comb + symbols), NrWaveform(40, 1, comb, symbols)
+    receiver, tones = receiver_of(waveform, 3.5e9), waveform.tones_hz
+    assert receiver.fitted.size > 1
+    apart, level_db = [], []
+    for _ in range(10):
+        paths = draw(rng, np.array([0.0]), 800.0)
+        signal = frequency_response(receiver.array, tones, TIMES, STILL, PortSignal(375, 0, paths), 3.5e9)
+        pair = rng.standard_normal((2, 128, len(tones)))
+        found = estimate_paths(signal + (pair[0] + 1j * pair[1]) / np.sqrt(2.0), receiver.moving(STILL))
+        error, row = errors(paths, found)
+        apart.append(error[0] / joint_std(receiver.array, tones, paths, 1.0)[0])
+        level_db.append(found.snr_db[row[0]])
+    ratio = np.sqrt(np.mean(np.square(apart), axis=0))
+    assert (ratio > 0.5).all() and (ratio < 1.6).all()
+    assert abs(np.median(level_db)) < 0.2

@@ -178,3 +178,58 @@ def test_receivers_of_one_seed_share_their_array_and_nothing_else() -> None:
     for unlike in (another, own):
         assert not np.array_equal(one.array.calibration, unlike.array.calibration)
     assert one.surroundings != other.surroundings
+
+
+NR = {"technology": "nr", "front_end": "signal", "carrier_hz": 3.5e9, "prs_comb": 4, "prs_symbols": 4}
+
+
+@pytest.mark.parametrize(
+    "radio", [NR | {"resource_blocks": 52}, {"technology": "pilot_tones:PilotTones", "front_end": "signal"}]
+)
+def test_other_waveforms_are_measured_as_claimed(
+    radio: dict[str, float | str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.syspath_prepend(str(Path(__file__).parents[4] / "docs" / "examples" / "own-waveform"))
+    paths, poses, velocity = drive(4)
+    signals = front_end(specular_to_diffuse_db=15.0, **radio)
+    d = streaming.detect_signals(signals, paths, poses, velocity, velocity, np.random.default_rng(3))
+    m, real = d.measurements, d.path >= 0
+    assert real.sum() >= 0.9 * 4 * 2 * 3
+    vt = paths.vt_m[d.path[real]] - poses[m.snapshot[real], :3]
+    offset = np.array([80.0, -130.0])[m.link[real] // 2]
+    exact = np.stack([np.linalg.norm(vt, axis=1) + offset, np.arctan2(vt[:, 1], vt[:, 0])], 1)
+    assert m.distance_std_m is not None and m.azimuth_std_rad is not None
+    z = np.stack([m.distance_m[real] - exact[:, 0], m.azimuth_rad[real] - exact[:, 1]], 1)
+    z = z / np.stack([m.distance_std_m[real], m.azimuth_std_rad[real]], 1)
+    assert (np.sqrt(np.mean(z**2, axis=0)) < 2.0).all()
+
+
+def test_a_finer_resolution_meets_more_scatterers_of_the_same_power() -> None:
+    paths, poses, _ = drive(1)
+    assert front_end().surroundings.scatterers == SCATTERERS
+    wide = front_end(**NR | {"resource_blocks": 272}).surroundings
+    assert wide.scatterers == pytest.approx(SCATTERERS * 97.92 / 20.0, abs=0.5)
+    power = [
+        np.sum(
+            np.abs(Surroundings(e, 6.0, wide.scatterers).add(paths, 2, poses[0, :3]).gain[1 : wide.scatterers + 1]) ** 2
+        )
+        for e in range(30)
+    ]
+    assert abs(np.mean(power) / np.sum(np.abs(paths.gain[0]) ** 2) / 10.0**-0.6 - 1.0) < 0.06
+
+
+def test_nr_samples_are_the_channel_and_other_cells_do_not_reach_them() -> None:
+    quiet = {"noise_dbm": -140.0, "load": 0.0, "evm": 0.0, "specular_to_diffuse_db": 40.0}
+    signals = front_end(resource_blocks=24, **NR, **quiet)
+    paths, poses, velocity = drive(1)
+    louder = paths._replace(gain=np.concatenate([paths.gain[:2], 100.0 * paths.gain[2:]]))
+    slots = signals.slots(0)
+    seen = [
+        signals.samples(0, signals.receive(p, poses[0], velocity[0, :3], 0, slots, np.random.default_rng(1)), slots)
+        for p in (paths, louder)
+    ]
+    assert np.abs(seen[0]).mean() > 1e3 * np.sqrt(signals.config.noise_mw())
+    np.testing.assert_allclose(seen[1], seen[0], rtol=1e-6)
+    # Over subcarriers a channel of three short paths changes slowly, whatever symbols they come from.
+    steps = np.abs(np.diff(seen[0], axis=1)).max() / np.abs(seen[0]).max()
+    assert steps < 2.0 * np.pi * 500.0 * 30e3 / 3e8

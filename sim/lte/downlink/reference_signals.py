@@ -6,30 +6,19 @@ Source: 3GPP TS 36.211, clauses 6.10.1 (signals and their resource elements) and
 from __future__ import annotations
 
 from functools import lru_cache
-from typing import Literal, NamedTuple
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
 from cellslam.sim.errors import InputError
+from cellslam.sim.waveform.pseudo_random import gold_sequence, qpsk
+from cellslam.sim.waveform.waveform import ReferenceSignal
 
 CyclicPrefix = Literal["normal", "extended"]
 SYMBOLS_PER_SLOT = {"normal": 7, "extended": 6}
 CELL_IDS, PORTS, SLOTS = 504, 4, 20
 FEWEST_RESOURCE_BLOCKS, MOST_RESOURCE_BLOCKS = 6, 110
-_SEQUENCE_START = 1600  # N_C of clause 7.2
-_REGISTER = 31
-
-
-class ReferenceSignal(NamedTuple):
-    """Reference elements of one port in one slot, by symbol, then subcarrier: all (N,).
-
-    `symbols`: OFDM symbol in the slot; `subcarriers`: 0 to 12 N_RB - 1; `values`: complex, of magnitude 1.
-    """
-
-    symbols: NDArray[np.int64]
-    subcarriers: NDArray[np.int64]
-    values: NDArray[np.complex128]
 
 
 def reference_signal(
@@ -75,12 +64,6 @@ def c_init(cell_id: int, slot: int, symbol: int | np.int64, cyclic_prefix: Cycli
     return 1024 * (7 * (slot + 1) + int(symbol) + 1) * (2 * cell_id + 1) + 2 * cell_id + n_cp
 
 
-def gold_sequence(seed: int, length: int) -> NDArray[np.int8]:
-    """Return the first bits (length,) of the length-31 Gold sequence with x2 seeded by `seed` (TS 36.211, 7.2)."""
-    state = np.array([(seed >> i) & 1 for i in range(_REGISTER)], np.int8)
-    return _first_register(length) ^ _shift(state, (0, 1, 2, 3), length)
-
-
 def colliding_ports(cell_a: int, cell_b: int, ports: int = 2) -> list[tuple[int, int]]:
     """Return the pairs (port of a, port of b) that share every reference element, frames being aligned.
 
@@ -110,32 +93,7 @@ def _pilot_bits(seed: int) -> NDArray[np.int8]:
 def _values(seed: int, resource_blocks: int) -> NDArray[np.complex128]:
     """Return r(m') for m' = m + 110 - N_RB: QPSK of bit pairs, centred in the widest band (6.10.1.1-2)."""
     start = MOST_RESOURCE_BLOCKS - resource_blocks
-    bits = _pilot_bits(seed)[2 * start : 2 * (start + 2 * resource_blocks)].astype(np.float64)
-    values = ((1.0 - 2.0 * bits[0::2]) + 1j * (1.0 - 2.0 * bits[1::2])) / np.sqrt(2.0)
-    return np.asarray(values, np.complex128)
-
-
-@lru_cache(maxsize=8)
-def _first_register(length: int) -> NDArray[np.int8]:
-    state = np.zeros(_REGISTER, np.int8)
-    state[0] = 1
-    return _shift(state, (0, 3), length)
-
-
-def _shift(state: NDArray[np.int8], taps: tuple[int, ...], length: int) -> NDArray[np.int8]:
-    """Return `length` bits after N_C of x(n + 31) = sum of x(n + tap) mod 2; 28 bits a step, as no tap
-    exceeds 3.
-    """
-    bits = np.empty(_SEQUENCE_START + length + _REGISTER, np.int8)
-    bits[:_REGISTER] = state
-    step = _REGISTER - max(taps)
-    for n in range(0, len(bits) - _REGISTER, step):
-        stop = min(n + step, len(bits) - _REGISTER)
-        new = bits[n:stop].copy()
-        for tap in taps[1:]:
-            new ^= bits[n + tap : stop + tap]
-        bits[n + _REGISTER : stop + _REGISTER] = new
-    return bits[_SEQUENCE_START : _SEQUENCE_START + length]
+    return qpsk(_pilot_bits(seed)[2 * start : 2 * (start + 2 * resource_blocks)])
 
 
 def _check(cell_id: int, port: int, slot: int, resource_blocks: int, cyclic_prefix: str) -> None:

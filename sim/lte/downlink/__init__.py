@@ -1,0 +1,1 @@
+"""What LTE sends: `reference_signals`, the symbols in time (`ofdm`), and both as a front end asks (`lte_waveform`)."""

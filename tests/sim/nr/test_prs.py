@@ -1,0 +1,152 @@
+"""The positioning reference signal against the clauses written out element by element, and worked numbers."""
+
+from __future__ import annotations
+
+from functools import lru_cache
+
+import numpy as np
+import pytest
+
+from cellslam.sim.errors import InputError
+from cellslam.sim.nr import positioning_reference_signal
+from cellslam.sim.nr.prs import c_init
+
+# TS 38.211, Table 7.4.1.7.3-1: k' of the symbols l - l_start = 0, 1, ..., 11.
+K_PRIME = {
+    2: (0, 1, 0, 1, 0, 1, 0, 1, 0, 1, 0, 1),
+    4: (0, 2, 1, 3, 0, 2, 1, 3, 0, 2, 1, 3),
+    6: (0, 3, 1, 4, 2, 5, 0, 3, 1, 4, 2, 5),
+    12: (0, 6, 3, 9, 1, 7, 4, 10, 2, 8, 5, 11),
+}
+PAIRS = ((2, 2), (4, 2), (6, 2), (12, 2), (4, 4), (12, 4), (6, 6), (12, 6), (12, 12))  # (L_PRS, K_comb)
+CORNER = np.sqrt(0.5)
+
+
+def clocked(state: int, taps: int, steps: int) -> int:
+    """Clock a register of clause 5.2.1: the sum of the bits in the mask `taps` becomes the 32nd bit."""
+    for _ in range(steps):
+        state = (state | ((state & taps).bit_count() & 1) << 31) >> 1
+    return state
+
+
+@lru_cache(maxsize=1)
+def after_1600() -> tuple[int, list[int]]:
+    """The register x1 after 1600 bits, and x2 after them for each single bit that it may begin with."""
+    return clocked(1, 0b1001, 1600), [clocked(1 << i, 0b1111, 1600) for i in range(31)]
+
+
+def plain(
+    n: int, slot: int, blocks: int, comb: int, length: int, l_start: int, k_offset: int, first_block: int, in_slot: int
+) -> list[tuple[int, int, complex]]:
+    """Walk over all subcarriers from Point A, two bits of the sequence at each that lies on the comb."""
+    rows = []
+    for symbol in range(l_start, l_start + length):
+        seed = (n // 1024 << 22) + 1024 * (in_slot * slot + symbol + 1) * (2 * (n % 1024) + 1) + n % 1024
+        x1, basis = after_1600()
+        x2 = 0
+        for i in range(31):
+            x2 ^= basis[i] if seed >> i & 1 else 0
+        shift = (k_offset + K_PRIME[comb][symbol - l_start]) % comb
+        for k in range(12 * (first_block + blocks)):
+            if k % comb != shift:
+                continue
+            pair = []
+            for _ in range(2):
+                pair.append((x1 ^ x2) & 1)
+                x1, x2 = clocked(x1, 0b1001, 1), clocked(x2, 0b1111, 1)
+            if k >= 12 * first_block:
+                rows.append((symbol, k, complex(CORNER * (1 - 2 * pair[0]), CORNER * (1 - 2 * pair[1]))))
+    return rows
+
+
+def check(*arguments: int, numerology: int, prefix: str = "normal") -> None:
+    n, slot, blocks, comb, length, l_start, k_offset, first_block = arguments
+    got = positioning_reference_signal(
+        n, slot, numerology, blocks, comb, length, l_start, k_offset, first_block,
+        prefix,  # type: ignore[arg-type]
+    )  # fmt: skip
+    expected = plain(*arguments, in_slot=14 if prefix == "normal" else 12)
+    assert got.symbols.tolist() == [r[0] for r in expected]
+    assert got.subcarriers.tolist() == [r[1] for r in expected]
+    np.testing.assert_allclose(got.values, [r[2] for r in expected], atol=1e-12)
+
+
+def test_every_combination_agrees_with_the_clauses() -> None:
+    for length, comb in PAIRS:
+        for k_offset in range(comb):
+            check(1234 + k_offset, 7, 24, comb, length, 14 - length if length > 2 else 12, k_offset, 3, numerology=1)
+
+
+def test_random_configurations_agree_with_the_clauses() -> None:
+    rng = np.random.default_rng(8)
+    for run in range(2000):
+        length, comb = PAIRS[rng.integers(len(PAIRS))]
+        numerology = int(rng.integers(4))
+        prefix = "extended" if numerology == 2 and rng.random() < 0.5 else "normal"
+        in_slot = 14 if prefix == "normal" else 12
+        l_start = int(rng.integers(min(in_slot - length, 12) + 1))
+        wide = run % 100 == 0
+        blocks = 4 * int(rng.integers(6, 69 if wide else 8))
+        first_block = int(rng.integers(0, 2177)) if run % 500 == 0 else int(rng.integers(0, 6))
+        arguments = int(rng.integers(4096)), int(rng.integers(10 * 2**numerology)), blocks, comb, length, l_start
+        check(*arguments, int(rng.integers(comb)), first_block, numerology=numerology, prefix=prefix)
+
+
+@pytest.mark.parametrize(
+    ("n", "slot", "symbol", "seed"),
+    [
+        (0, 0, 0, 1024),
+        (1023, 3, 5, 100615167),
+        (1024, 0, 0, 4195328),
+        (4095, 19, 13, 599499775),
+        (2022, 159, 11, 285776870),
+    ],
+)
+def test_worked_seeds(n: int, slot: int, symbol: int, seed: int) -> None:
+    assert c_init(n, slot, symbol) == seed
+
+
+def test_worked_elements() -> None:
+    got = positioning_reference_signal(0, 0, 0, 24, 4, 4, element_offset=1)
+    assert len(got.values) == 288
+    assert got.subcarriers[:4].tolist() == [1, 5, 9, 13]
+    np.testing.assert_allclose(got.values[:4] * np.sqrt(2.0), [1 + 1j, -1 + 1j, 1 + 1j, -1 - 1j])
+    got = positioning_reference_signal(1023, 3, 1, 272, 6, 6, 2, 5, 1)
+    assert got.symbols[0] == 2 and len(got.values) == 3264
+    assert (got.subcarriers.min(), got.subcarriers.max()) == (12, 3275)
+    np.testing.assert_allclose(got.values[:4] * np.sqrt(2.0), [-1 - 1j, -1 + 1j, 1 - 1j, -1 + 1j])
+
+
+@pytest.mark.parametrize(("length", "comb"), PAIRS)
+def test_every_subcarrier_is_hit_alike_and_offsets_never_meet(length: int, comb: int) -> None:
+    signals = [positioning_reference_signal(5, 3, 1, 24, comb, length, 0, offset) for offset in range(comb)]
+    assert (np.bincount(signals[0].subcarriers, minlength=288) == length // comb).all()
+    elements = {(s, k) for one in signals for s, k in zip(one.symbols.tolist(), one.subcarriers.tolist(), strict=True)}
+    assert len(elements) == sum(len(one.values) for one in signals)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "text"),
+    [
+        ((4096, 0, 1, 24, 2, 2), "sequence_id 4096 is not an integer from 0 to 4095"),
+        ((0, 20, 1, 24, 2, 2), "slot 20 is not an integer from 0 to 19"),
+        ((0, 0, 4, 24, 2, 2), "numerology 4 is not an integer from 0 to 3"),
+        ((0, 0, 1, 26, 2, 2), "resource_blocks 26 is not one of 24, 28, ..., 272"),
+        ((0, 0, 1, 276, 2, 2), "resource_blocks 276 is not an integer from 24 to 272"),
+        ((0, 0, 1, 24, 3, 6), "comb 3 is not one of 2, 4, 6, 12"),
+        ((0, 0, 1, 24, 4.0, 4), "comb 4.0 is not one of"),
+        ((0, 0, 1, 24, 4, 4.0), "symbols 4.0 do not go"),
+        ((0, 0, 1, 24, 4, 6), "symbols 6 do not go with comb 4: 4 or 12 do"),
+        ((0, 0, 1, 24, 12, 6), "symbols 6 do not go with comb 12: 12 do"),
+        ((0, 0, 1, 24, 6, 6, 9), "first_symbol must be 0 to 8"),
+        ((0, 0, 1, 24, 2, 2, 13), "first_symbol 13 is not an integer from 0 to 12"),
+        ((0, 0, 1, 24, 4, 4, 0, 4), "element_offset of comb 4: 4 is not an integer from 0 to 3"),
+        ((0, 0, 1, 24, 4, 4, 0, 0, 2177), "first_block 2177"),
+        ((0, 0, 1, 24, 4, 4, 0, 0, 0, "extended"), "normal, or extended at numerology 2"),
+        ((0, 0, 2, 24, 6, 12, 1, 0, 0, "extended"), "first_symbol must be 0 to 0"),
+        ((0.5, 0, 1, 24, 2, 2), "sequence_id 0.5"),
+    ],
+)
+def test_bad_arguments_are_refused(arguments: tuple[object, ...], text: str) -> None:
+    with pytest.raises(InputError, match=text):
+        positioning_reference_signal(*arguments)  # type: ignore[arg-type]
