@@ -9,6 +9,7 @@ from cellslam.sim.errors import InputError
 from cellslam.sim.lte import reference_signal
 from cellslam.sim.lte.downlink.ofdm import SYMBOL_S, baseband, subcarrier_frequency_hz, symbol_start_s
 from cellslam.sim.lte.downlink.reference_signals import c_init, colliding_ports, first_subcarrier
+from tests.sim.waveform.test_pseudo_random import serial_gold
 
 CHECK = [
     (375, 6152943, (3, 0, 0), "++----+-", "-++---++"),
@@ -30,18 +31,6 @@ def test_check_values(cell: int, seed: int, first: tuple[int, ...], real: str, i
     assert signs(port_0.values[:8].imag) == imaginary
     k0 = port_0.subcarriers[0], port_1.subcarriers[0], port_0.subcarriers[port_0.symbols == 4][0]
     assert k0 == first
-
-
-def serial_gold(seed: int, length: int) -> list[int]:
-    """Clause 7.2, two registers held as integers and clocked one bit at a time."""
-    x1, x2, out = 1, seed, []
-    for n in range(1600 + length):
-        if n >= 1600:
-            out.append((x1 ^ x2) & 1)
-        x1 |= ((x1 ^ (x1 >> 3)) & 1) << 31
-        x2 |= ((x2 ^ (x2 >> 1) ^ (x2 >> 2) ^ (x2 >> 3)) & 1) << 31
-        x1, x2 = x1 >> 1, x2 >> 1
-    return out
 
 
 # v of clause 6.10.1.2, written out: (port, l == 0, slot odd) -> v; ports 2 and 3 have only l = 1.
