@@ -79,7 +79,8 @@ def _claims(trajectory: Trajectory, times: int) -> _Claims:
     at = np.minimum(np.searchsorted(time_s, moments - 1e-6), len(time_s) - 1)
     ratio = np.zeros((times, 0))
     if len(trajectory.offset_error_m) and len(trajectory.offset_std_m):
-        ratio = np.abs(trajectory.offset_error_m[at]) / trajectory.offset_std_m[at]
+        error_m, std_m = np.abs(trajectory.offset_error_m[at]), trajectory.offset_std_m[at]
+        ratio = np.divide(error_m, std_m, out=np.full_like(std_m, np.nan), where=std_m > 0.0)
     return _Claims(moments, trajectory.nees[at], ratio, trajectory.vt_nees)
 
 
@@ -91,7 +92,8 @@ def _over_time(kept: Sequence[_Claims], times: int) -> Iterator[dict[str, Any]]:
         squared = squared[np.isfinite(squared)]
         low, high = nees_band(len(squared)) if len(squared) else (None, None)
         mean = float(squared.mean()) if len(squared) else None
-        clock = _share("clock", np.concatenate([one.clock_ratio[number] for one in kept]) <= SIGMAS)
+        ratio = np.concatenate([one.clock_ratio[number] for one in kept])
+        clock = _share("clock", ratio[~np.isnan(ratio)] <= SIGMAS)  # a clock that was known has no ratio
         vt = _share("vt", _vts_inside(kept) if number == times - 1 else np.zeros(0, bool))
         time_s = float(np.median([one.time_s[number] for one in kept]))
         yield {"time_s": time_s, "trials": len(kept), "nees": mean, "nees_low": low, "nees_high": high, **clock, **vt}

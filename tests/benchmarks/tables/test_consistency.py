@@ -24,13 +24,13 @@ TRIALS, SNAPSHOTS, SITES, VTS = 100, 41, 2, 30
 
 
 def trajectory(rng: np.random.Generator, claimed: float) -> bytes:
-    """A drive whose errors have unit deviation, and whose estimator claims `claimed`."""
-    square = 1.0 / claimed**2
+    """A drive whose errors have unit deviation, and whose estimator claims `claimed`; one more clock is known."""
+    square, known = 1.0 / claimed**2, np.zeros((SNAPSHOTS, 1))
     columns: dict[str, Any] = {
         "time_s": np.linspace(0.0, 20.0, SNAPSHOTS),
         "nees": chi2.rvs(2, size=SNAPSHOTS, random_state=rng) * square,
-        "offset_error_m": rng.standard_normal((SNAPSHOTS, SITES)),
-        "offset_std_m": np.full((SNAPSHOTS, SITES), claimed),
+        "offset_error_m": np.hstack([rng.standard_normal((SNAPSHOTS, SITES)), known]),
+        "offset_std_m": np.hstack([np.full((SNAPSHOTS, SITES), claimed), known]),
         "vt_nees": np.where(rng.random(VTS) < 0.1, np.nan, chi2.rvs(3, size=VTS, random_state=rng) * square),
     }
     file = io.BytesIO()
