@@ -1,6 +1,6 @@
 """Compiled: the next path of a spectrum that a one-path fit confirms; `path_estimator._Link._next_any` is its twin.
 
-Source: own derivation, docs/front-end.md, "Estimator".
+Source: own derivation, docs/explanation/front-end.md, "Estimator".
 """
 
 from __future__ import annotations
