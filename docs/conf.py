@@ -28,14 +28,16 @@ html_css_files = ["site.css"]
 html_copy_source = False
 html_show_sphinx = False
 default_role = "code"
-nitpicky = False
 myst_enable_extensions = ["attrs_inline", "colon_fence"]
 myst_heading_anchors = 3
 autodoc_member_order = "bysource"
-autodoc_typehints = "signature"
-autodoc_default_options = {"members": True, "inherited-members": False}
+autodoc_type_aliases = {"Floats": "Floats", "Ints": "Ints"}
+autodoc_typehints_format = "short"
+autodoc_default_options = {"members": True, "exclude-members": "model_config"}
+add_module_names = False
+smartquotes = False  # two dashes are an option
+toc_object_entries_show_parents = "hide"
 python_use_unqualified_type_names = True
-suppress_warnings = ["misc.highlighting_failure"]
 
 GENERATED = {
     "commands": reference_pages.commands,
@@ -67,7 +69,17 @@ def quote(app: Any, what: str, name: str, value: Any, options: Any, lines: list[
     ]
 
 
+def tidy(app: Any, what: str, name: str, value: Any, options: Any, signature: str | None, returns: str | None) -> Any:
+    """Leave out of a signature what Sphinx 9 adds to aliases inside of other types."""
+
+    def plain(text: str | None) -> str | None:
+        return text and re.sub(r"TypeAliasForwardRef\('(\w+)'\)|~?typing\.(\w+)", r"\1\2", text)
+
+    return plain(signature), plain(returns)
+
+
 def setup(app: Any) -> None:
     """Register what is above."""
     app.connect("source-read", add_generated)
     app.connect("autodoc-process-docstring", quote)
+    app.connect("autodoc-process-signature", tidy)

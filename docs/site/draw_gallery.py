@@ -32,8 +32,9 @@ class Picture(NamedTuple):
 
 _DRIVE = ("cellslam run lund-530 --out drive",)
 _SWEEP = (
-    "cellslam sweep tiny --sweep radio.clutter_scale=0.5,2,8 --estimator fastslam --estimator ekf-slam "
-    "--estimator dead-reckoning --trials 20 --out clutter",
+    "cellslam sweep lund-530 --set vehicle.distance_m=120 --set vehicle.duration_s=120 --set vehicle.stops=1 "
+    "--set vehicle.snapshot_interval_s=0.3 --sweep radio.clutter_scale=0.5,2,8 --trials 10 --out clutter "
+    "--estimator ekf-slam --estimator paper-fastslam --estimator dead-reckoning",
     "cellslam figures clutter",
 )
 GALLERY = {

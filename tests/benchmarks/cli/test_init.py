@@ -16,6 +16,7 @@ from cellslam.sim.city import City
 from cellslam.sim.world import prepare
 
 VILLAGE = Path(__file__).parents[3] / "docs" / "examples" / "village"
+ALONG = [str(VILLAGE / "village.osm"), "--route", str(VILLAGE / "route.gpx")]
 METRES_A_DEGREE = 111_229.0  # of latitude, at 50 degrees
 
 
@@ -66,8 +67,8 @@ def test_a_place_is_where_the_globe_has_it(tmp_path: Path, village: City) -> Non
         (["tiny", "--route", str(VILLAGE / "route.gpx")], "does not say where on the globe it is"),
         (["anywhere"], "another one in each trial"),
         ([str(VILLAGE / "village.osm"), "--route", str(VILLAGE / "village.osm")], "neither GPX"),
-        ([str(VILLAGE / "village.osm"), "--sites", str(VILLAGE / "route.gpx")], "has no places"),
-        ([str(VILLAGE / "village.osm"), "--sites", "far.geojson"], "is outside of city 'village'"),
+        ([*ALONG, "--sites", str(VILLAGE / "route.gpx")], "has no places"),
+        ([*ALONG, "--sites", "far.geojson"], "is outside of city 'village'"),
     ],
 )
 def test_what_cannot_be_is_one_line(
