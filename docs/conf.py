@@ -26,6 +26,7 @@ html_title = "cellslam"
 html_static_path = ["site/site.css"]
 html_css_files = ["site.css"]
 html_copy_source = False
+html_show_copyright = False
 html_show_sphinx = False
 default_role = "code"
 myst_enable_extensions = ["attrs_inline", "colon_fence"]
