@@ -62,8 +62,13 @@ def command(arguments: Namespace) -> int:
     return carry(arguments, sweeps.points(asked, estimators), trials, seed, Path(arguments.out))
 
 
-def carry(arguments: Namespace, points: Sequence[sweeps.Point], trials: int, seed: int, out: Path) -> int:
-    """Carry out trials 0 to `trials` - 1 of every point into the store in `out`, or estimate how long they take."""
+def carry(
+    arguments: Namespace, points: Sequence[sweeps.Point], trials: int | Sequence[int], seed: int, out: Path
+) -> int:
+    """Carry out trials 0 to `trials` - 1 of every point into the store in `out`, or estimate how long they take.
+
+    `trials`: of each point, or one number for all.
+    """
     made = plan(points, trials, seed, not arguments.no_trajectories)
     return carry_plan(arguments, made, _counted(len(points), "point"), _names(points), out)
 

@@ -106,20 +106,23 @@ class Plan:
         return replace(self, tasks=tuple(t for t in rest if t.jobs))
 
 
-def plan(points: Sequence[Point], trials: int, seed: int, trajectories: bool = True) -> Plan:
+def plan(points: Sequence[Point], trials: int | Sequence[int], seed: int, trajectories: bool = True) -> Plan:
     """Return the tasks of all points: trial by trial, or point by point if the points have many cities.
 
+    `trials`: of each point, or one number for all.
     Points that differ in estimators' options alone share a world, which is then made once a trial; a job that
     several points share is done once.
     """
     jobs: Asked = {}
-    cities = set()
-    for point in points:
+    cities, counts = set(), dict[str, int]()
+    each = [trials] * len(points) if isinstance(trials, int) else trials
+    for point, count in zip(points, each, strict=True):
         world = world_json(point.scenario)
+        counts[world] = max(count, counts.get(world, 0))
         cities.add(point.scenario.city.model_dump_json())
         asked = {(request.name, options_json(request)): request.oracle for request in point.requests}
         jobs.setdefault(world, {}).update(asked)
-    return _planned(jobs, trials, seed, trajectories, trial_by_trial=len(cities) <= KEPT_SCENES)
+    return _planned(jobs, counts, seed, trajectories, trial_by_trial=len(cities) <= KEPT_SCENES)
 
 
 def plan_known(world: KnownWorld, trials: int, seed: int, trajectories: bool = True) -> Plan:
@@ -127,15 +130,13 @@ def plan_known(world: KnownWorld, trials: int, seed: int, trajectories: bool = T
     requests = [loaded(entry.estimator, entry.options) for entry in world.entries]
     asked = {(request.name, options_json(request)): request.oracle for request in requests}
     text = canonical({"name": world.name, KNOWN: world.name})
-    return _planned({text: asked}, trials, seed, trajectories, trial_by_trial=True)
+    return _planned({text: asked}, {text: trials}, seed, trajectories, trial_by_trial=True)
 
 
-def _planned(jobs: Asked, trials: int, seed: int, trajectories: bool, trial_by_trial: bool) -> Plan:
-    order = (
-        ((world, trial) for trial in range(trials) for world in jobs)
-        if trial_by_trial
-        else ((world, trial) for world in jobs for trial in range(trials))
-    )
+def _planned(jobs: Asked, trials: Mapping[str, int], seed: int, trajectories: bool, trial_by_trial: bool) -> Plan:
+    order = [(world, trial) for world in jobs for trial in range(trials[world])]
+    if trial_by_trial:
+        order.sort(key=lambda task: task[1])
     tasks = tuple(
         Task(world, trial, seed, tuple(_jobs(world, jobs[world], trial, seed)), trajectories) for world, trial in order
     )

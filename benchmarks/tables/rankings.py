@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from cellslam.benchmarks.scores.verdicts import Verdict, verdict
+from cellslam.benchmarks.scores.verdicts import LEAST_TRIALS, Verdict, verdict
 from cellslam.benchmarks.tables.formats import number
 from cellslam.slam import registry
 
@@ -28,15 +28,16 @@ def verdicts(
     Compared are the values of column `label`, those of `oracles` aside, on the drives that all of them met; a drive
     that failed is worse than any other. Over all panels a trial counts once, with the geometric mean of its RMSEs:
     trials of one number have random draws in common in every world, so that they are no further evidence. Of more than
-    twelve panels that verdict stands alone.
+    twelve panels that verdict stands alone. A panel of too few drives for a verdict has no part in it.
     """
     tables = {title: _scores(rows[~rows["estimator"].isin(oracles)], label) for title, rows in panels.items()}
+    tables = {title: table for title, table in tables.items() if len(table) >= LEAST_TRIALS}
     if len(tables) > 1:
         with np.errstate(divide="ignore"):
             logs = [table.apply(np.log) for table in tables.values()]
         mean = reduce(lambda one, other: one + other, logs) / len(logs)
         tables[ALL] = mean.apply(np.exp).dropna(axis=1, how="all").dropna()
-    if len(panels) > MOST_PANELS:
+    if len(tables) > MOST_PANELS:
         tables = {ALL: tables[ALL]}
     found = {title: verdict({str(name): table[name].to_numpy() for name in table}) for title, table in tables.items()}
     return {title: one for title, one in found.items() if one is not None}

@@ -96,7 +96,7 @@ def read(path: Path) -> SuiteRows:
         raise InputError(f"{path}: made with another {one.name} (digest {said[:12]}, here {digest(one)[:12]})")
     if list(frame.columns) != list(COLUMNS):
         raise InputError(f"{path}: made by a version of cellslam with other columns; make it again with this one")
-    every = sorted((e, s, t) for e in estimators for s in one.scenarios for t in range(one.trials))
+    every = sorted((e, s, t) for e in estimators for s in one.scenarios for t in range(one.trials_of(s)))
     if drives != every or set(frame["seed"]) != {one.seed}:
         raise InputError(f"{path}: not every drive of {one.name} once for each estimator")
     return found

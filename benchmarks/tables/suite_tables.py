@@ -61,7 +61,7 @@ def suite_markdown(some: SuiteRows, command: str, left: str, picture: str = "") 
     head = [
         f"# Accuracy: {title}",
         "" if some.whole else "\nNot the suite's result: it takes all scenarios and trials.\n",
-        f"Root seed {one.seed}, trials 0 to {trials - 1} of each scenario. Medians over trials. {RULES}",
+        f"Root seed {one.seed}, trials 0 to {trials - 1} of each scenario{_fewer(some)}. Medians over trials. {RULES}",
         f"Made with {said}, on {some.machine}, by",
         f"\n    {command}\n",
         left,
@@ -79,9 +79,10 @@ def leaderboard_markdown(some: SuiteRows, made_with: dict[str, str], command: st
     """Return the page of a leaderboard. `made_with`: the version of cellslam by estimator; `picture`: the diagram."""
     one = some.suite
     judged, power = verdicts(some.panels, some.oracles), verdicts(map_builders(some.panels))
+    scenarios = ", ".join(f"`{name}`" for name in one.scenarios)
     return "\n".join([
         f"# Leaderboard: {one.name}\n",
-        f"{one.trials} drives of each of {', '.join(f'`{name}`' for name in one.scenarios)} (root seed {one.seed}), by "
+        f"{one.trials} drives of each of {scenarios} (root seed {one.seed}{_fewer(some)}), by "
         "the mean rank; for each scenario the median RMSE in metres; times are of the machine that made the entry. "
         f"{RULES}\n",
         standings(some, judged, made_with),
@@ -90,6 +91,12 @@ def leaderboard_markdown(some: SuiteRows, made_with: dict[str, str], command: st
         _yours(one),
         f"This page is made by\n\n    {command}",
     ]) + "\n"  # fmt: skip
+
+
+def _fewer(some: SuiteRows) -> str:
+    """Return which scenarios have fewer trials than the others, as in `, 0 to 4 of signal`."""
+    counts = {name: some.suite.trials_of(name, some.trials) for name in some.scenarios}
+    return "".join(f", 0 to {count - 1} of `{name}`" for name, count in counts.items() if count < some.trials)
 
 
 def standings(some: SuiteRows, judged: dict[str, Verdict], made_with: dict[str, str] | None = None) -> str:

@@ -7,8 +7,8 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 from importlib.resources import as_file, files
 
 from cellslam.scenarios.estimator_options import resolve
@@ -21,12 +21,19 @@ from cellslam.sim.errors import unknown_name
 
 @dataclass(frozen=True)
 class Suite:
-    """A suite by its versioned name: scenarios (files beside this one), root seed, trials 0 to `trials` - 1."""
+    """A suite by its versioned name: scenarios (files beside this one), root seed, trials 0 to `trials` - 1, and of
+    scenarios that take long only the `fewer` first."""
 
     name: str
     scenarios: tuple[str, ...]
     seed: int
     trials: int
+    fewer: Mapping[str, int] = field(default_factory=dict)
+
+    def trials_of(self, scenario: str, most: int | None = None) -> int:
+        """Return how many trials a scenario has, and no more than `most` (None: all)."""
+        all_of_it = self.fewer.get(scenario, self.trials)
+        return all_of_it if most is None else min(all_of_it, most)
 
 
 SUITES = {
@@ -48,7 +55,8 @@ def digest(one: Suite) -> str:
     """Return the SHA-256 of all that a suite is: what it is called, and every value of its scenarios."""
     folder = files("cellslam.scenarios.suites") / one.name
     texts = {scenario: (folder / f"{scenario}.toml").read_text("utf-8") for scenario in one.scenarios}
-    said = json.dumps([one.name, one.scenarios, one.seed, one.trials, texts])
+    fewer = [dict(one.fewer)] if one.fewer else []
+    said = json.dumps([one.name, one.scenarios, one.seed, one.trials, texts, *fewer])
     return hashlib.sha256(said.encode()).hexdigest()
 
 

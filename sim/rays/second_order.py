@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cellslam.sim.city.city import Floats, Ints
-from cellslam.sim.rays.first_order import BLOCKS, unobstructed
+from cellslam.sim.rays.first_order import unobstructed
 from cellslam.sim.rays.hidden_facets import HIDDEN_M, hidden
 from cellslam.sim.rays.scene import Scene
 
@@ -21,6 +21,8 @@ if TYPE_CHECKING:
 
 PAIRS_AT_ONCE = 100_000
 RECEIVERS_AT_ONCE = 512
+# Successive receivers, a hand's breadth apart, that are culled together.
+BLOCKS = np.array([512, 128, 32, 8])
 
 
 def _open_pairs(scene: Scene, transmitter: Floats, images: Images, mirrored: Floats, pairs: Ints) -> NDArray[np.bool_]:
@@ -55,19 +57,21 @@ def double_reflections(
     kernel.mirror(scene.table, reflects, transmitter, images)
     normal = scene.table[:, :3]
     mirrored = transmitter - 2.0 * (normal @ transmitter - scene.table[:, 3])[:, None] * normal
+    order, groups = _neighbours(scene, reflects)
     around = kernel.bounds(receivers, 0, len(receivers))
     room = 1 << 20
     while True:
         pairs, second = np.empty((room, 2), np.int64), np.empty((room, 4))
         found = second_kernel.facet_pairs(
-            scene.table, scene.boxes, reflects, lit[images.side[lit] != 0.0], images, mirrored, around, pairs, second
-        )
+            scene.table, scene.boxes, order, groups, lit[images.side[lit] != 0.0], images, mirrored, around, pairs,
+            second,
+        )  # fmt: skip
         if found <= room:
             break
         room = found
     kept = _open_pairs(scene, transmitter, images, mirrored, pairs[:found])
     pairs, second = pairs[:found][kept], second[:found][kept]
-    work = np.empty((3, len(pairs)), np.int64)
+    work = np.empty((len(BLOCKS) + 1, len(pairs)), np.int64)
     work[0] = np.arange(len(pairs))
     room = 64 * RECEIVERS_AT_ONCE
     pieces = [(np.empty(0, np.int64), np.empty((0, 2), np.int64), np.empty((0, 2, 3)))]
@@ -84,6 +88,20 @@ def double_reflections(
         pieces.append((hit[:total, 0][free] + begin, both[free], points[free]))
     row, both, where = (np.concatenate(column) for column in zip(*pieces, strict=True))
     return row, both, where
+
+
+def _neighbours(scene: Scene, reflects: NDArray[np.bool_]) -> tuple[Ints, Floats]:
+    """Return the reflecting facets (R,), neighbours together, and boxes (G, 6) of each `GROUP` of them, in m."""
+    from scipy.spatial import KDTree
+
+    from cellslam.sim.rays.second_order_kernel import GROUP
+
+    rows = np.flatnonzero(reflects)
+    order = rows[KDTree(scene.boxes[rows, :3], leafsize=GROUP).indices]
+    middle, half = scene.boxes[order, :3], scene.boxes[order, 3:]
+    starts = np.arange(0, len(order), GROUP)
+    low, high = np.minimum.reduceat(middle - half, starts), np.maximum.reduceat(middle + half, starts)
+    return order, np.column_stack([low + high, high - low]) / 2.0
 
 
 def _free_paths(scene: Scene, transmitter: Floats, receiver: Floats, facets: Ints, points: Floats) -> Ints:

@@ -12,6 +12,8 @@ import numpy as np
 from cellslam.sim.compiling import njit
 from cellslam.sim.rays.first_order_kernel import INSIDE_M, Array, Box, FacetTable, Images, bounds, inside, reaches
 
+GROUP = 16  # facets that are culled together
+
 
 @njit(cache=True)
 def _beam_reaches(table: Array, images: Images, a: int, b: int, again: Any, box: Box) -> bool:
@@ -43,6 +45,7 @@ def _beam_reaches(table: Array, images: Images, a: int, b: int, again: Any, box:
         return False
     other, image, side = table[a], images.image[a], images.side[a]
     lp, hp, lq, hq = np.inf, -np.inf, np.inf, -np.inf
+    behind = 0
     for corner in range(4):
         u = hu if corner & 1 else lu
         v = hv if corner & 2 else lv
@@ -51,11 +54,14 @@ def _beam_reaches(table: Array, images: Images, a: int, b: int, again: Any, box:
         z = u * row[6] + v * row[9] + row[3] * row[2]
         d = side * (other[0] * x + other[1] * y + other[2] * z - other[3])
         if d <= 0.0:
-            return True
+            behind += 1
+            continue
         t = image[2] / (image[2] + d)
         p = image[0] + t * (other[4] * x + other[5] * y + other[6] * z - image[0])
         q = image[1] + t * (other[7] * x + other[8] * y + other[9] * z - image[1])
         lp, hp, lq, hq = min(lp, p), max(hp, p), min(lq, q), max(hq, q)
+    if behind:
+        return behind < 4  # where the window crosses the plane it is not projected
     return bool(
         hp >= other[10] - INSIDE_M
         and lp <= other[11] + INSIDE_M
@@ -66,49 +72,50 @@ def _beam_reaches(table: Array, images: Images, a: int, b: int, again: Any, box:
 
 @njit(cache=True)
 def facet_pairs(
-    table: Array, boxes: Array, reflects: Array, lit: Array, images: Images, mirrored: Array, around: Box, pairs: Array,
-    second: Array,
+    table: Array, boxes: Array, order: Array, groups: Array, lit: Array, images: Images, mirrored: Array, around: Box,
+    pairs: Array, second: Array,
 ) -> int:  # fmt: skip
     """Write the pairs of facets that may carry a path; return their number, which may exceed the room.
 
-    `boxes` (F, 6): centre and half size of each facet in m; `lit` (L,): facets that the transmitter sees; `mirrored`
-    (F, 3): the transmitter's image in each facet, m; `around`: box of all receivers. Written per pair: `pairs` (P, 2)
-    first and second facet, `second` (P, 4): u, v, distance of the first image in the second facet's coordinates, and
-    its side.
+    `boxes` (F, 6): centre and half size of each facet in m; `order` (R,): the facets that reflect, neighbours together;
+    `groups` (G, 6): boxes of each `GROUP` of them; `lit` (L,): facets that the transmitter sees; `mirrored` (F, 3): the
+    transmitter's image in each facet, m; `around`: box of all receivers. Written per pair: `pairs` (P, 2) first and
+    second facet, `second` (P, 4): u, v, distance of the first image in the second facet's coordinates, and its side.
     """
     total = 0
     for a in lit:
-        row = table[a]
-        for b in range(len(table)):
-            if b == a or not reflects[b]:
+        row, image, side = table[a], images.image[a], images.side[a]
+        ix, iy, iz = mirrored[a, 0], mirrored[a, 1], mirrored[a, 2]
+        for g in range(len(groups)):
+            if not reaches(row, image, side, _box(groups[g])):
                 continue
-            ahead = images.side[a] * (row[0] * boxes[b, 0] + row[1] * boxes[b, 1] + row[2] * boxes[b, 2] - row[3])
-            reach = abs(row[0]) * boxes[b, 3] + abs(row[1]) * boxes[b, 4] + abs(row[2]) * boxes[b, 5]
-            if ahead + reach <= INSIDE_M:
-                continue
-            other = table[b]
-            ix, iy, iz = mirrored[a, 0], mirrored[a, 1], mirrored[a, 2]
-            d = other[0] * ix + other[1] * iy + other[2] * iz - other[3]
-            if abs(d) <= INSIDE_M:
-                continue
-            box = Box(boxes[b, 0], boxes[b, 1], boxes[b, 2], boxes[b, 3], boxes[b, 4], boxes[b, 5])
-            if not reaches(row, images.image[a], images.side[a], box):
-                continue
-            s = 1.0 if d > 0.0 else -1.0
-            again = (
-                other[4] * ix + other[5] * iy + other[6] * iz,
-                other[7] * ix + other[8] * iy + other[9] * iz,
-                abs(d),
-                s,
-            )
-            if not _beam_reaches(table, images, a, b, again, around):
-                continue
-            if total < len(pairs):
-                pairs[total, 0] = a
-                pairs[total, 1] = b
-                second[total, 0], second[total, 1], second[total, 2], second[total, 3] = again
-            total += 1
+            for b in order[g * GROUP : (g + 1) * GROUP]:
+                other, box = table[b], _box(boxes[b])
+                d = other[0] * ix + other[1] * iy + other[2] * iz - other[3]
+                if b == a or abs(d) <= INSIDE_M or not _ahead(row, side, box) or not reaches(row, image, side, box):
+                    continue
+                u = other[4] * ix + other[5] * iy + other[6] * iz
+                v = other[7] * ix + other[8] * iy + other[9] * iz
+                again = (u, v, abs(d), 1.0 if d > 0.0 else -1.0)
+                if not _beam_reaches(table, images, a, b, again, around):
+                    continue
+                if total < len(pairs):
+                    pairs[total, 0], pairs[total, 1] = a, b
+                    second[total, 0], second[total, 1], second[total, 2], second[total, 3] = again
+                total += 1
     return total
+
+
+@njit(cache=True)
+def _box(row: Array) -> Box:
+    return Box(row[0], row[1], row[2], row[3], row[4], row[5])
+
+
+@njit(cache=True)
+def _ahead(row: Array, side: float, box: Box) -> bool:
+    """Tell whether the box stands before the plane of a facet, in part by more than a micrometre."""
+    middle = side * (row[0] * box.x + row[1] * box.y + row[2] * box.z - row[3])
+    return bool(middle + abs(row[0]) * box.hx + abs(row[1]) * box.hy + abs(row[2]) * box.hz > INSIDE_M)
 
 
 @njit(cache=True)
@@ -197,40 +204,37 @@ def second_candidates(
 ) -> int:  # fmt: skip
     """Write the double reflections of all receivers (N, 3), in m; return how many, which may exceed the room.
 
-    `pairs` (P, 2) and `second` (P, 4) as `facet_pairs` writes them; `blocks` as in `candidates`; `work` (3, P): work
-    space, its first row 0..P-1. Written per candidate: `found` (n, 2) receiver and pair, `points` (n, 2, 3) in m, from
-    the transmitter on.
+    `pairs` (P, 2) and `second` (P, 4) as `facet_pairs` writes them; `blocks` (B,): successive receivers that are culled
+    together, each a divisor of the one before; `work` (B + 1, P): work space, its first row 0..P-1. Written per
+    candidate: `found` (n, 2) receiver and pair, `points` (n, 2, 3) in m, from the transmitter on.
     """
     table = facets.table
+    near = np.full(len(blocks) + 1, len(pairs))
     total = 0
-    for outer in range(0, len(receivers), blocks[0]):
-        outer_stop = min(outer + blocks[0], len(receivers))
-        box = bounds(receivers, outer, outer_stop)
-        near = _cull(table, images, pairs, second, box, work[0], len(pairs), work[1])
-        for inner in range(outer, outer_stop, blocks[1]):
-            inner_stop = min(inner + blocks[1], outer_stop)
-            box = bounds(receivers, inner, inner_stop)
-            nearer = _cull(table, images, pairs, second, box, work[1], near, work[2])
-            for r in range(inner, inner_stop):
-                for i in range(nearer):
-                    e = work[2, i]
-                    a, b = pairs[e, 0], pairs[e, 1]
-                    row, again = table[b], second[e]
-                    d, u, v = _hit(facets, b, again, again[3], receivers[r, 0], receivers[r, 1], receivers[r, 2])
-                    if d < 0.0:
-                        continue
-                    x = u * row[4] + v * row[7] + row[3] * row[0]
-                    y = u * row[5] + v * row[8] + row[3] * row[1]
-                    z = u * row[6] + v * row[9] + row[3] * row[2]
-                    row = table[a]
-                    d, u, v = _hit(facets, a, images.image[a], images.side[a], x, y, z)
-                    if d < 0.0:
-                        continue
-                    if total < len(found):
-                        found[total, 0] = r
-                        found[total, 1] = e
-                        for axis in range(3):
-                            points[total, 0, axis] = u * row[4 + axis] + v * row[7 + axis] + row[3] * row[axis]
-                        points[total, 1, 0], points[total, 1, 1], points[total, 1, 2] = x, y, z
-                    total += 1
+    for begin in range(0, len(receivers), blocks[-1]):
+        for level in range(len(blocks)):
+            if begin % blocks[level] == 0:
+                box = bounds(receivers, begin, min(begin + blocks[level], len(receivers)))
+                near[level + 1] = _cull(table, images, pairs, second, box, work[level], near[level], work[level + 1])
+        for r in range(begin, min(begin + blocks[-1], len(receivers))):
+            for e in work[-1, : near[-1]]:
+                a, b = pairs[e, 0], pairs[e, 1]
+                row, again = table[b], second[e]
+                d, u, v = _hit(facets, b, again, again[3], receivers[r, 0], receivers[r, 1], receivers[r, 2])
+                if d < 0.0:
+                    continue
+                x = u * row[4] + v * row[7] + row[3] * row[0]
+                y = u * row[5] + v * row[8] + row[3] * row[1]
+                z = u * row[6] + v * row[9] + row[3] * row[2]
+                row = table[a]
+                d, u, v = _hit(facets, a, images.image[a], images.side[a], x, y, z)
+                if d < 0.0:
+                    continue
+                if total < len(found):
+                    found[total, 0] = r
+                    found[total, 1] = e
+                    for axis in range(3):
+                        points[total, 0, axis] = u * row[4 + axis] + v * row[7 + axis] + row[3] * row[axis]
+                    points[total, 1, 0], points[total, 1, 1], points[total, 1, 2] = x, y, z
+                total += 1
     return total

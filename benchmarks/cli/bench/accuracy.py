@@ -59,14 +59,15 @@ def command(arguments: Namespace) -> int:
             check_file(Path(file))
     if arguments.rows and (trials, scenarios) != (one.trials, one.scenarios):
         raise InputError("--rows is of a whole suite: leave out --trials and --scenario")
-    status = carry(arguments, points, trials, one.seed, out)
+    each = [one.trials_of(name, trials) for name in scenarios]
+    status = carry(arguments, points, each, one.seed, out)
     if status not in (DONE, FAILED) or arguments.dry_run:
         return status
     from cellslam.benchmarks.sweeps.tasks import plan
     from cellslam.benchmarks.tables import suite_rows
     from cellslam.benchmarks.tables.suite_tables import suite_markdown
 
-    keys = {job.key for task in plan(points, trials, one.seed).tasks for job in task.jobs}
+    keys = {job.key for task in plan(points, each, one.seed).tasks for job in task.jobs}
     some = suite_rows.stored(out, one, scenarios, trials, keys)
     page = Path(arguments.write) if arguments.write else None
     picture = draw_verdicts(some, page.with_suffix(".png")) if page else ""

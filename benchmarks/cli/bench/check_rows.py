@@ -32,7 +32,8 @@ def check(arguments: Namespace) -> int:
     said = {str(row["key"]): row for row in entry.rows.to_dict("records")}
     estimators = entry.rows["estimator"].unique().tolist()
     one = entry.suite
-    made = plan(points_of(one, one.scenarios, estimators), one.trials, one.seed, trajectories=False)
+    each = [one.trials_of(name) for name in one.scenarios]
+    made = plan(points_of(one, one.scenarios, estimators), each, one.seed, trajectories=False)
     if unknown := [job for task in made.tasks for job in task.jobs if job.key not in said]:
         raise InputError(f"{path}: {unknown[0].estimator} has other options here, or {one.name} another scenario")
     if not 1 <= arguments.sample <= len(made.tasks):

@@ -29,7 +29,7 @@ from cellslam.sim.recording import Floats
 BLOCK = 50
 FEWEST_SHARED = 4  # blocks for which starting processes pays
 # Part of the name of kept blocks: grows when the same trial would be measured otherwise.
-REVISION = 5
+REVISION = 6
 
 
 def detect_signals(

@@ -25,6 +25,7 @@ from cellslam.sim.lte.array import (
 )
 from cellslam.sim.lte.downlink.lte_waveform import LteWaveform
 from cellslam.sim.lte.signal.path_estimator.climb_kernel import orthonormal_beams
+from cellslam.sim.lte.signal.path_estimator.search_kernel import Probe
 from cellslam.sim.lte.signal.tone_reduction import ToneReduction, reduction_of
 from cellslam.sim.lte.steering_kernel import SteeringModel, steer_circular
 from cellslam.sim.waveform.waveform import Waveform
@@ -115,9 +116,25 @@ class Receiver:
         return np.ascontiguousarray(self.delay_matrix[:, ::2] * taper[:, None], np.complex64)
 
     @cached_property
+    def apart(self) -> bool:
+        """Whether every other port has the other slant: a direction's two beams then have ports of their own."""
+        return isinstance(self.array, CircularArray)
+
+    def by_set(self, values: Any) -> Any:
+        """Return values (ports, n) as (2, P, n), of the ports that each of a direction's two beams sees."""
+        if not self.apart:
+            return np.broadcast_to(values, (2, *values.shape))
+        return values.reshape(-1, 2, values.shape[1]).swapaxes(0, 1)
+
+    @cached_property
     def _steering(self) -> Complex:
-        """Steering vectors (K, 2, ports) of the searched directions."""
-        return np.ascontiguousarray(self.array.steer(*self.directions).value.transpose(0, 2, 1))
+        """Steering vectors (2, K, P) of the searched directions: of each slant, or else of each polarisation."""
+        value = self.array.steer(*self.directions).value
+        return np.asarray(self._sets(value[:, :, 1]) if self.apart else np.moveaxis(value, -1, 0), np.complex128)
+
+    def _sets(self, values: Complex) -> Complex:
+        """Return values (n, ports) as (2, n, P), as `by_set` does."""
+        return np.ascontiguousarray(self.by_set(values.T).swapaxes(1, 2))
 
     @cached_property
     def doppler(self) -> Floats:
@@ -162,17 +179,23 @@ class Motion:
 
     @cached_property
     def turned(self) -> Complex:
-        """Steering vectors (K, 2, ports) of the searched directions, Doppler included."""
+        """Steering vectors (2, K, P) of the searched directions, Doppler included."""
         r = self.receiver
         phase = np.outer(unit_vector(*r.directions) @ self.velocity_mps, r.doppler)
-        return np.asarray(r._steering * np.exp(1j * phase)[:, None, :], np.complex128)
+        return np.asarray(r._steering * r._sets(np.exp(1j * phase)), np.complex128)
 
     @cached_property
     def beams(self) -> ComplexSingle:
-        """Beam matrix (2 K, ports) of the search: orthonormal bases of what a direction's two polarisations can do."""
-        out = np.empty((2 * len(self.turned), self.receiver.array.ports), np.complex64)
-        orthonormal_beams(self.turned, self.factor, out)
+        """Beams (2, K, P) of the search: orthonormal bases of what a direction's two polarisations can do."""
+        out = np.empty(self.turned.shape, np.complex64)
+        orthonormal_beams(self.turned, self.receiver._sets(self.factor[None])[:, 0], self.receiver.apart, out)
         return out
+
+    @cached_property
+    def probe(self) -> Probe:
+        """What the compiled search looks at samples with."""
+        r = self.receiver
+        return Probe(self.beams, r.delay_matrix, r.delays_m, *r.directions)
 
     @cached_property
     def model(self) -> SteeringModel | None:

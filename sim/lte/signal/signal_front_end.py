@@ -17,7 +17,7 @@ from scipy.optimize import linear_sum_assignment
 
 from cellslam.sim.errors import InputError
 from cellslam.sim.frames import SPEED_OF_LIGHT_MPS, wrap_angle
-from cellslam.sim.lte.array import CircularArray, Complex, array_at, doppler_phasors, miscalibrated
+from cellslam.sim.lte.array import CircularArray, Complex, array_at, miscalibrated
 from cellslam.sim.lte.joint_bound import PathSet
 from cellslam.sim.lte.links import Cells, link_table, slant
 from cellslam.sim.lte.persisting_errors import floors
@@ -28,7 +28,7 @@ from cellslam.sim.lte.signal.channel import arriving_paths
 from cellslam.sim.lte.signal.diffuse import SCATTERERS, Surroundings
 from cellslam.sim.lte.signal.path_estimator.cancellation import cancel
 from cellslam.sim.lte.signal.path_estimator.path_estimator import Estimates, estimate_paths
-from cellslam.sim.lte.signal.receiver import ComplexSingle, Receiver, phase_rate, receiver_of
+from cellslam.sim.lte.signal.receiver import ComplexSingle, Motion, Receiver, phase_rate, receiver_of
 from cellslam.sim.lte.statistical import detector_layout as k
 from cellslam.sim.lte.statistical.detector_layout import PathColumns
 from cellslam.sim.randomness import Stream, stream
@@ -139,12 +139,11 @@ class SignalLevel:
         ]
         geometry = self._perturbed(arriving[0], paths.vt_m[rows], pose, snapshot)
         length = geometry[:, 0] + self.offsets_m[site]
-        steering = self.array.steer(geometry[:, 1], geometry[:, 2]).value
         later = self.receiver.times_s - self.receiver.times_s.mean()
-        moving = doppler_phasors(self.receiver.times_s, velocity_mps, geometry[:, 1], geometry[:, 2], config.carrier_hz)
-        moving = moving * np.exp(2j * np.pi * self.carrier_offsets_hz[site] * later)
-        on_ports = [np.einsum("npq,nq->pn", steering, p.weights) * moving.T for p in arriving]
-        delay = np.exp(-2j * np.pi * np.outer(length, self.waveform.tones_hz) / SPEED_OF_LIGHT_MPS).astype(np.complex64)
+        drift = np.exp(2j * np.pi * self.carrier_offsets_hz[site] * later)
+        steering = self._seen(velocity_mps, drift).steer(geometry[:, 1].copy(), geometry[:, 2].copy()).value
+        on_ports = [np.einsum("npq,nq->pn", steering, p.weights) for p in arriving]
+        delay = symbol_kernel.phasors(-length, self.tone_rate)
         # What other cells' data add is noise-like: of diffuse energy only the power counts there.
         specular = slice(None, None, self.surroundings.scatterers + 1)
         whole = np.sqrt(1.0 + 10.0 ** (-config.specular_to_diffuse_db / 10.0))
@@ -167,6 +166,16 @@ class SignalLevel:
                     share = float(whole / np.sqrt(self.cells.ports[cell]))
                     response = shifted[:, specular] @ delay[specular]
                     symbol_kernel.add_data(elements, response, words, config.load, share)
+
+    def _seen(self, velocity_mps: Floats, drift: Complex) -> Motion:
+        """Return the array as it is, in motion with `velocity_mps` (3,), a carrier turning by `drift` (ports,)."""
+        factor = drift if self.array.calibration is None else drift * self.array.calibration
+        return Motion(self.receiver, velocity_mps, np.asarray(factor, np.complex128))
+
+    @cached_property
+    def tone_rate(self) -> Floats:
+        """Phase of each tone on comb 0 (tones,) in rad per m."""
+        return np.asarray(2.0 * np.pi * self.waveform.tones_hz / SPEED_OF_LIGHT_MPS, np.float64)
 
     def _perturbed(self, arriving: PathSet, vt_m: Floats, pose: Floats, snapshot: int) -> Floats:
         """Return distance, azimuth and elevation (n, 3) with the errors of roof, attitude and group delay.

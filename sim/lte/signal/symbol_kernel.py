@@ -4,8 +4,23 @@ from __future__ import annotations
 
 import math
 
+import numpy as np
+
 from cellslam.sim.compiling import njit
 from cellslam.sim.lte.statistical.detector_layout import Array
+from cellslam.sim.lte.steering_kernel import write_phasors
+
+
+@njit(cache=True, nogil=True)
+def phasors(length: Array, rate: Array) -> Array:
+    """Return e^(j rate length) (n, tones), single, of lengths (n,) in m and `rate` (tones,) in rad per m."""
+    out = np.empty((len(length), len(rate)), np.complex64)
+    cosine, sine = np.empty(len(rate)), np.empty(len(rate))
+    for p in range(len(length)):
+        write_phasors(length[p] * rate, cosine, sine)
+        for f in range(len(rate)):
+            out[p, f] = complex(cosine[f], sine[f])
+    return out
 
 
 @njit(cache=True, nogil=True)

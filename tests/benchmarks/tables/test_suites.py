@@ -63,8 +63,10 @@ def test_accuracy_writes_its_tables_and_resumes(
 
 @pytest.fixture
 def entry(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """The rows of two estimators in a suite of two scenarios and six trials: short drives under names of standard-1."""
-    monkeypatch.setitem(SUITES, "standard-1", Suite("standard-1", ("open", "canyon"), 530, 6))
+    """The rows of two estimators in a suite of six trials, of one scenario but one: short drives under known names."""
+    monkeypatch.setitem(
+        SUITES, "standard-1", Suite("standard-1", ("open", "canyon", "anywhere"), 530, 6, {"anywhere": 1})
+    )
     monkeypatch.setattr(suites, "scenario_of", lambda _, name: load("tiny", {**SHORT, "name": name}))
     line = ["bench", "accuracy", "--estimator", "dead-reckoning", "--estimator", "ekf-slam", "--executor", "serial"]
     words = [
@@ -82,10 +84,11 @@ def entry(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 def test_an_entry_is_ranked_and_holds_when_it_is_driven_again(entry: Path, capfd: pytest.CaptureFixture[str]) -> None:
     text = entry.with_name("page.md").read_text()
     assert text.index("## All scenarios") < text.index("## open") < text.index("## canyon")
+    assert "trials 0 to 5 of each scenario, 0 to 0 of `anywhere`." in text
     assert text.count("Critical difference of mean ranks: 0.80") == 3 and "of 1 pairs" in text
     assert "![Mean ranks](page.png)" in text and entry.with_name("page.png").stat().st_size > 3000
     some = suite_rows.read(entry)
-    assert some.whole and len(some.rows) == 24 and some.rows["peak_memory_mb"].notna().all()
+    assert some.whole and len(some.rows) == 26 and some.rows["peak_memory_mb"].notna().all()
     capfd.readouterr()
     check = ["bench", "accuracy", "--check", str(entry), "--sample", "2", "--executor", "serial"]
     assert main(check) == 0
@@ -130,7 +133,7 @@ def test_an_entry_that_is_not_what_its_estimator_does_is_found_out(
         (several, board, "not every drive of standard-1 once for each estimator"),
         ("{}", check, "not rows of a suite"),
         (options, check, "dead-reckoning has other options here"),
-        (text, [*check, "--sample", "13"], "--sample 13: standard-1 has 1 to 12 drives"),
+        (text, [*check, "--sample", "14"], "--sample 14: standard-1 has 1 to 13 drives"),
     ):
         entry.write_text(content)
         assert main(words) == 2

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from typing import NamedTuple
 
 import numpy as np
@@ -24,14 +23,20 @@ class Steps(NamedTuple):
 
 
 @njit(cache=True, nogil=True)
-def evaluate_circular(y: Array, geometry: Array, m: SteeringModel) -> Normal:
-    """Return the normal equations of a fit at `geometry` (n, 3)."""
-    n = len(geometry)
-    shape = (n, len(m.factor), 2)
+def steering(geometry: Array, m: SteeringModel) -> tuple[Array, Array, Array]:
+    """Return steering vectors (n, ports, 2) of paths at `geometry` (n, 3), and their derivatives per rad."""
+    shape = (len(geometry), len(m.factor), 2)
     value = np.empty(shape, np.complex128)
     by_azimuth, by_elevation = np.empty(shape, np.complex128), np.empty(shape, np.complex128)
     steer_circular(geometry[:, 1].copy(), geometry[:, 2].copy(), m, value, by_azimuth, by_elevation)
-    if n == 1:
+    return value, by_azimuth, by_elevation
+
+
+@njit(cache=True, nogil=True)
+def evaluate_circular(y: Array, geometry: Array, m: SteeringModel) -> Normal:
+    """Return the normal equations of a fit at `geometry` (n, 3) to `y` (ports, tones)."""
+    value, by_azimuth, by_elevation = steering(geometry, m)
+    if len(geometry) == 1:
         return normal_equations_of_one(y, value[0], by_azimuth[0], by_elevation[0], m.rate, geometry[0, 0])
     return normal_equations(y, value, by_azimuth, by_elevation, m.rate, geometry[:, 0].copy())
 
@@ -71,23 +76,15 @@ def climb(
 
 
 @njit(cache=True, nogil=True)
-def orthonormal_beams(steering: Array, weight: Array, out: Array) -> None:
-    """Write the beams (2 K, ports): conjugate orthonormal bases of what `steering` (K, 2, ports), its ports weighed by
-    `weight` (ports,), does in each direction.
+def orthonormal_beams(steering: Array, weight: Array, apart: bool, out: Array) -> None:
+    """Write the beams (2, K, P): conjugate orthonormal bases of what `steering` (2, K, P), its ports weighed by
+    `weight` (2, P), does in each direction; `apart`: the two sets belong to different ports, thus orthogonal as they
+    are.
     """
-    ports = steering.shape[2]
-    h, v = np.empty(ports, np.complex128), np.empty(ports, np.complex128)
-    for k in range(len(steering)):
-        size, inner = 0.0, 0j
-        for m in range(ports):
-            h[m], v[m] = steering[k, 0, m] * weight[m], steering[k, 1, m] * weight[m]
-            size += h[m].real ** 2 + h[m].imag ** 2
-            inner += h[m].conjugate() * v[m]
-        inner /= size
-        left = 0.0
-        for m in range(ports):
-            v[m] -= inner * h[m]
-            left += v[m].real ** 2 + v[m].imag ** 2
-        for m in range(ports):
-            out[2 * k, m] = h[m].conjugate() / math.sqrt(size)
-            out[2 * k + 1, m] = v[m].conjugate() / math.sqrt(left)
+    for k in range(steering.shape[1]):
+        h, v = steering[0, k] * weight[0], steering[1, k] * weight[1]
+        h /= max(np.linalg.norm(h), 1e-30)
+        if not apart:
+            v -= np.vdot(h, v) * h
+        v /= max(np.linalg.norm(v), 1e-30)
+        out[0, k], out[1, k] = h.conj(), v.conj()

@@ -10,12 +10,11 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 
 from cellslam.sim.frames import wrap_angle
 from cellslam.sim.lte.array import Complex, Floats
 from cellslam.sim.lte.signal.path_estimator.climb_kernel import Steps, climb
-from cellslam.sim.lte.signal.path_estimator.joint_fit_kernel import Normal, normal_equations
+from cellslam.sim.lte.signal.path_estimator.joint_fit_kernel import Normal, inverse_information, normal_equations
 from cellslam.sim.lte.signal.receiver import Motion, Receiver
 
 FINE_GAIN = 0.01  # noise variances: a hundredth of a nat
@@ -42,12 +41,6 @@ class Fit:
         value = self.motion.steer(azimuth, elevation).value
         ports = value[:, :, 0] * self.normal.weights[:, :1] + value[:, :, 1] * self.normal.weights[:, 1:]
         return ports, np.asarray(np.exp(-1j * np.outer(distance, self.motion.receiver.rate)), np.complex128)
-
-    @cached_property
-    def in_spectrum(self) -> tuple[NDArray[np.complex64], NDArray[np.complex64]]:
-        """The same over ports (ports, n) and searched delays (n, D), both in units of the samples."""
-        on_ports, on_tones = (f.astype(np.complex64) for f in self.factors)
-        return np.ascontiguousarray(on_ports.T), on_tones @ self.motion.receiver.delay_matrix
 
     @property
     def samples(self) -> Complex:
@@ -106,12 +99,8 @@ def covariance(fit: Fit, level: Floats) -> Floats:
     """Return the covariances (n, 3, 3) of each path's geometry (m, rad, rad) at its disturbance per sample `level`
     (n,).
     """
-    information = 2.0 * fit.normal.information
-    scale = 1.0 / np.sqrt(np.maximum(np.diag(information), 1e-30))
-    scaled = information * np.outer(scale, scale) + 1e-9 * np.eye(len(scale))
     n = len(fit)
-    inverse = (np.linalg.inv(scaled) * np.outer(scale, scale)).reshape(n, 3, n, 3)
-    own = inverse[np.arange(n), :, np.arange(n), :]
+    own = inverse_information(fit.normal.information).reshape(n, 3, n, 3)[np.arange(n), :, np.arange(n), :]
     return np.asarray(own * level[:, None, None], np.float64)
 
 

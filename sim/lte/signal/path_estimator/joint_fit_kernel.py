@@ -12,6 +12,7 @@ from typing import NamedTuple
 import numpy as np
 
 from cellslam.sim.compiling import njit
+from cellslam.sim.lte.signal.path_estimator.correlation_kernel import correlate, inner, write_tones
 from cellslam.sim.lte.statistical.detector_layout import Array
 
 RIDGE = 1e-10  # of the largest diagonal element: keeps coincident paths solvable
@@ -62,55 +63,52 @@ def cholesky_inverse(gram: Array) -> Array:
 @njit(cache=True, nogil=True)
 def normal_equations(y: Array, value: Array, by_az: Array, by_el: Array, rate: Array, distance: Array) -> Normal:
     """Return the fit of n paths to `y` (ports, tones) with steering (n, ports, 2), `rate` = 2 pi f / c (tones,)."""
-    n, ports, tones = len(distance), y.shape[0], y.shape[1]
-    delay = np.empty((tones, 2 * n), np.complex128)
+    n, ports, tones = len(distance), len(y), len(rate)
+    delay, correlated = np.empty((2 * n, tones), np.complex128), np.empty((2 * n, ports), np.complex128)
+    steering = np.empty((2 * n, ports), np.complex128)
     for p in range(n):
-        for f in range(tones):
-            angle = -rate[f] * distance[p]
-            d = complex(math.cos(angle), math.sin(angle))
-            delay[f, p] = d
-            delay[f, n + p] = complex(0.0, -rate[f]) * d
-    correlated = y @ delay.conj()
-    on_tones = delay.conj().T @ delay
-    steering = np.empty((ports, 2 * n), np.complex128)
-    for p in range(n):
+        write_tones(distance[p], rate, delay[2 * p : 2 * p + 2])
+        correlate(y, delay[2 * p : 2 * p + 2], correlated[2 * p : 2 * p + 2])
         for m in range(ports):
-            steering[m, 2 * p] = value[p, m, 0]
-            steering[m, 2 * p + 1] = value[p, m, 1]
-    gram = steering.conj().T @ steering
-    seen = np.zeros(2 * n, np.complex128)
+            steering[2 * p, m], steering[2 * p + 1, m] = value[p, m, 0], value[p, m, 1]
+    on_tones, gram = delay.conj() @ delay.T, steering.conj() @ steering.T
+    seen = np.empty(2 * n, np.complex128)
     for a in range(2 * n):
-        for m in range(ports):
-            seen[a] += steering[m, a].conjugate() * correlated[m, a // 2]
+        path = a - a % 2
+        seen[a] = inner(steering[a], correlated[path])
         for b in range(2 * n):
-            gram[a, b] *= on_tones[a // 2, b // 2]
+            gram[a, b] *= on_tones[path, b - b % 2]
     inverse = cholesky_inverse(gram)
     w = inverse @ seen
     explained = 0.0
     for a in range(2 * n):
         explained += (seen[a].conjugate() * w[a]).real
-    columns = np.empty((ports, 3 * n), np.complex128)
+    columns = np.empty((3 * n, ports), np.complex128)
     for p in range(n):
         h, v = w[2 * p], w[2 * p + 1]
         for m in range(ports):
-            columns[m, 3 * p] = value[p, m, 0] * h + value[p, m, 1] * v
-            columns[m, 3 * p + 1] = by_az[p, m, 0] * h + by_az[p, m, 1] * v
-            columns[m, 3 * p + 2] = by_el[p, m, 0] * h + by_el[p, m, 1] * v
-    own = columns.conj().T @ columns
-    cross = columns.conj().T @ steering
-    gradient = np.zeros(3 * n, np.complex128)
+            columns[3 * p, m] = value[p, m, 0] * h + value[p, m, 1] * v
+            columns[3 * p + 1, m] = by_az[p, m, 0] * h + by_az[p, m, 1] * v
+            columns[3 * p + 2, m] = by_el[p, m, 0] * h + by_el[p, m, 1] * v
+    left = columns.conj()
+    own, cross, gradient = left @ columns.T, left @ steering.T, np.empty(3 * n)
     for a in range(3 * n):
-        tone_a = a // 3 + (n if a % 3 == 0 else 0)
-        for m in range(ports):
-            gradient[a] += columns[m, a].conjugate() * correlated[m, tone_a]
+        tone = _tone(a)
+        slope = inner(columns[a], correlated[tone])
         for b in range(3 * n):
-            own[a, b] *= on_tones[tone_a, b // 3 + (n if b % 3 == 0 else 0)]
+            own[a, b] *= on_tones[tone, _tone(b)]
         for b in range(2 * n):
-            cross[a, b] *= on_tones[tone_a, b // 2]
-            gradient[a] -= cross[a, b] * w[b]
-    information = (own - cross @ inverse @ cross.conj().T).real
-    slope = np.ascontiguousarray(gradient.real)
-    return Normal(explained, w.reshape(n, 2), _wald(inverse, w), np.ascontiguousarray(information), slope)
+            cross[a, b] *= on_tones[tone, b - b % 2]
+            slope -= cross[a, b] * w[b]
+        gradient[a] = slope.real
+    information = np.ascontiguousarray((own - cross @ inverse @ cross.conj().T).real)
+    return Normal(explained, w.reshape(n, 2), _wald(inverse, w), information, gradient)
+
+
+@njit(cache=True, nogil=True)
+def _tone(column: int) -> int:
+    """Return which tones a column of the Jacobian has: a path's own, or by distance their derivative."""
+    return 2 * (column // 3) + (1 if column % 3 == 0 else 0)
 
 
 @njit(cache=True, nogil=True)
@@ -125,3 +123,11 @@ def _wald(inverse: Array, w: Array) -> Array:
         energy = d * abs(wi) ** 2 + a * abs(wj) ** 2 - 2.0 * (wi.conjugate() * b * wj).real
         out[p] = energy / determinant
     return out
+
+
+@njit(cache=True, nogil=True)
+def inverse_information(information: Array) -> Array:
+    """Return the covariance (3 n, 3 n) of all paths' geometry at unit disturbance, of their `information`."""
+    scale = 1.0 / np.sqrt(np.maximum(2.0 * np.diag(information), 1e-30))
+    both = np.outer(scale, scale)
+    return np.linalg.inv(2.0 * information * both + 1e-9 * np.eye(len(scale))) * both

@@ -14,14 +14,13 @@ from numpy.typing import NDArray
 from cellslam.sim.errors import InputError
 from cellslam.sim.frames import wrap_angle
 from cellslam.sim.lte.array import CircularArray, Complex, Floats
-from cellslam.sim.lte.signal.path_estimator.acquire_kernel import Grid, Rules, next_path
+from cellslam.sim.lte.signal.path_estimator.acquire_kernel import Rules, Trials, add_paths, taken_out
 from cellslam.sim.lte.signal.path_estimator.joint_fit import FINE_GAIN, Fit, covariance, refine, steps_of
-from cellslam.sim.lte.signal.path_estimator.search_kernel import subtract_outer
-from cellslam.sim.lte.signal.path_estimator.spectrum import DIFFUSE_MARGIN, Spectrum, in_trail
+from cellslam.sim.lte.signal.path_estimator.keep_kernel import Demands, judged
+from cellslam.sim.lte.signal.path_estimator.search_kernel import DIFFUSE_MARGIN, both, footprint_of
+from cellslam.sim.lte.signal.path_estimator.spectrum import Spectrum
 from cellslam.sim.lte.signal.receiver import DELAY_PITCH_M, HIGHEST_RAD, LOWEST_RAD, Motion, Receiver
-from cellslam.sim.lte.statistical.detector_layout import GHOST_REACH_M
 
-Cell = tuple[int, int]  # direction and bin of the spectrum
 COARSE = 0.58  # share of the threshold at which a cell is looked at: the grid loses up to 2.4 dB
 _PROMISING = 0.85  # share of the threshold that the first step of a one-path fit must promise
 MOST_FAILURES = 10  # cells that turn out to be noise or diffuse energy before the search ends
@@ -97,13 +96,19 @@ def _port_weights(y: Complex, working: NDArray[np.bool_], receiver: Receiver) ->
     face the same way: their mean is taken where they agree. Zero for ports out of work.
     """
     tapered = np.where(working[:, None], y, 0.0).astype(np.complex64) @ receiver.quiet_matrix
-    level = np.median(tapered.real**2 + tapered.imag**2, axis=1).astype(np.float64)
+    level = _row_medians(tapered.real**2 + tapered.imag**2).astype(np.float64)
     if isinstance(receiver.array, CircularArray):
         level = _agreeing(level, working, receiver.array.rings)
     usual = float(np.median(level[working]))
     even = (np.abs(np.log(np.maximum(level[working], 1e-300) / usual)) < _UNEVEN).all()
     weight = np.ones(len(y)) if even else np.sqrt(usual / np.maximum(level, 0.1 * usual))
     return np.where(working, weight, 0.0)
+
+
+def _row_medians(values: NDArray[np.float32]) -> NDArray[np.float32]:
+    """Return the median (n,) of each row of `values` (n, m); NumPy's own takes ten times as long."""
+    count, ordered = values.shape[1], np.sort(values, axis=1)
+    return np.asarray(0.5 * (ordered[:, (count - 1) // 2] + ordered[:, count // 2]), np.float32)
 
 
 def _agreeing(level: Floats, working: NDArray[np.bool_], rings: int) -> Floats:
@@ -120,7 +125,7 @@ class _Link:
 
     def __init__(self, y: Complex, motion: Motion) -> None:
         self.y, self.motion, self.receiver = y, motion, motion.receiver
-        self.residual = y
+        self.residual = y.astype(np.complex64)
         self.geometry = np.empty((0, 3))
         self.fit: Fit | None = None
         self.level, self.fine = np.empty(0), False
@@ -132,15 +137,16 @@ class _Link:
         while len(geometry):
             fit = refine(self.y, self.motion, geometry, self.spectrum.noise, least_gain)
             self.spectrum.leave(fit)
-            level, asked = self.spectrum.levels(fit.geometry, in_trail(fit.geometry, fit.normal.wald))
-            kept = _kept(fit, level, asked, self.receiver)
+            level, kept = judged(
+                fit.geometry, fit.normal, *self.spectrum.parts, self.motion.probe, _demands(self.receiver)
+            )
             if kept.all():
                 self.fit, self.geometry, self.level = fit, fit.geometry, level
                 break
             geometry = fit.geometry[kept]
         if self.fit is None:
             self.spectrum.leave(None)
-        self.residual = self.y - self.fit.samples if self.fit else self.y
+        self.residual = (self.y - self.fit.samples if self.fit else self.y).astype(np.complex64)
 
     def unite(self) -> None:
         """Drop each path that a close stronger one can stand for: a fit without it explains as much."""
@@ -161,83 +167,65 @@ class _Link:
 
     def search(self) -> None:
         """Add paths, the strongest first, until nothing more stands out."""
-        blocked: list[Cell] = []
-        pending: list[Floats] = []
-        failures, most = 0, len(self.geometry)
+        trials, most = _untried(), len(self.geometry)
         while True:
-            full = len(self.geometry) + len(pending) >= MOST_PATHS
-            found = None
-            if not full and len(pending) < JOINT_EVERY:
-                found, failures = self._next(blocked, failures)
-            if found is None:
-                if not pending:
-                    if not self.fine:
-                        self.fit_jointly(self.geometry, FINE_GAIN)
-                    self.unite()
-                    return
-                self.fit_jointly(np.concatenate([self.geometry, np.array(pending)]))
-                pending = []
-                if len(self.geometry) > most:
-                    # The joint fit has changed the residual: what was tried in vain is worth another look.
-                    most, failures, blocked = len(self.geometry), 0, []
-                else:
-                    failures += 1
-                continue
-            fit, cell = found
-            self.spectrum.subtract(fit)
-            _, asked = self.spectrum.levels(fit.geometry, np.array([self.spectrum.in_trail(fit, cell)]))
-            if fit.normal.explained < self.receiver.threshold * asked[0]:
-                self.spectrum.subtract(fit, -1.0)
-                failures += 1
-                continue
-            self.spectrum.trail(fit)
-            pending.append(fit.geometry[0])
-            if self.residual is self.y:
-                self.residual = self.y.copy()
-            on_ports, on_tones = fit.factors
-            subtract_outer(self.residual, on_ports[0], on_tones[0])
+            found, trials = self._add(trials, min(JOINT_EVERY, MOST_PATHS - len(self.geometry)))
+            if not len(found):
+                break
+            self.fit_jointly(np.concatenate([self.geometry, found]))
+            if len(self.geometry) > most:
+                # The joint fit has changed the residual: what was tried in vain is worth another look.
+                trials, most = _untried(), len(self.geometry)
+            else:
+                trials = trials._replace(failures=trials.failures + 1)
+        if not self.fine:
+            self.fit_jointly(self.geometry, FINE_GAIN)
+        self.unite()
 
-    def _next(self, blocked: list[Cell], failures: int) -> tuple[tuple[Fit, Cell] | None, int]:
-        """Return the next path that a one-path fit confirms, None if there is none, and how many cells failed so far.
-
-        `blocked` takes up each cell that is tried: what the joint fit drops must not come back for ever.
+    def _add(self, trials: Trials, most: int) -> tuple[Floats, Trials]:
+        """Return up to `most` paths (n, 3) that one-path fits confirm, taken out of residual and spectrum, and what has
+        been tried by then: what the joint fit drops must not come back for ever.
         """
-        model, r = self.motion.model, self.receiver
-        if model is None:
-            return self._next_any(blocked, failures)
-        cells = np.zeros((len(blocked) + MOST_FAILURES + 1, 2), np.int64)
-        cells[: len(blocked)] = np.array(blocked, np.int64).reshape(-1, 2)
+        model, r, found = self.motion.model, self.receiver, np.empty((most, 3))
         farthest = _FARTHEST * r.coarser[[0, 2]]
         rules = Rules(
             COARSE * r.threshold, r.threshold, _PROMISING, MOST_FAILURES, float(farthest[0]), float(farthest[1]),
             DIFFUSE_MARGIN, _COARSE_GAIN,
         )  # fmt: skip
-        count, failures, k, d, geometry, normal = next_path(
-            self.residual, self.spectrum.power, Grid(r.delays_m, *r.directions), cells, len(blocked), failures, rules,
-            steps_of(r), model,
-        )  # fmt: skip
-        blocked.extend((int(a), int(b)) for a, b in cells[len(blocked) : count])
-        return ((Fit(geometry, normal, self.motion), (k, d)) if k >= 0 else None), failures
+        if model is None:
+            return self._add_any(trials, rules, found)
+        count, trials = add_paths(
+            self.residual, *self.spectrum.parts, self.motion.probe, trials, rules, steps_of(r), model, found
+        )
+        return found[:count], Trials(*trials)
 
-    def _next_any(self, blocked: list[Cell], failures: int) -> tuple[tuple[Fit, Cell] | None, int]:
+    def _add_any(self, trials: Trials, rules: Rules, found: Floats) -> tuple[Floats, Trials]:
         """Do the same step by step, for any array."""
-        threshold, farthest = self.receiver.threshold, _FARTHEST * self.receiver.coarser[[0, 2]]
-        while failures < MOST_FAILURES:
-            found = self.spectrum.strongest(COARSE * threshold, blocked)
-            if found is None:
+        cells, count, failures = trials
+        s, probe, taken, added = self.spectrum, self.motion.probe, self.spectrum.taken, 0
+        s.look(taken)
+        while added < len(found) and failures < rules.most:
+            cell = s.strongest(rules.coarse, cells[:count])
+            if cell is None:
                 break
-            start, cell, level = found
-            blocked.append(cell)
-            fit = refine(self.residual, self.motion, start[None, :], level, _COARSE_GAIN, _PROMISING * threshold)
+            start, at, level = cell
+            cells[count], count, failures = at, count + 1, failures + 1
+            asked = rules.threshold * level
+            samples, promising = self.residual.astype(np.complex128), rules.promising * rules.threshold
+            fit = refine(samples, self.motion, start[None, :], level, rules.least_gain, promising)
             away = np.abs(fit.geometry[0] - start)[[0, 2]]
-            if fit.normal.explained >= threshold * level and (away <= farthest).all():
-                return (fit, cell), failures
-            failures += 1
-        return None, failures
+            if fit.normal.explained < asked or (away > [rules.farthest_m, rules.farthest_rad]).any():
+                continue
+            one = footprint_of(*fit.factors, probe)
+            if taken_out(fit.geometry, fit.normal, one, *at, self.residual, s.outputs, taken, s.power, probe, rules):
+                found[added], taken = fit.geometry[0], both(taken, one)
+                added, failures = added + 1, failures - 1
+                s.look(taken)
+        return found[:added], Trials(cells, count, failures)
 
     def saturated(self) -> NDArray[np.bool_]:
         """Return which ports (ports,) hold much that no path explains: a share of their power and far over the rest."""
-        left, power = (np.mean(np.abs(x) ** 2, axis=1) for x in (self.residual, self.y))
+        left, power = (np.sum(x.real**2 + x.imag**2, axis=1) for x in (self.residual, self.y))
         usual = np.median(left[power > 0.0])
         return np.array((left > _SATURATED_EXCESS * usual) & (left > _SATURATED_SHARE * power), np.bool_)
 
@@ -262,24 +250,15 @@ def _beside_stronger(fit: Fit, receiver: Receiver) -> NDArray[np.bool_]:
     return np.asarray(((np.abs(apart) < _CELL * receiver.coarser).all(axis=-1) & weaker).any(axis=1), np.bool_)
 
 
-def _kept(fit: Fit, level: Floats, asked: Floats, receiver: Receiver) -> NDArray[np.bool_]:
-    """Return which paths (n,) stay: of those below the threshold, unreliable, outside the window or ghosts, the weakest
-    within reach of each other goes.
-    """
-    energy, distance = fit.normal.wald, fit.geometry[:, 0]
-    statistic = energy / asked
-    variance = np.einsum("nii->ni", covariance(fit, level))
-    unreliable = ~((variance > 0.0) & (variance < (_LEAST_RELIABLE * receiver.coarser) ** 2)).all(axis=1)
-    near = np.abs(distance[:, None] - distance[None, :]) < GHOST_REACH_M
-    suspect = (near & (energy[:, None] < _SUSPECT_SHARE * energy[None, :])).any(axis=1)
-    threshold = receiver.threshold * np.where(suspect, _SUSPECT_MARGIN, 1.0)
-    bad = (statistic < threshold) | unreliable
-    bad |= (distance < receiver.window_min_m) | (distance > receiver.window_max_m)
-    bad |= (fit.geometry[:, 2] < LOWEST_RAD) | (fit.geometry[:, 2] > HIGHEST_RAD)
-    rule = 10.0 ** (-receiver.ghost_rule_db / 10.0)
-    bad |= (near & (energy[:, None] < rule * energy[None, :])).any(axis=1)
-    kept = np.ones(len(distance), np.bool_)
-    for i in np.argsort(statistic):
-        if bad[i] and (np.abs(distance[~kept] - distance[i]) > _TOUCHING_M * receiver.coarser[0]).all():
-            kept[i] = False
-    return kept
+def _untried() -> Trials:
+    """Return room for the cells of a search: joint fits that find no more are failures, too."""
+    return Trials(np.empty((MOST_FAILURES * (JOINT_EVERY + 1), 2), np.int64), 0, 0)
+
+
+def _demands(receiver: Receiver) -> Demands:
+    """Return what the paths of a joint fit must fulfil to stay."""
+    return Demands(
+        receiver.threshold, _SUSPECT_SHARE, _SUSPECT_MARGIN, 10.0 ** (-receiver.ghost_rule_db / 10.0),
+        _LEAST_RELIABLE * receiver.coarser, np.array([receiver.window_min_m, -np.inf, LOWEST_RAD]),
+        np.array([receiver.window_max_m, np.inf, HIGHEST_RAD]), float(_TOUCHING_M * receiver.coarser[0]),
+    )  # fmt: skip

@@ -5,29 +5,68 @@ Source: own derivation, docs/explanation/front-end.md, "Estimator".
 
 from __future__ import annotations
 
+import math
 from typing import NamedTuple
 
 import numpy as np
 
-from cellslam.sim.compiling import njit
-from cellslam.sim.lte.statistical.detector_layout import Array
+from cellslam.sim.compiling import lean, njit
+from cellslam.sim.lte.signal.path_estimator.correlation_kernel import in_pairs, subtract_products
+from cellslam.sim.lte.statistical.detector_layout import DIFFUSE_SHARE, Array
+from cellslam.sim.lte.steering_kernel import ANY_ORDER
 
 GUARD_BINS, REFERENCE_BINS = 2, 3  # cells skipped, then averaged, before and behind the cell under test
 # Disturbance below these multiples of the noise is taken for its estimate's scatter: of few cells, of all ports.
 LOCAL_EXCESS, AROUND_EXCESS = 1.7, 1.15
 ALIKE = 0.1  # relative difference over delay that is taken for the noise estimate's scatter
+# Where diffuse energy of a path is expected: from so far behind it, to so far, and so many beams to its sides.
+LEAD_M, TRAIL_M, BESIDE = 5.0, 150.0, 3
+# By how much diffuse energy may be stronger in a cell than in those around it: it falls with delay, and fades.
+DIFFUSE_MARGIN = 8.0
 SIDELOBES = 0.01  # mean energy of a delay peak over the reference cells, relative to the peak
+
+
+class Probe(NamedTuple):
+    """What samples are looked at with: two `beams` (2, K, P) a direction, of the ports that `ports_of` says, and unit
+    vectors `delays` (tones, D), of K directions and D distances in m: `azimuths`, `elevations` (K,) in rad, azimuth by
+    azimuth, `distances` (D,).
+    """
+
+    beams: Array
+    delays: Array
+    distances: Array
+    azimuths: Array
+    elevations: Array
+
+
+class Outputs(NamedTuple):
+    """What the samples give beams and ports: `on_beams` (2, K, 2 D) and `on_ports` (ports, 2 D), real and imaginary
+    parts in turn.
+    """
+
+    on_beams: Array
+    on_ports: Array
+
+
+class Footprint(NamedTuple):
+    """What n paths give the ports (n, ports), tones (n, tones), beams (2, n, K) and searched distances (n, D)."""
+
+    on_ports: Array
+    on_tones: Array
+    on_beams: Array
+    on_delays: Array
 
 
 class PowerSpectrum(NamedTuple):
     """Energies, as in the samples, over K directions (`elevations` to an azimuth) and D delays.
 
-    `energy` (K, D) of both polarisations of each beam; `port_energy` (D,) of all `ports` that work; `noise` (D,) per
-    sample, taken for constant over `stretch` (odd) delays; `trailing` (azimuths, D): energy of the paths in whose
-    diffuse energy a cell lies.
+    `energy` (K, D) of both beams of each direction, the greatest of each delay `peak` (D,); `port_energy` (D,) of all
+    `ports` that work; `noise` (D,) per sample, taken for constant over `stretch` (odd) delays; `trailing` (azimuths,
+    D): energy of the paths in whose diffuse energy a cell lies.
     """
 
     energy: Array
+    peak: Array
     port_energy: Array
     noise: Array
     trailing: Array
@@ -37,24 +76,72 @@ class PowerSpectrum(NamedTuple):
 
 
 @njit(cache=True, nogil=True)
-def write_energies(beams: Array, on_ports: Array, spectrum: PowerSpectrum) -> float:
-    """Write the energies of beam outputs (2 K, D) and port outputs (ports, D), and the noise per sample over delay: the
-    running median of the ports' mean energy; return its median.
+def footprint_of(on_ports: Array, on_tones: Array, probe: Probe) -> Footprint:
+    """Return the footprint of n paths that give the ports `on_ports` (n, ports) and the tones `on_tones` (n, tones)."""
+    n, (_, count, seen) = len(on_ports), probe.beams.shape
+    on_beams, on_delays = np.empty((2, n, count), np.complex64), np.empty((n, probe.delays.shape[1]), np.complex64)
+    if n:
+        apart = on_ports.shape[1] // seen
+        for s in range(2):
+            on_beams[s] = on_ports[:, s % apart :: apart].astype(np.complex64) @ probe.beams[s].T
+        on_delays[:] = on_tones.astype(np.complex64) @ probe.delays
+    return Footprint(on_ports, on_tones, on_beams, on_delays)
+
+
+@njit(cache=True, nogil=True)
+def both(one: Footprint, other: Footprint) -> Footprint:
+    """Return the footprint of the paths of both."""
+    return Footprint(
+        np.concatenate((one.on_ports, other.on_ports)), np.concatenate((one.on_tones, other.on_tones)),
+        np.concatenate((one.on_beams, other.on_beams), 1), np.concatenate((one.on_delays, other.on_delays)),
+    )  # fmt: skip
+
+
+@njit(cache=True, nogil=True, fastmath=ANY_ORDER)
+def write_energies(outputs: Outputs, taken: Footprint, directions: Array, spectrum: PowerSpectrum) -> None:
+    """Write the energies in `directions` (n,) of what the beams hold beside the paths that are taken out."""
+    bins = spectrum.energy.shape[1]
+    straight, turned = in_pairs(taken.on_delays, spectrum.energy)
+    squares, rest = np.empty(2 * bins, np.float32), np.empty(2 * bins, np.float32)
+    for k in directions:
+        squares[:] = 0.0
+        for s in range(2):
+            subtract_products(outputs.on_beams[s, k], taken.on_beams[s, :, k], straight, turned, rest)
+            for j in range(2 * bins):
+                squares[j] += rest[j] * rest[j]
+        row = spectrum.energy[k]
+        for d in range(bins):
+            row[d] = squares[2 * d] + squares[2 * d + 1]
+
+
+@njit(cache=True, nogil=True)
+def write_all_energies(outputs: Outputs, taken: Footprint, spectrum: PowerSpectrum) -> None:
+    """Write the energies in all directions, and the greatest of each delay."""
+    write_energies(outputs, taken, np.arange(len(spectrum.energy)), spectrum)
+    peak = spectrum.peak
+    peak[:] = 0.0
+    for row in spectrum.energy:
+        for d in range(len(peak)):
+            peak[d] = row[d] if row[d] > peak[d] else peak[d]
+
+
+@njit(cache=True, nogil=True, fastmath=ANY_ORDER)
+def write_noise(outputs: Outputs, taken: Footprint, spectrum: PowerSpectrum) -> None:
+    """Write the energy of all ports beside the paths that are taken out, and the noise per sample over delay: the
+    running median of the ports' mean energy.
 
     Cancelling another cell colours the noise over delay; paths fill few cells of a stretch. What differs by no more
     than scatter is set to the median.
     """
-    energy, port_energy, noise = spectrum.energy, spectrum.port_energy, spectrum.noise
-    count, bins = energy.shape
-    for k in range(count):
-        h, v, row = beams[2 * k], beams[2 * k + 1], energy[k]
-        for d in range(bins):
-            row[d] = h[d].real * h[d].real + h[d].imag * h[d].imag + v[d].real * v[d].real + v[d].imag * v[d].imag
-    port_energy[:] = 0.0
-    for m in range(on_ports.shape[0]):
-        port = on_ports[m]
-        for d in range(bins):
-            port_energy[d] += port[d].real * port[d].real + port[d].imag * port[d].imag
+    port_energy, noise, bins = spectrum.port_energy, spectrum.noise, len(spectrum.noise)
+    straight, turned = in_pairs(taken.on_delays, spectrum.energy)
+    squares, rest = np.zeros(2 * bins, np.float32), np.empty(2 * bins, np.float32)
+    for m in range(len(outputs.on_ports)):
+        subtract_products(outputs.on_ports[m], taken.on_ports[:, m], straight, turned, rest)
+        for j in range(2 * bins):
+            squares[j] += rest[j] * rest[j]
+    for d in range(bins):
+        port_energy[d] = squares[2 * d] + squares[2 * d + 1]
     running_median(port_energy, spectrum.stretch, noise)
     for d in range(bins):
         noise[d] /= spectrum.ports
@@ -62,7 +149,6 @@ def write_energies(beams: Array, on_ports: Array, spectrum: PowerSpectrum) -> fl
     for d in range(bins):
         if abs(noise[d] - usual) < ALIKE * usual:
             noise[d] = usual
-    return usual
 
 
 @njit(cache=True, nogil=True)
@@ -88,54 +174,69 @@ def running_median(values: Array, width: int, out: Array) -> None:
 
 
 @njit(cache=True, nogil=True)
-def subtract_outer(matrix: Array, rows: Array, columns: Array) -> None:
-    """Subtract rows x columns from `matrix` in place."""
-    for i in range(matrix.shape[0]):
-        row, factor = matrix[i], rows[i]
-        for j in range(matrix.shape[1]):
-            row[j] -= factor * columns[j]
-
-
-@njit(cache=True, nogil=True)
-def note_trail(trailing: Array, first: Array, last: Array, column: Array, beside: int, energy: Array) -> None:
-    """Raise `trailing` (azimuths, D) to the energy (n,) of each path from bin `first` to `last`, `beside` columns to
-    both sides.
+def note_trail(geometry: Array, energy: Array, probe: Probe, spectrum: PowerSpectrum) -> None:
+    """Note where diffuse energy of paths `geometry` (n, 3) in m, rad, rad is to be expected: at most their `energy`
+    (n,).
     """
+    trailing = spectrum.trailing
     for p in range(len(energy)):
-        for turn in range(-beside, beside + 1):
-            row = trailing[(column[p] + turn) % len(trailing)]
-            for d in range(max(first[p], 0), min(last[p], len(row))):
-                row[d] = max(row[d], energy[p])
+        column = _column(geometry[p, 1], trailing)
+        first, last = _bin(geometry[p, 0] + LEAD_M, probe), _bin(geometry[p, 0] + TRAIL_M, probe) + 1
+        for turn in range(-BESIDE, BESIDE + 1):
+            row = trailing[(column + turn) % len(trailing)]
+            for d in range(max(first, 0), min(last, len(row))):
+                row[d] = max(row[d], np.float32(DIFFUSE_SHARE * energy[p]))
 
 
 @njit(cache=True, nogil=True)
-def local_levels(
-    directions: Array, bins: Array, spectrum: PowerSpectrum, margin: Array, level: Array, asked: Array
-) -> None:
-    """Write `local_level` of each of n cells (direction, bin) whose path was taken out; all (n,), energies as there."""
-    for i in range(len(bins)):
-        level[i], asked[i] = local_level(directions[i], bins[i], 0.0, spectrum, margin[i])
+def cell_of(geometry: Array, probe: Probe, spectrum: PowerSpectrum) -> tuple[int, int]:
+    """Return the cell (direction, bin) nearest to a path at `geometry` (3,) in m, rad, rad."""
+    steps, low, high = spectrum.elevations - 1, probe.elevations[0], probe.elevations[spectrum.elevations - 1]
+    rise = min(max(round((geometry[2] - low) / (high - low) * steps), 0), steps)
+    column = _column(geometry[1], spectrum.trailing) % len(spectrum.trailing)
+    return column * spectrum.elevations + rise, min(max(_bin(geometry[0], probe), 0), len(probe.distances) - 1)
 
 
 @njit(cache=True, nogil=True)
+def _column(azimuth: float, trailing: Array) -> int:
+    """Return the column of the searched directions nearest to an azimuth, counted beyond a turn."""
+    return round((azimuth + math.pi) / (2.0 * math.pi) * len(trailing))
+
+
+@njit(cache=True, nogil=True)
+def _bin(distance: float, probe: Probe) -> int:
+    nearest: int = round((distance - probe.distances[0]) / (probe.distances[1] - probe.distances[0]))
+    return nearest
+
+
+@njit(cache=True, nogil=True)
+def neighbours(k: int, spectrum: PowerSpectrum) -> Array:
+    """Return direction k and those around it (9,); at the highest and lowest elevation some come twice."""
+    elevations, out = spectrum.elevations, np.empty(9, np.int64)
+    azimuths, (a, e) = len(spectrum.energy) // elevations, divmod(k, elevations)
+    for i in range(9):
+        turn, rise = i // 3 - 1, i % 3 - 1
+        out[i] = (a + turn) % azimuths * elevations + min(max(e + rise, 0), elevations - 1)
+    return out
+
+
+@lean(cache=True, nogil=True)
 def _surroundings(energy: Array, k: int, elevations: int, low: int, high: int) -> float:
     """Return half the mean energy of direction k and its neighbours over bins low to high; zero outside."""
     low, high = max(low, 0), min(high, energy.shape[1])
     if high <= low:
         return 0.0
-    azimuths = energy.shape[0] // elevations
-    a, e = k // elevations, k % elevations
-    total = 0.0
+    azimuths, (a, e), total = len(energy) // elevations, divmod(k, elevations), 0.0
     for turn in range(-1, 2):
         column = (a + turn) % azimuths * elevations
         for rise in range(-1, 2):
-            row = energy[column + min(max(e + rise, 0), elevations - 1)]
+            beside = column + min(max(e + rise, 0), elevations - 1)
             for d in range(low, high):
-                total += row[d]
+                total += energy[beside, d]
     return 0.5 * total / (9 * (high - low))
 
 
-@njit(cache=True, nogil=True)
+@lean(cache=True, nogil=True)
 def local_level(k: int, d: int, peak: float, spectrum: PowerSpectrum, margin: float) -> tuple[float, float]:
     """Return the disturbance per sample around a cell of energy `peak`, and the level that the cell must stand out of.
 
@@ -156,13 +257,18 @@ def local_level(k: int, d: int, peak: float, spectrum: PowerSpectrum, margin: fl
     )
     # A path's own sidelobes over delay are no disturbance.
     along = max(before, behind) - SIDELOBES * peak
-    around = max(spectrum.port_energy[d] - peak, 0.0) / (spectrum.ports - 2)
-    level, asked = noise, noise
+    around = level_around(d, peak, spectrum)
+    level, asked = around, around
     if along > LOCAL_EXCESS * noise:
-        level, asked = along, margin * along
-    if around > AROUND_EXCESS * noise:
-        level, asked = max(level, around), max(asked, around)
+        level, asked = max(level, along), max(asked, margin * along)
     return level, asked
+
+
+@lean(cache=True, nogil=True)
+def level_around(d: int, peak: float, spectrum: PowerSpectrum) -> float:
+    """Return the disturbance per sample in all directions beside a cell of energy `peak` in bin d: at least noise."""
+    around = max(spectrum.port_energy[d] - peak, 0.0) / (spectrum.ports - 2)
+    return float(around if around > AROUND_EXCESS * spectrum.noise[d] else spectrum.noise[d])
 
 
 @njit(cache=True, nogil=True)
@@ -173,23 +279,29 @@ def strongest(spectrum: PowerSpectrum, coarse: float, blocked: Array, margin: fl
     `blocked` (B, 2): cells (direction, bin) around which nothing is looked for. A cell weaker than `trailing` must
     stand out `margin` times as far.
     """
-    energy, elevations = spectrum.energy, spectrum.elevations
-    best, at, bin_at, level_at = 0.0, -1, -1, 0.0
-    azimuths = energy.shape[0] // elevations
-    for k in range(energy.shape[0]):
-        row, behind = energy[k], spectrum.trailing[k // elevations]
-        for d in range(energy.shape[1]):
-            if row[d] <= best or row[d] < coarse * spectrum.noise[d]:
+    energy, elevations, peak = spectrum.energy, spectrum.elevations, spectrum.peak
+    best, at, bin_at, level_at = np.float32(0.0), -1, -1, 0.0
+    (count, bins), highest = energy.shape, np.argmax(peak)
+    azimuths = count // elevations
+    for turned in range(bins):
+        d = (highest + turned) % bins
+        least = np.float32(coarse * spectrum.noise[d])
+        if peak[d] <= best or peak[d] < least:
+            continue
+        for k in range(count):
+            if energy[k, d] <= best or energy[k, d] < least:
                 continue
-            more = margin if row[d] < behind[d] else 1.0
-            _, level = local_level(k, d, row[d], spectrum, more)
-            if row[d] < coarse * level:
+            if energy[k, d] < coarse * level_around(d, energy[k, d], spectrum):
                 continue
             free = True
             for b in range(len(blocked)):
                 turn = abs(k // elevations - blocked[b, 0] // elevations)
                 near = min(turn, azimuths - turn) <= 1 and abs(k % elevations - blocked[b, 0] % elevations) <= 1
                 free = free and not (near and abs(d - blocked[b, 1]) <= 1)
-            if free:
-                best, at, bin_at, level_at = row[d], k, d, level
+            if not free:
+                continue
+            more = margin if energy[k, d] < spectrum.trailing[k // elevations, d] else 1.0
+            _, level = local_level(k, d, energy[k, d], spectrum, more)
+            if energy[k, d] >= coarse * level:
+                best, at, bin_at, level_at = energy[k, d], k, d, level
     return at, bin_at, level_at

@@ -22,6 +22,7 @@ from cellslam.sim.lte.signal.path_estimator.path_estimator import Estimates, est
 from cellslam.sim.lte.signal.path_estimator.search_kernel import _surroundings, running_median
 from cellslam.sim.lte.signal.path_estimator.spectrum import Spectrum
 from cellslam.sim.lte.signal.receiver import Receiver, receiver_of
+from cellslam.sim.lte.steering_kernel import write_phasors
 from cellslam.sim.nr.nr_waveform import NrWaveform
 
 ARRAY, TONES = CircularArray(), tone_frequencies(100)
@@ -85,6 +86,13 @@ def test_compiled_steering_is_the_array_with_doppler(velocity: NDArray[np.float6
     np.testing.assert_allclose(compiled.by_azimuth, by_azimuth / (2.0 * step), atol=1e-4)
 
 
+def test_phasors_are_cosine_and_sine() -> None:
+    angle = np.append(np.random.default_rng(3).uniform(-1e5, 1e5, 10000), [0.0, 0.25 * np.pi, -0.5 * np.pi, np.pi])
+    cosine, sine = np.empty_like(angle), np.empty_like(angle)
+    write_phasors(angle, cosine, sine)
+    np.testing.assert_allclose(cosine + 1j * sine, np.exp(1j * angle), atol=1e-15)
+
+
 def test_normal_equations_are_those_of_the_full_jacobian() -> None:
     rng = np.random.default_rng(1)
     paths = draw(rng, np.array([0.0, -5.0, -3.0]), 40.0)
@@ -128,13 +136,16 @@ def test_search_kernels_are_their_numpy_twins() -> None:
     rng = np.random.default_rng(4)
     motion = RECEIVER.moving(np.array([1.0, 0.0, 0.0])).weighed(rng.uniform(0.5, 1.5, 128))
     spectrum = Spectrum(noise(rng), motion)
-    weighed = motion.turned * motion.factor
-    h = weighed[:, 0] / np.linalg.norm(weighed[:, 0], axis=1, keepdims=True)
-    v = weighed[:, 1] - np.einsum("km,km->k", h.conj(), weighed[:, 1])[:, None] * h
-    v = v / np.linalg.norm(v, axis=1, keepdims=True)
-    np.testing.assert_allclose(motion.beams, np.stack([h, v], 1).conj().reshape(-1, 128), atol=1e-6)
-    both = np.abs(spectrum.beams.reshape(len(h), 2, -1)) ** 2
-    np.testing.assert_allclose(spectrum.power.energy, both.sum(axis=1), rtol=1e-5)
+    spectrum.look(spectrum.taken)
+    steering = (
+        ARRAY.steer(*RECEIVER.directions).value
+        * doppler_phasors(TIMES, [1.0, 0.0, 0.0], *RECEIVER.directions, CARRIER_HZ)[:, :, None]
+    )
+    both, _ = np.linalg.qr(steering * motion.factor[:, None])  # two polarisations, each seen by all ports
+    y = spectrum.outputs.on_ports.view(np.complex64)
+    energy = np.sum(np.abs(np.einsum("kpq,pd->kqd", both.conj(), y)) ** 2, axis=1)
+    np.testing.assert_allclose(spectrum.power.energy, energy, rtol=1e-4, atol=1e-4)
+    np.testing.assert_array_equal(spectrum.power.peak, spectrum.power.energy.max(axis=0))
     out = np.empty(spectrum.power.port_energy.shape)
     running_median(spectrum.power.port_energy, 31, out)
     np.testing.assert_allclose(out, median_filter(spectrum.power.port_energy, 31, mode="nearest"))
@@ -150,6 +161,7 @@ def test_search_for_the_strongest_cell_is_its_numpy_twin() -> None:
     rng = np.random.default_rng(13)
     paths = draw(rng, np.array([5.0, -10.0, -15.0, -20.0]))
     spectrum = Spectrum(channel(paths) + noise(rng), AT_REST)
+    spectrum.look(spectrum.taken)
     cells = spectrum.power.energy.reshape(28, 7, -1).astype(float)
     bins = cells.shape[2]
 
@@ -170,7 +182,7 @@ def test_search_for_the_strongest_cell_is_its_numpy_twin() -> None:
         level = max(quiet, along if along > 1.7 * quiet else 0.0, around if around > 1.15 * quiet else 0.0)
         if peak >= 10.0 * level:
             best = (peak, (7 * a + e, d))
-    found = spectrum.strongest(10.0, [])
+    found = spectrum.strongest(10.0, np.empty((0, 2), np.int64))
     assert found is not None
     assert found[1] == best[1]
 
@@ -182,7 +194,9 @@ def test_taking_a_path_out_of_the_spectrum_is_transforming_the_residual() -> Non
     fit = evaluate(y, AT_REST, np.stack([paths.distance_m, paths.azimuth_rad, paths.elevation_rad], 1))
     spectrum, residual = Spectrum(y, AT_REST), Spectrum(y - fit.samples, AT_REST)
     spectrum.leave(fit)
-    np.testing.assert_allclose(spectrum.beams, residual.beams, atol=1e-2)
+    for one in (spectrum, residual):
+        one.look(one.taken)
+    np.testing.assert_allclose(spectrum.power.energy, residual.power.energy, rtol=1e-2, atol=1e-2)
     np.testing.assert_allclose(spectrum.power.noise, residual.power.noise, rtol=1e-2)
 
 
