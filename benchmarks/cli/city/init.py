@@ -25,6 +25,7 @@ from cellslam.sim.vehicle.vehicle_config import VehicleConfig
 
 SECTORS, APART_DEG = 3, 120.0
 STOP_EVERY_M, STOP_S, STAND_FIRST_S, SPEED_MPS = 150.0, 8.0, 3.0, 1.1
+DISTANCE_M, DRAWS = 300.0, 20
 STRAIGHT_M = 0.5  # corners of a route from a file are as few as keep this close to it
 SHOWN_EVERY_M = 4.0
 SITES = ("A", "B")
@@ -86,27 +87,34 @@ def _city_table(name: str) -> dict[str, Any]:
 
 def _drive(arguments: Namespace, city: City, rng: np.random.Generator) -> tuple[Route, dict[str, Any]]:
     """Return the route and the table [vehicle] that gives it again."""
-    distance = arguments.distance
     if arguments.route:
         import shapely
 
         line = shapely.LineString(read_line(arguments.route, city)).simplify(STRAIGHT_M)
-        if distance is None:
-            distance = math.floor(0.98 * line.length - MARGIN_M)
-        corners = np.asarray(line.coords)
-    else:
-        distance = 300.0 if distance is None else distance
-        corners = plan_route(city, VehicleConfig(route=int(rng.integers(2**31)), distance_m=distance), rng).corners_m
-    stops = round(distance / STOP_EVERY_M)
-    vehicle = {
-        "waypoints_m": [[round(float(x), 1), round(float(y), 1)] for x, y in corners],
-        "distance_m": float(distance),
-        "duration_s": float(math.ceil(distance / SPEED_MPS + stops * STOP_S + STAND_FIRST_S)),
+        distance = arguments.distance or math.floor(0.98 * line.length - MARGIN_M)
+        vehicle = _vehicle_table(np.asarray(line.coords), distance)
+        return plan_route(city, VehicleConfig.model_validate(vehicle), rng), vehicle
+    distance = DISTANCE_M if arguments.distance is None else arguments.distance
+    for _ in range(DRAWS):
+        drawn = plan_route(city, VehicleConfig(route=int(rng.integers(2**31)), distance_m=distance), rng)
+        vehicle = _vehicle_table(drawn.corners_m, distance)
+        try:
+            return plan_route(city, VehicleConfig.model_validate(vehicle), rng), vehicle
+        except InputError as error:  # a corner as tight as can be, which written in centimetres is too tight
+            problem = error
+    raise problem
+
+
+def _vehicle_table(corners_m: Floats, distance_m: float) -> dict[str, Any]:
+    stops = round(distance_m / STOP_EVERY_M)
+    return {
+        "waypoints_m": [[round(float(x), 2), round(float(y), 2)] for x, y in corners_m],
+        "distance_m": float(distance_m),
+        "duration_s": float(math.ceil(distance_m / SPEED_MPS + stops * STOP_S + STAND_FIRST_S)),
         "stops": stops,
         "stop_s": STOP_S,
         "stand_first_s": STAND_FIRST_S,
     }
-    return plan_route(city, VehicleConfig.model_validate(vehicle), rng), vehicle
 
 
 def _sites(arguments: Namespace, city: City, route: Route, rng: np.random.Generator) -> list[dict[str, Any]]:

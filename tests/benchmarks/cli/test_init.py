@@ -45,7 +45,7 @@ def test_route_and_sites_of_files(tmp_path: Path, village: City) -> None:
     scenario = load(out)
     assert [site.name for site in scenario.sites] == ["north", "east"]
     line = read_line(str(VILLAGE / "route.gpx"), village)
-    np.testing.assert_allclose(np.array(scenario.vehicle.waypoints_m)[[0, -1]], line[[0, -1]], atol=0.06)
+    np.testing.assert_allclose(np.array(scenario.vehicle.waypoints_m)[[0, -1]], line[[0, -1]], atol=0.006)
     assert scenario.vehicle.distance_m > 140.0
     assert out.with_suffix(".png").stat().st_size > 10_000
 
