@@ -1,4 +1,4 @@
-"""`run`, `replay` and `sweep` for Python: the commands of these names, with tables instead of files."""
+"""`run`, `trial`, `replay` and `sweep` for Python: as the commands, with tables and arrays instead of files."""
 
 from __future__ import annotations
 
@@ -14,19 +14,21 @@ from cellslam.benchmarks.trials.trials import (
     Trial,
     check_counts,
     score_recording,
+    score_trial,
     simulated_trials,
 )
 from cellslam.scenarios import foreign_options
 from cellslam.scenarios.recording_origin import Origin
 from cellslam.scenarios.scenario import Scenario
-from cellslam.scenarios.simulation import scenario_of
+from cellslam.scenarios.simulation import scenario_of, simulate
 from cellslam.scenarios.sweep_points import Sweep, points
-from cellslam.sim.errors import InputError
+from cellslam.sim.errors import InputError, unknown_name
 from cellslam.sim.progress import Progress, silent
 from cellslam.sim.recording import Recording
 
 if TYPE_CHECKING:
     import pandas as pd
+    from matplotlib.figure import Figure
 
 Estimators = str | type[Any] | Sequence[str | type[Any]]
 
@@ -50,6 +52,80 @@ def run(
     requests = foreign_options.requests(chosen.estimator, names_of(estimators), overrides or ())
     with Guests() as guests:
         return _table(simulated_trials(chosen, requests, trials, seed, guests, progress))
+
+
+def trial(
+    scenario: str | Path | Scenario,
+    estimators: Estimators = DEFAULT_ESTIMATORS,
+    seed: int = 0,
+    number: int = 0,
+    overrides: Mapping[str, Any] | None = None,
+    progress: Progress = silent,
+) -> TrialView:
+    """Return one trial with all that it left: rows, figures, the recording with its truth, and the estimates.
+
+    Arguments as of `run`; `number` counts the trials of a root seed from 0. Raises InputError for a wrong request.
+    """
+    chosen = scenario_of(scenario, overrides)
+    check_counts(number + 1, seed)
+    requests = foreign_options.requests(chosen.estimator, names_of(estimators), overrides or ())
+    with Guests() as guests:
+        drive, outcomes = score_trial(
+            lambda: simulate(chosen, seed, number, progress=progress),
+            chosen.name, requests, number, seed, guests, progress,
+        )  # fmt: skip
+        found = tuple(outcomes)
+    if isinstance(drive.problem, InputError):
+        raise drive.problem
+    return TrialView(chosen, seed, Trial(number, drive.recording, drive.bound, found, drive.unbound))
+
+
+class TrialView:
+    """One trial in a notebook: it shows itself as the table of its rows.
+
+    `recording` has the measurements (`recording.measurements.distance_m`, ...), the odometry, and the truth
+    (`recording.truth.poses`); `bound` the bound; `estimates` by name of the estimator what each answered: `poses`
+    (T, 6) in m and rad, `covariances` (T, 6, 6), `association`, `clock_offset_m` in m, `vts`.
+    """
+
+    def __init__(self, scenario: Scenario, seed: int, found: Trial) -> None:
+        self.scenario, self.seed, self.number = scenario, seed, found.number
+        self.recording, self.bound = found.recording, found.bound
+        self.rows = _table([found])
+        self.estimates = {o.row["estimator"]: o.result for o in found.outcomes if o.result is not None}
+
+    def plot(self, name: str = "map") -> Figure:
+        """Return a figure of the trial: map, error, associations, clock_offsets, or calibration-ESTIMATOR.
+
+        Raises InputError for another name, and for a figure that this trial has not.
+        """
+        from matplotlib.figure import Figure
+
+        from cellslam.benchmarks.figures.style import context
+        from cellslam.benchmarks.figures.trial.trial_figures import drawings
+        from cellslam.sim.world import prepare
+
+        if self.recording is None:
+            raise InputError(f"trial {self.number} has no figures: {self.rows.error.iloc[0]}")
+        city = prepare(self.scenario.world, self.seed, self.number).scene.city
+        known = drawings(city, self.recording, self.estimates, self.bound)
+        if name not in known:
+            raise unknown_name("figure", name, tuple(known))
+        with context():
+            figure = Figure(layout="constrained")
+            if not known[name](figure):
+                raise InputError(f"figure '{name}': none of the estimators gives what it shows")
+        return figure
+
+    def __repr__(self) -> str:
+        return f"{self.scenario.name}, seed {self.seed}, trial {self.number}\n{self._shown.to_string()}"
+
+    def _repr_html_(self) -> str:
+        return str(self._shown.to_html())
+
+    @property
+    def _shown(self) -> pd.DataFrame:
+        return self.rows.set_index("estimator")[list(METRIC_KEYS)].dropna(axis=1, how="all").round(3)
 
 
 def replay(

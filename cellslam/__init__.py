@@ -4,6 +4,7 @@ The first ten minutes, in a notebook:
 
     import cellslam
     cellslam.run("tiny", ["fastslam", "dead-reckoning"], trials=2)      # a pandas table, a row a trial
+    cellslam.trial("tiny", "ekf-slam").plot("map")                      # one trial: figures, truth, estimates
     recording = cellslam.simulate("tiny", seed=1)                       # what was measured, and the truth
     cellslam.replay(recording, "fastslam")                              # estimators on one recording
     cellslam.sweep("tiny", {"radio.load": [0.0, 0.5]}, "results/load")  # variants, in parallel, resumed
@@ -18,7 +19,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from cellslam.benchmarks.python_api import replay, run, sweep
+    from cellslam.benchmarks.python_api import TrialView, replay, run, sweep, trial
     from cellslam.benchmarks.sweeps.rows import results
     from cellslam.benchmarks.tables.summaries import comparison, summary
     from cellslam.scenarios.loading import load, preset_names
@@ -42,6 +43,7 @@ _HOMES = {
     "Scenario": "scenarios.scenario",
     "Setup": "slam.api",
     "Snapshot": "slam.api",
+    "TrialView": "benchmarks.python_api",
     "VtEstimate": "slam.api",
     "comparison": "benchmarks.tables.summaries",
     "estimator_names": "slam.registry:names",
@@ -54,6 +56,7 @@ _HOMES = {
     "summary": "benchmarks.tables.summaries",
     "sweep": "benchmarks.python_api",
     "trace": "sim.rays.tracing",
+    "trial": "benchmarks.python_api",
 }
 __all__ = [
     "Calibration",
@@ -64,6 +67,7 @@ __all__ = [
     "Scenario",
     "Setup",
     "Snapshot",
+    "TrialView",
     "VtEstimate",
     "__version__",
     "comparison",
@@ -77,6 +81,7 @@ __all__ = [
     "summary",
     "sweep",
     "trace",
+    "trial",
 ]
 
 # In a checkout the rooms stand beside this folder, not in it: Python started there finds them, too.

@@ -65,7 +65,7 @@ def known_fields(model: type[BaseModel], data: Any, prefix: str = "") -> dict[st
     for name, field in model.model_fields.items():
         path, inside = f"{prefix}{name}", data.get(name) if isinstance(data, Mapping) else None
         out[path] = field
-        for inner in _models_in(field.annotation):
+        for inner in models_in(field.annotation):
             if isinstance(inside, Sequence) and not isinstance(inside, str):
                 for index, item in enumerate(inside):
                     out |= known_fields(inner, item, f"{path}.{label(item, index)}.")
@@ -129,7 +129,8 @@ def _choices(annotation: Any, alone: bool = True) -> list[str]:
     return ["true", "false"] if annotation is bool else []
 
 
-def _models_in(annotation: Any) -> list[type[BaseModel]]:
+def models_in(annotation: Any) -> list[type[BaseModel]]:
+    """Return the models that a field may hold: itself, the choices of a union, the items of a list."""
     if isinstance(annotation, type) and not get_args(annotation):
         return [annotation] if issubclass(annotation, BaseModel) else []
-    return [model for part in get_args(annotation) for model in _models_in(part)]
+    return [model for part in get_args(annotation) for model in models_in(part)]

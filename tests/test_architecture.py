@@ -116,7 +116,7 @@ def test_picture_is_of_the_code_as_it_is() -> None:
 
 
 def test_pages_name_files_that_exist() -> None:
-    for page in ("docs/architecture.md", "CONTRIBUTING.md"):
+    for page in ("docs/explanation/architecture.md", "CONTRIBUTING.md"):
         text = (ROOT / page).read_text("utf-8")
         named = re.findall(r"`((?:sim|slam|scenarios|benchmarks|cellslam|tests|docs)/[\w/.]+)`", text)
         assert len(named) > 5

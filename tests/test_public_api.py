@@ -123,3 +123,20 @@ def test_wrong_requests_name_the_value(call: Any, says: str) -> None:
 def test_the_command_line_is_a_module_too() -> None:
     shown = subprocess.run([sys.executable, "-m", "cellslam", "--help"], capture_output=True, text=True, check=True)
     assert shown.stdout.startswith("usage: cellslam ")
+
+
+def test_a_trial_shows_itself_and_has_figures_and_arrays_by_name() -> None:
+    trial = cellslam.trial("tiny", ["ekf-slam", "dead-reckoning"], seed=1)
+    rows = cellslam.run("tiny", ["ekf-slam", "dead-reckoning"], seed=1)
+    assert trial.rows.position_rmse_m.tolist() == rows.position_rmse_m.tolist()
+    assert "tiny, seed 1, trial 0" in repr(trial) and "ekf-slam" in repr(trial)
+    assert trial._repr_html_().startswith("<table") and "nees_mean" in trial._repr_html_()
+    assert trial.recording is not None and trial.recording.truth is not None and trial.bound is not None
+    assert trial.estimates["ekf-slam"].poses.shape == trial.recording.truth.poses.shape
+    assert trial.plot("error").axes and trial.plot().axes
+    with pytest.raises(cellslam.InputError, match="unknown figure 'mapp'; did you mean 'map'"):
+        trial.plot("mapp")
+    alone = cellslam.trial("tiny", "dead-reckoning", seed=1, number=1)
+    assert alone.rows.trial.tolist() == [1]
+    with pytest.raises(cellslam.InputError, match="none of the estimators"):
+        alone.plot("clock_offsets")

@@ -1,4 +1,4 @@
-"""What README.md promises: its estimator runs, its commands parse, its links and metric names exist."""
+"""What README.md promises: it fits a screen, its commands parse, its links lead somewhere."""
 
 from __future__ import annotations
 
@@ -6,33 +6,12 @@ import re
 import subprocess
 from pathlib import Path
 
-import numpy as np
 import pytest
 
 from cellslam.benchmarks.cli.main import build_parser
-from cellslam.benchmarks.scores.trial_result import ROW_KEYS
-from cellslam.benchmarks.trials.estimation import estimate
-from cellslam.scenarios.estimator_options import resolve
 
 ROOT = Path(__file__).parents[1]
 README = (ROOT / "README.md").read_text(encoding="utf-8")
-
-
-def test_the_estimator_of_the_readme_runs(toy_recording, tmp_path, monkeypatch):
-    code = re.search(r"```python\n(.*?)```", README, re.S)
-    assert code is not None
-    (tmp_path / "coasting.py").write_text(code[1])
-    monkeypatch.chdir(tmp_path)
-    recording = toy_recording(snapshots=20, seed=1)
-    (request,) = resolve({}, ["coasting:Coasting"], {})
-    result = estimate(recording, request, np.random.default_rng(0))
-    assert result.poses.shape == (20, 6)
-    np.testing.assert_array_equal(result.poses[0], recording.start_pose)
-
-
-def test_every_row_key_is_explained():
-    explained = set(re.findall(r"`([a-z_]+)`", README))
-    assert set(ROW_KEYS) <= explained
 
 
 @pytest.mark.parametrize("page", ["README.md", *(str(p.relative_to(ROOT)) for p in (ROOT / "docs").rglob("*.md"))])
@@ -44,10 +23,15 @@ def test_links_lead_somewhere(page):
     assert missing == []
 
 
+def test_the_readme_is_short_and_says_what_a_virtual_transmitter_is():
+    assert len(README.split()) <= 600
+    assert "*virtual\ntransmitter* (VT)" in README.partition("```")[0]
+
+
 def test_commands_of_the_readme_parse():
     lines = [line.split() for line in re.findall(r"`(?:\.venv/bin/)?cellslam ([a-z][^`]*)`", README)]
     whole = [words for words in lines if len(words) > 1]
-    assert len(whole) >= 5
+    assert len(whole) >= 1
     for words in whole:
         build_parser(words).parse_args(words)
 

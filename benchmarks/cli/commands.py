@@ -25,6 +25,14 @@ SECTIONS = {
                 "run lund-530 --trials 10 --json",
             ),
         ),
+        "init": Command(
+            "city.init",
+            "write a scenario file of a city, with a route and sites, to begin from",
+            (
+                "init lund-530 --out mine.toml",
+                "init berlin.osm --route drive.gpx --sites sites.geojson --out berlin.toml",
+            ),
+        ),
         "sweep": Command(
             "sweep",
             "many variants and trials of a scenario, in parallel, resumable",

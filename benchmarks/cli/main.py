@@ -6,6 +6,7 @@ import argparse
 import os
 import re
 import sys
+import traceback
 from collections.abc import Sequence
 from importlib import import_module
 from typing import Any, NoReturn
@@ -48,6 +49,10 @@ def main(argv: Sequence[str] | None = None) -> int:
     0 done, 1 a trial failed, 2 the request was wrong, 130 interrupted.
     """
     words = list(sys.argv[1:] if argv is None else argv)
+    if "_ARGCOMPLETE" in os.environ:  # a shell asks to complete its line
+        from cellslam.benchmarks.cli.look_up.completion import complete
+
+        complete(build_parser(os.environ["COMP_LINE"].split()))
     try:
         parser = build_parser(words)
         arguments, unknown = parser.parse_known_args(words)
@@ -61,6 +66,8 @@ def main(argv: Sequence[str] | None = None) -> int:
         sys.stdout.flush()
         return status
     except InputError as error:
+        if "--verbose" in words:
+            traceback.print_exc()
         sys.stderr.write(f"cellslam: {error}\n")
         return WRONG
     except KeyboardInterrupt:
@@ -79,6 +86,9 @@ def build_parser(words: Sequence[str] | None = None) -> argparse.ArgumentParser:
     common = Parser(add_help=False)
     common.add_argument(
         "--quiet", action="store_true", default=argparse.SUPPRESS, help="no progress and no notes on stderr"
+    )
+    common.add_argument(
+        "--verbose", action="store_true", default=argparse.SUPPRESS, help="with the traceback of a wrong request"
     )
     parser = Parser(
         prog="cellslam",

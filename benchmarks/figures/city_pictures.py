@@ -66,7 +66,7 @@ def draw_plan(
             _rays(axes, some_rays(paths), transmitters, receivers)
             axes.plot(*receivers[:, :2].T, ".", color=BLACK, markersize=2.0, label="receivers")
             axes.plot(*transmitters[:, :2].T, "^", color=VERMILLION, markeredgecolor=BLACK, label="transmitters")
-            for line in axes.legend(loc="upper right").get_lines():
+            for line in figure.legend(loc="outside lower center", ncols=4).get_lines():
                 line.set_linewidth(1.5)
         axes.set_xlim(low[0], high[0])
         axes.set_ylim(low[1], high[1])

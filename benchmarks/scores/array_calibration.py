@@ -1,6 +1,6 @@
 """The array's calibration as an estimator found it, beside the truth, over a grid of directions.
 
-Source: docs/front-end.md, "Errors that persist, and where the floors come from".
+Source: docs/explanation/persisting-errors.md.
 """
 
 from __future__ import annotations

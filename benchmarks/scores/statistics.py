@@ -168,7 +168,7 @@ def _root_ratio(above: Floats, below: Floats, confidence: float) -> tuple[float,
     """Return the interval of sqrt(mean above / mean below), none negative: bootstrap-t on the logarithm.
 
     It ends where every value above were as large as the largest: of one that outweighs all others, the bootstrap has no
-    idea how often it happens.
+    idea how often it happens. Where all values have the same ratio, as the bound to itself, it has no width.
     """
 
     def log_ratio(a: Floats, b: Floats) -> tuple[Any, Any]:
@@ -177,6 +177,8 @@ def _root_ratio(above: Floats, below: Floats, confidence: float) -> tuple[float,
         return np.log(mean_a / mean_b)[..., 0], error
 
     value, error = log_ratio(above, below)
+    if error < 1e-12:
+        return math.exp(0.5 * value), math.exp(0.5 * value)
     t = []
     for drawn in _resampled(len(above)):
         values, errors = log_ratio(above[drawn], below[drawn])

@@ -78,6 +78,7 @@ class City(Described):
     `vertices` (V, 3); `triangles` (K, 3) into vertices; `triangle_facet` (K,); one footprint and one height
     above its base per building; `streets`: centre lines, each (n, 2), that share their end points where they
     meet; `notes` tells what loading repaired or dropped; `tolerances` those with which triangles became facets.
+    `origin_deg`: longitude and latitude (WGS 84) of the zero, of a file that is in these; None: not known.
     """
 
     name: str
@@ -91,6 +92,7 @@ class City(Described):
     streets: tuple[Floats, ...] = ()
     notes: tuple[str, ...] = ()
     tolerances: Tolerances = TOLERANCES
+    origin_deg: tuple[float, float] | None = None
 
     @property
     def bounds(self) -> Floats:

@@ -26,7 +26,7 @@ class _Config(BaseModel):
 class ProceduralCityConfig(_Config):
     """A generated city: jittered streets, blocks with courtyards, free-standing buildings, squares."""
 
-    kind: Literal["procedural"] = "procedural"
+    kind: Literal["procedural"] = Field("procedural", description="a generated city")
     seed: int | Literal["trial"] = Field(
         1, description="seed of the city, fixed by the scenario; 'trial': another city in each trial"
     )
@@ -86,7 +86,7 @@ class ProceduralCityConfig(_Config):
 class MeshCityConfig(_Config):
     """A city read from a file: PLY, OBJ, STL, GLB, CityJSON, OpenStreetMap, or a Mitsuba XML scene (sionna-rt)."""
 
-    kind: Literal["mesh"] = "mesh"
+    kind: Literal["mesh"] = Field("mesh", description="a city of a file")
     path: str = Field(
         description="mesh, CityJSON, OpenStreetMap or Mitsuba file, or 'sionna-rt:NAME': a scene of that package"
     )

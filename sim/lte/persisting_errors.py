@@ -4,7 +4,7 @@ A persisting error is the same for all links that meet it alike, and changes slo
 scattering are fixed functions of the direction in the body frame, diffuse energy is a function of the receiver's place
 for each VT and port, motion of the array within a snapshot turns all its paths together.
 
-Source: own derivation, docs/front-end.md, "Errors that persist, and where the floors come from".
+Source: own derivation, docs/explanation/persisting-errors.md.
 """
 
 from __future__ import annotations

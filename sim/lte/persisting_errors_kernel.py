@@ -1,6 +1,6 @@
 """Compiled evaluation of the errors that persist: smooth random functions of direction, place and time.
 
-Source: own derivation, docs/front-end.md, "Errors that persist, and where the floors come from".
+Source: own derivation, docs/explanation/persisting-errors.md.
 """
 
 from __future__ import annotations

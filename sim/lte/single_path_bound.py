@@ -5,7 +5,7 @@ sample. With unknown complex weights of both polarisations, delay, azimuth and e
 deviation is scale / sqrt(2 Gamma). The scale is also the width of the path's ambiguity function in that
 component.
 
-Source: own derivation from `joint_bound`, docs/front-end.md, "Bound".
+Source: own derivation from `joint_bound`, docs/explanation/front-end.md, "Bound".
 """
 
 from __future__ import annotations

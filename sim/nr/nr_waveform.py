@@ -4,7 +4,7 @@ Within a resource the comb is moved from symbol to symbol until every subcarrier
 one slot, in the order of their subcarriers, are evenly spaced tones without ambiguity up to 1 / (subcarrier spacing).
 The channel is taken to stand still for the slot. The signal is sent in every slot: period 32 at 15 kHz, repetition 32.
 
-Source: 3GPP TS 38.211, clause 7.4.1.7; use of the symbols: own, docs/front-end.md, "Waveforms".
+Source: 3GPP TS 38.211, clause 7.4.1.7; use of the symbols: own, docs/how-to/own-waveform.md.
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
 """Edges of buildings that diffract: where two facets meet and bulge outwards, or where a facet ends.
 
-Source: own derivation; what is computed at them, ITU-R P.526-15, section 4.1 (docs/rays.md).
+Source: own derivation; what is computed at them, ITU-R P.526-15, section 4.1 (docs/explanation/rays.md).
 """
 
 from __future__ import annotations

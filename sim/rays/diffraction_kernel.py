@@ -1,6 +1,7 @@
 """Compiled search for points of diffraction: exact culls by excess length per block, then Keller's law.
 
-Source: the law of diffraction, Keller, "Geometrical theory of diffraction", 1962; culls: own derivation, docs/rays.md.
+Source: the law of diffraction, Keller, "Geometrical theory of diffraction", 1962; culls: own derivation,
+docs/explanation/rays.md.
 """
 
 from __future__ import annotations

@@ -1,6 +1,7 @@
 """Lines of sight and single reflections of one transmitter: candidates, then shadow rays on both legs.
 
-Source: image method, which gives the virtual transmitters of the extended FastSLAM paper, section III; docs/rays.md.
+Source: image method, which gives the virtual transmitters of the extended FastSLAM paper, section III;
+docs/explanation/rays.md.
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
 """Which facets stand wholly behind others, as seen from a point: they need no further thought.
 
-Source: own derivation, docs/rays.md.
+Source: own derivation, docs/explanation/rays.md.
 """
 
 from __future__ import annotations

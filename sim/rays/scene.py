@@ -1,6 +1,6 @@
 """What tracing needs of a city, built once: centred facet tables in float64, an embree tree in float32.
 
-Source: own derivation; why it is centred, and where shadow rays end: docs/rays.md.
+Source: own derivation; why it is centred, and where shadow rays end: docs/explanation/rays.md.
 """
 
 from __future__ import annotations

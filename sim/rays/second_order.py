@@ -1,6 +1,7 @@
 """Double reflections of one transmitter: facets that it sees, pairs of facets, then shadow rays on three legs.
 
-Source: image method, which gives the virtual transmitters of the extended FastSLAM paper, section III; docs/rays.md.
+Source: image method, which gives the virtual transmitters of the extended FastSLAM paper, section III;
+docs/explanation/rays.md.
 """
 
 from __future__ import annotations

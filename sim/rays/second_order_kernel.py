@@ -1,6 +1,6 @@
 """Compiled search for second-order specular points: pairs of facets, then the image method twice.
 
-Source: image method as in `first_order_kernel`; culls per pair: own derivation, docs/rays.md.
+Source: image method as in `first_order_kernel`; culls per pair: own derivation, docs/explanation/rays.md.
 """
 
 from __future__ import annotations

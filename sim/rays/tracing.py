@@ -1,6 +1,6 @@
 """Specular paths between any transmitters and receivers in a city: the image method with exact visibility.
 
-Source: image method, docs/rays.md; gain as in equation 3 of the extended FastSLAM paper.
+Source: image method, docs/explanation/rays.md; gain as in equation 3 of the extended FastSLAM paper.
 """
 
 from __future__ import annotations

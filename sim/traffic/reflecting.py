@@ -2,7 +2,7 @@
 
 The sides are plane and of metal. Doppler is that of a standing side.
 
-Source: image method; gains as those of walls, docs/rays.md.
+Source: image method; gains as those of walls, docs/explanation/rays.md.
 """
 
 from __future__ import annotations

@@ -32,7 +32,8 @@ class Route(Described):
     """A way through the city on the lanes of a highway-env `network` (`lanes`: indices in driving order).
 
     Centre line sampled every 0.1 m or less: `points_m` (n, 2), `arc_m` (n,), `heading_rad` (n,) unwrapped,
-    `curvature_per_m` (n,), positive to the left. `ground_m`: height of the ground.
+    `curvature_per_m` (n,), positive to the left. `ground_m`: height of the ground. `corners_m` (k, 2): the waypoints
+    that it was built from.
     """
 
     network: Any
@@ -41,6 +42,7 @@ class Route(Described):
     arc_m: Floats
     heading_rad: Floats
     curvature_per_m: Floats
+    corners_m: Floats
     ground_m: float = 0.0
 
     @property
@@ -93,7 +95,8 @@ def check_clear(city: City, route: Route, clearance_m: float) -> None:
 def _build(corners_m: Floats, config: VehicleConfig) -> Route:
     least_m = config.wheelbase_m / np.tan(STEERING_LIMIT_RAD)
     lanes = build_lanes(corners_m, config.corner_radius_m, least_m)
-    return Route(lanes.network, lanes.indices, lanes.points_m, lanes.arc_m, lanes.heading_rad, lanes.curvature_per_m)
+    line = lanes.points_m, lanes.arc_m, lanes.heading_rad, lanes.curvature_per_m
+    return Route(lanes.network, lanes.indices, *line, corners_m=corners_m)
 
 
 def _planned(city: City, config: VehicleConfig, rng: np.random.Generator) -> Route:

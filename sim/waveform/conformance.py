@@ -1,6 +1,6 @@
 """Whether a waveform keeps the protocol: for those that are not built in.
 
-Source: own, docs/front-end.md, "Waveforms".
+Source: own, docs/how-to/own-waveform.md.
 """
 
 from __future__ import annotations

@@ -3,7 +3,7 @@
 Elements that carry reference signals are grouped into combs: two ports on one comb share all of its elements, two on
 different combs none. A front end takes the elements that a port sends in one slot as simultaneous.
 
-Source: own, docs/front-end.md, "Waveforms".
+Source: own, docs/how-to/own-waveform.md.
 """
 
 from __future__ import annotations

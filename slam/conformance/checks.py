@@ -255,7 +255,7 @@ def does_no_harm(subject: Subject) -> None:
     require(
         rmse <= limit,
         f"position RMSE {rmse:.2f} m on a drive of 35 m, where dead reckoning allows {limit:.2f} m",
-        "check the conventions (docs/conventions.md): frames, angles in the body frame, clock offsets in the distances",
+        "check frames, angles in the body frame, clock offsets in the distances (docs/reference/conventions.md)",
     )
 
 

@@ -242,7 +242,7 @@ def held_noise(held_s: Floats) -> Floats:
 class EkfSlam(JointFilter):
     """EKF-SLAM: hard association by the Hungarian algorithm.
 
-    Pairs are scored against clutter, missed detections and births as in docs/estimators.md.
+    Pairs are scored against clutter, missed detections and births as in docs/explanation/estimators.md.
     """
 
     name: ClassVar[str] = "ekf-slam"

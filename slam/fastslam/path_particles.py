@@ -35,7 +35,7 @@ class PathParticles:
     """Rao-Blackwellised particle filter over the vehicle's path; VTs and nuisances are Gaussian in each particle.
 
     Source: Chen, Whiton and Tufvesson, "Extended FastSLAM using cellular multipath component delays and angular
-    information", sections III and IV; the corrections are in docs/fastslam.md.
+    information", sections III and IV; the corrections are in docs/explanation/fastslam.md.
     """
 
     requires_truth: ClassVar[bool] = False

@@ -6,8 +6,8 @@ scale marginalised, Hungarian association by likelihood. `fastslam.FastSlam` giv
 fast; `tests/slam/fastslam/test_reference.py` holds it to this file.
 
 Source: Chen, Whiton and Tufvesson, "Extended FastSLAM using cellular multipath component delays and angular
-information". Equations are the paper's, by number, and those of docs/fastslam.md, by the name of the step, which says
-what was added and why.
+information". Equations are the paper's, by number, and those of docs/explanation/fastslam.md, by the name of the step,
+which says what was added and why.
 
 Left out: the other parts and clocks that drift (refused); VTs begun by measurements without distance or azimuth; the
 limit `vts_per_link`. What makes the compiled filter's numbers others than these:

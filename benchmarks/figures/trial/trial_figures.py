@@ -14,7 +14,40 @@ from cellslam.sim.progress import Progress, silent
 from cellslam.sim.recording import Recording
 
 if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
     from cellslam.sim.city import City
+
+
+Drawing = Callable[["Figure"], bool]
+
+
+def drawings(
+    city: City | None, recording: Recording, results: Mapping[str, TrialResult], bound: BoundResult | None
+) -> dict[str, Drawing]:
+    """Return the figures of a trial by name: functions that draw into a Figure, False where one does not apply.
+
+    `map` needs truth or a result; `error` needs truth; `associations` needs measurements; `clock_offsets` a
+    result with offsets, `calibration-ESTIMATOR` one with the array's calibration. `city` None: a map without
+    buildings.
+    """
+    from cellslam.benchmarks.figures.trial import array_calibration as array
+    from cellslam.benchmarks.figures.trial import associations
+    from cellslam.benchmarks.figures.trial import clock_offsets as clock
+    from cellslam.benchmarks.figures.trial import position_error as error
+    from cellslam.benchmarks.figures.trial import trial_map as overview
+
+    out: dict[str, Drawing] = {
+        "map": lambda figure: overview.draw(figure, city, recording, results),
+        "error": lambda figure: error.draw(figure, recording, results, bound),
+        "associations": lambda figure: associations.draw(figure, recording, results),
+        "clock_offsets": lambda figure: clock.draw(figure, recording, results),
+    }
+    for name, calibration in ((name, r.calibration) for name, r in results.items() if r.calibration is not None):
+        out[f"calibration-{file_name(name)}"] = partial(
+            array.draw, calibration=calibration, provenance=recording.provenance
+        )
+    return out
 
 
 def draw_all(
@@ -28,33 +61,17 @@ def draw_all(
 ) -> list[Path]:
     """Draw every figure that applies, write each as `out_dir`/NAME.FORMAT, and return the paths written.
 
-    `map` needs truth or a result; `error` needs truth; `associations` needs measurements; `clock_offsets` a
-    result with offsets, `calibration-ESTIMATOR` one with the array's calibration. `city` None: a map without
-    buildings. `formats`: what matplotlib writes, such as png and pdf.
+    `formats`: what matplotlib writes, such as png and pdf.
     """
     from matplotlib.figure import Figure
 
     from cellslam.benchmarks.figures import style
-    from cellslam.benchmarks.figures.trial import array_calibration as array
-    from cellslam.benchmarks.figures.trial import associations
-    from cellslam.benchmarks.figures.trial import clock_offsets as clock
-    from cellslam.benchmarks.figures.trial import position_error as error
-    from cellslam.benchmarks.figures.trial import trial_map as overview
 
-    drawings: dict[str, Callable[[Figure], bool]] = {
-        "map": lambda figure: overview.draw(figure, city, recording, results),
-        "error": lambda figure: error.draw(figure, recording, results, bound),
-        "associations": lambda figure: associations.draw(figure, recording, results),
-        "clock_offsets": lambda figure: clock.draw(figure, recording, results),
-    }
-    for name, calibration in ((name, r.calibration) for name, r in results.items() if r.calibration is not None):
-        drawings[f"calibration-{file_name(name)}"] = partial(
-            array.draw, calibration=calibration, provenance=recording.provenance
-        )
+    every = drawings(city, recording, results, bound)
     folder, written = Path(out_dir), []
     folder.mkdir(parents=True, exist_ok=True)
-    with style.context(), progress("figures", len(drawings)) as advance:
-        for name, drawing in drawings.items():
+    with style.context(), progress("figures", len(every)) as advance:
+        for name, drawing in every.items():
             figure = Figure(layout="constrained")
             if drawing(figure):
                 written += [style.save(figure, folder / f"{name}.{format_}") for format_ in formats]

@@ -193,7 +193,7 @@ def load_manifest(folder: Path) -> Manifest:
         raise InputError(f"{folder}: no such folder; give the folder that holds {NAME} and its tables")
     if not path.is_file():
         raise InputError(
-            f"{path}: no such file; write one (docs/recordings.md), or name a Python adapter with --adapter"
+            f"{path}: no such file; write one (docs/reference/campaign-tables.md), or name an adapter: --adapter"
         )
     try:
         table = tomllib.loads(path.read_text("utf-8"))

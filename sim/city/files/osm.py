@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterable, Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -84,9 +84,10 @@ def load_osm(path: Path, material: str, roughness_m: float, tolerances: Toleranc
     ]
     notes = [f"origin at longitude {origin[0]:.4f}, latitude {origin[1]:.4f}"]
     notes += [f"{count} {text}" for count, text in counts if count]
-    streets = _streets([_local(line, origin) for line in lines], blocks)
+    streets = _streets([local_m(line, origin) for line in lines], blocks)
     name = path.stem.removesuffix(".osm")
-    return _extruded(name, blocks, height_m, material, roughness_m, streets, notes, tolerances)
+    city = _extruded(name, blocks, height_m, material, roughness_m, streets, notes, tolerances)
+    return replace(city, origin_deg=(float(origin[0]), float(origin[1])))
 
 
 def _read(path: Path) -> tuple[list[_Area], list[Floats]]:
@@ -119,8 +120,11 @@ def _rings(area: Any) -> Iterator[list[Floats]]:
         yield [np.array([(n.lon, n.lat) for n in ring], np.float64) for ring in rings]
 
 
-def _local(lonlat_deg: Floats, origin_deg: Floats) -> Floats:
-    """Return east and north (n, 2) in metres of points on the ellipsoid, on the tangent plane at the origin."""
+def local_m(lonlat_deg: Floats, origin_deg: Floats | tuple[float, float]) -> Floats:
+    """Return east and north (n, 2) in metres of longitudes and latitudes (n, 2), in degrees, about an origin (2,).
+
+    On the plane that touches the WGS 84 ellipsoid at the origin.
+    """
     points, centre = (_geocentric(np.radians(p)) for p in (lonlat_deg, origin_deg))
     (sin_lon, sin_lat), (cos_lon, cos_lat) = np.sin(np.radians(origin_deg)), np.cos(np.radians(origin_deg))
     east = np.array([-sin_lon, cos_lon, 0.0])
@@ -140,7 +144,7 @@ def _blocks(area: _Area, origin_deg: Floats) -> list[_Block]:
     """Return the prisms of one area; none if it is underground or too small."""
     import shapely
 
-    plan = shapely.Polygon(_local(area.rings[0], origin_deg), [_local(r, origin_deg) for r in area.rings[1:]])
+    plan = shapely.Polygon(local_m(area.rings[0], origin_deg), [local_m(r, origin_deg) for r in area.rings[1:]])
     plan = shapely.set_precision(shapely.make_valid(plan), 1e-3)
     bottom = _metres(area.tags, "min_height", "building:min_level") or 0.0
     top = _metres(area.tags, "height", "building:levels")

@@ -1,6 +1,6 @@
 """`cellslam bench calibrate --check`: the two front ends in scenes that no calibration has seen.
 
-Source: own derivation, docs/front-end.md, "Calibration".
+Source: own derivation, docs/notes/front-end-calibration.md.
 """
 
 from __future__ import annotations

@@ -4,7 +4,7 @@ A scene is a site of three sectors and two ports whose paths are received from s
 load and transmitter error. Clutter recurs where a link, or the other port of its cell, reports clutter where the same
 point of space would be seen from the other place.
 
-Source: own derivation, docs/front-end.md, "Clutter that stands where it stands".
+Source: own derivation, docs/explanation/persisting-errors.md.
 """
 
 from __future__ import annotations

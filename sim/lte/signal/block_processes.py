@@ -2,7 +2,7 @@
 
 The processes are started as modules, not forked: what else the caller's program is, or does, is none of their business.
 
-Source: own, docs/front-end.md, "A drive from signals".
+Source: own, docs/how-to/drive-from-signals.md.
 """
 
 from __future__ import annotations

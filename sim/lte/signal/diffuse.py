@@ -4,7 +4,7 @@ Each path is followed by a cluster whose power falls exponentially with the exce
 a cell of a 20 m grid on the ground: within the cell the scatterers are virtual transmitters that stand still, so that
 their fading follows the motion.
 
-Source: own model, docs/front-end.md, "Channel".
+Source: own model, docs/explanation/front-end.md, "Channel".
 """
 
 from __future__ import annotations

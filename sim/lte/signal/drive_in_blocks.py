@@ -1,6 +1,6 @@
 """A drive at signal level, in blocks of snapshots: several processes, progress, restart where a run was stopped.
 
-Source: own, docs/front-end.md, "A drive from signals".
+Source: own, docs/how-to/drive-from-signals.md.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 """What the receiver knows of its own array, and of its motion during one snapshot.
 
 Source: after RIMAX, Richter, "Estimation of radio channel parameters: models and algorithms", 2005; searched grid and
-tapers: own, docs/front-end.md, "Estimator".
+tapers: own, docs/explanation/front-end.md, "Estimator".
 """
 
 from __future__ import annotations

@@ -3,7 +3,8 @@
 Snapshots are independent of each other, so that a drive can be measured in blocks, in any order: the receiver acquires
 every snapshot anew.
 
-Source: the extended FastSLAM paper, section II, equations 2 to 5; own, docs/front-end.md, "Channel" and "Estimator".
+Source: the extended FastSLAM paper, section II, equations 2 to 5; own, docs/explanation/front-end.md, "Channel" and
+"Estimator".
 """
 
 from __future__ import annotations

@@ -3,7 +3,7 @@
 The tones of a group are turned in phase for a path in the middle of the window, and added. Of a path elsewhere this
 keeps the delay, and takes a factor from its amplitude that the fit takes for part of its weight.
 
-Source: own, docs/front-end.md, "Waveforms".
+Source: own, docs/how-to/own-waveform.md.
 """
 
 from __future__ import annotations

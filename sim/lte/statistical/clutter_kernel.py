@@ -1,6 +1,6 @@
 """Compiled clutter: what is reported around a path besides it, and noise peaks.
 
-Source: own derivation, docs/front-end.md, "Statistical front end".
+Source: own derivation, docs/explanation/front-end.md, "Statistical front end".
 """
 
 from __future__ import annotations

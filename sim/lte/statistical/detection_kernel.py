@@ -4,7 +4,7 @@ Everything runs serially and draws from the three generators in a fixed order (p
 three normals for every path, then the clutter), so one block or many give the same numbers. Powers are in
 milliwatt per resource element, ratios linear, angles in radians, distances in metres.
 
-Source: own derivation, docs/front-end.md, "Statistical front end".
+Source: own derivation, docs/explanation/front-end.md, "Statistical front end".
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
 """Compiled pieces of one measurement: geometry, detection probability, deviations, range of angles.
 
-Source: own derivation, docs/front-end.md, "Statistical front end".
+Source: own derivation, docs/explanation/front-end.md, "Statistical front end".
 """
 
 from __future__ import annotations

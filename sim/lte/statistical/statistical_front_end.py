@@ -3,7 +3,7 @@
 Per link and path: received power, interference, SNR, overlap with stronger paths, detection, error from the
 bound and the floors, in part white and in part persisting; then clutter. The constants are measured (`statistics`).
 
-Source: own derivation, docs/front-end.md, "Statistical front end".
+Source: own derivation, docs/explanation/front-end.md, "Statistical front end".
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
 """Constants of the statistical front end, as the calibration study measured them (`cellslam bench calibrate`).
 
-Source: measured; how, docs/front-end.md, "Calibration".
+Source: measured; how, docs/notes/front-end-calibration.md.
 """
 
 from __future__ import annotations

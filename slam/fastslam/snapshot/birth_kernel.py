@@ -55,8 +55,9 @@ def complete(w: Rows, z: Rows, particle: int, birth: int) -> None:
 
 @njit(error_model="numpy")
 def give_birth(parts: Parts, w: Rows, rec: Rows, z: Rows) -> None:
-    """Write the record of a VT born from measurement z in every lane (docs/fastslam.md, step 6); z as in `innovate`,
-    completed by `complete`.
+    """Write the record of a VT born from measurement z in every lane (docs/explanation/fastslam.md, step 6).
+
+    z is as in `innovate`, completed by `complete`.
 
     Given theta the birth is exact: range variance q_d, G = (-1, 0, 0) for the offset (0 where no distance was
     measured); what the pose owes to bias and scale is passed on to the VT.

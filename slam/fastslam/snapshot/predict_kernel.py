@@ -49,7 +49,7 @@ B = LANES
 
 @njit(error_model="numpy")
 def predict(parts: Parts, w: Rows, rec: Rows, out: Rows) -> None:
-    """Predict a record: h, H, A, H Sigma H^T (O_S), C = A P A^T (docs/fastslam.md, step 2), lane by lane."""
+    """Predict a record: h, H, A, H Sigma H^T (O_S), C = A P A^T (docs/explanation/fastslam.md, step 2), by lanes."""
     F = w.dtype.type
     refresh(parts.clock, w, rec)
     for l in range(B):

@@ -21,7 +21,7 @@ from cellslam.sim.frames import mean_velocity
 from cellslam.sim.recording import Recording
 from cellslam.slam import registry
 
-NOISE = (0.05, 0.05, 0.0, np.radians(2.0), 0.0, 0.0)  # of the simulated odometry of docs/data-tampere-60ghz.md
+NOISE = (0.05, 0.05, 0.0, np.radians(2.0), 0.0, 0.0)  # of the odometry of docs/reference/data/tampere-60ghz.md
 
 
 def surveyed(seed: int) -> Campaign:

@@ -46,6 +46,9 @@ def test_efficiency_ratio_is_of_mean_squares_and_its_interval_covers(monkeypatch
     """Errors of few degrees of freedom about a bound: an efficient filter has 1, where its median ratio has 0.79."""
     assert s.efficiency_ratio(np.array([1.0, 3.0]), np.array([1.0, 2.0]), 0.95)[0] == pytest.approx(np.sqrt(2.0))
     assert np.isnan(s.efficiency_ratio(np.zeros(0), np.zeros(0), 0.95)).all()
+    alike = np.linspace(0.5, 1.5, 10)  # as the bound to itself
+    assert s.efficiency_ratio(alike, alike, 0.95) == pytest.approx((1.0, 1.0, 1.0))
+    assert s.efficiency_ratio(3.0 * alike, alike, 0.95) == pytest.approx((3.0, 3.0, 3.0))
     monkeypatch.setattr(s, "RESAMPLES", 499)
     rng, inside, medians, repetitions = np.random.default_rng(14), 0, [], 400
     for _ in range(repetitions):

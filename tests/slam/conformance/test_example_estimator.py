@@ -1,4 +1,4 @@
-"""The example package of docs/your-estimator.md: short, installable, found by name, conformant."""
+"""The example package of docs/tutorials/your-estimator.md: short, installable, found by name, conformant."""
 
 from __future__ import annotations
 

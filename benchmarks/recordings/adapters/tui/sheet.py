@@ -80,7 +80,7 @@ def load_sheet(folder: Path) -> Sheet:
     """Return the sheet of a folder. Raises InputError with file, key, value and what is allowed."""
     path = folder / NAME
     if not path.is_file():
-        raise InputError(f"{path}: no such file; write what the campaign's files do not say (docs/data-tui.md)")
+        raise InputError(f"{path}: no such file; write what the files do not say (docs/reference/data/tui.md)")
     try:
         sheet = validate(Sheet, tomllib.loads(path.read_text("utf-8")))
     except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:

@@ -1,7 +1,7 @@
 """Compiled search: paths of a spectrum that one-path fits confirm, one by one; `path_estimator._Link._add_any` is its
 twin for any array.
 
-Source: own derivation, docs/front-end.md, "Estimator".
+Source: own derivation, docs/explanation/front-end.md, "Estimator".
 """
 
 from __future__ import annotations

@@ -4,7 +4,7 @@ Per array port, the descrambled tones are modelled as this cell's channel plus t
 limited to a delay window; the other cell's part of the joint least-squares solution is subtracted. The channel of this
 cell comes through without bias, for about 1.2 dB of noise.
 
-Source: own derivation, docs/front-end.md, "Estimator".
+Source: own derivation, docs/explanation/front-end.md, "Estimator".
 """
 
 from __future__ import annotations

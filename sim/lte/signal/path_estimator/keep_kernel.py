@@ -1,6 +1,6 @@
 """Compiled judgement of a joint fit's paths: the disturbance around each, and which of them stay.
 
-Source: own derivation, docs/front-end.md, "Estimator".
+Source: own derivation, docs/explanation/front-end.md, "Estimator".
 """
 
 from __future__ import annotations

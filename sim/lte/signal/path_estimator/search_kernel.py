@@ -1,6 +1,6 @@
 """Compiled search of a link's delay-direction spectrum for the strongest peak that stands out of its surroundings.
 
-Source: own derivation, docs/front-end.md, "Estimator".
+Source: own derivation, docs/explanation/front-end.md, "Estimator".
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
 """Delay-direction spectrum of a link's samples: what the search of the path estimator looks at.
 
-Source: own derivation, docs/front-end.md, "Estimator".
+Source: own derivation, docs/explanation/front-end.md, "Estimator".
 """
 
 from __future__ import annotations

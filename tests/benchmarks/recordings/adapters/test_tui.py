@@ -224,7 +224,7 @@ def test_what_is_unknown_is_asked(
 
 
 def test_the_sheet_of_the_page(tmp_path: Path) -> None:
-    page = (Path(__file__).parents[4] / "docs" / "data-tui.md").read_text("utf-8")
+    page = (Path(__file__).parents[4] / "docs" / "reference" / "data" / "tui.md").read_text("utf-8")
     text = page.split("```toml\n")[1].split("```")[0]
     (tmp_path / NAME).write_text(text)
     assert load_sheet(tmp_path).responses is not None

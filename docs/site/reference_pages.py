@@ -1,0 +1,178 @@
+"""The pages of the reference that say what the code says: commands, keys, options, scenarios, the Python API.
+
+Each function returns one page as Markdown; `site_hook.py` puts them into the site, tests hold them to the code.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+from collections.abc import Iterable, Iterator
+from importlib import import_module
+from inspect import isclass
+
+from pydantic import BaseModel
+from pydantic_core import PydanticUndefined
+
+import cellslam
+from cellslam.benchmarks.cli.commands import GROUPS, SECTIONS
+from cellslam.benchmarks.cli.main import build_parser
+from cellslam.scenarios.keys import allowed, models_in, unit_of
+from cellslam.scenarios.loading import load, preset_names
+from cellslam.scenarios.scenario import Scenario
+from cellslam.slam import registry
+
+NOT_KEYS = ("name", "title", "description", "facts", "estimator")
+# What authors of estimators, adapters and experiments use besides `cellslam` itself.
+MODULES = {
+    "Poses and frames": "cellslam.sim.frames",
+    "The measurement model": "cellslam.slam.model.measurement_model",
+    "Checks of an estimator": "cellslam.slam.conformance",
+    "Recordings": "cellslam.sim.recording",
+    "Campaigns, for adapters": "cellslam.benchmarks.recordings",
+    "Rays": "cellslam.sim.rays",
+    "Reference signals of LTE": "cellslam.sim.lte",
+    "Reference signals of NR": "cellslam.sim.nr",
+    "Environments": "cellslam.benchmarks.env",
+}
+FACTS = {
+    "paths_per_site": "paths per site and snapshot",
+    "line_of_sight_share": "line of sight",
+    "no_path_share": "no path",
+    "distinct_vts": "VTs",
+    "longest_reflected_s": "longest reflected, s",
+    "measurements_per_snapshot": "measurements per snapshot",
+}
+
+
+def commands() -> str:
+    """Return the page of all commands, read off their parsers."""
+    lines = []
+    groups = {summary: {f"{g} {n}": c for n, c in members.items()} for g, (summary, members) in GROUPS.items()}
+    for title, members in (SECTIONS | groups).items():
+        lines += [f"## {title[0].upper()}{title[1:]}", ""]
+        for name, command in members.items():
+            parser = _parser(name)
+            lines += [f"### cellslam {name}", "", f"{command.summary[0].upper()}{command.summary[1:]}.", ""]
+            lines += ["```text", parser.format_usage().removeprefix("usage: ").rstrip(), "```", ""]
+            lines += [*_table(("argument", "meaning"), _arguments(parser)), ""]
+            lines += ["```sh", *(f"cellslam {line}" for line in command.examples), "```", ""]
+    return "\n".join(lines)
+
+
+def scenario_keys() -> str:
+    """Return the page of all keys of a scenario, read off the models."""
+    lines = []
+    for name, field in Scenario.model_fields.items():
+        if name not in NOT_KEYS:
+            lines += [f"## {name}", "", f"{_sentence(field.description or '')}", ""]
+            for model in models_in(field.annotation):
+                lines += _several(models_in(field.annotation), model)
+                lines += [*_table(_COLUMNS, _keys(model, f"{name}.NAME." if name == "sites" else f"{name}.")), ""]
+    return "\n".join(lines)
+
+
+def estimator_options() -> str:
+    """Return the page of the options of all built-in estimators."""
+    lines = []
+    for entry in registry.BUILT_IN:
+        lines += [f"## {entry.name}", "", _sentence(entry.summary), ""]
+        if entry.needs:
+            lines += [f"It needs `pip install 'cellslam[{entry.needs}]'`.", ""]
+        else:
+            options = registry.options_model(registry.resolve(entry.name))
+            keys = _keys(options, f"estimator.{entry.name}.") if options else ()
+            lines += [*_table(_COLUMNS, keys), ""] if options else ["It has no options.", ""]
+    return "\n".join(lines)
+
+
+def scenarios() -> str:
+    """Return the page of the presets, with their measured facts."""
+    found = [load(name) for name in preset_names()]
+    rows = ((f"`{s.name}`", s.title, *(f"{s.facts.get(key, '')}" for key in FACTS)) for s in found)
+    lines = [*_table(("preset", "what it is", *FACTS.values()), rows), ""]
+    for scenario in found:
+        lines += [f"## {scenario.name}", "", f"{_sentence(scenario.title)} {scenario.description.strip()}", ""]
+    return "\n".join(lines)
+
+
+def python() -> str:
+    """Return the public Python names, for autodoc to fill."""
+    lines = []
+    for name in cellslam.__all__:
+        if not name.startswith("__"):
+            lines += [f"### {name}", "", *_autodoc(home(name))]
+    for title, module in MODULES.items():
+        lines += [f"## {title}", "", *_autodoc(module)]
+    return "\n".join(lines)
+
+
+def home(name: str) -> str:
+    """Return where a public name of `cellslam` is defined, dotted."""
+    value = getattr(cellslam, name)
+    return f"{value.__module__}.{value.__qualname__}"
+
+
+_COLUMNS = ("key", "default", "unit", "range", "meaning")
+
+
+def _parser(name: str) -> argparse.ArgumentParser:
+    """Return the parser of one command."""
+    parser = build_parser(name.split())
+    for word in name.split():
+        chosen = next(a for a in parser._actions if isinstance(a, argparse._SubParsersAction))
+        parser = chosen.choices[word]
+    return parser
+
+
+def _autodoc(name: str) -> list[str]:
+    """Return the directive for a module, class or function; what stands elsewhere on the page is left out."""
+    if name in MODULES.values():
+        more = ["   :exclude-members: Recording, ReferenceSignal"]
+        return ["```{eval-rst}", f".. automodule:: {name}", *more, "```", ""]
+    module, _, last = name.rpartition(".")
+    kind = "class" if isclass(getattr(import_module(module), last)) else "function"
+    return ["```{eval-rst}", f".. auto{kind}:: {name}", "```", ""]
+
+
+def _arguments(parser: argparse.ArgumentParser) -> Iterator[tuple[str, str]]:
+    for action in parser._actions:
+        if action.help != argparse.SUPPRESS and action.dest != "help":
+            value = action.metavar or ("{" + ",".join(map(str, action.choices)) + "}" if action.choices else "")
+            value = " ".join(value) if isinstance(value, tuple) else value
+            names = action.option_strings or [value]
+            said = f"`{', '.join(names)}{f' {value}' if action.option_strings and action.nargs != 0 and value else ''}`"
+            yield said, (action.help or "") % {"default": action.default, "prog": parser.prog}
+
+
+def _keys(model: type[BaseModel], prefix: str) -> Iterator[tuple[str, ...]]:
+    for name, field in model.model_fields.items():
+        inner = models_in(field.annotation)
+        several = "." if str(field.annotation).startswith("tuple") is False else ".N."
+        for one in inner:
+            yield from _keys(one, f"{prefix}{name}{several}")
+        if not inner:
+            default = field.get_default(call_default_factory=True)
+            said = "" if default is PydanticUndefined else "none" if default is None else _plain(default)
+            yield f"`{prefix}{name}`", said, unit_of(name), allowed(field), field.description or ""
+
+
+def _several(models: list[type[BaseModel]], model: type[BaseModel]) -> list[str]:
+    """Return what tells the models of a choice apart."""
+    kind = model.model_fields.get("kind")
+    return [f'With `kind = "{kind.default}"`:', ""] if len(models) > 1 and kind else []
+
+
+def _plain(value: object) -> str:
+    return value if isinstance(value, str) else json.dumps(value, default=str)
+
+
+def _sentence(text: str) -> str:
+    text = text.strip()
+    return f"{text[:1].upper()}{text[1:]}{'' if text.endswith('.') else '.'}"
+
+
+def _table(head: Iterable[str], rows: Iterable[Iterable[str]]) -> list[str]:
+    names = list(head)
+    body = [" | ".join(cell.replace("|", "\\|").replace("\n", " ") for cell in row) for row in rows]
+    return [f"| {' | '.join(names)} |", "|" + "---|" * len(names), *(f"| {row} |" for row in body)]

@@ -1,0 +1,211 @@
+"""The pages of docs/: their form, their code, and that the reference has all that there is."""
+
+from __future__ import annotations
+
+import re
+import runpy
+import shlex
+import sys
+import tomllib
+from collections.abc import Iterator
+from pathlib import Path
+from typing import NamedTuple
+
+import pytest
+
+import cellslam
+from cellslam.benchmarks.cli.commands import GROUPS, SECTIONS
+from cellslam.benchmarks.cli.main import build_parser, main
+from cellslam.benchmarks.scores.trial_result import ROW_KEYS
+from cellslam.scenarios.keys import known_fields
+from cellslam.scenarios.loading import load, preset_names
+from cellslam.scenarios.scenario import Scenario
+from cellslam.slam import registry
+
+ROOT = Path(__file__).parents[1]
+DOCS = ROOT / "docs"
+sys.path.append(str(DOCS / "site"))
+import draw_gallery  # noqa: E402
+import reference_pages  # noqa: E402
+
+PAGES = sorted(str(p.relative_to(DOCS)) for p in DOCS.rglob("*.md") if "examples" not in p.parts)
+MOST_WORDS, WIDEST, SHORTEST_PURPOSE = 1500, 120, 25
+# Pages whose blocks of code are run, one after the other in one folder.
+RUN = (
+    "tutorials/first-drive.md",
+    "tutorials/your-estimator.md",
+    "tutorials/your-city.md",
+    "tutorials/your-recording.md",
+    "tutorials/train-an-agent.md",
+    "how-to/command-line.md",
+    "how-to/scenario-files.md",
+    "reference/environments.md",
+)
+OUTPUT = ("text", "{toctree}")
+UNWRAPPED = ("explanation/maps.md",)
+DEFINED = {
+    "VT": "virtual transmitter",
+    "NEES": "normalised estimation error squared",
+    "GOSPA": "optimal sub-pattern assignment",
+    "CRS": "cell-specific reference signal",
+    "PRS": "positioning reference signal",
+}
+
+
+class Block(NamedTuple):
+    """A block of code of a page: language, text, and why it is not run ("": it is)."""
+
+    language: str
+    text: str
+    why_not: str
+
+
+def blocks(page: str) -> list[Block]:
+    found = re.findall(r"^(?:<!-- not run: (.*?) -->\n)?```(\S*)\n(.*?)^```$", (DOCS / page).read_text(), re.S | re.M)
+    return [Block(language, text, why_not) for why_not, language, text in found]
+
+
+def command_lines(text: str) -> Iterator[list[str]]:
+    """Yield the words of each command of cellslam in a block, without redirections and comments."""
+    for line in text.replace("\\\n", " ").splitlines():
+        words = shlex.split(line, comments=True)
+        if words[:1] == ["cellslam"]:
+            yield words[1 : words.index(">") if ">" in words else None]
+
+
+@pytest.mark.parametrize("page", PAGES)
+def test_a_page_begins_with_what_it_is_for_and_is_not_long(page: str) -> None:
+    title, blank, purpose, *_ = lines = (DOCS / page).read_text().splitlines()
+    assert title.startswith("# ") and not blank
+    assert len(purpose) >= SHORTEST_PURPOSE and re.match(r"[A-Z*\[`6]|cellslam", purpose)
+    wide = [line for line in lines if len(line) > WIDEST and not line.startswith(("|", "`", "(`"))]
+    assert wide == [] or page in UNWRAPPED
+    if not page.startswith(("reference/", "notes/")):
+        assert sum(len(line.split()) for line in lines) <= MOST_WORDS
+
+
+@pytest.mark.parametrize("page", [p for p in PAGES if p.startswith("notes/") and p != "notes/index.md"])
+def test_a_note_is_dated(page: str) -> None:
+    assert re.search(r"\*Laboratory note, .*\d{4}\.\*", (DOCS / page).read_text().splitlines()[2])
+
+
+@pytest.mark.parametrize("page", [p for p in PAGES if p.startswith("tutorials/") and p != "tutorials/index.md"])
+def test_a_tutorial_has_a_picture(page: str) -> None:
+    pictures = re.findall(r"!\[(.+?)\]\((.+?)\)", (DOCS / page).read_text(), re.S)
+    assert pictures and all((DOCS / page).parent.joinpath(file).is_file() for _, file in pictures)
+
+
+@pytest.mark.parametrize("page", PAGES)
+def test_code_is_run_or_says_why_not(page: str) -> None:
+    for block in blocks(page):
+        assert block.language, block.text
+        assert page in RUN or block.why_not or block.language.startswith(OUTPUT), block.text
+
+
+@pytest.mark.parametrize("page", PAGES)
+def test_commands_of_a_page_parse(page: str) -> None:
+    for block in blocks(page):
+        for words in command_lines(block.text) if block.language == "sh" else ():
+            build_parser(words).parse_args(words)
+
+
+def test_commands_of_the_gallery_parse() -> None:
+    for picture in draw_gallery.GALLERY.values():
+        for words in command_lines("\n".join(picture.commands)):
+            build_parser(words).parse_args(words)
+    assert len(draw_gallery.GALLERY) == 12
+    assert all((DOCS / "images" / f"{name}.png").is_file() for name in draw_gallery.GALLERY | draw_gallery.OTHERS)
+
+
+@pytest.mark.parametrize("page", RUN)
+def test_code_of_a_page_runs(page: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Commands run in this process, Python in one after the other; a file is what the sentence before it names."""
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "docs").symlink_to(DOCS)
+    named: dict[str, object] = {"__name__": "page"}
+    for block in (b for b in blocks(page) if not b.why_not):
+        if block.language == "sh":
+            for words in command_lines(block.text):
+                assert main(words) == 0, words
+        elif block.language == "python" and page == "tutorials/your-estimator.md":
+            (tmp_path / "coasting.py").write_text(block.text)
+        elif block.language == "python":
+            exec(compile(block.text, page, "exec"), named)
+        elif block.language == "toml":
+            (tmp_path / "page.toml").write_text(block.text)
+            assert main(["run", "page.toml", "--estimator", "dead-reckoning", "--no-figures", "--quiet"]) == 0
+
+
+@pytest.mark.parametrize("script", sorted(p.name for p in (DOCS / "notebooks").glob("*.py")))
+def test_notebooks_run(script: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    pyplot = pytest.importorskip("matplotlib.pyplot")
+    pyplot.switch_backend("agg")
+    monkeypatch.chdir(tmp_path)
+    assert (DOCS / "notebooks" / script).read_text().count("\n# %%\n") <= 10
+    with pyplot.rc_context():
+        runpy.run_path(str(DOCS / "notebooks" / script), run_name="__main__")
+    pyplot.close("all")
+
+
+def test_reference_has_every_command_with_every_option() -> None:
+    page = reference_pages.commands()
+    every = [(name, name) for section in SECTIONS.values() for name in section]
+    every += [(f"{group} {name}", name) for group, (_, members) in GROUPS.items() for name in members]
+    for name, _ in every:
+        assert f"\n### cellslam {name}\n" in page
+    assert "`--trials N`" in page and "simulate a scenario" in page.lower() and "`--quiet`" in page
+
+
+def test_reference_has_every_key_of_the_presets_and_of_the_estimators() -> None:
+    page = reference_pages.scenario_keys()
+    for name in preset_names():
+        for key in known_fields(Scenario, load(name).resolved):
+            parts = key.split(".")
+            if parts[0] == "sites" and len(parts) > 1:
+                parts[1:] = ["NAME", *parts[2:]]
+                parts[3:] = ["N", *parts[4:]] if len(parts) > 3 else []
+            if parts[0] not in reference_pages.NOT_KEYS and parts[-1] not in ("sites", "cells", "NAME", "N"):
+                whole = ".".join(parts)
+                assert f"`{whole}`" in page or f"\n## {whole}\n" in page or f"`{whole}." in page, key
+    options = reference_pages.estimator_options()
+    for entry in registry.BUILT_IN:
+        assert f"\n## {entry.name}\n" in f"\n{options}"
+    assert "`estimator.fastslam.particles`" in options
+
+
+def test_reference_has_every_row_key_and_public_name() -> None:
+    explained = re.findall(r"`(\w+)`", (DOCS / "reference" / "row-keys.md").read_text())
+    assert sorted(ROW_KEYS) == sorted(key for key in explained if key in ROW_KEYS or key.endswith(("_m", "_rad")))
+    page = reference_pages.python()
+    assert [n for n in cellslam.__all__ if not n.startswith("__") and f"### {n}\n" not in page] == []
+
+
+def test_reference_has_the_presets_as_they_are_listed(capsys: pytest.CaptureFixture[str]) -> None:
+    page = reference_pages.scenarios()
+    assert main(["list", "scenarios"]) == 0
+    listed = capsys.readouterr().out
+    for name in preset_names():
+        assert name in listed and f"\n## {name}\n" in page
+        assert f"| {load(name).facts['distinct_vts']} |" in page
+
+
+def test_glossary_is_in_order_and_each_word_stands_once() -> None:
+    words = re.findall(r"^\| \*\*(.+?)\*\*", (DOCS / "reference" / "glossary.md").read_text(), re.M)
+    assert len(words) > 60
+    assert [w.lower() for w in words] == sorted({w.lower() for w in words})
+    assert {"gate", "virtual transmitter", "VT"} <= set(words)
+
+
+@pytest.mark.parametrize("page", [p for p in PAGES if p.startswith(("index", "tutorials/", "how-to/"))])
+def test_abbreviations_are_told_or_linked_before_they_are_used(page: str) -> None:
+    text = re.sub(r"```.*?```|`[^`]*`|!\[.*?\]\(.*?\)", "", (DOCS / page).read_text(), flags=re.S)
+    for word, meaning in DEFINED.items():
+        if used := re.search(rf"\b{word}s?\b", text):
+            before = " ".join(text[: used.end() + 60].split()).lower()
+            assert meaning in before or "glossary.md" in before, word
+
+
+def test_extra_of_the_site_is_in_what_ci_installs() -> None:
+    extras = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["optional-dependencies"]
+    assert "docs" in extras["test"][0]
+    assert "sphinx-build -W" in (ROOT / ".ci" / "run").read_text()
