@@ -50,7 +50,7 @@ class WorldConfig(BaseModel):
     vehicle: VehicleConfig = Field(default_factory=VehicleConfig, description="route and motion")
     odometry: OdometryConfig = Field(default_factory=OdometryConfig, description="errors of wheels and gyro")
     traffic: TrafficConfig = Field(default_factory=TrafficConfig, description="other vehicles, which block paths")
-    radio: RadioConfig = Field(default_factory=RadioConfig, description="the LTE link and the receiver")
+    radio: RadioConfig = Field(default_factory=RadioConfig, description="what is sent, and the receiver")
 
 
 @dataclass(frozen=True)
