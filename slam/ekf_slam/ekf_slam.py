@@ -16,16 +16,19 @@ from cellslam.slam.api import Estimate, Setup, Snapshot, VtEstimate
 from cellslam.slam.ekf_slam.bank import LONGEST, MOST_STATES, Bank, core_of, new_bank, vt_estimate
 from cellslam.slam.ekf_slam.calibration_states import begin_with, found
 from cellslam.slam.ekf_slam.ekf_slam_options import EkfSlamOptions
+from cellslam.slam.ekf_slam.map_after import Heard, map_after
+from cellslam.slam.ekf_slam.map_states import Remembered
 from cellslam.slam.ekf_slam.sizes import Sizes, sizes_of
 from cellslam.slam.ekf_slam.snapshot.motion_kernel import Interval
 from cellslam.slam.ekf_slam.start import Start, begin
 from cellslam.slam.ekf_slam.state.array_errors import array_errors
-from cellslam.slam.ekf_slam.state.layout import ENTRY, FREE, Measured, Rules
+from cellslam.slam.ekf_slam.state.layout import ENTRY, FREE, Measured, Rules, one_of
 from cellslam.slam.front_end.looks import Grouping, Looks
 from cellslam.slam.front_end.measurement_noise import first_of_link, ports_of
 from cellslam.slam.front_end.readings import Readings, novelty, readings, white_readings
 from cellslam.slam.front_end.visibility import existence
 from cellslam.slam.model.calibration import Calibration
+from cellslam.slam.model.vt_map import VtMap
 
 NOT_GIVEN = -2
 # Accelerations of a vehicle whose odometry is silent, in m/s^2 and rad/s^2; it neither climbs nor tilts.
@@ -61,7 +64,12 @@ class JointFilter:
         del rng
         self._grouping = Grouping(setup, self.options)
         self._setup, self._time_s, self._now = _writable(self._grouping.setup), 0.0, 0
-        self._born = len(self._setup.links)
+        known, links = self._setup.map, self._setup.links
+        self._remembered = (
+            None if known is None else Remembered(known, links, self._setup.sites.name, len(links))
+        )
+        self._seen: dict[int, Floats] = {}
+        self._born = len(links) + (0 if known is None else len(known))
         self._ports = ports_of(self._setup.links.site, self._setup.links.port)
         self._errors = array_errors(self.options, setup, self.options.errors == "states")
         self._core = core_of(self._setup, self._errors)
@@ -120,12 +128,24 @@ class JointFilter:
             return self.options.known_calibration
         return found(self._joint, self._errors)
 
+    def vt_map(self) -> VtMap | None:
+        """Return the map that the drive leaves; while the clock offsets are wide the one that it began with."""
+        bank = self._joint
+        if bank is None:
+            return self._setup.map
+        best, heard = int(np.argmax(bank.log_weight)), Heard(self._setup.links, self._setup.sites.name, self._seen)
+        return map_after(
+            one_of(bank.arrays, best), self._archive, heard, bank.remembered, self.options.confirm_hits
+        )  # fmt: skip
+
     def _given(self, looks: Looks) -> Ints:
         """Return the true VT of each look, for the oracle that knows it."""
         return np.full(len(looks), NOT_GIVEN, np.int64)
 
     def _install(self, bank: Bank) -> None:
-        """Put into new filters what is known of the map: transmitters whose place was surveyed."""
+        """Put into new filters what is known of the map: transmitters whose place was surveyed; VTs of a remembered map
+        will come."""
+        bank.remembered = None if self._remembered is None else self._remembered.afresh()
         places = self._setup.sites.position_m
         if places is not None:
             link = np.flatnonzero(np.isfinite(places[self._setup.links.site]).all(axis=1))
@@ -144,8 +164,12 @@ class JointFilter:
 
     def _map(self, filters: Sequence[tuple[Bank, int]]) -> VtEstimate | None:
         """Return the confirmed VTs of some filters of banks, with those that had to make room."""
-        rows = [bank.vts(index, self.options.confirm_hits) for bank, index in filters]
-        return vt_estimate(np.concatenate([*rows, self._archive]))
+        rows = np.concatenate([*(bank.vts(i, self.options.confirm_hits) for bank, i in filters), self._archive])
+        known = self._setup.map
+        if known is not None:
+            unseen = np.setdiff1d(len(self._setup.links) + np.arange(len(known)), list(self._seen))
+            rows = rows[~np.isin(rows[:, 0], unseen)]
+        return vt_estimate(rows)
 
     def _rules(self, common: Rules, dt_s: float) -> Rules:
         """Return the common options of the kernels with what they need beside."""
@@ -193,12 +217,20 @@ class JointFilter:
         lost = bank.lost(int(np.argmax(bank.log_weight)))
         if len(lost):
             self._archive = np.concatenate([self._archive, lost])
+        self._see(association[int(np.argmax(bank.log_weight))], bank.arrays.x[int(np.argmax(bank.log_weight)), :2])
         if len(bank) > 1:
             kept = np.sort(bank.apart(slice(0, self._core.size), self.options.prune_ratio))
             if len(kept) < len(bank):
                 bank.keep(kept)
                 association = association[kept]
         return association
+
+    def _see(self, association: Ints, place: Floats) -> None:
+        """Note from where the VTs of some looks are seen."""
+        for ident in association[association >= 0].tolist():
+            box = self._seen.setdefault(ident, np.array([place, place]))
+            np.minimum(box[0], place, out=box[0])
+            np.maximum(box[1], place, out=box[1])
 
     def _readings(self, dt_s: float, odometry: Floats, looks: Looks) -> Readings:
         """Return the looks with their variances."""

@@ -30,11 +30,12 @@ TOUCHED = POSE + 3 + 1 + VT_STATES + 5 * MOST_BELLS
 class Core(NamedTuple):
     """States that are always there: pose (0-5), turns of the array within a snapshot (yaw, pitch, roll), odometry
     biases and scales that the data sheet has, what its white noise has summed up to lately, clock
-    offsets (S), rates of those that drift.
+    offsets (S), rates of those that drift, errors that the VTs of a remembered map have in common.
 
     `bias`, `scale`, `noise` (6,), `rate` (S,): place of each component's error and of each offset's rate, `sway` (3,),
     -1 where there is none. `wander` (2, S): densities of the walks of offsets and rates, m/sqrt(s), (m/s)/sqrt(s);
-    `step_m` (S,): deviation of the size of steps of offsets, m, 0 where a clock does not step.
+    `step_m` (S,): deviation of the size of steps of offsets, m, 0 where a clock does not step. From
+    `first_common` to `size`: the map's errors.
     """
 
     sway: Ints
@@ -45,12 +46,18 @@ class Core(NamedTuple):
     rate: Ints
     wander: Floats
     step_m: Floats
+    first_common: int
     size: int
 
     @property
     def offsets(self) -> slice:
         """The clock offsets."""
         return slice(self.first_offset, self.first_offset + len(self.rate))
+
+    @property
+    def common(self) -> slice:
+        """The errors that the VTs of a remembered map have in common."""
+        return slice(self.first_common, self.size)
 
 
 class ArrayErrors(NamedTuple):
