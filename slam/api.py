@@ -95,7 +95,8 @@ class Estimate(Described):
 class Estimator(Protocol):
     """What the runner drives. Optional: `warm_up()` (compile; not timed), `finish()` (a smoother's poses (T, 6)) and,
     asked for after it, `calibration()` (a `Calibration`: what the drive has shown of the array, or None), `vt_map()`
-    (a `VtMap`: what it has shown of the VTs, with all that `Setup.map` knew before, or None) and `remarks()` (lines of text about the drive)."""
+    (a `VtMap`: what it has shown of the VTs, with what `Setup.map` knew before, or None) and `remarks()` (lines of text
+    about the drive)."""
 
     name: ClassVar[str]
     requires_truth: ClassVar[bool] = False

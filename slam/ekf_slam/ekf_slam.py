@@ -65,9 +65,7 @@ class JointFilter:
         self._grouping = Grouping(setup, self.options)
         self._setup, self._time_s, self._now = _writable(self._grouping.setup), 0.0, 0
         known, links = self._setup.map, self._setup.links
-        self._remembered = (
-            None if known is None else Remembered(known, links, self._setup.sites.name, len(links))
-        )
+        self._remembered = None if known is None else Remembered(known, links, self._setup.sites.name, len(links))
         self._seen: dict[int, Floats] = {}
         self._born = len(links) + (0 if known is None else len(known))
         self._ports = ports_of(self._setup.links.site, self._setup.links.port)

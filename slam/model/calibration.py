@@ -122,8 +122,10 @@ class Calibration(Described):
         of, about = read(path, _FILE)
         try:
             scale, spacing, reach = of["grid"].tolist()
-            whole = (of[name].astype(np.int64) for name in ("component", "cell"))
-            found = Calibration(of["size"], scale, spacing, reach, *whole, of["mean"], of["covariance"], about)
+            component, cell = (of[name].astype(np.int64) for name in ("component", "cell"))
+            found = Calibration(
+                of["size"], scale, spacing, reach, component, cell, of["mean"], of["covariance"], about
+            )  # fmt: skip
             found.check()
         except (ValueError, TypeError) as error:
             raise InputError(f"{path}: not a calibration: {error}") from error

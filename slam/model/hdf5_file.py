@@ -44,8 +44,10 @@ def write(path: str | Path, kind: Kind, arrays: Mapping[str, Any], provenance: M
 
 
 def read(path: str | Path, kind: Kind) -> tuple[dict[str, Any], dict[str, Any]]:
-    """Return the arrays of a file, of text or of 64-bit numbers, and its provenance. Raises InputError where it is none of this
-    kind, or not whole."""
+    """Return the arrays of a file, of text or of 64-bit numbers, and its provenance.
+
+    Raises InputError where it is none of this kind, or not whole.
+    """
     import h5py
 
     writes = f"'{kind.writer}' writes one"
