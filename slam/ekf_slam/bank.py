@@ -138,7 +138,7 @@ class Bank:
     def _unpaired(self, measured: Measured, most_vts: int) -> Paired:
         """Make room for what a snapshot may bring; return room for how it is paired."""
         if self.remembered is not None:
-            self._meet(self.remembered)
+            self._meet(self.remembered, measured.now)
         no_distance, no_azimuth = np.isnan(measured.begin[:, :2]).T
         guesses = 0
         if (no_distance != no_azimuth).any():
@@ -239,7 +239,7 @@ class Bank:
             f.owner[:, at] = [owner_of(j, VT + c, VT_STATES) for c in range(3)]
             f.x[:, at] = _spherical(way)
 
-    def _meet(self, remembered: Remembered) -> None:
+    def _meet(self, remembered: Remembered, now: int) -> None:
         """Let VTs of a remembered map enter all filters as they come into reach of the likeliest one, and leave them,
         where they were not seen, as they go out of it."""
         place = self.arrays.x[int(np.argmax(self.log_weight)), :3]
@@ -249,7 +249,7 @@ class Bank:
         self.reserve(3 * len(enter), len(enter))
         for k in range(len(self)):
             remembered.take_out(one_of(self.arrays, k), block_of(self.blocks, k), leave)
-            remembered.put_in(one_of(self.arrays, k), block_of(self.blocks, k), enter)
+            remembered.put_in(one_of(self.arrays, k), block_of(self.blocks, k), enter, now)
 
     def moments(self) -> tuple[Floats, Floats]:
         """Return mean (C,) and covariance (C, C), in m and rad, of the core states, over all filters."""

@@ -18,6 +18,7 @@ from cellslam.slam.ekf_slam.calibration_states import begin_with, found
 from cellslam.slam.ekf_slam.ekf_slam_options import EkfSlamOptions
 from cellslam.slam.ekf_slam.map_after import Heard, map_after
 from cellslam.slam.ekf_slam.map_states import Remembered
+from cellslam.slam.ekf_slam.map_trial import MapTrial
 from cellslam.slam.ekf_slam.sizes import Sizes, sizes_of
 from cellslam.slam.ekf_slam.snapshot.motion_kernel import Interval
 from cellslam.slam.ekf_slam.start import Start, begin
@@ -60,8 +61,8 @@ class JointFilter:
         warm_up.drive(type(self)(self.options.model_copy(update={"start_limit_s": 0.1})))
 
     def start(self, setup: Setup, rng: np.random.Generator) -> None:
-        """Take the prior; nothing is drawn."""
-        del rng
+        """Take the prior; nothing is drawn. With a map a filter without it runs beside, until it is sure that it
+        fits."""
         self._grouping = Grouping(setup, self.options)
         self._setup, self._time_s, self._now = _writable(self._grouping.setup), 0.0, 0
         known, links = self._setup.map, self._setup.links
@@ -72,6 +73,12 @@ class JointFilter:
         self._errors = array_errors(self.options, setup, self.options.errors == "states")
         self._core = core_of(self._setup, self._errors)
         self._past: list[tuple[Interval, Measured]] = []
+        self._beside: tuple[JointFilter, MapTrial] | None = None
+        self._misfit: list[str] = []
+        if known is not None:
+            without = type(self)(self.options)
+            without.start(replace(setup, map=None), rng)
+            self._beside = without, MapTrial(range(len(links), self._born))
         self._archive = np.empty((0, ENTRY))
         self._tables: dict[int, tuple[Floats, int, int]] = {}
         sites = self._setup.sites
@@ -89,6 +96,25 @@ class JointFilter:
 
         dt_s in s; odometry (6,): mean body velocities in m/s and rad/s.
         """
+        answer = self._step(dt_s, odometry, snapshot)
+        if self._beside is None:
+            return answer
+        without, trial = self._beside
+        other = without.step(dt_s, odometry, snapshot)
+        trial.take(answer, other, without.resolved)
+        if trial.refused:
+            vars(self).update(vars(without))
+            self._misfit = [trial.reason]
+        elif trial.over:
+            self._beside = None
+        return answer if trial.believed else other
+
+    @property
+    def resolved(self) -> bool:
+        """Whether the clock offsets are known well enough for one filter of all sites."""
+        return self._joint is not None
+
+    def _step(self, dt_s: float, odometry: Floats, snapshot: Snapshot) -> Estimate:
         self._time_s += dt_s
         odometry, looks, model = np.array(odometry), self._grouping.looks(snapshot), self._setup.odometry_model
         measured = self._measured(dt_s, odometry, self._readings(dt_s, odometry, looks), looks)
@@ -114,8 +140,8 @@ class JointFilter:
         return sizes_of(self._joint, self._errors, self._setup.odometry_model.noise_density)
 
     def remarks(self) -> list[str]:
-        """Return what the drive says against the sizes of errors that the filter was told."""
-        return [] if self._joint is None else self.sizes().remarks()
+        """Return what the drive says against the sizes of errors that the filter was told, and against its map."""
+        return self._misfit + ([] if self._joint is None else self.sizes().remarks())
 
     def calibration(self) -> Calibration | None:
         """Return the array's calibration as the drive has shown it; None where it is no state.

@@ -46,7 +46,7 @@ def map_after(f: Filter, lost: Floats, heard: Heard, before: Remembered | None, 
     anchor, spherical = f.anchor[mine, :3], f.x[states]
     position = anchor + spherical[:, :1] * unit_vector(spherical[:, 1], spherical[:, 2])
     by = jacobians(standing(anchor), position)[0]
-    common: Floats = np.linalg.solve(by, root[: states.size].reshape(-1, 3, len(joint)))
+    common = np.asarray(np.linalg.solve(by, root[: states.size].reshape(-1, 3, len(joint))), np.float64)
     seen = _listed(heard, slots[mine, IDENT], slots[mine, LINK], position, anchor, slots[mine, HITS])
     parts = [replace(seen, common_m=common)]
     parts.append(_made_room(heard, lost, set(slots[mine, IDENT].tolist()), before, confirm, len(joint)))

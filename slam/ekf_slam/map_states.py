@@ -17,11 +17,9 @@ from cellslam.sim.recording import Floats, Ints, Links
 from cellslam.slam.ekf_slam.snapshot.birth_kernel import clear, remove
 from cellslam.slam.ekf_slam.state.layout import (
     EXISTS,
-    HITS,
     IDENT,
-    LAST,
-    LINK,
     SHARE,
+    UNSEEN,
     VT,
     VT_STATES,
     Block,
@@ -31,7 +29,6 @@ from cellslam.slam.ekf_slam.state.states_kernel import owner_of
 from cellslam.slam.model.measurement_model import jacobians, predict
 from cellslam.slam.model.vt_map import VtMap
 
-LONG_AGO = -100_000  # snapshot in which a map was last seen, at the start
 REACH_M, PASSED_M = 20.0, 5.0  # from where a VT was seen: it is looked for; it should be seen
 MOST_NEAR = 60  # VTs that enter at most; those with most detections
 
@@ -68,8 +65,9 @@ class Remembered:
         self._inside[enter] = True
         return enter, leave
 
-    def put_in(self, f: Filter, b: Block, which: Ints) -> None:
-        """Let VTs of the map enter a filter that has room for them."""
+    def put_in(self, f: Filter, b: Block, which: Ints, now: int) -> None:
+        """Let VTs of the map enter a filter that has room for them, as if they had been seen in the snapshot before
+        `now`."""
         there = set(f.slots[: f.count[0], IDENT].tolist())
         which = which[[self.first_ident + j not in there for j in which.tolist()]]
         if not len(which):
@@ -88,7 +86,7 @@ class Remembered:
             f.p[size + 3 * n : size + 3 * n + 3, size + 3 * n : size + 3 * n + 3] += own
         for n, vt in enumerate(which.tolist()):
             j, places = count + n, size + 3 * n + np.arange(3)
-            f.slots[j, [LINK, HITS, LAST, IDENT]] = self.link[vt], known.hits[vt], LONG_AGO, self.first_ident + vt
+            f.slots[j] = self.link[vt], known.hits[vt], now - 1, self.first_ident + vt, 1
             f.anchor[j, :3], f.anchor[j, [EXISTS, SHARE]] = known.anchor_m[vt], 1.0
             f.vt_state[j], f.vt_state[j, VT : VT + 3] = -1, places
             f.owner[places] = [owner_of(j, VT + c, VT_STATES) for c in range(3)]
@@ -98,7 +96,7 @@ class Remembered:
     def take_out(self, f: Filter, b: Block, which: Ints) -> None:
         """Let VTs leave a filter that were not seen: nothing was learnt of them but what u says."""
         for ident in (self.first_ident + which).tolist():
-            j = np.flatnonzero((f.slots[: f.count[0], IDENT] == ident) & (f.slots[: f.count[0], LAST] < 0))
+            j = np.flatnonzero((f.slots[: f.count[0], IDENT] == ident) & (f.slots[: f.count[0], UNSEEN] == 1))
             if len(j):
                 remove(f, b, int(j[0]))
 

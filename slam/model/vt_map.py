@@ -114,7 +114,7 @@ class VtMap(Described):
         """Read a file. Raises InputError where it is none, or not whole."""
         of, about = read(path, _FILE)
         whole = {name: of[name].astype(np.int64) for name in ("cell_id", "port", "hits", "missed")}
-        columns: dict[str, Any] = of | whole
+        columns: dict[str, Any] = {**of, **whole}
         found = VtMap(**columns, provenance=about)
         try:
             found.check()

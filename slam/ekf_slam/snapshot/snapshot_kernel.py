@@ -38,6 +38,7 @@ from cellslam.slam.ekf_slam.state.layout import (
     POSE,
     SHARE,
     TOUCHED,
+    UNSEEN,
     VT,
     ArrayErrors,
     Block,
@@ -109,7 +110,10 @@ def pair(f: Filter, a: ArrayErrors, seen: Measured, s: Sight, w: Pairs, rival: R
 
 @lean(cache=True)
 def count_odds(f: Filter, b: Block, seen: Measured, w: Pairs) -> None:
-    """Add to each VT's log-odds that it was detected or missed in this snapshot."""
+    """Add to each VT's log-odds that it was detected or missed in this snapshot.
+
+    The first look at a VT of a remembered map counts as whole: that something is where the map has it, is news.
+    """
     horizon = seen.tables.shape[2] - 1
     for j in range(f.count[0]):
         if f.links[f.slots[j, LINK]] == 1:
@@ -119,7 +123,20 @@ def count_odds(f: Filter, b: Block, seen: Measured, w: Pairs) -> None:
         j = w.slot_of[k]
         if j >= 0:
             kind, age = 0 if f.slots[j, HITS] < 2 else 1, min(seen.now - f.slots[j, LAST], horizon)
-            b.odds[j] += seen.tables[kind, 0, age] - seen.tables[kind, 1, age] - seen.rules.log_clutter - seen.gap[k]
+            odds = seen.tables[kind, 0, age] - seen.tables[kind, 1, age] - seen.rules.log_clutter - seen.gap[k]
+            if f.slots[j, UNSEEN] == 1:
+                any_vt = known_density(seen.z[k], seen.many[k])
+                odds = (odds - any_vt) / seen.rules.evidence + any_vt
+            b.odds[j] += odds
+
+
+@lean(cache=True)
+def known_density(z: Floats, q: Floats) -> float:
+    """Return minus the mean log-density of a look (3,), NaN where not measured, at a VT that is known exactly."""
+    total = 0.0
+    for c in range(3):
+        total += 0.0 if math.isnan(z[c]) else 0.5 * (1.0 + LOG_2PI + math.log(q[c]))
+    return total
 
 
 @njit(cache=True)
@@ -145,6 +162,7 @@ def take_in(f: Filter, b: Block, seen: Measured, association: Ints, s: Sight, w:
             link_slot = f.slots[j]
             link_slot[LAST] = seen.now
             link_slot[HITS] += 1
+            link_slot[UNSEEN] = 0
     b.snapshots[0] = n + 1
 
 

@@ -1,0 +1,90 @@
+"""Whether a remembered map fits: a filter that begins with it is held against one beside it that does not.
+
+Both filters have the same measurements; if the map is right, what it adds moves the estimate within what the filter
+without it does not know. A vehicle or a clock that is elsewhere with the map than it can be without it refutes it, and
+so does a map whose VTs are hardly met although the vehicle is where they were seen.
+
+Source: Hausman, "Specification tests in econometrics", Econometrica 46(6), 1978: an efficient estimate against one that
+is right even where the assumption is wrong; with the sum of the covariances for their difference, which errs on the
+side of the map.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from cellslam.sim.frames import wrap_angle
+from cellslam.sim.recording import Floats
+from cellslam.slam.api import Estimate
+
+APART = 25.0  # squared deviations of their difference beyond which two estimates do not agree
+LASTING = 12  # snapshots for which they do not, so that the map is refused
+FLOOR = np.array([0.1, 0.1, 0.005])  # what x, y (m) and yaw (rad) may differ by at any time
+OFFSET_FLOOR_M = 0.5  # what clock offsets may
+TRIAL_M = 100.0  # a trial is over after so long a way with clock offsets that are known without the map, too
+FEW, MANY = 50, 400  # looks after which a map is believed, and after which it must be
+LEAST_SHARE = 0.3  # of the looks that are of the map's VTs
+PLANE = np.array([0, 1, 3])
+
+
+class MapTrial:
+    """The trial of a map whose VTs have the identities `ours`."""
+
+    def __init__(self, ours: range) -> None:
+        self._ours, self._way_m, self._lasting = ours, 0.0, 0
+        self._last: Floats | None = None
+        self._looks = self._known = 0
+
+    def take(self, with_map: Estimate, without: Estimate, resolved: bool) -> None:
+        """Take in what both filters answer to a snapshot; `resolved`: the one without the map knows its clock
+        offsets."""
+        if self._last is not None and resolved:
+            self._way_m += float(np.linalg.norm(with_map.pose[:2] - self._last))
+        self._last = with_map.pose[:2]
+        if with_map.association is not None:
+            of = with_map.association[with_map.association >= 0]
+            self._looks += len(of)
+            self._known += int(((of >= self._ours.start) & (of < self._ours.stop)).sum())
+        self._lasting = self._lasting + 1 if distance2(with_map, without) > APART else 0
+
+    @property
+    def _share(self) -> float:
+        return self._known / max(self._looks, 1)
+
+    @property
+    def refused(self) -> bool:
+        """Whether the map does not fit."""
+        return self._lasting >= LASTING or (self._looks >= MANY and self._share < LEAST_SHARE)
+
+    @property
+    def believed(self) -> bool:
+        """Whether the map fits so far."""
+        return self._looks >= FEW and self._share >= LEAST_SHARE and not self.refused
+
+    @property
+    def over(self) -> bool:
+        """Whether the map has been tried for long enough."""
+        return self._way_m >= TRIAL_M and self._looks >= MANY
+
+    @property
+    def reason(self) -> str:
+        """A line that says why the map is refused."""
+        if self._lasting >= LASTING:
+            why = "with it, vehicle or clocks would be where they cannot be without it"
+        else:
+            why = f"{self._share:.0%} of the looks are of its VTs"
+        return f"the map does not fit: {why}; the drive goes on without it"
+
+
+def distance2(a: Estimate, b: Estimate) -> float:
+    """Return the squared distance of two estimates, in its deviations: of place and yaw, or of the clock offset that is
+    farthest off."""
+    apart = (a.pose - b.pose)[PLANE]
+    apart[2] = wrap_angle(apart[2])
+    spread = (a.covariance + b.covariance)[np.ix_(PLANE, PLANE)] + np.diag(FLOOR**2)
+    distances = [float(apart @ np.linalg.solve(spread, apart))]
+    if a.clock_offset_m is not None and b.clock_offset_m is not None:
+        assert a.clock_offset_variance_m2 is not None and b.clock_offset_variance_m2 is not None
+        variance = a.clock_offset_variance_m2 + b.clock_offset_variance_m2 + OFFSET_FLOOR_M**2
+        distances += ((a.clock_offset_m - b.clock_offset_m) ** 2 / variance).tolist()
+    return max(distances)
