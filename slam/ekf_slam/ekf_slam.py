@@ -101,10 +101,10 @@ class JointFilter:
             return answer
         without, trial = self._beside
         other = without.step(dt_s, odometry, snapshot)
-        trial.take(answer, other, without.resolved)
+        trial.take(answer, other, without.resolved, self._surprise)
         if trial.refused:
             vars(self).update(vars(without))
-            self._misfit = [trial.reason]
+            self._misfit = [trial.refused]
         elif trial.over:
             self._beside = None
         return answer if trial.believed else other
@@ -113,6 +113,12 @@ class JointFilter:
     def resolved(self) -> bool:
         """Whether the clock offsets are known well enough for one filter of all sites."""
         return self._joint is not None
+
+    @property
+    def _surprise(self) -> Floats:
+        """What the likeliest filters have of `surprise` (2,)."""
+        banks = self._start.banks if self._start is not None else [self._joint] if self._joint is not None else []
+        return np.sum([bank.arrays.surprise[int(np.argmax(bank.log_weight))] for bank in banks], axis=0)
 
     def _step(self, dt_s: float, odometry: Floats, snapshot: Snapshot) -> Estimate:
         self._time_s += dt_s

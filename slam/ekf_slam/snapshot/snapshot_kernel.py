@@ -25,7 +25,17 @@ from cellslam.slam.ekf_slam.snapshot.rival_kernel import Rival, find_rival
 from cellslam.slam.ekf_slam.snapshot.sight_kernel import Sight, coordinates, geometry, rotations_of
 from cellslam.slam.ekf_slam.snapshot.sizes_kernel import SWAY, count_motion, count_states
 from cellslam.slam.ekf_slam.snapshot.steps_kernel import expect_steps, shift_clocks, take_steps
-from cellslam.slam.ekf_slam.snapshot.update_kernel import LOG_2PI, Look, Pending, Steps, correct, settle
+from cellslam.slam.ekf_slam.snapshot.update_kernel import (
+    LOG_2PI,
+    Look,
+    Pending,
+    Steps,
+    compare,
+    correct,
+    innovate,
+    log_likelihood,
+    settle,
+)
 from cellslam.slam.ekf_slam.state.layout import (
     BELIEF,
     EXISTS,
@@ -124,7 +134,7 @@ def count_odds(f: Filter, b: Block, seen: Measured, w: Pairs) -> None:
         if j >= 0:
             kind, age = 0 if f.slots[j, HITS] < 2 else 1, min(seen.now - f.slots[j, LAST], horizon)
             odds = seen.tables[kind, 0, age] - seen.tables[kind, 1, age] - seen.rules.log_clutter - seen.gap[k]
-            if f.slots[j, UNSEEN] == 1:
+            if f.slots[j, UNSEEN] == 1 and b.looks[j] == 0:
                 any_vt = known_density(seen.z[k], seen.many[k])
                 odds = (odds - any_vt) / seen.rules.evidence + any_vt
             b.odds[j] += odds
@@ -162,7 +172,6 @@ def take_in(f: Filter, b: Block, seen: Measured, association: Ints, s: Sight, w:
             link_slot = f.slots[j]
             link_slot[LAST] = seen.now
             link_slot[HITS] += 1
-            link_slot[UNSEEN] = 0
     b.snapshots[0] = n + 1
 
 
@@ -212,6 +221,18 @@ def shares(b: Block, a: ArrayErrors, j: int) -> tuple[float, float]:
     return math.sqrt(by_way / (n * n) * b.diffuse[j] / n), math.sqrt(by_time / (n * n))
 
 
+@lean(cache=True)
+def count_surprise(
+    f: Filter, a: ArrayErrors, j: int, offset: int, look: Look, gate: float, s: Sight, p: Pending
+) -> None:
+    """Take in how far the first look at VT j of a remembered map is from where the map has it."""
+    e, hph = compare(f, a, j, offset, look, s, p)
+    new = innovate(e, look.q, hph)
+    f.surprise[0] += min(log_likelihood(new)[0], gate)
+    f.surprise[1] += new.measured
+    f.slots[j, UNSEEN] = 0
+
+
 @njit(cache=True)
 def conclude(f: Filter, a: ArrayErrors, b: Block, noise: Floats, seen: Measured, s: Sight, p: Pending) -> float:
     """Update the state by what the block has of each VT; return the log-likelihood of that.
@@ -245,6 +266,8 @@ def conclude(f: Filter, a: ArrayErrors, b: Block, noise: Floats, seen: Measured,
         )  # fmt: skip
         now = rotations(middle[3] + f.x[3] - before[3], middle[4] + f.x[4] - before[4], middle[5] + f.x[5] - before[5])
         look = Look(z, q, here, now, diffuse, turn, seen.now)
+        if f.slots[j, UNSEEN] == 1:
+            count_surprise(f, a, j, offset, look, rules.gate, s, p)
         if f.anchor[j, SHARE] < 1.0:
             total += correct_guesses(f, a, j, offset, look, s, p)
         else:
