@@ -66,8 +66,8 @@ class Remembered:
         return enter, leave
 
     def put_in(self, f: Filter, b: Block, which: Ints, now: int) -> None:
-        """Let VTs of the map enter a filter that has room for them, as if they had been seen in the snapshot before
-        `now`."""
+        """Let VTs (v,) of the map enter a filter that has room for them, as if they had been seen in the snapshot
+        before `now`."""
         there = set(f.slots[: f.count[0], IDENT].tolist())
         which = which[[self.first_ident + j not in there for j in which.tolist()]]
         if not len(which):
@@ -94,7 +94,7 @@ class Remembered:
         f.count[0], f.size[0] = count + len(which), size + 3 * len(which)
 
     def take_out(self, f: Filter, b: Block, which: Ints) -> None:
-        """Let VTs leave a filter that were not seen: nothing was learnt of them but what u says."""
+        """Let VTs (v,) leave a filter that were not seen: nothing was learnt of them but what u says."""
         for ident in (self.first_ident + which).tolist():
             j = np.flatnonzero((f.slots[: f.count[0], IDENT] == ident) & (f.slots[: f.count[0], UNSEEN] == 1))
             if len(j):
