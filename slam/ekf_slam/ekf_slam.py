@@ -118,7 +118,7 @@ class JointFilter:
     def _surprise(self) -> Floats:
         """What the likeliest filters have of `surprise` (2,)."""
         banks = self._start.banks if self._start is not None else [self._joint] if self._joint is not None else []
-        return np.sum([bank.arrays.surprise[int(np.argmax(bank.log_weight))] for bank in banks], axis=0)
+        return np.asarray(np.sum([bank.arrays.surprise[int(np.argmax(bank.log_weight))] for bank in banks], axis=0))
 
     def _step(self, dt_s: float, odometry: Floats, snapshot: Snapshot) -> Estimate:
         self._time_s += dt_s

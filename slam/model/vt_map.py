@@ -125,7 +125,7 @@ class VtMap(Described):
 
 def joined(parts: Sequence[VtMap]) -> VtMap:
     """Return one map of the VTs of all parts, whose common errors are the same ones."""
-    columns = {name: np.concatenate([getattr(part, name) for part in parts]) for name in _FILE.units}
+    columns: dict[str, Any] = {name: np.concatenate([getattr(part, name) for part in parts]) for name in _FILE.units}
     return VtMap(**columns)
 
 
