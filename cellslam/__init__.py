@@ -29,6 +29,7 @@ if TYPE_CHECKING:
     from cellslam.sim.recording import Recording
     from cellslam.slam.api import Estimate, Estimator, Setup, Snapshot, VtEstimate
     from cellslam.slam.model.calibration import Calibration
+    from cellslam.slam.model.vt_map import VtMap
     from cellslam.slam.registry import names as estimator_names
 
     __version__: str
@@ -43,6 +44,7 @@ _HOMES = {
     "Setup": "slam.api",
     "Snapshot": "slam.api",
     "VtEstimate": "slam.api",
+    "VtMap": "slam.model.vt_map",
     "comparison": "benchmarks.tables.summaries",
     "estimator_names": "slam.registry:names",
     "load": "scenarios.loading",
@@ -65,6 +67,7 @@ __all__ = [
     "Setup",
     "Snapshot",
     "VtEstimate",
+    "VtMap",
     "__version__",
     "comparison",
     "estimator_names",

@@ -78,6 +78,7 @@ class JointFilter:
         if known is not None:
             without = type(self)(self.options)
             without.start(replace(setup, map=None), rng)
+            without._born = self._born  # so that new VTs have one identity in both
             self._beside = without, MapTrial(range(len(links), self._born))
         self._archive = np.empty((0, ENTRY))
         self._tables: dict[int, tuple[Floats, int, int]] = {}

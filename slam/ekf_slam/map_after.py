@@ -21,6 +21,7 @@ from cellslam.slam.ekf_slam.state.layout import HITS, IDENT, LINK, POSITION, SHA
 from cellslam.slam.model.measurement_model import jacobians
 from cellslam.slam.model.vt_map import VtMap, joined
 
+WIDENED = 1.2  # covariances after each drive: what no filter models, as paths that merge, recurs at the same places
 FORGOTTEN = 2  # drives past a VT without a detection after which it is no longer there
 
 
@@ -46,7 +47,7 @@ def map_after(f: Filter, lost: Floats, heard: Heard, before: Remembered | None, 
     anchor, spherical = f.anchor[mine, :3], f.x[states]
     position = anchor + spherical[:, :1] * unit_vector(spherical[:, 1], spherical[:, 2])
     by = jacobians(standing(anchor), position)[0]
-    common = np.asarray(np.linalg.solve(by, root[: states.size].reshape(-1, 3, len(joint))), np.float64)
+    common = np.asarray(np.linalg.solve(by, root[: states.size].reshape(len(mine), 3, len(joint))), np.float64)
     seen = _listed(heard, slots[mine, IDENT], slots[mine, LINK], position, anchor, slots[mine, HITS])
     parts = [replace(seen, common_m=common)]
     parts.append(_made_room(heard, lost, set(slots[mine, IDENT].tolist()), before, confirm, len(joint)))
@@ -60,7 +61,7 @@ def map_after(f: Filter, lost: Floats, heard: Heard, before: Remembered | None, 
             common_m=unseen.common_m @ root[states.size :],
         )  # fmt: skip
         parts.append(unseen.part(unseen.missed < FORGOTTEN))
-    return joined(parts).compressed()
+    return joined(parts).compressed().widened(WIDENED)
 
 
 def _listed(heard: Heard, ident: Ints, link: Ints, position: Floats, anchor: Floats, hits: Ints) -> VtMap:

@@ -85,6 +85,10 @@ class VtMap(Described):
         own, common = factored(self.common_m, self.own_m2, most)
         return replace(self, own_m2=own, common_m=common)
 
+    def widened(self, by: float) -> VtMap:
+        """Return the map with all covariances multiplied by a number."""
+        return replace(self, own_m2=by * self.own_m2, common_m=np.sqrt(by) * self.common_m)
+
     def check(self) -> None:
         """Raise InputError unless the parts fit each other and hold finite numbers and a covariance."""
         count = len(self.position_m)
@@ -137,8 +141,8 @@ def factored(joint: Floats, own: Floats, most: int = MOST_COMMON) -> tuple[Float
     there is no rest.
     """
     root = np.linalg.cholesky(own + joint @ np.swapaxes(joint, 1, 2))
-    in_deviations = np.linalg.solve(root, joint).reshape(-1, joint.shape[2])
+    in_deviations = np.linalg.solve(root, joint).reshape(3 * len(joint), joint.shape[2])
     left, size, _ = np.linalg.svd(in_deviations, full_matrices=False)
-    modes = root @ (left * size).reshape(len(joint), 3, -1)
+    modes = root @ (left * size).reshape(len(joint), 3, len(size))
     rest = modes[:, :, most:]
     return own + rest @ np.swapaxes(rest, 1, 2), np.ascontiguousarray(modes[:, :, :most])
