@@ -21,7 +21,7 @@ from cellslam.slam.ekf_slam.state.layout import HITS, IDENT, LINK, POSITION, SHA
 from cellslam.slam.model.measurement_model import jacobians
 from cellslam.slam.model.vt_map import VtMap, joined
 
-WIDENED = 1.2  # covariances after each drive: what no filter models, as paths that merge, recurs at the same places
+WIDENED = 1.1  # covariances after each drive: what no filter models, as paths that merge, recurs at the same places
 FORGOTTEN = 2  # drives past a VT without a detection after which it is no longer there
 
 

@@ -8,6 +8,7 @@ from pathlib import Path
 import pytest
 
 from cellslam.benchmarks.cli import main as cli
+from cellslam.benchmarks.sweeps.rows import results
 from cellslam.benchmarks.trials.earlier_drives import APART, Before
 from cellslam.scenarios.estimator_options import resolve
 from cellslam.scenarios.loading import load
@@ -80,3 +81,11 @@ def test_requests_that_cannot_be_met_say_why(first: Path, tmp_path: Path, capsys
         assert cli.main(list(arguments)) == 2
         error = capsys.readouterr().err
         assert said in error and error.count("\n") == 1
+
+
+def test_drives_of_a_sequence_are_points_of_a_sweep(tmp_path: Path) -> None:
+    given = ("sweep", "tiny", *KNOWN_CLOCKS, "--sweep", "map.drives=1,2", "--estimator", "ekf-slam")
+    assert cli.main(["--quiet", *given, "--seed", "72", "--executor", "serial", "--out", str(tmp_path)]) == 0
+    found = results(tmp_path)
+    assert found["map.drives"].tolist() == [1, 2] and found["position_rmse_m"].nunique() == 2
+    assert (found["status"] == "ok").all()
