@@ -30,6 +30,7 @@ if TYPE_CHECKING:
     from cellslam.sim.recording import Recording
     from cellslam.slam.api import Estimate, Estimator, Setup, Snapshot, VtEstimate
     from cellslam.slam.model.calibration import Calibration
+    from cellslam.slam.model.vt_map import VtMap
     from cellslam.slam.registry import names as estimator_names
 
     __version__: str
@@ -45,6 +46,7 @@ _HOMES = {
     "Snapshot": "slam.api",
     "TrialView": "benchmarks.python_api",
     "VtEstimate": "slam.api",
+    "VtMap": "slam.model.vt_map",
     "comparison": "benchmarks.tables.summaries",
     "estimator_names": "slam.registry:names",
     "load": "scenarios.loading",
@@ -69,6 +71,7 @@ __all__ = [
     "Snapshot",
     "TrialView",
     "VtEstimate",
+    "VtMap",
     "__version__",
     "comparison",
     "estimator_names",

@@ -6,6 +6,7 @@ from typing import Any
 
 from pydantic import ConfigDict, Field
 
+from cellslam.scenarios.map_config import MapConfig
 from cellslam.sim.world import WorldConfig
 
 
@@ -22,6 +23,7 @@ class Scenario(WorldConfig):
     title: str = Field("", description="one line about the place")
     description: str = Field("", description="what the scenario is for")
     facts: dict[str, float | str] = Field(default_factory=dict, description="measured facts, for `cellslam list`")
+    map: MapConfig = Field(default_factory=MapConfig, description="the map that estimators begin with")
     estimator: dict[str, dict[str, Any]] = Field(
         default_factory=dict, description="options of the estimators, a table each"
     )

@@ -20,17 +20,20 @@ def simulate(
     trial: int = 0,
     overrides: Mapping[str, Any] | None = None,
     progress: Progress = silent,
+    place: int | None = None,
 ) -> Recording:
     """Return the recording of one trial, whose provenance holds the resolved scenario, root seed and trial.
 
-    `scenario`: a preset's name, a .toml path, or a Scenario (then without overrides); `overrides` by dotted key. Raises
-    InputError for a wrong request, and where the world cannot be made.
+    `scenario`: a preset's name, a .toml path, or a Scenario (then without overrides); `overrides` by dotted key.
+    `place`: trial whose city, route and sites it has (None: its own). Raises InputError for a wrong request, and where
+    the world cannot be made.
     """
     from cellslam.sim.world import simulate as simulate_world
 
     chosen = scenario_of(scenario, overrides)
-    recording = simulate_world(chosen.world, seed, trial, progress)
-    return replace(recording, provenance={"scenario": chosen.resolved, **recording.provenance})
+    recording = simulate_world(chosen.world, seed, trial, progress, place)
+    tables = {key: table for key, table in chosen.resolved.items() if key != "map"}  # it has no part in a recording
+    return replace(recording, provenance={"scenario": tables, **recording.provenance})
 
 
 def scenario_of(scenario: str | Path | Scenario, overrides: Mapping[str, Any] | None = None) -> Scenario:

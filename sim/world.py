@@ -193,20 +193,21 @@ class World(Reception):
         return replace(found, path=np.append(free, -1)[found.path]), paths, blocked
 
 
-def prepare(config: WorldConfig, seed: int, trial: int, progress: Progress = silent) -> World:
-    """Draw the world of one trial: city, route, sites, drive, traffic and clock offsets. Raises InputError where they
-    do not fit.
+def prepare(config: WorldConfig, seed: int, trial: int, progress: Progress = silent, place: int | None = None) -> World:
+    """Draw the world of one trial: city, route, sites, drive, traffic and clock offsets. `place`: trial whose city,
+    route and sites it has (None: its own). Raises InputError where they do not fit.
     """
     from cellslam.sim.lte.sites import place_sites
     from cellslam.sim.traffic import draw_traffic
     from cellslam.sim.vehicle import drive, plan_route
 
     with progress("preparing the world", 5) as advance:
-        scene = _scene(config, seed, trial)
+        where = trial if place is None else place
+        scene = _scene(config, seed, where)
         advance(1)
-        route = plan_route(scene.city, config.vehicle, stream(seed, trial, Stream.ROUTE))
+        route = plan_route(scene.city, config.vehicle, stream(seed, where, Stream.ROUTE))
         advance(1)
-        sites_m = place_sites(scene.city, route, config.sites, stream(seed, trial, Stream.SITES))
+        sites_m = place_sites(scene.city, route, config.sites, stream(seed, where, Stream.SITES))
         advance(1)
         driven = drive(route, config.vehicle, stream(seed, trial, Stream.VEHICLE))
         advance(1)
@@ -243,14 +244,16 @@ def draw_reception(config: WorldConfig, seed: int, trial: int, sites_m: Floats, 
     return Reception(config, seed, trial, sites_m, cells, driven, *clocks, start, fields, signals)
 
 
-def simulate(config: WorldConfig, seed: int, trial: int, progress: Progress = silent) -> Recording:
+def simulate(
+    config: WorldConfig, seed: int, trial: int, progress: Progress = silent, place: int | None = None
+) -> Recording:
     """Return the recording of trial `trial` of root seed `seed`, truth included. Same arguments, same
-    recording.
+    recording. `place` as of `prepare`.
     """
     from cellslam.sim.lte.faults.reports import as_reported, draw_reports
     from cellslam.sim.vehicle import measure_odometry, with_faults
 
-    world = prepare(config, seed, trial, progress)
+    world = prepare(config, seed, trial, progress, place)
     time_s = world.drive.time_s
     odometry = measure_odometry(world.drive, config.odometry, stream(seed, trial, Stream.ODOMETRY))
     odometry = with_faults(odometry, time_s, config.odometry, stream(seed, trial, Stream.SENSORS))

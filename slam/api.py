@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from cellslam.sim.described import Described
 from cellslam.sim.frames import held
 from cellslam.sim.recording import Floats, Ints, Links, OdometryModel, Recording, Sites, Truth
+from cellslam.slam.model.vt_map import VtMap
 
 
 @dataclass(frozen=True, repr=False)
@@ -24,7 +25,8 @@ class Setup(Described):
     """What is known before the drive: links, sites with offset priors, odometry data sheet, start pose and deviations
     (6,).
 
-    `truth` is None but for an estimator that declares `requires_truth`.
+    `map`: of VTs, as earlier drives left it; None: none is known. `truth` is None but for an estimator that declares
+    `requires_truth`.
     """
 
     links: Links
@@ -33,6 +35,7 @@ class Setup(Described):
     start_pose: Floats
     start_std: Floats
     truth: Truth | None = None
+    map: VtMap | None = None
 
 
 @dataclass(frozen=True, repr=False)
@@ -91,8 +94,9 @@ class Estimate(Described):
 @runtime_checkable
 class Estimator(Protocol):
     """What the runner drives. Optional: `warm_up()` (compile; not timed), `finish()` (a smoother's poses (T, 6)) and,
-    asked for after it, `calibration()` (a `Calibration`: what the drive has shown of the array, or None) and
-    `remarks()` (lines of text about the drive)."""
+    asked for after it, `calibration()` (a `Calibration`: what the drive has shown of the array, or None), `vt_map()`
+    (a `VtMap`: what it has shown of the VTs, with what `Setup.map` knew before, or None) and `remarks()` (lines of text
+    about the drive)."""
 
     name: ClassVar[str]
     requires_truth: ClassVar[bool] = False
@@ -111,8 +115,8 @@ class Estimator(Protocol):
         ...
 
 
-def setup_of(recording: Recording, with_truth: bool = False) -> Setup:
-    """Return copies of what an estimator may know before the drive."""
+def setup_of(recording: Recording, with_truth: bool = False, known: VtMap | None = None) -> Setup:
+    """Return copies of what an estimator may know before the drive; `known`: the map that it begins with."""
     links, sites, model = recording.links, recording.sites, recording.odometry_model
     return Setup(
         links=Links(*(_frozen(c) for c in (links.site, links.cell_id, links.port))),
@@ -123,6 +127,7 @@ def setup_of(recording: Recording, with_truth: bool = False) -> Setup:
         start_pose=_frozen(recording.start_pose),
         start_std=_frozen(recording.start_std),
         truth=_frozen_copy(recording.truth) if with_truth else None,
+        map=known,
     )
 
 

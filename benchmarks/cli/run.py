@@ -21,7 +21,8 @@ from cellslam.benchmarks.cli.arguments import (
     limits,
     whole,
 )
-from cellslam.benchmarks.cli.calibration_files import add_calibration, calibrated, save
+from cellslam.benchmarks.cli.between_drives.calibration_files import add_calibration, calibrated, save
+from cellslam.benchmarks.cli.between_drives.map_files import add_map, add_save_map, check_map, save_map, with_map
 from cellslam.benchmarks.cli.progress_bars import bars
 from cellslam.benchmarks.cli.results_folder import Folder
 from cellslam.benchmarks.tables.trials_table import bound_row, results_table
@@ -69,6 +70,8 @@ def add_arguments(parser: ArgumentParser) -> None:
     add_scenario(parser)
     add_estimation(parser)
     add_calibration(parser)
+    add_map(parser)
+    add_save_map(parser)
     parser.add_argument("--rays", action="store_true", help="draw the drive's rays, also as an interactive page")
     parser.add_argument("--trials", metavar="N", type=whole, default=1, help="trials 0 to N-1 (default: 1)")
     add_seed(parser, 0, "root seed of all random draws (default: 0)")
@@ -81,7 +84,7 @@ def command(arguments: Namespace) -> int:
         from cellslam.benchmarks.figures.city_page import check_plotly
 
         check_plotly()
-    overrides = parse_all(arguments.sets)
+    overrides = with_map(arguments, parse_all(arguments.sets))
     scenario = load(arguments.scenario, overrides)
     check_counts(arguments.trials, arguments.seed)
     asked = arguments.estimators or DEFAULT_ESTIMATORS
@@ -93,6 +96,8 @@ def command(arguments: Namespace) -> int:
     folder = Folder(out, several=arguments.trials > 1)
     job = Job(arguments, with_options(scenario, requests), scenario.name, requests, arguments.trials, folder)
     job.note(note)
+    known = scenario.map.known is not None or scenario.map.drives > 1
+    job.note(check_map(arguments, known, requests, arguments.trials))
     with Guests(limits(arguments, 1)) as guests, bars(arguments.quiet) as progress:
         ahead.begin(requests)
         guests.begin(requests)
@@ -158,8 +163,10 @@ def _keep(job: Job, trial: Trial) -> None:
             job.note(f"trial {trial.number}, {outcome.row['estimator']} failed: {outcome.row['error']}")
         for remark in outcome.result.remarks if outcome.result is not None else ():
             job.note(f"trial {trial.number}, {outcome.row['estimator']}: {remark}")
-    job.unsaved = save(job.arguments, job.requests, trial)
-    job.note(job.unsaved)
+    for saved in (save, save_map):
+        unsaved = saved(job.arguments, job.requests, trial)
+        job.unsaved = unsaved or job.unsaved
+        job.note(unsaved)
 
 
 def _about(job: Job) -> dict[str, Any]:

@@ -19,6 +19,7 @@ from cellslam.benchmarks.cli.arguments import (
     limits,
     whole,
 )
+from cellslam.benchmarks.cli.between_drives.map_files import add_map, with_map
 from cellslam.benchmarks.sweeps.executors import Executor, Serial, cores, executor
 from cellslam.benchmarks.sweeps.store import Store, writing
 from cellslam.benchmarks.sweeps.sweeping import carry_out, pending, seconds_of
@@ -47,6 +48,7 @@ def add_arguments(parser: ArgumentParser) -> None:
         help="values of one key; may be repeated: all combinations",
     )
     add_estimators(parser)
+    add_map(parser)
     parser.add_argument("--trials", metavar="N", type=whole, help="trials 0 to N-1 of each point (default: 1)")
     parser.add_argument("--seed", metavar="S", type=whole, help="root seed of all random draws (default: 0)")
     parser.add_argument("--out", metavar="DIR", required=True, help="folder of the results; one that exists is resumed")
@@ -114,7 +116,7 @@ def requested(arguments: Namespace) -> sweeps.Sweep:
     axes = tuple(sweeps.grid_axis(text) for text in arguments.sweeps)
     return replace(
         base,
-        overrides={**base.overrides, **parse_all(arguments.sets)},
+        overrides=with_map(arguments, {**base.overrides, **parse_all(arguments.sets)}),
         axes=(*base.axes, *axes),
         estimators=tuple(arguments.estimators) or base.estimators,
         trials=base.trials if arguments.trials is None else arguments.trials,

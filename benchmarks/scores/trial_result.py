@@ -10,6 +10,7 @@ from cellslam.sim.described import Described
 from cellslam.sim.recording import Floats, Ints
 from cellslam.slam.api import VtEstimate
 from cellslam.slam.model.calibration import Calibration
+from cellslam.slam.model.vt_map import VtMap
 
 # Keys of one row of results, in the order in which they are written; a value that does not apply is null.
 ROW_KEYS = (
@@ -36,7 +37,8 @@ class TrialResult(Described):
     `finish()`, which used the whole drive, while the covariances are still those of the snapshots.
     `association` (M,): VT id per measurement, -1 for none, as said in its own snapshot. `clock_offset_m` and
     `clock_offset_variance_m2` (T, S). `vts`: the last ones reported.
-    `calibration`: of the array, at the end. None: the estimator does not give this.
+    `calibration`: of the array, at the end; `vt_map`: what is left for the next drive. None: the estimator does not
+    give this.
     `remarks`: what the estimator says of the drive in words. `oracle`: it was shown the truth. `estimate_seconds`,
     `peak_memory_mb`: what it took; NaN: not known.
     """
@@ -49,6 +51,7 @@ class TrialResult(Described):
     clock_offset_variance_m2: Floats | None = None
     vts: VtEstimate | None = None
     calibration: Calibration | None = None
+    vt_map: VtMap | None = None
     remarks: tuple[str, ...] = ()
     smoothed: bool = False
     oracle: bool = False

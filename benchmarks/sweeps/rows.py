@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 from cellslam.benchmarks.scores.trial_result import ROW_KEYS
 from cellslam.benchmarks.sweeps.store import reading
 from cellslam.scenarios.keys import label, nearest_key
+from cellslam.scenarios.map_config import MapConfig
 from cellslam.sim.errors import InputError
 
 if TYPE_CHECKING:
@@ -88,7 +89,8 @@ def _flat_value(value: Any, key: str) -> Iterator[tuple[str, Any]]:
 
 def _settings(database: Connection) -> tuple[list[tuple[str, str, str]], dict[str, list[Any]]]:
     """Return each (estimator, world, options) of the rows, and the value of every key for each."""
-    worlds = {i: json.loads(t) for i, t in database.execute("SELECT id, tables FROM worlds")}
+    no_map = {"map": MapConfig().model_dump()}  # of a world that says nothing of it
+    worlds = {i: no_map | json.loads(t) for i, t in database.execute("SELECT id, tables FROM worlds")}
     options = {i: json.loads(t) for i, t in database.execute("SELECT id, tables FROM options")}
     pairs = database.execute("SELECT DISTINCT estimator, world, options FROM rows").fetchall()
     return pairs, _columns(pairs, worlds, options)

@@ -10,6 +10,7 @@ from functools import lru_cache
 from typing import TYPE_CHECKING, Any
 
 from cellslam.scenarios.estimator_options import Request, broken, foreign, loaded
+from cellslam.scenarios.map_config import MapConfig
 from cellslam.scenarios.sweep_points import Point
 from cellslam.sim.errors import InputError
 from cellslam.sim.world import KEPT_SCENES, WorldConfig
@@ -145,9 +146,11 @@ def _planned(jobs: Asked, trials: Mapping[str, int], seed: int, trajectories: bo
 
 
 def world_json(scenario: Scenario) -> str:
-    """Return name and world of a scenario as canonical JSON: what decides a trial's recording, with seed and trial."""
+    """Return name, world and, if there is one, the map of a scenario as canonical JSON: what decides what estimators
+    meet, with seed and trial."""
     resolved = scenario.resolved
-    return canonical({key: resolved[key] for key in ("name", *WorldConfig.model_fields)})
+    before = () if scenario.map == MapConfig() else ("map",)
+    return canonical({key: resolved[key] for key in ("name", *WorldConfig.model_fields, *before)})
 
 
 def options_json(request: Request) -> str:
@@ -167,7 +170,8 @@ def canonical(value: Any) -> str:
 
 def work(task: Task, guests: Guests) -> Iterator[Began | Result | Lost]:
     """Do a task: yield when each job begins, and what it gave. `guests`: processes of other people's estimators."""
-    from cellslam.benchmarks.trials.trials import score_trial
+    from cellslam.benchmarks.trials.earlier_drives import Before
+    from cellslam.benchmarks.trials.trials import NOTHING, score_trial
 
     yield Began(None)
     requests = [request_of(job.estimator, job.options, job.oracle) for job in task.jobs]
@@ -175,8 +179,13 @@ def work(task: Task, guests: Guests) -> Iterator[Began | Result | Lost]:
     def make() -> Recording:
         return recording_of(task)
 
-    name = name_of(task.world)
-    drive, outcomes = score_trial(make, name, requests, task.trial, task.seed, guests, bounded=not is_known(task.world))
+    name, known_world, before = name_of(task.world), is_known(task.world), NOTHING
+    if not known_world:
+        scenario = scenario_of(task.world)
+        before = Before(scenario.map, scenario, task.seed, task.trial)
+    drive, outcomes = score_trial(
+        make, name, requests, task.trial, task.seed, guests, bounded=not known_world, before=before
+    )
     for job, request in zip(task.jobs, requests, strict=True):
         yield Began(job.key, request.foreign)
         outcome = next(outcomes)

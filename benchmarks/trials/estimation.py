@@ -28,6 +28,7 @@ from cellslam.scenarios.estimator_options import Request
 from cellslam.sim.progress import Progress, silent
 from cellslam.sim.recording import Recording
 from cellslam.slam.api import odometry_of, setup_of, snapshots_of
+from cellslam.slam.model.vt_map import VtMap
 
 # Waiting OpenMP threads shall sleep: spinning ones made a drive seven times slower on a busy machine. Read when
 # the first parallel kernel runs; who sets the variable decides.
@@ -39,12 +40,13 @@ _warm: set[tuple[type[Any], str]] = set()
 @dataclass(frozen=True)
 class Answer:
     """Plain copies of one answer; `seconds`: what the estimator has taken since its start. The last is of the end, with
-    the estimator's remarks and `peak_memory_mb`."""
+    the estimator's remarks, `peak_memory_mb` and the map that it leaves, which no other process sends."""
 
     seconds: float
     columns: Columns
     remarks: Sequence[str] = ()
     peak_memory_mb: float = float("nan")
+    vt_map: VtMap | None = None
 
 
 def warm_up(request: Request, progress: Progress = silent) -> None:
@@ -63,20 +65,27 @@ def warm_up(request: Request, progress: Progress = silent) -> None:
 
 
 def estimate(
-    recording: Recording, request: Request, rng: np.random.Generator, progress: Progress = silent
+    recording: Recording,
+    request: Request,
+    rng: np.random.Generator,
+    progress: Progress = silent,
+    known: VtMap | None = None,
 ) -> TrialResult:
-    """Return what the requested estimator, driven in this process, says about a recording.
+    """Return what the requested estimator, driven in this process, says about a recording; `known`: the map that it
+    begins with.
 
     `estimate_seconds` covers start, steps and finish alone, `peak_memory_mb` what is kept of the answers too. Raises
     BadAnswerError, or whatever the estimator raises, with the snapshot added to its notes.
     """
-    return collected(recording, request, answers(recording, request, rng), progress)
+    return collected(recording, request, answers(recording, request, rng, known), progress)
 
 
-def answers(recording: Recording, request: Request, rng: np.random.Generator) -> Iterator[Answer]:
-    """Drive an estimator in this process: yield its answer to each snapshot, then those of `finish`, `calibration` and
-    `remarks`, if any."""
-    setup, snapshots = setup_of(recording, request.oracle), snapshots_of(recording)
+def answers(
+    recording: Recording, request: Request, rng: np.random.Generator, known: VtMap | None = None
+) -> Iterator[Answer]:
+    """Drive an estimator in this process: yield its answer to each snapshot, then those of `finish`, `calibration`,
+    `vt_map` and `remarks`, if any. `known`: the map that it begins with."""
+    setup, snapshots = setup_of(recording, request.oracle, known), snapshots_of(recording)
     dt_s = np.diff(recording.time_s, prepend=recording.time_s[0])
     odometry = odometry_of(recording)
     before = memory.begin()
@@ -102,7 +111,8 @@ def answers(recording: Recording, request: Request, rng: np.random.Generator) ->
     columns |= plain_calibration(calibration()) if callable(calibration) else {}
     remarks = getattr(estimator, "remarks", None)
     said = plain_remarks(remarks()) if callable(remarks) else ()
-    yield Answer(seconds, columns, said, memory.grown_mb(before))
+    left = estimator.vt_map() if callable(getattr(estimator, "vt_map", None)) else None
+    yield Answer(seconds, columns, said, memory.grown_mb(before), left)
 
 
 def collected(
@@ -133,6 +143,7 @@ def collected(
         smoothed=final is not None,
         oracle=request.oracle,
         calibration=calibration_of(last.columns),
+        vt_map=last.vt_map,
         remarks=tuple(last.remarks),
         estimate_seconds=last.seconds,
         peak_memory_mb=last.peak_memory_mb,

@@ -43,12 +43,12 @@ def main() -> None:
 
 
 def _serve(name: str, options: str, drive: Any, reply: Callable[..., None]) -> None:
-    """Reply when the estimator is compiled, then, if there is a `drive` (recording, generator), to each snapshot."""
+    """Reply when the estimator is compiled, then to each snapshot of a `drive` (recording, generator, map), if any."""
     try:
         request = _request(name, options)
         warm_up(request)
         reply({}, {})
-        for answer in answers(drive[0], request, drive[1]) if drive is not None else ():
+        for answer in answers(drive[0], request, *drive[1:]) if drive is not None else ():
             header = {"seconds": answer.seconds, "remarks": answer.remarks, "peak_memory_mb": answer.peak_memory_mb}
             reply(header, answer.columns)
     except BaseException as error:

@@ -29,6 +29,7 @@ from cellslam.scenarios.estimator_options import Request
 from cellslam.sim.errors import one_line
 from cellslam.sim.progress import Progress, silent
 from cellslam.sim.recording import Recording
+from cellslam.slam.model.vt_map import VtMap
 
 MOST_PROCESSES = 8  # at a time; beyond, the one that was started first makes room
 MOST_BYTES = 2**26  # of one message
@@ -67,14 +68,19 @@ class Guests:
             next(replies)
 
     def estimate(
-        self, recording: Recording, request: Request, rng: np.random.Generator, progress: Progress = silent
+        self,
+        recording: Recording,
+        request: Request,
+        rng: np.random.Generator,
+        progress: Progress = silent,
+        known: VtMap | None = None,
     ) -> TrialResult:
         """Return what a foreign estimator says about a recording. Raises GuestError and BadAnswerError.
 
-        It is sent the truth only if it declares to be an oracle.
+        It is sent the truth only if it declares to be an oracle. `known`: the map that it begins with.
         """
         shown = recording if request.oracle else replace(recording, truth=None, reference=None, provenance={})
-        with self._asked(request, (shown, rng)) as replies:
+        with self._asked(request, (shown, rng, known)) as replies:
             with progress(f"starting {request.name}", 1):
                 next(replies)
             return collected(recording, request, _answers(replies), progress)

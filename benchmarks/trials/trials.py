@@ -19,9 +19,11 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from cellslam.benchmarks.scores.trial_result import ROW_KEYS, TrialResult
+from cellslam.benchmarks.trials.earlier_drives import Before
 from cellslam.benchmarks.trials.estimation import estimate, warm_up
 from cellslam.benchmarks.trials.failures import GuestError, LostError, details, explained
 from cellslam.scenarios.estimator_options import Request
+from cellslam.scenarios.map_config import MapConfig
 from cellslam.scenarios.scenario import Scenario
 from cellslam.scenarios.simulation import simulate
 from cellslam.sim.described import Described
@@ -29,12 +31,14 @@ from cellslam.sim.errors import InputError
 from cellslam.sim.progress import Progress, silent
 from cellslam.sim.randomness import Stream, stream
 from cellslam.sim.recording import OdometryModel, Recording
+from cellslam.slam.model.vt_map import VtMap
 
 if TYPE_CHECKING:
     from cellslam.benchmarks.bound.cramer_rao import BoundResult
     from cellslam.benchmarks.trials.guests import Guests
 
 Row = dict[str, Any]
+NOTHING = Before(MapConfig())
 DEFAULT_ESTIMATORS = ("fastslam", "dead-reckoning")
 ALIGNED = "horizontal, least squares over the whole drive"
 
@@ -101,7 +105,8 @@ def simulated_trials(
         def make(trial: int = number) -> Recording:
             return simulate(scenario, seed, trial, progress=progress)
 
-        drive, outcomes = score_trial(make, scenario.name, requests, number, seed, guests, progress)
+        before = Before(scenario.map, scenario, seed, number)
+        drive, outcomes = score_trial(make, scenario.name, requests, number, seed, guests, progress, before=before)
         if number == 0 and isinstance(drive.problem, InputError):
             raise drive.problem
         yield Trial(number, drive.recording, drive.bound, tuple(outcomes), drive.unbound)
@@ -118,6 +123,7 @@ def score_trial(
     align: bool = False,
     sheet: OdometryModel | None = None,
     bounded: bool = True,
+    before: Before = NOTHING,
 ) -> tuple[Drive, Iterator[Outcome]]:
     """Return a trial's drive, and the outcome of each request as it is asked for; seed and trial give their streams.
 
@@ -125,11 +131,13 @@ def score_trial(
     for. `align`: each estimate is first laid onto the truth, and its row says so; there is no bound then,
     nor where the trial is not `bounded`.
     `sheet`: what estimators are told of the odometry's errors; the bound keeps to what the recording says.
+    `before`: the map that they begin with.
     """
-    drive = _drive(make, progress, bounded and not align)
+    drive = _drive(make, progress, bounded and not align, before)
     if sheet is not None and drive.recording is not None:
         drive = replace(drive, recording=replace(drive.recording, odometry_model=sheet))
-    return drive, (outcome_of(drive, scenario, r, trial, seed, guests, progress, align) for r in requests)
+    more = (trial, seed, guests, progress, align, before)
+    return drive, (outcome_of(drive, scenario, request, *more) for request in requests)
 
 
 def score_recording(recording: Recording, scenario: str, requests: Sequence[Request], *more: Any) -> Trial:
@@ -144,9 +152,7 @@ def failed_row(scenario: str, estimator: str, trial: int, seed: int, error: str)
     return {**dict.fromkeys(ROW_KEYS), **first, "status": "failed", "error": error}
 
 
-def _drive(make: Callable[[], Recording], progress: Progress, bounded: bool) -> Drive:
-    from cellslam.benchmarks.bound.merged_paths import both_bounds
-
+def _drive(make: Callable[[], Recording], progress: Progress, bounded: bool, before: Before) -> Drive:
     try:
         recording = make()
     except Exception as error:
@@ -154,7 +160,7 @@ def _drive(make: Callable[[], Recording], progress: Progress, bounded: bool) -> 
     if recording.truth is None or not bounded:
         return Drive(recording)
     try:
-        return Drive(recording, both_bounds(recording, progress))
+        return Drive(recording, before.bound(recording, progress))
     except Exception as error:  # of a recording of another version, the errors are not those of this one
         return Drive(recording, unbound=explained(error))
 
@@ -168,6 +174,7 @@ def outcome_of(
     guests: Guests | None = None,
     progress: Progress = silent,
     align: bool = False,
+    before: Before = NOTHING,
 ) -> Outcome:
     """Return what one estimator makes of a drive; arguments as of `score_trial`."""
     if drive.recording is None:
@@ -177,7 +184,7 @@ def outcome_of(
     row = _row(drive.recording, scenario, request.name, trial, seed)
     try:
         rng = stream(seed, trial, Stream.ESTIMATOR)
-        result = _estimate(drive.recording, request, rng, guests, progress)
+        result = _estimate(drive.recording, request, rng, guests, progress, before.known(request))
         row, result = _scored(drive.recording, drive.bound, row, result, align)
     except (Exception, SystemExit) as error:
         row = {**row, "status": "failed", "error": explained(error)}
@@ -186,14 +193,19 @@ def outcome_of(
 
 
 def _estimate(
-    recording: Recording, request: Request, rng: np.random.Generator, guests: Guests | None, progress: Progress
+    recording: Recording,
+    request: Request,
+    rng: np.random.Generator,
+    guests: Guests | None,
+    progress: Progress,
+    known: VtMap | None,
 ) -> TrialResult:
     if request.foreign:
         if guests is None:
             raise GuestError(f"{request.name} runs in a process of its own, and there is none here")
-        return guests.estimate(recording, request, rng, progress)
+        return guests.estimate(recording, request, rng, progress, known)
     warm_up(request, progress)
-    return estimate(recording, request, rng, progress)
+    return estimate(recording, request, rng, progress, known)
 
 
 def _scored(

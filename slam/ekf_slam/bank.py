@@ -16,6 +16,7 @@ import numpy as np
 
 from cellslam.sim.recording import Floats, Ints
 from cellslam.slam.api import Setup, VtEstimate
+from cellslam.slam.ekf_slam.map_states import Remembered
 from cellslam.slam.ekf_slam.snapshot.birth_kernel import map_of
 from cellslam.slam.ekf_slam.snapshot.guess_kernel import AHEAD, AROUND
 from cellslam.slam.ekf_slam.snapshot.motion_kernel import Interval
@@ -42,6 +43,8 @@ from cellslam.slam.ekf_slam.state.layout import (
     Core,
     Filter,
     Measured,
+    block_of,
+    one_of,
 )
 from cellslam.slam.ekf_slam.state.states_kernel import owner_of
 
@@ -58,6 +61,7 @@ KNOWN = 1000  # detections of a VT known before the drive
 
 def core_of(setup: Setup, errors: ArrayErrors) -> Core:
     """Return the layout of the states that are always there."""
+    common = 0 if setup.map is None else setup.map.common_m.shape[2]
     model = setup.odometry_model
     bias, scale, noise, sway = *(np.full(POSE, -1, np.int64) for _ in range(3)), np.full(3, -1, np.int64)
     biased, scaled = np.flatnonzero((model.bias > 0) | (model.bias_walk_density > 0)), np.flatnonzero(model.scale)
@@ -72,7 +76,8 @@ def core_of(setup: Setup, errors: ArrayErrors) -> Core:
     wander = setup.sites.walk_densities
     drifts, after = (setup.sites.drift_std_m_s > 0.0) | (wander[1] > 0.0), first + len(setup.sites)
     rate = np.where(drifts, after + np.cumsum(drifts) - 1, -1).astype(np.int64)
-    return Core(sway, bias, scale, noise, first, rate, wander, setup.sites.step_std_m, after + int(drifts.sum()))
+    end = after + int(drifts.sum())
+    return Core(sway, bias, scale, noise, first, rate, wander, setup.sites.step_std_m, end, end + common)
 
 
 Tables = TypeVar("Tables", Filter, Block)
@@ -103,11 +108,13 @@ def together(works: Sequence[Work], filters: int) -> None:
 
 @dataclass
 class Bank:
-    """K filters: `arrays`, each with a leading axis of at least K, their blocks, and log-weights (K,)."""
+    """K filters: `arrays`, each with a leading axis of at least K, their blocks, and log-weights (K,); the map that
+    they `remember`, if any."""
 
     arrays: Filter
     blocks: Block
     log_weight: Floats
+    remembered: Remembered | None = None
 
     def __len__(self) -> int:
         return len(self.log_weight)
@@ -130,6 +137,8 @@ class Bank:
 
     def _unpaired(self, measured: Measured, most_vts: int) -> Paired:
         """Make room for what a snapshot may bring; return room for how it is paired."""
+        if self.remembered is not None:
+            self._meet(self.remembered, measured.now)
         no_distance, no_azimuth = np.isnan(measured.begin[:, :2]).T
         guesses = 0
         if (no_distance != no_azimuth).any():
@@ -230,6 +239,18 @@ class Bank:
             f.owner[:, at] = [owner_of(j, VT + c, VT_STATES) for c in range(3)]
             f.x[:, at] = _spherical(way)
 
+    def _meet(self, remembered: Remembered, now: int) -> None:
+        """Let VTs of a remembered map enter all filters as they come into reach of the likeliest one, and leave them,
+        where they were not seen, as they go out of it."""
+        place = self.arrays.x[int(np.argmax(self.log_weight)), :3]
+        enter, leave = remembered.moved(place[:2], self.arrays.links[0])
+        if not len(enter) and not len(leave):
+            return
+        self.reserve(3 * len(enter), len(enter))
+        for k in range(len(self)):
+            remembered.take_out(one_of(self.arrays, k), block_of(self.blocks, k), leave)
+            remembered.put_in(one_of(self.arrays, k), block_of(self.blocks, k), enter, now)
+
     def moments(self) -> tuple[Floats, Floats]:
         """Return mean (C,) and covariance (C, C), in m and rad, of the core states, over all filters."""
         size = self.core.size
@@ -326,6 +347,7 @@ def new_bank(
     for of, std in ((core.bias, model.bias), (core.scale, model.scale)):
         variance[of[of >= 0]] = std[of >= 0] ** 2
     variance[core.offsets] = offset_std_m**2
+    variance[core.common] = 1.0
     variance[core.rate[core.rate >= 0]] = setup.sites.drift_std_m_s[core.rate >= 0] ** 2
     x[:, :POSE], x[:, core.offsets] = setup.start_pose, offsets_m
     p[:, np.arange(core.size), np.arange(core.size)] = variance
@@ -339,7 +361,7 @@ def new_bank(
         core, x, p, np.full((k, 1), core.size), np.full((k, states), NOBODY), np.full((k, weights), -1),
         np.zeros((k, weights), whole), np.full((k, vts, VT_STATES), -1), anchor, np.zeros((k, vts, SLOT), whole),
         np.zeros((k, 1), whole), np.ones((k, len(setup.links)), whole), np.zeros((k, LOST, ENTRY)),
-        np.zeros((k, 1), whole), np.zeros((k, 2, SIZES)),np.zeros((k, 1)),
+        np.zeros((k, 1), whole), np.zeros((k, 2, SIZES)), np.zeros((k, 1)), np.zeros((k, 2)),
     )  # fmt: skip
     blocks = Block(
         np.zeros((k, 1), whole), np.zeros((k, LONGEST, POSE)), np.zeros((k, LONGEST, 2)), np.zeros((k, 3)),

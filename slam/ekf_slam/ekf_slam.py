@@ -16,16 +16,20 @@ from cellslam.slam.api import Estimate, Setup, Snapshot, VtEstimate
 from cellslam.slam.ekf_slam.bank import LONGEST, MOST_STATES, Bank, core_of, new_bank, vt_estimate
 from cellslam.slam.ekf_slam.calibration_states import begin_with, found
 from cellslam.slam.ekf_slam.ekf_slam_options import EkfSlamOptions
+from cellslam.slam.ekf_slam.map_after import Heard, map_after
+from cellslam.slam.ekf_slam.map_states import Remembered
+from cellslam.slam.ekf_slam.map_trial import MapTrial
 from cellslam.slam.ekf_slam.sizes import Sizes, sizes_of
 from cellslam.slam.ekf_slam.snapshot.motion_kernel import Interval
 from cellslam.slam.ekf_slam.start import Start, begin
 from cellslam.slam.ekf_slam.state.array_errors import array_errors
-from cellslam.slam.ekf_slam.state.layout import ENTRY, FREE, Measured, Rules
+from cellslam.slam.ekf_slam.state.layout import ENTRY, FREE, Measured, Rules, one_of
 from cellslam.slam.front_end.looks import Grouping, Looks
 from cellslam.slam.front_end.measurement_noise import first_of_link, ports_of
 from cellslam.slam.front_end.readings import Readings, novelty, readings, white_readings
 from cellslam.slam.front_end.visibility import existence
 from cellslam.slam.model.calibration import Calibration
+from cellslam.slam.model.vt_map import VtMap
 
 NOT_GIVEN = -2
 # Accelerations of a vehicle whose odometry is silent, in m/s^2 and rad/s^2; it neither climbs nor tilts.
@@ -57,15 +61,25 @@ class JointFilter:
         warm_up.drive(type(self)(self.options.model_copy(update={"start_limit_s": 0.1})))
 
     def start(self, setup: Setup, rng: np.random.Generator) -> None:
-        """Take the prior; nothing is drawn."""
-        del rng
+        """Take the prior; nothing is drawn. With a map a filter without it runs beside, until it is sure that it
+        fits."""
         self._grouping = Grouping(setup, self.options)
         self._setup, self._time_s, self._now = _writable(self._grouping.setup), 0.0, 0
-        self._born = len(self._setup.links)
+        known, links = self._setup.map, self._setup.links
+        self._remembered = None if known is None else Remembered(known, links, self._setup.sites.name, len(links))
+        self._seen: dict[int, Floats] = {}
+        self._born = len(links) + (0 if known is None else len(known))
         self._ports = ports_of(self._setup.links.site, self._setup.links.port)
         self._errors = array_errors(self.options, setup, self.options.errors == "states")
         self._core = core_of(self._setup, self._errors)
         self._past: list[tuple[Interval, Measured]] = []
+        self._beside: tuple[JointFilter, MapTrial] | None = None
+        self._misfit: list[str] = []
+        if known is not None:
+            without = type(self)(self.options)
+            without.start(replace(setup, map=None), rng)
+            without._born = self._born  # so that new VTs have one identity in both
+            self._beside = without, MapTrial(range(len(links), self._born))
         self._archive = np.empty((0, ENTRY))
         self._tables: dict[int, tuple[Floats, int, int]] = {}
         sites = self._setup.sites
@@ -83,6 +97,31 @@ class JointFilter:
 
         dt_s in s; odometry (6,): mean body velocities in m/s and rad/s.
         """
+        answer = self._step(dt_s, odometry, snapshot)
+        if self._beside is None:
+            return answer
+        without, trial = self._beside
+        other = without.step(dt_s, odometry, snapshot)
+        trial.take(answer, other, without.resolved, self._surprise)
+        if trial.refused:
+            vars(self).update(vars(without))
+            self._misfit = [trial.refused]
+        elif trial.over:
+            self._beside = None
+        return answer if trial.believed else other
+
+    @property
+    def resolved(self) -> bool:
+        """Whether the clock offsets are known well enough for one filter of all sites."""
+        return self._joint is not None
+
+    @property
+    def _surprise(self) -> Floats:
+        """What the likeliest filters have of `surprise` (2,)."""
+        banks = self._start.banks if self._start is not None else [self._joint] if self._joint is not None else []
+        return np.asarray(np.sum([bank.arrays.surprise[int(np.argmax(bank.log_weight))] for bank in banks], axis=0))
+
+    def _step(self, dt_s: float, odometry: Floats, snapshot: Snapshot) -> Estimate:
         self._time_s += dt_s
         odometry, looks, model = np.array(odometry), self._grouping.looks(snapshot), self._setup.odometry_model
         measured = self._measured(dt_s, odometry, self._readings(dt_s, odometry, looks), looks)
@@ -108,8 +147,8 @@ class JointFilter:
         return sizes_of(self._joint, self._errors, self._setup.odometry_model.noise_density)
 
     def remarks(self) -> list[str]:
-        """Return what the drive says against the sizes of errors that the filter was told."""
-        return [] if self._joint is None else self.sizes().remarks()
+        """Return what the drive says against the sizes of errors that the filter was told, and against its map."""
+        return self._misfit + ([] if self._joint is None else self.sizes().remarks())
 
     def calibration(self) -> Calibration | None:
         """Return the array's calibration as the drive has shown it; None where it is no state.
@@ -120,12 +159,24 @@ class JointFilter:
             return self.options.known_calibration
         return found(self._joint, self._errors)
 
+    def vt_map(self) -> VtMap | None:
+        """Return the map that the drive leaves; while the clock offsets are wide the one that it began with."""
+        bank = self._joint
+        if bank is None:
+            return self._setup.map
+        best, heard = int(np.argmax(bank.log_weight)), Heard(self._setup.links, self._setup.sites.name, self._seen)
+        return map_after(
+            one_of(bank.arrays, best), self._archive, heard, bank.remembered, self.options.confirm_hits
+        )  # fmt: skip
+
     def _given(self, looks: Looks) -> Ints:
         """Return the true VT of each look, for the oracle that knows it."""
         return np.full(len(looks), NOT_GIVEN, np.int64)
 
     def _install(self, bank: Bank) -> None:
-        """Put into new filters what is known of the map: transmitters whose place was surveyed."""
+        """Put into new filters what is known of the map: transmitters whose place was surveyed; VTs of a remembered map
+        will come."""
+        bank.remembered = None if self._remembered is None else self._remembered.afresh()
         places = self._setup.sites.position_m
         if places is not None:
             link = np.flatnonzero(np.isfinite(places[self._setup.links.site]).all(axis=1))
@@ -144,8 +195,12 @@ class JointFilter:
 
     def _map(self, filters: Sequence[tuple[Bank, int]]) -> VtEstimate | None:
         """Return the confirmed VTs of some filters of banks, with those that had to make room."""
-        rows = [bank.vts(index, self.options.confirm_hits) for bank, index in filters]
-        return vt_estimate(np.concatenate([*rows, self._archive]))
+        rows = np.concatenate([*(bank.vts(i, self.options.confirm_hits) for bank, i in filters), self._archive])
+        known = self._setup.map
+        if known is not None:
+            unseen = np.setdiff1d(len(self._setup.links) + np.arange(len(known)), list(self._seen))
+            rows = rows[~np.isin(rows[:, 0], unseen)]
+        return vt_estimate(rows)
 
     def _rules(self, common: Rules, dt_s: float) -> Rules:
         """Return the common options of the kernels with what they need beside."""
@@ -193,12 +248,20 @@ class JointFilter:
         lost = bank.lost(int(np.argmax(bank.log_weight)))
         if len(lost):
             self._archive = np.concatenate([self._archive, lost])
+        self._see(association[int(np.argmax(bank.log_weight))], bank.arrays.x[int(np.argmax(bank.log_weight)), :2])
         if len(bank) > 1:
             kept = np.sort(bank.apart(slice(0, self._core.size), self.options.prune_ratio))
             if len(kept) < len(bank):
                 bank.keep(kept)
                 association = association[kept]
         return association
+
+    def _see(self, association: Ints, place: Floats) -> None:
+        """Note from where the VTs of some looks are seen."""
+        for ident in association[association >= 0].tolist():
+            box = self._seen.setdefault(ident, np.array([place, place]))
+            np.minimum(box[0], place, out=box[0])
+            np.maximum(box[1], place, out=box[1])
 
     def _readings(self, dt_s: float, odometry: Floats, looks: Looks) -> Readings:
         """Return the looks with their variances."""

@@ -8,6 +8,7 @@ from typing import Any, ClassVar
 import numpy as np
 
 from cellslam.sim.compiling import is_compiled
+from cellslam.sim.errors import InputError
 from cellslam.sim.recording import Floats
 from cellslam.slam.api import Estimate, Setup, Snapshot
 from cellslam.slam.ekf_slam.ekf_slam import JointFilter
@@ -17,6 +18,7 @@ from cellslam.slam.fastslam.association_particles import AssociationParticles
 from cellslam.slam.fastslam.fastslam_options import FastSlamOptions
 from cellslam.slam.fastslam.path_particles import PathParticles
 from cellslam.slam.model.calibration import Calibration
+from cellslam.slam.model.vt_map import VtMap
 
 
 class FastSlam:
@@ -58,7 +60,9 @@ class FastSlam:
         self._filter.warm_up()
 
     def start(self, setup: Setup, rng: np.random.Generator) -> None:
-        """Take the prior."""
+        """Take the prior. Raises InputError for a map with errors counted."""
+        if setup.map is not None and isinstance(self._filter, PathParticles):
+            raise InputError("a map, but with errors=counted fastslam begins with none: set errors=states")
         self._filter.start(setup, rng)
 
     def step(self, dt_s: float, odometry: Floats, snapshot: Snapshot) -> Estimate:
@@ -80,6 +84,10 @@ class FastSlam:
     def remarks(self) -> list[str]:
         """Return what the drive says against the sizes of errors that the filter was told; none with errors counted."""
         return [] if isinstance(self._filter, PathParticles) else self._filter.remarks()
+
+    def vt_map(self) -> VtMap | None:
+        """Return the map that the drive leaves; None with errors counted."""
+        return None if isinstance(self._filter, PathParticles) else self._filter.vt_map()
 
     def calibration(self) -> Calibration | None:
         """Return the array's calibration as the drive has shown it; None with errors counted."""

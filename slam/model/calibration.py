@@ -8,8 +8,6 @@ Source: Higdon, "Space and space-time modeling using process convolutions", 2002
 
 from __future__ import annotations
 
-import json
-import os
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -22,10 +20,17 @@ from cellslam.sim.described import Described
 from cellslam.sim.errors import InputError
 from cellslam.sim.recording import Floats, Ints
 from cellslam.slam.model.field_kernel import MOST_BELLS, Grid, bells, grid
+from cellslam.slam.model.hdf5_file import Kind, read, write
 
-FORMAT = "cellslam calibration"
 COMPONENTS = ("distance", "azimuth", "elevation")
-_UNITS = {"component": "1", "cell": "1", "mean": "m or rad", "covariance": "m^2, m rad or rad^2"}
+_FILE = Kind(
+    "calibration",
+    {
+        "grid": "rad, 1, 1", "size": "m, rad, rad", "component": "1", "cell": "1", "mean": "m or rad",
+        "covariance": "m^2, m rad or rad^2",
+    },
+    "cellslam run --save-calibration FILE",
+)  # fmt: skip
 
 
 @dataclass(frozen=True, repr=False)
@@ -107,52 +112,21 @@ class Calibration(Described):
             raise InputError("covariance is none: it has a negative eigenvalue")
 
     def save(self, path: str | Path) -> None:
-        """Write the HDF5 file, at once: a dataset for each array, attributes for the rest. Raises InputError."""
-        import h5py
-
-        path = Path(path)
-        temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
-        try:
-            with h5py.File(temporary, "w") as file:
-                file.attrs["format"] = FORMAT
-                file.attrs["schema_version"] = 1
-                file.attrs["provenance"] = json.dumps(dict(self.provenance))
-                file.create_dataset("grid", data=[self.scale_rad, self.spacing, self.reach])
-                file.create_dataset("size", data=self.size)
-                for name, unit in _UNITS.items():
-                    file.create_dataset(name, data=getattr(self, name)).attrs["unit"] = unit
-            temporary.replace(path)
-        except OSError as error:
-            raise InputError(f"{path}: cannot be written ({error.strerror or error})") from error
-        finally:
-            temporary.unlink(missing_ok=True)
+        """Write the HDF5 file. Raises InputError."""
+        arrays = {name: getattr(self, name) for name in ("size", "component", "cell", "mean", "covariance")}
+        write(path, _FILE, arrays | {"grid": [self.scale_rad, self.spacing, self.reach]}, self.provenance)
 
     @staticmethod
     def load(path: str | Path) -> Calibration:
         """Read a file. Raises InputError where it is none, or not whole."""
-        import h5py
-
-        if not Path(path).is_file():
-            raise InputError(f"{path}: no such file; 'cellslam run --save-calibration FILE' writes one")
+        of, about = read(path, _FILE)
         try:
-            with h5py.File(path, "r") as file:
-                if file.attrs.get("format") != FORMAT:
-                    raise InputError(f"{path}: not a calibration, which 'cellslam run --save-calibration FILE' writes")
-                size, of_grid = (np.asarray(file[name][()], np.float64) for name in ("size", "grid"))
-                component, cell = [np.asarray(file[name][()], np.int64) for name in ("component", "cell")]
-                mean, covariance = [np.asarray(file[name][()], np.float64) for name in ("mean", "covariance")]
-                scale, spacing, reach = (float(value) for value in of_grid)
-                about = json.loads(str(file.attrs["provenance"]))
-        except InputError:
-            raise
-        except (OSError, KeyError, ValueError, TypeError, RuntimeError) as error:
-            raise InputError(
-                f"{path}: not a calibration, or a truncated one ({error}); 'cellslam run --save-calibration FILE' "
-                "writes one"
-            ) from error
-        found = Calibration(size, scale, spacing, reach, component, cell, mean, covariance, about)
-        try:
+            scale, spacing, reach = of["grid"].tolist()
+            component, cell = (of[name].astype(np.int64) for name in ("component", "cell"))
+            found = Calibration(
+                of["size"], scale, spacing, reach, component, cell, of["mean"], of["covariance"], about
+            )  # fmt: skip
             found.check()
-        except InputError as error:
+        except (ValueError, TypeError) as error:
             raise InputError(f"{path}: not a calibration: {error}") from error
         return found

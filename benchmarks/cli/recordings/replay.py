@@ -15,7 +15,8 @@ from cellslam.benchmarks.cli.arguments import (
     add_set,
     limits,
 )
-from cellslam.benchmarks.cli.calibration_files import add_calibration, calibrated
+from cellslam.benchmarks.cli.between_drives.calibration_files import add_calibration, calibrated
+from cellslam.benchmarks.cli.between_drives.map_files import add_map, add_save_map, check_map
 from cellslam.benchmarks.cli.progress_bars import bars
 from cellslam.benchmarks.cli.recordings.estimator_options import doubts, told_by
 from cellslam.benchmarks.cli.results_folder import Folder
@@ -23,9 +24,11 @@ from cellslam.benchmarks.cli.run import Job, note_left_out, report, work_off
 from cellslam.benchmarks.recordings.fitting.fitted_lines import said, toml
 from cellslam.benchmarks.recordings.fitting.told import Told
 from cellslam.benchmarks.trials import trials
+from cellslam.benchmarks.trials.earlier_drives import Before
 from cellslam.benchmarks.trials.guests import Guests
 from cellslam.benchmarks.trials.output_files import check_folder
 from cellslam.scenarios.estimator_options import with_options
+from cellslam.scenarios.map_config import MapConfig
 from cellslam.scenarios.recording_origin import Origin
 from cellslam.sim.errors import InputError
 from cellslam.sim.recording import Recording
@@ -38,6 +41,8 @@ def add_arguments(parser: ArgumentParser) -> None:
     add_options_file(parser)
     add_estimation(parser)
     add_calibration(parser)
+    add_map(parser)
+    add_save_map(parser)
     parser.add_argument(
         "--align",
         action="store_true",
@@ -67,11 +72,13 @@ def command(arguments: Namespace) -> int:
     scenario = with_options(origin.scenario, requests) if origin.scenario is not None else None
     job = Job(arguments, scenario, origin.name, requests, 1, folder)
     job.note(note)
+    before = Before(MapConfig(file=arguments.map))
+    job.note(check_map(arguments, arguments.map is not None, requests, 1))
     with Guests(limits(arguments, 1)) as guests, bars(arguments.quiet) as progress:
         guests.begin(requests)
 
         def only() -> Iterator[trials.Trial]:
-            more = (origin.trial, seed, guests, progress, arguments.align, given.odometry_model)
+            more = (origin.trial, seed, guests, progress, arguments.align, given.odometry_model, True, before)
             yield trials.score_recording(recording, origin.name, requests, *more)
 
         interrupted = work_off(job, only(), progress)

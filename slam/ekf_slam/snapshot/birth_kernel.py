@@ -36,6 +36,7 @@ from cellslam.slam.ekf_slam.state.layout import (
     POSITION,
     SHARE,
     SPREAD,
+    UNSEEN,
     VT,
     ArrayErrors,
     Block,
@@ -133,6 +134,7 @@ def add(
         return False
     f.anchor[new, EXISTS] = f.anchor[new, SHARE] = 1.0
     f.slots[new, LINK], f.slots[new, HITS], f.slots[new, LAST], f.slots[new, IDENT] = link, 1, seen.now, ident
+    f.slots[new, UNSEEN] = 0
     clear(b, new)
     f.count[0] = new + 1
     return True

@@ -25,7 +25,17 @@ from cellslam.slam.ekf_slam.snapshot.rival_kernel import Rival, find_rival
 from cellslam.slam.ekf_slam.snapshot.sight_kernel import Sight, coordinates, geometry, rotations_of
 from cellslam.slam.ekf_slam.snapshot.sizes_kernel import SWAY, count_motion, count_states
 from cellslam.slam.ekf_slam.snapshot.steps_kernel import expect_steps, shift_clocks, take_steps
-from cellslam.slam.ekf_slam.snapshot.update_kernel import LOG_2PI, Look, Pending, Steps, correct, settle
+from cellslam.slam.ekf_slam.snapshot.update_kernel import (
+    LOG_2PI,
+    Look,
+    Pending,
+    Steps,
+    compare,
+    correct,
+    innovate,
+    log_likelihood,
+    settle,
+)
 from cellslam.slam.ekf_slam.state.layout import (
     BELIEF,
     EXISTS,
@@ -38,6 +48,7 @@ from cellslam.slam.ekf_slam.state.layout import (
     POSE,
     SHARE,
     TOUCHED,
+    UNSEEN,
     VT,
     ArrayErrors,
     Block,
@@ -109,7 +120,10 @@ def pair(f: Filter, a: ArrayErrors, seen: Measured, s: Sight, w: Pairs, rival: R
 
 @lean(cache=True)
 def count_odds(f: Filter, b: Block, seen: Measured, w: Pairs) -> None:
-    """Add to each VT's log-odds that it was detected or missed in this snapshot."""
+    """Add to each VT's log-odds that it was detected or missed in this snapshot.
+
+    The first look at a VT of a remembered map counts as whole: that something is where the map has it, is news.
+    """
     horizon = seen.tables.shape[2] - 1
     for j in range(f.count[0]):
         if f.links[f.slots[j, LINK]] == 1:
@@ -119,7 +133,20 @@ def count_odds(f: Filter, b: Block, seen: Measured, w: Pairs) -> None:
         j = w.slot_of[k]
         if j >= 0:
             kind, age = 0 if f.slots[j, HITS] < 2 else 1, min(seen.now - f.slots[j, LAST], horizon)
-            b.odds[j] += seen.tables[kind, 0, age] - seen.tables[kind, 1, age] - seen.rules.log_clutter - seen.gap[k]
+            odds = seen.tables[kind, 0, age] - seen.tables[kind, 1, age] - seen.rules.log_clutter - seen.gap[k]
+            if f.slots[j, UNSEEN] == 1 and b.looks[j] == 0:
+                any_vt = known_density(seen.z[k], seen.many[k])
+                odds = (odds - any_vt) / seen.rules.evidence + any_vt
+            b.odds[j] += odds
+
+
+@lean(cache=True)
+def known_density(z: Floats, q: Floats) -> float:
+    """Return minus the mean log-density of a look (3,), NaN where not measured, at a VT that is known exactly."""
+    total = 0.0
+    for c in range(3):
+        total += 0.0 if math.isnan(z[c]) else 0.5 * (1.0 + LOG_2PI + math.log(q[c]))
+    return total
 
 
 @njit(cache=True)
@@ -194,6 +221,18 @@ def shares(b: Block, a: ArrayErrors, j: int) -> tuple[float, float]:
     return math.sqrt(by_way / (n * n) * b.diffuse[j] / n), math.sqrt(by_time / (n * n))
 
 
+@lean(cache=True)
+def count_surprise(
+    f: Filter, a: ArrayErrors, j: int, offset: int, look: Look, gate: float, s: Sight, p: Pending
+) -> None:
+    """Take in how far the first look at VT j of a remembered map is from where the map has it."""
+    e, hph = compare(f, a, j, offset, look, s, p)
+    new = innovate(e, look.q, hph)
+    f.surprise[0] += min(log_likelihood(new)[0], gate)
+    f.surprise[1] += new.measured
+    f.slots[j, UNSEEN] = 0
+
+
 @njit(cache=True)
 def conclude(f: Filter, a: ArrayErrors, b: Block, noise: Floats, seen: Measured, s: Sight, p: Pending) -> float:
     """Update the state by what the block has of each VT; return the log-likelihood of that.
@@ -227,6 +266,8 @@ def conclude(f: Filter, a: ArrayErrors, b: Block, noise: Floats, seen: Measured,
         )  # fmt: skip
         now = rotations(middle[3] + f.x[3] - before[3], middle[4] + f.x[4] - before[4], middle[5] + f.x[5] - before[5])
         look = Look(z, q, here, now, diffuse, turn, seen.now)
+        if f.slots[j, UNSEEN] == 1:
+            count_surprise(f, a, j, offset, look, rules.gate, s, p)
         if f.anchor[j, SHARE] < 1.0:
             total += correct_guesses(f, a, j, offset, look, s, p)
         else:

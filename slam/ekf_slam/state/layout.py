@@ -14,8 +14,8 @@ POSE = 6
 NOBODY, OF_VT = -1, -2
 # States of a VT: range, azimuth, elevation about its anchor, and its diffuse errors in distance, azimuth, elevation.
 VT, DIFFUSE, VT_STATES = 0, 3, 6
-# Integers of a VT: link, detections, snapshot of the last one, identity.
-LINK, HITS, LAST, IDENT, SLOT = range(5)
+# Integers of a VT: link, detections, snapshot of the last one, identity, and 1 while only a remembered map has it.
+LINK, HITS, LAST, IDENT, UNSEEN, SLOT = range(6)
 # Behind the three coordinates of an anchor: the probability that the VT exists and is visible (belief propagation);
 # and what share a guess has in its VT (1: the only one, 0: given up).
 EXISTS, SHARE, ANCHOR = range(3, 6)
@@ -30,11 +30,12 @@ TOUCHED = POSE + 3 + 1 + VT_STATES + 5 * MOST_BELLS
 class Core(NamedTuple):
     """States that are always there: pose (0-5), turns of the array within a snapshot (yaw, pitch, roll), odometry
     biases and scales that the data sheet has, what its white noise has summed up to lately, clock
-    offsets (S), rates of those that drift.
+    offsets (S), rates of those that drift, errors that the VTs of a remembered map have in common.
 
     `bias`, `scale`, `noise` (6,), `rate` (S,): place of each component's error and of each offset's rate, `sway` (3,),
     -1 where there is none. `wander` (2, S): densities of the walks of offsets and rates, m/sqrt(s), (m/s)/sqrt(s);
-    `step_m` (S,): deviation of the size of steps of offsets, m, 0 where a clock does not step.
+    `step_m` (S,): deviation of the size of steps of offsets, m, 0 where a clock does not step. From
+    `first_common` to `size`: the map's errors.
     """
 
     sway: Ints
@@ -45,12 +46,18 @@ class Core(NamedTuple):
     rate: Ints
     wander: Floats
     step_m: Floats
+    first_common: int
     size: int
 
     @property
     def offsets(self) -> slice:
         """The clock offsets."""
         return slice(self.first_offset, self.first_offset + len(self.rate))
+
+    @property
+    def common(self) -> slice:
+        """The errors that the VTs of a remembered map have in common."""
+        return slice(self.first_common, self.size)
 
 
 class ArrayErrors(NamedTuple):
@@ -78,10 +85,11 @@ class Filter(NamedTuple):
 
     mean `x` (N,), covariance `p` (N, N), of which `size` (1,) are in use; `owner` (N,); `weight_state` (W,): place of
     each weight of the fields, `weight_met` (W,): snapshot; `vt_state` (V, 6): places of a VT's states, -1 where there
-    is none; `anchor` (V, 5); `slots` (V, 4); `count` (1,): VTs; `links` (L,): 1 where it uses a link; confirmed VTs
+    is none; `anchor` (V, 5); `slots` (V, 5); `count` (1,): VTs; `links` (L,): 1 where it uses a link; confirmed VTs
     that were given up are in `lost` (E, 14), `losses` (1,) of them; `sizes`
-    (2, Z): what was learnt of the sizes (see `sizes_kernel`), `summed` (1,): time (s) of the sums of noise. A VT that
-    is known exactly has states without variance.
+    (2, Z): what was learnt of the sizes (see `sizes_kernel`), `summed` (1,): time (s) of the sums of noise; `surprise`
+    (2,): sum of the squared innovations, in their deviations, of first looks at VTs of a remembered map, and how many
+    components they had. A VT that is known exactly has states without variance.
     """
 
     core: Core
@@ -100,6 +108,7 @@ class Filter(NamedTuple):
     losses: Ints
     sizes: Floats
     summed: Floats
+    surprise: Floats
 
 
 class Rules(NamedTuple):
@@ -192,7 +201,7 @@ def one_of(bank: Filter, k: int) -> Filter:
     return Filter(
         bank.core, bank.x[k], bank.p[k], bank.size[k], bank.owner[k], bank.weight_state[k], bank.weight_met[k],
         bank.vt_state[k], bank.anchor[k], bank.slots[k], bank.count[k], bank.links[k], bank.lost[k], bank.losses[k],
-        bank.sizes[k], bank.summed[k],
+        bank.sizes[k], bank.summed[k], bank.surprise[k],
     )  # fmt: skip
 
 

@@ -1,0 +1,105 @@
+"""What was before a drive: the map that estimators begin with, from a file or from earlier drives of its sequence.
+
+The drive of a trial is the last of its sequence, so that one world is met after any number of drives; the earlier ones
+have the trial's city, route and sites, and all else of trials that nothing else asks for.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import TYPE_CHECKING, Any
+
+from cellslam.benchmarks.trials.estimation import estimate, warm_up
+from cellslam.scenarios.estimator_options import Request
+from cellslam.scenarios.map_config import MapConfig
+from cellslam.scenarios.scenario import Scenario
+from cellslam.scenarios.simulation import simulate
+from cellslam.sim.errors import InputError
+from cellslam.sim.progress import Progress, silent
+from cellslam.sim.randomness import Stream, stream
+from cellslam.sim.recording import Recording
+from cellslam.slam.model.vt_map import VtMap
+
+if TYPE_CHECKING:
+    from cellslam.benchmarks.bound.cramer_rao import BoundResult
+
+APART = 1_000_000  # from the trial of a drive to that of the next one of its sequence
+
+
+def uses_maps(request: Request) -> bool:
+    """Return whether an estimator begins with a map and leaves one."""
+    return not request.foreign and callable(getattr(request.estimator, "vt_map", None))
+
+
+@dataclass(frozen=True)
+class Before:
+    """What was before the drive of a trial; without a scenario its recording is all that is known of it."""
+
+    config: MapConfig
+    scenario: Scenario | None = None
+    seed: int = 0
+    trial: int = 0
+
+    def known(self, request: Request) -> VtMap | None:
+        """Return the map that an estimator begins the drive with; None: it has none, or cannot use it.
+
+        Passes on whatever an earlier drive raises.
+        """
+        if self.scenario is None or self.config.drives == 1 or not uses_maps(request):
+            return self.config.known if uses_maps(request) or request.foreign else None
+        options = None if request.options is None else request.options.model_dump_json()
+        key = (self._place(), self.seed, self.trial)
+        return _left(*key, _Hashed(request, f"{request.name} {options}"), self.config.drives - 1)
+
+    def bound(self, recording: Recording, progress: Progress = silent) -> BoundResult:
+        """Return the bound of the drive: with earlier drives, that of a map which they left.
+
+        Raises InputError where a map is known of which nothing else is.
+        """
+        from cellslam.benchmarks.bound.merged_paths import both_bounds
+        from cellslam.benchmarks.bound.shared_maps import shared_map_bounds
+
+        if self.config.file is not None:
+            raise InputError("the drives that the map is from are not known")
+        if self.scenario is None or self.config.drives == 1:
+            return both_bounds(recording, progress)
+        drives = [_earlier(self._place(), self.seed, self.trial, n) for n in range(1, self.config.drives)]
+        return list(shared_map_bounds([*drives, recording]))[-1]
+
+    def _place(self) -> _Hashed:
+        assert self.scenario is not None
+        one = self.scenario.model_copy(update={"map": self.config.model_copy(update={"drives": 1})})
+        return _Hashed(one, one.model_dump_json())
+
+
+@dataclass(frozen=True)
+class _Hashed:
+    """A value that is the same as another one if its text is."""
+
+    value: Any
+    text: str
+
+    def __hash__(self) -> int:
+        return hash(self.text)
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, _Hashed) and self.text == other.text
+
+
+@lru_cache(maxsize=8)
+def _earlier(place: _Hashed, seed: int, trial: int, drive: int) -> Recording:
+    """Return the recording of an earlier drive, the first one being 1."""
+    return simulate(place.value, seed, trial + APART * drive, place=trial)
+
+
+@lru_cache(maxsize=64)
+def _left(place: _Hashed, seed: int, trial: int, request: _Hashed, drives: int) -> VtMap | None:
+    """Return the map that so many drives have left to one estimator."""
+    if drives == 0:
+        known: VtMap | None = place.value.map.known
+        return known
+    before = _left(place, seed, trial, request, drives - 1)
+    warm_up(request.value)
+    rng = stream(seed, trial + APART * drives, Stream.ESTIMATOR)
+    return estimate(_earlier(place, seed, trial, drives), request.value, rng, known=before).vt_map

@@ -1,0 +1,73 @@
+"""What one drive leaves to the next, as an HDF5 file: arrays with their units, and where they are from, as JSON."""
+
+from __future__ import annotations
+
+import json
+import os
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from cellslam.sim.errors import InputError
+
+
+class Kind(NamedTuple):
+    """A kind of file: its `name`, which the file holds as its format; the unit of each array; what writes it."""
+
+    name: str
+    units: Mapping[str, str]
+    writer: str
+
+
+def write(path: str | Path, kind: Kind, arrays: Mapping[str, Any], provenance: Mapping[str, Any]) -> None:
+    """Write the arrays of a kind, all or nothing. Raises InputError where the file cannot be written."""
+    import h5py
+
+    path = Path(path)
+    temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
+    try:
+        with h5py.File(temporary, "w") as file:
+            file.attrs["format"] = f"cellslam {kind.name}"
+            file.attrs["schema_version"] = 1
+            file.attrs["provenance"] = json.dumps(dict(provenance))
+            for name, unit in kind.units.items():
+                values = np.asarray(arrays[name])
+                stored = values.astype(h5py.string_dtype()) if values.dtype.kind == "U" else values
+                file.create_dataset(name, data=stored).attrs["unit"] = unit
+        temporary.replace(path)
+    except OSError as error:
+        raise InputError(f"{path}: cannot be written ({error.strerror or error})") from error
+    finally:
+        temporary.unlink(missing_ok=True)
+
+
+def read(path: str | Path, kind: Kind) -> tuple[dict[str, Any], dict[str, Any]]:
+    """Return the arrays of a file, of text or of 64-bit numbers, and its provenance.
+
+    Raises InputError where it is none of this kind, or not whole.
+    """
+    import h5py
+
+    writes = f"'{kind.writer}' writes one"
+    if not Path(path).is_file():
+        raise InputError(f"{path}: no such file; {writes}")
+    try:
+        with h5py.File(path, "r") as file:
+            if file.attrs.get("format") != f"cellslam {kind.name}":
+                raise InputError(f"{path}: not a {kind.name}; {writes}")
+            arrays = {name: _values(file[name]) for name in kind.units}
+            return arrays, dict(json.loads(str(file.attrs["provenance"])))
+    except InputError:
+        raise
+    except (OSError, KeyError, ValueError, TypeError, RuntimeError) as error:
+        raise InputError(f"{path}: not a {kind.name}, or a truncated one ({error}); {writes}") from error
+
+
+def _values(dataset: Any) -> Any:
+    import h5py
+
+    if h5py.check_string_dtype(dataset.dtype) is not None:
+        return np.asarray(dataset.asstr()[()], np.str_)
+    return np.asarray(dataset[()], np.float64)
