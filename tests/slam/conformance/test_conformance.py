@@ -40,7 +40,7 @@ PLANTED = [
     ("ClaimsToKnow", checks.covariances_are_positive, "add the odometry's noise"),
     ("Leaks", checks.memory_does_not_grow, "leave"),
     ("Hoards", checks.memory_does_not_grow, "bound the map"),
-    ("GoesAstray", checks.does_no_harm, "check the conventions"),
+    ("GoesAstray", checks.does_no_harm, "docs/reference/conventions.md"),
 ]
 
 

@@ -35,7 +35,7 @@ def test_a_copy_has_the_same_digest(copy: Path) -> None:
 @pytest.mark.parametrize(
     ("file", "old", "new"),
     [
-        (KERNEL, "best, at, bin_at, level_at = 0.0,", "best, at, bin_at, level_at = 1.0,"),
+        (KERNEL, "best, at, bin_at, level_at = np.float32(0.0),", "best, at, bin_at, level_at = np.float32(1.0),"),
         (KERNEL, "LOCAL_EXCESS, AROUND_EXCESS = 1.7, 1.15", "LOCAL_EXCESS, AROUND_EXCESS = 1.7, 1.16"),
         ("lte/array.py", "columns: int = 16", "columns: int = 12"),
         ("rays/antenna.py", "(azimuth / azimuth_width_rad) ** 2", "(azimuth / azimuth_width_rad) ** 4"),
@@ -58,8 +58,8 @@ def test_what_acts_changes_it(copy: Path, file: str, old: str, new: str) -> None
             "def running_median(values, width, out):",
         ),
         (
-            "    best, at, bin_at, level_at = 0.0, -1, -1, 0.0\n",
-            "    best, at, bin_at, level_at = (0.0, -1, -1,\n  0.0)\n",
+            "    best, at, bin_at, level_at = np.float32(0.0), -1, -1, 0.0\n",
+            "    best, at, bin_at, level_at = (np.float32(0.0), -1, -1,\n  0.0)\n",
         ),
         ('"""Compiled search', 'if TYPE_CHECKING:\n    import os\n"""Compiled search'),
     ],
