@@ -19,7 +19,7 @@ class MapConfig(BaseModel):
     drives: int = Field(
         1,
         ge=1,
-        le=1000,
+        le=100,
         description="number of this drive in a sequence through one place: it begins with the map that those before "
         "it left, each with the map of those before itself; clocks, odometry and receiver are new in each",
     )

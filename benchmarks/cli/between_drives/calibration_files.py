@@ -5,10 +5,9 @@ from __future__ import annotations
 from argparse import ArgumentParser, Namespace
 from collections.abc import Sequence
 from dataclasses import replace
-from pathlib import Path
 from typing import TYPE_CHECKING
 
-from cellslam.benchmarks.trials.output_files import check_file
+from cellslam.benchmarks.cli.between_drives.saving import check_saving, provenance
 from cellslam.scenarios.estimator_options import Request
 from cellslam.scenarios.problems import validate
 from cellslam.sim.errors import InputError
@@ -41,7 +40,8 @@ def calibrated(arguments: Namespace, requests: Sequence[Request], trials: int) -
     Raises InputError where none can, where the file does not suit one that can, and where it would not be clear whose
     calibration, or of which trial, is to be saved.
     """
-    _check_saving(arguments.save_calibration, requests, trials)
+    leaving = [r.name for r in requests if r.foreign or callable(getattr(r.estimator, "calibration", None))]
+    check_saving("--save-calibration", arguments.save_calibration, leaving, trials)
     if arguments.calibration is None:
         return tuple(requests), ""
     able = {r.name for r in requests if r.options is not None and OPTION in type(r.options).model_fields}
@@ -62,14 +62,9 @@ def save(arguments: Namespace, requests: Sequence[Request], trial: Trial) -> str
             f"--save-calibration {arguments.save_calibration}: not written, for none was found: the estimator failed, "
             "has no such states, or the drive ended while clock offsets were wide"
         )
-    (result,), options = given, {r.name: r.options for r in requests}
+    (result,) = given
     assert result.calibration is not None
-    table = options[result.estimator]
-    about = {
-        "estimator": result.estimator,
-        "options": {} if table is None else table.model_dump(mode="json"),
-        "recording": dict(trial.recording.provenance),
-    }
+    about = provenance(result, requests, trial.recording)
     replace(result.calibration, provenance=about).save(arguments.save_calibration)
     return ""
 
@@ -78,16 +73,3 @@ def _with(request: Request, file: str) -> Request:
     assert request.options is not None
     table = {**request.options.model_dump(mode="json"), OPTION: file}
     return replace(request, options=validate(type(request.options), table, f"estimator.{request.name}."))
-
-
-def _check_saving(file: str | None, requests: Sequence[Request], trials: int) -> None:
-    if file is None:
-        return
-    if trials > 1:
-        raise InputError(f"--save-calibration {file}: of one drive; leave out --trials {trials}")
-    able = [r.name for r in requests if r.foreign or callable(getattr(r.estimator, "calibration", None))]
-    if not able:
-        raise InputError(f"--save-calibration {file}: no estimator finds one; use ekf-slam or fastslam")
-    if len(able) > 1:
-        raise InputError(f"--save-calibration {file}: of {' or '.join(able)}? name one of them with --estimator")
-    check_file(Path(file), "--save-calibration")

@@ -5,11 +5,10 @@ from __future__ import annotations
 from argparse import ArgumentParser, Namespace
 from collections.abc import Sequence
 from dataclasses import replace
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from cellslam.benchmarks.cli.between_drives.saving import check_saving, provenance
 from cellslam.benchmarks.trials.earlier_drives import uses_maps
-from cellslam.benchmarks.trials.output_files import check_file
 from cellslam.scenarios.estimator_options import Request
 from cellslam.sim.errors import InputError
 
@@ -43,8 +42,7 @@ def check_map(arguments: Namespace, known: bool, requests: Sequence[Request], tr
     Raises InputError where none can, and where it would not be clear whose map, or of which trial, is to be saved.
     """
     able = [request.name for request in requests if uses_maps(request)]
-    if arguments.save_map is not None:
-        _check_saving(arguments.save_map, able, trials)
+    check_saving("--save-map", arguments.save_map, able, trials)
     if not known:
         return ""
     rest = ", ".join(r.name for r in requests if not uses_maps(r) and not r.foreign)
@@ -63,24 +61,8 @@ def save_map(arguments: Namespace, requests: Sequence[Request], trial: Trial) ->
             f"--save-map {arguments.save_map}: not written, for there is none: the estimator failed, or the drive "
             "ended while clock offsets were wide"
         )
-    (result,), options = given, {r.name: r.options for r in requests}
+    (result,) = given
     assert result.vt_map is not None
-    table = options[result.estimator]
-    about = {
-        "estimator": result.estimator,
-        "options": {} if table is None else table.model_dump(mode="json"),
-        "recording": dict(trial.recording.provenance),
-        "began_with": arguments.map,
-    }
+    about = {**provenance(result, requests, trial.recording), "began_with": arguments.map}
     replace(result.vt_map, provenance=about).save(arguments.save_map)
     return ""
-
-
-def _check_saving(file: str, able: Sequence[str], trials: int) -> None:
-    if trials > 1:
-        raise InputError(f"--save-map {file}: of one drive; leave out --trials {trials}")
-    if not able:
-        raise InputError(f"--save-map {file}: no estimator leaves one; use ekf-slam or fastslam")
-    if len(able) > 1:
-        raise InputError(f"--save-map {file}: of {' or '.join(able)}? name one of them with --estimator")
-    check_file(Path(file), "--save-map")

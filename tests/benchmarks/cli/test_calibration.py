@@ -70,7 +70,7 @@ def test_requests_that_cannot_be_met_say_why(drive: Path, tmp_path: Path, capsys
     save = ("--save-calibration", str(car))
     assert "of ekf-slam or fastslam?" in said("run", "tiny", *EKF, "--estimator", "fastslam", *save)
     assert "leave out --trials 2" in said("run", "tiny", *EKF, "--trials", "2", *save)
-    assert "no estimator finds one" in said("run", "tiny", "--estimator", "dead-reckoning", *save)
+    assert "no estimator leaves one" in said("run", "tiny", "--estimator", "dead-reckoning", *save)
     assert "there is no folder" in said("run", "tiny", *EKF, "--save-calibration", str(tmp_path / "no" / "car.h5"))
     assert "say --estimator" in said("export", str(drive), "--format", "calibration")
 
