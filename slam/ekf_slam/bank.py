@@ -167,7 +167,7 @@ class Bank:
             pairs.slot_of[double, first] = slot
             if second >= 0:
                 pairs.slot_of[double, second] = other
-            pairs.ends[[parent, double]] = 1
+        pairs.ends[:] = 1  # of all, so that weights can be compared
         self.log_weight = self.log_weight[parents]
         return pairs
 

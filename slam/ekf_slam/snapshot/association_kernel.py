@@ -138,9 +138,9 @@ def score_pairs(f: Filter, a: ArrayErrors, seen: Measured, link: int, s: Sight, 
             detected = f.anchor[j, EXISTS] * seen.rules.detection
             odds = math.log(max(detected, 1e-300) / (1.0 - detected))
         prior = odds - seen.rules.log_clutter + math.log(share)
+        gate = seen.rules.return_gate if seen.now - f.slots[j, LAST] > seen.rules.away else seen.rules.gate
         for k in range(start, stop):
             i = innovate(difference(seen.z[k], expected.z), seen.single[k], expected.hph)
-            gate = seen.rules.gate
             if i.measured == 0 or i.e.x * i.e.x > gate * i.s.xx or i.e.y * i.e.y > gate * i.s.yy:
                 continue
             distance2, log_det = log_likelihood(i)

@@ -86,12 +86,16 @@ class Room(NamedTuple):
 
 @lean(cache=True)
 def advance(f: Filter, b: Block, interval: Interval, w: Step) -> None:
-    """Move a filter by an interval of dt > 0."""
-    yaw = f.x[3]
-    way = move(f, interval, w)
-    b.total[0] += math.sqrt(way.x * way.x + way.y * way.y + way.z * way.z)
-    b.total[1] += f.x[3] - yaw
-    b.total[2] += interval.dt
+    """Move a filter by an interval of dt > 0.
+
+    Way and turn are the measured ones: the blocks of all filters of a bank end together, or their weights could not be
+    compared.
+    """
+    move(f, interval, w)
+    u, dt = interval.measured, interval.dt
+    b.total[0] += math.sqrt(u[0] * u[0] + u[1] * u[1] + u[2] * u[2]) * dt
+    b.total[1] += u[3] * dt
+    b.total[2] += dt
 
 
 @lean(cache=True)

@@ -136,6 +136,8 @@ class Rules(NamedTuple):
     turn: float
     evidence: float
     hold: int
+    return_gate: float
+    away: int
     doubt: float = 0.0
     stay: float = 1.0
     back: float = 0.0
