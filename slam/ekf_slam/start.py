@@ -23,7 +23,7 @@ from cellslam.slam.ekf_slam.snapshot.motion_kernel import Interval
 from cellslam.slam.ekf_slam.state.layout import ENTRY, ArrayErrors, Core, Measured
 from cellslam.slam.front_end.readings_kernel import repeats
 
-REACH = 3.0  # the components cover this many deviations of the prior
+REACH = 4.0  # the components cover this many deviations of the prior
 COMBINATIONS, LEAST = 4, 0.02  # of components that go on, and how likely each must be against the best of its site
 PRUNE_EVERY = 8  # snapshots
 TYPICAL_RANGE_M, MOST_REPEATS = 200.0, 400.0

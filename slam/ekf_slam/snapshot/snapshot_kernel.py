@@ -61,6 +61,8 @@ from cellslam.slam.model.field_kernel import MOST_BELLS
 from cellslam.slam.model.matrices_kernel import Vec3
 from cellslam.slam.model.measurement_kernel import Spherical, rotations
 
+import os
+UNLIKELY = float(os.environ.get('FLOOR', '-4.6'))
 PENDING = 51  # rows of what looks take off the covariance that may wait
 
 
@@ -138,7 +140,7 @@ def count_odds(f: Filter, b: Block, seen: Measured, w: Pairs) -> None:
         if j >= 0:
             kind, age = 0 if f.slots[j, HITS] < 2 else 1, min(seen.now - f.slots[j, LAST], horizon)
             odds = seen.tables[kind, 0, age] - seen.tables[kind, 1, age] - seen.rules.log_clutter - seen.gap[k]
-            if f.slots[j, UNSEEN] == 1 and b.looks[j] == 0:
+            if (f.slots[j, UNSEEN] == 1 or seen.now - f.slots[j, LAST] > seen.rules.away) and b.looks[j] == 0:
                 any_vt = known_density(seen.z[k], seen.many[k])
                 odds = (odds - any_vt) / seen.rules.evidence + any_vt
             b.odds[j] += odds
@@ -273,15 +275,15 @@ def conclude(f: Filter, a: ArrayErrors, b: Block, noise: Floats, seen: Measured,
         if f.slots[j, UNSEEN] == 1:
             count_surprise(f, a, j, offset, look, rules.gate, s, p)
         if f.anchor[j, SHARE] < 1.0:
-            total += correct_guesses(f, a, j, offset, look, s, p)
+            fit = correct_guesses(f, a, j, offset, look, s, p)
         else:
-            total += correct(f, a, j, offset, look, s, p)
+            fit = correct(f, a, j, offset, look, s, p)
         known = 0.0
         for c in range(3):
             if b.measured[j, c] > 0.0:
                 known += 0.5 * (1.0 + LOG_2PI + math.log(q[c] + (diffuse * a.diffuse[c]) ** 2))
         # A pair's density counts as fit in so far as it is one VT's or another's; what any VT would have is evidence.
-        total += known + rules.evidence * (b.odds[j] - b.looks[j] * known)
+        total += max(fit + known, UNLIKELY) + rules.evidence * (b.odds[j] - b.looks[j] * known)
         clear(b, j)
     settle(f, p)
     total += take_steps(f, rules, p.steps)
