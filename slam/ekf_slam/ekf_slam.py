@@ -32,12 +32,11 @@ from cellslam.slam.model.calibration import Calibration
 from cellslam.slam.model.vt_map import VtMap
 
 NOT_GIVEN = -2
-import os
-RG, AWAY_S = float(os.environ.get("RG", "9")), float(os.environ.get("AWAY", "3"))
 # Accelerations of a vehicle whose odometry is silent, in m/s^2 and rad/s^2; it neither climbs nor tilts.
 HELD = np.array([0.6, 0.0, 0.0, 0.1, 0.0, 0.0])
 DOUBT = 4.0  # log-likelihood that a rival association may lose
 WAY_M, TURN = 0.6, np.radians(2.0)  # a block of snapshots ends after so long a way or turn
+AWAY_S = 3.0  # a VT that was not seen for so long returns, if it is seen again
 EVIDENCE = 0.0125  # least share of detections, misses and births that is news: what hides a VT lasts for seconds
 
 
@@ -219,9 +218,10 @@ class JointFilter:
         if bank is not None:
             joint = self._use(interval, measured)[int(np.argmax(bank.log_weight))]
             association = np.where(association >= 0, association, joint)
-        offset, variance = start.offsets()
+        _, variance = start.offsets()
         late = self._time_s >= self.options.start_limit_s
-        done = [site for site, v in zip(start.open, variance) if late or v <= self.options.resolved_std_m**2]
+        known = variance <= self.options.resolved_std_m**2
+        done = [site for site, is_known in zip(start.open, known, strict=True) if is_known or late]
         if done:
             self._resolve(start, done)
         return self._answer(association, start)
@@ -327,7 +327,8 @@ class JointFilter:
             self.mode, float(np.log(o.clutter_density)), o.gate, float(-np.log1p(-o.birth_ratio)), o.confirm_hits,
             once, twice, min(max(round(o.block_s / step_s), 1), LONGEST) if states else 1, WAY_M, TURN,
             max(EVIDENCE, novelty(o, odometry[3] * dt_s, odometry[0] * dt_s)), int(o.hold_s / step_s),
-            min(RG, o.gate), max(round(AWAY_S / step_s), 1), DOUBT if self._most > 1 else 0.0, step=self._log_step,
+            min(o.return_gate, o.gate), max(round(AWAY_S / step_s), 1), DOUBT if self._most > 1 else 0.0,
+            step=self._log_step,
         )  # fmt: skip
         begin_z, begin_q = values.z.copy(), values.fresh.copy()
         flat = np.isnan(begin_z[:, 2])

@@ -18,6 +18,12 @@ class EkfSlamOptions(FrontEndOptions):
     gate: float = Field(
         36.0, gt=0, le=1000, description="squared Mahalanobis distance beyond which nothing associates (chi-square)"
     )
+    return_gate: float = Field(
+        9.0,
+        gt=0,
+        le=1000,
+        description="the same for a VT unseen for 3 s: those of walls nearby are easily taken for it",
+    )
     errors: Literal["states", "counted"] = Field(
         "states", description="errors that persist: as states of the filter, or counted as so many fewer measurements"
     )
@@ -33,7 +39,7 @@ class EkfSlamOptions(FrontEndOptions):
         20.0, gt=0, le=1000, description="width of one component of the clock-offset prior at the start, m"
     )
     component_step: float = Field(1.25, gt=0, le=3, description="distance of neighbouring components, in their widths")
-    resolved_std_m: float = Field(15.0, gt=0, le=1000, description="a clock offset known to this is resolved, m")
+    resolved_std_m: float = Field(30.0, gt=0, le=1000, description="a clock offset known to this is resolved, m")
     start_limit_s: float = Field(600.0, ge=0, le=1e5, description="the start ends at this time at the latest, s")
     step_probability: float = Field(
         1e-6, ge=0, lt=1, description="probability that a site's clock steps within a block, where it may; 0: never"

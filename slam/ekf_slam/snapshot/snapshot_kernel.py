@@ -61,8 +61,9 @@ from cellslam.slam.model.field_kernel import MOST_BELLS
 from cellslam.slam.model.matrices_kernel import Vec3
 from cellslam.slam.model.measurement_kernel import Spherical, rotations
 
-import os
-UNLIKELY = float(os.environ.get('FLOOR', '-4.6'))
+UNLIKELY = (
+    -4.6
+)  # the most that the looks at a VT in a block can say against a filter: one in a hundred is of another VT
 PENDING = 51  # rows of what looks take off the covariance that may wait
 
 
@@ -128,7 +129,8 @@ def pair(f: Filter, a: ArrayErrors, seen: Measured, s: Sight, w: Pairs, rival: R
 def count_odds(f: Filter, b: Block, seen: Measured, w: Pairs) -> None:
     """Add to each VT's log-odds that it was detected or missed in this snapshot.
 
-    The first look at a VT of a remembered map counts as whole: that something is where the map has it, is news.
+    The first look at a VT of a remembered map, or at one that returns, counts as whole: that something is where the map
+    has it, is news.
     """
     horizon = seen.tables.shape[2] - 1
     for j in range(f.count[0]):

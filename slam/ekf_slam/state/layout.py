@@ -116,12 +116,13 @@ class Rules(NamedTuple):
 
     `mode`: what the measurements may do to the map; `log_clutter`: log of the clutter density; `gate`: squared
     Mahalanobis distance; `birth`: what a birth adds to the log-likelihood (belief propagation: the odds of a new VT
-    against clutter); `confirm`: detections that confirm a VT; `age_once`, `age_twice`: snapshots after which one that
-    was seen once, or a few times, is dropped. A block ends after so many `snapshots`, so long a `way` (m) or `turn`
-    (rad); `evidence`: what share of detections, misses and births counts; `hold`: snapshots after which a weight that
-    was not met is given up; `doubt`: what a rival association may lose of log-likelihood. Belief propagation:
-    probabilities that a visible VT stays so, that a hidden one comes `back`, of `detection`, and below which a VT is
-    given up, `drop`. `step`: log-probability that a clock which may step does so in a block.
+    against clutter); `confirm`: detections that confirm a VT; `age_once`, `age_twice`: snapshots after which one
+    that was seen once, or a few times, is dropped. A block ends after so many `snapshots`, so long a `way` (m) or
+    `turn` (rad); `evidence`: what share of detections, misses and births counts; `hold`: snapshots after which a
+    weight that was not met is given up; `return_gate`: the gate of a VT that was last seen more than `away`
+    snapshots ago; `doubt`: what a rival association may lose of log-likelihood. Belief propagation: probabilities
+    that a visible VT stays so, that a hidden one comes `back`, of `detection`, and below which a VT is given up,
+    `drop`. `step`: log-probability that a clock which may step does so in a block.
     """
 
     mode: int

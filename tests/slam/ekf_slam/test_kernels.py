@@ -39,7 +39,7 @@ from cellslam.slam.ekf_slam.snapshot.update_kernel import (
     update,
 )
 from cellslam.slam.ekf_slam.state.array_errors import NO_ERRORS
-from cellslam.slam.ekf_slam.state.layout import ArrayErrors, one_of
+from cellslam.slam.ekf_slam.state.layout import LAST, ArrayErrors, one_of
 from cellslam.slam.ekf_slam.state.states_kernel import enter, leave
 from cellslam.slam.model.field_kernel import bells, grid
 from cellslam.slam.model.matrices_kernel import Sym3
@@ -49,6 +49,7 @@ from cellslam.slam.model.measurement_model import predict
 
 POSE = np.array([3.0, -2.0, 1.5, 0.7, 0.1, -0.2])
 OFFSET = 6
+NOW = 3  # number of the fixture's snapshot
 ERRORS = ArrayErrors(
     np.array([0.2, 0.004, 0.006]), grid(0.6, 1.1, 1.9), np.array([0.0, 0.01, 0.02]), grid(0.4, 1.3, 1.9),
     np.array([0.7, 0.013, 0.009]), 0.15, np.array([0.005, 0.008, 0.009]), 0.15, np.radians([0.1, 0.3]), 3.0,
@@ -164,16 +165,21 @@ def test_updates_are_textbook_kalman_updates_also_while_they_wait(one_filter: An
     np.testing.assert_array_equal(one.f.p, one.f.p.T)
 
 
-def test_pairs_beyond_the_gate_are_none(one_filter: Any, kalman: Callable[..., Any]) -> None:
+@pytest.mark.parametrize(("unseen", "gate"), [(4, 16.3), (5, 9.0)])
+def test_pairs_beyond_the_gate_are_none(
+    unseen: int, gate: float, one_filter: Any, kalman: Callable[..., Any]
+) -> None:
+    """A VT that was not seen for long has a gate of its own."""
     one, q = one_filter(), np.array([0.3, 1e-4, 2e-4])
     one.put(POSE, 5.0, [80.0, 0.5, 0.2])
+    one.f.slots[0, LAST] = NOW - unseen
     p = one.spread(np.random.default_rng(1).normal(size=(10, 10)) * 0.02)
     h, by = one.model(0)
     for e in np.array([[0.2, 0.01, -0.02], [0.3, np.nan, 0.02]]):
         there = np.isfinite(e)
         s = (by @ p @ by.T + np.diag(q))[np.ix_(there, there)]
         e /= np.sqrt(e[there] @ np.linalg.solve(s, e[there]))
-        near, far = np.sqrt(one.rules.gate - 0.01) * e, np.sqrt(one.rules.gate + 0.01) * e
+        near, far = np.sqrt(gate - 0.01) * e, np.sqrt(gate + 0.01) * e
         seen = one.seen(h + np.array([near, far]), np.array([q, q]))
         assert score_pairs(one.f, NO_ERRORS, seen, 0, one.w.sight, one.w.pairs) == 1
         assert one.w.pairs.score[0, 0] == pytest.approx(kalman(one.f.x[:10], p, by, near, q)[2])

@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 import pytest
 
-from cellslam.slam.api import setup_of
+from cellslam.sim.recording import Recording
+from cellslam.slam.api import Estimate, setup_of, snapshots_of
 from cellslam.slam.conformance.subject import tiny_drive
 from cellslam.slam.ekf_slam.bank import Bank, core_of, new_bank
+from cellslam.slam.ekf_slam.ekf_slam import EkfSlam
 from cellslam.slam.ekf_slam.start import components
 from cellslam.slam.ekf_slam.state.array_errors import NO_ERRORS
 
@@ -78,3 +81,43 @@ def test_components_add_up_to_the_prior() -> None:
     mixture = np.exp(-0.5 * ((grid[:, None] - means) / std) ** 2) @ weight / std
     np.testing.assert_allclose(mixture, np.exp(-0.5 * (grid / 150.0) ** 2) / 150.0, rtol=0.08)
     assert len(components(10.0, 20.0, 1.25)[0]) == 1
+
+
+def driven(recording: Recording, estimator: EkfSlam) -> Estimate:
+    """Return the last answer to a drive."""
+    estimator.start(setup_of(recording), np.random.default_rng(0))
+    dt_s = np.diff(recording.time_s, prepend=recording.time_s[0]).tolist()
+    for dt, velocity, snapshot in zip(dt_s, recording.odometry, snapshots_of(recording), strict=True):
+        answer = estimator.step(dt, velocity, snapshot)
+    return answer
+
+
+def test_blocks_of_a_bank_end_together() -> None:
+    """Or the weights of its filters, of which some have used the last snapshots and some not, were no weights."""
+    drive, estimator = tiny_drive(), EkfSlam()
+    estimator.start(setup_of(drive), np.random.default_rng(0))
+    bank = estimator._start.banks[0]
+    bank.arrays.x[::2, bank.core.scale[0]] = 0.4  # these believe that they are slower
+    dt_s = np.diff(drive.time_s, prepend=drive.time_s[0])[:120].tolist()
+    lengths = set()
+    for t, (dt, snapshot) in enumerate(zip(dt_s, snapshots_of(drive), strict=False)):
+        estimator.step(dt, drive.odometry[t], snapshot)
+        waiting = set(bank.blocks.snapshots[: len(bank), 0].tolist())
+        assert len(waiting) == 1
+        lengths |= waiting
+    assert len(bank) > 1
+    assert max(lengths) > 2
+
+
+def test_a_site_that_is_never_heard_keeps_nobody_waiting() -> None:
+    """The joint filter begins with the sites that are resolved, and errs as if there were no other."""
+    drive = tiny_drive()
+    heard = drive.links.site[drive.measurements.link] == 0
+    columns = {name: column[heard] for name, column in vars(drive.measurements).items()}
+    half = replace(drive, measurements=type(drive.measurements)(**columns), truth=None)
+    estimator = EkfSlam()
+    answer = driven(half, estimator)
+    assert not estimator.resolved
+    assert estimator._joint is not None
+    assert answer.clock_offset_variance_m2[0] < 30.0**2
+    assert answer.clock_offset_variance_m2[1] == pytest.approx(150.0**2, rel=0.1)
