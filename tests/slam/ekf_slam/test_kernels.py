@@ -166,9 +166,7 @@ def test_updates_are_textbook_kalman_updates_also_while_they_wait(one_filter: An
 
 
 @pytest.mark.parametrize(("unseen", "gate"), [(4, 16.3), (5, 9.0)])
-def test_pairs_beyond_the_gate_are_none(
-    unseen: int, gate: float, one_filter: Any, kalman: Callable[..., Any]
-) -> None:
+def test_pairs_beyond_the_gate_are_none(unseen: int, gate: float, one_filter: Any, kalman: Callable[..., Any]) -> None:
     """A VT that was not seen for long has a gate of its own."""
     one, q = one_filter(), np.array([0.3, 1e-4, 2e-4])
     one.put(POSE, 5.0, [80.0, 0.5, 0.2])
