@@ -17,6 +17,8 @@ from pathlib import Path
 from typing import Any, TypeVar, overload
 
 import numba
+from numba.core.codegen import JITCodeLibrary
+from numba.core.compiler import Compiler
 from numba.misc.appdirs import AppDirs
 
 PACKAGE = "cellslam"
@@ -48,18 +50,70 @@ def njit(function: Any = None, /, **options: Any) -> Any:
 
 
 @overload
+def part(function: Kernel, /) -> Kernel: ...
+@overload
+def part(**options: Any) -> Callable[[Kernel], Kernel]: ...
+
+
+def part(function: Any = None, /, **options: Any) -> Any:
+    """Let kernels call a function, as a part of each kernel; Python, when it calls it, interprets it.
+
+    A function that `njit` compiles is optimised and made machine code, with a way in from Python, and once more in
+    every kernel that calls it, and so on upwards: much more work than for the kernels alone.
+    """
+    if function is None:
+        return partial(part, **options)
+    options = {"_nrt": True, "no_cpython_wrapper": True, "no_cfunc_wrapper": True, **options}
+    compiled = numba.njit(function, pipeline_class=_PartCompiler, **options)
+    # Kernels take a function for what this says; numba holds it by a weak reference.
+    function._numba_type_, function._compiled = numba.types.Dispatcher(compiled), compiled
+    return function
+
+
+@overload
 def lean(function: Kernel, /) -> Kernel: ...
 @overload
 def lean(**options: Any) -> Callable[[Kernel], Kernel]: ...
 
 
 def lean(function: Any = None, /, **options: Any) -> Any:
-    """Compile a function that makes no arrays and returns none, as `njit` does.
+    """Make a function a `part` of kernels that makes no arrays and returns none.
 
     Numba counts the references to each array that a function is handed, which can cost more than what small functions
     do with them. Here nothing is counted. A function that makes an array all the same is refused by Numba.
     """
-    return partial(lean, **options) if function is None else njit(_nrt=False, **options)(function)
+    return part(function, _nrt=False, **options) if function else part(_nrt=False, **options)
+
+
+class _PartLibrary(JITCodeLibrary):  # type: ignore[misc]
+    """The intermediate code of a part: it is linked with the parts that it calls, and left as it is for the kernel."""
+
+    def finalize(self) -> None:
+        """Link. Numba's own also optimises, and makes machine code."""
+        for library in dict.fromkeys(self._linking_libraries):
+            self._reload_init.update(library._reload_init)
+            self._final_module.link_in(library._get_module_for_linking(), preserve=True)
+        self._finalized = True
+
+    def get_pointer_to_function(self, name: str) -> int:
+        """Return null: there is no machine code."""
+        del name
+        return 0
+
+    @property
+    def codegen(self) -> _PartLibrary:
+        """What `set_env` is called of: there is no machine code whose environment could be set."""
+        return self
+
+    def set_env(self, name: str, env: Any) -> None:
+        """Do nothing."""
+
+
+class _PartCompiler(Compiler):  # type: ignore[misc]
+    """Numba's compiler, which leaves what it makes in a `_PartLibrary`."""
+
+    def __init__(self, typing: Any, target: Any, library: Any, *more: Any) -> None:
+        super().__init__(typing, target, library or _PartLibrary(target.codegen(), "part"), *more)
 
 
 def is_compiled(module: str, file: Path) -> bool:

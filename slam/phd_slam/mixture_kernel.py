@@ -78,7 +78,7 @@ def added(pool: Pool, link: int, name: int, visible: float, hidden: float, hits:
     return int(n)
 
 
-@lean(cache=True)
+@lean
 def give_birth(pool: Pool, at: Moved, offset: float, measured: Measured, k: int, weight: float) -> None:
     """Add the Gaussian of a VT that a measurement may be of: Sigma = J Q J^T; a greater clock offset brings it nearer.
 
@@ -161,7 +161,7 @@ def _within(rows: Floats, j: int, place: Vec3, merge: float) -> bool:
     return bool(quadratic(inverse(covariance_of(rows, j)), apart) <= merge)
 
 
-@lean(cache=True)
+@lean
 def _absorb(rows: Floats, i: int, source: Floats, k: int) -> None:
     """Replace row i by a Gaussian of the weight, mean and covariance of itself and of row k of a source together."""
     mine, its = _weight(rows, i), _weight(source, k)

@@ -158,7 +158,7 @@ def _move(one: One, interval: Interval, measured: Measured, first: Ints, rules: 
     return near.place
 
 
-@lean(cache=True)
+@lean
 def _inform(
     one: One, at: Moved, std: Floats, measured: Measured, rules: Rules, near: Near, pairs: Pairs, shares: Floats,
     x: Floats, information: Floats, y: Floats,
