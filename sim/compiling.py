@@ -1,4 +1,4 @@
-"""Numba's `njit` with a cache that notices edits.
+"""Numba's `njit` with a cache that notices edits, and functions that are compiled as parts of their kernels alone.
 
 Numba looks a cached kernel up by the time and size of its own file alone: after an edit, or an upgrade, of a file that
 the kernel calls into, the old binary would run. Here a kernel's cache has a folder of its own for each digest of all
@@ -17,6 +17,7 @@ from pathlib import Path
 from typing import Any, TypeVar, overload
 
 import numba
+import numba.extending
 from numba.core.codegen import JITCodeLibrary
 from numba.core.compiler import Compiler
 from numba.misc.appdirs import AppDirs
@@ -59,14 +60,15 @@ def part(function: Any = None, /, **options: Any) -> Any:
     """Let kernels call a function, as a part of each kernel; Python, when it calls it, interprets it.
 
     A function that `njit` compiles is optimised and made machine code, with a way in from Python, and once more in
-    every kernel that calls it, and so on upwards: much more work than for the kernels alone.
+    every kernel that calls it, and so on upwards: much more work than for the kernels alone. An exception that a part
+    raises has constants for arguments.
     """
     if function is None:
         return partial(part, **options)
     options = {"_nrt": True, "no_cpython_wrapper": True, "no_cfunc_wrapper": True, **options}
     compiled = numba.njit(function, pipeline_class=_PartCompiler, **options)
     # Kernels take a function for what this says; numba holds it by a weak reference.
-    function._numba_type_, function._compiled = numba.types.Dispatcher(compiled), compiled
+    function._numba_type_, function._compiled = _Part(compiled), compiled
     return function
 
 
@@ -83,6 +85,18 @@ def lean(function: Any = None, /, **options: Any) -> Any:
     do with them. Here nothing is counted. A function that makes an array all the same is refused by Numba.
     """
     return part(function, _nrt=False, **options) if function else part(_nrt=False, **options)
+
+
+class _Part(numba.types.Dispatcher):  # type: ignore[misc]
+    """The type of a part, which is compiled once for all numbers of a type; Numba's own is for each constant anew."""
+
+    def get_call_type(self, context: Any, args: tuple[Any, ...], kws: dict[str, Any]) -> Any:
+        """Return the signature for arguments of these types."""
+        named = {name: numba.types.unliteral(one) for name, one in kws.items()}
+        return super().get_call_type(context, tuple(map(numba.types.unliteral, args)), named)
+
+
+numba.extending.register_model(_Part)(numba.extending.models.OpaqueModel)
 
 
 class _PartLibrary(JITCodeLibrary):  # type: ignore[misc]

@@ -13,7 +13,7 @@ from __future__ import annotations
 import math
 from typing import Any, NamedTuple
 
-from cellslam.sim.compiling import lean, njit
+from cellslam.sim.compiling import lean, part
 from cellslam.sim.frames.frames_kernel import wrap
 from cellslam.sim.recording import Floats, Ints
 from cellslam.slam.model.matrices_kernel import (
@@ -227,7 +227,7 @@ def put_row(rows: Floats, names: Ints, j: int, source: Floats, source_names: Int
     names[j, LINK], names[j, NAME] = source_names[i, LINK], source_names[i, NAME]
 
 
-@njit(cache=True)
+@part
 def copy_map(source: Map, target: Map) -> None:
     """Copy a map into another one."""
     count = source.size[0]

@@ -104,19 +104,27 @@ def test_old_folders_are_removed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 
 
 @compiling.part
-def doubled(x: float) -> float:
-    return 2.0 * x
+def doubled(x: int) -> int:
+    return 2 * x
+
+
+@compiling.part
+def inverse(x: int) -> float:
+    return 1.0 / x
 
 
 @compiling.njit
-def raised(x: float) -> float:
-    return doubled(x) + 1.0
+def raised(x: int) -> float:
+    return doubled(x) + doubled(1) + doubled(2) + inverse(x)
 
 
 def test_a_part_has_machine_code_in_its_kernel_alone() -> None:
-    assert raised(1.5) == 4.0 and doubled(1.5) == 3.0
+    assert raised(4) == 14.25 and doubled(4) == 8
     assert isfunction(doubled) and not has_machine_code(doubled._compiled)
     assert has_machine_code(raised)
+    assert len(doubled._compiled.overloads) == 1  # not one for each constant
+    with pytest.raises(ZeroDivisionError):
+        raised(0)
 
 
 def has_machine_code(compiled: Any) -> bool:
@@ -126,7 +134,7 @@ def has_machine_code(compiled: Any) -> bool:
 
 def test_a_part_is_python_without_a_compiler(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(numba.config, "DISABLE_JIT", True)
-    assert compiling.part(doubled)(1.5) == 3.0
+    assert compiling.part(doubled)(4) == 8
 
 
 def test_lean_kernels_neither_return_arrays_nor_call_what_does() -> None:
