@@ -84,22 +84,22 @@ def lean(function: Any = None, /, **options: Any) -> Any:
     Numba counts the references to each array that a function is handed, which can cost more than what small functions
     do with them. Here nothing is counted. A function that makes an array all the same is refused by Numba.
     """
-    return part(function, _nrt=False, **options) if function else part(_nrt=False, **options)
+    return partial(lean, **options) if function is None else part(_nrt=False, **options)(function)
 
 
-class _Part(numba.types.Dispatcher):  # type: ignore[misc]
+class _Part(numba.types.Dispatcher):
     """The type of a part, which is compiled once for all numbers of a type; Numba's own is for each constant anew."""
 
-    def get_call_type(self, context: Any, args: tuple[Any, ...], kws: dict[str, Any]) -> Any:
+    def get_call_type(self, context: Any, args: Any, kws: Any) -> Any:
         """Return the signature for arguments of these types."""
-        named = {name: numba.types.unliteral(one) for name, one in kws.items()}
-        return super().get_call_type(context, tuple(map(numba.types.unliteral, args)), named)
+        plain: Any = numba.types.unliteral
+        return super().get_call_type(context, tuple(map(plain, args)), {name: plain(one) for name, one in kws.items()})
 
 
 numba.extending.register_model(_Part)(numba.extending.models.OpaqueModel)
 
 
-class _PartLibrary(JITCodeLibrary):  # type: ignore[misc]
+class _PartLibrary(JITCodeLibrary):
     """The intermediate code of a part: it is linked with the parts that it calls, and left as it is for the kernel."""
 
     def finalize(self) -> None:
@@ -123,11 +123,12 @@ class _PartLibrary(JITCodeLibrary):  # type: ignore[misc]
         """Do nothing."""
 
 
-class _PartCompiler(Compiler):  # type: ignore[misc]
+class _PartCompiler(Compiler):
     """Numba's compiler, which leaves what it makes in a `_PartLibrary`."""
 
     def __init__(self, typing: Any, target: Any, library: Any, *more: Any) -> None:
-        super().__init__(typing, target, library or _PartLibrary(target.codegen(), "part"), *more)
+        own: Any = _PartLibrary
+        super().__init__(typing, target, library or own(target.codegen(), "part"), *more)  # type: ignore[no-untyped-call]
 
 
 def is_compiled(module: str, file: Path) -> bool:

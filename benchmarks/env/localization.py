@@ -51,7 +51,7 @@ def action_unit(model: OdometryModel, dt_s: float, odometry: Floats) -> Floats:
     odometry (6,) in m/s and rad/s.
     """
     constant = np.hypot(model.bias, model.scale * odometry) * dt_s
-    return np.maximum(REACH * np.hypot(model.noise_density * np.sqrt(dt_s), constant), LEAST_UNIT)
+    return np.asarray(np.maximum(REACH * np.hypot(model.noise_density * np.sqrt(dt_s), constant), LEAST_UNIT))
 
 
 def compose(pose: Floats, seen: Observation, action: Floats) -> Floats:

@@ -73,7 +73,8 @@ def colour_of(estimator: str) -> str:
 
 
 def _shade(colour: str, white: float) -> str:
-    return to_hex([(1.0 - white) * part + white for part in to_rgb(colour)])
+    red, green, blue = ((1.0 - white) * part + white for part in to_rgb(colour))
+    return to_hex((red, green, blue))
 
 
 def save(figure: Figure, path: Path) -> Path:
