@@ -65,8 +65,9 @@ def part(function: Any = None, /, **options: Any) -> Any:
     """
     if function is None:
         return partial(part, **options)
-    options = {"_nrt": True, "no_cpython_wrapper": True, "no_cfunc_wrapper": True, **options}
-    compiled = numba.njit(function, pipeline_class=_PartCompiler, **options)
+    # What is not said here is as in the kernel that calls first, and then the same for those that follow.
+    own = {"_nrt": True, "fastmath": False, "no_cpython_wrapper": True, "no_cfunc_wrapper": True}
+    compiled = numba.njit(function, pipeline_class=_PartCompiler, **{**own, **options})
     # Kernels take a function for what this says; numba holds it by a weak reference.
     function._numba_type_, function._compiled = _Part(compiled), compiled
     return function

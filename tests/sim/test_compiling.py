@@ -132,6 +132,20 @@ def has_machine_code(compiled: Any) -> bool:
     return bool(found.target_context.codegen()._engine.is_symbol_defined(found.fndesc.llvm_func_name))
 
 
+@compiling.part
+def added(x: float) -> float:
+    return (x + 1e16) - 1e16
+
+
+@compiling.njit(fastmath=True)
+def hasty(x: float) -> float:
+    return added(x)
+
+
+def test_a_part_does_not_depend_on_who_calls_it_first() -> None:
+    assert hasty(1.0) == added(1.0) == 0.0
+
+
 def test_a_part_is_python_without_a_compiler(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(numba.config, "DISABLE_JIT", True)
     assert compiling.part(doubled)(4) == 8
