@@ -1,4 +1,4 @@
-"""Numba's `njit` with a cache that notices edits.
+"""Numba's `njit` with a cache that notices edits, and functions that are compiled as parts of their kernels alone.
 
 Numba looks a cached kernel up by the time and size of its own file alone: after an edit, or an upgrade, of a file that
 the kernel calls into, the old binary would run. Here a kernel's cache has a folder of its own for each digest of all
@@ -17,6 +17,9 @@ from pathlib import Path
 from typing import Any, TypeVar, overload
 
 import numba
+import numba.extending
+from numba.core.codegen import JITCodeLibrary
+from numba.core.compiler import Compiler
 from numba.misc.appdirs import AppDirs
 
 PACKAGE = "cellslam"
@@ -48,18 +51,85 @@ def njit(function: Any = None, /, **options: Any) -> Any:
 
 
 @overload
+def part(function: Kernel, /) -> Kernel: ...
+@overload
+def part(**options: Any) -> Callable[[Kernel], Kernel]: ...
+
+
+def part(function: Any = None, /, **options: Any) -> Any:
+    """Let kernels call a function, as a part of each kernel; Python, when it calls it, interprets it.
+
+    A function that `njit` compiles is optimised and made machine code, with a way in from Python, and once more in
+    every kernel that calls it, and so on upwards: much more work than for the kernels alone. An exception that a part
+    raises has constants for arguments.
+    """
+    if function is None:
+        return partial(part, **options)
+    # What is not said here is as in the kernel that calls first, and then the same for those that follow.
+    own = {"_nrt": True, "fastmath": False, "no_cpython_wrapper": True, "no_cfunc_wrapper": True}
+    compiled = numba.njit(function, pipeline_class=_PartCompiler, **{**own, **options})
+    # Kernels take a function for what this says; numba holds it by a weak reference.
+    function._numba_type_, function._compiled = _Part(compiled), compiled
+    return function
+
+
+@overload
 def lean(function: Kernel, /) -> Kernel: ...
 @overload
 def lean(**options: Any) -> Callable[[Kernel], Kernel]: ...
 
 
 def lean(function: Any = None, /, **options: Any) -> Any:
-    """Compile a function that makes no arrays and returns none, as `njit` does.
+    """Make a function a `part` of kernels that makes no arrays and returns none.
 
     Numba counts the references to each array that a function is handed, which can cost more than what small functions
     do with them. Here nothing is counted. A function that makes an array all the same is refused by Numba.
     """
-    return partial(lean, **options) if function is None else njit(_nrt=False, **options)(function)
+    return partial(lean, **options) if function is None else part(_nrt=False, **options)(function)
+
+
+class _Part(numba.types.Dispatcher):
+    """The type of a part, which is compiled once for all numbers of a type; Numba's own is for each constant anew."""
+
+    def get_call_type(self, context: Any, args: Any, kws: Any) -> Any:
+        """Return the signature for arguments of these types."""
+        plain: Any = numba.types.unliteral
+        return super().get_call_type(context, tuple(map(plain, args)), {name: plain(one) for name, one in kws.items()})
+
+
+numba.extending.register_model(_Part)(numba.extending.models.OpaqueModel)
+
+
+class _PartLibrary(JITCodeLibrary):
+    """The intermediate code of a part: it is linked with the parts that it calls, and left as it is for the kernel."""
+
+    def finalize(self) -> None:
+        """Link. Numba's own also optimises, and makes machine code."""
+        for library in dict.fromkeys(self._linking_libraries):
+            self._reload_init.update(library._reload_init)
+            self._final_module.link_in(library._get_module_for_linking(), preserve=True)
+        self._finalized = True
+
+    def get_pointer_to_function(self, name: str) -> int:
+        """Return null: there is no machine code."""
+        del name
+        return 0
+
+    @property
+    def codegen(self) -> _PartLibrary:
+        """What `set_env` is called of: there is no machine code whose environment could be set."""
+        return self
+
+    def set_env(self, name: str, env: Any) -> None:
+        """Do nothing."""
+
+
+class _PartCompiler(Compiler):
+    """Numba's compiler, which leaves what it makes in a `_PartLibrary`."""
+
+    def __init__(self, typing: Any, target: Any, library: Any, *more: Any) -> None:
+        own: Any = _PartLibrary
+        super().__init__(typing, target, library or own(target.codegen(), "part"), *more)  # type: ignore[no-untyped-call]
 
 
 def is_compiled(module: str, file: Path) -> bool:

@@ -84,8 +84,8 @@ FILTER = (
 )
 # What two processes compile, about as long each.
 PARTS = (
-    (FILTER.format("ekf-slam", ""), FILTER.format("paper-fastslam", ""), FILTER.format("channel-slam", "")),
-    (FILTER.format("fastslam", "errors='counted'"), FILTER.format("phd-slam", ""), WORLD),
+    (FILTER.format("ekf-slam", ""), WORLD, FILTER.format("paper-fastslam", ""), FILTER.format("channel-slam", "")),
+    (FILTER.format("fastslam", "errors='counted'"), FILTER.format("phd-slam", "")),
 )
 
 

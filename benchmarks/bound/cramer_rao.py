@@ -83,7 +83,7 @@ def bound(recording: Recording, progress: Progress = silent, calibrated: bool = 
     found = Found(np.zeros((snapshots, 6, 6)), np.zeros((snapshots, sites)), np.zeros((snapshots, 6)))
     model = work, motion, looks, sightings, errors
     if not covariance_recursion.signatures:  # type: ignore[attr-defined]
-        with progress("compiling Cramer-Rao bound (first use)", 1) as advance:
+        with progress("compiling Cramer-Rao bound, once per machine", 1) as advance:
             covariance_recursion(*model, 0, 0, core.size, drift, drifted, found)
             advance(1)
     with progress("Cramer-Rao bound", snapshots) as advance:

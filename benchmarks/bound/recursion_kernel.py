@@ -21,7 +21,7 @@ import numpy as np
 
 from cellslam.benchmarks.bound.bound_model import Errors, Found, Looks, Motion, Sightings, Work
 from cellslam.benchmarks.bound.states_kernel import POSE, append, decay, enter, leave, predict
-from cellslam.sim.compiling import njit
+from cellslam.sim.compiling import njit, part
 from cellslam.sim.recording import Floats, Ints
 from cellslam.slam.model.downdate_kernel import downdate
 
@@ -69,13 +69,13 @@ def covariance_recursion(
     return n
 
 
-@njit(cache=True)
+@part
 def _add(row: Floats, factor: float, other: Floats, n: int) -> None:
     for j in range(n):
         row[j] += factor * other[j]
 
 
-@njit(cache=True)
+@part
 def _shared_gain(p: Floats, n: int, looks: Looks, i: int, r: int, slot_of: Ints, out: Floats) -> None:
     """out = covariance of all states with component r of look i, but for its VT and the errors of one link."""
     out[:n] = 0.0
@@ -89,7 +89,7 @@ def _shared_gain(p: Floats, n: int, looks: Looks, i: int, r: int, slot_of: Ints,
             _add(out, looks.load[i, r, w], p[slot_of[looks.state[i, r, w]]], n)
 
 
-@njit(cache=True)
+@part
 def _shared_dot(row: Floats, looks: Looks, i: int, r: int, slot_of: Ints) -> float:
     """The product of a row over the states with component r of look i, but for its VT and the errors of one link."""
     total = row[looks.offset[i]] if r == 0 else 0.0
@@ -101,7 +101,7 @@ def _shared_dot(row: Floats, looks: Looks, i: int, r: int, slot_of: Ints) -> flo
     return total
 
 
-@njit(cache=True)
+@part
 def _update(
     p: Floats, n: int, looks: Looks, sightings: Sightings, t: int, count: int, mean: int, slot_of: Ints, g: Floats,
     shared: Floats, dots: Floats,
@@ -144,7 +144,7 @@ def _update(
     downdate(p, n, g, k)
 
 
-@njit(cache=True)
+@part
 def _whiten(row: Floats, g: Floats, weight: Floats, k: int, n: int) -> None:
     """Take out of a gain what the snapshot's k gains before it have explained; four at once, for speed."""
     j = 0
@@ -159,7 +159,7 @@ def _whiten(row: Floats, g: Floats, weight: Floats, k: int, n: int) -> None:
         j += 1
 
 
-@njit(cache=True)
+@part
 def _birth(
     p: Floats, n: int, looks: Looks, sightings: Sightings, m: int, count: int, mean: int, slot_of: Ints, id_of: Ints,
     g: Floats,
@@ -198,7 +198,7 @@ def _birth(
     return n
 
 
-@njit(cache=True)
+@part
 def _invert(a: Floats, out: Floats) -> None:
     """out = a^-1 for 3 x 3, by cofactors."""
     for i in range(3):

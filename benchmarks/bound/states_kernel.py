@@ -10,13 +10,13 @@ from __future__ import annotations
 import numpy as np
 
 from cellslam.benchmarks.bound.bound_model import Errors, Looks, Motion, Sightings
-from cellslam.sim.compiling import njit
+from cellslam.sim.compiling import part
 from cellslam.sim.recording import Floats, Ints
 
 POSE = 6
 
 
-@njit(cache=True)
+@part
 def predict(p: Floats, n: int, core: int, motion: Motion, t: int, moved: Floats) -> None:
     """P <- F (P + diag(walk)) F^T + Q: the core walks first, as biases do, then F changes the pose only. Before that,
     offsets grow by the rates that their clocks have walked to.
@@ -55,7 +55,7 @@ def predict(p: Floats, n: int, core: int, motion: Motion, t: int, moved: Floats)
             p[b, a] = total
 
 
-@njit(cache=True)
+@part
 def decay(p: Floats, n: int, core: int, errors: Errors, t: int, id_of: Ints) -> None:
     """Gauss-Markov states of p (size, size) forget a part and gain as much variance; VTs and constants stay.
 
@@ -73,7 +73,7 @@ def decay(p: Floats, n: int, core: int, errors: Errors, t: int, id_of: Ints) -> 
                 p[i, i] += 1.0 - factor * factor
 
 
-@njit(cache=True)
+@part
 def append(p: Floats, n: int, k: np.int64, variance: float, slot_of: Ints, id_of: Ints) -> int:
     """Add to p (size, size) a state with a variance, in its squared unit, and no covariances; return the new size.
 
@@ -86,7 +86,7 @@ def append(p: Floats, n: int, k: np.int64, variance: float, slot_of: Ints, id_of
     return n + 1
 
 
-@njit(cache=True)
+@part
 def enter(p: Floats, n: int, looks: Looks, sightings: Sightings, t: int, slot_of: Ints, id_of: Ints) -> int:
     """Add to p (size, size) the persisting errors that snapshot t meets for the first time; return the new size."""
     for i in range(looks.rows[t], looks.rows[t + 1]):
@@ -103,7 +103,7 @@ def enter(p: Floats, n: int, looks: Looks, sightings: Sightings, t: int, slot_of
     return n
 
 
-@njit(cache=True)
+@part
 def leave(
     p: Floats, n: int, looks: Looks, sightings: Sightings, errors: Errors, t: int, slot_of: Ints, id_of: Ints
 ) -> int:
@@ -125,7 +125,7 @@ def leave(
     return n
 
 
-@njit(cache=True)
+@part
 def remove(p: Floats, n: int, k: int, slot_of: Ints, id_of: Ints) -> int:
     """Take state k out of p (size, size), put the last one in its place, and return the new size.
 

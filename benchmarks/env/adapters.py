@@ -7,7 +7,14 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from cellslam.benchmarks.env.localization import Observation, action_between, compose, observation, snapshot_of
+from cellslam.benchmarks.env.localization import (
+    Observation,
+    action_between,
+    action_unit,
+    compose,
+    observation,
+    snapshot_of,
+)
 from cellslam.sim.recording import Floats
 from cellslam.slam.api import Estimate, Estimator, Setup, Snapshot
 
@@ -17,7 +24,8 @@ Policy = Callable[[Observation], Floats]
 class EstimatorAgent:
     """Drives an estimator from observations: its poses are those that `cellslam run` gives, bit for bit.
 
-    `poses` holds them; the actions are the increments between them, so the environment's belief differs by rounding.
+    `poses` holds them; the actions, beyond 1 where need be, are what their increments differ by from the odometry. The
+    environment's belief differs by rounding.
     """
 
     def __init__(self, estimator: Estimator, setup: Setup, rng: np.random.Generator) -> None:
@@ -33,8 +41,8 @@ class EstimatorAgent:
         answer = self._estimator.step(float(observed["dt_s"][0]), np.array(observed["odometry"]), snapshot)
         self.poses.append(np.array(answer.pose))
         self.covariance = np.array(answer.covariance)
-        action = action_between(self._belief, self.poses[-1])
-        self._belief = compose(self._belief, action)
+        action = action_between(self._belief, observed, self.poses[-1])
+        self._belief = compose(self._belief, observed, action)
         return action
 
 
@@ -62,11 +70,13 @@ class AgentEstimator:
         """Begin a drive at the start pose."""
         del rng
         self._policy, self._pose, self._action = self.policy(), np.array(setup.start_pose), np.zeros(6)
+        self._model = setup.odometry_model
 
     def step(self, dt_s: float, odometry: Floats, snapshot: Snapshot) -> Estimate:
-        """Show the snapshot and odometry (6,), in m/s and rad/s, to the agent, and add up its increments."""
-        shown = observation(snapshot, dt_s, odometry, self._action, self.max_paths)
+        """Show the snapshot and odometry (6,), in m/s and rad/s, to the agent, and add what it says to the odometry."""
+        unit = action_unit(self._model, dt_s, odometry)
+        shown = observation(snapshot, dt_s, odometry, unit, self._action, self.max_paths)
         self._action = np.array(self._policy(shown), np.float64)
-        self._pose = compose(self._pose, self._action)
+        self._pose = compose(self._pose, shown, self._action)
         covariance = np.diag([self.position_std_m**2] * 3 + [self.angle_std_rad**2] * 3)
         return Estimate(self._pose.copy(), covariance)

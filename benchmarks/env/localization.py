@@ -17,8 +17,8 @@ from cellslam.scenarios.scenario import Scenario
 from cellslam.scenarios.simulation import simulate
 from cellslam.sim.errors import InputError, unknown_name
 from cellslam.sim.frames import integrate_pose, mean_velocity
-from cellslam.sim.recording import Floats, Recording
-from cellslam.slam.api import Setup, Snapshot, setup_of, snapshots_of
+from cellslam.sim.recording import Floats, OdometryModel, Recording
+from cellslam.slam.api import Setup, Snapshot, odometry_of, setup_of, snapshots_of
 
 Observation = dict[str, NDArray[Any]]
 
@@ -26,8 +26,8 @@ CLAIMED = ("distance_std_m", "azimuth_std_rad", "elevation_std_rad")
 COLUMNS = ("distance_m", "azimuth_rad", "elevation_rad", "snr_db", *CLAIMED)
 LOWEST = np.array([-1e6, -4.0, -2.0, -300.0, 0.0, 0.0, 0.0])
 HIGHEST = np.array([1e6, 4.0, 2.0, 300.0, 1e6, 1e3, 1e3])
-# Metres and radians of an action of 1; powers of two, so that scaling does not round.
-ACTION_UNIT = np.array([32.0, 32.0, 32.0, 4.0, 4.0, 4.0])
+REACH = 2.0  # deviations of the odometry's error that an action of 1 corrects
+LEAST_UNIT = np.array([1e-3, 1e-3, 1e-3, 1e-4, 1e-4, 1e-4])  # m and rad, where the odometry has no error
 OPTIONS = ("scenario", "set", "seed", "trial")
 KEPT_RECORDINGS = 8
 
@@ -45,26 +45,36 @@ def recording_of(scenario: Scenario, seed: int, trial: int) -> Recording:
     return _recordings[key]
 
 
-def compose(pose: Floats, action: Floats) -> Floats:
-    """Return the pose (6,) after an action (6,): metres in the body frame at mid-turn, radians, in ACTION_UNITs."""
-    return integrate_pose(pose, action * ACTION_UNIT, 1.0)
+def action_unit(model: OdometryModel, dt_s: float, odometry: Floats) -> Floats:
+    """Return what an action of 1 adds to the odometry, (6,) in m and rad: REACH deviations of its error over dt_s.
+
+    odometry (6,) in m/s and rad/s.
+    """
+    constant = np.hypot(model.bias, model.scale * odometry) * dt_s
+    return np.asarray(np.maximum(REACH * np.hypot(model.noise_density * np.sqrt(dt_s), constant), LEAST_UNIT))
 
 
-def action_between(before: Floats, after: Floats) -> Floats:
-    """Return the action (6,) that takes pose `before` to `after`, (6,) in m and rad: the inverse of `compose`, limited
-    to [-1, 1]."""
-    action: Floats = np.clip(mean_velocity(before, after, 1.0) / ACTION_UNIT, -1.0, 1.0)
+def compose(pose: Floats, seen: Observation, action: Floats) -> Floats:
+    """Return the pose (6,), in m and rad, after the interval seen, with an action (6,) added to the odometry."""
+    return integrate_pose(pose, seen["odometry"] * seen["dt_s"] + action * seen["unit"], 1.0)
+
+
+def action_between(before: Floats, seen: Observation, after: Floats) -> Floats:
+    """Return the action (6,) that takes pose `before` to `after`, (6,) in m and rad: the inverse of `compose`."""
+    action: Floats = (mean_velocity(before, after, 1.0) - seen["odometry"] * seen["dt_s"]) / seen["unit"]
     return action
 
 
 class LocalizationEnv(gym.Env[Observation, Floats]):
     """An episode is a drive: step t takes the pose increment that the agent believes in, up to snapshot t.
 
-    Action (6,), -1 to 1: forward, left, up in 32 m, then yaw, pitch, roll in 4 rad, since the last snapshot
-    (`action_between` gives it from two poses). The first one is about snapshot 0, from the start pose. Observation:
+    Action (6,), -1 to 1: what is added to the odometry's increment, forward, left, up, yaw, pitch, roll, in `unit`s;
+    0 believes the odometry. One beyond that range is taken as it is. The first one is about snapshot 0, from the start
+    pose. Observation:
 
         dt_s (1,)                  s since the snapshot before it
         odometry (6,)              mean body velocities, m/s and rad/s
+        unit (6,)                  two deviations of the odometry's error since then, m and rad
         paths (max_paths, 7)       distance_m, azimuth_rad, elevation_rad, snr_db, claimed deviations (m, rad, rad)
         measured (max_paths, 7)    1 where that component was measured; 0 elsewhere, and the value is 0
         link (max_paths,)          link of each path
@@ -99,13 +109,14 @@ class LocalizationEnv(gym.Env[Observation, Floats]):
             {
                 "dt_s": spaces.Box(0.0, 1e4, (1,), np.float64),
                 "odometry": spaces.Box(-1e3, 1e3, (6,), np.float64),
+                "unit": spaces.Box(0.0, 1e5, (6,), np.float64),
                 "paths": spaces.Box(
                     np.tile(LOWEST, (max_paths, 1)), np.tile(HIGHEST, (max_paths, 1)), dtype=np.float64
                 ),
                 "measured": spaces.Box(0, 1, wide, np.int8),
                 "link": spaces.Box(0, 100_000, (max_paths,), np.int64),
                 "mask": spaces.Box(0, 1, (max_paths,), np.int8),
-                "last_action": spaces.Box(-1.0, 1.0, (6,), np.float64),
+                "last_action": spaces.Box(-1e9, 1e9, (6,), np.float64),
             }
         )
 
@@ -131,10 +142,9 @@ class LocalizationEnv(gym.Env[Observation, Floats]):
         return self._observe(), self._info()
 
     def step(self, action: Floats) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
-        """Take the believed increment (6,) up to the present snapshot, in shares of the limits, and go on to the
-        next."""
+        """Add an action (6,) to the odometry's increment up to the present snapshot, and go on to the next."""
         self._action = np.array(action, np.float64)
-        self.belief = compose(self.belief, self._action)
+        self.belief = compose(self.belief, self._seen, self._action)
         truth = self._truth[self._now]
         error = float(np.hypot(self.belief[0] - truth[0], self.belief[1] - truth[1]))
         self._errors.append(error)
@@ -165,17 +175,17 @@ class LocalizationEnv(gym.Env[Observation, Floats]):
         if recording.truth is None:
             raise InputError("the drive has no truth to reward against")
         self._recording, self._setup, self._snapshots = recording, setup_of(recording), snapshots_of(recording)
-        self._truth = recording.truth.poses
+        self._truth, self._odometry = recording.truth.poses, odometry_of(recording)
         self._dt_s = np.diff(recording.time_s, prepend=recording.time_s[0])
         self.belief, self.belief_covariance = np.array(recording.start_pose), None
         self._now, self._action = 0, np.zeros(6)
         self._errors: list[float] = []
 
     def _observe(self) -> Observation:
-        return observation(
-            self._snapshots[self._now], float(self._dt_s[self._now]), self._recording.odometry[self._now], self._action,
-            self.max_paths,
-        )  # fmt: skip
+        dt_s, odometry = float(self._dt_s[self._now]), self._odometry[self._now]
+        unit = action_unit(self._setup.odometry_model, dt_s, odometry)
+        self._seen = observation(self._snapshots[self._now], dt_s, odometry, unit, self._action, self.max_paths)
+        return {name: value.copy() for name, value in self._seen.items()}
 
     def _info(self) -> dict[str, Any]:
         truth = self._truth[self._now]
@@ -188,10 +198,12 @@ class LocalizationEnv(gym.Env[Observation, Floats]):
         }
 
 
-def observation(snapshot: Snapshot, dt_s: float, odometry: Floats, last_action: Floats, max_paths: int) -> Observation:
+def observation(
+    snapshot: Snapshot, dt_s: float, odometry: Floats, unit: Floats, last_action: Floats, max_paths: int
+) -> Observation:
     """Return a snapshot as padded arrays (max_paths, ...); where it has more paths, the strongest in their order.
 
-    dt_s in s; odometry (6,) in m/s and rad/s; last_action (6,) without unit.
+    dt_s in s; odometry (6,) in m/s and rad/s; unit (6,) of an action in m and rad; last_action (6,) in its units.
     """
     table = np.full((len(snapshot), len(COLUMNS)), np.nan)
     for i, name in enumerate(COLUMNS):
@@ -206,6 +218,7 @@ def observation(snapshot: Snapshot, dt_s: float, odometry: Floats, last_action: 
     out: Observation = {
         "dt_s": np.array([dt_s]),
         "odometry": np.array(odometry),
+        "unit": np.array(unit),
         "paths": np.zeros((max_paths, len(COLUMNS))),
         "measured": np.zeros((max_paths, len(COLUMNS)), np.int8),
         "link": np.zeros(max_paths, np.int64),

@@ -6,8 +6,10 @@ from collections.abc import Iterable
 from contextlib import AbstractContextManager
 from pathlib import Path
 from typing import Any
+from zlib import crc32
 
 import matplotlib as mpl
+from matplotlib.colors import to_hex, to_rgb
 from matplotlib.figure import Figure
 
 BLACK, ORANGE, SKY, GREEN = "#000000", "#E69F00", "#56B4E9", "#009E73"
@@ -16,6 +18,13 @@ GREY, LIGHT, BUILDING, EMPHASIS = "#999999", "#DDDDDD", "#E4E1DC", "#A79F92"
 TRUTH, VT, VEHICLES = BLACK, GREEN, "#5B6B8C"
 SITES = (VERMILLION, GREEN, PURPLE, ORANGE, SKY)
 LANDMARKS = (BLUE, ORANGE, GREEN, PURPLE, VERMILLION, SKY, "#7A5C00", "#5D3A9B")
+ESTIMATORS = {
+    "fastslam": BLUE, "dead-reckoning": ORANGE, "ekf-slam": GREEN, "bp-slam": PURPLE, "phd-slam": VERMILLION,
+    "paper-fastslam": SKY, "channel-slam": YELLOW, "smoother": "#7A5C00", "oracle-association": "#5D3A9B",
+    "oracle-fastslam": "#2E3A87", "oracle-map": "#8C1D40",
+}  # fmt: skip
+OTHERS = ("#44AA99", "#AA4499", "#999933", "#661100")
+DASHES, PALEST = ("-", "-.", ":"), 0.6
 WIDTH_IN = 7.16
 PIXELS_PER_INCH = 160
 TITLE = 40  # characters in a line of a title over half of the width
@@ -42,17 +51,30 @@ def context() -> AbstractContextManager[None]:
     return mpl.rc_context(settings)
 
 
-def estimator_styles(names: Iterable[str]) -> dict[str, dict[str, Any]]:
-    """Return the line of each estimator: dead reckoning dashed in orange, the others in solid colours."""
-    colours = [BLUE, GREEN, PURPLE, VERMILLION, SKY, "#7A5C00", YELLOW]
+def estimator_styles(labels: Iterable[str]) -> dict[str, dict[str, Any]]:
+    """Return the line of each series, "estimator" or "estimator, what varies": an estimator has one colour everywhere.
+
+    Series of one estimator are shades of its colour and differ in their dashes; dead reckoning is dashed.
+    """
+    of = {label: label.partition(", ")[0] for label in labels}
     styles: dict[str, dict[str, Any]] = {}
-    for name in names:
-        if name == "dead-reckoning":
-            styles[name] = {"color": ORANGE, "linestyle": "--", "label": name}
-        else:
-            index = sum(other != "dead-reckoning" for other in styles)
-            styles[name] = {"color": colours[index % len(colours)], "linestyle": "-", "label": name}
+    for label, name in of.items():
+        same = [other for other in of if of[other] == name]
+        index = same.index(label)
+        dashes = "--" if name == "dead-reckoning" else DASHES[index % len(DASHES)]
+        colour = _shade(colour_of(name), PALEST * index / max(len(same) - 1, 2))
+        styles[label] = {"color": colour, "linestyle": dashes, "label": label}
     return styles
+
+
+def colour_of(estimator: str) -> str:
+    """Return the colour of an estimator, by its name: other people's have one of a few."""
+    return ESTIMATORS.get(estimator) or OTHERS[crc32(estimator.encode()) % len(OTHERS)]
+
+
+def _shade(colour: str, white: float) -> str:
+    red, green, blue = ((1.0 - white) * part + white for part in to_rgb(colour))
+    return to_hex((red, green, blue))
 
 
 def save(figure: Figure, path: Path) -> Path:

@@ -57,7 +57,7 @@ def warm_up(request: Request, progress: Progress = silent) -> None:
     estimator = request.estimator(request.options)
     compile_now = getattr(estimator, "warm_up", None)
     if callable(compile_now):
-        with progress(f"compiling {request.name} (first use)", 1) as advance:
+        with progress(f"compiling {request.name}, once per machine", 1) as advance:
             ahead.finish(request.estimator)
             compile_now()
             advance(1)

@@ -6,12 +6,12 @@ import math
 
 import numpy as np
 
-from cellslam.sim.compiling import njit
+from cellslam.sim.compiling import part
 
 TURN = 2.0 * math.pi
 
 
-@njit(cache=True)
+@part
 def wrap(angle: float) -> float:
     """Return an angle (rad) wrapped to (-pi, pi], as `frames.wrap_angle` does: exact, however many turns away."""
     if -math.pi < angle <= math.pi:

@@ -8,11 +8,11 @@ from __future__ import annotations
 
 import numpy as np
 
-from cellslam.sim.compiling import njit
+from cellslam.sim.compiling import njit, part
 from cellslam.sim.recording import Floats, Ints
 
 
-@njit(cache=True)
+@part
 def _excess(
     start: Floats, along: Floats, length: float, tx: float, ty: float, tz: float, rx: float, ry: float, rz: float,
     clamp: bool,
@@ -38,7 +38,7 @@ def _excess(
     return way - straight, s
 
 
-@njit(cache=True)
+@part
 def _near(
     start: Floats, along: Floats, length: Floats, t: Floats, receivers: Floats, low: int, high: int, members: Ints,
     count: int, most: float, kept: Ints,
@@ -97,7 +97,7 @@ def diffractions(
     return total
 
 
-@njit(cache=True)
+@part
 def _within(into: Floats, start: Floats, point: Floats) -> bool:
     """Tell whether a point lies in the wedge between the two facets of an edge; a single facet has none."""
     if np.isnan(into[1, 0]):

@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from cellslam.sim.compiling import njit
+from cellslam.sim.compiling import njit, part
 
 Array = NDArray[Any]
 INSIDE_M = 1e-6
@@ -75,7 +75,7 @@ def mirror(table: Array, reflects: Array, transmitter: Array, images: Images) ->
             images.side[f] = 1.0 if d > 0.0 else -1.0
 
 
-@njit(cache=True)
+@part
 def reaches(row: Array, image: Array, side: float, box: Box) -> bool:
     """Tell whether a receiver in the box can see the image (3,) through the box of the facet `row` (14,)."""
     middle = side * (row[0] * box.x + row[1] * box.y + row[2] * box.z - row[3])
@@ -100,7 +100,7 @@ def reaches(row: Array, image: Array, side: float, box: Box) -> bool:
     )
 
 
-@njit(cache=True)
+@part
 def inside(outline: Array, start: int, stop: int, u: float, v: float) -> bool:
     """Tell whether (u, v) lies in one of the triangles `outline[start:stop]`, or within a micrometre of it."""
     for k in range(start, stop):
@@ -131,7 +131,7 @@ def bounds(receivers: Array, start: int, stop: int) -> Box:
     )  # fmt: skip
 
 
-@njit(cache=True)
+@part
 def _cull(table: Array, images: Images, box: Box, members: Array, count: int, kept: Array) -> int:
     """Write into `kept` those of `members[:count]` that a receiver in the box can meet; return how many."""
     found = 0

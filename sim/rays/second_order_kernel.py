@@ -9,13 +9,13 @@ from typing import Any
 
 import numpy as np
 
-from cellslam.sim.compiling import njit
+from cellslam.sim.compiling import njit, part
 from cellslam.sim.rays.first_order_kernel import INSIDE_M, Array, Box, FacetTable, Images, bounds, inside, reaches
 
 GROUP = 16  # facets that are culled together
 
 
-@njit(cache=True)
+@part
 def _beam_reaches(table: Array, images: Images, a: int, b: int, again: Any, box: Box) -> bool:
     """Tell whether the box may be lit over the facets a and then b.
 
@@ -106,12 +106,12 @@ def facet_pairs(
     return total
 
 
-@njit(cache=True)
+@part
 def _box(row: Array) -> Box:
     return Box(row[0], row[1], row[2], row[3], row[4], row[5])
 
 
-@njit(cache=True)
+@part
 def _ahead(row: Array, side: float, box: Box) -> bool:
     """Tell whether the box stands before the plane of a facet, in part by more than a micrometre."""
     middle = side * (row[0] * box.x + row[1] * box.y + row[2] * box.z - row[3])
@@ -158,7 +158,7 @@ def windows(table: Array, images: Images, mirrored: Array, pairs: Array, part: A
                 part[p, corner, axis] = u * row[4 + axis] + v * row[7 + axis] + row[3] * row[axis]
 
 
-@njit(cache=True)
+@part
 def _cull(
     table: Array, images: Images, pairs: Array, second: Array, box: Box, members: Array, count: int, kept: Array
 ) -> int:
@@ -172,7 +172,7 @@ def _cull(
     return found
 
 
-@njit(cache=True)
+@part
 def _hit(
     facets: FacetTable, f: int, image: Array, side: float, x: float, y: float, z: float
 ) -> tuple[float, float, float]:

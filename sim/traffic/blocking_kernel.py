@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from cellslam.sim.compiling import njit
+from cellslam.sim.compiling import njit, part
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -45,7 +45,7 @@ def place(poses: Floats, step: float, longest_m: float, out: Floats) -> None:
             out[n, c] = poses[k, n, c] + share * (poses[after, n, c] - poses[k, n, c])
 
 
-@njit(cache=True)
+@part
 def in_box(point: Point, pose: Floats) -> Point:
     """Return a point in the frame of a box with pose [x, y, ground, yaw]: along, to the left, above ground, m."""
     x, y = point[0] - pose[0], point[1] - pose[1]
@@ -53,7 +53,7 @@ def in_box(point: Point, pose: Floats) -> Point:
     return c * x + s * y, c * y - s * x, point[2] - pose[2]
 
 
-@njit(cache=True)
+@part
 def meets(start: Point, end: Point, size: Floats) -> bool:
     """Return whether a segment meets a box [length, width, height] in m, both in the frame of the box."""
     low, high = (-0.5 * size[0], -0.5 * size[1], 0.0), (0.5 * size[0], 0.5 * size[1], size[2])
@@ -69,7 +69,7 @@ def meets(start: Point, end: Point, size: Floats) -> bool:
     return enter <= leave
 
 
-@njit(cache=True)
+@part
 def _point(corners: Floats, row: int) -> Point:
     return corners[row, 0], corners[row, 1], corners[row, 2]
 
@@ -107,7 +107,7 @@ def blocking_pairs(lines: Lines, poses: Floats, longest_m: float, size_m: Floats
     return out[:found].copy()
 
 
-@njit(cache=True)
+@part
 def _below(start: Point, end: Point, top: float) -> Point:
     """Return the middle (x, y) of the part of a segment that is below `top`, and half of the part's length and a little
     more, as seen from above; below zero where there is none."""
@@ -122,7 +122,7 @@ def _below(start: Point, end: Point, top: float) -> Point:
     return start[0] + middle * x, start[1] + middle * y, half * np.sqrt(x * x + y * y) + 1e-6
 
 
-@njit(cache=True)
+@part
 def _blocks(corners: Floats, k: int, last: int, pose: Floats, size: Floats) -> bool:
     """Return whether a box blocks segment k of a path, and does not hold the path's last corner."""
     if not meets(in_box(_point(corners, k), pose), in_box(_point(corners, k + 1), pose), size):

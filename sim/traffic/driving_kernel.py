@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from cellslam.sim.compiling import njit
+from cellslam.sim.compiling import njit, part
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -67,7 +67,7 @@ class Cars(NamedTuple):
     wanted: Floats
 
 
-@njit(cache=True)
+@part
 def following(speed: float, wanted: float, gap: float, closing: float, rules: Rules) -> float:
     """Return the acceleration (m/s^2) of the IDM at a speed, with `gap` m to the vehicle ahead (inf: none), closing in
     on it by `closing` m/s.
@@ -80,21 +80,21 @@ def following(speed: float, wanted: float, gap: float, closing: float, rules: Ru
     return free - rules.acceleration * share * share
 
 
-@njit(cache=True)
+@part
 def wanted_gap(speed: float, closing: float, rules: Rules) -> float:
     """Return the gap (m) that the IDM wants."""
     dynamic: float = speed * closing / (2.0 * np.sqrt(rules.acceleration * rules.braking))
     return rules.jam_gap + speed * rules.time_gap + dynamic
 
 
-@njit(cache=True)
+@part
 def ahead_by(cars: Cars, i: int, j: int, road: Road) -> float:
     """Return how far (m) j is ahead of i, round to its back."""
     distance: float = cars.along[j] - cars.along[i]
     return distance if distance >= 0.0 else distance + road.length
 
 
-@njit(cache=True)
+@part
 def _neighbours(cars: Cars, i: int, side: float, road: Road) -> tuple[int, int]:
     """Return the vehicles ahead of and behind i on the lane at `side`, -1 none."""
     ahead, behind, least, most = -1, -1, np.inf, -np.inf
@@ -109,7 +109,7 @@ def _neighbours(cars: Cars, i: int, side: float, road: Road) -> tuple[int, int]:
     return ahead, behind
 
 
-@njit(cache=True)
+@part
 def _follow(cars: Cars, i: int, j: int, road: Road, rules: Rules) -> float:
     """Return the acceleration of i if it followed j; -1: nobody. highway-env's distances are from centre to centre, of
     vehicles of 5 m each: so is the gap here, with the lengths made good."""
@@ -123,7 +123,7 @@ def _follow(cars: Cars, i: int, j: int, road: Road, rules: Rules) -> float:
     return following(cars.speed[i], wanted, gap, cars.speed[i] - cars.speed[j], rules)
 
 
-@njit(cache=True)
+@part
 def is_better(cars: Cars, i: int, lane: int, road: Road, rules: Rules) -> bool:
     """Return whether MOBIL recommends that vehicle i changes to a lane."""
     ahead, behind = _neighbours(cars, i, road.lanes[lane], road)
@@ -137,13 +137,13 @@ def is_better(cars: Cars, i: int, lane: int, road: Road, rules: Rules) -> bool:
     return gain + rules.politeness * others >= rules.gain
 
 
-@njit(cache=True)
+@part
 def nearest_lane(side: float, road: Road) -> int:
     """Return the lane that is nearest to `side` m."""
     return int(np.argmin(np.abs(road.lanes - side)))
 
 
-@njit(cache=True)
+@part
 def _choose_lane(cars: Cars, i: int, road: Road, rules: Rules) -> None:
     """Begin to change lanes, or give it up where somebody ahead changes to the same lane."""
     lane, wanted = nearest_lane(cars.side[i], road), cars.lane[i]
@@ -167,7 +167,7 @@ def _choose_lane(cars: Cars, i: int, road: Road, rules: Rules) -> None:
             cars.lane[i] = other
 
 
-@njit(cache=True)
+@part
 def _accelerate(cars: Cars, i: int, road: Road, rules: Rules) -> float:
     """Return what vehicle i does on its lane, and on the one that it changes to."""
     lane = nearest_lane(cars.side[i], road)
@@ -177,7 +177,7 @@ def _accelerate(cars: Cars, i: int, road: Road, rules: Rules) -> float:
     return min(max(least, -rules.hardest), rules.hardest)
 
 
-@njit(cache=True)
+@part
 def _move(cars: Cars, i: int, acceleration: float, step_s: float, road: Road) -> None:
     """Advance vehicle i by a step: it stops rather than going backwards, and turns as far as it moves."""
     v = cars.speed[i]

@@ -16,7 +16,7 @@ import math
 import numpy as np
 from numba import prange
 
-from cellslam.sim.compiling import njit
+from cellslam.sim.compiling import njit, part
 from cellslam.sim.recording import Floats, Ints
 
 MEAN, COV, TRIG, COMPONENT = 1, 5, 15, 19
@@ -33,7 +33,7 @@ def face(components: Floats) -> None:
     components[..., TRIG:] = np.stack(trig, axis=-1)
 
 
-@njit(cache=True)
+@part
 def _turn(c: Floats, at: int, angle: float) -> None:
     """Turn the cosine and sine at c[at] by an angle; small ones by the series, whose remainder is below 2e-12."""
     square = angle * angle
@@ -45,7 +45,7 @@ def _turn(c: Floats, at: int, angle: float) -> None:
     c[at], c[at + 1] = c[at] * cosine - c[at + 1] * sine, c[at + 1] * cosine + c[at] * sine
 
 
-@njit(cache=True)
+@part
 def _update(
     c: Floats, dx: float, dy: float, dz: float, measured: float, variance: float, floor: float, far: float
 ) -> float:
@@ -161,7 +161,7 @@ def describe(anchor: Floats, mixture: Floats, count: int, points: Floats, out: F
                     _accumulate(out, share, x - out[0, 0], y - out[0, 1], z - out[0, 2], b - out[0, 3])
 
 
-@njit(cache=True)
+@part
 def _accumulate(out: Floats, share: float, x: float, y: float, z: float, b: float) -> None:
     d = (x, y, z, b)
     for r in range(4):
@@ -169,7 +169,7 @@ def _accumulate(out: Floats, share: float, x: float, y: float, z: float, b: floa
             out[1 + r, c] += share * d[r] * d[c]
 
 
-@njit(cache=True)
+@part
 def _sigma_points(c: Floats, points: Floats) -> None:
     """Write mean +- 2 columns of the root of the covariance (4, 4) of a component into points (4, 8)."""
     for a in range(4):

@@ -21,7 +21,7 @@ from cellslam.slam.ekf_slam.snapshot.birth_kernel import map_of
 from cellslam.slam.ekf_slam.snapshot.guess_kernel import AHEAD, AROUND
 from cellslam.slam.ekf_slam.snapshot.motion_kernel import Interval
 from cellslam.slam.ekf_slam.snapshot.sizes_kernel import SIZES
-from cellslam.slam.ekf_slam.snapshot.snapshot_kernel import Paired, pair_and_use_in_bank, pair_in_bank, use_in_bank
+from cellslam.slam.ekf_slam.snapshot.snapshot_kernel import Paired, pair_in_bank, use_in_bank
 from cellslam.slam.ekf_slam.state.layout import (
     ANCHOR,
     ENTRY,
@@ -297,9 +297,8 @@ def side_by_side(
     for bank in banks:
         pairs, found = bank._unpaired(measured, most_vts), np.full((len(bank), len(measured.z)), -1, np.int64)
         associations.append(found)
-        works.append(partial(
-            pair_and_use_in_bank, bank.arrays, errors, bank.blocks, interval, measured, pairs, found, bank.log_weight
-        ))  # fmt: skip
+        at = bank.arrays, errors, bank.blocks, interval, measured, pairs
+        works += [partial(pair_in_bank, *at), partial(use_in_bank, *at, found, bank.log_weight)]
     together(works, sum(len(bank) for bank in banks))
     return associations
 

@@ -10,7 +10,7 @@ import math
 
 import numpy as np
 
-from cellslam.sim.compiling import njit
+from cellslam.sim.compiling import njit, part
 from cellslam.sim.recording import Floats, Ints
 
 GATE = 4.0  # deviations beyond which a direction says nothing
@@ -45,7 +45,7 @@ def level(
     return out_azimuth, out_elevation
 
 
-@njit(cache=True)
+@part
 def _row_of(name: int, names: Ints) -> int:
     """Return where `name` is among names (V,), -1 where it is not."""
     for i in range(len(names)):

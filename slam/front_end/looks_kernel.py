@@ -10,7 +10,7 @@ import math
 
 import numpy as np
 
-from cellslam.sim.compiling import njit
+from cellslam.sim.compiling import njit, part
 from cellslam.sim.recording import Floats, Ints
 
 TOGETHER = 16.3  # squared distance of two measurements of one path over its variance, at most
@@ -63,7 +63,7 @@ def taken_together(
     return mean, variance, own, members, ports, first, look
 
 
-@njit(cache=True)
+@part
 def group(z: Floats, variance: Floats, link: Ints, group_of: Ints) -> tuple[Ints, int]:
     """Return for each measurement (m,) the number of its look, and how many looks there are.
 
@@ -107,7 +107,7 @@ def group(z: Floats, variance: Floats, link: Ints, group_of: Ints) -> tuple[Ints
     return look, looks
 
 
-@njit(cache=True)
+@part
 def means(
     z: Floats, white: Floats, link: Ints, port_of: Ints, look: Ints, first: Ints
 ) -> tuple[Floats, Floats, Ints, Ints]:
@@ -151,7 +151,7 @@ def means(
     return mean, variance, members, ports
 
 
-@njit(cache=True)
+@part
 def _apart(z: Floats, variance: Floats, centre: Floats, spread: Floats) -> float:
     """Return the squared distance of a measurement from a look, over its variance."""
     total = 0.0
@@ -165,7 +165,7 @@ def _apart(z: Floats, variance: Floats, centre: Floats, spread: Floats) -> float
     return total
 
 
-@njit(cache=True)
+@part
 def _join(z: Floats, variance: Floats, centre: Floats, spread: Floats, members: Floats) -> None:
     """Take a measurement into the mean of a look: the first one that has a component begins it."""
     for c in range(3):

@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from cellslam.sim.compiling import njit
+from cellslam.sim.compiling import njit, part
 from cellslam.sim.frames.frames_kernel import wrap
 from cellslam.sim.recording import Floats, Ints
 
@@ -29,7 +29,7 @@ class Persisting(NamedTuple):
     scales: Floats
 
 
-@njit(cache=True)
+@part
 def count_sharers(z: Floats, link: Ints, group: Ints, q: Floats) -> Floats:
     """Return for each measurement (m,) how many links of its group measured the same path, its own included.
 
@@ -62,14 +62,14 @@ def scaled(snr_db: Floats, floor: Floats, unit: Floats) -> Floats:
     return out
 
 
-@njit(cache=True)
+@part
 def repeats(scale: float, step: float) -> float:
     """Return how many samples `step` apart share one draw of an error with correlation exp(-x^2 / (2 scale^2)): its
     sum over all lags."""
     return min(max(math.sqrt(2.0 * math.pi) * scale / max(abs(step), 1e-12), 1.0), MOST_REPEATS)
 
 
-@njit(cache=True)
+@part
 def crowd(azimuth: Floats, elevation: Floats, scale: float) -> Floats:
     """Return for each direction (m,) how many directions share its error, itself included: the sum of correlations
     exp(-angle^2 / (2 scale^2)). An elevation that is missing is taken to be alike, an azimuth not."""

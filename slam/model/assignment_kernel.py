@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from cellslam.sim.compiling import njit
+from cellslam.sim.compiling import njit, part
 from cellslam.sim.recording import Floats, Ints
 
 LEFT_OUT = -1e30  # score of a pair that cannot be
@@ -45,7 +45,7 @@ def assign(score: Floats, rows: int, columns: int, row_of: Ints, work_f: Floats,
         best_sum(score, alone, 0.0, rows, columns, row_of, work_f, work_i)
 
 
-@njit(cache=True)
+@part
 def best_sum(
     score: Floats, alone: Floats, least: float, rows: int, columns: int, row_of: Ints, work_f: Floats, work_i: Ints
 ) -> float:
@@ -99,7 +99,7 @@ def best_sum(
     return total
 
 
-@njit(cache=True)
+@part
 def _cost(score: Floats, alone: Floats, least: float, rows: int, column: int, place: int) -> float:
     """Return what a column pays for a place: a row, or from `rows` on the places of columns that have none."""
     if place < rows:

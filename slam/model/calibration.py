@@ -19,7 +19,7 @@ import numpy as np
 from cellslam.sim.described import Described
 from cellslam.sim.errors import InputError
 from cellslam.sim.recording import Floats, Ints
-from cellslam.slam.model.field_kernel import MOST_BELLS, Grid, bells, grid
+from cellslam.slam.model.field_kernel import Grid, grid, loads
 from cellslam.slam.model.hdf5_file import Kind, read, write
 
 COMPONENTS = ("distance", "azimuth", "elevation")
@@ -65,11 +65,11 @@ class Calibration(Described):
     def at(self, directions: Floats) -> tuple[Floats, Floats]:
         """Return the field's mean and standard deviation (n, 3), m and rad, at directions (n, 2): azimuth and elevation
         in the body frame, rad."""
-        loads, shape = self._loads(directions), (len(directions), 3)
+        of_cells, shape = loads(self.grid, directions), (len(directions), 3)
         mean, variance = np.zeros(shape), np.tile(self.size**2, (len(directions), 1))
         for c in range(3):
             met = self.component == c
-            by = loads[:, self.cell[met]]
+            by = of_cells[:, self.cell[met]]
             mean[:, c] = by @ self.mean[met]
             gained = self.covariance[np.ix_(met, met)] - self.size[c] ** 2 * np.eye(int(met.sum()))
             variance[:, c] += np.einsum("nw,wv,nv->n", by, gained, by)
@@ -78,19 +78,7 @@ class Calibration(Described):
     def met(self, directions: Floats) -> Floats:
         """Return what share (n,) of the prior variance at directions (n, 2), rad, is that of weights that were met."""
         cells = np.unique(self.cell)
-        return np.asarray((self._loads(directions)[:, cells] ** 2).sum(axis=1))
-
-    def _loads(self, directions: Floats) -> Floats:
-        """Return the values (n, cells) of all bells at directions (n, 2)."""
-        out, cells, values = (
-            np.zeros((len(directions), self.grid.cells)),
-            np.empty(MOST_BELLS, np.int64),
-            np.empty(MOST_BELLS),
-        )
-        for row, (azimuth, elevation) in zip(out, directions.tolist(), strict=True):
-            count = bells(self.grid, azimuth, elevation, cells, values)
-            row[cells[:count]] = values[:count]
-        return out
+        return np.asarray((loads(self.grid, directions)[:, cells] ** 2).sum(axis=1))
 
     def check(self) -> None:
         """Raise InputError unless the parts fit each other and hold finite numbers and a covariance."""

@@ -10,7 +10,7 @@ from cellslam.sim.compiling import lean
 from cellslam.sim.recording import Floats
 
 
-@lean(cache=True, fastmath={"contract"})
+@lean(fastmath={"contract"})
 def downdate(p: Floats, n: int, g: Floats, k: int) -> None:
     """Subtract from the first n rows and columns of a symmetric P the products of k gains (rows of g).
 

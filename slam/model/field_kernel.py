@@ -15,7 +15,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from cellslam.sim.compiling import lean
+from cellslam.sim.compiling import lean, njit
 from cellslam.sim.recording import Floats, Ints
 
 MOST_BELLS = 48  # that reach one direction, at the spacings and radii in use
@@ -47,7 +47,7 @@ def grid(scale_rad: float, spacing: float, reach: float) -> Grid:
     return Grid(scale_rad, step, (reach * scale_rad) ** 2, beyond, around, first, int(around.sum()))
 
 
-@lean(cache=True)
+@lean
 def bells(g: Grid, azimuth: float, elevation: float, cells: Ints, values: Floats) -> int:
     """Write the numbers of the cells whose bells reach a direction (rad), and their values there; return how many.
 
@@ -75,3 +75,13 @@ def bells(g: Grid, azimuth: float, elevation: float, cells: Ints, values: Floats
     for k in range(count):
         values[k] /= math.sqrt(total)
     return count
+
+
+@njit(cache=True)
+def loads(g: Grid, directions: Floats) -> Floats:
+    """Return the values (n, cells) of all bells at directions (n, 2): azimuth and elevation, rad."""
+    out, cells, values = np.zeros((len(directions), g.cells)), np.empty(MOST_BELLS, np.int64), np.empty(MOST_BELLS)
+    for n in range(len(directions)):
+        for k in range(bells(g, directions[n, 0], directions[n, 1], cells, values)):
+            out[n, cells[k]] = values[k]
+    return out

@@ -11,7 +11,7 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
-from cellslam.sim.compiling import njit
+from cellslam.sim.compiling import part
 from cellslam.slam.model.matrices_kernel import Mat3, Vec3, rotation
 from cellslam.slam.model.measurement_model import LEAST_FLAT_M
 
@@ -35,7 +35,7 @@ class Rotations(NamedTuple):
     by_phi: Mat3
 
 
-@njit(cache=True)
+@part
 def rotations(psi: float, theta: float, phi: float) -> Rotations:
     """Return R(psi, theta, phi), angles in rad, and its derivatives."""
     cp, sp, ct, st = math.cos(psi), math.sin(psi), math.cos(theta), math.sin(theta)
@@ -46,14 +46,14 @@ def rotations(psi: float, theta: float, phi: float) -> Rotations:
     return Rotations(r, by_psi, by_theta, Mat3(0.0, r.xz, -r.xy, 0.0, r.yz, -r.yy, 0.0, r.zz, -r.zy))
 
 
-@njit(cache=True)
+@part
 def spherical(v: Vec3) -> Spherical:
     """Return length (m), azimuth and elevation (rad) of a vector (m); its xy-part is taken as a millimetre at least."""
     flat2 = max(v.x * v.x + v.y * v.y, LEAST_FLAT2)
     return Spherical(math.sqrt(flat2 + v.z * v.z), math.atan2(v.y, v.x), math.atan2(v.z, math.sqrt(flat2)))
 
 
-@njit(cache=True)
+@part
 def spherical_jacobian(v: Vec3) -> Mat3:
     """Return d(length, azimuth, elevation)/d(x, y, z) of a vector (m): rows in m/m, rad/m, rad/m."""
     flat2 = max(v.x * v.x + v.y * v.y, LEAST_FLAT2)
@@ -67,14 +67,14 @@ def spherical_jacobian(v: Vec3) -> Mat3:
     )  # fmt: skip
 
 
-@njit(cache=True)
+@part
 def direction(azimuth: float, elevation: float) -> Vec3:
     """Return the unit vector to an azimuth and elevation (rad)."""
     ce = math.cos(elevation)
     return Vec3(ce * math.cos(azimuth), ce * math.sin(azimuth), math.sin(elevation))
 
 
-@njit(cache=True)
+@part
 def cartesian_jacobian(length: float, azimuth: float, elevation: float) -> Mat3:
     """Return d(x, y, z)/d(length, azimuth, elevation) of a vector: columns in m/m, m/rad, m/rad; the inverse of
     `spherical_jacobian`."""

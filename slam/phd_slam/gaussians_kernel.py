@@ -13,7 +13,7 @@ from __future__ import annotations
 import math
 from typing import Any, NamedTuple
 
-from cellslam.sim.compiling import lean, njit
+from cellslam.sim.compiling import lean, part
 from cellslam.sim.frames.frames_kernel import wrap
 from cellslam.sim.recording import Floats, Ints
 from cellslam.slam.model.matrices_kernel import (
@@ -184,7 +184,7 @@ def put_update(out: Floats, n: int, rows: Floats, j: int, seen: Seen, new: Innov
     )  # fmt: skip
 
 
-@lean(cache=True)
+@lean
 def follow(own: Map, site_of: Ints, change: Floats) -> None:
     """Let the means follow their sites' clock offsets, which have changed by `change` (S,) in m."""
     rows, names = own.rows, own.names
@@ -194,7 +194,7 @@ def follow(own: Map, site_of: Ints, change: Floats) -> None:
             rows[j, MEAN + c] += rows[j, GAIN + c] * by
 
 
-@lean(cache=True)
+@lean
 def forget(own: Map, site_of: Ints, kept: Floats) -> None:
     """Let clock offsets walk: of their variances P the share kept[:, 0] is left in the new ones.
 
@@ -209,7 +209,7 @@ def forget(own: Map, site_of: Ints, kept: Floats) -> None:
         put_gaussian(rows, j, mean_of(rows, j), spread, vec_scaled(g, kept[site, 0]))
 
 
-@lean(cache=True)
+@lean
 def come_and_go(own: Map, stay: float, back: float) -> None:
     """Let VTs become hidden and visible again: a step of the Markov chain with these probabilities."""
     rows = own.rows
@@ -219,7 +219,7 @@ def come_and_go(own: Map, stay: float, back: float) -> None:
         rows[j, HIDDEN] = (1.0 - stay) * visible + (1.0 - back) * hidden
 
 
-@lean(cache=True)
+@lean
 def put_row(rows: Floats, names: Ints, j: int, source: Floats, source_names: Ints, i: int) -> None:
     """Copy row i of a source (P, WIDTH) with its names (P, NAMES), indices, into row j of rows (C, WIDTH)."""
     for c in range(WIDTH):
@@ -227,7 +227,7 @@ def put_row(rows: Floats, names: Ints, j: int, source: Floats, source_names: Int
     names[j, LINK], names[j, NAME] = source_names[i, LINK], source_names[i, NAME]
 
 
-@njit(cache=True)
+@part
 def copy_map(source: Map, target: Map) -> None:
     """Copy a map into another one."""
     count = source.size[0]

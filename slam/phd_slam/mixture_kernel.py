@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from cellslam.sim.compiling import lean, njit
+from cellslam.sim.compiling import lean, part
 from cellslam.sim.recording import Floats, Ints
 from cellslam.slam.model.matrices_kernel import (
     Mat3,
@@ -62,7 +62,7 @@ class Pool(NamedTuple):
     size: Ints
 
 
-@njit(cache=True)
+@part
 def new_pool(most: int) -> Pool:
     """Return an empty pool with room for so many rows (n, WIDTH)."""
     return Pool(np.empty((most, WIDTH)), np.empty((most, NAMES), np.int64), np.zeros(1, np.int64))
@@ -78,7 +78,7 @@ def added(pool: Pool, link: int, name: int, visible: float, hidden: float, hits:
     return int(n)
 
 
-@lean(cache=True)
+@lean
 def give_birth(pool: Pool, at: Moved, offset: float, measured: Measured, k: int, weight: float) -> None:
     """Add the Gaussian of a VT that a measurement may be of: Sigma = J Q J^T; a greater clock offset brings it nearer.
 
@@ -100,7 +100,7 @@ def give_birth(pool: Pool, at: Moved, offset: float, measured: Measured, k: int,
     )  # fmt: skip
 
 
-@njit(cache=True)
+@part
 def condense(pool: Pool, own: Map, place: Ints, drop: float, merge: float) -> None:
     """Take the pool's Gaussians into the map, the weightiest first: into a weightier one at one of the places in view
     (V,), which ascend, if it is within reach, else with those lighter ones that are; drop what weighs less than `drop`.
@@ -161,7 +161,7 @@ def _within(rows: Floats, j: int, place: Vec3, merge: float) -> bool:
     return bool(quadratic(inverse(covariance_of(rows, j)), apart) <= merge)
 
 
-@lean(cache=True)
+@lean
 def _absorb(rows: Floats, i: int, source: Floats, k: int) -> None:
     """Replace row i by a Gaussian of the weight, mean and covariance of itself and of row k of a source together."""
     mine, its = _weight(rows, i), _weight(source, k)

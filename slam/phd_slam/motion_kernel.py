@@ -69,7 +69,7 @@ class Slopes(NamedTuple):
     rates: Mat3
 
 
-@lean(cache=True)
+@lean
 def predict_velocity(error: Floats, doubt: Floats, interval: Interval, mean: Floats, std: Floats) -> None:
     """Write mean and deviations (6,), in m/s and rad/s, of the true velocity: (measured - bias - noise) / (1 + scale).
 
@@ -83,7 +83,7 @@ def predict_velocity(error: Floats, doubt: Floats, interval: Interval, mean: Flo
         std[c] = math.sqrt(max(known + interval.noise[c] ** 2 / interval.dt, 0.0)) * abs(share)
 
 
-@lean(cache=True)
+@lean
 def learn(error: Floats, doubt: Floats, interval: Interval, velocity: Floats) -> None:
     """Condition bias and scale of each component, error (6, 2) and doubt (6, 3), on the velocity (6,) that was
     drawn, in m/s and rad/s."""
@@ -100,7 +100,7 @@ def learn(error: Floats, doubt: Floats, interval: Interval, velocity: Floats) ->
             doubt[c, 2] -= to_scale * to_scale / s
 
 
-@lean(cache=True)
+@lean
 def moved(pose: Floats, velocity: Floats, dt: float) -> Moved:
     """Return where a pose (6,), in m and rad, is after `dt` (s) at body velocities (6,): the attitude at
     mid-interval turns them."""
@@ -114,7 +114,7 @@ def moved(pose: Floats, velocity: Floats, dt: float) -> Moved:
     return Moved(place, after, scaled(middle.r, dt), scaled(turning, half * dt), dt)
 
 
-@lean(cache=True)
+@lean
 def put_pose(pose: Floats, velocity: Floats, at: Moved) -> None:
     """Write the pose (6,), in m and rad, that a velocity (6,) has led to."""
     pose[0], pose[1], pose[2] = at.place.x, at.place.y, at.place.z
@@ -178,7 +178,7 @@ def inform(by: Slopes, inverse: Sym3, e: Vec3, share: float, information: Floats
             information[a, b] += dot(s, j[b])
 
 
-@lean(cache=True)
+@lean
 def factorise(information: Floats, y: Floats, mean: Floats) -> None:
     """Turn the lower triangle of I + information (6, 6) into its Cholesky factor L, and write L^-T L^-1 y (6,) as mean
     (6,), in units of deviations."""
@@ -197,7 +197,7 @@ def factorise(information: Floats, y: Floats, mean: Floats) -> None:
     back(information, mean)
 
 
-@lean(cache=True)
+@lean
 def back(factor: Floats, x: Floats) -> None:
     """Solve L^T x = x (6,) in place, in units of deviations; the lower triangle of `factor` (6, 6) is L."""
     for i in range(5, -1, -1):

@@ -12,7 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from cellslam.sim.compiling import lean, njit
+from cellslam.sim.compiling import lean, part
 from cellslam.sim.recording import Floats, Ints
 from cellslam.slam.model.matrices_kernel import Vec3, dot, sym_plus, transposed_vec, vec_minus
 from cellslam.slam.model.measurement_kernel import LEAST_FLAT2
@@ -97,7 +97,7 @@ def _within(v: Vec3, span: float, variance: float, flat2: float) -> float:
     return _inside(span - abs(math.atan2(v.y, v.x)), variance)
 
 
-@njit(cache=True)
+@part
 def find_near(own: Map, among: Ints, at: Moved, offset: Floats, rules: Rules, way: float, turn: float) -> Near:
     """Return which of the Gaussians at these places, which ascend, may be detected; offset (S,) in m: the clocks.
 
@@ -137,7 +137,7 @@ def _off(c: float, s: float, ahead: float, aside: float, limit2: float) -> bool:
     return cross * cross > limit2 * (cross * cross + along * along)
 
 
-@njit(cache=True)
+@part
 def pair_up(
     own: Map, near: Near, at: Moved, std: Floats, offset: Floats, variance: Floats, measured: Measured, first: Ints,
     rules: Rules,
@@ -185,7 +185,7 @@ def pair_up(
     return Pairs(gaussian[:size], measurement[:size], odds[:size])
 
 
-@njit(cache=True)
+@part
 def exclusive(pairs: Pairs, measurements: int) -> Floats:
     """Return the marginal probability (P,) of each pair, where a Gaussian has one measurement at most and the
     reverse."""

@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 from numba import prange
 
-from cellslam.sim.compiling import lean, njit
+from cellslam.sim.compiling import lean, njit, part
 from cellslam.sim.recording import Floats, Ints
 from cellslam.slam.model.matrices_kernel import dot, sym_vec, vec_plus
 from cellslam.slam.phd_slam.gaussians_kernel import (
@@ -83,7 +83,7 @@ class One(NamedTuple):
     map: Map
 
 
-@njit
+@part
 def one_of(p: Particles, i: int) -> One:
     """Return one of the particles."""
     own = Map(p.rows[i], p.names[i], p.size[i])
@@ -111,7 +111,7 @@ def use_snapshot(
         _update(one, moved(one.pose, np.zeros(6), 0.0), among, measured, first, rules, association[i])
 
 
-@njit(cache=True)
+@part
 def _walk(one: One, walk: Floats, rules: Rules) -> None:
     """Let the clock offsets walk."""
     kept, any_walks = np.ones((len(walk), 2)), False
@@ -125,7 +125,7 @@ def _walk(one: One, walk: Floats, rules: Rules) -> None:
         forget(one.map, rules.site_of, kept)
 
 
-@njit(cache=True)
+@part
 def _move(one: One, interval: Interval, measured: Measured, first: Ints, rules: Rules, drawn: Floats) -> Ints:
     """Draw the velocity from its density given the snapshot, linearised at its mean; weigh by prior over density.
 
@@ -158,7 +158,7 @@ def _move(one: One, interval: Interval, measured: Measured, first: Ints, rules: 
     return near.place
 
 
-@lean(cache=True)
+@lean
 def _inform(
     one: One, at: Moved, std: Floats, measured: Measured, rules: Rules, near: Near, pairs: Pairs, shares: Floats,
     x: Floats, information: Floats, y: Floats,
@@ -176,7 +176,7 @@ def _inform(
         inform(by, inverse, e, shares[p], information, y)
 
 
-@njit(cache=True)
+@part
 def _update(one: One, at: Moved, among: Ints, measured: Measured, first: Ints, rules: Rules, association: Ints) -> None:
     """Update the clock offsets, the map, of which the Gaussians at the places `among` may be seen, and the weight of a
     particle whose pose is drawn."""
@@ -200,7 +200,7 @@ def _update(one: One, at: Moved, among: Ints, measured: Measured, first: Ints, r
     condense(pool, own, near.place, rules.drop, rules.merge)
 
 
-@njit(cache=True)
+@part
 def _learn_offsets(one: One, at: Moved, measured: Measured, rules: Rules, near: Near, pairs: Pairs) -> None:
     """Condition the clock offsets on the pairs, each by its probability; weigh by what that costs.
 
@@ -231,7 +231,7 @@ def _learn_offsets(one: One, at: Moved, measured: Measured, rules: Rules, near: 
     follow(one.map, rules.site_of, change)
 
 
-@njit(cache=True)
+@part
 def _updated(
     one: One, at: Moved, measured: Measured, rules: Rules, near: Near, pairs: Pairs, total: Floats, association: Ints
 ) -> Pool:
@@ -281,7 +281,7 @@ def resample(particles: Particles, ancestors: Ints) -> None:
     p.log_weight[:] = 0.0
 
 
-@njit(cache=True)
+@part
 def _copy(p: Particles, a: int, b: int) -> None:
     """Put a copy of particle a in the place of particle b."""
     p.pose[b], p.error[b], p.doubt[b] = p.pose[a], p.error[a], p.doubt[a]

@@ -8,28 +8,35 @@ import re
 import shutil
 import subprocess
 import sys
+from inspect import isfunction
 from pathlib import Path
+from typing import Any
 
+import numba
 import pytest
 
 from cellslam.sim import compiling
 
 ROOT = Path(__file__).parents[2]
+KERNEL = """
+from cellslam.sim.compiling import njit
+from cellslam.sim.frames.frames_kernel import wrap
+@njit(cache=True)
+def wrapped(angle):
+    return wrap(angle)
+"""
 CALL = """
-import numpy as np
-from cellslam.sim.lte.statistical import measurement_kernel as m
-row = np.zeros(16)
-row[m.AZIMUTH] = 4.0
-m.fold(row)
-print(row[m.AZIMUTH], sum(m.fold.stats.cache_hits.values()), m.__file__)
+from cellslam.sim import wrapping_kernel as k
+print(k.wrapped(4.0), sum(k.wrapped.stats.cache_hits.values()), k.__file__)
 """
 
 
 @pytest.fixture
 def package(tmp_path: Path) -> Path:
-    """Return a copy of the package's floor `sim`."""
+    """Return a copy of the package's floor `sim` with a kernel that calls a function of another file."""
     home = tmp_path / "cellslam"
     shutil.copytree(ROOT / "sim", home / "sim", ignore=shutil.ignore_patterns("__pycache__"))
+    (home / "sim" / "wrapping_kernel.py").write_text(KERNEL)
     shutil.copy(ROOT / "cellslam" / "__init__.py", home)
     return home
 
@@ -56,8 +63,7 @@ def test_edit_of_a_callee_in_another_file_is_noticed(package: Path) -> None:
 
 
 def test_only_compiled_sources_as_they_are_count_as_compiled(package: Path) -> None:
-    kernel = package / "sim" / "lte" / "statistical" / "measurement_kernel.py"
-    name = "cellslam.sim.lte.statistical.measurement_kernel"
+    kernel, name = package / "sim" / "wrapping_kernel.py", "cellslam.sim.wrapping_kernel"
     assert not compiling.is_compiled(name, kernel)
     called(package)
     assert compiling.is_compiled(name, kernel)
@@ -95,6 +101,54 @@ def test_old_folders_are_removed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch
         os.utime(folder, (edit, edit))
         made.append(folder)
     assert [folder.exists() for folder in made] == [False] * 2 + [True] * (compiling.KEPT + 1)
+
+
+@compiling.part
+def doubled(x: int) -> int:
+    return 2 * x
+
+
+@compiling.part
+def inverse(x: int) -> float:
+    return 1.0 / x
+
+
+@compiling.njit
+def raised(x: int) -> float:
+    return doubled(x) + doubled(1) + doubled(2) + inverse(x)
+
+
+def test_a_part_has_machine_code_in_its_kernel_alone() -> None:
+    assert raised(4) == 14.25 and doubled(4) == 8
+    assert isfunction(doubled) and not has_machine_code(doubled._compiled)
+    assert has_machine_code(raised)
+    assert len(doubled._compiled.overloads) == 1  # not one for each constant
+    with pytest.raises(ZeroDivisionError):
+        raised(0)
+
+
+def has_machine_code(compiled: Any) -> bool:
+    (found,) = compiled.overloads.values()
+    return bool(found.target_context.codegen()._engine.is_symbol_defined(found.fndesc.llvm_func_name))
+
+
+@compiling.part
+def added(x: float) -> float:
+    return (x + 1e16) - 1e16
+
+
+@compiling.njit(fastmath=True)
+def hasty(x: float) -> float:
+    return added(x)
+
+
+def test_a_part_does_not_depend_on_who_calls_it_first() -> None:
+    assert hasty(1.0) == added(1.0) == 0.0
+
+
+def test_a_part_is_python_without_a_compiler(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(numba.config, "DISABLE_JIT", True)
+    assert compiling.part(doubled)(4) == 8
 
 
 def test_lean_kernels_neither_return_arrays_nor_call_what_does() -> None:

@@ -7,9 +7,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from cellslam.benchmarks.figures.style import WIDTH_IN
+from cellslam.benchmarks.figures.style import WIDTH_IN, estimator_styles
 from cellslam.benchmarks.figures.sweep.sweep_data import SweepData, sweep_lines
-from cellslam.benchmarks.figures.sweep.sweep_look import Look, series_styles, summed_label
+from cellslam.benchmarks.figures.sweep.sweep_look import Look, summed_label
 from cellslam.benchmarks.scores.statistics import interval, statistic
 from cellslam.sim.recording import Floats
 
@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 MOST_TICKS, MOST_LETTERS = 10, 45
-MARKERS = "osD"  # of as many lines as there are colours, then the next
+MARKERS = {"-": "o", "--": "o", "-.": "s", ":": "D"}  # in place of dashes
 # From this ratio on x is logarithmic; intervals of different lines stand beside each other, by this share of the axis.
 LOG_FROM = 10.0
 DODGE = 0.008
@@ -40,12 +40,10 @@ def draw_curve(figure: Figure, data: SweepData, look: Look, x: str) -> bool:
     if not every:
         return False
     figure.set_size_inches(WIDTH_IN * 0.62, 3.2)
-    axes, styles = figure.subplots(), series_styles(lines)
+    axes, styles = figure.subplots(), estimator_styles(lines)
     if names:
-        styles = {
-            name: {**style, "linestyle": "none", "marker": MARKERS[i // 7 % len(MARKERS)]}
-            for i, (name, style) in enumerate(styles.items())
-        }
+        for one in styles.values():
+            one["marker"], one["linestyle"] = MARKERS[one["linestyle"]], "none"
     logarithmic = not names and every[0] > 0 and every[-1] >= LOG_FROM * every[0]
     for index, (name, points) in enumerate(lines.items()):
         aside = DODGE * (index - (len(lines) - 1) / 2)

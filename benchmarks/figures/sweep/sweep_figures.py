@@ -8,11 +8,11 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from cellslam.benchmarks.figures.style import BLACK, GREY, WIDTH_IN, context, save
+from cellslam.benchmarks.figures.style import BLACK, GREY, WIDTH_IN, context, estimator_styles, save
 from cellslam.benchmarks.figures.sweep.critical_difference import draw_ranks
 from cellslam.benchmarks.figures.sweep.sweep_curve import draw_curve
 from cellslam.benchmarks.figures.sweep.sweep_data import Panel, SweepData, curve_keys, load, verdicts_of
-from cellslam.benchmarks.figures.sweep.sweep_look import AXIS, Look, series_styles, summed_label
+from cellslam.benchmarks.figures.sweep.sweep_look import AXIS, Look, summed_label
 from cellslam.benchmarks.scores.statistics import interval, statistic
 from cellslam.benchmarks.tables.summaries import Layout, check_confidence, metrics_of
 from cellslam.sim.errors import InputError
@@ -156,7 +156,7 @@ def _cost(figure: Figure, data: SweepData, look: Look) -> bool:
     if not points:
         return False
     figure.set_size_inches(WIDTH_IN * 0.62, 3.2)
-    axes, styles, seen = figure.subplots(), series_styles(data.labels), set()
+    axes, styles, seen = figure.subplots(), estimator_styles(data.labels), set()
     for one, cost_s, values in points:
         middle = float(of.of(values))
         ends = np.array(interval(values, of, look.confidence))
@@ -182,7 +182,7 @@ def _panels(
     down = -(-len(panels) // across)
     figure.set_size_inches(WIDTH_IN if across > 1 else WIDTH_IN * 0.62, 0.5 + 2.5 * down)
     grid = figure.subplots(down, across, squeeze=False, sharex=True, sharey=True)
-    styles = series_styles(data.labels)
+    styles = estimator_styles(data.labels)
     for axes, panel in zip(grid.flat, panels, strict=False):
         yield axes, panel, styles
         axes.set_title(panel.title, fontsize=7.5)

@@ -1,12 +1,8 @@
-"""How the figures of a sweep look: what they show, the labels of axes, the lines of series."""
+"""How the figures of a sweep look: what they show, the labels of axes."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
-
-from cellslam.benchmarks.figures.style import estimator_styles
 
 AXIS = {
     "position_rmse_m": "position RMSE (m)",
@@ -35,12 +31,3 @@ class Look:
 def summed_label(look: Look) -> str:
     """Return the label of an axis: the metric, and how trials are summed up."""
     return f"{AXIS.get(look.metric, look.metric)},\n{STATISTICS.get(look.statistic, look.statistic)} over trials"
-
-
-def series_styles(names: Sequence[str] | Mapping[str, Any]) -> dict[str, dict[str, Any]]:
-    """Return the line of each series; beyond the colours the dashes differ."""
-    styles = estimator_styles(names)
-    for index, name in enumerate(styles):
-        if index >= 7:
-            styles[name]["linestyle"] = ("-.", ":", "--")[index // 7 % 3]
-    return styles

@@ -7,12 +7,12 @@ from __future__ import annotations
 
 import math
 
-from cellslam.sim.compiling import njit
+from cellslam.sim.compiling import njit, part
 from cellslam.sim.frames.frames_kernel import wrap
 from cellslam.sim.lte.statistical.detector_layout import Array, LinkTable, PathColumns
 
 
-@njit(cache=True)
+@part
 def sector_gain(azimuth: float, elevation: float, cell_azimuth: float, cell_tilt: float) -> float:
     """Return the relative power gain of a sector antenna (TR 36.814, Table A.2.1.1-2); tilt is downwards."""
     off = math.degrees(wrap(azimuth - cell_azimuth))
@@ -36,7 +36,7 @@ def path_power(gain: Array, slant: Array) -> float:
     return float(h.real**2 + h.imag**2 + v.real**2 + v.imag**2)
 
 
-@njit(cache=True)
+@part
 def link_powers(
     paths: PathColumns, base: int, geo: Array, links: LinkTable, eirp: float, power: Array, cell_power: Array
 ) -> None:

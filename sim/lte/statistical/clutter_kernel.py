@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from cellslam.sim.compiling import njit
+from cellslam.sim.compiling import part
 from cellslam.sim.frames.frames_kernel import wrap
 from cellslam.sim.lte.statistical.detector_layout import (
     CLAIMED_STD,
@@ -42,7 +42,7 @@ from cellslam.sim.lte.statistical.place_draws_kernel import (
 STRETCH, BLUR_M, BLUR_AZIMUTH_RAD, BLUR_ELEVATION_RAD = 0.3, 4.0, math.radians(4.0), math.radians(3.0)
 
 
-@njit(cache=True)
+@part
 def trailing(a: Array, b: Array, model: Model) -> float:
     """Return the disturbance at path a, per integrated SNR of the stronger path b: b's diffuse energy behind it and the
     sidelobes over delay, from the direction of a and from anywhere.
@@ -55,7 +55,7 @@ def trailing(a: Array, b: Array, model: Model) -> float:
     return float(fall * (model.trail * math.exp(-0.5 * beside * beside) + model.around))
 
 
-@njit(cache=True)
+@part
 def expected_clutter(gamma: float, paths: int, model: Model) -> tuple[float, int, float]:
     """Return the mean clutter around one of `paths` of integrated SNR `gamma`, the node below that, and how far it is
     on the way to the next.
@@ -71,7 +71,7 @@ def expected_clutter(gamma: float, paths: int, model: Model) -> tuple[float, int
     return mean, low, part
 
 
-@njit(cache=True)
+@part
 def uncovered(row: Array, level: float, path: int, paths: int, geo: Array, gamma: Array, model: Model) -> float:
     """Return the probability that clutter of this integrated SNR is reported beside the energy of the other paths."""
     disturbance = 1.0
@@ -84,7 +84,7 @@ def uncovered(row: Array, level: float, path: int, paths: int, geo: Array, gamma
     return chance
 
 
-@njit(cache=True)
+@part
 def structured_clutter(path: int, paths: int, geo: Array, gamma: Array, model: Model, clutter: Any, out: Array) -> int:
     """Draw what is reported around one path besides it: pieces of its diffuse energy, ghosts of calibration error. What
     the energy of the other `paths` covers is not seen.
@@ -108,7 +108,7 @@ def structured_clutter(path: int, paths: int, geo: Array, gamma: Array, model: M
     return count
 
 
-@njit(cache=True)
+@part
 def standing_clutter(
     path: int, paths: int, geo: Array, gamma: Array, pose: Array, vt: Array, port: int, model: Model, clutter: Any,
     out: Array,
@@ -153,7 +153,7 @@ def standing_clutter(
     return count
 
 
-@njit(cache=True)
+@part
 def noise_clutter(model: Model, clutter: Any, out: Array) -> int:
     """Draw noise peaks over the threshold: uniform in delay window and azimuth."""
     count: int = min(clutter.poisson(model.noise_clutter), MOST_CLUTTER)

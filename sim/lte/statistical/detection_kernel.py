@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from cellslam.sim.compiling import njit
+from cellslam.sim.compiling import njit, part
 from cellslam.sim.frames.frames_kernel import wrap
 from cellslam.sim.lte.persisting_errors_kernel import Fields, write_attitude, write_persisting
 from cellslam.sim.lte.single_path_bound import AZIMUTH_EXPONENT
@@ -60,7 +60,7 @@ ORDER, LEFTOVER, NEAREST, CLEAR, DETECTED, SHIFT, ADDED, WIDTH = 0, 1, 2, 3, 4, 
 KIND_OF_MISS, MISS = -1, -2
 
 
-@njit(cache=True)
+@part
 def captured(a: Array, b: Array, model: Model) -> float:
     """Return the share of path a's energy inside the tangent space of path b; both (distance, az, el).
 
@@ -74,7 +74,7 @@ def captured(a: Array, b: Array, model: Model) -> float:
     return float(math.exp(-s) * (1.0 + s))
 
 
-@njit(cache=True)
+@part
 def _sort_by_strength(n: int, gamma: Array, work: Array) -> None:
     """Write the order of n paths into `work`, the strongest first."""
     for i in range(n):
@@ -85,7 +85,7 @@ def _sort_by_strength(n: int, gamma: Array, work: Array) -> None:
         work[j, ORDER] = i
 
 
-@njit(cache=True)
+@part
 def _overlap(n: int, geo: Array, gamma: Array, model: Model, work: Array) -> None:
     """Write what stronger paths leave of each path: LEFTOVER, NEAREST, and CLEAR."""
     for rank in range(n):
@@ -105,7 +105,7 @@ def _overlap(n: int, geo: Array, gamma: Array, model: Model, work: Array) -> Non
         work[p, LEFTOVER], work[p, NEAREST], work[p, CLEAR] = leftover, near, 0.0 if ghost else 1.0 / disturbance
 
 
-@njit(cache=True)
+@part
 def _detection_draw(pose: Array, vt: Array, port: int, standing: Standing, detection: Any) -> float:
     """Return the uniform draw that decides whether a path is detected: a new one, or that of a square of ground."""
     draw: float = detection.random()
@@ -119,7 +119,7 @@ def _detection_draw(pose: Array, vt: Array, port: int, standing: Standing, detec
     return draw
 
 
-@njit(cache=True)
+@part
 def _draw_detections(
     n: int, geo: Array, gamma: Array, model: Model, pose: Array, vt: Array, port: int, detection: Any, work: Array
 ) -> None:
@@ -137,7 +137,7 @@ def _draw_detections(
             work[i, LEFTOVER] = 1.0
 
 
-@njit(cache=True)
+@part
 def _merge(n: int, geo: Array, gamma: Array, work: Array) -> None:
     """Write how undetected paths pull their strongest neighbour, to which they are attributed: SHIFT and ADDED."""
     for i in range(n):
@@ -154,7 +154,7 @@ def _merge(n: int, geo: Array, gamma: Array, work: Array) -> None:
             work[q, ADDED] += merged * gamma[i]
 
 
-@njit(cache=True)
+@part
 def _detect_paths(
     n: int, geo: Array, gamma: Array, model: Model, pose: Array, vt: Array, port: int, attitude: Array, fields: Fields,
     streams: Streams, work: Array, out: Array,
@@ -187,14 +187,14 @@ def _detect_paths(
     return count
 
 
-@njit(cache=True)
+@part
 def copy_row(source: Array, target: Array) -> None:
     """Copy one measurement; a loop compiles faster than a slice."""
     for column in range(COLUMNS):
         target[column] = source[column]
 
 
-@njit(cache=True)
+@part
 def _emit(
     snapshot: int, link: int, count: int, offset: float, first: int, buffer: Array, order: Array, out: Array
 ) -> None:

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 
-from cellslam.sim.compiling import njit
+from cellslam.sim.compiling import njit, part
 from cellslam.sim.frames.frames_kernel import wrap
 from cellslam.sim.lte.single_path_bound import AZIMUTH_EXPONENT, ELEVATION_GROWTH
 from cellslam.sim.lte.statistical.detector_layout import (
@@ -41,7 +41,7 @@ def body_geometry(pose: Array, vt: Array, out: Array) -> None:
     out[2] = math.atan2(z, math.sqrt(x * x + y * y))
 
 
-@njit(cache=True)
+@part
 def detection_probability(gamma: float, overlapped: bool, model: Model) -> float:
     """Return the detection probability at integrated SNR `gamma` (leftover already applied)."""
     if gamma <= 1e-2:
@@ -58,7 +58,7 @@ def detection_probability(gamma: float, overlapped: bool, model: Model) -> float
     return float(table[i] + (at - i) * (table[i + 1] - table[i]))
 
 
-@njit(cache=True)
+@part
 def write_std(row: Array, gamma: float, elevation: float, model: Model) -> None:
     """Write true and claimed deviations of a measurement at effective integrated SNR `gamma`."""
     root = 1.0 / math.sqrt(2.0 * gamma)
@@ -75,7 +75,7 @@ def write_std(row: Array, gamma: float, elevation: float, model: Model) -> None:
     row[CLAIMED_STD + 2] = max(row[TRUE_STD + 2], 1e-4)
 
 
-@njit(cache=True)
+@part
 def write_white_std(gamma: float, elevation: float, model: Model, out: Array) -> None:
     """Write the deviations (3,) of what is drawn anew for every measurement at effective integrated SNR `gamma`."""
     root = 1.0 / math.sqrt(2.0 * gamma)
@@ -86,7 +86,7 @@ def write_white_std(gamma: float, elevation: float, model: Model, out: Array) ->
     out[2] = model.noise_scale * math.hypot(model.elevation_scale * root * growth, model.elevation_white)
 
 
-@njit(cache=True)
+@part
 def fold(row: Array) -> None:
     """Bring elevation into [-pi/2, pi/2] (over the pole turns the azimuth round) and azimuth into (-pi,
     pi].
@@ -100,7 +100,7 @@ def fold(row: Array) -> None:
     row[AZIMUTH] = wrap(row[AZIMUTH])
 
 
-@njit(cache=True)
+@part
 def clutter_row(row: Array, distance: float, azimuth: float, elevation: float, gamma: float, model: Model) -> None:
     """Fill one clutter measurement."""
     row[DISTANCE], row[AZIMUTH], row[ELEVATION] = distance, azimuth, elevation

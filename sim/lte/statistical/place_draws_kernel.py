@@ -10,7 +10,7 @@ import math
 
 import numpy as np
 
-from cellslam.sim.compiling import njit
+from cellslam.sim.compiling import part
 from cellslam.sim.lte.statistical.detector_layout import Array
 
 _STEP, _FIRST, _SECOND = np.uint64(0x9E3779B97F4A7C15), np.uint64(0xBF58476D1CE4E5B9), np.uint64(0x94D049BB133111EB)
@@ -19,7 +19,7 @@ _SHIFT = 0x5EED  # number under which a grid's shift is drawn of its key
 _PER_M = 100.0  # positions of virtual transmitters count to a centimetre
 
 
-@njit(cache=True)
+@part
 def joined(key: np.uint64, number: int) -> np.uint64:
     """Return the key of the thing of this number that belongs to `key`."""
     z = (key + _STEP) ^ (np.uint64(number) * _SECOND)
@@ -28,20 +28,20 @@ def joined(key: np.uint64, number: int) -> np.uint64:
     return z ^ (z >> _31)
 
 
-@njit(cache=True)
+@part
 def uniform(key: np.uint64, number: int) -> float:
     """Return the draw of this number of a key, uniform in [0, 1)."""
     return float((joined(key, number) >> _11) * 2.0**-53)
 
 
-@njit(cache=True)
+@part
 def normal(key: np.uint64, number: int) -> float:
     """Return the draw of this number of a key, standard normal (Box and Muller)."""
     own = joined(key, number)
     return math.sqrt(-2.0 * math.log(1.0 - uniform(own, 0))) * math.cos(2.0 * math.pi * uniform(own, 1))
 
 
-@njit(cache=True)
+@part
 def poisson(mean: float, u: float, most: int) -> int:
     """Return the Poisson number at the cumulative probability `u`, no more than `most`: it grows with the mean."""
     count, chance = 0, math.exp(-mean)
@@ -53,7 +53,7 @@ def poisson(mean: float, u: float, most: int) -> int:
     return count
 
 
-@njit(cache=True)
+@part
 def key_of_place(key: np.uint64, position: Array) -> np.uint64:
     """Return the key of a position (3,) in m."""
     for i in range(3):
@@ -61,7 +61,7 @@ def key_of_place(key: np.uint64, position: Array) -> np.uint64:
     return key
 
 
-@njit(cache=True)
+@part
 def square_of(key: np.uint64, position: Array, side: float) -> np.uint64:
     """Return the key of the square of ground in which a position is: of this side in m, in a grid of the key's own."""
     grid = joined(key, _SHIFT)
@@ -70,7 +70,7 @@ def square_of(key: np.uint64, position: Array, side: float) -> np.uint64:
     return key
 
 
-@njit(cache=True)
+@part
 def write_centre(key: np.uint64, position: Array, side: float, out: Array) -> None:
     """Write the centre of that square, at the position's height, into `out` (3,), in m."""
     grid = joined(key, _SHIFT)

@@ -73,7 +73,7 @@ class Expected(NamedTuple):
     hph: Sym3
 
 
-@lean(cache=True)
+@lean
 def expect(f: Filter, a: ArrayErrors, j: int, offset: int, turned: Rotations, s: Sight) -> Expected:
     """Return what is expected of a look at VT j at this moment.
 
@@ -107,7 +107,7 @@ def difference(z: Floats, expected: Vec3) -> Vec3:
     return Vec3(z[0] - expected.x, z[1] - expected.y, z[2] - expected.z)
 
 
-@lean(cache=True)
+@lean
 def score_pairs(f: Filter, a: ArrayErrors, seen: Measured, link: int, s: Sight, w: Pairs) -> int:
     """Score the looks of a link against its VTs; return how many candidates there are.
 
@@ -153,7 +153,7 @@ def score_pairs(f: Filter, a: ArrayErrors, seen: Measured, link: int, s: Sight, 
     return rows
 
 
-@lean(cache=True)
+@lean
 def associate(f: Filter, a: ArrayErrors, seen: Measured, link: int, s: Sight, w: Pairs) -> int:
     """Write into w.row_of (m,) the row of `chosen` for each look of a link, -1 none: the best sum of scores; return how
     many rows there are."""

@@ -23,7 +23,7 @@ ROUNDS, CLOSE = 200, 1e-7
 SURE = 1.0 - 1e-9  # most that existence can be
 
 
-@lean(cache=True)
+@lean
 def pass_messages(w: Messages, rows: int, columns: int) -> float:
     """Run the iterative data association; return the logarithm of the Bethe approximation of its normaliser.
 
@@ -63,7 +63,7 @@ def pass_messages(w: Messages, rows: int, columns: int) -> float:
     return log_z
 
 
-@lean(cache=True)
+@lean
 def _claims_of(beta: Floats, nu: Floats, columns: int) -> float:
     """Return 1 + sum of beta nu over the measurements: what a feature's association variable sums to."""
     total = 1.0
@@ -72,7 +72,7 @@ def _claims_of(beta: Floats, nu: Floats, columns: int) -> float:
     return float(total)
 
 
-@lean(cache=True)
+@lean
 def _claims_on(xi: float, zeta: Floats, rows: int) -> float:
     """Return 1 + xi + sum of zeta over the legacy features: what a measurement's association variable sums to."""
     total = 1.0 + xi
@@ -81,7 +81,7 @@ def _claims_on(xi: float, zeta: Floats, rows: int) -> float:
     return float(total)
 
 
-@lean(cache=True)
+@lean
 def believe(f: Filter, a: ArrayErrors, seen: Measured, link: int, s: Sight, w: Pairs) -> None:
     """Write into w.slot_of (m,) the VT that more likely than not made each look of a link, FRESH or TAKEN, and into
     w.exists (m,) how likely a new VT is that it began; VTs' existence is predicted and updated.

@@ -10,7 +10,7 @@ import math
 
 import numpy as np
 
-from cellslam.sim.compiling import lean, njit
+from cellslam.sim.compiling import lean, njit, part
 from cellslam.sim.recording import Floats
 from cellslam.slam.ekf_slam.snapshot.sight_kernel import (
     Sight,
@@ -61,7 +61,7 @@ NEAREST_M = 1.0  # a VT does not begin nearer
 UNKNOWN = 0.9999  # variance, of 1, from which an error is as good as unknown
 
 
-@lean(cache=True)
+@lean
 def give_birth(
     f: Filter, a: ArrayErrors, j: int, offset: int, z: Floats, q: Floats, ranged: bool, diffuse: float, now: int,
     s: Sight, w: Pending,
@@ -111,7 +111,7 @@ def give_birth(
     return True
 
 
-@lean(cache=True)
+@lean
 def add(
     f: Filter, a: ArrayErrors, b: Block, seen: Measured, link: int, ident: int, k: int, z: Floats, q: Floats,
     ranged: bool, s: Sight, w: Pending,
@@ -140,7 +140,7 @@ def add(
     return True
 
 
-@lean(cache=True)
+@lean
 def clear(b: Block, j: int) -> None:
     """Forget what the block has of VT j."""
     b.looks[j] = 0
@@ -151,7 +151,7 @@ def clear(b: Block, j: int) -> None:
     b.odds[j] = 0.0
 
 
-@lean(cache=True)
+@lean
 def _gives_way(f: Filter, b: Block, now: int, confirm: int) -> int:
     """Return the VT to give up for a new one, -1: none. What was surveyed, a VT without variance, stays."""
     worst, rank = -1, math.inf
@@ -164,7 +164,7 @@ def _gives_way(f: Filter, b: Block, now: int, confirm: int) -> int:
     return worst
 
 
-@njit(cache=True)
+@part
 def remove(f: Filter, b: Block, j: int) -> None:
     """Drop VT j and what is its own; the last VT takes its number."""
     for c in range(f.vt_state.shape[1]):
@@ -187,7 +187,7 @@ def remove(f: Filter, b: Block, j: int) -> None:
     f.count[0] = last
 
 
-@njit(cache=True)
+@part
 def keep(f: Filter, j: int, out: Floats) -> None:
     """Write identity, link, position (3,) in m and covariance (9,) in m^2 of VT j into out (14,)."""
     vt, at, p = coordinates(f, j), f.vt_state[j], f.p
@@ -218,7 +218,7 @@ def map_of(bank: Filter, k: int, hits: int) -> Floats:
     return out[:found]
 
 
-@lean(cache=True)
+@lean
 def tidy(f: Filter, a: ArrayErrors, b: Block, now: int, rules: Rules) -> None:
     """Drop VTs that were seen once or twice and not again, guesses given up, weights of the roof that were not met for
     long, and diffuse errors that are as good as unknown again."""

@@ -16,7 +16,7 @@ import math
 
 import numpy as np
 
-from cellslam.sim.compiling import lean, njit
+from cellslam.sim.compiling import lean, part
 from cellslam.sim.frames.frames_kernel import TURN, wrap
 from cellslam.sim.recording import Floats
 from cellslam.slam.ekf_slam.snapshot.birth_kernel import add
@@ -54,7 +54,7 @@ LEAST = 1e-5  # share below which a guess is given up
 AGREE = 0.5  # guesses this close, in their deviations, are one
 
 
-@lean(cache=True)
+@lean
 def possible(z: Floats, b: float) -> bool:
     """Return whether a VT can begin with a look z (3,): its distance, its azimuth or both are known.
 
@@ -63,7 +63,7 @@ def possible(z: Floats, b: float) -> bool:
     return z[0] - b > 1.0 or (math.isnan(z[0]) and not math.isnan(z[1]))
 
 
-@njit(cache=True)
+@part
 def begin(
     f: Filter, a: ArrayErrors, b: Block, seen: Measured, link: int, ident: int, k: int, s: Sight, w: Pending
 ) -> None:
@@ -98,7 +98,7 @@ def is_guess(f: Filter, i: int, link: int, ident: int) -> bool:
     return bool(f.slots[i, IDENT] == ident and f.slots[i, LINK] == link)
 
 
-@lean(cache=True)
+@lean
 def correct_guesses(f: Filter, a: ArrayErrors, j: int, offset: int, look: Look, s: Sight, w: Pending) -> float:
     """Update the guesses of the VT that j is one of by a look; return its log-density.
 
@@ -141,7 +141,7 @@ def correct_guesses(f: Filter, a: ArrayErrors, j: int, offset: int, look: Look, 
     return best + math.log(total)
 
 
-@lean(cache=True)
+@lean
 def _unite(f: Filter, link: int, ident: int, total: float) -> tuple[int, int]:
     """Make the shares of a VT's guesses sum to one, give up the improbable ones and doubles; return how many are left,
     and the last of them."""
@@ -170,7 +170,7 @@ def _unite(f: Filter, link: int, ident: int, total: float) -> tuple[int, int]:
     return left, last
 
 
-@lean(cache=True)
+@lean
 def _agree(f: Filter, i: int, j: int) -> bool:
     """Return whether two guesses of one VT are the same by now."""
     for c in range(3):
@@ -181,7 +181,7 @@ def _agree(f: Filter, i: int, j: int) -> bool:
     return True
 
 
-@njit(cache=True)
+@part
 def consider(f: Filter, j: int, new: Innovation, e: Vec3, w: Pending) -> None:
     """Update VT j alone by an innovation, T being in w.t, and e with NaN where not measured; all else is considered:
     covariances with it change, its own do not."""

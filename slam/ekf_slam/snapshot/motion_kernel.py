@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
-from cellslam.sim.compiling import lean
+from cellslam.sim.compiling import lean, njit
 from cellslam.sim.recording import Floats
 from cellslam.slam.ekf_slam.state.layout import DIFFUSE, OF_VT, POSE, ArrayErrors, Filter
 from cellslam.slam.ekf_slam.state.states_kernel import fade
@@ -33,7 +33,7 @@ class Step(NamedTuple):
     rows: Floats
 
 
-@lean(cache=True)
+@njit(cache=True, _nrt=False)  # dead reckoning's, too
 def move(f: Filter, interval: Interval, w: Step) -> Vec3:
     """Advance by an interval of dt > 0; return the way in the world, in m.
 
@@ -55,14 +55,14 @@ def _way(m: Mat3, v: Vec3, dt: float) -> Vec3:
     )
 
 
-@lean(cache=True)
+@lean
 def _velocity(f: Filter, interval: Interval, c: int) -> float:
     bias, scale = f.core.bias[c], f.core.scale[c]
     given, factor = interval.measured[c] - (f.x[bias] if bias >= 0 else 0.0), 1.0 + (f.x[scale] if scale >= 0 else 0.0)
     return float(given / factor)
 
 
-@lean(cache=True)
+@lean
 def _move_pose(f: Filter, interval: Interval, by: Floats) -> Vec3:
     """Move the pose, and write the Jacobians of where it gets to; return the way."""
     x, core, dt, half = f.x, f.core, interval.dt, 0.5 * interval.dt
@@ -97,7 +97,7 @@ def _move_pose(f: Filter, interval: Interval, by: Floats) -> Vec3:
     return way
 
 
-@lean(cache=True)
+@lean
 def _spread(f: Filter, interval: Interval, w: Step) -> None:
     """P <- F P F^T + Q: F changes the pose only, and most of its entries are zero."""
     p, core, n, by, rows = f.p, f.core, f.size[0], w.by, w.rows
@@ -134,7 +134,7 @@ def _spread(f: Filter, interval: Interval, w: Step) -> None:
             p[core.bias[c], core.bias[c]] += interval.walk[c] * interval.walk[c] * dt
 
 
-@lean(cache=True)
+@lean
 def _drift(f: Filter, dt: float) -> None:
     """Let the clock offsets run on at their rates, and both walk."""
     x, p, n = f.x, f.p, f.size[0]
@@ -154,7 +154,7 @@ def _drift(f: Filter, dt: float) -> None:
             p[rate, offset] = p[offset, rate]
 
 
-@lean(cache=True)
+@lean
 def forget(f: Filter, a: ArrayErrors, moved: float, dt: float) -> None:
     """Let what persists be drawn anew after a way (m) and a time (s): diffuse errors, turns, pitch and roll."""
     kept = math.exp(-moved / (AREA * a.diffuse_m)) if a.diffuse_m > 0.0 else 0.0

@@ -33,7 +33,7 @@ class Rival(NamedTuple):
     change: Ints
 
 
-@lean(cache=True)
+@lean
 def find_rival(f: Filter, a: ArrayErrors, seen: Measured, link: int, rows: int, s: Sight, w: Pairs, out: Rival) -> None:
     """Look for a rival of the assignment of a link, w.row_of (m,), that loses less than the one in `out`."""
     start = seen.first[link]
@@ -65,7 +65,7 @@ def _put(out: Rival, loss: float, look: int, slot: int, second: int, second_slot
     out.change[0], out.change[1], out.change[2], out.change[3] = look, slot, second, second_slot
 
 
-@lean(cache=True)
+@lean
 def _moves(
     f: Filter, a: ArrayErrors, seen: Measured, link: int, row: int, before: int, after: int, s: Sight, w: Pairs
 ) -> bool:

@@ -57,7 +57,7 @@ class Sight(NamedTuple):
     values: Floats
 
 
-@lean(cache=True)
+@lean
 def rotations_of(f: Filter) -> Rotations:
     """Return the rotation of a filter's pose, and its derivatives."""
     return rotations(f.x[3], f.x[4], f.x[5])
@@ -80,14 +80,14 @@ def put_three(s: Sight, place: int, m: Mat3) -> None:
     put(s, place + 2, m.xz, m.yz, m.zz)
 
 
-@lean(cache=True)
+@lean
 def coordinates(f: Filter, j: int) -> Spherical:
     """Return range (m), azimuth and elevation (rad) of VT j about its anchor."""
     at = f.vt_state[j]
     return Spherical(f.x[at[VT]], f.x[at[VT + 1]], f.x[at[VT + 2]])
 
 
-@lean(cache=True)
+@lean
 def geometry(f: Filter, j: int, offset: int, place: Vec3, turned: Rotations, vt: Spherical, s: Sight) -> Spherical:
     """Begin the Jacobian s of a look at VT j with pose, clock offset and VT; return h without the offset, m and rad.
 
@@ -112,7 +112,7 @@ def geometry(f: Filter, j: int, offset: int, place: Vec3, turned: Rotations, vt:
     return spherical(body)
 
 
-@lean(cache=True)
+@lean
 def field(f: Filter, g: Grid, std: Floats, first: int, seen: Spherical, now: int, s: Sight) -> Vec3:
     """Add a field's columns to the Jacobian; return its value in m and rad.
 
@@ -141,7 +141,7 @@ def field(f: Filter, g: Grid, std: Floats, first: int, seen: Spherical, now: int
     return value
 
 
-@lean(cache=True)
+@lean
 def believed(f: Filter, g: Grid, std: Floats, first: int, seen: Spherical, s: Sight) -> Vec3:
     """Return a field's value in m and rad, as `field` does, and leave the Jacobian as it is."""
     size = s.size[0]
@@ -150,7 +150,7 @@ def believed(f: Filter, g: Grid, std: Floats, first: int, seen: Spherical, s: Si
     return value
 
 
-@lean(cache=True)
+@lean
 def turns(f: Filter, seen: Spherical, share: float, s: Sight) -> Vec3:
     """Add the turns of the array within a snapshot to the Jacobian; return what they do to a look, in m and rad.
 
@@ -168,7 +168,7 @@ def turns(f: Filter, seen: Spherical, share: float, s: Sight) -> Vec3:
     return Vec3(0.0, share * (tangent * (sa * y + ca * z) - x), share * (ca * y - sa * z))
 
 
-@lean(cache=True)
+@lean
 def diffuse(f: Filter, j: int, std: Floats, share: float, enters: bool, s: Sight) -> Vec3:
     """Add a VT's diffuse errors to the Jacobian; return them, in m and rad.
 
@@ -189,7 +189,7 @@ def diffuse(f: Filter, j: int, std: Floats, share: float, enters: bool, s: Sight
     return value
 
 
-@lean(cache=True)
+@lean
 def errors_of(
     f: Filter, a: ArrayErrors, j: int, seen: Spherical, diffuse_share: float, turn_share: float, now: int, s: Sight
 ) -> Vec3:

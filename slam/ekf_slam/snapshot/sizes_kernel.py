@@ -11,7 +11,7 @@ Statistical Society B 44, 1982; Mehra, "Approaches to adaptive filtering", IEEE 
 
 from __future__ import annotations
 
-from cellslam.sim.compiling import lean, njit
+from cellslam.sim.compiling import lean, part
 from cellslam.sim.recording import Floats, Ints
 from cellslam.slam.ekf_slam.snapshot.sight_kernel import roof_first
 from cellslam.slam.ekf_slam.state.layout import POSE, ArrayErrors, Filter
@@ -36,7 +36,7 @@ def count(f: Filter, size: int, told: float, mean2: float, left: float) -> None:
     f.sizes[1, size] += 2.0 * share * share
 
 
-@lean(cache=True)
+@lean
 def count_white(f: Filter, e: Vec3, s: Sym3, q: Floats) -> None:
     """Take in the white noise of a look, of variances q (3,) in m^2 and rad^2.
 
@@ -52,7 +52,7 @@ def count_white(f: Filter, e: Vec3, s: Sym3, q: Floats) -> None:
             count(f, WHITE + c, q[c], (q[c] * at[c]) ** 2, q[c] - q[c] * q[c] * own[c])
 
 
-@lean(cache=True)
+@lean
 def count_news(f: Filter, size: int, told: float, t: Vec3, e: Vec3, s: Sym3) -> None:
     """Take in by how much a look changes what is known of a state: of a size that stays, so that only news counts.
 
@@ -64,7 +64,7 @@ def count_news(f: Filter, size: int, told: float, t: Vec3, e: Vec3, s: Sym3) -> 
         count(f, size, told, dot(gain, e) ** 2, told - dot(gain, t))
 
 
-@lean(cache=True)
+@lean
 def count_states(f: Filter, places: Ints, first_size: int, told: Floats) -> None:
     """Take in states with variances `told` (n,), in m^2 and rad^2, sizes from the first on; -1: no such state."""
     for c in range(len(places)):
@@ -73,7 +73,7 @@ def count_states(f: Filter, places: Ints, first_size: int, told: Floats) -> None
             count(f, first_size + c, told[c], f.x[place] ** 2, f.p[place, place])
 
 
-@lean(cache=True)
+@lean
 def count_weight(f: Filter, a: ArrayErrors, place: int) -> None:
     """Take in the weight of a field that is the state at this place."""
     owner, first, std, size = f.owner[place], 0, a.calibration, CALIBRATION
@@ -88,7 +88,7 @@ def count_weight(f: Filter, a: ArrayErrors, place: int) -> None:
             component -= 1
 
 
-@njit(cache=True)
+@part
 def count_motion(f: Filter, noise: Floats, dt: float) -> None:
     """Sum up the odometry's white noise, of densities (6,), over dt (s) more; once the measurements tell the sum, or
     after a while, take it in and begin anew."""

@@ -13,7 +13,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from cellslam.sim.compiling import lean, njit
+from cellslam.sim.compiling import lean, njit, part
 from cellslam.sim.frames.frames_kernel import wrap
 from cellslam.sim.recording import Floats, Ints
 from cellslam.slam.ekf_slam.snapshot.association_kernel import FRESH, TAKEN, Messages, Pairs, associate
@@ -87,7 +87,7 @@ class Room(NamedTuple):
     pending: Pending
 
 
-@lean(cache=True)
+@lean
 def advance(f: Filter, b: Block, interval: Interval, w: Step) -> None:
     """Move a filter by an interval of dt > 0.
 
@@ -101,7 +101,7 @@ def advance(f: Filter, b: Block, interval: Interval, w: Step) -> None:
     b.total[2] += dt
 
 
-@lean(cache=True)
+@lean
 def pair(f: Filter, a: ArrayErrors, seen: Measured, s: Sight, w: Pairs, rival: Rival) -> None:
     """Write into w.slot_of (m,) the VT of each look: FRESH for what may begin one, TAKEN for what may not; and into
     `rival` the best other association."""
@@ -125,7 +125,7 @@ def pair(f: Filter, a: ArrayErrors, seen: Measured, s: Sight, w: Pairs, rival: R
                 w.slot_of[k] = w.chosen[row] if row >= 0 else (TAKEN if w.gated[k - start] == 1 else FRESH)
 
 
-@lean(cache=True)
+@lean
 def count_odds(f: Filter, b: Block, seen: Measured, w: Pairs) -> None:
     """Add to each VT's log-odds that it was detected or missed in this snapshot.
 
@@ -148,7 +148,7 @@ def count_odds(f: Filter, b: Block, seen: Measured, w: Pairs) -> None:
             b.odds[j] += odds
 
 
-@lean(cache=True)
+@lean
 def known_density(z: Floats, q: Floats) -> float:
     """Return minus the mean log-density of a look (3,), NaN where not measured, at a VT that is known exactly."""
     total = 0.0
@@ -157,7 +157,7 @@ def known_density(z: Floats, q: Floats) -> float:
     return total
 
 
-@njit(cache=True)
+@part
 def take_in(f: Filter, b: Block, seen: Measured, association: Ints, s: Sight, w: Pairs) -> None:
     """Take what the looks at VTs differ by from what is expected, errors that persist left out, into the block."""
     turned, here, n = rotations_of(f), Vec3(f.x[0], f.x[1], f.x[2]), b.snapshots[0]
@@ -191,7 +191,7 @@ def _count(b: Block, j: int, c: int, e: float, q: float) -> None:
         b.measured[j, c] += 1.0
 
 
-@lean(cache=True)
+@lean
 def give_births(
     f: Filter, a: ArrayErrors, b: Block, seen: Measured, association: Ints, s: Sight, w: Pairs, p: Pending
 ) -> float:
@@ -217,7 +217,7 @@ def give_births(
     return total
 
 
-@lean(cache=True)
+@lean
 def shares(b: Block, a: ArrayErrors, j: int) -> tuple[float, float]:
     """Return what of the deviation of diffuse errors and of turns is left in the mean of a VT's looks in the block."""
     n, by_way, by_time = b.looks[j], 0.0, 0.0
@@ -229,7 +229,7 @@ def shares(b: Block, a: ArrayErrors, j: int) -> tuple[float, float]:
     return math.sqrt(by_way / (n * n) * b.diffuse[j] / n), math.sqrt(by_time / (n * n))
 
 
-@lean(cache=True)
+@lean
 def count_surprise(
     f: Filter, a: ArrayErrors, j: int, offset: int, look: Look, gate: float, s: Sight, p: Pending
 ) -> None:
@@ -241,7 +241,7 @@ def count_surprise(
     f.slots[j, UNSEEN] = 0
 
 
-@njit(cache=True)
+@part
 def conclude(f: Filter, a: ArrayErrors, b: Block, noise: Floats, seen: Measured, s: Sight, p: Pending) -> float:
     """Update the state by what the block has of each VT; return the log-likelihood of that.
 
@@ -338,17 +338,7 @@ def use_in_bank(
             log_weight[k] += conclude(f, a, b, interval.noise, seen, room.sight, room.pending)
 
 
-@njit(cache=True, nogil=True)
-def pair_and_use_in_bank(
-    bank: Filter, a: ArrayErrors, blocks: Block, interval: Interval, seen: Measured, pairs: Paired, association: Ints,
-    log_weight: Floats, first: int, step: int,
-) -> None:  # fmt: skip
-    """Do both at once, where no association is doubted."""
-    pair_in_bank(bank, a, blocks, interval, seen, pairs, first, step)
-    use_in_bank(bank, a, blocks, interval, seen, pairs, association, log_weight, first, step)
-
-
-@njit(cache=True)
+@part
 def new_room(f: Filter, looks: int) -> Room:
     """Return room for one filter and a snapshot of so many looks."""
     states, vts = len(f.x), len(f.slots)

@@ -40,7 +40,7 @@ class Shift(NamedTuple):
     paired: int
 
 
-@lean(cache=True)
+@lean
 def expect_steps(f: Filter, rules: Rules, steps: Steps) -> None:
     """Begin a block: nothing of a unit step of a clock, or shift of the vehicle along its way, is corrected."""
     sites = len(f.core.step_m)
@@ -54,7 +54,7 @@ def expect_steps(f: Filter, rules: Rules, steps: Steps) -> None:
     steps.left[sites, 0], steps.left[sites, 1] = math.cos(f.x[3]), math.sin(f.x[3])
 
 
-@lean(cache=True)
+@lean
 def take_steps(f: Filter, rules: Rules, steps: Steps) -> float:
     """End a block: correct the state by the steps that are likelier than none and than a slip, as if the offset's
     variance had been open before it; return what that adds to the log-likelihood."""
@@ -75,7 +75,7 @@ def take_steps(f: Filter, rules: Rules, steps: Steps) -> float:
     return total
 
 
-@lean(cache=True)
+@lean
 def _likely_size(steps: Steps, row: int, std_m: float) -> Shift:
     """Return the likeliest size of a step with this prior deviation, and the log-ratio of likelihoods."""
     information = steps.information[row] + 1.0 / std_m**2
@@ -83,7 +83,7 @@ def _likely_size(steps: Steps, row: int, std_m: float) -> Shift:
     return Shift(size, variance, 0.5 * (size * steps.score[row] + math.log(variance / std_m**2)), 0)
 
 
-@lean(cache=True)
+@lean
 def shift_clocks(f: Filter, b: Block, a: ArrayErrors, seen: Measured, s: Sight, w: Pairs) -> bool:
     """Shift the clock of each site whose looks, as paired in w.slot_of, confirmed VTs explain if distances are shifted;
     return whether there is any. The evidence of a site that nothing explains adds up over snapshots in `b.shift`."""
@@ -112,7 +112,7 @@ def shift_clocks(f: Filter, b: Block, a: ArrayErrors, seen: Measured, s: Sight, 
     return shifted
 
 
-@lean(cache=True)
+@lean
 def _explained(f: Filter, seen: Measured, site: int, w: Pairs) -> tuple[int, int]:
     """Return how many looks of a site are of confirmed VTs, and how many others have a distance."""
     known, unknown = 0, 0
@@ -127,7 +127,7 @@ def _explained(f: Filter, seen: Measured, site: int, w: Pairs) -> tuple[int, int
     return known, unknown
 
 
-@lean(cache=True)
+@lean
 def _worth(f: Filter, a: ArrayErrors, seen: Measured, site: int, shift: float, s: Sight, w: Pairs) -> tuple[float, int]:
     """Return the log-likelihood ratio to clutter of a site's looks that are of confirmed VTs, if its clock is shifted
     by so many m, and how many there are."""
@@ -146,7 +146,7 @@ def _worth(f: Filter, a: ArrayErrors, seen: Measured, site: int, shift: float, s
     return score, paired
 
 
-@lean(cache=True)
+@lean
 def _likely_shift(f: Filter, a: ArrayErrors, seen: Measured, site: int, s: Sight, w: Pairs) -> Shift:
     """Return the shift of a site's distances that most looks agree on; a look alone must be of a VT seen lately."""
     score, paired = _worth(f, a, seen, site, 0.0, s, w)

@@ -70,7 +70,7 @@ class Innovation(NamedTuple):
     measured: int
 
 
-@lean(cache=True)
+@lean
 def innovate(e: Vec3, q: Floats, hph: Sym3) -> Innovation:
     """Return the innovation e (m and rad, NaN where not measured) with its covariance.
 
@@ -85,7 +85,7 @@ def innovate(e: Vec3, q: Floats, hph: Sym3) -> Innovation:
     return Innovation(given, s, int(far) + int(across) + int(up))
 
 
-@lean(cache=True)
+@lean
 def log_likelihood(i: Innovation) -> tuple[float, float]:
     """Return e^T S^-1 e and log det S; infinite where S has no root."""
     root = cholesky(i.s)
@@ -95,7 +95,7 @@ def log_likelihood(i: Innovation) -> tuple[float, float]:
     return dot(w, w), 2.0 * math.log(root.xx * root.yy * root.zz)
 
 
-@lean(cache=True)
+@lean
 def covariance(f: Filter, s: Sight) -> Sym3:
     """Return H P H^T in m^2, m rad and rad^2, H being the Jacobian s."""
     xx, xy, xz, yy, yz, zz = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
@@ -111,7 +111,7 @@ def covariance(f: Filter, s: Sight) -> Sym3:
     return Sym3(xx, xy, xz, yy, yz, zz)
 
 
-@lean(cache=True)
+@lean
 def gains(f: Filter, s: Sight, w: Pending) -> Sym3:
     """Write T = H P (3, N) into w.t, less what the pending rows G have taken off: T - (H G^T) G; return T H^T."""
     n, t0, t1, t2 = f.size[0], w.t[0], w.t[1], w.t[2]
@@ -154,7 +154,7 @@ def _add(t: Floats, factor: float, row: Floats, n: int) -> None:
         t[i] += factor * row[i]
 
 
-@lean(cache=True)
+@lean
 def update(f: Filter, i: Innovation, w: Pending) -> float:
     """Update the mean by an innovation whose T is in w.t; what it takes off P goes to three more rows of w.rows, rows
     of what was not measured being zero. Return log N(e; 0, S)."""
@@ -173,7 +173,7 @@ def update(f: Filter, i: Innovation, w: Pending) -> float:
     return float(-0.5 * dot(whitened, whitened) - log_root - 0.5 * i.measured * LOG_2PI)
 
 
-@lean(cache=True)
+@lean
 def blank(w: Pending, e: Vec3) -> None:
     """Clear the rows of T of what was not measured: NaN in e."""
     if math.isnan(e.x):
@@ -184,14 +184,14 @@ def blank(w: Pending, e: Vec3) -> None:
         w.t[2] = 0.0
 
 
-@lean(cache=True)
+@lean
 def settle(f: Filter, w: Pending) -> None:
     """Take off P what is pending."""
     downdate(f.p, f.size[0], w.rows, w.used[0])
     w.used[0] = 0
 
 
-@lean(cache=True)
+@lean
 def correct(f: Filter, a: ArrayErrors, j: int, offset: int, look: Look, s: Sight, w: Pending) -> float:
     """Update the whole state by a look at VT j; return its log-density."""
     if w.used[0] + 6 > len(w.rows):
@@ -207,7 +207,7 @@ def correct(f: Filter, a: ArrayErrors, j: int, offset: int, look: Look, s: Sight
     return density
 
 
-@lean(cache=True)
+@lean
 def show_steps(f: Filter, e: Vec3, new: Innovation, counted: Sym3, s: Sight, w: Pending) -> None:
     """Take in what an innovation says of steps of clocks, after the update by it, which took `counted` for its
     covariance; e with NaN where not measured."""
@@ -226,7 +226,7 @@ def show_steps(f: Filter, e: Vec3, new: Innovation, counted: Sym3, s: Sight, w: 
             left[i] -= gone.x * g0[i] + gone.y * g1[i] + gone.z * g2[i]
 
 
-@lean(cache=True)
+@lean
 def _shown(left: Floats, e: Vec3, s: Sight) -> Vec3:
     """Return H left, zero where e is NaN."""
     x, y, z = 0.0, 0.0, 0.0
@@ -260,7 +260,7 @@ def likely_share(i: Innovation) -> float:
     return LIKELY / distance2 if LIKELY < distance2 < math.inf else 1.0
 
 
-@lean(cache=True)
+@lean
 def compare(f: Filter, a: ArrayErrors, j: int, offset: int, look: Look, s: Sight, w: Pending) -> tuple[Vec3, Sym3]:
     """Return what a look at VT j differs by from what is expected, and H P H^T; H P is left in w.t."""
     seen, z = geometry(f, j, offset, look.place, look.turned, coordinates(f, j), s), look.z

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
-from cellslam.sim.compiling import njit
+from cellslam.sim.compiling import part
 from cellslam.sim.recording import Floats, Ints
 from cellslam.slam.model.field_kernel import MOST_BELLS, Grid
 
@@ -198,7 +198,7 @@ class Block(NamedTuple):
     shift: Floats
 
 
-@njit(cache=True)
+@part
 def one_of(bank: Filter, k: int) -> Filter:
     """Return filter k of a bank."""
     return Filter(
@@ -208,7 +208,7 @@ def one_of(bank: Filter, k: int) -> Filter:
     )  # fmt: skip
 
 
-@njit(cache=True)
+@part
 def block_of(blocks: Block, k: int) -> Block:
     """Return the block of filter k of a bank."""
     return Block(

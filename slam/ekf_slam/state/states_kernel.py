@@ -7,11 +7,11 @@ they are. Source: Smith, Self and Cheeseman, "Estimating uncertain spatial relat
 
 from __future__ import annotations
 
-from cellslam.sim.compiling import lean, njit
+from cellslam.sim.compiling import lean, part
 from cellslam.slam.ekf_slam.state.layout import OF_VT, Filter
 
 
-@lean(cache=True)
+@lean
 def enter(f: Filter, owner: int, variance: float) -> int:
     """Add an independent state of mean zero; return its place, -1 where there is no room."""
     n = f.size[0]
@@ -26,7 +26,7 @@ def enter(f: Filter, owner: int, variance: float) -> int:
     return int(n)
 
 
-@njit(cache=True)
+@part
 def leave(f: Filter, place: int) -> None:
     """Take a state out; the last one takes its place."""
     last = f.size[0] - 1
@@ -40,7 +40,7 @@ def leave(f: Filter, place: int) -> None:
     f.size[0] = last
 
 
-@lean(cache=True)
+@lean
 def _settle_in(f: Filter, place: int, owner: int) -> None:
     """Write down that the state of this owner is at a place, -1 for nowhere."""
     if place >= 0:
@@ -52,13 +52,13 @@ def _settle_in(f: Filter, place: int, owner: int) -> None:
         f.vt_state[k // f.vt_state.shape[1], k % f.vt_state.shape[1]] = place
 
 
-@lean(cache=True)
+@lean
 def owner_of(j: int, coordinate: int, width: int) -> int:
     """Return the owner's number of a coordinate of VT j, of `width` each."""
     return OF_VT - (j * width + coordinate)
 
 
-@lean(cache=True)
+@lean
 def fade(f: Filter, place: int, kept: float, variance: float) -> None:
     """Let a Gauss-Markov state keep this share of itself; `variance`: what it has in the long run."""
     n = f.size[0]

@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 from numba import prange
 
-from cellslam.sim.compiling import njit
+from cellslam.sim.compiling import njit, part
 from cellslam.sim.frames.frames_kernel import wrap
 from cellslam.sim.recording import Floats, Ints
 from cellslam.slam.model.assignment_kernel import assign
@@ -97,7 +97,7 @@ class Innovation(NamedTuple):
     distance2: float
 
 
-@njit(cache=True)
+@part
 def _seen(place: Vec3, r: Mat3, mean: Vec3, cov: Sym3) -> Seen:
     """Return how a VT is seen from a place with the rotation R, body to world (corrected: the paper prints
     H^T Sigma H)."""
@@ -107,7 +107,7 @@ def _seen(place: Vec3, r: Mat3, mean: Vec3, cov: Sym3) -> Seen:
     return Seen(spherical(v), h_sigma, sym_product(h_sigma, transposed(jacobian)))
 
 
-@njit(cache=True)
+@part
 def _innovation(seen: Seen, z: Floats, q: Floats, offset: float) -> Innovation:
     h, p = seen.h, seen.spread
     e = Vec3(z[0] - offset - h.distance, wrap(z[1] - h.azimuth), z[2] - h.elevation)
@@ -118,7 +118,7 @@ def _innovation(seen: Seen, z: Floats, q: Floats, offset: float) -> Innovation:
     return Innovation(e, det, inverse, quadratic(inverse, e))
 
 
-@njit(cache=True)
+@part
 def _within_reach(place: Vec3, maps: Maps, link: int, given: Measured, gate: float, near: Ints) -> int:
     """Write which of a link's VTs may have a measurement within the gate, by distance; return how many.
 
@@ -139,7 +139,7 @@ def _within_reach(place: Vec3, maps: Maps, link: int, given: Measured, gate: flo
     return found
 
 
-@njit(cache=True)
+@part
 def _score(seen: Seen, given: Measured, link: int, gate: float, score: Floats) -> bool:
     """Write by how much each measurement of a link is within a VT's gate, at most 0 where not; return if any is."""
     found, start = False, given.first[link]
@@ -156,7 +156,7 @@ def _score(seen: Seen, given: Measured, link: int, gate: float, score: Floats) -
     return found
 
 
-@njit(cache=True)
+@part
 def _update(seen: Seen, new: Innovation, mean: Floats, cov: Floats) -> float:
     """Update a VT: K = Sigma H^T S^-1, mean + K e, Sigma - K H Sigma; return the measurement's log-density."""
     gain = mat_sym(transposed(seen.h_sigma), new.inverse)
@@ -166,7 +166,7 @@ def _update(seen: Seen, new: Innovation, mean: Floats, cov: Floats) -> float:
     return -0.5 * (new.distance2 + math.log(new.det) + 3.0 * LOG_TURN)
 
 
-@njit(cache=True)
+@part
 def _give_birth(place: Vec3, r: Mat3, z: Floats, q: Floats, offset: float, mean: Floats, cov: Floats) -> None:
     """Write mean and covariance of the VT that a measurement points to: Sigma = J Q J^T."""
     distance = max(z[0] - offset, NEAREST_M)
@@ -176,7 +176,7 @@ def _give_birth(place: Vec3, r: Mat3, z: Floats, q: Floats, offset: float, mean:
     put_sym(cov, sym_product(mat_sym(j, Sym3(q[0], 0.0, 0.0, q[1], 0.0, q[2])), transposed(j)))
 
 
-@njit(cache=True)
+@part
 def _room(maps: Maps, link: int) -> int:
     """Return a place for a VT of a link: a new one, or that of the one unseen for longest."""
     if maps.counts[link] < maps.means.shape[1]:
@@ -185,7 +185,7 @@ def _room(maps: Maps, link: int) -> int:
     return int(np.argmin(maps.slots[link, :, LAST]))
 
 
-@njit(cache=True)
+@part
 def _particle(
     now: int, pose: Floats, rotation: Floats, maps: Maps, given: Measured, born: int, gate: float, association: Ints,
     scratch: Scratch,

@@ -13,7 +13,7 @@ from gymnasium.utils.env_checker import check_env
 
 import cellslam.benchmarks.env
 from cellslam.benchmarks.env.adapters import AgentEstimator, EstimatorAgent
-from cellslam.benchmarks.env.localization import ACTION_UNIT, LocalizationEnv, observation, snapshot_of
+from cellslam.benchmarks.env.localization import REACH, LocalizationEnv, action_unit, observation, snapshot_of
 from cellslam.benchmarks.trials.estimation import estimate, warm_up
 from cellslam.scenarios.estimator_options import Request, resolve
 from cellslam.scenarios.loading import load
@@ -50,14 +50,14 @@ def test_same_seed_same_episode() -> None:
 
 def test_observation_holds_a_snapshot_exactly() -> None:
     for t, snapshot in enumerate(snapshots_of(tiny_drive())[:50]):
-        back = snapshot_of(observation(snapshot, 0.1, np.zeros(6), np.zeros(6), 64), t, int(snapshot.row[0]))
+        back = snapshot_of(observation(snapshot, 0.1, *np.zeros((3, 6)), 64), t, int(snapshot.row[0]))
         for name, value in vars(snapshot).items():
             np.testing.assert_array_equal(getattr(back, name), value, err_msg=name)
 
 
 def test_strongest_paths_are_kept() -> None:
     snapshot = snapshots_of(tiny_drive())[0]
-    few = observation(snapshot, 0.1, np.zeros(6), np.zeros(6), 5)
+    few = observation(snapshot, 0.1, *np.zeros((3, 6)), 5)
     assert few["mask"].sum() == 5
     np.testing.assert_array_equal(np.sort(few["paths"][:, 3]), np.sort(snapshot.snr_db)[-5:])
     assert (np.diff(few["link"]) >= 0).all()
@@ -65,10 +65,10 @@ def test_strongest_paths_are_kept() -> None:
 
 def test_truth_is_in_info_alone_and_rewards_are_errors() -> None:
     env = made(drives=1)
-    _, info = env.reset(seed=0)
+    seen, info = env.reset(seed=0)
     truth = info["truth_pose"]
     np.testing.assert_array_equal(info["start_pose"], truth)
-    _, reward, ended, cut, info = env.step(np.array([3.0, 4.0, 0, 0, 0, 0]) / ACTION_UNIT)
+    _, reward, ended, cut, info = env.step(np.array([3.0, 4.0, 0, 0, 0, 0]) / seen["unit"])
     assert reward == pytest.approx(-5.0)
     assert info["position_error_m"] == pytest.approx(5.0)
     assert not ended
@@ -96,7 +96,7 @@ class Wheels(AgentEstimator):
     """An agent that believes the odometry."""
 
     def policy(self) -> Any:
-        return lambda seen: seen["odometry"] * seen["dt_s"] / ACTION_UNIT
+        return lambda seen: np.zeros(6)
 
 
 def test_agent_can_be_scored_as_an_estimator() -> None:
@@ -107,6 +107,20 @@ def test_agent_can_be_scored_as_an_estimator() -> None:
         for request in (Request("wheels", Wheels, None), reference)
     ]
     np.testing.assert_allclose(*poses, atol=1e-9)
+
+
+def test_an_action_is_counted_in_deviations_of_the_odometry() -> None:
+    rng, dt, speed, count = np.random.default_rng(4), 0.1, np.array([3.0, 0.0, 0.0, 0.2, 0.0, 0.0]), 20_000
+    model = tiny_drive().odometry_model
+    bias, scale, white = (
+        rng.standard_normal((count, 6)) * size for size in (model.bias, model.scale, model.noise_density)
+    )
+    error = (bias + scale * speed) * dt + white * np.sqrt(dt)
+    unit = action_unit(model, dt, speed)
+    there = error.std(axis=0) > 0.0
+    assert there.sum() >= 2
+    np.testing.assert_allclose(unit[there], REACH * error.std(axis=0)[there], rtol=0.02)
+    assert (unit > 0.0).all()
 
 
 def test_fast_enough_in_lund() -> None:

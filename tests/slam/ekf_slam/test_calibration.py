@@ -26,6 +26,7 @@ from cellslam.slam.ekf_slam.snapshot.motion_kernel import Interval
 from cellslam.slam.ekf_slam.state.layout import one_of
 from cellslam.slam.ekf_slam.state.states_kernel import leave
 from cellslam.slam.model.calibration import Calibration
+from cellslam.slam.model.field_kernel import loads
 
 ONE_CAR: dict[str, Any] = {"radio.array_seed": 5, "radio.clock_offset_std_m": 0.0}
 SNAPSHOTS = 160
@@ -107,14 +108,14 @@ def test_what_is_found_is_nearer_to_the_truth_than_the_prior(
 def test_moments_are_those_of_the_weights(calibration: Calibration) -> None:
     directions = np.stack([np.linspace(-3.0, 3.0, 7), np.linspace(-0.3, 0.4, 7)], axis=1)
     mean, std = calibration.at(directions)
-    loads, cells = calibration._loads(directions), calibration.grid.cells
+    of_cells, cells = loads(calibration.grid, directions), calibration.grid.cells
     whole, centre = np.eye(3 * cells) * np.repeat(calibration.size**2, cells), np.zeros(3 * cells)
     at = calibration.component * cells + calibration.cell
     whole[np.ix_(at, at)], centre[at] = calibration.covariance, calibration.mean
     for c in range(3):
         part = slice(c * cells, (c + 1) * cells)
-        np.testing.assert_allclose(mean[:, c], loads @ centre[part], atol=1e-12)
-        np.testing.assert_allclose(std[:, c] ** 2, np.diag(loads @ whole[part, part] @ loads.T), rtol=1e-9)
+        np.testing.assert_allclose(mean[:, c], of_cells @ centre[part], atol=1e-12)
+        np.testing.assert_allclose(std[:, c] ** 2, np.diag(of_cells @ whole[part, part] @ of_cells.T), rtol=1e-9)
     assert ((calibration.met(directions) >= 0.0) & (calibration.met(directions) <= 1.0 + 1e-12)).all()
 
 

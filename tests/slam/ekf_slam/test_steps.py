@@ -4,9 +4,12 @@ import numpy as np
 import pytest
 from scipy.stats import chi2
 
+from cellslam.sim.compiling import njit
+from cellslam.slam.ekf_slam.snapshot.sight_kernel import rotations_of
 from cellslam.slam.ekf_slam.snapshot.steps_kernel import expect_steps, shift_clocks, take_steps
-from cellslam.slam.ekf_slam.snapshot.update_kernel import correct, settle
+from cellslam.slam.ekf_slam.snapshot.update_kernel import Look, correct, settle
 from cellslam.slam.ekf_slam.state.layout import LAST
+from cellslam.slam.model.matrices_kernel import Vec3
 
 NOW = 3  # number of the fixture's snapshot
 POSE = (1.0, 2.0, 0.0, 0.3, 0.0, 0.0)
@@ -24,26 +27,36 @@ def prepared(one_filter, **rules):
     return one, root
 
 
-def use(one, looks):
-    """Take looks at all VTs in as one block; return what the decision on steps adds to the log-likelihood."""
-    expect_steps(one.f, one.rules, one.w.pending.steps)
-    total = sum(correct(one.f, one.errors, j, one.offset, one.look(z, Q), one.w.sight, one.w.pending) for j, z in looks)
-    settle(one.f, one.w.pending)
-    return total + take_steps(one.f, one.rules, one.w.pending.steps)
+@njit
+def block(f, errors, offset, z, q, rules, sight, pending):
+    """Take a look (3,) at each VT in as one block; return their log-density, and what the decision on steps adds."""
+    expect_steps(f, rules, pending.steps)
+    total = 0.0
+    for j in range(len(z)):
+        look = Look(z[j], q, Vec3(f.x[0], f.x[1], f.x[2]), rotations_of(f), 1.0, 1.0, NOW)
+        total += correct(f, errors, j, offset, look, sight, pending)
+    settle(f, pending)
+    return total, take_steps(f, rules, pending.steps)
+
+
+def use(one, z):
+    """Take looks z (m, 3) at all VTs in as one block; return what it adds to the log-likelihood, and steps alone."""
+    density, steps = block(one.f, one.errors, one.offset, z, Q, one.rules, one.w.sight, one.w.pending)
+    return density + steps, steps
 
 
 def test_a_step_is_found_as_if_the_offset_had_been_open(one_filter, kalman):
     """With a step that is certain a priori, mean, covariance and likelihood are those of an opened variance."""
     one, root = prepared(one_filter, step=0.0, step_m=3.0)
     p = one.spread(root)
-    looks = [(j, one.model(j)[0] + np.array([0.7, 0.003, -0.002])) for j in range(len(VTS))]
+    looks = np.array([one.model(j)[0] + np.array([0.7, 0.003, -0.002]) for j in range(len(VTS))])
     h = [one.model(j)[1] for j in range(len(VTS))]
     x, p[one.offset, one.offset], total = one.f.x[: one.n].copy(), p[one.offset, one.offset] + 9.0, 0.0
     start = x.copy()
-    for (_, z), jacobian, (expected, _) in zip(looks, h, [one.model(j) for j in range(len(VTS))], strict=True):
+    for z, jacobian, (expected, _) in zip(looks, h, [one.model(j) for j in range(len(VTS))], strict=True):
         x, p, density = kalman(x, p, jacobian, z - expected - jacobian @ (x - start), Q)
         total += density
-    found = use(one, looks)
+    found, _ = use(one, looks)
     # The compiled filter linearises anew after each look.
     assert found == pytest.approx(total, abs=0.05)
     std = np.sqrt(np.diag(p))
@@ -62,11 +75,7 @@ def test_false_alarms_are_as_rare_as_stated(one_filter):
         one.f.x[: one.n] = x
         one.spread(root)
         z = expected + h @ (root @ rng.standard_normal(one.n)) + np.tile(np.sqrt(Q), 4) * rng.standard_normal(12)
-        expect_steps(one.f, one.rules, one.w.pending.steps)
-        for j in range(len(VTS)):
-            correct(one.f, one.errors, j, one.offset, one.look(z[3 * j : 3 * j + 3], Q), one.w.sight, one.w.pending)
-        settle(one.f, one.w.pending)
-        alarms += take_steps(one.f, one.rules, one.w.pending.steps) > 0.0
+        alarms += use(one, z.reshape(-1, 3))[1] > 0.0
     told = one.w.pending.steps.information[0]
     least = (np.log(1.0 + told) - 2.0 * np.log(probability)) * (1.0 + 1.0 / told)
     rate = chi2.sf(least, 1)
@@ -80,7 +89,7 @@ def test_what_a_slip_explains_is_no_step(one_filter, azimuths, found):
     one = one_filter(step=float(np.log(1e-6)), step_m=50.0)
     one.put(POSE, 5.0, *((rho, azimuth, 0.05) for rho, azimuth in zip((60.0, 80.0, 45.0), azimuths, strict=True)))
     one.spread(np.diag(np.where(np.arange(one.n) < 3, 0.05, 0.01)))
-    use(one, [(j, one.model(j)[0] - [0.8, 0.0, 0.0]) for j in range(3)])
+    use(one, np.array([one.model(j)[0] - [0.8, 0.0, 0.0] for j in range(3)]))
     assert (one.f.x[one.offset] < 4.5) == found
 
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from cellslam.sim.compiling import lean, njit
+from cellslam.sim.compiling import njit
 from cellslam.sim.lte.statistical.detector_layout import Array
 from cellslam.sim.lte.steering_kernel import ANY_ORDER, write_phasors
 
@@ -46,7 +46,7 @@ def correlate(y: Array, tones: Array, out: Array) -> None:
         out[0, m], out[1, m] = complex(real, imaginary), complex(slope_real, slope_imaginary)
 
 
-@lean(cache=True, nogil=True, fastmath=ANY_ORDER)
+@njit(cache=True, nogil=True, _nrt=False, fastmath=ANY_ORDER)
 def inner(left: Array, right: Array) -> complex:
     """Return left^H right of vectors (n,)."""
     real, imaginary = 0.0, 0.0
@@ -67,7 +67,7 @@ def write_tones(distance: float, rate: Array, out: Array) -> None:
         out[1, f] = complex(-rate[f] * sine[f], -rate[f] * cosine[f])
 
 
-@lean(cache=True, nogil=True, fastmath=ANY_ORDER)
+@njit(cache=True, nogil=True, _nrt=False, fastmath=ANY_ORDER)
 def subtract_products(row: Array, factor: Array, straight: Array, turned: Array, out: Array) -> None:
     """Write `row` (2 c,) less the sum of complex factors (n,) times columns (n, 2 c), as `in_pairs` gives them; `out`
     may be the row itself.

@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from cellslam.sim.compiling import lean, njit
+from cellslam.sim.compiling import njit
 from cellslam.sim.lte.signal.path_estimator.correlation_kernel import in_pairs, subtract_products
 from cellslam.sim.lte.statistical.detector_layout import DIFFUSE_SHARE, Array
 from cellslam.sim.lte.steering_kernel import ANY_ORDER
@@ -220,7 +220,7 @@ def neighbours(k: int, spectrum: PowerSpectrum) -> Array:
     return out
 
 
-@lean(cache=True, nogil=True)
+@njit(cache=True, nogil=True, _nrt=False)
 def _surroundings(energy: Array, k: int, elevations: int, low: int, high: int) -> float:
     """Return half the mean energy of direction k and its neighbours over bins low to high; zero outside."""
     low, high = max(low, 0), min(high, energy.shape[1])
@@ -236,7 +236,7 @@ def _surroundings(energy: Array, k: int, elevations: int, low: int, high: int) -
     return 0.5 * total / (9 * (high - low))
 
 
-@lean(cache=True, nogil=True)
+@njit(cache=True, nogil=True, _nrt=False)
 def local_level(k: int, d: int, peak: float, spectrum: PowerSpectrum, margin: float) -> tuple[float, float]:
     """Return the disturbance per sample around a cell of energy `peak`, and the level that the cell must stand out of.
 
@@ -264,7 +264,7 @@ def local_level(k: int, d: int, peak: float, spectrum: PowerSpectrum, margin: fl
     return level, asked
 
 
-@lean(cache=True, nogil=True)
+@njit(cache=True, nogil=True, _nrt=False)
 def level_around(d: int, peak: float, spectrum: PowerSpectrum) -> float:
     """Return the disturbance per sample in all directions beside a cell of energy `peak` in bin d: at least noise."""
     around = max(spectrum.port_energy[d] - peak, 0.0) / (spectrum.ports - 2)

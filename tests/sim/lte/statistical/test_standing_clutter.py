@@ -8,14 +8,18 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from cellslam.sim.compiling import njit
 from cellslam.sim.frames import unit_vector
 from cellslam.sim.lte import RadioConfig
 from cellslam.sim.lte.persisting_errors import draw_fields
+from cellslam.sim.lte.statistical import place_draws_kernel as draws
 from cellslam.sim.lte.statistical.detector_layout import PathColumns, Standing, Streams
-from cellslam.sim.lte.statistical.place_draws_kernel import joined, normal, poisson, square_of, uniform
 from cellslam.sim.lte.statistical.statistical_front_end import Detections, detect
 from cellslam.sim.lte.statistical.statistics import statistics
 from tests.sim.lte.statistical.test_detector import amplitude_for, make_cells
+
+joined, normal, uniform = njit(draws.joined), njit(draws.normal), njit(draws.uniform)
+poisson, square_of = njit(draws.poisson), njit(draws.square_of)
 
 Floats = NDArray[np.float64]
 SIDE = 20.0
