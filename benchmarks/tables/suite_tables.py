@@ -13,7 +13,7 @@ from cellslam.benchmarks.tables.formats import number
 from cellslam.benchmarks.tables.rankings import ALL, map_builders, told_apart, verdict_lines, verdicts
 from cellslam.benchmarks.tables.suite_rows import SuiteRows
 from cellslam.benchmarks.tables.summaries import EFFICIENCY, MERGED, RATIO_OF, efficiency, finite
-from cellslam.scenarios.suites import Suite
+from cellslam.scenarios.suites import Suite, superseded_by
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -61,6 +61,7 @@ def suite_markdown(some: SuiteRows, command: str, left: str, picture: str = "") 
     head = [
         f"# Accuracy: {title}",
         "" if some.whole else "\nNot the suite's result: it takes all scenarios and trials.\n",
+        f"Superseded by `{newer}`.\n" if (newer := superseded_by(one)) else "",
         f"Root seed {one.seed}, trials 0 to {trials - 1} of each scenario{_fewer(some)}. Medians over trials. {RULES}",
         f"Made with {said}, on {some.machine}, by",
         f"\n    {command}\n",
