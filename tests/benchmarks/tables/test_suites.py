@@ -123,8 +123,9 @@ def entry(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 def test_an_entry_is_ranked_and_holds_when_it_is_driven_again(entry: Path, capfd: pytest.CaptureFixture[str]) -> None:
     text = entry.with_name("page.md").read_text()
     assert text.index("## All scenarios") < text.index("## full") < text.index("## canyon")
-    assert "trials 0 to 5 of each scenario, 0 to 0 of `anywhere`." in text
-    assert text.count("Critical difference of mean ranks: 0.80") == 3 and "of 1 pairs" in text
+    said = " ".join(text.split())
+    assert "trials 0 to 5 of each scenario, 0 to 0 of `anywhere`." in said
+    assert said.count("Critical difference of mean ranks: 0.80") == 3 and "of 1 pairs" in said
     assert "![Mean ranks](page.png)" in text and entry.with_name("page.png").stat().st_size > 3000
     some = suite_rows.read(entry)
     assert some.whole and len(some.rows) == 26 and some.rows["peak_memory_mb"].notna().all()
@@ -143,6 +144,8 @@ def test_an_entry_is_ranked_and_holds_when_it_is_driven_again(entry: Path, capfd
     assert main(["bench", "leaderboard", str(entry), "--write", str(page)]) == 0
     board = page.read_text()
     ranked = [line.split("|")[1].strip() for line in board.splitlines() if line.startswith(("| ekf", "| dead"))]
+    assert board.splitlines()[2].startswith("How estimators compare on `standard-2`: 6 drives of each of `full`, ")
+    assert [line for line in board.splitlines() if len(line) > 119 and line[0] not in "| "] == []
     assert sorted(ranked[:2]) == sorted(some.rows["estimator"].unique()) and ranked[:2] == ranked[2:]
     assert "![Mean ranks and critical differences](board.png)" in board and "--suite standard-2 --estimator" in board
 
