@@ -65,7 +65,7 @@ def suite_markdown(some: SuiteRows, command: str, left: str, picture: str = "") 
     head = [
         f"# Accuracy: {title}",
         "" if some.whole else "\nNot the suite's result: it takes all scenarios and trials.\n",
-        f"Superseded by `{newer}`.\n" if (newer := superseded_by(one)) else "",
+        *([f"Superseded by `{newer}`.\n"] if (newer := superseded_by(one)) else []),
         _filled(about),
         _filled(f"Made with {said}, on {some.machine}, by"),
         f"\n    {command}\n",
