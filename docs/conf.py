@@ -47,6 +47,7 @@ GENERATED = {
     "python": reference_pages.python,
     "scenario_keys": reference_pages.scenario_keys,
     "scenarios": reference_pages.scenarios,
+    "suites": reference_pages.suites,
 }
 
 

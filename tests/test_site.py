@@ -20,6 +20,7 @@ from cellslam.benchmarks.scores.trial_result import ROW_KEYS
 from cellslam.scenarios.keys import known_fields
 from cellslam.scenarios.loading import load, preset_names
 from cellslam.scenarios.scenario import Scenario
+from cellslam.scenarios.suites import suite
 from cellslam.slam import registry
 
 ROOT = Path(__file__).parents[1]
@@ -186,6 +187,12 @@ def test_reference_has_the_presets_as_they_are_listed(capsys: pytest.CaptureFixt
     for name in preset_names():
         assert name in listed and f"\n## {name}\n" in page
         assert f"| {load(name).facts['distinct_vts']} |" in page
+
+
+def test_reference_has_the_scenarios_of_the_latest_suite() -> None:
+    page, one = reference_pages.suites(), suite("standard")
+    assert [line.split("`")[1] for line in page.splitlines()[2:]] == list(one.scenarios)
+    assert all(f"| `{name}` | {one.trials_of(name)} | " in page for name in one.scenarios)
 
 
 def test_glossary_is_in_order_and_each_word_stands_once() -> None:

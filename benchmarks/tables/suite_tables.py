@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Sequence
+from textwrap import fill
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -13,7 +14,7 @@ from cellslam.benchmarks.tables.formats import number
 from cellslam.benchmarks.tables.rankings import ALL, map_builders, told_apart, verdict_lines, verdicts
 from cellslam.benchmarks.tables.suite_rows import SuiteRows
 from cellslam.benchmarks.tables.summaries import EFFICIENCY, MERGED, RATIO_OF, efficiency, finite
-from cellslam.scenarios.suites import Suite
+from cellslam.scenarios.suites import Suite, superseded_by
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -58,11 +59,15 @@ def suite_markdown(some: SuiteRows, command: str, left: str, picture: str = "") 
     title = one.name if some.whole else f"{one.name}, a part: trials 0 to {trials - 1} of {', '.join(some.scenarios)}"
     judged, power = verdicts(some.panels, some.oracles), verdicts(map_builders(some.panels))
     said = ", ".join(f"{name} {text}" for name, text in some.versions.items())
+    about = (
+        f"Root seed {one.seed}, trials 0 to {trials - 1} of each scenario{_fewer(some)}. Medians over trials. {RULES}"
+    )
     head = [
         f"# Accuracy: {title}",
         "" if some.whole else "\nNot the suite's result: it takes all scenarios and trials.\n",
-        f"Root seed {one.seed}, trials 0 to {trials - 1} of each scenario{_fewer(some)}. Medians over trials. {RULES}",
-        f"Made with {said}, on {some.machine}, by",
+        *([f"Superseded by `{newer}`.\n"] if (newer := superseded_by(one)) else []),
+        _filled(about),
+        _filled(f"Made with {said}, on {some.machine}, by"),
         f"\n    {command}\n",
         left,
     ]
@@ -80,17 +85,25 @@ def leaderboard_markdown(some: SuiteRows, made_with: dict[str, str], command: st
     one = some.suite
     judged, power = verdicts(some.panels, some.oracles), verdicts(map_builders(some.panels))
     scenarios = ", ".join(f"`{name}`" for name in one.scenarios)
+    about = (
+        f"How estimators compare on `{one.name}`: {one.trials} drives of each of {scenarios} (root seed {one.seed}"
+        f"{_fewer(some)}), by the mean rank; for each scenario the median RMSE in metres; times are of the "
+        f"machine that made the entry. {RULES}"
+    )
     return "\n".join([
         f"# Leaderboard: {one.name}\n",
-        f"{one.trials} drives of each of {scenarios} (root seed {one.seed}{_fewer(some)}), by "
-        "the mean rank; for each scenario the median RMSE in metres; times are of the machine that made the entry. "
-        f"{RULES}\n",
+        f"{_filled(about)}\n",
         standings(some, judged, made_with),
         *_judged(judged.get(ALL), power.get(ALL)),
         f"\n![Mean ranks and critical differences]({picture})\n",
         _yours(one),
         f"This page is made by\n\n    {command}",
     ]) + "\n"  # fmt: skip
+
+
+def _filled(text: str) -> str:
+    """Return a paragraph in lines as wide as those of the documentation's pages."""
+    return fill(text, 119, break_long_words=False, break_on_hyphens=False)
 
 
 def _fewer(some: SuiteRows) -> str:
@@ -139,11 +152,11 @@ def _judged(one: Verdict | None, power: Verdict | None) -> list[str]:
     if one is None:
         return []
     equal = "" if np.isnan(one.friedman_p) else f"; all equally good: p = {one.friedman_p:.2g} (Friedman)"
-    said = f"\nTold apart: {told_apart(one)}. Critical difference of mean ranks: {one.critical_difference:.2f}{equal}."
+    said = f"Told apart: {told_apart(one)}. Critical difference of mean ranks: {one.critical_difference:.2f}{equal}."
     if power is not None:
         said += f" Power: of the built-in map builders, tested by themselves, {told_apart(power)}."
     note = "Median difference of the RMSE on the same drives in m, row minus column; bold: told apart.\n"
-    return [said, note, *verdict_lines(one)]
+    return [f"\n{_filled(said)}", note, *verdict_lines(one)]
 
 
 def _yours(one: Suite) -> str:

@@ -20,6 +20,7 @@ from cellslam.benchmarks.cli.main import build_parser
 from cellslam.scenarios.keys import allowed, models_in, unit_of
 from cellslam.scenarios.loading import load, preset_names
 from cellslam.scenarios.scenario import Scenario
+from cellslam.scenarios.suites import scenario_of, suite
 from cellslam.slam import registry
 
 NOT_KEYS = ("name", "title", "description", "facts", "estimator")
@@ -94,6 +95,16 @@ def scenarios() -> str:
     for scenario in found:
         lines += [f"## {scenario.name}", "", f"{_sentence(scenario.title)} {scenario.description.strip()}", ""]
     return "\n".join(lines)
+
+
+def suites() -> str:
+    """Return what is in the latest suite."""
+    one = suite("standard")
+    found = {name: scenario_of(one, name) for name in one.scenarios}
+    rows = (
+        (f"`{n}`", f"{one.trials_of(n)}", _sentence(s.title), " ".join(s.description.split())) for n, s in found.items()
+    )
+    return "\n".join(_table((f"scenario of `{one.name}`", "drives", "what it is", "what it is for"), rows))
 
 
 def python() -> str:

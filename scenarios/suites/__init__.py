@@ -38,9 +38,16 @@ class Suite:
 
 SUITES = {
     "standard-1": Suite("standard-1", ("lund-530", "munich-530", "canyon", "open", "anywhere"), seed=530, trials=20),
+    "standard-2": Suite(
+        "standard-2",
+        ("clutter", "traffic", "clocks", "canyon", "full", "anywhere", "one-site", "signal"),
+        seed=530,
+        trials=20,
+        fewer={"signal": 5},
+    ),
 }
 # What a name without a version stands for.
-LATEST = {"standard": "standard-1"}
+LATEST = {"standard": "standard-2"}
 
 
 def suite(name: str) -> Suite:
@@ -49,6 +56,12 @@ def suite(name: str) -> Suite:
     if known not in SUITES:
         raise unknown_name("suite", name, (*LATEST, *SUITES))
     return SUITES[known]
+
+
+def superseded_by(one: Suite) -> str | None:
+    """Return the name of the version that has taken the place of this one; None: it is the latest."""
+    latest = LATEST.get(one.name.rpartition("-")[0], one.name)
+    return None if latest == one.name else latest
 
 
 def digest(one: Suite) -> str:
