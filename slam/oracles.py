@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import ClassVar
 
 import numpy as np
 
-from cellslam.sim.recording import Floats, Ints, Truth
+from cellslam.sim.recording import Ints, Truth
 from cellslam.slam.api import Setup, VtEstimate
 from cellslam.slam.ekf_slam.bank import Bank
 from cellslam.slam.ekf_slam.ekf_slam import EkfSlam
@@ -69,7 +70,7 @@ class KnownMap(EkfSlam):
         self._truth = _truth(setup)
         super().start(setup, rng)
 
-    def _map(self, rows: Floats) -> VtEstimate | None:
+    def _map(self, filters: Sequence[tuple[Bank, int]]) -> VtEstimate | None:
         return None
 
     def _install(self, bank: Bank) -> None:

@@ -114,12 +114,12 @@ class JointFilter:
     @property
     def resolved(self) -> bool:
         """Whether the clock offsets are known well enough for one filter of all sites."""
-        return self._start is None
+        return self._joint is not None
 
     @property
     def _surprise(self) -> Floats:
         """What the likeliest filters have of `surprise` (2,)."""
-        banks = ([] if self._joint is None else [self._joint]) + ([] if self._start is None else self._start.banks)
+        banks = self._start.banks if self._start is not None else [self._joint] if self._joint is not None else []
         return np.asarray(np.sum([bank.arrays.surprise[int(np.argmax(bank.log_weight))] for bank in banks], axis=0))
 
     def _step(self, dt_s: float, odometry: Floats, snapshot: Snapshot) -> Estimate:
@@ -194,9 +194,9 @@ class JointFilter:
         sought = self._start is None and self.options.step_probability > 0.0
         return math.log(self.options.step_probability) if sought else -math.inf
 
-    def _map(self, rows: Floats) -> VtEstimate | None:
-        """Return the confirmed VTs in these rows of filters, with those that had to make room."""
-        rows = np.concatenate([rows, self._archive])
+    def _map(self, filters: Sequence[tuple[Bank, int]]) -> VtEstimate | None:
+        """Return the confirmed VTs of some filters of banks, with those that had to make room."""
+        rows = np.concatenate([*(bank.vts(i, self.options.confirm_hits) for bank, i in filters), self._archive])
         known = self._setup.map
         if known is not None:
             unseen = np.setdiff1d(len(self._setup.links) + np.arange(len(known)), list(self._seen))
@@ -208,89 +208,43 @@ class JointFilter:
         return common
 
     def _step_start(self, start: Start, interval: Interval, measured: Measured) -> Estimate:
-        """Use a snapshot in the banks of the start, and in the joint filters of the sites that are resolved.
-
-        Whenever offsets are resolved, go through all snapshots again.
-        """
+        """Use a snapshot in the banks of the start; once offsets are resolved, go through all snapshots again."""
         self._past.append((interval, measured))
         association = start.use(interval, measured)
-        bank = self._joint
-        if bank is not None:
-            joint = self._use(interval, measured)[int(np.argmax(bank.log_weight))]
-            association = np.where(association >= 0, association, joint)
-        _, variance = start.offsets()
-        late = self._time_s >= self.options.start_limit_s
-        known = variance <= self.options.resolved_std_m**2
-        done = [site for site, is_known in zip(start.open, known, strict=True) if is_known or late]
-        if done:
-            self._resolve(start, done)
-        return self._answer(association, start)
-
-    def _resolve(self, start: Start, done: Sequence[int]) -> None:
-        """Let the joint filters have some more sites, and the banks of those that are open lean on what they say."""
-        bank, offsets = self._joint, self._core.offsets
-        if bank is None:
-            known, weights = np.array(self._setup.sites.clock_offset_mean_m, float)[None], np.zeros(1)
-        else:
-            known, weights = bank.arrays.x[: len(bank), offsets].copy(), np.log(bank.shares())
-        joint = self._join(*start.close(done, known, weights), start.open)
-        for past in self._past:
-            self._use(*past)
-        if not start.open:
-            self._start, self._past = None, []
-            return
-        start.lean_on(self._setup, joint.moments()[0][offsets])
-        for bank in start.banks:
-            self._install(bank)
-        for past in self._past:
-            start.use(*past)
-
-    def _answer(self, association: Ints, start: Start | None = None) -> Estimate:
-        """Return what the joint filters say of the sites that are resolved, and the start of those that are open."""
-        bank = self._joint
-        if bank is None:
-            assert start is not None
-            mean, covariance = start.pose()
-            offset, variance = np.empty((2, len(self._setup.sites)))
-            rows = np.empty((0, ENTRY))
-        else:
-            mean, covariance = bank.moments()
-            offset, variance = mean[self._core.offsets], np.maximum(np.diag(covariance)[self._core.offsets], 0.0)
-            rows = bank.vts(int(np.argmax(bank.log_weight)), self.options.confirm_hits)
-        if start is not None and start.open:
-            offset[start.open], variance[start.open] = start.offsets()
-            rows = np.concatenate([rows, start.vts(self.options.confirm_hits)])
-        return _estimate(mean, covariance, association, offset, variance, self._map(rows))
+        mean, covariance = start.pose()
+        offset, variance = start.offsets()
+        if (variance <= self.options.resolved_std_m**2).all() or self._time_s >= self.options.start_limit_s:
+            self._start = None
+            self._join(*start.combinations())
+            for past in self._past:
+                self._use(*past)
+            self._past = []
+        return _estimate(mean, covariance, association, offset, variance, self._map(start.likeliest()))
 
     def _step_joint(self, interval: Interval, measured: Measured) -> Estimate:
         association = self._use(interval, measured)
-        return self._answer(association[int(np.argmax(self._bank.log_weight))].copy())
-
-    @property
-    def _bank(self) -> Bank:
-        """The joint filters. Raises RuntimeError where there are none."""
-        if self._joint is None:
+        bank = self._joint
+        if bank is None:
             raise RuntimeError("step() was called before start()")
-        return self._joint
+        best, offsets = int(np.argmax(bank.log_weight)), self._core.offsets
+        mean, cov = bank.moments()
+        variance = np.maximum(np.diag(cov)[offsets], 0.0)
+        return _estimate(mean, cov, association[best].copy(), mean[offsets], variance, self._map([(bank, best)]))
 
-    def _join(self, offsets_m: Floats, log_weight: Floats, still_open: Sequence[int] = ()) -> Bank:
-        """Begin the joint filters with these combinations of clock offsets (K, S) and their log-weights (K,); they use
-        no links of sites that are open."""
+    def _join(self, offsets_m: Floats, log_weight: Floats) -> None:
+        """Begin the filters of all sites with these combinations of clock offsets (K, S) and their log-weights (K,)."""
         std = np.minimum(self._setup.sites.clock_offset_std_m, self.options.component_std_m)
-        self._joint = bank = new_bank(
-            self._setup, self._core, self._errors, offsets_m, std, self.options.vts, MOST_STATES
-        )
-        bank.arrays.links[:] = ~np.isin(self._setup.links.site, still_open)
-        bank.log_weight += log_weight
-        self._archive, self._seen = np.empty((0, ENTRY)), {}
-        self._install(bank)
+        self._joint = new_bank(self._setup, self._core, self._errors, offsets_m, std, self.options.vts, MOST_STATES)
+        self._joint.log_weight += log_weight
+        self._install(self._joint)
         if self.options.known_calibration is not None:
-            begin_with(bank, self._errors, self.options.known_calibration)
-        return bank
+            begin_with(self._joint, self._errors, self.options.known_calibration)
 
     def _use(self, interval: Interval, measured: Measured) -> Ints:
         """Use a snapshot in the filters of all sites; return the associations (K, m)."""
-        bank = self._bank
+        bank = self._joint
+        if bank is None:
+            raise RuntimeError("step() was called before start()")
         association = bank.use(self._errors, interval, measured, self.options.vts, self._most)
         lost = bank.lost(int(np.argmax(bank.log_weight)))
         if len(lost):

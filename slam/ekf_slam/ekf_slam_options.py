@@ -39,7 +39,7 @@ class EkfSlamOptions(FrontEndOptions):
         20.0, gt=0, le=1000, description="width of one component of the clock-offset prior at the start, m"
     )
     component_step: float = Field(1.25, gt=0, le=3, description="distance of neighbouring components, in their widths")
-    resolved_std_m: float = Field(30.0, gt=0, le=1000, description="a clock offset known to this is resolved, m")
+    resolved_std_m: float = Field(15.0, gt=0, le=1000, description="a clock offset known to this is resolved, m")
     start_limit_s: float = Field(600.0, ge=0, le=1e5, description="the start ends at this time at the latest, s")
     step_probability: float = Field(
         1e-6, ge=0, lt=1, description="probability that a site's clock steps within a block, where it may; 0: never"

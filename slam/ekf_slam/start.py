@@ -10,8 +10,8 @@ Source: Sorenson and Alspach, "Recursive Bayesian estimation using Gaussian sums
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import product
 
 import numpy as np
 
@@ -20,12 +20,13 @@ from cellslam.slam.api import Setup
 from cellslam.slam.ekf_slam.bank import Bank, new_bank, side_by_side
 from cellslam.slam.ekf_slam.ekf_slam_options import EkfSlamOptions
 from cellslam.slam.ekf_slam.snapshot.motion_kernel import Interval
-from cellslam.slam.ekf_slam.state.layout import ENTRY, ArrayErrors, Core, Measured
+from cellslam.slam.ekf_slam.state.layout import POSE, ArrayErrors, Core, Measured
 from cellslam.slam.front_end.readings_kernel import repeats
 
 REACH = 4.0  # the components cover this many deviations of the prior
 COMBINATIONS, LEAST = 4, 0.02  # of components that go on, and how likely each must be against the best of its site
 PRUNE_EVERY = 8  # snapshots
+KNOWN_M2 = 1e-6  # variance of a place that is known
 TYPICAL_RANGE_M, MOST_REPEATS = 200.0, 400.0
 
 
@@ -42,26 +43,23 @@ def components(std_m: float, component_std_m: float, step: float) -> tuple[Float
 
 @dataclass
 class Start:
-    """A bank for each `open` site, whose offset is its own; `errors`: those that are states, `counted` those that are
-    not. The filters of a bank use the links (L,) of their own site (`site`: of each link), and of those that are
-    resolved."""
+    """A bank for each site, whose offset is its own; `errors`: those that are states, `counted` those that are not."""
 
     core: Core
     errors: ArrayErrors
     counted: ArrayErrors
-    open: list[int]
     banks: list[Bank]
     site: Ints
     options: EkfSlamOptions
 
     def use(self, interval: Interval, measured: Measured) -> Ints:
         """Use a snapshot in every bank, drop what has become unlikely; return the likeliest filters' association
-        (m,), -1 for the looks of resolved sites."""
+        (m,)."""
         answer = np.full(len(measured.z), -1, np.int64)
         counted, ends = self._counted(interval, measured), measured.now % PRUNE_EVERY == 0
         site_of_look = np.repeat(self.site, np.diff(measured.first))
         associations = side_by_side(self.banks, self.errors, interval, counted, self.options.vts)
-        for site, bank, association in zip(self.open, self.banks, associations, strict=True):
+        for site, (bank, association) in enumerate(zip(self.banks, associations, strict=True)):
             mine = site_of_look == site
             answer[mine] = association[int(np.argmax(bank.log_weight)), mine]
             if not ends:
@@ -73,56 +71,41 @@ class Start:
         return answer
 
     def offsets(self) -> tuple[Floats, Floats]:
-        """Return mean (O,) in m and variance (O,) in m^2 of the open sites' clock offsets."""
+        """Return mean (S,) in m and variance (S,) in m^2 of the clock offsets."""
         found = [bank.moments() for bank in self.banks]
-        at = [self.core.first_offset + site for site in self.open]
+        at = self.core.first_offset + np.arange(len(found))
         return (
             np.array([mean[i] for i, (mean, _) in zip(at, found, strict=True)]),
             np.array([max(cov[i, i], 0.0) for i, (_, cov) in zip(at, found, strict=True)]),
         )
 
     def pose(self) -> tuple[Floats, Floats]:
-        """Return the pose (6,), in m and rad, and its covariance (6, 6) of the bank that knows its place best."""
+        """Return the pose (6,), in m and rad, and its covariance (6, 6): the mean over the banks, weighted by how well
+        each knows its place, what they are apart being in the covariance."""
         found = [bank.moments() for bank in self.banks]
-        mean, cov = min(found, key=lambda one: float(one[1][0, 0] + one[1][1, 1]))
-        return mean[:6], cov[:6, :6]
+        x, p = np.array([mean[:POSE] for mean, _ in found]), np.array([cov[:POSE, :POSE] for _, cov in found])
+        weight = 1.0 / (p[:, 0, 0] + p[:, 1, 1] + KNOWN_M2)
+        weight /= weight.sum()
+        mean = weight @ x
+        apart = x - mean
+        return mean, np.einsum("k,kij->ij", weight, p) + (apart * weight[:, None]).T @ apart
 
-    def vts(self, hits: int) -> Floats:
-        """Return the VTs of the open sites with at least `hits` detections, as `Bank.vts` does."""
-        found = [np.empty((0, ENTRY))]
-        for site, bank in zip(self.open, self.banks, strict=True):
-            rows = bank.vts(int(np.argmax(bank.log_weight)), hits)
-            found.append(rows[self.site[rows[:, 1].astype(np.int64)] == site])
-        return np.concatenate(found)
+    def likeliest(self) -> list[tuple[Bank, int]]:
+        """Return each bank and its likeliest filter."""
+        return [(bank, int(np.argmax(bank.log_weight))) for bank in self.banks]
 
-    def close(self, sites: Sequence[int], offsets_m: Floats, log_weight: Floats) -> tuple[Floats, Floats]:
-        """Give up the banks of some sites; return the likeliest combinations of their offsets with those (K, S) of
-        others, in m, and their log-weights (C,)."""
-        for site in sites:
-            bank = self.banks.pop(self.open.index(site))
-            self.open.remove(site)
+    def combinations(self) -> tuple[Floats, Floats]:
+        """Return the likeliest combinations of offsets (C, S), in m, and their log-weights (C,)."""
+        likely = []
+        for site, bank in enumerate(self.banks):
             mean, log_share = bank.arrays.x[: len(bank), self.core.first_offset + site], np.log(bank.shares())
             keep = np.flatnonzero(log_share >= log_share.max() + np.log(LEAST))
-            old, new = np.repeat(np.arange(len(offsets_m)), len(keep)), np.tile(keep, len(offsets_m))
-            log_weight = log_weight[old] + log_share[new]
-            best = np.argsort(-log_weight, kind="stable")[:COMBINATIONS]
-            offsets_m, log_weight = offsets_m[old[best]], log_weight[best]
-            offsets_m[:, site] = mean[new[best]]
-        return offsets_m, log_weight
-
-    def lean_on(self, setup: Setup, offsets_m: Floats) -> None:
-        """Begin the banks anew, to use the links of resolved sites too, whose offsets (S,) in m are given."""
-        sites, resolved = setup.sites, np.ones(len(setup.sites), bool)
-        resolved[self.open] = False
-        for i, (site, bank) in enumerate(zip(self.open, self.banks, strict=True)):
-            own = np.arange(len(sites)) == site
-            at = self.core.first_offset + site
-            offsets = np.where(own, bank.arrays.x[: len(bank), at, None], offsets_m)
-            std = np.where(own | resolved, np.minimum(sites.clock_offset_std_m, self.options.component_std_m), 0.0)
-            new = new_bank(setup, self.core, self.errors, offsets, std, self.options.vts)
-            new.arrays.links[:] = (own | resolved)[self.site]
-            new.log_weight += np.log(bank.shares())
-            self.banks[i] = new
+            likely.append([(mean[i], log_share[i]) for i in keep])
+        found = sorted(product(*likely), key=lambda one: -sum(log for _, log in one))[:COMBINATIONS]
+        return (
+            np.array([[mean for mean, _ in one] for one in found]),
+            np.array([sum(log for _, log in one) for one in found]),
+        )
 
     def _counted(self, interval: Interval, measured: Measured) -> Measured:
         """Return a snapshot whose variances have the errors of direction, for as often as one draw is repeated; what is
@@ -153,4 +136,4 @@ def begin(setup: Setup, core: Core, errors: ArrayErrors, options: EkfSlamOptions
         bank.arrays.links[:] = setup.links.site == site
         bank.log_weight += logs
         banks.append(bank)
-    return Start(core, coarse, errors, list(range(len(sites))), banks, setup.links.site, options)
+    return Start(core, coarse, errors, banks, setup.links.site, options)

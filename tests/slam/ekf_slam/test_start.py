@@ -2,18 +2,17 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
 import pytest
 
-from cellslam.sim.recording import Recording
-from cellslam.slam.api import Estimate, setup_of, snapshots_of
+from cellslam.slam.api import setup_of, snapshots_of
 from cellslam.slam.conformance.subject import tiny_drive
 from cellslam.slam.ekf_slam.bank import Bank, core_of, new_bank
 from cellslam.slam.ekf_slam.ekf_slam import EkfSlam
-from cellslam.slam.ekf_slam.start import components
+from cellslam.slam.ekf_slam.ekf_slam_options import EkfSlamOptions
+from cellslam.slam.ekf_slam.start import begin, components
 from cellslam.slam.ekf_slam.state.array_errors import NO_ERRORS
 
 
@@ -83,15 +82,6 @@ def test_components_add_up_to_the_prior() -> None:
     assert len(components(10.0, 20.0, 1.25)[0]) == 1
 
 
-def driven(recording: Recording, estimator: EkfSlam) -> Estimate:
-    """Return the last answer to a drive."""
-    estimator.start(setup_of(recording), np.random.default_rng(0))
-    dt_s = np.diff(recording.time_s, prepend=recording.time_s[0]).tolist()
-    for dt, velocity, snapshot in zip(dt_s, recording.odometry, snapshots_of(recording), strict=True):
-        answer = estimator.step(dt, velocity, snapshot)
-    return answer
-
-
 def test_blocks_of_a_bank_end_together() -> None:
     """Or the weights of its filters, of which some have used the last snapshots and some not, were no weights."""
     drive, estimator = tiny_drive(), EkfSlam()
@@ -109,15 +99,12 @@ def test_blocks_of_a_bank_end_together() -> None:
     assert max(lengths) > 2
 
 
-def test_a_site_that_is_never_heard_keeps_nobody_waiting() -> None:
-    """The joint filter begins with the sites that are resolved, and errs as if there were no other."""
-    drive = tiny_drive()
-    heard = drive.links.site[drive.measurements.link] == 0
-    columns = {name: column[heard] for name, column in vars(drive.measurements).items()}
-    half = replace(drive, measurements=type(drive.measurements)(**columns), truth=None)
-    estimator = EkfSlam()
-    answer = driven(half, estimator)
-    assert not estimator.resolved
-    assert estimator._joint is not None
-    assert answer.clock_offset_variance_m2[0] < 30.0**2
-    assert answer.clock_offset_variance_m2[1] == pytest.approx(150.0**2, rel=0.1)
+def test_a_bank_that_knows_its_place_well_has_the_word(bank: Bank) -> None:
+    """Of two banks that are 3 m apart the pose is the mean, by their variances; the covariance has what they differ."""
+    setup = setup_of(tiny_drive())
+    start = begin(setup, bank.core, NO_ERRORS, EkfSlamOptions(component_std_m=1000.0))
+    for one, x, variance in zip(start.banks, (0.0, 3.0), (1.0, 2.0), strict=True):
+        one.arrays.x[0, :6], one.arrays.p[0, :6, :6] = [x, 0.0, 0.0, 0.0, 0.0, 0.0], 0.5 * variance * np.eye(6)
+    mean, cov = start.pose()
+    np.testing.assert_allclose(mean, [1.0, 0.0, 0.0, 0.0, 0.0, 0.0], atol=1e-5)
+    np.testing.assert_allclose(np.diag(cov)[:2], [2.0 / 3.0 + 2.0, 2.0 / 3.0], rtol=1e-5)
