@@ -34,7 +34,7 @@ def made_up() -> Recording:
     snapshot = np.repeat(np.arange(SNAPSHOTS), 3)
     columns = (np.tile(column, SNAPSHOTS) for column in ([0, 0, 1], *_PATHS))
     return Recording(
-        0.1 * np.arange(SNAPSHOTS), np.tile([1.0, 0.0, 0.0, 0.0, 0.0, 0.0], (SNAPSHOTS, 1)), sheet, links, sites,
+        np.linspace(0.0, 0.1 * (SNAPSHOTS - 1), SNAPSHOTS), np.tile([1.0, 0.0, 0.0, 0.0, 0.0, 0.0], (SNAPSHOTS, 1)), sheet, links, sites,
         Measurements(snapshot, *columns), np.zeros(6), np.zeros(6), {}, _truth(),
     )  # fmt: skip
 
