@@ -33,9 +33,10 @@ def made_up() -> Recording:
     sites = Sites(("A", "B"), np.zeros(2), np.array([150.0, 150.0]))
     snapshot = np.repeat(np.arange(SNAPSHOTS), 3)
     columns = (np.tile(column, SNAPSHOTS) for column in ([0, 0, 1], *_PATHS))
+    time_s, odometry = np.linspace(0.0, 0.1 * (SNAPSHOTS - 1), SNAPSHOTS), np.zeros((SNAPSHOTS, 6))
+    odometry[:, 0] = 1.0
     return Recording(
-        np.linspace(0.0, 0.1 * (SNAPSHOTS - 1), SNAPSHOTS), np.tile([1.0, 0.0, 0.0, 0.0, 0.0, 0.0], (SNAPSHOTS, 1)), sheet, links, sites,
-        Measurements(snapshot, *columns), np.zeros(6), np.zeros(6), {}, _truth(),
+        time_s, odometry, sheet, links, sites, Measurements(snapshot, *columns), np.zeros(6), np.zeros(6), {}, _truth()
     )  # fmt: skip
 
 
