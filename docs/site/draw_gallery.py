@@ -7,6 +7,7 @@ Needs the extras `osm`, `report` and a Chromium (for the playback alone).
 
 from __future__ import annotations
 
+import re
 import shlex
 import shutil
 import subprocess
@@ -154,19 +155,19 @@ def page() -> str:
     return "\n".join(lines)
 
 
-def code(tutorial: str) -> str:
-    """Return the first Python block of a tutorial."""
+def code(tutorial: str) -> list[str]:
+    """Return the Python blocks of a tutorial."""
     text = (HERE.parent / "tutorials" / f"{tutorial}.md").read_text("utf-8")
-    return text.partition("```python\n")[2].partition("```")[0]
+    return re.findall(r"```python\n(.*?)```", text, re.S)
 
 
 def main(names: list[str]) -> None:
     """Draw the pictures of these names, or all; a command that several need runs once."""
     pictures = GALLERY | OTHERS
     with tempfile.TemporaryDirectory() as folder:
-        (Path(folder) / "coasting.py").write_text(code("your-estimator"), "utf-8")
-        save = '\nfrom matplotlib.image import imsave\nimsave("agent.png", env.render())\n'
-        (Path(folder) / "agent.py").write_text(code("train-an-agent") + save, "utf-8")
+        (Path(folder) / "coasting.py").write_text(code("your-estimator")[0], "utf-8")
+        save = 'from matplotlib.image import imsave\nimsave("agent.png", env.render())\n'
+        (Path(folder) / "agent.py").write_text("\n".join([*code("train-an-agent"), save]), "utf-8")
         done: set[str] = set()
         for name in names or pictures:
             for command in (c for c in pictures[name].commands if c not in done):

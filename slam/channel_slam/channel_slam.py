@@ -35,11 +35,11 @@ class ChannelSlam:
         self.options = options or ChannelSlamOptions()
 
     def warm_up(self) -> None:
-        """Compile the kernels on one particle."""
-        user, mixture, one = np.zeros((1, 6)), np.ones((1, 1, 1, COMPONENT)), np.ones((1, 1), np.int64)
+        """Compile the kernels on one particle with two transmitters."""
+        mixture, counts = np.ones((1, 2, 1, COMPONENT)), np.ones((1, 2), np.int64)
+        place, _ = np.nonzero(np.ones((2, 1)))  # laid out as in a drive
         weigh(
-            user, np.zeros((1, 1, 3)), mixture, one, np.zeros(1, np.int64), np.ones(1), np.ones(1), 1.0, 0.0,
-            np.zeros(1),
+            np.zeros((1, 6)), np.zeros((1, 2, 3)), mixture, counts, place, np.ones(2), np.ones(2), 1.0, 0.0, np.zeros(1)
         )  # fmt: skip
         describe(np.zeros(3), mixture[0, 0], 1, np.zeros((4, 8)), np.zeros((5, 4)))
 

@@ -20,6 +20,7 @@ from cellslam.slam.fastslam.snapshot.measurement_kernel import census, pack
 from cellslam.slam.fastslam.state.layout import LANES, OUT, POSE, W_ROWS, Measured, Rules, Scratch, Step, sums_of
 from cellslam.slam.fastslam.state.moments_kernel import moments, normalised
 from cellslam.slam.fastslam.state.particles import Particles, draw, draw_velocities, select, widened
+from cellslam.slam.front_end import attitude, misfit
 from cellslam.slam.front_end.attitude import Attitude
 from cellslam.slam.front_end.looks import Grouping, Looks
 from cellslam.slam.front_end.measurement_noise import ports_of
@@ -50,6 +51,8 @@ class PathParticles:
 
     def warm_up(self) -> None:
         """Compile every kernel on a drive of four snapshots."""
+        attitude.warm_up()
+        misfit.warm_up()
         small = {
             "particles": 8, "particles_start": 12, "start_phase_s": 0.2, "effective_share": 1.0, "vts_per_link": 4,
         }  # fmt: skip

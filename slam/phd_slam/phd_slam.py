@@ -10,6 +10,7 @@ from scipy.special import ndtri
 from cellslam.sim.recording import Floats, Ints, Sites
 from cellslam.slam import warm_up
 from cellslam.slam.api import Estimate, Setup, Snapshot, VtEstimate
+from cellslam.slam.front_end import attitude, misfit
 from cellslam.slam.front_end.attitude import Attitude
 from cellslam.slam.front_end.looks import Grouping, Looks
 from cellslam.slam.front_end.measurement_noise import ports_of
@@ -64,7 +65,9 @@ class PhdSlam:
         self.options = options or PhdSlamOptions()
 
     def warm_up(self) -> None:
-        """Compile the kernels on a drive of four snapshots."""
+        """Compile the kernels, on a drive of four snapshots."""
+        attitude.warm_up()
+        misfit.warm_up()
         warm_up.drive(type(self)(self.options.model_copy(update={"particles": 4, "effective_share": 1.0})))
 
     def start(self, setup: Setup, rng: np.random.Generator) -> None:
