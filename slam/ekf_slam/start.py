@@ -120,7 +120,9 @@ class Start:
         for variance, grid in ((calibration, errors.calibration_grid), (errors.roof**2, errors.roof_grid)):
             once += variance
             often += variance * min(repeats(grid.scale, change), MOST_REPEATS)
-        return m._replace(single=m.single + once, many=m.many + often, fresh=m.fresh + once)
+        # A bank of one site does not know its pose well enough to tell VTs that return from others.
+        rules = m.rules._replace(return_gate=m.rules.gate)
+        return m._replace(single=m.single + once, many=m.many + often, fresh=m.fresh + once, rules=rules)
 
 
 def begin(setup: Setup, core: Core, errors: ArrayErrors, options: EkfSlamOptions) -> Start:

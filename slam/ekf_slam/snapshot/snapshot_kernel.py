@@ -129,7 +129,8 @@ def pair(f: Filter, a: ArrayErrors, seen: Measured, s: Sight, w: Pairs, rival: R
 def count_odds(f: Filter, b: Block, seen: Measured, w: Pairs) -> None:
     """Add to each VT's log-odds that it was detected or missed in this snapshot.
 
-    The first look at a VT of a remembered map counts as whole: that something is where the map has it, is news.
+    The first look at a VT of a remembered map, or at one that returns, counts as whole: that something is where the map
+    has it, is news.
     """
     horizon = seen.tables.shape[2] - 1
     for j in range(f.count[0]):
@@ -141,7 +142,7 @@ def count_odds(f: Filter, b: Block, seen: Measured, w: Pairs) -> None:
         if j >= 0:
             kind, age = 0 if f.slots[j, HITS] < 2 else 1, min(seen.now - f.slots[j, LAST], horizon)
             odds = seen.tables[kind, 0, age] - seen.tables[kind, 1, age] - seen.rules.log_clutter - seen.gap[k]
-            if f.slots[j, UNSEEN] == 1 and b.looks[j] == 0:
+            if (f.slots[j, UNSEEN] == 1 or seen.now - f.slots[j, LAST] > seen.rules.away) and b.looks[j] == 0:
                 any_vt = known_density(seen.z[k], seen.many[k])
                 odds = (odds - any_vt) / seen.rules.evidence + any_vt
             b.odds[j] += odds
