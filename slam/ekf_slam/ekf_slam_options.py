@@ -19,10 +19,7 @@ class EkfSlamOptions(FrontEndOptions):
         36.0, gt=0, le=1000, description="squared Mahalanobis distance beyond which nothing associates (chi-square)"
     )
     return_gate: float = Field(
-        9.0,
-        gt=0,
-        le=1000,
-        description="the same for a VT unseen for 3 s: those of walls nearby are easily taken for it",
+        16.0, gt=0, le=1000, description="the same for a VT unseen for 3 s: those of walls nearby are taken for it"
     )
     errors: Literal["states", "counted"] = Field(
         "states", description="errors that persist: as states of the filter, or counted as so many fewer measurements"
