@@ -47,6 +47,7 @@ from cellslam.slam.ekf_slam.state.layout import (
     one_of,
 )
 from cellslam.slam.ekf_slam.state.states_kernel import owner_of
+from cellslam.slam.model.pose_moments import mixture_moments
 
 LONGEST = 16  # snapshots in a block at most
 THREADS = os.cpu_count() or 1
@@ -257,10 +258,7 @@ class Bank:
         if len(self) == 1:
             return self.arrays.x[0, :size].copy(), self.arrays.p[0, :size, :size].copy()
         weight, k = self.shares(), len(self)
-        x, p = self.arrays.x[:k, :size], self.arrays.p[:k, :size, :size]
-        mean = weight @ x
-        apart = x - mean
-        return mean, np.einsum("k,kij->ij", weight, p) + (apart * weight[:, None]).T @ apart
+        return mixture_moments(weight, self.arrays.x[:k, :size], self.arrays.p[:k, :size, :size])
 
     @property
     def core(self) -> Core:

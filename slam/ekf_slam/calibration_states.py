@@ -16,6 +16,7 @@ from cellslam.slam.ekf_slam.bank import Bank
 from cellslam.slam.ekf_slam.state.array_errors import CALIBRATION_GRID
 from cellslam.slam.ekf_slam.state.layout import ArrayErrors
 from cellslam.slam.model.calibration import Calibration
+from cellslam.slam.model.pose_moments import mixture_moments
 
 
 def found(bank: Bank, errors: ArrayErrors) -> Calibration:
@@ -32,10 +33,7 @@ def found(bank: Bank, errors: ArrayErrors) -> Calibration:
         place = states[i, met[there]]
         x[i, there] = bank.arrays.x[i, place]
         p[i][np.ix_(there, there)] = bank.arrays.p[i][np.ix_(place, place)]
-    share = bank.shares()
-    mean = share @ x
-    apart = x - mean
-    covariance = np.einsum("k,kij->ij", share, p) + (apart * share[:, None]).T @ apart
+    mean, covariance = mixture_moments(bank.shares(), x, p)
     std = size[component[met]]
     return Calibration(
         size, errors.calibration_grid.scale, *CALIBRATION_GRID, component[met],

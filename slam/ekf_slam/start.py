@@ -22,6 +22,7 @@ from cellslam.slam.ekf_slam.ekf_slam_options import EkfSlamOptions
 from cellslam.slam.ekf_slam.snapshot.motion_kernel import Interval
 from cellslam.slam.ekf_slam.state.layout import POSE, ArrayErrors, Core, Measured
 from cellslam.slam.front_end.readings_kernel import repeats
+from cellslam.slam.model.pose_moments import mixture_moments
 
 REACH = 4.0  # the components cover this many deviations of the prior
 COMBINATIONS, LEAST = 4, 0.02  # of components that go on, and how likely each must be against the best of its site
@@ -85,10 +86,7 @@ class Start:
         found = [bank.moments() for bank in self.banks]
         x, p = np.array([mean[:POSE] for mean, _ in found]), np.array([cov[:POSE, :POSE] for _, cov in found])
         weight = 1.0 / (p[:, 0, 0] + p[:, 1, 1] + KNOWN_M2)
-        weight /= weight.sum()
-        mean = weight @ x
-        apart = x - mean
-        return mean, np.einsum("k,kij->ij", weight, p) + (apart * weight[:, None]).T @ apart
+        return mixture_moments(weight / weight.sum(), x, p)
 
     def likeliest(self) -> list[tuple[Bank, int]]:
         """Return each bank and its likeliest filter."""

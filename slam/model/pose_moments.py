@@ -1,4 +1,4 @@
-"""Mean and covariance of weighted poses.
+"""Mean and covariance of mixtures: of Gaussians, and of weighted poses.
 
 Source: Bar-Shalom, Li and Kirubarajan, "Estimation with applications to tracking and navigation", 2001, section 1.4
 (moments of a mixture).
@@ -22,3 +22,11 @@ def pose_moments(poses: Floats, weights: Floats, centre: Floats) -> tuple[Floats
     centred = np.concatenate([poses[:, :3] - mean[:3], wrap_angle(poses[:, 3:] - mean[3:])], axis=1)
     mean[3:] = wrap_angle(mean[3:])
     return mean, (centred * weights[:, None]).T @ centred
+
+
+def mixture_moments(weight: Floats, x: Floats, p: Floats) -> tuple[Floats, Floats]:
+    """Return mean (n,) and covariance (n, n) of a mixture of K Gaussians: weights (K,) that sum to 1, means (K, n),
+    covariances (K, n, n). Angles must not wrap between the means."""
+    mean = weight @ x
+    apart = x - mean
+    return mean, np.einsum("k,kij->ij", weight, p) + (apart * weight[:, None]).T @ apart

@@ -34,15 +34,14 @@ class Step(NamedTuple):
 
 
 @njit(cache=True, _nrt=False)  # dead reckoning's, too
-def move(f: Filter, interval: Interval, w: Step) -> Vec3:
-    """Advance by an interval of dt > 0; return the way in the world, in m.
+def move(f: Filter, interval: Interval, w: Step) -> None:
+    """Advance by an interval of dt > 0.
 
     The true velocity is (measured - bias - noise) / (1 + scale); the pose moves as in `frames.integrate_pose`.
     """
-    way = _move_pose(f, interval, w.by)
+    _move_pose(f, interval, w.by)
     _spread(f, interval, w)
     _drift(f, interval.dt)
-    return way
 
 
 @lean
@@ -63,8 +62,8 @@ def _velocity(f: Filter, interval: Interval, c: int) -> float:
 
 
 @lean
-def _move_pose(f: Filter, interval: Interval, by: Floats) -> Vec3:
-    """Move the pose, and write the Jacobians of where it gets to; return the way."""
+def _move_pose(f: Filter, interval: Interval, by: Floats) -> None:
+    """Move the pose, and write the Jacobians of where it gets to."""
     x, core, dt, half = f.x, f.core, interval.dt, 0.5 * interval.dt
     ahead = Vec3(_velocity(f, interval, 0), _velocity(f, interval, 1), _velocity(f, interval, 2))
     turn = Vec3(_velocity(f, interval, 3), _velocity(f, interval, 4), _velocity(f, interval, 5))
@@ -94,7 +93,6 @@ def _move_pose(f: Filter, interval: Interval, by: Floats) -> Vec3:
     x[3] += turn.x * dt
     x[4] += turn.y * dt
     x[5] += turn.z * dt
-    return way
 
 
 @lean
