@@ -12,7 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from cellslam.sim.compiling import njit
+from cellslam.sim.compiling import njit, part
 from cellslam.sim.frames.frames_kernel import wrap
 from cellslam.sim.lte.statistical.detector_layout import Array
 
@@ -46,7 +46,7 @@ class SteeringModel(NamedTuple):
     rate: Array
 
 
-@njit(cache=True, nogil=True, fastmath=ANY_ORDER - {"reassoc"})
+@part(fastmath=ANY_ORDER - {"reassoc"})
 def write_phasors(angle: Array, cosine: Array, sine: Array) -> None:
     """Write cosine and sine (n,) of angles (n,) in rad, exact to 1e-15 up to some 100 000 rad."""
     for i in range(len(angle)):
@@ -63,7 +63,7 @@ def write_phasors(angle: Array, cosine: Array, sine: Array) -> None:
         cosine[i], sine[i] = sign * c, sign * d
 
 
-@njit(cache=True, nogil=True)
+@part
 def _soft_floor(loss: float, floor: float) -> tuple[float, float]:
     """Return x / (1 + (x / floor)^4)^(1/4) and its slope."""
     ratio = loss / floor

@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from cellslam.sim.compiling import njit
+from cellslam.sim.compiling import njit, part
 from cellslam.sim.lte.signal.path_estimator.climb_kernel import Steps, climb, steering
 from cellslam.sim.lte.signal.path_estimator.correlation_kernel import in_pairs, subtract_products, write_tones
 from cellslam.sim.lte.signal.path_estimator.joint_fit_kernel import Normal
@@ -123,7 +123,7 @@ def factors(geometry: Array, weights: Array, m: SteeringModel) -> tuple[Array, A
     return on_ports, tones[:, 0].copy()
 
 
-@njit(cache=True, nogil=True)
+@part
 def next_path(
     residual: Array, spectrum: PowerSpectrum, probe: Probe, trials: Trials, rules: Rules, steps: Steps,
     model: SteeringModel,

@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from cellslam.sim.compiling import njit
+from cellslam.sim.compiling import njit, part
 from cellslam.sim.frames.frames_kernel import wrap
 from cellslam.sim.lte.signal.path_estimator.joint_fit_kernel import Normal, normal_equations
 from cellslam.sim.lte.signal.path_estimator.one_path_kernel import normal_equations_of_one
@@ -22,7 +22,7 @@ class Steps(NamedTuple):
     steepest: float
 
 
-@njit(cache=True, nogil=True)
+@part
 def steering(geometry: Array, m: SteeringModel) -> tuple[Array, Array, Array]:
     """Return steering vectors (n, ports, 2) of paths at `geometry` (n, 3), and their derivatives per rad."""
     shape = (len(geometry), len(m.factor), 2)
@@ -32,7 +32,7 @@ def steering(geometry: Array, m: SteeringModel) -> tuple[Array, Array, Array]:
     return value, by_azimuth, by_elevation
 
 
-@njit(cache=True, nogil=True)
+@part
 def evaluate_circular(y: Array, geometry: Array, m: SteeringModel) -> Normal:
     """Return the normal equations of a fit at `geometry` (n, 3) to `y` (ports, tones)."""
     value, by_azimuth, by_elevation = steering(geometry, m)

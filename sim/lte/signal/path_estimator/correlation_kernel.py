@@ -8,12 +8,12 @@ from __future__ import annotations
 
 import numpy as np
 
-from cellslam.sim.compiling import njit
+from cellslam.sim.compiling import lean, part
 from cellslam.sim.lte.statistical.detector_layout import Array
 from cellslam.sim.lte.steering_kernel import ANY_ORDER, write_phasors
 
 
-@njit(cache=True, nogil=True)
+@part
 def in_pairs(columns: Array, like: Array) -> tuple[Array, Array]:
     """Return complex `columns` (n, c), and j times these, as (n, 2 c) real and imaginary parts in turn, of the type of
     `like`.
@@ -28,7 +28,7 @@ def in_pairs(columns: Array, like: Array) -> tuple[Array, Array]:
     return straight, turned
 
 
-@njit(cache=True, nogil=True, fastmath=ANY_ORDER)
+@part(fastmath=ANY_ORDER)
 def correlate(y: Array, tones: Array, out: Array) -> None:
     """Write (2, ports): `y` (ports, tones) correlated with the `tones` (2, tones) of a path and with their derivative
     by distance, as `write_tones` gives them; in the precision of `y`.
@@ -46,7 +46,7 @@ def correlate(y: Array, tones: Array, out: Array) -> None:
         out[0, m], out[1, m] = complex(real, imaginary), complex(slope_real, slope_imaginary)
 
 
-@njit(cache=True, nogil=True, _nrt=False, fastmath=ANY_ORDER)
+@lean(fastmath=ANY_ORDER)
 def inner(left: Array, right: Array) -> complex:
     """Return left^H right of vectors (n,)."""
     real, imaginary = 0.0, 0.0
@@ -57,7 +57,7 @@ def inner(left: Array, right: Array) -> complex:
     return complex(real, imaginary)
 
 
-@njit(cache=True, nogil=True)
+@part
 def write_tones(distance: float, rate: Array, out: Array) -> None:
     """Write (2, tones): e^(-j rate d) of a path at a distance in m, and its derivative by it."""
     cosine, sine = np.empty(len(rate)), np.empty(len(rate))
@@ -67,7 +67,7 @@ def write_tones(distance: float, rate: Array, out: Array) -> None:
         out[1, f] = complex(-rate[f] * sine[f], -rate[f] * cosine[f])
 
 
-@njit(cache=True, nogil=True, _nrt=False, fastmath=ANY_ORDER)
+@lean(fastmath=ANY_ORDER)
 def subtract_products(row: Array, factor: Array, straight: Array, turned: Array, out: Array) -> None:
     """Write `row` (2 c,) less the sum of complex factors (n,) times columns (n, 2 c), as `in_pairs` gives them; `out`
     may be the row itself.

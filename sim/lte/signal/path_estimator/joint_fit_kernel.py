@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from cellslam.sim.compiling import njit
+from cellslam.sim.compiling import njit, part
 from cellslam.sim.lte.signal.path_estimator.correlation_kernel import correlate, inner, write_tones
 from cellslam.sim.lte.statistical.detector_layout import Array
 
@@ -30,7 +30,7 @@ class Normal(NamedTuple):
     gradient: Array
 
 
-@njit(cache=True, nogil=True)
+@part
 def cholesky_inverse(gram: Array) -> Array:
     """Return the inverse of a Hermitian positive matrix (n, n), with a small ridge."""
     n = len(gram)
@@ -105,13 +105,13 @@ def normal_equations(y: Array, value: Array, by_az: Array, by_el: Array, rate: A
     return Normal(explained, w.reshape(n, 2), _wald(inverse, w), information, gradient)
 
 
-@njit(cache=True, nogil=True)
+@part
 def _tone(column: int) -> int:
     """Return which tones a column of the Jacobian has: a path's own, or by distance their derivative."""
     return 2 * (column // 3) + (1 if column % 3 == 0 else 0)
 
 
-@njit(cache=True, nogil=True)
+@part
 def _wald(inverse: Array, w: Array) -> Array:
     """Return the energy w_p^H ((G^-1)_pp)^-1 w_p that would be lost with each path (n,)."""
     out = np.empty(len(w) // 2)

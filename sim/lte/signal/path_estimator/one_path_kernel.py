@@ -7,13 +7,13 @@ from __future__ import annotations
 
 import numpy as np
 
-from cellslam.sim.compiling import njit
+from cellslam.sim.compiling import part
 from cellslam.sim.lte.signal.path_estimator.correlation_kernel import correlate, inner, write_tones
 from cellslam.sim.lte.signal.path_estimator.joint_fit_kernel import Normal, cholesky_inverse
 from cellslam.sim.lte.statistical.detector_layout import Array
 
 
-@njit(cache=True, nogil=True)
+@part
 def normal_equations_of_one(y: Array, value: Array, by_az: Array, by_el: Array, rate: Array, distance: float) -> Normal:
     """Return the fit of one path to `y` (ports, tones) with steering (ports, 2), `rate` = 2 pi f / c (tones,)."""
     ports = len(y)

@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from cellslam.sim.compiling import njit
+from cellslam.sim.compiling import lean, njit, part
 from cellslam.sim.lte.signal.path_estimator.correlation_kernel import in_pairs, subtract_products
 from cellslam.sim.lte.statistical.detector_layout import DIFFUSE_SHARE, Array
 from cellslam.sim.lte.steering_kernel import ANY_ORDER
@@ -97,7 +97,7 @@ def both(one: Footprint, other: Footprint) -> Footprint:
     )  # fmt: skip
 
 
-@njit(cache=True, nogil=True, fastmath=ANY_ORDER)
+@part(fastmath=ANY_ORDER)
 def write_energies(outputs: Outputs, taken: Footprint, directions: Array, spectrum: PowerSpectrum) -> None:
     """Write the energies in `directions` (n,) of what the beams hold beside the paths that are taken out."""
     bins = spectrum.energy.shape[1]
@@ -151,7 +151,7 @@ def write_noise(outputs: Outputs, taken: Footprint, spectrum: PowerSpectrum) -> 
             noise[d] = usual
 
 
-@njit(cache=True, nogil=True)
+@part
 def running_median(values: Array, width: int, out: Array) -> None:
     """Write the median over `width` (odd) neighbours; the ends repeat."""
     half, last = width // 2, len(values) - 1
@@ -188,7 +188,7 @@ def note_trail(geometry: Array, energy: Array, probe: Probe, spectrum: PowerSpec
                 row[d] = max(row[d], np.float32(DIFFUSE_SHARE * energy[p]))
 
 
-@njit(cache=True, nogil=True)
+@part
 def cell_of(geometry: Array, probe: Probe, spectrum: PowerSpectrum) -> tuple[int, int]:
     """Return the cell (direction, bin) nearest to a path at `geometry` (3,) in m, rad, rad."""
     steps, low, high = spectrum.elevations - 1, probe.elevations[0], probe.elevations[spectrum.elevations - 1]
@@ -197,19 +197,19 @@ def cell_of(geometry: Array, probe: Probe, spectrum: PowerSpectrum) -> tuple[int
     return column * spectrum.elevations + rise, min(max(_bin(geometry[0], probe), 0), len(probe.distances) - 1)
 
 
-@njit(cache=True, nogil=True)
+@part
 def _column(azimuth: float, trailing: Array) -> int:
     """Return the column of the searched directions nearest to an azimuth, counted beyond a turn."""
     return round((azimuth + math.pi) / (2.0 * math.pi) * len(trailing))
 
 
-@njit(cache=True, nogil=True)
+@part
 def _bin(distance: float, probe: Probe) -> int:
     nearest: int = round((distance - probe.distances[0]) / (probe.distances[1] - probe.distances[0]))
     return nearest
 
 
-@njit(cache=True, nogil=True)
+@part
 def neighbours(k: int, spectrum: PowerSpectrum) -> Array:
     """Return direction k and those around it (9,); at the highest and lowest elevation some come twice."""
     elevations, out = spectrum.elevations, np.empty(9, np.int64)
@@ -220,7 +220,7 @@ def neighbours(k: int, spectrum: PowerSpectrum) -> Array:
     return out
 
 
-@njit(cache=True, nogil=True, _nrt=False)
+@lean
 def _surroundings(energy: Array, k: int, elevations: int, low: int, high: int) -> float:
     """Return half the mean energy of direction k and its neighbours over bins low to high; zero outside."""
     low, high = max(low, 0), min(high, energy.shape[1])
@@ -236,7 +236,7 @@ def _surroundings(energy: Array, k: int, elevations: int, low: int, high: int) -
     return 0.5 * total / (9 * (high - low))
 
 
-@njit(cache=True, nogil=True, _nrt=False)
+@lean
 def local_level(k: int, d: int, peak: float, spectrum: PowerSpectrum, margin: float) -> tuple[float, float]:
     """Return the disturbance per sample around a cell of energy `peak`, and the level that the cell must stand out of.
 
@@ -264,14 +264,14 @@ def local_level(k: int, d: int, peak: float, spectrum: PowerSpectrum, margin: fl
     return level, asked
 
 
-@njit(cache=True, nogil=True, _nrt=False)
+@lean
 def level_around(d: int, peak: float, spectrum: PowerSpectrum) -> float:
     """Return the disturbance per sample in all directions beside a cell of energy `peak` in bin d: at least noise."""
     around = max(spectrum.port_energy[d] - peak, 0.0) / (spectrum.ports - 2)
     return float(around if around > AROUND_EXCESS * spectrum.noise[d] else spectrum.noise[d])
 
 
-@njit(cache=True, nogil=True)
+@part
 def strongest(spectrum: PowerSpectrum, coarse: float, blocked: Array, margin: float) -> tuple[int, int, float]:
     """Return (direction, bin, level) of the strongest cell whose energy is `coarse` times the level that it must stand
     out of, an energy per sample and delay; direction -1: none.
