@@ -358,7 +358,7 @@ def new_bank(
         core, x, p, np.full((k, 1), core.size), np.full((k, states), NOBODY), np.full((k, weights), -1),
         np.zeros((k, weights), whole), np.full((k, vts, VT_STATES), -1), anchor, np.zeros((k, vts, SLOT), whole),
         np.zeros((k, 1), whole), np.ones((k, len(setup.links)), whole), np.zeros((k, LOST, ENTRY)),
-        np.zeros((k, 1), whole), np.zeros((k, 2, SIZES)), np.zeros((k, 1)), np.zeros((k, 2)),
+        np.zeros((k, 1), whole), np.zeros((k, 3, SIZES)), np.zeros((k, 1)), np.zeros((k, 2)),
     )  # fmt: skip
     blocks = Block(
         np.zeros((k, 1), whole), np.zeros((k, LONGEST, POSE)), np.zeros((k, LONGEST, 2)), np.zeros((k, 3)),

@@ -16,7 +16,7 @@ from cellslam.sim.described import Described
 from cellslam.sim.recording import COMPONENTS, Floats, Ints, OdometryModel
 from cellslam.slam.ekf_slam.bank import Bank
 from cellslam.slam.ekf_slam.ekf_slam_options import EkfSlamOptions
-from cellslam.slam.ekf_slam.snapshot.sizes_kernel import ODOMETRY, count_states, count_weight
+from cellslam.slam.ekf_slam.snapshot.sizes_kernel import DIFFUSE_SIZE, ODOMETRY, count_states, count_weight
 from cellslam.slam.ekf_slam.state.layout import ArrayErrors, one_of
 
 _PARTS = ("m", "azimuth_deg", "elevation_deg")
@@ -43,11 +43,13 @@ DOUBTED, NOTABLE = 6.0, 1.35
 
 @dataclass(frozen=True)
 class Sizes(Described):
-    """Slope of the log-likelihood in each log size (Z,), its information (Z,), and the mean square (6,) of the
-    odometry's biases and scales, in the units of its data sheet; NaN where there are none."""
+    """Slope of the log-likelihood in each log size (Z,), its information (Z,), what the information of white noise has
+    `in_common` (Z,) with that of diffuse errors, and the mean square (6,) of the odometry's biases and scales, in the
+    units of its data sheet; NaN where there are none."""
 
     slope: Floats
     information: Floats
+    in_common: Floats
     bias: Floats
     scale: Floats
 
@@ -70,11 +72,25 @@ class Sizes(Described):
         Proc. Cambridge Philosophical Society 44, 1948)."""
         out = {}
         for name, (slope, information) in self.told().items():
+            if name.startswith("noise_"):
+                slope, information = self._of_white_noise_alone(OPTIONS.index(name))
             factor = math.exp(max(-MOST_STEP, min(slope / information, MOST_STEP)))
             cautious = name in COMPONENTS and slope < 0.0  # an odometry better than told is no mistake: slip is rare
             if abs(slope) > DOUBTED * math.sqrt(information) and not 1.0 / NOTABLE < factor < NOTABLE and not cautious:
                 out[name] = factor
         return out
+
+    def _of_white_noise_alone(self, size: int) -> tuple[float, float]:
+        """Return slope and information of a size of white noise whatever the diffuse errors' size is: most of a look is
+        diffuse, and a little less of that is no lack of white noise (effective score; Neyman, "Optimal asymptotic tests
+        of composite statistical hypotheses", 1959)."""
+        slope, information = float(self.slope[size]), float(self.information[size])
+        of_diffuse = float(self.information[size + DIFFUSE_SIZE])
+        if of_diffuse == 0.0:
+            return slope, information
+        share = float(self.in_common[size]) / of_diffuse
+        slope -= share * float(self.slope[size + DIFFUSE_SIZE])
+        return slope, max(information - share * float(self.in_common[size]), 1.0)
 
     def remarks(self) -> list[str]:
         """Return a line that says which sizes are doubted, if any are."""
@@ -96,7 +112,7 @@ def sizes_of(bank: Bank, errors: ArrayErrors, noise: Floats) -> Sizes:
     def squares(of: Ints) -> Floats:
         return np.array([f.x[i] ** 2 + f.p[i, i] if i >= 0 else np.nan for i in of])
 
-    return Sizes(f.sizes[0], f.sizes[1], squares(core.bias), squares(core.scale))
+    return Sizes(*f.sizes, squares(core.bias), squares(core.scale))
 
 
 class Sheets(NamedTuple):

@@ -14,7 +14,7 @@ from cellslam.sim.compiling import lean
 from cellslam.sim.frames.frames_kernel import wrap
 from cellslam.sim.recording import Floats, Ints
 from cellslam.slam.ekf_slam.snapshot.sight_kernel import Sight, coordinates, errors_of, geometry
-from cellslam.slam.ekf_slam.snapshot.sizes_kernel import DIFFUSE_SIZE, count_news, count_white
+from cellslam.slam.ekf_slam.snapshot.sizes_kernel import count_diffuse, count_white
 from cellslam.slam.ekf_slam.state.layout import DIFFUSE, ArrayErrors, Filter
 from cellslam.slam.model.downdate_kernel import downdate
 from cellslam.slam.model.matrices_kernel import Sym3, Vec3, cholesky, dot, solved, sym_scaled, vec_scaled
@@ -239,14 +239,15 @@ def _shown(left: Floats, e: Vec3, s: Sight) -> Vec3:
 @lean
 def count_sizes(f: Filter, j: int, look: Look, i: Innovation, w: Pending) -> None:
     """Take in what a look at VT j, whose T is in w.t, says of the sizes of white noise and diffuse errors."""
-    count_white(f, i.e, i.s, look.q)
+    white = count_white(f, i.e, i.s, look.q)
+    share = (white.x, white.y, white.z)
     for c in range(3):
         place = f.vt_state[j, DIFFUSE + c]
         if place >= 0:
             told = f.p[place, place]
             for r in range(w.used[0]):
                 told -= w.rows[r, place] ** 2
-            count_news(f, DIFFUSE_SIZE + c, told, Vec3(w.t[0, place], w.t[1, place], w.t[2, place]), i.e, i.s)
+            count_diffuse(f, c, told, share[c], Vec3(w.t[0, place], w.t[1, place], w.t[2, place]), i.e, i.s)
 
 
 @lean
