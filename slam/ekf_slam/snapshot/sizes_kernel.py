@@ -38,8 +38,8 @@ def count(f: Filter, size: int, told: float, mean2: float, left: float) -> None:
 
 
 @lean
-def count_white(f: Filter, e: Vec3, s: Sym3, q: Floats) -> Vec3:
-    """Take in the white noise of a look, of variances q (3,) in m^2 and rad^2; return its share of the innovation.
+def count_white(f: Filter, e: Vec3, s: Sym3, q: Floats) -> None:
+    """Take in the white noise of a look, of variances q (3,) in m^2 and rad^2.
 
     Its innovation is e with the covariance s, 0 and 1 where nothing was measured. An error of variance V in component
     c has the mean V (s^-1 e)_c and the variance V - V^2 (s^-1)_cc.
@@ -51,20 +51,20 @@ def count_white(f: Filter, e: Vec3, s: Sym3, q: Floats) -> Vec3:
     for c in range(3):
         if at[c] != 0.0:
             count(f, WHITE + c, q[c], (q[c] * at[c]) ** 2, q[c] - q[c] * q[c] * own[c])
-    return Vec3(q[0] * own[0], q[1] * own[1], q[2] * own[2])
 
 
 @lean
 def count_diffuse(f: Filter, c: int, told: float, white: float, t: Vec3, e: Vec3, s: Sym3) -> None:
     """Take in by how much a look changes what is known of a diffuse error of component c: only news counts.
 
-    told: its variance before; t: its covariance with the innovation e, of covariance s, of which white noise has the
-    share `white`. It changes by t s^-1 e, and its variance by t s^-1 t.
+    told: its variance before; t: its covariance with the innovation e, of covariance s, in which that component has
+    noise of variance `white`. It changes by t s^-1 e, and its variance by t s^-1 t.
     """
     gain = sym_vec(inverse(s), t)
     if told > 0.0:
         count(f, DIFFUSE_SIZE + c, told, dot(gain, e) ** 2, told - dot(gain, t))
-        f.sizes[2, WHITE + c] += 2.0 * white * dot(gain, t) / told
+        own = (gain.x, gain.y, gain.z)[c]
+        f.sizes[2, WHITE + c] += 2.0 * white * own * own / told
 
 
 @lean

@@ -239,15 +239,14 @@ def _shown(left: Floats, e: Vec3, s: Sight) -> Vec3:
 @lean
 def count_sizes(f: Filter, j: int, look: Look, i: Innovation, w: Pending) -> None:
     """Take in what a look at VT j, whose T is in w.t, says of the sizes of white noise and diffuse errors."""
-    white = count_white(f, i.e, i.s, look.q)
-    share = (white.x, white.y, white.z)
+    count_white(f, i.e, i.s, look.q)
     for c in range(3):
         place = f.vt_state[j, DIFFUSE + c]
         if place >= 0:
             told = f.p[place, place]
             for r in range(w.used[0]):
                 told -= w.rows[r, place] ** 2
-            count_diffuse(f, c, told, share[c], Vec3(w.t[0, place], w.t[1, place], w.t[2, place]), i.e, i.s)
+            count_diffuse(f, c, told, look.q[c], Vec3(w.t[0, place], w.t[1, place], w.t[2, place]), i.e, i.s)
 
 
 @lean

@@ -22,8 +22,8 @@ from cellslam.slam.ekf_slam.snapshot.sizes_kernel import (
     ODOMETRY,
     WHITE,
     count,
+    count_diffuse,
     count_motion,
-    count_news,
     count_white,
 )
 from cellslam.slam.ekf_slam.snapshot.update_kernel import (
@@ -313,12 +313,14 @@ def test_sizes_have_the_slope_and_information_of_the_likelihood(one_filter: Any)
 
     s = root @ root.T + np.diag(q) + told * np.outer(load, load)
     count_white(one.f, Vec3(*e), sym(s), q)
-    count_news(one.f, DIFFUSE_SIZE, told, Vec3(*(told * load)), Vec3(*e), sym(s))
+    count_diffuse(one.f, 0, told, q[0], Vec3(*(told * load)), Vec3(*e), sym(s))
     at = np.append(np.arange(WHITE, WHITE + 3), DIFFUSE_SIZE)
     np.testing.assert_allclose(one.f.sizes[0, at], slopes(log_density, np.zeros(4))[0], rtol=1e-5)
     inverse = np.linalg.inv(s)
     information = 2.0 * np.append(q * np.diag(inverse), told * load @ inverse @ load) ** 2
     np.testing.assert_allclose(one.f.sizes[1, at], information, rtol=1e-9)
+    by_white, by_state = inverse @ np.diag([2.0 * q[0], 0.0, 0.0]), inverse @ (2.0 * told * np.outer(load, load))
+    assert one.f.sizes[2, WHITE] == pytest.approx(0.5 * np.trace(by_white @ by_state), rel=1e-9)
 
 
 def test_what_is_far_off_says_little_of_a_size_that_the_drive_hardly_tells(one_filter: Any) -> None:
