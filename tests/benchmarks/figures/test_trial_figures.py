@@ -15,7 +15,7 @@ from cellslam.benchmarks.figures.trial import associations
 from cellslam.benchmarks.figures.trial import clock_offsets as clock
 from cellslam.benchmarks.figures.trial import position_error as error
 from cellslam.benchmarks.figures.trial import trial_map as overview
-from cellslam.benchmarks.figures.trial.reflectors import reflection_point, reflectors_of
+from cellslam.benchmarks.figures.trial.reflectors import reflectors_of
 from cellslam.benchmarks.figures.trial.trial_figures import draw_all
 from cellslam.benchmarks.scores.trial_result import TrialResult
 from cellslam.sim.recording import Reference
@@ -50,32 +50,6 @@ def scene(make_recording):
     return SimpleNamespace(
         recording=recording, results={"dead-reckoning": reckoning, "fastslam": slam}, bound=bound, city=city
     )
-
-
-def test_reflection_point_by_hand():
-    site, vt = np.array([0.0, 0, 10]), np.array([20.0, 0, 10])
-    # The wall is x = 10; from (0, 20, 10) the path meets it half-way up to the VT.
-    np.testing.assert_allclose(reflection_point(site, vt, np.array([0.0, 20, 10])), [10, 10, 10])
-    np.testing.assert_allclose(reflection_point(site, vt, np.array([[5.0, 6, 4]])), [[10, 4, 6]])
-    # Behind the wall, and parallel to it, there is none.
-    assert np.isnan(reflection_point(site, vt, np.array([[15.0, 3, 4], [20.0, 3, 4]]))).all()
-
-
-def test_reflected_path_has_the_length_and_the_angles_of_a_mirror():
-    rng = np.random.default_rng(3)
-    for _ in range(50):
-        site, vehicle, normal = rng.normal(0, 50, 3), rng.normal(0, 50, 3), rng.normal(0, 1, 3)
-        normal /= np.linalg.norm(normal)
-        offset = max(site @ normal, vehicle @ normal) + 10
-        vt = site + 2 * (offset - site @ normal) * normal
-        point = reflection_point(site, vt, vehicle)
-        assert point @ normal == pytest.approx(offset)
-        incoming, outgoing = point - site, vehicle - point
-        length = np.linalg.norm(incoming) + np.linalg.norm(outgoing)
-        assert length == pytest.approx(np.linalg.norm(vt - vehicle))
-        assert incoming @ normal / np.linalg.norm(incoming) == pytest.approx(
-            -outgoing @ normal / np.linalg.norm(outgoing)
-        )
 
 
 def test_reflectors_lie_on_the_wall_and_leave_the_site_out(scene):
