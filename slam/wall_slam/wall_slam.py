@@ -29,10 +29,10 @@ class WallSlamOptions(EkfSlamOptions):
     """What a scenario may set under `estimator.wall-slam`."""
 
     join_odds: float = Field(
-        150.0, ge=1, description="odds from which on two VTs are taken for images in one wall; inf: never"
+        150.0, ge=1, le=1e9, description="odds from which on two VTs are taken for images in one wall; 1e9: never"
     )
-    facade_turned_deg: float = Field(0.3, gt=0, le=10, description="by how much parts of one wall are turned, deg")
-    facade_off_m: float = Field(0.2, gt=0, le=10, description="by how much parts of one wall are set off, m")
+    facade_turned_deg: float = Field(0.5, gt=0, le=10, description="by how much parts of one wall are turned, deg")
+    facade_off_m: float = Field(0.3, gt=0, le=10, description="by how much parts of one wall are set off, m")
     facade_gap_m: float = Field(10.0, ge=0, le=1000, description="longest gap between parts of one wall, m")
 
 

@@ -224,7 +224,7 @@ def driven(recording, **options):
 def test_a_drive_maps_the_wall_that_two_sites_share(street):
     assert len(true_walls(street, street.truth)) == 5
     joined, last = driven(street)
-    apart, before = driven(street, join_odds=math.inf)
+    apart, before = driven(street, join_odds=1e9)
     assert (len(joined), len(apart)) == (5, 6)
     scores, others = (wall_scores(street, street.truth, walls) for walls in (joined, apart))
     assert scores["wall_share"] > 0.9 and scores["wall_gospa_m"] < others["wall_gospa_m"]

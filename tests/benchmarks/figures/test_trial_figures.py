@@ -19,7 +19,7 @@ from cellslam.benchmarks.figures.trial.reflectors import reflectors_of
 from cellslam.benchmarks.figures.trial.trial_figures import draw_all
 from cellslam.benchmarks.scores.trial_result import TrialResult
 from cellslam.sim.recording import Reference
-from cellslam.slam.api import VtEstimate
+from cellslam.slam.api import VtEstimate, WallEstimate
 
 WALL_X_M = 60.0
 
@@ -83,6 +83,21 @@ def test_map_shows_buildings_trajectories_sites_and_reflecting_points(scene):
     (x0, x1), (y0, y1) = whole.get_xlim(), whole.get_ylim()
     assert x0 < -100 and x1 > WALL_X_M and y1 - y0 == pytest.approx(x1 - x0)
     assert drive.get_xlim()[1] - drive.get_xlim()[0] < x1 - x0
+
+
+def test_map_figure_shows_the_walls_of_the_first_estimator_that_has_some(scene):
+    walls = WallEstimate(
+        np.arange(2), np.zeros(2), np.array([60.0, 70.0]), np.zeros((2, 2, 2)), np.tile([-5.0, 8.0], (2, 1))
+    )
+    none = WallEstimate(np.arange(0), *np.zeros((2, 0)), np.zeros((0, 2, 2)), np.zeros((0, 2)))
+    results = {name: dataclasses.replace(result, walls=none) for name, result in scene.results.items()}
+    results |= {name: dataclasses.replace(scene.results["fastslam"], walls=walls) for name in ("mapper", "other")}
+    figure = Figure()
+    assert overview.draw(figure, None, scene.recording, results)
+    for axes in figure.axes:
+        (lines,) = (drawn for drawn in axes.collections if drawn.get_label().startswith("walls of"))
+        assert lines.get_label() == "walls of mapper"
+        np.testing.assert_allclose(lines.get_segments(), [[[60, -5], [60, 8]], [[70, -5], [70, 8]]])
 
 
 def test_error_figure_shows_errors_and_bound(scene):
