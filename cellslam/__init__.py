@@ -28,7 +28,7 @@ if TYPE_CHECKING:
     from cellslam.sim.errors import InputError
     from cellslam.sim.rays.tracing import trace
     from cellslam.sim.recording import Recording
-    from cellslam.slam.api import Estimate, Estimator, Setup, Snapshot, VtEstimate
+    from cellslam.slam.api import Estimate, Estimator, Setup, Snapshot, VtEstimate, WallEstimate
     from cellslam.slam.model.calibration import Calibration
     from cellslam.slam.model.vt_map import VtMap
     from cellslam.slam.registry import names as estimator_names
@@ -47,6 +47,7 @@ _HOMES = {
     "TrialView": "benchmarks.python_api",
     "VtEstimate": "slam.api",
     "VtMap": "slam.model.vt_map",
+    "WallEstimate": "slam.api",
     "comparison": "benchmarks.tables.summaries",
     "estimator_names": "slam.registry:names",
     "load": "scenarios.loading",
@@ -72,6 +73,7 @@ __all__ = [
     "TrialView",
     "VtEstimate",
     "VtMap",
+    "WallEstimate",
     "__version__",
     "comparison",
     "estimator_names",

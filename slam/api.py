@@ -18,6 +18,7 @@ from cellslam.sim.described import Described
 from cellslam.sim.frames import held
 from cellslam.sim.recording import Floats, Ints, Links, OdometryModel, Recording, Sites, Truth
 from cellslam.slam.model.vt_map import VtMap
+from cellslam.slam.model.walls import normals
 
 
 @dataclass(frozen=True, repr=False)
@@ -74,13 +75,38 @@ class VtEstimate(Described):
 
 
 @dataclass(frozen=True, repr=False)
+class WallEstimate(Described):
+    """Estimated vertical walls: `id` (W,); `azimuth_rad` (W,) of the normal, which points away from the sites, and
+    `distance_m` (W,) of the plane from the world's origin along it, with their `covariance` (W, 2, 2).
+
+    `extent_m` (W, 2): of the part that paths were reflected by, least and greatest x along (-sin a, cos a), a being the
+    azimuth.
+    """
+
+    id: Ints
+    azimuth_rad: Floats
+    distance_m: Floats
+    covariance: Floats
+    extent_m: Floats
+
+    def __len__(self) -> int:
+        return len(self.id)
+
+    @property
+    def ends_m(self) -> Floats:
+        """The ends (W, 2, 2) of the visible parts: wall, end, east and north."""
+        across, along = normals(self.azimuth_rad)
+        return np.asarray(self.distance_m[:, None, None] * across[:, None] + self.extent_m[..., None] * along[:, None])
+
+
+@dataclass(frozen=True, repr=False)
 class Estimate(Described):
     """The belief after one snapshot.
 
     `pose` (6,) and `covariance` (6, 6); where the estimator has them: `association` (m,), VT id per measurement, -1
     for none;
     `clock_offset_m` (S,) and `clock_offset_variance_m2` (S,); `vts`, which may be None in all but the last
-    snapshot of a drive and those for which it is cheap.
+    snapshot of a drive and those for which it is cheap; `walls`, of which the last ones that were given count.
     """
 
     pose: Floats
@@ -89,6 +115,7 @@ class Estimate(Described):
     clock_offset_m: Floats | None = None
     clock_offset_variance_m2: Floats | None = None
     vts: VtEstimate | None = None
+    walls: WallEstimate | None = None
 
 
 @runtime_checkable

@@ -59,6 +59,11 @@ BUILT_IN = (
         "joint EKF of pose, odometry errors, clock offsets and VTs; Gaussian sum over the offsets at the start",
     ),
     Listed(
+        "wall-slam",
+        "cellslam.slam.wall_slam.wall_slam:WallSlam",
+        "EKF-SLAM whose VTs of several sites are images in walls that they share; maps the walls",
+    ),
+    Listed(
         "paper-fastslam",
         "cellslam.slam.fastslam.paper.paper_fastslam:PaperFastSlam",
         "the paper's FastSLAM as printed: bare Mahalanobis association, no clutter, clock offsets given or ignored",

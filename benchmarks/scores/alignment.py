@@ -11,12 +11,14 @@ from cellslam.benchmarks.scores.trial_result import TrialResult
 from cellslam.sim.errors import InputError
 from cellslam.sim.frames import rotation, wrap_angle
 from cellslam.sim.recording import Floats, Recording
+from cellslam.slam.api import WallEstimate
+from cellslam.slam.model.walls import normals
 
 
 def aligned(recording: Recording, result: TrialResult) -> TrialResult:
     """Return the estimate turned and shifted in the horizontal plane so that its positions fit the truth best.
 
-    Poses, covariances and VTs move as one. Raises InputError where the truth or reference has too few positions.
+    Poses, covariances, VTs and walls move as one. Raises InputError where the truth or reference has too few positions.
     """
     estimated, known = _pairs(recording, result.poses)
     if len(known) < 2:
@@ -32,7 +34,23 @@ def aligned(recording: Recording, result: TrialResult) -> TrialResult:
     vts = result.vts
     if vts is not None:
         vts = replace(vts, position_m=vts.position_m @ turn.T + offset, covariance=turn @ vts.covariance @ turn.T)
-    return replace(result, poses=poses, covariances=both @ result.covariances @ both.T, vts=vts)
+    walls = None if result.walls is None else _moved(result.walls, angle, shift)
+    return replace(result, poses=poses, covariances=both @ result.covariances @ both.T, vts=vts, walls=walls)
+
+
+def _moved(walls: WallEstimate, angle: float, shift: Floats) -> WallEstimate:
+    """Return walls that were turned by an angle (rad), then shifted (2,) in m."""
+    azimuth = wrap_angle(walls.azimuth_rad + angle)
+    across, along = normals(azimuth)
+    by = np.tile(np.eye(2), (len(walls), 1, 1))
+    by[:, 1, 0] = along @ shift
+    return replace(
+        walls,
+        azimuth_rad=azimuth,
+        distance_m=walls.distance_m + across @ shift,
+        covariance=by @ walls.covariance @ np.swapaxes(by, 1, 2),
+        extent_m=walls.extent_m + (along @ shift)[:, None],
+    )
 
 
 def _pairs(recording: Recording, poses: Floats) -> tuple[Floats, Floats]:

@@ -12,6 +12,7 @@ from cellslam.benchmarks.scores.association import precision_recall, tracks_of, 
 from cellslam.benchmarks.scores.gospa import gospa
 from cellslam.benchmarks.scores.reference_fixes import usable, within
 from cellslam.benchmarks.scores.trial_result import METRIC_KEYS, TrialResult
+from cellslam.benchmarks.scores.walls import wall_scores
 from cellslam.sim.frames import wrap_angle
 from cellslam.sim.recording import Floats, Ints, Recording, Reference, Truth
 from cellslam.slam.api import VtEstimate
@@ -48,6 +49,8 @@ def score(recording: Recording, result: TrialResult, bound: BoundResult | None) 
         )
     if result.vts is not None:
         scores["map_gospa_m"] = map_gospa(recording, truth, result.vts)
+    if result.walls is not None:
+        scores |= wall_scores(recording, truth, result.walls)
     if result.association is not None:
         tracks = tracks_of(recording.measurements.link, result.association, truth.measurement_vt)
         precision, recall = precision_recall(tracks, truth.measurement_vt)

@@ -8,7 +8,7 @@ import numpy as np
 
 from cellslam.sim.described import Described
 from cellslam.sim.recording import Floats, Ints
-from cellslam.slam.api import VtEstimate
+from cellslam.slam.api import VtEstimate, WallEstimate
 from cellslam.slam.model.calibration import Calibration
 from cellslam.slam.model.vt_map import VtMap
 
@@ -16,7 +16,8 @@ from cellslam.slam.model.vt_map import VtMap
 ROW_KEYS = (
     "scenario", "estimator", "trial", "seed", "status", "error", "snapshots", "duration_s", "distance_m",
     "position_rmse_m", "position_max_m", "position_end_m", "heading_rmse_rad", "clock_offset_rmse_m",
-    "transmitter_rmse_m", "map_gospa_m", "association_precision", "association_recall", "nees_mean",
+    "transmitter_rmse_m", "map_gospa_m", "wall_gospa_m", "wall_share", "wall_normal_rmse_rad", "wall_offset_rmse_m",
+    "association_precision", "association_recall", "nees_mean",
     "bound_position_rmse_m", "bound_merged_m", "estimate_seconds", "realtime_factor", "peak_memory_mb",
 )  # fmt: skip
 # What the estimator took, which varies from run to run; all else of a row is the same for a seed.
@@ -24,8 +25,8 @@ COST_KEYS = ("estimate_seconds", "realtime_factor", "peak_memory_mb")
 # Those of them that `benchmarks.scores.metrics.score` fills; each may be None.
 METRIC_KEYS = (
     "position_rmse_m", "position_max_m", "position_end_m", "heading_rmse_rad", "clock_offset_rmse_m",
-    "transmitter_rmse_m", "map_gospa_m", "association_precision", "association_recall", "nees_mean",
-    "bound_position_rmse_m", "bound_merged_m",
+    "transmitter_rmse_m", "map_gospa_m", "wall_gospa_m", "wall_share", "wall_normal_rmse_rad", "wall_offset_rmse_m",
+    "association_precision", "association_recall", "nees_mean", "bound_position_rmse_m", "bound_merged_m",
 )  # fmt: skip
 
 
@@ -36,7 +37,7 @@ class TrialResult(Described):
     `poses` (T, 6) and `covariances` (T, 6, 6): the answer that is scored. `smoothed`: the poses are those of
     `finish()`, which used the whole drive, while the covariances are still those of the snapshots.
     `association` (M,): VT id per measurement, -1 for none, as said in its own snapshot. `clock_offset_m` and
-    `clock_offset_variance_m2` (T, S). `vts`: the last ones reported.
+    `clock_offset_variance_m2` (T, S). `vts`, `walls`: the last ones reported.
     `calibration`: of the array, at the end; `vt_map`: what is left for the next drive. None: the estimator does not
     give this.
     `remarks`: what the estimator says of the drive in words. `oracle`: it was shown the truth. `estimate_seconds`,
@@ -50,6 +51,7 @@ class TrialResult(Described):
     clock_offset_m: Floats | None = None
     clock_offset_variance_m2: Floats | None = None
     vts: VtEstimate | None = None
+    walls: WallEstimate | None = None
     calibration: Calibration | None = None
     vt_map: VtMap | None = None
     remarks: tuple[str, ...] = ()

@@ -20,7 +20,7 @@ from cellslam.sim.errors import InputError
 
 DATABASE = "results.sqlite"
 TRAJECTORIES = "trajectories"
-SCHEMA = 3
+SCHEMA = 4
 # Columns beside those of a row: ids of world and options, which process wrote it, and how often it was tried.
 OWN_KEYS = ("key", "world", "options", "run", "traceback")
 _NUMBERS = (*METRIC_KEYS, "duration_s", "distance_m", *COST_KEYS)

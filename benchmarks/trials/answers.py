@@ -11,20 +11,22 @@ from numpy.typing import NDArray
 
 from cellslam.sim.errors import InputError, one_line
 from cellslam.sim.recording import Floats, Recording
-from cellslam.slam.api import Estimate, VtEstimate
+from cellslam.slam.api import Estimate, VtEstimate, WallEstimate
 from cellslam.slam.model.calibration import Calibration
 
 Columns = dict[str, NDArray[Any]]
 MOST = 1e9  # metres, radians; a covariance has its square
 MOST_VTS = 100_000
+MOST_WALLS = 100_000
 MOST_REMARKS, MOST_REMARK = 10, 400  # lines, characters
 MOST_ID = 2**53
 ROUNDING = 1e-6  # of a covariance's largest entry: what it may be asymmetric, or its eigenvalues negative
 _NUMBERS = ("pose", "covariance", "clock_offset_m", "clock_offset_variance_m2")
 _VTS = ("id", "link", "position_m", "covariance")
+_WALLS = ("id", "azimuth_rad", "distance_m", "covariance", "extent_m")
 _CALIBRATION = ("size", "component", "cell", "mean", "covariance")
-_WHOLE = frozenset(("association", "vts.id", "vts.link", "calibration.component", "calibration.cell"))
-_SQUARES = frozenset(("covariance", "clock_offset_variance_m2", "vts.covariance"))
+_WHOLE = frozenset(("association", "vts.id", "vts.link", "walls.id", "calibration.component", "calibration.cell"))
+_SQUARES = frozenset(("covariance", "clock_offset_variance_m2", "vts.covariance", "walls.covariance"))
 
 
 class BadAnswerError(ValueError):
@@ -32,7 +34,7 @@ class BadAnswerError(ValueError):
 
 
 def plain(answer: Any) -> Columns:
-    """Return copies of what an Estimate holds, by name, as 64-bit numbers; `vts` as `vts.id` and so on.
+    """Return copies of what an Estimate holds, by name, as 64-bit numbers; `vts` as `vts.id` and so on, `walls` alike.
 
     Raises BadAnswerError for anything but an Estimate of numbers, with whole numbers for ids.
     """
@@ -42,6 +44,8 @@ def plain(answer: Any) -> Columns:
     kept = {name: value for name, value in given.items() if value is not None or name in _NUMBERS[:2]}
     if answer.vts is not None:
         kept |= {f"vts.{name}": getattr(answer.vts, name) for name in _VTS}
+    if answer.walls is not None:
+        kept |= {f"walls.{name}": getattr(answer.walls, name) for name in _WALLS}
     return {name: numbers(name, value) for name, value in kept.items()}
 
 
@@ -124,6 +128,7 @@ class Log:
         self.count = len(recording.time_s)
         self.columns: Columns = {}
         self.vts: VtEstimate | None = None
+        self.walls: WallEstimate | None = None
 
     def add(self, t: int, answer: Columns) -> None:
         """Keep the answer of snapshot `t`."""
@@ -142,6 +147,8 @@ class Log:
                 self._column(name, (self.count, *shape), np.nan)[t] = array
         if "vts.id" in answer:
             self.vts = self._checked_vts(answer)
+        if "walls.id" in answer:
+            self.walls = _checked_walls(answer)
 
     def _column(self, name: str, shape: tuple[int, ...], empty: float) -> NDArray[Any]:
         """Return a column, made when it is first asked for."""
@@ -159,6 +166,8 @@ class Log:
             )
         if self.vts is not None:
             check_covariances("vts.covariance", self.vts.covariance, "VT")
+        if self.walls is not None:
+            check_covariances("walls.covariance", self.walls.covariance, "wall")
 
     def _checked_vts(self, answer: Columns) -> VtEstimate:
         count = answer["vts.id"].size
@@ -169,6 +178,17 @@ class Log:
         if ((vts.link < 0) | (vts.link >= self.links)).any():
             raise BadAnswerError(f"vts.link has a link that is not one of the {self.links} links")
         return vts
+
+
+def _checked_walls(answer: Columns) -> WallEstimate:
+    count = answer["walls.id"].size
+    if count > MOST_WALLS:
+        raise BadAnswerError(f"walls has {count} walls, the most are {MOST_WALLS}")
+    shapes = ((count,), (count,), (count,), (count, 2, 2), (count, 2))
+    walls = WallEstimate(*(checked(f"walls.{n}", answer[f"walls.{n}"], s) for n, s in zip(_WALLS, shapes, strict=True)))
+    if (walls.extent_m[:, 0] > walls.extent_m[:, 1]).any():
+        raise BadAnswerError("walls.extent_m has an end before its begin")
+    return walls
 
 
 def checked(name: str, array: NDArray[Any], shape: tuple[int, ...]) -> NDArray[Any]:

@@ -140,6 +140,7 @@ def collected(
         clock_offset_m=columns.get("clock_offset_m"),
         clock_offset_variance_m2=columns.get("clock_offset_variance_m2"),
         vts=log.vts,
+        walls=log.walls,
         smoothed=final is not None,
         oracle=request.oracle,
         calibration=calibration_of(last.columns),

@@ -66,6 +66,12 @@ def check_answer(answer: Any, snapshot: Snapshot, setup: Setup) -> None:
         check_array("vts.link", answer.vts.link, (count,))
         check_array("vts.position_m", answer.vts.position_m, (count, 3))
         check_array("vts.covariance", answer.vts.covariance, (count, 3, 3))
+    if answer.walls is not None:
+        count = len(answer.walls)
+        check_array("walls.azimuth_rad", answer.walls.azimuth_rad, (count,))
+        check_array("walls.distance_m", answer.walls.distance_m, (count,))
+        check_array("walls.covariance", answer.walls.covariance, (count, 2, 2))
+        check_array("walls.extent_m", answer.walls.extent_m, (count, 2))
 
 
 def check_array(name: str, value: Any, shape: tuple[int, ...]) -> None:

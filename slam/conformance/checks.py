@@ -183,7 +183,7 @@ def pickles(subject: Subject) -> None:
 
 
 def covariances_are_positive(subject: Subject) -> None:
-    """Pose, clock offsets and VTs: symmetric, no negative variance; x and y uncertain once the vehicle has moved."""
+    """Pose, offsets, VTs and walls: symmetric, no negative variance; x and y uncertain once the vehicle has moved."""
     remedy = "use the Joseph form or symmetrise: P = (P + P.T) / 2"
     for t, answer in enumerate(drive(subject.new(), subject.setup(), subject.steps())):
         check_covariance(f"snapshot {t}: the pose's covariance", answer.covariance, remedy)
@@ -192,6 +192,8 @@ def covariances_are_positive(subject: Subject) -> None:
             require(least >= 0, f"snapshot {t}: a clock offset has the variance {least:.3g}", remedy)
         for matrix in () if answer.vts is None else answer.vts.covariance:
             check_covariance(f"snapshot {t}: a VT's covariance", matrix, remedy)
+        for matrix in () if answer.walls is None else answer.walls.covariance:
+            check_covariance(f"snapshot {t}: a wall's covariance", matrix, remedy)
     last = answer.covariance[:2, :2]
     require(
         float(np.linalg.eigvalsh(last)[0]) > 0.0,

@@ -10,6 +10,7 @@ from cellslam.benchmarks.scores.association import Tracks, tracks_of
 from cellslam.benchmarks.scores.metrics import duration_s
 from cellslam.benchmarks.scores.trial_result import TrialResult
 from cellslam.sim.recording import Floats, Ints, Recording
+from cellslam.slam.model.walls import reflection_point
 
 # A VT this near to its site is the site itself, seen in line of sight.
 LINE_OF_SIGHT_M = 15.0
@@ -31,21 +32,6 @@ class Reflector:
     points_m: Floats
     vehicle_m: Floats
     life_s: float
-
-
-def reflection_point(site_m: Floats, vt_m: Floats, vehicle_m: Floats) -> Floats:
-    """Return where the path from the site to `vehicle_m` (..., 3) meets the wall that makes `vt_m`, (..., 3) in m.
-
-    The wall is the perpendicular bisector plane of site and VT; the point is where the segment from the vehicle to the
-    VT meets it, NaN where it does not (the vehicle is behind the wall).
-    """
-    normal = vt_m - site_m
-    towards = vt_m - vehicle_m
-    along = towards @ normal
-    with np.errstate(divide="ignore", invalid="ignore"):
-        share = (0.5 * (site_m + vt_m) - vehicle_m) @ normal / along
-        point = vehicle_m + share[..., None] * towards
-    return np.asarray(np.where(((share > 0) & (share < 1))[..., None], point, np.nan))
 
 
 def site_estimates(recording: Recording, result: TrialResult, tracks: Tracks) -> dict[int, Floats]:

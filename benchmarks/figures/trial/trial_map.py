@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.collections import PatchCollection, PolyCollection
+from matplotlib.collections import LineCollection, PatchCollection, PolyCollection
 from matplotlib.figure import Figure
 from matplotlib.patches import PathPatch, Rectangle
 from matplotlib.path import Path as Outline
@@ -21,6 +21,7 @@ from cellslam.benchmarks.figures.style import (
     TRUTH,
     VEHICLES,
     VT,
+    WALL,
     WIDTH_IN,
     estimator_styles,
 )
@@ -44,8 +45,8 @@ def draw(figure: Figure, city: City | None, recording: Recording, results: Mappi
     """Draw the whole scene on the left, the drive magnified on the right; False if there is nothing.
 
     The scene of a simulated drive has sites and reflecting points, that of a measured one the final VTs; where that is
-    hardly larger than the drive, it is drawn alone. Both are those of the first result with VTs. The building that
-    carries the longest-lived reflected VT is drawn darker.
+    hardly larger than the drive, it is drawn alone. Both are those of the first result with VTs, walls those of the
+    first with walls. The building that carries the longest-lived reflected VT is drawn darker.
     """
     tracks = {name: result.poses for name, result in results.items()}
     truth = recording.truth
@@ -65,6 +66,7 @@ def draw(figure: Figure, city: City | None, recording: Recording, results: Mappi
         _reflecting_points(axes, recording, mapped)
         _longest_path(axes, mapped)
         _vts(axes, vts)
+        _walls(axes, results)
         _trajectories(axes, recording, tracks)
         _traffic(axes, recording)
         _sites(axes, recording, extent)
@@ -109,6 +111,16 @@ def _final_vts(results: Mapping[str, TrialResult], drive: Extent) -> dict[str, F
 def _vts(axes: Axes, vts: Mapping[str, Floats]) -> None:
     for name, place in vts.items():
         axes.plot(*place.T, "x", color=VT, markersize=3, markeredgewidth=0.7, label=f"VTs of {name}")
+
+
+def _walls(axes: Axes, results: Mapping[str, TrialResult]) -> None:
+    for name, result in results.items():
+        if result.walls is not None and len(result.walls):
+            style: dict[str, Any] = {"colors": WALL, "linewidths": 2.0, "zorder": 3}
+            axes.add_collection(
+                LineCollection(list(result.walls.ends_m), label=f"walls of {name}", **style), autolim=False
+            )
+            return
 
 
 def emphasised_building(city: City | None, mapped: Sequence[Reflector]) -> int | None:

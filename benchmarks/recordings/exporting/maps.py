@@ -14,6 +14,7 @@ from cellslam.benchmarks.scores.trial_result import TrialResult
 from cellslam.benchmarks.trials.tum import write_tum
 from cellslam.sim.errors import InputError
 from cellslam.sim.recording import Floats, Ints, Recording
+from cellslam.slam.api import WallEstimate
 
 ELLIPSE_POINTS = 32
 SIGMAS = 2.0
@@ -23,7 +24,8 @@ Place = Callable[[Floats], Any]
 
 @dataclass(frozen=True)
 class Shown:
-    """What is exported: a trajectory (T,), (T, 6), and points (V,) with link, position (V, 3), covariance (V, 3, 3)."""
+    """What is exported: a trajectory (T,), (T, 6), and points (V,) with link, position (V, 3), covariance (V, 3, 3);
+    walls, if there are any."""
 
     name: str
     time_s: Floats
@@ -32,6 +34,7 @@ class Shown:
     link: Ints
     position_m: Floats
     covariance: Floats
+    walls: WallEstimate | None = None
 
 
 def shown(recording: Recording, result: TrialResult | None) -> Shown:
@@ -40,7 +43,8 @@ def shown(recording: Recording, result: TrialResult | None) -> Shown:
         v = result.vts
         if v is None:
             return _without_points(result.estimator, recording.time_s, result.poses)
-        return Shown(result.estimator, recording.time_s, result.poses, v.id, v.link, v.position_m, v.covariance)
+        points = (v.id, v.link, v.position_m, v.covariance)
+        return Shown(result.estimator, recording.time_s, result.poses, *points, result.walls)
     t = recording.truth
     if t is not None:
         pairs = np.unique(
@@ -68,7 +72,8 @@ def tum(data: Shown, path: Path) -> None:
 
 
 def geojson(data: Shown, place: Place, path: Path) -> None:
-    """Write VTs as points with covariance and 2-sigma ellipses, and the trajectory, `place`d on the Earth."""
+    """Write VTs as points with covariance and 2-sigma ellipses, walls as lines, and the trajectory, `place`d on the
+    Earth."""
     features = [_feature("LineString", place(data.poses[:, :3]), {"kind": "trajectory", "name": data.name})]
     for i in range(len(data.id)):
         covariance = data.covariance[i]
@@ -84,8 +89,26 @@ def geojson(data: Shown, place: Place, path: Path) -> None:
         if covariance.any():
             ring = place(_ellipse(data.position_m[i], covariance))
             features.append(_feature("Polygon", [ring], {"kind": "ellipse", "vt": int(data.id[i]), "sigmas": SIGMAS}))
+    if data.walls is not None:
+        features += _walls(data.walls, float(data.poses[0, 2]), place)
     text = json.dumps({"type": "FeatureCollection", "features": features})
     path.write_text(text, "utf-8")
+
+
+def _walls(walls: WallEstimate, height_m: float, place: Place) -> list[dict[str, Any]]:
+    """Return the visible parts of walls as lines, drawn at this height."""
+    features = []
+    for i, ends in enumerate(walls.ends_m):
+        about = {
+            "kind": "wall",
+            "id": int(walls.id[i]),
+            "azimuth_rad": float(walls.azimuth_rad[i]),
+            "distance_m": float(walls.distance_m[i]),
+            "covariance": walls.covariance[i].tolist(),
+            "ends_m": ends.tolist(),
+        }
+        features.append(_feature("LineString", place(np.column_stack([ends, np.full(2, height_m)])), about))
+    return features
 
 
 def _feature(kind: str, coordinates: Any, about: dict[str, Any]) -> dict[str, Any]:

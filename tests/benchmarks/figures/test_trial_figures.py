@@ -15,11 +15,11 @@ from cellslam.benchmarks.figures.trial import associations
 from cellslam.benchmarks.figures.trial import clock_offsets as clock
 from cellslam.benchmarks.figures.trial import position_error as error
 from cellslam.benchmarks.figures.trial import trial_map as overview
-from cellslam.benchmarks.figures.trial.reflectors import reflection_point, reflectors_of
+from cellslam.benchmarks.figures.trial.reflectors import reflectors_of
 from cellslam.benchmarks.figures.trial.trial_figures import draw_all
 from cellslam.benchmarks.scores.trial_result import TrialResult
 from cellslam.sim.recording import Reference
-from cellslam.slam.api import VtEstimate
+from cellslam.slam.api import VtEstimate, WallEstimate
 
 WALL_X_M = 60.0
 
@@ -50,32 +50,6 @@ def scene(make_recording):
     return SimpleNamespace(
         recording=recording, results={"dead-reckoning": reckoning, "fastslam": slam}, bound=bound, city=city
     )
-
-
-def test_reflection_point_by_hand():
-    site, vt = np.array([0.0, 0, 10]), np.array([20.0, 0, 10])
-    # The wall is x = 10; from (0, 20, 10) the path meets it half-way up to the VT.
-    np.testing.assert_allclose(reflection_point(site, vt, np.array([0.0, 20, 10])), [10, 10, 10])
-    np.testing.assert_allclose(reflection_point(site, vt, np.array([[5.0, 6, 4]])), [[10, 4, 6]])
-    # Behind the wall, and parallel to it, there is none.
-    assert np.isnan(reflection_point(site, vt, np.array([[15.0, 3, 4], [20.0, 3, 4]]))).all()
-
-
-def test_reflected_path_has_the_length_and_the_angles_of_a_mirror():
-    rng = np.random.default_rng(3)
-    for _ in range(50):
-        site, vehicle, normal = rng.normal(0, 50, 3), rng.normal(0, 50, 3), rng.normal(0, 1, 3)
-        normal /= np.linalg.norm(normal)
-        offset = max(site @ normal, vehicle @ normal) + 10
-        vt = site + 2 * (offset - site @ normal) * normal
-        point = reflection_point(site, vt, vehicle)
-        assert point @ normal == pytest.approx(offset)
-        incoming, outgoing = point - site, vehicle - point
-        length = np.linalg.norm(incoming) + np.linalg.norm(outgoing)
-        assert length == pytest.approx(np.linalg.norm(vt - vehicle))
-        assert incoming @ normal / np.linalg.norm(incoming) == pytest.approx(
-            -outgoing @ normal / np.linalg.norm(outgoing)
-        )
 
 
 def test_reflectors_lie_on_the_wall_and_leave_the_site_out(scene):
@@ -109,6 +83,21 @@ def test_map_shows_buildings_trajectories_sites_and_reflecting_points(scene):
     (x0, x1), (y0, y1) = whole.get_xlim(), whole.get_ylim()
     assert x0 < -100 and x1 > WALL_X_M and y1 - y0 == pytest.approx(x1 - x0)
     assert drive.get_xlim()[1] - drive.get_xlim()[0] < x1 - x0
+
+
+def test_map_figure_shows_the_walls_of_the_first_estimator_that_has_some(scene):
+    walls = WallEstimate(
+        np.arange(2), np.zeros(2), np.array([60.0, 70.0]), np.zeros((2, 2, 2)), np.tile([-5.0, 8.0], (2, 1))
+    )
+    none = WallEstimate(np.arange(0), *np.zeros((2, 0)), np.zeros((0, 2, 2)), np.zeros((0, 2)))
+    results = {name: dataclasses.replace(result, walls=none) for name, result in scene.results.items()}
+    results |= {name: dataclasses.replace(scene.results["fastslam"], walls=walls) for name in ("mapper", "other")}
+    figure = Figure()
+    assert overview.draw(figure, None, scene.recording, results)
+    for axes in figure.axes:
+        (lines,) = (drawn for drawn in axes.collections if drawn.get_label().startswith("walls of"))
+        assert lines.get_label() == "walls of mapper"
+        np.testing.assert_allclose(lines.get_segments(), [[[60, -5], [60, 8]], [[70, -5], [70, 8]]])
 
 
 def test_error_figure_shows_errors_and_bound(scene):

@@ -10,12 +10,14 @@ import numpy as np
 import pytest
 
 from cellslam.benchmarks.cli import main as cli
+from cellslam.benchmarks.recordings.exporting.maps import geojson, placement, shown
 from cellslam.benchmarks.recordings.exporting.playback import write_page
 from cellslam.benchmarks.scores.trial_result import TrialResult
 from cellslam.sim.recording import Recording
-from cellslam.slam.api import VtEstimate
+from cellslam.slam.api import VtEstimate, WallEstimate
 
 Toy = Callable[..., Recording]
+NO_VTS = VtEstimate(*np.zeros((2, 0), np.int64), np.zeros((0, 3)), np.zeros((0, 3, 3)))
 
 
 @pytest.fixture
@@ -166,6 +168,26 @@ def test_another_data_sheet_needs_no_new_import(
     ):
         assert cli.main([*words, str(tmp_path / "d"), "--set", wrong]) == 2
         assert said in capsys.readouterr().err
+
+
+def test_geojson_has_the_walls(toy_recording: Toy, tmp_path: Path) -> None:
+    recording = toy_recording()
+    covariance = np.array([[0.01, 0.2], [0.2, 5.0]])
+    walls = WallEstimate(np.array([7]), np.zeros(1), np.array([30.0]), covariance[None], np.array([[-4.0, 6.0]]))
+    poses = np.tile(recording.start_pose, (40, 1))
+    data = shown(recording, TrialResult("mapper", poses, np.tile(np.eye(6), (40, 1, 1)), vts=NO_VTS, walls=walls))
+    geojson(data, placement(recording, (0.0, 0.0)), tmp_path / "w.geojson")
+    (wall,) = (
+        f for f in json.loads((tmp_path / "w.geojson").read_text())["features"] if f["properties"]["kind"] == "wall"
+    )
+    assert wall["properties"] == {
+        "kind": "wall", "id": 7, "azimuth_rad": 0.0, "distance_m": 30.0, "covariance": covariance.tolist(),
+        "ends_m": [[30.0, -4.0], [30.0, 6.0]],
+    }  # fmt: skip
+    # On the equator a degree is 111 320 m to the east and 110 574 m to the north.
+    line = np.array(wall["geometry"]["coordinates"]) * [111_320.0, 110_574.0, 1.0]
+    assert wall["geometry"]["type"] == "LineString"
+    assert np.allclose(line, [[30.0, -4.0, poses[0, 2]], [30.0, 6.0, poses[0, 2]]], atol=0.01)
 
 
 def test_geojson_is_placed_on_the_earth_where_the_recording_says_how(toy_recording: Toy, tmp_path: Path) -> None:

@@ -12,7 +12,9 @@ from cellslam.benchmarks.bound.cramer_rao import BoundResult
 from cellslam.benchmarks.scores.association import precision_recall, tracks_of
 from cellslam.benchmarks.scores.metrics import distance_m, duration_s, nees, score
 from cellslam.benchmarks.scores.trial_result import METRIC_KEYS, TrialResult
-from cellslam.slam.api import VtEstimate
+from cellslam.benchmarks.scores.walls import true_walls
+from cellslam.slam.api import VtEstimate, WallEstimate
+from cellslam.slam.model.walls import normals
 
 
 def perfect(recording):
@@ -30,7 +32,16 @@ def perfect(recording):
         clock_offset_m=np.tile(truth.clock_offsets_m, (count, 1)),
         clock_offset_variance_m2=np.ones((count, len(recording.sites))),
         vts=VtEstimate(vt, link, truth.vts.position_m[vt], np.tile(np.eye(3), (len(vt), 1, 1))),
+        walls=perfect_walls(recording),
     )
+
+
+def perfect_walls(recording):
+    true = true_walls(recording, recording.truth)
+    across, along = normals(true.azimuth_rad)
+    extent = np.sort((true.ends_m * along[:, None]).sum(axis=-1), axis=1)
+    distance, exact = (true.ends_m[:, 0] * across).sum(axis=-1), np.zeros((len(true), 2, 2))
+    return WallEstimate(np.arange(len(true)), true.azimuth_rad, distance, exact, extent)
 
 
 def test_a_perfect_estimate_scores_perfectly(make_recording):
@@ -41,9 +52,10 @@ def test_a_perfect_estimate_scores_perfectly(make_recording):
     scores = score(recording, perfect(recording), bound)
     assert tuple(scores) == METRIC_KEYS
     assert scores["bound_position_rmse_m"] == pytest.approx(5.0) and scores["bound_merged_m"] == 6.0
-    assert scores["association_precision"] == 1.0 and scores["association_recall"] == 1.0
-    zero = set(METRIC_KEYS) - {"bound_position_rmse_m", "bound_merged_m", "association_precision", "association_recall"}
-    assert {key: scores[key] for key in zero} == dict.fromkeys(zero, 0.0)
+    one = {"association_precision", "association_recall", "wall_share"}
+    assert {key: scores[key] for key in one} == dict.fromkeys(one, 1.0)
+    zero = set(METRIC_KEYS) - {"bound_position_rmse_m", "bound_merged_m", *one}
+    assert {key: scores[key] for key in zero} == pytest.approx(dict.fromkeys(zero, 0.0), abs=1e-9)
 
 
 def test_shifted_estimate_by_worked_numbers(make_recording):
@@ -83,8 +95,9 @@ def test_dead_reckoning_has_no_map_scores(make_recording):
     scores = score(recording, result, None)
     missing = {key for key, value in scores.items() if value is None}
     assert missing == {
-        "clock_offset_rmse_m", "transmitter_rmse_m", "map_gospa_m", "association_precision",
-        "association_recall", "bound_position_rmse_m", "bound_merged_m",
+        "clock_offset_rmse_m", "transmitter_rmse_m", "map_gospa_m", "wall_gospa_m", "wall_share",
+        "wall_normal_rmse_rad", "wall_offset_rmse_m", "association_precision", "association_recall",
+        "bound_position_rmse_m", "bound_merged_m",
     }  # fmt: skip
 
 

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from cellslam.sim.frames import integrate_pose
-from cellslam.slam.api import Estimate, Setup, Snapshot, VtEstimate
+from cellslam.slam.api import Estimate, Setup, Snapshot, VtEstimate, WallEstimate
 
 NOW = 5
 
@@ -195,6 +195,18 @@ ODD: dict[str, tuple[Any, str]] = {
     "NegativeVts": (
         answering(vts=VtEstimate(np.zeros(1, int), *SMALL[:2], -np.eye(3)[None])),
         "vts.covariance has a negative variance, VT 0",
+    ),
+    "TwoWallsTooFew": (
+        answering(walls=WallEstimate(np.arange(2), np.zeros(1), np.zeros(2), np.zeros((2, 2, 2)), np.zeros((2, 2)))),
+        "walls.azimuth_rad has shape (1,), expected (2,), snapshot 5",
+    ),
+    "WallThatEndsFirst": (
+        answering(walls=WallEstimate(np.arange(1), np.zeros(1), np.zeros(1), np.eye(2)[None], np.array([[4.0, 3.0]]))),
+        "walls.extent_m has an end before its begin, snapshot 5",
+    ),
+    "NegativeWalls": (
+        answering(walls=WallEstimate(np.arange(1), np.zeros(1), np.zeros(1), -np.eye(2)[None], np.zeros((1, 2)))),
+        "walls.covariance has a negative variance, wall 0",
     ),
     "NegativeOffset": (
         answering(clock_offset_variance_m2=lambda _: np.full(2, -1.0)),

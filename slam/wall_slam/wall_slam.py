@@ -1,0 +1,82 @@
+"""WALL-SLAM: EKF-SLAM that knows that VTs of several sites may be images in one wall, and that maps the walls."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from typing import ClassVar
+
+import numpy as np
+from pydantic import Field
+
+from cellslam.sim.recording import Floats, Ints
+from cellslam.slam.api import Estimate, Setup, WallEstimate
+from cellslam.slam.ekf_slam.ekf_slam import JointFilter
+from cellslam.slam.ekf_slam.ekf_slam_options import EkfSlamOptions
+from cellslam.slam.ekf_slam.snapshot.motion_kernel import Interval
+from cellslam.slam.ekf_slam.start import Start
+from cellslam.slam.ekf_slam.state.layout import Measured, one_of
+from cellslam.slam.wall_slam.facades import Facades
+from cellslam.slam.wall_slam.joining import Flatness
+
+JOINED_EVERY, SHOWN_EVERY = 64, 16  # snapshots
+NO_WALLS = WallEstimate(
+    np.zeros(0, np.int64), np.zeros(0), np.zeros(0), np.zeros((0, 2, 2)), np.zeros((0, 2))
+)  # fmt: skip
+
+
+class WallSlamOptions(EkfSlamOptions):
+    """What a scenario may set under `estimator.wall-slam`."""
+
+    join_odds: float = Field(
+        150.0, ge=1, le=1e9, description="odds from which on two VTs are taken for images in one wall; 1e9: never"
+    )
+    facade_turned_deg: float = Field(0.5, gt=0, le=10, description="by how much parts of one wall are turned, deg")
+    facade_off_m: float = Field(0.3, gt=0, le=10, description="by how much parts of one wall are set off, m")
+    facade_gap_m: float = Field(10.0, ge=0, le=1000, description="longest gap between parts of one wall, m")
+
+
+class WallSlam(JointFilter):
+    """The joint filter of EKF-SLAM; that two VTs are images in one wall is one more measurement, as soon as it is sure.
+
+    Source: see `joining`.
+    """
+
+    name: ClassVar[str] = "wall-slam"
+    Options: ClassVar[type[WallSlamOptions]] = WallSlamOptions
+
+    def __init__(self, options: WallSlamOptions | None = None) -> None:
+        self.options: WallSlamOptions = options or WallSlamOptions()
+
+    def start(self, setup: Setup, rng: np.random.Generator) -> None:
+        """Take the prior; no wall is known."""
+        o = self.options
+        flat = Flatness(math.radians(o.facade_turned_deg), o.facade_off_m, o.facade_gap_m)
+        self._facades, self._joined, self._shown = Facades(flat, math.log(o.join_odds)), 0, 0
+        super().start(setup, rng)
+
+    def _see(self, association: Ints, place: Floats) -> None:
+        super()._see(association, place)
+        for ident in association[association >= 0].tolist():
+            self._facades.see(ident, place)
+
+    def _use(self, interval: Interval, measured: Measured) -> Ints:
+        association = super()._use(interval, measured)
+        bank = self._joint
+        # Between blocks, when no looks wait for the state that they were held against; of a mixture none is changed.
+        between = bank is not None and len(bank) == 1 and not bank.blocks.snapshots[0, 0]
+        if bank is not None and between and measured.now >= self._joined + JOINED_EVERY:
+            self._facades.join(one_of(bank.arrays, 0))
+            self._joined = measured.now
+        return association
+
+    def _step_start(self, start: Start, interval: Interval, measured: Measured) -> Estimate:
+        return replace(super()._step_start(start, interval, measured), walls=NO_WALLS)
+
+    def _step_joint(self, interval: Interval, measured: Measured) -> Estimate:
+        answer, bank = super()._step_joint(interval, measured), self._joint
+        if bank is None or measured.now < self._shown + SHOWN_EVERY:
+            return answer
+        self._shown = measured.now
+        likeliest = one_of(bank.arrays, int(np.argmax(bank.log_weight)))
+        return replace(answer, walls=self._facades.estimate(likeliest, self.options.confirm_hits))
