@@ -14,7 +14,7 @@ from cellslam.benchmarks.figures.sweep.sweep_look import Look
 from cellslam.benchmarks.scores.trial_result import ROW_KEYS
 from cellslam.benchmarks.sweeps.store import writing
 from cellslam.benchmarks.sweeps.tasks import Result, identity, plan, request_of
-from cellslam.benchmarks.sweeps.trajectories import pack
+from cellslam.benchmarks.sweeps.trajectories import pack, trajectory
 from cellslam.benchmarks.trials.estimation import estimate
 from cellslam.scenarios import sweep_points as sweep
 from cellslam.sim.errors import InputError
@@ -35,7 +35,7 @@ def folder(tmp_path: Path, toy_recording: Callable[..., Recording]) -> Path:
     result = dataclasses.replace(
         result, clock_offset_m=drawn.normal(size=(40, 2)), clock_offset_variance_m2=np.ones((40, 2))
     )
-    packed = pack(recording, result, None)
+    packed = pack(trajectory(recording, result, None))
     with writing(tmp_path / "sweep", "made up", {}) as store:
         store.declare(made)
         for task in made.tasks:
