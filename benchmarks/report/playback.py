@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -58,7 +57,7 @@ def content(recording: Recording, result: TrialResult) -> dict[str, Any]:
         "series": [{"label": name, "oracle": result.oracle, "colour": colour, "dash": "solid"}],
         "heading": "Drive",
         "trials": [section],
-        "cities": {"city": json.loads(json.dumps(city))} if city else {},
+        "cities": {"city": city} if city else {},
     }
 
 

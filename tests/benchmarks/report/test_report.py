@@ -306,17 +306,13 @@ return event.defaultPrevented;
 
 def _keys_and_links(browser: Any, page: Path) -> None:
     said = "return document.querySelector('article output').textContent"
+    button = "return document.querySelector('article .controls button').textContent"
     browser.run("location.hash = 'trial=' + data.trials[0].trial + '&t=3'")
     browser.wait(f"{said} === 't = 3.0 s'")
     browser.run("document.querySelector('article .scene').scrollIntoView({block: 'center'})")
     assert browser.run(KEY, "ArrowRight") and not browser.run(KEY, "x")
     browser.wait(f"{said} === 't = 3.1 s'")
     browser.wait("return new URLSearchParams(location.hash.slice(1)).get('t') > 3")
-    assert (
-        browser.run(KEY, " ")
-        and browser.run("return document.querySelector('.controls button').textContent") == "Pause"
-    )
+    assert browser.run(KEY, " ") and browser.run(button) == "Pause"
     browser.wait(f"{said} > 't = 3.3 s'")
-    assert (
-        browser.run(KEY, " ") and browser.run("return document.querySelector('.controls button').textContent") == "Play"
-    )
+    assert browser.run(KEY, " ") and browser.run(button) == "Play"
