@@ -6,8 +6,10 @@ import json
 import shlex
 import sys
 from argparse import ArgumentParser, Namespace
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -34,6 +36,7 @@ from cellslam.scenarios import foreign_options
 from cellslam.scenarios.estimator_options import Request, with_options
 from cellslam.scenarios.loading import load
 from cellslam.scenarios.overrides import parse_all
+from cellslam.sim.errors import InputError
 from cellslam.slam import registry
 
 if TYPE_CHECKING:
@@ -57,6 +60,8 @@ class Job:
     rows: list[dict[str, Any]] = field(default_factory=list)
     bounds: list[dict[str, Any]] = field(default_factory=list)
     first: Trial | None = None
+    open_store: Callable[[], Callable[[Trial], None] | None] = lambda: None
+    keep: Callable[[Trial], None] | None = None
     unsaved: str = ""
 
     def note(self, text: str) -> None:
@@ -81,7 +86,7 @@ def add_arguments(parser: ArgumentParser) -> None:
 def command(arguments: Namespace) -> int:
     """Carry out `cellslam run`."""
     if arguments.rays:
-        from cellslam.benchmarks.figures.city_page import check_plotly
+        from cellslam.benchmarks.report.page import check_plotly
 
         check_plotly()
     overrides = with_map(arguments, parse_all(arguments.sets))
@@ -98,12 +103,25 @@ def command(arguments: Namespace) -> int:
     job.note(note)
     known = scenario.map.known is not None or scenario.map.drives > 1
     job.note(check_map(arguments, known, requests, arguments.trials))
-    with Guests(limits(arguments, 1)) as guests, bars(arguments.quiet) as progress:
+    with Guests(limits(arguments, 1)) as guests, bars(arguments.quiet) as progress, ExitStack() as stack:
         ahead.begin(requests)
         guests.begin(requests)
+        job.open_store = partial(_open_store, job, scenario, stack)
         trials = simulated_trials(scenario, requests, arguments.trials, arguments.seed, guests, progress)
         interrupted = work_off(job, trials, progress)
     return report(job, interrupted)
+
+
+def _open_store(job: Job, scenario: Scenario, stack: ExitStack) -> Callable[[Trial], None] | None:
+    """Return what keeps trials as a sweep's, too; None, said, where the disk has no locks, as on a network."""
+    from cellslam.benchmarks.sweeps.run_store import keeping
+
+    words, seed = shlex.join(["cellslam", *job.arguments.words]), job.arguments.seed
+    try:
+        return stack.enter_context(keeping(job.folder.path, scenario, job.requests, job.trials, seed, words))
+    except InputError as error:
+        job.note(f"without a store for 'cellslam report': {error}")
+        return None
 
 
 def note_left_out(arguments: Namespace) -> None:
@@ -143,7 +161,8 @@ def report(job: Job, interrupted: bool) -> int:
         _print_table(job)
     if interrupted:
         return _interrupted(job)
-    job.note(f"results are in {job.folder.path}")
+    more = f"; one page of them: cellslam report {job.folder.path}" if job.keep is not None else ""
+    job.note(f"results are in {job.folder.path}{more}")
     return FAILED if job.unsaved or any(row["status"] == "failed" for row in job.rows) else DONE
 
 
@@ -154,9 +173,11 @@ def _keep(job: Job, trial: Trial) -> None:
         job.note(f"without the bound: {trial.unbound}")
     job.folder.write_trial(trial)
     if job.first is None:
-        job.first = trial
+        job.first, job.keep = trial, job.open_store()
         if job.scenario is not None:
             job.folder.write_scenario(job.scenario.toml())
+    if job.keep is not None:
+        job.keep(trial)
     job.folder.write_summary(job.rows, _about(job))
     for outcome in trial.outcomes:
         if outcome.row["status"] == "failed":

@@ -19,9 +19,9 @@ from cellslam.sim.rays import Paths, Scene, prepare
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-ORDER_COLOURS = (GREEN, BLUE, PURPLE)
-ORDER_NAMES = ("line of sight", "one reflection", "two reflections")
-DIFFRACTED = VERMILLION
+# By kind of path.
+KIND_COLOURS = (GREEN, BLUE, PURPLE, VERMILLION)
+KIND_NAMES = ("line of sight", "one reflection", "two reflections", "diffraction")
 SHOWN_RAYS = 600
 
 
@@ -99,10 +99,8 @@ def draw_view(
         axes.imshow(picture, extent=(0.0, 1.0, 0.0, 1.0), aspect="auto", interpolation="nearest")
         if paths is not None and transmitters is not None and receivers is not None:
             shown = some_rays(paths)
-            for line, order in zip(ray_lines(shown, transmitters, receivers), shown.order, strict=True):
-                axes.plot(
-                    *camera.project(line - scene.origin_m).T, color=ORDER_COLOURS[order], linewidth=0.7, alpha=0.7
-                )
+            for line, kind in zip(ray_lines(shown, transmitters, receivers), shown.kind, strict=True):
+                axes.plot(*camera.project(line - scene.origin_m).T, color=KIND_COLOURS[kind], linewidth=0.7, alpha=0.7)
             axes.plot(*camera.project(transmitters - scene.origin_m).T, "^", color=VERMILLION, markeredgecolor=BLACK)
         names = dict.fromkeys(scene.city.materials[m].name for m in np.unique(scene.city.facets.material))
         axes.legend(
@@ -133,10 +131,10 @@ def _outline(polygon: Any) -> Outline:
 
 def _rays(axes: Axes, paths: Paths, transmitters: Floats, receivers: Floats) -> None:
     lines = ray_lines(paths, transmitters, receivers)
-    for order in range(int(paths.order.max(initial=-1)), -1, -1):
-        chosen = [line[:, :2] for line, o in zip(lines, paths.order, strict=True) if o == order]
-        label = f"{ORDER_NAMES[order]}"
-        axes.add_collection(LineCollection(chosen, colors=ORDER_COLOURS[order], linewidths=0.4, alpha=0.5, label=label))
+    for kind in np.unique(paths.kind)[::-1].tolist():
+        chosen = [line[:, :2] for line, own in zip(lines, paths.kind, strict=True) if own == kind]
+        style: dict[str, Any] = {"colors": KIND_COLOURS[kind], "label": KIND_NAMES[kind]}
+        axes.add_collection(LineCollection(chosen, linewidths=0.4, alpha=0.5, **style))
 
 
 def _shown(city: City, paths: Paths | None, transmitters: Floats | None, receivers: Floats | None) -> Floats:

@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from cellslam.benchmarks.figures.city_page import write_html
 from cellslam.benchmarks.figures.city_pictures import draw_plan, draw_view
+from cellslam.benchmarks.report.city_page import write_city
 
 if TYPE_CHECKING:
     from cellslam.sim.world import World
@@ -24,5 +24,5 @@ def draw_rays(world: World, folder: Path) -> list[Path]:
     written = [folder / name for name in ("rays.png", "rays-view.png", "rays.html")]
     draw_plan(written[0], world.scene.city, paths, world.sites_m, receivers)
     draw_view(written[1], world.scene, paths, world.sites_m, receivers)
-    write_html(written[2], world.scene.city, paths, world.sites_m, receivers)
+    write_city(written[2], world.scene.city, paths, world.sites_m, receivers)
     return written

@@ -1,1 +1,1 @@
-"""The report of a sweep: one self-contained HTML page that works offline."""
+"""The viewer of sweeps, drives and cities: one self-contained HTML page that works offline."""

@@ -1,4 +1,4 @@
-// Tables and text of the report. Text from results enters as text, never as markup.
+// Tables and text. Text from results enters as text, never as markup.
 const data = JSON.parse(document.getElementById("data").textContent);
 
 function make(tag, attributes = {}, ...children) {
@@ -11,6 +11,8 @@ function make(tag, attributes = {}, ...children) {
 }
 
 const part = (id) => document.getElementById(id);
+const scheme = matchMedia("(prefers-color-scheme: dark)");
+const look = (name) => getComputedStyle(document.documentElement).getPropertyValue(`--${name}`).trim();
 const seriesOf = (label) => data.series.find((one) => one.label === label);
 
 function named(label) {
@@ -92,12 +94,8 @@ function estimate(cell) {
 }
 
 function ranksPicture() {
-  const home = part("ranks");
-  if (!data.ranks) {
-    home.hidden = true;
-    return;
-  }
-  home.append(make("img", { src: data.ranks.image, alt: "mean ranks and critical differences", style: "max-width:100%" }),
+  const picture = make("img", { src: data.ranks.image, alt: "mean ranks and critical differences" });
+  part("ranks").append(make("div", { class: "scroll", tabindex: "0" }, picture),
     make("p", {}, `Told apart: ${data.ranks.told_apart.join("; ")}.`),
     make("p", { class: "note" }, "Ranks of the position RMSE over trials, 1 the best, oracles aside; a bar joins what Nemenyi's test cannot"
       + " tell apart. Pairs are told apart by Wilcoxon's signed-rank test, corrected for all pairs by Holm's method, at 5 %."));
@@ -139,8 +137,31 @@ function provenanceText() {
 }
 
 function contents() {
-  const sections = [...document.querySelectorAll("section, footer")].filter((one) => !one.hidden);
+  part("lead").textContent = data.lead ?? `${data.provenance.rows} rows: ${data.series.map((one) => one.label).join("; ")}.`;
+  const filled = [...document.querySelectorAll("section, footer")].filter((one) => !one.hidden);
+  if (filled.length < 2) return;
   document.querySelector("nav").append(
-    ...sections.map((one) => make("a", { href: `#${one.id}` }, one.querySelector("h2").textContent)));
-  part("lead").textContent = `${data.provenance.rows} rows: ${data.series.map((one) => one.label).join("; ")}.`;
+    ...filled.map((one) => make("a", { href: `#${one.id}` }, one.querySelector("h2").textContent)));
 }
+
+// What a section needs of the content; without it the section is not there.
+const NEEDS = { summary: data.summary, ranks: data.ranks, sweep: data.curves?.length, distributions: data.panels,
+  trials: data.trials.length, failed: data.failed, provenance: data.provenance };
+for (const [id, needed] of Object.entries(NEEDS)) part(id).hidden = !needed;
+const fill = (id, how) => part(id).hidden || how();
+
+part("trials").querySelector("h2").textContent = data.heading;
+fill("summary", summaryTable);
+fill("ranks", ranksPicture);
+fill("failed", failedTable);
+fill("provenance", provenanceText);
+contents();
+// Plots come once what is to be read has been painted: their scripts take a second.
+const opened = (packed) => new Response(new Blob([Uint8Array.from(atob(packed), (c) => c.charCodeAt(0))]).stream()
+  .pipeThrough(new DecompressionStream("gzip"))).text();
+const run = (text) => document.body.append(make("script", {}, text));
+
+addEventListener("DOMContentLoaded", () => requestAnimationFrame(() => setTimeout(async () => {
+  run(await opened(document.querySelector("script[type='text/gzip']").textContent));
+  run(document.querySelector("script[type='text/plain']").textContent);
+})));

@@ -1,8 +1,10 @@
-"""The report of a sweep: one self-contained HTML page that works offline."""
+"""The viewer: one self-contained HTML page that works offline. Reports, playbacks and cities are contents of it."""
 
 from __future__ import annotations
 
+import gzip
 import json
+from base64 import b64encode
 from collections.abc import Mapping
 from html import escape
 from importlib.resources import files
@@ -14,6 +16,8 @@ from cellslam.benchmarks.report.choice import Choice
 from cellslam.sim.progress import Progress, silent
 
 PAGE = "report.html"
+# Scripts that need plotly; what is read first, text and tables, is there before it.
+PLOTS = ("plots.js", "scene.js", "charts.js", "trial.js")
 
 
 def write_report(
@@ -23,7 +27,6 @@ def write_report(
 
     Raises InputError for a folder without results, an unknown metric or estimator, or without plotly.
     """
-    from cellslam.benchmarks.figures.city_page import check_plotly
     from cellslam.benchmarks.report.report_content import content
     from cellslam.benchmarks.trials.output_files import check_file
 
@@ -34,26 +37,47 @@ def write_report(
     return path
 
 
+def check_plotly() -> None:
+    """Raise InputError unless plotly is installed."""
+    from importlib.util import find_spec
+
+    from cellslam.sim.errors import InputError
+
+    if find_spec("plotly") is None:
+        raise InputError("interactive pages need plotly: pip install 'cellslam[report]'")
+
+
 def write_page(path: Path, content: Mapping[str, Any]) -> None:
-    """Write the page of a report's content at once. Raises InputError when the disk refuses."""
+    """Write the viewer's page of a content at once; a section without content is not shown.
+
+    Raises InputError without plotly, and when the disk refuses.
+    """
+    check_plotly()
     from plotly.offline import get_plotlyjs
 
     from cellslam.benchmarks.trials.output_files import write_text
     from cellslam.sim.errors import InputError
 
-    own = files("cellslam.benchmarks.report")
-    scripts = "\n".join((own / name).read_text("utf-8") for name in ("page.js", "plots.js", "trial.js"))
+    def own(name: str) -> str:
+        return (files("cellslam.benchmarks.report") / name).read_text("utf-8")
+
     parts = {
         "title": escape(content["title"]),
-        "style": (own / "page.css").read_text("utf-8"),
-        "plotly": get_plotlyjs(),
+        "style": own("page.css"),
+        "plotly": packed(get_plotlyjs()),
         "data": embedded(content),
-        "script": scripts,
+        "tables": own("page.js"),
+        "plots": "\n".join(map(own, PLOTS)),
     }
     try:
-        write_text(path, Template((own / "page.html").read_text("utf-8")).substitute(parts))
+        write_text(path, Template(own("page.html")).substitute(parts))
     except OSError as error:
-        raise InputError(f"{path}: the report cannot be written ({error.strerror or error})") from error
+        raise InputError(f"{path}: the page cannot be written ({error.strerror or error})") from error
+
+
+def packed(text: str) -> str:
+    """Return a text as the base64 of its gzip, always the same: plotly is then a third as long."""
+    return b64encode(gzip.compress(text.encode(), mtime=0)).decode()
 
 
 def embedded(content: Mapping[str, Any]) -> str:

@@ -1,13 +1,15 @@
 // Sweep curves and distributions, for the metric that is chosen.
 const CONFIG = { responsive: true, displayModeBar: false };
-const FONT = { family: "system-ui, 'Segoe UI', 'DejaVu Sans', sans-serif", size: 13, color: "#1b1b1b" };
+const FONT = { family: "system-ui, 'Segoe UI', 'DejaVu Sans', sans-serif", size: 13, color: look("ink") };
+const GRID = { gridcolor: look("grid"), linecolor: look("rule"), zeroline: false };
 
 function layoutOf(x, y, more = {}) {
   return {
     font: FONT, margin: { l: 62, r: 12, t: 34, b: 48 }, hovermode: "closest", paper_bgcolor: "rgba(0,0,0,0)",
+    plot_bgcolor: "rgba(0,0,0,0)",
     legend: { orientation: "h", traceorder: "normal", y: 1.02, yanchor: "bottom", x: 0 },
-    xaxis: { title: { text: x }, gridcolor: "#eeeeee", zeroline: false, ...more.xaxis },
-    yaxis: { title: { text: y }, gridcolor: "#eeeeee", zeroline: false, ...more.yaxis },
+    xaxis: { title: { text: x }, ...GRID, ...more.xaxis },
+    yaxis: { title: { text: y }, ...GRID, ...more.yaxis },
     ...more.rest,
   };
 }
@@ -51,10 +53,6 @@ function curveTraces(curve, metric) {
 
 function sweepPlots() {
   const home = part("sweep");
-  if (!data.curves.length) {
-    home.hidden = true;
-    return;
-  }
   const plots = data.curves.map(() => make("div", { class: "plot" }));
   const draw = (metric) => data.curves.forEach((curve, i) => {
     const [traces, type] = curveTraces(curve, metric);
@@ -111,3 +109,6 @@ function distributionPlots() {
     make("p", { class: "note" }, "Left: the share of trials up to each value; failed trials count as never. Right: each point is a trial."));
   draw();
 }
+
+fill("sweep", sweepPlots);
+fill("distributions", distributionPlots);

@@ -112,6 +112,7 @@ def content(folder: Path, choice: Choice, progress: Progress) -> dict[str, Any]:
         "metrics": {name: heading for name, (heading, _) in PLOTTED.items()},
         "confidence": 100 * CONFIDENCE,
         "worst": {"metric": choice.metric, "heading": PLOTTED.get(choice.metric, (choice.metric, 3))[0]},
+        "heading": "Worst trials",
         "trials": sections,
         "cities": cities,
         "failed": failed_trials(folder),

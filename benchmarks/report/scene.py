@@ -1,4 +1,4 @@
-"""What a report shows of a world in three dimensions: city, sites, true drive, rays and VTs at each step."""
+"""What the viewer shows of a world in three dimensions: city, sites, true drive, rays and VTs at each step."""
 
 from __future__ import annotations
 
@@ -7,12 +7,14 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from cellslam.benchmarks.figures.city_render import material_colour
 from cellslam.benchmarks.report.choice import rounded
 from cellslam.sim.city.city import GROUND, City
 from cellslam.sim.recording import Floats, Ints
 
 if TYPE_CHECKING:
     from cellslam.sim.rays import Paths
+    from cellslam.sim.traffic import Traffic
     from cellslam.sim.world import World
 
 # What is farther than this from drive and sites is not shown.
@@ -20,6 +22,8 @@ MARGIN_M = 100.0
 FLAT_M = 0.5
 # The page's light, from the south-east and above.
 TO_LIGHT = np.array([1.0, -2.0, 3.0])
+
+Cities = dict[str, Mapping[str, Any]]
 
 
 def scene_of(world: World, steps: Ints) -> tuple[dict[str, Any], Mapping[str, Any]]:
@@ -30,49 +34,68 @@ def scene_of(world: World, steps: Ints) -> tuple[dict[str, Any], Mapping[str, An
     poses = world.drive.poses[steps]
     paths = world.free_paths(poses, steps)
     vts, path_vt = virtual_transmitters(paths)
-    box = _box(np.concatenate([poses[:, :3], world.sites_m]))
+    box = box_of(np.concatenate([poses[:, :3], world.sites_m]))
     scene = {
         "sites": [site.name for site in world.config.sites],
         "site_positions": rounded(world.sites_m.T, 1),
         "truth": rounded(poses[:, :3].T, 2),
-        "rays": _rays(paths, len(poses)),
+        "rays": rays_of(paths, len(poses)),
         "vts": rounded(vts.position_m.T, 1),
         "visible": _visible(paths, path_vt, len(poses)),
         "box": rounded(box.T, 0),
-        "vehicles": _vehicles(world, steps),
+        "vehicles": vehicles_of(world.traffic, steps * world.config.vehicle.snapshot_interval_s),
     }
     return scene, mesh_of(world.scene.city, box)
 
 
-def _vehicles(world: World, steps: Ints) -> dict[str, Any] | None:
-    """Return sizes of other vehicles, and for each step x, y, ground and yaw of each of them."""
-    if world.traffic is None:
+def vehicles_of(traffic: Traffic | None, time_s: Floats) -> dict[str, Any] | None:
+    """Return sizes of other vehicles, and at each of `time_s` (n,) x, y, ground and yaw of each; None without any."""
+    if traffic is None:
         return None
-    poses = world.traffic.at(steps * world.config.vehicle.snapshot_interval_s)
-    return {"size": rounded(world.traffic.size_m, 2), "poses": [rounded(now, 2) for now in poses]}
+    return {"size": rounded(traffic.size_m, 2), "poses": [rounded(now, 2) for now in traffic.at(time_s)]}
 
 
 def mesh_of(city: City, box: Floats) -> dict[str, Any]:
-    """Return the buildings (whole) and the ground of a city within a box (2, 2) in m, each as vertices and
-    triangles."""
+    """Return the buildings (whole) and the ground of a city within a box (2, 2) in m, as meshes of one colour each."""
     corners = city.vertices[city.triangles]
     inside = ((corners[:, :, :2] >= box[0]) & (corners[:, :, :2] <= box[1])).all(axis=2).any(axis=1)
     building = city.facets.building[city.triangle_facet]
     near = np.isin(building, np.unique(building[inside & (building != GROUND)]))
+    material = np.array([m.name for m in city.materials])[city.facets.material[city.triangle_facet]]
     ground = building == GROUND
-    heights = corners[ground][:, :, 2]
-    if not ground.any() or np.ptp(heights) < FLAT_M:
-        level = float(np.median(heights)) if ground.any() else float(city.vertices[:, 2].min())
-        (x0, y0), (x1, y1) = box.tolist()
-        corners_xyz = {"x": [x0, x1, x1, x0], "y": [y0, y0, y1, y1], "z": [round(level, 1)] * 4}
-        floor = {**corners_xyz, "i": [0, 0], "j": [1, 2], "k": [2, 3], "bright": [9, 9]}
-    else:
-        floor = _mesh(city, ground & inside)
-    return {"name": city.name, "buildings": _mesh(city, near & ~ground), "ground": floor}
+    walls = [_mesh(city, near & ~ground & (material == name), name) for name in np.unique(material[near & ~ground])]
+    return {"name": city.name, "parts": [_ground(city, ground, inside, box), *walls]}
 
 
-def _mesh(city: City, chosen: Any) -> dict[str, Any]:
-    """Return some triangles of a city as vertices, indices and how bright each is (0 to 9)."""
+def box_of(points: Floats) -> Floats:
+    """Return the corners (2, 2) of the horizontal box around points (n, 3) in m, with a margin."""
+    return np.stack([np.nanmin(points[:, :2], axis=0) - MARGIN_M, np.nanmax(points[:, :2], axis=0) + MARGIN_M])
+
+
+def rays_of(paths: Paths, steps: int) -> list[list[list[float]]]:
+    """Return for each step, which is a receiver, its rays: kind, number of the site, then x, y, z of each point between
+    site and receiver."""
+    out: list[list[list[float]]] = [[] for _ in range(steps)]
+    points = np.round(paths.points_m, 1)
+    rows = zip(paths.receiver.tolist(), paths.kind.tolist(), paths.transmitter.tolist(), points, strict=True)
+    for step, number, site, own in rows:
+        out[step].append([number, site, *own[~np.isnan(own[:, 0])].ravel().tolist()])
+    return out
+
+
+def _ground(city: City, ground: Any, inside: Any, box: Floats) -> dict[str, Any]:
+    """Return the ground; where it is flat, one rectangle."""
+    heights = city.vertices[city.triangles[ground]][:, :, 2]
+    if ground.any() and np.ptp(heights) >= FLAT_M:
+        return _mesh(city, ground & inside, "ground")
+    level = float(np.median(heights)) if ground.any() else float(city.vertices[:, 2].min())
+    (x0, y0), (x1, y1) = box.tolist()
+    corners = {"x": [x0, x1, x1, x0], "y": [y0, y0, y1, y1], "z": [round(level, 1)] * 4}
+    return {**_named("ground"), **corners, "i": [0, 0], "j": [1, 2], "k": [2, 3], "bright": [9, 9]}
+
+
+def _mesh(city: City, chosen: Any, name: str) -> dict[str, Any]:
+    """Return some triangles of a city as vertices, indices and how bright each is (0 to 9), all of one material."""
     used, renumbered = np.unique(city.triangles[chosen], return_inverse=True)
     i, j, k = renumbered.reshape(-1, 3).T.tolist()
     x, y, z = rounded(city.vertices[used].T, 1)
@@ -80,21 +103,13 @@ def _mesh(city: City, chosen: Any) -> dict[str, Any]:
     normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     # Either side of a triangle may be the outer one.
     bright = np.abs(normal @ TO_LIGHT) / np.maximum(np.linalg.norm(normal, axis=1) * np.linalg.norm(TO_LIGHT), 1e-9)
-    return {"x": x, "y": y, "z": z, "i": i, "j": j, "k": k, "bright": rounded(9 * bright, 0)}
+    return {**_named(name), "x": x, "y": y, "z": z, "i": i, "j": j, "k": k, "bright": rounded(9 * bright, 0)}
 
 
-def _box(points: Floats) -> Floats:
-    """Return the corners (2, 2) of the horizontal box around points, with a margin."""
-    return np.stack([points[:, :2].min(axis=0) - MARGIN_M, points[:, :2].max(axis=0) + MARGIN_M])
-
-
-def _rays(paths: Paths, steps: int) -> list[list[list[float]]]:
-    """Return for each step its rays: number of the site, then x, y, z of each point between site and vehicle."""
-    out: list[list[list[float]]] = [[] for _ in range(steps)]
-    points = np.round(paths.points_m, 1)
-    for step, site, own in zip(paths.receiver.tolist(), paths.transmitter.tolist(), points, strict=True):
-        out[step].append([site, *own[~np.isnan(own[:, 0])].ravel().tolist()])
-    return out
+def _named(material: str) -> dict[str, Any]:
+    """Return what a mesh is called, and its colour as red, green, blue up to 255."""
+    colour = [round(255 * share) for share in material_colour(material)]
+    return {"name": material.replace("_", " "), "colour": colour}
 
 
 def _visible(paths: Paths, path_vt: Ints, steps: int) -> list[list[int]]:

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from cellslam.benchmarks.report.choice import rounded
-from cellslam.benchmarks.report.scene import scene_of
+from cellslam.benchmarks.report.scene import Cities, scene_of
 from cellslam.benchmarks.scores.trial_result import METRIC_KEYS
 from cellslam.benchmarks.sweeps.store import reading, trajectory_path
 from cellslam.benchmarks.sweeps.tasks import identity, scenario_of
@@ -28,8 +28,6 @@ STEPS = 300
 # A stored error may differ by this much from the one in the world that is made again (stored in single precision).
 AGREES_M = 0.02
 
-Cities = dict[str, Mapping[str, Any]]
-
 
 def trial_sections(
     folder: Path, data: SweepData, chosen: Sequence[Worst], progress: Progress
@@ -46,6 +44,26 @@ def trial_sections(
     return sections, cities
 
 
+def estimate_curves(one: Trajectory, steps: Ints) -> dict[str, Any]:
+    """Return an estimator's curves at the steps, and when each of its final VTs appears, as number of the step."""
+
+    def curve(column: Any, digits: int) -> Any:
+        return rounded(np.asarray(column)[steps].T, digits) if len(column) else []
+
+    # A VT whose first measurement is not known is shown at the end.
+    first = np.where(one.vt_first < 0, steps[-1] if len(steps) else 0, one.vt_first)
+    return {
+        "position": curve(one.poses[:, :3], 2),
+        "error": curve(one.error_m, 3),
+        "std": curve(one.std_m, 3),
+        "nees": curve(one.nees, 3),
+        "offset_error": curve(one.offset_error_m, 2),
+        "offset_std": curve(one.offset_std_m, 2),
+        "vts": rounded(_finite(one.vt_m).T, 1),
+        "first": np.searchsorted(steps, first).tolist(),
+    }
+
+
 def _section(folder: Path, worst: Worst, cities: Cities) -> dict[str, Any]:
     asked = ((one.label, _row(one.rows, worst)) for one in worst.panel.series)
     rows = {label: row for label, row in asked if row is not None}
@@ -54,14 +72,13 @@ def _section(folder: Path, worst: Worst, cities: Cities) -> dict[str, Any]:
     world, note = _world(folder, str(rows[worst.label]["key"]), worst)
     snapshots = len(next(iter(found.values())).time_s) if found else len(world.drive.time_s) if world else 0
     steps = np.unique(np.linspace(0, max(snapshots - 1, 0), STEPS).round().astype(np.int64))
-    scene, city = scene_of(world, steps) if world is not None else ({}, None)
-    if city is not None:
-        name = identity(json.dumps(city))[:12]
-        cities.setdefault(name, city)
-        scene["city"] = name
+    scene: dict[str, Any] = {}
     if world is not None and _disagrees(world, found):
         note = "The world made again is not the one of the sweep (other versions?): city, truth and rays are left out."
-        scene = {}
+    elif world is not None:
+        scene, city = scene_of(world, steps)
+        scene["city"] = identity(json.dumps(city))[:12]
+        cities.setdefault(scene["city"], city)
     if not found:
         note = f"{note} No trajectories are kept in this sweep (--no-trajectories).".strip()
     return {
@@ -72,8 +89,8 @@ def _section(folder: Path, worst: Worst, cities: Cities) -> dict[str, Any]:
         "settings": worst.panel.title,
         "note": note,
         "rows": [{"label": label, **_cells(row)} for label, row in rows.items()],
-        "estimates": [{"label": label, **_estimate(one, steps)} for label, one in found.items()],
-        "time": rounded(next(iter(found.values())).time_s[steps], 2) if found else [],
+        "estimates": [{"label": label, **estimate_curves(one, steps)} for label, one in found.items()],
+        "time": rounded((next(iter(found.values())) if found else world.drive).time_s[steps], 2) if snapshots else [],
         "bound": _bound(found, steps),
         "scene": scene,
     }
@@ -126,26 +143,6 @@ def _bound(found: Mapping[str, Trajectory], steps: Ints) -> list[float | None]:
     known = next((one.bound_std_m for one in found.values() if len(one.bound_std_m)), np.empty(0))
     curve: list[float | None] = rounded(known[steps], 3) if len(known) else []
     return curve
-
-
-def _estimate(one: Trajectory, steps: Ints) -> dict[str, Any]:
-    """Return an estimator's curves at the steps, and when each of its final VTs appears, as number of the step."""
-
-    def curve(column: Any, digits: int) -> Any:
-        return rounded(np.asarray(column)[steps].T, digits) if len(column) else []
-
-    # A VT whose first measurement is not known is shown at the end.
-    first = np.where(one.vt_first < 0, steps[-1] if len(steps) else 0, one.vt_first)
-    return {
-        "position": curve(one.poses[:, :3], 2),
-        "error": curve(one.error_m, 3),
-        "std": curve(one.std_m, 3),
-        "nees": curve(one.nees, 3),
-        "offset_error": curve(one.offset_error_m, 2),
-        "offset_std": curve(one.offset_std_m, 2),
-        "vts": rounded(_finite(one.vt_m).T, 1),
-        "first": np.searchsorted(steps, first).tolist(),
-    }
 
 
 def _finite(points: Any) -> Floats:

@@ -100,7 +100,7 @@ def reading(folder: Path) -> Iterator[sqlite3.Connection]:
     file = folder / DATABASE
     if not file.is_file():
         raise InputError(
-            f"{folder}: no results of a sweep there (no {DATABASE}); 'cellslam sweep ... --out DIR' makes them"
+            f"{folder}: no results of a run or sweep there (no {DATABASE}); 'cellslam sweep ... --out DIR' makes them"
         )
     with _explained(folder, "read"):
         # Without a log beside it nobody writes, and nothing needs to be written to read: works on a read-only disk.

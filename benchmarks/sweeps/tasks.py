@@ -196,11 +196,11 @@ def work(task: Task, guests: Guests) -> Iterator[Began | Result | Lost]:
 
 
 def _result(task: Task, job: Job, drive: Drive, outcome: Outcome) -> Result:
-    from cellslam.benchmarks.sweeps.trajectories import pack
+    from cellslam.benchmarks.sweeps.trajectories import pack, trajectory
 
     packed = None
     if task.trajectories and drive.recording is not None and outcome.result is not None:
-        packed = pack(drive.recording, outcome.result, drive.bound)
+        packed = pack(trajectory(drive.recording, outcome.result, drive.bound))
     note = f"without the bound: {drive.unbound}" if drive.unbound else ""
     return Result(job.key, outcome.row, outcome.traceback or note, packed)
 

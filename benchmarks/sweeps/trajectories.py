@@ -47,31 +47,35 @@ class Trajectory:
     vt_nees: Singles
 
 
-def pack(recording: Recording, result: TrialResult, limit: BoundResult | None) -> bytes:
-    """Return the compressed file of one result, in NumPy's npz format."""
+def trajectory(recording: Recording, result: TrialResult, limit: BoundResult | None) -> Trajectory:
+    """Return what is kept of one result."""
     truth, empty = recording.truth, np.empty(0)
     offset, variance = result.clock_offset_m, result.clock_offset_variance_m2
-    elapsed_s = recording.elapsed_s
-    columns = {
-        "time_s": elapsed_s,
-        "poses": result.poses,
-        "std_m": result.position_std_m,
-        "error_m": empty if truth is None else horizontal_error(truth.poses, result.poses),
-        "nees": empty if truth is None else nees(truth.poses, result.poses, result.covariances),
-        "bound_std_m": empty if limit is None else limit.horizontal_std_m,
-        "offset_error_m": empty if truth is None or offset is None else offset - truth.clock_offsets_at(elapsed_s),
-        "offset_std_m": empty if variance is None else np.sqrt(np.maximum(variance, 0.0)),
-        "vt_nees": _vt_nees(recording, result),
-        "vt_m": np.empty((0, 3)) if result.vts is None else result.vts.position_m,
-    }
-    whole = {
-        "vt_link": np.empty(0) if result.vts is None else result.vts.link,
-        "vt_first": _first_associated(recording, result),
-    }
+    elapsed_s, vts = recording.elapsed_s, result.vts
+
+    def single(column: Any) -> Singles:
+        return np.asarray(column, np.float32)
+
+    return Trajectory(
+        time_s=single(elapsed_s),
+        poses=single(result.poses),
+        error_m=single(empty if truth is None else horizontal_error(truth.poses, result.poses)),
+        nees=single(empty if truth is None else nees(truth.poses, result.poses, result.covariances)),
+        std_m=single(result.position_std_m),
+        bound_std_m=single(empty if limit is None else limit.horizontal_std_m),
+        offset_error_m=single(empty if truth is None or offset is None else offset - truth.clock_offsets_at(elapsed_s)),
+        offset_std_m=single(empty if variance is None else np.sqrt(np.maximum(variance, 0.0))),
+        vt_m=single(np.empty((0, 3)) if vts is None else vts.position_m),
+        vt_link=np.asarray(empty if vts is None else vts.link, np.int32),
+        vt_first=_first_associated(recording, result).astype(np.int32),
+        vt_nees=single(_vt_nees(recording, result)),
+    )
+
+
+def pack(kept: Trajectory) -> bytes:
+    """Return the compressed file of a trajectory, in NumPy's npz format."""
     file = io.BytesIO()
-    arrays: dict[str, Any] = {name: np.asarray(column, np.float32) for name, column in columns.items()}
-    arrays |= {name: np.asarray(column, np.int32) for name, column in whole.items()}
-    np.savez_compressed(file, **arrays)
+    np.savez_compressed(file, **{name: getattr(kept, name) for name in Trajectory.__dataclass_fields__})
     return file.getvalue()
 
 

@@ -17,6 +17,7 @@ from cellslam.sim.frames import SPEED_OF_LIGHT_MPS
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
 MAX_ORDER = 2
+DIFFRACTED = MAX_ORDER + 1
 
 
 @dataclass(frozen=True, repr=False)
@@ -49,6 +50,11 @@ class Paths(Described):
 
     def __len__(self) -> int:
         return len(self.receiver)
+
+    @property
+    def kind(self) -> Ints:
+        """Kind (P,) of each path: its number of reflections, or `DIFFRACTED`."""
+        return np.where(self.edge >= 0, DIFFRACTED, self.order)
 
     @property
     def gain_db(self) -> Floats:

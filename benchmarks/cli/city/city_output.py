@@ -6,8 +6,6 @@ import sys
 from argparse import Namespace
 from pathlib import Path
 
-import numpy as np
-
 from cellslam.sim.city import City
 
 
@@ -22,12 +20,10 @@ def write_pictures(city: City, out: Path, plain: bool, html: bool) -> list[Path]
         draw_plan(written[0], city)
         draw_view(written[1], city)
     if html:
-        from cellslam.benchmarks.figures.city_page import write_html
-        from cellslam.sim.rays import trace
+        from cellslam.benchmarks.report.city_page import write_city
 
-        nowhere = np.empty((0, 3))
         written.append(out / "city.html")
-        write_html(written[-1], city, trace(city, nowhere, nowhere), nowhere, nowhere)
+        write_city(written[-1], city)
     return written
 
 

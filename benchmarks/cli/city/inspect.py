@@ -32,7 +32,7 @@ def add_arguments(parser: ArgumentParser) -> None:
 def command(arguments: Namespace) -> int:
     """Carry out `cellslam city inspect`."""
     if arguments.html:
-        from cellslam.benchmarks.figures.city_page import check_plotly
+        from cellslam.benchmarks.report.page import check_plotly
 
         check_plotly()
     out = Path(arguments.out or f"results/city-{file_name(Path(arguments.mesh).name.partition('.')[0])}")

@@ -63,7 +63,7 @@ def command(arguments: Namespace) -> int:
     for path in pictures:
         check_file(path)
     if arguments.html:
-        from cellslam.benchmarks.figures.city_page import check_plotly
+        from cellslam.benchmarks.report.page import check_plotly
 
         check_plotly()
     transmitters = parse_positions(arguments.bs, "--bs")
@@ -102,6 +102,6 @@ def _draw(arguments: Namespace, city: City, paths: Paths, transmitters: Floats, 
             if path:
                 draw(Path(path), city, paths, transmitters, receivers)
     if arguments.html:
-        from cellslam.benchmarks.figures.city_page import write_html
+        from cellslam.benchmarks.report.city_page import write_city
 
-        write_html(Path(arguments.html), city, paths, transmitters, receivers)
+        write_city(Path(arguments.html), city, paths, transmitters, receivers)

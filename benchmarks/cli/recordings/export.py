@@ -66,7 +66,7 @@ def command(arguments: Namespace) -> int:
 
 
 def _write(kind: str, out: Path, recording: Recording, result: TrialResult | None, place: Place | None) -> None:
-    from cellslam.benchmarks.recordings.exporting import calibrations, playback
+    from cellslam.benchmarks.recordings.exporting import calibrations
     from cellslam.benchmarks.recordings.exporting import maps as export_maps
     from cellslam.benchmarks.recordings.exporting import tables as export_tables
 
@@ -77,7 +77,9 @@ def _write(kind: str, out: Path, recording: Recording, result: TrialResult | Non
         raise InputError(f"--estimator {result.estimator} makes no map: use one that does, as fastslam or ekf-slam")
     if kind == "html":
         assert result is not None
-        at_once(out, lambda file: playback.write_page(recording, result, file))
+        from cellslam.benchmarks.report.playback import write_playback
+
+        at_once(out, lambda file: write_playback(recording, result, file))
         return
     if kind == "calibration":
         assert result is not None

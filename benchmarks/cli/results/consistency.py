@@ -14,7 +14,7 @@ from cellslam.slam.registry import oracles
 
 def add_arguments(parser: ArgumentParser) -> None:
     """Add the arguments of this command."""
-    parser.add_argument("folder", metavar="DIR", help="folder of a sweep")
+    parser.add_argument("folder", metavar="DIR", help="folder of a run or a sweep")
     parser.add_argument("--times", metavar="N", type=whole, default=10, help="moments of the drive (default: 10)")
     rows_help = "a line for each value of this key; may be repeated (default: estimator and all that varies)"
     parser.add_argument("--rows", metavar="KEY", help=rows_help, action="append", default=[])

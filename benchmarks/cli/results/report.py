@@ -11,7 +11,7 @@ from cellslam.benchmarks.cli.arguments import DONE, whole
 
 def add_arguments(parser: ArgumentParser) -> None:
     """Add the arguments of this command."""
-    parser.add_argument("folder", metavar="DIR", help="folder of a sweep")
+    parser.add_argument("folder", metavar="DIR", help="folder of a run or a sweep")
     parser.add_argument("--out", metavar="FILE.html", help="the page to write (default: DIR/report.html)")
     parser.add_argument("--worst", metavar="N", type=whole, default=3, help="trials with a section each (default: 3)")
     metric_help = "by which trials are the worst (default: position_rmse_m)"

@@ -18,7 +18,7 @@ from cellslam.slam.registry import oracles
 
 def add_arguments(parser: ArgumentParser) -> None:
     """Add the arguments of this command."""
-    parser.add_argument("folder", metavar="DIR", help="folder of a sweep")
+    parser.add_argument("folder", metavar="DIR", help="folder of a run or a sweep")
     several: dict[str, Any] = {"action": "append", "default": []}
     rows_help = "a line for each value of this key; may be repeated (default: estimator and all that varies)"
     parser.add_argument("--rows", metavar="KEY", help=rows_help, **several)

@@ -118,15 +118,16 @@ def curve_keys(data: SweepData) -> dict[str, bool]:
     series = [one for panel in data.panels for one in panel.series]
     worlds = {key: {one.settings[key] for one in series} for key in data.world_keys}
     options = {key: {one.options[key] for one in series} - {None} for key in series[0].options}
-    found = {key: all(map(_is_number, values)) for key, values in {**worlds, **options}.items() if len(values) > 1}
+    several = {key: values - {None} for key, values in {**worlds, **options}.items() if len(values) > 1}
+    found = {key: all(map(_is_number, values)) for key, values in several.items()}
     return dict(sorted(found.items(), key=lambda item: not item[1]))
 
 
 def sweep_lines(data: SweepData, x: str) -> dict[str, list[tuple[float | str | None, Series]]]:
     """Return the lines of a sweep curve by name, each its points in order; other keys that vary are in the names.
 
-    Where x is no number, each of its values is a text. x None: the series has no such option, and is the same at
-    every x.
+    Where x is no number, each of its values is a text. x None: the series has no such option, or its world no such
+    key, and is the same at every x.
     """
     lines: dict[str, list[tuple[float | str | None, Series]]] = {}
     numbers = curve_keys(data)[x]
@@ -134,6 +135,10 @@ def sweep_lines(data: SweepData, x: str) -> dict[str, list[tuple[float | str | N
         value = one.settings.get(x, one.options.get(x))
         label = label_of(one.estimator, one.options, [key for key in one.options if key != x])
         others = [f"{key} = {shown(setting)}" for key, setting in one.settings.items() if key != x]
+        if value is None and x in one.settings:
+            # A line of its own beside a numeric axis, a place of its own on one of texts.
+            others += [f"without {x}"] if numbers else []
+            value = None if numbers else "-"
         place = None if value is None else float(value) if numbers else shown(value)
         lines.setdefault(", ".join([label, *others]), []).append((place, one))
     if not numbers:

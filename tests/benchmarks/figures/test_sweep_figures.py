@@ -1,20 +1,23 @@
 from __future__ import annotations
 
 import dataclasses
+import json
+import sqlite3
 from collections.abc import Callable
+from contextlib import closing
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from cellslam.benchmarks.cli.main import main
-from cellslam.benchmarks.figures.sweep.sweep_data import load
+from cellslam.benchmarks.figures.sweep.sweep_data import load, sweep_lines
 from cellslam.benchmarks.figures.sweep.sweep_figures import draw_sweep
 from cellslam.benchmarks.figures.sweep.sweep_look import Look
 from cellslam.benchmarks.scores.trial_result import ROW_KEYS
-from cellslam.benchmarks.sweeps.store import writing
+from cellslam.benchmarks.sweeps.store import DATABASE, writing
 from cellslam.benchmarks.sweeps.tasks import Result, identity, plan, request_of
-from cellslam.benchmarks.sweeps.trajectories import pack
+from cellslam.benchmarks.sweeps.trajectories import pack, trajectory
 from cellslam.benchmarks.trials.estimation import estimate
 from cellslam.scenarios import sweep_points as sweep
 from cellslam.sim.errors import InputError
@@ -35,7 +38,7 @@ def folder(tmp_path: Path, toy_recording: Callable[..., Recording]) -> Path:
     result = dataclasses.replace(
         result, clock_offset_m=drawn.normal(size=(40, 2)), clock_offset_variance_m2=np.ones((40, 2))
     )
-    packed = pack(recording, result, None)
+    packed = pack(trajectory(recording, result, None))
     with writing(tmp_path / "sweep", "made up", {}) as store:
         store.declare(made)
         for task in made.tasks:
@@ -67,6 +70,30 @@ def test_data_are_panels_of_worlds_with_series(folder: Path) -> None:
     curve = data.over_time(one, "offset_error_m")
     assert curve is not None and curve[1].shape == (5, 40, 2) and curve[0][-1] == pytest.approx(3.9)
     assert data.over_time(one, "bound_std_m") is None
+
+
+@pytest.mark.parametrize("other", [2.0, "a text"])
+def test_a_world_without_the_swept_key_stands_apart(folder: Path, tmp_path: Path, other: float | str) -> None:
+    points = sweep.points(sweep.from_tables({"scenario": "tiny", "grid": {"radio.load": [0.5]}}), ("fastslam",))
+    third = plan(points, 2, 0)
+    with writing(folder, "made up", {}) as store:
+        store.declare(third)
+        for task in third.tasks:
+            row = {**dict.fromkeys(ROW_KEYS), "scenario": "tiny", "estimator": "fastslam", "status": "ok"}
+            row |= {"trial": task.trial, "seed": 0, "position_rmse_m": 1.0, "estimate_seconds": 1.0}
+            store.write(Result(task.jobs[0].key, row), identity(task.world), identity(task.jobs[0].options))
+    said = {0.01: {"load": 0.01}, 0.5: {}, 1.0: {"load": other}}
+    with closing(sqlite3.connect(folder / DATABASE)) as database, database:
+        for key, text in database.execute("SELECT id, tables FROM worlds").fetchall():
+            tables = json.dumps({"name": "tiny", "radio": said[json.loads(text)["radio"]["load"]]})
+            database.execute("UPDATE worlds SET tables = ? WHERE id = ?", (tables, key))
+    lines = sweep_lines(load(folder), "radio.load")
+    if other == 2.0:
+        assert [at for at, _ in lines["fastslam"]] == [0.01, 2.0]
+        assert [at for at, _ in lines["fastslam, without radio.load"]] == [None]
+    else:
+        assert {at for at, _ in lines["fastslam"]} == {"0.01", "a text", "-"}
+    assert {path.stem for path in draw_sweep(folder, tmp_path / "out", Look())} >= {"sweep", "error_cdf", "ranks"}
 
 
 def test_command_writes_into_the_folder(folder: Path, capfd: pytest.CaptureFixture[str]) -> None:

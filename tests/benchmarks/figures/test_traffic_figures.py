@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from pathlib import Path
+import dataclasses
 
 import numpy as np
 import pytest
@@ -10,7 +10,7 @@ from matplotlib.collections import PolyCollection
 from matplotlib.figure import Figure
 
 from cellslam.benchmarks.figures.trial import trial_map
-from cellslam.benchmarks.recordings.exporting.playback import write_page
+from cellslam.benchmarks.report.playback import content
 from cellslam.benchmarks.report.scene import scene_of
 from cellslam.benchmarks.scores.trial_result import TrialResult
 from cellslam.scenarios import load
@@ -51,22 +51,14 @@ def test_map_shows_vehicles_and_where_sites_are_behind_them(busy: Recording) -> 
     assert {"vehicles, half-way", "a site behind a vehicle"} <= set(labels)
 
 
-def test_playback_moves_the_vehicles(busy: Recording, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    go = pytest.importorskip("plotly.graph_objects", reason="extra report")
-    shown: list[go.Figure] = []
-    monkeypatch.setattr(go.Figure, "write_html", lambda figure, *_, **__: shown.append(figure))
-    write_page(busy, result(busy), tmp_path / "p.html")
-    traffic, (figure,) = traffic_of(busy), shown
+def test_playback_moves_the_vehicles_also_where_the_world_is_not_known(busy: Recording) -> None:
+    traffic = traffic_of(busy)
     assert traffic is not None
-    names = [trace.name for trace in figure.data]
-    for frame in (figure.frames[0], figure.frames[-1]):
-        boxes = frame.data[0]
-        assert boxes.name == "other vehicles" == names[frame.traces[0]]
-        outlines = traffic.outlines(np.array([float(frame.name)]))[0]
-        drawn = np.column_stack([boxes.x, boxes.y]).reshape(len(traffic), 6, 2)
-        # Frames are named to a tenth of a second.
-        np.testing.assert_allclose(drawn[:, :4], outlines, atol=0.05 * 12.0)
-        np.testing.assert_array_equal(drawn[:, 4], drawn[:, 0])
+    for recording in (busy, dataclasses.replace(busy, provenance={})):
+        (section,) = content(recording, result(recording))["trials"]
+        vehicles, time_s = section["scene"]["vehicles"], np.array(section["time"])
+        np.testing.assert_allclose(vehicles["size"], traffic.size_m)
+        np.testing.assert_allclose(vehicles["poses"], traffic.at(time_s), atol=0.2)
 
 
 def test_report_shows_vehicles_and_no_ray_through_them() -> None:

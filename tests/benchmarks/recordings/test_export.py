@@ -11,7 +11,6 @@ import pytest
 
 from cellslam.benchmarks.cli import main as cli
 from cellslam.benchmarks.recordings.exporting.maps import geojson, placement, shown
-from cellslam.benchmarks.recordings.exporting.playback import write_page
 from cellslam.benchmarks.scores.trial_result import TrialResult
 from cellslam.sim.recording import Recording
 from cellslam.slam.api import VtEstimate, WallEstimate
@@ -205,39 +204,16 @@ def test_geojson_is_placed_on_the_earth_where_the_recording_says_how(toy_recordi
     assert x == pytest.approx(15.0, abs=1e-3) and y == pytest.approx(55.0, abs=2e-3)
 
 
-def test_playback_page(drive: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_playback_is_asked_for_with_an_estimator(
+    drive: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     pytest.importorskip("plotly", reason="extra report")
-    page = tmp_path / "p.html"
-    assert (
-        cli.main(
-            ["--quiet", "export", str(drive), "--format", "html", "--estimator", "dead-reckoning", "--out", str(page)]
-        )
-        == 0
-    )
-    text = page.read_text()
-    assert "dead-reckoning" in text and "measured paths" in text and '"frames"' in text.replace("addFrames", '"frames"')
-    assert "<script src=" not in text  # works offline
-    assert cli.main(["export", str(drive), "--format", "html", "--out", str(page)]) == 2
+    words = ["--quiet", "export", str(drive), "--format", "html", "--out", str(tmp_path / "p.html")]
+    assert cli.main([*words, "--estimator", "dead-reckoning"]) == 0
+    text = (tmp_path / "p.html").read_text()
+    assert "Playback: dead-reckoning" in text and "<script src=" not in text  # works offline
+    assert cli.main(words) == 2
     assert "--estimator" in capsys.readouterr().err
-
-
-def test_playback_of_half_an_hour_steps_a_second_and_shows_the_vts(toy_recording: Toy, tmp_path: Path) -> None:
-    import dataclasses
-
-    go = pytest.importorskip("plotly.graph_objects", reason="extra report")
-    r = toy_recording(snapshots=1500, truth=False)
-    r = dataclasses.replace(r, time_s=10.0 * r.time_s)
-    none = np.zeros(1, np.int64)
-    vts = VtEstimate(none, none, np.ones((1, 3)), np.eye(3)[None])
-    shown: list[object] = []
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(go.Figure, "write_html", lambda figure, *_, **__: shown.append(figure))
-        covariances = np.tile(np.eye(6), (1500, 1, 1))
-        write_page(r, TrialResult("toy", np.zeros((1500, 6)), covariances, vts=vts), tmp_path / "p.html")
-    times = [float(frame.name) for frame in shown[0].frames]  # type: ignore[attr-defined]
-    assert max(np.diff(times)) <= 2.1 and np.median(np.diff(times)) <= 1.1
-    final = next(trace for trace in shown[0].data if trace.name == "final VTs")  # type: ignore[attr-defined]
-    assert final.visible in (None, True)
 
 
 def test_exports_do_not_overwrite_folders(drive: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

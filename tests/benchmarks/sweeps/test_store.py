@@ -16,7 +16,7 @@ from cellslam.benchmarks.sweeps import store
 from cellslam.benchmarks.sweeps.lock import check_local, only_writer
 from cellslam.benchmarks.sweeps.rows import results
 from cellslam.benchmarks.sweeps.tasks import Plan, Result, identity, plan
-from cellslam.benchmarks.sweeps.trajectories import pack, unpack
+from cellslam.benchmarks.sweeps.trajectories import pack, trajectory, unpack
 from cellslam.scenarios import sweep_points as sweep
 from cellslam.sim.errors import InputError
 from cellslam.sim.recording import Recording
@@ -163,7 +163,7 @@ def test_a_full_disk_is_one_line_and_keeps_what_was_finished(tmp_path: Path, mon
 
 
 def test_what_is_no_store_is_refused(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match="no results of a sweep there"):
+    with pytest.raises(InputError, match="no results of a run or sweep there"):
         results(tmp_path)
     (tmp_path / store.DATABASE).write_text("some text that is long enough to be no database" * 100)
     with pytest.raises(InputError, match="not a database"), store.writing(tmp_path, "test", {}):
@@ -192,7 +192,7 @@ def test_trajectories_are_kept_compressed(toy_recording: Callable[..., Recording
     result = TrialResult(
         "x", poses, np.tile(np.eye(6), (40, 1, 1)), association, np.zeros((40, 2)), np.ones((40, 2)), vts
     )
-    packed = pack(recording, result, None)
+    packed = pack(trajectory(recording, result, None))
     made = plan_of({})
     with store.writing(tmp_path, "test", {}) as open_store:
         open_store.write(dataclasses.replace(row(keys(made)[0]), trajectory=packed), "w", "o")

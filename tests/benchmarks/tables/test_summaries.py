@@ -178,7 +178,7 @@ def test_formats(folder: Path, capfd: pytest.CaptureFixture[str]) -> None:
 
 
 WRONG = {
-    "folder": (("/none",), "no results of a sweep there"),
+    "folder": (("/none",), "no results of a run or sweep there"),
     "key": (("--rows", "radio.laod"), "unknown key 'radio.laod'; did you mean 'radio.load'"),
     "metric": (("--metric", "rmse"), "unknown metric 'rmse'"),
     "statistic": (("--statistic", "medain"), "unknown statistic 'medain'"),

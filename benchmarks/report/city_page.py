@@ -1,0 +1,67 @@
+"""The viewer's page of a city, with rays if there are any: a step of its slider is a receiver."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from cellslam.benchmarks.report.choice import rounded
+from cellslam.benchmarks.report.page import write_page
+from cellslam.benchmarks.report.scene import box_of, mesh_of, rays_of
+from cellslam.sim.city.city import GROUND, City, Floats
+from cellslam.sim.rays import Paths
+
+MOST_RAYS = 6000
+MOST_RECEIVERS = 2000
+KINDS = ("lines of sight", "single reflections", "double reflections", "diffracted")
+NOWHERE = np.empty((0, 3))
+
+
+def write_city(
+    path: Path, city: City, paths: Paths | None = None, transmitters: Floats = NOWHERE, receivers: Floats = NOWHERE
+) -> None:
+    """Write the page of a city, with the paths from transmitters (S, 3) to receivers (N, 3) in m.
+
+    Of more than 6000 rays or 2000 receivers, those of every n-th receiver. Raises InputError without plotly.
+    """
+    count = 0 if paths is None else len(paths)
+    stride = max(1, -(-len(receivers) // MOST_RECEIVERS), -(-count // MOST_RAYS))
+    rows = np.arange(0, len(receivers), stride)
+    box = _box(city, transmitters, receivers)
+    scene: dict[str, Any] = {
+        "sites": [f"transmitter {number}" for number in range(len(transmitters))],
+        "site_positions": rounded(transmitters.T, 1),
+        "truth": rounded(receivers[rows].T, 2),
+        "truth_name": "receivers",
+        "rays": [] if paths is None else rays_of(paths, len(receivers))[::stride],
+        "box": rounded(box.T, 0),
+        "city": "city",
+    }
+    section = {"time": rows.tolist(), "counts": "receiver", "at_once": True, "estimates": [], "scene": scene}
+    content = {
+        "title": f"{'Rays' if count else 'City'}: {city.name}",
+        "lead": _lead(paths, len(receivers), stride),
+        "series": [],
+        "heading": "Rays" if count else "City",
+        "trials": [section],
+        "cities": {"city": mesh_of(city, box)},
+    }
+    write_page(path, content)
+
+
+def _box(city: City, transmitters: Floats, receivers: Floats) -> Floats:
+    """Return the box of what there is to see: the ground may reach far beyond the buildings."""
+    walls = city.triangles[city.facets.building[city.triangle_facet] != GROUND]
+    built = city.vertices[np.unique(walls)] if len(walls) else city.bounds
+    return box_of(np.concatenate([built, transmitters, receivers]))
+
+
+def _lead(paths: Paths | None, receivers: int, stride: int) -> str:
+    if paths is None or not receivers:
+        return "A city. Colours are materials; a name in the legend switches what it names off and on."
+    found = zip(np.bincount(paths.kind, minlength=len(KINDS)), KINDS, strict=True)
+    counts = [f"{count} {name}" for count, name in found if count]
+    thinned = f" Drawn are those of every {stride}th receiver." if stride > 1 else ""
+    return f"{len(paths)} paths to {receivers} receivers: {', '.join(counts) or 'none'}.{thinned}"
