@@ -9,6 +9,7 @@ from importlib.resources import files
 from pathlib import Path
 from typing import Any
 
+from cellslam.scenarios.data_sheet import stated
 from cellslam.scenarios.estimator_options import option_keys
 from cellslam.scenarios.overrides import apply
 from cellslam.scenarios.problems import validate
@@ -26,13 +27,18 @@ def load(name_or_path: str | Path, overrides: Mapping[str, Any] | None = None) -
 
 
 def from_tables(data: Mapping[str, Any], overrides: Mapping[str, Any] | None = None, source: str = "") -> Scenario:
-    """Return the scenario of plain tables, with `overrides`; `source` stands before messages about `data`."""
+    """Return the scenario of plain tables, with `overrides`; `source` stands before messages about `data`.
+
+    Of a waveform other than LTE's, estimators are told what its data sheet says, unless the tables do.
+    """
     if source:
         try:
             validate(Scenario, data, suggest=option_keys)
         except InputError as error:
             raise InputError(f"{source}: {error}") from error
-    return validate(Scenario, apply(data, overrides or {}), suggest=option_keys)
+    scenario = validate(Scenario, apply(data, overrides or {}), suggest=option_keys)
+    tables = stated(scenario.radio, scenario.estimator)
+    return scenario if tables is scenario.estimator else scenario.model_copy(update={"estimator": tables})
 
 
 @cache

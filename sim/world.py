@@ -222,10 +222,12 @@ def draw_reception(config: WorldConfig, seed: int, trial: int, sites_m: Floats, 
     """Draw clock offsets, start and receiver of a trial with sites (S, 3) in m. Raises InputError where they do not
     fit.
     """
-    from cellslam.sim.lte.links import cells_of
+    from cellslam.sim.lte.links import cells_of, links_of
     from cellslam.sim.lte.persisting_errors import draw_fields
 
     cells = cells_of(config.sites)
+    sent = links_of(cells)
+    config.radio.waveform().combs(list(zip(sent.cell_id.tolist(), sent.port.tolist(), strict=True)))  # or InputError
     rng = stream(seed, trial, Stream.OFFSETS)
     offsets_m = config.radio.clock_offset_std_m * rng.standard_normal(len(config.sites))
     start = driven.poses[0] + np.array(config.vehicle.start_std) * rng.standard_normal(6)

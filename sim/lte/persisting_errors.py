@@ -18,7 +18,7 @@ from cellslam.sim.lte.downlink.lte_waveform import LteWaveform
 from cellslam.sim.lte.persisting_errors_kernel import Fields
 from cellslam.sim.lte.radio_config import RadioConfig
 from cellslam.sim.lte.statistical.detector_layout import TRAIL_DECAY_M
-from cellslam.sim.lte.statistical.statistics import statistics
+from cellslam.sim.lte.statistical.statistics import LTE, Statistics, statistics
 from cellslam.sim.randomness import Stream, stream
 from cellslam.sim.recording import Floats
 
@@ -36,9 +36,9 @@ class Cause:
     scale: float
 
 
-def causes(config: RadioConfig) -> tuple[Cause, ...]:
-    """Return calibration and roof (scale in rad), diffuse energy (m), attitude (s)."""
-    diffuse = _diffuse_floor(config) * 10.0 ** (-config.specular_to_diffuse_db / 20.0)
+def causes(config: RadioConfig, constants: Statistics | None = None) -> tuple[Cause, ...]:
+    """Return calibration and roof (scale in rad), diffuse energy (m), attitude (s); `constants`: other than shipped."""
+    diffuse = _diffuse_floor(config, constants) * 10.0 ** (-config.specular_to_diffuse_db / 20.0)
     angles = np.radians(
         [
             [config.calibration_azimuth_deg, config.calibration_elevation_deg],
@@ -58,28 +58,28 @@ def causes(config: RadioConfig) -> tuple[Cause, ...]:
     )
 
 
-def _diffuse_floor(config: RadioConfig) -> Floats:
+def _diffuse_floor(config: RadioConfig, constants: Statistics | None) -> Floats:
     """Return the deviations (3,) in m, rad, rad that diffuse energy as strong as its path causes.
 
-    They were measured with LTE. Of another band so much as falls into its resolution cell disturbs a path, in amplitude
-    its root; and the cell is what an error of distance is a share of.
+    Where they were not measured, LTE's are scaled: so much energy as falls into a resolution cell disturbs a path, in
+    amplitude its root; and the cell is what an error of distance is a share of.
     """
-    floor = np.array(statistics().diffuse_floor)
-    if config.technology == "lte":
+    floor = np.array((constants or statistics(config.statistics_band or LTE)).diffuse_floor)
+    if config.statistics_band:
         return floor
     measured, own = (SPEED_OF_LIGHT_MPS / b for b in (LteWaveform().bandwidth_hz, config.waveform().bandwidth_hz))
     inside = np.sqrt(np.expm1(-own / TRAIL_DECAY_M) / np.expm1(-measured / TRAIL_DECAY_M))
     return np.asarray(floor * inside * [own / measured, 1.0, 1.0], np.float64)
 
 
-def floors(config: RadioConfig) -> Floats:
+def floors(config: RadioConfig, constants: Statistics | None = None) -> Floats:
     """Return the error floors (3,) in m, rad, rad: the variances of all causes, added."""
-    return np.asarray(np.sqrt(sum(c.std**2 for c in causes(config))), np.float64)
+    return np.asarray(np.sqrt(sum(c.std**2 for c in causes(config, constants))), np.float64)
 
 
-def white_floors(config: RadioConfig) -> Floats:
+def white_floors(config: RadioConfig, constants: Statistics | None = None) -> Floats:
     """Return the part of the floors (3,), in m, rad, rad, that is drawn anew for every measurement."""
-    white = [c.std**2 for c in causes(config) if c.scale == 0.0]
+    white = [c.std**2 for c in causes(config, constants) if c.scale == 0.0]
     return np.asarray(np.sqrt(sum(white, np.zeros(3))), np.float64)
 
 
@@ -88,12 +88,14 @@ def persisting_std(config: RadioConfig) -> Floats:
     return np.asarray(config.noise_scale * np.sqrt(floors(config) ** 2 - white_floors(config) ** 2), np.float64)
 
 
-def draw_fields(config: RadioConfig, interval_s: float, rng: np.random.Generator) -> Fields:
+def draw_fields(
+    config: RadioConfig, interval_s: float, rng: np.random.Generator, constants: Statistics | None = None
+) -> Fields:
     """Draw a trial's receiver and surroundings. Every field has a Gaussian correlation, exp(-x^2 / (2 scale^2)).
 
     With `config.array_seed` the array's calibration is that of the seed, whatever `rng` is.
     """
-    calibration, roof, diffuse, attitude = causes(config)
+    calibration, roof, diffuse, attitude = causes(config, constants)
     direction_scale = np.array([calibration.scale] * 3 + [roof.scale] * 2)
     direction_std = np.concatenate([calibration.std, roof.std[1:]])
     direction_wave, direction_phase = rng.standard_normal((5, WAVES, 3)), _phases(rng, (5, WAVES))

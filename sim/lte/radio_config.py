@@ -13,6 +13,7 @@ if TYPE_CHECKING:
     from cellslam.sim.waveform import Waveform
 
 NOISE_BANDWIDTH_HZ = 15e3  # that `noise_dbm` is given for
+NR_BLOCKS = {48: "20 MHz", 132: "50 MHz", 272: "100 MHz"}  # of 30 kHz whose detector was measured
 
 
 class RadioConfig(BaseModel):
@@ -151,13 +152,24 @@ class RadioConfig(BaseModel):
     def _check_waveform(self) -> RadioConfig:
         if self.technology == "lte" and self.resource_blocks > 110:
             raise ValueError(f"resource_blocks = {self.resource_blocks}: LTE has 6 to 110 (nr: up to 272)")
-        if self.technology != "lte" and self.front_end == "statistical":
+        if not self.statistics_band and self.front_end == "statistical":
+            measured = ", ".join(f"{blocks} ({width})" for blocks, width in NR_BLOCKS.items())
             raise ValueError(
-                f"technology = '{self.technology}' has no statistics of its detector: set radio.front_end to signal"
+                f"technology = '{self.technology}' with these keys has no statistics of its detector: lte has, and nr "
+                f"with resource_blocks {measured}, numerology 1, and prs_symbols equal to prs_comb; otherwise set "
+                "radio.front_end to signal"
             )
         if self.technology == "nr":
             self.waveform()
         return self
+
+    @property
+    def statistics_band(self) -> str:
+        """Name of the band whose measured constants the statistical front end takes; empty where there are none."""
+        if self.technology == "lte":
+            return "lte"
+        measured = self.technology == "nr" and self.numerology == 1 and self.prs_symbols == self.prs_comb
+        return f"nr-{self.resource_blocks}" if measured and self.resource_blocks in NR_BLOCKS else ""
 
     def noise_mw(self) -> float:
         """Return the receiver's noise per resource element and array port, in mW."""

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, lru_cache
 
 import numpy as np
 
@@ -93,9 +93,16 @@ class NrWaveform:
 
     def values(self, port: PortName, comb: int, slot: int) -> Complex:
         """Return the values (tones,), of magnitude 1 without unit, by subcarrier, then symbol."""
-        cell_id, number = port
-        signal = positioning_reference_signal(
-            PORTS_PER_CELL * cell_id + number, slot, self.numerology, self.resource_blocks, self.comb, self.symbols,
-            element_offset=comb,
-        )  # fmt: skip
-        return signal.values[np.argsort(signal.subcarriers, kind="stable")]
+        return _values(self, port, comb, slot)
+
+
+@lru_cache(maxsize=1024)
+def _values(waveform: NrWaveform, port: PortName, comb: int, slot: int) -> Complex:
+    cell_id, number = port
+    signal = positioning_reference_signal(
+        PORTS_PER_CELL * cell_id + number, slot, waveform.numerology, waveform.resource_blocks, waveform.comb,
+        waveform.symbols, element_offset=comb,
+    )  # fmt: skip
+    values = signal.values[np.argsort(signal.subcarriers, kind="stable")]
+    values.setflags(write=False)
+    return values

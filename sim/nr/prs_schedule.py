@@ -43,18 +43,32 @@ def prs_slots(
 
     Raises InputError, naming what is allowed, for a value out of its range and for repetitions longer than the period.
     """
+    _check(numerology, period, slots, offset, resource_offset, repetition, gap)
+    _check_muting(repetition, muting, muting_repetition, repetition_muting)
+    number = np.arange(slots, dtype=np.int64)
+    # TS 38.211, clause 7.4.1.7.4: slots since T_offset of the resource set and T_offset,res of the resource in it.
+    since = number - offset - resource_offset
+    # The same: of a period T_per the slots {i T_gap}, i = 0 to T_rep - 1.
+    which, between = np.divmod(since % period, gap)
+    sent = (between == 0) & (which < repetition)
+    if len(muting):  # The same, muting option 1: bit floor(n / (T_mut T_per)) mod L of the set's first bitmap.
+        sent &= np.asarray(muting, bool)[since // (muting_repetition * period) % len(muting)]
+    if len(
+        repetition_muting
+    ):  # The same, option 2: bit floor((n mod T_per) / T_gap) mod L of the second; both must be 1.
+        sent &= np.asarray(repetition_muting, bool)[which % repetition]
+    return np.asarray(number[sent], np.int64)
+
+
+def _check(
+    numerology: int, period: int, slots: int, offset: int, resource_offset: int, repetition: int, gap: int
+) -> None:
+    """Raise InputError for what is out of its range (TS 37.355, NR-DL-PRS-ResourceSet), and for what does not fit."""
     check_integers({"numerology": (numerology, 0, NUMEROLOGIES - 1)})
     periods = [2**numerology * p for p in PERIODS]
-    for name, value, allowed in (
-        (f"period at numerology {numerology}:", period, periods),
-        ("repetition", repetition, REPETITIONS),
-        ("gap", gap, GAPS),
-        ("muting_repetition", muting_repetition, MUTING_REPETITIONS),
-        ("muting of length", len(muting), (0, *MUTING_LENGTHS)),
-        ("repetition_muting of length", len(repetition_muting), (0, repetition) if repetition > 1 else (0,)),
-    ):
-        if not isinstance(value, (int, np.integer)) or value not in allowed:
-            raise InputError(f"{name} {value} is not one of {', '.join(map(str, allowed))}")
+    _check_choice(f"period at numerology {numerology}:", period, periods)
+    _check_choice("repetition", repetition, REPETITIONS)
+    _check_choice("gap", gap, GAPS)
     check_integers({
         "slots": (slots, 0, FRAMES * slots_per_frame(numerology)),
         "offset": (offset, 0, period - 1),
@@ -65,16 +79,20 @@ def prs_slots(
             f"{repetition} repetitions every {gap} slots last longer than the period of {period}: "
             f"repetition may be up to {max(r for r in REPETITIONS if (r - 1) * gap < period)} with this gap"
         )
+
+
+def _check_muting(
+    repetition: int, muting: Sequence[int], muting_repetition: int, repetition_muting: Sequence[int]
+) -> None:
+    """Raise InputError for bitmaps that are none (TS 38.214, clause 5.1.6.5: option 2: a bit for each repetition)."""
+    _check_choice("muting_repetition", muting_repetition, MUTING_REPETITIONS)
+    _check_choice("muting of length", len(muting), (0, *MUTING_LENGTHS))
+    _check_choice("repetition_muting of length", len(repetition_muting), (0, repetition) if repetition > 1 else (0,))
     for name, bits in (("muting", muting), ("repetition_muting", repetition_muting)):
         if any(bit not in (0, 1) for bit in bits):
             raise InputError(f"{name} {list(bits)} has other bits than 0 (muted) and 1 (sent)")
-    # TS 38.211, clause 7.4.1.7.4: slots since the resource's own beginning.
-    number = np.arange(slots, dtype=np.int64)
-    since = number - offset - resource_offset
-    which, between = np.divmod(since % period, gap)
-    sent = (between == 0) & (which < repetition)
-    if len(muting):
-        sent &= np.asarray(muting, bool)[since // (muting_repetition * period) % len(muting)]
-    if len(repetition_muting):
-        sent &= np.asarray(repetition_muting, bool)[which % repetition]
-    return np.asarray(number[sent], np.int64)
+
+
+def _check_choice(name: str, value: int, allowed: Sequence[int]) -> None:
+    if not isinstance(value, (int, np.integer)) or value not in allowed:
+        raise InputError(f"{name} {value} is not one of {', '.join(map(str, allowed))}")

@@ -19,6 +19,13 @@ CHECKED_DB = (6.0, 15.0)
 
 def add_arguments(parser: ArgumentParser) -> None:
     """Add the arguments of this command."""
+    parser.add_argument("--technology", default="lte", choices=("lte", "nr"), help="waveform (default: lte)")
+    parser.add_argument(
+        "--resource-blocks",
+        metavar="N",
+        type=int,
+        help="bandwidth (default: the technology's widest that is calibrated)",
+    )
     parser.add_argument("--scenes", metavar="N", type=int, default=400, help="scenes of each kind (default: 400)")
     parser.add_argument("--seed", metavar="S", type=int, default=1, help="seed of the scenes (default: 1)")
     parser.add_argument("--out", metavar="FILE.json", help="write the constants here (default: print them)")
@@ -46,21 +53,22 @@ def command(arguments: Namespace) -> int:
     from cellslam.sim.lte.calibration.code_digest import outdated
     from cellslam.sim.lte.calibration.front_end_check import agreement, records
     from cellslam.sim.lte.calibration.recurrence import recurring
+    from cellslam.sim.lte.calibration.scenes import radio_of
     from cellslam.sim.lte.calibration.study import calibrate as study
 
-    rows: dict[str, list[dict[str, Any]]] = {}
+    radio, rows = radio_of(arguments.technology, arguments.resource_blocks), dict[str, list[dict[str, Any]]]()
     with bars(arguments.quiet) as progress, threadpool_limits(1):
         if arguments.check:
             for ratio in arguments.ratios or CHECKED_DB:
-                moving = recurring(max(arguments.scenes // 6, 8), arguments.seed, ratio, progress)
-                figures = agreement(arguments.scenes, arguments.seed, ratio, progress) + moving
+                moving = recurring(radio, max(arguments.scenes // 6, 8), arguments.seed, ratio, progress)
+                figures = agreement(radio, arguments.scenes, arguments.seed, ratio, progress) + moving
                 rows[f"{ratio:g} dB"] = records(figures)
             text = json.dumps(rows, indent=1) + "\n"
         else:
-            text = json.dumps(study(arguments.scenes, arguments.seed, progress)) + "\n"
+            text = json.dumps(study(radio, arguments.scenes, arguments.seed, progress)) + "\n"
     if arguments.check:
         print_studies(rows)
-        if line := outdated():
+        if line := outdated(band=radio.statistics_band):
             sys.stderr.write(f"{line}\n")
     if arguments.out:
         partial = Path(arguments.out).with_suffix(".tmp")

@@ -8,7 +8,7 @@ import json
 from pathlib import Path
 from typing import Any
 
-from cellslam.sim.lte.statistical.statistics import FILE
+from cellslam.sim.lte.statistical.statistics import LTE, file_of
 
 SIM = Path(__file__).parents[2]
 # The signal-level front end, processes and blocks aside, and what it shares with the statistical one.
@@ -47,9 +47,10 @@ def _idle(node: Any) -> bool:
     return text or typing or isinstance(node, (ast.Import, ast.ImportFrom))
 
 
-def outdated(sim: Path = SIM) -> str:
-    """Return a line that says that the shipped constants were measured with other code; empty if they were not."""
-    then, now = json.loads(FILE.read_text("utf-8"))["provenance"]["code"], code_digest(sim)
+def outdated(sim: Path = SIM, band: str = LTE) -> str:
+    """Return a line that says that a band's shipped constants were measured with other code; empty if they were not."""
+    file, now = file_of(band), code_digest(sim)
+    then = json.loads(file.read_text("utf-8"))["provenance"]["code"]
     if then == now:
         return ""
-    return f"{FILE.name} was measured with other code ({then}) of the signal level than this ({now}): measure it again"
+    return f"{file.name} was measured with other code ({then}) of the signal level than this ({now}): measure it again"

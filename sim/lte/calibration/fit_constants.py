@@ -14,13 +14,15 @@ from scipy.stats import ncx2
 from cellslam.sim.frames import wrap_angle
 from cellslam.sim.lte.calibration.front_end_check import AHEAD_M, BEHIND_M, BESIDE_RAD, offsets
 from cellslam.sim.lte.calibration.overlap import Law, chances, relations
-from cellslam.sim.lte.calibration.scenes import Sample, config_of, measured_by_statistics
-from cellslam.sim.lte.single_path_bound import single_path_std
+from cellslam.sim.lte.calibration.scenes import Sample, measured_by_statistics
+from cellslam.sim.lte.radio_config import RadioConfig
+from cellslam.sim.lte.single_path_bound import bound_scales, single_path_std
 from cellslam.sim.lte.statistical.detector_layout import GAMMA_START_DB, GAMMA_STEP_DB, PathColumns
 from cellslam.sim.lte.statistical.statistics import Statistics
 from cellslam.sim.recording import Floats
+from cellslam.sim.waveform import Waveform
 
-NODES = 13
+NODES = 13  # of LTE
 DRAWS = 8  # of the statistical front end, which is cheap
 LEAST_CLUTTER = 50.0
 POINTS = 48  # of clutter kept per node
@@ -40,16 +42,17 @@ def fit_detection(sample: Sample, threshold: float) -> dict[str, float]:
     return {"dof": float(best.x[0]), "gain": float(best.x[1])}
 
 
-def fit_floor(samples: dict[float, Sample]) -> dict[str, Any]:
+def fit_floor(samples: dict[float, Sample], waveform: Waveform) -> dict[str, Any]:
     """Return the floors that do not depend on the ratio (calibration) and those of diffuse energy at 0 dB.
 
     Variances over strong lone paths, the bound's taken off, are a + b 10^(-K / 10); robust against what is no error of
     the path but another path in its place: errors beyond four deviations do not count.
     """
     ratio, variance, weight = [], [], []
+    samples_db = 10.0 * np.log10(bound_scales(waveform).samples)
     for k_db, s in samples.items():
         strong = s.detected & (s.gamma_db > STRONG_DB)
-        bound = single_path_std(s.gamma_db[strong] - 44.08, s.geometry[strong, 2])
+        bound = single_path_std(s.gamma_db[strong] - samples_db, s.geometry[strong, 2], waveform)
         error = s.error[strong]
         spread = np.median(np.abs(error), axis=0) / 0.6745
         inside = np.abs(error) < 4.0 * spread
@@ -67,9 +70,9 @@ def fit_floor(samples: dict[float, Sample]) -> dict[str, Any]:
     return out
 
 
-def structured(sample: Sample, noise_rate: float, window_m: float) -> dict[str, Any]:
-    """Return the clutter around a lone path over nodes of its integrated SNR: mean number, and some of the points: how
-    much later (m), azimuth and elevation beside it (rad), SNR (dB). The noise's own share is taken off the mean.
+def structured(sample: Sample, noise_rate: float, window_m: float, nodes: int = NODES) -> dict[str, Any]:
+    """Return the clutter around a lone path over `nodes` of its integrated SNR: mean number, and some of the points:
+    how much later (m), azimuth and elevation beside it (rad), SNR (dB). The noise's own share is taken off the mean.
     """
     order = {int(link): row for row, link in enumerate(sample.link)}
     own = np.array([order[int(link)] for link in sample.clutter[:, 0]], np.int64)
@@ -78,11 +81,10 @@ def structured(sample: Sample, noise_rate: float, window_m: float) -> dict[str, 
     above = sample.clutter[:, 3] - sample.geometry[own, 2]
     points = np.column_stack([late, beside, above, sample.clutter[:, 4]])
     around = (late > -AHEAD_M) & (late < BEHIND_M) & (np.abs(beside) < BESIDE_RAD)
-    nodes = GAMMA_START_DB + GAMMA_STEP_DB * np.arange(NODES)
-    at = np.clip(np.rint((sample.gamma_db - GAMMA_START_DB) / GAMMA_STEP_DB), -1, NODES - 1)
+    at = np.clip(np.rint((sample.gamma_db - GAMMA_START_DB) / GAMMA_STEP_DB), -1, nodes - 1)
     noise = noise_rate * (BEHIND_M + AHEAD_M) / window_m * BESIDE_RAD / np.pi
     table: dict[str, Any] = {"mean": [], "points": []}
-    for node in range(len(nodes)):
+    for node in range(nodes):
         links = int(np.sum(at == node))
         rows = around & (at[own] == node)
         # Few points: those of the neighbouring nodes help with the shape.
@@ -100,22 +102,24 @@ def evenly(points: Floats) -> Floats:
 
 
 def fit_company(
-    ratio_db: float, scenes: list[PathColumns], signal: Sample, constants: Statistics, rng: np.random.Generator
+    config: RadioConfig, scenes: list[PathColumns], signal: Sample, constants: Statistics, rng: np.random.Generator
 ) -> float:
     """Return how many times as much clutter the signal level reports in scenes of several paths as `constants`, from
     lone paths, give: of what belongs to a path. Where there is little there is nothing to say, and it is 1.
     """
-    drawn = [measured_by_statistics(config_of(ratio_db), scenes, rng, constants) for _ in range(DRAWS)]
+    drawn = [measured_by_statistics(config, scenes, rng, constants) for _ in range(DRAWS)]
     own = sum(int(offsets(sample)[2].sum()) for sample in drawn) / DRAWS
     return int(offsets(signal)[2].sum()) / own if own > LEAST_CLUTTER else 1.0
 
 
-def fit_overlap(samples: dict[float, Sample], detection: dict[str, float], threshold: float) -> dict[str, float]:
+def fit_overlap(
+    samples: dict[float, Sample], detection: dict[str, float], threshold: float, waveform: Waveform
+) -> dict[str, float]:
     """Return how paths among others are detected: logistic centre and width (dB) of crowded ones, and how much stronger
     paths disturb weaker ones, by maximum likelihood.
     """
     law = detection["dof"], detection["gain"]
-    parts = {k_db: relations(s) for k_db, s in samples.items()}
+    parts = {k_db: relations(s, waveform) for k_db, s in samples.items()}
 
     def loss(p: Floats) -> float:
         total = 0.0

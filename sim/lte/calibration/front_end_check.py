@@ -18,6 +18,7 @@ from cellslam.sim.lte.calibration.scenes import (
     measured_by_statistics,
     scenes_of,
 )
+from cellslam.sim.lte.radio_config import RadioConfig
 from cellslam.sim.progress import Progress
 from cellslam.sim.recording import Floats
 
@@ -50,13 +51,14 @@ class Figure(NamedTuple):
         return abs(self.difference) <= self.limit
 
 
-def agreement(count: int, seed: int, ratio_db: float, progress: Progress) -> list[Figure]:
+def agreement(radio: RadioConfig, count: int, seed: int, ratio_db: float, progress: Progress) -> list[Figure]:
     """Return how the two front ends compare over `count` scenes, drawn from a stream of their own."""
     rng = np.random.default_rng([seed, 3, round(10.0 * ratio_db)])
-    scenes = scenes_of(rng, count, ratio_db)
+    config = config_of(ratio_db, radio)
+    scenes = scenes_of(rng, count, config)
     with progress(f"measuring scenes at {ratio_db:g} dB", count) as advance:
-        signal = measured_by_signals(ratio_db, scenes, rng, advance)
-    drawn = [measured_by_statistics(config_of(ratio_db), scenes, rng) for _ in range(DRAWS)]
+        signal = measured_by_signals(config, scenes, rng, advance)
+    drawn = [measured_by_statistics(config, scenes, rng) for _ in range(DRAWS)]
     return compared([signal], drawn)
 
 

@@ -12,10 +12,10 @@ from scipy.stats import ncx2
 
 from cellslam.sim.frames import wrap_angle
 from cellslam.sim.lte.calibration.scenes import Sample
-from cellslam.sim.lte.downlink.lte_waveform import LteWaveform
 from cellslam.sim.lte.single_path_bound import AZIMUTH_EXPONENT, bound_scales
 from cellslam.sim.lte.statistical import detector_layout as k
 from cellslam.sim.recording import Floats
+from cellslam.sim.waveform import Waveform
 
 _TABLE_DB = np.arange(-20.0, 70.0, 0.1)
 
@@ -44,7 +44,7 @@ class Law(NamedTuple):
     sidelobe_m: float
 
 
-def relations(sample: Sample) -> list[Relations]:
+def relations(sample: Sample, waveform: Waveform) -> list[Relations]:
     """Return the relations of all links of a sample."""
     out = []
     for link in np.unique(sample.link):
@@ -55,15 +55,15 @@ def relations(sample: Sample) -> list[Relations]:
         stronger = gamma[None, :] > gamma[:, None]
         disturbing = gamma[:, None] < k.DIFFUSE_SHARE * gamma[None, :]
         near = np.abs(apart[..., 0])
-        leftover = np.prod(1.0 - captured(apart, geometry) * (near < k.NEIGHBOUR_M) * stronger, axis=1)
+        leftover = np.prod(1.0 - captured(apart, geometry, waveform) * (near < k.NEIGHBOUR_M) * stronger, axis=1)
         ghost = ((near < k.GHOST_REACH_M) & (gamma[:, None] < 10.0**-2.5 * gamma[None, :])).any(axis=1)
         out.append(Relations(rows, apart[..., 0], apart[..., 1], disturbing * gamma[None, :], leftover, ghost))
     return out
 
 
-def captured(apart: Floats, geometry: Floats) -> Floats:
+def captured(apart: Floats, geometry: Floats, waveform: Waveform) -> Floats:
     """Return the share of a path's energy in the tangent space of another, for all pairs (n, n)."""
-    scales = bound_scales(LteWaveform())
+    scales = bound_scales(waveform)
     cosine = np.cos(0.5 * (geometry[:, None, 2] + geometry[None, :, 2])) ** AZIMUTH_EXPONENT
     s = (
         (apart[..., 0] / scales.distance_m) ** 2

@@ -11,7 +11,8 @@ from typing import Any
 import numpy as np
 
 from cellslam.sim.frames import unit_vector, wrap_angle
-from cellslam.sim.lte.calibration.scenes import POSE, cells, draw_paths, geometry_of, in_scene, signal_bench
+from cellslam.sim.lte.calibration.scenes import POSE, cells, config_of, draw_paths, geometry_of, in_scene, signal_bench
+from cellslam.sim.lte.radio_config import RadioConfig
 from cellslam.sim.lte.signal.signal_front_end import SignalLevel
 from cellslam.sim.lte.statistical import detector_layout as k
 from cellslam.sim.lte.statistical.detector_layout import PathColumns
@@ -24,20 +25,20 @@ STRONG_DB = 5.0
 STILL = np.zeros(3)
 
 
-def persistence(scenes: int, rng: np.random.Generator, progress: Progress) -> dict[str, Any]:
+def persistence(radio: RadioConfig, scenes: int, rng: np.random.Generator, progress: Progress) -> dict[str, Any]:
     """Return the correlation of a strong lone path's errors with those later, on the other port, and from elsewhere
     (diffuse energy, 6 dB); and with those from other directions through the same array (no diffuse energy).
     """
     with progress("measuring persistence", 2 * scenes) as advance:
         place, port = [], []
         for _ in range(scenes):
-            errors = _moved(rng)
+            errors = _moved(radio, rng)
             place.append(errors[:, 0])
             port.append(errors[0, :])
             advance(1)
         turned = []
         for _ in range(scenes):
-            turned.append(_turned(rng))
+            turned.append(_turned(radio, rng))
             advance(1)
     along, ports, turns = np.array(place), np.array(port), np.array(turned)
     return {
@@ -50,9 +51,9 @@ def persistence(scenes: int, rng: np.random.Generator, progress: Progress) -> di
     }
 
 
-def _moved(rng: np.random.Generator) -> Floats:
+def _moved(radio: RadioConfig, rng: np.random.Generator) -> Floats:
     """Return errors (1 + shifts, ports, 3): twice in one place (the first two), then from places along a line."""
-    front_end, paths = _lone(6.0, rng)
+    front_end, paths = _lone(config_of(6.0, radio), rng)
     line = unit_vector(rng.uniform(-np.pi, np.pi), 0.0)
     rows = []
     for shift in (0.0, *SHIFTS_M):
@@ -62,9 +63,9 @@ def _moved(rng: np.random.Generator) -> Floats:
     return np.array(rows)
 
 
-def _turned(rng: np.random.Generator) -> Floats:
+def _turned(radio: RadioConfig, rng: np.random.Generator) -> Floats:
     """Return errors (1 + turns, 3) of one port: twice in one direction (the first two), then turned by yaw."""
-    front_end, paths = _lone(40.0, rng)
+    front_end, paths = _lone(config_of(40.0, radio), rng)
     rows = []
     for turn in (0.0, *TURNS_DEG):
         pose = POSE.copy()
@@ -73,8 +74,8 @@ def _turned(rng: np.random.Generator) -> Floats:
     return np.array(rows)
 
 
-def _lone(ratio_db: float, rng: np.random.Generator) -> tuple[SignalLevel, PathColumns]:
-    bench = in_scene(signal_bench(ratio_db), rng)
+def _lone(config: RadioConfig, rng: np.random.Generator) -> tuple[SignalLevel, PathColumns]:
+    bench = in_scene(signal_bench(config), rng)
     return replace(bench, cells=cells()), draw_paths(rng, np.array([STRONG_DB]), bench.config)
 
 

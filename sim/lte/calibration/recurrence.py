@@ -22,6 +22,7 @@ from cellslam.sim.lte.calibration.front_end_check import Figure
 from cellslam.sim.lte.calibration.scenes import POSE, config_of, in_scene, scenes_of
 from cellslam.sim.lte.links import Cells, cells_of
 from cellslam.sim.lte.persisting_errors import draw_fields
+from cellslam.sim.lte.signal.receiver import receiver_of
 from cellslam.sim.lte.signal.signal_front_end import SAME_PATH, signal_level
 from cellslam.sim.lte.statistical import detector_layout as k
 from cellslam.sim.lte.statistical.detector_layout import PathColumns, Streams
@@ -64,15 +65,17 @@ class Recurrence(NamedTuple):
     missed_port: Floats
 
 
-def config_of_scenes(ratio_db: float) -> RadioConfig:
+def config_of_scenes(ratio_db: float, radio: RadioConfig | None = None) -> RadioConfig:
     """Return the radio configuration of the scenes: that of the other studies with load and transmitter error."""
     usual = RadioConfig()
-    return config_of(ratio_db).model_copy(update={"load": usual.load, "evm": usual.evm, "snr_cap_db": usual.snr_cap_db})
+    return config_of(ratio_db, radio).model_copy(
+        update={"load": usual.load, "evm": usual.evm, "snr_cap_db": usual.snr_cap_db}
+    )
 
 
-def draw_scene(rng: np.random.Generator, ratio_db: float) -> Scene:
+def draw_scene(rng: np.random.Generator, config: RadioConfig) -> Scene:
     """Draw a scene: two to eight paths, sectors and line of travel turned anyhow."""
-    paths = scenes_of(rng, 1, ratio_db)[0]
+    paths = scenes_of(rng, 1, config)[0]
     sectors = np.degrees(rng.uniform(-np.pi, np.pi)) + 120.0 * np.arange(3)
     cells = [SimpleNamespace(cell_id=375 + i, azimuth_deg=a, tilt_deg=8.0) for i, a in enumerate(sectors)]
     corner, line = np.append(rng.uniform(0.0, ACROSS_M, 2), 0.0), unit_vector(rng.uniform(-np.pi, np.pi), 0.0)
@@ -82,9 +85,11 @@ def draw_scene(rng: np.random.Generator, ratio_db: float) -> Scene:
     return Scene(cells_of([SimpleNamespace(cells=cells, ports=PORTS)]), moved, poses)
 
 
-def seen_by_signals(ratio_db: float, scenes: list[Scene], rng: np.random.Generator, progress: Progress) -> list[Floats]:
+def seen_by_signals(
+    config: RadioConfig, scenes: list[Scene], rng: np.random.Generator, progress: Progress
+) -> list[Floats]:
     """Return what the signal level reports (M, COLUMNS), m, rad, dB, of each scene."""
-    config, still, out = config_of_scenes(ratio_db), np.zeros(3), []
+    still, out = np.zeros(3), []
     with progress("measuring how clutter recurs", len(scenes)) as advance:
         for scene in scenes:
             base = signal_level(config, scene.cells, np.zeros(1), draw_fields(config, 0.075, rng), rng)
@@ -96,17 +101,17 @@ def seen_by_signals(ratio_db: float, scenes: list[Scene], rng: np.random.Generat
 
 
 def seen_by_statistics(
-    ratio_db: float, scenes: list[Scene], rng: np.random.Generator, constants: Statistics, persisting: bool
+    config: RadioConfig, scenes: list[Scene], rng: np.random.Generator, constants: Statistics, persisting: bool
 ) -> list[list[Floats]]:
     """Return what the statistical front end reports (M, COLUMNS), m, rad, dB, of each scene, REPEATS times over."""
     keys = {"front_end": "statistical", "persisting_clutter": persisting}
-    config = config_of_scenes(ratio_db).model_copy(update=keys)
+    config = config.model_copy(update=keys)
     return [[_drawn(config, scene, scene.poses, rng, constants) for scene in scenes] for _ in range(REPEATS)]
 
 
-def chances(ratio_db: float, scenes: list[Scene], rng: np.random.Generator, constants: Statistics) -> list[Floats]:
+def chances(config: RadioConfig, scenes: list[Scene], rng: np.random.Generator, constants: Statistics) -> list[Floats]:
     """Return the detection probability (LINKS, n) of each scene's paths at the first snapshot."""
-    config = config_of_scenes(ratio_db).model_copy(update={"front_end": "statistical", "clutter_scale": 0.0})
+    config = config.model_copy(update={"front_end": "statistical", "clutter_scale": 0.0})
     out = []
     for scene in scenes:
         table = _drawn(config, scene, np.tile(scene.poses[0], (DRAWS, 1)), rng, constants)
@@ -123,7 +128,7 @@ def _drawn(
         n * np.arange(count + 1), np.tile(p.vt_m, (count, 1)), np.tile(p.gain, (count, 1, 1)),
         np.tile(p.departure_rad, (count, 1)),
     )  # fmt: skip
-    fields, streams = draw_fields(config, 0.075, rng), Streams.spawn(rng)
+    fields, streams = draw_fields(config, 0.075, rng, constants), Streams.spawn(rng)
     d = detect(config, scene.cells, paths, poses, np.zeros(1), fields, streams, constants=constants)
     table, m = np.full((len(d.path), k.COLUMNS), np.nan), d.measurements
     table[:, k.SNAPSHOT], table[:, k.LINK], table[:, k.SNR_DB] = m.snapshot, m.link, m.snr_db
@@ -132,9 +137,9 @@ def _drawn(
     return table
 
 
-def recurrence(scenes: list[Scene], tables: list[Floats], chance: list[Floats]) -> Recurrence:
+def recurrence(scenes: list[Scene], tables: list[Floats], chance: list[Floats], finer: float = 1.0) -> Recurrence:
     """Return how the clutter of the first snapshot recurs in the later ones, and how misses last; of scenes, what is
-    reported (M, COLUMNS) of each and the chances (LINKS, n) of its paths.
+    reported (M, COLUMNS) of each and the chances (LINKS, n) of its paths. `finer`: resolution over LTE's.
     """
     shifts = len(SHIFTS_M)
     number, link, port, twice = 0, np.zeros(shifts), np.zeros(shifts), 0.0
@@ -144,9 +149,9 @@ def recurrence(scenes: list[Scene], tables: list[Floats], chance: list[Floats]) 
         first = clutter[clutter[:, k.SNAPSHOT] == 0.0]
         toward = unit_vector(first[:, k.AZIMUTH] + scene.poses[0, 3], first[:, k.ELEVATION])
         point, own = scene.poses[0, :3] + first[:, [k.DISTANCE]] * toward, first[:, k.LINK].astype(int)
-        hits = _recurs(clutter, point, own, scene.poses)
+        hits = _recurs(clutter, point, own, scene.poses, finer)
         number += len(first)
-        link, port = link + hits.sum(axis=1), port + _recurs(clutter, point, own ^ 1, scene.poses).sum(axis=1)
+        link, port = link + hits.sum(axis=1), port + _recurs(clutter, point, own ^ 1, scene.poses, finer).sum(axis=1)
         twice += float((hits[0] & hits[1]).sum())
         left = _found(table, 1 + shifts, c.shape[1]) - c
         weight += float(np.sum(c * (1.0 - c)))
@@ -158,7 +163,7 @@ def recurrence(scenes: list[Scene], tables: list[Floats], chance: list[Floats]) 
     )
 
 
-def _recurs(clutter: Floats, point: Floats, link: np.ndarray, poses: Floats) -> np.ndarray:
+def _recurs(clutter: Floats, point: Floats, link: np.ndarray, poses: Floats, finer: float) -> np.ndarray:
     """Return whether each later pose (S, n) sees clutter on a link (n,) where it would see a point (n, 3) of space."""
     out = np.zeros((len(poses) - 1, len(point)), np.bool_)
     for snapshot, pose in enumerate(poses[1:], 1):
@@ -167,7 +172,7 @@ def _recurs(clutter: Floats, point: Floats, link: np.ndarray, poses: Floats) -> 
         seen = np.stack([np.linalg.norm(point - pose[:3], axis=1), azimuth - pose[3], elevation], 1)
         apart = there[None, :, [k.DISTANCE, k.AZIMUTH, k.ELEVATION]] - seen[:, None]
         apart[..., 1] = wrap_angle(apart[..., 1])
-        near = np.sum((apart / SAME_PATH) ** 2, axis=-1) < 1.0
+        near = np.sum((apart / (SAME_PATH * [finer, 1.0, 1.0])) ** 2, axis=-1) < 1.0
         out[snapshot - 1] = (near & (there[:, k.LINK] == link[:, None])).any(axis=1)
     return out
 
@@ -214,18 +219,19 @@ def fit_standing(signal: Recurrence, white: Recurrence) -> dict[str, float]:
 
 
 def standing(
-    count: int, rng: np.random.Generator, constants: Statistics, progress: Progress
+    radio: RadioConfig, count: int, rng: np.random.Generator, constants: Statistics, progress: Progress
 ) -> tuple[dict[str, float], dict[str, Any]]:
     """Return the constants of what stands still, and the recurrence that they are fitted to, of `count` scenes."""
-    signal, white = _both(RATIO_DB, count, rng, constants, False, progress)
+    signal, white = _both(config_of_scenes(RATIO_DB, radio), count, rng, constants, False, progress)
     measured = {name: np.asarray(value).tolist() for name, value in signal._asdict().items()}
     return fit_standing(signal, white), {"shifts_m": list(SHIFTS_M), **measured}
 
 
-def recurring(count: int, seed: int, ratio_db: float, progress: Progress) -> list[Figure]:
+def recurring(radio: RadioConfig, count: int, seed: int, ratio_db: float, progress: Progress) -> list[Figure]:
     """Return how clutter recurs and misses last in the two front ends, in `count` scenes that no calibration sees."""
     rng = np.random.default_rng([seed, 5, round(10.0 * ratio_db)])
-    signal, drawn = _both(ratio_db, count, rng, statistics(), True, progress)
+    config, constants = config_of_scenes(ratio_db, radio), statistics(radio.statistics_band)
+    signal, drawn = _both(config, count, rng, constants, True, progress)
     out = []
     for what, name, limit, number in (
         ("clutter seen again", "link", CLUTTER_LIMIT, signal.clutter),
@@ -240,12 +246,18 @@ def recurring(count: int, seed: int, ratio_db: float, progress: Progress) -> lis
 
 
 def _both(
-    ratio_db: float, count: int, rng: np.random.Generator, constants: Statistics, persisting: bool, progress: Progress
+    config: RadioConfig,
+    count: int,
+    rng: np.random.Generator,
+    constants: Statistics,
+    persisting: bool,
+    progress: Progress,
 ) -> tuple[Recurrence, Recurrence]:
     """Return the recurrence at signal level and in the statistical front end, in the same scenes."""
-    scenes, draws = [draw_scene(rng, ratio_db) for _ in range(count)], rng.spawn(1)[0]
-    signals = seen_by_signals(ratio_db, scenes, rng, progress)
-    chance = chances(ratio_db, scenes, draws, constants)
-    drawn = seen_by_statistics(ratio_db, scenes, draws, constants, persisting)
-    several = recurrence(scenes * REPEATS, [table for tables in drawn for table in tables], chance * REPEATS)
-    return recurrence(scenes, signals, chance), several
+    scenes, draws = [draw_scene(rng, config) for _ in range(count)], rng.spawn(1)[0]
+    signals = seen_by_signals(config, scenes, rng, progress)
+    chance = chances(config, scenes, draws, constants)
+    drawn = seen_by_statistics(config, scenes, draws, constants, persisting)
+    finer = receiver_of(config.waveform()).finer
+    several = recurrence(scenes * REPEATS, [table for tables in drawn for table in tables], chance * REPEATS, finer)
+    return recurrence(scenes, signals, chance, finer), several

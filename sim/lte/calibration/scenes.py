@@ -14,12 +14,15 @@ from types import SimpleNamespace
 
 import numpy as np
 
+from cellslam.sim.errors import InputError
 from cellslam.sim.frames import unit_vector, wrap_angle
 from cellslam.sim.lte import RadioConfig
 from cellslam.sim.lte.array import array_at, miscalibrated
+from cellslam.sim.lte.downlink.lte_waveform import LteWaveform
 from cellslam.sim.lte.links import Cells, cells_of, slant
 from cellslam.sim.lte.persisting_errors import draw_fields
 from cellslam.sim.lte.signal.signal_front_end import DEFAULT_HARDWARE, SignalLevel, signal_level
+from cellslam.sim.lte.single_path_bound import bound_scales
 from cellslam.sim.lte.statistical import detector_layout as k
 from cellslam.sim.lte.statistical.budget_kernel import array_gain, path_power
 from cellslam.sim.lte.statistical.detector_layout import PathColumns, Streams
@@ -31,6 +34,10 @@ PORTS = 2
 _OFF = ("roof_azimuth_deg", "roof_elevation_deg", "attitude_azimuth_deg", "attitude_elevation_deg",
         "calibration_distance_m", "load", "evm")  # fmt: skip
 OFF = dict.fromkeys(_OFF, 0.0)
+# Carrier in Hz and detection threshold; in a wider band the threshold has as many noise peaks as LTE's.
+BANDS = {
+    ("lte", 100): (2.66e9, 17.4), ("nr", 48): (3.5e9, 17.4), ("nr", 132): (3.5e9, 18.4), ("nr", 272): (3.5e9, 19.2),
+}  # fmt: skip
 POSE = np.array([3.0, -2.0, 1.8, 0.4, 0.0, 0.0])
 
 
@@ -50,11 +57,27 @@ class Sample:
     links: int
 
 
-def config_of(ratio_db: float) -> RadioConfig:
-    """Return the radio configuration of the scenes at a specular-to-diffuse ratio."""
+def radio_of(technology: str = "lte", resource_blocks: int | None = None) -> RadioConfig:
+    """Return the radio configuration of a band, none named: the widest. Raises InputError for one that is none."""
+    bands = {blocks: more for (name, blocks), more in BANDS.items() if name == technology}
+    blocks = resource_blocks or max(bands)
+    if blocks not in bands:
+        raise InputError(f"resource_blocks {blocks}: {technology} is calibrated at {', '.join(map(str, bands))}")
+    carrier_hz, threshold = bands[blocks]
     return RadioConfig(
-        front_end="signal", specular_to_diffuse_db=ratio_db, snr_cap_db=60.0, clock_offset_std_m=0.0, **OFF
-    )
+        front_end="signal", technology=technology, resource_blocks=blocks, carrier_hz=carrier_hz,
+        detection_threshold=threshold, snr_cap_db=60.0, clock_offset_std_m=0.0, **OFF,
+    )  # fmt: skip
+
+
+def config_of(ratio_db: float, radio: RadioConfig | None = None) -> RadioConfig:
+    """Return the radio configuration of the scenes at a specular-to-diffuse ratio; none given: LTE's."""
+    return (radio or radio_of()).model_copy(update={"specular_to_diffuse_db": ratio_db})
+
+
+def finer_db(radio: RadioConfig) -> float:
+    """Return by how many dB a path's integrated SNR is above that of LTE of 20 MHz at the same SNR per sample."""
+    return float(10.0 * np.log10(bound_scales(radio.waveform()).samples / bound_scales(LteWaveform()).samples))
 
 
 def cells() -> Cells:
@@ -69,17 +92,17 @@ def draw_paths(rng: np.random.Generator, rho_db: Floats, config: RadioConfig) ->
     distance = rng.uniform(30.0, 600.0, n)
     towards = unit_vector(rng.uniform(-np.pi, np.pi, n), rng.uniform(0.0, 0.6, n))
     loss_db = np.array([-10.0 * np.log10(array_gain(e)) for e in np.arcsin(towards[:, 2])])
-    amplitude = 10.0 ** ((rho_db + config.noise_dbm - config.eirp_dbm + loss_db) / 20.0)
+    amplitude = 10.0 ** ((rho_db + 10.0 * np.log10(config.noise_mw()) - config.eirp_dbm + loss_db) / 20.0)
     # Any polarisation: a random unitary matrix, so that both ports arrive with the same power.
     mix = rng.standard_normal((n, 2, 2)) + 1j * rng.standard_normal((n, 2, 2))
     gain = amplitude[:, None, None] * np.linalg.qr(mix)[0]
     return PathColumns(np.array([0, n]), POSE[:3] + distance[:, None] * towards, gain, np.zeros((n, 2)))
 
 
-def scenes_of(rng: np.random.Generator, count: int, ratio_db: float) -> list[PathColumns]:
-    """Draw scenes of two to eight paths, -32 to 12 dB."""
-    config = config_of(ratio_db)
-    return [draw_paths(rng, rng.uniform(-32.0, 12.0, rng.integers(2, 9)), config) for _ in range(count)]
+def scenes_of(rng: np.random.Generator, count: int, config: RadioConfig) -> list[PathColumns]:
+    """Draw scenes of two to eight paths, -32 to 12 dB; from as much integrated SNR on in other bands."""
+    weakest = -32.0 - finer_db(config)
+    return [draw_paths(rng, rng.uniform(weakest, 12.0, rng.integers(2, 9)), config) for _ in range(count)]
 
 
 def gamma_of(paths: PathColumns, config: RadioConfig, port: int, geometry: Floats) -> Floats:
@@ -88,13 +111,13 @@ def gamma_of(paths: PathColumns, config: RadioConfig, port: int, geometry: Float
         path_power(gain, slant(np.array(port))) * array_gain(e)
         for gain, e in zip(paths.gain, geometry[:, 2], strict=True)
     ])  # fmt: skip
-    ratio = 10.0 ** ((config.eirp_dbm - config.noise_dbm) / 10.0)
-    return np.asarray(256 * config.resource_blocks * ratio * power, np.float64)
+    ratio = 10.0 ** (config.eirp_dbm / 10.0) / config.noise_mw()
+    return np.asarray(bound_scales(config.waveform()).samples * ratio * power, np.float64)
 
 
-def signal_bench(ratio_db: float) -> SignalLevel:
+def signal_bench(config: RadioConfig) -> SignalLevel:
     """Return a signal-level front end whose array and surroundings each scene replaces."""
-    config, rng = config_of(ratio_db), np.random.default_rng(0)
+    rng = np.random.default_rng(0)
     return signal_level(config, cells(), np.zeros(1), draw_fields(config, 0.075, rng), rng)
 
 
@@ -109,10 +132,10 @@ def in_scene(front_end: SignalLevel, rng: np.random.Generator) -> SignalLevel:
 
 
 def measured_by_signals(
-    ratio_db: float, scenes: list[PathColumns], rng: np.random.Generator, advance: Callable[[int], None]
+    config: RadioConfig, scenes: list[PathColumns], rng: np.random.Generator, advance: Callable[[int], None]
 ) -> Sample:
     """Return what the signal-level front end reports of the scenes."""
-    base, tables, still = signal_bench(ratio_db), [], np.zeros(3)
+    base, tables, still = signal_bench(config), [], np.zeros(3)
     for number, paths in enumerate(scenes):
         tables.append(in_scene(base, rng).measure(paths, POSE, still, still, number, rng))
         advance(1)
@@ -125,7 +148,7 @@ def measured_by_statistics(
     """Return what the statistical front end reports of the scenes; fields that persist are drawn anew each scene."""
     tables, site, own = [], cells(), config.model_copy(update={"front_end": "statistical"})
     for number, paths in enumerate(scenes):
-        fields, streams = draw_fields(own, 0.075, rng), Streams.spawn(rng)
+        fields, streams = draw_fields(own, 0.075, rng, constants), Streams.spawn(rng)
         d = detect(own, site, paths, POSE[None], np.zeros(1), fields, streams, number, constants=constants)
         table = np.full((len(d.path), k.COLUMNS), np.nan)
         m = d.measurements

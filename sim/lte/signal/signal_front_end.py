@@ -28,6 +28,7 @@ from cellslam.sim.lte.signal.channel import arriving_paths
 from cellslam.sim.lte.signal.diffuse import SCATTERERS, Surroundings
 from cellslam.sim.lte.signal.path_estimator.cancellation import cancel
 from cellslam.sim.lte.signal.path_estimator.path_estimator import Estimates, estimate_paths
+from cellslam.sim.lte.signal.path_sums import PathSums
 from cellslam.sim.lte.signal.receiver import ComplexSingle, Motion, Receiver, phase_rate, receiver_of
 from cellslam.sim.lte.statistical import detector_layout as k
 from cellslam.sim.lte.statistical.detector_layout import PathColumns
@@ -143,9 +144,9 @@ class SignalLevel:
         drift = np.exp(2j * np.pi * self.carrier_offsets_hz[site] * later)
         steering = self._seen(velocity_mps, drift).steer(geometry[:, 1].copy(), geometry[:, 2].copy()).value
         on_ports = [np.einsum("npq,nq->pn", steering, p.weights) for p in arriving]
-        delay = symbol_kernel.phasors(-length, self.tone_rate)
+        sums = PathSums(length, self.waveform.tones_hz)
         # What other cells' data add is noise-like: of diffuse energy only the power counts there.
-        specular = slice(None, None, self.surroundings.scatterers + 1)
+        together = self.surroundings.scatterers + 1
         whole = np.sqrt(1.0 + 10.0 ** (-config.specular_to_diffuse_db / 10.0))
         for link in np.flatnonzero(self.links.site == site):
             cell = int(self.links.cell[link])
@@ -160,22 +161,16 @@ class SignalLevel:
                 if comb == self.combs[link]:
                     normal = rng.standard_normal((*elements.shape, 2), np.float32)
                     sent = self.sent[link][slots]
-                    symbol_kernel.add_pilots(elements, shifted @ delay, sent, normal, config.evm * np.sqrt(0.5))
+                    symbol_kernel.add_pilots(elements, sums.of(shifted), sent, normal, config.evm * np.sqrt(0.5))
                 elif comb not in own and config.load > 0.0:
                     words = rng.integers(0, 65536, elements.shape, np.uint16)
                     share = float(whole / np.sqrt(self.cells.ports[cell]))
-                    response = shifted[:, specular] @ delay[specular]
-                    symbol_kernel.add_data(elements, response, words, config.load, share)
+                    symbol_kernel.add_data(elements, sums.of_every(together, shifted), words, config.load, share)
 
     def _seen(self, velocity_mps: Floats, drift: Complex) -> Motion:
         """Return the array as it is, in motion with `velocity_mps` (3,), a carrier turning by `drift` (ports,)."""
         factor = drift if self.array.calibration is None else drift * self.array.calibration
         return Motion(self.receiver, velocity_mps, np.asarray(factor, np.complex128))
-
-    @cached_property
-    def tone_rate(self) -> Floats:
-        """Phase of each tone on comb 0 (tones,) in rad per m."""
-        return np.asarray(2.0 * np.pi * self.waveform.tones_hz / SPEED_OF_LIGHT_MPS, np.float64)
 
     def _perturbed(self, arriving: PathSet, vt_m: Floats, pose: Floats, snapshot: int) -> Floats:
         """Return distance, azimuth and elevation (n, 3) with the errors of roof, attitude and group delay.

@@ -39,7 +39,7 @@ from cellslam.sim.lte.statistical.place_draws_kernel import (
 )
 
 # Few points of clutter were measured: what is drawn lies about one of them, so that no two coincide.
-STRETCH, BLUR_M, BLUR_AZIMUTH_RAD, BLUR_ELEVATION_RAD = 0.3, 4.0, math.radians(4.0), math.radians(3.0)
+STRETCH, BLUR_AZIMUTH_RAD, BLUR_ELEVATION_RAD = 0.3, math.radians(4.0), math.radians(3.0)
 
 
 @part
@@ -96,7 +96,7 @@ def structured_clutter(path: int, paths: int, geo: Array, gamma: Array, model: M
         node = low + 1 if clutter.random() < part else low
         point = model.clutter_points[node, int(clutter.random() * model.clutter_points.shape[1])]
         stretch = 1.0 + STRETCH * (2.0 * clutter.random() - 1.0)
-        later = point[0] * stretch + BLUR_M * clutter.standard_normal()
+        later = point[0] * stretch + model.blur_m * clutter.standard_normal()
         azimuth = own[1] + point[1] * stretch + BLUR_AZIMUTH_RAD * clutter.standard_normal()
         elevation = own[2] + point[2] * stretch + BLUR_ELEVATION_RAD * clutter.standard_normal()
         level = 10.0 ** (0.1 * point[3]) * model.samples
@@ -132,7 +132,7 @@ def standing_clutter(
         node = low + 1 if uniform(key, 0) < part else low
         point = model.clutter_points[node, int(uniform(key, 1) * model.clutter_points.shape[1])]
         stretch = 1.0 + STRETCH * (2.0 * uniform(key, 2) - 1.0)
-        reach = toward[0] + point[0] * stretch + BLUR_M * normal(key, 3)
+        reach = toward[0] + point[0] * stretch + model.blur_m * normal(key, 3)
         azimuth = toward[1] + point[1] * stretch + BLUR_AZIMUTH_RAD * normal(key, 4)
         elevation = toward[2] + point[2] * stretch + BLUR_ELEVATION_RAD * normal(key, 5)
         flat = reach * math.cos(elevation)

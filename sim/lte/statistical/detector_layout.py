@@ -100,7 +100,8 @@ class Model(NamedTuple):
     stronger path's diffuse energy adds in the same direction and in all, per integrated SNR; `sidelobes`: share of it
     that spreads over `sidelobe_m` of delay. `company`: how many times as much clutter there is around a path among
     others as around a lone one. Clutter around a path over nodes (G,) of its integrated SNR: mean number (G,), points
-    (G, N, 4): later (m), beside and above (rad), SNR (dB). `standing`: what of clutter and misses stands still.
+    (G, N, 4): later (m), beside and above (rad), SNR (dB), blurred by `blur_m`. `standing`: what of clutter and misses
+    stands still.
     """
 
     eirp: float
@@ -136,4 +137,5 @@ class Model(NamedTuple):
     company: float
     clutter_mean: Array
     clutter_points: Array
+    blur_m: float
     standing: Standing

@@ -62,10 +62,10 @@ def detection_table(threshold: float, s: Statistics) -> Floats:
 def model_of(config: RadioConfig, s: Statistics) -> k.Model:
     """Return the kernel's constants for a radio configuration."""
     scales = bound_scales(config.waveform())
-    floor, white = floors(config), white_floors(config)
+    floor, white = floors(config, s), white_floors(config, s)
     clutter = s.clutter_at(config.specular_to_diffuse_db)
     return k.Model(
-        eirp=10.0 ** (config.eirp_dbm / 10.0), noise=10.0 ** (config.noise_dbm / 10.0), load=config.load,
+        eirp=10.0 ** (config.eirp_dbm / 10.0), noise=config.noise_mw(), load=config.load,
         evm_power=config.evm**2, snr_cap=10.0 ** (config.snr_cap_db / 10.0), samples=float(scales.samples),
         distance_scale=scales.distance_m, azimuth_scale=scales.azimuth_rad,
         elevation_scale=scales.elevation_rad, distance_floor=float(floor[0]), azimuth_floor=float(floor[1]),
@@ -81,6 +81,7 @@ def model_of(config: RadioConfig, s: Statistics) -> k.Model:
         sidelobe_m=s.sidelobe_m,
         company=s.company_at(config.specular_to_diffuse_db),
         clutter_mean=clutter.mean * config.clutter_scale, clutter_points=clutter.points,
+        blur_m=s.blur_m,
         standing=s.standing if config.persisting_clutter else k.NOTHING_STANDS,
     )  # fmt: skip
 
@@ -98,7 +99,7 @@ def detect(
     from cellslam.sim.lte.statistical.detection_kernel import measure_block
 
     sites, links = len(offsets_m), link_table(cells)
-    s = constants or statistics()
+    s = constants or statistics(config.statistics_band)
     world = streams.clutter.bit_generator.seed_seq.generate_state(1, np.uint64)[0]
     model = model_of(config, s)
     model = model._replace(standing=model.standing._replace(world=world))

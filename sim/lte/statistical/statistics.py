@@ -1,4 +1,5 @@
-"""Constants of the statistical front end, as the calibration study measured them (`cellslam bench calibrate`).
+"""Constants of the statistical front end, as the calibration study measured them (`cellslam bench calibrate`): a file a
+band, for what a receiver resolves is another thing in another bandwidth.
 
 Source: measured; how, docs/notes/front-end-calibration.md.
 """
@@ -16,7 +17,13 @@ import numpy as np
 from cellslam.sim.lte.statistical.detector_layout import Standing
 from cellslam.sim.recording import Floats
 
-FILE = Path(__file__).with_name("statistics.json")
+LTE = "lte"  # whose constants, measured at 20 MHz, serve all of its bandwidths
+BLUR_M, BLUR_BAND_HZ = 4.0, 18e6  # of clutter drawn in another place than it was measured, in this band
+
+
+def file_of(band: str = LTE) -> Path:
+    """Return where the constants of a band are, as `RadioConfig.statistics_band` names it."""
+    return Path(__file__).with_name("statistics.json" if band == LTE else f"statistics-{band}.json")
 
 
 @dataclass(frozen=True)
@@ -36,8 +43,8 @@ class Statistics:
     `trail`, `around`: disturbance behind a path at a specular-to-diffuse ratio of 0 dB, in its direction and in all;
     `sidelobes`: share of it that spreads over `sidelobe_m` of delay. `noise_cells`: noise peaks over x are Poisson
     with mean noise_cells exp(-x) (1 + x). `diffuse_floor` (3,) in m, rad, rad at 0 dB. By ratio in dB: `company`, how
-    many times as much clutter there is around a path among others as around a lone one; `clutter`. `standing`: what of
-    clutter and misses stands still.
+    many times as much clutter there is around a path among others as around a lone one; `clutter`, whose points are
+    blurred by `blur_m`. `standing`: what of clutter and misses stands still.
     """
 
     dof: float
@@ -52,6 +59,7 @@ class Statistics:
     diffuse_floor: tuple[float, float, float]
     company: tuple[tuple[float, float], ...]
     clutter: tuple[tuple[float, Clutter], ...]
+    blur_m: float
     standing: Standing
 
     def company_at(self, ratio_db: float) -> float:
@@ -71,10 +79,10 @@ class Statistics:
         return Clutter((1.0 - part) * one.mean + part * other.mean, np.ascontiguousarray(points))
 
 
-@lru_cache(maxsize=1)
-def statistics() -> Statistics:
-    """Return the constants shipped with the package."""
-    return parse(json.loads(FILE.read_text(encoding="utf-8")))
+@lru_cache(maxsize=8)
+def statistics(band: str = LTE) -> Statistics:
+    """Return the constants of a band that are shipped with the package."""
+    return parse(json.loads(file_of(band).read_text(encoding="utf-8")))
 
 
 def parse(data: dict[str, Any]) -> Statistics:
@@ -91,5 +99,6 @@ def parse(data: dict[str, Any]) -> Statistics:
         sidelobe_m=data["overlap"]["sidelobe_m"], noise_cells=data["noise_cells"],
         diffuse_floor=tuple(floor[n]["diffuse_at_0_db"] for n in ("distance_m", "azimuth_rad", "elevation_rad")),
         company=tuple(company),
-        clutter=tuple(sorted(clutter, key=lambda item: item[0])), standing=Standing(**data["standing"]),
+        clutter=tuple(sorted(clutter, key=lambda item: item[0])),
+        blur_m=BLUR_M * BLUR_BAND_HZ / data.get("bandwidth_hz", BLUR_BAND_HZ), standing=Standing(**data["standing"]),
     )  # fmt: skip

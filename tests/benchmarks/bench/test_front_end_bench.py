@@ -19,13 +19,17 @@ from cellslam.sim.lte.calibration.scenes import (
     config_of,
     draw_paths,
     measured_by_statistics,
+    radio_of,
     scenes_of,
 )
 from cellslam.sim.lte.calibration.study import rounded
+from cellslam.sim.lte.downlink.lte_waveform import LteWaveform
+from cellslam.sim.lte.radio_config import NR_BLOCKS
 from cellslam.sim.lte.single_path_bound import single_path_std
-from cellslam.sim.lte.statistical.statistics import FILE, statistics
+from cellslam.sim.lte.statistical.statistics import file_of, statistics
 
 THRESHOLD = 17.0
+LTE_COMMAND = "cellslam bench calibrate "
 
 
 def sample(gamma_db: np.ndarray, **parts: np.ndarray) -> Sample:
@@ -55,7 +59,7 @@ def test_floors_are_recovered_from_errors_above_the_bound() -> None:
         ratio: sample(gamma_db, error=rng.standard_normal((4000, 3)) * np.sqrt(
             bound**2 + calibration**2 + diffuse**2 * 10.0 ** (-ratio / 10.0)))
         for ratio in (0.0, 10.0, 20.0, 40.0)
-    })  # fmt: skip
+    }, LteWaveform())  # fmt: skip
     for c, name in enumerate(("distance_m", "azimuth_rad", "elevation_rad")):
         assert found[name]["calibration"] == pytest.approx(calibration[c], rel=0.1)
         assert found[name]["diffuse_at_0_db"] == pytest.approx(diffuse[c], rel=0.05)
@@ -78,10 +82,10 @@ def test_clutter_is_counted_per_node_without_the_share_of_noise() -> None:
 
 def test_clutter_in_company_is_recovered() -> None:
     rng, config = np.random.default_rng(6), config_of(6.0)
-    scenes = scenes_of(rng, 150, 6.0)
+    scenes = scenes_of(rng, 150, config)
     alone, double = (replace(statistics(), company=((0.0, c), (40.0, c))) for c in (1.0, 2.0))
     signal = measured_by_statistics(config, scenes, rng, double)
-    assert fit_company(6.0, scenes, signal, alone, rng) == pytest.approx(2.0, rel=0.25)
+    assert fit_company(config, scenes, signal, alone, rng) == pytest.approx(2.0, rel=0.25)
 
 
 @pytest.mark.parametrize("ratio_db", [6.0, 40.0])
@@ -91,7 +95,9 @@ def test_fitted_law_of_crowded_paths_is_the_kernels(ratio_db: float) -> None:
     scene = draw_paths(rng, np.array([10.0, -5.0, -12.0, -18.0, -22.0]), config)
     drawn = measured_by_statistics(config, [scene] * repeats, rng)
     law = Law(s.overlap_centre_db, s.overlap_width_db, *np.log10([s.trail, s.around, s.sidelobes]), s.sidelobe_m)
-    chance = chances(drawn, relations(drawn), ratio_db, (s.dof, s.gain), config.detection_threshold, law)
+    chance = chances(
+        drawn, relations(drawn, config.waveform()), ratio_db, (s.dof, s.gain), config.detection_threshold, law
+    )
     for path in range(5):
         for port in range(2):
             rows = slice(5 * port + path, None, 10)
@@ -101,9 +107,9 @@ def test_fitted_law_of_crowded_paths_is_the_kernels(ratio_db: float) -> None:
 
 
 def test_the_check_tells_a_difference_from_scatter() -> None:
-    rng = np.random.default_rng(5)
-    scenes = scenes_of(rng, 150, 6.0)
-    one, other = (measured_by_statistics(config_of(6.0), scenes, rng) for _ in range(2))
+    rng, config = np.random.default_rng(5), config_of(6.0)
+    scenes = scenes_of(rng, 150, config)
+    one, other = (measured_by_statistics(config, scenes, rng) for _ in range(2))
     alike = {f.name: f for f in compared([one], [other])}
     assert abs(alike["reported per link"].difference) < 0.08
     worse = measured_by_statistics(config_of(0.0), scenes, rng)
@@ -111,9 +117,14 @@ def test_the_check_tells_a_difference_from_scatter() -> None:
     assert Figure("x", 0.9, 0.94, 0.05, True, 1).inside and not Figure("x", 0.9, 1.1, 0.15, False, 1).inside
 
 
-def test_constants_say_how_to_make_them_again() -> None:
-    data = json.loads(FILE.read_text(encoding="utf-8"))
-    assert data["provenance"]["command"].startswith("cellslam bench calibrate --scenes ")
+@pytest.mark.parametrize("band", ["lte", *(f"nr-{blocks}" for blocks in NR_BLOCKS)])
+def test_constants_say_how_to_make_them_again(band: str) -> None:
+    data = json.loads(file_of(band).read_text(encoding="utf-8"))
+    technology, _, blocks = band.partition("-")
+    command = f"cellslam bench calibrate --technology nr --resource-blocks {blocks} " if blocks else LTE_COMMAND
+    assert data["provenance"]["command"].startswith(f"{command}--scenes ")
+    if blocks:
+        assert data["bandwidth_hz"] == radio_of(technology, int(blocks)).waveform().bandwidth_hz
     assert {"cellslam", "numpy", "scipy", "numba", "python"} <= set(data["provenance"]["versions"])
     assert len(data["provenance"]["code"]) == 16
     place = np.array(data["persistence"]["diffuse_over_place"])
@@ -147,6 +158,7 @@ def test_nr_is_studied_at_the_same_integrated_snr(capfd: pytest.CaptureFixture[s
         (("front-end", "--technology", "nr", "--study", "collision"), "ports of nr share no reference elements"),
         (("front-end", "--runs", "1"), "--runs 1"),
         (("calibrate", "--scenes", "10"), "--scenes 10"),
+        (("calibrate", "--technology", "nr", "--resource-blocks", "26"), "nr is calibrated at 48, 132, 272"),
         (("calibrate", "--ratio", "50", "--check"), "--ratio 50"),
         (("calibrate", "--out", "/nowhere/x.json"), "folder does not exist"),
         (("snapshot", "tiny", "--out", "x.pdf"), ".png"),

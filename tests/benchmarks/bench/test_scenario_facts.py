@@ -12,6 +12,8 @@ import pytest
 from cellslam.benchmarks.bench.preset_facts import mean_facts, write_facts
 from cellslam.benchmarks.bench.scenario_facts import longest_run, measure_facts
 from cellslam.scenarios.loading import load, preset_names
+from cellslam.sim.errors import InputError
+from cellslam.sim.world import prepare
 
 
 def test_longest_run_by_hand() -> None:
@@ -41,7 +43,7 @@ def test_facts_by_hand() -> None:
     assert facts.measurements_per_snapshot == pytest.approx(2.5)
 
 
-@pytest.mark.parametrize("name", ["lund-530", "tiny"])
+@pytest.mark.parametrize("name", ["lund-530", "lund-nr", "tiny"])
 def test_presets_state_what_is_measured(name: str) -> None:
     scenario = load(name)
     measured = mean_facts(scenario)
@@ -63,11 +65,25 @@ def test_lund_is_as_in_the_paper_and_rich_enough() -> None:
     assert [c.cell_id for s in scenario.sites for c in s.cells] == [375, 376, 377, 177, 178, 179]
 
 
-def test_noiseless_is_lund_with_another_receiver() -> None:
-    lund, noiseless = load("lund-530"), load("noiseless")
+@pytest.mark.parametrize(
+    ("name", "other"), [("lund-530", "noiseless"), ("lund-530", "lund-nr"), ("munich-530", "munich-nr")]
+)
+def test_drives_are_the_same_with_another_receiver(name: str, other: str) -> None:
+    one, another = load(name), load(other)
     for part in ("city", "sites", "vehicle", "odometry"):
-        assert getattr(lund, part) == getattr(noiseless, part)
-    assert lund.radio.clock_offset_std_m == noiseless.radio.clock_offset_std_m == 150.0
+        assert getattr(one, part) == getattr(another, part)
+    assert one.radio.clock_offset_std_m == another.radio.clock_offset_std_m == 150.0
+
+
+@pytest.mark.parametrize("name", ["lund-nr", "munich-nr"])
+def test_near_and_far_cells_of_nr_share_no_elements(name: str) -> None:
+    scenario = load(name)
+    ports = [(cell.cell_id, port) for site in scenario.sites for cell in site.cells for port in range(site.ports)]
+    assert sorted(scenario.radio.waveform().combs(ports)) == list(range(12))
+    assert scenario.radio.waveform().bandwidth_hz == 272 * 12 * 30e3
+    more = load(name, {"radio.prs_comb": 6, "radio.prs_symbols": 6})
+    with pytest.raises(InputError, match="12 ports share a comb of 6"):
+        prepare(more.world, 0, 0)
 
 
 def test_every_preset_states_its_facts_in_a_short_title() -> None:

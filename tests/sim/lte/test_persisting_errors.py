@@ -128,9 +128,9 @@ def test_a_wide_band_has_less_of_its_diffuse_energy_in_a_cell() -> None:
     def diffuse(**radio: float | str) -> Floats:
         return next(c for c in causes(RadioConfig(**radio)) if c.name == "diffuse").std
 
-    lte, nr = diffuse(), diffuse(technology="nr", front_end="signal", resource_blocks=272)
+    lte, nr = diffuse(), diffuse(technology="nr", front_end="signal", resource_blocks=136)
     np.testing.assert_array_equal(diffuse(resource_blocks=25), lte)
-    # Cells of 3.06 and 16.66 m, energy that decays over 35 m.
-    share = (1.0 - np.exp(-3.0616 / 35.0)) / (1.0 - np.exp(-16.655 / 35.0))
+    # Cells of 6.12 and 16.66 m, energy that decays over 35 m.
+    share = (1.0 - np.exp(-6.1232 / 35.0)) / (1.0 - np.exp(-16.655 / 35.0))
     np.testing.assert_allclose(nr[1:] / lte[1:], np.sqrt(share), rtol=1e-3)
-    np.testing.assert_allclose(nr[0] / lte[0], np.sqrt(share) * 3.0616 / 16.655, rtol=1e-3)
+    np.testing.assert_allclose(nr[0] / lte[0], np.sqrt(share) * 6.1232 / 16.655, rtol=1e-3)

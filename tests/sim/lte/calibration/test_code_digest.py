@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from cellslam.sim.lte.calibration.code_digest import CODE, RUNNING, SIM, code_digest, outdated
-from cellslam.sim.lte.statistical.statistics import FILE
+from cellslam.sim.lte.statistical.statistics import file_of
 
 KERNEL = "lte/signal/path_estimator/search_kernel.py"
 
@@ -70,10 +70,10 @@ def test_what_does_not_act_leaves_it(copy: Path, old: str, new: str) -> None:
 
 
 def test_constants_of_other_code_are_called_out_of_date(copy: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    data = json.loads(FILE.read_text("utf-8"))
+    data = json.loads(file_of().read_text("utf-8"))
     data["provenance"]["code"] = code_digest()
-    (copy / FILE.name).write_text(json.dumps(data), "utf-8")
-    monkeypatch.setattr("cellslam.sim.lte.calibration.code_digest.FILE", copy / FILE.name)
-    assert outdated() == ""
+    (copy / "nr-48.json").write_text(json.dumps(data), "utf-8")
+    monkeypatch.setattr("cellslam.sim.lte.calibration.code_digest.file_of", lambda band: copy / f"{band}.json")
+    assert outdated(band="nr-48") == ""
     edit(copy / KERNEL, "SIDELOBES = 0.01", "SIDELOBES = 0.02")
-    assert "measured with other code" in outdated(copy)
+    assert "nr-48.json was measured with other code" in outdated(copy, "nr-48")

@@ -14,11 +14,12 @@ from cellslam.sim.lte.calibration.recurrence import (
     recurrence,
     same_square,
 )
+from cellslam.sim.lte.calibration.scenes import config_of
 from cellslam.sim.lte.statistical import detector_layout as k
 
 
 def test_recurrence_of_one_scene_by_hand() -> None:
-    scene = draw_scene(np.random.default_rng(4), 6.0)
+    scene = draw_scene(np.random.default_rng(4), config_of(6.0))
     point, last = scene.poses[0, :3] + np.array([100.0, 40.0, 20.0]), len(SHIFTS_M)
     rows = []
 

@@ -13,10 +13,10 @@ from cellslam.sim.errors import InputError
 from cellslam.sim.lte import RadioConfig
 from cellslam.sim.lte.links import Cells, cells_of, links_of
 from cellslam.sim.lte.persisting_errors import draw_fields, floors
-from cellslam.sim.lte.statistical.clutter_kernel import BLUR_AZIMUTH_RAD, BLUR_M, STRETCH
+from cellslam.sim.lte.statistical.clutter_kernel import BLUR_AZIMUTH_RAD, STRETCH
 from cellslam.sim.lte.statistical.detector_layout import GAMMA_START_DB, GAMMA_STEP_DB, PathColumns, Streams
 from cellslam.sim.lte.statistical.statistical_front_end import Detections, detect, noise_clutter_mean
-from cellslam.sim.lte.statistical.statistics import statistics
+from cellslam.sim.lte.statistical.statistics import BLUR_M, statistics
 
 FALSE_ALARM = 1e-6
 WHITE = {k: 0.0 for k in RadioConfig.model_fields if "_correlation_" in k}

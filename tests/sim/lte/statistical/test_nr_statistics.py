@@ -1,0 +1,79 @@
+"""The statistical front end of NR: its own constants, noise, samples and resolution."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from scipy.stats import poisson
+
+from cellslam.sim.lte import RadioConfig
+from cellslam.sim.lte.calibration.scenes import radio_of
+from cellslam.sim.lte.links import cells_of
+from cellslam.sim.lte.persisting_errors import draw_fields, floors
+from cellslam.sim.lte.radio_config import NR_BLOCKS
+from cellslam.sim.lte.statistical.detector_layout import PathColumns, Streams
+from cellslam.sim.lte.statistical.statistical_front_end import Detections, detect, model_of, noise_clutter_mean
+from cellslam.sim.lte.statistical.statistics import statistics
+
+BANDS = [f"nr-{blocks}" for blocks in NR_BLOCKS]
+FALSE_ALARM = 1e-6
+
+
+def config_of(band: str, **keys: float) -> RadioConfig:
+    radio = radio_of("nr", int(band.removeprefix("nr-")))
+    return radio.model_copy(update={"front_end": "statistical", **keys})
+
+
+def run(config: RadioConfig, gain: float, count: int) -> Detections:
+    """One path of 200 m, of an amplitude, received in every of `count` snapshots by a cell of one port."""
+    cell = SimpleNamespace(cell_id=1, azimuth_deg=0.0, tilt_deg=0.0)
+    cells = cells_of([SimpleNamespace(cells=[cell], ports=1)])
+    paths = PathColumns(
+        np.arange(count + 1), np.tile([200.0, 0.0, 0.0], (count, 1)),
+        np.tile(gain * np.eye(2, dtype=np.complex128), (count, 1, 1)), np.zeros((count, 2)),
+    )  # fmt: skip
+    rng = np.random.default_rng(3)
+    fields, streams = draw_fields(config, 0.075, rng), Streams.spawn(rng)
+    return detect(config, cells, paths, np.zeros((count, 6)), np.zeros(1), fields, streams)
+
+
+@pytest.mark.parametrize("band", BANDS)
+def test_link_budget_counts_the_noise_of_a_wider_element(band: str) -> None:
+    # -120 dB of path, 30 dBm, 2.16 dB of array loss, -123 dBm of noise per 15 kHz: 3.01 dB more in 30 kHz.
+    d = run(config_of(band, clutter_scale=0.0), 1e-6, 1)
+    np.testing.assert_allclose(d.measurements.snr_db, 30.0 - 120.0 - 2.16 + 123.0 - 10.0 * np.log10(2.0), atol=1e-9)
+
+
+@pytest.mark.parametrize("band", BANDS)
+def test_errors_are_those_of_the_band(band: str) -> None:
+    config = config_of(band, clutter_scale=0.0, snr_cap_db=25.0, **{
+        key: 0.0 for key in RadioConfig.model_fields if "_correlation_" in key})  # fmt: skip
+    d = run(config, 10.0**-7.5, 4000)
+    error = d.measurements.distance_m - 200.0
+    own = statistics(band)
+    np.testing.assert_allclose(floors(config), 10.0 ** (-6.0 / 20.0) * np.array(own.diffuse_floor), atol=0.01)
+    assert np.std(error) == pytest.approx(d.true_std[0, 0], rel=0.1)
+    # Of diffuse energy that decays over 35 m so much disturbs a path as its resolution cell holds.
+    cell, lte = 299792458.0 / config.waveform().bandwidth_hz, 299792458.0 / 18e6
+    scaled = cell / lte * np.sqrt(np.expm1(-cell / 35.0) / np.expm1(-lte / 35.0)) * statistics().diffuse_floor[0]
+    assert own.diffuse_floor[0] == pytest.approx(scaled, rel=0.4)
+
+
+@pytest.mark.parametrize("band", BANDS)
+def test_clutter_is_counted_and_blurred_as_in_its_band(band: str) -> None:
+    config, own = config_of(band), statistics(band)
+    assert own.blur_m == pytest.approx(4.0 * 18e6 / config.waveform().bandwidth_hz)
+    assert model_of(config, own).blur_m == own.blur_m
+    count = 20_000
+    d = run(config, 1e-12, count)  # a path that nobody sees: noise alone
+    mean = noise_clutter_mean(config.detection_threshold, own) * count
+    low, high = poisson.ppf([FALSE_ALARM, 1.0 - FALSE_ALARM], mean)
+    assert low <= len(d.path) <= high
+
+
+def test_lte_keeps_its_constants_at_every_bandwidth() -> None:
+    for blocks in (6, 50, 100):
+        assert RadioConfig(resource_blocks=blocks).statistics_band == "lte"
+    assert statistics().blur_m == 4.0
