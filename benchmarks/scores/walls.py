@@ -98,7 +98,7 @@ def _facets(recording: Recording, truth: Truth) -> tuple[Floats, list[Floats]]:
 
 def hausdorff(a: Walls, b: Walls) -> Floats:
     """Return the Hausdorff distances (A, B) in m of segments: how far the farthest end of one is from the other."""
-    return np.maximum(_to_segments(a, b).max(axis=1), _to_segments(b, a).max(axis=1).T)
+    return np.asarray(np.maximum(_to_segments(a, b).max(axis=1), _to_segments(b, a).max(axis=1).T))
 
 
 def mapped_share(true: Walls, found: Walls) -> float | None:

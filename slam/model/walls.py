@@ -9,13 +9,15 @@ propagation paths", IEEE Trans. Signal Processing 71, 2023, section III: a wall 
 from __future__ import annotations
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from cellslam.sim.recording import Floats
 
 
-def normals(azimuth_rad: Floats) -> tuple[Floats, Floats]:
+def normals(azimuth_rad: ArrayLike) -> tuple[Floats, Floats]:
     """Return the unit vectors (..., 2) across walls of these azimuths (...,) in rad, and those along them."""
-    across = np.stack([np.cos(azimuth_rad), np.sin(azimuth_rad)], axis=-1)
+    azimuth = np.asarray(azimuth_rad, np.float64)
+    across = np.stack([np.cos(azimuth), np.sin(azimuth)], axis=-1)
     return across, quarter_turned(across)
 
 

@@ -51,9 +51,8 @@ class Facades:
             _plane(f, [image for image, k in zip(images, which, strict=True) if k == n]) for n in range(len(walls))
         ]
         mean, covariance, extent = (np.array([plane[c] for plane in planes]) for c in range(3))
-        return WallEstimate(
-            walls, *mean.reshape(-1, 2).T.copy(), covariance.reshape(-1, 2, 2), extent.reshape(-1, 2)
-        )  # fmt: skip
+        azimuth, distance = mean.reshape(-1, 2).T.copy()
+        return WallEstimate(walls, azimuth, distance, covariance.reshape(-1, 2, 2), extent.reshape(-1, 2))
 
     def _walls(self, images: list[Image]) -> Ints:
         return np.array([self._wall.get(image.ident, image.ident) for image in images], np.int64)

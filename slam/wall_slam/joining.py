@@ -136,6 +136,6 @@ def _next_to_each_other(a: Image, b: Image, gap: float) -> bool:
     """Return whether two images' walls look to the same side, and their visible parts are next to each other."""
     if abs(wrap_angle(a.azimuth - b.azimuth)) > TURNED:
         return False
-    along = normals(np.float64(a.azimuth))[1]
+    along = normals(a.azimuth)[1]
     one, other = a.points @ along, b.points @ along
     return bool(one.min() - other.max() <= gap and other.min() - one.max() <= gap)

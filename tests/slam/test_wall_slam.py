@@ -14,7 +14,7 @@ from cellslam.slam.api import odometry_of, setup_of, snapshots_of
 from cellslam.slam.ekf_slam.state.layout import EXISTS, HITS, IDENT, LINK, SHARE, UNSEEN
 from cellslam.slam.model.measurement_model import predict
 from cellslam.slam.wall_slam.facades import Facades
-from cellslam.slam.wall_slam.images import images_of
+from cellslam.slam.wall_slam.images import images_of, place_of
 from cellslam.slam.wall_slam.joining import Flatness, best_pair, impose, log_odds
 from cellslam.slam.wall_slam.wall_slam import WallSlam, WallSlamOptions
 
@@ -107,6 +107,15 @@ def test_what_is_one_wall(one_filter):
     assert log_odds(f, *pair(f), FLAT) > 5.0
     f.p[:] *= 50.0**2
     assert log_odds(f, *pair(f), FLAT) < 2.0  # so little is known that it could be any other wall
+
+
+def test_errors_that_two_images_have_in_common_do_not_set_them_apart(one_filter):
+    f, at = filter_of(one_filter, scene(), 0.5)
+    far = log_odds(f, *pair(f), FLAT)
+    # All sites and images may be shifted to the north, together.
+    shift = np.concatenate([np.linalg.pinv(place_of(f, np.array([j]))[1][0]) @ [0.0, 30.0] for j in range(8)])
+    f.p[at, at] += np.outer(shift, shift)
+    assert log_odds(f, *pair(f), FLAT) == pytest.approx(far, abs=1e-6)
 
 
 @pytest.mark.parametrize(("azimuth", "distance"), [(NORTH, WALL_M + 6.0), (NORTH + 0.15, WALL_M + 2.0)])
