@@ -14,14 +14,16 @@ ROOMS = ("sim", "slam", "scenarios", "benchmarks")
 CODE = re.compile(r"```.*?```|`[^`\n]+`", re.S)
 WORD = re.compile(r"[\w./*-]+")
 IMPORT = re.compile(r"from (cellslam[\w.]*) import ([\w, ]+)")
-DATA = re.compile(r"\.(csv|h5|json|png|sqlite|toml)$")
+DATA = re.compile(r"\.(csv|gpx|h5|html|json|png|sqlite|toml)$")
 # What is written as if it were in a module of that name: tables of scenarios and recordings, variables.
 KEYS = (
     "city", "env", "errors", "links", "odometry", "reference", "sites", "tables", "traffic", "trial",
     "vehicle", "world",
 )  # fmt: skip
 NOT_HERE = (
+    "agent.py",
     "coasting.py",
+    "ppo.py",
     "cellslam.estimators",
     "docs/notebooks/first_drive.ipynb",
 )  # the reader's; a group of entry points

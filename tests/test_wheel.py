@@ -6,6 +6,7 @@ import shutil
 import subprocess
 import sys
 import sysconfig
+import tarfile
 import venv
 import zipfile
 from pathlib import Path
@@ -83,3 +84,21 @@ def test_installed_wheel_runs_from_an_empty_directory(wheel: Path, tmp_path: Pat
     run(python, "-c", f"{check}; print(cellslam.__version__, cellslam.load('canyon'))", cwd=empty)
     assert "\n lund-530 " in run(command, "list", "scenarios", cwd=empty)
     assert not list(empty.iterdir())
+
+
+def test_source_distribution_holds_what_the_tests_need(tmp_path: Path) -> None:
+    left_out = {".git", ".venv", "build", "dist", "results"}
+
+    def ignored(at: str, names: list[str]) -> set[str]:
+        return {name for name in names if name == "__pycache__" or (Path(at) == ROOT and name in left_out)}
+
+    shutil.copytree(ROOT, tmp_path / "source", ignore=ignored)
+    build = "from setuptools import build_meta; build_meta.build_sdist('..')"
+    run(sys.executable, "-c", build, cwd=tmp_path / "source")
+    (built,) = tmp_path.glob("cellslam-*.tar.gz")
+    with tarfile.open(built) as archive:
+        held = {name.partition("/")[2] for name in archive.getnames()}
+    for folder in ("tests", "docs", "packaging"):
+        needed = {path.relative_to(ROOT).as_posix() for path in (ROOT / folder).rglob("*") if path.is_file()}
+        assert {name for name in needed - held if "__pycache__" not in name} == set()
+    assert {".zenodo.json", ".ci/run", "CITATION.cff", "CONTRIBUTING.md", "CHANGELOG.md"} <= held

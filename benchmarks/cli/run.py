@@ -142,7 +142,7 @@ def work_off(job: Job, trials: Iterator[Trial], progress: Progress) -> bool:
             world = _world_of(job)
             job.folder.draw(job.first, world.scene.city if world else None, progress)
             if world is not None and getattr(job.arguments, "rays", False):
-                from cellslam.benchmarks.figures.rays_of_drive import draw_rays
+                from cellslam.benchmarks.report.city_page import draw_rays
 
                 draw_rays(world, job.folder.path)
     except KeyboardInterrupt:

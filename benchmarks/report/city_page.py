@@ -3,17 +3,22 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from cellslam.benchmarks.figures.city_pictures import draw_plan, draw_view
 from cellslam.benchmarks.report.choice import rounded
 from cellslam.benchmarks.report.page import write_page
 from cellslam.benchmarks.report.scene import box_of, mesh_of, rays_of
 from cellslam.sim.city.city import GROUND, City, Floats
 from cellslam.sim.rays import Paths
 
+if TYPE_CHECKING:
+    from cellslam.sim.world import World
+
 MOST_RAYS = 6000
+SHOWN_SNAPSHOTS = 200
 MOST_RECEIVERS = 2000
 KINDS = ("lines of sight", "single reflections", "double reflections", "diffracted")
 NOWHERE = np.empty((0, 3))
@@ -49,6 +54,18 @@ def write_city(
         "cities": {"city": mesh_of(city, box)},
     }
     write_page(path, content)
+
+
+def draw_rays(world: World, folder: Path) -> list[Path]:
+    """Write rays.png, rays-view.png and rays.html of a drive, at 200 of its snapshots; return their paths."""
+    steps = np.arange(0, len(world.drive.poses), max(1, len(world.drive.poses) // SHOWN_SNAPSHOTS))
+    poses = world.drive.poses[steps]
+    paths, receivers = world.free_paths(poses, steps), np.ascontiguousarray(poses[:, :3])
+    written = [folder / name for name in ("rays.png", "rays-view.png", "rays.html")]
+    draw_plan(written[0], world.scene.city, paths, world.sites_m, receivers)
+    draw_view(written[1], world.scene, paths, world.sites_m, receivers)
+    write_city(written[2], world.scene.city, paths, world.sites_m, receivers)
+    return written
 
 
 def _box(city: City, transmitters: Floats, receivers: Floats) -> Floats:

@@ -2,7 +2,7 @@
 
 python docs/site/draw_gallery.py [NAME ...]      draw all, or those named (about fifteen minutes for all)
 
-Needs the extras `osm`, `report` and a Chromium (for the playback alone).
+Needs the extras `osm`, `report`, `cities`, and for playback and report Chromium with chromedriver.
 """
 
 from __future__ import annotations
@@ -18,8 +18,7 @@ from typing import NamedTuple
 
 HERE = Path(__file__).resolve().parent
 IMAGES = HERE.parent / "images"
-NOTEBOOKS = HERE.parent / "notebooks"
-CHROMIUM = "chromium --headless --no-sandbox --window-size=1200,820 --virtual-time-budget=8000"
+SCREENSHOT = "python docs/site/screenshot.py"
 
 
 class Picture(NamedTuple):
@@ -38,6 +37,13 @@ _SWEEP = (
     "--estimator ekf-slam --estimator paper-fastslam --estimator dead-reckoning",
     "cellslam figures clutter",
 )
+_CLUTTER = (
+    "cellslam sweep lund-530 --set vehicle.distance_m=120 --set vehicle.duration_s=120 --set vehicle.stops=1 "
+    "--set vehicle.snapshot_interval_s=0.3 --set estimator.fastslam.particles=300 "
+    "--sweep radio.clutter_scale=0.5,1,2,4 --trials 20 --out clutter-20 "
+    "--estimator fastslam --estimator ekf-slam --estimator dead-reckoning"
+)
+_MUNICH = ("cellslam run munich-530 --rays --estimator dead-reckoning --out munich",)
 GALLERY = {
     "city": Picture(
         "city/view.png",
@@ -97,7 +103,7 @@ GALLERY = {
         (
             "cellslam record lund-530 --out lund.h5",
             "cellslam export lund.h5 --estimator ekf-slam --format html --out playback.html",
-            f"{CHROMIUM} --screenshot=playback.png playback.html",
+            f"{SCREENSHOT} playback.html 'trial=0&t=260' playback.png",
         ),
     ),
     "comparison": Picture(
@@ -142,6 +148,21 @@ OTHERS = {
             "cellslam inspect drive.h5",
         ),
     ),
+    "rmse-clutter": Picture(
+        "clutter-20/figures/sweep.png", "", "", (_CLUTTER, "cellslam figures clutter-20 --statistic rmse")
+    ),
+    "report": Picture(
+        "report.png",
+        "",
+        "",
+        (
+            _CLUTTER,
+            "cellslam report clutter-20 --worst 1",
+            f"{SCREENSHOT} clutter-20/report.html 'section=1&trial=0&t=60' report.png",
+        ),
+    ),
+    "munich-rays": Picture("munich/rays-view.png", "", "", _MUNICH),
+    "munich-rays-plan": Picture("munich/rays.png", "", "", _MUNICH),
     "agent": Picture("agent.png", "", "", ("python agent.py",)),
 }
 
@@ -172,7 +193,7 @@ def main(names: list[str]) -> None:
         for name in names or pictures:
             for command in (c for c in pictures[name].commands if c not in done):
                 sys.stdout.write(f"{command}\n")
-                words = shlex.split(command.replace("docs/notebooks", str(NOTEBOOKS)))
+                words = shlex.split(command.replace("docs/", f"{HERE.parent}/"))
                 words = [sys.executable, "-m", *words] if words[0] == "cellslam" else words
                 words = [sys.executable, *words[1:]] if words[0] == "python" else words
                 subprocess.run(words, cwd=folder, check=True)

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from cellslam.benchmarks.cli.arguments import DONE, FORMAT_HELP, FORMATS, number
+from cellslam.benchmarks.scores.statistics import LEAST_VALUES
 from cellslam.benchmarks.sweeps.rows import results
 from cellslam.benchmarks.tables.formats import comparison_grid, render, summary_grid
 from cellslam.benchmarks.tables.summaries import Layout, comparison, row_keys, summary
@@ -53,6 +54,8 @@ def command(arguments: Namespace) -> int:
     grid = summary_grid(tidy, keys, layout.columns, oracles(named))
     if pooled := _pooled(folder, layout) if rows else []:
         grid = replace(grid, notes=(*grid.notes, f"pooled over all values of: {', '.join(pooled)}"))
+    if confidence is not None and tidy["values"].between(1, LEAST_VALUES - 1).any():
+        grid = replace(grid, notes=(*grid.notes, f"no interval where there are fewer than {LEAST_VALUES} trials"))
     sys.stdout.write(render(tidy, grid, arguments.format))
     return DONE
 

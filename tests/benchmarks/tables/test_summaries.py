@@ -177,6 +177,14 @@ def test_formats(folder: Path, capfd: pytest.CaptureFixture[str]) -> None:
     assert "| -5.10 | -5.10 to -5.10 |" in compared and "Wilcoxon" in compared
 
 
+def test_a_table_says_why_there_are_no_intervals(
+    folder: Path, scenarios: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    why = "no interval where there are fewer than 5 trials"
+    assert why in shown(capfd, scenarios, "--interval") and why not in shown(capfd, scenarios)
+    assert why not in shown(capfd, folder, "--interval")
+
+
 WRONG = {
     "folder": (("/none",), "no results of a run or sweep there"),
     "key": (("--rows", "radio.laod"), "unknown key 'radio.laod'; did you mean 'radio.load'"),
