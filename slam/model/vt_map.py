@@ -63,12 +63,12 @@ class VtMap(Described):
 
     @property
     def covariance_m2(self) -> Floats:
-        """The covariance (V, 3, 3) of each position."""
+        """The covariance (V, 3, 3) of each position, m^2."""
         return np.asarray(self.own_m2 + self.common_m @ np.swapaxes(self.common_m, 1, 2))
 
     @property
     def joint_covariance_m2(self) -> Floats:
-        """The covariance (3 V, 3 V) of all positions."""
+        """The covariance (3 V, 3 V) of all positions, m^2."""
         count = len(self)
         common = self.common_m.reshape(3 * count, -1)
         joint = common @ common.T

@@ -59,7 +59,7 @@ def _curves(axes: Axes, time_s: Floats, errors: Mapping[str, Floats], bound: Bou
 
 
 def broken(time_s: Floats, values: Floats) -> tuple[Floats, Floats]:
-    """Return times and values (N,) with NaN between those that a pause parts: nothing is drawn through it."""
+    """Return times (N,) in s and values (N,) with NaN between those that a pause parts: nothing is drawn through it."""
     step = np.diff(time_s)
     if not len(step):
         return time_s, values

@@ -62,7 +62,8 @@ def _first_stretch(motion: Motion, times: Floats, time_s: float) -> slice:
 
 
 def fitted_start(motion: Motion, times: Floats, fixes: Floats, std_m: Floats, time_s: float) -> Floats:
-    """Return x, y, yaw (3,) at `time_s` that lay odometry best onto fixes (N, 2) at times (N,) with deviations (N,).
+    """Return x, y in m and yaw in rad (3,) at `time_s` that lay odometry best onto fixes (N, 2) at times (N,) in s with
+    deviations (N,) in m.
 
     Found together with a bias and scale of the yaw rate and a scale of the speed by Gauss-Newton steps on the posterior
     in which the odometry's noise adds up and the errors of fixes fade over FIX_LASTS_S.
