@@ -17,18 +17,21 @@ from cellslam.sim.lte.single_path_bound import single_path_std
 from cellslam.slam import registry
 
 CAUSES = ("noise_unit_snr", "diffuse")
+# What a linear filter makes of distances is not better than this: told of less, its covariance falls below its errors.
+LEAST_DIFFUSE_M = 0.3
 
 
 def data_sheet(radio: RadioConfig) -> dict[str, float]:
     """Return the options that the waveform decides: deviations in m and deg by noise at 0 dB, and by diffuse energy."""
     noise = single_path_std(0.0, waveform=radio.waveform())
     diffuse = next(cause.std for cause in causes(radio) if cause.name == "diffuse")
-    out = {}
+    out: dict[str, float] = {}
     for cause, (distance, *angles) in zip(CAUSES, (noise, diffuse), strict=True):
         azimuth, elevation = np.degrees(angles)
         values = {f"{cause}_m": distance, f"{cause}_azimuth_deg": azimuth, f"{cause}_elevation_deg": elevation}
-        out.update({key: float(f"{value:.3g}") for key, value in values.items()})
-    return out
+        out.update(values)
+    out["diffuse_m"] = max(out["diffuse_m"], LEAST_DIFFUSE_M)
+    return {key: float(f"{value:.3g}") for key, value in out.items()}
 
 
 def stated(radio: RadioConfig, tables: dict[str, dict[str, Any]]) -> dict[str, dict[str, Any]]:

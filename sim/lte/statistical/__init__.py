@@ -6,6 +6,6 @@
   `statistical_front_end.detection_table` makes; what overlap leaves of a path, `detection_kernel._overlap`
 - received powers: `budget_kernel`; clutter: `clutter_kernel`
 - errors: `measurement_kernel.write_std` (bound and floors), `persisting_errors` (what is not white)
-- constants: `statistics.json` (LTE) and a file for each band of NR, read by `statistics`; measured by
+- constants: `statistics.json` (LTE) and a file for each band of NR, read by `statistics`, measured by
   `sim.lte.calibration`
 """
