@@ -9,8 +9,7 @@ from importlib.resources import files
 from pathlib import Path
 from typing import Any
 
-from cellslam.scenarios.data_sheet import stated
-from cellslam.scenarios.estimator_options import option_keys
+from cellslam.scenarios.estimator_options import option_keys, stated
 from cellslam.scenarios.overrides import apply
 from cellslam.scenarios.problems import validate
 from cellslam.scenarios.scenario import Scenario

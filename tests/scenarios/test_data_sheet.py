@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from cellslam.scenarios import load
-from cellslam.scenarios.data_sheet import LEAST_DIFFUSE_M, data_sheet, stated
+from cellslam.scenarios.estimator_options import LEAST_DIFFUSE_M, data_sheet, stated
 from cellslam.scenarios.loading import from_tables
 from cellslam.sim.lte import RadioConfig
 from cellslam.sim.lte.statistical.statistics import statistics

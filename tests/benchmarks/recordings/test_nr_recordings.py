@@ -11,7 +11,7 @@ from cellslam.benchmarks.cli.main import main
 from cellslam.scenarios.recording_origin import Origin
 from cellslam.sim.recording import Recording
 
-KEYS = {"technology": "nr", "carrier_hz": 3.5e9, "numerology": 1, "prs_comb": 6, "prs_symbols": 6}
+KEYS = {"technology": "nr", "carrier_hz": 3.5e9, "numerology": 1, "prs_comb": 12, "prs_symbols": 12}
 
 
 @pytest.mark.parametrize(("front_end", "blocks", "noise_m"), [("statistical", 272, 0.00185), ("signal", 48, 0.0249)])
@@ -20,7 +20,13 @@ def test_a_recording_keeps_the_resource(
 ) -> None:
     file, keys = tmp_path / "drive.h5", KEYS | {"resource_blocks": blocks}
     sets = [f"radio.{key}={value}" for key, value in keys.items()]
-    sets += [f"radio.front_end={front_end}", "vehicle.distance_m=2", "vehicle.duration_s=2", "vehicle.stops=0"]
+    sets += [
+        f"radio.front_end={front_end}",
+        "vehicle.distance_m=2",
+        "vehicle.duration_s=6",
+        "vehicle.snapshot_interval_s=0.6",
+        "vehicle.stops=0",
+    ]
     assert main(["record", "tiny", "--out", str(file), "--quiet", *(word for s in sets for word in ("--set", s))]) == 0
     origin = Origin.of(Recording.load(file))
     assert origin.scenario is not None
