@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from cellslam.benchmarks.figures.city_render import material_colour
 from cellslam.benchmarks.report.choice import rounded
@@ -48,7 +49,7 @@ def scene_of(world: World, steps: Ints) -> tuple[dict[str, Any], Mapping[str, An
     return scene, mesh_of(world.scene.city, box)
 
 
-def vehicles_of(traffic: Traffic | None, time_s: Floats) -> dict[str, Any] | None:
+def vehicles_of(traffic: Traffic | None, time_s: NDArray[np.floating[Any]]) -> dict[str, Any] | None:
     """Return sizes of other vehicles, and at each of `time_s` (n,) x, y, ground and yaw of each; None without any."""
     if traffic is None:
         return None

@@ -70,8 +70,9 @@ def _section(folder: Path, worst: Worst, cities: Cities) -> dict[str, Any]:
     kept = {label: _trajectory(folder, row) for label, row in rows.items()}
     found = {label: one for label, one in kept.items() if one is not None}
     world, note = _world(folder, str(rows[worst.label]["key"]), worst)
-    snapshots = len(next(iter(found.values())).time_s) if found else len(world.drive.time_s) if world else 0
-    steps = np.unique(np.linspace(0, max(snapshots - 1, 0), STEPS).round().astype(np.int64))
+    times: list[Any] = [one.time_s for one in found.values()] + ([] if world is None else [world.drive.time_s])
+    time_s = times[0] if times else np.empty(0)
+    steps = np.unique(np.linspace(0, max(len(time_s) - 1, 0), STEPS).round().astype(np.int64))
     scene: dict[str, Any] = {}
     if world is not None and _disagrees(world, found):
         note = "The world made again is not the one of the sweep (other versions?): city, truth and rays are left out."
@@ -90,7 +91,7 @@ def _section(folder: Path, worst: Worst, cities: Cities) -> dict[str, Any]:
         "note": note,
         "rows": [{"label": label, **_cells(row)} for label, row in rows.items()],
         "estimates": [{"label": label, **estimate_curves(one, steps)} for label, one in found.items()],
-        "time": rounded((next(iter(found.values())) if found else world.drive).time_s[steps], 2) if snapshots else [],
+        "time": rounded(time_s[steps], 2) if len(time_s) else [],
         "bound": _bound(found, steps),
         "scene": scene,
     }
