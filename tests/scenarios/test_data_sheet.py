@@ -12,7 +12,9 @@ from cellslam.sim.lte import RadioConfig
 from cellslam.sim.lte.statistical.statistics import statistics
 from cellslam.slam.front_end.front_end_options import FrontEndOptions
 
-TOLD = ("fastslam", "ekf-slam", "bp-slam", "phd-slam", "oracle-association", "oracle-fastslam", "oracle-map")
+TOLD = (
+    "fastslam", "ekf-slam", "wall-slam", "bp-slam", "phd-slam", "oracle-association", "oracle-fastslam", "oracle-map",
+)  # fmt: skip
 
 
 def test_the_sheet_of_lte_is_the_defaults() -> None:
