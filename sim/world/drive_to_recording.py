@@ -1,0 +1,177 @@
+"""A whole drive in a world as a recording, with the truth: what estimators are given, and what they are scored by."""
+
+from __future__ import annotations
+
+import platform
+from dataclasses import replace
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cellslam.sim.frames import SPEED_OF_LIGHT_MPS, held
+from cellslam.sim.lte.faults.clock_errors import walk_densities
+from cellslam.sim.progress import Progress, silent
+from cellslam.sim.randomness import Stream, stream
+from cellslam.sim.recording import Floats, Ints, Recording, Sites, Truth, Vehicles, VirtualTransmitters
+from cellslam.sim.world.world import Reception, WorldConfig, prepare
+
+if TYPE_CHECKING:
+    from cellslam.sim.lte.statistical.statistical_front_end import Detections
+    from cellslam.sim.rays import Paths
+    from cellslam.sim.traffic import Blocked
+    from cellslam.sim.vehicle import Odometry
+
+
+def simulate(
+    config: WorldConfig, seed: int, trial: int, progress: Progress = silent, place: int | None = None
+) -> Recording:
+    """Return the recording of trial `trial` of root seed `seed`, truth included. Same arguments, same
+    recording. `place` as of `prepare`.
+    """
+    from cellslam.sim.lte.faults.reports import as_reported, draw_reports
+    from cellslam.sim.vehicle import measure_odometry, with_faults
+
+    world = prepare(config, seed, trial, progress, place)
+    time_s = world.drive.time_s
+    odometry = measure_odometry(world.drive, config.odometry, stream(seed, trial, Stream.ODOMETRY))
+    odometry = with_faults(odometry, time_s, config.odometry, stream(seed, trial, Stream.SENSORS))
+    reports = draw_reports(config.radio, len(time_s), stream(seed, trial, Stream.REPORTS))
+    late_s = None if reports is None else reports.late_s
+    detections, paths, blocked = world.measure_drive(world.streams(), progress, held(odometry.velocity), late_s)
+    age_s = None
+    if reports is not None:
+        detections, age_s = as_reported(detections, reports), reports.age_s(time_s)
+    recording = recorded(world, odometry, detections, paths, blocked.free(len(paths)), age_s)
+    if world.traffic is None or recording.truth is None:
+        return recording
+    from cellslam.sim.traffic import reflecting_vehicle
+
+    _, path_vt = virtual_transmitters(paths)
+    vehicles = Vehicles(
+        **vars(world.traffic),
+        blocked=_blocked_intervals(blocked, path_vt, paths.receiver),
+        reflected=np.append(reflecting_vehicle(paths.facets), -1)[detections.path],
+    )
+    return replace(recording, truth=replace(recording.truth, vehicles=vehicles))
+
+
+def recorded(
+    world: Reception, odometry: Odometry, detections: Detections, paths: Paths, free: NDArray[np.bool_] | None = None,
+    age_s: Floats | None = None,
+) -> Recording:  # fmt: skip
+    """Return the recording of a drive, truth included. `free` (P,): which of the paths exist, None for all; `age_s`
+    (T,): how much older than its stamp a snapshot is, None: not at all."""
+    from cellslam.sim.lte.links import links_of
+    from cellslam.sim.lte.persisting_errors import persisting_std
+
+    config = world.config
+    vts, path_vt = virtual_transmitters(paths, free)
+    measurement_vt = np.where(detections.path >= 0, path_vt[detections.path] if len(path_vt) else -1, -1)
+    true_std = np.where(measurement_vt[:, None] >= 0, detections.true_std, np.nan)
+    truth = Truth(
+        poses=world.drive.poses,
+        measurement_vt=measurement_vt.astype(np.int64),
+        measurement_std=true_std,
+        vts=vts,
+        site_positions_m=world.sites_m,
+        clock_offsets_m=world.offsets_m,
+        clock_drift_m_s=world.drift_m_s if config.radio.clock_drift > 0.0 else None,
+        odometry_bias=odometry.bias,
+        odometry_scale=odometry.scale,
+        persisting_std=np.where(np.isnan(true_std), np.nan, persisting_std(config.radio)),
+        merging_shift=(
+            np.where(np.isnan(true_std), np.nan, detections.merging_shift)
+            if config.radio.front_end == "statistical"
+            else None
+        ),
+        clock_wander_m=None if world.clock_errors is None else world.clock_errors.wander_m,
+        clock_steps=None if world.clock_errors is None else world.clock_errors.steps,
+        odometry_slip=odometry.slip,
+        age_s=age_s,
+    )
+    return Recording(
+        time_s=world.drive.time_s,
+        odometry=odometry.velocity,
+        odometry_model=odometry.model,
+        links=links_of(world.cells),
+        sites=sites_of(config),
+        measurements=detections.measurements,
+        start_pose=world.start_pose,
+        start_std=np.array(config.vehicle.start_std, np.float64),
+        provenance=provenance(config, world.seed, world.trial),
+        truth=truth,
+    )
+
+
+def sites_of(config: WorldConfig) -> Sites:
+    """Return what is known of the sites beforehand."""
+    count = len(config.sites)
+    drift = np.full(count, SPEED_OF_LIGHT_MPS * config.radio.clock_drift) if config.radio.clock_drift > 0.0 else None
+    offset, radio = np.full(count, config.radio.clock_offset_std_m), config.radio
+    sites = Sites(tuple(site.name for site in config.sites), np.zeros(count), offset, drift)
+    if radio.clock_oscillator != "ideal":
+        walk, rate_walk = (np.full(count, density) for density in walk_densities(radio.clock_oscillator))
+        sites = replace(sites, clock_walk_m_sqrt_s=walk, clock_drift_walk_m_s_sqrt_s=rate_walk)
+    if radio.clock_steps_per_hour > 0.0 or radio.clock_step_times_s:
+        sites = replace(sites, clock_step_std_m=np.full(count, radio.clock_step_std_m))
+    return sites
+
+
+def provenance(config: WorldConfig, seed: int, trial: int) -> dict[str, Any]:
+    """Return what is needed to make a recording again: resolved world, root seed, trial, versions.
+    JSON-able.
+    """
+    return {"world": config.model_dump(mode="json"), "seed": seed, "trial": trial, "versions": versions()}
+
+
+def versions() -> dict[str, str]:
+    """Return the versions of what recordings and rows depend on."""
+    from importlib.metadata import version
+
+    packages = ("cellslam", "numpy", "numba", "scipy", "embreex", "highway-env")
+    return {name: version(name) for name in packages} | {"python": platform.python_version()}
+
+
+def virtual_transmitters(paths: Paths, free: NDArray[np.bool_] | None = None) -> tuple[VirtualTransmitters, Ints]:
+    """Return the VTs of a drive's paths, one per (site, facets), with their visible intervals, and the VT of
+    each path (P,), -1 if a vehicle reflects it. `free` (P,): which paths exist, None for all; a VT may have none of
+    these.
+    """
+    from cellslam.sim.traffic import reflecting_vehicle
+
+    still = np.flatnonzero(reflecting_vehicle(paths.facets) < 0)
+    key = np.column_stack([paths.transmitter, paths.facets, paths.edge])[still]
+    _, first, inverse = np.unique(key, axis=0, return_index=True, return_inverse=True)
+    path_vt = np.full(len(paths), -1, np.int64)
+    path_vt[still], first = inverse.reshape(-1), still[first]
+    exists = (path_vt >= 0) & (True if free is None else free)
+    vts = VirtualTransmitters(
+        position_m=paths.vt_position_m[first],
+        site=paths.transmitter[first].astype(np.int64),
+        order=paths.order[first].astype(np.int64),
+        facets=paths.facets[first].astype(np.int64),
+        visible=visible_intervals(path_vt[exists], paths.receiver[exists]),
+    )
+    return vts, path_vt
+
+
+def visible_intervals(vt: Ints, snapshot: Ints) -> Ints:
+    """Return (I, 3): VT, first and last snapshot of each run of consecutive snapshots in which the VT has a
+    path.
+    """
+    order = np.lexsort((snapshot, vt))
+    v, t = vt[order], snapshot[order]
+    new = np.ones(len(v), bool)
+    new[1:] = (np.diff(v) != 0) | (np.diff(t) > 1)
+    last = np.append(np.flatnonzero(new)[1:] - 1, len(v) - 1) if len(v) else np.empty(0, np.int64)
+    return np.stack([v[new], t[new], t[last]], axis=1).astype(np.int64).reshape(-1, 3)
+
+
+def _blocked_intervals(blocked: Blocked, path_vt: Ints, snapshot: Ints) -> Ints:
+    """Return (B, 4): VT, vehicle, first and last snapshot of each time that a vehicle blocks a VT's path."""
+    own = path_vt[blocked.path] >= 0
+    path, vehicle = blocked.path[own], blocked.vehicle[own]
+    pair, which = np.unique(np.stack([path_vt[path], vehicle], axis=1), axis=0, return_inverse=True)
+    runs = visible_intervals(which.reshape(-1), snapshot[path])
+    return np.concatenate([pair[runs[:, 0]], runs[:, 1:]], axis=1).reshape(-1, 4)
