@@ -109,7 +109,26 @@ def command(arguments: Namespace) -> int:
         job.open_store = partial(_open_store, job, scenario, stack)
         trials = simulated_trials(scenario, requests, arguments.trials, arguments.seed, guests, progress)
         interrupted = work_off(job, trials, progress)
-    return report(job, interrupted)
+    status = report(job, interrupted)
+    if not interrupted:
+        job.note(worth_trying(job))
+    return status
+
+
+def worth_trying(job: Job) -> str:
+    """Return the commands that one may want to give next, each with what it does."""
+    again, folder = shlex.join(["cellslam", *job.arguments.words]), shlex.quote(str(job.folder.path))
+    commands = {f"cellslam report {folder}": "one page of it, with a playback"} if job.keep is not None else {}
+    if job.trials == 1:
+        commands[f"{again} --trials 10"] = "ten drives: one says little"
+    else:
+        commands[f"cellslam consistency {folder}"] = "do estimators know how wrong they are?"
+    if not job.arguments.estimators:
+        commands[f"{again} --estimator all"] = "the other estimators, on the same drives"
+    else:
+        commands[f"cellslam show {shlex.quote(job.arguments.scenario)}"] = "what --set can change"
+    width = max(map(len, commands))
+    return "\n".join(["worth trying next:", *(f"  {line:{width}}  {what}" for line, what in commands.items())])
 
 
 def _open_store(job: Job, scenario: Scenario, stack: ExitStack) -> Callable[[Trial], None] | None:
@@ -161,8 +180,7 @@ def report(job: Job, interrupted: bool) -> int:
         _print_table(job)
     if interrupted:
         return _interrupted(job)
-    more = f"; one page of them: cellslam report {job.folder.path}" if job.keep is not None else ""
-    job.note(f"results are in {job.folder.path}{more}")
+    job.note(f"results are in {job.folder.path}")
     return FAILED if job.unsaved or any(row["status"] == "failed" for row in job.rows) else DONE
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import os
 import re
+import shlex
 import signal
 import subprocess
 import sys
@@ -20,7 +21,7 @@ import numpy as np
 import pytest
 
 from cellslam.benchmarks import run as run_trials
-from cellslam.benchmarks.cli.main import main
+from cellslam.benchmarks.cli.main import build_parser, main
 from cellslam.benchmarks.scores.trial_result import COST_KEYS, ROW_KEYS
 from cellslam.scenarios import load
 
@@ -112,6 +113,11 @@ def test_run_prints_a_table_and_writes_the_results(cellslam: Any, tmp_path: Path
     for word in ("fastslam", "dead-reckoning", "bound", "RMSE", "tiny, seed 0"):
         assert word in done.out
     assert "results/tiny-0" in done.err
+    next_ones = [line.split("  ")[1] for line in done.err.split("worth trying next:\n")[1].splitlines()]
+    assert [line.split()[1] for line in next_ones] == ["report", "run", "run"]
+    for line in next_ones:
+        words = shlex.split(line)[1:]
+        assert build_parser(words).parse_args(words).command
     folder = tmp_path / "results" / "tiny-0"
     summary = json.loads((folder / "summary.json").read_text())
     assert [row["estimator"] for row in summary["rows"]] == ["fastslam", "dead-reckoning"]
