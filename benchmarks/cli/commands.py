@@ -70,7 +70,9 @@ SECTIONS = {
     },
     "recordings and measured data": {
         "record": Command(
-            "recordings.record", "simulate a scenario and keep it as a recording", ("record tiny --out tiny.h5",)
+            "recordings.record",
+            "simulate a scenario and keep it as a recording",
+            ("record tiny --out tiny.h5", "record tiny --trials 20 --out drives"),
         ),
         "replay": Command(
             "recordings.replay",

@@ -24,6 +24,7 @@ from cellslam.benchmarks import run as run_trials
 from cellslam.benchmarks.cli.main import build_parser, main
 from cellslam.benchmarks.scores.trial_result import COST_KEYS, ROW_KEYS
 from cellslam.scenarios import load
+from cellslam.sim.recording import Recording
 
 COMMAND = Path(sys.executable).parent / "cellslam"
 FEW = ("--set", "estimator.fastslam.particles=20")
@@ -183,6 +184,19 @@ def test_second_trial_can_be_recorded(cellslam: Any) -> None:
     cellslam("record", "tiny", "--trial", "1", "--out", "b.h5")
     replay = cellslam("replay", "b.h5", "--estimator", "dead-reckoning", "--json", "--no-figures")
     assert steady(replay.rows) == steady(both[1:])
+
+
+def test_a_data_set_of_many_drives_goes_on_where_it_ended(cellslam: Any, tmp_path: Path) -> None:
+    assert cellslam("record", "tiny", "--trials", "1", "--out", "drives").status == 0
+    first = (tmp_path / "drives" / "tiny-0-0000.h5").stat().st_mtime_ns
+    more = cellslam("record", "tiny", "--trials", "2", "--out", "drives")
+    assert more.status == 0 and "tiny-0-0001.h5" in more.err and "0000" not in more.err
+    assert (tmp_path / "drives" / "tiny-0-0000.h5").stat().st_mtime_ns == first
+    other = cellslam("record", "tiny", "--trials", "1", "--out", "drives", "--set", "radio.load=0.1")
+    assert other.status == 2 and "tiny-0-0000.h5: is of another scenario" in other.err
+    cellslam("record", "tiny", "--trial", "1", "--out", "one.h5")
+    one, many = (Recording.load(tmp_path / name) for name in ("one.h5", "drives/tiny-0-0001.h5"))
+    np.testing.assert_array_equal(one.measurements.distance_m, many.measurements.distance_m)
 
 
 def test_recorded_scenario_brings_its_options(cellslam: Any) -> None:
