@@ -112,7 +112,7 @@ def sizes_of(bank: Bank, errors: ArrayErrors, noise: Floats) -> Sizes:
     def squares(of: Ints) -> Floats:
         return np.array([f.x[i] ** 2 + f.p[i, i] if i >= 0 else np.nan for i in of])
 
-    return Sizes(*f.sizes, squares(core.bias), squares(core.scale))
+    return Sizes(f.sizes[0], f.sizes[1], f.sizes[2], squares(core.bias), squares(core.scale))
 
 
 class Sheets(NamedTuple):
