@@ -87,8 +87,8 @@ def leaderboard_markdown(some: SuiteRows, made_with: dict[str, str], command: st
     scenarios = ", ".join(f"`{name}`" for name in one.scenarios)
     about = (
         f"How estimators compare on `{one.name}`: {one.trials} drives of each of {scenarios} (root seed {one.seed}"
-        f"{_fewer(some)}), by the mean rank; for each scenario the median RMSE in metres; times are of the "
-        f"machine that made the entry. {RULES}"
+        f"{_fewer(some)}), by the mean rank. Of each scenario the table has the median RMSE in metres. Times are of "
+        f"the machine that made the entry. {RULES}"
     )
     return "\n".join([
         f"# Leaderboard: {one.name}\n",
