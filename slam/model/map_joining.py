@@ -133,7 +133,8 @@ def _errors(a: VtMap, b: VtMap, pairs: Pairs) -> tuple[Floats, Floats, float]:
     found = np.tensordot(weighted, off, ((0, 1), (0, 1)))
     mean = np.linalg.solve(information, found)
     distance2 = float(np.einsum("ni,nij,nj->", off, inverse, off) - found @ mean)
-    return -mean, np.linalg.inv(np.linalg.cholesky(information)).T, distance2
+    root = np.asarray(np.linalg.inv(np.linalg.cholesky(information)).T, np.float64)
+    return np.asarray(-mean, np.float64), root, distance2
 
 
 def _check_fit(a: VtMap, b: VtMap, pairs: Pairs) -> None:
