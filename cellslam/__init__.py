@@ -30,6 +30,7 @@ if TYPE_CHECKING:
     from cellslam.sim.recording import Recording
     from cellslam.slam.api import Estimate, Estimator, Setup, Snapshot, VtEstimate, WallEstimate
     from cellslam.slam.model.calibration import Calibration
+    from cellslam.slam.model.map_joining import join_maps
     from cellslam.slam.model.vt_map import VtMap
     from cellslam.slam.registry import names as estimator_names
 
@@ -50,6 +51,7 @@ _HOMES = {
     "WallEstimate": "slam.api",
     "comparison": "benchmarks.tables.summaries",
     "estimator_names": "slam.registry:names",
+    "join_maps": "slam.model.map_joining",
     "load": "scenarios.loading",
     "preset_names": "scenarios.loading",
     "replay": "benchmarks.python_api",
@@ -77,6 +79,7 @@ __all__ = [
     "__version__",
     "comparison",
     "estimator_names",
+    "join_maps",
     "load",
     "preset_names",
     "replay",

@@ -119,6 +119,16 @@ SECTIONS = {
     },
 }
 GROUPS = {
+    "map": (
+        "maps that drives leave",
+        {
+            "join": Command(
+                "between_drives.join_maps",
+                "the maps that several cars left, as one",
+                ("map join first.h5 second.h5 --out both.h5",),
+            ),
+        },
+    ),
     "city": (
         "look at cities, generate them, trace paths in them",
         {

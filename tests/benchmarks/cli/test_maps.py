@@ -3,15 +3,18 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
 
 from cellslam.benchmarks.cli import main as cli
 from cellslam.benchmarks.sweeps.rows import results
+from cellslam.benchmarks.trials import earlier_drives
 from cellslam.benchmarks.trials.earlier_drives import APART, Before
 from cellslam.scenarios.estimator_options import resolve
 from cellslam.scenarios.loading import load
+from cellslam.slam.model import map_joining
 from cellslam.slam.model.vt_map import VtMap
 
 KNOWN_CLOCKS = ("--set", "radio.clock_offset_std_m=0")
@@ -63,6 +66,47 @@ def test_a_sequence_begins_with_its_earlier_drives(tmp_path: Path, capsys: pytes
     one, two = (Before(scenario.map.model_copy(update={"drives": n}), scenario, 72, 0).known(request) for n in (2, 3))
     assert one is not None and two is not None and two.hits.sum() > one.hits.sum()
     assert APART > 10_000
+
+
+def test_cars_leave_one_map_together(monkeypatch: pytest.MonkeyPatch) -> None:
+    scenario = load("tiny", {"radio.clock_offset_std_m": 0})
+    (request,) = resolve(scenario.estimator, ["ekf-slam"])
+
+    def before(cars: int, drives: int = 2) -> VtMap | None:
+        config = scenario.map.model_copy(update={"drives": drives, "cars": cars})
+        return Before(config, scenario, 72, 0).known(request)
+
+    one, two, later = before(1), before(2), before(2, 3)
+    assert one is not None and two is not None and later is not None
+    assert len(two.provenance["joined"]) == 2 and "joined" not in one.provenance
+    assert later.hits.sum() > two.hits.sum()
+    # A map that does not fit is left out.
+    earlier_drives._left.cache_clear()
+    monkeypatch.setattr(map_joining, "MOST_APART", 0.0)
+    alone = before(2)
+    assert alone is not None and alone.position_m.tolist() == one.position_m.tolist()
+
+
+def test_maps_are_joined(first: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    second, both = tmp_path / "second.h5", tmp_path / "both.h5"
+    given = ("run", "tiny", *KNOWN_CLOCKS, *EKF, "--seed", "73", "--out", str(tmp_path / "out"))
+    assert cli.main(["--quiet", *given, "--save-map", str(second)]) == 0
+    capsys.readouterr()
+    assert cli.main(["map", "join", str(first), str(second), "--out", str(both)]) == 0
+    said, maps = capsys.readouterr().out, [VtMap.load(file) for file in (first, second, both)]
+    assert f"{len(maps[1])} VTs" in said and f"{both}: {len(maps[2])} VTs" in said
+    assert max(map(len, maps[:2])) <= len(maps[2]) < len(maps[0]) + len(maps[1])
+    assert [of["recording"]["seed"] for of in maps[2].provenance["joined"]] == [72, 73]
+    elsewhere = tmp_path / "elsewhere.h5"
+    replace(maps[0], position_m=maps[0].position_m + 40.0).save(elsewhere)
+    for files, why in (
+        ((first, elsewhere), f"{elsewhere}: the maps do not fit each other"),
+        ((first,), "give two or more files"),
+        ((first, tmp_path / "none.h5"), "no such file"),
+    ):
+        assert cli.main(["map", "join", *map(str, files), "--out", str(both)]) == 2
+        error = capsys.readouterr().err
+        assert why in error and error.count("\n") == 1
 
 
 def test_requests_that_cannot_be_met_say_why(first: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
