@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from cellslam.benchmarks.figures.style import WIDTH_IN, estimator_styles
-from cellslam.benchmarks.figures.sweep.sweep_data import SweepData, sweep_lines
+from cellslam.benchmarks.figures.style import GREY, WIDTH_IN, estimator_styles
+from cellslam.benchmarks.figures.sweep.sweep_data import Series, SweepData, sweep_lines
 from cellslam.benchmarks.figures.sweep.sweep_look import Look, summed_label
 from cellslam.benchmarks.scores.statistics import interval, statistic
 from cellslam.sim.recording import Floats
@@ -22,6 +22,7 @@ MARKERS = {"-": "o", "--": "o", "-.": "s", ":": "D"}  # in place of dashes
 # From this ratio on x is logarithmic; intervals of different lines stand beside each other, by this share of the axis.
 LOG_FROM = 10.0
 DODGE = 0.008
+BOUND_OF = {"position_rmse_m": "bound_position_rmse_m"}  # metrics that have a bound, and its row key
 
 
 def draw_curve(figure: Figure, data: SweepData, look: Look, x: str) -> bool:
@@ -48,6 +49,8 @@ def draw_curve(figure: Figure, data: SweepData, look: Look, x: str) -> bool:
     for index, (name, points) in enumerate(lines.items()):
         aside = DODGE * (index - (len(lines) - 1) / 2)
         _line(axes, [(_beside(at, every, aside, logarithmic), values) for at, values in points], look, styles[name])
+    if look.metric in BOUND_OF:
+        _bound(axes, bound_points(found, BOUND_OF[look.metric]), names, look)
     if logarithmic:
         axes.set_xscale("log")
     if names:
@@ -67,6 +70,27 @@ def draw_curve(figure: Figure, data: SweepData, look: Look, x: str) -> bool:
         axes.set_ylim(bottom=0)
     figure.legend(loc="outside lower center", ncols=2)
     return True
+
+
+def bound_points(
+    lines: Mapping[str, Sequence[tuple[float | str | None, Series]]], key: str
+) -> dict[float | str, Floats]:
+    """Return the drives' bounds (n,) by place along x: row key `key`, in its units, of all lines of `sweep_lines`."""
+    found: dict[float | str, list[Floats]] = {}
+    for at, one in (point for points in lines.values() for point in points):
+        if at is not None and len(values := one.values(key)):
+            found.setdefault(at, []).append(values)
+    return {at: np.concatenate(values) for at, values in found.items()}
+
+
+def _bound(axes: Axes, points: Mapping[float | str, Floats], names: Sequence[str], look: Look) -> None:
+    """Draw the bound, summed up as the metric is: a line where x is a number, else a dash at each place."""
+    places = sorted((float(names.index(at)) if isinstance(at, str) else at, at) for at in points)
+    if not places:
+        return
+    middle = [float(statistic(look.statistic).of(points[at])) for _, at in places]
+    style: dict[str, Any] = {"marker": "_", "markersize": 22, "linestyle": "none"} if names else {}
+    axes.plot([x for x, _ in places], middle, color=GREY, label="Cramér-Rao bound", zorder=1, **style)
 
 
 def _line(axes: Axes, points: Sequence[tuple[float | None, Floats]], look: Look, style: Mapping[str, Any]) -> None:

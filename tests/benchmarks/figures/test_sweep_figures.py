@@ -9,8 +9,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from matplotlib.figure import Figure
 
 from cellslam.benchmarks.cli.main import main
+from cellslam.benchmarks.figures.sweep.sweep_curve import draw_curve
 from cellslam.benchmarks.figures.sweep.sweep_data import load, sweep_lines
 from cellslam.benchmarks.figures.sweep.sweep_figures import draw_sweep
 from cellslam.benchmarks.figures.sweep.sweep_look import Look
@@ -46,6 +48,7 @@ def folder(tmp_path: Path, toy_recording: Callable[..., Recording]) -> Path:
                 row = {**dict.fromkeys(ROW_KEYS), "scenario": "tiny", "estimator": job.estimator, "status": "ok"}
                 row |= {"trial": task.trial, "seed": 0, "position_rmse_m": drawn.gamma(4.0), "map_gospa_m": 3.0}
                 row["estimate_seconds"] = drawn.gamma(2.0)
+                row["bound_position_rmse_m"] = task.trial + json.loads(task.world)["radio"]["load"]
                 if task.trial == 2:
                     row |= {"status": "failed", "position_rmse_m": None, "map_gospa_m": None}
                 kept = packed if task.trial != 2 else None
@@ -70,6 +73,15 @@ def test_data_are_panels_of_worlds_with_series(folder: Path) -> None:
     curve = data.over_time(one, "offset_error_m")
     assert curve is not None and curve[1].shape == (5, 40, 2) and curve[0][-1] == pytest.approx(3.9)
     assert data.over_time(one, "bound_std_m") is None
+
+
+@pytest.mark.parametrize(("metric", "bounds"), [("position_rmse_m", [[3.01, 4.0]]), ("map_gospa_m", [])])
+def test_the_bound_of_the_drives_is_in_the_curve(folder: Path, metric: str, bounds: list[list[float]]) -> None:
+    figure = Figure()
+    assert draw_curve(figure, load(folder), Look(metric=metric), "radio.load")
+    drawn = [line for line in figure.axes[0].get_lines() if line.get_label() == "Cramér-Rao bound"]
+    assert [list(line.get_ydata()) for line in drawn] == [pytest.approx(values) for values in bounds]
+    assert all(list(line.get_xdata()) == [0.01, 1.0] for line in drawn)
 
 
 @pytest.mark.parametrize("other", [2.0, "a text"])
