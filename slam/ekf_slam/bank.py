@@ -78,7 +78,8 @@ def core_of(setup: Setup, errors: ArrayErrors) -> Core:
     drifts, after = (setup.sites.drift_std_m_s > 0.0) | (wander[1] > 0.0), first + len(setup.sites)
     rate = np.where(drifts, after + np.cumsum(drifts) - 1, -1).astype(np.int64)
     end = after + int(drifts.sum())
-    return Core(sway, bias, scale, noise, first, rate, wander, setup.sites.step_std_m, end, end + common)
+    step_m = np.array(setup.sites.step_std_m)  # one that can be written: for others the kernels would be compiled anew
+    return Core(sway, bias, scale, noise, first, rate, wander, step_m, end, end + common)
 
 
 Tables = TypeVar("Tables", Filter, Block)

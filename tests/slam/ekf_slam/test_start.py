@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 import pytest
+from numba import typeof
 
+from cellslam.sim.recording.tables import CLOCK_PRIOR
 from cellslam.slam.api import setup_of, snapshots_of
 from cellslam.slam.conformance.subject import tiny_drive
 from cellslam.slam.ekf_slam.bank import Bank, core_of, new_bank
@@ -108,3 +111,13 @@ def test_a_bank_that_knows_its_place_well_has_the_word(bank: Bank) -> None:
     mean, cov = start.pose()
     np.testing.assert_allclose(mean, [1.0, 0.0, 0.0, 0.0, 0.0, 0.0], atol=1e-5)
     np.testing.assert_allclose(np.diag(cov)[:2], [2.0 / 3.0 + 2.0, 2.0 / 3.0], rtol=1e-5)
+
+
+@pytest.mark.parametrize("column", CLOCK_PRIOR[2:])
+def test_kernels_take_clocks_that_are_told_more_as_they_take_others(column: str) -> None:
+    """A recording's columns cannot be written; with one of them in the layout both kernels were compiled again."""
+    setup = setup_of(tiny_drive())
+    told = np.full(len(setup.sites), 0.1)
+    told.flags.writeable = False
+    more = replace(setup, sites=replace(setup.sites, **{column: told}))
+    assert typeof(core_of(more, NO_ERRORS)) == typeof(core_of(setup, NO_ERRORS))
