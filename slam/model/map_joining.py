@@ -55,7 +55,12 @@ class Pairs(NamedTuple):
 
 
 def join_maps(maps: Sequence[VtMap]) -> VtMap:
-    """Return the maps of several drives through one place as one. Raises InputError where they do not fit."""
+    """Return the maps of several drives through one place as one.
+
+    Raises InputError where there is no map, or where they do not fit.
+    """
+    if not maps:
+        raise InputError("no maps to join: give one or more")
     first, *others = maps
     for other in others:
         first = join(first, other).map

@@ -156,6 +156,11 @@ def test_an_empty_map_may_be_joined() -> None:
     assert len(found.map) == 3 and found.weight == pytest.approx(1.0 - LEAST_WEIGHT, abs=1e-3)
 
 
+def test_no_maps_are_refused() -> None:
+    with pytest.raises(InputError, match="no maps to join"):
+        join_maps([])
+
+
 def test_exact_vts_may_be_joined() -> None:
     a = map_at([[100.0, 0.0, 5.0]], np.zeros((1, 3, 3)))
     np.testing.assert_allclose(join(a, a).map.covariance_m2, [MM * np.eye(3)], atol=MM)
