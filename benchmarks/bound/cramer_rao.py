@@ -14,6 +14,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from threadpoolctl import threadpool_limits
 
 from cellslam.benchmarks.bound.bound_model import Core, Errors, Found, Looks, Motion, Sightings, room
 from cellslam.benchmarks.bound.drawn_errors import jumps, residuals
@@ -76,7 +77,8 @@ def bound(recording: Recording, progress: Progress = silent, calibrated: bool = 
     truth, snapshots, sites = recording.truth, len(recording.time_s), len(recording.sites)
     core = core_of(recording.odometry_model, recording.sites)
     motion = motion_of(recording, truth, core)
-    looks, sightings, errors = tracked_measurements(recording, truth, core, calibrated)
+    with threadpool_limits(1):  # the matrices are small: threads of BLAS would wait for one another more than they work
+        looks, sightings, errors = tracked_measurements(recording, truth, core, calibrated)
     drifted = drifted_std(recording)
     drift = rates_among(errors, drifted)
     work = room(core.size, most_states(looks, sightings, errors, snapshots), looks, sightings, errors)
