@@ -31,6 +31,8 @@ def draw_traffic(
     config: TrafficConfig, city: City, route: Route, driven: Drive, vehicle: VehicleConfig, rng: np.random.Generator
 ) -> Traffic | None:
     """Return the vehicles beside a drive along a route; None where there are none."""
+    if config.vehicles_per_km == 0:
+        return None  # without compiling anything for them
     from cellslam.sim.traffic.driving_kernel import progress
 
     ahead, oncoming = lanes_that_fit(config, city, route)

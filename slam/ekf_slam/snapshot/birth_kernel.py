@@ -46,6 +46,7 @@ from cellslam.slam.ekf_slam.state.layout import (
     one_of,
 )
 from cellslam.slam.ekf_slam.state.states_kernel import enter, leave, owner_of
+from cellslam.slam.model.copy_kernel import put
 from cellslam.slam.model.matrices_kernel import (
     Sym3,
     Vec3,
@@ -172,18 +173,18 @@ def remove(f: Filter, b: Block, j: int) -> None:
             leave(f, f.vt_state[j, c])
     last = f.count[0] - 1
     if j != last:
-        f.anchor[j] = f.anchor[last]
-        f.slots[j] = f.slots[last]
+        put(f.anchor[j], f.anchor[last])
+        put(f.slots[j], f.slots[last])
         for c in range(f.vt_state.shape[1]):
             place = f.vt_state[last, c]
             f.vt_state[j, c], f.vt_state[last, c] = place, -1
             if place >= 0:
                 f.owner[place] = owner_of(j, c, f.vt_state.shape[1])
         b.looks[j], b.diffuse[j], b.odds[j] = b.looks[last], b.diffuse[last], b.odds[last]
-        b.seen[j] = b.seen[last]
-        b.e[j] = b.e[last]
-        b.q[j] = b.q[last]
-        b.measured[j] = b.measured[last]
+        put(b.seen[j], b.seen[last])
+        put(b.e[j], b.e[last])
+        put(b.q[j], b.q[last])
+        put(b.measured[j], b.measured[last])
     f.count[0] = last
 
 

@@ -45,6 +45,7 @@ from cellslam.slam.ekf_slam.state.layout import (
     Filter,
     Measured,
 )
+from cellslam.slam.model.copy_kernel import put
 from cellslam.slam.model.matrices_kernel import Vec3, cholesky, solved
 
 AROUND, AHEAD = 20, 7  # guesses of an azimuth, of a distance
@@ -202,5 +203,5 @@ def consider(f: Filter, j: int, new: Innovation, e: Vec3, w: Pending) -> None:
             own[c, k] = p[i, k] - (t[0, i] * t[0, k] + t[1, i] * t[1, k] + t[2, i] * t[2, k])
     for c in range(3):
         i = at[VT + c]
-        p[i, :n] = own[c]
-        p[:n, i] = own[c]
+        put(p[i], own[c])
+        put(p[:, i], own[c])

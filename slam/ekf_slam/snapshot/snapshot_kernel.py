@@ -57,6 +57,7 @@ from cellslam.slam.ekf_slam.state.layout import (
     block_of,
     one_of,
 )
+from cellslam.slam.model.copy_kernel import put
 from cellslam.slam.model.field_kernel import MOST_BELLS
 from cellslam.slam.model.matrices_kernel import Vec3
 from cellslam.slam.model.measurement_kernel import Spherical, rotations
@@ -161,7 +162,7 @@ def known_density(z: Floats, q: Floats) -> float:
 def take_in(f: Filter, b: Block, seen: Measured, association: Ints, s: Sight, w: Pairs) -> None:
     """Take what the looks at VTs differ by from what is expected, errors that persist left out, into the block."""
     turned, here, n = rotations_of(f), Vec3(f.x[0], f.x[1], f.x[2]), b.snapshots[0]
-    b.pose[n] = f.x[:POSE]
+    put(b.pose[n], f.x[:POSE])
     b.at[n, 0], b.at[n, 1] = b.total[0], b.total[2]
     for link in range(len(seen.first) - 1):
         offset = f.core.first_offset + seen.site_of[link]
@@ -313,7 +314,8 @@ def pair_in_bank(
         if shift_clocks(f, block_of(blocks, k), a, seen, room.sight, room.pairs):
             rival.loss[0] = seen.rules.doubt
             pair(f, a, seen, room.sight, room.pairs, rival)
-        pairs.slot_of[k], pairs.exists[k] = room.pairs.slot_of, room.pairs.exists
+        put(pairs.slot_of[k], room.pairs.slot_of)
+        put(pairs.exists[k], room.pairs.exists)
 
 
 @njit(cache=True, nogil=True)
@@ -329,7 +331,8 @@ def use_in_bank(
     room, rules = new_room(one_of(bank, 0), len(seen.z)), seen.rules
     for k in range(first, len(log_weight), step):
         f, b, w = one_of(bank, k), block_of(blocks, k), room.pairs
-        w.slot_of[:], w.exists[:] = pairs.slot_of[k], pairs.exists[k]
+        put(w.slot_of, pairs.slot_of[k])
+        put(w.exists, pairs.exists[k])
         count_odds(f, b, seen, w)
         take_in(f, b, seen, association[k], room.sight, w)
         log_weight[k] += rules.evidence * give_births(f, a, b, seen, association[k], room.sight, w, room.pending)

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from cellslam.sim.compiling import lean, part
 from cellslam.slam.ekf_slam.state.layout import OF_VT, Filter
+from cellslam.slam.model.copy_kernel import put
 
 
 @lean
@@ -33,8 +34,8 @@ def leave(f: Filter, place: int) -> None:
     _settle_in(f, -1, f.owner[place])
     if place != last:
         f.x[place] = f.x[last]
-        f.p[place, :last] = f.p[last, :last]
-        f.p[:last, place] = f.p[last, :last]
+        put(f.p[place], f.p[last, :last])
+        put(f.p[:, place], f.p[last, :last])
         f.p[place, place] = f.p[last, last]
         _settle_in(f, place, f.owner[last])
     f.size[0] = last
