@@ -2,8 +2,20 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+from matplotlib.colors import to_hex
+
 from cellslam.benchmarks.figures.style import BLACK, GREY, colour_of, estimator_styles
+from cellslam.benchmarks.figures.trial.trial_figures import draw_all
+from cellslam.benchmarks.trials.estimation import estimate
+from cellslam.scenarios.estimator_options import resolve
+from cellslam.sim.recording import Recording
 from cellslam.slam import registry
+
+Colours = Callable[[], dict[str, set[str]]]
 
 
 def test_an_estimator_has_one_colour_in_every_figure() -> None:
@@ -15,6 +27,17 @@ def test_an_estimator_has_one_colour_in_every_figure() -> None:
         assert {name: styles[name] for name in names if name in shown} == {n: own[n] for n in names if n in shown}
     assert own["dead-reckoning"]["linestyle"] == "--"
     assert estimator_styles(["theirs:Own"])["theirs:Own"]["color"] == colour_of("theirs:Own")
+
+
+def test_figures_of_a_trial_keep_to_it(
+    toy_recording: Callable[..., Recording], colours: Colours, tmp_path: Path
+) -> None:
+    """Also where estimators stand in another order."""
+    drive = toy_recording()
+    names = ["dead-reckoning", "ekf-slam"]
+    found = {r.name: estimate(drive, r, np.random.default_rng(0)) for r in resolve({}, names[::-1])}
+    draw_all(None, drive, found, None, tmp_path)
+    assert colours() == {name: {to_hex(colour_of(name))} for name in names}
 
 
 def test_series_of_an_estimator_are_shades_of_its_colour() -> None:

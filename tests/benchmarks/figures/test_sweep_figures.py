@@ -9,9 +9,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from matplotlib.colors import to_hex
 from matplotlib.figure import Figure
 
 from cellslam.benchmarks.cli.main import main
+from cellslam.benchmarks.figures.style import colour_of
 from cellslam.benchmarks.figures.sweep.sweep_curve import draw_curve
 from cellslam.benchmarks.figures.sweep.sweep_data import load, sweep_lines
 from cellslam.benchmarks.figures.sweep.sweep_figures import draw_sweep
@@ -62,6 +64,13 @@ def test_every_figure_is_drawn_as_png_and_pdf(folder: Path, tmp_path: Path) -> N
     assert all(path.stat().st_size > 3000 for path in written)
     again = draw_sweep(folder, tmp_path / "again", Look(statistic="rmse"), formats=("png",))
     assert [p.read_bytes() for p in again] == [(tmp_path / "out" / p.name).read_bytes() for p in again]
+
+
+def test_an_estimator_has_its_colour_in_every_figure(
+    folder: Path, tmp_path: Path, colours: Callable[[], dict[str, set[str]]]
+) -> None:
+    draw_sweep(folder, tmp_path / "out", Look(), formats=("png",))
+    assert colours() == {name: {to_hex(colour_of(name))} for name in ("dead-reckoning", "fastslam")}
 
 
 def test_data_are_panels_of_worlds_with_series(folder: Path) -> None:
