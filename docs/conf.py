@@ -14,6 +14,7 @@ from typing import Any
 HERE = Path(__file__).resolve().parent
 sys.path.append(str(HERE / "site"))
 import draw_gallery  # noqa: E402
+import glossary_links  # noqa: E402
 import reference_pages  # noqa: E402
 
 project = "cellslam"
@@ -83,5 +84,6 @@ def tidy(app: Any, what: str, name: str, value: Any, options: Any, signature: st
 def setup(app: Any) -> None:
     """Register what is above."""
     app.connect("source-read", add_generated)
+    app.connect("doctree-resolved", glossary_links.on_resolved)
     app.connect("autodoc-process-docstring", quote)
     app.connect("autodoc-process-signature", tidy)

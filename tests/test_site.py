@@ -12,6 +12,9 @@ from pathlib import Path
 from typing import NamedTuple
 
 import pytest
+from docutils import nodes
+from docutils.core import publish_doctree
+from myst_parser.docutils_ import Parser
 
 import cellslam
 from cellslam.benchmarks.cli.commands import GROUPS, SECTIONS
@@ -27,6 +30,7 @@ ROOT = Path(__file__).parents[1]
 DOCS = ROOT / "docs"
 sys.path.append(str(DOCS / "site"))
 import draw_gallery  # noqa: E402
+import glossary_links  # noqa: E402
 import reference_pages  # noqa: E402
 
 PAGES = sorted(str(p.relative_to(DOCS)) for p in DOCS.rglob("*.md") if "examples" not in p.parts)
@@ -197,9 +201,53 @@ def test_reference_has_the_scenarios_of_the_latest_suite() -> None:
 
 def test_glossary_is_in_order_and_each_word_stands_once() -> None:
     words = re.findall(r"^\| \*\*(.+?)\*\*", (DOCS / "reference" / "glossary.md").read_text(), re.M)
-    assert len(words) > 60
+    assert len(words) > 45
     assert [w.lower() for w in words] == sorted({w.lower() for w in words})
-    assert {"gate", "virtual transmitter", "VT"} <= set(words)
+    assert {"gate", "virtual transmitter", "VT"} <= set(words) <= set(glossary_links.terms())
+    assert glossary_links.terms()["virtual transmitter"] == glossary_links.terms()["VT"]
+
+
+def as_built(text: str) -> nodes.document:
+    """A page as the site has it: what only Sphinx knows is left out."""
+    settings = {"report_level": 5, "halt_level": 5, "myst_enable_extensions": ["attrs_inline", "colon_fence"]}
+    page: nodes.document = publish_doctree(text, parser=Parser(), settings_overrides=settings)
+    glossary_links.link_first_uses(page, "glossary.html")
+    return page
+
+
+@pytest.mark.parametrize("page", [p for p in PAGES if not p.startswith(("reference/", "notes/"))])
+def test_no_word_of_the_glossary_is_used_before_it_is_linked_or_defined(page: str) -> None:
+    told = set()
+    for node in as_built((DOCS / page).read_text()).findall():
+        if isinstance(node, nodes.reference) and "term" in node["classes"]:
+            told.add(node["refuri"].partition("#")[2])
+        elif isinstance(node, nodes.emphasis | nodes.strong):
+            told |= {term.anchor for word, term in glossary_links.terms().items() if node.astext().rstrip("s") == word}
+        elif isinstance(node, nodes.Text) and not isinstance(node.parent, glossary_links.NOT_PROSE):
+            if any(isinstance(one, glossary_links.NOT_PROSE) for one in around(node)):
+                continue
+            for found, term in glossary_links.uses(str(node), glossary_links.terms()):
+                assert term.anchor in told, found[0]
+
+
+def around(node: nodes.Node) -> Iterator[nodes.Node]:
+    while node.parent is not None:
+        yield (node := node.parent)
+
+
+def test_first_uses_are_links_that_show_the_meaning() -> None:
+    text = """# VT
+
+*Clutter* is noise, [gate](x.md) and `gate` are none. Who looks at VTs, a look of two links; the VT's gate, gates.
+
+Virtual transmitters and clutter again.
+"""
+    links = [node for node in as_built(text).findall(nodes.reference) if "term" in node["classes"]]
+    assert [node.astext() for node in links] == ["VTs", "look", "links", "gate"]
+    assert links[0]["refuri"] == "glossary.html#term-vt" and "mirrored in the plane" in links[0]["reftitle"]
+    page: nodes.document = publish_doctree("**clock offset**", parser=Parser())
+    glossary_links.mark_words(page)
+    assert [node["ids"] for node in page.findall(nodes.strong)] == [["term-clock-offset"]]
 
 
 @pytest.mark.parametrize("page", [p for p in PAGES if p.startswith(("index", "tutorials/", "how-to/"))])
