@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from cellslam.sim.compiling import njit
+from cellslam.sim.compiling import lean, njit, part
 from cellslam.sim.recording import Floats, Ints
 from cellslam.slam.fastslam.parts.association import associate, may_be_born
 from cellslam.slam.fastslam.parts.clock import clock_moves, learn, load_clock, rate_changes
@@ -86,7 +86,7 @@ def _advance_blocks(
 advance_blocks: Any = cached_and_not(_advance_blocks)
 
 
-@njit(error_model="numpy")
+@part(error_model="numpy")
 def _block(g: int, parts: Parts, step: Step, held: Blocks, association: Rows, s: Scratch) -> None:
     """Use one snapshot in one block."""
     now, measured, rules, tracks = step.now, step.measured, step.rules, held.tracks
@@ -132,7 +132,7 @@ def _block(g: int, parts: Parts, step: Step, held: Blocks, association: Rows, s:
         log_weight[l] += rules.exponent * s.v[V_WEIGHT * B + l]
 
 
-@njit(error_model="numpy")
+@lean(error_model="numpy")
 def _update(
     parts: Parts, s: Scratch, now: int, link: Link, found: int, scene: Scene, z: Rows, hits: float,
     association: NDArray[np.int32],
@@ -168,7 +168,7 @@ def _update(
     return updates
 
 
-@njit(error_model="numpy")
+@lean(error_model="numpy")
 def _give_births(
     parts: Parts, s: Scratch, now: int, link: Link, count: int, scene: Scene, z: Rows, particle: int, born: int,
     rules: Rules,
@@ -218,7 +218,7 @@ def _begin_bound(bounds: Rows, slot: int, z: Rows, least: float, travelled: floa
     bounds[LONG, slot], bounds[BROAD, slot] = z[5], z[6] + z[7]
 
 
-@njit(error_model="numpy")
+@part(error_model="numpy")
 def _apply(parts: Parts, v: Rows, state: Rows, travelled: Floats, size: int) -> None:
     """Condition theta on the snapshot and move theta and pose by its change: r += G_pose (theta_new - theta)."""
     at, square = sums_of(size), size * size
