@@ -224,15 +224,10 @@ def test_no_word_of_the_glossary_is_used_before_it_is_linked_or_defined(page: st
         elif isinstance(node, nodes.emphasis | nodes.strong):
             told |= {term.anchor for word, term in glossary_links.terms().items() if node.astext().rstrip("s") == word}
         elif isinstance(node, nodes.Text) and not isinstance(node.parent, glossary_links.NOT_PROSE):
-            if any(isinstance(one, glossary_links.NOT_PROSE) for one in around(node)):
+            if any(isinstance(one, glossary_links.NOT_PROSE) for one in glossary_links.around(node)):
                 continue
             for found, term in glossary_links.uses(str(node), glossary_links.terms()):
                 assert term.anchor in told, found[0]
-
-
-def around(node: nodes.Node) -> Iterator[nodes.Node]:
-    while node.parent is not None:
-        yield (node := node.parent)
 
 
 def test_first_uses_are_links_that_show_the_meaning() -> None:

@@ -17,23 +17,9 @@ from docutils import nodes
 PAGE = "reference/glossary"
 FILE = Path(__file__).parents[1] / f"{PAGE}.md"
 NOT_PROSE = (nodes.reference, nodes.literal, nodes.literal_block, nodes.title, nodes.raw, nodes.math, nodes.comment)
-BEFORE_A_NOUN = [
-    "a",
-    "an",
-    "the",
-    "one",
-    "each",
-    "every",
-    "of",
-    "into",
-    "with",
-    "new",
-    "two",
-    "all",
-    "which",
-    "its",
-    "no",
-]
+BEFORE_A_NOUN = frozenset(
+    ["a", "an", "the", "one", "each", "every", "of", "into", "with", "new", "two", "all", "which", "its", "no"]
+)
 _ROW = re.compile(r"^\| \*\*(.+?)\*\*(?:, \*\*(.+?)\*\*)?( \(noun\))? \| (.+?) \|$", re.MULTILINE)
 
 
@@ -77,7 +63,7 @@ def link_first_uses(doctree: nodes.document, uri: str) -> None:
     words, told = terms(), set[str]()
     for text in list(doctree.findall(nodes.Text)):
         parent = text.parent
-        if any(isinstance(one, NOT_PROSE) for one in _around(text)):
+        if any(isinstance(one, NOT_PROSE) for one in around(text)):
             continue
         pieces: list[nodes.Node] = []
         done = 0
@@ -110,7 +96,8 @@ def on_resolved(app: Any, doctree: nodes.document, page: str) -> None:
         link_first_uses(doctree, relative(page, PAGE))
 
 
-def _around(node: nodes.Node) -> Iterator[nodes.Node]:
+def around(node: nodes.Node) -> Iterator[nodes.Node]:
+    """Yield what a node stands in, from the inside."""
     while node.parent is not None:
         node = node.parent
         yield node
