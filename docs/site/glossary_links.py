@@ -17,9 +17,7 @@ from docutils import nodes
 PAGE = "reference/glossary"
 FILE = Path(__file__).parents[1] / f"{PAGE}.md"
 NOT_PROSE = (nodes.reference, nodes.literal, nodes.literal_block, nodes.title, nodes.raw, nodes.math, nodes.comment)
-BEFORE_A_NOUN = frozenset(
-    ["a", "an", "the", "one", "each", "every", "of", "into", "with", "new", "two", "all", "which", "its", "no"]
-)
+_BEFORE_A_NOUN = re.compile(r"\b(an?|the|one|each|every|of|into|with|new|two|all|which|its|no)\s$", re.IGNORECASE)
 _ROW = re.compile(r"^\| \*\*(.+?)\*\*(?:, \*\*(.+?)\*\*)?( \(noun\))? \| (.+?) \|$", re.MULTILINE)
 
 
@@ -53,8 +51,7 @@ def uses(text: str, words: dict[str, Term]) -> Iterator[tuple[re.Match[str], Ter
     )
     for found in re.finditer(rf"\b({every})s?\b", text):
         term = words.get(found[1]) or words[found[1][0].lower() + found[1][1:]]
-        before = re.search(r"(\w+)\s$", text[: found.start()])
-        if not term.noun or (before and before[1].lower() in BEFORE_A_NOUN):
+        if not term.noun or _BEFORE_A_NOUN.search(text[: found.start()]):
             yield found, term
 
 
