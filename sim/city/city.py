@@ -79,6 +79,7 @@ class City(Described):
     above its base per building; `streets`: centre lines, each (n, 2), that share their end points where they
     meet; `notes` tells what loading repaired or dropped; `tolerances` those with which triangles became facets.
     `origin_deg`: longitude and latitude (WGS 84) of the zero, of a file that is in these; None: not known.
+    `road_m`: height at which vehicles drive.
     """
 
     name: str
@@ -93,6 +94,7 @@ class City(Described):
     notes: tuple[str, ...] = ()
     tolerances: Tolerances = TOLERANCES
     origin_deg: tuple[float, float] | None = None
+    road_m: float = 0.0
 
     @property
     def bounds(self) -> Floats:

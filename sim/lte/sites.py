@@ -22,13 +22,13 @@ NEAREST_M, FARTHEST_M = 60.0, 220.0
 APART_M = 150.0
 """Sites that are placed by themselves keep this distance from each other."""
 LOWEST_M, HIGHEST_M = 35.0, 45.0
-"""Heights of their antennas; on roofs at least ABOVE_ROOF_M above the roof."""
+"""Heights of their antennas above the road; on roofs at least ABOVE_ROOF_M above the roof."""
 ABOVE_ROOF_M = 4.0
 DRAWS = 400
 PLACES = 10
 """Places drawn for a site, of which the best is taken."""
 SAMPLES, SAMPLE_HEIGHT_M = 60, 1.8
-"""Points of the route at which places are compared, and their height."""
+"""Points of the route at which places are compared, and their height above the road."""
 
 
 class CellConfig(BaseModel):
@@ -99,8 +99,9 @@ def _cross(p: Floats, q: Floats) -> Floats:
 def _checked(city: City, site: SiteConfig) -> Floats:
     assert site.position_m is not None
     x, y, z = site.position_m
-    if z <= 0.0:
-        raise InputError(f"site '{site.name}': position_m = [{x:g}, {y:g}, {z:g}] is not above ground (z must be > 0)")
+    if z <= city.road_m:
+        at = f"site '{site.name}': position_m = [{x:g}, {y:g}, {z:g}]"
+        raise InputError(f"{at} is not above ground (z must be > {city.road_m:g})")
     roof = roof_height(city, x, y)
     if z <= roof:
         raise InputError(
@@ -121,7 +122,7 @@ def _drawn(city: City, route: Route, site: SiteConfig, placed: Sequence[Floats],
             f"{APART_M:g} m from the other sites: give its position_m"
         )
     foot = route.points_m[:: max(len(route.points_m) // SAMPLES, 1)]
-    paths = trace(city, places, np.column_stack([foot, np.full(len(foot), SAMPLE_HEIGHT_M)]))
+    paths = trace(city, places, np.column_stack([foot, np.full(len(foot), city.road_m + SAMPLE_HEIGHT_M)]))
     return np.asarray(places[int(np.argmax(np.bincount(paths.transmitter, minlength=len(places))))])
 
 
@@ -132,7 +133,7 @@ def _possible_places(city: City, route: Route, placed: Sequence[Floats], rng: np
         foot = route.points_m[int(rng.integers(len(route.points_m)))]
         angle, distance = rng.uniform(0.0, 2.0 * np.pi), rng.uniform(NEAREST_M, FARTHEST_M)
         x, y = foot + distance * np.array([np.cos(angle), np.sin(angle)])
-        height = rng.uniform(LOWEST_M, HIGHEST_M)
+        height = city.road_m + rng.uniform(LOWEST_M, HIGHEST_M)
         if np.hypot(*(route.points_m - (x, y)).T).min() < NEAREST_M:
             continue
         if any(np.hypot(*(other[:2] - (x, y))) < APART_M for other in placed):

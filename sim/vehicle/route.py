@@ -32,7 +32,7 @@ class Route(Described):
     """A way through the city on the lanes of a highway-env `network` (`lanes`: indices in driving order).
 
     Centre line sampled every 0.1 m or less: `points_m` (n, 2), `arc_m` (n,), `heading_rad` (n,) unwrapped,
-    `curvature_per_m` (n,), positive to the left. `ground_m`: height of the ground. `corners_m` (k, 2): the waypoints
+    `curvature_per_m` (n,), positive to the left. `ground_m`: height of the road. `corners_m` (k, 2): the waypoints
     that it was built from.
     """
 
@@ -58,7 +58,7 @@ def plan_route(city: City, config: VehicleConfig, rng: np.random.Generator) -> R
     where the route meets a wall (naming the place), is too short, or turns too tightly.
     """
     if config.waypoints_m is not None:
-        route = _build(np.array(config.waypoints_m, np.float64), config)
+        route = _build(np.array(config.waypoints_m, np.float64), config, city.road_m)
         check_clear(city, route, config.clearance_m)
         if route.length_m < config.distance_m:
             raise InputError(
@@ -92,11 +92,11 @@ def check_clear(city: City, route: Route, clearance_m: float) -> None:
     )
 
 
-def _build(corners_m: Floats, config: VehicleConfig) -> Route:
+def _build(corners_m: Floats, config: VehicleConfig, road_m: float) -> Route:
     least_m = config.wheelbase_m / np.tan(STEERING_LIMIT_RAD)
     lanes = build_lanes(corners_m, config.corner_radius_m, least_m)
     line = lanes.points_m, lanes.arc_m, lanes.heading_rad, lanes.curvature_per_m
-    return Route(lanes.network, lanes.indices, *line, corners_m=corners_m)
+    return Route(lanes.network, lanes.indices, *line, corners_m=corners_m, ground_m=road_m)
 
 
 def _planned(city: City, config: VehicleConfig, rng: np.random.Generator) -> Route:
@@ -108,7 +108,7 @@ def _planned(city: City, config: VehicleConfig, rng: np.random.Generator) -> Rou
         # Rounding takes up to 0.43 radii off a right-angled corner, hence the longer walk.
         corners, cost = random_walk(network, 1.1 * length_m + 20.0, rng)
         try:
-            route = _build(corners, config)
+            route = _build(corners, config, city.road_m)
             check_clear(city, route, config.clearance_m)
         except InputError as error:
             problem = error

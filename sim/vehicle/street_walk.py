@@ -33,7 +33,10 @@ def street_network(streets: Sequence[Floats]) -> StreetNetwork:
     import shapely
 
     if not streets:
-        raise InputError("this city has no street network: give the route as vehicle.waypoints_m = [[x, y], ...]")
+        raise InputError(
+            "this city has no street network: give the route as vehicle.waypoints_m = [[x, y], ...], "
+            "or have 'cellslam init' draw one"
+        )
     noded = shapely.unary_union([shapely.LineString(s) for s in streets], grid_size=GRID_M)
     lines = [g for g in getattr(noded, "geoms", [noded]) if g.length > 0.0]
     edges = tuple(np.asarray(line.coords, np.float64)[:, :2] for line in lines)

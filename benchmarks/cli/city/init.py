@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import math
+import re
 from argparse import ArgumentParser, Namespace
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -18,6 +20,7 @@ from cellslam.benchmarks.cli.progress_bars import bars
 from cellslam.benchmarks.trials.output_files import check_file, write_text
 from cellslam.scenarios.loading import from_tables, load, preset_names
 from cellslam.sim.city.city import City, Floats
+from cellslam.sim.city.ways import ways_between
 from cellslam.sim.errors import InputError
 from cellslam.sim.lte.sites import ABOVE_ROOF_M, LOWEST_M, CellConfig, SiteConfig, place_sites, roof_height
 from cellslam.sim.vehicle.route import MARGIN_M, Route, plan_route
@@ -29,6 +32,7 @@ DISTANCE_M, DRAWS = 300.0, 20
 STRAIGHT_M = 0.5  # corners of a route from a file are as few as keep this close to it
 SHOWN_EVERY_M = 4.0
 SITES = ("A", "B")
+_NUMBERS = re.compile(r"\[((?:\s*-?[\d.]+,)+)\s*\]")  # TOML's writer gives each a line
 
 
 def add_arguments(parser: ArgumentParser) -> None:
@@ -60,6 +64,8 @@ def command(arguments: Namespace) -> int:
         raise InputError(f"--out {out}: is there already; give another name")
     with bars(arguments.quiet) as progress, progress("drawing route and sites", 3) as advance:
         city = find_city(arguments.city)
+        if not city.streets:
+            city = replace(city, streets=tuple(ways_between(city.footprints)))
         advance(1)
         rng = np.random.default_rng(arguments.seed)
         route, vehicle = _drive(arguments, city, rng)
@@ -125,7 +131,8 @@ def _sites(arguments: Namespace, city: City, route: Route, rng: np.random.Genera
         ]
     sites = []
     for index, (name, (x, y, height)) in enumerate(read_places(arguments.sites, city)):
-        known = height if math.isfinite(height) else max(LOWEST_M, roof_height(city, x, y) + ABOVE_ROOF_M)
+        lowest = max(city.road_m + LOWEST_M, roof_height(city, x, y) + ABOVE_ROOF_M)
+        known = height if math.isfinite(height) else lowest
         sites.append(_site(index, name, np.array([x, y, known])))
     return sites
 
@@ -155,7 +162,7 @@ def _written(city: str, tables: dict[str, Any]) -> str:
         "# distance_m. duration_s includes the stops.",
         table("vehicle", tables["vehicle"]),
     )
-    return "\n".join(lines)
+    return _NUMBERS.sub(lambda some: f"[{', '.join(some[1].replace(',', '').split())}]", "\n".join(lines))
 
 
 def _draw(path: Path, city: City, route: Route, sites_m: Floats) -> None:
@@ -164,5 +171,5 @@ def _draw(path: Path, city: City, route: Route, sites_m: Floats) -> None:
 
     step = max(round(SHOWN_EVERY_M * len(route.points_m) / route.length_m), 1)
     foot = route.points_m[::step]
-    receivers = np.column_stack([foot, np.full(len(foot), VehicleConfig().array_height_m)])
+    receivers = np.column_stack([foot, np.full(len(foot), city.road_m + VehicleConfig().array_height_m)])
     draw_plan(path, city, trace(city, sites_m, receivers), sites_m, receivers)

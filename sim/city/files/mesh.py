@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
@@ -152,9 +152,20 @@ def _city(name: str, objects: list[MeshObject], tolerances: Tolerances) -> City:
             triangles = obj.triangles[own == value]
             used, renumbered = np.unique(triangles, return_inverse=True)
             parts.append(Part(obj.vertices[used], renumbered.reshape(-1, 3), materials.index(obj.material), int(value)))
-    notes = [] if ground.any() else ["no ground found: nothing spans the city and faces up"]
+    road_m = _foot(corners, building) if len(footprints) and not ground.any() else 0.0
+    notes = [] if ground.any() else [f"no ground found: nothing spans the city and faces up; roads at {road_m:g} m"]
     notes += _assumptions(objects)
-    return assemble(name, parts, materials, footprints, heights, notes=notes, tolerances=tolerances)
+    return replace(
+        assemble(name, parts, materials, footprints, heights, notes=notes, tolerances=tolerances), road_m=road_m
+    )
+
+
+def _foot(corners: Floats, building: Ints) -> float:
+    """Return the height in m at which half of the buildings stand or lower, of triangles (K, 3, 3)."""
+    own = building >= 0
+    lowest = np.full(int(building.max()) + 1, np.inf)
+    np.minimum.at(lowest, building[own], corners[own, :, 2].min(axis=1))
+    return round(float(np.median(lowest)), 1)
 
 
 def _assumptions(objects: list[MeshObject]) -> list[str]:

@@ -14,6 +14,7 @@ from cellslam.sim.city.assemble import Part, assemble
 from cellslam.sim.city.city import GROUND, City, Floats, Material, Tolerances
 from cellslam.sim.city.extrude import cap, walls
 from cellslam.sim.city.materials import THICKNESS_M, itu_material
+from cellslam.sim.city.ways import largest_network
 from cellslam.sim.errors import InputError
 
 if TYPE_CHECKING:
@@ -186,7 +187,6 @@ def _without_parts(outlines: list[_Block], parts: list[_Block]) -> tuple[list[_B
 
 def _streets(lines: list[Floats], blocks: list[_Block]) -> list[Floats]:
     """Return the largest connected part of the streets within the city's extent, clear of buildings."""
-    import networkx as nx
     import shapely
 
     plans = [b.plan for b in blocks if b.bottom_m < STOREY_M]
@@ -194,12 +194,7 @@ def _streets(lines: list[Floats], blocks: list[_Block]) -> list[Floats]:
     free = shapely.unary_union([shapely.LineString(line) for line in lines]).intersection(extent)
     free = free.difference(shapely.unary_union(plans).buffer(1.0))
     pieces = [np.round(np.asarray(g.coords), 2) for g in shapely.get_parts(free) if g.geom_type == "LineString"]
-    graph = nx.MultiGraph()
-    for index, piece in enumerate(pieces):
-        graph.add_edge(tuple(piece[0]), tuple(piece[-1]), index=index)
-    groups = [[k for *_, k in graph.subgraph(nodes).edges(data="index")] for nodes in nx.connected_components(graph)]
-    lengths = [sum(float(np.hypot(*np.diff(pieces[k], axis=0).T).sum()) for k in group) for group in groups]
-    return [pieces[k] for k in sorted(groups[int(np.argmax(lengths))])] if groups else []
+    return largest_network(pieces)
 
 
 def _extruded(

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import shapely
 
 from cellslam.benchmarks.cli.city.geo_files import read_line, read_places
 from cellslam.benchmarks.cli.city.places import find_city
@@ -36,6 +37,33 @@ def test_a_drawn_scenario_is_drawn_again_by_the_same_seed_and_works(tmp_path: Pa
     world = prepare(scenario.world, 0, 0)
     assert np.hypot(*np.diff(world.drive.poses[:, :2], axis=0).T).sum() == pytest.approx(30.0, abs=0.5)
     assert scenario.city == load("tiny").city
+
+
+def test_a_city_without_streets_far_above_the_sea_gets_a_route_between_its_buildings(tmp_path: Path) -> None:
+    city = tmp_path / "blocks.obj"
+    city.write_text(
+        "".join(box(150_000.0 + 60 * i, 340_000.0 + 60 * k, 171.25, 4 * i + k) for i in range(4) for k in range(4))
+    )
+    out = tmp_path / "blocks.toml"
+    assert main(["init", str(city), "--distance", "60", "--out", str(out), "--no-figures", "--quiet"]) == 0
+    text = out.read_text()
+    assert text.count("\n    [150") == len(load(out).vehicle.waypoints_m or ())
+    world = prepare(load(out).world, 0, 0)
+    assert world.scene.city.road_m == 171.2
+    np.testing.assert_allclose(world.drive.poses[:, 2], 173.0, atol=0.3)
+    assert all(site.position_m[2] > 206.0 for site in load(out).sites if site.position_m)
+    assert (
+        shapely.distance(shapely.LineString(world.drive.poses[:, :2]), shapely.union_all(world.scene.city.footprints))
+        > 1.2
+    )
+
+
+def box(x: float, y: float, z: float, index: int) -> str:
+    """Return a house of 30 x 30 x 15 m in the OBJ format."""
+    corners = [(x + 30 * a, y + 30 * b, z + 15 * c) for c in (0, 1) for b in (0, 1) for a in (0, 1)]
+    faces = [(1, 2, 6, 5), (2, 4, 8, 6), (4, 3, 7, 8), (3, 1, 5, 7), (5, 6, 8, 7), (1, 3, 4, 2)]
+    lines = [f"o house{index}", *(f"v {a} {b} {c}" for a, b, c in corners)]
+    return "\n".join([*lines, *("f " + " ".join(str(8 * index + n) for n in face) for face in faces), ""])
 
 
 def test_route_and_sites_of_files(tmp_path: Path, village: City) -> None:

@@ -30,7 +30,7 @@ def city() -> Any:
     streets = [np.array([[x, -300.0], [x, 300.0]]) for x in BLOCKS]
     streets += [np.array([[-300.0, y], [300.0, y]]) for y in BLOCKS]
     houses = tuple(shapely.box(x + 10, y + 10, x + 65, y + 65) for x in BLOCKS[:-1] for y in BLOCKS[:-1])
-    return SimpleNamespace(name="grid", streets=tuple(streets), footprints=houses)
+    return SimpleNamespace(name="grid", streets=tuple(streets), footprints=houses, road_m=0.0)
 
 
 def through(city: Any, *waypoints: tuple[float, float], **options: Any) -> Route:
@@ -230,7 +230,7 @@ def test_body_moves_a_little_and_starts_level(city: Any) -> None:
 
 
 def test_braking_dips_the_nose_and_a_left_turn_leans_right() -> None:
-    open_field = SimpleNamespace(name="field", streets=(), footprints=())
+    open_field = SimpleNamespace(name="field", streets=(), footprints=(), road_m=0.0)
     config = VehicleConfig(
         waypoints_m=((0, 0), (60, 0), (60, 60)), distance_m=90.0, duration_s=80.0, stops=0,
         road_height_std_m=0.0, road_roll_std_deg=0.0, speed_variation=0.0,
