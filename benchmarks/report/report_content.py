@@ -27,6 +27,7 @@ from cellslam.benchmarks.report.trial_sections import trial_sections
 from cellslam.benchmarks.report.worst_trials import failed_trials, worst_trials
 from cellslam.benchmarks.scores.statistics import interval, statistic
 from cellslam.benchmarks.sweeps.rows import provenance
+from cellslam.benchmarks.tables.headings import HEADINGS
 from cellslam.benchmarks.tables.rankings import told_apart
 from cellslam.benchmarks.tables.summaries import EFFICIENCY, efficiency
 from cellslam.sim.progress import Progress
@@ -48,28 +49,6 @@ PLOTTED = {
     "map_gospa_m": ("map GOSPA (m)", 3),
     "nees_mean": ("mean NEES (2 is right)", 3),
     "estimate_seconds": ("time of the estimator (s a trial)", 4),
-}
-# Headings of tables by metric: text, unit, meaning.
-HEADINGS = {
-    "position_rmse_m": ("RMSE", "m", "root mean square of the horizontal position error over the drive"),
-    "position_max_m": ("largest", "m", "largest position error"),
-    "position_end_m": ("end", "m", "position error at the end"),
-    "heading_rmse_rad": ("heading", "rad", "heading RMSE"),
-    "clock_offset_rmse_m": ("offsets", "m", "clock offset error at the end, root mean square over sites"),
-    "transmitter_rmse_m": ("sites", "m", "error of the sites' estimated positions, root mean square"),
-    "map_gospa_m": ("map", "m", "GOSPA of the virtual transmitters, mean over links"),
-    "wall_gospa_m": ("walls", "m", "GOSPA of the walls' visible parts"),
-    "wall_share": ("mapped", "", "share of the seen facades' length that is mapped"),
-    "wall_normal_rmse_rad": ("wall normals", "rad", "error of the walls' directions, root mean square"),
-    "wall_offset_rmse_m": ("wall offsets", "m", "by how much the walls are off across them, root mean square"),
-    "association_precision": ("precision", "", "share of associations that are right"),
-    "association_recall": ("recall", "", "share of measurements of a VT that were associated rightly"),
-    "nees_mean": ("NEES", "", "mean normalised error of the horizontal position: 2 is right"),
-    "bound_position_rmse_m": ("bound", "m", "Cramér-Rao bound of the position RMSE"),
-    "bound_merged_m": ("bound, merging in", "m", "the same without merged measurements, where many are"),
-    "realtime_factor": ("x real", "time", "duration of the drive over time of the estimator"),
-    "peak_memory_mb": ("memory", "MB", "what resident memory grew by at the most while the estimator ran"),
-    EFFICIENCY: ("efficiency ratio", "", "root mean square of the RMSE over that of the bound, 1 at best"),
 }
 # Columns of the summary: metric, statistic, and the heading where it is not the metric's.
 COLUMNS = (

@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
+
+from cellslam.benchmarks.tables.headings import in_words
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -28,14 +30,17 @@ class Grid:
 
 
 def render(tidy: pd.DataFrame, grid: Grid, format_: str) -> str:
-    """Return a table in one of `FORMATS`; csv and json hold the tidy numbers, the others the grid."""
+    """Return a table in one of `FORMATS`: csv and json hold the tidy numbers, md and latex the grid in words."""
     if format_ == "csv":
         return str(tidy.to_csv(index=False))
     if format_ == "json":
         plain = ({key: _json(value) for key, value in line.items()} for line in tidy.to_dict("records"))
         return "[\n" + ",\n".join(json.dumps(line, allow_nan=False) for line in plain) + "\n]\n"
-    writers: dict[str, Callable[[Grid], str]] = {"text": _text, "md": _markdown, "latex": _latex}
-    return writers[format_](grid)
+    if format_ == "text":
+        return _text(grid)
+    headings, notes = (tuple(map(in_words, texts)) for texts in (grid.headings, grid.notes))
+    lines = tuple((*map(in_words, line[: grid.labels]), *line[grid.labels :]) for line in grid.lines)
+    return (_markdown if format_ == "md" else _latex)(Grid(headings, lines, grid.labels, notes))
 
 
 def number(value: float | None, metric: str, statistic: str = "") -> str:
@@ -110,7 +115,7 @@ def comparison_grid(tidy: pd.DataFrame, keys: Sequence[str], first: str, second:
         p_value, share = line["p_value"], line["share_below"]
         cells = (
             number(line["median_difference"], metric),
-            f"{number(line['low'], metric)} to {number(line['high'], metric)}",
+            "-" if _missing(line["low"]) else f"{number(line['low'], metric)} to {number(line['high'], metric)}",
             "-" if _missing(p_value) else f"{p_value:.2g}",
             "-" if _missing(share) else f"{100 * share:.0f} %",
             str(line["pairs"]),
@@ -138,9 +143,8 @@ def _counted(counts: set[tuple[int, int]]) -> str:
 
 
 def _heading(key: str, value: Any, columns: str | None, oracles: frozenset[str]) -> str:
-    return (
-        f"{key}={_label(key, value, oracles)}" if key == columns and key != "estimator" else _label(key, value, oracles)
-    )
+    label = _label(key, value, oracles)
+    return f"{key}={label}" if key == columns and key not in ("estimator", "scenario") else label
 
 
 def _label(key: str, value: Any, oracles: frozenset[str]) -> str:

@@ -20,7 +20,9 @@ if TYPE_CHECKING:
 
 EFFICIENCY, MERGED = "efficiency_ratio", "efficiency_ratio_merged"  # of a group of rows, not of one
 METRICS = (*METRIC_KEYS, *COST_KEYS, EFFICIENCY, MERGED)
-RATIO_OF = ("position_rmse_m", "bound_position_rmse_m", "bound_merged_m")
+BOUND, BOUNDED = "bound", "position_rmse_m"  # the line of the bound, and the metric that it bounds
+RATIO_OF = (BOUNDED, "bound_position_rmse_m", "bound_merged_m")
+_DRIVE = ("world", "seed", "trial")
 USUAL_METRICS = (
     "position_rmse_m",
     EFFICIENCY,
@@ -48,7 +50,7 @@ def summary(folder: str | Path, layout: Layout | None = None) -> pd.DataFrame:
     Columns: the keys of rows and columns, `metric`, `statistic`, `value`, `low`, `high` (with a confidence),
     `values` (how many trials have the metric), `trials` (of status ok) and `failed`. The efficiency ratio, root mean
     square of the RMSE over that of the bound, is one number a group, of no statistic; so is the one against the bound
-    without merged measurements. Raises InputError.
+    without merged measurements. Beside the estimators stands the bound of their drives. Raises InputError.
     """
     import pandas as pd
 
@@ -57,7 +59,9 @@ def summary(folder: str | Path, layout: Layout | None = None) -> pd.DataFrame:
     statistics = [statistic(name) for name in layout.statistics]
     check_confidence(layout.confidence)
     keys = list(dict.fromkeys([*row_keys(folder, layout), *([layout.columns] if layout.columns else [])]))
-    frame = results(folder, list(dict.fromkeys([*keys, "status", *columns_of(metrics)])))
+    frame = results(folder, list(dict.fromkeys([*keys, "status", *columns_of(metrics), *_DRIVE, *RATIO_OF])))
+    if "estimator" in keys and BOUNDED in metrics:
+        frame = _with_bounds(frame, keys)
     lines: list[dict[str, Any]] = []
     for values, group in groups(frame, keys):
         fine = group[group["status"] == "ok"]
@@ -164,6 +168,23 @@ def groups(frame: pd.DataFrame, keys: Sequence[str]) -> Iterator[tuple[dict[str,
         return
     for values, group in frame.groupby(list(keys), dropna=False, sort=False):
         yield {key: _plain(value) for key, value in zip(keys, values, strict=True)}, group
+
+
+def _with_bounds(frame: pd.DataFrame, keys: Sequence[str]) -> pd.DataFrame:
+    """Return rows with the bound of each drive as one more estimator's, after those of the same settings."""
+    import pandas as pd
+
+    limit = RATIO_OF[1]
+    bounds = frame.dropna(subset=[limit]).drop_duplicates(list(_DRIVE))
+    known = {"estimator": BOUND, "status": "ok", BOUNDED: bounds[limit]}
+    of_estimators = [key for key in frame if key.startswith("estimator.") or (key in METRICS and key not in RATIO_OF)]
+    bounds = bounds.assign(**dict.fromkeys(of_estimators), **known)
+    both = pd.concat([frame, bounds.astype(frame.dtypes)], ignore_index=True) if len(bounds) else frame
+    settings = [key for key in keys if key.partition(".")[0] != "estimator"]
+    if not settings:
+        return both
+    place = both.groupby(settings, dropna=False, sort=False).ngroup()
+    return both.iloc[np.argsort(place, kind="stable")]
 
 
 def _efficiency(rows: pd.DataFrame, layout: Layout, merged: bool) -> dict[str, float | int | None]:

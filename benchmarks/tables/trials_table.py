@@ -10,6 +10,7 @@ import numpy as np
 
 from cellslam.benchmarks.scores.statistics import efficiency_ratio, interval, statistic
 from cellslam.benchmarks.tables.formats import TOO_WIDE
+from cellslam.benchmarks.tables.summaries import BOUND
 from cellslam.sim.recording import Floats
 
 if TYPE_CHECKING:
@@ -17,7 +18,7 @@ if TYPE_CHECKING:
 
     from cellslam.benchmarks.trials.trials import Trial
 
-BOUND, LONGEST_NAME = "bound", len("oracle-association")
+LONGEST_NAME = len("oracle-association")
 # Heading and the keys of a column, values joined by a slash; it all fits in 80 characters.
 _COLUMNS = (
     ("RMSE\n(m)", ("position_rmse_m",), 2),

@@ -124,6 +124,29 @@ def test_columns_and_intervals(folder: Path) -> None:
     assert only["value"].isna().all() and only["values"].tolist() == [0, 0]
 
 
+def test_the_bound_of_the_drives_stands_beside_the_estimators(
+    tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    points = sweep.points(sweep.from_tables({"scenario": "tiny"}), ("fastslam", "dead-reckoning"))
+    made = plan(points, 3, 0)
+    with writing(tmp_path, "made up", {"cellslam": "0"}) as store:
+        store.declare(made)
+        for task in made.tasks:
+            for job in task.jobs:
+                one = row(task, job) | {"bound_position_rmse_m": 0.25 * (1 + task.trial), "scenario": "tiny"}
+                named = {"estimator": {"fastslam": "mine.slam:Fast"}.get(job.estimator, job.estimator)}
+                store.write(Result(job.key, one | named), identity(task.world), identity(job.options))
+    got = {line["estimator"]: line for line in lines(summary(tmp_path, Layout(metrics=("position_rmse_m",))))}
+    assert list(got) == ["dead-reckoning", "mine.slam:Fast", "bound"]
+    assert got["bound"]["value"] == 0.5 and got["bound"]["values"] == got["bound"]["trials"] == 3
+    ratio = lines(summary(tmp_path, Layout(metrics=("efficiency_ratio", "position_rmse_m"))))
+    assert [line["value"] for line in ratio if line["estimator"] == "bound"] == [1.0, 0.5]
+    assert "bound" not in set(summary(tmp_path, Layout(metrics=("nees_mean",)))["estimator"])
+    markdown = shown(capfd, tmp_path, "--columns", "scenario", "--format", "md").splitlines()
+    assert markdown[0] == "| estimator | tiny | trials ok |"
+    assert [line.split(" | ")[0] for line in markdown[2:5]] == ["| dead-reckoning", "| Fast", "| bound"]
+
+
 def test_paired_differences_are_by_world_and_trial(folder: Path) -> None:
     got = lines(comparison(folder, "fastslam", "dead-reckoning"))
     assert [(line["radio.load"], line["estimator.fastslam.particles"]) for line in got] == [
@@ -162,7 +185,7 @@ def test_formats(folder: Path, capfd: pytest.CaptureFixture[str]) -> None:
     assert markdown[0] == "| estimator | radio.load=0.25 | radio.load=0.5 | trials ok |"
     assert markdown[1] == "|---|---:|---:|---:|" and markdown[2].startswith("| dead-reckoning | 14.00 [")
     latex = shown(capfd, *words, "--format", "latex")
-    assert latex.startswith("% metric: position_rmse_m\n") and r"\begin{tabular}{lrrr}" in latex
+    assert latex.startswith("% metric: RMSE (m)\n") and r"\begin{tabular}{lrrr}" in latex
     assert r"\toprule" in latex and r"\bottomrule" in latex and "fastslam & " in latex
     parsed = list(csv.DictReader(io.StringIO(shown(capfd, *words, "--format", "csv"))))
     plain = json.loads(shown(capfd, *words, "--format", "json"))
@@ -170,7 +193,7 @@ def test_formats(folder: Path, capfd: pytest.CaptureFixture[str]) -> None:
     for a, b in zip(parsed, plain, strict=True):
         assert (float(a["value"]), float(a["low"])) == (b["value"], b["low"])
     latex = shown(capfd, folder, "--rows", "estimator.fastslam.particles", "--format", "latex")
-    assert r"estimator.fastslam.particles & position\_rmse\_m" in latex
+    assert "estimator.fastslam.particles & RMSE (m) & efficiency ratio & " in latex
     assert "pooled over all values of: radio.load, estimator" in latex
     assert markdown[-1] == "pooled over all values of: estimator.fastslam.particles"
     compared = shown(capfd, folder, "--compare", "fastslam,dead-reckoning", "--format", "md")
