@@ -22,6 +22,10 @@ run estimators on it, and score them.
 _CLOSING = """\
 'cellslam COMMAND --help' has examples. A first drive, of seconds: cellslam run tiny
 """
+EVERYWHERE = {
+    "--quiet": "no progress and no notes on stderr",
+    "--verbose": "with the traceback of a wrong request",
+}
 
 
 class Parser(argparse.ArgumentParser):
@@ -84,12 +88,6 @@ def build_parser(words: Sequence[str] | None = None) -> argparse.ArgumentParser:
     `words`: the command line; only the command that it names is imported and gets its arguments (None: all do).
     """
     common = Parser(add_help=False)
-    common.add_argument(
-        "--quiet", action="store_true", default=argparse.SUPPRESS, help="no progress and no notes on stderr"
-    )
-    common.add_argument(
-        "--verbose", action="store_true", default=argparse.SUPPRESS, help="with the traceback of a wrong request"
-    )
     parser = Parser(
         prog="cellslam",
         description=_DESCRIPTION,
@@ -98,8 +96,10 @@ def build_parser(words: Sequence[str] | None = None) -> argparse.ArgumentParser:
         allow_abbrev=False,
     )
     parser.add_argument("--version", "-V", action=_Version, help="show the version and exit")
-    parser.add_argument("--quiet", action="store_true", default=False, help="no progress, no notes on stderr")
-    parser.set_defaults(command=None, parser=parser)
+    for some in (parser, common):  # before the command, and after it
+        for name, text in EVERYWHERE.items():
+            some.add_argument(name, action="store_true", default=argparse.SUPPRESS, help=text)
+    parser.set_defaults(command=None, parser=parser, quiet=False)
     commands = parser.add_subparsers(metavar="COMMAND", dest="command_name", help="as below", parser_class=Parser)
     for section in SECTIONS.values():
         for name, command in section.items():

@@ -19,6 +19,12 @@ if TYPE_CHECKING:
     from cellslam.benchmarks.trials.trials import Trial
     from cellslam.sim.city import City
 
+SUMMARY = "summary.json"
+OF_TRIALS = (
+    "trajectory-*.tum", "error-*.txt", "map.png", "error.png", "associations.png", "clock_offsets.png",
+    "calibration-*.png", "rays*.png", "rays.html",
+)  # fmt: skip
+
 
 @dataclass(frozen=True)
 class Folder:
@@ -26,6 +32,14 @@ class Folder:
 
     path: Path
     several: bool = False
+
+    def clear(self) -> None:
+        """Remove the files that an earlier run left here, which would stand beside another summary; its rows stay."""
+        with _writing(self.path):
+            if (self.path / SUMMARY).exists():
+                for pattern in OF_TRIALS:
+                    for file in self.path.glob(pattern):
+                        file.unlink()
 
     def write_trial(self, trial: Trial) -> None:
         """Write trajectories (TUM), the truth's too, and the traceback of each estimator that failed."""
@@ -46,7 +60,7 @@ class Folder:
     def write_summary(self, rows: Sequence[Mapping[str, Any]], about: Mapping[str, Any]) -> None:
         """Write summary.json: `about` (command, scenario, versions) and the rows so far."""
         with _writing(self.path):
-            write_text(self.path / "summary.json", json.dumps({**about, "rows": list(rows)}, indent=1) + "\n")
+            write_text(self.path / SUMMARY, json.dumps({**about, "rows": list(rows)}, indent=1) + "\n")
 
     def write_scenario(self, toml: str) -> None:
         """Write the resolved scenario as scenario.toml."""

@@ -78,7 +78,8 @@ def add_arguments(parser: ArgumentParser) -> None:
     add_map(parser)
     add_save_map(parser)
     parser.add_argument("--rays", action="store_true", help="draw the drive's rays, also as an interactive page")
-    parser.add_argument("--trials", metavar="N", type=whole, default=1, help="trials 0 to N-1 (default: 1)")
+    trials_help = "trials 0 to N-1, one after the other; 'sweep' takes all cores (default: 1)"
+    parser.add_argument("--trials", metavar="N", type=whole, default=1, help=trials_help)
     add_seed(parser, 0, "root seed of all random draws (default: 0)")
     parser.add_argument("--out", metavar="DIR", help="folder for the results (default: results/SCENARIO-SEED)")
 
@@ -185,6 +186,8 @@ def report(job: Job, interrupted: bool) -> int:
 
 
 def _keep(job: Job, trial: Trial) -> None:
+    if job.first is None:
+        job.folder.clear()
     job.rows.extend(outcome.row for outcome in trial.outcomes)
     job.bounds.extend([row] if (row := bound_row(trial)) else [])
     if trial.unbound:

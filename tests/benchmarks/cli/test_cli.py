@@ -232,6 +232,17 @@ def test_replay_without_truth_and_provenance(cellslam: Any, tmp_path: Path) -> N
     assert (tmp_path / "results" / "replay-drive" / "summary.json").exists()
 
 
+def test_what_an_earlier_run_left_does_not_stand_beside_another_summary(cellslam: Any, tmp_path: Path) -> None:
+    folder = tmp_path / "results" / "tiny-0"
+    cellslam("run", "tiny", "--estimator", "dead-reckoning", "--trials", "2")
+    (folder / "mine.png").touch()
+    assert {"map.png", "error.png", "trajectory-truth-1.tum"} <= {path.name for path in folder.iterdir()}
+    cellslam("run", "tiny", "--estimator", "dead-reckoning", "--no-figures")
+    assert {path.name for path in folder.iterdir() if path.suffix in (".png", ".tum")} == {
+        "mine.png", "trajectory-dead-reckoning.tum", "trajectory-truth.tum",
+    }  # fmt: skip
+
+
 def test_own_estimator_from_the_current_directory(cellslam: Any, plugin: Path) -> None:
     done = cellslam("run", "tiny", "--estimator", "cli_plugin:Mine", "--estimator", "cli_plugin:Oracle", "--no-figures")
     assert done.status == 0
@@ -344,6 +355,13 @@ def test_show_and_list(cellslam: Any) -> None:
     assert scenarios.status == 0 and "tiny" in scenarios.out
     estimators = cellslam("list", "estimators")
     assert "fastslam" in estimators.out and "dead-reckoning" in estimators.out
+
+
+def test_quiet_and_verbose_stand_before_a_command_or_after_it(cellslam: Any) -> None:
+    for words in (("--verbose", "show", "tinny"), ("show", "tinny", "--verbose")):
+        assert "Traceback" in cellslam(*words).err
+    assert "results are in" in cellslam(*RUN, "--no-figures").err
+    assert cellslam("--quiet", *RUN, "--no-figures").err == cellslam(*RUN, "--no-figures", "--quiet").err == ""
 
 
 def test_version(cellslam: Any) -> None:
