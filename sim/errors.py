@@ -39,4 +39,4 @@ def nearest_name(given: str, allowed: Iterable[str]) -> str:
 def unknown_name(kind: str, given: str, allowed: Iterable[str]) -> InputError:
     """Return the error for a name that is not among `allowed`: what was given, the nearest, all of them."""
     names = sorted(allowed)
-    return InputError(f"unknown {kind} '{given}'{nearest_name(given, names)} (known: {', '.join(names)})")
+    return InputError(f"unknown {kind} '{given}'{nearest_name(given, names)} (known: {', '.join(names) or 'none'})")

@@ -209,13 +209,17 @@ def _load(name: str, target: str) -> type[Any]:
     module = _import(name, module_name)
     found = getattr(module, class_name, None)
     if found is None:
-        classes = [n for n, value in vars(module).items() if isinstance(value, type) and n[0] != "_"]
+        classes = [n for n, v in vars(module).items() if isinstance(v, type) and n[0] != "_" and not _lacking(v)]
         raise unknown_name(f"class of module {module_name}", class_name, classes)
-    lacking = [method for method in ("start", "step") if not callable(getattr(found, method, None))]
+    lacking = _lacking(found)
     if not isinstance(found, type) or lacking:
         what = f"has no method '{lacking[0]}'" if lacking else "is not a class"
         raise InputError(f"estimator '{name}': {target} {what}; see cellslam.slam.api.Estimator")
     return found
+
+
+def _lacking(estimator: Any) -> list[str]:
+    return [method for method in ("start", "step") if not callable(getattr(estimator, method, None))]
 
 
 def _import(name: str, module: str) -> ModuleType:

@@ -28,11 +28,13 @@ def write_report(
     Raises InputError for a folder without results, an unknown metric or estimator, or without plotly.
     """
     from cellslam.benchmarks.report.report_content import content
+    from cellslam.benchmarks.sweeps.store import reading
     from cellslam.benchmarks.trials.output_files import check_file
 
     check_plotly()
     path = Path(folder) / PAGE if out is None else Path(out)
-    check_file(path)
+    with reading(Path(folder)):  # says so where there are no results
+        check_file(path)
     write_page(path, content(Path(folder), choice or Choice(), progress))
     return path
 

@@ -23,7 +23,8 @@ class RadioConfig(BaseModel):
 
     front_end: Literal["statistical", "signal"] = Field(
         "statistical",
-        description="how measurements are made: drawn from statistics, or estimated from received signals",
+        description="how measurements are made: drawn from statistics, or estimated from received signals, at "
+        "0.15 s of a core a snapshot",
     )
     technology: str = Field(
         "lte",

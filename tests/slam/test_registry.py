@@ -56,6 +56,7 @@ def test_current_directory_does_not_hide_installed_packages(folder: Path) -> Non
         ),
         ("nowhere_at_all:X", ["no module 'nowhere_at_all'"]),
         ("registry_good:Mein", ["'Mein'", "did you mean 'Mine'"]),
+        ("numpy:Foo", ["unknown class of module numpy 'Foo' (known: none)"]),
         ("registry_good:Idle", ["no method 'start'"]),
         ("registry_good:function", ["no method 'start'"]),
         ("registry_needs:X", ["cannot be imported", "no_such_package_at_all"]),

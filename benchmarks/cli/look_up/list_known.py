@@ -14,6 +14,7 @@ from cellslam.scenarios.loading import load, preset_names
 from cellslam.slam import registry
 
 _PIPE_WIDTH = 100
+_HOME = "cellslam.slam."
 # Facts of a scenario's first drive, and how their columns are headed.
 FACTS = {
     "duration_s": "length\n(s)", "distance_m": "length\n(m)", "paths_per_site": "paths\na site",
@@ -40,9 +41,9 @@ def _estimators() -> Table:
     table = Table(box=box.SIMPLE_HEAD, pad_edge=False)
     table.add_column("name", no_wrap=True)
     table.add_column("what it is")
-    table.add_column("class", overflow="fold")
+    table.add_column(f"class (of {_HOME[:-1]})", no_wrap=True)
     for entry in registry.listing():
-        table.add_row(*map(escape, (entry.name, entry.summary, entry.target)))
+        table.add_row(*map(escape, (entry.name, entry.summary, entry.target.removeprefix(_HOME))))
     return table
 
 

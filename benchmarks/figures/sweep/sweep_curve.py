@@ -10,7 +10,7 @@ import numpy as np
 from cellslam.benchmarks.figures.style import GREY, WIDTH_IN, estimator_styles
 from cellslam.benchmarks.figures.sweep.sweep_data import Series, SweepData, sweep_lines
 from cellslam.benchmarks.figures.sweep.sweep_look import Look, summed_label
-from cellslam.benchmarks.scores.statistics import interval, statistic
+from cellslam.benchmarks.scores.statistics import LEAST_VALUES, interval, statistic
 from cellslam.sim.recording import Floats
 
 if TYPE_CHECKING:
@@ -62,10 +62,12 @@ def draw_curve(figure: Figure, data: SweepData, look: Look, x: str) -> bool:
     axes.set_xlabel(x)
     trials = max(len(values) for points in lines.values() for _, values in points)
     axes.set_ylabel(summed_label(look))
-    axes.set_title(f"{100 * look.confidence:g} % intervals, {trials} trials a point")
+    intervals = "no" if trials < LEAST_VALUES else f"{100 * look.confidence:g} %"
+    axes.set_title(f"{intervals} intervals, {trials} trials a point")
     if names:
         axes.set_yscale("log")
         axes.yaxis.set_major_formatter("{x:g}")
+        axes.yaxis.set_minor_formatter("{x:g}")
     else:
         axes.set_ylim(bottom=0)
     figure.legend(loc="outside lower center", ncols=2)
