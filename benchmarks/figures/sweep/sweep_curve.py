@@ -30,6 +30,8 @@ def draw_curve(figure: Figure, data: SweepData, look: Look, x: str) -> bool:
 
     What is no number stands side by side, and nothing leads from one to the next.
     """
+    from matplotlib.ticker import LogLocator
+
     found = sweep_lines(data, x)
     names = list(dict.fromkeys(at for points in found.values() for at, _ in points if isinstance(at, str)))
     lines = {
@@ -66,6 +68,7 @@ def draw_curve(figure: Figure, data: SweepData, look: Look, x: str) -> bool:
     axes.set_title(f"{intervals} intervals, {trials} trials a point")
     if names:
         axes.set_yscale("log")
+        axes.yaxis.set_minor_locator(LogLocator(subs=(2, 5)))
         axes.yaxis.set_major_formatter("{x:g}")
         axes.yaxis.set_minor_formatter("{x:g}")
     else:
