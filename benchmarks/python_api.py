@@ -165,14 +165,12 @@ def sweep(
     overrides: Mapping[str, Any] | None = None,
     jobs: int | None = None,
     progress: Progress = silent,
-) -> pd.DataFrame:
-    """Return the rows of every combination of the `axes`, keys with their values, kept in the folder `out`.
+) -> SweepView:
+    """Run every combination of the `axes`, keys with their values, keep it in the folder `out`, and return it.
 
-    What `out` has already is not done again. `jobs`: processes (None: one a core). The table has a column for each key
-    that varies; `cellslam.summary(out)` and `cellslam table` sum it up. Raises InputError.
+    What `out` has already is not done again. `jobs`: processes (None: one a core). Raises InputError.
     """
     from cellslam.benchmarks.sweeps.executors import cores, executor
-    from cellslam.benchmarks.sweeps.rows import results
     from cellslam.benchmarks.sweeps.store import writing
     from cellslam.benchmarks.sweeps.sweeping import carry_out, pending
     from cellslam.benchmarks.sweeps.tasks import plan
@@ -188,7 +186,40 @@ def sweep(
         todo = pending(plan(asked, trials, seed), store, retry_failed=False)
         with executor("processes", processes, shares(processes)) as pool, progress("trials", len(todo)) as advance:
             carry_out(todo, store, pool, lambda *_: advance(1))
-    return results(out)
+    return SweepView(Path(out))
+
+
+class SweepView:
+    """A sweep in a notebook: it shows itself as its table. The commands `table` and `figures` take its `folder`."""
+
+    def __init__(self, folder: Path) -> None:
+        self.folder = folder
+
+    @property
+    def rows(self) -> pd.DataFrame:
+        """A row a trial and estimator, with a column for each key that varies."""
+        from cellslam.benchmarks.sweeps.rows import results
+
+        return results(self.folder)
+
+    def table(self, metrics: Sequence[str] = (), statistic: str = "median") -> pd.DataFrame:
+        """Return the trials summed up: a line for each estimator and setting, a column for each metric.
+
+        Without `metrics` the usual ones; `statistic` as for `cellslam table`. Raises InputError.
+        """
+        import pandas as pd
+
+        from cellslam.benchmarks.tables.summaries import Layout, groups, row_keys, summary
+
+        layout = Layout(metrics=metrics, statistics=(statistic,))
+        lines = groups(summary(self.folder, layout), row_keys(self.folder, layout))
+        return pd.DataFrame([{**keys, **dict(zip(some["metric"], some["value"], strict=True))} for keys, some in lines])
+
+    def __repr__(self) -> str:
+        return f"sweep in {self.folder}\n{self.table().round(3).to_string()}"
+
+    def _repr_html_(self) -> str:
+        return str(self.table().round(3).to_html())
 
 
 def names_of(estimators: Estimators) -> tuple[str, ...]:

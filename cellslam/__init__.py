@@ -7,7 +7,7 @@ The first ten minutes, in a notebook:
     cellslam.trial("tiny", "ekf-slam").plot("map")                      # one trial: figures, truth, estimates
     recording = cellslam.simulate("tiny", seed=1)                       # what was measured, and the truth
     cellslam.replay(recording, "fastslam")                              # estimators on one recording
-    cellslam.sweep("tiny", {"radio.load": [0.0, 0.5]}, "results/load")  # variants, in parallel, resumed
+    cellslam.sweep("tiny", {"radio.load": [0.0, 0.5]}, "results/load").table()  # variants, in parallel, resumed
 
 `cellslam --help` has the same as commands. Everything is loaded when it is first used.
 """
@@ -19,7 +19,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from cellslam.benchmarks.python_api import TrialView, replay, run, sweep, trial
+    from cellslam.benchmarks.python_api import SweepView, TrialView, replay, run, sweep, trial
     from cellslam.benchmarks.sweeps.rows import results
     from cellslam.benchmarks.tables.summaries import comparison, summary
     from cellslam.scenarios.loading import load, preset_names
@@ -45,6 +45,7 @@ _HOMES = {
     "Scenario": "scenarios.scenario",
     "Setup": "slam.api",
     "Snapshot": "slam.api",
+    "SweepView": "benchmarks.python_api",
     "TrialView": "benchmarks.python_api",
     "VtEstimate": "slam.api",
     "VtMap": "slam.model.vt_map",
@@ -72,6 +73,7 @@ __all__ = [
     "Scenario",
     "Setup",
     "Snapshot",
+    "SweepView",
     "TrialView",
     "VtEstimate",
     "VtMap",

@@ -98,10 +98,16 @@ def test_replay_scores_as_run_does(recording: cellslam.Recording, tmp_path: Path
 def test_sweep_goes_on_where_it_stopped(tmp_path: Path) -> None:
     axes = {"radio.load": [0.0, 0.5]}
     first = cellslam.sweep("tiny", axes, tmp_path, "dead-reckoning", jobs=1)
-    assert first["radio.load"].tolist() == [0.0, 0.5]
+    rows = first.rows
+    assert rows["radio.load"].tolist() == [0.0, 0.5]
     again = cellslam.sweep("tiny", axes, tmp_path, "dead-reckoning", jobs=1)
-    assert again.equals(first)  # with the times of the first
-    assert cellslam.results(tmp_path)["position_rmse_m"].tolist() == first["position_rmse_m"].tolist()
+    assert again.rows.equals(rows)  # with the times of the first
+    table = first.table()
+    assert table["radio.load"].tolist() == [0.0, 0.0, 0.5, 0.5]
+    assert table["estimator"].tolist() == ["dead-reckoning", "bound"] * 2
+    assert table["position_rmse_m"].tolist()[::2] == rows["position_rmse_m"].tolist()
+    assert list(first.table(["nees_mean"], "max").columns) == ["radio.load", "estimator", "nees_mean"]
+    assert "dead-reckoning" in repr(first) and "<table" in first._repr_html_()
 
 
 @pytest.mark.parametrize(
