@@ -176,9 +176,10 @@ def _with_bounds(frame: pd.DataFrame, keys: Sequence[str]) -> pd.DataFrame:
 
     limit = RATIO_OF[1]
     bounds = frame.dropna(subset=[limit]).drop_duplicates(list(_DRIVE))
-    known = {"estimator": BOUND, "status": "ok", BOUNDED: bounds[limit]}
-    of_estimators = [key for key in frame if key.startswith("estimator.") or (key in METRICS and key not in RATIO_OF)]
-    bounds = bounds.assign(**dict.fromkeys(of_estimators), **known)
+    bounds["estimator"], bounds["status"], bounds[BOUNDED] = BOUND, "ok", bounds[limit]
+    for key in map(str, frame):
+        if key.startswith("estimator.") or (key in METRICS and key not in RATIO_OF):
+            bounds[key] = None
     both = pd.concat([frame, bounds.astype(frame.dtypes)], ignore_index=True) if len(bounds) else frame
     settings = [key for key in keys if key.partition(".")[0] != "estimator"]
     if not settings:
