@@ -105,7 +105,8 @@ def build_parser(words: Sequence[str] | None = None) -> argparse.ArgumentParser:
         for name, command in section.items():
             _add(commands, common, name, command, words)
     for group, (summary, members) in GROUPS.items():
-        inner = commands.add_parser(group, description=summary, allow_abbrev=False)
+        first = tuple(command.examples[0] for command in members.values())
+        inner = commands.add_parser(group, description=summary, epilog=_examples(first), **_look(common))
         nested = inner.add_subparsers(
             title="commands", metavar="COMMAND", dest=f"{group}_command", required=True, parser_class=Parser
         )
@@ -130,21 +131,26 @@ def _add(
     commands: Any, common: Parser, name: str, command: Command, words: Sequence[str] | None, **listed: str
 ) -> None:
     """Add one command; its module is imported where `words` may name it. `listed`: its help in the list of commands."""
-    examples = "\n".join(f"  cellslam {line}" for line in command.examples)
-    sub = commands.add_parser(
-        name,
-        parents=[common],
-        description=command.summary,
-        epilog=f"examples:\n{examples}\n",
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-        allow_abbrev=False,
-        **listed,
-    )
+    look = _look(common) | listed
+    sub = commands.add_parser(name, description=command.summary, epilog=_examples(command.examples), **look)
     sub.set_defaults(parser=sub)
     if words is None or name in words:
         module = import_module(f"cellslam.benchmarks.cli.{command.module}")
         module.add_arguments(sub)
         sub.set_defaults(command=module.command)
+
+
+def _examples(lines: Sequence[str]) -> str:
+    return "\n".join(["examples:", *(f"  cellslam {line}" for line in lines), ""])
+
+
+def _look(common: Parser) -> dict[str, Any]:
+    """Return what the parsers of all commands and groups have in common."""
+    return {
+        "parents": [common],
+        "formatter_class": argparse.RawDescriptionHelpFormatter,
+        "allow_abbrev": False,
+    }
 
 
 def _kind(message: str) -> str:

@@ -146,7 +146,7 @@ def test_what_the_documentation_shows() -> None:
     text = (Path(__file__).parents[2] / "docs" / "how-to" / "sweep.md").read_text("utf-8")
     (block,) = re.findall(r"```toml\n(.*?)```", text, re.DOTALL)
     shown = sweep.from_tables(tomllib.loads(block))
-    assert len(sweep.points(shown, shown.estimators)) == 3 * 2 * 2 * 2 * 20
+    assert len(sweep.points(shown, shown.estimators)) == 2 * 2 * 2 * 2 * 3
     commands = [line for part in re.findall(r"```sh\n(.*?)```", text, re.DOTALL) for line in part.split("\ncellslam ")]
     assert len(commands) == 3
     swept = 0
