@@ -55,8 +55,12 @@ class SiteConfig(BaseModel):
     ports: int = Field(2, ge=1, le=4, description="CRS antenna ports per cell, each a link of its own")
 
 
-def place_sites(city: City, route: Route, sites: Sequence[SiteConfig], rng: np.random.Generator) -> Floats:
+def place_sites(
+    city: City, route: Route, sites: Sequence[SiteConfig], rng: np.random.Generator, within_m: Floats | None = None
+) -> Floats:
     """Return the antenna positions (S, 3) in m; those not given are drawn near the route, on masts and roofs.
+
+    `within_m`: lower and upper corner (2, 2) of where they may be drawn; None: anywhere.
 
     Raises InputError, naming site, value and roof height, where a given position is inside a building.
     """
@@ -72,7 +76,7 @@ def place_sites(city: City, route: Route, sites: Sequence[SiteConfig], rng: np.r
         if site.position_m is not None:
             out.append(np.array(site.position_m, np.float64))
         else:
-            placed.append(_drawn(city, route, site, placed, rng))
+            placed.append(_drawn(city, route, site, placed, rng, within_m))
             out.append(placed[-1])
     return np.array(out, np.float64).reshape(-1, 3)
 
@@ -111,11 +115,18 @@ def _checked(city: City, site: SiteConfig) -> Floats:
     return np.array(site.position_m, np.float64)
 
 
-def _drawn(city: City, route: Route, site: SiteConfig, placed: Sequence[Floats], rng: np.random.Generator) -> Floats:
+def _drawn(
+    city: City,
+    route: Route,
+    site: SiteConfig,
+    placed: Sequence[Floats],
+    rng: np.random.Generator,
+    within_m: Floats | None,
+) -> Floats:
     """Return, of some possible places, the one from which most paths reach the route, as a planner would."""
     from cellslam.sim.rays import trace
 
-    places = _possible_places(city, route, placed, rng)
+    places = _possible_places(city, route, placed, rng, within_m)
     if not len(places):
         raise InputError(
             f"no place for site '{site.name}' was found {NEAREST_M:g} to {FARTHEST_M:g} m beside the route and "
@@ -126,7 +137,9 @@ def _drawn(city: City, route: Route, site: SiteConfig, placed: Sequence[Floats],
     return np.asarray(places[int(np.argmax(np.bincount(paths.transmitter, minlength=len(places))))])
 
 
-def _possible_places(city: City, route: Route, placed: Sequence[Floats], rng: np.random.Generator) -> Floats:
+def _possible_places(
+    city: City, route: Route, placed: Sequence[Floats], rng: np.random.Generator, within_m: Floats | None
+) -> Floats:
     """Return up to PLACES positions (n, 3) beside the route, apart from `placed`, on masts or on lower roofs."""
     places: list[Floats] = []
     for _ in range(DRAWS):
@@ -135,6 +148,8 @@ def _possible_places(city: City, route: Route, placed: Sequence[Floats], rng: np
         x, y = foot + distance * np.array([np.cos(angle), np.sin(angle)])
         height = city.road_m + rng.uniform(LOWEST_M, HIGHEST_M)
         if np.hypot(*(route.points_m - (x, y)).T).min() < NEAREST_M:
+            continue
+        if within_m is not None and ((within_m[0] > (x, y)) | (within_m[1] < (x, y))).any():
             continue
         if any(np.hypot(*(other[:2] - (x, y))) < APART_M for other in placed):
             continue

@@ -126,15 +126,24 @@ def _vehicle_table(corners_m: Floats, distance_m: float) -> dict[str, Any]:
 def _sites(arguments: Namespace, city: City, route: Route, rng: np.random.Generator) -> list[dict[str, Any]]:
     if not arguments.sites:
         configs = [SiteConfig(name=name, cells=(CellConfig(cell_id=0),)) for name in SITES]
-        return [
-            _site(i, *found) for i, found in enumerate(zip(SITES, place_sites(city, route, configs, rng), strict=True))
-        ]
+        try:
+            drawn = place_sites(city, route, configs, rng, _extent(city))
+        except InputError:  # the city is too small for two
+            drawn = place_sites(city, route, configs, rng)
+        return [_site(index, *found) for index, found in enumerate(zip(SITES, drawn, strict=True))]
     sites = []
     for index, (name, (x, y, height)) in enumerate(read_places(arguments.sites, city)):
         lowest = max(city.road_m + LOWEST_M, roof_height(city, x, y) + ABOVE_ROOF_M)
         known = height if math.isfinite(height) else lowest
         sites.append(_site(index, name, np.array([x, y, known])))
     return sites
+
+
+def _extent(city: City) -> Floats:
+    """Return the lower and upper corner (2, 2) of all buildings in m; NaN without any."""
+    import shapely
+
+    return np.reshape(shapely.total_bounds(city.footprints), (2, 2))
 
 
 def _site(index: int, name: str, position_m: Floats) -> dict[str, Any]:

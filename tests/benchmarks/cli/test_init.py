@@ -51,7 +51,9 @@ def test_a_city_without_streets_far_above_the_sea_gets_a_route_between_its_build
     world = prepare(load(out).world, 0, 0)
     assert world.scene.city.road_m == 171.2
     np.testing.assert_allclose(world.drive.poses[:, 2], 173.0, atol=0.3)
-    assert all(site.position_m[2] > 206.0 for site in load(out).sites if site.position_m)
+    sites = np.array([site.position_m for site in load(out).sites])
+    assert (sites[:, 2] > 206.0).all()
+    assert (sites[:, :2] >= (150_000.0, 340_000.0)).all() and (sites[:, :2] <= (150_210.0, 340_210.0)).all()
     assert (
         shapely.distance(shapely.LineString(world.drive.poses[:, :2]), shapely.union_all(world.scene.city.footprints))
         > 1.2
