@@ -46,10 +46,8 @@ class Pending(NamedTuple):
 
 LIKELY, OFF = 9.0, 25.0  # squared distances of an innovation: up to here it fits; from here on its VT may be off
 WIDENED = 2.0  # deviations of an innovation after its VT was let go
-LATELY, SETTLED = (
-    20,
-    20,
-)  # other VTs that say whether the pose is right: seen so many snapshots ago at most, and so often
+# Other VTs that say whether the pose is right: seen so many snapshots ago at most, and so often.
+LATELY, SETTLED = 20, 20
 
 
 class Look(NamedTuple):
