@@ -25,8 +25,6 @@ Tables = Mapping[str, Mapping[str, Any]]
 # Asks the estimator of a module and name, with a table of options, for all of its options and whether it is an oracle.
 Ask = Callable[[str, str, Mapping[str, Any]], tuple[Mapping[str, Any] | None, bool]]
 CAUSES = ("noise_unit_snr", "diffuse")
-# What a linear filter makes of distances is not better than this: told of less, its covariance falls below its errors.
-LEAST_DIFFUSE_M = 0.3
 
 
 @dataclass(frozen=True)
@@ -135,7 +133,6 @@ def data_sheet(radio: RadioConfig) -> dict[str, float]:
         azimuth, elevation = np.degrees(angles)
         values = {f"{cause}_m": distance, f"{cause}_azimuth_deg": azimuth, f"{cause}_elevation_deg": elevation}
         out.update(values)
-    out["diffuse_m"] = max(out["diffuse_m"], LEAST_DIFFUSE_M)
     return {key: float(f"{value:.3g}") for key, value in out.items()}
 
 

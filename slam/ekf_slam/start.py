@@ -1,9 +1,8 @@
 """The start: clock offsets are too wide for one linearisation, so each site has a bank of narrow components.
 
 A Gaussian sum over the offset of one site at a time, not over all at once: the sites share nothing but the pose, which
-odometry knows well at the start, so S banks of K filters do in place of K^S filters. Errors of direction are counted
-here, which a bank can do without as states. When every offset is known well enough, the likeliest combinations of
-components go through the drive so far once more, all sites and all states together.
+odometry knows well at the start, so S banks of K filters do in place of K^S filters. When every offset is known well
+enough, the likeliest combinations of components go through the drive so far once more, all sites together.
 
 Source: Sorenson and Alspach, "Recursive Bayesian estimation using Gaussian sums", Automatica 7, 1971.
 """
@@ -18,6 +17,7 @@ import numpy as np
 from cellslam.sim.recording import Floats, Ints
 from cellslam.slam.api import Setup
 from cellslam.slam.ekf_slam.bank import Bank, new_bank, side_by_side
+from cellslam.slam.ekf_slam.calibration_states import begin_with
 from cellslam.slam.ekf_slam.ekf_slam_options import EkfSlamOptions
 from cellslam.slam.ekf_slam.snapshot.motion_kernel import Interval
 from cellslam.slam.ekf_slam.state.layout import POSE, ArrayErrors, Core, Measured
@@ -29,6 +29,7 @@ COMBINATIONS, LEAST = 4, 0.02  # of components that go on, and how likely each m
 PRUNE_EVERY = 8  # snapshots
 KNOWN_M2 = 1e-6  # variance of a place that is known
 TYPICAL_RANGE_M, MOST_REPEATS = 200.0, 400.0
+MERGED = 0.2  # what of the roof's variance is counted besides, for errors that no state has
 
 
 def components(std_m: float, component_std_m: float, step: float) -> tuple[Floats, Floats, float]:
@@ -44,11 +45,10 @@ def components(std_m: float, component_std_m: float, step: float) -> tuple[Float
 
 @dataclass
 class Start:
-    """A bank for each site, whose offset is its own; `errors`: those that are states, `counted` those that are not."""
+    """A bank for each site, whose offset is its own; `errors`: those that are states in each filter."""
 
     core: Core
     errors: ArrayErrors
-    counted: ArrayErrors
     banks: list[Bank]
     site: Ints
     options: EkfSlamOptions
@@ -106,18 +106,11 @@ class Start:
         )
 
     def _counted(self, interval: Interval, measured: Measured) -> Measured:
-        """Return a snapshot whose variances have the errors of direction, for as often as one draw is repeated; what is
-        known of the calibration is taken off."""
-        m, errors, known = measured, self.counted, self.options.known_calibration
-        calibration = np.tile(errors.calibration**2, (len(m.z), 1))
-        if known is not None:
-            mean, std = known.at(np.nan_to_num(m.z[:, 1:]))
-            m, calibration = m._replace(z=m.z - mean, begin=m.begin - mean), std**2
-        once, often = np.zeros(m.z.shape), np.zeros(m.z.shape)
+        """Return a snapshot whose variances have errors of direction that no state has, as where paths merge, for as
+        often as one draw is repeated: a bank of one site has little else that would contradict them."""
+        m, once = measured, MERGED * self.errors.roof**2
         change = (abs(interval.measured[3]) + abs(interval.measured[0]) / TYPICAL_RANGE_M) * interval.dt
-        for variance, grid in ((calibration, errors.calibration_grid), (errors.roof**2, errors.roof_grid)):
-            once += variance
-            often += variance * min(repeats(grid.scale, change), MOST_REPEATS)
+        often = once * min(repeats(self.errors.roof_grid.scale, change), MOST_REPEATS)
         # A bank of one site does not know its pose well enough to tell VTs that return from others.
         rules = m.rules._replace(return_gate=m.rules.gate)
         return m._replace(single=m.single + once, many=m.many + often, fresh=m.fresh + once, rules=rules)
@@ -126,14 +119,15 @@ class Start:
 def begin(setup: Setup, core: Core, errors: ArrayErrors, options: EkfSlamOptions) -> Start:
     """Return the banks at the start."""
     sites, banks = setup.sites, []
-    coarse = errors._replace(calibration=np.zeros(3), roof=np.zeros(3))
     for site in range(len(sites)):
         std_m = float(sites.clock_offset_std_m[site])
         means, logs, std = components(std_m, options.component_std_m, options.component_step)
         offsets = np.tile(np.asarray(sites.clock_offset_mean_m, np.float64), (len(means), 1))
         offsets[:, site] += means
-        bank = new_bank(setup, core, coarse, offsets, np.where(np.arange(len(sites)) == site, std, 0.0), options.vts)
+        bank = new_bank(setup, core, errors, offsets, np.where(np.arange(len(sites)) == site, std, 0.0), options.vts)
         bank.arrays.links[:] = setup.links.site == site
         bank.log_weight += logs
+        if options.known_calibration is not None:
+            begin_with(bank, errors, options.known_calibration)
         banks.append(bank)
-    return Start(core, coarse, errors, banks, setup.links.site, options)
+    return Start(core, errors, banks, setup.links.site, options)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from cellslam.scenarios import load
-from cellslam.scenarios.estimator_options import LEAST_DIFFUSE_M, data_sheet, stated
+from cellslam.scenarios.estimator_options import data_sheet, stated
 from cellslam.scenarios.loading import from_tables
 from cellslam.sim.lte import RadioConfig
 from cellslam.sim.lte.statistical.statistics import statistics
@@ -31,9 +31,8 @@ def test_the_sheet_of_nr_is_of_its_band() -> None:
     noise_m = 299792458.0 / (2.0 * np.pi * 97.92e6 / 12**0.5) / (2.0 * 128.0 * 3264.0) ** 0.5
     assert sheet["noise_unit_snr_m"] == pytest.approx(noise_m, rel=0.005)
     assert sheet["noise_unit_snr_azimuth_deg"] == pytest.approx(0.0685 / (3264 / 200) ** 0.5, rel=0.005)
-    told = np.radians([sheet["diffuse_azimuth_deg"], sheet["diffuse_elevation_deg"]])
-    np.testing.assert_allclose(told, floor[1:], rtol=0.005)
-    assert floor[0] < sheet["diffuse_m"] == LEAST_DIFFUSE_M
+    told = np.array([sheet["diffuse_m"], *np.radians([sheet["diffuse_azimuth_deg"], sheet["diffuse_elevation_deg"]])])
+    np.testing.assert_allclose(told, floor, rtol=0.005)
 
 
 def test_scenarios_state_it_unless_they_say_otherwise() -> None:

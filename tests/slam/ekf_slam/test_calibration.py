@@ -147,21 +147,37 @@ def test_other_sizes_leave_what_was_found_as_it_is(
     assert again.size[0] == pytest.approx(0.8)
 
 
-def test_start_takes_off_what_is_known(
+def test_filters_of_the_start_begin_with_what_is_known(
     drives: tuple[Recording, Recording], calibration: Calibration, tmp_path: Path
 ) -> None:
     setup, odometry = setup_of(drives[1]), odometry_of(drives[1])[0].copy()
     wide = replace(setup, sites=replace(setup.sites, clock_offset_std_m=np.full(len(setup.sites), 150.0)))
     estimator = EkfSlam(told(tmp_path, calibration))
     estimator.start(wide, RNG)
+    assert estimator._start is not None and len(estimator._start.banks) == len(setup.sites)
+    for bank in estimator._start.banks:
+        again = found(bank, estimator._errors)
+        order = np.lexsort((again.cell, again.component)), np.lexsort((calibration.cell, calibration.component))
+        np.testing.assert_allclose(again.mean[order[0]], calibration.mean[order[1]], rtol=1e-12)
+
+
+def test_the_start_counts_a_share_of_the_roof_as_often_as_a_draw_is_repeated(
+    drives: tuple[Recording, Recording],
+) -> None:
+    setup, odometry = setup_of(drives[1]), odometry_of(drives[1])[0].copy()
+    odometry[:] = [1.0, 0.0, 0.0, 0.02, 0.0, 0.0]
+    wide = replace(setup, sites=replace(setup.sites, clock_offset_std_m=np.full(len(setup.sites), 150.0)))
+    estimator = EkfSlam()
+    estimator.start(wide, RNG)
     looks = estimator._grouping.looks(snapshots_of(drives[1])[0])
-    seen = estimator._measured(0.0, odometry, estimator._readings(0.0, odometry, looks), looks)
+    seen = estimator._measured(0.1, odometry, estimator._readings(0.1, odometry, looks), looks)
     assert estimator._start is not None and len(seen.z) > 3
-    counted = estimator._start._counted(Interval(0.0, odometry, np.zeros(6), np.zeros(6)), seen)
-    mean, std = calibration.at(seen.z[:, 1:])
-    np.testing.assert_allclose(counted.z, seen.z - mean)
-    np.testing.assert_allclose(counted.begin, seen.begin - mean)
-    np.testing.assert_allclose(counted.single, seen.single + std**2 + estimator.options.roof**2)
+    counted = estimator._start._counted(Interval(0.1, odometry, np.zeros(6), np.zeros(6)), seen)
+    share = 0.2 * estimator.options.roof**2
+    np.testing.assert_allclose(counted.single - seen.single, np.tile(share, (len(seen.z), 1)), rtol=1e-9)
+    # In 0.1 s the direction turns by 0.02 * 0.1 + 1.0 * 0.1 / 200 = 0.0025 rad; sqrt(2 pi) * 2 deg / 0.0025 = 35.0.
+    np.testing.assert_allclose(counted.many - seen.many, np.tile(35.0 * share, (len(seen.z), 1)), rtol=1e-4, atol=1e-12)
+    np.testing.assert_array_equal(counted.z, seen.z)
 
 
 def test_mixture_counts_what_one_filter_has_not_met_as_its_prior(learnt: EkfSlam, calibration: Calibration) -> None:
