@@ -30,6 +30,8 @@ PRUNE_EVERY = 8  # snapshots
 KNOWN_M2 = 1e-6  # variance of a place that is known
 TYPICAL_RANGE_M, MOST_REPEATS = 200.0, 400.0
 MERGED = 0.2  # what of the roof's variance is counted besides, for errors that no state has
+SHORTER = 4  # weights of the roof leave so many times sooner than after the start: many filters, little time
+STATES = 440  # room of a filter: memory that is not used costs nothing, growing does
 
 
 def components(std_m: float, component_std_m: float, step: float) -> tuple[Floats, Floats, float]:
@@ -112,7 +114,7 @@ class Start:
         change = (abs(interval.measured[3]) + abs(interval.measured[0]) / TYPICAL_RANGE_M) * interval.dt
         often = once * min(repeats(self.errors.roof_grid.scale, change), MOST_REPEATS)
         # A bank of one site does not know its pose well enough to tell VTs that return from others.
-        rules = m.rules._replace(return_gate=m.rules.gate)
+        rules = m.rules._replace(return_gate=m.rules.gate, hold=m.rules.hold // SHORTER)
         return m._replace(single=m.single + once, many=m.many + often, fresh=m.fresh + once, rules=rules)
 
 
@@ -124,7 +126,8 @@ def begin(setup: Setup, core: Core, errors: ArrayErrors, options: EkfSlamOptions
         means, logs, std = components(std_m, options.component_std_m, options.component_step)
         offsets = np.tile(np.asarray(sites.clock_offset_mean_m, np.float64), (len(means), 1))
         offsets[:, site] += means
-        bank = new_bank(setup, core, errors, offsets, np.where(np.arange(len(sites)) == site, std, 0.0), options.vts)
+        own = np.where(np.arange(len(sites)) == site, std, 0.0)
+        bank = new_bank(setup, core, errors, offsets, own, options.vts, STATES)
         bank.arrays.links[:] = setup.links.site == site
         bank.log_weight += logs
         if options.known_calibration is not None:

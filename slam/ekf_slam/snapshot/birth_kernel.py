@@ -14,7 +14,6 @@ from cellslam.sim.compiling import lean, njit, part
 from cellslam.sim.recording import Floats
 from cellslam.slam.ekf_slam.snapshot.sight_kernel import (
     Sight,
-    by_look,
     coordinates,
     errors_of,
     geometry,
@@ -33,7 +32,6 @@ from cellslam.slam.ekf_slam.state.layout import (
     IDENT,
     LAST,
     LINK,
-    MISFIT,
     OF_VT,
     POSITION,
     SHARE,
@@ -53,11 +51,12 @@ from cellslam.slam.model.matrices_kernel import (
     Sym3,
     Vec3,
     congruence,
+    mat_mat,
     mat_vec,
     put_sym,
     vec_scaled,
 )
-from cellslam.slam.model.measurement_kernel import cartesian_jacobian, direction, spherical
+from cellslam.slam.model.measurement_kernel import cartesian_jacobian, direction, spherical, spherical_jacobian
 
 NEAREST_M = 1.0  # a VT does not begin nearer
 UNKNOWN = 0.9999  # variance, of 1, from which an error is as good as unknown
@@ -92,7 +91,11 @@ def give_birth(
         errors = errors_of(f, a, j, seen, diffuse, 1.0, now, s)
     if not ranged:
         s.by[0, 6] = 0.0  # a guess has nothing to do with the clock
-    inverse = by_look(f, j, turned, seen)
+    vt = coordinates(f, j)
+    world = vec_scaled(direction(vt.azimuth, vt.elevation), vt.distance)
+    inverse = mat_mat(
+        mat_mat(spherical_jacobian(world), turned.r), cartesian_jacobian(seen.distance, seen.azimuth, seen.elevation)
+    )
     hph = gains(f, s, w)  # the VT's own states have no variance yet
     spread = congruence(inverse, Sym3(hph.xx + q[0], hph.xy, hph.xz, hph.yy + q[1], hph.yz, hph.zz + q[2]))
     at = f.vt_state[j]
@@ -131,7 +134,6 @@ def add(
     if not give_birth(f, a, new, offset, z, q, ranged, seen.diffuse[k], seen.now, s, w):
         return False
     f.anchor[new, EXISTS] = f.anchor[new, SHARE] = 1.0
-    f.anchor[new, MISFIT] = 0.0
     f.slots[new, LINK], f.slots[new, HITS], f.slots[new, LAST], f.slots[new, IDENT] = link, 1, seen.now, ident
     f.slots[new, UNSEEN] = 0
     clear(b, new)

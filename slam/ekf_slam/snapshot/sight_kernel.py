@@ -113,15 +113,6 @@ def geometry(f: Filter, j: int, offset: int, place: Vec3, turned: Rotations, vt:
 
 
 @lean
-def by_look(f: Filter, j: int, turned: Rotations, seen: Spherical) -> Mat3:
-    """Return the Jacobian of the coordinates of VT j by a look at it, which is `seen` in the body frame turned so."""
-    vt = coordinates(f, j)
-    world = vec_scaled(direction(vt.azimuth, vt.elevation), vt.distance)
-    by_body = mat_mat(spherical_jacobian(world), turned.r)
-    return mat_mat(by_body, cartesian_jacobian(seen.distance, seen.azimuth, seen.elevation))
-
-
-@lean
 def field(f: Filter, g: Grid, std: Floats, first: int, seen: Spherical, now: int, s: Sight) -> Vec3:
     """Add a field's columns to the Jacobian; return its value in m and rad.
 

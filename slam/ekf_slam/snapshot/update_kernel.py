@@ -13,11 +13,11 @@ from typing import NamedTuple
 from cellslam.sim.compiling import lean
 from cellslam.sim.frames.frames_kernel import wrap
 from cellslam.sim.recording import Floats, Ints
-from cellslam.slam.ekf_slam.snapshot.sight_kernel import Sight, by_look, coordinates, errors_of, geometry
+from cellslam.slam.ekf_slam.snapshot.sight_kernel import Sight, coordinates, errors_of, geometry
 from cellslam.slam.ekf_slam.snapshot.sizes_kernel import count_diffuse, count_white
-from cellslam.slam.ekf_slam.state.layout import DIFFUSE, HITS, LAST, MISFIT, VT, ArrayErrors, Filter
+from cellslam.slam.ekf_slam.state.layout import DIFFUSE, ArrayErrors, Filter
 from cellslam.slam.model.downdate_kernel import downdate
-from cellslam.slam.model.matrices_kernel import Sym3, Vec3, cholesky, congruence, dot, solved, sym_scaled, vec_scaled
+from cellslam.slam.model.matrices_kernel import Sym3, Vec3, cholesky, dot, solved, sym_scaled, vec_scaled
 from cellslam.slam.model.measurement_kernel import Rotations
 
 LOG_2PI = math.log(2.0 * math.pi)
@@ -44,10 +44,7 @@ class Pending(NamedTuple):
     steps: Steps
 
 
-LIKELY, OFF = 9.0, 25.0  # squared distances of an innovation: up to here it fits; from here on its VT may be off
-WIDENED = 2.0  # deviations of an innovation after its VT was let go
-# Other VTs that say whether the pose is right: seen so many snapshots ago at most, and so often.
-LATELY, SETTLED = 20, 20
+LIKELY = 9.0
 
 
 class Look(NamedTuple):
@@ -202,54 +199,12 @@ def correct(f: Filter, a: ArrayErrors, j: int, offset: int, look: Look, s: Sight
     e, hph = compare(f, a, j, offset, look, s, w)
     blank(w, e)
     new = innovate(e, look.q, hph)
-    f.anchor[j, MISFIT], _ = log_likelihood(new)
-    if is_off(f, j, look.now, w):
-        let_go(f, j, offset, look, new, s)
-        e, hph = compare(f, a, j, offset, look, s, w)
-        blank(w, e)
-        new = innovate(e, look.q, hph)
     share = likely_share(new)
     count_sizes(f, j, look, Innovation(vec_scaled(new.e, math.sqrt(share)), new.s, new.measured), w)
     counted = Innovation(new.e, sym_scaled(new.s, 1.0 / share), new.measured)
     density = update(f, counted, w)
     show_steps(f, e, new, counted.s, s, w)
     return density
-
-
-@lean
-def is_off(f: Filter, j: int, now: int, w: Pending) -> bool:
-    """Return whether a look says that VT j is not where it is believed to be: unlikely far off, while most others fit.
-
-    Where they do not, the pose may be wrong; where clocks may step, it may be a step; what was surveyed stays.
-    """
-    place = f.vt_state[j, VT]
-    if not OFF < f.anchor[j, MISFIT] < math.inf or w.steps.used[0] > 0 or f.p[place, place] <= 0.0:
-        return False
-    fit, others = 0, 0
-    for i in range(f.count[0]):
-        if i != j and now - f.slots[i, LAST] <= LATELY and f.slots[i, HITS] >= SETTLED:
-            others += 1
-            fit += 1 if f.anchor[i, MISFIT] <= LIKELY else 0
-    return fit >= 2 and 4 * fit >= 3 * others
-
-
-@lean
-def let_go(f: Filter, j: int, offset: int, look: Look, i: Innovation, s: Sight) -> None:
-    """Widen VT j where an innovation is large, until it is of `WIDENED` deviations.
-
-    A VT that began, or was seen for long, while paths merged is off by what no state has.
-    """
-    seen, at, p = geometry(f, j, offset, look.place, look.turned, coordinates(f, j), s), f.vt_state[j], f.p
-    more = Sym3(
-        max((i.e.x / WIDENED) ** 2 - i.s.xx, 0.0), 0.0, 0.0, max((i.e.y / WIDENED) ** 2 - i.s.yy, 0.0), 0.0,
-        max((i.e.z / WIDENED) ** 2 - i.s.zz, 0.0),
-    )  # fmt: skip
-    more = congruence(by_look(f, j, look.turned, seen), more)
-    x, y, z = at[VT], at[VT + 1], at[VT + 2]
-    p[x, x], p[y, y], p[z, z] = p[x, x] + more.xx, p[y, y] + more.yy, p[z, z] + more.zz
-    p[x, y] = p[y, x] = p[x, y] + more.xy
-    p[x, z] = p[z, x] = p[x, z] + more.xz
-    p[y, z] = p[z, y] = p[y, z] + more.yz
 
 
 @lean

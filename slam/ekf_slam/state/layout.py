@@ -17,8 +17,8 @@ VT, DIFFUSE, VT_STATES = 0, 3, 6
 # Integers of a VT: link, detections, snapshot of the last one, identity, and 1 while only a remembered map has it.
 LINK, HITS, LAST, IDENT, UNSEEN, SLOT = range(6)
 # Behind the three coordinates of an anchor: the probability that the VT exists and is visible (belief propagation);
-# what share a guess has in its VT (1: the only one, 0: given up); the squared Mahalanobis distance of the last block.
-EXISTS, SHARE, MISFIT, ANCHOR = range(3, 7)
+# and what share a guess has in its VT (1: the only one, 0: given up).
+EXISTS, SHARE, ANCHOR = range(3, 6)
 # What the measurements may do to the map.
 FREE, KNOWN_ASSOCIATION, KNOWN_MAP, BELIEF = range(4)
 # A VT of the map: identity, link, position (3), covariance (9).
@@ -85,7 +85,7 @@ class Filter(NamedTuple):
 
     mean `x` (N,), covariance `p` (N, N), of which `size` (1,) are in use; `owner` (N,); `weight_state` (W,): place of
     each weight of the fields, `weight_met` (W,): snapshot; `vt_state` (V, 6): places of a VT's states, -1 where there
-    is none; `anchor` (V, 6); `slots` (V, 5); `count` (1,): VTs; `links` (L,): 1 where it uses a link; confirmed VTs
+    is none; `anchor` (V, 5); `slots` (V, 5); `count` (1,): VTs; `links` (L,): 1 where it uses a link; confirmed VTs
     that were given up are in `lost` (E, 14), `losses` (1,) of them; `sizes`
     (3, Z): what was learnt of the sizes (see `sizes_kernel`), `summed` (1,): time (s) of the sums of noise; `surprise`
     (2,): sum of the squared innovations, in their deviations, of first looks at VTs of a remembered map, and how many
