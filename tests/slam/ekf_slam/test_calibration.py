@@ -150,7 +150,7 @@ def test_other_sizes_leave_what_was_found_as_it_is(
 def test_filters_of_the_start_begin_with_what_is_known(
     drives: tuple[Recording, Recording], calibration: Calibration, tmp_path: Path
 ) -> None:
-    setup, odometry = setup_of(drives[1]), odometry_of(drives[1])[0].copy()
+    setup = setup_of(drives[1])
     wide = replace(setup, sites=replace(setup.sites, clock_offset_std_m=np.full(len(setup.sites), 150.0)))
     estimator = EkfSlam(told(tmp_path, calibration))
     estimator.start(wide, RNG)
