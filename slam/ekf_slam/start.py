@@ -30,8 +30,8 @@ PRUNE_EVERY = 8  # snapshots
 KNOWN_M2 = 1e-6  # variance of a place that is known
 TYPICAL_RANGE_M, MOST_REPEATS = 200.0, 400.0
 MERGED = 0.2  # what of the roof's variance is counted besides, for errors that no state has
-SHORTER = 4  # weights of the roof leave so many times sooner than after the start: many filters, little time
-STATES = 440  # room of a filter: memory that is not used costs nothing, growing does
+SHORTER = 40  # weights of the roof leave so many times sooner than after the start: a filter for each component
+STATES = 440  # room of a filter: memory that is not used costs nothing; growing does, and rows 4096 bytes apart
 
 
 def components(std_m: float, component_std_m: float, step: float) -> tuple[Floats, Floats, float]:

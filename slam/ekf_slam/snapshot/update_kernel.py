@@ -44,7 +44,7 @@ class Pending(NamedTuple):
     steps: Steps
 
 
-LIKELY = 9.0
+LIKELY = 9.0  # squared distance of an innovation: up to here it fits
 
 
 class Look(NamedTuple):

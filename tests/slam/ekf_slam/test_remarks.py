@@ -34,5 +34,5 @@ def test_errors_that_are_not_as_large_as_told_are_remarked(drive: Recording, nam
         assert remarks == ()
     else:
         (said,) = remarks
-        assert "roof of" in said
+        assert "roof of azimuth" in said
         assert "diffuse of distance" in said
