@@ -23,6 +23,14 @@ class MapConfig(BaseModel):
         description="number of this drive in a sequence through one place: it begins with the map that those before "
         "it left, each with the map of those before itself; clocks, odometry and receiver are new in each",
     )
+    cars: int = Field(
+        1,
+        ge=1,
+        le=16,
+        exclude_if=lambda cars: cars == 1,  # so that a world of one car is called what it was before there were more
+        description="cars that drive before this drive at a time, each with an array and clocks of its own; their maps "
+        "are joined before the next ones begin",
+    )
 
     @cached_property
     def known(self) -> VtMap | None:

@@ -89,8 +89,9 @@ def _flat_value(value: Any, key: str) -> Iterator[tuple[str, Any]]:
 
 def _settings(database: Connection) -> tuple[list[tuple[str, str, str]], dict[str, list[Any]]]:
     """Return each (estimator, world, options) of the rows, and the value of every key for each."""
-    no_map = {"map": MapConfig().model_dump()}  # of a world that says nothing of it
-    worlds = {i: no_map | json.loads(t) for i, t in database.execute("SELECT id, tables FROM worlds")}
+    worlds = {i: json.loads(t) for i, t in database.execute("SELECT id, tables FROM worlds")}
+    for world in worlds.values():
+        world["map"] = dict(MapConfig()) | world.get("map", {})  # a world says nothing of a map or of one car
     options = {i: json.loads(t) for i, t in database.execute("SELECT id, tables FROM options")}
     pairs = database.execute("SELECT DISTINCT estimator, world, options FROM rows").fetchall()
     return pairs, _columns(pairs, worlds, options)

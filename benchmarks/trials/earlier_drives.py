@@ -1,11 +1,13 @@
 """What was before a drive: the map that estimators begin with, from a file or from earlier drives of its sequence.
 
 The drive of a trial is the last of its sequence, so that one world is met after any number of drives; the earlier ones
-have the trial's city, route and sites, and all else of trials that nothing else asks for.
+have the trial's city, route and sites, and all else of trials that nothing else asks for. Where several cars drove
+before it, each begins with the map that all of them left together.
 """
 
 from __future__ import annotations
 
+from contextlib import suppress
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import TYPE_CHECKING, Any
@@ -19,12 +21,14 @@ from cellslam.sim.errors import InputError
 from cellslam.sim.progress import Progress, silent
 from cellslam.sim.randomness import Stream, stream
 from cellslam.sim.recording import Recording
+from cellslam.slam.model.map_joining import join
 from cellslam.slam.model.vt_map import VtMap
 
 if TYPE_CHECKING:
     from cellslam.benchmarks.bound.cramer_rao import BoundResult
 
 APART = 1_000_000  # from the trial of a drive to that of the next one of its sequence
+MOST_DRIVES = 100  # of a sequence: from the number of a car's drive to that of the next car's
 
 
 def uses_maps(request: Request) -> bool:
@@ -64,7 +68,8 @@ class Before:
             raise InputError("the drives that the map is from are not known")
         if self.scenario is None or self.config.drives == 1:
             return both_bounds(recording, progress)
-        drives = [_earlier(self._place(), self.seed, self.trial, n) for n in range(1, self.config.drives)]
+        numbers = [n for drive in range(1, self.config.drives) for n in _numbers(drive, self.config.cars)]
+        drives = [_earlier(self._place(), self.seed, self.trial, n) for n in numbers]
         return list(shared_map_bounds([*drives, recording]))[-1]
 
     def _place(self) -> _Hashed:
@@ -88,18 +93,31 @@ class _Hashed:
 
 
 @lru_cache(maxsize=8)
-def _earlier(place: _Hashed, seed: int, trial: int, drive: int) -> Recording:
+def _earlier(place: _Hashed, seed: int, trial: int, number: int) -> Recording:
     """Return the recording of an earlier drive, the first one being 1."""
-    return simulate(place.value, seed, trial + APART * drive, place=trial)
+    return simulate(place.value, seed, trial + APART * number, place=trial)
+
+
+def _numbers(drive: int, cars: int) -> range:
+    """Return the numbers of the n-th drives of all cars."""
+    return range(drive, drive + MOST_DRIVES * cars, MOST_DRIVES)
 
 
 @lru_cache(maxsize=64)
 def _left(place: _Hashed, seed: int, trial: int, request: _Hashed, drives: int) -> VtMap | None:
-    """Return the map that so many drives have left to one estimator."""
+    """Return the map that so many drives of each car have left to one estimator; one that does not fit those of the
+    cars before it is left out."""
+    config: MapConfig = place.value.map
     if drives == 0:
-        known: VtMap | None = place.value.map.known
-        return known
-    before = _left(place, seed, trial, request, drives - 1)
+        return config.known
+    before, whole = _left(place, seed, trial, request, drives - 1), None
     warm_up(request.value)
-    rng = stream(seed, trial + APART * drives, Stream.ESTIMATOR)
-    return estimate(_earlier(place, seed, trial, drives), request.value, rng, known=before).vt_map
+    for number in _numbers(drives, config.cars):
+        rng = stream(seed, trial + APART * number, Stream.ESTIMATOR)
+        found = estimate(_earlier(place, seed, trial, number), request.value, rng, known=before).vt_map
+        if whole is None:
+            whole = found
+        elif found is not None:
+            with suppress(InputError):
+                whole = join(whole, found).map
+    return whole

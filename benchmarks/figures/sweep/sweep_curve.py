@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from itertools import cycle
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from cellslam.benchmarks.figures.style import GREY, WIDTH_IN, estimator_styles
-from cellslam.benchmarks.figures.sweep.sweep_data import Series, SweepData, sweep_lines
+from cellslam.benchmarks.figures.sweep.sweep_data import Series, SweepData, other_settings, sweep_lines
 from cellslam.benchmarks.figures.sweep.sweep_look import Look, summed_label
 from cellslam.benchmarks.scores.statistics import LEAST_VALUES, interval, statistic
 from cellslam.sim.recording import Floats
@@ -52,7 +53,8 @@ def draw_curve(figure: Figure, data: SweepData, look: Look, x: str) -> bool:
         aside = DODGE * (index - (len(lines) - 1) / 2)
         _line(axes, [(_beside(at, every, aside, logarithmic), values) for at, values in points], look, styles[name])
     if look.metric in BOUND_OF:
-        _bound(axes, bound_points(found, BOUND_OF[look.metric]), names, look)
+        for (name, points), dashes in zip(bound_lines(found, BOUND_OF[look.metric], x).items(), cycle(MARKERS)):
+            _bound(axes, name, points, names, look, dashes)
     if logarithmic:
         axes.set_xscale("log")
     if names:
@@ -77,25 +79,29 @@ def draw_curve(figure: Figure, data: SweepData, look: Look, x: str) -> bool:
     return True
 
 
-def bound_points(
-    lines: Mapping[str, Sequence[tuple[float | str | None, Series]]], key: str
-) -> dict[float | str, Floats]:
-    """Return the drives' bounds (n,) by place along x: row key `key`, in its units, of all lines of `sweep_lines`."""
-    found: dict[float | str, list[Floats]] = {}
+def bound_lines(
+    lines: Mapping[str, Sequence[tuple[float | str | None, Series]]], key: str, x: str
+) -> dict[str, dict[float | str, Floats]]:
+    """Return the drives' bounds (n,), row key `key`, in its units, by line and place along x.
+
+    There is a line for each world that differs in more than x, named by what differs, as estimators do not matter.
+    """
+    found: dict[str, dict[float | str, list[Floats]]] = {}
     for at, one in (point for points in lines.values() for point in points):
         if at is not None and len(values := one.values(key)):
-            found.setdefault(at, []).append(values)
-    return {at: np.concatenate(values) for at, values in found.items()}
+            name = ", ".join(["Cramér-Rao bound", *other_settings(one, x)])
+            found.setdefault(name, {}).setdefault(at, []).append(values)
+    return {name: {at: np.concatenate(values) for at, values in points.items()} for name, points in found.items()}
 
 
-def _bound(axes: Axes, points: Mapping[float | str, Floats], names: Sequence[str], look: Look) -> None:
-    """Draw the bound, summed up as the metric is: a line where x is a number, else a dash at each place."""
+def _bound(
+    axes: Axes, name: str, points: Mapping[float | str, Floats], names: Sequence[str], look: Look, dashes: str
+) -> None:
+    """Draw a bound, summed up as the metric is: a line where x is a number, else a dash at each place."""
     places = sorted((float(names.index(at)) if isinstance(at, str) else at, at) for at in points)
-    if not places:
-        return
     middle = [float(statistic(look.statistic).of(points[at])) for _, at in places]
-    style: dict[str, Any] = {"marker": "_", "markersize": 22, "linestyle": "none"} if names else {}
-    axes.plot([x for x, _ in places], middle, color=GREY, label="Cramér-Rao bound", zorder=1, **style)
+    style: dict[str, Any] = {"marker": "_", "markersize": 22, "linestyle": "none"} if names else {"linestyle": dashes}
+    axes.plot([x for x, _ in places], middle, color=GREY, label=name, zorder=1, **style)
 
 
 def _line(axes: Axes, points: Sequence[tuple[float | None, Floats]], look: Look, style: Mapping[str, Any]) -> None:

@@ -134,7 +134,7 @@ def sweep_lines(data: SweepData, x: str) -> dict[str, list[tuple[float | str | N
     for one in (series for panel in data.panels for series in panel.series):
         value = one.settings.get(x, one.options.get(x))
         label = label_of(one.estimator, one.options, [key for key in one.options if key != x])
-        others = [f"{key} = {shown(setting)}" for key, setting in one.settings.items() if key != x]
+        others = other_settings(one, x)
         if value is None and x in one.settings:
             # A line of its own beside a numeric axis, a place of its own on one of texts.
             others += [f"without {x}"] if numbers else []
@@ -144,6 +144,11 @@ def sweep_lines(data: SweepData, x: str) -> dict[str, list[tuple[float | str | N
     if not numbers:
         return lines
     return {name: sorted(points, key=lambda point: float(point[0] or 0.0)) for name, points in lines.items()}
+
+
+def other_settings(one: Series, x: str) -> list[str]:
+    """Return the keys of the world that vary besides x, each with its value in this series."""
+    return [f"{key} = {shown(setting)}" for key, setting in one.settings.items() if key != x]
 
 
 def shown(value: Any) -> str:

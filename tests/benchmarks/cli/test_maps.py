@@ -10,9 +10,11 @@ import pytest
 
 from cellslam.benchmarks.cli import main as cli
 from cellslam.benchmarks.sweeps.rows import results
+from cellslam.benchmarks.trials import earlier_drives
 from cellslam.benchmarks.trials.earlier_drives import APART, Before
 from cellslam.scenarios.estimator_options import resolve
 from cellslam.scenarios.loading import load
+from cellslam.slam.model import map_joining
 from cellslam.slam.model.vt_map import VtMap
 
 KNOWN_CLOCKS = ("--set", "radio.clock_offset_std_m=0")
@@ -64,6 +66,30 @@ def test_a_sequence_begins_with_its_earlier_drives(tmp_path: Path, capsys: pytes
     one, two = (Before(scenario.map.model_copy(update={"drives": n}), scenario, 72, 0).known(request) for n in (2, 3))
     assert one is not None and two is not None and two.hits.sum() > one.hits.sum()
     assert APART > 10_000
+
+
+def test_a_world_of_one_car_is_called_as_before_there_were_more() -> None:
+    assert "cars" not in load("tiny").resolved["map"]
+    assert load("tiny", {"map.cars": 2}).resolved["map"]["cars"] == 2
+
+
+def test_cars_leave_one_map_together(monkeypatch: pytest.MonkeyPatch) -> None:
+    scenario = load("tiny", {"radio.clock_offset_std_m": 0})
+    (request,) = resolve(scenario.estimator, ["ekf-slam"])
+
+    def before(cars: int, drives: int = 2) -> VtMap | None:
+        config = scenario.map.model_copy(update={"drives": drives, "cars": cars})
+        return Before(config, scenario, 72, 0).known(request)
+
+    one, two, later = before(1), before(2), before(2, 3)
+    assert one is not None and two is not None and later is not None
+    assert len(two.provenance["joined"]) == 2 and "joined" not in one.provenance
+    assert later.hits.sum() > two.hits.sum()
+    # A map that does not fit is left out.
+    earlier_drives._left.cache_clear()
+    monkeypatch.setattr(map_joining, "MOST_APART", 0.0)
+    alone = before(2)
+    assert alone is not None and alone.position_m.tolist() == one.position_m.tolist()
 
 
 def test_maps_are_joined(first: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -14,7 +14,7 @@ from matplotlib.figure import Figure
 
 from cellslam.benchmarks.cli.main import main
 from cellslam.benchmarks.figures.style import colour_of
-from cellslam.benchmarks.figures.sweep.sweep_curve import draw_curve
+from cellslam.benchmarks.figures.sweep.sweep_curve import bound_lines, draw_curve
 from cellslam.benchmarks.figures.sweep.sweep_data import load, sweep_lines
 from cellslam.benchmarks.figures.sweep.sweep_figures import draw_sweep
 from cellslam.benchmarks.figures.sweep.sweep_look import Look
@@ -91,6 +91,13 @@ def test_the_bound_of_the_drives_is_in_the_curve(folder: Path, metric: str, boun
     drawn = [line for line in figure.axes[0].get_lines() if line.get_label() == "Cramér-Rao bound"]
     assert [list(line.get_ydata()) for line in drawn] == [pytest.approx(values) for values in bounds]
     assert all(list(line.get_xdata()) == [0.01, 1.0] for line in drawn)
+
+
+def test_worlds_that_differ_in_more_than_x_have_bounds_of_their_own(folder: Path) -> None:
+    lines = sweep_lines(load(folder), "radio.load")
+    bounds = bound_lines(lines, "bound_position_rmse_m", x="another key")
+    assert list(bounds) == ["Cramér-Rao bound, radio.load = 0.01", "Cramér-Rao bound, radio.load = 1"]
+    assert [list(points) for points in bounds.values()] == [[0.01], [1.0]]
 
 
 @pytest.mark.parametrize("other", [2.0, "a text"])
