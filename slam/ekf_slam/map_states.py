@@ -86,7 +86,7 @@ class Remembered:
             f.p[size + 3 * n : size + 3 * n + 3, size + 3 * n : size + 3 * n + 3] += own
         for n, vt in enumerate(which.tolist()):
             j, places = count + n, size + 3 * n + np.arange(3)
-            f.slots[j] = self.link[vt], known.hits[vt], now - 1, self.first_ident + vt, 1
+            f.slots[j] = self.link[vt], known.hits[vt], now - 1, self.first_ident + vt, 1, 0
             f.anchor[j, :3], f.anchor[j, [EXISTS, SHARE]] = known.anchor_m[vt], 1.0
             f.vt_state[j], f.vt_state[j, VT : VT + 3] = -1, places
             f.owner[places] = [owner_of(j, VT + c, VT_STATES) for c in range(3)]

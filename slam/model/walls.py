@@ -45,6 +45,22 @@ def mirror_plane(site_m: Floats, vt_m: Floats, about_m: Floats) -> tuple[Floats,
     return plane, np.stack([by_azimuth, by_distance], axis=-2)
 
 
+def image_in_wall(site_m: Floats, vt_m: Floats, point_m: Floats) -> tuple[Floats, Floats]:
+    """Return the image (2,) of a point in the wall that mirrors a site to a VT, (2,) in m, and its Jacobian (2, 6).
+
+    The Jacobian is by x and y of the site, of the VT, and of the point.
+    """
+    about = 0.5 * (site_m + vt_m)
+    (azimuth, distance), by_ends = mirror_plane(site_m, vt_m, about)
+    across, along = normals(azimuth)
+    off = point_m - about
+    behind = off @ across - distance
+    by_azimuth = -2.0 * (behind * along + (off @ along) * across)
+    by_plane = np.column_stack([by_azimuth, 2.0 * across])
+    by_point = np.eye(2) - 2.0 * np.outer(across, across)
+    return np.asarray(point_m - 2.0 * behind * across), np.concatenate([by_plane @ by_ends, by_point], axis=1)
+
+
 def reflection_point(site_m: Floats, vt_m: Floats, vehicle_m: Floats) -> Floats:
     """Return where the path from the site to `vehicle_m` (..., 3) meets the wall that makes `vt_m`, (..., 3) in m.
 

@@ -15,11 +15,11 @@ from cellslam.slam.ekf_slam.ekf_slam import JointFilter
 from cellslam.slam.ekf_slam.ekf_slam_options import EkfSlamOptions
 from cellslam.slam.ekf_slam.snapshot.motion_kernel import Interval
 from cellslam.slam.ekf_slam.start import Start
-from cellslam.slam.ekf_slam.state.layout import Measured, one_of
+from cellslam.slam.ekf_slam.state.layout import BEYOND, IDENT, LAST, Measured, one_of
 from cellslam.slam.wall_slam.facades import Facades
 from cellslam.slam.wall_slam.joining import Flatness
 
-JOINED_EVERY, SHOWN_EVERY = 64, 16  # snapshots
+JOINED_EVERY, SHOWN_EVERY, LOOKED_EVERY = 64, 16, 16  # snapshots
 NO_WALLS = WallEstimate(
     np.zeros(0, np.int64), np.zeros(0), np.zeros(0), np.zeros((0, 2, 2)), np.zeros((0, 2))
 )  # fmt: skip
@@ -52,7 +52,7 @@ class WallSlam(JointFilter):
         """Take the prior; no wall is known."""
         o = self.options
         flat = Flatness(math.radians(o.facade_turned_deg), o.facade_off_m, o.facade_gap_m)
-        self._facades, self._joined, self._shown = Facades(flat, math.log(o.join_odds)), 0, 0
+        self._facades, self._joined, self._shown, self._looked = Facades(flat, math.log(o.join_odds)), 0, 0, 0
         super().start(setup, rng)
 
     def _see(self, association: Ints, place: Floats) -> None:
@@ -61,6 +61,13 @@ class WallSlam(JointFilter):
             self._facades.see(ident, place)
 
     def _use(self, interval: Interval, measured: Measured) -> Ints:
+        bank = self._joint
+        if bank is not None and measured.now >= self._looked + LOOKED_EVERY:
+            self._looked = measured.now
+            missed = self._facades.not_met(one_of(bank.arrays, int(np.argmax(bank.log_weight))))
+            slots = bank.arrays.slots
+            long_ago = measured.now - slots[..., LAST] > measured.rules.away
+            slots[..., BEYOND] = np.isin(slots[..., IDENT], missed) & long_ago
         association = super()._use(interval, measured)
         bank = self._joint
         # Between blocks, when no looks wait for the state that they were held against; of a mixture none is changed.

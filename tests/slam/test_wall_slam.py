@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from functools import partial
 
 import numpy as np
 import pytest
@@ -13,9 +14,11 @@ from cellslam.sim.recording import Links, Measurements, OdometryModel, Recording
 from cellslam.slam.api import odometry_of, setup_of, snapshots_of
 from cellslam.slam.ekf_slam.state.layout import EXISTS, HITS, IDENT, LINK, SHARE, UNSEEN
 from cellslam.slam.model.measurement_model import predict
+from cellslam.slam.wall_slam.constraints import impose, log_odds
+from cellslam.slam.wall_slam.doubles import Double, impose_double, likeliest_double, off
 from cellslam.slam.wall_slam.facades import Facades
 from cellslam.slam.wall_slam.images import images_of, place_of
-from cellslam.slam.wall_slam.joining import Flatness, best_pair, impose, log_odds
+from cellslam.slam.wall_slam.joining import ROOM, Flatness, apart, best_pair
 from cellslam.slam.wall_slam.wall_slam import WallSlam, WallSlamOptions
 
 FLAT = Flatness(math.radians(0.3), 0.2, 10.0)
@@ -69,6 +72,11 @@ def pair(f):
     return [image for image in images_of(f, seen(f), 3) if abs(image.azimuth - NORTH) < 0.3]
 
 
+def one_wall(f):
+    """Log-odds that the images in the wall to the north are of one wall."""
+    return log_odds(f, apart(f, *pair(f)), FLAT.covariance, ROOM)
+
+
 def test_the_site_is_the_vt_that_is_nearest_wherever_others_are_seen(one_filter):
     f, _ = filter_of(one_filter, scene()[:4], 0.1)
     f.slots[:4, HITS] = 30, 500, 400, 300  # others are seen more often
@@ -104,24 +112,24 @@ def test_a_site_that_is_mapped_twice_is_no_wall(one_filter):
 
 def test_what_is_one_wall(one_filter):
     f, _ = filter_of(one_filter, scene(), 0.5)
-    assert log_odds(f, *pair(f), FLAT) > 5.0
+    assert one_wall(f) > 5.0
     f.p[:] *= 50.0**2
-    assert log_odds(f, *pair(f), FLAT) < 2.0  # so little is known that it could be any other wall
+    assert one_wall(f) < 2.0  # so little is known that it could be any other wall
 
 
 def test_errors_that_two_images_have_in_common_do_not_set_them_apart(one_filter):
     f, at = filter_of(one_filter, scene(), 0.5)
-    far = log_odds(f, *pair(f), FLAT)
+    far = one_wall(f)
     # All sites and images may be shifted to the north, together.
     shift = np.concatenate([np.linalg.pinv(place_of(f, np.array([j]))[1][0]) @ [0.0, 30.0] for j in range(8)])
     f.p[at, at] += np.outer(shift, shift)
-    assert log_odds(f, *pair(f), FLAT) == pytest.approx(far, abs=1e-6)
+    assert one_wall(f) == pytest.approx(far, abs=1e-6)
 
 
 @pytest.mark.parametrize(("azimuth", "distance"), [(NORTH, WALL_M + 6.0), (NORTH + 0.15, WALL_M + 2.0)])
 def test_what_is_not(one_filter, azimuth, distance):
     f, _ = filter_of(one_filter, scene(azimuth, distance), 0.5)
-    assert log_odds(f, *pair(f), FLAT) == -math.inf
+    assert one_wall(f) == -math.inf
 
 
 def test_walls_far_apart_or_back_to_back_are_not_one(one_filter):
@@ -153,7 +161,7 @@ def test_imposing_leaves_the_filter_consistent(one_filter):
         vts = scene(NORTH + turn, normal @ [middle_x, WALL_M] + off)
         f, at = filter_of(one_filter, vts, 0.5, rng)
         before = np.trace(f.p)
-        impose(f, *pair(f), FLAT)
+        impose(f, partial(apart, a=pair(f)[0], b=pair(f)[1]), FLAT.covariance)
         assert np.trace(f.p) < before and np.array_equal(f.p, f.p.T)
         error = f.x[at] - np.concatenate([predict(np.zeros(6), place) for _, place in vts])
         error[1::3] = wrap_angle(error[1::3])
@@ -179,6 +187,93 @@ def test_a_wall_of_two_images_is_their_weighted_mean(one_filter):
     # From x = -41, site A from the west end of the way, to x = 69, site B from the east end.
     west, east = -60 + 30 * 70 / 110, 90 - 30 * 90 / 130
     np.testing.assert_allclose(np.sort(walls.ends_m[north[0]], axis=0), [[west, WALL_M], [east, WALL_M]], rtol=1e-6)
+
+
+SOUTH = (-NORTH, 90.0)  # a wall at y = -90 m, parallel to that in the north
+
+
+def canyon_of(*more):
+    """A site between two parallel walls, its images in them and in a third one, and VTs `more`."""
+    return [(0, SITES[0]), *((0, mirrored(SITES[0], *wall)) for wall in ((), SOUTH, (0.0, 150.0))), *((0, at) for at in more)]
+
+
+def over_both(south=SOUTH):
+    """The VT of paths over the wall in the north, then over that in the south."""
+    return mirrored(mirrored(SITES[0]), *south)
+
+
+def double_of(f, odds=5.0):
+    return likeliest_double(f, images_of(f, seen(f), 3), seen(f), FLAT, odds)
+
+
+def test_a_path_over_two_parallel_walls_is_of_both(one_filter):
+    # The site is at y = -30; over the north, y = 40, it is at 110; that over the south, y = -90, is at -290.
+    np.testing.assert_allclose(over_both(), [-60.0, -290.0, 30.0])
+    f, _ = filter_of(one_filter, canyon_of(over_both()), 0.3)
+    double = double_of(f)
+    assert double is not None and [double.vt.vt, double.first.vt, double.second.vt] == [4, 1, 2]
+    np.testing.assert_allclose(off(f, double).value, 0.0, atol=1e-9)
+
+
+@pytest.mark.parametrize(
+    "more",
+    [
+        [over_both((-NORTH, 85.0))],  # 10 m from where it would be
+        [mirrored(mirrored(SITES[0]), np.pi, 25.0)],  # over a wall of which no image of its own is known
+        [],
+    ],
+)
+def test_other_vts_are_no_double_reflections(one_filter, more):
+    f, _ = filter_of(one_filter, canyon_of(*more), 0.3)
+    assert double_of(f, -math.inf) is None
+
+
+def test_paths_that_miss_a_wall_are_not_over_it(one_filter):
+    f, _ = filter_of(one_filter, canyon_of(over_both()), 0.3)
+    far = seen(f) | {14: WAY + np.array([400.0, 0.0])}  # where neither wall was met before
+    assert likeliest_double(f, images_of(f, far, 3), far, FLAT, 5.0) is None
+    f.p[:] *= 60.0**2
+    assert double_of(f) is None  # so little is known that it could be anything
+
+
+def test_vts_by_chance_are_rarely_taken_for_double_reflections(one_filter):
+    """Eight images in walls anywhere: of 560 VTs that are images in one wall, none."""
+    rng, found = np.random.default_rng(3), 0
+    for _ in range(70):
+        walls = zip(rng.uniform(-np.pi, np.pi, 8), rng.uniform(80.0, 250.0, 8), strict=True)
+        f, _ = filter_of(one_filter, [(0, SITES[0]), *((0, mirrored(SITES[0], *wall)) for wall in walls)], 0.5)
+        found += double_of(f) is not None
+    assert found <= 1
+
+
+def test_imposing_a_double_reflection_leaves_the_filter_consistent(one_filter):
+    rng, squares = np.random.default_rng(6), []
+    for _ in range(300):
+        # Both walls' parts that the double reflection meets are turned and set off.
+        parts = [(a + FLAT.turned * rng.normal(), d + FLAT.off * rng.normal()) for a, d in ((NORTH, WALL_M), SOUTH)]
+        vts = canyon_of(mirrored(mirrored(SITES[0], *parts[0]), *parts[1]))
+        f, at = filter_of(one_filter, vts, 0.5, rng)
+        images = {image.vt: image for image in images_of(f, seen(f), 3)}
+        double = Double(vt=images[4], first=images[1], second=images[2])
+        before = np.trace(f.p)
+        impose_double(f, double, seen(f), FLAT)
+        assert np.trace(f.p) < before and np.array_equal(f.p, f.p.T)
+        error = f.x[at] - np.concatenate([predict(np.zeros(6), place) for _, place in vts])
+        error[1::3] = wrap_angle(error[1::3])
+        squares.append(error @ np.linalg.solve(f.p[at, at], error))
+    # Chi-square of 15 has a mean of 15 with a deviation of 0.3; the spread is a little wide on purpose.
+    assert 12.5 < np.mean(squares) < 16.0
+
+
+def test_a_double_reflection_is_no_wall(one_filter):
+    f, _ = filter_of(one_filter, canyon_of(over_both()), 0.3)
+    facades = Facades(FLAT, 3.0)
+    for ident, places in seen(f).items():
+        for place in places:
+            facades.see(ident, place)
+    assert len(facades.estimate(f, 3)) == 4
+    facades.join(f)
+    assert len(facades.estimate(f, 3)) == 3
 
 
 @pytest.fixture(scope="module")

@@ -22,6 +22,7 @@ from cellslam.slam.ekf_slam.snapshot.sight_kernel import (
 from cellslam.slam.ekf_slam.snapshot.update_kernel import LOG_2PI, covariance, innovate, log_likelihood
 from cellslam.slam.ekf_slam.state.layout import (
     BELIEF,
+    BEYOND,
     EXISTS,
     HITS,
     IDENT,
@@ -120,7 +121,7 @@ def score_pairs(f: Filter, a: ArrayErrors, seen: Measured, link: int, s: Sight, 
     w.gated[: stop - start] = 0
     for j in range(f.count[0]):
         share = f.anchor[j, SHARE]
-        if f.slots[j, LINK] != link or share == 0.0:
+        if f.slots[j, LINK] != link or f.slots[j, BEYOND] == 1 or share == 0.0:
             continue
         row, kind, age = rows, 0 if f.slots[j, HITS] < 2 else 1, min(seen.now - f.slots[j, LAST], horizon)
         if share < 1.0:  # one of several guesses of a VT, which is one row

@@ -23,6 +23,7 @@ from cellslam.slam.ekf_slam.snapshot.sight_kernel import (
 from cellslam.slam.ekf_slam.snapshot.sizes_kernel import count_weight
 from cellslam.slam.ekf_slam.snapshot.update_kernel import Pending, gains
 from cellslam.slam.ekf_slam.state.layout import (
+    BEYOND,
     BELIEF,
     DIFFUSE,
     ENTRY,
@@ -135,7 +136,7 @@ def add(
         return False
     f.anchor[new, EXISTS] = f.anchor[new, SHARE] = 1.0
     f.slots[new, LINK], f.slots[new, HITS], f.slots[new, LAST], f.slots[new, IDENT] = link, 1, seen.now, ident
-    f.slots[new, UNSEEN] = 0
+    f.slots[new, UNSEEN], f.slots[new, BEYOND] = 0, 0
     clear(b, new)
     f.count[0] = new + 1
     return True

@@ -14,8 +14,9 @@ POSE = 6
 NOBODY, OF_VT = -1, -2
 # States of a VT: range, azimuth, elevation about its anchor, and its diffuse errors in distance, azimuth, elevation.
 VT, DIFFUSE, VT_STATES = 0, 3, 6
-# Integers of a VT: link, detections, snapshot of the last one, identity, and 1 while only a remembered map has it.
-LINK, HITS, LAST, IDENT, UNSEEN, SLOT = range(6)
+# Integers of a VT: link, detections, snapshot of the last one, identity, 1 while only a remembered map has it, and 1
+# where its wall is known not to reach: nothing is associated with it there.
+LINK, HITS, LAST, IDENT, UNSEEN, BEYOND, SLOT = range(7)
 # Behind the three coordinates of an anchor: the probability that the VT exists and is visible (belief propagation);
 # and what share a guess has in its VT (1: the only one, 0: given up).
 EXISTS, SHARE, ANCHOR = range(3, 6)
@@ -85,7 +86,7 @@ class Filter(NamedTuple):
 
     mean `x` (N,), covariance `p` (N, N), of which `size` (1,) are in use; `owner` (N,); `weight_state` (W,): place of
     each weight of the fields, `weight_met` (W,): snapshot; `vt_state` (V, 6): places of a VT's states, -1 where there
-    is none; `anchor` (V, 5); `slots` (V, 5); `count` (1,): VTs; `links` (L,): 1 where it uses a link; confirmed VTs
+    is none; `anchor` (V, 5); `slots` (V, 6); `count` (1,): VTs; `links` (L,): 1 where it uses a link; confirmed VTs
     that were given up are in `lost` (E, 14), `losses` (1,) of them; `sizes`
     (3, Z): what was learnt of the sizes (see `sizes_kernel`), `summed` (1,): time (s) of the sums of noise; `surprise`
     (2,): sum of the squared innovations, in their deviations, of first looks at VTs of a remembered map, and how many

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from cellslam.slam.model.walls import mirror_plane, reflection_point
+from cellslam.slam.model.walls import image_in_wall, mirror_plane, reflection_point
 
 
 def test_reflection_point_by_hand():
@@ -57,3 +57,17 @@ def test_plane_moves_as_its_jacobian_says():
         step = 1e-5 * np.eye(4)[k]
         up, down = (mirror_plane(y[:, :2], y[:, 2:], about)[0] for y in (x + step, x - step))
         np.testing.assert_allclose((up - down) / 2e-5, by[:, :, k], atol=1e-6)
+
+
+def test_the_image_of_a_site_in_a_wall_is_its_vt_and_back():
+    site, vt, point = np.array([3.0, -7.0]), np.array([41.0, 22.0]), np.array([-5.0, 12.0])
+    np.testing.assert_allclose(image_in_wall(site, vt, site)[0], vt)
+    np.testing.assert_allclose(image_in_wall(site, vt, image_in_wall(site, vt, point)[0])[0], point)
+
+
+def test_the_image_moves_as_its_jacobian_says():
+    x = np.random.default_rng(4).normal(0, 50, 6)
+    _, by = image_in_wall(x[:2], x[2:4], x[4:])
+    for k, step in enumerate(1e-5 * np.eye(6)):
+        up, down = (image_in_wall(y[:2], y[2:4], y[4:])[0] for y in (x + step, x - step))
+        np.testing.assert_allclose((up - down) / 2e-5, by[:, k], atol=1e-6)
