@@ -1,4 +1,4 @@
-"""The walls of a drive: from where their images were seen, which are of one wall or of two, and the map that follows."""
+"""The walls of a drive: from where images were seen, which are in one wall or in two, and the map that follows."""
 
 from __future__ import annotations
 

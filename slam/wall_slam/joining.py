@@ -83,9 +83,7 @@ def best_pair(f: Filter, images: list[Image], wall: Ints, flat: Flatness, odds: 
     score = np.full((len(images), len(images)), -math.inf)
     for i, j in combinations(range(len(images)), 2):
         if wall[i] != wall[j] and _next_to_each_other(images[i], images[j], flat.gap):
-            score[i, j] = score[j, i] = log_odds(
-                f, apart(f, images[i], images[j]), flat.covariance, ROOM
-            )
+            score[i, j] = score[j, i] = log_odds(f, apart(f, images[i], images[j]), flat.covariance, ROOM)
     for flatly in np.argsort(-np.triu(score, 1), axis=None, kind="stable"):
         i, j = divmod(int(flatly), len(images))
         if i >= j or score[i, j] < odds:

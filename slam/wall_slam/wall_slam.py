@@ -11,11 +11,12 @@ from pydantic import Field
 
 from cellslam.sim.recording import Floats, Ints
 from cellslam.slam.api import Estimate, Setup, WallEstimate
+from cellslam.slam.ekf_slam.bank import Bank
 from cellslam.slam.ekf_slam.ekf_slam import JointFilter
 from cellslam.slam.ekf_slam.ekf_slam_options import EkfSlamOptions
 from cellslam.slam.ekf_slam.snapshot.motion_kernel import Interval
 from cellslam.slam.ekf_slam.start import Start
-from cellslam.slam.ekf_slam.state.layout import BEYOND, IDENT, LAST, Measured, one_of
+from cellslam.slam.ekf_slam.state.layout import BEYOND, IDENT, LAST, Filter, Measured, one_of
 from cellslam.slam.wall_slam.facades import Facades
 from cellslam.slam.wall_slam.joining import Flatness
 
@@ -61,13 +62,8 @@ class WallSlam(JointFilter):
             self._facades.see(ident, place)
 
     def _use(self, interval: Interval, measured: Measured) -> Ints:
-        bank = self._joint
-        if bank is not None and measured.now >= self._looked + LOOKED_EVERY:
-            self._looked = measured.now
-            missed = self._facades.not_met(one_of(bank.arrays, int(np.argmax(bank.log_weight))))
-            slots = bank.arrays.slots
-            long_ago = measured.now - slots[..., LAST] > measured.rules.away
-            slots[..., BEYOND] = np.isin(slots[..., IDENT], missed) & long_ago
+        if measured.now >= self._looked + LOOKED_EVERY:
+            self._end_walls(measured)
         association = super()._use(interval, measured)
         bank = self._joint
         # Between blocks, when no looks wait for the state that they were held against; of a mixture none is changed.
@@ -77,6 +73,14 @@ class WallSlam(JointFilter):
             self._joined = measured.now
         return association
 
+    def _end_walls(self, measured: Measured) -> None:
+        """Let nothing be associated with VTs, unseen for a while, whose walls would not be met as far as they reach."""
+        self._looked, bank = measured.now, self._joint
+        if bank is not None:
+            missed, slots = self._facades.not_met(likeliest(bank)), bank.arrays.slots
+            long_ago = measured.now - slots[..., LAST] > measured.rules.away
+            slots[..., BEYOND] = np.isin(slots[..., IDENT], missed) & long_ago
+
     def _step_start(self, start: Start, interval: Interval, measured: Measured) -> Estimate:
         return replace(super()._step_start(start, interval, measured), walls=NO_WALLS)
 
@@ -85,5 +89,9 @@ class WallSlam(JointFilter):
         if bank is None or measured.now < self._shown + SHOWN_EVERY:
             return answer
         self._shown = measured.now
-        likeliest = one_of(bank.arrays, int(np.argmax(bank.log_weight)))
-        return replace(answer, walls=self._facades.estimate(likeliest, self.options.confirm_hits))
+        return replace(answer, walls=self._facades.estimate(likeliest(bank), self.options.confirm_hits))
+
+
+def likeliest(bank: Bank) -> Filter:
+    """Return the likeliest filter of a bank."""
+    return one_of(bank.arrays, int(np.argmax(bank.log_weight)))

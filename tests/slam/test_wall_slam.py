@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import fields, replace
 from functools import partial
 
 import numpy as np
@@ -12,7 +13,9 @@ from cellslam.benchmarks.scores.walls import true_walls, wall_scores
 from cellslam.sim.frames import integrate_pose, wrap_angle
 from cellslam.sim.recording import Links, Measurements, OdometryModel, Recording, Sites, Truth, VirtualTransmitters
 from cellslam.slam.api import odometry_of, setup_of, snapshots_of
-from cellslam.slam.ekf_slam.state.layout import EXISTS, HITS, IDENT, LINK, SHARE, UNSEEN
+from cellslam.slam.ekf_slam.snapshot.association_kernel import score_pairs
+from cellslam.slam.ekf_slam.state.array_errors import NO_ERRORS
+from cellslam.slam.ekf_slam.state.layout import BEYOND, EXISTS, HITS, IDENT, LINK, SHARE, UNSEEN
 from cellslam.slam.model.measurement_model import predict
 from cellslam.slam.wall_slam.constraints import impose, log_odds
 from cellslam.slam.wall_slam.doubles import Double, impose_double, likeliest_double, off
@@ -194,7 +197,11 @@ SOUTH = (-NORTH, 90.0)  # a wall at y = -90 m, parallel to that in the north
 
 def canyon_of(*more):
     """A site between two parallel walls, its images in them and in a third one, and VTs `more`."""
-    return [(0, SITES[0]), *((0, mirrored(SITES[0], *wall)) for wall in ((), SOUTH, (0.0, 150.0))), *((0, at) for at in more)]
+    return [
+        (0, SITES[0]),
+        *((0, mirrored(SITES[0], *wall)) for wall in ((), SOUTH, (0.0, 150.0))),
+        *((0, at) for at in more),
+    ]
 
 
 def over_both(south=SOUTH):
@@ -276,6 +283,30 @@ def test_a_double_reflection_is_no_wall(one_filter):
     assert len(facades.estimate(f, 3)) == 3
 
 
+def test_where_a_wall_was_not_seen_to_reach_nothing_is_associated_with_it(one_filter):
+    f, _ = filter_of(one_filter, scene(), 0.3)
+    facades = Facades(FLAT, 3.0)
+    for ident, places in seen(f).items():
+        for place in places:
+            facades.see(ident, place)
+    # Site B's image in the north is met at x = 27.7 + 9/13 of the vehicle's: from 6.9 m on, and with a gap from -3.1 m.
+    f.x[:2] = [-44.0, 0.0]
+    assert facades.not_met(f) == []
+    f.x[:2] = [-45.0, 0.0]
+    assert facades.not_met(f) == [15]
+    facades.join(f)  # the other site shows that the wall reaches to x = -41 m
+    assert facades.not_met(f) == []
+
+
+def test_a_vt_beyond_its_wall_takes_part_no_more(one_filter):
+    f, _ = filter_of(one_filter, scene()[:2], 0.3)
+    one = one_filter()
+    look = one.seen(np.stack([predict(np.zeros(6), SITES[0])]), np.full((1, 3), 1e-3))
+    for beyond, candidates in ((0, 2), (1, 1)):
+        f.slots[1, BEYOND] = beyond
+        assert score_pairs(f, NO_ERRORS, look, 0, one.w.sight, one.w.pairs) == candidates
+
+
 @pytest.fixture(scope="module")
 def street():
     """Two sites with known clocks heard over a wall that they share and over two others each, along 90 m."""
@@ -323,6 +354,25 @@ def driven(recording, **options):
         answers.append(estimator.step(dt, odometry, snapshot))
         walls = answers[-1].walls if answers[-1].walls is not None else walls
     return walls, answers[-1]
+
+
+def test_vts_in_sight_stay_whatever_is_known_of_their_walls(street, monkeypatch):
+    _, last = driven(street)
+    monkeypatch.setattr(Facades, "not_met", lambda _, f: f.slots[: f.count[0], IDENT].tolist())
+    _, other = driven(street)
+    np.testing.assert_array_equal(other.pose, last.pose)
+
+
+def test_vts_that_were_long_out_of_sight_wait_for_their_walls(street, monkeypatch):
+    m = street.measurements
+    kept = (m.snapshot < 400) | (m.snapshot >= 500)
+    columns = {f.name: getattr(m, f.name)[kept] for f in fields(m) if getattr(m, f.name) is not None}
+    dark = replace(street, measurements=Measurements(**columns), truth=None)
+    _, last = driven(dark)
+    monkeypatch.setattr(Facades, "not_met", lambda _, f: [5])
+    _, other = driven(dark)
+    assert 5 in last.vts.id and (last.association == 5).any()
+    assert 5 in other.vts.id and not (other.association == 5).any()
 
 
 def test_a_drive_maps_the_wall_that_two_sites_share(street):

@@ -23,8 +23,8 @@ from cellslam.slam.ekf_slam.snapshot.sight_kernel import (
 from cellslam.slam.ekf_slam.snapshot.sizes_kernel import count_weight
 from cellslam.slam.ekf_slam.snapshot.update_kernel import Pending, gains
 from cellslam.slam.ekf_slam.state.layout import (
-    BEYOND,
     BELIEF,
+    BEYOND,
     DIFFUSE,
     ENTRY,
     EXISTS,
