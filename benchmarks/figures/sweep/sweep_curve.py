@@ -53,8 +53,8 @@ def draw_curve(figure: Figure, data: SweepData, look: Look, x: str) -> bool:
         aside = DODGE * (index - (len(lines) - 1) / 2)
         _line(axes, [(_beside(at, every, aside, logarithmic), values) for at, values in points], look, styles[name])
     if look.metric in BOUND_OF:
-        for (name, points), dashes in zip(bound_lines(found, BOUND_OF[look.metric], x).items(), cycle(MARKERS)):
-            _bound(axes, name, points, names, look, dashes)
+        for (name, bounds), dashes in zip(bound_lines(found, BOUND_OF[look.metric], x).items(), cycle(MARKERS)):
+            _bound(axes, name, bounds, names, look, dashes)
     if logarithmic:
         axes.set_xscale("log")
     if names:
