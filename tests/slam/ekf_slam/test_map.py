@@ -13,11 +13,12 @@ import pytest
 from cellslam.scenarios.simulation import simulate
 from cellslam.sim.errors import InputError
 from cellslam.sim.recording import Floats, Links, OdometryModel, Recording, Sites
-from cellslam.slam.api import Setup, odometry_of, setup_of, snapshots_of
+from cellslam.slam.api import Estimate, Setup, odometry_of, setup_of, snapshots_of
 from cellslam.slam.ekf_slam.bank import core_of, new_bank
 from cellslam.slam.ekf_slam.ekf_slam import EkfSlam
 from cellslam.slam.ekf_slam.map_after import WIDENED, Heard, map_after
 from cellslam.slam.ekf_slam.map_states import Remembered, standing
+from cellslam.slam.ekf_slam.map_trial import MapTrial
 from cellslam.slam.ekf_slam.state.array_errors import NO_ERRORS
 from cellslam.slam.ekf_slam.state.layout import UNSEEN, VT, block_of, one_of
 from cellslam.slam.fastslam.fastslam import FastSlam
@@ -208,6 +209,16 @@ def test_a_wrong_map_is_noticed(
     _, without = driven(drives[1], None)
     assert any("the map does not fit" in line for line in begun.remarks())
     assert error < 1.2 * without
+
+
+@pytest.mark.parametrize(("ours", "fits"), [(20, True), (5, False)])
+def test_a_map_may_have_holes(ours: int, fits: bool) -> None:
+    """Of 100 looks a snapshot so many are of the map's VTs; where they are few, it is of elsewhere."""
+    trial, association = MapTrial(range(1000, 2000)), np.arange(100) + 1000 * (np.arange(100) < ours)
+    same = Estimate(np.zeros(6), np.eye(6), association)
+    for _ in range(25):
+        trial.take(same, same, resolved=True, surprise=np.zeros(2))
+    assert trial.believed == fits and ("5% of the looks are of its VTs" in trial.refused) == (not fits)
 
 
 def test_vts_out_of_reach_are_not_touched(drives: list[Recording], maps: list[VtMap]) -> None:
