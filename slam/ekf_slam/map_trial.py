@@ -24,7 +24,7 @@ FLOOR = np.array([0.1, 0.1, 0.005])  # what x, y (m) and yaw (rad) may differ by
 OFFSET_FLOOR_M = 0.5  # what clock offsets may
 TRIAL_M = 100.0  # a trial is over after so long a way with clock offsets that are known without the map, too
 FEW, MANY = 50, 2000  # looks after which a map is believed, and after which it must be
-LEAST_SHARE = 0.1  # of the looks that are of the map's VTs: of a map with holes, too
+LEAST_SHARE = 0.5  # of the looks that are of the map's VTs
 SURPRISED, LEAST = 4.0, 9.0  # deviations by which first looks may be farther off than told; components that tell
 PLANE = np.array([0, 1, 3])
 
