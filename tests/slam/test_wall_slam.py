@@ -75,6 +75,15 @@ def pair(f):
     return [image for image in images_of(f, seen(f), 3) if abs(image.azimuth - NORTH) < 0.3]
 
 
+def facades_of(f):
+    """What is known of walls when all of the way has been driven."""
+    facades = Facades(FLAT, 3.0)
+    for ident, places in seen(f).items():
+        for place in places:
+            facades.see(ident, place)
+    return facades
+
+
 def one_wall(f):
     """Log-odds that the images in the wall to the north are of one wall."""
     return log_odds(f, apart(f, *pair(f)), FLAT.covariance, ROOM)
@@ -175,10 +184,7 @@ def test_imposing_leaves_the_filter_consistent(one_filter):
 
 def test_a_wall_of_two_images_is_their_weighted_mean(one_filter):
     f, _ = filter_of(one_filter, scene(), 0.3)
-    facades = Facades(FLAT, 3.0)
-    for ident, places in seen(f).items():
-        for place in places:
-            facades.see(ident, place)
+    facades = facades_of(f)
     alone = facades.estimate(f, 3)
     assert len(alone) == 6
     facades.join(f)
@@ -274,10 +280,7 @@ def test_imposing_a_double_reflection_leaves_the_filter_consistent(one_filter):
 
 def test_a_double_reflection_is_no_wall(one_filter):
     f, _ = filter_of(one_filter, canyon_of(over_both()), 0.3)
-    facades = Facades(FLAT, 3.0)
-    for ident, places in seen(f).items():
-        for place in places:
-            facades.see(ident, place)
+    facades = facades_of(f)
     assert len(facades.estimate(f, 3)) == 4
     facades.join(f)
     assert len(facades.estimate(f, 3)) == 3
@@ -285,10 +288,7 @@ def test_a_double_reflection_is_no_wall(one_filter):
 
 def test_where_a_wall_was_not_seen_to_reach_nothing_is_associated_with_it(one_filter):
     f, _ = filter_of(one_filter, scene(), 0.3)
-    facades = Facades(FLAT, 3.0)
-    for ident, places in seen(f).items():
-        for place in places:
-            facades.see(ident, place)
+    facades = facades_of(f)
     # Site B's image in the north is met at x = 27.7 + 9/13 of the vehicle's: from 6.9 m on, and with a gap from -3.1 m.
     f.x[:2] = [-44.0, 0.0]
     assert facades.not_met(f) == []
