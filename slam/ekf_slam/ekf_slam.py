@@ -281,7 +281,7 @@ class JointFilter:
             self.mode, float(np.log(o.clutter_density)), o.gate, float(-np.log1p(-o.birth_ratio)), o.confirm_hits,
             once, twice, min(max(round(o.block_s / step_s), 1), LONGEST) if states else 1, WAY_M, TURN,
             max(EVIDENCE, novelty(o, odometry[3] * dt_s, odometry[0] * dt_s)), int(o.hold_s / step_s),
-            min(o.return_gate, o.gate), max(round(AWAY_S / step_s), 1), DOUBT if self._most > 1 else 0.0,
+            math.log(o.return_odds), max(round(AWAY_S / step_s), 1), DOUBT if self._most > 1 else 0.0,
             step=self._log_step,
         )  # fmt: skip
         begin_z, begin_q = values.z.copy(), values.fresh.copy()

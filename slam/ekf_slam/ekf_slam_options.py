@@ -18,8 +18,8 @@ class EkfSlamOptions(FrontEndOptions):
     gate: float = Field(
         36.0, gt=0, le=1000, description="squared Mahalanobis distance beyond which nothing associates (chi-square)"
     )
-    return_gate: float = Field(
-        16.0, gt=0, le=1000, description="the same for a VT unseen for 3 s: those of walls nearby are taken for it"
+    return_odds: float = Field(
+        3.0, gt=0, le=1e9, description="odds from which on a look is of a VT unseen for 3 s, not of a new one nearby"
     )
     errors: Literal["states", "counted"] = Field(
         "states", description="errors that persist: as states of the filter, or counted as so many fewer measurements"

@@ -30,6 +30,7 @@ PRUNE_EVERY = 8  # snapshots
 KNOWN_M2 = 1e-6  # variance of a place that is known
 TYPICAL_RANGE_M, MOST_REPEATS = 200.0, 400.0
 MERGED = 0.2  # what of the roof's variance is counted besides, for errors that no state has
+RETURN_LOG_ODDS = -4.0  # from which on a VT unseen for a while may be the one that is seen
 SHORTER = 40  # weights of the roof leave so many times sooner than after the start: a filter for each component
 STATES = 440  # room of a filter: memory that is not used costs nothing; growing does, and rows 4096 bytes apart
 
@@ -113,8 +114,8 @@ class Start:
         m, once = measured, MERGED * self.errors.roof**2
         change = (abs(interval.measured[3]) + abs(interval.measured[0]) / TYPICAL_RANGE_M) * interval.dt
         often = once * min(repeats(self.errors.roof_grid.scale, change), MOST_REPEATS)
-        # A bank of one site does not know its pose well enough to tell VTs that return from others.
-        rules = m.rules._replace(return_gate=m.rules.gate, hold=m.rules.hold // SHORTER)
+        # A bank of one site does not know its pose well enough to tell VTs that return: it refuses what is improbable.
+        rules = m.rules._replace(return_log_odds=RETURN_LOG_ODDS, hold=m.rules.hold // SHORTER)
         return m._replace(single=m.single + once, many=m.many + often, fresh=m.fresh + once, rules=rules)
 
 

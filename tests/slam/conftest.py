@@ -31,7 +31,7 @@ class OneFilter:
         )  # fmt: skip
         self.rules = Rules(**{"mode": FREE, "log_clutter": 0.0, "gate": 16.3, "birth": 0.0, "confirm": 3, "age_once": 9,
                               "age_twice": 9, "snapshots": 1, "way": 1.0, "turn": 1.0, "evidence": 1.0, "hold": 5,
-                              "return_gate": 9.0, "away": 4, **rules})  # fmt: skip
+                              "return_log_odds": 0.0, "away": 4, **rules})  # fmt: skip
         self.bank, self.errors = new_bank(setup, core_of(setup, errors), errors, np.zeros((1, 1)), np.zeros(1)), errors
         self.f, self.block = one_of(self.bank.arrays, 0), Block(*(part[0] for part in self.bank.blocks))
         self.offset, self.w = self.bank.core.first_offset, new_room(self.f, 12)

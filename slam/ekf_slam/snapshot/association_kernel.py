@@ -19,7 +19,13 @@ from cellslam.slam.ekf_slam.snapshot.sight_kernel import (
     roof_first,
     rotations_of,
 )
-from cellslam.slam.ekf_slam.snapshot.update_kernel import LOG_2PI, covariance, innovate, log_likelihood
+from cellslam.slam.ekf_slam.snapshot.update_kernel import (
+    LOG_2PI,
+    Innovation,
+    covariance,
+    innovate,
+    log_likelihood,
+)
 from cellslam.slam.ekf_slam.state.layout import (
     BELIEF,
     BEYOND,
@@ -37,6 +43,7 @@ from cellslam.slam.model.assignment_kernel import assign
 from cellslam.slam.model.matrices_kernel import Sym3, Vec3
 from cellslam.slam.model.measurement_kernel import Rotations
 
+NEARBY_M = 50.0  # walls next to each other make VTs that are so far apart, if they are two
 FRESH, TAKEN = -1, -2  # looks that may begin a VT, and those that nothing is to be made of
 
 
@@ -109,13 +116,28 @@ def difference(z: Floats, expected: Vec3) -> Vec3:
 
 
 @lean
+def log_odds_of_return(i: Innovation, z: Floats, range_m: float) -> float:
+    """Return the log-odds that a look z (3,) is of the VT which it is held against, not of another one near its place.
+
+    By distance and azimuth, range_m away: elevations tell little, all images of a site have one height. The other one
+    may be anywhere within NEARBY_M either way; a component that was not measured says nothing.
+    """
+    xx, xy, yy = i.s.xx, i.s.xy, i.s.yy
+    det = xx * yy - xy * xy
+    distance2 = (yy * i.e.x * i.e.x - 2.0 * xy * i.e.x * i.e.y + xx * i.e.y * i.e.y) / det
+    room = math.log(NEARBY_M) - 0.5 * LOG_2PI if not math.isnan(z[0]) else 0.0
+    room += math.log(NEARBY_M / max(range_m, 1.0)) - 0.5 * LOG_2PI if not math.isnan(z[1]) else 0.0
+    return room - 0.5 * (distance2 + math.log(det))
+
+
+@lean
 def score_pairs(f: Filter, a: ArrayErrors, seen: Measured, link: int, s: Sight, w: Pairs) -> int:
     """Score the looks of a link against its VTs; return how many candidates there are.
 
     Written: w.score (C, m): log-likelihood ratio of a pair to "missed, and clutter", -inf outside the gate; w.chosen
     (C,): VT of each row; w.gated (m,): 1 in somebody's gate.
     """
-    turned, offset = rotations_of(f), f.core.first_offset + seen.site_of[link]
+    turned, offset, gate = rotations_of(f), f.core.first_offset + seen.site_of[link], seen.rules.gate
     start, stop, horizon = seen.first[link], seen.first[link + 1], seen.tables.shape[2] - 1
     rows = 0
     w.gated[: stop - start] = 0
@@ -139,10 +161,12 @@ def score_pairs(f: Filter, a: ArrayErrors, seen: Measured, link: int, s: Sight, 
             detected = f.anchor[j, EXISTS] * seen.rules.detection
             odds = math.log(max(detected, 1e-300) / (1.0 - detected))
         prior = odds - seen.rules.log_clutter + math.log(share)
-        gate = seen.rules.return_gate if seen.now - f.slots[j, LAST] > seen.rules.away else seen.rules.gate
+        returns = seen.now - f.slots[j, LAST] > seen.rules.away
         for k in range(start, stop):
             i = innovate(difference(seen.z[k], expected.z), seen.single[k], expected.hph)
             if i.measured == 0 or i.e.x * i.e.x > gate * i.s.xx or i.e.y * i.e.y > gate * i.s.yy:
+                continue
+            if returns and log_odds_of_return(i, seen.z[k], expected.z.x - f.x[offset]) < seen.rules.return_log_odds:
                 continue
             distance2, log_det = log_likelihood(i)
             if distance2 < gate:

@@ -120,10 +120,11 @@ class Rules(NamedTuple):
     against clutter); `confirm`: detections that confirm a VT; `age_once`, `age_twice`: snapshots after which one
     that was seen once, or a few times, is dropped. A block ends after so many `snapshots`, so long a `way` (m) or
     `turn` (rad); `evidence`: what share of detections, misses and births counts; `hold`: snapshots after which a
-    weight that was not met is given up; `return_gate`: the gate of a VT that was last seen more than `away`
-    snapshots ago; `doubt`: what a rival association may lose of log-likelihood. Belief propagation: probabilities
-    that a visible VT stays so, that a hidden one comes `back`, of `detection`, and below which a VT is given up,
-    `drop`. `step`: log-probability that a clock which may step does so in a block.
+    weight that was not met is given up; `return_log_odds`: least log-odds that a look is of a VT which was last seen
+    more than `away` snapshots ago, not of another one nearby; `doubt`: what a rival association may lose of
+    log-likelihood. Belief propagation: probabilities that a visible VT stays so, that a hidden one comes `back`, of
+    `detection`, and below which a VT is given up, `drop`. `step`: log-probability that a clock which may step does so
+    in a block.
     """
 
     mode: int
@@ -138,7 +139,7 @@ class Rules(NamedTuple):
     turn: float
     evidence: float
     hold: int
-    return_gate: float
+    return_log_odds: float
     away: int
     doubt: float = 0.0
     stay: float = 1.0

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from scipy.stats import multivariate_normal
 
 from cellslam.sim.frames import integrate_pose
 from cellslam.slam.api import setup_of
@@ -165,24 +166,46 @@ def test_updates_are_textbook_kalman_updates_also_while_they_wait(one_filter: An
     np.testing.assert_array_equal(one.f.p, one.f.p.T)
 
 
-@pytest.mark.parametrize(("unseen", "gate"), [(4, 16.3), (5, 9.0)])
-def test_pairs_beyond_the_gate_are_none(unseen: int, gate: float, one_filter: Any, kalman: Callable[..., Any]) -> None:
-    """A VT that was not seen for long has a gate of its own."""
+def test_pairs_beyond_the_gate_are_none(one_filter: Any, kalman: Callable[..., Any]) -> None:
     one, q = one_filter(), np.array([0.3, 1e-4, 2e-4])
     one.put(POSE, 5.0, [80.0, 0.5, 0.2])
-    one.f.slots[0, LAST] = NOW - unseen
+    one.f.slots[0, LAST] = NOW - 4
     p = one.spread(np.random.default_rng(1).normal(size=(10, 10)) * 0.02)
     h, by = one.model(0)
     for e in np.array([[0.2, 0.01, -0.02], [0.3, np.nan, 0.02]]):
         there = np.isfinite(e)
         s = (by @ p @ by.T + np.diag(q))[np.ix_(there, there)]
         e /= np.sqrt(e[there] @ np.linalg.solve(s, e[there]))
-        near, far = np.sqrt(gate - 0.01) * e, np.sqrt(gate + 0.01) * e
+        near, far = np.sqrt(16.3 - 0.01) * e, np.sqrt(16.3 + 0.01) * e
         seen = one.seen(h + np.array([near, far]), np.array([q, q]))
         assert score_pairs(one.f, NO_ERRORS, seen, 0, one.w.sight, one.w.pairs) == 1
         assert one.w.pairs.score[0, 0] == pytest.approx(kalman(one.f.x[:10], p, by, near, q)[2])
         assert one.w.pairs.score[0, 1] == -np.inf
         assert one.w.pairs.gated[:2].tolist() == [1, 0]
+
+
+def test_a_vt_that_returns_must_be_likelier_than_a_new_one_nearby(one_filter: Any) -> None:
+    """A VT unseen for longer than `away` takes no look that one anywhere within 50 m would explain as well."""
+    one, q, range_m = one_filter(), np.array([0.3, 1e-4, 2e-4]), 80.0
+    one.put(POSE, 5.0, [range_m, 0.5, 0.2])
+    p = one.spread(np.random.default_rng(1).normal(size=(10, 10)) * 0.02)
+    h, by = one.model(0)
+    room = np.array([50.0, 50.0 / (h[0] - 5.0)])
+    s = (by @ p @ by.T + np.diag(q))[:2, :2]
+    for e in np.array([[0.2, 0.01, 0.03], [0.3, np.nan, 0.02], [np.nan, 0.01, 0.02]]):
+        there = np.isfinite(e[:2])
+
+        def log_odds(look: Any, there: Any = there) -> float:
+            density = multivariate_normal.logpdf(look[:2][there], cov=s[np.ix_(there, there)])
+            return float(density + np.log(room[there]).sum())
+
+        for unseen, taken in ((4, [1, 1]), (5, [1, 0])):
+            one.f.slots[0, LAST] = NOW - unseen
+            rules = {"return_log_odds": log_odds(e) - 1e-6}
+            seen = one.seen(h + np.array([e, 1.001 * e]), np.array([q, q]))
+            seen = seen._replace(rules=seen.rules._replace(**rules))
+            score_pairs(one.f, NO_ERRORS, seen, 0, one.w.sight, one.w.pairs)
+            assert one.w.pairs.gated[:2].tolist() == taken
 
 
 def test_leaving_is_marginalising(one_filter: Any) -> None:
