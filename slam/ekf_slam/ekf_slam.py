@@ -266,9 +266,10 @@ class JointFilter:
 
     def _readings(self, dt_s: float, odometry: Floats, looks: Looks) -> Readings:
         """Return the looks with their variances."""
+        turn_rad, moved_m = odometry[3] * dt_s, odometry[0] * dt_s
         if self.options.errors == "states":
-            return white_readings(looks, self._grouping.options)
-        return readings(looks, self._ports, self._grouping.options, odometry[3] * dt_s, odometry[0] * dt_s)
+            return white_readings(looks, self._grouping.options, turn_rad, moved_m)
+        return readings(looks, self._ports, self._grouping.options, turn_rad, moved_m)
 
     def _measured(self, dt_s: float, odometry: Floats, values: Readings, looks: Looks) -> Measured:
         o, site, step_s = self._grouping.options, self._setup.links.site, dt_s if dt_s > 0.0 else 0.075

@@ -21,15 +21,12 @@ from cellslam.slam.ekf_slam.calibration_states import begin_with
 from cellslam.slam.ekf_slam.ekf_slam_options import EkfSlamOptions
 from cellslam.slam.ekf_slam.snapshot.motion_kernel import Interval
 from cellslam.slam.ekf_slam.state.layout import POSE, ArrayErrors, Core, Measured
-from cellslam.slam.front_end.readings_kernel import repeats
 from cellslam.slam.model.pose_moments import mixture_moments
 
 REACH = 4.0  # the components cover this many deviations of the prior
 COMBINATIONS, LEAST = 4, 0.02  # of components that go on, and how likely each must be against the best of its site
 PRUNE_EVERY = 8  # snapshots
 KNOWN_M2 = 1e-6  # variance of a place that is known
-TYPICAL_RANGE_M, MOST_REPEATS = 200.0, 400.0
-MERGED = 0.2  # what of the roof's variance is counted besides, for errors that no state has
 RETURN_LOG_ODDS = -4.0  # from which on a VT unseen for a while may be the one that is seen
 SHORTER = 40  # weights of the roof leave so many times sooner than after the start: a filter for each component
 STATES = 440  # room of a filter: memory that is not used costs nothing; growing does, and rows 4096 bytes apart
@@ -60,9 +57,11 @@ class Start:
         """Use a snapshot in every bank, drop what has become unlikely; return the likeliest filters' association
         (m,)."""
         answer = np.full(len(measured.z), -1, np.int64)
-        counted, ends = self._counted(interval, measured), measured.now % PRUNE_EVERY == 0
+        # A bank of one site does not know its pose well enough to tell VTs that return: it refuses what is improbable.
+        rules = measured.rules._replace(return_log_odds=RETURN_LOG_ODDS, hold=measured.rules.hold // SHORTER)
+        measured, ends = measured._replace(rules=rules), measured.now % PRUNE_EVERY == 0
         site_of_look = np.repeat(self.site, np.diff(measured.first))
-        associations = side_by_side(self.banks, self.errors, interval, counted, self.options.vts)
+        associations = side_by_side(self.banks, self.errors, interval, measured, self.options.vts)
         for site, (bank, association) in enumerate(zip(self.banks, associations, strict=True)):
             mine = site_of_look == site
             answer[mine] = association[int(np.argmax(bank.log_weight)), mine]
@@ -107,16 +106,6 @@ class Start:
             np.array([[mean for mean, _ in one] for one in found]),
             np.array([sum(log for _, log in one) for one in found]),
         )
-
-    def _counted(self, interval: Interval, measured: Measured) -> Measured:
-        """Return a snapshot whose variances have errors of direction that no state has, as where paths merge, for as
-        often as one draw is repeated: a bank of one site has little else that would contradict them."""
-        m, once = measured, MERGED * self.errors.roof**2
-        change = (abs(interval.measured[3]) + abs(interval.measured[0]) / TYPICAL_RANGE_M) * interval.dt
-        often = once * min(repeats(self.errors.roof_grid.scale, change), MOST_REPEATS)
-        # A bank of one site does not know its pose well enough to tell VTs that return: it refuses what is improbable.
-        rules = m.rules._replace(return_log_odds=RETURN_LOG_ODDS, hold=m.rules.hold // SHORTER)
-        return m._replace(single=m.single + once, many=m.many + often, fresh=m.fresh + once, rules=rules)
 
 
 def begin(setup: Setup, core: Core, errors: ArrayErrors, options: EkfSlamOptions) -> Start:

@@ -6,6 +6,7 @@ sequence is worth.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -14,11 +15,12 @@ from cellslam.sim.described import Described
 from cellslam.sim.recording import Floats, Ints
 from cellslam.slam.front_end.front_end_options import FrontEndOptions
 from cellslam.slam.front_end.looks import Looks
-from cellslam.slam.front_end.readings_kernel import LEAST, Persisting, combine, share_new
+from cellslam.slam.front_end.readings_kernel import LEAST, Persisting, combine, repeats, share_new
 
 # Widths in distance (m), azimuth and elevation (rad) over which clutter lies about paths: what a missing component
 # takes off its density.
 CLUTTER_WIDTH = (20.0, 0.3, 0.25)
+MERGED, MOST_MERGED = 0.1, 400.0  # share of the roof's variance, and times, that merged paths are counted for
 _LOG_WIDTH = np.log(CLUTTER_WIDTH)
 
 
@@ -52,17 +54,21 @@ def readings(looks: Looks, port_of: Ints, options: FrontEndOptions, turn_rad: fl
     ))  # fmt: skip
 
 
-def white_readings(looks: Looks, options: FrontEndOptions) -> Readings:
+def white_readings(looks: Looks, options: FrontEndOptions, turn_rad: float, moved_m: float) -> Readings:
     """Return a snapshot's looks for a filter that has the errors that persist as states: these are white but for those,
     and `single` has the diffuse error and the sway, too, which are not known before the update.
 
-    A cause without a scale is white.
+    A cause without a scale is white. Where paths merge, their directions err as no state does, for as long as the
+    vehicle sees them so: for that a share of the roof's variance is counted, as often as one draw of it is repeated.
     """
     z = np.stack([looks.distance_m, looks.azimuth_rad, looks.elevation_rad], axis=1)
     plain, diffuse, sway = options.beside_states
+    scale, change = math.radians(options.roof_scale_deg), abs(turn_rad) + abs(moved_m) / options.typical_range_m
+    merged = MERGED * options.roof**2 * (scale > 0.0)
     white = np.maximum(looks.white + plain[0] + plain[1] / looks.ports[:, None], LEAST)
     gap = looks.doubt + np.isnan(z) @ _LOG_WIDTH
-    return Readings(z, white + diffuse / looks.ports[:, None] + sway, white, white, gap, np.zeros(len(z)))
+    single, often = white + merged + diffuse / looks.ports[:, None] + sway, min(repeats(scale, change), MOST_MERGED)
+    return Readings(z, single, white + merged * often, white + merged, gap, np.zeros(len(z)))
 
 
 def novelty(options: FrontEndOptions, turn_rad: float, moved_m: float) -> float:
