@@ -292,7 +292,7 @@ class JointFilter:
         share, v = 1.0 / np.sqrt(looks.ports), values
         return Measured(
             self._now, self._born, first_of_link(looks, len(site)), site, v.z, v.single, v.many, begin_q, share, v.gap,
-            begin_z, self._given(looks), tables, self._rules(rules, step_s),
+            begin_z, self._given(looks), tables, self._rules(rules, step_s), v.merged,
         )  # fmt: skip
 
 

@@ -7,7 +7,7 @@ sequence is worth.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -20,7 +20,7 @@ from cellslam.slam.front_end.readings_kernel import LEAST, Persisting, combine, 
 # Widths in distance (m), azimuth and elevation (rad) over which clutter lies about paths: what a missing component
 # takes off its density.
 CLUTTER_WIDTH = (20.0, 0.3, 0.25)
-MERGED, MOST_MERGED = 0.1, 400.0  # share of the roof's variance, and times, that merged paths are counted for
+MERGED, MOST_MERGED = 0.1, 400.0  # of the roof's variance, and how often at most
 _LOG_WIDTH = np.log(CLUTTER_WIDTH)
 
 
@@ -31,7 +31,8 @@ class Readings(Described):
     `z` (m, 3): distance (m), azimuth and elevation (rad), NaN where not measured. `single` (m, 3): variances of one
     measurement; `many` (m, 3): those with which an update counts for what it is worth; `fresh` (m, 3): those of a VT
     that begins (links that see the same one share its errors). `gap` (m,): what the log-density of clutter is greater
-    by; `lack` (m,): what the log-density of an update lacks against that of one measurement.
+    by; `lack` (m,): what the log-density of an update lacks against that of one measurement; `merged` (3,): variances
+    that updates take beside `many`, for what merged paths do.
     """
 
     z: Floats
@@ -40,6 +41,7 @@ class Readings(Described):
     fresh: Floats
     gap: Floats
     lack: Floats
+    merged: Floats = field(default_factory=lambda: np.zeros(3))
 
 
 def readings(looks: Looks, port_of: Ints, options: FrontEndOptions, turn_rad: float, moved_m: float) -> Readings:
@@ -68,7 +70,7 @@ def white_readings(looks: Looks, options: FrontEndOptions, turn_rad: float, move
     white = np.maximum(looks.white + plain[0] + plain[1] / looks.ports[:, None], LEAST)
     gap = looks.doubt + np.isnan(z) @ _LOG_WIDTH
     single, often = white + merged + diffuse / looks.ports[:, None] + sway, min(repeats(scale, change), MOST_MERGED)
-    return Readings(z, single, white + merged * often, white + merged, gap, np.zeros(len(z)))
+    return Readings(z, single, white, white + merged, gap, np.zeros(len(z)), merged * often)
 
 
 def novelty(options: FrontEndOptions, turn_rad: float, moved_m: float) -> float:

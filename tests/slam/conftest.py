@@ -69,14 +69,14 @@ class OneFilter:
 
     def look(self, z: Floats, q: Floats) -> Look:
         """Return a look z (3,) of variances q (3,) from where the filter is."""
-        return Look(z, q, Vec3(*self.f.x[:3]), rotations_of(self.f), 1.0, 1.0, NOW)
+        return Look(z, q, q, Vec3(*self.f.x[:3]), rotations_of(self.f), 1.0, 1.0, NOW)
 
     def seen(self, z: Floats, q: Floats) -> Measured:
         """Return looks z (m, 3) of variances q (m, 3) as the kernels take them."""
         m = len(z)
         return Measured(
             NOW, 100, np.array([0, m]), np.zeros(1, np.int64), z, q, q, q, np.ones(m), np.zeros(m), z, np.full(m, -2),
-            np.zeros((2, 2, 8)), self.rules,
+            np.zeros((2, 2, 8)), self.rules, np.zeros(3),
         )  # fmt: skip
 
     def place(self, j: int) -> Floats:

@@ -251,7 +251,7 @@ def conclude(f: Filter, a: ArrayErrors, b: Block, noise: Floats, seen: Measured,
     forget(f, a, b.total[0], b.total[2])
     total, rules = 0.0, seen.rules
     expect_steps(f, rules, p.steps)
-    before, z, q = f.x[: f.size[0]].copy(), np.empty(3), np.empty(3)
+    before, z, q, white = f.x[: f.size[0]].copy(), np.empty(3), np.empty(3), np.empty(3)
     for j in range(f.count[0]):
         if b.looks[j] == 0:
             total += rules.evidence * b.odds[j]
@@ -267,14 +267,15 @@ def conclude(f: Filter, a: ArrayErrors, b: Block, noise: Floats, seen: Measured,
         for c in range(3):
             n = b.measured[j, c]
             z[c] += b.e[j, c] / n if n > 0.0 else math.nan
-            q[c] = b.q[j, c] / (n * n) if n > 0.0 else 1.0
+            white[c] = b.q[j, c] / (n * n) if n > 0.0 else 1.0
+            q[c] = white[c] + (seen.merged[c] / n if n > 0.0 else 0.0)
         diffuse, turn = shares(b, a, j)
         # The middle place moves with the last one.
         here = Vec3(
             middle[0] + f.x[0] - before[0], middle[1] + f.x[1] - before[1], middle[2] + f.x[2] - before[2]
         )  # fmt: skip
         now = rotations(middle[3] + f.x[3] - before[3], middle[4] + f.x[4] - before[4], middle[5] + f.x[5] - before[5])
-        look = Look(z, q, here, now, diffuse, turn, seen.now)
+        look = Look(z, q, white, here, now, diffuse, turn, seen.now)
         if f.slots[j, UNSEEN] == 1:
             count_surprise(f, a, j, offset, look, rules.gate, s, p)
         if f.anchor[j, SHARE] < 1.0:

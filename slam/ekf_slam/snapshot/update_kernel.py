@@ -48,12 +48,13 @@ LIKELY = 9.0  # squared distance of an innovation: up to here it fits
 
 
 class Look(NamedTuple):
-    """A look, or the mean of several: `z`, `q` (3,): distance, azimuth, elevation in m and rad, NaN where not measured,
-    and their variances; seen from `place` (m) with the rotation `turned`; `diffuse`, `turn`: what is left in it of the
-    deviation of these errors; `now`: snapshot."""
+    """A look, or the mean of several: `z`, `q` (3,): distance, azimuth, elevation in m and rad, NaN where not
+    measured, and their variances, `white` (3,) but for what merged paths do; seen from `place` (m) with the
+    rotation `turned`; `diffuse`, `turn`: what is left in it of the deviation of these errors; `now`: snapshot."""
 
     z: Floats
     q: Floats
+    white: Floats
     place: Vec3
     turned: Rotations
     diffuse: float
@@ -238,15 +239,22 @@ def _shown(left: Floats, e: Vec3, s: Sight) -> Vec3:
 
 @lean
 def count_sizes(f: Filter, j: int, look: Look, i: Innovation, w: Pending) -> None:
-    """Take in what a look at VT j, whose T is in w.t, says of the sizes of white noise and diffuse errors."""
-    count_white(f, i.e, i.s, look.q)
+    """Take in what a look at VT j, whose T is in w.t, says of the sizes of white noise and diffuse errors.
+
+    As if no paths merged: what is counted for that is none of these sizes.
+    """
+    q, white = look.q, look.white
+    s = Sym3(
+        i.s.xx + white[0] - q[0], i.s.xy, i.s.xz, i.s.yy + white[1] - q[1], i.s.yz, i.s.zz + white[2] - q[2]
+    )  # fmt: skip
+    count_white(f, i.e, s, white)
     for c in range(3):
         place = f.vt_state[j, DIFFUSE + c]
         if place >= 0:
             told = f.p[place, place]
             for r in range(w.used[0]):
                 told -= w.rows[r, place] ** 2
-            count_diffuse(f, c, told, look.q[c], Vec3(w.t[0, place], w.t[1, place], w.t[2, place]), i.e, i.s)
+            count_diffuse(f, c, told, white[c], Vec3(w.t[0, place], w.t[1, place], w.t[2, place]), i.e, s)
 
 
 @lean

@@ -152,12 +152,13 @@ class Rules(NamedTuple):
 class Measured(NamedTuple):
     """One snapshot of m looks as the kernels take it, snapshot number `now`.
 
-    `born`: identity of look 0 as a VT; `first` (L + 1,): first look of each link; `site_of` (L,); `z` (m, 3): in m and
-    rad, NaN where not measured; variances (m, 3) besides those of the states: `single` of a look, `many` of what it
-    counts for in an update, `fresh` of a birth; `diffuse` (m,): share of the diffuse errors' deviation that is left in
-    a look; `gap` (m,): what the log-density of clutter is greater by; `begin` (m, 3): looks as births take them, with a
-    prior where there is no elevation, NaN where none may begin; `given` (m,): true VT of each look in mode
-    KNOWN_ASSOCIATION; `tables` (2, 2, H): see `front_end.visibility.existence`.
+    `born`: identity of look 0 as a VT; `first` (L + 1,): first look of each link; `site_of` (L,); `z` (m, 3): in m
+    and rad, NaN where not measured; variances (m, 3) besides those of the states: `single` of a look, `many` of
+    what it counts for in an update, `fresh` of a birth; `merged` (3,): what updates take beside `many`; `diffuse`
+    (m,): share of the diffuse errors' deviation that is left in a look; `gap` (m,): what the log-density of clutter
+    is greater by; `begin` (m, 3): looks as births take them, with a prior where there is no elevation, NaN where
+    none may begin; `given` (m,): true VT of each look in mode KNOWN_ASSOCIATION; `tables` (2, 2, H): see
+    `front_end.visibility.existence`.
     """
 
     now: int
@@ -174,6 +175,7 @@ class Measured(NamedTuple):
     given: Ints
     tables: Floats
     rules: Rules
+    merged: Floats
 
 
 class Block(NamedTuple):

@@ -22,9 +22,10 @@ from cellslam.slam.dead_reckoning import DeadReckoning
 from cellslam.slam.ekf_slam.calibration_states import begin_with, found
 from cellslam.slam.ekf_slam.ekf_slam import EkfSlam
 from cellslam.slam.ekf_slam.ekf_slam_options import EkfSlamOptions
-from cellslam.slam.ekf_slam.snapshot.motion_kernel import Interval
 from cellslam.slam.ekf_slam.state.layout import one_of
 from cellslam.slam.ekf_slam.state.states_kernel import leave
+from cellslam.slam.front_end.looks import Grouping
+from cellslam.slam.front_end.readings import white_readings
 from cellslam.slam.model.calibration import Calibration
 from cellslam.slam.model.field_kernel import loads
 
@@ -161,23 +162,23 @@ def test_filters_of_the_start_begin_with_what_is_known(
         np.testing.assert_allclose(again.mean[order[0]], calibration.mean[order[1]], rtol=1e-12)
 
 
-def test_the_start_counts_a_share_of_the_roof_as_often_as_a_draw_is_repeated(
-    drives: tuple[Recording, Recording],
-) -> None:
-    setup, odometry = setup_of(drives[1]), odometry_of(drives[1])[0].copy()
-    odometry[:] = [1.0, 0.0, 0.0, 0.02, 0.0, 0.0]
-    wide = replace(setup, sites=replace(setup.sites, clock_offset_std_m=np.full(len(setup.sites), 150.0)))
-    estimator = EkfSlam()
-    estimator.start(wide, RNG)
-    looks = estimator._grouping.looks(snapshots_of(drives[1])[0])
-    seen = estimator._measured(0.1, odometry, estimator._readings(0.1, odometry, looks), looks)
-    assert estimator._start is not None and len(seen.z) > 3
-    counted = estimator._start._counted(Interval(0.1, odometry, np.zeros(6), np.zeros(6)), seen)
-    share = 0.2 * estimator.options.roof**2
-    np.testing.assert_allclose(counted.single - seen.single, np.tile(share, (len(seen.z), 1)), rtol=1e-9)
+def test_a_share_of_the_roof_is_counted_as_often_as_a_draw_is_repeated(drives: tuple[Recording, Recording]) -> None:
+    """What merged paths do to directions is none of the states."""
+    grouping = Grouping(setup_of(drives[1]), EkfSlamOptions())
+    looks = grouping.looks(snapshots_of(drives[1])[0])
+    options = grouping.options
+    counted = white_readings(looks, options, 0.02 * 0.1, 1.0 * 0.1)
+    smooth = type(options)(**{**options.model_dump(), "roof_azimuth_deg": 0.0, "roof_elevation_deg": 0.0})
+    none = white_readings(looks, smooth, 0.02 * 0.1, 1.0 * 0.1)
+    share = 0.1 * options.roof**2
+    assert len(counted.z) > 3 and share[1] > 0.0
+    for part in ("single", "fresh"):
+        more = getattr(counted, part) - getattr(none, part)
+        np.testing.assert_allclose(more, np.tile(share, (len(counted.z), 1)), rtol=1e-9, atol=1e-15)
     # In 0.1 s the direction turns by 0.02 * 0.1 + 1.0 * 0.1 / 200 = 0.0025 rad; sqrt(2 pi) * 2 deg / 0.0025 = 35.0.
-    np.testing.assert_allclose(counted.many - seen.many, np.tile(35.0 * share, (len(seen.z), 1)), rtol=1e-4, atol=1e-12)
-    np.testing.assert_array_equal(counted.z, seen.z)
+    np.testing.assert_array_equal(counted.many, none.many)
+    np.testing.assert_allclose(counted.merged, 35.0 * share, rtol=1e-4)
+    np.testing.assert_allclose(white_readings(looks, options, 0.0, 0.0).merged, 400.0 * share, rtol=1e-9)
 
 
 def test_mixture_counts_what_one_filter_has_not_met_as_its_prior(learnt: EkfSlam, calibration: Calibration) -> None:
