@@ -64,14 +64,16 @@ def _in_lines(description: str, total: int) -> Iterator[Callable[[int], None]]:
         done[0] += steps
 
     def notice() -> None:
-        sys.stderr.write(f"{description}: {done[0]} of {total} ...\n")
+        if not over.wait(NOTICED_S):
+            sys.stderr.write(f"{description}: {done[0]} of {total} ...\n")
 
-    timer = threading.Timer(NOTICED_S, notice)
-    timer.daemon = True
-    timer.start()
+    over = threading.Event()
+    waiting = threading.Thread(target=notice, daemon=True)
+    waiting.start()
     try:
         yield advance
     finally:
-        timer.cancel()
+        over.set()
+        waiting.join()  # a line that comes late would stand in the output of something else
         if time.monotonic() - begin > NOTICED_S:
             sys.stderr.write(f"{description}: {time.monotonic() - begin:.1f} s\n")

@@ -127,7 +127,7 @@ def log_odds_of_return(i: Innovation, z: Floats, range_m: float) -> float:
     distance2 = (yy * i.e.x * i.e.x - 2.0 * xy * i.e.x * i.e.y + xx * i.e.y * i.e.y) / det
     room = math.log(NEARBY_M) - 0.5 * LOG_2PI if not math.isnan(z[0]) else 0.0
     room += math.log(NEARBY_M / max(range_m, 1.0)) - 0.5 * LOG_2PI if not math.isnan(z[1]) else 0.0
-    return room - 0.5 * (distance2 + math.log(det))
+    return float(room - 0.5 * (distance2 + math.log(det)))
 
 
 @lean
