@@ -19,7 +19,7 @@ class EkfSlamOptions(FrontEndOptions):
         36.0, gt=0, le=1000, description="squared Mahalanobis distance beyond which nothing associates (chi-square)"
     )
     return_odds: float = Field(
-        3.0, gt=0, le=1e9, description="odds from which on a look is of a VT unseen for 3 s, not of a new one nearby"
+        0.3, gt=0, le=1e9, description="how likely a look must be of a VT unseen for 3 s, against a new one nearby"
     )
     errors: Literal["states", "counted"] = Field(
         "states", description="errors that persist: as states of the filter, or counted as so many fewer measurements"
