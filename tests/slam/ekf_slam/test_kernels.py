@@ -186,8 +186,8 @@ def test_pairs_beyond_the_gate_are_none(one_filter: Any, kalman: Callable[..., A
 
 def test_a_vt_that_returns_must_be_likelier_than_a_new_one_nearby(one_filter: Any) -> None:
     """A VT unseen for longer than `away` takes no look that one anywhere within 50 m would explain as well."""
-    one, q, range_m = one_filter(), np.array([0.3, 1e-4, 2e-4]), 80.0
-    one.put(POSE, 5.0, [range_m, 0.5, 0.2])
+    one, q = one_filter(), np.array([0.3, 1e-4, 2e-4])
+    one.put(POSE, 5.0, [80.0, 0.5, 0.2])
     p = one.spread(np.random.default_rng(1).normal(size=(10, 10)) * 0.02)
     h, by = one.model(0)
     room = np.array([50.0, 50.0 / (h[0] - 5.0)])
@@ -201,9 +201,8 @@ def test_a_vt_that_returns_must_be_likelier_than_a_new_one_nearby(one_filter: An
 
         for unseen, taken in ((4, [1, 1]), (5, [1, 0])):
             one.f.slots[0, LAST] = NOW - unseen
-            rules = {"return_log_odds": log_odds(e) - 1e-6}
+            one.rules = one.rules._replace(return_log_odds=log_odds(e) - 1e-6)
             seen = one.seen(h + np.array([e, 1.001 * e]), np.array([q, q]))
-            seen = seen._replace(rules=seen.rules._replace(**rules))
             score_pairs(one.f, NO_ERRORS, seen, 0, one.w.sight, one.w.pairs)
             assert one.w.pairs.gated[:2].tolist() == taken
 
