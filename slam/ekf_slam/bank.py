@@ -30,6 +30,7 @@ from cellslam.slam.ekf_slam.state.layout import (
     IDENT,
     LAST,
     LINK,
+    MERGED,
     NOBODY,
     POSE,
     POSITION,
@@ -235,7 +236,7 @@ class Bank:
         f.count[:], f.size[:] = len(link), first + 3 * len(link)
         for j, way in enumerate(position_m - here):
             f.slots[:, j, [LINK, HITS, LAST, IDENT]] = link[j], KNOWN, last, ident[j]
-            f.anchor[:, j, :3], f.anchor[:, j, [EXISTS, SHARE]] = here, 1.0
+            f.anchor[:, j, :3], f.anchor[:, j, [EXISTS, SHARE]], f.anchor[:, j, MERGED] = here, 1.0, 0.0
             at = first + 3 * j + np.arange(3)
             f.vt_state[:, j], f.vt_state[:, j, VT : VT + 3] = -1, at
             f.owner[:, at] = [owner_of(j, VT + c, VT_STATES) for c in range(3)]

@@ -36,7 +36,7 @@ NOT_GIVEN = -2
 HELD = np.array([0.6, 0.0, 0.0, 0.1, 0.0, 0.0])
 DOUBT = 4.0  # log-likelihood that a rival association may lose
 WAY_M, TURN = 0.6, np.radians(2.0)  # a block of snapshots ends after so long a way or turn
-AWAY_S = 3.0  # a VT that was not seen for so long returns, if it is seen again
+AWAY_S = 0.5  # a VT that was not seen for so long returns, if it is seen again
 EVIDENCE = 0.0125  # least share of detections, misses and births that is news: what hides a VT lasts for seconds
 
 
@@ -91,7 +91,7 @@ class JointFilter:
             for bank in self._start.banks:
                 self._install(bank)
         else:
-            self._join(np.array(sites.clock_offset_mean_m, float)[None], np.zeros(1))
+            self._join(np.array(sites.clock_offset_mean_m, float)[None])
 
     def step(self, dt_s: float, odometry: Floats, snapshot: Snapshot) -> Estimate:
         """Predict, associate, update.
@@ -208,14 +208,14 @@ class JointFilter:
         return common
 
     def _step_start(self, start: Start, interval: Interval, measured: Measured) -> Estimate:
-        """Use a snapshot in the banks of the start; once offsets are resolved, go through all snapshots again."""
+        """Use a snapshot in the banks of the start; once it is over, go through all snapshots again."""
         self._past.append((interval, measured))
         association = start.use(interval, measured)
         mean, covariance = start.pose()
         offset, variance = start.offsets()
-        if (variance <= self.options.resolved_std_m**2).all() or self._time_s >= self.options.start_limit_s:
+        if start.over(variance) or self._time_s >= self.options.start_limit_s:
             self._start = None
-            self._join(*start.combinations())
+            self._join(start.combinations())
             for past in self._past:
                 self._use(*past)
             self._past = []
@@ -231,11 +231,11 @@ class JointFilter:
         variance = np.maximum(np.diag(cov)[offsets], 0.0)
         return _estimate(mean, cov, association[best].copy(), mean[offsets], variance, self._map([(bank, best)]))
 
-    def _join(self, offsets_m: Floats, log_weight: Floats) -> None:
-        """Begin the filters of all sites with these combinations of clock offsets (K, S) and their log-weights (K,)."""
+    def _join(self, offsets_m: Floats) -> None:
+        """Begin the filters of all sites with these combinations of clock offsets (K, S), as likely as each other: what
+        has shown one to be likelier they go through again."""
         std = np.minimum(self._setup.sites.clock_offset_std_m, self.options.component_std_m)
         self._joint = new_bank(self._setup, self._core, self._errors, offsets_m, std, self.options.vts, MOST_STATES)
-        self._joint.log_weight += log_weight
         self._install(self._joint)
         if self.options.known_calibration is not None:
             begin_with(self._joint, self._errors, self.options.known_calibration)
@@ -283,7 +283,7 @@ class JointFilter:
             once, twice, min(max(round(o.block_s / step_s), 1), LONGEST) if states else 1, WAY_M, TURN,
             max(EVIDENCE, novelty(o, odometry[3] * dt_s, odometry[0] * dt_s)), int(o.hold_s / step_s),
             math.log(o.return_odds), max(round(AWAY_S / step_s), 1), DOUBT if self._most > 1 else 0.0,
-            step=self._log_step,
+            step=self._log_step, merge_rate=o.merge_rate if states else 0.0,
         )  # fmt: skip
         begin_z, begin_q = values.z.copy(), values.fresh.copy()
         flat = np.isnan(begin_z[:, 2])

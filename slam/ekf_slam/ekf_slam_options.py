@@ -19,7 +19,10 @@ class EkfSlamOptions(FrontEndOptions):
         36.0, gt=0, le=1000, description="squared Mahalanobis distance beyond which nothing associates (chi-square)"
     )
     return_odds: float = Field(
-        0.3, gt=0, le=1e9, description="how likely a look must be of a VT unseen for 3 s, against a new one nearby"
+        0.3,
+        gt=0,
+        le=1e9,
+        description="how likely a look must be of a VT unseen for 0.5 s, against a new one nearby",
     )
     errors: Literal["states", "counted"] = Field(
         "states", description="errors that persist: as states of the filter, or counted as so many fewer measurements"
@@ -28,6 +31,9 @@ class EkfSlamOptions(FrontEndOptions):
         0.6, ge=0, le=1.2, description="looks at a VT are averaged over so long at most, s; 0: never"
     )
     hold_s: float = Field(40.0, gt=0, le=1e6, description="time for which the roof's errors in a direction are kept, s")
+    merge_rate: float = Field(
+        0.003, ge=0, le=10, description="how often another path merges with that of a VT, 1/s; 0: never"
+    )
     vts: int = Field(100, ge=4, le=2000, description="VTs kept in the joint state; the longest unseen make room")
     elevation_std_deg: float = Field(
         20.0, gt=0, le=90, description="deviation of a new VT's elevation from the horizon where none is measured, deg"

@@ -1,14 +1,16 @@
 """The start: clock offsets are too wide for one linearisation, so each site has a bank of narrow components.
 
 A Gaussian sum over the offset of one site at a time, not over all at once: the sites share nothing but the pose, which
-odometry knows well at the start, so S banks of K filters do in place of K^S filters. When every offset is known well
-enough, the likeliest combinations of components go through the drive so far once more, all sites together.
+odometry knows well at the start, so S banks of K filters do in place of K^S filters. When one offset is known well
+enough and few combinations of components are left, these go through the drive so far once more, all sites together:
+what one site says of the pose tells the components of another apart.
 
 Source: Sorenson and Alspach, "Recursive Bayesian estimation using Gaussian sums", Automatica 7, 1971.
 """
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from itertools import product
 
@@ -24,7 +26,7 @@ from cellslam.slam.ekf_slam.state.layout import POSE, ArrayErrors, Core, Measure
 from cellslam.slam.model.pose_moments import mixture_moments
 
 REACH = 4.0  # the components cover this many deviations of the prior
-COMBINATIONS, LEAST = 4, 0.02  # of components that go on, and how likely each must be against the best of its site
+COMBINATIONS, LEAST = 32, 0.001  # of components that go on, and how likely each must be against the best of its site
 PRUNE_EVERY = 8  # snapshots
 KNOWN_M2 = 1e-6  # variance of a place that is known
 RETURN_LOG_ODDS = -4.0  # from which on a VT unseen for a while may be the one that is seen
@@ -57,8 +59,11 @@ class Start:
         """Use a snapshot in every bank, drop what has become unlikely; return the likeliest filters' association
         (m,)."""
         answer = np.full(len(measured.z), -1, np.int64)
-        # A bank of one site does not know its pose well enough to tell VTs that return: it refuses what is improbable.
-        rules = measured.rules._replace(return_log_odds=RETURN_LOG_ODDS, hold=measured.rules.hold // SHORTER)
+        # A bank of one site does not know its pose well enough to tell VTs that return, it refuses what is improbable;
+        # nor to tell merged paths.
+        rules = measured.rules._replace(
+            return_log_odds=RETURN_LOG_ODDS, hold=measured.rules.hold // SHORTER, merge_rate=0.0
+        )
         measured, ends = measured._replace(rules=rules), measured.now % PRUNE_EVERY == 0
         site_of_look = np.repeat(self.site, np.diff(measured.first))
         associations = side_by_side(self.banks, self.errors, interval, measured, self.options.vts)
@@ -94,18 +99,24 @@ class Start:
         """Return each bank and its likeliest filter."""
         return [(bank, int(np.argmax(bank.log_weight))) for bank in self.banks]
 
-    def combinations(self) -> tuple[Floats, Floats]:
-        """Return the likeliest combinations of offsets (C, S), in m, and their log-weights (C,)."""
+    def over(self, variance_m2: Floats) -> bool:
+        """Return whether joint filters can take over, the variances (S,) of the offsets being these: one offset is
+        resolved, and the combinations are few; or all are."""
+        resolved, few = variance_m2 <= self.options.resolved_std_m**2, math.prod(map(len, self._likely()))
+        return bool(resolved.all() or (resolved.any() and few <= COMBINATIONS))
+
+    def combinations(self) -> Floats:
+        """Return the likeliest combinations of offsets (C, S), in m."""
+        found = sorted(product(*self._likely()), key=lambda one: -sum(log for _, log in one))[:COMBINATIONS]
+        return np.array([[mean for mean, _ in one] for one in found])
+
+    def _likely(self) -> list[list[tuple[float, float]]]:
+        """Return the offsets, in m, of the likely components of each site, and the logarithms of their shares."""
         likely = []
         for site, bank in enumerate(self.banks):
-            mean, log_share = bank.arrays.x[: len(bank), self.core.first_offset + site], np.log(bank.shares())
-            keep = np.flatnonzero(log_share >= log_share.max() + np.log(LEAST))
-            likely.append([(mean[i], log_share[i]) for i in keep])
-        found = sorted(product(*likely), key=lambda one: -sum(log for _, log in one))[:COMBINATIONS]
-        return (
-            np.array([[mean for mean, _ in one] for one in found]),
-            np.array([sum(log for _, log in one) for one in found]),
-        )
+            mean, share = bank.arrays.x[: len(bank), self.core.first_offset + site], bank.shares()
+            likely.append([(float(mean[i]), math.log(share[i])) for i in np.flatnonzero(share >= LEAST * share.max())])
+        return likely
 
 
 def begin(setup: Setup, core: Core, errors: ArrayErrors, options: EkfSlamOptions) -> Start:

@@ -12,6 +12,7 @@ import numpy as np
 
 from cellslam.sim.compiling import lean, njit, part
 from cellslam.sim.recording import Floats
+from cellslam.slam.ekf_slam.snapshot.merging_kernel import expected_share
 from cellslam.slam.ekf_slam.snapshot.sight_kernel import (
     Sight,
     coordinates,
@@ -33,6 +34,7 @@ from cellslam.slam.ekf_slam.state.layout import (
     IDENT,
     LAST,
     LINK,
+    MERGED,
     OF_VT,
     POSITION,
     SHARE,
@@ -135,6 +137,7 @@ def add(
     if not give_birth(f, a, new, offset, z, q, ranged, seen.diffuse[k], seen.now, s, w):
         return False
     f.anchor[new, EXISTS] = f.anchor[new, SHARE] = 1.0
+    f.anchor[new, MERGED] = expected_share(seen.rules.merge_rate)
     f.slots[new, LINK], f.slots[new, HITS], f.slots[new, LAST], f.slots[new, IDENT] = link, 1, seen.now, ident
     f.slots[new, UNSEEN], f.slots[new, BEYOND] = 0, 0
     clear(b, new)

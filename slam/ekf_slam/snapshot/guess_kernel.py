@@ -44,6 +44,7 @@ from cellslam.slam.ekf_slam.state.layout import (
     Block,
     Filter,
     Measured,
+    Rules,
 )
 from cellslam.slam.model.copy_kernel import put
 from cellslam.slam.model.matrices_kernel import Vec3, cholesky, solved
@@ -100,7 +101,9 @@ def is_guess(f: Filter, i: int, link: int, ident: int) -> bool:
 
 
 @lean
-def correct_guesses(f: Filter, a: ArrayErrors, j: int, offset: int, look: Look, s: Sight, w: Pending) -> float:
+def correct_guesses(
+    f: Filter, a: ArrayErrors, j: int, offset: int, look: Look, rules: Rules, s: Sight, w: Pending
+) -> float:
     """Update the guesses of the VT that j is one of by a look; return its log-density.
 
     Guesses given up have the share 0.
@@ -133,7 +136,7 @@ def correct_guesses(f: Filter, a: ArrayErrors, j: int, offset: int, look: Look, 
     left, only = _unite(f, link, ident, total)
     if left == 1:
         share[only] = 1.0
-        correct(f, a, only, offset, look, s, w)
+        correct(f, a, only, offset, look, rules, s, w)
     else:
         for i in range(f.count[0]):
             if is_guess(f, i, link, ident) and share[i] > 0.0:

@@ -20,6 +20,7 @@ from cellslam.slam.ekf_slam.snapshot.association_kernel import FRESH, TAKEN, Mes
 from cellslam.slam.ekf_slam.snapshot.belief_kernel import believe
 from cellslam.slam.ekf_slam.snapshot.birth_kernel import clear, tidy
 from cellslam.slam.ekf_slam.snapshot.guess_kernel import begin, correct_guesses, possible
+from cellslam.slam.ekf_slam.snapshot.merging_kernel import expect_merging, look_beside
 from cellslam.slam.ekf_slam.snapshot.motion_kernel import Interval, Step, forget, move
 from cellslam.slam.ekf_slam.snapshot.rival_kernel import Rival, find_rival
 from cellslam.slam.ekf_slam.snapshot.sight_kernel import Sight, coordinates, geometry, rotations_of
@@ -250,6 +251,8 @@ def conclude(f: Filter, a: ArrayErrors, b: Block, noise: Floats, seen: Measured,
     """
     forget(f, a, b.total[0], b.total[2])
     total, rules = 0.0, seen.rules
+    if rules.merge_rate > 0.0:
+        expect_merging(f, rules.merge_rate, b.total[2])
     expect_steps(f, rules, p.steps)
     before, z, q, white = f.x[: f.size[0]].copy(), np.empty(3), np.empty(3), np.empty(3)
     for j in range(f.count[0]):
@@ -269,6 +272,8 @@ def conclude(f: Filter, a: ArrayErrors, b: Block, noise: Floats, seen: Measured,
             z[c] += b.e[j, c] / n if n > 0.0 else math.nan
             white[c] = b.q[j, c] / (n * n) if n > 0.0 else 1.0
             q[c] = white[c] + (seen.merged[c] / n if n > 0.0 else 0.0)
+        if rules.merge_rate > 0.0:
+            look_beside(f, b, j, offset, h, Vec3(middle[0], middle[1], middle[2]), old, rules.confirm, s)
         diffuse, turn = shares(b, a, j)
         # The middle place moves with the last one.
         here = Vec3(
@@ -279,9 +284,9 @@ def conclude(f: Filter, a: ArrayErrors, b: Block, noise: Floats, seen: Measured,
         if f.slots[j, UNSEEN] == 1:
             count_surprise(f, a, j, offset, look, rules.gate, s, p)
         if f.anchor[j, SHARE] < 1.0:
-            fit = correct_guesses(f, a, j, offset, look, s, p)
+            fit = correct_guesses(f, a, j, offset, look, rules, s, p)
         else:
-            fit = correct(f, a, j, offset, look, s, p)
+            fit = correct(f, a, j, offset, look, rules, s, p)
         known = 0.0
         for c in range(3):
             if b.measured[j, c] > 0.0:

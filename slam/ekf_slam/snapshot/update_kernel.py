@@ -13,9 +13,10 @@ from typing import NamedTuple
 from cellslam.sim.compiling import lean
 from cellslam.sim.frames.frames_kernel import wrap
 from cellslam.sim.recording import Floats, Ints
+from cellslam.slam.ekf_slam.snapshot.merging_kernel import allow_for_merging
 from cellslam.slam.ekf_slam.snapshot.sight_kernel import Sight, coordinates, errors_of, geometry
 from cellslam.slam.ekf_slam.snapshot.sizes_kernel import count_diffuse, count_white
-from cellslam.slam.ekf_slam.state.layout import DIFFUSE, ArrayErrors, Filter
+from cellslam.slam.ekf_slam.state.layout import DIFFUSE, ArrayErrors, Filter, Rules
 from cellslam.slam.model.downdate_kernel import downdate
 from cellslam.slam.model.matrices_kernel import Sym3, Vec3, cholesky, dot, solved, sym_scaled, vec_scaled
 from cellslam.slam.model.measurement_kernel import Rotations
@@ -193,19 +194,22 @@ def settle(f: Filter, w: Pending) -> None:
 
 
 @lean
-def correct(f: Filter, a: ArrayErrors, j: int, offset: int, look: Look, s: Sight, w: Pending) -> float:
+def correct(f: Filter, a: ArrayErrors, j: int, offset: int, look: Look, rules: Rules, s: Sight, w: Pending) -> float:
     """Update the whole state by a look at VT j; return its log-density."""
     if w.used[0] + 6 > len(w.rows):
         settle(f, w)
     e, hph = compare(f, a, j, offset, look, s, w)
     blank(w, e)
-    new = innovate(e, look.q, hph)
+    new, lacks = innovate(e, look.q, hph), 0.0
+    if rules.merge_rate > 0.0 and not math.isnan(e.y):
+        allowed, lacks = allow_for_merging(f, j, new.e.y, new.s, look.q[1])
+        new = Innovation(new.e, allowed, new.measured)
     share = likely_share(new)
     count_sizes(f, j, look, Innovation(vec_scaled(new.e, math.sqrt(share)), new.s, new.measured), w)
     counted = Innovation(new.e, sym_scaled(new.s, 1.0 / share), new.measured)
     density = update(f, counted, w)
     show_steps(f, e, new, counted.s, s, w)
-    return density
+    return density + lacks
 
 
 @lean

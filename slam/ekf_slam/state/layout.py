@@ -18,8 +18,9 @@ VT, DIFFUSE, VT_STATES = 0, 3, 6
 # where its wall is known not to reach: nothing is associated with it there.
 LINK, HITS, LAST, IDENT, UNSEEN, BEYOND, SLOT = range(7)
 # Behind the three coordinates of an anchor: the probability that the VT exists and is visible (belief propagation);
-# and what share a guess has in its VT (1: the only one, 0: given up).
-EXISTS, SHARE, ANCHOR = range(3, 6)
+# what share a guess has in its VT (1: the only one, 0: given up); and the probability that another path has merged
+# with that of the VT.
+EXISTS, SHARE, MERGED, ANCHOR = range(3, 7)
 # What the measurements may do to the map.
 FREE, KNOWN_ASSOCIATION, KNOWN_MAP, BELIEF = range(4)
 # A VT of the map: identity, link, position (3), covariance (9).
@@ -86,7 +87,7 @@ class Filter(NamedTuple):
 
     mean `x` (N,), covariance `p` (N, N), of which `size` (1,) are in use; `owner` (N,); `weight_state` (W,): place of
     each weight of the fields, `weight_met` (W,): snapshot; `vt_state` (V, 6): places of a VT's states, -1 where there
-    is none; `anchor` (V, 5); `slots` (V, 6); `count` (1,): VTs; `links` (L,): 1 where it uses a link; confirmed VTs
+    is none; `anchor` (V, 6); `slots` (V, 7); `count` (1,): VTs; `links` (L,): 1 where it uses a link; confirmed VTs
     that were given up are in `lost` (E, 14), `losses` (1,) of them; `sizes`
     (3, Z): what was learnt of the sizes (see `sizes_kernel`), `summed` (1,): time (s) of the sums of noise; `surprise`
     (2,): sum of the squared innovations, in their deviations, of first looks at VTs of a remembered map, and how many
@@ -124,7 +125,8 @@ class Rules(NamedTuple):
     more than `away` snapshots ago, not of another one nearby; `doubt`: what a rival association may lose of
     log-likelihood. Belief propagation: probabilities that a visible VT stays so, that a hidden one comes `back`, of
     `detection`, and below which a VT is given up, `drop`. `step`: log-probability that a clock which may step does so
-    in a block.
+    in a block. `merge_rate`: how often another path merges with that of a VT, 1/s;
+    0: never.
     """
 
     mode: int
@@ -147,6 +149,7 @@ class Rules(NamedTuple):
     detection: float = 1.0
     drop: float = 0.0
     step: float = -math.inf
+    merge_rate: float = 0.0
 
 
 class Measured(NamedTuple):

@@ -155,7 +155,7 @@ def test_updates_are_textbook_kalman_updates_also_while_they_wait(one_filter: An
         h, by = one.model(j)
         n = len(mean)
         mean, cov, value = kalman(mean, cov, by[:, :n], np.array(e), q)
-        got = correct(one.f, NO_ERRORS, j, OFFSET, one.look(h + e + turn, q), one.w.sight, one.w.pending)
+        got = correct(one.f, NO_ERRORS, j, OFFSET, one.look(h + e + turn, q), one.rules, one.w.sight, one.w.pending)
         np.testing.assert_allclose(got, value, rtol=1e-8)
         np.testing.assert_allclose(one.f.x[:n], mean, rtol=1e-9, atol=1e-12)
         # A state that enters meanwhile is independent.
@@ -211,7 +211,7 @@ def test_leaving_is_marginalising(one_filter: Any) -> None:
     one, rng = one_filter(), np.random.default_rng(2)
     one.put(POSE, 1.0, [80.0, 0.5, 0.2], [60.0, -1.0, 0.1], [40.0, 1.0, 0.3])
     f, p = one.f, one.spread(rng.normal(size=(16, 16)))
-    f.slots[:3], f.anchor[:3, 3:] = np.arange(18).reshape(3, 6), rng.normal(size=(3, 2))
+    f.slots[:3], f.anchor[:3, 3:] = np.arange(18).reshape(3, 6), rng.normal(size=(3, 3))
     x, anchors, places = f.x[:16].copy(), f.anchor[:3].copy(), f.vt_state[:3, :3].copy()
     remove(f, one.block, 0)
     assert (f.count[0], one.n) == (2, 13)

@@ -113,6 +113,27 @@ def test_a_bank_that_knows_its_place_well_has_the_word(bank: Bank) -> None:
     np.testing.assert_allclose(np.diag(cov)[:2], [2.0 / 3.0 + 2.0, 2.0 / 3.0], rtol=1e-5)
 
 
+@pytest.mark.parametrize(
+    ("likely", "std_m", "over"),
+    [((4, 8), (10.0, 90.0), True), ((4, 9), (10.0, 90.0), False), ((4, 8), (40.0, 90.0), False),
+     ((4, 9), (10.0, 9.0), True)],
+    ids=["one is resolved and few are left", "too many are left", "none is resolved", "all are resolved"],
+)  # fmt: skip
+def test_joint_filters_take_over_with_the_likely_combinations(
+    bank: Bank, likely: tuple[int, int], std_m: tuple[float, float], over: bool
+) -> None:
+    setup = setup_of(tiny_drive())
+    start = begin(setup, bank.core, NO_ERRORS, EkfSlamOptions())
+    for one, count in zip(start.banks, likely, strict=True):
+        one.log_weight[:] = -7.0  # below a thousandth of the best
+        one.log_weight[3 : 3 + count] = np.linspace(0.0, -3.0, count)
+    assert start.over(np.square(std_m)) == over
+    found, (a, b) = start.combinations(), (one.arrays.x[:, bank.core.offsets] for one in start.banks)
+    assert len(found) == min(likely[0] * likely[1], 32)
+    np.testing.assert_array_equal(found[0], [a[3, 0], b[3, 1]])
+    assert set(found[:, 0]) <= set(a[3 : 3 + likely[0], 0]) and set(found[:, 1]) <= set(b[3 : 3 + likely[1], 1])
+
+
 @pytest.mark.parametrize("column", CLOCK_PRIOR[2:])
 def test_kernels_take_clocks_that_are_told_more_as_they_take_others(column: str) -> None:
     """A recording's columns cannot be written; with one of them in the layout both kernels were compiled again."""

@@ -34,7 +34,7 @@ def block(f, errors, offset, z, q, rules, sight, pending):
     total = 0.0
     for j in range(len(z)):
         look = Look(z[j], q, q, Vec3(f.x[0], f.x[1], f.x[2]), rotations_of(f), 1.0, 1.0, NOW)
-        total += correct(f, errors, j, offset, look, sight, pending)
+        total += correct(f, errors, j, offset, look, rules, sight, pending)
     settle(f, pending)
     return total, take_steps(f, rules, pending.steps)
 
