@@ -21,7 +21,7 @@ from cellslam.slam.ekf_slam.map_states import Remembered
 from cellslam.slam.ekf_slam.map_trial import MapTrial
 from cellslam.slam.ekf_slam.sizes import Sizes, sizes_of
 from cellslam.slam.ekf_slam.snapshot.motion_kernel import Interval
-from cellslam.slam.ekf_slam.start import Start, begin
+from cellslam.slam.ekf_slam.start import STATES, Start, begin
 from cellslam.slam.ekf_slam.state.array_errors import array_errors
 from cellslam.slam.ekf_slam.state.layout import ENTRY, FREE, Measured, Rules, one_of
 from cellslam.slam.front_end.looks import Grouping, Looks
@@ -36,7 +36,7 @@ NOT_GIVEN = -2
 HELD = np.array([0.6, 0.0, 0.0, 0.1, 0.0, 0.0])
 DOUBT = 4.0  # log-likelihood that a rival association may lose
 WAY_M, TURN = 0.6, np.radians(2.0)  # a block of snapshots ends after so long a way or turn
-AWAY_S = 0.5  # a VT that was not seen for so long returns, if it is seen again
+AWAY_S = 3.0  # a VT that was not seen for so long returns, if it is seen again
 EVIDENCE = 0.0125  # least share of detections, misses and births that is news: what hides a VT lasts for seconds
 
 
@@ -235,7 +235,8 @@ class JointFilter:
         """Begin the filters of all sites with these combinations of clock offsets (K, S), as likely as each other: what
         has shown one to be likelier they go through again."""
         std = np.minimum(self._setup.sites.clock_offset_std_m, self.options.component_std_m)
-        self._joint = new_bank(self._setup, self._core, self._errors, offsets_m, std, self.options.vts, MOST_STATES)
+        states = MOST_STATES if len(offsets_m) == 1 else STATES
+        self._joint = new_bank(self._setup, self._core, self._errors, offsets_m, std, self.options.vts, states)
         self._install(self._joint)
         if self.options.known_calibration is not None:
             begin_with(self._joint, self._errors, self.options.known_calibration)

@@ -22,7 +22,7 @@ class EkfSlamOptions(FrontEndOptions):
         0.3,
         gt=0,
         le=1e9,
-        description="how likely a look must be of a VT unseen for 0.5 s, against a new one nearby",
+        description="how likely a look must be of a VT unseen for 3 s, against a new one nearby",
     )
     errors: Literal["states", "counted"] = Field(
         "states", description="errors that persist: as states of the filter, or counted as so many fewer measurements"

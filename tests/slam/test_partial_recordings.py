@@ -39,7 +39,7 @@ def see(one: Any, now: int, pose: Any, z: Any) -> None:
     j = int(np.argmax(f.anchor[: f.count[0], SHARE]))
     settle(f, w.pending)
     use = correct_guesses if f.anchor[j, SHARE] < 1.0 else correct
-    use(f, NO_ERRORS, j, 6, one.look(z, Q), w.sight, w.pending)
+    use(f, NO_ERRORS, j, 6, one.look(z, Q), one.rules, w.sight, w.pending)
     settle(f, w.pending)
     tidy(f, NO_ERRORS, one.block, now, one.rules)
 

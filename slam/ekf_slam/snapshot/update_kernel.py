@@ -201,11 +201,12 @@ def correct(f: Filter, a: ArrayErrors, j: int, offset: int, look: Look, rules: R
     e, hph = compare(f, a, j, offset, look, s, w)
     blank(w, e)
     new, lacks = innovate(e, look.q, hph), 0.0
+    plain = new.s
     if rules.merge_rate > 0.0 and not math.isnan(e.y):
         allowed, lacks = allow_for_merging(f, j, new.e.y, new.s, look.q[1])
         new = Innovation(new.e, allowed, new.measured)
     share = likely_share(new)
-    count_sizes(f, j, look, Innovation(vec_scaled(new.e, math.sqrt(share)), new.s, new.measured), w)
+    count_sizes(f, j, look, Innovation(vec_scaled(new.e, math.sqrt(share)), plain, new.measured), w)
     counted = Innovation(new.e, sym_scaled(new.s, 1.0 / share), new.measured)
     density = update(f, counted, w)
     show_steps(f, e, new, counted.s, s, w)

@@ -34,5 +34,6 @@ def test_errors_that_are_not_as_large_as_told_are_remarked(drive: Recording, nam
         assert remarks == ()
     else:
         (said,) = remarks
-        assert "roof of azimuth" in said
+        # Azimuths that err by more than they were told to are taken for merged paths, in part.
+        assert ("roof of azimuth" if factor > 1.0 else "roof of elevation") in said
         assert "diffuse of distance" in said
