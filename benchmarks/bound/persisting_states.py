@@ -31,8 +31,8 @@ from cellslam.sim.recording import Floats, Ints, Recording
 AREA = np.sqrt(np.pi / 2.0)
 BY_TIME, BY_PLACE = 1, 2
 # Principal functions: share of the variance that may be missing, and the most of them.
-MISSING = 0.01
-MOST_FUNCTIONS = 60
+MISSING = 0.001
+MOST_FUNCTIONS = 100
 # Bell functions: spacing and radius over correlation length. Their correlation is right to 0.1, 0.03 rms.
 SPACING, RADIUS = 1.1, 1.7
 # A weight that was not met for so long is forgotten: keeps the state small.

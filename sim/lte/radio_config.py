@@ -13,7 +13,7 @@ if TYPE_CHECKING:
     from cellslam.sim.waveform import Waveform
 
 NOISE_BANDWIDTH_HZ = 15e3  # that `noise_dbm` is given for
-NR_BLOCKS = {272: "100 MHz"}  # of 30 kHz whose detector was measured
+NR_BLOCKS = {48: "20 MHz", 132: "50 MHz", 272: "100 MHz"}  # of 30 kHz whose detector was measured
 
 
 class RadioConfig(BaseModel):

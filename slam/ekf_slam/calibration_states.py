@@ -8,12 +8,13 @@ Source: Smith, Self and Cheeseman, "Estimating uncertain spatial relationships i
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
 from cellslam.sim.errors import InputError
 from cellslam.sim.recording import Floats, Ints
 from cellslam.slam.ekf_slam.bank import Bank
-from cellslam.slam.ekf_slam.state.array_errors import CALIBRATION_GRID
 from cellslam.slam.ekf_slam.state.layout import ArrayErrors
 from cellslam.slam.model.calibration import Calibration
 from cellslam.slam.model.pose_moments import mixture_moments
@@ -35,9 +36,9 @@ def found(bank: Bank, errors: ArrayErrors) -> Calibration:
         p[i][np.ix_(there, there)] = bank.arrays.p[i][np.ix_(place, place)]
     mean, covariance = mixture_moments(bank.shares(), x, p)
     std = size[component[met]]
+    g = errors.calibration_grid
     return Calibration(
-        size, errors.calibration_grid.scale, *CALIBRATION_GRID, component[met],
-        owners[met] % errors.calibration_grid.cells,
+        size, g.scale, g.step / g.scale, math.sqrt(g.reach2) / g.scale, component[met], owners[met] % g.cells,
         std * mean, 0.5 * (covariance + covariance.T) * std[:, None] * std,
     )  # fmt: skip
 
@@ -62,12 +63,11 @@ def check_fits(known: Calibration, size: Floats, scale_rad: float) -> None:
         raise InputError(
             "a calibration, but no calibration error as a state: give its sizes and scale, or leave it out"
         )
-    ours = (scale_rad, *CALIBRATION_GRID)
-    if not np.allclose((known.scale_rad, known.spacing, known.reach), ours, rtol=1e-9, atol=0.0):
+    if not math.isclose(known.scale_rad, scale_rad, rel_tol=1e-9):
+        theirs, ours = np.degrees(known.scale_rad), np.degrees(scale_rad)
         raise InputError(
-            f"a calibration over {np.degrees(known.scale_rad):g} deg on a grid of spacing {known.spacing:g} and reach "
-            f"{known.reach:g}, but the filter's is over {np.degrees(scale_rad):g} deg with {CALIBRATION_GRID[0]:g} and "
-            f"{CALIBRATION_GRID[1]:g}: set calibration_scale_deg = {np.degrees(known.scale_rad):g}, or calibrate anew"
+            f"a calibration over {theirs:g} deg, but the filter's is over {ours:g} deg: set calibration_scale_deg = "
+            f"{theirs:g}, or calibrate anew"
         )
     if ((known.size > 0.0) != (size > 0.0)).any():
         raise InputError(

@@ -23,6 +23,8 @@ from cellslam.sim.recording import Floats
 from cellslam.sim.waveform import Waveform
 
 NODES = 13  # of LTE
+# Laws to begin the search from, as the likelihood has several peaks: sidelobes near the path, and all over the window.
+STARTS = (Law(8.0, 3.0, -0.2, -2.0, -1.0, 15.0), Law(8.0, 3.0, -1.0, -2.5, -2.0, 150.0))
 DRAWS = 8  # of the statistical front end, which is cheap
 LEAST_CLUTTER = 50.0
 POINTS = 48  # of clutter kept per node
@@ -128,9 +130,9 @@ def fit_overlap(
             total -= float(np.sum(np.where(s.detected, np.log(chance), np.log(1.0 - chance))))
         return total
 
-    start = np.array([12.0, 3.0, 0.0, -1.5, -1.0, 15.0])
-    options = {"xatol": 0.02, "fatol": 0.2, "maxiter": 400}
-    best = Law(*minimize(loss, start, method="Nelder-Mead", options=options).x)  # type: ignore[call-overload]
+    options = {"xatol": 0.01, "fatol": 0.1, "maxiter": 2000}
+    found = [minimize(loss, np.array(start), method="Nelder-Mead", options=options) for start in STARTS]  # type: ignore[call-overload]
+    best = Law(*min(found, key=lambda one: one.fun).x)
     return {
         "centre_db": float(best.centre_db), "width_db": float(abs(best.width_db)), "trail": float(10.0**best.log_trail),
         "around": float(10.0**best.log_around), "sidelobes": float(10.0**best.log_sidelobes),

@@ -8,29 +8,33 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.stats import ncx2
 
 from cellslam.sim.frames import wrap_angle
 from cellslam.sim.lte.calibration.scenes import Sample
 from cellslam.sim.lte.single_path_bound import AZIMUTH_EXPONENT, bound_scales
 from cellslam.sim.lte.statistical import detector_layout as k
-from cellslam.sim.recording import Floats
+from cellslam.sim.recording import Floats, Ints
 from cellslam.sim.waveform import Waveform
 
 _TABLE_DB = np.arange(-20.0, 70.0, 0.1)
 
 
 class Relations(NamedTuple):
-    """What the paths of one link are to each other: rows of the sample (n,), how much later and beside (n, n), the
-    integrated SNR of those so strong that they disturb it (n, n), leftover and ghost rule (n,).
+    """What the paths of a sample are to each other.
+
+    Of every pair of a path and a stronger one on its link that disturbs it (N,): row of the `path`, how much later (m)
+    and beside (rad) it is, integrated SNR of the `stronger` one. Of every path (P,): what stronger ones leave of it,
+    and whether the rule for ghosts strikes it out.
     """
 
-    rows: np.ndarray
+    path: Ints
     behind: Floats
     beside: Floats
-    disturbing: Floats
+    stronger: Floats
     leftover: Floats
-    ghost: np.ndarray
+    ghost: NDArray[np.bool_]
 
 
 class Law(NamedTuple):
@@ -44,21 +48,21 @@ class Law(NamedTuple):
     sidelobe_m: float
 
 
-def relations(sample: Sample, waveform: Waveform) -> list[Relations]:
-    """Return the relations of all links of a sample."""
-    out = []
+def relations(sample: Sample, waveform: Waveform) -> Relations:
+    """Return the relations of all paths of a sample."""
+    pairs, leftover, ghost = [], np.ones(len(sample.link)), np.zeros(len(sample.link), np.bool_)
     for link in np.unique(sample.link):
         rows = np.flatnonzero(sample.link == link)
         geometry, gamma = sample.geometry[rows], 10.0 ** (sample.gamma_db[rows] / 10.0)
         apart = geometry[:, None] - geometry[None]
         apart[..., 1] = wrap_angle(apart[..., 1])
-        stronger = gamma[None, :] > gamma[:, None]
-        disturbing = gamma[:, None] < k.DIFFUSE_SHARE * gamma[None, :]
-        near = np.abs(apart[..., 0])
-        leftover = np.prod(1.0 - captured(apart, geometry, waveform) * (near < k.NEIGHBOUR_M) * stronger, axis=1)
-        ghost = ((near < k.GHOST_REACH_M) & (gamma[:, None] < 10.0**-2.5 * gamma[None, :])).any(axis=1)
-        out.append(Relations(rows, apart[..., 0], apart[..., 1], disturbing * gamma[None, :], leftover, ghost))
-    return out
+        stronger, near = gamma[None, :] > gamma[:, None], np.abs(apart[..., 0])
+        leftover[rows] = np.prod(1.0 - captured(apart, geometry, waveform) * (near < k.NEIGHBOUR_M) * stronger, axis=1)
+        ghost[rows] = ((near < k.GHOST_REACH_M) & (gamma[:, None] < 10.0**-2.5 * gamma[None, :])).any(axis=1)
+        i, j = np.nonzero(gamma[:, None] < k.DIFFUSE_SHARE * gamma[None, :])
+        pairs.append(np.column_stack([rows[i], apart[i, j, :2], gamma[j]]))
+    path, *others = np.concatenate(pairs).T
+    return Relations(path.astype(np.int64), *others, leftover, ghost)
 
 
 def captured(apart: Floats, geometry: Floats, waveform: Waveform) -> Floats:
@@ -74,20 +78,17 @@ def captured(apart: Floats, geometry: Floats, waveform: Waveform) -> Floats:
 
 
 def chances(
-    sample: Sample, parts: list[Relations], ratio_db: float, detection: tuple[float, float], threshold: float, law: Law
+    sample: Sample, of: Relations, ratio_db: float, detection: tuple[float, float], threshold: float, law: Law
 ) -> Floats:
     """Return the detection probability (P,) of each path of a sample; `detection` is (dof, gain)."""
+    fall = 10.0**law.log_sidelobes / (1.0 + (of.behind / law.sidelobe_m) ** 2)
+    diffuse = (of.behind >= 0.0) & (of.behind <= k.DIFFUSE_TO_M)
+    fall = fall + np.where(diffuse, np.exp(-np.maximum(of.behind, 0.0) / k.TRAIL_DECAY_M), 0.0)
+    toward = 10.0**law.log_trail * np.exp(-0.5 * (of.beside / k.TRAIL_BESIDE_RAD) ** 2) + 10.0**law.log_around
+    energy = np.bincount(of.path, of.stronger * fall * toward, minlength=len(sample.link))
+    disturbance = 1.0 + 10.0 ** (-ratio_db / 10.0) * energy
+    gamma_db = sample.gamma_db + 10.0 * np.log10(np.maximum(of.leftover, 1e-12) / disturbance)
     table = ncx2.sf(2.0 * threshold, detection[0], detection[1] * 10.0 ** (_TABLE_DB / 10.0))
-    out = np.zeros(len(sample.link))
-    for p in parts:
-        fall = 10.0**law.log_sidelobes / (1.0 + (p.behind / law.sidelobe_m) ** 2)
-        diffuse = (p.behind >= 0.0) & (p.behind <= k.DIFFUSE_TO_M)
-        fall = fall + np.where(diffuse, np.exp(-np.maximum(p.behind, 0.0) / k.TRAIL_DECAY_M), 0.0)
-        toward = 10.0**law.log_trail * np.exp(-0.5 * (p.beside / k.TRAIL_BESIDE_RAD) ** 2) + 10.0**law.log_around
-        disturbance = 1.0 + 10.0 ** (-ratio_db / 10.0) * np.sum(p.disturbing * fall * toward, axis=1)
-        gamma_db = sample.gamma_db[p.rows] + 10.0 * np.log10(np.maximum(p.leftover, 1e-12) / disturbance)
-        alone = np.interp(gamma_db, _TABLE_DB, table)
-        crowded = 1.0 / (1.0 + np.exp(-np.clip((gamma_db - law.centre_db) / law.width_db, -50.0, 50.0)))
-        isolated = (p.leftover > k.ISOLATED_LEFTOVER) & (disturbance < k.DISTURBED)
-        out[p.rows] = np.where(isolated, alone, crowded) * ~p.ghost
-    return out
+    crowded = 1.0 / (1.0 + np.exp(-np.clip((gamma_db - law.centre_db) / law.width_db, -50.0, 50.0)))
+    isolated = (of.leftover > k.ISOLATED_LEFTOVER) & (disturbance < k.DISTURBED)
+    return np.asarray(np.where(isolated, np.interp(gamma_db, _TABLE_DB, table), crowded) * ~of.ghost)

@@ -35,7 +35,9 @@ _OFF = ("roof_azimuth_deg", "roof_elevation_deg", "attitude_azimuth_deg", "attit
         "calibration_distance_m", "load", "evm")  # fmt: skip
 OFF = dict.fromkeys(_OFF, 0.0)
 # Carrier in Hz and detection threshold; in a wider band the threshold has as many noise peaks as LTE's.
-BANDS = {("lte", 100): (2.66e9, 17.4), ("nr", 272): (3.5e9, 19.2)}
+BANDS = {
+    ("lte", 100): (2.66e9, 17.4), ("nr", 48): (3.5e9, 17.4), ("nr", 132): (3.5e9, 18.4), ("nr", 272): (3.5e9, 19.2)
+}  # fmt: skip
 POSE = np.array([3.0, -2.0, 1.8, 0.4, 0.0, 0.0])
 
 

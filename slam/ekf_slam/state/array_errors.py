@@ -7,26 +7,34 @@ import numpy as np
 from cellslam.slam.api import Setup
 from cellslam.slam.ekf_slam.state.layout import ArrayErrors
 from cellslam.slam.front_end.front_end_options import FrontEndOptions
+from cellslam.slam.model.calibration import Calibration
 from cellslam.slam.model.field_kernel import grid
 
-# Spacing of cells and reach of bells, in scales: correlations are right to 0.1.
-CALIBRATION_GRID, ROOF_GRID = (1.1, 1.9), (1.3, 1.9)
+# Spacing of cells and reach of bells, in scales. Correlations are right to 0.06 on the coarse grid, to 0.01 on the fine
+# one, which has half as many cells again and is for an array that errs by more than diffuse energy does.
+COARSE_GRID, FINE_GRID = (1.1, 1.9), (0.9, 2.2)
+ROOF_GRID = 1.3, 1.9  # right to 0.2
 WIDE = grid(np.pi, 1.0, 1.0)  # of a field that does not exist
 
 NO_ERRORS = ArrayErrors(np.zeros(3), WIDE, np.zeros(3), WIDE, np.zeros(3), 0.0, np.zeros(3), 0.0, np.zeros(2), 1.0)
 
 
-def array_errors(options: FrontEndOptions, setup: Setup, as_states: bool) -> ArrayErrors:
+def array_errors(
+    options: FrontEndOptions, setup: Setup, as_states: bool, known: Calibration | None = None
+) -> ArrayErrors:
     """Return the errors that are states; without `as_states` pitch and roll alone. No size, or no scale: no state.
 
+    The calibration has the grid of the `known` one where it is to begin with that.
     What the odometry or the start says of pitch and roll belongs to the pose: then they are not drawn anew.
     """
     o, sheet = options, setup.odometry_model
     seen = np.concatenate([sheet.noise_density[4:], sheet.bias[4:], setup.start_std[4:], setup.start_pose[4:]]).any()
     calibration, roof = np.radians([o.calibration_scale_deg, o.roof_scale_deg])
+    spacing, reach = FINE_GRID if (o.calibration > o.diffuse).any() else COARSE_GRID
+    calibrated = known.grid if known else grid(calibration, spacing, reach) if calibration > 0.0 else WIDE
     return ArrayErrors(
         calibration=o.calibration * (as_states and calibration > 0.0),
-        calibration_grid=grid(calibration, *CALIBRATION_GRID) if calibration > 0.0 else WIDE,
+        calibration_grid=calibrated,
         roof=o.roof * (as_states and roof > 0.0),
         roof_grid=grid(roof, *ROOF_GRID) if roof > 0.0 else WIDE,
         diffuse=o.diffuse * (as_states and o.diffuse_scale_m > 0.0),
