@@ -248,6 +248,8 @@ class JointFilter:
         bank = self._joint
         if bank is None:
             raise RuntimeError("step() was called before start()")
+        if self.options.merge_rate == 0.0:
+            measured = measured._replace(merged=np.zeros(3))
         association = bank.use(self._errors, interval, measured, self.options.vts, self._most)
         lost = bank.lost(int(np.argmax(bank.log_weight)))
         if len(lost):

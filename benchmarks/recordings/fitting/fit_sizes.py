@@ -114,7 +114,8 @@ class Pass(NamedTuple):
 
 def _found(recording: Recording, sheets: Sheets) -> Sizes | None:
     """Return what ekf-slam finds of sizes on a drive; None: clock offsets are never resolved."""
-    estimator = EkfSlam(sheets.options)
+    # What is counted for paths that merge makes other errors of angles look smaller than they are.
+    estimator = EkfSlam(sheets.options.model_copy(update={"merge_rate": 0.0}))
     _drive(estimator, replace(recording, odometry_model=sheets.odometry))
     try:
         return estimator.sizes()
