@@ -61,8 +61,8 @@ def relations(sample: Sample, waveform: Waveform) -> Relations:
         ghost[rows] = ((near < k.GHOST_REACH_M) & (gamma[:, None] < 10.0**-2.5 * gamma[None, :])).any(axis=1)
         i, j = np.nonzero(gamma[:, None] < k.DIFFUSE_SHARE * gamma[None, :])
         pairs.append(np.column_stack([rows[i], apart[i, j, :2], gamma[j]]))
-    path, *others = np.concatenate(pairs).T
-    return Relations(path.astype(np.int64), *others, leftover, ghost)
+    path, behind, beside, stronger_gamma = np.concatenate(pairs).T
+    return Relations(path.astype(np.int64), behind, beside, stronger_gamma, leftover, ghost)
 
 
 def captured(apart: Floats, geometry: Floats, waveform: Waveform) -> Floats:

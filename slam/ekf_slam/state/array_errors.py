@@ -11,7 +11,7 @@ from cellslam.slam.model.calibration import Calibration
 from cellslam.slam.model.field_kernel import grid
 
 # Spacing of cells and reach of bells, in scales. Correlations are right to 0.06 on the coarse grid, to 0.01 on the fine
-# one, which has half as many cells again and is for an array that errs by more than diffuse energy does.
+# one, which has half as many cells again and is for an array whose distances err by twice what diffuse energy does.
 COARSE_GRID, FINE_GRID = (1.1, 1.9), (0.9, 2.2)
 ROOF_GRID = 1.3, 1.9  # right to 0.2
 WIDE = grid(np.pi, 1.0, 1.0)  # of a field that does not exist
@@ -30,7 +30,7 @@ def array_errors(
     o, sheet = options, setup.odometry_model
     seen = np.concatenate([sheet.noise_density[4:], sheet.bias[4:], setup.start_std[4:], setup.start_pose[4:]]).any()
     calibration, roof = np.radians([o.calibration_scale_deg, o.roof_scale_deg])
-    spacing, reach = FINE_GRID if (o.calibration > o.diffuse).any() else COARSE_GRID
+    spacing, reach = FINE_GRID if o.calibration[0] > 2.0 * o.diffuse[0] else COARSE_GRID
     calibrated = known.grid if known else grid(calibration, spacing, reach) if calibration > 0.0 else WIDE
     return ArrayErrors(
         calibration=o.calibration * (as_states and calibration > 0.0),

@@ -158,7 +158,7 @@ def test_nr_is_studied_at_the_same_integrated_snr(capfd: pytest.CaptureFixture[s
         (("front-end", "--technology", "nr", "--study", "collision"), "ports of nr share no reference elements"),
         (("front-end", "--runs", "1"), "--runs 1"),
         (("calibrate", "--scenes", "10"), "--scenes 10"),
-        (("calibrate", "--technology", "nr", "--resource-blocks", "26"), "resource_blocks 26: nr is calibrated at 272"),
+        (("calibrate", "--technology", "nr", "--resource-blocks", "26"), "nr is calibrated at 48, 132, 272"),
         (("calibrate", "--ratio", "50", "--check"), "--ratio 50"),
         (("calibrate", "--out", "/nowhere/x.json"), "folder does not exist"),
         (("snapshot", "tiny", "--out", "x.pdf"), ".png"),
