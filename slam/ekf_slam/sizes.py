@@ -76,7 +76,7 @@ class Sizes(Described):
                 slope, information = self._of_white_noise_alone(OPTIONS.index(name))
             factor = math.exp(max(-MOST_STEP, min(slope / information, MOST_STEP)))
             # No mistake: an odometry better than told, as slip is rare; angles better than told, as paths seldom merge.
-            cautious = slope < 0.0 and (name in COMPONENTS or not name.endswith("_m"))
+            cautious = slope < 0.0 and not name.endswith("_m")
             if abs(slope) > DOUBTED * math.sqrt(information) and not 1.0 / NOTABLE < factor < NOTABLE and not cautious:
                 out[name] = factor
         return out

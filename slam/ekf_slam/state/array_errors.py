@@ -31,10 +31,10 @@ def array_errors(
     seen = np.concatenate([sheet.noise_density[4:], sheet.bias[4:], setup.start_std[4:], setup.start_pose[4:]]).any()
     calibration, roof = np.radians([o.calibration_scale_deg, o.roof_scale_deg])
     spacing, reach = FINE_GRID if o.calibration[0] > 2.0 * o.diffuse[0] else COARSE_GRID
-    calibrated = known.grid if known else grid(calibration, spacing, reach) if calibration > 0.0 else WIDE
+    own = grid(calibration, spacing, reach) if calibration > 0.0 else WIDE
     return ArrayErrors(
         calibration=o.calibration * (as_states and calibration > 0.0),
-        calibration_grid=calibrated,
+        calibration_grid=own if known is None else known.grid,
         roof=o.roof * (as_states and roof > 0.0),
         roof_grid=grid(roof, *ROOF_GRID) if roof > 0.0 else WIDE,
         diffuse=o.diffuse * (as_states and o.diffuse_scale_m > 0.0),
