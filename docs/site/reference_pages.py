@@ -163,7 +163,7 @@ def _keys(model: type[BaseModel], prefix: str) -> Iterator[tuple[str, ...]]:
         for one in inner:
             yield from _keys(one, f"{prefix}{name}{several}")
         if not inner:
-            default = field.get_default(call_default_factory=True)
+            default = field.get_default(call_default_factory=True, validated_data={})
             said = "" if default is PydanticUndefined else "none" if default is None else _plain(default)
             yield f"`{prefix}{name}`", said, unit_of(name), allowed(field), field.description or ""
 

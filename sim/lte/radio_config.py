@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from importlib import import_module
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
@@ -13,7 +13,24 @@ if TYPE_CHECKING:
     from cellslam.sim.waveform import Waveform
 
 NOISE_BANDWIDTH_HZ = 15e3  # that `noise_dbm` is given for
-NR_BLOCKS = {48: "20 MHz", 132: "50 MHz", 272: "100 MHz"}  # of 30 kHz whose detector was measured
+
+
+class Band(NamedTuple):
+    """A band whose detector was measured, and the threshold that lets as many noise peaks through as LTE's does: in a
+    wider one there are more places for them."""
+
+    width: str
+    threshold: float
+
+
+LTE_THRESHOLD = 17.4
+NR_BANDS = {48: Band("20 MHz", 17.4), 132: Band("50 MHz", 18.4), 272: Band("100 MHz", 19.2)}  # by blocks of 30 kHz
+
+
+def threshold_of(keys: dict[str, Any]) -> float:
+    """Return the detection threshold of a band whose detector was measured, LTE's where it was not."""
+    measured = keys.get("technology") == "nr" and keys.get("resource_blocks") in NR_BANDS
+    return NR_BANDS[keys["resource_blocks"]].threshold if measured else LTE_THRESHOLD
 
 
 class RadioConfig(BaseModel):
@@ -54,7 +71,10 @@ class RadioConfig(BaseModel):
     )
 
     detection_threshold: float = Field(
-        17.4, ge=8.0, le=40.0, description="detection threshold on projected energy over noise variance"
+        default_factory=lambda keys: threshold_of(keys),
+        ge=8.0,
+        le=40.0,
+        description="detection threshold on projected energy over noise variance (not given: that of the band)",
     )
     detection_scale: float = Field(
         1.0, ge=0.0, le=1.0, description="factor on every detection probability (1: nominal)"
@@ -154,7 +174,7 @@ class RadioConfig(BaseModel):
         if self.technology == "lte" and self.resource_blocks > 110:
             raise ValueError(f"resource_blocks = {self.resource_blocks}: LTE has 6 to 110 (nr: up to 272)")
         if not self.statistics_band and self.front_end == "statistical":
-            measured = ", ".join(f"{blocks} ({width})" for blocks, width in NR_BLOCKS.items())
+            measured = ", ".join(f"{blocks} ({band.width})" for blocks, band in NR_BANDS.items())
             raise ValueError(
                 f"technology = '{self.technology}' with these keys has no statistics of its detector: lte has, and nr "
                 f"with resource_blocks {measured}, numerology 1, and prs_symbols equal to prs_comb; otherwise set "
@@ -170,7 +190,7 @@ class RadioConfig(BaseModel):
         if self.technology == "lte":
             return "lte"
         measured = self.technology == "nr" and self.numerology == 1 and self.prs_symbols == self.prs_comb
-        return f"nr-{self.resource_blocks}" if measured and self.resource_blocks in NR_BLOCKS else ""
+        return f"nr-{self.resource_blocks}" if measured and self.resource_blocks in NR_BANDS else ""
 
     def noise_mw(self) -> float:
         """Return the receiver's noise per resource element and array port, in mW."""

@@ -21,6 +21,7 @@ from cellslam.sim.lte.array import array_at, miscalibrated
 from cellslam.sim.lte.downlink.lte_waveform import LteWaveform
 from cellslam.sim.lte.links import Cells, cells_of, slant
 from cellslam.sim.lte.persisting_errors import draw_fields
+from cellslam.sim.lte.radio_config import NR_BANDS
 from cellslam.sim.lte.signal.signal_front_end import DEFAULT_HARDWARE, SignalLevel, signal_level
 from cellslam.sim.lte.single_path_bound import bound_scales
 from cellslam.sim.lte.statistical import detector_layout as k
@@ -34,10 +35,8 @@ PORTS = 2
 _OFF = ("roof_azimuth_deg", "roof_elevation_deg", "attitude_azimuth_deg", "attitude_elevation_deg",
         "calibration_distance_m", "load", "evm")  # fmt: skip
 OFF = dict.fromkeys(_OFF, 0.0)
-# Carrier in Hz and detection threshold; in a wider band the threshold has as many noise peaks as LTE's.
-BANDS = {
-    ("lte", 100): (2.66e9, 17.4), ("nr", 48): (3.5e9, 17.4), ("nr", 132): (3.5e9, 18.4), ("nr", 272): (3.5e9, 19.2)
-}  # fmt: skip
+# Blocks that are calibrated, and the carrier in Hz.
+BANDS = {"lte": ((100,), 2.66e9), "nr": (tuple(NR_BANDS), 3.5e9)}
 POSE = np.array([3.0, -2.0, 1.8, 0.4, 0.0, 0.0])
 
 
@@ -59,14 +58,13 @@ class Sample:
 
 def radio_of(technology: str = "lte", resource_blocks: int | None = None) -> RadioConfig:
     """Return the radio configuration of a band, none named: the widest. Raises InputError for one that is none."""
-    bands = {blocks: more for (name, blocks), more in BANDS.items() if name == technology}
+    bands, carrier_hz = BANDS[technology]
     blocks = resource_blocks or max(bands)
     if blocks not in bands:
         raise InputError(f"resource_blocks {blocks}: {technology} is calibrated at {', '.join(map(str, bands))}")
-    carrier_hz, threshold = bands[blocks]
     return RadioConfig(
-        front_end="signal", technology=technology, resource_blocks=blocks, carrier_hz=carrier_hz,
-        detection_threshold=threshold, snr_cap_db=60.0, clock_offset_std_m=0.0, **OFF,
+        front_end="signal", technology=technology, resource_blocks=blocks, carrier_hz=carrier_hz, snr_cap_db=60.0,
+        clock_offset_std_m=0.0, **OFF,
     )  # fmt: skip
 
 

@@ -24,7 +24,7 @@ from cellslam.sim.lte.calibration.scenes import (
 )
 from cellslam.sim.lte.calibration.study import rounded
 from cellslam.sim.lte.downlink.lte_waveform import LteWaveform
-from cellslam.sim.lte.radio_config import NR_BLOCKS
+from cellslam.sim.lte.radio_config import NR_BANDS
 from cellslam.sim.lte.single_path_bound import single_path_std
 from cellslam.sim.lte.statistical.statistics import file_of, statistics
 
@@ -117,7 +117,7 @@ def test_the_check_tells_a_difference_from_scatter() -> None:
     assert Figure("x", 0.9, 0.94, 0.05, True, 1).inside and not Figure("x", 0.9, 1.1, 0.15, False, 1).inside
 
 
-@pytest.mark.parametrize("band", ["lte", *(f"nr-{blocks}" for blocks in NR_BLOCKS)])
+@pytest.mark.parametrize("band", ["lte", *(f"nr-{blocks}" for blocks in NR_BANDS)])
 def test_constants_say_how_to_make_them_again(band: str) -> None:
     data = json.loads(file_of(band).read_text(encoding="utf-8"))
     technology, _, blocks = band.partition("-")

@@ -8,16 +8,17 @@ import numpy as np
 import pytest
 from scipy.stats import poisson
 
+from cellslam.scenarios.loading import load
 from cellslam.sim.lte import RadioConfig
 from cellslam.sim.lte.calibration.scenes import radio_of
 from cellslam.sim.lte.links import cells_of
 from cellslam.sim.lte.persisting_errors import draw_fields, floors
-from cellslam.sim.lte.radio_config import NR_BLOCKS
+from cellslam.sim.lte.radio_config import NR_BANDS
 from cellslam.sim.lte.statistical.detector_layout import PathColumns, Streams
 from cellslam.sim.lte.statistical.statistical_front_end import Detections, detect, model_of, noise_clutter_mean
 from cellslam.sim.lte.statistical.statistics import statistics
 
-BANDS = [f"nr-{blocks}" for blocks in NR_BLOCKS]
+BANDS = [f"nr-{blocks}" for blocks in NR_BANDS]
 FALSE_ALARM = 1e-6
 
 
@@ -71,6 +72,15 @@ def test_clutter_is_counted_and_blurred_as_in_its_band(band: str) -> None:
     mean = noise_clutter_mean(config.detection_threshold, own) * count
     low, high = poisson.ppf([FALSE_ALARM, 1.0 - FALSE_ALARM], mean)
     assert low <= len(d.path) <= high
+
+
+def test_threshold_is_that_of_the_band_unless_it_is_given() -> None:
+    thresholds = [
+        load("lund-nr", {"radio.resource_blocks": blocks}).radio.detection_threshold for blocks in (48, 132, 272)
+    ]
+    assert thresholds == [17.4, 18.4, 19.2]
+    assert load("lund-530").radio.detection_threshold == 17.4
+    assert load("lund-nr", {"radio.detection_threshold": 15.0}).radio.detection_threshold == 15.0
 
 
 def test_lte_keeps_its_constants_at_every_bandwidth() -> None:
