@@ -1,7 +1,7 @@
 """Options of estimators: the scenario's tables, validated by each estimator's own model.
 
-Of a waveform other than LTE's they begin with what the receiver's data sheet says: noise and diffuse energy disturb a
-path less or more there; the rest is the array's and the car's.
+In another band than LTE's 20 MHz they begin with what the receiver's data sheet says: noise and diffuse energy disturb
+a path less or more there; the rest is the array's and the car's.
 """
 
 from __future__ import annotations
@@ -137,10 +137,10 @@ def data_sheet(radio: RadioConfig) -> dict[str, float]:
 
 
 def stated(radio: RadioConfig, tables: dict[str, dict[str, Any]]) -> dict[str, dict[str, Any]]:
-    """Return options of estimators by name, completed by the data sheet where the waveform is not LTE; what `tables`
-    say themselves stands.
+    """Return options of estimators by name, completed by the data sheet where the waveform is not LTE of 20 MHz, whose
+    sheet is their defaults; what `tables` say themselves stands.
     """
-    if radio.technology == "lte":
+    if (radio.technology, radio.resource_blocks) == ("lte", 100):
         return tables
     sheet, out = data_sheet(radio), dict(tables)
     for entry in registry.BUILT_IN:

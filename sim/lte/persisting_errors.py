@@ -61,15 +61,23 @@ def causes(config: RadioConfig, constants: Statistics | None = None) -> tuple[Ca
 def _diffuse_floor(config: RadioConfig, constants: Statistics | None) -> Floats:
     """Return the deviations (3,) in m, rad, rad that diffuse energy as strong as its path causes.
 
-    Where they were not measured, LTE's are scaled: so much energy as falls into a resolution cell disturbs a path, in
-    amplitude its root; and the cell is what an error of distance is a share of.
+    Where they were not measured, those of LTE of 20 MHz are scaled: the energy in a resolution cell disturbs a path, in
+    amplitude its root, and draws the distance to the mean delay of that energy (docs/notes/nr-drives.md).
     """
     floor = np.array((constants or statistics(config.statistics_band or LTE)).diffuse_floor)
-    if config.statistics_band:
+    if config.statistics_band not in (LTE, ""):
         return floor
-    measured, own = (SPEED_OF_LIGHT_MPS / b for b in (LteWaveform().bandwidth_hz, config.waveform().bandwidth_hz))
-    inside = np.sqrt(np.expm1(-own / TRAIL_DECAY_M) / np.expm1(-measured / TRAIL_DECAY_M))
-    return np.asarray(floor * inside * [own / measured, 1.0, 1.0], np.float64)
+    (share, delay), (measured, measured_delay) = (
+        _trail_within(SPEED_OF_LIGHT_MPS / waveform.bandwidth_hz) for waveform in (config.waveform(), LteWaveform())
+    )
+    return np.asarray(floor * np.sqrt(share / measured) * [delay / measured_delay, 1.0, 1.0], np.float64)
+
+
+def _trail_within(cell_m: float) -> tuple[float, float]:
+    """Return how much of a path's diffuse energy, which decays with delay, is in a cell behind it, and its mean delay
+    in m."""
+    share = -np.expm1(-cell_m / TRAIL_DECAY_M)
+    return share, TRAIL_DECAY_M - cell_m / np.expm1(cell_m / TRAIL_DECAY_M)
 
 
 def floors(config: RadioConfig, constants: Statistics | None = None) -> Floats:

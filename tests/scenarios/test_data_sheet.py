@@ -1,4 +1,4 @@
-"""What estimators are told of a receiver: of LTE what their defaults are, of other waveforms what their band gives."""
+"""What estimators are told of a receiver: of LTE of 20 MHz their defaults, of other bands what these give."""
 
 from __future__ import annotations
 
@@ -45,6 +45,11 @@ def test_scenarios_state_it_unless_they_say_otherwise() -> None:
     narrow = load("lund-nr", {"radio.resource_blocks": 48, "radio.front_end": "signal"}).estimator["fastslam"]
     assert narrow["noise_unit_snr_m"] > 5.0 * sheet["noise_unit_snr_m"]
     assert stated(RadioConfig(), {"fastslam": {}}) == {"fastslam": {}}
+    told = stated(RadioConfig(resource_blocks=25), {"fastslam": {"diffuse_m": 1.0}})
+    # c / (2 pi B / sqrt 12), over the root of twice 128 ports x 50 tones.
+    noise_m = 299792458.0 / (2.0 * np.pi * 4.5e6 / 12**0.5) / (2.0 * 128.0 * 50.0) ** 0.5
+    assert told["ekf-slam"]["noise_unit_snr_m"] == pytest.approx(noise_m, rel=0.01)
+    assert told["fastslam"] == told["ekf-slam"] | {"diffuse_m": 1.0}
 
 
 def test_what_is_resolved_states_it_again() -> None:

@@ -129,8 +129,9 @@ def test_a_wide_band_has_less_of_its_diffuse_energy_in_a_cell() -> None:
         return next(c for c in causes(RadioConfig(**radio)) if c.name == "diffuse").std
 
     lte, nr = diffuse(), diffuse(technology="nr", front_end="signal", resource_blocks=136)
-    np.testing.assert_array_equal(diffuse(resource_blocks=25), lte)
-    # Cells of 6.12 and 16.66 m, energy that decays over 35 m.
-    share = (1.0 - np.exp(-6.1232 / 35.0)) / (1.0 - np.exp(-16.655 / 35.0))
-    np.testing.assert_allclose(nr[1:] / lte[1:], np.sqrt(share), rtol=1e-3)
-    np.testing.assert_allclose(nr[0] / lte[0], np.sqrt(share) * 6.1232 / 16.655, rtol=1e-3)
+    np.testing.assert_array_equal(diffuse(resource_blocks=100), lte)
+    # Cells of 6.12 and 16.66 m, energy that decays over 35 m, by numerical integration: share and mean delay.
+    share, delay = np.transpose([[0.160500, 2.972375], [0.378648, 7.669529]])
+    np.testing.assert_allclose(nr[1:] / lte[1:], np.sqrt(share[0] / share[1]), rtol=1e-3)
+    expected = np.sqrt(share[0] / share[1]) * delay[0] / delay[1]
+    np.testing.assert_allclose(nr[0] / lte[0], expected, rtol=1e-3)
