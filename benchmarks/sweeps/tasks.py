@@ -7,6 +7,7 @@ import json
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from cellslam.scenarios.estimator_options import Request, broken, foreign, loaded
@@ -138,10 +139,17 @@ def _planned(jobs: Asked, trials: Mapping[str, int], seed: int, trajectories: bo
     order = [(world, trial) for world in jobs for trial in range(trials[world])]
     if trial_by_trial:
         order.sort(key=lambda task: task[1])
-    tasks = tuple(
-        Task(world, trial, seed, tuple(_jobs(world, jobs[world], trial, seed)), trajectories) for world, trial in order
-    )
     said = {options for asked in jobs.values() for _, options in asked}
+    whole = {text: with_contents(text) for text in (*jobs, *said)}
+
+    def jobs_of(world: str, trial: int) -> tuple[Job, ...]:
+        at = str(seed), str(trial)
+        return tuple(
+            Job(identity(whole[world], name, whole[options], *at), name, options, oracle)
+            for (name, options), oracle in jobs[world].items()
+        )
+
+    tasks = tuple(Task(world, trial, seed, jobs_of(world, trial), trajectories) for world, trial in order)
     return Plan(tasks, {identity(w): w for w in jobs}, {identity(o): o for o in said})
 
 
@@ -205,9 +213,19 @@ def _result(task: Task, job: Job, drive: Drive, outcome: Outcome) -> Result:
     return Result(job.key, outcome.row, outcome.traceback or note, packed)
 
 
-def _jobs(world: str, asked: Mapping[tuple[str, str], bool], trial: int, seed: int) -> Iterator[Job]:
-    for (estimator, options), oracle in asked.items():
-        yield Job(identity(world, estimator, options, str(seed), str(trial)), estimator, options, oracle)
+def with_contents(text: str) -> str:
+    """Return JSON with a digest of each file that it names, of a city, map or calibration: another content is another
+    job."""
+    files = (Path(name) for name in _named_files(json.loads(text)))
+    digests = [hashlib.sha256(file.read_bytes()).hexdigest() for file in files if file.is_file()]
+    return "\0".join([text, *digests])
+
+
+def _named_files(value: Any) -> Iterator[str]:
+    for key, inner in value.items() if isinstance(value, dict) else ():
+        if isinstance(inner, str) and (key in ("file", "path") or key.endswith("_file")):
+            yield inner
+        yield from _named_files(inner)
 
 
 def recording_of(task: Task) -> Recording:

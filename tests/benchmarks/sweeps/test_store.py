@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import dataclasses
+import json
 import sqlite3
 import subprocess
 import sys
@@ -12,10 +13,10 @@ import numpy as np
 import pytest
 
 from cellslam.benchmarks.scores.trial_result import ROW_KEYS, TrialResult
-from cellslam.benchmarks.sweeps import store
+from cellslam.benchmarks.sweeps import store, tasks
 from cellslam.benchmarks.sweeps.lock import check_local, only_writer
 from cellslam.benchmarks.sweeps.rows import results
-from cellslam.benchmarks.sweeps.tasks import Plan, Result, identity, plan
+from cellslam.benchmarks.sweeps.tasks import Plan, Result, identity, plan, with_contents
 from cellslam.benchmarks.sweeps.trajectories import pack, trajectory, unpack
 from cellslam.scenarios import sweep_points as sweep
 from cellslam.sim.errors import InputError
@@ -46,6 +47,27 @@ def fill(folder: Path, made: Plan, value: Callable[[int], float] = float) -> Non
         for n, (task, job) in enumerate(jobs):
             said = {"estimator": job.estimator, "trial": task.trial, "seed": task.seed, "position_rmse_m": value(n)}
             open_store.write(row(job.key, **said), identity(task.world), identity(job.options))
+
+
+@pytest.mark.parametrize("table", [{"map": "file"}, {"city": "path"}, {"": "calibration_file"}])
+def test_another_content_of_a_named_file_is_another_job(tmp_path: Path, table: dict[str, str]) -> None:
+    file = tmp_path / "named"
+    file.write_bytes(b"one")
+    ((name, key),) = table.items()
+    text = json.dumps({name: {key: str(file)}} if name else {key: str(file)})
+    first = with_contents(text)
+    assert first != text and first == with_contents(text)
+    file.write_bytes(b"two")
+    assert with_contents(text) != first
+    file.unlink()
+    assert with_contents(text) == text
+
+
+def test_keys_are_of_what_files_hold(monkeypatch: pytest.MonkeyPatch) -> None:
+    before = keys(plan_of({}, ("fastslam",)))
+    for part in ("city", "gate"):  # of the world, of the options
+        monkeypatch.setattr(tasks, "with_contents", lambda text, part=part: text.replace(f'"{part}"', "other"))
+        assert keys(plan_of({}, ("fastslam",))) != before
 
 
 def test_a_world_is_shared_by_all_options_and_estimators() -> None:
