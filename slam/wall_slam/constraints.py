@@ -18,6 +18,7 @@ from typing import NamedTuple
 import numpy as np
 
 from cellslam.sim.recording import Floats, Ints
+from cellslam.slam.ekf_slam.snapshot.gauge_kernel import carry_over
 from cellslam.slam.ekf_slam.state.layout import Filter
 
 GATE = 9.0  # squared Mahalanobis distance of what may be one
@@ -49,9 +50,16 @@ def impose(f: Filter, measure: Callable[[Filter], Gap], spread: Floats) -> None:
     n, before = int(f.size[0]), f.x.copy()
     for _ in range(ITERATIONS):
         gap = measure(f)
-        hp = gap.by @ f.p[gap.at, :n]
-        root = np.linalg.cholesky(hp[:, gap.at] @ gap.by.T + spread)
-        gains = np.linalg.solve(root, hp)
+        root, gains = _gains(f, gap, spread)
         left = -gap.value - gap.by @ (before[gap.at] - f.x[gap.at])
         f.x[:n] = before[:n] + np.linalg.solve(root, left) @ gains
+    carry_over(f, before, np.empty((4, len(before))))
+    _, gains = _gains(f, measure(f), spread)
     f.p[:n, :n] -= gains.T @ gains
+
+
+def _gains(f: Filter, gap: Gap, spread: Floats) -> tuple[Floats, Floats]:
+    """Return the root (2, 2) of the gap's covariance, and what it says of the states, whitened by that (2, N)."""
+    hp = gap.by @ f.p[gap.at, : f.size[0]]
+    root = np.linalg.cholesky(hp[:, gap.at] @ gap.by.T + spread)
+    return root, np.linalg.solve(root, hp)

@@ -16,7 +16,7 @@ from cellslam.scenarios.simulation import simulate
 from cellslam.sim.recording import Recording
 from cellslam.slam.ekf_slam.snapshot.birth_kernel import tidy
 from cellslam.slam.ekf_slam.snapshot.guess_kernel import AROUND, LEAST, _unite, begin, consider, correct_guesses
-from cellslam.slam.ekf_slam.snapshot.update_kernel import compare, correct, innovate, settle
+from cellslam.slam.ekf_slam.snapshot.update_kernel import add_up, compare, correct, innovate
 from cellslam.slam.ekf_slam.state.array_errors import NO_ERRORS
 from cellslam.slam.ekf_slam.state.layout import SHARE
 from cellslam.slam.model.measurement_model import predict
@@ -37,10 +37,9 @@ def see(one: Any, now: int, pose: Any, z: Any) -> None:
         begin(f, NO_ERRORS, one.block, seen, 0, 1, 0, w.sight, w.pending)
         return
     j = int(np.argmax(f.anchor[: f.count[0], SHARE]))
-    settle(f, w.pending)
     use = correct_guesses if f.anchor[j, SHARE] < 1.0 else correct
     use(f, NO_ERRORS, j, 6, one.look(z, Q), one.rules, w.sight, w.pending)
-    settle(f, w.pending)
+    add_up(f, w.pending)
     tidy(f, NO_ERRORS, one.block, now, one.rules)
 
 
@@ -93,6 +92,7 @@ def test_guesses_are_corrected_as_a_schmidt_filter_does(one_filter: Any) -> None
     look = one.look(expected + e + [0.0, 2.0 * np.pi, 0.0], q)
     given, hph = compare(one.f, NO_ERRORS, 0, 6, look, one.w.sight, one.w.pending)
     consider(one.f, 0, innovate(given, q, hph), given, one.w.pending)
+    add_up(one.f, one.w.pending)
     np.testing.assert_allclose(one.f.x[:13], x + gain @ e, rtol=1e-9, atol=1e-12)
     np.testing.assert_allclose(one.f.p[:13, :13], left @ p @ left.T + (gain * q) @ gain.T, rtol=1e-7, atol=1e-12)
 

@@ -189,7 +189,7 @@ def _agree(f: Filter, i: int, j: int) -> bool:
 def consider(f: Filter, j: int, new: Innovation, e: Vec3, w: Pending) -> None:
     """Update VT j alone by an innovation, T being in w.t, and e with NaN where not measured; all else is considered:
     covariances with it change, its own do not."""
-    x, p, t, at, n = f.x, f.p, w.t, f.vt_state[j], f.size[0]
+    p, t, at, n = f.p, w.t, f.vt_state[j], f.size[0]
     root = cholesky(new.s)
     if root.xx == 0.0:
         return
@@ -201,7 +201,7 @@ def consider(f: Filter, j: int, new: Innovation, e: Vec3, w: Pending) -> None:
     own = np.empty((3, n))
     for c in range(3):
         i = at[VT + c]
-        x[i] += t[0, i] * whitened.x + t[1, i] * whitened.y + t[2, i] * whitened.z
+        w.added[i] += t[0, i] * whitened.x + t[1, i] * whitened.y + t[2, i] * whitened.z
         for k in range(n):
             own[c, k] = p[i, k] - (t[0, i] * t[0, k] + t[1, i] * t[1, k] + t[2, i] * t[2, k])
     for c in range(3):

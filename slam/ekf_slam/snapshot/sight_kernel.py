@@ -91,17 +91,20 @@ def coordinates(f: Filter, j: int) -> Spherical:
 def geometry(f: Filter, j: int, offset: int, place: Vec3, turned: Rotations, vt: Spherical, s: Sight) -> Spherical:
     """Begin the Jacobian s of a look at VT j with pose, clock offset and VT; return h without the offset, m and rad.
 
-    Seen from a place (m) with the rotation `turned`, the VT having these coordinates about its anchor.
+    Seen from a place (m) with the rotation `turned`, the VT having these coordinates about its anchor. A place besides
+    the present one, as that of an earlier look, turns with the vehicle.
     """
     anchor, at = Vec3(f.anchor[j, 0], f.anchor[j, 1], f.anchor[j, 2]), f.vt_state[j]
     way = vec_minus(vec_plus(anchor, vec_scaled(direction(vt.azimuth, vt.elevation), vt.distance)), place)
     body = transposed_vec(turned.r, way)
     by_body = spherical_jacobian(body)
     by_way = mat_mat(by_body, transposed(turned.r))
+    by_yaw = mat_vec(by_body, transposed_vec(turned.by_psi, way))
+    by_turn = mat_vec(by_way, Vec3(f.x[1] - place.y, place.x - f.x[0], 0.0))
     s.size[0] = 0
     put_three(s, 0, scaled(by_way, -1.0))
     put_three(s, 3, columns(
-        mat_vec(by_body, transposed_vec(turned.by_psi, way)), mat_vec(by_body, transposed_vec(turned.by_theta, way)),
+        vec_minus(by_yaw, by_turn), mat_vec(by_body, transposed_vec(turned.by_theta, way)),
         mat_vec(by_body, transposed_vec(turned.by_phi, way)),
     ))  # fmt: skip
     put(s, offset, 1.0, 0.0, 0.0)

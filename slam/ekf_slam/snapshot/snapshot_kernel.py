@@ -19,6 +19,7 @@ from cellslam.sim.recording import Floats, Ints
 from cellslam.slam.ekf_slam.snapshot.association_kernel import FRESH, TAKEN, Messages, Pairs, associate
 from cellslam.slam.ekf_slam.snapshot.belief_kernel import believe
 from cellslam.slam.ekf_slam.snapshot.birth_kernel import clear, tidy
+from cellslam.slam.ekf_slam.snapshot.gauge_kernel import carry_over
 from cellslam.slam.ekf_slam.snapshot.guess_kernel import begin, correct_guesses, possible
 from cellslam.slam.ekf_slam.snapshot.merging_kernel import expect_merging, look_beside
 from cellslam.slam.ekf_slam.snapshot.motion_kernel import Interval, Step, forget, move
@@ -31,11 +32,11 @@ from cellslam.slam.ekf_slam.snapshot.update_kernel import (
     Look,
     Pending,
     Steps,
+    add_up,
     compare,
     correct,
     innovate,
     log_likelihood,
-    settle,
 )
 from cellslam.slam.ekf_slam.state.layout import (
     BELIEF,
@@ -50,7 +51,6 @@ from cellslam.slam.ekf_slam.state.layout import (
     SHARE,
     TOUCHED,
     UNSEEN,
-    VT,
     ArrayErrors,
     Block,
     Filter,
@@ -61,7 +61,7 @@ from cellslam.slam.ekf_slam.state.layout import (
 from cellslam.slam.model.copy_kernel import put
 from cellslam.slam.model.field_kernel import MOST_BELLS
 from cellslam.slam.model.matrices_kernel import Vec3
-from cellslam.slam.model.measurement_kernel import Spherical, rotations
+from cellslam.slam.model.measurement_kernel import rotations
 
 UNLIKELY = (
     -4.6
@@ -254,33 +254,26 @@ def conclude(f: Filter, a: ArrayErrors, b: Block, noise: Floats, seen: Measured,
     if rules.merge_rate > 0.0:
         expect_merging(f, rules.merge_rate, b.total[2])
     expect_steps(f, rules, p.steps)
-    before, z, q, white = f.x[: f.size[0]].copy(), np.empty(3), np.empty(3), np.empty(3)
+    z, q, white = np.empty(3), np.empty(3), np.empty(3)
     for j in range(f.count[0]):
         if b.looks[j] == 0:
             total += rules.evidence * b.odds[j]
             clear(b, j)
             continue
-        link = f.slots[j, LINK]
-        offset, at = f.core.first_offset + seen.site_of[link], f.vt_state[j]
+        offset = f.core.first_offset + seen.site_of[f.slots[j, LINK]]
         middle = b.pose[b.seen[j, b.looks[j] // 2]]
-        old = rotations(middle[3], middle[4], middle[5])
-        was = Spherical(before[at[VT]], before[at[VT + 1]], before[at[VT + 2]])
-        h = geometry(f, j, offset, Vec3(middle[0], middle[1], middle[2]), old, was, s)
-        z[0], z[1], z[2] = h.distance + before[offset], h.azimuth, h.elevation
+        there, turned = Vec3(middle[0], middle[1], middle[2]), rotations(middle[3], middle[4], middle[5])
+        h = geometry(f, j, offset, there, turned, coordinates(f, j), s)
+        z[0], z[1], z[2] = h.distance + f.x[offset], h.azimuth, h.elevation
         for c in range(3):
             n = b.measured[j, c]
             z[c] += b.e[j, c] / n if n > 0.0 else math.nan
             white[c] = b.q[j, c] / (n * n) if n > 0.0 else 1.0
             q[c] = white[c] + (seen.merged[c] / n if n > 0.0 else 0.0)
         if rules.merge_rate > 0.0:
-            look_beside(f, b, j, offset, h, Vec3(middle[0], middle[1], middle[2]), old, rules.confirm, s)
+            look_beside(f, b, j, offset, h, there, turned, rules.confirm, s)
         diffuse, turn = shares(b, a, j)
-        # The middle place moves with the last one.
-        here = Vec3(
-            middle[0] + f.x[0] - before[0], middle[1] + f.x[1] - before[1], middle[2] + f.x[2] - before[2]
-        )  # fmt: skip
-        now = rotations(middle[3] + f.x[3] - before[3], middle[4] + f.x[4] - before[4], middle[5] + f.x[5] - before[5])
-        look = Look(z, q, white, here, now, diffuse, turn, seen.now)
+        look = Look(z, q, white, there, turned, diffuse, turn, seen.now)
         if f.slots[j, UNSEEN] == 1:
             count_surprise(f, a, j, offset, look, rules.gate, s, p)
         if f.anchor[j, SHARE] < 1.0:
@@ -294,8 +287,10 @@ def conclude(f: Filter, a: ArrayErrors, b: Block, noise: Floats, seen: Measured,
         # A pair's density counts as fit in so far as it is one VT's or another's; what any VT would have is evidence.
         total += max(fit + known, UNLIKELY) + rules.evidence * (b.odds[j] - b.looks[j] * known)
         clear(b, j)
-    settle(f, p)
+    before = f.x[: f.size[0]].copy()
+    add_up(f, p)
     total += take_steps(f, rules, p.steps)
+    carry_over(f, before, p.rows)
     count_states(f, f.core.sway, SWAY, a.sway * a.sway)
     count_motion(f, noise, b.total[2])
     b.snapshots[0] = 0
@@ -368,5 +363,5 @@ def new_room(f: Filter, looks: int) -> Room:
             ),
             np.empty(looks),
         ),
-        Pending(np.empty((PENDING, states)), np.zeros(1, np.int64), np.empty((3, states)), steps),
+        Pending(np.empty((PENDING, states)), np.zeros(1, np.int64), np.zeros(states), np.empty((3, states)), steps),
     )  # fmt: skip

@@ -1,6 +1,7 @@
 """Compiled: innovation of one look, its likelihood, and the Kalman update of the whole state.
 
-Several looks are taken in before the covariance is written: what they take off it, P - G^T G, waits in the rows of G.
+Several looks are taken in before the state is written, and are linearised about the same one: what they add to the mean
+waits, as what they take off the covariance, P - G^T G, in the rows of G.
 Source: Bar-Shalom, Li and Kirubarajan, "Estimation with applications to tracking and navigation", 2001, section 5.2,
 with S = R R^T and gains whitened by R.
 """
@@ -36,11 +37,12 @@ class Steps(NamedTuple):
 
 
 class Pending(NamedTuple):
-    """What updates have taken off the covariance: `rows` (K, N), of which `used` (1,); `t` (3, N): H P of a look; and
-    what the looks say of `steps`."""
+    """What updates have taken off the covariance: `rows` (K, N), of which `used` (1,), and `added` (N,) to the mean;
+    `t` (3, N): H P of a look; and what the looks say of `steps`."""
 
     rows: Floats
     used: Ints
+    added: Floats
     t: Floats
     steps: Steps
 
@@ -158,17 +160,17 @@ def _add(t: Floats, factor: float, row: Floats, n: int) -> None:
 
 @lean
 def update(f: Filter, i: Innovation, w: Pending) -> float:
-    """Update the mean by an innovation whose T is in w.t; what it takes off P goes to three more rows of w.rows, rows
-    of what was not measured being zero. Return log N(e; 0, S)."""
+    """Take in an innovation whose T is in w.t; what it takes off P goes to three more rows of w.rows, rows of what was
+    not measured being zero. Return log N(e; 0, S)."""
     root = cholesky(i.s)
     if root.xx == 0.0:
         return 0.0
-    whitened, k, n, x = solved(root, i.e), w.used[0], f.size[0], f.x
+    whitened, k, n, added = solved(root, i.e), w.used[0], f.size[0], w.added
     t0, t1, t2, g0, g1, g2 = w.t[0], w.t[1], w.t[2], w.rows[k], w.rows[k + 1], w.rows[k + 2]
     for m in range(n):
         u = solved(root, Vec3(t0[m], t1[m], t2[m]))
         g0[m], g1[m], g2[m] = u.x, u.y, u.z
-        x[m] += dot(u, whitened)
+        added[m] += dot(u, whitened)
     w.rows[k : k + 3, n:] = 0.0  # states may enter before these rows are settled
     w.used[0] = k + 3
     log_root = math.log(root.xx * root.yy * root.zz)
@@ -194,8 +196,17 @@ def settle(f: Filter, w: Pending) -> None:
 
 
 @lean
+def add_up(f: Filter, w: Pending) -> None:
+    """Settle, and add to the mean what is pending."""
+    settle(f, w)
+    for i in range(f.size[0]):
+        f.x[i] += w.added[i]
+        w.added[i] = 0.0
+
+
+@lean
 def correct(f: Filter, a: ArrayErrors, j: int, offset: int, look: Look, rules: Rules, s: Sight, w: Pending) -> float:
-    """Update the whole state by a look at VT j; return its log-density."""
+    """Take in what a look at VT j says of the whole state; return its log-density."""
     if w.used[0] + 6 > len(w.rows):
         settle(f, w)
     e, hph = compare(f, a, j, offset, look, s, w)
@@ -281,4 +292,7 @@ def compare(f: Filter, a: ArrayErrors, j: int, offset: int, look: Look, s: Sight
     e = Vec3(
         z[0] - seen.distance - f.x[offset] - errors.x, z[1] - seen.azimuth - errors.y, z[2] - seen.elevation - errors.z
     )
+    for k in range(s.size[0]):
+        by = w.added[s.at[k]]
+        e = Vec3(e.x - s.by[0, k] * by, e.y - s.by[1, k] * by, e.z - s.by[2, k] * by)
     return e, gains(f, s, w)

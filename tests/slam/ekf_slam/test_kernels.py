@@ -31,12 +31,12 @@ from cellslam.slam.ekf_slam.snapshot.update_kernel import (
     LIKELY,
     Innovation,
     Vec3,
+    add_up,
     compare,
     correct,
     gains,
     innovate,
     likely_share,
-    settle,
     update,
 )
 from cellslam.slam.ekf_slam.state.array_errors import NO_ERRORS
@@ -150,18 +150,20 @@ def test_updates_are_textbook_kalman_updates_also_while_they_wait(one_filter: An
     one, q, turn = one_filter(), np.array([0.3, 1e-4, 2e-4]), np.array([0.0, 2.0 * np.pi, 0.0])
     one.put(POSE, 5.0, [80.0, 0.5, 0.2], [60.0, -1.0, 0.1])
     cov = one.spread(np.random.default_rng(1).normal(size=(13, 13)) * 0.02)
-    mean = one.f.x[:13].copy()
+    mean = begin = one.f.x[:13].copy()
     for j, e in ((0, [0.2, 0.01, -0.02]), (1, [-0.3, 0.01, 0.01]), (0, [0.1, np.nan, 0.01]), (1, [0.1, 0.0, 0.0])):
         h, by = one.model(j)
         n = len(mean)
-        mean, cov, value = kalman(mean, cov, by[:, :n], np.array(e), q)
+        mean, cov, value = kalman(mean, cov, by[:, :n], np.array(e) - by @ (mean - begin), q)
         got = correct(one.f, NO_ERRORS, j, OFFSET, one.look(h + e + turn, q), one.rules, one.w.sight, one.w.pending)
         np.testing.assert_allclose(got, value, rtol=1e-8)
-        np.testing.assert_allclose(one.f.x[:n], mean, rtol=1e-9, atol=1e-12)
+        np.testing.assert_array_equal(one.f.x[:n], begin)  # about which all looks are linearised
         # A state that enters meanwhile is independent.
         enter(one.f, -1, 4.0)
-        mean, cov = np.append(mean, 0.0), np.block([[cov, np.zeros((n, 1))], [np.zeros((1, n)), np.full((1, 1), 4.0)]])
-    settle(one.f, one.w.pending)
+        mean, begin = np.append(mean, 0.0), np.append(begin, 0.0)
+        cov = np.block([[cov, np.zeros((n, 1))], [np.zeros((1, n)), np.full((1, 1), 4.0)]])
+    add_up(one.f, one.w.pending)
+    np.testing.assert_allclose(one.f.x[: one.n], mean, rtol=1e-9, atol=1e-12)
     np.testing.assert_allclose(one.f.p[: one.n, : one.n], cov, rtol=1e-7, atol=1e-12)
     np.testing.assert_array_equal(one.f.p, one.f.p.T)
 
@@ -229,7 +231,8 @@ def test_fields_are_one_kalman_filter_over_all_weights(one_filter: Any, kalman: 
     f, w = one.f, one.w
     one.bank.reserve(3 * g.cells, 1)
     f = one_of(one.bank.arrays, 0)
-    w = w._replace(pending=w.pending._replace(rows=np.zeros((51, len(f.x))), t=np.zeros((3, len(f.x)))))
+    n = len(f.x)
+    w = w._replace(pending=w.pending._replace(rows=np.zeros((51, n)), t=np.zeros((3, n)), added=np.zeros(n)))
     mean, cov, q = np.zeros(3 * g.cells), np.eye(3 * g.cells), np.array([0.1, 1e-4, 2e-4])
     for now in range(60):
         azimuth, elevation = rng.uniform(-3.0, 3.0), rng.uniform(-0.5, 0.8)
@@ -244,7 +247,7 @@ def test_fields_are_one_kalman_filter_over_all_weights(one_filter: Any, kalman: 
         mean, cov, log_density = kalman(mean, cov, row, e, q)
         hph = gains(f, w.sight, w.pending)
         assert update(f, innovate(Vec3(*e), q, hph), w.pending) == pytest.approx(log_density, rel=1e-9, abs=1e-9)
-        settle(f, w.pending)
+        add_up(f, w.pending)
         if now == 30:  # give up some weights: in the joint filter they are marginalised, and met again as new ones
             for owner in list(f.owner[f.core.size : one_size(f)])[:20]:
                 leave(f, int(f.weight_state[owner]))

@@ -17,7 +17,7 @@ from cellslam.slam.ekf_slam.snapshot.merging_kernel import (
     look_beside,
 )
 from cellslam.slam.ekf_slam.snapshot.sight_kernel import coordinates, geometry, rotations_of
-from cellslam.slam.ekf_slam.snapshot.update_kernel import correct
+from cellslam.slam.ekf_slam.snapshot.update_kernel import add_up, correct
 from cellslam.slam.ekf_slam.state.array_errors import NO_ERRORS
 from cellslam.slam.ekf_slam.state.layout import HITS, MERGED
 from cellslam.slam.model.matrices_kernel import Sym3, Vec3
@@ -91,6 +91,7 @@ def turned_by(one_filter: Any, e_deg: float, **rules: float) -> float:
     z[1] += np.radians(e_deg)
     look = one.look(z, q)
     correct(one.f, NO_ERRORS, 0, one.offset, look, one.rules, one.w.sight, one.w.pending)
+    add_up(one.f, one.w.pending)
     return float(np.degrees(one.f.x[3] - POSE[3]))
 
 
