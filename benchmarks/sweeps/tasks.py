@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 import json
 from collections.abc import Iterator, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
 from pathlib import Path
@@ -215,10 +216,12 @@ def _result(task: Task, job: Job, drive: Drive, outcome: Outcome) -> Result:
 
 def with_contents(text: str) -> str:
     """Return JSON with a digest of each file that it names, of a city, map or calibration: another content is another
-    job."""
-    files = (Path(name) for name in _named_files(json.loads(text)))
-    digests = [hashlib.sha256(file.read_bytes()).hexdigest() for file in files if file.is_file()]
-    return "\0".join([text, *digests])
+    job. One that cannot be read has none; the job says why."""
+    parts = [text]
+    for name in _named_files(json.loads(text)):
+        with suppress(OSError):
+            parts.append(hashlib.sha256(Path(name).read_bytes()).hexdigest())
+    return "\0".join(parts)
 
 
 def _named_files(value: Any) -> Iterator[str]:

@@ -61,6 +61,8 @@ def test_another_content_of_a_named_file_is_another_job(tmp_path: Path, table: d
     assert with_contents(text) != first
     file.unlink()
     assert with_contents(text) == text
+    file.mkdir()  # cannot be read
+    assert with_contents(text) == text
 
 
 def test_keys_are_of_what_files_hold(monkeypatch: pytest.MonkeyPatch) -> None:
