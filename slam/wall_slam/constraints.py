@@ -61,5 +61,6 @@ def impose(f: Filter, measure: Callable[[Filter], Gap], spread: Floats) -> None:
 def _gains(f: Filter, gap: Gap, spread: Floats) -> tuple[Floats, Floats]:
     """Return the root (2, 2) of the gap's covariance, and what it says of the states, whitened by that (2, N)."""
     hp = gap.by @ f.p[gap.at, : f.size[0]]
-    root = np.linalg.cholesky(hp[:, gap.at] @ gap.by.T + spread)
-    return root, np.linalg.solve(root, hp)
+    root: Floats = np.linalg.cholesky(hp[:, gap.at] @ gap.by.T + spread)
+    whitened: Floats = np.linalg.solve(root, hp)
+    return root, whitened
