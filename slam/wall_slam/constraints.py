@@ -13,7 +13,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -58,9 +58,8 @@ def impose(f: Filter, measure: Callable[[Filter], Gap], spread: Floats) -> None:
     f.p[:n, :n] -= gains.T @ gains
 
 
-def _gains(f: Filter, gap: Gap, spread: Floats) -> tuple[Floats, Floats]:
+def _gains(f: Filter, gap: Gap, spread: Floats) -> tuple[Any, Any]:
     """Return the root (2, 2) of the gap's covariance, and what it says of the states, whitened by that (2, N)."""
     hp = gap.by @ f.p[gap.at, : f.size[0]]
-    root: Floats = np.linalg.cholesky(hp[:, gap.at] @ gap.by.T + spread)
-    whitened: Floats = np.linalg.solve(root, hp)
-    return root, whitened
+    root = np.linalg.cholesky(hp[:, gap.at] @ gap.by.T + spread)
+    return root, np.linalg.solve(root, hp)
