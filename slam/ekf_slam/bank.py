@@ -5,11 +5,10 @@ Source: Sorenson and Alspach, "Recursive Bayesian estimation using Gaussian sums
 
 from __future__ import annotations
 
-import os
+import math
 from collections.abc import Callable, Sequence
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
-from functools import cache, partial
+from functools import partial
 from typing import Any, TypeVar
 
 import numpy as np
@@ -47,15 +46,14 @@ from cellslam.slam.ekf_slam.state.layout import (
     block_of,
     one_of,
 )
-from cellslam.slam.ekf_slam.state.states_kernel import owner_of
+from cellslam.slam.ekf_slam.state.states_kernel import differing, owner_of
 from cellslam.slam.model.pose_moments import mixture_moments
+from cellslam.slam.model.threads import in_threads, threads
 
 LONGEST = 16  # snapshots in a block at most
-THREADS = os.cpu_count() or 1
 STATES, VTS = 256, 48  # room of a new filter
 MOST_STATES = 2040  # that a filter of all sites has, as a rule: memory that is not used costs nothing
 NEW_STATES, NEW_VTS = 160, 24  # that a snapshot may bring
-SAME = 0.5  # deviations by which filters differ, or the likelier stays
 LOST = 64  # confirmed VTs that one block can push out
 ROOM = 4  # times as many VTs as are kept, where a VT may begin as several guesses
 KNOWN = 1000  # detections of a VT known before the drive
@@ -90,23 +88,15 @@ OF_VTS, OF_LOOKS = ("vt_state", "anchor", "slots"), ("looks", "seen", "e", "q", 
 Work = Callable[[int, int], object]  # done for every `step`-th filter, from the `first` on
 
 
-@cache
-def _pool() -> ThreadPoolExecutor:
-    return ThreadPoolExecutor(THREADS)
-
-
 def together(works: Sequence[Work], filters: int) -> None:
-    """Do some work for so many filters, in as many threads as there are cores."""
-    threads = min(filters, THREADS)
+    """Do some work for so many filters, in as many threads as may be."""
+    shares = min(filters, threads())
 
     def share(first: int) -> None:
         for work in works:
-            work(first, threads)
+            work(first, shares)
 
-    others = [_pool().submit(share, first) for first in range(1, threads)]
-    share(0)
-    for other in others:
-        other.result()
+    in_threads(share, shares)
 
 
 @dataclass
@@ -186,14 +176,11 @@ class Bank:
                 array[target] = array[source]
 
     def _resize(self, filters: int) -> None:
-        """Make room for so many filters, and no more; memory of the covariance that is not used is not touched."""
+        """Make room for so many filters, and no more."""
         old, more = self.arrays, filters - len(self.arrays.x)
         of_filters = tuple(name for name in Filter._fields if name not in ("core", "p"))
         self.arrays, self.blocks = _with_rows(old, of_filters, more, 0), _with_rows(self.blocks, Block._fields, more, 0)
-        p = np.zeros((filters, *old.p.shape[1:]))
-        for k, n in enumerate(old.size[:filters, 0].tolist()):
-            p[k, :n, :n] = old.p[k, :n, :n]
-        self.arrays = self.arrays._replace(p=p)
+        self.arrays = self.arrays._replace(p=_covariances(old, filters, len(old.x[0])))
 
     def keep(self, kept: Ints) -> None:
         """Keep the filters `kept`, and no others, in the order in which they are."""
@@ -210,11 +197,8 @@ class Bank:
         arrays, blocks, width, places = self.arrays, self.blocks, len(self.arrays.x[0]), len(self.arrays.slots[0])
         if int(arrays.size.max()) + states > width:
             more = max(width // 2, states)
-            arrays = arrays._replace(
-                x=_padded(arrays.x, more),
-                owner=_padded(arrays.owner, more),
-                p=_padded(_padded(arrays.p, more), more, 1),
-            )
+            p = _covariances(arrays, len(arrays.x), width + more)
+            arrays = arrays._replace(x=_padded(arrays.x, more), owner=_padded(arrays.owner, more), p=p)
         if int(arrays.count.max()) + vts > places:
             more = max(places // 2, vts)
             arrays, blocks = _with_rows(arrays, OF_VTS, more), _with_rows(blocks, OF_LOOKS, more)
@@ -270,15 +254,9 @@ class Bank:
     def apart(self, of: slice, ratio: float) -> Ints:
         """Return the filters that are not less likely than the best by this ratio, and whose states `of` differ from
         those of all likelier ones, the likeliest first."""
-        k, kept = len(self), list[int]()
-        x = self.arrays.x[:k, of]
-        variance = np.maximum(np.diagonal(self.arrays.p, axis1=1, axis2=2)[:k, of], 0.0)
-        for i in np.argsort(-self.log_weight, kind="stable").tolist():
-            likely = self.log_weight[i] >= self.log_weight.max() + np.log(ratio)
-            same = (((x[i] - x[kept]) ** 2 <= SAME**2 * np.minimum(variance[i], variance[kept])).all(axis=1)).any()
-            if likely and not same:
-                kept.append(i)
-        return np.array(kept, np.int64)
+        likely = np.argsort(-self.log_weight, kind="stable")
+        likely = likely[self.log_weight[likely] >= self.log_weight.max() + math.log(ratio)]
+        return differing(self.arrays.x[:, of], self.arrays.p[:, of, of], likely)
 
     def lost(self, index: int) -> Floats:
         """Return the confirmed VTs of one filter that made room for others in the last snapshot, as `vts` does."""
@@ -312,6 +290,14 @@ def _spherical(vector: Floats) -> Floats:
 def _with_rows(tables: Tables, names: tuple[str, ...], more: int, axis: int = 1) -> Tables:
     """Return a NamedTuple whose arrays (K, V, ...) of these names have so many filters or VTs more."""
     return tables._replace(**{name: _padded(getattr(tables, name), more, axis) for name in names})
+
+
+def _covariances(old: Filter, filters: int, states: int) -> Floats:
+    """Return the covariances with room for so many filters and states; memory that is not used is not touched."""
+    p = np.zeros((filters, states, states))
+    for k, n in enumerate(old.size[:filters, 0].tolist()):
+        p[k, :n, :n] = old.p[k, :n, :n]
+    return p
 
 
 def _padded(array: Any, more: int, axis: int = -1) -> Any:

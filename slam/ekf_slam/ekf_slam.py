@@ -16,7 +16,7 @@ from cellslam.slam.api import Estimate, Setup, Snapshot, VtEstimate
 from cellslam.slam.ekf_slam.bank import LONGEST, MOST_STATES, Bank, core_of, new_bank, vt_estimate
 from cellslam.slam.ekf_slam.calibration_states import begin_with, found
 from cellslam.slam.ekf_slam.ekf_slam_options import EkfSlamOptions
-from cellslam.slam.ekf_slam.map_after import Heard, map_after
+from cellslam.slam.ekf_slam.map_after import Box, Heard, map_after
 from cellslam.slam.ekf_slam.map_states import Remembered
 from cellslam.slam.ekf_slam.map_trial import MapTrial
 from cellslam.slam.ekf_slam.sizes import Sizes, sizes_of
@@ -68,7 +68,7 @@ class JointFilter:
         self._setup, self._time_s, self._now = _writable(self._grouping.setup), 0.0, 0
         known, links = self._setup.map, self._setup.links
         self._remembered = None if known is None else Remembered(known, links, self._setup.sites.name, len(links))
-        self._seen: dict[int, Floats] = {}
+        self._seen: dict[int, Box] = {}
         self._born = len(links) + (0 if known is None else len(known))
         self._ports = ports_of(self._setup.links.site, self._setup.links.port)
         self._errors = array_errors(
@@ -251,10 +251,11 @@ class JointFilter:
         if self.options.merge_rate == 0.0:
             measured = measured._replace(merged=np.zeros(3))
         association = bank.use(self._errors, interval, measured, self.options.vts, self._most)
-        lost = bank.lost(int(np.argmax(bank.log_weight)))
+        best = int(np.argmax(bank.log_weight))
+        lost = bank.lost(best)
         if len(lost):
             self._archive = np.concatenate([self._archive, lost])
-        self._see(association[int(np.argmax(bank.log_weight))], bank.arrays.x[int(np.argmax(bank.log_weight)), :2])
+        self._see(association[best], bank.arrays.x[best, :2])
         if len(bank) > 1:
             kept = np.sort(bank.apart(slice(0, self._core.size), self.options.prune_ratio))
             if len(kept) < len(bank):
@@ -264,10 +265,11 @@ class JointFilter:
 
     def _see(self, association: Ints, place: Floats) -> None:
         """Note from where the VTs of some looks are seen."""
+        x, y = place.tolist()
         for ident in association[association >= 0].tolist():
-            box = self._seen.setdefault(ident, np.array([place, place]))
-            np.minimum(box[0], place, out=box[0])
-            np.maximum(box[1], place, out=box[1])
+            least, greatest = self._seen.setdefault(ident, ([x, y], [x, y]))
+            least[:] = min(least[0], x), min(least[1], y)
+            greatest[:] = max(greatest[0], x), max(greatest[1], y)
 
     def _readings(self, dt_s: float, odometry: Floats, looks: Looks) -> Readings:
         """Return the looks with their variances."""

@@ -25,13 +25,16 @@ WIDENED = 1.1  # covariances after each drive: what no filter models, as paths t
 FORGOTTEN = 2  # drives past a VT without a detection after which it is no longer there
 
 
+Box = tuple[list[float], list[float]]  # least and greatest x and y, in m
+
+
 class Heard(NamedTuple):
     """What a drive has beside a filter: the filter's `links` and the names of its `sites`; of each VT that was detected
-    the box that it was `seen` from (2, 2), by identity: least and greatest x and y of the vehicle, in m."""
+    the box of the vehicle's places that it was `seen` from, by identity."""
 
     links: Links
     sites: tuple[str, ...]
-    seen: Mapping[int, Floats]
+    seen: Mapping[int, Box]
 
 
 def map_after(f: Filter, lost: Floats, heard: Heard, before: Remembered | None, confirm: int) -> VtMap:
@@ -83,7 +86,7 @@ def _made_room(
     ident = lost[:, 0].astype(np.int64)
     new = np.array([i in heard.seen and i not in there and i not in ours for i in ident.tolist()], np.bool_)
     lost, ident = lost[new], ident[new]
-    middle = np.array([[*heard.seen[i].mean(axis=0), 0.0] for i in ident.tolist()]).reshape(-1, 3)
+    middle = np.array([[*np.mean(heard.seen[i], axis=0), 0.0] for i in ident.tolist()]).reshape(-1, 3)
     hits, at = np.full(len(lost), confirm), lost[:, POSITION:SPREAD]
     out = _listed(heard, ident, lost[:, 1].astype(np.int64), at, middle, hits)
     own = lost[:, SPREAD:].reshape(-1, 3, 3)

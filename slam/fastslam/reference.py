@@ -36,6 +36,7 @@ from scipy.special import ndtri
 
 from cellslam.sim.errors import InputError
 from cellslam.sim.frames import azimuth_elevation, integrate_pose, rotation, unit_vector, wrap_angle
+from cellslam.sim.randomness import quasi_random
 from cellslam.sim.recording import Floats, Ints
 from cellslam.slam.api import Estimate, Setup, Snapshot, VtEstimate
 from cellslam.slam.fastslam.fastslam_options import FastSlamOptions
@@ -47,7 +48,6 @@ from cellslam.slam.front_end.readings import Readings, novelty, readings
 from cellslam.slam.front_end.visibility import existence
 from cellslam.slam.model.measurement_model import jacobians, predict
 from cellslam.slam.model.pose_moments import pose_moments
-from cellslam.slam.model.quasi_random import quasi_random
 from cellslam.slam.model.resampling import SCHEMES
 
 PLANE = [0, 1, 3]  # x, y, psi: what of a pose depends on yaw-rate bias and odometer scale

@@ -7,6 +7,7 @@ from typing import Any, ClassVar
 import numpy as np
 from scipy.special import ndtri
 
+from cellslam.sim.randomness import quasi_random
 from cellslam.sim.recording import Floats, Ints, Sites
 from cellslam.slam import warm_up
 from cellslam.slam.api import Estimate, Setup, Snapshot, VtEstimate
@@ -18,7 +19,6 @@ from cellslam.slam.front_end.misfit import Misfit
 from cellslam.slam.front_end.readings import Readings, novelty, readings
 from cellslam.slam.front_end.visibility import transitions
 from cellslam.slam.model.pose_moments import pose_moments
-from cellslam.slam.model.quasi_random import quasi_random
 from cellslam.slam.model.resampling import systematic
 from cellslam.slam.phd_slam.field_of_view import FieldOfView
 from cellslam.slam.phd_slam.gaussians_kernel import (

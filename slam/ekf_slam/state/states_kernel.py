@@ -7,9 +7,14 @@ they are. Source: Smith, Self and Cheeseman, "Estimating uncertain spatial relat
 
 from __future__ import annotations
 
-from cellslam.sim.compiling import lean, part
+import numpy as np
+
+from cellslam.sim.compiling import lean, njit, part
+from cellslam.sim.recording import Floats, Ints
 from cellslam.slam.ekf_slam.state.layout import OF_VT, Filter
 from cellslam.slam.model.copy_kernel import put
+
+SAME = 0.5  # deviations by which filters differ, or the likelier stays
 
 
 @lean
@@ -69,3 +74,28 @@ def fade(f: Filter, place: int, kept: float, variance: float) -> None:
         f.p[i, place] *= kept
     f.p[place, place] += (1.0 - kept * kept) * variance
     f.x[place] *= kept
+
+
+@njit(cache=True)
+def differing(x: Floats, p: Floats, likely: Ints) -> Ints:
+    """Return those of the filters `likely`, the likeliest first, whose states differ from those of all before them.
+
+    Of the K filters x (K, n) are means, p (K, n, n) covariances.
+    """
+    kept, found = np.empty(len(likely), np.int64), 0
+    for i in likely:
+        double = False
+        for j in kept[:found]:
+            double = double or _same(x[i], x[j], p[i], p[j])
+        if not double:
+            kept[found] = i
+            found += 1
+    return kept[:found]
+
+
+@lean
+def _same(x: Floats, y: Floats, p: Floats, q: Floats) -> bool:
+    same = True
+    for c in range(len(x)):
+        same = same and (x[c] - y[c]) ** 2 <= SAME * SAME * max(min(p[c, c], q[c, c]), 0.0)
+    return same

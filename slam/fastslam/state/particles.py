@@ -13,13 +13,13 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import ndtri
 
+from cellslam.sim.randomness import quasi_random
 from cellslam.sim.recording import Floats, Ints, OdometryModel
 from cellslam.slam.api import Setup
 from cellslam.slam.fastslam.snapshot.motion_kernel import driven
 from cellslam.slam.fastslam.state.copy_kernel import move_between, move_within
 from cellslam.slam.fastslam.state.layout import BIAS, BOUND, LANES, POSE, POSE_G, RECORD, SCALE, THETA, Blocks, Tracks
 from cellslam.slam.fastslam.state.tracks_kernel import DEAD, UNKNOWN
-from cellslam.slam.model.quasi_random import quasi_random
 
 YAW_RATE, SPEED = 3, 0  # components of u whose bias and scale are marginalised
 

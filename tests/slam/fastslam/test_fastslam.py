@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from cellslam.sim.frames import integrate_pose
+from cellslam.sim.randomness import quasi_random
 from cellslam.sim.recording import Links, OdometryModel, Sites
 from cellslam.slam.api import Setup, Snapshot
 from cellslam.slam.dead_reckoning import DeadReckoning
@@ -25,7 +26,6 @@ from cellslam.slam.front_end.visibility import existence, visibility
 from cellslam.slam.model import resampling
 from cellslam.slam.model.assignment_kernel import assign
 from cellslam.slam.model.measurement_model import jacobians, predict
-from cellslam.slam.model.quasi_random import quasi_random
 
 SMALL = FastSlamOptions(errors="counted", particles=64, vts_per_link=8, start_phase_s=0.0, sharing="none")
 
