@@ -4,6 +4,7 @@ import subprocess
 import sys
 from collections.abc import Callable
 
+import numba
 import numpy as np
 import pytest
 
@@ -90,8 +91,11 @@ PARTS = (
 
 
 def pytest_sessionstart(session: pytest.Session) -> None:
-    """Compile worlds and filters once, in two processes, before the workers of a whole suite all begin to."""
+    """Compile worlds and filters once, in two processes, before the workers of a whole suite all begin to; a worker has
+    one thread, as those of a sweep have."""
     config = session.config
+    if hasattr(config, "workerinput"):
+        numba.set_num_threads(1)
     if hasattr(config, "workerinput") or config.args_source is not config.ArgsSource.TESTPATHS:
         return
     started = [subprocess.Popen([sys.executable, "-P", "-c", "\n".join(part)]) for part in PARTS]

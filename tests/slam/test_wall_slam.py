@@ -10,13 +10,13 @@ import numpy as np
 import pytest
 
 from cellslam.benchmarks.scores.walls import true_walls, wall_scores
-from cellslam.sim.frames import integrate_pose, wrap_angle
+from cellslam.sim.frames import integrate_pose, unit_vector, wrap_angle
 from cellslam.sim.recording import Links, Measurements, OdometryModel, Recording, Sites, Truth, VirtualTransmitters
 from cellslam.slam.api import odometry_of, setup_of, snapshots_of
 from cellslam.slam.ekf_slam.snapshot.association_kernel import score_pairs
 from cellslam.slam.ekf_slam.state.array_errors import NO_ERRORS
 from cellslam.slam.ekf_slam.state.layout import BEYOND, EXISTS, HITS, IDENT, LINK, SHARE, UNSEEN
-from cellslam.slam.model.measurement_model import predict
+from cellslam.slam.model.measurement_model import jacobians, predict
 from cellslam.slam.wall_slam.constraints import impose, log_odds
 from cellslam.slam.wall_slam.doubles import Double, impose_double, likeliest_double, off
 from cellslam.slam.wall_slam.facades import Facades
@@ -180,6 +180,23 @@ def test_imposing_leaves_the_filter_consistent(one_filter):
         squares.append(error @ np.linalg.solve(f.p[at, at], error))
     # The mean of chi-square of 24 over 300 draws has a deviation of 0.4.
     assert np.mean(squares) == pytest.approx(24.0, abs=1.2)
+
+
+def test_imposing_tells_nothing_of_where_the_frame_lies(one_filter):
+    """Vehicle, sites and images may be shifted together: by how much, walls show next to nothing."""
+    rng = np.random.default_rng(6)
+    for _ in range(20):
+        f, at = filter_of(one_filter, scene(), 0.5, rng)
+        away, azimuth, elevation = f.x[at].reshape(-1, 3).T
+        shift = np.zeros((len(f.x), 2))
+        shift[:2] = np.eye(2)
+        shift[at] = jacobians(np.zeros((8, 6)), away[:, None] * unit_vector(azimuth, elevation))[0][..., :2].reshape(
+            -1, 2
+        )
+        f.p[:] += 10.0**2 * shift @ shift.T
+        impose(f, partial(apart, a=pair(f)[0], b=pair(f)[1]), FLAT.covariance)
+        # Little: that of the middle of a wall, which stays where it is.
+        assert np.trace(f.p[:2, :2]) == pytest.approx(2.0 * 10.0**2, rel=0.03)
 
 
 def test_a_wall_of_two_images_is_their_weighted_mean(one_filter):
