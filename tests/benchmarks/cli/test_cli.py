@@ -11,20 +11,15 @@ import subprocess
 import sys
 import threading
 import time
-from collections.abc import Callable
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import h5py
 import numpy as np
 import pytest
 
-from cellslam.benchmarks import run as run_trials
-from cellslam.benchmarks.cli.main import build_parser, main
-from cellslam.benchmarks.scores.trial_result import COST_KEYS, ROW_KEYS
+from cellslam.benchmarks.cli.main import build_parser
+from cellslam.benchmarks.scores.trial_result import ROW_KEYS
 from cellslam.scenarios import load
-from cellslam.sim.recording import Recording
 
 COMMAND = Path(sys.executable).parent / "cellslam"
 FEW = ("--set", "estimator.fastslam.particles=20")
@@ -64,44 +59,11 @@ class Interrupted(Mine):
 """
 
 
-@dataclass
-class Done:
-    status: int
-    out: str
-    err: str
-
-    @property
-    def rows(self) -> list[dict[str, Any]]:
-        return json.loads(self.out)
-
-
-@pytest.fixture
-def cellslam(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]) -> Callable[..., Done]:
-    """Runs a command line in an empty directory, in this process."""
-    monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr(sys, "path", list(sys.path))
-
-    def run(*words: str) -> Done:
-        capfd.readouterr()
-        try:
-            status = main(words)
-        except SystemExit as error:
-            status = int(error.code or 0)
-        captured = capfd.readouterr()
-        return Done(status, captured.out, captured.err)
-
-    return run
-
-
 @pytest.fixture
 def plugin(cellslam: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     monkeypatch.delitem(sys.modules, "cli_plugin", raising=False)
     (tmp_path / "cli_plugin.py").write_text(PLUGIN)
     return tmp_path
-
-
-def steady(rows: list[dict[str, Any]]) -> list[dict[str, Any]]:
-    return [{key: value for key, value in row.items() if key not in COST_KEYS} for row in rows]
 
 
 def left_over(folder: Path) -> set[str]:
@@ -152,84 +114,6 @@ def test_json_is_one_array_and_nothing_else(cellslam: Any, tmp_path: Path) -> No
     assert json.loads((tmp_path / "here" / "summary.json").read_text())["rows"] == rows
     assert (tmp_path / "here" / "trajectory-fastslam-1.tum").exists()
     assert not list((tmp_path / "here").glob("*.png"))
-
-
-def test_same_seed_same_rows_also_from_python_and_through_a_recording(cellslam: Any, tmp_path: Path) -> None:
-    words = ("--json", "--no-figures", "--quiet")
-    run = cellslam("run", "tiny", *FEW, "--seed", "7", *words)
-    assert run.err == ""
-    frame = rows_from_python(seed=7)
-    assert steady(run.rows) == frame
-    assert cellslam("record", "tiny", "--seed", "7", "--out", "a.h5").status == 0
-    replay = cellslam("replay", "a.h5", *FEW, *words)
-    assert replay.status == 0
-    assert steady(replay.rows) == steady(run.rows)
-    draws = ("--estimator", "phd-slam", "--estimator", "dead-reckoning", "--set", "estimator.phd-slam.particles=10", *words)
-    same, other = (cellslam("replay", "a.h5", "--seed", seed, *draws).rows for seed in ("7", "8"))
-    assert other[1]["position_rmse_m"] == same[1]["position_rmse_m"] == run.rows[1]["position_rmse_m"]
-    assert other[0]["position_rmse_m"] != same[0]["position_rmse_m"]
-    another = cellslam("run", "tiny", "--estimator", "dead-reckoning", "--seed", "8", *words).rows
-    assert another[0]["position_rmse_m"] != run.rows[1]["position_rmse_m"]
-
-
-def rows_from_python(seed: int) -> list[dict[str, Any]]:
-    frame = run_trials("tiny", ["fastslam", "dead-reckoning"], 1, seed, {"estimator.fastslam.particles": 20})
-    assert tuple(frame.columns) == ROW_KEYS
-    plain = [{k: None if v != v else v for k, v in row.items()} for row in frame.to_dict("records")]
-    return steady(plain)
-
-
-def test_second_trial_can_be_recorded(cellslam: Any) -> None:
-    both = cellslam("run", "tiny", "--estimator", "dead-reckoning", "--trials", "2", "--json", "--no-figures").rows
-    cellslam("record", "tiny", "--trial", "1", "--out", "b.h5")
-    replay = cellslam("replay", "b.h5", "--estimator", "dead-reckoning", "--json", "--no-figures")
-    assert steady(replay.rows) == steady(both[1:])
-
-
-def test_a_data_set_of_many_drives_goes_on_where_it_ended(cellslam: Any, tmp_path: Path) -> None:
-    assert cellslam("record", "tiny", "--trials", "1", "--out", "drives").status == 0
-    first = (tmp_path / "drives" / "tiny-0-0000.h5").stat().st_mtime_ns
-    more = cellslam("record", "tiny", "--trials", "2", "--out", "drives")
-    assert more.status == 0 and "tiny-0-0001.h5" in more.err and "0000" not in more.err
-    assert (tmp_path / "drives" / "tiny-0-0000.h5").stat().st_mtime_ns == first
-    other = cellslam("record", "tiny", "--trials", "1", "--out", "drives", "--set", "radio.load=0.1")
-    assert other.status == 2 and "tiny-0-0000.h5: is of another scenario" in other.err
-    cellslam("record", "tiny", "--trial", "1", "--out", "one.h5")
-    one, many = (Recording.load(tmp_path / name) for name in ("one.h5", "drives/tiny-0-0001.h5"))
-    np.testing.assert_array_equal(one.measurements.distance_m, many.measurements.distance_m)
-
-
-def test_recorded_scenario_brings_its_options(cellslam: Any) -> None:
-    cellslam("record", "tiny", *FEW, "--out", "c.h5")
-    words = ("--json", "--no-figures")
-    brought = cellslam("replay", "c.h5", *words).rows
-    assert steady(brought) == steady(cellslam("run", "tiny", *FEW, *words).rows)
-    changed = cellslam("replay", "c.h5", "--set", "estimator.fastslam.detection_probability=0.5", *words).rows
-    assert changed[0]["position_rmse_m"] != brought[0]["position_rmse_m"]
-
-
-def test_replay_of_what_another_version_simulated_is_without_bound(cellslam: Any, tmp_path: Path) -> None:
-    cellslam("record", "tiny", "--out", "old.h5")
-    with h5py.File(tmp_path / "old.h5", "r+") as file:
-        file["truth/persisting_std"][...] *= 1.1
-    done = cellslam("replay", "old.h5", "--estimator", "dead-reckoning", "--json", "--no-figures")
-    assert done.status == 0 and "without the bound: truth.persisting_std is not what" in done.err
-    (row,) = done.rows
-    assert row["position_rmse_m"] > 0.0 and row["bound_position_rmse_m"] is None
-
-
-def test_replay_without_truth_and_provenance(cellslam: Any, tmp_path: Path) -> None:
-    cellslam("record", "tiny", "--out", "drive.h5")
-    with h5py.File(tmp_path / "drive.h5", "r+") as file:
-        del file["truth"]
-        del file["provenance"]
-        file["provenance"] = "{}"
-        file["provenance"].attrs["unit"] = "JSON"
-    done = cellslam("replay", "drive.h5", "--estimator", "dead-reckoning", "--json")
-    assert done.status == 0
-    (row,) = done.rows
-    assert (row["scenario"], row["seed"], row["position_rmse_m"]) == ("drive", 0, None)
-    assert (tmp_path / "results" / "replay-drive" / "summary.json").exists()
 
 
 def test_what_an_earlier_run_left_does_not_stand_beside_another_summary(cellslam: Any, tmp_path: Path) -> None:
@@ -313,16 +197,6 @@ def test_wrong_request_is_one_line_and_leaves_nothing(cellslam: Any, tmp_path: P
     for text in expected:
         assert text in done.err
     assert left_over(tmp_path) == set()
-
-
-def test_replay_refuses_what_a_recording_fixes(cellslam: Any, tmp_path: Path) -> None:
-    cellslam("record", "tiny", "--out", "a.h5")
-    done = cellslam("replay", "a.h5", "--set", "radio.load=0.1")
-    assert done.status == 2 and "radio.load" in done.err
-    (tmp_path / "a.h5").write_text("no")
-    done = cellslam("replay", "a.h5")
-    assert done.status == 2 and "a.h5: not an HDF5 file" in done.err
-    assert left_over(tmp_path) == {"a.h5"}
 
 
 def test_later_world_that_cannot_be_made_fails_its_rows(
@@ -423,7 +297,7 @@ def inside() -> tuple[float, float]:
     return point.x, point.y
 
 
-def assert_refused(done: Done, folder: Path, *words: str) -> None:
+def assert_refused(done: Any, folder: Path, *words: str) -> None:
     assert (done.status, done.out, done.err.count("\n")) == (2, "", 1), done.err
     for word in words:
         assert word in done.err
