@@ -31,12 +31,13 @@ from cellslam.slam.front_end.visibility import existence
 from cellslam.slam.model.calibration import Calibration
 from cellslam.slam.model.vt_map import VtMap
 
-NOT_GIVEN = -2
+NOT_GIVEN, NO_VTS = -2, np.empty((0, ENTRY))
 # Accelerations of a vehicle whose odometry is silent, in m/s^2 and rad/s^2; it neither climbs nor tilts.
 HELD = np.array([0.6, 0.0, 0.0, 0.1, 0.0, 0.0])
 DOUBT = 4.0  # log-likelihood that a rival association may lose
 WAY_M, TURN = 0.6, np.radians(2.0)  # a block of snapshots ends after so long a way or turn
 AWAY_S = 3.0  # a VT that was not seen for so long returns, if it is seen again
+AGAIN = 1.25  # filters of all sites that did not agree with the start are tried again after so many times as long
 EVIDENCE = 0.0125  # least share of detections, misses and births that is news: what hides a VT lasts for seconds
 
 
@@ -69,6 +70,7 @@ class JointFilter:
         known, links = self._setup.map, self._setup.links
         self._remembered = None if known is None else Remembered(known, links, self._setup.sites.name, len(links))
         self._seen: dict[int, Box] = {}
+        self._archive, self._again_s = NO_VTS, 0.0
         self._born = len(links) + (0 if known is None else len(known))
         self._ports = ports_of(self._setup.links.site, self._setup.links.port)
         self._errors = array_errors(
@@ -83,7 +85,6 @@ class JointFilter:
             without.start(replace(setup, map=None), rng)
             without._born = self._born  # so that new VTs have one identity in both
             self._beside = without, MapTrial(range(len(links), self._born))
-        self._archive = np.empty((0, ENTRY))
         self._tables: dict[int, tuple[Floats, int, int]] = {}
         sites = self._setup.sites
         self._start: Start | None = None
@@ -215,13 +216,22 @@ class JointFilter:
         association = start.use(interval, measured)
         mean, covariance = start.pose()
         offset, variance = start.offsets()
-        if start.over(variance) or self._time_s >= self.options.start_limit_s:
-            self._start = None
-            self._join(start.combinations())
-            for past in self._past:
-                self._use(*past)
-            self._past = []
+        late = self._time_s >= self.options.start_limit_s
+        if late or (start.over(variance) and self._time_s >= self._again_s):
+            self._take_over(start, late)
         return _estimate(mean, covariance, association, offset, variance, self._map(start.likeliest()))
+
+    def _take_over(self, start: Start, late: bool) -> None:
+        """End the start with filters of all sites, that have gone through the drive so far, if they agree with it; or
+        late, whether they do or not. If they do not, they have gone wrong, and will be tried again."""
+        self._start = None
+        self._join(start.combinations())
+        for past in self._past:
+            self._use(*past)
+        if late or (self._joint is not None and start.agrees(self._joint.moments()[0])):
+            self._past = []
+        else:
+            self._start, self._joint, self._again_s = start, None, AGAIN * self._time_s
 
     def _step_joint(self, interval: Interval, measured: Measured) -> Estimate:
         association = self._use(interval, measured)
@@ -236,6 +246,7 @@ class JointFilter:
     def _join(self, offsets_m: Floats) -> None:
         """Begin the filters of all sites with these combinations of clock offsets (K, S), as likely as each other: what
         has shown one to be likelier they go through again."""
+        self._seen, self._archive = {}, NO_VTS
         std = np.minimum(self._setup.sites.clock_offset_std_m, self.options.component_std_m)
         states = MOST_STATES if len(offsets_m) == 1 else STATES
         self._joint = new_bank(self._setup, self._core, self._errors, offsets_m, std, self.options.vts, states)

@@ -3,7 +3,7 @@
 A Gaussian sum over the offset of one site at a time, not over all at once: the sites share nothing but the pose, which
 odometry knows well at the start, so S banks of K filters do in place of K^S filters. When one offset is known well
 enough and few combinations of components are left, these go through the drive so far once more, all sites together:
-what one site says of the pose tells the components of another apart.
+what one site says of the pose tells the components of another apart. They go on if they end where the banks do.
 
 Source: Sorenson and Alspach, "Recursive Bayesian estimation using Gaussian sums", Automatica 7, 1971.
 """
@@ -16,6 +16,7 @@ from itertools import product
 
 import numpy as np
 
+from cellslam.sim.frames import wrap_angle
 from cellslam.sim.recording import Floats, Ints
 from cellslam.slam.api import Setup
 from cellslam.slam.ekf_slam.bank import Bank, new_bank, side_by_side
@@ -28,8 +29,9 @@ from cellslam.slam.model.pose_moments import mixture_moments
 REACH = 4.0  # the components cover this many deviations of the prior
 COMBINATIONS, LEAST = 32, 0.001  # of components that go on, and how likely each must be against the best of its site
 PRUNE_EVERY = 8  # snapshots
-KNOWN_M2 = 1e-6  # variance of a place that is known
+KNOWN_M2 = 1e-6  # variance of a place, or heading, that is known
 RETURN_LOG_ODDS = -4.0  # from which on a VT unseen for a while may be the one that is seen
+GATE = 16.3  # squared Mahalanobis distance, chi-square of three: one of a thousand that are right is beyond it
 SHORTER = 40  # weights of the roof leave so many times sooner than after the start: a filter for each component
 STATES = 440  # room of a filter: memory that is not used costs nothing; growing does, and rows 4096 bytes apart
 
@@ -94,6 +96,13 @@ class Start:
         x, p = np.array([mean[:POSE] for mean, _ in found]), np.array([cov[:POSE, :POSE] for _, cov in found])
         weight = 1.0 / (p[:, 0, 0] + p[:, 1, 1] + KNOWN_M2)
         return mixture_moments(weight / weight.sum(), x, p)
+
+    def agrees(self, state: Floats) -> bool:
+        """Return whether place and yaw of a state, in m and rad, may be those of the banks."""
+        (mean, covariance), at = self.pose(), [0, 1, 3]
+        apart = state[at] - mean[at]
+        apart[2] = wrap_angle(apart[2])
+        return bool(apart @ np.linalg.solve(covariance[np.ix_(at, at)] + KNOWN_M2 * np.eye(3), apart) < GATE)
 
     def likeliest(self) -> list[tuple[Bank, int]]:
         """Return each bank and its likeliest filter."""

@@ -10,7 +10,7 @@ import numpy as np
 from pydantic import Field
 
 from cellslam.sim.recording import Floats, Ints
-from cellslam.slam.api import Estimate, Setup, WallEstimate
+from cellslam.slam.api import Estimate, WallEstimate
 from cellslam.slam.ekf_slam.bank import Bank
 from cellslam.slam.ekf_slam.ekf_slam import JointFilter
 from cellslam.slam.ekf_slam.ekf_slam_options import EkfSlamOptions
@@ -49,12 +49,11 @@ class WallSlam(JointFilter):
     def __init__(self, options: WallSlamOptions | None = None) -> None:
         self.options: WallSlamOptions = options or WallSlamOptions()
 
-    def start(self, setup: Setup, rng: np.random.Generator) -> None:
-        """Take the prior; no wall is known."""
+    def _join(self, offsets_m: Floats) -> None:
         o = self.options
         flat = Flatness(math.radians(o.facade_turned_deg), o.facade_off_m, o.facade_gap_m)
         self._facades, self._joined, self._shown, self._looked = Facades(flat, math.log(o.join_odds)), 0, 0, 0
-        super().start(setup, rng)
+        super()._join(offsets_m)
 
     def _see(self, association: Ints, place: Floats) -> None:
         super()._see(association, place)

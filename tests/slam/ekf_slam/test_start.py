@@ -10,13 +10,16 @@ import pytest
 from numba import typeof
 
 from cellslam.sim.recording.tables import CLOCK_PRIOR
-from cellslam.slam.api import setup_of, snapshots_of
+from cellslam.slam.api import Estimate, setup_of, snapshots_of
 from cellslam.slam.conformance.subject import tiny_drive
 from cellslam.slam.ekf_slam.bank import Bank, core_of, new_bank
 from cellslam.slam.ekf_slam.ekf_slam import EkfSlam
 from cellslam.slam.ekf_slam.ekf_slam_options import EkfSlamOptions
-from cellslam.slam.ekf_slam.start import begin, components
+from cellslam.slam.ekf_slam.start import Start, begin, components
 from cellslam.slam.ekf_slam.state.array_errors import NO_ERRORS
+from cellslam.slam.ekf_slam.state.layout import Core
+from cellslam.slam.fastslam.fastslam import FastSlam
+from cellslam.slam.wall_slam.wall_slam import WallSlam
 
 
 @pytest.fixture
@@ -132,6 +135,66 @@ def test_joint_filters_take_over_with_the_likely_combinations(
     assert len(found) == min(likely[0] * likely[1], 32)
     np.testing.assert_array_equal(found[0], [a[3, 0], b[3, 1]])
     assert set(found[:, 0]) <= set(a[3 : 3 + likely[0], 0]) and set(found[:, 1]) <= set(b[3 : 3 + likely[1], 1])
+
+
+def two_banks(core: Core) -> Start:
+    """One at the origin and one 2 m to the east, as sure: of the mean, 1 m to the east, the deviations are 2 m and
+    0.1 rad, but 3 m to the north."""
+    start = begin(setup_of(tiny_drive()), core, NO_ERRORS, EkfSlamOptions(component_std_m=1000.0))
+    for one, x in zip(start.banks, (0.0, 2.0), strict=True):
+        one.arrays.x[0, :6] = [x, 0.0, 0.0, 3.1, 0.0, 0.0]
+        one.arrays.p[0, :6, :6] = np.diag([3.0, 9.0, 1e-4, 0.01, 1e-4, 1e-4])
+    return start
+
+
+@pytest.mark.parametrize(
+    ("apart", "agrees"),
+    [([8.0, 0.0, 0.0], True), ([8.2, 0.0, 0.0], False), ([0.0, 12.0, 0.0], True), ([0.0, 12.2, 0.0], False),
+     ([0.0, 0.0, 0.4], True), ([0.0, 0.0, 0.41], False), ([6.0, 6.0, 0.25], False)],
+)  # fmt: skip
+def test_filters_agree_with_the_start_within_what_it_may_err_by(bank: Bank, apart: list[float], agrees: bool) -> None:
+    state = np.zeros(bank.core.size)
+    state[:2] = [1.0 + apart[0], apart[1]]
+    state[3] = 3.1 + apart[2] - 2.0 * np.pi  # what yaw is, not how often it has gone round
+    state[2], state[4:6] = 5.0, 1.0  # height, pitch and roll are not asked
+    assert two_banks(bank.core).agrees(state) == agrees
+
+
+@pytest.mark.parametrize("kind", [EkfSlam, FastSlam, WallSlam])
+def test_filters_that_do_not_agree_are_tried_again(monkeypatch: pytest.MonkeyPatch, kind: Any) -> None:
+    """A quarter as long again after they were, and as if they had not been; till then the start answers. Late, whatever
+    they say."""
+    drive = tiny_drive()
+    dt_s = np.diff(drive.time_s, prepend=drive.time_s[0])[:80].tolist()
+
+    def answers(over_s: float, right: int, **options: float) -> tuple[list[float], list[Estimate], Any]:
+        """Return the times at which filters were tried, from over_s on, the `right`-th of which agree; answers; map."""
+        estimator, tried = kind(kind.Options(**options)), list[float]()
+        joint = getattr(estimator, "_filter", estimator)
+
+        def agrees(self: Start, state: np.ndarray) -> bool:
+            tried.append(joint._time_s)
+            return len(tried) == right
+
+        monkeypatch.setattr(Start, "over", lambda self, variance: joint._time_s >= over_s)
+        monkeypatch.setattr(Start, "agrees", agrees)
+        estimator.start(setup_of(drive), np.random.default_rng(0))
+        steps = enumerate(zip(dt_s, snapshots_of(drive), strict=False))
+        found = [estimator.step(dt, drive.odometry[t], snapshot) for t, (dt, snapshot) in steps]
+        assert joint.resolved
+        return tried, found, estimator.vt_map()
+
+    (first, second, third), found, known = answers(2.0, 3)
+    assert 2.0 <= first < 2.1 and 1.25 * first <= second < 1.25 * first + 0.1 and 1.25 * second <= third < 4.0
+    again, alone, known_alone = answers(third, 1)
+    assert again == [third] and len(known) > 5
+    np.testing.assert_array_equal(known.seen_m, known_alone.seen_m)
+    np.testing.assert_array_equal(known.position_m, known_alone.position_m)
+    for one, other in zip(found, alone, strict=True):
+        np.testing.assert_array_equal(one.pose, other.pose)
+        np.testing.assert_array_equal(one.covariance, other.covariance)
+        np.testing.assert_array_equal(one.association, other.association)
+    assert answers(2.0, 9, start_limit_s=3.0)[0] == [first, second]
 
 
 @pytest.mark.parametrize("column", CLOCK_PRIOR[2:])
