@@ -9,6 +9,7 @@ import os
 import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from functools import partial
 
 import numba
 
@@ -71,7 +72,7 @@ def in_threads(share: Callable[[int], object], shares: int) -> None:
     """Call share(0), share(1) and so on, each in a thread of its own. Raises what one of them raised."""
     with hands(shares - 1) as others:
         for i, other in enumerate(others, 1):
-            other.begin(lambda i=i: share(i))
+            other.begin(partial(share, i))
         try:
             share(0)
         finally:
