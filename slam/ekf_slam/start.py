@@ -98,7 +98,7 @@ class Start:
         return mixture_moments(weight / weight.sum(), x, p)
 
     def agrees(self, state: Floats) -> bool:
-        """Return whether place and yaw of a state, in m and rad, may be those of the banks."""
+        """Return whether place and yaw of a state (N,), in m and rad, may be those of the banks."""
         (mean, covariance), at = self.pose(), [0, 1, 3]
         apart = state[at] - mean[at]
         apart[2] = wrap_angle(apart[2])
