@@ -1,16 +1,13 @@
 """FastSLAM's parts and the filter as a whole."""
 
-import itertools
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from cellslam.sim.frames import integrate_pose
-from cellslam.sim.randomness import quasi_random
 from cellslam.sim.recording import Links, OdometryModel, Sites
 from cellslam.slam.api import Setup, Snapshot
-from cellslam.slam.dead_reckoning import DeadReckoning
 from cellslam.slam.fastslam import path_particles as filter_module
 from cellslam.slam.fastslam.best_map import map_of
 from cellslam.slam.fastslam.fastslam_options import FastSlamOptions
@@ -21,87 +18,10 @@ from cellslam.slam.fastslam.state.particles import draw, select
 from cellslam.slam.front_end.front_end_options import NOTHING_PERSISTS
 from cellslam.slam.front_end.looks import Grouping
 from cellslam.slam.front_end.readings import novelty, readings
-from cellslam.slam.front_end.readings_kernel import count_sharers, crowd, repeats
-from cellslam.slam.front_end.visibility import existence, visibility
-from cellslam.slam.model import resampling
-from cellslam.slam.model.assignment_kernel import assign
-from cellslam.slam.model.measurement_model import jacobians, predict
+from cellslam.slam.front_end.readings_kernel import count_sharers
+from cellslam.slam.model.measurement_model import predict
 
 SMALL = FastSlamOptions(errors="counted", particles=64, vts_per_link=8, start_phase_s=0.0, sharing="none")
-
-
-def best_by_hand(score: np.ndarray) -> float:
-    """Return the greatest total over all partial assignments, by trying each."""
-    rows, columns = score.shape
-    best = 0.0
-    for size in range(min(rows, columns) + 1):
-        for chosen in itertools.combinations(range(rows), size):
-            for order in itertools.permutations(range(columns), size):
-                best = max(best, sum(score[r, c] for r, c in zip(chosen, order, strict=True)))
-    return best
-
-
-def test_association_is_the_best_of_all():
-    rng = np.random.default_rng(5)
-    for _ in range(300):
-        rows, columns = rng.integers(0, 5, 2)
-        score = rng.normal(0, 3, (rows, columns))
-        score[rng.random((rows, columns)) < 0.3] = -1e300
-        row_of = np.empty(columns, np.int64)
-        work = 4 * (rows + columns + 2)
-        assign(score, rows, columns, row_of, np.empty(work), np.empty(work, np.int64))
-        taken = row_of[row_of >= 0]
-        assert len(set(taken)) == len(taken)
-        total = sum(score[r, c] for c, r in enumerate(row_of) if r >= 0)
-        assert total == pytest.approx(best_by_hand(score))
-
-
-def test_model_jacobians_against_differences():
-    rng = np.random.default_rng(0)
-    pose, vt = np.concatenate([rng.normal(0, 20, 3), [2.9, 0.2, -0.3]]), rng.normal(0, 100, 3)
-    by_vt, by_pose = jacobians(pose, vt)
-    for i in range(3):
-        step = 1e-5 * np.eye(3)[i]
-        assert np.allclose(by_vt[:, i], (predict(pose, vt + step) - predict(pose, vt - step)) / 2e-5, atol=1e-7)
-    for i in range(6):
-        step = 1e-6 * np.eye(6)[i]
-        assert np.allclose(by_pose[:, i], (predict(pose + step, vt) - predict(pose - step, vt)) / 2e-6, atol=1e-6)
-
-
-@pytest.mark.parametrize("name", sorted(resampling.SCHEMES))
-def test_resampling_is_unbiased(name):
-    """Copies average to count * weight: 2000 repeats, five deviations of a multinomial."""
-    rng = np.random.default_rng(3)
-    weights = rng.random(20) ** 3
-    weights /= weights.sum()
-    copies = np.zeros(20)
-    for _ in range(2000):
-        ancestors = resampling.SCHEMES[name](weights, 50, rng)
-        assert len(ancestors) == 50
-        assert np.all(np.diff(ancestors) >= 0)
-        copies += np.bincount(ancestors, minlength=20)
-    assert np.all(np.abs(copies / 2000 - 50 * weights) < 5 * np.sqrt(50 * weights * (1 - weights) / 2000))
-
-
-def test_visibility_falls_with_misses_and_comes_back_for_known_vts():
-    once = visibility(0.01, 0.99, 0.0, 0.9, 50)
-    known = visibility(1.0, 0.99, 0.01, 0.9, 500)
-    assert np.all(np.diff(once[1:20]) < 0)
-    assert once[1] == pytest.approx(0.01 * 0.99)
-    assert known[2] == pytest.approx(
-        (0.99 * 0.1 / (1 - 0.99 * 0.9)) * 0.99 + (1 - 0.99 * 0.1 / (1 - 0.99 * 0.9)) * 0.01
-    )
-    assert 0.005 < known[-1] < 0.02
-    logs, age_once, age_twice = existence(FastSlamOptions(errors="counted"), 0.075)
-    assert np.all(logs <= 0.0)
-    assert 0 < age_once < age_twice
-
-
-def test_quasi_random_points_fill_the_square_evenly():
-    points = quasi_random(1024, 2, np.random.default_rng(0))
-    counts = np.histogram2d(points[:, 0], points[:, 1], bins=8, range=[[0, 1], [0, 1]])[0]
-    assert counts.min() >= 8
-    assert counts.max() <= 24
 
 
 def make_setup(links: int = 2, offset_std: float = 0.0) -> Setup:
@@ -238,15 +158,6 @@ def test_persisting_errors_count_once():
     assert np.all(still.many > 1e3 * still.fresh)
 
 
-def test_directions_that_crowd_share_their_error():
-    """Two of one direction count double, the third half as close counts for its correlation, far ones not at all."""
-    azimuth, elevation = np.radians([10.0, 10.0, 14.0, -170.0]), np.zeros(4)
-    near = np.exp(-0.5)
-    assert crowd(azimuth, elevation, np.radians(4.0)) == pytest.approx([2 + near, 2 + near, 1 + 2 * near, 1.0])
-    assert crowd(np.radians([179.0, -179.0]), np.zeros(2), np.radians(2.0)) == pytest.approx([1 + near, 1 + near])
-    assert crowd(np.full(3, np.nan), np.zeros(3), 0.1) == pytest.approx([1.0, 1.0, 1.0])
-
-
 def test_doubles_become_one():
     """Two tracks of one VT: the one that is seen less often is given up; a neighbour five metres off stays."""
 
@@ -265,16 +176,6 @@ def test_doubles_become_one():
         return len(estimate.vts.id)
 
     assert (vts(False), vts(True)) == (3, 2)
-
-
-def test_a_repeated_mean_has_the_variance_that_draws_promises():
-    """An error with correlation exp(-x^2 / (2 scale^2)): the mean of n samples varies as std^2 repeats / n."""
-    rng = np.random.default_rng(5)
-    step, scale, n, runs = 0.05, 0.15, 400, 2000
-    lag = step * np.arange(n)
-    root = np.linalg.cholesky(np.exp(-((lag[:, None] - lag) ** 2) / (2 * scale**2)) + 1e-9 * np.eye(n))
-    means = (root @ rng.standard_normal((n, runs))).mean(axis=0)
-    assert means.var() == pytest.approx(repeats(scale, step) / n, rel=0.1)
 
 
 def hostile(rng: np.random.Generator, t: int) -> list[tuple[int, float, float, float]]:
@@ -329,19 +230,6 @@ def test_same_seed_same_answer():
 
     assert np.array_equal(once(1), once(1))
     assert not np.array_equal(once(1), once(2))
-
-
-def test_dead_reckoning_covariance_follows_the_data_sheet():
-    """Straight drive of 100 s: end deviations from bias and scale have closed forms."""
-    setup = make_setup()
-    model = replace(setup.odometry_model, noise_density=np.zeros(6))
-    estimator = DeadReckoning()
-    estimator.start(replace(setup, odometry_model=model), np.random.default_rng(0))
-    for t in range(1001):
-        estimate = estimator.step(0.1 if t else 0.0, np.array([1.0, 0, 0, 0, 0, 0]), make_snapshot(t, []))
-    assert np.sqrt(estimate.covariance[0, 0]) == pytest.approx(0.01 * 100, rel=1e-3)
-    assert np.sqrt(estimate.covariance[1, 1]) == pytest.approx(1e-4 * 100**2 / 2, rel=1e-2)
-    assert np.sqrt(estimate.covariance[3, 3]) == pytest.approx(1e-4 * 100, rel=1e-6)
 
 
 def test_room_for_vts_grows_when_needed():

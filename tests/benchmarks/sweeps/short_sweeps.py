@@ -1,0 +1,93 @@
+"""Sweeps of short drives, by estimators that misbehave: what tests of sweeping share."""
+
+from __future__ import annotations
+
+import sqlite3
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+from cellslam.benchmarks.scores.trial_result import COST_KEYS, ROW_KEYS
+from cellslam.benchmarks.sweeps.store import DATABASE
+
+COMMAND = Path(sys.executable).parent / "cellslam"
+SET = {"vehicle.distance_m": 5, "vehicle.duration_s": 7.5, "vehicle.stops": 0, "vehicle.stand_first_s": 0}
+SHORT = tuple(word for key, value in SET.items() for word in ("--set", f"{key}={value}"))
+PLUGIN = """
+import os, time
+import numpy as np
+from cellslam.sim.frames import integrate_pose
+from cellslam.slam.api import Estimate
+
+class Good:
+    name = "good"
+    def __init__(self, options): pass
+    def start(self, setup, rng):
+        self.pose, self.rng = setup.start_pose, rng
+    def step(self, dt_s, odometry, snapshot):
+        self.pose = integrate_pose(self.pose, odometry, dt_s)
+        self.odd(snapshot.index == 5)
+        return Estimate(self.pose + 0.01 * self.rng.normal(size=6), np.eye(6))
+    def odd(self, now): pass
+
+class Slow(Good):
+    def odd(self, now): time.sleep(0.004)
+
+class Raises(Good):
+    def odd(self, now):
+        if now: raise ArithmeticError("lost it")
+
+class Hangs(Good):
+    def odd(self, now):
+        while now: time.sleep(0.1)
+
+class NotFinite(Good):
+    def odd(self, now):
+        if now: self.pose = self.pose * np.nan
+
+class EatsMemory(Good):
+    def odd(self, now):
+        self.eaten = [np.empty(10**8) for _ in range(100 if now else 0)]
+
+class Exits(Good):
+    def odd(self, now):
+        if now: os._exit(7)
+"""
+
+
+def words(*estimators: str, out: str = "out", trials: int = 2, more: tuple[str, ...] = ()) -> list[str]:
+    chosen = [word for name in estimators for word in ("--estimator", name)]
+    return ["sweep", "tiny", *SHORT, *chosen, "--trials", str(trials), "--out", out, "--quiet", *more]
+
+
+def rows(out: str | Path) -> list[dict[str, Any]]:
+    """Return the rows of a store without their times, in an order of their own."""
+    kept = [key for key in ROW_KEYS if key not in COST_KEYS]
+    with sqlite3.connect(Path(out) / DATABASE) as database:
+        found = database.execute(f"SELECT key, {', '.join(kept)} FROM rows ORDER BY key").fetchall()
+    database.close()
+    return [dict(zip(("key", *kept), row, strict=True)) for row in found]
+
+
+def start(line: list[str], **more: Any) -> subprocess.Popen[str]:
+    pipe = subprocess.PIPE
+    return subprocess.Popen([COMMAND, *line], stdout=pipe, stderr=pipe, text=True, start_new_session=True, **more)
+
+
+def stored(out: Path) -> int:
+    try:
+        with sqlite3.connect(f"file:{out / DATABASE}?mode=ro", uri=True) as database:
+            count: int = database.execute("SELECT count(*) FROM rows").fetchone()[0]
+        database.close()
+    except sqlite3.OperationalError:
+        return 0
+    return count
+
+
+def wait_for(condition: Callable[[], bool], process: subprocess.Popen[str], limit_s: float = 120.0) -> None:
+    end = time.monotonic() + limit_s
+    while not condition() and process.poll() is None and time.monotonic() < end:
+        time.sleep(0.01)
