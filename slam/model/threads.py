@@ -8,7 +8,7 @@ from __future__ import annotations
 import os
 import threading
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from functools import partial
 
 import numba
@@ -69,12 +69,10 @@ def threads() -> int:
 
 
 def in_threads(share: Callable[[int], object], shares: int) -> None:
-    """Call share(0), share(1) and so on, each in a thread of its own. Raises what one of them raised."""
-    with hands(shares - 1) as others:
+    """Call share(0), share(1) and so on, each in a thread of its own. Raises what one of them raised, when all are
+    done."""
+    with hands(shares - 1) as others, ExitStack() as ends:
         for i, other in enumerate(others, 1):
             other.begin(partial(share, i))
-        try:
-            share(0)
-        finally:
-            for other in others:
-                other.wait()
+            ends.callback(other.wait)
+        share(0)
