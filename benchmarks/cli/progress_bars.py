@@ -69,11 +69,12 @@ def _in_lines(description: str, total: int) -> Iterator[Callable[[int], None]]:
 
     over = threading.Event()
     waiting = threading.Thread(target=notice, daemon=True)
-    waiting.start()
     try:
+        waiting.start()  # Ctrl-C may come here, too
         yield advance
     finally:
         over.set()
-        waiting.join()  # a line that comes late would stand in the output of something else
+        if waiting.is_alive():
+            waiting.join()  # a line that comes late would stand in the output of something else
         if time.monotonic() - begin > NOTICED_S:
             sys.stderr.write(f"{description}: {time.monotonic() - begin:.1f} s\n")
