@@ -15,6 +15,7 @@ import numpy as np
 
 from cellslam.sim.recording import Floats, Ints
 from cellslam.slam.api import Setup, VtEstimate
+from cellslam.slam.ekf_slam.influence import Influence
 from cellslam.slam.ekf_slam.map_states import Remembered
 from cellslam.slam.ekf_slam.snapshot.birth_kernel import map_of
 from cellslam.slam.ekf_slam.snapshot.guess_kernel import AHEAD, AROUND
@@ -38,6 +39,7 @@ from cellslam.slam.ekf_slam.state.layout import (
     SPREAD,
     VT,
     VT_STATES,
+    WORTH,
     ArrayErrors,
     Block,
     Core,
@@ -101,12 +103,13 @@ def together(works: Sequence[Work], filters: int) -> None:
 
 @dataclass
 class Bank:
-    """K filters: `arrays`, each with a leading axis of at least K, their blocks, and log-weights (K,); the map that
-    they `remember`, if any."""
+    """K filters: `arrays`, each with a leading axis of at least K, their blocks, log-weights (K,), and the `influence`
+    of VTs on these; the map that they `remember`, if any."""
 
     arrays: Filter
     blocks: Block
     log_weight: Floats
+    influence: Influence
     remembered: Remembered | None = None
 
     def __len__(self) -> int:
@@ -125,8 +128,17 @@ class Bank:
         pairs = self._doubt(pairs, measured.rules.doubt, most)
         association = np.full((len(self), len(measured.z)), -1, np.int64)
         use = partial(use_in_bank, self.arrays, errors, self.blocks, interval, measured, pairs)
-        together([partial(use, association, self.log_weight)], len(self))
+        together([partial(use, association, self.influence.rest)], len(self))
+        self._weigh(association, measured.born)
         return association
+
+    def _weigh(self, association: Ints, born: int) -> None:
+        """Take a snapshot's associations (K, m), whose new VTs have the identities from `born` on, into the weights."""
+        if len(self) == 1:
+            return
+        self.influence.meet(self.arrays, association, born, self.log_weight)
+        if self.blocks.snapshots[0, 0] == 0:  # a block has ended
+            self.log_weight = self.influence.weigh(self.arrays)
 
     def _unpaired(self, measured: Measured, most_vts: int) -> Paired:
         """Make room for what a snapshot may bring; return room for how it is paired."""
@@ -161,7 +173,7 @@ class Bank:
             if second >= 0:
                 pairs.slot_of[double, second] = other
         pairs.ends[:] = 1  # of all, so that weights can be compared
-        self.log_weight = self.log_weight[parents]
+        self.log_weight, self.influence = self.log_weight[parents], self.influence.of(parents)
         return pairs
 
     def _copy(self, source: int, target: int) -> None:
@@ -188,7 +200,7 @@ class Bank:
         for place, k in enumerate(kept.tolist()):
             if place != k:
                 self._copy(k, place)
-        self.log_weight = self.log_weight[kept]
+        self.log_weight, self.influence = self.log_weight[kept], self.influence.of(kept)
         if 2 * len(kept) < len(self.arrays.x):
             self._resize(len(kept))
 
@@ -220,7 +232,7 @@ class Bank:
         f.count[:], f.size[:] = len(link), first + 3 * len(link)
         for j, way in enumerate(position_m - here):
             f.slots[:, j, [LINK, HITS, LAST, IDENT]] = link[j], KNOWN, last, ident[j]
-            f.anchor[:, j, :3], f.anchor[:, j, [EXISTS, SHARE]], f.anchor[:, j, MERGED] = here, 1.0, 0.0
+            f.anchor[:, j, :3], f.anchor[:, j, [EXISTS, SHARE]], f.anchor[:, j, [MERGED, WORTH]] = here, 1.0, 0.0
             at = first + 3 * j + np.arange(3)
             f.vt_state[:, j], f.vt_state[:, j, VT : VT + 3] = -1, at
             f.owner[:, at] = [owner_of(j, VT + c, VT_STATES) for c in range(3)]
@@ -276,8 +288,10 @@ def side_by_side(
         pairs, found = bank._unpaired(measured, most_vts), np.full((len(bank), len(measured.z)), -1, np.int64)
         associations.append(found)
         at = bank.arrays, errors, bank.blocks, interval, measured, pairs
-        works += [partial(pair_in_bank, *at), partial(use_in_bank, *at, found, bank.log_weight)]
+        works += [partial(pair_in_bank, *at), partial(use_in_bank, *at, found, bank.influence.rest)]
     together(works, sum(len(bank) for bank in banks))
+    for bank, found in zip(banks, associations, strict=True):
+        bank._weigh(found, measured.born)
     return associations
 
 
@@ -353,4 +367,4 @@ def new_bank(
         np.zeros((k, vts), whole), np.zeros((k, vts, LONGEST), whole), np.zeros((k, vts, 3)), np.zeros((k, vts, 3)),
         np.zeros((k, vts, 3)), np.zeros((k, vts)), np.zeros((k, vts)), np.zeros((k, len(core.rate), 2)),
     )  # fmt: skip
-    return Bank(arrays, blocks, np.zeros(k))
+    return Bank(arrays, blocks, np.zeros(k), Influence(np.zeros(k)))

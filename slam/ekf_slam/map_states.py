@@ -23,6 +23,7 @@ from cellslam.slam.ekf_slam.state.layout import (
     UNSEEN,
     VT,
     VT_STATES,
+    WORTH,
     Block,
     Filter,
 )
@@ -88,7 +89,7 @@ class Remembered:
         for n, vt in enumerate(which.tolist()):
             j, places = count + n, size + 3 * n + np.arange(3)
             f.slots[j] = self.link[vt], known.hits[vt], now - 1, self.first_ident + vt, 1, 0
-            f.anchor[j, :3], f.anchor[j, [EXISTS, SHARE]], f.anchor[j, MERGED] = known.anchor_m[vt], 1.0, 0.0
+            f.anchor[j, :3], f.anchor[j, [EXISTS, SHARE]], f.anchor[j, [MERGED, WORTH]] = known.anchor_m[vt], 1.0, 0.0
             f.vt_state[j], f.vt_state[j, VT : VT + 3] = -1, places
             f.owner[places] = [owner_of(j, VT + c, VT_STATES) for c in range(3)]
             clear(b, j)

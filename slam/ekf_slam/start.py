@@ -139,6 +139,7 @@ def begin(setup: Setup, core: Core, errors: ArrayErrors, options: EkfSlamOptions
         own = np.where(np.arange(len(sites)) == site, std, 0.0)
         bank = new_bank(setup, core, errors, offsets, own, options.vts, STATES)
         bank.arrays.links[:] = setup.links.site == site
+        bank.influence.rest += logs
         bank.log_weight += logs
         if options.known_calibration is not None:
             begin_with(bank, errors, options.known_calibration)

@@ -41,6 +41,7 @@ from cellslam.slam.ekf_slam.state.layout import (
     SPREAD,
     UNSEEN,
     VT,
+    WORTH,
     ArrayErrors,
     Block,
     Filter,
@@ -137,7 +138,7 @@ def add(
     if not give_birth(f, a, new, offset, z, q, ranged, seen.diffuse[k], seen.now, s, w):
         return False
     f.anchor[new, EXISTS] = f.anchor[new, SHARE] = 1.0
-    f.anchor[new, MERGED] = expected_share(seen.rules.merge_rate)
+    f.anchor[new, MERGED], f.anchor[new, WORTH] = expected_share(seen.rules.merge_rate), 0.0
     f.slots[new, LINK], f.slots[new, HITS], f.slots[new, LAST], f.slots[new, IDENT] = link, 1, seen.now, ident
     f.slots[new, UNSEEN], f.slots[new, BEYOND] = 0, 0
     clear(b, new)
@@ -224,6 +225,16 @@ def map_of(bank: Filter, k: int, hits: int) -> Floats:
 
 
 @lean
+def _hand_on(f: Filter, j: int) -> None:
+    """Let a guess that is left, if any, have what a guess at the same VT was worth."""
+    for i in range(f.count[0]):
+        same = f.slots[i, IDENT] == f.slots[j, IDENT] and f.slots[i, LINK] == f.slots[j, LINK]
+        if i != j and same and f.anchor[i, SHARE] > 0.0:
+            f.anchor[i, WORTH] += f.anchor[j, WORTH]
+            return
+
+
+@lean
 def tidy(f: Filter, a: ArrayErrors, b: Block, now: int, rules: Rules) -> None:
     """Drop VTs that were seen once or twice and not again, guesses given up, weights of the roof that were not met for
     long, and diffuse errors that are as good as unknown again."""
@@ -234,6 +245,7 @@ def tidy(f: Filter, a: ArrayErrors, b: Block, now: int, rules: Rules) -> None:
         if rules.mode == BELIEF:
             gone = f.anchor[j, EXISTS] < rules.drop and hits < rules.confirm
         if f.anchor[j, SHARE] == 0.0 or ((rules.mode == FREE or rules.mode == BELIEF) and gone):
+            _hand_on(f, int(j))
             remove(f, b, int(j))
         else:
             j += 1

@@ -51,6 +51,7 @@ from cellslam.slam.ekf_slam.state.layout import (
     SHARE,
     TOUCHED,
     UNSEEN,
+    WORTH,
     ArrayErrors,
     Block,
     Filter,
@@ -146,7 +147,8 @@ def count_odds(f: Filter, b: Block, seen: Measured, w: Pairs) -> None:
             odds = seen.tables[kind, 0, age] - seen.tables[kind, 1, age] - seen.rules.log_clutter - seen.gap[k]
             if (f.slots[j, UNSEEN] == 1 or seen.now - f.slots[j, LAST] > seen.rules.away) and b.looks[j] == 0:
                 any_vt = known_density(seen.z[k], seen.many[k])
-                odds = (odds - any_vt) / seen.rules.evidence + any_vt
+                f.anchor[j, WORTH] += odds - any_vt
+                odds = any_vt
             b.odds[j] += odds
 
 
@@ -245,19 +247,19 @@ def count_surprise(
 
 @part
 def conclude(f: Filter, a: ArrayErrors, b: Block, noise: Floats, seen: Measured, s: Sight, p: Pending) -> float:
-    """Update the state by what the block has of each VT; return the log-likelihood of that.
+    """Update the state, and what each VT is worth, by what the block has of it; return the log-likelihood of all else.
 
     noise (6,): densities of the odometry's.
     """
     forget(f, a, b.total[0], b.total[2])
-    total, rules = 0.0, seen.rules
+    rules = seen.rules
     if rules.merge_rate > 0.0:
         expect_merging(f, rules.merge_rate, b.total[2])
     expect_steps(f, rules, p.steps)
     z, q, white = np.empty(3), np.empty(3), np.empty(3)
     for j in range(f.count[0]):
         if b.looks[j] == 0:
-            total += rules.evidence * b.odds[j]
+            f.anchor[j, WORTH] += rules.evidence * b.odds[j]
             clear(b, j)
             continue
         offset = f.core.first_offset + seen.site_of[f.slots[j, LINK]]
@@ -285,11 +287,11 @@ def conclude(f: Filter, a: ArrayErrors, b: Block, noise: Floats, seen: Measured,
             if b.measured[j, c] > 0.0:
                 known += 0.5 * (1.0 + LOG_2PI + math.log(q[c] + (diffuse * a.diffuse[c]) ** 2))
         # A pair's density counts as fit in so far as it is one VT's or another's; what any VT would have is evidence.
-        total += max(fit + known, UNLIKELY) + rules.evidence * (b.odds[j] - b.looks[j] * known)
+        f.anchor[j, WORTH] += max(fit + known, UNLIKELY) + rules.evidence * (b.odds[j] - b.looks[j] * known)
         clear(b, j)
     before = f.x[: f.size[0]].copy()
     add_up(f, p)
-    total += take_steps(f, rules, p.steps)
+    total = take_steps(f, rules, p.steps)
     carry_over(f, before, p.rows)
     count_states(f, f.core.sway, SWAY, a.sway * a.sway)
     count_motion(f, noise, b.total[2])
@@ -322,24 +324,24 @@ def pair_in_bank(
 @njit(cache=True, nogil=True)
 def use_in_bank(
     bank: Filter, a: ArrayErrors, blocks: Block, interval: Interval, seen: Measured, pairs: Paired, association: Ints,
-    log_weight: Floats, first: int, step: int,
+    rest: Floats, first: int, step: int,
 ) -> None:  # fmt: skip
     """Use a snapshot, as it is paired, in every `step`-th of the K filters of a bank, from the first on.
 
-    log_weight (K,) is added to; association (K, m): identities of VTs are
-    written, -1 for none.
+    association (K, m): identities of VTs are written, -1 for none; to `rest` (K,) is added what is in the log-weights
+    beside the worth of VTs.
     """
     room, rules = new_room(one_of(bank, 0), len(seen.z)), seen.rules
-    for k in range(first, len(log_weight), step):
+    for k in range(first, len(rest), step):
         f, b, w = one_of(bank, k), block_of(blocks, k), room.pairs
         put(w.slot_of, pairs.slot_of[k])
         put(w.exists, pairs.exists[k])
         count_odds(f, b, seen, w)
         take_in(f, b, seen, association[k], room.sight, w)
-        log_weight[k] += rules.evidence * give_births(f, a, b, seen, association[k], room.sight, w, room.pending)
+        rest[k] += rules.evidence * give_births(f, a, b, seen, association[k], room.sight, w, room.pending)
         full = b.snapshots[0] >= rules.snapshots or b.total[0] > rules.way or abs(b.total[1]) > rules.turn
         if full or pairs.ends[k] == 1:
-            log_weight[k] += conclude(f, a, b, interval.noise, seen, room.sight, room.pending)
+            rest[k] += conclude(f, a, b, interval.noise, seen, room.sight, room.pending)
 
 
 @part

@@ -18,9 +18,9 @@ VT, DIFFUSE, VT_STATES = 0, 3, 6
 # where its wall is known not to reach: nothing is associated with it there.
 LINK, HITS, LAST, IDENT, UNSEEN, BEYOND, SLOT = range(7)
 # Behind the three coordinates of an anchor: the probability that the VT exists and is visible (belief propagation);
-# what share a guess has in its VT (1: the only one, 0: given up); and the probability that another path has merged
-# with that of the VT.
-EXISTS, SHARE, MERGED, ANCHOR = range(3, 7)
+# what share a guess has in its VT (1: the only one, 0: given up); the probability that another path has merged
+# with that of the VT; and the log-ratio of the likelihood of its looks to that of clutter.
+EXISTS, SHARE, MERGED, WORTH, ANCHOR = range(3, 8)
 # What the measurements may do to the map.
 FREE, KNOWN_ASSOCIATION, KNOWN_MAP, BELIEF = range(4)
 # A VT of the map: identity, link, position (3), covariance (9).
@@ -87,7 +87,7 @@ class Filter(NamedTuple):
 
     mean `x` (N,), covariance `p` (N, N), of which `size` (1,) are in use; `owner` (N,); `weight_state` (W,): place of
     each weight of the fields, `weight_met` (W,): snapshot; `vt_state` (V, 6): places of a VT's states, -1 where there
-    is none; `anchor` (V, 6); `slots` (V, 7); `count` (1,): VTs; `links` (L,): 1 where it uses a link; confirmed VTs
+    is none; `anchor` (V, 7); `slots` (V, 7); `count` (1,): VTs; `links` (L,): 1 where it uses a link; confirmed VTs
     that were given up are in `lost` (E, 14), `losses` (1,) of them; `sizes`
     (3, Z): what was learnt of the sizes (see `sizes_kernel`), `summed` (1,): time (s) of the sums of noise; `surprise`
     (2,): sum of the squared innovations, in their deviations, of first looks at VTs of a remembered map, and how many

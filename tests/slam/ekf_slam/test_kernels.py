@@ -213,7 +213,7 @@ def test_leaving_is_marginalising(one_filter: Any) -> None:
     one, rng = one_filter(), np.random.default_rng(2)
     one.put(POSE, 1.0, [80.0, 0.5, 0.2], [60.0, -1.0, 0.1], [40.0, 1.0, 0.3])
     f, p = one.f, one.spread(rng.normal(size=(16, 16)))
-    f.slots[:3], f.anchor[:3, 3:] = np.arange(18).reshape(3, 6), rng.normal(size=(3, 3))
+    f.slots[:3], f.anchor[:3, 3:] = np.arange(18).reshape(3, 6), rng.normal(size=(3, 4))
     x, anchors, places = f.x[:16].copy(), f.anchor[:3].copy(), f.vt_state[:3, :3].copy()
     remove(f, one.block, 0)
     assert (f.count[0], one.n) == (2, 13)
