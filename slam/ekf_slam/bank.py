@@ -24,8 +24,10 @@ from cellslam.slam.ekf_slam.snapshot.sizes_kernel import SIZES
 from cellslam.slam.ekf_slam.snapshot.snapshot_kernel import Paired, pair_in_bank, use_in_bank
 from cellslam.slam.ekf_slam.state.layout import (
     ANCHOR,
+    BELIEF,
     ENTRY,
     EXISTS,
+    FREE,
     HITS,
     IDENT,
     LAST,
@@ -129,14 +131,15 @@ class Bank:
         association = np.full((len(self), len(measured.z)), -1, np.int64)
         use = partial(use_in_bank, self.arrays, errors, self.blocks, interval, measured, pairs)
         together([partial(use, association, self.influence.rest)], len(self))
-        self._weigh(association, measured.born)
+        self._weigh(association, measured)
         return association
 
-    def _weigh(self, association: Ints, born: int) -> None:
-        """Take a snapshot's associations (K, m), whose new VTs have the identities from `born` on, into the weights."""
+    def _weigh(self, association: Ints, measured: Measured) -> None:
+        """Take a snapshot and its associations (K, m) into the weights."""
         if len(self) == 1:
             return
-        self.influence.meet(self.arrays, association, born, self.log_weight)
+        if measured.rules.mode in (FREE, BELIEF):  # else identities are those of paths
+            self.influence.meet(self.arrays, association, measured.born, self.log_weight)
         if self.blocks.snapshots[0, 0] == 0:  # a block has ended
             self.log_weight = self.influence.weigh(self.arrays)
 
@@ -291,7 +294,7 @@ def side_by_side(
         works += [partial(pair_in_bank, *at), partial(use_in_bank, *at, found, bank.influence.rest)]
     together(works, sum(len(bank) for bank in banks))
     for bank, found in zip(banks, associations, strict=True):
-        bank._weigh(found, measured.born)
+        bank._weigh(found, measured)
     return associations
 
 
