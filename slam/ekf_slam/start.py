@@ -2,8 +2,8 @@
 
 A Gaussian sum over the offset of one site at a time, not over all at once: the sites share nothing but the pose, which
 odometry knows well at the start, so S banks of K filters do in place of K^S filters. When one offset is known well
-enough and few components are left, their combinations go through the drive so far once more, all sites together: what
-one site says of the pose tells the components of another apart. They go on if they end where the banks do.
+enough and few combinations of components are left, these go through the drive so far once more, all sites together:
+what one site says of the pose tells the components of another apart. They go on if they end where the banks do.
 
 Source: Sorenson and Alspach, "Recursive Bayesian estimation using Gaussian sums", Automatica 7, 1971.
 """
@@ -27,7 +27,7 @@ from cellslam.slam.ekf_slam.state.layout import POSE, ArrayErrors, Core, Measure
 from cellslam.slam.model.pose_moments import mixture_moments
 
 REACH = 4.0  # the components cover this many deviations of the prior
-COMBINATIONS, LEAST = 32, 1e-4  # of components that go on, and how likely each must be against the best of its site
+COMBINATIONS, LEAST = 32, 0.001  # of components that go on, and how likely each must be against the best of its site
 PRUNE_EVERY = 8  # snapshots
 KNOWN_M2 = 1e-6  # variance of a place, or heading, that is known
 RETURN_LOG_ODDS = -4.0  # from which on a VT unseen for a while may be the one that is seen
@@ -110,29 +110,21 @@ class Start:
 
     def over(self, variance_m2: Floats) -> bool:
         """Return whether joint filters can take over, the variances (S,) of the offsets being these: one offset is
-        resolved, and every likely component can go on; or all are."""
-        resolved, rivals = variance_m2 <= self.options.resolved_std_m**2, sum(len(one) - 1 for one in self._likely())
-        return bool(resolved.all() or (resolved.any() and rivals < COMBINATIONS))
+        resolved, and the combinations are few; or all are."""
+        resolved, few = variance_m2 <= self.options.resolved_std_m**2, math.prod(map(len, self._likely()))
+        return bool(resolved.all() or (resolved.any() and few <= COMBINATIONS))
 
     def combinations(self) -> Floats:
-        """Return the combinations of offsets (C, S) that go on, in m: each likely component with the best ones of the
-        other sites, and the likeliest of the rest."""
-
-        def rank(one: tuple[tuple[float, float], ...]) -> tuple[bool, float]:
-            logs = [log for _, log in one]
-            return sum(log < 0.0 for log in logs) > 1, -sum(logs)
-
-        found = sorted(product(*self._likely()), key=rank)[:COMBINATIONS]
+        """Return the likeliest combinations of offsets (C, S), in m."""
+        found = sorted(product(*self._likely()), key=lambda one: -sum(log for _, log in one))[:COMBINATIONS]
         return np.array([[mean for mean, _ in one] for one in found])
 
     def _likely(self) -> list[list[tuple[float, float]]]:
-        """Return the offsets, in m, of the likely components of each site, and how likely they are against the best, as
-        logarithms."""
+        """Return the offsets, in m, of the likely components of each site, and the logarithms of their shares."""
         likely = []
         for site, bank in enumerate(self.banks):
-            mean = bank.arrays.x[: len(bank), self.core.first_offset + site]
-            log = bank.log_weight - bank.log_weight.max()
-            likely.append([(float(mean[i]), float(log[i])) for i in np.flatnonzero(log >= math.log(LEAST))])
+            mean, share = bank.arrays.x[: len(bank), self.core.first_offset + site], bank.shares()
+            likely.append([(float(mean[i]), math.log(share[i])) for i in np.flatnonzero(share >= LEAST * share.max())])
         return likely
 
 

@@ -118,8 +118,8 @@ def test_a_bank_that_knows_its_place_well_has_the_word(bank: Bank) -> None:
 
 @pytest.mark.parametrize(
     ("likely", "std_m", "over"),
-    [((4, 29), (10.0, 90.0), True), ((4, 30), (10.0, 90.0), False), ((4, 8), (40.0, 90.0), False),
-     ((4, 30), (10.0, 9.0), True)],
+    [((4, 8), (10.0, 90.0), True), ((4, 9), (10.0, 90.0), False), ((4, 8), (40.0, 90.0), False),
+     ((4, 9), (10.0, 9.0), True)],
     ids=["one is resolved and few are left", "too many are left", "none is resolved", "all are resolved"],
 )  # fmt: skip
 def test_joint_filters_take_over_with_the_likely_combinations(
@@ -128,15 +128,13 @@ def test_joint_filters_take_over_with_the_likely_combinations(
     setup = setup_of(tiny_drive())
     start = begin(setup, bank.core, NO_ERRORS, EkfSlamOptions())
     for one, count in zip(start.banks, likely, strict=True):
-        one.log_weight[:] = -9.5  # below a ten-thousandth of the best
+        one.log_weight[:] = -7.0  # below a thousandth of the best
         one.log_weight[3 : 3 + count] = np.linspace(0.0, -3.0, count)
     assert start.over(np.square(std_m)) == over
     found, (a, b) = start.combinations(), (one.arrays.x[:, bank.core.offsets] for one in start.banks)
     assert len(found) == min(likely[0] * likely[1], 32)
     np.testing.assert_array_equal(found[0], [a[3, 0], b[3, 1]])
-    most = [set(a[3 : 3 + likely[0], 0]), set(b[3 : 3 + likely[1], 1])]
-    left_out = [len(every - set(column)) for every, column in zip(most, found.T, strict=True)]
-    assert sum(left_out) == max(sum(likely) - 1 - 32, 0)
+    assert set(found[:, 0]) <= set(a[3 : 3 + likely[0], 0]) and set(found[:, 1]) <= set(b[3 : 3 + likely[1], 1])
 
 
 def two_banks(core: Core) -> Start:
