@@ -73,6 +73,8 @@ def core_of(setup: Setup, errors: ArrayErrors) -> Core:
     at = POSE
     if errors.sway.any():
         sway, at = at + np.arange(3), at + 3
+    ground = at if errors.ground > 0.0 else -1
+    at += errors.ground > 0.0
     bias[biased] = at + np.arange(len(biased))
     scale[scaled] = at + len(biased) + np.arange(len(scaled))
     noise[noisy] = at + len(biased) + len(scaled) + np.arange(len(noisy))
@@ -82,7 +84,7 @@ def core_of(setup: Setup, errors: ArrayErrors) -> Core:
     rate = np.where(drifts, after + np.cumsum(drifts) - 1, -1).astype(np.int64)
     end = after + int(drifts.sum())
     step_m = np.array(setup.sites.step_std_m)  # one that can be written: for others the kernels would be compiled anew
-    return Core(sway, bias, scale, noise, first, rate, wander, step_m, end, end + common)
+    return Core(sway, ground, bias, scale, noise, first, rate, wander, step_m, end, end + common)
 
 
 Tables = TypeVar("Tables", Filter, Block)
@@ -346,6 +348,8 @@ def new_bank(
     variance[4:POSE] = np.maximum(variance[4:POSE], errors.tilt**2)
     if core.sway[0] >= 0:
         variance[core.sway] = errors.sway**2
+    if core.ground >= 0:
+        variance[core.ground] = errors.ground**2
     for of, std in ((core.bias, model.bias), (core.scale, model.scale)):
         variance[of[of >= 0]] = std[of >= 0] ** 2
     variance[core.offsets] = offset_std_m**2

@@ -1,6 +1,6 @@
 """Compiled: what a filter expects to measure of a VT, errors that persist included, and the Jacobian by its states.
 
-    z = h(pose, VT) + e_1 offset + calibration(direction) + roof(direction) + diffuse + turns + white
+    z = h(pose, VT) + e_1 offset + calibration(direction) + roof(direction) + diffuse + turns + ground + white
 
 The direction is the predicted one, in the body frame. Fields of direction are linear in their weights: a row of bells.
 Their slope is left out of the Jacobian: with it the filter takes an error of the pose for one of the array.
@@ -44,6 +44,7 @@ from cellslam.slam.model.measurement_kernel import (
 )
 
 FLATTEST = 0.05  # cosine of an elevation, at least, where azimuths turn with pitch and roll
+PERMITTIVITY = 5.0  # of the ground, about that of concrete
 
 
 class Sight(NamedTuple):
@@ -172,6 +173,25 @@ def turns(f: Filter, seen: Spherical, share: float, s: Sight) -> Vec3:
 
 
 @lean
+def ground(f: Filter, seen: Spherical, s: Sight) -> Vec3:
+    """Add what the ground reflects to the Jacobian of a look; return what it does to it, in m and rad.
+
+    A path that is reflected from the ground besides arrives from as far below the horizon, too little later to be told
+    apart. The elevation measured is the mean of both, weighted by their powers: 1, and the square of Fresnel's
+    coefficient for vertical polarisation. The state is how many times as much that pulls, 0 for no ground.
+    """
+    place = f.core.ground
+    if place < 0 or seen.elevation <= 0.0:
+        return Vec3(0.0, 0.0, 0.0)
+    sine = math.sin(seen.elevation)
+    root = math.sqrt(PERMITTIVITY - 1.0 + sine * sine)
+    power = ((PERMITTIVITY * sine - root) / (PERMITTIVITY * sine + root)) ** 2
+    pull = -2.0 * seen.elevation * power / (1.0 + power)
+    put(s, place, 0.0, 0.0, pull)
+    return Vec3(0.0, 0.0, pull * f.x[place])
+
+
+@lean
 def diffuse(f: Filter, j: int, std: Floats, share: float, enters: bool, s: Sight) -> Vec3:
     """Add a VT's diffuse errors to the Jacobian; return them, in m and rad.
 
@@ -200,6 +220,7 @@ def errors_of(
     value = field(f, a.calibration_grid, a.calibration, 0, seen, now, s)
     value = vec_plus(value, field(f, a.roof_grid, a.roof, roof_first(a), seen, now, s))
     value = vec_plus(value, turns(f, seen, turn_share, s))
+    value = vec_plus(value, ground(f, seen, s))
     return vec_plus(value, diffuse(f, j, a.diffuse, diffuse_share, now >= 0, s))
 
 

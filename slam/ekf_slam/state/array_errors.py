@@ -16,7 +16,7 @@ COARSE_GRID, FINE_GRID = (1.1, 1.9), (0.9, 2.2)
 ROOF_GRID = 1.3, 1.9  # right to 0.2
 WIDE = grid(np.pi, 1.0, 1.0)  # of a field that does not exist
 
-NO_ERRORS = ArrayErrors(np.zeros(3), WIDE, np.zeros(3), WIDE, np.zeros(3), 0.0, np.zeros(3), 0.0, np.zeros(2), 1.0)
+NO_ERRORS = ArrayErrors(np.zeros(3), WIDE, np.zeros(3), WIDE, np.zeros(3), 0.0, np.zeros(3), 0.0, np.zeros(2), 1.0, 0.0)
 
 
 def array_errors(
@@ -43,4 +43,5 @@ def array_errors(
         sway_s=o.sway_scale_s,
         tilt=np.radians([o.pitch_deg, o.roll_deg]) * (not seen),
         tilt_s=o.attitude_scale_s,
+        ground=o.ground_share * as_states,
     )

@@ -25,22 +25,24 @@ EXISTS, SHARE, MERGED, WORTH, ANCHOR = range(3, 8)
 FREE, KNOWN_ASSOCIATION, KNOWN_MAP, BELIEF = range(4)
 # A VT of the map: identity, link, position (3), covariance (9).
 POSITION, SPREAD, ENTRY = 2, 5, 14
-# States that one look touches at most: pose, sway, clock offset, VT and its diffuse errors; weights of five fields.
-TOUCHED = POSE + 3 + 1 + VT_STATES + 5 * MOST_BELLS
+# States that one look touches at most: pose, sway, ground, clock offset, VT and its diffuse errors; weights of
+# five fields.
+TOUCHED = POSE + 3 + 1 + 1 + VT_STATES + 5 * MOST_BELLS
 
 
 class Core(NamedTuple):
-    """States that are always there: pose (0-5), turns of the array within a snapshot (yaw, pitch, roll), odometry
-    biases and scales that the data sheet has, what its white noise has summed up to lately, clock
-    offsets (S), rates of those that drift, errors that the VTs of a remembered map have in common.
+    """States that are always there: pose (0-5), turns of the array within a snapshot (yaw, pitch, roll), how much
+    the ground reflects, odometry biases and scales that the data sheet has, what its white noise has summed up to
+    lately, clock offsets (S), rates of those that drift, errors that the VTs of a remembered map have in common.
 
     `bias`, `scale`, `noise` (6,), `rate` (S,): place of each component's error and of each offset's rate, `sway` (3,),
-    -1 where there is none. `wander` (2, S): densities of the walks of offsets and rates, m/sqrt(s), (m/s)/sqrt(s);
-    `step_m` (S,): deviation of the size of steps of offsets, m, 0 where a clock does not step. From
+    `ground`, -1 where there is none. `wander` (2, S): densities of the walks of offsets and rates, m/sqrt(s),
+    (m/s)/sqrt(s); `step_m` (S,): deviation of the size of steps of offsets, m, 0 where a clock does not step. From
     `first_common` to `size`: the map's errors.
     """
 
     sway: Ints
+    ground: int
     bias: Ints
     scale: Ints
     noise: Ints
@@ -67,7 +69,7 @@ class ArrayErrors(NamedTuple):
 
     `calibration` (3,), `roof` (3,): of functions of the direction, weights of bells on their grids; `diffuse` (3,): of
     each VT, over `diffuse_m`; `sway` (3,): turns of the array in yaw, pitch, roll over `sway_s`; `tilt` (2,): of
-    pitch and roll over `tilt_s`.
+    pitch and roll over `tilt_s`; `ground`: of how much the ground reflects, without unit.
     """
 
     calibration: Floats
@@ -80,6 +82,7 @@ class ArrayErrors(NamedTuple):
     sway_s: float
     tilt: Floats
     tilt_s: float
+    ground: float
 
 
 class Filter(NamedTuple):

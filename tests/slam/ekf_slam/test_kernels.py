@@ -53,7 +53,7 @@ OFFSET = 6
 NOW = 3  # number of the fixture's snapshot
 ERRORS = ArrayErrors(
     np.array([0.2, 0.004, 0.006]), grid(0.6, 1.1, 1.9), np.array([0.0, 0.01, 0.02]), grid(0.4, 1.3, 1.9),
-    np.array([0.7, 0.013, 0.009]), 0.15, np.array([0.005, 0.008, 0.009]), 0.15, np.radians([0.1, 0.3]), 3.0,
+    np.array([0.7, 0.013, 0.009]), 0.15, np.array([0.005, 0.008, 0.009]), 0.15, np.radians([0.1, 0.3]), 3.0, 0.5,
 )  # fmt: skip
 
 
@@ -99,7 +99,7 @@ def test_errors_that_persist_enter_and_are_linear_in_their_states(one_filter: An
     variance = ERRORS.calibration**2 + ERRORS.roof**2 + ERRORS.diffuse**2
     np.testing.assert_allclose((by[:, entered] ** 2).sum(axis=1), variance, rtol=1e-12)
     np.testing.assert_allclose((by[:, weights] ** 2).sum(axis=1), ERRORS.calibration**2 + ERRORS.roof**2, rtol=1e-12)
-    states = np.append(entered, one.f.core.sway)
+    states = np.append(entered, [*one.f.core.sway, one.f.core.ground])
     one.f.x[states] = x = np.random.default_rng(1).normal(size=len(states))
     np.testing.assert_allclose(one.model(0)[0] - plain, by[:, states] @ x, rtol=1e-9, atol=1e-12)
     np.testing.assert_allclose(h, plain, rtol=1e-12)
