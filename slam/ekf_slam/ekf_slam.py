@@ -73,9 +73,7 @@ class JointFilter:
         self._archive, self._again_s = NO_VTS, 0.0
         self._born = len(links) + (0 if known is None else len(known))
         self._ports = ports_of(self._setup.links.site, self._setup.links.port)
-        self._errors = array_errors(
-            self.options, setup, self.options.errors == "states", self.options.known_calibration
-        )
+        self._errors = array_errors(self.options, setup)
         self._core = core_of(self._setup, self._errors)
         self._past: list[tuple[Interval, Measured]] = []
         self._beside: tuple[JointFilter, MapTrial] | None = None

@@ -27,6 +27,9 @@ class EkfSlamOptions(FrontEndOptions):
     errors: Literal["states", "counted"] = Field(
         "states", description="errors that persist: as states of the filter, or counted as so many fewer measurements"
     )
+    ground_share: float = Field(
+        0.0, ge=0, le=10, description="share of the ground's reflection that merges with each path, deviation; 0: none"
+    )
     block_s: float = Field(
         0.6, ge=0, le=1.2, description="looks at a VT are averaged over so long at most, s; 0: never"
     )
@@ -58,8 +61,10 @@ class EkfSlamOptions(FrontEndOptions):
         return None if self.calibration_file is None else Calibration.load(self.calibration_file)
 
     @model_validator(mode="after")
-    def _can_begin_with_it(self) -> Self:
-        """Refuse a calibration that is none, or that this filter cannot begin with."""
+    def _can_have_them(self) -> Self:
+        """Refuse states that this filter has not, and a calibration that is none, or that it cannot begin with."""
+        if self.ground_share > 0.0 and self.errors == "counted":
+            raise ValueError("a filter with errors=counted has no state for the ground: set errors=states")
         if self.known_calibration is not None:
             from cellslam.slam.ekf_slam.calibration_states import check_fits
 

@@ -8,7 +8,6 @@ Errors of a measurement, cause by cause, as `sim.lte` makes them:
                   the array's sway: over a fraction of a second, the same for all paths
     calibration, roof   functions of the direction of arrival in the body frame: alike for all paths from about one
                   direction, and they change only as the direction changes
-    ground        what is reflected from the ground besides merges with each path and pulls its elevation down
 
 A filter either keeps what persists as states, or counts it. Counted, a single measurement has the sum of the variances:
 to associate, take that. Many measurements in a row share a draw: the mean of n of them has the variance of n / repeats
@@ -93,9 +92,6 @@ class FrontEndOptions(BaseModel):
     )
     sway_elevation_deg: float = Field(0.5, ge=0, le=90, description="the same for elevation (pitch and roll), deg")
     sway_scale_s: float = Field(0.15, ge=0, le=1000, description="time over which it is drawn anew, s; 0: white")
-    ground_share: float = Field(
-        0.0, ge=0, le=10, description="share of a reflection from the ground that merges with each path, deviation"
-    )
     sharing: Literal["none", "site"] = Field(
         "site", description="whether what the ports and sectors of a site measure of a path is taken together"
     )

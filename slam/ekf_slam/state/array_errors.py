@@ -5,9 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from cellslam.slam.api import Setup
+from cellslam.slam.ekf_slam.ekf_slam_options import EkfSlamOptions
 from cellslam.slam.ekf_slam.state.layout import ArrayErrors
-from cellslam.slam.front_end.front_end_options import FrontEndOptions
-from cellslam.slam.model.calibration import Calibration
 from cellslam.slam.model.field_kernel import grid
 
 # Spacing of cells and reach of bells, in scales. Correlations are right to 0.06 on the coarse grid, to 0.01 on the fine
@@ -19,15 +18,13 @@ WIDE = grid(np.pi, 1.0, 1.0)  # of a field that does not exist
 NO_ERRORS = ArrayErrors(np.zeros(3), WIDE, np.zeros(3), WIDE, np.zeros(3), 0.0, np.zeros(3), 0.0, np.zeros(2), 1.0, 0.0)
 
 
-def array_errors(
-    options: FrontEndOptions, setup: Setup, as_states: bool, known: Calibration | None = None
-) -> ArrayErrors:
-    """Return the errors that are states; without `as_states` pitch and roll alone. No size, or no scale: no state.
+def array_errors(options: EkfSlamOptions, setup: Setup) -> ArrayErrors:
+    """Return the errors that are states; of counted ones pitch and roll alone. No size, or no scale: no state.
 
-    The calibration has the grid of the `known` one where it is to begin with that.
+    The calibration has the grid of the known one where it is to begin with that.
     What the odometry or the start says of pitch and roll belongs to the pose: then they are not drawn anew.
     """
-    o, sheet = options, setup.odometry_model
+    o, sheet, known, as_states = options, setup.odometry_model, options.known_calibration, options.errors == "states"
     seen = np.concatenate([sheet.noise_density[4:], sheet.bias[4:], setup.start_std[4:], setup.start_pose[4:]]).any()
     calibration, roof = np.radians([o.calibration_scale_deg, o.roof_scale_deg])
     spacing, reach = FINE_GRID if o.calibration[0] > 2.0 * o.diffuse[0] else COARSE_GRID

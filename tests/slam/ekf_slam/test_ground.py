@@ -7,8 +7,11 @@ from typing import Any
 import numpy as np
 import pytest
 
+from cellslam.slam.api import setup_of
+from cellslam.slam.conformance.subject import tiny_drive
+from cellslam.slam.ekf_slam.ekf_slam_options import EkfSlamOptions
 from cellslam.slam.ekf_slam.snapshot.sight_kernel import ground
-from cellslam.slam.ekf_slam.state.array_errors import NO_ERRORS
+from cellslam.slam.ekf_slam.state.array_errors import NO_ERRORS, array_errors
 from cellslam.slam.model.measurement_kernel import Spherical
 
 PULL_DEG = -2.713  # at 10 degrees: sin 0.17365, root of 4 + sin^2 2.00752, coefficient -0.39616, power 0.15694
@@ -34,3 +37,9 @@ def test_a_share_of_zero_takes_the_state_away(one_filter: Any) -> None:
     one.w.sight.size[0] = 0
     assert one.f.core.ground < 0
     assert ground(one.f, Spherical(100.0, 0.7, 0.2), one.w.sight) == (0.0, 0.0, 0.0) and one.w.sight.size[0] == 0
+
+
+def test_a_filter_that_counts_errors_refuses_the_state() -> None:
+    assert array_errors(EkfSlamOptions(ground_share=0.5), setup_of(tiny_drive())).ground == 0.5
+    with pytest.raises(ValueError, match="no state for the ground"):
+        EkfSlamOptions(ground_share=0.5, errors="counted")
