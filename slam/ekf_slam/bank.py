@@ -18,7 +18,6 @@ from cellslam.slam.api import Setup, VtEstimate
 from cellslam.slam.ekf_slam.influence import Influence
 from cellslam.slam.ekf_slam.map_states import Remembered
 from cellslam.slam.ekf_slam.snapshot.birth_kernel import map_of
-from cellslam.slam.ekf_slam.snapshot.guess_kernel import AHEAD, AROUND
 from cellslam.slam.ekf_slam.snapshot.motion_kernel import Interval
 from cellslam.slam.ekf_slam.snapshot.sizes_kernel import SIZES
 from cellslam.slam.ekf_slam.snapshot.snapshot_kernel import Paired, pair_in_bank, use_in_bank
@@ -149,11 +148,8 @@ class Bank:
         """Make room for what a snapshot may bring; return room for how it is paired."""
         if self.remembered is not None:
             self._meet(self.remembered, measured.now)
-        no_distance, no_azimuth = np.isnan(measured.begin[:, :2]).T
-        guesses = 0
-        if (no_distance != no_azimuth).any():
-            guesses = int(AROUND * (no_azimuth > no_distance).sum() + AHEAD * (no_distance > no_azimuth).sum())
-        room = most_vts * (ROOM if guesses else 1) - int(self.arrays.count.max())
+        guesses = measured.guesses
+        room = most_vts * (ROOM if guesses else 1) - most_of(self.arrays.count)
         self.reserve(NEW_STATES + 3 * guesses, min(NEW_VTS + guesses, max(room, 0)))
         self.arrays.losses[:] = 0
         k, m, whole = len(self), len(measured.z), np.int64
@@ -212,11 +208,11 @@ class Bank:
     def reserve(self, states: int, vts: int) -> None:
         """Grow the arrays to have room for so many more states and VTs."""
         arrays, blocks, width, places = self.arrays, self.blocks, len(self.arrays.x[0]), len(self.arrays.slots[0])
-        if int(arrays.size.max()) + states > width:
+        if most_of(arrays.size) + states > width:
             more = max(width // 2, states)
             p = _covariances(arrays, len(arrays.x), width + more)
             arrays = arrays._replace(x=_padded(arrays.x, more), owner=_padded(arrays.owner, more), p=p)
-        if int(arrays.count.max()) + vts > places:
+        if most_of(arrays.count) + vts > places:
             more = max(places // 2, vts)
             arrays, blocks = _with_rows(arrays, OF_VTS, more), _with_rows(blocks, OF_LOOKS, more)
         self.arrays, self.blocks = arrays, blocks
@@ -268,12 +264,13 @@ class Bank:
         """The layout of the states that are always there."""
         return self.arrays.core
 
-    def apart(self, of: slice, ratio: float) -> Ints:
+    def apart(self, of: slice, ratio: float, more: bool = False) -> Ints:
         """Return the filters that are not less likely than the best by this ratio, and whose states `of` differ from
-        those of all likelier ones, the likeliest first."""
+        those of all likelier ones, by `more` the less likely they are, the likeliest first."""
         likely = np.argsort(-self.log_weight, kind="stable")
         likely = likely[self.log_weight[likely] >= self.log_weight.max() + math.log(ratio)]
-        return differing(self.arrays.x[:, of], self.arrays.p[:, of, of], likely)
+        log_odds = self.log_weight if more else np.zeros(len(self))
+        return differing(self.arrays.x[:, of], self.arrays.p[:, of, of], log_odds, likely)
 
     def lost(self, index: int) -> Floats:
         """Return the confirmed VTs of one filter that made room for others in the last snapshot, as `vts` does."""
@@ -298,6 +295,11 @@ def side_by_side(
     for bank, found in zip(banks, associations, strict=True):
         bank._weigh(found, measured)
     return associations
+
+
+def most_of(counts: Ints) -> int:
+    """Return the greatest of the counts (K, 1) of a few filters."""
+    return int(max(counts[:, 0].tolist()))
 
 
 def _spherical(vector: Floats) -> Floats:

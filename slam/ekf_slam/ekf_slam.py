@@ -9,7 +9,7 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from cellslam.sim.frames import wrap_angle
+from cellslam.sim.frames.frames_kernel import wrap
 from cellslam.sim.recording import Floats, Ints, Links, OdometryModel
 from cellslam.slam import warm_up
 from cellslam.slam.api import Estimate, Setup, Snapshot, VtEstimate
@@ -20,6 +20,7 @@ from cellslam.slam.ekf_slam.map_after import Box, Heard, map_after
 from cellslam.slam.ekf_slam.map_states import Remembered
 from cellslam.slam.ekf_slam.map_trial import MapTrial
 from cellslam.slam.ekf_slam.sizes import Sizes, sizes_of
+from cellslam.slam.ekf_slam.snapshot.guess_kernel import births
 from cellslam.slam.ekf_slam.snapshot.motion_kernel import Interval
 from cellslam.slam.ekf_slam.start import STATES, Start, begin
 from cellslam.slam.ekf_slam.state.array_errors import array_errors
@@ -83,9 +84,11 @@ class JointFilter:
             without.start(replace(setup, map=None), rng)
             without._born = self._born  # so that new VTs have one identity in both
             self._beside = without, MapTrial(range(len(links), self._born))
-        self._tables: dict[int, tuple[Floats, int, int]] = {}
+        self._by_step: dict[int, tuple[Floats, Rules]] = {}
+        self._elevation_variance = math.radians(self.options.elevation_std_deg) ** 2
         sites = self._setup.sites
         self._start: Start | None = None
+        self._vts: VtEstimate | None = None
         self._joint: Bank | None = None
         if (sites.clock_offset_std_m > self.options.component_std_m).any():
             self._start = begin(self._setup, self._core, self._errors, self.options)
@@ -212,8 +215,9 @@ class JointFilter:
         """Use a snapshot in the banks of the start; once it is over, go through all snapshots again."""
         self._past.append((interval, measured))
         association = start.use(interval, measured)
-        mean, covariance = start.pose()
-        offset, variance = start.offsets()
+        moments = start.moments()
+        mean, covariance = start.pose(*moments)
+        offset, variance = start.offsets(*moments)
         late = self._time_s >= self.options.start_limit_s
         if late or (start.over(variance) and self._time_s >= self._again_s):
             self._take_over(start, late)
@@ -238,13 +242,15 @@ class JointFilter:
             raise RuntimeError("step() was called before start()")
         best, offsets = int(np.argmax(bank.log_weight)), self._core.offsets
         mean, cov = bank.moments()
+        if self._vts is None or not bank.blocks.snapshots[0, 0]:  # VTs move as a block ends
+            self._vts = self._map([(bank, best)])
         variance = np.maximum(np.diag(cov)[offsets], 0.0)
-        return _estimate(mean, cov, association[best].copy(), mean[offsets], variance, self._map([(bank, best)]))
+        return _estimate(mean, cov, association[best].copy(), mean[offsets], variance, self._vts)
 
     def _join(self, offsets_m: Floats) -> None:
         """Begin the filters of all sites with these combinations of clock offsets (K, S), as likely as each other: what
         has shown one to be likelier they go through again."""
-        self._seen, self._archive = {}, NO_VTS
+        self._seen, self._archive, self._vts = {}, NO_VTS, None
         std = np.minimum(self._setup.sites.clock_offset_std_m, self.options.component_std_m)
         states = MOST_STATES if len(offsets_m) == 1 else STATES
         self._joint = new_bank(self._setup, self._core, self._errors, offsets_m, std, self.options.vts, states)
@@ -265,8 +271,8 @@ class JointFilter:
         if len(lost):
             self._archive = np.concatenate([self._archive, lost])
         self._see(association[best], bank.arrays.x[best, :2])
-        if len(bank) > 1:
-            kept = np.sort(bank.apart(slice(0, self._core.size), self.options.prune_ratio))
+        if len(bank) > 1 and not bank.blocks.snapshots[0, 0]:
+            kept = np.sort(bank.apart(slice(0, self._core.size), self.options.prune_ratio, more=True))
             if len(kept) < len(bank):
                 bank.keep(kept)
                 association = association[kept]
@@ -287,29 +293,31 @@ class JointFilter:
             return white_readings(looks, self._grouping.options, turn_rad, moved_m)
         return readings(looks, self._ports, self._grouping.options, turn_rad, moved_m)
 
-    def _measured(self, dt_s: float, odometry: Floats, values: Readings, looks: Looks) -> Measured:
-        o, site, step_s = self._grouping.options, self._setup.links.site, dt_s if dt_s > 0.0 else 0.075
+    def _measured(self, dt_s: float, odometry: Floats, v: Readings, looks: Looks) -> Measured:
+        step_s = dt_s if dt_s > 0.0 else 0.075
         key = round(100.0 * math.log(step_s))
-        if key not in self._tables:
-            self._tables[key] = existence(o, step_s)
-        tables, once, twice = self._tables[key]
-        states = self.options.errors == "states"
+        if key not in self._by_step:
+            self._by_step[key] = self._tables(step_s)
+        (tables, rules), site = self._by_step[key], self._setup.links.site
+        news = novelty(self._grouping.options, odometry[3] * dt_s, odometry[0] * dt_s)
+        rules = rules._replace(evidence=max(EVIDENCE, news), step=self._log_step)
+        share, begin = 1.0 / np.sqrt(looks.ports), births(v.z, v.fresh, looks.begins, self._elevation_variance)
+        return Measured(
+            self._now, self._born, first_of_link(looks, len(site)), site, v.z, v.single, v.many, begin.q, share, v.gap,
+            begin.z, begin.guesses, self._given(looks), tables, rules, v.merged,
+        )  # fmt: skip
+
+    def _tables(self, step_s: float) -> tuple[Floats, Rules]:
+        """Return what depends on the length of a step alone: the tables of existence, and the rules."""
+        o, states = self._grouping.options, self.options.errors == "states"
+        tables, once, twice = existence(o, step_s)
         rules = Rules(
             self.mode, float(np.log(o.clutter_density)), o.gate, float(-np.log1p(-o.birth_ratio)), o.confirm_hits,
-            once, twice, min(max(round(o.block_s / step_s), 1), LONGEST) if states else 1, WAY_M, TURN,
-            max(EVIDENCE, novelty(o, odometry[3] * dt_s, odometry[0] * dt_s)), int(o.hold_s / step_s),
-            math.log(o.return_odds), max(round(AWAY_S / step_s), 1), DOUBT if self._most > 1 else 0.0,
-            step=self._log_step, merge_rate=o.merge_rate if states else 0.0,
+            once, twice, min(max(round(o.block_s / step_s), 1), LONGEST) if states else 1, WAY_M, TURN, EVIDENCE,
+            int(o.hold_s / step_s), math.log(o.return_odds), max(round(AWAY_S / step_s), 1),
+            DOUBT if self._most > 1 else 0.0, merge_rate=o.merge_rate if states else 0.0,
         )  # fmt: skip
-        begin_z, begin_q = values.z.copy(), values.fresh.copy()
-        flat = np.isnan(begin_z[:, 2])
-        begin_z[flat, 2], begin_q[flat, 2] = 0.0, np.radians(self.options.elevation_std_deg) ** 2
-        begin_z[~looks.begins] = np.nan
-        share, v = 1.0 / np.sqrt(looks.ports), values
-        return Measured(
-            self._now, self._born, first_of_link(looks, len(site)), site, v.z, v.single, v.many, begin_q, share, v.gap,
-            begin_z, self._given(looks), tables, self._rules(rules, step_s), v.merged,
-        )  # fmt: skip
+        return tables, self._rules(rules, step_s)
 
 
 def held_noise(held_s: Floats) -> Floats:
@@ -334,9 +342,8 @@ class EkfSlam(JointFilter):
 def _estimate(
     mean: Floats, cov: Floats, association: Ints, offset: Floats, variance: Floats, vts: VtEstimate | None
 ) -> Estimate:
-    pose = mean[:6].copy()
-    pose[3:] = wrap_angle(pose[3:])
-    square = cov[:6, :6]
+    square, pose = cov[:6, :6], mean[:6].copy()
+    pose[3:] = [wrap(angle) for angle in pose[3:].tolist()]
     return Estimate(pose, 0.5 * (square + square.T), association, offset.copy(), variance.copy(), vts)
 
 

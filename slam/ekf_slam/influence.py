@@ -44,14 +44,16 @@ class Influence:
         has it. log_weight (K,).
         """
         begun = self._identities(bank)
-        begun = np.unique(begun[begun >= born])
+        begun = begun[begun >= born]
+        if not len(begun):
+            return
+        begun = np.unique(begun)
         path = begun.copy()
         for n, looks in enumerate(association[:, begun - born].T):
             have = np.flatnonzero(np.isin(looks, self.ident))
             if len(have):
                 path[n] = self.path[np.searchsorted(self.ident, looks[have[np.argmax(log_weight[have])]])]
-        if len(begun):
-            self._add(begun, path)
+        self._add(begun, path)
 
     def weigh(self, bank: Filter) -> Floats:
         """Take in what the VTs are worth at the end of a block, and return the log-weights (K,).

@@ -32,7 +32,6 @@ PRUNE_EVERY = 8  # snapshots
 KNOWN_M2 = 1e-6  # variance of a place, or heading, that is known
 RETURN_LOG_ODDS = -4.0  # from which on a VT unseen for a while may be the one that is seen
 GATE = 16.3  # squared Mahalanobis distance, chi-square of three: one of a thousand that are right is beyond it
-SHORTER = 40  # weights of the roof leave so many times sooner than after the start: a filter for each component
 STATES = 440  # room of a filter: memory that is not used costs nothing; growing does, and rows 4096 bytes apart
 
 
@@ -63,9 +62,7 @@ class Start:
         answer = np.full(len(measured.z), -1, np.int64)
         # A bank of one site does not know its pose well enough to tell VTs that return, it refuses what is improbable;
         # nor to tell merged paths.
-        rules = measured.rules._replace(
-            return_log_odds=RETURN_LOG_ODDS, hold=measured.rules.hold // SHORTER, merge_rate=0.0
-        )
+        rules = measured.rules._replace(return_log_odds=RETURN_LOG_ODDS, merge_rate=0.0)
         measured, ends = measured._replace(rules=rules), measured.now % PRUNE_EVERY == 0
         site_of_look = np.repeat(self.site, np.diff(measured.first))
         associations = side_by_side(self.banks, self.errors, interval, measured, self.options.vts)
@@ -80,26 +77,27 @@ class Start:
                 bank.keep(kept)
         return answer
 
-    def offsets(self) -> tuple[Floats, Floats]:
-        """Return mean (S,) in m and variance (S,) in m^2 of the clock offsets."""
-        found = [bank.moments() for bank in self.banks]
-        at = self.core.first_offset + np.arange(len(found))
-        return (
-            np.array([mean[i] for i, (mean, _) in zip(at, found, strict=True)]),
-            np.array([max(cov[i, i], 0.0) for i, (_, cov) in zip(at, found, strict=True)]),
-        )
+    def moments(self) -> tuple[Floats, Floats]:
+        """Return the means (S, C), in m and rad, and covariances (S, C, C) of the core states, of each bank."""
+        means, covariances = zip(*(bank.moments() for bank in self.banks), strict=True)
+        return np.array(means), np.array(covariances)
 
-    def pose(self) -> tuple[Floats, Floats]:
+    def offsets(self, means: Floats, covariances: Floats) -> tuple[Floats, Floats]:
+        """Return mean (S,) in m and variance (S,) in m^2 of the clock offsets, each by the bank of its site."""
+        site = np.arange(len(means))
+        at = self.core.first_offset + site
+        return means[site, at], np.maximum(covariances[site, at, at], 0.0)
+
+    def pose(self, means: Floats, covariances: Floats) -> tuple[Floats, Floats]:
         """Return the pose (6,), in m and rad, and its covariance (6, 6): the mean over the banks, weighted by how well
         each knows its place, what they are apart being in the covariance."""
-        found = [bank.moments() for bank in self.banks]
-        x, p = np.array([mean[:POSE] for mean, _ in found]), np.array([cov[:POSE, :POSE] for _, cov in found])
+        x, p = means[:, :POSE], covariances[:, :POSE, :POSE]
         weight = 1.0 / (p[:, 0, 0] + p[:, 1, 1] + KNOWN_M2)
         return mixture_moments(weight / weight.sum(), x, p)
 
     def agrees(self, state: Floats) -> bool:
         """Return whether place and yaw of a state (N,), in m and rad, may be those of the banks."""
-        (mean, covariance), at = self.pose(), [0, 1, 3]
+        (mean, covariance), at = self.pose(*self.moments()), [0, 1, 3]
         apart = state[at] - mean[at]
         apart[2] = wrap_angle(apart[2])
         return bool(apart @ np.linalg.solve(covariance[np.ix_(at, at)] + KNOWN_M2 * np.eye(3), apart) < GATE)

@@ -34,6 +34,7 @@ NOTHING_PERSISTS = {
     "roof_elevation_deg": 0.0, "diffuse_m": 0.0, "diffuse_azimuth_deg": 0.0, "diffuse_elevation_deg": 0.0,
     "sway_azimuth_deg": 0.0, "sway_elevation_deg": 0.0,
 }  # fmt: skip
+MERGED = 0.1  # of the roof's variance: what paths that merge do to directions
 
 
 class FrontEndOptions(BaseModel):
@@ -141,14 +142,16 @@ class FrontEndOptions(BaseModel):
         return self.diffuse**2 + self.sway**2, self.calibration**2 + self.roof**2
 
     @cached_property
-    def beside_states(self) -> tuple[Floats, Floats, Floats]:
+    def beside_states(self) -> tuple[Floats, Floats, Floats, Floats]:
         """Variances for a filter that has what persists as states, in m^2 and rad^2: of causes without a scale, which
-        are white, (2, 3), in all and by port; and (3,), (3,) of diffuse errors and sway with one."""
+        are white, (2, 3), in all and by port; and (3,) of diffuse errors and of sway with one, and of what paths that
+        merge do to directions."""
         diffuse, sway = self.diffuse**2, self.sway**2
         lasts, sways = self.diffuse_scale_m > 0.0, self.sway_scale_s > 0.0
         plain = sway * (not sways) + self.calibration**2 * (self.calibration_scale_deg == 0.0)
         plain += self.roof**2 * (self.roof_scale_deg == 0.0)
-        return np.stack([plain, diffuse * (not lasts)]), diffuse * lasts, sway * sways
+        merged = MERGED * self.roof**2 * (self.roof_scale_deg > 0.0)
+        return np.stack([plain, diffuse * (not lasts)]), diffuse * lasts, sway * sways, merged
 
     @cached_property
     def scales(self) -> Floats:

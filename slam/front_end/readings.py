@@ -15,12 +15,12 @@ from cellslam.sim.described import Described
 from cellslam.sim.recording import Floats, Ints
 from cellslam.slam.front_end.front_end_options import FrontEndOptions
 from cellslam.slam.front_end.looks import Looks
-from cellslam.slam.front_end.readings_kernel import LEAST, Persisting, combine, repeats, share_new
+from cellslam.slam.front_end.readings_kernel import Persisting, beside_states, combine, repeats, share_new
 
 # Widths in distance (m), azimuth and elevation (rad) over which clutter lies about paths: what a missing component
 # takes off its density.
 CLUTTER_WIDTH = (20.0, 0.3, 0.25)
-MERGED, MOST_MERGED = 0.1, 400.0  # of the roof's variance, and how often at most
+MOST_MERGED = 400.0  # times that one draw of what merged paths do is repeated, at most
 _LOG_WIDTH = np.log(CLUTTER_WIDTH)
 
 
@@ -64,13 +64,13 @@ def white_readings(looks: Looks, options: FrontEndOptions, turn_rad: float, move
     vehicle sees them so: for that a share of the roof's variance is counted, as often as one draw of it is repeated.
     """
     z = np.stack([looks.distance_m, looks.azimuth_rad, looks.elevation_rad], axis=1)
-    plain, diffuse, sway = options.beside_states
+    plain, diffuse, sway, merged = options.beside_states
     scale, change = math.radians(options.roof_scale_deg), abs(turn_rad) + abs(moved_m) / options.typical_range_m
-    merged = MERGED * options.roof**2 * (scale > 0.0)
-    white = np.maximum(looks.white + plain[0] + plain[1] / looks.ports[:, None], LEAST)
-    gap = looks.doubt + np.isnan(z) @ _LOG_WIDTH
-    single, often = white + merged + diffuse / looks.ports[:, None] + sway, min(repeats(scale, change), MOST_MERGED)
-    return Readings(z, single, white, white + merged, gap, np.zeros(len(z)), merged * often)
+    single, many, fresh, gap = beside_states(
+        z, looks.white, looks.ports, looks.doubt, plain, diffuse, sway, merged, _LOG_WIDTH
+    )
+    often = min(repeats(scale, change), MOST_MERGED)
+    return Readings(z, single, many, fresh, gap, np.zeros(len(z)), merged * often)
 
 
 def novelty(options: FrontEndOptions, turn_rad: float, moved_m: float) -> float:

@@ -62,6 +62,28 @@ def scaled(snr_db: Floats, floor: Floats, unit: Floats) -> Floats:
     return out
 
 
+@njit(cache=True)
+def beside_states(
+    z: Floats, white: Floats, ports: Ints, doubt: Floats, plain: Floats, diffuse: Floats, sway: Floats, merged: Floats,
+    log_width: Floats,
+) -> tuple[Floats, Floats, Floats, Floats]:  # fmt: skip
+    """Return the variances (m, 3) of single measurements, of updates and of births for a filter that has what persists
+    as states, in m^2 and rad^2, and (m,) what the log-density of clutter is greater by.
+
+    z, white, ports, doubt, log_width as in `combine`; plain (2, 3): variances of causes without a scale, in all and by
+    port; diffuse, sway, merged (3,): variances that a single measurement has beside.
+    """
+    m = len(z)
+    single, many, fresh, gap = np.empty((m, 3)), np.empty((m, 3)), np.empty((m, 3)), doubt.copy()
+    for i in range(m):
+        for c in range(3):
+            many[i, c] = max(white[i, c] + plain[0, c] + plain[1, c] / ports[i], LEAST)
+            fresh[i, c] = many[i, c] + merged[c]
+            single[i, c] = fresh[i, c] + diffuse[c] / ports[i] + sway[c]
+            gap[i] += log_width[c] if math.isnan(z[i, c]) else 0.0
+    return single, many, fresh, gap
+
+
 @part
 def repeats(scale: float, step: float) -> float:
     """Return how many samples `step` apart share one draw of an error with correlation exp(-x^2 / (2 scale^2)): its

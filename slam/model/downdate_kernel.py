@@ -15,7 +15,8 @@ def downdate(p: Floats, n: int, g: Floats, k: int) -> None:
     """Subtract from the first n rows and columns of a symmetric P the products of k gains (rows of g).
 
     Of g (K, N) rows k to k + 3 are zeroed, K >= k + 3. The lower triangle, four rows and four gains at once, which
-    leaves P in the fastest memory and takes each gain from the next a quarter as often; then its mirror image.
+    leaves P in the fastest memory and takes each gain from the next a quarter as often; then the columns above them,
+    their mirror image.
     """
     g[k : k + 3, :n] = 0.0
     whole = n // 4 * 4
@@ -33,6 +34,9 @@ def downdate(p: Floats, n: int, g: Floats, k: int) -> None:
                 r1[x] -= b0 * y0 + b1 * y1 + b2 * y2 + b3 * y3
                 r2[x] -= c0 * y0 + c1 * y1 + c2 * y2 + c3 * y3
                 r3[x] -= d0 * y0 + d1 * y1 + d2 * y2 + d3 * y3
+        for x in range(i):
+            above = p[x]
+            above[i], above[i + 1], above[i + 2], above[i + 3] = r0[x], r1[x], r2[x], r3[x]
     for i in range(whole, n):
         row = p[i]
         for j in range(0, k, 4):
@@ -40,6 +44,5 @@ def downdate(p: Floats, n: int, g: Floats, k: int) -> None:
             a0, a1, a2, a3 = g0[i], g1[i], g2[i], g3[i]
             for x in range(i + 1):
                 row[x] -= a0 * g0[x] + a1 * g1[x] + a2 * g2[x] + a3 * g3[x]
-    for i in range(n):
-        for j in range(i):
-            p[j, i] = p[i, j]
+        for x in range(i):
+            p[x, i] = row[x]

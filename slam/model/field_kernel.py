@@ -25,7 +25,8 @@ class Grid(NamedTuple):
     """Cells in rows of constant elevation, `step` (rad) apart, the middle one on the horizon.
 
     `scale` (rad) of the field; `reach2`: squared chord within which a bell counts; `beyond`: rows so far away count at
-    most; `around`, `first` (R,): cells in each row, and the number of the first of them; `cells`: of all rows.
+    most; `around`, `first` (R,): cells in each row, and the number of the first of them; `cells`: of all rows;
+    `heights` (R, 2), `turns` (cells, 2): cosine and sine of the elevation of each row, and of the azimuth of each cell.
     """
 
     scale: float
@@ -35,16 +36,20 @@ class Grid(NamedTuple):
     around: Ints
     first: Ints
     cells: int
+    heights: Floats
+    turns: Floats
 
 
 def grid(scale_rad: float, spacing: float, reach: float) -> Grid:
     """Return a grid for a field of this scale (rad); `spacing` of the cells and `reach` of a bell in scales."""
     step = spacing * scale_rad
     half = math.floor(0.5 * math.pi / step)
-    around = np.maximum(np.round(2.0 * np.pi * np.cos(step * np.arange(-half, half + 1)) / step), 1).astype(np.int64)
-    first = np.cumsum(around) - around
-    beyond = math.ceil(reach / spacing)
-    return Grid(scale_rad, step, (reach * scale_rad) ** 2, beyond, around, first, int(around.sum()))
+    height = step * np.arange(-half, half + 1)
+    around = np.maximum(np.round(2.0 * np.pi * np.cos(height) / step), 1).astype(np.int64)
+    azimuth = np.concatenate([2.0 * np.pi / n * np.arange(n) for n in around])
+    heights, turns = (np.stack([np.cos(angle), np.sin(angle)], axis=1) for angle in (height, azimuth))
+    first, beyond = np.cumsum(around) - around, math.ceil(reach / spacing)
+    return Grid(scale_rad, step, (reach * scale_rad) ** 2, beyond, around, first, len(azimuth), heights, turns)
 
 
 @lean
@@ -54,11 +59,11 @@ def bells(g: Grid, azimuth: float, elevation: float, cells: Ints, values: Floats
     cells, values (MOST_BELLS,): written; the squares of the values sum to one.
     """
     count, total, rows = 0, 0.0, len(g.around)
-    middle = round(elevation / g.step) + rows // 2
+    middle, level, rise = round(elevation / g.step) + rows // 2, math.cos(elevation), math.sin(elevation)
+    east, north = math.cos(azimuth), math.sin(azimuth)
     for row in range(max(middle - g.beyond, 0), min(middle + g.beyond + 1, rows)):
-        height, around = (row - rows // 2) * g.step, g.around[row]
+        around, flat, up = g.around[row], level * g.heights[row, 0], rise * g.heights[row, 1]
         width = 2.0 * math.pi / around
-        flat, up = math.cos(elevation) * math.cos(height), math.sin(elevation) * math.sin(height)
         across = g.reach2 - 2.0 + 2.0 * (flat + up)  # what the chord's square may gain by azimuth
         if across <= 0.0:
             continue
@@ -67,9 +72,9 @@ def bells(g: Grid, azimuth: float, elevation: float, cells: Ints, values: Floats
         for j in range(low, min(high, low + around - 1) + 1):
             if count == MOST_BELLS:
                 break
-            chord2 = 2.0 - 2.0 * (flat * math.cos(azimuth - j * width) + up)
-            values[count] = math.exp(-chord2 / (g.scale * g.scale))
-            cells[count] = g.first[row] + j % around
+            cell = g.first[row] + j % around
+            chord2 = 2.0 - 2.0 * (flat * (east * g.turns[cell, 0] + north * g.turns[cell, 1]) + up)
+            values[count], cells[count] = math.exp(-chord2 / (g.scale * g.scale)), cell
             total += values[count] * values[count]
             count += 1
     for k in range(count):

@@ -75,8 +75,8 @@ class OneFilter:
         """Return looks z (m, 3) of variances q (m, 3) as the kernels take them."""
         m = len(z)
         return Measured(
-            NOW, 100, np.array([0, m]), np.zeros(1, np.int64), z, q, q, q, np.ones(m), np.zeros(m), z, np.full(m, -2),
-            np.zeros((2, 2, 8)), self.rules, np.zeros(3),
+            NOW, 100, np.array([0, m]), np.zeros(1, np.int64), z, q, q, q, np.ones(m), np.zeros(m), z, 0,
+            np.full(m, -2), np.zeros((2, 2, 8)), self.rules, np.zeros(3),
         )  # fmt: skip
 
     def place(self, j: int) -> Floats:

@@ -13,10 +13,12 @@ geometrically); Schmidt, "Application of state-space methods to navigation probl
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
-from cellslam.sim.compiling import lean, part
+from cellslam.sim.compiling import lean, njit, part
 from cellslam.sim.frames.frames_kernel import TURN, wrap
 from cellslam.sim.recording import Floats
 from cellslam.slam.ekf_slam.snapshot.birth_kernel import add
@@ -63,6 +65,32 @@ def possible(z: Floats, b: float) -> bool:
     A distance must be 1 m beyond the clock offset b (m).
     """
     return z[0] - b > 1.0 or (math.isnan(z[0]) and not math.isnan(z[1]))
+
+
+class Births(NamedTuple):
+    """Looks as VTs begin with them: `z` (m, 3) in m and rad, NaN where none may begin; variances `q` (m, 3); and how
+    many `guesses` there are, if all of them begin, of VTs of which a distance or an azimuth is not known."""
+
+    z: Floats
+    q: Floats
+    guesses: int
+
+
+@njit(cache=True)
+def births(z: Floats, q: Floats, begins: NDArray[np.bool_], flat: float) -> Births:
+    """Return looks as VTs begin with them: those that may (m,), on the horizon where there is no elevation.
+
+    z (m, 3): in m and rad, NaN where not measured; q (m, 3): variances; flat: that of an elevation not measured, rad^2.
+    """
+    z, q, guesses = z.copy(), q.copy(), 0
+    for k in range(len(z)):
+        if math.isnan(z[k, 2]):
+            z[k, 2], q[k, 2] = 0.0, flat
+        if not begins[k]:
+            z[k] = math.nan
+        elif math.isnan(z[k, 0]) != math.isnan(z[k, 1]):
+            guesses += AROUND if math.isnan(z[k, 1]) else AHEAD
+    return Births(z, q, guesses)
 
 
 @part

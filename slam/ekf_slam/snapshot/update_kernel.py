@@ -19,7 +19,16 @@ from cellslam.slam.ekf_slam.snapshot.sight_kernel import Sight, coordinates, err
 from cellslam.slam.ekf_slam.snapshot.sizes_kernel import count_diffuse, count_white
 from cellslam.slam.ekf_slam.state.layout import DIFFUSE, ArrayErrors, Filter, Rules
 from cellslam.slam.model.downdate_kernel import downdate
-from cellslam.slam.model.matrices_kernel import Sym3, Vec3, cholesky, dot, solved, sym_scaled, vec_scaled
+from cellslam.slam.model.matrices_kernel import (
+    Sym3,
+    Vec3,
+    cholesky,
+    dot,
+    solved,
+    sym_scaled,
+    vec_minus,
+    vec_scaled,
+)
 from cellslam.slam.model.measurement_kernel import Rotations
 
 LOG_2PI = math.log(2.0 * math.pi)
@@ -101,17 +110,19 @@ def log_likelihood(i: Innovation) -> tuple[float, float]:
 
 @lean
 def covariance(f: Filter, s: Sight) -> Sym3:
-    """Return H P H^T in m^2, m rad and rad^2, H being the Jacobian s."""
+    """Return H P H^T in m^2, m rad and rad^2, H being the Jacobian s: the triangle below P's diagonal, twice."""
     xx, xy, xz, yy, yz, zz = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
     for k in range(s.size[0]):
-        row, x, y, z = f.p[s.at[k]], 0.0, 0.0, 0.0
-        for c in range(s.size[0]):
-            value = row[s.at[c]]
-            x += s.by[0, c] * value
-            y += s.by[1, c] * value
-            z += s.by[2, c] * value
-        a, b, c = s.by[0, k], s.by[1, k], s.by[2, k]
-        xx, xy, xz, yy, yz, zz = xx + a * x, xy + a * y, xz + a * z, yy + b * y, yz + b * z, zz + c * z
+        row, a, b, c = f.p[s.at[k]], s.by[0, k], s.by[1, k], s.by[2, k]
+        half = 0.5 * row[s.at[k]]
+        x, y, z = half * a, half * b, half * c
+        for i in range(k):
+            value = row[s.at[i]]
+            x += s.by[0, i] * value
+            y += s.by[1, i] * value
+            z += s.by[2, i] * value
+        xx, xy, xz = xx + 2.0 * a * x, xy + a * y + b * x, xz + a * z + c * x
+        yy, yz, zz = yy + 2.0 * b * y, yz + b * z + c * y, zz + 2.0 * c * z
     return Sym3(xx, xy, xz, yy, yz, zz)
 
 
@@ -135,21 +146,29 @@ def gains(f: Filter, s: Sight, w: Pending) -> Sym3:
                 t0[i] += h0 * row[i]
                 t1[i] += h1 * row[i]
                 t2[i] += h2 * row[i]
-    for r in range(w.used[0]):
-        g, a0, a1, a2 = w.rows[r], 0.0, 0.0, 0.0
-        for k in range(s.size[0]):
-            value = g[s.at[k]]
-            a0, a1, a2 = a0 + s.by[0, k] * value, a1 + s.by[1, k] * value, a2 + s.by[2, k] * value
+    for r in range(0, w.used[0], 3):  # an update leaves three
+        g0, g1, g2 = w.rows[r], w.rows[r + 1], w.rows[r + 2]
+        a, b, c = times(s, g0), times(s, g1), times(s, g2)
         for i in range(n):
-            t0[i] -= a0 * g[i]
-            t1[i] -= a1 * g[i]
-            t2[i] -= a2 * g[i]
+            t0[i] -= a.x * g0[i] + b.x * g1[i] + c.x * g2[i]
+            t1[i] -= a.y * g0[i] + b.y * g1[i] + c.y * g2[i]
+            t2[i] -= a.z * g0[i] + b.z * g1[i] + c.z * g2[i]
     xx, xy, xz, yy, yz, zz = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
     for k in range(s.size[0]):
         at, h0, h1, h2 = s.at[k], s.by[0, k], s.by[1, k], s.by[2, k]
         xx, xy, xz = xx + t0[at] * h0, xy + t0[at] * h1, xz + t0[at] * h2
         yy, yz, zz = yy + t1[at] * h1, yz + t1[at] * h2, zz + t2[at] * h2
     return Sym3(xx, xy, xz, yy, yz, zz)
+
+
+@lean
+def times(s: Sight, column: Floats) -> Vec3:
+    """Return the Jacobian s times a column (N,)."""
+    x, y, z = 0.0, 0.0, 0.0
+    for k in range(s.size[0]):
+        value = column[s.at[k]]
+        x, y, z = x + s.by[0, k] * value, y + s.by[1, k] * value, z + s.by[2, k] * value
+    return Vec3(x, y, z)
 
 
 @lean
@@ -246,11 +265,8 @@ def show_steps(f: Filter, e: Vec3, new: Innovation, counted: Sym3, s: Sight, w: 
 @lean
 def _shown(left: Floats, e: Vec3, s: Sight) -> Vec3:
     """Return H left, zero where e is NaN."""
-    x, y, z = 0.0, 0.0, 0.0
-    for k in range(s.size[0]):
-        value = left[s.at[k]]
-        x, y, z = x + s.by[0, k] * value, y + s.by[1, k] * value, z + s.by[2, k] * value
-    return Vec3(0.0 if math.isnan(e.x) else x, 0.0 if math.isnan(e.y) else y, 0.0 if math.isnan(e.z) else z)
+    h = times(s, left)
+    return Vec3(0.0 if math.isnan(e.x) else h.x, 0.0 if math.isnan(e.y) else h.y, 0.0 if math.isnan(e.z) else h.z)
 
 
 @lean
@@ -292,7 +308,4 @@ def compare(f: Filter, a: ArrayErrors, j: int, offset: int, look: Look, s: Sight
     e = Vec3(
         z[0] - seen.distance - f.x[offset] - errors.x, z[1] - seen.azimuth - errors.y, z[2] - seen.elevation - errors.z
     )
-    for k in range(s.size[0]):
-        by = w.added[s.at[k]]
-        e = Vec3(e.x - s.by[0, k] * by, e.y - s.by[1, k] * by, e.z - s.by[2, k] * by)
-    return e, gains(f, s, w)
+    return vec_minus(e, times(s, w.added)), gains(f, s, w)

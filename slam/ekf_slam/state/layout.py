@@ -163,8 +163,8 @@ class Measured(NamedTuple):
     what it counts for in an update, `fresh` of a birth; `merged` (3,): what updates take beside `many`; `diffuse`
     (m,): share of the diffuse errors' deviation that is left in a look; `gap` (m,): what the log-density of clutter
     is greater by; `begin` (m, 3): looks as births take them, with a prior where there is no elevation, NaN where
-    none may begin; `given` (m,): true VT of each look in mode KNOWN_ASSOCIATION; `tables` (2, 2, H): see
-    `front_end.visibility.existence`.
+    none may begin, and how many `guesses` that may need room for; `given` (m,): true VT of each look in mode
+    KNOWN_ASSOCIATION; `tables` (2, 2, H): see `front_end.visibility.existence`.
     """
 
     now: int
@@ -178,6 +178,7 @@ class Measured(NamedTuple):
     diffuse: Floats
     gap: Floats
     begin: Floats
+    guesses: int
     given: Ints
     tables: Floats
     rules: Rules

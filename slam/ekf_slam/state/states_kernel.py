@@ -14,7 +14,7 @@ from cellslam.sim.recording import Floats, Ints
 from cellslam.slam.ekf_slam.state.layout import OF_VT, Filter
 from cellslam.slam.model.copy_kernel import put
 
-SAME = 0.5  # deviations by which filters differ, or the likelier stays
+SAME = 0.5  # deviations by which equally likely filters differ, or one stays
 
 
 @lean
@@ -77,16 +77,18 @@ def fade(f: Filter, place: int, kept: float, variance: float) -> None:
 
 
 @njit(cache=True)
-def differing(x: Floats, p: Floats, likely: Ints) -> Ints:
+def differing(x: Floats, p: Floats, log_odds: Floats, likely: Ints) -> Ints:
     """Return those of the filters `likely`, the likeliest first, whose states differ from those of all before them.
 
-    Of the K filters x (K, n) are means, p (K, n, n) covariances.
+    Of the K filters x (K, n) are means, p (K, n, n) covariances, log_odds (K,) those between them. What is unlikely
+    adds little to the mixture, and must differ by more: by SAME deviations times the root of 1 + its log-odds.
     """
     kept, found = np.empty(len(likely), np.int64), 0
     for i in likely:
         double = False
         for j in kept[:found]:
-            double = double or _same(x[i], x[j], p[i], p[j])
+            most2 = SAME * SAME * (1.0 + log_odds[j] - log_odds[i])
+            double = double or _same(x[i], x[j], p[i], p[j], most2)
         if not double:
             kept[found] = i
             found += 1
@@ -94,8 +96,8 @@ def differing(x: Floats, p: Floats, likely: Ints) -> Ints:
 
 
 @lean
-def _same(x: Floats, y: Floats, p: Floats, q: Floats) -> bool:
+def _same(x: Floats, y: Floats, p: Floats, q: Floats, most2: float) -> bool:
     same = True
     for c in range(len(x)):
-        same = same and (x[c] - y[c]) ** 2 <= SAME * SAME * max(min(p[c, c], q[c, c]), 0.0)
+        same = same and (x[c] - y[c]) ** 2 <= most2 * max(min(p[c, c], q[c, c]), 0.0)
     return same

@@ -18,6 +18,7 @@ from cellslam.slam.ekf_slam.ekf_slam_options import EkfSlamOptions
 from cellslam.slam.ekf_slam.start import Start, begin, components
 from cellslam.slam.ekf_slam.state.array_errors import NO_ERRORS
 from cellslam.slam.ekf_slam.state.layout import Core
+from cellslam.slam.ekf_slam.state.states_kernel import differing
 from cellslam.slam.fastslam.fastslam import FastSlam
 from cellslam.slam.wall_slam.wall_slam import WallSlam
 
@@ -111,7 +112,7 @@ def test_a_bank_that_knows_its_place_well_has_the_word(bank: Bank) -> None:
     start = begin(setup, bank.core, NO_ERRORS, EkfSlamOptions(component_std_m=1000.0))
     for one, x, variance in zip(start.banks, (0.0, 3.0), (1.0, 2.0), strict=True):
         one.arrays.x[0, :6], one.arrays.p[0, :6, :6] = [x, 0.0, 0.0, 0.0, 0.0, 0.0], 0.5 * variance * np.eye(6)
-    mean, cov = start.pose()
+    mean, cov = start.pose(*start.moments())
     np.testing.assert_allclose(mean, [1.0, 0.0, 0.0, 0.0, 0.0, 0.0], atol=1e-5)
     np.testing.assert_allclose(np.diag(cov)[:2], [2.0 / 3.0 + 2.0, 2.0 / 3.0], rtol=1e-5)
 
@@ -205,3 +206,15 @@ def test_kernels_take_clocks_that_are_told_more_as_they_take_others(column: str)
     told.flags.writeable = False
     more = replace(setup, sites=replace(setup.sites, **{column: told}))
     assert typeof(core_of(more, NO_ERRORS)) == typeof(core_of(setup, NO_ERRORS))
+
+
+@pytest.mark.parametrize(
+    ("apart", "log_odds", "both"),
+    [(0.49, 0.0, False), (0.51, 0.0, True), (1.3, 6.0, False), (1.35, 6.0, True)],
+    ids=["equally likely and alike", "equally likely", "unlikely and near", "unlikely"],
+)
+def test_the_less_likely_a_filter_is_the_more_it_must_differ(apart: float, log_odds: float, both: bool) -> None:
+    """By half a deviation times the root of 1 and the log-odds: 0.5 sqrt(7) = 1.32 where these are 6."""
+    x, p = np.array([[0.0, 5.0], [2.0 * apart, 5.0]]), np.tile(np.diag([4.0, 1.0]), (2, 1, 1))
+    kept = differing(x, p, np.array([0.0, -log_odds]), np.array([0, 1]))
+    assert kept.tolist() == ([0, 1] if both else [0])
