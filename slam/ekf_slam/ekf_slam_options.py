@@ -33,7 +33,7 @@ class EkfSlamOptions(FrontEndOptions):
     block_s: float = Field(
         0.6, ge=0, le=1.2, description="looks at a VT are averaged over so long at most, s; 0: never"
     )
-    hold_s: float = Field(2.0, gt=0, le=1e6, description="time for which the roof's errors in a direction are kept, s")
+    hold_s: float = Field(40.0, gt=0, le=1e6, description="time for which the roof's errors in a direction are kept, s")
     merge_rate: float = Field(
         0.003, ge=0, le=10, description="how often another path merges with that of a VT, 1/s; 0: never"
     )

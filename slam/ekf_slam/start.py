@@ -32,6 +32,7 @@ PRUNE_EVERY = 8  # snapshots
 KNOWN_M2 = 1e-6  # variance of a place, or heading, that is known
 RETURN_LOG_ODDS = -4.0  # from which on a VT unseen for a while may be the one that is seen
 GATE = 16.3  # squared Mahalanobis distance, chi-square of three: one of a thousand that are right is beyond it
+SHORTER = 40  # weights of the roof leave so many times sooner than after the start: a filter for each component
 STATES = 440  # room of a filter: memory that is not used costs nothing; growing does, and rows 4096 bytes apart
 
 
@@ -62,7 +63,9 @@ class Start:
         answer = np.full(len(measured.z), -1, np.int64)
         # A bank of one site does not know its pose well enough to tell VTs that return, it refuses what is improbable;
         # nor to tell merged paths.
-        rules = measured.rules._replace(return_log_odds=RETURN_LOG_ODDS, merge_rate=0.0)
+        rules = measured.rules._replace(
+            return_log_odds=RETURN_LOG_ODDS, hold=measured.rules.hold // SHORTER, merge_rate=0.0
+        )
         measured, ends = measured._replace(rules=rules), measured.now % PRUNE_EVERY == 0
         site_of_look = np.repeat(self.site, np.diff(measured.first))
         associations = side_by_side(self.banks, self.errors, interval, measured, self.options.vts)
