@@ -149,7 +149,7 @@ class Bank:
         if self.remembered is not None:
             self._meet(self.remembered, measured.now)
         guesses = measured.guesses
-        room = most_vts * (ROOM if guesses else 1) - most_of(self.arrays.count)
+        room = most_vts * (ROOM if guesses else 1) - _most_of(self.arrays.count)
         self.reserve(NEW_STATES + 3 * guesses, min(NEW_VTS + guesses, max(room, 0)))
         self.arrays.losses[:] = 0
         k, m, whole = len(self), len(measured.z), np.int64
@@ -208,11 +208,11 @@ class Bank:
     def reserve(self, states: int, vts: int) -> None:
         """Grow the arrays to have room for so many more states and VTs."""
         arrays, blocks, width, places = self.arrays, self.blocks, len(self.arrays.x[0]), len(self.arrays.slots[0])
-        if most_of(arrays.size) + states > width:
+        if _most_of(arrays.size) + states > width:
             more = max(width // 2, states)
             p = _covariances(arrays, len(arrays.x), width + more)
             arrays = arrays._replace(x=_padded(arrays.x, more), owner=_padded(arrays.owner, more), p=p)
-        if most_of(arrays.count) + vts > places:
+        if _most_of(arrays.count) + vts > places:
             more = max(places // 2, vts)
             arrays, blocks = _with_rows(arrays, OF_VTS, more), _with_rows(blocks, OF_LOOKS, more)
         self.arrays, self.blocks = arrays, blocks
@@ -297,7 +297,7 @@ def side_by_side(
     return associations
 
 
-def most_of(counts: Ints) -> int:
+def _most_of(counts: Ints) -> int:
     """Return the greatest of the counts (K, 1) of a few filters."""
     return int(max(counts[:, 0].tolist()))
 

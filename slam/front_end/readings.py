@@ -15,7 +15,7 @@ from cellslam.sim.described import Described
 from cellslam.sim.recording import Floats, Ints
 from cellslam.slam.front_end.front_end_options import FrontEndOptions
 from cellslam.slam.front_end.looks import Looks
-from cellslam.slam.front_end.readings_kernel import Persisting, beside_states, combine, repeats, share_new
+from cellslam.slam.front_end.readings_kernel import Persisting, combine, repeats, share_new, white_variances
 
 # Widths in distance (m), azimuth and elevation (rad) over which clutter lies about paths: what a missing component
 # takes off its density.
@@ -66,7 +66,7 @@ def white_readings(looks: Looks, options: FrontEndOptions, turn_rad: float, move
     z = np.stack([looks.distance_m, looks.azimuth_rad, looks.elevation_rad], axis=1)
     plain, diffuse, sway, merged = options.beside_states
     scale, change = math.radians(options.roof_scale_deg), abs(turn_rad) + abs(moved_m) / options.typical_range_m
-    single, many, fresh, gap = beside_states(
+    single, many, fresh, gap = white_variances(
         z, looks.white, looks.ports, looks.doubt, plain, diffuse, sway, merged, _LOG_WIDTH
     )
     often = min(repeats(scale, change), MOST_MERGED)

@@ -63,7 +63,7 @@ def scaled(snr_db: Floats, floor: Floats, unit: Floats) -> Floats:
 
 
 @njit(cache=True)
-def beside_states(
+def white_variances(
     z: Floats, white: Floats, ports: Ints, doubt: Floats, plain: Floats, diffuse: Floats, sway: Floats, merged: Floats,
     log_width: Floats,
 ) -> tuple[Floats, Floats, Floats, Floats]:  # fmt: skip
