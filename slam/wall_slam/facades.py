@@ -5,6 +5,7 @@ from __future__ import annotations
 from functools import partial
 
 import numpy as np
+from numpy.typing import NDArray
 
 from cellslam.sim.frames import wrap_angle
 from cellslam.sim.recording import Floats, Ints
@@ -13,7 +14,7 @@ from cellslam.slam.ekf_slam.state.layout import Filter
 from cellslam.slam.model.walls import normals, reflection_point
 from cellslam.slam.wall_slam.constraints import impose
 from cellslam.slam.wall_slam.doubles import impose_double, likeliest_double
-from cellslam.slam.wall_slam.images import Image, images_of, place_of
+from cellslam.slam.wall_slam.images import Image, ends_of, images_of
 from cellslam.slam.wall_slam.joining import Flatness, apart, best_pair, planes_of
 
 STEP_M = 1.0  # between places from which a VT was seen
@@ -54,13 +55,14 @@ class Facades:
 
     def not_met(self, f: Filter) -> list[int]:
         """Return the identities of images whose walls, as far as they were seen, paths to the vehicle would miss."""
-        images, here = self._images(f, LEAST_HITS), f.x[:2]
-        wall, missed = self._walls(images), list[int]()
-        for image, mine in zip(images, wall, strict=True):
-            site, vt = place_of(f, np.array([image.site, image.vt]))[0]
+        images = self._images(f, LEAST_HITS)
+        wall = self._walls(images)
+        points = {k: _points(images, wall == k) for k in np.unique(wall).tolist()}
+        site, vt = np.swapaxes(ends_of(f, images)[0], 0, 1)
+        meets, missed = reflection_point(site, vt, f.x[:2]), list[int]()
+        for image, k, point in zip(images, wall.tolist(), meets, strict=True):
             along = normals(image.azimuth)[1]
-            part = np.concatenate([other.points for other, k in zip(images, wall, strict=True) if k == mine]) @ along
-            at = reflection_point(site, vt, here) @ along
+            part, at = points[k] @ along, point @ along
             if not part.min() - self._flat.gap <= at <= part.max() + self._flat.gap:
                 missed.append(image.ident)
         return missed
@@ -69,12 +71,20 @@ class Facades:
         """Return the walls that a filter's VTs with so many detections are images in."""
         images = self._images(f, hits)
         walls, which = np.unique(self._walls(images), return_inverse=True)
-        planes = [
-            _plane(f, [image for image, k in zip(images, which, strict=True) if k == n]) for n in range(len(walls))
-        ]
-        mean, covariance, extent = (np.array([plane[c] for plane in planes]) for c in range(3))
-        azimuth, distance = mean.reshape(-1, 2).T.copy()
-        return WallEstimate(walls, azimuth, distance, covariance.reshape(-1, 2, 2), extent.reshape(-1, 2))
+        points = [_points(images, which == n) for n in range(len(walls))]
+        middle = np.array([0.5 * (p.min(axis=0) + p.max(axis=0)) for p in points]).reshape(-1, 2)
+        planes = planes_of(f, images, middle[which])
+        joint = planes.covariance(f)
+        found = [_mean(planes.value[mine], joint[mine][:, :, mine]) for mine in (which == n for n in range(len(walls)))]
+        azimuth, distance = np.array([mean for mean, _ in found]).reshape(-1, 2).T
+        across, along = normals(azimuth)
+        shift = np.tile(np.eye(2), (len(walls), 1, 1))  # of the distance: from the middle to the origin
+        shift[:, 1, 0] = (middle * along).sum(axis=1)
+        covariance = shift @ np.array([each for _, each in found]).reshape(-1, 2, 2) @ np.swapaxes(shift, 1, 2)
+        reach = [p @ way for p, way in zip(points, along, strict=True)]
+        extent = np.array([(t.min(), t.max()) for t in reach]).reshape(-1, 2)
+        distance = distance + (middle * across).sum(axis=1)
+        return WallEstimate(walls, np.asarray(wrap_angle(azimuth)), distance, covariance, extent)
 
     def _images(self, f: Filter, hits: int) -> list[Image]:
         return [image for image in images_of(f, self._seen, hits) if image.ident not in self._doubles]
@@ -83,27 +93,23 @@ class Facades:
         return np.array([self._wall.get(image.ident, image.ident) for image in images], np.int64)
 
 
-def _plane(f: Filter, images: list[Image]) -> tuple[Floats, Floats, Floats]:
-    """Return azimuth and distance from the origin (2,) of a wall, their covariance (2, 2), and its extent (2,).
+def _points(images: list[Image], which: NDArray[np.bool_]) -> Floats:
+    """Return where the paths of some images (n,) were reflected, (p, 2) in m."""
+    return np.concatenate([image.points for image, mine in zip(images, which.tolist(), strict=True) if mine])
 
-    The mean of what each image shows, weighted by their joint covariance (Gauss-Markov).
+
+def _mean(planes: Floats, joint: Floats) -> tuple[Floats, Floats]:
+    """Return the mean (2,) of planes (n, 2), weighted by their joint covariance (n, 2, n, 2), and its own (2, 2).
+
+    That is their Gauss-Markov estimate.
     """
-    points = np.concatenate([image.points for image in images])
-    about = 0.5 * (points.min(axis=0) + points.max(axis=0))
-    planes = planes_of(f, images, about)
+    count = len(planes)
+    if count == 1:
+        return planes[0], joint[0, :, 0]
     # Images of one wall differ by next to nothing: what is singular to rounding is no information.
-    weight = np.linalg.pinv(planes.covariance(f).reshape(2 * len(images), -1), rcond=1e-9, hermitian=True)
-    each = np.tile(np.eye(2), (len(images), 1))
+    weight = np.linalg.pinv(joint.reshape(2 * count, -1), rcond=1e-9, hermitian=True)
+    each = np.tile(np.eye(2), (count, 1))
     covariance = np.linalg.inv(each.T @ weight @ each)
-    off = planes.value - planes.value[0]
+    off = planes - planes[0]
     off[:, 0] = wrap_angle(off[:, 0])
-    azimuth, distance = planes.value[0] + covariance @ each.T @ weight @ off.ravel()
-    across, along = normals(azimuth)
-    shift = np.array([[1.0, 0.0], [about @ along, 1.0]])
-    covariance = shift @ covariance @ shift.T
-    t = points @ along
-    return (
-        np.array([wrap_angle(azimuth), distance + about @ across]),
-        0.5 * (covariance + covariance.T),
-        np.array([t.min(), t.max()]),
-    )
+    return planes[0] + covariance @ each.T @ weight @ off.ravel(), covariance

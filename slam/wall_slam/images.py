@@ -10,7 +10,7 @@ propagation paths", IEEE Trans. Signal Processing 71, 2023, section III; which V
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -45,6 +45,14 @@ def place_of(f: Filter, slots: Ints) -> tuple[Floats, Floats]:
     level, up = np.cos(elevation), np.sin(elevation)
     by = np.stack([level * across, away * level * along, -away * up * across], axis=-1)
     return f.anchor[slots, :2] + away * level * across, by
+
+
+def ends_of(f: Filter, images: Sequence[Image]) -> tuple[Floats, Floats, Ints]:
+    """Return site and VT of each image, seen from above, (n, 2, 2) in m, their Jacobians (n, 2, 2, 3), and the states
+    (n, 6) that these are by."""
+    slots = np.array([(image.site, image.vt) for image in images], np.int64).reshape(-1, 2)
+    place, by = place_of(f, slots.ravel())
+    return place.reshape(-1, 2, 2), by.reshape(-1, 2, 2, 3), f.vt_state[slots, VT : VT + 3].reshape(-1, 6)
 
 
 def images_of(f: Filter, seen: Places, hits: int) -> list[Image]:

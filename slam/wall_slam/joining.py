@@ -18,10 +18,10 @@ import numpy as np
 
 from cellslam.sim.frames import wrap_angle
 from cellslam.sim.recording import Floats, Ints
-from cellslam.slam.ekf_slam.state.layout import VT, Filter
+from cellslam.slam.ekf_slam.state.layout import Filter
 from cellslam.slam.model.walls import mirror_plane, normals
 from cellslam.slam.wall_slam.constraints import Gap, log_odds
-from cellslam.slam.wall_slam.images import Image, place_of
+from cellslam.slam.wall_slam.images import Image, ends_of
 
 # Walls that are next to each other differ by 90 degrees and 25 m either way, if they differ: uniform, in rad m.
 ROOM = math.pi * 50.0
@@ -52,18 +52,17 @@ class Planes(NamedTuple):
 
     def covariance(self, f: Filter) -> Floats:
         """Return the joint covariance (n, 2, n, 2) of the planes, in rad^2, rad m and m^2."""
-        joint = f.p[self.at[:, :, None, None], self.at]
-        return np.asarray(np.einsum("nai,nimj,mbj->namb", self.by, joint, self.by, optimize=True))
+        count, at = len(self.at), self.at.ravel()
+        half = self.by @ f.p[at[:, None], at].reshape(count, 6, 6 * count)  # n, a, (m, j)
+        return np.asarray(np.einsum("mbj,namj->namb", self.by, half.reshape(count, 2, count, 6)))
 
 
 def planes_of(f: Filter, images: Sequence[Image], about: Floats) -> Planes:
     """Return the planes of images as seen from `about` (2,) or (n, 2) in m."""
-    slots = np.array([(image.site, image.vt) for image in images])
-    position, by = place_of(f, slots.ravel())
-    position, by = position.reshape(-1, 2, 2), by.reshape(-1, 2, 2, 3)
+    position, by, at = ends_of(f, images)
     value, by_places = mirror_plane(position[:, 0], position[:, 1], about)
     by_states = np.einsum("napc,npci->napi", by_places.reshape(-1, 2, 2, 2), by).reshape(-1, 2, 6)
-    return Planes(value, f.vt_state[slots, VT : VT + 3].reshape(-1, 6), by_states)
+    return Planes(value, at, by_states)
 
 
 def apart(f: Filter, a: Image, b: Image) -> Gap:
