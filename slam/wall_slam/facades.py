@@ -112,4 +112,4 @@ def _mean(planes: Floats, joint: Floats) -> tuple[Floats, Floats]:
     covariance = np.linalg.inv(each.T @ weight @ each)
     off = planes - planes[0]
     off[:, 0] = wrap_angle(off[:, 0])
-    return planes[0] + covariance @ each.T @ weight @ off.ravel(), covariance
+    return np.asarray(planes[0] + covariance @ each.T @ weight @ off.ravel()), np.asarray(covariance)
