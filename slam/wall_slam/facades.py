@@ -71,20 +71,24 @@ class Facades:
         """Return the walls that a filter's VTs with so many detections are images in."""
         images = self._images(f, hits)
         walls, which = np.unique(self._walls(images), return_inverse=True)
-        points = [_points(images, which == n) for n in range(len(walls))]
+        parts = [which == n for n in range(len(walls))]
+        points = [_points(images, mine) for mine in parts]
         middle = np.array([0.5 * (p.min(axis=0) + p.max(axis=0)) for p in points]).reshape(-1, 2)
         planes = planes_of(f, images, middle[which])
         joint = planes.covariance(f)
-        found = [_mean(planes.value[mine], joint[mine][:, :, mine]) for mine in (which == n for n in range(len(walls)))]
-        azimuth, distance = np.array([mean for mean, _ in found]).reshape(-1, 2).T
+        found = [_mean(planes.value[mine], joint[mine][:, :, mine]) for mine in parts]
+        mean, covariance = (np.array([each[c] for each in found]) for c in range(2))
+        azimuth, distance = mean.reshape(-1, 2).T
         across, along = normals(azimuth)
-        shift = np.tile(np.eye(2), (len(walls), 1, 1))  # of the distance: from the middle to the origin
-        shift[:, 1, 0] = (middle * along).sum(axis=1)
-        covariance = shift @ np.array([each for _, each in found]).reshape(-1, 2, 2) @ np.swapaxes(shift, 1, 2)
         reach = [p @ way for p, way in zip(points, along, strict=True)]
         extent = np.array([(t.min(), t.max()) for t in reach]).reshape(-1, 2)
-        distance = distance + (middle * across).sum(axis=1)
-        return WallEstimate(walls, np.asarray(wrap_angle(azimuth)), distance, covariance, extent)
+        shift = np.tile(np.eye(2), (len(walls), 1, 1))  # from the middle to the origin
+        shift[:, 1, 0] = (middle * along).sum(axis=1)
+        covariance = shift @ covariance.reshape(-1, 2, 2) @ np.swapaxes(shift, 1, 2)
+        return WallEstimate(
+            walls, np.asarray(wrap_angle(azimuth)), distance + (middle * across).sum(axis=1),
+            0.5 * (covariance + np.swapaxes(covariance, 1, 2)), extent,
+        )  # fmt: skip
 
     def _images(self, f: Filter, hits: int) -> list[Image]:
         return [image for image in images_of(f, self._seen, hits) if image.ident not in self._doubles]
