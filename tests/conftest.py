@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import os
 import subprocess
 import sys
 from collections.abc import Callable
@@ -92,8 +93,9 @@ PARTS = (
 
 def pytest_sessionstart(session: pytest.Session) -> None:
     """Compile worlds and filters once, in two processes, before the workers of a whole suite all begin to; a worker has
-    one thread, as those of a sweep have."""
+    one thread, as those of a sweep have: of BLAS, too, whose threads wait for one another more than they work."""
     config = session.config
+    os.environ["OPENBLAS_NUM_THREADS"] = "1"  # the workers' libraries read it when they are imported
     if hasattr(config, "workerinput"):
         numba.set_num_threads(1)
     if hasattr(config, "workerinput") or config.args_source is not config.ArgsSource.TESTPATHS:
