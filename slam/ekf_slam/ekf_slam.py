@@ -107,7 +107,7 @@ class JointFilter:
             return answer
         without, trial = self._beside
         other = without.step(dt_s, odometry, snapshot)
-        trial.take(answer, other, without.resolved, self._surprise)
+        trial.take(answer, other, (self.resolved, without.resolved), self._surprise)
         if trial.refused:
             vars(self).update(vars(without))
             self._misfit = [trial.refused]
