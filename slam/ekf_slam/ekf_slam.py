@@ -107,7 +107,9 @@ class JointFilter:
             return answer
         without, trial = self._beside
         other = without.step(dt_s, odometry, snapshot)
-        trial.take(answer, other, (self.resolved, without.resolved), self._surprise)
+        trial.take(
+            answer, other, self._surprise, resolved=self.resolved, resolved_without=without.resolved
+        )  # fmt: skip
         if trial.refused:
             vars(self).update(vars(without))
             self._misfit = [trial.refused]

@@ -38,15 +38,17 @@ class MapTrial:
         self._looks = self._known = 0
         self._surprise = np.zeros(2)
 
-    def take(self, with_map: Estimate, without: Estimate, resolved: tuple[bool, bool], surprise: Floats) -> None:
-        """Take in what both filters answer to a snapshot; `resolved`: whether each knows its clock offsets; `surprise`
-        (2,): of first looks at the map's VTs, as of a filter. Looks with offsets that are not known say nothing of the
-        map: the likeliest may be a wrong one."""
+    def take(
+        self, with_map: Estimate, without: Estimate, surprise: Floats, *, resolved: bool, resolved_without: bool
+    ) -> None:
+        """Take in what both filters answer to a snapshot; `surprise` (2,): of first looks at the map's VTs, as of a
+        filter; `resolved`, `resolved_without`: whether each knows its clock offsets. Looks with offsets that are not
+        known say nothing of the map: the likeliest may be a wrong one."""
         self._surprise = surprise
-        if self._last is not None and resolved[1]:
+        if self._last is not None and resolved_without:
             self._way_m += float(np.linalg.norm(with_map.pose[:2] - self._last))
         self._last = with_map.pose[:2]
-        if with_map.association is not None and resolved[0]:
+        if with_map.association is not None and resolved:
             of = with_map.association[with_map.association >= 0]
             self._looks += len(of)
             self._known += int(((of >= self._ours.start) & (of < self._ours.stop)).sum())

@@ -216,7 +216,7 @@ def test_a_map_that_explains_few_looks_is_refused(ours: int, fits: bool) -> None
     """Of 100 looks a snapshot so many are of the map's VTs."""
     trial = MapTrial(range(1000, 2000))
     for _ in range(25):
-        trial.take(same_looks(ours), same_looks(ours), resolved=(True, True), surprise=np.zeros(2))
+        taken(trial, ours, resolved=True)
     assert trial.believed == fits and ("40% of the looks are of its VTs" in trial.refused) == (not fits)
 
 
@@ -224,14 +224,15 @@ def test_looks_with_offsets_that_are_not_known_say_nothing_of_a_map() -> None:
     """While a vehicle stands, the likeliest offset may be a wrong one, with which no look is of the map's VTs."""
     trial = MapTrial(range(1000, 2000))
     for ours, resolved in [(0, False)] * 25 + [(100, True)]:
-        trial.take(same_looks(ours), same_looks(ours), resolved=(resolved, resolved), surprise=np.zeros(2))
+        taken(trial, ours, resolved)
         assert not trial.refused
         assert trial.believed == resolved
 
 
-def same_looks(ours: int) -> Estimate:
-    """Return an answer to 100 looks, `ours` of which are of VTs from 1000 on."""
-    return Estimate(np.zeros(6), np.eye(6), np.arange(100) + 1000 * (np.arange(100) < ours))
+def taken(trial: MapTrial, ours: int, resolved: bool) -> None:
+    """Let a trial take in one answer of both filters to 100 looks, `ours` of which are of VTs from 1000 on."""
+    same = Estimate(np.zeros(6), np.eye(6), np.arange(100) + 1000 * (np.arange(100) < ours))
+    trial.take(same, same, np.zeros(2), resolved=resolved, resolved_without=resolved)
 
 
 def test_vts_out_of_reach_are_not_touched(drives: list[Recording], maps: list[VtMap]) -> None:
