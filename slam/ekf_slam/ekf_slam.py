@@ -107,9 +107,7 @@ class JointFilter:
             return answer
         without, trial = self._beside
         other = without.step(dt_s, odometry, snapshot)
-        trial.take(
-            answer, other, self._surprise, resolved=self.resolved, resolved_without=without.resolved
-        )  # fmt: skip
+        trial.take(answer, other, self._surprise, resolved=self.resolved, resolved_without=without.resolved)
         if trial.refused:
             vars(self).update(vars(without))
             self._misfit = [trial.refused]
