@@ -39,7 +39,7 @@ DOUBT = 4.0  # log-likelihood that a rival association may lose
 WAY_M, TURN = 0.6, np.radians(2.0)  # a block of snapshots ends after so long a way or turn
 AWAY_S = 3.0  # a VT that was not seen for so long returns, if it is seen again
 AGAIN = 1.25  # filters of all sites that did not agree with the start are tried again after so many times as long
-EVIDENCE = 0.0125  # least share of detections, misses and births that is news: what hides a VT lasts for seconds
+EVIDENCE = 0.0125  # least share of detections and misses that is news: what hides a VT lasts for seconds
 
 
 class JointFilter:
@@ -312,8 +312,8 @@ class JointFilter:
         o, states = self._grouping.options, self.options.errors == "states"
         tables, once, twice = existence(o, step_s)
         rules = Rules(
-            self.mode, float(np.log(o.clutter_density)), o.gate, float(-np.log1p(-o.birth_ratio)), o.confirm_hits,
-            once, twice, min(max(round(o.block_s / step_s), 1), LONGEST) if states else 1, WAY_M, TURN, EVIDENCE,
+            self.mode, float(np.log(o.clutter_density)), o.gate, o.confirm_hits, once, twice,
+            min(max(round(o.block_s / step_s), 1), LONGEST) if states else 1, WAY_M, TURN, EVIDENCE,
             int(o.hold_s / step_s), math.log(o.return_odds), max(round(AWAY_S / step_s), 1),
             DOUBT if self._most > 1 else 0.0, merge_rate=o.merge_rate if states else 0.0,
         )  # fmt: skip

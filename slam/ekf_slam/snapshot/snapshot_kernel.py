@@ -198,27 +198,25 @@ def _count(b: Block, j: int, c: int, e: float, q: float) -> None:
 @lean
 def give_births(
     f: Filter, a: ArrayErrors, b: Block, seen: Measured, association: Ints, s: Sight, w: Pairs, p: Pending
-) -> float:
-    """Begin VTs with looks that nothing explains; return what that adds to the log-likelihood."""
-    rules, total = seen.rules, 0.0
+) -> None:
+    """Begin VTs with looks that nothing explains; that says nothing of a filter: else it could win by looks that it
+    does not explain."""
+    rules = seen.rules
     for link in range(len(seen.first) - 1):
         offset = f.core.first_offset + seen.site_of[link]
         for k in range(seen.first[link], seen.first[link + 1]):
             if w.slot_of[k] != FRESH or not possible(seen.begin[k], f.x[offset]):
                 continue
             ident = seen.born + k
-            if rules.mode == FREE or rules.mode == BELIEF:
-                total += rules.birth
-            elif rules.mode == KNOWN_ASSOCIATION and seen.given[k] >= 0:
+            if rules.mode == KNOWN_ASSOCIATION and seen.given[k] >= 0:
                 ident = seen.given[k]
                 association[k] = ident
-            else:
+            elif rules.mode != FREE and rules.mode != BELIEF:
                 continue
             before = f.count[0]
             begin(f, a, b, seen, link, ident, k, s, p)
             if rules.mode == BELIEF:
                 f.anchor[before : f.count[0], EXISTS] = w.exists[k]
-    return total
 
 
 @lean
@@ -338,7 +336,7 @@ def use_in_bank(
         put(w.exists, pairs.exists[k])
         count_odds(f, b, seen, w)
         take_in(f, b, seen, association[k], room.sight, w)
-        rest[k] += rules.evidence * give_births(f, a, b, seen, association[k], room.sight, w, room.pending)
+        give_births(f, a, b, seen, association[k], room.sight, w, room.pending)
         full = b.snapshots[0] >= rules.snapshots or b.total[0] > rules.way or abs(b.total[1]) > rules.turn
         if full or pairs.ends[k] == 1:
             rest[k] += conclude(f, a, b, interval.noise, seen, room.sight, room.pending)

@@ -120,22 +120,19 @@ class Rules(NamedTuple):
     """Options of the compiled filters.
 
     `mode`: what the measurements may do to the map; `log_clutter`: log of the clutter density; `gate`: squared
-    Mahalanobis distance; `birth`: what a birth adds to the log-likelihood (belief propagation: the odds of a new VT
-    against clutter); `confirm`: detections that confirm a VT; `age_once`, `age_twice`: snapshots after which one
+    Mahalanobis distance; `confirm`: detections that confirm a VT; `age_once`, `age_twice`: snapshots after which one
     that was seen once, or a few times, is dropped. A block ends after so many `snapshots`, so long a `way` (m) or
-    `turn` (rad); `evidence`: what share of detections, misses and births counts; `hold`: snapshots after which a
-    weight that was not met is given up; `return_log_odds`: least log-odds that a look is of a VT which was last seen
-    more than `away` snapshots ago, not of another one nearby; `doubt`: what a rival association may lose of
-    log-likelihood. Belief propagation: probabilities that a visible VT stays so, that a hidden one comes `back`, of
-    `detection`, and below which a VT is given up, `drop`. `step`: log-probability that a clock which may step does so
-    in a block. `merge_rate`: how often another path merges with that of a VT, 1/s;
-    0: never.
+    `turn` (rad); `evidence`: what share of detections and misses counts; `hold`: snapshots after which a weight that
+    was not met is given up; `return_log_odds`: least log-odds that a look is of a VT which was last seen more than
+    `away` snapshots ago, not of another one nearby; `doubt`: what a rival association may lose of log-likelihood.
+    Belief propagation: odds of a `birth` against clutter, probabilities that a visible VT stays so, that a hidden one
+    comes `back`, of `detection`, and below which a VT is given up, `drop`. `step`: log-probability that a clock which
+    may step does so in a block. `merge_rate`: how often another path merges with that of a VT, 1/s; 0: never.
     """
 
     mode: int
     log_clutter: float
     gate: float
-    birth: float
     confirm: int
     age_once: int
     age_twice: int
@@ -147,6 +144,7 @@ class Rules(NamedTuple):
     return_log_odds: float
     away: int
     doubt: float = 0.0
+    birth: float = 0.0
     stay: float = 1.0
     back: float = 0.0
     detection: float = 1.0

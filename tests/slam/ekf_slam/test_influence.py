@@ -117,6 +117,19 @@ def test_guesses_that_are_left_have_what_those_given_up_were_worth(one_filter: t
     assert found == {5: 7.0, 6: 8.0}
 
 
+def test_looks_that_nothing_explains_say_nothing() -> None:
+    """Or a wrong offset, whose VTs move away and are begun again at each snapshot, would win by that."""
+    drive, estimator = tiny_drive(), EkfSlam()
+    estimator.start(setup_of(drive), np.random.default_rng(0))
+    banks = estimator._start.banks
+    before = [bank.influence.rest.copy() for bank in banks]
+    estimator.step(0.0, drive.odometry[0], next(iter(snapshots_of(drive))))
+    births = np.concatenate([bank.arrays.count[: len(bank), 0] for bank in banks])
+    assert births.min() == 0 and births.max() > 0  # those with a later clock than any distance have none
+    for bank, rest in zip(banks, before, strict=True):
+        np.testing.assert_array_equal(bank.influence.rest, rest)
+
+
 def over_an_edge() -> Recording:
     """Return the drive with one path of the second site over an edge, alone for a while: its distances are those to the
     edge and as much as it is from there, its directions those of the edge."""
