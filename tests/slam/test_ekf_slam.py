@@ -62,6 +62,20 @@ def test_known_map_is_better_than_none(white_drive: Recording) -> None:
     assert known["clock_offset_rmse_m"] < 0.5
 
 
+def test_the_start_finds_the_offset_by_exact_measurements() -> None:
+    """Where births counted, it was wrong by up to a hundred deviations in three of these four drives."""
+    scenario = load("noiseless", {"vehicle.distance_m": 15.0, "vehicle.duration_s": 20.0, "vehicle.stops": 0})
+    (request,) = resolve(scenario.estimator, ("ekf-slam",))
+    warm_up(request)
+    for trial in (6, 7, 9, 10):
+        drive = simulate(scenario, 4000, trial)
+        assert drive.truth is not None
+        found = estimate(drive, request, np.random.default_rng(0))
+        apart = found.clock_offset_m[-1] - drive.truth.clock_offsets_m
+        assert np.all(np.abs(apart) < 4.0 * np.sqrt(found.clock_offset_variance_m2[-1]))
+        assert abs(apart[0]) < 5.0
+
+
 def test_map_stays_bounded() -> None:
     few = EkfSlamOptions(vts=12, start_limit_s=3.0, sharing="none")
     estimator, recording = EkfSlam(few), tiny_drive()
