@@ -22,7 +22,7 @@ from cellslam.slam.ekf_slam.state.layout import SHARE
 from cellslam.slam.model.measurement_model import predict
 
 VT, Q = np.array([60.0, 45.0, 12.0]), np.array([0.01, 1e-4, 1e-4])
-DRIFT = {"odometry.gyro_bias_deg_per_s": 0.5}
+DRIFT = {"odometry.gyro_bias_deg_per_s": 0.5, "vehicle.duration_s": 20.0, "vehicle.distance_m": 15.0}
 
 
 def see(one: Any, now: int, pose: Any, z: Any) -> None:

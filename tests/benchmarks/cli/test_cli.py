@@ -20,9 +20,10 @@ import pytest
 from cellslam.benchmarks.cli.main import build_parser
 from cellslam.benchmarks.scores.trial_result import ROW_KEYS
 from cellslam.scenarios import load
+from tests.short_drive import SET, SHORT
 
 COMMAND = Path(sys.executable).parent / "cellslam"
-FEW = ("--set", "estimator.fastslam.particles=20")
+FEW = (*SHORT, "--set", "estimator.fastslam.particles=20")
 
 PLUGIN = """
 import os, signal, time
@@ -92,7 +93,7 @@ def test_run_prints_a_table_and_writes_the_results(cellslam: Any, tmp_path: Path
     scenario = load(folder / "scenario.toml")
     assert scenario.name == "tiny"
     assert scenario.estimator["fastslam"]["particles"] == 20
-    assert scenario.world == load("tiny").world
+    assert scenario.world == load("tiny", SET).world
     for figure in ("map", "error", "associations", "clock_offsets"):
         assert (folder / f"{figure}.png").read_bytes().startswith(b"\x89PNG")
 
@@ -234,8 +235,9 @@ def test_show_and_list(cellslam: Any) -> None:
 def test_quiet_and_verbose_stand_before_a_command_or_after_it(cellslam: Any) -> None:
     for words in (("--verbose", "show", "tinny"), ("show", "tinny", "--verbose")):
         assert "Traceback" in cellslam(*words).err
-    assert "results are in" in cellslam(*RUN, "--no-figures").err
-    assert cellslam("--quiet", *RUN, "--no-figures").err == cellslam(*RUN, "--no-figures", "--quiet").err == ""
+    short = (*RUN, *SHORT, "--no-figures")
+    assert "results are in" in cellslam(*short).err
+    assert cellslam("--quiet", *short).err == cellslam(*short, "--quiet").err == ""
 
 
 def test_version(cellslam: Any) -> None:

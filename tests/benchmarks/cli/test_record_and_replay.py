@@ -11,8 +11,9 @@ import numpy as np
 from cellslam.benchmarks import run as run_trials
 from cellslam.benchmarks.scores.trial_result import COST_KEYS, ROW_KEYS
 from cellslam.sim.recording import Recording
+from tests.short_drive import SET, SHORT
 
-FEW = ("--set", "estimator.fastslam.particles=20")
+DETECTED = "estimator.fastslam.detection_probability"
 
 
 def steady(rows: list[dict[str, Any]]) -> list[dict[str, Any]]:
@@ -21,12 +22,12 @@ def steady(rows: list[dict[str, Any]]) -> list[dict[str, Any]]:
 
 def test_same_seed_same_rows_also_from_python_and_through_a_recording(cellslam: Any, tmp_path: Path) -> None:
     words = ("--json", "--no-figures", "--quiet")
-    run = cellslam("run", "tiny", *FEW, "--seed", "7", *words)
+    run = cellslam("run", "tiny", *SHORT, "--seed", "7", *words)
     assert run.err == ""
     frame = rows_from_python(seed=7)
     assert steady(run.rows) == frame
-    assert cellslam("record", "tiny", "--seed", "7", "--out", "a.h5").status == 0
-    replay = cellslam("replay", "a.h5", *FEW, *words)
+    assert cellslam("record", "tiny", *SHORT, "--seed", "7", "--out", "a.h5").status == 0
+    replay = cellslam("replay", "a.h5", *words)
     assert replay.status == 0
     assert steady(replay.rows) == steady(run.rows)
     draws = (
@@ -41,12 +42,12 @@ def test_same_seed_same_rows_also_from_python_and_through_a_recording(cellslam: 
     same, other = (cellslam("replay", "a.h5", "--seed", seed, *draws).rows for seed in ("7", "8"))
     assert other[1]["position_rmse_m"] == same[1]["position_rmse_m"] == run.rows[1]["position_rmse_m"]
     assert other[0]["position_rmse_m"] != same[0]["position_rmse_m"]
-    another = cellslam("run", "tiny", "--estimator", "dead-reckoning", "--seed", "8", *words).rows
+    another = cellslam("run", "tiny", *SHORT, "--estimator", "dead-reckoning", "--seed", "8", *words).rows
     assert another[0]["position_rmse_m"] != run.rows[1]["position_rmse_m"]
 
 
 def rows_from_python(seed: int) -> list[dict[str, Any]]:
-    frame = run_trials("tiny", ["fastslam", "dead-reckoning"], 1, seed, {"estimator.fastslam.particles": 20})
+    frame = run_trials("tiny", ["fastslam", "dead-reckoning"], 1, seed, SET)
     assert tuple(frame.columns) == ROW_KEYS
     plain = [{k: None if v != v else v for k, v in row.items()} for row in frame.to_dict("records")]
     return steady(plain)
@@ -73,11 +74,12 @@ def test_a_data_set_of_many_drives_goes_on_where_it_ended(cellslam: Any, tmp_pat
 
 
 def test_recorded_scenario_brings_its_options(cellslam: Any) -> None:
-    cellslam("record", "tiny", *FEW, "--out", "c.h5")
+    option = ("--set", f"{DETECTED}=0.7")
+    cellslam("record", "tiny", *SHORT, *option, "--out", "c.h5")
     words = ("--json", "--no-figures")
     brought = cellslam("replay", "c.h5", *words).rows
-    assert steady(brought) == steady(cellslam("run", "tiny", *FEW, *words).rows)
-    changed = cellslam("replay", "c.h5", "--set", "estimator.fastslam.detection_probability=0.5", *words).rows
+    assert steady(brought) == steady(cellslam("run", "tiny", *SHORT, *option, *words).rows)
+    changed = cellslam("replay", "c.h5", "--set", f"{DETECTED}=0.5", *words).rows
     assert changed[0]["position_rmse_m"] != brought[0]["position_rmse_m"]
 
 

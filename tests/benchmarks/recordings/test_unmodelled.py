@@ -18,7 +18,6 @@ from cellslam.benchmarks.trials.estimation import estimate, warm_up
 from cellslam.scenarios.recording_origin import Origin
 from cellslam.sim.recording import Recording
 
-CAMPAIGNS = 8  # one of each kind
 CHANCE = 1.2  # of two estimates that are about as good
 
 
@@ -45,13 +44,17 @@ def test_ranges_to_polled_beacons_beat_odometry(studies: Any, seed: int) -> None
     assert found["ekf-slam"] < 0.5 * found["dead-reckoning"]
 
 
-@pytest.mark.parametrize("number", range(CAMPAIGNS))
-def test_what_is_learnt_does_no_harm(studies: Any, number: int) -> None:
-    """Campaigns of all kinds by data sheets that are wrong by a factor of five, replayed as they are and fitted."""
-    kinds = {**studies("study_worlds").WORLDS, "surveyed": studies("study_worlds").surveyed}
-    name = list(kinds)[number % len(kinds)]
-    factor = (5.0, 0.2)[(number // len(kinds) + number) % 2]
-    recording = studies("study_sheets").mistold(build(kinds[name](3000 + number)), "odometry", factor, ("ekf-slam",))
+# By which the data sheet is wrong; trees alone are left out, as they are the same with worse odometry.
+FACTORS = {"hall": 5.0, "hall with an arm": 0.2, "places": 5.0, "beacons": 0.2, "trees by bad odometry": 0.2,
+           "cellular": 5.0, "surveyed": 0.2}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", FACTORS)
+def test_what_is_learnt_does_no_harm(studies: Any, name: str) -> None:
+    """Campaigns of nearly all kinds by data sheets that are wrong by a factor of five, as they are and fitted."""
+    kinds, factor = {**studies("study_worlds").WORLDS, "surveyed": studies("study_worlds").surveyed}, FACTORS[name]
+    campaign = kinds[name](3000 + list(kinds).index(name))
+    recording = studies("study_sheets").mistold(build(campaign), "odometry", factor, ("ekf-slam",))
     as_told, fitted = (error(recording, fit) for fit in (False, True))
     assert fitted < CHANCE * as_told, f"{name}, told {factor}: {as_told:.2f} m as told, {fitted:.2f} m fitted"
 

@@ -28,8 +28,8 @@ from cellslam.benchmarks.sweeps.rows import results
 from cellslam.benchmarks.sweeps.store import DATABASE
 from cellslam.sim.errors import InputError
 from cellslam.sim.progress import silent
+from tests.short_drive import SET, SHORT
 
-SET = {"vehicle.distance_m": 5, "vehicle.duration_s": 7.5, "vehicle.stops": 0, "vehicle.stand_first_s": 0}
 PLUGIN = """
 class Breaks:
     name = "breaks"
@@ -47,8 +47,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(sys, "path", [*sys.path, str(place)])
         tasks.request_of.cache_clear()
-        short = [word for key, value in SET.items() for word in ("--set", f"{key}={value}")]
-        line = ["sweep", "tiny", *short, "--sweep", "radio.load=0.1,1", "--sweep", f"{PARTICLES}=10,40"]
+        line = ["sweep", "tiny", *SHORT, "--sweep", "radio.load=0.1,1", "--sweep", f"{PARTICLES}=10,40"]
         for name in ("fastslam", "dead-reckoning", "breaks:Breaks"):
             line += ["--estimator", name]
         assert main([*line, "--trials", "6", "--out", str(place / "out"), "--executor", "serial", "--quiet"]) == 1

@@ -80,7 +80,7 @@ def test_replay_and_inspect_say_it(
 ) -> None:
     (tmp_path / "lost.py").write_text(LOST)
     monkeypatch.chdir(tmp_path)
-    toy_recording(300).save(tmp_path / "a.h5")
+    toy_recording(100).save(tmp_path / "a.h5")
     both = ["--estimator", "lost:Lost", "--estimator", "ekf-slam"]
     assert cli.main(["replay", "a.h5", *both, "--no-figures"]) == 0
     said = capsys.readouterr().err

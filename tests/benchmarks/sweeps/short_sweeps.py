@@ -12,10 +12,9 @@ from typing import Any
 
 from cellslam.benchmarks.scores.trial_result import COST_KEYS, ROW_KEYS
 from cellslam.benchmarks.sweeps.store import DATABASE
+from tests.short_drive import SHORT
 
 COMMAND = Path(sys.executable).parent / "cellslam"
-SET = {"vehicle.distance_m": 5, "vehicle.duration_s": 7.5, "vehicle.stops": 0, "vehicle.stand_first_s": 0}
-SHORT = tuple(word for key, value in SET.items() for word in ("--set", f"{key}={value}"))
 PLUGIN = """
 import os, time
 import numpy as np

@@ -22,7 +22,8 @@ from cellslam.benchmarks.sweeps import executors, sweeping, tasks
 from cellslam.benchmarks.sweeps.store import TRAJECTORIES, writing
 from cellslam.benchmarks.trials.child_process import Limits
 from cellslam.scenarios import sweep_points as sweep
-from tests.benchmarks.sweeps.short_sweeps import PLUGIN, SET, rows, start, stored, wait_for, words
+from tests.benchmarks.sweeps.short_sweeps import PLUGIN, rows, start, stored, wait_for, words
+from tests.short_drive import SET
 
 # How often driver and workers are killed; the full test: CELLSLAM_KILLS=20 pytest tests/benchmarks/sweeps/test_kills.py
 KILLS = int(os.environ.get("CELLSLAM_KILLS", "1"))

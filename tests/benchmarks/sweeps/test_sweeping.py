@@ -19,7 +19,8 @@ from cellslam.benchmarks.sweeps.worker_pool import Pool
 from cellslam.benchmarks.trials.child_process import Limits
 from cellslam.scenarios import sweep_points as sweep
 from cellslam.sim.errors import InputError
-from tests.benchmarks.sweeps.short_sweeps import PLUGIN, SET, rows, start, stored, wait_for, words
+from tests.benchmarks.sweeps.short_sweeps import PLUGIN, rows, start, stored, wait_for, words
+from tests.short_drive import SET
 
 
 def test_processes_give_the_rows_of_one_process(place: Path) -> None:

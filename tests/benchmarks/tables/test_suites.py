@@ -19,8 +19,8 @@ from cellslam.benchmarks.tables.suite_tables import suite_markdown
 from cellslam.scenarios import load, suites
 from cellslam.scenarios.suites import SUITES, Suite, digest, scenario_of, suite, superseded_by
 from cellslam.sim.errors import InputError
+from tests.short_drive import SET, SHORT
 
-SHORT = {"vehicle.distance_m": 5, "vehicle.duration_s": 7.5, "vehicle.stops": 0, "vehicle.stand_first_s": 0}
 # A suite never changes: what would change its results is another version.
 DIGESTS = {
     "standard-1": "63174b9494a6a595f55388b580d51296aa33bc002a1534cc3c206bfb19c46270",
@@ -80,7 +80,7 @@ def test_accuracy_writes_its_tables_and_resumes(
     tmp_path: Path, capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     # The suite's drives take seconds: a short one under the name of one of them.
-    monkeypatch.setattr(suites, "scenario_of", lambda _, name: load("tiny", {**SHORT, "name": name}))
+    monkeypatch.setattr(suites, "scenario_of", lambda _, name: load("tiny", {**SET, "name": name}))
     page = tmp_path / "results.md"
     line = ["bench", "accuracy", "--trials", "1", "--scenario", "canyon", "--estimator", "dead-reckoning"]
     line += ["--executor", "serial", "--out", str(tmp_path / "out"), "--write", str(page)]
@@ -106,7 +106,7 @@ def entry(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     monkeypatch.setitem(
         SUITES, "standard-2", Suite("standard-2", ("full", "canyon", "anywhere"), 530, 6, {"anywhere": 1})
     )
-    monkeypatch.setattr(suites, "scenario_of", lambda _, name: load("tiny", {**SHORT, "name": name}))
+    monkeypatch.setattr(suites, "scenario_of", lambda _, name: load("tiny", {**SET, "name": name}))
     line = ["bench", "accuracy", "--estimator", "dead-reckoning", "--estimator", "ekf-slam", "--executor", "serial"]
     words = [
         "--out",
@@ -204,8 +204,7 @@ def test_wrong_requests_are_one_line(
 
 
 def test_monte_carlo_measures_rates_overhead_and_table(capfd: pytest.CaptureFixture[str]) -> None:
-    short = [word for key, value in SHORT.items() for word in ("--set", f"{key}={value}")]
-    line = ["bench", "monte-carlo", "tiny", *short, "--estimator", "dead-reckoning"]
+    line = ["bench", "monte-carlo", "tiny", *SHORT, "--estimator", "dead-reckoning"]
     assert main([*line, "--trials", "2", "--jobs", "1", "--rows", "400", "--json"]) == 0
     out, err = capfd.readouterr()
     found = json.loads(out)

@@ -24,11 +24,10 @@ from cellslam.benchmarks.trials.guests import Guests
 from cellslam.benchmarks.trials.trials import score_recording, score_trial
 from cellslam.scenarios.estimator_options import Request, foreign
 from cellslam.sim.recording import Recording
+from tests.short_drive import SET, SHORT
 
 FILE = Path(__file__).with_name("hostile_estimators.py")
 MODULE = "hostile_estimators"
-SET = {"vehicle.distance_m": 5, "vehicle.duration_s": 7.5, "vehicle.stops": 0, "vehicle.stand_first_s": 0}
-SHORT = tuple(word for key, value in SET.items() for word in ("--set", f"{key}={value}"))
 GIB = 2**30
 # Of all those in the module, the ones that are driven through the commands; and those that need their process to end.
 COMMANDS = ("Surrogate", "NoWords", "Long", "OwnBase", "Exits", "Garbage", "Far", "TwoDimensionalIds")

@@ -23,6 +23,7 @@ from cellslam.sim.errors import InputError
 from cellslam.sim.frames import integrate_pose
 from cellslam.sim.recording import Recording
 from cellslam.slam.api import Estimate, Setup, Snapshot, VtEstimate
+from tests.short_drive import SET
 
 Toy = Callable[..., Recording]
 
@@ -326,8 +327,9 @@ def test_without_truth_there_are_no_scores(toy_recording: Toy) -> None:
     assert row["realtime_factor"] > 0
 
 
-def test_same_rows_on_any_number_of_threads() -> None:
-    overrides = {"estimator.fastslam.particles": 50}
+@pytest.mark.parametrize("errors", ["states", "counted"])
+def test_same_rows_on_any_number_of_threads(errors: str) -> None:
+    overrides = {**SET, "estimator.fastslam.errors": errors, "estimator.fastslam.particles": 50}
 
     def rows(threads: int) -> list[dict[str, Any]]:
         before = numba.get_num_threads()

@@ -108,11 +108,11 @@ def steps_of(count: int) -> list[Step]:
     return Subject(PathParticles, None, tiny_drive()).steps(count)
 
 
-def test_compiled_filter_is_the_reference_over_120_snapshots() -> None:
+def test_compiled_filter_is_the_reference_over_80_snapshots() -> None:
     options = FastSlamOptions(
         errors="counted", particles=32, particles_start=64, start_phase_s=3.0, effective_share=0.9
     )
-    placed = drive_both(options, steps_of(120))
+    placed = drive_both(options, steps_of(80))
     assert placed.regrouped == 1
     assert placed.within > 30
     assert placed.between > 0
