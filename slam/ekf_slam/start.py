@@ -24,7 +24,7 @@ from cellslam.slam.ekf_slam.calibration_states import begin_with
 from cellslam.slam.ekf_slam.ekf_slam_options import EkfSlamOptions
 from cellslam.slam.ekf_slam.snapshot.motion_kernel import Interval
 from cellslam.slam.ekf_slam.state.layout import POSE, ArrayErrors, Core, Measured
-from cellslam.slam.model.pose_moments import mixture_moments
+from cellslam.slam.model.pose_moments import known_together, mixture_moments
 
 REACH = 4.0  # the components cover this many deviations of the prior
 COMBINATIONS, LEAST = 32, 0.001  # of components that go on, and how likely each must be against the best of its site
@@ -49,11 +49,13 @@ def components(std_m: float, component_std_m: float, step: float) -> tuple[Float
 
 @dataclass
 class Start:
-    """A bank for each site, whose offset is its own; `errors`: those that are states in each filter."""
+    """A bank for each site, whose offset is its own, and one of a filter that knows `odometry` alone; `errors`: those
+    that are states in each filter."""
 
     core: Core
     errors: ArrayErrors
     banks: list[Bank]
+    odometry: Bank
     site: Ints
     options: EkfSlamOptions
 
@@ -68,7 +70,7 @@ class Start:
         )
         measured, ends = measured._replace(rules=rules), measured.now % PRUNE_EVERY == 0
         site_of_look = np.repeat(self.site, np.diff(measured.first))
-        associations = side_by_side(self.banks, self.errors, interval, measured, self.options.vts)
+        *associations, _ = side_by_side([*self.banks, self.odometry], self.errors, interval, measured, self.options.vts)
         for site, (bank, association) in enumerate(zip(self.banks, associations, strict=True)):
             mine = site_of_look == site
             answer[mine] = association[int(np.argmax(bank.log_weight)), mine]
@@ -93,14 +95,23 @@ class Start:
 
     def pose(self, means: Floats, covariances: Floats) -> tuple[Floats, Floats]:
         """Return the pose (6,), in m and rad, and its covariance (6, 6): the mean over the banks, weighted by how well
-        each knows its place, what they are apart being in the covariance."""
+        each knows its place; what they know together, and as much more as the mean of such errs that are so far apart.
+        """
+        x, p, weight = self._weighted(means, covariances)
+        mean, apart = mixture_moments(weight, x, np.zeros_like(p))
+        known = known_together(p, self.odometry.arrays.p[0, :POSE, :POSE])
+        return mean, known + apart / max(len(x) - 1, 1)
+
+    def _weighted(self, means: Floats, covariances: Floats) -> tuple[Floats, Floats, Floats]:
+        """Return the poses (S, 6), their covariances (S, 6, 6) and weights (S,)."""
         x, p = means[:, :POSE], covariances[:, :POSE, :POSE]
         weight = 1.0 / (p[:, 0, 0] + p[:, 1, 1] + KNOWN_M2)
-        return mixture_moments(weight / weight.sum(), x, p)
+        return x, p, weight / weight.sum()
 
     def agrees(self, state: Floats) -> bool:
-        """Return whether place and yaw of a state (N,), in m and rad, may be those of the banks."""
-        (mean, covariance), at = self.pose(*self.moments()), [0, 1, 3]
+        """Return whether place and yaw of a state (N,), in m and rad, may be those of one bank or another."""
+        x, p, weight = self._weighted(*self.moments())
+        (mean, covariance), at = mixture_moments(weight, x, p), [0, 1, 3]
         apart = state[at] - mean[at]
         apart[2] = wrap_angle(apart[2])
         return bool(apart @ np.linalg.solve(covariance[np.ix_(at, at)] + KNOWN_M2 * np.eye(3), apart) < GATE)
@@ -145,4 +156,7 @@ def begin(setup: Setup, core: Core, errors: ArrayErrors, options: EkfSlamOptions
         if options.known_calibration is not None:
             begin_with(bank, errors, options.known_calibration)
         banks.append(bank)
-    return Start(core, errors, banks, setup.links.site, options)
+    none = np.zeros(len(sites))
+    odometry = new_bank(setup, core, errors, none[None], none, 1, core.size)
+    odometry.arrays.links[:] = 0
+    return Start(core, errors, banks, odometry, setup.links.site, options)

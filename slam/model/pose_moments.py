@@ -1,7 +1,8 @@
-"""Mean and covariance of mixtures: of Gaussians, and of weighted poses.
+"""Mean and covariance of mixtures: of Gaussians, and of weighted poses; covariance of what several estimates know.
 
 Source: Bar-Shalom, Li and Kirubarajan, "Estimation with applications to tracking and navigation", 2001, section 1.4
-(moments of a mixture).
+(moments of a mixture); Grime and Durrant-Whyte, "Data fusion in decentralized sensor networks", Control Engineering
+Practice 2, 1994 (estimates that have something in common).
 """
 
 from __future__ import annotations
@@ -10,6 +11,8 @@ import numpy as np
 
 from cellslam.sim.frames import wrap_angle
 from cellslam.sim.recording import Floats
+
+TINY = 1e-9  # a variance, or a share of one, that is none
 
 
 def pose_moments(poses: Floats, weights: Floats, centre: Floats) -> tuple[Floats, Floats]:
@@ -30,3 +33,19 @@ def mixture_moments(weight: Floats, x: Floats, p: Floats) -> tuple[Floats, Float
     mean = weight @ x
     apart = x - mean
     return mean, np.einsum("k,kij->ij", weight, p) + (apart * weight[:, None]).T @ apart
+
+
+def known_together(p: Floats, prior: Floats) -> Floats:
+    """Return the covariance (n, n) of what K estimates know together, of covariances p (K, n, n), each from a prior
+    (n, n) that is the same, and from measurements that are not.
+
+    The information of each beyond the prior's is added up: (prior^-1 + sum of (p^-1 - prior^-1))^-1, none where an
+    estimate knows less than the prior.
+    """
+    room = TINY * np.eye(len(prior))
+    root = np.linalg.cholesky(prior + room)
+    whiten = np.linalg.inv(root)
+    share, axes = np.linalg.eigh(whiten @ (p + room) @ whiten.T)  # of the prior's variance, what is left of it
+    gain = np.maximum(1.0 / np.maximum(share, TINY) - 1.0, 0.0)
+    information = np.eye(len(prior)) + np.einsum("kij,kj,klj->il", axes, gain, axes)
+    return np.asarray(root @ np.linalg.inv(information) @ root.T)

@@ -112,9 +112,11 @@ def test_a_bank_that_knows_its_place_well_has_the_word(bank: Bank) -> None:
     start = begin(setup, bank.core, NO_ERRORS, EkfSlamOptions(component_std_m=1000.0))
     for one, x, variance in zip(start.banks, (0.0, 3.0), (1.0, 2.0), strict=True):
         one.arrays.x[0, :6], one.arrays.p[0, :6, :6] = [x, 0.0, 0.0, 0.0, 0.0, 0.0], 0.5 * variance * np.eye(6)
+    start.odometry.arrays.p[0, :6, :6] = 4.0 * np.eye(6)
     mean, cov = start.pose(*start.moments())
     np.testing.assert_allclose(mean, [1.0, 0.0, 0.0, 0.0, 0.0, 0.0], atol=1e-5)
-    np.testing.assert_allclose(np.diag(cov)[:2], [2.0 / 3.0 + 2.0, 2.0 / 3.0], rtol=1e-5)
+    known = 1.0 / (1.0 / 0.5 + 1.0 / 1.0 - 1.0 / 4.0)
+    np.testing.assert_allclose(np.diag(cov)[:2], [known + 2.0, known], rtol=1e-5)
 
 
 @pytest.mark.parametrize(

@@ -1,9 +1,9 @@
-"""Moments of weighted poses."""
+"""Moments of weighted poses, and what several estimates know together."""
 
 import numpy as np
 
 from cellslam.sim.frames import wrap_angle
-from cellslam.slam.model.pose_moments import pose_moments
+from cellslam.slam.model.pose_moments import known_together, pose_moments
 
 
 def test_moments_across_the_cut_of_the_angles_are_those_of_the_poses_turned_away_from_it():
@@ -20,3 +20,28 @@ def test_moments_across_the_cut_of_the_angles_are_those_of_the_poses_turned_away
     assert abs(wrap_angle(other[3] - mean[3] - np.pi)) < 1e-12
     assert -np.pi < other[3] <= np.pi
     assert np.allclose(same, covariance)
+
+
+def drawn(rng: np.random.Generator, rows: int) -> np.ndarray:
+    root = rng.normal(size=(rows, 4))
+    return root.T @ root
+
+
+def test_estimates_from_one_prior_know_together_what_all_measurements_tell():
+    rng = np.random.default_rng(6)
+    prior, told = drawn(rng, 9), [drawn(rng, rows) for rows in (4, 2, 1)]  # the last ones tell a part of it alone
+    each = np.array([np.linalg.inv(np.linalg.inv(prior) + one) for one in told])
+    whole = np.linalg.inv(np.linalg.inv(prior) + sum(told))
+    np.testing.assert_allclose(known_together(each, prior), whole, rtol=1e-6, atol=1e-8)
+    np.testing.assert_allclose(known_together(np.array([prior, prior]), prior), prior, rtol=1e-6, atol=1e-8)
+
+
+def test_an_estimate_that_knows_less_than_the_prior_adds_nothing_and_what_is_known_stays_known():
+    rng = np.random.default_rng(7)
+    prior, told = drawn(rng, 9), drawn(rng, 4)
+    each = np.array([np.linalg.inv(np.linalg.inv(prior) + told), 3.0 * prior])
+    np.testing.assert_allclose(known_together(each, prior), each[0], rtol=1e-6, atol=1e-8)
+    prior[0], prior[:, 0] = 0.0, 0.0
+    found = known_together(np.array([prior, prior]), prior)
+    np.testing.assert_allclose(found, prior, rtol=1e-6, atol=1e-8)
+    assert np.all(np.linalg.eigvalsh(found) > 0.0)
