@@ -39,13 +39,15 @@ def known_together(p: Floats, prior: Floats) -> Floats:
     """Return the covariance (n, n) of what K estimates know together, of covariances p (K, n, n), each from a prior
     (n, n) that is the same, and from measurements that are not.
 
-    The information of each beyond the prior's is added up: (prior^-1 + sum of (p^-1 - prior^-1))^-1, none where an
-    estimate knows less than the prior.
+    The information of each beyond the prior's is added up: (prior^-1 + sum of (p^-1 - prior^-1))^-1. Where an estimate
+    knows less than the prior, what it lacks counts for one part in K: so the sum stays positive, and one estimate alone
+    keeps its own covariance.
     """
     room = TINY * np.eye(len(prior))
     root = np.linalg.cholesky(prior + room)
     whiten = np.linalg.inv(root)
     share, axes = np.linalg.eigh(whiten @ (p + room) @ whiten.T)  # of the prior's variance, what is left of it
-    gain = np.maximum(1.0 / np.maximum(share, TINY) - 1.0, 0.0)
+    gain = 1.0 / np.maximum(share, TINY) - 1.0
+    gain = np.where(gain < 0.0, gain / len(p), gain)
     information = np.eye(len(prior)) + np.einsum("kij,kj,klj->il", axes, gain, axes)
     return np.asarray(root @ np.linalg.inv(information) @ root.T)
