@@ -20,7 +20,7 @@ from cellslam.slam.ekf_slam.map_states import Remembered
 from cellslam.slam.ekf_slam.snapshot.birth_kernel import map_of
 from cellslam.slam.ekf_slam.snapshot.motion_kernel import Interval
 from cellslam.slam.ekf_slam.snapshot.sizes_kernel import SIZES
-from cellslam.slam.ekf_slam.snapshot.snapshot_kernel import Paired, pair_in_bank, use_in_bank
+from cellslam.slam.ekf_slam.snapshot.snapshot_kernel import Paired, go_on_in_bank
 from cellslam.slam.ekf_slam.state.layout import (
     ANCHOR,
     BELIEF,
@@ -127,13 +127,19 @@ class Bank:
         if len(self) >= most:
             return side_by_side([self], errors, interval, measured, most_vts)[0]
         pairs = self._unpaired(measured, most_vts)
-        together([partial(pair_in_bank, self.arrays, errors, self.blocks, interval, measured, pairs)], len(self))
+        together([self._work(errors, interval, measured, pairs, using=False)], len(self))
         pairs = self._doubt(pairs, measured.rules.doubt, most)
-        association = np.full((len(self), len(measured.z)), -1, np.int64)
-        use = partial(use_in_bank, self.arrays, errors, self.blocks, interval, measured, pairs)
-        together([partial(use, association, self.influence.rest)], len(self))
-        self._weigh(association, measured)
-        return association
+        together([self._work(errors, interval, measured, pairs, pairing=False)], len(self))
+        self._weigh(pairs.ident, measured)
+        return pairs.ident
+
+    def _work(
+        self, errors: ArrayErrors, interval: Interval, measured: Measured, pairs: Paired, pairing: bool = True,
+        using: bool = True,
+    ) -> Work:  # fmt: skip
+        """Return the work of pairing a snapshot in every filter, and of using it as it is paired."""
+        at = self.arrays, errors, self.blocks, interval, measured, pairs, self.influence.rest
+        return partial(go_on_in_bank, *at, pairing, using)
 
     def _weigh(self, association: Ints, measured: Measured) -> None:
         """Take a snapshot and its associations (K, m) into the weights."""
@@ -154,7 +160,8 @@ class Bank:
         self.arrays.losses[:] = 0
         k, m, whole = len(self), len(measured.z), np.int64
         return Paired(
-            np.empty((k, m), whole), np.empty((k, m)), np.empty((k, 1)), np.empty((k, 4), whole), np.zeros(k, whole)
+            np.empty((k, m), whole), np.empty((k, m)), np.empty((k, 1)), np.empty((k, 4), whole), np.zeros(k, whole),
+            np.full((k, m), -1),
         )  # fmt: skip
 
     def _doubt(self, pairs: Paired, doubt: float, most: int) -> Paired:
@@ -285,16 +292,12 @@ def side_by_side(
     banks: Sequence[Bank], errors: ArrayErrors, interval: Interval, measured: Measured, most_vts: int
 ) -> list[Ints]:
     """Use a snapshot in all filters of some banks, as `Bank.use` does; return each bank's associations (K, m)."""
-    associations, works = list[Ints](), list[Work]()
-    for bank in banks:
-        pairs, found = bank._unpaired(measured, most_vts), np.full((len(bank), len(measured.z)), -1, np.int64)
-        associations.append(found)
-        at = bank.arrays, errors, bank.blocks, interval, measured, pairs
-        works += [partial(pair_in_bank, *at), partial(use_in_bank, *at, found, bank.influence.rest)]
+    pairs = [bank._unpaired(measured, most_vts) for bank in banks]
+    works = [bank._work(errors, interval, measured, one) for bank, one in zip(banks, pairs, strict=True)]
     together(works, sum(len(bank) for bank in banks))
-    for bank, found in zip(banks, associations, strict=True):
-        bank._weigh(found, measured)
-    return associations
+    for bank, one in zip(banks, pairs, strict=True):
+        bank._weigh(one.ident, measured)
+    return [one.ident for one in pairs]
 
 
 def _most_of(counts: Ints) -> int:

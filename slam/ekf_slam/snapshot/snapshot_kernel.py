@@ -72,13 +72,15 @@ PENDING = 51  # rows of what looks take off the covariance that may wait
 
 class Paired(NamedTuple):
     """How the looks of a snapshot are paired in K filters: `slot_of` (K, m), `exists` (K, m) as in `Pairs`; `loss`
-    (K, 1) and `change` (K, 4) of the best rivals; `ends` (K,): 1 where the block ends with this snapshot."""
+    (K, 1) and `change` (K, 4) of the best rivals; `ends` (K,): 1 where the block ends with this snapshot; and once it
+    is used, `ident` (K, m): identities of the VTs, -1 for none."""
 
     slot_of: Ints
     exists: Floats
     loss: Floats
     change: Ints
     ends: Ints
+    ident: Ints
 
 
 class Room(NamedTuple):
@@ -300,46 +302,39 @@ def conclude(f: Filter, a: ArrayErrors, b: Block, noise: Floats, seen: Measured,
 
 
 @njit(cache=True, nogil=True)
-def pair_in_bank(
-    bank: Filter, a: ArrayErrors, blocks: Block, interval: Interval, seen: Measured, pairs: Paired, first: int,
-    step: int,
+def go_on_in_bank(
+    bank: Filter, a: ArrayErrors, blocks: Block, interval: Interval, seen: Measured, pairs: Paired, rest: Floats,
+    pairing: bool, using: bool, first: int, step: int,
 ) -> None:  # fmt: skip
-    """Move every `step`-th of the K filters of a bank, from the first on, and pair a snapshot's looks with its VTs."""
-    room = new_room(one_of(bank, 0), len(seen.z))
-    for k in range(first, len(pairs.loss), step):
-        f, rival = one_of(bank, k), Rival(pairs.loss[k], pairs.change[k])
-        if interval.dt > 0.0:
-            advance(f, block_of(blocks, k), interval, room.step)
-        rival.loss[0] = seen.rules.doubt
-        pair(f, a, seen, room.sight, room.pairs, rival)
-        if shift_clocks(f, block_of(blocks, k), a, seen, room.sight, room.pairs):
-            rival.loss[0] = seen.rules.doubt
-            pair(f, a, seen, room.sight, room.pairs, rival)
-        put(pairs.slot_of[k], room.pairs.slot_of)
-        put(pairs.exists[k], room.pairs.exists)
+    """Go on with every `step`-th of the K filters of a bank, from the first on: by `pairing`, move it, and pair a
+    snapshot's looks with its VTs; by `using`, use the snapshot as it is paired.
 
-
-@njit(cache=True, nogil=True)
-def use_in_bank(
-    bank: Filter, a: ArrayErrors, blocks: Block, interval: Interval, seen: Measured, pairs: Paired, association: Ints,
-    rest: Floats, first: int, step: int,
-) -> None:  # fmt: skip
-    """Use a snapshot, as it is paired, in every `step`-th of the K filters of a bank, from the first on.
-
-    association (K, m): identities of VTs are written, -1 for none; to `rest` (K,) is added what is in the log-weights
-    beside the worth of VTs.
+    To `rest` (K,) is added what is in the log-weights beside the worth of VTs.
     """
     room, rules = new_room(one_of(bank, 0), len(seen.z)), seen.rules
+    w = room.pairs
     for k in range(first, len(rest), step):
-        f, b, w = one_of(bank, k), block_of(blocks, k), room.pairs
-        put(w.slot_of, pairs.slot_of[k])
-        put(w.exists, pairs.exists[k])
-        count_odds(f, b, seen, w)
-        take_in(f, b, seen, association[k], room.sight, w)
-        give_births(f, a, b, seen, association[k], room.sight, w, room.pending)
-        full = b.snapshots[0] >= rules.snapshots or b.total[0] > rules.way or abs(b.total[1]) > rules.turn
-        if full or pairs.ends[k] == 1:
-            rest[k] += conclude(f, a, b, interval.noise, seen, room.sight, room.pending)
+        f, b = one_of(bank, k), block_of(blocks, k)
+        if pairing:
+            rival = Rival(pairs.loss[k], pairs.change[k])
+            if interval.dt > 0.0:
+                advance(f, b, interval, room.step)
+            rival.loss[0] = rules.doubt
+            pair(f, a, seen, room.sight, w, rival)
+            if shift_clocks(f, b, a, seen, room.sight, w):
+                rival.loss[0] = rules.doubt
+                pair(f, a, seen, room.sight, w, rival)
+            put(pairs.slot_of[k], w.slot_of)
+            put(pairs.exists[k], w.exists)
+        if using:
+            put(w.slot_of, pairs.slot_of[k])
+            put(w.exists, pairs.exists[k])
+            count_odds(f, b, seen, w)
+            take_in(f, b, seen, pairs.ident[k], room.sight, w)
+            give_births(f, a, b, seen, pairs.ident[k], room.sight, w, room.pending)
+            full = b.snapshots[0] >= rules.snapshots or b.total[0] > rules.way or abs(b.total[1]) > rules.turn
+            if full or pairs.ends[k] == 1:
+                rest[k] += conclude(f, a, b, interval.noise, seen, room.sight, room.pending)
 
 
 @part
