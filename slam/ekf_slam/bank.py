@@ -93,13 +93,17 @@ OF_VTS, OF_LOOKS = ("vt_state", "anchor", "slots"), ("looks", "seen", "e", "q", 
 Work = Callable[[int, int], object]  # done for every `step`-th filter, from the `first` on
 
 
-def together(works: Sequence[Work], filters: int) -> None:
-    """Do some work for so many filters, in as many threads as may be."""
-    shares = min(filters, threads())
+def together(works: Sequence[Work], filters: Sequence[int]) -> None:
+    """Do works, each for so many filters, in as many threads as may be; these take turns at all the filters."""
+    shares = min(sum(filters), threads())
 
-    def share(first: int) -> None:
-        for work in works:
-            work(first, shares)
+    def share(turn: int) -> None:
+        before = 0
+        for work, count in zip(works, filters, strict=True):
+            first = (turn - before) % shares
+            before += count
+            if first < count:
+                work(first, shares)
 
     in_threads(share, shares)
 
@@ -127,9 +131,9 @@ class Bank:
         if len(self) >= most:
             return side_by_side([self], errors, interval, measured, most_vts)[0]
         pairs = self._unpaired(measured, most_vts)
-        together([self._work(errors, interval, measured, pairs, using=False)], len(self))
+        together([self._work(errors, interval, measured, pairs, using=False)], [len(self)])
         pairs = self._doubt(pairs, measured.rules.doubt, most)
-        together([self._work(errors, interval, measured, pairs, pairing=False)], len(self))
+        together([self._work(errors, interval, measured, pairs, pairing=False)], [len(self)])
         self._weigh(pairs.ident, measured)
         return pairs.ident
 
@@ -294,7 +298,7 @@ def side_by_side(
     """Use a snapshot in all filters of some banks, as `Bank.use` does; return each bank's associations (K, m)."""
     pairs = [bank._unpaired(measured, most_vts) for bank in banks]
     works = [bank._work(errors, interval, measured, one) for bank, one in zip(banks, pairs, strict=True)]
-    together(works, sum(len(bank) for bank in banks))
+    together(works, [len(bank) for bank in banks])
     for bank, one in zip(banks, pairs, strict=True):
         bank._weigh(one.ident, measured)
     return [one.ident for one in pairs]

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import threading
 import time
+from collections import Counter
 from collections.abc import Iterator
+from functools import partial
 
 import numba
 import pytest
@@ -51,12 +53,22 @@ def test_what_a_share_raises_is_raised_when_all_are_done(bad: int) -> None:
     assert len(done) == 5
 
 
-@pytest.mark.parametrize(("allowed", "filters", "shares"), [(1, 5, 1), (2, 5, 2), (2, 1, 1)])
+@pytest.mark.parametrize(
+    ("allowed", "filters", "loads"),
+    [(1, [5], [5]), (2, [5], [2, 3]), (2, [1], [1]), (2, [1, 1, 1], [1, 2]), (2, [1, 3, 2, 1], [3, 4])],
+)
 @pytest.mark.usefixtures("threads_as_before")
-def test_filters_are_shared_out_to_the_threads_that_are_allowed(allowed: int, filters: int, shares: int) -> None:
+def test_filters_are_shared_out_to_the_threads_that_are_allowed(
+    allowed: int, filters: list[int], loads: list[int]
+) -> None:
     """A worker of a sweep has one thread; with as many as there are cores in each worker they would wait for others."""
     assert allowed <= numba.config.NUMBA_NUM_THREADS, "one core: this cannot be tested"
     numba.set_num_threads(allowed)
-    calls = list[tuple[int, int]]()
-    together([lambda first, step: calls.append((first, step))], filters)
-    assert sorted(calls) == [(first, shares) for first in range(shares)]
+    done = list[tuple[int, int, int]]()  # thread, bank, filter
+
+    def work(bank: int, first: int, step: int) -> None:
+        done.extend((threading.get_ident(), bank, k) for k in range(first, filters[bank], step))
+
+    together([partial(work, bank) for bank in range(len(filters))], filters)
+    assert sorted(one[1:] for one in done) == [(bank, k) for bank, count in enumerate(filters) for k in range(count)]
+    assert sorted(Counter(thread for thread, *_ in done).values()) == loads
