@@ -81,7 +81,7 @@ class Sightings(NamedTuple):
 
 class Errors(NamedTuple):
     """Persisting errors, E states of unit variance: `last` (E,) snapshot with a use; `kind` (E,): column of `decay`
-    (T, 3), the factor of first-order Gauss-Markov states from a snapshot to the next (column 0: constants).
+    (T, 4), the factor of first-order Gauss-Markov states from a snapshot to the next (column 0: constants).
     """
 
     last: Ints

@@ -12,6 +12,7 @@ Trans. Signal Processing 46(5), 1998, in covariance form, as the odometry noise 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 from threadpoolctl import threadpool_limits
@@ -24,6 +25,9 @@ from cellslam.sim.frames import mean_velocity, rotation
 from cellslam.sim.progress import Progress, silent
 from cellslam.sim.recording import Floats, Ints, OdometryModel, Recording, Sites, Truth
 from cellslam.slam.model.measurement_model import jacobians, predict
+
+if TYPE_CHECKING:
+    from cellslam.sim.lte.persisting_errors import Cause
 
 # Snapshots from one step of the progress bar to the next.
 BLOCK = 100
@@ -41,8 +45,8 @@ class BoundResult(Described):
 
     `pose_covariance` (T, 6, 6) in metres and radians; `clock_offset_std_m` (T, S); `pose_error` (T, 6): estimate less
     truth, on this drive, of the filter that is linear about the truth and has these covariances (`drawn_errors`).
-    `merged_m`: the bound of the drive's horizontal error without merged measurements, None where few are
-    (`merged_paths`).
+    `merged_m`: the bound of the drive's horizontal error with what merging does as an error that persists, None where
+    few measurements are merged (`merged_paths`).
     """
 
     pose_covariance: Floats
@@ -61,13 +65,15 @@ class BoundResult(Described):
         return float(np.sqrt(np.mean(self.horizontal_std_m**2)))
 
 
-def bound(recording: Recording, progress: Progress = silent, calibrated: bool = False) -> BoundResult:
+def bound(
+    recording: Recording, progress: Progress = silent, calibrated: bool = False, merging: Cause | None = None
+) -> BoundResult:
     """Return the posterior Cramer-Rao bound of a recording with truth.
 
     VTs enter with a flat prior at their first detection, one for all links of a site. Errors that persist are states
     too, where `truth.persisting_std` is there. Pitch, roll and height are known where neither the start nor the
-    odometry's data sheet is uncertain of them. `calibrated`: the array's calibration is known. Raises InputError
-    without truth.
+    odometry's data sheet is uncertain of them. `calibrated`: the array's calibration is known. `merging`: an error more
+    of each VT, which lasts for a time (`merged_paths`). Raises InputError without truth.
     """
     if recording.truth is None:
         raise InputError("the recording has no truth: the bound needs the true trajectory, VTs and measurement noise")
@@ -78,7 +84,7 @@ def bound(recording: Recording, progress: Progress = silent, calibrated: bool = 
     core = core_of(recording.odometry_model, recording.sites)
     motion = motion_of(recording, truth, core)
     with threadpool_limits(1):  # the matrices are small: threads of BLAS would wait for one another more than they work
-        looks, sightings, errors = tracked_measurements(recording, truth, core, calibrated)
+        looks, sightings, errors = tracked_measurements(recording, truth, core, calibrated, merging)
     drifted = drifted_std(recording)
     drift = rates_among(errors, drifted)
     work = room(core.size, most_states(looks, sightings, errors, snapshots), looks, sightings, errors)
@@ -198,7 +204,7 @@ def drifted_std(recording: Recording) -> Floats:
 
 
 def tracked_measurements(
-    recording: Recording, truth: Truth, core: Core, calibrated: bool = False
+    recording: Recording, truth: Truth, core: Core, calibrated: bool = False, merging: Cause | None = None
 ) -> tuple[Looks, Sightings, Errors]:
     """Return the measurements of true VTs.
 
@@ -206,7 +212,7 @@ def tracked_measurements(
     and sectors of a site stand at one place and see the same VTs. Sectors on one port differ by white noise alone: what
     they measure of a VT in a snapshot is one measurement of their joint variance, exactly.
     """
-    from cellslam.benchmarks.bound.persisting_states import Seen, persisting_errors, with_drift
+    from cellslam.benchmarks.bound.persisting_states import NOTHING, Seen, persisting_errors, with_drift
 
     m, vts = recording.measurements, max(len(truth.vts), 1)
     real = np.flatnonzero(truth.measurement_vt >= 0)
@@ -227,7 +233,8 @@ def tracked_measurements(
     distance_m, azimuth_rad, elevation_rad = predict(truth.poses[snapshot[begin]], position).T
     seen = Seen(snapshot[begin], azimuth_rad, elevation_rad, look, vt_of, port)
     site = recording.links.site[m.link[real[at[begin]]]]
-    persisting = with_drift(persisting_errors(recording, seen, calibrated), drifted_std(recording), seen, site)
+    persisting = persisting_errors(recording, seen, calibrated, NOTHING if merging is None else merging)
+    persisting = with_drift(persisting, drifted_std(recording), seen, site)
     every = np.arange(len(recording.time_s) + 1)
     looks = Looks(
         np.searchsorted(snapshot[begin], every), by_pose, by_vt, core.offsets[site],

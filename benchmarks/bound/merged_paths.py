@@ -1,8 +1,9 @@
-"""Measurements that paths not told apart from theirs have moved: without them the bound is one that merging counts in.
+"""What paths that are not told apart do to the bound.
 
-A merged measurement lies between two paths. Taken as if it were of one, it misleads; taken for what it is, it tells of
-two VTs at once, by shares of power that nobody knows. An estimator that recognises merged measurements can at least do
-without them, and the bound of that is the upper one. The lower one counts them as if they had not merged.
+A merged measurement lies between two paths, for as long as these stay close: azimuths are off by degrees, or, over a
+ground that reflects, elevations. Nobody tells an estimator which ones are merged. The lower bound counts them as if
+they were not. The upper one takes what merging does to a VT for one more error that persists, as large and as lasting
+as it is on this drive: what a linear filter can reach that knows how strongly paths merge, and not which.
 """
 
 from __future__ import annotations
@@ -13,24 +14,44 @@ import numpy as np
 
 from cellslam.benchmarks.bound.bound_model import Flags
 from cellslam.benchmarks.bound.cramer_rao import BoundResult, bound
+from cellslam.sim.lte.persisting_errors import Cause
 from cellslam.sim.progress import Progress, silent
 from cellslam.sim.recording import Recording
 
 # A measurement is merged where it is moved by more than this share of its deviation.
 LEAST_SHIFT = 0.5
-# Where fewer are merged the upper bound is not computed: it takes as long as the lower one.
+# Where fewer are merged the upper bound is not computed: it takes longer than the lower one.
 LEAST_SHARE = 0.05
+# How lasting merging is shows in what is left of it after so long, s: a share that lies between these.
+LATER_S, LEAST_LEFT, MOST_LEFT = 5.0, 0.01, 0.99
 
 
 def both_bounds(recording: Recording, progress: Progress = silent) -> BoundResult:
-    """Return the bound of a recording with truth, and where many are merged the one without merged measurements, in m.
+    """Return the bound of a recording with truth, and where many are merged the upper one, in m.
 
     Raises InputError as `bound` does.
     """
     lower = bound(recording, progress)
     if not merged_share(recording) > LEAST_SHARE:
         return lower
-    return replace(lower, merged_m=bound(without_merged(recording), progress).position_rmse_m)
+    return replace(lower, merged_m=bound(recording, progress, merging=merging(recording)).position_rmse_m)
+
+
+def merging(recording: Recording) -> Cause:
+    """Return what merging does on a drive whose truth tells it: root mean squares of its moves, and the time in which
+    their correlation falls to 1/e, as if it fell exponentially; moves are added up in deviations of measurements."""
+    truth, m = recording.truth, recording.measurements
+    assert truth is not None and truth.merging_shift is not None
+    real, count = np.flatnonzero(truth.measurement_vt >= 0), len(recording.time_s)
+    shift = np.nan_to_num(truth.merging_shift[real])
+    in_deviations = shift / np.nan_to_num(truth.measurement_std[real], nan=np.inf)
+    step_s = recording.elapsed_s[-1] / (count - 1)
+    later = max(round(LATER_S / step_s), 1)
+    key = (truth.measurement_vt[real] * len(recording.links) + m.link[real]) * (2 * count) + m.snapshot[real]
+    _, first, again = np.intersect1d(key + later, key, return_indices=True)
+    square, product = np.sum(in_deviations[first] ** 2), np.sum(in_deviations[first] * in_deviations[again])
+    left = np.clip(product / max(square, np.finfo(float).tiny), LEAST_LEFT, MOST_LEFT)
+    return Cause("merging", np.sqrt(np.mean(shift**2, axis=0)), float(-later * step_s / np.log(left)))
 
 
 def merged(recording: Recording) -> Flags | None:
@@ -49,11 +70,3 @@ def merged_share(recording: Recording) -> float:
         return float("nan")
     assert recording.truth is not None
     return float(flags.sum() / max((recording.truth.measurement_vt >= 0).sum(), 1))
-
-
-def without_merged(recording: Recording) -> Recording:
-    """Return a recording whose truth takes merged measurements for clutter, as the bound then does."""
-    flags, truth = merged(recording), recording.truth
-    if flags is None or truth is None:
-        return recording
-    return replace(recording, truth=replace(truth, measurement_vt=np.where(flags, -1, truth.measurement_vt)))

@@ -6,7 +6,8 @@ needs few: the principal ones (Karhunen-Loeve). A rougher one gets bell function
 enter and leave as the drive passes. All links and VTs share them. Diffuse energy (per VT and port) and the turns of the
 array (all paths) live shortly against the drive's own errors, so that only the area below the correlation counts: a
 first-order Gauss-Markov state with the same area stands for them. For slowly changing errors it would not do: it takes
-them as rougher than they are, and the bound comes out half as high again as it is.
+them as rougher than they are, and the bound comes out half as high again as it is. What merging does to the azimuths of
+a VT (`merged_paths`) jumps, as such a state does.
 
 Sources: Williams and Rasmussen, "Gaussian processes for machine learning", 2006, section 4.3 (principal functions,
 Nystrom's method); Higdon, "A process-convolution approach to modelling temperatures in the North Atlantic Ocean",
@@ -29,7 +30,7 @@ from cellslam.sim.recording import Floats, Ints, Recording
 
 # The area below exp(-x^2 / (2 l^2)) is that below exp(-x / (AREA l)).
 AREA = np.sqrt(np.pi / 2.0)
-BY_TIME, BY_PLACE = 1, 2
+BY_TIME, BY_PLACE, BY_MERGING = 1, 2, 3
 # Principal functions: share of the variance that may be missing, and the most of them.
 MISSING = 0.001
 MOST_FUNCTIONS = 100
@@ -38,6 +39,7 @@ SPACING, RADIUS = 1.1, 1.7
 # A weight that was not met for so long is forgotten: keeps the state small.
 HOLD_S = 200.0
 HOLD_SCALES = 8.0
+NOTHING = Cause("", np.zeros(3), 0.0)
 
 
 @dataclass(frozen=True)
@@ -87,30 +89,30 @@ class Part:
     kind: int
 
 
-def persisting_errors(recording: Recording, seen: Seen, calibrated: bool = False) -> Persisting:
+def persisting_errors(
+    recording: Recording, seen: Seen, calibrated: bool = False, merging: Cause = NOTHING
+) -> Persisting:
     """Return the persisting errors of a recording with truth, those of the array left out where it is `calibrated`.
 
-    Raises InputError where their causes are not known.
+    `merging`: what it does to each VT, changing over a time. Raises InputError where the causes are not known.
     """
     assert recording.truth is not None
-    looks, rows, snapshots = len(seen.snapshot), len(seen.look), len(recording.time_s)
-    config, decay = radio_of(recording), np.ones((snapshots, 3))
-    if config is None:
-        errors = Errors(np.zeros(0, np.int64), np.zeros(0, np.int64), decay)
-        nothing = np.zeros((looks, 3, 0), np.int64), np.zeros((looks, 3, 0)), np.full((rows, 3), -1), np.zeros(3)
-        return Persisting(*nothing, errors, np.zeros(3))
-    calibration, roof, diffuse, attitude = (
-        replace(c, std=config.noise_scale * c.std * (c.scale > 0.0)) for c in causes(config)
-    )
+    looks, snapshots, config = len(seen.snapshot), len(recording.time_s), radio_of(recording)
+    known = [NOTHING] * 4 if config is None else causes(config)
+    noise_scale = 0.0 if config is None else config.noise_scale
+    calibration, roof, diffuse, attitude = (replace(c, std=noise_scale * c.std * (c.scale > 0.0)) for c in known)
     if calibrated:
-        calibration = replace(calibration, std=np.zeros(3))
+        calibration = NOTHING
+    decay = np.ones((snapshots, 4))
     way = np.linalg.norm(np.diff(recording.truth.poses[:, :3], axis=0), axis=1)
     decay[1:, BY_TIME] = _factor(np.diff(recording.time_s), attitude.scale)
     decay[1:, BY_PLACE] = _factor(way, diffuse.scale)
+    decay[1:, BY_MERGING] = _factor(np.diff(recording.time_s), merging.scale / AREA)
     parts = [
         _by_direction(calibration, seen, recording.time_s),
         _by_direction(roof, seen, recording.time_s),
         Part(np.tile(np.arange(3), (looks, 3, 1)), attitude.std[[1, 2, 2]] * turned(seen), 3, BY_TIME),
+        _by_vt(merging, seen, recording.time_s),
     ]
     own = _by_place(diffuse, seen, np.concatenate([[0.0], np.cumsum(way)]))
     base = np.concatenate([[0], np.cumsum([part.count for part in parts])])
@@ -123,8 +125,9 @@ def persisting_errors(recording: Recording, seen: Seen, calibrated: bool = False
     last[state[state >= 0]] = np.broadcast_to(seen.snapshot[:, None, None], state.shape)[state >= 0]
     at = seen.snapshot[seen.look]
     last[own_state[own_state >= 0]] = np.broadcast_to(at[:, None], own_state.shape)[own_state >= 0]
+    variance = np.zeros(3) if config is None else persisting_std(config) ** 2
     kind = np.repeat([part.kind for part in [*parts, own]], [part.count for part in [*parts, own]])
-    return Persisting(state, load, own_state, own.load, Errors(last, kind, decay), persisting_std(config) ** 2)
+    return Persisting(state, load, own_state, own.load, Errors(last, kind, decay), variance)
 
 
 def with_drift(persisting: Persisting, drifted: Floats, seen: Seen, site: Ints) -> Persisting:
@@ -211,6 +214,18 @@ def _by_place(cause: Cause, seen: Seen, way_m: Floats) -> Part:
         return Part(np.full((len(seen.look), 3), -1), np.zeros(3), 0, BY_PLACE)
     entity, entities = runs(seen.vt * 4 + seen.port % 4, way_m[seen.snapshot[seen.look]], HOLD_SCALES * cause.scale)
     return Part(3 * entity[:, None] + np.arange(3), cause.std, 3 * entities, BY_PLACE)
+
+
+def _by_vt(cause: Cause, seen: Seen, time_s: Floats) -> Part:
+    """Return the states of a function of time, one for each VT and component."""
+    looks = len(seen.snapshot)
+    if cause.scale <= 0.0:
+        return Part(np.zeros((looks, 3, 0), np.int64), np.zeros((looks, 3, 0)), 0, BY_MERGING)
+    vt = np.empty(looks, np.int64)
+    vt[seen.look] = seen.vt
+    run, count = runs(vt, time_s[seen.snapshot], HOLD_SCALES * cause.scale)
+    state = 3 * run[:, None, None] + np.arange(3)[:, None]
+    return Part(state, np.broadcast_to(cause.std[:, None], state.shape), 3 * count, BY_MERGING)
 
 
 def _by_direction(cause: Cause, seen: Seen, time_s: Floats) -> Part:

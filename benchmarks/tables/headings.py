@@ -21,7 +21,7 @@ HEADINGS = {
     "association_recall": ("recall", "", "share of measurements of a VT that were associated rightly"),
     "nees_mean": ("NEES", "", "mean normalised error of the horizontal position: 2 is right"),
     "bound_position_rmse_m": ("bound", "m", "Cramér-Rao bound of the position RMSE"),
-    "bound_merged_m": ("bound, merging in", "m", "the same without merged measurements, where many are"),
+    "bound_merged_m": ("bound, merging in", "m", "with merging as an error that persists, where many are merged"),
     "realtime_factor": ("x real", "time", "duration of the drive over time of the estimator"),
     "peak_memory_mb": ("memory", "MB", "what resident memory grew by at the most while the estimator ran"),
     "efficiency_ratio": ("efficiency ratio", "", "root mean square of the RMSE over that of the bound, 1 at best"),

@@ -50,7 +50,7 @@ def summary(folder: str | Path, layout: Layout | None = None) -> pd.DataFrame:
     Columns: the keys of rows and columns, `metric`, `statistic`, `value`, `low`, `high` (with a confidence),
     `values` (how many trials have the metric), `trials` (of status ok) and `failed`. The efficiency ratio, root mean
     square of the RMSE over that of the bound, is one number a group, of no statistic; so is the one against the bound
-    without merged measurements. Beside the estimators stands the bound of their drives. Raises InputError.
+    that merging counts in. Beside the estimators stands the bound of their drives. Raises InputError.
     """
     import pandas as pd
 
@@ -132,11 +132,11 @@ def columns_of(metrics: Sequence[str]) -> list[str]:
 def efficiency(rows: pd.DataFrame, confidence: float, merged: bool = False) -> tuple[float, float, float]:
     """Return the efficiency ratio of rows that have RMSE and bound, and the ends of its interval; NaN: not known.
 
-    merged: against the bound without merged measurements, where a row has it.
+    merged: against the bound that merging counts in, where a row has it.
     """
     known = rows.dropna(subset=list(RATIO_OF[:2]))
-    error, bound, without = (np.asarray(known[key], np.float64) for key in RATIO_OF)
-    return efficiency_ratio(error, np.where(np.isnan(without), bound, without) if merged else bound, confidence)
+    error, lower, upper = (np.asarray(known[key], np.float64) for key in RATIO_OF)
+    return efficiency_ratio(error, np.where(np.isnan(upper), lower, upper) if merged else lower, confidence)
 
 
 def row_keys(folder: str | Path, layout: Layout) -> list[str]:

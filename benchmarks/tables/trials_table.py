@@ -56,7 +56,7 @@ CONFIDENCE, LOST_M = 0.95, 2.0
 LONG = 1e3  # without decimals
 _LEGEND = (
     "medians over the trials that are ok; efficiency ratio: root mean square error over that of the bound, "
-    "merging counted in: of the bound without merged measurements; "
+    "merging counted in: of the bound with merging as an error that persists; "
     f"lost: RMSE above {LOST_M:g} m, or failed"
 )
 

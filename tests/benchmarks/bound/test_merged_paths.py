@@ -1,4 +1,4 @@
-"""Merged measurements left out of the bound, and the filter that the bound stands for, on simulated drives."""
+"""Merging in the bound, and the filter that the bound stands for, on simulated drives."""
 
 from __future__ import annotations
 
@@ -9,49 +9,72 @@ import pytest
 from scipy.stats import chi2
 
 from cellslam.benchmarks.bound.cramer_rao import bound
-from cellslam.benchmarks.bound.merged_paths import both_bounds, merged, merged_share, without_merged
+from cellslam.benchmarks.bound.merged_paths import LEAST_SHARE, both_bounds, merged, merged_share, merging
 from cellslam.benchmarks.scores.metrics import nees
 from cellslam.scenarios.loading import load
 from cellslam.scenarios.simulation import simulate
 from cellslam.sim.frames import wrap_angle
+from cellslam.sim.lte.persisting_errors import Cause
 from cellslam.sim.recording import Recording
 
 # Of all drives drawn, one in so many would fail by chance.
 ONE_IN = 1e4
 
 
-def moved(recording: Recording, share: float, seed: int) -> tuple[Recording, np.ndarray]:
-    """A copy in which others have moved a share of the measurements by twice their deviation in azimuth, and which."""
-    truth, rng = recording.truth, np.random.default_rng(seed)
-    flags = (rng.random(len(recording.measurements)) < share) & (truth.measurement_vt >= 0)
+SIZE, LASTS_S = np.radians(3.0), 4.0
+
+
+def moved(recording: Recording, size: float, lasts_s: float, seed: int) -> Recording:
+    """A copy in which others have moved the azimuths of every VT by Gauss-Markov processes."""
+    truth, rng, m = recording.truth, np.random.default_rng(seed), recording.measurements
     shift = np.where(np.isnan(truth.measurement_std), np.nan, 0.0)
-    shift[flags, 1] = 2.0 * truth.measurement_std[flags, 1]
-    m = recording.measurements
+    left = np.exp(-np.diff(recording.time_s) / lasts_s)
+    for vt in np.unique(truth.measurement_vt[truth.measurement_vt >= 0]):
+        by = size * rng.standard_normal(len(recording.time_s))
+        for t, kept in enumerate(left, start=1):
+            by[t] = kept * by[t - 1] + np.sqrt(1.0 - kept**2) * by[t]
+        of_vt = truth.measurement_vt == vt
+        shift[of_vt, 1] = by[m.snapshot[of_vt]]
     measurements = replace(m, azimuth_rad=wrap_angle(m.azimuth_rad + np.nan_to_num(shift[:, 1])))
-    return replace(recording, measurements=measurements, truth=replace(truth, merging_shift=shift)), flags
+    return replace(recording, measurements=measurements, truth=replace(truth, merging_shift=shift))
 
 
-def test_merged_measurements_are_left_out(make_recording):
-    recording, flags = moved(make_recording(seed=3, snapshots=150, clutter=0.5), 0.3, 1)
-    np.testing.assert_array_equal(merged(recording), flags)
-    truth = recording.truth
-    assert merged_share(recording) == flags.sum() / (truth.measurement_vt >= 0).sum()
+def test_where_many_are_merged_there_are_two_bounds(make_recording):
+    recording = moved(make_recording(seed=3, snapshots=150, clutter=0.5), SIZE, LASTS_S, 1)
+    truth, true = recording.truth, recording.truth.measurement_vt >= 0
+    beyond = np.abs(truth.merging_shift[:, 1]) > 0.5 * truth.measurement_std[:, 1]
+    np.testing.assert_array_equal(merged(recording), beyond & true)
+    assert merged_share(recording) == (beyond & true).sum() / true.sum()
     found, lower = both_bounds(recording), bound(recording)
     np.testing.assert_array_equal(found.pose_covariance, lower.pose_covariance)
-    assert found.merged_m == bound(without_merged(recording)).position_rmse_m > 1.01 * lower.position_rmse_m
-    np.testing.assert_array_equal(without_merged(recording).truth.measurement_vt[flags], -1)
+    assert found.merged_m == bound(recording, merging=merging(recording)).position_rmse_m
+    assert found.merged_m > 1.01 * lower.position_rmse_m
+
+
+def test_size_and_duration_of_merging_are_those_of_the_drive(drives):
+    found = [merging(moved(recording, SIZE, LASTS_S, seed)) for seed, recording in enumerate(drives)]
+    assert np.sqrt(np.mean([c.std**2 for c in found], axis=0)) == pytest.approx([0.0, SIZE, 0.0], rel=0.15)
+    assert np.median([c.scale for c in found]) == pytest.approx(LASTS_S, rel=0.3)
+
+
+def test_merging_that_moves_nothing_costs_nothing(make_recording):
+    recording = make_recording(seed=3, snapshots=50)
+    still = replace(recording, truth=replace(recording.truth, merging_shift=0.0 * recording.truth.measurement_std))
+    np.testing.assert_array_equal(
+        bound(still, merging=merging(still)).pose_covariance, bound(recording).pose_covariance
+    )
 
 
 def test_where_few_are_merged_or_nobody_knows_there_is_one_bound(make_recording):
     recording = make_recording(seed=3, snapshots=50)
     assert merged(recording) is None and np.isnan(merged_share(recording))
-    assert without_merged(recording) is recording and both_bounds(recording).merged_m is None
-    few, flags = moved(recording, 0.03, 1)
-    assert flags.any() and both_bounds(few).merged_m is None
+    assert both_bounds(recording).merged_m is None
+    few = moved(recording, np.radians(0.22), 0.01, 1)
+    assert 0.0 < merged_share(few) < LEAST_SHARE and both_bounds(few).merged_m is None
 
 
 def test_a_file_keeps_what_merged_paths_have_moved(make_recording, tmp_path):
-    recording, _ = moved(make_recording(seed=3, snapshots=50), 0.3, 1)
+    recording = moved(make_recording(seed=3, snapshots=50), SIZE, LASTS_S, 1)
     recording.save(tmp_path / "drive.h5")
     np.testing.assert_array_equal(
         Recording.load(tmp_path / "drive.h5").truth.merging_shift, recording.truth.merging_shift
@@ -65,14 +88,19 @@ def drives() -> list[Recording]:
     return [simulate(coarse, 74000, trial) for trial in range(10)]
 
 
-def squared_at_the_end(recordings: list[Recording]) -> float:
+def squared_at_the_end(recordings: list[Recording], merging: Cause | None = None) -> float:
     """The sum of the filter's squared normalised errors at the end of drives: chi-square of two for each."""
-    return sum(nees(np.zeros_like(b.pose_error), b.pose_error, b.pose_covariance)[-1] for b in map(bound, recordings))
+    found = [bound(recording, merging=merging) for recording in recordings]
+    return sum(nees(np.zeros_like(b.pose_error), b.pose_error, b.pose_covariance)[-1] for b in found)
 
 
 def test_the_filter_of_the_bound_errs_as_the_bound_says(drives):
     low, high = chi2.ppf([1 / ONE_IN, 1 - 1 / ONE_IN], 2 * len(drives))
-    assert low < squared_at_the_end([without_merged(r) for r in drives]) < high
+    assert low < squared_at_the_end(drives) < high
     # Errors that persist taken for white ones: a bound far too low.
     white = [replace(r, truth=replace(r.truth, persisting_std=None)) for r in drives]
     assert squared_at_the_end(white) > 2.0 * high
+    # So is one that counts merged measurements as if they were not.
+    merge = [moved(r, SIZE, LASTS_S, seed) for seed, r in enumerate(drives)]
+    assert low < squared_at_the_end(merge, Cause("merging", np.array([0.0, SIZE, 0.0]), LASTS_S)) < high
+    assert squared_at_the_end(merge) > 2.0 * high
