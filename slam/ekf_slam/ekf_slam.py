@@ -19,7 +19,7 @@ from cellslam.slam.ekf_slam.ekf_slam_options import EkfSlamOptions
 from cellslam.slam.ekf_slam.map_after import Box, Heard, map_after
 from cellslam.slam.ekf_slam.map_states import Remembered
 from cellslam.slam.ekf_slam.map_trial import MapTrial
-from cellslam.slam.ekf_slam.sizes import Sizes, sizes_of
+from cellslam.slam.ekf_slam.sizes import Sizes, growth, sizes_of
 from cellslam.slam.ekf_slam.snapshot.guess_kernel import births
 from cellslam.slam.ekf_slam.snapshot.motion_kernel import Interval
 from cellslam.slam.ekf_slam.start import STATES, Start, begin
@@ -39,6 +39,7 @@ DOUBT = 4.0  # log-likelihood that a rival association may lose
 WAY_M, TURN = 0.6, np.radians(2.0)  # a block of snapshots ends after so long a way or turn
 AWAY_S = 3.0  # a VT that was not seen for so long returns, if it is seen again
 AGAIN = 1.25  # filters of all sites that did not agree with the start are tried again after so many times as long
+GROW_EVERY, MOST_GROWN = 64, 5.0  # snapshots; times as large as told
 EVIDENCE = 0.0125  # least share of detections and misses that is news: what hides a VT lasts for seconds
 
 
@@ -71,7 +72,7 @@ class JointFilter:
         known, links = self._setup.map, self._setup.links
         self._remembered = None if known is None else Remembered(known, links, self._setup.sites.name, len(links))
         self._seen: dict[int, Box] = {}
-        self._archive, self._again_s = NO_VTS, 0.0
+        self._archive, self._again_s, self._grown = NO_VTS, 0.0, 1.0
         self._born = len(links) + (0 if known is None else len(known))
         self._ports = ports_of(self._setup.links.site, self._setup.links.port)
         self._errors = array_errors(self.options, setup)
@@ -149,7 +150,7 @@ class JointFilter:
         """
         if self._joint is None:
             raise RuntimeError("sizes are learnt once the clock offsets are resolved")
-        return sizes_of(self._joint, self._errors, self._setup.odometry_model.noise_density)
+        return sizes_of(self._joint, self._errors, self._setup.odometry_model.noise_density, self._grown)
 
     def remarks(self) -> list[str]:
         """Return what the drive says against the sizes of errors that the filter was told, and against its map."""
@@ -226,14 +227,16 @@ class JointFilter:
     def _take_over(self, start: Start, late: bool) -> None:
         """End the start with filters of all sites, that have gone through the drive so far, if they agree with it; or
         late, whether they do or not. If they do not, they have gone wrong, and will be tried again."""
-        self._start = None
-        self._join(start.combinations())
-        for past in self._past:
-            self._use(*past)
+        self._start, grown, offsets = None, 0.0, start.combinations()
+        while grown < self._grown:  # with diffuse errors as large from the beginning as they are found to be at the end
+            grown = self._grown
+            self._join(offsets)
+            for past in self._past:
+                self._use(*past)
         if late or (self._joint is not None and start.agrees(self._joint.moments()[0])):
             self._past = []
         else:
-            self._start, self._joint, self._again_s = start, None, AGAIN * self._time_s
+            self._start, self._joint, self._again_s, self._grown = start, None, AGAIN * self._time_s, 1.0
 
     def _step_joint(self, interval: Interval, measured: Measured) -> Estimate:
         association = self._use(interval, measured)
@@ -265,7 +268,10 @@ class JointFilter:
             raise RuntimeError("step() was called before start()")
         if self.options.merge_rate == 0.0:
             measured = measured._replace(merged=np.zeros(3))
-        association = bank.use(self._errors, interval, measured, self.options.vts, self._most)
+        errors = self._errors._replace(diffuse=self._grown * self._errors.diffuse)
+        association = bank.use(errors, interval, measured, self.options.vts, self._most)
+        if self.options.diffuse_grows and measured.now % GROW_EVERY == GROW_EVERY - 1:
+            self._grown = min(self._grown * growth(bank), MOST_GROWN)
         best = int(np.argmax(bank.log_weight))
         lost = bank.lost(best)
         if len(lost):

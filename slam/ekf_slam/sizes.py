@@ -31,6 +31,7 @@ OPTIONS = (
     "sway_azimuth_deg", "sway_elevation_deg", "sway_elevation_deg", *COMPONENTS,
     *(f"calibration_{part}" for part in _PARTS), *(f"roof_{part}" for part in _PARTS),
 )  # fmt: skip
+DIFFUSE = slice(DIFFUSE_SIZE, DIFFUSE_SIZE + 3)
 # What is told of a size may be wrong by a factor: so much is known of its logarithm without the drive.
 TOLD = 1.0 / math.log(5.0) ** 2
 MOST_STEP = math.log(4.0)  # of one pass
@@ -45,13 +46,15 @@ DOUBTED, NOTABLE = 6.0, 1.35
 class Sizes(Described):
     """Slope of the log-likelihood in each log size (Z,), its information (Z,), what the information of white noise has
     `in_common` (Z,) with that of diffuse errors, and the mean square (6,) of the odometry's biases and scales, in the
-    units of its data sheet; NaN where there are none."""
+    units of its data sheet; NaN where there are none. `grown`: how many times as large as told diffuse errors are taken
+    for; their slopes are against these."""
 
     slope: Floats
     information: Floats
     in_common: Floats
     bias: Floats
     scale: Floats
+    grown: float = 1.0
 
     def told(self) -> dict[str, tuple[float, float]]:
         """Return slope and information of each log size: of options by their names, of the odometry's noise by its
@@ -70,16 +73,14 @@ class Sizes(Described):
     def doubted(self) -> dict[str, float]:
         """Return by what factor sizes are likely to be larger than told, where that is surely not so (score test; Rao,
         Proc. Cambridge Philosophical Society 44, 1948)."""
-        out = {}
+        out = dict.fromkeys(OPTIONS[DIFFUSE], self.grown)
         for name, (slope, information) in self.told().items():
             if name.startswith("noise_"):
                 slope, information = self._of_white_noise_alone(OPTIONS.index(name))
-            factor = math.exp(max(-MOST_STEP, min(slope / information, MOST_STEP)))
             # No mistake: an odometry better than told, as slip is rare; angles better than told, as paths seldom merge.
-            cautious = slope < 0.0 and not name.endswith("_m")
-            if abs(slope) > DOUBTED * math.sqrt(information) and not 1.0 / NOTABLE < factor < NOTABLE and not cautious:
-                out[name] = factor
-        return out
+            if slope >= 0.0 or name.endswith("_m"):
+                out[name] = out.get(name, 1.0) * _surely(slope, information)
+        return {name: factor for name, factor in out.items() if factor != 1.0}
 
     def _of_white_noise_alone(self, size: int) -> tuple[float, float]:
         """Return slope and information of a size of white noise whatever the diffuse errors' size is: most of a look is
@@ -99,10 +100,31 @@ class Sizes(Described):
         return [f"errors do not look as large as told: {found}"] if found else []
 
 
-def sizes_of(bank: Bank, errors: ArrayErrors, noise: Floats) -> Sizes:
+def _surely(slope: float, information: float) -> float:
+    """Return by what factor a size is likely to be larger than told; 1 where it may be as told."""
+    factor = math.exp(max(-MOST_STEP, min(slope / information, MOST_STEP)))
+    sure = abs(slope) > DOUBTED * math.sqrt(information) and not 1.0 / NOTABLE < factor < NOTABLE
+    return factor if sure else 1.0
+
+
+def growth(bank: Bank) -> float:
+    """Return by what factor diffuse errors are surely larger than a bank takes them for, 1 where they may be as large,
+    or where no filter is as likely as all others together; otherwise all filters count anew.
+
+    Diffuse energy moves distance, azimuth and elevation: distances, which merged paths hardly move, speak for all.
+    """
+    share = bank.shares()
+    slope, information, _ = bank.arrays.sizes[int(np.argmax(share)), :, DIFFUSE_SIZE].tolist()
+    factor = max(_surely(slope, information), 1.0) if information > 0.0 and share.max() > 0.5 else 1.0
+    if factor > 1.0:
+        bank.arrays.sizes[:, :, DIFFUSE] = bank.arrays.sizes[:, 2, :DIFFUSE_SIZE] = 0.0
+    return factor
+
+
+def sizes_of(bank: Bank, errors: ArrayErrors, noise: Floats, grown: float) -> Sizes:
     """Return what the likeliest filter of a bank has learnt; the bank's own counts stay as they are.
 
-    noise (6,): densities of the odometry's white noise, whose sums have not been taken in lately.
+    noise (6,): densities of the odometry's white noise, whose sums have not been taken in lately. grown: as in `Sizes`.
     """
     best, core = int(np.argmax(bank.log_weight)), bank.core
     f = one_of(bank.arrays, best)._replace(sizes=bank.arrays.sizes[best].copy())
@@ -113,7 +135,7 @@ def sizes_of(bank: Bank, errors: ArrayErrors, noise: Floats) -> Sizes:
     def squares(of: Ints) -> Floats:
         return np.array([f.x[i] ** 2 + f.p[i, i] if i >= 0 else np.nan for i in of])
 
-    return Sizes(f.sizes[0], f.sizes[1], f.sizes[2], squares(core.bias), squares(core.scale))
+    return Sizes(f.sizes[0], f.sizes[1], f.sizes[2], squares(core.bias), squares(core.scale), grown)
 
 
 class Sheets(NamedTuple):
