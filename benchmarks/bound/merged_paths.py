@@ -44,8 +44,9 @@ def merging(recording: Recording) -> Cause:
     assert truth is not None and truth.merging_shift is not None
     real, count = np.flatnonzero(truth.measurement_vt >= 0), len(recording.time_s)
     shift = np.nan_to_num(truth.merging_shift[real])
-    in_deviations = shift / np.nan_to_num(truth.measurement_std[real], nan=np.inf)
-    step_s = recording.elapsed_s[-1] / (count - 1)
+    std = np.nan_to_num(truth.measurement_std[real])
+    in_deviations = np.divide(shift, std, out=np.zeros_like(shift), where=std > 0.0)
+    step_s = recording.elapsed_s[-1] / max(count - 1, 1) or LATER_S
     later = max(round(LATER_S / step_s), 1)
     key = (truth.measurement_vt[real] * len(recording.links) + m.link[real]) * (2 * count) + m.snapshot[real]
     _, first, again = np.intersect1d(key + later, key, return_indices=True)

@@ -65,6 +65,15 @@ def test_merging_that_moves_nothing_costs_nothing(make_recording):
     )
 
 
+@pytest.mark.parametrize("snapshots", [1, 2])
+def test_short_drives_without_noise_have_both_bounds(make_recording, snapshots):
+    recording = moved(make_recording(seed=3, snapshots=snapshots), SIZE, LASTS_S, 1)
+    exact = replace(recording, truth=replace(recording.truth, measurement_std=0.0 * recording.truth.measurement_std))
+    for one in (recording, exact):
+        found = both_bounds(one)
+        assert merging(one).scale > 0.0 and found.merged_m >= found.position_rmse_m
+
+
 def test_where_few_are_merged_or_nobody_knows_there_is_one_bound(make_recording):
     recording = make_recording(seed=3, snapshots=50)
     assert merged(recording) is None and np.isnan(merged_share(recording))
