@@ -55,6 +55,7 @@ class JointFilter:
     name: ClassVar[str]
     requires_truth: ClassVar[bool] = False
     mode: ClassVar[int] = FREE
+    grows: bool = True  # diffuse errors that are surely larger than told are taken for as large as they are
     options: EkfSlamOptions
 
     def __init__(self, options: Any = None) -> None:
@@ -270,7 +271,7 @@ class JointFilter:
             measured = measured._replace(merged=np.zeros(3))
         errors = self._errors._replace(diffuse=self._grown * self._errors.diffuse)
         association = bank.use(errors, interval, measured, self.options.vts, self._most)
-        if self.options.diffuse_grows and measured.now % GROW_EVERY == GROW_EVERY - 1:
+        if self.grows and measured.now % GROW_EVERY == GROW_EVERY - 1:
             self._grown = min(self._grown * growth(bank), MOST_GROWN)
         best = int(np.argmax(bank.log_weight))
         lost = bank.lost(best)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import re
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -57,8 +56,9 @@ def test_errors_that_are_not_as_large_as_told_are_remarked(
     assert tuple(re.findall(r"\w+ of \w+", "".join(remarks))) == words
 
 
-def driven(drive: Recording, request: Request) -> EkfSlam:
+def driven(drive: Recording, request: Request, grows: bool = True) -> EkfSlam:
     estimator, odometry = EkfSlam(request.options), odometry_of(drive)
+    estimator.grows = grows
     estimator.start(setup_of(drive), np.random.default_rng(0))
     for dt_s, u, snapshot in zip(np.diff(drive.time_s, prepend=0.0), odometry, snapshots_of(drive), strict=True):
         estimator.step(float(dt_s), u, snapshot)
@@ -71,7 +71,7 @@ def test_diffuse_errors_are_taken_for_as_large_as_they_are(drive: Recording) -> 
     assert 1.5 < grown.grown < 2.7
     # What the drive says besides is said against these.
     assert abs(grown.told()["diffuse_m"][0]) < 4.0 * np.sqrt(grown.told()["diffuse_m"][1])
-    kept = driven(drive, replace(half, options=half.options.model_copy(update={"diffuse_grows": False}))).sizes()
+    kept = driven(drive, half, grows=False).sizes()
     assert kept.grown == 1.0 and 1.5 < kept.doubted()["diffuse_m"] < 2.7
     for factor in (1.0, 2.0):
         assert driven(drive, told(drive, "ekf-slam", "diffuse", factor)).sizes().grown == 1.0
