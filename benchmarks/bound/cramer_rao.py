@@ -212,7 +212,7 @@ def tracked_measurements(
     and sectors of a site stand at one place and see the same VTs. Sectors on one port differ by white noise alone: what
     they measure of a VT in a snapshot is one measurement of their joint variance, exactly.
     """
-    from cellslam.benchmarks.bound.persisting_states import NOTHING, Seen, persisting_errors, with_drift
+    from cellslam.benchmarks.bound.persisting_states import Seen, persisting_errors, with_drift
 
     m, vts = recording.measurements, max(len(truth.vts), 1)
     real = np.flatnonzero(truth.measurement_vt >= 0)
@@ -233,7 +233,7 @@ def tracked_measurements(
     distance_m, azimuth_rad, elevation_rad = predict(truth.poses[snapshot[begin]], position).T
     seen = Seen(snapshot[begin], azimuth_rad, elevation_rad, look, vt_of, port)
     site = recording.links.site[m.link[real[at[begin]]]]
-    persisting = persisting_errors(recording, seen, calibrated, NOTHING if merging is None else merging)
+    persisting = persisting_errors(recording, seen, calibrated, merging)
     persisting = with_drift(persisting, drifted_std(recording), seen, site)
     every = np.arange(len(recording.time_s) + 1)
     looks = Looks(

@@ -6,8 +6,8 @@ needs few: the principal ones (Karhunen-Loeve). A rougher one gets bell function
 enter and leave as the drive passes. All links and VTs share them. Diffuse energy (per VT and port) and the turns of the
 array (all paths) live shortly against the drive's own errors, so that only the area below the correlation counts: a
 first-order Gauss-Markov state with the same area stands for them. For slowly changing errors it would not do: it takes
-them as rougher than they are, and the bound comes out half as high again as it is. What merging does to the azimuths of
-a VT (`merged_paths`) jumps, as such a state does.
+them as rougher than they are, and the bound comes out half as high again as it is. What merging does to a VT
+(`merged_paths`) jumps, as such a state does.
 
 Sources: Williams and Rasmussen, "Gaussian processes for machine learning", 2006, section 4.3 (principal functions,
 Nystrom's method); Higdon, "A process-convolution approach to modelling temperatures in the North Atlantic Ocean",
@@ -90,7 +90,7 @@ class Part:
 
 
 def persisting_errors(
-    recording: Recording, seen: Seen, calibrated: bool = False, merging: Cause = NOTHING
+    recording: Recording, seen: Seen, calibrated: bool = False, merging: Cause | None = None
 ) -> Persisting:
     """Return the persisting errors of a recording with truth, those of the array left out where it is `calibrated`.
 
@@ -101,8 +101,7 @@ def persisting_errors(
     known = [NOTHING] * 4 if config is None else causes(config)
     noise_scale = 0.0 if config is None else config.noise_scale
     calibration, roof, diffuse, attitude = (replace(c, std=noise_scale * c.std * (c.scale > 0.0)) for c in known)
-    if calibrated:
-        calibration = NOTHING
+    merging, calibration = merging or NOTHING, NOTHING if calibrated else calibration
     decay = np.ones((snapshots, 4))
     way = np.linalg.norm(np.diff(recording.truth.poses[:, :3], axis=0), axis=1)
     decay[1:, BY_TIME] = _factor(np.diff(recording.time_s), attitude.scale)

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from scipy.stats import chi2
 
-from cellslam.benchmarks.bound.cramer_rao import bound
+from cellslam.benchmarks.bound.cramer_rao import bound, core_of, tracked_measurements
 from cellslam.benchmarks.bound.merged_paths import LEAST_SHARE, both_bounds, merged, merged_share, merging
 from cellslam.benchmarks.scores.metrics import nees
 from cellslam.scenarios.loading import load
@@ -55,6 +55,16 @@ def test_size_and_duration_of_merging_are_those_of_the_drive(drives):
     found = [merging(moved(recording, SIZE, LASTS_S, seed)) for seed, recording in enumerate(drives)]
     assert np.sqrt(np.mean([c.std**2 for c in found], axis=0)) == pytest.approx([0.0, SIZE, 0.0], rel=0.15)
     assert np.median([c.scale for c in found]) == pytest.approx(LASTS_S, rel=0.3)
+
+
+def test_each_vt_merges_by_itself(make_recording):
+    recording = make_recording(seed=3, snapshots=50)
+    core = core_of(recording.odometry_model, recording.sites)
+    one = Cause("merging", np.full(3, 0.1), LASTS_S)
+    looks, sightings, _ = tracked_measurements(recording, recording.truth, core, merging=one)
+    states = looks.state[sightings.look, :, -1]
+    of_vt = np.unique(np.column_stack([sightings.key, states]), axis=0)
+    assert len(of_vt) == len(np.unique(of_vt[:, 0])) > 3 and len(np.unique(states)) == 3 * len(of_vt)
 
 
 def test_merging_that_moves_nothing_costs_nothing(make_recording):

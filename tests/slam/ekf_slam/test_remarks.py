@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -75,6 +76,19 @@ def test_diffuse_errors_are_taken_for_as_large_as_they_are(drive: Recording) -> 
     assert kept.grown == 1.0 and 1.5 < kept.doubted()["diffuse_m"] < 2.7
     for factor in (1.0, 2.0):
         assert driven(drive, told(drive, "ekf-slam", "diffuse", factor)).sizes().grown == 1.0
+
+
+@pytest.mark.parametrize(("factor", "passes"), [(0.5, 2), (1.0, 1)])
+def test_after_the_start_a_drive_begins_with_diffuse_errors_as_large_as_found(
+    monkeypatch: pytest.MonkeyPatch, factor: float, passes: int
+) -> None:
+    joined, join = list[float](), EkfSlam._join
+    monkeypatch.setattr(EkfSlam, "_join", lambda self, offsets: (joined.append(self._grown), join(self, offsets))[1])
+    drive = simulate(load("tiny", {"radio.clock_offset_std_m": 22.0}), 3, 0)
+    request = told(drive, "ekf-slam", "diffuse", factor)
+    late = {"start_limit_s": 25.0, "resolved_std_m": 1e-3}
+    driven(drive, replace(request, options=request.options.model_copy(update=late)))
+    assert joined[0] == 1.0 and len(joined) == passes and (passes == 1 or joined[1] > 1.35)
 
 
 def test_right_sizes_are_not_remarked_on_when_a_drive_tells_them_well() -> None:
