@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
 from typing import ClassVar
 
 import numpy as np
@@ -12,11 +11,12 @@ from cellslam.sim.recording import Ints, Truth
 from cellslam.slam.api import Setup, VtEstimate
 from cellslam.slam.ekf_slam.bank import Bank
 from cellslam.slam.ekf_slam.ekf_slam import EkfSlam
-from cellslam.slam.ekf_slam.state.layout import KNOWN_ASSOCIATION, KNOWN_MAP
+from cellslam.slam.ekf_slam.snapshot.association_kernel import FRESH
+from cellslam.slam.ekf_slam.state.layout import IDENT, KNOWN_ASSOCIATION, KNOWN_MAP, LINK, Filter, Measured
 from cellslam.slam.fastslam.fastslam import FastSlam
+from cellslam.slam.fastslam.fastslam_kernel import Scores
 from cellslam.slam.fastslam.fastslam_options import FastSlamOptions
-from cellslam.slam.fastslam.parts.association import FromTruth
-from cellslam.slam.fastslam.path_particles import PathParticles
+from cellslam.slam.fastslam.parts import never
 from cellslam.slam.front_end.looks import Looks
 
 LONG_AGO = -100_000  # snapshot in which the map was last seen, at the start
@@ -43,19 +43,25 @@ class FastSlamKnownAssociation(FastSlam):
 
     name: ClassVar[str] = "oracle-fastslam"
     requires_truth: ClassVar[bool] = True
+    mode: ClassVar[int] = KNOWN_ASSOCIATION
 
     def __init__(self, options: FastSlamOptions | None = None) -> None:
         super().__init__(options)
-        if not isinstance(self._filter, PathParticles):
-            self._filter = KnownAssociation(self.options)
+        self.parts = self.parts._replace(pruning=never)
 
     def start(self, setup: Setup, rng: np.random.Generator) -> None:
         """Take the prior and the associations."""
-        one = self._filter
-        if isinstance(one, PathParticles):
-            parts = one.choice.parts._replace(association=FromTruth(_truth(setup).measurement_vt))
-            one.choice = replace(one.choice, parts=parts)
+        self._vt_of = _truth(setup).measurement_vt
         super().start(setup, rng)
+
+    def _given(self, looks: Looks) -> Ints:
+        return np.array(self._vt_of[looks.row], np.int64)
+
+    def _hypotheses(self, f: Filter, measured: Measured, scores: Scores) -> list[Ints]:
+        link = np.repeat(np.arange(len(measured.first) - 1), np.diff(measured.first))
+        known = f.slots[: int(f.count[0])]
+        same = (known[:, IDENT] == measured.given[:, None]) & (known[:, LINK] == link[:, None])
+        return [np.where(same.any(axis=1), same.argmax(axis=1) if len(known) else 0, FRESH)]
 
 
 class KnownMap(EkfSlam):

@@ -30,7 +30,7 @@ def made_up() -> Recording:
     """Return a drive past two sites with a link each, whose clock offsets are unknown."""
     sheet = OdometryModel(np.full(6, 0.01), np.full(6, 0.01), np.full(6, 0.001), np.full(6, 0.01))
     links = Links(np.array([0, 1]), np.array([1, 2]), np.array([0, 0]))
-    sites = Sites(("A", "B"), np.zeros(2), np.array([150.0, 150.0]))
+    sites = Sites(("A", "B"), np.zeros(2), np.full(2, 150.0), clock_step_std_m=np.full(2, 10.0))
     snapshot = np.repeat(np.arange(SNAPSHOTS), 3)
     columns = (np.tile(column, SNAPSHOTS) for column in ([0, 0, 1], *_PATHS))
     time_s, odometry = np.linspace(0.0, 0.1 * (SNAPSHOTS - 1), SNAPSHOTS), np.zeros((SNAPSHOTS, 6))

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any, TypeVar
 
@@ -62,8 +62,8 @@ ROOM = 4  # times as many VTs as are kept, where a VT may begin as several guess
 KNOWN = 1000  # detections of a VT known before the drive
 
 
-def core_of(setup: Setup, errors: ArrayErrors) -> Core:
-    """Return the layout of the states that are always there."""
+def core_of(setup: Setup, errors: ArrayErrors, drawn: int = 0) -> Core:
+    """Return the layout of the states that are always there; `drawn`: blocks of which the noise is a state."""
     common = 0 if setup.map is None else setup.map.common_m.shape[2]
     model = setup.odometry_model
     bias, scale, noise, sway = *(np.full(POSE, -1, np.int64) for _ in range(3)), np.full(3, -1, np.int64)
@@ -83,11 +83,14 @@ def core_of(setup: Setup, errors: ArrayErrors) -> Core:
     rate = np.where(drifts, after + np.cumsum(drifts) - 1, -1).astype(np.int64)
     end = after + int(drifts.sum())
     step_m = np.array(setup.sites.step_std_m)  # one that can be written: for others the kernels would be compiled anew
-    return Core(sway, ground, bias, scale, noise, first, rate, wander, step_m, end, end + common)
+    sums = np.full((drawn, POSE), -1, np.int64)
+    sums[:, noisy] = end + np.arange(drawn * len(noisy)).reshape(drawn, len(noisy))
+    end += drawn * len(noisy)
+    return Core(sway, ground, bias, scale, noise, first, rate, wander, step_m, sums, end, end + common)
 
 
 Tables = TypeVar("Tables", Filter, Block)
-OF_VTS, OF_LOOKS = ("vt_state", "anchor", "slots"), ("looks", "seen", "e", "q", "measured", "diffuse", "odds")
+OF_VTS, OF_LOOKS = ("vt_state", "anchor", "slots", "spread"), ("looks", "seen", "e", "q", "measured", "diffuse", "odds")
 
 
 Work = Callable[[int, int], object]  # done for every `step`-th filter, from the `first` on
@@ -134,7 +137,7 @@ class Bank:
         together([self._work(errors, interval, measured, pairs, using=False)], [len(self)])
         pairs = self._doubt(pairs, measured.rules.doubt, most)
         together([self._work(errors, interval, measured, pairs, pairing=False)], [len(self)])
-        self._weigh(pairs.ident, measured)
+        self.weigh(pairs.ident, measured)
         return pairs.ident
 
     def _work(
@@ -145,7 +148,7 @@ class Bank:
         at = self.arrays, errors, self.blocks, interval, measured, pairs, self.influence.rest
         return partial(go_on_in_bank, *at, pairing, using)
 
-    def _weigh(self, association: Ints, measured: Measured) -> None:
+    def weigh(self, association: Ints, measured: Measured) -> None:
         """Take a snapshot and its associations (K, m) into the weights."""
         if len(self) == 1:
             return
@@ -154,14 +157,18 @@ class Bank:
         if self.blocks.snapshots[0, 0] == 0:  # a block has ended
             self.log_weight = self.influence.weigh(self.arrays)
 
-    def _unpaired(self, measured: Measured, most_vts: int) -> Paired:
-        """Make room for what a snapshot may bring; return room for how it is paired."""
+    def make_room(self, measured: Measured, most_vts: int) -> None:
+        """Make room for what a snapshot may bring, VTs of a remembered map among it."""
         if self.remembered is not None:
             self._meet(self.remembered, measured.now)
         guesses = measured.guesses
         room = most_vts * (ROOM if guesses else 1) - _most_of(self.arrays.count)
         self.reserve(NEW_STATES + 3 * guesses, min(NEW_VTS + guesses, max(room, 0)))
         self.arrays.losses[:] = 0
+
+    def _unpaired(self, measured: Measured, most_vts: int) -> Paired:
+        """Make room for what a snapshot may bring; return room for how it is paired."""
+        self.make_room(measured, most_vts)
         k, m, whole = len(self), len(measured.z), np.int64
         return Paired(
             np.empty((k, m), whole), np.empty((k, m)), np.empty((k, 1)), np.empty((k, 4), whole), np.zeros(k, whole),
@@ -178,15 +185,36 @@ class Bank:
         parents = np.append(np.arange(len(self)), found)
         columns: Any = [column[parents] for column in pairs]
         pairs = Paired(*columns)
-        for double, parent in enumerate(found.tolist(), len(self)):
-            self._copy(parent, double)
+        self.split(found)
+        for double in range(len(self) - len(found), len(self)):
             first, slot, second, other = pairs.change[double]
             pairs.slot_of[double, first] = slot
             if second >= 0:
                 pairs.slot_of[double, second] = other
         pairs.ends[:] = 1  # of all, so that weights can be compared
-        self.log_weight, self.influence = self.log_weight[parents], self.influence.of(parents)
         return pairs
+
+    def split(self, parents: Ints) -> None:
+        """Add copies of some filters."""
+        for double, parent in enumerate(parents.tolist(), len(self)):
+            self._copy(parent, double)
+        every = np.append(np.arange(len(self)), parents)
+        self.log_weight, self.influence = self.log_weight[every], self.influence.of(every)
+
+    def share_particles(self, count: int, resample: Callable[[Floats], Ints]) -> None:
+        """Give each filter so many particles: of those that it has, `resample` of their weights chooses; the first ones
+        are at its mean."""
+        k, rooms, a, b = len(self), len(self.arrays.x), self.arrays, self.blocks
+        deviation, weight = np.zeros((*a.x.shape, count)), np.full((rooms, count), 1.0 / count)
+        poses = np.zeros((*b.pose.shape, count))
+        for i in range(k if a.weight.shape[1] else 0):
+            ancestors = resample(a.weight[i])
+            deviation[i], poses[i] = a.deviation[i][:, ancestors], b.deviation[i][..., ancestors]
+            centre = deviation[i].mean(axis=1)
+            a.x[i] += centre
+            deviation[i] -= centre[:, None]
+        self.arrays = a._replace(deviation=deviation, weight=weight)
+        self.blocks = b._replace(deviation=poses)
 
     def _copy(self, source: int, target: int) -> None:
         """Make one filter a copy of another."""
@@ -222,7 +250,10 @@ class Bank:
         if _most_of(arrays.size) + states > width:
             more = max(width // 2, states)
             p = _covariances(arrays, len(arrays.x), width + more)
-            arrays = arrays._replace(x=_padded(arrays.x, more), owner=_padded(arrays.owner, more), p=p)
+            arrays = arrays._replace(
+                x=_padded(arrays.x, more), owner=_padded(arrays.owner, more), p=p,
+                deviation=_padded(arrays.deviation, more, 1),
+            )  # fmt: skip
         if _most_of(arrays.count) + vts > places:
             more = max(places // 2, vts)
             arrays, blocks = _with_rows(arrays, OF_VTS, more), _with_rows(blocks, OF_LOOKS, more)
@@ -264,11 +295,28 @@ class Bank:
 
     def moments(self) -> tuple[Floats, Floats]:
         """Return mean (C,) and covariance (C, C), in m and rad, of the core states, over all filters."""
-        size = self.core.size
-        if len(self) == 1:
-            return self.arrays.x[0, :size].copy(), self.arrays.p[0, :size, :size].copy()
-        weight, k = self.shares(), len(self)
-        return mixture_moments(weight, self.arrays.x[:k, :size], self.arrays.p[:k, :size, :size])
+        core, k = slice(0, self.core.size), len(self)
+        if k == 1:
+            return self.arrays.x[0, core].copy(), self.covariances(core)[0].copy()
+        return mixture_moments(self.shares(), self.arrays.x[:k, core], self.covariances(core))
+
+    def covariances(self, of: slice) -> Floats:
+        """Return the covariances (K, n, n) of some states in each filter, with those of its particles' means."""
+        k = len(self)
+        shared, d, w = self.arrays.p[:k, of, of], self.arrays.deviation[:k, of], self.arrays.weight[:k]
+        return shared if not w.shape[1] else shared + (d * w[:, None]) @ np.swapaxes(d, 1, 2)
+
+    def collapsed(self) -> Bank:
+        """Return the same belief without particles: what was in them is in the covariances."""
+        k, a = len(self), self.arrays
+        if not a.weight.shape[1]:
+            return self
+        p = np.zeros_like(a.p)
+        for i, n in enumerate(a.size[:k, 0].tolist()):
+            d = a.deviation[i, :n]
+            p[i, :n, :n] = a.p[i, :n, :n] + (d * a.weight[i]) @ d.T
+        none = a._replace(p=p, deviation=a.deviation[:, :, :0].copy(), weight=a.weight[:, :0].copy())
+        return replace(self, arrays=none)
 
     @property
     def core(self) -> Core:
@@ -281,7 +329,7 @@ class Bank:
         likely = np.argsort(-self.log_weight, kind="stable")
         likely = likely[self.log_weight[likely] >= self.log_weight.max() + math.log(ratio)]
         log_odds = self.log_weight if more else np.zeros(len(self))
-        return differing(self.arrays.x[:, of], self.arrays.p[:, of, of], log_odds, likely)
+        return differing(self.arrays.x[:, of], self.covariances(of), log_odds, likely)
 
     def lost(self, index: int) -> Floats:
         """Return the confirmed VTs of one filter that made room for others in the last snapshot, as `vts` does."""
@@ -300,7 +348,7 @@ def side_by_side(
     works = [bank._work(errors, interval, measured, one) for bank, one in zip(banks, pairs, strict=True)]
     together(works, [len(bank) for bank in banks])
     for bank, one in zip(banks, pairs, strict=True):
-        bank._weigh(one.ident, measured)
+        bank.weigh(one.ident, measured)
     return [one.ident for one in pairs]
 
 
@@ -377,10 +425,12 @@ def new_bank(
         np.zeros((k, weights), whole), np.full((k, vts, VT_STATES), -1), anchor, np.zeros((k, vts, SLOT), whole),
         np.zeros((k, 1), whole), np.ones((k, len(setup.links)), whole), np.zeros((k, LOST, ENTRY)),
         np.zeros((k, 1), whole), np.zeros((k, 3, SIZES)), np.zeros((k, 1)), np.zeros((k, 2)),
+        np.zeros((k, states, 0)), np.zeros((k, 0)), np.zeros((k, vts, 6)),
     )  # fmt: skip
     blocks = Block(
         np.zeros((k, 1), whole), np.zeros((k, LONGEST, POSE)), np.zeros((k, LONGEST, 2)), np.zeros((k, 3)),
         np.zeros((k, vts), whole), np.zeros((k, vts, LONGEST), whole), np.zeros((k, vts, 3)), np.zeros((k, vts, 3)),
         np.zeros((k, vts, 3)), np.zeros((k, vts)), np.zeros((k, vts)), np.zeros((k, len(core.rate), 2)),
+        np.zeros((k, LONGEST, POSE, 0)),
     )  # fmt: skip
     return Bank(arrays, blocks, np.zeros(k), Influence(np.zeros(k)))

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import Any, ClassVar
+from typing import Any, ClassVar, Self
 
 import numpy as np
 
@@ -24,7 +24,7 @@ from cellslam.slam.ekf_slam.snapshot.guess_kernel import births
 from cellslam.slam.ekf_slam.snapshot.motion_kernel import Interval
 from cellslam.slam.ekf_slam.start import STATES, Start, begin
 from cellslam.slam.ekf_slam.state.array_errors import array_errors
-from cellslam.slam.ekf_slam.state.layout import ENTRY, FREE, Measured, Rules, one_of
+from cellslam.slam.ekf_slam.state.layout import ENTRY, FREE, ArrayErrors, Measured, Rules, one_of
 from cellslam.slam.front_end.looks import Grouping, Looks
 from cellslam.slam.front_end.measurement_noise import first_of_link, ports_of
 from cellslam.slam.front_end.readings import Readings, novelty, readings, white_readings
@@ -63,7 +63,7 @@ class JointFilter:
 
     def warm_up(self) -> None:
         """Compile every kernel on a made-up drive of four snapshots."""
-        warm_up.drive(type(self)(self.options.model_copy(update={"start_limit_s": 0.1})))
+        warm_up.drive(self._alike(start_limit_s=0.1))
 
     def start(self, setup: Setup, rng: np.random.Generator) -> None:
         """Take the prior; nothing is drawn. With a map a filter without it runs beside, until it is sure that it
@@ -77,12 +77,12 @@ class JointFilter:
         self._born = len(links) + (0 if known is None else len(known))
         self._ports = ports_of(self._setup.links.site, self._setup.links.port)
         self._errors = array_errors(self.options, setup)
-        self._core = core_of(self._setup, self._errors)
+        self._core = core_of(self._setup, self._errors, self._drawn_blocks)
         self._past: list[tuple[Interval, Measured]] = []
         self._beside: tuple[JointFilter, MapTrial] | None = None
         self._misfit: list[str] = []
         if known is not None:
-            without = type(self)(self.options)
+            without = self._alike()
             without.start(replace(setup, map=None), rng)
             without._born = self._born  # so that new VTs have one identity in both
             self._beside = without, MapTrial(range(len(links), self._born))
@@ -151,7 +151,7 @@ class JointFilter:
         """
         if self._joint is None:
             raise RuntimeError("sizes are learnt once the clock offsets are resolved")
-        return sizes_of(self._joint, self._errors, self._setup.odometry_model.noise_density, self._grown)
+        return sizes_of(self._joint.collapsed(), self._errors, self._setup.odometry_model.noise_density, self._grown)
 
     def remarks(self) -> list[str]:
         """Return what the drive says against the sizes of errors that the filter was told, and against its map."""
@@ -164,7 +164,7 @@ class JointFilter:
         """
         if self._joint is None or not self._errors.calibration.any():
             return self.options.known_calibration
-        return found(self._joint, self._errors)
+        return found(self._joint.collapsed(), self._errors)
 
     def vt_map(self) -> VtMap | None:
         """Return the map that the drive leaves; while the clock offsets are wide the one that it began with."""
@@ -173,7 +173,7 @@ class JointFilter:
             return self._setup.map
         best, heard = int(np.argmax(bank.log_weight)), Heard(self._setup.links, self._setup.sites.name, self._seen)
         return map_after(
-            one_of(bank.arrays, best), self._archive, heard, bank.remembered, self.options.confirm_hits
+            one_of(bank.collapsed().arrays, best), self._archive, heard, bank.remembered, self.options.confirm_hits
         )  # fmt: skip
 
     def _given(self, looks: Looks) -> Ints:
@@ -188,6 +188,15 @@ class JointFilter:
         if places is not None:
             link = np.flatnonzero(np.isfinite(places[self._setup.links.site]).all(axis=1))
             bank.know(link, link, places[self._setup.links.site[link]], 0)
+
+    def _alike(self, **changes: Any) -> Self:
+        """Return another filter of the same kind, with some options changed."""
+        return type(self)(self.options.model_copy(update=changes))
+
+    @property
+    def _drawn_blocks(self) -> int:
+        """Of how many blocks the odometry's noise is a part of the state, since it will be drawn."""
+        return 0
 
     @property
     def _most(self) -> int:
@@ -270,7 +279,7 @@ class JointFilter:
         if self.options.merge_rate == 0.0:
             measured = measured._replace(merged=np.zeros(3))
         errors = self._errors._replace(diffuse=self._grown * self._errors.diffuse)
-        association = bank.use(errors, interval, measured, self.options.vts, self._most)
+        association = self._go_on(bank, errors, interval, measured)
         if self.grows and measured.now % GROW_EVERY == GROW_EVERY - 1:
             self._grown = min(self._grown * growth(bank), MOST_GROWN)
         best = int(np.argmax(bank.log_weight))
@@ -284,6 +293,10 @@ class JointFilter:
                 bank.keep(kept)
                 association = association[kept]
         return association
+
+    def _go_on(self, bank: Bank, errors: ArrayErrors, interval: Interval, measured: Measured) -> Ints:
+        """Move all filters of a bank by an interval, and use a snapshot; return the associations (K, m)."""
+        return bank.use(errors, interval, measured, self.options.vts, self._most)
 
     def _see(self, association: Ints, place: Floats) -> None:
         """Note from where the VTs of some looks are seen."""
@@ -301,7 +314,7 @@ class JointFilter:
         return readings(looks, self._ports, self._grouping.options, turn_rad, moved_m)
 
     def _measured(self, dt_s: float, odometry: Floats, v: Readings, looks: Looks) -> Measured:
-        step_s = dt_s if dt_s > 0.0 else 0.075
+        step_s = self._step_s = dt_s if dt_s > 0.0 else 0.075
         key = round(100.0 * math.log(step_s))
         if key not in self._by_step:
             self._by_step[key] = self._tables(step_s)

@@ -81,6 +81,7 @@ class Remembered:
         load = (by @ known.common_m[which]).reshape(3 * len(which), -1)
         at = size + np.arange(3 * len(which))
         f.x[at] = predict(anchor, position).ravel()
+        f.deviation[at] = load @ f.deviation[common]
         f.p[at, :size] = load @ f.p[common, :size]
         f.p[:size, at] = f.p[at, :size].T
         f.p[at[:, None], at] = f.p[at, common] @ load.T
@@ -92,6 +93,7 @@ class Remembered:
             f.anchor[j, :3], f.anchor[j, [EXISTS, SHARE]], f.anchor[j, [MERGED, WORTH]] = known.anchor_m[vt], 1.0, 0.0
             f.vt_state[j], f.vt_state[j, VT : VT + 3] = -1, places
             f.owner[places] = [owner_of(j, VT + c, VT_STATES) for c in range(3)]
+            f.spread[j] = 0.0
             clear(b, j)
         f.count[0], f.size[0] = count + len(which), size + 3 * len(which)
 

@@ -1,94 +1,324 @@
-"""FastSLAM: particles whose VTs are Gaussian, with errors that persist as states or counted."""
+"""FastSLAM: a Rao-Blackwellised particle filter over the vehicle's path, with one gain for all particles.
+
+State
+    x in R^n   pose, odometry biases and scales, clock offsets, errors of the array, virtual transmitters (VTs): the
+               state of the joint EKF (`slam/ekf_slam`), about which this filter shares models and linearisation
+    u_k in R^d what the odometry's white noise sums up to in block k of snapshots, some 0.6 s long: a particle is a
+               path, the sequence of its draws of u_1, u_2, ...
+    Given the path x is Gaussian. F, H and R hardly depend on which path it is, so N particles share one covariance
+    P (n, n) and one gain; particle i has its own mean, column i of M (n, N), and its own weight w_i.
+
+Recursion
+    predict    M <- f(M), for each particle;  P <- F P F^T + Q, u_k being a part of the state
+    associate  the innovations' covariance is H P H^T + R and the spread of h(M) over the particles
+    innovate   E = z - h(M) (m, N);  S = H P H^T + R = L L^T;  W = L^-1 E, G = L^-1 H P      at the end of a block
+    update     M <- M + K E = M + G^T W;  P <- P - K S K^T = P - G^T G
+    weigh      log w_i <- log w_i - |W_i|^2 / 2            log det S is common to all particles and cancels
+    draw       u_i ~ N(M_u, P_uu) for the u of `lag` blocks ago;  M <- M + G_u (u_i - M_u), P <- P - G_u P_u.,
+               G_u = P_.u P_uu^-1
+    resample   where 1 / sum(w_i^2) < effective_share N: copy columns of M
+
+    The belief is the mixture of N(m_i, P): mean M w, covariance P + (spread of the columns of M).
+
+`lag` is what tells the relatives apart. With lag = 0 a block's noise is drawn from its posterior given the
+measurements of the block: FastSLAM 2.0. With lag = -1 it is drawn from its prior, before: FastSLAM 1.0. The greater
+the lag, the more measurements the noise is drawn by, and the more of what is known stays in P instead of in the
+particles; where nothing is ever drawn (lag = NEVER) one column is left, and the filter is the joint EKF.
+
+What no Gaussian holds, several hypotheses of an association or modes of a clock offset, is in groups: each has an M, a
+P and a share of the particles, and is weighed by the likelihood of its measurements. While clock offsets are wide, the
+groups are the Gaussians of the joint filter's start, which draw nothing.
+
+Sources: Schoen, Gustafsson and Nordlund, "Marginalized particle filters for mixed linear/nonlinear state-space models",
+IEEE Trans. Signal Processing 53(7), 2005 (common Riccati recursion); Montemerlo et al., "FastSLAM", AAAI 2002, and
+"FastSLAM 2.0", IJCAI 2003; measurement model: Chen, Whiton and Tufvesson, "Extended FastSLAM using cellular multipath
+component delays and angular information", sections III and IV.
+"""
 
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any, ClassVar
+from typing import Any, ClassVar, Self
 
 import numpy as np
+from scipy.linalg.blas import dgemm
 
 from cellslam.sim.compiling import is_compiled
-from cellslam.sim.errors import InputError
-from cellslam.sim.recording import Floats
-from cellslam.slam.api import Estimate, Setup, Snapshot
+from cellslam.sim.recording import Floats, Ints
+from cellslam.slam import warm_up
+from cellslam.slam.api import Setup
+from cellslam.slam.ekf_slam.bank import Bank
 from cellslam.slam.ekf_slam.ekf_slam import JointFilter
-from cellslam.slam.ekf_slam.sizes import Sizes
-from cellslam.slam.ekf_slam.snapshot import snapshot_kernel
-from cellslam.slam.fastslam.association_particles import AssociationParticles
-from cellslam.slam.fastslam.fastslam_options import FastSlamOptions
-from cellslam.slam.fastslam.path_particles import PathParticles
-from cellslam.slam.model.calibration import Calibration
-from cellslam.slam.model.vt_map import VtMap
+from cellslam.slam.ekf_slam.snapshot.association_kernel import FRESH, TAKEN
+from cellslam.slam.ekf_slam.snapshot.motion_kernel import NOTHING_DRAWN, Interval
+from cellslam.slam.ekf_slam.snapshot.snapshot_kernel import Room
+from cellslam.slam.ekf_slam.state.layout import (
+    HITS,
+    LAST,
+    POSE,
+    SHARE,
+    ArrayErrors,
+    Block,
+    Filter,
+    Measured,
+    block_of,
+    one_of,
+)
+from cellslam.slam.fastslam import fastslam_kernel
+from cellslam.slam.fastslam.fastslam_kernel import (
+    Scores,
+    end_block,
+    innovate,
+    predict_and_score,
+    room_for,
+    spread_over_particles,
+    step_clocks,
+    use,
+)
+from cellslam.slam.fastslam.fastslam_options import NEVER, FastSlamOptions
+from cellslam.slam.fastslam.parts import BUILT_IN, Candidates, Parts, Transmitters, checked, part_named
+
+FEWEST = 10  # particles of a group: three of them do not hold a path
+TINY = 1e-12  # of a variance: as good as none
+DROPPED = 0.0  # share of a VT in the map that makes the joint filter drop it
 
 
-class FastSlam:
-    """Rao-Blackwellised particle filter: what a particle is given, the rest is Gaussian in it.
+class FastSlam(JointFilter):
+    """Particles over the vehicle's path, in groups; see the module for the equations, `parts` for what can be replaced.
 
-    With errors as states a particle is a sequence of associations, with a mode of the clock offsets, and pose, VTs and
-    errors are one Gaussian in it. With errors counted it is a path, as in the paper, and every VT is a Gaussian of its
-    own; parts of that filter can be replaced.
-
-    Sources: Chen, Whiton and Tufvesson, "Extended FastSLAM using cellular multipath component delays and angular
-    information"; Doucet, de Freitas, Murphy and Russell, "Rao-Blackwellised particle filtering for dynamic Bayesian
-    networks", UAI 2000.
+    Parts are given by the options, by name, or as objects: FastSlam(options, association=my_function).
     """
 
     name: ClassVar[str] = "fastslam"
-    requires_truth: ClassVar[bool] = False
     Options: ClassVar[type[FastSlamOptions]] = FastSlamOptions
+    options: FastSlamOptions
 
     def __init__(self, options: FastSlamOptions | None = None, **parts: Any) -> None:
-        """Take options, and parts as objects where they are not those that the options name, with errors counted.
+        """Take options, and parts as objects in the place of those that the options name.
 
-        parts: association, criterion, clock, resampling; see `part_types`, `resampling`.
+        Raises InputError for a slot or a name that does not exist, and for a part that cannot be called.
         """
-        self.options = options or FastSlamOptions()
-        counted = self.options.errors == "counted"
-        if parts and not counted:
-            raise TypeError(f"{', '.join(sorted(parts))}: a part of the filter with errors='counted'; set that option")
-        self._filter: PathParticles | JointFilter = (
-            PathParticles(self.options, **parts) if counted else AssociationParticles(self.options)
-        )
+        super().__init__(options or FastSlamOptions())
+        self._given_parts = {slot: checked(slot, part) for slot, part in parts.items()}
+        named = {slot: part_named(slot, getattr(self.options, slot)) for slot in BUILT_IN if slot not in parts}
+        self.parts = Parts(**named, **self._given_parts)
 
     @staticmethod
     def compiled() -> bool:
-        """Return whether the kernels of errors as states have been compiled before, and are in Numba's cache."""
-        return is_compiled(snapshot_kernel.__name__, Path(snapshot_kernel.__file__))
+        """Return whether the kernels have been compiled before, and are in Numba's cache."""
+        return is_compiled(fastslam_kernel.__name__, Path(fastslam_kernel.__file__))
 
     def warm_up(self) -> None:
-        """Compile every kernel on a made-up drive."""
-        self._filter.warm_up()
+        """Compile every kernel on a made-up drive of four snapshots, each a block of its own."""
+        warm_up.drive(self._alike(start_limit_s=0.1, block_s=0.0, groups=2))
 
     def start(self, setup: Setup, rng: np.random.Generator) -> None:
-        """Take the prior. Raises InputError for a map with errors counted."""
-        if setup.map is not None and isinstance(self._filter, PathParticles):
-            raise InputError("a map, but with errors=counted fastslam begins with none: set errors=states")
-        self._filter.start(setup, rng)
+        """Take the prior; draws begin with the first block of snapshots."""
+        self._rng, self._block = rng, 0
+        self._room: Room | None = None
+        super().start(setup, rng)
 
-    def step(self, dt_s: float, odometry: Floats, snapshot: Snapshot) -> Estimate:
-        """Answer a snapshot.
+    def _alike(self, **changes: Any) -> Self:
+        return type(self)(self.options.model_copy(update=changes), **self._given_parts)
 
-        dt_s in s; odometry (6,): mean body velocities in m/s and rad/s.
+    @property
+    def _drawn_blocks(self) -> int:
+        return 0 if self.options.lag >= NEVER else max(self.options.lag, 0) + 1
+
+    # ---- a snapshot --------------------------------------------------------------------------------------------------
+
+    def _go_on(self, mixture: Bank, errors: ArrayErrors, interval: Interval, measured: Measured) -> Ints:
+        """Use a snapshot in all groups; return the associations (K, m).
+
+        While the drive so far is gone through again at the end of the start, there are no particles yet.
         """
-        return self._filter.step(dt_s, odometry, snapshot)
+        if self._start is not None or self._past:
+            return super()._go_on(mixture, errors, interval, measured)
+        self._share_particles(mixture)
+        mixture.make_room(measured, self.options.vts)
+        if self._drawn_blocks:
+            interval = interval._replace(drawn=self._core.drawn[self._block % self._drawn_blocks])
+        paired = [self._associate(*self._group(mixture, k), errors, interval, measured) for k in range(len(mixture))]
+        parents, second = self._second_hypotheses(mixture, paired)
+        mixture.split(parents)
+        chosen = [one[0] for one in paired] + second
+        association = np.full((len(mixture), len(measured.z)), -1)
+        full = len(parents) > 0
+        for k in range(len(mixture)):
+            f, b = self._group(mixture, k)
+            full |= use(f, errors, b, measured, chosen[k], association[k], self._room_for(f, measured))
+        if full:
+            for k in range(len(mixture)):
+                mixture.influence.rest[k] += self._end_block(*self._group(mixture, k), errors, interval, measured)
+            self._block += 1
+        mixture.weigh(association, measured)
+        return association
 
-    def sizes(self) -> Sizes:
-        """Return what the drive so far says of the sizes of errors, with errors as states.
+    @staticmethod
+    def _group(mixture: Bank, k: int) -> tuple[Filter, Block]:
+        return one_of(mixture.arrays, k), block_of(mixture.blocks, k)
 
-        Raises RuntimeError while the clock offsets are wide, and with errors counted.
+    def _associate(
+        self, f: Filter, b: Block, errors: ArrayErrors, interval: Interval, measured: Measured
+    ) -> list[Ints]:
+        """Move a group, and return hypotheses of which VT each measurement is of: its slot (m,), FRESH for a new one,
+        TAKEN for none; the likeliest first."""
+        m, links, room = len(measured.z), len(measured.first) - 1, self._room_for(f, measured)
+        scores = Scores(
+            count=np.zeros(links, np.int64), slot=np.empty((links, len(f.slots)), np.int64),
+            log_ratio=np.full((len(f.slots), m), -np.inf), distance2=np.full((len(f.slots), m), np.inf),
+        )  # fmt: skip
+        predict_and_score(f, errors, b, interval, measured, room, scores)
+        found = self._hypotheses(f, measured, scores)
+        if self._core.step_m.any() and step_clocks(f, errors, b, measured, found[0], room, scores):
+            found = self._hypotheses(f, measured, scores)
+        return found
+
+    def _hypotheses(self, f: Filter, measured: Measured, scores: Scores) -> list[Ints]:
+        """Return the hypotheses (m,) of a snapshot; beside the best one, those that differ from it at one site."""
+        best, others = np.full(len(measured.z), TAKEN), []
+        for link, (start, stop) in enumerate(zip(measured.first[:-1], measured.first[1:], strict=True)):
+            if start == stop or f.links[link] == 0:
+                continue
+            slot = scores.slot[link, : scores.count[link]]
+            candidates = Candidates(
+                log_ratio=scores.log_ratio[: len(slot), start:stop], distance2=scores.distance2[: len(slot), start:stop],
+                detections=f.slots[slot, HITS],
+            )  # fmt: skip
+            rows = np.atleast_2d(self.parts.association(candidates)) if len(slot) else np.full((1, stop - start), -1)
+            found = [self._slots(candidates, slot, row) for row in rows]
+            best[start:stop] = found[0]
+            others += [(start, stop, one) for one in found[1:]]
+        hypotheses = [best]
+        for start, stop, one in others:
+            hypotheses.append(best.copy())
+            hypotheses[-1][start:stop] = one
+        return hypotheses
+
+    def _slots(self, candidates: Candidates, slot: Ints, candidate_of: Ints) -> Ints:
+        """Return the slot (m,) of each measurement's VT, FRESH where it begins one, TAKEN where it does not."""
+        without = np.where(self.parts.birth(candidates, candidate_of), FRESH, TAKEN)
+        if not len(slot):
+            return without
+        return np.where(candidate_of >= 0, slot[candidate_of], without)
+
+    def _second_hypotheses(self, mixture: Bank, paired: list[list[Ints]]) -> tuple[Ints, list[Ints]]:
+        """Return the groups that become two, the likeliest first, as long as there is room, and their second
+        hypotheses."""
+        found = [(k, one) for k in np.argsort(-mixture.log_weight, kind="stable") for one in paired[k][1:]]
+        found = found[: max(self.options.groups - len(mixture), 0)]
+        return np.array([k for k, _ in found], np.int64), [one for _, one in found]
+
+    # ---- the end of a block ------------------------------------------------------------------------------------------
+
+    def _end_block(
+        self, f: Filter, b: Block, errors: ArrayErrors, interval: Interval, measured: Measured
+    ) -> float:
+        """Update, weigh, draw and resample a group; return what adds to its log-weight beside its VTs."""
+        room, parts, before = self._room_for(f, measured), self.parts, f.x[: f.size[0]].copy()
+        site_of, places = measured.site_of, self._core.drawn
+        drawn = places[(self._block + 1) % len(places)] if self._drawn_blocks else NOTHING_DRAWN
+        if self.options.lag < 0:
+            self._draw_blindly(f, b, drawn)
+            spread_over_particles(f, site_of, room)
+        innovate(f, errors, b, measured, room)
+        n, w, k = int(f.size[0]), room.pending, int(room.pending.used[0])
+        # By these rows, and beside them, the joint filter has moved the mean; here the particles are moved.
+        f.x[:n] += w.added[:n] - w.rows[:k, :n].T @ w.whitened_mean[:k]
+        G, W = parts.update(w.rows[:k, :n], w.whitened[:k])
+        log_likelihood = parts.weight(W)
+        if self.options.lag >= 0:
+            G, W, log_ratio = self._drawn(f, drawn, G, W)
+            log_likelihood = log_likelihood + log_ratio
+        w.used[0] = len(G)
+        w.rows[: len(G), :n] = G
+        self._move(f, G, W, log_likelihood)
+        rules = self._prune(f, measured)
+        total = end_block(f, errors, b, before, interval.noise, measured._replace(rules=rules), drawn, room)
+        self._resample(f)
+        spread_over_particles(f, site_of, room)
+        return total
+
+    def _drawn(self, f: Filter, drawn: Ints, G: Floats, W: Floats) -> tuple[Floats, Floats, Floats]:
+        """Draw noise that was a part of the state until now, given an update with the rows G (k, n), W (k, N).
+
+        Return the update with the rows that condition the state on the draws, and the log of target over proposal (N,).
+        With A A^T = P_uu they are G_u = A^-1 P_u. and W_u = A^-1 (u_i - M_u).
         """
-        if isinstance(self._filter, PathParticles):
-            raise RuntimeError("sizes are learnt with errors='states' alone")
-        return self._filter.sizes()
+        n, u = G.shape[1], drawn[drawn >= 0]
+        P_u = f.p[u, :n] - G[:, u].T @ G
+        variance, axes = np.linalg.eigh(P_u[:, u])
+        there = variance > TINY * f.p[u, u].max(initial=0.0)
+        if not there.any():
+            return G, W, np.zeros(W.shape[1])
+        M_u = f.x[u, None] + f.deviation[u] + G[:, u].T @ W
+        draws, log_ratio = self.parts.proposal(M_u, P_u[:, u], self._rng)
+        root = axes[:, there].T / np.sqrt(variance[there, None])
+        return np.concatenate([G, root @ P_u]), np.concatenate([W, root @ (draws - M_u)]), log_ratio
 
-    def remarks(self) -> list[str]:
-        """Return what the drive says against the sizes of errors that the filter was told; none with errors counted."""
-        return [] if isinstance(self._filter, PathParticles) else self._filter.remarks()
+    def _draw_blindly(self, f: Filter, b: Block, drawn: Ints) -> None:
+        """Draw a block's noise before its measurements are used, and move the particles along it."""
+        n, N, pose = int(f.size[0]), len(f.weight), f.deviation[:POSE].copy()
+        G, W, log_ratio = self._drawn(f, drawn, np.empty((0, n)), np.empty((0, N)))
+        f.p[:n, :n] -= G.T @ G
+        self._move(f, G, W, log_ratio)
+        b.deviation[:] += f.deviation[:POSE] - pose
 
-    def vt_map(self) -> VtMap | None:
-        """Return the map that the drive leaves; None with errors counted."""
-        return None if isinstance(self._filter, PathParticles) else self._filter.vt_map()
+    @staticmethod
+    def _move(f: Filter, G: Floats, W: Floats, log_likelihood: Floats) -> None:
+        """Let M <- M + G^T W and w_i <- w_i exp(log_likelihood_i); x stays the weighted mean of the columns of M."""
+        n = G.shape[1]
+        with np.errstate(divide="ignore"):
+            log_weight = np.log(f.weight) + log_likelihood
+        weight = np.exp(log_weight - log_weight.max())
+        f.weight[:] = weight / weight.sum()
+        if len(G):
+            dgemm(1.0, W.T, G, beta=1.0, c=f.deviation[:n].T, overwrite_c=True)
+        _recentre(f, n)
 
-    def calibration(self) -> Calibration | None:
-        """Return the array's calibration as the drive has shown it; None with errors counted."""
-        return None if isinstance(self._filter, PathParticles) else self._filter.calibration()
+    def _resample(self, f: Filter) -> None:
+        count, n = len(f.weight), int(f.size[0])
+        if count == 1 or 1.0 / np.sum(f.weight**2) >= self.options.effective_share * count:
+            return
+        f.deviation[:n] = f.deviation[:n, self.parts.resampling(f.weight, count, self._rng)]
+        f.weight[:] = 1.0 / count
+        _recentre(f, n)
+
+    def _prune(self, f: Filter, measured: Measured) -> Any:
+        """Mark the VTs that are to be dropped; return the rules for what the joint filter does at a block's end."""
+        rules, count = measured.rules, int(f.count[0])
+        hits, unseen = f.slots[:count, HITS], measured.now - f.slots[:count, LAST]
+        step_s = self._step_s
+        lifetime = np.where(hits < 2, rules.age_once, rules.age_twice)
+        vts = Transmitters(
+            detections=hits.copy(), unseen_s=unseen * step_s, lifetime_s=lifetime * step_s,
+            confirmed=hits >= rules.confirm,
+        )  # fmt: skip
+        f.anchor[:count, SHARE][self.parts.pruning(vts)] = DROPPED
+        forever = np.iinfo(np.int64).max
+        return rules._replace(age_once=forever, age_twice=forever)
+
+    # ---- groups and memory -------------------------------------------------------------------------------------------
+
+    def _share_particles(self, mixture: Bank) -> None:
+        """Give each group its share of the particles, if the number of groups has changed."""
+        count = 1 if self._drawn_blocks == 0 else max(self.options.particles // len(mixture), FEWEST)
+        if mixture.arrays.weight.shape[1] != count:
+            mixture.share_particles(count, lambda weight: self.parts.resampling(weight, count, self._rng))
+
+    def _room_for(self, f: Filter, measured: Measured) -> Room:
+        """Return memory to work in that is large enough for a group and a snapshot."""
+        w, most = self._room, len(measured.z)
+        if (
+            w is None or len(w.pending.added) != len(f.x) or w.pairs.score.shape[0] != len(f.slots)
+            or w.pairs.score.shape[1] < most or w.pending.whitened.shape[1] != len(f.weight)
+        ):  # fmt: skip
+            w = self._room = room_for(f, 2 * most + 8, 3 * len(f.slots) + 6)
+        return w
+
+
+def _recentre(f: Filter, n: int) -> None:
+    """Let x be the weighted mean of the particles again."""
+    shift = f.deviation[:n] @ f.weight
+    f.x[:n] += shift
+    f.deviation[:n] -= shift[:, None]

@@ -58,11 +58,13 @@ class Messages(NamedTuple):
 
 
 class Pairs(NamedTuple):
-    """Room for the pairs of a link: `score` (C, m), VTs `chosen` (C,) of its rows; of m looks `row_of`, `gated`,
+    """Room for the pairs of a link: `score` (C, m), squared Mahalanobis distances `distance2` (C, m), infinite outside
+    the gate, VTs `chosen` (C,) of its rows; of m looks `row_of`, `gated`,
     `slot_of`; the assignment's `work_f` and `work_i`. By belief propagation: `messages`, and how likely a
     look began a VT, `exists` (m,)."""
 
     score: Floats
+    distance2: Floats
     chosen: Ints
     row_of: Ints
     gated: Ints
@@ -103,8 +105,9 @@ def expect(f: Filter, a: ArrayErrors, j: int, offset: int, turned: Rotations, s:
             seen.elevation + errors.z + roof.z,
         ),
         Sym3(
-            hph.xx + unmet.x + a.roof[0] ** 2, hph.xy, hph.xz, hph.yy + unmet.y + a.roof[1] ** 2, hph.yz,
-            hph.zz + unmet.z + a.roof[2] ** 2,
+            hph.xx + unmet.x + a.roof[0] ** 2 + f.spread[j, 0], hph.xy + f.spread[j, 1], hph.xz + f.spread[j, 2],
+            hph.yy + unmet.y + a.roof[1] ** 2 + f.spread[j, 3], hph.yz + f.spread[j, 4],
+            hph.zz + unmet.z + a.roof[2] ** 2 + f.spread[j, 5],
         ),
     )  # fmt: skip
 
@@ -154,6 +157,7 @@ def score_pairs(f: Filter, a: ArrayErrors, seen: Measured, link: int, s: Sight, 
         if row == rows:
             w.chosen[rows] = j
             w.score[rows, : stop - start] = -math.inf
+            w.distance2[rows, : stop - start] = math.inf
             rows += 1
         expected = expect(f, a, j, offset, turned, s)
         odds = seen.tables[kind, 0, age] - seen.tables[kind, 1, age]
@@ -171,6 +175,7 @@ def score_pairs(f: Filter, a: ArrayErrors, seen: Measured, link: int, s: Sight, 
             distance2, log_det = log_likelihood(i)
             if distance2 < gate:
                 w.gated[k - start] = 1
+                w.distance2[row, k - start] = min(distance2, w.distance2[row, k - start])
                 value = prior - seen.gap[k] - 0.5 * (distance2 + log_det + i.measured * LOG_2PI)
                 before = w.score[row, k - start]
                 most = max(value, before)

@@ -22,7 +22,7 @@ from cellslam.slam.ekf_slam.snapshot.sight_kernel import (
     rotations_of,
 )
 from cellslam.slam.ekf_slam.snapshot.sizes_kernel import count_weight
-from cellslam.slam.ekf_slam.snapshot.update_kernel import Pending, gains
+from cellslam.slam.ekf_slam.snapshot.update_kernel import Pending, gains, times
 from cellslam.slam.ekf_slam.state.layout import (
     BELIEF,
     BEYOND,
@@ -49,7 +49,7 @@ from cellslam.slam.ekf_slam.state.layout import (
     Rules,
     one_of,
 )
-from cellslam.slam.ekf_slam.state.states_kernel import enter, leave, owner_of
+from cellslam.slam.ekf_slam.state.states_kernel import covariance_of, enter, leave, owner_of
 from cellslam.slam.model.copy_kernel import put
 from cellslam.slam.model.matrices_kernel import (
     Sym3,
@@ -108,6 +108,9 @@ def give_birth(
         f.p[at[VT], i] = f.p[i, at[VT]] = -to_vt.x
         f.p[at[VT + 1], i] = f.p[i, at[VT + 1]] = -to_vt.y
         f.p[at[VT + 2], i] = f.p[i, at[VT + 2]] = -to_vt.z
+    for i in range(len(f.weight)):
+        to_vt = mat_vec(inverse, times(s, f.deviation[:, i]))
+        f.deviation[at[VT], i], f.deviation[at[VT + 1], i], f.deviation[at[VT + 2], i] = -to_vt.x, -to_vt.y, -to_vt.z
     p, x, y, z_ = f.p, at[VT], at[VT + 1], at[VT + 2]
     p[x, x], p[y, y], p[z_, z_] = spread.xx, spread.yy, spread.zz
     p[x, y] = p[y, x] = spread.xy
@@ -141,6 +144,7 @@ def add(
     f.anchor[new, MERGED], f.anchor[new, WORTH] = expected_share(seen.rules.merge_rate), 0.0
     f.slots[new, LINK], f.slots[new, HITS], f.slots[new, LAST], f.slots[new, IDENT] = link, 1, seen.now, ident
     f.slots[new, UNSEEN], f.slots[new, BEYOND] = 0, 0
+    f.spread[new] = 0.0
     clear(b, new)
     f.count[0] = new + 1
     return True
@@ -180,6 +184,7 @@ def remove(f: Filter, b: Block, j: int) -> None:
     if j != last:
         put(f.anchor[j], f.anchor[last])
         put(f.slots[j], f.slots[last])
+        put(f.spread[j], f.spread[last])
         for c in range(f.vt_state.shape[1]):
             place = f.vt_state[last, c]
             f.vt_state[j, c], f.vt_state[last, c] = place, -1
@@ -196,12 +201,15 @@ def remove(f: Filter, b: Block, j: int) -> None:
 @part
 def keep(f: Filter, j: int, out: Floats) -> None:
     """Write identity, link, position (3,) in m and covariance (9,) in m^2 of VT j into out (14,)."""
-    vt, at, p = coordinates(f, j), f.vt_state[j], f.p
+    vt, at = coordinates(f, j), f.vt_state[j]
     x, y, z = at[VT], at[VT + 1], at[VT + 2]
     way = vec_scaled(direction(vt.azimuth, vt.elevation), vt.distance)
     spread = congruence(
         cartesian_jacobian(vt.distance, vt.azimuth, vt.elevation),
-        Sym3(p[x, x], p[x, y], p[x, z], p[y, y], p[y, z], p[z, z]),
+        Sym3(
+            covariance_of(f, x, x), covariance_of(f, x, y), covariance_of(f, x, z), covariance_of(f, y, y),
+            covariance_of(f, y, z), covariance_of(f, z, z),
+        ),
     )
     out[0], out[1] = f.slots[j, IDENT], f.slots[j, LINK]
     out[POSITION], out[POSITION + 1] = f.anchor[j, 0] + way.x, f.anchor[j, 1] + way.y

@@ -136,7 +136,8 @@ def correct_guesses(
 
     Guesses given up have the share 0.
     """
-    settle(f, w)
+    if len(f.weight) == 0:  # the rows of a filter with particles are needed until these are updated, too
+        settle(f, w)
     link, ident, last, hits, share = (
         f.slots[j, LINK],
         f.slots[j, IDENT],

@@ -5,24 +5,29 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
+import numpy as np
+
 from cellslam.sim.compiling import lean, njit
-from cellslam.sim.recording import Floats
+from cellslam.sim.recording import Floats, Ints
 from cellslam.slam.ekf_slam.state.layout import DIFFUSE, OF_VT, POSE, ArrayErrors, Filter
 from cellslam.slam.ekf_slam.state.states_kernel import fade
 from cellslam.slam.model.matrices_kernel import Mat3, Vec3, columns, put_mat, scaled
 from cellslam.slam.model.measurement_kernel import rotations
 
+NOTHING_DRAWN = np.full(POSE, -1, np.int64)
 AREA = math.sqrt(math.pi / 2.0)  # exp(-x / (AREA l)) has the area of exp(-x^2 / (2 l^2))
 
 
 class Interval(NamedTuple):
     """What the odometry says of `dt` (s): mean body velocities `measured` (6,), and the densities (6,) of its white
-    `noise` and of its biases' `walk`."""
+    `noise` and of its biases' `walk`; `drawn` (6,): places of the states that the noise is summed up in because it will
+    be drawn, -1 for none."""
 
     dt: float
     measured: Floats
     noise: Floats
     walk: Floats
+    drawn: Ints = NOTHING_DRAWN
 
 
 class Step(NamedTuple):
@@ -39,6 +44,7 @@ def move(f: Filter, interval: Interval, w: Step) -> None:
 
     The true velocity is (measured - bias - noise) / (1 + scale); the pose moves as in `frames.integrate_pose`.
     """
+    _move_particles(f, interval)
     _move_pose(f, interval, w.by)
     _spread(f, interval, w)
     _drift(f, interval.dt)
@@ -59,6 +65,45 @@ def _velocity(f: Filter, interval: Interval, c: int) -> float:
     bias, scale = f.core.bias[c], f.core.scale[c]
     given, factor = interval.measured[c] - (f.x[bias] if bias >= 0 else 0.0), 1.0 + (f.x[scale] if scale >= 0 else 0.0)
     return float(given / factor)
+
+
+@lean
+def _move_particles(f: Filter, interval: Interval) -> None:
+    """Move the pose of each particle with its own biases and scales; what is left is how it differs from the mean's.
+
+    Called before the mean's pose moves, whose next value is computed here, too.
+    """
+    x, d, dt, half = f.x, f.deviation, interval.dt, 0.5 * interval.dt
+    if len(f.weight) == 0:
+        return
+    ahead, turn = Vec3(0.0, 0.0, 0.0), Vec3(0.0, 0.0, 0.0)
+    mean_way, mean_turn = ahead, turn
+    for c in range(-1, len(f.weight)):  # the mean first
+        ahead = Vec3(_velocity_of(f, interval, 0, c), _velocity_of(f, interval, 1, c), _velocity_of(f, interval, 2, c))
+        turn = Vec3(_velocity_of(f, interval, 3, c), _velocity_of(f, interval, 4, c), _velocity_of(f, interval, 5, c))
+        yaw = x[3] + (d[3, c] if c >= 0 else 0.0) + half * turn.x
+        pitch = x[4] + (d[4, c] if c >= 0 else 0.0) + half * turn.y
+        roll = x[5] + (d[5, c] if c >= 0 else 0.0) + half * turn.z
+        way = _way(rotations(yaw, pitch, roll).r, ahead, dt)
+        if c < 0:
+            mean_way, mean_turn = way, turn
+            continue
+        d[0, c] += way.x - mean_way.x
+        d[1, c] += way.y - mean_way.y
+        d[2, c] += way.z - mean_way.z
+        d[3, c] += dt * (turn.x - mean_turn.x)
+        d[4, c] += dt * (turn.y - mean_turn.y)
+        d[5, c] += dt * (turn.z - mean_turn.z)
+
+
+@lean
+def _velocity_of(f: Filter, interval: Interval, c: int, particle: int) -> float:
+    """Return component c of the velocity, corrected by what a particle, or the mean (-1), knows of bias and scale."""
+    if particle < 0:
+        return _velocity(f, interval, c)
+    bias, scale, d = f.core.bias[c], f.core.scale[c], f.deviation
+    given = interval.measured[c] - (f.x[bias] + d[bias, particle] if bias >= 0 else 0.0)
+    return float(given / (1.0 + (f.x[scale] + d[scale, particle] if scale >= 0 else 0.0)))
 
 
 @lean
@@ -111,7 +156,7 @@ def _spread(f: Filter, interval: Interval, w: Step) -> None:
         for i in range(POSE, n):
             p[r, i] = rows[r, i]
             p[i, r] = rows[r, i]
-    noise, dt = interval.noise, interval.dt
+    noise, drawn, dt = interval.noise, interval.drawn, interval.dt
     for r in range(POSE):
         for s in range(r, POSE):
             total = 0.0
@@ -128,8 +173,24 @@ def _spread(f: Filter, interval: Interval, w: Step) -> None:
             for r in range(POSE):
                 p[r, place] -= by[r, core.size + c] * variance
                 p[place, r] = p[r, place]
+        if drawn[c] >= 0:
+            _sum_up(f, w, interval, c)
         if core.bias[c] >= 0:
             p[core.bias[c], core.bias[c]] += interval.walk[c] * interval.walk[c] * dt
+
+
+@lean
+def _sum_up(f: Filter, w: Step, interval: Interval, c: int) -> None:
+    """Add the interval's white noise of component c to the state that will be drawn, and to what goes with it."""
+    p, place, other = f.p, interval.drawn[c], f.core.noise[c]
+    variance = interval.noise[c] * interval.noise[c]
+    p[place, place] += variance * interval.dt
+    if other >= 0:
+        p[place, other] += variance * interval.dt
+        p[other, place] = p[place, other]
+    for r in range(POSE):
+        p[r, place] -= w.by[r, f.core.size + c] * variance
+        p[place, r] = p[r, place]
 
 
 @lean
@@ -140,6 +201,8 @@ def _drift(f: Filter, dt: float) -> None:
         offset, rate = f.core.first_offset + s, f.core.rate[s]
         if rate >= 0:
             x[offset] += x[rate] * dt
+            for c in range(len(f.weight)):
+                f.deviation[offset, c] += dt * f.deviation[rate, c]
             for j in range(n):
                 p[offset, j] += dt * p[rate, j]
             for i in range(n):

@@ -16,6 +16,7 @@ from cellslam.sim.compiling import lean, part
 from cellslam.sim.recording import Floats, Ints
 from cellslam.slam.ekf_slam.snapshot.sight_kernel import roof_first
 from cellslam.slam.ekf_slam.state.layout import POSE, ArrayErrors, Filter
+from cellslam.slam.ekf_slam.state.states_kernel import covariance_of
 from cellslam.slam.model.matrices_kernel import Sym3, Vec3, dot, inverse, sym_vec
 
 # Sizes: white noise and diffuse errors of distance, azimuth, elevation; sway in yaw, pitch, roll; white noise of the
@@ -73,7 +74,7 @@ def count_states(f: Filter, places: Ints, first_size: int, told: Floats) -> None
     for c in range(len(places)):
         place = places[c]
         if place >= 0 and told[c] > 0.0:
-            count(f, first_size + c, told[c], f.x[place] ** 2, f.p[place, place])
+            count(f, first_size + c, told[c], f.x[place] ** 2, covariance_of(f, place, place))
 
 
 @lean
@@ -87,7 +88,7 @@ def count_weight(f: Filter, a: ArrayErrors, place: int) -> None:
     for c in range(3):
         if std[c] > 0.0:
             if component == 0:
-                count(f, size + c, 1.0, f.x[place] ** 2, f.p[place, place])
+                count(f, size + c, 1.0, f.x[place] ** 2, covariance_of(f, place, place))
             component -= 1
 
 
@@ -99,7 +100,7 @@ def count_motion(f: Filter, noise: Floats, dt: float) -> None:
     told, tells = f.summed[0], f.summed[0] > LONGEST_SUM_S
     for c in range(POSE):
         place, variance = f.core.noise[c], noise[c] * noise[c] * told
-        tells = tells or (place >= 0 and variance > 0.0 and f.p[place, place] < TOLD * variance)
+        tells = tells or (place >= 0 and variance > 0.0 and covariance_of(f, place, place) < TOLD * variance)
     if not tells:
         return
     n, f.summed[0] = f.size[0], 0.0
@@ -108,5 +109,6 @@ def count_motion(f: Filter, noise: Floats, dt: float) -> None:
         place = f.core.noise[c]
         if place >= 0:
             f.x[place] = 0.0
+            f.deviation[place] = 0.0
             f.p[place, :n] = 0.0
             f.p[:n, place] = 0.0

@@ -56,6 +56,7 @@ from cellslam.slam.ekf_slam.state.layout import (
     Block,
     Filter,
     Measured,
+    Rules,
     block_of,
     one_of,
 )
@@ -168,6 +169,8 @@ def take_in(f: Filter, b: Block, seen: Measured, association: Ints, s: Sight, w:
     """Take what the looks at VTs differ by from what is expected, errors that persist left out, into the block."""
     turned, here, n = rotations_of(f), Vec3(f.x[0], f.x[1], f.x[2]), b.snapshots[0]
     put(b.pose[n], f.x[:POSE])
+    for c in range(POSE):
+        put(b.deviation[n, c], f.deviation[c])
     b.at[n, 0], b.at[n, 1] = b.total[0], b.total[2]
     for link in range(len(seen.first) - 1):
         offset = f.core.first_offset + seen.site_of[link]
@@ -246,16 +249,18 @@ def count_surprise(
 
 
 @part
-def conclude(f: Filter, a: ArrayErrors, b: Block, noise: Floats, seen: Measured, s: Sight, p: Pending) -> float:
-    """Update the state, and what each VT is worth, by what the block has of it; return the log-likelihood of all else.
-
-    noise (6,): densities of the odometry's.
-    """
+def begin_update(f: Filter, a: ArrayErrors, b: Block, seen: Measured, p: Pending) -> None:
+    """Begin the update by a block: what persists is drawn anew in part, paths may have merged, clocks stepped."""
     forget(f, a, b.total[0], b.total[2])
+    if seen.rules.merge_rate > 0.0:
+        expect_merging(f, seen.rules.merge_rate, b.total[2])
+    expect_steps(f, seen.rules, p.steps)
+
+
+@part
+def update_by_block(f: Filter, a: ArrayErrors, b: Block, seen: Measured, s: Sight, p: Pending) -> None:
+    """Take in what the block has of each VT, and what each VT is worth; the rows of p wait to be added up."""
     rules = seen.rules
-    if rules.merge_rate > 0.0:
-        expect_merging(f, rules.merge_rate, b.total[2])
-    expect_steps(f, rules, p.steps)
     z, q, white = np.empty(3), np.empty(3), np.empty(3)
     for j in range(f.count[0]):
         if b.looks[j] == 0:
@@ -263,7 +268,8 @@ def conclude(f: Filter, a: ArrayErrors, b: Block, noise: Floats, seen: Measured,
             clear(b, j)
             continue
         offset = f.core.first_offset + seen.site_of[f.slots[j, LINK]]
-        middle = b.pose[b.seen[j, b.looks[j] // 2]]
+        at = b.seen[j, b.looks[j] // 2]
+        middle = b.pose[at]
         there, turned = Vec3(middle[0], middle[1], middle[2]), rotations(middle[3], middle[4], middle[5])
         h = geometry(f, j, offset, there, turned, coordinates(f, j), s)
         z[0], z[1], z[2] = h.distance + f.x[offset], h.azimuth, h.elevation
@@ -275,7 +281,7 @@ def conclude(f: Filter, a: ArrayErrors, b: Block, noise: Floats, seen: Measured,
         if rules.merge_rate > 0.0:
             look_beside(f, b, j, offset, h, there, turned, rules.confirm, s)
         diffuse, turn = shares(b, a, j)
-        look = Look(z, q, white, there, turned, diffuse, turn, seen.now)
+        look = Look(z, q, white, middle, there, turned, diffuse, turn, seen.now, b.deviation[at])
         if f.slots[j, UNSEEN] == 1:
             count_surprise(f, a, j, offset, look, rules.gate, s, p)
         if f.anchor[j, SHARE] < 1.0:
@@ -289,16 +295,44 @@ def conclude(f: Filter, a: ArrayErrors, b: Block, noise: Floats, seen: Measured,
         # A pair's density counts as fit in so far as it is one VT's or another's; what any VT would have is evidence.
         f.anchor[j, WORTH] += max(fit + known, UNLIKELY) + rules.evidence * (b.odds[j] - b.looks[j] * known)
         clear(b, j)
-    before = f.x[: f.size[0]].copy()
-    add_up(f, p)
-    total = take_steps(f, rules, p.steps)
+
+
+@part
+def end_update(
+    f: Filter, a: ArrayErrors, b: Block, before: Floats, noise: Floats, seen: Measured, p: Pending
+) -> float:
+    """End the update that began in the state `before` (N,): clocks step, what persists is counted, VTs are dropped;
+    return the log-likelihood of all but VTs.
+
+    noise (6,): densities of the odometry's.
+    """
+    total = take_steps(f, seen.rules, p.steps)
     carry_over(f, before, p.rows)
     count_states(f, f.core.sway, SWAY, a.sway * a.sway)
     count_motion(f, noise, b.total[2])
     b.snapshots[0] = 0
     b.total[:] = 0.0
-    tidy(f, a, b, seen.now, rules)
+    tidy(f, a, b, seen.now, seen.rules)
     return total
+
+
+@part
+def conclude(f: Filter, a: ArrayErrors, b: Block, noise: Floats, seen: Measured, s: Sight, p: Pending) -> float:
+    """Update the state, and what each VT is worth, by what the block has of it; return the log-likelihood of all else.
+
+    noise (6,): densities of the odometry's.
+    """
+    begin_update(f, a, b, seen, p)
+    update_by_block(f, a, b, seen, s, p)
+    before = f.x[: f.size[0]].copy()
+    add_up(f, p)
+    return end_update(f, a, b, before, noise, seen, p)
+
+
+@lean
+def ends(b: Block, rules: Rules) -> bool:
+    """Return whether a block is full: after so many snapshots, so long a way or turn."""
+    return bool(b.snapshots[0] >= rules.snapshots or b.total[0] > rules.way or abs(b.total[1]) > rules.turn)
 
 
 @njit(cache=True, nogil=True)
@@ -311,7 +345,7 @@ def go_on_in_bank(
 
     To `rest` (K,) is added what is in the log-weights beside the worth of VTs.
     """
-    room, rules = new_room(one_of(bank, 0), len(seen.z)), seen.rules
+    room, rules = new_room(one_of(bank, 0), len(seen.z), PENDING), seen.rules
     w = room.pairs
     for k in range(first, len(rest), step):
         f, b = one_of(bank, k), block_of(blocks, k)
@@ -332,15 +366,14 @@ def go_on_in_bank(
             count_odds(f, b, seen, w)
             take_in(f, b, seen, pairs.ident[k], room.sight, w)
             give_births(f, a, b, seen, pairs.ident[k], room.sight, w, room.pending)
-            full = b.snapshots[0] >= rules.snapshots or b.total[0] > rules.way or abs(b.total[1]) > rules.turn
-            if full or pairs.ends[k] == 1:
+            if ends(b, rules) or pairs.ends[k] == 1:
                 rest[k] += conclude(f, a, b, interval.noise, seen, room.sight, room.pending)
 
 
 @part
-def new_room(f: Filter, looks: int) -> Room:
-    """Return room for one filter and a snapshot of so many looks."""
-    states, vts = len(f.x), len(f.slots)
+def new_room(f: Filter, looks: int, pending: int) -> Room:
+    """Return room for one filter, a snapshot of so many looks, and so many rows that are pending."""
+    states, vts, particles = len(f.x), len(f.slots), len(f.weight)
     work, rows = 4 * (vts + looks + 2), len(f.core.step_m) + 1
     steps = Steps(np.zeros(1, np.int64), np.zeros((rows, states)), np.zeros(rows), np.zeros(rows))
     return Room(
@@ -350,13 +383,16 @@ def new_room(f: Filter, looks: int) -> Room:
             np.empty(MOST_BELLS),
         ),
         Pairs(
-            np.empty((vts, looks)), np.empty(vts, np.int64), np.empty(looks, np.int64), np.empty(looks, np.int64),
-            np.empty(looks, np.int64), np.empty(work), np.empty(work, np.int64),
+            np.empty((vts, looks)), np.empty((vts, looks)), np.empty(vts, np.int64), np.empty(looks, np.int64),
+            np.empty(looks, np.int64), np.empty(looks, np.int64), np.empty(work), np.empty(work, np.int64),
             Messages(
                 np.empty((vts, looks)), np.empty((vts, looks)), np.empty((vts, looks)), np.empty((vts, looks)),
                 np.empty(looks),
             ),
             np.empty(looks),
         ),
-        Pending(np.empty((PENDING, states)), np.zeros(1, np.int64), np.zeros(states), np.empty((3, states)), steps),
+        Pending(
+            np.empty((pending, states)), np.zeros(1, np.int64), np.zeros(states), np.empty((3, states)), steps,
+            np.empty((pending, particles)), np.empty(pending),
+        ),
     )  # fmt: skip

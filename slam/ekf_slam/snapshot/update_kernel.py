@@ -17,7 +17,7 @@ from cellslam.sim.recording import Floats, Ints
 from cellslam.slam.ekf_slam.snapshot.merging_kernel import allow_for_merging
 from cellslam.slam.ekf_slam.snapshot.sight_kernel import Sight, coordinates, errors_of, geometry
 from cellslam.slam.ekf_slam.snapshot.sizes_kernel import count_diffuse, count_white
-from cellslam.slam.ekf_slam.state.layout import DIFFUSE, ArrayErrors, Filter, Rules
+from cellslam.slam.ekf_slam.state.layout import DIFFUSE, POSE, ArrayErrors, Filter, Rules
 from cellslam.slam.model.downdate_kernel import downdate
 from cellslam.slam.model.matrices_kernel import (
     Sym3,
@@ -25,11 +25,15 @@ from cellslam.slam.model.matrices_kernel import (
     cholesky,
     dot,
     solved,
+    sym_minus,
+    sym_plus,
     sym_scaled,
+    transposed_vec,
     vec_minus,
+    vec_plus,
     vec_scaled,
 )
-from cellslam.slam.model.measurement_kernel import Rotations
+from cellslam.slam.model.measurement_kernel import Rotations, Spherical, direction, rotations, spherical
 
 LOG_2PI = math.log(2.0 * math.pi)
 
@@ -47,13 +51,16 @@ class Steps(NamedTuple):
 
 class Pending(NamedTuple):
     """What updates have taken off the covariance: `rows` (K, N), of which `used` (1,), and `added` (N,) to the mean;
-    `t` (3, N): H P of a look; and what the looks say of `steps`."""
+    `t` (3, N): H P of a look; what the looks say of `steps`; and, where there are particles, the innovations that the
+    rows go with, `whitened` (K, C) of each particle and `whitened_mean` (K,)."""
 
     rows: Floats
     used: Ints
     added: Floats
     t: Floats
     steps: Steps
+    whitened: Floats
+    whitened_mean: Floats
 
 
 LIKELY = 9.0  # squared distance of an innovation: up to here it fits
@@ -61,17 +68,20 @@ LIKELY = 9.0  # squared distance of an innovation: up to here it fits
 
 class Look(NamedTuple):
     """A look, or the mean of several: `z`, `q` (3,): distance, azimuth, elevation in m and rad, NaN where not
-    measured, and their variances, `white` (3,) but for what merged paths do; seen from `place` (m) with the
-    rotation `turned`; `diffuse`, `turn`: what is left in it of the deviation of these errors; `now`: snapshot."""
+    measured, and their variances, `white` (3,) but for what merged paths do; seen from the `pose` (6,), `place` (m) with
+    the rotation `turned`, by each particle from a pose that differs from this by `deviation` (6, C); `diffuse`, `turn`:
+    what is left in it of the deviation of these errors; `now`: snapshot."""
 
     z: Floats
     q: Floats
     white: Floats
+    pose: Floats
     place: Vec3
     turned: Rotations
     diffuse: float
     turn: float
     now: int
+    deviation: Floats
 
 
 class Innovation(NamedTuple):
@@ -230,17 +240,101 @@ def correct(f: Filter, a: ArrayErrors, j: int, offset: int, look: Look, rules: R
         settle(f, w)
     e, hph = compare(f, a, j, offset, look, s, w)
     blank(w, e)
-    new, lacks = innovate(e, look.q, hph), 0.0
+    spread, lacks = spread_of(f, j, e), 0.0
+    new = innovate(e, look.q, sym_plus(hph, spread))
     plain = new.s
     if rules.merge_rate > 0.0 and not math.isnan(e.y):
         allowed, lacks = allow_for_merging(f, j, new.e.y, new.s, look.q[1])
         new = Innovation(new.e, allowed, new.measured)
     share = likely_share(new)
     count_sizes(f, j, look, Innovation(vec_scaled(new.e, math.sqrt(share)), plain, new.measured), w)
-    counted = Innovation(new.e, sym_scaled(new.s, 1.0 / share), new.measured)
+    widened = sym_scaled(new.s, 1.0 / share)
+    counted = Innovation(new.e, sym_minus(widened, spread), new.measured)
+    if len(f.weight) > 0:
+        innovate_particles(f, j, offset, look, e, counted, s, w)
     density = update(f, counted, w)
+    if len(f.weight) > 0:
+        distance2, log_det = log_likelihood(Innovation(new.e, widened, new.measured))
+        density = -0.5 * (distance2 + log_det + new.measured * LOG_2PI)
     show_steps(f, e, new, counted.s, s, w)
     return density + lacks
+
+
+@lean
+def spread_of(f: Filter, j: int, e: Vec3) -> Sym3:
+    """Return the covariance over the particles of what they expect of VT j, zero where e is NaN: not measured."""
+    far, across, up, s = not math.isnan(e.x), not math.isnan(e.y), not math.isnan(e.z), f.spread[j]
+    return Sym3(
+        s[0] if far else 0.0, s[1] if far and across else 0.0, s[2] if far and up else 0.0, s[3] if across else 0.0,
+        s[4] if across and up else 0.0, s[5] if up else 0.0,
+    )  # fmt: skip
+
+
+@lean
+def innovate_particles(
+    f: Filter, j: int, offset: int, look: Look, e: Vec3, mean: Innovation, s: Sight, w: Pending
+) -> None:
+    """Write the next three rows of w.whitened: what a look at VT j differs by from what each particle expects, given
+    the looks before it in the block, whitened by the covariance of the mean's innovation.
+
+    e: the mean's innovation as `compare` returns it. Geometry is that of each particle, errors of the array are linear.
+    """
+    d, k, root = f.deviation, w.used[0], cholesky(mean.s)
+    if root.xx == 0.0:
+        return
+    far, across, up = w.whitened[k], w.whitened[k + 1], w.whitened[k + 2]
+    own = solved(root, mean.e)
+    w.whitened_mean[k], w.whitened_mean[k + 1], w.whitened_mean[k + 2] = own.x, own.y, own.z
+    whole, at = vec_plus(e, times(s, w.added)), f.vt_state[j]
+    expected = _seen_by(f, j, look, -1)
+    for c in range(len(f.weight)):
+        h = _seen_by(f, j, look, c)
+        far[c] = whole.x + expected.distance - h.distance - d[offset, c]
+        across[c] = wrap(whole.y + expected.azimuth - h.azimuth)
+        up[c] = whole.z + expected.elevation - h.elevation
+    for m in range(s.size[0]):
+        place, b0, b1, b2 = s.at[m], s.by[0, m], s.by[1, m], s.by[2, m]
+        if place < POSE or place == offset or place == at[0] or place == at[1] or place == at[2]:
+            continue  # geometry and clock, which are above
+        _subtract(far, across, up, Vec3(b0, b1, b2), d[place])
+    for r in range(k):
+        _subtract(far, across, up, times(s, w.rows[r]), w.whitened[r])
+    for c in range(len(f.weight)):
+        u = solved(root, Vec3(
+            0.0 if math.isnan(e.x) else far[c], 0.0 if math.isnan(e.y) else across[c],
+            0.0 if math.isnan(e.z) else up[c],
+        ))  # fmt: skip
+        far[c], across[c], up[c] = u.x, u.y, u.z
+
+
+@lean
+def _seen_by(f: Filter, j: int, look: Look, particle: int) -> Spherical:
+    """Return the distance (m) and direction (rad) of VT j as a particle has both, or the mean (-1)."""
+    at, x, d = f.vt_state[j], f.x, f.deviation
+    distance, azimuth, elevation, place, turned = x[at[0]], x[at[1]], x[at[2]], look.place, look.turned.r
+    if particle >= 0:
+        distance += d[at[0], particle]
+        azimuth += d[at[1], particle]
+        elevation += d[at[2], particle]
+        by = look.deviation[:, particle]
+        place = Vec3(place.x + by[0], place.y + by[1], place.z + by[2])
+        turned = rotations(look.pose[3] + by[3], look.pose[4] + by[4], look.pose[5] + by[5]).r
+    anchor = Vec3(f.anchor[j, 0], f.anchor[j, 1], f.anchor[j, 2])
+    way = vec_minus(vec_plus(anchor, vec_scaled(direction(azimuth, elevation), distance)), place)
+    return spherical(transposed_vec(turned, way))
+
+
+@lean
+def _subtract(far: Floats, across: Floats, up: Floats, by: Vec3, row: Floats) -> None:
+    if by.x != 0.0:
+        for c in range(len(row)):
+            far[c] -= by.x * row[c]
+    if by.y != 0.0:
+        for c in range(len(row)):
+            across[c] -= by.y * row[c]
+    if by.z != 0.0:
+        for c in range(len(row)):
+            up[c] -= by.z * row[c]
 
 
 @lean

@@ -36,7 +36,8 @@ class Core(NamedTuple):
     lately, clock offsets (S), rates of those that drift, errors that the VTs of a remembered map have in common.
 
     `bias`, `scale`, `noise` (6,), `rate` (S,): place of each component's error and of each offset's rate, `sway` (3,),
-    `ground`, -1 where there is none. `wander` (2, S): densities of the walks of offsets and rates, m/sqrt(s),
+    `ground`, -1 where there is none; `drawn` (D, 6): places of what the odometry's white noise sums up to in each of the
+    last D blocks, in a filter that draws it, -1 where a component has none. `wander` (2, S): densities of the walks of offsets and rates, m/sqrt(s),
     (m/s)/sqrt(s); `step_m` (S,): deviation of the size of steps of offsets, m, 0 where a clock does not step. From
     `first_common` to `size`: the map's errors.
     """
@@ -50,6 +51,7 @@ class Core(NamedTuple):
     rate: Ints
     wander: Floats
     step_m: Floats
+    drawn: Ints
     first_common: int
     size: int
 
@@ -95,6 +97,10 @@ class Filter(NamedTuple):
     (3, Z): what was learnt of the sizes (see `sizes_kernel`), `summed` (1,): time (s) of the sums of noise; `surprise`
     (2,): sum of the squared innovations, in their deviations, of first looks at VTs of a remembered map, and how many
     components they had. A VT that is known exactly has states without variance.
+
+    A filter with C particles (see `slam.fastslam`): x is their weighted mean and p the covariance that they share;
+    particle c has the mean x + `deviation` (N, C)[:, c] and the `weight` (C,)[c]; `spread` (V, 6): covariance over the
+    particles of what they expect to measure of each VT, xx, xy, xz, yy, yz, zz in m and rad. C is 0 in other filters.
     """
 
     core: Core
@@ -114,6 +120,9 @@ class Filter(NamedTuple):
     sizes: Floats
     summed: Floats
     surprise: Floats
+    deviation: Floats
+    weight: Floats
+    spread: Floats
 
 
 class Rules(NamedTuple):
@@ -190,7 +199,8 @@ class Block(NamedTuple):
     Of each VT: how many `looks` (V,), in which snapshots `seen` (V, B); sums of innovations, variances and how many
     were measured: `e`, `q`, `measured` (V, 3), of squared shares of diffuse errors `diffuse` (V,), and of the log-odds
     of what was detected and missed `odds` (V,). Of each site, across blocks: the `shift` (S, 2) of its clock that looks
-    speak for lately, in m, and how strongly.
+    speak for lately, in m, and how strongly. Of each snapshot, too: by how much the poses of C particles differ from
+    `pose`, `deviation` (B, 6, C).
     """
 
     snapshots: Ints
@@ -205,6 +215,7 @@ class Block(NamedTuple):
     diffuse: Floats
     odds: Floats
     shift: Floats
+    deviation: Floats
 
 
 @part
@@ -213,7 +224,7 @@ def one_of(bank: Filter, k: int) -> Filter:
     return Filter(
         bank.core, bank.x[k], bank.p[k], bank.size[k], bank.owner[k], bank.weight_state[k], bank.weight_met[k],
         bank.vt_state[k], bank.anchor[k], bank.slots[k], bank.count[k], bank.links[k], bank.lost[k], bank.losses[k],
-        bank.sizes[k], bank.summed[k], bank.surprise[k],
+        bank.sizes[k], bank.summed[k], bank.surprise[k], bank.deviation[k], bank.weight[k], bank.spread[k],
     )  # fmt: skip
 
 
@@ -223,5 +234,5 @@ def block_of(blocks: Block, k: int) -> Block:
     return Block(
         blocks.snapshots[k], blocks.pose[k], blocks.at[k], blocks.total[k], blocks.looks[k], blocks.seen[k],
         blocks.e[k], blocks.q[k], blocks.measured[k], blocks.diffuse[k], blocks.odds[k],
-        blocks.shift[k],
+        blocks.shift[k], blocks.deviation[k],
     )  # fmt: skip

@@ -27,6 +27,7 @@ def enter(f: Filter, owner: int, variance: float) -> int:
     f.p[n, : n + 1] = 0.0
     f.p[: n + 1, n] = 0.0
     f.p[n, n] = variance
+    f.deviation[n] = 0.0
     f.size[0] = n + 1
     _settle_in(f, n, owner)
     return int(n)
@@ -42,6 +43,7 @@ def leave(f: Filter, place: int) -> None:
         put(f.p[place], f.p[last, :last])
         put(f.p[:, place], f.p[last, :last])
         f.p[place, place] = f.p[last, last]
+        put(f.deviation[place], f.deviation[last])
         _settle_in(f, place, f.owner[last])
     f.size[0] = last
 
@@ -74,6 +76,17 @@ def fade(f: Filter, place: int, kept: float, variance: float) -> None:
         f.p[i, place] *= kept
     f.p[place, place] += (1.0 - kept * kept) * variance
     f.x[place] *= kept
+    for c in range(len(f.weight)):
+        f.deviation[place, c] *= kept
+
+
+@lean
+def covariance_of(f: Filter, i: int, j: int) -> float:
+    """Return the covariance of two states: that which particles share, and that of their means, if there are any."""
+    total, a, b = 0.0, f.deviation[i], f.deviation[j]
+    for c in range(len(f.weight)):
+        total += f.weight[c] * a[c] * b[c]
+    return float(f.p[i, j] + total)
 
 
 @njit(cache=True)

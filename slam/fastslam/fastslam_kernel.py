@@ -1,0 +1,158 @@
+"""Compiled: the steps of FastSLAM that are those of the joint filter, for one group of particles at a time.
+
+`predict_and_score` moves a group and scores its measurements against its VTs; `use` takes a snapshot in as it was
+associated; `innovate` linearises a block of snapshots; `end_block` tidies up after the update, which is done in
+NumPy (`fastslam.py`); `spread_over_particles` says by how much particles differ in what they expect.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from cellslam.sim.compiling import njit, part
+from cellslam.sim.recording import Floats, Ints
+from cellslam.slam.ekf_slam.snapshot.association_kernel import score_pairs
+from cellslam.slam.ekf_slam.snapshot.motion_kernel import Interval
+from cellslam.slam.ekf_slam.snapshot.sight_kernel import coordinates, geometry, rotations_of
+from cellslam.slam.ekf_slam.snapshot.snapshot_kernel import (
+    Room,
+    advance,
+    begin_update,
+    count_odds,
+    end_update,
+    ends,
+    give_births,
+    new_room,
+    take_in,
+    update_by_block,
+)
+from cellslam.slam.ekf_slam.snapshot.steps_kernel import shift_clocks
+from cellslam.slam.ekf_slam.snapshot.update_kernel import settle
+from cellslam.slam.ekf_slam.state.layout import LINK, ArrayErrors, Block, Filter, Measured
+from cellslam.slam.model.copy_kernel import put
+from cellslam.slam.model.matrices_kernel import Vec3
+
+
+class Scores(NamedTuple):
+    """How the m measurements of a snapshot fit the VTs of a group: for each of L links `count` (L,) candidates, their
+    VTs `slot` (L, V), and in the columns of the link's measurements `log_ratio` (V, m), of a pair's likelihood to that
+    of a missed detection and clutter, and `distance2` (V, m), the squared Mahalanobis distance, infinite outside the
+    gate."""
+
+    count: Ints  # type: ignore[assignment]  # hides tuple.count
+    slot: Ints
+    log_ratio: Floats
+    distance2: Floats
+
+
+@njit(cache=True, nogil=True)
+def room_for(f: Filter, measurements: int, rows: int) -> Room:
+    """Return memory to work in, for one group, a snapshot of so many measurements, and updates of so many rows."""
+    return new_room(f, measurements, rows)
+
+
+@njit(cache=True, nogil=True)
+def predict_and_score(
+    f: Filter, a: ArrayErrors, b: Block, interval: Interval, seen: Measured, room: Room, out: Scores
+) -> None:
+    """Move a group by an interval, and write how the measurements of a snapshot fit its VTs."""
+    if interval.dt > 0.0:
+        advance(f, b, interval, room.step)
+    _score(f, a, seen, room, out)
+
+
+@njit(cache=True, nogil=True)
+def step_clocks(
+    f: Filter, a: ArrayErrors, b: Block, seen: Measured, slot_of: Ints, room: Room, out: Scores
+) -> bool:
+    """Shift the clocks that the measurements, associated with the VTs `slot_of` (m,), show to have stepped, and score
+    anew; return whether there is any."""
+    put(room.pairs.slot_of, slot_of)
+    shifted = shift_clocks(f, b, a, seen, room.sight, room.pairs)
+    if shifted:
+        _score(f, a, seen, room, out)
+    return shifted
+
+
+@part
+def _score(f: Filter, a: ArrayErrors, seen: Measured, room: Room, out: Scores) -> None:
+    w = room.pairs
+    for link in range(len(seen.first) - 1):
+        start, stop = seen.first[link], seen.first[link + 1]
+        rows = score_pairs(f, a, seen, link, room.sight, w) if stop > start and f.links[link] == 1 else 0
+        out.count[link] = rows
+        for r in range(rows):
+            out.slot[link, r] = w.chosen[r]
+            for k in range(start, stop):
+                out.log_ratio[r, k], out.distance2[r, k] = w.score[r, k - start], w.distance2[r, k - start]
+
+
+@njit(cache=True, nogil=True)
+def use(
+    f: Filter, a: ArrayErrors, b: Block, seen: Measured, slot_of: Ints, association: Ints, room: Room
+) -> bool:
+    """Use a snapshot whose measurements are associated with the VTs `slot_of` (m,), FRESH and TAKEN among them; write
+    their identities into `association` (m,); return whether the block is full."""
+    w = room.pairs
+    put(w.slot_of, slot_of)
+    count_odds(f, b, seen, w)
+    take_in(f, b, seen, association, room.sight, w)
+    give_births(f, a, b, seen, association, room.sight, w, room.pending)
+    return ends(b, seen.rules)
+
+
+@njit(cache=True, nogil=True)
+def innovate(f: Filter, a: ArrayErrors, b: Block, seen: Measured, room: Room) -> None:
+    """Linearise a block: leave the whitened innovations and gains of its measurements in room.pending."""
+    begin_update(f, a, b, seen, room.pending)
+    update_by_block(f, a, b, seen, room.sight, room.pending)
+
+
+@njit(cache=True, nogil=True)
+def end_block(
+    f: Filter, a: ArrayErrors, b: Block, before: Floats, noise: Floats, seen: Measured, drawn: Ints, room: Room
+) -> float:
+    """End a block whose update began in the mean `before` (N,): take the rows of room.pending off the covariance, and
+    do what the joint filter does then; return what that adds to the group's log-weight.
+
+    drawn (6,): places of the noise that was drawn, -1 for none; a new block begins, in which it is zero so far.
+    """
+    settle(f, room.pending)
+    room.pending.added[:] = 0.0
+    for c in range(len(drawn)):
+        place = drawn[c]
+        if place >= 0:
+            f.x[place] = 0.0
+            f.deviation[place] = 0.0
+            for i in range(f.size[0]):
+                f.p[place, i] = 0.0
+                f.p[i, place] = 0.0
+    return end_update(f, a, b, before, noise, seen, room.pending)
+
+
+@njit(cache=True, nogil=True)
+def spread_over_particles(f: Filter, site_of: Ints, room: Room) -> None:
+    """Write f.spread: the covariance over the particles of what they expect of each VT, linearised at the mean, as
+    distance (m), clock offset included, azimuth and elevation (rad). site_of (L,): site of each link."""
+    turned, here, s, count = rotations_of(f), Vec3(f.x[0], f.x[1], f.x[2]), room.sight, len(f.weight)
+    expected = np.empty((3, count))
+    for j in range(f.count[0]):
+        offset = f.core.first_offset + site_of[f.slots[j, LINK]]
+        geometry(f, j, offset, here, turned, coordinates(f, j), s)
+        expected[:] = 0.0
+        for m in range(s.size[0]):
+            row = f.deviation[s.at[m]]
+            for r in range(3):
+                if s.by[r, m] != 0.0:
+                    for c in range(count):
+                        expected[r, c] += s.by[r, m] * row[c]
+        entry = 0
+        for r in range(3):
+            for q in range(r, 3):
+                total = 0.0
+                for c in range(count):
+                    total += f.weight[c] * expected[r, c] * expected[q, c]
+                f.spread[j, entry] = total
+                entry += 1
