@@ -76,7 +76,16 @@ from cellslam.slam.fastslam.fastslam_kernel import (
     use,
 )
 from cellslam.slam.fastslam.fastslam_options import NEVER, FastSlamOptions
-from cellslam.slam.fastslam.parts import BUILT_IN, Candidates, Parts, Transmitters, checked, part_named
+from cellslam.slam.fastslam.parts import (
+    BUILT_IN,
+    NO_VT,
+    Candidates,
+    Parts,
+    Transmitters,
+    checked,
+    part_named,
+    returned,
+)
 
 FEWEST = 10  # particles of a group: three of them do not hold a path
 TINY = 1e-12  # of a variance: as good as none
@@ -185,7 +194,8 @@ class FastSlam(JointFilter):
                 log_ratio=scores.log_ratio[: len(slot), start:stop], distance2=scores.distance2[: len(slot), start:stop],
                 detections=f.slots[slot, HITS],
             )  # fmt: skip
-            rows = np.atleast_2d(self.parts.association(candidates)) if len(slot) else np.full((1, stop - start), -1)
+            rows = np.atleast_2d(self.parts.association(candidates)) if len(slot) else np.full((1, stop - start), NO_VT)
+            rows = returned("association", rows, (len(rows), stop - start), len(slot))
             found = [self._slots(candidates, slot, row) for row in rows]
             best[start:stop] = found[0]
             others += [(start, stop, one) for one in found[1:]]
@@ -197,7 +207,8 @@ class FastSlam(JointFilter):
 
     def _slots(self, candidates: Candidates, slot: Ints, candidate_of: Ints) -> Ints:
         """Return the slot (m,) of each measurement's VT, FRESH where it begins one, TAKEN where it does not."""
-        without = np.where(self.parts.birth(candidates, candidate_of), FRESH, TAKEN)
+        begins = returned("birth", self.parts.birth(candidates, candidate_of), candidate_of.shape)
+        without = np.where(begins, FRESH, TAKEN)
         if not len(slot):
             return without
         return np.where(candidate_of >= 0, slot[candidate_of], without)
@@ -226,7 +237,8 @@ class FastSlam(JointFilter):
         # By these rows, and beside them, the joint filter has moved the mean; here the particles are moved.
         f.x[:n] += w.added[:n] - w.rows[:k, :n].T @ w.whitened_mean[:k]
         G, W = parts.update(w.rows[:k, :n], w.whitened[:k])
-        log_likelihood = parts.weight(W)
+        G, W = returned("update", G, (len(W), n)), returned("update", W, (len(G), len(f.weight)))
+        log_likelihood = returned("weight", parts.weight(W), f.weight.shape)
         if self.options.lag >= 0:
             G, W, log_ratio = self._drawn(f, drawn, G, W)
             log_likelihood = log_likelihood + log_ratio
@@ -253,6 +265,7 @@ class FastSlam(JointFilter):
             return G, W, np.zeros(W.shape[1])
         M_u = f.x[u, None] + f.deviation[u] + G[:, u].T @ W
         draws, log_ratio = self.parts.proposal(M_u, P_u[:, u], self._rng)
+        draws, log_ratio = returned("proposal", draws, M_u.shape), returned("proposal", log_ratio, M_u.shape[1:])
         root = axes[:, there].T / np.sqrt(variance[there, None])
         return np.concatenate([G, root @ P_u]), np.concatenate([W, root @ (draws - M_u)]), log_ratio
 
@@ -280,7 +293,8 @@ class FastSlam(JointFilter):
         count, n = len(f.weight), int(f.size[0])
         if count == 1 or 1.0 / np.sum(f.weight**2) >= self.options.effective_share * count:
             return
-        f.deviation[:n] = f.deviation[:n, self.parts.resampling(f.weight, count, self._rng)]
+        ancestors = returned("resampling", self.parts.resampling(f.weight, count, self._rng), (count,), count)
+        f.deviation[:n] = f.deviation[:n, ancestors]
         f.weight[:] = 1.0 / count
         _recentre(f, n)
 
@@ -294,7 +308,7 @@ class FastSlam(JointFilter):
             detections=hits.copy(), unseen_s=unseen * step_s, lifetime_s=lifetime * step_s,
             confirmed=hits >= rules.confirm,
         )  # fmt: skip
-        f.anchor[:count, SHARE][self.parts.pruning(vts)] = DROPPED
+        f.anchor[:count, SHARE][returned("pruning", self.parts.pruning(vts), (count,))] = DROPPED
         forever = np.iinfo(np.int64).max
         return rules._replace(age_once=forever, age_twice=forever)
 

@@ -245,6 +245,21 @@ BUILT_IN: Mapping[str, Mapping[str, Callable[..., Any]]] = {
 }  # fmt: skip
 
 
+def returned(slot: str, value: Any, shape: tuple[int, ...], below: int | None = None) -> NDArray[Any]:
+    """Return what a part has returned, as an array of this shape; of whole numbers from -1 on, `below` a number.
+
+    Raises InputError, which names the slot, for another shape or a number out of range.
+    """
+    array = np.asarray(value)
+    if array.shape != shape:
+        raise InputError(f"{slot}: the part returned an array of shape {array.shape}, where {shape} is needed")
+    if below is not None and array.size and (array.min() < NO_VT or array.max() >= below):
+        raise InputError(
+            f"{slot}: the part returned the numbers {array.min()} to {array.max()}, where {NO_VT} to {below - 1} may be"
+        )
+    return array
+
+
 def check_name(slot: str, name: str) -> str:
     """Return the name of a part as an option gives it. Raises InputError unless it is built in, or `module:name`."""
     if name not in BUILT_IN[slot] and ":" not in name:

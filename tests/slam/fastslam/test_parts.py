@@ -1,118 +1,129 @@
-"""The replaceable parts of FastSLAM: each does what it says, by name and as an object, and the filter works with it."""
+"""The parts of FastSLAM: what the built-in ones return, names and errors, and the module of the documentation."""
 
 from __future__ import annotations
 
-import pickle
-from typing import NamedTuple
+import sys
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
-from numba import njit
+from pydantic import ValidationError
 
+from cellslam.sim.errors import InputError
+from cellslam.slam.fastslam import parts
+from cellslam.slam.fastslam.fastslam import FastSlam
 from cellslam.slam.fastslam.fastslam_options import FastSlamOptions
-from cellslam.slam.fastslam.parts.association import (
-    FromTruth,
-    Hungarian,
-    associate,
-    may_be_born,
-    take_best,
-)
-from cellslam.slam.fastslam.parts.choice import chosen
-from cellslam.slam.fastslam.parts.part_types import variant
-from cellslam.slam.fastslam.path_particles import PathParticles
-from cellslam.slam.fastslam.state.layout import BOUND, LANES, OUT, W_ROWS, Link, Scratch, sums_of
+from cellslam.slam.fastslam.parts import BUILT_IN, NO_VT, Candidates, Transmitters
+from tests.slam.fastslam.drives import WHITE, driven, street
 
-from .test_fastslam import VTS, drive, make_setup, make_snapshot
+EXAMPLES = Path(__file__).parents[3] / "docs" / "examples" / "own-parts"
+OWN = {
+    "association": "least_distance", "birth": "never_twice", "proposal": "quasi_random", "update": "half_gain",
+    "weight": "Annealed", "pruning": "two_minutes", "resampling": "best_half",
+}  # fmt: skip
 
 
-@njit
-def born(part, k):
-    return may_be_born(part, k)
+def candidates(log_ratio: Any, distance2: Any = None) -> Candidates:
+    ratio = np.array(log_ratio, float)
+    return Candidates(ratio, np.where(ratio > -np.inf, -ratio, np.inf) if distance2 is None else np.array(distance2),
+                      np.full(len(ratio), 9))  # fmt: skip
 
 
-@njit
-def associated(part, s, found, measured, link):
-    associate(part, s, found, 0, measured, link)
+def test_maximum_likelihood_takes_the_best_sum() -> None:
+    crossed = candidates([[5.0, 4.0, -np.inf], [4.5, -np.inf, -2.0]])
+    np.testing.assert_array_equal(parts.maximum_likelihood(crossed), [[1, 0, NO_VT]])
+    assert parts.maximum_likelihood(candidates(np.full((2, 1), -np.inf)))[0, 0] == NO_VT
 
 
-def scratch(scores: np.ndarray) -> Scratch:
-    """Return scratch in which every lane has the same scores (C, M)."""
-    c, m = scores.shape
-    w = np.zeros(W_ROWS * LANES, np.float32)
-    return Scratch(
-        w, w.view(np.int32), np.zeros(sums_of(3).rows * LANES), np.arange(c), np.ones(c, np.bool_),
-        np.zeros((c, OUT * LANES), np.float32),
-        np.repeat(scores[..., None], LANES, 2).astype(np.float32), scores > 0.0, np.empty((m, LANES), np.int32),
-        np.empty((c, m)), np.empty(m, np.int64), np.empty(4 * (c + m + 2)), np.empty(4 * (c + m + 2), np.int64),
+def test_nearest_neighbour_takes_the_least_distance_first() -> None:
+    near = candidates(np.zeros((2, 3)), [[1.0, 2.0, np.inf], [1.5, 9.0, np.inf]])
+    np.testing.assert_array_equal(parts.nearest_neighbour(near), [[0, 1, NO_VT]])
+
+
+def test_second_hypothesis_is_the_second_best_assignment() -> None:
+    rng = np.random.default_rng(3)
+    for _ in range(50):
+        score = rng.uniform(-3.0, 8.0, (3, 2))
+        found = parts.hypotheses(candidates(score))
+        every = sorted(
+            (
+                (sum(max(score[v, k], 0.0) for k, v in enumerate(one) if v >= 0), one)
+                for one in np.ndindex(4, 4)
+                for one in [tuple(v - 1 for v in one)]
+                if one[0] != one[1] or one[0] < 0
+                if all(v < 0 or score[v, k] > 0.0 for k, v in enumerate(one))
+            ),
+            reverse=True,
+        )  # fmt: skip
+        assert tuple(found[0].tolist()) == every[0][1]
+        rivals = [one for one in every[1:] if every[0][0] - one[0] <= parts.RIVAL]
+        assert len(found) == (2 if rivals else 1)
+        if rivals:
+            assert tuple(found[1].tolist()) == rivals[0][1]
+
+
+def test_births() -> None:
+    given = candidates([[3.0, 2.0, -np.inf]])
+    np.testing.assert_array_equal(parts.outside_gates(given, np.array([0, NO_VT, NO_VT])), [False, False, True])
+    np.testing.assert_array_equal(parts.unassigned(given, np.array([0, NO_VT, NO_VT])), [False, True, True])
+
+
+@pytest.mark.parametrize("name", list(BUILT_IN["proposal"]))
+def test_proposals_have_the_moments_that_are_asked_for(name: str) -> None:
+    covariance, mean = np.array([[2.0, 0.6], [0.6, 0.5]]), np.tile([[1.0], [-2.0]], 40_000)
+    draws, log_ratio = BUILT_IN["proposal"][name](mean, covariance, np.random.default_rng(1))
+    assert not log_ratio.any()
+    np.testing.assert_allclose(draws.mean(axis=1), [1.0, -2.0], atol=5.0 * np.sqrt(2.0 / 40_000))
+    np.testing.assert_allclose(np.cov(draws), covariance, atol=0.05)
+
+
+def test_weights_and_updates() -> None:
+    W, G = np.array([[0.0, 3.0], [1.0, -4.0]]), np.eye(2)
+    np.testing.assert_allclose(parts.likelihood(W), [-0.5, -12.5])
+    np.testing.assert_allclose(parts.Tempered(0.5)(W), [-0.25, -6.25])
+    assert parts.kalman(G, W) == (G, W) or parts.kalman(G, W)[1] is W
+    np.testing.assert_array_equal(parts.bounded(G, W)[1], [[0.0, 3.0], [1.0, -3.0]])
+
+
+def test_pruning() -> None:
+    vts = Transmitters(
+        detections=np.array([1, 3, 9]), unseen_s=np.array([2.0, 2.0, 99.0]), lifetime_s=np.array([1.0, 4.0, 4.0]),
+        confirmed=np.array([False, False, True]),
     )  # fmt: skip
+    np.testing.assert_array_equal(parts.unlikely(vts), [True, False, False])
+    assert not parts.never(vts).any()
 
 
-def link_of(tracks: int) -> Link:
-    return Link(
-        np.zeros((tracks, LANES), np.int32), np.zeros(tracks, np.int32), np.zeros((tracks, LANES), np.float32),
-        np.arange(tracks), np.arange(tracks, dtype=np.int32), np.zeros((BOUND, tracks), np.float32),
-    )  # fmt: skip
+@pytest.mark.parametrize("slot, name", [(slot, name) for slot, some in BUILT_IN.items() for name in list(some)[1:]])
+def test_each_built_in_part_runs(slot: str, name: str) -> None:
+    options = FastSlamOptions(particles=20, effective_share=1.0, **{slot: name}, **WHITE)
+    answer = driven(FastSlam(options), street(60, seed=2))[-1]
+    assert np.linalg.norm(answer.pose[:2] - [5.9, 0.0]) < 1.0
+    assert answer.vts is not None and len(answer.vts.id) == 4
 
 
-def test_hungarian_does_not_take_the_best_pair_first():
-    """The best pair leaves the other measurement a bad one: together the others are worth more."""
-    s = scratch(np.array([[5.0, 4.0], [4.5, 0.5]]))
-    associated(Hungarian(), s, 2, 2, link_of(2))
-    assert s.row_of.tolist() == [[1] * LANES, [0] * LANES]
+@pytest.mark.parametrize("slot", list(BUILT_IN))
+def test_each_part_of_the_documentation_runs(slot: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.syspath_prepend(EXAMPLES)
+    monkeypatch.delitem(sys.modules, "my_parts", raising=False)
+    by_name = FastSlam(FastSlamOptions(particles=20, effective_share=1.0, **{slot: f"my_parts:{OWN[slot]}"}, **WHITE))
+    part = getattr(sys.modules["my_parts"], OWN[slot])
+    as_object = FastSlam(FastSlamOptions(particles=20, effective_share=1.0, **WHITE), **{slot: part})
+    drive = street(40, seed=2)
+    one, other = driven(by_name, drive)[-1], driven(as_object, drive)[-1]
+    np.testing.assert_array_equal(one.pose, other.pose)
+    assert np.linalg.norm(one.pose[:2] - [3.9, 0.0]) < 1.0
 
 
-def test_told_association_is_the_truth():
-    truth = FromTruth(np.array([4, -1, 9, 9, 4]))
-    first = truth.for_snapshot(make_snapshot(0, [(0, 1.0, 0.0, 0.0)] * 3), 0)
-    assert first.vt.tolist() == [4, -1, 9]
-    s = scratch(np.full((3, 3), -1.0))
-    associated(first, s, 3, 3, link_of(3))
-    assert s.row_of[:, 0].tolist() == [0, -1, 2]
-    assert [born(first, k) for k in range(3)] == [True, False, True]
-
-
-class FirstCome(NamedTuple):
-    """An association of one's own: each measurement takes the track it likes best, whoever has it already."""
-
-
-@variant(associate, FirstCome)
-def _first_come(part, s, found, first, measured, link):
-    take_best(s, found, measured)
-
-
-def test_what_a_part_has_no_variant_of_is_as_by_default():
-    s = scratch(np.array([[5.0, 4.0], [4.5, 0.5]]))
-    associated(FirstCome(), s, 2, 2, link_of(2))
-    assert s.row_of.tolist() == [[0] * LANES, [0] * LANES]
-    assert born(FirstCome(), 0)
-
-
-OTHER_PARTS = {"motion": "sampled", "criterion": "mahalanobis", "sharing": "none", "clock": "sampled"}
-
-
-def test_filter_works_with_other_parts():
-    options = FastSlamOptions(errors="counted", particles=64, vts_per_link=16, start_phase_s=0.0, **OTHER_PARTS)
-
-    def once() -> tuple[list, np.ndarray]:
-        filter_ = PathParticles(options)
-        filter_.start(make_setup(offset_std=5.0), np.random.default_rng(1))
-        return drive(filter_, VTS, [0, 0, 1, 1], 120, np.random.default_rng(2))
-
-    estimates, poses = once()
-    last = estimates[-1]
-    assert np.hypot(*(last.pose[:2] - poses[-1, :2])) < 0.8
-    assert len(last.vts.id) >= 4
-    assert (last.association >= 0).mean() > 0.7
-    for estimate in estimates:
-        assert np.isfinite(estimate.pose).all()
-        assert np.linalg.eigvalsh(estimate.covariance).min() > -1e-9
-    again, _ = once()
-    assert np.array_equal(again[-1].pose, last.pose)
-
-
-def test_parts_are_named_and_pickle():
-    with pytest.raises(TypeError, match="no part 'asociation'"):
-        PathParticles(asociation=Hungarian())
-    options = FastSlamOptions(errors="counted", criterion="mahalanobis")
-    copy = pickle.loads(pickle.dumps(PathParticles(options, association=Hungarian())))
-    assert copy.choice.parts == chosen(options).parts._replace(association=Hungarian())
+def test_wrong_parts_are_told_what_there_is() -> None:
+    with pytest.raises(ValidationError, match=r"unknown association 'nearest'.*known: .*nearest-neighbour.*module:name"):
+        FastSlamOptions(association="nearest")
+    with pytest.raises(InputError, match=r"unknown part of FastSLAM 'associator'.*association, birth"):
+        FastSlam(associator=parts.nearest_neighbour)
+    with pytest.raises(InputError, match="cannot be called"):
+        FastSlam(weight=3)
+    with pytest.raises(InputError, match="cannot be imported"):
+        FastSlam(FastSlamOptions(weight="no_such_module:weight"))
+    with pytest.raises(InputError, match=r"association: the part returned the numbers 7 to 7, where -1 to 0|1|2|3 may be"):
+        driven(FastSlam(FastSlamOptions(**WHITE), association=lambda given: [[7] * 4]), street(5, seed=1))
