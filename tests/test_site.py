@@ -43,9 +43,12 @@ RUN = (
     "tutorials/your-recording.md",
     "tutorials/train-an-agent.md",
     "how-to/command-line.md",
+    "how-to/replace-parts-of-fastslam.md",
     "how-to/scenario-files.md",
     "reference/environments.md",
 )
+# Pages with a module, the file that it is saved as, and how many blocks of Python are such a module, one after the other.
+MODULES = {"tutorials/your-estimator.md": ("coasting.py", 99), "how-to/replace-parts-of-fastslam.md": ("my_parts.py", 1)}
 OUTPUT = ("text", "{toctree}")
 DEFINED = {
     "VT": "virtual transmitter",
@@ -126,13 +129,15 @@ def test_code_of_a_page_runs(page: str, tmp_path: Path, monkeypatch: pytest.Monk
     """Commands run in this process, Python in one after the other; a file is what the sentence before it names."""
     monkeypatch.chdir(tmp_path)
     (tmp_path / "docs").symlink_to(DOCS)
-    named: dict[str, object] = {"__name__": "page"}
+    monkeypatch.syspath_prepend(tmp_path)
+    named, (module, left) = dict[str, object]({"__name__": "page"}), MODULES.get(page, ("", 0))
     for block in (b for b in blocks(page) if not b.why_not):
         if block.language == "sh":
             for words in command_lines(block.text):
                 assert main(words) == 0, words
-        elif block.language == "python" and page == "tutorials/your-estimator.md":
-            (tmp_path / "coasting.py").write_text(block.text)
+        elif block.language == "python" and left > 0:
+            (tmp_path / module).write_text(block.text)
+            left -= 1
         elif block.language == "python":
             exec(compile(block.text, page, "exec"), named)
         elif block.language == "toml":

@@ -17,10 +17,10 @@ from cellslam.slam.fastslam.fastslam_options import FastSlamOptions
 from cellslam.slam.fastslam.parts import BUILT_IN, NO_VT, Candidates, Transmitters
 from tests.slam.fastslam.drives import WHITE, driven, street
 
-EXAMPLES = Path(__file__).parents[3] / "docs" / "examples" / "own-parts"
+PAGE = Path(__file__).parents[3] / "docs" / "how-to" / "replace-parts-of-fastslam.md"
 OWN = {
-    "association": "least_distance", "birth": "never_twice", "proposal": "quasi_random", "update": "half_gain",
-    "weight": "Annealed", "pruning": "two_minutes", "resampling": "best_half",
+    "association": "least_distance", "birth": "patient", "proposal": "quasi_random", "update": "half_gain",
+    "weight": "Annealed", "pruning": "two_minutes", "resampling": "better_half",
 }  # fmt: skip
 
 
@@ -104,8 +104,9 @@ def test_each_built_in_part_runs(slot: str, name: str) -> None:
 
 
 @pytest.mark.parametrize("slot", list(BUILT_IN))
-def test_each_part_of_the_documentation_runs(slot: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.syspath_prepend(EXAMPLES)
+def test_each_part_of_the_documentation_runs(slot: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (tmp_path / "my_parts.py").write_text(PAGE.read_text().split("```python\n")[1].split("```")[0])
+    monkeypatch.syspath_prepend(tmp_path)
     monkeypatch.delitem(sys.modules, "my_parts", raising=False)
     by_name = FastSlam(FastSlamOptions(particles=20, effective_share=1.0, **{slot: f"my_parts:{OWN[slot]}"}, **WHITE))
     part = getattr(sys.modules["my_parts"], OWN[slot])
