@@ -108,9 +108,9 @@ class FastSlam(JointFilter):
         Raises InputError for a slot or a name that does not exist, and for a part that cannot be called.
         """
         super().__init__(options or FastSlamOptions())
-        self._given_parts = {slot: checked(slot, part) for slot, part in parts.items()}
+        given = {slot: checked(slot, part) for slot, part in parts.items()}
         named = {slot: part_named(slot, getattr(self.options, slot)) for slot in BUILT_IN if slot not in parts}
-        self.parts = Parts(**named, **self._given_parts)
+        self.parts = Parts(**named, **given)
 
     @staticmethod
     def compiled() -> bool:
@@ -128,7 +128,9 @@ class FastSlam(JointFilter):
         super().start(setup, rng)
 
     def _alike(self, **changes: Any) -> Self:
-        return type(self)(self.options.model_copy(update=changes), **self._given_parts)
+        other = super()._alike(**changes)
+        other.parts = self.parts
+        return other
 
     @property
     def _drawn_blocks(self) -> int:
