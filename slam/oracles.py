@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
 from typing import ClassVar
 
 import numpy as np
@@ -13,10 +12,6 @@ from cellslam.slam.api import Setup, VtEstimate
 from cellslam.slam.ekf_slam.bank import Bank
 from cellslam.slam.ekf_slam.ekf_slam import EkfSlam
 from cellslam.slam.ekf_slam.state.layout import KNOWN_ASSOCIATION, KNOWN_MAP
-from cellslam.slam.fastslam.fastslam import FastSlam
-from cellslam.slam.fastslam.fastslam_options import FastSlamOptions
-from cellslam.slam.fastslam.parts.association import FromTruth
-from cellslam.slam.fastslam.path_particles import PathParticles
 from cellslam.slam.front_end.looks import Looks
 
 LONG_AGO = -100_000  # snapshot in which the map was last seen, at the start
@@ -36,26 +31,6 @@ class KnownAssociation(EkfSlam):
 
     def _given(self, looks: Looks) -> Ints:
         return np.array(self._vt_of[looks.row], np.int64)
-
-
-class FastSlamKnownAssociation(FastSlam):
-    """FastSLAM that is told which VT each measurement came from, and what is clutter."""
-
-    name: ClassVar[str] = "oracle-fastslam"
-    requires_truth: ClassVar[bool] = True
-
-    def __init__(self, options: FastSlamOptions | None = None) -> None:
-        super().__init__(options)
-        if not isinstance(self._filter, PathParticles):
-            self._filter = KnownAssociation(self.options)
-
-    def start(self, setup: Setup, rng: np.random.Generator) -> None:
-        """Take the prior and the associations."""
-        one = self._filter
-        if isinstance(one, PathParticles):
-            parts = one.choice.parts._replace(association=FromTruth(_truth(setup).measurement_vt))
-            one.choice = replace(one.choice, parts=parts)
-        super().start(setup, rng)
 
 
 class KnownMap(EkfSlam):

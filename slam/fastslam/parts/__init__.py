@@ -1,1 +1,0 @@
-"""The replaceable parts of FastSLAM: association, criterion, clock."""

@@ -1,1 +1,0 @@
-"""How the compiled kernels run: threads, turns, prefetching, compiling ahead of time."""

@@ -1,1 +1,0 @@
-"""What a block of particles is: the layout of its rows, the prior, copying, moments."""
