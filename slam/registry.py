@@ -46,7 +46,7 @@ BUILT_IN = (
     Listed(
         "fastslam",
         "cellslam.slam.fastslam.fastslam:FastSlam",
-        "extended FastSLAM: particles of associations and offset modes, all else one Gaussian in each",
+        "Rao-Blackwellised particle filter over the path, with one covariance and gain for all particles; parts that plug",
     ),
     Listed(
         "dead-reckoning",
@@ -56,7 +56,7 @@ BUILT_IN = (
     Listed(
         "ekf-slam",
         "cellslam.slam.ekf_slam.ekf_slam:EkfSlam",
-        "joint EKF of pose, odometry errors, clock offsets and VTs; Gaussian sum over the offsets at the start",
+        "joint EKF of pose, odometry errors, clock offsets, VTs and errors that persist; or several such hypotheses",
     ),
     Listed(
         "wall-slam",
@@ -71,7 +71,7 @@ BUILT_IN = (
     Listed(
         "bp-slam",
         "cellslam.slam.bp_slam.bp_slam:BpSlam",
-        "belief propagation: probabilistic association and existence of features, Gaussian-mixture messages",
+        "the joint filter of ekf-slam with association by belief propagation, on Gaussians",
     ),
     Listed(
         "phd-slam",
@@ -79,14 +79,9 @@ BUILT_IN = (
         "Rao-Blackwellised PHD filter: particles of the path, the map of each the intensity of a random finite set",
     ),
     Listed(
-        "channel-slam",
-        "cellslam.slam.channel_slam.channel_slam:ChannelSlam",
-        "delays alone: a filter for each transmitter within each particle of the vehicle",
-    ),
-    Listed(
         "smoother",
         "cellslam.slam.smoother.smoother:Smoother",
-        "factor graph over the whole drive with FastSLAM's associations; not causal",
+        "factor graph over the whole drive with EKF-SLAM's associations; not causal",
         needs="gtsam",
     ),
     Listed(

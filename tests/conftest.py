@@ -86,8 +86,8 @@ FILTER = (
 )
 # What two processes compile, about as long each.
 PARTS = (
-    (FILTER.format("ekf-slam", ""), WORLD, FILTER.format("paper-fastslam", ""), FILTER.format("channel-slam", "")),
-    (FILTER.format("fastslam", "errors='counted'"), FILTER.format("phd-slam", "")),
+    (FILTER.format("ekf-slam", ""), FILTER.format("paper-fastslam", "")),
+    (WORLD, FILTER.format("phd-slam", "")),
 )
 
 

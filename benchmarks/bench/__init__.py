@@ -1,1 +1,1 @@
-"""What the `bench` commands measure: speed of rays, front end, FastSLAM and sweeps; peers."""
+"""What the `bench` commands measure: speed of rays, front end and sweeps; peers."""

@@ -173,9 +173,6 @@ GROUPS = {
                 "picture of one snapshot at signal level: spectrum and paths",
                 ("bench snapshot lund-530",),
             ),
-            "fastslam": Command(
-                "bench.fastslam", "what a drive, an update and a particle of FastSLAM cost", ("bench fastslam",)
-            ),
             "rays": Command(
                 "bench.rays", "time the ray tracer, beside Sionna RT and DiffeRT where installed", ("bench rays",)
             ),

@@ -13,14 +13,14 @@ from matplotlib.colors import to_hex, to_rgb
 from matplotlib.figure import Figure
 
 BLACK, ORANGE, SKY, GREEN = "#000000", "#E69F00", "#56B4E9", "#009E73"
-YELLOW, BLUE, VERMILLION, PURPLE = "#F0E442", "#0072B2", "#D55E00", "#CC79A7"
+BLUE, VERMILLION, PURPLE = "#0072B2", "#D55E00", "#CC79A7"
 GREY, LIGHT, BUILDING, EMPHASIS = "#999999", "#DDDDDD", "#E4E1DC", "#A79F92"
 TRUTH, VT, VEHICLES, WALL = BLACK, GREEN, "#5B6B8C", "#3D1A78"
 SITES = (VERMILLION, GREEN, PURPLE, ORANGE, SKY)
 LANDMARKS = (BLUE, ORANGE, GREEN, PURPLE, VERMILLION, SKY, "#7A5C00", "#5D3A9B")
 ESTIMATORS = {
     "fastslam": BLUE, "dead-reckoning": ORANGE, "ekf-slam": GREEN, "bp-slam": PURPLE, "phd-slam": VERMILLION,
-    "paper-fastslam": SKY, "channel-slam": YELLOW, "smoother": "#7A5C00", "oracle-association": "#5D3A9B",
+    "paper-fastslam": SKY, "smoother": "#7A5C00", "oracle-association": "#5D3A9B",
     "oracle-fastslam": "#2E3A87", "oracle-map": "#8C1D40", "wall-slam": "#117733",
 }  # fmt: skip
 OTHERS = ("#44AA99", "#AA4499", "#999933", "#661100")

@@ -1,8 +1,8 @@
-"""BP-SLAM: belief propagation for multipath-based SLAM, with directions of arrival and unknown clock offsets."""
+"""BP-SLAM: the joint filter of EKF-SLAM with association by belief propagation, on Gaussians."""
 
 from __future__ import annotations
 
-from typing import ClassVar
+from typing import ClassVar, Literal
 
 from pydantic import Field
 
@@ -15,13 +15,19 @@ from cellslam.slam.front_end.visibility import transitions
 class BpSlamOptions(EkfSlamOptions):
     """What a scenario may set under `estimator.bp-slam`."""
 
+    hypotheses: Literal[1] = Field(1, description="one Gaussian: it is the mean over all associations")
     drop_probability: float = Field(
         1e-3, gt=0, lt=1, description="an unconfirmed feature less likely to exist is dropped, a new one not kept"
     )
 
 
 class BpSlam(JointFilter):
-    """Sum-product message passing between agent, features (VTs) and association variables, snapshot by snapshot."""
+    """Sum-product message passing between agent, features (VTs) and association variables, snapshot by snapshot.
+
+    Source: Leitinger, Meyer, Hlawatsch, Tufvesson and Win, "A belief propagation algorithm for multipath-based SLAM",
+    IEEE Trans. Wireless Commun. 18, 2019, whose messages are particles; here agent, features and errors are one
+    Gaussian.
+    """
 
     name: ClassVar[str] = "bp-slam"
     Options: ClassVar[type[BpSlamOptions]] = BpSlamOptions

@@ -235,7 +235,7 @@ class Bank:
         self.arrays = self.arrays._replace(p=_covariances(old, filters, len(old.x[0])))
 
     def keep(self, kept: Ints) -> None:
-        """Keep the filters `kept`, and no others, in the order in which they are."""
+        """Keep the filters `kept` (k,), and no others, in the order in which they are."""
         kept = np.sort(kept)
         for place, k in enumerate(kept.tolist()):
             if place != k:
@@ -332,7 +332,7 @@ class Bank:
         return differing(self.arrays.x[:, of], self.covariances(of), log_odds, likely)
 
     def lost(self, index: int) -> Floats:
-        """Return the confirmed VTs of one filter that made room for others in the last snapshot, as `vts` does."""
+        """Return the confirmed VTs (v, 14) of one filter that made room in the last snapshot, as `vts` does."""
         return self.arrays.lost[index, : int(self.arrays.losses[index, 0])]
 
     def vts(self, index: int, hits: int) -> Floats:

@@ -5,10 +5,12 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import replace
+from pathlib import Path
 from typing import Any, ClassVar, Self
 
 import numpy as np
 
+from cellslam.sim.compiling import is_compiled
 from cellslam.sim.frames.frames_kernel import wrap
 from cellslam.sim.recording import Floats, Ints, Links, OdometryModel
 from cellslam.slam import warm_up
@@ -20,14 +22,15 @@ from cellslam.slam.ekf_slam.map_after import Box, Heard, map_after
 from cellslam.slam.ekf_slam.map_states import Remembered
 from cellslam.slam.ekf_slam.map_trial import MapTrial
 from cellslam.slam.ekf_slam.sizes import Sizes, growth, sizes_of
+from cellslam.slam.ekf_slam.snapshot import snapshot_kernel
 from cellslam.slam.ekf_slam.snapshot.guess_kernel import births
 from cellslam.slam.ekf_slam.snapshot.motion_kernel import Interval
 from cellslam.slam.ekf_slam.start import STATES, Start, begin
 from cellslam.slam.ekf_slam.state.array_errors import array_errors
 from cellslam.slam.ekf_slam.state.layout import ENTRY, FREE, ArrayErrors, Measured, Rules, one_of
 from cellslam.slam.front_end.looks import Grouping, Looks
-from cellslam.slam.front_end.measurement_noise import first_of_link, ports_of
-from cellslam.slam.front_end.readings import Readings, novelty, readings, white_readings
+from cellslam.slam.front_end.measurement_noise import first_of_link
+from cellslam.slam.front_end.readings import Readings, novelty, white_readings
 from cellslam.slam.front_end.visibility import existence
 from cellslam.slam.model.calibration import Calibration
 from cellslam.slam.model.vt_map import VtMap
@@ -35,7 +38,7 @@ from cellslam.slam.model.vt_map import VtMap
 NOT_GIVEN, NO_VTS = -2, np.empty((0, ENTRY))
 # Accelerations of a vehicle whose odometry is silent, in m/s^2 and rad/s^2; it neither climbs nor tilts.
 HELD = np.array([0.6, 0.0, 0.0, 0.1, 0.0, 0.0])
-DOUBT = 4.0  # log-likelihood that a rival association may lose
+RIVAL = 4.0  # log-likelihood that a second association may lose against the best, to be a hypothesis of its own
 WAY_M, TURN = 0.6, np.radians(2.0)  # a block of snapshots ends after so long a way or turn
 AWAY_S = 3.0  # a VT that was not seen for so long returns, if it is seen again
 AGAIN = 1.25  # filters of all sites that did not agree with the start are tried again after so many times as long
@@ -46,9 +49,14 @@ EVIDENCE = 0.0125  # least share of detections and misses that is news: what hid
 class JointFilter:
     """What EKF-SLAM, its oracles and BP-SLAM share: one joint covariance after a Gaussian-sum start.
 
+    With `hypotheses` above 1 it is a mixture of such Gaussians. One becomes two where two associations of a snapshot
+    are almost as likely and differ in what they do to the vehicle or a clock; of two that agree the likelier stays.
+    Nothing is drawn, because associations are discrete: the likeliest are kept.
+
     Sources: Smith, Self and Cheeseman, "Estimating uncertain spatial relationships in robotics" (1990), for the joint
     covariance; Bar-Shalom, Li and Kirubarajan (2001), section 5, for the filter; Higdon, "A process-convolution
-    approach to modelling temperatures in the North Atlantic Ocean" (1998), for fields of direction as states;
+    approach to modelling temperatures in the North Atlantic Ocean" (1998), for fields of direction as states; Reid, "An
+    algorithm for tracking multiple targets", IEEE Trans. Automatic Control 24(6), 1979, for the hypotheses;
     measurement model and births are those of the extended FastSLAM (paper, section IV, corrected).
     """
 
@@ -60,6 +68,11 @@ class JointFilter:
 
     def __init__(self, options: Any = None) -> None:
         self.options = options or EkfSlamOptions()
+
+    @staticmethod
+    def compiled() -> bool:
+        """Return whether the kernels have been compiled before, and are in Numba's cache."""
+        return is_compiled(snapshot_kernel.__name__, Path(snapshot_kernel.__file__))
 
     def warm_up(self) -> None:
         """Compile every kernel on a made-up drive of four snapshots."""
@@ -75,7 +88,6 @@ class JointFilter:
         self._seen: dict[int, Box] = {}
         self._archive, self._again_s, self._grown = NO_VTS, 0.0, 1.0
         self._born = len(links) + (0 if known is None else len(known))
-        self._ports = ports_of(self._setup.links.site, self._setup.links.port)
         self._errors = array_errors(self.options, setup)
         self._core = core_of(self._setup, self._errors, self._drawn_blocks)
         self._past: list[tuple[Interval, Measured]] = []
@@ -199,11 +211,6 @@ class JointFilter:
         return 0
 
     @property
-    def _most(self) -> int:
-        """How many filters there may be side by side after the start."""
-        return 1
-
-    @property
     def _log_step(self) -> float:
         """Log-probability that a clock steps in a block; while offsets are wide none is looked for."""
         sought = self._start is None and self.options.step_probability > 0.0
@@ -296,7 +303,7 @@ class JointFilter:
 
     def _go_on(self, bank: Bank, errors: ArrayErrors, interval: Interval, measured: Measured) -> Ints:
         """Move all filters of a bank by an interval, and use a snapshot; return the associations (K, m)."""
-        return bank.use(errors, interval, measured, self.options.vts, self._most)
+        return bank.use(errors, interval, measured, self.options.vts, self.options.hypotheses)
 
     def _see(self, association: Ints, place: Floats) -> None:
         """Note from where the VTs of some looks are seen."""
@@ -308,10 +315,7 @@ class JointFilter:
 
     def _readings(self, dt_s: float, odometry: Floats, looks: Looks) -> Readings:
         """Return the looks with their variances."""
-        turn_rad, moved_m = odometry[3] * dt_s, odometry[0] * dt_s
-        if self.options.errors == "states":
-            return white_readings(looks, self._grouping.options, turn_rad, moved_m)
-        return readings(looks, self._ports, self._grouping.options, turn_rad, moved_m)
+        return white_readings(looks, self._grouping.options, odometry[3] * dt_s, odometry[0] * dt_s)
 
     def _measured(self, dt_s: float, odometry: Floats, v: Readings, looks: Looks) -> Measured:
         step_s = self._step_s = dt_s if dt_s > 0.0 else 0.075
@@ -329,13 +333,13 @@ class JointFilter:
 
     def _tables(self, step_s: float) -> tuple[Floats, Rules]:
         """Return what depends on the length of a step alone: the tables of existence, and the rules."""
-        o, states = self._grouping.options, self.options.errors == "states"
+        o = self._grouping.options
         tables, once, twice = existence(o, step_s)
         rules = Rules(
             self.mode, float(np.log(o.clutter_density)), o.gate, o.confirm_hits, once, twice,
-            min(max(round(o.block_s / step_s), 1), LONGEST) if states else 1, WAY_M, TURN, EVIDENCE,
+            min(max(round(o.block_s / step_s), 1), LONGEST), WAY_M, TURN, EVIDENCE,
             int(o.hold_s / step_s), math.log(o.return_odds), max(round(AWAY_S / step_s), 1),
-            DOUBT if self._most > 1 else 0.0, merge_rate=o.merge_rate if states else 0.0,
+            RIVAL if o.hypotheses > 1 else 0.0, merge_rate=o.merge_rate,
         )  # fmt: skip
         return tables, self._rules(rules, step_s)
 

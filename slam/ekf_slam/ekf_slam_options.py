@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from functools import cached_property
-from typing import Literal, Self
+from typing import Self
 
 from pydantic import Field, model_validator
 
@@ -24,8 +24,8 @@ class EkfSlamOptions(FrontEndOptions):
         le=1e9,
         description="how likely a look must be of a VT unseen for 3 s, against a new one nearby",
     )
-    errors: Literal["states", "counted"] = Field(
-        "states", description="errors that persist: as states of the filter, or counted as so many fewer measurements"
+    hypotheses: int = Field(
+        1, ge=1, le=1000, description="Gaussians kept side by side after the start at most, each with its associations"
     )
     ground_share: float = Field(
         0.0, ge=0, le=10, description="share of the ground's reflection that merges with each path, deviation; 0: none"
@@ -61,14 +61,10 @@ class EkfSlamOptions(FrontEndOptions):
         return None if self.calibration_file is None else Calibration.load(self.calibration_file)
 
     @model_validator(mode="after")
-    def _can_have_them(self) -> Self:
-        """Refuse states that this filter has not, and a calibration that is none, or that it cannot begin with."""
-        if self.ground_share > 0.0 and self.errors == "counted":
-            raise ValueError("a filter with errors=counted has no state for the ground: set errors=states")
+    def _can_begin(self) -> Self:
+        """Refuse a calibration that is none, or that the filter cannot begin with."""
         if self.known_calibration is not None:
             from cellslam.slam.ekf_slam.calibration_states import check_fits
 
-            if self.errors == "counted":
-                raise ValueError("a filter with errors=counted begins with no calibration: set errors=states")
             check_fits(self.known_calibration, self.calibration, math.radians(self.calibration_scale_deg))
         return self

@@ -1,1 +1,1 @@
-"""The extended FastSLAM. `reference` is the algorithm in plain NumPy, `fastslam` the compiled one."""
+"""FastSLAM: `fastslam`, and the filter as the paper prints it: `paper`."""

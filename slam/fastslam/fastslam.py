@@ -61,6 +61,7 @@ from cellslam.slam.ekf_slam.state.layout import (
     Block,
     Filter,
     Measured,
+    Rules,
     block_of,
     one_of,
 )
@@ -119,7 +120,7 @@ class FastSlam(JointFilter):
 
     def warm_up(self) -> None:
         """Compile every kernel on a made-up drive of four snapshots, each a block of its own."""
-        warm_up.drive(self._alike(start_limit_s=0.1, block_s=0.0, groups=2))
+        warm_up.drive(self._alike(start_limit_s=0.1, block_s=0.0))
 
     def start(self, setup: Setup, rng: np.random.Generator) -> None:
         """Take the prior; draws begin with the first block of snapshots."""
@@ -131,6 +132,11 @@ class FastSlam(JointFilter):
         other = super()._alike(**changes)
         other.parts = self.parts
         return other
+
+    def _rules(self, common: Rules, dt_s: float) -> Rules:
+        """Leave second hypotheses to the association part."""
+        del dt_s
+        return common._replace(doubt=0.0)
 
     @property
     def _drawn_blocks(self) -> int:
@@ -144,7 +150,7 @@ class FastSlam(JointFilter):
         While the drive so far is gone through again at the end of the start, there are no particles yet.
         """
         if self._start is not None or self._past:
-            return super()._go_on(mixture, errors, interval, measured)
+            return mixture.use(errors, interval, measured, self.options.vts)
         self._share_particles(mixture)
         mixture.make_room(measured, self.options.vts)
         if self._drawn_blocks:
@@ -219,7 +225,7 @@ class FastSlam(JointFilter):
         """Return the groups that become two, the likeliest first, as long as there is room, and their second
         hypotheses."""
         found = [(k, one) for k in np.argsort(-mixture.log_weight, kind="stable") for one in paired[k][1:]]
-        found = found[: max(self.options.groups - len(mixture), 0)]
+        found = found[: max(self.options.hypotheses - len(mixture), 0)]
         return np.array([k for k, _ in found], np.int64), [one for _, one in found]
 
     # ---- the end of a block ------------------------------------------------------------------------------------------

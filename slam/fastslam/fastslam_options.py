@@ -29,8 +29,8 @@ class FastSlamOptions(EkfSlamOptions):
         description="blocks of snapshots after which the odometry's noise is drawn; -1: before its own block is used "
         f"(FastSLAM 1.0), 0: after it (FastSLAM 2.0), {NEVER}: never, the joint EKF",
     )
-    groups: int = Field(
-        8, ge=1, le=1000, description="groups that there may be of different associations, with association=hypotheses"
+    hypotheses: int = Field(
+        8, ge=1, le=1000, description="groups of particles with different associations, at most (association=hypotheses)"
     )
     effective_share: float = Field(
         0.5, ge=0, le=1, description="resample when the effective sample size falls below this share of the particles"

@@ -9,9 +9,10 @@ Errors of a measurement, cause by cause, as `sim.lte` makes them:
     calibration, roof   functions of the direction of arrival in the body frame: alike for all paths from about one
                   direction, and they change only as the direction changes
 
-A filter either keeps what persists as states, or counts it. Counted, a single measurement has the sum of the variances:
-to associate, take that. Many measurements in a row share a draw: the mean of n of them has the variance of n / repeats
-independent ones. To update, take the variance times `repeats`, and times the links that share it.
+A filter either has states for what persists (the joint filters), or none (PHD-SLAM, the smoother). Without states a
+single measurement has the sum of the variances: association takes that. Many measurements in a row share one draw of an
+error: the mean of n of them has the variance of n / repeats independent ones. So an update takes the variance times
+`repeats`, and times the links that share the draw.
 
 Sources: paper, eq. 34, corrected; Priestley, "Spectral analysis and time series", 1981, section 5.3 (variance of the
 mean of a correlated sequence).

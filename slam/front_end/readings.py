@@ -31,8 +31,7 @@ class Readings(Described):
     `z` (m, 3): distance (m), azimuth and elevation (rad), NaN where not measured. `single` (m, 3): variances of one
     measurement; `many` (m, 3): those with which an update counts for what it is worth; `fresh` (m, 3): those of a VT
     that begins (links that see the same one share its errors). `gap` (m,): what the log-density of clutter is greater
-    by; `lack` (m,): what the log-density of an update lacks against that of one measurement; `merged` (3,): variances
-    that updates take beside `many`, for what merged paths do.
+    by; `merged` (3,): variances that updates take beside `many`, for what merged paths do.
     """
 
     z: Floats
@@ -40,7 +39,6 @@ class Readings(Described):
     many: Floats
     fresh: Floats
     gap: Floats
-    lack: Floats
     merged: Floats = field(default_factory=lambda: np.zeros(3))
 
 
@@ -70,7 +68,7 @@ def white_readings(looks: Looks, options: FrontEndOptions, turn_rad: float, move
         z, looks.white, looks.ports, looks.doubt, plain, diffuse, sway, merged, _LOG_WIDTH
     )
     often = min(repeats(scale, change), MOST_MERGED)
-    return Readings(z, single, many, fresh, gap, np.zeros(len(z)), merged * often)
+    return Readings(z, single, many, fresh, gap, merged * often)
 
 
 def novelty(options: FrontEndOptions, turn_rad: float, moved_m: float) -> float:

@@ -130,9 +130,9 @@ def share_new(persisting: Persisting, white: Floats, turn: float, moved: float) 
 def combine(
     z: Floats, link: Ints, port_of: Ints, white: Floats, ports: Ints, doubt: Floats, persisting: Persisting,
     turn: float, moved: float, log_width: Floats,
-) -> tuple[Floats, Floats, Floats, Floats, Floats]:  # fmt: skip
+) -> tuple[Floats, Floats, Floats, Floats]:  # fmt: skip
     """Return the variances (m, 3) of single measurements, of updates and of births, in m^2 and rad^2, and (m,) what the
-    log-density of clutter is greater by and what an update's lacks.
+    log-density of clutter is greater by.
 
     z (m, 3): distance (m), azimuth and elevation (rad), NaN where not measured; link (m,), port_of (L,): a number for
     each pair of site and port; white (m, 3): variances of what does not persist; ports (m,): how many ports a
@@ -142,7 +142,7 @@ def combine(
     m = len(link)
     place, direction, scales = persisting
     single, many, fresh = np.empty((m, 3)), np.empty((m, 3)), np.empty((m, 3))
-    gap, lack = doubt.copy(), np.zeros(m)
+    gap = doubt.copy()
     for i in range(m):
         for c in range(3):
             single[i, c] = max(white[i, c] + place[c] / ports[i] + direction[c], LEAST)
@@ -159,6 +159,4 @@ def combine(
             q = white[i, c] + place[c] * by_place * port[i] + direction[c] * again * alike
             many[i, c] = max(q, LEAST)
             fresh[i, c] = max(white[i, c] + place[c] * port[i] + direction[c] * alike, LEAST)
-            if not math.isnan(z[i, c]):
-                lack[i] += 0.5 * math.log(many[i, c] / single[i, c])
-    return single, many, fresh, gap, lack
+    return single, many, fresh, gap

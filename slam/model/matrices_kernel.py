@@ -206,15 +206,6 @@ def sym_scaled(s: Sym3, x: Any) -> Sym3:
 
 
 @njit
-def outer_sum(a: Vec3, b: Vec3) -> Sym3:
-    """Return a b^T + b a^T."""
-    return Sym3(
-        2.0 * a.x * b.x, a.x * b.y + a.y * b.x, a.x * b.z + a.z * b.x,
-        2.0 * a.y * b.y, a.y * b.z + a.z * b.y, 2.0 * a.z * b.z,
-    )  # fmt: skip
-
-
-@njit
 def rotation(psi: Any, theta: Any, phi: Any) -> Mat3:
     """Return Rz(psi) Ry(theta) Rx(phi), which takes body to world vectors; quickly where pitch and roll are zero."""
     cp, sp, ct, st, cr, sr = math.cos(psi), math.sin(psi), 1.0, 0.0, 1.0, 0.0
@@ -321,9 +312,3 @@ def put_sym(out: Any, s: Sym3) -> None:
     out[0, 1] = out[1, 0] = s.xy
     out[0, 2] = out[2, 0] = s.xz
     out[1, 2] = out[2, 1] = s.yz
-
-
-@njit
-def sym_times(a: Sym3, b: Sym3) -> Sym3:
-    """Return the product of a and b element by element."""
-    return Sym3(a.xx * b.xx, a.xy * b.xy, a.xz * b.xz, a.yy * b.yy, a.yz * b.yz, a.zz * b.zz)

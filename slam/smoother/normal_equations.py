@@ -1,4 +1,4 @@
-"""From a drive with FastSLAM's associations to the factor graph's problem, and from its keyframes to every pose.
+"""From a drive with EKF-SLAM's associations to the factor graph's problem, and from its keyframes to every pose.
 
 Sources: Dellaert and Kaess, "Factor graphs for robot perception", Foundations and Trends in Robotics 6, 2017; between
 keyframes the compass (Bowditch) rule of traverse adjustment: a misclosure is spread evenly.
@@ -112,7 +112,7 @@ def _sightings(
     drive: Drive, legs: Sequence[Leg], frames: Ints, options: SmootherOptions
 ) -> tuple[list[int], tuple[Sighting, ...]]:
     """Return the identities of the VTs in the graph, and all that was seen of them about each keyframe."""
-    grouping = Grouping(drive.setup, options.fastslam)
+    grouping = Grouping(drive.setup, options.ekf_slam)
     setup = grouping.setup
     ids, counts = np.unique(np.concatenate(drive.association), return_counts=True)
     often = ids[(counts >= options.vt_detections) & (ids >= 0)]

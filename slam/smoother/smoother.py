@@ -1,4 +1,4 @@
-"""The smoother as an estimator: FastSLAM online, and a factor graph at the end of the drive."""
+"""The smoother as an estimator: EKF-SLAM online, and a factor graph at the end of the drive."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import numpy as np
 from cellslam.sim.errors import InputError
 from cellslam.sim.recording import Floats, Ints
 from cellslam.slam.api import Estimate, Setup, Snapshot
-from cellslam.slam.fastslam.fastslam import FastSlam
+from cellslam.slam.ekf_slam.ekf_slam import EkfSlam
 from cellslam.slam.smoother.smoother_options import SmootherOptions
 
 
@@ -18,7 +18,7 @@ class Smoother:
     """Batch maximum-a-posteriori estimate over the whole drive: what a method that need not be causal reaches.
 
     Sources: Dellaert and Kaess, "Factor graphs for robot perception", Foundations and Trends in Robotics 6, 2017, and
-    their library GTSAM (package extra `gtsam`). While driving it answers as FastSLAM, whose associations it takes; the
+    their library GTSAM (package extra `gtsam`). While driving it answers as EKF-SLAM, whose associations it takes; the
     poses of `finish` come from the graph. Wrong associations: Huber's loss, and sightings that do not fit are left out.
     """
 
@@ -30,10 +30,10 @@ class Smoother:
         if find_spec("gtsam") is None:
             raise InputError("estimator 'smoother' needs GTSAM: pip install 'cellslam[gtsam]'")
         self.options = options or SmootherOptions()
-        self._filter = FastSlam(self.options.fastslam)
+        self._filter = EkfSlam(self.options.ekf_slam)
 
     def warm_up(self) -> None:
-        """Compile FastSLAM and the residual."""
+        """Compile EKF-SLAM and the residual."""
         from cellslam.slam.smoother.factors_kernel import residual
 
         self._filter.warm_up()
@@ -53,7 +53,7 @@ class Smoother:
         self._offset: Floats = setup.sites.clock_offset_mean_m
 
     def step(self, dt_s: float, odometry: Floats, snapshot: Snapshot) -> Estimate:
-        """Answer as FastSLAM, and keep what the graph needs.
+        """Answer as EKF-SLAM, and keep what the graph needs.
 
         dt_s in s; odometry (6,): mean body velocities in m/s and rad/s.
         """

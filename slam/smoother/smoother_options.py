@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pydantic import BaseModel, ConfigDict, Field
 
-from cellslam.slam.fastslam.fastslam_options import FastSlamOptions
+from cellslam.slam.ekf_slam.ekf_slam_options import EkfSlamOptions
 
 
 class SmootherOptions(BaseModel):
@@ -21,4 +21,4 @@ class SmootherOptions(BaseModel):
     rounds: int = Field(3, ge=1, le=20, description="times to solve, each without the outliers that the last one found")
     huber: float = Field(2.0, gt=0, le=100, description="residuals beyond this many deviations count linearly (Huber)")
     iterations: int = Field(30, ge=1, le=1000, description="most iterations of Levenberg and Marquardt, each time")
-    fastslam: FastSlamOptions = Field(FastSlamOptions(), description="the filter whose associations are taken")
+    ekf_slam: EkfSlamOptions = Field(EkfSlamOptions(), description="the EKF-SLAM whose associations are taken")

@@ -15,9 +15,6 @@ from cellslam.sim.recording import Floats, Links, OdometryModel, Recording, Site
 from cellslam.slam.api import Setup, Snapshot, odometry_of, setup_of, snapshots_of
 from cellslam.slam.ekf_slam.ekf_slam import EkfSlam
 from cellslam.slam.ekf_slam.ekf_slam_options import EkfSlamOptions
-from cellslam.slam.fastslam.fastslam_options import FastSlamOptions
-from cellslam.slam.fastslam.path_particles import PathParticles
-from cellslam.slam.fastslam.state.layout import THETA
 from cellslam.slam.front_end.front_end_options import NOTHING_PERSISTS
 from cellslam.slam.model.measurement_model import jacobians, predict
 
@@ -52,22 +49,18 @@ def test_a_filter_starts_afresh_on_a_drifting_drive(drifting: Recording) -> None
     """The same drive twice, then one whose clocks are constant, through one filter."""
     snapshots, odometry = snapshots_of(drifting)[:40], odometry_of(drifting)
 
-    def offsets(estimator: PathParticles, recording: Recording) -> Floats:
+    def offsets(estimator: EkfSlam, recording: Recording) -> Floats:
         estimator.start(setup_of(recording), np.random.default_rng(1))
         for t, snapshot in enumerate(snapshots):
             estimate = estimator.step(0.075 if t else 0.0, odometry[t], snapshot)
         assert estimate.clock_offset_m is not None
         return estimate.clock_offset_m
 
-    constant, one = (
-        with_rate_std(drifting, None),
-        PathParticles(FastSlamOptions(errors="counted", particles=32, start_phase_s=0.0)),
-    )
+    constant, one = with_rate_std(drifting, None), EkfSlam()
     told = [offsets(one, recording) for recording in (drifting, drifting, constant)]
     np.testing.assert_array_equal(told[0], told[1])
     assert not np.array_equal(told[0], told[2])
-    fresh = PathParticles(FastSlamOptions(errors="counted", particles=32, start_phase_s=0.0))
-    np.testing.assert_array_equal(told[2], offsets(fresh, constant))
+    np.testing.assert_array_equal(told[2], offsets(EkfSlam(), constant))
 
 
 def with_rate_std(recording: Recording, std_m_s: float | None) -> Recording:
@@ -134,8 +127,7 @@ def batch(snapshots: list[Snapshot], poses: Floats) -> tuple[Floats, Floats]:
     return x[:2], np.linalg.inv(information)[:2, :2]
 
 
-@pytest.mark.parametrize("name", ["fastslam", "ekf-slam"])
-def test_filters_find_offset_and_rate_as_a_batch_does(name: str) -> None:
+def test_offset_and_rate_are_found_as_a_batch_does() -> None:
     snapshots, poses = drive()
     mean, cov = batch(snapshots, poses)
     zero = np.zeros(6)
@@ -143,8 +135,7 @@ def test_filters_find_offset_and_rate_as_a_batch_does(name: str) -> None:
         Links(*np.zeros((3, 1), np.int64)), Sites(("A",), np.zeros(1), np.array([PRIOR_M]), np.array([PRIOR_M_S])),
         OdometryModel(zero, zero, zero, zero), zero, zero,
     )  # fmt: skip
-    fastslam = PathParticles(FastSlamOptions(errors="counted", particles=32, **QUIET))
-    estimator = fastslam if name == "fastslam" else EkfSlam(EkfSlamOptions(**QUIET))
+    estimator = EkfSlam(EkfSlamOptions(**QUIET))
     estimator.start(setup, np.random.default_rng(0))
     for t, snapshot in enumerate(snapshots):
         estimate = estimator.step(DT if t else 0.0, np.array([1.0, 0, 0, 0.05, 0, 0]), snapshot)
@@ -153,6 +144,3 @@ def test_filters_find_offset_and_rate_as_a_batch_does(name: str) -> None:
     std = np.sqrt(by @ cov @ by)
     assert abs(estimate.clock_offset_m[0] - by @ mean) < 0.2 * std
     assert np.sqrt(estimate.clock_offset_variance_m2[0]) == pytest.approx(std, rel=0.03)
-    if name == "fastslam":
-        rate = fastslam._particles.columns(THETA, 2)[:, 1]
-        assert np.abs(rate - mean[1]).max() < 0.1 * np.sqrt(cov[1, 1])

@@ -123,4 +123,4 @@ class TestSmoother(EstimatorConformance):
 
     @pytest.fixture
     def options(self, estimator: type[Any]) -> Any:
-        return estimator.Options.model_validate({"fastslam": {"particles": 64}})
+        return estimator.Options.model_validate({"ekf_slam": {"hypotheses": 4}})

@@ -20,13 +20,10 @@ def compiled():
     found = (value for room in rooms for value in room.values() if isinstance(value, Dispatcher))
     return {kernel.py_func.__qualname__: len(kernel.signatures) for kernel in found}
 
-def new():
-    return kind(model(**dict(option.split("=") for option in sys.argv[2:])))
-
 kind = resolve(sys.argv[1])
 model = options_model(kind)
-new().warm_up()
-before, drive, estimator = compiled(), tiny_drive(), new()
+kind(model()).warm_up()
+before, drive, estimator = compiled(), tiny_drive(), kind(model())
 estimator.start(setup_of(drive), np.random.default_rng(0))
 for dt, odometry, snapshot in zip([0.0, *np.diff(drive.time_s[:80])], odometry_of(drive), snapshots_of(drive)):
     estimator.step(float(dt), odometry, snapshot)
@@ -35,9 +32,7 @@ print([name for name, count in compiled().items() if count != before.get(name, 0
 """
 
 
-@pytest.mark.parametrize(
-    "words", ["ekf-slam", "bp-slam", "fastslam errors=counted", "paper-fastslam", "phd-slam", "channel-slam"]
-)
-def test_nothing_is_left_to_compile(words: str) -> None:
-    done = subprocess.run([sys.executable, "-P", "-c", DRIVE, *words.split()], capture_output=True, text=True)
+@pytest.mark.parametrize("name", ["ekf-slam", "bp-slam", "fastslam", "paper-fastslam", "phd-slam"])
+def test_nothing_is_left_to_compile(name: str) -> None:
+    done = subprocess.run([sys.executable, "-P", "-c", DRIVE, name], capture_output=True, text=True)
     assert done.stdout == "[]\n", done.stderr

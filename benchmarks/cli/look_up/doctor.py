@@ -31,12 +31,12 @@ def command(arguments: Namespace) -> int:
 
 def _facts() -> Iterator[tuple[str, str]]:
     from cellslam.benchmarks.sweeps.executors import cores
-    from cellslam.slam.fastslam.fastslam import FastSlam
+    from cellslam.slam.ekf_slam.ekf_slam import EkfSlam
 
     yield "cellslam", f"{version('cellslam')}, in {Path(__file__).parents[3]}"
     yield "python", f"{platform.python_version()}, {sys.executable}"
     yield "system", f"{platform.platform()}, {_processor()}, {cores()} cores to use"
-    yield "compiled", "fastslam starts at once" if FastSlam.compiled() else "not yet: the first run of fastslam does it"
+    yield "compiled", "ekf-slam starts at once" if EkfSlam.compiled() else "not yet: the first run of ekf-slam does it"
     for title, names in _packages().items():
         yield title, ", ".join(f"{name} {_version(name)}" for name in names)
 

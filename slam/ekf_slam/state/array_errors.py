@@ -19,26 +19,26 @@ NO_ERRORS = ArrayErrors(np.zeros(3), WIDE, np.zeros(3), WIDE, np.zeros(3), 0.0, 
 
 
 def array_errors(options: EkfSlamOptions, setup: Setup) -> ArrayErrors:
-    """Return the errors that are states; of counted ones pitch and roll alone. No size, or no scale: no state.
+    """Return the errors that are states. No size, or no scale: no state.
 
     The calibration has the grid of the known one where it is to begin with that.
     What the odometry or the start says of pitch and roll belongs to the pose: then they are not drawn anew.
     """
-    o, sheet, known, as_states = options, setup.odometry_model, options.known_calibration, options.errors == "states"
+    o, sheet, known = options, setup.odometry_model, options.known_calibration
     seen = np.concatenate([sheet.noise_density[4:], sheet.bias[4:], setup.start_std[4:], setup.start_pose[4:]]).any()
     calibration, roof = np.radians([o.calibration_scale_deg, o.roof_scale_deg])
     spacing, reach = FINE_GRID if o.calibration[0] > 2.0 * o.diffuse[0] else COARSE_GRID
     own = grid(calibration, spacing, reach) if calibration > 0.0 else WIDE
     return ArrayErrors(
-        calibration=o.calibration * (as_states and calibration > 0.0),
+        calibration=o.calibration * (calibration > 0.0),
         calibration_grid=own if known is None else known.grid,
-        roof=o.roof * (as_states and roof > 0.0),
+        roof=o.roof * (roof > 0.0),
         roof_grid=grid(roof, *ROOF_GRID) if roof > 0.0 else WIDE,
-        diffuse=o.diffuse * (as_states and o.diffuse_scale_m > 0.0),
+        diffuse=o.diffuse * (o.diffuse_scale_m > 0.0),
         diffuse_m=o.diffuse_scale_m,
-        sway=o.sway[[1, 2, 2]] * (as_states and o.sway_scale_s > 0.0),
+        sway=o.sway[[1, 2, 2]] * (o.sway_scale_s > 0.0),
         sway_s=o.sway_scale_s,
         tilt=np.radians([o.pitch_deg, o.roll_deg]) * (not seen),
         tilt_s=o.attitude_scale_s,
-        ground=o.ground_share * as_states,
+        ground=o.ground_share,
     )

@@ -75,12 +75,6 @@ def test_requests_that_cannot_be_met_say_why(drive: Path, tmp_path: Path, capsys
     assert "say --estimator" in said("export", str(drive), "--format", "calibration")
 
 
-def test_estimator_that_has_no_such_states_leaves_no_file(tmp_path: Path, drive: Path) -> None:
-    car, counted = tmp_path / "car.h5", "estimator.ekf-slam.errors=counted"
-    assert replayed(drive, tmp_path / "c", "--save-calibration", str(car), "--no-figures", "--set", counted) == 1
-    assert not car.exists() and (tmp_path / "c" / "summary.json").exists()
-
-
 OWN = """
 import numpy as np
 from pydantic import BaseModel

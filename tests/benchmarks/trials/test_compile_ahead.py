@@ -9,7 +9,7 @@ import pytest
 
 from cellslam.benchmarks.trials import compile_ahead as ahead
 from cellslam.scenarios.estimator_options import Request
-from cellslam.slam.fastslam.fastslam import FastSlam
+from cellslam.slam.ekf_slam.ekf_slam import EkfSlam
 
 SLOW = """
 import pathlib, time
@@ -53,6 +53,6 @@ def test_a_failure_there_is_no_failure_here(slow: Request) -> None:
     assert not Path("compiled").exists() and not ahead._running
 
 
-def test_fastslam_knows_whether_it_is_compiled() -> None:
-    FastSlam().warm_up()
-    assert FastSlam.compiled()
+def test_ekf_slam_knows_whether_it_is_compiled() -> None:
+    EkfSlam().warm_up()
+    assert EkfSlam.compiled()

@@ -229,7 +229,6 @@ def test_what_cannot_be_used_is_refused(calibration: Calibration, tmp_path: Path
 
     assert "set calibration_scale_deg = 15" in said(calibration_scale_deg=20.0)
     assert "a calibration of distance, azimuth, elevation" in said(calibration_m=0.0)
-    assert "set errors=states" in said("fastslam", errors="counted")
     assert "no such file" in said(calibration_file=str(no))
     no.write_text("nothing")
     assert "not a calibration" in said(calibration_file=str(no))

@@ -39,7 +39,5 @@ def test_a_share_of_zero_takes_the_state_away(one_filter: Any) -> None:
     assert ground(one.f, Spherical(100.0, 0.7, 0.2), one.w.sight) == (0.0, 0.0, 0.0) and one.w.sight.size[0] == 0
 
 
-def test_a_filter_that_counts_errors_refuses_the_state() -> None:
+def test_the_option_makes_the_state() -> None:
     assert array_errors(EkfSlamOptions(ground_share=0.5), setup_of(tiny_drive())).ground == 0.5
-    with pytest.raises(ValueError, match="no state for the ground"):
-        EkfSlamOptions(ground_share=0.5, errors="counted")

@@ -16,13 +16,12 @@ from cellslam.sim.recording import Floats, Links, OdometryModel, Recording, Site
 from cellslam.slam.api import Estimate, Setup, odometry_of, setup_of, snapshots_of
 from cellslam.slam.ekf_slam.bank import core_of, new_bank
 from cellslam.slam.ekf_slam.ekf_slam import EkfSlam
+from cellslam.slam.ekf_slam.ekf_slam_options import EkfSlamOptions
 from cellslam.slam.ekf_slam.map_after import WIDENED, Heard, map_after
 from cellslam.slam.ekf_slam.map_states import Remembered, standing
 from cellslam.slam.ekf_slam.map_trial import MapTrial
 from cellslam.slam.ekf_slam.state.array_errors import NO_ERRORS
 from cellslam.slam.ekf_slam.state.layout import UNSEEN, VT, block_of, one_of
-from cellslam.slam.fastslam.fastslam import FastSlam
-from cellslam.slam.fastslam.fastslam_options import FastSlamOptions
 from cellslam.slam.model.measurement_model import jacobians
 from cellslam.slam.model.vt_map import VtMap, factored, joined
 
@@ -261,13 +260,8 @@ def test_what_is_gone_is_forgotten(drives: list[Recording], maps: list[VtMap]) -
     assert twice is not None and twice.missed.max() == 0 and len(twice) == len(once) - 1
 
 
-def test_errors_counted_refuse_a_map(drives: list[Recording], maps: list[VtMap]) -> None:
-    with pytest.raises(InputError, match="set errors=states"):
-        FastSlam(FastSlamOptions(errors="counted", particles=8)).start(setup_of(drives[1], known=maps[0]), RNG)
-
-
-def test_fastslam_uses_and_leaves_a_map(drives: list[Recording], maps: list[VtMap]) -> None:
-    estimator = FastSlam()
+def test_hypotheses_use_and_leave_a_map(drives: list[Recording], maps: list[VtMap]) -> None:
+    estimator = EkfSlam(EkfSlamOptions(hypotheses=1000))
     estimator.start(setup_of(drives[1], known=maps[0]), RNG)
     dt_s, odometry = np.diff(drives[1].time_s, prepend=drives[1].time_s[0]), odometry_of(drives[1])
     for step in list(zip(dt_s.tolist(), odometry, snapshots_of(drives[1]), strict=True))[:40]:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import re
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 import pytest
@@ -29,16 +28,16 @@ def drive() -> Recording:
     return simulate(load("tiny", {"radio.clock_offset_std_m": 0.0}), 3, 0)
 
 
-def told(drive: Recording, name: str, cause: str, factor: float) -> Request:
+def told(drive: Recording, cause: str, factor: float, hypotheses: int = 1) -> Request:
     """What is asked for where one cause of errors is told so many times too large."""
-    options: dict[str, Any] = dict(Origin.of(drive).options.get(name, {}))
+    name, options = "ekf-slam", dict(Origin.of(drive).options.get("ekf-slam", {}))
     (right,) = resolve({name: options}, (name,))
     wrong = {size: factor * getattr(right.options, size) for size in CAUSES[cause]}
-    (request,) = resolve({name: options | wrong | ({"particles": 32} if name == "fastslam" else {})}, (name,))
+    (request,) = resolve({name: options | wrong | {"hypotheses": hypotheses}}, (name,))
     return request
 
 
-@pytest.mark.parametrize("name", ["ekf-slam", "fastslam"])
+@pytest.mark.parametrize("hypotheses", [1, 32])
 @pytest.mark.parametrize(
     ("cause", "factor", "words"),
     [
@@ -51,9 +50,9 @@ def told(drive: Recording, name: str, cause: str, factor: float) -> Request:
     ],
 )
 def test_errors_that_are_not_as_large_as_told_are_remarked(
-    drive: Recording, name: str, cause: str, factor: float, words: tuple[str, ...]
+    drive: Recording, hypotheses: int, cause: str, factor: float, words: tuple[str, ...]
 ) -> None:
-    remarks = estimate(drive, told(drive, name, cause, factor), np.random.default_rng(0)).remarks
+    remarks = estimate(drive, told(drive, cause, factor, hypotheses), np.random.default_rng(0)).remarks
     assert tuple(re.findall(r"\w+ of \w+", "".join(remarks))) == words
 
 
@@ -67,7 +66,7 @@ def driven(drive: Recording, request: Request, grows: bool = True) -> EkfSlam:
 
 
 def test_diffuse_errors_are_taken_for_as_large_as_they_are(drive: Recording) -> None:
-    half = told(drive, "ekf-slam", "diffuse", 0.5)
+    half = told(drive, "diffuse", 0.5)
     grown = driven(drive, half).sizes()
     assert 1.5 < grown.grown < 2.7
     # What the drive says besides is said against these.
@@ -75,7 +74,7 @@ def test_diffuse_errors_are_taken_for_as_large_as_they_are(drive: Recording) -> 
     kept = driven(drive, half, grows=False).sizes()
     assert kept.grown == 1.0 and 1.5 < kept.doubted()["diffuse_m"] < 2.7
     for factor in (1.0, 2.0):
-        assert driven(drive, told(drive, "ekf-slam", "diffuse", factor)).sizes().grown == 1.0
+        assert driven(drive, told(drive, "diffuse", factor)).sizes().grown == 1.0
 
 
 @pytest.mark.parametrize(("factor", "passes"), [(0.5, 2), (1.0, 1)])
@@ -85,7 +84,7 @@ def test_after_the_start_a_drive_begins_with_diffuse_errors_as_large_as_found(
     joined, join = list[float](), EkfSlam._join
     monkeypatch.setattr(EkfSlam, "_join", lambda self, offsets: (joined.append(self._grown), join(self, offsets))[1])
     drive = simulate(load("tiny", {"radio.clock_offset_std_m": 22.0}), 3, 0)
-    request = told(drive, "ekf-slam", "diffuse", factor)
+    request = told(drive, "diffuse", factor)
     late = {"start_limit_s": 25.0, "resolved_std_m": 1e-3}
     driven(drive, replace(request, options=request.options.model_copy(update=late)))
     assert joined[0] == 1.0 and len(joined) == passes and (passes == 1 or joined[1] > 1.35)

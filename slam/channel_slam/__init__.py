@@ -1,1 +1,0 @@
-"""Channel-SLAM: positioning by the delays of the paths alone."""

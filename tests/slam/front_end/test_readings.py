@@ -1,0 +1,55 @@
+"""The variances of measurements whose errors persist: each draw of an error counts once."""
+
+import numpy as np
+import pytest
+
+from cellslam.sim.recording import Links, OdometryModel, Sites
+from cellslam.slam.api import Setup, Snapshot
+from cellslam.slam.front_end.front_end_options import FrontEndOptions
+from cellslam.slam.front_end.looks import Grouping
+from cellslam.slam.front_end.readings import Readings, novelty, readings
+from cellslam.slam.front_end.readings_kernel import count_sharers
+
+ROWS = [(0, 100.0, 0.1, 0.1), (1, 100.1, 0.1, 0.1), (2, 100.0, 1.0, 0.1)]
+
+
+def read(rows: list[tuple[int, float, float, float]], options: FrontEndOptions, turn: float, moved: float) -> Readings:
+    """Measurements (link, distance, azimuth, elevation) of three links of one site, which has one port."""
+    zero, one = np.zeros(6), np.zeros(3, np.int64)
+    setup = Setup(
+        Links(one, np.arange(3), one), Sites(("A",), np.zeros(1), np.zeros(1)), OdometryModel(zero, zero, zero, zero),
+        zero, zero,
+    )  # fmt: skip
+    link, *z = np.array(rows).T
+    snapshot = Snapshot(0, np.arange(len(rows)), link.astype(np.int64), *z, np.full(len(rows), 20.0))
+    return readings(Grouping(setup, options).looks(snapshot), np.arange(3), options, turn, moved)
+
+
+def test_links_that_measure_one_path_are_counted() -> None:
+    z, q, link, one = np.array(ROWS)[:, 1:], np.tile([0.3, 1e-4, 1e-4], (3, 1)), np.arange(3), np.zeros(3, np.int64)
+    assert list(count_sharers(z, link, one, q)) == [2, 2, 1]
+    assert list(count_sharers(z, link, np.array([0, 1, 0]), q)) == [1, 1, 1]
+    assert list(count_sharers(z, np.array([0, 0, 1]), one, q)) == [1, 1, 1]
+    unknown = np.where([[False, True, False]] * 3, np.nan, z)
+    assert list(count_sharers(unknown, link, one, q)) == [3, 3, 3]
+
+
+def test_persisting_errors_count_once() -> None:
+    options = FrontEndOptions(sharing="none")
+    fast, still = (read(ROWS, options, *move) for move in ((np.radians(90.0), 100.0), (0.0, 0.0)))
+    assert np.all(fast.many[:2, 1:] > fast.single[:2, 1:])
+    np.testing.assert_allclose(fast.many[2, 1:], fast.single[2, 1:])
+    np.testing.assert_allclose(fast.fresh, fast.many)  # every error is drawn anew
+    np.testing.assert_allclose(still.fresh, fast.fresh)
+    assert np.all(still.many > 1e3 * still.fresh)
+
+
+def test_novelty_is_what_the_last_snapshot_has_not_shown() -> None:
+    white = FrontEndOptions(diffuse_scale_m=0.0, calibration_scale_deg=0.0, roof_scale_deg=0.0)
+    assert novelty(white, 0.0, 0.08) == pytest.approx(1.0)
+    usual = FrontEndOptions()
+    standing, straight, turning = (novelty(usual, *move) for move in ((0.0, 0.0), (0.0, 0.08), (0.02, 0.08)))
+    assert 0.0 < standing < 1e-4 < straight < 0.02 < turning < 0.5
+    # As an update of a lone path counts it, which is seen with one port.
+    lone = read([(0, 150.0, 0.3, 0.1)], usual, 0.02, 0.08)
+    assert np.mean(lone.single / lone.many) == pytest.approx(turning, rel=0.05)
