@@ -46,7 +46,7 @@ BUILT_IN = (
     Listed(
         "fastslam",
         "cellslam.slam.fastslam.fastslam:FastSlam",
-        "Rao-Blackwellised particle filter over the path, with one covariance and gain for all particles; parts that plug",
+        "particle filter over the path, Rao-Blackwellised, one gain for all particles; parts that can be replaced",
     ),
     Listed(
         "dead-reckoning",

@@ -87,7 +87,7 @@ FILTER = (
 # What two processes compile, about as long each.
 PARTS = (
     (FILTER.format("ekf-slam", ""), FILTER.format("paper-fastslam", "")),
-    (WORLD, FILTER.format("phd-slam", "")),
+    (WORLD, FILTER.format("fastslam", ""), FILTER.format("phd-slam", "")),
 )
 
 

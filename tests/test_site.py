@@ -47,8 +47,11 @@ RUN = (
     "how-to/scenario-files.md",
     "reference/environments.md",
 )
-# Pages with a module, the file that it is saved as, and how many blocks of Python are such a module, one after the other.
-MODULES = {"tutorials/your-estimator.md": ("coasting.py", 99), "how-to/replace-parts-of-fastslam.md": ("my_parts.py", 1)}
+# Pages with a module: the file that it is saved as, and how many blocks of Python are such modules, one after another.
+MODULES = {
+    "tutorials/your-estimator.md": ("coasting.py", 99),
+    "how-to/replace-parts-of-fastslam.md": ("my_parts.py", 1),
+}
 OUTPUT = ("text", "{toctree}")
 DEFINED = {
     "VT": "virtual transmitter",

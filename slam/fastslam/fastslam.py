@@ -37,6 +37,7 @@ component delays and angular information", sections III and IV.
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 from typing import Any, ClassVar, Self
 
@@ -52,6 +53,7 @@ from cellslam.slam.ekf_slam.ekf_slam import JointFilter
 from cellslam.slam.ekf_slam.snapshot.association_kernel import FRESH, TAKEN
 from cellslam.slam.ekf_slam.snapshot.motion_kernel import NOTHING_DRAWN, Interval
 from cellslam.slam.ekf_slam.snapshot.snapshot_kernel import Room
+from cellslam.slam.ekf_slam.start import components
 from cellslam.slam.ekf_slam.state.layout import (
     HITS,
     LAST,
@@ -88,6 +90,7 @@ from cellslam.slam.fastslam.parts import (
     returned,
 )
 
+YAW = 3
 FEWEST = 10  # particles of a group: three of them do not hold a path
 TINY = 1e-12  # of a variance: as good as none
 DROPPED = 0.0  # share of a VT in the map that makes the joint filter drop it
@@ -127,6 +130,24 @@ class FastSlam(JointFilter):
         self._rng, self._block = rng, 0
         self._room: Room | None = None
         super().start(setup, rng)
+
+    def _join(self, offsets_m: Floats) -> None:
+        """Begin the groups: one for each combination of clock offsets (K, S) or, where these are known, for each
+        component of a start heading that only a map, or sites whose place is known, can tell."""
+        setup, o = self._setup, self.options
+        width, std = math.radians(o.heading_component_deg), float(setup.start_std[3])
+        told = setup.map is not None or setup.sites.position_m is not None
+        if len(offsets_m) > 1 or not told or std <= width:
+            super()._join(offsets_m)
+            return
+        headings, log_shares, width = components(std, width, o.component_step)
+        super()._join(np.repeat(offsets_m, len(headings), axis=0))
+        mixture = self._joint
+        assert mixture is not None
+        mixture.arrays.x[:, YAW] += headings
+        mixture.arrays.p[:, YAW, YAW] = width**2
+        mixture.influence.rest += log_shares
+        mixture.log_weight += log_shares
 
     def _alike(self, **changes: Any) -> Self:
         other = super()._alike(**changes)
@@ -198,10 +219,10 @@ class FastSlam(JointFilter):
             if start == stop or f.links[link] == 0:
                 continue
             slot = scores.slot[link, : scores.count[link]]
+            pairs = np.s_[: len(slot), start:stop]
             candidates = Candidates(
-                log_ratio=scores.log_ratio[: len(slot), start:stop], distance2=scores.distance2[: len(slot), start:stop],
-                detections=f.slots[slot, HITS],
-            )  # fmt: skip
+                log_ratio=scores.log_ratio[pairs], distance2=scores.distance2[pairs], detections=f.slots[slot, HITS]
+            )
             rows = np.atleast_2d(self.parts.association(candidates)) if len(slot) else np.full((1, stop - start), NO_VT)
             rows = returned("association", rows, (len(rows), stop - start), len(slot))
             found = [self._slots(candidates, slot, row) for row in rows]
@@ -230,9 +251,7 @@ class FastSlam(JointFilter):
 
     # ---- the end of a block ------------------------------------------------------------------------------------------
 
-    def _end_block(
-        self, f: Filter, b: Block, errors: ArrayErrors, interval: Interval, measured: Measured
-    ) -> float:
+    def _end_block(self, f: Filter, b: Block, errors: ArrayErrors, interval: Interval, measured: Measured) -> float:
         """Update, weigh, draw and resample a group; return what adds to its log-weight beside its VTs."""
         room, parts, before = self._room_for(f, measured), self.parts, f.x[: f.size[0]].copy()
         site_of, places = measured.site_of, self._core.drawn
@@ -313,7 +332,7 @@ class FastSlam(JointFilter):
         step_s = self._step_s
         lifetime = np.where(hits < 2, rules.age_once, rules.age_twice)
         vts = Transmitters(
-            detections=hits.copy(), unseen_s=unseen * step_s, lifetime_s=lifetime * step_s,
+            detections=hits.copy(), unseen_s=np.asarray(unseen * step_s, np.float64), lifetime_s=lifetime * step_s,
             confirmed=hits >= rules.confirm,
         )  # fmt: skip
         f.anchor[:count, SHARE][returned("pruning", self.parts.pruning(vts), (count,))] = DROPPED

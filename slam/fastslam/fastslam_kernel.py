@@ -64,9 +64,7 @@ def predict_and_score(
 
 
 @njit(cache=True, nogil=True)
-def step_clocks(
-    f: Filter, a: ArrayErrors, b: Block, seen: Measured, slot_of: Ints, room: Room, out: Scores
-) -> bool:
+def step_clocks(f: Filter, a: ArrayErrors, b: Block, seen: Measured, slot_of: Ints, room: Room, out: Scores) -> bool:
     """Shift the clocks that the measurements, associated with the VTs `slot_of` (m,), show to have stepped, and score
     anew; return whether there is any."""
     put(room.pairs.slot_of, slot_of)
@@ -90,9 +88,7 @@ def _score(f: Filter, a: ArrayErrors, seen: Measured, room: Room, out: Scores) -
 
 
 @njit(cache=True, nogil=True)
-def use(
-    f: Filter, a: ArrayErrors, b: Block, seen: Measured, slot_of: Ints, association: Ints, room: Room
-) -> bool:
+def use(f: Filter, a: ArrayErrors, b: Block, seen: Measured, slot_of: Ints, association: Ints, room: Room) -> bool:
     """Use a snapshot whose measurements are associated with the VTs `slot_of` (m,), FRESH and TAKEN among them; write
     their identities into `association` (m,); return whether the block is full."""
     w = room.pairs

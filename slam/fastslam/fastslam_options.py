@@ -30,7 +30,16 @@ class FastSlamOptions(EkfSlamOptions):
         f"(FastSLAM 1.0), 0: after it (FastSLAM 2.0), {NEVER}: never, the joint EKF",
     )
     hypotheses: int = Field(
-        8, ge=1, le=1000, description="groups of particles with different associations, at most (association=hypotheses)"
+        8,
+        ge=1,
+        le=1000,
+        description="groups of particles with different associations, at most (association=hypotheses)",
+    )
+    heading_component_deg: float = Field(
+        5.0,
+        gt=0,
+        le=180,
+        description="a start heading less certain than this begins as groups with one so certain, deg",
     )
     effective_share: float = Field(
         0.5, ge=0, le=1, description="resample when the effective sample size falls below this share of the particles"

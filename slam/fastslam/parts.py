@@ -169,9 +169,9 @@ def _root(covariance: Floats) -> Floats:
 
 
 def kalman(G: Floats, W: Floats) -> tuple[Floats, Floats]:
-    """Return G (k, n) and W (k, N) as they are: with K = P H^T S^-1, M + K E = M + G^T W and P - K S K^T = P - G^T G.
+    """Return G (k, n) and W (k, N) as they are: M + K E = M + G^T W, P - K S K^T = P - G^T G with K = P H^T S^-1.
 
-    Source: Bar-Shalom, Li and Kirubarajan, "Estimation with applications to tracking and navigation", 2001, section 5.2.
+    Source: Bar-Shalom, Li and Kirubarajan, "Estimation with applications to tracking and navigation", 2001, ch. 5.2.
     """
     return G, W
 

@@ -207,8 +207,12 @@ def keep(f: Filter, j: int, out: Floats) -> None:
     spread = congruence(
         cartesian_jacobian(vt.distance, vt.azimuth, vt.elevation),
         Sym3(
-            covariance_of(f, x, x), covariance_of(f, x, y), covariance_of(f, x, z), covariance_of(f, y, y),
-            covariance_of(f, y, z), covariance_of(f, z, z),
+            covariance_of(f, x, x),
+            covariance_of(f, x, y),
+            covariance_of(f, x, z),
+            covariance_of(f, y, y),
+            covariance_of(f, y, z),
+            covariance_of(f, z, z),
         ),
     )
     out[0], out[1] = f.slots[j, IDENT], f.slots[j, LINK]

@@ -298,9 +298,7 @@ def update_by_block(f: Filter, a: ArrayErrors, b: Block, seen: Measured, s: Sigh
 
 
 @part
-def end_update(
-    f: Filter, a: ArrayErrors, b: Block, before: Floats, noise: Floats, seen: Measured, p: Pending
-) -> float:
+def end_update(f: Filter, a: ArrayErrors, b: Block, before: Floats, noise: Floats, seen: Measured, p: Pending) -> float:
     """End the update that began in the state `before` (N,): clocks step, what persists is counted, VTs are dropped;
     return the log-likelihood of all but VTs.
 

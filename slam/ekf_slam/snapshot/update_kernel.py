@@ -68,9 +68,9 @@ LIKELY = 9.0  # squared distance of an innovation: up to here it fits
 
 class Look(NamedTuple):
     """A look, or the mean of several: `z`, `q` (3,): distance, azimuth, elevation in m and rad, NaN where not
-    measured, and their variances, `white` (3,) but for what merged paths do; seen from the `pose` (6,), `place` (m) with
-    the rotation `turned`, by each particle from a pose that differs from this by `deviation` (6, C); `diffuse`, `turn`:
-    what is left in it of the deviation of these errors; `now`: snapshot."""
+    measured, and their variances, `white` (3,) but for what merged paths do; seen from the `pose` (6,), which is
+    `place` (m) and the rotation `turned`, by each particle from a pose that differs from this one by `deviation`
+    (6, C); `diffuse`, `turn`: what is left in it of the deviation of these errors; `now`: snapshot."""
 
     z: Floats
     q: Floats

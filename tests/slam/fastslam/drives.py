@@ -15,7 +15,13 @@ Drive = tuple[Setup, list[tuple[float, Floats, Snapshot]]]
 STEP_S, NOISE = 0.1, np.array([0.5, 0.002, 0.002])  # m, rad, rad
 VTS = np.array([[900.0, 150.0, 60.0], [-800.0, 500.0, 50.0], [250.0, -900.0, 60.0], [-600.0, -700.0, 40.0]])
 # Options of a filter that knows how large the errors are: white ones alone, as each measurement claims.
-WHITE = NOTHING_PERSISTS | {"noise_model": "claimed", "merge_rate": 0.0, "sharing": "none", "pitch_deg": 0.0, "roll_deg": 0.0}
+WHITE = NOTHING_PERSISTS | {
+    "noise_model": "claimed",
+    "merge_rate": 0.0,
+    "sharing": "none",
+    "pitch_deg": 0.0,
+    "roll_deg": 0.0,
+}
 
 
 def street(snapshots: int, seed: int, noise: Floats | None = None) -> Drive:

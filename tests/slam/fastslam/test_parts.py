@@ -118,7 +118,9 @@ def test_each_part_of_the_documentation_runs(slot: str, tmp_path: Path, monkeypa
 
 
 def test_wrong_parts_are_told_what_there_is() -> None:
-    with pytest.raises(ValidationError, match=r"unknown association 'nearest'.*known: .*nearest-neighbour.*module:name"):
+    with pytest.raises(
+        ValidationError, match=r"unknown association 'nearest'.*known: .*nearest-neighbour.*module:name"
+    ):
         FastSlamOptions(association="nearest")
     with pytest.raises(InputError, match=r"unknown part of FastSLAM 'associator'.*association, birth"):
         FastSlam(associator=parts.nearest_neighbour)
@@ -126,5 +128,7 @@ def test_wrong_parts_are_told_what_there_is() -> None:
         FastSlam(weight=3)
     with pytest.raises(InputError, match="cannot be imported"):
         FastSlam(FastSlamOptions(weight="no_such_module:weight"))
-    with pytest.raises(InputError, match=r"association: the part returned the numbers 7 to 7, where -1 to 0|1|2|3 may be"):
+    with pytest.raises(
+        InputError, match=r"association: the part returned the numbers 7 to 7, where -1 to 0|1|2|3 may be"
+    ):
         driven(FastSlam(FastSlamOptions(**WHITE), association=lambda given: [[7] * 4]), street(5, seed=1))

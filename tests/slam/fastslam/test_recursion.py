@@ -1,4 +1,4 @@
-"""FastSLAM's recursion: against the joint EKF, the exact Kalman filter, and particles with a covariance of their own."""
+"""FastSLAM's recursion against the joint EKF, the exact Kalman filter, and particles with their own covariances."""
 
 from __future__ import annotations
 
