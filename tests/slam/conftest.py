@@ -10,7 +10,7 @@ from cellslam.sim.recording import Floats, Links, OdometryModel, Sites
 from cellslam.slam.api import Setup
 from cellslam.slam.ekf_slam.bank import core_of, new_bank
 from cellslam.slam.ekf_slam.snapshot.sight_kernel import coordinates, errors_of, geometry, rotations_of
-from cellslam.slam.ekf_slam.snapshot.snapshot_kernel import new_room
+from cellslam.slam.ekf_slam.snapshot.snapshot_kernel import PENDING, new_room
 from cellslam.slam.ekf_slam.snapshot.update_kernel import Look
 from cellslam.slam.ekf_slam.state.array_errors import NO_ERRORS
 from cellslam.slam.ekf_slam.state.layout import FREE, Block, Measured, Rules, one_of
@@ -34,7 +34,7 @@ class OneFilter:
                               "return_log_odds": 0.0, "away": 4, **rules})  # fmt: skip
         self.bank, self.errors = new_bank(setup, core_of(setup, errors), errors, np.zeros((1, 1)), np.zeros(1)), errors
         self.f, self.block = one_of(self.bank.arrays, 0), Block(*(part[0] for part in self.bank.blocks))
-        self.offset, self.w = self.bank.core.first_offset, new_room(self.f, 12)
+        self.offset, self.w = self.bank.core.first_offset, new_room(self.f, 12, PENDING)
         self.w.pending.rows[:], self.w.pending.t[:] = np.nan, np.nan
 
     @property
@@ -69,7 +69,8 @@ class OneFilter:
 
     def look(self, z: Floats, q: Floats) -> Look:
         """Return a look z (3,) of variances q (3,) from where the filter is."""
-        return Look(z, q, q, Vec3(*self.f.x[:3]), rotations_of(self.f), 1.0, 1.0, NOW)
+        pose = self.f.x[:6].copy()
+        return Look(z, q, q, pose, Vec3(*pose[:3]), rotations_of(self.f), 1.0, 1.0, NOW, self.f.deviation[:6])
 
     def seen(self, z: Floats, q: Floats) -> Measured:
         """Return looks z (m, 3) of variances q (m, 3) as the kernels take them."""

@@ -33,7 +33,7 @@ def block(f, errors, offset, z, q, rules, sight, pending):
     expect_steps(f, rules, pending.steps)
     total = 0.0
     for j in range(len(z)):
-        look = Look(z[j], q, q, Vec3(f.x[0], f.x[1], f.x[2]), rotations_of(f), 1.0, 1.0, NOW)
+        look = Look(z[j], q, q, f.x[:6], Vec3(f.x[0], f.x[1], f.x[2]), rotations_of(f), 1.0, 1.0, NOW, f.deviation[:6])
         total += correct(f, errors, j, offset, look, rules, sight, pending)
     add_up(f, pending)
     return total, take_steps(f, rules, pending.steps)
