@@ -53,7 +53,7 @@ def test_all_is_every_known_estimator_that_is_fast_enough(plugins: Path, monkeyp
 
 def test_every_built_in_loads_and_oracles_say_so() -> None:
     requests = resolve({}, [entry.name for entry in registry.BUILT_IN])
-    assert [r.name for r in requests if r.oracle] == ["oracle-association", "oracle-map"]
+    assert [r.name for r in requests if r.oracle] == ["oracle-association", "oracle-fastslam", "oracle-map"]
     assert all(r.estimator.name == r.name for r in requests)
 
 
