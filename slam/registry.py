@@ -65,7 +65,7 @@ BUILT_IN = (
     ),
     Listed(
         "paper-fastslam",
-        "cellslam.slam.fastslam.paper.paper_fastslam:PaperFastSlam",
+        "cellslam.slam.fastslam.paper_fastslam:PaperFastSlam",
         "the paper's FastSLAM as printed: bare Mahalanobis association, no clutter, clock offsets given or ignored",
     ),
     Listed(
