@@ -2,39 +2,40 @@
 
 State
     Particle i is a path r_{i,1:t} of the vehicle (eq. 18), r = [r_x, r_y, r_z, r_psi, r_theta, r_phi] (eq. 13). Given
-    the path, the VTs are independent, also those of different links (j, k) (eq. 16), and VT l of a link is
+    the path the VTs are independent, those of different links (j, k) too (eq. 16), and VT l of a link is
     v ~ N(mu, Sigma) in Cartesian coordinates (eq. 21).
 
-Recursion, for each particle and each snapshot, link by link
+Recursion, for each particle and snapshot, link by link
     predict     r_t ~ p(r_t | r_{t-1}, u_t)                                                             (eq. 17, 19)
-    associate   c = argmin over pairs of e^T S^-1 e, Hungarian algorithm within a gate                       (eq. 35)
-                e = z - z^,  z^ = h(mu, r),  S = H Sigma H^T + Q             (eq. 22 to 27 and 33; Q: eq. 34)
-    update      K = Sigma H^T S^-1,  mu <- mu + K e,  Sigma <- (1 - K H) Sigma                        (eq. 28 to 30)
-    begin       a measurement that no VT takes begins one: mu = h^-1(z, r), Sigma = J Q J^T, J = d h^-1 / dz
+    associate   c = argmin of the sum of e^T S^-1 e, Hungarian algorithm, within a gate                      (eq. 35)
+                e = z - z^,  z^ = h(mu, r),  H = dh/dv,  S = H Sigma H^T + Q             (eq. 22 to 27, 33, Q: 34)
+    update      K = Sigma H^T S^-1,  mu <- mu + K e,  Sigma <- Sigma - K H Sigma                      (eq. 28 to 30)
+    begin       a VT from each measurement that is left over: mu = h^-1(z, r),  Sigma = J Q J^T,  J = dh^-1/dz
     weigh       w <- w prod |2 pi S|^(-1/2) exp(-e^T S^-1 e / 2)                                        (eq. 31, 32)
-    resample    in proportion to w, where the effective sample size is small; maps are copied
+    resample    in proportion to w, maps and all, where the effective sample size is small
 
-Misprints put right: the azimuth is atan2(y, x) and the elevation atan2(z, sqrt(x^2 + y^2)) (eq. 25, 26); R takes body
-to world, so that eq. 27 has its transpose; S has H Sigma H^T (eq. 33 prints H^T Sigma H); Q is the variance at an SNR
-of one over the SNR, plus a floor (eq. 34 prints a product).
+Misprints of the paper put right: azimuth atan2(y, x) and elevation atan2(z, sqrt(x^2 + y^2)) (eq. 25, 26); R takes body
+to world, so that eq. 27 has its transpose; S with H Sigma H^T (eq. 33 has H^T Sigma H); Q with the variance at an SNR
+of one over the SNR lambda (eq. 34 has a product).
 
-The one thing added: constants theta = (b_1 ... b_S, beta, s) of the receiver and the vehicle, which the paper does not
-estimate: the clock offset of each site (eq. 5, "unknown constants"), the bias of the yaw rate and the scale of the
-odometer. In each particle theta ~ N(theta^, P) is marginalised exactly, as far as linear: the path depends on it by
-D = dr/dtheta, a VT by G = dmu/dtheta, a measurement by A = dz^/dtheta = H (G - B) + e_d e_b^T, where B is how theta
-moves a point that is fixed in the vehicle's frame, and e_d, e_b pick the distance and the offset.
+What the paper lacks: theta = (beta, s), the constant bias of the yaw rate and the scale error of the odometer. Sampled
+(`motion="sampled"`: as printed), theta is drawn at the start like all else of the path, and no particle is near the
+truth for long. Marginalised, theta ~ N(theta^, P) in each particle, with D = dr/dtheta, G = dmu/dtheta and
+A = dz^/dtheta = H (G - B), where B says how theta moves a point that is fixed in the vehicle's frame:
+    predict     D by the chain rule
     associate   with S + A P A^T
-    update      G <- G - K A;  I = sum A^T S^-1 A,  y = sum A^T S^-1 e  over all VTs, which are updated given theta^
-                P <- (P^-1 + I)^-1,  theta^ <- theta^ + P y;  r and every mu follow by D and G
-    begin       G = B - n e_b^T,  n the direction of arrival
-    weigh       w <- w |1 + I P|^(-1/2) exp(y^T P y / 2), P being the new one
-Where P = 0, which `constants="sampled"` makes it, all of this is the paper's filter with theta drawn at the start.
+    update      G <- G - K A, the VTs all given theta^;  y = sum A^T S^-1 e,  I = sum A^T S^-1 A
+                P <- (P^-1 + I)^-1,  theta^ <- theta^ + P y,  r and all mu follow by D and G
+    begin       G = B
+    weigh       w <- w |1 + I P|^(-1/2) exp(y^T (P^-1 + I)^-1 y / 2): jointly exact where the model is linear
+With P = 0 this is the paper's filter to the letter.
 
-Assumed, where the paper is silent: the gate; that a VT is dropped when it has not been seen for more snapshots than it
-has been (Thrun, Burgard and Fox, "Probabilistic Robotics", 2005, section 13.6, which the paper follows); there is
-neither clutter nor missed detection in the weights.
+Assumed, where the paper is silent. The clock offset of a site (eq. 5) is the mean of its prior: given where
+`radio.clock_offset_std_m` is 0, ignored otherwise. A VT that was unseen for more snapshots than it was seen is dropped
+(the counter of Thrun, Burgard and Fox, "Probabilistic Robotics", 2005, table 13.3). Variances are those that the front
+end has on the whole, every error taken for white. Nothing in the weights speaks of clutter or of missed detections.
 
-Source: Chen, Whiton and Tufvesson, "Extended FastSLAM using cellular multipath component delays and angular
+Sources: Chen, Whiton and Tufvesson, "Extended FastSLAM using cellular multipath component delays and angular
 information", sections III and IV; theta: Schoen, Gustafsson and Nordlund, "Marginalized particle filters for mixed
 linear/nonlinear state-space models", IEEE Trans. Signal Processing 53(7), 2005.
 """
@@ -42,10 +43,12 @@ linear/nonlinear state-space models", IEEE Trans. Signal Processing 53(7), 2005.
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from typing import ClassVar, Literal, NamedTuple
 
 import numpy as np
 from numba import prange
+from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field
 
 from cellslam.sim.compiling import lean, njit
@@ -54,67 +57,48 @@ from cellslam.sim.recording import Floats, Ints
 from cellslam.slam import warm_up
 from cellslam.slam.api import Estimate, Setup, Snapshot, VtEstimate
 from cellslam.slam.front_end.front_end_options import FrontEndOptions
-from cellslam.slam.front_end.looks import Grouping
+from cellslam.slam.front_end.looks import Grouping, Looks
 from cellslam.slam.front_end.measurement_noise import first_of_link, ports_of
-from cellslam.slam.front_end.readings import Readings, readings
+from cellslam.slam.front_end.readings import readings
+from cellslam.slam.model import matrices_kernel as algebra
 from cellslam.slam.model.assignment_kernel import assign
-from cellslam.slam.model.matrices_kernel import (
-    Mat3,
-    Sym3,
-    Vec3,
-    congruence,
-    determinant,
-    adjugate,
-    mat_mat,
-    mat_minus,
-    mat_sym,
-    mat_vec,
-    quadratic,
-    rotation,
-    sym_minus,
-    sym_plus,
-    sym_product,
-    sym_scaled,
-    sym_vec,
-    transposed,
-    transposed_vec,
-    vec_minus,
-    vec_plus,
-    vec_scaled,
-)
+from cellslam.slam.model.matrices_kernel import Mat3, Sym3, Vec3, dot, mat_mat, mat_vec, quadratic, sym_plus, transposed
 from cellslam.slam.model.measurement_kernel import cartesian_jacobian, direction, spherical, spherical_jacobian
 from cellslam.slam.model.pose_moments import pose_moments
 from cellslam.slam.model.resampling import systematic
 
-# A VT's row: mu (3), upper triangle of Sigma (6), G (3, 3) by rows; identity, snapshot of the last measurement, number of
-# measurements.
-MU, SIGMA, G, IDENT, LAST, HITS, WIDTH = 0, 3, 9, 18, 19, 20, 21
-SEEN_WIDTH = 27
+FORWARD, YAW = 0, 3  # of u: what s and beta belong to
+# A VT's row: mu (3), Sigma (6), columns of G by beta and s (3 each), identity, snapshot last seen, snapshots seen.
+MU, SIGMA, G_BETA, G_S, IDENT, LAST, HITS, WIDTH = 0, 3, 9, 12, 15, 16, 17, 18
+UPPER = np.array([[0, 1, 2], [1, 3, 4], [2, 4, 5]])  # where an upper triangle has the entries of its matrix
+VTS_PER_LINK = 16  # kept at most: the one unseen for longest makes room
 NEAREST_M = 1.0  # a VT begins no nearer
 LOG_TURN = math.log(2.0 * math.pi)
 CHUNK = 16  # particles that share scratch memory
+# Small functions of large arguments: to call them would cost more than what they do.
+inlined = lean(forceinline=True, error_model="numpy", fastmath={"contract", "arcp", "nsz"})
 
 
 class Particles(NamedTuple):
-    """r (N, 6), D (N, 2, 4): derivatives of x, y, z, psi by beta and by s; theta (N, K), P (N, K, K), log w (N,)."""
+    """Of N particles: r (N, 6); D (N, 2, 4), derivatives of x, y, z and psi by beta and s; theta^ (N, 2), P (N, 3), y
+    (N, 2) and I (N, 3), of symmetric matrices the upper triangle; log w (N,); VTs of L links, C at most of each (N, L,
+    C, WIDTH), and how many there are (N, L). Of one particle: the same without N."""
 
     r: Floats
     D: Floats
     theta: Floats
     P: Floats
+    y: Floats
+    I: Floats
     log_w: Floats
-
-
-class Maps(NamedTuple):
-    """VTs of N particles and L links, C at most of each: vts (N, L, C, WIDTH), count (N, L)."""
-
     vts: Floats
     count: Ints
 
 
 class Measured(NamedTuple):
-    """A snapshot: number, identity that its first measurement would begin; z (M, 3) in m and rad with variances (M, 3)
-    to associate, update and begin; first measurement of each link (L + 1,) and its site (L,)."""
+    """A snapshot: its number; the identity of a VT that its first measurement would begin; z (M, 3) in m and rad, clock
+    offsets taken off; variances (M, 3) to associate, to update and to begin; what log w lacks (M,) where the first two
+    differ; the first measurement of each link (L + 1,); the gate."""
 
     now: int
     born: int
@@ -122,17 +106,32 @@ class Measured(NamedTuple):
     single: Floats
     many: Floats
     fresh: Floats
+    lack: Floats
     first: Ints
-    site: Ints
+    gate: float
+
+
+class Pair(NamedTuple):
+    """A matrix (3, 2): its columns by beta and by s."""
+
+    beta: Vec3
+    s: Vec3
+
+
+class Vt(NamedTuple):
+    """A VT: mu (m), Sigma (m^2), G."""
+
+    mu: Vec3
+    Sigma: Sym3
+    G: Pair
 
 
 class Place(NamedTuple):
-    """Where a particle is: position, rotation R, dp/dbeta, dp/ds (Vec3) and dpsi/dbeta, dpsi/ds."""
+    """Where a particle is: position p (m), rotation R, dp/dtheta and dpsi/dtheta."""
 
     p: Vec3
     R: Mat3
-    p_beta: Vec3
-    p_s: Vec3
+    D: Pair
     psi_beta: float
     psi_s: float
 
@@ -143,385 +142,326 @@ class Seen(NamedTuple):
     z: Vec3
     H_Sigma: Mat3
     spread: Sym3
-    A: Mat3
+    A: Pair
 
 
 class Scratch(NamedTuple):
-    """Memory to work in."""
+    """Memory: scores (C, M + 1), VTs in reach (C, 24) as `keep` has them and which these are (C,), the one that each
+    measurement is assigned to (M,), and numbers for the solver."""
 
     score: Floats
     seen: Floats
     near: Ints
-    vt_of: Ints
+    row_of: Ints
     work_f: Floats
     work_i: Ints
-    y: Floats
-    info: Floats
-    solve: Floats
 
 
-@lean(forceinline=True)
-def mean_of(vts: Floats, i: int, l: int, j: int) -> Vec3:
-    """Return mu (m) of VT j of link l in particle i."""
-    return Vec3(vts[i, l, j, MU], vts[i, l, j, MU + 1], vts[i, l, j, MU + 2])
+@inlined
+def vec_at(a: Floats, c: int) -> Vec3:
+    """Return three neighbours of an array (n,), in the unit that they have."""
+    return Vec3(a[c], a[c + 1], a[c + 2])
 
 
-@lean(forceinline=True)
-def covariance_of(vts: Floats, i: int, l: int, j: int) -> Sym3:
-    """Return Sigma (m^2)."""
-    s = SIGMA
-    return Sym3(
-        vts[i, l, j, s], vts[i, l, j, s + 1], vts[i, l, j, s + 2], vts[i, l, j, s + 3], vts[i, l, j, s + 4],
-        vts[i, l, j, s + 5],
-    )  # fmt: skip
+@inlined
+def vt_at(row: Floats) -> Vt:
+    """Return the VT of a row (WIDTH,), in m."""
+    Sigma = Sym3(row[SIGMA], row[SIGMA + 1], row[SIGMA + 2], row[SIGMA + 3], row[SIGMA + 4], row[SIGMA + 5])
+    return Vt(vec_at(row, MU), Sigma, Pair(vec_at(row, G_BETA), vec_at(row, G_S)))
 
 
-@lean(forceinline=True)
-def gain_of(vts: Floats, i: int, l: int, j: int) -> Mat3:
-    """Return G: columns by the site's offset (m/m), by beta (m s/rad) and by s (m)."""
-    g = G
-    return Mat3(
-        vts[i, l, j, g], vts[i, l, j, g + 1], vts[i, l, j, g + 2], vts[i, l, j, g + 3], vts[i, l, j, g + 4],
-        vts[i, l, j, g + 5], vts[i, l, j, g + 6], vts[i, l, j, g + 7], vts[i, l, j, g + 8],
-    )  # fmt: skip
+@inlined
+def put_vt(row: Floats, vt: Vt) -> None:
+    """Write a VT into a row (WIDTH,), in m."""
+    mu, Sigma, (b, s) = vt
+    row[MU], row[MU + 1], row[MU + 2] = mu.x, mu.y, mu.z
+    row[SIGMA], row[SIGMA + 1], row[SIGMA + 2] = Sigma.xx, Sigma.xy, Sigma.xz
+    row[SIGMA + 3], row[SIGMA + 4], row[SIGMA + 5] = Sigma.yy, Sigma.yz, Sigma.zz
+    row[G_BETA], row[G_BETA + 1], row[G_BETA + 2], row[G_S], row[G_S + 1], row[G_S + 2] = b.x, b.y, b.z, s.x, s.y, s.z
 
 
-@lean(forceinline=True)
-def put_vt(vts: Floats, i: int, l: int, j: int, mu: Vec3, Sigma: Sym3, gain: Mat3) -> None:
-    """Write a VT."""
-    vts[i, l, j, MU], vts[i, l, j, MU + 1], vts[i, l, j, MU + 2] = mu.x, mu.y, mu.z
-    s, g = SIGMA, G
-    vts[i, l, j, s], vts[i, l, j, s + 1], vts[i, l, j, s + 2] = Sigma.xx, Sigma.xy, Sigma.xz
-    vts[i, l, j, s + 3], vts[i, l, j, s + 4], vts[i, l, j, s + 5] = Sigma.yy, Sigma.yz, Sigma.zz
-    vts[i, l, j, g], vts[i, l, j, g + 1], vts[i, l, j, g + 2] = gain.xx, gain.xy, gain.xz
-    vts[i, l, j, g + 3], vts[i, l, j, g + 4], vts[i, l, j, g + 5] = gain.yx, gain.yy, gain.yz
-    vts[i, l, j, g + 6], vts[i, l, j, g + 7], vts[i, l, j, g + 8] = gain.zx, gain.zy, gain.zz
+@inlined
+def predict(x: Particles, u: Floats, dt: float) -> None:
+    """Move a particle by velocities u (6,), less beta and s, for dt (s): r (eq. 17), with the attitude half-way, and
+    D."""
+    r, D, half, (beta, s) = x.r, x.D, 0.5 * dt, (x.theta[0], x.theta[1])
+    turn, speed = u[YAW] - beta, u[FORWARD] / (1.0 + s)
+    R = algebra.rotation(r[3] + half * turn, r[4] + half * u[4], r[5] + half * u[5])
+    moved = algebra.vec_scaled(mat_vec(R, Vec3(speed, u[1], u[2])), dt)
+    for c in range(2):  # by beta, which turns the vehicle back, and by s, which slows it down
+        turned, slowed = (half, 0.0) if c == 0 else (0.0, speed * dt / (1.0 + s))
+        psi = D[c, 3] - turned
+        D[c, 0] -= moved.y * psi + R.xx * slowed
+        D[c, 1] += moved.x * psi - R.yx * slowed
+        D[c, 2] -= R.zx * slowed
+        D[c, 3] -= 2.0 * turned
+    r[0], r[1], r[2] = r[0] + moved.x, r[1] + moved.y, r[2] + moved.z
+    r[3], r[4], r[5] = wrap(r[3] + dt * turn), wrap(r[4] + dt * u[4]), wrap(r[5] + dt * u[5])
 
 
-@lean(forceinline=True)
-def predict(x: Particles, i: int, u: Floats, dt: float) -> None:
-    """Move by velocities u (N, 6), less beta and s: r and D (eq. 17); attitude as half-way."""
-    r, D, k = x.r, x.D, x.theta.shape[1]
-    turn, speed = u[i, 3] - x.theta[i, k - 2], u[i, 0] / (1.0 + x.theta[i, k - 1])
-    half = 0.5 * dt
-    R = rotation(r[i, 3] + half * turn, r[i, 4] + half * u[i, 4], r[i, 5] + half * u[i, 5])
-    way = vec_scaled(mat_vec(R, Vec3(speed, u[i, 1], u[i, 2])), dt)
-    for c in range(2):
-        psi = D[i, c, 3] - (half if c == 0 else 0.0)
-        slower = 0.0 if c == 0 else speed * dt / (1.0 + x.theta[i, k - 1])
-        D[i, c, 0] += -way.y * psi - R.xx * slower
-        D[i, c, 1] += way.x * psi - R.yx * slower
-        D[i, c, 2] -= R.zx * slower
-    D[i, 0, 3] -= dt
-    r[i, 0] += way.x
-    r[i, 1] += way.y
-    r[i, 2] += way.z
-    r[i, 3] = wrap(r[i, 3] + dt * turn)
-    r[i, 4] = wrap(r[i, 4] + dt * u[i, 4])
-    r[i, 5] = wrap(r[i, 5] + dt * u[i, 5])
-
-
-@lean(forceinline=True)
-def place_of(x: Particles, i: int) -> Place:
-    """Return where particle i is."""
+@inlined
+def place_of(x: Particles) -> Place:
+    """Return where a particle is."""
     r, D = x.r, x.D
-    return Place(
-        Vec3(r[i, 0], r[i, 1], r[i, 2]), rotation(r[i, 3], r[i, 4], r[i, 5]),
-        Vec3(D[i, 0, 0], D[i, 0, 1], D[i, 0, 2]), Vec3(D[i, 1, 0], D[i, 1, 1], D[i, 1, 2]), D[i, 0, 3], D[i, 1, 3],
-    )  # fmt: skip
+    R, moved = algebra.rotation(r[3], r[4], r[5]), Pair(vec_at(D[0], 0), vec_at(D[1], 0))
+    return Place(vec_at(r, 0), R, moved, D[0, 3], D[1, 3])
 
 
-@lean(forceinline=True)
-def carried(at: Place, w: Vec3) -> Mat3:
-    """Return B: how theta moves a point at w (m) from the vehicle that is fixed in the vehicle's frame."""
-    b, s = at.p_beta, at.p_s
-    return Mat3(
-        0.0, b.x - at.psi_beta * w.y, s.x - at.psi_s * w.y,
-        0.0, b.y + at.psi_beta * w.x, s.y + at.psi_s * w.x,
-        0.0, b.z, s.z,
-    )  # fmt: skip
+@inlined
+def carried(at: Place, w: Vec3) -> Pair:
+    """Return B: how theta moves a point w (m) from the vehicle, in the world frame, that is fixed in the vehicle's."""
+    (b, s), psi_b, psi_s = at.D, at.psi_beta, at.psi_s
+    return Pair(Vec3(b.x - psi_b * w.y, b.y + psi_b * w.x, b.z), Vec3(s.x - psi_s * w.y, s.y + psi_s * w.x, s.z))
 
 
-@lean(forceinline=True)
-def own_part(P: Floats, i: int, site: int) -> Sym3:
-    """Return the part of P that a link of a site depends on: its offset, beta and s."""
-    k = P.shape[1]
-    b, s = k - 2, k - 1
-    return Sym3(P[i, site, site], P[i, site, b], P[i, site, s], P[i, b, b], P[i, b, s], P[i, s, s])
+@inlined
+def pair_minus(a: Pair, b: Pair) -> Pair:
+    """Return a - b."""
+    return Pair(algebra.vec_minus(a.beta, b.beta), algebra.vec_minus(a.s, b.s))
 
 
-@lean(forceinline=True)
-def see(at: Place, mu: Vec3, Sigma: Sym3, gain: Mat3, offset: float) -> Seen:
-    """Return z^, H Sigma, H Sigma H^T and A of a VT (eq. 22 to 27)."""
-    w = vec_minus(mu, at.p)
-    body = transposed_vec(at.R, w)
-    H = mat_mat(spherical_jacobian(body), transposed(at.R))
-    H_Sigma, h = mat_sym(H, Sigma), spherical(body)
-    A = mat_mat(H, mat_minus(gain, carried(at, w)))
-    A = Mat3(A.xx + 1.0, A.xy, A.xz, A.yx, A.yy, A.yz, A.zx, A.zy, A.zz)
-    z = Vec3(h.distance + offset, h.azimuth, h.elevation)
-    return Seen(z, H_Sigma, sym_product(H_Sigma, transposed(H)), A)
+@inlined
+def times(m: Mat3, a: Pair) -> Pair:
+    """Return m a."""
+    return Pair(mat_vec(m, a.beta), mat_vec(m, a.s))
 
 
-@lean(forceinline=True)
-def within_reach(at: Place, m: Measured, l: int, maps: Maps, i: int, j: int, own: Sym3, offset: float, gate: float) -> bool:
-    """Return whether a measurement of link l has its distance within a VT's gate: most VTs need no more than that."""
-    w = vec_minus(mean_of(maps.vts, i, l, j), at.p)
-    length = max(math.sqrt(w.x * w.x + w.y * w.y + w.z * w.z), 1e-3)
-    n = vec_scaled(w, 1.0 / length)
-    a = transposed_vec(mat_minus(gain_of(maps.vts, i, l, j), carried(at, w)), n)
-    spread = quadratic(covariance_of(maps.vts, i, l, j), n) + quadratic(own, Vec3(a.x + 1.0, a.y, a.z))
+@inlined
+def see(at: Place, vt: Vt) -> Seen:
+    """Return z^ = h(mu, r) (eq. 23 to 27), H Sigma, H Sigma H^T and A = H (G - B) of a VT."""
+    w = algebra.vec_minus(vt.mu, at.p)
+    body = algebra.transposed_vec(at.R, w)
+    H, h = mat_mat(spherical_jacobian(body), transposed(at.R)), spherical(body)
+    H_Sigma, A = algebra.mat_sym(H, vt.Sigma), times(H, pair_minus(vt.G, carried(at, w)))
+    return Seen(Vec3(h.distance, h.azimuth, h.elevation), H_Sigma, algebra.sym_product(H_Sigma, transposed(H)), A)
+
+
+@inlined
+def with_constants(seen: Seen, P: Floats) -> Sym3:
+    """Return H Sigma H^T + A P A^T; P (3,)."""
+    b, s = seen.A
+    crossed, own = algebra.sym_scaled(algebra.outer_sum(b, s), P[1]), algebra.sym_scaled(algebra.outer(b), P[0])
+    return sym_plus(sym_plus(seen.spread, crossed), sym_plus(own, algebra.sym_scaled(algebra.outer(s), P[2])))
+
+
+@inlined
+def within_reach(at: Place, vt: Vt, P: Floats, m: Measured, l: int) -> bool:
+    """Return whether a measurement of link l has its distance within the gate: no component alone has a greater
+    normalised distance than all three, and most VTs need no more than this."""
+    w = algebra.vec_minus(vt.mu, at.p)
+    distance = max(math.sqrt(dot(w, w)), NEAREST_M)
+    n, apart = algebra.vec_scaled(w, 1.0 / distance), pair_minus(vt.G, carried(at, w))
+    b, s = dot(n, apart.beta), dot(n, apart.s)
+    spread = quadratic(vt.Sigma, n) + b * b * P[0] + 2.0 * b * s * P[1] + s * s * P[2]
     for k in range(m.first[l], m.first[l + 1]):
-        e = m.z[k, 0] - offset - length
-        if e * e < gate * (spread + m.single[k, 0]) + 1e-3:
+        e = m.z[k, 0] - distance
+        if e * e < m.gate * (spread + m.single[k, 0]):
             return True
     return False
 
 
-@lean(forceinline=True)
-def innovation(z: Floats, k: int, predicted: Vec3) -> Vec3:
-    """Return e = z - z^ of measurement k."""
-    return Vec3(z[k, 0] - predicted.x, wrap(z[k, 1] - predicted.y), z[k, 2] - predicted.z)
+@inlined
+def innovation(z: Floats, predicted: Vec3) -> Vec3:
+    """Return e = z - z^; z (3,) in m and rad."""
+    return Vec3(z[0] - predicted.x, wrap(z[1] - predicted.y), z[2] - predicted.z)
 
 
-@lean(forceinline=True)
-def plus_noise(spread: Sym3, q: Floats, k: int) -> Sym3:
-    """Return spread + Q (eq. 33), the variances of measurement k."""
-    s = spread
-    return Sym3(s.xx + q[k, 0], s.xy, s.xz, s.yy + q[k, 1], s.yz, s.zz + q[k, 2])
+@inlined
+def with_noise(s: Sym3, q: Floats) -> Sym3:
+    """Return S = s + Q (eq. 33), with the variances q (3,) in m^2 and rad^2."""
+    return Sym3(s.xx + q[0], s.xy, s.xz, s.yy + q[1], s.yz, s.zz + q[2])
 
 
-@lean(forceinline=True)
-def score(m: Measured, l: int, seen: Seen, own: Sym3, gate: float, out: Floats, row: int) -> bool:
-    """Write the gate less e^T (S + A P A^T)^-1 e of each measurement of link l; return whether any is positive."""
-    found, spread, start = False, sym_plus(seen.spread, congruence(seen.A, own)), m.first[l]
+@inlined
+def score(m: Measured, l: int, predicted: Vec3, spread: Sym3, out: Floats) -> bool:
+    """Write into `out` (M + 1,) by how much e^T S^-1 e of each measurement of link l is within the gate (eq. 35);
+    return if any is."""
+    found, start = False, m.first[l]
     for k in range(start, m.first[l + 1]):
-        e, S = innovation(m.z, k, seen.z), plus_noise(spread, m.single, k)
-        out[row, k - start] = -1.0
-        if e.x * e.x < gate * S.xx and e.y * e.y < gate * S.yy and e.z * e.z < gate * S.zz:
-            cofactors = adjugate(S)
-            det = determinant(S, cofactors)
-            if det > 0.0:
-                out[row, k - start] = gate - quadratic(cofactors, e) / det
-                found = found or out[row, k - start] > 0.0
+        e, S, within = innovation(m.z[k], predicted), with_noise(spread, m.single[k]), -1.0
+        if e.x * e.x < m.gate * S.xx and e.y * e.y < m.gate * S.yy and e.z * e.z < m.gate * S.zz:
+            cofactors = algebra.adjugate(S)
+            det = algebra.determinant(S, cofactors)
+            if det > 0.0:  # rounding may have spoilt a covariance
+                within = m.gate - quadratic(cofactors, e) / det
+        out[k - start] = within
+        found = found or within > 0.0
     return found
 
 
-@lean(forceinline=True)
-def keep(seen: Seen, store: Floats, row: int) -> None:
-    """Keep how a VT is seen until it is updated."""
-    s, h, c, a = store, seen.H_Sigma, seen.spread, seen.A
-    s[row, 0], s[row, 1], s[row, 2] = seen.z.x, seen.z.y, seen.z.z
-    s[row, 3], s[row, 4], s[row, 5], s[row, 6], s[row, 7], s[row, 8] = h.xx, h.xy, h.xz, h.yx, h.yy, h.yz
-    s[row, 9], s[row, 10], s[row, 11] = h.zx, h.zy, h.zz
-    s[row, 12], s[row, 13], s[row, 14], s[row, 15], s[row, 16], s[row, 17] = c.xx, c.xy, c.xz, c.yy, c.yz, c.zz
-    s[row, 18], s[row, 19], s[row, 20], s[row, 21], s[row, 22], s[row, 23] = a.xx, a.xy, a.xz, a.yx, a.yy, a.yz
-    s[row, 24], s[row, 25], s[row, 26] = a.zx, a.zy, a.zz
+@inlined
+def keep(seen: Seen, a: Floats) -> None:
+    """Keep in `a` (24,) how a VT is seen until it is updated."""
+    z, h, c, (b, s) = seen
+    a[0], a[1], a[2], a[3], a[4], a[5] = z.x, z.y, z.z, h.xx, h.xy, h.xz
+    a[6], a[7], a[8], a[9], a[10], a[11] = h.yx, h.yy, h.yz, h.zx, h.zy, h.zz
+    a[12], a[13], a[14], a[15], a[16], a[17] = c.xx, c.xy, c.xz, c.yy, c.yz, c.zz
+    a[18], a[19], a[20], a[21], a[22], a[23] = b.x, b.y, b.z, s.x, s.y, s.z
 
 
-@lean(forceinline=True)
-def kept(s: Floats, row: int) -> Seen:
-    """Return what `keep` has kept."""
-    return Seen(
-        Vec3(s[row, 0], s[row, 1], s[row, 2]),
-        Mat3(s[row, 3], s[row, 4], s[row, 5], s[row, 6], s[row, 7], s[row, 8], s[row, 9], s[row, 10], s[row, 11]),
-        Sym3(s[row, 12], s[row, 13], s[row, 14], s[row, 15], s[row, 16], s[row, 17]),
-        Mat3(s[row, 18], s[row, 19], s[row, 20], s[row, 21], s[row, 22], s[row, 23], s[row, 24], s[row, 25], s[row, 26]),
-    )  # fmt: skip
+@inlined
+def kept(a: Floats) -> Seen:
+    """Return what `keep` has kept in `a` (24,)."""
+    H_Sigma = Mat3(a[3], a[4], a[5], a[6], a[7], a[8], a[9], a[10], a[11])
+    spread = Sym3(a[12], a[13], a[14], a[15], a[16], a[17])
+    return Seen(vec_at(a, 0), H_Sigma, spread, Pair(vec_at(a, 18), vec_at(a, 21)))
 
 
-@lean(forceinline=True)
-def update(vts: Floats, i: int, l: int, j: int, seen: Seen, e: Vec3, S: Sym3, site: int, y: Floats, info: Floats) -> float:
-    """Update a VT (eq. 28 to 30), add its part to y and I, and return log N(e; 0, S) (eq. 32)."""
-    cofactors = adjugate(S)
-    det = determinant(S, cofactors)
-    S_inv, A = sym_scaled(cofactors, 1.0 / det), seen.A
-    K = mat_sym(transposed(seen.H_Sigma), S_inv)
-    mu = vec_plus(mean_of(vts, i, l, j), mat_vec(K, e))
-    Sigma = sym_minus(covariance_of(vts, i, l, j), sym_product(K, seen.H_Sigma))
-    put_vt(vts, i, l, j, mu, Sigma, mat_minus(gain_of(vts, i, l, j), mat_mat(K, A)))
-    own_y, own_info = transposed_vec(A, sym_vec(S_inv, e)), congruence(transposed(A), S_inv)
-    b, s = len(y) - 2, len(y) - 1
-    y[site] += own_y.x
-    y[b] += own_y.y
-    y[s] += own_y.z
-    info[site, site] += own_info.xx
-    info[site, b] += own_info.xy
-    info[site, s] += own_info.xz
-    info[b, b] += own_info.yy
-    info[b, s] += own_info.yz
-    info[s, s] += own_info.zz
+@inlined
+def update(x: Particles, row: Floats, seen: Seen, e: Vec3, S: Sym3) -> float:
+    """Update the VT of a row (WIDTH,) (eq. 28 to 30), add its part to y and I, and return log N(e; 0, S) (eq. 32)."""
+    cofactors, A, vt = algebra.adjugate(S), seen.A, vt_at(row)
+    det = algebra.determinant(S, cofactors)
+    S_inv = algebra.sym_scaled(cofactors, 1.0 / det)
+    K = algebra.mat_sym(transposed(seen.H_Sigma), S_inv)
+    Sigma = algebra.sym_minus(vt.Sigma, algebra.sym_product(K, seen.H_Sigma))
+    put_vt(row, Vt(algebra.vec_plus(vt.mu, mat_vec(K, e)), Sigma, pair_minus(vt.G, times(K, A))))
+    b, s = algebra.sym_vec(S_inv, A.beta), algebra.sym_vec(S_inv, A.s)
+    x.y[0] += dot(b, e)
+    x.y[1] += dot(s, e)
+    x.I[0] += dot(b, A.beta)
+    x.I[1] += dot(b, A.s)
+    x.I[2] += dot(s, A.s)
     return -0.5 * (quadratic(S_inv, e) + math.log(det) + 3.0 * LOG_TURN)
 
 
-@lean(forceinline=True)
-def begin(vts: Floats, i: int, l: int, j: int, at: Place, m: Measured, k: int, offset: float) -> None:
-    """Write the VT that measurement k points to: mu = p + rho n, Sigma = J Q J^T, G = B - n e_b^T."""
-    rho = max(m.z[k, 0] - offset, NEAREST_M)
-    n = mat_vec(at.R, direction(m.z[k, 1], m.z[k, 2]))
-    w, J = vec_scaled(n, rho), mat_mat(at.R, cartesian_jacobian(rho, m.z[k, 1], m.z[k, 2]))
-    Q, B = Sym3(m.fresh[k, 0], 0.0, 0.0, m.fresh[k, 1], 0.0, m.fresh[k, 2]), carried(at, w)
-    gain = Mat3(-n.x, B.xy, B.xz, -n.y, B.yy, B.yz, -n.z, B.zy, B.zz)
-    put_vt(vts, i, l, j, vec_plus(at.p, w), congruence(J, Q), gain)
+@inlined
+def begin(row: Floats, at: Place, z: Floats, q: Floats) -> None:
+    """Write into a row (WIDTH,) the VT that z (3,), variances q (3,), points to: mu = h^-1(z, r), J Q J^T, G = B."""
+    d = max(z[0], NEAREST_M)
+    w = algebra.vec_scaled(mat_vec(at.R, direction(z[1], z[2])), d)
+    J = mat_mat(at.R, cartesian_jacobian(d, z[1], z[2]))
+    Sigma = algebra.congruence(J, Sym3(q[0], 0.0, 0.0, q[1], 0.0, q[2]))
+    put_vt(row, Vt(algebra.vec_plus(at.p, w), Sigma, carried(at, w)))
 
 
-@lean(forceinline=True)
-def drop_dubious(maps: Maps, i: int, l: int, now: int) -> None:
-    """Drop the VTs of link l that have not been seen for more snapshots than they have been."""
-    vts, count, j = maps.vts, maps.count, 0
-    while j < count[i, l]:
-        if now - vts[i, l, j, LAST] > vts[i, l, j, HITS] + 1:
-            count[i, l] -= 1
-            for c in range(WIDTH):
-                vts[i, l, j, c] = vts[i, l, count[i, l], c]
-        else:
+@inlined
+def drop_dubious(x: Particles, l: int, now: int) -> None:
+    """Drop the VTs of link l that were unseen for more snapshots than they were seen."""
+    vts, j = x.vts[l], 0
+    while j < x.count[l]:
+        if now - vts[j, LAST] <= vts[j, HITS] + 1.0:
             j += 1
+            continue
+        x.count[l] -= 1
+        for c in range(WIDTH):
+            vts[j, c] = vts[x.count[l], c]
 
 
-@lean(forceinline=True)
-def room(maps: Maps, i: int, l: int) -> int:
-    """Return a place for a new VT of link l; where there is none, that of the one unseen for longest."""
-    vts, count = maps.vts, maps.count
-    if count[i, l] < vts.shape[2]:
-        count[i, l] += 1
-        return int(count[i, l]) - 1
-    oldest = 0
-    for j in range(1, count[i, l]):
-        if vts[i, l, j, LAST] < vts[i, l, oldest, LAST]:
-            oldest = j
+@inlined
+def room(x: Particles, l: int) -> int:
+    """Return the place for a new VT of link l: that of the one unseen for longest, if there is no other."""
+    vts, oldest = x.vts[l], 0
+    if x.count[l] < len(vts):
+        x.count[l] += 1
+        return int(x.count[l]) - 1
+    for j in range(len(vts)):
+        oldest = j if vts[j, LAST] < vts[oldest, LAST] else oldest
     return oldest
 
 
-@lean(forceinline=True)
-def use_link(
-    i: int, l: int, at: Place, x: Particles, maps: Maps, m: Measured, gate: float, association: Ints, t: Scratch
-) -> float:
-    """Associate the measurements of link l, update and begin its VTs in particle i; return the log of its factor of
-    w."""
-    start, stop, site = m.first[l], m.first[l + 1], m.site[l]
-    own, offset, rivals, log_w = own_part(x.P, i, site), x.theta[i, site], 0, 0.0
-    for j in range(maps.count[i, l]):
-        if within_reach(at, m, l, maps, i, j, own, offset, gate):
-            seen = see(
-                at, mean_of(maps.vts, i, l, j), covariance_of(maps.vts, i, l, j), gain_of(maps.vts, i, l, j), offset
-            )
-            if score(m, l, seen, own, gate, t.score, rivals):
-                keep(seen, t.seen, rivals)
+@inlined
+def associate(x: Particles, at: Place, m: Measured, l: int, t: Scratch) -> None:
+    """Assign the measurements of link l to its VTs (eq. 35)."""
+    rivals = 0
+    for j in range(x.count[l]):
+        vt = vt_at(x.vts[l, j])
+        if within_reach(at, vt, x.P, m, l):
+            seen = see(at, vt)
+            if score(m, l, seen.z, with_constants(seen, x.P), t.score[rivals]):
+                keep(seen, t.seen[rivals])
                 t.near[rivals] = j
                 rivals += 1
-    assign(t.score, rivals, stop - start, t.vt_of, t.work_f, t.work_i)
-    for k in range(start, stop):
-        association[i, k] = -1
-        if t.vt_of[k - start] >= 0:
-            row = t.vt_of[k - start]
-            j, seen = t.near[row], kept(t.seen, row)
-            e, S = innovation(m.z, k, seen.z), plus_noise(seen.spread, m.many, k)
-            log_w += update(maps.vts, i, l, j, seen, e, S, site, t.y, t.info)
-            maps.vts[i, l, j, LAST] = m.now
-            maps.vts[i, l, j, HITS] += 1.0
-            association[i, k] = int(maps.vts[i, l, j, IDENT])
+    assign(t.score, rivals, m.first[l + 1] - m.first[l], t.row_of, t.work_f, t.work_i)
+
+
+@inlined
+def use_link(x: Particles, at: Place, m: Measured, l: int, association: Ints, t: Scratch) -> float:
+    """Update and begin VTs of link l, as assigned; return the log of its factor of w. association (M,): identities."""
+    log_w, start = 0.0, m.first[l]
+    for k in range(start, m.first[l + 1]):
+        n = t.row_of[k - start]
+        row = x.vts[l, t.near[n] if n >= 0 else room(x, l)]
+        if n >= 0:
+            seen = kept(t.seen[n])
+            S = with_noise(seen.spread, m.many[k])
+            log_w += update(x, row, seen, innovation(m.z[k], seen.z), S) + m.lack[k]
+            row[HITS] += 1.0
+            association[k] = int(row[IDENT])
         else:
-            j = room(maps, i, l)
-            begin(maps.vts, i, l, j, at, m, k, offset)
-            maps.vts[i, l, j, IDENT], maps.vts[i, l, j, LAST], maps.vts[i, l, j, HITS] = m.born + k, m.now, 1.0
+            begin(row, at, m.z[k], m.fresh[k])
+            row[IDENT], row[HITS], association[k] = m.born + k, 1.0, -1
+        row[LAST] = m.now
     return log_w
 
 
-@lean(forceinline=True)
-def learn_constants(x: Particles, i: int, y: Floats, info: Floats, work: Floats) -> float:
-    """P <- (P^-1 + I)^-1 by eliminating (1 + P I) X = P, and theta^ <- theta^ + P y; return the log of its factor of
-    w. The change of theta^ is left in y, the upper triangle of `info` (K, K) is I; work (K, 2 K)."""
-    K, log_det, gained = len(y), 0.0, 0.0
-    for r in range(K):
-        for c in range(K):
-            total = 1.0 if r == c else 0.0
-            for j in range(K):
-                total += x.P[i, r, j] * info[min(j, c), max(j, c)]
-            work[r, c], work[r, K + c] = total, x.P[i, r, c]
-    for r in range(K):
-        pivot = work[r, r]
-        log_det += math.log(pivot)
-        for c in range(r, 2 * K):
-            work[r, c] /= pivot
-        for j in range(K):
-            if j != r:
-                factor = work[j, r]
-                for c in range(r, 2 * K):
-                    work[j, c] -= factor * work[r, c]
-    for r in range(K):
-        work[r, 0] = 0.0
-        for c in range(K):
-            x.P[i, r, c] = 0.5 * (work[r, K + c] + work[c, K + r])
-            work[r, 0] += x.P[i, r, c] * y[c]
-    for r in range(K):
-        gained += y[r] * work[r, 0]
-        y[r] = work[r, 0]
-        x.theta[i, r] += y[r]
-    return 0.5 * (gained - log_det)
+@inlined
+def learn_constants(x: Particles) -> float:
+    """P <- (P^-1 + I)^-1, theta^ <- theta^ + P y, followed by r and all mu; return the log of the factor of w.
+
+    With two constants (P^-1 + I)^-1 = (P + det P adj I) / |1 + I P|, where P = 0 does no harm.
+    """
+    P, I, y, D = x.P, x.I, x.y, x.D
+    det_P, det_I = max(P[0] * P[2] - P[1] * P[1], 0.0), max(I[0] * I[2] - I[1] * I[1], 0.0)
+    det = 1.0 + P[0] * I[0] + 2.0 * P[1] * I[1] + P[2] * I[2] + det_P * det_I
+    P[0], P[1], P[2] = (P[0] + det_P * I[2]) / det, (P[1] - det_P * I[1]) / det, (P[2] + det_P * I[0]) / det
+    beta, s = P[0] * y[0] + P[1] * y[1], P[1] * y[0] + P[2] * y[1]
+    x.theta[0] += beta
+    x.theta[1] += s
+    for c in range(4):
+        x.r[c] += D[0, c] * beta + D[1, c] * s
+    for l in range(len(x.count)):
+        for j in range(x.count[l]):
+            row = x.vts[l, j]
+            for c in range(3):
+                row[MU + c] += row[G_BETA + c] * beta + row[G_S + c] * s
+    return 0.5 * (y[0] * beta + y[1] * s - math.log(det))
 
 
-@lean(forceinline=True)
-def follow(x: Particles, maps: Maps, i: int, site_of: Ints, change: Floats) -> None:
-    """Let the pose and all VTs follow a change (K,) of theta^."""
-    K, r, D, vts = len(change), x.r, x.D, maps.vts
-    for c in range(3):
-        r[i, c] += D[i, 0, c] * change[K - 2] + D[i, 1, c] * change[K - 1]
-    r[i, 3] = wrap(r[i, 3] + D[i, 0, 3] * change[K - 2] + D[i, 1, 3] * change[K - 1])
-    for l in range(len(site_of)):
-        own = Vec3(change[site_of[l]], change[K - 2], change[K - 1])
-        for j in range(maps.count[i, l]):
-            moved = mat_vec(gain_of(vts, i, l, j), own)
-            vts[i, l, j, MU] += moved.x
-            vts[i, l, j, MU + 1] += moved.y
-            vts[i, l, j, MU + 2] += moved.z
-
-
-@lean(forceinline=True)
-def use_particle(
-    i: int, x: Particles, maps: Maps, m: Measured, u: Floats, dt: float, gate: float, association: Ints, t: Scratch
-) -> None:
-    """Predict, associate, update and weigh particle i."""
+@inlined
+def use_particle(x: Particles, m: Measured, u: Floats, dt: float, association: Ints, t: Scratch) -> float:
+    """Predict, associate and update one particle; return the log of the factor of w."""
     if dt > 0.0:
-        predict(x, i, u, dt)
-    at = place_of(x, i)
-    for r in range(len(t.y)):
-        t.y[r] = 0.0
-        for c in range(len(t.y)):
-            t.info[r, c] = 0.0
-    for l in range(len(m.site)):
-        drop_dubious(maps, i, l, m.now)
+        predict(x, u, dt)
+    at, log_w = place_of(x), 0.0
+    x.y[:] = 0.0
+    x.I[:] = 0.0
+    for l in range(len(x.count)):
+        drop_dubious(x, l, m.now)
         if m.first[l] < m.first[l + 1]:
-            x.log_w[i] += use_link(i, l, at, x, maps, m, gate, association, t)
-    x.log_w[i] += learn_constants(x, i, t.y, t.info, t.solve)
-    follow(x, maps, i, m.site, t.y)
+            associate(x, at, m, l, t)
+            log_w += use_link(x, at, m, l, association, t)
+    return log_w + learn_constants(x)
+
+
+@inlined
+def use_one(x: Particles, i: int, m: Measured, u: Floats, dt: float, association: Ints, t: Scratch) -> float:
+    own = Particles(x.r[i], x.D[i], x.theta[i], x.P[i], x.y[i], x.I[i], x.log_w[i : i + 1], x.vts[i], x.count[i])
+    return use_particle(own, m, u[i], dt, association[i], t)
 
 
 @njit(cache=True, parallel=True)
-def use_snapshot(
-    x: Particles, maps: Maps, m: Measured, u: Floats, dt: float, gate: float, association: Ints
-) -> None:
-    """Use a snapshot in every particle; u (N, 6) in m/s and rad/s, dt in s; write association (N, M)."""
-    count, most, measured, K = len(x.r), maps.vts.shape[2], len(m.z), x.theta.shape[1]
+def use_snapshot(x: Particles, m: Measured, u: Floats, dt: float, association: Ints) -> None:
+    """Use a snapshot in every particle; u (N, 6) in m/s and rad/s, dt in s; association (N, M) is written."""
+    count, most, measured = len(x.r), x.vts.shape[2], len(m.z)
     for chunk in prange((count + CHUNK - 1) // CHUNK):
         wide = 4 * (most + measured + 2)
         t = Scratch(
-            np.empty((most, measured + 1)), np.empty((most, SEEN_WIDTH)), np.empty(most, np.int64),
+            np.empty((most, measured + 1)), np.empty((most, 24)), np.empty(most, np.int64),
             np.empty(measured, np.int64), np.empty(wide), np.empty(wide, np.int64),
-            np.zeros(K), np.zeros((K, K)), np.empty((K, 2 * K)),
         )  # fmt: skip
         for i in range(chunk * CHUNK, min((chunk + 1) * CHUNK, count)):
-            use_particle(i, x, maps, m, u, dt, gate, association, t)
+            x.log_w[i] += use_one(x, i, m, u, dt, association, t)
 
 
 @njit(cache=True, parallel=True)
-def copy_maps(maps: Maps, target: Ints, source: Ints) -> None:
-    """Copy the map of each source particle (n,) over that of a target (n,), which is none of the sources."""
-    for k in prange(len(target)):
-        i, o = target[k], source[k]
-        for l in range(maps.count.shape[1]):
-            count = maps.count[o, l]
-            maps.count[i, l] = count
-            maps.vts[i, l, :count] = maps.vts[o, l, :count]
+def copy_maps(x: Particles, target: Ints, source: Ints) -> None:
+    """Copy the map of each source particle (n,) over that of its target (n,), which is no source."""
+    for n in prange(len(target)):
+        i, of = target[n], source[n]
+        x.count[i] = x.count[of]
+        for l in range(x.count.shape[1]):
+            x.vts[i, l, : x.count[of, l]] = x.vts[of, l, : x.count[of, l]]
 
 
 class PaperFastSlamOptions(BaseModel):
@@ -530,25 +470,24 @@ class PaperFastSlamOptions(BaseModel):
     model_config = ConfigDict(frozen=True, extra="forbid")
 
     particles: int = Field(100, ge=1, le=100_000, description="number of particles")
-    constants: Literal["sampled", "marginalised"] = Field(
-        "marginalised", description="clock offsets, yaw-rate bias and odometer scale: drawn at the start, or marginalised"
+    motion: Literal["sampled", "marginalised"] = Field(
+        "marginalised",
+        description="yaw-rate bias and odometer scale: drawn at the start, as the paper, or marginalised",
     )
     sharing: Literal["none", "site"] = Field(
-        "none", description="whether what the ports and sectors of a site measure of a path is fused before"
+        "none", description="whether what the ports and sectors of a site measure of a path is fused first"
     )
     noise: Literal["white", "persisting"] = Field(
         "white", description="whether variances are raised for errors that persist from snapshot to snapshot"
     )
     gate: float = Field(16.3, gt=0, le=1000, description="squared Mahalanobis distance beyond which a VT begins")
-    offset_component_std_m: float = Field(20.0, gt=0, le=1000, description="deviation of a particle's clock offset at the start, m")
-    vts_per_link: int = Field(12, ge=1, le=1000, description="VTs kept per link; the longest unseen makes room")
     effective_share: float = Field(
         0.5, ge=0, le=1, description="resample when the effective sample size falls below this share of the particles"
     )
 
 
 class PaperFastSlam:
-    """FastSLAM as the paper has it, see the module."""
+    """FastSLAM as the paper has it, with yaw-rate bias and odometer scale marginalised: see the module."""
 
     name: ClassVar[str] = "paper-fastslam"
     requires_truth: ClassVar[bool] = False
@@ -559,59 +498,41 @@ class PaperFastSlam:
 
     def warm_up(self) -> None:
         """Compile the kernels on a drive of four snapshots."""
-        warm_up.drive(type(self)(self.options.model_copy(update={"particles": 2, "vts_per_link": 2})))
-        copy_maps(self._maps_of(2, 1), np.array([0]), np.array([1]))
+        small = type(self)(self.options.model_copy(update={"particles": 2}))
+        warm_up.drive(small)
+        small._resample(np.array([1.0, 0.0]))
 
     def start(self, setup: Setup, rng: np.random.Generator) -> None:
-        """Draw the particles."""
-        o, self._rng, self._model = self.options, rng, setup.odometry_model
+        """Draw poses and errors of the odometry."""
+        o, model, self._rng = self.options, setup.odometry_model, rng
         self._grouping = Grouping(setup, FrontEndOptions(sharing=o.sharing))
-        self._setup = self._grouping.setup
-        self._site = np.array(self._setup.links.site, np.int64)
-        theta, P = self._constants()
-        r = setup.start_pose + setup.start_std * rng.standard_normal((o.particles, 6))
-        self._x = Particles(r, np.zeros((o.particles, 2, 4)), theta, P, np.zeros(o.particles))
-        self._maps = self._maps_of(o.particles, len(self._site))
-        yaw, forward = np.eye(6)[3], np.eye(6)[0]
-        self._bias = self._model.bias * (1.0 - yaw) * rng.standard_normal(r.shape)
-        self._scale = self._model.scale * (1.0 - forward) * rng.standard_normal(r.shape)
-        self._now = self._born = 0
-
-    def _maps_of(self, count: int, links: int) -> Maps:
-        places = self.options.vts_per_link
-        return Maps(np.zeros((count, links, places, WIDTH)), np.zeros((count, links), np.int64))
-
-    def _constants(self) -> tuple[Floats, Floats]:
-        """Return theta^ (N, K) and P (N, K, K) at the start."""
-        o, sites, model = self.options, self._setup.sites, self._model
-        mean = np.append(sites.clock_offset_mean_m, [0.0, 0.0])
-        prior = np.append(sites.clock_offset_std_m, [model.bias[3], model.scale[0]])
-        within = prior.copy()
-        within[:-2] = np.minimum(within[:-2], o.offset_component_std_m)
-        if o.constants == "sampled":
-            within = 0.0 * prior
-        drawn = mean + np.sqrt(prior**2 - within**2) * self._rng.standard_normal((o.particles, len(mean)))
-        return drawn, np.tile(np.diag(within**2), (o.particles, 1, 1))
+        links = self._grouping.setup.links
+        self._model, self._port, self._now, self._born = model, ports_of(links.site, links.port), 0, 0
+        self._offset_of = np.array(setup.sites.clock_offset_mean_m[links.site], np.float64)
+        shape, N, L = (o.particles, 6), o.particles, len(links)
+        r = setup.start_pose + setup.start_std * rng.standard_normal(shape)
+        self._bias, self._scale = model.bias * rng.standard_normal(shape), model.scale * rng.standard_normal(shape)
+        theta, P = np.stack([self._bias[:, YAW], self._scale[:, FORWARD]], axis=1), np.zeros((N, 3))
+        self._bias[:, YAW] = self._scale[:, FORWARD] = 0.0
+        if o.motion == "marginalised":
+            theta[:], P[:] = 0.0, [model.bias[YAW] ** 2, 0.0, model.scale[FORWARD] ** 2]
+        self._x = Particles(
+            r, np.zeros((N, 2, 4)), theta, P, np.zeros((N, 2)), np.zeros((N, 3)), np.zeros(N),
+            np.zeros((N, L, VTS_PER_LINK, WIDTH)), np.zeros((N, L), np.int64),
+        )  # fmt: skip
 
     def step(self, dt_s: float, odometry: Floats, snapshot: Snapshot) -> Estimate:
         """Predict, associate, update, weigh and resample.
 
         dt_s in s; odometry (6,): mean body velocities in m/s and rad/s.
         """
-        o, x = self.options, self._x
-        looks = self._grouping.looks(snapshot)
-        ports = ports_of(self._setup.links.site, self._setup.links.port)
-        v = readings(looks, ports, self._grouping.options, odometry[3] * dt_s, odometry[0] * dt_s)
-        whole = np.isfinite(v.z).all(axis=1)
-        first = np.concatenate([[0], np.cumsum(whole)])[first_of_link(looks, len(self._site))]
-        many, fresh = (v.single, v.single) if o.noise == "white" else (v.many, v.fresh)
-        m = Measured(self._now, self._born, v.z[whole], v.single[whole], many[whole], fresh[whole], first, self._site)
-        some = np.full((o.particles, len(m.z)), -1)
-        use_snapshot(x, self._maps, m, self._velocities(dt_s, odometry), dt_s, o.gate, some)
+        o, x, looks = self.options, self._x, self._grouping.looks(snapshot)
+        m, whole = self._measured(looks, odometry * dt_s)
+        some, association = np.empty((o.particles, len(m.z)), np.int64), np.full(len(looks), -1)
+        use_snapshot(x, m, self._velocities(dt_s, odometry), dt_s, some)
         w = np.exp(x.log_w - x.log_w.max())
         w /= w.sum()
         best = int(np.argmax(w))
-        association = np.full(len(looks), -1)
         association[whole] = some[best]
         answer = self._grouping.answer(self._estimate(w, best, association), looks)
         if 1.0 / np.sum(w**2) < o.effective_share * len(w):
@@ -620,9 +541,21 @@ class PaperFastSlam:
         self._born += len(looks)
         return answer
 
+    def _measured(self, looks: Looks, moved: Floats) -> tuple[Measured, NDArray[np.bool_]]:
+        """Return the whole measurements of a snapshot, and which are (M,); moved (6,): since the last one, as measured."""
+        v = readings(looks, self._port, self._grouping.options, moved[YAW], moved[FORWARD])
+        if self.options.noise == "white":
+            v = replace(v, many=v.single, fresh=v.single, lack=np.zeros(len(looks)))
+        whole = np.isfinite(v.z).all(axis=1)
+        z = v.z[whole]
+        z[:, 0] -= self._offset_of[looks.link[whole]]
+        first = np.concatenate([[0], np.cumsum(whole)])[first_of_link(looks, len(self._offset_of))]
+        columns = (column[whole] for column in (v.single, v.many, v.fresh, v.lack))
+        return Measured(self._now, self._born, z, *columns, first, self.options.gate), whole
+
     def _velocities(self, dt_s: float, odometry: Floats) -> Floats:
-        """Draw the velocities (N, 6) of the particles, beta and s aside (eq. 19)."""
-        model, shape = self._model, self._x.r.shape
+        """Draw velocities (N, 6) in m/s and rad/s, from which beta and s are not taken yet (eq. 19)."""
+        model, shape = self._model, self._bias.shape
         if dt_s == 0.0:
             return np.zeros(shape)
         self._bias += model.bias_walk_density * np.sqrt(dt_s) * self._rng.standard_normal(shape)
@@ -630,31 +563,23 @@ class PaperFastSlam:
         return np.asarray((odometry - self._bias - noise) / (1.0 + self._scale))
 
     def _estimate(self, w: Floats, best: int, association: Ints) -> Estimate:
-        x, sites = self._x, len(self._setup.sites)
+        """Return mean and covariance over the particles, and the map of the best one."""
+        x = self._x
         mean, covariance = pose_moments(x.r, w, x.r[best])
-        moved, within = np.array([0, 1, 2, 3]), np.swapaxes(x.D, 1, 2) @ x.P[:, -2:, -2:] @ x.D
-        covariance[np.ix_(moved, moved)] += np.tensordot(w, within, 1)
-        offset = w @ x.theta[:, :sites]
-        variance = np.einsum("nkk->nk", x.P)[:, :sites] + (x.theta[:, :sites] - offset) ** 2
-        return Estimate(mean, covariance, association, offset, w @ variance, self._vts(best))
-
-    def _vts(self, best: int) -> VtEstimate:
-        """Return the map of the best particle."""
-        maps, P = self._maps, self._x.P[best]
-        link, j = np.nonzero(np.arange(self.options.vts_per_link) < maps.count[best][:, None])
-        vts = maps.vts[best, link, j]
-        Sigma = vts[:, SIGMA + np.array([[0, 1, 2], [1, 3, 4], [2, 4, 5]])]
-        gain = vts[:, G:IDENT].reshape(-1, 3, 3)
-        own = np.column_stack([self._site[link], np.full(len(link), len(P) - 2), np.full(len(link), len(P) - 1)])
-        spread = gain @ P[own[:, :, None], own[:, None, :]] @ np.swapaxes(gain, 1, 2)
-        return VtEstimate(vts[:, IDENT].astype(np.int64), link.astype(np.int64), vts[:, :3], Sigma + spread)
+        link, j = np.nonzero(np.arange(VTS_PER_LINK) < x.count[best][:, None])
+        vts = x.vts[best, link, j]
+        covariance[:4, :4] += np.einsum("n,nab,nar,nbc->rc", w, x.P[:, [[0, 1], [1, 2]]], x.D, x.D)
+        G = np.stack([vts[:, G_BETA:G_S], vts[:, G_S:IDENT]], axis=2)
+        Sigma = vts[:, SIGMA + UPPER] + G @ x.P[best][[[0, 1], [1, 2]]] @ np.swapaxes(G, 1, 2)
+        return Estimate(
+            mean, covariance, association, vts=VtEstimate(vts[:, IDENT].astype(np.int64), link, vts[:, :SIGMA], Sigma)
+        )
 
     def _resample(self, w: Floats) -> None:
-        """Copy likely particles over unlikely ones."""
-        chosen = systematic(w, len(w), self._rng)
-        kept, times = np.unique(chosen, return_counts=True)
+        """Copy likely particles over unlikely ones, by weights (N,) without unit that sum to 1."""
+        kept, times = np.unique(systematic(w, len(w), self._rng), return_counts=True)
         target, source = np.setdiff1d(np.arange(len(w)), kept), np.repeat(kept, times - 1)
-        for of in (*self._x, self._bias, self._scale):
+        for of in (*self._x[:7], self._bias, self._scale):
             of[target] = of[source]
-        copy_maps(self._maps, target, source)
+        copy_maps(self._x, target, source)
         self._x.log_w[:] = 0.0
