@@ -16,7 +16,7 @@ from rich.table import Table
 
 from cellslam.benchmarks.cli.arguments import DONE, FAILED, add_seed, add_work, whole
 from cellslam.benchmarks.cli.sweep import carry_plan
-from cellslam.benchmarks.scores.statistics import interval, geometric_mean_ratio, statistic
+from cellslam.benchmarks.scores.statistics import geometric_mean_ratio, interval, statistic
 from cellslam.benchmarks.sweeps.rows import results
 from cellslam.benchmarks.sweeps.tasks import Plan, asked_by, plan_known
 from cellslam.benchmarks.trials.trials import check_counts

@@ -1,7 +1,7 @@
 """The drive of the extended FastSLAM paper: the preset `lund-530`, whose figures are those of its Table I.
 
 Source: J. Chen, R. Whiton and F. Tufvesson, "Extended FastSLAM using cellular multipath component delays and angular
-information", section V: largest error and error at the end of one measured drive, with the cellular signals and without.
+information", section V: largest error and error at the end of one measured drive, with cellular signals and without.
 """
 
 from __future__ import annotations

@@ -327,3 +327,66 @@ def put_sym(out: Any, s: Sym3) -> None:
 def sym_times(a: Sym3, b: Sym3) -> Sym3:
     """Return the product of a and b element by element."""
     return Sym3(a.xx * b.xx, a.xy * b.xy, a.xz * b.xz, a.yy * b.yy, a.yz * b.yz, a.zz * b.zz)
+
+
+class Mat32(NamedTuple):
+    """A 3 x 2 matrix: its columns."""
+
+    a: Vec3
+    b: Vec3
+
+
+@njit
+def mat32_minus(m: Mat32, n: Mat32) -> Mat32:
+    """Return m - n."""
+    return Mat32(vec_minus(m.a, n.a), vec_minus(m.b, n.b))
+
+
+@njit
+def mat_mat32(m: Mat3, n: Mat32) -> Mat32:
+    """Return m n."""
+    return Mat32(mat_vec(m, n.a), mat_vec(m, n.b))
+
+
+@njit
+def congruence32(m: Mat32, p: Any) -> Sym3:
+    """Return m P m^T; p (3,): the upper triangle of P."""
+    crossed: Sym3 = sym_scaled(outer_sum(m.a, m.b), p[1])
+    return sym_plus(crossed, sym_plus(sym_scaled(outer(m.a), p[0]), sym_scaled(outer(m.b), p[2])))
+
+
+@njit
+def vec_at(a: Any, i: int) -> Vec3:
+    """Return three neighbours in an array (n,), from i on, as a vector."""
+    return Vec3(a[i], a[i + 1], a[i + 2])
+
+
+@njit
+def put_vec_at(a: Any, i: int, v: Vec3) -> None:
+    """Write a vector into an array (n,), from i on."""
+    a[i], a[i + 1], a[i + 2] = v.x, v.y, v.z
+
+
+@njit
+def sym_at(a: Any, i: int) -> Sym3:
+    """Return six neighbours in an array (n,), from i on, as the upper triangle of a symmetric matrix."""
+    return Sym3(a[i], a[i + 1], a[i + 2], a[i + 3], a[i + 4], a[i + 5])
+
+
+@njit
+def put_sym_at(a: Any, i: int, s: Sym3) -> None:
+    """Write the upper triangle of a symmetric matrix into an array (n,), from i on."""
+    a[i], a[i + 1], a[i + 2], a[i + 3], a[i + 4], a[i + 5] = s.xx, s.xy, s.xz, s.yy, s.yz, s.zz
+
+
+@njit
+def mat_at(a: Any, i: int) -> Mat3:
+    """Return nine neighbours in an array (n,), from i on, as a matrix by rows."""
+    return Mat3(a[i], a[i + 1], a[i + 2], a[i + 3], a[i + 4], a[i + 5], a[i + 6], a[i + 7], a[i + 8])
+
+
+@njit
+def put_mat_at(a: Any, i: int, m: Mat3) -> None:
+    """Write a matrix by rows into an array (n,), from i on."""
+    a[i], a[i + 1], a[i + 2], a[i + 3], a[i + 4], a[i + 5] = m.xx, m.xy, m.xz, m.yx, m.yy, m.yz
+    a[i + 6], a[i + 7], a[i + 8] = m.zx, m.zy, m.zz
