@@ -66,12 +66,12 @@ from cellslam.slam.model.resampling import systematic
 
 FORWARD, YAW = 0, 3  # of u: what s and beta belong to
 # A VT's row: mu (3), Sigma (6), G by columns (6); identity, snapshot in which it was last seen, in how many it was.
-MU, SIGMA, G_BETA, G_S, IDENT, LAST, HITS, WIDTH = 0, 3, 9, 12, 15, 16, 17, 18
+MU, SIGMA, G, IDENT, LAST, HITS, WIDTH = 0, 3, 9, 15, 16, 17, 18
 UPPER = np.array([[0, 1, 2], [1, 3, 4], [2, 4, 5]])  # where an upper triangle has the entries of its matrix
 VTS, LEAST_VTS = 192, 16  # that there is room for in a particle, and for a link at least
 NEAREST_M = 1.0  # a VT begins no nearer
 CHUNK = 16  # particles that share scratch memory
-# Small functions of large arguments: to call them would cost more than what they do.
+# To call these small functions with many arguments would cost more than what they do.
 inlined = lean(forceinline=True, error_model="numpy", fastmath={"contract", "arcp", "nsz"})
 
 
@@ -127,18 +127,11 @@ class Scratch(NamedTuple):
 
 
 @inlined
-def gain_at(row: Floats) -> Mat32:
-    """Return G of a row (WIDTH,), in m s/rad and m."""
-    return Mat32(algebra.vec_at(row, G_BETA), algebra.vec_at(row, G_S))
-
-
-@inlined
-def put_vt(row: Floats, mu: Vec3, Sigma: Sym3, G: Mat32) -> None:
+def put_vt(row: Floats, mu: Vec3, Sigma: Sym3, gain: Mat32) -> None:
     """Write a VT into a row (WIDTH,), in m."""
     algebra.put_vec_at(row, MU, mu)
     algebra.put_sym_at(row, SIGMA, Sigma)
-    algebra.put_vec_at(row, G_BETA, G.a)
-    algebra.put_vec_at(row, G_S, G.b)
+    algebra.put_mat32_at(row, G, gain)
 
 
 @inlined
@@ -161,8 +154,7 @@ def predict(x: Particles, u: Floats, dt: float) -> None:
 
 @inlined
 def carried(D: Floats, w: Vec3) -> Mat32:
-    """Return B: how theta moves a point w (m) from the vehicle, in the world frame, that is fixed in the vehicle's; D
-    (2, 4)."""
+    """Return B: how theta moves a point at w (m) from the vehicle that is fixed in its frame; D (2, 4)."""
     b, s, by_b, by_s = algebra.vec_at(D[0], 0), algebra.vec_at(D[1], 0), D[0, 3], D[1, 3]
     return Mat32(Vec3(b.x - by_b * w.y, b.y + by_b * w.x, b.z), Vec3(s.x - by_s * w.y, s.y + by_s * w.x, s.z))
 
@@ -171,7 +163,7 @@ def carried(D: Floats, w: Vec3) -> Mat32:
 def see(x: Particles, R: Mat3, row: Floats) -> Seen:
     """Return z^ = h(mu, r) (eq. 23 to 27), H Sigma, H Sigma H^T and A = H (G - B) of the VT of a row (WIDTH,)."""
     w = algebra.vec_minus(algebra.vec_at(row, MU), algebra.vec_at(x.r, 0))
-    body, apart = algebra.transposed_vec(R, w), algebra.mat32_minus(gain_at(row), carried(x.D, w))
+    body, apart = algebra.transposed_vec(R, w), algebra.mat32_minus(algebra.mat32_at(row, G), carried(x.D, w))
     H, h = mat_mat(spherical_jacobian(body), transposed(R)), spherical(body)
     H_Sigma = algebra.mat_sym(H, algebra.sym_at(row, SIGMA))
     spread = algebra.sym_product(H_Sigma, transposed(H))
@@ -184,7 +176,7 @@ def within_reach(x: Particles, row: Floats, m: Measured, link: int) -> bool:
     alone has a greater normalised distance than all three, and of most VTs nothing else need be known."""
     P, w = x.P, algebra.vec_minus(algebra.vec_at(row, MU), algebra.vec_at(x.r, 0))
     distance = max(math.sqrt(dot(w, w)), NEAREST_M)
-    n, apart = algebra.vec_scaled(w, 1.0 / distance), algebra.mat32_minus(gain_at(row), carried(x.D, w))
+    n, apart = algebra.vec_scaled(w, 1.0 / distance), algebra.mat32_minus(algebra.mat32_at(row, G), carried(x.D, w))
     b, s = dot(n, apart.a), dot(n, apart.b)
     spread = algebra.quadratic(algebra.sym_at(row, SIGMA), n) + b * b * P[0] + 2.0 * b * s * P[1] + s * s * P[2]
     near = False
@@ -223,15 +215,13 @@ def keep(seen: Seen, a: Floats) -> None:
     algebra.put_vec_at(a, 0, seen.z)
     algebra.put_mat_at(a, 3, seen.H_Sigma)
     algebra.put_sym_at(a, 12, seen.spread)
-    algebra.put_vec_at(a, 18, seen.A.a)
-    algebra.put_vec_at(a, 21, seen.A.b)
+    algebra.put_mat32_at(a, 18, seen.A)
 
 
 @inlined
 def kept(a: Floats) -> Seen:
     """Return what `keep` has kept in `a` (24,)."""
-    A = Mat32(algebra.vec_at(a, 18), algebra.vec_at(a, 21))
-    return Seen(algebra.vec_at(a, 0), algebra.mat_at(a, 3), algebra.sym_at(a, 12), A)
+    return Seen(algebra.vec_at(a, 0), algebra.mat_at(a, 3), algebra.sym_at(a, 12), algebra.mat32_at(a, 18))
 
 
 @inlined
@@ -243,7 +233,7 @@ def update(x: Particles, row: Floats, seen: Seen, e: Vec3, S: Sym3) -> float:
     K = algebra.mat_sym(transposed(seen.H_Sigma), S_inv)
     mu = algebra.vec_plus(algebra.vec_at(row, MU), mat_vec(K, e))
     Sigma = algebra.sym_minus(algebra.sym_at(row, SIGMA), algebra.sym_product(K, seen.H_Sigma))
-    put_vt(row, mu, Sigma, algebra.mat32_minus(gain_at(row), mat_mat32(K, A)))
+    put_vt(row, mu, Sigma, algebra.mat32_minus(algebra.mat32_at(row, G), mat_mat32(K, A)))
     b, s = algebra.sym_vec(S_inv, A.a), algebra.sym_vec(S_inv, A.b)
     y[0], y[1] = y[0] + dot(b, e), y[1] + dot(s, e)
     info[0], info[1], info[2] = info[0] + dot(b, A.a), info[1] + dot(b, A.b), info[2] + dot(s, A.b)
@@ -324,13 +314,12 @@ def learn_constants(x: Particles) -> None:
         for j in range(x.count[link]):
             row = x.vts[link, j]
             for c in range(3):
-                row[MU + c] += row[G_BETA + c] * beta + row[G_S + c] * s
+                row[MU + c] += row[G + c] * beta + row[G + 3 + c] * s
 
 
 @inlined
-def use_particle(every: Particles, i: int, m: Measured, u: Floats, dt: float, association: Ints, t: Scratch) -> None:
+def use_particle(a: Particles, i: int, m: Measured, u: Floats, dt: float, association: Ints, t: Scratch) -> None:
     """Predict, associate, update and weigh particle i; u (6,) in m/s and rad/s, dt in s, association (M,)."""
-    a = every
     x = Particles(a.r[i], a.D[i], a.theta[i], a.P[i], a.y[i], a.info[i], a.log_w[i], a.vts[i], a.count[i])
     if dt > 0.0:
         predict(x, u, dt)
@@ -357,13 +346,14 @@ def use_snapshot(x: Particles, m: Measured, u: Floats, dt: float, association: I
 
 
 @njit(cache=True, parallel=True)
-def copy_maps(x: Particles, target: Ints, source: Ints) -> None:
-    """Copy the map of each source particle (n,) over that of its target (n,), which is no source."""
+def copy_maps(vts: Floats, count: Ints, target: Ints, source: Ints) -> None:
+    """Copy the map of each source particle (n,) over that of its target (n,), no source; vts, count as in `Particles`."""
+    # Arrays by themselves: Numba loses what a prange writes into those of a tuple.
     for n in prange(len(target)):
-        i, of = target[n], source[n]
-        x.count[i] = x.count[of]
-        for link in range(x.count.shape[1]):
-            x.vts[i, link, : x.count[of, link]] = x.vts[of, link, : x.count[of, link]]
+        for link in range(count.shape[1]):
+            some = count[source[n], link]
+            count[target[n], link] = some
+            vts[target[n], link, :some] = vts[source[n], link, :some]
 
 
 class PaperFastSlam:
@@ -446,8 +436,8 @@ class PaperFastSlam:
         covariance[:4, :4] += np.tensordot(w, np.swapaxes(x.D, 1, 2) @ P @ x.D, 1)
         link, j = np.nonzero(np.arange(x.vts.shape[2]) < x.count[best][:, None])
         vts = x.vts[best, link, j]
-        G = np.stack([vts[:, G_BETA:G_S], vts[:, G_S:IDENT]], axis=2)
-        Sigma = vts[:, SIGMA + UPPER] + G @ P[best] @ np.swapaxes(G, 1, 2)
+        gain = vts[:, G:IDENT].reshape(-1, 2, 3)
+        Sigma = vts[:, SIGMA + UPPER] + np.swapaxes(gain, 1, 2) @ P[best] @ gain
         found = VtEstimate(vts[:, IDENT].astype(np.int64), link, vts[:, MU:SIGMA], Sigma)
         return Estimate(mean, covariance, association, vts=found)
 
@@ -457,5 +447,5 @@ class PaperFastSlam:
         target, source = np.setdiff1d(np.arange(len(w)), kept), np.repeat(kept, times - 1)
         for of in (*self._x[:7], self._bias, self._scale):
             of[target] = of[source]
-        copy_maps(self._x, target, source)
+        copy_maps(self._x.vts, self._x.count, target, source)
         self._x.log_w[:] = 0.0

@@ -390,3 +390,16 @@ def put_mat_at(a: Any, i: int, m: Mat3) -> None:
     """Write a matrix by rows into an array (n,), from i on."""
     a[i], a[i + 1], a[i + 2], a[i + 3], a[i + 4], a[i + 5] = m.xx, m.xy, m.xz, m.yx, m.yy, m.yz
     a[i + 6], a[i + 7], a[i + 8] = m.zx, m.zy, m.zz
+
+
+@njit
+def mat32_at(a: Any, i: int) -> Mat32:
+    """Return six neighbours in an array (n,), from i on, as a matrix by columns."""
+    return Mat32(vec_at(a, i), vec_at(a, i + 3))
+
+
+@njit
+def put_mat32_at(a: Any, i: int, m: Mat32) -> None:
+    """Write a matrix by columns into an array (n,), from i on."""
+    put_vec_at(a, i, m.a)
+    put_vec_at(a, i + 3, m.b)
