@@ -88,7 +88,7 @@ class Particles(NamedTuple):
     info: Floats
     log_w: Floats
     vts: Floats
-    count: Ints
+    counts: Ints
 
 
 class Measured(NamedTuple):
@@ -194,8 +194,7 @@ def innovation(z: Floats, q: Floats, predicted: Vec3, s: Sym3) -> tuple[Vec3, Sy
 
 @inlined
 def score(seen: Seen, P: Floats, m: Measured, link: int, out: Floats) -> bool:
-    """Write by how much e^T (S + A P A^T)^-1 e of each measurement of a link is within the gate (eq. 35), return if any
-    is; P (3,), out (M + 1,)."""
+    """Write into `out` by how much e^T (S + A P A^T)^-1 e of each measurement is within the gate; return if any is."""
     found, start, spread = False, m.first[link], algebra.sym_plus(seen.spread, algebra.congruence32(seen.A, P))
     for k in range(start, m.first[link + 1]):
         (e, S), within = innovation(m.z[k], m.single[k], seen.z, spread), -1.0
@@ -237,7 +236,7 @@ def update(x: Particles, row: Floats, seen: Seen, e: Vec3, S: Sym3) -> float:
     b, s = algebra.sym_vec(S_inv, A.a), algebra.sym_vec(S_inv, A.b)
     y[0], y[1] = y[0] + dot(b, e), y[1] + dot(s, e)
     info[0], info[1], info[2] = info[0] + dot(b, A.a), info[1] + dot(b, A.b), info[2] + dot(s, A.b)
-    return -0.5 * (algebra.quadratic(S_inv, e) + math.log(det) + 3.0 * math.log(2.0 * math.pi))
+    return float(-0.5 * (algebra.quadratic(S_inv, e) + math.log(det) + 3.0 * math.log(2.0 * math.pi)))
 
 
 @inlined
@@ -254,11 +253,11 @@ def begin(x: Particles, R: Mat3, row: Floats, z: Floats, q: Floats) -> None:
 def drop_dubious(x: Particles, link: int, now: int) -> None:
     """Drop the VTs of a link that were unseen for more snapshots than they were seen."""
     vts, j = x.vts[link], 0
-    while j < x.count[link]:
+    while j < x.counts[link]:
         if now - vts[j, LAST] > vts[j, HITS] + 1.0:
-            x.count[link] -= 1
+            x.counts[link] -= 1
             for c in range(WIDTH):
-                vts[j, c] = vts[x.count[link], c]
+                vts[j, c] = vts[x.counts[link], c]
         else:
             j += 1
 
@@ -267,7 +266,7 @@ def drop_dubious(x: Particles, link: int, now: int) -> None:
 def associate(x: Particles, R: Mat3, m: Measured, link: int, assigned: Ints, t: Scratch) -> None:
     """Assign the measurements of a link (n,) to its VTs in reach, numbered as in `t.near`, -1 for none (eq. 35)."""
     rivals = 0
-    for j in range(x.count[link]):
+    for j in range(x.counts[link]):
         if within_reach(x, x.vts[link, j], m, link):
             seen = see(x, R, x.vts[link, j])
             if score(seen, x.P, m, link, t.score[rivals]):
@@ -282,7 +281,7 @@ def use_link(x: Particles, R: Mat3, m: Measured, link: int, association: Ints, t
     """Associate the measurements of a link, update and begin its VTs, and weigh; association (M,): identities."""
     associate(x, R, m, link, association[m.first[link] : m.first[link + 1]], t)
     for k in range(m.first[link], m.first[link + 1]):
-        n, count = association[k], x.count[link]
+        n, count = association[k], x.counts[link]
         association[k] = -1
         if n >= 0:
             row, seen = x.vts[link, t.near[n]], kept(t.seen[n])
@@ -292,7 +291,7 @@ def use_link(x: Particles, R: Mat3, m: Measured, link: int, association: Ints, t
         elif count < x.vts.shape[1]:
             row = x.vts[link, count]
             begin(x, R, row, m.z[k], m.fresh[k])
-            row[IDENT], row[LAST], row[HITS], x.count[link] = m.born + k, m.now, 1.0, count + 1
+            row[IDENT], row[LAST], row[HITS], x.counts[link] = m.born + k, m.now, 1.0, count + 1
 
 
 @inlined
@@ -310,8 +309,8 @@ def learn_constants(x: Particles) -> None:
     x.theta[0], x.theta[1] = x.theta[0] + beta, x.theta[1] + s
     for c in range(4):
         x.r[c] += D[0, c] * beta + D[1, c] * s
-    for link in range(len(x.count)):
-        for j in range(x.count[link]):
+    for link in range(len(x.counts)):
+        for j in range(x.counts[link]):
             row = x.vts[link, j]
             for c in range(3):
                 row[MU + c] += row[G + c] * beta + row[G + 3 + c] * s
@@ -320,13 +319,13 @@ def learn_constants(x: Particles) -> None:
 @inlined
 def use_particle(a: Particles, i: int, m: Measured, u: Floats, dt: float, association: Ints, t: Scratch) -> None:
     """Predict, associate, update and weigh particle i; u (6,) in m/s and rad/s, dt in s, association (M,)."""
-    x = Particles(a.r[i], a.D[i], a.theta[i], a.P[i], a.y[i], a.info[i], a.log_w[i], a.vts[i], a.count[i])
+    x = Particles(a.r[i], a.D[i], a.theta[i], a.P[i], a.y[i], a.info[i], a.log_w[i], a.vts[i], a.counts[i])
     if dt > 0.0:
         predict(x, u, dt)
     R = algebra.rotation(x.r[3], x.r[4], x.r[5])
     x.y[:] = 0.0
     x.info[:] = 0.0
-    for link in range(len(x.count)):
+    for link in range(len(x.counts)):
         drop_dubious(x, link, m.now)
         if m.first[link] < m.first[link + 1]:
             use_link(x, R, m, link, association, t)
@@ -347,8 +346,8 @@ def use_snapshot(x: Particles, m: Measured, u: Floats, dt: float, association: I
 
 @njit(cache=True, parallel=True)
 def copy_maps(vts: Floats, count: Ints, target: Ints, source: Ints) -> None:
-    """Copy the map of each source particle (n,) over that of its target (n,), no source; vts, count as in `Particles`."""
-    # Arrays by themselves: Numba loses what a prange writes into those of a tuple.
+    """Copy the map of each source particle (n,) over that of its target (n,), which is no source."""
+    # The arrays alone: Numba loses what a prange itself writes into arrays of a tuple.
     for n in prange(len(target)):
         for link in range(count.shape[1]):
             some = count[source[n], link]
@@ -415,10 +414,10 @@ class PaperFastSlam:
         if self.options.noise == "white":
             v = replace(v, many=v.single, fresh=v.single, lack=np.zeros(len(looks)))
         whole = np.flatnonzero(np.isfinite(v.z).all(axis=1))
-        z, *columns = (column[whole] for column in (v.z, v.single, v.many, v.fresh, v.lack))
+        z, single, many, fresh, lack = (column[whole] for column in (v.z, v.single, v.many, v.fresh, v.lack))
         z[:, 0] -= self._offset_of[looks.link[whole]]
         first = np.searchsorted(looks.link[whole], np.arange(len(self._offset_of) + 1))
-        return Measured(self._now, self._born, self.options.gate, z, *columns, first), whole
+        return Measured(self._now, self._born, self.options.gate, z, single, many, fresh, lack, first), whole
 
     def _velocities(self, dt_s: float, odometry: Floats) -> Floats:
         """Draw velocities (N, 6) in m/s and rad/s, from which beta and s are not taken yet (eq. 19)."""
@@ -434,7 +433,7 @@ class PaperFastSlam:
         x, P = self._x, self._x.P[:, [[0, 1], [1, 2]]]
         mean, covariance = pose_moments(x.r, w, x.r[best])
         covariance[:4, :4] += np.tensordot(w, np.swapaxes(x.D, 1, 2) @ P @ x.D, 1)
-        link, j = np.nonzero(np.arange(x.vts.shape[2]) < x.count[best][:, None])
+        link, j = np.nonzero(np.arange(x.vts.shape[2]) < x.counts[best][:, None])
         vts = x.vts[best, link, j]
         gain = vts[:, G:IDENT].reshape(-1, 2, 3)
         Sigma = vts[:, SIGMA + UPPER] + np.swapaxes(gain, 1, 2) @ P[best] @ gain
@@ -447,5 +446,5 @@ class PaperFastSlam:
         target, source = np.setdiff1d(np.arange(len(w)), kept), np.repeat(kept, times - 1)
         for of in (*self._x[:7], self._bias, self._scale):
             of[target] = of[source]
-        copy_maps(self._x.vts, self._x.count, target, source)
+        copy_maps(self._x.vts, self._x.counts, target, source)
         self._x.log_w[:] = 0.0
