@@ -128,8 +128,8 @@ def efficiency_ratio(error: Floats, bound: Floats, confidence: float) -> tuple[f
 
 
 def geometric_mean_ratio(first: Floats, second: Floats, confidence: float) -> tuple[float, float, float]:
-    """Return the geometric mean of `first` / `second` (n,), both positive and of one unit, drive by drive, and the ends
-    of its interval: NaN below five drives, the ratio without any."""
+    """Return the geometric mean of `first` / `second` (n,), both positive and of the same unit, drive by drive, and the
+    ends of its interval: NaN below five drives, the ratio without any."""
     logs = np.log(np.asarray(first) / np.asarray(second))
     if not len(logs):
         return float("nan"), float("nan"), float("nan")

@@ -161,7 +161,7 @@ def carried(D: Floats, w: Vec3) -> Mat32:
 
 @inlined
 def see(x: Particles, R: Mat3, row: Floats) -> Seen:
-    """Return z^ = h(mu, r) (eq. 23 to 27), H Sigma, H Sigma H^T and A = H (G - B) of the VT of a row (WIDTH,)."""
+    """Return z^ = h(mu, r), m and rad (eq. 23 to 27), H Sigma, H Sigma H^T and A = H (G - B) of a VT's row (WIDTH,)."""
     w = algebra.vec_minus(algebra.vec_at(row, MU), algebra.vec_at(x.r, 0))
     body, apart = algebra.transposed_vec(R, w), algebra.mat32_minus(algebra.mat32_at(row, G), carried(x.D, w))
     H, h = mat_mat(spherical_jacobian(body), transposed(R)), spherical(body)
@@ -172,8 +172,8 @@ def see(x: Particles, R: Mat3, row: Floats) -> Seen:
 
 @inlined
 def within_reach(x: Particles, row: Floats, m: Measured, link: int) -> bool:
-    """Return whether a measurement of a link has its distance within the gate of the VT of a row (WIDTH,). No component
-    alone has a greater normalised distance than all three, and of most VTs nothing else need be known."""
+    """Return whether a measurement of a link has its distance (m) within the gate of the VT of a row (WIDTH,). No
+    component alone has a greater normalised distance than all three: of most VTs nothing else need be known."""
     P, w = x.P, algebra.vec_minus(algebra.vec_at(row, MU), algebra.vec_at(x.r, 0))
     distance = max(math.sqrt(dot(w, w)), NEAREST_M)
     n, apart = algebra.vec_scaled(w, 1.0 / distance), algebra.mat32_minus(algebra.mat32_at(row, G), carried(x.D, w))
@@ -194,7 +194,7 @@ def innovation(z: Floats, q: Floats, predicted: Vec3, s: Sym3) -> tuple[Vec3, Sy
 
 @inlined
 def score(seen: Seen, P: Floats, m: Measured, link: int, out: Floats) -> bool:
-    """Write into `out` by how much e^T (S + A P A^T)^-1 e of each measurement is within the gate; return if any is."""
+    """Write (M + 1,) without unit by how much e^T (S + A P A^T)^-1 e is within the gate, return if any is (eq. 35)."""
     found, start, spread = False, m.first[link], algebra.sym_plus(seen.spread, algebra.congruence32(seen.A, P))
     for k in range(start, m.first[link + 1]):
         (e, S), within = innovation(m.z[k], m.single[k], seen.z, spread), -1.0
@@ -219,7 +219,7 @@ def keep(seen: Seen, a: Floats) -> None:
 
 @inlined
 def kept(a: Floats) -> Seen:
-    """Return what `keep` has kept in `a` (24,)."""
+    """Return what `keep` has kept in `a` (24,), in m and rad."""
     return Seen(algebra.vec_at(a, 0), algebra.mat_at(a, 3), algebra.sym_at(a, 12), algebra.mat32_at(a, 18))
 
 
@@ -346,7 +346,7 @@ def use_snapshot(x: Particles, m: Measured, u: Floats, dt: float, association: I
 
 @njit(cache=True, parallel=True)
 def copy_maps(vts: Floats, count: Ints, target: Ints, source: Ints) -> None:
-    """Copy the map of each source particle (n,) over that of its target (n,), which is no source."""
+    """Copy the map (rows) of each source particle (n,) over that of its target (n,), which is no source."""
     # The arrays alone: Numba loses what a prange itself writes into arrays of a tuple.
     for n in prange(len(target)):
         for link in range(count.shape[1]):
