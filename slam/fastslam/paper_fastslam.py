@@ -30,8 +30,8 @@ With P = 0 this is the paper's filter to the letter.
 
 Assumed, where the paper is silent. The clock offset of a site (eq. 5) is the mean of its prior: given where
 `radio.clock_offset_std_m` is 0, ignored otherwise. A VT that was unseen for more snapshots than it was seen is dropped
-(the counter of Thrun, Burgard and Fox, "Probabilistic Robotics", 2005, table 13.3). Variances are those of the front
-end on the whole, every error taken for white. Nothing in the weights speaks of clutter or of missed detections.
+(as by the counter of Thrun, Burgard and Fox, "Probabilistic Robotics", 2005, chapter 13), and none begins where there
+is no room. Every error is taken for white, of the variance that the front end has on the whole. No clutter, no misses.
 
 Sources: Chen, Whiton and Tufvesson, "Extended FastSLAM using cellular multipath component delays and angular
 information", sections III and IV; theta: Schoen, Gustafsson and Nordlund, "Marginalized particle filters for mixed
@@ -442,8 +442,8 @@ class PaperFastSlam:
 
     def _resample(self, w: Floats) -> None:
         """Copy likely particles over unlikely ones, by weights (N,) that sum to 1."""
-        kept, times = np.unique(systematic(w, len(w), self._rng), return_counts=True)
-        target, source = np.setdiff1d(np.arange(len(w)), kept), np.repeat(kept, times - 1)
+        alive, times = np.unique(systematic(w, len(w), self._rng), return_counts=True)
+        target, source = np.setdiff1d(np.arange(len(w)), alive), np.repeat(alive, times - 1)
         for of in (*self._x[:7], self._bias, self._scale):
             of[target] = of[source]
         copy_maps(self._x.vts, self._x.counts, target, source)
