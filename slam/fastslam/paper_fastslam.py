@@ -17,7 +17,7 @@ to world, so that eq. 27 has its transpose; S with H Sigma H^T (eq. 33 has H^T S
 of one over the SNR lambda (eq. 34 has a product).
 
 What the paper lacks: theta = (beta, s), the constant bias of the yaw rate and the scale error of the odometer. Sampled
-(`motion="sampled"`: as printed), theta is drawn at the start as part of the path, and soon no particle is near the
+(`motion="sampled"`: as printed, P = 0), theta is drawn at the start with the path, and soon no particle is near the
 truth. Marginalised, theta ~ N(theta^, P) in each particle; with D = dr/dtheta, G = dmu/dtheta, A = dz^/dtheta =
 H (G - B), where B says how theta moves a point that is fixed in the vehicle's frame:
     predict     D by the chain rule
@@ -26,7 +26,6 @@ H (G - B), where B says how theta moves a point that is fixed in the vehicle's f
                 P <- (P^-1 + I)^-1,  theta^ <- theta^ + P y,  r and all mu follow by D and G
     begin       G = B
     weigh       w <- w |1 + I P|^(-1/2) exp(y^T (P^-1 + I)^-1 y / 2): jointly exact where the model is linear
-With P = 0 this is the paper's filter to the letter.
 
 Assumed, where the paper is silent. The clock offset of a site (eq. 5) is the mean of its prior: given where
 `radio.clock_offset_std_m` is 0, ignored otherwise. A VT that was unseen for more snapshots than it was seen is dropped
@@ -65,11 +64,11 @@ from cellslam.slam.model.pose_moments import pose_moments
 from cellslam.slam.model.resampling import systematic
 
 FORWARD, YAW = 0, 3  # of u: what s and beta belong to
-# A VT's row: mu (3), Sigma (6), G by columns (6); identity, snapshot in which it was last seen, in how many it was.
-MU, SIGMA, G, IDENT, LAST, HITS, WIDTH = 0, 3, 9, 15, 16, 17, 18
+# A VT's row: mu (3); snapshot in which it was last seen, in how many it was, identity; G by columns (6), Sigma (6).
+MU, LAST, HITS, IDENT, G, SIGMA, WIDTH = 0, 3, 4, 5, 6, 12, 18
 UPPER = np.array([[0, 1, 2], [1, 3, 4], [2, 4, 5]])  # where an upper triangle has the entries of its matrix
 VTS, LEAST_VTS = 192, 16  # that there is room for in a particle, and for a link at least
-NEAREST_M = 1.0  # a VT begins no nearer
+NEAREST_M, FAR_M = 1.0, 60.0  # a VT begins no nearer; out of the gate whatever the spread
 CHUNK = 16  # particles that share scratch memory
 # To call these small functions with many arguments would cost more than what they do.
 inlined = lean(forceinline=True, error_model="numpy", fastmath={"contract", "arcp", "nsz"})
@@ -175,14 +174,15 @@ def within_reach(x: Particles, row: Floats, m: Measured, link: int) -> bool:
     """Return whether a measurement of a link has its distance (m) within the gate of the VT of a row (WIDTH,). No
     component alone has a greater normalised distance than all three: of most VTs nothing else need be known."""
     P, w = x.P, algebra.vec_minus(algebra.vec_at(row, MU), algebra.vec_at(x.r, 0))
-    distance = max(math.sqrt(dot(w, w)), NEAREST_M)
+    distance, least = max(math.sqrt(dot(w, w)), NEAREST_M), FAR_M**2
+    for k in range(m.first[link], m.first[link + 1]):
+        least = min(least, (m.z[k, 0] - distance) ** 2 - m.gate * m.single[k, 0])
+    if least == FAR_M**2:
+        return False
     n, apart = algebra.vec_scaled(w, 1.0 / distance), algebra.mat32_minus(algebra.mat32_at(row, G), carried(x.D, w))
     b, s = dot(n, apart.a), dot(n, apart.b)
     spread = algebra.quadratic(algebra.sym_at(row, SIGMA), n) + b * b * P[0] + 2.0 * b * s * P[1] + s * s * P[2]
-    near = False
-    for k in range(m.first[link], m.first[link + 1]):
-        near = near or (m.z[k, 0] - distance) ** 2 < m.gate * (spread + m.single[k, 0])
-    return near
+    return bool(least < m.gate * spread)
 
 
 @inlined
@@ -375,19 +375,18 @@ class PaperFastSlam:
         """Draw poses and errors of the odometry."""
         o, model, self._rng = self.options, setup.odometry_model, rng
         self._grouping = Grouping(setup, FrontEndOptions(sharing=o.sharing))
-        links = self._grouping.setup.links
+        links, N = self._grouping.setup.links, o.particles
         self._model, self._port, self._now, self._born = model, ports_of(links.site, links.port), 0, 0
         self._offset_of = np.array(setup.sites.clock_offset_mean_m[links.site], np.float64)
-        N, L = o.particles, len(links)
         r = setup.start_pose + setup.start_std * rng.standard_normal((N, 6))
         self._bias, self._scale = model.bias * rng.standard_normal((N, 6)), model.scale * rng.standard_normal((N, 6))
         theta, P = np.stack([self._bias[:, YAW], self._scale[:, FORWARD]], axis=1), np.zeros((N, 3))
         self._bias[:, YAW] = self._scale[:, FORWARD] = 0.0
         if o.motion == "marginalised":
             theta[:], P[:] = 0.0, [model.bias[YAW] ** 2, 0.0, model.scale[FORWARD] ** 2]
-        maps = np.zeros((N, L, max(VTS // max(L, 1), LEAST_VTS), WIDTH)), np.zeros((N, L), np.int64)
+        counts, room = np.zeros((N, len(links)), np.int64), max(VTS // max(len(links), 1), LEAST_VTS)
         sums = np.zeros((N, 2)), np.zeros((N, 3)), np.zeros((N, 1))
-        self._x = Particles(r, np.zeros((N, 2, 4)), theta, P, *sums, *maps)
+        self._x = Particles(r, np.zeros((N, 2, 4)), theta, P, *sums, np.zeros((*counts.shape, room, WIDTH)), counts)
 
     def step(self, dt_s: float, odometry: Floats, snapshot: Snapshot) -> Estimate:
         """Predict, associate, update, weigh and resample.
@@ -430,14 +429,15 @@ class PaperFastSlam:
 
     def _estimate(self, w: Floats, best: int, association: Ints) -> Estimate:
         """Return mean and covariance over the particles, and the map of the best one."""
-        x, P = self._x, self._x.P[:, [[0, 1], [1, 2]]]
+        x, P, (beta, s) = self._x, self._x.P[best, [[0, 1], [1, 2]]], np.swapaxes(self._x.D, 0, 1)
         mean, covariance = pose_moments(x.r, w, x.r[best])
-        covariance[:4, :4] += np.tensordot(w, np.swapaxes(x.D, 1, 2) @ P @ x.D, 1)
+        bb, bs, ss = (w * x.P.T)[..., None]
+        covariance[:4, :4] += (bb * beta).T @ beta + (bs * beta).T @ s + (bs * s).T @ beta + (ss * s).T @ s
         link, j = np.nonzero(np.arange(x.vts.shape[2]) < x.counts[best][:, None])
         vts = x.vts[best, link, j]
-        gain = vts[:, G:IDENT].reshape(-1, 2, 3)
-        Sigma = vts[:, SIGMA + UPPER] + np.swapaxes(gain, 1, 2) @ P[best] @ gain
-        found = VtEstimate(vts[:, IDENT].astype(np.int64), link, vts[:, MU:SIGMA], Sigma)
+        gain = vts[:, G:SIGMA].reshape(-1, 2, 3)
+        Sigma = vts[:, SIGMA + UPPER] + np.swapaxes(gain, 1, 2) @ P @ gain
+        found = VtEstimate(vts[:, IDENT].astype(np.int64), link, vts[:, MU:LAST], Sigma)
         return Estimate(mean, covariance, association, vts=found)
 
     def _resample(self, w: Floats) -> None:

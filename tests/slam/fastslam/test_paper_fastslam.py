@@ -65,11 +65,11 @@ def upper(matrix: Floats) -> Floats:
 
 
 def a_row(mu: Floats, Sigma: Floats, gain: Floats) -> Floats:
-    return np.concatenate([mu, upper(Sigma), gain.T.ravel(), np.zeros(WIDTH - IDENT)])
+    return np.concatenate([mu, np.zeros(G - LAST), gain.T.ravel(), upper(Sigma)])
 
 
 def parts(row: Floats) -> tuple[Floats, Floats, Floats]:
-    return row[MU:SIGMA], row[SIGMA + UPPER], row[G:IDENT].reshape(2, 3).T
+    return row[MU:LAST], row[SIGMA + UPPER], row[G:SIGMA].reshape(2, 3).T
 
 
 def a_particle(P: Floats | None = None, rows: tuple[Floats, ...] = (), links: int = 1) -> Particles:
