@@ -65,8 +65,8 @@ BUILT_IN = (
     ),
     Listed(
         "paper-fastslam",
-        "cellslam.slam.fastslam.paper.paper_fastslam:PaperFastSlam",
-        "the paper's FastSLAM as printed: bare Mahalanobis association, no clutter, clock offsets given or ignored",
+        "cellslam.slam.fastslam.paper_fastslam:PaperFastSlam",
+        "the paper's FastSLAM: bare Mahalanobis association, no clutter; yaw-rate bias and odometer scale marginalised",
     ),
     Listed(
         "bp-slam",

@@ -44,7 +44,7 @@ SECTIONS = {
         "reproduce": Command(
             "reproduce",
             "the published figures of a known world of others, beside one's own",
-            ("reproduce bp-slam-testbed --trials 5",),
+            ("reproduce paper --seed 1", "reproduce bp-slam-testbed --trials 5"),
         ),
         "check-estimator": Command(
             "check_estimator",

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import sys
 from argparse import ArgumentParser, Namespace
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -15,25 +16,27 @@ from rich.table import Table
 
 from cellslam.benchmarks.cli.arguments import DONE, FAILED, add_seed, add_work, whole
 from cellslam.benchmarks.cli.sweep import carry_plan
-from cellslam.benchmarks.scores.statistics import interval, statistic
+from cellslam.benchmarks.scores.statistics import geometric_mean_ratio, interval, statistic
 from cellslam.benchmarks.sweeps.rows import results
-from cellslam.benchmarks.sweeps.tasks import plan_known
+from cellslam.benchmarks.sweeps.tasks import Plan, asked_by, plan_known
 from cellslam.benchmarks.trials.trials import check_counts
 from cellslam.scenarios.known_worlds import NAMES, known_world
 
 if TYPE_CHECKING:
     import pandas as pd
 
-    from cellslam.scenarios.known_worlds.known_world import Figure, KnownWorld
+    from cellslam.scenarios.known_worlds.known_world import Entry, Figure, KnownWorld
 
 CONFIDENCE = 0.95
+WORTH = "position_rmse_m"  # key of a trial's row by which the rungs of a ladder are compared
+DRAWN = ("map", "error", "associations")
 _WIDTH = 120
 
 
 def add_arguments(parser: ArgumentParser) -> None:
     """Add the arguments of this command."""
     parser.add_argument("name", metavar="NAME", help=f"the known world: {', '.join(NAMES)}")
-    trials_help = "runs of each estimator, trials 0 to N-1 (default: as many as were published)"
+    trials_help = "runs of each estimator, trials 0 to N-1 (default: as many as were published; 40 of paper)"
     parser.add_argument("--trials", metavar="N", type=whole, help=trials_help)
     add_seed(parser, 0, "root seed of all random draws (default: 0)")
     out_help = "folder of the results; one that exists is resumed (default: results/NAME-SEED)"
@@ -48,21 +51,19 @@ def command(arguments: Namespace) -> int:
     check_counts(trials, arguments.seed)
     out = Path(arguments.out or f"results/{world.name}-{arguments.seed}")
     made = plan_known(world, trials, arguments.seed, not arguments.no_trajectories)
-    names = {
-        (task.world, job.estimator, job.options): entry.name
-        for task in made.tasks[:1]
-        for job, entry in zip(task.jobs, world.entries, strict=True)
-    }
+    names = {asked_by(world, entry): entry.name for entry in (*world.ladder, *world.entries)}
     status = carry_plan(arguments, made, world.name, names, out)
     if status not in (DONE, FAILED) or arguments.dry_run:
         return status
-    rows = results(out, ["key", "status", *(figure.key for figure in world.figures)])
-    keys = [[task.jobs[i].key for task in made.tasks] for i in range(len(world.entries))]
-    tables = [rows[rows["key"].isin(own) & (rows["status"] == "ok")] for own in keys]
+    tables, rungs = (_rows(out, world, made, entries) for entries in (world.entries, world.ladder))
     console = Console(width=None if sys.stdout.isatty() else _WIDTH)
     console.print(escape(f"{world.title}\n{world.source}"), highlight=False)
     console.print(comparison(world, tables))
+    if rungs:
+        console.print(ladder(world, rungs))
     console.print("\n".join(f"- {escape(text)}" for text in ("What differs:", *world.differences))[2:], highlight=False)
+    if world.city is not None:
+        _draw(world, arguments.seed, out / "figures")
     return status
 
 
@@ -80,6 +81,35 @@ def comparison(world: KnownWorld, tables: list[pd.DataFrame]) -> Table:
     return table
 
 
+def ladder(world: KnownWorld, tables: list[pd.DataFrame]) -> Table:
+    """Return the figures of each rung, and by what its position RMSE is multiplied from the rung before.
+
+    That is the geometric mean of the ratios over the runs that both have, with its interval.
+    """
+    table = Table(box=box.SIMPLE_HEAD, pad_edge=False)
+    table.add_column("one change at a time", no_wrap=True)
+    for name in (*(f"{figure.name}, {figure.unit}" for figure in world.figures), "RMSE times", "95 % interval", "runs"):
+        table.add_column(name, justify="right")
+    before: pd.DataFrame | None = None
+    for entry, rows in zip(world.ladder, tables, strict=True):
+        own = [_own(figure, rows)[0] for figure in world.figures]
+        table.add_row(entry.name, *own, *(("-", "-") if before is None else _worth(before, rows)), str(len(rows)))
+        before = rows
+    return table
+
+
+def _rows(out: Path, world: KnownWorld, made: Plan, entries: Sequence[Entry]) -> list[pd.DataFrame]:
+    """Return the rows of each entry that a plan has and that did not fail."""
+    columns = dict.fromkeys(("key", "status", "trial", WORTH, *(figure.key for figure in world.figures)))
+    rows = results(out, list(columns))
+    keys: dict[tuple[str, str, str], list[str]] = {}
+    for task in made.tasks:
+        for job in task.jobs:
+            keys.setdefault((task.world, job.estimator, job.options), []).append(job.key)
+    fine = rows[rows["status"] == "ok"]
+    return [fine[fine["key"].isin(keys[asked_by(world, entry)])] for entry in entries]
+
+
 def _own(figure: Figure, rows: pd.DataFrame) -> tuple[str, str, str]:
     values = figure.scale * rows[figure.key].dropna().to_numpy(np.float64)
     if not len(values):
@@ -88,3 +118,27 @@ def _own(figure: Figure, rows: pd.DataFrame) -> tuple[str, str, str]:
     low, high = interval(values, of, CONFIDENCE)
     between = "-" if np.isnan(low) else f"{low:.2f} to {high:.2f}"
     return f"{float(of.of(values)):.2f}", between, str(len(values))
+
+
+def _worth(before: pd.DataFrame, after: pd.DataFrame) -> tuple[str, str]:
+    pairs = before.merge(after, on="trial", suffixes=("_before", "_after"))
+    first, second = (pairs[f"{WORTH}_{when}"].to_numpy(np.float64) for when in ("after", "before"))
+    ratio, low, high = geometric_mean_ratio(first, second, CONFIDENCE)
+    between = "-" if np.isnan(low) else f"{low:.2f} to {high:.2f}"
+    return "-" if np.isnan(ratio) else f"{ratio:.2f}", between
+
+
+def _draw(world: KnownWorld, seed: int, out: Path) -> None:
+    """Draw the figures of the first run, those of its entries, unless they are there."""
+    from cellslam.benchmarks.figures.trial.trial_figures import draw_all
+    from cellslam.benchmarks.trials.trials import score_trial
+    from cellslam.scenarios.estimator_options import loaded
+
+    if world.city is None or all((out / f"{name}.png").is_file() for name in DRAWN):
+        return
+    requests = [loaded(entry.estimator, entry.options) for entry in world.entries]
+    drive, outcomes = score_trial(lambda: world.simulate(seed, 0), world.name, requests, 0, seed, bounded=False)
+    found = {outcome.row["estimator"]: outcome.result for outcome in outcomes if outcome.result is not None}
+    if drive.recording is not None and found:
+        draw_all(world.city(seed, 0), drive.recording, found, None, out, names=DRAWN)
+        sys.stderr.write(f"figures of the first run are in {out}: {', '.join(DRAWN)}\n")

@@ -127,6 +127,16 @@ def efficiency_ratio(error: Floats, bound: Floats, confidence: float) -> tuple[f
     return (ratio, float("nan"), float("nan")) if few else (ratio, *_root_ratio(squares, least, confidence))
 
 
+def geometric_mean_ratio(first: Floats, second: Floats, confidence: float) -> tuple[float, float, float]:
+    """Return the geometric mean of `first` / `second` (n,), both positive and of the same unit, drive by drive, and the
+    ends of its interval: NaN below five drives, the ratio without any."""
+    logs = np.log(np.asarray(first) / np.asarray(second))
+    if not len(logs):
+        return float("nan"), float("nan"), float("nan")
+    low, high = interval(logs, statistic("mean"), confidence)
+    return math.exp(float(np.mean(logs))), math.exp(low), math.exp(high)
+
+
 def paired(first: Floats, second: Floats, confidence: float = 0.95) -> Paired:
     """Return how `first` (n,) differs from `second` (n,), of the same unit, trial by trial."""
     difference = np.asarray(first) - np.asarray(second)

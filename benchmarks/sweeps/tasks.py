@@ -21,12 +21,12 @@ from cellslam.slam import registry
 if TYPE_CHECKING:
     from cellslam.benchmarks.trials.guests import Guests
     from cellslam.benchmarks.trials.trials import Drive, Outcome
-    from cellslam.scenarios.known_worlds.known_world import KnownWorld
+    from cellslam.scenarios.known_worlds.known_world import Entry, KnownWorld
     from cellslam.scenarios.scenario import Scenario
     from cellslam.sim.recording import Recording
 
 KEY_LENGTH = 32
-KNOWN = "known_world"  # key of a world that is one of others
+KNOWN, CHANGED = "known_world", "overrides"  # keys of a world that is one of others, and of what is changed in it
 Asked = dict[str, dict[tuple[str, str], bool]]
 
 
@@ -129,11 +129,20 @@ def plan(points: Sequence[Point], trials: int | Sequence[int], seed: int, trajec
 
 
 def plan_known(world: KnownWorld, trials: int, seed: int, trajectories: bool = True) -> Plan:
-    """Return the tasks of a known world of others: all its entries in every trial."""
-    requests = [loaded(entry.estimator, entry.options) for entry in world.entries]
-    asked = {(request.name, options_json(request)): request.oracle for request in requests}
-    text = canonical({"name": world.name, KNOWN: world.name})
-    return _planned({text: asked}, {text: trials}, seed, trajectories, trial_by_trial=True)
+    """Return the tasks of a known world of others: all its entries, those of its ladder too, in every trial."""
+    jobs: Asked = {}
+    for entry in (*world.entries, *world.ladder):
+        text, name, options = asked_by(world, entry)
+        oracle = loaded(entry.estimator, entry.options).oracle
+        jobs.setdefault(text, {})[name, options] = oracle
+    return _planned(jobs, dict.fromkeys(jobs, trials), seed, trajectories, trial_by_trial=True)
+
+
+def asked_by(world: KnownWorld, entry: Entry) -> tuple[str, str, str]:
+    """Return what an entry of a known world asks for: the world as JSON, the estimator, its options as JSON."""
+    changed = {CHANGED: dict(entry.overrides)} if entry.overrides else {}
+    text = canonical({"name": world.name, KNOWN: world.name, **changed})
+    return text, entry.estimator, options_json(loaded(entry.estimator, entry.options))
 
 
 def _planned(jobs: Asked, trials: Mapping[str, int], seed: int, trajectories: bool, trial_by_trial: bool) -> Plan:
@@ -237,7 +246,8 @@ def recording_of(task: Task) -> Recording:
     from cellslam.scenarios.simulation import simulate
 
     if is_known(task.world):
-        return known_world(json.loads(task.world)[KNOWN]).simulate(task.seed, task.trial)
+        tables = json.loads(task.world)
+        return known_world(tables[KNOWN]).simulate(task.seed, task.trial, **tables.get(CHANGED, {}))
     return simulate(scenario_of(task.world), task.seed, task.trial)
 
 

@@ -4,12 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from cellslam.sim.recording import Floats, Ints, Links, Measurements, Recording, Truth, VirtualTransmitters
 from cellslam.slam.front_end.front_end_options import NOTHING_PERSISTS
+
+if TYPE_CHECKING:
+    from cellslam.sim.city import City
 
 # Every error is white, and nothing moves the array but the vehicle.
 WHITE = NOTHING_PERSISTS | {
@@ -31,27 +34,37 @@ class Figure:
 
 @dataclass(frozen=True)
 class Entry:
-    """A line of a table: an estimator with options, and the published value of each figure by name."""
+    """A line of a table: an estimator with options, and the published value of each figure by name.
+
+    `overrides`: what is changed in the world, by dotted key, where it is a preset.
+    """
 
     name: str
     estimator: str
     options: Mapping[str, Any]
     published: Mapping[str, float] = field(default_factory=dict)
+    overrides: Mapping[str, Any] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
 class KnownWorld:
     """A world of others by name; `simulate` makes the recording of a root seed and trial, the published number of runs
-    is `trials`; `differences` are sentences."""
+    is `trials`; `differences` are sentences.
+
+    `ladder`: entries each of which changes one thing of the entry before. `city`: that of a root seed and trial, for
+    the figures of the first run; None: no figures are drawn.
+    """
 
     name: str
     title: str
     source: str
-    simulate: Callable[[int, int], Recording]
+    simulate: Callable[..., Recording]
     figures: tuple[Figure, ...]
     entries: tuple[Entry, ...]
     trials: int
     differences: tuple[str, ...]
+    ladder: tuple[Entry, ...] = ()
+    city: Callable[[int, int], City | None] | None = None
 
 
 @dataclass(frozen=True)

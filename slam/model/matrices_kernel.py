@@ -206,6 +206,15 @@ def sym_scaled(s: Sym3, x: Any) -> Sym3:
 
 
 @njit
+def outer_sum(a: Vec3, b: Vec3) -> Sym3:
+    """Return a b^T + b a^T."""
+    return Sym3(
+        2.0 * a.x * b.x, a.x * b.y + a.y * b.x, a.x * b.z + a.z * b.x,
+        2.0 * a.y * b.y, a.y * b.z + a.z * b.y, 2.0 * a.z * b.z,
+    )  # fmt: skip
+
+
+@njit
 def rotation(psi: Any, theta: Any, phi: Any) -> Mat3:
     """Return Rz(psi) Ry(theta) Rx(phi), which takes body to world vectors; quickly where pitch and roll are zero."""
     cp, sp, ct, st, cr, sr = math.cos(psi), math.sin(psi), 1.0, 0.0, 1.0, 0.0
@@ -312,3 +321,79 @@ def put_sym(out: Any, s: Sym3) -> None:
     out[0, 1] = out[1, 0] = s.xy
     out[0, 2] = out[2, 0] = s.xz
     out[1, 2] = out[2, 1] = s.yz
+
+
+class Mat32(NamedTuple):
+    """A 3 x 2 matrix: its columns."""
+
+    a: Vec3
+    b: Vec3
+
+
+@njit
+def mat32_minus(m: Mat32, n: Mat32) -> Mat32:
+    """Return m - n."""
+    return Mat32(vec_minus(m.a, n.a), vec_minus(m.b, n.b))
+
+
+@njit
+def mat_mat32(m: Mat3, n: Mat32) -> Mat32:
+    """Return m n."""
+    return Mat32(mat_vec(m, n.a), mat_vec(m, n.b))
+
+
+@njit
+def congruence32(m: Mat32, p: Any) -> Sym3:
+    """Return m P m^T; p (3,): the upper triangle of P."""
+    crossed: Sym3 = sym_scaled(outer_sum(m.a, m.b), p[1])
+    return sym_plus(crossed, sym_plus(sym_scaled(outer(m.a), p[0]), sym_scaled(outer(m.b), p[2])))
+
+
+@njit
+def vec_at(a: Any, i: int) -> Vec3:
+    """Return three neighbours in an array (n,), from i on, as a vector."""
+    return Vec3(a[i], a[i + 1], a[i + 2])
+
+
+@njit
+def put_vec_at(a: Any, i: int, v: Vec3) -> None:
+    """Write a vector into an array (n,), from i on."""
+    a[i], a[i + 1], a[i + 2] = v.x, v.y, v.z
+
+
+@njit
+def sym_at(a: Any, i: int) -> Sym3:
+    """Return six neighbours in an array (n,), from i on, as the upper triangle of a symmetric matrix."""
+    return Sym3(a[i], a[i + 1], a[i + 2], a[i + 3], a[i + 4], a[i + 5])
+
+
+@njit
+def put_sym_at(a: Any, i: int, s: Sym3) -> None:
+    """Write the upper triangle of a symmetric matrix into an array (n,), from i on."""
+    a[i], a[i + 1], a[i + 2], a[i + 3], a[i + 4], a[i + 5] = s.xx, s.xy, s.xz, s.yy, s.yz, s.zz
+
+
+@njit
+def mat_at(a: Any, i: int) -> Mat3:
+    """Return nine neighbours in an array (n,), from i on, as a matrix by rows."""
+    return Mat3(a[i], a[i + 1], a[i + 2], a[i + 3], a[i + 4], a[i + 5], a[i + 6], a[i + 7], a[i + 8])
+
+
+@njit
+def put_mat_at(a: Any, i: int, m: Mat3) -> None:
+    """Write a matrix by rows into an array (n,), from i on."""
+    a[i], a[i + 1], a[i + 2], a[i + 3], a[i + 4], a[i + 5] = m.xx, m.xy, m.xz, m.yx, m.yy, m.yz
+    a[i + 6], a[i + 7], a[i + 8] = m.zx, m.zy, m.zz
+
+
+@njit
+def mat32_at(a: Any, i: int) -> Mat32:
+    """Return six neighbours in an array (n,), from i on, as a matrix by columns."""
+    return Mat32(vec_at(a, i), vec_at(a, i + 3))
+
+
+@njit
+def put_mat32_at(a: Any, i: int, m: Mat32) -> None:
+    """Write a matrix by columns into an array (n,), from i on."""
+    put_vec_at(a, i, m.a)
+    put_vec_at(a, i + 3, m.b)

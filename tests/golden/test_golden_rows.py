@@ -42,7 +42,9 @@ def test_every_estimator_is_stored() -> None:
 def test_no_estimator_is_another_one_under_a_second_name(one: str, other: str) -> None:
     """While clock offsets are wide FastSLAM is the joint filter; it is another one where they are known."""
     keys = ("position_rmse_m", "position_max_m", "nees_mean")
-    rows = [[STORED["rows"][f"{drive} {name}"][key] for drive in GOLDEN.DRIVES for key in keys] for name in (one, other)]
+    rows = [
+        [STORED["rows"][f"{drive} {name}"][key] for drive in GOLDEN.DRIVES for key in keys] for name in (one, other)
+    ]
     assert rows[0] != rows[1]
 
 

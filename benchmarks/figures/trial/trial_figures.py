@@ -58,16 +58,18 @@ def draw_all(
     out_dir: str | Path,
     progress: Progress = silent,
     formats: Sequence[str] = ("png",),
+    names: Sequence[str] | None = None,
 ) -> list[Path]:
     """Draw every figure that applies, write each as `out_dir`/NAME.FORMAT, and return the paths written.
 
-    `formats`: what matplotlib writes, such as png and pdf.
+    `formats`: what matplotlib writes, such as png and pdf. `names`: of the figures to draw (None: all).
     """
     from matplotlib.figure import Figure
 
     from cellslam.benchmarks.figures import style
 
     every = drawings(city, recording, results, bound)
+    every = every if names is None else {name: every[name] for name in names}
     folder, written = Path(out_dir), []
     folder.mkdir(parents=True, exist_ok=True)
     with style.context(), progress("figures", len(every)) as advance:

@@ -1,1 +1,0 @@
-"""The paper's FastSLAM as printed, without this project's corrections."""
