@@ -411,11 +411,12 @@ class PaperFastSlam:
         """Return the whole measurements of a snapshot, and which are (M,); moved (6,) since the last one."""
         v = readings(looks, self._port, self._grouping.options, moved[YAW], moved[FORWARD])
         if self.options.noise == "white":
-            v = replace(v, many=v.single, fresh=v.single, lack=np.zeros(len(looks)))
+            v = replace(v, many=v.single, fresh=v.single)
         whole = np.flatnonzero(np.isfinite(v.z).all(axis=1))
-        z, single, many, fresh, lack = (column[whole] for column in (v.z, v.single, v.many, v.fresh, v.lack))
+        z, single, many, fresh = (column[whole] for column in (v.z, v.single, v.many, v.fresh))
         z[:, 0] -= self._offset_of[looks.link[whole]]
         first = np.searchsorted(looks.link[whole], np.arange(len(self._offset_of) + 1))
+        lack = 0.5 * np.log(many / single).sum(axis=1)
         return Measured(self._now, self._born, self.options.gate, z, single, many, fresh, lack, first), whole
 
     def _velocities(self, dt_s: float, odometry: Floats) -> Floats:
