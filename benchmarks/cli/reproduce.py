@@ -89,7 +89,7 @@ def ladder(world: KnownWorld, tables: list[pd.DataFrame]) -> Table:
     table = Table(box=box.SIMPLE_HEAD, pad_edge=False)
     table.add_column("one change at a time", no_wrap=True)
     for name in (*(f"{figure.name}, {figure.unit}" for figure in world.figures), "RMSE times", "95 % interval", "runs"):
-        table.add_column(name, justify="right")
+        table.add_column(name, justify="right", no_wrap=name.endswith("interval"))
     before: pd.DataFrame | None = None
     for entry, rows in zip(world.ladder, tables, strict=True):
         own = [_own(figure, rows)[0] for figure in world.figures]

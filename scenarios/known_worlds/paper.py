@@ -68,9 +68,9 @@ WORLD = KnownWorld(
     # Each rung changes one thing of the rung before.
     ladder=(
         _rung("the paper's filter, as printed", motion="sampled"),
-        _rung("+ yaw-rate bias and odometer scale marginalised"),
-        _rung("+ measurements of a site's links fused", sharing="site"),
-        _rung("+ variances raised for errors that persist", sharing="site", noise="persisting"),
+        _rung("+ odometry's constants marginalised"),
+        _rung("+ a site's links fused", sharing="site"),
+        _rung("+ variances raised for lasting errors", sharing="site", noise="persisting"),
     ),
     city=city,
 )  # fmt: skip
