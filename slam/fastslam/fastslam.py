@@ -2,7 +2,7 @@
 
 State
     x in R^n   pose, odometry biases and scales, clock offsets, errors of the array, virtual transmitters (VTs): the
-               state of the joint EKF (`slam/ekf_slam`), about which this filter shares models and linearisation
+               state of the joint EKF (`slam/ekf_slam`), with which this filter shares its models and linearisation
     u_k in R^d what the odometry's white noise sums up to in block k of snapshots, some 0.6 s long: a particle is a
                path, the sequence of its draws of u_1, u_2, ...
     Given the path x is Gaussian. F, H and R hardly depend on which path it is, so N particles share one covariance
@@ -93,6 +93,7 @@ from cellslam.slam.fastslam.parts import (
 YAW = 3
 FEWEST = 10  # particles of a group: three of them do not hold a path
 TINY = 1e-12  # of a variance: as good as none
+SPARE_ROWS = 16  # beside three for each VT: those of the noise that is drawn, and what the kernels pad with
 DROPPED = 0.0  # share of a VT in the map that makes the joint filter drop it
 
 
@@ -136,8 +137,8 @@ class FastSlam(JointFilter):
         component of a start heading that only a map, or sites whose place is known, can tell."""
         setup, o = self._setup, self.options
         width, std = math.radians(o.heading_component_deg), float(setup.start_std[3])
-        told = setup.map is not None or setup.sites.position_m is not None
-        if len(offsets_m) > 1 or not told or std <= width:
+        observable = setup.map is not None or setup.sites.position_m is not None
+        if len(offsets_m) > 1 or not observable or std <= width:
             super()._join(offsets_m)
             return
         headings, log_shares, width = components(std, width, o.component_step)
@@ -354,7 +355,7 @@ class FastSlam(JointFilter):
             w is None or len(w.pending.added) != len(f.x) or w.pairs.score.shape[0] != len(f.slots)
             or w.pairs.score.shape[1] < most or w.pending.whitened.shape[1] != len(f.weight)
         ):  # fmt: skip
-            w = self._room = room_for(f, 2 * most + 8, 3 * len(f.slots) + 6)
+            w = self._room = room_for(f, 2 * most + 8, 3 * len(f.slots) + SPARE_ROWS)
         return w
 
 
