@@ -37,7 +37,6 @@ component delays and angular information", sections III and IV.
 
 from __future__ import annotations
 
-import math
 from pathlib import Path
 from typing import Any, ClassVar, Self
 
@@ -53,7 +52,6 @@ from cellslam.slam.ekf_slam.ekf_slam import JointFilter
 from cellslam.slam.ekf_slam.snapshot.association_kernel import FRESH, TAKEN
 from cellslam.slam.ekf_slam.snapshot.motion_kernel import NOTHING_DRAWN, Interval
 from cellslam.slam.ekf_slam.snapshot.snapshot_kernel import Room
-from cellslam.slam.ekf_slam.start import components
 from cellslam.slam.ekf_slam.state.layout import (
     HITS,
     LAST,
@@ -90,7 +88,6 @@ from cellslam.slam.fastslam.parts import (
     returned,
 )
 
-YAW = 3
 FEWEST = 10  # particles of a group: three of them do not hold a path
 TINY = 1e-12  # of a variance: as good as none
 SPARE_ROWS = 16  # beside three for each VT: those of the noise that is drawn, and what the kernels pad with
@@ -131,24 +128,6 @@ class FastSlam(JointFilter):
         self._rng, self._block = rng, 0
         self._room: Room | None = None
         super().start(setup, rng)
-
-    def _join(self, offsets_m: Floats) -> None:
-        """Begin the groups: one for each combination of clock offsets (K, S) or, where these are known, for each
-        component of a start heading that only a map, or sites whose place is known, can tell."""
-        setup, o = self._setup, self.options
-        width, std = math.radians(o.heading_component_deg), float(setup.start_std[3])
-        observable = setup.map is not None or setup.sites.position_m is not None
-        if len(offsets_m) > 1 or not observable or std <= width:
-            super()._join(offsets_m)
-            return
-        headings, log_shares, width = components(std, width, o.component_step)
-        super()._join(np.repeat(offsets_m, len(headings), axis=0))
-        mixture = self._joint
-        assert mixture is not None
-        mixture.arrays.x[:, YAW] += headings
-        mixture.arrays.p[:, YAW, YAW] = width**2
-        mixture.influence.rest += log_shares
-        mixture.log_weight += log_shares
 
     def _alike(self, **changes: Any) -> Self:
         other = super()._alike(**changes)

@@ -35,12 +35,6 @@ class FastSlamOptions(EkfSlamOptions):
         le=1000,
         description="groups of particles with different associations, at most (association=hypotheses)",
     )
-    heading_component_deg: float = Field(
-        5.0,
-        gt=0,
-        le=180,
-        description="a start heading less certain than this begins as groups with one so certain, deg",
-    )
     effective_share: float = Field(
         0.5, ge=0, le=1, description="resample when the effective sample size falls below this share of the particles"
     )
