@@ -13,7 +13,8 @@ from cellslam.sim.lte.statistical.statistics import statistics
 from cellslam.slam.front_end.front_end_options import FrontEndOptions
 
 TOLD = (
-    "fastslam", "ekf-slam", "wall-slam", "bp-slam", "phd-slam", "oracle-association", "oracle-map",
+    "fastslam", "ekf-slam", "wall-slam", "bp-slam", "phd-slam",
+    "oracle-association", "oracle-fastslam", "oracle-map",
 )  # fmt: skip
 
 
