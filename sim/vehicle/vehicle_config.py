@@ -54,7 +54,7 @@ class VehicleConfig(BaseModel):
     start_std_deg: float = Field(
         0.0,
         ge=0.0,
-        le=30.0,
+        le=180.0,
         description="heading error of the start pose given to the estimator, standard deviation",
     )
 

@@ -294,8 +294,9 @@ class Bank:
             remembered.put_in(one_of(self.arrays, k), block_of(self.blocks, k), enter, now)
 
     def moments(self) -> tuple[Floats, Floats]:
-        """Return mean (C,) and covariance (C, C), in m and rad, of the core states, over all filters."""
-        core, k = slice(0, self.core.size), len(self)
+        """Return mean (c,) and covariance (c, c), in m and rad, of the states from the pose to the clock offsets, over
+        all filters."""
+        core, k = slice(0, self.core.offsets.stop), len(self)
         if k == 1:
             return self.arrays.x[0, core].copy(), self.covariances(core)[0].copy()
         return mixture_moments(self.shares(), self.arrays.x[:k, core], self.covariances(core))

@@ -27,6 +27,7 @@ FEW, MANY = 50, 2000  # looks after which a map is believed, and after which it 
 LEAST_SHARE = 0.5  # of the looks that are of the map's VTs
 SURPRISED, LEAST = 4.0, 9.0  # deviations by which first looks may be farther off than told; components that tell
 PLANE = np.array([0, 1, 3])
+WIDE = 0.3  # rad; where the heading is not known as well, a Gaussian does not say where the vehicle is
 
 
 class MapTrial:
@@ -52,7 +53,8 @@ class MapTrial:
             of = with_map.association[with_map.association >= 0]
             self._looks += len(of)
             self._known += int(((of >= self._ours.start) & (of < self._ours.stop)).sum())
-        self._lasting = self._lasting + 1 if distance2(with_map, without) > APART else 0
+        comparable = without.covariance[3, 3] < WIDE**2
+        self._lasting = self._lasting + 1 if comparable and distance2(with_map, without) > APART else 0
 
     @property
     def _share(self) -> float:

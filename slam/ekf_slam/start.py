@@ -83,7 +83,7 @@ class Start:
         return answer
 
     def moments(self) -> tuple[Floats, Floats]:
-        """Return the means (S, C), in m and rad, and covariances (S, C, C) of the core states, of each bank."""
+        """Return the means (S, c), in m and rad, and covariances (S, c, c) of what `Bank.moments` has, of each bank."""
         means, covariances = zip(*(bank.moments() for bank in self.banks), strict=True)
         return np.array(means), np.array(covariances)
 

@@ -37,6 +37,7 @@ component delays and angular information", sections III and IV.
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 from typing import Any, ClassVar, Self
 
@@ -87,6 +88,7 @@ from cellslam.slam.fastslam.parts import (
     part_named,
     returned,
 )
+from cellslam.slam.fastslam.relocation import PLANE, components_of_pose, log_likelihood
 
 FEWEST = 10  # particles of a group: three of them do not hold a path
 TINY = 1e-12  # of a variance: as good as none
@@ -128,6 +130,9 @@ class FastSlam(JointFilter):
         self._rng, self._block = rng, 0
         self._room: Room | None = None
         super().start(setup, rng)
+        o, wide = self.options, np.asarray(setup.start_std)[PLANE]
+        self._widths = np.array([o.place_component_m, o.place_component_m, math.radians(o.heading_component_deg)])
+        self._anywhere = setup.map is not None and self._start is None and bool((wide > self._widths).any())
 
     def _alike(self, **changes: Any) -> Self:
         other = super()._alike(**changes)
@@ -152,6 +157,8 @@ class FastSlam(JointFilter):
         """
         if self._start is not None or self._past:
             return mixture.use(errors, interval, measured, self.options.vts)
+        if self._anywhere and len(measured.z):
+            self._begin_groups(mixture, measured)
         self._share_particles(mixture)
         mixture.make_room(measured, self.options.vts)
         if self._drawn_blocks:
@@ -181,11 +188,8 @@ class FastSlam(JointFilter):
     ) -> list[Ints]:
         """Move a group, and return hypotheses of which VT each measurement is of: its slot (m,), FRESH for a new one,
         TAKEN for none; the likeliest first."""
-        m, links, room = len(measured.z), len(measured.first) - 1, self._room_for(f, measured)
-        scores = Scores(
-            count=np.zeros(links, np.int64), slot=np.empty((links, len(f.slots)), np.int64),
-            log_ratio=np.full((len(f.slots), m), -np.inf), distance2=np.full((len(f.slots), m), np.inf),
-        )  # fmt: skip
+        m, V, room = len(measured.z), len(f.slots), self._room_for(f, measured)
+        scores = Scores(np.zeros(1, np.int64), np.empty(V, np.int64), np.empty((V, m)), np.empty((V, m)))
         predict_and_score(f, errors, b, interval, measured, room, scores)
         found = self._hypotheses(f, measured, scores)
         if self._core.step_m.any() and step_clocks(f, errors, b, measured, found[0], room, scores):
@@ -193,34 +197,18 @@ class FastSlam(JointFilter):
         return found
 
     def _hypotheses(self, f: Filter, measured: Measured, scores: Scores) -> list[Ints]:
-        """Return the hypotheses (m,) of a snapshot; beside the best one, those that differ from it at one site."""
-        best, others = np.full(len(measured.z), TAKEN), []
-        for link, (start, stop) in enumerate(zip(measured.first[:-1], measured.first[1:], strict=True)):
-            if start == stop or f.links[link] == 0:
-                continue
-            slot = scores.slot[link, : scores.count[link]]
-            pairs = np.s_[: len(slot), start:stop]
-            candidates = Candidates(
-                log_ratio=scores.log_ratio[pairs], distance2=scores.distance2[pairs], detections=f.slots[slot, HITS]
-            )
-            rows = np.atleast_2d(self.parts.association(candidates)) if len(slot) else np.full((1, stop - start), NO_VT)
-            rows = returned("association", rows, (len(rows), stop - start), len(slot))
-            found = [self._slots(candidates, slot, row) for row in rows]
-            best[start:stop] = found[0]
-            others += [(start, stop, one) for one in found[1:]]
-        hypotheses = [best]
-        for start, stop, one in others:
-            hypotheses.append(best.copy())
-            hypotheses[-1][start:stop] = one
-        return hypotheses
+        m, n = len(measured.z), int(scores.count[0])
+        slot = scores.slot[:n]
+        candidates = Candidates(scores.log_ratio[:n], scores.distance2[:n], f.slots[slot, HITS])
+        found = np.atleast_2d(self.parts.association(candidates)) if n else np.full((1, m), NO_VT)
+        found = returned("association", found, (len(found), m), n)
+        return [self._slots(candidates, slot, candidate_of) for candidate_of in found]
 
     def _slots(self, candidates: Candidates, slot: Ints, candidate_of: Ints) -> Ints:
         """Return the slot (m,) of each measurement's VT, FRESH where it begins one, TAKEN where it does not."""
         begins = returned("birth", self.parts.birth(candidates, candidate_of), candidate_of.shape)
         without = np.where(begins, FRESH, TAKEN)
-        if not len(slot):
-            return without
-        return np.where(candidate_of >= 0, slot[candidate_of], without)
+        return np.where(candidate_of >= 0, slot[candidate_of], without) if len(slot) else without
 
     def _second_hypotheses(self, mixture: Bank, paired: list[list[Ints]]) -> tuple[Ints, list[Ints]]:
         """Return the groups that become two, the likeliest first, as long as there is room, and their second
@@ -320,6 +308,24 @@ class FastSlam(JointFilter):
         return rules._replace(age_once=forever, age_twice=forever)
 
     # ---- groups and memory -------------------------------------------------------------------------------------------
+
+    def _begin_groups(self, mixture: Bank, measured: Measured) -> None:
+        """Begin with a group for each component of a wide start pose that may be, by the map and the first snapshot."""
+        self._anywhere, remembered = False, mixture.remembered
+        assert remembered is not None
+        step, std = self.options.component_step, np.asarray(self._setup.start_std)[PLANE]
+        offsets, log_weight, widths = components_of_pose(std, self._widths, step)
+        poses = np.repeat(mixture.arrays.x[:1, :POSE], len(offsets), axis=0)
+        poses[:, PLANE] += offsets
+        clock_m = mixture.arrays.x[0, self._core.offsets]
+        log_weight = log_weight + log_likelihood(poses, widths, clock_m, remembered, measured)
+        likely = np.argsort(-log_weight)[: self.options.hypotheses]
+        likely = likely[log_weight[likely] >= log_weight[likely[0]] + math.log(self.options.prune_ratio)]
+        mixture.split(np.zeros(len(likely) - 1, np.int64))
+        a = mixture.arrays
+        for k, one in enumerate(likely.tolist()):
+            a.x[k, :POSE] = poses[one]
+            a.p[k, PLANE, PLANE] = widths**2
 
     def _share_particles(self, mixture: Bank) -> None:
         """Give each group its share of the particles, if the number of groups has changed."""

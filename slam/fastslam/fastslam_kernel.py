@@ -7,6 +7,7 @@ NumPy (`fastslam.py`); `spread_over_particles` says by how much particles differ
 
 from __future__ import annotations
 
+import math
 from typing import NamedTuple
 
 import numpy as np
@@ -36,10 +37,9 @@ from cellslam.slam.model.matrices_kernel import Vec3
 
 
 class Scores(NamedTuple):
-    """How the m measurements of a snapshot fit the VTs of a group: for each of L links `count` (L,) candidates, their
-    VTs `slot` (L, V), and in the columns of the link's measurements `log_ratio` (V, m), of a pair's likelihood to that
-    of a missed detection and clutter, and `distance2` (V, m), the squared Mahalanobis distance, infinite outside the
-    gate."""
+    """How the m measurements of a snapshot fit the VTs of a group: `count` (1,) of these are candidates, `slot` (V,);
+    `log_ratio` (V, m), of a pair's likelihood to that of a missed detection and clutter, and `distance2` (V, m), the
+    squared Mahalanobis distance; outside the gate, and between links, -inf and inf."""
 
     count: Ints  # type: ignore[assignment]  # hides tuple.count
     slot: Ints
@@ -76,15 +76,16 @@ def step_clocks(f: Filter, a: ArrayErrors, b: Block, seen: Measured, slot_of: In
 
 @part
 def _score(f: Filter, a: ArrayErrors, seen: Measured, room: Room, out: Scores) -> None:
-    w = room.pairs
+    w, n = room.pairs, 0
     for link in range(len(seen.first) - 1):
         start, stop = seen.first[link], seen.first[link + 1]
-        rows = score_pairs(f, a, seen, link, room.sight, w) if stop > start and f.links[link] == 1 else 0
-        out.count[link] = rows
-        for r in range(rows):
-            out.slot[link, r] = w.chosen[r]
+        for r in range(score_pairs(f, a, seen, link, room.sight, w) if stop > start else 0):
+            out.slot[n] = w.chosen[r]
+            out.log_ratio[n, :], out.distance2[n, :] = -math.inf, math.inf
             for k in range(start, stop):
-                out.log_ratio[r, k], out.distance2[r, k] = w.score[r, k - start], w.distance2[r, k - start]
+                out.log_ratio[n, k], out.distance2[n, k] = w.score[r, k - start], w.distance2[r, k - start]
+            n += 1
+    out.count[0] = n
 
 
 @njit(cache=True, nogil=True)

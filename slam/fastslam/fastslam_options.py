@@ -23,7 +23,7 @@ class FastSlamOptions(EkfSlamOptions):
 
     particles: int = Field(300, ge=1, le=1_000_000, description="number of particles, shared by all groups")
     lag: int = Field(
-        0,
+        5,
         ge=-1,
         le=NEVER,
         description="blocks of snapshots after which the odometry's noise is drawn; -1: before its own block is used "
@@ -35,6 +35,13 @@ class FastSlamOptions(EkfSlamOptions):
         le=1000,
         description="groups of particles with different associations, at most (association=hypotheses)",
     )
+    place_component_m: float = Field(
+        3.0,
+        gt=0,
+        le=100,
+        description="in a remembered map a start less certain than this begins as groups whose place is so certain, m",
+    )
+    heading_component_deg: float = Field(5.0, gt=0, le=180, description="and whose heading is so certain, deg")
     effective_share: float = Field(
         0.5, ge=0, le=1, description="resample when the effective sample size falls below this share of the particles"
     )

@@ -39,12 +39,13 @@ INFLUENCE = 3.0  # whitened innovation of a particle from which on it counts for
 
 @dataclass(frozen=True)
 class Candidates:
-    """The m measurements of a site in a snapshot beside V virtual transmitters (VTs) that may have caused them.
+    """The m measurements of a snapshot beside V virtual transmitters (VTs) that may have caused them.
 
     `log_ratio` (V, m): how much likelier it is that the VT was detected as this measurement than that it was missed
-    and the measurement is clutter, log p_D N(e; 0, S) / (lambda_c (1 - p_D)); -inf outside the gate. `distance2`
-    (V, m): e^T S^-1 e, squared Mahalanobis distance of the innovation e; inf outside the gate. S holds the covariance
-    of state and measurement, and that of the particles. `detections` (V,): how often each VT was detected so far.
+    and the measurement is clutter, log p_D N(e; 0, S) / (lambda_c (1 - p_D)); -inf outside the gate, and where VT and
+    measurement are of different base stations or ports. `distance2` (V, m): e^T S^-1 e, squared Mahalanobis distance
+    of the innovation e; inf where log_ratio is -inf. S holds the covariance of state and measurement, and that of the
+    particles. `detections` (V,): how often each VT was detected so far.
     """
 
     log_ratio: Floats

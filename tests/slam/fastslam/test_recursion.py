@@ -119,7 +119,7 @@ NOISY = np.array([0.3, 0.0, 0.0, 0.02, 0.0, 0.0])  # odometry so poor that parti
 
 
 def test_weights_and_deviations() -> None:
-    fastslam, unequal = FastSlam(FastSlamOptions(particles=50, **WHITE)), 0
+    fastslam, unequal = FastSlam(FastSlamOptions(particles=50, lag=0, **WHITE)), 0
     setup, steps = street(80, seed=5, noise=NOISY)
     fastslam.start(setup, np.random.default_rng(0))
     for step in steps:
