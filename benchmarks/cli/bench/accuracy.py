@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
 def add_arguments(parser: ArgumentParser) -> None:
     """Add the arguments of this command."""
-    parser.add_argument("--suite", metavar="NAME", default="standard", help="standard, or one version: standard-2")
+    parser.add_argument("--suite", metavar="NAME", default="standard", help="standard, or one version: standard-3")
     few_help = "the first N trials of each scenario alone, to try it out: not the suite's result"
     parser.add_argument("--trials", metavar="N", type=whole, help=few_help)
     scenario_help = "this scenario of the suite alone; may be repeated"

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import tomllib
-from importlib.resources import files
 from pathlib import Path
 
 import numpy as np
@@ -23,10 +22,10 @@ from tests.short_drive import SET, SHORT
 
 # A suite never changes: what would change its results is another version.
 DIGESTS = {
-    "standard-1": "63174b9494a6a595f55388b580d51296aa33bc002a1534cc3c206bfb19c46270",
     "standard-2": "f2ad4471781461225a76a2056f28104016ae4d6ee8bc10681ab0d56f517cc10c",
+    "standard-3": "1e5126f842e3406016cb461398f11e18081c588914353b1181f3e8e7049c70f8",
 }
-# Keys that came after standard-2 was written, by table; their defaults change nothing.
+# Keys that came after the scenarios were written, by table; their defaults change nothing.
 LATER: dict[str, set[str]] = {}
 
 
@@ -39,14 +38,14 @@ def test_a_suite_never_changes(name: str) -> None:
 
 
 def test_suites_are_found_by_name() -> None:
-    assert suite("standard") is suite("standard-2")
+    assert suite("standard") is suite("standard-3")
     with pytest.raises(InputError, match=r"unknown suite 'standart'.*standard"):
         suite("standart")
     assert {"fastslam", "dead-reckoning", "ekf-slam", "oracle-map"} <= set(built_in())
 
 
 def test_what_a_suite_says_of_its_scenarios_holds() -> None:
-    one = suite("standard-2")
+    one = suite("standard-3")
     every = {name: scenario_of(one, name) for name in one.scenarios}
     assert all(s.radio.persisting_clutter and len(s.description) > 50 for s in every.values())
     assert {name for name, s in every.items() if len(s.sites) == 1} == {"one-site"}
@@ -54,23 +53,26 @@ def test_what_a_suite_says_of_its_scenarios_holds() -> None:
     assert {name for name, s in every.items() if s.radio.clock_step_times_s} == {"clocks"}
     assert {name for name, s in every.items() if s.city.max_order == 2} == {"full"}
     assert {name for name, s in every.items() if s.radio.front_end == "signal"} == {"signal"}
+    assert {name for name, s in every.items() if s.map.drives == 2} == {"relocation"}
+    assert {name for name, s in every.items() if s.vehicle.start_std_deg > 0} == {"relocation"}
+    assert {name for name, s in every.items() if s.odometry.wheel_noise_m_per_sqrt_s > 0.01} == {"noisy-odometry"}
     assert {name for name in every if one.trials_of(name) < one.trials} == {"signal"}
 
 
 def test_a_suite_that_has_a_later_version_says_so() -> None:
-    assert superseded_by(suite("standard-1")) == "standard-2"
-    assert superseded_by(suite("standard-2")) is None
+    assert superseded_by(suite("standard-2")) == "standard-3"
+    assert superseded_by(suite("standard-3")) is None
     rows = pd.DataFrame(columns=[*suite_rows.COLUMNS])
-    for name, said in (("standard-1", True), ("standard-2", False)):
+    for name, said in (("standard-2", True), ("standard-3", False)):
         some = suite_rows.SuiteRows(suite(name), ("canyon",), 1, {}, "x", frozenset(), rows)
-        assert ("Superseded by `standard-2`." in suite_markdown(some, "command", "")) == said
+        assert ("Superseded by `standard-3`." in suite_markdown(some, "command", "")) == said
 
 
 def test_every_value_of_a_suite_is_written_out() -> None:
     """A default that changes later must not change a suite."""
-    one = suite("standard-2")
+    one = suite("standard-3")
     for name in one.scenarios:
-        written = tomllib.loads((files("cellslam.scenarios.suites") / one.name / f"{name}.toml").read_text("utf-8"))
+        written = tomllib.loads((suites.FOLDER / f"{name}.toml").read_text("utf-8"))
         for table, values in tomllib.loads(scenario_of(one, name).toml()).items():
             if isinstance(values, dict):
                 assert values.keys() - written[table].keys() <= LATER.get(table, set()), (name, table)
@@ -87,7 +89,7 @@ def test_accuracy_writes_its_tables_and_resumes(
     assert main([*line, "--quiet"]) == 0
     text = page.read_text()
     assert capfd.readouterr().out == text
-    assert "standard-2, a part: trials 0 to 0 of canyon" in text and "Not the suite's result" in text
+    assert "standard-3, a part: trials 0 to 0 of canyon" in text and "Not the suite's result" in text
     assert "Superseded" not in text
     frame = results(tmp_path / "out")
     assert (frame["seed"].tolist(), frame["scenario"].tolist()) == ([530], ["canyon"])
@@ -104,7 +106,7 @@ def test_accuracy_writes_its_tables_and_resumes(
 def entry(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """The rows of two estimators in a suite of six trials, of one scenario but one: short drives under known names."""
     monkeypatch.setitem(
-        SUITES, "standard-2", Suite("standard-2", ("full", "canyon", "anywhere"), 530, 6, {"anywhere": 1})
+        SUITES, "standard-3", Suite("standard-3", ("full", "canyon", "anywhere"), 530, 6, {"anywhere": 1})
     )
     monkeypatch.setattr(suites, "scenario_of", lambda _, name: load("tiny", {**SET, "name": name}))
     line = ["bench", "accuracy", "--estimator", "dead-reckoning", "--estimator", "ekf-slam", "--executor", "serial"]
@@ -144,10 +146,10 @@ def test_an_entry_is_ranked_and_holds_when_it_is_driven_again(entry: Path, capfd
     assert main(["bench", "leaderboard", str(entry), "--write", str(page)]) == 0
     board = page.read_text()
     ranked = [line.split("|")[1].strip() for line in board.splitlines() if line.startswith(("| ekf", "| dead"))]
-    assert board.splitlines()[2].startswith("How estimators compare on `standard-2`: 6 drives of each of `full`, ")
+    assert board.splitlines()[2].startswith("How estimators compare on `standard-3`: 6 drives of each of `full`, ")
     assert [line for line in board.splitlines() if len(line) > 119 and line[0] not in "| "] == []
     assert sorted(ranked[:2]) == sorted(some.rows["estimator"].unique()) and ranked[:2] == ranked[2:]
-    assert "![Mean ranks and critical differences](board.png)" in board and "--suite standard-2 --estimator" in board
+    assert "![Mean ranks and critical differences](board.png)" in board and "--suite standard-3 --estimator" in board
 
 
 def test_an_entry_that_is_not_what_its_estimator_does_is_found_out(
@@ -171,11 +173,11 @@ def test_an_entry_that_is_not_what_its_estimator_does_is_found_out(
     options = json.dumps({**false, "rows": [["other", *row[1:]] for row in false["rows"]]})
     for content, words, expected in (
         (text, board, "is in another file too"),
-        (text.replace('"digest": "', '"digest": "0'), board, "made with another standard-2"),
-        (several, board, "not every drive of standard-2 once for each estimator"),
+        (text.replace('"digest": "', '"digest": "0'), board, "made with another standard-3"),
+        (several, board, "not every drive of standard-3 once for each estimator"),
         ("{}", check, "not rows of a suite"),
         (options, check, "dead-reckoning has other options here"),
-        (text, [*check, "--sample", "14"], "--sample 14: standard-2 has 1 to 13 drives"),
+        (text, [*check, "--sample", "14"], "--sample 14: standard-3 has 1 to 13 drives"),
     ):
         entry.write_text(content)
         assert main(words) == 2
@@ -187,8 +189,8 @@ def test_an_entry_that_is_not_what_its_estimator_does_is_found_out(
     ("words", "expected"),
     [
         (("--suite", "nothing"), "unknown suite 'nothing'"),
-        (("--trials", "21"), "--trials 21: standard-2 has 1 to 20"),
-        (("--scenario", "tiny"), "unknown scenario of standard-2 'tiny'"),
+        (("--trials", "21"), "--trials 21: standard-3 has 1 to 20"),
+        (("--scenario", "tiny"), "unknown scenario of standard-3 'tiny'"),
         (("--write", "/nowhere/x.md"), "there is no folder"),
         (("--trials", "2", "--rows", "x.json"), "--rows is of a whole suite"),
         (("--check", "/nowhere/x.json"), "cannot be read"),
