@@ -39,7 +39,7 @@ if TYPE_CHECKING:
 
 Row = dict[str, Any]
 NOTHING = Before(MapConfig())
-DEFAULT_ESTIMATORS = ("fastslam", "dead-reckoning")
+DEFAULT_ESTIMATORS = ("fastslam", "ekf-slam", "dead-reckoning")
 ALIGNED = "horizontal, least squares over the whole drive"
 
 

@@ -71,6 +71,9 @@ WORLD = KnownWorld(
         _rung("+ odometry's constants marginalised"),
         _rung("+ a site's links fused", sharing="site"),
         _rung("+ variances raised for lasting errors", sharing="site", noise="persisting"),
+        _rung("+ one gain for all, lasting errors as states", "fastslam", particles=100, lag=0),
+        _rung("+ noise drawn five blocks later", "fastslam", particles=100, lag=5),
+        _rung("+ 300 particles in place of 100: fastslam", "fastslam", particles=300, lag=5),
     ),
     city=city,
 )  # fmt: skip

@@ -74,7 +74,7 @@ def left_over(folder: Path) -> set[str]:
 def test_run_prints_a_table_and_writes_the_results(cellslam: Any, tmp_path: Path) -> None:
     done = cellslam("run", "tiny", *FEW)
     assert done.status == 0
-    for word in ("fastslam", "dead-reckoning", "bound", "RMSE", "tiny, seed 0"):
+    for word in ("fastslam", "ekf-slam", "dead-reckoning", "bound", "RMSE", "tiny, seed 0"):
         assert word in done.out
     assert "results/tiny-0" in done.err
     next_ones = [line.split("  ")[1] for line in done.err.split("worth trying next:\n")[1].splitlines()]
@@ -84,11 +84,11 @@ def test_run_prints_a_table_and_writes_the_results(cellslam: Any, tmp_path: Path
         assert build_parser(words).parse_args(words).command
     folder = tmp_path / "results" / "tiny-0"
     summary = json.loads((folder / "summary.json").read_text())
-    assert [row["estimator"] for row in summary["rows"]] == ["fastslam", "dead-reckoning"]
+    assert [row["estimator"] for row in summary["rows"]] == ["fastslam", "ekf-slam", "dead-reckoning"]
     assert summary["command"] == f"cellslam run tiny {' '.join(FEW)}"
     assert summary["versions"]["cellslam"]
     snapshots = summary["rows"][0]["snapshots"]
-    for name in ("fastslam", "dead-reckoning", "truth"):
+    for name in ("fastslam", "ekf-slam", "dead-reckoning", "truth"):
         assert np.loadtxt(folder / f"trajectory-{name}.tum").shape == (snapshots, 8)
     scenario = load(folder / "scenario.toml")
     assert scenario.name == "tiny"
@@ -102,16 +102,15 @@ def test_json_is_one_array_and_nothing_else(cellslam: Any, tmp_path: Path) -> No
     done = cellslam("run", "tiny", *FEW, "--json", "--trials", "2", "--seed", "3", "--no-figures", "--out", "here")
     rows = done.rows
     assert done.status == 0
-    assert [(row["trial"], row["estimator"]) for row in rows] == [
-        *((0, "fastslam"), (0, "dead-reckoning"), (1, "fastslam"), (1, "dead-reckoning")),
-    ]
+    names = ("fastslam", "ekf-slam", "dead-reckoning")
+    assert [(row["trial"], row["estimator"]) for row in rows] == [(trial, name) for trial in (0, 1) for name in names]
     for row in rows:
         assert tuple(row) == ROW_KEYS
         assert (row["scenario"], row["seed"], row["status"], row["error"]) == ("tiny", 3, "ok", None)
         assert row["realtime_factor"] == pytest.approx(row["duration_s"] / row["estimate_seconds"])
     assert "NaN" not in done.out and "Infinity" not in done.out
-    assert rows[1]["clock_offset_rmse_m"] is None
-    assert rows[0]["position_rmse_m"] != rows[2]["position_rmse_m"]
+    assert rows[2]["clock_offset_rmse_m"] is None
+    assert rows[0]["position_rmse_m"] != rows[3]["position_rmse_m"]
     assert json.loads((tmp_path / "here" / "summary.json").read_text())["rows"] == rows
     assert (tmp_path / "here" / "trajectory-fastslam-1.tum").exists()
     assert not list((tmp_path / "here").glob("*.png"))

@@ -143,7 +143,7 @@ def test_resampling_is_called_where_weights_are_unequal() -> None:
         return np.full(count, int(np.argmax(weights)))
 
     drive = street(80, seed=5, noise=NOISY)
-    driven(FastSlam(FastSlamOptions(particles=30, **WHITE), resampling=likeliest_alone), drive)
+    driven(FastSlam(FastSlamOptions(particles=30, lag=0, **WHITE), resampling=likeliest_alone), drive)
     assert sizes and max(sizes) < 0.5 * 30
     sizes.clear()
     driven(FastSlam(FastSlamOptions(particles=30, effective_share=0.0, **WHITE), resampling=likeliest_alone), drive)
