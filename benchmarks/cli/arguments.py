@@ -55,7 +55,8 @@ def add_estimators(parser: argparse.ArgumentParser) -> None:
         action="append",
         default=[],
         dest="estimators",
-        help="estimator by name or as module:Class, or all; may be repeated (default: fastslam, ekf-slam and dead-reckoning)",
+        help="estimator by name or as module:Class, or all; may be repeated (default: fastslam, ekf-slam and "
+        "dead-reckoning)",
     )
 
 
