@@ -30,7 +30,7 @@ def wheel(tmp_path_factory: pytest.TempPathFactory) -> Path:
     for name in SOURCES:
         source = ROOT / name
         if source.is_dir():
-            shutil.copytree(source, folder / "source" / name, ignore=shutil.ignore_patterns("__pycache__"))
+            shutil.copytree(source, folder / "source" / name, True, shutil.ignore_patterns("__pycache__"))
         else:
             (folder / "source").mkdir(exist_ok=True)
             shutil.copy(source, folder / "source" / name)

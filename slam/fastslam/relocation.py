@@ -36,8 +36,10 @@ def components_of_pose(std: Floats, widths: Floats, step: float) -> tuple[Floats
     """Return offsets (K, 3) from the mean of x, y (m) and yaw (rad), log-weights (K,) and deviations (3,) of the
     components of N(0, diag(std^2)), std and widths (3,), whose centres are a `step` of their widths apart."""
     axes = [components(float(one), float(width), step) for one, width in zip(std, widths, strict=True)]
-    offsets = np.stack(np.meshgrid(*(axis[0] for axis in axes), indexing="ij"), axis=-1).reshape(-1, 3)
-    log_weight = sum(np.meshgrid(*(axis[1] for axis in axes), indexing="ij")).ravel()
+    offsets, log_weights = (
+        np.stack(np.meshgrid(*(axis[part] for axis in axes), indexing="ij"), axis=-1).reshape(-1, 3) for part in (0, 1)
+    )
+    log_weight = log_weights.sum(axis=1)
     kept = (np.abs(offsets[:, 2]) <= np.pi) & (log_weight >= log_weight.max() - REACH**2 / 2.0)
     return offsets[kept], log_weight[kept], np.array([axis[2] for axis in axes])
 
