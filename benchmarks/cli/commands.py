@@ -148,7 +148,7 @@ GROUPS = {
         },
     ),
     "bench": (
-        "measure accuracy, and how fast parts are",
+        "measure accuracy on fixed suites, and look at one snapshot",
         {
             "accuracy": Command(
                 "bench.accuracy",
@@ -160,23 +160,11 @@ GROUPS = {
                 "one page of all entries to a suite, the best first",
                 ("bench leaderboard mine.json theirs.json --write leaderboard.md",),
             ),
-            "front-end": Command(
-                "bench.front_end", "what the path estimator finds, how well, and how fast", ("bench front-end",)
-            ),
-            "calibrate": Command(
-                "bench.calibrate",
-                "constants of the statistical front end, or their check",
-                ("bench calibrate --check",),
-            ),
             "snapshot": Command(
                 "bench.snapshot",
                 "picture of one snapshot at signal level: spectrum and paths",
                 ("bench snapshot lund-530",),
             ),
-            "rays": Command(
-                "bench.rays", "time the ray tracer, beside Sionna RT and DiffeRT where installed", ("bench rays",)
-            ),
-            "monte-carlo": Command("bench.monte_carlo", "time sweeps: rates, overhead, tables", ("bench monte-carlo",)),
         },
     ),
 }

@@ -1,1 +1,1 @@
-"""`cellslam bench`: how fast and how good the parts are."""
+"""`cellslam bench`: how good estimators are on fixed suites, and one snapshot at signal level."""

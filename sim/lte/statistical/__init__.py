@@ -7,5 +7,5 @@
 - received powers: `budget_kernel`; clutter: `clutter_kernel`
 - errors: `measurement_kernel.write_std` (bound and floors), `persisting_errors` (what is not white)
 - constants: `statistics.json` (LTE) and a file for each band of NR, read by `statistics`, measured by
-  `sim.lte.calibration`
+  `tools/calibration`
 """

@@ -5,13 +5,13 @@ import os
 import numpy as np
 import pytest
 
-from cellslam.benchmarks.bench.peers import ask_sionna, unavailable
-from cellslam.benchmarks.bench.peers_compare import compare
 from cellslam.sim.city import MeshCityConfig, build_city
 from cellslam.sim.city.files.mitsuba import shipped_scene
 from cellslam.sim.city.inside import OUTSIDE, enclosing
 from cellslam.sim.rays import prepare, trace
 from cellslam.sim.rays.exchange import read_sionna
+from tools.peers import ask_sionna, unavailable
+from tools.peers_compare import compare
 
 WHY_NOT = unavailable("Sionna RT") if os.environ.get("CELLSLAM_PEERS") else "set CELLSLAM_PEERS=1 to compare"
 

@@ -10,13 +10,13 @@ from scipy.stats import poisson
 
 from cellslam.scenarios.loading import load
 from cellslam.sim.lte import RadioConfig
-from cellslam.sim.lte.calibration.scenes import radio_of
 from cellslam.sim.lte.links import cells_of
 from cellslam.sim.lte.persisting_errors import causes, draw_fields, floors
 from cellslam.sim.lte.radio_config import NR_BANDS
 from cellslam.sim.lte.statistical.detector_layout import PathColumns, Streams
 from cellslam.sim.lte.statistical.statistical_front_end import Detections, detect, model_of, noise_clutter_mean
 from cellslam.sim.lte.statistical.statistics import statistics
+from tools.calibration.scenes import radio_of
 
 BANDS = [f"nr-{blocks}" for blocks in NR_BANDS]
 FALSE_ALARM = 1e-6

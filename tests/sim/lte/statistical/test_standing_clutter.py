@@ -89,7 +89,7 @@ def test_draws_of_keys_are_uniform_normal_and_poisson() -> None:
 
 
 def test_squares_are_shared_as_far_as_geometry_says() -> None:
-    from cellslam.sim.lte.calibration.recurrence import same_square
+    from tools.calibration.recurrence import same_square
 
     rng, count = np.random.default_rng(3), 4000
     for way in (0.25, 0.5, 0.9):

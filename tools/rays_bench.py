@@ -1,4 +1,4 @@
-"""Where `cellslam bench rays` drives and transmits, and how it takes the time."""
+"""Where `python -m tools rays` drives and transmits, and how it takes the time."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""`cellslam bench calibrate`: the study that gives the statistical front end its constants."""
+"""`python -m tools calibrate`: the study that gives the statistical front end its constants."""
 
 from __future__ import annotations
 
@@ -8,8 +8,12 @@ from typing import Any
 
 import numpy as np
 
-from cellslam.sim.lte.calibration.code_digest import code_digest
-from cellslam.sim.lte.calibration.fit_constants import (
+from cellslam.sim.lte.radio_config import RadioConfig
+from cellslam.sim.lte.signal.signal_front_end import DEFAULT_HARDWARE
+from cellslam.sim.lte.statistical.detector_layout import GAMMA_STEP_DB, NOTHING_STANDS, PathColumns
+from cellslam.sim.lte.statistical.statistics import parse
+from cellslam.sim.progress import Progress
+from tools.calibration.fit_constants import (
     NODES,
     fit_company,
     fit_detection,
@@ -17,14 +21,9 @@ from cellslam.sim.lte.calibration.fit_constants import (
     fit_overlap,
     structured,
 )
-from cellslam.sim.lte.calibration.persistence import persistence
-from cellslam.sim.lte.calibration.recurrence import standing
-from cellslam.sim.lte.calibration.scenes import Sample, config_of, draw_paths, finer_db, measured_by_signals, scenes_of
-from cellslam.sim.lte.radio_config import RadioConfig
-from cellslam.sim.lte.signal.signal_front_end import DEFAULT_HARDWARE
-from cellslam.sim.lte.statistical.detector_layout import GAMMA_STEP_DB, NOTHING_STANDS, PathColumns
-from cellslam.sim.lte.statistical.statistics import parse
-from cellslam.sim.progress import Progress
+from tools.calibration.persistence import persistence
+from tools.calibration.recurrence import standing
+from tools.calibration.scenes import Sample, config_of, draw_paths, finer_db, measured_by_signals, scenes_of
 
 RATIOS_DB = (0.0, 3.0, 6.0, 9.0, 12.0, 16.0, 20.0, 40.0)
 OVERLAP_RATIOS_DB = (3.0, 6.0, 15.0, 40.0)
@@ -103,11 +102,10 @@ def constants(
 def provenance(radio: RadioConfig, scenes: int, seed: int) -> dict[str, Any]:
     """Return what is needed to make the constants again."""
     return {
-        "command": f"cellslam bench calibrate --technology {radio.technology} "
+        "command": f"python -m tools calibrate --technology {radio.technology} "
         f"--resource-blocks {radio.resource_blocks} --scenes {scenes} --seed {seed}",
         "versions": {name: version(name) for name in ("cellslam", "numpy", "scipy", "numba")}
         | {"python": platform.python_version()},
         "hardware": {"phase_std_deg": DEFAULT_HARDWARE.phase_std_deg, "gain_std_db": DEFAULT_HARDWARE.gain_std_db},
         "ratios_db": list(RATIOS_DB),
-        "code": code_digest(),
     }

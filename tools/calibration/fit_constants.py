@@ -12,15 +12,15 @@ from scipy.optimize import minimize
 from scipy.stats import ncx2
 
 from cellslam.sim.frames import wrap_angle
-from cellslam.sim.lte.calibration.front_end_check import AHEAD_M, BEHIND_M, BESIDE_RAD, offsets
-from cellslam.sim.lte.calibration.overlap import Law, chances, relations
-from cellslam.sim.lte.calibration.scenes import Sample, measured_by_statistics
 from cellslam.sim.lte.radio_config import RadioConfig
 from cellslam.sim.lte.single_path_bound import bound_scales, single_path_std
 from cellslam.sim.lte.statistical.detector_layout import GAMMA_START_DB, GAMMA_STEP_DB, PathColumns
 from cellslam.sim.lte.statistical.statistics import Statistics
 from cellslam.sim.recording import Floats
 from cellslam.sim.waveform import Waveform
+from tools.calibration.front_end_check import AHEAD_M, BEHIND_M, BESIDE_RAD, offsets
+from tools.calibration.overlap import Law, chances, relations
+from tools.calibration.scenes import Sample, measured_by_statistics
 
 NODES = 13  # of LTE
 # Laws to begin the search from, as the likelihood has several peaks: sidelobes near the path, and all over the window.

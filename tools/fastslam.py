@@ -1,6 +1,6 @@
 """What FastSLAM costs, by particles, states and groups, and how near to the bound that brings it.
 
-    python tools/bench_fastslam.py lund-530 --set radio.clock_offset_std_m=0 --drives 2 --particles 30,100,300,1000
+    python -m tools fastslam lund-530 --set radio.clock_offset_std_m=0 --drives 2 --particles 30,100,300,1000
 
 A row of the first table is an estimator: processor seconds a drive, times real time, efficiency ratio (root mean square
 error over that of the bound), NEES. The second has milliseconds a snapshot by the number of states of the filter and of
@@ -12,12 +12,12 @@ from __future__ import annotations
 
 import argparse
 import time
-from collections.abc import Sequence
 
 import numpy as np
 import pandas as pd
 
 from cellslam.benchmarks.bound.cramer_rao import bound
+from cellslam.benchmarks.cli.arguments import DONE
 from cellslam.benchmarks.scores.metrics import score
 from cellslam.benchmarks.trials.estimation import estimate, warm_up
 from cellslam.scenarios.estimator_options import resolve
@@ -47,7 +47,7 @@ def drive(recording: Recording, request, bounded, seed: int) -> dict[str, float]
 
 def snapshots(recording: Recording, request) -> pd.DataFrame:  # type: ignore[no-untyped-def]
     """Return, for each snapshot of a drive, the milliseconds that it took, and how large the filter was."""
-    fastslam: FastSlam = request.make()
+    fastslam: FastSlam = request.estimator(request.options)
     fastslam.start(setup_of(recording), np.random.default_rng(0))
     rows, dt = [], np.diff(recording.time_s, prepend=recording.time_s[0])
     for dt_s, odometry, snapshot in zip(dt, odometry_of(recording), snapshots_of(recording), strict=True):
@@ -91,16 +91,18 @@ def stone_soup(particles: int, measurements: int, steps: int = 20) -> float:
     return 1e3 * (time.process_time() - begin) / steps
 
 
-def main(words: Sequence[str] | None = None) -> None:
-    """Measure, and print the tables as Markdown."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the arguments of this tool."""
     parser.add_argument("scenario", nargs="?", default="lund-530")
     parser.add_argument("--set", action="append", default=[], dest="sets", metavar="KEY=VALUE")
     parser.add_argument("--particles", default="30,100,300,1000")
     parser.add_argument("--drives", type=int, default=2)
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--stone-soup", type=int, metavar="N", default=0)
-    asked = parser.parse_args(words)
+
+
+def command(asked: argparse.Namespace) -> int:
+    """Measure, and print the tables as Markdown."""
     changes = parse_all(asked.sets)
     variants = {"ekf-slam": ("ekf-slam", {})}
     for count in map(int, asked.particles.split(",")):
@@ -131,7 +133,4 @@ def main(words: Sequence[str] | None = None) -> None:
     if asked.stone_soup:
         took = stone_soup(asked.stone_soup, 12)
         print(f"\nStone Soup, {asked.stone_soup} particles, 12 measurements at known places: {took:.1f} ms")
-
-
-if __name__ == "__main__":
-    main()
+    return DONE

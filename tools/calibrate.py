@@ -1,4 +1,4 @@
-"""`cellslam bench calibrate`: the constants of the statistical front end, or their check."""
+"""`python -m tools calibrate`: the constants of the statistical front end, or their check."""
 
 from __future__ import annotations
 
@@ -9,9 +9,9 @@ from pathlib import Path
 from typing import Any
 
 from cellslam.benchmarks.cli.arguments import DONE
-from cellslam.benchmarks.cli.bench.studies_tables import print_studies
 from cellslam.benchmarks.cli.progress_bars import bars
 from cellslam.sim.errors import InputError
+from tools.studies_tables import print_studies
 
 LEAST_SCENES = 50
 CHECKED_DB = (6.0, 15.0)
@@ -39,7 +39,7 @@ def add_arguments(parser: ArgumentParser) -> None:
 
 
 def command(arguments: Namespace) -> int:
-    """Carry out `cellslam bench calibrate`."""
+    """Carry out `python -m tools calibrate`."""
     if arguments.scenes < LEAST_SCENES or arguments.seed < 0:
         raise InputError(
             f"--scenes {arguments.scenes} --seed {arguments.seed}: at least {LEAST_SCENES}, seed from 0 on"
@@ -50,11 +50,10 @@ def command(arguments: Namespace) -> int:
         raise InputError(f"--out {arguments.out}: its folder does not exist")
     from threadpoolctl import threadpool_limits
 
-    from cellslam.sim.lte.calibration.code_digest import outdated
-    from cellslam.sim.lte.calibration.front_end_check import agreement, records
-    from cellslam.sim.lte.calibration.recurrence import recurring
-    from cellslam.sim.lte.calibration.scenes import radio_of
-    from cellslam.sim.lte.calibration.study import calibrate as study
+    from tools.calibration.front_end_check import agreement, records
+    from tools.calibration.recurrence import recurring
+    from tools.calibration.scenes import radio_of
+    from tools.calibration.study import calibrate as study
 
     radio, rows = radio_of(arguments.technology, arguments.resource_blocks), dict[str, list[dict[str, Any]]]()
     with bars(arguments.quiet) as progress, threadpool_limits(1):
@@ -68,8 +67,6 @@ def command(arguments: Namespace) -> int:
             text = json.dumps(study(radio, arguments.scenes, arguments.seed, progress)) + "\n"
     if arguments.check:
         print_studies(rows)
-        if line := outdated(band=radio.statistics_band):
-            sys.stderr.write(f"{line}\n")
     if arguments.out:
         partial = Path(arguments.out).with_suffix(".tmp")
         partial.write_text(text, encoding="utf-8")

@@ -1,4 +1,4 @@
-"""The studies of `cellslam bench front-end`, and the time that the front end takes."""
+"""The studies of `python -m tools front-end`, and the time that the front end takes."""
 
 from __future__ import annotations
 
@@ -11,7 +11,11 @@ from typing import Any, Literal
 
 import numpy as np
 
-from cellslam.benchmarks.bench.front_end_bench import (
+from cellslam.sim.errors import InputError
+from cellslam.sim.lte.array import array_at, switching_times_s
+from cellslam.sim.lte.signal.receiver import receiver_of
+from cellslam.sim.progress import Progress
+from tools.front_end_bench import (
     RECEIVERS,
     STILL,
     Bench,
@@ -24,10 +28,6 @@ from cellslam.benchmarks.bench.front_end_bench import (
     resolution,
     single_path,
 )
-from cellslam.sim.errors import InputError
-from cellslam.sim.lte.array import array_at, switching_times_s
-from cellslam.sim.lte.signal.receiver import receiver_of
-from cellslam.sim.progress import Progress
 
 # SNR per sample with the tones of LTE.
 RHO_DB = (-32.5, -30.0, -28.0, -20.0, -10.0, 0.0, 10.0, 20.0)

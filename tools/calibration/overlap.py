@@ -12,11 +12,11 @@ from numpy.typing import NDArray
 from scipy.stats import ncx2
 
 from cellslam.sim.frames import wrap_angle
-from cellslam.sim.lte.calibration.scenes import Sample
 from cellslam.sim.lte.single_path_bound import AZIMUTH_EXPONENT, bound_scales
 from cellslam.sim.lte.statistical import detector_layout as k
 from cellslam.sim.recording import Floats, Ints
 from cellslam.sim.waveform import Waveform
+from tools.calibration.scenes import Sample
 
 _TABLE_DB = np.arange(-20.0, 70.0, 0.1)
 

@@ -7,10 +7,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from cellslam.benchmarks.bench.peers import PeerPaths
 from cellslam.sim.frames import wrap_angle
 from cellslam.sim.rays import Paths, Scene
 from cellslam.sim.rays.paths import Floats, Ints
+from tools.peers import PeerPaths
 
 # Paths are taken for one another within these, and agree within the closer ones.
 SAME_M, SAME_RAD = 5e-3, 1e-3

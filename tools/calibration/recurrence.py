@@ -18,8 +18,6 @@ from scipy.optimize import least_squares
 
 from cellslam.sim.frames import azimuth_elevation, unit_vector, wrap_angle
 from cellslam.sim.lte import RadioConfig
-from cellslam.sim.lte.calibration.front_end_check import Figure
-from cellslam.sim.lte.calibration.scenes import POSE, config_of, in_scene, scenes_of
 from cellslam.sim.lte.links import Cells, cells_of
 from cellslam.sim.lte.persisting_errors import draw_fields
 from cellslam.sim.lte.signal.receiver import receiver_of
@@ -30,6 +28,8 @@ from cellslam.sim.lte.statistical.statistical_front_end import detect
 from cellslam.sim.lte.statistical.statistics import Statistics, statistics
 from cellslam.sim.progress import Progress
 from cellslam.sim.recording import Floats
+from tools.calibration.front_end_check import Figure
+from tools.calibration.scenes import POSE, config_of, in_scene, scenes_of
 
 RATIO_DB = 6.0
 # Ways from the first snapshot; two more are at its place: whether both repeat it tells seldom from often.

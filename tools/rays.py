@@ -1,4 +1,4 @@
-"""`cellslam bench rays`."""
+"""`python -m tools rays`."""
 
 from __future__ import annotations
 
@@ -13,9 +13,6 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
-from cellslam.benchmarks.bench.peers import PEERS, unavailable
-from cellslam.benchmarks.bench.peers_compare import Comparison, compare
-from cellslam.benchmarks.bench.rays_bench import Timing, drive_in, receivers_along, sites_along, time_trace
 from cellslam.benchmarks.cli.arguments import DONE, whole
 from cellslam.benchmarks.cli.city.places import find_city
 from cellslam.benchmarks.cli.progress_bars import bars
@@ -24,6 +21,9 @@ from cellslam.sim.city.files.mitsuba import DISTRIBUTION, shipped_scene
 from cellslam.sim.errors import InputError
 from cellslam.sim.progress import Progress
 from cellslam.sim.rays import prepare, trace
+from tools.peers import PEERS, unavailable
+from tools.peers_compare import Comparison, compare
+from tools.rays_bench import Timing, drive_in, receivers_along, sites_along, time_trace
 
 
 def add_arguments(parser: ArgumentParser) -> None:
@@ -43,7 +43,7 @@ def add_arguments(parser: ArgumentParser) -> None:
 
 
 def command(arguments: Namespace) -> int:
-    """Carry out `cellslam bench rays`."""
+    """Carry out `python -m tools rays`."""
     receivers, transmitters = (_counts(getattr(arguments, n), f"--{n}") for n in ("receivers", "transmitters"))
     if arguments.repeat < 1 or arguments.peer_receivers < 1:
         raise InputError("--repeat and --peer-receivers must be 1 or more")

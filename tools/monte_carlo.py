@@ -1,4 +1,4 @@
-"""`cellslam bench monte-carlo`: how fast sweeps are, what they add to the work itself, and how fast tables are."""
+"""`python -m tools monte-carlo`: how fast sweeps are, what they add to the work itself, and how fast tables are."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ def add_arguments(parser: ArgumentParser) -> None:
 
 
 def command(arguments: Namespace) -> int:
-    """Carry out `cellslam bench monte-carlo`."""
+    """Carry out `python -m tools monte-carlo`."""
     check_counts(arguments.trials, 0)
     if arguments.jobs < 1:
         raise InputError(f"--jobs {arguments.jobs}: must be at least 1")

@@ -1,4 +1,4 @@
-"""`cellslam bench front-end`: what the path estimator finds."""
+"""`python -m tools front-end`: what the path estimator finds."""
 
 from __future__ import annotations
 
@@ -7,9 +7,9 @@ import sys
 from argparse import ArgumentParser, Namespace
 
 from cellslam.benchmarks.cli.arguments import DONE
-from cellslam.benchmarks.cli.bench.studies_tables import print_studies
 from cellslam.benchmarks.cli.progress_bars import bars
 from cellslam.sim.errors import InputError
+from tools.studies_tables import print_studies
 
 TECHNOLOGIES = ("lte", "nr")
 STUDIES = ("single", "many", "resolution", "collision", "ghosts", "motion", "speed")
@@ -31,12 +31,12 @@ def add_arguments(parser: ArgumentParser) -> None:
 
 
 def command(arguments: Namespace) -> int:
-    """Carry out `cellslam bench front-end`."""
+    """Carry out `python -m tools front-end`."""
     if arguments.runs < 2 or arguments.seed < 0:
         raise InputError(f"--runs {arguments.runs} --seed {arguments.seed}: at least 2 runs and a seed from 0 on")
     from threadpoolctl import threadpool_limits
 
-    from cellslam.benchmarks.bench.front_end_tables import studies
+    from tools.front_end_tables import studies
 
     with bars(arguments.quiet) as progress, threadpool_limits(1):
         rows = studies(arguments.studies, arguments.runs, arguments.seed, progress, arguments.technology)

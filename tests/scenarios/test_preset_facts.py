@@ -9,11 +9,11 @@ from typing import Any
 import numpy as np
 import pytest
 
-from cellslam.benchmarks.bench.preset_facts import mean_facts, write_facts
-from cellslam.benchmarks.bench.scenario_facts import longest_run, measure_facts
 from cellslam.scenarios.loading import load, preset_names
 from cellslam.sim.errors import InputError
 from cellslam.sim.world import prepare
+from tools.preset_facts import mean_facts, write_facts
+from tools.scenario_facts import longest_run, measure_facts
 
 
 def test_longest_run_by_hand() -> None:

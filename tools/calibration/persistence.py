@@ -11,13 +11,13 @@ from typing import Any
 import numpy as np
 
 from cellslam.sim.frames import unit_vector, wrap_angle
-from cellslam.sim.lte.calibration.scenes import POSE, cells, config_of, draw_paths, geometry_of, in_scene, signal_bench
 from cellslam.sim.lte.radio_config import RadioConfig
 from cellslam.sim.lte.signal.signal_front_end import SignalLevel
 from cellslam.sim.lte.statistical import detector_layout as k
 from cellslam.sim.lte.statistical.detector_layout import PathColumns
 from cellslam.sim.progress import Progress
 from cellslam.sim.recording import Floats
+from tools.calibration.scenes import POSE, cells, config_of, draw_paths, geometry_of, in_scene, signal_bench
 
 SHIFTS_M = (0.0, 0.03, 0.06, 0.1, 0.2, 0.4)
 TURNS_DEG = (0.0, 4.0, 8.0, 15.0, 25.0, 45.0)

@@ -1,4 +1,4 @@
-"""What `cellslam bench front-end` measures of the path estimator: detection, errors, resolution, ghosts, motion.
+"""What `python -m tools front-end` measures of the path estimator: detection, errors, resolution, ghosts, motion.
 
 Scenes are synthetic: paths of given SNR per sample at unit noise, seen by the array of 64 dual-polarised patches.
 """

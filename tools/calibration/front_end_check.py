@@ -1,4 +1,4 @@
-"""`cellslam bench calibrate --check`: the two front ends in scenes that no calibration has seen.
+"""`python -m tools calibrate --check`: the two front ends in scenes that no calibration has seen.
 
 Source: own derivation, docs/notes/front-end-calibration.md.
 """
@@ -11,16 +11,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cellslam.sim.frames import wrap_angle
-from cellslam.sim.lte.calibration.scenes import (
+from cellslam.sim.lte.radio_config import RadioConfig
+from cellslam.sim.progress import Progress
+from cellslam.sim.recording import Floats
+from tools.calibration.scenes import (
     Sample,
     config_of,
     measured_by_signals,
     measured_by_statistics,
     scenes_of,
 )
-from cellslam.sim.lte.radio_config import RadioConfig
-from cellslam.sim.progress import Progress
-from cellslam.sim.recording import Floats
 
 DRAWS = 4  # of the statistical front end, which is cheap: what scatters is the signal level then
 EDGES_DB = (20.0, 27.0, 34.0, 41.0, 49.0)  # between the bins of integrated SNR

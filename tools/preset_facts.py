@@ -1,22 +1,22 @@
-"""Measure the facts of presets and write them down: `python -m cellslam.benchmarks.bench.preset_facts [NAME]...`."""
+"""Measure the facts of presets with the ray tracer, and write them into their files."""
 
 from __future__ import annotations
 
-import sys
-from collections.abc import Sequence
+from argparse import ArgumentParser, Namespace
 from importlib.resources import files
 from pathlib import Path
 
 import numpy as np
 import tomli_w
 
-from cellslam.benchmarks.bench.scenario_facts import scenario_facts
+from cellslam.benchmarks.cli.arguments import DONE
 from cellslam.scenarios.loading import load, preset_names
 from cellslam.scenarios.scenario import Scenario
+from tools.scenario_facts import scenario_facts
 
 TRIALS = 10
 """Trials whose mean is written down for a scenario that draws another place in each trial."""
-NOTE = "# Measured with the ray tracer by `python -m cellslam.benchmarks.bench.preset_facts`."
+NOTE = "# Measured with the ray tracer by `python -m tools preset-facts`."
 
 
 def mean_facts(scenario: Scenario) -> dict[str, float]:
@@ -37,13 +37,15 @@ def _number(value: float) -> float:
     return int(value) if value == int(value) else value
 
 
-def main(names: Sequence[str]) -> None:
+def add_arguments(parser: ArgumentParser) -> None:
+    """Add the arguments of this tool."""
+    parser.add_argument("names", metavar="NAME", nargs="*", help="presets (default: all)")
+
+
+def command(arguments: Namespace) -> int:
     """Measure the presets of these names, or all."""
-    for name in names or preset_names():
+    for name in arguments.names or preset_names():
         facts = mean_facts(load(name))
         write_facts(Path(str(files("cellslam.scenarios.presets") / f"{name}.toml")), facts)
         print(f"{name}: {facts}")
-
-
-if __name__ == "__main__":
-    main(sys.argv[1:])
+    return DONE

@@ -1,0 +1,1 @@
+"""Instruments of the makers of cellslam, run in a checkout: python -m tools NAME. They are not installed."""
