@@ -10,15 +10,7 @@ import numpy as np
 import pytest
 
 from cellslam.sim.frames import integrate_pose
-from cellslam.sim.recording import (
-    Links,
-    Measurements,
-    OdometryModel,
-    Recording,
-    Sites,
-    Truth,
-    VirtualTransmitters,
-)
+from cellslam.sim.recording import Links, Measurements, OdometryModel, Recording, Sites, Truth, VirtualTransmitters
 from cellslam.slam.model.measurement_model import predict
 
 

@@ -12,15 +12,7 @@ from cellslam.sim.world.drive_to_recording import (
     virtual_transmitters,
     visible_intervals,
 )
-from cellslam.sim.world.world import (
-    KEPT_SCENES,
-    World,
-    WorldConfig,
-    city_rng,
-    draw_reception,
-    path_columns,
-    prepare,
-)
+from cellslam.sim.world.world import KEPT_SCENES, World, WorldConfig, city_rng, draw_reception, path_columns, prepare
 
 __all__ = [
     "KEPT_SCENES",

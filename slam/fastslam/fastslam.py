@@ -78,16 +78,7 @@ from cellslam.slam.fastslam.fastslam_kernel import (
     use,
 )
 from cellslam.slam.fastslam.fastslam_options import NEVER, FastSlamOptions
-from cellslam.slam.fastslam.parts import (
-    BUILT_IN,
-    NO_VT,
-    Candidates,
-    Parts,
-    Transmitters,
-    checked,
-    part_named,
-    returned,
-)
+from cellslam.slam.fastslam.parts import BUILT_IN, NO_VT, Candidates, Parts, Transmitters, checked, part_named, returned
 from cellslam.slam.fastslam.relocation import PLANE, components_of_pose, log_likelihood
 
 FEWEST = 10  # particles of a group: three of them do not hold a path

@@ -14,13 +14,7 @@ from cellslam.sim.frames import wrap_angle
 from cellslam.sim.lte.radio_config import RadioConfig
 from cellslam.sim.progress import Progress
 from cellslam.sim.recording import Floats
-from tools.calibration.scenes import (
-    Sample,
-    config_of,
-    measured_by_signals,
-    measured_by_statistics,
-    scenes_of,
-)
+from tools.calibration.scenes import Sample, config_of, measured_by_signals, measured_by_statistics, scenes_of
 
 DRAWS = 4  # of the statistical front end, which is cheap: what scatters is the signal level then
 EDGES_DB = (20.0, 27.0, 34.0, 41.0, 49.0)  # between the bins of integrated SNR

@@ -13,14 +13,7 @@ from cellslam.sim.lte.signal.signal_front_end import DEFAULT_HARDWARE
 from cellslam.sim.lte.statistical.detector_layout import GAMMA_STEP_DB, NOTHING_STANDS, PathColumns
 from cellslam.sim.lte.statistical.statistics import parse
 from cellslam.sim.progress import Progress
-from tools.calibration.fit_constants import (
-    NODES,
-    fit_company,
-    fit_detection,
-    fit_floor,
-    fit_overlap,
-    structured,
-)
+from tools.calibration.fit_constants import NODES, fit_company, fit_detection, fit_floor, fit_overlap, structured
 from tools.calibration.persistence import persistence
 from tools.calibration.recurrence import standing
 from tools.calibration.scenes import Sample, config_of, draw_paths, finer_db, measured_by_signals, scenes_of

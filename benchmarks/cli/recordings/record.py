@@ -6,12 +6,7 @@ import sys
 from argparse import ArgumentParser, Namespace
 from pathlib import Path
 
-from cellslam.benchmarks.cli.arguments import (
-    DONE,
-    add_scenario,
-    add_seed,
-    whole,
-)
+from cellslam.benchmarks.cli.arguments import DONE, add_scenario, add_seed, whole
 from cellslam.benchmarks.cli.progress_bars import bars
 from cellslam.benchmarks.trials import trials
 from cellslam.benchmarks.trials.output_files import check_file, check_folder

@@ -8,13 +8,7 @@ from collections.abc import Iterator
 from itertools import chain
 from pathlib import Path
 
-from cellslam.benchmarks.cli.arguments import (
-    add_estimation,
-    add_options_file,
-    add_seed,
-    add_set,
-    limits,
-)
+from cellslam.benchmarks.cli.arguments import add_estimation, add_options_file, add_seed, add_set, limits
 from cellslam.benchmarks.cli.between_drives.calibration_files import add_calibration, calibrated
 from cellslam.benchmarks.cli.between_drives.map_files import add_map, add_save_map, check_map
 from cellslam.benchmarks.cli.progress_bars import bars

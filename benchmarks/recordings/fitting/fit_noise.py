@@ -12,13 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from cellslam.benchmarks.recordings.fitting.fit_persisting import (
-    NAMES,
-    Persisting,
-    in_unit,
-    persisting,
-    reach,
-)
+from cellslam.benchmarks.recordings.fitting.fit_persisting import NAMES, Persisting, in_unit, persisting, reach
 from cellslam.benchmarks.recordings.fitting.fit_tracks import QUANTITIES, Tracks, tracks_of
 from cellslam.sim.errors import InputError
 from cellslam.sim.frames import wrap_angle

@@ -7,13 +7,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 from numpy.typing import ArrayLike
 
-from cellslam.benchmarks.recordings.importing.campaign import (
-    CLAIMS,
-    NO_NOISE,
-    QUANTITIES,
-    Campaign,
-    ReferenceTable,
-)
+from cellslam.benchmarks.recordings.importing.campaign import CLAIMS, NO_NOISE, QUANTITIES, Campaign, ReferenceTable
 from cellslam.benchmarks.recordings.importing.odometry_resampling import Motion, at_array, mean_velocities, motion_of
 from cellslam.benchmarks.recordings.importing.start_pose import start_from_reference
 from cellslam.sim.errors import InputError

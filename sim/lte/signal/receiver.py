@@ -14,15 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cellslam.sim.frames import SPEED_OF_LIGHT_MPS, unit_vector
-from cellslam.sim.lte.array import (
-    AntennaArray,
-    CircularArray,
-    Complex,
-    Floats,
-    Steering,
-    array_at,
-    switching_times_s,
-)
+from cellslam.sim.lte.array import AntennaArray, CircularArray, Complex, Floats, Steering, array_at, switching_times_s
 from cellslam.sim.lte.downlink.lte_waveform import LteWaveform
 from cellslam.sim.lte.signal.path_estimator.climb_kernel import orthonormal_beams
 from cellslam.sim.lte.signal.path_estimator.search_kernel import Probe

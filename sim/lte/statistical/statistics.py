@@ -1,5 +1,5 @@
-"""Constants of the statistical front end, as the calibration study measured them (`python -m tools calibrate`): a file a
-band, for what a receiver resolves is another thing in another bandwidth.
+"""Constants of the statistical front end, as the calibration study measured them (`python -m tools calibrate`): a file
+a band, for what a receiver resolves is another thing in another bandwidth.
 
 Source: measured; how, docs/notes/front-end-calibration.md.
 """

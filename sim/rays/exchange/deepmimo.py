@@ -22,15 +22,7 @@ from numpy.typing import NDArray
 
 from cellslam.sim.errors import InputError
 from cellslam.sim.frames import SPEED_OF_LIGHT_MPS, unit_vector
-from cellslam.sim.rays.exchange.traced_paths import (
-    EXACT,
-    Columns,
-    Tolerance,
-    Traced,
-    places_in_links,
-    traced,
-    zenith,
-)
+from cellslam.sim.rays.exchange.traced_paths import EXACT, Columns, Tolerance, Traced, places_in_links, traced, zenith
 from cellslam.sim.rays.paths import Floats, Ints
 
 NAME = "{key}_t{tx_set:03}_tx{tx:03}_r{rx_set:03}"

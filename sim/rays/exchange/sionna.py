@@ -18,15 +18,7 @@ from numpy.typing import NDArray
 
 from cellslam.sim.errors import InputError
 from cellslam.sim.frames import SPEED_OF_LIGHT_MPS
-from cellslam.sim.rays.exchange.traced_paths import (
-    EXACT,
-    Columns,
-    Tolerance,
-    Traced,
-    places_in_links,
-    traced,
-    zenith,
-)
+from cellslam.sim.rays.exchange.traced_paths import EXACT, Columns, Tolerance, Traced, places_in_links, traced, zenith
 from cellslam.sim.rays.paths import Floats, Ints, Paths
 
 NEEDED = ("a", "tau", "theta_r", "phi_r", "theta_t", "phi_t")

@@ -19,13 +19,7 @@ from cellslam.slam.ekf_slam.snapshot.sight_kernel import (
     roof_first,
     rotations_of,
 )
-from cellslam.slam.ekf_slam.snapshot.update_kernel import (
-    LOG_2PI,
-    Innovation,
-    covariance,
-    innovate,
-    log_likelihood,
-)
+from cellslam.slam.ekf_slam.snapshot.update_kernel import LOG_2PI, Innovation, covariance, innovate, log_likelihood
 from cellslam.slam.ekf_slam.state.layout import (
     BELIEF,
     BEYOND,

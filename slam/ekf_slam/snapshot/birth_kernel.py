@@ -51,15 +51,7 @@ from cellslam.slam.ekf_slam.state.layout import (
 )
 from cellslam.slam.ekf_slam.state.states_kernel import covariance_of, enter, leave, owner_of
 from cellslam.slam.model.copy_kernel import put
-from cellslam.slam.model.matrices_kernel import (
-    Sym3,
-    Vec3,
-    congruence,
-    mat_mat,
-    mat_vec,
-    put_sym,
-    vec_scaled,
-)
+from cellslam.slam.model.matrices_kernel import Sym3, Vec3, congruence, mat_mat, mat_vec, put_sym, vec_scaled
 from cellslam.slam.model.measurement_kernel import cartesian_jacobian, direction, spherical, spherical_jacobian
 
 NEAREST_M = 1.0  # a VT does not begin nearer
