@@ -1,8 +1,12 @@
-"""Numba's `njit` with a cache that notices edits, and functions that are compiled as parts of their kernels alone.
+"""Numba's `njit` with a cache that knows what a kernel is made of, and functions that are parts of kernels alone.
 
-Numba looks a cached kernel up by the time and size of its own file alone: after an edit, or an upgrade, of a file that
-the kernel calls into, the old binary would run. Here a kernel's cache has a folder of its own for each digest of all
-the sources that its module can reach by imports, and of Numba's version.
+**Cache.** Numba looks a cached kernel up by the time and size of its own file alone: after an edit, or an upgrade, of a
+file that the kernel calls into, the old binary would run; and in a copy of the same sources nothing is found. Here a
+kernel's place in the cache is a digest of the content of all sources that its module can reach by imports, and of
+Numba's version. So copies and environments share it. It is in the user's cache folder, or in NUMBA_CACHE_DIR.
+
+**Parts.** `part` and `lean` make kernels compile several times as fast by means that are inside Numba. With a version
+that they were not tested with (`TESTED`), or with CELLSLAM_PLAIN_NJIT=1, they are plain `njit`.
 """
 
 from __future__ import annotations
@@ -11,19 +15,21 @@ import hashlib
 import os
 import re
 import shutil
+import tempfile
 from collections.abc import Callable, Iterator
+from contextlib import suppress
 from functools import cache, partial
 from pathlib import Path
 from typing import Any, TypeVar, overload
 
 import numba
-import numba.extending
-from numba.core.codegen import JITCodeLibrary
-from numba.core.compiler import Compiler
+from numba.core import caching
 from numba.misc.appdirs import AppDirs
 
 PACKAGE = "cellslam"
-KEPT = 4  # folders of earlier sources that are kept for a module: of branches, or of a version that is still running
+TESTED = ("0.68",)  # versions of Numba whose inner parts are known
+PLAIN = not numba.__version__.startswith(TESTED) or os.environ.get("CELLSLAM_PLAIN_NJIT", "") not in ("", "0")
+KEPT = 8  # folders of earlier sources that are kept for a module: of other checkouts, and of versions still running
 _IMPORT = re.compile(rf"^ *from {PACKAGE}\.([\w.]+) import (?:\(([^)]*)\)|([^\n(]+))", re.MULTILINE)
 
 Kernel = TypeVar("Kernel", bound=Callable[..., Any])
@@ -39,15 +45,50 @@ def njit(function: Any = None, /, **options: Any) -> Any:
     """Compile a function as `numba.njit` does; with `cache=True` into the folder that belongs to its sources."""
     if function is None:
         return partial(njit, **options)
-    options.setdefault("_nrt", True)
-    if not options.get("cache"):
-        return numba.njit(function, **options)
-    before = numba.config.CACHE_DIR  # type: ignore[attr-defined]
-    numba.config.CACHE_DIR = str(cache_folder(function.__module__, Path(function.__code__.co_filename)))  # type: ignore[attr-defined]
-    try:
-        return numba.njit(function, **options)
-    finally:
-        numba.config.CACHE_DIR = before  # type: ignore[attr-defined]
+    cached = options.pop("cache", False)
+    compiled = numba.njit(function, **{"_nrt": True, **options})
+    if cached and not numba.config.DISABLE_JIT:  # type: ignore[attr-defined]
+        compiled._cache = _Cache(function)
+    return compiled
+
+
+class _Locator:
+    """Tells Numba where a function is cached, and what stands for its sources."""
+
+    def __init__(self, function: Any) -> None:
+        self._py_file = function.__code__.co_filename  # for Numba's warnings
+        self._folder = cache_folder(function.__module__, Path(self._py_file))
+        self._line = function.__code__.co_firstlineno
+
+    @classmethod
+    def from_function(cls, function: Any, file: str) -> _Locator:
+        """Return the locator of a function of this package."""
+        del file
+        return cls(function)
+
+    def ensure_cache_path(self) -> None:
+        """Make the folder."""
+        self._folder.mkdir(parents=True, exist_ok=True)
+
+    def get_cache_path(self) -> str:
+        """Return the folder."""
+        return str(self._folder)
+
+    def get_source_stamp(self) -> str:
+        """Return what changes with the sources."""
+        return self._folder.name
+
+    def get_disambiguator(self) -> str:
+        """Return what tells functions of one name in one file apart."""
+        return str(self._line)
+
+
+class _Found(caching.CompileResultCacheImpl):
+    _locator_classes = [_Locator]  # noqa: RUF012  # as Numba has it
+
+
+class _Cache(caching.FunctionCache):
+    _impl_class = _Found
 
 
 @overload
@@ -65,11 +106,15 @@ def part(function: Any = None, /, **options: Any) -> Any:
     """
     if function is None:
         return partial(part, **options)
+    if PLAIN:
+        return numba.njit(function, **{"fastmath": False, **options})
+    from cellslam.sim.compiling_parts import Part, PartCompiler
+
     # What is not said here is as in the kernel that calls first, and then the same for those that follow.
     own = {"_nrt": True, "fastmath": False, "no_cpython_wrapper": True, "no_cfunc_wrapper": True}
-    compiled = numba.njit(function, pipeline_class=_PartCompiler, **{**own, **options})
+    compiled = numba.njit(function, pipeline_class=PartCompiler, **{**own, **options})
     # Kernels take a function for what this says; numba holds it by a weak reference.
-    function._numba_type_, function._compiled = _Part(compiled), compiled
+    function._numba_type_, function._compiled = Part(compiled), compiled
     return function
 
 
@@ -85,75 +130,38 @@ def lean(function: Any = None, /, **options: Any) -> Any:
     Numba counts the references to each array that a function is handed, which can cost more than what small functions
     do with them. Here nothing is counted. A function that makes an array all the same is refused by Numba.
     """
-    return partial(lean, **options) if function is None else part(_nrt=False, **options)(function)
-
-
-class _Part(numba.types.Dispatcher):
-    """The type of a part, which is compiled once for all numbers of a type; Numba's own is for each constant anew."""
-
-    def get_call_type(self, context: Any, args: Any, kws: Any) -> Any:
-        """Return the signature for arguments of these types."""
-        plain: Any = numba.types.unliteral
-        return super().get_call_type(context, tuple(map(plain, args)), {name: plain(one) for name, one in kws.items()})
-
-
-numba.extending.register_model(_Part)(numba.extending.models.OpaqueModel)
-
-
-class _PartLibrary(JITCodeLibrary):
-    """The intermediate code of a part: it is linked with the parts that it calls, and left as it is for the kernel."""
-
-    def finalize(self) -> None:
-        """Link. Numba's own also optimises, and makes machine code."""
-        for library in dict.fromkeys(self._linking_libraries):
-            self._reload_init.update(library._reload_init)
-            self._final_module.link_in(library._get_module_for_linking(), preserve=True)
-        self._finalized = True
-
-    def get_pointer_to_function(self, name: str) -> int:
-        """Return null: there is no machine code."""
-        del name
-        return 0
-
-    @property
-    def codegen(self) -> _PartLibrary:
-        """What `set_env` is called of: there is no machine code whose environment could be set."""
-        return self
-
-    def set_env(self, name: str, env: Any) -> None:
-        """Do nothing."""
-
-
-class _PartCompiler(Compiler):
-    """Numba's compiler, which leaves what it makes in a `_PartLibrary`."""
-
-    def __init__(self, typing: Any, target: Any, library: Any, *more: Any) -> None:
-        own: Any = _PartLibrary
-        super().__init__(typing, target, library or own(target.codegen(), "part"), *more)  # type: ignore[no-untyped-call]
+    if function is None:
+        return partial(lean, **options)
+    return part(function, **options) if PLAIN else part(function, _nrt=False, **options)
 
 
 def is_compiled(module: str, file: Path) -> bool:
     """Return whether a kernel of this module was compiled before from the sources as they are, and is in the cache."""
-    return any(cache_folder(module, file).rglob("*.nbi"))
+    return any(cache_folder(module, file).glob("*.nbi"))
 
 
 @cache
 def cache_folder(module: str, file: Path) -> Path:
-    """Return the cache folder of the kernels of a module of this package, made if need be; older ones are removed.
-
-    It is in `__pycache__` beside the module, or in the user's cache folder where that cannot be written. Numba also
-    compares time and size of the module's own file, so these are part of the digest: what is there is valid.
-    """
-    stamp = file.stat()
-    digest = hashlib.sha256(f"{numba.__version__} {file} {stamp.st_mtime_ns} {stamp.st_size}".encode())
-    for source in sorted(reachable(file, file.parents[module.count(".") - 1])):
-        digest.update(_digest(source))
-    beside = file.parent / "__pycache__"
-    base = beside if os.access(beside if beside.exists() else file.parent, os.W_OK) else Path(_user_folder())
-    folder = base / f"{file.stem}-{digest.hexdigest()[:16]}"
+    """Return the cache folder of the kernels of a module of this package; with a new one, the oldest are removed."""
+    root = file.parents[module.count(".") - 1]
+    digest = hashlib.sha256(f"{numba.__version__} {PLAIN}".encode())
+    for source in sorted(reachable(file, root)):
+        digest.update(str(source.relative_to(root)).encode() + _digest(source))
+    base = _base()
+    folder = base / f"{module}-{digest.hexdigest()[:16]}"
     if not folder.exists():
-        _remove_old(base, file.stem)
+        _remove_old(base, module)
     return folder
+
+
+@cache
+def _base() -> Path:
+    """Return the folder of all caches: one that can be written."""
+    chosen = os.environ.get("NUMBA_CACHE_DIR")
+    base = Path(chosen or AppDirs(PACKAGE, appauthor=False).user_cache_dir) / "kernels"  # type: ignore[no-untyped-call]
+    with suppress(OSError):
+        base.mkdir(parents=True, exist_ok=True)
+    return base if os.access(base, os.W_OK) else Path(tempfile.gettempdir()) / f"{PACKAGE}-kernels-{os.getuid()}"
 
 
 def reachable(file: Path, root: Path) -> set[Path]:
@@ -190,11 +198,7 @@ def _digest(file: Path) -> bytes:
     return hashlib.sha256(file.read_bytes()).digest()
 
 
-def _remove_old(base: Path, stem: str) -> None:
-    old = sorted(base.glob(f"{stem}-{'[0-9a-f]' * 16}"), key=lambda folder: folder.stat().st_mtime)
+def _remove_old(base: Path, module: str) -> None:
+    old = sorted(base.glob(f"{module}-{'[0-9a-f]' * 16}"), key=lambda folder: folder.stat().st_mtime)
     for folder in old[:-KEPT]:
         shutil.rmtree(folder, ignore_errors=True)
-
-
-def _user_folder() -> str:
-    return str(AppDirs(PACKAGE, appauthor=False).user_cache_dir)  # type: ignore[no-untyped-call]

@@ -34,7 +34,10 @@ print(k.wrapped(4.0), sum(k.wrapped.stats.cache_hits.values()), k.__file__)
 @pytest.fixture
 def package(tmp_path: Path) -> Path:
     """Return a copy of the package's floor `sim` with a kernel that calls a function of another file."""
-    home = tmp_path / "cellslam"
+    return copy_of_sim(tmp_path / "one" / "cellslam")
+
+
+def copy_of_sim(home: Path) -> Path:
     shutil.copytree(ROOT / "sim", home / "sim", ignore=shutil.ignore_patterns("__pycache__"))
     (home / "sim" / "wrapping_kernel.py").write_text(KERNEL)
     shutil.copy(ROOT / "cellslam" / "__init__.py", home)
@@ -43,7 +46,11 @@ def package(tmp_path: Path) -> Path:
 
 def called(package: Path) -> tuple[float, int]:
     """Return the number that a kernel of the copy gives in a process of its own, and how often the cache had it."""
-    environment = {**os.environ, "PYTHONPATH": str(package.parent)}
+    environment = {
+        **os.environ,
+        "PYTHONPATH": str(package.parent),
+        "NUMBA_CACHE_DIR": str(package.parents[1] / "cache"),
+    }
     words = [sys.executable, "-c", CALL]
     done = subprocess.run(words, env=environment, cwd=package.parent, capture_output=True, text=True, check=True)
     number, hits, file = done.stdout.split()
@@ -62,14 +69,33 @@ def test_edit_of_a_callee_in_another_file_is_noticed(package: Path) -> None:
     assert called(package) == (pytest.approx(100.0 + before), 0)
 
 
-def test_only_compiled_sources_as_they_are_count_as_compiled(package: Path) -> None:
+def test_a_copy_of_the_sources_finds_what_was_compiled(package: Path) -> None:
+    before, hits = called(package)
+    other = copy_of_sim(package.parents[1] / "two" / "cellslam")
+    os.utime(other / "sim" / "wrapping_kernel.py", ns=(1, 1))
+    assert hits == 0 and called(other) == (before, 1)
+    assert not list(package.rglob("*.nbi"))  # nothing is left beside the sources
+
+
+def test_only_compiled_sources_as_they_are_count_as_compiled(
+    package: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(compiling, "_base", lambda: tmp_path / "cache" / "kernels")
     kernel, name = package / "sim" / "wrapping_kernel.py", "cellslam.sim.wrapping_kernel"
     assert not compiling.is_compiled(name, kernel)
     called(package)
     assert compiling.is_compiled(name, kernel)
+    kernel.write_text(KERNEL + "# another\n")
     compiling.cache_folder.cache_clear()
-    os.utime(kernel, ns=(1, 1))  # an upgrade in place
+    compiling._digest.cache_clear()
     assert not compiling.is_compiled(name, kernel)
+
+
+def test_with_a_numba_that_nobody_knows_parts_are_plain_functions(
+    package: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("CELLSLAM_PLAIN_NJIT", "1")
+    assert called(package)[0] == pytest.approx(4.0 - 2.0 * 3.141592653589793)
 
 
 def test_sources_are_those_that_imports_reach(tmp_path: Path) -> None:
@@ -91,6 +117,7 @@ def test_old_folders_are_removed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch
     package.mkdir(parents=True)
     kernel = package / "one_kernel.py"
     made = []
+    monkeypatch.setattr(compiling, "_base", lambda: tmp_path / "cache")
     for edit in range(compiling.KEPT + 3):
         kernel.write_text(f"edit = {edit}\n")
         os.utime(kernel, ns=(edit, edit))
