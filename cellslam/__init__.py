@@ -14,8 +14,8 @@ The first ten minutes, in a notebook:
 
 from __future__ import annotations
 
+import sys
 from importlib import import_module
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
@@ -94,9 +94,8 @@ __all__ = [
     "trial",
 ]
 
-# In a checkout the rooms stand beside this folder, not in it: Python started there finds them, too.
-if not (Path(__file__).parent / "sim").is_dir():
-    __path__.append(str(Path(__file__).parents[1]))
+if sys.platform == "win32":
+    raise ImportError("cellslam runs on Linux and macOS; on Windows, in the Windows Subsystem for Linux (WSL)")
 
 
 def __getattr__(name: str) -> Any:

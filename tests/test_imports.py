@@ -96,3 +96,9 @@ def test_reading_a_scenario_compiles_nothing() -> None:
         "pandas",
         "h5py",
     }
+
+
+def test_windows_is_told_in_one_line_what_to_do() -> None:
+    words = [sys.executable, "-c", "import sys; sys.platform = 'win32'; import cellslam"]
+    done = subprocess.run(words, capture_output=True, text=True, check=False)
+    assert done.returncode == 1 and done.stderr.splitlines()[-1].startswith("ImportError: cellslam runs on Linux")
