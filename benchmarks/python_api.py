@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from cellslam.benchmarks.recordings.fitting.told import told
-from cellslam.benchmarks.scores.trial_result import METRIC_KEYS, ROW_KEYS
+from cellslam.benchmarks.scores.metrics import METRIC_KEYS, ROW_KEYS
 from cellslam.benchmarks.trials.guests import Guests
 from cellslam.benchmarks.trials.trials import (
     DEFAULT_ESTIMATORS,

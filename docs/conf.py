@@ -45,6 +45,7 @@ GENERATED = {
     "commands": reference_pages.commands,
     "estimator_options": reference_pages.estimator_options,
     "gallery": draw_gallery.page,
+    "metrics": reference_pages.metrics,
     "python": reference_pages.python,
     "scenario_keys": reference_pages.scenario_keys,
     "scenarios": reference_pages.scenarios,

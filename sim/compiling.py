@@ -48,7 +48,7 @@ def njit(function: Any = None, /, **options: Any) -> Any:
     cached = options.pop("cache", False)
     compiled = numba.njit(function, **{"_nrt": True, **options})
     if cached and not numba.config.DISABLE_JIT:  # type: ignore[attr-defined]
-        compiled._cache = _Cache(function)
+        compiled._cache = _Cache(function)  # type: ignore[no-untyped-call]
     return compiled
 
 
@@ -84,7 +84,7 @@ class _Locator:
 
 
 class _Found(caching.CompileResultCacheImpl):
-    _locator_classes = [_Locator]  # noqa: RUF012  # as Numba has it
+    _locator_classes = [_Locator]  # type: ignore[list-item]  # noqa: RUF012
 
 
 class _Cache(caching.FunctionCache):
@@ -132,7 +132,8 @@ def lean(function: Any = None, /, **options: Any) -> Any:
     """
     if function is None:
         return partial(lean, **options)
-    return part(function, **options) if PLAIN else part(function, _nrt=False, **options)
+    uncounted: dict[str, Any] = {} if PLAIN else {"_nrt": False}
+    return part(**uncounted, **options)(function)
 
 
 def is_compiled(module: str, file: Path) -> bool:

@@ -25,9 +25,9 @@ from cellslam.benchmarks.figures.sweep.sweep_data import (
 from cellslam.benchmarks.report.choice import Choice, rounded
 from cellslam.benchmarks.report.trial_sections import trial_sections
 from cellslam.benchmarks.report.worst_trials import failed_trials, worst_trials
+from cellslam.benchmarks.scores.metrics import METRIC
 from cellslam.benchmarks.scores.statistics import interval, statistic
 from cellslam.benchmarks.sweeps.rows import provenance
-from cellslam.benchmarks.tables.headings import HEADINGS
 from cellslam.benchmarks.tables.rankings import told_apart
 from cellslam.benchmarks.tables.summaries import EFFICIENCY, efficiency
 from cellslam.sim.progress import Progress
@@ -39,17 +39,8 @@ if TYPE_CHECKING:
 CONFIDENCE = 0.95
 MOST_POINTS_OF_CURVES = 400
 MOST_PANELS = 24
-# Metrics that have plots: heading, and digits that matter.
-PLOTTED = {
-    "position_rmse_m": ("position RMSE (m)", 3),
-    "position_max_m": ("largest position error (m)", 3),
-    "position_end_m": ("position error at the end (m)", 3),
-    "heading_rmse_rad": ("heading RMSE (rad)", 5),
-    "clock_offset_rmse_m": ("clock offset error at the end (m)", 3),
-    "map_gospa_m": ("map GOSPA (m)", 3),
-    "nees_mean": ("mean NEES (2 is right)", 3),
-    "estimate_seconds": ("time of the estimator (s a trial)", 4),
-}
+PLOTTED = {key: metric for key, metric in METRIC.items() if metric.axis}
+MORE_DIGITS = 1  # than in tables: figures are looked into
 # Columns of the summary: metric, statistic, and the heading where it is not the metric's.
 COLUMNS = (
     ("position_rmse_m", "median", ""),
@@ -87,10 +78,10 @@ def content(folder: Path, choice: Choice, progress: Progress) -> dict[str, Any]:
         "ranks": _ranks(data),
         "curves": _curves(data),
         "panels": _distributions(data),
-        "columns": {metric: _heading(metric) for metric in HEADINGS},
-        "metrics": {name: heading for name, (heading, _) in PLOTTED.items()},
+        "columns": {metric: _heading(metric) for metric in METRIC},
+        "metrics": {key: metric.label for key, metric in PLOTTED.items()},
         "confidence": 100 * CONFIDENCE,
-        "worst": {"metric": choice.metric, "heading": PLOTTED.get(choice.metric, (choice.metric, 3))[0]},
+        "worst": {"metric": choice.metric, "heading": METRIC[choice.metric].label or choice.metric},
         "heading": "Worst trials",
         "trials": sections,
         "cities": cities,
@@ -110,7 +101,7 @@ def _summary(data: SweepData) -> dict[str, Any]:
             settings = [_setting(one.settings.get(key)) for key in keys]
             lines.append({"settings": settings, "label": one.label, "cells": cells, "ok": ok, "all": len(one.rows)})
     headings = [
-        {**_heading(metric, text), "title": HEADINGS[metric][2] + (f"; {name} over trials" if name else "")}
+        {**_heading(metric, text), "title": METRIC[metric].meaning + (f"; {name} over trials" if name else "")}
         for metric, name, text in COLUMNS
     ]
     empty = [i for i in range(len(COLUMNS)) if all(line["cells"][i] is None for line in lines)]
@@ -127,7 +118,7 @@ def _cell(one: Series, metric: str, name: str) -> list[float | None] | None:
     values = one.values(metric)
     if not len(values):
         return None
-    digits = PLOTTED.get(metric, ("", 3))[1]
+    digits = METRIC[metric].digits + MORE_DIGITS
     of = statistic(name)
     ends = (np.nan, np.nan) if metric in PLAIN else interval(values, of, CONFIDENCE)
     numbers: list[float | None] = rounded([float(of.of(values)), *ends], digits)
@@ -155,11 +146,11 @@ def _curves(data: SweepData) -> list[dict[str, Any]]:
         styles = estimator_styles(named)
         for name, points in named.items():
             line: dict[str, Any] = {"name": name, "colour": styles[name]["color"], "metrics": {}}
-            for metric, (_, digits) in PLOTTED.items():
+            for metric, known in PLOTTED.items():
                 found = [(x, one.values(metric)) for x, one in points if not isinstance(x, str)]
                 found = [(x, values) for x, values in found if len(values)]
                 if found:
-                    line["metrics"][metric] = _line(found, of, digits)
+                    line["metrics"][metric] = _line(found, of, known.digits + MORE_DIGITS)
             lines.append(line)
         if 0 < sum(len(line["metrics"].get("position_rmse_m", [[]])[0]) for line in lines) <= MOST_POINTS_OF_CURVES:
             out.append({"key": key, "lines": lines})
@@ -184,7 +175,8 @@ def _distributions(data: SweepData) -> list[dict[str, Any]]:
         for one in panel.series:
             fine = one.rows[one.rows["status"] == "ok"]
             columns = {
-                metric: rounded(np.asarray(fine[metric], np.float64), digits) for metric, (_, digits) in PLOTTED.items()
+                metric: rounded(np.asarray(fine[metric], np.float64), known.digits + MORE_DIGITS)
+                for metric, known in PLOTTED.items()
             }
             kept = {metric: column for metric, column in columns.items() if any(v is not None for v in column)}
             names = [f"trial {trial}, seed {seed}" for trial, seed in zip(fine["trial"], fine["seed"], strict=True)]
@@ -227,8 +219,8 @@ def resolved(folder: Path) -> tuple[list[dict[str, Any]], list[dict[str, Any]]]:
 
 
 def _heading(metric: str, text: str = "") -> dict[str, str]:
-    own, unit, meaning = HEADINGS[metric]
-    return {"text": text or own, "unit": unit, "title": meaning}
+    known = METRIC[metric]
+    return {"text": text or known.heading, "unit": known.unit, "title": known.meaning}
 
 
 def _setting(value: Any) -> Any:

@@ -11,7 +11,7 @@ import numpy as np
 
 from cellslam.benchmarks.report.choice import rounded
 from cellslam.benchmarks.report.scene import Cities, scene_of
-from cellslam.benchmarks.scores.trial_result import METRIC_KEYS
+from cellslam.benchmarks.scores.metrics import METRIC_KEYS
 from cellslam.benchmarks.sweeps.store import reading, trajectory_path
 from cellslam.benchmarks.sweeps.tasks import identity, scenario_of
 from cellslam.benchmarks.sweeps.trajectories import Trajectory, unpack

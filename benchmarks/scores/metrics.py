@@ -1,21 +1,29 @@
-"""The scores of one trial, from a recording with truth, an estimator's result and the bound.
+"""Metrics: what is scored of one trial, from a recording with truth, an estimator's result and the bound.
 
+A metric is a line of `METRICS`. Rows, stores, tables, figures, reports and the reference page follow from the line.
 Position errors are horizontal, absolute and not aligned. Source: paper, section V.
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cached_property
+from typing import TYPE_CHECKING
+
 import numpy as np
 
-from cellslam.benchmarks.bound.cramer_rao import BoundResult
-from cellslam.benchmarks.scores.association import precision_recall, tracks_of, transmitter_errors
+from cellslam.benchmarks.scores.association import Tracks, precision_recall, tracks_of, transmitter_errors
 from cellslam.benchmarks.scores.gospa import gospa
 from cellslam.benchmarks.scores.reference_fixes import usable, within
-from cellslam.benchmarks.scores.trial_result import METRIC_KEYS, TrialResult
+from cellslam.benchmarks.scores.trial_result import TrialResult
 from cellslam.benchmarks.scores.walls import wall_scores
 from cellslam.sim.frames import wrap_angle
 from cellslam.sim.recording import Floats, Ints, Recording, Reference, Truth
 from cellslam.slam.api import VtEstimate
+
+if TYPE_CHECKING:
+    from cellslam.benchmarks.bound.cramer_rao import BoundResult
 
 GOSPA_CUTOFF_M = 20.0
 GOSPA_ORDER = 2.0
@@ -24,71 +32,193 @@ SMALLEST_VARIANCE_M2 = 1e-12
 SHORTEST_STEP_M = 1.0  # of a reference's path: below it lies the noise of fixes at rest
 
 
+@dataclass(frozen=True)
+class Errors:
+    """Errors of a trial against its truth at every snapshot, or against a reference at its fixes: horizontal `position`
+    (N,) in m, `heading` (N,) in rad, and the NEES `squared` (N,), NaN where there is none."""
+
+    position: Floats
+    heading: Floats
+    squared: Floats
+
+
+@dataclass(frozen=True)
+class Scored:
+    """What metrics are computed from; what several of them need is computed once, and None where it does not apply."""
+
+    recording: Recording
+    result: TrialResult
+    bound: BoundResult | None
+
+    @cached_property
+    def errors(self) -> Errors | None:
+        """Errors of pose, against truth or reference."""
+        truth, reference, result = self.recording.truth, self.recording.reference, self.result
+        if truth is None:
+            return None if reference is None else reference_errors(self.recording, reference, result)
+        # The covariances of a smoother are those of the snapshots, and say nothing of its poses.
+        known = np.zeros(0) if result.smoothed else nees(truth.poses, result.poses, result.covariances)
+        turned = wrap_angle(result.poses[:, 3] - truth.poses[:, 3])
+        return Errors(horizontal_error(truth.poses, result.poses), turned, known)
+
+    @cached_property
+    def tracks(self) -> Tracks | None:
+        """Which estimated VT is of which true one."""
+        truth, association = self.recording.truth, self.result.association
+        if truth is None or association is None:
+            return None
+        return tracks_of(self.recording.measurements.link, association, truth.measurement_vt)
+
+    @cached_property
+    def walls(self) -> dict[str, float | None]:
+        """Scores of the walls by key."""
+        truth, walls = self.recording.truth, self.result.walls
+        return {} if truth is None or walls is None else wall_scores(self.recording, truth, walls)
+
+    @property
+    def clock_offset_m(self) -> Floats | None:
+        """Errors (S,) of the clock offsets at the end."""
+        truth, offset = self.recording.truth, self.result.clock_offset_m
+        if truth is None or offset is None or not len(self.recording.sites):
+            return None
+        return np.asarray(offset[-1] - truth.clock_offsets_at(self.recording.elapsed_s)[-1])
+
+    @property
+    def transmitter_m(self) -> Floats | None:
+        """Errors of the sites' positions."""
+        if self.tracks is None or self.result.vts is None:
+            return None
+        return transmitter_errors(self.recording, self.result.vts, self.tracks)
+
+    @property
+    def map_gospa_m(self) -> float | None:
+        """GOSPA of the map of VTs."""
+        truth, vts = self.recording.truth, self.result.vts
+        return None if truth is None or vts is None else map_gospa(self.recording, truth, vts)
+
+    @cached_property
+    def associated(self) -> tuple[float | None, float | None]:
+        """Precision and recall of the associations."""
+        truth = self.recording.truth
+        if truth is None or self.tracks is None:
+            return None, None
+        return precision_recall(self.tracks, truth.measurement_vt)
+
+
+@dataclass(frozen=True)
+class Metric:
+    """A metric: its key in rows, unit, heading of a column, digits in tables, meaning, and how it is computed; None: of
+    several rows, or measured while the estimator runs. `axis`: label in figures; those without one have none."""
+
+    key: str
+    unit: str
+    heading: str
+    digits: int
+    meaning: str
+    of: Callable[[Scored], float | None] | None = None
+    axis: str = ""
+
+    @property
+    def titled(self) -> str:
+        """Heading and unit."""
+        return f"{self.heading} {self.unit}" if self.unit == "time" else _with_unit(self.heading, self.unit)
+
+    @property
+    def label(self) -> str:
+        """Label of an axis, with unit."""
+        return _with_unit(self.axis, self.unit)
+
+
+METRICS = (
+    Metric("position_rmse_m", "m", "RMSE", 2, "root mean square of the horizontal position error, not aligned",
+           lambda s: _of(s, "position", _rms), "position RMSE"),
+    Metric("position_max_m", "m", "max", 2, "largest position error",
+           lambda s: _of(s, "position", np.max), "largest position error"),
+    Metric("position_end_m", "m", "end", 2, "position error at the end",
+           lambda s: _of(s, "position", lambda e: e[-1]), "position error at the end"),
+    Metric("heading_rmse_rad", "rad", "heading", 4, "heading error, root mean square",
+           lambda s: _of(s, "heading", _rms), "heading RMSE"),
+    Metric("clock_offset_rmse_m", "m", "offset", 2, "error of the sites' clock offsets at the end, root mean square",
+           lambda s: _rms(s.clock_offset_m), "clock offset error at the end"),
+    Metric("transmitter_rmse_m", "m", "sites", 2, "error of the sites' positions at the end, root mean square",
+           lambda s: _rms(s.transmitter_m)),
+    Metric("map_gospa_m", "m", "GOSPA", 2,
+           "map of virtual transmitters: GOSPA, mean over links, which also counts what is missed and what is false",
+           lambda s: s.map_gospa_m, "map GOSPA"),
+    Metric("wall_gospa_m", "m", "walls", 2, "walls, of estimators that report walls: GOSPA of their visible parts",
+           lambda s: s.walls.get("wall_gospa_m")),
+    Metric("wall_share", "", "mapped", 2, "share of the seen facades' length that is mapped",
+           lambda s: s.walls.get("wall_share")),
+    Metric("wall_normal_rmse_rad", "rad", "wall normals", 4, "error of the walls' directions, root mean square",
+           lambda s: s.walls.get("wall_normal_rmse_rad")),
+    Metric("wall_offset_rmse_m", "m", "wall offsets", 2, "by how much walls are off across them, root mean square",
+           lambda s: s.walls.get("wall_offset_rmse_m")),
+    Metric("association_precision", "", "precision", 2, "share of associations that are right",
+           lambda s: s.associated[0]),
+    Metric("association_recall", "", "recall", 2, "share of measurements of a VT that were associated rightly",
+           lambda s: s.associated[1]),
+    Metric("nees_mean", "", "NEES", 2,
+           "mean normalised estimation error squared of the position: 2 where the claimed covariance is right",
+           lambda s: _of(s, "squared", np.mean), "mean NEES (2 is right)"),
+    Metric("bound_position_rmse_m", "m", "bound", 2,
+           "Cramér-Rao bound of the position RMSE: the least error that a filter can have on average on this drive, "
+           "errors that persist included", lambda s: None if s.bound is None else s.bound.position_rmse_m),
+    Metric("bound_merged_m", "m", "bound, merging in", 2,
+           "the same with what merging does as one more error that persists; given where more than 5 % of the "
+           "measurements are merged", lambda s: None if s.bound is None else s.bound.merged_m),
+)  # fmt: skip
+# What the estimator took, which varies from run to run; all else of a row is the same for a seed.
+COSTS = (
+    Metric("estimate_seconds", "s", "s a drive", 2, "time of the estimator's own code", axis="time of the estimator"),
+    Metric("realtime_factor", "time", "x real", 1, "duration of the drive over time of the estimator"),
+    Metric("peak_memory_mb", "MB", "memory", 1, "the most that the estimator made resident memory grow by"),
+)
+# Of a group of rows.
+RATIOS = (
+    Metric("efficiency_ratio", "", "efficiency ratio", 2,
+           "root mean square of the RMSE over that of the bound, 1 at best"),
+    Metric("efficiency_ratio_merged", "", "merging counted in", 2,
+           "the same, of the bound with merging as an error that persists"),
+)  # fmt: skip
+METRIC_KEYS, COST_KEYS = tuple(m.key for m in METRICS), tuple(m.key for m in COSTS)
+METRIC = {metric.key: metric for metric in (*METRICS, *COSTS, *RATIOS)}
+# Keys of one row of results, in the order in which they are written; a value that does not apply is null.
+ROW_KEYS = (
+    "scenario", "estimator", "trial", "seed", "status", "error", "snapshots", "duration_s", "distance_m",
+    *METRIC_KEYS, *COST_KEYS,
+)  # fmt: skip
+
+
 def score(recording: Recording, result: TrialResult, bound: BoundResult | None) -> dict[str, float | None]:
-    """Return the metrics of a result by key (`METRIC_KEYS`).
+    """Return the metrics of a result by key (`METRICS`).
 
     None where one does not apply: no truth, or the estimator does not estimate it.
     """
-    scores: dict[str, float | None] = dict.fromkeys(METRIC_KEYS)
-    if bound is not None:
-        scores["bound_position_rmse_m"], scores["bound_merged_m"] = bound.position_rmse_m, bound.merged_m
-    truth = recording.truth
-    if truth is None:
-        return scores | (reference_scores(recording, recording.reference, result) if recording.reference else {})
-    error = horizontal_error(truth.poses, result.poses)
-    scores["position_rmse_m"] = _rms(error)
-    scores["position_max_m"] = float(error.max())
-    scores["position_end_m"] = float(error[-1])
-    scores["heading_rmse_rad"] = _rms(wrap_angle(result.poses[:, 3] - truth.poses[:, 3]))
-    if not result.smoothed:  # the covariances are those of the snapshots
-        squared = nees(truth.poses, result.poses, result.covariances)
-        scores["nees_mean"] = float(np.nanmean(squared)) if np.isfinite(squared).any() else None
-    if result.clock_offset_m is not None and len(recording.sites):
-        scores["clock_offset_rmse_m"] = _rms(
-            result.clock_offset_m[-1] - truth.clock_offsets_at(recording.elapsed_s)[-1]
-        )
-    if result.vts is not None:
-        scores["map_gospa_m"] = map_gospa(recording, truth, result.vts)
-    if result.walls is not None:
-        scores |= wall_scores(recording, truth, result.walls)
-    if result.association is not None:
-        tracks = tracks_of(recording.measurements.link, result.association, truth.measurement_vt)
-        precision, recall = precision_recall(tracks, truth.measurement_vt)
-        scores["association_precision"], scores["association_recall"] = precision, recall
-        if result.vts is not None:
-            errors = transmitter_errors(recording, result.vts, tracks)
-            scores["transmitter_rmse_m"] = _rms(errors) if len(errors) else None
-    return scores
+    scored = Scored(recording, result, bound)
+    return {metric.key: metric.of(scored) for metric in METRICS if metric.of is not None}
 
 
-def reference_scores(recording: Recording, reference: Reference, result: TrialResult) -> dict[str, float | None]:
-    """Return the scores against a reference: the estimate interpolated at its times, where they lie within the drive.
+def reference_errors(recording: Recording, reference: Reference, result: TrialResult) -> Errors | None:
+    """Return the errors against a reference: the estimate interpolated at its times, where they lie within the drive.
 
     Positions far off their neighbours are left out (`reference_fixes.outlying`). The NEES adds the reference's variance
-    to the claimed one, and is None where the reference does not state its own.
+    to the claimed one, and is missing where the reference does not state its own.
     """
-    scores: dict[str, float | None] = {}
     times, rows = recording.time_s, within(recording, reference)
     if not rows.any():
-        return scores
+        return None
     at = reference.time_s[rows]
     turns = np.unwrap(result.poses[:, 3:], axis=0)
     poses = np.column_stack([np.interp(at, times, column) for column in (*result.poses[:, :3].T, *turns.T)])
     known = np.column_stack([reference.position_m[rows], reference.yaw_rad[rows]])
-    there = usable(recording, reference)[rows]
-    if there.any():
-        error = horizontal_error(known[there], poses[there])
-        scores["position_rmse_m"], scores["position_max_m"] = _rms(error), float(error.max())
-        scores["position_end_m"] = float(error[-1])
-        std = reference.position_std_m[rows]
-        nearest = np.clip(np.searchsorted(times, at), 0, len(times) - 1)
-        claimed = result.covariances[nearest] + (std**2)[:, None, None] * np.eye(6)
-        squared = nees(known[there & ~np.isnan(std)], poses[there & ~np.isnan(std)], claimed[there & ~np.isnan(std)])
-        scores["nees_mean"] = float(np.nanmean(squared)) if np.isfinite(squared).any() else None
-    turned = np.isfinite(known[:, 3])
-    if turned.any():
-        scores["heading_rmse_rad"] = _rms(wrap_angle(poses[turned, 3] - known[turned, 3]))
-    return scores
+    there, turned = usable(recording, reference)[rows], np.isfinite(known[:, 3])
+    std = reference.position_std_m[rows]
+    nearest, sure = np.clip(np.searchsorted(times, at), 0, len(times) - 1), there & ~np.isnan(std)
+    claimed = result.covariances[nearest] + (std**2)[:, None, None] * np.eye(6)
+    return Errors(
+        horizontal_error(known[there], poses[there]), wrap_angle(poses[turned, 3] - known[turned, 3]),
+        nees(known[sure], poses[sure], claimed[sure]),
+    )  # fmt: skip
 
 
 def errors_over_time(recording: Recording, poses: Floats) -> tuple[Floats, Floats] | None:
@@ -187,5 +317,17 @@ def _length(points: Floats) -> float | None:
     return length
 
 
-def _rms(values: Floats) -> float:
-    return float(np.sqrt(np.mean(np.square(values))))
+def _rms(values: Floats | None) -> float | None:
+    return None if values is None or not len(values) else float(np.sqrt(np.mean(np.square(values))))
+
+
+def _of(scored: Scored, part: str, summed: Callable[[Floats], float | None]) -> float | None:
+    """Return a statistic of a part of the errors, over what is there of it."""
+    values = np.zeros(0) if scored.errors is None else getattr(scored.errors, part)
+    values = values[np.isfinite(values)] if part == "squared" else values
+    found = summed(values) if len(values) else None
+    return None if found is None else float(found)
+
+
+def _with_unit(text: str, unit: str) -> str:
+    return f"{text} ({unit})" if unit else text

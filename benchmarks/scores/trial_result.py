@@ -12,23 +12,6 @@ from cellslam.slam.api import VtEstimate, WallEstimate
 from cellslam.slam.model.calibration import Calibration
 from cellslam.slam.model.vt_map import VtMap
 
-# Keys of one row of results, in the order in which they are written; a value that does not apply is null.
-ROW_KEYS = (
-    "scenario", "estimator", "trial", "seed", "status", "error", "snapshots", "duration_s", "distance_m",
-    "position_rmse_m", "position_max_m", "position_end_m", "heading_rmse_rad", "clock_offset_rmse_m",
-    "transmitter_rmse_m", "map_gospa_m", "wall_gospa_m", "wall_share", "wall_normal_rmse_rad", "wall_offset_rmse_m",
-    "association_precision", "association_recall", "nees_mean",
-    "bound_position_rmse_m", "bound_merged_m", "estimate_seconds", "realtime_factor", "peak_memory_mb",
-)  # fmt: skip
-# What the estimator took, which varies from run to run; all else of a row is the same for a seed.
-COST_KEYS = ("estimate_seconds", "realtime_factor", "peak_memory_mb")
-# Those of them that `benchmarks.scores.metrics.score` fills; each may be None.
-METRIC_KEYS = (
-    "position_rmse_m", "position_max_m", "position_end_m", "heading_rmse_rad", "clock_offset_rmse_m",
-    "transmitter_rmse_m", "map_gospa_m", "wall_gospa_m", "wall_share", "wall_normal_rmse_rad", "wall_offset_rmse_m",
-    "association_precision", "association_recall", "nees_mean", "bound_position_rmse_m", "bound_merged_m",
-)  # fmt: skip
-
 
 @dataclass(frozen=True, repr=False)
 class TrialResult(Described):

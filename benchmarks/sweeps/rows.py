@@ -8,8 +8,8 @@ from pathlib import Path
 from sqlite3 import Connection
 from typing import TYPE_CHECKING, Any
 
-from cellslam.benchmarks.scores.trial_result import ROW_KEYS
-from cellslam.benchmarks.sweeps.store import reading
+from cellslam.benchmarks.scores.metrics import ROW_KEYS
+from cellslam.benchmarks.sweeps.store import reading, stored_columns
 from cellslam.scenarios.keys import label, nearest_key
 from cellslam.scenarios.map_config import MapConfig
 from cellslam.sim.errors import InputError
@@ -36,7 +36,8 @@ def results(folder: str | Path, keys: Sequence[str] | None = None) -> pd.DataFra
         wanted = _wanted(keys, columns)
         plain = ["key", "estimator", "world", "options", "seed", "trial", *(k for k in ROW_KEYS if k in wanted)]
         plain = list(dict.fromkeys(plain))
-        names = ", ".join(f'"{name}"' for name in plain)
+        there = stored_columns(database)
+        names = ", ".join(f'"{name}"' if name in there else "NULL" for name in plain)
         rows = database.execute(f"SELECT {names} FROM rows").fetchall()
     frame = pd.DataFrame.from_records(rows, columns=plain)
     place = {pair: index for index, pair in enumerate(pairs)}

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from cellslam.benchmarks.scores.trial_result import COST_KEYS, METRIC_KEYS, ROW_KEYS
+from cellslam.benchmarks.scores.metrics import COST_KEYS, METRIC_KEYS, ROW_KEYS
 from cellslam.benchmarks.sweeps.lock import check_local, only_writer
 from cellslam.benchmarks.sweeps.tasks import Plan, Result
 from cellslam.benchmarks.trials.output_files import check_folder
@@ -23,6 +23,7 @@ TRAJECTORIES = "trajectories"
 SCHEMA = 4
 # Columns beside those of a row: ids of world and options, which process wrote it, and how often it was tried.
 OWN_KEYS = ("key", "world", "options", "run", "traceback")
+COLUMNS = (*OWN_KEYS, *ROW_KEYS)
 _NUMBERS = (*METRIC_KEYS, "duration_s", "distance_m", *COST_KEYS)
 _WHOLE = ("trial", "seed", "snapshots", "run")
 
@@ -36,7 +37,7 @@ CREATE TABLE IF NOT EXISTS worlds (id TEXT PRIMARY KEY, tables TEXT NOT NULL) WI
 CREATE TABLE IF NOT EXISTS options (id TEXT PRIMARY KEY, tables TEXT NOT NULL) WITHOUT ROWID;
 CREATE TABLE IF NOT EXISTS runs (id INTEGER PRIMARY KEY, started TEXT, host TEXT, command TEXT, versions TEXT);
 CREATE TABLE IF NOT EXISTS rows (
-    {", ".join(f'"{key}" {_type(key)}' for key in (*OWN_KEYS, *ROW_KEYS))}, PRIMARY KEY (key)
+    {", ".join(f'"{key}" {_type(key)}' for key in COLUMNS)}, PRIMARY KEY (key)
 ) WITHOUT ROWID;
 PRAGMA user_version = {SCHEMA};
 """
@@ -68,9 +69,9 @@ class Store:
             if result.trajectory is not None:
                 _write_bytes(trajectory_path(self.folder, result.key), result.trajectory)
             values = {key: _storable(value) for key, value in {**row, **result.row}.items()}
-            marks = ", ".join(f":{key}" for key in (*OWN_KEYS, *ROW_KEYS))
+            columns, marks = ", ".join(f'"{key}"' for key in COLUMNS), ", ".join(f":{key}" for key in COLUMNS)
             with self.database:
-                self.database.execute(f"INSERT OR REPLACE INTO rows VALUES ({marks})", values)
+                self.database.execute(f"INSERT OR REPLACE INTO rows ({columns}) VALUES ({marks})", values)
 
 
 @contextmanager
@@ -110,6 +111,11 @@ def reading(folder: Path) -> Iterator[sqlite3.Connection]:
             yield database
 
 
+def stored_columns(database: sqlite3.Connection) -> set[str]:
+    """Return the columns that a store has of its rows; metrics that came after it was made are missing."""
+    return {column[1] for column in database.execute("PRAGMA table_info(rows)")}
+
+
 def trajectory_path(folder: Path, key: str) -> Path:
     """Return where the trajectory of a key is kept."""
     return folder / TRAJECTORIES / key[:2] / f"{key}.npz"
@@ -127,6 +133,8 @@ def _prepare(folder: Path, database: sqlite3.Connection) -> None:
     # A killed process loses nothing that was committed; a machine that loses power may lose the last rows.
     database.execute("PRAGMA synchronous = NORMAL")
     database.executescript(_TABLES)
+    for key in set(COLUMNS) - stored_columns(database):  # metrics that came after the store was made
+        database.execute(f'ALTER TABLE rows ADD COLUMN "{key}" {_type(key)}')
 
 
 def _storable(value: Any) -> Any:

@@ -8,6 +8,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
+from cellslam.benchmarks.scores.metrics import METRIC
 from cellslam.benchmarks.tables.headings import in_words
 
 if TYPE_CHECKING:
@@ -51,7 +52,7 @@ def number(value: float | None, metric: str, statistic: str = "") -> str:
         return f"{value:.0e}"
     if statistic.startswith("share>"):
         return f"{value:.3f}"
-    digits = 4 if metric.endswith("_rad") else 1 if metric in ("realtime_factor", "peak_memory_mb") else 2
+    digits = METRIC[metric].digits if metric in METRIC else 2
     return f"{value:.{digits}f}"
 
 

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from cellslam.benchmarks.scores.trial_result import ROW_KEYS
+from cellslam.benchmarks.scores.metrics import ROW_KEYS
 from cellslam.benchmarks.sweeps.rows import provenance, results
 from cellslam.scenarios.suites import Suite, digest, suite
 from cellslam.sim.errors import InputError
@@ -80,7 +80,7 @@ def read(path: Path) -> SuiteRows:
 
     try:
         table: Any = json.loads(path.read_text("utf-8"))
-        frame = pd.DataFrame(table["rows"], columns=table["columns"])
+        frame = pd.DataFrame(table["rows"], columns=table["columns"]).reindex(columns=list(COLUMNS))
         one, said = suite(str(table["suite"])), str(table["digest"])
         made, machine, marked = dict(table["versions"]), str(table["machine"]), frozenset(table["oracles"])
         found = SuiteRows(one, one.scenarios, one.trials, made, machine, marked, frame)
@@ -94,8 +94,6 @@ def read(path: Path) -> SuiteRows:
         raise InputError(f"{path}: not rows of a suite, as 'cellslam bench accuracy --rows' writes them") from error
     if said != digest(one):
         raise InputError(f"{path}: made with another {one.name} (digest {said[:12]}, here {digest(one)[:12]})")
-    if list(frame.columns) != list(COLUMNS):
-        raise InputError(f"{path}: made by a version of cellslam with other columns; make it again with this one")
     every = sorted((e, s, t) for e in estimators for s in one.scenarios for t in range(one.trials_of(s)))
     if drives != every or set(frame["seed"]) != {one.seed}:
         raise InputError(f"{path}: not every drive of {one.name} once for each estimator")

@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from cellslam.benchmarks.scores.metrics import METRIC
 from cellslam.benchmarks.scores.statistics import efficiency_ratio, interval, paired, statistic
-from cellslam.benchmarks.scores.trial_result import COST_KEYS, METRIC_KEYS
 from cellslam.benchmarks.sweeps.rows import results, varying_keys
 from cellslam.sim.errors import InputError, unknown_name
 from cellslam.sim.recording import Floats
@@ -19,7 +19,6 @@ if TYPE_CHECKING:
     import pandas as pd
 
 EFFICIENCY, MERGED = "efficiency_ratio", "efficiency_ratio_merged"  # of a group of rows, not of one
-METRICS = (*METRIC_KEYS, *COST_KEYS, EFFICIENCY, MERGED)
 BOUND, BOUNDED = "bound", "position_rmse_m"  # the line of the bound, and the metric that it bounds
 RATIO_OF = (BOUNDED, "bound_position_rmse_m", "bound_merged_m")
 _DRIVE = ("world", "seed", "trial")
@@ -150,8 +149,8 @@ def row_keys(folder: str | Path, layout: Layout) -> list[str]:
 def metrics_of(layout: Layout) -> list[str]:
     """Return the metrics of a layout, checked: those asked for, or the usual ones."""
     for name in layout.metrics:
-        if name not in METRICS:
-            raise unknown_name("metric", name, METRICS)
+        if name not in METRIC:
+            raise unknown_name("metric", name, METRIC)
     return list(layout.metrics or (USUAL_METRICS[:1] if layout.columns else USUAL_METRICS))
 
 
@@ -178,7 +177,7 @@ def _with_bounds(frame: pd.DataFrame, keys: Sequence[str]) -> pd.DataFrame:
     bounds = frame.dropna(subset=[limit]).drop_duplicates(list(_DRIVE))
     bounds["estimator"], bounds["status"], bounds[BOUNDED] = BOUND, "ok", bounds[limit]
     for key in map(str, frame):
-        if key.startswith("estimator.") or (key in METRICS and key not in RATIO_OF):
+        if key.startswith("estimator.") or (key in METRIC and key not in RATIO_OF):
             bounds[key] = None
     both = pd.concat([frame, bounds.astype(frame.dtypes)], ignore_index=True) if len(bounds) else frame
     settings = [key for key in keys if key.partition(".")[0] != "estimator"]

@@ -18,7 +18,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from cellslam.benchmarks.scores.trial_result import ROW_KEYS, TrialResult
+from cellslam.benchmarks.scores.metrics import ROW_KEYS
+from cellslam.benchmarks.scores.trial_result import TrialResult
 from cellslam.benchmarks.trials.earlier_drives import Before
 from cellslam.benchmarks.trials.estimation import estimate, warm_up
 from cellslam.benchmarks.trials.failures import GuestError, LostError, details, explained

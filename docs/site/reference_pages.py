@@ -17,6 +17,7 @@ from pydantic_core import PydanticUndefined
 import cellslam
 from cellslam.benchmarks.cli.commands import GROUPS, SECTIONS
 from cellslam.benchmarks.cli.main import build_parser
+from cellslam.benchmarks.scores.metrics import COSTS, METRICS
 from cellslam.scenarios.keys import allowed, models_in, unit_of
 from cellslam.scenarios.loading import load, preset_names
 from cellslam.scenarios.scenario import Scenario
@@ -85,6 +86,14 @@ def estimator_options() -> str:
             keys = _keys(options, f"estimator.{entry.name}.") if options else ()
             lines += [*_table(_COLUMNS, keys), ""] if options else ["It has no options.", ""]
     return "\n".join(lines)
+
+
+def metrics() -> str:
+    """Return the lines of a table: each metric of a row, with unit and meaning."""
+    return "\n".join(
+        f"| `{one.key}` | {one.meaning}{f', {one.unit}' if one.unit not in ('', 'time') else ''} |"
+        for one in (*METRICS, *COSTS)
+    )
 
 
 def scenarios() -> str:

@@ -17,7 +17,7 @@ import llvmlite.binding
 import numpy as np
 
 import cellslam
-from cellslam.benchmarks.scores.trial_result import COST_KEYS
+from cellslam.benchmarks.scores.metrics import COST_KEYS
 from cellslam.sim.recording import Measurements, Recording, Truth
 
 FILE = Path(__file__).with_name("rows.json")

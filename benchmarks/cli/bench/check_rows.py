@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from cellslam.benchmarks.cli.arguments import DONE, FAILED, limits
-from cellslam.benchmarks.scores.trial_result import METRIC_KEYS
+from cellslam.benchmarks.scores.metrics import METRIC_KEYS
 from cellslam.sim.errors import InputError
 
 # Other versions and processors round otherwise, and an estimator's choices may hang on the last digit.

@@ -12,7 +12,7 @@ from cellslam.benchmarks.figures.style import BLACK, GREY, WIDTH_IN, context, es
 from cellslam.benchmarks.figures.sweep.critical_difference import draw_ranks
 from cellslam.benchmarks.figures.sweep.sweep_curve import draw_curve
 from cellslam.benchmarks.figures.sweep.sweep_data import Panel, SweepData, curve_keys, load, verdicts_of
-from cellslam.benchmarks.figures.sweep.sweep_look import AXIS, Look, summed_label
+from cellslam.benchmarks.figures.sweep.sweep_look import Look, axis, summed_label
 from cellslam.benchmarks.scores.statistics import interval, statistic
 from cellslam.benchmarks.tables.summaries import Layout, check_confidence, metrics_of
 from cellslam.sim.errors import InputError
@@ -85,7 +85,7 @@ def _cdf(figure: Figure, data: SweepData, metric: str) -> bool:
             if len(values):
                 share = np.arange(1, len(values) + 1) / len(one.rows)
                 axes.step(np.append(values, values[-1]), np.append(0.0, share), where="pre", **styles[one.label])
-        axes.set_xlabel(AXIS.get(metric, metric))
+        axes.set_xlabel(axis(metric))
     figure.axes[0].set_ylim(0, 1)
     figure.axes[0].set_xlim(left=0)
     figure.axes[0].set_ylabel("share of trials")
@@ -167,7 +167,7 @@ def _cost(figure: Figure, data: SweepData, look: Look) -> bool:
         )
         seen.add(one.label)
     axes.set_xscale("log")
-    axes.set_xlabel(f"{AXIS['estimate_seconds']}, median")
+    axes.set_xlabel(f"{axis('estimate_seconds')}, median over trials")
     axes.set_ylabel(summed_label(look))
     axes.set_ylim(bottom=0)
     figure.legend(loc="outside lower center", ncols=2)

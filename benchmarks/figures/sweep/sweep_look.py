@@ -4,16 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-AXIS = {
-    "position_rmse_m": "position RMSE (m)",
-    "position_max_m": "largest position error (m)",
-    "position_end_m": "position error at the end (m)",
-    "heading_rmse_rad": "heading RMSE (rad)",
-    "clock_offset_rmse_m": "clock offset error at the end (m)",
-    "map_gospa_m": "map GOSPA (m)",
-    "nees_mean": "mean NEES",
-    "estimate_seconds": "time of the estimator (s a trial)",
-}
+from cellslam.benchmarks.scores.metrics import METRIC
 
 STATISTICS = {"rmse": "root mean square"}
 
@@ -30,4 +21,9 @@ class Look:
 
 def summed_label(look: Look) -> str:
     """Return the label of an axis: the metric, and how trials are summed up."""
-    return f"{AXIS.get(look.metric, look.metric)},\n{STATISTICS.get(look.statistic, look.statistic)} over trials"
+    return f"{axis(look.metric)},\n{STATISTICS.get(look.statistic, look.statistic)} over trials"
+
+
+def axis(metric: str) -> str:
+    """Return the label of an axis of a metric."""
+    return METRIC[metric].label or METRIC[metric].titled

@@ -18,7 +18,7 @@ import numpy as np
 import pytest
 
 from cellslam.benchmarks.cli.main import build_parser
-from cellslam.benchmarks.scores.trial_result import ROW_KEYS
+from cellslam.benchmarks.scores.metrics import ROW_KEYS
 from cellslam.scenarios import load
 from tests.short_drive import SET, SHORT
 

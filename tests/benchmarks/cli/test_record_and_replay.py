@@ -9,7 +9,7 @@ import h5py
 import numpy as np
 
 from cellslam.benchmarks import run as run_trials
-from cellslam.benchmarks.scores.trial_result import COST_KEYS, ROW_KEYS
+from cellslam.benchmarks.scores.metrics import COST_KEYS, ROW_KEYS
 from cellslam.sim.recording import Recording
 from tests.short_drive import SET, SHORT
 

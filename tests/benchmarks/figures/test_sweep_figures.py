@@ -18,7 +18,7 @@ from cellslam.benchmarks.figures.sweep.sweep_curve import bound_lines, draw_curv
 from cellslam.benchmarks.figures.sweep.sweep_data import load, sweep_lines
 from cellslam.benchmarks.figures.sweep.sweep_figures import draw_sweep
 from cellslam.benchmarks.figures.sweep.sweep_look import Look
-from cellslam.benchmarks.scores.trial_result import ROW_KEYS
+from cellslam.benchmarks.scores.metrics import ROW_KEYS
 from cellslam.benchmarks.sweeps.store import DATABASE, writing
 from cellslam.benchmarks.sweeps.tasks import Result, identity, plan, request_of
 from cellslam.benchmarks.sweeps.trajectories import pack, trajectory

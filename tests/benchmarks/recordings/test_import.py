@@ -19,7 +19,7 @@ from cellslam.benchmarks.cli import main as cli
 from cellslam.benchmarks.recordings.exporting.tables import write_csv, write_mat
 from cellslam.benchmarks.recordings.importing.importing import import_folder
 from cellslam.benchmarks.recordings.importing.matlab import variables
-from cellslam.benchmarks.scores.trial_result import COST_KEYS
+from cellslam.benchmarks.scores.metrics import COST_KEYS
 from cellslam.sim.errors import InputError
 from cellslam.sim.frames import SPEED_OF_LIGHT_MPS
 from cellslam.sim.recording import CLOCK_PRIOR, Recording, Reference

@@ -10,8 +10,8 @@ import pytest
 
 from cellslam.benchmarks.bound.cramer_rao import BoundResult
 from cellslam.benchmarks.scores.association import precision_recall, tracks_of
-from cellslam.benchmarks.scores.metrics import distance_m, duration_s, nees, score
-from cellslam.benchmarks.scores.trial_result import METRIC_KEYS, TrialResult
+from cellslam.benchmarks.scores.metrics import METRIC_KEYS, distance_m, duration_s, nees, score
+from cellslam.benchmarks.scores.trial_result import TrialResult
 from cellslam.benchmarks.scores.walls import true_walls
 from cellslam.slam.api import VtEstimate, WallEstimate
 from cellslam.slam.model.walls import normals

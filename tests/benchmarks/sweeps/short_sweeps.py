@@ -10,7 +10,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from cellslam.benchmarks.scores.trial_result import COST_KEYS, ROW_KEYS
+from cellslam.benchmarks.scores.metrics import COST_KEYS, ROW_KEYS
 from cellslam.benchmarks.sweeps.store import DATABASE
 from tests.short_drive import SHORT
 

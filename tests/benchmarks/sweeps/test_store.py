@@ -6,13 +6,15 @@ import sqlite3
 import subprocess
 import sys
 from collections.abc import Callable
+from contextlib import closing
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
-from cellslam.benchmarks.scores.trial_result import ROW_KEYS, TrialResult
+from cellslam.benchmarks.scores.metrics import ROW_KEYS
+from cellslam.benchmarks.scores.trial_result import TrialResult
 from cellslam.benchmarks.sweeps import store, tasks
 from cellslam.benchmarks.sweeps.lock import check_local, only_writer
 from cellslam.benchmarks.sweeps.rows import results
@@ -235,3 +237,17 @@ def test_trajectories_are_kept_compressed(toy_recording: Callable[..., Recording
     damaged.write_bytes(packed[:100])
     with pytest.raises(InputError, match="not a trajectory file"):
         unpack(damaged)
+
+
+def test_a_store_made_before_a_metric_existed_stays_readable_and_goes_on(tmp_path: Path) -> None:
+    made = plan_of({}, trials=2)
+    fill(tmp_path, made)
+    with closing(sqlite3.connect(tmp_path / store.DATABASE)) as database, database:
+        database.execute("ALTER TABLE rows DROP COLUMN nees_mean")
+    frame = results(tmp_path)
+    assert frame["nees_mean"].isna().all() and frame["position_rmse_m"].tolist() == [0.0, 1.0]
+    with store.writing(tmp_path, "test", {}) as open_store:
+        (_, job), values = [(task, job) for task in made.tasks for job in task.jobs][1], {"nees_mean": 2.0}
+        new = row(job.key, trial=1, **values)
+        open_store.write(new, identity(made.tasks[1].world), identity(job.options))
+    assert results(tmp_path)["nees_mean"].fillna(-1.0).tolist() == [-1.0, 2.0]

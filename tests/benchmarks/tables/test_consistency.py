@@ -11,7 +11,7 @@ from scipy.stats import chi2
 
 from cellslam.benchmarks.cli.main import main
 from cellslam.benchmarks.scores.association import vt_nees
-from cellslam.benchmarks.scores.trial_result import ROW_KEYS
+from cellslam.benchmarks.scores.metrics import ROW_KEYS
 from cellslam.benchmarks.sweeps.store import writing
 from cellslam.benchmarks.sweeps.tasks import Result, identity, plan
 from cellslam.benchmarks.sweeps.trajectories import Trajectory

@@ -18,7 +18,7 @@ from cellslam.benchmarks.tables.suite_tables import suite_markdown
 from cellslam.scenarios import load, suites
 from cellslam.scenarios.suites import SUITES, Suite, digest, scenario_of, suite, superseded_by
 from cellslam.sim.errors import InputError
-from tests.short_drive import SET, SHORT
+from tests.short_drive import SET
 
 # A suite never changes: what would change its results is another version.
 DIGESTS = {
@@ -203,16 +203,3 @@ def test_wrong_requests_are_one_line(
     err = capfd.readouterr().err
     assert err.count("\n") == 1 and expected in err
     assert not list(tmp_path.iterdir())
-
-
-def test_monte_carlo_measures_rates_overhead_and_table(capfd: pytest.CaptureFixture[str]) -> None:
-    line = ["bench", "monte-carlo", "tiny", *SHORT, "--estimator", "dead-reckoning"]
-    assert main([*line, "--trials", "2", "--jobs", "1", "--rows", "400", "--json"]) == 0
-    out, err = capfd.readouterr()
-    found = json.loads(out)
-    assert err == "" and set(found["seconds_by_part"]) == {"world", "dead-reckoning"}
-    assert found["ratio"] == pytest.approx(found["serial_seconds"] / found["processes_seconds"], abs=1e-2)
-    assert found["table_rows"] == 400 and found["table_cpu_seconds"] > 0
-    # What a sweep adds is part of the whole, and not nothing.
-    assert 0 < found["overhead_ms_per_trial"] < 1e3 * found["serial_seconds"] / 2
-    assert main([*line, "--rows", "3"]) == 2 and "--rows 3: must be at least 20" in capfd.readouterr().err

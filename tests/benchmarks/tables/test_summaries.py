@@ -14,7 +14,7 @@ import pytest
 from cellslam.benchmarks import comparison, results, summary
 from cellslam.benchmarks.cli.main import main
 from cellslam.benchmarks.figures.sweep.sweep_data import curve_keys, load, sweep_lines
-from cellslam.benchmarks.scores.trial_result import ROW_KEYS
+from cellslam.benchmarks.scores.metrics import ROW_KEYS
 from cellslam.benchmarks.sweeps.rows import varying_keys
 from cellslam.benchmarks.sweeps.store import DATABASE, writing
 from cellslam.benchmarks.sweeps.tasks import Result, identity, plan

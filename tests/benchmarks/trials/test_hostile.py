@@ -14,7 +14,7 @@ import pytest
 
 from cellslam.benchmarks import run as run_trials
 from cellslam.benchmarks.cli.main import main
-from cellslam.benchmarks.scores.trial_result import COST_KEYS
+from cellslam.benchmarks.scores.metrics import COST_KEYS
 from cellslam.benchmarks.sweeps.rows import results
 from cellslam.benchmarks.sweeps.store import DATABASE
 from cellslam.benchmarks.trials import guests as guests_module

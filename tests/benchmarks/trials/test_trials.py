@@ -14,7 +14,7 @@ from pydantic import BaseModel
 from cellslam.benchmarks import run
 from cellslam.benchmarks.bound import merged_paths
 from cellslam.benchmarks.scores import metrics
-from cellslam.benchmarks.scores.trial_result import COST_KEYS, ROW_KEYS
+from cellslam.benchmarks.scores.metrics import COST_KEYS, ROW_KEYS
 from cellslam.benchmarks.trials import answers, estimation, trials
 from cellslam.benchmarks.trials.trials import Trial, score_recording, score_trial
 from cellslam.scenarios import load
