@@ -85,11 +85,11 @@ def mark_words(doctree: nodes.document) -> None:
 
 
 def on_resolved(app: Any, doctree: nodes.document, page: str) -> None:
-    """Link the pages that are read from the beginning; reference and notes are looked things up in."""
+    """Link the pages that are read from the beginning; in the reference things are looked up."""
     relative: Callable[[str, str], str] = app.builder.get_relative_uri
     if page == PAGE:
         mark_words(doctree)
-    elif not page.startswith(("reference/", "notes/")):
+    elif not page.startswith("reference/"):
         link_first_uses(doctree, relative(page, PAGE))
 
 

@@ -62,7 +62,7 @@ def _diffuse_floor(config: RadioConfig, constants: Statistics | None) -> Floats:
     """Return the deviations (3,) in m, rad, rad that diffuse energy as strong as its path causes.
 
     Where they were not measured, those of LTE of 20 MHz are scaled: the energy in a resolution cell disturbs a path, in
-    amplitude its root, and draws the distance to the mean delay of that energy (docs/notes/nr-drives.md).
+    amplitude its root, and draws the distance to the mean delay of that energy (studies/nr-drives.md).
     """
     floor = np.array((constants or statistics(config.statistics_band or LTE)).diffuse_floor)
     if config.statistics_band not in (LTE, ""):

@@ -1,6 +1,6 @@
 """Constants of the statistical front end from samples of the signal-level one: method of moments and likelihoods.
 
-Source: own derivation, docs/notes/front-end-calibration.md.
+Source: own derivation, studies/front-end-calibration.md.
 """
 
 from __future__ import annotations

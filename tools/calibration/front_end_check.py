@@ -1,6 +1,6 @@
 """`python -m tools calibrate --check`: the two front ends in scenes that no calibration has seen.
 
-Source: own derivation, docs/notes/front-end-calibration.md.
+Source: own derivation, studies/front-end-calibration.md.
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
 """Detection probability of each path of a sample as the statistical front end computes it, in NumPy.
 
-Source: own derivation, docs/notes/front-end-calibration.md.
+Source: own derivation, studies/front-end-calibration.md.
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
 """Which errors of the signal level are white and which persist: correlation over time, links, place, direction.
 
-Source: own derivation, docs/notes/front-end-calibration.md.
+Source: own derivation, studies/front-end-calibration.md.
 """
 
 from __future__ import annotations

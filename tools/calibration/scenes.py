@@ -3,7 +3,7 @@
 A scene is one snapshot of one site whose two ports send over a few paths; array errors and surroundings are drawn
 anew for every scene. Roof and attitude are left out: they enter both front ends alike.
 
-Source: own derivation, docs/notes/front-end-calibration.md.
+Source: own derivation, studies/front-end-calibration.md.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 """Constants of the statistical front end, as the calibration study measured them (`python -m tools calibrate`): a file
 a band, for what a receiver resolves is another thing in another bandwidth.
 
-Source: measured; how, docs/notes/front-end-calibration.md.
+Source: measured; how, studies/front-end-calibration.md.
 """
 
 from __future__ import annotations
