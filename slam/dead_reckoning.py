@@ -10,7 +10,7 @@ import numpy as np
 from cellslam.sim.frames import wrap_angle
 from cellslam.sim.recording import Floats, Links, OdometryModel, Sites
 from cellslam.slam.api import Estimate, Setup, Snapshot
-from cellslam.slam.ekf_slam.bank import core_of, new_bank
+from cellslam.slam.ekf_slam.mixture import core_of, new_mixture
 from cellslam.slam.ekf_slam.snapshot.motion_kernel import Interval, Step, move
 from cellslam.slam.ekf_slam.state.array_errors import NO_ERRORS
 from cellslam.slam.ekf_slam.state.layout import one_of
@@ -43,9 +43,9 @@ class DeadReckoning:
         del rng
         self._model = setup.odometry_model
         none = replace(setup, sites=Sites((), np.zeros(0), np.zeros(0)), links=Links(*np.zeros((3, 0), np.int64)))
-        bank = new_bank(none, core_of(none, NO_ERRORS), NO_ERRORS, np.zeros((1, 0)), np.zeros(0))
-        self._filter, size = one_of(bank.arrays, 0), bank.core.size
-        self._room = Step(np.empty((6, size + 6)), np.empty((6, bank.arrays.x.shape[1])))
+        mixture = new_mixture(none, core_of(none, NO_ERRORS), NO_ERRORS, np.zeros((1, 0)), np.zeros(0))
+        self._filter, size = one_of(mixture.arrays, 0), mixture.core.size
+        self._room = Step(np.empty((6, size + 6)), np.empty((6, mixture.arrays.x.shape[1])))
 
     def step(self, dt_s: float, odometry: Floats, snapshot: Snapshot) -> Estimate:
         """Integrate one interval; the measurements are not used.

@@ -9,8 +9,8 @@ import numpy as np
 
 from cellslam.sim.recording import Ints, Truth
 from cellslam.slam.api import Setup, VtEstimate
-from cellslam.slam.ekf_slam.bank import Bank
 from cellslam.slam.ekf_slam.ekf_slam import EkfSlam
+from cellslam.slam.ekf_slam.mixture import Mixture
 from cellslam.slam.ekf_slam.snapshot.association_kernel import FRESH
 from cellslam.slam.ekf_slam.state.layout import IDENT, KNOWN_ASSOCIATION, KNOWN_MAP, LINK, Filter, Measured
 from cellslam.slam.fastslam.fastslam import FastSlam
@@ -76,14 +76,14 @@ class KnownMap(EkfSlam):
         self._truth = _truth(setup)
         super().start(setup, rng)
 
-    def _map(self, filters: Sequence[tuple[Bank, int]]) -> VtEstimate | None:
+    def _map(self, filters: Sequence[tuple[Mixture, int]]) -> VtEstimate | None:
         return None
 
-    def _install(self, bank: Bank) -> None:
+    def _install(self, mixture: Mixture) -> None:
         """Put every VT of a link's site on that link."""
         vts = self._truth.vts
         link, vt = np.nonzero(self._setup.links.site[:, None] == vts.site)
-        bank.know(link, vt, vts.position_m[vt], LONG_AGO)
+        mixture.know(link, vt, vts.position_m[vt], LONG_AGO)
 
 
 def _truth(setup: Setup) -> Truth:

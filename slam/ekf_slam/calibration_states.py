@@ -1,4 +1,4 @@
-"""The array's calibration in a bank of joint filters: what they have found, and what they begin with.
+"""The array's calibration in a mixture of joint filters: what they have found, and what they begin with.
 
 A weight's state is in deviations of its field; a calibration is in m and rad, so that it means the same to filters that
 are told other sizes. What an earlier drive found holds as it is; where it met nothing the prior is that of this filter.
@@ -14,27 +14,27 @@ import numpy as np
 
 from cellslam.sim.errors import InputError
 from cellslam.sim.recording import Floats, Ints
-from cellslam.slam.ekf_slam.bank import Bank
+from cellslam.slam.ekf_slam.mixture import Mixture
 from cellslam.slam.ekf_slam.state.layout import ArrayErrors
 from cellslam.slam.model.calibration import Calibration
 from cellslam.slam.model.pose_moments import mixture_moments
 
 
-def found(bank: Bank, errors: ArrayErrors) -> Calibration:
-    """Return the calibration as all filters of a bank have it, by their weights: mean and covariance of the mixture.
+def found(mixture: Mixture, errors: ArrayErrors) -> Calibration:
+    """Return the calibration as all filters of a mixture have it, by their weights: mean and covariance of the mixture.
 
     A filter that has not met a weight has its prior.
     """
     owners, component, size = _owners(errors)
-    k, states = len(bank), bank.arrays.weight_state[: len(bank), : len(owners)]
+    k, states = len(mixture), mixture.arrays.weight_state[: len(mixture), : len(owners)]
     met = np.flatnonzero((states >= 0).any(axis=0))
     x, p = np.zeros((k, len(met))), np.tile(np.eye(len(met)), (k, 1, 1))
     for i in range(k):
         there = np.flatnonzero(states[i, met] >= 0)
         place = states[i, met[there]]
-        x[i, there] = bank.arrays.x[i, place]
-        p[i][np.ix_(there, there)] = bank.arrays.p[i][np.ix_(place, place)]
-    mean, covariance = mixture_moments(bank.shares(), x, p)
+        x[i, there] = mixture.arrays.x[i, place]
+        p[i][np.ix_(there, there)] = mixture.arrays.p[i][np.ix_(place, place)]
+    mean, covariance = mixture_moments(mixture.shares(), x, p)
     std = size[component[met]]
     g = errors.calibration_grid
     return Calibration(
@@ -43,13 +43,13 @@ def found(bank: Bank, errors: ArrayErrors) -> Calibration:
     )  # fmt: skip
 
 
-def begin_with(bank: Bank, errors: ArrayErrors, known: Calibration) -> None:
-    """Let the weights of a calibration enter all filters of a new bank, as they are known."""
+def begin_with(mixture: Mixture, errors: ArrayErrors, known: Calibration) -> None:
+    """Let the weights of a calibration enter all filters of a new mixture, as they are known."""
     size = errors.calibration
     first = np.concatenate([[0], np.cumsum(size > 0.0)])[known.component] * errors.calibration_grid.cells
     owner, std, count = first + known.cell, size[known.component], len(known.mean)
-    bank.reserve(count, 0)
-    f, at = bank.arrays, int(bank.arrays.size[0, 0]) + np.arange(count)
+    mixture.reserve(count, 0)
+    f, at = mixture.arrays, int(mixture.arrays.size[0, 0]) + np.arange(count)
     f.x[:, at] = known.mean / std
     f.p[:, at[:, None], at] = known.covariance / (std[:, None] * std)
     f.owner[:, at], f.weight_state[:, owner] = owner, at

@@ -15,12 +15,12 @@ from cellslam.sim.frames.frames_kernel import wrap
 from cellslam.sim.recording import Floats, Ints, Links, OdometryModel
 from cellslam.slam import warm_up
 from cellslam.slam.api import Estimate, Setup, Snapshot, VtEstimate
-from cellslam.slam.ekf_slam.bank import LONGEST, MOST_STATES, Bank, core_of, new_bank, vt_estimate
 from cellslam.slam.ekf_slam.calibration_states import begin_with, found
 from cellslam.slam.ekf_slam.ekf_slam_options import EkfSlamOptions
 from cellslam.slam.ekf_slam.map_after import Box, Heard, map_after
 from cellslam.slam.ekf_slam.map_states import Remembered
 from cellslam.slam.ekf_slam.map_trial import MapTrial
+from cellslam.slam.ekf_slam.mixture import LONGEST, MOST_STATES, Mixture, core_of, new_mixture, vt_estimate
 from cellslam.slam.ekf_slam.sizes import Sizes, growth, sizes_of
 from cellslam.slam.ekf_slam.snapshot import snapshot_kernel
 from cellslam.slam.ekf_slam.snapshot.guess_kernel import births
@@ -103,11 +103,11 @@ class JointFilter:
         sites = self._setup.sites
         self._start: Start | None = None
         self._vts: VtEstimate | None = None
-        self._joint: Bank | None = None
+        self._joint: Mixture | None = None
         if (sites.clock_offset_std_m > self.options.component_std_m).any():
             self._start = begin(self._setup, self._core, self._errors, self.options)
-            for bank in self._start.banks:
-                self._install(bank)
+            for mixture in self._start.mixtures:
+                self._install(mixture)
         else:
             self._join(np.array(sites.clock_offset_mean_m, float)[None])
 
@@ -137,8 +137,10 @@ class JointFilter:
     @property
     def _surprise(self) -> Floats:
         """What the likeliest filters have of `surprise` (2,)."""
-        banks = self._start.banks if self._start is not None else [self._joint] if self._joint is not None else []
-        return np.asarray(np.sum([bank.arrays.surprise[int(np.argmax(bank.log_weight))] for bank in banks], axis=0))
+        mixtures = self._start.mixtures if self._start is not None else [self._joint] if self._joint is not None else []
+        return np.asarray(
+            np.sum([mixture.arrays.surprise[int(np.argmax(mixture.log_weight))] for mixture in mixtures], axis=0)
+        )
 
     def _step(self, dt_s: float, odometry: Floats, snapshot: Snapshot) -> Estimate:
         self._time_s += dt_s
@@ -180,26 +182,25 @@ class JointFilter:
 
     def vt_map(self) -> VtMap | None:
         """Return the map that the drive leaves; while the clock offsets are wide the one that it began with."""
-        bank = self._joint
-        if bank is None:
+        mixture = self._joint
+        if mixture is None:
             return self._setup.map
-        best, heard = int(np.argmax(bank.log_weight)), Heard(self._setup.links, self._setup.sites.name, self._seen)
-        return map_after(
-            one_of(bank.collapsed().arrays, best), self._archive, heard, bank.remembered, self.options.confirm_hits
-        )  # fmt: skip
+        best, heard = int(np.argmax(mixture.log_weight)), Heard(self._setup.links, self._setup.sites.name, self._seen)
+        f, confirm = one_of(mixture.collapsed().arrays, best), self.options.confirm_hits
+        return map_after(f, self._archive, heard, mixture.remembered, confirm)
 
     def _given(self, looks: Looks) -> Ints:
         """Return the true VT of each look, for the oracle that knows it."""
         return np.full(len(looks), NOT_GIVEN, np.int64)
 
-    def _install(self, bank: Bank) -> None:
+    def _install(self, mixture: Mixture) -> None:
         """Put into new filters what is known of the map: transmitters whose place was surveyed; VTs of a remembered map
         will come."""
-        bank.remembered = None if self._remembered is None else self._remembered.afresh()
+        mixture.remembered = None if self._remembered is None else self._remembered.afresh()
         places = self._setup.sites.position_m
         if places is not None:
             link = np.flatnonzero(np.isfinite(places[self._setup.links.site]).all(axis=1))
-            bank.know(link, link, places[self._setup.links.site[link]], 0)
+            mixture.know(link, link, places[self._setup.links.site[link]], 0)
 
     def _alike(self, **changes: Any) -> Self:
         """Return another filter of the same kind, with some options changed."""
@@ -216,9 +217,9 @@ class JointFilter:
         sought = self._start is None and self.options.step_probability > 0.0
         return math.log(self.options.step_probability) if sought else -math.inf
 
-    def _map(self, filters: Sequence[tuple[Bank, int]]) -> VtEstimate | None:
-        """Return the confirmed VTs of some filters of banks, with those that had to make room."""
-        rows = np.concatenate([*(bank.vts(i, self.options.confirm_hits) for bank, i in filters), self._archive])
+    def _map(self, filters: Sequence[tuple[Mixture, int]]) -> VtEstimate | None:
+        """Return the confirmed VTs of some filters of mixtures, with those that had to make room."""
+        rows = np.concatenate([*(mixture.vts(i, self.options.confirm_hits) for mixture, i in filters), self._archive])
         known = self._setup.map
         if known is not None:
             unseen = np.setdiff1d(len(self._setup.links) + np.arange(len(known)), list(self._seen))
@@ -230,7 +231,7 @@ class JointFilter:
         return common
 
     def _step_start(self, start: Start, interval: Interval, measured: Measured) -> Estimate:
-        """Use a snapshot in the banks of the start; once it is over, go through all snapshots again."""
+        """Use a snapshot in the mixtures of the start; once it is over, go through all snapshots again."""
         self._past.append((interval, measured))
         association = start.use(interval, measured)
         moments = start.moments()
@@ -257,13 +258,13 @@ class JointFilter:
 
     def _step_joint(self, interval: Interval, measured: Measured) -> Estimate:
         association = self._use(interval, measured)
-        bank = self._joint
-        if bank is None:
+        mixture = self._joint
+        if mixture is None:
             raise RuntimeError("step() was called before start()")
-        best, offsets = int(np.argmax(bank.log_weight)), self._core.offsets
-        mean, cov = bank.moments()
-        if self._vts is None or not bank.blocks.snapshots[0, 0]:  # VTs move as a block ends
-            self._vts = self._map([(bank, best)])
+        best, offsets = int(np.argmax(mixture.log_weight)), self._core.offsets
+        mean, cov = mixture.moments()
+        if self._vts is None or not mixture.blocks.snapshots[0, 0]:  # VTs move as a block ends
+            self._vts = self._map([(mixture, best)])
         variance = np.maximum(np.diag(cov)[offsets], 0.0)
         return _estimate(mean, cov, association[best].copy(), mean[offsets], variance, self._vts)
 
@@ -273,37 +274,37 @@ class JointFilter:
         self._seen, self._archive, self._vts = {}, NO_VTS, None
         std = np.minimum(self._setup.sites.clock_offset_std_m, self.options.component_std_m)
         states = MOST_STATES if len(offsets_m) == 1 else STATES
-        self._joint = new_bank(self._setup, self._core, self._errors, offsets_m, std, self.options.vts, states)
+        self._joint = new_mixture(self._setup, self._core, self._errors, offsets_m, std, self.options.vts, states)
         self._install(self._joint)
         if self.options.known_calibration is not None:
             begin_with(self._joint, self._errors, self.options.known_calibration)
 
     def _use(self, interval: Interval, measured: Measured) -> Ints:
         """Use a snapshot in the filters of all sites; return the associations (K, m)."""
-        bank = self._joint
-        if bank is None:
+        mixture = self._joint
+        if mixture is None:
             raise RuntimeError("step() was called before start()")
         if self.options.merge_rate == 0.0:
             measured = measured._replace(merged=np.zeros(3))
         errors = self._errors._replace(diffuse=self._grown * self._errors.diffuse)
-        association = self._go_on(bank, errors, interval, measured)
+        association = self._go_on(mixture, errors, interval, measured)
         if self.grows and measured.now % GROW_EVERY == GROW_EVERY - 1:
-            self._grown = min(self._grown * growth(bank), MOST_GROWN)
-        best = int(np.argmax(bank.log_weight))
-        lost = bank.lost(best)
+            self._grown = min(self._grown * growth(mixture), MOST_GROWN)
+        best = int(np.argmax(mixture.log_weight))
+        lost = mixture.lost(best)
         if len(lost):
             self._archive = np.concatenate([self._archive, lost])
-        self._see(association[best], bank.arrays.x[best, :2])
-        if len(bank) > 1 and not bank.blocks.snapshots[0, 0]:
-            kept = np.sort(bank.apart(slice(0, self._core.size), self.options.prune_ratio, more=True))
-            if len(kept) < len(bank):
-                bank.keep(kept)
+        self._see(association[best], mixture.arrays.x[best, :2])
+        if len(mixture) > 1 and not mixture.blocks.snapshots[0, 0]:
+            kept = np.sort(mixture.apart(slice(0, self._core.size), self.options.prune_ratio, more=True))
+            if len(kept) < len(mixture):
+                mixture.keep(kept)
                 association = association[kept]
         return association
 
-    def _go_on(self, bank: Bank, errors: ArrayErrors, interval: Interval, measured: Measured) -> Ints:
-        """Move all filters of a bank by an interval, and use a snapshot; return the associations (K, m)."""
-        return bank.use(errors, interval, measured, self.options.vts, self.options.hypotheses)
+    def _go_on(self, mixture: Mixture, errors: ArrayErrors, interval: Interval, measured: Measured) -> Ints:
+        """Move all filters of a mixture by an interval, and use a snapshot; return the associations (K, m)."""
+        return mixture.use(errors, interval, measured, self.options.vts, self.options.hypotheses)
 
     def _see(self, association: Ints, place: Floats) -> None:
         """Note from where the VTs of some looks are seen."""

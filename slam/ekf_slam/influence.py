@@ -1,4 +1,4 @@
-"""What each path says of the filters of a bank, and how much it may.
+"""What each path says of the filters of a mixture, and how much it may.
 
 A path over an edge, or one whose azimuth errs because it merges with another, is the image of no wall. It fits one
 wrong clock offset at each of a hundred looks. As a product their likelihoods would rule out the right offset, though
@@ -18,14 +18,14 @@ import numpy as np
 from cellslam.sim.recording import Floats, Ints
 from cellslam.slam.ekf_slam.state.layout import IDENT, WORTH, Filter
 
-MOST = 6.0  # log-likelihood that a filter may lose by one path, against the best filter of the bank
+MOST = 6.0  # log-likelihood that a filter may lose by one path, against the best filter of the mixture
 BIRTH = 3.0  # log-likelihood that each VT costs: it counts for more than clutter beyond that alone
 
 
 @dataclass
 class Influence:
-    """What the paths say of a bank of K filters: log-ratios `worth` (K, v) of the likelihood of each VT's looks to that
-    of clutter, by its identity (v,) and that of the first VT of its path (v,); and all else that is in the
+    """What the paths say of a mixture of K filters: log-ratios `worth` (K, v) of the likelihood of each VT's looks to
+    that of clutter, by its identity (v,) and that of the first VT of its path (v,); and all else that is in the
     log-weights: `rest` (K,)."""
 
     rest: Floats
@@ -36,14 +36,14 @@ class Influence:
     def __post_init__(self) -> None:
         self.worth = np.empty((len(self.rest), 0))
 
-    def meet(self, bank: Filter, association: Ints, born: int, log_weight: Floats) -> None:
+    def meet(self, mixture: Filter, association: Ints, born: int, log_weight: Floats) -> None:
         """Take in the VTs that began in a snapshot.
 
         association (K, m): identities at its looks, -1 for none; a VT that began at look i has the identity `born` + i.
         Where that look is, in other filters, of a VT that they have, both are of one path, as the likeliest of these
         has it. log_weight (K,).
         """
-        begun = self._identities(bank)
+        begun = self._identities(mixture)
         begun = begun[begun >= born]
         if not len(begun):
             return
@@ -55,29 +55,29 @@ class Influence:
                 path[n] = self.path[np.searchsorted(self.ident, looks[have[np.argmax(log_weight[have])]])]
         self._add(begun, path)
 
-    def weigh(self, bank: Filter) -> Floats:
+    def weigh(self, mixture: Filter) -> Floats:
         """Take in what the VTs are worth at the end of a block, and return the log-weights (K,).
 
         A filter that has lost a VT keeps what it had by it.
         """
-        ident = self._identities(bank)
+        ident = self._identities(mixture)
         there, column = np.unique(ident[ident >= 0], return_inverse=True)
         new = np.setdiff1d(there, self.ident)
         if len(new):  # of a map
             self._add(new, new)
         at, (row, slot) = np.searchsorted(self.ident, there), np.nonzero(ident >= 0)
         self.worth[row, at[column]] = 0.0
-        np.add.at(self.worth, (row, at[column]), bank.anchor[row, slot, WORTH])  # guesses at a VT are several
+        np.add.at(self.worth, (row, at[column]), mixture.anchor[row, slot, WORTH])  # guesses at a VT are several
         left = np.isin(self.path, self.path[at])
         self.rest = self.rest + bounded(self.worth[:, ~left], self.path[~left])
         self.ident, self.path, self.worth = self.ident[left], self.path[left], self.worth[:, left]
         return np.asarray(self.rest + bounded(self.worth, self.path))
 
-    def _identities(self, bank: Filter) -> Ints:
+    def _identities(self, mixture: Filter) -> Ints:
         """Return the identities (K, V) of the VTs of all filters, -1 where there is none."""
-        count = bank.count[: len(self.rest)]
+        count = mixture.count[: len(self.rest)]
         most = int(count.max())
-        return np.where(np.arange(most) < count, bank.slots[: len(count), :most, IDENT], -1)
+        return np.where(np.arange(most) < count, mixture.slots[: len(count), :most, IDENT], -1)
 
     def _add(self, ident: Ints, path: Ints) -> None:
         """Give room to VTs (n,) on some paths (n,)."""

@@ -36,7 +36,7 @@ MOST_NEAR = 60  # VTs that enter at most; those with most detections
 
 
 class Remembered:
-    """A map as the filters of a bank take it in; its VTs have the identities from `first_ident` on."""
+    """A map as the filters of a mixture take it in; its VTs have the identities from `first_ident` on."""
 
     def __init__(self, known: VtMap, links: Links, sites: tuple[str, ...], first_ident: int) -> None:
         """Take a map and, of the filters, their links and the names of their sites."""
@@ -48,7 +48,7 @@ class Remembered:
         self.passed = np.zeros(len(known), np.bool_)
 
     def afresh(self) -> Remembered:
-        """Return the map for another bank, into which none of its VTs has come yet."""
+        """Return the map for another mixture, into which none of its VTs has come yet."""
         out = copy(self)
         out._inside, out.passed = np.zeros_like(self._inside), np.zeros_like(self.passed)
         return out

@@ -14,8 +14,8 @@ import numpy as np
 
 from cellslam.sim.described import Described
 from cellslam.sim.recording import COMPONENTS, Floats, Ints, OdometryModel
-from cellslam.slam.ekf_slam.bank import Bank
 from cellslam.slam.ekf_slam.ekf_slam_options import EkfSlamOptions
+from cellslam.slam.ekf_slam.mixture import Mixture
 from cellslam.slam.ekf_slam.snapshot.sizes_kernel import DIFFUSE_SIZE, ODOMETRY, count_states, count_weight
 from cellslam.slam.ekf_slam.state.layout import ArrayErrors, one_of
 
@@ -107,27 +107,27 @@ def _surely(slope: float, information: float) -> float:
     return factor if sure else 1.0
 
 
-def growth(bank: Bank) -> float:
-    """Return by what factor diffuse errors are surely larger than a bank takes them for, 1 where they may be as large,
-    or where no filter is as likely as all others together; otherwise all filters count anew.
+def growth(mixture: Mixture) -> float:
+    """Return by what factor diffuse errors are surely larger than a mixture takes them for, 1 where they may be as
+    large, or where no filter is as likely as all others together; otherwise all filters count anew.
 
     Diffuse energy moves distance, azimuth and elevation: distances, which merged paths hardly move, speak for all.
     """
-    share = bank.shares()
-    slope, information, _ = bank.arrays.sizes[int(np.argmax(share)), :, DIFFUSE_SIZE].tolist()
+    share = mixture.shares()
+    slope, information, _ = mixture.arrays.sizes[int(np.argmax(share)), :, DIFFUSE_SIZE].tolist()
     factor = max(_surely(slope, information), 1.0) if information > 0.0 and share.max() > 0.5 else 1.0
     if factor > 1.0:
-        bank.arrays.sizes[:, :, DIFFUSE] = bank.arrays.sizes[:, 2, :DIFFUSE_SIZE] = 0.0
+        mixture.arrays.sizes[:, :, DIFFUSE] = mixture.arrays.sizes[:, 2, :DIFFUSE_SIZE] = 0.0
     return factor
 
 
-def sizes_of(bank: Bank, errors: ArrayErrors, noise: Floats, grown: float) -> Sizes:
-    """Return what the likeliest filter of a bank has learnt; the bank's own counts stay as they are.
+def sizes_of(mixture: Mixture, errors: ArrayErrors, noise: Floats, grown: float) -> Sizes:
+    """Return what the likeliest filter of a mixture has learnt; the mixture's own counts stay as they are.
 
     noise (6,): densities of the odometry's white noise, whose sums have not been taken in lately. grown: as in `Sizes`.
     """
-    best, core = int(np.argmax(bank.log_weight)), bank.core
-    f = one_of(bank.arrays, best)._replace(sizes=bank.arrays.sizes[best].copy())
+    best, core = int(np.argmax(mixture.log_weight)), mixture.core
+    f = one_of(mixture.arrays, best)._replace(sizes=mixture.arrays.sizes[best].copy())
     for place in np.flatnonzero(f.owner[: f.size[0]] >= 0):
         count_weight(f, errors, int(place))
     count_states(f, core.noise, ODOMETRY, noise**2 * f.summed[0])

@@ -48,8 +48,8 @@ from cellslam.sim.compiling import is_compiled
 from cellslam.sim.recording import Floats, Ints
 from cellslam.slam import warm_up
 from cellslam.slam.api import Setup
-from cellslam.slam.ekf_slam.bank import Bank
 from cellslam.slam.ekf_slam.ekf_slam import JointFilter
+from cellslam.slam.ekf_slam.mixture import Mixture
 from cellslam.slam.ekf_slam.snapshot.association_kernel import FRESH, TAKEN
 from cellslam.slam.ekf_slam.snapshot.motion_kernel import NOTHING_DRAWN, Interval
 from cellslam.slam.ekf_slam.snapshot.snapshot_kernel import Room
@@ -141,7 +141,7 @@ class FastSlam(JointFilter):
 
     # ---- a snapshot --------------------------------------------------------------------------------------------------
 
-    def _go_on(self, mixture: Bank, errors: ArrayErrors, interval: Interval, measured: Measured) -> Ints:
+    def _go_on(self, mixture: Mixture, errors: ArrayErrors, interval: Interval, measured: Measured) -> Ints:
         """Use a snapshot in all groups; return the associations (K, m).
 
         While the drive so far is gone through again at the end of the start, there are no particles yet.
@@ -171,7 +171,7 @@ class FastSlam(JointFilter):
         return association
 
     @staticmethod
-    def _group(mixture: Bank, k: int) -> tuple[Filter, Block]:
+    def _group(mixture: Mixture, k: int) -> tuple[Filter, Block]:
         return one_of(mixture.arrays, k), block_of(mixture.blocks, k)
 
     def _associate(
@@ -201,7 +201,7 @@ class FastSlam(JointFilter):
         without = np.where(begins, FRESH, TAKEN)
         return np.where(candidate_of >= 0, slot[candidate_of], without) if len(slot) else without
 
-    def _second_hypotheses(self, mixture: Bank, paired: list[list[Ints]]) -> tuple[Ints, list[Ints]]:
+    def _second_hypotheses(self, mixture: Mixture, paired: list[list[Ints]]) -> tuple[Ints, list[Ints]]:
         """Return the groups that become two, the likeliest first, as long as there is room, and their second
         hypotheses."""
         found = [(k, one) for k in np.argsort(-mixture.log_weight, kind="stable") for one in paired[k][1:]]
@@ -300,7 +300,7 @@ class FastSlam(JointFilter):
 
     # ---- groups and memory -------------------------------------------------------------------------------------------
 
-    def _begin_groups(self, mixture: Bank, measured: Measured) -> None:
+    def _begin_groups(self, mixture: Mixture, measured: Measured) -> None:
         """Begin with a group for each component of a wide start pose that may be, by the map and the first snapshot."""
         self._anywhere, remembered = False, mixture.remembered
         assert remembered is not None
@@ -318,7 +318,7 @@ class FastSlam(JointFilter):
             a.x[k, :POSE] = poses[one]
             a.p[k, PLANE, PLANE] = widths**2
 
-    def _share_particles(self, mixture: Bank) -> None:
+    def _share_particles(self, mixture: Mixture) -> None:
         """Give each group its share of the particles, if the number of groups has changed."""
         count = 1 if self._drawn_blocks == 0 else max(self.options.particles // len(mixture), FEWEST)
         if mixture.arrays.weight.shape[1] != count:

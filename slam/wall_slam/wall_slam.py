@@ -11,9 +11,9 @@ from pydantic import Field
 
 from cellslam.sim.recording import Floats, Ints
 from cellslam.slam.api import Estimate, WallEstimate
-from cellslam.slam.ekf_slam.bank import Bank
 from cellslam.slam.ekf_slam.ekf_slam import JointFilter
 from cellslam.slam.ekf_slam.ekf_slam_options import EkfSlamOptions
+from cellslam.slam.ekf_slam.mixture import Mixture
 from cellslam.slam.ekf_slam.snapshot.motion_kernel import Interval
 from cellslam.slam.ekf_slam.start import Start
 from cellslam.slam.ekf_slam.state.layout import BEYOND, IDENT, LAST, Filter, Measured, one_of
@@ -64,19 +64,19 @@ class WallSlam(JointFilter):
         if measured.now >= self._looked + LOOKED_EVERY:
             self._end_walls(measured)
         association = super()._use(interval, measured)
-        bank = self._joint
+        mixture = self._joint
         # Between blocks, when no looks wait for the state that they were held against; of a mixture none is changed.
-        between = bank is not None and len(bank) == 1 and not bank.blocks.snapshots[0, 0]
-        if bank is not None and between and measured.now >= self._joined + JOINED_EVERY:
-            self._facades.join(one_of(bank.arrays, 0))
+        between = mixture is not None and len(mixture) == 1 and not mixture.blocks.snapshots[0, 0]
+        if mixture is not None and between and measured.now >= self._joined + JOINED_EVERY:
+            self._facades.join(one_of(mixture.arrays, 0))
             self._joined = measured.now
         return association
 
     def _end_walls(self, measured: Measured) -> None:
         """Let nothing be associated with VTs, unseen for a while, whose walls would not be met as far as they reach."""
-        self._looked, bank = measured.now, self._joint
-        if bank is not None:
-            missed, slots = self._facades.not_met(likeliest(bank)), bank.arrays.slots
+        self._looked, mixture = measured.now, self._joint
+        if mixture is not None:
+            missed, slots = self._facades.not_met(likeliest(mixture)), mixture.arrays.slots
             long_ago = measured.now - slots[..., LAST] > measured.rules.away
             slots[..., BEYOND] = np.isin(slots[..., IDENT], missed) & long_ago
 
@@ -84,13 +84,13 @@ class WallSlam(JointFilter):
         return replace(super()._step_start(start, interval, measured), walls=NO_WALLS)
 
     def _step_joint(self, interval: Interval, measured: Measured) -> Estimate:
-        answer, bank = super()._step_joint(interval, measured), self._joint
-        if bank is None or measured.now < self._shown + SHOWN_EVERY:
+        answer, mixture = super()._step_joint(interval, measured), self._joint
+        if mixture is None or measured.now < self._shown + SHOWN_EVERY:
             return answer
         self._shown = measured.now
-        return replace(answer, walls=self._facades.estimate(likeliest(bank), self.options.confirm_hits))
+        return replace(answer, walls=self._facades.estimate(likeliest(mixture), self.options.confirm_hits))
 
 
-def likeliest(bank: Bank) -> Filter:
-    """Return the likeliest filter of a bank."""
-    return one_of(bank.arrays, int(np.argmax(bank.log_weight)))
+def likeliest(mixture: Mixture) -> Filter:
+    """Return the likeliest filter of a mixture."""
+    return one_of(mixture.arrays, int(np.argmax(mixture.log_weight)))

@@ -8,7 +8,7 @@ import pytest
 
 from cellslam.sim.recording import Floats, Links, OdometryModel, Sites
 from cellslam.slam.api import Setup
-from cellslam.slam.ekf_slam.bank import core_of, new_bank
+from cellslam.slam.ekf_slam.mixture import core_of, new_mixture
 from cellslam.slam.ekf_slam.snapshot.sight_kernel import coordinates, errors_of, geometry, rotations_of
 from cellslam.slam.ekf_slam.snapshot.snapshot_kernel import PENDING, new_room
 from cellslam.slam.ekf_slam.snapshot.update_kernel import Look
@@ -32,9 +32,12 @@ class OneFilter:
         self.rules = Rules(**{"mode": FREE, "log_clutter": 0.0, "gate": 16.3, "confirm": 3, "age_once": 9,
                               "age_twice": 9, "snapshots": 1, "way": 1.0, "turn": 1.0, "evidence": 1.0, "hold": 5,
                               "return_log_odds": 0.0, "away": 4, **rules})  # fmt: skip
-        self.bank, self.errors = new_bank(setup, core_of(setup, errors), errors, np.zeros((1, 1)), np.zeros(1)), errors
-        self.f, self.block = one_of(self.bank.arrays, 0), Block(*(part[0] for part in self.bank.blocks))
-        self.offset, self.w = self.bank.core.first_offset, new_room(self.f, 12, PENDING)
+        self.mixture, self.errors = (
+            new_mixture(setup, core_of(setup, errors), errors, np.zeros((1, 1)), np.zeros(1)),
+            errors,
+        )
+        self.f, self.block = one_of(self.mixture.arrays, 0), Block(*(part[0] for part in self.mixture.blocks))
+        self.offset, self.w = self.mixture.core.first_offset, new_room(self.f, 12, PENDING)
         self.w.pending.rows[:], self.w.pending.t[:] = np.nan, np.nan
 
     @property

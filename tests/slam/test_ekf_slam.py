@@ -82,11 +82,11 @@ def test_map_stays_bounded() -> None:
     estimator.start(setup_of(recording), np.random.default_rng(0))
     for t, snapshot in enumerate(snapshots_of(recording)):
         last = estimator.step(0.075 if t else 0.0, recording.odometry[t], snapshot)
-    bank = estimator._joint
-    assert bank is not None
-    assert bank.arrays.count[0, 0] <= 16
+    mixture = estimator._joint
+    assert mixture is not None
+    assert mixture.arrays.count[0, 0] <= 16
     assert last.vts is not None
-    assert len(last.vts.id) > bank.arrays.count[0, 0]  # those that made room are still on the map
+    assert len(last.vts.id) > mixture.arrays.count[0, 0]  # those that made room are still on the map
     assert np.linalg.eigvalsh(last.vts.covariance).min() >= -1e-9
 
 

@@ -7,7 +7,7 @@ from cellslam.scenarios import load
 from cellslam.sim import simulate
 from cellslam.sim.recording import Recording
 from cellslam.slam.api import odometry_of, setup_of, snapshots_of
-from cellslam.slam.ekf_slam import bank
+from cellslam.slam.ekf_slam import mixture
 from cellslam.slam.ekf_slam.ekf_slam import HELD, held_noise
 from cellslam.slam.registry import resolve
 
@@ -34,7 +34,7 @@ def poses(name, recording):
 def test_all_stressors_on_any_number_of_threads(stressed, monkeypatch, name):
     found = []
     for threads in (1, 2):
-        monkeypatch.setattr(bank, "threads", lambda threads=threads: threads)
+        monkeypatch.setattr(mixture, "threads", lambda threads=threads: threads)
         found.append(poses(name, stressed))
     np.testing.assert_array_equal(found[0], found[1])
     error = np.linalg.norm(found[0][:, :2] - stressed.truth.poses[:, :2], axis=1)

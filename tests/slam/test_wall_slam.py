@@ -40,7 +40,7 @@ def filter_of(one_filter, vts, std, rng=None):
     one = one_filter()
     spherical = [predict(np.zeros(6), np.asarray(at, float)) for _, at in vts]
     one.put(np.zeros(6), 0.0, *spherical)
-    f, first, n = one.f, one.bank.core.size, 3 * len(vts)
+    f, first, n = one.f, one.mixture.core.size, 3 * len(vts)
     for j, (link, _) in enumerate(vts):
         f.slots[j, [LINK, HITS, IDENT, UNSEEN]] = link, 50, 10 + j, 0
         f.anchor[j, [EXISTS, SHARE]] = 1.0

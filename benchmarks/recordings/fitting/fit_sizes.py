@@ -30,8 +30,8 @@ from cellslam.slam.front_end.front_end_options import FrontEndOptions
 PASSES, WHOLE = 8, 2  # passes at most; so many take whole steps, the others half of them
 FITS = 2.0  # mean square of the slopes, in their deviations, from which on sizes are as good as right
 SAID = 0.5  # relative deviation of a size beyond which nothing is said of it
-# A pass joins the banks of the start after so long at the latest, s: sizes show also where an offset is wrong yet, and
-# where all are told far too large none is ever resolved.
+# A pass joins the mixtures of the start after so long at the latest, s: sizes show also where an offset is wrong yet,
+# and where all are told far too large none is ever resolved.
 START_LIMIT_S = 150.0
 # Slip of a real vehicle comes in bursts: a filter told the deviation over the whole drive is too sure in these.
 BURSTS = 3.0

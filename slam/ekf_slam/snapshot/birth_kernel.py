@@ -214,12 +214,12 @@ def keep(f: Filter, j: int, out: Floats) -> None:
 
 
 @njit(cache=True)
-def map_of(bank: Filter, k: int, hits: int) -> Floats:
-    """Return the VTs of filter k of a bank with at least `hits` detections, as their likely guesses, (v, 14).
+def map_of(mixture: Filter, k: int, hits: int) -> Floats:
+    """Return the VTs of filter k of a mixture with at least `hits` detections, as their likely guesses, (v, 14).
 
     Columns as `keep` writes them, in m and m^2.
     """
-    f, found = one_of(bank, k), 0
+    f, found = one_of(mixture, k), 0
     out = np.empty((f.count[0], ENTRY))
     for j in range(f.count[0]):
         if f.slots[j, HITS] >= hits and f.anchor[j, SHARE] > 0.5:

@@ -1,4 +1,4 @@
-"""Compiled: one snapshot for every filter of a bank, and the update at the end of each block of snapshots.
+"""Compiled: one snapshot for every filter of a mixture, and the update at the end of each block of snapshots.
 
 Looks are associated and counted at every snapshot; what those at a VT differ by from what is expected is averaged over
 a block, some tenths of a second at most, and the state is updated by the means. A mean is of the middle place.
@@ -97,8 +97,8 @@ class Room(NamedTuple):
 def advance(f: Filter, b: Block, interval: Interval, w: Step) -> None:
     """Move a filter by an interval of dt > 0.
 
-    Way and turn are the measured ones: the blocks of all filters of a bank end together, or their weights could not be
-    compared.
+    Way and turn are the measured ones: the blocks of all filters of a mixture end together, or their weights could not
+    be compared.
     """
     move(f, interval, w)
     u, dt = interval.measured, interval.dt
@@ -334,19 +334,19 @@ def ends(b: Block, rules: Rules) -> bool:
 
 
 @njit(cache=True, nogil=True)
-def go_on_in_bank(
-    bank: Filter, a: ArrayErrors, blocks: Block, interval: Interval, seen: Measured, pairs: Paired, rest: Floats,
+def advance_mixture(
+    mixture: Filter, a: ArrayErrors, blocks: Block, interval: Interval, seen: Measured, pairs: Paired, rest: Floats,
     pairing: bool, using: bool, first: int, step: int,
 ) -> None:  # fmt: skip
-    """Go on with every `step`-th of the K filters of a bank, from the first on: by `pairing`, move it, and pair a
+    """Go on with every `step`-th of the K filters of a mixture, from the first on: by `pairing`, move it, and pair a
     snapshot's looks with its VTs; by `using`, use the snapshot as it is paired.
 
     To `rest` (K,) is added what is in the log-weights beside the worth of VTs.
     """
-    room, rules = new_room(one_of(bank, 0), len(seen.z), PENDING), seen.rules
+    room, rules = new_room(one_of(mixture, 0), len(seen.z), PENDING), seen.rules
     w = room.pairs
     for k in range(first, len(rest), step):
-        f, b = one_of(bank, k), block_of(blocks, k)
+        f, b = one_of(mixture, k), block_of(blocks, k)
         if pairing:
             rival = Rival(pairs.loss[k], pairs.change[k])
             if interval.dt > 0.0:

@@ -88,7 +88,7 @@ class ArrayErrors(NamedTuple):
 
 
 class Filter(NamedTuple):
-    """One filter, with room for N states and V VTs; or a bank of them, all arrays with a leading axis.
+    """One filter, with room for N states and V VTs; or a mixture of them, all arrays with a leading axis.
 
     mean `x` (N,), covariance `p` (N, N), of which `size` (1,) are in use; `owner` (N,); `weight_state` (W,): place of
     each weight of the fields, `weight_met` (W,): snapshot; `vt_state` (V, 6): places of a VT's states, -1 where there
@@ -219,18 +219,19 @@ class Block(NamedTuple):
 
 
 @part
-def one_of(bank: Filter, k: int) -> Filter:
-    """Return filter k of a bank."""
+def one_of(mixture: Filter, k: int) -> Filter:
+    """Return filter k of a mixture."""
     return Filter(
-        bank.core, bank.x[k], bank.p[k], bank.size[k], bank.owner[k], bank.weight_state[k], bank.weight_met[k],
-        bank.vt_state[k], bank.anchor[k], bank.slots[k], bank.count[k], bank.links[k], bank.lost[k], bank.losses[k],
-        bank.sizes[k], bank.summed[k], bank.surprise[k], bank.deviation[k], bank.weight[k], bank.spread[k],
+        mixture.core, mixture.x[k], mixture.p[k], mixture.size[k], mixture.owner[k], mixture.weight_state[k],
+        mixture.weight_met[k], mixture.vt_state[k], mixture.anchor[k], mixture.slots[k], mixture.count[k],
+        mixture.links[k], mixture.lost[k], mixture.losses[k], mixture.sizes[k], mixture.summed[k], mixture.surprise[k],
+        mixture.deviation[k], mixture.weight[k], mixture.spread[k],
     )  # fmt: skip
 
 
 @part
 def block_of(blocks: Block, k: int) -> Block:
-    """Return the block of filter k of a bank."""
+    """Return the block of filter k of a mixture."""
     return Block(
         blocks.snapshots[k], blocks.pose[k], blocks.at[k], blocks.total[k], blocks.looks[k], blocks.seen[k],
         blocks.e[k], blocks.q[k], blocks.measured[k], blocks.diffuse[k], blocks.odds[k],

@@ -155,9 +155,9 @@ def test_filters_of_the_start_begin_with_what_is_known(
     wide = replace(setup, sites=replace(setup.sites, clock_offset_std_m=np.full(len(setup.sites), 150.0)))
     estimator = EkfSlam(told(tmp_path, calibration))
     estimator.start(wide, RNG)
-    assert estimator._start is not None and len(estimator._start.banks) == len(setup.sites)
-    for bank in estimator._start.banks:
-        again = found(bank, estimator._errors)
+    assert estimator._start is not None and len(estimator._start.mixtures) == len(setup.sites)
+    for mixture in estimator._start.mixtures:
+        again = found(mixture, estimator._errors)
         order = np.lexsort((again.cell, again.component)), np.lexsort((calibration.cell, calibration.component))
         np.testing.assert_allclose(again.mean[order[0]], calibration.mean[order[1]], rtol=1e-12)
 
@@ -186,16 +186,16 @@ def test_mixture_counts_what_one_filter_has_not_met_as_its_prior(learnt: EkfSlam
     estimator = EkfSlam()
     estimator.start(setup, RNG)
     assert estimator._joint is not None
-    bank = estimator._joint
-    begin_with(bank, estimator._errors, calibration)
-    bank.arrays = bank.arrays._replace(
-        **{n: np.repeat(getattr(bank.arrays, n), 2, axis=0) for n in bank.arrays._fields if n != "core"}
+    mixture = estimator._joint
+    begin_with(mixture, estimator._errors, calibration)
+    mixture.arrays = mixture.arrays._replace(
+        **{n: np.repeat(getattr(mixture.arrays, n), 2, axis=0) for n in mixture.arrays._fields if n != "core"}
     )
-    bank.log_weight = np.log([0.25, 0.75])
-    one = one_of(bank.arrays, 1)
-    owner, place = int(one.owner[bank.core.size]), bank.core.size
+    mixture.log_weight = np.log([0.25, 0.75])
+    one = one_of(mixture.arrays, 1)
+    owner, place = int(one.owner[mixture.core.size]), mixture.core.size
     leave(one, place)
-    both = found(bank, estimator._errors)
+    both = found(mixture, estimator._errors)
     which = np.flatnonzero(both.component * both.grid.cells + both.cell == owner)[0]
     was = np.flatnonzero(calibration.component * both.grid.cells + calibration.cell == owner)[0]
     m, v, prior = calibration.mean[was], calibration.covariance[was, was], calibration.size[calibration.component[was]]

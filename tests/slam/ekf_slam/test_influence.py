@@ -1,4 +1,4 @@
-"""What one VT may say of the filters of a bank: bounds, bookkeeping, and a path that is the image of no wall."""
+"""What one VT may say of the filters of a mixture: bounds, bookkeeping, and a path that is the image of no wall."""
 
 from __future__ import annotations
 
@@ -12,9 +12,9 @@ from cellslam.sim.frames import wrap_angle
 from cellslam.sim.recording import Measurements, Recording
 from cellslam.slam.api import setup_of, snapshots_of
 from cellslam.slam.conformance.subject import tiny_drive
-from cellslam.slam.ekf_slam.bank import Bank, core_of, new_bank
 from cellslam.slam.ekf_slam.ekf_slam import EkfSlam
 from cellslam.slam.ekf_slam.influence import BIRTH, MOST, bounded
+from cellslam.slam.ekf_slam.mixture import Mixture, core_of, new_mixture
 from cellslam.slam.ekf_slam.snapshot.birth_kernel import tidy
 from cellslam.slam.ekf_slam.state.array_errors import NO_ERRORS
 from cellslam.slam.ekf_slam.state.layout import IDENT, SHARE, WORTH
@@ -23,26 +23,26 @@ ALONE = 200  # snapshots for which one path is all that is heard of a site
 
 
 @pytest.fixture
-def bank() -> Bank:
+def mixture() -> Mixture:
     """Two filters without VTs, the log-weights being -1 and -2."""
     setup = setup_of(tiny_drive())
-    out = new_bank(setup, core_of(setup, NO_ERRORS), NO_ERRORS, np.zeros((2, 2)), np.ones(2))
+    out = new_mixture(setup, core_of(setup, NO_ERRORS), NO_ERRORS, np.zeros((2, 2)), np.ones(2))
     out.influence.rest[:] = -1.0, -2.0
     return out
 
 
-def put(bank: Bank, k: int, worth: dict[int, float]) -> None:
+def put(mixture: Mixture, k: int, worth: dict[int, float]) -> None:
     """Let filter k have these VTs, by identity, and no others; `worth`: beyond what each costs."""
-    bank.arrays.count[k] = len(worth)
+    mixture.arrays.count[k] = len(worth)
     for j, (ident, value) in enumerate(worth.items()):
-        bank.arrays.slots[k, j, IDENT], bank.arrays.anchor[k, j, WORTH] = ident, BIRTH + value
+        mixture.arrays.slots[k, j, IDENT], mixture.arrays.anchor[k, j, WORTH] = ident, BIRTH + value
 
 
-def weighed(bank: Bank, association: Any = ((), ()), born: int = 1000) -> list[float]:
+def weighed(mixture: Mixture, association: Any = ((), ()), born: int = 1000) -> list[float]:
     """Return the log-weights after a snapshot."""
-    bank.influence.meet(bank.arrays, np.array(association, np.int64), born, bank.log_weight)
-    bank.log_weight = bank.influence.weigh(bank.arrays)
-    return list(bank.log_weight)
+    mixture.influence.meet(mixture.arrays, np.array(association, np.int64), born, mixture.log_weight)
+    mixture.log_weight = mixture.influence.weigh(mixture.arrays)
+    return list(mixture.log_weight)
 
 
 def test_a_path_says_no_less_than_clutter_and_little_against_a_filter() -> None:
@@ -57,51 +57,51 @@ def test_who_breaks_a_path_into_many_gains_nothing() -> None:
     np.testing.assert_allclose(bounded(worth, np.array([5, 5, 5])), [0.0, -min(2.0 * BIRTH, MOST)])
 
 
-def test_a_filter_without_a_vt_loses_what_it_explains(bank: Bank) -> None:
-    put(bank, 0, {7: 2.0})
-    assert weighed(bank) == [-1.0, -4.0]
-    put(bank, 0, {7: 100.0})  # over its whole life: it is not counted twice
-    assert weighed(bank) == [-1.0, -2.0 - MOST]
+def test_a_filter_without_a_vt_loses_what_it_explains(mixture: Mixture) -> None:
+    put(mixture, 0, {7: 2.0})
+    assert weighed(mixture) == [-1.0, -4.0]
+    put(mixture, 0, {7: 100.0})  # over its whole life: it is not counted twice
+    assert weighed(mixture) == [-1.0, -2.0 - MOST]
 
 
-def test_what_a_lost_vt_was_worth_remains(bank: Bank) -> None:
-    put(bank, 0, {7: 2.0, 9: 1.0})
-    put(bank, 1, {9: 1.5, 7: 1.0})
-    before = weighed(bank)
+def test_what_a_lost_vt_was_worth_remains(mixture: Mixture) -> None:
+    put(mixture, 0, {7: 2.0, 9: 1.0})
+    put(mixture, 1, {9: 1.5, 7: 1.0})
+    before = weighed(mixture)
     assert before == [-1.0 - 0.5, -2.0 - 1.0]
-    put(bank, 0, {9: 1.0})  # the one filter has lost it
-    assert weighed(bank) == before
-    put(bank, 1, {9: 1.5})  # and so has the other
-    assert weighed(bank) == before
-    assert bank.influence.ident.tolist() == [9]
-    put(bank, 0, {})
-    put(bank, 1, {})
-    assert weighed(bank) == before
-    assert bank.influence.worth.shape == (2, 0)
+    put(mixture, 0, {9: 1.0})  # the one filter has lost it
+    assert weighed(mixture) == before
+    put(mixture, 1, {9: 1.5})  # and so has the other
+    assert weighed(mixture) == before
+    assert mixture.influence.ident.tolist() == [9]
+    put(mixture, 0, {})
+    put(mixture, 1, {})
+    assert weighed(mixture) == before
+    assert mixture.influence.worth.shape == (2, 0)
 
 
-def test_a_vt_begun_at_a_look_at_another_is_of_its_path(bank: Bank) -> None:
+def test_a_vt_begun_at_a_look_at_another_is_of_its_path(mixture: Mixture) -> None:
     """The second filter takes the look 51 for a new VT, the first for VT 7; of look 50 neither has one."""
-    put(bank, 0, {7: 2.0})
-    put(bank, 1, {7: 1.0})
-    weighed(bank)
-    put(bank, 1, {7: 1.0, 51: 0.5, 50: 0.0})
-    assert weighed(bank, [[-1, 7], [-1, -1]], 50) == [-1.0, -2.0 - 0.5]
-    assert bank.influence.path.tolist() == [7, 50, 7]
-    put(bank, 0, {})
-    put(bank, 1, {51: 4.0})  # the path goes on
-    assert weighed(bank) == [-1.0 - 3.0, -2.0]
-    assert bank.influence.ident.tolist() == [7, 51]
+    put(mixture, 0, {7: 2.0})
+    put(mixture, 1, {7: 1.0})
+    weighed(mixture)
+    put(mixture, 1, {7: 1.0, 51: 0.5, 50: 0.0})
+    assert weighed(mixture, [[-1, 7], [-1, -1]], 50) == [-1.0, -2.0 - 0.5]
+    assert mixture.influence.path.tolist() == [7, 50, 7]
+    put(mixture, 0, {})
+    put(mixture, 1, {51: 4.0})  # the path goes on
+    assert weighed(mixture) == [-1.0 - 3.0, -2.0]
+    assert mixture.influence.ident.tolist() == [7, 51]
 
 
-def test_filters_that_are_kept_or_doubled_take_theirs_along(bank: Bank) -> None:
-    put(bank, 0, {7: 2.0})
-    put(bank, 1, {8: 1.0})
-    assert weighed(bank) == [-1.0 - 1.0, -2.0 - 2.0]
-    bank.keep(np.array([1]))
-    bank._copy(0, 1)  # as a filter that doubts an association
-    bank.log_weight, bank.influence = np.full(2, -4.0), bank.influence.of(np.array([0, 0]))
-    assert weighed(bank) == [-2.0, -2.0]
+def test_filters_that_are_kept_or_doubled_take_theirs_along(mixture: Mixture) -> None:
+    put(mixture, 0, {7: 2.0})
+    put(mixture, 1, {8: 1.0})
+    assert weighed(mixture) == [-1.0 - 1.0, -2.0 - 2.0]
+    mixture.keep(np.array([1]))
+    mixture._copy(0, 1)  # as a filter that doubts an association
+    mixture.log_weight, mixture.influence = np.full(2, -4.0), mixture.influence.of(np.array([0, 0]))
+    assert weighed(mixture) == [-2.0, -2.0]
 
 
 def test_guesses_that_are_left_have_what_those_given_up_were_worth(one_filter: type[Any]) -> None:
@@ -121,13 +121,13 @@ def test_looks_that_nothing_explains_say_nothing() -> None:
     """Or a wrong offset, whose VTs move away and are begun again at each snapshot, would win by that."""
     drive, estimator = tiny_drive(), EkfSlam()
     estimator.start(setup_of(drive), np.random.default_rng(0))
-    banks = estimator._start.banks
-    before = [bank.influence.rest.copy() for bank in banks]
+    mixtures = estimator._start.mixtures
+    before = [mixture.influence.rest.copy() for mixture in mixtures]
     estimator.step(0.0, drive.odometry[0], next(iter(snapshots_of(drive))))
-    births = np.concatenate([bank.arrays.count[: len(bank), 0] for bank in banks])
+    births = np.concatenate([mixture.arrays.count[: len(mixture), 0] for mixture in mixtures])
     assert births.min() == 0 and births.max() > 0  # those with a later clock than any distance have none
-    for bank, rest in zip(banks, before, strict=True):
-        np.testing.assert_array_equal(bank.influence.rest, rest)
+    for mixture, rest in zip(mixtures, before, strict=True):
+        np.testing.assert_array_equal(mixture.influence.rest, rest)
 
 
 def over_an_edge() -> Recording:

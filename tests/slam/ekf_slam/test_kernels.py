@@ -13,7 +13,7 @@ from scipy.stats import multivariate_normal
 from cellslam.sim.frames import integrate_pose
 from cellslam.slam.api import setup_of
 from cellslam.slam.conformance.subject import tiny_drive
-from cellslam.slam.ekf_slam.bank import core_of, new_bank
+from cellslam.slam.ekf_slam.mixture import core_of, new_mixture
 from cellslam.slam.ekf_slam.snapshot.association_kernel import expect, score_pairs
 from cellslam.slam.ekf_slam.snapshot.birth_kernel import give_birth, remove, tidy
 from cellslam.slam.ekf_slam.snapshot.motion_kernel import Interval, Step, forget, move
@@ -229,8 +229,8 @@ def test_fields_are_one_kalman_filter_over_all_weights(one_filter: Any, kalman: 
     rng, std, g = np.random.default_rng(5), np.array([0.3, 0.02, 0.05]), grid(0.5, 1.3, 1.9)
     one = one_filter(NO_ERRORS._replace(calibration=std, calibration_grid=g))
     f, w = one.f, one.w
-    one.bank.reserve(3 * g.cells, 1)
-    f = one_of(one.bank.arrays, 0)
+    one.mixture.reserve(3 * g.cells, 1)
+    f = one_of(one.mixture.arrays, 0)
     n = len(f.x)
     w = w._replace(pending=w.pending._replace(rows=np.zeros((51, n)), t=np.zeros((3, n)), added=np.zeros(n)))
     mean, cov, q = np.zeros(3 * g.cells), np.eye(3 * g.cells), np.array([0.1, 1e-4, 2e-4])
@@ -304,7 +304,7 @@ def test_motion_is_that_of_the_frames_module() -> None:
         start_std=np.full(6, 0.05),
     )  # fmt: skip
     core = core_of(setup, NO_ERRORS)
-    f = one_of(new_bank(setup, core, NO_ERRORS, np.zeros((1, 2)), np.ones(2)).arrays, 0)
+    f = one_of(new_mixture(setup, core, NO_ERRORS, np.zeros((1, 2)), np.ones(2)).arrays, 0)
     u, dt, n = np.array([2.0, 0.3, -0.1, 0.4, -0.2, 0.1]), 0.3, core.size
     f.x[core.bias], f.x[core.scale] = 0.01, 0.02
     before, p = np.concatenate([f.x[:n], np.zeros(6)]), f.p[:n, :n].copy()
@@ -366,7 +366,7 @@ def test_sums_of_odometry_noise_are_taken_in_when_they_are_told() -> None:
     sheet = replace(setup.odometry_model, noise_density=np.array([0.1, 0.0, 0.0, 0.02, 0.0, 0.0]))
     setup = replace(setup, odometry_model=sheet)
     core = core_of(setup, NO_ERRORS)
-    f = one_of(new_bank(setup, core, NO_ERRORS, np.zeros((1, 2)), np.ones(2)).arrays, 0)
+    f = one_of(new_mixture(setup, core, NO_ERRORS, np.zeros((1, 2)), np.ones(2)).arrays, 0)
     move(
         f,
         Interval(0.5, np.zeros(6), sheet.noise_density, np.zeros(6)),

@@ -14,12 +14,12 @@ from cellslam.scenarios.simulation import simulate
 from cellslam.sim.errors import InputError
 from cellslam.sim.recording import Floats, Links, OdometryModel, Recording, Sites
 from cellslam.slam.api import Estimate, Setup, odometry_of, setup_of, snapshots_of
-from cellslam.slam.ekf_slam.bank import core_of, new_bank
 from cellslam.slam.ekf_slam.ekf_slam import EkfSlam
 from cellslam.slam.ekf_slam.ekf_slam_options import EkfSlamOptions
 from cellslam.slam.ekf_slam.map_after import WIDENED, Heard, map_after
 from cellslam.slam.ekf_slam.map_states import Remembered, standing
 from cellslam.slam.ekf_slam.map_trial import MapTrial
+from cellslam.slam.ekf_slam.mixture import core_of, new_mixture
 from cellslam.slam.ekf_slam.state.array_errors import NO_ERRORS
 from cellslam.slam.ekf_slam.state.layout import UNSEEN, VT, block_of, one_of
 from cellslam.slam.model.measurement_model import jacobians
@@ -54,13 +54,13 @@ def test_two_drives_are_one_joint_filter() -> None:
     known, joint = some_map(5, np.random.default_rng(1))
     setup = Setup(ONE_LINK, Sites(SITES, *np.zeros((2, 1))), OdometryModel(*np.zeros((4, 6))), *np.zeros((2, 6)),
                   map=known)  # fmt: skip
-    bank = new_bank(setup, core_of(setup, NO_ERRORS), NO_ERRORS, np.zeros((1, 1)), np.zeros(1))
-    bank.reserve(60, 5)
-    f, remembered, seen = one_of(bank.arrays, 0), Remembered(known, ONE_LINK, SITES, 1), dict[int, Floats]()
+    mixture = new_mixture(setup, core_of(setup, NO_ERRORS), NO_ERRORS, np.zeros((1, 1)), np.zeros(1))
+    mixture.reserve(60, 5)
+    f, remembered, seen = one_of(mixture.arrays, 0), Remembered(known, ONE_LINK, SITES, 1), dict[int, Floats]()
     position = known.position_m.ravel().copy()
     # VTs 0 and 1 are met and seen, then 2, which learns of it; 3 comes into reach and is not seen, 4 never comes.
     for enter, looks in (([0, 1], [0, 1]), ([2], [2, 0]), ([3], [])):
-        remembered.put_in(f, block_of(bank.blocks, 0), np.array(enter), 0)
+        remembered.put_in(f, block_of(mixture.blocks, 0), np.array(enter), 0)
         for vt in looks:
             at = f.vt_state[np.flatnonzero(f.slots[: f.count[0], 3] == 1 + vt)[0], VT : VT + 3]
             a, n, cartesian = RNG.standard_normal((2, 3)), int(f.size[0]), slice(3 * vt, 3 * vt + 3)

@@ -77,8 +77,8 @@ def test_a_vt_that_should_be_seen_beside_makes_it_likely(
 
 def test_paths_of_a_surveyed_transmitter_have_not_merged_yet(one_filter: Any) -> None:
     one = prepared(one_filter)
-    one.bank.know(np.zeros(1, np.int64), np.zeros(1, np.int64), np.array([[50.0, 0.0, 10.0]]), 0)
-    assert one.bank.arrays.anchor[0, 0, MERGED] == 0.0
+    one.mixture.know(np.zeros(1, np.int64), np.zeros(1, np.int64), np.array([[50.0, 0.0, 10.0]]), 0)
+    assert one.mixture.arrays.anchor[0, 0, MERGED] == 0.0
 
 
 def turned_by(one_filter: Any, e_deg: float, **rules: float) -> float:

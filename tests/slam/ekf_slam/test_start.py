@@ -1,4 +1,4 @@
-"""The start of EKF-SLAM: components of an offset; a bank's moments, what it keeps, how it grows."""
+"""The start of EKF-SLAM: components of an offset; a mixture's moments, what it keeps, how it grows."""
 
 from __future__ import annotations
 
@@ -12,9 +12,9 @@ from numba import typeof
 from cellslam.sim.recording.tables import CLOCK_PRIOR
 from cellslam.slam.api import Estimate, setup_of, snapshots_of
 from cellslam.slam.conformance.subject import tiny_drive
-from cellslam.slam.ekf_slam.bank import Bank, core_of, new_bank
 from cellslam.slam.ekf_slam.ekf_slam import EkfSlam
 from cellslam.slam.ekf_slam.ekf_slam_options import EkfSlamOptions
+from cellslam.slam.ekf_slam.mixture import Mixture, core_of, new_mixture
 from cellslam.slam.ekf_slam.start import Start, begin, components
 from cellslam.slam.ekf_slam.state.array_errors import NO_ERRORS
 from cellslam.slam.ekf_slam.state.layout import Core
@@ -23,10 +23,10 @@ from cellslam.slam.wall_slam.wall_slam import WallSlam
 
 
 @pytest.fixture
-def bank() -> Bank:
+def mixture() -> Mixture:
     """Three filters with random moments; the first two are likely, the third is not."""
     setup, rng = setup_of(tiny_drive()), np.random.default_rng(4)
-    out = new_bank(setup, core_of(setup, NO_ERRORS), NO_ERRORS, np.zeros((3, 2)), np.ones(2))
+    out = new_mixture(setup, core_of(setup, NO_ERRORS), NO_ERRORS, np.zeros((3, 2)), np.ones(2))
     size = out.core.size
     out.arrays.x[:, :size] = rng.normal(size=(3, size))
     root = rng.normal(size=(3, size, size))
@@ -35,45 +35,45 @@ def bank() -> Bank:
     return out
 
 
-def test_moments_are_those_of_the_mixture(bank: Bank) -> None:
-    weight, size = np.array([0.7, 0.299, 0.001]), bank.core.size
-    x, p = bank.arrays.x[:, :size], bank.arrays.p[:, :size, :size]
-    np.testing.assert_allclose(bank.shares(), weight, rtol=1e-12)
-    mean, cov = bank.moments()
+def test_moments_are_those_of_the_mixture(mixture: Mixture) -> None:
+    weight, size = np.array([0.7, 0.299, 0.001]), mixture.core.size
+    x, p = mixture.arrays.x[:, :size], mixture.arrays.p[:, :size, :size]
+    np.testing.assert_allclose(mixture.shares(), weight, rtol=1e-12)
+    mean, cov = mixture.moments()
     want = weight @ x
     np.testing.assert_allclose(mean, want, rtol=1e-12)
     second = sum(w * (q + np.outer(c, c)) for w, q, c in zip(weight, p, x, strict=True))
     np.testing.assert_allclose(cov, second - np.outer(want, want), rtol=1e-9, atol=1e-12)
     x1, p1 = x[1].copy(), p[1].copy()
-    bank.keep(np.array([1]))
-    assert len(bank) == len(bank.arrays.x) == 1
-    np.testing.assert_array_equal(bank.moments()[0], x1)
-    np.testing.assert_array_equal(bank.moments()[1], p1)
+    mixture.keep(np.array([1]))
+    assert len(mixture) == len(mixture.arrays.x) == 1
+    np.testing.assert_array_equal(mixture.moments()[0], x1)
+    np.testing.assert_array_equal(mixture.moments()[1], p1)
 
 
-def test_filters_that_are_likely_and_differ_are_kept(bank: Bank) -> None:
+def test_filters_that_are_likely_and_differ_are_kept(mixture: Mixture) -> None:
     of = slice(0, 1)
-    bank.arrays.x[:, 0], bank.arrays.p[:, 0, 0] = [0.0, 10.0, 20.0], 1.0
-    assert bank.apart(of, 1e-2).tolist() == [0, 1]
-    assert bank.apart(of, 1e-4).tolist() == [0, 1, 2]
-    bank.arrays.x[:, 0] = [10.2, 10.0, 20.0]
-    assert bank.apart(of, 1e-4).tolist() == [0, 2]  # the second is a double of the likelier first
-    bank.log_weight[:2] = bank.log_weight[[1, 0]]
-    assert bank.apart(of, 1e-4).tolist() == [1, 2]
+    mixture.arrays.x[:, 0], mixture.arrays.p[:, 0, 0] = [0.0, 10.0, 20.0], 1.0
+    assert mixture.apart(of, 1e-2).tolist() == [0, 1]
+    assert mixture.apart(of, 1e-4).tolist() == [0, 1, 2]
+    mixture.arrays.x[:, 0] = [10.2, 10.0, 20.0]
+    assert mixture.apart(of, 1e-4).tolist() == [0, 2]  # the second is a double of the likelier first
+    mixture.log_weight[:2] = mixture.log_weight[[1, 0]]
+    assert mixture.apart(of, 1e-4).tolist() == [1, 2]
 
 
-def test_growing_changes_nothing_that_is_there(bank: Bank) -> None:
-    size, before = bank.core.size, [np.array(part) for part in bank.arrays[1:]]
-    states, vts = bank.arrays.x.shape[1], bank.arrays.slots.shape[1]
-    bank.reserve(states, vts)
-    after: Any = bank.arrays[1:]
-    assert bank.arrays.p.shape[1] >= size + states
-    assert bank.arrays.slots.shape[1] >= vts
+def test_growing_changes_nothing_that_is_there(mixture: Mixture) -> None:
+    size, before = mixture.core.size, [np.array(part) for part in mixture.arrays[1:]]
+    states, vts = mixture.arrays.x.shape[1], mixture.arrays.slots.shape[1]
+    mixture.reserve(states, vts)
+    after: Any = mixture.arrays[1:]
+    assert mixture.arrays.p.shape[1] >= size + states
+    assert mixture.arrays.slots.shape[1] >= vts
     for old, new in zip(before, after, strict=True):
         np.testing.assert_array_equal(new[tuple(slice(n) for n in old.shape)], old)
-    width = bank.arrays.x.shape[1]
-    bank.reserve(10, 10)
-    assert bank.arrays.x.shape[1] == width
+    width = mixture.arrays.x.shape[1]
+    mixture.reserve(10, 10)
+    assert mixture.arrays.x.shape[1] == width
 
 
 def test_components_add_up_to_the_prior() -> None:
@@ -88,28 +88,29 @@ def test_components_add_up_to_the_prior() -> None:
     assert len(components(10.0, 20.0, 1.25)[0]) == 1
 
 
-def test_blocks_of_a_bank_end_together() -> None:
+def test_blocks_of_a_mixture_end_together() -> None:
     """Or the weights of its filters, of which some have used the last snapshots and some not, were no weights."""
     drive, estimator = tiny_drive(), EkfSlam()
     estimator.start(setup_of(drive), np.random.default_rng(0))
-    bank = estimator._start.banks[0]
-    bank.arrays.x[::2, bank.core.scale[0]] = 0.4  # these believe that they are slower
+    mixture = estimator._start.mixtures[0]
+    mixture.arrays.x[::2, mixture.core.scale[0]] = 0.4  # these believe that they are slower
     dt_s = np.diff(drive.time_s, prepend=drive.time_s[0])[:120].tolist()
     lengths = set()
     for t, (dt, snapshot) in enumerate(zip(dt_s, snapshots_of(drive), strict=False)):
         estimator.step(dt, drive.odometry[t], snapshot)
-        waiting = set(bank.blocks.snapshots[: len(bank), 0].tolist())
+        waiting = set(mixture.blocks.snapshots[: len(mixture), 0].tolist())
         assert len(waiting) == 1
         lengths |= waiting
-    assert len(bank) > 1
+    assert len(mixture) > 1
     assert max(lengths) > 2
 
 
-def test_a_bank_that_knows_its_place_well_has_the_word(bank: Bank) -> None:
-    """Of two banks that are 3 m apart the pose is the mean, by their variances; the covariance has what they differ."""
+def test_a_mixture_that_knows_its_place_well_has_the_word(mixture: Mixture) -> None:
+    """Of two mixtures that are 3 m apart the pose is the mean, by their variances; the covariance has what they
+    differ."""
     setup = setup_of(tiny_drive())
-    start = begin(setup, bank.core, NO_ERRORS, EkfSlamOptions(component_std_m=1000.0))
-    for one, x, variance in zip(start.banks, (0.0, 3.0), (1.0, 2.0), strict=True):
+    start = begin(setup, mixture.core, NO_ERRORS, EkfSlamOptions(component_std_m=1000.0))
+    for one, x, variance in zip(start.mixtures, (0.0, 3.0), (1.0, 2.0), strict=True):
         one.arrays.x[0, :6], one.arrays.p[0, :6, :6] = [x, 0.0, 0.0, 0.0, 0.0, 0.0], 0.5 * variance * np.eye(6)
     start.odometry.arrays.p[0, :6, :6] = 4.0 * np.eye(6)
     mean, cov = start.pose(*start.moments())
@@ -125,25 +126,25 @@ def test_a_bank_that_knows_its_place_well_has_the_word(bank: Bank) -> None:
     ids=["one is resolved and few are left", "too many are left", "none is resolved", "all are resolved"],
 )  # fmt: skip
 def test_joint_filters_take_over_with_the_likely_combinations(
-    bank: Bank, likely: tuple[int, int], std_m: tuple[float, float], over: bool
+    mixture: Mixture, likely: tuple[int, int], std_m: tuple[float, float], over: bool
 ) -> None:
     setup = setup_of(tiny_drive())
-    start = begin(setup, bank.core, NO_ERRORS, EkfSlamOptions())
-    for one, count in zip(start.banks, likely, strict=True):
+    start = begin(setup, mixture.core, NO_ERRORS, EkfSlamOptions())
+    for one, count in zip(start.mixtures, likely, strict=True):
         one.log_weight[:] = -7.0  # below a thousandth of the best
         one.log_weight[3 : 3 + count] = np.linspace(0.0, -3.0, count)
     assert start.over(np.square(std_m)) == over
-    found, (a, b) = start.combinations(), (one.arrays.x[:, bank.core.offsets] for one in start.banks)
+    found, (a, b) = start.combinations(), (one.arrays.x[:, mixture.core.offsets] for one in start.mixtures)
     assert len(found) == min(likely[0] * likely[1], 32)
     np.testing.assert_array_equal(found[0], [a[3, 0], b[3, 1]])
     assert set(found[:, 0]) <= set(a[3 : 3 + likely[0], 0]) and set(found[:, 1]) <= set(b[3 : 3 + likely[1], 1])
 
 
-def two_banks(core: Core) -> Start:
+def two_mixtures(core: Core) -> Start:
     """One at the origin and one 2 m to the east, as sure: of the mean, 1 m to the east, the deviations are 2 m and
     0.1 rad, but 3 m to the north."""
     start = begin(setup_of(tiny_drive()), core, NO_ERRORS, EkfSlamOptions(component_std_m=1000.0))
-    for one, x in zip(start.banks, (0.0, 2.0), strict=True):
+    for one, x in zip(start.mixtures, (0.0, 2.0), strict=True):
         one.arrays.x[0, :6] = [x, 0.0, 0.0, 3.1, 0.0, 0.0]
         one.arrays.p[0, :6, :6] = np.diag([3.0, 9.0, 1e-4, 0.01, 1e-4, 1e-4])
     return start
@@ -154,12 +155,14 @@ def two_banks(core: Core) -> Start:
     [([8.0, 0.0, 0.0], True), ([8.2, 0.0, 0.0], False), ([0.0, 12.0, 0.0], True), ([0.0, 12.2, 0.0], False),
      ([0.0, 0.0, 0.4], True), ([0.0, 0.0, 0.41], False), ([6.0, 6.0, 0.25], False)],
 )  # fmt: skip
-def test_filters_agree_with_the_start_within_what_it_may_err_by(bank: Bank, apart: list[float], agrees: bool) -> None:
-    state = np.zeros(bank.core.size)
+def test_filters_agree_with_the_start_within_what_it_may_err_by(
+    mixture: Mixture, apart: list[float], agrees: bool
+) -> None:
+    state = np.zeros(mixture.core.size)
     state[:2] = [1.0 + apart[0], apart[1]]
     state[3] = 3.1 + apart[2] - 2.0 * np.pi  # what yaw is, not how often it has gone round
     state[2], state[4:6] = 5.0, 1.0  # height, pitch and roll are not asked
-    assert two_banks(bank.core).agrees(state) == agrees
+    assert two_mixtures(mixture.core).agrees(state) == agrees
 
 
 @pytest.mark.parametrize(("kind", "hypotheses"), [(EkfSlam, 1), (EkfSlam, 1000), (WallSlam, 1)])

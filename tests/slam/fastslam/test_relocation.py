@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from cellslam.sim.recording import Floats
-from cellslam.slam.ekf_slam.bank import Bank
+from cellslam.slam.ekf_slam.mixture import Mixture
 from cellslam.slam.ekf_slam.state.layout import Measured
 from cellslam.slam.fastslam.fastslam import FastSlam
 from cellslam.slam.fastslam.fastslam_options import FastSlamOptions
@@ -59,7 +59,7 @@ class Watched(FastSlam):
 
     begun: Floats
 
-    def _begin_groups(self, mixture: Bank, measured: Measured) -> None:
+    def _begin_groups(self, mixture: Mixture, measured: Measured) -> None:
         super()._begin_groups(mixture, measured)
         self.begun = mixture.arrays.x[0, :6].copy()
 

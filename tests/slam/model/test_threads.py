@@ -11,7 +11,7 @@ from functools import partial
 import numba
 import pytest
 
-from cellslam.slam.ekf_slam.bank import together
+from cellslam.slam.ekf_slam.mixture import together
 from cellslam.slam.model.threads import in_threads
 
 
@@ -64,11 +64,13 @@ def test_filters_are_shared_out_to_the_threads_that_are_allowed(
     """A worker of a sweep has one thread; with as many as there are cores in each worker they would wait for others."""
     assert allowed <= numba.config.NUMBA_NUM_THREADS, "one core: this cannot be tested"
     numba.set_num_threads(allowed)
-    done = list[tuple[int, int, int]]()  # thread, bank, filter
+    done = list[tuple[int, int, int]]()  # thread, mixture, filter
 
-    def work(bank: int, first: int, step: int) -> None:
-        done.extend((threading.get_ident(), bank, k) for k in range(first, filters[bank], step))
+    def work(mixture: int, first: int, step: int) -> None:
+        done.extend((threading.get_ident(), mixture, k) for k in range(first, filters[mixture], step))
 
-    together([partial(work, bank) for bank in range(len(filters))], filters)
-    assert sorted(one[1:] for one in done) == [(bank, k) for bank, count in enumerate(filters) for k in range(count)]
+    together([partial(work, mixture) for mixture in range(len(filters))], filters)
+    assert sorted(one[1:] for one in done) == [
+        (mixture, k) for mixture, count in enumerate(filters) for k in range(count)
+    ]
     assert sorted(Counter(thread for thread, *_ in done).values()) == loads

@@ -1,4 +1,4 @@
-"""A bank of joint filters: the arrays, and what is done to them from Python.
+"""A mixture of joint filters: the arrays, and what is done to them from Python.
 
 Source: Sorenson and Alspach, "Recursive Bayesian estimation using Gaussian sums", Automatica 7, 1971.
 """
@@ -20,7 +20,7 @@ from cellslam.slam.ekf_slam.map_states import Remembered
 from cellslam.slam.ekf_slam.snapshot.birth_kernel import map_of
 from cellslam.slam.ekf_slam.snapshot.motion_kernel import Interval
 from cellslam.slam.ekf_slam.snapshot.sizes_kernel import SIZES
-from cellslam.slam.ekf_slam.snapshot.snapshot_kernel import Paired, go_on_in_bank
+from cellslam.slam.ekf_slam.snapshot.snapshot_kernel import Paired, advance_mixture
 from cellslam.slam.ekf_slam.state.layout import (
     ANCHOR,
     BELIEF,
@@ -112,7 +112,7 @@ def together(works: Sequence[Work], filters: Sequence[int]) -> None:
 
 
 @dataclass
-class Bank:
+class Mixture:
     """K filters: `arrays`, each with a leading axis of at least K, their blocks, log-weights (K,), and the `influence`
     of VTs on these; the map that they `remember`, if any."""
 
@@ -146,7 +146,7 @@ class Bank:
     ) -> Work:  # fmt: skip
         """Return the work of pairing a snapshot in every filter, and of using it as it is paired."""
         at = self.arrays, errors, self.blocks, interval, measured, pairs, self.influence.rest
-        return partial(go_on_in_bank, *at, pairing, using)
+        return partial(advance_mixture, *at, pairing, using)
 
     def weigh(self, association: Ints, measured: Measured) -> None:
         """Take a snapshot and its associations (K, m) into the weights."""
@@ -307,7 +307,7 @@ class Bank:
         shared, d, w = self.arrays.p[:k, of, of], self.arrays.deviation[:k, of], self.arrays.weight[:k]
         return shared if not w.shape[1] else shared + (d * w[:, None]) @ np.swapaxes(d, 1, 2)
 
-    def collapsed(self) -> Bank:
+    def collapsed(self) -> Mixture:
         """Return the same belief without particles: what was in them is in the covariances."""
         k, a = len(self), self.arrays
         if not a.weight.shape[1]:
@@ -342,14 +342,15 @@ class Bank:
 
 
 def side_by_side(
-    banks: Sequence[Bank], errors: ArrayErrors, interval: Interval, measured: Measured, most_vts: int
+    mixtures: Sequence[Mixture], errors: ArrayErrors, interval: Interval, measured: Measured, most_vts: int
 ) -> list[Ints]:
-    """Use a snapshot in all filters of some banks, as `Bank.use` does; return each bank's associations (K, m)."""
-    pairs = [bank._unpaired(measured, most_vts) for bank in banks]
-    works = [bank._work(errors, interval, measured, one) for bank, one in zip(banks, pairs, strict=True)]
-    together(works, [len(bank) for bank in banks])
-    for bank, one in zip(banks, pairs, strict=True):
-        bank.weigh(one.ident, measured)
+    """Use a snapshot in all filters of some mixtures, as `Mixture.use` does; return each mixture's associations (K,
+    m)."""
+    pairs = [mixture._unpaired(measured, most_vts) for mixture in mixtures]
+    works = [mixture._work(errors, interval, measured, one) for mixture, one in zip(mixtures, pairs, strict=True)]
+    together(works, [len(mixture) for mixture in mixtures])
+    for mixture, one in zip(mixtures, pairs, strict=True):
+        mixture.weigh(one.ident, measured)
     return [one.ident for one in pairs]
 
 
@@ -392,10 +393,10 @@ def vt_estimate(rows: Floats) -> VtEstimate:
     return VtEstimate(ids, link, rows[:, POSITION:SPREAD], rows[:, SPREAD:].reshape(-1, 3, 3))
 
 
-def new_bank(
+def new_mixture(
     setup: Setup, core: Core, errors: ArrayErrors, offsets_m: Floats, offset_std_m: Floats, vts: int = VTS,
     states: int = STATES,
-) -> Bank:  # fmt: skip
+) -> Mixture:  # fmt: skip
     """Return K filters at the start, without VTs.
 
     offsets_m (K, S): clock offsets, offset_std_m (S,): their deviations. All links are in use.
@@ -434,4 +435,4 @@ def new_bank(
         np.zeros((k, vts, 3)), np.zeros((k, vts)), np.zeros((k, vts)), np.zeros((k, len(core.rate), 2)),
         np.zeros((k, LONGEST, POSE, 0)),
     )  # fmt: skip
-    return Bank(arrays, blocks, np.zeros(k), Influence(np.zeros(k)))
+    return Mixture(arrays, blocks, np.zeros(k), Influence(np.zeros(k)))
