@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 from cellslam.benchmarks.recordings.fitting.told import told
 from cellslam.benchmarks.scores.metrics import METRIC_KEYS, ROW_KEYS
-from cellslam.benchmarks.trials.guests import Guests
+from cellslam.benchmarks.trials.external_processes import ExternalProcesses
 from cellslam.benchmarks.trials.trials import (
     DEFAULT_ESTIMATORS,
     Trial,
@@ -17,7 +17,7 @@ from cellslam.benchmarks.trials.trials import (
     score_trial,
     simulated_trials,
 )
-from cellslam.scenarios import foreign_options
+from cellslam.scenarios import external_options
 from cellslam.scenarios.recording_origin import Origin
 from cellslam.scenarios.scenario import Scenario
 from cellslam.scenarios.simulation import scenario_of, simulate
@@ -49,9 +49,9 @@ def run(
     """
     chosen = scenario_of(scenario, overrides)
     check_counts(trials, seed)
-    requests = foreign_options.requests(chosen.estimator, names_of(estimators), overrides or ())
-    with Guests() as guests:
-        return _table(simulated_trials(chosen, requests, trials, seed, guests, progress))
+    requests = external_options.requests(chosen.estimator, names_of(estimators), overrides or ())
+    with ExternalProcesses() as external:
+        return _table(simulated_trials(chosen, requests, trials, seed, external, progress))
 
 
 def trial(
@@ -68,11 +68,11 @@ def trial(
     """
     chosen = scenario_of(scenario, overrides)
     check_counts(number + 1, seed)
-    requests = foreign_options.requests(chosen.estimator, names_of(estimators), overrides or ())
-    with Guests() as guests:
+    requests = external_options.requests(chosen.estimator, names_of(estimators), overrides or ())
+    with ExternalProcesses() as external:
         drive, outcomes = score_trial(
             lambda: simulate(chosen, seed, number, progress=progress),
-            chosen.name, requests, number, seed, guests, progress,
+            chosen.name, requests, number, seed, external, progress,
         )  # fmt: skip
         found = tuple(outcomes)
     if isinstance(drive.problem, InputError):
@@ -150,8 +150,8 @@ def replay(
     root = origin.seed if seed is None else seed
     check_counts(1, root)
     given = told(drive, origin, names_of(estimators), overrides or {}, fit, progress)
-    with Guests() as guests:
-        more = (origin.trial, root, guests, progress, align, given.odometry_model)
+    with ExternalProcesses() as external:
+        more = (origin.trial, root, external, progress, align, given.odometry_model)
         return _table([score_recording(drive, origin.name, given.requests, *more)])
 
 

@@ -31,13 +31,13 @@ CAUSES = ("noise_unit_snr", "diffuse")
 class Request:
     """An estimator that was asked for: its name, its class, and its validated options (None: it has none).
 
-    `foreign`: it is loaded and run in a process of its own alone; `estimator` only says whether it is an oracle.
+    `external`: it is loaded and run in a process of its own alone; `estimator` only says whether it is an oracle.
     """
 
     name: str
     estimator: type[Any]
     options: BaseModel | None
-    foreign: bool = False
+    external: bool = False
 
     @property
     def oracle(self) -> bool:
@@ -52,8 +52,8 @@ def resolve(
 
     An estimator whose own code fails when it is loaded is a request too: it raises when it is run. `tables` are a
     scenario's options by estimator; `overrides` are the dotted keys that the user set: they are validated also for
-    estimators not in `names`. `ask`: other people's estimators are not loaded here, but asked by it
-    (`foreign_options.asking`). Raises InputError for an unknown estimator or option, or a value out of range.
+    estimators not in `names`. `ask`: external estimators are not loaded here, but asked by it
+    (`external_options.asking`). Raises InputError for an unknown estimator or option, or a value out of range.
     """
     names = registry.expanded(names)
     known = {*registry.names(), *names}
@@ -67,9 +67,9 @@ def resolve(
     return requests
 
 
-def foreign(name: str, options: Mapping[str, Any] | None, oracle: bool) -> Request:
+def external_request(name: str, options: Mapping[str, Any] | None, oracle: bool) -> Request:
     """Return the request for an estimator that runs in a process of its own; `options` are all of its options."""
-    stand_in = type("Foreign", (), {"requires_truth": oracle})
+    stand_in = type("External", (), {"requires_truth": oracle})
     if options is None:
         return Request(name, stand_in, None, True)
     fields: dict[str, Any] = {key: (Any, value) for key, value in options.items()}
@@ -114,7 +114,9 @@ def broken(reason: InputError) -> type[Any]:
 def _request(tables: Tables, name: str, ask: Ask | None) -> Request:
     table, module = tables.get(name, {}), None if ask is None else registry.module_of(name)
     try:
-        return loaded(name, table) if ask is None or module is None else foreign(name, *ask(module, name, table))
+        if ask is None or module is None:
+            return loaded(name, table)
+        return external_request(name, *ask(module, name, table))
     except registry.BrokenPluginError as error:
         return Request(name, broken(error), None)
 

@@ -19,7 +19,7 @@ from typing import Any, Literal
 from pydantic import BaseModel, ConfigDict, Field
 
 from cellslam.scenarios.estimator_options import Ask, Request, resolve
-from cellslam.scenarios.foreign_options import asking
+from cellslam.scenarios.external_options import asking
 from cellslam.scenarios.keys import describe
 from cellslam.scenarios.loading import load, preset_names
 from cellslam.scenarios.overrides import parse, parse_value, split

@@ -30,7 +30,7 @@ class Listed:
     """An estimator that can be asked for: its name, where its class is, and one line about it.
 
     `needs`: a module that an extra of this name installs. `slow`: below five times real time on lund-530 with two
-    cores, and left out of `all`. `oracle`: it is shown the truth. `foreign`: from another package.
+    cores, and left out of `all`. `oracle`: it is shown the truth. `external`: from another package.
     """
 
     name: str
@@ -39,7 +39,7 @@ class Listed:
     needs: str = ""
     slow: bool = False
     oracle: bool = False
-    foreign: bool = False
+    external: bool = False
 
 
 BUILT_IN = (
@@ -110,7 +110,7 @@ def listing() -> tuple[Listed, ...]:
     known = {entry.name: entry for entry in BUILT_IN}
     for point in sorted(entry_points(group=ENTRY_POINT_GROUP), key=lambda p: p.name):
         package = point.dist.name if point.dist else point.module
-        known.setdefault(point.name, Listed(point.name, point.value, f"from the package {package}", foreign=True))
+        known.setdefault(point.name, Listed(point.name, point.value, f"from the package {package}", external=True))
     return tuple(known.values())
 
 
@@ -171,14 +171,14 @@ def resolve(name: str) -> type[Any]:
 
 
 def module_of(name: str) -> str | None:
-    """Return the module of an estimator of other people's, which runs in a process of its own; None for the others.
+    """Return the module of an external estimator, which runs in a process of its own; None for the others.
 
     cellslam's own are trusted. One that is defined in `__main__`, as in a notebook, is nowhere but in that process.
     """
     if ":" in name:
         module = name.partition(":")[0]
         return None if module in ("", "__main__") or module.startswith("cellslam.") else module
-    known = (entry.target.partition(":")[0] for entry in listing() if entry.foreign and entry.name == name)
+    known = (entry.target.partition(":")[0] for entry in listing() if entry.external and entry.name == name)
     return next(known, None)
 
 

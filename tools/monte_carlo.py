@@ -71,7 +71,7 @@ def command(arguments: Namespace) -> int:
 def parts(points: tuple[sweeps.Point, ...]) -> dict[str, Any]:
     """Return the seconds of one trial by part: its world with the bound, and each estimator."""
     with Serial(shares(1, LIMIT_S)) as one:
-        _, seconds = seconds_of(plan(points, 1, 0), one.guests)
+        _, seconds = seconds_of(plan(points, 1, 0), one.external)
     return {"seconds_by_part": {name: round(s, 4) for name, s in seconds.items()}}
 
 

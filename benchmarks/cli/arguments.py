@@ -76,7 +76,7 @@ def add_estimation(parser: argparse.ArgumentParser) -> None:
     add_estimators(parser)
     parser.add_argument("--json", action="store_true", help="print the rows as one JSON array on stdout, nothing else")
     parser.add_argument("--no-figures", action="store_true", help="do not draw figures")
-    add_limits(parser, "other people's estimators")
+    add_limits(parser, "external estimators")
 
 
 def add_work(parser: argparse.ArgumentParser) -> None:

@@ -29,10 +29,10 @@ from cellslam.benchmarks.cli.progress_bars import bars
 from cellslam.benchmarks.cli.results_folder import Folder
 from cellslam.benchmarks.tables.trials_table import bound_row, results_table
 from cellslam.benchmarks.trials import compile_ahead as ahead
-from cellslam.benchmarks.trials.guests import Guests
+from cellslam.benchmarks.trials.external_processes import ExternalProcesses
 from cellslam.benchmarks.trials.output_files import check_folder
 from cellslam.benchmarks.trials.trials import DEFAULT_ESTIMATORS, Trial, check_counts, simulated_trials
-from cellslam.scenarios import foreign_options
+from cellslam.scenarios import external_options
 from cellslam.scenarios.estimator_options import Request, with_options
 from cellslam.scenarios.loading import load
 from cellslam.scenarios.overrides import parse_all
@@ -94,7 +94,7 @@ def command(arguments: Namespace) -> int:
     scenario = load(arguments.scenario, overrides)
     check_counts(arguments.trials, arguments.seed)
     asked = arguments.estimators or DEFAULT_ESTIMATORS
-    requests = foreign_options.requests(scenario.estimator, asked, overrides)
+    requests = external_options.requests(scenario.estimator, asked, overrides)
     requests, note = calibrated(arguments, requests, arguments.trials)
     note_left_out(arguments)
     out = Path(arguments.out or f"results/{scenario.name}-{arguments.seed}")
@@ -104,11 +104,11 @@ def command(arguments: Namespace) -> int:
     job.note(note)
     known = scenario.map.known is not None or scenario.map.drives > 1
     job.note(check_map(arguments, known, requests, arguments.trials))
-    with Guests(limits(arguments, 1)) as guests, bars(arguments.quiet) as progress, ExitStack() as stack:
+    with ExternalProcesses(limits(arguments, 1)) as external, bars(arguments.quiet) as progress, ExitStack() as stack:
         ahead.begin(requests)
-        guests.begin(requests)
+        external.begin(requests)
         job.open_store = partial(_open_store, job, scenario, stack)
-        trials = simulated_trials(scenario, requests, arguments.trials, arguments.seed, guests, progress)
+        trials = simulated_trials(scenario, requests, arguments.trials, arguments.seed, external, progress)
         interrupted = work_off(job, trials, progress)
     status = report(job, interrupted)
     if not interrupted:

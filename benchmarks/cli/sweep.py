@@ -148,7 +148,7 @@ def _dry_run(made: Plan, of: str, jobs: int, allowed: Limits, out: Path) -> None
             todo = made.without(dict(database.execute("SELECT key, status FROM rows")))
     print(f"{of}, {_said(made, todo)}")
     with Serial(allowed) as one:
-        seconds, parts = seconds_of(todo, one.guests)
+        seconds, parts = seconds_of(todo, one.external)
     if parts:
         said = ", ".join(f"{name} {clock(value)}" for name, value in parts.items())
         print(f"about {clock(seconds / jobs)} on {_counted(jobs, 'core')} (one trial, timed now: {said})")

@@ -12,7 +12,7 @@ from typing import Any, Protocol
 from cellslam.benchmarks.sweeps.tasks import Began, Lost, Result, Task, work
 from cellslam.benchmarks.sweeps.worker_pool import Pool
 from cellslam.benchmarks.trials.child_process import Limits
-from cellslam.benchmarks.trials.guests import Guests
+from cellslam.benchmarks.trials.external_processes import ExternalProcesses
 from cellslam.sim.errors import InputError
 
 NAMES = ("serial", "processes", "dask")
@@ -43,10 +43,10 @@ def cores() -> int:
 
 
 class Serial:
-    """This process, one thread; other people's estimators in processes of their own. Use as a context."""
+    """This process, one thread; external estimators in processes of their own. Use as a context."""
 
     def __init__(self, limits: Limits) -> None:
-        self.guests, self._open = Guests(limits, one_thread=True), ExitStack()
+        self.external, self._open = ExternalProcesses(limits, one_thread=True), ExitStack()
 
     def __enter__(self) -> Serial:
         import numba
@@ -55,7 +55,7 @@ class Serial:
         self._open.callback(numba.set_num_threads, numba.get_num_threads())
         numba.set_num_threads(1)
         self._open.enter_context(threadpool_limits(1))
-        self._open.enter_context(self.guests)
+        self._open.enter_context(self.external)
         return self
 
     def __exit__(self, *_: object) -> None:
@@ -64,7 +64,7 @@ class Serial:
     def run(self, tasks: Iterable[Task]) -> Iterator[Result | Lost]:
         """Yield the results in order."""
         for task in tasks:
-            for message in work(task, self.guests):
+            for message in work(task, self.external):
                 if not isinstance(message, Began):
                     yield message
 

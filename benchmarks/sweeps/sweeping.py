@@ -23,7 +23,7 @@ from cellslam.benchmarks.sweeps.tasks import (
     request_of,
     work,
 )
-from cellslam.benchmarks.trials.guests import Guests
+from cellslam.benchmarks.trials.external_processes import ExternalProcesses
 
 Heard = Callable[[Task, Job, Mapping[str, Any]], None]
 SAMPLES_PER_ESTIMATOR = 4
@@ -60,7 +60,7 @@ def pending(plan: Plan, store: Store, retry_failed: bool) -> Plan:
     return plan.without({key: s for key, s in status.items() if s == "ok" or not retry_failed})
 
 
-def seconds_of(plan: Plan, guests: Guests) -> tuple[float, Mapping[str, float]]:
+def seconds_of(plan: Plan, external: ExternalProcesses) -> tuple[float, Mapping[str, float]]:
     """Return the seconds that one core needs for a plan, and those of one trial by part ("world", estimators).
 
     One trial of the first world is timed, with a few different options of each estimator, after everything is
@@ -70,11 +70,11 @@ def seconds_of(plan: Plan, guests: Guests) -> tuple[float, Mapping[str, float]]:
         return 0.0, {}
     first = max(plan.tasks[: len(plan.worlds)], key=lambda task: len(task.jobs))
     sample = replace(first, jobs=tuple(_sampled(first)))
-    _compile(sample, guests)
+    _compile(sample, external)
     spent: dict[str, list[float]] = {}
     names = {job.key: job.estimator for job in sample.jobs}
     begin, part = time.perf_counter(), "world"
-    for message in work(sample, guests):
+    for message in work(sample, external):
         now = time.perf_counter()
         if isinstance(message, Began) and message.key is not None:
             if part == "world":
@@ -105,7 +105,7 @@ def _sampled(task: Task) -> list[Job]:
     return out
 
 
-def _compile(task: Task, guests: Guests) -> None:
+def _compile(task: Task, external: ExternalProcesses) -> None:
     from cellslam.benchmarks.bound.cramer_rao import bound
     from cellslam.benchmarks.trials.estimation import warm_up
 
@@ -115,7 +115,7 @@ def _compile(task: Task, guests: Guests) -> None:
     for job in task.jobs:
         try:
             request = request_of(job.estimator, job.options, job.oracle)
-            (guests.warm_up if request.foreign else warm_up)(request)
+            (external.warm_up if request.external else warm_up)(request)
         except Exception:
             # The trial itself will say so in its row.
             continue

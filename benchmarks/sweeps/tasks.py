@@ -11,7 +11,7 @@ from functools import lru_cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from cellslam.scenarios.estimator_options import Request, broken, foreign, loaded
+from cellslam.scenarios.estimator_options import Request, broken, external_request, loaded
 from cellslam.scenarios.map_config import MapConfig
 from cellslam.scenarios.sweep_points import Point
 from cellslam.sim.errors import InputError
@@ -19,7 +19,7 @@ from cellslam.sim.world import KEPT_SCENES, WorldConfig
 from cellslam.slam import registry
 
 if TYPE_CHECKING:
-    from cellslam.benchmarks.trials.guests import Guests
+    from cellslam.benchmarks.trials.external_processes import ExternalProcesses
     from cellslam.benchmarks.trials.trials import Drive, Outcome
     from cellslam.scenarios.known_worlds.known_world import Entry, KnownWorld
     from cellslam.scenarios.scenario import Scenario
@@ -186,8 +186,8 @@ def canonical(value: Any) -> str:
     return json.dumps(value, sort_keys=True, separators=(",", ":"), allow_nan=False)
 
 
-def work(task: Task, guests: Guests) -> Iterator[Began | Result | Lost]:
-    """Do a task: yield when each job begins, and what it gave. `guests`: processes of other people's estimators."""
+def work(task: Task, external: ExternalProcesses) -> Iterator[Began | Result | Lost]:
+    """Do a task: yield when each job begins, and what it gave. `external`: processes of external estimators."""
     from cellslam.benchmarks.trials.earlier_drives import Before
     from cellslam.benchmarks.trials.trials import NOTHING, score_trial
 
@@ -202,10 +202,10 @@ def work(task: Task, guests: Guests) -> Iterator[Began | Result | Lost]:
         scenario = scenario_of(task.world)
         before = Before(scenario.map, scenario, task.seed, task.trial)
     drive, outcomes = score_trial(
-        make, name, requests, task.trial, task.seed, guests, bounded=not known_world, before=before
+        make, name, requests, task.trial, task.seed, external, bounded=not known_world, before=before
     )
     for job, request in zip(task.jobs, requests, strict=True):
-        yield Began(job.key, request.foreign)
+        yield Began(job.key, request.external)
         outcome = next(outcomes)
         if outcome.lost:
             yield Lost(task, job, outcome.row["error"])
@@ -274,7 +274,7 @@ def request_of(estimator: str, options: str, oracle: bool = False) -> Request:
     """Return the request of an estimator with options as JSON; other people's is not loaded, `oracle` is believed."""
     table = json.loads(options)
     if registry.module_of(estimator) is not None:
-        return foreign(estimator, table, oracle)
+        return external_request(estimator, table, oracle)
     try:
         return loaded(estimator, table or {})
     except InputError as error:

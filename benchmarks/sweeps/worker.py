@@ -20,13 +20,13 @@ def main() -> None:
     connection = Connection(number)
     bind(memory_bytes)
     from cellslam.benchmarks.sweeps.tasks import work
-    from cellslam.benchmarks.trials.guests import Guests
+    from cellslam.benchmarks.trials.external_processes import ExternalProcesses
 
     try:
-        with Guests(Limits(1e-3 * milliseconds, memory_bytes), one_thread=True) as guests:
+        with ExternalProcesses(Limits(1e-3 * milliseconds, memory_bytes), one_thread=True) as external:
             connection.send(Ready())
             while True:
-                for message in work(connection.recv(), guests):
+                for message in work(connection.recv(), external):
                     connection.send(message)
                 connection.send(Ready())
     except (EOFError, BrokenPipeError, ConnectionResetError):

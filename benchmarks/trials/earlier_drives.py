@@ -35,7 +35,7 @@ MOST_DRIVES = 100  # of a sequence: from the number of a car's drive to that of 
 
 def uses_maps(request: Request) -> bool:
     """Return whether an estimator begins with a map and leaves one."""
-    return not request.foreign and callable(getattr(request.estimator, "vt_map", None))
+    return not request.external and callable(getattr(request.estimator, "vt_map", None))
 
 
 @dataclass(frozen=True)
@@ -53,7 +53,7 @@ class Before:
         Passes on whatever an earlier drive raises.
         """
         if self.scenario is None or self.config.drives == 1 or not uses_maps(request):
-            return self.config.known if uses_maps(request) or request.foreign else None
+            return self.config.known if uses_maps(request) or request.external else None
         options = None if request.options is None else request.options.model_dump_json()
         key = (self._place(), self.seed, self.trial)
         return _left(*key, _Hashed(request, f"{request.name} {options}"), self.config.drives - 1)

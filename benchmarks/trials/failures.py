@@ -12,7 +12,7 @@ MOST_NOTES = 3
 MOST_DETAILS = 20_000
 
 
-class GuestError(Exception):
+class ExternalError(Exception):
     """An estimator failed in its own process: why in one line, and what it said of it."""
 
     def __init__(self, reason: str, details: str = "") -> None:
@@ -20,13 +20,13 @@ class GuestError(Exception):
         self.details = details
 
 
-class LostError(GuestError):
+class LostError(ExternalError):
     """The process of an estimator died, or was killed since it gave no answer in time."""
 
 
 def explained(error: BaseException) -> str:
     """Return an error as one line: what, in which snapshot, and the estimator's own traceback."""
-    if isinstance(error, GuestError):
+    if isinstance(error, ExternalError):
         return str(error)
     text = one_line(error)
     if isinstance(error, InputError):
@@ -40,7 +40,7 @@ def explained(error: BaseException) -> str:
 
 def details(error: BaseException) -> str:
     """Return the traceback of an error as text that any file holds; of a long one the beginning and the end."""
-    said = error.details if isinstance(error, GuestError) else "".join(traceback.format_exception(error))
+    said = error.details if isinstance(error, ExternalError) else "".join(traceback.format_exception(error))
     text = said.encode("utf-8", "backslashreplace").decode()
     half = MOST_DETAILS // 2
     return text if len(text) <= MOST_DETAILS else f"{text[:half]}\n...\n{text[-half:]}"

@@ -5,8 +5,8 @@ the error, fails every row of its trial, which say so; a bound that cannot be co
 estimator's error is its own row's alone. In one place the request itself is blamed: where `run` cannot make the world
 of its first trial as the scenario asks for what cannot be (InputError), it ends with that line and no rows.
 
-cellslam's own estimators run in this process; other people's never do (`guests`), but for one that was defined in
-`__main__`, as in a notebook, since no other process has it.
+cellslam's own estimators run in this process; external ones never do (`external_processes`), but for one that was
+defined in `__main__`, as in a notebook, since no other process has it.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from cellslam.benchmarks.scores.metrics import ROW_KEYS
 from cellslam.benchmarks.scores.trial_result import TrialResult
 from cellslam.benchmarks.trials.earlier_drives import Before
 from cellslam.benchmarks.trials.estimation import estimate, warm_up
-from cellslam.benchmarks.trials.failures import GuestError, LostError, details, explained
+from cellslam.benchmarks.trials.failures import ExternalError, LostError, details, explained
 from cellslam.scenarios.estimator_options import Request
 from cellslam.scenarios.map_config import MapConfig
 from cellslam.scenarios.scenario import Scenario
@@ -36,7 +36,7 @@ from cellslam.slam.model.vt_map import VtMap
 
 if TYPE_CHECKING:
     from cellslam.benchmarks.bound.cramer_rao import BoundResult
-    from cellslam.benchmarks.trials.guests import Guests
+    from cellslam.benchmarks.trials.external_processes import ExternalProcesses
 
 Row = dict[str, Any]
 NOTHING = Before(MapConfig())
@@ -94,7 +94,7 @@ def simulated_trials(
     requests: Sequence[Request],
     trials: int,
     seed: int,
-    guests: Guests,
+    external: ExternalProcesses,
     progress: Progress = silent,
 ) -> Iterator[Trial]:
     """Yield trials 0 to `trials` - 1 of root seed `seed`, one after the other.
@@ -107,7 +107,7 @@ def simulated_trials(
             return simulate(scenario, seed, trial, progress=progress)
 
         before = Before(scenario.map, scenario, seed, number)
-        drive, outcomes = score_trial(make, scenario.name, requests, number, seed, guests, progress, before=before)
+        drive, outcomes = score_trial(make, scenario.name, requests, number, seed, external, progress, before=before)
         if number == 0 and isinstance(drive.problem, InputError):
             raise drive.problem
         yield Trial(number, drive.recording, drive.bound, tuple(outcomes), drive.unbound)
@@ -119,7 +119,7 @@ def score_trial(
     requests: Sequence[Request],
     trial: int,
     seed: int,
-    guests: Guests | None = None,
+    external: ExternalProcesses | None = None,
     progress: Progress = silent,
     align: bool = False,
     sheet: OdometryModel | None = None,
@@ -128,7 +128,7 @@ def score_trial(
 ) -> tuple[Drive, Iterator[Outcome]]:
     """Return a trial's drive, and the outcome of each request as it is asked for; seed and trial give their streams.
 
-    `make` returns the recording. `guests` are the processes of other people's estimators, needed where one is asked
+    `make` returns the recording. `external` are the processes of external estimators, needed where one is asked
     for. `align`: each estimate is first laid onto the truth, and its row says so; there is no bound then,
     nor where the trial is not `bounded`.
     `sheet`: what estimators are told of the odometry's errors; the bound keeps to what the recording says.
@@ -137,7 +137,7 @@ def score_trial(
     drive = _drive(make, progress, bounded and not align, before)
     if sheet is not None and drive.recording is not None:
         drive = replace(drive, recording=replace(drive.recording, odometry_model=sheet))
-    more = (trial, seed, guests, progress, align, before)
+    more = (trial, seed, external, progress, align, before)
     return drive, (outcome_of(drive, scenario, request, *more) for request in requests)
 
 
@@ -172,7 +172,7 @@ def outcome_of(
     request: Request,
     trial: int,
     seed: int,
-    guests: Guests | None = None,
+    external: ExternalProcesses | None = None,
     progress: Progress = silent,
     align: bool = False,
     before: Before = NOTHING,
@@ -185,7 +185,7 @@ def outcome_of(
     row = _row(drive.recording, scenario, request.name, trial, seed)
     try:
         rng = stream(seed, trial, Stream.ESTIMATOR)
-        result = _estimate(drive.recording, request, rng, guests, progress, before.known(request))
+        result = _estimate(drive.recording, request, rng, external, progress, before.known(request))
         row, result = _scored(drive.recording, drive.bound, row, result, align)
     except (Exception, SystemExit) as error:
         row = {**row, "status": "failed", "error": explained(error)}
@@ -197,14 +197,14 @@ def _estimate(
     recording: Recording,
     request: Request,
     rng: np.random.Generator,
-    guests: Guests | None,
+    external: ExternalProcesses | None,
     progress: Progress,
     known: VtMap | None,
 ) -> TrialResult:
-    if request.foreign:
-        if guests is None:
-            raise GuestError(f"{request.name} runs in a process of its own, and there is none here")
-        return guests.estimate(recording, request, rng, progress, known)
+    if request.external:
+        if external is None:
+            raise ExternalError(f"{request.name} runs in a process of its own, and there is none here")
+        return external.estimate(recording, request, rng, progress, known)
     warm_up(request, progress)
     return estimate(recording, request, rng, progress, known)
 

@@ -12,7 +12,7 @@ from dataclasses import dataclass, field
 from importlib.resources import as_file, files
 
 from cellslam.scenarios.estimator_options import resolve
-from cellslam.scenarios.foreign_options import asking
+from cellslam.scenarios.external_options import asking
 from cellslam.scenarios.loading import load
 from cellslam.scenarios.scenario import Scenario
 from cellslam.scenarios.sweep_points import Point

@@ -40,7 +40,7 @@ def calibrated(arguments: Namespace, requests: Sequence[Request], trials: int) -
     Raises InputError where none can, where the file does not suit one that can, and where it would not be clear whose
     calibration, or of which trial, is to be saved.
     """
-    leaving = [r.name for r in requests if r.foreign or callable(getattr(r.estimator, "calibration", None))]
+    leaving = [r.name for r in requests if r.external or callable(getattr(r.estimator, "calibration", None))]
     check_saving("--save-calibration", arguments.save_calibration, leaving, trials)
     if arguments.calibration is None:
         return tuple(requests), ""

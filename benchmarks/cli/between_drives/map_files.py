@@ -45,8 +45,8 @@ def check_map(arguments: Namespace, known: bool, requests: Sequence[Request], tr
     check_saving("--save-map", arguments.save_map, able, trials)
     if not known:
         return ""
-    rest = ", ".join(r.name for r in requests if not uses_maps(r) and not r.foreign)
-    if not able and not any(r.foreign for r in requests):
+    rest = ", ".join(r.name for r in requests if not uses_maps(r) and not r.external)
+    if not able and not any(r.external for r in requests):
         raise InputError(f"a map, but {rest} cannot use it; use ekf-slam or fastslam")
     return f"without the map, which it cannot use: {rest}" if rest else ""
 

@@ -17,7 +17,7 @@ from cellslam.benchmarks.scores.departure import worse_than_odometry
 from cellslam.benchmarks.scores.trial_result import TrialResult
 from cellslam.benchmarks.trials import trials
 from cellslam.benchmarks.trials.estimation import estimate
-from cellslam.benchmarks.trials.guests import Guests
+from cellslam.benchmarks.trials.external_processes import ExternalProcesses
 from cellslam.scenarios.estimator_options import resolve
 from cellslam.scenarios.overrides import parse_all
 from cellslam.scenarios.recording_origin import Origin
@@ -50,10 +50,10 @@ def estimate_by(arguments: Namespace, recording: Recording, path: Path, names: S
     """
     origin = Origin.of(recording, path)
     seed = origin.seed if arguments.seed is None else arguments.seed
-    with bars(arguments.quiet) as progress, Guests() as guests:
+    with bars(arguments.quiet) as progress, ExternalProcesses() as external:
         given = told_by(arguments, recording, origin, names, progress)
         drive = trials.Drive(replace(recording, odometry_model=given.odometry_model))
-        more = (origin.trial, seed, guests, progress)
+        more = (origin.trial, seed, external, progress)
         outcomes = [trials.outcome_of(drive, origin.name, request, *more) for request in given.requests]
     for outcome in outcomes:
         if outcome.result is None:
@@ -74,10 +74,10 @@ def doubts(recording: Recording, results: Sequence[TrialResult]) -> dict[str, li
 
 def _given(arguments: Namespace) -> dict[str, Any]:
     sets = parse_all(arguments.sets)
-    foreign = [key for key in sets if key.partition(".")[0] not in TABLES]
-    if foreign:
+    external = [key for key in sets if key.partition(".")[0] not in TABLES]
+    if external:
         raise InputError(
-            f"--set {foreign[0]}: a recording is as it is; 'estimator.NAME.key' can be set, and the odometry's data "
+            f"--set {external[0]}: a recording is as it is; 'estimator.NAME.key' can be set, and the odometry's data "
             "sheet, as 'noise.u_psi.noise_density'"
         )
     return (_options_of(Path(arguments.options)) if arguments.options else {}) | sets

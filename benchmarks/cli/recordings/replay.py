@@ -19,7 +19,7 @@ from cellslam.benchmarks.recordings.fitting.fitted_lines import said, toml
 from cellslam.benchmarks.recordings.fitting.told import Told
 from cellslam.benchmarks.trials import trials
 from cellslam.benchmarks.trials.earlier_drives import Before
-from cellslam.benchmarks.trials.guests import Guests
+from cellslam.benchmarks.trials.external_processes import ExternalProcesses
 from cellslam.benchmarks.trials.output_files import check_folder
 from cellslam.scenarios.estimator_options import with_options
 from cellslam.scenarios.map_config import MapConfig
@@ -68,11 +68,11 @@ def command(arguments: Namespace) -> int:
     job.note(note)
     before = Before(MapConfig(file=arguments.map))
     job.note(check_map(arguments, arguments.map is not None, requests, 1))
-    with Guests(limits(arguments, 1)) as guests, bars(arguments.quiet) as progress:
-        guests.begin(requests)
+    with ExternalProcesses(limits(arguments, 1)) as external, bars(arguments.quiet) as progress:
+        external.begin(requests)
 
         def only() -> Iterator[trials.Trial]:
-            more = (origin.trial, seed, guests, progress, arguments.align, given.odometry_model, True, before)
+            more = (origin.trial, seed, external, progress, arguments.align, given.odometry_model, True, before)
             yield trials.score_recording(recording, origin.name, requests, *more)
 
         interrupted = work_off(job, only(), progress)

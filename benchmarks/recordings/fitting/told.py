@@ -9,7 +9,7 @@ from typing import Any
 from cellslam.benchmarks.recordings.fitting.fit_noise import UNKNOWN
 from cellslam.benchmarks.recordings.fitting.fit_sizes import Learnt, learn
 from cellslam.benchmarks.recordings.importing.data_sheet import changed_sheet
-from cellslam.scenarios import foreign_options
+from cellslam.scenarios import external_options
 from cellslam.scenarios.estimator_options import Request
 from cellslam.scenarios.overrides import apply
 from cellslam.scenarios.recording_origin import Origin
@@ -66,4 +66,4 @@ def _with(
 
 def _requests(tables: Mapping[str, Any], names: Sequence[str], overrides: Mapping[str, Any]) -> tuple[Request, ...]:
     full = apply({"estimator": tables}, overrides)["estimator"]
-    return foreign_options.requests(full, names, overrides)
+    return external_options.requests(full, names, overrides)

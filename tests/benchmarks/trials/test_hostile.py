@@ -17,12 +17,12 @@ from cellslam.benchmarks.cli.main import main
 from cellslam.benchmarks.scores.metrics import COST_KEYS
 from cellslam.benchmarks.sweeps.rows import results
 from cellslam.benchmarks.sweeps.store import DATABASE
-from cellslam.benchmarks.trials import guests as guests_module
+from cellslam.benchmarks.trials import external_processes
 from cellslam.benchmarks.trials.answers import decoded
 from cellslam.benchmarks.trials.child_process import Limits
-from cellslam.benchmarks.trials.guests import Guests
+from cellslam.benchmarks.trials.external_processes import ExternalProcesses
 from cellslam.benchmarks.trials.trials import score_recording, score_trial
-from cellslam.scenarios.estimator_options import Request, foreign
+from cellslam.scenarios.estimator_options import Request, external_request
 from cellslam.sim.recording import Recording
 from tests.short_drive import SET, SHORT
 
@@ -58,8 +58,8 @@ def place(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 
 @pytest.fixture
-def guests() -> Iterator[Guests]:
-    with Guests(Limits(2.5, int(1.5 * GIB)), one_thread=True) as opened:
+def external() -> Iterator[ExternalProcesses]:
+    with ExternalProcesses(Limits(2.5, int(1.5 * GIB)), one_thread=True) as opened:
         yield opened
 
 
@@ -122,10 +122,10 @@ def test_in_sweep(place: Path, executor: str) -> None:
 
 @pytest.mark.parametrize("name", PROCESSES)
 def test_a_process_that_ends_or_hangs(
-    place: Path, guests: Guests, toy_recording: Callable[..., Recording], name: str
+    place: Path, external: ExternalProcesses, toy_recording: Callable[..., Recording], name: str
 ) -> None:
-    asked_for = [foreign(f"{MODULE}:{one}", None, False) for one in (name, "Good")]
-    bad, good = score_recording(toy_recording(), "toy", asked_for, 0, 0, guests).outcomes
+    asked_for = [external_request(f"{MODULE}:{one}", None, False) for one in (name, "Good")]
+    bad, good = score_recording(toy_recording(), "toy", asked_for, 0, 0, external).outcomes
     assert bad.row["status"] == "failed" and WORDS[name] in bad.row["error"], bad.row["error"]
     assert bad.lost == ("its process" in WORDS[name] or "no answer" in WORDS[name])
     assert good.row["status"] == "ok", good.row["error"]
@@ -145,24 +145,24 @@ def test_an_answer_that_is_none(toy_recording: Callable[..., Recording], name: s
 
 
 def test_the_same_process_is_used_again_after_an_error_that_it_reports(
-    place: Path, guests: Guests, toy_recording: Callable[..., Recording]
+    place: Path, external: ExternalProcesses, toy_recording: Callable[..., Recording]
 ) -> None:
-    request, ids = foreign(f"{MODULE}:Complex", None, False), []
+    request, ids = external_request(f"{MODULE}:Complex", None, False), []
     for trial in range(2):
-        _, outcomes = score_trial(toy_recording, "toy", [request], trial, 0, guests)
+        _, outcomes = score_trial(toy_recording, "toy", [request], trial, 0, external)
         assert next(outcomes).row["status"] == "failed"
-        ids.append(guests._alive[request.name].process.pid)
+        ids.append(external._alive[request.name].process.pid)
     assert ids[0] == ids[1]
 
 
 def test_no_more_processes_than_allowed(
-    place: Path, guests: Guests, toy_recording: Callable[..., Recording], monkeypatch: pytest.MonkeyPatch
+    place: Path, external: ExternalProcesses, toy_recording: Callable[..., Recording], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(guests_module, "MOST_PROCESSES", 1)
+    monkeypatch.setattr(external_processes, "MOST_PROCESSES", 1)
     names = ("Good", "Mutates", "Good")
-    asked_for = [foreign(f"{MODULE}:{name}", None, False) for name in names]
-    outcomes = score_recording(toy_recording(), "toy", asked_for, 0, 0, guests).outcomes
-    assert [outcome.row["status"] for outcome in outcomes] == ["ok"] * 3 and len(guests._alive) == 1
+    asked_for = [external_request(f"{MODULE}:{name}", None, False) for name in names]
+    outcomes = score_recording(toy_recording(), "toy", asked_for, 0, 0, external).outcomes
+    assert [outcome.row["status"] for outcome in outcomes] == ["ok"] * 3 and len(external._alive) == 1
 
 
 IMPORTS = {

@@ -50,11 +50,11 @@ def _operator(
     basis = _window_basis(waveform)
     mine, theirs = (waveform.values(port, comb, slot) for port in (own, other))
     later = np.exp(-2j * np.pi * waveform.tones_hz * apart_m / SPEED_OF_LIGHT_MPS)
-    foreign = (mine.conj() * theirs * later)[:, None] * basis
-    both = np.concatenate([foreign, basis], axis=1)
+    interfering = (mine.conj() * theirs * later)[:, None] * basis
+    both = np.concatenate([interfering, basis], axis=1)
     gram = both.conj().T @ both + _RIDGE * np.eye(both.shape[1])
     coefficients = np.linalg.solve(gram, both.conj().T)[: basis.shape[1]]
-    return np.ascontiguousarray(coefficients.T, np.complex64), np.ascontiguousarray(foreign.T, np.complex64)
+    return np.ascontiguousarray(coefficients.T, np.complex64), np.ascontiguousarray(interfering.T, np.complex64)
 
 
 @lru_cache(maxsize=8)

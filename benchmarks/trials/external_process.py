@@ -1,4 +1,4 @@
-"""The process of one estimator of other people's: drives it over what it is sent, and answers with plain numbers.
+"""The process of one external estimator: drives it over what it is sent, and answers with plain numbers.
 
 What it reads comes from cellslam and is pickled. What it writes comes from anyone's code and is data alone: messages
 of `answers.encoded`, each after its length in eight bytes.

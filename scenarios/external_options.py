@@ -1,4 +1,4 @@
-"""Other people's estimators, asked for their options in processes of their own: who asks never imports them."""
+"""External estimators, asked for their options in processes of their own: who asks never imports them."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ LOAD_LIMIT_S = 300.0
 
 
 def requests(tables: Tables, names: Sequence[str], overrides: Iterable[str] = ()) -> tuple[Request, ...]:
-    """Return what `estimator_options.resolve` does, without loading other people's estimators here."""
+    """Return what `estimator_options.resolve` does, without loading external estimators here."""
     with asking() as ask:
         return resolve(tables, names, overrides, ask)
 
@@ -72,7 +72,7 @@ def _said(name: str, table: Mapping[str, Any]) -> str:
 
 
 def _process() -> subprocess.Popen[bytes]:
-    code = "from cellslam.scenarios.foreign_options import main; main()"
+    code = "from cellslam.scenarios.external_options import main; main()"
     pipe, quiet = subprocess.PIPE, subprocess.DEVNULL
     # -P: a file of the current directory must not hide a module.
     process = subprocess.Popen([sys.executable, "-P", "-c", code], stdin=pipe, stdout=pipe, stderr=quiet)

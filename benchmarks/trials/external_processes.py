@@ -1,4 +1,4 @@
-"""Other people's estimators, each in a process of its own, seen from the process that scores them.
+"""External estimators, each in a process of its own, seen from the process that scores them.
 
 Nothing of theirs is imported or unpickled here: numbers arrive, and are checked as every estimator's answers are.
 """
@@ -24,7 +24,7 @@ from cellslam.benchmarks.scores.trial_result import TrialResult
 from cellslam.benchmarks.trials.answers import Columns, decoded, plain_remarks
 from cellslam.benchmarks.trials.child_process import POLL_S, START_LIMIT_S, Limits, ending, shares, started
 from cellslam.benchmarks.trials.estimation import Answer, collected
-from cellslam.benchmarks.trials.failures import GuestError, LostError
+from cellslam.benchmarks.trials.failures import ExternalError, LostError
 from cellslam.scenarios.estimator_options import Request
 from cellslam.sim.errors import one_line
 from cellslam.sim.progress import Progress, silent
@@ -40,17 +40,17 @@ PROCESS = "its process"
 Replies = Generator[tuple[dict[str, Any], Columns]]
 
 
-class Guests:
-    """The processes of other people's estimators, started when first needed. Leaving the context ends them.
+class ExternalProcesses:
+    """The processes of external estimators, started when first needed. Leaving the context ends them.
 
     `one_thread`: their libraries keep to one thread.
     """
 
     def __init__(self, limits: Limits | None = None, one_thread: bool = False) -> None:
         self.limits, self.one_thread = limits or shares(1), one_thread
-        self._alive: dict[str, _Guest] = {}
+        self._alive: dict[str, _Process] = {}
 
-    def __enter__(self) -> Guests:
+    def __enter__(self) -> ExternalProcesses:
         return self
 
     def __exit__(self, *_: object) -> None:
@@ -58,12 +58,12 @@ class Guests:
             self._end(name)
 
     def begin(self, requests: Sequence[Request]) -> None:
-        """Start the process of the first foreign estimator, while a world is made."""
-        for request in [r for r in requests if r.foreign][:1]:
+        """Start the process of the first external estimator, while a world is made."""
+        for request in [r for r in requests if r.external][:1]:
             self._of(request)
 
     def warm_up(self, request: Request) -> None:
-        """Let a foreign estimator start and compile. Raises GuestError."""
+        """Let an external estimator start and compile. Raises ExternalError."""
         with self._asked(request, None) as replies:
             next(replies)
 
@@ -75,7 +75,7 @@ class Guests:
         progress: Progress = silent,
         known: VtMap | None = None,
     ) -> TrialResult:
-        """Return what a foreign estimator says about a recording. Raises GuestError and BadAnswerError.
+        """Return what an external estimator says about a recording. Raises ExternalError and BadAnswerError.
 
         It is sent the truth only if it declares to be an oracle. `known`: the map that it begins with.
         """
@@ -91,22 +91,22 @@ class Guests:
         try:
             yield self._of(request).ask(request, drive)
         except BaseException as error:
-            if type(error) is not GuestError:
+            if type(error) is not ExternalError:
                 self._end(request.name)
             raise
 
-    def _of(self, request: Request) -> _Guest:
+    def _of(self, request: Request) -> _Process:
         if request.name not in self._alive:
             if len(self._alive) >= MOST_PROCESSES:
                 self._end(next(iter(self._alive)))
-            self._alive[request.name] = _Guest(request.name, self.limits, self.one_thread)
+            self._alive[request.name] = _Process(request.name, self.limits, self.one_thread)
         return self._alive[request.name]
 
     def _end(self, name: str) -> None:
         self._alive.pop(name).end()
 
 
-class _Guest:
+class _Process:
     """One process, and the bytes of it that have arrived."""
 
     def __init__(self, name: str, limits: Limits, one_thread: bool) -> None:
@@ -114,14 +114,16 @@ class _Guest:
         theirs, self._requests = os.pipe()
         self._replies, answering = os.pipe()
         arguments = (theirs, answering, limits.memory_bytes)
-        self.process = started("cellslam.benchmarks.trials.guest", arguments, arguments[:2], STDERR, one_thread)
+        self.process = started(
+            "cellslam.benchmarks.trials.external_process", arguments, arguments[:2], STDERR, one_thread
+        )
         os.close(theirs)
         os.close(answering)
         self._writing = threading.Thread(target=_write, args=(self._requests, (name, sys.path)), daemon=True)
         self._writing.start()
 
     def ask(self, request: Request, drive: Any) -> Replies:
-        """Send options and drive; yield the replies, all within the limit of time. Raises GuestError."""
+        """Send options and drive; yield the replies, all within the limit of time. Raises ExternalError."""
         if not self._started:
             self._reply(time.monotonic() + START_LIMIT_S, START_LIMIT_S)
             self._started = True
@@ -162,7 +164,7 @@ class _Guest:
         except ValueError as error:
             raise LostError(f"{PROCESS} sent {error}") from error
         if "error" in header:
-            raise GuestError(one_line(header["error"], MOST_ERROR), str(header.get("details", "")))
+            raise ExternalError(one_line(header["error"], MOST_ERROR), str(header.get("details", "")))
         return header, columns
 
     def _message(self) -> bytes | None:
