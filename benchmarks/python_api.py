@@ -6,7 +6,7 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from cellslam.benchmarks.recordings.fitting.told import told
+from cellslam.benchmarks.recordings.fitting.assumptions import assumed
 from cellslam.benchmarks.scores.metrics import METRIC_KEYS, ROW_KEYS
 from cellslam.benchmarks.trials.external_processes import ExternalProcesses
 from cellslam.benchmarks.trials.trials import (
@@ -149,7 +149,7 @@ def replay(
     origin = Origin.of(drive, place)
     root = origin.seed if seed is None else seed
     check_counts(1, root)
-    given = told(drive, origin, names_of(estimators), overrides or {}, fit, progress)
+    given = assumed(drive, origin, names_of(estimators), overrides or {}, fit, progress)
     with ExternalProcesses() as external:
         more = (origin.trial, root, external, progress, align, given.odometry_model)
         return _table([score_recording(drive, origin.name, given.requests, *more)])

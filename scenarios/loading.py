@@ -28,7 +28,7 @@ def load(name_or_path: str | Path, overrides: Mapping[str, Any] | None = None) -
 def from_tables(data: Mapping[str, Any], overrides: Mapping[str, Any] | None = None, source: str = "") -> Scenario:
     """Return the scenario of plain tables, with `overrides`; `source` stands before messages about `data`.
 
-    In another band than LTE's 20 MHz, estimators are told what its data sheet says, unless the tables do.
+    In another band than LTE's 20 MHz, estimators assume what its data sheet says, unless the tables do.
     """
     if source:
         try:

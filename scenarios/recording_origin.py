@@ -24,7 +24,7 @@ class Origin:
     scenario: Scenario | None
     measured: bool = False
 
-    def told(self) -> Mapping[str, Any] | None:
+    def assumed(self) -> Mapping[str, Any] | None:
         """Return the options of ekf-slam that a simulated recording has; None: nobody modelled its front end."""
         return None if self.measured else self.options.get("ekf-slam", {})
 

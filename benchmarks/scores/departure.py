@@ -29,7 +29,7 @@ def departure(recording: Recording, result: TrialResult) -> float:
 
     In windows of 10 s: x, y and yaw at the end, less what the odometry makes of the estimate at the beginning, over the
     root of what the claimed covariance becomes meanwhile by the data sheet. Right ones have 1 or less. `recording` has
-    the data sheet that the estimator was told. NaN for a recording of a single snapshot.
+    the data sheet that the estimator assumes. NaN for a recording of a single snapshot.
     """
     time = recording.time_s
     if len(time) < 2:
@@ -65,7 +65,7 @@ def _carried_on(recording: Recording, pose: Floats, covariance: Floats, first: i
 def worse_than_odometry(recording: Recording, result: TrialResult, alone: TrialResult) -> list[str]:
     """Return lines that say why an estimate is not to be trusted; none where nothing speaks against it.
 
-    `recording` has the data sheet that the estimator was told; `alone`: what dead reckoning makes of it.
+    `recording` has the data sheet that the estimator assumes; `alone`: what dead reckoning makes of it.
     """
     out, name = [], result.estimator
     own, other = (score(recording, each, None)["position_rmse_m"] for each in (result, alone))

@@ -131,7 +131,7 @@ def score_trial(
     `make` returns the recording. `external` are the processes of external estimators, needed where one is asked
     for. `align`: each estimate is first laid onto the truth, and its row says so; there is no bound then,
     nor where the trial is not `bounded`.
-    `sheet`: what estimators are told of the odometry's errors; the bound keeps to what the recording says.
+    `sheet`: what estimators assume of the odometry's errors; the bound keeps to what the recording says.
     `before`: the map that they begin with.
     """
     drive = _drive(make, progress, bounded and not align, before)

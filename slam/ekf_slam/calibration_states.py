@@ -1,7 +1,7 @@
 """The array's calibration in a mixture of joint filters: what they have found, and what they begin with.
 
 A weight's state is in deviations of its field; a calibration is in m and rad, so that it means the same to filters that
-are told other sizes. What an earlier drive found holds as it is; where it met nothing the prior is that of this filter.
+assume other sizes. What an earlier drive found holds as it is; where it met nothing the prior is that of this filter.
 
 Source: Smith, Self and Cheeseman, "Estimating uncertain spatial relationships in robotics", 1990 (states that stay).
 """

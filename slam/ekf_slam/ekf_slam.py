@@ -42,7 +42,7 @@ RIVAL = 4.0  # log-likelihood that a second association may lose against the bes
 WAY_M, TURN = 0.6, np.radians(2.0)  # a block of snapshots ends after so long a way or turn
 AWAY_S = 3.0  # a VT that was not seen for so long returns, if it is seen again
 AGAIN = 1.25  # filters of all sites that did not agree with the start are tried again after so many times as long
-GROW_EVERY, MOST_GROWN = 64, 5.0  # snapshots; times as large as told
+GROW_EVERY, MOST_GROWN = 64, 5.0  # snapshots; times as large as assumed
 EVIDENCE = 0.0125  # least share of detections and misses that is news: what hides a VT lasts for seconds
 
 
@@ -63,7 +63,7 @@ class JointFilter:
     name: ClassVar[str]
     requires_truth: ClassVar[bool] = False
     mode: ClassVar[int] = FREE
-    grows: bool = True  # diffuse errors that are surely larger than told are taken for as large as they are
+    grows: bool = True  # diffuse errors that are surely larger than assumed are taken for as large as they are
     options: EkfSlamOptions
 
     def __init__(self, options: Any = None) -> None:
@@ -168,7 +168,7 @@ class JointFilter:
         return sizes_of(self._joint.collapsed(), self._errors, self._setup.odometry_model.noise_density, self._grown)
 
     def remarks(self) -> list[str]:
-        """Return what the drive says against the sizes of errors that the filter was told, and against its map."""
+        """Return what the drive says against the sizes of errors that the filter assumes, and against its map."""
         return self._misfit + ([] if self._joint is None else self.sizes().remarks())
 
     def calibration(self) -> Calibration | None:

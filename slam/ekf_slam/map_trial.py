@@ -25,7 +25,7 @@ OFFSET_FLOOR_M = 0.5  # what clock offsets may
 TRIAL_M = 100.0  # a trial is over after so long a way with clock offsets that are known without the map, too
 FEW, MANY = 50, 2000  # looks after which a map is believed, and after which it must be
 LEAST_SHARE = 0.5  # of the looks that are of the map's VTs
-SURPRISED, LEAST = 4.0, 9.0  # deviations by which first looks may be farther off than told; components that tell
+SURPRISED, LEAST = 4.0, 9.0  # deviations by which first looks may be farther off than assumed; components that tell
 PLANE = np.array([0, 1, 3])
 WIDE = 0.3  # rad; where the heading is not known as well, a Gaussian does not say where the vehicle is
 

@@ -1,4 +1,4 @@
-"""What a drive says of the sizes that a filter was told, as options and data sheet that fit better.
+"""What a drive says of the sizes that a filter assumes, as options and data sheet that fit better.
 
 Sources: see `sizes_kernel`; the steps are Fisher scoring (Osborne, "Fisher's method of scoring", International
 Statistical Review 60, 1992) on the logarithm of the sizes.
@@ -32,13 +32,13 @@ OPTIONS = (
     *(f"calibration_{part}" for part in _PARTS), *(f"roof_{part}" for part in _PARTS),
 )  # fmt: skip
 DIFFUSE = slice(DIFFUSE_SIZE, DIFFUSE_SIZE + 3)
-# What is told of a size may be wrong by a factor: so much is known of its logarithm without the drive.
-TOLD = 1.0 / math.log(5.0) ** 2
+# What is assumed of a size may be wrong by a factor: so much is known of its logarithm without the drive.
+ASSUMED = 1.0 / math.log(5.0) ** 2
 MOST_STEP = math.log(4.0)  # of one pass
 # A field of direction can explain whatever goes on for long, as paths that merge: it does not become wider than this.
 FIELDS, MOST_OF_FIELD = ("calibration_", "roof_"), 6.0
 MOST = {"m": 100.0, "g": 90.0}  # m, deg
-# What is told of a size is doubted from so many deviations of its slope on, and if it is wrong by such a factor.
+# What is assumed of a size is doubted from so many deviations of its slope on, and if it is wrong by such a factor.
 DOUBTED, NOTABLE = 6.0, 1.35
 
 
@@ -46,8 +46,8 @@ DOUBTED, NOTABLE = 6.0, 1.35
 class Sizes(Described):
     """Slope of the log-likelihood in each log size (Z,), its information (Z,), what the information of white noise has
     `in_common` (Z,) with that of diffuse errors, and the mean square (6,) of the odometry's biases and scales, in the
-    units of its data sheet; NaN where there are none. `grown`: how many times as large as told diffuse errors are taken
-    for; their slopes are against these."""
+    units of its data sheet; NaN where there are none. `grown`: how many times as large as assumed diffuse errors are
+    taken for; their slopes are against these."""
 
     slope: Floats
     information: Floats
@@ -56,7 +56,7 @@ class Sizes(Described):
     scale: Floats
     grown: float = 1.0
 
-    def told(self) -> dict[str, tuple[float, float]]:
+    def slopes(self) -> dict[str, tuple[float, float]]:
         """Return slope and information of each log size: of options by their names, of the odometry's noise by its
         component. Those that no error was seen of are left out."""
         out = {}
@@ -67,17 +67,18 @@ class Sizes(Described):
         return out
 
     def deviations(self) -> dict[str, float]:
-        """Return the standard deviation of each log size, as the drive and what was told of it tell it."""
-        return {name: 1.0 / math.sqrt(information + TOLD) for name, (_, information) in self.told().items()}
+        """Return the standard deviation of each log size, by the drive and by what was assumed."""
+        return {name: 1.0 / math.sqrt(information + ASSUMED) for name, (_, information) in self.slopes().items()}
 
     def doubted(self) -> dict[str, float]:
-        """Return by what factor sizes are likely to be larger than told, where that is surely not so (score test; Rao,
-        Proc. Cambridge Philosophical Society 44, 1948)."""
+        """Return by what factor sizes are likely to be larger than assumed, where that is surely not so (score test;
+        Rao, Proc. Cambridge Philosophical Society 44, 1948)."""
         out = dict.fromkeys(OPTIONS[DIFFUSE], self.grown)
-        for name, (slope, information) in self.told().items():
+        for name, (slope, information) in self.slopes().items():
             if name.startswith("noise_"):
                 slope, information = self._of_white_noise_alone(OPTIONS.index(name))
-            # No mistake: an odometry better than told, as slip is rare; angles better than told, as paths seldom merge.
+            # No mistake: an odometry better than assumed, as slip is rare; angles better than assumed, as paths seldom
+            # merge.
             if slope >= 0.0 or name.endswith("_m"):
                 out[name] = out.get(name, 1.0) * _surely(slope, information)
         return {name: factor for name, factor in out.items() if factor != 1.0}
@@ -97,11 +98,11 @@ class Sizes(Described):
     def remarks(self) -> list[str]:
         """Return a line that says which sizes are doubted, if any are."""
         found = ", ".join(f"{in_words(name)} {factor:.2g} times" for name, factor in self.doubted().items())
-        return [f"errors do not look as large as told: {found}"] if found else []
+        return [f"errors do not look as large as assumed: {found}"] if found else []
 
 
 def _surely(slope: float, information: float) -> float:
-    """Return by what factor a size is likely to be larger than told; 1 where it may be as told."""
+    """Return by what factor a size is likely to be larger than assumed; 1 where it may be as assumed."""
     factor = math.exp(max(-MOST_STEP, min(slope / information, MOST_STEP)))
     sure = abs(slope) > DOUBTED * math.sqrt(information) and not 1.0 / NOTABLE < factor < NOTABLE
     return factor if sure else 1.0
@@ -139,35 +140,35 @@ def sizes_of(mixture: Mixture, errors: ArrayErrors, noise: Floats, grown: float)
 
 
 class Sheets(NamedTuple):
-    """What a filter is told: `options`, with the sizes of measurement errors, and the odometry's data sheet, m/s and
+    """What a filter assumes: `options`, with the sizes of measurement errors, and the odometry's data sheet, m/s and
     rad/s."""
 
     options: EkfSlamOptions
     odometry: OdometryModel
 
 
-def stepped(sheets: Sheets, found: Sizes, told: Sheets, share: float = 1.0) -> tuple[Sheets, float]:
+def stepped(sheets: Sheets, found: Sizes, assumed: Sheets, share: float = 1.0) -> tuple[Sheets, float]:
     """Return sheets whose sizes are a share of a step nearer to the likeliest, and how far those of now are off.
 
-    The likeliest: by what the drive says and what was `told`. Off by: mean square of the slopes in their deviations,
+    The likeliest: by what the drive says and what was `assumed`. Off by: mean square of the slopes in their deviations,
     over as many sizes as the drive tells: about 1 where they are right (score test; Rao, Proc. Cambridge Philosophical
     Society 44, 1948). Biases and scales, of which a drive has one draw each, only grow.
     """
     odometry, options = sheets.odometry, sheets.options
     changed, noise, squares, number = dict[str, float](), odometry.noise_density.copy(), 0.0, 0.0
-    for name, (slope, information) in found.told().items():
+    for name, (slope, information) in found.slopes().items():
         if name in COMPONENTS:
             at = COMPONENTS.index(name)
-            now, first = {name: float(noise[at])}, {name: float(told.odometry.noise_density[at])}
+            now, first = {name: float(noise[at])}, {name: float(assumed.odometry.noise_density[at])}
         else:
-            now, first = ({key: getattr(of.options, key) for key in keys_of(name)} for of in (sheets, told))
+            now, first = ({key: getattr(of.options, key) for key in keys_of(name)} for of in (sheets, assumed))
         if not (largest := max(now, key=lambda key: now[key])) or not now[largest]:
             continue
-        slope -= TOLD * math.log(now[largest] / first[largest])
-        squares += slope * slope / (information + TOLD)
-        number += information / (information + TOLD)
+        slope -= ASSUMED * math.log(now[largest] / first[largest])
+        squares += slope * slope / (information + ASSUMED)
+        number += information / (information + ASSUMED)
         # The step is one of the variance: moments are matched at once where the error itself is measured.
-        step = 0.5 * math.log1p(max(2.0 * slope / (information + TOLD), math.exp(-2.0 * MOST_STEP) - 1.0))
+        step = 0.5 * math.log1p(max(2.0 * slope / (information + ASSUMED), math.exp(-2.0 * MOST_STEP) - 1.0))
         factor = math.exp(share * min(step, MOST_STEP))
         if name in COMPONENTS:
             noise[at] *= factor

@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from cellslam.benchmarks.cli.progress_bars import bars
-from cellslam.benchmarks.recordings.fitting.told import Told, told
+from cellslam.benchmarks.recordings.fitting.assumptions import Assumptions, assumed
 from cellslam.benchmarks.scores.departure import worse_than_odometry
 from cellslam.benchmarks.scores.trial_result import TrialResult
 from cellslam.benchmarks.trials import trials
@@ -30,28 +30,30 @@ ALONE = "dead-reckoning"
 
 
 class Estimated(NamedTuple):
-    """A recording with the data sheet that estimators were told, and their estimates."""
+    """A recording with the data sheet that estimators assume, and their estimates."""
 
     recording: Recording
     results: list[TrialResult]
 
 
-def told_by(arguments: Namespace, recording: Recording, origin: Origin, names: Sequence[str], bar: Progress) -> Told:
-    """Return what estimators `names` are told by the arguments of a command, and where these say nothing by the
-    recording (`told`). Raises InputError.
+def assumed_by(
+    arguments: Namespace, recording: Recording, origin: Origin, names: Sequence[str], bar: Progress
+) -> Assumptions:
+    """Return what estimators `names` assume by the arguments of a command, and where these say nothing by the
+    recording (`assumed`). Raises InputError.
     """
     fit = False if arguments.fit is None and arguments.options else arguments.fit
-    return told(recording, origin, names, _given(arguments), fit, bar)
+    return assumed(recording, origin, names, _given(arguments), fit, bar)
 
 
 def estimate_by(arguments: Namespace, recording: Recording, path: Path, names: Sequence[str]) -> Estimated:
-    """Return the recording as its estimators are told of it, and what each of `names` makes of it, as `cellslam replay`
-    of the file does. Raises InputError where one fails.
+    """Return the recording with what its estimators assume of it, and what each of `names` makes of it, as `cellslam
+    replay` of the file does. Raises InputError where one fails.
     """
     origin = Origin.of(recording, path)
     seed = origin.seed if arguments.seed is None else arguments.seed
     with bars(arguments.quiet) as progress, ExternalProcesses() as external:
-        given = told_by(arguments, recording, origin, names, progress)
+        given = assumed_by(arguments, recording, origin, names, progress)
         drive = trials.Drive(replace(recording, odometry_model=given.odometry_model))
         more = (origin.trial, seed, external, progress)
         outcomes = [trials.outcome_of(drive, origin.name, request, *more) for request in given.requests]
@@ -65,7 +67,7 @@ def estimate_by(arguments: Namespace, recording: Recording, path: Path, names: S
 def doubts(recording: Recording, results: Sequence[TrialResult]) -> dict[str, list[str]]:
     """Return by estimator what speaks against its estimate (`worse_than_odometry`).
 
-    `recording` has the data sheet that estimators were told.
+    `recording` has the data sheet that estimators assume.
     """
     (request,) = resolve({}, (ALONE,), ())
     alone = estimate(recording, request, np.random.default_rng(0))

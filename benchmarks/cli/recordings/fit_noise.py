@@ -25,6 +25,6 @@ def command(arguments: Namespace) -> int:
     path = Path(arguments.file)
     recording = Recording.load(path)
     with bars(arguments.quiet) as progress:
-        learnt = learn(recording, Origin.of(recording, path).told(), progress)
+        learnt = learn(recording, Origin.of(recording, path).assumed(), progress)
     sys.stdout.write(toml(path, learnt))
     return DONE

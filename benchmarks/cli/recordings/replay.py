@@ -12,11 +12,11 @@ from cellslam.benchmarks.cli.arguments import add_estimation, add_options_file, 
 from cellslam.benchmarks.cli.between_drives.calibration_files import add_calibration, calibrated
 from cellslam.benchmarks.cli.between_drives.map_files import add_map, add_save_map, check_map
 from cellslam.benchmarks.cli.progress_bars import bars
-from cellslam.benchmarks.cli.recordings.estimator_options import doubts, told_by
+from cellslam.benchmarks.cli.recordings.estimator_options import assumed_by, doubts
 from cellslam.benchmarks.cli.results_folder import Folder
 from cellslam.benchmarks.cli.run import Job, note_left_out, report, work_off
+from cellslam.benchmarks.recordings.fitting.assumptions import Assumptions
 from cellslam.benchmarks.recordings.fitting.fitted_lines import said, toml
-from cellslam.benchmarks.recordings.fitting.told import Told
 from cellslam.benchmarks.trials import trials
 from cellslam.benchmarks.trials.earlier_drives import Before
 from cellslam.benchmarks.trials.external_processes import ExternalProcesses
@@ -60,7 +60,7 @@ def command(arguments: Namespace) -> int:
     check_folder(out)
     names = arguments.estimators or trials.DEFAULT_ESTIMATORS
     with bars(arguments.quiet) as progress:
-        given = told_by(arguments, recording, origin, names, progress)
+        given = assumed_by(arguments, recording, origin, names, progress)
     (requests, note), folder = calibrated(arguments, given.requests, 1), Folder(out)
     _say(given, path, folder, arguments.quiet)
     scenario = with_options(origin.scenario, requests) if origin.scenario is not None else None
@@ -84,7 +84,7 @@ def command(arguments: Namespace) -> int:
     return status
 
 
-def _say(given: Told, path: Path, folder: Folder, quiet: bool) -> None:
+def _say(given: Assumptions, path: Path, folder: Folder, quiet: bool) -> None:
     """Say what was learnt, and keep it."""
     lines = [f"nothing learnt from {path}: {given.why}"] if given.why else []
     if given.learnt is not None:

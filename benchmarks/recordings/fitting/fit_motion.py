@@ -49,7 +49,7 @@ def pairs(tracks: Tracks, recording: Recording, lag: int) -> tuple[Ints, Ints]:
 
 
 def apart(recording: Recording, tracks: Tracks, lag: int, white: Floats) -> Apart:
-    """Return the pairs of tracks `lag` snapshots apart, with the odometry's error taken off where it can be told.
+    """Return the pairs of tracks `lag` snapshots apart, with the odometry's error taken off where it is known.
 
     `white` (2,): deviations of distance (m) and azimuth (rad), of which the ratio counts.
     """
@@ -113,7 +113,7 @@ def _shared(design: Floats, e: Floats, white: Floats, begin: Ints, size: Ints) -
         lowered = 1.0 / (1.0 + (rest / (2.0 * scale)) ** 2)
         leverage = weight * np.einsum("nqi,nij,nqj->nq", h, np.repeat(np.linalg.inv(normal), size, axis=0), h)
         weight = np.where(usable[:, None], lowered, 0.0)
-    told = used[:, None] & (leverage < MOST_LEVERAGE)
-    own: Floats = np.where(told, rest * white / np.sqrt(np.maximum(1.0 - leverage, 1.0 - MOST_LEVERAGE)), np.nan)
+    kept = used[:, None] & (leverage < MOST_LEVERAGE)
+    own: Floats = np.where(kept, rest * white / np.sqrt(np.maximum(1.0 - leverage, 1.0 - MOST_LEVERAGE)), np.nan)
     shared: Floats = np.array(motion[enough], np.float64)
     return shared, own

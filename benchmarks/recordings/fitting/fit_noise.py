@@ -23,13 +23,13 @@ from cellslam.slam.front_end.readings import CLUTTER_WIDTH
 
 LEAST_TRIPLES, LEAST_TRACKED, BINS = 100, 15, 8
 BIRTH_RATIO = (0.01, 0.5)  # bounds of what is learnt
-LEAST_WHITE = {"m": 1e-3, "azimuth_deg": 1e-3, "elevation_deg": 1e-3}  # exact is what no filter can be told
+LEAST_WHITE = {"m": 1e-3, "azimuth_deg": 1e-3, "elevation_deg": 1e-3}  # no filter can take a measurement for exact
 # Of a front end that nobody modelled, as far as too little was measured to tell its noise.
 UNKNOWN = {
     **NOTHING_PERSISTS, "noise_floor_m": 0.3, "noise_floor_azimuth_deg": 2.0, "noise_floor_elevation_deg": 2.0,
     "noise_unit_snr_m": 0.0, "noise_unit_snr_azimuth_deg": 0.0, "noise_unit_snr_elevation_deg": 0.0,
 }  # fmt: skip
-PLANE_ELEVATION_DEG = 0.5  # what estimators are told of the zero elevations of one plane
+PLANE_ELEVATION_DEG = 0.5  # what estimators assume of the zero elevations of one plane
 
 
 @dataclass(frozen=True)

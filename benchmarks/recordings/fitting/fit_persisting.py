@@ -19,7 +19,7 @@ FAR_KNOWN, FAR_UNKNOWN = 0.3, 0.03
 
 @dataclass(frozen=True)
 class Persisting:
-    """Deviations of errors that change with the place, over `scale_m`, and with the direction; empty: not told."""
+    """Deviations of errors that change with the place, over `scale_m`, and with the direction; empty: not known."""
 
     place: dict[str, float]
     direction: dict[str, float]

@@ -1,7 +1,8 @@
-"""Sizes of all errors as a whole drive shows them: EKF-SLAM goes through it again and again, told what it learnt.
+"""Sizes of all errors as a whole drive shows them: EKF-SLAM goes through it again and again, and assumes what it
+learnt.
 
 After each pass the filter has, for the white noise, every cause of errors that persist, and the odometry, the slope of
-the log-likelihood in the logarithm of its size, and the curvature; the next pass is told sizes that are a step nearer
+the log-likelihood in the logarithm of its size, and the curvature; the next pass assumes sizes that are a step nearer
 to the likeliest, all at once, and half a step where the drive has no answer to them. The sizes that fit best are the
 result: where no slope is more than the drive's own chance makes it.
 
@@ -31,9 +32,9 @@ PASSES, WHOLE = 8, 2  # passes at most; so many take whole steps, the others hal
 FITS = 2.0  # mean square of the slopes, in their deviations, from which on sizes are as good as right
 SAID = 0.5  # relative deviation of a size beyond which nothing is said of it
 # A pass joins the mixtures of the start after so long at the latest, s: sizes show also where an offset is wrong yet,
-# and where all are told far too large none is ever resolved.
+# and where all are assumed far too large none is ever resolved.
 START_LIMIT_S = 150.0
-# Slip of a real vehicle comes in bursts: a filter told the deviation over the whole drive is too sure in these.
+# Slip of a real vehicle comes in bursts: a filter that assumes the deviation over the whole drive is too sure in these.
 BURSTS = 3.0
 # Bias and scale that any odometer may have, m/s and rad/s: what a data sheet leaves out cannot be learnt.
 LEAST_BIAS, LEAST_SCALE = {"u_psi": 1e-3}, {"u_x": 0.01, "u_psi": 0.01}
@@ -43,8 +44,8 @@ LEAST_BIAS, LEAST_SCALE = {"u_psi": 1e-3}, {"u_x": 0.01, "u_psi": 0.01}
 class Learnt:
     """What was learnt: `options` that all map builders share, by name, and the odometry's data sheet.
 
-    `changes`: by what factor a size of `slam.ekf_slam.sizes.OPTIONS` differs from what was told, and its relative
-    standard deviation; what the drive does not tell is left out, and stays as told. `resolved`: False where clock
+    `changes`: by what factor a size of `slam.ekf_slam.sizes.OPTIONS` differs from what was assumed, and its relative
+    standard deviation; what the drive does not tell is left out, and stays as assumed. `resolved`: False where clock
     offsets never were, so that nothing is learnt.
     """
 
@@ -60,16 +61,16 @@ class Learnt:
         return self.options
 
 
-def learn(recording: Recording, told: Mapping[str, Any] | None, progress: Progress = silent) -> Learnt:
+def learn(recording: Recording, assumed: Mapping[str, Any] | None, progress: Progress = silent) -> Learnt:
     """Return the sizes that a recording shows.
 
-    `told`: front-end options to begin with, by name; None: nobody modelled this front end, and the tracks of its
+    `assumed`: front-end options to begin with, by name; None: nobody modelled this front end, and the tracks of its
     measurements give them. Raises InputError where these are too few to tell.
     """
     sheet, bursts = recording.odometry_model, 1.0
-    if told is None:
-        told, sheet, bursts = first_guess(recording, progress), _with_least(recording, sheet), BURSTS
-    first = tried = Sheets(EkfSlamOptions(**{"start_limit_s": START_LIMIT_S} | dict(told)), sheet)
+    if assumed is None:
+        assumed, sheet, bursts = first_guess(recording, progress), _with_least(recording, sheet), BURSTS
+    first = tried = Sheets(EkfSlamOptions(**{"start_limit_s": START_LIMIT_S} | dict(assumed)), sheet)
     last: Pass | None = None
     fitting: Pass | None = None
     share = 1.0
@@ -86,7 +87,7 @@ def learn(recording: Recording, told: Mapping[str, Any] | None, progress: Progre
                     break
                 tried = nearer
             elif last is None:
-                return Learnt(dict(told), sheet, {}, False)
+                return Learnt(dict(assumed), sheet, {}, False)
             else:
                 share *= 0.5
                 tried, _ = stepped(last.sheets, last.found, first, share)
@@ -100,12 +101,12 @@ def learn(recording: Recording, told: Mapping[str, Any] | None, progress: Progre
         if deviation < SAID
     }
     was, now = first.options.model_dump(), options.model_dump()
-    shared = {key: value for key, value in sorted(now.items()) if key in told or value != was[key]}
+    shared = {key: value for key, value in sorted(now.items()) if key in assumed or value != was[key]}
     return Learnt(shared, _safe(odometry, fitting.found, bursts), changes, True)
 
 
 class Pass(NamedTuple):
-    """A pass through the drive: what the filter was told, what it found, and how far off that says these are."""
+    """A pass through the drive: what the filter assumed, what it found, and how far off that says these are."""
 
     sheets: Sheets
     found: Sizes
@@ -133,7 +134,7 @@ def _drive(estimator: EkfSlam, recording: Recording) -> None:
 
 
 def _safe(sheet: OdometryModel, found: Sizes, bursts: float) -> OdometryModel:
-    """Return a data sheet to be told, of one that was likely: as wide as it must be where slip comes in bursts, with
+    """Return a data sheet to be assumed, of one that was likely: as wide as it must be where slip comes in bursts, with
     no wider bias and scale than the drive shows."""
     return replace(
         sheet,

@@ -30,16 +30,16 @@ def toml(path: Path, learnt: Learnt) -> str:
 
 
 def said(learnt: Learnt) -> list[str]:
-    """Return lines that say what differs from what was told."""
+    """Return lines that say what differs from what was assumed."""
     if not learnt.resolved:
-        return ["sizes of errors as told: the clock offsets were never resolved, so nothing could be learnt"]
+        return ["sizes of errors as assumed: the clock offsets were never resolved, so nothing could be learnt"]
     lines = [
-        f"{in_words(name)}: {factor:.2g} times as large as told (+- {100.0 * deviation:.0f} %)"
+        f"{in_words(name)}: {factor:.2g} times as large as assumed (+- {100.0 * deviation:.0f} %)"
         for name, (factor, deviation) in learnt.changes.items()
         if not 1.0 / NOTABLE < factor < NOTABLE
     ]
     begin = "sizes of errors, as the whole drive shows them"
-    return [f"{begin}:", *(f"  {line}" for line in lines)] if lines else [f"{begin}, are those that were told"]
+    return [f"{begin}:", *(f"  {line}" for line in lines)] if lines else [f"{begin}, are those that were assumed"]
 
 
 def _value(value: float | str) -> str:

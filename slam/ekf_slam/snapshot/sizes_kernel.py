@@ -1,9 +1,9 @@
-"""Compiled: what a drive says of the sizes that a filter was told: are the errors as large as their data sheets say?
+"""Compiled: what a drive says of the sizes that a filter assumes: are the errors as large as their data sheets say?
 
-A size is a standard deviation. With s the error that it is of, V = size^2 what it is told and m, v the mean and the
-variance that the measurements leave of s, the slope of the log-likelihood in log size is the sum over all s of
-(m^2 + v) / V - 1, and its information, about, of 2 ((V - v) / V)^2. Where the size is right the slope has mean zero and
-the information as its variance: a test; their ratio is a step towards the likeliest size. The same looks tell of white
+A size is a standard deviation. With s the error that it is of, V = size^2 what is assumed of it and m, v the mean and
+the variance that the measurements leave of s, the slope of the log-likelihood in log size is the sum over all s of (m^2
++ v) / V - 1, and its information, about, of 2 ((V - v) / V)^2. Where the size is right the slope has mean zero and the
+information as its variance: a test; their ratio is a step towards the likeliest size. The same looks tell of white
 noise and of diffuse errors: what the slopes of both have in common is summed up, too.
 
 Sources: Fisher's identity, as in Louis, "Finding the observed information matrix when using the EM algorithm", J. Royal
@@ -23,18 +23,19 @@ from cellslam.slam.model.matrices_kernel import Sym3, Vec3, dot, inverse, sym_ve
 # six velocities; calibration and roof, of distance, azimuth, elevation.
 WHITE, DIFFUSE_SIZE, SWAY, ODOMETRY, CALIBRATION, ROOF, SIZES = 0, 3, 6, 9, 15, 18, 21
 MOST2 = 4.0  # squared deviations
-TOLD, LONGEST_SUM_S = 0.5, 60.0  # share of its variance that a sum of noise keeps when it is told; sums are no longer
+KNOWN_SHARE = 0.5  # of its variance, that a sum of noise keeps when the measurements have shown it
+LONGEST_SUM_S = 60.0
 
 
 @lean
-def count(f: Filter, size: int, told: float, mean2: float, left: float) -> None:
-    """Take in an error whose variance was told, of which the measurements leave a squared mean and a variance.
+def count(f: Filter, size: int, assumed: float, mean2: float, left: float) -> None:
+    """Take in an error whose variance was assumed, of which the measurements leave a squared mean and a variance.
 
-    The mean has the variance told - left. One of more than so many deviations counts as one of so many: it may be none
-    of what sizes are of.
+    The mean has the variance assumed - left. One of more than so many deviations counts as one of so many: it may be
+    none of what sizes are of.
     """
-    share = (told - left) / told
-    f.sizes[0, size] += (min(mean2, MOST2 * (told - left)) + left) / told - 1.0
+    share = (assumed - left) / assumed
+    f.sizes[0, size] += (min(mean2, MOST2 * (assumed - left)) + left) / assumed - 1.0
     f.sizes[1, size] += 2.0 * share * share
 
 
@@ -55,26 +56,26 @@ def count_white(f: Filter, e: Vec3, s: Sym3, q: Floats) -> None:
 
 
 @lean
-def count_diffuse(f: Filter, c: int, told: float, white: float, t: Vec3, e: Vec3, s: Sym3) -> None:
+def count_diffuse(f: Filter, c: int, assumed: float, white: float, t: Vec3, e: Vec3, s: Sym3) -> None:
     """Take in by how much a look changes what is known of a diffuse error of component c: only news counts.
 
-    told: its variance before; t: its covariance with the innovation e, of covariance s, in which that component has
+    assumed: its variance before; t: its covariance with the innovation e, of covariance s, in which that component has
     noise of variance `white`. It changes by t s^-1 e, and its variance by t s^-1 t.
     """
     gain = sym_vec(inverse(s), t)
-    if told > 0.0:
-        count(f, DIFFUSE_SIZE + c, told, dot(gain, e) ** 2, told - dot(gain, t))
+    if assumed > 0.0:
+        count(f, DIFFUSE_SIZE + c, assumed, dot(gain, e) ** 2, assumed - dot(gain, t))
         own = (gain.x, gain.y, gain.z)[c]
-        f.sizes[2, WHITE + c] += 2.0 * white * own * own / told
+        f.sizes[2, WHITE + c] += 2.0 * white * own * own / assumed
 
 
 @lean
-def count_states(f: Filter, places: Ints, first_size: int, told: Floats) -> None:
-    """Take in states with variances `told` (n,), in m^2 and rad^2, sizes from the first on; -1: no such state."""
+def count_states(f: Filter, places: Ints, first_size: int, assumed: Floats) -> None:
+    """Take in states with variances `assumed` (n,), in m^2 and rad^2, sizes from the first on; -1: no such state."""
     for c in range(len(places)):
         place = places[c]
-        if place >= 0 and told[c] > 0.0:
-            count(f, first_size + c, told[c], f.x[place] ** 2, covariance_of(f, place, place))
+        if place >= 0 and assumed[c] > 0.0:
+            count(f, first_size + c, assumed[c], f.x[place] ** 2, covariance_of(f, place, place))
 
 
 @lean
@@ -94,17 +95,17 @@ def count_weight(f: Filter, a: ArrayErrors, place: int) -> None:
 
 @part
 def count_motion(f: Filter, noise: Floats, dt: float) -> None:
-    """Sum up the odometry's white noise, of densities (6,), over dt (s) more; once the measurements tell the sum, or
-    after a while, take it in and begin anew."""
+    """Sum up the odometry's white noise, of densities (6,), over dt (s) more; once the measurements have shown the sum,
+    or after a while, take it in and begin anew."""
     f.summed[0] += dt
-    told, tells = f.summed[0], f.summed[0] > LONGEST_SUM_S
+    time_s, known = f.summed[0], f.summed[0] > LONGEST_SUM_S
     for c in range(POSE):
-        place, variance = f.core.noise[c], noise[c] * noise[c] * told
-        tells = tells or (place >= 0 and variance > 0.0 and covariance_of(f, place, place) < TOLD * variance)
-    if not tells:
+        place, variance = f.core.noise[c], noise[c] * noise[c] * time_s
+        known = known or (place >= 0 and variance > 0.0 and covariance_of(f, place, place) < KNOWN_SHARE * variance)
+    if not known:
         return
     n, f.summed[0] = f.size[0], 0.0
-    count_states(f, f.core.noise, ODOMETRY, noise * noise * told)
+    count_states(f, f.core.noise, ODOMETRY, noise * noise * time_s)
     for c in range(POSE):
         place = f.core.noise[c]
         if place >= 0:

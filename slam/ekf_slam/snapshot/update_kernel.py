@@ -349,9 +349,9 @@ def show_steps(f: Filter, e: Vec3, new: Innovation, counted: Sym3, s: Sight, w: 
     seen, g0, g1, g2 = solved(root, new.e), w.rows[k], w.rows[k + 1], w.rows[k + 2]
     for row in range(w.steps.used[0]):
         left, shows = w.steps.left[row], _shown(w.steps.left[row], e, s)
-        told, gone = solved(root, shows), solved(taken, shows)
-        w.steps.score[row] += dot(told, seen)
-        w.steps.information[row] += dot(told, told)
+        by_step, gone = solved(root, shows), solved(taken, shows)
+        w.steps.score[row] += dot(by_step, seen)
+        w.steps.information[row] += dot(by_step, by_step)
         for i in range(n):
             left[i] -= gone.x * g0[i] + gone.y * g1[i] + gone.z * g2[i]
 
@@ -377,10 +377,10 @@ def count_sizes(f: Filter, j: int, look: Look, i: Innovation, w: Pending) -> Non
     for c in range(3):
         place = f.vt_state[j, DIFFUSE + c]
         if place >= 0:
-            told = f.p[place, place]
+            before = f.p[place, place]
             for r in range(w.used[0]):
-                told -= w.rows[r, place] ** 2
-            count_diffuse(f, c, told, white[c], Vec3(w.t[0, place], w.t[1, place], w.t[2, place]), i.e, s)
+                before -= w.rows[r, place] ** 2
+            count_diffuse(f, c, before, white[c], Vec3(w.t[0, place], w.t[1, place], w.t[2, place]), i.e, s)
 
 
 @lean

@@ -153,7 +153,7 @@ def test_one_command_learns_and_replays(tmp_path: Path, capsys: pytest.CaptureFi
         assert request.options.detection_probability == pytest.approx(DETECTED, abs=0.06)
     assert cli.main([*words[:-1], str(tmp_path / "again"), "--options", str(fitted)]) == 0
     again = capsys.readouterr()
-    assert "as told" not in again.err
+    assert "as assumed" not in again.err
     ends = [np.loadtxt(tmp_path / folder / "trajectory-ekf-slam.tum")[-1, 1:3] for folder in ("out", "again")]
     np.testing.assert_allclose(ends[0], ends[1], atol=0.1)
     asked = cellslam.replay(drive, "ekf-slam"), cellslam.replay(drive, "ekf-slam", fit=False)

@@ -1,6 +1,6 @@
 """Each usual mistake is planted in sound campaigns, and is named; sound ones raise nothing.
 
-`python tests/benchmarks/recordings/study_mistakes.py` does so for every kind of campaign and every mistake.
+`python studies/study_mistakes.py` does so for every kind of campaign and every mistake.
 """
 
 from __future__ import annotations

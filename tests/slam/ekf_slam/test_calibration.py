@@ -64,7 +64,7 @@ def driven(estimator: EkfSlam, recording: Recording) -> Floats:
     return np.array([estimator.step(*step).pose for step in steps])
 
 
-def told(tmp_path: Path, known: Calibration, **options: Any) -> EkfSlamOptions:
+def assuming(tmp_path: Path, known: Calibration, **options: Any) -> EkfSlamOptions:
     known.save(tmp_path / "car.h5")
     return EkfSlamOptions(calibration_file=str(tmp_path / "car.h5"), **options)
 
@@ -72,7 +72,10 @@ def told(tmp_path: Path, known: Calibration, **options: Any) -> EkfSlamOptions:
 def test_second_drive_is_that_of_a_joint_filter_which_goes_on(
     drives: tuple[Recording, Recording], learnt: EkfSlam, calibration: Calibration, tmp_path: Path
 ) -> None:
-    setup, (goes_on, begins, anew) = setup_of(drives[1]), (EkfSlam(), EkfSlam(told(tmp_path, calibration)), EkfSlam())
+    setup, (goes_on, begins, anew) = (
+        setup_of(drives[1]),
+        (EkfSlam(), EkfSlam(assuming(tmp_path, calibration)), EkfSlam()),
+    )
     for estimator in (goes_on, begins, anew):
         estimator.start(setup, RNG)
     assert learnt._joint is not None and goes_on._joint is not None
@@ -136,7 +139,7 @@ def test_file_and_message_give_back_what_was_given(calibration: Calibration, tmp
 def test_other_sizes_leave_what_was_found_as_it_is(
     drives: tuple[Recording, Recording], calibration: Calibration, tmp_path: Path
 ) -> None:
-    estimator = EkfSlam(told(tmp_path, calibration, calibration_m=0.8, calibration_azimuth_deg=0.1))
+    estimator = EkfSlam(assuming(tmp_path, calibration, calibration_m=0.8, calibration_azimuth_deg=0.1))
     estimator.start(setup_of(drives[1]), RNG)
     again = estimator.calibration()
     assert again is not None
@@ -153,7 +156,7 @@ def test_filters_of_the_start_begin_with_what_is_known(
 ) -> None:
     setup = setup_of(drives[1])
     wide = replace(setup, sites=replace(setup.sites, clock_offset_std_m=np.full(len(setup.sites), 150.0)))
-    estimator = EkfSlam(told(tmp_path, calibration))
+    estimator = EkfSlam(assuming(tmp_path, calibration))
     estimator.start(wide, RNG)
     assert estimator._start is not None and len(estimator._start.mixtures) == len(setup.sites)
     for mixture in estimator._start.mixtures:

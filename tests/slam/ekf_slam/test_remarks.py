@@ -1,4 +1,4 @@
-"""An EKF-SLAM that was told wrong sizes of errors says so, and one that was told right ones does not."""
+"""An EKF-SLAM that assumes wrong sizes of errors says so, and one that assumes right ones does not."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ def drive() -> Recording:
     return simulate(load("tiny", {"radio.clock_offset_std_m": 0.0}), 3, 0)
 
 
-def told(drive: Recording, cause: str, factor: float, hypotheses: int = 1) -> Request:
+def assuming(drive: Recording, cause: str, factor: float, hypotheses: int = 1) -> Request:
     """What is asked for where one cause of errors is told so many times too large."""
     name, options = "ekf-slam", dict(Origin.of(drive).options.get("ekf-slam", {}))
     (right,) = resolve({name: options}, (name,))
@@ -43,8 +43,8 @@ def told(drive: Recording, cause: str, factor: float, hypotheses: int = 1) -> Re
     [
         ("diffuse", 1.0, ()),
         ("diffuse", 0.5, ("diffuse of distance", "diffuse of azimuth", "diffuse of elevation")),
-        ("roof", 0.5, ("roof of elevation",)),  # azimuths worse than told are taken for merged paths, in part
-        # Angles better than told are no mistake: what is counted for merged paths makes them look so.
+        ("roof", 0.5, ("roof of elevation",)),  # azimuths worse than assumed are taken for merged paths, in part
+        # Angles better than assumed are no mistake: what is counted for merged paths makes them look so.
         ("diffuse", 2.0, ("diffuse of distance",)),
         ("roof", 2.0, ()),
     ],
@@ -52,7 +52,7 @@ def told(drive: Recording, cause: str, factor: float, hypotheses: int = 1) -> Re
 def test_errors_that_are_not_as_large_as_told_are_remarked(
     drive: Recording, hypotheses: int, cause: str, factor: float, words: tuple[str, ...]
 ) -> None:
-    remarks = estimate(drive, told(drive, cause, factor, hypotheses), np.random.default_rng(0)).remarks
+    remarks = estimate(drive, assuming(drive, cause, factor, hypotheses), np.random.default_rng(0)).remarks
     assert tuple(re.findall(r"\w+ of \w+", "".join(remarks))) == words
 
 
@@ -66,15 +66,15 @@ def driven(drive: Recording, request: Request, grows: bool = True) -> EkfSlam:
 
 
 def test_diffuse_errors_are_taken_for_as_large_as_they_are(drive: Recording) -> None:
-    half = told(drive, "diffuse", 0.5)
+    half = assuming(drive, "diffuse", 0.5)
     grown = driven(drive, half).sizes()
     assert 1.5 < grown.grown < 2.7
     # What the drive says besides is said against these.
-    assert abs(grown.told()["diffuse_m"][0]) < 4.0 * np.sqrt(grown.told()["diffuse_m"][1])
+    assert abs(grown.slopes()["diffuse_m"][0]) < 4.0 * np.sqrt(grown.slopes()["diffuse_m"][1])
     kept = driven(drive, half, grows=False).sizes()
     assert kept.grown == 1.0 and 1.5 < kept.doubted()["diffuse_m"] < 2.7
     for factor in (1.0, 2.0):
-        assert driven(drive, told(drive, "diffuse", factor)).sizes().grown == 1.0
+        assert driven(drive, assuming(drive, "diffuse", factor)).sizes().grown == 1.0
 
 
 @pytest.mark.parametrize(("factor", "passes"), [(0.5, 2), (1.0, 1)])
@@ -84,7 +84,7 @@ def test_after_the_start_a_drive_begins_with_diffuse_errors_as_large_as_found(
     joined, join = list[float](), EkfSlam._join
     monkeypatch.setattr(EkfSlam, "_join", lambda self, offsets: (joined.append(self._grown), join(self, offsets))[1])
     drive = simulate(load("tiny", {"radio.clock_offset_std_m": 22.0}), 3, 0)
-    request = told(drive, "diffuse", factor)
+    request = assuming(drive, "diffuse", factor)
     late = {"start_limit_s": 25.0, "resolved_std_m": 1e-3}
     driven(drive, replace(request, options=request.options.model_copy(update=late)))
     assert joined[0] == 1.0 and len(joined) == passes and (passes == 1 or joined[1] > 1.35)

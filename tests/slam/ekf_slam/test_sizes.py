@@ -23,9 +23,9 @@ def sizes_of_looks(white_share: np.ndarray, excess: np.ndarray) -> Sizes:
 
 def test_less_diffuse_energy_than_told_is_no_lack_of_white_noise() -> None:
     share = np.linspace(0.02, 0.2, 100_000)
-    # Diffuse errors are 0.9 times as large as told, too little to be said; white noise is right.
+    # Diffuse errors are 0.9 times as large as assumed, too little to be said; white noise is right.
     less = sizes_of_looks(share, (1.0 - share) * (0.9**2 - 1.0))
-    slope, information = less.told()["noise_m"]
+    slope, information = less.slopes()["noise_m"]
     assert slope / information < -0.5 and slope < -6.0 * np.sqrt(information)
     assert less.doubted() == {}
 

@@ -1,6 +1,6 @@
 """What wrong maps do: the error of a drive that begins with one, over that of the same drive without a map.
 
-`python tests/slam/ekf_slam/study_wrong_maps.py OUT.jsonl [SCENARIO] [--trials N] [--seed S] [--estimator NAME]` runs
+`python studies/study_wrong_maps.py OUT.jsonl [SCENARIO] [--trials N] [--seed S] [--estimator NAME]` runs
 the trials that OUT does not have, and prints medians over all it has. The map is of another drive through the same
 place; right, and wrong in five ways: of another city, shifted by 5 m, turned by 3 degrees, without a third of its VTs,
 and of a car whose array errs four times as much as its estimator was told.

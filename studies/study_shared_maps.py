@@ -1,6 +1,6 @@
 """What a map of walls, and a map that is remembered, can be worth at most: bounds of drives through one city.
 
-`python tests/benchmarks/bound/study_shared_maps.py OUT.jsonl [SCENARIO...] [--drives N] [--sequences N] [--half]` runs
+`python studies/study_shared_maps.py OUT.jsonl [SCENARIO...] [--drives N] [--sequences N] [--half]` runs
 the sequences that OUT does not have and prints a table of all it has. All drives take the same route; `--half`: windows
 of two thirds of it, in turn from its start and to its end, so that neighbours have half of their way in common.
 """

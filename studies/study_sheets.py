@@ -1,6 +1,6 @@
 """What wrong data sheets cost: map builders told sizes of errors that are five times too large or too small.
 
-`python tests/benchmarks/recordings/study_sheets.py OUT.jsonl [WORLD ...] [--trials N] [--estimator NAME ...]` appends a
+`python studies/study_sheets.py OUT.jsonl [WORLD ...] [--trials N] [--estimator NAME ...]` appends a
 line a run to OUT.jsonl (what is there is not run again), and prints a table: the RMSE as told (before) and after what
 `replay --fit` learns, over that with the right sizes, medians over worlds and trials. WORLD: presets, "trees", an hour
 in a park, whose recording says nothing of its front end. Trials have the root seed 61000. How outliers count and how
@@ -21,7 +21,7 @@ import numpy as np
 import vehicle_world
 
 from cellslam.benchmarks.recordings.adapters.adapter_loading import import_adapter
-from cellslam.benchmarks.recordings.fitting.told import told
+from cellslam.benchmarks.recordings.fitting.assumptions import assumed
 from cellslam.benchmarks.scores.metrics import score
 from cellslam.benchmarks.trials.estimation import estimate, warm_up
 from cellslam.scenarios.recording_origin import Origin
@@ -66,7 +66,7 @@ def mistold(recording: Recording, cause: str, factor: float, names: tuple[str, .
 
 def errors(recording: Recording, names: tuple[str, ...], fit: bool) -> dict[str, float]:
     """Return the RMSE (m) of estimators, with what the recording says or with what is learnt from it."""
-    given = told(recording, Origin.of(recording), names, {}, fit)
+    given = assumed(recording, Origin.of(recording), names, {}, fit)
     drive, out = replace(recording, odometry_model=given.odometry_model), {}
     for request in given.requests:
         warm_up(request)

@@ -1,4 +1,4 @@
-"""What estimators are told of a recording: options and the odometry's data sheet, given or learnt."""
+"""What estimators assume of a recording: options and the odometry's data sheet, given or learnt."""
 
 from __future__ import annotations
 
@@ -20,8 +20,8 @@ from cellslam.slam.front_end.front_end_options import FrontEndOptions
 
 
 @dataclass(frozen=True)
-class Told:
-    """What estimators are told of a recording: their requests, with all options, and the odometry's data sheet.
+class Assumptions:
+    """What estimators assume of a recording: their requests, with all options, and the odometry's data sheet.
 
     `learnt`: what the recording itself gave, None if it was not asked, or could not answer (`why`).
     """
@@ -32,11 +32,11 @@ class Told:
     why: str = ""
 
 
-def told(
+def assumed(
     recording: Recording, origin: Origin, names: Sequence[str], given: Mapping[str, Any], fit: bool | None = None,
     progress: Progress = silent,
-) -> Told:  # fmt: skip
-    """Return what estimators `names` are told: by the recording's scenario, or by what it shows itself (`fit`; None:
+) -> Assumptions:  # fmt: skip
+    """Return what estimators `names` assume: by the recording's scenario, or by what it shows itself (`fit`; None:
     for map builders on a measured one).
 
     `given`: what goes before, by key, "estimator.NAME.option" and "noise.COMPONENT.part". Raises InputError.
@@ -46,13 +46,13 @@ def told(
     requests = _requests(origin.options, names, overrides)
     mapping = any(isinstance(r.options, FrontEndOptions) for r in requests)
     if not (origin.measured and mapping if fit is None else fit):
-        return Told(requests, sheet)
+        return Assumptions(requests, sheet)
     try:
-        learnt = learn(replace(recording, odometry_model=sheet), origin.told(), progress)
+        learnt = learn(replace(recording, odometry_model=sheet), origin.assumed(), progress)
     except InputError as error:
         learnt = Learnt(dict(UNKNOWN), sheet, {}, False)
-        return Told(_with(learnt, origin, requests, overrides), sheet, None, str(error))
-    return Told(_with(learnt, origin, requests, overrides), learnt.odometry_model, learnt)
+        return Assumptions(_with(learnt, origin, requests, overrides), sheet, None, str(error))
+    return Assumptions(_with(learnt, origin, requests, overrides), learnt.odometry_model, learnt)
 
 
 def _with(

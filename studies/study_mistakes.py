@@ -1,6 +1,6 @@
 """What `inspect` says of every kind of campaign with every mistake, and of sound ones: a table, and what went wrong.
 
-`python tests/benchmarks/recordings/study_mistakes.py [SEEDS]`; takes about a second a case.
+`python studies/study_mistakes.py [SEEDS]`; takes about a second a case.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 """What a calibration is worth to the next drive of the same car: pairs of drives, and how near the second is to the
 bound.
 
-`python tests/slam/ekf_slam/study_calibration.py OUT.jsonl [--pairs N] [--estimator NAME ...] [--seed S]` appends a line
+`python studies/study_calibration.py OUT.jsonl [--pairs N] [--estimator NAME ...] [--seed S]` appends a line
 a second drive to OUT.jsonl (what is there is not run again), and prints efficiency ratios, root of the sum of squared
 errors over that of the bound that knows the array's calibration, with 95 % bootstrap intervals. Pair n is
 trials 2n and 2n + 1 of `lund-530` with `radio.array_seed` = S + n. Nothing was chosen on the root seed 71000.

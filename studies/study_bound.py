@@ -1,6 +1,6 @@
 """Is the bound right: the linear filter about the truth on simulated drives, and what merged paths cost.
 
-`python tests/benchmarks/bound/study_bound.py OUT.jsonl [SCENARIO...] [--known] [--drives N] [--seed S]` runs the drives
+`python studies/study_bound.py OUT.jsonl [SCENARIO...] [--known] [--drives N] [--seed S]` runs the drives
 that OUT does not have and prints a table of all it has. `--known`: clock offsets are known. Merged measurements are
 taken as if they were not, left out, and, where many are merged, with what merging does as an error that persists; the
 second is done on the first 12 drives only where few are merged.

@@ -1,6 +1,6 @@
 """What remembered maps give: the error of each drive of a sequence, beside its bound.
 
-`python tests/slam/ekf_slam/study_maps.py OUT.jsonl [SCENARIO...] [--drives N] [--sequences N] [--seed S] [--estimator
+`python studies/study_maps.py OUT.jsonl [SCENARIO...] [--drives N] [--sequences N] [--seed S] [--estimator
 NAME] [--figure FILE.png]` runs the sequences that OUT does not have, and prints and draws all it has. Drives of a
 sequence have city, route and sites in common; clocks, odometry, array and receiver are new in each.
 """

@@ -1,6 +1,6 @@
 """What map builders make of recordings that nobody modelled, as `replay` runs them: a table, against odometry alone.
 
-`python tests/benchmarks/recordings/study_worlds.py WORLD [DRIVES] [FACTOR]`; FACTOR: the odometry's data sheet is wrong
+`python studies/study_worlds.py WORLD [DRIVES] [FACTOR]`; FACTOR: the odometry's data sheet is wrong
 by so much. Drives have the seeds from 1000 on.
 """
 
