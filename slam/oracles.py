@@ -17,7 +17,7 @@ from cellslam.slam.fastslam.fastslam import FastSlam
 from cellslam.slam.fastslam.fastslam_kernel import Scores
 from cellslam.slam.fastslam.fastslam_options import FastSlamOptions
 from cellslam.slam.fastslam.parts import never
-from cellslam.slam.front_end.looks import Looks
+from cellslam.slam.front_end.fusion import FusedMeasurements
 
 LONG_AGO = -100_000  # snapshot in which the map was last seen, at the start
 
@@ -34,8 +34,8 @@ class KnownAssociation(EkfSlam):
         self._vt_of = _truth(setup).measurement_vt
         super().start(setup, rng)
 
-    def _given(self, looks: Looks) -> Ints:
-        return np.array(self._vt_of[looks.row], np.int64)
+    def _given(self, measurements: FusedMeasurements) -> Ints:
+        return np.array(self._vt_of[measurements.row], np.int64)
 
 
 class FastSlamKnownAssociation(FastSlam):
@@ -54,8 +54,8 @@ class FastSlamKnownAssociation(FastSlam):
         self._vt_of = _truth(setup).measurement_vt
         super().start(setup, rng)
 
-    def _given(self, looks: Looks) -> Ints:
-        return np.array(self._vt_of[looks.row], np.int64)
+    def _given(self, measurements: FusedMeasurements) -> Ints:
+        return np.array(self._vt_of[measurements.row], np.int64)
 
     def _hypotheses(self, f: Filter, measured: Measured, scores: Scores) -> list[Ints]:
         link = np.repeat(np.arange(len(measured.first) - 1), np.diff(measured.first))

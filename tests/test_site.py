@@ -202,12 +202,13 @@ def as_built(text: str) -> nodes.document:
 def test_first_uses_are_links_that_show_the_meaning() -> None:
     text = """# VT
 
-*Clutter* is noise, [gate](x.md) and `gate` are none. Who looks at VTs, a look of two links; the VT's gate, gates.
+*Clutter* is noise, [gate](x.md) and `gate` are none. Who looks at VTs, a fused measurement of two links; the VT's gate,
+gates.
 
 Virtual transmitters and clutter again.
 """
     links = [node for node in as_built(text).findall(nodes.reference) if "term" in node["classes"]]
-    assert [node.astext() for node in links] == ["VTs", "look", "links", "gate"]
+    assert [node.astext() for node in links] == ["VTs", "fused measurement", "links", "gate"]
     assert links[0]["refuri"] == "glossary.html#term-vt" and "mirrored in the plane" in links[0]["reftitle"]
     page: nodes.document = publish_doctree("**clock offset**", parser=Parser())
     glossary_links.mark_words(page)

@@ -47,8 +47,8 @@ class Motion(NamedTuple):
     dt_s: Floats
 
 
-class Looks(NamedTuple):
-    """What all links share that see a VT in a snapshot, n looks; snapshot t has rows[t]:rows[t + 1].
+class Views(NamedTuple):
+    """What all links share that see a VT in a snapshot, n views; snapshot t has rows[t]:rows[t + 1].
 
     `by_pose` (n, 3, 6), `by_vt` (n, 3, 3); `offset` (n,): core index of the site's offset; `state` (n, 3, W), `load`
     (n, 3, W): persisting errors in distance, azimuth, elevation as loads on states, -1: none.
@@ -63,13 +63,13 @@ class Looks(NamedTuple):
 
 
 class Sightings(NamedTuple):
-    """The measurements, m of them: `rows` (T + 1,), `look` (m,), `key` (m,): row of the VT, whether it is its
+    """The measurements, m of them: `rows` (T + 1,), `view` (m,), `key` (m,): row of the VT, whether it is its
     `first` and its `last` one, `variance` (m, 3) of the white errors (infinite: not measured), `residual` (m, 3): what
     it is off in all; `state` (m, 3): the persisting error of its own (-1: none) with loads `load` (3,).
     """
 
     rows: Ints
-    look: Ints
+    view: Ints
     key: Ints
     first: Flags
     last: Flags
@@ -91,7 +91,7 @@ class Errors(NamedTuple):
 
 class Work(NamedTuple):
     """Room for the recursion: covariance `p` (N + 1, N + 1), N the most states at once; a snapshot's whitened `gains`
-    (K, N + 1), gains `shared` (3 L, N + 1) of its looks, products `dots` (K, 3 L); `moved` (6, N + 1); where each error
+    (K, N + 1), gains `shared` (3 L, N + 1) of its views, products `dots` (K, 3 L); `moved` (6, N + 1); where each error
     and VT coordinate stands, `slot_of` (-1: nowhere), and which one stands there, `id_of`.
     """
 
@@ -114,13 +114,13 @@ class Found(NamedTuple):
     error: Floats
 
 
-def room(core: int, states: int, looks: Looks, sightings: Sightings, errors: Errors) -> Work:
+def room(core: int, states: int, views: Views, sightings: Sightings, errors: Errors) -> Work:
     """Return the work space for `core` and at most `states` other states at once."""
     size = core + states + 1
-    most_rows, most_looks = int(np.diff(sightings.rows).max()), max(int(np.diff(looks.rows).max()), 1)
+    most_rows, most_views = int(np.diff(sightings.rows).max()), max(int(np.diff(views.rows).max()), 1)
     vts = 3 * (int(sightings.key.max(initial=-1)) + 1)
     return Work(
-        p=np.zeros((size, size)), gains=np.zeros((3 * most_rows + 4, size)), shared=np.zeros((3 * most_looks, size)),
-        dots=np.zeros((3 * most_rows + 4, 3 * most_looks)), moved=np.zeros((6, size)),
+        p=np.zeros((size, size)), gains=np.zeros((3 * most_rows + 4, size)), shared=np.zeros((3 * most_views, size)),
+        dots=np.zeros((3 * most_rows + 4, 3 * most_views)), moved=np.zeros((6, size)),
         slot_of=np.full(len(errors.last) + vts, -1, np.int64), id_of=np.full(size, -1, np.int64),
     )  # fmt: skip

@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from cellslam.benchmarks.bound.bound_model import Core, Errors, Found, Looks, Motion, Sightings, room
+from cellslam.benchmarks.bound.bound_model import Core, Errors, Found, Motion, Sightings, Views, room
 from cellslam.benchmarks.bound.drawn_errors import jumps, residuals
 from cellslam.sim.described import Described
 from cellslam.sim.errors import InputError
@@ -84,12 +84,12 @@ def bound(
     core = core_of(recording.odometry_model, recording.sites)
     motion = motion_of(recording, truth, core)
     with threadpool_limits(1):  # the matrices are small: threads of BLAS would wait for one another more than they work
-        looks, sightings, errors = tracked_measurements(recording, truth, core, calibrated, merging)
+        views, sightings, errors = tracked_measurements(recording, truth, core, calibrated, merging)
     drifted = drifted_std(recording)
     drift = rates_among(errors, drifted)
-    work = room(core.size, most_states(looks, sightings, errors, snapshots), looks, sightings, errors)
+    work = room(core.size, most_states(views, sightings, errors, snapshots), views, sightings, errors)
     found = Found(np.zeros((snapshots, 6, 6)), np.zeros((snapshots, sites)), np.zeros((snapshots, 6)))
-    model = work, motion, looks, sightings, errors
+    model = work, motion, views, sightings, errors
     if not covariance_recursion.signatures:  # type: ignore[attr-defined]
         with progress("compiling Cramer-Rao bound, once per machine", 1) as advance:
             covariance_recursion(*model, 0, 0, core.size, drift, drifted, found)
@@ -205,7 +205,7 @@ def drifted_std(recording: Recording) -> Floats:
 
 def tracked_measurements(
     recording: Recording, truth: Truth, core: Core, calibrated: bool = False, merging: Cause | None = None
-) -> tuple[Looks, Sightings, Errors]:
+) -> tuple[Views, Sightings, Errors]:
     """Return the measurements of true VTs.
 
     With their Jacobians and variances at the truth, and the errors that persist, rates of clocks among them. The ports
@@ -219,44 +219,44 @@ def tracked_measurements(
     pose, vt = truth.poses[m.snapshot[real]], truth.vts.position_m[truth.measurement_vt[real]]
     with np.errstate(divide="ignore", invalid="ignore"):
         real = real[np.isfinite(np.concatenate(jacobians(pose, vt), axis=-1)).all(axis=(1, 2))]
-    port, look = recording.links.port[m.link[real]], m.snapshot[real] * vts + truth.measurement_vt[real]
-    _, at, of = np.unique(look * (port.max(initial=0) + 1) + port, return_index=True, return_inverse=True)
+    port, view = recording.links.port[m.link[real]], m.snapshot[real] * vts + truth.measurement_vt[real]
+    _, at, of = np.unique(view * (port.max(initial=0) + 1) + port, return_index=True, return_inverse=True)
     snapshot, vt_of, port = m.snapshot[real[at]], truth.measurement_vt[real[at]], port[at]
     _, first_row, nth = np.unique(vt_of, return_index=True, return_inverse=True)
     _, last_row = np.unique(vt_of[::-1], return_index=True)
     rows = np.arange(len(at))
     first, last = rows == first_row[nth], rows == len(at) - 1 - last_row[nth]
 
-    _, begin, look = np.unique(snapshot * vts + vt_of, return_index=True, return_inverse=True)
+    _, begin, view = np.unique(snapshot * vts + vt_of, return_index=True, return_inverse=True)
     position = truth.vts.position_m[vt_of[begin]]
     by_vt, by_pose = jacobians(truth.poses[snapshot[begin]], position)
     distance_m, azimuth_rad, elevation_rad = predict(truth.poses[snapshot[begin]], position).T
-    seen = Seen(snapshot[begin], azimuth_rad, elevation_rad, look, vt_of, port)
+    seen = Seen(snapshot[begin], azimuth_rad, elevation_rad, view, vt_of, port)
     site = recording.links.site[m.link[real[at[begin]]]]
     persisting = persisting_errors(recording, seen, calibrated, merging)
     persisting = with_drift(persisting, drifted_std(recording), seen, site)
     every = np.arange(len(recording.time_s) + 1)
-    looks = Looks(
+    views = Views(
         np.searchsorted(snapshot[begin], every), by_pose, by_vt, core.offsets[site],
         persisting.state, persisting.load,
     )  # fmt: skip
-    at_look = look[of]
-    white = _white_variance(recording, truth, real, distance_m[at_look], persisting.variance)
-    predicted = np.stack([distance_m, azimuth_rad, elevation_rad], axis=1)[at_look]
+    at_view = view[of]
+    white = _white_variance(recording, truth, real, distance_m[at_view], persisting.variance)
+    predicted = np.stack([distance_m, azimuth_rad, elevation_rad], axis=1)[at_view]
     variance, residual = _together(white, residuals(recording, truth, real, predicted), of, len(at))
     missing = np.where(first[:, None], BROAD_STD**2, np.inf)
     sightings = Sightings(
-        np.searchsorted(snapshot, every), look, vt_of, first, last, np.where(np.isfinite(variance), variance, missing),
+        np.searchsorted(snapshot, every), view, vt_of, first, last, np.where(np.isfinite(variance), variance, missing),
         residual, persisting.own_state, persisting.own_load,
     )  # fmt: skip
-    return looks, sightings, persisting.errors
+    return views, sightings, persisting.errors
 
 
-def most_states(looks: Looks, sightings: Sightings, errors: Errors, snapshots: int) -> int:
+def most_states(views: Views, sightings: Sightings, errors: Errors, snapshots: int) -> int:
     """Return the most states beside the core that the recursion holds at once."""
     enter = np.full(len(errors.last), snapshots)
-    at = np.repeat(np.arange(snapshots), np.diff(looks.rows))
-    _first(enter, looks.state, at)
+    at = np.repeat(np.arange(snapshots), np.diff(views.rows))
+    _first(enter, views.state, at)
     seen_at = np.repeat(np.arange(snapshots), np.diff(sightings.rows))
     _first(enter, sightings.state, seen_at)
     used = enter < snapshots

@@ -44,7 +44,7 @@ NOTHING = Cause("", np.zeros(3), 0.0)
 
 @dataclass(frozen=True)
 class Persisting:
-    """Loads of n looks and m measurements on the states `errors`: see the kernel's Looks and Sightings.
+    """Loads of n views and m measurements on the states `errors`: see the kernel's Views and Sightings.
 
     `variance` (3,): the marginal variances of what persists.
     """
@@ -59,14 +59,14 @@ class Persisting:
 
 @dataclass(frozen=True)
 class Seen:
-    """What the drive sees, sorted by snapshot. Looks: `snapshot` (n,), body-frame `azimuth_rad`, `elevation_rad` (n,).
-    Measurements: `look`, `vt`, `port` (m,).
+    """What the drive sees, sorted by snapshot. Views: `snapshot` (n,), body-frame `azimuth_rad`, `elevation_rad` (n,).
+    Measurements: `view`, `vt`, `port` (m,).
     """
 
     snapshot: Ints
     azimuth_rad: Floats
     elevation_rad: Floats
-    look: Ints
+    view: Ints
     vt: Ints
     port: Ints
 
@@ -81,7 +81,7 @@ class Seen:
 
 @dataclass(frozen=True)
 class Part:
-    """One cause: `state` and `load` as in Looks or Sightings, its states numbered from 0, how many, and their kind."""
+    """One cause: `state` and `load` as in Views or Sightings, its states numbered from 0, how many, and their kind."""
 
     state: Ints
     load: Floats
@@ -97,7 +97,7 @@ def persisting_errors(
     `merging`: what it does to each VT, changing over a time. Raises InputError where the causes are not known.
     """
     assert recording.truth is not None
-    looks, snapshots, config = len(seen.snapshot), len(recording.time_s), radio_of(recording)
+    views, snapshots, config = len(seen.snapshot), len(recording.time_s), radio_of(recording)
     known = [NOTHING] * 4 if config is None else causes(config)
     noise_scale = 0.0 if config is None else config.noise_scale
     calibration, roof, diffuse, attitude = (replace(c, std=noise_scale * c.std * (c.scale > 0.0)) for c in known)
@@ -110,7 +110,7 @@ def persisting_errors(
     parts = [
         _by_direction(calibration, seen, recording.time_s),
         _by_direction(roof, seen, recording.time_s),
-        Part(np.tile(np.arange(3), (looks, 3, 1)), attitude.std[[1, 2, 2]] * turned(seen), 3, BY_TIME),
+        Part(np.tile(np.arange(3), (views, 3, 1)), attitude.std[[1, 2, 2]] * turned(seen), 3, BY_TIME),
         _by_vt(merging, seen, recording.time_s),
     ]
     own = _by_place(diffuse, seen, np.concatenate([[0.0], np.cumsum(way)]))
@@ -122,7 +122,7 @@ def persisting_errors(
     last = np.zeros(base[-1] + own.count, np.int64)
     # Sorted by snapshot: of several values for one state the last stays.
     last[state[state >= 0]] = np.broadcast_to(seen.snapshot[:, None, None], state.shape)[state >= 0]
-    at = seen.snapshot[seen.look]
+    at = seen.snapshot[seen.view]
     last[own_state[own_state >= 0]] = np.broadcast_to(at[:, None], own_state.shape)[own_state >= 0]
     variance = np.zeros(3) if config is None else persisting_std(config) ** 2
     kind = np.repeat([part.kind for part in [*parts, own]], [part.count for part in [*parts, own]])
@@ -132,7 +132,7 @@ def persisting_errors(
 def with_drift(persisting: Persisting, drifted: Floats, seen: Seen, site: Ints) -> Persisting:
     """Return the errors and, as the last of them, the rates of clocks that drift: constants.
 
-    drifted (T, S): what a rate of one deviation has made of the offset, in m; site (n,): index of each look's site.
+    drifted (T, S): what a rate of one deviation has made of the offset, in m; site (n,): index of each view's site.
     """
     errors, drifts = persisting.errors, drifted[-1] > 0.0
     if not drifts.any():
@@ -210,32 +210,32 @@ def runs(key: Ints, at: Floats, gap: float) -> tuple[Ints, int]:
 def _by_place(cause: Cause, seen: Seen, way_m: Floats) -> Part:
     """Return the states of a function of the way (T,) along the drive, one for each VT and port, and component."""
     if cause.scale <= 0.0:
-        return Part(np.full((len(seen.look), 3), -1), np.zeros(3), 0, BY_PLACE)
-    entity, entities = runs(seen.vt * 4 + seen.port % 4, way_m[seen.snapshot[seen.look]], HOLD_SCALES * cause.scale)
+        return Part(np.full((len(seen.view), 3), -1), np.zeros(3), 0, BY_PLACE)
+    entity, entities = runs(seen.vt * 4 + seen.port % 4, way_m[seen.snapshot[seen.view]], HOLD_SCALES * cause.scale)
     return Part(3 * entity[:, None] + np.arange(3), cause.std, 3 * entities, BY_PLACE)
 
 
 def _by_vt(cause: Cause, seen: Seen, time_s: Floats) -> Part:
     """Return the states of a function of time, one for each VT and component."""
-    looks = len(seen.snapshot)
+    views = len(seen.snapshot)
     if cause.scale <= 0.0:
-        return Part(np.zeros((looks, 3, 0), np.int64), np.zeros((looks, 3, 0)), 0, BY_MERGING)
-    vt = np.empty(looks, np.int64)
-    vt[seen.look] = seen.vt
+        return Part(np.zeros((views, 3, 0), np.int64), np.zeros((views, 3, 0)), 0, BY_MERGING)
+    vt = np.empty(views, np.int64)
+    vt[seen.view] = seen.vt
     run, count = runs(vt, time_s[seen.snapshot], HOLD_SCALES * cause.scale)
     state = 3 * run[:, None, None] + np.arange(3)[:, None]
     return Part(state, np.broadcast_to(cause.std[:, None], state.shape), 3 * count, BY_MERGING)
 
 
 def _by_direction(cause: Cause, seen: Seen, time_s: Floats) -> Part:
-    """Return the weights of a function of direction, for each component; its values at a look have unit length."""
-    looks = len(seen.snapshot)
-    if cause.scale <= 0.0 or not cause.std.any() or looks == 0:
-        return Part(np.zeros((looks, 3, 0), np.int64), np.zeros((looks, 3, 0)), 0, 0)
+    """Return the weights of a function of direction, for each component; its values at a view have unit length."""
+    views = len(seen.snapshot)
+    if cause.scale <= 0.0 or not cause.std.any() or views == 0:
+        return Part(np.zeros((views, 3, 0), np.int64), np.zeros((views, 3, 0)), 0, 0)
     value = principal_functions(seen.direction, cause.scale)
     if value is not None:
         count = value.shape[1]
-        function = np.tile(np.arange(count), (looks, 1))
+        function = np.tile(np.arange(count), (views, 1))
     else:
         cell, value = bell_functions(seen.azimuth_rad, seen.elevation_rad, cause.scale)
         function = np.full(cell.shape, -1)

@@ -19,7 +19,7 @@ import math
 
 import numpy as np
 
-from cellslam.benchmarks.bound.bound_model import Errors, Found, Looks, Motion, Sightings, Work
+from cellslam.benchmarks.bound.bound_model import Errors, Found, Motion, Sightings, Views, Work
 from cellslam.benchmarks.bound.states_kernel import POSE, append, decay, enter, leave, predict
 from cellslam.sim.compiling import njit, part
 from cellslam.sim.recording import Floats, Ints
@@ -28,7 +28,7 @@ from cellslam.slam.model.downdate_kernel import downdate
 
 @njit(cache=True)
 def covariance_recursion(
-    work: Work, motion: Motion, looks: Looks, sightings: Sightings, errors: Errors, begin: int, end: int, n: int,
+    work: Work, motion: Motion, views: Views, sightings: Sightings, errors: Errors, begin: int, end: int, n: int,
     drift: Ints, drifted: Floats, found: Found,
 ) -> int:  # fmt: skip
     """Run snapshots `begin` up to `end`, fill their rows of `found`.
@@ -49,11 +49,11 @@ def covariance_recursion(
             if i != mean:
                 p[i, mean] += motion.jump[t, i]
                 p[mean, i] = p[i, mean]
-        n = enter(p, n, looks, sightings, t, slot_of, id_of)
+        n = enter(p, n, views, sightings, t, slot_of, id_of)
         for m in range(sightings.rows[t], sightings.rows[t + 1]):
             if sightings.first[m]:
-                n = _birth(p, n, looks, sightings, m, count, mean, slot_of, id_of, work.shared)
-        _update(p, n, looks, sightings, t, count, mean, slot_of, work.gains, work.shared, work.dots)
+                n = _birth(p, n, views, sightings, m, count, mean, slot_of, id_of, work.shared)
+        _update(p, n, views, sightings, t, count, mean, slot_of, work.gains, work.shared, work.dots)
         for a in range(POSE):
             found.error[t, a] = p[a, mean]
             for b in range(POSE):
@@ -65,7 +65,7 @@ def covariance_recursion(
                 rate = slot_of[drift[s]]
                 by = drifted[t, s]
                 found.offset[t, s] += by * (2.0 * p[own, rate] + by * p[rate, rate]) if rate >= 0 else by * by
-        n = leave(p, n, looks, sightings, errors, t, slot_of, id_of)
+        n = leave(p, n, views, sightings, errors, t, slot_of, id_of)
     return n
 
 
@@ -76,51 +76,51 @@ def _add(row: Floats, factor: float, other: Floats, n: int) -> None:
 
 
 @part
-def _shared_gain(p: Floats, n: int, looks: Looks, i: int, r: int, slot_of: Ints, out: Floats) -> None:
-    """out = covariance of all states with component r of look i, but for its VT and the errors of one link."""
+def _shared_gain(p: Floats, n: int, views: Views, i: int, r: int, slot_of: Ints, out: Floats) -> None:
+    """out = covariance of all states with component r of view i, but for its VT and the errors of one link."""
     out[:n] = 0.0
     for c in range(POSE):
-        if looks.by_pose[i, r, c] != 0.0:
-            _add(out, looks.by_pose[i, r, c], p[c], n)
+        if views.by_pose[i, r, c] != 0.0:
+            _add(out, views.by_pose[i, r, c], p[c], n)
     if r == 0:
-        _add(out, 1.0, p[looks.offset[i]], n)
-    for w in range(looks.state.shape[2]):
-        if looks.state[i, r, w] >= 0:
-            _add(out, looks.load[i, r, w], p[slot_of[looks.state[i, r, w]]], n)
+        _add(out, 1.0, p[views.offset[i]], n)
+    for w in range(views.state.shape[2]):
+        if views.state[i, r, w] >= 0:
+            _add(out, views.load[i, r, w], p[slot_of[views.state[i, r, w]]], n)
 
 
 @part
-def _shared_dot(row: Floats, looks: Looks, i: int, r: int, slot_of: Ints) -> float:
-    """The product of a row over the states with component r of look i, but for its VT and the errors of one link."""
-    total = row[looks.offset[i]] if r == 0 else 0.0
+def _shared_dot(row: Floats, views: Views, i: int, r: int, slot_of: Ints) -> float:
+    """The product of a row over the states with component r of view i, but for its VT and the errors of one link."""
+    total = row[views.offset[i]] if r == 0 else 0.0
     for c in range(POSE):
-        total += looks.by_pose[i, r, c] * row[c]
-    for w in range(looks.state.shape[2]):
-        if looks.state[i, r, w] >= 0:
-            total += looks.load[i, r, w] * row[slot_of[looks.state[i, r, w]]]
+        total += views.by_pose[i, r, c] * row[c]
+    for w in range(views.state.shape[2]):
+        if views.state[i, r, w] >= 0:
+            total += views.load[i, r, w] * row[slot_of[views.state[i, r, w]]]
     return total
 
 
 @part
 def _update(
-    p: Floats, n: int, looks: Looks, sightings: Sightings, t: int, count: int, mean: int, slot_of: Ints, g: Floats,
+    p: Floats, n: int, views: Views, sightings: Sightings, t: int, count: int, mean: int, slot_of: Ints, g: Floats,
     shared: Floats, dots: Floats,
 ) -> None:  # fmt: skip
     """Take in the snapshot's measurements of VTs that are in the state."""
-    low, high, k, weight = looks.rows[t], looks.rows[t + 1], 0, np.empty(g.shape[0])
+    low, high, k, weight = views.rows[t], views.rows[t + 1], 0, np.empty(g.shape[0])
     for i in range(low, high):
         for r in range(3):
-            _shared_gain(p, n, looks, i, r, slot_of, shared[3 * (i - low) + r])
+            _shared_gain(p, n, views, i, r, slot_of, shared[3 * (i - low) + r])
     for m in range(sightings.rows[t], sightings.rows[t + 1]):
         if sightings.first[m]:
             continue
-        i, vt = sightings.look[m], count + 3 * sightings.key[m]
+        i, vt = sightings.view[m], count + 3 * sightings.key[m]
         v0, v1, v2 = slot_of[vt], slot_of[vt + 1], slot_of[vt + 2]
         for r in range(3):
             variance = sightings.variance[m, r]
             if variance == np.inf:
                 continue
-            h0, h1, h2 = looks.by_vt[i, r, 0], looks.by_vt[i, r, 1], looks.by_vt[i, r, 2]
+            h0, h1, h2 = views.by_vt[i, r, 0], views.by_vt[i, r, 1], views.by_vt[i, r, 2]
             own, load, q, row = 0, 0.0, 3 * (i - low) + r, g[k]
             if sightings.state[m, r] >= 0:
                 own, load = slot_of[sightings.state[m, r]], sightings.load[r]
@@ -131,7 +131,7 @@ def _update(
             for j in range(k):
                 weight[j] = dots[j, q] + h0 * g[j, v0] + h1 * g[j, v1] + h2 * g[j, v2] + load * g[j, own]
             _whiten(row, g, weight, k, n)
-            spread = _shared_dot(row, looks, i, r, slot_of)
+            spread = _shared_dot(row, views, i, r, slot_of)
             spread += h0 * row[v0] + h1 * row[v1] + h2 * row[v2] + load * row[own]
             # Rounding apart, the innovation varies by no less than the measurement.
             root = 1.0 / math.sqrt(max(spread + variance, variance))
@@ -139,7 +139,7 @@ def _update(
                 row[j] *= root
             for other in range(low, high):
                 for c in range(3):
-                    dots[k, 3 * (other - low) + c] = _shared_dot(row, looks, other, c, slot_of)
+                    dots[k, 3 * (other - low) + c] = _shared_dot(row, views, other, c, slot_of)
             k += 1
     downdate(p, n, g, k)
 
@@ -161,23 +161,23 @@ def _whiten(row: Floats, g: Floats, weight: Floats, k: int, n: int) -> None:
 
 @part
 def _birth(
-    p: Floats, n: int, looks: Looks, sightings: Sightings, m: int, count: int, mean: int, slot_of: Ints, id_of: Ints,
+    p: Floats, n: int, views: Views, sightings: Sightings, m: int, count: int, mean: int, slot_of: Ints, id_of: Ints,
     g: Floats,
 ) -> int:  # fmt: skip
     """Append a VT that is known from this measurement alone: the limit of a broad prior.
 
     v = D (z - H_r r - b - errors) with D the inverse of H_v; the other states learn nothing.
     """
-    i, inverse, full = sightings.look[m], np.empty((3, 3)), np.empty((3, 3))
-    _invert(looks.by_vt[i], inverse)
+    i, inverse, full = sightings.view[m], np.empty((3, 3)), np.empty((3, 3))
+    _invert(views.by_vt[i], inverse)
     for r in range(3):
-        _shared_gain(p, n, looks, i, r, slot_of, g[r])
+        _shared_gain(p, n, views, i, r, slot_of, g[r])
         if sightings.state[m, r] >= 0:
             _add(g[r], sightings.load[r], p[slot_of[sightings.state[m, r]]], n)
         g[r, mean] -= sightings.residual[m, r]
     for r in range(3):
         for q in range(3):
-            full[r, q] = _shared_dot(g[r], looks, i, q, slot_of)
+            full[r, q] = _shared_dot(g[r], views, i, q, slot_of)
             if sightings.state[m, q] >= 0:
                 full[r, q] += sightings.load[q] * g[r, slot_of[sightings.state[m, q]]]
         full[r, r] += sightings.variance[m, r]

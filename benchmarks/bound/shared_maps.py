@@ -15,7 +15,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from cellslam.benchmarks.bound.bound_model import Core, Errors, Found, Looks, Motion, Sightings, Work, room
+from cellslam.benchmarks.bound.bound_model import Core, Errors, Found, Motion, Sightings, Views, Work, room
 from cellslam.benchmarks.bound.cramer_rao import (
     BoundResult,
     core_of,
@@ -37,7 +37,7 @@ class Drive(NamedTuple):
     """What the recursion takes of one drive: see `bound_model`."""
 
     motion: Motion
-    looks: Looks
+    views: Views
     sightings: Sightings
     errors: Errors
 
@@ -101,25 +101,25 @@ def _with_walls(recordings: Sequence[Recording], drives: Sequence[Drive]) -> Ite
     facets = np.unique(np.concatenate([_truth(recording).vts.facets[:, 0] for recording in recordings]))
     facets, sites = facets[facets >= 0], len(recordings[0].sites)
     landmarks = 3 * sites + 2 * len(facets)
-    for recording, (motion, looks, s, errors) in zip(recordings, drives, strict=True):
+    for recording, (motion, views, s, errors) in zip(recordings, drives, strict=True):
         truth = _truth(recording)
-        vt = np.empty(len(looks.offset), np.int64)
-        vt[s.look] = s.key
+        vt = np.empty(len(views.offset), np.int64)
+        vt[s.view] = s.key
         wall = np.where(truth.vts.order > 0, np.searchsorted(facets, truth.vts.facets[:, 0]), -1)
         state = np.concatenate(
             [3 * truth.vts.site[:, None] + np.arange(3), 3 * sites + 2 * wall[:, None] + np.arange(2)], axis=1
         )
         state[wall < 0, 3:] = -1
-        load = np.einsum("nij,njk->nik", looks.by_vt, _by_landmarks(truth)[vt])
+        load = np.einsum("nij,njk->nik", views.by_vt, _by_landmarks(truth)[vt])
         every = np.repeat(state[vt][:, None], 3, axis=1)
-        old = np.where(looks.state >= 0, landmarks + looks.state, -1)
+        old = np.where(views.state >= 0, landmarks + views.state, -1)
         nothing = np.zeros(len(s.first), np.bool_)
         yield Drive(
             motion,
-            looks._replace(
-                by_vt=np.zeros_like(looks.by_vt),
+            views._replace(
+                by_vt=np.zeros_like(views.by_vt),
                 state=np.concatenate([old, np.where(load != 0.0, every, -1)], axis=2),
-                load=np.concatenate([looks.load, load], axis=2),
+                load=np.concatenate([views.load, load], axis=2),
             ),
             s._replace(first=nothing, last=nothing, state=np.where(s.state >= 0, landmarks + s.state, -1)),
             Errors(
@@ -173,7 +173,7 @@ def _room(drives: Sequence[Drive], core: Core) -> Work:
     vts = 1 + max(int(d.sightings.key.max(initial=-1)) for d in drives)
     stay = 3 * vts + max(int((d.errors.last == NEVER).sum()) for d in drives)
     rooms = [
-        room(core.size, most_states(d.looks, d.sightings, d.errors, len(d.motion.step)) + stay, *d[1:]) for d in drives
+        room(core.size, most_states(d.views, d.sightings, d.errors, len(d.motion.step)) + stay, *d[1:]) for d in drives
     ]
     shapes = [tuple(np.max([getattr(r, name).shape for r in rooms], axis=0)) for name in Work._fields]
     return Work(*(np.zeros(shape) for shape in shapes[:-2]), *(np.full(shape, -1, np.int64) for shape in shapes[-2:]))

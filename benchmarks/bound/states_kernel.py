@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from cellslam.benchmarks.bound.bound_model import Errors, Looks, Motion, Sightings
+from cellslam.benchmarks.bound.bound_model import Errors, Motion, Sightings, Views
 from cellslam.sim.compiling import part
 from cellslam.sim.recording import Floats, Ints
 
@@ -87,12 +87,12 @@ def append(p: Floats, n: int, k: np.int64, variance: float, slot_of: Ints, id_of
 
 
 @part
-def enter(p: Floats, n: int, looks: Looks, sightings: Sightings, t: int, slot_of: Ints, id_of: Ints) -> int:
+def enter(p: Floats, n: int, views: Views, sightings: Sightings, t: int, slot_of: Ints, id_of: Ints) -> int:
     """Add to p (size, size) the persisting errors that snapshot t meets for the first time; return the new size."""
-    for i in range(looks.rows[t], looks.rows[t + 1]):
+    for i in range(views.rows[t], views.rows[t + 1]):
         for r in range(3):
-            for w in range(looks.state.shape[2]):
-                k = looks.state[i, r, w]
+            for w in range(views.state.shape[2]):
+                k = views.state[i, r, w]
                 if k >= 0 and slot_of[k] < 0:
                     n = append(p, n, k, 1.0, slot_of, id_of)
     for m in range(sightings.rows[t], sightings.rows[t + 1]):
@@ -105,13 +105,13 @@ def enter(p: Floats, n: int, looks: Looks, sightings: Sightings, t: int, slot_of
 
 @part
 def leave(
-    p: Floats, n: int, looks: Looks, sightings: Sightings, errors: Errors, t: int, slot_of: Ints, id_of: Ints
+    p: Floats, n: int, views: Views, sightings: Sightings, errors: Errors, t: int, slot_of: Ints, id_of: Ints
 ) -> int:
     """Remove from p (size, size) the states that no snapshot after t meets; return the new size."""
-    for i in range(looks.rows[t], looks.rows[t + 1]):
+    for i in range(views.rows[t], views.rows[t + 1]):
         for r in range(3):
-            for w in range(looks.state.shape[2]):
-                k = looks.state[i, r, w]
+            for w in range(views.state.shape[2]):
+                k = views.state[i, r, w]
                 if k >= 0 and errors.last[k] == t and slot_of[k] >= 0:
                     n = remove(p, n, k, slot_of, id_of)
     for m in range(sightings.rows[t], sightings.rows[t + 1]):

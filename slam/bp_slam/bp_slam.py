@@ -37,7 +37,7 @@ class BpSlam(JointFilter):
         self.options: BpSlamOptions = options or BpSlamOptions()
 
     def _rules(self, common: Rules, dt_s: float) -> Rules:
-        o = self._grouping.options
+        o = self._fusion.options
         stay, back = transitions(o, dt_s) if dt_s > 0.0 else (1.0, 0.0)
         return common._replace(
             stay=stay, back=back, detection=o.detection_probability, drop=o.drop_probability,

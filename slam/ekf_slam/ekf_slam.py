@@ -28,7 +28,7 @@ from cellslam.slam.ekf_slam.snapshot.motion_kernel import Interval
 from cellslam.slam.ekf_slam.start import STATES, Start, begin
 from cellslam.slam.ekf_slam.state.array_errors import array_errors
 from cellslam.slam.ekf_slam.state.layout import ENTRY, FREE, ArrayErrors, Measured, Rules, one_of
-from cellslam.slam.front_end.looks import Grouping, Looks
+from cellslam.slam.front_end.fusion import FusedMeasurements, Fusion
 from cellslam.slam.front_end.measurement_noise import first_of_link
 from cellslam.slam.front_end.readings import Readings, novelty, white_readings
 from cellslam.slam.front_end.visibility import existence
@@ -81,8 +81,8 @@ class JointFilter:
     def start(self, setup: Setup, rng: np.random.Generator) -> None:
         """Take the prior; nothing is drawn. With a map a filter without it runs beside, until it is sure that it
         fits."""
-        self._grouping = Grouping(setup, self.options)
-        self._setup, self._time_s, self._now = _writable(self._grouping.setup), 0.0, 0
+        self._fusion = Fusion(setup, self.options)
+        self._setup, self._time_s, self._now = _writable(self._fusion.setup), 0.0, 0
         known, links = self._setup.map, self._setup.links
         self._remembered = None if known is None else Remembered(known, links, self._setup.sites.name, len(links))
         self._seen: dict[int, Box] = {}
@@ -144,8 +144,8 @@ class JointFilter:
 
     def _step(self, dt_s: float, odometry: Floats, snapshot: Snapshot) -> Estimate:
         self._time_s += dt_s
-        odometry, looks, model = np.array(odometry), self._grouping.looks(snapshot), self._setup.odometry_model
-        measured = self._measured(dt_s, odometry, self._readings(dt_s, odometry, looks), looks)
+        odometry, measurements, model = np.array(odometry), self._fusion.fuse(snapshot), self._setup.odometry_model
+        measured = self._measured(dt_s, odometry, self._readings(dt_s, odometry, measurements), measurements)
         noise = model.noise_density
         if snapshot.odometry_held_s is not None:
             noise = np.hypot(noise, held_noise(np.array(snapshot.odometry_held_s)))
@@ -155,8 +155,8 @@ class JointFilter:
         else:
             answer = self._step_joint(interval, measured)
         self._now += 1
-        self._born += len(looks)
-        return self._grouping.answer(answer, looks)
+        self._born += len(measurements)
+        return self._fusion.answer(answer, measurements)
 
     def sizes(self) -> Sizes:
         """Return what the drive so far says of the sizes of errors: noise, array, odometry.
@@ -189,9 +189,9 @@ class JointFilter:
         f, confirm = one_of(mixture.collapsed().arrays, best), self.options.confirm_hits
         return map_after(f, self._archive, heard, mixture.remembered, confirm)
 
-    def _given(self, looks: Looks) -> Ints:
-        """Return the true VT of each look, for the oracle that knows it."""
-        return np.full(len(looks), NOT_GIVEN, np.int64)
+    def _given(self, measurements: FusedMeasurements) -> Ints:
+        """Return the true VT of each measurement, for the oracle that knows it."""
+        return np.full(len(measurements), NOT_GIVEN, np.int64)
 
     def _install(self, mixture: Mixture) -> None:
         """Put into new filters what is known of the map: transmitters whose place was surveyed; VTs of a remembered map
@@ -307,34 +307,36 @@ class JointFilter:
         return mixture.use(errors, interval, measured, self.options.vts, self.options.hypotheses)
 
     def _see(self, association: Ints, place: Floats) -> None:
-        """Note from where the VTs of some looks are seen."""
+        """Note from where the VTs of some measurements are seen."""
         x, y = place.tolist()
         for ident in association[association >= 0].tolist():
             least, greatest = self._seen.setdefault(ident, ([x, y], [x, y]))
             least[:] = min(least[0], x), min(least[1], y)
             greatest[:] = max(greatest[0], x), max(greatest[1], y)
 
-    def _readings(self, dt_s: float, odometry: Floats, looks: Looks) -> Readings:
-        """Return the looks with their variances."""
-        return white_readings(looks, self._grouping.options, odometry[3] * dt_s, odometry[0] * dt_s)
+    def _readings(self, dt_s: float, odometry: Floats, measurements: FusedMeasurements) -> Readings:
+        """Return the measurements with their variances."""
+        return white_readings(measurements, self._fusion.options, odometry[3] * dt_s, odometry[0] * dt_s)
 
-    def _measured(self, dt_s: float, odometry: Floats, v: Readings, looks: Looks) -> Measured:
+    def _measured(self, dt_s: float, odometry: Floats, v: Readings, measurements: FusedMeasurements) -> Measured:
         step_s = self._step_s = dt_s if dt_s > 0.0 else 0.075
         key = round(100.0 * math.log(step_s))
         if key not in self._by_step:
             self._by_step[key] = self._tables(step_s)
         (tables, rules), site = self._by_step[key], self._setup.links.site
-        news = novelty(self._grouping.options, odometry[3] * dt_s, odometry[0] * dt_s)
+        news = novelty(self._fusion.options, odometry[3] * dt_s, odometry[0] * dt_s)
         rules = rules._replace(evidence=max(EVIDENCE, news), step=self._log_step)
-        share, begin = 1.0 / np.sqrt(looks.ports), births(v.z, v.fresh, looks.begins, self._elevation_variance)
+        begin = births(v.z, v.fresh, measurements.begins, self._elevation_variance)
         return Measured(
-            self._now, self._born, first_of_link(looks, len(site)), site, v.z, v.single, v.many, begin.q, share, v.gap,
-            begin.z, begin.guesses, self._given(looks), tables, rules, v.merged,
+            now=self._now, born=self._born, first=first_of_link(measurements, len(site)), site_of=site,
+            z=v.z, single=v.single, many=v.many, fresh=begin.q, diffuse=1.0 / np.sqrt(measurements.ports), gap=v.gap,
+            begin=begin.z, guesses=begin.guesses, given=self._given(measurements),
+            tables=tables, rules=rules, merged=v.merged,
         )  # fmt: skip
 
     def _tables(self, step_s: float) -> tuple[Floats, Rules]:
         """Return what depends on the length of a step alone: the tables of existence, and the rules."""
-        o = self._grouping.options
+        o = self._fusion.options
         tables, once, twice = existence(o, step_s)
         rules = Rules(
             self.mode, float(np.log(o.clutter_density)), o.gate, o.confirm_hits, once, twice,

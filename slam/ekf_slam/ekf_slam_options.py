@@ -22,7 +22,7 @@ class EkfSlamOptions(FrontEndOptions):
         0.3,
         gt=0,
         le=1e9,
-        description="how likely a look must be of a VT unseen for 3 s, against a new one nearby",
+        description="how likely a measurement must be of a VT unseen for 3 s, against a new one nearby",
     )
     hypotheses: int = Field(
         1, ge=1, le=1000, description="Gaussians kept side by side after the start at most, each with its associations"
@@ -31,7 +31,7 @@ class EkfSlamOptions(FrontEndOptions):
         0.0, ge=0, le=10, description="share of the ground's reflection that merges with each path, deviation; 0: none"
     )
     block_s: float = Field(
-        0.6, ge=0, le=1.2, description="looks at a VT are averaged over so long at most, s; 0: never"
+        0.6, ge=0, le=1.2, description="measurements of a VT are averaged over so long at most, s; 0: never"
     )
     hold_s: float = Field(40.0, gt=0, le=1e6, description="time for which the roof's errors in a direction are kept, s")
     merge_rate: float = Field(

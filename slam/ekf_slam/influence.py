@@ -1,9 +1,9 @@
 """What each path says of the filters of a mixture, and how much it may.
 
 A path over an edge, or one whose azimuth errs because it merges with another, is the image of no wall. It fits one
-wrong clock offset at each of a hundred looks. As a product their likelihoods would rule out the right offset, though
-all of them are wrong together. So what a path may say has bounds, over its whole life: its looks are at least as likely
-as clutter, and at least so likely as in the best filter, but for a factor of exp(-MOST).
+wrong clock offset at each of a hundred measurements. As a product their likelihoods would rule out the right offset,
+though all of them are wrong together. So what a path may say has bounds, over its whole life: its measurements are at
+least as likely as clutter, and at least so likely as in the best filter, but for a factor of exp(-MOST).
 
 Source: bounded influence (Hampel et al., Robust Statistics, 1986); the likelihood is that of three explanations of a
 path, of which the likeliest is taken: the image of a wall, clutter, and something that is neither.
@@ -24,9 +24,9 @@ BIRTH = 3.0  # log-likelihood that each VT costs: it counts for more than clutte
 
 @dataclass
 class Influence:
-    """What the paths say of a mixture of K filters: log-ratios `worth` (K, v) of the likelihood of each VT's looks to
-    that of clutter, by its identity (v,) and that of the first VT of its path (v,); and all else that is in the
-    log-weights: `rest` (K,)."""
+    """What the paths say of a mixture of K filters: log-ratios `worth` (K, v) of the likelihood of each VT's
+    measurements to that of clutter, by its identity (v,) and that of the first VT of its path (v,); and all else that
+    is in the log-weights: `rest` (K,)."""
 
     rest: Floats
     ident: Ints = field(default_factory=lambda: np.empty(0, np.int64))
@@ -39,9 +39,9 @@ class Influence:
     def meet(self, mixture: Filter, association: Ints, born: int, log_weight: Floats) -> None:
         """Take in the VTs that began in a snapshot.
 
-        association (K, m): identities at its looks, -1 for none; a VT that began at look i has the identity `born` + i.
-        Where that look is, in other filters, of a VT that they have, both are of one path, as the likeliest of these
-        has it. log_weight (K,).
+        association (K, m): identities at its measurements, -1 for none; a VT that began at measurement i has the
+        identity `born` + i. Where that measurement is, in other filters, of a VT that they have, both are of one path,
+        as the likeliest of these has it. log_weight (K,).
         """
         begun = self._identities(mixture)
         begun = begun[begun >= born]
@@ -49,10 +49,10 @@ class Influence:
             return
         begun = np.unique(begun)
         path = begun.copy()
-        for n, looks in enumerate(association[:, begun - born].T):
-            have = np.flatnonzero(np.isin(looks, self.ident))
+        for n, measurements in enumerate(association[:, begun - born].T):
+            have = np.flatnonzero(np.isin(measurements, self.ident))
             if len(have):
-                path[n] = self.path[np.searchsorted(self.ident, looks[have[np.argmax(log_weight[have])]])]
+                path[n] = self.path[np.searchsorted(self.ident, measurements[have[np.argmax(log_weight[have])]])]
         self._add(begun, path)
 
     def weigh(self, mixture: Filter) -> Floats:

@@ -90,7 +90,10 @@ def core_of(setup: Setup, errors: ArrayErrors, drawn: int = 0) -> Core:
 
 
 Tables = TypeVar("Tables", Filter, Block)
-OF_VTS, OF_LOOKS = ("vt_state", "anchor", "slots", "spread"), ("looks", "seen", "e", "q", "measured", "diffuse", "odds")
+OF_VTS, OF_BLOCKS = (
+    ("vt_state", "anchor", "slots", "spread"),
+    ("detections", "seen", "e", "q", "measured", "diffuse", "odds"),
+)
 
 
 Work = Callable[[int, int], object]  # done for every `step`-th filter, from the `first` on
@@ -256,7 +259,7 @@ class Mixture:
             )  # fmt: skip
         if _most_of(arrays.count) + vts > places:
             more = max(places // 2, vts)
-            arrays, blocks = _with_rows(arrays, OF_VTS, more), _with_rows(blocks, OF_LOOKS, more)
+            arrays, blocks = _with_rows(arrays, OF_VTS, more), _with_rows(blocks, OF_BLOCKS, more)
         self.arrays, self.blocks = arrays, blocks
 
     def shares(self) -> Floats:

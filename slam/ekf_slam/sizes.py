@@ -84,9 +84,9 @@ class Sizes(Described):
         return {name: factor for name, factor in out.items() if factor != 1.0}
 
     def _of_white_noise_alone(self, size: int) -> tuple[float, float]:
-        """Return slope and information of a size of white noise whatever the diffuse errors' size is: most of a look is
-        diffuse, and a little less of that is no lack of white noise (effective score; Neyman, "Optimal asymptotic tests
-        of composite statistical hypotheses", 1959)."""
+        """Return slope and information of a size of white noise whatever the diffuse errors' size is: most of a
+        measurement is diffuse, and a little less of that is no lack of white noise (effective score; Neyman, "Optimal
+        asymptotic tests of composite statistical hypotheses", 1959)."""
         slope, information = float(self.slope[size]), float(self.information[size])
         of_diffuse = float(self.information[size + DIFFUSE_SIZE])
         if of_diffuse == 0.0:

@@ -69,12 +69,12 @@ class Start:
             return_log_odds=RETURN_LOG_ODDS, hold=measured.rules.hold // SHORTER, merge_rate=0.0
         )
         measured, ends = measured._replace(rules=rules), measured.now % PRUNE_EVERY == 0
-        site_of_look = np.repeat(self.site, np.diff(measured.first))
+        site_of_measurement = np.repeat(self.site, np.diff(measured.first))
         *associations, _ = side_by_side(
             [*self.mixtures, self.odometry], self.errors, interval, measured, self.options.vts
         )
         for site, (mixture, association) in enumerate(zip(self.mixtures, associations, strict=True)):
-            mine = site_of_look == site
+            mine = site_of_measurement == site
             answer[mine] = association[int(np.argmax(mixture.log_weight)), mine]
             if not ends:
                 continue

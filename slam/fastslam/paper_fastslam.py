@@ -53,7 +53,7 @@ from cellslam.slam import warm_up
 from cellslam.slam.api import Estimate, Setup, Snapshot, VtEstimate
 from cellslam.slam.fastslam.paper_fastslam_options import PaperFastSlamOptions
 from cellslam.slam.front_end.front_end_options import FrontEndOptions
-from cellslam.slam.front_end.looks import Grouping, Looks
+from cellslam.slam.front_end.fusion import FusedMeasurements, Fusion
 from cellslam.slam.front_end.measurement_noise import ports_of
 from cellslam.slam.front_end.readings import readings
 from cellslam.slam.model import matrices_kernel as algebra
@@ -374,8 +374,8 @@ class PaperFastSlam:
     def start(self, setup: Setup, rng: np.random.Generator) -> None:
         """Draw poses and errors of the odometry."""
         o, model, self._rng = self.options, setup.odometry_model, rng
-        self._grouping = Grouping(setup, FrontEndOptions(sharing=o.sharing))
-        links, N = self._grouping.setup.links, o.particles
+        self._fusion = Fusion(setup, FrontEndOptions(sharing=o.sharing))
+        links, N = self._fusion.setup.links, o.particles
         self._model, self._port, self._now, self._born = model, ports_of(links.site, links.port), 0, 0
         self._offset_of = np.array(setup.sites.clock_offset_mean_m[links.site], np.float64)
         r = setup.start_pose + setup.start_std * rng.standard_normal((N, 6))
@@ -393,29 +393,29 @@ class PaperFastSlam:
 
         dt_s in s; odometry (6,): mean body velocities in m/s and rad/s.
         """
-        o, log_w, looks = self.options, self._x.log_w[:, 0], self._grouping.looks(snapshot)
-        m, whole = self._measured(looks, odometry * dt_s)
-        some, association = np.empty((o.particles, len(m.z)), np.int64), np.full(len(looks), -1)
+        o, log_w, measurements = self.options, self._x.log_w[:, 0], self._fusion.fuse(snapshot)
+        m, whole = self._measured(measurements, odometry * dt_s)
+        some, association = np.empty((o.particles, len(m.z)), np.int64), np.full(len(measurements), -1)
         use_snapshot(self._x, m, self._velocities(dt_s, odometry), dt_s, some)
         w = np.exp(log_w - log_w.max())
         w /= w.sum()
         best = int(np.argmax(w))
         association[whole] = some[best]
-        answer = self._grouping.answer(self._estimate(w, best, association), looks)
+        answer = self._fusion.answer(self._estimate(w, best, association), measurements)
         if 1.0 / np.sum(w**2) < o.effective_share * len(w):
             self._resample(w)
-        self._now, self._born = self._now + 1, self._born + len(looks)
+        self._now, self._born = self._now + 1, self._born + len(measurements)
         return answer
 
-    def _measured(self, looks: Looks, moved: Floats) -> tuple[Measured, Ints]:
+    def _measured(self, measurements: FusedMeasurements, moved: Floats) -> tuple[Measured, Ints]:
         """Return the whole measurements of a snapshot, and which are (M,); moved (6,) since the last one."""
-        v = readings(looks, self._port, self._grouping.options, moved[YAW], moved[FORWARD])
+        v = readings(measurements, self._port, self._fusion.options, moved[YAW], moved[FORWARD])
         if self.options.noise == "white":
             v = replace(v, many=v.single, fresh=v.single)
         whole = np.flatnonzero(np.isfinite(v.z).all(axis=1))
         z, single, many, fresh = (column[whole] for column in (v.z, v.single, v.many, v.fresh))
-        z[:, 0] -= self._offset_of[looks.link[whole]]
-        first = np.searchsorted(looks.link[whole], np.arange(len(self._offset_of) + 1))
+        z[:, 0] -= self._offset_of[measurements.link[whole]]
+        first = np.searchsorted(measurements.link[whole], np.arange(len(self._offset_of) + 1))
         lack = 0.5 * np.log(many / single).sum(axis=1)
         return Measured(self._now, self._born, self.options.gate, z, single, many, fresh, lack, first), whole
 

@@ -131,7 +131,8 @@ def _assigned(score: Floats) -> Ints:
 
 
 def outside_gates(candidates: Candidates, candidate_of: Ints) -> Bools:
-    """Return the measurements (m,) in nobody's gate: what lies near a VT is taken for another look at this one."""
+    """Return the measurements (m,) in nobody's gate: what lies near a VT is taken for another measurement of this
+    one."""
     return (candidate_of < 0) & ~np.isfinite(candidates.distance2).any(axis=0)
 
 

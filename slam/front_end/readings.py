@@ -14,7 +14,7 @@ import numpy as np
 from cellslam.sim.described import Described
 from cellslam.sim.recording import Floats, Ints
 from cellslam.slam.front_end.front_end_options import FrontEndOptions
-from cellslam.slam.front_end.looks import Looks
+from cellslam.slam.front_end.fusion import FusedMeasurements
 from cellslam.slam.front_end.readings_kernel import Persisting, combine, repeats, share_new, white_variances
 
 # Widths in distance (m), azimuth and elevation (rad) over which clutter lies about paths: what a missing component
@@ -42,30 +42,36 @@ class Readings(Described):
     merged: Floats = field(default_factory=lambda: np.zeros(3))
 
 
-def readings(looks: Looks, port_of: Ints, options: FrontEndOptions, turn_rad: float, moved_m: float) -> Readings:
-    """Return a snapshot's looks with their variances; since the last one the vehicle has turned and moved so far.
+def readings(
+    measurements: FusedMeasurements, port_of: Ints, options: FrontEndOptions, turn_rad: float, moved_m: float
+) -> Readings:
+    """Return a snapshot's measurements with their variances; since the last one the vehicle has turned and moved so
+    far.
 
     port_of (L,): a number for each pair of site and port.
     """
-    z = np.stack([looks.distance_m, looks.azimuth_rad, looks.elevation_rad], axis=1)
+    z = np.stack([measurements.distance_m, measurements.azimuth_rad, measurements.elevation_rad], axis=1)
     persisting = Persisting(*options.persisting, options.scales)
     return Readings(z, *combine(
-        z, looks.link, port_of, looks.white, looks.ports, looks.doubt, persisting, turn_rad, moved_m, _LOG_WIDTH,
+        z, measurements.link, port_of, measurements.white, measurements.ports, measurements.doubt, persisting,
+        turn_rad, moved_m, _LOG_WIDTH,
     ))  # fmt: skip
 
 
-def white_readings(looks: Looks, options: FrontEndOptions, turn_rad: float, moved_m: float) -> Readings:
-    """Return a snapshot's looks for a filter that has the errors that persist as states: these are white but for those,
-    and `single` has the diffuse error and the sway, too, which are not known before the update.
+def white_readings(
+    measurements: FusedMeasurements, options: FrontEndOptions, turn_rad: float, moved_m: float
+) -> Readings:
+    """Return a snapshot's measurements for a filter that has the errors that persist as states: these are white but for
+    those, and `single` has the diffuse error and the sway, too, which are not known before the update.
 
     A cause without a scale is white. Where paths merge, their directions err as no state does, for as long as the
     vehicle sees them so: for that a share of the roof's variance is counted, as often as one draw of it is repeated.
     """
-    z = np.stack([looks.distance_m, looks.azimuth_rad, looks.elevation_rad], axis=1)
+    z = np.stack([measurements.distance_m, measurements.azimuth_rad, measurements.elevation_rad], axis=1)
     plain, diffuse, sway, merged = options.beside_states
     scale, change = math.radians(options.roof_scale_deg), abs(turn_rad) + abs(moved_m) / options.typical_range_m
     single, many, fresh, gap = white_variances(
-        z, looks.white, looks.ports, looks.doubt, plain, diffuse, sway, merged, _LOG_WIDTH
+        z, measurements.white, measurements.ports, measurements.doubt, plain, diffuse, sway, merged, _LOG_WIDTH
     )
     often = min(repeats(scale, change), MOST_MERGED)
     return Readings(z, single, many, fresh, gap, merged * often)

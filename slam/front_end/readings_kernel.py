@@ -136,8 +136,8 @@ def combine(
 
     z (m, 3): distance (m), azimuth and elevation (rad), NaN where not measured; link (m,), port_of (L,): a number for
     each pair of site and port; white (m, 3): variances of what does not persist; ports (m,): how many ports a
-    measurement is the mean of; doubt (m,): see `Looks`. The vehicle has turned (rad) and moved (m) since the last
-    snapshot; log_width (3,): of clutter, in what is missing.
+    measurement is the mean of; doubt (m,): see `FusedMeasurements`. The vehicle has turned (rad) and moved (m) since
+    the last snapshot; log_width (3,): of clutter, in what is missing.
     """
     m = len(link)
     place, direction, scales = persisting

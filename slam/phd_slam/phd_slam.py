@@ -13,7 +13,7 @@ from cellslam.slam import warm_up
 from cellslam.slam.api import Estimate, Setup, Snapshot, VtEstimate
 from cellslam.slam.front_end import attitude, misfit
 from cellslam.slam.front_end.attitude import Attitude
-from cellslam.slam.front_end.looks import Grouping, Looks
+from cellslam.slam.front_end.fusion import FusedMeasurements, Fusion
 from cellslam.slam.front_end.measurement_noise import ports_of
 from cellslam.slam.front_end.misfit import Misfit
 from cellslam.slam.front_end.readings import Readings, novelty, readings
@@ -72,14 +72,14 @@ class PhdSlam:
 
     def start(self, setup: Setup, rng: np.random.Generator) -> None:
         """Draw the prior: poses, and components of each clock offset's prior."""
-        self._grouping = Grouping(setup, self.options)
-        self._options, self._rng = self._grouping.options, rng
-        links, sites = self._grouping.setup.links, setup.sites
+        self._fusion = Fusion(setup, self.options)
+        self._options, self._rng = self._fusion.options, rng
+        links, sites = self._fusion.setup.links, setup.sites
         self._site_of = np.array(links.site, np.int64)
         self._port_of = ports_of(links.site, links.port)
         self._model, self._drift = setup.odometry_model, np.array(sites.drift_std_m_s, np.float64)
         self._view = FieldOfView(len(links))
-        self._attitude, self._misfit = Attitude(self._options, self._grouping.setup), Misfit(self._options)
+        self._attitude, self._misfit = Attitude(self._options, self._fusion.setup), Misfit(self._options)
         self._particles = self._drawn(setup)
         self._born = len(links)  # anchors have the first identities
 
@@ -89,12 +89,12 @@ class PhdSlam:
         dt_s in s; odometry (6,): mean body velocities in m/s and rad/s.
         """
         o, p = self._options, self._particles
-        looks = self._grouping.looks(snapshot)
+        measurements = self._fusion.fuse(snapshot)
         turned, moved = odometry[3] * dt_s, odometry[0] * dt_s
-        level = self._attitude.levelled(dt_s, looks)
+        level = self._attitude.levelled(dt_s, measurements)
         values = self._misfit.widened(readings(level, self._port_of, o, turned, moved), dt_s)
-        self._view.widen(looks.link, values)
-        measured, first = self._measured(looks, values)
+        self._view.widen(measurements.link, values)
+        measured, first = self._measured(measurements, values)
         model = self._model
         interval = Interval(
             float(dt_s),
@@ -103,12 +103,12 @@ class PhdSlam:
             np.array(model.bias_walk_density),
         )
         walk = self._drift**2 * dt_s * DRIFT_SCALE_S
-        association = np.empty((len(p.pose), len(looks)), np.int64)
+        association = np.empty((len(p.pose), len(measurements)), np.int64)
         use_snapshot(
             p, interval, measured, first, self._rules(dt_s, novelty(o, turned, moved)), walk, self._draws(), association
         )
-        self._born += len(looks)
-        return self._grouping.answer(self._conclude(association, looks, values), looks)
+        self._born += len(measurements)
+        return self._fusion.answer(self._conclude(association, measurements, values), measurements)
 
     def _drawn(self, setup: Setup) -> Particles:
         o, model, sites = self._options, setup.odometry_model, setup.sites
@@ -131,16 +131,16 @@ class PhdSlam:
         drawn -= drawn.mean(axis=0)
         return drawn
 
-    def _measured(self, looks: Looks, values: Readings) -> tuple[Measured, Ints]:
+    def _measured(self, measurements: FusedMeasurements, values: Readings) -> tuple[Measured, Ints]:
         """Return a snapshot as the kernels take it, and the first measurement of each link (L + 1,)."""
         known = np.isfinite(values.z)
         missing = 0.5 * (LOG_TURN + np.log(MISSING)) * np.sum(~known, axis=1)
         single, many, fresh = (np.where(known, q, MISSING) for q in (values.single, values.many, values.fresh))
         gain = missing - values.gap - np.log(self._options.clutter_density)
-        link = np.array(looks.link, np.int64)
+        link = np.array(measurements.link, np.int64)
         measured = Measured(
             np.where(known, values.z, 0.0), known.astype(np.float64), single, many, fresh, gain, link,
-            np.array(looks.begins), self._born,
+            np.array(measurements.begins), self._born,
         )  # fmt: skip
         return measured, np.searchsorted(link, np.arange(len(self._site_of) + 1))
 
@@ -153,7 +153,7 @@ class PhdSlam:
             site_of=self._site_of,
         )  # fmt: skip
 
-    def _conclude(self, association: Ints, looks: Looks, values: Readings) -> Estimate:
+    def _conclude(self, association: Ints, measurements: FusedMeasurements, values: Readings) -> Estimate:
         p = self._particles
         best = int(np.argmax(p.log_weight))
         weight = np.exp(p.log_weight - p.log_weight[best])
@@ -166,7 +166,7 @@ class PhdSlam:
         answer = Estimate(mean, covariance, own, offset, variance, vts)
         pose = p.pose[best].copy()
         self._misfit.learn(answer, values, pose)
-        answer = self._attitude.concluded(answer, looks, values.many, pose)
+        answer = self._attitude.concluded(answer, measurements, values.many, pose)
         if 1.0 / np.sum(weight**2) < self._options.effective_share * len(weight):
             resample(p, systematic(weight, len(weight), self._rng))
         self._reserve()

@@ -15,7 +15,7 @@ import numpy as np
 from cellslam.sim.frames import rotation, rotation_angles
 from cellslam.sim.recording import Floats, Ints
 from cellslam.slam.api import Setup, Snapshot
-from cellslam.slam.front_end.looks import Grouping
+from cellslam.slam.front_end.fusion import Fusion
 from cellslam.slam.front_end.measurement_noise import ports_of
 from cellslam.slam.front_end.readings import readings
 from cellslam.slam.smoother.factor_graph import Problem, Sighting
@@ -112,8 +112,8 @@ def _sightings(
     drive: Drive, legs: Sequence[Leg], frames: Ints, options: SmootherOptions
 ) -> tuple[list[int], tuple[Sighting, ...]]:
     """Return the identities of the VTs in the graph, and all that was seen of them about each keyframe."""
-    grouping = Grouping(drive.setup, options.ekf_slam)
-    setup = grouping.setup
+    fusion = Fusion(drive.setup, options.ekf_slam)
+    setup = fusion.setup
     ids, counts = np.unique(np.concatenate(drive.association), return_counts=True)
     often = ids[(counts >= options.vt_detections) & (ids >= 0)]
     kept = [int(v) for v in often if int(v) in drive.vts]
@@ -127,13 +127,13 @@ def _sightings(
         pose = legs[k].inner[inside - 1] if inside else np.zeros(6)
         relative = np.concatenate([rotation(*pose[3:]).ravel(), pose[:3]])
         u, dt = drive.odometry[t], drive.dt_s[t]
-        looks = grouping.looks(snapshot)
-        found = readings(looks, ports, grouping.options, u[3] * dt, u[0] * dt)
-        answer = np.full(len(looks), -1, np.int64)
-        answer[looks.of] = drive.association[t]
+        measurements = fusion.fuse(snapshot)
+        found = readings(measurements, ports, fusion.options, u[3] * dt, u[0] * dt)
+        answer = np.full(len(measurements), -1, np.int64)
+        answer[measurements.of] = drive.association[t]
         for m, vt in enumerate(answer.tolist()):
             if vt in place and np.isfinite(found.z[m]).all():
-                site = int(setup.links.site[looks.link[m]])
+                site = int(setup.links.site[measurements.link[m]])
                 entry = relative, found.z[m], found.single[m], found.many[m]
                 groups.setdefault((k, place[vt], site), []).append(entry)
     return kept, tuple(_sighting(*key, entries) for key, entries in groups.items())

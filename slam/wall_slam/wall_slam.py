@@ -65,7 +65,8 @@ class WallSlam(JointFilter):
             self._end_walls(measured)
         association = super()._use(interval, measured)
         mixture = self._joint
-        # Between blocks, when no looks wait for the state that they were held against; of a mixture none is changed.
+        # Between blocks, when no measurements wait for the state that they were held against; of a mixture none is
+        # changed.
         between = mixture is not None and len(mixture) == 1 and not mixture.blocks.snapshots[0, 0]
         if mixture is not None and between and measured.now >= self._joined + JOINED_EVERY:
             self._facades.join(one_of(mixture.arrays, 0))

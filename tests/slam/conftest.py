@@ -11,7 +11,7 @@ from cellslam.slam.api import Setup
 from cellslam.slam.ekf_slam.mixture import core_of, new_mixture
 from cellslam.slam.ekf_slam.snapshot.sight_kernel import coordinates, errors_of, geometry, rotations_of
 from cellslam.slam.ekf_slam.snapshot.snapshot_kernel import PENDING, new_room
-from cellslam.slam.ekf_slam.snapshot.update_kernel import Look
+from cellslam.slam.ekf_slam.snapshot.update_kernel import BlockMeasurement
 from cellslam.slam.ekf_slam.state.array_errors import NO_ERRORS
 from cellslam.slam.ekf_slam.state.layout import FREE, Block, Measured, Rules, one_of
 from cellslam.slam.ekf_slam.state.states_kernel import enter, owner_of
@@ -61,7 +61,7 @@ class OneFilter:
         return np.array(root @ root.T)
 
     def model(self, j: int) -> tuple[Floats, Floats]:
-        """Return what is expected of a look at VT j (3,), and its whole Jacobian H (3, n)."""
+        """Return what is expected of a measurement of VT j (3,), and its whole Jacobian H (3, n)."""
         f, s = self.f, self.w.sight
         h = geometry(f, j, self.offset, Vec3(*f.x[:3]), rotations_of(f), coordinates(f, j), s)
         errors = errors_of(f, self.errors, j, h, 1.0, 1.0, NOW, s)
@@ -70,13 +70,15 @@ class OneFilter:
             whole[:, s.at[k]] += s.by[:, k]
         return np.array(h) + np.array(errors) + [f.x[self.offset], 0.0, 0.0], whole
 
-    def look(self, z: Floats, q: Floats) -> Look:
-        """Return a look z (3,) of variances q (3,) from where the filter is."""
+    def measurement(self, z: Floats, q: Floats) -> BlockMeasurement:
+        """Return a measurement z (3,) of variances q (3,) from where the filter is."""
         pose = self.f.x[:6].copy()
-        return Look(z, q, q, pose, Vec3(*pose[:3]), rotations_of(self.f), 1.0, 1.0, NOW, self.f.deviation[:6])
+        return BlockMeasurement(
+            z, q, q, pose, Vec3(*pose[:3]), rotations_of(self.f), 1.0, 1.0, NOW, self.f.deviation[:6]
+        )
 
     def seen(self, z: Floats, q: Floats) -> Measured:
-        """Return looks z (m, 3) of variances q (m, 3) as the kernels take them."""
+        """Return measurements z (m, 3) of variances q (m, 3) as the kernels take them."""
         m = len(z)
         return Measured(
             NOW, 100, np.array([0, m]), np.zeros(1, np.int64), z, q, q, q, np.ones(m), np.zeros(m), z, 0,

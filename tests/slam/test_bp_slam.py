@@ -59,7 +59,7 @@ def test_messages_are_close_with_loops() -> None:
         assert (marginal.sum(axis=1) <= 1.0 + 1e-6).all()
 
 
-def test_existence_sinks_with_misses_and_comes_back_with_a_look(one_filter: Any) -> None:
+def test_existence_sinks_with_misses_and_comes_back_with_a_measurement(one_filter: Any) -> None:
     one = one_filter(mode=BELIEF, log_clutter=-12.0, stay=0.9, back=0.05, detection=0.8, drop=1e-3, birth=0.1)
     one.put([3.0, -2.0, 1.5, 0.7, 0.1, -0.2], 5.0, [80.0, 0.5, 0.2])
     one.f.slots[0, 1], one.f.anchor[0, 3:5] = 5, 1.0

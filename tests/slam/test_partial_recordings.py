@@ -38,7 +38,7 @@ def see(one: Any, now: int, pose: Any, z: Any) -> None:
         return
     j = int(np.argmax(f.anchor[: f.count[0], SHARE]))
     use = correct_guesses if f.anchor[j, SHARE] < 1.0 else correct
-    use(f, NO_ERRORS, j, 6, one.look(z, Q), one.rules, w.sight, w.pending)
+    use(f, NO_ERRORS, j, 6, one.measurement(z, Q), one.rules, w.sight, w.pending)
     add_up(f, w.pending)
     tidy(f, NO_ERRORS, one.block, now, one.rules)
 
@@ -89,8 +89,8 @@ def test_guesses_are_corrected_as_a_schmidt_filter_does(one_filter: Any) -> None
     gain = p @ h.T @ np.linalg.inv(h @ p @ h.T + np.diag(q))
     gain[np.r_[:7, 10:13]] = 0.0
     left = np.eye(13) - gain @ h
-    look = one.look(expected + e + [0.0, 2.0 * np.pi, 0.0], q)
-    given, hph = compare(one.f, NO_ERRORS, 0, 6, look, one.w.sight, one.w.pending)
+    measurement = one.measurement(expected + e + [0.0, 2.0 * np.pi, 0.0], q)
+    given, hph = compare(one.f, NO_ERRORS, 0, 6, measurement, one.w.sight, one.w.pending)
     consider(one.f, 0, innovate(given, q, hph), given, one.w.pending)
     add_up(one.f, one.w.pending)
     np.testing.assert_allclose(one.f.x[:13], x + gain @ e, rtol=1e-9, atol=1e-12)

@@ -318,10 +318,10 @@ def test_where_a_wall_was_not_seen_to_reach_nothing_is_associated_with_it(one_fi
 def test_a_vt_beyond_its_wall_takes_part_no_more(one_filter):
     f, _ = filter_of(one_filter, scene()[:2], 0.3)
     one = one_filter()
-    look = one.seen(np.stack([predict(np.zeros(6), SITES[0])]), np.full((1, 3), 1e-3))
+    measurement = one.seen(np.stack([predict(np.zeros(6), SITES[0])]), np.full((1, 3), 1e-3))
     for beyond, candidates in ((0, 2), (1, 1)):
         f.slots[1, BEYOND] = beyond
-        assert score_pairs(f, NO_ERRORS, look, 0, one.w.sight, one.w.pairs) == candidates
+        assert score_pairs(f, NO_ERRORS, measurement, 0, one.w.sight, one.w.pairs) == candidates
 
 
 @pytest.fixture(scope="module")

@@ -1,4 +1,4 @@
-"""Compiled: which look of a link came from which VT: scores, best assignment.
+"""Compiled: which measurement of a link came from which VT: scores, best assignment.
 
 Source: Blackman and Popoli, Design and Analysis of Modern Tracking Systems, 1999, chapter 6.
 """
@@ -38,7 +38,7 @@ from cellslam.slam.model.matrices_kernel import Sym3, Vec3
 from cellslam.slam.model.measurement_kernel import Rotations
 
 NEARBY_M = 50.0  # walls next to each other make VTs that are so far apart, if they are two
-FRESH, TAKEN = -1, -2  # looks that may begin a VT, and those that nothing is to be made of
+FRESH, TAKEN = -1, -2  # measurements that may begin a VT, and those that nothing is to be made of
 
 
 class Messages(NamedTuple):
@@ -53,9 +53,9 @@ class Messages(NamedTuple):
 
 class Pairs(NamedTuple):
     """Room for the pairs of a link: `score` (C, m), squared Mahalanobis distances `distance2` (C, m), infinite outside
-    the gate, VTs `chosen` (C,) of its rows; of m looks `row_of`, `gated`,
+    the gate, VTs `chosen` (C,) of its rows; of m measurements `row_of`, `gated`,
     `slot_of`; the assignment's `work_f` and `work_i`. By belief propagation: `messages`, and how likely a
-    look began a VT, `exists` (m,)."""
+    measurement began a VT, `exists` (m,)."""
 
     score: Floats
     distance2: Floats
@@ -70,8 +70,8 @@ class Pairs(NamedTuple):
 
 
 class Expected(NamedTuple):
-    """What is expected of a look: distance with the clock offset (m), azimuth, elevation (rad), errors that persist
-    included, and its covariance but for the look's own."""
+    """What is expected of a measurement: distance with the clock offset (m), azimuth, elevation (rad), errors that
+    persist included, and its covariance but for the measurement's own."""
 
     z: Vec3
     hph: Sym3
@@ -79,7 +79,7 @@ class Expected(NamedTuple):
 
 @lean
 def expect(f: Filter, a: ArrayErrors, j: int, offset: int, turned: Rotations, s: Sight) -> Expected:
-    """Return what is expected of a look at VT j at this moment.
+    """Return what is expected of a measurement of VT j at this moment.
 
     Weights of the calibration are in it as states; what is not in the state, the roof, diffuse errors and turns have
     their whole variance: for that they need not be known better.
@@ -108,13 +108,14 @@ def expect(f: Filter, a: ArrayErrors, j: int, offset: int, turned: Rotations, s:
 
 @lean
 def difference(z: Floats, expected: Vec3) -> Vec3:
-    """Return what a look (3,), in m and rad, differs by from what is expected; azimuth not wrapped."""
+    """Return what a measurement (3,), in m and rad, differs by from what is expected; azimuth not wrapped."""
     return Vec3(z[0] - expected.x, z[1] - expected.y, z[2] - expected.z)
 
 
 @lean
 def log_odds_of_return(i: Innovation, z: Floats, range_m: float) -> float:
-    """Return the log-odds that a look z (3,) is of the VT which it is held against, not of another one near its place.
+    """Return the log-odds that a measurement z (3,) is of the VT which it is held against, not of another one near its
+    place.
 
     By distance and azimuth, range_m away: elevations tell little, all images of a site have one height. The other one
     may be anywhere within NEARBY_M either way; a component that was not measured says nothing.
@@ -129,7 +130,7 @@ def log_odds_of_return(i: Innovation, z: Floats, range_m: float) -> float:
 
 @lean
 def score_pairs(f: Filter, a: ArrayErrors, seen: Measured, link: int, s: Sight, w: Pairs) -> int:
-    """Score the looks of a link against its VTs; return how many candidates there are.
+    """Score the measurements of a link against its VTs; return how many candidates there are.
 
     Written: w.score (C, m): log-likelihood ratio of a pair to "missed, and clutter", -inf outside the gate; w.chosen
     (C,): VT of each row; w.gated (m,): 1 in somebody's gate.
@@ -179,8 +180,8 @@ def score_pairs(f: Filter, a: ArrayErrors, seen: Measured, link: int, s: Sight, 
 
 @lean
 def associate(f: Filter, a: ArrayErrors, seen: Measured, link: int, s: Sight, w: Pairs) -> int:
-    """Write into w.row_of (m,) the row of `chosen` for each look of a link, -1 none: the best sum of scores; return how
-    many rows there are."""
+    """Write into w.row_of (m,) the row of `chosen` for each measurement of a link, -1 none: the best sum of scores;
+    return how many rows there are."""
     rows = score_pairs(f, a, seen, link, s, w)
     assign(w.score, rows, seen.first[link + 1] - seen.first[link], w.row_of, w.work_f, w.work_i)
     return rows

@@ -83,8 +83,8 @@ def _claims_on(xi: float, zeta: Floats, rows: int) -> float:
 
 @lean
 def believe(f: Filter, a: ArrayErrors, seen: Measured, link: int, s: Sight, w: Pairs) -> None:
-    """Write into w.slot_of (m,) the VT that more likely than not made each look of a link, FRESH or TAKEN, and into
-    w.exists (m,) how likely a new VT is that it began; VTs' existence is predicted and updated.
+    """Write into w.slot_of (m,) the VT that more likely than not made each measurement of a link, FRESH or TAKEN, and
+    into w.exists (m,) how likely a new VT is that it began; VTs' existence is predicted and updated.
 
     Existence is a Markov chain of visible and hidden; only what was confirmed comes back (paper: survival probability).
     With r the probability that a VT exists and p_D that of its detection, a missed one exists with

@@ -63,12 +63,12 @@ def give_birth(
     f: Filter, a: ArrayErrors, j: int, offset: int, z: Floats, q: Floats, ranged: bool, diffuse: float, now: int,
     s: Sight, w: Pending,
 ) -> bool:  # fmt: skip
-    """Begin VT j where a look points to once the errors are taken off it that are believed in; return whether there was
-    room.
+    """Begin VT j where a measurement points to once the errors are taken off it that are believed in; return whether
+    there was room.
 
-    z, q (3,): the look in m and rad, and its variances; ranged: the distance was measured, with the clock offset in it;
-    diffuse: share of the diffuse errors in it. With D the Jacobian by the VT and H that by all other states, the VT is
-    D^-1 (z - H x): its covariance D^-1 (H P H^T + Q) D^-T, that with the others -D^-1 H P.
+    z, q (3,): the measurement in m and rad, and its variances; ranged: the distance was measured, with the clock offset
+    in it; diffuse: share of the diffuse errors in it. With D the Jacobian by the VT and H that by all other states, the
+    VT is D^-1 (z - H x): its covariance D^-1 (H P H^T + Q) D^-T, that with the others -D^-1 H P.
     """
     first = f.size[0]
     if first + 3 > len(f.x):
@@ -116,7 +116,7 @@ def add(
     f: Filter, a: ArrayErrors, b: Block, seen: Measured, link: int, ident: int, k: int, z: Floats, q: Floats,
     ranged: bool, s: Sight, w: Pending,
 ) -> bool:  # fmt: skip
-    """Begin a VT with look k of a snapshot, as z with variances q (3,); return whether there was room.
+    """Begin a VT with measurement k of a snapshot, as z with variances q (3,); return whether there was room.
 
     Unconfirmed VTs make room before confirmed ones, then the longest unseen; confirmed ones given up are kept.
     """
@@ -145,7 +145,7 @@ def add(
 @lean
 def clear(b: Block, j: int) -> None:
     """Forget what the block has of VT j."""
-    b.looks[j] = 0
+    b.detections[j] = 0
     b.e[j] = 0.0
     b.q[j] = 0.0
     b.measured[j] = 0.0
@@ -159,7 +159,7 @@ def _gives_way(f: Filter, b: Block, now: int, confirm: int) -> int:
     worst, rank = -1, math.inf
     for j in range(f.count[0]):
         place = f.vt_state[j, VT]
-        if f.slots[j, LAST] < now and b.looks[j] == 0 and f.p[place, place] > 0.0:
+        if f.slots[j, LAST] < now and b.detections[j] == 0 and f.p[place, place] > 0.0:
             value = f.slots[j, LAST] + (1e9 if f.slots[j, HITS] >= confirm else 0.0)
             if value < rank:
                 worst, rank = j, value
@@ -182,7 +182,7 @@ def remove(f: Filter, b: Block, j: int) -> None:
             f.vt_state[j, c], f.vt_state[last, c] = place, -1
             if place >= 0:
                 f.owner[place] = owner_of(j, c, f.vt_state.shape[1])
-        b.looks[j], b.diffuse[j], b.odds[j] = b.looks[last], b.diffuse[last], b.odds[last]
+        b.detections[j], b.diffuse[j], b.odds[j] = b.detections[last], b.diffuse[last], b.odds[last]
         put(b.seen[j], b.seen[last])
         put(b.e[j], b.e[last])
         put(b.q[j], b.q[last])

@@ -1,8 +1,9 @@
-"""Compiled: an update leaves unknown what no look can show: where the world's frame lies, and how it is turned.
+"""Compiled: an update leaves unknown what no measurement can show: where the world's frame lies, and how it is turned.
 
-Looks are relative: with vehicle and VTs shifted and turned together they are the same. The covariance holds in which
-directions of the state that is, as derivatives at an estimate. When the estimate moves, they do, too. A covariance that
-stays behind lets the next looks seem to show them: the filter becomes too sure, the more so the finer its distances.
+FusedMeasurements are relative: with vehicle and VTs shifted and turned together they are the same. The covariance holds
+in which directions of the state that is, as derivatives at an estimate. When the estimate moves, they do, too. A
+covariance that stays behind lets the next measurements seem to show them: the filter becomes too sure, the more so the
+finer its distances.
 
 So it is carried over. With dp, dpsi, dv errors of place, yaw and a VT's coordinates v, C the derivative of the VT's
 place l by v, and J a right angle about the vertical, the covariance of

@@ -1,9 +1,9 @@
 """Compiled: VTs whose direction or distance was not measured: several guesses, of which time leaves one.
 
 A lone distance begins VTs around the circle, a lone direction begins VTs at distances that double, all of them with one
-identity and a share of the probability each: a Gaussian sum for one VT. While guesses are left, looks correct them and
-their shares, but not the pose or the clock offset, which are considered only: whatever a wrong guess would teach does
-no harm. Guesses that agree become one, and the last one is a VT like any other.
+identity and a share of the probability each: a Gaussian sum for one VT. While guesses are left, measurements correct
+them and their shares, but not the pose or the clock offset, which are considered only: whatever a wrong guess would
+teach does no harm. Guesses that agree become one, and the last one is a VT like any other.
 
 Sources: Alspach and Sorenson, "Nonlinear Bayesian estimation using Gaussian sum approximations", IEEE Trans. Automatic
 Control 17(4), 1972; Sola et al., "Undelayed initialization in bearing only SLAM", IROS 2005 (distances that grow
@@ -25,8 +25,8 @@ from cellslam.slam.ekf_slam.snapshot.birth_kernel import add
 from cellslam.slam.ekf_slam.snapshot.sight_kernel import Sight
 from cellslam.slam.ekf_slam.snapshot.update_kernel import (
     LOG_2PI,
+    BlockMeasurement,
     Innovation,
-    Look,
     Pending,
     blank,
     compare,
@@ -60,7 +60,7 @@ AGREE = 0.5  # guesses this close, in their deviations, are one
 
 @lean
 def possible(z: Floats, b: float) -> bool:
-    """Return whether a VT can begin with a look z (3,): its distance, its azimuth or both are known.
+    """Return whether a VT can begin with a measurement z (3,): its distance, its azimuth or both are known.
 
     A distance must be 1 m beyond the clock offset b (m).
     """
@@ -68,8 +68,9 @@ def possible(z: Floats, b: float) -> bool:
 
 
 class Births(NamedTuple):
-    """Looks as VTs begin with them: `z` (m, 3) in m and rad, NaN where none may begin; variances `q` (m, 3); and how
-    many `guesses` there are, if all of them begin, of VTs of which a distance or an azimuth is not known."""
+    """FusedMeasurements as VTs begin with them: `z` (m, 3) in m and rad, NaN where none may begin; variances `q` (m,
+    3); and how many `guesses` there are, if all of them begin, of VTs of which a distance or an azimuth is not
+    known."""
 
     z: Floats
     q: Floats
@@ -78,7 +79,7 @@ class Births(NamedTuple):
 
 @njit(cache=True)
 def births(z: Floats, q: Floats, begins: NDArray[np.bool_], flat: float) -> Births:
-    """Return looks as VTs begin with them: those that may (m,), on the horizon where there is no elevation.
+    """Return measurements as VTs begin with them: those that may (m,), on the horizon where there is no elevation.
 
     z (m, 3): in m and rad, NaN where not measured; q (m, 3): variances; flat: that of an elevation not measured, rad^2.
     """
@@ -97,7 +98,7 @@ def births(z: Floats, q: Floats, begins: NDArray[np.bool_], flat: float) -> Birt
 def begin(
     f: Filter, a: ArrayErrors, b: Block, seen: Measured, link: int, ident: int, k: int, s: Sight, w: Pending
 ) -> None:
-    """Give birth to a VT, or to its guesses, with look k of a snapshot."""
+    """Give birth to a VT, or to its guesses, with measurement k of a snapshot."""
     z, q = seen.begin[k], seen.fresh[k]
     ranged = not math.isnan(z[0])
     whole = ranged and not math.isnan(z[1])
@@ -130,9 +131,9 @@ def is_guess(f: Filter, i: int, link: int, ident: int) -> bool:
 
 @lean
 def correct_guesses(
-    f: Filter, a: ArrayErrors, j: int, offset: int, look: Look, rules: Rules, s: Sight, w: Pending
+    f: Filter, a: ArrayErrors, j: int, offset: int, measurement: BlockMeasurement, rules: Rules, s: Sight, w: Pending
 ) -> float:
-    """Update the guesses of the VT that j is one of by a look; return its log-density.
+    """Update the guesses of the VT that j is one of by a measurement; return its log-density.
 
     Guesses given up have the share 0.
     """
@@ -150,8 +151,8 @@ def correct_guesses(
         if is_guess(f, i, link, ident):
             f.slots[i, LAST], f.slots[i, HITS] = last, hits
             if share[i] > 0.0:
-                e, hph = compare(f, a, i, offset, look, s, w)
-                new = innovate(e, look.q, hph)
+                e, hph = compare(f, a, i, offset, measurement, s, w)
+                new = innovate(e, measurement.q, hph)
                 distance2, log_det = log_likelihood(new)
                 share[i] = math.log(share[i]) + max(-0.5 * (distance2 + log_det + new.measured * LOG_2PI), -1e6)
                 best = max(best, share[i])
@@ -165,12 +166,12 @@ def correct_guesses(
     left, only = _unite(f, link, ident, total)
     if left == 1:
         share[only] = 1.0
-        correct(f, a, only, offset, look, rules, s, w)
+        correct(f, a, only, offset, measurement, rules, s, w)
     else:
         for i in range(f.count[0]):
             if is_guess(f, i, link, ident) and share[i] > 0.0:
-                e, hph = compare(f, a, i, offset, look, s, w)
-                consider(f, i, innovate(e, look.q, hph), e, w)
+                e, hph = compare(f, a, i, offset, measurement, s, w)
+                consider(f, i, innovate(e, measurement.q, hph), e, w)
     return best + math.log(total)
 
 

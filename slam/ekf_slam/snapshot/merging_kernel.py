@@ -1,7 +1,7 @@
 """Compiled: whether another path has merged with that of a VT.
 
 What the array cannot resolve is measured as one path, somewhere between: azimuths of a VT err by some degrees from one
-moment to the next, and for as long as that lasts. A single look does not tell, a jump does. So each VT has a
+moment to the next, and for as long as that lasts. A single measurement does not tell, a jump does. So each VT has a
 probability that another path has merged with its own, that of a hidden Markov chain with two modes, and its azimuths
 count for less by it.
 
@@ -45,14 +45,14 @@ def expect_merging(f: Filter, rate: float, dt: float) -> None:
 
 
 @lean
-def look_beside(
+def expect_beside(
     f: Filter, b: Block, j: int, offset: int, seen: Spherical, place: Vec3, turned: Rotations, confirm: int, s: Sight
 ) -> None:
     """Expect that another path has merged with that of VT j, seen there (m and rad) in this block, where a confirmed VT
     that is not seen has its place within what is resolved."""
     for i in range(f.count[0]):
         sought = f.slots[i, LINK] == f.slots[j, LINK] and f.slots[i, HITS] >= confirm and f.anchor[i, SHARE] == 1.0
-        if i == j or b.looks[i] > 0 or not sought:
+        if i == j or b.detections[i] > 0 or not sought:
             continue
         other = geometry(f, i, offset, place, turned, coordinates(f, i), s)
         if (
@@ -67,8 +67,9 @@ def look_beside(
 def allow_for_merging(f: Filter, j: int, e: float, s: Sym3, q: float) -> tuple[Sym3, float]:
     """Judge by the innovation e (rad) of its azimuth whether another path has merged with that of VT j.
 
-    s: covariance of the innovation, in m and rad, of which q (rad^2) is the look's. Return the covariance that the
-    azimuth counts with, and by what the log-density of such a look, merged or not, is greater than by that covariance.
+    s: covariance of the innovation, in m and rad, of which q (rad^2) is the measurement's. Return the covariance that
+    the azimuth counts with, and by what the log-density of such a measurement, merged or not, is greater than by that
+    covariance.
     """
     before, wide, e2 = f.anchor[j, MERGED], s.yy + SHIFT2, e * e
     plain, merged = math.log(s.yy) + e2 / s.yy, math.log(wide) + e2 / wide

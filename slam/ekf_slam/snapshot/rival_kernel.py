@@ -1,7 +1,7 @@
 """Compiled: the likeliest other association of a snapshot that would move the vehicle or a clock noticeably.
 
-A rival differs from the best assignment of a link by one look: left out, given to a VT that has none, or exchanged with
-the look of another VT. Most are near doubles that lead to the same estimate, and are no rivals.
+A rival differs from the best assignment of a link by one measurement: left out, given to a VT that has none, or
+exchanged with the measurement of another VT. Most are near doubles that lead to the same estimate, and are no rivals.
 
 Source: Reid, "An algorithm for tracking multiple targets", IEEE Trans. Automatic Control 24(6), 1979: hypotheses are
 kept apart where measurements leave a doubt, and joined where they agree.
@@ -26,8 +26,8 @@ NONE = -1
 
 
 class Rival(NamedTuple):
-    """The best rival of a snapshot: `loss` (1,) of log-likelihood, infinite where there is none; `change` (4,): look
-    and slot, twice, NONE for no second one."""
+    """The best rival of a snapshot: `loss` (1,) of log-likelihood, infinite where there is none; `change` (4,):
+    measurement and slot, twice, NONE for no second one."""
 
     loss: Floats
     change: Ints
@@ -35,7 +35,8 @@ class Rival(NamedTuple):
 
 @lean
 def find_rival(f: Filter, a: ArrayErrors, seen: Measured, link: int, rows: int, s: Sight, w: Pairs, out: Rival) -> None:
-    """Look for a rival of the assignment of a link, w.row_of (m,), that loses less than the one in `out`."""
+    """BlockMeasurement for a rival of the assignment of a link, w.row_of (m,), that loses less than the one in
+    `out`."""
     start = seen.first[link]
     columns = seen.first[link + 1] - start
     for c in range(columns):
@@ -60,17 +61,17 @@ def find_rival(f: Filter, a: ArrayErrors, seen: Measured, link: int, rows: int, 
 
 
 @lean
-def _put(out: Rival, loss: float, look: int, slot: int, second: int, second_slot: int) -> None:
+def _put(out: Rival, loss: float, measurement: int, slot: int, second: int, second_slot: int) -> None:
     out.loss[0] = loss
-    out.change[0], out.change[1], out.change[2], out.change[3] = look, slot, second, second_slot
+    out.change[0], out.change[1], out.change[2], out.change[3] = measurement, slot, second, second_slot
 
 
 @lean
 def _moves(
     f: Filter, a: ArrayErrors, seen: Measured, link: int, row: int, before: int, after: int, s: Sight, w: Pairs
 ) -> bool:
-    """Return whether place, heading or clock would move noticeably if the VT of a row had the look `after` of the link
-    and not the look `before` (NONE: none)."""
+    """Return whether place, heading or clock would move noticeably if the VT of a row had the measurement `after` of
+    the link and not the measurement `before` (NONE: none)."""
     j, start = w.chosen[row], seen.first[link]
     if f.anchor[j, SHARE] < 1.0:  # a guess moves nothing else
         return False

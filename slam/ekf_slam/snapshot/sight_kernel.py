@@ -48,8 +48,8 @@ PERMITTIVITY = 5.0  # of the ground, about that of concrete
 
 
 class Sight(NamedTuple):
-    """The Jacobian of a look: `by` (3, W), of which `size` (1,) columns are in use, and `at` (W,), the states they are
-    by; `cells`, `values` (MOST_BELLS,): scratch."""
+    """The Jacobian of a measurement: `by` (3, W), of which `size` (1,) columns are in use, and `at` (W,), the states
+    they are by; `cells`, `values` (MOST_BELLS,): scratch."""
 
     at: Ints
     by: Floats
@@ -90,10 +90,11 @@ def coordinates(f: Filter, j: int) -> Spherical:
 
 @lean
 def geometry(f: Filter, j: int, offset: int, place: Vec3, turned: Rotations, vt: Spherical, s: Sight) -> Spherical:
-    """Begin the Jacobian s of a look at VT j with pose, clock offset and VT; return h without the offset, m and rad.
+    """Begin the Jacobian s of a measurement of VT j with pose, clock offset and VT; return h without the offset, m and
+    rad.
 
     Seen from a place (m) with the rotation `turned`, the VT having these coordinates about its anchor. A place besides
-    the present one, as that of an earlier look, turns with the vehicle.
+    the present one, as that of an earlier measurement, turns with the vehicle.
     """
     anchor, at = Vec3(f.anchor[j, 0], f.anchor[j, 1], f.anchor[j, 2]), f.vt_state[j]
     way = vec_minus(vec_plus(anchor, vec_scaled(direction(vt.azimuth, vt.elevation), vt.distance)), place)
@@ -156,9 +157,9 @@ def believed(f: Filter, g: Grid, std: Floats, first: int, seen: Spherical, s: Si
 
 @lean
 def turns(f: Filter, seen: Spherical, share: float, s: Sight) -> Vec3:
-    """Add the turns of the array within a snapshot to the Jacobian; return what they do to a look, in m and rad.
+    """Add the turns of the array within a snapshot to the Jacobian; return what they do to a measurement, in m and rad.
 
-    share: what of their deviation is left in the look, which may be a mean over a while.
+    share: what of their deviation is left in the measurement, which may be a mean over a while.
     """
     if f.core.sway[0] < 0:
         return Vec3(0.0, 0.0, 0.0)
@@ -174,7 +175,7 @@ def turns(f: Filter, seen: Spherical, share: float, s: Sight) -> Vec3:
 
 @lean
 def ground(f: Filter, seen: Spherical, s: Sight) -> Vec3:
-    """Add what the ground reflects to the Jacobian of a look; return what it does to it, in m and rad.
+    """Add what the ground reflects to the Jacobian of a measurement; return what it does to it, in m and rad.
 
     A path that is reflected from the ground besides arrives from as far below the horizon, too little later to be told
     apart. The elevation measured is the mean of both, weighted by their powers: 1, and the square of Fresnel's
@@ -195,8 +196,8 @@ def ground(f: Filter, seen: Spherical, s: Sight) -> Vec3:
 def diffuse(f: Filter, j: int, std: Floats, share: float, enters: bool, s: Sight) -> Vec3:
     """Add a VT's diffuse errors to the Jacobian; return them, in m and rad.
 
-    std (3,): deviations; share: what of them is left in the look; enters: whether those enter that are not in the
-    state.
+    std (3,): deviations; share: what of them is left in the measurement; enters: whether those enter that are not in
+    the state.
     """
     value = Vec3(0.0, 0.0, 0.0)
     for c in range(3):
@@ -216,7 +217,8 @@ def diffuse(f: Filter, j: int, std: Floats, share: float, enters: bool, s: Sight
 def errors_of(
     f: Filter, a: ArrayErrors, j: int, seen: Spherical, diffuse_share: float, turn_share: float, now: int, s: Sight
 ) -> Vec3:
-    """Add all errors that persist to the Jacobian of a look at VT j; return their sum as it is believed, m and rad."""
+    """Add all errors that persist to the Jacobian of a measurement of VT j; return their sum as it is believed, m and
+    rad."""
     value = field(f, a.calibration_grid, a.calibration, 0, seen, now, s)
     value = vec_plus(value, field(f, a.roof_grid, a.roof, roof_first(a), seen, now, s))
     value = vec_plus(value, turns(f, seen, turn_share, s))

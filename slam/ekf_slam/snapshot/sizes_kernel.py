@@ -3,8 +3,8 @@
 A size is a standard deviation. With s the error that it is of, V = size^2 what is assumed of it and m, v the mean and
 the variance that the measurements leave of s, the slope of the log-likelihood in log size is the sum over all s of (m^2
 + v) / V - 1, and its information, about, of 2 ((V - v) / V)^2. Where the size is right the slope has mean zero and the
-information as its variance: a test; their ratio is a step towards the likeliest size. The same looks tell of white
-noise and of diffuse errors: what the slopes of both have in common is summed up, too.
+information as its variance: a test; their ratio is a step towards the likeliest size. The same measurements tell of
+white noise and of diffuse errors: what the slopes of both have in common is summed up, too.
 
 Sources: Fisher's identity, as in Louis, "Finding the observed information matrix when using the EM algorithm", J. Royal
 Statistical Society B 44, 1982; Mehra, "Approaches to adaptive filtering", IEEE Trans. Automatic Control 17(5), 1972.
@@ -41,7 +41,7 @@ def count(f: Filter, size: int, assumed: float, mean2: float, left: float) -> No
 
 @lean
 def count_white(f: Filter, e: Vec3, s: Sym3, q: Floats) -> None:
-    """Take in the white noise of a look, of variances q (3,) in m^2 and rad^2.
+    """Take in the white noise of a measurement, of variances q (3,) in m^2 and rad^2.
 
     Its innovation is e with the covariance s, 0 and 1 where nothing was measured. An error of variance V in component
     c has the mean V (s^-1 e)_c and the variance V - V^2 (s^-1)_cc.
@@ -57,7 +57,7 @@ def count_white(f: Filter, e: Vec3, s: Sym3, q: Floats) -> None:
 
 @lean
 def count_diffuse(f: Filter, c: int, assumed: float, white: float, t: Vec3, e: Vec3, s: Sym3) -> None:
-    """Take in by how much a look changes what is known of a diffuse error of component c: only news counts.
+    """Take in by how much a measurement changes what is known of a diffuse error of component c: only news counts.
 
     assumed: its variance before; t: its covariance with the innovation e, of covariance s, in which that component has
     noise of variance `white`. It changes by t s^-1 e, and its variance by t s^-1 t.

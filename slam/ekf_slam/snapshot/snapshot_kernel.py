@@ -1,7 +1,8 @@
 """Compiled: one snapshot for every filter of a mixture, and the update at the end of each block of snapshots.
 
-Looks are associated and counted at every snapshot; what those at a VT differ by from what is expected is averaged over
-a block, some tenths of a second at most, and the state is updated by the means. A mean is of the middle place.
+FusedMeasurements are associated and counted at every snapshot; what those at a VT differ by from what is expected is
+averaged over a block, some tenths of a second at most, and the state is updated by the means. A mean is of the middle
+place.
 
 Source: Bar-Shalom, Li and Kirubarajan, Estimation with Applications to Tracking and Navigation, 2001, section 5.
 """
@@ -21,7 +22,7 @@ from cellslam.slam.ekf_slam.snapshot.belief_kernel import believe
 from cellslam.slam.ekf_slam.snapshot.birth_kernel import clear, tidy
 from cellslam.slam.ekf_slam.snapshot.gauge_kernel import carry_over
 from cellslam.slam.ekf_slam.snapshot.guess_kernel import begin, correct_guesses, possible
-from cellslam.slam.ekf_slam.snapshot.merging_kernel import expect_merging, look_beside
+from cellslam.slam.ekf_slam.snapshot.merging_kernel import expect_beside, expect_merging
 from cellslam.slam.ekf_slam.snapshot.motion_kernel import Interval, Step, forget, move
 from cellslam.slam.ekf_slam.snapshot.rival_kernel import Rival, find_rival
 from cellslam.slam.ekf_slam.snapshot.sight_kernel import Sight, coordinates, geometry, rotations_of
@@ -29,7 +30,7 @@ from cellslam.slam.ekf_slam.snapshot.sizes_kernel import SWAY, count_motion, cou
 from cellslam.slam.ekf_slam.snapshot.steps_kernel import expect_steps, shift_clocks, take_steps
 from cellslam.slam.ekf_slam.snapshot.update_kernel import (
     LOG_2PI,
-    Look,
+    BlockMeasurement,
     Pending,
     Steps,
     add_up,
@@ -67,14 +68,14 @@ from cellslam.slam.model.measurement_kernel import rotations
 
 UNLIKELY = (
     -4.6
-)  # the most that the looks at a VT in a block can say against a filter: one in a hundred is of another VT
-PENDING = 51  # rows of what looks take off the covariance that may wait
+)  # the most that the measurements of a VT in a block can say against a filter: one in a hundred is of another VT
+PENDING = 51  # rows of what measurements take off the covariance that may wait
 
 
 class Paired(NamedTuple):
-    """How the looks of a snapshot are paired in K filters: `slot_of` (K, m), `exists` (K, m) as in `Pairs`; `loss`
-    (K, 1) and `change` (K, 4) of the best rivals; `ends` (K,): 1 where the block ends with this snapshot; and once it
-    is used, `ident` (K, m): identities of the VTs, -1 for none."""
+    """How the measurements of a snapshot are paired in K filters: `slot_of` (K, m), `exists` (K, m) as in `Pairs`;
+    `loss` (K, 1) and `change` (K, 4) of the best rivals; `ends` (K,): 1 where the block ends with this snapshot; and
+    once it is used, `ident` (K, m): identities of the VTs, -1 for none."""
 
     slot_of: Ints
     exists: Floats
@@ -109,8 +110,8 @@ def advance(f: Filter, b: Block, interval: Interval, w: Step) -> None:
 
 @lean
 def pair(f: Filter, a: ArrayErrors, seen: Measured, s: Sight, w: Pairs, rival: Rival) -> None:
-    """Write into w.slot_of (m,) the VT of each look: FRESH for what may begin one, TAKEN for what may not; and into
-    `rival` the best other association."""
+    """Write into w.slot_of (m,) the VT of each measurement: FRESH for what may begin one, TAKEN for what may not; and
+    into `rival` the best other association."""
     for link in range(len(seen.first) - 1):
         start, stop = seen.first[link], seen.first[link + 1]
         if f.links[link] == 0:
@@ -135,8 +136,8 @@ def pair(f: Filter, a: ArrayErrors, seen: Measured, s: Sight, w: Pairs, rival: R
 def count_odds(f: Filter, b: Block, seen: Measured, w: Pairs) -> None:
     """Add to each VT's log-odds that it was detected or missed in this snapshot.
 
-    The first look at a VT of a remembered map, or at one that returns, counts as whole: that something is where the map
-    has it, is news.
+    The first measurement of a VT of a remembered map, or at one that returns, counts as whole: that something is where
+    the map has it, is news.
     """
     horizon = seen.tables.shape[2] - 1
     for j in range(f.count[0]):
@@ -148,7 +149,7 @@ def count_odds(f: Filter, b: Block, seen: Measured, w: Pairs) -> None:
         if j >= 0:
             kind, age = 0 if f.slots[j, HITS] < 2 else 1, min(seen.now - f.slots[j, LAST], horizon)
             odds = seen.tables[kind, 0, age] - seen.tables[kind, 1, age] - seen.rules.log_clutter - seen.gap[k]
-            if (f.slots[j, UNSEEN] == 1 or seen.now - f.slots[j, LAST] > seen.rules.away) and b.looks[j] == 0:
+            if (f.slots[j, UNSEEN] == 1 or seen.now - f.slots[j, LAST] > seen.rules.away) and b.detections[j] == 0:
                 any_vt = known_density(seen.z[k], seen.many[k])
                 f.anchor[j, WORTH] += odds - any_vt
                 odds = any_vt
@@ -157,7 +158,8 @@ def count_odds(f: Filter, b: Block, seen: Measured, w: Pairs) -> None:
 
 @lean
 def known_density(z: Floats, q: Floats) -> float:
-    """Return minus the mean log-density of a look (3,), NaN where not measured, at a VT that is known exactly."""
+    """Return minus the mean log-density of a measurement (3,), NaN where not measured, at a VT that is known
+    exactly."""
     total = 0.0
     for c in range(3):
         total += 0.0 if math.isnan(z[c]) else 0.5 * (1.0 + LOG_2PI + math.log(q[c]))
@@ -166,7 +168,8 @@ def known_density(z: Floats, q: Floats) -> float:
 
 @part
 def take_in(f: Filter, b: Block, seen: Measured, association: Ints, s: Sight, w: Pairs) -> None:
-    """Take what the looks at VTs differ by from what is expected, errors that persist left out, into the block."""
+    """Take what the measurements of VTs differ by from what is expected, errors that persist left out, into the
+    block."""
     turned, here, n = rotations_of(f), Vec3(f.x[0], f.x[1], f.x[2]), b.snapshots[0]
     put(b.pose[n], f.x[:POSE])
     for c in range(POSE):
@@ -184,8 +187,8 @@ def take_in(f: Filter, b: Block, seen: Measured, association: Ints, s: Sight, w:
             _count(b, j, 1, wrap(seen.z[k, 1] - h.azimuth), seen.many[k, 1])
             _count(b, j, 2, seen.z[k, 2] - h.elevation, seen.many[k, 2])
             b.diffuse[j] += seen.diffuse[k] ** 2
-            b.seen[j, b.looks[j]] = n
-            b.looks[j] += 1
+            b.seen[j, b.detections[j]] = n
+            b.detections[j] += 1
             link_slot = f.slots[j]
             link_slot[LAST] = seen.now
             link_slot[HITS] += 1
@@ -204,8 +207,8 @@ def _count(b: Block, j: int, c: int, e: float, q: float) -> None:
 def give_births(
     f: Filter, a: ArrayErrors, b: Block, seen: Measured, association: Ints, s: Sight, w: Pairs, p: Pending
 ) -> None:
-    """Begin VTs with looks that nothing explains; that says nothing of a filter: else it could win by looks that it
-    does not explain."""
+    """Begin VTs with measurements that nothing explains; that says nothing of a filter: else it could win by
+    measurements that it does not explain."""
     rules = seen.rules
     for link in range(len(seen.first) - 1):
         offset = f.core.first_offset + seen.site_of[link]
@@ -226,8 +229,9 @@ def give_births(
 
 @lean
 def shares(b: Block, a: ArrayErrors, j: int) -> tuple[float, float]:
-    """Return what of the deviation of diffuse errors and of turns is left in the mean of a VT's looks in the block."""
-    n, by_way, by_time = b.looks[j], 0.0, 0.0
+    """Return what of the deviation of diffuse errors and of turns is left in the mean of a VT's measurements in the
+    block."""
+    n, by_way, by_time = b.detections[j], 0.0, 0.0
     for i in range(n):
         for k in range(n):
             way, time = b.at[b.seen[j, i], 0] - b.at[b.seen[j, k], 0], b.at[b.seen[j, i], 1] - b.at[b.seen[j, k], 1]
@@ -238,11 +242,11 @@ def shares(b: Block, a: ArrayErrors, j: int) -> tuple[float, float]:
 
 @lean
 def count_surprise(
-    f: Filter, a: ArrayErrors, j: int, offset: int, look: Look, gate: float, s: Sight, p: Pending
+    f: Filter, a: ArrayErrors, j: int, offset: int, measurement: BlockMeasurement, gate: float, s: Sight, p: Pending
 ) -> None:
-    """Take in how far the first look at VT j of a remembered map is from where the map has it."""
-    e, hph = compare(f, a, j, offset, look, s, p)
-    new = innovate(e, look.q, hph)
+    """Take in how far the first measurement of VT j of a remembered map is from where the map has it."""
+    e, hph = compare(f, a, j, offset, measurement, s, p)
+    new = innovate(e, measurement.q, hph)
     f.surprise[0] += min(log_likelihood(new)[0], gate)
     f.surprise[1] += new.measured
     f.slots[j, UNSEEN] = 0
@@ -263,12 +267,12 @@ def update_by_block(f: Filter, a: ArrayErrors, b: Block, seen: Measured, s: Sigh
     rules = seen.rules
     z, q, white = np.empty(3), np.empty(3), np.empty(3)
     for j in range(f.count[0]):
-        if b.looks[j] == 0:
+        if b.detections[j] == 0:
             f.anchor[j, WORTH] += rules.evidence * b.odds[j]
             clear(b, j)
             continue
         offset = f.core.first_offset + seen.site_of[f.slots[j, LINK]]
-        at = b.seen[j, b.looks[j] // 2]
+        at = b.seen[j, b.detections[j] // 2]
         middle = b.pose[at]
         there, turned = Vec3(middle[0], middle[1], middle[2]), rotations(middle[3], middle[4], middle[5])
         h = geometry(f, j, offset, there, turned, coordinates(f, j), s)
@@ -279,21 +283,21 @@ def update_by_block(f: Filter, a: ArrayErrors, b: Block, seen: Measured, s: Sigh
             white[c] = b.q[j, c] / (n * n) if n > 0.0 else 1.0
             q[c] = white[c] + (seen.merged[c] / n if n > 0.0 else 0.0)
         if rules.merge_rate > 0.0:
-            look_beside(f, b, j, offset, h, there, turned, rules.confirm, s)
+            expect_beside(f, b, j, offset, h, there, turned, rules.confirm, s)
         diffuse, turn = shares(b, a, j)
-        look = Look(z, q, white, middle, there, turned, diffuse, turn, seen.now, b.deviation[at])
+        measurement = BlockMeasurement(z, q, white, middle, there, turned, diffuse, turn, seen.now, b.deviation[at])
         if f.slots[j, UNSEEN] == 1:
-            count_surprise(f, a, j, offset, look, rules.gate, s, p)
+            count_surprise(f, a, j, offset, measurement, rules.gate, s, p)
         if f.anchor[j, SHARE] < 1.0:
-            fit = correct_guesses(f, a, j, offset, look, rules, s, p)
+            fit = correct_guesses(f, a, j, offset, measurement, rules, s, p)
         else:
-            fit = correct(f, a, j, offset, look, rules, s, p)
+            fit = correct(f, a, j, offset, measurement, rules, s, p)
         known = 0.0
         for c in range(3):
             if b.measured[j, c] > 0.0:
                 known += 0.5 * (1.0 + LOG_2PI + math.log(q[c] + (diffuse * a.diffuse[c]) ** 2))
         # A pair's density counts as fit in so far as it is one VT's or another's; what any VT would have is evidence.
-        f.anchor[j, WORTH] += max(fit + known, UNLIKELY) + rules.evidence * (b.odds[j] - b.looks[j] * known)
+        f.anchor[j, WORTH] += max(fit + known, UNLIKELY) + rules.evidence * (b.odds[j] - b.detections[j] * known)
         clear(b, j)
 
 
@@ -339,7 +343,7 @@ def advance_mixture(
     pairing: bool, using: bool, first: int, step: int,
 ) -> None:  # fmt: skip
     """Go on with every `step`-th of the K filters of a mixture, from the first on: by `pairing`, move it, and pair a
-    snapshot's looks with its VTs; by `using`, use the snapshot as it is paired.
+    snapshot's measurements with its VTs; by `using`, use the snapshot as it is paired.
 
     To `rest` (K,) is added what is in the log-weights beside the worth of VTs.
     """
@@ -369,10 +373,10 @@ def advance_mixture(
 
 
 @part
-def new_room(f: Filter, looks: int, pending: int) -> Room:
-    """Return room for one filter, a snapshot of so many looks, and so many rows that are pending."""
+def new_room(f: Filter, m: int, pending: int) -> Room:
+    """Return room for one filter, a snapshot of m measurements, and so many rows that are pending."""
     states, vts, particles = len(f.x), len(f.slots), len(f.weight)
-    work, rows = 4 * (vts + looks + 2), len(f.core.step_m) + 1
+    work, rows = 4 * (vts + m + 2), len(f.core.step_m) + 1
     steps = Steps(np.zeros(1, np.int64), np.zeros((rows, states)), np.zeros(rows), np.zeros(rows))
     return Room(
         Step(np.empty((POSE, f.core.size + POSE)), np.empty((POSE, states))),
@@ -381,13 +385,13 @@ def new_room(f: Filter, looks: int, pending: int) -> Room:
             np.empty(MOST_BELLS),
         ),
         Pairs(
-            np.empty((vts, looks)), np.empty((vts, looks)), np.empty(vts, np.int64), np.empty(looks, np.int64),
-            np.empty(looks, np.int64), np.empty(looks, np.int64), np.empty(work), np.empty(work, np.int64),
+            np.empty((vts, m)), np.empty((vts, m)), np.empty(vts, np.int64), np.empty(m, np.int64),
+            np.empty(m, np.int64), np.empty(m, np.int64), np.empty(work), np.empty(work, np.int64),
             Messages(
-                np.empty((vts, looks)), np.empty((vts, looks)), np.empty((vts, looks)), np.empty((vts, looks)),
-                np.empty(looks),
+                np.empty((vts, m)), np.empty((vts, m)), np.empty((vts, m)), np.empty((vts, m)),
+                np.empty(m),
             ),
-            np.empty(looks),
+            np.empty(m),
         ),
         Pending(
             np.empty((pending, states)), np.zeros(1, np.int64), np.zeros(states), np.empty((3, states)), steps,

@@ -1,4 +1,4 @@
-"""Compiled: steps of clocks, found by what all looks of a site are off by together.
+"""Compiled: steps of clocks, found by what all measurements of a site are off by together.
 
 A small step leaves its mark in a block's innovations: of a unit step at the block's begin, `left` of a state's error is
 still to be corrected after some updates, and H left is what the next innovation shows of it. The ratio of likelihoods
@@ -6,8 +6,8 @@ with and without a step, times the probability of a step in a block, decides. If
 one, so that by Markov's inequality the probability of a false alarm is no greater than that probability. Wheels that
 slip put all sites off: what a shift of the vehicle along its way explains as well is no step.
 
-A large step takes all looks out of the gates. That one shift of the distances would explain what no confirmed VT does
-is evidence in the same way, at once where several looks agree, in a few snapshots where a site has but one.
+A large step takes all measurements out of the gates. That one shift of the distances would explain what no confirmed VT
+does is evidence in the same way, at once where several measurements agree, in a few snapshots where a site has but one.
 
 Source: Willsky and Jones, "A generalized likelihood ratio approach to the detection and estimation of jumps in linear
 systems", IEEE Trans. Automatic Control 21(1), 1976.
@@ -24,15 +24,17 @@ from cellslam.slam.ekf_slam.snapshot.sight_kernel import Sight, rotations_of
 from cellslam.slam.ekf_slam.snapshot.update_kernel import Steps, innovate
 from cellslam.slam.ekf_slam.state.layout import HITS, LAST, LINK, ArrayErrors, Block, Filter, Measured, Rules
 
-AGREE = 2  # looks whose agreement on a shift is evidence at once
-ALONE = 3.0  # a look that is alone can give this part of the evidence needed in a snapshot, so that it takes several
+AGREE = 2  # measurements whose agreement on a shift is evidence at once
+ALONE = (
+    3.0  # a measurement that is alone can give this part of the evidence needed in a snapshot, so that it takes several
+)
 SLIP_M = 1.0  # deviation of how far slipping wheels shift the vehicle in a block
 RECENT = 16  # snapshots after which a VT that was seen no more is not evidence alone: another may be in its direction
 
 
 class Shift(NamedTuple):
-    """A shift of a site's distances: `size` (m), its `variance` (m^2); by how much more likely looks are with it,
-    `gain`, and how many more are `paired`."""
+    """A shift of a site's distances: `size` (m), its `variance` (m^2); by how much more likely measurements are with
+    it, `gain`, and how many more are `paired`."""
 
     size: float
     variance: float
@@ -85,8 +87,9 @@ def _likely_size(steps: Steps, row: int, std_m: float) -> Shift:
 
 @lean
 def shift_clocks(f: Filter, b: Block, a: ArrayErrors, seen: Measured, s: Sight, w: Pairs) -> bool:
-    """Shift the clock of each site whose looks, as paired in w.slot_of, confirmed VTs explain if distances are shifted;
-    return whether there is any. The evidence of a site that nothing explains adds up over snapshots in `b.shift`."""
+    """Shift the clock of each site whose measurements, as paired in w.slot_of, confirmed VTs explain if distances are
+    shifted; return whether there is any. The evidence of a site that nothing explains adds up over snapshots in
+    `b.shift`."""
     shifted, rules = False, seen.rules
     if rules.step == -math.inf:
         return False
@@ -114,7 +117,7 @@ def shift_clocks(f: Filter, b: Block, a: ArrayErrors, seen: Measured, s: Sight, 
 
 @lean
 def _explained(f: Filter, seen: Measured, site: int, w: Pairs) -> tuple[int, int]:
-    """Return how many looks of a site are of confirmed VTs, and how many others have a distance."""
+    """Return how many measurements of a site are of confirmed VTs, and how many others have a distance."""
     known, unknown = 0, 0
     for link in range(len(seen.first) - 1):
         if seen.site_of[link] == site and f.links[link] == 1:
@@ -129,8 +132,8 @@ def _explained(f: Filter, seen: Measured, site: int, w: Pairs) -> tuple[int, int
 
 @lean
 def _worth(f: Filter, a: ArrayErrors, seen: Measured, site: int, shift: float, s: Sight, w: Pairs) -> tuple[float, int]:
-    """Return the log-likelihood ratio to clutter of a site's looks that are of confirmed VTs, if its clock is shifted
-    by so many m, and how many there are."""
+    """Return the log-likelihood ratio to clutter of a site's measurements that are of confirmed VTs, if its clock is
+    shifted by so many m, and how many there are."""
     offset, score, paired = f.core.first_offset + site, 0.0, 0
     before = f.x[offset]
     f.x[offset] += shift
@@ -148,7 +151,8 @@ def _worth(f: Filter, a: ArrayErrors, seen: Measured, site: int, shift: float, s
 
 @lean
 def _likely_shift(f: Filter, a: ArrayErrors, seen: Measured, site: int, s: Sight, w: Pairs) -> Shift:
-    """Return the shift of a site's distances that most looks agree on; a look alone must be of a VT seen lately."""
+    """Return the shift of a site's distances that most measurements agree on; a measurement alone must be of a VT seen
+    lately."""
     score, paired = _worth(f, a, seen, site, 0.0, s, w)
     turned, rules, best = rotations_of(f), seen.rules, Shift(0.0, 1.0, 0.0, 0)
     for j in range(f.count[0]):

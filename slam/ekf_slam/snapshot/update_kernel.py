@@ -1,9 +1,9 @@
-"""Compiled: innovation of one look, its likelihood, and the Kalman update of the whole state.
+"""Compiled: innovation of one measurement, its likelihood, and the Kalman update of the whole state.
 
-Several looks are taken in before the state is written, and are linearised about the same one: what they add to the mean
-waits, as what they take off the covariance, P - G^T G, in the rows of G.
-Source: Bar-Shalom, Li and Kirubarajan, "Estimation with applications to tracking and navigation", 2001, section 5.2,
-with S = R R^T and gains whitened by R.
+Several measurements are taken in before the state is written, and are linearised about the same one: what they add to
+the mean waits, as what they take off the covariance, P - G^T G, in the rows of G. Source: Bar-Shalom, Li and
+Kirubarajan, "Estimation with applications to tracking and navigation", 2001, section 5.2, with S = R R^T and gains
+whitened by R.
 """
 
 from __future__ import annotations
@@ -51,8 +51,8 @@ class Steps(NamedTuple):
 
 class Pending(NamedTuple):
     """What updates have taken off the covariance: `rows` (K, N), of which `used` (1,), and `added` (N,) to the mean;
-    `t` (3, N): H P of a look; what the looks say of `steps`; and, where there are particles, the innovations that the
-    rows go with, `whitened` (K, C) of each particle and `whitened_mean` (K,)."""
+    `t` (3, N): H P of a measurement; what the measurements say of `steps`; and, where there are particles, the
+    innovations that the rows go with, `whitened` (K, C) of each particle and `whitened_mean` (K,)."""
 
     rows: Floats
     used: Ints
@@ -66,8 +66,8 @@ class Pending(NamedTuple):
 LIKELY = 9.0  # squared distance of an innovation: up to here it fits
 
 
-class Look(NamedTuple):
-    """A look, or the mean of several: `z`, `q` (3,): distance, azimuth, elevation in m and rad, NaN where not
+class BlockMeasurement(NamedTuple):
+    """A measurement, or the mean of several: `z`, `q` (3,): distance, azimuth, elevation in m and rad, NaN where not
     measured, and their variances, `white` (3,) but for what merged paths do; seen from the `pose` (6,), which is
     `place` (m) and the rotation `turned`, by each particle from a pose that differs from this one by `deviation`
     (6, C); `diffuse`, `turn`: what is left in it of the deviation of these errors; `now`: snapshot."""
@@ -97,7 +97,7 @@ class Innovation(NamedTuple):
 def innovate(e: Vec3, q: Floats, hph: Sym3) -> Innovation:
     """Return the innovation e (m and rad, NaN where not measured) with its covariance.
 
-    q (3,): variances of the look; hph: H P H^T.
+    q (3,): variances of the measurement; hph: H P H^T.
     """
     far, across, up = not math.isnan(e.x), not math.isnan(e.y), not math.isnan(e.z)
     s = Sym3(
@@ -234,24 +234,26 @@ def add_up(f: Filter, w: Pending) -> None:
 
 
 @lean
-def correct(f: Filter, a: ArrayErrors, j: int, offset: int, look: Look, rules: Rules, s: Sight, w: Pending) -> float:
-    """Take in what a look at VT j says of the whole state; return its log-density."""
+def correct(
+    f: Filter, a: ArrayErrors, j: int, offset: int, measurement: BlockMeasurement, rules: Rules, s: Sight, w: Pending
+) -> float:
+    """Take in what a measurement of VT j says of the whole state; return its log-density."""
     if w.used[0] + 6 > len(w.rows):
         settle(f, w)
-    e, hph = compare(f, a, j, offset, look, s, w)
+    e, hph = compare(f, a, j, offset, measurement, s, w)
     blank(w, e)
     spread, lacks = spread_of(f, j, e), 0.0
-    new = innovate(e, look.q, sym_plus(hph, spread))
+    new = innovate(e, measurement.q, sym_plus(hph, spread))
     plain = new.s
     if rules.merge_rate > 0.0 and not math.isnan(e.y):
-        allowed, lacks = allow_for_merging(f, j, new.e.y, new.s, look.q[1])
+        allowed, lacks = allow_for_merging(f, j, new.e.y, new.s, measurement.q[1])
         new = Innovation(new.e, allowed, new.measured)
     share = likely_share(new)
-    count_sizes(f, j, look, Innovation(vec_scaled(new.e, math.sqrt(share)), plain, new.measured), w)
+    count_sizes(f, j, measurement, Innovation(vec_scaled(new.e, math.sqrt(share)), plain, new.measured), w)
     widened = sym_scaled(new.s, 1.0 / share)
     counted = Innovation(new.e, sym_minus(widened, spread), new.measured)
     if len(f.weight) > 0:
-        innovate_particles(f, j, offset, look, e, counted, s, w)
+        innovate_particles(f, j, offset, measurement, e, counted, s, w)
     density = update(f, counted, w)
     if len(f.weight) > 0:
         distance2, log_det = log_likelihood(Innovation(new.e, widened, new.measured))
@@ -272,10 +274,10 @@ def spread_of(f: Filter, j: int, e: Vec3) -> Sym3:
 
 @lean
 def innovate_particles(
-    f: Filter, j: int, offset: int, look: Look, e: Vec3, mean: Innovation, s: Sight, w: Pending
+    f: Filter, j: int, offset: int, measurement: BlockMeasurement, e: Vec3, mean: Innovation, s: Sight, w: Pending
 ) -> None:
-    """Write the next three rows of w.whitened: what a look at VT j differs by from what each particle expects, given
-    the looks before it in the block, whitened by the covariance of the mean's innovation.
+    """Write the next three rows of w.whitened: what a measurement of VT j differs by from what each particle expects,
+    given the measurements before it in the block, whitened by the covariance of the mean's innovation.
 
     e: the mean's innovation as `compare` returns it. Geometry is that of each particle, errors of the array are linear.
     """
@@ -286,9 +288,9 @@ def innovate_particles(
     own = solved(root, mean.e)
     w.whitened_mean[k], w.whitened_mean[k + 1], w.whitened_mean[k + 2] = own.x, own.y, own.z
     whole, at = vec_plus(e, times(s, w.added)), f.vt_state[j]
-    expected = _seen_by(f, j, look, -1)
+    expected = _seen_by(f, j, measurement, -1)
     for c in range(len(f.weight)):
-        h = _seen_by(f, j, look, c)
+        h = _seen_by(f, j, measurement, c)
         far[c] = whole.x + expected.distance - h.distance - d[offset, c]
         across[c] = wrap(whole.y + expected.azimuth - h.azimuth)
         up[c] = whole.z + expected.elevation - h.elevation
@@ -308,17 +310,17 @@ def innovate_particles(
 
 
 @lean
-def _seen_by(f: Filter, j: int, look: Look, particle: int) -> Spherical:
+def _seen_by(f: Filter, j: int, measurement: BlockMeasurement, particle: int) -> Spherical:
     """Return the distance (m) and direction (rad) of VT j as a particle has both, or the mean (-1)."""
     at, x, d = f.vt_state[j], f.x, f.deviation
-    distance, azimuth, elevation, place, turned = x[at[0]], x[at[1]], x[at[2]], look.place, look.turned.r
+    distance, azimuth, elevation, place, turned = x[at[0]], x[at[1]], x[at[2]], measurement.place, measurement.turned.r
     if particle >= 0:
         distance += d[at[0], particle]
         azimuth += d[at[1], particle]
         elevation += d[at[2], particle]
-        by = look.deviation[:, particle]
+        by = measurement.deviation[:, particle]
         place = Vec3(place.x + by[0], place.y + by[1], place.z + by[2])
-        turned = rotations(look.pose[3] + by[3], look.pose[4] + by[4], look.pose[5] + by[5]).r
+        turned = rotations(measurement.pose[3] + by[3], measurement.pose[4] + by[4], measurement.pose[5] + by[5]).r
     anchor = Vec3(f.anchor[j, 0], f.anchor[j, 1], f.anchor[j, 2])
     way = vec_minus(vec_plus(anchor, vec_scaled(direction(azimuth, elevation), distance)), place)
     return spherical(transposed_vec(turned, way))
@@ -364,12 +366,12 @@ def _shown(left: Floats, e: Vec3, s: Sight) -> Vec3:
 
 
 @lean
-def count_sizes(f: Filter, j: int, look: Look, i: Innovation, w: Pending) -> None:
-    """Take in what a look at VT j, whose T is in w.t, says of the sizes of white noise and diffuse errors.
+def count_sizes(f: Filter, j: int, measurement: BlockMeasurement, i: Innovation, w: Pending) -> None:
+    """Take in what a measurement of VT j, whose T is in w.t, says of the sizes of white noise and diffuse errors.
 
     As if no paths merged: what is counted for that is none of these sizes.
     """
-    q, white = look.q, look.white
+    q, white = measurement.q, measurement.white
     s = Sym3(
         i.s.xx + white[0] - q[0], i.s.xy, i.s.xz, i.s.yy + white[1] - q[1], i.s.yz, i.s.zz + white[2] - q[2]
     )  # fmt: skip
@@ -395,10 +397,12 @@ def likely_share(i: Innovation) -> float:
 
 
 @lean
-def compare(f: Filter, a: ArrayErrors, j: int, offset: int, look: Look, s: Sight, w: Pending) -> tuple[Vec3, Sym3]:
-    """Return what a look at VT j differs by from what is expected, and H P H^T; H P is left in w.t."""
-    seen, z = geometry(f, j, offset, look.place, look.turned, coordinates(f, j), s), look.z
-    errors = errors_of(f, a, j, seen, look.diffuse, look.turn, look.now, s)
+def compare(
+    f: Filter, a: ArrayErrors, j: int, offset: int, measurement: BlockMeasurement, s: Sight, w: Pending
+) -> tuple[Vec3, Sym3]:
+    """Return what a measurement of VT j differs by from what is expected, and H P H^T; H P is left in w.t."""
+    seen, z = geometry(f, j, offset, measurement.place, measurement.turned, coordinates(f, j), s), measurement.z
+    errors = errors_of(f, a, j, seen, measurement.diffuse, measurement.turn, measurement.now, s)
     e = Vec3(
         z[0] - seen.distance - f.x[offset] - errors.x, z[1] - seen.azimuth - errors.y, z[2] - seen.elevation - errors.z
     )

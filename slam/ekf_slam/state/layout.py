@@ -19,13 +19,13 @@ VT, DIFFUSE, VT_STATES = 0, 3, 6
 LINK, HITS, LAST, IDENT, UNSEEN, BEYOND, SLOT = range(7)
 # Behind the three coordinates of an anchor: the probability that the VT exists and is visible (belief propagation);
 # what share a guess has in its VT (1: the only one, 0: given up); the probability that another path has merged
-# with that of the VT; and the log-ratio of the likelihood of its looks to that of clutter.
+# with that of the VT; and the log-ratio of the likelihood of its measurements to that of clutter.
 EXISTS, SHARE, MERGED, WORTH, ANCHOR = range(3, 8)
 # What the measurements may do to the map.
 FREE, KNOWN_ASSOCIATION, KNOWN_MAP, BELIEF = range(4)
 # A VT of the map: identity, link, position (3), covariance (9).
 POSITION, SPREAD, ENTRY = 2, 5, 14
-# States that one look touches at most: pose, sway, ground, clock offset, VT and its diffuse errors; weights of
+# States that one measurement touches at most: pose, sway, ground, clock offset, VT and its diffuse errors; weights of
 # five fields.
 TOUCHED = POSE + 3 + 1 + 1 + VT_STATES + 5 * MOST_BELLS
 
@@ -93,10 +93,10 @@ class Filter(NamedTuple):
     mean `x` (N,), covariance `p` (N, N), of which `size` (1,) are in use; `owner` (N,); `weight_state` (W,): place of
     each weight of the fields, `weight_met` (W,): snapshot; `vt_state` (V, 6): places of a VT's states, -1 where there
     is none; `anchor` (V, 7); `slots` (V, 7); `count` (1,): VTs; `links` (L,): 1 where it uses a link; confirmed VTs
-    that were given up are in `lost` (E, 14), `losses` (1,) of them; `sizes`
-    (3, Z): what was learnt of the sizes (see `sizes_kernel`), `summed` (1,): time (s) of the sums of noise; `surprise`
-    (2,): sum of the squared innovations, in their deviations, of first looks at VTs of a remembered map, and how many
-    components they had. A VT that is known exactly has states without variance.
+    that were given up are in `lost` (E, 14), `losses` (1,) of them; `sizes` (3, Z): what was learnt of the sizes (see
+    `sizes_kernel`), `summed` (1,): time (s) of the sums of noise; `surprise` (2,): sum of the squared innovations, in
+    their deviations, of first measurements of VTs of a remembered map, and how many components they had. A VT that is
+    known exactly has states without variance.
 
     A filter with C particles (see `slam.fastslam`): x is their weighted mean and p the covariance that they share;
     particle c has the mean x + `deviation` (N, C)[:, c] and the `weight` (C,)[c]; `spread` (V, 6): covariance over the
@@ -132,8 +132,8 @@ class Rules(NamedTuple):
     Mahalanobis distance; `confirm`: detections that confirm a VT; `age_once`, `age_twice`: snapshots after which one
     that was seen once, or a few times, is dropped. A block ends after so many `snapshots`, so long a `way` (m) or
     `turn` (rad); `evidence`: what share of detections and misses counts; `hold`: snapshots after which a weight that
-    was not met is given up; `return_log_odds`: least log-odds that a look is of a VT which was last seen more than
-    `away` snapshots ago, not of another one nearby; `doubt`: what a rival association may lose of log-likelihood.
+    was not met is given up; `return_log_odds`: least log-odds that a measurement is of a VT which was last seen more
+    than `away` snapshots ago, not of another one nearby; `doubt`: what a rival association may lose of log-likelihood.
     Belief propagation: odds of a `birth` against clutter, probabilities that a visible VT stays so, that a hidden one
     comes `back`, of `detection`, and below which a VT is given up, `drop`. `step`: log-probability that a clock which
     may step does so in a block. `merge_rate`: how often another path merges with that of a VT, 1/s; 0: never.
@@ -163,15 +163,15 @@ class Rules(NamedTuple):
 
 
 class Measured(NamedTuple):
-    """One snapshot of m looks as the kernels take it, snapshot number `now`.
+    """One snapshot of m measurements as the kernels take it, snapshot number `now`.
 
-    `born`: identity of look 0 as a VT; `first` (L + 1,): first look of each link; `site_of` (L,); `z` (m, 3): in m
-    and rad, NaN where not measured; variances (m, 3) besides those of the states: `single` of a look, `many` of
-    what it counts for in an update, `fresh` of a birth; `merged` (3,): what updates take beside `many`; `diffuse`
-    (m,): share of the diffuse errors' deviation that is left in a look; `gap` (m,): what the log-density of clutter
-    is greater by; `begin` (m, 3): looks as births take them, with a prior where there is no elevation, NaN where
-    none may begin, and how many `guesses` that may need room for; `given` (m,): true VT of each look in mode
-    KNOWN_ASSOCIATION; `tables` (2, 2, H): see `front_end.visibility.existence`.
+    `born`: identity of measurement 0 as a VT; `first` (L + 1,): first measurement of each link; `site_of` (L,); `z` (m,
+    3): in m and rad, NaN where not measured; variances (m, 3) besides those of the states: `single` of a measurement,
+    `many` of what it counts for in an update, `fresh` of a birth; `merged` (3,): what updates take beside `many`;
+    `diffuse` (m,): share of the diffuse errors' deviation that is left in a measurement; `gap` (m,): what the
+    log-density of clutter is greater by; `begin` (m, 3): measurements as births take them, with a prior where there is
+    no elevation, NaN where none may begin, and how many `guesses` that may need room for; `given` (m,): true VT of each
+    measurement in mode KNOWN_ASSOCIATION; `tables` (2, 2, H): see `front_end.visibility.existence`.
     """
 
     now: int
@@ -196,18 +196,18 @@ class Block(NamedTuple):
     """What has been measured since the last update, up to B snapshots: `snapshots` (1,); of each its `pose` (B, 6), way
     (m) and time (s) from the begin `at` (B, 2); `total` (3,): way, turn (rad), time.
 
-    Of each VT: how many `looks` (V,), in which snapshots `seen` (V, B); sums of innovations, variances and how many
-    were measured: `e`, `q`, `measured` (V, 3), of squared shares of diffuse errors `diffuse` (V,), and of the log-odds
-    of what was detected and missed `odds` (V,). Of each site, across blocks: the `shift` (S, 2) of its clock that looks
-    speak for lately, in m, and how strongly. Of each snapshot, too: by how much the poses of C particles differ from
-    `pose`, `deviation` (B, 6, C).
+    Of each VT: how many `detections` (V,), in which snapshots `seen` (V, B); sums of innovations, variances and how
+    many were measured: `e`, `q`, `measured` (V, 3), of squared shares of diffuse errors `diffuse` (V,), and of the
+    log-odds of what was detected and missed `odds` (V,). Of each site, across blocks: the `shift` (S, 2) of its clock
+    that measurements speak for lately, in m, and how strongly. Of each snapshot, too: by how much the poses of C
+    particles differ from `pose`, `deviation` (B, 6, C).
     """
 
     snapshots: Ints
     pose: Floats
     at: Floats
     total: Floats
-    looks: Ints
+    detections: Ints
     seen: Ints
     e: Floats
     q: Floats
@@ -233,7 +233,7 @@ def one_of(mixture: Filter, k: int) -> Filter:
 def block_of(blocks: Block, k: int) -> Block:
     """Return the block of filter k of a mixture."""
     return Block(
-        blocks.snapshots[k], blocks.pose[k], blocks.at[k], blocks.total[k], blocks.looks[k], blocks.seen[k],
+        blocks.snapshots[k], blocks.pose[k], blocks.at[k], blocks.total[k], blocks.detections[k], blocks.seen[k],
         blocks.e[k], blocks.q[k], blocks.measured[k], blocks.diffuse[k], blocks.odds[k],
         blocks.shift[k], blocks.deviation[k],
     )  # fmt: skip

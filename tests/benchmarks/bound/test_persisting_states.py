@@ -68,7 +68,7 @@ class JointFilter:
         assert recording.truth is not None
         self.core = core_of(recording.odometry_model, recording.sites)
         self.motion, self.noise, self.walk = linear_motion(recording, recording.truth, self.core)
-        self.looks, self.rows, self.errors = tracked_measurements(recording, recording.truth, self.core)
+        self.views, self.rows, self.errors = tracked_measurements(recording, recording.truth, self.core)
         self.vts, self.steps = 3 * (int(self.rows.key.max()) + 1), len(recording.time_s)
         start = np.diag(start_variance(recording, self.core))
         self.covariance = block_diag(start, broad_std**2 * np.eye(self.vts), np.eye(len(self.errors.last)))
@@ -90,11 +90,11 @@ class JointFilter:
         h = np.zeros((high - low, 3, self.size))
         first_error = self.core.size + self.vts
         for i, m in enumerate(range(low, high)):
-            look, vt = self.rows.look[m], self.core.size + 3 * self.rows.key[m]
-            h[i, :, :6], h[i, :, vt : vt + 3] = self.looks.by_pose[look], self.looks.by_vt[look]
-            h[i, 0, self.looks.offset[look]] = 1
+            view, vt = self.rows.view[m], self.core.size + 3 * self.rows.key[m]
+            h[i, :, :6], h[i, :, vt : vt + 3] = self.views.by_pose[view], self.views.by_vt[view]
+            h[i, 0, self.views.offset[view]] = 1
             for r in range(3):
-                for state, load in zip(self.looks.state[look, r], self.looks.load[look, r], strict=True):
+                for state, load in zip(self.views.state[view, r], self.views.load[view, r], strict=True):
                     h[i, r, first_error + state] += load * (state >= 0)
                 if self.rows.state[m, r] >= 0:
                     h[i, r, first_error + self.rows.state[m, r]] += self.rows.load[r]
@@ -200,7 +200,7 @@ def test_bound_equals_the_joint_recursion_with_the_same_states(make_recording, m
         now = np.eye(joint.size)[joint.core.offsets] + drifted[t][:, None] * np.eye(joint.size)[rate]
         offset = np.sqrt(np.diag(now @ joint.covariance @ now.T))
         np.testing.assert_allclose(result.clock_offset_std_m[t], offset, rtol=1e-5)
-    assert set(joint.errors.kind) == {0, 1, 2} and (joint.looks.state < 0).any()
+    assert set(joint.errors.kind) == {0, 1, 2} and (joint.views.state < 0).any()
     assert joint.size < 800
 
 

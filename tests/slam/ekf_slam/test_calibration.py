@@ -24,7 +24,7 @@ from cellslam.slam.ekf_slam.ekf_slam import EkfSlam
 from cellslam.slam.ekf_slam.ekf_slam_options import EkfSlamOptions
 from cellslam.slam.ekf_slam.state.layout import one_of
 from cellslam.slam.ekf_slam.state.states_kernel import leave
-from cellslam.slam.front_end.looks import Grouping
+from cellslam.slam.front_end.fusion import Fusion
 from cellslam.slam.front_end.readings import white_readings
 from cellslam.slam.model.calibration import Calibration
 from cellslam.slam.model.field_kernel import loads
@@ -167,12 +167,12 @@ def test_filters_of_the_start_begin_with_what_is_known(
 
 def test_a_share_of_the_roof_is_counted_as_often_as_a_draw_is_repeated(drives: tuple[Recording, Recording]) -> None:
     """What merged paths do to directions is none of the states."""
-    grouping = Grouping(setup_of(drives[1]), EkfSlamOptions())
-    looks = grouping.looks(snapshots_of(drives[1])[0])
-    options = grouping.options
-    counted = white_readings(looks, options, 0.02 * 0.1, 1.0 * 0.1)
+    fusion = Fusion(setup_of(drives[1]), EkfSlamOptions())
+    measurements = fusion.fuse(snapshots_of(drives[1])[0])
+    options = fusion.options
+    counted = white_readings(measurements, options, 0.02 * 0.1, 1.0 * 0.1)
     smooth = type(options)(**{**options.model_dump(), "roof_azimuth_deg": 0.0, "roof_elevation_deg": 0.0})
-    none = white_readings(looks, smooth, 0.02 * 0.1, 1.0 * 0.1)
+    none = white_readings(measurements, smooth, 0.02 * 0.1, 1.0 * 0.1)
     share = 0.1 * options.roof**2
     assert len(counted.z) > 3 and share[1] > 0.0
     for part in ("single", "fresh"):
@@ -181,7 +181,7 @@ def test_a_share_of_the_roof_is_counted_as_often_as_a_draw_is_repeated(drives: t
     # In 0.1 s the direction turns by 0.02 * 0.1 + 1.0 * 0.1 / 200 = 0.0025 rad; sqrt(2 pi) * 2 deg / 0.0025 = 35.0.
     np.testing.assert_array_equal(counted.many, none.many)
     np.testing.assert_allclose(counted.merged, 35.0 * share, rtol=1e-4)
-    np.testing.assert_allclose(white_readings(looks, options, 0.0, 0.0).merged, 400.0 * share, rtol=1e-9)
+    np.testing.assert_allclose(white_readings(measurements, options, 0.0, 0.0).merged, 400.0 * share, rtol=1e-9)
 
 
 def test_mixture_counts_what_one_filter_has_not_met_as_its_prior(learnt: EkfSlam, calibration: Calibration) -> None:

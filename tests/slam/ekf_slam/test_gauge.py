@@ -1,4 +1,4 @@
-"""What no look can show, a common shift and turn of vehicle and VTs, stays unknown when the estimate moves."""
+"""What no measurement can show, a common shift and turn of vehicle and VTs, stays unknown when the estimate moves."""
 
 from __future__ import annotations
 
@@ -53,7 +53,7 @@ def carried(one: Any, before: Floats, after: Floats, p: Floats) -> Floats:
     return np.array(one.f.p[: one.n, : one.n])
 
 
-def test_looks_are_blind_to_where_the_frame_lies(states: tuple[Any, Floats, Floats]) -> None:
+def test_measurements_are_blind_to_where_the_frame_lies(states: tuple[Any, Floats, Floats]) -> None:
     one, _, after = states
     directions = unseen(one, after)
     one.f.x[: one.n] = after
@@ -88,7 +88,8 @@ def test_all_else_is_kept_as_seen_from_the_vehicle(states: tuple[Any, Floats, Fl
 
 
 def test_a_heading_that_nothing_tells_does_not_get_better() -> None:
-    """Start unknown by 3 m and 10 degrees: no look says where the frame lies, so that the heading stays as unknown."""
+    """Start unknown by 3 m and 10 degrees: no measurement says where the frame lies, so that the heading stays as
+    unknown."""
     unknown = {"vehicle.start_std_m": 3.0, "vehicle.start_std_deg": 10.0, "radio.clock_offset_std_m": 0.0}
     short = {"vehicle.duration_s": 90.0, "vehicle.distance_m": 90.0, "vehicle.stops": 1}
     recording = simulate(load("lund-530", {**unknown, **short}), 79500, 0)

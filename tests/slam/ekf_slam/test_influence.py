@@ -80,8 +80,9 @@ def test_what_a_lost_vt_was_worth_remains(mixture: Mixture) -> None:
     assert mixture.influence.worth.shape == (2, 0)
 
 
-def test_a_vt_begun_at_a_look_at_another_is_of_its_path(mixture: Mixture) -> None:
-    """The second filter takes the look 51 for a new VT, the first for VT 7; of look 50 neither has one."""
+def test_a_vt_begun_at_a_measurement_at_another_is_of_its_path(mixture: Mixture) -> None:
+    """The second filter takes the measurement 51 for a new VT, the first for VT 7; of measurement 50 neither has
+    one."""
     put(mixture, 0, {7: 2.0})
     put(mixture, 1, {7: 1.0})
     weighed(mixture)
@@ -117,7 +118,7 @@ def test_guesses_that_are_left_have_what_those_given_up_were_worth(one_filter: t
     assert found == {5: 7.0, 6: 8.0}
 
 
-def test_looks_that_nothing_explains_say_nothing() -> None:
+def test_measurements_that_nothing_explains_say_nothing() -> None:
     """Or a wrong offset, whose VTs move away and are begun again at each snapshot, would win by that."""
     drive, estimator = tiny_drive(), EkfSlam()
     estimator.start(setup_of(drive), np.random.default_rng(0))

@@ -77,7 +77,7 @@ def test_prediction_and_jacobians_are_those_of_the_model(one_filter: Any) -> Non
     np.testing.assert_allclose(by, slopes(expected, mean), rtol=1e-6, atol=1e-7)
     one.f.x[:10] = mean
     spread = (by @ p @ by.T)[np.triu_indices(3)]
-    _, hph = compare(one.f, NO_ERRORS, 0, OFFSET, one.look(h, np.ones(3)), one.w.sight, one.w.pending)
+    _, hph = compare(one.f, NO_ERRORS, 0, OFFSET, one.measurement(h, np.ones(3)), one.w.sight, one.w.pending)
     np.testing.assert_allclose(hph, spread, rtol=1e-10)
     given = expect(one.f, NO_ERRORS, 0, OFFSET, rotations_of(one.f), one.w.sight)
     np.testing.assert_allclose(given.hph, spread, rtol=1e-10)
@@ -129,7 +129,8 @@ def test_birth_is_exact_and_correlated_with_all_states(one_filter: Any) -> None:
 
 
 def test_birth_takes_off_what_is_believed_of_the_errors(one_filter: Any) -> None:
-    """A look made by the model with errors begins a VT where it came from, and what is left of them stays unknown."""
+    """A measurement made by the model with errors begins a VT where it came from, and what is left of them stays
+    unknown."""
     one = one_filter(ERRORS)
     one.put(POSE, 15.0, [90.0, 2.5, 0.3])
     one.model(0)
@@ -140,8 +141,10 @@ def test_birth_takes_off_what_is_believed_of_the_errors(one_filter: Any) -> None
     give_birth(one.f, ERRORS, 1, one.f.core.first_offset, z, np.full(3, 1e-6), True, 1.0, 3, one.w.sight, one.w.pending)
     np.testing.assert_allclose(one.place(1), one.place(0), atol=0.05)
     again, _ = one.model(1)
-    _, hph = compare(one.f, ERRORS, 1, one.f.core.first_offset, one.look(z, np.ones(3)), one.w.sight, one.w.pending)
-    # The next look shares weights and diffuse errors with the birth: nothing is left but its white noise.
+    _, hph = compare(
+        one.f, ERRORS, 1, one.f.core.first_offset, one.measurement(z, np.ones(3)), one.w.sight, one.w.pending
+    )
+    # The next measurement shares weights and diffuse errors with the birth: nothing is left but its white noise.
     np.testing.assert_allclose([hph.xx, hph.yy, hph.zz], 1e-6, atol=2e-6)
     assert (abs(again - z) < [0.03, 1e-3, 1e-3]).all()  # but for the field's slope
 
@@ -155,9 +158,11 @@ def test_updates_are_textbook_kalman_updates_also_while_they_wait(one_filter: An
         h, by = one.model(j)
         n = len(mean)
         mean, cov, value = kalman(mean, cov, by[:, :n], np.array(e) - by @ (mean - begin), q)
-        got = correct(one.f, NO_ERRORS, j, OFFSET, one.look(h + e + turn, q), one.rules, one.w.sight, one.w.pending)
+        got = correct(
+            one.f, NO_ERRORS, j, OFFSET, one.measurement(h + e + turn, q), one.rules, one.w.sight, one.w.pending
+        )
         np.testing.assert_allclose(got, value, rtol=1e-8)
-        np.testing.assert_array_equal(one.f.x[:n], begin)  # about which all looks are linearised
+        np.testing.assert_array_equal(one.f.x[:n], begin)  # about which all measurements are linearised
         # A state that enters meanwhile is independent.
         enter(one.f, -1, 4.0)
         mean, begin = np.append(mean, 0.0), np.append(begin, 0.0)
@@ -187,7 +192,7 @@ def test_pairs_beyond_the_gate_are_none(one_filter: Any, kalman: Callable[..., A
 
 
 def test_a_vt_that_returns_must_be_likelier_than_a_new_one_nearby(one_filter: Any) -> None:
-    """A VT unseen for longer than `away` takes no look that one anywhere within 50 m would explain as well."""
+    """A VT unseen for longer than `away` takes no measurement that one anywhere within 50 m would explain as well."""
     one, q = one_filter(), np.array([0.3, 1e-4, 2e-4])
     one.put(POSE, 5.0, [80.0, 0.5, 0.2])
     p = one.spread(np.random.default_rng(1).normal(size=(10, 10)) * 0.02)
@@ -197,8 +202,8 @@ def test_a_vt_that_returns_must_be_likelier_than_a_new_one_nearby(one_filter: An
     for e in np.array([[0.2, 0.01, 0.03], [0.3, np.nan, 0.02], [np.nan, 0.01, 0.02]]):
         there = np.isfinite(e[:2])
 
-        def log_odds(look: Any, there: Any = there) -> float:
-            density = multivariate_normal.logpdf(look[:2][there], cov=s[np.ix_(there, there)])
+        def log_odds(measurement: Any, there: Any = there) -> float:
+            density = multivariate_normal.logpdf(measurement[:2][there], cov=s[np.ix_(there, there)])
             return float(density + np.log(room[there]).sum())
 
         for unseen, taken in ((4, [1, 1]), (5, [1, 0])):
@@ -326,7 +331,8 @@ def test_motion_is_that_of_the_frames_module() -> None:
 
 
 def test_sizes_have_the_slope_and_information_of_the_likelihood(one_filter: Any) -> None:
-    """Of a look with white noise and a state that it shows: the numeric slope of log N in the log of each size."""
+    """Of a measurement with white noise and a state that it shows: the numeric slope of log N in the log of each
+    size."""
     one, rng = one_filter(ERRORS), np.random.default_rng(4)
     root, q, load, told = rng.normal(size=(3, 3)), np.array([0.3, 0.5, 0.2]), np.array([0.6, 0.4, 0.7]), 0.8
     e = rng.normal(size=3)
@@ -383,7 +389,7 @@ def test_sums_of_odometry_noise_are_taken_in_when_they_are_told() -> None:
     assert f.summed[0] == 0.0 and not f.p[forward].any() and f.x[forward] == 0.0
 
 
-def test_a_look_that_is_too_far_off_counts_for_less() -> None:
+def test_a_measurement_that_is_too_far_off_counts_for_less() -> None:
     """Whatever its distance, it moves the state as one that is just likely does, by less and less."""
     s = Sym3(4.0, 1.0, 0.0, 2.0, 0.5, 1.0)
     inverse = np.linalg.inv([[4.0, 1.0, 0.0], [1.0, 2.0, 0.5], [0.0, 0.5, 1.0]])

@@ -59,9 +59,9 @@ def test_two_drives_are_one_joint_filter() -> None:
     f, remembered, seen = one_of(mixture.arrays, 0), Remembered(known, ONE_LINK, SITES, 1), dict[int, Floats]()
     position = known.position_m.ravel().copy()
     # VTs 0 and 1 are met and seen, then 2, which learns of it; 3 comes into reach and is not seen, 4 never comes.
-    for enter, looks in (([0, 1], [0, 1]), ([2], [2, 0]), ([3], [])):
+    for enter, measurements in (([0, 1], [0, 1]), ([2], [2, 0]), ([3], [])):
         remembered.put_in(f, block_of(mixture.blocks, 0), np.array(enter), 0)
-        for vt in looks:
+        for vt in measurements:
             at = f.vt_state[np.flatnonzero(f.slots[: f.count[0], 3] == 1 + vt)[0], VT : VT + 3]
             a, n, cartesian = RNG.standard_normal((2, 3)), int(f.size[0]), slice(3 * vt, 3 * vt + 3)
             # So small that a linear world is what is left.
@@ -217,16 +217,17 @@ def test_a_wrong_map_is_noticed(
 
 
 @pytest.mark.parametrize(("ours", "fits"), [(60, True), (40, False)])
-def test_a_map_that_explains_few_looks_is_refused(ours: int, fits: bool) -> None:
-    """Of 100 looks a snapshot so many are of the map's VTs."""
+def test_a_map_that_explains_few_measurements_is_refused(ours: int, fits: bool) -> None:
+    """Of 100 measurements a snapshot so many are of the map's VTs."""
     trial = MapTrial(range(1000, 2000))
     for _ in range(25):
         taken(trial, ours, resolved=True)
-    assert trial.believed == fits and ("40% of the looks are of its VTs" in trial.refused) == (not fits)
+    assert trial.believed == fits and ("40% of the measurements are of its VTs" in trial.refused) == (not fits)
 
 
-def test_looks_with_offsets_that_are_not_known_say_nothing_of_a_map() -> None:
-    """While a vehicle stands, the likeliest offset may be a wrong one, with which no look is of the map's VTs."""
+def test_measurements_with_offsets_that_are_not_known_say_nothing_of_a_map() -> None:
+    """While a vehicle stands, the likeliest offset may be a wrong one, with which no measurement is of the map's
+    VTs."""
     trial = MapTrial(range(1000, 2000))
     for ours, resolved in [(0, False)] * 25 + [(100, True)]:
         taken(trial, ours, resolved)
@@ -235,7 +236,7 @@ def test_looks_with_offsets_that_are_not_known_say_nothing_of_a_map() -> None:
 
 
 def taken(trial: MapTrial, ours: int, resolved: bool) -> None:
-    """Let a trial take in one answer of both filters to 100 looks, `ours` of which are of VTs from 1000 on."""
+    """Let a trial take in one answer of both filters to 100 measurements, `ours` of which are of VTs from 1000 on."""
     same = Estimate(np.zeros(6), np.eye(6), np.arange(100) + 1000 * (np.arange(100) < ours))
     trial.take(same, same, np.zeros(2), resolved=resolved, resolved_without=resolved)
 

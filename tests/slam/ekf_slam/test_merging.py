@@ -13,8 +13,8 @@ from cellslam.slam.ekf_slam.snapshot.merging_kernel import (
     LASTS,
     SHIFT2,
     allow_for_merging,
+    expect_beside,
     expect_merging,
-    look_beside,
 )
 from cellslam.slam.ekf_slam.snapshot.sight_kernel import coordinates, geometry, rotations_of
 from cellslam.slam.ekf_slam.snapshot.update_kernel import add_up, correct
@@ -42,7 +42,7 @@ def test_the_probability_is_that_of_bayes(one_filter: Any, e_deg: float) -> None
     counted, lacks = allow_for_merging(one.f, 0, e, Sym3(1.0, 0.002, 0.0, s, 0.0, 1.0), q)
     share = one.f.anchor[0, MERGED]
     assert share == pytest.approx(0.1 * wide / density, rel=1e-9)
-    # What is expected of the VT stays; the look counts with the mean information of both modes.
+    # What is expected of the VT stays; the measurement counts with the mean information of both modes.
     assert 1.0 / (counted.yy - s + q) == pytest.approx((1.0 - share) / q + share / (q + LASTS * SHIFT2), rel=1e-9)
     assert norm.logpdf(e, scale=np.sqrt(counted.yy)) + lacks == pytest.approx(np.log(density), rel=1e-9)
     assert counted[:3] == (1.0, 0.002, 0.0) and counted[4:] == (0.0, 1.0)
@@ -59,18 +59,18 @@ def test_what_nothing_says_is_forgotten(one_filter: Any) -> None:
 
 
 @pytest.mark.parametrize(
-    ("vt", "looks", "hits", "expected"),
+    ("vt", "detections", "hits", "expected"),
     [(0, 0, 5, BESIDE), (0, 1, 5, 0.1), (0, 0, 2, 0.1), (2, 0, 5, 0.1)],
     ids=["hidden beside it", "seen beside it", "unconfirmed beside it", "nothing beside it"],
 )
 def test_a_vt_that_should_be_seen_beside_makes_it_likely(
-    one_filter: Any, vt: int, looks: int, hits: int, expected: float
+    one_filter: Any, vt: int, measurements: int, hits: int, expected: float
 ) -> None:
     one = prepared(one_filter)
-    one.block.looks[1], one.f.slots[1, HITS] = looks, hits
+    one.block.detections[1], one.f.slots[1, HITS] = measurements, hits
     place, turned = Vec3(*one.f.x[:3]), rotations_of(one.f)
     seen = geometry(one.f, vt, one.offset, place, turned, coordinates(one.f, vt), one.w.sight)
-    look_beside(one.f, one.block, vt, one.offset, seen, place, turned, 3, one.w.sight)
+    expect_beside(one.f, one.block, vt, one.offset, seen, place, turned, 3, one.w.sight)
     assert one.f.anchor[vt, MERGED] == expected
     assert one.f.anchor[1, MERGED] == 0.1
 
@@ -82,15 +82,16 @@ def test_paths_of_a_surveyed_transmitter_have_not_merged_yet(one_filter: Any) ->
 
 
 def turned_by(one_filter: Any, e_deg: float, **rules: float) -> float:
-    """Return by how much a look turns the vehicle, in deg, whose azimuth differs by so much from what is expected."""
+    """Return by how much a measurement turns the vehicle, in deg, whose azimuth differs by so much from what is
+    expected."""
     one = prepared(one_filter, **rules)
     one.spread(np.diag(np.where(np.arange(one.n) == 3, np.radians(0.5), 1e-3)))
     one.f.anchor[0, MERGED] = 0.03
     z, _ = one.model(0)
     q = np.array([0.3, np.radians(0.3) ** 2, 1e-3])
     z[1] += np.radians(e_deg)
-    look = one.look(z, q)
-    correct(one.f, NO_ERRORS, 0, one.offset, look, one.rules, one.w.sight, one.w.pending)
+    measurement = one.measurement(z, q)
+    correct(one.f, NO_ERRORS, 0, one.offset, measurement, one.rules, one.w.sight, one.w.pending)
     add_up(one.f, one.w.pending)
     return float(np.degrees(one.f.x[3] - POSE[3]))
 

@@ -10,9 +10,9 @@ from cellslam.slam.ekf_slam.sizes import OPTIONS, Sizes
 WHITE, DIFFUSE = OPTIONS.index("noise_m"), OPTIONS.index("diffuse_m")
 
 
-def sizes_of_looks(white_share: np.ndarray, excess: np.ndarray) -> Sizes:
-    """Looks of an innovation of which white noise has a share (n,), the rest is diffuse, and whose square exceeds what
-    is expected by `excess` (n,): slope and information of the variances' logarithms, by hand."""
+def sizes_of_measurements(white_share: np.ndarray, excess: np.ndarray) -> Sizes:
+    """FusedMeasurements of an innovation of which white noise has a share (n,), the rest is diffuse, and whose square
+    exceeds what is expected by `excess` (n,): slope and information of the variances' logarithms, by hand."""
     shares = {WHITE: white_share, DIFFUSE: 1.0 - white_share}
     slope, information, in_common = np.zeros((3, len(OPTIONS)))
     for size, share in shares.items():
@@ -24,7 +24,7 @@ def sizes_of_looks(white_share: np.ndarray, excess: np.ndarray) -> Sizes:
 def test_less_diffuse_energy_than_told_is_no_lack_of_white_noise() -> None:
     share = np.linspace(0.02, 0.2, 100_000)
     # Diffuse errors are 0.9 times as large as assumed, too little to be said; white noise is right.
-    less = sizes_of_looks(share, (1.0 - share) * (0.9**2 - 1.0))
+    less = sizes_of_measurements(share, (1.0 - share) * (0.9**2 - 1.0))
     slope, information = less.slopes()["noise_m"]
     assert slope / information < -0.5 and slope < -6.0 * np.sqrt(information)
     assert less.doubted() == {}
@@ -33,5 +33,5 @@ def test_less_diffuse_energy_than_told_is_no_lack_of_white_noise() -> None:
 @pytest.mark.parametrize("factor", [0.5, 2.0])
 def test_white_noise_that_is_not_as_told_is_doubted(factor: float) -> None:
     share = np.linspace(0.02, 0.2, 100_000)
-    found = sizes_of_looks(share, share * (factor**2 - 1.0)).doubted()
+    found = sizes_of_measurements(share, share * (factor**2 - 1.0)).doubted()
     assert list(found) == ["noise_m"] and (found["noise_m"] > 1.0) == (factor > 1.0)

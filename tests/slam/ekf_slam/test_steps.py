@@ -7,7 +7,7 @@ from scipy.stats import chi2
 from cellslam.sim.compiling import njit
 from cellslam.slam.ekf_slam.snapshot.sight_kernel import rotations_of
 from cellslam.slam.ekf_slam.snapshot.steps_kernel import expect_steps, shift_clocks, take_steps
-from cellslam.slam.ekf_slam.snapshot.update_kernel import Look, add_up, correct
+from cellslam.slam.ekf_slam.snapshot.update_kernel import BlockMeasurement, add_up, correct
 from cellslam.slam.ekf_slam.state.layout import LAST
 from cellslam.slam.model.matrices_kernel import Vec3
 
@@ -29,18 +29,22 @@ def prepared(one_filter, **rules):
 
 @njit
 def block(f, errors, offset, z, q, rules, sight, pending):
-    """Take a look (3,) at each VT in as one block; return their log-density, and what the decision on steps adds."""
+    """Take a measurement (3,) at each VT in as one block; return their log-density, and what the decision on steps
+    adds."""
     expect_steps(f, rules, pending.steps)
     total = 0.0
     for j in range(len(z)):
-        look = Look(z[j], q, q, f.x[:6], Vec3(f.x[0], f.x[1], f.x[2]), rotations_of(f), 1.0, 1.0, NOW, f.deviation[:6])
-        total += correct(f, errors, j, offset, look, rules, sight, pending)
+        measurement = BlockMeasurement(
+            z[j], q, q, f.x[:6], Vec3(f.x[0], f.x[1], f.x[2]), rotations_of(f), 1.0, 1.0, NOW, f.deviation[:6]
+        )
+        total += correct(f, errors, j, offset, measurement, rules, sight, pending)
     add_up(f, pending)
     return total, take_steps(f, rules, pending.steps)
 
 
 def use(one, z):
-    """Take looks z (m, 3) at all VTs in as one block; return what it adds to the log-likelihood, and steps alone."""
+    """Take measurements z (m, 3) at all VTs in as one block; return what it adds to the log-likelihood, and steps
+    alone."""
     density, steps = block(one.f, one.errors, one.offset, z, Q, one.rules, one.w.sight, one.w.pending)
     return density + steps, steps
 
@@ -49,14 +53,14 @@ def test_a_step_is_found_as_if_the_offset_had_been_open(one_filter, kalman):
     """With a step that is certain a priori, mean, covariance and likelihood are those of an opened variance."""
     one, root = prepared(one_filter, step=0.0, step_m=3.0)
     p = one.spread(root)
-    looks = np.array([one.model(j)[0] + np.array([0.7, 0.003, -0.002]) for j in range(len(VTS))])
+    measurements = np.array([one.model(j)[0] + np.array([0.7, 0.003, -0.002]) for j in range(len(VTS))])
     h = [one.model(j)[1] for j in range(len(VTS))]
     x, p[one.offset, one.offset], total = one.f.x[: one.n].copy(), p[one.offset, one.offset] + 9.0, 0.0
     start = x.copy()
-    for z, jacobian, (expected, _) in zip(looks, h, [one.model(j) for j in range(len(VTS))], strict=True):
+    for z, jacobian, (expected, _) in zip(measurements, h, [one.model(j) for j in range(len(VTS))], strict=True):
         x, p, density = kalman(x, p, jacobian, z - expected - jacobian @ (x - start), Q)
         total += density
-    found, _ = use(one, looks)
+    found, _ = use(one, measurements)
     assert found == pytest.approx(total, abs=1e-9)
     std = np.sqrt(np.diag(p))
     assert np.abs((one.f.x[: one.n] - x) / std).max() < 1e-9
@@ -93,15 +97,15 @@ def test_what_a_slip_explains_is_no_step(one_filter, azimuths, found):
 
 
 @pytest.mark.parametrize(
-    ("step_m", "looks", "last", "snapshots"),
+    ("step_m", "detections", "last", "snapshots"),
     [(40.0, 4, NOW, 1), (40.0, 4, NOW - 100, 1), (40.0, 1, NOW, 4), (40.0, 1, NOW - 100, None), (0.0, 4, NOW, None)],
 )
-def test_a_large_step_is_found_where_nothing_associates(one_filter, step_m, looks, last, snapshots):
-    """At once where looks agree; after some snapshots where there is one alone, if its VT was seen lately."""
+def test_a_large_step_is_found_where_nothing_associates(one_filter, step_m, measurements, last, snapshots):
+    """At once where measurements agree; after some snapshots where there is one alone, if its VT was seen lately."""
     one, root = prepared(one_filter, step=float(np.log(1e-6)), step_m=100.0, log_clutter=-9.0, confirm=0)
     one.spread(root)
-    z = np.array([one.model(j)[0] + [step_m, 0.0, 0.0] for j in range(looks)])
-    seen, room = one.seen(z, np.tile(Q, (looks, 1))), one.w
+    z = np.array([one.model(j)[0] + [step_m, 0.0, 0.0] for j in range(measurements)])
+    seen, room = one.seen(z, np.tile(Q, (measurements, 1))), one.w
     room.pairs.slot_of[:], one.f.slots[:, LAST] = -1 if step_m else 0, last
     found = [shift_clocks(one.f, one.block, one.errors, seen, room.sight, room.pairs) for _ in range(snapshots or 6)]
     assert found == [False] * (len(found) - 1) + [snapshots is not None]

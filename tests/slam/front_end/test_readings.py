@@ -6,7 +6,7 @@ import pytest
 from cellslam.sim.recording import Links, OdometryModel, Sites
 from cellslam.slam.api import Setup, Snapshot
 from cellslam.slam.front_end.front_end_options import FrontEndOptions
-from cellslam.slam.front_end.looks import Grouping
+from cellslam.slam.front_end.fusion import Fusion
 from cellslam.slam.front_end.readings import Readings, novelty, readings
 from cellslam.slam.front_end.readings_kernel import count_sharers
 
@@ -22,7 +22,7 @@ def read(rows: list[tuple[int, float, float, float]], options: FrontEndOptions, 
     )  # fmt: skip
     link, *z = np.array(rows).T
     snapshot = Snapshot(0, np.arange(len(rows)), link.astype(np.int64), *z, np.full(len(rows), 20.0))
-    return readings(Grouping(setup, options).looks(snapshot), np.arange(3), options, turn, moved)
+    return readings(Fusion(setup, options).fuse(snapshot), np.arange(3), options, turn, moved)
 
 
 def test_links_that_measure_one_path_are_counted() -> None:

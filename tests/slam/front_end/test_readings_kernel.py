@@ -1,4 +1,4 @@
-"""How errors count that looks have in common."""
+"""How errors count that measurements have in common."""
 
 import numpy as np
 import pytest

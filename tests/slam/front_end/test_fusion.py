@@ -12,7 +12,15 @@ from scipy import stats
 from cellslam.sim.recording import Links, OdometryModel, Sites
 from cellslam.slam.api import Estimate, Setup, Snapshot, VtEstimate
 from cellslam.slam.front_end.front_end_options import FrontEndOptions
-from cellslam.slam.front_end.looks import BIRTH_RATIO, COINCIDENCE, UNMAPPED, UNUSUAL, Grouping, Looks, doubts
+from cellslam.slam.front_end.fusion import (
+    BIRTH_RATIO,
+    COINCIDENCE,
+    UNMAPPED,
+    UNUSUAL,
+    FusedMeasurements,
+    Fusion,
+    doubts,
+)
 from cellslam.slam.front_end.measurement_noise import ports_of, white
 from cellslam.slam.front_end.readings import readings
 
@@ -57,24 +65,24 @@ def many_paths(rng: np.random.Generator, paths: int) -> tuple[Snapshot, Any]:
 
 
 @pytest.mark.parametrize("seed", range(20))
-def test_each_path_is_one_look(seed: int) -> None:
+def test_each_path_is_one_measurement(seed: int) -> None:
     given, truth = many_paths(np.random.default_rng(seed), 4)
-    grouping = Grouping(setup(), FrontEndOptions())
-    looks = grouping.looks(given)
+    fusion = Fusion(setup(), FrontEndOptions())
+    measurements = fusion.fuse(given)
     z = np.stack([given.distance_m, given.azimuth_rad, given.elevation_rad], axis=1)
     apart = [np.abs(z[i] - z[j]) for i in range(len(z)) for j in range(i) if truth[i] != truth[j] or truth[i] < 0]
     if min((a / [5.0, 0.1, 0.1]).max() for a in apart) < 1.0:
         pytest.skip("two paths happen to lie together")
-    for n in range(len(looks)):
-        members = np.flatnonzero(looks.of == n)
+    for n in range(len(measurements)):
+        members = np.flatnonzero(measurements.of == n)
         assert len(set(truth[members].tolist())) == 1
-        assert (SITE[given.link[members]] == looks.link[n]).all()
-        assert looks.begins[n] == (len(members) > 2)
-        assert looks.ports[n] == len(set(PORT[given.link[members]].tolist()))
-        assert looks.row[n] == given.row[members[0]]
+        assert (SITE[given.link[members]] == measurements.link[n]).all()
+        assert measurements.begins[n] == (len(members) > 2)
+        assert measurements.ports[n] == len(set(PORT[given.link[members]].tolist()))
+        assert measurements.row[n] == given.row[members[0]]
     paths = {v for v in truth.tolist() if v >= 0}
-    assert len(looks) == len(paths) + int((truth < 0).sum())
-    assert (np.diff(looks.link) >= 0).all()
+    assert len(measurements) == len(paths) + int((truth < 0).sum())
+    assert (np.diff(measurements.link) >= 0).all()
 
 
 def test_ports_count_alike_and_noise_averages() -> None:
@@ -82,56 +90,60 @@ def test_ports_count_alike_and_noise_averages() -> None:
     link = [0, 2, 4, 1]  # three of port 0, one of port 1
     z = [[100.0, 3.13, 0.1], [100.6, -3.14, 0.1], [100.3, 3.14, 0.1], [99.5, -3.13, 0.12]]
     given = snapshot(np.sort(link), [z[link.index(one)] for one in np.sort(link)])
-    grouping = Grouping(setup(), options)
-    looks = grouping.looks(given)
-    assert len(looks) == 1
-    assert looks.distance_m[0] == pytest.approx((100.3 + 99.5) / 2)
-    assert looks.elevation_rad[0] == pytest.approx(0.11)
+    fusion = Fusion(setup(), options)
+    measurements = fusion.fuse(given)
+    assert len(measurements) == 1
+    assert measurements.distance_m[0] == pytest.approx((100.3 + 99.5) / 2)
+    assert measurements.elevation_rad[0] == pytest.approx(0.11)
     turns = np.array([3.13, 2 * np.pi - 3.14, 3.14])
     azimuth = (turns.mean() + 2 * np.pi - 3.13) / 2
-    assert np.cos(looks.azimuth_rad[0] - azimuth) == pytest.approx(1.0, abs=1e-12)
+    assert np.cos(measurements.azimuth_rad[0] - azimuth) == pytest.approx(1.0, abs=1e-12)
     one = white(given, options)[0]
-    np.testing.assert_allclose(looks.white[0], one * (1 / 3 + 1) / 4)
-    ports = ports_of(grouping.setup.links.site, grouping.setup.links.port)
+    np.testing.assert_allclose(measurements.white[0], one * (1 / 3 + 1) / 4)
+    ports = ports_of(fusion.setup.links.site, fusion.setup.links.port)
     place, direction = options.persisting
-    found = readings(looks, ports, options, 0.01, 0.1)
-    np.testing.assert_allclose(found.single[0], looks.white[0] + place / 2 + direction)
+    found = readings(measurements, ports, options, 0.01, 0.1)
+    np.testing.assert_allclose(found.single[0], measurements.white[0] + place / 2 + direction)
 
 
 def test_missing_components_stay_missing() -> None:
     nan = np.nan
-    looks = Grouping(setup(), FrontEndOptions()).looks(
+    measurements = Fusion(setup(), FrontEndOptions()).fuse(
         snapshot([0, 1, 2], [[100, nan, 0.1], [100.2, 0.3, nan], [100.1, nan, nan]])
     )
-    assert len(looks) == 1
-    np.testing.assert_allclose([looks.distance_m[0], looks.azimuth_rad[0], looks.elevation_rad[0]], [100.125, 0.3, 0.1])
-    bare = Grouping(setup(), FrontEndOptions()).looks(snapshot([0, 1], [[nan, 0.3, nan], [nan, 0.3, nan]]))
+    assert len(measurements) == 1
+    np.testing.assert_allclose(
+        [measurements.distance_m[0], measurements.azimuth_rad[0], measurements.elevation_rad[0]], [100.125, 0.3, 0.1]
+    )
+    bare = Fusion(setup(), FrontEndOptions()).fuse(snapshot([0, 1], [[nan, 0.3, nan], [nan, 0.3, nan]]))
     assert np.isnan(bare.distance_m).all() and np.isnan(bare.elevation_rad).all()
 
 
 def test_a_link_measures_a_path_once() -> None:
-    looks = Grouping(setup(), FrontEndOptions()).looks(snapshot([0, 0, 1], [[100, 0, 0], [100.9, 0, 0], [100.8, 0, 0]]))
-    assert looks.of.tolist() == [0, 1, 1]
+    measurements = Fusion(setup(), FrontEndOptions()).fuse(
+        snapshot([0, 0, 1], [[100, 0, 0], [100.9, 0, 0], [100.8, 0, 0]])
+    )
+    assert measurements.of.tolist() == [0, 1, 1]
 
 
-def test_without_sharing_every_measurement_is_a_look() -> None:
+def test_without_sharing_every_measurement_is_a_measurement() -> None:
     given, _ = many_paths(np.random.default_rng(0), 3)
-    grouping = Grouping(setup(), FrontEndOptions(sharing="none"))
-    looks = grouping.looks(given)
-    assert looks.of.tolist() == list(range(len(given)))
+    fusion = Fusion(setup(), FrontEndOptions(sharing="none"))
+    measurements = fusion.fuse(given)
+    assert measurements.of.tolist() == list(range(len(given)))
     for name in ("link", "distance_m", "azimuth_rad", "elevation_rad", "row"):
-        np.testing.assert_allclose(getattr(looks, name), getattr(given, name))
-    assert looks.begins.all()
-    assert grouping.options == FrontEndOptions(sharing="none")
-    np.testing.assert_array_equal(grouping.setup.links.site, SITE)
+        np.testing.assert_allclose(getattr(measurements, name), getattr(given, name))
+    assert measurements.begins.all()
+    assert fusion.options == FrontEndOptions(sharing="none")
+    np.testing.assert_array_equal(fusion.setup.links.site, SITE)
 
 
 def test_sites_of_one_link_are_as_without_sharing() -> None:
     lone = setup([0, 1], [0, 0])
-    grouping = Grouping(lone, FrontEndOptions())
-    looks = grouping.looks(snapshot([0, 0, 1], [[100, 0, 0], [300, 1, 0], [100, 0, 0]]))
-    assert grouping.options == FrontEndOptions()
-    assert looks.of.tolist() == [0, 1, 2] and looks.begins.all()
+    fusion = Fusion(lone, FrontEndOptions())
+    measurements = fusion.fuse(snapshot([0, 0, 1], [[100, 0, 0], [300, 1, 0], [100, 0, 0]]))
+    assert fusion.options == FrontEndOptions()
+    assert measurements.of.tolist() == [0, 1, 2] and measurements.begins.all()
 
 
 def test_agreement_tells_paths_from_clutter() -> None:
@@ -147,61 +159,61 @@ def test_agreement_tells_paths_from_clutter() -> None:
 
 
 def test_what_may_begin_a_vt_is_no_clutter() -> None:
-    rng, grouping = np.random.default_rng(8), Grouping(setup(), FrontEndOptions())
+    rng, fusion = np.random.default_rng(8), Fusion(setup(), FrontEndOptions())
     begins, paths = 0, 0
     for _ in range(50):
         given, truth = many_paths(rng, 4)
-        looks = grouping.looks(given)
-        own = truth[np.searchsorted(given.row, looks.row)]
-        assert (own[looks.begins] >= 0).all()
-        begins, paths = begins + looks.begins.sum(), paths + (own >= 0).sum()
+        measurements = fusion.fuse(given)
+        own = truth[np.searchsorted(given.row, measurements.row)]
+        assert (own[measurements.begins] >= 0).all()
+        begins, paths = begins + measurements.begins.sum(), paths + (own >= 0).sum()
     assert begins > 0.9 * paths
 
 
 def test_births_are_likely_where_links_agree() -> None:
     options = FrontEndOptions(birth_ratio=0.02)
-    assert Grouping(setup(), options).options.birth_ratio == BIRTH_RATIO
-    assert Grouping(setup(), FrontEndOptions(birth_ratio=0.7)).options.birth_ratio == 0.7
-    few = Grouping(setup([0, 0, 0, 1, 1], [0, 1, 2, 0, 1]), options)
+    assert Fusion(setup(), options).options.birth_ratio == BIRTH_RATIO
+    assert Fusion(setup(), FrontEndOptions(birth_ratio=0.7)).options.birth_ratio == 0.7
+    few = Fusion(setup([0, 0, 0, 1, 1], [0, 1, 2, 0, 1]), options)
     assert few.options.birth_ratio == 0.02
-    looks = few.looks(snapshot([0, 0, 3], [[100, 0, 0], [300, 1, 0], [100, 0, 0]]))
-    assert looks.begins.tolist() == [False, False, True]
+    measurements = few.fuse(snapshot([0, 0, 3], [[100, 0, 0], [300, 1, 0], [100, 0, 0]]))
+    assert measurements.begins.tolist() == [False, False, True]
 
 
 def test_links_that_are_not_sorted_by_site() -> None:
-    grouping = Grouping(setup([1, 0, 1, 0], [0, 0, 1, 1]), FrontEndOptions())
-    looks = grouping.looks(snapshot([0, 1, 2, 3], [[100, 0, 0], [500, 1, 0], [100.1, 0, 0], [500.1, 1, 0]]))
-    assert looks.link.tolist() == [0, 1]
-    assert looks.of.tolist() == [1, 0, 1, 0]
-    assert grouping.setup.links.site.tolist() == [0, 1]
+    fusion = Fusion(setup([1, 0, 1, 0], [0, 0, 1, 1]), FrontEndOptions())
+    measurements = fusion.fuse(snapshot([0, 1, 2, 3], [[100, 0, 0], [500, 1, 0], [100.1, 0, 0], [500.1, 1, 0]]))
+    assert measurements.link.tolist() == [0, 1]
+    assert measurements.of.tolist() == [1, 0, 1, 0]
+    assert fusion.setup.links.site.tolist() == [0, 1]
 
 
 def test_an_answer_names_measurements_and_their_links() -> None:
-    grouping = Grouping(setup(), FrontEndOptions())
-    looks = grouping.looks(snapshot([0, 1, 6, 7], [[100, 0, 0], [100, 0, 0], [200, 1, 0], [200, 1, 0]]))
+    fusion = Fusion(setup(), FrontEndOptions())
+    measurements = fusion.fuse(snapshot([0, 1, 6, 7], [[100, 0, 0], [100, 0, 0], [200, 1, 0], [200, 1, 0]]))
     vts = VtEstimate(np.array([5, 9]), np.array([0, 1]), np.zeros((2, 3)), np.zeros((2, 3, 3)))
-    answer = grouping.answer(Estimate(np.zeros(6), np.eye(6), np.array([5, 9]), vts=vts), looks)
+    answer = fusion.answer(Estimate(np.zeros(6), np.eye(6), np.array([5, 9]), vts=vts), measurements)
     assert answer.association is not None and answer.vts is not None
     assert answer.association.tolist() == [5, 5, 9, 9]
     assert answer.vts.link.tolist() == [0, 6]
 
 
-def test_detection_and_clutter_are_those_of_looks() -> None:
+def test_detection_and_clutter_are_those_of_measurements() -> None:
     options = FrontEndOptions(detection_probability=0.5, clutter_density=1e-3)
-    seen = Grouping(setup([0, 0, 1, 1], [0, 1, 0, 1]), options).options
+    seen = Fusion(setup([0, 0, 1, 1], [0, 1, 0, 1]), options).options
     assert seen.detection_probability == pytest.approx(0.75)
     assert seen.clutter_density == pytest.approx(2e-3)
 
 
 def test_an_empty_snapshot() -> None:
-    looks = Grouping(setup(), FrontEndOptions()).looks(snapshot([], np.zeros((0, 3))))
-    assert isinstance(looks, Looks) and len(looks) == 0
+    measurements = Fusion(setup(), FrontEndOptions()).fuse(snapshot([], np.zeros((0, 3))))
+    assert isinstance(measurements, FusedMeasurements) and len(measurements) == 0
 
 
 def test_a_receiver_without_links() -> None:
-    grouping = Grouping(setup([], []), FrontEndOptions())
-    assert len(grouping.looks(snapshot([], np.zeros((0, 3))))) == 0
-    assert grouping.options.clutter_density == FrontEndOptions().clutter_density
+    fusion = Fusion(setup([], []), FrontEndOptions())
+    assert len(fusion.fuse(snapshot([], np.zeros((0, 3))))) == 0
+    assert fusion.options.clutter_density == FrontEndOptions().clutter_density
 
 
 def test_many_links_agree_by_the_binomial_law_too() -> None:

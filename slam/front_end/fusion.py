@@ -1,9 +1,9 @@
-"""Looks. A look is a fused measurement: what the links of a site measured of one path in one snapshot.
+"""Fusion. A fused measurement is what the links of a site measured of one path in one snapshot.
 
 The ports and sectors of a site stand at one place, and see a path under the same distance and direction: what they
 measure of it differs by white noise, and from port to port by errors of place. The twelve links of two sites measure
-most paths six times; the mean is one look. Clutter of one link is rarely seen by another, so that the number of links
-that agree tells paths from clutter.
+most paths six times; the mean is one measurement. Clutter of one link is rarely seen by another, so that the number of
+links that agree tells paths from clutter.
 """
 
 from __future__ import annotations
@@ -18,26 +18,27 @@ from scipy.special import binom
 from cellslam.sim.recording import Floats, Ints, Links
 from cellslam.slam.api import Estimate, Setup, Snapshot, VtEstimate
 from cellslam.slam.front_end.front_end_options import FrontEndOptions
-from cellslam.slam.front_end.looks_kernel import taken_together
+from cellslam.slam.front_end.fusion_kernel import taken_together
 from cellslam.slam.front_end.measurement_noise import white
 
 Options = TypeVar("Options", bound=FrontEndOptions)
 
-MANY = 3  # links of a site from which on their number decides whether a look may begin a VT
+MANY = 3  # links of a site from which on their number decides whether a measurement may begin a VT
 COINCIDENCE = 0.1  # probability that clutter of a link has clutter of one more link beside it
 UNUSUAL = 0.1  # share of paths that any number of links detect alike, because obstacles hide them from some
 UNMAPPED = 0.01  # share of paths that are not in the map yet: at best so much less likely than a VT is clutter
-BIRTH_RATIO = 0.5  # probability that an unexplained look at which links agree is a new VT
+BIRTH_RATIO = 0.5  # probability that an unexplained measurement at which links agree is a new VT
 LARGEST_DETECTION = 0.985  # probability that at least one of many links detects a path: not all misses are independent
 
 
 @dataclass(frozen=True, kw_only=True, repr=False)
-class Looks(Snapshot):
-    """A snapshot whose measurements are looks, n of them, sorted by the group of links that they belong to (`link`).
+class FusedMeasurements(Snapshot):
+    """A snapshot whose measurements are measurements, n of them, sorted by the group of links that they belong to
+    (`link`).
 
     `white` (n, 3): white variances in m^2 and rad^2; `ports` (n,): how many ports they are means of; `doubt` (n,): log
     of how much likelier clutter has so many members than a path; `begins` (n,): whether it may begin a VT; `row` is
-    that of the first measurement; `of` (m,): the look of each measurement.
+    that of the first measurement; `of` (m,): the measurement of each measurement.
     """
 
     white: Floats
@@ -47,7 +48,7 @@ class Looks(Snapshot):
     of: Ints
 
 
-class Grouping(Generic[Options]):
+class Fusion(Generic[Options]):
     """Which links are taken together. `setup` and `options` as the estimator is to see them: a link for each group."""
 
     def __init__(self, setup: Setup, options: Options) -> None:
@@ -69,24 +70,24 @@ class Grouping(Generic[Options]):
         columns = (np.array(c, np.int64)[self._first] for c in (links.site, links.cell_id, links.port))
         self.setup = replace(setup, links=Links(*columns))
 
-    def looks(self, snapshot: Snapshot) -> Looks:
-        """Return the looks of a snapshot."""
-        z, noise, own, members, ports, first, look = taken_together(
+    def measurements(self, snapshot: Snapshot) -> FusedMeasurements:
+        """Return the measurements of a snapshot."""
+        z, noise, own, members, ports, first, measurement = taken_together(
             snapshot.distance_m, snapshot.azimuth_rad, snapshot.elevation_rad, white(snapshot, self._given),
             self._given.persisting[0], snapshot.link, self._group, self._port, self._together,
         )  # fmt: skip
         distance_m, azimuth_rad, elevation_rad = np.ascontiguousarray(z.T)
-        return Looks(
+        return FusedMeasurements(
             index=snapshot.index, row=snapshot.row[first], link=own, distance_m=distance_m, azimuth_rad=azimuth_rad,
             elevation_rad=elevation_rad, snr_db=snapshot.snr_db[first], white=noise, ports=ports,
-            doubt=self._doubts[own, members], begins=self._begins[own, members], of=look,
+            doubt=self._doubts[own, members], begins=self._begins[own, members], of=measurement,
         )  # fmt: skip
 
-    def answer(self, estimate: Estimate, looks: Looks) -> Estimate:
-        """Return an answer to looks as one to the measurements that they were made of."""
+    def answer(self, estimate: Estimate, measurements: FusedMeasurements) -> Estimate:
+        """Return an answer to measurements as one to the measurements that they were made of."""
         association, vts = estimate.association, estimate.vts
         if association is not None:
-            association = association[looks.of]
+            association = association[measurements.of]
         if vts is not None:
             vts = VtEstimate(vts.id, self._first[vts.link], vts.position_m, vts.covariance)
         return replace(estimate, association=association, vts=vts)
