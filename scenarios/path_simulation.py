@@ -52,13 +52,13 @@ def simulate_paths(
 
 def drive_through(places_m: Floats, interval_s: float) -> Drive:
     """Return the level drive over places (T, 3) in m, one each interval, heading where it goes."""
-    way = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(places_m[:, :2], axis=0).T))])
-    if way[-1] < HEADING_OVER_M:
+    travelled = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(places_m[:, :2], axis=0).T))])
+    if travelled[-1] < HEADING_OVER_M:
         raise InputError("the receivers are one place: give those of a drive, in order")
-    # Over some way, as places have errors; so a vehicle that stands looks as it came and will go.
-    last = len(way) - 1
-    ahead = np.minimum(np.searchsorted(way, way + HEADING_OVER_M), last)
-    behind = np.maximum(np.searchsorted(way, way - HEADING_OVER_M, side="right") - 1, 0)
+    # Over some distance, as places have errors; so a vehicle that stands looks as it came and will go.
+    last = len(travelled) - 1
+    ahead = np.minimum(np.searchsorted(travelled, travelled + HEADING_OVER_M), last)
+    behind = np.maximum(np.searchsorted(travelled, travelled - HEADING_OVER_M, side="right") - 1, 0)
     yaw = np.arctan2(*(places_m[ahead] - places_m[behind])[:, 1::-1].T)
     poses = np.column_stack([places_m, yaw, np.zeros((len(yaw), 2))])
     lasts = np.full(len(yaw) - 1, interval_s)

@@ -103,9 +103,9 @@ def persisting_errors(
     calibration, roof, diffuse, attitude = (replace(c, std=noise_scale * c.std * (c.scale > 0.0)) for c in known)
     merging, calibration = merging or NOTHING, NOTHING if calibrated else calibration
     decay = np.ones((snapshots, 4))
-    way = np.linalg.norm(np.diff(recording.truth.poses[:, :3], axis=0), axis=1)
+    moved = np.linalg.norm(np.diff(recording.truth.poses[:, :3], axis=0), axis=1)
     decay[1:, BY_TIME] = _factor(np.diff(recording.time_s), attitude.scale)
-    decay[1:, BY_PLACE] = _factor(way, diffuse.scale)
+    decay[1:, BY_PLACE] = _factor(moved, diffuse.scale)
     decay[1:, BY_MERGING] = _factor(np.diff(recording.time_s), merging.scale / AREA)
     parts = [
         _by_direction(calibration, seen, recording.time_s),
@@ -113,7 +113,7 @@ def persisting_errors(
         Part(np.tile(np.arange(3), (views, 3, 1)), attitude.std[[1, 2, 2]] * turned(seen), 3, BY_TIME),
         _by_vt(merging, seen, recording.time_s),
     ]
-    own = _by_place(diffuse, seen, np.concatenate([[0.0], np.cumsum(way)]))
+    own = _by_place(diffuse, seen, np.concatenate([[0.0], np.cumsum(moved)]))
     base = np.concatenate([[0], np.cumsum([part.count for part in parts])])
     state = np.concatenate([np.where(q.state >= 0, b + q.state, -1) for q, b in zip(parts, base, strict=False)], axis=2)
     load = np.concatenate([part.load for part in parts], axis=2)
@@ -207,11 +207,13 @@ def runs(key: Ints, at: Floats, gap: float) -> tuple[Ints, int]:
     return run, int(new.sum())
 
 
-def _by_place(cause: Cause, seen: Seen, way_m: Floats) -> Part:
-    """Return the states of a function of the way (T,) along the drive, one for each VT and port, and component."""
+def _by_place(cause: Cause, seen: Seen, travelled_m: Floats) -> Part:
+    """Return the states of a function of the distance (T,) along the drive, one for each VT and port, and component."""
     if cause.scale <= 0.0:
         return Part(np.full((len(seen.view), 3), -1), np.zeros(3), 0, BY_PLACE)
-    entity, entities = runs(seen.vt * 4 + seen.port % 4, way_m[seen.snapshot[seen.view]], HOLD_SCALES * cause.scale)
+    entity, entities = runs(
+        seen.vt * 4 + seen.port % 4, travelled_m[seen.snapshot[seen.view]], HOLD_SCALES * cause.scale
+    )
     return Part(3 * entity[:, None] + np.arange(3), cause.std, 3 * entities, BY_PLACE)
 
 

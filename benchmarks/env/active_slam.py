@@ -1,4 +1,4 @@
-"""`cellslam/ActiveSlam-v0`: drive so as to arrive, and to know where you are on the way."""
+"""`cellslam/ActiveSlam-v0`: drive so as to arrive, and to know where you are meanwhile."""
 
 from __future__ import annotations
 
@@ -61,7 +61,7 @@ class ActiveSlamEnv(gym.Env[Observation, Floats]):
         std (3,)           standard deviations of x, y (m) and yaw (rad)
         route (10, 2)      the route ahead, every 4 m, in the believed body frame (m)
         motion (2,)        speed (m/s), steering angle (rad)
-        to_go_m (1,)       way left along the route
+        to_go_m (1,)       distance left along the route
 
     Reward: metres of progress along the route, less `uncertainty_weight` times the claimed standard deviation of the
     position (m) per second; 20 at the goal, -20 for a collision with a building or more than `lost_m` off the route,

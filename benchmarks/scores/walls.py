@@ -142,10 +142,10 @@ def _one_plane(walls: Walls) -> Ints:
 
 def _to_segments(a: Walls, b: Walls) -> Floats:
     """Return the distances (A, 2, B) of the ends of segments from other segments."""
-    begin, way = b.ends_m[:, 0], b.ends_m[:, 1] - b.ends_m[:, 0]
+    begin, along = b.ends_m[:, 0], b.ends_m[:, 1] - b.ends_m[:, 0]
     from_begin = a.ends_m[:, :, None] - begin
-    share = (from_begin * way).sum(axis=-1) / np.maximum((way * way).sum(axis=-1), 1e-12)
-    return np.asarray(np.linalg.norm(from_begin - np.clip(share, 0.0, 1.0)[..., None] * way, axis=-1))
+    share = (from_begin * along).sum(axis=-1) / np.maximum((along * along).sum(axis=-1), 1e-12)
+    return np.asarray(np.linalg.norm(from_begin - np.clip(share, 0.0, 1.0)[..., None] * along, axis=-1))
 
 
 def _rms(values: Floats) -> float | None:

@@ -112,7 +112,7 @@ class RadioConfig(BaseModel):
         2.0, ge=0.0, le=180.0, description="turn over which the roof's scattering changes, deg (0: white errors)"
     )
     diffuse_correlation_m: float = Field(
-        0.15, ge=0.0, le=100.0, description="way over which a path's diffuse error changes, m (0: white errors)"
+        0.15, ge=0.0, le=100.0, description="distance over which a path's diffuse error changes, m (0: white errors)"
     )
     attitude_azimuth_deg: float = Field(
         0.3, ge=0.0, le=20.0, description="floor: motion of the array within a snapshot, azimuth, deg"

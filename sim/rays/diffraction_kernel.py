@@ -33,9 +33,9 @@ def _excess(
         if not clamp:
             return np.inf, -1.0
         s = min(max(s, 0.0), length)
-    way = np.sqrt(da * da + (sa - s) ** 2) + np.sqrt(db * db + (sb - s) ** 2)
+    over = np.sqrt(da * da + (sa - s) ** 2) + np.sqrt(db * db + (sb - s) ** 2)
     straight = np.sqrt((tx - rx) ** 2 + (ty - ry) ** 2 + (tz - rz) ** 2)
-    return way - straight, s
+    return over - straight, s
 
 
 @part

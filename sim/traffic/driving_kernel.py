@@ -182,13 +182,13 @@ def _move(cars: Cars, i: int, acceleration: float, step_s: float, road: Road) ->
     """Advance vehicle i by a step: it stops rather than going backwards, and turns as far as it moves."""
     v = cars.speed[i]
     then = v + acceleration * step_s
-    way = 0.5 * (v + then) * step_s if then > 0.0 else 0.5 * v * v / max(-acceleration, 1e-9)
+    moved = 0.5 * (v + then) * step_s if then > 0.0 else 0.5 * v * v / max(-acceleration, 1e-9)
     cars.speed[i] = max(then, 0.0)
     ahead = max(LOOKAHEAD_M, LOOKAHEAD_S * v)
     turn = np.arctan2(road.lanes[cars.lane[i]] - cars.side[i], ahead) - cars.heading[i]
-    cars.heading[i] += min(max(turn, -way / RADIUS_M), way / RADIUS_M)
-    cars.along[i] = (cars.along[i] + way * np.cos(cars.heading[i])) % road.length
-    cars.side[i] += way * np.sin(cars.heading[i])
+    cars.heading[i] += min(max(turn, -moved / RADIUS_M), moved / RADIUS_M)
+    cars.along[i] = (cars.along[i] + moved * np.cos(cars.heading[i])) % road.length
+    cars.side[i] += moved * np.sin(cars.heading[i])
     cars.timer[i] += step_s
 
 

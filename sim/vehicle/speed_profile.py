@@ -23,7 +23,7 @@ LEAST_FACTOR = 0.4
 
 @dataclass(frozen=True)
 class SpeedLimits:
-    """What bounds the speed along the way, on cells of equal length: `arc_m` (n + 1,) at the cells' ends.
+    """What bounds the speed along the route, on cells of equal length: `arc_m` (n + 1,) at the cells' ends.
 
     `factor` (n + 1,) multiplies the cruise speed; `turn_mps` (n + 1,) is the limit in turns, zero at stops.
     """
@@ -74,7 +74,7 @@ def speed_profile(
 
 
 def _stops(config: VehicleConfig, rng: np.random.Generator) -> tuple[Floats, Floats]:
-    """Return arc position and length of the standing phases, spread over the way."""
+    """Return arc position and length of the standing phases, spread over the route."""
     slot = (np.arange(config.stops) + rng.uniform(0.25, 0.75, config.stops)) / max(config.stops, 1)
     arc = np.round(slot * config.distance_m / CELL_M) * CELL_M
     return arc, config.stop_s * rng.uniform(0.5, 1.5, config.stops)
@@ -104,7 +104,7 @@ def _limits(
 
 
 def _cruise(limits: SpeedLimits, moving_s: float, config: VehicleConfig) -> float:
-    """Return the cruise speed at which the way takes `moving_s`, by bisection."""
+    """Return the cruise speed at which the route takes `moving_s`, by bisection."""
     least_s = float(limits.travel_time(GREATEST_CRUISE_MPS)[-1])
     if moving_s <= least_s:
         raise InputError(

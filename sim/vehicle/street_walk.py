@@ -52,7 +52,7 @@ def random_walk(network: StreetNetwork, length_m: float, rng: np.random.Generato
     """Return a polyline (n, 2) of at least `length_m`, and its cost in metres.
 
     The walk starts somewhere on a street, takes a street it has not used where there is one, and turns round
-    only at a dead end. The cost is the way driven twice, 1000 m per U-turn, and twice the mean distance from the
+    only at a dead end. The cost is the distance driven twice, 1000 m per U-turn, and twice the mean distance from the
     middle of the network.
     """
     lengths = np.array([_length(e) for e in network.edges])

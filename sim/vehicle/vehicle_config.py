@@ -28,7 +28,7 @@ class VehicleConfig(BaseModel):
     wheelbase_m: float = Field(2.9, ge=1.5, le=3.2, description="distance between the axles")
     corner_radius_m: float = Field(8.0, ge=5.0, le=50.0, description="radius of the arcs that round the corners")
     clearance_m: float = Field(1.2, ge=0.5, le=5.0, description="least distance of the route from walls")
-    stops: int = Field(4, ge=0, le=50, description="standing phases on the way")
+    stops: int = Field(4, ge=0, le=50, description="standing phases on the route")
     stop_s: float = Field(8.0, ge=0.0, le=120.0, description="mean length of a standing phase")
     stand_first_s: float = Field(3.0, ge=0.0, le=120.0, description="standing time before the start")
     acceleration_mps2: float = Field(0.6, ge=0.05, le=4.0, description="acceleration and braking")

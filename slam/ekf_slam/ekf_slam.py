@@ -39,7 +39,7 @@ NOT_GIVEN, NO_VTS = -2, np.empty((0, ENTRY))
 # Accelerations of a vehicle whose odometry is silent, in m/s^2 and rad/s^2; it neither climbs nor tilts.
 HELD = np.array([0.6, 0.0, 0.0, 0.1, 0.0, 0.0])
 RIVAL = 4.0  # log-likelihood that a second association may lose against the best, to be a hypothesis of its own
-WAY_M, TURN = 0.6, np.radians(2.0)  # a block of snapshots ends after so long a way or turn
+BLOCK_M, TURN = 0.6, np.radians(2.0)  # a block of snapshots ends after so long a distance or turn
 AWAY_S = 3.0  # a VT that was not seen for so long returns, if it is seen again
 AGAIN = 1.25  # filters of all sites that did not agree with the start are tried again after so many times as long
 GROW_EVERY, MOST_GROWN = 64, 5.0  # snapshots; times as large as assumed
@@ -340,7 +340,7 @@ class JointFilter:
         tables, once, twice = existence(o, step_s)
         rules = Rules(
             self.mode, float(np.log(o.clutter_density)), o.gate, o.confirm_hits, once, twice,
-            min(max(round(o.block_s / step_s), 1), LONGEST), WAY_M, TURN, EVIDENCE,
+            min(max(round(o.block_s / step_s), 1), LONGEST), BLOCK_M, TURN, EVIDENCE,
             int(o.hold_s / step_s), math.log(o.return_odds), max(round(AWAY_S / step_s), 1),
             RIVAL if o.hypotheses > 1 else 0.0, merge_rate=o.merge_rate,
         )  # fmt: skip

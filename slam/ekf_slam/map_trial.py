@@ -23,7 +23,7 @@ APART = 30.0  # squared deviations of their difference beyond which two estimate
 LASTING = 20  # snapshots for which they do not, so that the map is refused
 FLOOR = np.array([0.1, 0.1, 0.005])  # what x, y (m) and yaw (rad) may differ by at any time
 OFFSET_FLOOR_M = 0.5  # what clock offsets may
-TRIAL_M = 100.0  # a trial is over after so long a way with clock offsets that are known without the map, too
+TRIAL_M = 100.0  # a trial is over after such a distance with clock offsets that are known without the map, too
 FEW, MANY = 50, 2000  # measurements after which a map is believed, and after which it must be
 LEAST_SHARE = 0.5  # of the measurements that are of the map's VTs
 SURPRISED, LEAST = (
@@ -38,7 +38,7 @@ class MapTrial:
     """The trial of a map whose VTs have the identities `ours`."""
 
     def __init__(self, ours: range) -> None:
-        self._ours, self._way_m, self._lasting = ours, 0.0, 0
+        self._ours, self._distance_m, self._lasting = ours, 0.0, 0
         self._last: Floats | None = None
         self._measurements = self._known = 0
         self._surprise = np.zeros(2)
@@ -51,7 +51,7 @@ class MapTrial:
         offsets that are not known say nothing of the map: the likeliest may be a wrong one."""
         self._surprise = surprise
         if self._last is not None and resolved_without:
-            self._way_m += float(np.linalg.norm(with_map.pose[:2] - self._last))
+            self._distance_m += float(np.linalg.norm(with_map.pose[:2] - self._last))
         self._last = with_map.pose[:2]
         if with_map.association is not None and resolved:
             of = with_map.association[with_map.association >= 0]
@@ -85,7 +85,7 @@ class MapTrial:
     @property
     def over(self) -> bool:
         """Whether the map has been tried for long enough."""
-        return self._way_m >= TRIAL_M and self._measurements >= MANY
+        return self._distance_m >= TRIAL_M and self._measurements >= MANY
 
 
 def distance2(a: Estimate, b: Estimate) -> float:

@@ -276,13 +276,13 @@ class Mixture:
         f, first = self.arrays, self.core.size
         here = f.x[0, :3].copy()
         f.count[:], f.size[:] = len(link), first + 3 * len(link)
-        for j, way in enumerate(position_m - here):
+        for j, offset in enumerate(position_m - here):
             f.slots[:, j, [LINK, HITS, LAST, IDENT]] = link[j], KNOWN, last, ident[j]
             f.anchor[:, j, :3], f.anchor[:, j, [EXISTS, SHARE]], f.anchor[:, j, [MERGED, WORTH]] = here, 1.0, 0.0
             at = first + 3 * j + np.arange(3)
             f.vt_state[:, j], f.vt_state[:, j, VT : VT + 3] = -1, at
             f.owner[:, at] = [owner_of(j, VT + c, VT_STATES) for c in range(3)]
-            f.x[:, at] = _spherical(way)
+            f.x[:, at] = _spherical(offset)
 
     def _meet(self, remembered: Remembered, now: int) -> None:
         """Let VTs of a remembered map enter all filters as they come into reach of the likeliest one, and leave them,

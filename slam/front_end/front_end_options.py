@@ -88,7 +88,7 @@ class FrontEndOptions(BaseModel):
     diffuse_m: float = Field(0.71, ge=0, le=100, description="distance error by diffuse energy, of each VT and port, m")
     diffuse_azimuth_deg: float = Field(0.75, ge=0, le=90, description="the same for azimuth, deg")
     diffuse_elevation_deg: float = Field(0.51, ge=0, le=90, description="the same for elevation, deg")
-    diffuse_scale_m: float = Field(0.15, ge=0, le=1000, description="way over which it is drawn anew, m; 0: white")
+    diffuse_scale_m: float = Field(0.15, ge=0, le=1000, description="distance over which it is drawn anew, m; 0: white")
     sway_azimuth_deg: float = Field(
         0.3, ge=0, le=90, description="azimuth error of all paths of a snapshot, as the array sways, deg"
     )
@@ -156,7 +156,7 @@ class FrontEndOptions(BaseModel):
 
     @cached_property
     def scales(self) -> Floats:
-        """Over what errors are drawn anew (4,): way (m) for those of place, change of direction (rad) for those of
+        """Over what errors are drawn anew (4,): distance (m) for those of place, change of direction (rad) for those of
         direction in distance and in angles, and how far off VTs are for that (m).
 
         In angles the mean of both scales by the variances of azimuth, or of elevation where azimuth has none.

@@ -1,4 +1,4 @@
-"""Directions that are worse than the front end is known for: measured on the way, and taken into account.
+"""Directions that are worse than the front end is known for: measured during the drive, and taken into account.
 
 Where paths come close together, as in a street canyon, the front end takes two for one, and their directions err by
 twice what its noise model says. Each snapshot's directions are held against the VTs that are known well; where they

@@ -58,7 +58,7 @@ def best_sum(
     places = rows + columns + 1
     potential, price = work_f[: columns + 1], work_f[columns + 1 : columns + 1 + places]
     shortest = work_f[columns + 1 + places : columns + 1 + 2 * places]
-    owner, way, used = work_i[:places], work_i[places : 2 * places], work_i[2 * places : 3 * places]
+    owner, previous, used = work_i[:places], work_i[places : 2 * places], work_i[2 * places : 3 * places]
     potential[:] = 0.0
     price[:] = 0.0
     owner[:] = 0
@@ -74,7 +74,7 @@ def best_sum(
                 if used[j] == 0:
                     reduced = _cost(score, alone, least, rows, i0 - 1, j - 1) - potential[i0] - price[j]
                     if reduced < shortest[j]:
-                        shortest[j], way[j] = reduced, j0
+                        shortest[j], previous[j] = reduced, j0
                     if shortest[j] < delta:
                         delta, j1 = shortest[j], j
             if j1 < 0:
@@ -89,8 +89,8 @@ def best_sum(
             if owner[j0] == 0:
                 break
         while j0 != 0:
-            owner[j0] = owner[way[j0]]
-            j0 = way[j0]
+            owner[j0] = owner[previous[j0]]
+            j0 = previous[j0]
     total = 0.0
     for j in range(1, places):
         if owner[j] > 0:

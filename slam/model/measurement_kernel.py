@@ -1,5 +1,5 @@
 """Compiled: the measurement model h and its Jacobians, the same as those of `measurement_model`, of which they are the
-parts: rotations, and the way from Cartesian to spherical coordinates and back.
+parts: rotations, and the change from Cartesian to spherical coordinates and back.
 
 With R the rotation of the array, body to world, and w the vector from the array to a VT in the world frame,
 

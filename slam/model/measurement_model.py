@@ -2,7 +2,7 @@
 
 h(r, v) = (distance, azimuth, elevation) of VT v seen from pose r, without clock offset. With the offset b of its site a
 measurement is z = h(r, v) + (b, 0, 0) + noise. Azimuth and its Jacobian have no limit straight above the array: the
-horizontal part of the way to a VT, in the body frame, counts as LEAST_FLAT_M at least. `measurement_kernel` has the
+horizontal part of the offset to a VT, in the body frame, counts as LEAST_FLAT_M at least. `measurement_kernel` has the
 same, compiled. Source: paper, eq. 22 to 27, with azimuth atan2(y, x) and elevation atan2(z, sqrt(x^2 + y^2)).
 """
 

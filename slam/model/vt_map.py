@@ -1,7 +1,7 @@
 """A map of VTs that one drive leaves to the next: where they are, how sure that is, where they were seen; its file.
 
 The joint covariance is sparse: what is uncertain of each VT alone, and R errors that they have in common, as of the
-clocks, the array and the way of the drive that found them. With v_j the position of VT j and independent u ~ N(0, I):
+clocks, the array and the path of the drive that found them. With v_j the position of VT j and independent u ~ N(0, I):
 
     v_j = position_j + common_j u + own_j,   own_j ~ N(0, own_m2_j)
 

@@ -60,8 +60,8 @@ class Rules(NamedTuple):
 
 class Near(NamedTuple):
     """Gaussians in the field of view, or nearly: their places in the map, which ascend; distance (m, with the clock's
-    offset), way ahead and to the left (m), squared horizontal distance (m^2) and trace of the covariance (m^2) in rows
-    (., 5); probabilities of detection."""
+    offset), offset ahead and to the left (m), squared horizontal distance (m^2) and trace of the covariance (m^2) in
+    rows (., 5); probabilities of detection."""
 
     place: Ints
     where: Floats
@@ -98,10 +98,10 @@ def _within(v: Vec3, span: float, variance: float, flat2: float) -> float:
 
 
 @part
-def find_near(own: Map, among: Ints, at: Moved, offset: Floats, rules: Rules, way: float, turn: float) -> Near:
+def find_near(own: Map, among: Ints, at: Moved, offset: Floats, rules: Rules, moved: float, turn: float) -> Near:
     """Return which of the Gaussians at these places, which ascend, may be detected; offset (S,) in m: the clocks.
 
-    The edge of the field of view is as soft as they are uncertain, and the pose (way in m^2, turn in rad^2).
+    The edge of the field of view is as soft as they are uncertain, and the pose (moved in m^2, turn in rad^2).
     """
     rows, names, limits, site_of, count = own.rows, own.names, rules.limits, rules.site_of, len(among)
     place, where, probability, n = np.empty(count, np.int64), np.empty((count, 5)), np.empty(count), 0
@@ -119,7 +119,7 @@ def find_near(own: Map, among: Ints, at: Moved, offset: Floats, rules: Rules, wa
         if span < math.pi:
             chance *= _within(v, span, limits[link, 3] + turn + loose / flat2, flat2)
         if chance > UNSEEN:
-            chance *= _inside(reach - distance, limits[link, 2] + way + loose)
+            chance *= _inside(reach - distance, limits[link, 2] + moved + loose)
         if chance > UNSEEN:
             place[n], probability[n] = j, chance
             where[n, 0], where[n, 1], where[n, 2], where[n, 3], where[n, 4] = distance, v.x, v.y, flat2, loose
@@ -156,12 +156,12 @@ def pair_up(
     toward = np.empty((len(z), 2))
     for k in range(len(z)):
         toward[k, 0], toward[k, 1] = math.cos(z[k, 1]), math.sin(z[k, 1])
-    way, turn = dt2 * (std[0] ** 2 + std[1] ** 2 + std[2] ** 2), dt2 * (std[3] ** 2 + std[4] ** 2 + std[5] ** 2)
+    moved, turn = dt2 * (std[0] ** 2 + std[1] ** 2 + std[2] ** 2), dt2 * (std[3] ** 2 + std[4] ** 2 + std[5] ** 2)
     for n in range(len(where)):
         j = near.place[n]
         link, mean, distance, flat2 = names[j, LINK], mean_of(rows, j), where[n, 0], where[n, 3]
         site, ahead, aside = site_of[link], where[n, 1], where[n, 2]
-        wide = where[n, 4] + 3.0 * (way + 2.0 * variance[site])
+        wide = where[n, 4] + 3.0 * (moved + 2.0 * variance[site])
         across, looked = wide / flat2 + 3.0 * turn, False
         wide += 3.0 * turn * flat2
         for k in range(first[link], first[link + 1]):
@@ -173,7 +173,7 @@ def pair_up(
             if not looked:
                 seen = seen_from(at.place, at.turned.r, rows, j, offset[site])
                 spread, looked = with_clock(seen, variance[site]), True
-                if way + turn > 0.0:
+                if moved + turn > 0.0:
                     by = slopes(seen, mean, at, std)
                     spread = sym_plus(spread, sym_plus(squared(by.velocity), squared(by.rates)))
             new = innovation(residual(seen, vec_at(z, k, 0), vec_at(known, k, 0)), spread, vec_at(single, k, 0))

@@ -135,8 +135,8 @@ def _move(one: One, interval: Interval, measured: Measured, first: Ints, rules: 
     predict_velocity(one.error, one.doubt, interval, mean, std)
     velocity, dt2 = mean.copy(), interval.dt**2
     at, everywhere = moved(one.pose, mean, interval.dt), np.arange(one.map.size[0])
-    way, turn = dt2 * np.sum(std[:3] ** 2), dt2 * np.sum(std[3:] ** 2)
-    near = find_near(one.map, everywhere, at, one.offset, rules, way, turn)
+    shift, turn = dt2 * np.sum(std[:3] ** 2), dt2 * np.sum(std[3:] ** 2)
+    near = find_near(one.map, everywhere, at, one.offset, rules, shift, turn)
     pairs = pair_up(one.map, near, at, std, one.offset, one.variance, measured, first, rules)
     shares = exclusive(pairs, len(measured.z))
     for _ in range(rules.iterations):

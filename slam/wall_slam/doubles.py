@@ -83,8 +83,8 @@ def _near(f: Filter, site: int, images: Sequence[Image]) -> list[Double]:
 def _spread(f: Filter, double: Double, places: Floats, flat: Flatness) -> Floats:
     """Return the covariance (2, 2) in m^2 of what parts of two walls may be turned and set off: an image moves by twice
     of that."""
-    way = place_of(f, np.array([double.vt.vt]))[0][0] - places.mean(axis=0)
-    across = quarter_turned(way)
+    offset = place_of(f, np.array([double.vt.vt]))[0][0] - places.mean(axis=0)
+    across = quarter_turned(offset)
     return np.asarray(8.0 * (flat.off**2 * np.eye(2) + flat.turned**2 * np.outer(across, across)))
 
 

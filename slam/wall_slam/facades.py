@@ -80,7 +80,7 @@ class Facades:
         mean, covariance = (np.array([each[c] for each in found]) for c in range(2))
         azimuth, distance = mean.reshape(-1, 2).T
         across, along = normals(azimuth)
-        reach = [p @ way for p, way in zip(points, along, strict=True)]
+        reach = [p @ ahead for p, ahead in zip(points, along, strict=True)]
         extent = np.array([(t.min(), t.max()) for t in reach]).reshape(-1, 2)
         shift = np.tile(np.eye(2), (len(walls), 1, 1))  # from the middle to the origin
         shift[:, 1, 0] = (middle * along).sum(axis=1)

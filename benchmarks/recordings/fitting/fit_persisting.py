@@ -1,4 +1,4 @@
-"""Errors of measurements that persist: deviations by place and by direction, and over which way they change."""
+"""Errors of measurements that persist: deviations by place and by direction, and over which distance they change."""
 
 from __future__ import annotations
 
@@ -35,8 +35,9 @@ def persisting(r: Recording, tracks: Tracks, white: dict[str, float]) -> Persist
     """Return the errors beyond the white ones: how paths depart from their predictions over more and more snapshots,
     the odometry's error removed.
 
-    The variance of half a difference is white + place^2 (1 - rho(way)) + direction^2 (1 - rho(change of direction)),
-    rho = exp(-x^2 / (2 scale^2)), as `slam.front_end` has it; the scale of the place is the one that fits best.
+    The variance of half a difference is white + place^2 (1 - rho(travelled)) + direction^2 (1 - rho(change of
+    direction)), rho = exp(-x^2 / (2 scale^2)), as `slam.front_end` has it; the scale of the place is the one that fits
+    best.
     """
     nothing = Persisting({}, {}, 0.0)
     if not all(NAMES[name] in white for name in QUANTITIES[:2]):
@@ -52,10 +53,10 @@ def persisting(r: Recording, tracks: Tracks, white: dict[str, float]) -> Persist
         parts.append(part)
     if len(parts) < 3:
         return nothing
-    way = np.array([part.moved_m for part in parts])
-    change = np.degrees([part.turned_rad for part in parts]) + np.degrees(way / range_m)
-    grid = np.geomspace(0.5 * way[0], way[-1], 24)
-    fits = [_components(parts, white, way, change, float(scale)) for scale in grid]
+    travelled = np.array([part.moved_m for part in parts])
+    change = np.degrees([part.turned_rad for part in parts]) + np.degrees(travelled / range_m)
+    grid = np.geomspace(0.5 * travelled[0], travelled[-1], 24)
+    fits = [_components(parts, white, travelled, change, float(scale)) for scale in grid]
     _, place, direction = min(fits, key=lambda fit: fit[0])
     return Persisting(place, direction, float(grid[int(np.argmin([fit[0] for fit in fits]))]))
 
@@ -66,7 +67,7 @@ def deviations(white: dict[str, float]) -> Floats:
 
 
 def _components(
-    parts: list[Apart], white: dict[str, float], way: Floats, change_deg: Floats, scale_m: float
+    parts: list[Apart], white: dict[str, float], travelled: Floats, change_deg: Floats, scale_m: float
 ) -> tuple[float, dict[str, float], dict[str, float]]:
     """Return the misfit of a scale of the place, and the deviations of place and direction that fit best with it."""
     from scipy.optimize import nnls
@@ -80,7 +81,7 @@ def _components(
         variance = np.array([in_unit(name, _spread(part.left[:, i])) ** 2 for part in parts])
         if key not in white or not (variance > 0.0).all():
             continue
-        columns = [-np.expm1(-0.5 * (way / scale_m) ** 2), -np.expm1(-0.5 * (change_deg / scale_deg) ** 2)]
+        columns = [-np.expm1(-0.5 * (travelled / scale_m) ** 2), -np.expm1(-0.5 * (change_deg / scale_deg) ** 2)]
         target = np.maximum(variance - white[key] ** 2, 0.0) / variance
         share, rest = nnls(np.column_stack(columns) / variance[:, None], target)
         misfit += rest**2

@@ -17,7 +17,7 @@ from cellslam.benchmarks.scores.reference_fixes import outlying
 from cellslam.sim.errors import InputError
 from cellslam.sim.recording import Floats, Reference
 
-FIRST_PATH_M = 60.0  # the heading is fitted over so much of the way
+FIRST_PATH_M = 60.0  # the heading is fitted over so much of the path
 LEAST_FIXES, MOST_FIXES = 5, 100
 # Deviations of wheels, gyros and GNSS in general: a campaign's own data sheet may be wrong.
 YAW_RATE_BIAS_RADPS, YAW_RATE_SCALE, SPEED_SCALE = 0.01, 0.05, 0.05
@@ -49,12 +49,12 @@ def start_from_reference(motion: Motion | None, reference: Reference, time_s: fl
 
 
 def _first_stretch(motion: Motion, times: Floats, time_s: float) -> slice:
-    """Return the fixes after `time_s` that lie on the first of the way, not more than MOST_FIXES."""
+    """Return the fixes after `time_s` that lie on the first of the path, not more than MOST_FIXES."""
     begin = int(np.searchsorted(times, time_s, side="right"))
     poses, _ = integrate(motion, np.insert(times[begin:], 0, time_s), np.zeros(6))
-    way = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(poses[:, :2], axis=0).T))])[1:]
-    count = min(max(int(np.searchsorted(way, FIRST_PATH_M)), LEAST_FIXES), len(way))
-    if len(way) < LEAST_FIXES or way[count - 1] < 1.0:
+    travelled = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(poses[:, :2], axis=0).T))])[1:]
+    count = min(max(int(np.searchsorted(travelled, FIRST_PATH_M)), LEAST_FIXES), len(travelled))
+    if len(travelled) < LEAST_FIXES or travelled[count - 1] < 1.0:
         raise InputError(
             "the reference has too few positions while the vehicle moves to tell its heading: give the start pose"
         )

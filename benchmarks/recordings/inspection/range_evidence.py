@@ -10,7 +10,7 @@ from cellslam.benchmarks.recordings.inspection.corrections import Correction, Dr
 from cellslam.benchmarks.recordings.inspection.reference_evidence import stretches
 from cellslam.sim.recording import Floats, Recording
 
-ODOMETRY_M, REFERENCE_M = 60.0, 200.0  # stretches of the way from which a beacon is placed: odometry drifts
+ODOMETRY_M, REFERENCE_M = 60.0, 200.0  # stretches of the path from which a beacon is placed: odometry drifts
 RANGES, FEWEST = 24, 3
 PATHS = 1.25  # a link has hardly more than one path a snapshot
 TURNS, ROUNDS = 4, 8
@@ -20,7 +20,7 @@ WORTH = 12.0  # of a stretch's residuals: half of their number
 
 
 class RangeEvidence:
-    """Log-likelihood of distances over stretches of the way, given odometry or reference; its place is free."""
+    """Log-likelihood of distances over stretches of the path, given odometry or reference; its place is free."""
 
     def __init__(self, recording: Recording, drive: Drive, fixes: tuple[Floats, Floats] | None) -> None:
         """`fixes`: times (R,) and positions (R, 2) of the reference; None: odometry. Raises ValueError if too few."""
@@ -41,14 +41,14 @@ class RangeEvidence:
             times = np.where(fixes[0][near] - fixes[0][near - 1] <= gap, times, np.nan)
         usable = np.isfinite(here).all(axis=1) & np.isfinite(times)
         step = np.hypot(*np.diff(here[usable], axis=0).T)
-        way = np.full(len(rows), np.nan)
-        way[usable] = np.concatenate([[0.0], np.cumsum(step)])
+        travelled = np.full(len(rows), np.nan)
+        travelled[usable] = np.concatenate([[0.0], np.cumsum(step)])
         length = ODOMETRY_M if fixes is None else REFERENCE_M
         chosen = []
         for link in range(len(recording.links)):
             mine = np.flatnonzero((links == link) & usable)
             if len(mine) >= 3 * RANGES:
-                chosen.append(mine[stretches(way[mine] - way[mine[0]], length, FEWEST, RANGES)])
+                chosen.append(mine[stretches(travelled[mine] - travelled[mine[0]], length, FEWEST, RANGES)])
         if not chosen:
             raise ValueError
         pick = np.concatenate(chosen)

@@ -1,4 +1,4 @@
-"""How well the reference and the odometry tell the same way: short stretches of both, laid onto each other."""
+"""How well the reference and the odometry tell the same path: short stretches of both, laid onto each other."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ import numpy as np
 from cellslam.benchmarks.recordings.inspection.corrections import Correction, Drive
 from cellslam.sim.recording import Floats, Ints
 
-STRETCH_M = 30.0  # of the way, for one comparison
+STRETCH_M = 30.0  # of the path, for one comparison
 FEWEST, MOST = 16, 80  # stretches
 SHORTEST_M = 2.0
 FIXES = 6  # of a stretch
@@ -27,8 +27,8 @@ class ReferenceEvidence:
         """`times` (R,) in s and `position_m` (R, 2) of the fixes. Raises ValueError where they are too few."""
         self.drive = drive
         here = drive.poses(times, Correction(), (0.0, 0.0))[:, :2]
-        way = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(here, axis=0).T))])
-        chosen = stretches(way, STRETCH_M, FEWEST, FIXES)
+        travelled = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(here, axis=0).T))])
+        chosen = stretches(travelled, STRETCH_M, FEWEST, FIXES)
         self.times, self.fixes = times[chosen], position_m[chosen]
         size = np.hypot(*(self.fixes.max(axis=1) - self.fixes.min(axis=1)).T)
         moving = size > 0.3 * np.median(size)
@@ -71,19 +71,19 @@ class ReferenceEvidence:
         return np.asarray(-DEGREES_OF_FREEDOM * np.log(rms))
 
 
-def stretches(way: Floats, length_m: float, fewest: int, points: int) -> Ints:
-    """Return rows (n, points), spread evenly over overlapping stretches of a `way` (R,) in m, each about as long,
-    at least `fewest` one after the other.
+def stretches(travelled: Floats, length_m: float, fewest: int, points: int) -> Ints:
+    """Return rows (n, points), spread evenly over overlapping stretches of a distance `travelled` (R,) in m, each about
+    as long, at least `fewest` one after the other.
 
     Raises ValueError where the rows do not suffice.
     """
-    count = int(np.clip(way[-1] / length_m, fewest, MOST))
-    count = min(count, len(way) // points, int(way[-1] / SHORTEST_M))
-    if count < 2 or way[-1] <= 0.0:
+    count = int(np.clip(travelled[-1] / length_m, fewest, MOST))
+    count = min(count, len(travelled) // points, int(travelled[-1] / SHORTEST_M))
+    if count < 2 or travelled[-1] <= 0.0:
         raise ValueError
-    first = np.linspace(0.0, way[-1] * (1.0 - 1.0 / count), 2 * count - 1)
-    wanted = first[:, None] + np.linspace(0.0, way[-1] / count, points)
-    rows = np.minimum(np.searchsorted(way, wanted), len(way) - 1)
+    first = np.linspace(0.0, travelled[-1] * (1.0 - 1.0 / count), 2 * count - 1)
+    wanted = first[:, None] + np.linspace(0.0, travelled[-1] / count, points)
+    rows = np.minimum(np.searchsorted(travelled, wanted), len(travelled) - 1)
     usable = (np.diff(rows, axis=1) > 0).sum(axis=1) >= points // 2
     if usable.sum() < 3:
         raise ValueError

@@ -20,8 +20,8 @@ from cellslam.sim.recording import Recording
 DEGREE = np.pi / 180.0
 FASTEST_TURN = 2.5  # rad/s: faster than any road vehicle, for its upper decile
 LEAST_ANGLES = 50
-START_M = 15.0  # of the way show where a drive starts to
-BACKWARDS = 0.8  # of the way: nobody drives so
+START_M = 15.0  # of the path show where a drive starts to
+BACKWARDS = 0.8  # of the path: nobody drives so
 TABLES = {
     "paths": "measured paths and odometry",
     "reference": "reference and odometry",
@@ -127,9 +127,9 @@ def _start(recording: Recording) -> Iterator[Suspicion]:
     if fixes is None or np.isnan(recording.odometry[:, 0]).all():
         return
     own = dead_reckoned(recording, fixes[0])[:, :2]
-    way = np.cumsum(np.hypot(*np.diff(own, axis=0, prepend=own[:1]).T))
-    end = int(np.searchsorted(way, START_M))
-    if end == len(way):
+    travelled = np.cumsum(np.hypot(*np.diff(own, axis=0, prepend=own[:1]).T))
+    end = int(np.searchsorted(travelled, START_M))
+    if end == len(travelled):
         return
     a, b = own[end] - own[0], fixes[1][end] - fixes[1][0]
     turn = float(wrap_angle(np.arctan2(b[1], b[0]) - np.arctan2(a[1], a[0])))
@@ -144,11 +144,15 @@ def _start(recording: Recording) -> Iterator[Suspicion]:
 def _backwards(recording: Recording) -> Iterator[Suspicion]:
     """Without azimuths nothing tells forward from backward but that vehicles go forward."""
     ahead = np.nan_to_num(recording.odometry[1:, 0]) * np.diff(recording.time_s)
-    way = float(np.abs(ahead).sum())
-    if np.isnan(recording.measurements.azimuth_rad).all() and way > START_M and ahead.sum() < -BACKWARDS * way:
-        share = -float(ahead[ahead < 0].sum()) / way
+    travelled = float(np.abs(ahead).sum())
+    if (
+        np.isnan(recording.measurements.azimuth_rad).all()
+        and travelled > START_M
+        and ahead.sum() < -BACKWARDS * travelled
+    ):
+        share = -float(ahead[ahead < 0].sum()) / travelled
         yield Suspicion(
             "odometry-sign",
-            f"the odometry drives {100 * share:.0f} % of its way backwards: if the vehicle did not, "
+            f"the odometry drives {100 * share:.0f} % of its distance backwards: if the vehicle did not, "
             "set sign = -1 for u_x",
         )

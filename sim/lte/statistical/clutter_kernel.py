@@ -114,7 +114,7 @@ def standing_clutter(
     out: Array,
 ) -> int:  # fmt: skip
     """Draw what is reported around one path besides it where that stands still: virtual transmitters, the same for all
-    links in a square of ground. Which of them a port sees changes over less way.
+    links in a square of ground. Which of them a port sees changes over a shorter distance.
     """
     standing = model.standing
     mean, low, part = expected_clutter(gamma[path], paths, model)

@@ -77,8 +77,8 @@ def traced(
     straight = np.linalg.norm(sent - received, axis=1)
     legs = np.nansum(np.linalg.norm(np.diff(c.points_m, axis=1), axis=2), axis=1)
     around = np.linalg.norm(first - sent, axis=1) + legs + np.linalg.norm(received - last, axis=1)
-    way = np.where(c.order == 0, straight, np.where(whole, around, np.nan))
-    _check_lengths(name, length, straight, way, tolerance.length_m)
+    around_m = np.where(c.order == 0, straight, np.where(whole, around, np.nan))
+    _check_lengths(name, length, straight, around_m, tolerance.length_m)
     _check_angles(name, "arrival", c.arrival_rad, (last - received)[whole], whole, tolerance.angle_rad)
     _check_angles(name, "departure", c.departure_rad, (first - sent)[whole], whole, tolerance.angle_rad)
     vt = received + length[:, None] * unit_vector(*c.arrival_rad.T)
@@ -103,12 +103,13 @@ def _whole(c: Columns) -> NDArray[np.bool_]:
     return np.asarray((c.order == 0) | (known == c.order), np.bool_)
 
 
-def _check_lengths(name: str, length: Floats, straight: Floats, way: Floats, tolerance_m: float) -> None:
-    """Raise InputError for a delay (P,) in m that is no `way` over its points, or less than the straight line."""
+def _check_lengths(name: str, length: Floats, straight: Floats, around_m: Floats, tolerance_m: float) -> None:
+    """Raise InputError for a delay (P,) in m that is no path `around_m` over its points, or less than the straight
+    line."""
     allowed = tolerance_m + LENGTH_SHARE * length
     for wrong, there, what in (
         (length < straight - allowed, straight, "its ends are {:.3f} m apart"),
-        (np.abs(way - length) > allowed, way, "its points make a way of {:.3f} m"),
+        (np.abs(around_m - length) > allowed, around_m, "its points make a path of {:.3f} m"),
     ):
         rows = np.flatnonzero(wrong)
         if len(rows):

@@ -1,4 +1,4 @@
-"""Compiled: motion of a joint filter by mean body velocities, and what time and way do to errors that persist."""
+"""Compiled: motion of a joint filter by mean body velocities, and what time and distance do to errors that persist."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ def move(f: Filter, interval: Interval, w: Step) -> None:
 
 
 @lean
-def _way(m: Mat3, v: Vec3, dt: float) -> Vec3:
+def _displacement(m: Mat3, v: Vec3, dt: float) -> Vec3:
     """Return m v dt."""
     return Vec3(
         m.xx * v.x * dt + m.xy * v.y * dt + m.xz * v.z * dt,
@@ -77,20 +77,20 @@ def _move_particles(f: Filter, interval: Interval) -> None:
     if len(f.weight) == 0:
         return
     ahead, turn = Vec3(0.0, 0.0, 0.0), Vec3(0.0, 0.0, 0.0)
-    mean_way, mean_turn = ahead, turn
+    mean_displacement, mean_turn = ahead, turn
     for c in range(-1, len(f.weight)):  # the mean first
         ahead = Vec3(_velocity_of(f, interval, 0, c), _velocity_of(f, interval, 1, c), _velocity_of(f, interval, 2, c))
         turn = Vec3(_velocity_of(f, interval, 3, c), _velocity_of(f, interval, 4, c), _velocity_of(f, interval, 5, c))
         yaw = x[3] + (d[3, c] if c >= 0 else 0.0) + half * turn.x
         pitch = x[4] + (d[4, c] if c >= 0 else 0.0) + half * turn.y
         roll = x[5] + (d[5, c] if c >= 0 else 0.0) + half * turn.z
-        way = _way(rotations(yaw, pitch, roll).r, ahead, dt)
+        displacement = _displacement(rotations(yaw, pitch, roll).r, ahead, dt)
         if c < 0:
-            mean_way, mean_turn = way, turn
+            mean_displacement, mean_turn = displacement, turn
             continue
-        d[0, c] += way.x - mean_way.x
-        d[1, c] += way.y - mean_way.y
-        d[2, c] += way.z - mean_way.z
+        d[0, c] += displacement.x - mean_displacement.x
+        d[1, c] += displacement.y - mean_displacement.y
+        d[2, c] += displacement.z - mean_displacement.z
         d[3, c] += dt * (turn.x - mean_turn.x)
         d[4, c] += dt * (turn.y - mean_turn.y)
         d[5, c] += dt * (turn.z - mean_turn.z)
@@ -113,8 +113,12 @@ def _move_pose(f: Filter, interval: Interval, by: Floats) -> None:
     ahead = Vec3(_velocity(f, interval, 0), _velocity(f, interval, 1), _velocity(f, interval, 2))
     turn = Vec3(_velocity(f, interval, 3), _velocity(f, interval, 4), _velocity(f, interval, 5))
     middle = rotations(x[3] + half * turn.x, x[4] + half * turn.y, x[5] + half * turn.z)
-    way = _way(middle.r, ahead, dt)
-    turned = columns(_way(middle.by_psi, ahead, dt), _way(middle.by_theta, ahead, dt), _way(middle.by_phi, ahead, dt))
+    displacement = _displacement(middle.r, ahead, dt)
+    turned = columns(
+        _displacement(middle.by_psi, ahead, dt),
+        _displacement(middle.by_theta, ahead, dt),
+        _displacement(middle.by_phi, ahead, dt),
+    )
     by[:] = 0.0
     by_velocity = by[:, core.size :]
     put_mat(by[:, 3:], turned)
@@ -132,9 +136,9 @@ def _move_pose(f: Filter, interval: Interval, by: Floats) -> None:
                 by[r, core.bias[c]] = -by_velocity[r, c]
             if core.scale[c] >= 0:
                 by[r, core.scale[c]] = -by_velocity[r, c] * velocity
-    x[0] += way.x
-    x[1] += way.y
-    x[2] += way.z
+    x[0] += displacement.x
+    x[1] += displacement.y
+    x[2] += displacement.z
     x[3] += turn.x * dt
     x[4] += turn.y * dt
     x[5] += turn.z * dt
@@ -217,7 +221,7 @@ def _drift(f: Filter, dt: float) -> None:
 
 @lean
 def forget(f: Filter, a: ArrayErrors, moved: float, dt: float) -> None:
-    """Let what persists be drawn anew after a way (m) and a time (s): diffuse errors, turns, pitch and roll."""
+    """Let what persists be drawn anew after a distance (m) and a time (s): diffuse errors, turns, pitch and roll."""
     kept = math.exp(-moved / (AREA * a.diffuse_m)) if a.diffuse_m > 0.0 else 0.0
     width = f.vt_state.shape[1]
     for place in range(f.core.size, f.size[0]):

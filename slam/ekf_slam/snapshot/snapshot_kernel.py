@@ -231,13 +231,16 @@ def give_births(
 def shares(b: Block, a: ArrayErrors, j: int) -> tuple[float, float]:
     """Return what of the deviation of diffuse errors and of turns is left in the mean of a VT's measurements in the
     block."""
-    n, by_way, by_time = b.detections[j], 0.0, 0.0
+    n, by_distance, by_time = b.detections[j], 0.0, 0.0
     for i in range(n):
         for k in range(n):
-            way, time = b.at[b.seen[j, i], 0] - b.at[b.seen[j, k], 0], b.at[b.seen[j, i], 1] - b.at[b.seen[j, k], 1]
-            by_way += math.exp(-0.5 * (way / a.diffuse_m) ** 2) if a.diffuse_m > 0.0 else 0.0
+            distance, time = (
+                b.at[b.seen[j, i], 0] - b.at[b.seen[j, k], 0],
+                b.at[b.seen[j, i], 1] - b.at[b.seen[j, k], 1],
+            )
+            by_distance += math.exp(-0.5 * (distance / a.diffuse_m) ** 2) if a.diffuse_m > 0.0 else 0.0
             by_time += math.exp(-0.5 * (time / a.sway_s) ** 2) if a.sway_s > 0.0 else 0.0
-    return math.sqrt(by_way / (n * n) * b.diffuse[j] / n), math.sqrt(by_time / (n * n))
+    return math.sqrt(by_distance / (n * n) * b.diffuse[j] / n), math.sqrt(by_time / (n * n))
 
 
 @lean
@@ -333,8 +336,8 @@ def conclude(f: Filter, a: ArrayErrors, b: Block, noise: Floats, seen: Measured,
 
 @lean
 def ends(b: Block, rules: Rules) -> bool:
-    """Return whether a block is full: after so many snapshots, so long a way or turn."""
-    return bool(b.snapshots[0] >= rules.snapshots or b.total[0] > rules.way or abs(b.total[1]) > rules.turn)
+    """Return whether a block is full: after so many snapshots, so long a distance or turn."""
+    return bool(b.snapshots[0] >= rules.snapshots or b.total[0] > rules.distance or abs(b.total[1]) > rules.turn)
 
 
 @njit(cache=True, nogil=True)

@@ -4,7 +4,7 @@ A small step leaves its mark in a block's innovations: of a unit step at the blo
 still to be corrected after some updates, and H left is what the next innovation shows of it. The ratio of likelihoods
 with and without a step, times the probability of a step in a block, decides. If there is none, the expected ratio is
 one, so that by Markov's inequality the probability of a false alarm is no greater than that probability. Wheels that
-slip put all sites off: what a shift of the vehicle along its way explains as well is no step.
+slip put all sites off: what a shift of the vehicle along its path explains as well is no step.
 
 A large step takes all measurements out of the gates. That one shift of the distances would explain what no confirmed VT
 does is evidence in the same way, at once where several measurements agree, in a few snapshots where a site has but one.
@@ -44,7 +44,7 @@ class Shift(NamedTuple):
 
 @lean
 def expect_steps(f: Filter, rules: Rules, steps: Steps) -> None:
-    """Begin a block: nothing of a unit step of a clock, or shift of the vehicle along its way, is corrected."""
+    """Begin a block: nothing of a unit step of a clock, or shift of the vehicle along its path, is corrected."""
     sites = len(f.core.step_m)
     steps.used[0] = 0
     steps.left[:] = 0.0

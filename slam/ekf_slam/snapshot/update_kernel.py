@@ -39,7 +39,7 @@ LOG_2PI = math.log(2.0 * math.pi)
 
 
 class Steps(NamedTuple):
-    """What a block says of steps of the S clocks, and of a shift of the vehicle along its way, at its begin: of a unit
+    """What a block says of steps of the S clocks, and of a shift of the vehicle along its path, at its begin: of a unit
     step, what is `left` (S + 1, N) to be corrected in each state; `score` (S + 1,), the slope of the log-likelihood by
     the step, 1/m, and its `information` (S + 1,), 1/m^2. Rows `used` (1,): none where no clock may step."""
 
@@ -322,8 +322,8 @@ def _seen_by(f: Filter, j: int, measurement: BlockMeasurement, particle: int) ->
         place = Vec3(place.x + by[0], place.y + by[1], place.z + by[2])
         turned = rotations(measurement.pose[3] + by[3], measurement.pose[4] + by[4], measurement.pose[5] + by[5]).r
     anchor = Vec3(f.anchor[j, 0], f.anchor[j, 1], f.anchor[j, 2])
-    way = vec_minus(vec_plus(anchor, vec_scaled(direction(azimuth, elevation), distance)), place)
-    return spherical(transposed_vec(turned, way))
+    offset = vec_minus(vec_plus(anchor, vec_scaled(direction(azimuth, elevation), distance)), place)
+    return spherical(transposed_vec(turned, offset))
 
 
 @lean

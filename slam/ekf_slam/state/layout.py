@@ -130,7 +130,7 @@ class Rules(NamedTuple):
 
     `mode`: what the measurements may do to the map; `log_clutter`: log of the clutter density; `gate`: squared
     Mahalanobis distance; `confirm`: detections that confirm a VT; `age_once`, `age_twice`: snapshots after which one
-    that was seen once, or a few times, is dropped. A block ends after so many `snapshots`, so long a `way` (m) or
+    that was seen once, or a few times, is dropped. A block ends after so many `snapshots`, so long a `distance` (m) or
     `turn` (rad); `evidence`: what share of detections and misses counts; `hold`: snapshots after which a weight that
     was not met is given up; `return_log_odds`: least log-odds that a measurement is of a VT which was last seen more
     than `away` snapshots ago, not of another one nearby; `doubt`: what a rival association may lose of log-likelihood.
@@ -146,7 +146,7 @@ class Rules(NamedTuple):
     age_once: int
     age_twice: int
     snapshots: int
-    way: float
+    distance: float
     turn: float
     evidence: float
     hold: int
@@ -193,8 +193,8 @@ class Measured(NamedTuple):
 
 
 class Block(NamedTuple):
-    """What has been measured since the last update, up to B snapshots: `snapshots` (1,); of each its `pose` (B, 6), way
-    (m) and time (s) from the begin `at` (B, 2); `total` (3,): way, turn (rad), time.
+    """What has been measured since the last update, up to B snapshots: `snapshots` (1,); of each its `pose` (B, 6),
+    distance (m) and time (s) from the begin `at` (B, 2); `total` (3,): distance, turn (rad), time.
 
     Of each VT: how many `detections` (V,), in which snapshots `seen` (V, B); sums of innovations, variances and how
     many were measured: `e`, `q`, `measured` (V, 3), of squared shares of diffuse errors `diffuse` (V,), and of the
