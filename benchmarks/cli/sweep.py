@@ -135,8 +135,8 @@ def processes(arguments: Namespace) -> int:
 
 def _work(arguments: Namespace, todo: Plan, store: Store, pool: Executor, tally: Tally) -> None:
     tally.total = len(todo)
-    with watching(tally, arguments.quiet, arguments.live) as heard:
-        carry_out(todo, store, pool, heard)
+    with watching(tally, arguments.quiet, arguments.live) as on_result:
+        carry_out(todo, store, pool, on_result)
 
 
 def _dry_run(made: Plan, of: str, jobs: int, allowed: Limits, out: Path) -> None:

@@ -25,12 +25,12 @@ from cellslam.benchmarks.sweeps.tasks import (
 )
 from cellslam.benchmarks.trials.external_processes import ExternalProcesses
 
-Heard = Callable[[Task, Job, Mapping[str, Any]], None]
+OnResult = Callable[[Task, Job, Mapping[str, Any]], None]
 SAMPLES_PER_ESTIMATOR = 4
 
 
-def carry_out(plan: Plan, store: Store, executor: Executor, heard: Heard) -> None:
-    """Work off a plan; `heard` is called with task, job and row of each result, once it is stored.
+def carry_out(plan: Plan, store: Store, executor: Executor, on_result: OnResult) -> None:
+    """Work off a plan; `on_result` is called with task, job and row of each result, once it is stored.
 
     A job that was lost with its worker is tried once more, alone; lost again, it is a failed row.
     """
@@ -41,7 +41,7 @@ def carry_out(plan: Plan, store: Store, executor: Executor, heard: Heard) -> Non
     def keep(result: Result) -> None:
         task, job = owners[result.key]
         store.write(result, ids[task.world], ids[job.options])
-        heard(task, job, result.row)
+        on_result(task, job, result.row)
 
     lost: list[Lost] = []
     for answer in executor.run(plan.tasks):

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from rich.table import Table
 
-    from cellslam.benchmarks.sweeps.sweeping import Heard
+    from cellslam.benchmarks.sweeps.sweeping import OnResult
     from cellslam.benchmarks.sweeps.tasks import Job, Task
 
 LINE_EVERY_S = 10.0
@@ -78,7 +78,7 @@ class Tally:
 
 
 @contextmanager
-def watching(tally: Tally, quiet: bool, live: bool) -> Iterator[Heard]:
+def watching(tally: Tally, quiet: bool, live: bool) -> Iterator[OnResult]:
     """Show a tally while rows come in; the value is called with each row."""
     if quiet:
         yield tally.hear
@@ -95,12 +95,12 @@ def clock(seconds: float) -> str:
     return f"{seconds / 60:.0f} min" if seconds < 5400 else f"{seconds / 3600:.1f} h"
 
 
-def _on_terminal(tally: Tally, live: bool) -> Iterator[Heard]:
+def _on_terminal(tally: Tally, live: bool) -> Iterator[OnResult]:
     from rich.console import Console
     from rich.live import Live
 
     class Shown:
-        """Drawn anew at each refresh."""
+        """Redrawn at each refresh."""
 
         def __rich__(self) -> Any:
             return tally.table() if live else tally.line()
@@ -109,7 +109,7 @@ def _on_terminal(tally: Tally, live: bool) -> Iterator[Heard]:
         yield tally.hear
 
 
-def _in_lines(tally: Tally, live: bool) -> Iterator[Heard]:
+def _in_lines(tally: Tally, live: bool) -> Iterator[OnResult]:
     shown = [time.monotonic()]
 
     def hear(task: Task, job: Job, row: Mapping[str, Any]) -> None:

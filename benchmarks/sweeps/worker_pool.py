@@ -64,8 +64,8 @@ class Pool:
         open_pipes = {
             worker.connection: worker for worker in self._workers if not (worker.idle and worker.task is None)
         }
-        heard = {open_pipes[pipe] for pipe in wait(list(open_pipes), POLL_S) if isinstance(pipe, Connection)}
-        return [worker for worker in self._workers if worker in heard or worker.overdue or worker.died]
+        ready = {open_pipes[pipe] for pipe in wait(list(open_pipes), POLL_S) if isinstance(pipe, Connection)}
+        return [worker for worker in self._workers if worker in ready or worker.overdue or worker.died]
 
     def _replace_the_dead(self) -> None:
         for worker in [w for w in self._workers if w.ended]:

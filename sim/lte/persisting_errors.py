@@ -86,7 +86,7 @@ def floors(config: RadioConfig, constants: Statistics | None = None) -> Floats:
 
 
 def white_floors(config: RadioConfig, constants: Statistics | None = None) -> Floats:
-    """Return the part of the floors (3,), in m, rad, rad, that is drawn anew for every measurement."""
+    """Return the part of the floors (3,), in m, rad, rad, that is redrawn for every measurement."""
     white = [c.std**2 for c in causes(config, constants) if c.scale == 0.0]
     return np.asarray(np.sqrt(sum(white, np.zeros(3))), np.float64)
 

@@ -126,7 +126,7 @@ class RadioConfig(BaseModel):
 
     clutter_scale: float = Field(1.0, ge=0.0, le=20.0, description="factor on the mean number of clutter measurements")
     persisting_clutter: bool = Field(
-        False, description="clutter and missed paths last as at signal level (false: drawn anew for each snapshot)"
+        False, description="clutter and missed paths last as at signal level (false: redrawn for each snapshot)"
     )
     ghost_rule_db: float = Field(
         25.0,

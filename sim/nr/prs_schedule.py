@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from cellslam.sim.errors import InputError
 from cellslam.sim.nr.prs import NUMEROLOGIES, check_integers, slots_per_frame
 
-FRAMES = 1024  # after which the system frame number begins anew
+FRAMES = 1024  # after which the system frame number begins again
 PERIODS = (4, 5, 8, 10, 16, 20, 32, 40, 64, 80, 160, 320, 640, 1280, 2560, 5120, 10240)  # at 15 kHz
 REPETITIONS = (1, 2, 4, 6, 8, 16, 32)
 GAPS = (1, 2, 4, 8, 16, 32)

@@ -68,7 +68,7 @@ def trace(
 
 
 def _positions(name: str, positions: ArrayLike) -> Floats:
-    array = np.array(positions, np.float64, order="C")  # kernels are compiled for each order anew
+    array = np.array(positions, np.float64, order="C")  # kernels are compiled for each order again
     if array.ndim != 2 or array.shape[1] != 3:
         raise InputError(f"{name} have shape {array.shape}, expected (n, 3): x, y, z in metres")
     bad = np.flatnonzero(~np.isfinite(array).all(axis=1))

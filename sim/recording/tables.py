@@ -158,8 +158,9 @@ class Vehicles(Described):
 
     `kind` (N,) in words; `size_m` (N, 3): length, width, height; `time_s` (K,), equidistant, since the first snapshot;
     `poses` (K, N, 4): x, y, ground of the box's centre (m), yaw (rad), linear in between unless a vehicle leaves and
-    comes in anew; `blocked` (B, 4): row of the VT, vehicle, first and last snapshot of each time that it blocks a path;
-    `reflected` (M,): the vehicle whose side a measurement was reflected by, -1 none; such a measurement has no VT.
+    comes in again; `blocked` (B, 4): row of the VT, vehicle, first and last snapshot of each time that it blocks a
+    path; `reflected` (M,): the vehicle whose side a measurement was reflected by, -1 none; such a measurement has no
+    VT.
     """
 
     kind: tuple[str, ...]

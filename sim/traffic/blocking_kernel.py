@@ -32,7 +32,7 @@ class Lines(NamedTuple):
 @njit(cache=True)
 def place(poses: Floats, step: float, longest_m: float, out: Floats) -> None:
     """Write the poses (N, 4), in m and rad, between those of whole steps (K, N, 4). Who is farther off than `longest_m`
-    after a step has come in anew, and is there already."""
+    after a step has come in again, and is there already."""
     last = len(poses) - 1
     at = min(max(step, 0.0), float(last))
     k = min(int(at), max(last - 1, 0))

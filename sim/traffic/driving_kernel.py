@@ -39,7 +39,7 @@ class Rules(NamedTuple):
 
 
 class Road(NamedTuple):
-    """Parallel lanes that begin anew where they end, all in one direction.
+    """Parallel lanes that begin again where they end, all in one direction.
 
     `length` in m; `lanes` (L,) to the side in m, left positive, from right to left or from left to right; `width` of a
     lane in m; `limit` (n,) speed in m/s on equal cells along the road.

@@ -43,7 +43,7 @@ class Waveform(Protocol):
 
     @property
     def slots(self) -> int:
-        """After how many slots `values` begin anew."""
+        """After how many slots `values` begin again."""
         ...
 
     @property

@@ -67,7 +67,7 @@ def check_fits(known: Calibration, size: Floats, scale_rad: float) -> None:
         theirs, ours = np.degrees(known.scale_rad), np.degrees(scale_rad)
         raise InputError(
             f"a calibration over {theirs:g} deg, but the filter's is over {ours:g} deg: set calibration_scale_deg = "
-            f"{theirs:g}, or calibrate anew"
+            f"{theirs:g}, or calibrate again"
         )
     if ((known.size > 0.0) != (size > 0.0)).any():
         raise InputError(

@@ -17,7 +17,7 @@ from cellslam.slam import warm_up
 from cellslam.slam.api import Estimate, Setup, Snapshot, VtEstimate
 from cellslam.slam.ekf_slam.calibration_states import begin_with, found
 from cellslam.slam.ekf_slam.ekf_slam_options import EkfSlamOptions
-from cellslam.slam.ekf_slam.map_after import Box, Heard, map_after
+from cellslam.slam.ekf_slam.map_after import Box, Observed, map_after
 from cellslam.slam.ekf_slam.map_states import Remembered
 from cellslam.slam.ekf_slam.map_trial import MapTrial
 from cellslam.slam.ekf_slam.mixture import LONGEST, MOST_STATES, Mixture, core_of, new_mixture, vt_estimate
@@ -185,9 +185,12 @@ class JointFilter:
         mixture = self._joint
         if mixture is None:
             return self._setup.map
-        best, heard = int(np.argmax(mixture.log_weight)), Heard(self._setup.links, self._setup.sites.name, self._seen)
+        best, observed = (
+            int(np.argmax(mixture.log_weight)),
+            Observed(self._setup.links, self._setup.sites.name, self._seen),
+        )
         f, confirm = one_of(mixture.collapsed().arrays, best), self.options.confirm_hits
-        return map_after(f, self._archive, heard, mixture.remembered, confirm)
+        return map_after(f, self._archive, observed, mixture.remembered, confirm)
 
     def _given(self, measurements: FusedMeasurements) -> Ints:
         """Return the true VT of each measurement, for the oracle that knows it."""

@@ -43,17 +43,17 @@ class Influence:
         identity `born` + i. Where that measurement is, in other filters, of a VT that they have, both are of one path,
         as the likeliest of these has it. log_weight (K,).
         """
-        begun = self._identities(mixture)
-        begun = begun[begun >= born]
-        if not len(begun):
+        new = self._identities(mixture)
+        new = new[new >= born]
+        if not len(new):
             return
-        begun = np.unique(begun)
-        path = begun.copy()
-        for n, measurements in enumerate(association[:, begun - born].T):
+        new = np.unique(new)
+        path = new.copy()
+        for n, measurements in enumerate(association[:, new - born].T):
             have = np.flatnonzero(np.isin(measurements, self.ident))
             if len(have):
                 path[n] = self.path[np.searchsorted(self.ident, measurements[have[np.argmax(log_weight[have])]])]
-        self._add(begun, path)
+        self._add(new, path)
 
     def weigh(self, mixture: Filter) -> Floats:
         """Take in what the VTs are worth at the end of a block, and return the log-weights (K,).

@@ -28,7 +28,7 @@ FORGOTTEN = 2  # drives past a VT without a detection after which it is no longe
 Box = tuple[list[float], list[float]]  # least and greatest x and y, in m
 
 
-class Heard(NamedTuple):
+class Observed(NamedTuple):
     """What a drive has beside a filter: the filter's `links` and the names of its `sites`; of each VT that was detected
     the box of the vehicle's places that it was `seen` from, by identity."""
 
@@ -37,13 +37,13 @@ class Heard(NamedTuple):
     seen: Mapping[int, Box]
 
 
-def map_after(f: Filter, lost: Floats, heard: Heard, before: Remembered | None, confirm: int) -> VtMap:
+def map_after(f: Filter, lost: Floats, observed: Observed, before: Remembered | None, confirm: int) -> VtMap:
     """Return the map after a drive: VTs that were seen, with `confirm` detections, those that made room, `lost`
     (E, 14), and those of the map before that were not seen; what was missed too often is left out."""
     slots = f.slots[: f.count[0]]
     places = f.vt_state[: len(slots), VT]
     fit = (slots[:, HITS] >= confirm) & (f.anchor[: len(slots), SHARE] > 0.5) & (f.p[places, places] > 0.0)
-    mine = np.flatnonzero(fit & np.isin(slots[:, IDENT], list(heard.seen)))
+    mine = np.flatnonzero(fit & np.isin(slots[:, IDENT], list(observed.seen)))
     states = f.vt_state[mine, VT : VT + 3]
     joint = np.concatenate([states.ravel(), np.arange(f.core.first_common, f.core.size)])
     root = _root(f.p[np.ix_(joint, joint)])
@@ -51,9 +51,9 @@ def map_after(f: Filter, lost: Floats, heard: Heard, before: Remembered | None, 
     position = anchor + spherical[:, :1] * unit_vector(spherical[:, 1], spherical[:, 2])
     by = jacobians(standing(anchor), position)[0]
     common = np.asarray(np.linalg.solve(by, root[: states.size].reshape(len(mine), 3, len(joint))), np.float64)
-    seen = _listed(heard, slots[mine, IDENT], slots[mine, LINK], position, anchor, slots[mine, HITS])
+    seen = _listed(observed, slots[mine, IDENT], slots[mine, LINK], position, anchor, slots[mine, HITS])
     parts = [replace(seen, common_m=common)]
-    parts.append(_made_room(heard, lost, set(slots[mine, IDENT].tolist()), before, confirm, len(joint)))
+    parts.append(_made_room(observed, lost, set(slots[mine, IDENT].tolist()), before, confirm, len(joint)))
     if before is not None:
         ident = before.first_ident + np.arange(len(before.known))
         parts[0] = _continued(parts[0], slots[mine, IDENT] - before.first_ident, before.known)
@@ -67,28 +67,28 @@ def map_after(f: Filter, lost: Floats, heard: Heard, before: Remembered | None, 
     return joined(parts).compressed().widened(WIDENED)
 
 
-def _listed(heard: Heard, ident: Ints, link: Ints, position: Floats, anchor: Floats, hits: Ints) -> VtMap:
+def _listed(observed: Observed, ident: Ints, link: Ints, position: Floats, anchor: Floats, hits: Ints) -> VtMap:
     """Return VTs (V,) on links as a map, whose covariances are zero."""
-    count, keys = len(ident), keys_of(heard.links, heard.sites)
+    count, keys = len(ident), keys_of(observed.links, observed.sites)
     site, cell, port = ([keys[n][i] for n in link.tolist()] for i in range(3))
     return VtMap(
         np.array(site, np.str_), np.array(cell, np.int64), np.array(port, np.int64), position, anchor,
         np.zeros((count, 3, 3)), np.zeros((count, 3, 0)),
-        np.array([heard.seen[i] for i in ident.tolist()]).reshape(count, 2, 2), hits.copy(), np.zeros(count, np.int64),
+        np.array([observed.seen[i] for i in ident.tolist()]).reshape(count, 2, 2), hits.copy(), np.zeros(count, np.int64),
     )  # fmt: skip
 
 
 def _made_room(
-    heard: Heard, lost: Floats, there: set[int], before: Remembered | None, confirm: int, common: int
+    observed: Observed, lost: Floats, there: set[int], before: Remembered | None, confirm: int, common: int
 ) -> VtMap:
     """Return new VTs that made room for others: of their covariances with the others nothing is left."""
     ours = range(0) if before is None else range(before.first_ident, before.first_ident + len(before.known))
     ident = lost[:, 0].astype(np.int64)
-    new = np.array([i in heard.seen and i not in there and i not in ours for i in ident.tolist()], np.bool_)
+    new = np.array([i in observed.seen and i not in there and i not in ours for i in ident.tolist()], np.bool_)
     lost, ident = lost[new], ident[new]
-    middle = np.array([[*np.mean(heard.seen[i], axis=0), 0.0] for i in ident.tolist()]).reshape(-1, 3)
+    middle = np.array([[*np.mean(observed.seen[i], axis=0), 0.0] for i in ident.tolist()]).reshape(-1, 3)
     hits, at = np.full(len(lost), confirm), lost[:, POSITION:SPREAD]
-    out = _listed(heard, ident, lost[:, 1].astype(np.int64), at, middle, hits)
+    out = _listed(observed, ident, lost[:, 1].astype(np.int64), at, middle, hits)
     own = lost[:, SPREAD:].reshape(-1, 3, 3)
     return replace(out, own_m2=own, common_m=np.zeros((len(lost), 3, common)))
 

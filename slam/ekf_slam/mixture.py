@@ -82,7 +82,7 @@ def core_of(setup: Setup, errors: ArrayErrors, drawn: int = 0) -> Core:
     drifts, after = (setup.sites.drift_std_m_s > 0.0) | (wander[1] > 0.0), first + len(setup.sites)
     rate = np.where(drifts, after + np.cumsum(drifts) - 1, -1).astype(np.int64)
     end = after + int(drifts.sum())
-    step_m = np.array(setup.sites.step_std_m)  # one that can be written: for others the kernels would be compiled anew
+    step_m = np.array(setup.sites.step_std_m)  # one that can be written: for others the kernels would be compiled again
     sums = np.full((drawn, POSE), -1, np.int64)
     sums[:, noisy] = end + np.arange(drawn * len(noisy)).reshape(drawn, len(noisy))
     end += drawn * len(noisy)
@@ -132,13 +132,13 @@ class Mixture:
         """Move every filter by an interval and use a snapshot; return the associations (K, m).
 
         Of VTs each keeps so many at most; those that make room stay in `lost` until the next snapshot. Filters that
-        doubt an association become two, as long as there are less than `most`.
+        have a rival association become two, as long as there are less than `most`.
         """
         if len(self) >= most:
             return side_by_side([self], errors, interval, measured, most_vts)[0]
         pairs = self._unpaired(measured, most_vts)
         together([self._work(errors, interval, measured, pairs, using=False)], [len(self)])
-        pairs = self._doubt(pairs, measured.rules.doubt, most)
+        pairs = self._split_on_rivals(pairs, measured.rules.rival_loss, most)
         together([self._work(errors, interval, measured, pairs, pairing=False)], [len(self)])
         self.weigh(pairs.ident, measured)
         return pairs.ident
@@ -178,10 +178,10 @@ class Mixture:
             np.full((k, m), -1),
         )  # fmt: skip
 
-    def _doubt(self, pairs: Paired, doubt: float, most: int) -> Paired:
+    def _split_on_rivals(self, pairs: Paired, rival_loss: float, most: int) -> Paired:
         """Give each filter with a rival association a double that has it, the likeliest first; return all pairs."""
         loss = pairs.loss[:, 0]
-        found = np.flatnonzero(loss < doubt)
+        found = np.flatnonzero(loss < rival_loss)
         found = found[np.argsort(loss[found] - self.log_weight[found], kind="stable")][: most - len(self)]
         if not len(found):
             return pairs

@@ -110,7 +110,7 @@ def _surely(slope: float, information: float) -> float:
 
 def growth(mixture: Mixture) -> float:
     """Return by what factor diffuse errors are surely larger than a mixture takes them for, 1 where they may be as
-    large, or where no filter is as likely as all others together; otherwise all filters count anew.
+    large, or where no filter is as likely as all others together; otherwise all filters count again.
 
     Diffuse energy moves distance, azimuth and elevation: distances, which merged paths hardly move, speak for all.
     """

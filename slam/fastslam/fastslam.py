@@ -133,7 +133,7 @@ class FastSlam(JointFilter):
     def _rules(self, common: Rules, dt_s: float) -> Rules:
         """Leave second hypotheses to the association part."""
         del dt_s
-        return common._replace(doubt=0.0)
+        return common._replace(rival_loss=0.0)
 
     @property
     def _drawn_blocks(self) -> int:

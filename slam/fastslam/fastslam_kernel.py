@@ -66,7 +66,7 @@ def predict_and_score(
 @njit(cache=True, nogil=True)
 def step_clocks(f: Filter, a: ArrayErrors, b: Block, seen: Measured, slot_of: Ints, room: Room, out: Scores) -> bool:
     """Shift the clocks that the measurements, associated with the VTs `slot_of` (m,), show to have stepped, and score
-    anew; return whether there is any."""
+    again; return whether there is any."""
     put(room.pairs.slot_of, slot_of)
     shifted = shift_clocks(f, b, a, seen, room.sight, room.pairs)
     if shifted:

@@ -76,24 +76,24 @@ class FrontEndOptions(BaseModel):
     calibration_azimuth_deg: float = Field(0.25, ge=0, le=90, description="the same for azimuth, deg")
     calibration_elevation_deg: float = Field(0.35, ge=0, le=90, description="the same for elevation, deg")
     calibration_scale_deg: float = Field(
-        15.0, ge=0, le=180, description="change of direction over which it is drawn anew, deg; 0: white"
+        15.0, ge=0, le=180, description="change of direction over which it is redrawn, deg; 0: white"
     )
     roof_azimuth_deg: float = Field(
         0.6, ge=0, le=90, description="azimuth error by scattering of the roof, a function of the direction, deg"
     )
     roof_elevation_deg: float = Field(1.2, ge=0, le=90, description="the same for elevation, deg")
     roof_scale_deg: float = Field(
-        2.0, ge=0, le=180, description="change of direction over which it is drawn anew, deg; 0: white"
+        2.0, ge=0, le=180, description="change of direction over which it is redrawn, deg; 0: white"
     )
     diffuse_m: float = Field(0.71, ge=0, le=100, description="distance error by diffuse energy, of each VT and port, m")
     diffuse_azimuth_deg: float = Field(0.75, ge=0, le=90, description="the same for azimuth, deg")
     diffuse_elevation_deg: float = Field(0.51, ge=0, le=90, description="the same for elevation, deg")
-    diffuse_scale_m: float = Field(0.15, ge=0, le=1000, description="distance over which it is drawn anew, m; 0: white")
+    diffuse_scale_m: float = Field(0.15, ge=0, le=1000, description="distance over which it is redrawn, m; 0: white")
     sway_azimuth_deg: float = Field(
         0.3, ge=0, le=90, description="azimuth error of all paths of a snapshot, as the array sways, deg"
     )
     sway_elevation_deg: float = Field(0.5, ge=0, le=90, description="the same for elevation (pitch and roll), deg")
-    sway_scale_s: float = Field(0.15, ge=0, le=1000, description="time over which it is drawn anew, s; 0: white")
+    sway_scale_s: float = Field(0.15, ge=0, le=1000, description="time over which it is redrawn, s; 0: white")
     sharing: Literal["none", "site"] = Field(
         "site", description="whether what the ports and sectors of a site measure of a path is taken together"
     )
@@ -156,7 +156,7 @@ class FrontEndOptions(BaseModel):
 
     @cached_property
     def scales(self) -> Floats:
-        """Over what errors are drawn anew (4,): distance (m) for those of place, change of direction (rad) for those of
+        """Over what errors are redrawn (4,): distance (m) for those of place, change of direction (rad) for those of
         direction in distance and in angles, and how far off VTs are for that (m).
 
         In angles the mean of both scales by the variances of azimuth, or of elevation where azimuth has none.

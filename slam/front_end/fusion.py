@@ -36,14 +36,14 @@ class FusedMeasurements(Snapshot):
     """A snapshot whose measurements are measurements, n of them, sorted by the group of links that they belong to
     (`link`).
 
-    `white` (n, 3): white variances in m^2 and rad^2; `ports` (n,): how many ports they are means of; `doubt` (n,): log
-    of how much likelier clutter has so many members than a path; `begins` (n,): whether it may begin a VT; `row` is
-    that of the first measurement; `of` (m,): the measurement of each measurement.
+    `white` (n, 3): white variances in m^2 and rad^2; `ports` (n,): how many ports they are means of;
+    `clutter_log_ratio` (n,): log of how much likelier clutter has so many members than a path; `begins` (n,): whether
+    it may begin a VT; `row` is that of the first measurement; `of` (m,): the measurement of each measurement.
     """
 
     white: Floats
     ports: Ints
-    doubt: Floats
+    clutter_log_ratio: Floats
     begins: NDArray[np.bool_]
     of: Ints
 
@@ -59,8 +59,8 @@ class Fusion(Generic[Options]):
         _, self._first, self._group = np.unique(key, return_index=True, return_inverse=True)
         share = max(len(site), 1) / max(len(self._first), 1)
         self._together, self._given, size = share > 1.0, options, np.bincount(self._group)
-        self._doubts = doubts(size, options.detection_probability)
-        self._begins = (self._doubts <= 0.0) | (size < MANY)[:, None]
+        self._clutter_log_ratios = clutter_log_ratios(size, options.detection_probability)
+        self._begins = (self._clutter_log_ratios <= 0.0) | (size < MANY)[:, None]
         missed = (1.0 - options.detection_probability) ** share
         self.options: Options = options.model_copy(update={
             "detection_probability": max(min(1.0 - missed, LARGEST_DETECTION), options.detection_probability),
@@ -80,7 +80,7 @@ class Fusion(Generic[Options]):
         return FusedMeasurements(
             index=snapshot.index, row=snapshot.row[first], link=own, distance_m=distance_m, azimuth_rad=azimuth_rad,
             elevation_rad=elevation_rad, snr_db=snapshot.snr_db[first], white=noise, ports=ports,
-            doubt=self._doubts[own, members], begins=self._begins[own, members], of=measurement,
+            clutter_log_ratio=self._clutter_log_ratios[own, members], begins=self._begins[own, members], of=measurement,
         )  # fmt: skip
 
     def answer(self, estimate: Estimate, measurements: FusedMeasurements) -> Estimate:
@@ -93,7 +93,7 @@ class Fusion(Generic[Options]):
         return replace(estimate, association=association, vts=vts)
 
 
-def doubts(links: Ints, detection_probability: float) -> Floats:
+def clutter_log_ratios(links: Ints, detection_probability: float) -> Floats:
     """Return ln P(members | clutter) / P(members | path) by group (G,) of so many links, and number of members.
 
     A log-likelihood ratio (G, links + 1). Of what a path detects the number is binomial, of clutter geometric. Where

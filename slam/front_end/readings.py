@@ -53,7 +53,7 @@ def readings(
     z = np.stack([measurements.distance_m, measurements.azimuth_rad, measurements.elevation_rad], axis=1)
     persisting = Persisting(*options.persisting, options.scales)
     return Readings(z, *combine(
-        z, measurements.link, port_of, measurements.white, measurements.ports, measurements.doubt, persisting,
+        z, measurements.link, port_of, measurements.white, measurements.ports, measurements.clutter_log_ratio, persisting,
         turn_rad, moved_m, _LOG_WIDTH,
     ))  # fmt: skip
 
@@ -71,7 +71,15 @@ def white_readings(
     plain, diffuse, sway, merged = options.beside_states
     scale, change = math.radians(options.roof_scale_deg), abs(turn_rad) + abs(moved_m) / options.typical_range_m
     single, many, fresh, gap = white_variances(
-        z, measurements.white, measurements.ports, measurements.doubt, plain, diffuse, sway, merged, _LOG_WIDTH
+        z,
+        measurements.white,
+        measurements.ports,
+        measurements.clutter_log_ratio,
+        plain,
+        diffuse,
+        sway,
+        merged,
+        _LOG_WIDTH,
     )
     often = min(repeats(scale, change), MOST_MERGED)
     return Readings(z, single, many, fresh, gap, merged * often)

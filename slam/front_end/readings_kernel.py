@@ -16,7 +16,7 @@ from cellslam.sim.frames.frames_kernel import wrap
 from cellslam.sim.recording import Floats, Ints
 
 LEAST = 1e-12  # m^2 and rad^2: variances are no smaller
-MOST_REPEATS = 1e5  # standing still, an error that persists is never drawn anew: nearly no information
+MOST_REPEATS = 1e5  # standing still, an error that persists is never redrawn: nearly no information
 
 
 class Persisting(NamedTuple):
@@ -64,17 +64,17 @@ def scaled(snr_db: Floats, floor: Floats, unit: Floats) -> Floats:
 
 @njit(cache=True)
 def white_variances(
-    z: Floats, white: Floats, ports: Ints, doubt: Floats, plain: Floats, diffuse: Floats, sway: Floats, merged: Floats,
+    z: Floats, white: Floats, ports: Ints, clutter_log_ratio: Floats, plain: Floats, diffuse: Floats, sway: Floats, merged: Floats,
     log_width: Floats,
 ) -> tuple[Floats, Floats, Floats, Floats]:  # fmt: skip
     """Return the variances (m, 3) of single measurements, of updates and of births for a filter that has what persists
     as states, in m^2 and rad^2, and (m,) what the log-density of clutter is greater by.
 
-    z, white, ports, doubt, log_width as in `combine`; plain (2, 3): variances of causes without a scale, in all and by
-    port; diffuse, sway, merged (3,): variances that a single measurement has beside.
+    z, white, ports, clutter_log_ratio, log_width as in `combine`; plain (2, 3): variances of causes without a scale, in
+    all and by port; diffuse, sway, merged (3,): variances that a single measurement has beside.
     """
     m = len(z)
-    single, many, fresh, gap = np.empty((m, 3)), np.empty((m, 3)), np.empty((m, 3)), doubt.copy()
+    single, many, fresh, gap = np.empty((m, 3)), np.empty((m, 3)), np.empty((m, 3)), clutter_log_ratio.copy()
     for i in range(m):
         for c in range(3):
             many[i, c] = max(white[i, c] + plain[0, c] + plain[1, c] / ports[i], LEAST)
@@ -128,7 +128,7 @@ def share_new(persisting: Persisting, white: Floats, turn: float, moved: float) 
 
 @njit(cache=True)
 def combine(
-    z: Floats, link: Ints, port_of: Ints, white: Floats, ports: Ints, doubt: Floats, persisting: Persisting,
+    z: Floats, link: Ints, port_of: Ints, white: Floats, ports: Ints, clutter_log_ratio: Floats, persisting: Persisting,
     turn: float, moved: float, log_width: Floats,
 ) -> tuple[Floats, Floats, Floats, Floats]:  # fmt: skip
     """Return the variances (m, 3) of single measurements, of updates and of births, in m^2 and rad^2, and (m,) what the
@@ -136,13 +136,13 @@ def combine(
 
     z (m, 3): distance (m), azimuth and elevation (rad), NaN where not measured; link (m,), port_of (L,): a number for
     each pair of site and port; white (m, 3): variances of what does not persist; ports (m,): how many ports a
-    measurement is the mean of; doubt (m,): see `FusedMeasurements`. The vehicle has turned (rad) and moved (m) since
-    the last snapshot; log_width (3,): of clutter, in what is missing.
+    measurement is the mean of; clutter_log_ratio (m,): see `FusedMeasurements`. The vehicle has turned (rad) and moved
+    (m) since the last snapshot; log_width (3,): of clutter, in what is missing.
     """
     m = len(link)
     place, direction, scales = persisting
     single, many, fresh = np.empty((m, 3)), np.empty((m, 3)), np.empty((m, 3))
-    gap = doubt.copy()
+    gap = clutter_log_ratio.copy()
     for i in range(m):
         for c in range(3):
             single[i, c] = max(white[i, c] + place[c] / ports[i] + direction[c], LEAST)

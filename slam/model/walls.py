@@ -1,8 +1,8 @@
 """Vertical walls, as VTs show them: the plane that mirrors a site to its VT, and where paths meet it.
 
-A wall's normal points away from the sites that are heard over it. Its azimuth a and its distance d from a point q are
-those of n = (cos a, sin a), n (x - q) = d for all x on the wall; along it counts what is along (-sin a, cos a). Source:
-Leitinger, Venus, Teague and Meyer, "Data fusion for multipath-based SLAM: combining information from multiple
+A wall's normal points away from the sites that are received over it. Its azimuth a and its distance d from a point q
+are those of n = (cos a, sin a), n (x - q) = d for all x on the wall; along it counts what is along (-sin a, cos a).
+Source: Leitinger, Venus, Teague and Meyer, "Data fusion for multipath-based SLAM: combining information from multiple
 propagation paths", IEEE Trans. Signal Processing 71, 2023, section III: a wall and the sites' mirror images in it.
 """
 

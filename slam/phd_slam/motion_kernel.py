@@ -70,34 +70,38 @@ class Slopes(NamedTuple):
 
 
 @lean
-def predict_velocity(error: Floats, doubt: Floats, interval: Interval, mean: Floats, std: Floats) -> None:
+def predict_velocity(error: Floats, error_variance: Floats, interval: Interval, mean: Floats, std: Floats) -> None:
     """Write mean and deviations (6,), in m/s and rad/s, of the true velocity: (measured - bias - noise) / (1 + scale).
 
-    error (6, 2): means of bias and scale, doubt (6, 3): their variances and, between, covariance; the biases walk.
+    error (6, 2): means of bias and scale, error_variance (6, 3): their variances and, between, covariance; the biases
+    walk.
     """
     for c in range(6):
-        doubt[c, 0] += interval.walk[c] ** 2 * interval.dt
+        error_variance[c, 0] += interval.walk[c] ** 2 * interval.dt
         share = 1.0 / (1.0 + error[c, SCALE])
         mean[c] = v = (interval.measured[c] - error[c, BIAS]) * share
-        known = doubt[c, 0] + 2.0 * v * doubt[c, 1] + v * v * doubt[c, 2]
+        known = error_variance[c, 0] + 2.0 * v * error_variance[c, 1] + v * v * error_variance[c, 2]
         std[c] = math.sqrt(max(known + interval.noise[c] ** 2 / interval.dt, 0.0)) * abs(share)
 
 
 @lean
-def learn(error: Floats, doubt: Floats, interval: Interval, velocity: Floats) -> None:
-    """Condition bias and scale of each component, error (6, 2) and doubt (6, 3), on the velocity (6,) that was
+def learn(error: Floats, error_variance: Floats, interval: Interval, velocity: Floats) -> None:
+    """Condition bias and scale of each component, error (6, 2) and error_variance (6, 3), on the velocity (6,) that was
     drawn, in m/s and rad/s."""
     for c in range(6):
         v = velocity[c]
-        to_bias, to_scale = doubt[c, 0] + v * doubt[c, 1], doubt[c, 1] + v * doubt[c, 2]
+        to_bias, to_scale = (
+            error_variance[c, 0] + v * error_variance[c, 1],
+            error_variance[c, 1] + v * error_variance[c, 2],
+        )
         s = to_bias + v * to_scale + interval.noise[c] ** 2 / interval.dt
         if s > LEAST:
             e = (interval.measured[c] - v * (1.0 + error[c, SCALE]) - error[c, BIAS]) / s
             error[c, BIAS] += to_bias * e
             error[c, SCALE] += to_scale * e
-            doubt[c, 0] -= to_bias * to_bias / s
-            doubt[c, 1] -= to_bias * to_scale / s
-            doubt[c, 2] -= to_scale * to_scale / s
+            error_variance[c, 0] -= to_bias * to_bias / s
+            error_variance[c, 1] -= to_bias * to_scale / s
+            error_variance[c, 2] -= to_scale * to_scale / s
 
 
 @lean

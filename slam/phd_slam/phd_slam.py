@@ -118,10 +118,10 @@ class PhdSlam:
         offset = sites.clock_offset_mean_m + between * ndtri(quasi_random(n, len(sites), self._rng))
         room = _room(n, max(CAPACITY, 2 * len(self._site_of)))
         _put_anchors(room, sites, self._site_of)
-        doubt = np.stack([model.bias**2, np.zeros(6), model.scale**2], axis=1)
+        error_variance = np.stack([model.bias**2, np.zeros(6), model.scale**2], axis=1)
         return Particles(
             pose=setup.start_pose + setup.start_std * self._rng.standard_normal((n, 6)),
-            error=np.zeros((n, 6, 2)), doubt=np.tile(doubt, (n, 1, 1)), offset=offset,
+            error=np.zeros((n, 6, 2)), error_variance=np.tile(error_variance, (n, 1, 1)), offset=offset,
             variance=np.tile(component**2, (n, 1)), log_weight=np.zeros(n), **room,
         )  # fmt: skip
 

@@ -57,12 +57,12 @@ SURE = 0.5  # a measurement is taken to be of a VT to which it belongs with at l
 
 class Particles(NamedTuple):
     """N particles: pose (N, 6) in m and rad; of bias and scale of the odometry the means, error (N, 6, 2), and
-    variances with covariance, doubt (N, 6, 3); offset and variance (N, S) of clocks in m and m^2; log_weight (N,); a
-    map in rows, names and size (N, 1)."""
+    variances with covariance, error_variance (N, 6, 3); offset and variance (N, S) of clocks in m and m^2; log_weight
+    (N,); a map in rows, names and size (N, 1)."""
 
     pose: Floats
     error: Floats
-    doubt: Floats
+    error_variance: Floats
     offset: Floats
     variance: Floats
     log_weight: Floats
@@ -76,7 +76,7 @@ class One(NamedTuple):
 
     pose: Floats
     error: Floats
-    doubt: Floats
+    error_variance: Floats
     offset: Floats
     variance: Floats
     log_weight: Floats
@@ -87,7 +87,7 @@ class One(NamedTuple):
 def one_of(p: Particles, i: int) -> One:
     """Return one of the particles."""
     own = Map(p.rows[i], p.names[i], p.size[i])
-    return One(p.pose[i], p.error[i], p.doubt[i], p.offset[i], p.variance[i], p.log_weight[i : i + 1], own)
+    return One(p.pose[i], p.error[i], p.error_variance[i], p.offset[i], p.variance[i], p.log_weight[i : i + 1], own)
 
 
 @njit(cache=True, parallel=True)
@@ -132,7 +132,7 @@ def _move(one: One, interval: Interval, measured: Measured, first: Ints, rules: 
     Return the places of what may be seen.
     """
     mean, std, x, factor = np.empty(6), np.empty(6), np.zeros(6), np.zeros((6, 6))
-    predict_velocity(one.error, one.doubt, interval, mean, std)
+    predict_velocity(one.error, one.error_variance, interval, mean, std)
     velocity, dt2 = mean.copy(), interval.dt**2
     at, everywhere = moved(one.pose, mean, interval.dt), np.arange(one.map.size[0])
     shift, turn = dt2 * np.sum(std[:3] ** 2), dt2 * np.sum(std[3:] ** 2)
@@ -154,7 +154,7 @@ def _move(one: One, interval: Interval, measured: Measured, first: Ints, rules: 
         velocity[c] = mean[c] + std[c] * (x[c] + part[c])
     one.log_weight[0] += log_ratio
     put_pose(one.pose, velocity, moved(one.pose, velocity, interval.dt))
-    learn(one.error, one.doubt, interval, velocity)
+    learn(one.error, one.error_variance, interval, velocity)
     return near.place
 
 
@@ -284,6 +284,6 @@ def resample(particles: Particles, ancestors: Ints) -> None:
 @part
 def _copy(p: Particles, a: int, b: int) -> None:
     """Put a copy of particle a in the place of particle b."""
-    p.pose[b], p.error[b], p.doubt[b] = p.pose[a], p.error[a], p.doubt[a]
+    p.pose[b], p.error[b], p.error_variance[b] = p.pose[a], p.error[a], p.error_variance[a]
     p.offset[b], p.variance[b] = p.offset[a], p.variance[a]
     copy_map(one_of(p, a).map, one_of(p, b).map)

@@ -1,7 +1,7 @@
 """The golden rows: what every deterministic estimator has on `tiny`, on the first 600 snapshots of `lund-530`, and on
 its first 1200 with known clock offsets.
 
-python tests/golden/golden_rows.py        measures them anew and writes rows.json: say in the commit why they change
+python tests/golden/golden_rows.py        measures them again and writes rows.json: say in the commit why they change
 """
 
 from __future__ import annotations

@@ -111,13 +111,13 @@ def test_information_on_the_velocity_is_that_of_differences() -> None:
 
 
 def test_bias_and_scale_learn_as_a_kalman_filter_does() -> None:
-    error, doubt, v = np.zeros((6, 2)), np.tile([0.04, 0.0, 0.01], (6, 1)), np.full(6, 2.0)
+    error, error_variance, v = np.zeros((6, 2)), np.tile([0.04, 0.0, 0.01], (6, 1)), np.full(6, 2.0)
     interval = Interval(0.5, np.full(6, 2.5), np.full(6, 0.1), np.zeros(6))
     prior, h = np.diag([0.04, 0.01]), np.array([1.0, 2.0])
-    learn(error, doubt, interval, v)
+    learn(error, error_variance, interval, v)
     k = prior @ h / (h @ prior @ h + 0.02)
     np.testing.assert_allclose(error[0], k * 0.5)
-    np.testing.assert_allclose(doubt[0], (prior - np.outer(k, h) @ prior)[[0, 0, 1], [0, 1, 1]], atol=1e-12)
+    np.testing.assert_allclose(error_variance[0], (prior - np.outer(k, h) @ prior)[[0, 0, 1], [0, 1, 1]], atol=1e-12)
 
 
 def test_marginals_are_those_of_all_exclusive_assignments() -> None:
@@ -155,9 +155,9 @@ def test_resampled_particles_share_nothing() -> None:
     parts = [np.arange(n * k, dtype=float).reshape(n, *shape) for k, shape in ((6, (6,)), (12, (6, 2)), (18, (6, 3)))]
     maps = np.arange(n * 2 * WIDTH, dtype=float).reshape(n, 2, WIDTH), np.zeros((n, 2, NAMES), np.int64)
     p = Particles(*parts, np.zeros((n, 1)), np.zeros((n, 1)), np.ones(n), *maps, np.full((n, 1), 2))
-    before = [part.copy() for part in (p.pose, p.error, p.doubt, p.rows)]
+    before = [part.copy() for part in (p.pose, p.error, p.error_variance, p.rows)]
     resample(p, np.array([1, 1, 1, 3]))
-    for part, was in zip((p.pose, p.error, p.doubt, p.rows), before, strict=True):
+    for part, was in zip((p.pose, p.error, p.error_variance, p.rows), before, strict=True):
         np.testing.assert_array_equal(part, was[[1, 1, 1, 3]])
     p.rows[0] = -1.0
     np.testing.assert_array_equal(p.rows[1], before[3][1])

@@ -194,7 +194,7 @@ def same_square(way: Floats) -> Floats:
 
 def fit_standing(signal: Recurrence, white: Recurrence) -> dict[str, float]:
     """Return the constants of what stands still: least squares over the recurrence of clutter and misses, less what
-    `white`, drawn anew at every snapshot, has by chance.
+    `white`, redrawn at every snapshot, has by chance.
     """
     way, start = np.array(SHIFTS_M), np.array([0.5, 0.4, 0.3, 20.0, 0.3, 0.3, 30.0, 0.1])
     measured = np.concatenate([

@@ -1,7 +1,7 @@
 """Random scenes measured by the signal-level front end: what the statistical one is calibrated with and held against.
 
 A scene is one snapshot of one site whose two ports send over a few paths; array errors and surroundings are drawn
-anew for every scene. Roof and attitude are left out: they enter both front ends alike.
+again for every scene. Roof and attitude are left out: they enter both front ends alike.
 
 Source: own derivation, studies/front-end-calibration.md.
 """
@@ -143,7 +143,7 @@ def measured_by_signals(
 def measured_by_statistics(
     config: RadioConfig, scenes: list[PathColumns], rng: np.random.Generator, constants: Statistics | None = None
 ) -> Sample:
-    """Return what the statistical front end reports of the scenes; fields that persist are drawn anew each scene."""
+    """Return what the statistical front end reports of the scenes; fields that persist are redrawn each scene."""
     tables, site, own = [], cells(), config.model_copy(update={"front_end": "statistical"})
     for number, paths in enumerate(scenes):
         fields, streams = draw_fields(own, 0.075, rng, constants), Streams.spawn(rng)

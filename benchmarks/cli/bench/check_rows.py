@@ -39,7 +39,7 @@ def check(arguments: Namespace) -> int:
     if not 1 <= arguments.sample <= len(made.tasks):
         raise InputError(f"--sample {arguments.sample}: {one.name} has 1 to {len(made.tasks)} drives")
     jobs = processes(arguments)
-    # Drawn anew each time: who sends an entry in cannot know which drives it will be.
+    # Redrawn each time: who sends an entry in cannot know which drives it will be.
     chosen = secrets.SystemRandom().sample(made.tasks, arguments.sample)
     here = {name: text for name, text in versions().items() if entry.versions.get(name) != text}
     for name, text in here.items():

@@ -1,7 +1,7 @@
 """Signal-level front end: received reference symbols of every snapshot, and the paths that the receiver finds in them.
 
 Snapshots are independent of each other, so that a drive can be measured in blocks, in any order: the receiver acquires
-every snapshot anew.
+every snapshot again.
 
 Source: the extended FastSLAM paper, section II, equations 2 to 5; own, docs/explanation/front-end.md, "Channel" and
 "Estimator".

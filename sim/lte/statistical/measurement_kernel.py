@@ -77,7 +77,7 @@ def write_std(row: Array, gamma: float, elevation: float, model: Model) -> None:
 
 @part
 def write_white_std(gamma: float, elevation: float, model: Model, out: Array) -> None:
-    """Write the deviations (3,) of what is drawn anew for every measurement at effective integrated SNR `gamma`."""
+    """Write the deviations (3,) of what is redrawn for every measurement at effective integrated SNR `gamma`."""
     root = 1.0 / math.sqrt(2.0 * gamma)
     cosine = max(math.cos(elevation), 0.05)
     growth = 1.0 + ELEVATION_GROWTH * elevation**2

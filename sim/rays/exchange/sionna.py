@@ -41,7 +41,7 @@ def read_sionna(
     if tau.ndim not in (3, 5):
         raise InputError(
             f"{path}: tau has {tau.ndim} dimensions; those of Sionna RT 1.x and 2.x have 3, or 5 without synthetic "
-            "arrays. Earlier versions have a batch axis and delays counted from the first path: save them anew"
+            "arrays. Earlier versions have a batch axis and delays counted from the first path: save them again"
         )
     geometry = {name: _of_first_antennas(name, arrays[name], tau.ndim) for name in (*FLAT, *DEEP) if name in arrays}
     tau = geometry["tau"]

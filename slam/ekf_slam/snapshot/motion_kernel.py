@@ -221,7 +221,7 @@ def _drift(f: Filter, dt: float) -> None:
 
 @lean
 def forget(f: Filter, a: ArrayErrors, moved: float, dt: float) -> None:
-    """Let what persists be drawn anew after a distance (m) and a time (s): diffuse errors, turns, pitch and roll."""
+    """Let what persists be redrawn after a distance (m) and a time (s): diffuse errors, turns, pitch and roll."""
     kept = math.exp(-moved / (AREA * a.diffuse_m)) if a.diffuse_m > 0.0 else 0.0
     width = f.vt_state.shape[1]
     for place in range(f.core.size, f.size[0]):

@@ -96,7 +96,7 @@ def count_weight(f: Filter, a: ArrayErrors, place: int) -> None:
 @part
 def count_motion(f: Filter, noise: Floats, dt: float) -> None:
     """Sum up the odometry's white noise, of densities (6,), over dt (s) more; once the measurements have shown the sum,
-    or after a while, take it in and begin anew."""
+    or after a while, take it in and begin again."""
     f.summed[0] += dt
     time_s, known = f.summed[0], f.summed[0] > LONGEST_SUM_S
     for c in range(POSE):

@@ -257,7 +257,7 @@ def count_surprise(
 
 @part
 def begin_update(f: Filter, a: ArrayErrors, b: Block, seen: Measured, p: Pending) -> None:
-    """Begin the update by a block: what persists is drawn anew in part, paths may have merged, clocks stepped."""
+    """Begin the update by a block: what persists is redrawn in part, paths may have merged, clocks stepped."""
     forget(f, a, b.total[0], b.total[2])
     if seen.rules.merge_rate > 0.0:
         expect_merging(f, seen.rules.merge_rate, b.total[2])
@@ -358,10 +358,10 @@ def advance_mixture(
             rival = Rival(pairs.loss[k], pairs.change[k])
             if interval.dt > 0.0:
                 advance(f, b, interval, room.step)
-            rival.loss[0] = rules.doubt
+            rival.loss[0] = rules.rival_loss
             pair(f, a, seen, room.sight, w, rival)
             if shift_clocks(f, b, a, seen, room.sight, w):
-                rival.loss[0] = rules.doubt
+                rival.loss[0] = rules.rival_loss
                 pair(f, a, seen, room.sight, w, rival)
             put(pairs.slot_of[k], w.slot_of)
             put(pairs.exists[k], w.exists)

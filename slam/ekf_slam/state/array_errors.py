@@ -22,7 +22,7 @@ def array_errors(options: EkfSlamOptions, setup: Setup) -> ArrayErrors:
     """Return the errors that are states. No size, or no scale: no state.
 
     The calibration has the grid of the known one where it is to begin with that.
-    What the odometry or the start says of pitch and roll belongs to the pose: then they are not drawn anew.
+    What the odometry or the start says of pitch and roll belongs to the pose: then they are not redrawn.
     """
     o, sheet, known = options, setup.odometry_model, options.known_calibration
     seen = np.concatenate([sheet.noise_density[4:], sheet.bias[4:], setup.start_std[4:], setup.start_pose[4:]]).any()

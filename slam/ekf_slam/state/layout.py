@@ -133,10 +133,11 @@ class Rules(NamedTuple):
     that was seen once, or a few times, is dropped. A block ends after so many `snapshots`, so long a `distance` (m) or
     `turn` (rad); `evidence`: what share of detections and misses counts; `hold`: snapshots after which a weight that
     was not met is given up; `return_log_odds`: least log-odds that a measurement is of a VT which was last seen more
-    than `away` snapshots ago, not of another one nearby; `doubt`: what a rival association may lose of log-likelihood.
-    Belief propagation: odds of a `birth` against clutter, probabilities that a visible VT stays so, that a hidden one
-    comes `back`, of `detection`, and below which a VT is given up, `drop`. `step`: log-probability that a clock which
-    may step does so in a block. `merge_rate`: how often another path merges with that of a VT, 1/s; 0: never.
+    than `away` snapshots ago, not of another one nearby; `rival_loss`: what a rival association may lose of
+    log-likelihood. Belief propagation: odds of a `birth` against clutter, probabilities that a visible VT stays so,
+    that a hidden one comes `back`, of `detection`, and below which a VT is given up, `drop`. `step`: log-probability
+    that a clock which may step does so in a block. `merge_rate`: how often another path merges with that of a VT, 1/s;
+    0: never.
     """
 
     mode: int
@@ -152,7 +153,7 @@ class Rules(NamedTuple):
     hold: int
     return_log_odds: float
     away: int
-    doubt: float = 0.0
+    rival_loss: float = 0.0
     birth: float = 0.0
     stay: float = 1.0
     back: float = 0.0

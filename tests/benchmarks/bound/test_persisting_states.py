@@ -48,7 +48,7 @@ def radio_of(recording: Recording) -> RadioConfig:
 
 
 def all_white(recording: Recording) -> Recording:
-    """The same deviations, drawn anew for each measurement."""
+    """The same deviations, redrawn for each measurement."""
     assert recording.truth is not None
     return replace(recording, truth=replace(recording.truth, persisting_std=None))
 

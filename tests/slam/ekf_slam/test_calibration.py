@@ -72,11 +72,11 @@ def assuming(tmp_path: Path, known: Calibration, **options: Any) -> EkfSlamOptio
 def test_second_drive_is_that_of_a_joint_filter_which_goes_on(
     drives: tuple[Recording, Recording], learnt: EkfSlam, calibration: Calibration, tmp_path: Path
 ) -> None:
-    setup, (goes_on, begins, anew) = (
+    setup, (goes_on, begins, again) = (
         setup_of(drives[1]),
         (EkfSlam(), EkfSlam(assuming(tmp_path, calibration)), EkfSlam()),
     )
-    for estimator in (goes_on, begins, anew):
+    for estimator in (goes_on, begins, again):
         estimator.start(setup, RNG)
     assert learnt._joint is not None and goes_on._joint is not None
     # The filter of the first drive loses map and roof, and is put to the start of the second.
@@ -95,7 +95,7 @@ def test_second_drive_is_that_of_a_joint_filter_which_goes_on(
     )
     poses = driven(goes_on, drives[1])
     np.testing.assert_allclose(driven(begins, drives[1]), poses, rtol=0.0, atol=1e-8)
-    assert np.abs(driven(anew, drives[1]) - poses).max() > 1e-3
+    assert np.abs(driven(again, drives[1]) - poses).max() > 1e-3
 
 
 def test_what_is_found_is_nearer_to_the_truth_than_the_prior(

@@ -52,7 +52,7 @@ def test_a_path_says_no_less_than_clutter_and_little_against_a_filter() -> None:
 
 
 def test_who_breaks_a_path_into_many_gains_nothing() -> None:
-    """The second filter lost the path twice, and began it anew: each VT costs, and together they are one path."""
+    """The second filter lost the path twice, and began it again: each VT costs, and together they are one path."""
     worth = np.array([[90.0, 0.0, 0.0], [30.0, 30.0, 30.0]])
     np.testing.assert_allclose(bounded(worth, np.array([5, 5, 5])), [0.0, -min(2.0 * BIRTH, MOST)])
 

@@ -16,7 +16,7 @@ from cellslam.sim.recording import Floats, Links, OdometryModel, Recording, Site
 from cellslam.slam.api import Estimate, Setup, odometry_of, setup_of, snapshots_of
 from cellslam.slam.ekf_slam.ekf_slam import EkfSlam
 from cellslam.slam.ekf_slam.ekf_slam_options import EkfSlamOptions
-from cellslam.slam.ekf_slam.map_after import WIDENED, Heard, map_after
+from cellslam.slam.ekf_slam.map_after import WIDENED, Observed, map_after
 from cellslam.slam.ekf_slam.map_states import Remembered, standing
 from cellslam.slam.ekf_slam.map_trial import MapTrial
 from cellslam.slam.ekf_slam.mixture import core_of, new_mixture
@@ -72,7 +72,7 @@ def test_two_drives_are_one_joint_filter() -> None:
             corrected(position, joint, full, e, 1e-4)
             f.slots[np.flatnonzero(f.slots[: f.count[0], 3] == 1 + vt)[0], UNSEEN] = 0
             seen[1 + vt] = known.seen_m[vt]
-    after = map_after(f, NOWHERE, Heard(ONE_LINK, SITES, seen), remembered, 3)
+    after = map_after(f, NOWHERE, Observed(ONE_LINK, SITES, seen), remembered, 3)
     np.testing.assert_allclose(after.position_m.ravel() - known.position_m.ravel(),
                                position - known.position_m.ravel(), atol=1e-12)  # fmt: skip
     np.testing.assert_allclose(after.joint_covariance_m2 / WIDENED, joint, atol=1e-9 * np.abs(joint).max())
@@ -191,9 +191,9 @@ def test_a_drive_with_a_map_is_better(
     sequence: int, drives: list[Recording], maps: list[VtMap], without: list[float]
 ) -> None:
     second, known = drives[2 * sequence + 1], maps[sequence]
-    begun, with_map = driven(second, known)
-    after = begun.vt_map()
-    assert with_map < 0.8 * without[sequence] and begun.remarks() == [] and after is not None
+    estimator, with_map = driven(second, known)
+    after = estimator.vt_map()
+    assert with_map < 0.8 * without[sequence] and estimator.remarks() == [] and after is not None
     assert 1 <= len(after) <= len(known) + 3 and (after.hits.max() > known.hits.max())
     own, before = (np.sqrt(np.trace(m.covariance_m2, axis1=1, axis2=2)) for m in (after, known))
     assert np.median(own) < np.median(before)
@@ -211,8 +211,8 @@ def test_a_wrong_map_is_noticed(
     by = np.array(shift_m)
     near = maps[0].seen_m if by[1] > 100.0 else maps[0].seen_m + by[:2]
     wrong = replace(maps[0], position_m=maps[0].position_m + by, anchor_m=maps[0].anchor_m + by, seen_m=near)
-    begun, error = driven(drives[1], wrong)
-    assert any("the map does not fit" in line for line in begun.remarks())
+    estimator, error = driven(drives[1], wrong)
+    assert any("the map does not fit" in line for line in estimator.remarks())
     assert error < 1.2 * without[0]
 
 

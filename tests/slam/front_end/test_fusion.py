@@ -19,7 +19,7 @@ from cellslam.slam.front_end.fusion import (
     UNUSUAL,
     FusedMeasurements,
     Fusion,
-    doubts,
+    clutter_log_ratios,
 )
 from cellslam.slam.front_end.measurement_noise import ports_of, white
 from cellslam.slam.front_end.readings import readings
@@ -147,10 +147,10 @@ def test_sites_of_one_link_are_as_without_sharing() -> None:
 
 
 def test_agreement_tells_paths_from_clutter() -> None:
-    doubt = doubts(np.array([6, 1, 2]), 0.88)
-    by_members = doubt[0, 1:]
+    clutter_log_ratio = clutter_log_ratios(np.array([6, 1, 2]), 0.88)
+    by_members = clutter_log_ratio[0, 1:]
     assert (np.diff(by_members) < 0).all() and by_members[0] > 2 and by_members[-1] < -2
-    assert (doubt[1] == 0.0).all() and (doubt[2, 3:] == 0.0).all()
+    assert (clutter_log_ratio[1] == 0.0).all() and (clutter_log_ratio[2, 3:] == 0.0).all()
     path = np.array([math.comb(6, n) * 0.88**n * 0.12 ** (6 - n) for n in range(1, 7)])
     path = (1.0 - UNUSUAL) * path / path.sum() + UNUSUAL / 6
     clutter = path * (np.exp(by_members) - UNMAPPED)
@@ -221,4 +221,4 @@ def test_many_links_agree_by_the_binomial_law_too() -> None:
     path, clutter = stats.binom.pmf(n, 100, 0.88), COINCIDENCE ** (n - 1.0)
     path = (1.0 - UNUSUAL) * path / path.sum() + UNUSUAL / 100
     expected = np.log(clutter / clutter.sum() / path + UNMAPPED)
-    np.testing.assert_allclose(doubts(np.array([100]), 0.88)[0, 1:], expected, rtol=1e-9)
+    np.testing.assert_allclose(clutter_log_ratios(np.array([100]), 0.88)[0, 1:], expected, rtol=1e-9)

@@ -39,7 +39,7 @@ def test_persisting_errors_count_once() -> None:
     fast, still = (read(ROWS, options, *move) for move in ((np.radians(90.0), 100.0), (0.0, 0.0)))
     assert np.all(fast.many[:2, 1:] > fast.single[:2, 1:])
     np.testing.assert_allclose(fast.many[2, 1:], fast.single[2, 1:])
-    np.testing.assert_allclose(fast.fresh, fast.many)  # every error is drawn anew
+    np.testing.assert_allclose(fast.fresh, fast.many)  # every error is redrawn
     np.testing.assert_allclose(still.fresh, fast.fresh)
     assert np.all(still.many > 1e3 * still.fresh)
 

@@ -132,7 +132,7 @@ class _Link:
         self.spectrum = Spectrum(y, motion)
 
     def fit_jointly(self, geometry: Floats, least_gain: float = _COARSE_GAIN) -> None:
-        """Refine all paths, drop what does not pass, and look at the residual anew."""
+        """Refine all paths, drop what does not pass, and look at the residual again."""
         self.fit, self.geometry, self.level, self.fine = None, np.empty((0, 3)), np.empty(0), least_gain == FINE_GAIN
         while len(geometry):
             fit = refine(self.y, self.motion, geometry, self.spectrum.noise, least_gain)

@@ -1,4 +1,4 @@
-"""Clutter and misses that last: as many as drawn anew, where they are in space, for as long as worked numbers say."""
+"""Clutter and misses that last: as many as redrawn, where they are in space, for as long as worked numbers say."""
 
 from __future__ import annotations
 
