@@ -74,7 +74,8 @@ def _listed(observed: Observed, ident: Ints, link: Ints, position: Floats, ancho
     return VtMap(
         np.array(site, np.str_), np.array(cell, np.int64), np.array(port, np.int64), position, anchor,
         np.zeros((count, 3, 3)), np.zeros((count, 3, 0)),
-        np.array([observed.seen[i] for i in ident.tolist()]).reshape(count, 2, 2), hits.copy(), np.zeros(count, np.int64),
+        np.array([observed.seen[i] for i in ident.tolist()]).reshape(count, 2, 2), hits.copy(),
+        np.zeros(count, np.int64),
     )  # fmt: skip
 
 

@@ -53,8 +53,8 @@ def readings(
     z = np.stack([measurements.distance_m, measurements.azimuth_rad, measurements.elevation_rad], axis=1)
     persisting = Persisting(*options.persisting, options.scales)
     return Readings(z, *combine(
-        z, measurements.link, port_of, measurements.white, measurements.ports, measurements.clutter_log_ratio, persisting,
-        turn_rad, moved_m, _LOG_WIDTH,
+        z, measurements.link, port_of, measurements.white, measurements.ports, measurements.clutter_log_ratio,
+        persisting, turn_rad, moved_m, _LOG_WIDTH,
     ))  # fmt: skip
 
 

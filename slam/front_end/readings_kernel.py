@@ -64,8 +64,8 @@ def scaled(snr_db: Floats, floor: Floats, unit: Floats) -> Floats:
 
 @njit(cache=True)
 def white_variances(
-    z: Floats, white: Floats, ports: Ints, clutter_log_ratio: Floats, plain: Floats, diffuse: Floats, sway: Floats, merged: Floats,
-    log_width: Floats,
+    z: Floats, white: Floats, ports: Ints, clutter_log_ratio: Floats, plain: Floats, diffuse: Floats, sway: Floats,
+    merged: Floats, log_width: Floats,
 ) -> tuple[Floats, Floats, Floats, Floats]:  # fmt: skip
     """Return the variances (m, 3) of single measurements, of updates and of births for a filter that has what persists
     as states, in m^2 and rad^2, and (m,) what the log-density of clutter is greater by.
