@@ -4,6 +4,7 @@ import os
 import subprocess
 import sys
 from collections.abc import Callable
+from pathlib import Path
 
 import numba
 import numpy as np
@@ -12,6 +13,8 @@ import pytest
 from cellslam.sim.frames import integrate_pose
 from cellslam.sim.recording import Links, Measurements, OdometryModel, Recording, Sites, Truth, VirtualTransmitters
 from cellslam.slam.model.measurement_model import predict
+
+sys.path.append(str(Path(__file__).parents[1]))  # for `tools`; what is installed goes before
 
 
 def make_toy_recording(snapshots: int = 40, seed: int = 0, truth: bool = True) -> Recording:

@@ -33,7 +33,10 @@ NOT_HERE = (
 @cache
 def paths() -> frozenset[str]:
     """Return every file and folder of the tree, from the root and from every folder above it."""
-    found = [*ROOT.glob("*"), *(p for top in (*ROOMS, "cellslam", "tests", "docs") for p in (ROOT / top).rglob("*"))]
+    found = [
+        *ROOT.glob("*"),
+        *(p for top in (*ROOMS, "cellslam", "tests", "docs", "tools", "studies") for p in (ROOT / top).rglob("*")),
+    ]
     parts = [p.relative_to(ROOT).parts for p in found if "__pycache__" not in p.parts]
     return frozenset("/".join(p[i:]) for p in parts for i in range(len(p)))
 
