@@ -70,7 +70,7 @@ class Fusion(Generic[Options]):
         columns = (np.array(c, np.int64)[self._first] for c in (links.site, links.cell_id, links.port))
         self.setup = replace(setup, links=Links(*columns))
 
-    def measurements(self, snapshot: Snapshot) -> FusedMeasurements:
+    def fuse(self, snapshot: Snapshot) -> FusedMeasurements:
         """Return the measurements of a snapshot."""
         z, noise, own, members, ports, first, measurement = taken_together(
             snapshot.distance_m, snapshot.azimuth_rad, snapshot.elevation_rad, white(snapshot, self._given),

@@ -111,10 +111,10 @@ def moved(pose: Floats, velocity: Floats, dt: float) -> Moved:
     half, v = 0.5 * dt, vec_of(velocity)
     psi, theta, phi = pose[3], pose[4], pose[5]
     middle = rotations(psi + half * velocity[3], theta + half * velocity[4], phi + half * velocity[5])
-    velocity = mat_vec(middle.r, v)
+    moving = mat_vec(middle.r, v)
     after = rotations(psi + dt * velocity[3], theta + dt * velocity[4], phi + dt * velocity[5])
     turning = columns(mat_vec(middle.by_psi, v), mat_vec(middle.by_theta, v), mat_vec(middle.by_phi, v))
-    place = Vec3(pose[0] + dt * velocity.x, pose[1] + dt * velocity.y, pose[2] + dt * velocity.z)
+    place = Vec3(pose[0] + dt * moving.x, pose[1] + dt * moving.y, pose[2] + dt * moving.z)
     return Moved(place, after, scaled(middle.r, dt), scaled(turning, half * dt), dt)
 
 

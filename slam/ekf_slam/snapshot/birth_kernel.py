@@ -195,7 +195,7 @@ def keep(f: Filter, j: int, out: Floats) -> None:
     """Write identity, link, position (3,) in m and covariance (9,) in m^2 of VT j into out (14,)."""
     vt, at = coordinates(f, j), f.vt_state[j]
     x, y, z = at[VT], at[VT + 1], at[VT + 2]
-    offset = vec_scaled(direction(vt.azimuth, vt.elevation), vt.distance)
+    to_vt = vec_scaled(direction(vt.azimuth, vt.elevation), vt.distance)
     spread = congruence(
         cartesian_jacobian(vt.distance, vt.azimuth, vt.elevation),
         Sym3(
@@ -208,8 +208,8 @@ def keep(f: Filter, j: int, out: Floats) -> None:
         ),
     )
     out[0], out[1] = f.slots[j, IDENT], f.slots[j, LINK]
-    out[POSITION], out[POSITION + 1] = f.anchor[j, 0] + offset.x, f.anchor[j, 1] + offset.y
-    out[POSITION + 2] = f.anchor[j, 2] + offset.z
+    out[POSITION], out[POSITION + 1] = f.anchor[j, 0] + to_vt.x, f.anchor[j, 1] + to_vt.y
+    out[POSITION + 2] = f.anchor[j, 2] + to_vt.z
     put_sym(out[SPREAD:].reshape(3, 3), spread)
 
 

@@ -51,9 +51,9 @@ def _of_vt(f: Filter, j: int, x: Floats, before: Floats) -> tuple[Mat3, Vec3]:
     """Return the derivatives C^-1 and C^-1 J (l - p) of the coordinates that VT j has in state x by a shift of its
     place l, and by a turn about the vehicle's place p before."""
     at = f.vt_state[j]
-    offset = vec_scaled(direction(x[at[VT + 1]], x[at[VT + 2]]), x[at[VT]])
-    by_place = spherical_jacobian(offset)
-    east, north = f.anchor[j, 0] + offset.x - before[0], f.anchor[j, 1] + offset.y - before[1]
+    to_vt = vec_scaled(direction(x[at[VT + 1]], x[at[VT + 2]]), x[at[VT]])
+    by_place = spherical_jacobian(to_vt)
+    east, north = f.anchor[j, 0] + to_vt.x - before[0], f.anchor[j, 1] + to_vt.y - before[1]
     return by_place, mat_vec(by_place, Vec3(-north, east, 0.0))
 
 

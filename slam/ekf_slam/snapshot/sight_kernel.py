@@ -97,20 +97,20 @@ def geometry(f: Filter, j: int, offset: int, place: Vec3, turned: Rotations, vt:
     the present one, as that of an earlier measurement, turns with the vehicle.
     """
     anchor, at = Vec3(f.anchor[j, 0], f.anchor[j, 1], f.anchor[j, 2]), f.vt_state[j]
-    offset = vec_minus(vec_plus(anchor, vec_scaled(direction(vt.azimuth, vt.elevation), vt.distance)), place)
-    body = transposed_vec(turned.r, offset)
+    to_vt = vec_minus(vec_plus(anchor, vec_scaled(direction(vt.azimuth, vt.elevation), vt.distance)), place)
+    body = transposed_vec(turned.r, to_vt)
     by_body = spherical_jacobian(body)
-    by_offset = mat_mat(by_body, transposed(turned.r))
-    by_yaw = mat_vec(by_body, transposed_vec(turned.by_psi, offset))
-    by_turn = mat_vec(by_offset, Vec3(f.x[1] - place.y, place.x - f.x[0], 0.0))
+    by_place = mat_mat(by_body, transposed(turned.r))
+    by_yaw = mat_vec(by_body, transposed_vec(turned.by_psi, to_vt))
+    by_turn = mat_vec(by_place, Vec3(f.x[1] - place.y, place.x - f.x[0], 0.0))
     s.size[0] = 0
-    put_three(s, 0, scaled(by_offset, -1.0))
+    put_three(s, 0, scaled(by_place, -1.0))
     put_three(s, 3, columns(
-        vec_minus(by_yaw, by_turn), mat_vec(by_body, transposed_vec(turned.by_theta, offset)),
-        mat_vec(by_body, transposed_vec(turned.by_phi, offset)),
+        vec_minus(by_yaw, by_turn), mat_vec(by_body, transposed_vec(turned.by_theta, to_vt)),
+        mat_vec(by_body, transposed_vec(turned.by_phi, to_vt)),
     ))  # fmt: skip
     put(s, offset, 1.0, 0.0, 0.0)
-    by_vt = mat_mat(by_offset, cartesian_jacobian(vt.distance, vt.azimuth, vt.elevation))
+    by_vt = mat_mat(by_place, cartesian_jacobian(vt.distance, vt.azimuth, vt.elevation))
     put(s, at[VT], by_vt.xx, by_vt.yx, by_vt.zx)
     put(s, at[VT + 1], by_vt.xy, by_vt.yy, by_vt.zy)
     put(s, at[VT + 2], by_vt.xz, by_vt.yz, by_vt.zz)

@@ -322,8 +322,8 @@ def _seen_by(f: Filter, j: int, measurement: BlockMeasurement, particle: int) ->
         place = Vec3(place.x + by[0], place.y + by[1], place.z + by[2])
         turned = rotations(measurement.pose[3] + by[3], measurement.pose[4] + by[4], measurement.pose[5] + by[5]).r
     anchor = Vec3(f.anchor[j, 0], f.anchor[j, 1], f.anchor[j, 2])
-    offset = vec_minus(vec_plus(anchor, vec_scaled(direction(azimuth, elevation), distance)), place)
-    return spherical(transposed_vec(turned, offset))
+    to_vt = vec_minus(vec_plus(anchor, vec_scaled(direction(azimuth, elevation), distance)), place)
+    return spherical(transposed_vec(turned, to_vt))
 
 
 @lean

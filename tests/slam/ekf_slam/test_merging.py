@@ -59,7 +59,7 @@ def test_what_nothing_says_is_forgotten(one_filter: Any) -> None:
 
 
 @pytest.mark.parametrize(
-    ("vt", "detections", "hits", "expected"),
+    ("vt", "measurements", "hits", "expected"),
     [(0, 0, 5, BESIDE), (0, 1, 5, 0.1), (0, 0, 2, 0.1), (2, 0, 5, 0.1)],
     ids=["hidden beside it", "seen beside it", "unconfirmed beside it", "nothing beside it"],
 )

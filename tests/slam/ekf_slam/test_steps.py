@@ -97,7 +97,7 @@ def test_what_a_slip_explains_is_no_step(one_filter, azimuths, found):
 
 
 @pytest.mark.parametrize(
-    ("step_m", "detections", "last", "snapshots"),
+    ("step_m", "measurements", "last", "snapshots"),
     [(40.0, 4, NOW, 1), (40.0, 4, NOW - 100, 1), (40.0, 1, NOW, 4), (40.0, 1, NOW - 100, None), (0.0, 4, NOW, None)],
 )
 def test_a_large_step_is_found_where_nothing_associates(one_filter, step_m, measurements, last, snapshots):
