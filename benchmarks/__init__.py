@@ -6,20 +6,24 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from cellslam.benchmarks.python_api import replay, run, sweep
     from cellslam.benchmarks.sweeps.rows import results
     from cellslam.benchmarks.tables.summaries import comparison, summary
+    from cellslam.python_api import replay, run, sweep
 
 __all__ = ["comparison", "replay", "results", "run", "summary", "sweep"]
 _HOMES = {
-    "comparison": "tables.summaries", "replay": "python_api", "results": "sweeps.rows", "run": "python_api",
-    "summary": "tables.summaries", "sweep": "python_api",
-}  # fmt: skip
+    "comparison": "cellslam.benchmarks.tables.summaries",
+    "replay": "cellslam.python_api",
+    "results": "cellslam.benchmarks.sweeps.rows",
+    "run": "cellslam.python_api",
+    "summary": "cellslam.benchmarks.tables.summaries",
+    "sweep": "cellslam.python_api",
+}
 
 
 def __getattr__(name: str) -> Any:
     """Load what is asked for (PEP 562): importing the package stays light."""
     if name in _HOMES:
-        found = globals()[name] = getattr(import_module(f"{__name__}.{_HOMES[name]}"), name)
+        found = globals()[name] = getattr(import_module(_HOMES[name]), name)
         return found
     raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

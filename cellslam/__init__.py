@@ -19,9 +19,9 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from cellslam.benchmarks.python_api import SweepView, TrialView, replay, run, sweep, trial
     from cellslam.benchmarks.sweeps.rows import results
     from cellslam.benchmarks.tables.summaries import comparison, summary
+    from cellslam.python_api import SweepView, TrialView, replay, run, sweep, trial
     from cellslam.scenarios.loading import load, preset_names
     from cellslam.scenarios.scenario import Scenario
     from cellslam.scenarios.simulation import simulate
@@ -45,8 +45,8 @@ _HOMES = {
     "Scenario": "scenarios.scenario",
     "Setup": "slam.api",
     "Snapshot": "slam.api",
-    "SweepView": "benchmarks.python_api",
-    "TrialView": "benchmarks.python_api",
+    "SweepView": "python_api",
+    "TrialView": "python_api",
     "VtEstimate": "slam.api",
     "VtMap": "slam.model.vt_map",
     "WallEstimate": "slam.api",
@@ -55,14 +55,14 @@ _HOMES = {
     "join_maps": "slam.model.map_joining",
     "load": "scenarios.loading",
     "preset_names": "scenarios.loading",
-    "replay": "benchmarks.python_api",
+    "replay": "python_api",
     "results": "benchmarks.sweeps.rows",
-    "run": "benchmarks.python_api",
+    "run": "python_api",
     "simulate": "scenarios.simulation",
     "summary": "benchmarks.tables.summaries",
-    "sweep": "benchmarks.python_api",
+    "sweep": "python_api",
     "trace": "sim.rays.tracing",
-    "trial": "benchmarks.python_api",
+    "trial": "python_api",
 }
 __all__ = [
     "Calibration",

@@ -1,5 +1,5 @@
 """The command line, as `python -m cellslam`."""
 
-from cellslam.benchmarks.cli.main import main
+from cellslam.cli.main import main
 
 raise SystemExit(main())

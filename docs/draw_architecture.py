@@ -13,7 +13,7 @@ from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[1]
 PICTURE = ROOT / "docs" / "images" / "architecture.svg"
-FLOORS = ("benchmarks", "scenarios", "slam", "sim")
+FLOORS = ("cellslam", "benchmarks", "scenarios", "slam", "sim")
 # What a drive passes through, and the room that does it.
 WAY = (
     ("mesh or seed", ""),
@@ -34,7 +34,7 @@ STYLE = """text{font:13px sans-serif;fill:#1b1b1b}.floor{fill:#f4f4f2;stroke:#b9
 
 def rooms(floor: str) -> list[str]:
     """Return the rooms of a floor: its folders with Python files, one level deep."""
-    return sorted(p.name for p in (ROOT / floor).iterdir() if (p / "__init__.py").is_file())
+    return sorted(p.name for p in (ROOT / floor).iterdir() if (p / "__init__.py").is_file() and not p.is_symlink())
 
 
 def uses() -> dict[str, set[str]]:
@@ -42,7 +42,8 @@ def uses() -> dict[str, set[str]]:
     out: dict[str, set[str]] = {}
     for floor in FLOORS:
         for path in sorted((ROOT / floor).rglob("*.py")):
-            own = room_of(f"cellslam.{'.'.join(path.relative_to(ROOT).with_suffix('').parts)}")
+            parts = path.relative_to(ROOT).with_suffix("").parts
+            own = room_of(".".join(parts if floor == "cellslam" else ("cellslam", *parts)))
             out.setdefault(own, set()).update({room_of(name) for name in imported(path)} - {own})
     return out
 
@@ -57,6 +58,8 @@ def imported(path: Path) -> Iterator[str]:
 def room_of(name: str) -> str:
     """Return the room that a dotted name stands in."""
     _, floor, *rest = name.split(".")
+    if floor not in FLOORS:
+        floor, rest = "cellslam", [floor, *rest]
     return f"{floor}/{rest[0]}" if rest and rest[0] in rooms(floor) else floor
 
 

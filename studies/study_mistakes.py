@@ -10,8 +10,8 @@ from collections import Counter
 
 from mistaken_worlds import MISTAKES, WORLDS
 
-from cellslam.benchmarks.recordings import build
-from cellslam.benchmarks.recordings.inspection.suspicions import suspicions
+from cellslam.recordings import build
+from cellslam.recordings.inspection.suspicions import suspicions
 
 RANGES_ONLY, UNKNOWN_CLOCKS, WITHOUT_ARM = ("beacons",), ("cellular",), ("hall", "places", "beacons", "cellular")
 

@@ -20,10 +20,10 @@ from typing import Any
 import numpy as np
 import vehicle_world
 
-from cellslam.benchmarks.recordings.adapters.adapter_loading import import_adapter
-from cellslam.benchmarks.recordings.fitting.assumptions import assumed
 from cellslam.benchmarks.scores.metrics import score
 from cellslam.benchmarks.trials.estimation import estimate, warm_up
+from cellslam.recordings.adapters.adapter_loading import import_adapter
+from cellslam.recordings.fitting.assumptions import assumed
 from cellslam.scenarios.recording_origin import Origin
 from cellslam.scenarios.simulation import simulate
 from cellslam.sim.recording import Recording

@@ -12,10 +12,10 @@ from dataclasses import replace
 import numpy as np
 from mistaken_worlds import STEP_S, WORLDS, campaign, paths, way_through
 
-from cellslam.benchmarks.recordings import Campaign, OdometryTable, build
-from cellslam.benchmarks.recordings.fitting.fit_sizes import learn
 from cellslam.benchmarks.scores.metrics import score
 from cellslam.benchmarks.trials.estimation import estimate, warm_up
+from cellslam.recordings import Campaign, OdometryTable, build
+from cellslam.recordings.fitting.fit_sizes import learn
 from cellslam.scenarios.estimator_options import resolve
 from cellslam.sim.frames import mean_velocity
 from cellslam.sim.recording import Recording

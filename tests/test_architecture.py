@@ -14,7 +14,7 @@ from types import ModuleType
 import pytest
 
 ROOT = Path(__file__).parents[1]
-FLOORS = ("sim", "slam", "scenarios", "benchmarks")
+FLOORS = ("sim", "slam", "scenarios", "benchmarks", "cellslam")
 
 
 def picture() -> ModuleType:
@@ -30,10 +30,11 @@ PICTURE = picture()
 
 def modules() -> dict[str, Path]:
     """Return all modules of the package by dotted name."""
-    found = {"cellslam": ROOT / "cellslam" / "__init__.py"}
+    found: dict[str, Path] = {}
     for floor in FLOORS:
         for path in sorted((ROOT / floor).rglob("*.py")):
-            parts = ["cellslam", *path.relative_to(ROOT).with_suffix("").parts]
+            parts = [part for part in ("cellslam", *path.relative_to(ROOT / floor).with_suffix("").parts)]
+            parts[1:1] = [] if floor == "cellslam" else [floor]
             found[".".join(parts[:-1] if parts[-1] == "__init__" else parts)] = path
     return found
 

@@ -45,7 +45,7 @@ def paths() -> frozenset[str]:
 def names() -> dict[str, set[str]]:
     """Return the names in each module and room, by its dotted and by its last name."""
     out: dict[str, set[str]] = {}
-    for path in [ROOT / "cellslam" / "__init__.py", *(p for room in ROOMS for p in (ROOT / room).rglob("*.py"))]:
+    for path in [*(ROOT / "cellslam").rglob("*.py"), *(p for room in ROOMS for p in (ROOT / room).rglob("*.py"))]:
         parts = ("cellslam", *(part for part in path.relative_to(ROOT).with_suffix("").parts if part != "cellslam"))
         text = path.read_text("utf-8")
         held = set(re.findall(r"^ *(?:def|class) (\w+)|^(\w+)(?:: [^=]+)? =", text, re.M))

@@ -17,9 +17,9 @@ from docutils.core import publish_doctree
 from myst_parser.docutils_ import Parser
 
 import cellslam
-from cellslam.benchmarks.cli.commands import GROUPS, SECTIONS
-from cellslam.benchmarks.cli.main import build_parser, main
 from cellslam.benchmarks.scores.metrics import ROW_KEYS
+from cellslam.cli.commands import GROUPS, SECTIONS
+from cellslam.cli.main import build_parser, main
 from cellslam.scenarios.keys import known_fields
 from cellslam.scenarios.loading import load, preset_names
 from cellslam.scenarios.scenario import Scenario

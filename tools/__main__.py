@@ -6,7 +6,7 @@ import sys
 from argparse import ArgumentParser
 from importlib import import_module
 
-from cellslam.benchmarks.cli.arguments import WRONG
+from cellslam.cli.arguments import WRONG
 from cellslam.sim.errors import InputError
 
 TOOLS = {

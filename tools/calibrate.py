@@ -8,8 +8,8 @@ from argparse import ArgumentParser, Namespace
 from pathlib import Path
 from typing import Any
 
-from cellslam.benchmarks.cli.arguments import DONE
-from cellslam.benchmarks.cli.progress_bars import bars
+from cellslam.cli.arguments import DONE
+from cellslam.cli.progress_bars import bars
 from cellslam.sim.errors import InputError
 from tools.studies_tables import print_studies
 

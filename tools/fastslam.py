@@ -17,9 +17,9 @@ import numpy as np
 import pandas as pd
 
 from cellslam.benchmarks.bound.cramer_rao import bound
-from cellslam.benchmarks.cli.arguments import DONE
 from cellslam.benchmarks.scores.metrics import score
 from cellslam.benchmarks.trials.estimation import estimate, warm_up
+from cellslam.cli.arguments import DONE
 from cellslam.scenarios.estimator_options import resolve
 from cellslam.scenarios.loading import load
 from cellslam.scenarios.overrides import parse_all

@@ -5,7 +5,7 @@ from __future__ import annotations
 from argparse import ArgumentParser, Namespace
 from pathlib import Path
 
-from cellslam.benchmarks.cli.arguments import DONE
+from cellslam.cli.arguments import DONE
 
 ROOT = Path(__file__).parents[1]
 INSTALLED = ("cellslam", "sim", "slam", "scenarios", "benchmarks")

@@ -15,8 +15,6 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-from cellslam.benchmarks.cli.arguments import DONE, add_estimators, add_set, whole
-from cellslam.benchmarks.cli.progress_bars import bars
 from cellslam.benchmarks.sweeps.executors import Serial, executor
 from cellslam.benchmarks.sweeps.store import DATABASE, Store, writing
 from cellslam.benchmarks.sweeps.sweeping import carry_out, seconds_of
@@ -24,6 +22,8 @@ from cellslam.benchmarks.sweeps.tasks import Plan, plan
 from cellslam.benchmarks.trials import trials
 from cellslam.benchmarks.trials.child_process import shares
 from cellslam.benchmarks.trials.trials import DEFAULT_ESTIMATORS, check_counts
+from cellslam.cli.arguments import DONE, add_estimators, add_set, whole
+from cellslam.cli.progress_bars import bars
 from cellslam.scenarios import sweep_points as sweeps
 from cellslam.scenarios.overrides import parse_all
 from cellslam.sim.errors import InputError
@@ -102,7 +102,7 @@ def table_time(source: Path, count: int, out: Path) -> dict[str, Any]:
     """Return how long `cellslam table`, the whole command, takes for a store of `count` rows made of copies."""
     _multiply(source, count, out)
     begin, cpu = time.perf_counter(), _children_cpu_s()
-    words = [sys.executable, "-P", "-c", "from cellslam.benchmarks.cli.main import main; raise SystemExit(main())"]
+    words = [sys.executable, "-P", "-c", "from cellslam.cli.main import main; raise SystemExit(main())"]
     subprocess.run([*words, "table", str(out)], check=True, capture_output=True)
     seconds = time.perf_counter() - begin
     used = _children_cpu_s() - cpu

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import tomli_w
 
-from cellslam.benchmarks.cli.arguments import DONE
+from cellslam.cli.arguments import DONE
 from cellslam.scenarios.loading import load, preset_names
 from cellslam.scenarios.scenario import Scenario
 from tools.scenario_facts import scenario_facts

@@ -13,9 +13,9 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
-from cellslam.benchmarks.cli.arguments import DONE, whole
-from cellslam.benchmarks.cli.city.places import find_city
-from cellslam.benchmarks.cli.progress_bars import bars
+from cellslam.cli.arguments import DONE, whole
+from cellslam.cli.city.places import find_city
+from cellslam.cli.progress_bars import bars
 from cellslam.sim.city import City
 from cellslam.sim.city.files.mitsuba import DISTRIBUTION, shipped_scene
 from cellslam.sim.errors import InputError

@@ -15,9 +15,9 @@ from pydantic import BaseModel
 from pydantic_core import PydanticUndefined
 
 import cellslam
-from cellslam.benchmarks.cli.commands import GROUPS, SECTIONS
-from cellslam.benchmarks.cli.main import build_parser
 from cellslam.benchmarks.scores.metrics import COSTS, METRICS
+from cellslam.cli.commands import GROUPS, SECTIONS
+from cellslam.cli.main import build_parser
 from cellslam.scenarios.keys import allowed, models_in, unit_of
 from cellslam.scenarios.loading import load, preset_names
 from cellslam.scenarios.scenario import Scenario
@@ -31,7 +31,7 @@ MODULES = {
     "The measurement model": "cellslam.slam.model.measurement_model",
     "Checks of an estimator": "cellslam.slam.conformance",
     "Recordings": "cellslam.sim.recording",
-    "Campaigns, for adapters": "cellslam.benchmarks.recordings",
+    "Campaigns, for adapters": "cellslam.recordings",
     "Rays": "cellslam.sim.rays",
     "Reference signals of LTE": "cellslam.sim.lte",
     "Reference signals of NR": "cellslam.sim.nr",

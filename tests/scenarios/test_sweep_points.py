@@ -9,9 +9,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from cellslam.benchmarks.cli.main import build_parser
-from cellslam.benchmarks.cli.sweep import requested
 from cellslam.benchmarks.trials.trials import DEFAULT_ESTIMATORS
+from cellslam.cli.main import build_parser
+from cellslam.cli.sweep import requested
 from cellslam.scenarios import sweep_points as sweep
 from cellslam.sim.errors import InputError
 

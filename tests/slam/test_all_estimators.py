@@ -10,8 +10,8 @@ from typing import Any
 
 import pytest
 
-from cellslam.benchmarks.cli.main import main
 from cellslam.benchmarks.tables.trials_table import results_table
+from cellslam.cli.main import main
 from cellslam.scenarios.estimator_options import resolve
 from cellslam.slam import registry
 

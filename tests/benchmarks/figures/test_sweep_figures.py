@@ -12,7 +12,6 @@ import pytest
 from matplotlib.colors import to_hex
 from matplotlib.figure import Figure
 
-from cellslam.benchmarks.cli.main import main
 from cellslam.benchmarks.figures.style import colour_of
 from cellslam.benchmarks.figures.sweep.sweep_curve import bound_lines, draw_curve
 from cellslam.benchmarks.figures.sweep.sweep_data import load, sweep_lines
@@ -23,6 +22,7 @@ from cellslam.benchmarks.sweeps.store import DATABASE, writing
 from cellslam.benchmarks.sweeps.tasks import Result, identity, plan, request_of
 from cellslam.benchmarks.sweeps.trajectories import pack, trajectory
 from cellslam.benchmarks.trials.estimation import estimate
+from cellslam.cli.main import main
 from cellslam.scenarios import sweep_points as sweep
 from cellslam.sim.errors import InputError
 from cellslam.sim.recording import Recording

@@ -15,7 +15,6 @@ import numpy as np
 import pytest
 from matplotlib.colors import to_hex
 
-from cellslam.benchmarks.cli.main import main
 from cellslam.benchmarks.figures.style import colour_of
 from cellslam.benchmarks.figures.sweep.sweep_data import curve_keys, load, sweep_lines
 from cellslam.benchmarks.report.choice import Choice, rounded
@@ -26,6 +25,7 @@ from cellslam.benchmarks.report.worst_trials import worst_trials
 from cellslam.benchmarks.sweeps import tasks
 from cellslam.benchmarks.sweeps.rows import results
 from cellslam.benchmarks.sweeps.store import DATABASE
+from cellslam.cli.main import main
 from cellslam.sim.errors import InputError
 from cellslam.sim.progress import silent
 from tests.short_drive import SET, SHORT

@@ -13,12 +13,12 @@ import numpy as np
 import pytest
 from matplotlib.colors import to_hex
 
-from cellslam.benchmarks.cli.main import main
 from cellslam.benchmarks.figures.style import colour_of
 from cellslam.benchmarks.report.city_page import MOST_RAYS, write_city
 from cellslam.benchmarks.report.playback import content
 from cellslam.benchmarks.scores.trial_result import TrialResult
 from cellslam.benchmarks.sweeps.rows import results
+from cellslam.cli.main import main
 from cellslam.scenarios import load
 from cellslam.scenarios.simulation import simulate
 from cellslam.sim.rays import trace

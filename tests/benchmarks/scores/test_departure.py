@@ -10,9 +10,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from cellslam.benchmarks.cli import main as cli
 from cellslam.benchmarks.scores.departure import departure, worse_than_odometry
 from cellslam.benchmarks.scores.trial_result import TrialResult
+from cellslam.cli import main as cli
 from cellslam.sim.recording import Recording
 
 Toy = Callable[..., Recording]

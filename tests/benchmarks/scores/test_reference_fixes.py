@@ -9,10 +9,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from cellslam.benchmarks.recordings.inspection.inspection import as_text, inspected
 from cellslam.benchmarks.scores.metrics import distance_m, errors_over_time, score
 from cellslam.benchmarks.scores.reference_fixes import outlying
 from cellslam.benchmarks.scores.trial_result import TrialResult
+from cellslam.recordings.inspection.inspection import as_text, inspected
 from cellslam.sim.recording import Recording, Reference
 
 

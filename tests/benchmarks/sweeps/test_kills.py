@@ -17,10 +17,10 @@ from typing import Any
 import psutil
 import pytest
 
-from cellslam.benchmarks.cli.main import main
 from cellslam.benchmarks.sweeps import executors, sweeping, tasks
 from cellslam.benchmarks.sweeps.store import TRAJECTORIES, writing
 from cellslam.benchmarks.trials.child_process import Limits
+from cellslam.cli.main import main
 from cellslam.scenarios import sweep_points as sweep
 from tests.benchmarks.sweeps.short_sweeps import PLUGIN, rows, start, stored, wait_for, words
 from tests.short_drive import SET

@@ -9,13 +9,13 @@ import numpy as np
 import pytest
 from scipy.stats import chi2
 
-from cellslam.benchmarks.cli.main import main
 from cellslam.benchmarks.scores.association import vt_nees
 from cellslam.benchmarks.scores.metrics import ROW_KEYS
 from cellslam.benchmarks.sweeps.store import writing
 from cellslam.benchmarks.sweeps.tasks import Result, identity, plan
 from cellslam.benchmarks.sweeps.trajectories import Trajectory
 from cellslam.benchmarks.tables.consistency import consistency, nees_band
+from cellslam.cli.main import main
 from cellslam.scenarios import sweep_points as sweep
 from cellslam.sim.errors import InputError
 from cellslam.slam.api import VtEstimate

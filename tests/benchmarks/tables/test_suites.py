@@ -10,11 +10,11 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from cellslam.benchmarks.cli.bench.accuracy import built_in
-from cellslam.benchmarks.cli.main import main
 from cellslam.benchmarks.sweeps.rows import results
 from cellslam.benchmarks.tables import suite_rows
 from cellslam.benchmarks.tables.suite_tables import suite_markdown
+from cellslam.cli.bench.accuracy import built_in
+from cellslam.cli.main import main
 from cellslam.scenarios import load, suites
 from cellslam.scenarios.suites import SUITES, Suite, digest, scenario_of, suite, superseded_by
 from cellslam.sim.errors import InputError

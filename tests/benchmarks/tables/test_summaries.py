@@ -12,13 +12,13 @@ import numpy as np
 import pytest
 
 from cellslam.benchmarks import comparison, results, summary
-from cellslam.benchmarks.cli.main import main
 from cellslam.benchmarks.figures.sweep.sweep_data import curve_keys, load, sweep_lines
 from cellslam.benchmarks.scores.metrics import ROW_KEYS
 from cellslam.benchmarks.sweeps.rows import varying_keys
 from cellslam.benchmarks.sweeps.store import DATABASE, writing
 from cellslam.benchmarks.sweeps.tasks import Result, identity, plan
 from cellslam.benchmarks.tables.summaries import Layout
+from cellslam.cli.main import main
 from cellslam.scenarios import sweep_points as sweep
 from cellslam.sim.errors import InputError
 

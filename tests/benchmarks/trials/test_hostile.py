@@ -13,7 +13,6 @@ from typing import Any
 import pytest
 
 from cellslam.benchmarks import run as run_trials
-from cellslam.benchmarks.cli.main import main
 from cellslam.benchmarks.scores.metrics import COST_KEYS
 from cellslam.benchmarks.sweeps.rows import results
 from cellslam.benchmarks.sweeps.store import DATABASE
@@ -22,6 +21,7 @@ from cellslam.benchmarks.trials.answers import decoded
 from cellslam.benchmarks.trials.child_process import Limits
 from cellslam.benchmarks.trials.external_processes import ExternalProcesses
 from cellslam.benchmarks.trials.trials import score_recording, score_trial
+from cellslam.cli.main import main
 from cellslam.scenarios.estimator_options import Request, external_request
 from cellslam.sim.recording import Recording
 from tests.short_drive import SET, SHORT

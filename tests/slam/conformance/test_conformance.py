@@ -11,8 +11,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from cellslam.benchmarks.cli.check_estimator import finding_of
-from cellslam.benchmarks.cli.main import main
+from cellslam.cli.check_estimator import finding_of
+from cellslam.cli.main import main
 from cellslam.scenarios.estimator_options import Request
 from cellslam.sim.recording import Measurements, Recording, Truth
 from cellslam.slam.api import setup_of, snapshots_of

@@ -35,7 +35,7 @@ def run(installed: tuple[Path, dict[str, str]], *words: str) -> str:
 
 def cellslam(installed: tuple[Path, dict[str, str]], *words: str) -> str:
     folder, variables = installed
-    call = "import sys; from cellslam.benchmarks.cli.main import main; sys.exit(main())"
+    call = "import sys; from cellslam.cli.main import main; sys.exit(main())"
     done = subprocess.run(
         [sys.executable, "-c", call, *words], cwd=folder, env=variables, capture_output=True, text=True, check=False
     )

@@ -1,0 +1,115 @@
+"""`cellslam bench accuracy`: a fixed suite, as a sweep into a store that is resumed, and its tables."""
+
+from __future__ import annotations
+
+import shlex
+import sys
+from argparse import ArgumentParser, Namespace
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from cellslam.benchmarks.trials.output_files import check_file, write_text
+from cellslam.cli.arguments import DONE, FAILED, add_work, whole
+from cellslam.cli.sweep import carry
+from cellslam.scenarios.suites import Suite, points_of, suite
+from cellslam.sim.errors import InputError
+from cellslam.slam import registry
+
+if TYPE_CHECKING:
+    from cellslam.benchmarks.tables.suite_rows import SuiteRows
+
+
+def add_arguments(parser: ArgumentParser) -> None:
+    """Add the arguments of this command."""
+    parser.add_argument("--suite", metavar="NAME", default="standard", help="standard, or one version: standard-3")
+    few_help = "the first N trials of each scenario alone, to try it out: not the suite's result"
+    parser.add_argument("--trials", metavar="N", type=whole, help=few_help)
+    scenario_help = "this scenario of the suite alone; may be repeated"
+    parser.add_argument("--scenario", metavar="NAME", action="append", default=[], dest="scenarios", help=scenario_help)
+    estimators_help = "in place of all built-ins; by name or as module:Class; may be repeated"
+    parser.add_argument(
+        "--estimator", metavar="NAME", action="append", default=[], dest="estimators", help=estimators_help
+    )
+    parser.add_argument("--out", metavar="DIR", help="folder of the results; one that exists is resumed "
+                        "(default: results/SUITE)")  # fmt: skip
+    write_help = "write the tables as Markdown, besides printing them, and beside them the ranks as FILE.png"
+    parser.add_argument("--write", metavar="FILE.md", help=write_help)
+    rows_help = "write the rows of the whole suite: an entry for 'bench leaderboard'"
+    parser.add_argument("--rows", metavar="FILE.json", help=rows_help)
+    check_help = "verify an entry instead: drive a sample of its drives again, and compare"
+    parser.add_argument("--check", metavar="FILE.json", help=check_help)
+    sample_help = "how many drives --check takes, at random (default: 5)"
+    parser.add_argument("--sample", metavar="N", type=whole, default=5, help=sample_help)
+    add_work(parser)
+
+
+def command(arguments: Namespace) -> int:
+    """Carry out `cellslam bench accuracy`."""
+    if arguments.check:
+        from cellslam.cli.bench.check_rows import check
+
+        return check(arguments)
+    one = suite(arguments.suite)
+    trials = _trials(arguments, one)
+    scenarios = tuple(arguments.scenarios) or one.scenarios
+    points = points_of(one, scenarios, registry.expanded(arguments.estimators) or built_in())
+    out = Path(arguments.out or f"results/{one.name}")
+    for file in (arguments.write, arguments.rows):
+        if file:
+            check_file(Path(file))
+    if arguments.rows and (trials, scenarios) != (one.trials, one.scenarios):
+        raise InputError("--rows is of a whole suite: leave out --trials and --scenario")
+    each = [one.trials_of(name, trials) for name in scenarios]
+    status = carry(arguments, points, each, one.seed, out)
+    if status not in (DONE, FAILED) or arguments.dry_run:
+        return status
+    from cellslam.benchmarks.sweeps.tasks import plan
+    from cellslam.benchmarks.tables import suite_rows
+    from cellslam.benchmarks.tables.suite_tables import suite_markdown
+
+    keys = {job.key for task in plan(points, each, one.seed).tasks for job in task.jobs}
+    some = suite_rows.stored(out, one, scenarios, trials, keys)
+    page = Path(arguments.write) if arguments.write else None
+    picture = draw_verdicts(some, page.with_suffix(".png")) if page else ""
+    command = shlex.join(["cellslam", *arguments.words])
+    text = suite_markdown(some, command, "" if arguments.estimators else _left_out(), picture)
+    sys.stdout.write(text)
+    if page:
+        write_text(page, text)
+    if arguments.rows:
+        write_text(Path(arguments.rows), suite_rows.as_text(some))
+    return status
+
+
+def draw_verdicts(some: SuiteRows, path: Path) -> str:
+    """Draw the ranks of a suite as a picture; return its name, empty where there is nothing to draw."""
+    from matplotlib.figure import Figure
+
+    from cellslam.benchmarks.figures.style import context, save
+    from cellslam.benchmarks.figures.sweep.critical_difference import draw_ranks
+    from cellslam.benchmarks.tables.rankings import verdicts
+
+    with context():
+        figure = Figure(layout="constrained")
+        return save(figure, path).name if draw_ranks(figure, verdicts(some.panels, some.oracles)) else ""
+
+
+def built_in() -> tuple[str, ...]:
+    """Return the built-in estimators whose packages are installed."""
+    lacking = {entry.name for entry in registry.BUILT_IN if entry.needs and entry.name in registry.left_out()}
+    return tuple(entry.name for entry in registry.BUILT_IN if entry.name not in lacking)
+
+
+def _left_out() -> str:
+    """Return one line about the built-ins that cannot be run here."""
+    chosen = built_in()
+    lacking = {n: why for n, why in registry.left_out().items() if n not in chosen}
+    return "".join(f"Without {name}: {why}.\n" for name, why in lacking.items())
+
+
+def _trials(arguments: Namespace, one: Suite) -> int:
+    if arguments.trials is None:
+        return one.trials
+    if not 1 <= arguments.trials <= one.trials:
+        raise InputError(f"--trials {arguments.trials}: {one.name} has 1 to {one.trials}")
+    return int(arguments.trials)

@@ -1,0 +1,30 @@
+"""`cellslam fit-noise`: the sizes of all errors, detection and clutter as a recording shows them."""
+
+from __future__ import annotations
+
+import sys
+from argparse import ArgumentParser, Namespace
+from pathlib import Path
+
+from cellslam.cli.arguments import DONE
+from cellslam.cli.progress_bars import bars
+from cellslam.sim.recording import Recording
+
+
+def add_arguments(parser: ArgumentParser) -> None:
+    """Add the arguments of this command."""
+    parser.add_argument("file", metavar="FILE.h5", help="a recording")
+
+
+def command(arguments: Namespace) -> int:
+    """Carry out `cellslam fit-noise`."""
+    from cellslam.recordings.fitting.fit_sizes import learn
+    from cellslam.recordings.fitting.fitted_lines import toml
+    from cellslam.scenarios.recording_origin import Origin
+
+    path = Path(arguments.file)
+    recording = Recording.load(path)
+    with bars(arguments.quiet) as progress:
+        learnt = learn(recording, Origin.of(recording, path).assumed(), progress)
+    sys.stdout.write(toml(path, learnt))
+    return DONE

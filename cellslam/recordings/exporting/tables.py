@@ -1,0 +1,176 @@
+"""A recording as CSV tables or one MATLAB file, with the `recording.toml` that `cellslam import` reads them back by."""
+
+from __future__ import annotations
+
+import os
+import shutil
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from cellslam.recordings.importing.campaign import CLAIMS, QUANTITIES
+from cellslam.recordings.importing.manifest import NAME
+from cellslam.sim.errors import InputError
+from cellslam.sim.recording import CLOCK_PRIOR, COMPONENTS, Recording
+
+UNITS = {
+    "time_s": "s",
+    "distance_m": "m",
+    "azimuth_rad": "rad",
+    "elevation_rad": "rad",
+    "snr_db": "dB",
+    "distance_std_m": "m",
+    "azimuth_std_rad": "rad",
+    "elevation_std_rad": "rad",
+    "x_m": "m",
+    "y_m": "m",
+    "z_m": "m",
+    "yaw_rad": "rad",
+    "std_m": "m",
+    "u_x": "m/s",
+    "u_y": "m/s",
+    "u_z": "m/s",
+    "u_psi": "rad/s",
+    "u_theta": "rad/s",
+    "u_phi": "rad/s",
+}
+Tables = dict[str, dict[str, Any]]
+
+
+def write_csv(recording: Recording, folder: Path) -> None:
+    """Write one CSV file a table and `recording.toml` into a new folder, at once. Raises InputError."""
+    import pandas as pd
+
+    made = tables(recording)
+    with new_folder(folder) as place:
+        for name, columns in {**made, **_truth_tables(recording)}.items():
+            pd.DataFrame(columns).to_csv(place / f"{name}.csv", index=False)
+        _write_manifest(recording, made, place, {name: {"file": f"{name}.csv"} for name in made})
+
+
+def write_mat(recording: Recording, folder: Path) -> None:
+    """Write `recording.mat` (version 5: one struct a table, columns) and `recording.toml` into a new folder, at
+    once.
+    """
+    from scipy.io import savemat
+
+    made = tables(recording)
+    with new_folder(folder) as place:
+        savemat(place / "recording.mat", {**made, **_truth_tables(recording)}, oned_as="column", long_field_names=True)
+        _write_manifest(recording, made, place, {n: {"file": "recording.mat", "variable": n} for n in made})
+
+
+def tables(recording: Recording) -> Tables:
+    """Return the tables that are imported again, by name and column; what was not measured has no column."""
+    r, m = recording, recording.measurements
+    paths: dict[str, Any] = {"time_s": r.time_s[m.snapshot], "link": m.link}
+    for name in (*QUANTITIES, *CLAIMS):
+        column = getattr(m, name)
+        if column is not None and not (len(m) and np.isnan(column).all()):
+            paths[name] = column
+    out: Tables = {"measurements": paths, "snapshots": {"time_s": r.time_s}}
+    given = {name: column for name, column in zip(COMPONENTS, r.odometry.T, strict=True) if not np.isnan(column).all()}
+    if given:
+        out["odometry"] = {"time_s": r.time_s, **given}
+    known = _known_trajectory(r)
+    if known is not None:
+        out["reference"] = known
+    return out
+
+
+def _known_trajectory(r: Recording) -> dict[str, Any] | None:
+    if r.truth is not None:
+        x, y, z, yaw = r.truth.poses[:, :4].T
+        return {"time_s": r.time_s, "x_m": x, "y_m": y, "z_m": z, "yaw_rad": yaw}
+    if r.reference is None:
+        return None
+    x, y, z = r.reference.position_m.T
+    columns = {"x_m": x, "y_m": y, "z_m": z, "yaw_rad": r.reference.yaw_rad, "std_m": r.reference.position_std_m}
+    known = {name: column for name, column in columns.items() if name in ("x_m", "y_m") or not np.isnan(column).all()}
+    return {"time_s": r.reference.time_s, **known}
+
+
+def _truth_tables(r: Recording) -> Tables:
+    """Return what only a simulation knows, for other people's tools: it is not imported again."""
+    if r.truth is None:
+        return {}
+    t = r.truth
+    names = ("x_m", "y_m", "z_m", "yaw_rad", "pitch_rad", "roll_rad")
+    out: Tables = {
+        "truth_poses": {"time_s": r.time_s, **{name: t.poses[:, i] for i, name in enumerate(names)}},
+        "truth_measurements": {"vt": t.measurement_vt},
+        "truth_sites": {**dict(zip(names[:3], t.site_positions_m.T, strict=True)), "clock_offset_m": t.clock_offsets_m},
+    }
+    if t.clock_drift_m_s is not None:
+        out["truth_sites"]["clock_drift_m_s"] = t.clock_drift_m_s
+    position = dict(zip(names[:3], t.vts.position_m.T, strict=True))
+    out["truth_vts"] = {"site": t.vts.site, "order": t.vts.order, **position}
+    return out
+
+
+def _write_manifest(recording: Recording, made: Tables, place: Path, sources: Mapping[str, Mapping[str, str]]) -> None:
+    import tomli_w
+
+    r = recording
+
+    def table(name: str, **more: Any) -> dict[str, Any]:
+        columns = {c: {"column": c, "unit": UNITS[c]} for c in made[name] if c in UNITS}
+        return {**sources[name], **more, "columns": columns}
+
+    text: dict[str, Any] = {
+        "description": str(r.provenance.get("description") or "exported by cellslam"),
+        "plane": r.plane,
+        "measurements": table("measurements", link={"column": "link"}),
+        "snapshots": table("snapshots"),
+        "start": {
+            "source": "given",
+            "position_m": r.start_pose[:3].tolist(),
+            **dict(zip(("yaw_deg", "pitch_deg", "roll_deg"), np.degrees(r.start_pose[3:]).tolist(), strict=True)),
+            "std_m": r.start_std[:3].tolist(),
+            "std_deg": np.degrees(r.start_std[3:]).tolist(),
+        },
+        "links": {
+            str(i): {
+                "site": r.sites.name[r.links.site[i]],
+                "cell_id": int(r.links.cell_id[i]),
+                "port": int(r.links.port[i]),
+            }
+            for i in range(len(r.links))
+        },
+        "sites": {
+            name: {c: float(getattr(r.sites, c)[i]) for c in CLOCK_PRIOR if getattr(r.sites, c) is not None}
+            for i, name in enumerate(r.sites.name)
+        },
+    }
+    kinds = ("noise_density", "bias", "bias_walk_density", "scale")
+    text["noise"] = {
+        name: {kind: float(getattr(r.odometry_model, kind)[i]) for kind in kinds} for i, name in enumerate(COMPONENTS)
+    }
+    if "odometry" in made:
+        text["odometry"] = table("odometry", hold="before")
+    if "reference" in made:
+        text["reference"] = table("reference")
+    (place / NAME).write_text(tomli_w.dumps(text), "utf-8")
+
+
+@contextmanager
+def new_folder(folder: Path) -> Iterator[Path]:
+    """Give a temporary folder that becomes `folder` when all went well, and disappears when not."""
+    if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
+        raise InputError(f"--out {folder}: exists already; give the name of a new folder")
+    if not folder.absolute().parent.is_dir():
+        raise InputError(f"--out {folder}: there is no folder {folder.parent}; create it first")
+    place = folder.absolute().with_name(f".{folder.name}.{os.getpid()}.tmp")
+    try:
+        place.mkdir()
+        yield place
+        if folder.exists():
+            folder.rmdir()
+        place.replace(folder)
+    except OSError as error:
+        raise InputError(f"--out {folder}: cannot be written ({error.strerror or error})") from error
+    finally:
+        shutil.rmtree(place, ignore_errors=True)

@@ -1,0 +1,69 @@
+"""What estimators assume of a recording: options and the odometry's data sheet, given or learnt."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+from cellslam.recordings.fitting.fit_noise import UNKNOWN
+from cellslam.recordings.fitting.fit_sizes import Learnt, learn
+from cellslam.recordings.importing.data_sheet import changed_sheet
+from cellslam.scenarios import external_options
+from cellslam.scenarios.estimator_options import Request
+from cellslam.scenarios.overrides import apply
+from cellslam.scenarios.recording_origin import Origin
+from cellslam.sim.errors import InputError
+from cellslam.sim.progress import Progress, silent
+from cellslam.sim.recording import OdometryModel, Recording
+from cellslam.slam.front_end.front_end_options import FrontEndOptions
+
+
+@dataclass(frozen=True)
+class Assumptions:
+    """What estimators assume of a recording: their requests, with all options, and the odometry's data sheet.
+
+    `learnt`: what the recording itself gave, None if it was not asked, or could not answer (`why`).
+    """
+
+    requests: tuple[Request, ...]
+    odometry_model: OdometryModel
+    learnt: Learnt | None = None
+    why: str = ""
+
+
+def assumed(
+    recording: Recording, origin: Origin, names: Sequence[str], given: Mapping[str, Any], fit: bool | None = None,
+    progress: Progress = silent,
+) -> Assumptions:  # fmt: skip
+    """Return what estimators `names` assume: by the recording's scenario, or by what it shows itself (`fit`; None:
+    for map builders on a measured one).
+
+    `given`: what goes before, by key, "estimator.NAME.option" and "noise.COMPONENT.part". Raises InputError.
+    """
+    overrides = {key: value for key, value in given.items() if not key.startswith("noise.")}
+    sheet = changed_sheet(recording.odometry_model, {k: v for k, v in given.items() if k.startswith("noise.")})
+    requests = _requests(origin.options, names, overrides)
+    mapping = any(isinstance(r.options, FrontEndOptions) for r in requests)
+    if not (origin.measured and mapping if fit is None else fit):
+        return Assumptions(requests, sheet)
+    try:
+        learnt = learn(replace(recording, odometry_model=sheet), origin.assumed(), progress)
+    except InputError as error:
+        learnt = Learnt(dict(UNKNOWN), sheet, {}, False)
+        return Assumptions(_with(learnt, origin, requests, overrides), sheet, None, str(error))
+    return Assumptions(_with(learnt, origin, requests, overrides), learnt.odometry_model, learnt)
+
+
+def _with(
+    learnt: Learnt, origin: Origin, requests: Sequence[Request], overrides: Mapping[str, Any]
+) -> tuple[Request, ...]:
+    """Return the requests with the options that were learnt."""
+    tables = {r.name: learnt.table(type(r.options) if r.options else None) for r in requests}
+    merged = {name: {**origin.options.get(name, {}), **table} for name, table in tables.items()}
+    return _requests({**origin.options, **merged}, [r.name for r in requests], overrides)
+
+
+def _requests(tables: Mapping[str, Any], names: Sequence[str], overrides: Mapping[str, Any]) -> tuple[Request, ...]:
+    full = apply({"estimator": tables}, overrides)["estimator"]
+    return external_options.requests(full, names, overrides)

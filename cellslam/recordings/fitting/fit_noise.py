@@ -1,0 +1,209 @@
+"""Noise, detection and clutter as the tracks of a recording's measurements show them, before any filter has run.
+
+White noise: the spread of second differences of innovations along tracks, n(t+2) - 2 n(t+1) + n(t), whose variance is
+six times that of one measurement, however smoothly everything else changes. Persisting errors: `fit_persisting`.
+Detection: the share of snapshots within the life of a track that
+have it. Clutter: rows in no track, per link and snapshot and volume.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from cellslam.recordings.fitting.fit_persisting import NAMES, Persisting, in_unit, persisting, reach
+from cellslam.recordings.fitting.fit_tracks import QUANTITIES, Tracks, tracks_of
+from cellslam.sim.errors import InputError
+from cellslam.sim.frames import wrap_angle
+from cellslam.sim.progress import Progress, silent
+from cellslam.sim.recording import Floats, Ints, Recording
+from cellslam.slam.front_end.front_end_options import NOTHING_PERSISTS
+from cellslam.slam.front_end.readings import CLUTTER_WIDTH
+
+LEAST_TRIPLES, LEAST_TRACKED, BINS = 100, 15, 8
+BIRTH_RATIO = (0.01, 0.5)  # bounds of what is learnt
+LEAST_WHITE = {"m": 1e-3, "azimuth_deg": 1e-3, "elevation_deg": 1e-3}  # no filter can take a measurement for exact
+# Of a front end that nobody modelled, as far as too little was measured to tell its noise.
+UNKNOWN = {
+    **NOTHING_PERSISTS, "noise_floor_m": 0.3, "noise_floor_azimuth_deg": 2.0, "noise_floor_elevation_deg": 2.0,
+    "noise_unit_snr_m": 0.0, "noise_unit_snr_azimuth_deg": 0.0, "noise_unit_snr_elevation_deg": 0.0,
+}  # fmt: skip
+PLANE_ELEVATION_DEG = 0.5  # what estimators assume of the zero elevations of one plane
+
+
+@dataclass(frozen=True)
+class Fitted:
+    """What was found; deviations in m and deg, by the suffix of the options' names.
+
+    `floor`, `unit` (at 0 dB): white; `claimed`: spread over the deviations that the front end claims; `range_m`: of a
+    typical path, None where clocks are unknown.
+    """
+
+    tracks: int
+    rows: int
+    floor: dict[str, float]
+    unit: dict[str, float]
+    persisting: Persisting
+    range_m: float | None
+    claimed: dict[str, float]
+    detection_probability: float
+    clutter_density: float
+    birth_ratio: float
+    visible_s: float
+
+
+def first_guess(recording: Recording, progress: Progress = silent) -> dict[str, float]:
+    """Return the front-end options (m, deg, s) that the tracks of a recording give, by name.
+
+    Raises InputError where there are too few tracks to tell.
+    """
+    fitted = fit(recording, progress)
+    out = {
+        **UNKNOWN,
+        "detection_probability": fitted.detection_probability,
+        "clutter_density": fitted.clutter_density,
+        "visible_s": fitted.visible_s,
+        "birth_ratio": fitted.birth_ratio,
+    }
+    for key in NAMES.values():
+        floor = PLANE_ELEVATION_DEG if recording.plane and key == "elevation_deg" else fitted.floor.get(key)
+        if floor is not None:
+            out[f"noise_floor_{key}"] = max(floor, LEAST_WHITE[key])
+            out[f"noise_unit_snr_{key}"] = fitted.unit.get(key, 0.0)
+            out[f"diffuse_{key}"] = fitted.persisting.place.get(key, 0.0)
+            out[f"calibration_{key}"] = fitted.persisting.direction.get(key, 0.0)
+    if fitted.persisting.scale_m:
+        out["diffuse_scale_m"] = fitted.persisting.scale_m
+    if fitted.range_m is not None:
+        out["typical_range_m"] = fitted.range_m
+    return out
+
+
+def fit(recording: Recording, progress: Progress = silent) -> Fitted:
+    """Return what a recording shows of its noise. Raises InputError where it has too little to tell."""
+    if np.isnan(recording.measurements.distance_m).all() and np.isnan(recording.measurements.azimuth_rad).all():
+        raise InputError("fit-noise needs distances or azimuths, and the recording has neither")
+    with progress("joining measurements to tracks", 1) as advance:
+        tracks = tracks_of(recording)
+        advance(1)
+    count = len(np.unique(tracks.track[tracks.track >= 0]))
+    tracked = int((tracks.track >= 0).sum())
+    if tracked < LEAST_TRACKED:
+        raise InputError(
+            f"fit-noise found {count} tracks of three detections or more, with {tracked} in all, and needs "
+            f"{LEAST_TRACKED}: is the odometry right?"
+        )
+    floor, unit, claimed = _white(recording, tracks)
+    second = _triples(tracks)[1]
+    white = {NAMES[n]: in_unit(n, _deviation(second[:, i])) for i, n in enumerate(QUANTITIES) if NAMES[n] in floor}
+    range_m, range_known = reach(recording, tracks)
+    detection, visible_s = _detection(recording, tracks)
+    return Fitted(
+        tracks=count,
+        rows=tracks.rows,
+        floor=floor,
+        unit=unit,
+        persisting=persisting(recording, tracks, white),
+        range_m=range_m if range_known else None,
+        claimed=claimed,
+        detection_probability=detection,
+        clutter_density=_clutter(recording, tracks),
+        birth_ratio=float(np.clip(count / (count + (tracks.track < 0).sum()), *BIRTH_RATIO)),
+        visible_s=visible_s,
+    )
+
+
+def _triples(tracks: Tracks) -> tuple[Ints, Floats]:
+    """Return pairs of steps that follow one another, each of as many snapshots as most have: their middle rows and
+    second differences (n, 3).
+    """
+    steps = tracks.steps
+    tracked = tracks.track[steps.first] >= 0
+    single = np.flatnonzero(tracked & (steps.lag == np.bincount(steps.lag[tracked], minlength=2).argmax()))
+    at = np.full(tracks.rows, -1, np.int64)
+    at[steps.first[single]] = single
+    following = at[steps.second[single]]
+    pairs = following >= 0
+    one, two = single[pairs], following[pairs]
+    difference = steps.innovation[two] - steps.innovation[one]
+    difference[:, 1] = wrap_angle(difference[:, 1])
+    return steps.second[one], difference
+
+
+def _white(r: Recording, tracks: Tracks) -> tuple[dict[str, float], dict[str, float], dict[str, float]]:
+    middle, difference = _triples(tracks)
+    floor, unit, claimed = {}, {}, {}
+    for i, name in enumerate(QUANTITIES):
+        known = ~np.isnan(difference[:, i])
+        if known.sum() < LEAST_TRIPLES:
+            continue
+        values = difference[known, i]
+        snr_db = r.measurements.snr_db[middle[known]]
+        low, at_0_db = _against_snr(values, snr_db)
+        floor[NAMES[name]], unit[NAMES[name]] = in_unit(name, low), in_unit(name, at_0_db)
+        column = getattr(r.measurements, name.replace("_m", "_std_m").replace("_rad", "_std_rad"))
+        if column is not None:
+            claimed[NAMES[name]] = _deviation(values / column[middle[known]])
+    return floor, unit, claimed
+
+
+def _deviation(second_differences: Floats) -> float:
+    known = second_differences[np.isfinite(second_differences)]
+    return 1.4826 * float(np.median(np.abs(known - np.median(known)))) / np.sqrt(6.0) if len(known) else float("nan")
+
+
+def _against_snr(values: Floats, snr_db: Floats) -> tuple[float, float]:
+    """Return floor and deviation at 0 dB of variance = floor^2 + unit^2 / SNR, fitted to bins of equal count."""
+    from scipy.optimize import nnls
+
+    known = ~np.isnan(snr_db)
+    if known.sum() < LEAST_TRIPLES or np.ptp(snr_db[known]) < 3.0:
+        return _deviation(values), 0.0
+    order = np.argsort(snr_db[known])
+    parts = np.array_split(order, BINS)
+    variance = np.array([_deviation(values[known][part]) ** 2 for part in parts])
+    inverse = np.array([np.median(10.0 ** (-snr_db[known][part] / 10.0)) for part in parts])
+    design = np.column_stack([np.ones(BINS), inverse]) / variance[:, None]
+    solution, _ = nnls(design, np.ones(BINS))
+    return float(np.sqrt(solution[0])), float(np.sqrt(solution[1]))
+
+
+def _detection(r: Recording, tracks: Tracks) -> tuple[float, float]:
+    """Return the share of snapshots between a track's first and last detection that have it, and its mean life in s."""
+    rows = np.flatnonzero(tracks.track >= 0)
+    _, label = np.unique(tracks.track[rows], return_inverse=True)
+    snapshot = r.measurements.snapshot[rows]
+    count = np.bincount(label)
+    first, last = np.full(len(count), np.iinfo(np.int64).max), np.zeros(len(count), np.int64)
+    np.minimum.at(first, label, snapshot)
+    np.maximum.at(last, label, snapshot)
+    inner = last - first - 1
+    share = (count - 2).sum() / max(inner.sum(), 1)
+    life = r.time_s[last] - r.time_s[first]
+    return float(np.clip(share, 0.01, 0.99)), float(max(np.average(life, weights=count), 1e-3))
+
+
+def _clutter(r: Recording, tracks: Tracks) -> float:
+    """Return rows without a track per link and snapshot and m rad rad (over the middle 90 % of their distances)."""
+    m = r.measurements
+    loose = np.flatnonzero(tracks.track < 0)
+    seen = len(np.unique((m.snapshot * max(len(r.links), 1) + m.link)[: tracks.rows]))
+    # A component that is not measured: the width that the filters take off the density for it.
+    volume = CLUTTER_WIDTH[1] if np.isnan(m.azimuth_rad).all() else 2.0 * np.pi
+    volume *= _spread(m.distance_m, loose, 1.0, 1000.0, CLUTTER_WIDTH[0])
+    if r.plane:
+        volume *= np.sqrt(2.0 * np.pi) * np.radians(PLANE_ELEVATION_DEG)
+    else:
+        volume *= _spread(m.elevation_rad, loose, 0.01, np.pi / 2.0, CLUTTER_WIDTH[2])
+    return float(np.clip(max(len(loose), 1) / max(seen, 1) / volume, 1e-9, 1e3))
+
+
+def _spread(values: Floats, rows: Ints, least: float, most: float, missing: float) -> float:
+    """Return the width of the middle 90 % of some rows of values (n,), at least `least`; `most` if those are too few to
+    tell, `missing` if nothing was measured at all.
+    """
+    if np.isnan(values).all():
+        return missing
+    measured = values[rows][~np.isnan(values[rows])]
+    return max(float(np.diff(np.quantile(measured, (0.05, 0.95)))[0]), least) if len(measured) > 20 else most

@@ -1,0 +1,163 @@
+"""Sizes of all errors as a whole drive shows them: EKF-SLAM goes through it again and again, and assumes what it
+learnt.
+
+After each pass the filter has, for the white noise, every cause of errors that persist, and the odometry, the slope of
+the log-likelihood in the logarithm of its size, and the curvature; the next pass assumes sizes that are a step nearer
+to the likeliest, all at once, and half a step where the drive has no answer to them. The sizes that fit best are the
+result: where no slope is more than the drive's own chance makes it.
+
+Sources: Shumway and Stoffer, "An approach to time series smoothing and forecasting using the EM algorithm", Journal of
+Time Series Analysis 3(4), 1982; `slam.ekf_slam.sizes` has those of the steps.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from typing import Any, NamedTuple
+
+import numpy as np
+from pydantic import BaseModel
+
+from cellslam.recordings.fitting.fit_noise import first_guess
+from cellslam.sim.progress import Progress, silent
+from cellslam.sim.recording import COMPONENTS, Floats, OdometryModel, Recording
+from cellslam.slam.api import odometry_of, setup_of, snapshots_of
+from cellslam.slam.ekf_slam.ekf_slam import EkfSlam
+from cellslam.slam.ekf_slam.ekf_slam_options import EkfSlamOptions
+from cellslam.slam.ekf_slam.sizes import Sheets, Sizes, keys_of, stepped
+from cellslam.slam.front_end.front_end_options import FrontEndOptions
+
+PASSES, WHOLE = 8, 2  # passes at most; so many take whole steps, the others half of them
+FITS = 2.0  # mean square of the slopes, in their deviations, from which on sizes are as good as right
+SAID = 0.5  # relative deviation of a size beyond which nothing is said of it
+# A pass joins the mixtures of the start after so long at the latest, s: sizes show also where an offset is wrong yet,
+# and where all are assumed far too large none is ever resolved.
+START_LIMIT_S = 150.0
+# Slip of a real vehicle comes in bursts: a filter that assumes the deviation over the whole drive is too sure in these.
+BURSTS = 3.0
+# Bias and scale that any odometer may have, m/s and rad/s: what a data sheet leaves out cannot be learnt.
+LEAST_BIAS, LEAST_SCALE = {"u_psi": 1e-3}, {"u_x": 0.01, "u_psi": 0.01}
+
+
+@dataclass(frozen=True)
+class Learnt:
+    """What was learnt: `options` that all map builders share, by name, and the odometry's data sheet.
+
+    `changes`: by what factor a size of `slam.ekf_slam.sizes.OPTIONS` differs from what was assumed, and its relative
+    standard deviation; what the drive does not tell is left out, and stays as assumed. `resolved`: False where clock
+    offsets never were, so that nothing is learnt.
+    """
+
+    options: dict[str, Any]
+    odometry_model: OdometryModel
+    changes: dict[str, tuple[float, float]]
+    resolved: bool
+
+    def table(self, model: type[BaseModel] | None) -> dict[str, Any]:
+        """Return the options of an estimator, those that its model has; empty for one that shares none."""
+        if model is None or not issubclass(model, FrontEndOptions):
+            return {}
+        return self.options
+
+
+def learn(recording: Recording, assumed: Mapping[str, Any] | None, progress: Progress = silent) -> Learnt:
+    """Return the sizes that a recording shows.
+
+    `assumed`: front-end options to begin with, by name; None: nobody modelled this front end, and the tracks of its
+    measurements give them. Raises InputError where these are too few to tell.
+    """
+    sheet, bursts = recording.odometry_model, 1.0
+    if assumed is None:
+        assumed, sheet, bursts = first_guess(recording, progress), _with_least(recording, sheet), BURSTS
+    first = tried = Sheets(EkfSlamOptions(**{"start_limit_s": START_LIMIT_S} | dict(assumed)), sheet)
+    last: Pass | None = None
+    fitting: Pass | None = None
+    share = 1.0
+    with progress("learning the sizes of errors", PASSES) as advance:
+        for number in range(PASSES):
+            found = _found(recording, tried)
+            advance(1)
+            if found is not None:
+                share = 1.0 if number < WHOLE else 0.5
+                nearer, off = stepped(tried, found, first, share)
+                last = Pass(tried, found, off)
+                fitting = last if fitting is None or off < fitting.off else fitting
+                if off < FITS:
+                    break
+                tried = nearer
+            elif last is None:
+                return Learnt(dict(assumed), sheet, {}, False)
+            else:
+                share *= 0.5
+                tried, _ = stepped(last.sheets, last.found, first, share)
+    assert fitting is not None
+    options, odometry = fitting.sheets
+    noise = recording.odometry_model.noise_density
+    ratio = np.divide(odometry.noise_density, noise, out=np.ones(6), where=noise > 0.0)
+    changes = {
+        name: (_factor(name, first.options, options, ratio), deviation)
+        for name, deviation in fitting.found.deviations().items()
+        if deviation < SAID
+    }
+    was, now = first.options.model_dump(), options.model_dump()
+    shared = {key: value for key, value in sorted(now.items()) if key in assumed or value != was[key]}
+    return Learnt(shared, _safe(odometry, fitting.found, bursts), changes, True)
+
+
+class Pass(NamedTuple):
+    """A pass through the drive: what the filter assumed, what it found, and how far off that says these are."""
+
+    sheets: Sheets
+    found: Sizes
+    off: float
+
+
+def _found(recording: Recording, sheets: Sheets) -> Sizes | None:
+    """Return what ekf-slam finds of sizes on a drive; None: clock offsets are never resolved."""
+    # What is counted for paths that merge makes other errors of angles look smaller than they are; and slopes are to be
+    # against the sheets, not against diffuse errors that grow.
+    estimator = EkfSlam(sheets.options.model_copy(update={"merge_rate": 0.0}))
+    estimator.grows = False
+    _drive(estimator, replace(recording, odometry_model=sheets.odometry))
+    try:
+        return estimator.sizes()
+    except RuntimeError:
+        return None
+
+
+def _drive(estimator: EkfSlam, recording: Recording) -> None:
+    odometry, dt_s = odometry_of(recording), np.diff(recording.time_s, prepend=recording.time_s[0])
+    estimator.start(setup_of(recording), np.random.default_rng(0))
+    for t, snapshot in enumerate(snapshots_of(recording)):
+        estimator.step(float(dt_s[t]), odometry[t], snapshot)
+
+
+def _safe(sheet: OdometryModel, found: Sizes, bursts: float) -> OdometryModel:
+    """Return a data sheet to be assumed, of one that was likely: as wide as it must be where slip comes in bursts, with
+    no wider bias and scale than the drive shows."""
+    return replace(
+        sheet,
+        noise_density=bursts * sheet.noise_density,
+        bias=np.fmin(sheet.bias, BURSTS * np.sqrt(found.bias)),
+        scale=np.fmin(sheet.scale, BURSTS * np.sqrt(found.scale)),
+    )
+
+
+def _factor(name: str, first: EkfSlamOptions, now: EkfSlamOptions, odometry: Floats) -> float:
+    """Return by what factor a size has changed."""
+    if name in COMPONENTS:
+        return float(odometry[COMPONENTS.index(name)])
+    key = max(keys_of(name), key=lambda key: float(getattr(first, key)))
+    return float(getattr(now, key) / getattr(first, key))
+
+
+def _with_least(recording: Recording, sheet: OdometryModel) -> OdometryModel:
+    """Return a data sheet with a bias and a scale for each velocity that is measured."""
+    bias, scale = sheet.bias.copy(), sheet.scale.copy()
+    for values, least in ((bias, LEAST_BIAS), (scale, LEAST_SCALE)):
+        for name, value in least.items():
+            i = COMPONENTS.index(name)
+            if not np.isnan(recording.odometry[:, i]).all():
+                values[i] = max(values[i], value)
+    return replace(sheet, bias=bias, scale=scale)

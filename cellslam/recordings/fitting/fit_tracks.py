@@ -1,0 +1,148 @@
+"""Measurements of consecutive snapshots joined to tracks by the odometry's prediction: the raw material of
+`fit_noise`.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from cellslam.recordings.inspection.corrections import dead_reckoned
+from cellslam.sim.frames import wrap_angle
+from cellslam.sim.recording import Floats, Ints, Recording
+
+ROWS = 250_000  # of a long recording the first so many measurements
+MISSES = 3  # a track may pause for so many looks of its link
+GATE = 4.0  # standard deviations of a prediction's error, in each quantity
+FIRST_GUESS = (2.0, np.radians(5.0), np.radians(5.0))
+QUANTITIES = ("distance_m", "azimuth_rad", "elevation_rad")
+
+
+@dataclass(frozen=True)
+class Steps:
+    """Pairs of rows (n,) of one track, `lag` looks apart, and how far the later one is from its prediction (n, 3).
+
+    A look of a link is a snapshot in which it has measurements: beacons that are polled in turn have one in several.
+    """
+
+    first: Ints
+    second: Ints
+    lag: Ints
+    innovation: Floats
+
+
+@dataclass(frozen=True)
+class Tracks:
+    """`track` (M,) of each row used, -1 for none of three detections; `steps` between detections; poses (T, 6)."""
+
+    rows: int
+    track: Ints
+    steps: Steps
+    poses: Floats
+
+
+def tracks_of(recording: Recording) -> Tracks:
+    """Return the tracks of a recording; the gates are first guessed, then twice taken from the innovations."""
+    r = recording
+    poses = dead_reckoned(r, r.time_s)
+    rows = min(len(r.measurements), ROWS)
+    scale = np.array(FIRST_GUESS)
+    steps = _joined(r, poses, rows, scale)
+    for _ in range(2):
+        scale = np.array([_spread(steps.innovation[:, i], guess) for i, guess in enumerate(FIRST_GUESS)])
+        steps = _joined(r, poses, rows, scale)
+    return Tracks(rows, _labels(steps, rows), steps, poses)
+
+
+def predicted(recording: Recording, poses: Floats, first: Ints, later: Ints) -> Floats:
+    """Return the measurements (n, 3) that rows `first` lead one to expect in snapshots `later`, if their sources
+    stay.
+    """
+    m = recording.measurements
+    a, b = poses[m.snapshot[first]], poses[later]
+    step = b[:, :2] - a[:, :2]
+    c, s = np.cos(a[:, 3]), np.sin(a[:, 3])
+    forward, left = c * step[:, 0] + s * step[:, 1], -s * step[:, 0] + c * step[:, 1]
+    offset = recording.sites.clock_offset_mean_m[recording.links.site[m.link[first]]]
+    azimuth, elevation = m.azimuth_rad[first], np.nan_to_num(m.elevation_rad[first])
+    turn = wrap_angle(b[:, 3] - a[:, 3])
+    if np.isnan(m.azimuth_rad).all():
+        return np.column_stack([m.distance_m[first], np.full(len(first), np.nan), m.elevation_rad[first]])
+    reach = np.maximum(np.nan_to_num(m.distance_m[first] - offset, nan=1e6), 5.0)
+    x = reach * np.cos(elevation) * np.cos(azimuth) - forward
+    y = reach * np.cos(elevation) * np.sin(azimuth) - left
+    z = reach * np.sin(elevation)
+    distance = m.distance_m[first] - reach + np.sqrt(x * x + y * y + z * z)
+    return np.column_stack([distance, wrap_angle(np.arctan2(y, x) - turn), m.elevation_rad[first]])
+
+
+def _joined(r: Recording, poses: Floats, rows: int, scale: Floats) -> Steps:
+    """Return the steps: of all pairs within the gate the best first, each row with one successor and one
+    predecessor.
+    """
+    m = r.measurements
+    links, look = max(len(r.links), 1), _looks(m.snapshot[:rows], m.link[:rows])
+    key = look * links + m.link[:rows]
+    order = np.argsort(key, kind="stable")
+    has_next, has_last = np.zeros(rows, bool), np.zeros(rows, bool)
+    parts = []
+    for lag in range(1, MISSES + 2):
+        first, second = _candidates(key[order], key, np.flatnonzero(~has_next), lag * links)
+        second = order[second]
+        free = ~has_last[second]
+        first, second = first[free], second[free]
+        innovation = _innovation(r, poses, first, second)
+        cost = np.nansum((innovation / (scale * np.sqrt(lag))) ** 2, axis=1)
+        near = np.flatnonzero(cost < GATE**2)
+        near = near[np.argsort(cost[near], kind="stable")]
+        # Mutual best: the first row of each in order of cost.
+        best_first = np.zeros(len(near), bool)
+        best_first[np.unique(first[near], return_index=True)[1]] = True
+        best_second = np.zeros(len(near), bool)
+        best_second[np.unique(second[near], return_index=True)[1]] = True
+        kept = near[best_first & best_second]
+        has_next[first[kept]], has_last[second[kept]] = True, True
+        parts.append((first[kept], second[kept], np.full(len(kept), lag), innovation[kept]))
+    return Steps(*(np.concatenate([part[i] for part in parts]) for i in range(4)))
+
+
+def _looks(snapshot: Ints, link: Ints) -> Ints:
+    """Return the number of each row's snapshot (M,) among those in which its link has measurements."""
+    out = np.empty(len(snapshot), np.int64)
+    for one in np.unique(link):
+        rows = np.flatnonzero(link == one)
+        out[rows] = np.unique(snapshot[rows], return_inverse=True)[1]
+    return out
+
+
+def _candidates(ordered: Ints, key: Ints, rows: Ints, shift: int) -> tuple[Ints, Ints]:
+    """Return all pairs of a row and a place in the ordered keys whose key is `shift` higher."""
+    begin, end = np.searchsorted(ordered, key[rows] + shift), np.searchsorted(ordered, key[rows] + shift, side="right")
+    count = end - begin
+    first = np.repeat(rows, count)
+    second = np.arange(count.sum()) - np.repeat(np.cumsum(count) - count, count) + np.repeat(begin, count)
+    return first, second
+
+
+def _innovation(r: Recording, poses: Floats, first: Ints, second: Ints) -> Floats:
+    m = r.measurements
+    z = np.column_stack([getattr(m, name)[second] for name in QUANTITIES])
+    out: Floats = z - predicted(r, poses, first, m.snapshot[second])
+    out[:, 1] = wrap_angle(out[:, 1])
+    return out
+
+
+def _spread(values: Floats, guess: float) -> float:
+    known = values[~np.isnan(values)]
+    return guess if len(known) < 30 else max(1.4826 * float(np.median(np.abs(known - np.median(known)))), 1e-4 * guess)
+
+
+def _labels(steps: Steps, rows: int) -> Ints:
+    """Return the track of each row, -1 where it has fewer than three detections."""
+    from scipy.sparse import coo_array
+    from scipy.sparse.csgraph import connected_components
+
+    graph = coo_array((np.ones(len(steps.first)), (steps.first, steps.second)), shape=(rows, rows))
+    label = connected_components(graph, directed=False)[1].astype(np.int64)
+    return np.where(np.bincount(label)[label] >= 3, label, -1)

@@ -1,0 +1,208 @@
+"""What is in a recording, what is missing, what looks wrong."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from cellslam.benchmarks.scores.metrics import duration_s
+from cellslam.benchmarks.scores.reference_fixes import outlying, within
+from cellslam.recordings.importing.campaign import CLAIMS, QUANTITIES
+from cellslam.recordings.inspection.suspicions import suspicions
+from cellslam.sim.recording import COMPONENTS, Recording
+
+GAP = 5.0  # an interval longer than so many median ones is a gap
+NAMES = {"distance_m": "distance", "azimuth_rad": "azimuth", "elevation_rad": "elevation", "snr_db": "SNR"}
+
+
+def inspected(recording: Recording) -> dict[str, Any]:
+    """Return the summary as plain values, in the order in which it is printed."""
+    r = recording
+    return {
+        "snapshots": _snapshots(r),
+        "measurements": _measurements(r),
+        "links": _links(r),
+        "odometry": _odometry(r),
+        "reference": _reference(r),
+        "start": {"pose": _short(r.start_pose), "std": _short(r.start_std)},
+        "plane": r.plane,
+        "missing": _missing(r),
+        "suspicions": [{"kind": s.kind, "text": s.text} for s in suspicions(r)],
+        "description": str(r.provenance.get("description") or r.provenance.get("campaign") or ""),
+    }
+
+
+def _snapshots(r: Recording) -> dict[str, Any]:
+    step = np.diff(r.time_s).round(6)  # times since 1970 are known to 0.2 us
+    out: dict[str, Any] = {"count": len(r.time_s), "duration_s": _number(duration_s(r))}
+    if len(step):
+        median = float(np.median(step))
+        gaps = np.flatnonzero(step > GAP * median)
+        out |= {"interval_s": _number(median), "shortest_s": _number(step.min()), "longest_s": _number(step.max())}
+        out["gaps"] = [{"at_s": round(float(r.time_s[i]), 3), "lasts_s": _number(step[i])} for i in gaps[:20]]
+        out["gap_count"] = len(gaps)
+    empty = np.diff(r.rows) == 0
+    out["without_measurement"] = int(empty.sum())
+    return out
+
+
+def _measurements(r: Recording) -> dict[str, Any]:
+    m = r.measurements
+    out: dict[str, Any] = {"count": len(m), "per_snapshot": _number(len(m) / len(r.time_s))}
+    for name in (*QUANTITIES, *CLAIMS):
+        column = getattr(m, name)
+        known = np.empty(0) if column is None else column[~np.isnan(column)]
+        if len(known):
+            out[name] = {
+                "share": _number(len(known) / len(m)),
+                **dict(zip(("least", "median", "most"), _short(np.quantile(known, (0, 0.5, 1))), strict=True)),
+            }
+    return out
+
+
+def _links(r: Recording) -> list[dict[str, Any]]:
+    m = r.measurements
+    count = np.bincount(m.link, minlength=len(r.links))
+    new = np.append(True, (np.diff(m.snapshot) != 0) | (np.diff(m.link) != 0))[: len(m)]
+    seen = np.bincount(m.link[new], minlength=len(r.links))
+    out = []
+    for link in range(len(r.links)):
+        site = int(r.links.site[link])
+        about: dict[str, Any] = {"link": link, "site": r.sites.name[site]}
+        for name in ("cell_id", "port"):
+            if getattr(r.links, name)[link] >= 0:
+                about[name] = int(getattr(r.links, name)[link])
+        about |= {
+            "clock_offset_std_m": float(r.sites.clock_offset_std_m[site]),
+            "measurements": int(count[link]),
+            "paths_per_snapshot": _number(count[link] / max(int(seen[link]), 1)),
+            "snapshots_share": _number(seen[link] / len(r.time_s)),
+        }
+        out.append(about)
+    return out
+
+
+def _odometry(r: Recording) -> dict[str, Any]:
+    out: dict[str, Any] = {}
+    for i, name in enumerate(COMPONENTS):
+        column = r.odometry[1:, i]
+        known = column[~np.isnan(column)]
+        if len(known):
+            least, most = _short([known.min(), known.max()])
+            out[name] = {"share": _number(len(known) / max(len(column), 1)), "least": least, "most": most}
+    return out
+
+
+def _reference(r: Recording) -> dict[str, Any] | None:
+    if r.reference is None:
+        return None
+    f = r.reference
+    step = np.diff(f.time_s).round(6)
+    return {
+        "count": len(f),
+        "within_the_drive": int(within(r, f).sum()),
+        "interval_s": _number(np.median(step)) if len(step) else None,
+        "longest_gap_s": _number(step.max()) if len(step) else None,
+        "yaw": bool(np.isfinite(f.yaw_rad).any()),
+        "height": bool(np.isfinite(f.position_m[:, 2]).any()),
+        "outlying_at_s": f.time_s[outlying(f) & within(r, f)].round(3).tolist(),
+        "std_m": _number(np.nanmedian(f.position_std_m)) if np.isfinite(f.position_std_m).any() else None,
+    }
+
+
+def _missing(r: Recording) -> list[str]:
+    m, out = r.measurements, []
+    for name, word in NAMES.items():
+        share = float(np.isnan(getattr(m, name)).mean()) if len(m) else 1.0
+        if share == 1.0 and not (name == "elevation_rad" and r.plane):
+            out.append(f"{word} (never measured)")
+        elif 0.0 < share < 1.0:
+            out.append(f"{word} in {100 * share:.1f} % of the rows")
+    if all(getattr(m, name) is None for name in CLAIMS):
+        out.append("deviations of the measurements")
+    for i, name in enumerate(COMPONENTS):
+        share = float(np.isnan(r.odometry[1:, i]).mean()) if len(r.time_s) > 1 else 0.0
+        if share == 1.0:
+            std = r.odometry_model.noise_density[i]
+            how = "taken as zero" if std == 0 else f"taken as zero with noise density {std:.3g}"
+            out.append(f"odometry {name} (never measured; {how})")
+        elif share > 0.0:
+            out.append(f"odometry {name} in {100 * share:.1f} % of the intervals")
+    if r.truth is None:
+        out.append("truth" if r.reference is None else "truth (there is a reference)")
+        out += ["position, heading: no scores without truth or reference"] if r.reference is None else []
+    return out
+
+
+def as_json(found: Mapping[str, Any]) -> str:
+    """Return the summary as one JSON object."""
+    return json.dumps(found, indent=1, allow_nan=False) + "\n"
+
+
+def as_text(path: Path, recording: Recording, found: Mapping[str, Any]) -> str:
+    """Return the summary for people, lines of at most about 100 characters."""
+    s, m = found["snapshots"], found["measurements"]
+    lines = [f"{path}: sound recording" + (f", {found['description']}" if found["description"] else "")]
+    interval = (
+        f", every {s['interval_s']:g} s ({s['shortest_s']:g} to {s['longest_s']:g} s)" if "interval_s" in s else ""
+    )
+    lines.append(
+        f"snapshots     {s['count']} in {s['duration_s']:g} s{interval}; {s['without_measurement']} without measurement"
+    )
+    lines += [f"  gap         {gap['lasts_s']:g} s at {gap['at_s']:.14g} s" for gap in s.get("gaps", [])[:5]]
+    if s.get("gap_count", 0) > 5:
+        lines.append(f"  gaps        {s['gap_count']} in all")
+    lines.append(
+        f"measurements  {m['count']}, {m['per_snapshot']:.4g} a snapshot" + (", in one plane" if found["plane"] else "")
+    )
+    for name in (*QUANTITIES, *CLAIMS):
+        if name in m:
+            q = m[name]
+            share = "" if q["share"] == 1.0 else f" ({100 * q['share']:.1f} % of the rows)"
+            lines.append(f"  {name:<18}{q['least']:>10} .. {q['median']:>10} .. {q['most']:>10}{share}")
+    lines.append(f"links         {len(found['links'])} of {len(recording.sites)} sites")
+    for link in found["links"][:24]:
+        cell = "".join(f", {n} {link[n]}" for n in ("cell_id", "port") if n in link)
+        std = link["clock_offset_std_m"]
+        lines.append(
+            f"  link {link['link']:<3} site {link['site']}{cell}: {link['measurements']} measurements, "
+            f"{link['paths_per_snapshot']:.3g} paths in {100 * link['snapshots_share']:.1f} % of the snapshots, "
+            f"clock {f'+-{std:.4g} m' if std else 'known'}"
+        )
+    for name, u in found["odometry"].items():
+        lines.append(f"odometry      {name:<8} {u['least']} .. {u['most']}, {100 * u['share']:.1f} % of the intervals")
+    f = found["reference"]
+    if f is not None:
+        extra = ("with yaw" if f["yaw"] else "no yaw") + (
+            f", +-{f['std_m']} m" if f["std_m"] is not None else ", deviation not stated"
+        )
+        lines.append(
+            f"reference     {f['count']} fixes, {f['within_the_drive']} within the drive, every "
+            f"{f['interval_s']} s, {extra}"
+        )
+        if f["outlying_at_s"]:
+            at, more = f["outlying_at_s"], "" if len(f["outlying_at_s"]) <= 5 else ", ..."
+            times = ", ".join(f"{t:.14g}" for t in at[:5])
+            lines.append(
+                f"  outliers    {len(at)} far off their neighbours, at {times}{more} s: left out of scores and figures"
+            )
+    if recording.truth is not None:
+        lines.append(f"truth         poses, {len(recording.truth.vts)} VTs, associations (simulated)")
+    lines += [f"missing       {what}" for what in found["missing"]]
+    lines += [f"SUSPICIOUS    {what['text']}" for what in found["suspicions"]] or ["suspicious    nothing"]
+    for name, doubts in found.get("estimators", {}).items():
+        lines += [f"SUSPICIOUS    {line}" for line in doubts] or [f"{name:<14}nothing speaks against its estimate"]
+    return "\n".join(lines) + "\n"
+
+
+def _short(values: ArrayLike) -> list[float]:
+    return [_number(value) for value in np.ravel(np.asarray(values, np.float64))]
+
+
+def _number(value: Any) -> float:
+    return float(f"{float(value):.6g}")

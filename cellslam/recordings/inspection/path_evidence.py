@@ -1,0 +1,227 @@
+"""How well measured paths and the odometry tell the same motion: each measurement predicted from those of a moment
+before."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cellslam.recordings.inspection.corrections import Correction, Drive
+from cellslam.sim.frames import wrap_angle
+from cellslam.sim.recording import Floats, Ints, Recording
+
+STEP_M, TURN_RAD = 1.5, 0.15  # how far the vehicle comes, or turns, within the shorter lag
+MOVES = 16  # such steps or turns a drive must have: what moves less shows nothing
+LONGER = 6  # times as long, the longer lag: what is near moves against what is far
+LONGEST_S, LAGS = 30.0, 8  # a lag is no longer than this; and so many fit into the drive
+PATHS = 40  # of a snapshot
+CANDIDATES = 8_000  # for a lag
+PAIRS = (40, 120)  # of snapshots
+FEWEST = 40
+ROUNDS = 4
+LEAST_STD_M, LEAST_STD_RAD = 0.02, 0.002
+FAR_M = 1e6
+BLOCKS = 16
+WORTH = 5.0  # most measurements of a pair of moments that count: their errors are alike
+
+
+@dataclass(frozen=True)
+class Pairs:
+    """Pairs of moments (n,) in s, and candidates among their measurements: row `first` (C,) may have become `second`.
+
+    `at` (C,): which of the G second measurements that is; `pair` (G,): to which moments it belongs; `share` (G,): one
+    over the number of its candidates.
+    """
+
+    before_s: Floats
+    after_s: Floats
+    first: Ints
+    second: Ints
+    at: Ints
+    pair: Ints
+    share: Floats
+
+
+class PathEvidence:
+    """Log-likelihood of measurements, given those before and the odometry: one of them moved on, or something new.
+
+    Which of them, the noise, and how often, are found with each correction (expectation-maximisation).
+    """
+
+    name = "paths"
+
+    def __init__(self, recording: Recording, drive: Drive) -> None:
+        """Raise ValueError where azimuths or motion are too few."""
+        m, self.drive, self.time_s = recording.measurements, drive, recording.time_s
+        self.usable = ~np.isnan(m.azimuth_rad) & (~np.isnan(m.distance_m) | np.isnan(m.distance_m).all())
+        if self.usable.sum() < FEWEST:
+            raise ValueError
+        self.azimuth = m.azimuth_rad
+        self.elevation = np.nan_to_num(m.elevation_rad)
+        self.ranged = not np.isnan(m.distance_m).all()
+        self.known = (recording.sites.clock_offset_std_m == 0.0)[recording.links.site][m.link] & self.ranged
+        mean = recording.sites.clock_offset_mean_m[recording.links.site][m.link]
+        self.distance = np.where(self.known, m.distance_m - mean, m.distance_m) if self.ranged else np.zeros(len(m))
+        area = np.ptp(self.azimuth[self.usable]) + 1e-3
+        if self.ranged:
+            area *= np.ptp(self.distance[self.usable]) + 1e-3
+        self.area = float(area)
+        self.lags = [pairs for lag in self._lags() if len((pairs := self._pairs(recording, lag)).pair)]
+        if sum(len(pairs.pair) for pairs in self.lags) < FEWEST:
+            raise ValueError
+        middle = np.concatenate([0.5 * (pairs.before_s + pairs.after_s) for pairs in self.lags])
+        self.block = ((middle - self.time_s[0]) / np.ptp(self.time_s) * BLOCKS).astype(np.int64)
+        self._plain = [self._logs(pairs, Correction()) for pairs in self.lags]
+
+    def seen(self, c: Correction) -> Correction:
+        """Return what a correction comes to between odometry and measurements."""
+        return Correction(
+            speed=c.speed,
+            yaw_rate=c.yaw_rate,
+            side=c.side,
+            odometry_late_s=c.odometry_late_s - c.measurements_late_s,
+            odometry_arm_m=(c.odometry_arm_m[0] + c.array_arm_m[0], c.odometry_arm_m[1] + c.array_arm_m[1]),
+            azimuth=c.azimuth,
+            azimuth_zero_rad=c.azimuth_zero_rad,
+            distance=c.distance,
+            distance_zero_m=c.distance_zero_m,
+        )
+
+    def change(self, c: Correction) -> Floats:
+        """Return by how much a correction as `seen` raises the log-likelihood (n,); NaN outside of the drive."""
+        return np.concatenate(
+            [self._change(pairs, plain, c) for pairs, plain in zip(self.lags, self._plain, strict=True)]
+        )
+
+    def _change(self, pairs: Pairs, plain: Floats, c: Correction) -> Floats:
+        found = self._logs(pairs, c)
+        inside = np.isfinite(found)
+        # The noise is fitted to those moments that a delay leaves: so must it be for the comparison.
+        same = bool((inside == np.isfinite(plain)).all())
+        return np.asarray(found - (plain if same else self._logs(pairs, Correction(), inside)))
+
+    def _lags(self) -> list[int]:
+        poses = self.drive.poses(self.time_s, Correction(), (0.0, 0.0))
+        self.progress = np.concatenate([[0.0], np.cumsum(_moves(poses))])
+        typical = self.progress[-1] / max(int((np.diff(self.progress) > 1e-6).sum()), 1)
+        if typical <= 0.0:
+            raise ValueError
+        longest = max(min(LONGEST_S / float(np.median(np.diff(self.time_s))), len(self.time_s) / LAGS), 1.0)
+        lag = int(np.clip(round(1.0 / typical), 1, longest))
+        if _moves(poses[::lag]).sum() < MOVES:
+            raise ValueError
+        return sorted({lag, int(min(LONGER * lag, longest))})
+
+    def _pairs(self, recording: Recording, lag: int) -> Pairs:
+        rows, m = recording.rows, recording.measurements
+        count = len(self.time_s) - lag
+        each = np.bincount(m.snapshot[self.usable] * len(recording.links) + m.link[self.usable])
+        candidates = float((each.astype(np.float64) ** 2).sum()) / len(self.time_s)
+        pairs = int(np.clip(CANDIDATES / max(candidates, 1e-9), *PAIRS))
+        even = np.linspace(self.progress[0], self.progress[count - 1], pairs)
+        chosen = np.unique(np.minimum(np.searchsorted(self.progress[:count], even), count - 1))
+        first: list[Ints] = []
+        second: list[Ints] = []
+        group: list[Ints] = []
+        pair: list[int] = []
+        times: list[tuple[float, float]] = []
+        for t in chosen:
+            a = np.arange(rows[t], rows[t + 1])[self.usable[rows[t] : rows[t + 1]]][:PATHS]
+            b = np.arange(rows[t + lag], rows[t + lag + 1])[self.usable[rows[t + lag] : rows[t + lag + 1]]][:PATHS]
+            i, j = np.nonzero(m.link[a][:, None] == m.link[b])
+            if not len(i):
+                continue
+            order = np.argsort(j, kind="stable")
+            i, j = i[order], j[order]
+            targets, index = np.unique(j, return_inverse=True)
+            group.append(len(pair) + index)
+            first.append(a[i])
+            second.append(b[j])
+            pair += [len(times)] * len(targets)
+            times.append((self.time_s[t], self.time_s[t + lag]))
+        none = np.empty(0, np.int64)
+        at = np.concatenate(group or [none])
+        return Pairs(
+            np.array([before for before, _ in times]),
+            np.array([after for _, after in times]),
+            np.concatenate(first or [none]),
+            np.concatenate(second or [none]),
+            at,
+            np.array(pair, np.int64),
+            1.0 / np.bincount(at, minlength=len(pair)),
+        )
+
+    def _logs(self, pairs: Pairs, c: Correction, among: NDArray[np.bool_] | bool = True) -> Floats:
+        """Return the log-likelihood (n,) of pairs of moments, in units as recorded; NaN outside of the drive."""
+        times = (pairs.before_s + c.odometry_late_s, pairs.after_s + c.odometry_late_s)
+        moved = _displacement(*(self.drive.poses(t, c, c.odometry_arm_m) for t in times))
+        inside = np.asarray(np.isfinite(moved).all(axis=1) & among)
+        at = pairs.pair[pairs.at]
+        range_error, azimuth_error = self._innovations(pairs, moved[at], c)
+        # In units as recorded: a correction that shrinks what is recorded is not the better for it.
+        jacobian = c.distance if self.ranged else 1.0
+        typical = np.median(np.abs(moved[inside]), axis=0) if inside.any() else np.zeros(3)
+        std_m = max(0.3 * float(np.hypot(typical[0], typical[1])), 10 * LEAST_STD_M)
+        std_rad = max(0.3 * float(typical[2]), 0.05)
+        usable = inside[at]
+        range_error, azimuth_error = (np.where(usable, e, np.inf) for e in (range_error, azimuth_error))
+        found, seen = self._mixture(pairs, range_error, azimuth_error, (std_m, std_rad), jacobian)
+        total = np.bincount(pairs.pair, np.log(found), minlength=len(pairs.before_s))
+        targets = np.bincount(pairs.pair, minlength=len(total))
+        return np.where(inside & seen, total * np.minimum(1.0, WORTH / np.maximum(targets, 1)), np.nan)
+
+    def _innovations(self, pairs: Pairs, moved: Floats, c: Correction) -> tuple[Floats, Floats]:
+        """Return second minus predicted distances and azimuths (C,) in m and rad, after `moved` (C, 3)."""
+        i, j = pairs.first, pairs.second
+        distance = self.distance * c.distance + c.distance_zero_m
+        azimuth = self.azimuth * c.azimuth + c.azimuth_zero_rad
+        cos, sin = np.cos(self.elevation[i]), np.sin(self.elevation[i])
+        reach = np.where(self.known[i], distance[i], FAR_M)
+        flat, high = reach * cos, reach * sin
+        x, y = flat * np.cos(azimuth[i]) - moved[:, 0], flat * np.sin(azimuth[i]) - moved[:, 1]
+        change = np.sqrt(x * x + y * y + high * high) - np.abs(reach)
+        turned = wrap_angle(azimuth[j] - np.arctan2(y, x) + moved[:, 2])
+        if not self.ranged:
+            return np.zeros(len(i)), turned
+        return distance[j] - distance[i] - change, turned
+
+    def _mixture(
+        self, pairs: Pairs, range_error: Floats, azimuth_error: Floats, start: tuple[float, float], jacobian: float
+    ) -> tuple[Floats, NDArray[np.bool_]]:
+        """Return the density (G,) of each second measurement as recorded, and for which moments there is any."""
+        std_m, std_rad = start
+        weight, count = 0.5, len(pairs.pair)
+        e, a = range_error**2, azimuth_error**2
+        both = np.isfinite(e)
+        share = pairs.share[pairs.at]
+        seen = np.bincount(pairs.pair[pairs.at], both, minlength=len(pairs.before_s)) > 0
+        alive = max(int(seen[pairs.pair].sum()), 1)
+        for _ in range(ROUNDS):
+            scale = jacobian / (np.sqrt(2.0 * np.pi) * std_rad)
+            exponent = a / std_rad**2
+            if self.ranged:
+                exponent = exponent + e / std_m**2
+                scale /= np.sqrt(2.0 * np.pi) * std_m
+            kernel = weight * scale * share * np.exp(-0.5 * exponent)
+            density = np.bincount(pairs.at, kernel, minlength=count) + (1.0 - weight) / self.area
+            mine = np.where(both, kernel / density[pairs.at], 0.0)
+            total = mine.sum() + 1e-9
+            weight = float(np.clip(total / alive, 0.05, 0.98))
+            std_rad = max(float(np.sqrt((mine * np.where(both, a, 0.0)).sum() / total)), LEAST_STD_RAD)
+            std_m = max(float(np.sqrt((mine * np.where(both, e, 0.0)).sum() / total)), LEAST_STD_M)
+        return np.asarray(density, np.float64), seen
+
+
+def _moves(poses: Floats) -> Floats:
+    """Return how many steps, or turns, lie between poses (N, 3)."""
+    step = np.hypot(*np.diff(poses[:, :2], axis=0).T)
+    return np.asarray(np.maximum(step / STEP_M, np.abs(np.diff(poses[:, 2])) / TURN_RAD))
+
+
+def _displacement(a: Floats, b: Floats) -> Floats:
+    """Return forward, left and turn (n, 3) from poses a to b (n, 3), in the frame of a."""
+    step = b[:, :2] - a[:, :2]
+    c, s = np.cos(a[:, 2]), np.sin(a[:, 2])
+    return np.column_stack([c * step[:, 0] + s * step[:, 1], -s * step[:, 0] + c * step[:, 1], b[:, 2] - a[:, 2]])

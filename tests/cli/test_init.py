@@ -1,0 +1,112 @@
+"""`cellslam init`: what it writes works, places of files are where the globe has them, what cannot be is one line."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+import shapely
+
+from cellslam.cli.city.geo_files import read_line, read_places
+from cellslam.cli.city.places import find_city
+from cellslam.cli.main import main
+from cellslam.scenarios.loading import load
+from cellslam.sim.city import City
+from cellslam.sim.world import prepare
+
+VILLAGE = Path(__file__).parents[2] / "docs" / "examples" / "village"
+ALONG = [str(VILLAGE / "village.osm"), "--route", str(VILLAGE / "route.gpx")]
+METRES_A_DEGREE = 111_229.0  # of latitude, at 50 degrees
+
+
+@pytest.fixture(scope="module")
+def village() -> City:
+    return find_city(str(VILLAGE / "village.osm"))
+
+
+def test_a_drawn_scenario_is_drawn_again_by_the_same_seed_and_works(tmp_path: Path) -> None:
+    for name in ("a", "b"):
+        words = ["init", "tiny", "--distance", "30", "--out", str(tmp_path / f"{name}.toml"), "--no-figures", "--quiet"]
+        assert main(words) == 0
+    assert (tmp_path / "a.toml").read_text() == (tmp_path / "b.toml").read_text()
+    scenario = load(tmp_path / "a.toml")
+    assert [len(site.cells) for site in scenario.sites] == [3, 3]
+    assert len({cell.cell_id for site in scenario.sites for cell in site.cells}) == 6
+    world = prepare(scenario.world, 0, 0)
+    assert np.hypot(*np.diff(world.drive.poses[:, :2], axis=0).T).sum() == pytest.approx(30.0, abs=0.5)
+    assert scenario.city == load("tiny").city
+
+
+def test_a_city_without_streets_far_above_the_sea_gets_a_route_between_its_buildings(tmp_path: Path) -> None:
+    city = tmp_path / "blocks.obj"
+    city.write_text(
+        "".join(box(150_000.0 + 60 * i, 340_000.0 + 60 * k, 171.25, 4 * i + k) for i in range(4) for k in range(4))
+    )
+    out = tmp_path / "blocks.toml"
+    assert main(["init", str(city), "--distance", "60", "--out", str(out), "--no-figures", "--quiet"]) == 0
+    text = out.read_text()
+    assert text.count("\n    [150") == len(load(out).vehicle.waypoints_m or ())
+    world = prepare(load(out).world, 0, 0)
+    assert world.scene.city.road_m == 171.2
+    np.testing.assert_allclose(world.drive.poses[:, 2], 173.0, atol=0.3)
+    sites = np.array([site.position_m for site in load(out).sites])
+    assert (sites[:, 2] > 206.0).all()
+    assert (sites[:, :2] >= (150_000.0, 340_000.0)).all() and (sites[:, :2] <= (150_210.0, 340_210.0)).all()
+    assert (
+        shapely.distance(shapely.LineString(world.drive.poses[:, :2]), shapely.union_all(world.scene.city.footprints))
+        > 1.2
+    )
+
+
+def box(x: float, y: float, z: float, index: int) -> str:
+    """Return a house of 30 x 30 x 15 m in the OBJ format."""
+    corners = [(x + 30 * a, y + 30 * b, z + 15 * c) for c in (0, 1) for b in (0, 1) for a in (0, 1)]
+    faces = [(1, 2, 6, 5), (2, 4, 8, 6), (4, 3, 7, 8), (3, 1, 5, 7), (5, 6, 8, 7), (1, 3, 4, 2)]
+    lines = [f"o house{index}", *(f"v {a} {b} {c}" for a, b, c in corners)]
+    return "\n".join([*lines, *("f " + " ".join(str(8 * index + n) for n in face) for face in faces), ""])
+
+
+def test_route_and_sites_of_files(tmp_path: Path, village: City) -> None:
+    out = tmp_path / "village.toml"
+    words = ["init", str(VILLAGE / "village.osm"), "--out", str(out), "--route", str(VILLAGE / "route.gpx")]
+    assert main([*words, "--sites", str(VILLAGE / "sites.geojson"), "--quiet"]) == 0
+    scenario = load(out)
+    assert [site.name for site in scenario.sites] == ["north", "east"]
+    line = read_line(str(VILLAGE / "route.gpx"), village)
+    np.testing.assert_allclose(np.array(scenario.vehicle.waypoints_m)[[0, -1]], line[[0, -1]], atol=0.006)
+    assert scenario.vehicle.distance_m > 140.0
+    assert out.with_suffix(".png").stat().st_size > 10_000
+
+
+def test_a_place_is_where_the_globe_has_it(tmp_path: Path, village: City) -> None:
+    assert village.origin_deg is not None
+    lon, lat = village.origin_deg
+    point = {"type": "Point", "coordinates": [lon, lat + 50.0 / METRES_A_DEGREE]}
+    file = tmp_path / "one.geojson"
+    file.write_text(json.dumps({"type": "Feature", "properties": {"name": "up"}, "geometry": point}))
+    ((name, position),) = read_places(str(file), village)
+    assert name == "up" and np.isnan(position[2])
+    np.testing.assert_allclose(position[:2], [0.0, 50.0], atol=0.02)
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (["tiny", "--route", str(VILLAGE / "route.gpx")], "does not say where on the globe it is"),
+        (["anywhere"], "another one in each trial"),
+        ([str(VILLAGE / "village.osm"), "--route", str(VILLAGE / "village.osm")], "neither GPX"),
+        ([*ALONG, "--sites", str(VILLAGE / "route.gpx")], "has no places"),
+        ([*ALONG, "--sites", "far.geojson"], "is outside of city 'village'"),
+    ],
+)
+def test_what_cannot_be_is_one_line(
+    words: list[str], said: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    Path("far.geojson").write_text(json.dumps({"type": "Point", "coordinates": [11.0, 51.0]}))
+    assert main(["init", *words, "--quiet"]) == 2
+    told = capsys.readouterr().err
+    assert said in told and told.count("\n") == 1
+    assert not Path("scenario.toml").exists()

@@ -1,0 +1,120 @@
+"""The Plaza layout: ranges to radio beacons and odometry in increments, written from a simulated drive."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from scipy.io import savemat
+
+from cellslam.cli import main as cli
+from cellslam.sim.recording import Recording
+
+BEACONS = {1: (-30.0, 18.0), 6: (12.0, 40.0), 0: (33.0, -5.0), 5: (-8.0, -38.0)}
+BEGIN_S, ANTENNA = 3152.0, 2
+EVERY = 10  # of the drive's steps: 5 Hz
+
+
+def tables(drive: Any, turned: bool) -> dict[str, np.ndarray]:
+    """Return the matrices of a drive whose odometry drifts; `turned`: GT's heading looks backwards."""
+    rng = np.random.default_rng(8)
+    at = np.arange(0, len(drive.time_s), EVERY)
+    t, poses = BEGIN_S + drive.time_s[at], drive.poses[at]
+    yaw = poses[:, 2]
+    distance = np.add.reduceat(drive.speed * 0.02, at)[:-1] * 1.01 + 0.02 * rng.standard_normal(len(at) - 1)
+    change = np.diff(yaw) + 0.001 * 0.2 + 0.004 * rng.standard_normal(len(at) - 1)
+    polled = np.arange(3, len(drive.time_s), 35)
+    names = np.array(list(BEACONS))[np.arange(len(polled)) % 4]
+    places = np.array([BEACONS[int(name)] for name in names])
+    ranges = np.hypot(*(places - drive.poses[polled, :2]).T) + 0.3 * rng.standard_normal(len(polled))
+    heard = rng.random(len(polled)) < 0.8
+    return {
+        "DR": np.column_stack([t[1:], distance, change]),
+        "GT": np.column_stack([t, poses[:, :2], yaw + (np.pi if turned else 0.0)]),
+        "TD": np.column_stack([BEGIN_S + drive.time_s[polled], np.full(len(polled), ANTENNA), names, ranges])[heard],
+        "TL": np.array([(name, *place) for name, place in BEACONS.items()]),
+    }
+
+
+@pytest.fixture(scope="module")
+def drive(drive_eights: Callable[..., Any]) -> Any:
+    return drive_eights(240.0, 1.5, 0.1)
+
+
+def imported(place: Path, out: Path) -> Recording:
+    assert cli.main(["--quiet", "import", str(place), "--adapter", "plaza", "--out", str(out)]) == 0
+    return Recording.load(out)
+
+
+@pytest.mark.parametrize("turned", [False, True])
+def test_a_mat_file(drive: Any, turned: bool, tmp_path: Path, position_rmse: Callable[..., float]) -> None:
+    savemat(tmp_path / "Plaza2_.mat", tables(drive, turned))
+    r = imported(tmp_path, tmp_path / "a.h5")
+    assert sorted(r.sites.name) == ["beacon 0", "beacon 1", "beacon 5", "beacon 6"] and r.plane
+    m = r.measurements
+    places = np.array([BEACONS[int(name.split()[1])] for name in r.sites.name])[m.link]
+    true = drive.at(r.time_s - BEGIN_S)
+    assert np.abs(np.hypot(*(places - true[m.snapshot, :2]).T) - m.distance_m).max() < 1.5
+    assert np.isnan(m.azimuth_rad).all()
+    assert r.start_pose[3] == pytest.approx(true[0, 2], abs=0.05)
+    # What the drift of the odometry alone amounts to: lost time, or heading before the step, would be more.
+    assert position_rmse(r, "dead-reckoning") < 4.0
+
+
+def test_text_files_without_ground_truth(drive: Any, tmp_path: Path) -> None:
+    made = tables(drive, False)
+    for name in ("DR", "TD"):
+        np.savetxt(tmp_path / f"Plaza1_{name}.txt", made[name])
+    r = imported(tmp_path, tmp_path / "a.h5")
+    assert r.reference is None and np.array_equal(r.start_pose, np.zeros(6))
+    savemat(tmp_path / "b.mat", made)
+    both = imported(tmp_path / "b.mat", tmp_path / "b.h5")
+    rows = both.time_s >= r.time_s[0]
+    assert np.array_equal(both.time_s[rows], r.time_s)
+    assert np.allclose(both.odometry[rows][1:], r.odometry[1:], equal_nan=True, atol=1e-9)
+
+
+def test_odometry_is_integrated_as_it_was_given(drive: Any, tmp_path: Path) -> None:
+    """Without noise the increments, turned about the middle of each step, lead along the true path."""
+    made = tables(drive, False)
+    yaw = made["GT"][:, 3]
+    steps, middle = np.diff(made["GT"][:, 1:3], axis=0), 0.5 * (yaw[1:] + yaw[:-1])
+    made["DR"][:, 1:] = np.column_stack(
+        [(steps * np.column_stack([np.cos(middle), np.sin(middle)])).sum(1), np.diff(yaw)]
+    )
+    savemat(tmp_path / "Plaza1_.mat", made)
+    r = imported(tmp_path, tmp_path / "a.h5")
+    assert cli.main(["--quiet", "export", str(tmp_path / "a.h5"), "--format", "tum", "--estimator", "dead-reckoning",
+                     "--out", str(tmp_path / "a.tum")]) == 0  # fmt: skip
+    driven = np.loadtxt(tmp_path / "a.tum")
+    assert np.hypot(*(driven[:, 1:3] - drive.at(r.time_s - BEGIN_S)[:, :2]).T).max() < 0.1
+
+
+def test_filters_find_the_beacons(drive: Any, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Beacons that are polled in turn, one distance in 0.9 s, without any option."""
+    savemat(tmp_path / "Plaza1_.mat", tables(drive, False))
+    imported(tmp_path, tmp_path / "a.h5")
+    names = ("fastslam", "ekf-slam", "bp-slam", "dead-reckoning")
+    words = [word for name in names for word in ("--estimator", name)]
+    replay = ["replay", str(tmp_path / "a.h5"), *words, "--json", "--no-figures", "--out", str(tmp_path / "out")]
+    assert cli.main(replay) == 0
+    *filters, alone = (row["position_rmse_m"] for row in json.loads(capsys.readouterr().out))
+    assert max(filters) < 0.5 * alone
+
+
+def test_folders_that_are_unclear(drive: Any, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    words = ["import", str(tmp_path), "--adapter", "plaza", "--out", str(tmp_path / "a.h5")]
+    assert cli.main(words) == 2
+    assert "neither a .mat file nor" in capsys.readouterr().err
+    made = tables(drive, False)
+    for name in ("Plaza1_.mat", "Plaza2_.mat"):
+        savemat(tmp_path / name, made)
+    assert cli.main(words) == 2
+    assert "more than one drive (Plaza1_.mat, Plaza2_.mat): give the file of one" in capsys.readouterr().err
+    savemat(tmp_path / "Plaza1_.mat", made | {"TD": made["TD"][:, :3]})
+    assert cli.main([words[0], str(tmp_path / "Plaza1_.mat"), *words[2:]]) == 2
+    assert "TD has shape" in capsys.readouterr().err

@@ -1,0 +1,377 @@
+"""Broken campaigns: each gives one clear line that names file, table, row and remedy, and leaves nothing
+half-written.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable
+from pathlib import Path
+
+import h5py
+import numpy as np
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from cellslam.cli import main as cli
+from cellslam.recordings.importing.importing import import_folder
+from cellslam.sim.errors import InputError
+from cellslam.sim.recording import Recording
+from cellslam.sim.recording import damage as recording_guard
+
+TOML = """
+[measurements]
+file = "paths.csv"
+link = {column = "tx"}
+[measurements.columns]
+time_s = {column = "t", unit = "s"}
+distance_m = {column = "range", unit = "m"}
+azimuth_rad = {column = "az", unit = "rad"}
+snr_db = {column = "snr", unit = "dB"}
+[odometry]
+file = "wheels.csv"
+[odometry.columns]
+time_s = {column = "t", unit = "s"}
+u_x = {column = "v", unit = "m/s"}
+u_psi = {column = "w", unit = "rad/s"}
+[noise.u_x]
+noise_density = 0.1
+[noise.u_psi]
+noise_density = 0.01
+[reference]
+file = "gnss.csv"
+[reference.columns]
+time_s = {column = "t", unit = "s"}
+x_m = {column = "x", unit = "m"}
+y_m = {column = "y", unit = "m"}
+[start]
+source = "origin"
+[links.1]
+site = "A"
+[links.2]
+site = "B"
+[sites.A]
+clock_offset_std_m = 0
+[sites.B]
+clock_offset_std_m = 100
+"""
+FILES = {
+    "recording.toml": TOML,
+    "paths.csv": "t,tx,range,az,snr\n"
+    + "".join(f"{0.1 * i:.1f},{1 + i % 2},{50 + i},0.5,{10 - i}\n" for i in range(20)),
+    "wheels.csv": "t,v,w\n" + "".join(f"{0.05 * i:.2f},1.0,0.1\n" for i in range(45)),
+    "gnss.csv": "t,x,y\n" + "".join(f"{i},{i},0\n" for i in range(3)),
+}
+
+
+def swap(name: str, old: str, new: str) -> Callable[[Path], None]:
+    def change(folder: Path) -> None:
+        text = (folder / name).read_text()
+        assert old in text
+        (folder / name).write_text(text.replace(old, new, 1))
+
+    return change
+
+
+def put(name: str, content: str | bytes) -> Callable[[Path], None]:
+    def change(folder: Path) -> None:
+        (folder / name).write_bytes(content.encode() if isinstance(content, str) else content)
+
+    return change
+
+
+def remove(name: str) -> Callable[[Path], None]:
+    return lambda folder: (folder / name).unlink()
+
+
+def both(*changes: Callable[[Path], None]) -> Callable[[Path], None]:
+    def change(folder: Path) -> None:
+        for one in changes:
+            one(folder)
+
+    return change
+
+
+MAT = both(
+    swap("recording.toml", 'file = "gnss.csv"', 'file = "gnss.mat"'),
+    put("gnss.mat", b"MATLAB 5.0 MAT-file" + b"\0" * 60),
+)
+BROKEN: dict[str, tuple[Callable[[Path], None], tuple[str, ...]]] = {
+    "no manifest": (remove("recording.toml"), ("recording.toml", "no such file", "--adapter")),
+    "manifest not TOML": (swap("recording.toml", "[noise.u_x]", "[noise.u_x"), ("recording.toml", "not TOML", "line")),
+    "manifest not UTF-8": (put("recording.toml", b'description = "\xff\xfe"\n'), ("recording.toml", "not TOML")),
+    "manifest empty": (put("recording.toml", ""), ("recording.toml", "'measurements' is missing")),
+    "misspelled table": (swap("recording.toml", "[odometry]", "[odometer]"), ("unknown key 'odometer", "odometry")),
+    "misspelled key": (swap("recording.toml", "link = {", "links = {"), ("unknown key", "measurements.link")),
+    "units missing": (
+        swap("recording.toml", 'column = "range", unit = "m"', 'column = "range"'),
+        ("distance_m.unit", "missing"),
+    ),
+    "unknown unit": (
+        swap("recording.toml", 'column = "az", unit = "rad"', 'column = "az", unit = "grad"'),
+        ("azimuth_rad.unit", "grad", "deg"),
+    ),
+    "unit of another kind": (
+        swap("recording.toml", 'column = "az", unit = "rad"', 'column = "az", unit = "m"'),
+        ("measurements.columns.azimuth_rad", "'m' does not fit", "rad, deg"),
+    ),
+    "samples without rate": (
+        swap("recording.toml", 'column = "range", unit = "m"', 'column = "range", unit = "samples"'),
+        ("distance_m", "sample_rate_hz"),
+    ),
+    "unknown quantity": (
+        swap("recording.toml", "distance_m = {", "distanze_m = {"),
+        ("unknown 'distanze_m'", "did you mean 'distance_m'"),
+    ),
+    "no time column": (
+        swap("recording.toml", 'time_s = {column = "t", unit = "s"}\ndistance', "distance"),
+        ("measurements.columns", "'time_s' is missing"),
+    ),
+    "nothing measured": (
+        both(
+            swap("recording.toml", 'distance_m = {column = "range", unit = "m"}\n', ""),
+            swap("recording.toml", 'azimuth_rad = {column = "az", unit = "rad"}\n', ""),
+        ),
+        ("neither distance nor angle",),
+    ),
+    "wrong type of a value": (
+        swap("recording.toml", "clock_offset_std_m = 100", 'clock_offset_std_m = "wide"'),
+        ("sites.B.clock_offset_std_m", "number"),
+    ),
+    "negative deviation": (
+        swap("recording.toml", "clock_offset_std_m = 100", "clock_offset_std_m = -1"),
+        ("sites.B.clock_offset_std_m", "-1"),
+    ),
+    "unknown sign": (swap("recording.toml", 'column = "az",', 'column = "az", sign = 2,'), ("azimuth_rad.sign", "2")),
+    "site not described": (
+        swap("recording.toml", "[sites.B]", "[sites.C]"),
+        ("[sites.B] is missing", "clock_offset_std_m"),
+    ),
+    "site of no link": (put("recording.toml", TOML + "[sites.C]\nclock_offset_std_m = 1\n"), ("[sites.C]", "no link")),
+    "unknown clock": (
+        swap("recording.toml", 'file = "wheels.csv"', 'file = "wheels.csv"\nclock = "gps"'),
+        ("clock 'gps'", "[clocks]"),
+    ),
+    "noise missing": (
+        swap("recording.toml", "[noise.u_psi]\nnoise_density = 0.01\n", ""),
+        ("[noise.u_psi] is missing", "noise_density"),
+    ),
+    "noise of an unknown component": (
+        swap("recording.toml", "[noise.u_psi]", "[noise.u_yaw]"),
+        ("[noise.u_yaw]", "u_psi"),
+    ),
+    "start from no reference": (
+        both(
+            swap("recording.toml", '"origin"', '"reference"'),
+            swap(
+                "recording.toml",
+                TOML[TOML.index("[reference]") : TOML.index("[start]")],
+                "",
+            ),
+        ),
+        ("start.source", "no [reference]"),
+    ),
+    "table's file missing": (remove("wheels.csv"), ("wheels.csv", "no such file", "folder holds")),
+    "file of another kind": (
+        both(swap("recording.toml", 'file = "gnss.csv"', 'file = "gnss.xlsx"'), put("gnss.xlsx", "x")),
+        ("gnss.xlsx", ".csv"),
+    ),
+    "empty file": (put("paths.csv", ""), ("paths.csv", "empty", "header")),
+    "header alone": (put("paths.csv", "t,tx,range,az,snr\n"), ("measurements have no row",)),
+    "no header": (
+        put("paths.csv", FILES["paths.csv"].split("\n", 1)[1]),
+        ("paths.csv", "no column 't'", "it has: 1, 2, 3, 4, 5", "by their number"),
+    ),
+    "column missing": (swap("paths.csv", "range", "rang"), ("paths.csv", "no column 'range'", "did you mean 'rang'")),
+    "negative SNR column name": (swap("paths.csv", "snr", "-snr"), ("paths.csv", "no column 'snr'", "-snr")),
+    "column twice": (
+        swap("paths.csv", "t,tx,range,az,snr", "t,tx,range,range,snr"),
+        ("paths.csv", "two columns", "'range'", "rename"),
+    ),
+    "text in a number column": (
+        swap("paths.csv", "53,0.5", "far,0.5"),
+        ("paths.csv", "'range', row 3", "line 5", "'far'"),
+    ),
+    "quoted lines in a cell": (
+        swap("paths.csv", "53,0.5", '"53\n54",0.5'),
+        ("paths.csv", "'range', row 3", "'53 54' is not a number"),
+    ),
+    "quoted lines in the header": (
+        swap("gnss.csv", "t,x,y", '"t\nx",y'),
+        ("gnss.csv",),
+    ),
+    "decimal commas": (
+        put("wheels.csv", "t;v;w\n0,0;1,0;0,1\n0,1;1,0;0,1\n"),
+        ("wheels.csv", "line 2", "'0,0' is not a number", "decimal points"),
+    ),
+    "ragged line": (swap("paths.csv", "54,0.5,6", "54,0.5,6,7"), ("paths.csv", "line", "header")),
+    "not UTF-8": (put("paths.csv", b"t,tx,range,az,snr\n0,\xff\xfe,1,1,1\n"), ("paths.csv", "UTF-8")),
+    "binary rubbish": (put("paths.csv", bytes(range(256)) * 9), ("paths.csv",)),
+    "NaN time": (swap("paths.csv", "0.4,1", ",1"), ("measurements.time_s, row 4", "leave the row out")),
+    "infinite distance": (swap("paths.csv", "53,0.5", "inf,0.5"), ("measurements.distance_m, row 3", "NaN")),
+    "degrees": (swap("paths.csv", "52,0.5", "52,28.6"), ("azimuth_rad, row 2", "degrees")),
+    "link not in the table": (swap("paths.csv", "0.3,2", "0.3,7"), ("paths.csv", "row 3", "link '7'", "[links.7]")),
+    "link empty": (swap("paths.csv", "0.3,2", "0.3,"), ("paths.csv", "row 3", "empty")),
+    "duplicate rows": (
+        swap("paths.csv", "0.3,2,53,0.5,7\n", "0.3,2,53,0.5,7\n0.3,2,53,0.5,7\n"),
+        ("measurements, row 4", "repeats", "remove"),
+    ),
+    "row of nothing": (swap("paths.csv", "53,0.5", ","), ("measurements, row 3", "leave the row out")),
+    "unsorted odometry": (swap("wheels.csv", "0.10,", "0.60,"), ("odometry.time_s, row 3", "sort")),
+    "odometry twice at a time": (swap("wheels.csv", "0.10,", "0.05,"), ("odometry.time_s, row 2", "sort")),
+    "odometry NaN time": (swap("wheels.csv", "0.10,", ","), ("odometry.time_s, row 2", "leave the row out")),
+    "infinite speed": (swap("wheels.csv", "0.10,1.0", "0.10,inf"), ("odometry.u_x, row 2", "infinite")),
+    "odometry of one row": (put("wheels.csv", "t,v,w\n0,1,0\n"), ("odometry", "two rows")),
+    "unsorted reference": (put("gnss.csv", "t,x,y\n0,0,0\n2,2,0\n1,1,0\n"), ("reference.time_s, row 2", "sort")),
+    "not a .mat file": (MAT, ("gnss.mat", "MATLAB", "export it again")),
+    "truncated .mat file": (
+        both(MAT, put("gnss.mat", b"MATLAB 5.0 MAT-file".ljust(124) + b"\x00\x01IM" + b"\x0e\0\0\0\xff\0\0\0")),
+        ("gnss.mat", "MATLAB"),
+    ),
+}
+
+
+def made(folder: Path) -> Path:
+    folder.mkdir()
+    for name, text in FILES.items():
+        (folder / name).write_text(text)
+    return folder
+
+
+def test_the_sound_campaign_imports(tmp_path: Path) -> None:
+    recording = import_folder(made(tmp_path / "c"))
+    assert len(recording.time_s) == 20 and len(recording.measurements) == 20
+
+
+@pytest.mark.parametrize("kind", BROKEN)
+def test_broken_campaign(kind: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    change, words = BROKEN[kind]
+    folder = made(tmp_path / "c")
+    change(folder)
+    before = sorted(tmp_path.rglob("*"))
+    assert cli.main(["import", str(folder), "--out", str(tmp_path / "out.h5")]) == 2
+    error = capsys.readouterr().err
+    assert error.startswith(f"cellslam: {folder}") and error.count("\n") == 1, error
+    for word in words:
+        assert word in error, error
+    assert sorted(tmp_path.rglob("*")) == before
+
+
+def test_ten_million_rows_are_read(tmp_path: Path) -> None:
+    """A hundredth of it here; a file of ten million takes the same way."""
+    folder = made(tmp_path / "c")
+    rows = 100_000
+    t = 0.01 * (np.arange(rows) // 20)
+    table = np.column_stack(
+        [t, 1 + np.arange(rows) % 2, 50 + 0.01 * np.arange(rows), np.full(rows, 0.5), np.full(rows, 9.0)]
+    )
+    with (folder / "paths.csv").open("w") as file:
+        file.write("t,tx,range,az,snr\n")
+        np.savetxt(file, table, "%.6g", ",")
+    assert len(import_folder(folder).measurements) == rows
+
+
+# A hundred of each kind here; CELLSLAM_FUZZ=5000 tries so many.
+EXAMPLES = int(os.environ.get("CELLSLAM_FUZZ", "100"))
+QUIET = settings(
+    max_examples=EXAMPLES,
+    deadline=None,
+    suppress_health_check=[HealthCheck.function_scoped_fixture],
+    derandomize="CELLSLAM_FUZZ" not in os.environ,
+)
+
+
+def tried(action: Callable[[], object]) -> None:
+    """Whatever the file holds: it is read, or refused in one line."""
+    try:
+        action()
+    except InputError as error:
+        assert "\n" not in str(error)
+
+
+@QUIET
+@given(name=st.sampled_from(sorted(FILES)), data=st.data())
+def test_any_damage_to_a_text_file_is_refused_in_one_line(
+    name: str, data: st.DataObject, tmp_path_factory: pytest.TempPathFactory
+) -> None:
+    folder = made(tmp_path_factory.mktemp("fuzz") / "c")
+    raw = bytearray(FILES[name].encode())
+    for _ in range(data.draw(st.integers(1, 4))):
+        at = data.draw(st.integers(0, len(raw)))
+        cut = data.draw(st.integers(0, 12))
+        new = data.draw(
+            st.binary(max_size=4) | st.sampled_from([b"nan", b"-inf", b"1e400", b"\n", b",,", b'"', b"[", b"x = 1\n"])
+        )
+        raw[at : at + cut] = new
+    (folder / name).write_bytes(bytes(raw))
+    tried(lambda: import_folder(folder))
+
+
+def test_what_crashes_or_stalls_the_reader_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    path = tmp_path / "a.h5"
+    import_folder(made(tmp_path / "c")).save(path)
+    monkeypatch.setattr(recording_guard, "_READ_THROUGH", "import os; os.abort()")
+    recording_guard.check(path)  # as it was written: nothing to find out
+    path.write_bytes(path.read_bytes() + b"x")
+    with pytest.raises(InputError, match=r"a.h5: damaged: the HDF5 library crashes on it .* copy it again"):
+        Recording.load(path)
+    monkeypatch.setattr(recording_guard, "_READ_THROUGH", "import time; time.sleep(60)")
+    with pytest.raises(InputError, match="did not get through it in 0 s"):
+        recording_guard.check(path, limit_s=0.3)
+
+
+@pytest.fixture(scope="module")
+def sound_h5(tmp_path_factory: pytest.TempPathFactory) -> bytes:
+    place = tmp_path_factory.mktemp("h5")
+    path = place / "a.h5"
+    import_folder(made(place / "c")).save(path)
+    return path.read_bytes()
+
+
+@settings(QUIET, max_examples=max(EXAMPLES // 3, 1))  # each is first read by a process of its own
+@given(data=st.data())
+def test_any_damage_to_an_hdf5_file_is_refused_in_one_line(
+    data: st.DataObject, sound_h5: bytes, tmp_path_factory: pytest.TempPathFactory
+) -> None:
+    path = tmp_path_factory.mktemp("fuzz") / "a.h5"
+    raw = bytearray(sound_h5)
+    if data.draw(st.booleans()):
+        raw = raw[: data.draw(st.integers(0, len(raw)))]
+    for _ in range(data.draw(st.integers(0, 3))):
+        at = data.draw(st.integers(0, max(len(raw) - 1, 0)))
+        raw[at : at + 2] = data.draw(st.binary(min_size=2, max_size=2))
+    path.write_bytes(bytes(raw))
+    tried(lambda: Recording.load(path))
+
+
+@QUIET
+@given(data=st.data())
+def test_any_values_in_an_hdf5_file_are_refused_in_one_line(
+    data: st.DataObject, sound_h5: bytes, tmp_path_factory: pytest.TempPathFactory
+) -> None:
+    path = tmp_path_factory.mktemp("fuzz") / "a.h5"
+    path.write_bytes(sound_h5)
+    names = [
+        "time_s",
+        "odometry",
+        "measurements/snapshot",
+        "measurements/link",
+        "measurements/distance_m",
+        "links/site",
+        "reference/time_s",
+    ]
+    with h5py.File(path, "r+") as file:
+        column = file[data.draw(st.sampled_from(names))]
+        values = column[()]
+        flat = values.reshape(-1)
+        extreme = (
+            st.sampled_from([np.nan, np.inf, -np.inf, 1e308, -1.0])
+            if values.dtype.kind == "f"
+            else st.integers(-(2**62), 2**62)
+        )
+        for _ in range(data.draw(st.integers(1, 3))):
+            flat[data.draw(st.integers(0, len(flat) - 1))] = data.draw(extreme)
+        column[...] = values
+    recording_guard.seal(path)
+    tried(lambda: Recording.load(path))

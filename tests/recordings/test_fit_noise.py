@@ -1,0 +1,247 @@
+"""fit-noise finds what the maker of the data put in."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import tomllib
+from collections.abc import Callable
+from importlib.resources import files
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import cellslam
+from cellslam.cli import main as cli
+from cellslam.recordings import Campaign, OdometryTable, ReferenceTable, build
+from cellslam.recordings.fitting.fit_noise import first_guess, fit
+from cellslam.recordings.fitting.fit_sizes import BURSTS, Learnt, learn
+from cellslam.recordings.fitting.fitted_lines import said, toml
+from cellslam.scenarios.estimator_options import resolve
+from cellslam.sim.errors import InputError
+from cellslam.sim.recording import OdometryModel, Recording
+from cellslam.slam import registry
+from cellslam.slam.front_end.front_end_options import FrontEndOptions
+
+STD_M, STD_RAD, UNIT_M, DETECTED, FALSE = 0.2, np.radians(0.8), 0.3, 0.7, 0.5
+SPEED_NOISE, TURN_NOISE, TURN_BIAS = 0.15, 0.01, 0.012
+AREA_M = 60.0
+
+
+@pytest.fixture(scope="module")
+def world() -> Recording:
+    return winding(3000)
+
+
+def winding(count: int) -> Recording:
+    """Sources in a plane, seen from a winding drive; white noise that falls with the SNR, misses, clutter."""
+    rng, dt = np.random.default_rng(11), 0.2
+    times = dt * np.arange(count)
+    turn = 0.25 * np.sin(0.05 * times)
+    heading = np.concatenate([[0.0], np.cumsum(turn[1:] * dt)])
+    middle = heading[:-1] + 0.5 * turn[1:] * dt
+    steps = 1.5 * dt * np.column_stack([np.cos(middle), np.sin(middle)])
+    place = np.vstack([[0.0, 0.0], np.cumsum(steps, axis=0)])
+    sources = np.array([[20.0 * i, s * (12.0 + 5.0 * (i % 4))] for i in range(-3, 49) for s in (-1, 1)])
+    rows = []
+    for t in range(count):
+        d = sources - place[t]
+        reach = np.hypot(*d.T)
+        near = np.flatnonzero((reach < 45.0) & (rng.random(len(d)) < DETECTED))
+        snr_db = rng.uniform(-5.0, 25.0, len(near))
+        std = np.sqrt(STD_M**2 + UNIT_M**2 * 10 ** (-snr_db / 10))
+        azimuth = np.arctan2(d[near, 1], d[near, 0]) - heading[t] + STD_RAD * rng.standard_normal(len(near))
+        rows.append(
+            np.column_stack(
+                [np.full(len(near), times[t]), reach[near] + std * rng.standard_normal(len(near)), azimuth, snr_db]
+            )
+        )
+        false = rng.poisson(FALSE)
+        rows.append(
+            np.column_stack(
+                [
+                    np.full(false, times[t]),
+                    rng.uniform(5, 5 + AREA_M, false),
+                    rng.uniform(-np.pi, np.pi, false),
+                    np.full(false, 10.0),
+                ]
+            )
+        )
+    table = np.concatenate(rows)
+    speed = np.full(count, 1.5) + SPEED_NOISE / np.sqrt(dt) * rng.standard_normal(count)
+    rate = turn + TURN_BIAS + TURN_NOISE / np.sqrt(dt) * rng.standard_normal(count)
+    return build(
+        Campaign(
+            table[:, 0],
+            {
+                "distance_m": table[:, 1],
+                "azimuth_rad": np.arctan2(np.sin(table[:, 2]), np.cos(table[:, 2])),
+                "snr_db": table[:, 3],
+            },
+            OdometryTable(times, {"u_x": speed, "u_psi": rate}, "before"),
+            start_pose=(0.0,) * 6,
+            snapshots_s=times,
+            plane=True,
+            reference=ReferenceTable(times[::10], place[::10]),
+        )
+    )
+
+
+def test_what_was_put_in_is_found(world: Recording) -> None:
+    found = fit(world)
+    assert found.floor["m"] == pytest.approx(STD_M, rel=0.2)
+    assert found.unit["m"] == pytest.approx(UNIT_M, rel=0.25)
+    assert found.floor["azimuth_deg"] == pytest.approx(np.degrees(STD_RAD), rel=0.2)
+    assert found.detection_probability == pytest.approx(DETECTED, abs=0.06)
+    volume = 2 * np.pi * 0.9 * AREA_M * np.sqrt(2 * np.pi) * np.radians(0.5)
+    assert found.clutter_density == pytest.approx(FALSE / volume, rel=0.5)
+
+
+@pytest.fixture(scope="module")
+def learnt(world: Recording) -> Learnt:
+    """What is learnt with a data sheet that is five times too wide in speed and five times too tight in turning."""
+    return learn(with_sheet(world, 5.0 * SPEED_NOISE, 0.2 * TURN_NOISE), None)
+
+
+def with_sheet(world: Recording, speed: float, turn: float) -> Recording:
+    density = np.array([speed, 0.0, 0.0, turn, 0.0, 0.0])
+    return dataclasses.replace(world, odometry_model=dataclasses.replace(world.odometry_model, noise_density=density))
+
+
+def test_odometry_and_noise_are_learnt_whatever_the_sheet_says(learnt: Learnt) -> None:
+    speed, turn = learnt.odometry_model.noise_density[[0, 3]] / BURSTS
+    assert speed == pytest.approx(SPEED_NOISE, rel=0.3)
+    assert turn == pytest.approx(TURN_NOISE, rel=0.3)
+    assert TURN_BIAS / 2.0 < learnt.odometry_model.bias[3] < BURSTS * TURN_BIAS
+    assert learnt.options["noise_floor_m"] == pytest.approx(STD_M, rel=0.3)
+    assert learnt.options["noise_floor_azimuth_deg"] == pytest.approx(np.degrees(STD_RAD), rel=0.3)
+
+
+def test_what_was_told_wrong_is_said(learnt: Learnt) -> None:
+    text = "\n".join(said(learnt))
+    factor = {name: float(line.split(": ")[1].split()[0]) for name in ("speed", "yaw rate")
+              for line in text.splitlines() if f"noise of the odometry's {name}: " in line}  # fmt: skip
+    assert factor == {"speed": pytest.approx(0.2, rel=0.25), "yaw rate": pytest.approx(5.0, rel=0.25)}
+    assert "white noise" not in text
+
+
+def test_nothing_is_learnt_where_offsets_are_never_resolved(world: Recording) -> None:
+    """Azimuths alone do not tell an offset of 150 m."""
+    few = thin(world)
+    angles = dataclasses.replace(few.measurements, distance_m=np.full(len(few.measurements), np.nan))
+    sites = dataclasses.replace(world.sites, clock_offset_std_m=np.array([150.0]))
+    found = learn(dataclasses.replace(few, measurements=angles, sites=sites), {"start_limit_s": 1e5, "vts": 4})
+    assert not found.resolved and "never resolved" in said(found)[0]
+    np.testing.assert_array_equal(found.odometry_model.noise_density, world.odometry_model.noise_density)
+
+
+def test_one_command_learns_and_replays(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Without an option a measured recording is fitted first; the tables that this leaves can be given again."""
+    drive, mistold = tmp_path / "a.h5", with_sheet(winding(1000), 5.0 * SPEED_NOISE, 0.2 * TURN_NOISE)
+    mistold.save(drive)
+    learnt = learn(mistold, None)
+    words = ["replay", str(drive), "--estimator", "ekf-slam", "--no-figures", "--out", str(tmp_path / "out")]
+    assert cli.main(words) == 0
+    shown = capsys.readouterr()
+    assert "noise of the odometry's speed: 0." in shown.err
+    fitted = tmp_path / "out" / "fit.toml"
+    tables = tomllib.loads(fitted.read_text("utf-8"))
+    assert set(tables) == {"estimator", "noise"} and set(tables["noise"]) == {"u_x", "u_psi"}
+    assert tables["noise"]["u_x"]["noise_density"] == pytest.approx(learnt.odometry_model.noise_density[0], rel=1e-3)
+    for request in resolve(tables["estimator"], ["fastslam", "ekf-slam"], ()):
+        assert request.options.detection_probability == pytest.approx(DETECTED, abs=0.06)
+    assert cli.main([*words[:-1], str(tmp_path / "again"), "--options", str(fitted)]) == 0
+    again = capsys.readouterr()
+    assert "as assumed" not in again.err
+    ends = [np.loadtxt(tmp_path / folder / "trajectory-ekf-slam.tum")[-1, 1:3] for folder in ("out", "again")]
+    np.testing.assert_allclose(ends[0], ends[1], atol=0.1)
+    asked = cellslam.replay(drive, "ekf-slam"), cellslam.replay(drive, "ekf-slam", fit=False)
+    shown_rmse = json.loads((tmp_path / "out" / "summary.json").read_text())["rows"][0]["position_rmse_m"]
+    assert [frame["position_rmse_m"][0] == shown_rmse for frame in asked] == [True, False]
+    fitted.write_text(fitted.read_text("utf-8") + "[city]\nseed = 1\n")
+    assert cli.main([*words[:-1], str(tmp_path / "o"), "--options", str(fitted)]) == 2
+    assert "fit.toml: has 'city'" in capsys.readouterr().err
+
+
+def test_what_was_learnt_is_given_to_every_map_builder() -> None:
+    """`replay --options fit.toml` tells an estimator what plain `replay` tells it."""
+    options = {"detection_probability": 0.61, "clutter_density": 0.17, "noise_floor_m": 0.23}
+    learnt = Learnt(options, OdometryModel(*np.zeros((4, 6))), {}, True)
+    names = [entry.name for entry in registry.BUILT_IN]
+    given = resolve(tomllib.loads(toml(Path("a.h5"), learnt))["estimator"], names, ())
+    told = {r.name: r.options for r in given if isinstance(r.options, FrontEndOptions)}
+    assert {"ekf-slam", "fastslam", "bp-slam", "phd-slam"} <= set(told)
+    for own in told.values():
+        assert {key: getattr(own, key) for key in options} == options
+
+
+def test_too_little_to_learn_is_said(world: Recording, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    thin(world).save(tmp_path / "a.h5")
+    words = ["replay", str(tmp_path / "a.h5"), "--estimator", "dead-reckoning", "--no-figures", "--out"]
+    assert cli.main([*words, str(tmp_path / "alone")]) == 0
+    assert "learnt" not in capsys.readouterr().err
+    assert cli.main([*words, str(tmp_path / "out"), "--fit"]) == 0
+    assert "nothing learnt from" in capsys.readouterr().err
+    assert cli.main(["fit-noise", str(tmp_path / "a.h5")]) == 2
+
+
+def test_errors_that_persist_are_told_from_white_ones(world: Recording) -> None:
+    """What was put in is white; then the same errors of place are added to all of a track, over 3 m of the way."""
+    assert fit(world).persisting.place["m"] < 0.5 * STD_M
+    way = np.concatenate([[0.0], np.cumsum(np.diff(world.time_s) * np.abs(world.odometry[1:, 0]))])
+    rng = np.random.default_rng(2)
+    knots = np.arange(0.0, way[-1] + 40.0, 1.0)
+    smooth = np.exp(-0.5 * ((knots[:, None] - knots) / (3.0 / np.sqrt(2.0))) ** 2)
+    m = world.measurements
+    # Paths are told apart by where they lie, to the left or right, near or far: 40 functions of the way.
+    place = rng.standard_normal((40, len(knots))) @ (smooth / np.sqrt((smooth**2).sum(axis=1, keepdims=True))).T
+    kind = source_of(world) % 40
+    extra = place[kind, np.minimum(way[m.snapshot].astype(int), len(knots) - 1)]
+    found = fit(
+        dataclasses.replace(world, measurements=dataclasses.replace(m, distance_m=m.distance_m + 0.5 * extra))
+    ).persisting
+    assert np.hypot(found.place["m"], found.direction["m"]) == pytest.approx(0.5, rel=0.4)
+    assert found.scale_m > 1.0
+
+
+def source_of(world: Recording) -> np.ndarray:
+    """Return a number for each row that a source keeps: where dead reckoning sees it, roughly."""
+    from cellslam.recordings.fitting.fit_tracks import tracks_of
+
+    return np.maximum(tracks_of(world).track, 0)
+
+
+def test_simulated_cellular_noise_at_unit_snr() -> None:
+    """The statistical front end's thermal part is 0.0405 m at 0 dB; its other errors are not white and are kept
+    apart.
+    """
+    found = first_guess(Recording.load(str(files("cellslam.slam.conformance").joinpath("conformance_drive.h5"))))
+    assert found["noise_unit_snr_m"] == pytest.approx(0.0405, rel=0.25)
+    assert found["calibration_m"] > found["noise_floor_m"]
+    assert 0.7 < found["detection_probability"] < 0.95
+
+
+def thin(world: Recording) -> Recording:
+    m = world.measurements
+    keep = np.arange(len(m)) % 500 == 0
+    columns = {f.name: getattr(m, f.name) for f in dataclasses.fields(m)}
+    few = dataclasses.replace(m, **{n: None if c is None else c[keep] for n, c in columns.items()})
+    return dataclasses.replace(world, measurements=few)
+
+
+def test_too_little_to_tell(world: Recording) -> None:
+    with pytest.raises(InputError, match=r"tracks of three detections"):
+        fit(thin(world))
+
+
+@pytest.mark.parametrize("columns", [("distance_m",), ("azimuth_rad",)])
+def test_delays_or_angles_alone_give_white_errors(
+    columns: tuple[str, ...], world: Recording, strip: Callable[..., Recording]
+) -> None:
+    found = fit(strip(world, *columns))
+    assert found.persisting.place == {} and 0.3 < found.detection_probability < 0.99
+    if columns == ("distance_m",):
+        assert found.floor == {"azimuth_deg": pytest.approx(np.degrees(STD_RAD), rel=0.5)} and found.range_m is None
+    else:
+        assert found.floor == {"m": pytest.approx(STD_M, rel=0.5)}

@@ -1,0 +1,376 @@
+"""Import of tables: units, signs, zeros, clocks, lever arms, projections; round trips through every format."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+from collections.abc import Callable
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any
+
+import h5py
+import numpy as np
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from cellslam.benchmarks.scores.metrics import COST_KEYS
+from cellslam.cli import main as cli
+from cellslam.recordings.exporting.tables import write_csv, write_mat
+from cellslam.recordings.importing.importing import import_folder
+from cellslam.recordings.importing.matlab import variables
+from cellslam.sim.errors import InputError
+from cellslam.sim.frames import SPEED_OF_LIGHT_MPS
+from cellslam.sim.recording import CLOCK_PRIOR, Recording, Reference
+
+Toy = Callable[..., Recording]
+
+MANIFEST = """
+description = "courtyard"
+[measurements]
+file = "paths.csv"
+clock = "sounder"
+link = {column = "tx"}
+sample_rate_hz = 100e6
+std = {distance_m = 0.5, azimuth_deg = 2.0}
+[measurements.columns]
+time_s = {column = "t", unit = "ms"}
+distance_m = {column = "tau", unit = "ns"}
+azimuth_rad = {column = "doa", unit = "deg", sign = -1, zero = 90}
+[clocks.sounder]
+offset_s = 10.0
+drift_ppm = 100.0
+[odometry]
+file = "wheels.csv"
+hold = "before"
+axes = "forward-right-down"
+[odometry.columns]
+time_s = {column = "t", unit = "s"}
+u_x = {column = "v", unit = "km/h"}
+u_psi = {column = "w", unit = "deg/s"}
+[noise.u_x]
+noise_density = 0.1
+[noise.u_psi]
+noise_density = 0.01
+[start]
+source = "given"
+position_m = [1.0, 2.0, 3.0]
+yaw_deg = 90.0
+[links.a]
+site = "north"
+[links.b]
+site = "south"
+cell_id = 7
+port = 1
+[sites.north]
+clock_offset_std_m = 0.0
+[sites.south]
+clock_offset_std_m = 30.0
+"""
+PATHS = "t,tx,tau,doa\n0,b,100,80\n0,a,200,-10\n1000,a,210,\n2000,a,,5\n"
+WHEELS = "t,v,w\n" + "".join(f"{t},36,-9\n" for t in (10.0, 11.0001, 12.0002))
+
+
+@pytest.fixture
+def campaign(tmp_path: Path) -> Path:
+    folder = tmp_path / "campaign"
+    folder.mkdir()
+    (folder / "recording.toml").write_text(MANIFEST)
+    (folder / "paths.csv").write_text(PATHS)
+    (folder / "wheels.csv").write_text(WHEELS)
+    return folder
+
+
+def test_units_signs_zeros_clocks_by_hand(campaign: Path) -> None:
+    r = import_folder(campaign)
+    m = r.measurements
+    assert r.time_s == pytest.approx([10.0, 11.0001, 12.0002], abs=1e-12)
+    assert m.snapshot.tolist() == [0, 0, 1, 2] and m.link.tolist() == [0, 1, 0, 0]
+    ns = SPEED_OF_LIGHT_MPS * 1e-9
+    assert m.distance_m[:3] == pytest.approx([200 * ns, 100 * ns, 210 * ns])
+    assert np.isnan(m.distance_m[3]) and np.isnan(m.azimuth_rad[2])
+    assert np.degrees(m.azimuth_rad[[0, 1, 3]]) == pytest.approx([100.0, 10.0, 85.0])
+    assert np.isnan(m.elevation_rad).all() and np.isnan(m.snr_db).all()
+    assert m.azimuth_std_rad is not None and np.degrees(m.azimuth_std_rad) == pytest.approx([2.0] * 4)
+    assert r.odometry[1:, 0] == pytest.approx([10.0, 10.0])
+    assert np.degrees(r.odometry[1:, 3]) == pytest.approx([9.0, 9.0])  # clockwise seen from above in its own axes
+    assert r.links.cell_id.tolist() == [-1, 7] and r.sites.name == ("north", "south")
+    assert r.sites.clock_offset_std_m.tolist() == [0.0, 30.0]
+    assert r.start_pose == pytest.approx([1, 2, 3, np.pi / 2, 0, 0])
+    assert r.odometry_model.noise_density.tolist() == [0.1, 0, 0, 0.01, 0, 0]
+
+
+def test_a_reference_is_moved_from_its_antenna_to_the_array(campaign: Path) -> None:
+    """The array 2 m before and 1 m left of the GNSS antenna, which looks east, then north."""
+    (campaign / "total.csv").write_text("t,e,n,yaw\n10,5,6,0\n12,7,8,90\n")
+    (campaign / "recording.toml").write_text(
+        MANIFEST
+        + """
+[reference]
+file = "total.csv"
+lever_arm_m = [2.0, 1.0, 0.0]
+[reference.columns]
+time_s = {column = "t", unit = "s"}
+x_m = {column = "e", unit = "m"}
+y_m = {column = "n", unit = "m"}
+yaw_rad = {column = "yaw", unit = "deg"}
+"""
+    )
+    reference = import_folder(campaign).reference
+    assert reference is not None
+    assert reference.position_m[:, :2] == pytest.approx(np.array([[7.0, 7.0], [6.0, 10.0]]))
+
+
+def test_delays_in_samples(campaign: Path) -> None:
+    (campaign / "recording.toml").write_text(
+        MANIFEST.replace('column = "tau", unit = "ns"', 'column = "tau", unit = "samples"')
+    )
+    assert import_folder(campaign).measurements.distance_m[1] == pytest.approx(100 * SPEED_OF_LIGHT_MPS / 100e6)
+
+
+REFERENCE = """
+[reference]
+file = "gnss.csv"
+crs = "EPSG:32633"
+[reference.columns]
+time_s = {column = "t", unit = "s"}
+latitude_rad = {column = "lat", unit = "deg"}
+longitude_rad = {column = "lon", unit = "deg"}
+yaw_rad = {column = "heading", unit = "deg", sign = -1, zero = 90}
+"""
+
+
+def test_latitude_and_longitude_are_projected(campaign: Path) -> None:
+    pytest.importorskip("pyproj", reason="extra gnss")
+    # On the central meridian of zone 33 a degree of longitude to the east is east, and the scale is 0.9996.
+    (campaign / "gnss.csv").write_text("t,lat,lon,heading\n10,55.0,15.0,0\n11,55.001,15.0,0\n12,55.0,15.001,90\n")
+    (campaign / "recording.toml").write_text(MANIFEST + REFERENCE)
+    reference = import_folder(campaign).reference
+    assert reference is not None
+    # WGS 84: a degree of latitude at 55 deg is 111 323.6 m, of longitude 63 994.6 m (radii of curvature).
+    assert reference.position_m[0, :2] == pytest.approx([0, 0], abs=1e-6)
+    assert reference.position_m[1, :2] == pytest.approx([0.0, 111.3236 * 0.9996], abs=2e-3)
+    assert reference.position_m[2, :2] == pytest.approx([63.9946 * 0.9996, 0.0], abs=2e-3)
+    assert np.isnan(reference.position_m[:, 2]).all()
+    assert reference.yaw_rad == pytest.approx([np.pi / 2, np.pi / 2, 0.0], abs=1e-4)
+
+
+def test_north_east_down_and_poses_of_an_odometry_frame(campaign: Path) -> None:
+    text = MANIFEST.replace("[odometry.columns]", 'kind = "poses"\n[odometry.columns]').replace("axes", "# axes")
+    text = text.replace(
+        'u_x = {column = "v", unit = "km/h"}', 'x_m = {column = "v", unit = "m"}\ny_m = {column = "w", unit = "m"}'
+    )
+    text = text.replace('u_psi = {column = "w", unit = "deg/s"}', 'yaw_rad = {column = "h", unit = "deg"}')
+    (campaign / "wheels.csv").write_text("t,v,w,h\n10,5,5,90\n11.0001,5,7,90\n12.0002,5,8,90\n")
+    text += """
+[reference]
+file = "total.csv"
+axes = "north-east-down"
+[reference.columns]
+time_s = {column = "t", unit = "s"}
+x_m = {column = "n", unit = "m"}
+y_m = {column = "e", unit = "m"}
+z_m = {column = "d", unit = "m"}
+"""
+    (campaign / "total.csv").write_text("t,n,e,d\n10,1,2,3\n12,4,5,6\n")
+    (campaign / "recording.toml").write_text(text)
+    r = import_folder(campaign)
+    assert r.odometry[1:, 0] == pytest.approx([2.0 / 1.0001, 1.0 / 1.0001])
+    assert r.odometry[1:, 1] == pytest.approx([0, 0], abs=1e-12)
+    assert r.reference is not None and r.reference.position_m[0].tolist() == [2.0, 1.0, -3.0]
+
+
+def rows_of(path: Path, capsys: pytest.CaptureFixture[str], out: Path) -> list[dict[str, Any]]:
+    words = ["replay", str(path), "--no-fit", "--estimator", "dead-reckoning", "--estimator", "ekf-slam", "--seed", "3"]
+    assert cli.main(["--quiet", *words, "--json", "--no-figures", "--out", str(out)]) == 0
+    rows: list[dict[str, Any]] = json.loads(capsys.readouterr().out)
+    return [{k: v for k, v in row.items() if k not in (*COST_KEYS, "scenario")} for row in rows]
+
+
+@pytest.fixture(scope="module")
+def recorded(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("recorded") / "tiny.h5"
+    assert (
+        cli.main(
+            [
+                "--quiet",
+                "record",
+                "tiny",
+                "--set",
+                "vehicle.duration_s=12",
+                "--set",
+                "vehicle.distance_m=8",
+                "--set",
+                "vehicle.stops=0",
+                "--out",
+                str(path),
+            ]
+        )
+        == 0
+    )
+    return path
+
+
+@pytest.mark.parametrize("kind", ["mat", "csv"])
+def test_round_trip_gives_the_same_measurements_and_rows(
+    kind: str, recorded: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    original, again = Recording.load(recorded), tmp_path / "again.h5"
+    assert cli.main(["export", str(recorded), "--format", kind, "--out", str(tmp_path / "folder")]) == 0
+    assert cli.main(["--quiet", "import", str(tmp_path / "folder"), "--out", str(again)]) == 0
+    imported = Recording.load(again)
+    exact = kind == "mat"
+    for name in (f.name for f in dataclasses.fields(original.measurements)):
+        a, b = getattr(original.measurements, name), getattr(imported.measurements, name)
+        assert a.tobytes() == b.tobytes() if exact or a.dtype == np.int64 else np.allclose(a, b, rtol=1e-11, atol=0), (
+            name
+        )
+    for name in ("time_s", "odometry", "start_std"):
+        a, b = getattr(original, name), getattr(imported, name)
+        assert a.tobytes() == b.tobytes() if exact else np.allclose(a, b, rtol=1e-11, atol=1e-300), name
+    assert np.allclose(imported.start_pose, original.start_pose, rtol=1e-14, atol=1e-15)
+    assert imported.sites.name == original.sites.name and (imported.links.cell_id == original.links.cell_id).all()
+    before, after = rows_of(recorded, capsys, tmp_path / "o1"), rows_of(again, capsys, tmp_path / "o2")
+    for one, two in zip(before, after, strict=True):
+        for key in (
+            "snapshots",
+            "duration_s",
+            "position_rmse_m",
+            "position_max_m",
+            "position_end_m",
+            "heading_rmse_rad",
+        ):
+            assert two[key] == pytest.approx(one[key], rel=1e-5, abs=1e-7), key
+        assert two["map_gospa_m"] is None and two["bound_position_rmse_m"] is None and two["status"] == "ok"
+
+
+def partial_drive(draw: st.DrawFn, toy: Toy) -> Recording:
+    """A drive of any intervals, by any clock, whose odometry pauses and lacks components."""
+    pause = st.sampled_from([0.001, 0.1, 0.1, 0.1, 2.0, 70.0])
+    steps = np.array(draw(st.lists(pause, min_size=1, max_size=30)))
+    made = toy(snapshots=len(steps), truth=False)
+    rng = np.random.default_rng(draw(st.integers(0, 99)))
+    odometry = made.odometry.copy()
+    odometry[1:][rng.random((len(steps) - 1, 6)) < draw(st.sampled_from([0.0, 0.3]))] = np.nan
+    odometry[:, draw(st.lists(st.integers(0, 5), unique=True, max_size=6))] = np.nan
+    fixes = rng.normal(0.0, 50.0, (len(steps), 3)) + np.where(rng.random((len(steps), 1)) < 0.2, np.nan, 0.0)
+    unknown = np.full(len(steps), np.nan)
+    time_s = draw(st.sampled_from([0.0, 1.7e9])) + np.cumsum(steps)
+    reference = Reference(time_s + 0.03, fixes, unknown, unknown)
+    clocks = {name: rng.random(len(made.sites)) for name in CLOCK_PRIOR}
+    clocks[CLOCK_PRIOR[-1]] = draw(st.sampled_from([None, clocks[CLOCK_PRIOR[-1]]]))
+    sites = dataclasses.replace(made.sites, **clocks)
+    return dataclasses.replace(made, time_s=time_s, odometry=odometry, reference=reference, sites=sites)
+
+
+@settings(max_examples=25, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(st.data())
+@pytest.mark.parametrize("write", [write_csv, write_mat])
+def test_a_round_trip_is_a_round_trip(
+    write: Callable[[Recording, Path], None], toy_recording: Toy, data: st.DataObject
+) -> None:
+    """Times, odometry, measurements, reference, what is known of clocks: all come back to the last digit."""
+    drive = partial_drive(data.draw, toy_recording)
+    with TemporaryDirectory() as folder:
+        write(drive, Path(folder) / "out")
+        again = import_folder(Path(folder) / "out")
+    assert again.reference is not None and drive.reference is not None
+    for name in ("time_s", "odometry"):
+        np.testing.assert_array_equal(getattr(again, name), getattr(drive, name))
+    for one, two in ((again.measurements, drive.measurements), (again.reference, drive.reference)):
+        for field in dataclasses.fields(one):
+            np.testing.assert_array_equal(getattr(one, field.name), getattr(two, field.name))
+    for name in CLOCK_PRIOR:
+        np.testing.assert_array_equal(getattr(again.sites, name), getattr(drive.sites, name))
+
+
+def test_hdf5_round_trip_and_run_give_the_same_rows_bit_for_bit(
+    recorded: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    Recording.load(recorded).save(tmp_path / "copy.h5")
+    words = ["--estimator", "dead-reckoning", "--estimator", "ekf-slam", "--json", "--no-figures"]
+    first = [
+        "--quiet",
+        "run",
+        "tiny",
+        "--set",
+        "vehicle.duration_s=12",
+        "--set",
+        "vehicle.distance_m=8",
+        "--set",
+        "vehicle.stops=0",
+        *words,
+        "--out",
+        str(tmp_path / "r"),
+    ]
+    assert cli.main(first) == 0
+    ran = json.loads(capsys.readouterr().out)
+    assert cli.main(["--quiet", "replay", str(tmp_path / "copy.h5"), *words, "--out", str(tmp_path / "s")]) == 0
+    for one, two in zip(ran, json.loads(capsys.readouterr().out), strict=True):
+        nothing = dict.fromkeys(COST_KEYS)
+        assert {**one, **nothing} == {**two, **nothing}
+
+
+def matlab_73(path: Path, tables: dict[str, dict[str, Any]]) -> None:
+    """Write structs of columns as MATLAB 7.3 does: HDF5 with a header block, matrices by columns."""
+    with h5py.File(path, "w", userblock_size=512) as file:
+        for name, columns in tables.items():
+            group = file.create_group(name)
+            group.attrs["MATLAB_class"] = np.bytes_("struct")
+            for column, values in columns.items():
+                group[column] = np.atleast_2d(np.asarray(values))  # (1, N) in the file is N x 1 in MATLAB
+                group[column].attrs["MATLAB_class"] = np.bytes_("double")
+    with path.open("r+b") as raw:
+        raw.write(b"MATLAB 7.3 MAT-file, made by a test".ljust(512, b" "))
+
+
+def test_mat_73_is_read_as_mat_5(recorded: Path, tmp_path: Path) -> None:
+    folder = tmp_path / "folder"
+    assert cli.main(["export", str(recorded), "--format", "mat", "--out", str(folder)]) == 0
+    first = import_folder(folder)
+    old = variables(folder / "recording.mat")
+    matlab_73(folder / "recording.mat", {name: {k: np.ravel(v) for k, v in old[name].items()} for name in old})
+    second = import_folder(folder)
+    assert second.measurements.distance_m.tobytes() == first.measurements.distance_m.tobytes()
+    assert second.odometry.tobytes() == first.odometry.tobytes()
+
+
+ADAPTER = """
+import numpy as np
+from cellslam.recordings import Campaign, OdometryTable, ReferenceTable
+def load(folder):
+    t, r, a = np.loadtxt(folder / "log.txt", unpack=True)
+    wheels = OdometryTable(t, {"u_x": np.ones_like(t), "u_psi": np.zeros_like(t)})
+    return Campaign(t, {"distance_m": r, "azimuth_rad": a}, wheels, start_pose=(0,) * 6, plane=True,
+                    noise={"noise_density": (0.1, 0, 0, 0.01, 0, 0)})
+"""
+
+
+def test_an_adapter_of_ten_lines(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert len(ADAPTER.strip().splitlines()) <= 10
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.syspath_prepend(tmp_path)
+    (tmp_path / "my_campaign_adapter.py").write_text(ADAPTER)
+    (tmp_path / "log.txt").write_text("".join(f"{0.1 * i} {20 - 0.1 * i} 0.0\n" for i in range(30)))
+    words = ["--quiet", "import", ".", "--adapter", "my_campaign_adapter:load", "--out", "a.h5"]
+    assert cli.main(words) == 0
+    assert len(Recording.load("a.h5").measurements) == 30
+    (tmp_path / "log.txt").write_text("no numbers\n")
+    assert cli.main([*words[:-1], "b.h5"]) == 2
+    error = capsys.readouterr().err
+    assert "my_campaign_adapter" in error and error.count("\n") == 1 and not (tmp_path / "b.h5").exists()
+    assert cli.main(["import", ".", "--adapter", "victoria-prak", "--out", "b.h5"]) == 2
+    assert "did you mean 'victoria-park'" in capsys.readouterr().err
+
+
+def test_pyproj_is_asked_for_where_it_is_missing(campaign: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    import sys
+
+    (campaign / "gnss.csv").write_text("t,lat,lon,heading\n10,55.0,15.0,0\n")
+    (campaign / "recording.toml").write_text(MANIFEST + REFERENCE)
+    monkeypatch.setitem(sys.modules, "pyproj", None)
+    with pytest.raises(InputError, match=r"pip install 'cellslam\[gnss\]'"):
+        import_folder(campaign)

@@ -1,0 +1,121 @@
+"""Each usual mistake is planted in sound campaigns, and is named; sound ones raise nothing.
+
+`python studies/study_mistakes.py` does so for every kind of campaign and every mistake.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import importlib.util
+import re
+import sys
+from collections.abc import Callable
+from functools import cache
+from pathlib import Path
+from types import ModuleType
+
+import numpy as np
+import pytest
+
+from cellslam.recordings import Campaign, build
+from cellslam.recordings.inspection.suspicions import suspicions
+from cellslam.sim.frames import SPEED_OF_LIGHT_MPS, wrap_angle
+from cellslam.sim.recording import Recording
+
+SAMPLE_M = SPEED_OF_LIGHT_MPS / 30.72e6
+# Each mistake once, where it is hard to see.
+HARD = (
+    ("azimuth in radians taken for degrees", "hall"),
+    ("nanoseconds for metres", "places"),
+    ("clockwise azimuth", "hall"),
+    ("yaw rate of the wrong sign", "places"),
+    ("yaw rate in degrees", "trees"),
+    ("speed backwards", "beacons"),
+    ("reference with x and y swapped", "cellular"),
+    ("reference in feet", "hall"),
+    ("reference 5 s late", "hall"),
+    ("odometry 2 s late", "places"),
+    ("measurements 1 s late", "cellular"),
+    ("20 m on every distance", "hall"),
+    ("lever arm left out", "trees"),
+)
+
+
+@cache
+def worlds() -> ModuleType:
+    path = Path(__file__).with_name("mistaken_worlds.py")
+    spec = importlib.util.spec_from_file_location("mistaken_worlds", path)
+    assert spec is not None and spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    sys.modules["mistaken_worlds"] = module
+    spec.loader.exec_module(module)
+    return module
+
+
+@cache
+def campaign(world: str) -> Campaign:
+    made: Campaign = worlds().WORLDS[world](101)
+    return made
+
+
+@pytest.fixture(scope="module")
+def cellular() -> Recording:
+    """A simulated drive of 30 s through a city, of which a reference at 2 Hz is known, with yaw."""
+    return build(worlds().cellular(0))
+
+
+@pytest.mark.parametrize("world", ["hall", "beacons", "trees", "cellular"])
+def test_sound_campaigns_raise_nothing(world: str) -> None:
+    assert suspicions(build(campaign(world))) == []
+
+
+@pytest.mark.parametrize(("mistake", "world"), HARD)
+def test_a_mistake_is_named(mistake: str, world: str) -> None:
+    plant, kinds = worlds().MISTAKES[mistake]
+    found = [s.kind for s in suspicions(build(plant(campaign(world))))]
+    assert found and found[0] in kinds, found
+
+
+def test_the_remedy_is_said() -> None:
+    """The mistake is measured, and its cure is in the words of `recording.toml`."""
+    plant, _ = worlds().MISTAKES["odometry 2 s late"]
+    found = suspicions(build(plant(campaign("hall"))))
+    late = re.search(r"offset_s = -(\S+) and clock = \"NAME\" in \[odometry\]", found[0].text)
+    assert late is not None and float(late[1]) == pytest.approx(2.0, abs=0.2)
+    assert "measured paths and odometry" in found[0].text and "reference and odometry" in found[0].text
+
+
+LACKS = (("azimuth_rad", "elevation_rad"), ("distance_m", "elevation_rad"))
+
+
+@pytest.mark.parametrize("columns", LACKS)
+def test_sound_data_that_lack_something_raise_nothing(
+    columns: tuple[str, ...], cellular: Recording, strip: Callable[..., Recording]
+) -> None:
+    recording = strip(cellular, *columns)
+    odometry = recording.odometry.copy()
+    odometry[:, [1, 2, 4, 5]] = np.nan
+    assert suspicions(dataclasses.replace(recording, odometry=odometry)) == []
+
+
+def test_whole_numbers_are_samples(cellular: Recording) -> None:
+    found = suspicions(without_repeats(cellular, lambda d: np.round(d / SAMPLE_M)))
+    assert [s.kind for s in found] == ["samples"] and "sample_rate_hz" in found[0].text
+
+
+def without_repeats(r: Recording, rounding: Callable[[np.ndarray], np.ndarray]) -> Recording:
+    """Round the distances, and drop rows that this makes equal."""
+    m = r.measurements
+    key = np.column_stack([m.snapshot, m.link, rounding(m.distance_m), np.round(m.azimuth_rad, 12)])
+    keep = np.sort(np.unique(key, axis=0, return_index=True)[1])
+    columns = {f.name: getattr(m, f.name) for f in dataclasses.fields(m)} | {"distance_m": rounding(m.distance_m)}
+    kept = {name: None if c is None else c[keep] for name, c in columns.items()}
+    return dataclasses.replace(r, measurements=dataclasses.replace(m, **kept))
+
+
+def test_a_clockwise_yaw_of_the_reference_is_named(cellular: Recording) -> None:
+    assert cellular.reference is not None
+    yaw = wrap_angle(np.pi / 2 - cellular.reference.yaw_rad)
+    mistaken = dataclasses.replace(cellular, reference=dataclasses.replace(cellular.reference, yaw_rad=yaw))
+    found = {s.kind: s.text for s in suspicions(mistaken)}
+    assert "clockwise" in found and "yaw" in found["clockwise"]
