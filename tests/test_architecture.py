@@ -33,7 +33,7 @@ def modules() -> dict[str, Path]:
     found: dict[str, Path] = {}
     for floor in FLOORS:
         for path in sorted((ROOT / floor).rglob("*.py")):
-            parts = [part for part in ("cellslam", *path.relative_to(ROOT / floor).with_suffix("").parts)]
+            parts = ["cellslam", *path.relative_to(ROOT / floor).with_suffix("").parts]
             parts[1:1] = [] if floor == "cellslam" else [floor]
             found[".".join(parts[:-1] if parts[-1] == "__init__" else parts)] = path
     return found
