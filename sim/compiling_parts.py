@@ -11,7 +11,7 @@ from numba.core.compiler import Compiler
 
 
 class Part(numba.types.Dispatcher):
-    """The type of a part, which is compiled once for all numbers of a type; Numba's own is for each constant anew."""
+    """The type of a part, which is compiled once for all numbers of a type; Numba's own is for each constant again."""
 
     def get_call_type(self, context: Any, args: Any, kws: Any) -> Any:
         """Return the signature for arguments of these types."""

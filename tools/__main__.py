@@ -1,4 +1,4 @@
-"""`python -m tools NAME`: measure a part of cellslam, or make what is stored of it anew."""
+"""`python -m tools NAME`: measure a part of cellslam, or make again what is stored of it."""
 
 from __future__ import annotations
 
