@@ -83,12 +83,12 @@ class _Locator:
         return str(self._line)
 
 
-class _Found(caching.CompileResultCacheImpl):
+class _CacheImpl(caching.CompileResultCacheImpl):
     _locator_classes = [_Locator]  # type: ignore[list-item]  # noqa: RUF012
 
 
 class _Cache(caching.FunctionCache):
-    _impl_class = _Found
+    _impl_class = _CacheImpl
 
 
 @overload

@@ -1,4 +1,4 @@
-"""`python -m tools NAME`: measure a part of cellslam, or make what is stored of it again."""
+"""`python -m tools NAME`: measure a part of cellslam, or make again what is stored of it."""
 
 from __future__ import annotations
 

@@ -16,11 +16,11 @@ import time
 import numpy as np
 import pandas as pd
 
-from cellslam.benchmarks.bound.cramer_rao import bound
+from cellslam.benchmarks.bound.cramer_rao import BoundResult, bound
 from cellslam.benchmarks.scores.metrics import score
 from cellslam.benchmarks.trials.estimation import estimate, warm_up
 from cellslam.cli.arguments import DONE
-from cellslam.scenarios.estimator_options import resolve
+from cellslam.scenarios.estimator_options import Request, resolve
 from cellslam.scenarios.loading import load
 from cellslam.scenarios.overrides import parse_all
 from cellslam.scenarios.simulation import simulate
@@ -31,7 +31,7 @@ from cellslam.slam.fastslam.fastslam import FastSlam
 STATES = [0, 100, 200, 300, 400, 600, 800, 1200, 100_000]  # edges of the second table
 
 
-def drive(recording: Recording, request, bounded, seed: int) -> dict[str, float]:  # type: ignore[no-untyped-def]
+def drive(recording: Recording, request: Request, bounded: BoundResult, seed: int) -> dict[str, float]:
     """Return what one estimator costs on one drive, and how good it is."""
     warm_up(request)
     begin = time.process_time()
@@ -45,7 +45,7 @@ def drive(recording: Recording, request, bounded, seed: int) -> dict[str, float]
     }  # fmt: skip
 
 
-def snapshots(recording: Recording, request) -> pd.DataFrame:  # type: ignore[no-untyped-def]
+def snapshots(recording: Recording, request: Request) -> pd.DataFrame:
     """Return, for each snapshot of a drive, the milliseconds that it took, and how large the filter was."""
     fastslam: FastSlam = request.estimator(request.options)
     fastslam.start(setup_of(recording), np.random.default_rng(0))
@@ -102,7 +102,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def command(asked: argparse.Namespace) -> int:
-    """Measure, and print the tables as Markdown."""
+    """Measure, and print the tables."""
     changes = parse_all(asked.sets)
     variants = {"ekf-slam": ("ekf-slam", {})}
     for count in map(int, asked.particles.split(",")):
@@ -124,12 +124,12 @@ def command(asked: argparse.Namespace) -> int:
     frame = pd.DataFrame(rows).groupby("estimator", sort=False)
     table = frame[["cpu_s", "x_real_time", "nees"]].mean()
     table.insert(2, "ratio", frame.apply(lambda g: np.sqrt((g.rmse_m**2).mean() / (g.bound_m**2).mean())))
-    print(table.round(2).to_markdown())
+    print(table.round(2).to_string())
     every = pd.concat(steps)
     every["states, from"] = pd.cut(every.states, STATES, labels=STATES[:-1])
     sizes = ["groups", "particles of a group"]
     print("\nmilliseconds a snapshot\n")
-    print(every.pivot_table("ms", "states, from", sizes, observed=True).round(2).to_markdown())
+    print(every.pivot_table("ms", "states, from", sizes, observed=True).round(2).to_string())
     if asked.stone_soup:
         took = stone_soup(asked.stone_soup, 12)
         print(f"\nStone Soup, {asked.stone_soup} particles, 12 measurements at known places: {took:.1f} ms")

@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -42,6 +42,9 @@ class Errors:
     squared: Floats
 
 
+NO_ERRORS = Errors(np.zeros(0), np.zeros(0), np.zeros(0))
+
+
 @dataclass(frozen=True)
 class Scored:
     """What metrics are computed from; what several of them need is computed once, and None where it does not apply."""
@@ -51,11 +54,11 @@ class Scored:
     bound: BoundResult | None
 
     @cached_property
-    def errors(self) -> Errors | None:
-        """Errors of pose, against truth or reference."""
+    def errors(self) -> Errors:
+        """Errors of pose, against truth or reference; empty without both."""
         truth, reference, result = self.recording.truth, self.recording.reference, self.result
         if truth is None:
-            return None if reference is None else reference_errors(self.recording, reference, result)
+            return NO_ERRORS if reference is None else reference_errors(self.recording, reference, result)
         # The covariances of a smoother are those of the snapshots, and say nothing of its poses.
         known = np.zeros(0) if result.smoothed else nees(truth.poses, result.poses, result.covariances)
         turned = wrap_angle(result.poses[:, 3] - truth.poses[:, 3])
@@ -131,13 +134,13 @@ class Metric:
 
 METRICS = (
     Metric("position_rmse_m", "m", "RMSE", 2, "root mean square of the horizontal position error, not aligned",
-           lambda s: _of(s, "position", _rms), "position RMSE"),
+           lambda s: _rms(s.errors.position), "position RMSE"),
     Metric("position_max_m", "m", "max", 2, "largest position error",
-           lambda s: _of(s, "position", np.max), "largest position error"),
+           lambda s: _over(np.max, s.errors.position), "largest position error"),
     Metric("position_end_m", "m", "end", 2, "position error at the end",
-           lambda s: _of(s, "position", lambda e: e[-1]), "position error at the end"),
+           lambda s: _over(lambda e: e[-1], s.errors.position), "position error at the end"),
     Metric("heading_rmse_rad", "rad", "heading", 4, "heading error, root mean square",
-           lambda s: _of(s, "heading", _rms), "heading RMSE"),
+           lambda s: _rms(s.errors.heading), "heading RMSE"),
     Metric("clock_offset_rmse_m", "m", "offset", 2, "error of the sites' clock offsets at the end, root mean square",
            lambda s: _rms(s.clock_offset_m), "clock offset error at the end"),
     Metric("transmitter_rmse_m", "m", "sites", 2, "error of the sites' positions at the end, root mean square",
@@ -159,7 +162,7 @@ METRICS = (
            lambda s: s.associated[1]),
     Metric("nees_mean", "", "NEES", 2,
            "mean normalised estimation error squared of the position: 2 where the claimed covariance is right",
-           lambda s: _of(s, "squared", np.mean), "mean NEES (2 is right)"),
+           lambda s: _over(np.mean, s.errors.squared[np.isfinite(s.errors.squared)]), "mean NEES (2 is right)"),
     Metric("bound_position_rmse_m", "m", "bound", 2,
            "Cramér-Rao bound of the position RMSE: the least error that a filter can have on average on this drive, "
            "errors that persist included", lambda s: None if s.bound is None else s.bound.position_rmse_m),
@@ -198,7 +201,7 @@ def score(recording: Recording, result: TrialResult, bound: BoundResult | None) 
     return {metric.key: metric.of(scored) for metric in METRICS if metric.of is not None}
 
 
-def reference_errors(recording: Recording, reference: Reference, result: TrialResult) -> Errors | None:
+def reference_errors(recording: Recording, reference: Reference, result: TrialResult) -> Errors:
     """Return the errors against a reference: the estimate interpolated at its times, where they lie within the drive.
 
     Positions far off their neighbours are left out (`reference_fixes.outlying`). The NEES adds the reference's variance
@@ -206,7 +209,7 @@ def reference_errors(recording: Recording, reference: Reference, result: TrialRe
     """
     times, rows = recording.time_s, within(recording, reference)
     if not rows.any():
-        return None
+        return NO_ERRORS
     at = reference.time_s[rows]
     turns = np.unwrap(result.poses[:, 3:], axis=0)
     poses = np.column_stack([np.interp(at, times, column) for column in (*result.poses[:, :3].T, *turns.T)])
@@ -318,15 +321,12 @@ def _length(points: Floats) -> float | None:
 
 
 def _rms(values: Floats | None) -> float | None:
-    return None if values is None or not len(values) else float(np.sqrt(np.mean(np.square(values))))
+    return _over(lambda found: np.sqrt(np.mean(np.square(found))), values)
 
 
-def _of(scored: Scored, part: str, summed: Callable[[Floats], float | None]) -> float | None:
-    """Return a statistic of a part of the errors, over what is there of it."""
-    values = np.zeros(0) if scored.errors is None else getattr(scored.errors, part)
-    values = values[np.isfinite(values)] if part == "squared" else values
-    found = summed(values) if len(values) else None
-    return None if found is None else float(found)
+def _over(statistic: Callable[[Floats], Any], values: Floats | None) -> float | None:
+    """Return a statistic of values (N,), None where there are none."""
+    return None if values is None or not len(values) else float(statistic(values))
 
 
 def _with_unit(text: str, unit: str) -> str:

@@ -123,7 +123,7 @@ class FastSlam(JointFilter):
         super().start(setup, rng)
         o, wide = self.options, np.asarray(setup.start_std)[PLANE]
         self._widths = np.array([o.place_component_m, o.place_component_m, math.radians(o.heading_component_deg)])
-        self._anywhere = setup.map is not None and self._start is None and bool((wide > self._widths).any())
+        self._start_is_wide = setup.map is not None and self._start is None and bool((wide > self._widths).any())
 
     def _alike(self, **changes: Any) -> Self:
         other = super()._alike(**changes)
@@ -148,7 +148,7 @@ class FastSlam(JointFilter):
         """
         if self._start is not None or self._past:
             return mixture.use(errors, interval, measured, self.options.vts)
-        if self._anywhere and len(measured.z):
+        if self._start_is_wide and len(measured.z):
             self._begin_groups(mixture, measured)
         self._share_particles(mixture)
         mixture.make_room(measured, self.options.vts)
@@ -302,17 +302,20 @@ class FastSlam(JointFilter):
 
     def _begin_groups(self, mixture: Mixture, measured: Measured) -> None:
         """Begin with a group for each component of a wide start pose that may be, by the map and the first snapshot."""
-        self._anywhere, remembered = False, mixture.remembered
+        self._start_is_wide, remembered = False, mixture.remembered
         assert remembered is not None
         step, std = self.options.component_step, np.asarray(self._setup.start_std)[PLANE]
-        offsets, log_weight, widths = components_of_pose(std, self._widths, step)
+        offsets, log_prior, widths = components_of_pose(std, self._widths, step)
         poses = np.repeat(mixture.arrays.x[:1, :POSE], len(offsets), axis=0)
         poses[:, PLANE] += offsets
         clock_m = mixture.arrays.x[0, self._core.offsets]
-        log_weight = log_weight + log_likelihood(poses, widths, clock_m, remembered, measured)
+        log_weight = log_prior + log_likelihood(poses, widths, clock_m, remembered, measured)
         likely = np.argsort(-log_weight)[: self.options.hypotheses]
         likely = likely[log_weight[likely] >= log_weight[likely[0]] + math.log(self.options.prune_ratio)]
         mixture.split(np.zeros(len(likely) - 1, np.int64))
+        # What the snapshot says is weighed as it is used; here it has only chosen the groups.
+        mixture.influence.rest += log_prior[likely]
+        mixture.log_weight += log_prior[likely]
         a = mixture.arrays
         for k, one in enumerate(likely.tolist()):
             a.x[k, :POSE] = poses[one]

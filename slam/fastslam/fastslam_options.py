@@ -39,9 +39,9 @@ class FastSlamOptions(EkfSlamOptions):
         3.0,
         gt=0,
         le=100,
-        description="in a remembered map a start less certain than this begins as groups whose place is so certain, m",
+        description="a start whose place is less certain begins, in a remembered map, as groups so certain, m",
     )
-    heading_component_deg: float = Field(5.0, gt=0, le=180, description="and whose heading is so certain, deg")
+    heading_component_deg: float = Field(5.0, gt=0, le=180, description="the same for its heading, deg")
     effective_share: float = Field(
         0.5, ge=0, le=1, description="resample when the effective sample size falls below this share of the particles"
     )

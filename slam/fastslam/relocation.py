@@ -9,7 +9,8 @@ s, and the first snapshot tells which of them may be:
     z_i        measurements of the snapshot, R_i its variances;  c  density of clutter, and of VTs not in the map
     v          VTs of the map on the measurement's link that were seen from near m_k, P_v their covariances
 
-The likeliest components are the groups of particles with which the filter begins.
+The likeliest components are the groups of particles with which the filter begins. Their weights are those of the
+prior: the filter uses the first snapshot, too.
 
 Sources: Sorenson and Alspach, "Recursive Bayesian estimation using Gaussian sums", Automatica 7, 1971; Thrun, Fox,
 Burgard and Dellaert, "Robust Monte Carlo localization for mobile robots", Artificial Intelligence 128, 2001, for poses
@@ -67,7 +68,7 @@ def _log_likelihood(poses: Floats, std: Floats, offset_m: Floats, remembered: Re
         away = np.maximum(np.maximum(low[here] - place, place - high[here]), 0.0).max(axis=2, initial=0.0)  # (K, v)
         h = predict(poses[:, None], known.position_m[here])  # (K, v, 3)
         flat2 = (h[..., 0] * np.cos(h[..., 2])) ** 2
-        moved2 = std[0] ** 2 + spread2[here]
+        moved2 = max(std[0], std[1]) ** 2 + spread2[here]
         of_pose = np.stack(
             [np.broadcast_to(moved2, flat2.shape), moved2 / flat2 + std[2] ** 2, moved2 / h[..., 0] ** 2], axis=-1
         )

@@ -34,7 +34,7 @@ def remembered() -> VtMap:
 
 
 def put_down(away: Floats, std: Floats = STD) -> Drive:
-    """Return a drive that begins `away` (6,) from where it is told to."""
+    """Return a drive that begins `away` (6,) from where it is assumed to."""
     setup, steps = street(60, seed=4)
     return replace(setup, start_pose=away, start_std=std, map=remembered()), steps
 
@@ -57,11 +57,11 @@ def test_headings_are_met_once() -> None:
 class Watched(FastSlam):
     """FastSLAM that keeps where its likeliest group began."""
 
-    begun: Floats
+    first_pose: Floats
 
     def _begin_groups(self, mixture: Mixture, measured: Measured) -> None:
         super()._begin_groups(mixture, measured)
-        self.begun = mixture.arrays.x[0, :6].copy()
+        self.first_pose = mixture.arrays.x[0, :6].copy()
 
 
 @pytest.mark.parametrize("seed", range(4))
@@ -70,7 +70,7 @@ def test_the_first_snapshot_tells_where_a_vehicle_is(seed: int) -> None:
     away = np.clip(STD * np.random.default_rng(seed).standard_normal(6), -2.5 * STD, 2.5 * STD)
     fastslam = Watched(FastSlamOptions(**WHITE))
     answers = driven(fastslam, put_down(away))
-    assert (np.abs(fastslam.begun[[0, 1, 3]]) < 2.0 * np.array([3.0, 3.0, np.radians(5.0)])).all()
+    assert (np.abs(fastslam.first_pose[[0, 1, 3]]) < 2.0 * np.array([3.0, 3.0, np.radians(5.0)])).all()
     assert np.abs(answers[-1].pose[[0, 1, 3]] - [5.9, 0.0, 0.0]).max() < 1.0 and not fastslam.remarks()
 
 
