@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from argparse import ArgumentParser, Namespace
 from pathlib import Path
 
@@ -21,16 +22,17 @@ def command(arguments: Namespace) -> int:
     sums = {}
     for folder in (*INSTALLED, "tests", "tools"):
         path = arguments.root / folder
-        rooms = [path] if folder == "cellslam" else sorted(p for p in path.iterdir() if p.is_dir() and count(p))
-        for room in rooms if folder in INSTALLED else ():
-            print(f"{count(room, deep=folder != 'cellslam'):7d} {room.relative_to(arguments.root)}")
-        sums[folder] = count(path, deep=folder != "cellslam")
+        for room in sorted(p for p in path.iterdir() if p.is_dir() and not p.is_symlink() and count(p)):
+            if folder in INSTALLED:
+                print(f"{count(room):7d} {room.relative_to(arguments.root)}")
+        sums[folder] = count(path)
     print(f"{sum(sums[folder] for folder in INSTALLED):7d} installed")
     for folder in ("tests", "tools"):
         print(f"{sums[folder]:7d} {folder}")
     return DONE
 
 
-def count(folder: Path, deep: bool = True) -> int:
-    """Return the lines of the Python files of a folder."""
-    return sum(len(p.read_text("utf-8").splitlines()) for p in (folder.rglob if deep else folder.glob)("*.py"))
+def count(folder: Path) -> int:
+    """Return the lines of the Python files of a folder, without those behind links."""
+    files = [Path(room, name) for room, _, names in os.walk(folder) for name in names if name.endswith(".py")]
+    return sum(len(p.read_text("utf-8").splitlines()) for p in files)
