@@ -63,13 +63,13 @@ class Views(NamedTuple):
 
 
 class Sightings(NamedTuple):
-    """The measurements, m of them: `rows` (T + 1,), `view` (m,), `key` (m,): row of the VT, whether it is its
+    """The measurements, m of them: `rows` (T + 1,), `view_of` (m,), `key` (m,): row of the VT, whether it is its
     `first` and its `last` one, `variance` (m, 3) of the white errors (infinite: not measured), `residual` (m, 3): what
     it is off in all; `state` (m, 3): the persisting error of its own (-1: none) with loads `load` (3,).
     """
 
     rows: Ints
-    view: Ints
+    view_of: Ints
     key: Ints
     first: Flags
     last: Flags

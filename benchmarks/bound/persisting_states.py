@@ -60,13 +60,13 @@ class Persisting:
 @dataclass(frozen=True)
 class Seen:
     """What the drive sees, sorted by snapshot. Views: `snapshot` (n,), body-frame `azimuth_rad`, `elevation_rad` (n,).
-    Measurements: `view`, `vt`, `port` (m,).
+    Measurements: `view_of`, `vt`, `port` (m,).
     """
 
     snapshot: Ints
     azimuth_rad: Floats
     elevation_rad: Floats
-    view: Ints
+    view_of: Ints
     vt: Ints
     port: Ints
 
@@ -122,7 +122,7 @@ def persisting_errors(
     last = np.zeros(base[-1] + own.count, np.int64)
     # Sorted by snapshot: of several values for one state the last stays.
     last[state[state >= 0]] = np.broadcast_to(seen.snapshot[:, None, None], state.shape)[state >= 0]
-    at = seen.snapshot[seen.view]
+    at = seen.snapshot[seen.view_of]
     last[own_state[own_state >= 0]] = np.broadcast_to(at[:, None], own_state.shape)[own_state >= 0]
     variance = np.zeros(3) if config is None else persisting_std(config) ** 2
     kind = np.repeat([part.kind for part in [*parts, own]], [part.count for part in [*parts, own]])
@@ -210,9 +210,9 @@ def runs(key: Ints, at: Floats, gap: float) -> tuple[Ints, int]:
 def _by_place(cause: Cause, seen: Seen, travelled_m: Floats) -> Part:
     """Return the states of a function of the distance (T,) along the drive, one for each VT and port, and component."""
     if cause.scale <= 0.0:
-        return Part(np.full((len(seen.view), 3), -1), np.zeros(3), 0, BY_PLACE)
+        return Part(np.full((len(seen.view_of), 3), -1), np.zeros(3), 0, BY_PLACE)
     entity, entities = runs(
-        seen.vt * 4 + seen.port % 4, travelled_m[seen.snapshot[seen.view]], HOLD_SCALES * cause.scale
+        seen.vt * 4 + seen.port % 4, travelled_m[seen.snapshot[seen.view_of]], HOLD_SCALES * cause.scale
     )
     return Part(3 * entity[:, None] + np.arange(3), cause.std, 3 * entities, BY_PLACE)
 
@@ -223,7 +223,7 @@ def _by_vt(cause: Cause, seen: Seen, time_s: Floats) -> Part:
     if cause.scale <= 0.0:
         return Part(np.zeros((views, 3, 0), np.int64), np.zeros((views, 3, 0)), 0, BY_MERGING)
     vt = np.empty(views, np.int64)
-    vt[seen.view] = seen.vt
+    vt[seen.view_of] = seen.vt
     run, count = runs(vt, time_s[seen.snapshot], HOLD_SCALES * cause.scale)
     state = 3 * run[:, None, None] + np.arange(3)[:, None]
     return Part(state, np.broadcast_to(cause.std[:, None], state.shape), 3 * count, BY_MERGING)

@@ -114,7 +114,7 @@ def _update(
     for m in range(sightings.rows[t], sightings.rows[t + 1]):
         if sightings.first[m]:
             continue
-        i, vt = sightings.view[m], count + 3 * sightings.key[m]
+        i, vt = sightings.view_of[m], count + 3 * sightings.key[m]
         v0, v1, v2 = slot_of[vt], slot_of[vt + 1], slot_of[vt + 2]
         for r in range(3):
             variance = sightings.variance[m, r]
@@ -168,7 +168,7 @@ def _birth(
 
     v = D (z - H_r r - b - errors) with D the inverse of H_v; the other states learn nothing.
     """
-    i, inverse, full = sightings.view[m], np.empty((3, 3)), np.empty((3, 3))
+    i, inverse, full = sightings.view_of[m], np.empty((3, 3)), np.empty((3, 3))
     _invert(views.by_vt[i], inverse)
     for r in range(3):
         _shared_gain(p, n, views, i, r, slot_of, g[r])

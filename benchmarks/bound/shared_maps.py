@@ -104,7 +104,7 @@ def _with_walls(recordings: Sequence[Recording], drives: Sequence[Drive]) -> Ite
     for recording, (motion, views, s, errors) in zip(recordings, drives, strict=True):
         truth = _truth(recording)
         vt = np.empty(len(views.offset), np.int64)
-        vt[s.view] = s.key
+        vt[s.view_of] = s.key
         wall = np.where(truth.vts.order > 0, np.searchsorted(facets, truth.vts.facets[:, 0]), -1)
         state = np.concatenate(
             [3 * truth.vts.site[:, None] + np.arange(3), 3 * sites + 2 * wall[:, None] + np.arange(2)], axis=1

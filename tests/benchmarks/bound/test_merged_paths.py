@@ -62,7 +62,7 @@ def test_each_vt_merges_by_itself(make_recording):
     core = core_of(recording.odometry_model, recording.sites)
     one = Cause("merging", np.full(3, 0.1), LASTS_S)
     views, sightings, _ = tracked_measurements(recording, recording.truth, core, merging=one)
-    states = views.state[sightings.view, :, -1]
+    states = views.state[sightings.view_of, :, -1]
     of_vt = np.unique(np.column_stack([sightings.key, states]), axis=0)
     assert len(of_vt) == len(np.unique(of_vt[:, 0])) > 3 and len(np.unique(states)) == 3 * len(of_vt)
 

@@ -90,7 +90,7 @@ class JointFilter:
         h = np.zeros((high - low, 3, self.size))
         first_error = self.core.size + self.vts
         for i, m in enumerate(range(low, high)):
-            view, vt = self.rows.view[m], self.core.size + 3 * self.rows.key[m]
+            view, vt = self.rows.view_of[m], self.core.size + 3 * self.rows.key[m]
             h[i, :, :6], h[i, :, vt : vt + 3] = self.views.by_pose[view], self.views.by_vt[view]
             h[i, 0, self.views.offset[view]] = 1
             for r in range(3):
