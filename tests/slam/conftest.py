@@ -30,7 +30,7 @@ class OneFilter:
             OdometryModel(*(np.zeros((4, 6)))), nowhere, nowhere,
         )  # fmt: skip
         self.rules = Rules(**{"mode": FREE, "log_clutter": 0.0, "gate": 16.3, "confirm": 3, "age_once": 9,
-                              "age_twice": 9, "snapshots": 1, "way": 1.0, "turn": 1.0, "evidence": 1.0, "hold": 5,
+                              "age_twice": 9, "snapshots": 1, "distance": 1.0, "turn": 1.0, "evidence": 1.0, "hold": 5,
                               "return_log_odds": 0.0, "away": 4, **rules})  # fmt: skip
         self.mixture, self.errors = (
             new_mixture(setup, core_of(setup, errors), errors, np.zeros((1, 1)), np.zeros(1)),

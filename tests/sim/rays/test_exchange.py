@@ -137,7 +137,7 @@ def normalised(a: Arrays) -> np.ndarray:
         (changed(phi_r=lambda a: np.degrees(a["phi_r"])), "angle of arrival"),
         (changed(tau=normalised), "save absolute ones"),
         (changed(tau=lambda a: np.where(a["valid"], 1e9 * a["tau"], -1.0)), "save absolute ones, in seconds"),
-        (changed(vertices=lambda a: 0.0 * a["vertices"]), "its points make a way of"),
+        (changed(vertices=lambda a: 0.0 * a["vertices"]), "its points make a path of"),
         (changed(sources=lambda a: a["sources"][:, ::-1]), "apart: are delays"),
         (changed(tau=lambda a: a["tau"][None]), "tau has 4 dimensions.* Earlier versions"),
         (changed(a=lambda a: np.repeat(a["a"], 2, axis=1)), "say another --polarisation"),
