@@ -7,9 +7,8 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from cellslam.benchmarks.sweeps.store import Store, writing
-from cellslam.benchmarks.sweeps.tasks import Result, Task, identity, plan
-from cellslam.benchmarks.sweeps.trajectories import pack, trajectory
+from cellslam.benchmarks.sweeps.store import writing
+from cellslam.benchmarks.sweeps.tasks import identity, plan, result_of
 from cellslam.scenarios.sweep_points import Point
 from cellslam.sim.world import versions
 
@@ -33,15 +32,12 @@ def keeping(
     with writing(folder, command, versions()) as store:
         store.declare(work)
         tasks = {task.trial: task for task in work.tasks}
-        yield lambda trial: _keep(store, trial, tasks[trial.number])
 
+        def keep(trial: Trial) -> None:
+            task = tasks[trial.number]
+            jobs = {job.estimator: job for job in task.jobs}
+            for outcome in trial.outcomes:
+                job = jobs[outcome.row["estimator"]]
+                store.write(result_of(task, job, trial, outcome), identity(task.world), identity(job.options))
 
-def _keep(store: Store, trial: Trial, task: Task) -> None:
-    jobs = {job.estimator: job for job in task.jobs}
-    for outcome in trial.outcomes:
-        job, packed = jobs[outcome.row["estimator"]], None
-        if trial.recording is not None and outcome.result is not None:
-            packed = pack(trajectory(trial.recording, outcome.result, trial.bound))
-        store.write(
-            Result(job.key, outcome.row, outcome.traceback, packed), identity(task.world), identity(job.options)
-        )
+        yield keep

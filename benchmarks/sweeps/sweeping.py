@@ -35,12 +35,11 @@ def carry_out(plan: Plan, store: Store, executor: Executor, on_result: OnResult)
     A job that was lost with its worker is tried once more, alone; lost again, it is a failed row.
     """
     owners = {job.key: (task, job) for task in plan.tasks for job in task.jobs}
-    ids = {text: identity(text) for text in (*plan.worlds.values(), *plan.options.values())}
     store.declare(plan)
 
     def keep(result: Result) -> None:
         task, job = owners[result.key]
-        store.write(result, ids[task.world], ids[job.options])
+        store.write(result, identity(task.world), identity(job.options))
         on_result(task, job, result.row)
 
     lost: list[Lost] = []

@@ -1,26 +1,52 @@
-"""A pool of worker processes that heals: one that dies or hangs costs the job it was at, and is replaced."""
+"""A pool of worker processes that heals: one that dies or hangs costs the job it was at, and is replaced.
+
+`main` is the worker's end of the pipe, `_Worker` the pool's.
+"""
 
 from __future__ import annotations
 
 import os
+import sys
 import tempfile
 import time
 from collections import deque
 from collections.abc import Iterable, Iterator
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from multiprocessing import Pipe
 from multiprocessing.connection import Connection, wait
 from typing import IO
 
-from cellslam.benchmarks.sweeps.tasks import Began, Lost, Result, Task
-from cellslam.benchmarks.sweeps.worker import Ready
-from cellslam.benchmarks.trials.child_process import POLL_S, START_LIMIT_S, Limits, ending, started
+from cellslam.benchmarks.sweeps.tasks import Began, Lost, Result, Task, work
+from cellslam.benchmarks.trials.child_process import POLL_S, START_LIMIT_S, Limits, bind, ending, started
+from cellslam.benchmarks.trials.external_processes import ExternalProcesses
 from cellslam.sim.errors import InputError
 
 # Generous: a first use compiles.
 WORLD_LIMIT_S = 1800.0
 PRINTED_LAST = 4000
 PROCESS = "its worker process"
+
+
+@dataclass(frozen=True)
+class Ready:
+    """A worker has started, or has done its task."""
+
+
+def main() -> None:
+    """Serve the pipe whose number is the first argument; then come the limits: bytes of memory and milliseconds."""
+    number, memory_bytes, milliseconds = (int(word) for word in sys.argv[1:])
+    connection = Connection(number)
+    bind(memory_bytes)
+    try:
+        with ExternalProcesses(Limits(1e-3 * milliseconds, memory_bytes), one_thread=True) as external:
+            connection.send(Ready())
+            while True:
+                for message in work(connection.recv(), external):
+                    connection.send(message)
+                connection.send(Ready())
+    except (EOFError, BrokenPipeError, ConnectionResetError):
+        # The parent is gone, or needs this worker no more.
+        return
 
 
 class Pool:
@@ -88,7 +114,7 @@ class _Worker:
         self._output: IO[bytes] = tempfile.TemporaryFile()  # noqa: SIM115  (closed by end())
         self.connection, theirs = Pipe()
         numbers = (theirs.fileno(), limits.memory_bytes, round(1e3 * limits.seconds))
-        self.process = started("cellslam.benchmarks.sweeps.worker", numbers, numbers[:1], self._output, True)
+        self.process = started(__name__, numbers, numbers[:1], self._output, True)
         theirs.close()
         self._deadline = time.monotonic() + START_LIMIT_S
 

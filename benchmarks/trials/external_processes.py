@@ -1,6 +1,9 @@
-"""External estimators, each in a process of its own, seen from the process that scores them.
+"""External estimators, each in a process of its own: both ends of the pipes between it and the process that scores.
 
-Nothing of theirs is imported or unpickled here: numbers arrive, and are checked as every estimator's answers are.
+What the estimator's process reads (`main`) comes from cellslam and is pickled. What it writes comes from anyone's code
+and is data alone: messages of `answers.encoded`, each after its length in eight bytes. So the scoring process imports
+and unpickles nothing of theirs: numbers arrive, and are checked as every estimator's answers are. Its own buffer holds
+a message that has arrived in part, since to wait for the rest could take longer than the limit of time.
 """
 
 from __future__ import annotations
@@ -12,20 +15,21 @@ import signal
 import sys
 import threading
 import time
-from collections.abc import Generator, Iterator, Sequence
+from collections.abc import Callable, Generator, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import replace
+from functools import lru_cache
 from multiprocessing.connection import wait
 from typing import Any
 
 import numpy as np
 
 from cellslam.benchmarks.scores.trial_result import TrialResult
-from cellslam.benchmarks.trials.answers import Columns, decoded, plain_remarks
-from cellslam.benchmarks.trials.child_process import POLL_S, START_LIMIT_S, Limits, ending, shares, started
-from cellslam.benchmarks.trials.estimation import Answer, collected
-from cellslam.benchmarks.trials.failures import ExternalError, LostError
-from cellslam.scenarios.estimator_options import Request
+from cellslam.benchmarks.trials.answers import Columns, decoded, encoded, plain_remarks
+from cellslam.benchmarks.trials.child_process import POLL_S, START_LIMIT_S, Limits, bind, ending, shares, started
+from cellslam.benchmarks.trials.estimation import Answer, answers, collected, warm_up
+from cellslam.benchmarks.trials.failures import ExternalError, LostError, details, explained
+from cellslam.scenarios.estimator_options import Request, loaded
 from cellslam.sim.errors import one_line
 from cellslam.sim.progress import Progress, silent
 from cellslam.sim.recording import Recording
@@ -114,9 +118,7 @@ class _Process:
         theirs, self._requests = os.pipe()
         self._replies, answering = os.pipe()
         arguments = (theirs, answering, limits.memory_bytes)
-        self.process = started(
-            "cellslam.benchmarks.trials.external_process", arguments, arguments[:2], STDERR, one_thread
-        )
+        self.process = started(__name__, arguments, arguments[:2], STDERR, one_thread)
         os.close(theirs)
         os.close(answering)
         self._writing = threading.Thread(target=_write, args=(self._requests, (name, sys.path)), daemon=True)
@@ -195,3 +197,42 @@ def _write(pipe: int, message: Any) -> None:
     with suppress(OSError):
         while rest:
             rest = rest[os.write(pipe, rest) :]
+
+
+def main() -> None:
+    """Serve the pipes whose numbers are the first two arguments; the third is the limit of memory in bytes."""
+    requests, replies = os.fdopen(int(sys.argv[1]), "rb"), os.fdopen(int(sys.argv[2]), "wb")
+    bind(int(sys.argv[3]))
+
+    def reply(header: dict[str, Any], columns: dict[str, Any]) -> None:
+        message = encoded(header, columns)
+        replies.write(len(message).to_bytes(8, "little") + message)
+        replies.flush()
+
+    try:
+        reply({}, {})
+        name, path = pickle.load(requests)
+        sys.path += [place for place in path if place and place not in sys.path]
+        while True:
+            options, drive = pickle.load(requests)
+            _serve(name, options, drive, reply)
+    finally:  # nothing that the estimator has left, a thread or a handler, keeps this process
+        os._exit(1)
+
+
+def _serve(name: str, options: str, drive: Any, reply: Callable[..., None]) -> None:
+    """Reply when the estimator is compiled, then to each snapshot of a `drive` (recording, generator, map), if any."""
+    try:
+        request = _request(name, options)
+        warm_up(request)
+        reply({}, {})
+        for answer in answers(drive[0], request, *drive[1:]) if drive is not None else ():
+            header = {"seconds": answer.seconds, "remarks": answer.remarks, "peak_memory_mb": answer.peak_memory_mb}
+            reply(header, answer.columns)
+    except BaseException as error:
+        reply({"error": explained(error), "details": details(error)}, {})
+
+
+@lru_cache(maxsize=64)
+def _request(name: str, options: str) -> Request:
+    return loaded(name, json.loads(options) or {})

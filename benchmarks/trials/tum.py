@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from cellslam.sim.recording import Floats
 
@@ -17,15 +18,4 @@ def write_tum(path: str | Path, time_s: Floats, poses: Floats) -> None:
 
 def quaternions(poses: Floats) -> Floats:
     """Return the unit quaternions (T, 4) = [qx, qy, qz, qw], qw >= 0, of poses (T, 6) in m and rad, body to world."""
-    half = 0.5 * poses[:, 3:]
-    (cz, cy, cx), (sz, sy, sx) = np.cos(half).T, np.sin(half).T
-    q = np.stack(
-        [
-            sx * cy * cz - cx * sy * sz,
-            cx * sy * cz + sx * cy * sz,
-            cx * cy * sz - sx * sy * cz,
-            cx * cy * cz + sx * sy * sz,
-        ],
-        axis=-1,
-    )
-    return np.asarray(np.where(q[:, 3:] < 0, -q, q))
+    return np.asarray(Rotation.from_euler("ZYX", poses[:, 3:]).as_quat(canonical=True))

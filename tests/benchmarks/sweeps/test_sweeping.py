@@ -105,13 +105,6 @@ def test_a_world_is_made_once_for_all_estimators(place: Path, monkeypatch: pytes
     assert made == [(0, 0.1), (0, 0.2), (1, 0.1), (1, 0.2)]
 
 
-def test_a_world_that_cannot_be_made_fails_its_rows(place: Path) -> None:
-    more = ("--sweep", "vehicle.acceleration_mps2=0.6,0.05", "--executor", "serial")
-    assert main(words("dead-reckoning", trials=1, more=more)) == 1
-    failed = [row for row in rows("out") if row["status"] == "failed"]
-    assert len(failed) == 1 and failed[0]["error"].startswith("the world cannot be made: ")
-
-
 def test_a_bound_that_cannot_be_computed_leaves_nulls_and_a_note(place: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     from cellslam.benchmarks.bound import merged_paths
 

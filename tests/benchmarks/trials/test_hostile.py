@@ -7,6 +7,7 @@ import json
 import sqlite3
 import sys
 from collections.abc import Callable, Iterator
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -28,7 +29,7 @@ from tests.short_drive import SET, SHORT
 
 FILE = Path(__file__).with_name("hostile_estimators.py")
 MODULE = "hostile_estimators"
-GIB = 2**30
+LIMITS = Limits(2.5, 3 * 2**29)
 # Of all those in the module, the ones that are driven through the commands; and those that need their process to end.
 COMMANDS = ("Surrogate", "NoWords", "Long", "OwnBase", "Exits", "Garbage", "Far", "TwoDimensionalIds")
 PROCESSES = (
@@ -57,9 +58,10 @@ def place(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     return tmp_path
 
 
-@pytest.fixture
+@pytest.fixture(scope="module")
 def external() -> Iterator[ExternalProcesses]:
-    with ExternalProcesses(Limits(2.5, int(1.5 * GIB)), one_thread=True) as opened:
+    """Shared: the process of `Good` must outlive what happens to the others."""
+    with ExternalProcesses(LIMITS, one_thread=True) as opened:
         yield opened
 
 
@@ -75,6 +77,12 @@ def plain(row: dict[str, Any]) -> dict[str, Any]:
     return {key: None if value != value else value for key, value in row.items()}
 
 
+@cache
+def alone() -> list[dict[str, Any]]:
+    """Return the rows of `Good` and of dead reckoning without the hostile ones."""
+    return run_trials("tiny", [f"{MODULE}:Good", "dead-reckoning"], overrides=SET).to_dict("records")
+
+
 def check(rows: list[dict[str, Any]]) -> None:
     """The hostile ones have failed in one line each; who answers rightly has the row that `Good` has, without them."""
     found = {row["estimator"].removeprefix(f"{MODULE}:"): row for row in rows}
@@ -82,8 +90,7 @@ def check(rows: list[dict[str, Any]]) -> None:
         error = found[name]["error"]
         assert found[name]["status"] == "failed" and WORDS[name] in error, (name, error)
         assert "\n" not in error and len(error) < 5000
-    alone = run_trials("tiny", [f"{MODULE}:Good", "dead-reckoning"], overrides=SET).to_dict("records")
-    good, dead = (plain(steady(row)) for row in alone)
+    good, dead = (plain(steady(row)) for row in alone())
     assert good["status"] == "ok" and good["position_rmse_m"] > 0.0
     assert steady(found["dead-reckoning"]) == dead
     for name in found.keys() & {"Good", *HOSTILE.HARMLESS}:
@@ -156,13 +163,14 @@ def test_the_same_process_is_used_again_after_an_error_that_it_reports(
 
 
 def test_no_more_processes_than_allowed(
-    place: Path, external: ExternalProcesses, toy_recording: Callable[..., Recording], monkeypatch: pytest.MonkeyPatch
+    place: Path, toy_recording: Callable[..., Recording], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(external_processes, "MOST_PROCESSES", 1)
     names = ("Good", "Mutates", "Good")
     asked_for = [external_request(f"{MODULE}:{name}", None, False) for name in names]
-    outcomes = score_recording(toy_recording(), "toy", asked_for, 0, 0, external).outcomes
-    assert [outcome.row["status"] for outcome in outcomes] == ["ok"] * 3 and len(external._alive) == 1
+    with ExternalProcesses(LIMITS, one_thread=True) as external:
+        outcomes = score_recording(toy_recording(), "toy", asked_for, 0, 0, external).outcomes
+        assert [outcome.row["status"] for outcome in outcomes] == ["ok"] * 3 and len(external._alive) == 1
 
 
 IMPORTS = {
