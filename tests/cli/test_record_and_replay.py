@@ -7,7 +7,6 @@ from typing import Any
 
 import h5py
 import numpy as np
-
 import pytest
 
 from cellslam.benchmarks import run as run_trials
