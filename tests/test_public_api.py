@@ -77,6 +77,7 @@ def test_reprs_are_short_and_tell_something(recording: cellslam.Recording) -> No
         assert "<" not in repr(thing) or " of " in repr(thing)
 
 
+@pytest.mark.slow
 def test_run_takes_a_class_of_ones_own_and_a_lone_name(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     (tmp_path / "standing_still.py").write_text(STAYS)
     monkeypatch.syspath_prepend(tmp_path)
@@ -95,6 +96,7 @@ def test_replay_scores_as_run_does(recording: cellslam.Recording, tmp_path: Path
         assert cellslam.replay(drive, "dead-reckoning")["position_rmse_m"].tolist() == by_run.tolist()
 
 
+@pytest.mark.slow
 def test_sweep_goes_on_where_it_stopped(tmp_path: Path) -> None:
     axes = {"radio.load": [0.0, 0.5]}
     first = cellslam.sweep("tiny", axes, tmp_path, "dead-reckoning", jobs=1)
@@ -131,6 +133,7 @@ def test_the_command_line_is_a_module_too() -> None:
     assert shown.stdout.startswith("usage: cellslam ")
 
 
+@pytest.mark.slow
 def test_a_trial_shows_itself_and_has_figures_and_arrays_by_name() -> None:
     trial = cellslam.trial("tiny", ["ekf-slam", "dead-reckoning"], seed=1)
     rows = cellslam.run("tiny", ["ekf-slam", "dead-reckoning"], seed=1)

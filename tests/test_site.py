@@ -103,6 +103,7 @@ def test_commands_of_the_gallery_parse() -> None:
     assert all((DOCS / "images" / f"{name}.png").is_file() for name in draw_gallery.GALLERY | draw_gallery.OTHERS)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("page", RUN)
 def test_code_of_a_page_runs(page: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Commands run in this process, Python in one after the other; a file is what the sentence before it names."""
@@ -124,6 +125,7 @@ def test_code_of_a_page_runs(page: str, tmp_path: Path, monkeypatch: pytest.Monk
             assert main(["run", "page.toml", "--estimator", "dead-reckoning", "--no-figures", "--quiet"]) == 0
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("script", sorted(p.name for p in (DOCS / "notebooks").glob("*.py")))
 def test_notebooks_run(script: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     pyplot = pytest.importorskip("matplotlib.pyplot")

@@ -49,6 +49,7 @@ def wheel(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return built
 
 
+@pytest.mark.slow
 def test_wheel_holds_every_module_preset_and_type_marker(wheel: Path) -> None:
     held = set(zipfile.ZipFile(wheel).namelist())
     rooms = ("sim", "slam", "scenarios", "benchmarks")
@@ -62,6 +63,7 @@ def test_wheel_holds_every_module_preset_and_type_marker(wheel: Path) -> None:
     assert not [name for name in held if name.split("/")[0] in (*rooms, "tests", "docs")]
 
 
+@pytest.mark.slow
 def test_installed_wheel_runs_from_an_empty_directory(wheel: Path, tmp_path: Path) -> None:
     home, empty = tmp_path / "environment", tmp_path / "empty"
     venv.create(home, with_pip=False)

@@ -24,6 +24,7 @@ def receivers(tmp_path):
     return tmp_path / "rx.csv"
 
 
+@pytest.mark.slow
 def test_trace_writes_what_trace_returns(tmp_path, receivers, capsys):
     out = tmp_path / "paths.csv"
     words = ["city", "trace", "tiny", "--bs", "-97.8,150.7,34.1", "--bs=17.3,-45.3,32.4", "--rx", str(receivers)]
@@ -94,6 +95,7 @@ def test_wrong_receivers(tmp_path, capsys, content, says):
     assert says in capsys.readouterr().err
 
 
+@pytest.mark.slow
 def test_generate_then_inspect(tmp_path, capsys):
     out = tmp_path / "made"
     keys = ["--set", "extent_m=180", "--set", "block_size_m=80", "--set", "shop_share=0.5"]
@@ -117,6 +119,7 @@ def test_generate_then_inspect(tmp_path, capsys):
     assert {"rays.png", "rays-view.png", "rays.html"} < {path.name for path in (tmp_path / "ran").iterdir()}
 
 
+@pytest.mark.slow
 def test_a_hundred_thousand_receivers_in_munich_need_less_than_a_gigabyte():
     # A parent that has been larger than the limit says nothing about its child.
     np.ones(150_000_000)

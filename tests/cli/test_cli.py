@@ -71,6 +71,7 @@ def left_over(folder: Path) -> set[str]:
     return {path.name for path in folder.iterdir()} - {"cli_plugin.py", "__pycache__"}
 
 
+@pytest.mark.slow
 def test_run_prints_a_table_and_writes_the_results(cellslam: Any, tmp_path: Path) -> None:
     done = cellslam("run", "tiny", *FEW)
     assert done.status == 0
@@ -98,6 +99,7 @@ def test_run_prints_a_table_and_writes_the_results(cellslam: Any, tmp_path: Path
         assert (folder / f"{figure}.png").read_bytes().startswith(b"\x89PNG")
 
 
+@pytest.mark.slow
 def test_json_is_one_array_and_nothing_else(cellslam: Any, tmp_path: Path) -> None:
     done = cellslam("run", "tiny", *FEW, "--json", "--trials", "2", "--seed", "3", "--no-figures", "--out", "here")
     rows = done.rows
@@ -116,6 +118,7 @@ def test_json_is_one_array_and_nothing_else(cellslam: Any, tmp_path: Path) -> No
     assert not list((tmp_path / "here").glob("*.png"))
 
 
+@pytest.mark.slow
 def test_what_an_earlier_run_left_does_not_stand_beside_another_summary(cellslam: Any, tmp_path: Path) -> None:
     folder = tmp_path / "results" / "tiny-0"
     cellslam("run", "tiny", "--estimator", "dead-reckoning", "--trials", "2")
@@ -134,6 +137,7 @@ def test_own_estimator_from_the_current_directory(cellslam: Any, plugin: Path) -
     assert (plugin / "results" / "tiny-0" / "trajectory-cli_plugin_Mine.tum").exists()
 
 
+@pytest.mark.slow
 def test_failing_estimator_gives_status_1_and_its_reason(cellslam: Any, plugin: Path) -> None:
     names = ("--estimator", "cli_plugin:Fails", "--estimator", "cli_plugin:Mine")
     done = cellslam("run", "tiny", *names, "--json", "--no-figures")
@@ -231,6 +235,7 @@ def test_show_and_list(cellslam: Any) -> None:
     assert "fastslam" in estimators.out and "dead-reckoning" in estimators.out
 
 
+@pytest.mark.slow
 def test_quiet_and_verbose_stand_before_a_command_or_after_it(cellslam: Any) -> None:
     for words in (("--verbose", "show", "tinny"), ("show", "tinny", "--verbose")):
         assert "Traceback" in cellslam(*words).err
@@ -253,6 +258,7 @@ def test_help_answers_within_a_third_of_a_second() -> None:
     assert min(seconds() for _ in range(5)) < 0.3
 
 
+@pytest.mark.slow
 def test_installed_command_and_control_c(tmp_path: Path) -> None:
     words = [
         COMMAND,

@@ -22,6 +22,7 @@ def offered(line: str) -> set[str]:
     return {word.strip() for word in ran.stdout.split("\n") if word.strip()}
 
 
+@pytest.mark.slow
 def test_commands_options_scenarios_and_estimators_are_completed() -> None:
     assert offered("cellslam re") == {"reproduce", "report", "record", "replay"}
     assert offered("cellslam run tin") == {"tiny"}
@@ -36,6 +37,7 @@ def test_verbose_adds_the_traceback(capsys: pytest.CaptureFixture[str]) -> None:
     assert "Traceback" in capsys.readouterr().err
 
 
+@pytest.mark.slow
 def test_no_colour_in_pipes_nor_where_none_is_wanted() -> None:
     wanted = {**os.environ, "FORCE_COLOR": "1", "NO_COLOR": "1", "TERM": "xterm"}
     for environment in (dict(os.environ), wanted):

@@ -37,6 +37,7 @@ def rows(capsys: pytest.CaptureFixture[str], *arguments: str) -> list[dict[str, 
     return found
 
 
+@pytest.mark.slow
 def test_run_and_replay_begin_with_what_a_drive_left(
     first: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -55,6 +56,7 @@ def test_run_and_replay_begin_with_what_a_drive_left(
     assert VtMap.load(second).hits.max() > known.hits.max()
 
 
+@pytest.mark.slow
 def test_a_sequence_begins_with_its_earlier_drives(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     given = ("run", "tiny", *KNOWN_CLOCKS, *EKF, "--seed", "72", "--out", str(tmp_path / "a"))
     (alone,), (second,) = rows(capsys, *given), rows(capsys, *given, "--set", "map.drives=2")
@@ -73,6 +75,7 @@ def test_a_world_of_one_car_is_called_as_before_there_were_more() -> None:
     assert load("tiny", {"map.cars": 2}).resolved["map"]["cars"] == 2
 
 
+@pytest.mark.slow
 def test_cars_leave_one_map_together(monkeypatch: pytest.MonkeyPatch) -> None:
     scenario = load("tiny", {"radio.clock_offset_std_m": 0})
     (request,) = resolve(scenario.estimator, ["ekf-slam"])
@@ -132,6 +135,7 @@ def test_requests_that_cannot_be_met_say_why(first: Path, tmp_path: Path, capsys
         assert said in error and error.count("\n") == 1
 
 
+@pytest.mark.slow
 def test_drives_of_a_sequence_are_points_of_a_sweep(tmp_path: Path) -> None:
     given = ("sweep", "tiny", *KNOWN_CLOCKS, "--sweep", "map.drives=1,2", "--estimator", "ekf-slam")
     assert cli.main(["--quiet", *given, "--seed", "72", "--executor", "serial", "--out", str(tmp_path)]) == 0

@@ -7,6 +7,7 @@ from typing import Any
 
 import h5py
 import numpy as np
+import pytest
 
 from cellslam.benchmarks import run as run_trials
 from cellslam.benchmarks.scores.metrics import COST_KEYS, ROW_KEYS
@@ -20,6 +21,7 @@ def steady(rows: list[dict[str, Any]]) -> list[dict[str, Any]]:
     return [{key: value for key, value in row.items() if key not in COST_KEYS} for row in rows]
 
 
+@pytest.mark.slow
 def test_same_seed_same_rows_also_from_python_and_through_a_recording(cellslam: Any, tmp_path: Path) -> None:
     words = ("--json", "--no-figures", "--quiet")
     run = cellslam("run", "tiny", *SHORT, "--seed", "7", *words)
@@ -73,6 +75,7 @@ def test_a_data_set_of_many_drives_goes_on_where_it_ended(cellslam: Any, tmp_pat
     np.testing.assert_array_equal(one.measurements.distance_m, many.measurements.distance_m)
 
 
+@pytest.mark.slow
 def test_recorded_scenario_brings_its_options(cellslam: Any) -> None:
     option = ("--set", f"{DETECTED}=0.7")
     cellslam("record", "tiny", *SHORT, *option, "--out", "c.h5")

@@ -19,6 +19,7 @@ from cellslam.scenarios.known_worlds.known_world import Entry
 WORDS = ("reproduce", "phd-slam-3", "--executor", "serial", "--no-trajectories", "--seed", "5", "--trials")
 
 
+@pytest.mark.slow
 def test_figures_are_printed_kept_and_not_made_again(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -55,6 +56,7 @@ def test_unknown_worlds_are_named(capsys: pytest.CaptureFixture[str]) -> None:
     assert "did you mean 'bp-slam-testbed'" in capsys.readouterr().err
 
 
+@pytest.mark.slow
 def test_paper_prints_the_ladder_and_draws_the_figures(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

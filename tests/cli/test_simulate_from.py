@@ -60,6 +60,7 @@ def test_paths_feed_the_front_end(places: Path, own: Recording, name: str, more:
     assert np.allclose(said, t.site_positions_m)
 
 
+@pytest.mark.slow
 def test_a_recording_of_paths_is_replayed(places: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     out = tmp_path / "a.h5"
     words = ["simulate-from", str(places / "p.npz"), "tiny", "--polarisation", "VH", "--out", str(out), "--seed", "3"]

@@ -9,6 +9,7 @@ import pytest
 from cellslam.cli.main import main
 
 
+@pytest.mark.slow
 def test_picture_of_a_snapshot(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
     out = tmp_path / "one.png"
     assert main(["bench", "snapshot", "tiny", "--at", "3", "--out", str(out), "--quiet"]) == 0

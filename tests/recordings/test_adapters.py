@@ -118,6 +118,7 @@ def rmse(recording: Recording, name: str, **options: object) -> tuple[float, flo
     return float(scores["position_rmse_m"] or np.nan), float(seconds / result.estimate_seconds)
 
 
+@pytest.mark.slow
 def test_filters_beat_dead_reckoning_tenfold_among_500_trees(park: Recording) -> None:
     """CELLSLAM_VEHICLE_S=3600 makes it the drive of an hour."""
     reckoned, _ = rmse(park, "dead-reckoning")
@@ -126,6 +127,7 @@ def test_filters_beat_dead_reckoning_tenfold_among_500_trees(park: Recording) ->
     assert speed > 10.0, speed
 
 
+@pytest.mark.slow
 def test_ekf_slam_among_500_trees(park: Recording) -> None:
     reckoned, _ = rmse(park, "dead-reckoning")
     slam, _ = rmse(park, "ekf-slam", vts=600, **FITTED)

@@ -329,6 +329,7 @@ def sound_h5(tmp_path_factory: pytest.TempPathFactory) -> bytes:
     return path.read_bytes()
 
 
+@pytest.mark.slow
 @settings(QUIET, max_examples=max(EXAMPLES // 3, 1))  # each is first read by a process of its own
 @given(data=st.data())
 def test_any_damage_to_an_hdf5_file_is_refused_in_one_line(

@@ -143,6 +143,7 @@ def test_one_drive_of_the_estimator_for_all_formats(
     assert "2 --format and 1 --out" in capsys.readouterr().err
 
 
+@pytest.mark.slow
 def test_another_data_sheet_needs_no_new_import(
     drive: Path, capsys: pytest.CaptureFixture[str], tmp_path: Path
 ) -> None:

@@ -109,6 +109,7 @@ def with_sheet(world: Recording, speed: float, turn: float) -> Recording:
     return dataclasses.replace(world, odometry_model=dataclasses.replace(world.odometry_model, noise_density=density))
 
 
+@pytest.mark.slow
 def test_odometry_and_noise_are_learnt_whatever_the_sheet_says(learnt: Learnt) -> None:
     speed, turn = learnt.odometry_model.noise_density[[0, 3]] / BURSTS
     assert speed == pytest.approx(SPEED_NOISE, rel=0.3)
@@ -126,6 +127,7 @@ def test_what_was_told_wrong_is_said(learnt: Learnt) -> None:
     assert "white noise" not in text
 
 
+@pytest.mark.slow
 def test_nothing_is_learnt_where_offsets_are_never_resolved(world: Recording) -> None:
     """Azimuths alone do not tell an offset of 150 m."""
     few = thin(world)
@@ -136,6 +138,7 @@ def test_nothing_is_learnt_where_offsets_are_never_resolved(world: Recording) ->
     np.testing.assert_array_equal(found.odometry_model.noise_density, world.odometry_model.noise_density)
 
 
+@pytest.mark.slow
 def test_one_command_learns_and_replays(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """Without an option a measured recording is fitted first; the tables that this leaves can be given again."""
     drive, mistold = tmp_path / "a.h5", with_sheet(winding(1000), 5.0 * SPEED_NOISE, 0.2 * TURN_NOISE)

@@ -212,6 +212,7 @@ def recorded(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return path
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", ["mat", "csv"])
 def test_round_trip_gives_the_same_measurements_and_rows(
     kind: str, recorded: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]

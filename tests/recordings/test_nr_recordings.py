@@ -14,6 +14,7 @@ from cellslam.sim.recording import Recording
 KEYS = {"technology": "nr", "carrier_hz": 3.5e9, "numerology": 1, "prs_comb": 12, "prs_symbols": 12}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("front_end", "blocks", "noise_m"), [("statistical", 272, 0.00185), ("signal", 48, 0.0249)])
 def test_a_recording_keeps_the_resource(
     front_end: str, blocks: int, noise_m: float, tmp_path: Path, capfd: pytest.CaptureFixture[str]

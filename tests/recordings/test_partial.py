@@ -197,6 +197,7 @@ def test_the_start_is_fitted_to_the_reference() -> None:
     assert recording.start_pose[3] == pytest.approx(heading, abs=0.01)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "columns"),
     [

@@ -64,11 +64,13 @@ def cellular() -> Recording:
     return build(worlds().cellular(0))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("world", ["hall", "beacons", "trees", "cellular"])
 def test_sound_campaigns_raise_nothing(world: str) -> None:
     assert suspicions(build(campaign(world))) == []
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("mistake", "world"), HARD)
 def test_a_mistake_is_named(mistake: str, world: str) -> None:
     plant, kinds = worlds().MISTAKES[mistake]

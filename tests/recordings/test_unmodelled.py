@@ -28,6 +28,7 @@ def studies(monkeypatch: pytest.MonkeyPatch) -> Any:
     return importlib.import_module
 
 
+@pytest.mark.slow
 def test_few_wide_measurements_beat_odometry(studies: Any) -> None:
     """45 places, angles of three degrees: in nearly every drive, and by 0.6 on the whole."""
     study = studies("study_worlds")
@@ -37,6 +38,7 @@ def test_few_wide_measurements_beat_odometry(studies: Any) -> None:
     assert np.sqrt(np.mean(own**2)) < 0.6 * np.sqrt(np.mean(alone**2))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", [1001, 2001, 2004])
 def test_ranges_to_polled_beacons_beat_odometry(studies: Any, seed: int) -> None:
     study = studies("study_worlds")
@@ -49,6 +51,7 @@ FACTORS = {"hall": 5.0, "hall with an arm": 0.2, "places": 5.0, "beacons": 0.2, 
            "cellular": 5.0, "surveyed": 0.2}  # fmt: skip
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", FACTORS)
 def test_what_is_learnt_does_no_harm(studies: Any, name: str) -> None:
     """Campaigns of nearly all kinds by data sheets that are wrong by a factor of five, as they are and fitted."""

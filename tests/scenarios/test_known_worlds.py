@@ -86,6 +86,7 @@ def test_names_and_published_figures() -> None:
         known_world("phd-slam")
 
 
+@pytest.mark.slow
 def test_bp_slam_meets_its_own_test_bed() -> None:
     """Published: 0.08 m. Anchors are known, all else begins as lone distances with guesses all around."""
     entry, found = bp_slam_testbed.WORLD.entries[0], []

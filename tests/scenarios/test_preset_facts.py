@@ -43,6 +43,7 @@ def test_facts_by_hand() -> None:
     assert facts.measurements_per_snapshot == pytest.approx(2.5)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["lund-530", "lund-nr", "tiny"])
 def test_presets_state_what_is_measured(name: str) -> None:
     scenario = load(name)
@@ -75,6 +76,7 @@ def test_drives_are_the_same_with_another_receiver(name: str, other: str) -> Non
     assert one.radio.clock_offset_std_m == another.radio.clock_offset_std_m == 150.0
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["lund-nr", "munich-nr"])
 def test_near_and_far_cells_of_nr_share_no_elements(name: str) -> None:
     scenario = load(name)

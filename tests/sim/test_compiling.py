@@ -58,6 +58,7 @@ def called(package: Path) -> tuple[float, int]:
     return float(number), int(hits)
 
 
+@pytest.mark.slow
 def test_edit_of_a_callee_in_another_file_is_noticed(package: Path) -> None:
     before, hits = called(package)
     assert (before, hits) == (pytest.approx(4.0 - 2.0 * 3.141592653589793), 0)
@@ -69,6 +70,7 @@ def test_edit_of_a_callee_in_another_file_is_noticed(package: Path) -> None:
     assert called(package) == (pytest.approx(100.0 + before), 0)
 
 
+@pytest.mark.slow
 def test_a_copy_of_the_sources_finds_what_was_compiled(package: Path) -> None:
     before, hits = called(package)
     other = copy_of_sim(package.parents[1] / "two" / "cellslam")

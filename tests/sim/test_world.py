@@ -92,6 +92,7 @@ def test_measuring_pose_by_pose_gives_the_recording(recording: Recording) -> Non
             np.testing.assert_allclose(getattr(one, name), getattr(m, name)[rows], rtol=0.0, atol=1e-9)
 
 
+@pytest.mark.slow
 def test_signal_front_end_gives_the_recording_pose_by_pose(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("tempfile.gettempdir", lambda: str(tmp_path))
     config = small_world(front_end="signal")

@@ -127,6 +127,7 @@ def batch(snapshots: list[Snapshot], poses: Floats) -> tuple[Floats, Floats]:
     return x[:2], np.linalg.inv(information)[:2, :2]
 
 
+@pytest.mark.slow
 def test_offset_and_rate_are_found_as_a_batch_does() -> None:
     snapshots, poses = drive()
     mean, cov = batch(snapshots, poses)

@@ -43,6 +43,7 @@ def answer(recording: Recording, name: str, **options: Any) -> TrialResult:
     return estimate(recording, request, np.random.default_rng(0))
 
 
+@pytest.mark.slow
 def test_reaches_the_bound_where_errors_are_white(white_drive: Recording) -> None:
     limit = bound(white_drive)
     for name in ("ekf-slam", "oracle-association"):
@@ -62,6 +63,7 @@ def test_known_map_is_better_than_none(white_drive: Recording) -> None:
     assert known["clock_offset_rmse_m"] < 0.5
 
 
+@pytest.mark.slow
 def test_the_start_finds_the_offset_by_exact_measurements() -> None:
     """Where births counted, it was wrong by up to a hundred deviations in three of these four drives."""
     scenario = load("noiseless", {"vehicle.distance_m": 15.0, "vehicle.duration_s": 20.0, "vehicle.stops": 0})
@@ -76,6 +78,7 @@ def test_the_start_finds_the_offset_by_exact_measurements() -> None:
         assert abs(apart[0]) < 5.0
 
 
+@pytest.mark.slow
 def test_map_stays_bounded() -> None:
     few = EkfSlamOptions(vts=12, start_limit_s=3.0, sharing="none")
     estimator, recording = EkfSlam(few), tiny_drive()

@@ -131,6 +131,7 @@ def rmse(recording: Recording, name: str, *missing: str, **options: int) -> floa
     return float(score(part, estimate(part, request, np.random.default_rng(0)), None)["position_rmse_m"])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("hypotheses", "missing"),
     [(1, "elevation_rad"), (1000, "elevation_rad"), (1000, "distance_m")],
@@ -142,6 +143,7 @@ def test_little_of_the_error_of_dead_reckoning_is_left_without(
     assert rmse(drifting, "ekf-slam", missing, hypotheses=hypotheses) < 0.6 * rmse(drifting, "dead-reckoning")
 
 
+@pytest.mark.slow
 def test_distances_alone_do_no_harm(drifting: Recording) -> None:
     missing = ("azimuth_rad", "elevation_rad")
     assert rmse(drifting, "ekf-slam", *missing) < 1.1 * rmse(drifting, "dead-reckoning")

@@ -30,6 +30,7 @@ def poses(name, recording):
     return np.array([estimator.step(dt, u, s).pose for dt, u, s in steps])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["ekf-slam", "fastslam"])
 def test_all_stressors_on_any_number_of_threads(stressed, monkeypatch, name):
     found = []

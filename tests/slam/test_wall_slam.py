@@ -163,6 +163,7 @@ def test_a_pair_waits_while_another_one_is_as_likely(one_filter):
     assert best_pair(f, images[1:], np.arange(2), FLAT, 3.0) is None  # these two are not one wall
 
 
+@pytest.mark.slow
 def test_imposing_leaves_the_filter_consistent(one_filter):
     """Mean NEES of all VTs, over draws of their errors and of how flat the wall is."""
     rng, squares = np.random.default_rng(5), []
@@ -373,6 +374,7 @@ def driven(recording, **options):
     return walls, answers[-1]
 
 
+@pytest.mark.slow
 def test_vts_in_sight_stay_whatever_is_known_of_their_walls(street, monkeypatch):
     _, last = driven(street)
     monkeypatch.setattr(Facades, "not_met", lambda _, f: f.slots[: f.count[0], IDENT].tolist())

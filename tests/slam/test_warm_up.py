@@ -32,6 +32,7 @@ print([name for name, count in compiled().items() if count != before.get(name, 0
 """
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["ekf-slam", "bp-slam", "fastslam", "paper-fastslam", "phd-slam"])
 def test_nothing_is_left_to_compile(name: str) -> None:
     done = subprocess.run([sys.executable, "-P", "-c", DRIVE, name], capture_output=True, text=True)

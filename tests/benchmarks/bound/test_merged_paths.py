@@ -113,6 +113,7 @@ def squared_at_the_end(recordings: list[Recording], merging: Cause | None = None
     return sum(nees(np.zeros_like(b.pose_error), b.pose_error, b.pose_covariance)[-1] for b in found)
 
 
+@pytest.mark.slow
 def test_the_filter_of_the_bound_errs_as_the_bound_says(drives):
     low, high = chi2.ppf([1 / ONE_IN, 1 - 1 / ONE_IN], 2 * len(drives))
     assert low < squared_at_the_end(drives) < high

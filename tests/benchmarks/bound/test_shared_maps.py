@@ -103,6 +103,7 @@ def test_walls_are_points_that_are_mirrored(drives):
         assert result.position_rmse_m < plain.position_rmse_m
 
 
+@pytest.mark.slow
 def test_what_the_filter_errs_fits_what_it_is_sure_of(make_recording, drives):
     """The second drive's filter, with the errors of map and measurements as they were drawn: NEES of 2 on average."""
     squares = []

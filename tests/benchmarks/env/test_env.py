@@ -30,6 +30,7 @@ def made(**words: Any) -> Any:
     return gym.make(NAME, **words).unwrapped
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", [NAME, f"cellslam.benchmarks.env:{NAME}", ACTIVE, f"cellslam.benchmarks.env:{ACTIVE}"])
 def test_passes_the_checker_without_warnings(name: str) -> None:
     with warnings.catch_warnings():
@@ -75,6 +76,7 @@ def test_truth_is_in_info_alone_and_rewards_are_errors() -> None:
     assert not cut
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["ekf-slam", "dead-reckoning"])
 def test_estimator_in_the_environment_is_the_estimator_of_run(name: str) -> None:
     scenario = load("tiny")
@@ -132,6 +134,7 @@ def test_fast_enough_in_lund() -> None:
     assert 1000 / (time.perf_counter() - begin) > 500
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("mode", ["sync", "async"])
 @pytest.mark.parametrize(("name", "key", "shape"), [(NAME, "paths", (2, 128, 7)), (ACTIVE, "route", (2, 10, 2))])
 def test_vectorises(mode: Any, name: str, key: str, shape: tuple[int, ...]) -> None:
@@ -152,6 +155,7 @@ def pursuit(seen: Any) -> Any:
     return np.array([np.clip(np.arctan2(2.0 * 2.9 * y, x * x + y * y) / 0.6, -1, 1), 0.0])
 
 
+@pytest.mark.slow
 def test_a_planner_arrives() -> None:
     env = gym.make(ACTIVE, drives=1, render_mode="rgb_array").unwrapped
     total, lengths = [], []

@@ -58,6 +58,7 @@ def folder(tmp_path: Path, toy_recording: Callable[..., Recording]) -> Path:
     return tmp_path / "sweep"
 
 
+@pytest.mark.slow
 def test_every_figure_is_drawn_as_png_and_pdf(folder: Path, tmp_path: Path) -> None:
     written = draw_sweep(folder, tmp_path / "out", Look(metric="position_rmse_m", statistic="rmse"))
     assert {path.name for path in written} == {f"{name}.{kind}" for name in ALL for kind in ("png", "pdf")}
@@ -100,6 +101,7 @@ def test_worlds_that_differ_in_more_than_x_have_bounds_of_their_own(folder: Path
     assert [list(points) for points in bounds.values()] == [[0.01], [1.0]]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("other", [2.0, "a text"])
 def test_a_world_without_the_swept_key_stands_apart(folder: Path, tmp_path: Path, other: float | str) -> None:
     points = sweep.points(sweep.from_tables({"scenario": "tiny", "grid": {"radio.load": [0.5]}}), ("fastslam",))
@@ -124,6 +126,7 @@ def test_a_world_without_the_swept_key_stands_apart(folder: Path, tmp_path: Path
     assert {path.stem for path in draw_sweep(folder, tmp_path / "out", Look())} >= {"sweep", "error_cdf", "ranks"}
 
 
+@pytest.mark.slow
 def test_command_writes_into_the_folder(folder: Path, capfd: pytest.CaptureFixture[str]) -> None:
     assert main(["figures", str(folder), "--x", "radio.load", "--statistic", "q90"]) == 0
     assert {path.stem for path in (folder / "figures").iterdir()} == ALL

@@ -51,6 +51,7 @@ def test_map_shows_vehicles_and_where_sites_are_behind_them(busy: Recording) -> 
     assert {"vehicles, half-way", "a site behind a vehicle"} <= set(labels)
 
 
+@pytest.mark.slow
 def test_playback_moves_the_vehicles_also_where_the_world_is_not_known(busy: Recording) -> None:
     traffic = traffic_of(busy)
     assert traffic is not None

@@ -150,6 +150,7 @@ def test_clock_figure_shows_estimate_band_and_truth(scene):
     assert not clock.draw(Figure(), scene.recording, reckoning)
 
 
+@pytest.mark.slow
 def test_all_figures_are_written(scene, tmp_path):
     city, recording = scene.city, scene.recording
     written = draw_all(city, recording, scene.results, scene.bound, tmp_path, formats=("png", "pdf"))

@@ -59,6 +59,7 @@ def said(folder: Path) -> dict[str, Any]:
     return content(folder, Choice(worst=2, estimators=("fastslam",)), silent)
 
 
+@pytest.mark.slow
 def test_summary_and_curves_hold_the_medians(folder: Path, said: dict[str, Any]) -> None:
     frame = results(folder)
     ok = frame[frame["status"] == "ok"]
@@ -96,6 +97,7 @@ def test_an_estimator_has_its_colour(said: dict[str, Any]) -> None:
     assert shades[0] == to_hex(colour_of("fastslam")) and len(set(shades)) == 2
 
 
+@pytest.mark.slow
 def test_curves_can_go_along_options(folder: Path, tmp_path: Path) -> None:
     data = load(folder)
     assert curve_keys(data) == {"radio.load": True, PARTICLES: True}

@@ -95,6 +95,7 @@ def test_rays_of_a_city_are_told_apart_by_kind_and_thinned(tmp_path: Path, monke
     assert fewer["time"] == list(range(0, len(receivers), 3)) and len(fewer["scene"]["rays"]) == len(fewer["time"])
 
 
+@pytest.mark.slow
 def test_a_run_can_be_reported_and_keeps_what_was_there(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
     words = ["run", "tiny", "--no-figures", "--trials", "2", "--out", str(tmp_path / "o")]
     words += [word for key, value in SHORT.items() for word in ("--set", f"{key}={value}")]

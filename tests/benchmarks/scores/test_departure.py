@@ -75,6 +75,7 @@ def test_what_speaks_against_an_estimate_is_said(toy_recording: Toy) -> None:
     assert worse_than_odometry(unscored, result_of(drive.truth.poses + steps), alone) == [away]
 
 
+@pytest.mark.slow
 def test_replay_and_inspect_say_it(
     toy_recording: Toy, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

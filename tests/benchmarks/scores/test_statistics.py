@@ -30,6 +30,7 @@ def coverage(name: str, count: int, repetitions: int, monkeypatch: pytest.Monkey
     return inside / repetitions
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", TRUTH)
 def test_bootstrap_intervals_cover(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
     # Of 1000 intervals, 93 to 97 % hold the truth: an interval that covers 95 % fails this in 0.4 % of all seeds.
@@ -61,6 +62,7 @@ def test_efficiency_ratio_is_of_mean_squares_and_its_interval_covers(monkeypatch
     assert 0.79 < np.mean(medians) < 0.87
 
 
+@pytest.mark.slow
 def test_paired_test_has_the_false_alarm_rate_it_states() -> None:
     rng, repetitions = np.random.default_rng(12), 2000
     alarms = 0

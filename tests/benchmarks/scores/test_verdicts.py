@@ -50,6 +50,7 @@ def test_holm_multiplies_the_least_by_all_and_never_falls() -> None:
     assert holm([]).tolist() == []
 
 
+@pytest.mark.slow
 def test_chance_tells_a_pair_apart_as_seldom_as_stated() -> None:
     drawn = np.random.default_rng(8)
     seen = [verdict({f"{i}": drawn.normal(size=20) for i in range(5)}) for _ in range(200)]

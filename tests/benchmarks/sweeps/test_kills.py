@@ -42,6 +42,7 @@ def undisturbed(tmp_path_factory: pytest.TempPathFactory) -> list[dict[str, Any]
     return rows(folder / "out")
 
 
+@pytest.mark.slow
 def test_kills_lose_at_most_what_was_in_flight(place: Path, undisturbed: list[dict[str, Any]]) -> None:
     """A worker, then the driver, are killed at random moments, again and again; what is resumed ends undisturbed."""
     draw, kills, stores = random.Random(5), {"worker": 0, "driver": 0}, 0
@@ -109,6 +110,7 @@ def test_killed_workers_cost_nothing(place: Path, undisturbed: list[dict[str, An
         assert rows(out) == undisturbed
 
 
+@pytest.mark.slow
 def test_workers_end_with_a_killed_driver(place: Path) -> None:
     driver = start(words("misfits:Hangs", trials=2, more=("--jobs", "2")))
     wait_for(lambda: len(psutil.Process(driver.pid).children()) == 2, driver)
@@ -120,6 +122,7 @@ def test_workers_end_with_a_killed_driver(place: Path) -> None:
     assert len(gone) == 2 and not alive
 
 
+@pytest.mark.slow
 def test_dask_gives_the_same_rows_though_a_worker_is_killed(place: Path, undisturbed: list[dict[str, Any]]) -> None:
     pytest.importorskip("distributed", reason="the extra 'cluster' is not installed")
     names = ("misfits:Slow", "dead-reckoning", "misfits:Exits")

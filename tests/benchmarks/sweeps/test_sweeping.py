@@ -23,6 +23,7 @@ from tests.benchmarks.sweeps.short_sweeps import PLUGIN, rows, start, stored, wa
 from tests.short_drive import SET
 
 
+@pytest.mark.slow
 def test_processes_give_the_rows_of_one_process(place: Path) -> None:
     swept = ("--sweep", "radio.load=0.1,1", "--sweep", "estimator.fastslam.particles=10,20")
     names = ("fastslam", "dead-reckoning")
@@ -42,6 +43,7 @@ def test_processes_give_the_rows_of_one_process(place: Path) -> None:
     }
 
 
+@pytest.mark.slow
 def test_misfits_cost_their_own_rows_only(place: Path, capfd: pytest.CaptureFixture[str]) -> None:
     names = [f"misfits:{name}" for name in ("Raises", "Hangs", "NotFinite", "EatsMemory", "Exits", "Good")]
     more = ("--time-limit", "2", "--memory-limit", "1.5", "--jobs", "1")
@@ -131,6 +133,7 @@ def test_no_scheduler_is_one_line(monkeypatch: pytest.MonkeyPatch) -> None:
         raise AssertionError
 
 
+@pytest.mark.slow
 def test_control_c_says_how_to_go_on(place: Path) -> None:
     driver = start(words("misfits:Slow", trials=500, more=("--jobs", "1")))
     wait_for(lambda: stored(place / "out") > 0, driver)
@@ -155,6 +158,7 @@ def test_workers_that_do_not_start_are_one_line(place: Path, monkeypatch: pytest
         list(pool.run(tasks.plan(points, 2, 0).tasks))
 
 
+@pytest.mark.slow
 def test_dry_run_counts_estimates_and_writes_nothing(place: Path, capfd: pytest.CaptureFixture[str]) -> None:
     more = ("--dry-run", "--sweep", "radio.load=0.1,0.2", "--sweep", "estimator.fastslam.particles=5,6,7")
     assert main([*words("fastslam", "dead-reckoning", trials=10), *more]) == 0
@@ -164,6 +168,7 @@ def test_dry_run_counts_estimates_and_writes_nothing(place: Path, capfd: pytest.
     assert {path.name for path in place.iterdir()} <= {"misfits.py", "__pycache__"}
 
 
+@pytest.mark.slow
 def test_progress_and_running_table(place: Path, capfd: pytest.CaptureFixture[str], monkeypatch: Any) -> None:
     from cellslam.benchmarks.sweeps import watch
 

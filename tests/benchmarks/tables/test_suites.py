@@ -122,6 +122,7 @@ def entry(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     return tmp_path / "rows.json"
 
 
+@pytest.mark.slow
 def test_an_entry_is_ranked_and_holds_when_it_is_driven_again(entry: Path, capfd: pytest.CaptureFixture[str]) -> None:
     text = entry.with_name("page.md").read_text()
     assert text.index("## All scenarios") < text.index("## full") < text.index("## canyon")
@@ -152,6 +153,7 @@ def test_an_entry_is_ranked_and_holds_when_it_is_driven_again(entry: Path, capfd
     assert "![Mean ranks and critical differences](board.png)" in board and "--suite standard-3 --estimator" in board
 
 
+@pytest.mark.slow
 def test_an_entry_that_is_not_what_its_estimator_does_is_found_out(
     entry: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:
@@ -185,6 +187,7 @@ def test_an_entry_that_is_not_what_its_estimator_does_is_found_out(
         assert err.count("\n") == 1 and expected in err
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("words", "expected"),
     [

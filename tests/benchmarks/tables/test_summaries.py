@@ -70,6 +70,7 @@ def scenarios(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return out
 
 
+@pytest.mark.slow
 def test_what_the_scenario_determines_is_left_out(scenarios: Path, capfd: pytest.CaptureFixture[str]) -> None:
     assert varying_keys(scenarios) == ["scenario", "radio.load"]
     assert results(scenarios)["scenario"].tolist() == ["canyon"] * 4 + ["open"] * 4 + ["tiny"] * 2
@@ -147,6 +148,7 @@ def test_the_bound_of_the_drives_stands_beside_the_estimators(
     assert [line.split(" | ")[0] for line in markdown[2:5]] == ["| dead-reckoning", "| Fast", "| bound"]
 
 
+@pytest.mark.slow
 def test_paired_differences_are_by_world_and_trial(folder: Path) -> None:
     got = lines(comparison(folder, "fastslam", "dead-reckoning"))
     assert [(line["radio.load"], line["estimator.fastslam.particles"]) for line in got] == [
@@ -177,6 +179,7 @@ def shown(capfd: pytest.CaptureFixture[str], *words: str | Path) -> str:
     return out
 
 
+@pytest.mark.slow
 def test_formats(folder: Path, capfd: pytest.CaptureFixture[str]) -> None:
     words = (folder, "--rows", "estimator", "--columns", "radio.load", "--statistic", "mean", "--interval")
     text = shown(capfd, *words)

@@ -101,6 +101,7 @@ def check(rows: list[dict[str, Any]]) -> None:
 NAMES = ("Patches", "Disturbs", *COMMANDS, "Mutates", "Peeks", "Good")
 
 
+@pytest.mark.slow
 def test_in_run(place: Path, capfd: pytest.CaptureFixture[str]) -> None:
     few = ("--json", "--no-figures", "--time-limit", "8", "--memory-limit", "1.5", "--out", "out")
     assert main(["run", "tiny", *SHORT, *asked(*NAMES, "Hangs"), "--estimator", "dead-reckoning", *few]) == 1
@@ -114,6 +115,7 @@ def test_in_run(place: Path, capfd: pytest.CaptureFixture[str]) -> None:
     assert "surrogate" in (place / "out" / f"error-{MODULE}_Surrogate.txt").read_text("utf-8")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("executor", ["processes", "serial"])
 def test_in_sweep(place: Path, executor: str) -> None:
     few = ("--quiet", "--time-limit", "60", "--memory-limit", "1.5", "--jobs", "1", "--executor", executor)
@@ -127,6 +129,7 @@ def test_in_sweep(place: Path, executor: str) -> None:
     assert length < 30_000
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", PROCESSES)
 def test_a_process_that_ends_or_hangs(
     place: Path, external: ExternalProcesses, toy_recording: Callable[..., Recording], name: str

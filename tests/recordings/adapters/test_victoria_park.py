@@ -37,6 +37,7 @@ def rmse(recording: Recording, name: str, **options: object) -> float:
     return float(score(recording, estimate(recording, request, np.random.default_rng(5)), None)["position_rmse_m"])
 
 
+@pytest.mark.slow
 def test_detected_trees_take_the_place_of_the_scans(circulating: Path, vehicle_drive: object) -> None:
     r = import_adapter(circulating, "victoria-park")
     assert not (circulating / "aa3_lsr2.mat").exists()

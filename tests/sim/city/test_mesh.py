@@ -179,6 +179,7 @@ def test_shipped_scenes():
         load("sionna-rt:munic")
 
 
+@pytest.mark.slow
 def test_munich_loads_and_has_paths():
     city = load("sionna-rt:munich")
     assert len(city.triangles) == 38_936

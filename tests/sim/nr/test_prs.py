@@ -77,6 +77,7 @@ def test_every_combination_agrees_with_the_clauses() -> None:
             check(1234 + k_offset, 7, 24, comb, length, 14 - length if length > 2 else 12, k_offset, 3, numerology=1)
 
 
+@pytest.mark.slow
 def test_random_configurations_agree_with_the_clauses() -> None:
     rng = np.random.default_rng(8)
     for run in range(2000):

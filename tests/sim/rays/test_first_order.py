@@ -80,6 +80,7 @@ def test_receivers_behind_the_wall_get_nothing(scenes):
     assert len(trace(city, [TX], [[0.0, 30.0, 5.0], [10.0, 50.0, 8.0]])) == 0
 
 
+@pytest.mark.slow
 def test_agrees_with_float64_brute_force(scenes, small_city, places):
     transmitters, receivers = places
     paths = trace(small_city, transmitters, receivers, ground_reflection=True)

@@ -69,6 +69,7 @@ def test_a_canyon_bounces_to_and_fro(scenes):
     np.testing.assert_allclose(np.sort(paths.vt_position_m[paths.order == 2, 1]), [-60.0, 60.0], atol=1e-12)
 
 
+@pytest.mark.slow
 def test_agrees_with_float64_brute_force(scenes, yard):
     rng = np.random.default_rng(4)
     receivers = np.column_stack([rng.uniform(-40, 42, 25), rng.uniform(-38, 18, 25), rng.uniform(1, 12, 25)])

@@ -189,6 +189,7 @@ def test_same_trial_same_traffic(drive: tuple[Any, Any, Traffic]) -> None:
     assert not np.array_equal(again(1).poses, traffic.poses)
 
 
+@pytest.mark.slow
 def test_kinds_come_in_their_shares() -> None:
     config = load("canyon", {"traffic.vehicles_per_km": 60.0, "traffic.bus_share": 0.0, "traffic.van_share": 0.4}).world
     worlds = [prepare(config, 75000, trial) for trial in range(4)]

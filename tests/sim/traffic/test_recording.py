@@ -98,6 +98,7 @@ def test_a_wrong_table_is_refused(busy: Recording, change: Any, message: str) ->
         replace(busy, truth=replace(busy.truth, vehicles=wrong))
 
 
+@pytest.mark.slow
 def test_sides_of_lorries_and_buses_reflect() -> None:
     world = prepare(load("lund-530", BUSY | {"traffic.reflect": True}).world, 75000, 0)
     poses, when = world.drive.poses, world.drive.time_s

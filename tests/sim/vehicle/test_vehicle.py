@@ -100,6 +100,7 @@ def test_planned_route_is_fixed_by_its_seed_or_drawn_per_trial(city: Any) -> Non
     assert not np.array_equal(drawn[0][0], drawn[1][0])
 
 
+@pytest.mark.slow
 def test_planned_routes_neither_turn_round_nor_hit_walls(city: Any) -> None:
     for seed in range(5):
         route = plan_route(city, VehicleConfig(route=seed), rng())

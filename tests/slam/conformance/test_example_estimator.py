@@ -49,6 +49,7 @@ def test_is_under_sixty_lines() -> None:
     assert sum(len(p.read_text("utf-8").splitlines()) for p in sources) < 60
 
 
+@pytest.mark.slow
 def test_is_listed_run_and_better_than_dead_reckoning(installed: tuple[Path, dict[str, str]]) -> None:
     assert "from the package my-estimator" in " ".join(cellslam(installed, "list", "estimators").split())
     request = ("tiny", "--seed", "1", "--trials", "3", "--json", "--no-figures", "--quiet")
@@ -59,5 +60,6 @@ def test_is_listed_run_and_better_than_dead_reckoning(installed: tuple[Path, dic
     assert heading["zero-velocity"] < heading["dead-reckoning"]
 
 
+@pytest.mark.slow
 def test_passes_its_own_tests(installed: tuple[Path, dict[str, str]]) -> None:
     assert "14 passed" in run(installed, "pytest", "-q", "-p", "no:cacheprovider", "source/test_my_estimator.py")

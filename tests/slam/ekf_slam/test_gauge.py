@@ -87,6 +87,7 @@ def test_all_else_is_kept_as_seen_from_the_vehicle(states: tuple[Any, Floats, Fl
     np.testing.assert_allclose(kept(after) @ p @ kept(after).T, want, rtol=1e-6, atol=1e-5)
 
 
+@pytest.mark.slow
 def test_a_heading_that_nothing_tells_does_not_get_better() -> None:
     """Start unknown by 3 m and 10 degrees: no measurement says where the frame lies, so that the heading stays as
     unknown."""

@@ -84,6 +84,7 @@ def healthy(t: int, estimate: Estimate) -> None:
         assert np.linalg.eigvalsh(estimate.vts.covariance).min() > 0.0, t
 
 
+@pytest.mark.slow
 @pytest.mark.filterwarnings("error")
 def test_stays_healthy_whatever_happens() -> None:
     rng, estimator = np.random.default_rng(3), EkfSlam(EkfSlamOptions(hypotheses=4))

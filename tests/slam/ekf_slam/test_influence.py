@@ -152,6 +152,7 @@ def over_an_edge() -> Recording:
     return replace(drive, measurements=Measurements(*(column[heard] for column in columns)), truth=None)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("most", [MOST, np.inf])
 def test_a_path_over_an_edge_does_not_rule_out_the_right_offset(monkeypatch: pytest.MonkeyPatch, most: float) -> None:
     """Without bound the offset is surely wrong by fifty metres, and no likely filter has the right one."""

@@ -186,6 +186,7 @@ def without(drives: list[Recording]) -> list[float]:
     return [driven(second, None)[1] for second in drives[1::2]]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("sequence", [0, 1])
 def test_a_drive_with_a_map_is_better(
     sequence: int, drives: list[Recording], maps: list[VtMap], without: list[float]
@@ -204,6 +205,7 @@ def test_clock_offsets_are_found_at_once_with_a_map(drives: list[Recording], map
     assert not driven(drives[1], None, 40)[0].resolved
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("shift_m", [(5.0, 0.0, 0.0), (-3.0, 4.0, 0.0), (0.0, 400.0, 0.0)])
 def test_a_wrong_map_is_noticed(
     shift_m: tuple[float, float, float], drives: list[Recording], maps: list[VtMap], without: list[float]
@@ -251,6 +253,7 @@ def test_vts_out_of_reach_are_not_touched(drives: list[Recording], maps: list[Vt
     assert len(states) == 2 and states[0] == states[1]
 
 
+@pytest.mark.slow
 def test_what_is_gone_is_forgotten(drives: list[Recording], maps: list[VtMap]) -> None:
     known = maps[0]
     gone = replace(known.part(slice(0, 1)), position_m=known.position_m[:1] + np.array([0.0, 0.0, 300.0]))

@@ -37,6 +37,7 @@ def assuming(drive: Recording, cause: str, factor: float, hypotheses: int = 1) -
     return request
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("hypotheses", [1, 32])
 @pytest.mark.parametrize(
     ("cause", "factor", "words"),
@@ -65,6 +66,7 @@ def driven(drive: Recording, request: Request, grows: bool = True) -> EkfSlam:
     return estimator
 
 
+@pytest.mark.slow
 def test_diffuse_errors_are_taken_for_as_large_as_they_are(drive: Recording) -> None:
     half = assuming(drive, "diffuse", 0.5)
     grown = driven(drive, half).sizes()
@@ -77,6 +79,7 @@ def test_diffuse_errors_are_taken_for_as_large_as_they_are(drive: Recording) -> 
         assert driven(drive, assuming(drive, "diffuse", factor)).sizes().grown == 1.0
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("factor", "passes"), [(0.5, 2), (1.0, 1)])
 def test_after_the_start_a_drive_begins_with_diffuse_errors_as_large_as_found(
     monkeypatch: pytest.MonkeyPatch, factor: float, passes: int
@@ -90,6 +93,7 @@ def test_after_the_start_a_drive_begins_with_diffuse_errors_as_large_as_found(
     assert joined[0] == 1.0 and len(joined) == passes and (passes == 1 or joined[1] > 1.35)
 
 
+@pytest.mark.slow
 def test_right_sizes_are_not_remarked_on_when_a_drive_tells_them_well() -> None:
     drive = simulate(load("lund-530", {"vehicle.duration_s": 150.0, "vehicle.distance_m": 150.0}), 4, 0)
     (right,) = resolve({"ekf-slam": dict(Origin.of(drive).options.get("ekf-slam", {}))}, ("ekf-slam",))

@@ -165,6 +165,7 @@ def test_filters_agree_with_the_start_within_what_it_may_err_by(
     assert two_mixtures(mixture.core).agrees(state) == agrees
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("kind", "hypotheses"), [(EkfSlam, 1), (EkfSlam, 1000), (WallSlam, 1)])
 def test_filters_that_do_not_agree_are_tried_again(monkeypatch: pytest.MonkeyPatch, kind: Any, hypotheses: int) -> None:
     """A quarter as long again after they were, and as if they had not been; till then the start answers. Late, whatever

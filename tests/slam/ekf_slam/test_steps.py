@@ -49,6 +49,7 @@ def use(one, z):
     return density + steps, steps
 
 
+@pytest.mark.slow
 def test_a_step_is_found_as_if_the_offset_had_been_open(one_filter, kalman):
     """With a step that is certain a priori, mean, covariance and likelihood are those of an opened variance."""
     one, root = prepared(one_filter, step=0.0, step_m=3.0)

@@ -69,6 +69,7 @@ def test_many_particles_are_the_exact_kalman_filter(lag: int) -> None:
     assert np.abs(exact.pose - exact_blocks.pose).max() < 0.2
 
 
+@pytest.mark.slow
 def test_one_gain_does_as_well_as_gains_of_their_own() -> None:
     """Thirty filters of one particle each have covariances of their own; together they are the classical filter."""
 
@@ -157,6 +158,7 @@ def test_oracle_is_told_the_associations(tiny: Recording) -> None:
     assert np.abs(ekf[-1].pose - found[-1].pose).max() > 0.0
 
 
+@pytest.mark.slow
 def test_groups_share_the_particles_after_the_start() -> None:
     recording, few = simulate("tiny"), {"start_limit_s": 4.0, "component_std_m": 60.0, "component_step": 2.0}
     fastslam = FastSlam(FastSlamOptions(particles=64, **few))

@@ -64,6 +64,7 @@ class Watched(FastSlam):
         self.first_pose = mixture.arrays.x[0, :6].copy()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", range(4))
 def test_the_first_snapshot_tells_where_a_vehicle_is(seed: int) -> None:
     """The likeliest group begins within two deviations of the truth, and the filter ends within one metre of it."""

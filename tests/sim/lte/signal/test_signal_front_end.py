@@ -115,6 +115,7 @@ def test_paths_are_measured_as_claimed() -> None:
     assert (np.diff(m.snapshot * 4 + m.link) >= 0).all()
 
 
+@pytest.mark.slow
 def test_blocks_single_snapshots_and_a_restart_give_the_same(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(streaming, "BLOCK", 2)
     monkeypatch.setattr(streaming.tempfile, "gettempdir", lambda: str(tmp_path))
@@ -147,6 +148,7 @@ def test_blocks_single_snapshots_and_a_restart_give_the_same(tmp_path: Path, mon
     assert not any(path.is_file() for path in tmp_path.rglob("*"))
 
 
+@pytest.mark.slow
 def test_several_processes_give_the_same(monkeypatch: pytest.MonkeyPatch) -> None:
     paths, poses, velocity = drive(4)
     signals = front_end()

@@ -150,6 +150,7 @@ def test_standing_still_repeats_what_is_seen() -> None:
     assert np.mean(np.abs(np.array(shares) - 0.5) < 5.0 * 0.5 / np.sqrt(count)) > 0.9  # else two lie within 4 m
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("standing", "way"), [((0.0, 0.0), 0.0), ((1.0, 0.0), SIDE), ((0.0, 1.0), 0.5)])
 def test_misses_last_as_long_as_their_square(standing: tuple[float, float], way: float) -> None:
     # The chance stays 0.4; of independent draws, one a snapshot or a square, 0.48 follow one of the other kind.
