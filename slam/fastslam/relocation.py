@@ -23,9 +23,9 @@ import numpy as np
 
 from cellslam.sim.frames import wrap_angle
 from cellslam.sim.recording import Floats
-from cellslam.slam.ekf_slam.map_states import REACH_M, Remembered
-from cellslam.slam.ekf_slam.start import REACH, components
-from cellslam.slam.ekf_slam.state.layout import Measured
+from cellslam.slam.joint.map_states import REACH_M, Remembered
+from cellslam.slam.joint.start import REACH, components
+from cellslam.slam.joint.state.layout import Measured
 from cellslam.slam.model.measurement_model import predict
 
 PLANE = np.array([0, 1, 3])  # x, y and yaw of a pose

@@ -10,7 +10,7 @@ import numpy as np
 from cellslam.sim.errors import InputError
 from cellslam.sim.recording import Floats, Ints
 from cellslam.slam.api import Estimate, Setup, Snapshot
-from cellslam.slam.ekf_slam.ekf_slam import EkfSlam
+from cellslam.slam.joint.ekf_slam import EkfSlam
 from cellslam.slam.smoother.smoother_options import SmootherOptions
 
 

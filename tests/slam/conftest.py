@@ -8,13 +8,13 @@ import pytest
 
 from cellslam.sim.recording import Floats, Links, OdometryModel, Sites
 from cellslam.slam.api import Setup
-from cellslam.slam.ekf_slam.mixture import core_of, new_mixture
-from cellslam.slam.ekf_slam.snapshot.sight_kernel import coordinates, errors_of, geometry, rotations_of
-from cellslam.slam.ekf_slam.snapshot.snapshot_kernel import PENDING, new_room
-from cellslam.slam.ekf_slam.snapshot.update_kernel import BlockMeasurement
-from cellslam.slam.ekf_slam.state.array_errors import NO_ERRORS
-from cellslam.slam.ekf_slam.state.layout import FREE, Block, Measured, Rules, one_of
-from cellslam.slam.ekf_slam.state.states_kernel import enter, owner_of
+from cellslam.slam.joint.mixture import core_of, new_mixture
+from cellslam.slam.joint.snapshot.sight_kernel import coordinates, errors_of, geometry, rotations_of
+from cellslam.slam.joint.snapshot.snapshot_kernel import PENDING, new_room
+from cellslam.slam.joint.snapshot.update_kernel import BlockMeasurement
+from cellslam.slam.joint.state.array_errors import NO_ERRORS
+from cellslam.slam.joint.state.layout import FREE, Block, Measured, Rules, one_of
+from cellslam.slam.joint.state.states_kernel import enter, owner_of
 from cellslam.slam.model.matrices_kernel import Vec3
 
 NOW = 3  # number of a snapshot

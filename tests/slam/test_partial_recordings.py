@@ -14,11 +14,11 @@ from cellslam.scenarios.estimator_options import resolve
 from cellslam.scenarios.loading import load
 from cellslam.scenarios.simulation import simulate
 from cellslam.sim.recording import Recording
-from cellslam.slam.ekf_slam.snapshot.birth_kernel import tidy
-from cellslam.slam.ekf_slam.snapshot.guess_kernel import AROUND, LEAST, _unite, begin, consider, correct_guesses
-from cellslam.slam.ekf_slam.snapshot.update_kernel import add_up, compare, correct, innovate
-from cellslam.slam.ekf_slam.state.array_errors import NO_ERRORS
-from cellslam.slam.ekf_slam.state.layout import SHARE
+from cellslam.slam.joint.snapshot.birth_kernel import tidy
+from cellslam.slam.joint.snapshot.guess_kernel import AROUND, LEAST, _unite, begin, consider, correct_guesses
+from cellslam.slam.joint.snapshot.update_kernel import add_up, compare, correct, innovate
+from cellslam.slam.joint.state.array_errors import NO_ERRORS
+from cellslam.slam.joint.state.layout import SHARE
 from cellslam.slam.model.measurement_model import predict
 
 VT, Q = np.array([60.0, 45.0, 12.0]), np.array([0.01, 1e-4, 1e-4])
