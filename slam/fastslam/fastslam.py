@@ -133,7 +133,7 @@ class FastSlam(JointFilter):
     def _rules(self, common: Rules, dt_s: float) -> Rules:
         """Leave second hypotheses to the association part."""
         del dt_s
-        return common._replace(rival_loss=0.0)
+        return common._replace(association=common.association._replace(rival_loss=0.0))
 
     @property
     def _drawn_blocks(self) -> int:
@@ -289,14 +289,14 @@ class FastSlam(JointFilter):
         rules, count = measured.rules, int(f.count[0])
         hits, unseen = f.slots[:count, HITS], measured.now - f.slots[:count, LAST]
         step_s = self._step_s
-        lifetime = np.where(hits < 2, rules.age_once, rules.age_twice)
+        lifetime = np.where(hits < 2, rules.lifetime.age_once, rules.lifetime.age_twice)
         vts = Transmitters(
             detections=hits.copy(), unseen_s=np.asarray(unseen * step_s, np.float64), lifetime_s=lifetime * step_s,
-            confirmed=hits >= rules.confirm,
+            confirmed=hits >= rules.lifetime.confirm,
         )  # fmt: skip
         f.anchor[:count, SHARE][returned("pruning", self.parts.pruning(vts), (count,))] = DROPPED
         forever = np.iinfo(np.int64).max
-        return rules._replace(age_once=forever, age_twice=forever)
+        return rules._replace(lifetime=rules.lifetime._replace(age_once=forever, age_twice=forever))
 
     # ---- groups and memory -------------------------------------------------------------------------------------------
 

@@ -1,4 +1,36 @@
-"""EKF-SLAM: one Gaussian over pose, odometry errors, clock offsets, VTs, and errors of measurements that persist."""
+"""EKF-SLAM: one Gaussian over pose, odometry errors, clock offsets, VTs, and errors of measurements that persist.
+
+State
+    x ~ N(x, P): pose (6), sway of the array, ground, odometry biases b and scales s, sum of the odometry's noise, clock
+    offsets and their rates, errors of a remembered map; then, as they are met, weights of the fields of direction, and
+    of each VT range, azimuth, elevation about the pose of its birth, and its diffuse errors   state/layout.py: Core,
+    Filter (`x`, `p`, `vt_state`, `weight_state`); what enters and leaves: state/states_kernel.py
+
+Recursion, for odometry u over dt with white noise of density q, and measurements z = h(x) + v, v ~ N(0, Q)
+    predict     pose <- pose + (u - b) / (1 + s) dt in the frame of the middle heading
+                                                                          snapshot/motion_kernel.py: move
+                P <- F P F^T + L diag(q^2 / dt) L^T                       _spread; clock offsets: _drift
+    pair        e = z - h(x),  S = H P H^T + Q,  score log N(e; 0, S) p / ((1 - p) clutter),  p: of being detected
+                the best sum of scores of one-to-one pairs                snapshot/association_kernel.py: associate
+                in place of it: marginals of all associations (BP-SLAM)   snapshot/belief_kernel.py: believe
+    average     e of each VT over a block of at most 0.6 s                snapshot/snapshot_kernel.py: take_in
+    update      S = R R^T,  G = R^-1 H P,  x <- x + G^T R^-1 e,  P <- P - G^T G
+                                                                          snapshot/update_kernel.py: correct, add_up
+    carry over  P to the new estimate, in directions that nothing measured shows
+                                                                          snapshot/gauge_kernel.py: carry_over
+    begin, drop VTs: augmented by the inverse of h, marginalised          snapshot/birth_kernel.py, guess_kernel.py
+
+Weight of filter i of a mixture (wide clock offsets: start.py; several hypotheses: mixture.py)
+    log w_i = rest_i + sum over paths of max(a_i - max_k a_k, -MOST),  a_i = max(worth_i - BIRTH, 0)
+                                                                          influence.py: bounded
+    worth: log-ratio of the likelihood of a path's measurements to that of clutter; rest: the prior, steps of clocks
+
+Sources: Smith, Self and Cheeseman, "Estimating uncertain spatial relationships in robotics" (1990), for the joint
+covariance; Bar-Shalom, Li and Kirubarajan (2001), section 5, for the filter; Higdon, "A process-convolution approach to
+modelling temperatures in the North Atlantic Ocean" (1998), for fields of direction as states; Reid, "An algorithm for
+tracking multiple targets", IEEE Trans. Automatic Control 24(6), 1979, for the hypotheses; measurement model and births
+are those of the extended FastSLAM (paper, section IV, corrected).
+"""
 
 from __future__ import annotations
 
@@ -31,7 +63,18 @@ from cellslam.slam.joint.snapshot.guess_kernel import births
 from cellslam.slam.joint.snapshot.motion_kernel import Interval
 from cellslam.slam.joint.start import STATES, Start, begin
 from cellslam.slam.joint.state.array_errors import array_errors
-from cellslam.slam.joint.state.layout import ENTRY, FREE, ArrayErrors, Measured, Rules, one_of
+from cellslam.slam.joint.state.layout import (
+    ENTRY,
+    FREE,
+    ArrayErrors,
+    Association,
+    BlockLimits,
+    Lifetime,
+    Measured,
+    Noise,
+    Rules,
+    one_of,
+)
 from cellslam.slam.model.calibration import Calibration
 from cellslam.slam.model.vt_map import VtMap
 
@@ -47,17 +90,11 @@ EVIDENCE = 0.0125  # least share of detections and misses that is news: what hid
 
 
 class JointFilter:
-    """What EKF-SLAM, its oracles and BP-SLAM share: one joint covariance after a Gaussian-sum start.
+    """What EKF-SLAM, its oracles, BP-SLAM, WALL-SLAM and FastSLAM share: one joint covariance, after a Gaussian sum.
 
     With `hypotheses` above 1 it is a mixture of such Gaussians. One becomes two where two associations of a snapshot
     are almost as likely and differ in what they do to the vehicle or a clock; of two that agree the likelier stays.
     Nothing is drawn, because associations are discrete: the likeliest are kept.
-
-    Sources: Smith, Self and Cheeseman, "Estimating uncertain spatial relationships in robotics" (1990), for the joint
-    covariance; Bar-Shalom, Li and Kirubarajan (2001), section 5, for the filter; Higdon, "A process-convolution
-    approach to modelling temperatures in the North Atlantic Ocean" (1998), for fields of direction as states; Reid, "An
-    algorithm for tracking multiple targets", IEEE Trans. Automatic Control 24(6), 1979, for the hypotheses;
-    measurement model and births are those of the extended FastSLAM (paper, section IV, corrected).
     """
 
     name: ClassVar[str]
@@ -92,6 +129,7 @@ class JointFilter:
         self._core = core_of(self._setup, self._errors, self._drawn_blocks)
         self._past: list[tuple[Interval, Measured]] = []
         self._beside: tuple[JointFilter, MapTrial] | None = None
+        self._instead: JointFilter | None = None  # the filter without the map, once the map is refused
         self._misfit: list[str] = []
         if known is not None:
             without = self._alike()
@@ -116,6 +154,8 @@ class JointFilter:
 
         dt_s in s; odometry (6,): mean body velocities in m/s and rad/s.
         """
+        if self._instead is not None:
+            return self._instead.step(dt_s, odometry, snapshot)
         answer = self._step(dt_s, odometry, snapshot)
         if self._beside is None:
             return answer
@@ -123,16 +163,21 @@ class JointFilter:
         other = without.step(dt_s, odometry, snapshot)
         trial.take(answer, other, self._surprise, resolved=self.resolved, resolved_without=without.resolved)
         if trial.refused:
-            vars(self).update(vars(without))
-            self._misfit = [trial.refused]
+            without._misfit = [trial.refused]
+            self._instead, self._beside, self._start, self._joint = without, None, None, None
         elif trial.over:
             self._beside = None
         return answer if trial.believed else other
 
     @property
+    def _valid(self) -> JointFilter:
+        """The filter that answers: this one, or that without the map, once the map is refused."""
+        return self if self._instead is None else self._instead
+
+    @property
     def resolved(self) -> bool:
         """Whether the clock offsets are known well enough for one filter of all sites."""
-        return self._joint is not None
+        return self._valid._joint is not None
 
     @property
     def _surprise(self) -> Floats:
@@ -163,34 +208,34 @@ class JointFilter:
 
         Raises RuntimeError while the clock offsets are wide.
         """
-        if self._joint is None:
+        own = self._valid
+        if own._joint is None:
             raise RuntimeError("sizes are learnt once the clock offsets are resolved")
-        return sizes_of(self._joint.collapsed(), self._errors, self._setup.odometry_model.noise_density, self._grown)
+        return sizes_of(own._joint.collapsed(), own._errors, own._setup.odometry_model.noise_density, own._grown)
 
     def remarks(self) -> list[str]:
         """Return what the drive says against the sizes of errors that the filter assumes, and against its map."""
-        return self._misfit + ([] if self._joint is None else self.sizes().remarks())
+        return self._valid._misfit + (self.sizes().remarks() if self.resolved else [])
 
     def calibration(self) -> Calibration | None:
         """Return the array's calibration as the drive has shown it; None where it is no state.
 
         While the clock offsets are wide the drive has shown nothing: what the filter began with.
         """
-        if self._joint is None or not self._errors.calibration.any():
+        mixture = self._valid._joint
+        if mixture is None or not self._errors.calibration.any():
             return self.options.known_calibration
-        return found(self._joint.collapsed(), self._errors)
+        return found(mixture.collapsed(), self._errors)
 
     def vt_map(self) -> VtMap | None:
         """Return the map that the drive leaves; while the clock offsets are wide the one that it began with."""
-        mixture = self._joint
+        own = self._valid
+        mixture = own._joint
         if mixture is None:
-            return self._setup.map
-        best, observed = (
-            int(np.argmax(mixture.log_weight)),
-            Observed(self._setup.links, self._setup.sites.name, self._seen),
-        )
-        f, confirm = one_of(mixture.collapsed().arrays, best), self.options.confirm_hits
-        return map_after(f, self._archive, observed, mixture.remembered, confirm)
+            return own._setup.map
+        observed = Observed(links=own._setup.links, sites=own._setup.sites.name, seen=own._seen)
+        f = one_of(mixture.collapsed().arrays, int(np.argmax(mixture.log_weight)))
+        return map_after(f, own._archive, observed, mixture.remembered, self.options.confirm_hits)
 
     def _given(self, measurements: FusedMeasurements) -> Ints:
         """Return the true VT of each measurement, for the oracle that knows it."""
@@ -288,7 +333,7 @@ class JointFilter:
         if mixture is None:
             raise RuntimeError("step() was called before start()")
         if self.options.merge_rate == 0.0:
-            measured = measured._replace(merged=np.zeros(3))
+            measured = measured._replace(noise=measured.noise._replace(merged=np.zeros(3)))
         errors = self._errors._replace(diffuse=self._grown * self._errors.diffuse)
         association = self._go_on(mixture, errors, interval, measured)
         if self.grows and measured.now % GROW_EVERY == GROW_EVERY - 1:
@@ -329,12 +374,11 @@ class JointFilter:
         (tables, rules), site = self._by_step[key], self._setup.links.site
         news = novelty(self._fusion.options, odometry[3] * dt_s, odometry[0] * dt_s)
         rules = rules._replace(evidence=max(EVIDENCE, news), step=self._log_step)
-        begin = births(v.z, v.fresh, measurements.begins, self._elevation_variance)
         return Measured(
             now=self._now, born=self._born, first=first_of_link(measurements, len(site)), site_of=site,
-            z=v.z, single=v.single, many=v.many, fresh=begin.q, diffuse=1.0 / np.sqrt(measurements.ports), gap=v.gap,
-            begin=begin.z, guesses=begin.guesses, given=self._given(measurements),
-            tables=tables, rules=rules, merged=v.merged,
+            given=self._given(measurements), z=v.z, gap=v.gap, tables=tables,
+            noise=Noise(single=v.single, many=v.many, merged=v.merged, diffuse=1.0 / np.sqrt(measurements.ports)),
+            births=births(v.z, v.fresh, measurements.begins, self._elevation_variance), rules=rules,
         )  # fmt: skip
 
     def _tables(self, step_s: float) -> tuple[Floats, Rules]:
@@ -342,10 +386,18 @@ class JointFilter:
         o = self._fusion.options
         tables, once, twice = existence(o, step_s)
         rules = Rules(
-            self.mode, float(np.log(o.clutter_density)), o.gate, o.confirm_hits, once, twice,
-            min(max(round(o.block_s / step_s), 1), LONGEST), BLOCK_M, TURN, EVIDENCE,
-            int(o.hold_s / step_s), math.log(o.return_odds), max(round(AWAY_S / step_s), 1),
-            RIVAL if o.hypotheses > 1 else 0.0, merge_rate=o.merge_rate,
+            association=Association(
+                mode=self.mode, log_clutter=float(np.log(o.clutter_density)), gate=o.gate,
+                return_log_odds=math.log(o.return_odds), away=max(round(AWAY_S / step_s), 1),
+                rival_loss=RIVAL if o.hypotheses > 1 else 0.0,
+            ),
+            lifetime=Lifetime(
+                confirm=o.confirm_hits, age_once=once, age_twice=twice, hold=int(o.hold_s / step_s)
+            ),
+            blocks=BlockLimits(
+                snapshots=min(max(round(o.block_s / step_s), 1), LONGEST), distance=BLOCK_M, turn=TURN
+            ),
+            evidence=EVIDENCE, merge_rate=o.merge_rate,
         )  # fmt: skip
         return tables, self._rules(rules, step_s)
 

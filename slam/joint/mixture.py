@@ -138,7 +138,7 @@ class Mixture:
             return side_by_side([self], errors, interval, measured, most_vts)[0]
         pairs = self._unpaired(measured, most_vts)
         together([self._work(errors, interval, measured, pairs, using=False)], [len(self)])
-        pairs = self._split_on_rivals(pairs, measured.rules.rival_loss, most)
+        pairs = self._split_on_rivals(pairs, measured.rules.association.rival_loss, most)
         together([self._work(errors, interval, measured, pairs, pairing=False)], [len(self)])
         self.weigh(pairs.ident, measured)
         return pairs.ident
@@ -155,7 +155,7 @@ class Mixture:
         """Take a snapshot and its associations (K, m) into the weights."""
         if len(self) == 1:
             return
-        if measured.rules.mode in (FREE, BELIEF):  # else identities are those of paths
+        if measured.rules.association.mode in (FREE, BELIEF):  # else identities are those of paths
             self.influence.meet(self.arrays, association, measured.born, self.log_weight)
         if self.blocks.snapshots[0, 0] == 0:  # a block has ended
             self.log_weight = self.influence.weigh(self.arrays)
@@ -164,7 +164,7 @@ class Mixture:
         """Make room for what a snapshot may bring, VTs of a remembered map among it."""
         if self.remembered is not None:
             self._meet(self.remembered, measured.now)
-        guesses = measured.guesses
+        guesses = measured.births.guesses
         room = most_vts * (ROOM if guesses else 1) - _most_of(self.arrays.count)
         self.reserve(NEW_STATES + 3 * guesses, min(NEW_VTS + guesses, max(room, 0)))
         self.arrays.losses[:] = 0
@@ -426,16 +426,18 @@ def new_mixture(
     anchor = np.zeros((k, vts, ANCHOR))
     anchor[:, :, SHARE] = 1.0
     arrays = Filter(
-        core, x, p, np.full((k, 1), core.size), np.full((k, states), NOBODY), np.full((k, weights), -1),
-        np.zeros((k, weights), whole), np.full((k, vts, VT_STATES), -1), anchor, np.zeros((k, vts, SLOT), whole),
-        np.zeros((k, 1), whole), np.ones((k, len(setup.links)), whole), np.zeros((k, LOST, ENTRY)),
-        np.zeros((k, 1), whole), np.zeros((k, 3, SIZES)), np.zeros((k, 1)), np.zeros((k, 2)),
-        np.zeros((k, states, 0)), np.zeros((k, 0)), np.zeros((k, vts, 6)),
+        core=core, x=x, p=p, size=np.full((k, 1), core.size), owner=np.full((k, states), NOBODY),
+        weight_state=np.full((k, weights), -1), weight_met=np.zeros((k, weights), whole),
+        vt_state=np.full((k, vts, VT_STATES), -1), anchor=anchor, slots=np.zeros((k, vts, SLOT), whole),
+        count=np.zeros((k, 1), whole), links=np.ones((k, len(setup.links)), whole), lost=np.zeros((k, LOST, ENTRY)),
+        losses=np.zeros((k, 1), whole), sizes=np.zeros((k, 3, SIZES)), summed=np.zeros((k, 1)),
+        surprise=np.zeros((k, 2)), deviation=np.zeros((k, states, 0)), weight=np.zeros((k, 0)),
+        spread=np.zeros((k, vts, 6)),
     )  # fmt: skip
     blocks = Block(
-        np.zeros((k, 1), whole), np.zeros((k, LONGEST, POSE)), np.zeros((k, LONGEST, 2)), np.zeros((k, 3)),
-        np.zeros((k, vts), whole), np.zeros((k, vts, LONGEST), whole), np.zeros((k, vts, 3)), np.zeros((k, vts, 3)),
-        np.zeros((k, vts, 3)), np.zeros((k, vts)), np.zeros((k, vts)), np.zeros((k, len(core.rate), 2)),
-        np.zeros((k, LONGEST, POSE, 0)),
+        snapshots=np.zeros((k, 1), whole), pose=np.zeros((k, LONGEST, POSE)), at=np.zeros((k, LONGEST, 2)),
+        total=np.zeros((k, 3)), detections=np.zeros((k, vts), whole), seen=np.zeros((k, vts, LONGEST), whole),
+        e=np.zeros((k, vts, 3)), q=np.zeros((k, vts, 3)), measured=np.zeros((k, vts, 3)), diffuse=np.zeros((k, vts)),
+        odds=np.zeros((k, vts)), shift=np.zeros((k, len(core.rate), 2)), deviation=np.zeros((k, LONGEST, POSE, 0)),
     )  # fmt: skip
     return Mixture(arrays, blocks, np.zeros(k), Influence(np.zeros(k)))

@@ -65,8 +65,11 @@ class Start:
         answer = np.full(len(measured.z), -1, np.int64)
         # A mixture of one site does not know its pose well enough to tell VTs that return, it refuses what is
         # improbable; nor to tell merged paths.
-        rules = measured.rules._replace(
-            return_log_odds=RETURN_LOG_ODDS, hold=measured.rules.hold // SHORTER, merge_rate=0.0
+        rules = measured.rules
+        rules = rules._replace(
+            association=rules.association._replace(return_log_odds=RETURN_LOG_ODDS),
+            lifetime=rules.lifetime._replace(hold=rules.lifetime.hold // SHORTER),
+            merge_rate=0.0,
         )
         measured, ends = measured._replace(rules=rules), measured.now % PRUNE_EVERY == 0
         site_of_measurement = np.repeat(self.site, np.diff(measured.first))

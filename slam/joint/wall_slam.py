@@ -1,4 +1,16 @@
-"""WALL-SLAM: EKF-SLAM that knows that VTs of several sites may be images in one wall, and that maps the walls."""
+"""WALL-SLAM: EKF-SLAM that knows that VTs of several sites may be images in one wall, and that maps the walls.
+
+State, prediction, update and weight are those of EKF-SLAM (ekf_slam.py). Between blocks:
+    sites       of a link's VTs the one that is nearest from where the others were seen    walls/images.py: images_of
+    walls       the plane that mirrors site p to image v: azimuth of v - p, distance of (v + p) / 2 along it
+                                                                                           walls/joining.py: planes_of
+    one wall?   e = difference of two planes, S = H P H^T + R: log N(e; 0, S) + log ROOM >= log join_odds
+                                                                                           best_pair
+    if so       a measurement e = 0 with covariance R updates the state, once                 impose
+    two walls?  e = image of an image in a second wall - v, judged and imposed alike          walls/doubles.py
+    report      a wall is the Gauss-Markov mean of the planes of its images                   walls/facades.py: estimate
+    association none with VTs whose walls, as far as they were seen, the path would miss      not_met
+"""
 
 from __future__ import annotations
 
@@ -38,10 +50,7 @@ class WallSlamOptions(EkfSlamOptions):
 
 
 class WallSlam(JointFilter):
-    """The joint filter of EKF-SLAM; that two VTs are images in one wall is one more measurement, as soon as it is sure.
-
-    Source: see `joining`.
-    """
+    """The joint filter of EKF-SLAM; that two VTs are images in one wall is a measurement, once it is sure."""
 
     name: ClassVar[str] = "wall-slam"
     Options: ClassVar[type[WallSlamOptions]] = WallSlamOptions
@@ -78,7 +87,7 @@ class WallSlam(JointFilter):
         self._looked, mixture = measured.now, self._joint
         if mixture is not None:
             missed, slots = self._facades.not_met(likeliest(mixture)), mixture.arrays.slots
-            long_ago = measured.now - slots[..., LAST] > measured.rules.away
+            long_ago = measured.now - slots[..., LAST] > measured.rules.association.away
             slots[..., BEYOND] = np.isin(slots[..., IDENT], missed) & long_ago
 
     def _step_start(self, start: Start, interval: Interval, measured: Measured) -> Estimate:

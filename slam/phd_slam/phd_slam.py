@@ -1,4 +1,29 @@
-"""PHD-SLAM: the map of each particle is the intensity of a random finite set, a mixture of Gaussians."""
+"""PHD-SLAM: the map of each particle is the intensity of a random finite set, a mixture of Gaussians.
+
+State
+    A particle is a path. Given it: the map, an intensity v(m) = sum_j w_j N(m; m_j + g_j (b - b_j), Sigma_j) with
+    weights of visible and hidden VTs; a clock offset b ~ N of each site; bias and scale of the odometry, Gaussian.
+                                                        gaussians_kernel.py: Map; snapshot_kernel.py: Particles
+Recursion, for odometry u and the snapshot Z = {z_k}
+    predict     w visible <- stay w visible + back w hidden, and the reverse        gaussians_kernel.py: come_and_go
+                velocity ~ N(mu, diag sigma^2) by odometry, bias and scale          motion_kernel.py: predict_velocity
+    draw        from its density given Z, linearised at its mean: information I + sum_p share_p A^T S^-1 A, A = dh/d(x),
+                x in deviations of the velocity; share_p of exclusive pairs         snapshot_kernel.py: _move, _inform
+                bias and scale are conditioned on the draw                          motion_kernel.py: learn
+    pair        odds_jk = p_D(m_j) w_j N(z_k - h(m_j); 0, S) / clutter              pairs_kernel.py: pair_up
+    clocks      P <- P / (1 + I P),  b <- b + P y                                   snapshot_kernel.py: _learn_offsets
+    update      detected: weight odds_jk / (1 + sum_i odds_ik), mean and covariance by Kalman's update
+                missed:   weight (1 - p_D(m_j)) w_j;  born: birth / (1 + sum_i odds_ik)           _updated, give_birth
+    merge       Gaussians that are near, and drop those of little weight            mixture_kernel.py: condense
+Weight of a particle
+    log w <- log w + log (prior / density of the draw) + new (sum_k log (1 + sum_j odds_jk) - sum_j p_D(m_j) w_j)
+                                                                                    _move, _update
+    with the cost of moving the clocks; resampled if the effective sample size is small            _conclude
+
+Sources: Mullane, Vo, Adams and Vo, "A random-finite-set approach to Bayesian SLAM", IEEE Trans. Robotics 27(2), 2011;
+Kaltiokallio et al., "A multihypotheses importance density for SLAM in cluttered scenarios", IEEE Trans. Robotics 40,
+2024.
+"""
 
 from __future__ import annotations
 
@@ -49,13 +74,7 @@ TRIANGLE = np.array([[0, 1, 2], [1, 3, 4], [2, 4, 5]])
 
 
 class PhdSlam:
-    """Rao-Blackwellised PHD filter: particles of the vehicle's path, and in each a Gaussian-mixture PHD of the VTs.
-
-    Velocities are drawn from their density given the snapshot, clock offsets and the odometry's biases and scales are
-    Gaussian in each particle. Source: Mullane, Vo, Adams and Vo, "A random-finite-set approach to Bayesian SLAM", IEEE
-    Trans. Robotics 27(2), 2011; Kaltiokallio et al., "A multihypotheses importance density for SLAM in cluttered
-    scenarios", IEEE Trans. Robotics 40, 2024.
-    """
+    """Rao-Blackwellised PHD filter: particles of the vehicle's path, and in each a Gaussian-mixture PHD of the VTs."""
 
     name: ClassVar[str] = "phd-slam"
     requires_truth: ClassVar[bool] = False
@@ -139,8 +158,8 @@ class PhdSlam:
         gain = missing - values.gap - np.log(self._options.clutter_density)
         link = np.array(measurements.link, np.int64)
         measured = Measured(
-            np.where(known, values.z, 0.0), known.astype(np.float64), single, many, fresh, gain, link,
-            np.array(measurements.begins), self._born,
+            z=np.where(known, values.z, 0.0), known=known.astype(np.float64), single=single, many=many, fresh=fresh,
+            gain=gain, link=link, begins=np.array(measurements.begins), born=self._born,
         )  # fmt: skip
         return measured, np.searchsorted(link, np.arange(len(self._site_of) + 1))
 

@@ -135,7 +135,8 @@ def score_pairs(f: Filter, a: ArrayErrors, seen: Measured, link: int, s: Sight, 
     Written: w.score (C, m): log-likelihood ratio of a pair to "missed, and clutter", -inf outside the gate; w.chosen
     (C,): VT of each row; w.gated (m,): 1 in somebody's gate.
     """
-    turned, offset, gate = rotations_of(f), f.core.first_offset + seen.site_of[link], seen.rules.gate
+    rules = seen.rules.association
+    turned, offset, gate = rotations_of(f), f.core.first_offset + seen.site_of[link], rules.gate
     start, stop, horizon = seen.first[link], seen.first[link + 1], seen.tables.shape[2] - 1
     rows = 0
     w.gated[: stop - start] = 0
@@ -156,16 +157,16 @@ def score_pairs(f: Filter, a: ArrayErrors, seen: Measured, link: int, s: Sight, 
             rows += 1
         expected = expect(f, a, j, offset, turned, s)
         odds = seen.tables[kind, 0, age] - seen.tables[kind, 1, age]
-        if seen.rules.mode == BELIEF:
-            detected = f.anchor[j, EXISTS] * seen.rules.detection
+        if rules.mode == BELIEF:
+            detected = f.anchor[j, EXISTS] * seen.rules.existence.detection
             odds = math.log(max(detected, 1e-300) / (1.0 - detected))
-        prior = odds - seen.rules.log_clutter + math.log(share)
-        returns = seen.now - f.slots[j, LAST] > seen.rules.away
+        prior = odds - rules.log_clutter + math.log(share)
+        returns = seen.now - f.slots[j, LAST] > rules.away
         for k in range(start, stop):
-            i = innovate(difference(seen.z[k], expected.z), seen.single[k], expected.hph)
+            i = innovate(difference(seen.z[k], expected.z), seen.noise.single[k], expected.hph)
             if i.measured == 0 or i.e.x * i.e.x > gate * i.s.xx or i.e.y * i.e.y > gate * i.s.yy:
                 continue
-            if returns and log_odds_of_return(i, seen.z[k], expected.z.x - f.x[offset]) < seen.rules.return_log_odds:
+            if returns and log_odds_of_return(i, seen.z[k], expected.z.x - f.x[offset]) < rules.return_log_odds:
                 continue
             distance2, log_det = log_likelihood(i)
             if distance2 < gate:

@@ -90,15 +90,16 @@ def believe(f: Filter, a: ArrayErrors, seen: Measured, link: int, s: Sight, w: P
     With r the probability that a VT exists and p_D that of its detection, a missed one exists with
     r (1 - p_D) / (1 - r p_D).
     """
-    rules, offset, start = seen.rules, f.core.first_offset + seen.site_of[link], seen.first[link]
+    rules, offset, start = seen.rules.existence, f.core.first_offset + seen.site_of[link], seen.first[link]
     columns = seen.first[link + 1] - start
     for j in range(f.count[0]):
         if f.slots[j, LINK] == link:
-            back, exists = rules.back if f.slots[j, HITS] >= rules.confirm else 0.0, f.anchor[j, EXISTS]
+            back = rules.back if f.slots[j, HITS] >= seen.rules.lifetime.confirm else 0.0
+            exists = f.anchor[j, EXISTS]
             f.anchor[j, EXISTS] = exists * rules.stay + (1.0 - exists) * back
     rows, m = score_pairs(f, a, seen, link, s, w), w.messages
     for c in range(columns):
-        m.xi[c] = rules.birth if possible(seen.begin[start + c], f.x[offset]) else 0.0
+        m.xi[c] = rules.birth if possible(seen.births.z[start + c], f.x[offset]) else 0.0
         for r in range(rows):
             m.beta[r, c] = math.exp(min(w.score[r, c], 300.0))
     pass_messages(m, rows, columns)

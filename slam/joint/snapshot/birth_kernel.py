@@ -114,16 +114,16 @@ def add(
     Unconfirmed VTs make room before confirmed ones, then the longest unseen; confirmed ones given up are kept.
     """
     if f.count[0] == len(f.slots):
-        j = _gives_way(f, b, seen.now, seen.rules.confirm)
+        j = _gives_way(f, b, seen.now, seen.rules.lifetime.confirm)
         if j < 0:
             return False
-        if f.slots[j, HITS] >= seen.rules.confirm and f.anchor[j, SHARE] > 0.5 and f.losses[0] < len(f.lost):
+        if f.slots[j, HITS] >= seen.rules.lifetime.confirm and f.anchor[j, SHARE] > 0.5 and f.losses[0] < len(f.lost):
             keep(f, j, f.lost[f.losses[0]])
             f.losses[0] += 1
         remove(f, b, int(j))
     new, offset = f.count[0], f.core.first_offset + seen.site_of[link]
     f.vt_state[new] = -1
-    if not give_birth(f, a, new, offset, z, q, ranged, seen.diffuse[k], seen.now, s, w):
+    if not give_birth(f, a, new, offset, z, q, ranged, seen.noise.diffuse[k], seen.now, s, w):
         return False
     f.anchor[new, EXISTS] = f.anchor[new, SHARE] = 1.0
     f.anchor[new, MERGED], f.anchor[new, WORTH] = expected_share(seen.rules.merge_rate), 0.0
@@ -236,12 +236,13 @@ def tidy(f: Filter, a: ArrayErrors, b: Block, now: int, rules: Rules) -> None:
     """Drop VTs that were seen once or twice and not again, guesses given up, weights of the roof that were not met for
     long, and diffuse errors that are as good as unknown again."""
     j = np.int64(0)
+    mode, lifetime = rules.association.mode, rules.lifetime
     while j < f.count[0]:
         age, hits = now - f.slots[j, LAST], f.slots[j, HITS]
-        gone = hits < rules.confirm and age > (rules.age_once if hits < 2 else rules.age_twice)
-        if rules.mode == BELIEF:
-            gone = f.anchor[j, EXISTS] < rules.drop and hits < rules.confirm
-        if f.anchor[j, SHARE] == 0.0 or ((rules.mode == FREE or rules.mode == BELIEF) and gone):
+        gone = hits < lifetime.confirm and age > (lifetime.age_once if hits < 2 else lifetime.age_twice)
+        if mode == BELIEF:
+            gone = f.anchor[j, EXISTS] < rules.existence.drop and hits < lifetime.confirm
+        if f.anchor[j, SHARE] == 0.0 or (mode in (FREE, BELIEF) and gone):
             _hand_on(f, int(j))
             remove(f, b, int(j))
         else:
@@ -250,7 +251,7 @@ def tidy(f: Filter, a: ArrayErrors, b: Block, now: int, rules: Rules) -> None:
     while place < f.size[0]:
         owner = f.owner[place]
         if owner >= 0:
-            gone = owner >= roof_first(a) and now - f.weight_met[owner] > rules.hold
+            gone = owner >= roof_first(a) and now - f.weight_met[owner] > lifetime.hold
         else:
             gone = (OF_VT - owner) % f.vt_state.shape[1] >= DIFFUSE and f.p[place, place] > UNKNOWN
         if gone:

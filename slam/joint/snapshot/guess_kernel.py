@@ -13,7 +13,6 @@ geometrically); Schmidt, "Application of state-space methods to navigation probl
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -43,6 +42,7 @@ from cellslam.slam.joint.state.layout import (
     SHARE,
     VT,
     ArrayErrors,
+    Births,
     Block,
     Filter,
     Measured,
@@ -67,16 +67,6 @@ def possible(z: Floats, b: float) -> bool:
     return z[0] - b > 1.0 or (math.isnan(z[0]) and not math.isnan(z[1]))
 
 
-class Births(NamedTuple):
-    """FusedMeasurements as VTs begin with them: `z` (m, 3) in m and rad, NaN where none may begin; variances `q` (m,
-    3); and how many `guesses` there are, if all of them begin, of VTs of which a distance or an azimuth is not
-    known."""
-
-    z: Floats
-    q: Floats
-    guesses: int
-
-
 @njit(cache=True)
 def births(z: Floats, q: Floats, begins: NDArray[np.bool_], flat: float) -> Births:
     """Return measurements as VTs begin with them: those that may (m,), on the horizon where there is no elevation.
@@ -91,7 +81,7 @@ def births(z: Floats, q: Floats, begins: NDArray[np.bool_], flat: float) -> Birt
             z[k] = math.nan
         elif math.isnan(z[k, 0]) != math.isnan(z[k, 1]):
             guesses += AROUND if math.isnan(z[k, 1]) else AHEAD
-    return Births(z, q, guesses)
+    return Births(z=z, q=q, guesses=guesses)
 
 
 @part
@@ -99,7 +89,7 @@ def begin(
     f: Filter, a: ArrayErrors, b: Block, seen: Measured, link: int, ident: int, k: int, s: Sight, w: Pending
 ) -> None:
     """Give birth to a VT, or to its guesses, with measurement k of a snapshot."""
-    z, q = seen.begin[k], seen.fresh[k]
+    z, q = seen.births.z[k], seen.births.q[k]
     ranged = not math.isnan(z[0])
     whole = ranged and not math.isnan(z[1])
     guesses = 1 if whole else (AROUND if ranged else AHEAD)

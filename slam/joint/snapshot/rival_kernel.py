@@ -77,7 +77,7 @@ def _moves(
         return False
     offset = f.core.first_offset + seen.site_of[link]
     expected, change = expect(f, a, j, offset, rotations_of(f), s), Vec3(0.0, 0.0, 0.0)
-    spread = inverse(innovate(change, seen.single[start + max(before, after)], expected.hph).s)
+    spread = inverse(innovate(change, seen.noise.single[start + max(before, after)], expected.hph).s)
     for k, sign in ((before, 1.0), (after, -1.0)):
         if k >= 0:
             e = difference(seen.z[start + k], expected.z)

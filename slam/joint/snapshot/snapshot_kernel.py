@@ -116,13 +116,13 @@ def pair(f: Filter, a: ArrayErrors, seen: Measured, s: Sight, w: Pairs, rival: R
         start, stop = seen.first[link], seen.first[link + 1]
         if f.links[link] == 0:
             w.slot_of[start:stop] = TAKEN
-        elif seen.rules.mode == KNOWN_ASSOCIATION:
+        elif seen.rules.association.mode == KNOWN_ASSOCIATION:
             for k in range(start, stop):
                 w.slot_of[k] = FRESH
                 for j in range(f.count[0]):
                     if f.slots[j, IDENT] == seen.given[k] and f.slots[j, LINK] == link:
                         w.slot_of[k] = j
-        elif seen.rules.mode == BELIEF:
+        elif seen.rules.association.mode == BELIEF:
             believe(f, a, seen, link, s, w)
         elif stop > start:
             rows = associate(f, a, seen, link, s, w)
@@ -139,7 +139,7 @@ def count_odds(f: Filter, b: Block, seen: Measured, w: Pairs) -> None:
     The first measurement of a VT of a remembered map, or at one that returns, counts as whole: that something is where
     the map has it, is news.
     """
-    horizon = seen.tables.shape[2] - 1
+    rules, horizon = seen.rules.association, seen.tables.shape[2] - 1
     for j in range(f.count[0]):
         if f.links[f.slots[j, LINK]] == 1:
             kind, age = 0 if f.slots[j, HITS] < 2 else 1, min(seen.now - f.slots[j, LAST], horizon)
@@ -148,9 +148,9 @@ def count_odds(f: Filter, b: Block, seen: Measured, w: Pairs) -> None:
         j = w.slot_of[k]
         if j >= 0:
             kind, age = 0 if f.slots[j, HITS] < 2 else 1, min(seen.now - f.slots[j, LAST], horizon)
-            odds = seen.tables[kind, 0, age] - seen.tables[kind, 1, age] - seen.rules.log_clutter - seen.gap[k]
-            if (f.slots[j, UNSEEN] == 1 or seen.now - f.slots[j, LAST] > seen.rules.away) and b.detections[j] == 0:
-                any_vt = known_density(seen.z[k], seen.many[k])
+            odds = seen.tables[kind, 0, age] - seen.tables[kind, 1, age] - rules.log_clutter - seen.gap[k]
+            if (f.slots[j, UNSEEN] == 1 or seen.now - f.slots[j, LAST] > rules.away) and b.detections[j] == 0:
+                any_vt = known_density(seen.z[k], seen.noise.many[k])
                 f.anchor[j, WORTH] += odds - any_vt
                 odds = any_vt
             b.odds[j] += odds
@@ -183,10 +183,10 @@ def take_in(f: Filter, b: Block, seen: Measured, association: Ints, s: Sight, w:
             if j < 0:
                 continue
             h = geometry(f, j, offset, here, turned, coordinates(f, j), s)
-            _count(b, j, 0, seen.z[k, 0] - h.distance - f.x[offset], seen.many[k, 0])
-            _count(b, j, 1, wrap(seen.z[k, 1] - h.azimuth), seen.many[k, 1])
-            _count(b, j, 2, seen.z[k, 2] - h.elevation, seen.many[k, 2])
-            b.diffuse[j] += seen.diffuse[k] ** 2
+            _count(b, j, 0, seen.z[k, 0] - h.distance - f.x[offset], seen.noise.many[k, 0])
+            _count(b, j, 1, wrap(seen.z[k, 1] - h.azimuth), seen.noise.many[k, 1])
+            _count(b, j, 2, seen.z[k, 2] - h.elevation, seen.noise.many[k, 2])
+            b.diffuse[j] += seen.noise.diffuse[k] ** 2
             b.seen[j, b.detections[j]] = n
             b.detections[j] += 1
             link_slot = f.slots[j]
@@ -213,17 +213,17 @@ def give_births(
     for link in range(len(seen.first) - 1):
         offset = f.core.first_offset + seen.site_of[link]
         for k in range(seen.first[link], seen.first[link + 1]):
-            if w.slot_of[k] != FRESH or not possible(seen.begin[k], f.x[offset]):
+            if w.slot_of[k] != FRESH or not possible(seen.births.z[k], f.x[offset]):
                 continue
             ident = seen.born + k
-            if rules.mode == KNOWN_ASSOCIATION and seen.given[k] >= 0:
+            if rules.association.mode == KNOWN_ASSOCIATION and seen.given[k] >= 0:
                 ident = seen.given[k]
                 association[k] = ident
-            elif rules.mode != FREE and rules.mode != BELIEF:
+            elif rules.association.mode != FREE and rules.association.mode != BELIEF:
                 continue
             before = f.count[0]
             begin(f, a, b, seen, link, ident, k, s, p)
-            if rules.mode == BELIEF:
+            if rules.association.mode == BELIEF:
                 f.anchor[before : f.count[0], EXISTS] = w.exists[k]
 
 
@@ -284,13 +284,13 @@ def update_by_block(f: Filter, a: ArrayErrors, b: Block, seen: Measured, s: Sigh
             n = b.measured[j, c]
             z[c] += b.e[j, c] / n if n > 0.0 else math.nan
             white[c] = b.q[j, c] / (n * n) if n > 0.0 else 1.0
-            q[c] = white[c] + (seen.merged[c] / n if n > 0.0 else 0.0)
+            q[c] = white[c] + (seen.noise.merged[c] / n if n > 0.0 else 0.0)
         if rules.merge_rate > 0.0:
-            expect_beside(f, b, j, offset, h, there, turned, rules.confirm, s)
+            expect_beside(f, b, j, offset, h, there, turned, rules.lifetime.confirm, s)
         diffuse, turn = shares(b, a, j)
         measurement = BlockMeasurement(z, q, white, middle, there, turned, diffuse, turn, seen.now, b.deviation[at])
         if f.slots[j, UNSEEN] == 1:
-            count_surprise(f, a, j, offset, measurement, rules.gate, s, p)
+            count_surprise(f, a, j, offset, measurement, rules.association.gate, s, p)
         if f.anchor[j, SHARE] < 1.0:
             fit = correct_guesses(f, a, j, offset, measurement, rules, s, p)
         else:
@@ -337,7 +337,8 @@ def conclude(f: Filter, a: ArrayErrors, b: Block, noise: Floats, seen: Measured,
 @lean
 def ends(b: Block, rules: Rules) -> bool:
     """Return whether a block is full: after so many snapshots, so long a distance or turn."""
-    return bool(b.snapshots[0] >= rules.snapshots or b.total[0] > rules.distance or abs(b.total[1]) > rules.turn)
+    most = rules.blocks
+    return bool(b.snapshots[0] >= most.snapshots or b.total[0] > most.distance or abs(b.total[1]) > most.turn)
 
 
 @njit(cache=True, nogil=True)
@@ -358,10 +359,10 @@ def advance_mixture(
             rival = Rival(pairs.loss[k], pairs.change[k])
             if interval.dt > 0.0:
                 advance(f, b, interval, room.step)
-            rival.loss[0] = rules.rival_loss
+            rival.loss[0] = rules.association.rival_loss
             pair(f, a, seen, room.sight, w, rival)
             if shift_clocks(f, b, a, seen, room.sight, w):
-                rival.loss[0] = rules.rival_loss
+                rival.loss[0] = rules.association.rival_loss
                 pair(f, a, seen, room.sight, w, rival)
             put(pairs.slot_of[k], w.slot_of)
             put(pairs.exists[k], w.exists)

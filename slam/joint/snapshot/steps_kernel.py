@@ -105,7 +105,7 @@ def shift_clocks(f: Filter, b: Block, a: ArrayErrors, seen: Measured, s: Sight, 
             continue
         prior = rules.step + 0.5 * (math.log(found.variance / step_m**2) - (found.size / step_m) ** 2)
         gain = found.gain if found.paired >= AGREE else min(found.gain, -prior / ALONE)
-        if (found.size - b.shift[site, 0]) ** 2 <= rules.gate * found.variance:
+        if (found.size - b.shift[site, 0]) ** 2 <= rules.association.gate * found.variance:
             gain += b.shift[site, 1]
         b.shift[site, 0], b.shift[site, 1] = found.size, gain
         if gain + prior > 0.0:
@@ -123,7 +123,7 @@ def _explained(f: Filter, seen: Measured, site: int, w: Pairs) -> tuple[int, int
         if seen.site_of[link] == site and f.links[link] == 1:
             for k in range(seen.first[link], seen.first[link + 1]):
                 j = w.slot_of[k]
-                if j >= 0 and f.slots[j, HITS] >= seen.rules.confirm:
+                if j >= 0 and f.slots[j, HITS] >= seen.rules.lifetime.confirm:
                     known += 1
                 elif not math.isnan(seen.z[k, 0]):
                     unknown += 1
@@ -142,7 +142,7 @@ def _worth(f: Filter, a: ArrayErrors, seen: Measured, site: int, shift: float, s
             associate(f, a, seen, link, s, w)
             for k in range(seen.first[link + 1] - seen.first[link]):
                 row = w.row_of[k]
-                if row >= 0 and f.slots[w.chosen[row], HITS] >= seen.rules.confirm:
+                if row >= 0 and f.slots[w.chosen[row], HITS] >= seen.rules.lifetime.confirm:
                     score += w.score[row, k]
                     paired += 1
     f.x[offset] = before
@@ -155,15 +155,16 @@ def _likely_shift(f: Filter, a: ArrayErrors, seen: Measured, site: int, s: Sight
     lately."""
     score, paired = _worth(f, a, seen, site, 0.0, s, w)
     turned, rules, best = rotations_of(f), seen.rules, Shift(0.0, 1.0, 0.0, 0)
+    gate = rules.association.gate
     for j in range(f.count[0]):
         link = f.slots[j, LINK]
-        if seen.site_of[link] != site or f.links[link] == 0 or f.slots[j, HITS] < rules.confirm:
+        if seen.site_of[link] != site or f.links[link] == 0 or f.slots[j, HITS] < rules.lifetime.confirm:
             continue
         expected = expect(f, a, j, f.core.first_offset + site, turned, s)
         for k in range(seen.first[link], seen.first[link + 1]):
-            i = innovate(difference(seen.z[k], expected.z), seen.single[k], expected.hph)
+            i = innovate(difference(seen.z[k], expected.z), seen.noise.single[k], expected.hph)
             apart = i.e.y * i.e.y / i.s.yy + i.e.z * i.e.z / i.s.zz
-            if math.isnan(seen.z[k, 0]) or apart > rules.gate or i.e.x * i.e.x <= rules.gate * i.s.xx:
+            if math.isnan(seen.z[k, 0]) or apart > gate or i.e.x * i.e.x <= gate * i.s.xx:
                 continue
             there, agree = _worth(f, a, seen, site, i.e.x, s, w)
             recent = seen.now - f.slots[j, LAST] <= RECENT

@@ -125,72 +125,111 @@ class Filter(NamedTuple):
     spread: Floats
 
 
-class Rules(NamedTuple):
-    """Options of the compiled filters.
+class Association(NamedTuple):
+    """How measurements are associated.
 
-    `mode`: what the measurements may do to the map; `log_clutter`: log of the clutter density; `gate`: squared
-    Mahalanobis distance; `confirm`: detections that confirm a VT; `age_once`, `age_twice`: snapshots after which one
-    that was seen once, or a few times, is dropped. A block ends after so many `snapshots`, so long a `distance` (m) or
-    `turn` (rad); `evidence`: what share of detections and misses counts; `hold`: snapshots after which a weight that
-    was not met is given up; `return_log_odds`: least log-odds that a measurement is of a VT which was last seen more
-    than `away` snapshots ago, not of another one nearby; `rival_loss`: what a rival association may lose of
-    log-likelihood. Belief propagation: odds of a `birth` against clutter, probabilities that a visible VT stays so,
-    that a hidden one comes `back`, of `detection`, and below which a VT is given up, `drop`. `step`: log-probability
-    that a clock which may step does so in a block. `merge_rate`: how often another path merges with that of a VT, 1/s;
-    0: never.
+    `mode`: what they may do to the map (FREE and so on); `log_clutter`: log of the clutter density; `gate`: squared
+    Mahalanobis distance; `return_log_odds`: least log-odds that a measurement is of a VT which was last seen more than
+    `away` snapshots ago, not of another one nearby; `rival_loss`: log-likelihood that a rival association may lose.
     """
 
     mode: int
     log_clutter: float
     gate: float
-    confirm: int
-    age_once: int
-    age_twice: int
-    snapshots: int
-    distance: float
-    turn: float
-    evidence: float
-    hold: int
     return_log_odds: float
     away: int
     rival_loss: float = 0.0
+
+
+class Lifetime(NamedTuple):
+    """When VTs and weights of the roof's field are confirmed and dropped.
+
+    `confirm`: detections that confirm a VT; `age_once`, `age_twice`: snapshots after which one that was seen once, or a
+    few times, is dropped; `hold`: snapshots after which a weight that was not met is given up.
+    """
+
+    confirm: int
+    age_once: int
+    age_twice: int
+    hold: int
+
+
+class BlockLimits(NamedTuple):
+    """A block ends after so many `snapshots`, so long a `distance` (m), or so large a `turn` (rad)."""
+
+    snapshots: int
+    distance: float
+    turn: float
+
+
+class Existence(NamedTuple):
+    """Of belief propagation: odds of a `birth` against clutter; probabilities that a visible VT stays so, that a hidden
+    one comes `back`, of `detection`, and below which a VT is given up, `drop`. Other filters do not use them."""
+
     birth: float = 0.0
     stay: float = 1.0
     back: float = 0.0
     detection: float = 1.0
     drop: float = 0.0
+
+
+class Rules(NamedTuple):
+    """Options of the compiled filters, by what they are about.
+
+    `evidence`: share of detections and misses that counts in the log-likelihood; `step`: log-probability that a clock
+    which may step does so in a block; `merge_rate`: how often another path merges with that of a VT, 1/s; 0: never.
+    """
+
+    association: Association
+    lifetime: Lifetime
+    blocks: BlockLimits
+    evidence: float
+    existence: Existence = Existence()
     step: float = -math.inf
     merge_rate: float = 0.0
+
+
+class Noise(NamedTuple):
+    """Variances (m, 3) of measurements, in m^2 and rad^2, besides those of the states.
+
+    `single`: of a measurement; `many`: of what it counts for in an update; `merged` (3,): what updates take beside
+    `many`; `diffuse` (m,): share of the diffuse errors' deviation that is left in a measurement.
+    """
+
+    single: Floats
+    many: Floats
+    merged: Floats
+    diffuse: Floats
+
+
+class Births(NamedTuple):
+    """Measurements as VTs begin with them: `z` (m, 3) in m and rad, NaN where none may begin; variances `q` (m, 3); and
+    how many `guesses` there are, if all of them begin, of VTs of which a distance or an azimuth is not known."""
+
+    z: Floats
+    q: Floats
+    guesses: int
 
 
 class Measured(NamedTuple):
     """One snapshot of m measurements as the kernels take it, snapshot number `now`.
 
-    `born`: identity of measurement 0 as a VT; `first` (L + 1,): first measurement of each link; `site_of` (L,); `z` (m,
-    3): in m and rad, NaN where not measured; variances (m, 3) besides those of the states: `single` of a measurement,
-    `many` of what it counts for in an update, `fresh` of a birth; `merged` (3,): what updates take beside `many`;
-    `diffuse` (m,): share of the diffuse errors' deviation that is left in a measurement; `gap` (m,): what the
-    log-density of clutter is greater by; `begin` (m, 3): measurements as births take them, with a prior where there is
-    no elevation, NaN where none may begin, and how many `guesses` that may need room for; `given` (m,): true VT of each
-    measurement in mode KNOWN_ASSOCIATION; `tables` (2, 2, H): see `front_end.visibility.existence`.
+    `born`: identity of measurement 0 as a VT; `first` (L + 1,): first measurement of each link; `site_of` (L,); `given`
+    (m,): true VT of each measurement in mode KNOWN_ASSOCIATION; `z` (m, 3): in m and rad, NaN where not measured; `gap`
+    (m,): what the log-density of clutter is greater by; `tables` (2, 2, H): see `front_end.visibility.existence`.
     """
 
     now: int
     born: int
     first: Ints
     site_of: Ints
-    z: Floats
-    single: Floats
-    many: Floats
-    fresh: Floats
-    diffuse: Floats
-    gap: Floats
-    begin: Floats
-    guesses: int
     given: Ints
+    z: Floats
+    gap: Floats
     tables: Floats
+    noise: Noise
+    births: Births
     rules: Rules
-    merged: Floats
 
 
 class Block(NamedTuple):
@@ -223,10 +262,12 @@ class Block(NamedTuple):
 def one_of(mixture: Filter, k: int) -> Filter:
     """Return filter k of a mixture."""
     return Filter(
-        mixture.core, mixture.x[k], mixture.p[k], mixture.size[k], mixture.owner[k], mixture.weight_state[k],
-        mixture.weight_met[k], mixture.vt_state[k], mixture.anchor[k], mixture.slots[k], mixture.count[k],
-        mixture.links[k], mixture.lost[k], mixture.losses[k], mixture.sizes[k], mixture.summed[k], mixture.surprise[k],
-        mixture.deviation[k], mixture.weight[k], mixture.spread[k],
+        core=mixture.core, x=mixture.x[k], p=mixture.p[k], size=mixture.size[k], owner=mixture.owner[k],
+        weight_state=mixture.weight_state[k], weight_met=mixture.weight_met[k], vt_state=mixture.vt_state[k],
+        anchor=mixture.anchor[k], slots=mixture.slots[k], count=mixture.count[k], links=mixture.links[k],
+        lost=mixture.lost[k], losses=mixture.losses[k], sizes=mixture.sizes[k], summed=mixture.summed[k],
+        surprise=mixture.surprise[k], deviation=mixture.deviation[k], weight=mixture.weight[k],
+        spread=mixture.spread[k],
     )  # fmt: skip
 
 
@@ -234,7 +275,17 @@ def one_of(mixture: Filter, k: int) -> Filter:
 def block_of(blocks: Block, k: int) -> Block:
     """Return the block of filter k of a mixture."""
     return Block(
-        blocks.snapshots[k], blocks.pose[k], blocks.at[k], blocks.total[k], blocks.detections[k], blocks.seen[k],
-        blocks.e[k], blocks.q[k], blocks.measured[k], blocks.diffuse[k], blocks.odds[k],
-        blocks.shift[k], blocks.deviation[k],
-    )  # fmt: skip
+        snapshots=blocks.snapshots[k],
+        pose=blocks.pose[k],
+        at=blocks.at[k],
+        total=blocks.total[k],
+        detections=blocks.detections[k],
+        seen=blocks.seen[k],
+        e=blocks.e[k],
+        q=blocks.q[k],
+        measured=blocks.measured[k],
+        diffuse=blocks.diffuse[k],
+        odds=blocks.odds[k],
+        shift=blocks.shift[k],
+        deviation=blocks.deviation[k],
+    )

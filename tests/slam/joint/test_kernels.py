@@ -208,7 +208,8 @@ def test_a_vt_that_returns_must_be_likelier_than_a_new_one_nearby(one_filter: An
 
         for unseen, taken in ((4, [1, 1]), (5, [1, 0])):
             one.f.slots[0, LAST] = NOW - unseen
-            one.rules = one.rules._replace(return_log_odds=log_odds(e) - 1e-6)
+            association = one.rules.association._replace(return_log_odds=log_odds(e) - 1e-6)
+            one.rules = one.rules._replace(association=association)
             seen = one.seen(h + np.array([e, 1.001 * e]), np.array([q, q]))
             score_pairs(one.f, NO_ERRORS, seen, 0, one.w.sight, one.w.pairs)
             assert one.w.pairs.gated[:2].tolist() == taken
@@ -294,9 +295,9 @@ def test_weights_of_the_roof_and_faded_errors_are_given_up_in_time(one_filter: A
     assert roof.any() and not roof[weights].all()
     forget(one.f, ERRORS, 10.0, 0.0)
     one.f.slots[0, 1] = 9  # confirmed
-    tidy(one.f, ERRORS, one.block, 3 + one.rules.hold, one.rules)
+    tidy(one.f, ERRORS, one.block, 3 + one.rules.lifetime.hold, one.rules)
     assert one.n == len(weights) - 3  # the diffuse errors are as unknown as new ones
-    tidy(one.f, ERRORS, one.block, 4 + one.rules.hold, one.rules)
+    tidy(one.f, ERRORS, one.block, 4 + one.rules.lifetime.hold, one.rules)
     assert one.n == len(weights) - 3 - roof.sum()
     assert (one.f.owner[: one.n] >= 0).sum() == weights.sum() - roof.sum()
 
