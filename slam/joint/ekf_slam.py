@@ -53,8 +53,7 @@ from cellslam.slam.front_end.readings import Readings, novelty, white_readings
 from cellslam.slam.front_end.visibility import existence
 from cellslam.slam.joint.calibration_states import begin_with, found
 from cellslam.slam.joint.ekf_slam_options import EkfSlamOptions
-from cellslam.slam.joint.map_after import Box, Observed, map_after
-from cellslam.slam.joint.map_states import Remembered
+from cellslam.slam.joint.map_states import Box, Observed, Remembered, map_after
 from cellslam.slam.joint.map_trial import MapTrial
 from cellslam.slam.joint.mixture import LONGEST, MOST_STATES, Mixture, core_of, new_mixture, vt_estimate
 from cellslam.slam.joint.sizes import Sizes, growth, sizes_of

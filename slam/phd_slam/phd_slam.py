@@ -30,6 +30,7 @@ from __future__ import annotations
 from typing import Any, ClassVar
 
 import numpy as np
+from pydantic import Field
 from scipy.special import ndtri
 
 from cellslam.sim.randomness import quasi_random
@@ -38,6 +39,7 @@ from cellslam.slam import warm_up
 from cellslam.slam.api import Estimate, Setup, Snapshot, VtEstimate
 from cellslam.slam.front_end import attitude, misfit
 from cellslam.slam.front_end.attitude import Attitude
+from cellslam.slam.front_end.front_end_options import FrontEndOptions
 from cellslam.slam.front_end.fusion import FusedMeasurements, Fusion
 from cellslam.slam.front_end.measurement_noise import ports_of
 from cellslam.slam.front_end.misfit import Misfit
@@ -45,7 +47,6 @@ from cellslam.slam.front_end.readings import Readings, novelty, readings
 from cellslam.slam.front_end.visibility import transitions
 from cellslam.slam.model.pose_moments import pose_moments
 from cellslam.slam.model.resampling import systematic
-from cellslam.slam.phd_slam.field_of_view import FieldOfView
 from cellslam.slam.phd_slam.gaussians_kernel import (
     COVARIANCE,
     GAIN,
@@ -63,7 +64,6 @@ from cellslam.slam.phd_slam.gaussians_kernel import (
 )
 from cellslam.slam.phd_slam.motion_kernel import Interval
 from cellslam.slam.phd_slam.pairs_kernel import Rules
-from cellslam.slam.phd_slam.phd_slam_options import PhdSlamOptions
 from cellslam.slam.phd_slam.snapshot_kernel import Particles, resample, use_snapshot
 
 CAPACITY = 64  # Gaussians that there is room for at the start; doubled when needed
@@ -71,6 +71,44 @@ DRIFT_SCALE_S = 1.0  # an offset that drifts is taken to walk: so far in so long
 ANCHOR_STD_M = 1e-3
 SURVEYED = 1000.0  # detections that a surveyed transmitter counts as
 TRIANGLE = np.array([[0, 1, 2], [1, 3, 4], [2, 4, 5]])
+UNKNOWN_M = 1e5  # reach of a front end that measures no distances
+
+
+class PhdSlamOptions(FrontEndOptions):
+    """What a scenario may set under `estimator.phd-slam`, beside what the front end is like."""
+
+    particles: int = Field(100, ge=1, le=100_000, description="number of particles")
+    effective_share: float = Field(
+        0.5, ge=0, le=1, description="resample when the effective sample size falls below this share of the particles"
+    )
+    iterations: int = Field(2, ge=1, le=20, description="linearisations of the importance density of the motion")
+    offset_component_std_m: float = Field(
+        20.0, gt=0, le=1000, description="width of one particle's clock-offset component at the start, m"
+    )
+    drop_weight: float = Field(1e-4, gt=0, lt=1, description="a Gaussian of the map of less weight is dropped")
+    merge_distance2: float = Field(
+        10.0, gt=0, le=1000, description="squared Mahalanobis distance up to which Gaussians of the map are merged"
+    )
+    components: int = Field(4096, ge=16, le=65536, description="Gaussians kept in a particle's map at most")
+
+
+class FieldOfView:
+    """Of each link the farthest distance (m) and the largest azimuth to either side (rad) measured so far, and the
+    variances of both: `limits` (L, 4). Nothing is missed where nothing is ever seen.
+
+    Source: Mullane et al. (2011): probability of detection as a function of pose and place.
+    """
+
+    def __init__(self, links: int) -> None:
+        self.limits: Floats = np.tile([0.0, 0.0, 1.0, 1e-4], (links, 1))
+
+    def widen(self, link: Ints, values: Readings) -> None:
+        """Take the measurements of a snapshot, their links (m,), into account, in m and rad; a component that is not
+        measured has no limit."""
+        reach, span = np.nan_to_num(values.z[:, 0], nan=UNKNOWN_M), np.nan_to_num(np.abs(values.z[:, 1]), nan=np.pi)
+        np.maximum.at(self.limits[:, 0], link, reach)
+        np.maximum.at(self.limits[:, 1], link, span)
+        self.limits[link, 2:] = values.single[:, :2]
 
 
 class PhdSlam:

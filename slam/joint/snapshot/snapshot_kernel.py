@@ -1,6 +1,6 @@
 """Compiled: one snapshot for every filter of a mixture, and the update at the end of each block of snapshots.
 
-FusedMeasurements are associated and counted at every snapshot; what those at a VT differ by from what is expected is
+Measurements are associated and counted at every snapshot; what those at a VT differ by from what is expected is
 averaged over a block, some tenths of a second at most, and the state is updated by the means. A mean is of the middle
 place.
 
@@ -66,9 +66,8 @@ from cellslam.slam.model.field_kernel import MOST_BELLS
 from cellslam.slam.model.matrices_kernel import Vec3
 from cellslam.slam.model.measurement_kernel import rotations
 
-UNLIKELY = (
-    -4.6
-)  # the most that the measurements of a VT in a block can say against a filter: one in a hundred is of another VT
+# The most that the measurements of a VT in a block can say against a filter: one in a hundred is of another VT.
+UNLIKELY = -4.6
 PENDING = 51  # rows of what measurements take off the covariance that may wait
 
 
@@ -98,8 +97,8 @@ class Room(NamedTuple):
 def advance(f: Filter, b: Block, interval: Interval, w: Step) -> None:
     """Move a filter by an interval of dt > 0.
 
-    Way and turn are the measured ones: the blocks of all filters of a mixture end together, or their weights could not
-    be compared.
+    Distance and turn are the measured ones: the blocks of all filters of a mixture end together, or their weights could
+    not be compared.
     """
     move(f, interval, w)
     u, dt = interval.measured, interval.dt

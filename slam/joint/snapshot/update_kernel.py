@@ -36,6 +36,7 @@ from cellslam.slam.model.matrices_kernel import (
 from cellslam.slam.model.measurement_kernel import Rotations, Spherical, direction, rotations, spherical
 
 LOG_2PI = math.log(2.0 * math.pi)
+LIKELY = 9.0  # squared distance of an innovation: up to here it fits
 
 
 class Steps(NamedTuple):
@@ -61,9 +62,6 @@ class Pending(NamedTuple):
     steps: Steps
     whitened: Floats
     whitened_mean: Floats
-
-
-LIKELY = 9.0  # squared distance of an innovation: up to here it fits
 
 
 class BlockMeasurement(NamedTuple):

@@ -92,7 +92,7 @@ class Filter(NamedTuple):
 
     mean `x` (N,), covariance `p` (N, N), of which `size` (1,) are in use; `owner` (N,); `weight_state` (W,): place of
     each weight of the fields, `weight_met` (W,): snapshot; `vt_state` (V, 6): places of a VT's states, -1 where there
-    is none; `anchor` (V, 7); `slots` (V, 7); `count` (1,): VTs; `links` (L,): 1 where it uses a link; confirmed VTs
+    is none; `anchor` (V, 7); `slots` (V, 6); `count` (1,): VTs; `links` (L,): 1 where it uses a link; confirmed VTs
     that were given up are in `lost` (E, 14), `losses` (1,) of them; `sizes` (3, Z): what was learnt of the sizes (see
     `sizes_kernel`), `summed` (1,): time (s) of the sums of noise; `surprise` (2,): sum of the squared innovations, in
     their deviations, of first measurements of VTs of a remembered map, and how many components they had. A VT that is

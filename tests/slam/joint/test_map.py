@@ -16,8 +16,7 @@ from cellslam.sim.recording import Floats, Links, OdometryModel, Recording, Site
 from cellslam.slam.api import Estimate, Setup, odometry_of, setup_of, snapshots_of
 from cellslam.slam.joint.ekf_slam import EkfSlam
 from cellslam.slam.joint.ekf_slam_options import EkfSlamOptions
-from cellslam.slam.joint.map_after import WIDENED, Observed, map_after
-from cellslam.slam.joint.map_states import Remembered, standing
+from cellslam.slam.joint.map_states import WIDENED, Observed, Remembered, map_after, standing
 from cellslam.slam.joint.map_trial import MapTrial
 from cellslam.slam.joint.mixture import core_of, new_mixture
 from cellslam.slam.joint.state.array_errors import NO_ERRORS
