@@ -22,7 +22,7 @@ WAY = (
     ("drive", "sim/vehicle"),
     ("front end", "sim/lte"),
     ("recording", "sim/recording"),
-    ("estimator", "slam/ekf_slam"),
+    ("estimator", "slam/joint"),
     ("scores, bound", "benchmarks/scores"),
     ("table, report", "benchmarks/tables"),
 )

@@ -55,12 +55,12 @@ BUILT_IN = (
     ),
     Listed(
         "ekf-slam",
-        "cellslam.slam.ekf_slam.ekf_slam:EkfSlam",
+        "cellslam.slam.joint.ekf_slam:EkfSlam",
         "joint EKF of pose, odometry errors, clock offsets, VTs and errors that persist; or several such hypotheses",
     ),
     Listed(
         "wall-slam",
-        "cellslam.slam.wall_slam.wall_slam:WallSlam",
+        "cellslam.slam.joint.wall_slam:WallSlam",
         "EKF-SLAM whose VTs of several sites are images in walls that they share; maps the walls",
     ),
     Listed(
@@ -70,7 +70,7 @@ BUILT_IN = (
     ),
     Listed(
         "bp-slam",
-        "cellslam.slam.bp_slam.bp_slam:BpSlam",
+        "cellslam.slam.joint.bp_slam:BpSlam",
         "the joint filter of ekf-slam with association by belief propagation, on Gaussians",
     ),
     Listed(

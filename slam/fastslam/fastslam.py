@@ -2,7 +2,7 @@
 
 State
     x in R^n   pose, odometry biases and scales, clock offsets, errors of the array, virtual transmitters (VTs): the
-               state of the joint EKF (`slam/ekf_slam`), with which this filter shares its models and linearisation
+               state of the joint EKF (`slam/joint`), with which this filter shares its models and linearisation
     u_k in R^d what the odometry's white noise sums up to in block k of snapshots, some 0.6 s long: a particle is a
                path, the sequence of its draws of u_1, u_2, ...
     Given the path x is Gaussian. F, H and R hardly depend on which path it is, so N particles share one covariance
@@ -48,24 +48,6 @@ from cellslam.sim.compiling import is_compiled
 from cellslam.sim.recording import Floats, Ints
 from cellslam.slam import warm_up
 from cellslam.slam.api import Setup
-from cellslam.slam.ekf_slam.ekf_slam import JointFilter
-from cellslam.slam.ekf_slam.mixture import Mixture
-from cellslam.slam.ekf_slam.snapshot.association_kernel import FRESH, TAKEN
-from cellslam.slam.ekf_slam.snapshot.motion_kernel import NOTHING_DRAWN, Interval
-from cellslam.slam.ekf_slam.snapshot.snapshot_kernel import Room
-from cellslam.slam.ekf_slam.state.layout import (
-    HITS,
-    LAST,
-    POSE,
-    SHARE,
-    ArrayErrors,
-    Block,
-    Filter,
-    Measured,
-    Rules,
-    block_of,
-    one_of,
-)
 from cellslam.slam.fastslam import fastslam_kernel
 from cellslam.slam.fastslam.fastslam_kernel import (
     Scores,
@@ -80,6 +62,24 @@ from cellslam.slam.fastslam.fastslam_kernel import (
 from cellslam.slam.fastslam.fastslam_options import NEVER, FastSlamOptions
 from cellslam.slam.fastslam.parts import BUILT_IN, NO_VT, Candidates, Parts, Transmitters, checked, part_named, returned
 from cellslam.slam.fastslam.relocation import PLANE, components_of_pose, log_likelihood
+from cellslam.slam.joint.ekf_slam import JointFilter
+from cellslam.slam.joint.mixture import Mixture
+from cellslam.slam.joint.snapshot.association_kernel import FRESH, TAKEN
+from cellslam.slam.joint.snapshot.motion_kernel import NOTHING_DRAWN, Interval
+from cellslam.slam.joint.snapshot.snapshot_kernel import Room
+from cellslam.slam.joint.state.layout import (
+    HITS,
+    LAST,
+    POSE,
+    SHARE,
+    ArrayErrors,
+    Block,
+    Filter,
+    Measured,
+    Rules,
+    block_of,
+    one_of,
+)
 
 FEWEST = 10  # particles of a group: three of them do not hold a path
 TINY = 1e-12  # of a variance: as good as none
@@ -133,7 +133,7 @@ class FastSlam(JointFilter):
     def _rules(self, common: Rules, dt_s: float) -> Rules:
         """Leave second hypotheses to the association part."""
         del dt_s
-        return common._replace(rival_loss=0.0)
+        return common._replace(association=common.association._replace(rival_loss=0.0))
 
     @property
     def _drawn_blocks(self) -> int:
@@ -289,14 +289,14 @@ class FastSlam(JointFilter):
         rules, count = measured.rules, int(f.count[0])
         hits, unseen = f.slots[:count, HITS], measured.now - f.slots[:count, LAST]
         step_s = self._step_s
-        lifetime = np.where(hits < 2, rules.age_once, rules.age_twice)
+        lifetime = np.where(hits < 2, rules.lifetime.age_once, rules.lifetime.age_twice)
         vts = Transmitters(
             detections=hits.copy(), unseen_s=np.asarray(unseen * step_s, np.float64), lifetime_s=lifetime * step_s,
-            confirmed=hits >= rules.confirm,
+            confirmed=hits >= rules.lifetime.confirm,
         )  # fmt: skip
         f.anchor[:count, SHARE][returned("pruning", self.parts.pruning(vts), (count,))] = DROPPED
         forever = np.iinfo(np.int64).max
-        return rules._replace(age_once=forever, age_twice=forever)
+        return rules._replace(lifetime=rules.lifetime._replace(age_once=forever, age_twice=forever))
 
     # ---- groups and memory -------------------------------------------------------------------------------------------
 

@@ -14,10 +14,10 @@ import numpy as np
 
 from cellslam.sim.compiling import njit, part
 from cellslam.sim.recording import Floats, Ints
-from cellslam.slam.ekf_slam.snapshot.association_kernel import score_pairs
-from cellslam.slam.ekf_slam.snapshot.motion_kernel import Interval
-from cellslam.slam.ekf_slam.snapshot.sight_kernel import coordinates, geometry, rotations_of
-from cellslam.slam.ekf_slam.snapshot.snapshot_kernel import (
+from cellslam.slam.joint.snapshot.association_kernel import score_pairs
+from cellslam.slam.joint.snapshot.motion_kernel import Interval
+from cellslam.slam.joint.snapshot.sight_kernel import coordinates, geometry, rotations_of
+from cellslam.slam.joint.snapshot.snapshot_kernel import (
     Room,
     advance,
     begin_update,
@@ -29,9 +29,9 @@ from cellslam.slam.ekf_slam.snapshot.snapshot_kernel import (
     take_in,
     update_by_block,
 )
-from cellslam.slam.ekf_slam.snapshot.steps_kernel import shift_clocks
-from cellslam.slam.ekf_slam.snapshot.update_kernel import settle
-from cellslam.slam.ekf_slam.state.layout import LINK, ArrayErrors, Block, Filter, Measured
+from cellslam.slam.joint.snapshot.steps_kernel import shift_clocks
+from cellslam.slam.joint.snapshot.update_kernel import settle
+from cellslam.slam.joint.state.layout import LINK, ArrayErrors, Block, Filter, Measured
 from cellslam.slam.model.copy_kernel import put
 from cellslam.slam.model.matrices_kernel import Vec3
 

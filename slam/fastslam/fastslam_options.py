@@ -5,8 +5,8 @@ from __future__ import annotations
 from pydantic import Field, field_validator
 from pydantic_core.core_schema import ValidationInfo
 
-from cellslam.slam.ekf_slam.ekf_slam_options import EkfSlamOptions
 from cellslam.slam.fastslam.parts import BUILT_IN, check_name
+from cellslam.slam.joint.ekf_slam_options import EkfSlamOptions
 
 NEVER = 10_000  # blocks of lag, from which on nothing is drawn
 

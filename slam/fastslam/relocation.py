@@ -23,9 +23,9 @@ import numpy as np
 
 from cellslam.sim.frames import wrap_angle
 from cellslam.sim.recording import Floats
-from cellslam.slam.ekf_slam.map_states import REACH_M, Remembered
-from cellslam.slam.ekf_slam.start import REACH, components
-from cellslam.slam.ekf_slam.state.layout import Measured
+from cellslam.slam.joint.map_states import REACH_M, Remembered
+from cellslam.slam.joint.start import REACH, components
+from cellslam.slam.joint.state.layout import Measured
 from cellslam.slam.model.measurement_model import predict
 
 PLANE = np.array([0, 1, 3])  # x, y and yaw of a pose
@@ -61,7 +61,8 @@ def _log_likelihood(poses: Floats, std: Floats, offset_m: Floats, remembered: Re
     spread2 = np.trace(known.covariance_m2, axis1=1, axis2=2) / 3.0
     for link, (start, stop) in enumerate(zip(measured.first[:-1], measured.first[1:], strict=True)):
         here = np.flatnonzero(remembered.link == link)
-        z, variance = measured.z[start:stop] - [offset_m[measured.site_of[link]], 0.0, 0.0], measured.single[start:stop]
+        z = measured.z[start:stop] - [offset_m[measured.site_of[link]], 0.0, 0.0]
+        variance = measured.noise.single[start:stop]
         if start == stop:
             continue
         place = poses[:, None, :2]
@@ -78,6 +79,6 @@ def _log_likelihood(poses: Floats, std: Floats, offset_m: Floats, remembered: Re
         there = np.isfinite(z)
         logs = np.where(there, -0.5 * (e * e / s + np.log(2.0 * np.pi * s)), 0.0).sum(axis=-1)
         density = np.where(away[..., None] <= REACH_M, DETECTED * np.exp(logs), 0.0).sum(axis=1)  # (K, m)
-        clutter = np.exp(measured.rules.log_clutter + measured.gap[start:stop])
+        clutter = np.exp(measured.rules.association.log_clutter + measured.gap[start:stop])
         total += np.log(clutter + density).sum(axis=1)
     return total

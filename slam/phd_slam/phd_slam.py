@@ -1,10 +1,36 @@
-"""PHD-SLAM: the map of each particle is the intensity of a random finite set, a mixture of Gaussians."""
+"""PHD-SLAM: the map of each particle is the intensity of a random finite set, a mixture of Gaussians.
+
+State
+    A particle is a path. Given it: the map, an intensity v(m) = sum_j w_j N(m; m_j + g_j (b - b_j), Sigma_j) with
+    weights of visible and hidden VTs; a clock offset b ~ N of each site; bias and scale of the odometry, Gaussian.
+                                                        gaussians_kernel.py: Map; snapshot_kernel.py: Particles
+Recursion, for odometry u and the snapshot Z = {z_k}
+    predict     w visible <- stay w visible + back w hidden, and the reverse        gaussians_kernel.py: come_and_go
+                velocity ~ N(mu, diag sigma^2) by odometry, bias and scale          motion_kernel.py: predict_velocity
+    draw        from its density given Z, linearised at its mean: information I + sum_p share_p A^T S^-1 A, A = dh/d(x),
+                x in deviations of the velocity; share_p of exclusive pairs         snapshot_kernel.py: _move, _inform
+                bias and scale are conditioned on the draw                          motion_kernel.py: learn
+    pair        odds_jk = p_D(m_j) w_j N(z_k - h(m_j); 0, S) / clutter              pairs_kernel.py: pair_up
+    clocks      P <- P / (1 + I P),  b <- b + P y                                   snapshot_kernel.py: _learn_offsets
+    update      detected: weight odds_jk / (1 + sum_i odds_ik), mean and covariance by Kalman's update
+                missed:   weight (1 - p_D(m_j)) w_j;  born: birth / (1 + sum_i odds_ik)           _updated, give_birth
+    merge       Gaussians that are near, and drop those of little weight            mixture_kernel.py: condense
+Weight of a particle
+    log w <- log w + log (prior / density of the draw) + new (sum_k log (1 + sum_j odds_jk) - sum_j p_D(m_j) w_j)
+                                                                                    _move, _update
+    with the cost of moving the clocks; resampled if the effective sample size is small            _conclude
+
+Sources: Mullane, Vo, Adams and Vo, "A random-finite-set approach to Bayesian SLAM", IEEE Trans. Robotics 27(2), 2011;
+Kaltiokallio et al., "A multihypotheses importance density for SLAM in cluttered scenarios", IEEE Trans. Robotics 40,
+2024.
+"""
 
 from __future__ import annotations
 
 from typing import Any, ClassVar
 
 import numpy as np
+from pydantic import Field
 from scipy.special import ndtri
 
 from cellslam.sim.randomness import quasi_random
@@ -13,6 +39,7 @@ from cellslam.slam import warm_up
 from cellslam.slam.api import Estimate, Setup, Snapshot, VtEstimate
 from cellslam.slam.front_end import attitude, misfit
 from cellslam.slam.front_end.attitude import Attitude
+from cellslam.slam.front_end.front_end_options import FrontEndOptions
 from cellslam.slam.front_end.fusion import FusedMeasurements, Fusion
 from cellslam.slam.front_end.measurement_noise import ports_of
 from cellslam.slam.front_end.misfit import Misfit
@@ -20,7 +47,6 @@ from cellslam.slam.front_end.readings import Readings, novelty, readings
 from cellslam.slam.front_end.visibility import transitions
 from cellslam.slam.model.pose_moments import pose_moments
 from cellslam.slam.model.resampling import systematic
-from cellslam.slam.phd_slam.field_of_view import FieldOfView
 from cellslam.slam.phd_slam.gaussians_kernel import (
     COVARIANCE,
     GAIN,
@@ -38,7 +64,6 @@ from cellslam.slam.phd_slam.gaussians_kernel import (
 )
 from cellslam.slam.phd_slam.motion_kernel import Interval
 from cellslam.slam.phd_slam.pairs_kernel import Rules
-from cellslam.slam.phd_slam.phd_slam_options import PhdSlamOptions
 from cellslam.slam.phd_slam.snapshot_kernel import Particles, resample, use_snapshot
 
 CAPACITY = 64  # Gaussians that there is room for at the start; doubled when needed
@@ -46,16 +71,48 @@ DRIFT_SCALE_S = 1.0  # an offset that drifts is taken to walk: so far in so long
 ANCHOR_STD_M = 1e-3
 SURVEYED = 1000.0  # detections that a surveyed transmitter counts as
 TRIANGLE = np.array([[0, 1, 2], [1, 3, 4], [2, 4, 5]])
+UNKNOWN_M = 1e5  # reach of a front end that measures no distances
+
+
+class PhdSlamOptions(FrontEndOptions):
+    """What a scenario may set under `estimator.phd-slam`, beside what the front end is like."""
+
+    particles: int = Field(100, ge=1, le=100_000, description="number of particles")
+    effective_share: float = Field(
+        0.5, ge=0, le=1, description="resample when the effective sample size falls below this share of the particles"
+    )
+    iterations: int = Field(2, ge=1, le=20, description="linearisations of the importance density of the motion")
+    offset_component_std_m: float = Field(
+        20.0, gt=0, le=1000, description="width of one particle's clock-offset component at the start, m"
+    )
+    drop_weight: float = Field(1e-4, gt=0, lt=1, description="a Gaussian of the map of less weight is dropped")
+    merge_distance2: float = Field(
+        10.0, gt=0, le=1000, description="squared Mahalanobis distance up to which Gaussians of the map are merged"
+    )
+    components: int = Field(4096, ge=16, le=65536, description="Gaussians kept in a particle's map at most")
+
+
+class FieldOfView:
+    """Of each link the farthest distance (m) and the largest azimuth to either side (rad) measured so far, and the
+    variances of both: `limits` (L, 4). Nothing is missed where nothing is ever seen.
+
+    Source: Mullane et al. (2011): probability of detection as a function of pose and place.
+    """
+
+    def __init__(self, links: int) -> None:
+        self.limits: Floats = np.tile([0.0, 0.0, 1.0, 1e-4], (links, 1))
+
+    def widen(self, link: Ints, values: Readings) -> None:
+        """Take the measurements of a snapshot, their links (m,), into account, in m and rad; a component that is not
+        measured has no limit."""
+        reach, span = np.nan_to_num(values.z[:, 0], nan=UNKNOWN_M), np.nan_to_num(np.abs(values.z[:, 1]), nan=np.pi)
+        np.maximum.at(self.limits[:, 0], link, reach)
+        np.maximum.at(self.limits[:, 1], link, span)
+        self.limits[link, 2:] = values.single[:, :2]
 
 
 class PhdSlam:
-    """Rao-Blackwellised PHD filter: particles of the vehicle's path, and in each a Gaussian-mixture PHD of the VTs.
-
-    Velocities are drawn from their density given the snapshot, clock offsets and the odometry's biases and scales are
-    Gaussian in each particle. Source: Mullane, Vo, Adams and Vo, "A random-finite-set approach to Bayesian SLAM", IEEE
-    Trans. Robotics 27(2), 2011; Kaltiokallio et al., "A multihypotheses importance density for SLAM in cluttered
-    scenarios", IEEE Trans. Robotics 40, 2024.
-    """
+    """Rao-Blackwellised PHD filter: particles of the vehicle's path, and in each a Gaussian-mixture PHD of the VTs."""
 
     name: ClassVar[str] = "phd-slam"
     requires_truth: ClassVar[bool] = False
@@ -139,8 +196,8 @@ class PhdSlam:
         gain = missing - values.gap - np.log(self._options.clutter_density)
         link = np.array(measurements.link, np.int64)
         measured = Measured(
-            np.where(known, values.z, 0.0), known.astype(np.float64), single, many, fresh, gain, link,
-            np.array(measurements.begins), self._born,
+            z=np.where(known, values.z, 0.0), known=known.astype(np.float64), single=single, many=many, fresh=fresh,
+            gain=gain, link=link, begins=np.array(measurements.begins), born=self._born,
         )  # fmt: skip
         return measured, np.searchsorted(link, np.arange(len(self._site_of) + 1))
 

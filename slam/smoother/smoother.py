@@ -1,4 +1,23 @@
-"""The smoother as an estimator: EKF-SLAM online, and a factor graph at the end of the drive."""
+"""The smoother: EKF-SLAM online, and at the end of the drive a factor graph, the maximum-a-posteriori estimate.
+
+State
+    keyframe poses X_k, odometry errors E_g (biases, scales) of segments, a clock offset b_s of each site, VTs L_v
+                                                                          factor_graph.py: Problem
+Cost, minimised by Levenberg and Marquardt                                factor_graph.py: solve, _graph
+    |X_0 - start|^2 + |E_0|^2 + sum |b_s - mean|^2                        priors, each in its deviations
+    + sum_k |Log(odometry_k^-1 X_k^-1 X_k+1) - J_k E_g(k)|^2              odometry between keyframes: _driven;
+                                                                          odometry_factors.py: leg (J_k: by_error)
+    + sum_g |E_g+1 - E_g|^2                                               biases walk: _walk
+    + sum rho(mean of h(X_k, L_v) + b_s - z)                              sightings: _seen; factors_kernel.py: residual
+                                                                          rho: Huber's loss
+Outliers
+    sightings beyond `gate` are left out, and the graph is solved again; associations are those of EKF-SLAM.
+Between keyframes
+    odometry, whose misclosure is spread evenly                           normal_equations.py: between
+
+Sources: Dellaert and Kaess, "Factor graphs for robot perception", Foundations and Trends in Robotics 6, 2017, and their
+library GTSAM (package extra `gtsam`).
+"""
 
 from __future__ import annotations
 
@@ -10,16 +29,14 @@ import numpy as np
 from cellslam.sim.errors import InputError
 from cellslam.sim.recording import Floats, Ints
 from cellslam.slam.api import Estimate, Setup, Snapshot
-from cellslam.slam.ekf_slam.ekf_slam import EkfSlam
+from cellslam.slam.joint.ekf_slam import EkfSlam
 from cellslam.slam.smoother.smoother_options import SmootherOptions
 
 
 class Smoother:
-    """Batch maximum-a-posteriori estimate over the whole drive: what a method that need not be causal reaches.
+    """Batch estimate over the whole drive: what a method that need not be causal reaches.
 
-    Sources: Dellaert and Kaess, "Factor graphs for robot perception", Foundations and Trends in Robotics 6, 2017, and
-    their library GTSAM (package extra `gtsam`). While driving it answers as EKF-SLAM, whose associations it takes; the
-    poses of `finish` come from the graph. Wrong associations: Huber's loss, and sightings that do not fit are left out.
+    While driving it answers as EKF-SLAM, whose associations it takes; the poses of `finish` come from the graph.
     """
 
     name: ClassVar[str] = "smoother"
@@ -79,8 +96,9 @@ class Smoother:
         if len(self._poses) < 2:
             return None
         drive = Drive(
-            self._setup, np.array(self._dt_s), np.array(self._odometry), self._snapshots, self._association,
-            np.array(self._poses), self._vts, self._offset,
+            setup=self._setup, dt_s=np.array(self._dt_s), odometry=np.array(self._odometry),
+            snapshots=self._snapshots, association=self._association, poses=np.array(self._poses), vts=self._vts,
+            offset_m=self._offset,
         )  # fmt: skip
         problem, frames = problem_of(drive, self.options)
         o = self.options

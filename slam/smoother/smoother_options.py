@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pydantic import BaseModel, ConfigDict, Field
 
-from cellslam.slam.ekf_slam.ekf_slam_options import EkfSlamOptions
+from cellslam.slam.joint.ekf_slam_options import EkfSlamOptions
 
 
 class SmootherOptions(BaseModel):

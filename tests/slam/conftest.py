@@ -8,13 +8,25 @@ import pytest
 
 from cellslam.sim.recording import Floats, Links, OdometryModel, Sites
 from cellslam.slam.api import Setup
-from cellslam.slam.ekf_slam.mixture import core_of, new_mixture
-from cellslam.slam.ekf_slam.snapshot.sight_kernel import coordinates, errors_of, geometry, rotations_of
-from cellslam.slam.ekf_slam.snapshot.snapshot_kernel import PENDING, new_room
-from cellslam.slam.ekf_slam.snapshot.update_kernel import BlockMeasurement
-from cellslam.slam.ekf_slam.state.array_errors import NO_ERRORS
-from cellslam.slam.ekf_slam.state.layout import FREE, Block, Measured, Rules, one_of
-from cellslam.slam.ekf_slam.state.states_kernel import enter, owner_of
+from cellslam.slam.joint.mixture import core_of, new_mixture
+from cellslam.slam.joint.snapshot.sight_kernel import coordinates, errors_of, geometry, rotations_of
+from cellslam.slam.joint.snapshot.snapshot_kernel import PENDING, new_room
+from cellslam.slam.joint.snapshot.update_kernel import BlockMeasurement
+from cellslam.slam.joint.state.array_errors import NO_ERRORS
+from cellslam.slam.joint.state.layout import (
+    FREE,
+    Association,
+    Births,
+    Block,
+    BlockLimits,
+    Existence,
+    Lifetime,
+    Measured,
+    Noise,
+    Rules,
+    one_of,
+)
+from cellslam.slam.joint.state.states_kernel import enter, owner_of
 from cellslam.slam.model.matrices_kernel import Vec3
 
 NOW = 3  # number of a snapshot
@@ -29,9 +41,15 @@ class OneFilter:
             Links(none, none, none), Sites(("A",), np.zeros(1), np.ones(1), clock_step_std_m=np.array([step_m])),
             OdometryModel(*(np.zeros((4, 6)))), nowhere, nowhere,
         )  # fmt: skip
-        self.rules = Rules(**{"mode": FREE, "log_clutter": 0.0, "gate": 16.3, "confirm": 3, "age_once": 9,
-                              "age_twice": 9, "snapshots": 1, "distance": 1.0, "turn": 1.0, "evidence": 1.0, "hold": 5,
-                              "return_log_odds": 0.0, "away": 4, **rules})  # fmt: skip
+        parts: dict[str, Any] = {
+            "association": Association(mode=FREE, log_clutter=0.0, gate=16.3, return_log_odds=0.0, away=4),
+            "lifetime": Lifetime(confirm=3, age_once=9, age_twice=9, hold=5),
+            "blocks": BlockLimits(snapshots=1, distance=1.0, turn=1.0),
+            "existence": Existence(),
+        }
+        for name, part in parts.items():  # `rules` change some of these
+            parts[name] = part._replace(**{key: rules.pop(key) for key in part._fields if key in rules})
+        self.rules = Rules(**{"evidence": 1.0, **parts, **rules})
         self.mixture, self.errors = (
             new_mixture(setup, core_of(setup, errors), errors, np.zeros((1, 1)), np.zeros(1)),
             errors,
@@ -81,8 +99,10 @@ class OneFilter:
         """Return measurements z (m, 3) of variances q (m, 3) as the kernels take them."""
         m = len(z)
         return Measured(
-            NOW, 100, np.array([0, m]), np.zeros(1, np.int64), z, q, q, q, np.ones(m), np.zeros(m), z, 0,
-            np.full(m, -2), np.zeros((2, 2, 8)), self.rules, np.zeros(3),
+            now=NOW, born=100, first=np.array([0, m]), site_of=np.zeros(1, np.int64), given=np.full(m, -2), z=z,
+            gap=np.zeros(m), tables=np.zeros((2, 2, 8)),
+            noise=Noise(single=q, many=q, merged=np.zeros(3), diffuse=np.ones(m)), births=Births(z, q, 0),
+            rules=self.rules,
         )  # fmt: skip
 
     def place(self, j: int) -> Floats:

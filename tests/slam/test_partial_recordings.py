@@ -14,11 +14,11 @@ from cellslam.scenarios.estimator_options import resolve
 from cellslam.scenarios.loading import load
 from cellslam.scenarios.simulation import simulate
 from cellslam.sim.recording import Recording
-from cellslam.slam.ekf_slam.snapshot.birth_kernel import tidy
-from cellslam.slam.ekf_slam.snapshot.guess_kernel import AROUND, LEAST, _unite, begin, consider, correct_guesses
-from cellslam.slam.ekf_slam.snapshot.update_kernel import add_up, compare, correct, innovate
-from cellslam.slam.ekf_slam.state.array_errors import NO_ERRORS
-from cellslam.slam.ekf_slam.state.layout import SHARE
+from cellslam.slam.joint.snapshot.birth_kernel import tidy
+from cellslam.slam.joint.snapshot.guess_kernel import AROUND, LEAST, _unite, begin, consider, correct_guesses
+from cellslam.slam.joint.snapshot.update_kernel import add_up, compare, correct, innovate
+from cellslam.slam.joint.state.array_errors import NO_ERRORS
+from cellslam.slam.joint.state.layout import SHARE, Births
 from cellslam.slam.model.measurement_model import predict
 
 VT, Q = np.array([60.0, 45.0, 12.0]), np.array([0.01, 1e-4, 1e-4])
@@ -33,7 +33,7 @@ def see(one: Any, now: int, pose: Any, z: Any) -> None:
     if f.count[0] == 0:
         flat = np.isnan(z[2])
         first = np.array([*z[:2], 0.0]) if flat else z, np.array([*Q[:2], 0.1]) if flat else Q
-        seen = seen._replace(begin=first[0][None], fresh=first[1][None])
+        seen = seen._replace(births=Births(first[0][None], first[1][None], 0))
         begin(f, NO_ERRORS, one.block, seen, 0, 1, 0, w.sight, w.pending)
         return
     j = int(np.argmax(f.anchor[: f.count[0], SHARE]))

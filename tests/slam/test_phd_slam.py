@@ -35,8 +35,7 @@ from cellslam.slam.phd_slam.gaussians_kernel import (
 from cellslam.slam.phd_slam.mixture_kernel import Pool, condense
 from cellslam.slam.phd_slam.motion_kernel import Interval, factorise, inform, learn, moved, slopes
 from cellslam.slam.phd_slam.pairs_kernel import Pairs, exclusive
-from cellslam.slam.phd_slam.phd_slam import TRIANGLE, PhdSlam
-from cellslam.slam.phd_slam.phd_slam_options import PhdSlamOptions
+from cellslam.slam.phd_slam.phd_slam import TRIANGLE, PhdSlam, PhdSlamOptions
 from cellslam.slam.phd_slam.snapshot_kernel import Particles, resample
 
 POSE, VT = np.array([3.0, -2.0, 1.5, 0.7, 0.1, -0.2]), np.array([60.0, 45.0, 20.0])

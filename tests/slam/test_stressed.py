@@ -7,8 +7,8 @@ from cellslam.scenarios import load
 from cellslam.sim import simulate
 from cellslam.sim.recording import Recording
 from cellslam.slam.api import odometry_of, setup_of, snapshots_of
-from cellslam.slam.ekf_slam import mixture
-from cellslam.slam.ekf_slam.ekf_slam import HELD, held_noise
+from cellslam.slam.joint import mixture
+from cellslam.slam.joint.ekf_slam import HELD, held_noise
 from cellslam.slam.registry import resolve
 
 STRESSED = {

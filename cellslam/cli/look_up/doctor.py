@@ -31,7 +31,7 @@ def command(arguments: Namespace) -> int:
 
 def _facts() -> Iterator[tuple[str, str]]:
     from cellslam.benchmarks.sweeps.executors import cores
-    from cellslam.slam.ekf_slam.ekf_slam import EkfSlam
+    from cellslam.slam.joint.ekf_slam import EkfSlam
 
     yield "cellslam", f"{version('cellslam')}, in {Path(__file__).parents[3]}"
     yield "python", f"{platform.python_version()}, {sys.executable}"

@@ -7,7 +7,7 @@ to the likeliest, all at once, and half a step where the drive has no answer to 
 result: where no slope is more than the drive's own chance makes it.
 
 Sources: Shumway and Stoffer, "An approach to time series smoothing and forecasting using the EM algorithm", Journal of
-Time Series Analysis 3(4), 1982; `slam.ekf_slam.sizes` has those of the steps.
+Time Series Analysis 3(4), 1982; `slam.joint.sizes` has those of the steps.
 """
 
 from __future__ import annotations
@@ -23,10 +23,10 @@ from cellslam.recordings.fitting.fit_noise import first_guess
 from cellslam.sim.progress import Progress, silent
 from cellslam.sim.recording import COMPONENTS, Floats, OdometryModel, Recording
 from cellslam.slam.api import odometry_of, setup_of, snapshots_of
-from cellslam.slam.ekf_slam.ekf_slam import EkfSlam
-from cellslam.slam.ekf_slam.ekf_slam_options import EkfSlamOptions
-from cellslam.slam.ekf_slam.sizes import Sheets, Sizes, keys_of, stepped
 from cellslam.slam.front_end.front_end_options import FrontEndOptions
+from cellslam.slam.joint.ekf_slam import EkfSlam
+from cellslam.slam.joint.ekf_slam_options import EkfSlamOptions
+from cellslam.slam.joint.sizes import Sheets, Sizes, keys_of, stepped
 
 PASSES, WHOLE = 8, 2  # passes at most; so many take whole steps, the others half of them
 FITS = 2.0  # mean square of the slopes, in their deviations, from which on sizes are as good as right
@@ -44,7 +44,7 @@ LEAST_BIAS, LEAST_SCALE = {"u_psi": 1e-3}, {"u_x": 0.01, "u_psi": 0.01}
 class Learnt:
     """What was learnt: `options` that all map builders share, by name, and the odometry's data sheet.
 
-    `changes`: by what factor a size of `slam.ekf_slam.sizes.OPTIONS` differs from what was assumed, and its relative
+    `changes`: by what factor a size of `slam.joint.sizes.OPTIONS` differs from what was assumed, and its relative
     standard deviation; what the drive does not tell is left out, and stays as assumed. `resolved`: False where clock
     offsets never were, so that nothing is learnt.
     """

@@ -7,7 +7,7 @@ from pathlib import Path
 from cellslam.recordings.fitting.fit_sizes import Learnt
 from cellslam.sim.recording import COMPONENTS
 from cellslam.slam import registry
-from cellslam.slam.ekf_slam.sizes import in_words
+from cellslam.slam.joint.sizes import in_words
 
 NOTABLE = 1.25  # factor by which a size must have changed to be said
 

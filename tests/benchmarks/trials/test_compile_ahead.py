@@ -9,7 +9,7 @@ import pytest
 
 from cellslam.benchmarks.trials import compile_ahead as ahead
 from cellslam.scenarios.estimator_options import Request
-from cellslam.slam.ekf_slam.ekf_slam import EkfSlam
+from cellslam.slam.joint.ekf_slam import EkfSlam
 
 SLOW = """
 import pathlib, time

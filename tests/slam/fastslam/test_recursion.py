@@ -10,12 +10,12 @@ import pytest
 from cellslam.scenarios.simulation import simulate
 from cellslam.sim.recording import Floats, Recording
 from cellslam.slam.api import Estimate, odometry_of, setup_of, snapshots_of
-from cellslam.slam.ekf_slam.ekf_slam import EkfSlam
-from cellslam.slam.ekf_slam.ekf_slam_options import EkfSlamOptions
-from cellslam.slam.ekf_slam.state.layout import one_of
 from cellslam.slam.fastslam.fastslam import FastSlam
 from cellslam.slam.fastslam.fastslam_options import NEVER, FastSlamOptions
 from cellslam.slam.fastslam.parts import likelihood
+from cellslam.slam.joint.ekf_slam import EkfSlam
+from cellslam.slam.joint.ekf_slam_options import EkfSlamOptions
+from cellslam.slam.joint.state.layout import one_of
 from cellslam.slam.oracles import FastSlamKnownAssociation, KnownAssociation
 from tests.slam.fastslam.drives import WHITE, driven, street
 

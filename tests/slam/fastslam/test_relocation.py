@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 
 from cellslam.sim.recording import Floats
-from cellslam.slam.ekf_slam.mixture import Mixture
-from cellslam.slam.ekf_slam.state.layout import Measured
 from cellslam.slam.fastslam.fastslam import FastSlam
 from cellslam.slam.fastslam.fastslam_options import FastSlamOptions
 from cellslam.slam.fastslam.relocation import components_of_pose
+from cellslam.slam.joint.mixture import Mixture
+from cellslam.slam.joint.state.layout import Measured
 from cellslam.slam.model.vt_map import VtMap
 from tests.slam.fastslam.drives import VTS, WHITE, Drive, driven, street
 

@@ -11,7 +11,7 @@ from functools import partial
 import numba
 import pytest
 
-from cellslam.slam.ekf_slam.mixture import together
+from cellslam.slam.joint.mixture import together
 from cellslam.slam.model.threads import in_threads
 
 

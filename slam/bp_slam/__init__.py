@@ -1,1 +1,0 @@
-"""BP-SLAM: belief propagation over associations, on the joint Gaussian of EKF-SLAM."""

@@ -1,0 +1,101 @@
+"""What each path says of the filters of a mixture, and how much it may.
+
+A path over an edge, or one whose azimuth errs because it merges with another, is the image of no wall. It fits one
+wrong clock offset at each of a hundred measurements. As a product their likelihoods would rule out the right offset,
+though all of them are wrong together. So what a path may say has bounds, over its whole life: its measurements are at
+least as likely as clutter, and at least so likely as in the best filter, but for a factor of exp(-MOST).
+
+Source: bounded influence (Hampel et al., Robust Statistics, 1986); the likelihood is that of three explanations of a
+path, of which the likeliest is taken: the image of a wall, clutter, and something that is neither.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from cellslam.sim.recording import Floats, Ints
+from cellslam.slam.joint.state.layout import IDENT, WORTH, Filter
+
+MOST = 6.0  # log-likelihood that a filter may lose by one path, against the best filter of the mixture
+BIRTH = 3.0  # log-likelihood that each VT costs: it counts for more than clutter beyond that alone
+
+
+@dataclass
+class Influence:
+    """What the paths say of a mixture of K filters: log-ratios `worth` (K, v) of the likelihood of each VT's
+    measurements to that of clutter, by its identity (v,) and that of the first VT of its path (v,); and all else that
+    is in the log-weights: `rest` (K,)."""
+
+    rest: Floats
+    ident: Ints = field(default_factory=lambda: np.empty(0, np.int64))
+    path: Ints = field(default_factory=lambda: np.empty(0, np.int64))
+    worth: Floats = field(init=False)
+
+    def __post_init__(self) -> None:
+        self.worth = np.empty((len(self.rest), 0))
+
+    def meet(self, mixture: Filter, association: Ints, born: int, log_weight: Floats) -> None:
+        """Take in the VTs that began in a snapshot.
+
+        association (K, m): identities at its measurements, -1 for none; a VT that began at measurement i has the
+        identity `born` + i. Where that measurement is, in other filters, of a VT that they have, both are of one path,
+        as the likeliest of these has it. log_weight (K,).
+        """
+        new = self._identities(mixture)
+        new = new[new >= born]
+        if not len(new):
+            return
+        new = np.unique(new)
+        path = new.copy()
+        for n, measurements in enumerate(association[:, new - born].T):
+            have = np.flatnonzero(np.isin(measurements, self.ident))
+            if len(have):
+                path[n] = self.path[np.searchsorted(self.ident, measurements[have[np.argmax(log_weight[have])]])]
+        self._add(new, path)
+
+    def weigh(self, mixture: Filter) -> Floats:
+        """Take in what the VTs are worth at the end of a block, and return the log-weights (K,).
+
+        A filter that has lost a VT keeps what it had by it.
+        """
+        ident = self._identities(mixture)
+        there, column = np.unique(ident[ident >= 0], return_inverse=True)
+        new = np.setdiff1d(there, self.ident)
+        if len(new):  # of a map
+            self._add(new, new)
+        at, (row, slot) = np.searchsorted(self.ident, there), np.nonzero(ident >= 0)
+        self.worth[row, at[column]] = 0.0
+        np.add.at(self.worth, (row, at[column]), mixture.anchor[row, slot, WORTH])  # guesses at a VT are several
+        left = np.isin(self.path, self.path[at])
+        self.rest = self.rest + bounded(self.worth[:, ~left], self.path[~left])
+        self.ident, self.path, self.worth = self.ident[left], self.path[left], self.worth[:, left]
+        return np.asarray(self.rest + bounded(self.worth, self.path))
+
+    def _identities(self, mixture: Filter) -> Ints:
+        """Return the identities (K, V) of the VTs of all filters, -1 where there is none."""
+        count = mixture.count[: len(self.rest)]
+        most = int(count.max())
+        return np.where(np.arange(most) < count, mixture.slots[: len(count), :most, IDENT], -1)
+
+    def _add(self, ident: Ints, path: Ints) -> None:
+        """Give room to VTs (n,) on some paths (n,)."""
+        order = np.argsort(np.concatenate([self.ident, ident]))
+        self.ident = np.concatenate([self.ident, ident])[order]
+        self.path = np.concatenate([self.path, path])[order]
+        self.worth = np.pad(self.worth, ((0, 0), (0, len(ident))))[:, order]
+
+    def of(self, filters: Ints) -> Influence:
+        """Return what is said of some filters (k,), in their order."""
+        some = Influence(self.rest[filters], self.ident, self.path)
+        some.worth = self.worth[filters]
+        return some
+
+
+def bounded(worth: Floats, path: Ints) -> Floats:
+    """Return what paths say of each filter (K,), by the log-ratios (K, v) of VTs and their paths (v,)."""
+    paths, column = np.unique(path, return_inverse=True)
+    above = np.zeros((len(paths), len(worth)))
+    np.add.at(above, column, np.maximum(worth - BIRTH, 0.0).T)
+    return np.asarray(np.maximum(above - above.max(axis=1, keepdims=True), -MOST).sum(axis=0))

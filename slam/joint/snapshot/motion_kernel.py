@@ -1,0 +1,237 @@
+"""Compiled: motion of a joint filter by mean body velocities, and what time and distance do to errors that persist."""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from cellslam.sim.compiling import lean, njit
+from cellslam.sim.recording import Floats, Ints
+from cellslam.slam.joint.state.layout import DIFFUSE, OF_VT, POSE, ArrayErrors, Filter
+from cellslam.slam.joint.state.states_kernel import fade
+from cellslam.slam.model.matrices_kernel import Mat3, Vec3, columns, put_mat, scaled
+from cellslam.slam.model.measurement_kernel import rotations
+
+NOTHING_DRAWN = np.full(POSE, -1, np.int64)
+AREA = math.sqrt(math.pi / 2.0)  # exp(-x / (AREA l)) has the area of exp(-x^2 / (2 l^2))
+
+
+class Interval(NamedTuple):
+    """What the odometry says of `dt` (s): mean body velocities `measured` (6,), and the densities (6,) of its white
+    `noise` and of its biases' `walk`; `drawn` (6,): places of the states that the noise is summed up in because it will
+    be drawn, -1 for none."""
+
+    dt: float
+    measured: Floats
+    noise: Floats
+    walk: Floats
+    drawn: Ints = NOTHING_DRAWN
+
+
+class Step(NamedTuple):
+    """Room for one step: `by` (6, core + 6): d(next pose)/d(core), and behind it d(next pose)/d(velocity); `rows`
+    (6, N)."""
+
+    by: Floats
+    rows: Floats
+
+
+@njit(cache=True, _nrt=False)  # dead reckoning's, too
+def move(f: Filter, interval: Interval, w: Step) -> None:
+    """Advance by an interval of dt > 0.
+
+    The true velocity is (measured - bias - noise) / (1 + scale); the pose moves as in `frames.integrate_pose`.
+    """
+    _move_particles(f, interval)
+    _move_pose(f, interval, w.by)
+    _spread(f, interval, w)
+    _drift(f, interval.dt)
+
+
+@lean
+def _displacement(m: Mat3, v: Vec3, dt: float) -> Vec3:
+    """Return m v dt."""
+    return Vec3(
+        m.xx * v.x * dt + m.xy * v.y * dt + m.xz * v.z * dt,
+        m.yx * v.x * dt + m.yy * v.y * dt + m.yz * v.z * dt,
+        m.zx * v.x * dt + m.zy * v.y * dt + m.zz * v.z * dt,
+    )
+
+
+@lean
+def _velocity(f: Filter, interval: Interval, c: int) -> float:
+    bias, scale = f.core.bias[c], f.core.scale[c]
+    given, factor = interval.measured[c] - (f.x[bias] if bias >= 0 else 0.0), 1.0 + (f.x[scale] if scale >= 0 else 0.0)
+    return float(given / factor)
+
+
+@lean
+def _move_particles(f: Filter, interval: Interval) -> None:
+    """Move the pose of each particle with its own biases and scales; what is left is how it differs from the mean's.
+
+    Called before the mean's pose moves, whose next value is computed here, too.
+    """
+    x, d, dt, half = f.x, f.deviation, interval.dt, 0.5 * interval.dt
+    if len(f.weight) == 0:
+        return
+    ahead, turn = Vec3(0.0, 0.0, 0.0), Vec3(0.0, 0.0, 0.0)
+    mean_displacement, mean_turn = ahead, turn
+    for c in range(-1, len(f.weight)):  # the mean first
+        ahead = Vec3(_velocity_of(f, interval, 0, c), _velocity_of(f, interval, 1, c), _velocity_of(f, interval, 2, c))
+        turn = Vec3(_velocity_of(f, interval, 3, c), _velocity_of(f, interval, 4, c), _velocity_of(f, interval, 5, c))
+        yaw = x[3] + (d[3, c] if c >= 0 else 0.0) + half * turn.x
+        pitch = x[4] + (d[4, c] if c >= 0 else 0.0) + half * turn.y
+        roll = x[5] + (d[5, c] if c >= 0 else 0.0) + half * turn.z
+        displacement = _displacement(rotations(yaw, pitch, roll).r, ahead, dt)
+        if c < 0:
+            mean_displacement, mean_turn = displacement, turn
+            continue
+        d[0, c] += displacement.x - mean_displacement.x
+        d[1, c] += displacement.y - mean_displacement.y
+        d[2, c] += displacement.z - mean_displacement.z
+        d[3, c] += dt * (turn.x - mean_turn.x)
+        d[4, c] += dt * (turn.y - mean_turn.y)
+        d[5, c] += dt * (turn.z - mean_turn.z)
+
+
+@lean
+def _velocity_of(f: Filter, interval: Interval, c: int, particle: int) -> float:
+    """Return component c of the velocity, corrected by what a particle, or the mean (-1), knows of bias and scale."""
+    if particle < 0:
+        return _velocity(f, interval, c)
+    bias, scale, d = f.core.bias[c], f.core.scale[c], f.deviation
+    given = interval.measured[c] - (f.x[bias] + d[bias, particle] if bias >= 0 else 0.0)
+    return float(given / (1.0 + (f.x[scale] + d[scale, particle] if scale >= 0 else 0.0)))
+
+
+@lean
+def _move_pose(f: Filter, interval: Interval, by: Floats) -> None:
+    """Move the pose, and write the Jacobians of where it gets to."""
+    x, core, dt, half = f.x, f.core, interval.dt, 0.5 * interval.dt
+    ahead = Vec3(_velocity(f, interval, 0), _velocity(f, interval, 1), _velocity(f, interval, 2))
+    turn = Vec3(_velocity(f, interval, 3), _velocity(f, interval, 4), _velocity(f, interval, 5))
+    middle = rotations(x[3] + half * turn.x, x[4] + half * turn.y, x[5] + half * turn.z)
+    displacement = _displacement(middle.r, ahead, dt)
+    turned = columns(
+        _displacement(middle.by_psi, ahead, dt),
+        _displacement(middle.by_theta, ahead, dt),
+        _displacement(middle.by_phi, ahead, dt),
+    )
+    by[:] = 0.0
+    by_velocity = by[:, core.size :]
+    put_mat(by[:, 3:], turned)
+    put_mat(by_velocity, scaled(middle.r, dt))
+    put_mat(by_velocity[:, 3:], scaled(turned, half))
+    for c in range(POSE):
+        by[c, c] = 1.0
+        if c >= 3:
+            by_velocity[c, c] = dt
+        share = 1.0 / (1.0 + (x[core.scale[c]] if core.scale[c] >= 0 else 0.0))
+        velocity = _velocity(f, interval, c)
+        for r in range(POSE):
+            by_velocity[r, c] *= share
+            if core.bias[c] >= 0:
+                by[r, core.bias[c]] = -by_velocity[r, c]
+            if core.scale[c] >= 0:
+                by[r, core.scale[c]] = -by_velocity[r, c] * velocity
+    x[0] += displacement.x
+    x[1] += displacement.y
+    x[2] += displacement.z
+    x[3] += turn.x * dt
+    x[4] += turn.y * dt
+    x[5] += turn.z * dt
+
+
+@lean
+def _spread(f: Filter, interval: Interval, w: Step) -> None:
+    """P <- F P F^T + Q: F changes the pose only, and most of its entries are zero."""
+    p, core, n, by, rows = f.p, f.core, f.size[0], w.by, w.rows
+    for r in range(POSE):
+        rows[r, :n] = 0.0
+        for c in range(core.size):
+            factor = by[r, c]
+            if factor != 0.0 and p[c, c] > 0.0:
+                row, other = rows[r], p[c]
+                for i in range(n):
+                    row[i] += factor * other[i]
+    for r in range(POSE):
+        for i in range(POSE, n):
+            p[r, i] = rows[r, i]
+            p[i, r] = rows[r, i]
+    noise, drawn, dt = interval.noise, interval.drawn, interval.dt
+    for r in range(POSE):
+        for s in range(r, POSE):
+            total = 0.0
+            for c in range(core.size):
+                total += rows[r, c] * by[s, c]
+            for c in range(POSE):
+                total += by[r, core.size + c] * by[s, core.size + c] * noise[c] * noise[c] / dt
+            p[r, s] = total
+            p[s, r] = total
+    for c in range(POSE):
+        place, variance = core.noise[c], noise[c] * noise[c]
+        if place >= 0:
+            p[place, place] += variance * dt
+            for r in range(POSE):
+                p[r, place] -= by[r, core.size + c] * variance
+                p[place, r] = p[r, place]
+        if drawn[c] >= 0:
+            _sum_up(f, w, interval, c)
+        if core.bias[c] >= 0:
+            p[core.bias[c], core.bias[c]] += interval.walk[c] * interval.walk[c] * dt
+
+
+@lean
+def _sum_up(f: Filter, w: Step, interval: Interval, c: int) -> None:
+    """Add the interval's white noise of component c to the state that will be drawn, and to what goes with it."""
+    p, place, other = f.p, interval.drawn[c], f.core.noise[c]
+    variance = interval.noise[c] * interval.noise[c]
+    p[place, place] += variance * interval.dt
+    if other >= 0:
+        p[place, other] += variance * interval.dt
+        p[other, place] = p[place, other]
+    for r in range(POSE):
+        p[r, place] -= w.by[r, f.core.size + c] * variance
+        p[place, r] = p[r, place]
+
+
+@lean
+def _drift(f: Filter, dt: float) -> None:
+    """Let the clock offsets run on at their rates, and both walk."""
+    x, p, n = f.x, f.p, f.size[0]
+    for s in range(len(f.core.rate)):
+        offset, rate = f.core.first_offset + s, f.core.rate[s]
+        if rate >= 0:
+            x[offset] += x[rate] * dt
+            for c in range(len(f.weight)):
+                f.deviation[offset, c] += dt * f.deviation[rate, c]
+            for j in range(n):
+                p[offset, j] += dt * p[rate, j]
+            for i in range(n):
+                p[i, offset] += dt * p[i, rate]
+        walk, rate_walk = f.core.wander[0, s] ** 2 * dt, f.core.wander[1, s] ** 2 * dt
+        p[offset, offset] += walk + rate_walk * dt * dt / 3.0
+        if rate >= 0:
+            p[rate, rate] += rate_walk
+            p[offset, rate] += 0.5 * rate_walk * dt
+            p[rate, offset] = p[offset, rate]
+
+
+@lean
+def forget(f: Filter, a: ArrayErrors, moved: float, dt: float) -> None:
+    """Let what persists be redrawn after a distance (m) and a time (s): diffuse errors, turns, pitch and roll."""
+    kept = math.exp(-moved / (AREA * a.diffuse_m)) if a.diffuse_m > 0.0 else 0.0
+    width = f.vt_state.shape[1]
+    for place in range(f.core.size, f.size[0]):
+        owner = f.owner[place]
+        if kept < 1.0 and owner <= OF_VT and (OF_VT - owner) % width >= DIFFUSE:
+            fade(f, place, kept, 1.0)
+    if f.core.sway[0] >= 0 and dt > 0.0:
+        kept = math.exp(-dt / (AREA * a.sway_s))
+        for c in range(3):
+            fade(f, f.core.sway[c], kept, a.sway[c] ** 2)
+    for c in range(2):
+        if a.tilt[c] > 0.0 and dt > 0.0:
+            fade(f, 4 + c, math.exp(-dt / (AREA * a.tilt_s)), a.tilt[c] ** 2)

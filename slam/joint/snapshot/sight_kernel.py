@@ -1,0 +1,235 @@
+"""Compiled: what a filter expects to measure of a VT, errors that persist included, and the Jacobian by its states.
+
+    z = h(pose, VT) + e_1 offset + calibration(direction) + roof(direction) + diffuse + turns + ground + white
+
+The direction is the predicted one, in the body frame. Fields of direction are linear in their weights: a row of bells.
+Their slope is left out of the Jacobian: with it the filter takes an error of the pose for one of the array.
+
+Sources: paper, eq. 22 to 27, with the elevation corrected; coordinates about an anchor as in Civera, Davison and
+Montiel, "Inverse depth parametrization for monocular SLAM", IEEE Trans. Robotics 24(5), 2008, but with the range
+itself.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+from cellslam.sim.compiling import lean
+from cellslam.sim.recording import Floats, Ints
+from cellslam.slam.joint.state.layout import DIFFUSE, VT, ArrayErrors, Filter
+from cellslam.slam.joint.state.states_kernel import enter, owner_of
+from cellslam.slam.model.field_kernel import Grid, bells
+from cellslam.slam.model.matrices_kernel import (
+    Mat3,
+    Vec3,
+    columns,
+    mat_mat,
+    mat_vec,
+    scaled,
+    transposed,
+    transposed_vec,
+    vec_minus,
+    vec_plus,
+    vec_scaled,
+)
+from cellslam.slam.model.measurement_kernel import (
+    Rotations,
+    Spherical,
+    cartesian_jacobian,
+    direction,
+    rotations,
+    spherical,
+    spherical_jacobian,
+)
+
+FLATTEST = 0.05  # cosine of an elevation, at least, where azimuths turn with pitch and roll
+PERMITTIVITY = 5.0  # of the ground, about that of concrete
+
+
+class Sight(NamedTuple):
+    """The Jacobian of a measurement: `by` (3, W), of which `size` (1,) columns are in use, and `at` (W,), the states
+    they are by; `cells`, `values` (MOST_BELLS,): scratch."""
+
+    at: Ints
+    by: Floats
+    size: Ints
+    cells: Ints
+    values: Floats
+
+
+@lean
+def rotations_of(f: Filter) -> Rotations:
+    """Return the rotation of a filter's pose, and its derivatives."""
+    return rotations(f.x[3], f.x[4], f.x[5])
+
+
+@lean
+def put(s: Sight, place: int, row0: float, row1: float, row2: float) -> None:
+    """Add a column: the derivative of distance, azimuth and elevation by a state."""
+    n = s.size[0]
+    s.at[n] = place
+    s.by[0, n], s.by[1, n], s.by[2, n] = row0, row1, row2
+    s.size[0] = n + 1
+
+
+@lean
+def put_three(s: Sight, place: int, m: Mat3) -> None:
+    """Add the columns by three states that follow one another."""
+    put(s, place, m.xx, m.yx, m.zx)
+    put(s, place + 1, m.xy, m.yy, m.zy)
+    put(s, place + 2, m.xz, m.yz, m.zz)
+
+
+@lean
+def coordinates(f: Filter, j: int) -> Spherical:
+    """Return range (m), azimuth and elevation (rad) of VT j about its anchor."""
+    at = f.vt_state[j]
+    return Spherical(f.x[at[VT]], f.x[at[VT + 1]], f.x[at[VT + 2]])
+
+
+@lean
+def geometry(f: Filter, j: int, offset: int, place: Vec3, turned: Rotations, vt: Spherical, s: Sight) -> Spherical:
+    """Begin the Jacobian s of a measurement of VT j with pose, clock offset and VT; return h without the offset, m and
+    rad.
+
+    Seen from a place (m) with the rotation `turned`, the VT having these coordinates about its anchor. A place besides
+    the present one, as that of an earlier measurement, turns with the vehicle.
+    """
+    anchor, at = Vec3(f.anchor[j, 0], f.anchor[j, 1], f.anchor[j, 2]), f.vt_state[j]
+    to_vt = vec_minus(vec_plus(anchor, vec_scaled(direction(vt.azimuth, vt.elevation), vt.distance)), place)
+    body = transposed_vec(turned.r, to_vt)
+    by_body = spherical_jacobian(body)
+    by_place = mat_mat(by_body, transposed(turned.r))
+    by_yaw = mat_vec(by_body, transposed_vec(turned.by_psi, to_vt))
+    by_turn = mat_vec(by_place, Vec3(f.x[1] - place.y, place.x - f.x[0], 0.0))
+    s.size[0] = 0
+    put_three(s, 0, scaled(by_place, -1.0))
+    put_three(s, 3, columns(
+        vec_minus(by_yaw, by_turn), mat_vec(by_body, transposed_vec(turned.by_theta, to_vt)),
+        mat_vec(by_body, transposed_vec(turned.by_phi, to_vt)),
+    ))  # fmt: skip
+    put(s, offset, 1.0, 0.0, 0.0)
+    by_vt = mat_mat(by_place, cartesian_jacobian(vt.distance, vt.azimuth, vt.elevation))
+    put(s, at[VT], by_vt.xx, by_vt.yx, by_vt.zx)
+    put(s, at[VT + 1], by_vt.xy, by_vt.yy, by_vt.zy)
+    put(s, at[VT + 2], by_vt.xz, by_vt.yz, by_vt.zz)
+    return spherical(body)
+
+
+@lean
+def field(f: Filter, g: Grid, std: Floats, first: int, seen: Spherical, now: int, s: Sight) -> Vec3:
+    """Add a field's columns to the Jacobian; return its value in m and rad.
+
+    std (3,): deviations, 0 where the field has no such component; first: number of its first weight; seen: the
+    predicted direction; now: snapshot, or -1: weights that are not in the state stay out of it.
+    """
+    count, value = bells(g, seen.azimuth, seen.elevation, s.cells, s.values), Vec3(0.0, 0.0, 0.0)
+    component = 0
+    for c in range(3):
+        if std[c] <= 0.0:
+            continue
+        for k in range(count):
+            owner = first + component * g.cells + s.cells[k]
+            place = f.weight_state[owner]
+            if now >= 0:
+                f.weight_met[owner] = now
+                if place < 0:
+                    place = enter(f, owner, 1.0)
+            if place >= 0:
+                load = std[c] * s.values[k]
+                load0, load1, load2 = load if c == 0 else 0.0, load if c == 1 else 0.0, load if c == 2 else 0.0
+                put(s, place, load0, load1, load2)
+                x = f.x[place]
+                value = Vec3(value.x + load0 * x, value.y + load1 * x, value.z + load2 * x)
+        component += 1
+    return value
+
+
+@lean
+def believed(f: Filter, g: Grid, std: Floats, first: int, seen: Spherical, s: Sight) -> Vec3:
+    """Return a field's value in m and rad, as `field` does, and leave the Jacobian as it is."""
+    size = s.size[0]
+    value = field(f, g, std, first, seen, -1, s)
+    s.size[0] = size
+    return value
+
+
+@lean
+def turns(f: Filter, seen: Spherical, share: float, s: Sight) -> Vec3:
+    """Add the turns of the array within a snapshot to the Jacobian; return what they do to a measurement, in m and rad.
+
+    share: what of their deviation is left in the measurement, which may be a mean over a while.
+    """
+    if f.core.sway[0] < 0:
+        return Vec3(0.0, 0.0, 0.0)
+    tangent = math.sin(seen.elevation) / max(math.cos(seen.elevation), FLATTEST)
+    sa, ca = math.sin(seen.azimuth), math.cos(seen.azimuth)
+    yaw, pitch, roll = f.core.sway[0], f.core.sway[1], f.core.sway[2]
+    put(s, yaw, 0.0, -share, 0.0)
+    put(s, pitch, 0.0, share * tangent * sa, share * ca)
+    put(s, roll, 0.0, share * tangent * ca, -share * sa)
+    x, y, z = f.x[yaw], f.x[pitch], f.x[roll]
+    return Vec3(0.0, share * (tangent * (sa * y + ca * z) - x), share * (ca * y - sa * z))
+
+
+@lean
+def ground(f: Filter, seen: Spherical, s: Sight) -> Vec3:
+    """Add what the ground reflects to the Jacobian of a measurement; return what it does to it, in m and rad.
+
+    A path that is reflected from the ground besides arrives from as far below the horizon, too little later to be told
+    apart. The elevation measured is the mean of both, weighted by their powers: 1, and the square of Fresnel's
+    coefficient for vertical polarisation. The state is how many times as much that pulls, 0 for no ground.
+    """
+    place = f.core.ground
+    if place < 0 or seen.elevation <= 0.0:
+        return Vec3(0.0, 0.0, 0.0)
+    sine = math.sin(seen.elevation)
+    root = math.sqrt(PERMITTIVITY - 1.0 + sine * sine)
+    power = ((PERMITTIVITY * sine - root) / (PERMITTIVITY * sine + root)) ** 2
+    pull = -2.0 * seen.elevation * power / (1.0 + power)
+    put(s, place, 0.0, 0.0, pull)
+    return Vec3(0.0, 0.0, pull * f.x[place])
+
+
+@lean
+def diffuse(f: Filter, j: int, std: Floats, share: float, enters: bool, s: Sight) -> Vec3:
+    """Add a VT's diffuse errors to the Jacobian; return them, in m and rad.
+
+    std (3,): deviations; share: what of them is left in the measurement; enters: whether those enter that are not in
+    the state.
+    """
+    value = Vec3(0.0, 0.0, 0.0)
+    for c in range(3):
+        place = f.vt_state[j, DIFFUSE + c]
+        if place < 0 and enters and std[c] > 0.0:
+            place = enter(f, owner_of(j, DIFFUSE + c, f.vt_state.shape[1]), 1.0)
+        if place >= 0:
+            load = share * std[c]
+            load0, load1, load2 = load if c == 0 else 0.0, load if c == 1 else 0.0, load if c == 2 else 0.0
+            put(s, place, load0, load1, load2)
+            x = f.x[place]
+            value = Vec3(value.x + load0 * x, value.y + load1 * x, value.z + load2 * x)
+    return value
+
+
+@lean
+def errors_of(
+    f: Filter, a: ArrayErrors, j: int, seen: Spherical, diffuse_share: float, turn_share: float, now: int, s: Sight
+) -> Vec3:
+    """Add all errors that persist to the Jacobian of a measurement of VT j; return their sum as it is believed, m and
+    rad."""
+    value = field(f, a.calibration_grid, a.calibration, 0, seen, now, s)
+    value = vec_plus(value, field(f, a.roof_grid, a.roof, roof_first(a), seen, now, s))
+    value = vec_plus(value, turns(f, seen, turn_share, s))
+    value = vec_plus(value, ground(f, seen, s))
+    return vec_plus(value, diffuse(f, j, a.diffuse, diffuse_share, now >= 0, s))
+
+
+@lean
+def roof_first(a: ArrayErrors) -> int:
+    """Return the number of the roof's first weight."""
+    fields = 0
+    for c in range(3):
+        fields += 1 if a.calibration[c] > 0.0 else 0
+    return fields * a.calibration_grid.cells

@@ -1,0 +1,291 @@
+"""What travels together through the compiled joint filters, and where things stand in their arrays."""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+from cellslam.sim.compiling import part
+from cellslam.sim.recording import Floats, Ints
+from cellslam.slam.model.field_kernel import MOST_BELLS, Grid
+
+POSE = 6
+# Owners of states: weights of fields have their number; core states nobody; a VT's are OF_VT and below.
+NOBODY, OF_VT = -1, -2
+# States of a VT: range, azimuth, elevation about its anchor, and its diffuse errors in distance, azimuth, elevation.
+VT, DIFFUSE, VT_STATES = 0, 3, 6
+# Integers of a VT: link, detections, snapshot of the last one, identity, 1 while only a remembered map has it, and 1
+# where its wall is known not to reach: nothing is associated with it there.
+LINK, HITS, LAST, IDENT, UNSEEN, BEYOND, SLOT = range(7)
+# Behind the three coordinates of an anchor: the probability that the VT exists and is visible (belief propagation);
+# what share a guess has in its VT (1: the only one, 0: given up); the probability that another path has merged
+# with that of the VT; and the log-ratio of the likelihood of its measurements to that of clutter.
+EXISTS, SHARE, MERGED, WORTH, ANCHOR = range(3, 8)
+# What the measurements may do to the map.
+FREE, KNOWN_ASSOCIATION, KNOWN_MAP, BELIEF = range(4)
+# A VT of the map: identity, link, position (3), covariance (9).
+POSITION, SPREAD, ENTRY = 2, 5, 14
+# States that one measurement touches at most: pose, sway, ground, clock offset, VT and its diffuse errors; weights of
+# five fields.
+TOUCHED = POSE + 3 + 1 + 1 + VT_STATES + 5 * MOST_BELLS
+
+
+class Core(NamedTuple):
+    """States that are always there: pose (0-5), turns of the array within a snapshot (yaw, pitch, roll), how much
+    the ground reflects, odometry biases and scales that the data sheet has, what its white noise has summed up to
+    lately, clock offsets (S), rates of those that drift, errors that the VTs of a remembered map have in common.
+
+    `bias`, `scale`, `noise` (6,), `rate` (S,): place of each component's error and of each offset's rate, `sway` (3,),
+    `ground`, -1 where there is none; `drawn` (D, 6): places of what the odometry's white noise sums up to in each of
+    the last D blocks, in a filter that draws it, -1 where a component has none. `wander` (2, S): densities of the walks
+    of offsets and rates, m/sqrt(s), (m/s)/sqrt(s); `step_m` (S,): deviation of the size of steps of offsets, m, 0 where
+    a clock does not step. From `first_common` to `size`: the map's errors.
+    """
+
+    sway: Ints
+    ground: int
+    bias: Ints
+    scale: Ints
+    noise: Ints
+    first_offset: int
+    rate: Ints
+    wander: Floats
+    step_m: Floats
+    drawn: Ints
+    first_common: int
+    size: int
+
+    @property
+    def offsets(self) -> slice:
+        """The clock offsets."""
+        return slice(self.first_offset, self.first_offset + len(self.rate))
+
+    @property
+    def common(self) -> slice:
+        """The errors that the VTs of a remembered map have in common."""
+        return slice(self.first_common, self.size)
+
+
+class ArrayErrors(NamedTuple):
+    """Errors that persist, as states: deviations in m and rad, 0 where there is no such error.
+
+    `calibration` (3,), `roof` (3,): of functions of the direction, weights of bells on their grids; `diffuse` (3,): of
+    each VT, over `diffuse_m`; `sway` (3,): turns of the array in yaw, pitch, roll over `sway_s`; `tilt` (2,): of
+    pitch and roll over `tilt_s`; `ground`: of how much the ground reflects, without unit.
+    """
+
+    calibration: Floats
+    calibration_grid: Grid
+    roof: Floats
+    roof_grid: Grid
+    diffuse: Floats
+    diffuse_m: float
+    sway: Floats
+    sway_s: float
+    tilt: Floats
+    tilt_s: float
+    ground: float
+
+
+class Filter(NamedTuple):
+    """One filter, with room for N states and V VTs; or a mixture of them, all arrays with a leading axis.
+
+    mean `x` (N,), covariance `p` (N, N), of which `size` (1,) are in use; `owner` (N,); `weight_state` (W,): place of
+    each weight of the fields, `weight_met` (W,): snapshot; `vt_state` (V, 6): places of a VT's states, -1 where there
+    is none; `anchor` (V, 7); `slots` (V, 6); `count` (1,): VTs; `links` (L,): 1 where it uses a link; confirmed VTs
+    that were given up are in `lost` (E, 14), `losses` (1,) of them; `sizes` (3, Z): what was learnt of the sizes (see
+    `sizes_kernel`), `summed` (1,): time (s) of the sums of noise; `surprise` (2,): sum of the squared innovations, in
+    their deviations, of first measurements of VTs of a remembered map, and how many components they had. A VT that is
+    known exactly has states without variance.
+
+    A filter with C particles (see `slam.fastslam`): x is their weighted mean and p the covariance that they share;
+    particle c has the mean x + `deviation` (N, C)[:, c] and the `weight` (C,)[c]; `spread` (V, 6): covariance over the
+    particles of what they expect to measure of each VT, xx, xy, xz, yy, yz, zz in m and rad. C is 0 in other filters.
+    """
+
+    core: Core
+    x: Floats
+    p: Floats
+    size: Ints
+    owner: Ints
+    weight_state: Ints
+    weight_met: Ints
+    vt_state: Ints
+    anchor: Floats
+    slots: Ints
+    count: Ints  # type: ignore[assignment]  # hides tuple.count
+    links: Ints
+    lost: Floats
+    losses: Ints
+    sizes: Floats
+    summed: Floats
+    surprise: Floats
+    deviation: Floats
+    weight: Floats
+    spread: Floats
+
+
+class Association(NamedTuple):
+    """How measurements are associated.
+
+    `mode`: what they may do to the map (FREE and so on); `log_clutter`: log of the clutter density; `gate`: squared
+    Mahalanobis distance; `return_log_odds`: least log-odds that a measurement is of a VT which was last seen more than
+    `away` snapshots ago, not of another one nearby; `rival_loss`: log-likelihood that a rival association may lose.
+    """
+
+    mode: int
+    log_clutter: float
+    gate: float
+    return_log_odds: float
+    away: int
+    rival_loss: float = 0.0
+
+
+class Lifetime(NamedTuple):
+    """When VTs and weights of the roof's field are confirmed and dropped.
+
+    `confirm`: detections that confirm a VT; `age_once`, `age_twice`: snapshots after which one that was seen once, or a
+    few times, is dropped; `hold`: snapshots after which a weight that was not met is given up.
+    """
+
+    confirm: int
+    age_once: int
+    age_twice: int
+    hold: int
+
+
+class BlockLimits(NamedTuple):
+    """A block ends after so many `snapshots`, so long a `distance` (m), or so large a `turn` (rad)."""
+
+    snapshots: int
+    distance: float
+    turn: float
+
+
+class Existence(NamedTuple):
+    """Of belief propagation: odds of a `birth` against clutter; probabilities that a visible VT stays so, that a hidden
+    one comes `back`, of `detection`, and below which a VT is given up, `drop`. Other filters do not use them."""
+
+    birth: float = 0.0
+    stay: float = 1.0
+    back: float = 0.0
+    detection: float = 1.0
+    drop: float = 0.0
+
+
+class Rules(NamedTuple):
+    """Options of the compiled filters, by what they are about.
+
+    `evidence`: share of detections and misses that counts in the log-likelihood; `step`: log-probability that a clock
+    which may step does so in a block; `merge_rate`: how often another path merges with that of a VT, 1/s; 0: never.
+    """
+
+    association: Association
+    lifetime: Lifetime
+    blocks: BlockLimits
+    evidence: float
+    existence: Existence = Existence()
+    step: float = -math.inf
+    merge_rate: float = 0.0
+
+
+class Noise(NamedTuple):
+    """Variances (m, 3) of measurements, in m^2 and rad^2, besides those of the states.
+
+    `single`: of a measurement; `many`: of what it counts for in an update; `merged` (3,): what updates take beside
+    `many`; `diffuse` (m,): share of the diffuse errors' deviation that is left in a measurement.
+    """
+
+    single: Floats
+    many: Floats
+    merged: Floats
+    diffuse: Floats
+
+
+class Births(NamedTuple):
+    """Measurements as VTs begin with them: `z` (m, 3) in m and rad, NaN where none may begin; variances `q` (m, 3); and
+    how many `guesses` there are, if all of them begin, of VTs of which a distance or an azimuth is not known."""
+
+    z: Floats
+    q: Floats
+    guesses: int
+
+
+class Measured(NamedTuple):
+    """One snapshot of m measurements as the kernels take it, snapshot number `now`.
+
+    `born`: identity of measurement 0 as a VT; `first` (L + 1,): first measurement of each link; `site_of` (L,); `given`
+    (m,): true VT of each measurement in mode KNOWN_ASSOCIATION; `z` (m, 3): in m and rad, NaN where not measured; `gap`
+    (m,): what the log-density of clutter is greater by; `tables` (2, 2, H): see `front_end.visibility.existence`.
+    """
+
+    now: int
+    born: int
+    first: Ints
+    site_of: Ints
+    given: Ints
+    z: Floats
+    gap: Floats
+    tables: Floats
+    noise: Noise
+    births: Births
+    rules: Rules
+
+
+class Block(NamedTuple):
+    """What has been measured since the last update, up to B snapshots: `snapshots` (1,); of each its `pose` (B, 6),
+    distance (m) and time (s) from the begin `at` (B, 2); `total` (3,): distance, turn (rad), time.
+
+    Of each VT: how many `detections` (V,), in which snapshots `seen` (V, B); sums of innovations, variances and how
+    many were measured: `e`, `q`, `measured` (V, 3), of squared shares of diffuse errors `diffuse` (V,), and of the
+    log-odds of what was detected and missed `odds` (V,). Of each site, across blocks: the `shift` (S, 2) of its clock
+    that measurements speak for lately, in m, and how strongly. Of each snapshot, too: by how much the poses of C
+    particles differ from `pose`, `deviation` (B, 6, C).
+    """
+
+    snapshots: Ints
+    pose: Floats
+    at: Floats
+    total: Floats
+    detections: Ints
+    seen: Ints
+    e: Floats
+    q: Floats
+    measured: Floats
+    diffuse: Floats
+    odds: Floats
+    shift: Floats
+    deviation: Floats
+
+
+@part
+def one_of(mixture: Filter, k: int) -> Filter:
+    """Return filter k of a mixture."""
+    return Filter(
+        core=mixture.core, x=mixture.x[k], p=mixture.p[k], size=mixture.size[k], owner=mixture.owner[k],
+        weight_state=mixture.weight_state[k], weight_met=mixture.weight_met[k], vt_state=mixture.vt_state[k],
+        anchor=mixture.anchor[k], slots=mixture.slots[k], count=mixture.count[k], links=mixture.links[k],
+        lost=mixture.lost[k], losses=mixture.losses[k], sizes=mixture.sizes[k], summed=mixture.summed[k],
+        surprise=mixture.surprise[k], deviation=mixture.deviation[k], weight=mixture.weight[k],
+        spread=mixture.spread[k],
+    )  # fmt: skip
+
+
+@part
+def block_of(blocks: Block, k: int) -> Block:
+    """Return the block of filter k of a mixture."""
+    return Block(
+        snapshots=blocks.snapshots[k],
+        pose=blocks.pose[k],
+        at=blocks.at[k],
+        total=blocks.total[k],
+        detections=blocks.detections[k],
+        seen=blocks.seen[k],
+        e=blocks.e[k],
+        q=blocks.q[k],
+        measured=blocks.measured[k],
+        diffuse=blocks.diffuse[k],
+        odds=blocks.odds[k],
+        shift=blocks.shift[k],
+        deviation=blocks.deviation[k],
+    )

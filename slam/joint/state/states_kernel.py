@@ -1,0 +1,116 @@
+"""Compiled: the state of a joint filter: what comes and goes in it.
+
+States before `core.size` are always there. The others enter as they are met and leave by exact marginalisation, the
+last one taking the place of one that leaves: `owner` says whose each of them is, `vt_state` and `weight_state` where
+they are. Source: Smith, Self and Cheeseman, "Estimating uncertain spatial relationships in robotics", 1990.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from cellslam.sim.compiling import lean, njit, part
+from cellslam.sim.recording import Floats, Ints
+from cellslam.slam.joint.state.layout import OF_VT, Filter
+from cellslam.slam.model.copy_kernel import put
+
+SAME = 0.5  # deviations by which equally likely filters differ, or one stays
+
+
+@lean
+def enter(f: Filter, owner: int, variance: float) -> int:
+    """Add an independent state of mean zero; return its place, -1 where there is no room."""
+    n = f.size[0]
+    if n == len(f.x):
+        return -1
+    f.x[n] = 0.0
+    f.p[n, : n + 1] = 0.0
+    f.p[: n + 1, n] = 0.0
+    f.p[n, n] = variance
+    f.deviation[n] = 0.0
+    f.size[0] = n + 1
+    _settle_in(f, n, owner)
+    return int(n)
+
+
+@part
+def leave(f: Filter, place: int) -> None:
+    """Take a state out; the last one takes its place."""
+    last = f.size[0] - 1
+    _settle_in(f, -1, f.owner[place])
+    if place != last:
+        f.x[place] = f.x[last]
+        put(f.p[place], f.p[last, :last])
+        put(f.p[:, place], f.p[last, :last])
+        f.p[place, place] = f.p[last, last]
+        put(f.deviation[place], f.deviation[last])
+        _settle_in(f, place, f.owner[last])
+    f.size[0] = last
+
+
+@lean
+def _settle_in(f: Filter, place: int, owner: int) -> None:
+    """Write down that the state of this owner is at a place, -1 for nowhere."""
+    if place >= 0:
+        f.owner[place] = owner
+    if owner >= 0:
+        f.weight_state[owner] = place
+    elif owner <= OF_VT:
+        k = OF_VT - owner
+        f.vt_state[k // f.vt_state.shape[1], k % f.vt_state.shape[1]] = place
+
+
+@lean
+def owner_of(j: int, coordinate: int, width: int) -> int:
+    """Return the owner's number of a coordinate of VT j, of `width` each."""
+    return OF_VT - (j * width + coordinate)
+
+
+@lean
+def fade(f: Filter, place: int, kept: float, variance: float) -> None:
+    """Let a Gauss-Markov state keep this share of itself; `variance`: what it has in the long run."""
+    n = f.size[0]
+    for i in range(n):
+        f.p[place, i] *= kept
+    for i in range(n):
+        f.p[i, place] *= kept
+    f.p[place, place] += (1.0 - kept * kept) * variance
+    f.x[place] *= kept
+    for c in range(len(f.weight)):
+        f.deviation[place, c] *= kept
+
+
+@lean
+def covariance_of(f: Filter, i: int, j: int) -> float:
+    """Return the covariance of two states: that which particles share, and that of their means, if there are any."""
+    total, a, b = 0.0, f.deviation[i], f.deviation[j]
+    for c in range(len(f.weight)):
+        total += f.weight[c] * a[c] * b[c]
+    return float(f.p[i, j] + total)
+
+
+@njit(cache=True)
+def differing(x: Floats, p: Floats, log_odds: Floats, likely: Ints) -> Ints:
+    """Return those of the filters `likely`, the likeliest first, whose states differ from those of all before them.
+
+    Of the K filters x (K, n) are means, p (K, n, n) covariances, log_odds (K,) those between them. What is unlikely
+    adds little to the mixture, and must differ by more: by SAME deviations times the root of 1 + its log-odds.
+    """
+    kept, found = np.empty(len(likely), np.int64), 0
+    for i in likely:
+        double = False
+        for j in kept[:found]:
+            most2 = SAME * SAME * (1.0 + log_odds[j] - log_odds[i])
+            double = double or _same(x[i], x[j], p[i], p[j], most2)
+        if not double:
+            kept[found] = i
+            found += 1
+    return kept[:found]
+
+
+@lean
+def _same(x: Floats, y: Floats, p: Floats, q: Floats, most2: float) -> bool:
+    same = True
+    for c in range(len(x)):
+        same = same and (x[c] - y[c]) ** 2 <= most2 * max(min(p[c, c], q[c, c]), 0.0)
+    return same

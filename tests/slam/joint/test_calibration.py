@@ -1,0 +1,251 @@
+"""The array's calibration: the next drive begins with what a drive leaves of it, in the filter and in the file."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import h5py
+import numpy as np
+import pytest
+
+from cellslam.benchmarks.bound.cramer_rao import bound
+from cellslam.benchmarks.scores.array_calibration import drawn, field_map
+from cellslam.benchmarks.trials.answers import BadAnswerError, calibration_of, decoded, encoded, plain_calibration
+from cellslam.scenarios.estimator_options import resolve
+from cellslam.scenarios.simulation import simulate
+from cellslam.sim.errors import InputError
+from cellslam.sim.recording import Floats, Recording
+from cellslam.slam.api import odometry_of, setup_of, snapshots_of
+from cellslam.slam.dead_reckoning import DeadReckoning
+from cellslam.slam.front_end.fusion import Fusion
+from cellslam.slam.front_end.readings import white_readings
+from cellslam.slam.joint.calibration_states import begin_with, found
+from cellslam.slam.joint.ekf_slam import EkfSlam
+from cellslam.slam.joint.ekf_slam_options import EkfSlamOptions
+from cellslam.slam.joint.state.layout import one_of
+from cellslam.slam.joint.state.states_kernel import leave
+from cellslam.slam.model.calibration import Calibration
+from cellslam.slam.model.field_kernel import loads
+
+ONE_CAR: dict[str, Any] = {"radio.array_seed": 5, "radio.clock_offset_std_m": 0.0}
+SNAPSHOTS = 160
+RNG = np.random.default_rng(0)
+
+
+@pytest.fixture(scope="module")
+def drives() -> tuple[Recording, Recording]:
+    """Two drives of one car."""
+    first, second = (simulate("tiny", 71, trial, ONE_CAR) for trial in (0, 1))
+    return first, second
+
+
+@pytest.fixture(scope="module")
+def learnt(drives: tuple[Recording, Recording]) -> EkfSlam:
+    """A filter after the first drive."""
+    estimator = EkfSlam()
+    estimator.start(setup_of(drives[0]), RNG)
+    driven(estimator, drives[0])
+    return estimator
+
+
+@pytest.fixture
+def calibration(learnt: EkfSlam) -> Calibration:
+    known = learnt.calibration()
+    assert known is not None
+    return known
+
+
+def driven(estimator: EkfSlam, recording: Recording) -> Floats:
+    """Return poses (T, 6) of an estimator that has been started."""
+    dt_s, odometry = np.diff(recording.time_s, prepend=recording.time_s[0]), odometry_of(recording)
+    steps = list(zip(dt_s.tolist(), odometry, snapshots_of(recording), strict=True))[:SNAPSHOTS]
+    return np.array([estimator.step(*step).pose for step in steps])
+
+
+def assuming(tmp_path: Path, known: Calibration, **options: Any) -> EkfSlamOptions:
+    known.save(tmp_path / "car.h5")
+    return EkfSlamOptions(calibration_file=str(tmp_path / "car.h5"), **options)
+
+
+def test_second_drive_is_that_of_a_joint_filter_which_goes_on(
+    drives: tuple[Recording, Recording], learnt: EkfSlam, calibration: Calibration, tmp_path: Path
+) -> None:
+    setup, (goes_on, begins, again) = (
+        setup_of(drives[1]),
+        (EkfSlam(), EkfSlam(assuming(tmp_path, calibration)), EkfSlam()),
+    )
+    for estimator in (goes_on, begins, again):
+        estimator.start(setup, RNG)
+    assert learnt._joint is not None and goes_on._joint is not None
+    # The filter of the first drive loses map and roof, and is put to the start of the second.
+    whole, fresh = learnt._joint, goes_on._joint
+    kept = whole.arrays._replace(**{name: getattr(whole.arrays, name).copy() for name in ("x", "p", "owner", "size")})
+    kept = kept._replace(weight_state=whole.arrays.weight_state.copy(), vt_state=whole.arrays.vt_state.copy())
+    f, core = one_of(kept, 0), whole.core.size
+    weights = 3 * calibration.grid.cells
+    for place in range(int(f.size[0]) - 1, core - 1, -1):
+        if not 0 <= f.owner[place] < weights:
+            leave(f, place)
+    f.p[:core], f.p[:, :core] = 0.0, 0.0
+    f.x[:core], f.p[:core, :core] = fresh.arrays.x[0, :core], fresh.arrays.p[0, :core, :core]
+    fresh.arrays = fresh.arrays._replace(
+        x=kept.x, p=kept.p, owner=kept.owner, size=kept.size, weight_state=kept.weight_state
+    )
+    poses = driven(goes_on, drives[1])
+    np.testing.assert_allclose(driven(begins, drives[1]), poses, rtol=0.0, atol=1e-8)
+    assert np.abs(driven(again, drives[1]) - poses).max() > 1e-3
+
+
+def test_what_is_found_is_nearer_to_the_truth_than_the_prior(
+    drives: tuple[Recording, Recording], calibration: Calibration
+) -> None:
+    field = field_map(calibration, drives[0].provenance)
+    assert field.truth is not None
+    there = np.isfinite(field.mean[..., 0])
+    apart = (field.mean - field.truth)[there] / field.std[there]
+    assert (field.std[there] <= calibration.size * (1.0 + 1e-9)).all() and field.std[there].min() < calibration.size[0]
+    assert 0.4 < np.sqrt(np.mean(apart**2)) < 1.8
+
+
+def test_moments_are_those_of_the_weights(calibration: Calibration) -> None:
+    directions = np.stack([np.linspace(-3.0, 3.0, 7), np.linspace(-0.3, 0.4, 7)], axis=1)
+    mean, std = calibration.at(directions)
+    of_cells, cells = loads(calibration.grid, directions), calibration.grid.cells
+    whole, centre = np.eye(3 * cells) * np.repeat(calibration.size**2, cells), np.zeros(3 * cells)
+    at = calibration.component * cells + calibration.cell
+    whole[np.ix_(at, at)], centre[at] = calibration.covariance, calibration.mean
+    for c in range(3):
+        part = slice(c * cells, (c + 1) * cells)
+        np.testing.assert_allclose(mean[:, c], of_cells @ centre[part], atol=1e-12)
+        np.testing.assert_allclose(std[:, c] ** 2, np.diag(of_cells @ whole[part, part] @ of_cells.T), rtol=1e-9)
+    assert ((calibration.met(directions) >= 0.0) & (calibration.met(directions) <= 1.0 + 1e-12)).all()
+
+
+def test_file_and_message_give_back_what_was_given(calibration: Calibration, tmp_path: Path) -> None:
+    given = replace(calibration, provenance={"estimator": "ekf-slam"})
+    given.save(tmp_path / "car.h5")
+    read = Calibration.load(tmp_path / "car.h5")
+    sent = calibration_of(decoded(encoded({}, plain_calibration(given)))[1])
+    assert sent is not None and read.provenance == given.provenance
+    for other in (read, sent):
+        for name in ("size", "component", "cell", "mean", "covariance"):
+            np.testing.assert_array_equal(getattr(other, name), getattr(given, name))
+        assert (other.scale_rad, other.spacing, other.reach) == (given.scale_rad, given.spacing, given.reach)
+    assert [path.name for path in tmp_path.iterdir()] == ["car.h5"]
+
+
+def test_other_sizes_leave_what_was_found_as_it_is(
+    drives: tuple[Recording, Recording], calibration: Calibration, tmp_path: Path
+) -> None:
+    estimator = EkfSlam(assuming(tmp_path, calibration, calibration_m=0.8, calibration_azimuth_deg=0.1))
+    estimator.start(setup_of(drives[1]), RNG)
+    again = estimator.calibration()
+    assert again is not None
+    order = np.lexsort((again.cell, again.component)), np.lexsort((calibration.cell, calibration.component))
+    np.testing.assert_allclose(again.mean[order[0]], calibration.mean[order[1]], rtol=1e-12)
+    np.testing.assert_allclose(
+        again.covariance[np.ix_(order[0], order[0])], calibration.covariance[np.ix_(order[1], order[1])], rtol=1e-9
+    )
+    assert again.size[0] == pytest.approx(0.8)
+
+
+def test_filters_of_the_start_begin_with_what_is_known(
+    drives: tuple[Recording, Recording], calibration: Calibration, tmp_path: Path
+) -> None:
+    setup = setup_of(drives[1])
+    wide = replace(setup, sites=replace(setup.sites, clock_offset_std_m=np.full(len(setup.sites), 150.0)))
+    estimator = EkfSlam(assuming(tmp_path, calibration))
+    estimator.start(wide, RNG)
+    assert estimator._start is not None and len(estimator._start.mixtures) == len(setup.sites)
+    for mixture in estimator._start.mixtures:
+        again = found(mixture, estimator._errors)
+        order = np.lexsort((again.cell, again.component)), np.lexsort((calibration.cell, calibration.component))
+        np.testing.assert_allclose(again.mean[order[0]], calibration.mean[order[1]], rtol=1e-12)
+
+
+def test_a_share_of_the_roof_is_counted_as_often_as_a_draw_is_repeated(drives: tuple[Recording, Recording]) -> None:
+    """What merged paths do to directions is none of the states."""
+    fusion = Fusion(setup_of(drives[1]), EkfSlamOptions())
+    measurements = fusion.fuse(snapshots_of(drives[1])[0])
+    options = fusion.options
+    counted = white_readings(measurements, options, 0.02 * 0.1, 1.0 * 0.1)
+    smooth = type(options)(**{**options.model_dump(), "roof_azimuth_deg": 0.0, "roof_elevation_deg": 0.0})
+    none = white_readings(measurements, smooth, 0.02 * 0.1, 1.0 * 0.1)
+    share = 0.1 * options.roof**2
+    assert len(counted.z) > 3 and share[1] > 0.0
+    for part in ("single", "fresh"):
+        more = getattr(counted, part) - getattr(none, part)
+        np.testing.assert_allclose(more, np.tile(share, (len(counted.z), 1)), rtol=1e-9, atol=1e-15)
+    # In 0.1 s the direction turns by 0.02 * 0.1 + 1.0 * 0.1 / 200 = 0.0025 rad; sqrt(2 pi) * 2 deg / 0.0025 = 35.0.
+    np.testing.assert_array_equal(counted.many, none.many)
+    np.testing.assert_allclose(counted.merged, 35.0 * share, rtol=1e-4)
+    np.testing.assert_allclose(white_readings(measurements, options, 0.0, 0.0).merged, 400.0 * share, rtol=1e-9)
+
+
+def test_mixture_counts_what_one_filter_has_not_met_as_its_prior(learnt: EkfSlam, calibration: Calibration) -> None:
+    setup = replace(learnt._setup, sites=replace(learnt._setup.sites))
+    estimator = EkfSlam()
+    estimator.start(setup, RNG)
+    assert estimator._joint is not None
+    mixture = estimator._joint
+    begin_with(mixture, estimator._errors, calibration)
+    mixture.arrays = mixture.arrays._replace(
+        **{n: np.repeat(getattr(mixture.arrays, n), 2, axis=0) for n in mixture.arrays._fields if n != "core"}
+    )
+    mixture.log_weight = np.log([0.25, 0.75])
+    one = one_of(mixture.arrays, 1)
+    owner, place = int(one.owner[mixture.core.size]), mixture.core.size
+    leave(one, place)
+    both = found(mixture, estimator._errors)
+    which = np.flatnonzero(both.component * both.grid.cells + both.cell == owner)[0]
+    was = np.flatnonzero(calibration.component * both.grid.cells + calibration.cell == owner)[0]
+    m, v, prior = calibration.mean[was], calibration.covariance[was, was], calibration.size[calibration.component[was]]
+    assert both.mean[which] == pytest.approx(0.25 * m)
+    assert both.covariance[which, which] == pytest.approx(0.25 * v + 0.75 * prior**2 + 0.25 * 0.75 * m**2)
+
+
+def test_drives_share_an_array_and_nothing_else(drives: tuple[Recording, Recording]) -> None:
+    directions = np.array([[0.3, 0.1], [-2.0, 0.0]])
+    fields = [drawn(recording.provenance, directions) for recording in drives]
+    other = drawn(simulate("tiny", 71, 0, {**ONE_CAR, "radio.array_seed": 6}).provenance, directions)
+    assert fields[0] is not None and fields[1] is not None and other is not None
+    np.testing.assert_array_equal(fields[0], fields[1])
+    assert np.abs(fields[0] - other).max() > 1e-3
+    assert len(drives[0].measurements) != len(drives[1].measurements)
+
+
+def test_bound_of_a_calibrated_array_is_lower(drives: tuple[Recording, Recording]) -> None:
+    free, known = bound(drives[1]).position_rmse_m, bound(drives[1], calibrated=True).position_rmse_m
+    assert 0.3 * free < known < 0.999 * free
+
+
+def test_what_cannot_be_used_is_refused(calibration: Calibration, tmp_path: Path) -> None:
+    file, no = tmp_path / "car.h5", tmp_path / "no.h5"
+    calibration.save(file)
+
+    def said(name: str = "ekf-slam", **options: Any) -> str:
+        with pytest.raises(InputError) as raised:
+            resolve({name: {"calibration_file": str(file), **options}}, (name,))
+        return str(raised.value)
+
+    assert "set calibration_scale_deg = 15" in said(calibration_scale_deg=20.0)
+    assert "a calibration of distance, azimuth, elevation" in said(calibration_m=0.0)
+    assert "no such file" in said(calibration_file=str(no))
+    no.write_text("nothing")
+    assert "not a calibration" in said(calibration_file=str(no))
+    with h5py.File(file, "r+") as changed:
+        changed["covariance"][0, 0] = -1.0
+    assert "negative eigenvalue" in said()
+    with h5py.File(file, "r+") as changed:
+        del changed["mean"]
+    assert "not a calibration" in said()
+
+
+def test_answers_that_are_no_calibration_are_refused(calibration: Calibration) -> None:
+    assert not callable(getattr(DeadReckoning(), "calibration", None))
+    with pytest.raises(BadAnswerError, match="returned int"):
+        plain_calibration(3)
+    with pytest.raises(BadAnswerError, match="mean has shape"):
+        calibration_of(plain_calibration(replace(calibration, mean=calibration.mean * np.nan)))

@@ -1,0 +1,171 @@
+"""What one VT may say of the filters of a mixture: bounds, bookkeeping, and a path that is the image of no wall."""
+
+from __future__ import annotations
+
+from dataclasses import astuple, replace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from cellslam.sim.frames import wrap_angle
+from cellslam.sim.recording import Measurements, Recording
+from cellslam.slam.api import setup_of, snapshots_of
+from cellslam.slam.conformance.subject import tiny_drive
+from cellslam.slam.joint.ekf_slam import EkfSlam
+from cellslam.slam.joint.influence import BIRTH, MOST, bounded
+from cellslam.slam.joint.mixture import Mixture, core_of, new_mixture
+from cellslam.slam.joint.snapshot.birth_kernel import tidy
+from cellslam.slam.joint.state.array_errors import NO_ERRORS
+from cellslam.slam.joint.state.layout import IDENT, SHARE, WORTH
+
+ALONE = 200  # snapshots for which one path is all that is heard of a site
+
+
+@pytest.fixture
+def mixture() -> Mixture:
+    """Two filters without VTs, the log-weights being -1 and -2."""
+    setup = setup_of(tiny_drive())
+    out = new_mixture(setup, core_of(setup, NO_ERRORS), NO_ERRORS, np.zeros((2, 2)), np.ones(2))
+    out.influence.rest[:] = -1.0, -2.0
+    return out
+
+
+def put(mixture: Mixture, k: int, worth: dict[int, float]) -> None:
+    """Let filter k have these VTs, by identity, and no others; `worth`: beyond what each costs."""
+    mixture.arrays.count[k] = len(worth)
+    for j, (ident, value) in enumerate(worth.items()):
+        mixture.arrays.slots[k, j, IDENT], mixture.arrays.anchor[k, j, WORTH] = ident, BIRTH + value
+
+
+def weighed(mixture: Mixture, association: Any = ((), ()), born: int = 1000) -> list[float]:
+    """Return the log-weights after a snapshot."""
+    mixture.influence.meet(mixture.arrays, np.array(association, np.int64), born, mixture.log_weight)
+    mixture.log_weight = mixture.influence.weigh(mixture.arrays)
+    return list(mixture.log_weight)
+
+
+def test_a_path_says_no_less_than_clutter_and_little_against_a_filter() -> None:
+    worth = BIRTH + np.array([[2.0, -9.0, 50.0, -3.0], [1.5, 0.0, -20.0, 0.5]])
+    np.testing.assert_allclose(bounded(worth, np.arange(4)), [-0.5, -0.5 - MOST])
+    assert bounded(np.empty((2, 0)), np.empty(0)).tolist() == [0.0, 0.0]
+
+
+def test_who_breaks_a_path_into_many_gains_nothing() -> None:
+    """The second filter lost the path twice, and began it again: each VT costs, and together they are one path."""
+    worth = np.array([[90.0, 0.0, 0.0], [30.0, 30.0, 30.0]])
+    np.testing.assert_allclose(bounded(worth, np.array([5, 5, 5])), [0.0, -min(2.0 * BIRTH, MOST)])
+
+
+def test_a_filter_without_a_vt_loses_what_it_explains(mixture: Mixture) -> None:
+    put(mixture, 0, {7: 2.0})
+    assert weighed(mixture) == [-1.0, -4.0]
+    put(mixture, 0, {7: 100.0})  # over its whole life: it is not counted twice
+    assert weighed(mixture) == [-1.0, -2.0 - MOST]
+
+
+def test_what_a_lost_vt_was_worth_remains(mixture: Mixture) -> None:
+    put(mixture, 0, {7: 2.0, 9: 1.0})
+    put(mixture, 1, {9: 1.5, 7: 1.0})
+    before = weighed(mixture)
+    assert before == [-1.0 - 0.5, -2.0 - 1.0]
+    put(mixture, 0, {9: 1.0})  # the one filter has lost it
+    assert weighed(mixture) == before
+    put(mixture, 1, {9: 1.5})  # and so has the other
+    assert weighed(mixture) == before
+    assert mixture.influence.ident.tolist() == [9]
+    put(mixture, 0, {})
+    put(mixture, 1, {})
+    assert weighed(mixture) == before
+    assert mixture.influence.worth.shape == (2, 0)
+
+
+def test_a_vt_begun_at_a_measurement_at_another_is_of_its_path(mixture: Mixture) -> None:
+    """The second filter takes the measurement 51 for a new VT, the first for VT 7; of measurement 50 neither has
+    one."""
+    put(mixture, 0, {7: 2.0})
+    put(mixture, 1, {7: 1.0})
+    weighed(mixture)
+    put(mixture, 1, {7: 1.0, 51: 0.5, 50: 0.0})
+    assert weighed(mixture, [[-1, 7], [-1, -1]], 50) == [-1.0, -2.0 - 0.5]
+    assert mixture.influence.path.tolist() == [7, 50, 7]
+    put(mixture, 0, {})
+    put(mixture, 1, {51: 4.0})  # the path goes on
+    assert weighed(mixture) == [-1.0 - 3.0, -2.0]
+    assert mixture.influence.ident.tolist() == [7, 51]
+
+
+def test_filters_that_are_kept_or_doubled_take_theirs_along(mixture: Mixture) -> None:
+    put(mixture, 0, {7: 2.0})
+    put(mixture, 1, {8: 1.0})
+    assert weighed(mixture) == [-1.0 - 1.0, -2.0 - 2.0]
+    mixture.keep(np.array([1]))
+    mixture._copy(0, 1)  # as a filter that doubts an association
+    mixture.log_weight, mixture.influence = np.full(2, -4.0), mixture.influence.of(np.array([0, 0]))
+    assert weighed(mixture) == [-2.0, -2.0]
+
+
+def test_guesses_that_are_left_have_what_those_given_up_were_worth(one_filter: type[Any]) -> None:
+    one = one_filter()
+    one.put(np.zeros(6), 0.0, (10.0, 0.0, 0.0), (20.0, 0.0, 0.0), (30.0, 0.0, 0.0))
+    one.f.slots[:3, IDENT], one.f.anchor[:3, SHARE], one.f.anchor[:3, WORTH] = (
+        [5, 5, 6],
+        [0.0, 1.0, 1.0],
+        [3.0, 4.0, 8.0],
+    )
+    tidy(one.f, one.errors, one.block, 0, one.rules)
+    found = {int(one.f.slots[j, IDENT]): float(one.f.anchor[j, WORTH]) for j in range(one.f.count[0])}
+    assert found == {5: 7.0, 6: 8.0}
+
+
+def test_measurements_that_nothing_explains_say_nothing() -> None:
+    """Or a wrong offset, whose VTs move away and are begun again at each snapshot, would win by that."""
+    drive, estimator = tiny_drive(), EkfSlam()
+    estimator.start(setup_of(drive), np.random.default_rng(0))
+    mixtures = estimator._start.mixtures
+    before = [mixture.influence.rest.copy() for mixture in mixtures]
+    estimator.step(0.0, drive.odometry[0], next(iter(snapshots_of(drive))))
+    births = np.concatenate([mixture.arrays.count[: len(mixture), 0] for mixture in mixtures])
+    assert births.min() == 0 and births.max() > 0  # those with a later clock than any distance have none
+    for mixture, rest in zip(mixtures, before, strict=True):
+        np.testing.assert_array_equal(mixture.influence.rest, rest)
+
+
+def over_an_edge() -> Recording:
+    """Return the drive with one path of the second site over an edge, alone for a while: its distances are those to the
+    edge and as much as it is from there, its directions those of the edge."""
+    drive = tiny_drive()
+    truth, m = drive.truth, drive.measurements
+    assert truth is not None
+    vt, start = 4, truth.poses[0, :3]
+    image = truth.vts.position_m[vt]
+    edge = start + 0.4 * (image - start)
+    rows = np.flatnonzero(truth.measurement_vt == vt)
+    there, place = np.linalg.norm(image - edge), truth.poses[m.snapshot[rows], :3]
+    before, after = image - place, edge - place
+    distance, azimuth = m.distance_m.copy(), m.azimuth_rad.copy()
+    distance[rows] += np.linalg.norm(after, axis=1) + there - np.linalg.norm(before, axis=1)
+    turned = np.arctan2(after[:, 1], after[:, 0]) - np.arctan2(before[:, 1], before[:, 0])
+    azimuth[rows] = wrap_angle(azimuth[rows] + turned)
+    heard = (drive.links.site[m.link] == 0) | (m.snapshot >= ALONE) | (truth.measurement_vt == vt)
+    columns = astuple(replace(m, distance_m=distance, azimuth_rad=azimuth))
+    return replace(drive, measurements=Measurements(*(column[heard] for column in columns)), truth=None)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("most", [MOST, np.inf])
+def test_a_path_over_an_edge_does_not_rule_out_the_right_offset(monkeypatch: pytest.MonkeyPatch, most: float) -> None:
+    """Without bound the offset is surely wrong by fifty metres, and no likely filter has the right one."""
+    monkeypatch.setattr("cellslam.slam.joint.influence.MOST", most)
+    drive, truth, estimator = over_an_edge(), tiny_drive().truth, EkfSlam()
+    assert truth is not None
+    estimator.start(setup_of(drive), np.random.default_rng(0))
+    dt_s = np.diff(drive.time_s, prepend=drive.time_s[0])[:ALONE].tolist()
+    for t, (dt, snapshot) in enumerate(zip(dt_s, snapshots_of(drive), strict=False)):
+        estimator.step(dt, drive.odometry[t], snapshot)
+    if estimator._start is not None:
+        offsets = np.array([mean for mean, _ in estimator._start._likely()[1]])
+    else:  # which is over sooner without bound
+        joint = estimator._joint
+        offsets = joint.arrays.x[: len(joint), joint.core.offsets][:, 1]
+    assert bool(np.any(np.abs(offsets - truth.clock_offsets_m[1]) < 20.0)) == (most == MOST)

@@ -1,0 +1,402 @@
+"""EKF-SLAM's kernels against plain formulas: prediction, birth, update, marginalisation, motion, sizes."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+from scipy.stats import multivariate_normal
+
+from cellslam.sim.frames import integrate_pose
+from cellslam.slam.api import setup_of
+from cellslam.slam.conformance.subject import tiny_drive
+from cellslam.slam.joint.mixture import core_of, new_mixture
+from cellslam.slam.joint.snapshot.association_kernel import expect, score_pairs
+from cellslam.slam.joint.snapshot.birth_kernel import give_birth, remove, tidy
+from cellslam.slam.joint.snapshot.motion_kernel import Interval, Step, forget, move
+from cellslam.slam.joint.snapshot.sight_kernel import field, rotations_of
+from cellslam.slam.joint.snapshot.sizes_kernel import (
+    DIFFUSE_SIZE,
+    ODOMETRY,
+    WHITE,
+    count,
+    count_diffuse,
+    count_motion,
+    count_white,
+)
+from cellslam.slam.joint.snapshot.update_kernel import (
+    LIKELY,
+    Innovation,
+    Vec3,
+    add_up,
+    compare,
+    correct,
+    gains,
+    innovate,
+    likely_share,
+    update,
+)
+from cellslam.slam.joint.state.array_errors import NO_ERRORS
+from cellslam.slam.joint.state.layout import LAST, ArrayErrors, one_of
+from cellslam.slam.joint.state.states_kernel import enter, leave
+from cellslam.slam.model.field_kernel import bells, grid
+from cellslam.slam.model.matrices_kernel import Sym3
+from cellslam.slam.model.measurement_kernel import Spherical
+from cellslam.slam.model.measurement_model import birth as born_at
+from cellslam.slam.model.measurement_model import predict
+
+POSE = np.array([3.0, -2.0, 1.5, 0.7, 0.1, -0.2])
+OFFSET = 6
+NOW = 3  # number of the fixture's snapshot
+ERRORS = ArrayErrors(
+    np.array([0.2, 0.004, 0.006]), grid(0.6, 1.1, 1.9), np.array([0.0, 0.01, 0.02]), grid(0.4, 1.3, 1.9),
+    np.array([0.7, 0.013, 0.009]), 0.15, np.array([0.005, 0.008, 0.009]), 0.15, np.radians([0.1, 0.3]), 3.0, 0.5,
+)  # fmt: skip
+
+
+def slopes(function: Callable[[Any], Any], x: Any) -> Any:
+    """Return the numeric Jacobian of a function at x."""
+    steps = 1e-6 * np.eye(len(x))
+    return np.array([(function(x + step) - function(x - step)) / 2e-6 for step in steps]).T
+
+
+def test_prediction_and_jacobians_are_those_of_the_model(one_filter: Any) -> None:
+    one = one_filter()
+    one.put(POSE, 15.0, [90.0, 2.5, 0.3], anchor=[-4.0, 6.0, 2.0])
+    p, mean = one.spread(np.random.default_rng(0).normal(size=(10, 10))), one.f.x[:10].copy()
+
+    def expected(x: Any) -> Any:
+        one.f.x[:10] = x
+        return one.model(0)[0]
+
+    h, by = one.model(0)
+    np.testing.assert_allclose(h - [15.0, 0.0, 0.0], predict(POSE, one.place(0)), rtol=1e-12)
+    np.testing.assert_allclose(by, slopes(expected, mean), rtol=1e-6, atol=1e-7)
+    one.f.x[:10] = mean
+    spread = (by @ p @ by.T)[np.triu_indices(3)]
+    _, hph = compare(one.f, NO_ERRORS, 0, OFFSET, one.measurement(h, np.ones(3)), one.w.sight, one.w.pending)
+    np.testing.assert_allclose(hph, spread, rtol=1e-10)
+    given = expect(one.f, NO_ERRORS, 0, OFFSET, rotations_of(one.f), one.w.sight)
+    np.testing.assert_allclose(given.hph, spread, rtol=1e-10)
+    np.testing.assert_allclose(given.z, h, rtol=1e-12)
+
+
+def test_errors_that_persist_enter_and_are_linear_in_their_states(one_filter: Any) -> None:
+    one = one_filter(ERRORS)
+    one.put(POSE, 15.0, [90.0, 2.5, 0.3])
+    assert (one.f.core.sway >= 0).all()  # sway is always there, pose and offset before it
+    before = one.n
+    plain = np.array(predict(POSE, one.place(0))) + 15.0 * np.eye(3)[0]
+    h, by = one.model(0)
+    assert one.n > before + 3 + 4  # weights of two fields, and the three diffuse errors
+    entered = np.arange(before, one.n)
+    np.testing.assert_allclose(np.diag(one.f.p)[entered], 1.0)
+    weights = np.setdiff1d(entered, one.f.vt_state[0])
+    # The squares of the bells sum to one: all errors together have the variances that they were told.
+    variance = ERRORS.calibration**2 + ERRORS.roof**2 + ERRORS.diffuse**2
+    np.testing.assert_allclose((by[:, entered] ** 2).sum(axis=1), variance, rtol=1e-12)
+    np.testing.assert_allclose((by[:, weights] ** 2).sum(axis=1), ERRORS.calibration**2 + ERRORS.roof**2, rtol=1e-12)
+    states = np.append(entered, [*one.f.core.sway, one.f.core.ground])
+    one.f.x[states] = x = np.random.default_rng(1).normal(size=len(states))
+    np.testing.assert_allclose(one.model(0)[0] - plain, by[:, states] @ x, rtol=1e-9, atol=1e-12)
+    np.testing.assert_allclose(h, plain, rtol=1e-12)
+
+
+def test_birth_is_exact_and_correlated_with_all_states(one_filter: Any) -> None:
+    one, z, q = one_filter(), np.array([120.0, 1.0, 0.2]), np.array([0.4, 2e-4, 3e-4])
+    one.put(POSE, 15.0)
+    before = one.spread(np.random.default_rng(0).normal(size=(7, 7)) * 0.01)
+
+    def born(x: Any) -> Any:
+        """Return range, azimuth, elevation about POSE's place of what pose, offset and measurement point to."""
+        out = born_at(x[:6], x[7] - x[6], x[8], x[9]) - POSE[:3]
+        flat = np.hypot(out[0], out[1])
+        return np.array([np.hypot(flat, out[2]), np.arctan2(out[1], out[0]), np.arctan2(out[2], flat)])
+
+    one.f.vt_state[0] = -1
+    assert give_birth(one.f, NO_ERRORS, 0, OFFSET, z, q, True, 1.0, 3, one.w.sight, one.w.pending)
+    given, at = np.concatenate([POSE, [15.0], z]), one.f.vt_state[0, :3]
+    by, p = slopes(born, given), one.f.p[: one.n, : one.n]
+    np.testing.assert_array_equal(at, [7, 8, 9])
+    np.testing.assert_allclose(one.f.x[at], born(given), rtol=1e-12)
+    np.testing.assert_allclose(p[7:, :7], by[:, :7] @ before, rtol=1e-5, atol=1e-9)
+    spread = by[:, :7] @ before @ by[:, :7].T + (by[:, 7:] * q) @ by[:, 7:].T
+    np.testing.assert_allclose(p[7:, 7:], spread, rtol=1e-5, atol=1e-9)
+    np.testing.assert_array_equal(p, p.T)
+
+
+def test_birth_takes_off_what_is_believed_of_the_errors(one_filter: Any) -> None:
+    """A measurement made by the model with errors begins a VT where it came from, and what is left of them stays
+    unknown."""
+    one = one_filter(ERRORS)
+    one.put(POSE, 15.0, [90.0, 2.5, 0.3])
+    one.model(0)
+    weights = np.flatnonzero(one.f.owner[: one.n] >= 0)
+    one.f.x[weights] = np.random.default_rng(2).normal(size=len(weights))
+    z, _ = one.model(0)
+    one.f.vt_state[1] = -1
+    give_birth(one.f, ERRORS, 1, one.f.core.first_offset, z, np.full(3, 1e-6), True, 1.0, 3, one.w.sight, one.w.pending)
+    np.testing.assert_allclose(one.place(1), one.place(0), atol=0.05)
+    again, _ = one.model(1)
+    _, hph = compare(
+        one.f, ERRORS, 1, one.f.core.first_offset, one.measurement(z, np.ones(3)), one.w.sight, one.w.pending
+    )
+    # The next measurement shares weights and diffuse errors with the birth: nothing is left but its white noise.
+    np.testing.assert_allclose([hph.xx, hph.yy, hph.zz], 1e-6, atol=2e-6)
+    assert (abs(again - z) < [0.03, 1e-3, 1e-3]).all()  # but for the field's slope
+
+
+def test_updates_are_textbook_kalman_updates_also_while_they_wait(one_filter: Any, kalman: Callable[..., Any]) -> None:
+    one, q, turn = one_filter(), np.array([0.3, 1e-4, 2e-4]), np.array([0.0, 2.0 * np.pi, 0.0])
+    one.put(POSE, 5.0, [80.0, 0.5, 0.2], [60.0, -1.0, 0.1])
+    cov = one.spread(np.random.default_rng(1).normal(size=(13, 13)) * 0.02)
+    mean = begin = one.f.x[:13].copy()
+    for j, e in ((0, [0.2, 0.01, -0.02]), (1, [-0.3, 0.01, 0.01]), (0, [0.1, np.nan, 0.01]), (1, [0.1, 0.0, 0.0])):
+        h, by = one.model(j)
+        n = len(mean)
+        mean, cov, value = kalman(mean, cov, by[:, :n], np.array(e) - by @ (mean - begin), q)
+        got = correct(
+            one.f, NO_ERRORS, j, OFFSET, one.measurement(h + e + turn, q), one.rules, one.w.sight, one.w.pending
+        )
+        np.testing.assert_allclose(got, value, rtol=1e-8)
+        np.testing.assert_array_equal(one.f.x[:n], begin)  # about which all measurements are linearised
+        # A state that enters meanwhile is independent.
+        enter(one.f, -1, 4.0)
+        mean, begin = np.append(mean, 0.0), np.append(begin, 0.0)
+        cov = np.block([[cov, np.zeros((n, 1))], [np.zeros((1, n)), np.full((1, 1), 4.0)]])
+    add_up(one.f, one.w.pending)
+    np.testing.assert_allclose(one.f.x[: one.n], mean, rtol=1e-9, atol=1e-12)
+    np.testing.assert_allclose(one.f.p[: one.n, : one.n], cov, rtol=1e-7, atol=1e-12)
+    np.testing.assert_array_equal(one.f.p, one.f.p.T)
+
+
+def test_pairs_beyond_the_gate_are_none(one_filter: Any, kalman: Callable[..., Any]) -> None:
+    one, q = one_filter(), np.array([0.3, 1e-4, 2e-4])
+    one.put(POSE, 5.0, [80.0, 0.5, 0.2])
+    one.f.slots[0, LAST] = NOW - 4
+    p = one.spread(np.random.default_rng(1).normal(size=(10, 10)) * 0.02)
+    h, by = one.model(0)
+    for e in np.array([[0.2, 0.01, -0.02], [0.3, np.nan, 0.02]]):
+        there = np.isfinite(e)
+        s = (by @ p @ by.T + np.diag(q))[np.ix_(there, there)]
+        e /= np.sqrt(e[there] @ np.linalg.solve(s, e[there]))
+        near, far = np.sqrt(16.3 - 0.01) * e, np.sqrt(16.3 + 0.01) * e
+        seen = one.seen(h + np.array([near, far]), np.array([q, q]))
+        assert score_pairs(one.f, NO_ERRORS, seen, 0, one.w.sight, one.w.pairs) == 1
+        assert one.w.pairs.score[0, 0] == pytest.approx(kalman(one.f.x[:10], p, by, near, q)[2])
+        assert one.w.pairs.score[0, 1] == -np.inf
+        assert one.w.pairs.gated[:2].tolist() == [1, 0]
+
+
+def test_a_vt_that_returns_must_be_likelier_than_a_new_one_nearby(one_filter: Any) -> None:
+    """A VT unseen for longer than `away` takes no measurement that one anywhere within 50 m would explain as well."""
+    one, q = one_filter(), np.array([0.3, 1e-4, 2e-4])
+    one.put(POSE, 5.0, [80.0, 0.5, 0.2])
+    p = one.spread(np.random.default_rng(1).normal(size=(10, 10)) * 0.02)
+    h, by = one.model(0)
+    room = np.array([50.0, 50.0 / (h[0] - 5.0)])
+    s = (by @ p @ by.T + np.diag(q))[:2, :2]
+    for e in np.array([[0.2, 0.01, 0.03], [0.3, np.nan, 0.02], [np.nan, 0.01, 0.02]]):
+        there = np.isfinite(e[:2])
+
+        def log_odds(measurement: Any, there: Any = there) -> float:
+            density = multivariate_normal.logpdf(measurement[:2][there], cov=s[np.ix_(there, there)])
+            return float(density + np.log(room[there]).sum())
+
+        for unseen, taken in ((4, [1, 1]), (5, [1, 0])):
+            one.f.slots[0, LAST] = NOW - unseen
+            association = one.rules.association._replace(return_log_odds=log_odds(e) - 1e-6)
+            one.rules = one.rules._replace(association=association)
+            seen = one.seen(h + np.array([e, 1.001 * e]), np.array([q, q]))
+            score_pairs(one.f, NO_ERRORS, seen, 0, one.w.sight, one.w.pairs)
+            assert one.w.pairs.gated[:2].tolist() == taken
+
+
+def test_leaving_is_marginalising(one_filter: Any) -> None:
+    one, rng = one_filter(), np.random.default_rng(2)
+    one.put(POSE, 1.0, [80.0, 0.5, 0.2], [60.0, -1.0, 0.1], [40.0, 1.0, 0.3])
+    f, p = one.f, one.spread(rng.normal(size=(16, 16)))
+    f.slots[:3], f.anchor[:3, 3:] = np.arange(18).reshape(3, 6), rng.normal(size=(3, 4))
+    x, anchors, places = f.x[:16].copy(), f.anchor[:3].copy(), f.vt_state[:3, :3].copy()
+    remove(f, one.block, 0)
+    assert (f.count[0], one.n) == (2, 13)
+    np.testing.assert_array_equal(f.anchor[:2], anchors[[2, 1]])
+    np.testing.assert_array_equal(f.slots[:2, 0], [12, 6])
+    new, old = np.append(np.arange(7), f.vt_state[:2, :3]), np.append(np.arange(7), places[[2, 1]])
+    np.testing.assert_array_equal(f.x[new], x[old])
+    np.testing.assert_array_equal(f.p[np.ix_(new, new)], p[np.ix_(old, old)])
+
+
+def test_fields_are_one_kalman_filter_over_all_weights(one_filter: Any, kalman: Callable[..., Any]) -> None:
+    """Weights that enter as directions are met, and leave, in a linear world: exactly the joint filter of them all."""
+    rng, std, g = np.random.default_rng(5), np.array([0.3, 0.02, 0.05]), grid(0.5, 1.3, 1.9)
+    one = one_filter(NO_ERRORS._replace(calibration=std, calibration_grid=g))
+    f, w = one.f, one.w
+    one.mixture.reserve(3 * g.cells, 1)
+    f = one_of(one.mixture.arrays, 0)
+    n = len(f.x)
+    w = w._replace(pending=w.pending._replace(rows=np.zeros((51, n)), t=np.zeros((3, n)), added=np.zeros(n)))
+    mean, cov, q = np.zeros(3 * g.cells), np.eye(3 * g.cells), np.array([0.1, 1e-4, 2e-4])
+    for now in range(60):
+        azimuth, elevation = rng.uniform(-3.0, 3.0), rng.uniform(-0.5, 0.8)
+        w.sight.size[0] = 0
+        value = field(f, g, std, 0, Spherical(1.0, azimuth, elevation), now, w.sight)
+        count = bells(g, azimuth, elevation, w.sight.cells, w.sight.values)
+        row = np.zeros((3, len(mean)))
+        for c in range(3):
+            row[c, c * g.cells + w.sight.cells[:count]] = std[c] * w.sight.values[:count]
+        np.testing.assert_allclose(value, row @ mean, atol=1e-9)
+        e = rng.normal(size=3) * [0.4, 0.02, 0.05]
+        mean, cov, log_density = kalman(mean, cov, row, e, q)
+        hph = gains(f, w.sight, w.pending)
+        assert update(f, innovate(Vec3(*e), q, hph), w.pending) == pytest.approx(log_density, rel=1e-9, abs=1e-9)
+        add_up(f, w.pending)
+        if now == 30:  # give up some weights: in the joint filter they are marginalised, and met again as new ones
+            for owner in list(f.owner[f.core.size : one_size(f)])[:20]:
+                leave(f, int(f.weight_state[owner]))
+                mean[owner], cov[owner], cov[:, owner], cov[owner, owner] = 0.0, 0.0, 0.0, 1.0
+    met = np.flatnonzero(f.weight_state >= 0)
+    assert len(met) > 80
+    places = f.weight_state[met]
+    np.testing.assert_allclose(f.x[places], mean[met], atol=1e-9)
+    np.testing.assert_allclose(f.p[np.ix_(places, places)], cov[np.ix_(met, met)], atol=1e-9)
+
+
+def one_size(f: Any) -> int:
+    return int(f.size[0])
+
+
+def test_what_persists_fades_as_a_gauss_markov_process(one_filter: Any) -> None:
+    one = one_filter(ERRORS)
+    one.put(POSE, 5.0, [80.0, 0.5, 0.2])
+    one.model(0)
+    root = np.random.default_rng(3).normal(size=(one.n, one.n))
+    p, x = one.spread(root), one.f.x[: one.n].copy()
+    moved, dt, area = 0.1, 0.05, np.sqrt(np.pi / 2.0)
+    kept, variance = np.ones(one.n), np.zeros(one.n)
+    diffuse = one.f.vt_state[0, 3:]
+    kept[diffuse], variance[diffuse] = np.exp(-moved / (area * ERRORS.diffuse_m)), 1.0
+    kept[one.f.core.sway], variance[one.f.core.sway] = np.exp(-dt / (area * ERRORS.sway_s)), ERRORS.sway**2
+    kept[4:6], variance[4:6] = np.exp(-dt / (area * ERRORS.tilt_s)), ERRORS.tilt**2
+    forget(one.f, ERRORS, moved, dt)
+    np.testing.assert_allclose(one.f.x[: one.n], kept * x, rtol=1e-12)
+    expected = kept[:, None] * p * kept + np.diag((1.0 - kept**2) * variance)
+    np.testing.assert_allclose(one.f.p[: one.n, : one.n], expected, rtol=1e-12)
+
+
+def test_weights_of_the_roof_and_faded_errors_are_given_up_in_time(one_filter: Any) -> None:
+    one = one_filter(ERRORS)
+    one.put(POSE, 5.0, [80.0, 0.5, 0.2])
+    one.model(0)
+    weights, roof = one.f.owner[: one.n] >= 0, one.f.owner[: one.n] >= 3 * ERRORS.calibration_grid.cells
+    assert roof.any() and not roof[weights].all()
+    forget(one.f, ERRORS, 10.0, 0.0)
+    one.f.slots[0, 1] = 9  # confirmed
+    tidy(one.f, ERRORS, one.block, 3 + one.rules.lifetime.hold, one.rules)
+    assert one.n == len(weights) - 3  # the diffuse errors are as unknown as new ones
+    tidy(one.f, ERRORS, one.block, 4 + one.rules.lifetime.hold, one.rules)
+    assert one.n == len(weights) - 3 - roof.sum()
+    assert (one.f.owner[: one.n] >= 0).sum() == weights.sum() - roof.sum()
+
+
+def test_motion_is_that_of_the_frames_module() -> None:
+    setup = setup_of(tiny_drive())
+    sheet = replace(setup.odometry_model, bias=np.full(6, 0.02), scale=np.full(6, 0.01), noise_density=np.full(6, 0.01))
+    setup = replace(
+        setup, odometry_model=replace(sheet, bias_walk_density=np.full(6, 1e-3)), start_pose=POSE,
+        start_std=np.full(6, 0.05),
+    )  # fmt: skip
+    core = core_of(setup, NO_ERRORS)
+    f = one_of(new_mixture(setup, core, NO_ERRORS, np.zeros((1, 2)), np.ones(2)).arrays, 0)
+    u, dt, n = np.array([2.0, 0.3, -0.1, 0.4, -0.2, 0.1]), 0.3, core.size
+    f.x[core.bias], f.x[core.scale] = 0.01, 0.02
+    before, p = np.concatenate([f.x[:n], np.zeros(6)]), f.p[:n, :n].copy()
+
+    def moved(x: Any) -> Any:
+        """Return the core that a core, and behind it the odometry's noise, move to."""
+        velocity = (u - x[core.bias] - x[n:]) / (1.0 + x[core.scale])
+        out = np.concatenate([integrate_pose(x[:6], velocity, dt), x[6:n]])
+        out[core.noise] += x[n:] * dt
+        return out
+
+    noise, walk = setup.odometry_model.noise_density, setup.odometry_model.bias_walk_density
+    move(f, Interval(dt, u, noise, walk), Step(np.empty((6, n + 6)), np.empty((6, len(f.x)))))
+    by = slopes(moved, before)
+    expected = by[:, :n] @ p @ by[:, :n].T + by[:, n:] @ by[:, n:].T * 0.01**2 / dt
+    expected[core.bias, core.bias] += 1e-6 * dt
+    np.testing.assert_allclose(f.x[:n], moved(before), rtol=1e-12, atol=1e-14)
+    np.testing.assert_allclose(f.p[:n, :n], expected, rtol=1e-6, atol=1e-10)
+
+
+def test_sizes_have_the_slope_and_information_of_the_likelihood(one_filter: Any) -> None:
+    """Of a measurement with white noise and a state that it shows: the numeric slope of log N in the log of each
+    size."""
+    one, rng = one_filter(ERRORS), np.random.default_rng(4)
+    root, q, load, told = rng.normal(size=(3, 3)), np.array([0.3, 0.5, 0.2]), np.array([0.6, 0.4, 0.7]), 0.8
+    e = rng.normal(size=3)
+
+    def log_density(factor: Any) -> Any:
+        state = told * np.exp(2.0 * factor[3]) * np.outer(load, load)
+        s = root @ root.T + np.diag(q * np.exp(2.0 * factor[:3])) + state
+        return np.array([-0.5 * (e @ np.linalg.solve(s, e) + np.log(np.linalg.det(s)))])
+
+    s = root @ root.T + np.diag(q) + told * np.outer(load, load)
+    count_white(one.f, Vec3(*e), sym(s), q)
+    count_diffuse(one.f, 0, told, q[0], Vec3(*(told * load)), Vec3(*e), sym(s))
+    at = np.append(np.arange(WHITE, WHITE + 3), DIFFUSE_SIZE)
+    np.testing.assert_allclose(one.f.sizes[0, at], slopes(log_density, np.zeros(4))[0], rtol=1e-5)
+    inverse = np.linalg.inv(s)
+    information = 2.0 * np.append(q * np.diag(inverse), told * load @ inverse @ load) ** 2
+    np.testing.assert_allclose(one.f.sizes[1, at], information, rtol=1e-9)
+    by_white, by_state = inverse @ np.diag([2.0 * q[0], 0.0, 0.0]), inverse @ (2.0 * told * np.outer(load, load))
+    assert one.f.sizes[2, WHITE] == pytest.approx(0.5 * np.trace(by_white @ by_state), rel=1e-9)
+
+
+def test_what_is_far_off_says_little_of_a_size_that_the_drive_hardly_tells(one_filter: Any) -> None:
+    """A mean of variance 0.01, ten deviations off, counts as one of two: it is none of what the size is of."""
+    f = one_filter(ERRORS).f
+    count(f, ODOMETRY, 1.0, 1.0, 0.99)
+    assert f.sizes[0, ODOMETRY] == pytest.approx(4.0 * 0.01 + 0.99 - 1.0)
+    count(f, ODOMETRY, 1.0, 0.01, 0.99)
+    assert f.sizes[0, ODOMETRY] == pytest.approx(0.03)
+
+
+def sym(m: Any) -> Any:
+    return Sym3(*m[np.triu_indices(3)])
+
+
+def test_sums_of_odometry_noise_are_taken_in_when_they_are_told() -> None:
+    setup = setup_of(tiny_drive())
+    sheet = replace(setup.odometry_model, noise_density=np.array([0.1, 0.0, 0.0, 0.02, 0.0, 0.0]))
+    setup = replace(setup, odometry_model=sheet)
+    core = core_of(setup, NO_ERRORS)
+    f = one_of(new_mixture(setup, core, NO_ERRORS, np.zeros((1, 2)), np.ones(2)).arrays, 0)
+    move(
+        f,
+        Interval(0.5, np.zeros(6), sheet.noise_density, np.zeros(6)),
+        Step(np.empty((6, core.size + 6)), np.empty((6, len(f.x)))),
+    )
+    forward = core.noise[0]
+    assert f.p[forward, forward] == pytest.approx(0.1**2 * 0.5)
+    count_motion(f, sheet.noise_density, 0.5)
+    assert f.summed[0] == 0.5  # nothing is told yet
+    f.x[forward], f.p[forward, forward] = 0.12, 0.001
+    count_motion(f, sheet.noise_density, 0.0)
+    assert f.sizes[0, ODOMETRY] == pytest.approx((0.12**2 + 0.001) / 0.005 - 1.0)
+    assert f.sizes[1, ODOMETRY] == pytest.approx(2.0 * 0.8**2)
+    assert f.summed[0] == 0.0 and not f.p[forward].any() and f.x[forward] == 0.0
+
+
+def test_a_measurement_that_is_too_far_off_counts_for_less() -> None:
+    """Whatever its distance, it moves the state as one that is just likely does, by less and less."""
+    s = Sym3(4.0, 1.0, 0.0, 2.0, 0.5, 1.0)
+    inverse = np.linalg.inv([[4.0, 1.0, 0.0], [1.0, 2.0, 0.5], [0.0, 0.5, 1.0]])
+    e = np.array([1.0, -0.5, 0.25])
+    for size in (1.0, 2.0, 10.0, 1000.0):
+        distance2 = float(size**2 * e @ inverse @ e)
+        share = likely_share(Innovation(Vec3(*(size * e)), s, 3))
+        assert share == pytest.approx(min(LIKELY / distance2, 1.0), rel=1e-12)
+    assert distance2 > LIKELY
