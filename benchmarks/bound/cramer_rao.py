@@ -5,6 +5,17 @@ and the measurement errors that persist, with all Jacobians at the truth, the tr
 model and each measurement's true covariance. It is conditional on the realised trajectory and detections. Estimators
 that use the priors, and single trials, can fall below it.
 
+State x = [pose r, odometry biases and scales, clock rates and offsets b, VTs v, errors that persist e], covariance P:
+
+    prediction   P <- F (P + W) F^T + Q                                                      `states_kernel.predict`
+                 F: the pose's Jacobian, W: walks, Q = G diag(density^2 / dt) G^T            `linear_motion`
+                 e <- a e + sqrt(1 - a^2) noise, a = exp(-step / (AREA l)), l: correlation   `states_kernel.decay`
+    measurement  z = h(r, v) + b + load e + white, one component after the other             `tracked_measurements`
+      birth      first of a VT: v = H_v^-1 (z - H_r r - b - load e), from a flat prior       `recursion_kernel._birth`
+      update     s = H P H^T + R,  g = P H^T s^-1/2,  P <- P - g g^T                         `recursion_kernel._update`
+    leaving      rows and columns of what is not met again are left out                      `states_kernel.leave`
+    bound        pose_covariance = P_rr after each snapshot; horizontal: sqrt(P_xx + P_yy)
+
 Source: Tichavsky, Muravchik and Nehorai, "Posterior Cramer-Rao bounds for discrete-time nonlinear filtering", IEEE
 Trans. Signal Processing 46(5), 1998, in covariance form, as the odometry noise is singular.
 """
@@ -114,14 +125,18 @@ def core_of(model: OdometryModel, sites: Sites) -> Core:
     first = 6 + len(biased) + len(scaled)
     rate = np.where(walks, first + np.cumsum(walks) - 1, -1).astype(np.int64)
     mean = first + int(walks.sum())
-    return Core(bias, scale, rate, mean, mean + 1 + np.arange(len(sites)), mean + 1 + len(sites))
+    offsets = mean + 1 + np.arange(len(sites))
+    return Core(bias=bias, scale=scale, rate=rate, mean=mean, offsets=offsets, size=mean + 1 + len(sites))
 
 
 def motion_of(recording: Recording, truth: Truth, core: Core) -> Motion:
     """Return the drive's motion about the truth, with what was drawn of its errors; units as in `Motion`."""
     step, noise, walk = linear_motion(recording, truth, core)
     drawn, dt_s = jumps(recording, truth, core, step), np.diff(recording.time_s, prepend=recording.time_s[0])
-    return Motion(start_variance(recording, core), step, noise, walk, drawn, core.mean, core.rate, dt_s)
+    return Motion(
+        start=start_variance(recording, core), step=step, noise=noise, walk=walk, jump=drawn, mean=core.mean,
+        rate=core.rate, dt_s=dt_s,
+    )  # fmt: skip
 
 
 def start_variance(recording: Recording, core: Core) -> Floats:
@@ -136,31 +151,29 @@ def start_variance(recording: Recording, core: Core) -> Floats:
 
 
 def linear_motion(recording: Recording, truth: Truth, core: Core) -> tuple[Floats, Floats, Floats]:
-    """Return the pose's transition (T, 6, core), its noise (T, 6, 6) and the core's walk variances (T, core).
+    """Return the pose's transition F (T, 6, core), its noise Q (T, 6, 6) and the core's walk variances W (T, core).
 
     Row t leads from snapshot t - 1 to t; row 0 is not used. Linearised `frames.integrate_pose` at the truth, with true
     velocity = (measured - bias - white) / (1 + scale). Units: those of the states (m, rad, m/s, rad/s).
     """
     count, model = len(recording.time_s), recording.odometry_model
-    motion, noise = np.zeros((count, 6, core.size)), np.zeros((count, 6, 6))
-    walk = np.zeros((count, core.size))
+    F, Q, W = np.zeros((count, 6, core.size)), np.zeros((count, 6, 6)), np.zeros((count, core.size))
     if count < 2:
-        return motion, noise, walk
+        return F, Q, W
     dt = np.diff(recording.time_s)
-    walk[1:] = clock_walk(recording, truth, core)[1:]
+    W[1:] = clock_walk(recording, truth, core)[1:]
     velocity = mean_velocity(truth.poses[:-1], truth.poses[1:], dt)
-    by_pose, by_velocity = pose_jacobians(truth.poses[:-1], velocity, dt)
-    by_velocity = by_velocity / (1.0 + truth.odometry_scale)
-    motion[1:, :, :6] = by_pose
+    F[1:, :, :6], G = pose_jacobians(truth.poses[:-1], velocity, dt)
+    G = G / (1.0 + truth.odometry_scale)
     for component in range(6):
         if core.bias[component] >= 0:
-            motion[1:, :, core.bias[component]] = -by_velocity[:, :, component]
-            walk[1:, core.bias[component]] = model.bias_walk_density[component] ** 2 * dt
+            F[1:, :, core.bias[component]] = -G[:, :, component]
+            W[1:, core.bias[component]] = model.bias_walk_density[component] ** 2 * dt
         if core.scale[component] >= 0:
-            motion[1:, :, core.scale[component]] = -by_velocity[:, :, component] * velocity[:, component, None]
+            F[1:, :, core.scale[component]] = -G[:, :, component] * velocity[:, component, None]
     white = model.noise_density**2 / dt[:, None]
-    noise[1:] = np.einsum("tac,tc,tbc->tab", by_velocity, white, by_velocity)
-    return motion, noise, walk
+    Q[1:] = np.einsum("tac,tc,tbc->tab", G, white, G)
+    return F, Q, W
 
 
 def clock_walk(recording: Recording, truth: Truth, core: Core) -> Floats:
@@ -237,8 +250,8 @@ def tracked_measurements(
     persisting = with_drift(persisting, drifted_std(recording), seen, site)
     every = np.arange(len(recording.time_s) + 1)
     views = Views(
-        np.searchsorted(snapshot[begin], every), by_pose, by_vt, core.offsets[site],
-        persisting.state, persisting.load,
+        rows=np.searchsorted(snapshot[begin], every), by_pose=by_pose, by_vt=by_vt, offset=core.offsets[site],
+        state=persisting.state, load=persisting.load,
     )  # fmt: skip
     at_view = view[of]
     white = _white_variance(recording, truth, real, distance_m[at_view], persisting.variance)
@@ -246,8 +259,9 @@ def tracked_measurements(
     variance, residual = _together(white, residuals(recording, truth, real, predicted), of, len(at))
     missing = np.where(first[:, None], BROAD_STD**2, np.inf)
     sightings = Sightings(
-        np.searchsorted(snapshot, every), view, vt_of, first, last, np.where(np.isfinite(variance), variance, missing),
-        residual, persisting.own_state, persisting.own_load,
+        rows=np.searchsorted(snapshot, every), view_of=view, key=vt_of, first=first, last=last,
+        variance=np.where(np.isfinite(variance), variance, missing), residual=residual, state=persisting.own_state,
+        load=persisting.own_load,
     )  # fmt: skip
     return views, sightings, persisting.errors
 

@@ -2,8 +2,9 @@
 
 `trace` (tracing.py) takes a `City`, or the `Scene` that `prepare` makes of it once, transmitters (S, 3) and receivers
 (N, 3) in metres, and returns `Paths`: identity and position of the virtual transmitter, directions, polarimetric gain.
-Lines of sight and single reflections are found in `first_order`, double ones in `second_order`, paths over edges in
-`diffraction`; their gain is computed in `gain` and `diffraction`; `*_kernel` are the compiled parts.
+Lines of sight and single reflections are found in `first_order`, which begins with the equations, double ones in
+`second_order`, paths over edges in `diffraction`; their gain is computed in `gain` and `diffraction`; `*_kernel` are
+the compiled parts.
 """
 
 from cellslam.sim.rays.paths import Paths

@@ -1,5 +1,19 @@
 """Lines of sight and single reflections of one transmitter: candidates, then shadow rays on both legs.
 
+For a transmitter s, a receiver r, and a facet in the plane n . x = c with unit vectors e_u, e_v in the plane:
+
+    image               s' = s - 2 (n . s - c) n, the virtual transmitter      `tracing.images_of`
+      in the plane      (e_u . s, e_v . s), and the distance h = |n . s - c|   `first_order_kernel.mirror`
+    same side           d = sign(n . s - c) (n . r - c) > 0                    `first_order_kernel.candidates`
+    specular point      t = d / (h + d),   u = u_r + t (u_s - u_r), v alike    `first_order_kernel.candidates`
+    on the facet        (u, v) in one of its triangles                         `first_order_kernel.inside`
+    free                no triangle between r and the point, nor between the
+                        point and s; the last `clearance` is left out          `single_reflections`
+    length              |r - s'|, direction of arrival that of s' - r          `tracing._describe`
+
+Facets are culled for whole blocks of receivers: where the block's box, projected from the image, misses the facet's
+(`first_order_kernel.reaches`), no receiver in it can have a path.
+
 Source: image method, which gives the virtual transmitters of the extended FastSLAM paper, section III;
 docs/explanation/rays.md.
 """

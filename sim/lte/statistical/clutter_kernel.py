@@ -48,11 +48,11 @@ def trailing(a: Array, b: Array, model: Model) -> float:
     sidelobes over delay, from the direction of a and from anywhere.
     """
     behind = a[0] - b[0]
-    beside, aside = wrap(a[1] - b[1]) / TRAIL_BESIDE_RAD, behind / model.sidelobe_m
-    fall = model.sidelobes / (1.0 + aside * aside)
+    beside, aside = wrap(a[1] - b[1]) / TRAIL_BESIDE_RAD, behind / model.overlap.sidelobe_m
+    fall = model.overlap.sidelobes / (1.0 + aside * aside)
     if 0.0 <= behind <= DIFFUSE_TO_M:
         fall += math.exp(-behind / TRAIL_DECAY_M)
-    return float(fall * (model.trail * math.exp(-0.5 * beside * beside) + model.around))
+    return float(fall * (model.overlap.trail * math.exp(-0.5 * beside * beside) + model.overlap.around))
 
 
 @part
@@ -60,14 +60,14 @@ def expected_clutter(gamma: float, paths: int, model: Model) -> tuple[float, int
     """Return the mean clutter around one of `paths` of integrated SNR `gamma`, the node below that, and how far it is
     on the way to the next.
     """
-    nodes = len(model.clutter_mean)
+    nodes = len(model.clutter.mean)
     at = (10.0 * math.log10(max(gamma, 1e-9)) - GAMMA_START_DB) / GAMMA_STEP_DB
     at = min(max(at, 0.0), nodes - 1.001)
     low = int(at)
     part = at - low
-    mean = (1.0 - part) * model.clutter_mean[low] + part * model.clutter_mean[low + 1]
+    mean = (1.0 - part) * model.clutter.mean[low] + part * model.clutter.mean[low + 1]
     if paths > 1:
-        mean *= model.company
+        mean *= model.clutter.company
     return mean, low, part
 
 
@@ -78,7 +78,7 @@ def uncovered(row: Array, level: float, path: int, paths: int, geo: Array, gamma
     for q in range(paths):
         if q != path and level < DIFFUSE_SHARE * gamma[q]:
             disturbance += gamma[q] * trailing(row[DISTANCE : ELEVATION + 1], geo[q], model)
-    chance = model.detection_scale
+    chance = model.detection.scale
     if disturbance > DISTURBED:
         chance *= detection_probability(level / disturbance, True, model)
     return chance
@@ -94,15 +94,15 @@ def structured_clutter(path: int, paths: int, geo: Array, gamma: Array, model: M
     count = 0
     for _ in range(min(clutter.poisson(mean * (1.0 - model.standing.share)), MOST_CLUTTER)):
         node = low + 1 if clutter.random() < part else low
-        point = model.clutter_points[node, int(clutter.random() * model.clutter_points.shape[1])]
+        point = model.clutter.points[node, int(clutter.random() * model.clutter.points.shape[1])]
         stretch = 1.0 + STRETCH * (2.0 * clutter.random() - 1.0)
-        later = point[0] * stretch + model.blur_m * clutter.standard_normal()
+        later = point[0] * stretch + model.clutter.blur_m * clutter.standard_normal()
         azimuth = own[1] + point[1] * stretch + BLUR_AZIMUTH_RAD * clutter.standard_normal()
         elevation = own[2] + point[2] * stretch + BLUR_ELEVATION_RAD * clutter.standard_normal()
-        level = 10.0 ** (0.1 * point[3]) * model.samples
+        level = 10.0 ** (0.1 * point[3]) * model.budget.samples
         row = out[count]
         clutter_row(row, own[0] + later, azimuth, elevation, level, model)
-        inside = model.window_min <= row[DISTANCE] <= model.window_max
+        inside = model.detection.window_min_m <= row[DISTANCE] <= model.detection.window_max_m
         if clutter.random() < uncovered(row, level, path, paths, geo, gamma, model) and inside:
             count += 1
     return count
@@ -130,9 +130,9 @@ def standing_clutter(
         if uniform(spot, 0) >= standing.lit:
             continue
         node = low + 1 if uniform(key, 0) < part else low
-        point = model.clutter_points[node, int(uniform(key, 1) * model.clutter_points.shape[1])]
+        point = model.clutter.points[node, int(uniform(key, 1) * model.clutter.points.shape[1])]
         stretch = 1.0 + STRETCH * (2.0 * uniform(key, 2) - 1.0)
-        reach = toward[0] + point[0] * stretch + model.blur_m * normal(key, 3)
+        reach = toward[0] + point[0] * stretch + model.clutter.blur_m * normal(key, 3)
         azimuth = toward[1] + point[1] * stretch + BLUR_AZIMUTH_RAD * normal(key, 4)
         elevation = toward[2] + point[2] * stretch + BLUR_ELEVATION_RAD * normal(key, 5)
         flat = reach * math.cos(elevation)
@@ -140,13 +140,13 @@ def standing_clutter(
         scatterer[1] = centre[1] + flat * math.sin(azimuth)
         scatterer[2] = centre[2] + reach * math.sin(elevation)
         body_geometry(pose, scatterer, seen)
-        level = 10.0 ** (0.1 * point[3]) * model.samples
+        level = 10.0 ** (0.1 * point[3]) * model.budget.samples
         row = out[count]
         clutter_row(row, seen[0], seen[1], seen[2], level, model)
         for i in range(3):
             row[DISTANCE + i] += row[CLAIMED_STD + i] * clutter.standard_normal()
         fold(row)
-        inside = model.window_min <= row[DISTANCE] <= model.window_max
+        inside = model.detection.window_min_m <= row[DISTANCE] <= model.detection.window_max_m
         chance = standing.reported * uncovered(row, level, path, paths, geo, gamma, model)
         if clutter.random() < chance and inside:
             count += 1
@@ -156,12 +156,13 @@ def standing_clutter(
 @part
 def noise_clutter(model: Model, clutter: Any, out: Array) -> int:
     """Draw noise peaks over the threshold: uniform in delay window and azimuth."""
-    count: int = min(clutter.poisson(model.noise_clutter), MOST_CLUTTER)
+    count: int = min(clutter.poisson(model.clutter.noise_peaks), MOST_CLUTTER)
+    nearest, farthest = model.detection.window_min_m, model.detection.window_max_m
     for i in range(count):
-        distance = model.window_min + (model.window_max - model.window_min) * clutter.random()
+        distance = nearest + (farthest - nearest) * clutter.random()
         azimuth = math.pi * (2.0 * clutter.random() - 1.0)
         elevation = math.radians(-15.0 + 75.0 * clutter.random())
         # The excess of a chi-square tail over its threshold is exponential; T = 2 + 0.93 Gamma' on average.
         excess = -math.log(1.0 - clutter.random())
-        clutter_row(out[i], distance, azimuth, elevation, (model.threshold + excess - 2.0) / 0.93, model)
+        clutter_row(out[i], distance, azimuth, elevation, (model.detection.threshold + excess - 2.0) / 0.93, model)
     return count

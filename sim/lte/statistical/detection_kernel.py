@@ -1,5 +1,21 @@
 """Compiled kernel of the statistical detector: traced paths in, measurements out, snapshot by snapshot.
 
+For path p of a link, of received power P_p, with N samples (`measure_block`, unless another function is named):
+
+    disturbance   sigma^2 = noise + load (power of other cells) + EVM^2 sum_p P_p               `sigma2`
+    SNR           rho_p = min(P_p / sigma^2, cap),   Gamma_p = N rho_p                           `gamma`
+    captured      C(p, q) = exp(-s^2) (1 + s^2),   s: distance of p and q in the bound's widths  `captured`
+    leftover      l_p = product over stronger q within 40 m of 1 - C(p, q)                       `_overlap`
+    trailing      D_p = 1 + sum over stronger q of Gamma_q (fall over delay) (toward)            `_overlap`, `trailing`
+    detection     Gamma'_p = l_p Gamma_p / D_p;   P(p is detected) = P_D(Gamma'_p)               `_draw_detections`
+                  P_D: where l_p > 0.9 and D_p < 1.5, P(ncx2(dof, gain Gamma'_p) > 2 x), x the
+                  threshold; else a logistic in Gamma'_p in dB                                   `detection_probability`
+    merging       an undetected p moves the neighbour q that captures most of it by
+                  (1 - l_p) Gamma_p / (Gamma_p + Gamma_q) of their difference                    `_merge`
+    error         sd^2 = scale^2 (bound^2 / (2 l_p Gamma_p) + floor^2), per component            `write_std`
+
+    Then clutter: Poisson numbers of noise peaks and of pieces of energy around each path (`clutter_kernel`).
+
 Everything runs serially and draws from the three generators in a fixed order (per link: one uniform and
 three normals for every path, then the clutter), so one block or many give the same numbers. Powers are in
 milliwatt per resource element, ratios linear, angles in radians, distances in metres.
@@ -67,9 +83,9 @@ def captured(a: Array, b: Array, model: Model) -> float:
     Gaussian ambiguity exp(-s^2) with the bound's widths, value and first derivatives: exp(-s^2) (1 + s^2).
     """
     cosine = math.cos(0.5 * (a[2] + b[2])) ** AZIMUTH_EXPONENT
-    u = (a[0] - b[0]) / model.distance_scale
-    v = wrap(a[1] - b[1]) * cosine / model.azimuth_scale
-    w = (a[2] - b[2]) / model.elevation_scale
+    u = (a[0] - b[0]) / model.accuracy.bound.distance_m
+    v = wrap(a[1] - b[1]) * cosine / model.accuracy.bound.azimuth_rad
+    w = (a[2] - b[2]) / model.accuracy.bound.elevation_rad
     s = u * u + v * v + w * w
     return float(math.exp(-s) * (1.0 + s))
 
@@ -96,7 +112,7 @@ def _overlap(n: int, geo: Array, gamma: Array, model: Model, work: Array) -> Non
             apart = abs(geo[p, 0] - geo[q, 0])
             if gamma[p] < DIFFUSE_SHARE * gamma[q]:
                 disturbance += gamma[q] * trailing(geo[p], geo[q], model)
-            ghost = ghost or (apart < GHOST_REACH_M and gamma[p] < gamma[q] * model.ghost_rule)
+            ghost = ghost or (apart < GHOST_REACH_M and gamma[p] < gamma[q] * model.overlap.ghost_share)
             if apart < NEIGHBOUR_M:
                 share = captured(geo[p], geo[q], model)
                 leftover *= 1.0 - share
@@ -128,12 +144,12 @@ def _draw_detections(
         clear = work[i, CLEAR]
         crowded = work[i, LEFTOVER] <= ISOLATED_LEFTOVER or clear < 1.0 / DISTURBED
         seen = gamma[i] * work[i, LEFTOVER] * clear
-        chance = detection_probability(seen, crowded, model) * model.detection_scale
-        inside = model.window_min <= geo[i, 0] <= model.window_max
+        chance = detection_probability(seen, crowded, model) * model.detection.scale
+        inside = model.detection.window_min_m <= geo[i, 0] <= model.detection.window_max_m
         draw = _detection_draw(pose, vt[i], port, model.standing, detection)
         found = draw < chance and inside and clear > 0.0
-        work[i, DETECTED] = 1.0 if found or model.perfect else 0.0
-        if model.perfect:
+        work[i, DETECTED] = 1.0 if found or model.detection.perfect else 0.0
+        if model.detection.perfect:
             work[i, LEFTOVER] = 1.0
 
 
@@ -176,12 +192,12 @@ def _detect_paths(
         write_white_std(effective, geo[i, 2], model, white)
         write_persisting(geo[i], pose, vt[i], port, attitude, fields, slow)
         for r in range(3):
-            row[MERGING_SHIFT + r] = work[i, SHIFT + r] * model.noise_scale
+            row[MERGING_SHIFT + r] = work[i, SHIFT + r] * model.accuracy.scale
         row[DISTANCE] = geo[i, 0] + row[MERGING_SHIFT] + white[0] * e_d + slow[0]
         row[AZIMUTH] = geo[i, 1] + row[MERGING_SHIFT + 1] + white[1] * e_a + slow[1]
         row[ELEVATION] = geo[i, 2] + row[MERGING_SHIFT + 2] + white[2] * e_e + slow[2]
         fold(row)
-        row[SNR_DB] = 10.0 * math.log10(min((gamma[i] + work[i, ADDED]) / model.samples, model.snr_cap))
+        row[SNR_DB] = 10.0 * math.log10(min((gamma[i] + work[i, ADDED]) / model.budget.samples, model.budget.snr_cap))
         row[PATH] = i
         count += 1
     return count
@@ -223,7 +239,7 @@ def measure_block(
 
     `paths` of all (snapshot, site); clock `offsets` (S,) in m.
     """
-    rows = paths.rows
+    rows, budget = paths.rows, model.budget
     sites, count_links = len(offsets), len(links.site)
     widest = 1
     for k in range(len(rows) - 1):
@@ -240,7 +256,7 @@ def measure_block(
         for s in range(sites):
             for i in range(rows[base + s + 1] - rows[base + s]):
                 body_geometry(poses[t], paths.vt_m[rows[base + s] + i], geo[s, i])
-        link_powers(paths, base, geo, links, model.eirp, power, cell_power)
+        link_powers(paths, base, geo, links, budget.eirp_mw, power, cell_power)
         write_attitude(first_snapshot + t, fields, attitude)
         total = 0.0
         for cell in range(len(cell_power)):
@@ -252,9 +268,9 @@ def measure_block(
             own = 0.0
             for i in range(n):
                 own += power[link, i]
-            sigma2 = model.noise + model.load * (total - cell_power[cell]) + model.evm_power * own
+            sigma2 = budget.noise_mw + budget.load * (total - cell_power[cell]) + budget.evm_power * own
             for i in range(n):
-                gamma[i] = model.samples * min(power[link, i] / sigma2, model.snr_cap)
+                gamma[i] = budget.samples * min(power[link, i] / sigma2, budget.snr_cap)
             count = _detect_paths(
                 n, geo[site], gamma, model, poses[t], paths.vt_m[first:], links.port[link], attitude, fields, streams,
                 work, buffer,

@@ -13,9 +13,9 @@ SNAPSHOT, LINK, DISTANCE, AZIMUTH, ELEVATION, SNR_DB = 0, 1, 2, 3, 4, 5
 CLAIMED_STD, TRUE_STD, PATH, MERGING_SHIFT, COLUMNS = 6, 9, 12, 13, 16
 # More clutter of one kind from one cause than this is not drawn: far beyond what the config's ranges reach.
 MOST_CLUTTER = 512
-NEIGHBOUR_M = 40.0
-ISOLATED_LEFTOVER = 0.9
-GHOST_REACH_M = 10.0
+NEIGHBOUR_M = 40.0  # overlap farther apart is left out: at 18 MHz it is below 1e-7
+ISOLATED_LEFTOVER = 0.9  # of what has more than this share left, detection is that of an isolated path
+GHOST_REACH_M = 10.0  # within which a much weaker path counts as a ghost of calibration error
 # Nodes of integrated SNR over which clutter was measured.
 GAMMA_START_DB, GAMMA_STEP_DB = 5.0, 5.0
 # How far behind a path its diffuse energy reaches, how far to its sides (deviation), and over what delay it decays.
@@ -88,54 +88,92 @@ class Standing(NamedTuple):
     world: np.uint64 = np.uint64(0)
 
 
-NOTHING_STANDS = Standing(0.0, 1.0, 1.0, 1.0, 1.0, 0.0, 1.0, 0.0)
+NOTHING_STANDS = Standing(
+    share=0.0, life_m=1.0, fading_m=1.0, lit=1.0, reported=1.0, missed_life=0.0, missed_life_m=1.0, missed_fading=0.0
+)
 
 
-class Model(NamedTuple):
-    """The radio configuration in linear units; scales as in `BoundScales`, floors are standard deviations, of all
-    causes and of the white ones.
-
-    `threshold`: least energy over disturbance that is detected; `detection`: probability that an isolated path exceeds
-    it, over integrated SNR from TABLE_START_DB in steps of TABLE_STEP_DB. `trail`, `around`: disturbance that a
-    stronger path's diffuse energy adds in the same direction and in all, per integrated SNR; `sidelobes`: share of it
-    that spreads over `sidelobe_m` of delay. `company`: how many times as much clutter there is around a path among
-    others as around a lone one. Clutter around a path over nodes (G,) of its integrated SNR: mean number (G,), points
-    (G, N, 4): later (m), beside and above (rad), SNR (dB), blurred by `blur_m`. `standing`: what of clutter and misses
-    stands still.
+class Budget(NamedTuple):
+    """Link budget: power sent and noise in mW per resource element; `load`, the share of them that other cells fill;
+    `evm_power`, a path's own power that comes back as noise, and the highest SNR per sample, `snr_cap`, as ratios;
+    `samples`, N = Gamma / rho.
     """
 
-    eirp: float
-    noise: float
+    eirp_mw: float
+    noise_mw: float
     load: float
     evm_power: float
     snr_cap: float
     samples: float
-    distance_scale: float
-    azimuth_scale: float
-    elevation_scale: float
-    distance_floor: float
-    azimuth_floor: float
-    elevation_floor: float
-    distance_white: float
-    azimuth_white: float
-    elevation_white: float
-    noise_scale: float
+
+
+class Spread(NamedTuple):
+    """A width or standard deviation of each measured component."""
+
+    distance_m: float
+    azimuth_rad: float
+    elevation_rad: float
+
+
+class Accuracy(NamedTuple):
+    """Errors: `bound`, deviation times sqrt(2 Gamma) as in `BoundScales`, also the width of a path's ambiguity; floors,
+    of all causes (`floor`) and of what is redrawn for every measurement (`white`). `scale` multiplies all of them.
+    """
+
+    bound: Spread
+    floor: Spread
+    white: Spread
+    scale: float
+
+
+class Detection(NamedTuple):
+    """What is detected: `threshold`, least energy over disturbance; `isolated`, the probability that a path alone
+    exceeds it, over integrated SNR from TABLE_START_DB in steps of TABLE_STEP_DB; `scale` multiplies probabilities;
+    `perfect`: all paths are. Nothing is looked for outside the window of delay.
+    """
+
     threshold: float
-    detection: Array
-    detection_scale: float
+    isolated: Array
+    scale: float
     perfect: bool
-    window_min: float
-    window_max: float
-    noise_clutter: float
-    ghost_rule: float
-    overlap_centre_db: float
-    overlap_width_db: float
+    window_min_m: float
+    window_max_m: float
+
+
+class Overlap(NamedTuple):
+    """What stronger paths do: `trail` and `around`, disturbance that their diffuse energy adds in the same direction
+    and in all, per integrated SNR; `sidelobes`, share of it that spreads over `sidelobe_m` of delay. Detection is then
+    a logistic in integrated SNR. What has less than `ghost_share` of a stronger path nearby is taken for its ghost.
+    """
+
+    centre_db: float
+    width_db: float
+    ghost_share: float
     trail: float
     around: float
     sidelobes: float
     sidelobe_m: float
-    company: float
-    clutter_mean: Array
-    clutter_points: Array
+
+
+class ClutterModel(NamedTuple):
+    """Mean number of `noise_peaks` per link and snapshot; around a path, over nodes (G,) of its integrated SNR: `mean`
+    number (G,) and `points` (G, N, 4): later (m), beside and above (rad), SNR (dB), blurred by `blur_m`; `company`: how
+    many times as much there is around a path among others as around a lone one.
+    """
+
+    noise_peaks: float
+    mean: Array
+    points: Array
     blur_m: float
+    company: float
+
+
+class Model(NamedTuple):
+    """The radio configuration in linear units; `standing`: what of clutter and misses stands still."""
+
+    budget: Budget
+    accuracy: Accuracy
+    detection: Detection
+    overlap: Overlap
+    clutter: ClutterModel
     standing: Standing

@@ -48,9 +48,9 @@ def detection_probability(gamma: float, overlapped: bool, model: Model) -> float
         return 0.0
     gamma_db = 10.0 * math.log10(gamma)
     if overlapped:
-        return 1.0 / (1.0 + math.exp(-(gamma_db - model.overlap_centre_db) / model.overlap_width_db))
+        return 1.0 / (1.0 + math.exp(-(gamma_db - model.overlap.centre_db) / model.overlap.width_db))
     at = (gamma_db - TABLE_START_DB) / TABLE_STEP_DB
-    i, table = int(at), model.detection
+    i, table = int(at), model.detection.isolated
     if at < 0.0:
         return 0.0
     if i >= len(table) - 1:
@@ -61,14 +61,13 @@ def detection_probability(gamma: float, overlapped: bool, model: Model) -> float
 @part
 def write_std(row: Array, gamma: float, elevation: float, model: Model) -> None:
     """Write true and claimed deviations of a measurement at effective integrated SNR `gamma`."""
-    root = 1.0 / math.sqrt(2.0 * gamma)
+    root, scale = 1.0 / math.sqrt(2.0 * gamma), model.accuracy.scale
+    bound, floor = model.accuracy.bound, model.accuracy.floor
     cosine = max(math.cos(elevation), 0.05)
-    sd = math.hypot(model.distance_scale * root, model.distance_floor)
-    sa = math.hypot(model.azimuth_scale * root / cosine**AZIMUTH_EXPONENT, model.azimuth_floor)
-    se = math.hypot(model.elevation_scale * root * (1.0 + ELEVATION_GROWTH * elevation**2), model.elevation_floor)
-    row[TRUE_STD] = model.noise_scale * sd
-    row[TRUE_STD + 1] = model.noise_scale * sa
-    row[TRUE_STD + 2] = model.noise_scale * se
+    growth = 1.0 + ELEVATION_GROWTH * elevation**2
+    row[TRUE_STD] = scale * math.hypot(bound.distance_m * root, floor.distance_m)
+    row[TRUE_STD + 1] = scale * math.hypot(bound.azimuth_rad * root / cosine**AZIMUTH_EXPONENT, floor.azimuth_rad)
+    row[TRUE_STD + 2] = scale * math.hypot(bound.elevation_rad * root * growth, floor.elevation_rad)
     # A claim of exactness would break estimators: one centimetre and 1e-4 rad are the least that is claimed.
     row[CLAIMED_STD] = max(row[TRUE_STD], 1e-2)
     row[CLAIMED_STD + 1] = max(row[TRUE_STD + 1], 1e-4)
@@ -78,12 +77,13 @@ def write_std(row: Array, gamma: float, elevation: float, model: Model) -> None:
 @part
 def write_white_std(gamma: float, elevation: float, model: Model, out: Array) -> None:
     """Write the deviations (3,) of what is redrawn for every measurement at effective integrated SNR `gamma`."""
-    root = 1.0 / math.sqrt(2.0 * gamma)
+    root, scale = 1.0 / math.sqrt(2.0 * gamma), model.accuracy.scale
+    bound, white = model.accuracy.bound, model.accuracy.white
     cosine = max(math.cos(elevation), 0.05)
     growth = 1.0 + ELEVATION_GROWTH * elevation**2
-    out[0] = model.noise_scale * math.hypot(model.distance_scale * root, model.distance_white)
-    out[1] = model.noise_scale * math.hypot(model.azimuth_scale * root / cosine**AZIMUTH_EXPONENT, model.azimuth_white)
-    out[2] = model.noise_scale * math.hypot(model.elevation_scale * root * growth, model.elevation_white)
+    out[0] = scale * math.hypot(bound.distance_m * root, white.distance_m)
+    out[1] = scale * math.hypot(bound.azimuth_rad * root / cosine**AZIMUTH_EXPONENT, white.azimuth_rad)
+    out[2] = scale * math.hypot(bound.elevation_rad * root * growth, white.elevation_rad)
 
 
 @part
@@ -105,7 +105,7 @@ def clutter_row(row: Array, distance: float, azimuth: float, elevation: float, g
     """Fill one clutter measurement."""
     row[DISTANCE], row[AZIMUTH], row[ELEVATION] = distance, azimuth, elevation
     fold(row)
-    row[SNR_DB] = 10.0 * math.log10(gamma / model.samples)
+    row[SNR_DB] = 10.0 * math.log10(gamma / model.budget.samples)
     write_std(row, gamma, row[ELEVATION], model)
     for i in range(3):
         row[TRUE_STD + i], row[MERGING_SHIFT + i] = math.nan, math.nan

@@ -61,27 +61,33 @@ def detection_table(threshold: float, s: Statistics) -> Floats:
 @lru_cache(maxsize=8)
 def model_of(config: RadioConfig, s: Statistics) -> k.Model:
     """Return the kernel's constants for a radio configuration."""
-    scales = bound_scales(config.waveform())
-    floor, white = floors(config, s), white_floors(config, s)
+    scales, diffuse = bound_scales(config.waveform()), 10.0 ** (-config.specular_to_diffuse_db / 10.0)
     clutter = s.clutter_at(config.specular_to_diffuse_db)
     return k.Model(
-        eirp=10.0 ** (config.eirp_dbm / 10.0), noise=config.noise_mw(), load=config.load,
-        evm_power=config.evm**2, snr_cap=10.0 ** (config.snr_cap_db / 10.0), samples=float(scales.samples),
-        distance_scale=scales.distance_m, azimuth_scale=scales.azimuth_rad,
-        elevation_scale=scales.elevation_rad, distance_floor=float(floor[0]), azimuth_floor=float(floor[1]),
-        elevation_floor=float(floor[2]), distance_white=float(white[0]), azimuth_white=float(white[1]),
-        elevation_white=float(white[2]), noise_scale=config.noise_scale,
-        threshold=config.detection_threshold, detection=detection_table(config.detection_threshold, s),
-        detection_scale=config.detection_scale, perfect=config.perfect_detection,
-        window_min=config.window_min_m, window_max=config.window_max_m,
-        noise_clutter=noise_clutter_mean(config.detection_threshold, s) * config.clutter_scale,
-        ghost_rule=10.0 ** (-config.ghost_rule_db / 10.0), overlap_centre_db=s.overlap_centre_db,
-        overlap_width_db=s.overlap_width_db, trail=s.trail * 10.0 ** (-config.specular_to_diffuse_db / 10.0),
-        around=s.around * 10.0 ** (-config.specular_to_diffuse_db / 10.0), sidelobes=s.sidelobes,
-        sidelobe_m=s.sidelobe_m,
-        company=s.company_at(config.specular_to_diffuse_db),
-        clutter_mean=clutter.mean * config.clutter_scale, clutter_points=clutter.points,
-        blur_m=s.blur_m,
+        budget=k.Budget(
+            eirp_mw=10.0 ** (config.eirp_dbm / 10.0), noise_mw=config.noise_mw(), load=config.load,
+            evm_power=config.evm**2, snr_cap=10.0 ** (config.snr_cap_db / 10.0), samples=float(scales.samples),
+        ),
+        accuracy=k.Accuracy(
+            bound=k.Spread(scales.distance_m, scales.azimuth_rad, scales.elevation_rad),
+            floor=k.Spread(*floors(config, s).tolist()), white=k.Spread(*white_floors(config, s).tolist()),
+            scale=config.noise_scale,
+        ),
+        detection=k.Detection(
+            threshold=config.detection_threshold, isolated=detection_table(config.detection_threshold, s),
+            scale=config.detection_scale, perfect=config.perfect_detection,
+            window_min_m=config.window_min_m, window_max_m=config.window_max_m,
+        ),
+        overlap=k.Overlap(
+            centre_db=s.overlap_centre_db, width_db=s.overlap_width_db,
+            ghost_share=10.0 ** (-config.ghost_rule_db / 10.0), trail=s.trail * diffuse, around=s.around * diffuse,
+            sidelobes=s.sidelobes, sidelobe_m=s.sidelobe_m,
+        ),
+        clutter=k.ClutterModel(
+            noise_peaks=noise_clutter_mean(config.detection_threshold, s) * config.clutter_scale,
+            mean=clutter.mean * config.clutter_scale, points=clutter.points, blur_m=s.blur_m,
+            company=s.company_at(config.specular_to_diffuse_db),
+        ),
         standing=s.standing if config.persisting_clutter else k.NOTHING_STANDS,
     )  # fmt: skip
 

@@ -106,7 +106,7 @@ def covariance(fit: Fit, level: Floats) -> Floats:
 
 def steps_of(receiver: Receiver) -> Steps:
     """Return the limits of a climb at the receiver's bandwidth."""
-    return Steps(MOST_STEPS, LONGEST_STEP * receiver.coarser, float(STEEPEST_RAD))
+    return Steps(most=MOST_STEPS, longest=LONGEST_STEP * receiver.coarser, steepest=float(STEEPEST_RAD))
 
 
 def _step(normal: Normal, damping: float) -> tuple[Floats, float]:

@@ -71,37 +71,37 @@ def normal_equations(y: Array, value: Array, by_az: Array, by_el: Array, rate: A
         correlate(y, delay[2 * p : 2 * p + 2], correlated[2 * p : 2 * p + 2])
         for m in range(ports):
             steering[2 * p, m], steering[2 * p + 1, m] = value[p, m, 0], value[p, m, 1]
-    on_tones, gram = delay.conj() @ delay.T, steering.conj() @ steering.T
-    seen = np.empty(2 * n, np.complex128)
+    on_tones, G = delay.conj() @ delay.T, steering.conj() @ steering.T
+    b = np.empty(2 * n, np.complex128)
     for a in range(2 * n):
         path = a - a % 2
-        seen[a] = inner(steering[a], correlated[path])
-        for b in range(2 * n):
-            gram[a, b] *= on_tones[path, b - b % 2]
-    inverse = cholesky_inverse(gram)
-    w = inverse @ seen
+        b[a] = inner(steering[a], correlated[path])
+        for c in range(2 * n):
+            G[a, c] *= on_tones[path, c - c % 2]
+    inverse = cholesky_inverse(G)
+    w = inverse @ b
     explained = 0.0
     for a in range(2 * n):
-        explained += (seen[a].conjugate() * w[a]).real
-    columns = np.empty((3 * n, ports), np.complex128)
+        explained += (b[a].conjugate() * w[a]).real
+    D = np.empty((3 * n, ports), np.complex128)
     for p in range(n):
         h, v = w[2 * p], w[2 * p + 1]
         for m in range(ports):
-            columns[3 * p, m] = value[p, m, 0] * h + value[p, m, 1] * v
-            columns[3 * p + 1, m] = by_az[p, m, 0] * h + by_az[p, m, 1] * v
-            columns[3 * p + 2, m] = by_el[p, m, 0] * h + by_el[p, m, 1] * v
-    left = columns.conj()
-    own, cross, gradient = left @ columns.T, left @ steering.T, np.empty(3 * n)
+            D[3 * p, m] = value[p, m, 0] * h + value[p, m, 1] * v
+            D[3 * p + 1, m] = by_az[p, m, 0] * h + by_az[p, m, 1] * v
+            D[3 * p + 2, m] = by_el[p, m, 0] * h + by_el[p, m, 1] * v
+    left = D.conj()
+    own, C, gradient = left @ D.T, left @ steering.T, np.empty(3 * n)
     for a in range(3 * n):
         tone = _tone(a)
-        slope = inner(columns[a], correlated[tone])
-        for b in range(3 * n):
-            own[a, b] *= on_tones[tone, _tone(b)]
-        for b in range(2 * n):
-            cross[a, b] *= on_tones[tone, b - b % 2]
-            slope -= cross[a, b] * w[b]
+        slope = inner(D[a], correlated[tone])
+        for c in range(3 * n):
+            own[a, c] *= on_tones[tone, _tone(c)]
+        for c in range(2 * n):
+            C[a, c] *= on_tones[tone, c - c % 2]
+            slope -= C[a, c] * w[c]
         gradient[a] = slope.real
-    information = np.ascontiguousarray((own - cross @ inverse @ cross.conj().T).real)
+    information = np.ascontiguousarray((own - C @ inverse @ C.conj().T).real)
     return Normal(explained, w.reshape(n, 2), _wald(inverse, w), information, gradient)
 
 

@@ -1,5 +1,20 @@
 """Path estimator of one link: search, one-path fits, joint maximum-likelihood fit, model order (RIMAX-type).
 
+Samples y (ports x tones) of n paths at theta = (distance d, azimuth, elevation), with linear weights w_p in C^2
+
+    model       y = A(theta) w + noise;   column (p, q) of A is b_q(az_p, el_p) (x) exp(-j 2 pi f d_p / c)
+    weights     G = A^H A,  b = A^H y,  w = G^-1 b:  they are eliminated            `normal_equations`
+    explained   E(theta) = b^H G^-1 b, maximised by Levenberg-Marquardt             `climb`, `joint_fit.refine`
+    Jacobian    D = d(A w) / d theta,  C = D^H A
+      information  J = Re(D^H D - C G^-1 C^H),   gradient  g = Re(D^H (y - A w))    `normal_equations`
+      step         (J + lambda diag J) step = g                                     `climb`
+    energy      W_p = w_p^H ((G^-1)_pp)^-1 w_p: what would be lost with path p      `normal_equations`
+    search      the strongest cell (direction k, delay d) of the residual's energy
+                that exceeds the threshold times its surroundings                   `strongest`, `local_level`
+    order       p stays while W_p > threshold sigma_p^2, sigma_p^2: the
+                disturbance around it, and while its deviations are small           `judged`
+    covariance  sigma_p^2 (2 J)^-1                                                  `joint_fit.covariance`
+
 Source: after Richter, "Estimation of radio channel parameters: models and algorithms", 2005: strongest path first,
 joint refinement, reliability by the Fisher information; local disturbance instead of a parametric diffuse model.
 """
@@ -24,8 +39,8 @@ from cellslam.sim.lte.signal.receiver import DELAY_PITCH_M, HIGHEST_RAD, LOWEST_
 COARSE = 0.58  # share of the threshold at which a cell is looked at: the grid loses up to 2.4 dB
 _PROMISING = 0.85  # share of the threshold that the first step of a one-path fit must promise
 MOST_FAILURES = 10  # cells that turn out to be noise or diffuse energy before the search ends
-MOST_PATHS = 32
-JOINT_EVERY = 4
+MOST_PATHS = 32  # of one link
+JOINT_EVERY = 4  # paths found one by one before all are fitted jointly
 _COARSE_GAIN = 0.2  # noise variances; the last fit is finer
 # A saturated port's residual exceeds the others' by this, and is this share of its power; calibration errors leave 1 %.
 _SATURATED_EXCESS, _SATURATED_SHARE = 6.0, 0.25
@@ -35,6 +50,7 @@ _UNEVEN = 0.4  # nepers of power from which the disturbance of some port differs
 _CELL = np.array([12.0, np.radians(18.0), np.radians(18.0)])  # within which paths may stand for each other
 # A path this much weaker than one within reach may be a ghost of calibration error, and must stand out farther.
 _SUSPECT_SHARE, _SUSPECT_MARGIN = 0.01, 1.4
+# Deviations in m, rad, rad from which a path is not reliable.
 _LEAST_RELIABLE = np.array([8.0, np.radians(16.0), np.radians(20.0)])
 
 
@@ -189,8 +205,9 @@ class _Link:
         model, r, found = self.motion.model, self.receiver, np.empty((most, 3))
         farthest = _FARTHEST * r.coarser[[0, 2]]
         rules = Rules(
-            COARSE * r.threshold, r.threshold, _PROMISING, MOST_FAILURES, float(farthest[0]), float(farthest[1]),
-            DIFFUSE_MARGIN, _COARSE_GAIN,
+            coarse=COARSE * r.threshold, threshold=r.threshold, promising=_PROMISING, most=MOST_FAILURES,
+            farthest_m=float(farthest[0]), farthest_rad=float(farthest[1]), margin=DIFFUSE_MARGIN,
+            least_gain=_COARSE_GAIN,
         )  # fmt: skip
         if model is None:
             return self._add_any(trials, rules, found)
@@ -258,7 +275,9 @@ def _untried() -> Trials:
 def _demands(receiver: Receiver) -> Demands:
     """Return what the paths of a joint fit must fulfil to stay."""
     return Demands(
-        receiver.threshold, _SUSPECT_SHARE, _SUSPECT_MARGIN, 10.0 ** (-receiver.ghost_rule_db / 10.0),
-        _LEAST_RELIABLE * receiver.coarser, np.array([receiver.window_min_m, -np.inf, LOWEST_RAD]),
-        np.array([receiver.window_max_m, np.inf, HIGHEST_RAD]), float(_TOUCHING_M * receiver.coarser[0]),
+        threshold=receiver.threshold, suspect_share=_SUSPECT_SHARE, suspect_margin=_SUSPECT_MARGIN,
+        ghost_share=10.0 ** (-receiver.ghost_rule_db / 10.0), reliable=_LEAST_RELIABLE * receiver.coarser,
+        lowest=np.array([receiver.window_min_m, -np.inf, LOWEST_RAD]),
+        highest=np.array([receiver.window_max_m, np.inf, HIGHEST_RAD]),
+        touching_m=float(_TOUCHING_M * receiver.coarser[0]),
     )  # fmt: skip

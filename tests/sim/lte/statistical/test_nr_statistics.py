@@ -75,7 +75,7 @@ def test_diffuse_floors_of_other_bands_are_scaled() -> None:
 def test_clutter_is_counted_and_blurred_as_in_its_band(band: str) -> None:
     config, own = config_of(band), statistics(band)
     assert own.blur_m == pytest.approx(4.0 * 18e6 / config.waveform().bandwidth_hz)
-    assert model_of(config, own).blur_m == own.blur_m
+    assert model_of(config, own).clutter.blur_m == own.blur_m
     count = 20_000
     d = run(config, 1e-12, count)  # a path that nobody sees: noise alone
     mean = noise_clutter_mean(config.detection_threshold, own) * count
