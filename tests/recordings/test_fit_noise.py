@@ -16,8 +16,7 @@ import cellslam
 from cellslam.cli import main as cli
 from cellslam.recordings import Campaign, OdometryTable, ReferenceTable, build
 from cellslam.recordings.fitting.fit_noise import first_guess, fit
-from cellslam.recordings.fitting.fit_sizes import BURSTS, Learnt, learn
-from cellslam.recordings.fitting.fitted_lines import said, toml
+from cellslam.recordings.fitting.fit_sizes import BURSTS, Learnt, learn, said, toml
 from cellslam.scenarios.estimator_options import resolve
 from cellslam.sim.errors import InputError
 from cellslam.sim.recording import OdometryModel, Recording

@@ -66,7 +66,6 @@ def command(arguments: Namespace) -> int:
 
 
 def _write(kind: str, out: Path, recording: Recording, result: TrialResult | None, place: Place | None) -> None:
-    from cellslam.recordings.exporting import calibrations
     from cellslam.recordings.exporting import maps as export_maps
     from cellslam.recordings.exporting import tables as export_tables
 
@@ -86,7 +85,7 @@ def _write(kind: str, out: Path, recording: Recording, result: TrialResult | Non
         if result.calibration is None:
             raise InputError(f"--estimator {result.estimator} finds no calibration: use ekf-slam or fastslam")
         calibration = result.calibration
-        at_once(out, lambda file: calibrations.write_csv(calibration, recording.provenance, file))
+        at_once(out, lambda file: export_tables.write_calibration(calibration, recording.provenance, file))
         return
     data = export_maps.shown(recording, result)
     writers: dict[str, Callable[[Path], None]] = {

@@ -18,8 +18,7 @@ def add_arguments(parser: ArgumentParser) -> None:
 
 def command(arguments: Namespace) -> int:
     """Carry out `cellslam fit-noise`."""
-    from cellslam.recordings.fitting.fit_sizes import learn
-    from cellslam.recordings.fitting.fitted_lines import toml
+    from cellslam.recordings.fitting.fit_sizes import learn, toml
     from cellslam.scenarios.recording_origin import Origin
 
     path = Path(arguments.file)

@@ -20,7 +20,7 @@ from cellslam.cli.recordings.estimator_options import assumed_by, doubts
 from cellslam.cli.results_folder import Folder
 from cellslam.cli.run import Job, note_left_out, report, work_off
 from cellslam.recordings.fitting.assumptions import Assumptions
-from cellslam.recordings.fitting.fitted_lines import said, toml
+from cellslam.recordings.fitting.fit_sizes import said, toml
 from cellslam.scenarios.estimator_options import with_options
 from cellslam.scenarios.map_config import MapConfig
 from cellslam.scenarios.recording_origin import Origin

@@ -5,12 +5,8 @@ from __future__ import annotations
 import os
 from collections.abc import Callable
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from cellslam.sim.errors import InputError
-
-if TYPE_CHECKING:
-    pass
 
 
 def at_once(path: Path, write: Callable[[Path], None]) -> None:

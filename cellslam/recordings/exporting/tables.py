@@ -11,10 +11,13 @@ from typing import Any
 
 import numpy as np
 
+from cellslam.benchmarks.scores.array_calibration import field_map
 from cellslam.recordings.importing.campaign import CLAIMS, QUANTITIES
 from cellslam.recordings.importing.manifest import NAME
 from cellslam.sim.errors import InputError
 from cellslam.sim.recording import CLOCK_PRIOR, COMPONENTS, Recording
+from cellslam.slam.model.calibration import COMPONENTS as CALIBRATED
+from cellslam.slam.model.calibration import Calibration
 
 UNITS = {
     "time_s": "s",
@@ -174,3 +177,23 @@ def new_folder(folder: Path) -> Iterator[Path]:
         raise InputError(f"--out {folder}: cannot be written ({error.strerror or error})") from error
     finally:
         shutil.rmtree(place, ignore_errors=True)
+
+
+def write_calibration(calibration: Calibration, provenance: Mapping[str, Any], file: Path) -> None:
+    """Write an array's calibration as a CSV table: a row for each direction that was met.
+
+    Azimuth and elevation in degrees, in the body frame; of each component the error's mean, its deviation and, where
+    it is known, the truth, in m or degrees.
+    """
+    import pandas as pd
+
+    field = field_map(calibration, provenance)
+    azimuth, elevation = np.meshgrid(np.degrees(field.azimuth_rad), np.degrees(field.elevation_rad))
+    met = np.isfinite(field.mean[..., 0])
+    columns = {"azimuth_deg": azimuth[met], "elevation_deg": elevation[met]}
+    for name in calibration.components:
+        c = CALIBRATED.index(name)
+        factor, unit = (1.0, "m") if name == "distance" else (180.0 / np.pi, "deg")
+        parts = {"mean": field.mean, "std": field.std} | ({} if field.truth is None else {"truth": field.truth})
+        columns |= {f"{name}_error_{part}_{unit}": factor * values[met][:, c] for part, values in parts.items()}
+    pd.DataFrame(columns).to_csv(file, index=False, float_format="%.6g")

@@ -6,17 +6,22 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
+import numpy as np
+
 from cellslam.recordings.fitting.fit_noise import UNKNOWN
 from cellslam.recordings.fitting.fit_sizes import Learnt, learn
-from cellslam.recordings.importing.data_sheet import changed_sheet
+from cellslam.recordings.importing.manifest import Noise
 from cellslam.scenarios import external_options
 from cellslam.scenarios.estimator_options import Request
 from cellslam.scenarios.overrides import apply
+from cellslam.scenarios.problems import validate
 from cellslam.scenarios.recording_origin import Origin
-from cellslam.sim.errors import InputError
+from cellslam.sim.errors import InputError, nearest_name
 from cellslam.sim.progress import Progress, silent
-from cellslam.sim.recording import OdometryModel, Recording
+from cellslam.sim.recording import COMPONENTS, OdometryModel, Recording
 from cellslam.slam.front_end.front_end_options import FrontEndOptions
+
+KINDS = tuple(Noise.model_fields)  # of deviations in a data sheet, as `recording.toml` writes them
 
 
 @dataclass(frozen=True)
@@ -67,3 +72,20 @@ def _with(
 def _requests(tables: Mapping[str, Any], names: Sequence[str], overrides: Mapping[str, Any]) -> tuple[Request, ...]:
     full = apply({"estimator": tables}, overrides)["estimator"]
     return external_options.requests(full, names, overrides)
+
+
+def changed_sheet(sheet: OdometryModel, changes: Mapping[str, Any]) -> OdometryModel:
+    """Return a data sheet in which `changes`, by "noise.COMPONENT.KIND" in m/s or rad/s, have their new values.
+
+    Raises InputError naming the key and what is allowed.
+    """
+    columns = {kind: getattr(sheet, kind).copy() for kind in KINDS}
+    for key, value in changes.items():
+        _, _, rest = key.partition(".")
+        component, _, kind = rest.partition(".")
+        if component not in COMPONENTS:
+            near = nearest_name(component, COMPONENTS)
+            raise InputError(f"{key}: unknown component '{component}'{near} (known: {', '.join(COMPONENTS)})")
+        checked = validate(Noise, {kind: value}, f"noise.{component}.")
+        columns[kind][COMPONENTS.index(component)] = getattr(checked, kind)
+    return OdometryModel(*(np.asarray(columns[kind], np.float64) for kind in KINDS))

@@ -14,6 +14,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -22,14 +23,16 @@ from pydantic import BaseModel
 from cellslam.recordings.fitting.fit_noise import first_guess
 from cellslam.sim.progress import Progress, silent
 from cellslam.sim.recording import COMPONENTS, Floats, OdometryModel, Recording
+from cellslam.slam import registry
 from cellslam.slam.api import odometry_of, setup_of, snapshots_of
 from cellslam.slam.front_end.front_end_options import FrontEndOptions
 from cellslam.slam.joint.ekf_slam import EkfSlam
 from cellslam.slam.joint.ekf_slam_options import EkfSlamOptions
-from cellslam.slam.joint.sizes import Sheets, Sizes, keys_of, stepped
+from cellslam.slam.joint.sizes import Sheets, Sizes, in_words, keys_of, stepped
 
 PASSES, WHOLE = 8, 2  # passes at most; so many take whole steps, the others half of them
 FITS = 2.0  # mean square of the slopes, in their deviations, from which on sizes are as good as right
+NOTABLE = 1.25  # factor by which a size must have changed to be said
 SAID = 0.5  # relative deviation of a size beyond which nothing is said of it
 # A pass joins the mixtures of the start after so long at the latest, s: sizes show also where an offset is wrong yet,
 # and where all are assumed far too large none is ever resolved.
@@ -161,3 +164,37 @@ def _with_least(recording: Recording, sheet: OdometryModel) -> OdometryModel:
             if not np.isnan(recording.odometry[:, i]).all():
                 values[i] = max(values[i], value)
     return replace(sheet, bias=bias, scale=scale)
+
+
+def toml(path: Path, learnt: Learnt) -> str:
+    """Return the tables [estimator.NAME] and [noise.COMPONENT] that `--options` takes, for every estimator that has
+    these options; comments say where from."""
+    out = [f"# learnt from {path}; cellslam replay takes this file as --options FILE.toml"]
+    out += [f"# {line}" for line in said(learnt)]
+    tables = {e.name: learnt.table(registry.options_model(registry.resolve(e.name))) for e in registry.BUILT_IN}
+    for name, table in tables.items():
+        if table:
+            out += ["", f"[estimator.{name}]", *(f"{key} = {_value(value)}" for key, value in table.items())]
+    sheet = learnt.odometry_model
+    for i, component in enumerate(COMPONENTS):
+        values = {kind: getattr(sheet, kind)[i] for kind in ("noise_density", "bias", "bias_walk_density", "scale")}
+        if any(values.values()):
+            out += ["", f"[noise.{component}]", *(f"{kind} = {value:.4g}" for kind, value in values.items())]
+    return "\n".join(out) + "\n"
+
+
+def said(learnt: Learnt) -> list[str]:
+    """Return lines that say what differs from what was assumed."""
+    if not learnt.resolved:
+        return ["sizes of errors as assumed: the clock offsets were never resolved, so nothing could be learnt"]
+    lines = [
+        f"{in_words(name)}: {factor:.2g} times as large as assumed (+- {100.0 * deviation:.0f} %)"
+        for name, (factor, deviation) in learnt.changes.items()
+        if not 1.0 / NOTABLE < factor < NOTABLE
+    ]
+    begin = "sizes of errors, as the whole drive shows them"
+    return [f"{begin}:", *(f"  {line}" for line in lines)] if lines else [f"{begin}, are those that were assumed"]
+
+
+def _value(value: float | str) -> str:
+    return f'"{value}"' if isinstance(value, str) else f"{value:.4g}"

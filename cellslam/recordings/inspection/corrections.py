@@ -4,7 +4,7 @@ tell."""
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 
@@ -38,6 +38,21 @@ class Correction:
     mirrored: bool = False
     reference_late_s: float = 0.0
     reference_arm_m: Arm = (0.0, 0.0)
+
+    def between_odometry_and(self, table: Literal["measurements", "reference"]) -> Correction:
+        """Return what it comes to between the odometry and another table: of delays and arms, only sums show."""
+        late, arm = (
+            (self.measurements_late_s, self.array_arm_m)
+            if table == "measurements"
+            else (self.reference_late_s, self.reference_arm_m)
+        )
+        return Correction(
+            speed=self.speed,
+            yaw_rate=self.yaw_rate,
+            side=self.side,
+            odometry_late_s=self.odometry_late_s - late,
+            odometry_arm_m=(self.odometry_arm_m[0] + arm[0], self.odometry_arm_m[1] + arm[1]),
+        )
 
     def having(self, field: str, value: Any) -> Correction:
         """Return it with one of its fields, by name, at another value."""

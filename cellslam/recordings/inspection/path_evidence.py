@@ -3,7 +3,7 @@ before."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -77,12 +77,8 @@ class PathEvidence:
 
     def seen(self, c: Correction) -> Correction:
         """Return what a correction comes to between odometry and measurements."""
-        return Correction(
-            speed=c.speed,
-            yaw_rate=c.yaw_rate,
-            side=c.side,
-            odometry_late_s=c.odometry_late_s - c.measurements_late_s,
-            odometry_arm_m=(c.odometry_arm_m[0] + c.array_arm_m[0], c.odometry_arm_m[1] + c.array_arm_m[1]),
+        return replace(
+            c.between_odometry_and("measurements"),
             azimuth=c.azimuth,
             azimuth_zero_rad=c.azimuth_zero_rad,
             distance=c.distance,

@@ -1,27 +1,38 @@
 """Mistakes of units, signs, axes and clocks that a recording shows by contradicting itself.
 
 Three sources must agree: how measured distances and azimuths change, how the odometry says that the vehicle moves, and
-where the reference sees it. Where they do not, the correction is looked for that makes them (`contradictions`). What a
-table shows alone is checked here.
+where the reference sees it. `ALONE` and `DIRECTIONS` are the table of checks that need no correction to be tried. Most
+mistakes show only between two sources: `_contradictions` tries the corrections of the table in `mistakes`, and names
+the one that makes the sources agree best.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
-from cellslam.recordings.inspection.contradictions import Contradiction, contradictions, fixes_of
-from cellslam.recordings.inspection.corrections import dead_reckoned
+from cellslam.benchmarks.scores.reference_fixes import usable
+from cellslam.recordings.inspection.corrections import Correction, Drive, dead_reckoned
+from cellslam.recordings.inspection.mistakes import DEGREE, EXPLANATIONS, Explanation
+from cellslam.recordings.inspection.path_evidence import PathEvidence
+from cellslam.recordings.inspection.trajectory_evidence import RangeEvidence, ReferenceEvidence
 from cellslam.sim.frames import wrap_angle
-from cellslam.sim.recording import Recording
+from cellslam.sim.recording import Floats, Ints, Recording
 
-DEGREE = np.pi / 180.0
 FASTEST_TURN = 2.5  # rad/s: faster than any road vehicle, for its upper decile
 LEAST_ANGLES = 50
 START_M = 15.0  # of the path show where a drive starts to
 BACKWARDS = 0.8  # of the path: nobody drives so
+ROUNDS = 5  # of refinement
+FEWEST, LEFT = 6, 0.75  # blocks, and share of the stretches, that a delay must leave within the drive
+OVERLAP = 0.5  # stretches overlap: so much of their number is independent
+MOST = 5.0  # log-likelihood that a single stretch may give or take
+NATS, AGREED = 10.0, 0.7  # least gain of all stretches, and how far blocks must agree
+WORTHY = 0.5  # gain of a stretch that counts as much as any
+AS_WELL, NEARLY = 0.9, 0.8  # shares of another's gain
 TABLES = {
     "paths": "measured paths and odometry",
     "reference": "reference and odometry",
@@ -38,15 +49,185 @@ class Suspicion:
     text: str
 
 
-def suspicions(recording: Recording) -> list[Suspicion]:
-    """Return what looks wrong in a recording; none for sound data."""
-    units = [*_angles(recording), *_whole_numbers(recording), *_turning(recording)]
-    if units:  # what they spoil contradicts everything else
-        return units
-    found = [_said(c, i) for i, c in enumerate(contradictions(recording))]
-    if not found:
-        found = [*_headings(recording), *_start(recording), *_backwards(recording)]
+Check = Callable[[Recording], Suspicion | None]
+Evidence = PathEvidence | ReferenceEvidence | RangeEvidence
+
+
+class Gain(NamedTuple):
+    """What a correction gains: log-likelihood of a stretch, and of all (each limited).
+
+    `agreed`: what blocks of the drive gain less what others lose, as a share of both.
+    """
+
+    mean: float = 0.0
+    nats: float = 0.0
+    agreed: float = 0.0
+
+
+@dataclass(frozen=True)
+class Contradiction:
+    """A correction that makes tables agree; `gains`: by evidence."""
+
+    explanation: Explanation
+    correction: Correction
+    gains: dict[str, Gain]
+    total: float
+
+
+def _angles(recording: Recording) -> Suspicion | None:
+    """Azimuths within +-pi degrees: radians that were read as degrees."""
+    azimuth = recording.measurements.azimuth_rad
+    azimuth = azimuth[~np.isnan(azimuth)]
+    if len(azimuth) >= LEAST_ANGLES and np.abs(azimuth).max() <= np.pi * DEGREE * 1.01 and len(np.unique(azimuth)) > 9:
+        return Suspicion(
+            "radians-as-degrees",
+            f"all {len(azimuth)} azimuths lie within +-{np.abs(azimuth).max():.4f} rad: that is +-pi read as degrees; "
+            'if the column is in radians already, say unit = "rad"',
+        )
+    return None
+
+
+def _whole_numbers(recording: Recording) -> Suspicion | None:
+    """Distances that are whole numbers of metres: delays in samples."""
+    distance = recording.measurements.distance_m
+    distance = distance[~np.isnan(distance)]
+    if len(distance) >= LEAST_ANGLES and (distance == np.round(distance)).all() and len(np.unique(distance)) >= 5:
+        return Suspicion(
+            "samples",
+            f"all {len(distance)} distances are whole numbers of metres ({distance.min():.0f} to {distance.max():.0f})"
+            ': are they delays in samples? say unit = "samples" and sample_rate_hz',
+        )
+    return None
+
+
+def _turning(recording: Recording) -> Suspicion | None:
+    """Yaw rates that no vehicle reaches: degrees that were taken for radians."""
+    rate = np.abs(recording.odometry[1:, 3])
+    rate = rate[np.isfinite(rate)]
+    if len(rate) and np.quantile(rate, 0.9) > FASTEST_TURN:
+        return Suspicion(
+            "degrees-as-radians",
+            f"a tenth of the yaw rates u_psi exceed {np.quantile(rate, 0.9):.1f} rad/s, too fast for a vehicle: were "
+            'degrees taken for radians? say unit = "deg/s"',
+        )
+    return None
+
+
+def _headings(recording: Recording) -> Suspicion | None:
+    """A reference whose yaw is not the direction in which it moves: a clockwise yaw, or one from elsewhere."""
+    r = recording.reference
+    if r is None or np.isnan(r.yaw_rad).all():
+        return None
+    known = np.isfinite(r.position_m[:, :2]).all(axis=1) & np.isfinite(r.yaw_rad)
+    place, yaw = r.position_m[known, :2], r.yaw_rad[known]
+    step = place[2:] - place[:-2]
+    length = np.hypot(*step.T)
+    moving = length > 0.5 * np.median(length)
+    course = np.arctan2(step[moving, 1], step[moving, 0])
+    if not len(course) or length.max() == 0.0:
+        return None
+    same, mirrored = (np.mean(np.exp(1j * (course + s * yaw[1:-1][moving]))) for s in (-1.0, 1.0))
+    spread = float(np.abs(np.mean(np.exp(1j * course))))
+    if abs(mirrored) > 0.8 and abs(same) < 0.6 and spread < 0.9:
+        return Suspicion(
+            "clockwise",
+            f"the reference's yaw turns against its course (agreement {abs(same):.2f}, mirrored {abs(mirrored):.2f})"
+            ": clockwise yaw; set sign = -1, and zero = 90 if it is counted from north, or exchange x_m and y_m",
+        )
+    angle = float(np.angle(same))
+    if abs(same) > 0.8 and abs(angle) > np.radians(45.0):
+        backwards = "the vehicle seems to drive backwards: wrong sign of the yaw"
+        what = backwards if abs(angle) > 2.3 else "yaw from north, or swapped axes"
+        return Suspicion(
+            "yaw-zero",
+            f"the reference moves {np.degrees(angle):.0f} deg away from its own yaw: {what}; set the yaw's zero",
+        )
+    return None
+
+
+def _start(recording: Recording) -> Suspicion | None:
+    """A reference that leaves the start against the odometry: odometry of the wrong sign, or a start turned round."""
+    fixes = _fixes_of(recording)
+    if fixes is None or np.isnan(recording.odometry[:, 0]).all():
+        return None
+    own = dead_reckoned(recording, fixes[0])[:, :2]
+    travelled = np.cumsum(np.hypot(*np.diff(own, axis=0, prepend=own[:1]).T))
+    end = int(np.searchsorted(travelled, START_M))
+    if end == len(travelled):
+        return None
+    a, b = own[end] - own[0], fixes[1][end] - fixes[1][0]
+    turn = float(wrap_angle(np.arctan2(b[1], b[0]) - np.arctan2(a[1], a[0])))
+    if abs(turn) > 0.75 * np.pi and np.hypot(*b) > 0.3 * START_M:
+        return Suspicion(
+            "odometry-sign",
+            f"from the start the reference goes {np.degrees(abs(turn)):.0f} deg away from where the odometry goes: the "
+            "odometry has the wrong sign (set sign = -1 for u_x), or the start heading is turned round",
+        )
+    return None
+
+
+def _backwards(recording: Recording) -> Suspicion | None:
+    """A drive backwards, without azimuths: nothing else tells the sign but that vehicles go forward."""
+    ahead = np.nan_to_num(recording.odometry[1:, 0]) * np.diff(recording.time_s)
+    travelled = float(np.abs(ahead).sum())
+    if (
+        np.isnan(recording.measurements.azimuth_rad).all()
+        and travelled > START_M
+        and ahead.sum() < -BACKWARDS * travelled
+    ):
+        share = -float(ahead[ahead < 0].sum()) / travelled
+        return Suspicion(
+            "odometry-sign",
+            f"the odometry drives {100 * share:.0f} % of its distance backwards: if the vehicle did not, "
+            "set sign = -1 for u_x",
+        )
+    return None
+
+
+def _evidence_of(recording: Recording) -> list[Evidence]:
+    """Return the comparisons that a recording allows."""
+    fixes = _fixes_of(recording)
+    with_odometry = len(recording.time_s) > 2 and not np.isnan(recording.odometry[:, 0]).all()
+    drive = Drive(recording)
+    makers: list[Callable[[], Evidence]] = []
+    if with_odometry:
+        makers.append(lambda: PathEvidence(recording, drive))
+        if fixes is not None:
+            known = fixes
+            makers.append(lambda: ReferenceEvidence(drive, *known))
+    if np.isnan(recording.measurements.azimuth_rad).all():
+        makers += [lambda: RangeEvidence(recording, drive, None)] if with_odometry else []
+        makers += [lambda: RangeEvidence(recording, drive, fixes)] if fixes is not None else []
+    found = []
+    for make in makers:
+        try:
+            found.append(make())
+        except ValueError:  # too little of it
+            continue
     return found
+
+
+def _fixes_of(recording: Recording) -> tuple[Floats, Floats] | None:
+    """Return times (R,) in s and places (R, 2) in m where the vehicle is known to have been, within the drive."""
+    r = recording.reference
+    if r is not None:
+        rows = usable(recording, r)
+        return (r.time_s[rows], r.position_m[rows, :2]) if rows.sum() > 2 else None
+    return None if recording.truth is None else (recording.time_s, recording.truth.poses[:, :2])
+
+
+def _contradictions(recording: Recording) -> list[Suspicion]:
+    """Tables that contradict each other: the correction that explains them best, and others that do so as well.
+
+    It must gain surely in some evidence, and more there than what is nobody's mistake does.
+    """
+    found = _ranked(_evidence_of(recording))
+    small = [x for x in found if x.explanation.harmless(x.correction)]
+    grave = [x for x in found if not x.explanation.harmless(x.correction) and any(_sure(x, e) for e in x.gains)]
+    grave = [x for x in grave if any(_sure(x, e) and not _explained(small, x, e) for e in x.gains)]
+    best = sorted(grave, key=lambda x: (x.total < AS_WELL * grave[0].total, x.explanation.refined is not None))
+    as_well = [x for x in best[1:] if x.total > AS_WELL * grave[0].total and x.explanation.refined is None]
+    return [_said(x, rank) for rank, x in enumerate([*best[:1], *as_well])]
 
 
 def _said(c: Contradiction, rank: int) -> Suspicion:
@@ -57,102 +238,78 @@ def _said(c: Contradiction, rank: int) -> Suspicion:
     return Suspicion(kind, f"{'or' if rank else 'it seems that'} {text}; then {tables} agree better")
 
 
-def _angles(recording: Recording) -> Iterator[Suspicion]:
-    azimuth = recording.measurements.azimuth_rad
-    azimuth = azimuth[~np.isnan(azimuth)]
-    if len(azimuth) >= LEAST_ANGLES and np.abs(azimuth).max() <= np.pi * DEGREE * 1.01 and len(np.unique(azimuth)) > 9:
-        yield Suspicion(
-            "radians-as-degrees",
-            f"all {len(azimuth)} azimuths lie within +-{np.abs(azimuth).max():.4f} rad: that is +-pi read as degrees; "
-            'if the column is in radians already, say unit = "rad"',
-        )
+def _sure(x: Contradiction, evidence: str) -> bool:
+    gain = x.gains[evidence]
+    return gain.mean > x.explanation.least and gain.nats > NATS and gain.agreed > AGREED
 
 
-def _whole_numbers(recording: Recording) -> Iterator[Suspicion]:
-    distance = recording.measurements.distance_m
-    distance = distance[~np.isnan(distance)]
-    if len(distance) >= LEAST_ANGLES and (distance == np.round(distance)).all() and len(np.unique(distance)) >= 5:
-        yield Suspicion(
-            "samples",
-            f"all {len(distance)} distances are whole numbers of metres ({distance.min():.0f} to {distance.max():.0f})"
-            ': are they delays in samples? say unit = "samples" and sample_rate_hz',
-        )
+def _explained(others: list[Contradiction], x: Contradiction, evidence: str) -> bool:
+    return any(o.gains[evidence].mean > NEARLY * x.gains[evidence].mean for o in others)
 
 
-def _turning(recording: Recording) -> Iterator[Suspicion]:
-    rate = np.abs(recording.odometry[1:, 3])
-    rate = rate[np.isfinite(rate)]
-    if len(rate) and np.quantile(rate, 0.9) > FASTEST_TURN:
-        yield Suspicion(
-            "degrees-as-radians",
-            f"a tenth of the yaw rates u_psi exceed {np.quantile(rate, 0.9):.1f} rad/s, too fast for a vehicle: were "
-            'degrees taken for radians? say unit = "deg/s"',
-        )
+def _ranked(evidence: list[Evidence]) -> list[Contradiction]:
+    """Return the best correction of every explanation, by how much of what there is to explain it explains."""
+    gain = [_cached(e) for e in evidence]
+
+    def gains_of(c: Correction) -> list[Gain]:
+        return [one(c) for one in gain]
+
+    tried = []
+    for explanation in EXPLANATIONS:
+        best = max(((c, gains_of(c)) for c in explanation.corrections), key=lambda pair: _sum(pair[1]))
+        for k in range(ROUNDS):
+            near = [(c, gains_of(c)) for c in explanation.near(best[0], k)]
+            best = max([best, *near], key=lambda pair: _sum(pair[1]))
+        tried.append((explanation, *best))
+    most = [max(WORTHY, *(gains[i].mean for _, _, gains in tried)) for i in range(len(evidence))]
+    out = []
+    for explanation, c, gains in tried:
+        total = sum(float(np.clip(g.mean / m, -1.0, 1.0)) for g, m in zip(gains, most, strict=True))
+        out.append(Contradiction(explanation, c, {e.name: g for e, g in zip(evidence, gains, strict=True)}, total))
+    return sorted(out, key=lambda x: -x.total)
 
 
-def _headings(recording: Recording) -> Iterator[Suspicion]:
-    """Compare the reference's yaw with the direction in which it moves."""
-    r = recording.reference
-    if r is None or np.isnan(r.yaw_rad).all():
-        return
-    known = np.isfinite(r.position_m[:, :2]).all(axis=1) & np.isfinite(r.yaw_rad)
-    place, yaw = r.position_m[known, :2], r.yaw_rad[known]
-    step = place[2:] - place[:-2]
-    length = np.hypot(*step.T)
-    moving = length > 0.5 * np.median(length)
-    course = np.arctan2(step[moving, 1], step[moving, 0])
-    if not len(course) or length.max() == 0.0:
-        return
-    same, mirrored = (np.mean(np.exp(1j * (course + s * yaw[1:-1][moving]))) for s in (-1.0, 1.0))
-    spread = float(np.abs(np.mean(np.exp(1j * course))))
-    if abs(mirrored) > 0.8 and abs(same) < 0.6 and spread < 0.9:
-        yield Suspicion(
-            "clockwise",
-            f"the reference's yaw turns against its course (agreement {abs(same):.2f}, mirrored {abs(mirrored):.2f})"
-            ": clockwise yaw; set sign = -1, and zero = 90 if it is counted from north, or exchange x_m and y_m",
-        )
-    angle = float(np.angle(same))
-    if abs(same) > 0.8 and abs(angle) > np.radians(45.0):
-        backwards = "the vehicle seems to drive backwards: wrong sign of the yaw"
-        what = backwards if abs(angle) > 2.3 else "yaw from north, or swapped axes"
-        yield Suspicion(
-            "yaw-zero",
-            f"the reference moves {np.degrees(angle):.0f} deg away from its own yaw: {what}; set the yaw's zero",
-        )
+def _cached(evidence: Evidence) -> Callable[[Correction], Gain]:
+    """Return what a correction gains in some evidence, worked out once for all that come to the same there."""
+    known = {Correction(): Gain()}
+
+    def gain(c: Correction) -> Gain:
+        seen = evidence.seen(c)
+        if seen not in known:
+            known[seen] = _gain(evidence.change(seen), evidence.block)
+        return known[seen]
+
+    return gain
 
 
-def _start(recording: Recording) -> Iterator[Suspicion]:
-    """Compare where odometry and reference go from the start."""
-    fixes = fixes_of(recording)
-    if fixes is None or np.isnan(recording.odometry[:, 0]).all():
-        return
-    own = dead_reckoned(recording, fixes[0])[:, :2]
-    travelled = np.cumsum(np.hypot(*np.diff(own, axis=0, prepend=own[:1]).T))
-    end = int(np.searchsorted(travelled, START_M))
-    if end == len(travelled):
-        return
-    a, b = own[end] - own[0], fixes[1][end] - fixes[1][0]
-    turn = float(wrap_angle(np.arctan2(b[1], b[0]) - np.arctan2(a[1], a[0])))
-    if abs(turn) > 0.75 * np.pi and np.hypot(*b) > 0.3 * START_M:
-        yield Suspicion(
-            "odometry-sign",
-            f"from the start the reference goes {np.degrees(abs(turn)):.0f} deg away from where the odometry goes: the "
-            "odometry has the wrong sign (set sign = -1 for u_x), or the start heading is turned round",
-        )
+def _gain(change: Floats, block: Ints) -> Gain:
+    inside = np.isfinite(change)
+    if inside.sum() < LEFT * len(change):
+        return Gain()
+    change, block = change[inside], block[inside]
+    _, block = np.unique(block, return_inverse=True)
+    count = np.bincount(block)
+    if len(count) < FEWEST:
+        return Gain()
+    means = np.bincount(block, np.clip(change, -MOST, MOST)) / count
+    nats = OVERLAP * float((count * means).sum())
+    return Gain(float(change.mean()), nats, float(means.sum()) / (float(np.abs(means).sum()) + 1e-9))
 
 
-def _backwards(recording: Recording) -> Iterator[Suspicion]:
-    """Without azimuths nothing tells forward from backward but that vehicles go forward."""
-    ahead = np.nan_to_num(recording.odometry[1:, 0]) * np.diff(recording.time_s)
-    travelled = float(np.abs(ahead).sum())
-    if (
-        np.isnan(recording.measurements.azimuth_rad).all()
-        and travelled > START_M
-        and ahead.sum() < -BACKWARDS * travelled
-    ):
-        share = -float(ahead[ahead < 0].sum()) / travelled
-        yield Suspicion(
-            "odometry-sign",
-            f"the odometry drives {100 * share:.0f} % of its distance backwards: if the vehicle did not, "
-            "set sign = -1 for u_x",
-        )
+def _sum(gains: list[Gain]) -> float:
+    return sum(gain.mean for gain in gains)
+
+
+# What is looked for, in this order: what one table shows alone, and spoils all else; two tables against each other; and
+# what is told only where these agree.
+ALONE = (_angles, _whole_numbers, _turning)
+DIRECTIONS = (_headings, _start, _backwards)
+
+
+def suspicions(recording: Recording) -> list[Suspicion]:
+    """Return what looks wrong in a recording; none for sound data."""
+    return _found(ALONE, recording) or _contradictions(recording) or _found(DIRECTIONS, recording)
+
+
+def _found(checks: Sequence[Check], recording: Recording) -> list[Suspicion]:
+    return [found for check in checks if (found := check(recording)) is not None]

@@ -1,4 +1,8 @@
-"""How well distances alone, each link one beacon, and a trajectory tell the same places of the beacons."""
+"""How well two tables tell the same trajectory, stretch by stretch.
+
+`ReferenceEvidence` lays stretches of reference and odometry onto each other. `RangeEvidence` takes each link as one
+beacon: its place is fitted to the distances measured along a stretch of odometry or reference.
+"""
 
 from __future__ import annotations
 
@@ -7,16 +11,90 @@ from dataclasses import replace
 import numpy as np
 
 from cellslam.recordings.inspection.corrections import Correction, Drive
-from cellslam.recordings.inspection.reference_evidence import stretches
-from cellslam.sim.recording import Floats, Recording
+from cellslam.sim.recording import Floats, Ints, Recording
+
+STRETCH_M = 30.0  # of the path, for one comparison
+FEWEST, MOST = 16, 80  # stretches
+SHORTEST_M = 2.0
+FIXES = 6  # of a stretch
+DEGREES_OF_FREEDOM = 5.0  # of their residuals, which are not independent
+FLOOR = 0.01  # of a stretch: nobody's odometry agrees better than so
 
 ODOMETRY_M, REFERENCE_M = 60.0, 200.0  # stretches of the path from which a beacon is placed: odometry drifts
-RANGES, FEWEST = 24, 3
+RANGES, FEWEST_OF_RANGES = 24, 3
 PATHS = 1.25  # a link has hardly more than one path a snapshot
 TURNS, ROUNDS = 4, 8
 KEPT = 0.8  # the best of the residuals: the others may be anything
-FLOOR = 0.005  # of the distance
-WORTH = 12.0  # of a stretch's residuals: half of their number
+RANGE_FLOOR = 0.005  # of the distance
+RANGES_WORTH = 12.0  # of a stretch's residuals: half of their number
+
+
+class ReferenceEvidence:
+    """Log-likelihood of stretches of the reference, given the odometry: a rigid motion of each is free.
+
+    A stretch's scale of residuals is free as well: an outlier spoils no more than its own stretch.
+    """
+
+    name = "reference"
+
+    def __init__(self, drive: Drive, times: Floats, position_m: Floats) -> None:
+        """`times` (R,) in s and `position_m` (R, 2) of the fixes. Raises ValueError where they are too few."""
+        self.drive = drive
+        here = drive.poses(times, Correction(), (0.0, 0.0))[:, :2]
+        travelled = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(here, axis=0).T))])
+        chosen = _stretches(travelled, STRETCH_M, FEWEST, FIXES)
+        self.times, self.fixes = times[chosen], position_m[chosen]
+        size = np.hypot(*(self.fixes.max(axis=1) - self.fixes.min(axis=1)).T)
+        moving = size > 0.3 * np.median(size)
+        self.times, self.fixes, self.floor = self.times[moving], self.fixes[moving], FLOOR * float(np.median(size))
+        if not moving.any() or self.floor == 0.0:
+            raise ValueError
+        self.block = np.arange(len(self.times)) // 2  # neighbours overlap
+        self._plain = self._logs(Correction())
+
+    def seen(self, c: Correction) -> Correction:
+        """Return what a correction comes to between odometry and reference."""
+        seen = c.between_odometry_and("reference")
+        return replace(seen, reference=c.reference, mirrored=c.mirrored)
+
+    def change(self, c: Correction) -> Floats:
+        """Return by how much a correction as `seen` raises the log-likelihood (n,); NaN outside of the drive."""
+        return self._logs(c) - self._plain
+
+    def _logs(self, c: Correction) -> Floats:
+        """Return the log-likelihood (n,) of each stretch after a correction as `seen`; NaN outside of the drive.
+
+        In the reference's own units.
+        """
+        points = self.drive.poses(self.times + c.odometry_late_s, c, c.odometry_arm_m)[..., :2] / c.reference
+        if c.mirrored:
+            points = points[..., ::-1]
+        a = points - points.mean(axis=1, keepdims=True)
+        b = self.fixes - self.fixes.mean(axis=1, keepdims=True)
+        dot = (a * b).sum(axis=(1, 2))
+        cross = (a[..., 0] * b[..., 1] - a[..., 1] * b[..., 0]).sum(axis=1)
+        square = (a**2 + b**2).sum(axis=(1, 2)) - 2.0 * np.hypot(dot, cross)  # after the best turn
+        rms = np.sqrt(np.maximum(square, 0.0) / FIXES + self.floor**2)
+        return np.asarray(-DEGREES_OF_FREEDOM * np.log(rms))
+
+
+def _stretches(travelled: Floats, length_m: float, fewest: int, points: int) -> Ints:
+    """Return rows (n, points), spread evenly over overlapping stretches of a distance `travelled` (R,) in m, each about
+    as long, at least `fewest` one after the other.
+
+    Raises ValueError where the rows do not suffice.
+    """
+    count = int(np.clip(travelled[-1] / length_m, fewest, MOST))
+    count = min(count, len(travelled) // points, int(travelled[-1] / SHORTEST_M))
+    if count < 2 or travelled[-1] <= 0.0:
+        raise ValueError
+    first = np.linspace(0.0, travelled[-1] * (1.0 - 1.0 / count), 2 * count - 1)
+    wanted = first[:, None] + np.linspace(0.0, travelled[-1] / count, points)
+    rows = np.minimum(np.searchsorted(travelled, wanted), len(travelled) - 1)
+    usable = (np.diff(rows, axis=1) > 0).sum(axis=1) >= points // 2
+    if usable.sum() < 3:
+        raise ValueError
+    return np.asarray(rows[usable])
 
 
 class RangeEvidence:
@@ -48,29 +126,24 @@ class RangeEvidence:
         for link in range(len(recording.links)):
             mine = np.flatnonzero((links == link) & usable)
             if len(mine) >= 3 * RANGES:
-                chosen.append(mine[stretches(travelled[mine] - travelled[mine[0]], length, FEWEST, RANGES)])
+                chosen.append(mine[_stretches(travelled[mine] - travelled[mine[0]], length, FEWEST_OF_RANGES, RANGES)])
         if not chosen:
             raise ValueError
         pick = np.concatenate(chosen)
         mean = recording.sites.clock_offset_mean_m[recording.links.site[links[pick]]]
         self.times, self.distance = times[pick], m.distance_m[rows][pick] - mean
-        self.floor = FLOOR * float(np.median(self.distance)) + 0.02
+        self.floor = RANGE_FLOOR * float(np.median(self.distance)) + 0.02
         self.block = np.arange(len(pick)) // 2  # neighbours overlap
         self._plain = self._logs(Correction())
 
     def seen(self, c: Correction) -> Correction:
         """Return what a correction comes to between distances and the trajectory."""
-        mine = Correction(distance=c.distance, distance_zero_m=c.distance_zero_m)
         if self.fixes is not None:
-            return replace(mine, reference=c.reference, reference_late_s=c.reference_late_s - c.measurements_late_s)
-        return replace(
-            mine,
-            speed=c.speed,
-            yaw_rate=c.yaw_rate,
-            side=c.side,
-            odometry_late_s=c.odometry_late_s - c.measurements_late_s,
-            odometry_arm_m=(c.odometry_arm_m[0] + c.array_arm_m[0], c.odometry_arm_m[1] + c.array_arm_m[1]),
-        )
+            late = c.reference_late_s - c.measurements_late_s
+            seen = Correction(reference=c.reference, reference_late_s=late)
+        else:
+            seen = c.between_odometry_and("measurements")
+        return replace(seen, distance=c.distance, distance_zero_m=c.distance_zero_m)
 
     def change(self, c: Correction) -> Floats:
         """Return by how much a correction as `seen` raises the log-likelihood (n,); NaN outside of the drive."""
@@ -86,7 +159,7 @@ class RangeEvidence:
         rest = np.full(len(points), np.nan)
         distance = self.distance[inside] * c.distance + c.distance_zero_m
         rest[inside] = _rest(points[inside], distance)
-        return np.asarray(-WORTH * np.log(np.hypot(rest / c.distance, self.floor)))
+        return np.asarray(-RANGES_WORTH * np.log(np.hypot(rest / c.distance, self.floor)))
 
     def _points(self, times: Floats, c: Correction) -> Floats:
         if self.fixes is None:
