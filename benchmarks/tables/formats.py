@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import json
 import math
+import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 from cellslam.benchmarks.scores.metrics import METRIC
-from cellslam.benchmarks.tables.headings import in_words
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -17,6 +17,8 @@ if TYPE_CHECKING:
 FORMATS = ("text", "md", "csv", "latex", "json")
 PIPE_WIDTH = 200
 TOO_WIDE = 1e5  # a spoilt covariance claims an NEES of 1e11
+_KEY = re.compile(rf"\b({'|'.join(METRIC)})\b")
+_CLASS = re.compile(r"[\w.]+:(?=\w)")
 _LATEX = {c: f"\\{c}" for c in "&%$#_{}"} | {"\\": "\\textbackslash{}", "~": "\\textasciitilde{}", "^": "\\^{}"}
 
 
@@ -42,6 +44,11 @@ def render(tidy: pd.DataFrame, grid: Grid, format_: str) -> str:
     headings, notes = (tuple(map(in_words, texts)) for texts in (grid.headings, grid.notes))
     lines = tuple((*map(in_words, line[: grid.labels]), *line[grid.labels :]) for line in grid.lines)
     return (_markdown if format_ == "md" else _latex)(Grid(headings, lines, grid.labels, notes))
+
+
+def in_words(text: str) -> str:
+    """Return a text with headings in place of metrics, and classes without the modules that they are in."""
+    return _CLASS.sub("", _KEY.sub(lambda found: METRIC[found[0]].titled, text))
 
 
 def number(value: float | None, metric: str, statistic: str = "") -> str:

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from cellslam.benchmarks.scores.metrics import METRIC
 from cellslam.benchmarks.scores.statistics import efficiency_ratio, interval, statistic
 from cellslam.benchmarks.tables.formats import TOO_WIDE
 from cellslam.benchmarks.tables.summaries import BOUND
@@ -19,26 +20,35 @@ if TYPE_CHECKING:
     from cellslam.benchmarks.trials.trials import Trial
 
 LONGEST_NAME = len("oracle-association")
-# Heading and the keys of a column, values joined by a slash; it all fits in 80 characters.
+
+
+def _column_of(key: str, digits: int | None = None) -> tuple[str, tuple[str, ...], int]:
+    """Return the column of a metric: heading in two lines, keys, digits (None: those of the metric)."""
+    metric = METRIC[key]
+    return "\n".join(metric.titled.rsplit(" ", 1)), (key,), metric.digits if digits is None else digits
+
+
+_ASSOCIATION = ("assoc.\nprec/rec", ("association_precision", "association_recall"), 2)
+# Heading, keys and digits of a column, values joined by a slash; it all fits in 80 characters.
 _COLUMNS = (
-    ("RMSE\n(m)", ("position_rmse_m",), 2),
-    ("max\n(m)", ("position_max_m",), 2),
-    ("end\n(m)", ("position_end_m",), 2),
-    ("offset\n(m)", ("clock_offset_rmse_m",), 2),
-    ("assoc.\nprec/rec", ("association_precision", "association_recall"), 2),
-    ("x real\ntime", ("realtime_factor",), 0),
+    _column_of("position_rmse_m"),
+    _column_of("position_max_m"),
+    _column_of("position_end_m"),
+    _column_of("clock_offset_rmse_m"),
+    _ASSOCIATION,
+    _column_of("realtime_factor", 0),
 )
 
 # The same over several trials, for 120 characters. The first one is shown with its interval.
 _SEVERAL = (
     ("RMSE (m)\n[95 %]", ("position_rmse_m",), 2),
-    ("max\n(m)", ("position_max_m",), 2),
-    ("heading\n(rad)", ("heading_rmse_rad",), 4),
-    ("offset\n(m)", ("clock_offset_rmse_m",), 2),
+    _column_of("position_max_m"),
+    _column_of("heading_rmse_rad"),
+    _column_of("clock_offset_rmse_m"),
     ("NEES\n(2)", ("nees_mean",), 1),
-    ("GOSPA\n(m)", ("map_gospa_m",), 1),
-    ("assoc.\nprec/rec", ("association_precision", "association_recall"), 2),
-    ("x real\ntime", ("realtime_factor",), 0),
+    _column_of("map_gospa_m", 1),
+    _ASSOCIATION,
+    _column_of("realtime_factor", 0),
 )
 MERGING = "merging\ncounted in"  # where a drive has that bound
 _COUNTED = ("efficiency\nratio", MERGING, "lost", "trials\nok")

@@ -21,7 +21,7 @@ from cellslam.slam.conformance.subject import Subject, tiny_drive
 
 
 class EstimatorConformance:
-    """One test for each of `conformance_checks.CHECKS`."""
+    """One test for each of `checks.CHECKS`."""
 
     @pytest.fixture
     def estimator(self) -> type[Any]:

@@ -9,7 +9,7 @@ from typing import Any
 
 from cellslam.benchmarks.trials.output_files import check_folder
 from cellslam.cli.arguments import DONE, whole
-from cellslam.cli.city.city_output import note, write_pictures
+from cellslam.cli.city.shared import note, write_pictures
 from cellslam.cli.progress_bars import bars
 from cellslam.scenarios.loading import from_tables
 from cellslam.scenarios.overrides import parse_all

@@ -14,9 +14,9 @@ import numpy as np
 
 from cellslam.benchmarks.trials.output_files import check_file, write_text
 from cellslam.cli.arguments import DONE, add_seed, number
-from cellslam.cli.city.city_output import note
 from cellslam.cli.city.geo_files import read_line, read_places
 from cellslam.cli.city.places import find_city
+from cellslam.cli.city.shared import note
 from cellslam.cli.progress_bars import bars
 from cellslam.scenarios.loading import from_tables, load, preset_names
 from cellslam.sim.city.city import City, Floats

@@ -12,9 +12,8 @@ import numpy as np
 
 from cellslam.benchmarks.trials.output_files import check_folder, file_name
 from cellslam.cli.arguments import DONE
-from cellslam.cli.city.city_arguments import MESH_HELP, add_mesh_options, mesh_options
-from cellslam.cli.city.city_output import note, write_pictures
 from cellslam.cli.city.places import find_city
+from cellslam.cli.city.shared import MESH_HELP, add_mesh_options, mesh_options, note, write_pictures
 from cellslam.cli.progress_bars import bars
 from cellslam.sim.city.city_summary import Summary, summarise
 

@@ -11,9 +11,8 @@ import numpy as np
 
 from cellslam.benchmarks.trials.output_files import check_file
 from cellslam.cli.arguments import DONE, whole
-from cellslam.cli.city.city_arguments import MESH_HELP, add_mesh_options, mesh_options
-from cellslam.cli.city.city_output import note
 from cellslam.cli.city.places import check_export, export_paths, find_city, parse_positions, read_positions, write_paths
+from cellslam.cli.city.shared import MESH_HELP, add_mesh_options, mesh_options, note
 from cellslam.cli.progress_bars import bars
 from cellslam.sim.city import City
 
