@@ -26,10 +26,8 @@ OFFSET_FLOOR_M = 0.5  # what clock offsets may
 TRIAL_M = 100.0  # a trial is over after such a distance with clock offsets that are known without the map, too
 FEW, MANY = 50, 2000  # measurements after which a map is believed, and after which it must be
 LEAST_SHARE = 0.5  # of the measurements that are of the map's VTs
-SURPRISED, LEAST = (
-    4.0,
-    9.0,
-)  # deviations by which first measurements may be farther off than assumed; components that tell
+SURPRISED = 4.0  # deviations by which first measurements may be farther off than assumed
+LEAST = 9.0  # components of first measurements from which on that tells
 PLANE = np.array([0, 1, 3])
 WIDE = 0.3  # rad; where the heading is not known as well, a Gaussian does not say where the vehicle is
 
@@ -47,7 +45,7 @@ class MapTrial:
         self, with_map: Estimate, without: Estimate, surprise: Floats, *, resolved: bool, resolved_without: bool
     ) -> None:
         """Take in what both filters answer to a snapshot; `surprise` (2,): of first measurements of the map's VTs, as
-        of a filter; `resolved`, `resolved_without`: whether each knows its clock offsets. FusedMeasurements with
+        of a filter; `resolved`, `resolved_without`: whether each knows its clock offsets. Measurements with
         offsets that are not known say nothing of the map: the likeliest may be a wrong one."""
         self._surprise = surprise
         if self._last is not None and resolved_without:

@@ -1,6 +1,6 @@
 """Compiled: an update leaves unknown what no measurement can show: where the world's frame lies, and how it is turned.
 
-FusedMeasurements are relative: with vehicle and VTs shifted and turned together they are the same. The covariance holds
+Measurements are relative: with vehicle and VTs shifted and turned together they are the same. The covariance holds
 in which directions of the state that is, as derivatives at an estimate. When the estimate moves, they do, too. A
 covariance that stays behind lets the next measurements seem to show them: the filter becomes too sure, the more so the
 finer its distances.

@@ -68,7 +68,7 @@ def possible(z: Floats, b: float) -> bool:
 
 
 class Births(NamedTuple):
-    """FusedMeasurements as VTs begin with them: `z` (m, 3) in m and rad, NaN where none may begin; variances `q` (m,
+    """Measurements as VTs begin with them: `z` (m, 3) in m and rad, NaN where none may begin; variances `q` (m,
     3); and how many `guesses` there are, if all of them begin, of VTs of which a distance or an azimuth is not
     known."""
 

@@ -35,7 +35,7 @@ class Rival(NamedTuple):
 
 @lean
 def find_rival(f: Filter, a: ArrayErrors, seen: Measured, link: int, rows: int, s: Sight, w: Pairs, out: Rival) -> None:
-    """BlockMeasurement for a rival of the assignment of a link, w.row_of (m,), that loses less than the one in
+    """Search for a rival of the assignment of a link, w.row_of (m,), that loses less than the one in
     `out`."""
     start = seen.first[link]
     columns = seen.first[link + 1] - start

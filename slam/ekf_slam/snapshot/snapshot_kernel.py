@@ -1,6 +1,6 @@
 """Compiled: one snapshot for every filter of a mixture, and the update at the end of each block of snapshots.
 
-FusedMeasurements are associated and counted at every snapshot; what those at a VT differ by from what is expected is
+Measurements are associated and counted at every snapshot; what those at a VT differ by from what is expected is
 averaged over a block, some tenths of a second at most, and the state is updated by the means. A mean is of the middle
 place.
 
@@ -98,8 +98,8 @@ class Room(NamedTuple):
 def advance(f: Filter, b: Block, interval: Interval, w: Step) -> None:
     """Move a filter by an interval of dt > 0.
 
-    Way and turn are the measured ones: the blocks of all filters of a mixture end together, or their weights could not
-    be compared.
+    Distance and turn are those of the odometry: the blocks of all filters of a mixture end together, or their weights
+    could not be compared.
     """
     move(f, interval, w)
     u, dt = interval.measured, interval.dt
@@ -136,7 +136,7 @@ def pair(f: Filter, a: ArrayErrors, seen: Measured, s: Sight, w: Pairs, rival: R
 def count_odds(f: Filter, b: Block, seen: Measured, w: Pairs) -> None:
     """Add to each VT's log-odds that it was detected or missed in this snapshot.
 
-    The first measurement of a VT of a remembered map, or at one that returns, counts as whole: that something is where
+    The first measurement of a VT of a remembered map, or of one that returns, counts as whole: that something is where
     the map has it, is news.
     """
     horizon = seen.tables.shape[2] - 1

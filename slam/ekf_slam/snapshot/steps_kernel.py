@@ -25,9 +25,8 @@ from cellslam.slam.ekf_slam.snapshot.update_kernel import Steps, innovate
 from cellslam.slam.ekf_slam.state.layout import HITS, LAST, LINK, ArrayErrors, Block, Filter, Measured, Rules
 
 AGREE = 2  # measurements whose agreement on a shift is evidence at once
-ALONE = (
-    3.0  # a measurement that is alone can give this part of the evidence needed in a snapshot, so that it takes several
-)
+# A measurement that is alone can give this part of the evidence needed in a snapshot, so that it takes several.
+ALONE = 3.0
 SLIP_M = 1.0  # deviation of how far slipping wheels shift the vehicle in a block
 RECENT = 16  # snapshots after which a VT that was seen no more is not evidence alone: another may be in its direction
 
