@@ -7,11 +7,13 @@ from __future__ import annotations
 
 import sys
 from collections import Counter
-
-from mistaken_worlds import MISTAKES, WORLDS
+from pathlib import Path
 
 from cellslam.recordings import build
 from cellslam.recordings.inspection.suspicions import suspicions
+
+sys.path.append(str(Path(__file__).parents[1] / "tests" / "recordings"))  # the worlds of the tests
+from mistaken_worlds import MISTAKES, WORLDS
 
 RANGES_ONLY, UNKNOWN_CLOCKS, WITHOUT_ARM = ("beacons",), ("cellular",), ("hall", "places", "beacons", "cellular")
 

@@ -12,13 +12,13 @@ from __future__ import annotations
 
 import argparse
 import json
+import sys
 import tempfile
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-import vehicle_world
 
 from cellslam.benchmarks.scores.metrics import score
 from cellslam.benchmarks.trials.estimation import estimate, warm_up
@@ -28,6 +28,9 @@ from cellslam.scenarios.recording_origin import Origin
 from cellslam.scenarios.simulation import simulate
 from cellslam.sim.recording import Recording
 from cellslam.slam import registry
+
+sys.path.append(str(Path(__file__).parents[1] / "tests" / "recordings"))  # the worlds of the tests
+import vehicle_world
 
 SEED, FACTOR, HOUR_S = 61000, 5.0, 3600.0
 PRESETS = ("lund-530", "munich-530", "canyon", "open", "anywhere", "tiny", "noiseless")

@@ -8,9 +8,9 @@ from __future__ import annotations
 
 import sys
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
-from mistaken_worlds import STEP_S, WORLDS, campaign, paths, way_through
 
 from cellslam.benchmarks.scores.metrics import score
 from cellslam.benchmarks.trials.estimation import estimate, warm_up
@@ -20,6 +20,9 @@ from cellslam.scenarios.estimator_options import resolve
 from cellslam.sim.frames import mean_velocity
 from cellslam.sim.recording import Recording
 from cellslam.slam import registry
+
+sys.path.append(str(Path(__file__).parents[1] / "tests" / "recordings"))  # the worlds of the tests
+from mistaken_worlds import STEP_S, WORLDS, campaign, paths, way_through
 
 NOISE = (0.05, 0.05, 0.0, np.radians(2.0), 0.0, 0.0)  # of the odometry of docs/reference/data/tampere-60ghz.md
 

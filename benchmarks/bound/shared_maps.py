@@ -61,7 +61,7 @@ def shared_map_bounds(
     for recording, drive in zip(recordings, drives, strict=True):
         count, sites = len(recording.time_s), len(recording.sites)
         found = Found(np.zeros((count, 6, 6)), np.zeros((count, sites)), np.zeros((count, 6)))
-        _begin_anew(work.p, core)
+        _begin_again(work.p, core)
         states = covariance_recursion(work, *drive, 0, count, states, constant, drifted_std(recording), found)
         yield BoundResult(found.pose, np.sqrt(np.maximum(found.offset, 0.0)), found.error)
 
@@ -179,7 +179,7 @@ def _room(drives: Sequence[Drive], core: Core) -> Work:
     return Work(*(np.zeros(shape) for shape in shapes[:-2]), *(np.full(shape, -1, np.int64) for shape in shapes[-2:]))
 
 
-def _begin_anew(p: Floats, core: Core) -> None:
+def _begin_again(p: Floats, core: Core) -> None:
     """Forget all that is shared within a drive; what the map is off stays in the column of the filter's mean."""
     off = p[core.size :, core.mean].copy()
     p[: core.size] = 0.0

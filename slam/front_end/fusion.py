@@ -2,8 +2,8 @@
 
 The ports and sectors of a site stand at one place, and see a path under the same distance and direction: what they
 measure of it differs by white noise, and from port to port by errors of place. The twelve links of two sites measure
-most paths six times; the mean is one measurement. Clutter of one link is rarely seen by another, so that the number of
-links that agree tells paths from clutter.
+most paths six times; the mean of the six is one fused measurement. Clutter of one link is rarely seen by another, so
+that the number of links that agree tells paths from clutter.
 """
 
 from __future__ import annotations
@@ -23,22 +23,22 @@ from cellslam.slam.front_end.measurement_noise import white
 
 Options = TypeVar("Options", bound=FrontEndOptions)
 
-MANY = 3  # links of a site from which on their number decides whether a measurement may begin a VT
+MANY = 3  # links of a site from which on their number decides whether a fused measurement may begin a VT
 COINCIDENCE = 0.1  # probability that clutter of a link has clutter of one more link beside it
 UNUSUAL = 0.1  # share of paths that any number of links detect alike, because obstacles hide them from some
 UNMAPPED = 0.01  # share of paths that are not in the map yet: at best so much less likely than a VT is clutter
-BIRTH_RATIO = 0.5  # probability that an unexplained measurement at which links agree is a new VT
+BIRTH_RATIO = 0.5  # probability that an unexplained fused measurement of many links is of a new VT
 LARGEST_DETECTION = 0.985  # probability that at least one of many links detects a path: not all misses are independent
 
 
 @dataclass(frozen=True, kw_only=True, repr=False)
 class FusedMeasurements(Snapshot):
-    """A snapshot whose measurements are measurements, n of them, sorted by the group of links that they belong to
-    (`link`).
+    """A snapshot of n fused measurements, sorted by the group of links that they belong to (`link`).
 
-    `white` (n, 3): white variances in m^2 and rad^2; `ports` (n,): how many ports they are means of;
+    `white` (n, 3): white variances in m^2 and rad^2; `ports` (n,): of how many ports each is the mean;
     `clutter_log_ratio` (n,): log of how much likelier clutter has so many members than a path; `begins` (n,): whether
-    it may begin a VT; `row` is that of the first measurement; `of` (m,): the measurement of each measurement.
+    it may begin a VT; `row` (n,): that of its first member; `of` (m,): for each of the m measurements that were fused,
+    the index of the fused measurement that it is a member of.
     """
 
     white: Floats
@@ -71,8 +71,8 @@ class Fusion(Generic[Options]):
         self.setup = replace(setup, links=Links(*columns))
 
     def fuse(self, snapshot: Snapshot) -> FusedMeasurements:
-        """Return the measurements of a snapshot."""
-        z, noise, own, members, ports, first, measurement = taken_together(
+        """Return the measurements of a snapshot, fused."""
+        z, noise, own, members, ports, first, fused_of = taken_together(
             snapshot.distance_m, snapshot.azimuth_rad, snapshot.elevation_rad, white(snapshot, self._given),
             self._given.persisting[0], snapshot.link, self._group, self._port, self._together,
         )  # fmt: skip
@@ -80,14 +80,14 @@ class Fusion(Generic[Options]):
         return FusedMeasurements(
             index=snapshot.index, row=snapshot.row[first], link=own, distance_m=distance_m, azimuth_rad=azimuth_rad,
             elevation_rad=elevation_rad, snr_db=snapshot.snr_db[first], white=noise, ports=ports,
-            clutter_log_ratio=self._clutter_log_ratios[own, members], begins=self._begins[own, members], of=measurement,
+            clutter_log_ratio=self._clutter_log_ratios[own, members], begins=self._begins[own, members], of=fused_of,
         )  # fmt: skip
 
-    def answer(self, estimate: Estimate, measurements: FusedMeasurements) -> Estimate:
-        """Return an answer to measurements as one to the measurements that they were made of."""
+    def answer(self, estimate: Estimate, fused: FusedMeasurements) -> Estimate:
+        """Return an answer to fused measurements as an answer to the measurements that are their members."""
         association, vts = estimate.association, estimate.vts
         if association is not None:
-            association = association[measurements.of]
+            association = association[fused.of]
         if vts is not None:
             vts = VtEstimate(vts.id, self._first[vts.link], vts.position_m, vts.covariance)
         return replace(estimate, association=association, vts=vts)

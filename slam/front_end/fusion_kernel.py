@@ -28,65 +28,65 @@ def taken_together(
     port_of: Ints,
     together: bool,
 ) -> tuple[Floats, Floats, Ints, Ints, Ints, Ints, Ints]:
-    """Return the measurements of a snapshot, sorted by group: measurements (n, 3), white variances (n, 3), group (n,),
-    how many measurements they are means of (n,), of how many ports (n,), the first of them (n,); and the measurement of
-    each measurement (m,).
+    """Return the n fused measurements of m measurements, sorted by group: their values (n, 3), white variances (n, 3),
+    group (n,), number of members (n,) and of ports (n,), and first member (n,); and which of them each measurement is a
+    member of (m,).
 
     distance (m,) in m, azimuth and elevation (m,) in rad; white (m, 3): variances; place (3,): those of errors that
     differ from port to port; link (m,), sorted; group_of, port_of (L,). Where `together` is false, each measurement is
-    a measurement of its own.
+    fused with no other.
     """
     m = len(link)
     z = np.empty((m, 3))
     for i in range(m):
         z[i, 0], z[i, 1], z[i, 2] = distance[i], azimuth[i], elevation[i]
     if together:
-        measurement, measurements = group(z, white + 2.0 * place, link, group_of)
+        fused_of, fused = group(z, white + 2.0 * place, link, group_of)
     else:
-        measurement, measurements = np.arange(m), m
-    lead, count = np.full(measurements, -1), np.zeros(len(group_of) + 1, np.int64)
+        fused_of, fused = np.arange(m), m
+    lead, count = np.full(fused, -1), np.zeros(len(group_of) + 1, np.int64)
     for i in range(m):
-        if lead[measurement[i]] < 0:
-            lead[measurement[i]] = i
+        if lead[fused_of[i]] < 0:
+            lead[fused_of[i]] = i
             count[group_of[link[i]] + 1] += 1
     count = np.cumsum(count)
-    first, own = np.empty(measurements, np.int64), np.empty(measurements, np.int64)
-    number = np.empty(measurements, np.int64)
-    for n in range(measurements):
+    first, own = np.empty(fused, np.int64), np.empty(fused, np.int64)
+    number = np.empty(fused, np.int64)
+    for n in range(fused):
         g = group_of[link[lead[n]]]
         number[n] = count[g]
         own[count[g]], first[count[g]] = g, lead[n]
         count[g] += 1
     for i in range(m):
-        measurement[i] = number[measurement[i]]
-    mean, variance, members, ports = means(z, white, link, port_of, measurement, first)
-    return mean, variance, own, members, ports, first, measurement
+        fused_of[i] = number[fused_of[i]]
+    mean, variance, members, ports = means(z, white, link, port_of, fused_of, first)
+    return mean, variance, own, members, ports, first, fused_of
 
 
 @part
 def group(z: Floats, variance: Floats, link: Ints, group_of: Ints) -> tuple[Ints, int]:
-    """Return for each measurement (m,) the number of its measurement, and how many measurements there are.
+    """Return which fused measurement each measurement is a member of (m,), and how many fused ones there are.
 
     z (m, 3): distance (m), azimuth and elevation (rad), NaN where not measured; variance (m, 3): of each, without what
     all measurements of a path have in common; link (m,): sorted; group_of (L,): links of one group see the same paths,
-    a path at most once each. A measurement stands where its members do in the mean; of all pairs of a link's
-    measurements and measurements, the closest goes first.
+    a path at most once each. A fused measurement is where its members are in the mean. Of all pairs of a measurement of
+    a link and a fused measurement, the closest is joined first.
     """
     m = len(link)
-    measurement, own, taken = np.empty(m, np.int64), np.empty(m, np.int64), np.zeros(m, np.int64)
+    fused_of, own, taken = np.empty(m, np.int64), np.empty(m, np.int64), np.zeros(m, np.int64)
     centre, spread, members = np.zeros((m, 3)), np.zeros((m, 3)), np.zeros((m, 3))
-    measurements, start = 0, 0
+    fused, start = 0, 0
     while start < m:
         stop = start
         while stop < m and link[stop] == link[start]:
-            measurement[stop] = -1
+            fused_of[stop] = -1
             stop += 1
-        before = measurements
+        before = fused
         taken[:before] = 0
         while True:
             best, which, where = TOGETHER, -1, -1
             for k in range(start, stop):
-                if measurement[k] >= 0:
+                if fused_of[k] >= 0:
                     continue
                 for c in range(before):
                     if taken[c] == 1 or own[c] != group_of[link[start]]:
@@ -96,34 +96,34 @@ def group(z: Floats, variance: Floats, link: Ints, group_of: Ints) -> tuple[Ints
                         best, which, where = apart, k, c
             if which < 0:
                 break
-            measurement[which], taken[where] = where, 1
+            fused_of[which], taken[where] = where, 1
             _join(z[which], variance[which], centre[where], spread[where], members[where])
         for k in range(start, stop):
-            if measurement[k] < 0:
-                measurement[k], own[measurements] = measurements, group_of[link[start]]
-                _join(z[k], variance[k], centre[measurements], spread[measurements], members[measurements])
-                measurements += 1
+            if fused_of[k] < 0:
+                fused_of[k], own[fused] = fused, group_of[link[start]]
+                _join(z[k], variance[k], centre[fused], spread[fused], members[fused])
+                fused += 1
         start = stop
-    return measurement, measurements
+    return fused_of, fused
 
 
 @part
 def means(
-    z: Floats, white: Floats, link: Ints, port_of: Ints, measurement: Ints, first: Ints
+    z: Floats, white: Floats, link: Ints, port_of: Ints, fused_of: Ints, first: Ints
 ) -> tuple[Floats, Floats, Ints, Ints]:
-    """Return the means (n, 3) of the measurements (m, 3) of each measurement, their white variances (n, 3), how many
-    there are and of how many ports (n,).
+    """Return the n fused measurements of measurements z (m, 3): means (n, 3) of their members, white variances (n, 3),
+    number of members (n,) and of ports (n,).
 
-    The measurements of one port count alike, and ports count alike. link (m,), measurement (m,); port_of (L,); first
-    (n,): one measurement of each measurement.
+    The measurements of one port count alike, and ports count alike. link (m,); fused_of (m,): the fused
+    measurement of each; port_of (L,); first (n,): one member of each fused measurement.
     """
-    m, measurements = len(link), len(first)
-    mean, variance, whole = np.zeros((measurements, 3)), np.zeros((measurements, 3)), np.zeros((measurements, 3))
-    members, ports = np.zeros(measurements, np.int64), np.zeros(measurements, np.int64)
+    m, fused = len(link), len(first)
+    mean, variance, whole = np.zeros((fused, 3)), np.zeros((fused, 3)), np.zeros((fused, 3))
+    members, ports = np.zeros(fused, np.int64), np.zeros(fused, np.int64)
     for i in range(m):
-        n, alike, before = measurement[i], 0, 0
+        n, alike, before = fused_of[i], 0, 0
         for j in range(m):
-            if measurement[j] == n and port_of[link[j]] == port_of[link[i]]:
+            if fused_of[j] == n and port_of[link[j]] == port_of[link[i]]:
                 alike += 1
                 before += 1 if j < i else 0
         members[n] += 1
@@ -139,7 +139,7 @@ def means(
             mean[n, c] += weight * gap
             variance[n, c] += weight * weight * white[i, c]
             whole[n, c] += weight
-    for n in range(measurements):
+    for n in range(fused):
         for c in range(3):
             if whole[n, c] == 0.0:
                 mean[n, c], variance[n, c] = math.nan, white[first[n], c]
@@ -153,7 +153,7 @@ def means(
 
 @part
 def _apart(z: Floats, variance: Floats, centre: Floats, spread: Floats) -> float:
-    """Return the squared distance of a measurement from a measurement, over its variance."""
+    """Return the squared distance of a measurement from a fused one, over its variance."""
     total = 0.0
     for c in range(3):
         gap = z[c] - centre[c]
@@ -167,7 +167,7 @@ def _apart(z: Floats, variance: Floats, centre: Floats, spread: Floats) -> float
 
 @part
 def _join(z: Floats, variance: Floats, centre: Floats, spread: Floats, members: Floats) -> None:
-    """Take a measurement into the mean of a measurement: the first one that has a component begins it."""
+    """Take a measurement into the mean of a fused one, which begins with the first that has a component."""
     for c in range(3):
         if members[c] == 0.0:
             centre[c], spread[c] = z[c], variance[c]

@@ -49,7 +49,7 @@ def start_from_reference(motion: Motion | None, reference: Reference, time_s: fl
 
 
 def _first_stretch(motion: Motion, times: Floats, time_s: float) -> slice:
-    """Return the fixes after `time_s` that lie on the first of the path, not more than MOST_FIXES."""
+    """Return the fixes after `time_s` that lie on the first FIRST_PATH_M of the path, not more than MOST_FIXES."""
     begin = int(np.searchsorted(times, time_s, side="right"))
     poses, _ = integrate(motion, np.insert(times[begin:], 0, time_s), np.zeros(6))
     travelled = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(poses[:, :2], axis=0).T))])[1:]

@@ -24,7 +24,7 @@ from cellslam.sim.recording import Floats, Ints, Recording
 
 FASTEST_TURN = 2.5  # rad/s: faster than any road vehicle, for its upper decile
 LEAST_ANGLES = 50
-START_M = 15.0  # of the path show where a drive starts to
+START_M = 15.0  # so much of the path shows in which direction a drive starts
 BACKWARDS = 0.8  # of the path: nobody drives so
 ROUNDS = 5  # of refinement
 FEWEST, LEFT = 6, 0.75  # blocks, and share of the stretches, that a delay must leave within the drive

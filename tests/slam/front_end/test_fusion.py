@@ -65,7 +65,7 @@ def many_paths(rng: np.random.Generator, paths: int) -> tuple[Snapshot, Any]:
 
 
 @pytest.mark.parametrize("seed", range(20))
-def test_each_path_is_one_measurement(seed: int) -> None:
+def test_each_path_is_one_fused_measurement(seed: int) -> None:
     given, truth = many_paths(np.random.default_rng(seed), 4)
     fusion = Fusion(setup(), FrontEndOptions())
     measurements = fusion.fuse(given)
@@ -126,7 +126,7 @@ def test_a_link_measures_a_path_once() -> None:
     assert measurements.of.tolist() == [0, 1, 1]
 
 
-def test_without_sharing_every_measurement_is_a_measurement() -> None:
+def test_without_sharing_no_measurement_is_fused() -> None:
     given, _ = many_paths(np.random.default_rng(0), 3)
     fusion = Fusion(setup(), FrontEndOptions(sharing="none"))
     measurements = fusion.fuse(given)
@@ -198,7 +198,7 @@ def test_an_answer_names_measurements_and_their_links() -> None:
     assert answer.vts.link.tolist() == [0, 6]
 
 
-def test_detection_and_clutter_are_those_of_measurements() -> None:
+def test_detection_and_clutter_are_those_of_fused_measurements() -> None:
     options = FrontEndOptions(detection_probability=0.5, clutter_density=1e-3)
     seen = Fusion(setup([0, 0, 1, 1], [0, 1, 0, 1]), options).options
     assert seen.detection_probability == pytest.approx(0.75)

@@ -80,7 +80,7 @@ def test_what_a_lost_vt_was_worth_remains(mixture: Mixture) -> None:
     assert mixture.influence.worth.shape == (2, 0)
 
 
-def test_a_vt_begun_at_a_measurement_at_another_is_of_its_path(mixture: Mixture) -> None:
+def test_a_vt_that_begins_with_a_measurement_of_another_is_of_its_path(mixture: Mixture) -> None:
     """The second filter takes the measurement 51 for a new VT, the first for VT 7; of measurement 50 neither has
     one."""
     put(mixture, 0, {7: 2.0})

@@ -11,7 +11,7 @@ WHITE, DIFFUSE = OPTIONS.index("noise_m"), OPTIONS.index("diffuse_m")
 
 
 def sizes_of_measurements(white_share: np.ndarray, excess: np.ndarray) -> Sizes:
-    """FusedMeasurements of an innovation of which white noise has a share (n,), the rest is diffuse, and whose square
+    """Measurements of an innovation of which white noise has a share (n,), the rest is diffuse, and whose square
     exceeds what is expected by `excess` (n,): slope and information of the variances' logarithms, by hand."""
     shares = {WHITE: white_share, DIFFUSE: 1.0 - white_share}
     slope, information, in_common = np.zeros((3, len(OPTIONS)))
