@@ -16,6 +16,7 @@ TOOLS = {
     "monte-carlo": "time sweeps: rates, overhead, tables",
     "fastslam": "what FastSLAM costs by particles, states and groups, beside its ratio to the bound",
     "preset-facts": "what a preset gives, measured with the ray tracer, into its file",
+    "supported": "run the tests with each Python, and with the lowest and the newest dependencies",
     "lines": "count lines of code, room by room",
 }
 
