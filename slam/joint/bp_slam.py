@@ -26,10 +26,10 @@ from typing import ClassVar, Literal
 
 from pydantic import Field
 
-from cellslam.slam.front_end.visibility import transitions
 from cellslam.slam.joint.ekf_slam import JointFilter
 from cellslam.slam.joint.ekf_slam_options import EkfSlamOptions
 from cellslam.slam.joint.state.layout import BELIEF, Existence, Rules
+from cellslam.slam.measurements.visibility import transitions
 
 
 class BpSlamOptions(EkfSlamOptions):

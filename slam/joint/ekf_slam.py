@@ -47,10 +47,6 @@ from cellslam.sim.frames.frames_kernel import wrap
 from cellslam.sim.recording import Floats, Ints, Links, OdometryModel
 from cellslam.slam import warm_up
 from cellslam.slam.api import Estimate, Setup, Snapshot, VtEstimate
-from cellslam.slam.front_end.fusion import FusedMeasurements, Fusion
-from cellslam.slam.front_end.measurement_noise import first_of_link
-from cellslam.slam.front_end.readings import Readings, novelty, white_readings
-from cellslam.slam.front_end.visibility import existence
 from cellslam.slam.joint.calibration_states import begin_with, found
 from cellslam.slam.joint.ekf_slam_options import EkfSlamOptions
 from cellslam.slam.joint.map_states import Box, Observed, Remembered, map_after
@@ -74,6 +70,10 @@ from cellslam.slam.joint.state.layout import (
     Rules,
     one_of,
 )
+from cellslam.slam.measurements.fusion import FusedMeasurements, Fusion
+from cellslam.slam.measurements.measurement_noise import first_of_link
+from cellslam.slam.measurements.readings import Readings, novelty, white_readings
+from cellslam.slam.measurements.visibility import existence
 from cellslam.slam.model.calibration import Calibration
 from cellslam.slam.model.vt_map import VtMap
 

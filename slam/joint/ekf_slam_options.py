@@ -8,11 +8,11 @@ from typing import Self
 
 from pydantic import Field, model_validator
 
-from cellslam.slam.front_end.front_end_options import FrontEndOptions
+from cellslam.slam.measurements.measurement_options import MeasurementOptions
 from cellslam.slam.model.calibration import Calibration
 
 
-class EkfSlamOptions(FrontEndOptions):
+class EkfSlamOptions(MeasurementOptions):
     """What a scenario may set under `estimator.ekf-slam`, as under every filter with one joint covariance."""
 
     gate: float = Field(

@@ -216,7 +216,7 @@ class Measured(NamedTuple):
 
     `born`: identity of measurement 0 as a VT; `first` (L + 1,): first measurement of each link; `site_of` (L,); `given`
     (m,): true VT of each measurement in mode KNOWN_ASSOCIATION; `z` (m, 3): in m and rad, NaN where not measured; `gap`
-    (m,): what the log-density of clutter is greater by; `tables` (2, 2, H): see `front_end.visibility.existence`.
+    (m,): what the log-density of clutter is greater by; `tables` (2, 2, H): see `measurements.visibility.existence`.
     """
 
     now: int

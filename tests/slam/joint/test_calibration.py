@@ -19,13 +19,13 @@ from cellslam.sim.errors import InputError
 from cellslam.sim.recording import Floats, Recording
 from cellslam.slam.api import odometry_of, setup_of, snapshots_of
 from cellslam.slam.dead_reckoning import DeadReckoning
-from cellslam.slam.front_end.fusion import Fusion
-from cellslam.slam.front_end.readings import white_readings
 from cellslam.slam.joint.calibration_states import begin_with, found
 from cellslam.slam.joint.ekf_slam import EkfSlam
 from cellslam.slam.joint.ekf_slam_options import EkfSlamOptions
 from cellslam.slam.joint.state.layout import one_of
 from cellslam.slam.joint.state.states_kernel import leave
+from cellslam.slam.measurements.fusion import Fusion
+from cellslam.slam.measurements.readings import white_readings
 from cellslam.slam.model.calibration import Calibration
 from cellslam.slam.model.field_kernel import loads
 

@@ -18,9 +18,9 @@ from cellslam.sim.recording import Recording
 from cellslam.slam.api import setup_of, snapshots_of
 from cellslam.slam.conformance import EstimatorConformance
 from cellslam.slam.conformance.subject import tiny_drive
-from cellslam.slam.front_end.front_end_options import NOTHING_PERSISTS
 from cellslam.slam.joint.ekf_slam import EkfSlam
 from cellslam.slam.joint.ekf_slam_options import EkfSlamOptions
+from cellslam.slam.measurements.measurement_options import NOTHING_PERSISTS
 from cellslam.slam.oracles import KnownAssociation, KnownMap
 
 WHITE = {

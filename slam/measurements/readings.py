@@ -13,9 +13,9 @@ import numpy as np
 
 from cellslam.sim.described import Described
 from cellslam.sim.recording import Floats, Ints
-from cellslam.slam.front_end.front_end_options import FrontEndOptions
-from cellslam.slam.front_end.fusion import FusedMeasurements
-from cellslam.slam.front_end.readings_kernel import Persisting, combine, repeats, share_new, white_variances
+from cellslam.slam.measurements.fusion import FusedMeasurements
+from cellslam.slam.measurements.measurement_options import MeasurementOptions
+from cellslam.slam.measurements.readings_kernel import Persisting, combine, repeats, share_new, white_variances
 
 # Widths in distance (m), azimuth and elevation (rad) over which clutter lies about paths: what a missing component
 # takes off its density.
@@ -43,7 +43,7 @@ class Readings(Described):
 
 
 def readings(
-    measurements: FusedMeasurements, port_of: Ints, options: FrontEndOptions, turn_rad: float, moved_m: float
+    measurements: FusedMeasurements, port_of: Ints, options: MeasurementOptions, turn_rad: float, moved_m: float
 ) -> Readings:
     """Return a snapshot's measurements with their variances; since the last one the vehicle has turned and moved so
     far.
@@ -59,7 +59,7 @@ def readings(
 
 
 def white_readings(
-    measurements: FusedMeasurements, options: FrontEndOptions, turn_rad: float, moved_m: float
+    measurements: FusedMeasurements, options: MeasurementOptions, turn_rad: float, moved_m: float
 ) -> Readings:
     """Return a snapshot's measurements for a filter that has the errors that persist as states: these are white but for
     those, and `single` has the diffuse error and the sway, too, which are not known before the update.
@@ -85,7 +85,7 @@ def white_readings(
     return Readings(z, single, many, fresh, gap, merged * often)
 
 
-def novelty(options: FrontEndOptions, turn_rad: float, moved_m: float) -> float:
+def novelty(options: MeasurementOptions, turn_rad: float, moved_m: float) -> float:
     """Return how much of what a snapshot shows the last one has not shown: 1 where all errors are white.
 
     The variance of one measurement over that with which an update counts, as `combine` has them for a lone path, mean

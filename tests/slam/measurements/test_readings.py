@@ -5,15 +5,17 @@ import pytest
 
 from cellslam.sim.recording import Links, OdometryModel, Sites
 from cellslam.slam.api import Setup, Snapshot
-from cellslam.slam.front_end.front_end_options import FrontEndOptions
-from cellslam.slam.front_end.fusion import Fusion
-from cellslam.slam.front_end.readings import Readings, novelty, readings
-from cellslam.slam.front_end.readings_kernel import count_sharers
+from cellslam.slam.measurements.fusion import Fusion
+from cellslam.slam.measurements.measurement_options import MeasurementOptions
+from cellslam.slam.measurements.readings import Readings, novelty, readings
+from cellslam.slam.measurements.readings_kernel import count_sharers
 
 ROWS = [(0, 100.0, 0.1, 0.1), (1, 100.1, 0.1, 0.1), (2, 100.0, 1.0, 0.1)]
 
 
-def read(rows: list[tuple[int, float, float, float]], options: FrontEndOptions, turn: float, moved: float) -> Readings:
+def read(
+    rows: list[tuple[int, float, float, float]], options: MeasurementOptions, turn: float, moved: float
+) -> Readings:
     """Measurements (link, distance, azimuth, elevation) of three links of one site, which has one port."""
     zero, one = np.zeros(6), np.zeros(3, np.int64)
     setup = Setup(
@@ -35,7 +37,7 @@ def test_links_that_measure_one_path_are_counted() -> None:
 
 
 def test_persisting_errors_count_once() -> None:
-    options = FrontEndOptions(sharing="none")
+    options = MeasurementOptions(sharing="none")
     fast, still = (read(ROWS, options, *move) for move in ((np.radians(90.0), 100.0), (0.0, 0.0)))
     assert np.all(fast.many[:2, 1:] > fast.single[:2, 1:])
     np.testing.assert_allclose(fast.many[2, 1:], fast.single[2, 1:])
@@ -45,9 +47,9 @@ def test_persisting_errors_count_once() -> None:
 
 
 def test_novelty_is_what_the_last_snapshot_has_not_shown() -> None:
-    white = FrontEndOptions(diffuse_scale_m=0.0, calibration_scale_deg=0.0, roof_scale_deg=0.0)
+    white = MeasurementOptions(diffuse_scale_m=0.0, calibration_scale_deg=0.0, roof_scale_deg=0.0)
     assert novelty(white, 0.0, 0.08) == pytest.approx(1.0)
-    usual = FrontEndOptions()
+    usual = MeasurementOptions()
     standing, straight, turning = (novelty(usual, *move) for move in ((0.0, 0.0), (0.0, 0.08), (0.02, 0.08)))
     assert 0.0 < standing < 1e-4 < straight < 0.02 < turning < 0.5
     # As an update of a lone path counts it, which is seen with one port.

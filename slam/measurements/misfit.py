@@ -17,9 +17,9 @@ import numpy as np
 
 from cellslam.sim.recording import Floats
 from cellslam.slam.api import Estimate
-from cellslam.slam.front_end.front_end_options import FrontEndOptions
-from cellslam.slam.front_end.misfit_kernel import compare
-from cellslam.slam.front_end.readings import Readings
+from cellslam.slam.measurements.measurement_options import MeasurementOptions
+from cellslam.slam.measurements.misfit_kernel import compare
+from cellslam.slam.measurements.readings import Readings
 
 WEIGHT = 15.0  # directions that the expectation counts for at the start
 
@@ -27,7 +27,7 @@ WEIGHT = 15.0  # directions that the expectation counts for at the start
 class Misfit:
     """Squared errors over their variances, of azimuth and elevation, as lately seen, and how many: `sums` (2, 2)."""
 
-    def __init__(self, options: FrontEndOptions) -> None:
+    def __init__(self, options: MeasurementOptions) -> None:
         """Begin with what is expected."""
         self._scale_s = options.misfit_scale_s
         self.sums = np.full((2, 2), WEIGHT)

@@ -22,7 +22,7 @@ MOST_REPEATS = 1e5  # standing still, an error that persists is never redrawn: n
 class Persisting(NamedTuple):
     """Errors that persist: variances (3,) in m^2 and rad^2 of those of place, in every port and alike in all links of
     a port that see the same path, and of those of direction, in all paths from about one direction; the scales (4,)
-    over which they persist (see `FrontEndOptions.scales`)."""
+    over which they persist (see `MeasurementOptions.scales`)."""
 
     place: Floats
     direction: Floats

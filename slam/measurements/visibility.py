@@ -9,7 +9,7 @@ from __future__ import annotations
 import numpy as np
 
 from cellslam.sim.recording import Floats
-from cellslam.slam.front_end.front_end_options import FrontEndOptions
+from cellslam.slam.measurements.measurement_options import MeasurementOptions
 
 HORIZON = 4096  # snapshots for which the chance of being visible is tabulated
 
@@ -27,12 +27,12 @@ def visibility(first: float, stay: float, back: float, detection: float, length:
     return out
 
 
-def transitions(options: FrontEndOptions, interval_s: float) -> tuple[float, float]:
+def transitions(options: MeasurementOptions, interval_s: float) -> tuple[float, float]:
     """Return the probabilities that in an interval a visible VT stays so, and that a hidden one comes back."""
     return float(np.exp(-interval_s / options.visible_s)), float(-np.expm1(-interval_s / options.hidden_s))
 
 
-def existence(options: FrontEndOptions, interval_s: float) -> tuple[Floats, int, int]:
+def existence(options: MeasurementOptions, interval_s: float) -> tuple[Floats, int, int]:
     """Return log tables (2, 2, HORIZON) of P(visible and detected) and P(missed), and ages at which to drop VTs.
 
     First index: VTs detected once, others. A VT is visible or hidden, a two-state Markov chain; a visible one is

@@ -17,8 +17,8 @@ import numpy as np
 
 from cellslam.sim.recording import Floats
 from cellslam.slam.api import Estimate, Setup, Snapshot
-from cellslam.slam.front_end.attitude_kernel import level, observe
-from cellslam.slam.front_end.front_end_options import FrontEndOptions
+from cellslam.slam.measurements.attitude_kernel import level, observe
+from cellslam.slam.measurements.measurement_options import MeasurementOptions
 
 Seen = TypeVar("Seen", bound=Snapshot)
 
@@ -26,7 +26,7 @@ Seen = TypeVar("Seen", bound=Snapshot)
 class Attitude:
     """Belief on pitch and roll: `mean` (2,) in rad, `covariance` (2, 2)."""
 
-    def __init__(self, options: FrontEndOptions, setup: Setup) -> None:
+    def __init__(self, options: MeasurementOptions, setup: Setup) -> None:
         """Begin level. What the odometry or the start says of pitch and roll belongs to the pose: then this is off."""
         model = setup.odometry_model
         seen = np.concatenate([model.noise_density[4:], model.bias[4:], setup.start_std[4:], setup.start_pose[4:]])

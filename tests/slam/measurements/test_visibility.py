@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from cellslam.slam.front_end.front_end_options import FrontEndOptions
-from cellslam.slam.front_end.visibility import existence, visibility
+from cellslam.slam.measurements.measurement_options import MeasurementOptions
+from cellslam.slam.measurements.visibility import existence, visibility
 
 
 def test_visibility_falls_with_misses_and_comes_back_for_known_vts():
@@ -16,6 +16,6 @@ def test_visibility_falls_with_misses_and_comes_back_for_known_vts():
         (0.99 * 0.1 / (1 - 0.99 * 0.9)) * 0.99 + (1 - 0.99 * 0.1 / (1 - 0.99 * 0.9)) * 0.01
     )
     assert 0.005 < known[-1] < 0.02
-    logs, age_once, age_twice = existence(FrontEndOptions(), 0.075)
+    logs, age_once, age_twice = existence(MeasurementOptions(), 0.075)
     assert np.all(logs <= 0.0)
     assert 0 < age_once < age_twice

@@ -9,11 +9,11 @@ import numpy as np
 
 from cellslam.sim.recording import Floats, Ints
 from cellslam.slam.api import Snapshot
-from cellslam.slam.front_end.front_end_options import FrontEndOptions
-from cellslam.slam.front_end.readings_kernel import scaled
+from cellslam.slam.measurements.measurement_options import MeasurementOptions
+from cellslam.slam.measurements.readings_kernel import scaled
 
 
-def white(snapshot: Snapshot, options: FrontEndOptions) -> Floats:
+def white(snapshot: Snapshot, options: MeasurementOptions) -> Floats:
     """Return the white variances (m, 3) of distance (m^2), azimuth and elevation (rad^2) of a snapshot's measurements.
 
     With noise_model "claimed" the front end's own deviations are taken where it gives them, less the errors that

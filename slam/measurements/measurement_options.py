@@ -38,7 +38,7 @@ NOTHING_PERSISTS = {
 MERGED = 0.1  # of the roof's variance: what paths that merge do to directions
 
 
-class FrontEndOptions(BaseModel):
+class MeasurementOptions(BaseModel):
     """The options that map builders share; defaults for the statistical LTE front end."""
 
     model_config = ConfigDict(frozen=True, extra="forbid")

@@ -17,11 +17,11 @@ from scipy.special import binom
 
 from cellslam.sim.recording import Floats, Ints, Links
 from cellslam.slam.api import Estimate, Setup, Snapshot, VtEstimate
-from cellslam.slam.front_end.front_end_options import FrontEndOptions
-from cellslam.slam.front_end.fusion_kernel import taken_together
-from cellslam.slam.front_end.measurement_noise import white
+from cellslam.slam.measurements.fusion_kernel import taken_together
+from cellslam.slam.measurements.measurement_noise import white
+from cellslam.slam.measurements.measurement_options import MeasurementOptions
 
-Options = TypeVar("Options", bound=FrontEndOptions)
+Options = TypeVar("Options", bound=MeasurementOptions)
 
 MANY = 3  # links of a site from which on their number decides whether a fused measurement may begin a VT
 COINCIDENCE = 0.1  # probability that clutter of a link has clutter of one more link beside it
