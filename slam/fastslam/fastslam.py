@@ -76,7 +76,6 @@ from cellslam.slam.joint.state.layout import (
     Block,
     Filter,
     Measured,
-    Rules,
     block_of,
     one_of,
 )
@@ -129,11 +128,6 @@ class FastSlam(JointFilter):
         other = super()._alike(**changes)
         other.parts = self.parts
         return other
-
-    def _rules(self, common: Rules, dt_s: float) -> Rules:
-        """Leave second hypotheses to the association part."""
-        del dt_s
-        return common._replace(association=common.association._replace(rival_loss=0.0))
 
     @property
     def _drawn_blocks(self) -> int:

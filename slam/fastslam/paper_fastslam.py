@@ -53,9 +53,8 @@ from cellslam.slam import warm_up
 from cellslam.slam.api import Estimate, Setup, Snapshot, VtEstimate
 from cellslam.slam.fastslam.paper_fastslam_options import PaperFastSlamOptions
 from cellslam.slam.measurements.fusion import FusedMeasurements, Fusion
-from cellslam.slam.measurements.measurement_noise import ports_of
 from cellslam.slam.measurements.measurement_options import MeasurementOptions
-from cellslam.slam.measurements.readings import readings
+from cellslam.slam.measurements.readings import ports_of, readings
 from cellslam.slam.model import matrices_kernel as algebra
 from cellslam.slam.model.assignment_kernel import assign
 from cellslam.slam.model.matrices_kernel import Mat3, Mat32, Sym3, Vec3, dot, mat_mat, mat_mat32, mat_vec, transposed

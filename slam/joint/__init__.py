@@ -1,4 +1,4 @@
-"""The joint EKF: one covariance over vehicle, VTs and errors that persist; association nearest, hypotheses, or belief.
+"""The joint EKF: one covariance over vehicle, VTs and errors that persist; association nearest, or belief.
 
 `ekf_slam` has the filter and its equations, `bp_slam` the one whose association is belief propagation, `wall_slam` the
 one that knows walls (`walls/`). `start` is a Gaussian sum over clock offsets, `mixture` filters side by side,

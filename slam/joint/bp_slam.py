@@ -22,20 +22,19 @@ whose messages are particles; here agent, features and errors are one Gaussian.
 
 from __future__ import annotations
 
-from typing import ClassVar, Literal
+from typing import ClassVar
 
 from pydantic import Field
 
 from cellslam.slam.joint.ekf_slam import JointFilter
 from cellslam.slam.joint.ekf_slam_options import EkfSlamOptions
 from cellslam.slam.joint.state.layout import BELIEF, Existence, Rules
-from cellslam.slam.measurements.visibility import transitions
+from cellslam.slam.measurements.measurement_options import transitions
 
 
 class BpSlamOptions(EkfSlamOptions):
     """What a scenario may set under `estimator.bp-slam`."""
 
-    hypotheses: Literal[1] = Field(1, description="one Gaussian: it is the mean over all associations")
     drop_probability: float = Field(
         1e-3, gt=0, lt=1, description="an unconfirmed feature less likely to exist is dropped, a new one not kept"
     )

@@ -20,16 +20,15 @@ Recursion, for odometry u over dt with white noise of density q, and measurement
                                                                           snapshot/gauge_kernel.py: carry_over
     begin, drop VTs: augmented by the inverse of h, marginalised          snapshot/birth_kernel.py, guess_kernel.py
 
-Weight of filter i of a mixture (wide clock offsets: start.py; several hypotheses: mixture.py)
+Weight of filter i of a mixture (wide clock offsets: start.py)
     log w_i = rest_i + sum over paths of max(a_i - max_k a_k, -MOST),  a_i = max(worth_i - BIRTH, 0)
                                                                           influence.py: bounded
     worth: log-ratio of the likelihood of a path's measurements to that of clutter; rest: the prior, steps of clocks
 
 Sources: Smith, Self and Cheeseman, "Estimating uncertain spatial relationships in robotics" (1990), for the joint
 covariance; Bar-Shalom, Li and Kirubarajan (2001), section 5, for the filter; Higdon, "A process-convolution approach to
-modelling temperatures in the North Atlantic Ocean" (1998), for fields of direction as states; Reid, "An algorithm for
-tracking multiple targets", IEEE Trans. Automatic Control 24(6), 1979, for the hypotheses; measurement model and births
-are those of the extended FastSLAM (paper, section IV, corrected).
+modelling temperatures in the North Atlantic Ocean" (1998), for fields of direction as states; measurement model and
+births are those of the extended FastSLAM (paper, section IV, corrected).
 """
 
 from __future__ import annotations
@@ -71,16 +70,14 @@ from cellslam.slam.joint.state.layout import (
     one_of,
 )
 from cellslam.slam.measurements.fusion import FusedMeasurements, Fusion
-from cellslam.slam.measurements.measurement_noise import first_of_link
+from cellslam.slam.measurements.measurement_options import existence
 from cellslam.slam.measurements.readings import Readings, novelty, white_readings
-from cellslam.slam.measurements.visibility import existence
 from cellslam.slam.model.calibration import Calibration
 from cellslam.slam.model.vt_map import VtMap
 
 NOT_GIVEN, NO_VTS = -2, np.empty((0, ENTRY))
 # Accelerations of a vehicle whose odometry is silent, in m/s^2 and rad/s^2; it neither climbs nor tilts.
 HELD = np.array([0.6, 0.0, 0.0, 0.1, 0.0, 0.0])
-RIVAL = 4.0  # log-likelihood that a second association may lose against the best, to be a hypothesis of its own
 BLOCK_M, TURN = 0.6, np.radians(2.0)  # a block of snapshots ends after so long a distance or turn
 AWAY_S = 3.0  # a VT that was not seen for so long returns, if it is seen again
 AGAIN = 1.25  # filters of all sites that did not agree with the start are tried again after so many times as long
@@ -89,12 +86,7 @@ EVIDENCE = 0.0125  # least share of detections and misses that is news: what hid
 
 
 class JointFilter:
-    """What EKF-SLAM, its oracles, BP-SLAM, WALL-SLAM and FastSLAM share: one joint covariance, after a Gaussian sum.
-
-    With `hypotheses` above 1 it is a mixture of such Gaussians. One becomes two where two associations of a snapshot
-    are almost as likely and differ in what they do to the vehicle or a clock; of two that agree the likelier stays.
-    Nothing is drawn, because associations are discrete: the likeliest are kept.
-    """
+    """What EKF-SLAM, its oracles, BP-SLAM, WALL-SLAM and FastSLAM share: one joint covariance, after a Gaussian sum."""
 
     name: ClassVar[str]
     requires_truth: ClassVar[bool] = False
@@ -351,7 +343,7 @@ class JointFilter:
 
     def _go_on(self, mixture: Mixture, errors: ArrayErrors, interval: Interval, measured: Measured) -> Ints:
         """Move all filters of a mixture by an interval, and use a snapshot; return the associations (K, m)."""
-        return mixture.use(errors, interval, measured, self.options.vts, self.options.hypotheses)
+        return mixture.use(errors, interval, measured, self.options.vts)
 
     def _see(self, association: Ints, place: Floats) -> None:
         """Note from where the VTs of some measurements are seen."""
@@ -371,10 +363,11 @@ class JointFilter:
         if key not in self._by_step:
             self._by_step[key] = self._tables(step_s)
         (tables, rules), site = self._by_step[key], self._setup.links.site
+        first = np.searchsorted(measurements.link, np.arange(len(site) + 1))  # of each link, and behind the last
         news = novelty(self._fusion.options, odometry[3] * dt_s, odometry[0] * dt_s)
         rules = rules._replace(evidence=max(EVIDENCE, news), step=self._log_step)
         return Measured(
-            now=self._now, born=self._born, first=first_of_link(measurements, len(site)), site_of=site,
+            now=self._now, born=self._born, first=first, site_of=site,
             given=self._given(measurements), z=v.z, gap=v.gap, tables=tables,
             noise=Noise(single=v.single, many=v.many, merged=v.merged, diffuse=1.0 / np.sqrt(measurements.ports)),
             births=births(v.z, v.fresh, measurements.begins, self._elevation_variance), rules=rules,
@@ -388,7 +381,6 @@ class JointFilter:
             association=Association(
                 mode=self.mode, log_clutter=float(np.log(o.clutter_density)), gate=o.gate,
                 return_log_odds=math.log(o.return_odds), away=max(round(AWAY_S / step_s), 1),
-                rival_loss=RIVAL if o.hypotheses > 1 else 0.0,
             ),
             lifetime=Lifetime(
                 confirm=o.confirm_hits, age_once=once, age_twice=twice, hold=int(o.hold_s / step_s)

@@ -24,9 +24,6 @@ class EkfSlamOptions(MeasurementOptions):
         le=1e9,
         description="how likely a measurement must be of a VT unseen for 3 s, against a new one nearby",
     )
-    hypotheses: int = Field(
-        1, ge=1, le=1000, description="Gaussians kept side by side after the start at most, each with its associations"
-    )
     ground_share: float = Field(
         0.0, ge=0, le=10, description="share of the ground's reflection that merges with each path, deviation; 0: none"
     )

@@ -20,7 +20,7 @@ from cellslam.slam.joint.map_states import Remembered
 from cellslam.slam.joint.snapshot.birth_kernel import map_of
 from cellslam.slam.joint.snapshot.motion_kernel import Interval
 from cellslam.slam.joint.snapshot.sizes_kernel import SIZES
-from cellslam.slam.joint.snapshot.snapshot_kernel import Paired, advance_mixture
+from cellslam.slam.joint.snapshot.snapshot_kernel import advance_mixture
 from cellslam.slam.joint.state.layout import (
     ANCHOR,
     BELIEF,
@@ -128,28 +128,12 @@ class Mixture:
     def __len__(self) -> int:
         return len(self.log_weight)
 
-    def use(self, errors: ArrayErrors, interval: Interval, measured: Measured, most_vts: int, most: int = 1) -> Ints:
+    def use(self, errors: ArrayErrors, interval: Interval, measured: Measured, most_vts: int) -> Ints:
         """Move every filter by an interval and use a snapshot; return the associations (K, m).
 
-        Of VTs each keeps so many at most; those that make room stay in `lost` until the next snapshot. Filters that
-        have a rival association become two, as long as there are less than `most`.
+        Of VTs each keeps so many at most; those that make room stay in `lost` until the next snapshot.
         """
-        if len(self) >= most:
-            return side_by_side([self], errors, interval, measured, most_vts)[0]
-        pairs = self._unpaired(measured, most_vts)
-        together([self._work(errors, interval, measured, pairs, using=False)], [len(self)])
-        pairs = self._split_on_rivals(pairs, measured.rules.association.rival_loss, most)
-        together([self._work(errors, interval, measured, pairs, pairing=False)], [len(self)])
-        self.weigh(pairs.ident, measured)
-        return pairs.ident
-
-    def _work(
-        self, errors: ArrayErrors, interval: Interval, measured: Measured, pairs: Paired, pairing: bool = True,
-        using: bool = True,
-    ) -> Work:  # fmt: skip
-        """Return the work of pairing a snapshot in every filter, and of using it as it is paired."""
-        at = self.arrays, errors, self.blocks, interval, measured, pairs, self.influence.rest
-        return partial(advance_mixture, *at, pairing, using)
+        return side_by_side([self], errors, interval, measured, most_vts)[0]
 
     def weigh(self, association: Ints, measured: Measured) -> None:
         """Take a snapshot and its associations (K, m) into the weights."""
@@ -168,34 +152,6 @@ class Mixture:
         room = most_vts * (ROOM if guesses else 1) - _most_of(self.arrays.count)
         self.reserve(NEW_STATES + 3 * guesses, min(NEW_VTS + guesses, max(room, 0)))
         self.arrays.losses[:] = 0
-
-    def _unpaired(self, measured: Measured, most_vts: int) -> Paired:
-        """Make room for what a snapshot may bring; return room for how it is paired."""
-        self.make_room(measured, most_vts)
-        k, m, whole = len(self), len(measured.z), np.int64
-        return Paired(
-            np.empty((k, m), whole), np.empty((k, m)), np.empty((k, 1)), np.empty((k, 4), whole), np.zeros(k, whole),
-            np.full((k, m), -1),
-        )  # fmt: skip
-
-    def _split_on_rivals(self, pairs: Paired, rival_loss: float, most: int) -> Paired:
-        """Give each filter with a rival association a double that has it, the likeliest first; return all pairs."""
-        loss = pairs.loss[:, 0]
-        found = np.flatnonzero(loss < rival_loss)
-        found = found[np.argsort(loss[found] - self.log_weight[found], kind="stable")][: most - len(self)]
-        if not len(found):
-            return pairs
-        parents = np.append(np.arange(len(self)), found)
-        columns: Any = [column[parents] for column in pairs]
-        pairs = Paired(*columns)
-        self.split(found)
-        for double in range(len(self) - len(found), len(self)):
-            first, slot, second, other = pairs.change[double]
-            pairs.slot_of[double, first] = slot
-            if second >= 0:
-                pairs.slot_of[double, second] = other
-        pairs.ends[:] = 1  # of all, so that weights can be compared
-        return pairs
 
     def split(self, parents: Ints) -> None:
         """Add copies of some filters."""
@@ -349,12 +305,16 @@ def side_by_side(
 ) -> list[Ints]:
     """Use a snapshot in all filters of some mixtures, as `Mixture.use` does; return each mixture's associations (K,
     m)."""
-    pairs = [mixture._unpaired(measured, most_vts) for mixture in mixtures]
-    works = [mixture._work(errors, interval, measured, one) for mixture, one in zip(mixtures, pairs, strict=True)]
+    associations = [np.full((len(mixture), len(measured.z)), -1) for mixture in mixtures]
+    works = []
+    for mixture, association in zip(mixtures, associations, strict=True):
+        mixture.make_room(measured, most_vts)
+        at = mixture.arrays, errors, mixture.blocks, interval, measured, association, mixture.influence.rest
+        works.append(partial(advance_mixture, *at))
     together(works, [len(mixture) for mixture in mixtures])
-    for mixture, one in zip(mixtures, pairs, strict=True):
-        mixture.weigh(one.ident, measured)
-    return [one.ident for one in pairs]
+    for mixture, association in zip(mixtures, associations, strict=True):
+        mixture.weigh(association, measured)
+    return associations
 
 
 def _most_of(counts: Ints) -> int:

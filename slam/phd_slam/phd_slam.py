@@ -40,11 +40,9 @@ from cellslam.slam.api import Estimate, Setup, Snapshot, VtEstimate
 from cellslam.slam.measurements import attitude, misfit
 from cellslam.slam.measurements.attitude import Attitude
 from cellslam.slam.measurements.fusion import FusedMeasurements, Fusion
-from cellslam.slam.measurements.measurement_noise import ports_of
-from cellslam.slam.measurements.measurement_options import MeasurementOptions
+from cellslam.slam.measurements.measurement_options import MeasurementOptions, transitions
 from cellslam.slam.measurements.misfit import Misfit
-from cellslam.slam.measurements.readings import Readings, novelty, readings
-from cellslam.slam.measurements.visibility import transitions
+from cellslam.slam.measurements.readings import Readings, novelty, ports_of, readings
 from cellslam.slam.model.pose_moments import pose_moments
 from cellslam.slam.model.resampling import systematic
 from cellslam.slam.phd_slam.gaussians_kernel import (

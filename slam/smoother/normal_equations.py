@@ -16,8 +16,7 @@ from cellslam.sim.frames import rotation, rotation_angles
 from cellslam.sim.recording import Floats, Ints
 from cellslam.slam.api import Setup, Snapshot
 from cellslam.slam.measurements.fusion import Fusion
-from cellslam.slam.measurements.measurement_noise import ports_of
-from cellslam.slam.measurements.readings import readings
+from cellslam.slam.measurements.readings import ports_of, readings
 from cellslam.slam.smoother.factor_graph import Problem, Sighting
 from cellslam.slam.smoother.odometry_factors import Leg, errors_of, leg, local
 from cellslam.slam.smoother.smoother_options import SmootherOptions

@@ -180,9 +180,7 @@ def score_pairs(f: Filter, a: ArrayErrors, seen: Measured, link: int, s: Sight, 
 
 
 @lean
-def associate(f: Filter, a: ArrayErrors, seen: Measured, link: int, s: Sight, w: Pairs) -> int:
-    """Write into w.row_of (m,) the row of `chosen` for each measurement of a link, -1 none: the best sum of scores;
-    return how many rows there are."""
+def associate(f: Filter, a: ArrayErrors, seen: Measured, link: int, s: Sight, w: Pairs) -> None:
+    """Write into w.row_of (m,) the row of `chosen` for each measurement of a link, -1 none: the best sum of scores."""
     rows = score_pairs(f, a, seen, link, s, w)
     assign(w.score, rows, seen.first[link + 1] - seen.first[link], w.row_of, w.work_f, w.work_i)
-    return rows

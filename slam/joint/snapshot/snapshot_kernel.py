@@ -24,7 +24,6 @@ from cellslam.slam.joint.snapshot.gauge_kernel import carry_over
 from cellslam.slam.joint.snapshot.guess_kernel import begin, correct_guesses, possible
 from cellslam.slam.joint.snapshot.merging_kernel import expect_beside, expect_merging
 from cellslam.slam.joint.snapshot.motion_kernel import Interval, Step, forget, move
-from cellslam.slam.joint.snapshot.rival_kernel import Rival, find_rival
 from cellslam.slam.joint.snapshot.sight_kernel import Sight, coordinates, geometry, rotations_of
 from cellslam.slam.joint.snapshot.sizes_kernel import SWAY, count_motion, count_states
 from cellslam.slam.joint.snapshot.steps_kernel import expect_steps, shift_clocks, take_steps
@@ -71,19 +70,6 @@ UNLIKELY = -4.6
 PENDING = 51  # rows of what measurements take off the covariance that may wait
 
 
-class Paired(NamedTuple):
-    """How the measurements of a snapshot are paired in K filters: `slot_of` (K, m), `exists` (K, m) as in `Pairs`;
-    `loss` (K, 1) and `change` (K, 4) of the best rivals; `ends` (K,): 1 where the block ends with this snapshot; and
-    once it is used, `ident` (K, m): identities of the VTs, -1 for none."""
-
-    slot_of: Ints
-    exists: Floats
-    loss: Floats
-    change: Ints
-    ends: Ints
-    ident: Ints
-
-
 class Room(NamedTuple):
     """Room for one filter at a time."""
 
@@ -108,9 +94,8 @@ def advance(f: Filter, b: Block, interval: Interval, w: Step) -> None:
 
 
 @lean
-def pair(f: Filter, a: ArrayErrors, seen: Measured, s: Sight, w: Pairs, rival: Rival) -> None:
-    """Write into w.slot_of (m,) the VT of each measurement: FRESH for what may begin one, TAKEN for what may not; and
-    into `rival` the best other association."""
+def pair(f: Filter, a: ArrayErrors, seen: Measured, s: Sight, w: Pairs) -> None:
+    """Write into w.slot_of (m,) the VT of each measurement: FRESH for what may begin one, TAKEN for what may not."""
     for link in range(len(seen.first) - 1):
         start, stop = seen.first[link], seen.first[link + 1]
         if f.links[link] == 0:
@@ -124,8 +109,7 @@ def pair(f: Filter, a: ArrayErrors, seen: Measured, s: Sight, w: Pairs, rival: R
         elif seen.rules.association.mode == BELIEF:
             believe(f, a, seen, link, s, w)
         elif stop > start:
-            rows = associate(f, a, seen, link, s, w)
-            find_rival(f, a, seen, link, rows, s, w, rival)
+            associate(f, a, seen, link, s, w)
             for k in range(start, stop):
                 row = w.row_of[k - start]
                 w.slot_of[k] = w.chosen[row] if row >= 0 else (TAKEN if w.gated[k - start] == 1 else FRESH)
@@ -342,37 +326,29 @@ def ends(b: Block, rules: Rules) -> bool:
 
 @njit(cache=True, nogil=True)
 def advance_mixture(
-    mixture: Filter, a: ArrayErrors, blocks: Block, interval: Interval, seen: Measured, pairs: Paired, rest: Floats,
-    pairing: bool, using: bool, first: int, step: int,
+    mixture: Filter, a: ArrayErrors, blocks: Block, interval: Interval, seen: Measured, association: Ints,
+    rest: Floats, first: int, step: int,
 ) -> None:  # fmt: skip
-    """Go on with every `step`-th of the K filters of a mixture, from the first on: by `pairing`, move it, and pair a
-    snapshot's measurements with its VTs; by `using`, use the snapshot as it is paired.
+    """Go on with every `step`-th of the K filters of a mixture, from the first on: move it, pair a snapshot's
+    measurements with its VTs, and use the snapshot as it is paired.
 
-    To `rest` (K,) is added what is in the log-weights beside the worth of VTs.
+    association (K, m), written: identities of the VTs, -1 for none. To `rest` (K,) is added what is in the log-weights
+    beside the worth of VTs.
     """
-    room, rules = new_room(one_of(mixture, 0), len(seen.z), PENDING), seen.rules
-    w = room.pairs
+    room = new_room(one_of(mixture, 0), len(seen.z), PENDING)
+    s, w, p = room.sight, room.pairs, room.pending
     for k in range(first, len(rest), step):
         f, b = one_of(mixture, k), block_of(blocks, k)
-        if pairing:
-            rival = Rival(pairs.loss[k], pairs.change[k])
-            if interval.dt > 0.0:
-                advance(f, b, interval, room.step)
-            rival.loss[0] = rules.association.rival_loss
-            pair(f, a, seen, room.sight, w, rival)
-            if shift_clocks(f, b, a, seen, room.sight, w):
-                rival.loss[0] = rules.association.rival_loss
-                pair(f, a, seen, room.sight, w, rival)
-            put(pairs.slot_of[k], w.slot_of)
-            put(pairs.exists[k], w.exists)
-        if using:
-            put(w.slot_of, pairs.slot_of[k])
-            put(w.exists, pairs.exists[k])
-            count_odds(f, b, seen, w)
-            take_in(f, b, seen, pairs.ident[k], room.sight, w)
-            give_births(f, a, b, seen, pairs.ident[k], room.sight, w, room.pending)
-            if ends(b, rules) or pairs.ends[k] == 1:
-                rest[k] += conclude(f, a, b, interval.noise, seen, room.sight, room.pending)
+        if interval.dt > 0.0:
+            advance(f, b, interval, room.step)
+        pair(f, a, seen, s, w)
+        if shift_clocks(f, b, a, seen, s, w):
+            pair(f, a, seen, s, w)
+        count_odds(f, b, seen, w)
+        take_in(f, b, seen, association[k], s, w)
+        give_births(f, a, b, seen, association[k], s, w, p)
+        if ends(b, seen.rules):
+            rest[k] += conclude(f, a, b, interval.noise, seen, s, p)
 
 
 @part

@@ -130,7 +130,7 @@ class Association(NamedTuple):
 
     `mode`: what they may do to the map (FREE and so on); `log_clutter`: log of the clutter density; `gate`: squared
     Mahalanobis distance; `return_log_odds`: least log-odds that a measurement is of a VT which was last seen more than
-    `away` snapshots ago, not of another one nearby; `rival_loss`: log-likelihood that a rival association may lose.
+    `away` snapshots ago, not of another one nearby.
     """
 
     mode: int
@@ -138,7 +138,6 @@ class Association(NamedTuple):
     gate: float
     return_log_odds: float
     away: int
-    rival_loss: float = 0.0
 
 
 class Lifetime(NamedTuple):
@@ -216,7 +215,7 @@ class Measured(NamedTuple):
 
     `born`: identity of measurement 0 as a VT; `first` (L + 1,): first measurement of each link; `site_of` (L,); `given`
     (m,): true VT of each measurement in mode KNOWN_ASSOCIATION; `z` (m, 3): in m and rad, NaN where not measured; `gap`
-    (m,): what the log-density of clutter is greater by; `tables` (2, 2, H): see `measurements.visibility.existence`.
+    (m,): what the log-density of clutter is greater by; `tables` (2, 2, H): see `measurement_options.existence`.
     """
 
     now: int

@@ -15,7 +15,6 @@ from cellslam.sim.errors import InputError
 from cellslam.sim.recording import Floats, Links, OdometryModel, Recording, Sites
 from cellslam.slam.api import Estimate, Setup, odometry_of, setup_of, snapshots_of
 from cellslam.slam.joint.ekf_slam import EkfSlam
-from cellslam.slam.joint.ekf_slam_options import EkfSlamOptions
 from cellslam.slam.joint.map_states import WIDENED, Observed, Remembered, map_after, standing
 from cellslam.slam.joint.map_trial import MapTrial
 from cellslam.slam.joint.mixture import core_of, new_mixture
@@ -261,13 +260,3 @@ def test_what_is_gone_is_forgotten(drives: list[Recording], maps: list[VtMap]) -
     assert once is not None and once.missed.max() == 1
     twice = driven(drives[1], once)[0].vt_map()
     assert twice is not None and twice.missed.max() == 0 and len(twice) == len(once) - 1
-
-
-def test_hypotheses_use_and_leave_a_map(drives: list[Recording], maps: list[VtMap]) -> None:
-    estimator = EkfSlam(EkfSlamOptions(hypotheses=1000))
-    estimator.start(setup_of(drives[1], known=maps[0]), RNG)
-    dt_s, odometry = np.diff(drives[1].time_s, prepend=drives[1].time_s[0]), odometry_of(drives[1])
-    for step in list(zip(dt_s.tolist(), odometry, snapshots_of(drives[1]), strict=True))[:40]:
-        estimator.step(*step)
-    after = estimator.vt_map()
-    assert after is not None and after.hits.sum() > maps[0].hits.sum()

@@ -19,10 +19,10 @@ from cellslam.slam.measurements.fusion import (
     FusedMeasurements,
     Fusion,
     clutter_log_ratios,
+    white,
 )
-from cellslam.slam.measurements.measurement_noise import ports_of, white
 from cellslam.slam.measurements.measurement_options import MeasurementOptions
-from cellslam.slam.measurements.readings import readings
+from cellslam.slam.measurements.readings import ports_of, readings
 
 SITE = np.repeat([0, 1], 6)
 PORT = np.tile([0, 1], 6)

@@ -7,8 +7,7 @@ from cellslam.sim.recording import Links, OdometryModel, Sites
 from cellslam.slam.api import Setup, Snapshot
 from cellslam.slam.measurements.fusion import Fusion
 from cellslam.slam.measurements.measurement_options import MeasurementOptions
-from cellslam.slam.measurements.readings import Readings, novelty, readings
-from cellslam.slam.measurements.readings_kernel import count_sharers
+from cellslam.slam.measurements.readings import Readings, count_sharers, novelty, readings
 
 ROWS = [(0, 100.0, 0.1, 0.1), (1, 100.1, 0.1, 0.1), (2, 100.0, 1.0, 0.1)]
 

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from cellslam.slam.measurements.readings_kernel import crowd, repeats
+from cellslam.slam.measurements.readings import crowd, repeats
 
 
 def test_directions_that_crowd_share_their_error():

@@ -3,8 +3,7 @@
 import numpy as np
 import pytest
 
-from cellslam.slam.measurements.measurement_options import MeasurementOptions
-from cellslam.slam.measurements.visibility import existence, visibility
+from cellslam.slam.measurements.measurement_options import MeasurementOptions, existence, visibility
 
 
 def test_visibility_falls_with_misses_and_comes_back_for_known_vts():
