@@ -59,7 +59,7 @@ class FastSlamKnownAssociation(FastSlam):
 
     def _hypotheses(self, f: Filter, measured: Measured, scores: Scores) -> list[Ints]:
         link = np.repeat(np.arange(len(measured.first) - 1), np.diff(measured.first))
-        known = f.slots[: int(f.count[0])]
+        known = f.vts.slots[: int(f.count[0])]
         same = (known[:, IDENT] == measured.given[:, None]) & (known[:, LINK] == link[:, None])
         return [np.where(same.any(axis=1), same.argmax(axis=1) if len(known) else 0, FRESH)]
 

@@ -12,13 +12,13 @@ Recursion, for odometry u over dt with white noise of density q, and measurement
                 P <- F P F^T + L diag(q^2 / dt) L^T                       _spread; clock offsets: _drift
     pair        e = z - h(x),  S = H P H^T + Q,  score log N(e; 0, S) p / ((1 - p) clutter),  p: of being detected
                 the best sum of scores of one-to-one pairs                snapshot/association_kernel.py: associate
-                in place of it: marginals of all associations (BP-SLAM)   snapshot/belief_kernel.py: believe
+                in place of it: marginals of all associations (BP-SLAM)   snapshot/association_kernel.py: believe
     average     e of each VT over a block of at most 0.6 s                snapshot/snapshot_kernel.py: take_in
     update      S = R R^T,  G = R^-1 H P,  x <- x + G^T R^-1 e,  P <- P - G^T G
                                                                           snapshot/update_kernel.py: correct, add_up
     carry over  P to the new estimate, in directions that nothing measured shows
                                                                           snapshot/gauge_kernel.py: carry_over
-    begin, drop VTs: augmented by the inverse of h, marginalised          snapshot/birth_kernel.py, guess_kernel.py
+    begin, drop VTs: augmented by the inverse of h, marginalised          snapshot/birth_kernel.py
 
 Weight of filter i of a mixture (wide clock offsets: start.py)
     log w_i = rest_i + sum over paths of max(a_i - max_k a_k, -MOST),  a_i = max(worth_i - BIRTH, 0)
@@ -50,13 +50,13 @@ from cellslam.slam.joint.calibration_states import begin_with, found
 from cellslam.slam.joint.ekf_slam_options import EkfSlamOptions
 from cellslam.slam.joint.map_states import Box, Observed, Remembered, map_after
 from cellslam.slam.joint.map_trial import MapTrial
-from cellslam.slam.joint.mixture import LONGEST, MOST_STATES, Mixture, core_of, new_mixture, vt_estimate
+from cellslam.slam.joint.mixture import Mixture, vt_estimate
+from cellslam.slam.joint.new_filters import LONGEST, MOST_STATES, array_errors, core_of, new_mixture
 from cellslam.slam.joint.sizes import Sizes, growth, sizes_of
 from cellslam.slam.joint.snapshot import snapshot_kernel
-from cellslam.slam.joint.snapshot.guess_kernel import births
+from cellslam.slam.joint.snapshot.birth_kernel import births
 from cellslam.slam.joint.snapshot.motion_kernel import Interval
-from cellslam.slam.joint.start import STATES, Start, begin
-from cellslam.slam.joint.state.array_errors import array_errors
+from cellslam.slam.joint.start import START_STATES, Start, begin
 from cellslam.slam.joint.state.layout import (
     ENTRY,
     FREE,
@@ -175,7 +175,7 @@ class JointFilter:
         """What the likeliest filters have of `surprise` (2,)."""
         mixtures = self._start.mixtures if self._start is not None else [self._joint] if self._joint is not None else []
         return np.asarray(
-            np.sum([mixture.arrays.surprise[int(np.argmax(mixture.log_weight))] for mixture in mixtures], axis=0)
+            np.sum([mixture.arrays.learnt.surprise[int(np.argmax(mixture.log_weight))] for mixture in mixtures], axis=0)
         )
 
     def _step(self, dt_s: float, odometry: Floats, snapshot: Snapshot) -> Estimate:
@@ -302,7 +302,7 @@ class JointFilter:
             raise RuntimeError("step() was called before start()")
         best, offsets = int(np.argmax(mixture.log_weight)), self._core.offsets
         mean, cov = mixture.moments()
-        if self._vts is None or not mixture.blocks.snapshots[0, 0]:  # VTs move as a block ends
+        if self._vts is None or not mixture.blocks.track.snapshots[0, 0]:  # VTs move as a block ends
             self._vts = self._map([(mixture, best)])
         variance = np.maximum(np.diag(cov)[offsets], 0.0)
         return _estimate(mean, cov, association[best].copy(), mean[offsets], variance, self._vts)
@@ -312,7 +312,7 @@ class JointFilter:
         has shown one to be likelier they go through again."""
         self._seen, self._archive, self._vts = {}, NO_VTS, None
         std = np.minimum(self._setup.sites.clock_offset_std_m, self.options.component_std_m)
-        states = MOST_STATES if len(offsets_m) == 1 else STATES
+        states = MOST_STATES if len(offsets_m) == 1 else START_STATES
         self._joint = new_mixture(self._setup, self._core, self._errors, offsets_m, std, self.options.vts, states)
         self._install(self._joint)
         if self.options.known_calibration is not None:
@@ -334,7 +334,7 @@ class JointFilter:
         if len(lost):
             self._archive = np.concatenate([self._archive, lost])
         self._see(association[best], mixture.arrays.x[best, :2])
-        if len(mixture) > 1 and not mixture.blocks.snapshots[0, 0]:
+        if len(mixture) > 1 and not mixture.blocks.track.snapshots[0, 0]:
             kept = np.sort(mixture.apart(slice(0, self._core.size), self.options.prune_ratio, more=True))
             if len(kept) < len(mixture):
                 mixture.keep(kept)

@@ -1,4 +1,4 @@
-"""The measurement model h, its Jacobians, and births: used by every estimator and by the bound.
+"""The measurement model h and its Jacobians: used by every estimator and by the bound.
 
 h(r, v) = (distance, azimuth, elevation) of VT v seen from pose r, without clock offset. With the offset b of its site a
 measurement is z = h(r, v) + (b, 0, 0) + noise. Azimuth and its Jacobian have no limit straight above the array: the
@@ -11,7 +11,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike
 
-from cellslam.sim.frames import rotation, unit_vector, world_to_body
+from cellslam.sim.frames import rotation, world_to_body
 from cellslam.sim.recording import Floats
 
 LEAST_FLAT_M = 1e-3
@@ -41,19 +41,6 @@ def jacobians(pose: ArrayLike, vt: ArrayLike) -> tuple[Floats, Floats]:
     turned = [np.einsum("...ji,...j->...i", dr, world) for dr in _rotation_derivatives(pose_b)]
     d_angles = to_spherical @ np.stack(turned, axis=-1)
     return d_vt, np.concatenate([-d_vt, d_angles], axis=-1)
-
-
-def birth(pose: ArrayLike, distance_m: ArrayLike, azimuth_rad: ArrayLike, elevation_rad: ArrayLike) -> Floats:
-    """Return the VT (..., 3) in m that a measurement points to: inverse of `predict`; `distance_m` without clock
-    offset.
-
-    pose (..., 6); the measurement's components (...,).
-    """
-    p = np.asarray(pose, np.float64)
-    body = np.asarray(distance_m, np.float64)[..., None] * unit_vector(azimuth_rad, elevation_rad)
-    r = rotation(p[..., 3], p[..., 4], p[..., 5])
-    world: Floats = p[..., :3] + np.einsum("...ij,...j->...i", r, body)
-    return world
 
 
 def _spherical_jacobian(body: Floats) -> Floats:

@@ -73,12 +73,12 @@ def _move_particles(f: Filter, interval: Interval) -> None:
 
     Called before the mean's pose moves, whose next value is computed here, too.
     """
-    x, d, dt, half = f.x, f.deviation, interval.dt, 0.5 * interval.dt
-    if len(f.weight) == 0:
+    x, d, dt, half = f.x, f.particles.deviation, interval.dt, 0.5 * interval.dt
+    if len(f.particles.weight) == 0:
         return
     ahead, turn = Vec3(0.0, 0.0, 0.0), Vec3(0.0, 0.0, 0.0)
     mean_displacement, mean_turn = ahead, turn
-    for c in range(-1, len(f.weight)):  # the mean first
+    for c in range(-1, len(f.particles.weight)):  # the mean first
         ahead = Vec3(_velocity_of(f, interval, 0, c), _velocity_of(f, interval, 1, c), _velocity_of(f, interval, 2, c))
         turn = Vec3(_velocity_of(f, interval, 3, c), _velocity_of(f, interval, 4, c), _velocity_of(f, interval, 5, c))
         yaw = x[3] + (d[3, c] if c >= 0 else 0.0) + half * turn.x
@@ -101,7 +101,7 @@ def _velocity_of(f: Filter, interval: Interval, c: int, particle: int) -> float:
     """Return component c of the velocity, corrected by what a particle, or the mean (-1), knows of bias and scale."""
     if particle < 0:
         return _velocity(f, interval, c)
-    bias, scale, d = f.core.bias[c], f.core.scale[c], f.deviation
+    bias, scale, d = f.core.bias[c], f.core.scale[c], f.particles.deviation
     given = interval.measured[c] - (f.x[bias] + d[bias, particle] if bias >= 0 else 0.0)
     return float(given / (1.0 + (f.x[scale] + d[scale, particle] if scale >= 0 else 0.0)))
 
@@ -205,8 +205,8 @@ def _drift(f: Filter, dt: float) -> None:
         offset, rate = f.core.first_offset + s, f.core.rate[s]
         if rate >= 0:
             x[offset] += x[rate] * dt
-            for c in range(len(f.weight)):
-                f.deviation[offset, c] += dt * f.deviation[rate, c]
+            for c in range(len(f.particles.weight)):
+                f.particles.deviation[offset, c] += dt * f.particles.deviation[rate, c]
             for j in range(n):
                 p[offset, j] += dt * p[rate, j]
             for i in range(n):
@@ -223,7 +223,7 @@ def _drift(f: Filter, dt: float) -> None:
 def forget(f: Filter, a: ArrayErrors, moved: float, dt: float) -> None:
     """Let what persists be redrawn after a distance (m) and a time (s): diffuse errors, turns, pitch and roll."""
     kept = math.exp(-moved / (AREA * a.diffuse_m)) if a.diffuse_m > 0.0 else 0.0
-    width = f.vt_state.shape[1]
+    width = f.vts.state.shape[1]
     for place in range(f.core.size, f.size[0]):
         owner = f.owner[place]
         if kept < 1.0 and owner <= OF_VT and (OF_VT - owner) % width >= DIFFUSE:

@@ -84,7 +84,7 @@ def put_three(s: Sight, place: int, m: Mat3) -> None:
 @lean
 def coordinates(f: Filter, j: int) -> Spherical:
     """Return range (m), azimuth and elevation (rad) of VT j about its anchor."""
-    at = f.vt_state[j]
+    at = f.vts.state[j]
     return Spherical(f.x[at[VT]], f.x[at[VT + 1]], f.x[at[VT + 2]])
 
 
@@ -96,7 +96,7 @@ def geometry(f: Filter, j: int, offset: int, place: Vec3, turned: Rotations, vt:
     Seen from a place (m) with the rotation `turned`, the VT having these coordinates about its anchor. A place besides
     the present one, as that of an earlier measurement, turns with the vehicle.
     """
-    anchor, at = Vec3(f.anchor[j, 0], f.anchor[j, 1], f.anchor[j, 2]), f.vt_state[j]
+    anchor, at = Vec3(f.vts.anchor[j, 0], f.vts.anchor[j, 1], f.vts.anchor[j, 2]), f.vts.state[j]
     to_vt = vec_minus(vec_plus(anchor, vec_scaled(direction(vt.azimuth, vt.elevation), vt.distance)), place)
     body = transposed_vec(turned.r, to_vt)
     by_body = spherical_jacobian(body)
@@ -131,9 +131,9 @@ def field(f: Filter, g: Grid, std: Floats, first: int, seen: Spherical, now: int
             continue
         for k in range(count):
             owner = first + component * g.cells + s.cells[k]
-            place = f.weight_state[owner]
+            place = f.fields.place[owner]
             if now >= 0:
-                f.weight_met[owner] = now
+                f.fields.met[owner] = now
                 if place < 0:
                     place = enter(f, owner, 1.0)
             if place >= 0:
@@ -201,9 +201,9 @@ def diffuse(f: Filter, j: int, std: Floats, share: float, enters: bool, s: Sight
     """
     value = Vec3(0.0, 0.0, 0.0)
     for c in range(3):
-        place = f.vt_state[j, DIFFUSE + c]
+        place = f.vts.state[j, DIFFUSE + c]
         if place < 0 and enters and std[c] > 0.0:
-            place = enter(f, owner_of(j, DIFFUSE + c, f.vt_state.shape[1]), 1.0)
+            place = enter(f, owner_of(j, DIFFUSE + c, f.vts.state.shape[1]), 1.0)
         if place >= 0:
             load = share * std[c]
             load0, load1, load2 = load if c == 0 else 0.0, load if c == 1 else 0.0, load if c == 2 else 0.0

@@ -72,17 +72,15 @@ def assuming(tmp_path: Path, known: Calibration, **options: Any) -> EkfSlamOptio
 def test_second_drive_is_that_of_a_joint_filter_which_goes_on(
     drives: tuple[Recording, Recording], learnt: EkfSlam, calibration: Calibration, tmp_path: Path
 ) -> None:
-    setup, (goes_on, begins, again) = (
-        setup_of(drives[1]),
-        (EkfSlam(), EkfSlam(assuming(tmp_path, calibration)), EkfSlam()),
-    )
+    goes_on, begins, again = EkfSlam(), EkfSlam(assuming(tmp_path, calibration)), EkfSlam()
     for estimator in (goes_on, begins, again):
-        estimator.start(setup, RNG)
+        estimator.start(setup_of(drives[1]), RNG)
     assert learnt._joint is not None and goes_on._joint is not None
     # The filter of the first drive loses map and roof, and is put to the start of the second.
     whole, fresh = learnt._joint, goes_on._joint
     kept = whole.arrays._replace(**{name: getattr(whole.arrays, name).copy() for name in ("x", "p", "owner", "size")})
-    kept = kept._replace(weight_state=whole.arrays.weight_state.copy(), vt_state=whole.arrays.vt_state.copy())
+    fields = whole.arrays.fields._replace(place=whole.arrays.fields.place.copy())
+    kept = kept._replace(fields=fields, vts=whole.arrays.vts._replace(state=whole.arrays.vts.state.copy()))
     f, core = one_of(kept, 0), whole.core.size
     weights = 3 * calibration.grid.cells
     for place in range(int(f.size[0]) - 1, core - 1, -1):
@@ -90,9 +88,7 @@ def test_second_drive_is_that_of_a_joint_filter_which_goes_on(
             leave(f, place)
     f.p[:core], f.p[:, :core] = 0.0, 0.0
     f.x[:core], f.p[:core, :core] = fresh.arrays.x[0, :core], fresh.arrays.p[0, :core, :core]
-    fresh.arrays = fresh.arrays._replace(
-        x=kept.x, p=kept.p, owner=kept.owner, size=kept.size, weight_state=kept.weight_state
-    )
+    fresh.arrays = fresh.arrays._replace(x=kept.x, p=kept.p, owner=kept.owner, size=kept.size, fields=fields)
     poses = driven(goes_on, drives[1])
     np.testing.assert_allclose(driven(begins, drives[1]), poses, rtol=0.0, atol=1e-8)
     assert np.abs(driven(again, drives[1]) - poses).max() > 1e-3
@@ -191,9 +187,7 @@ def test_mixture_counts_what_one_filter_has_not_met_as_its_prior(learnt: EkfSlam
     assert estimator._joint is not None
     mixture = estimator._joint
     begin_with(mixture, estimator._errors, calibration)
-    mixture.arrays = mixture.arrays._replace(
-        **{n: np.repeat(getattr(mixture.arrays, n), 2, axis=0) for n in mixture.arrays._fields if n != "core"}
-    )
+    mixture.split(np.zeros(1, np.int64))
     mixture.log_weight = np.log([0.25, 0.75])
     one = one_of(mixture.arrays, 1)
     owner, place = int(one.owner[mixture.core.size]), mixture.core.size

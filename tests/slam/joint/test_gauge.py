@@ -28,7 +28,7 @@ def moved(one: Any, x: Floats, by: Floats) -> Floats:
     for j in range(one.f.count[0]):
         way = turn @ one.place(j) + by[:3] - ANCHOR
         flat = np.hypot(way[0], way[1])
-        out[one.f.vt_state[j, :3]] = np.hypot(flat, way[2]), np.arctan2(way[1], way[0]), np.arctan2(way[2], flat)
+        out[one.f.vts.state[j, :3]] = np.hypot(flat, way[2]), np.arctan2(way[1], way[0]), np.arctan2(way[2], flat)
     return out
 
 
@@ -76,7 +76,7 @@ def test_all_else_is_kept_as_seen_from_the_vehicle(states: tuple[Any, Floats, Fl
         out, directions = np.eye(one.n), unseen(one, x)
         directions[:, 3] -= directions[:, :3] @ directions[:3, 3]  # a turn about the vehicle
         out[0, 3], out[1, 3] = x[1], -x[0]
-        vts = one.f.vt_state[:2, :3].ravel()
+        vts = one.f.vts.state[:2, :3].ravel()
         out[np.ix_(vts, np.arange(4))] = -directions[vts]
         return out
 

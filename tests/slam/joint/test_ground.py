@@ -10,8 +10,8 @@ import pytest
 from cellslam.slam.api import setup_of
 from cellslam.slam.conformance.subject import tiny_drive
 from cellslam.slam.joint.ekf_slam_options import EkfSlamOptions
+from cellslam.slam.joint.new_filters import NO_ERRORS, array_errors
 from cellslam.slam.joint.snapshot.sight_kernel import ground
-from cellslam.slam.joint.state.array_errors import NO_ERRORS, array_errors
 from cellslam.slam.model.measurement_kernel import Spherical
 
 PULL_DEG = -2.713  # at 10 degrees: sin 0.17365, root of 4 + sin^2 2.00752, coefficient -0.39616, power 0.15694

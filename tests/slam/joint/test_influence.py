@@ -14,9 +14,9 @@ from cellslam.slam.api import setup_of, snapshots_of
 from cellslam.slam.conformance.subject import tiny_drive
 from cellslam.slam.joint.ekf_slam import EkfSlam
 from cellslam.slam.joint.influence import BIRTH, MOST, bounded
-from cellslam.slam.joint.mixture import Mixture, core_of, new_mixture
+from cellslam.slam.joint.mixture import Mixture
+from cellslam.slam.joint.new_filters import NO_ERRORS, core_of, new_mixture
 from cellslam.slam.joint.snapshot.birth_kernel import tidy
-from cellslam.slam.joint.state.array_errors import NO_ERRORS
 from cellslam.slam.joint.state.layout import IDENT, SHARE, WORTH
 
 ALONE = 200  # snapshots for which one path is all that is heard of a site
@@ -35,7 +35,7 @@ def put(mixture: Mixture, k: int, worth: dict[int, float]) -> None:
     """Let filter k have these VTs, by identity, and no others; `worth`: beyond what each costs."""
     mixture.arrays.count[k] = len(worth)
     for j, (ident, value) in enumerate(worth.items()):
-        mixture.arrays.slots[k, j, IDENT], mixture.arrays.anchor[k, j, WORTH] = ident, BIRTH + value
+        mixture.arrays.vts.slots[k, j, IDENT], mixture.arrays.vts.anchor[k, j, WORTH] = ident, BIRTH + value
 
 
 def weighed(mixture: Mixture, association: Any = ((), ()), born: int = 1000) -> list[float]:
@@ -108,13 +108,13 @@ def test_filters_that_are_kept_or_doubled_take_theirs_along(mixture: Mixture) ->
 def test_guesses_that_are_left_have_what_those_given_up_were_worth(one_filter: type[Any]) -> None:
     one = one_filter()
     one.put(np.zeros(6), 0.0, (10.0, 0.0, 0.0), (20.0, 0.0, 0.0), (30.0, 0.0, 0.0))
-    one.f.slots[:3, IDENT], one.f.anchor[:3, SHARE], one.f.anchor[:3, WORTH] = (
+    one.f.vts.slots[:3, IDENT], one.f.vts.anchor[:3, SHARE], one.f.vts.anchor[:3, WORTH] = (
         [5, 5, 6],
         [0.0, 1.0, 1.0],
         [3.0, 4.0, 8.0],
     )
     tidy(one.f, one.errors, one.block, 0, one.rules)
-    found = {int(one.f.slots[j, IDENT]): float(one.f.anchor[j, WORTH]) for j in range(one.f.count[0])}
+    found = {int(one.f.vts.slots[j, IDENT]): float(one.f.vts.anchor[j, WORTH]) for j in range(one.f.count[0])}
     assert found == {5: 7.0, 6: 8.0}
 
 

@@ -17,8 +17,7 @@ from cellslam.slam.api import Estimate, Setup, odometry_of, setup_of, snapshots_
 from cellslam.slam.joint.ekf_slam import EkfSlam
 from cellslam.slam.joint.map_states import WIDENED, Observed, Remembered, map_after, standing
 from cellslam.slam.joint.map_trial import MapTrial
-from cellslam.slam.joint.mixture import core_of, new_mixture
-from cellslam.slam.joint.state.array_errors import NO_ERRORS
+from cellslam.slam.joint.new_filters import NO_ERRORS, core_of, new_mixture
 from cellslam.slam.joint.state.layout import UNSEEN, VT, block_of, one_of
 from cellslam.slam.model.measurement_model import jacobians
 from cellslam.slam.model.vt_map import VtMap, factored, joined
@@ -60,7 +59,7 @@ def test_two_drives_are_one_joint_filter() -> None:
     for enter, measurements in (([0, 1], [0, 1]), ([2], [2, 0]), ([3], [])):
         remembered.put_in(f, block_of(mixture.blocks, 0), np.array(enter), 0)
         for vt in measurements:
-            at = f.vt_state[np.flatnonzero(f.slots[: f.count[0], 3] == 1 + vt)[0], VT : VT + 3]
+            at = f.vts.state[np.flatnonzero(f.vts.slots[: f.count[0], 3] == 1 + vt)[0], VT : VT + 3]
             a, n, cartesian = RNG.standard_normal((2, 3)), int(f.size[0]), slice(3 * vt, 3 * vt + 3)
             # So small that a linear world is what is left.
             e, h, full = 1e-10 * RNG.standard_normal(2), np.zeros((2, n)), np.zeros((2, 15))
@@ -68,7 +67,7 @@ def test_two_drives_are_one_joint_filter() -> None:
             h[:, at], full[:, cartesian] = a, a @ by
             corrected(f.x[:n], f.p[:n, :n], h, e, 1e-4)
             corrected(position, joint, full, e, 1e-4)
-            f.slots[np.flatnonzero(f.slots[: f.count[0], 3] == 1 + vt)[0], UNSEEN] = 0
+            f.vts.slots[np.flatnonzero(f.vts.slots[: f.count[0], 3] == 1 + vt)[0], UNSEEN] = 0
             seen[1 + vt] = known.seen_m[vt]
     after = map_after(f, NOWHERE, Observed(ONE_LINK, SITES, seen), remembered, 3)
     np.testing.assert_allclose(after.position_m.ravel() - known.position_m.ravel(),

@@ -14,9 +14,9 @@ from cellslam.slam.api import Estimate, setup_of, snapshots_of
 from cellslam.slam.conformance.subject import tiny_drive
 from cellslam.slam.joint.ekf_slam import EkfSlam
 from cellslam.slam.joint.ekf_slam_options import EkfSlamOptions
-from cellslam.slam.joint.mixture import Mixture, core_of, new_mixture
+from cellslam.slam.joint.mixture import Mixture, _arrays
+from cellslam.slam.joint.new_filters import NO_ERRORS, core_of, new_mixture
 from cellslam.slam.joint.start import Start, begin, components
-from cellslam.slam.joint.state.array_errors import NO_ERRORS
 from cellslam.slam.joint.state.layout import Core
 from cellslam.slam.joint.state.states_kernel import differing
 from cellslam.slam.joint.wall_slam import WallSlam
@@ -63,13 +63,12 @@ def test_filters_that_are_likely_and_differ_are_kept(mixture: Mixture) -> None:
 
 
 def test_growing_changes_nothing_that_is_there(mixture: Mixture) -> None:
-    size, before = mixture.core.size, [np.array(part) for part in mixture.arrays[1:]]
-    states, vts = mixture.arrays.x.shape[1], mixture.arrays.slots.shape[1]
+    size, before = mixture.core.size, [np.array(part) for part in _arrays(mixture.arrays)]
+    states, vts = mixture.arrays.x.shape[1], mixture.arrays.vts.slots.shape[1]
     mixture.reserve(states, vts)
-    after: Any = mixture.arrays[1:]
     assert mixture.arrays.p.shape[1] >= size + states
-    assert mixture.arrays.slots.shape[1] >= vts
-    for old, new in zip(before, after, strict=True):
+    assert mixture.arrays.vts.slots.shape[1] >= vts
+    for old, new in zip(before, _arrays(mixture.arrays), strict=True):
         np.testing.assert_array_equal(new[tuple(slice(n) for n in old.shape)], old)
     width = mixture.arrays.x.shape[1]
     mixture.reserve(10, 10)
@@ -98,7 +97,7 @@ def test_blocks_of_a_mixture_end_together() -> None:
     lengths = set()
     for t, (dt, snapshot) in enumerate(zip(dt_s, snapshots_of(drive), strict=False)):
         estimator.step(dt, drive.odometry[t], snapshot)
-        waiting = set(mixture.blocks.snapshots[: len(mixture), 0].tolist())
+        waiting = set(mixture.blocks.track.snapshots[: len(mixture), 0].tolist())
         assert len(waiting) == 1
         lengths |= waiting
     assert len(mixture) > 1

@@ -13,14 +13,24 @@ from cellslam.benchmarks.scores.walls import true_walls, wall_scores
 from cellslam.sim.frames import integrate_pose, unit_vector, wrap_angle
 from cellslam.sim.recording import Links, Measurements, OdometryModel, Recording, Sites, Truth, VirtualTransmitters
 from cellslam.slam.api import odometry_of, setup_of, snapshots_of
+from cellslam.slam.joint.new_filters import NO_ERRORS
 from cellslam.slam.joint.snapshot.association_kernel import score_pairs
-from cellslam.slam.joint.state.array_errors import NO_ERRORS
 from cellslam.slam.joint.state.layout import BEYOND, EXISTS, HITS, IDENT, LINK, SHARE, UNSEEN
-from cellslam.slam.joint.wall_slam import WallSlam, WallSlamOptions
-from cellslam.slam.joint.walls.doubles import Double, impose_double, likeliest_double, off
-from cellslam.slam.joint.walls.facades import Facades
-from cellslam.slam.joint.walls.images import images_of, place_of
-from cellslam.slam.joint.walls.joining import ROOM, Flatness, apart, best_pair, impose, log_odds
+from cellslam.slam.joint.wall_images import (
+    ROOM,
+    Double,
+    Flatness,
+    apart,
+    best_pair,
+    images_of,
+    impose,
+    impose_double,
+    likeliest_double,
+    log_odds,
+    off,
+    place_of,
+)
+from cellslam.slam.joint.wall_slam import Facades, WallSlam, WallSlamOptions
 from cellslam.slam.model.measurement_model import jacobians, predict
 
 FLAT = Flatness(math.radians(0.3), 0.2, 10.0)
@@ -41,8 +51,8 @@ def filter_of(one_filter, vts, std, rng=None):
     one.put(np.zeros(6), 0.0, *spherical)
     f, first, n = one.f, one.mixture.core.size, 3 * len(vts)
     for j, (link, _) in enumerate(vts):
-        f.slots[j, [LINK, HITS, IDENT, UNSEEN]] = link, 50, 10 + j, 0
-        f.anchor[j, [EXISTS, SHARE]] = 1.0
+        f.vts.slots[j, [LINK, HITS, IDENT, UNSEEN]] = link, 50, 10 + j, 0
+        f.vts.anchor[j, [EXISTS, SHARE]] = 1.0
     f.count[0] = len(vts)
     # Errors that all VTs share, beside those of their own: as those of a pose in common.
     scale = std * np.concatenate([[1.0, 1.0 / s[0], 1.0 / s[0]] for s in spherical])
@@ -55,7 +65,7 @@ def filter_of(one_filter, vts, std, rng=None):
 
 
 def seen(f, way=WAY):
-    return {int(ident): way for ident in f.slots[: f.count[0], IDENT]}
+    return {int(ident): way for ident in f.vts.slots[: f.count[0], IDENT]}
 
 
 def scene(azimuth=NORTH, distance=WALL_M):
@@ -90,7 +100,7 @@ def one_wall(f):
 
 def test_the_site_is_the_vt_that_is_nearest_wherever_others_are_seen(one_filter):
     f, _ = filter_of(one_filter, scene()[:4], 0.1)
-    f.slots[:4, HITS] = 30, 500, 400, 300  # others are seen more often
+    f.vts.slots[:4, HITS] = 30, 500, 400, 300  # others are seen more often
     images = images_of(f, seen(f), 3)
     assert {image.site for image in images} == {0} and sorted(image.vt for image in images) == [1, 2, 3]
     assert images[0].azimuth == pytest.approx(NORTH)
@@ -320,7 +330,7 @@ def test_a_vt_beyond_its_wall_takes_part_no_more(one_filter):
     one = one_filter()
     measurement = one.seen(np.stack([predict(np.zeros(6), SITES[0])]), np.full((1, 3), 1e-3))
     for beyond, candidates in ((0, 2), (1, 1)):
-        f.slots[1, BEYOND] = beyond
+        f.vts.slots[1, BEYOND] = beyond
         assert score_pairs(f, NO_ERRORS, measurement, 0, one.w.sight, one.w.pairs) == candidates
 
 
@@ -376,7 +386,7 @@ def driven(recording, **options):
 @pytest.mark.slow
 def test_vts_in_sight_stay_whatever_is_known_of_their_walls(street, monkeypatch):
     _, last = driven(street)
-    monkeypatch.setattr(Facades, "not_met", lambda _, f: f.slots[: f.count[0], IDENT].tolist())
+    monkeypatch.setattr(Facades, "not_met", lambda _, f: f.vts.slots[: f.count[0], IDENT].tolist())
     _, other = driven(street)
     np.testing.assert_array_equal(other.pose, last.pose)
 
