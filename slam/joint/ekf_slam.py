@@ -67,7 +67,6 @@ from cellslam.slam.joint.state.layout import (
     Measured,
     Noise,
     Rules,
-    one_of,
 )
 from cellslam.slam.measurements.fusion import FusedMeasurements, Fusion
 from cellslam.slam.measurements.measurement_options import existence
@@ -174,9 +173,7 @@ class JointFilter:
     def _surprise(self) -> Floats:
         """What the likeliest filters have of `surprise` (2,)."""
         mixtures = self._start.mixtures if self._start is not None else [self._joint] if self._joint is not None else []
-        return np.asarray(
-            np.sum([mixture.arrays.learnt.surprise[int(np.argmax(mixture.log_weight))] for mixture in mixtures], axis=0)
-        )
+        return np.asarray(np.sum([mixture.likeliest.learnt.surprise for mixture in mixtures], axis=0))
 
     def _step(self, dt_s: float, odometry: Floats, snapshot: Snapshot) -> Estimate:
         self._time_s += dt_s
@@ -225,8 +222,9 @@ class JointFilter:
         if mixture is None:
             return own._setup.map
         observed = Observed(links=own._setup.links, sites=own._setup.sites.name, seen=own._seen)
-        f = one_of(mixture.collapsed().arrays, int(np.argmax(mixture.log_weight)))
-        return map_after(f, own._archive, observed, mixture.remembered, self.options.confirm_hits)
+        return map_after(
+            mixture.collapsed().likeliest, own._archive, observed, mixture.remembered, self.options.confirm_hits
+        )
 
     def _given(self, measurements: FusedMeasurements) -> Ints:
         """Return the true VT of each measurement, for the oracle that knows it."""
@@ -300,7 +298,7 @@ class JointFilter:
         mixture = self._joint
         if mixture is None:
             raise RuntimeError("step() was called before start()")
-        best, offsets = int(np.argmax(mixture.log_weight)), self._core.offsets
+        best, offsets = mixture.best, self._core.offsets
         mean, cov = mixture.moments()
         if self._vts is None or not mixture.blocks.track.snapshots[0, 0]:  # VTs move as a block ends
             self._vts = self._map([(mixture, best)])
@@ -329,7 +327,7 @@ class JointFilter:
         association = self._go_on(mixture, errors, interval, measured)
         if self.grows and measured.now % GROW_EVERY == GROW_EVERY - 1:
             self._grown = min(self._grown * growth(mixture), MOST_GROWN)
-        best = int(np.argmax(mixture.log_weight))
+        best = mixture.best
         lost = mixture.lost(best)
         if len(lost):
             self._archive = np.concatenate([self._archive, lost])

@@ -100,6 +100,16 @@ class Mixture:
     def __len__(self) -> int:
         return len(self.log_weight)
 
+    @property
+    def best(self) -> int:
+        """Which filter is the likeliest."""
+        return int(np.argmax(self.log_weight))
+
+    @property
+    def likeliest(self) -> Filter:
+        """The likeliest filter."""
+        return one_of(self.arrays, self.best)
+
     def use(self, errors: ArrayErrors, interval: Interval, measured: Measured, most_vts: int) -> Ints:
         """Move every filter by an interval and use a snapshot; return the associations (K, m).
 
@@ -218,7 +228,7 @@ class Mixture:
     def _meet(self, remembered: Remembered, now: int) -> None:
         """Let VTs of a remembered map enter all filters as they come into reach of the likeliest one, and leave them,
         where they were not seen, as they go out of it."""
-        place = self.arrays.x[int(np.argmax(self.log_weight)), :3]
+        place = self.likeliest.x[:3]
         enter, leave = remembered.moved(place[:2], self.arrays.links[0])
         if not len(enter) and not len(leave):
             return

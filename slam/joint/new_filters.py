@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import numpy as np
+from numpy.typing import ArrayLike
 
-from cellslam.sim.recording import Floats
+from cellslam.sim.recording import Floats, Ints
 from cellslam.slam.api import Setup
 from cellslam.slam.joint.ekf_slam_options import EkfSlamOptions
 from cellslam.slam.joint.influence import Influence
@@ -42,7 +43,10 @@ COARSE_GRID, FINE_GRID = (1.1, 1.9), (0.9, 2.2)
 ROOF_GRID = 1.3, 1.9  # right to 0.2
 WIDE = grid(np.pi, 1.0, 1.0)  # of a field that does not exist
 
-NO_ERRORS = ArrayErrors(np.zeros(3), WIDE, np.zeros(3), WIDE, np.zeros(3), 0.0, np.zeros(3), 0.0, np.zeros(2), 1.0, 0.0)
+NO_ERRORS = ArrayErrors(
+    calibration=np.zeros(3), calibration_grid=WIDE, roof=np.zeros(3), roof_grid=WIDE, diffuse=np.zeros(3),
+    diffuse_m=0.0, sway=np.zeros(3), sway_s=0.0, tilt=np.zeros(2), tilt_s=1.0, ground=0.0,
+)  # fmt: skip
 
 
 def array_errors(options: EkfSlamOptions, setup: Setup) -> ArrayErrors:
@@ -73,29 +77,29 @@ def array_errors(options: EkfSlamOptions, setup: Setup) -> ArrayErrors:
 
 def core_of(setup: Setup, errors: ArrayErrors, drawn: int = 0) -> Core:
     """Return the layout of the states that are always there; `drawn`: blocks of which the noise is a state."""
+    model, sites, end = setup.odometry_model, setup.sites, POSE
+
+    def places(there: ArrayLike) -> Ints:
+        """Return the next places for the states that there are, -1 for the others."""
+        nonlocal end
+        number = np.cumsum(np.asarray(there, np.bool_))
+        out = np.where(there, end - 1 + number, -1)
+        end += int(number[-1]) if len(number) else 0
+        return out
+
+    sway, ground = places(np.full(3, errors.sway.any())), int(places([errors.ground > 0.0])[0])
+    bias = places((model.bias > 0.0) | (model.bias_walk_density > 0.0))
+    scale, noise = places(model.scale != 0.0), places(model.noise_density != 0.0)
+    first_offset, wander = end, sites.walk_densities
+    places(np.ones(len(sites), np.bool_))
+    rate = places((sites.drift_std_m_s > 0.0) | (wander[1] > 0.0))
+    sums = np.array([places(noise >= 0) for _ in range(drawn)], np.int64).reshape(drawn, POSE)
+    step_m = np.array(sites.step_std_m)  # one that can be written: for others the kernels would be compiled again
     common = 0 if setup.map is None else setup.map.common_m.shape[2]
-    model = setup.odometry_model
-    bias, scale, noise, sway = *(np.full(POSE, -1, np.int64) for _ in range(3)), np.full(3, -1, np.int64)
-    biased, scaled = np.flatnonzero((model.bias > 0) | (model.bias_walk_density > 0)), np.flatnonzero(model.scale)
-    noisy = np.flatnonzero(model.noise_density)
-    at = POSE
-    if errors.sway.any():
-        sway, at = at + np.arange(3), at + 3
-    ground = at if errors.ground > 0.0 else -1
-    at += errors.ground > 0.0
-    bias[biased] = at + np.arange(len(biased))
-    scale[scaled] = at + len(biased) + np.arange(len(scaled))
-    noise[noisy] = at + len(biased) + len(scaled) + np.arange(len(noisy))
-    first = at + len(biased) + len(scaled) + len(noisy)
-    wander = setup.sites.walk_densities
-    drifts, after = (setup.sites.drift_std_m_s > 0.0) | (wander[1] > 0.0), first + len(setup.sites)
-    rate = np.where(drifts, after + np.cumsum(drifts) - 1, -1).astype(np.int64)
-    end = after + int(drifts.sum())
-    step_m = np.array(setup.sites.step_std_m)  # one that can be written: for others the kernels would be compiled again
-    sums = np.full((drawn, POSE), -1, np.int64)
-    sums[:, noisy] = end + np.arange(drawn * len(noisy)).reshape(drawn, len(noisy))
-    end += drawn * len(noisy)
-    return Core(sway, ground, bias, scale, noise, first, rate, wander, step_m, sums, end, end + common)
+    return Core(
+        sway=sway, ground=ground, bias=bias, scale=scale, noise=noise, first_offset=first_offset, rate=rate,
+        wander=wander, step_m=step_m, drawn=sums, first_common=end, size=end + common,
+    )  # fmt: skip
 
 
 def new_mixture(

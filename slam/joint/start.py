@@ -79,7 +79,7 @@ class Start:
         )
         for site, (mixture, association) in enumerate(zip(self.mixtures, associations, strict=True)):
             mine = site_of_measurement == site
-            answer[mine] = association[int(np.argmax(mixture.log_weight)), mine]
+            answer[mine] = association[mixture.best, mine]
             if not ends:
                 continue
             at = self.core.first_offset + site
@@ -126,7 +126,7 @@ class Start:
 
     def likeliest(self) -> list[tuple[Mixture, int]]:
         """Return each mixture and its likeliest filter."""
-        return [(mixture, int(np.argmax(mixture.log_weight))) for mixture in self.mixtures]
+        return [(mixture, mixture.best) for mixture in self.mixtures]
 
     def over(self, variance_m2: Floats) -> bool:
         """Return whether joint filters can take over, the variances (S,) of the offsets being these: one offset is

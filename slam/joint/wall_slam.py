@@ -28,10 +28,9 @@ from cellslam.sim.recording import Floats, Ints
 from cellslam.slam.api import Estimate, WallEstimate
 from cellslam.slam.joint.ekf_slam import JointFilter
 from cellslam.slam.joint.ekf_slam_options import EkfSlamOptions
-from cellslam.slam.joint.mixture import Mixture
 from cellslam.slam.joint.snapshot.motion_kernel import Interval
 from cellslam.slam.joint.start import Start
-from cellslam.slam.joint.state.layout import BEYOND, IDENT, LAST, Filter, Measured, one_of
+from cellslam.slam.joint.state.layout import BEYOND, IDENT, LAST, Filter, Measured
 from cellslam.slam.joint.wall_images import (
     Flatness,
     Image,
@@ -94,7 +93,7 @@ class WallSlam(JointFilter):
         # changed.
         between = mixture is not None and len(mixture) == 1 and not mixture.blocks.track.snapshots[0, 0]
         if mixture is not None and between and measured.now >= self._joined + JOINED_EVERY:
-            self._facades.join(one_of(mixture.arrays, 0))
+            self._facades.join(mixture.likeliest)
             self._joined = measured.now
         return association
 
@@ -102,7 +101,7 @@ class WallSlam(JointFilter):
         """Let nothing be associated with VTs, unseen for a while, whose walls would not be met as far as they reach."""
         self._looked, mixture = measured.now, self._joint
         if mixture is not None:
-            missed, slots = self._facades.not_met(likeliest(mixture)), mixture.arrays.vts.slots
+            missed, slots = self._facades.not_met(mixture.likeliest), mixture.arrays.vts.slots
             long_ago = measured.now - slots[..., LAST] > measured.rules.association.away
             slots[..., BEYOND] = np.isin(slots[..., IDENT], missed) & long_ago
 
@@ -114,12 +113,7 @@ class WallSlam(JointFilter):
         if mixture is None or measured.now < self._shown + SHOWN_EVERY:
             return answer
         self._shown = measured.now
-        return replace(answer, walls=self._facades.estimate(likeliest(mixture), self.options.confirm_hits))
-
-
-def likeliest(mixture: Mixture) -> Filter:
-    """Return the likeliest filter of a mixture."""
-    return one_of(mixture.arrays, int(np.argmax(mixture.log_weight)))
+        return replace(answer, walls=self._facades.estimate(mixture.likeliest, self.options.confirm_hits))
 
 
 class Facades:

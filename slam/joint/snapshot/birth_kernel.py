@@ -127,24 +127,16 @@ def give_birth(
     )
     hph = gains(f, s, w)  # the VT's own states have no variance yet
     spread = congruence(inverse, Sym3(hph.xx + q[0], hph.xy, hph.xz, hph.yy + q[1], hph.yz, hph.zz + q[2]))
-    at = f.vts.state[j]
+    p, d, x, y, z_ = f.p, f.particles.deviation, first, first + 1, first + 2  # the states that have entered above
     for i in range(f.size[0]):
         to_vt = mat_vec(inverse, Vec3(w.t[0, i], w.t[1, i], w.t[2, i]))
-        f.p[at[VT], i] = f.p[i, at[VT]] = -to_vt.x
-        f.p[at[VT + 1], i] = f.p[i, at[VT + 1]] = -to_vt.y
-        f.p[at[VT + 2], i] = f.p[i, at[VT + 2]] = -to_vt.z
+        p[x, i] = p[i, x] = -to_vt.x
+        p[y, i] = p[i, y] = -to_vt.y
+        p[z_, i] = p[i, z_] = -to_vt.z
     for i in range(len(f.particles.weight)):
-        to_vt = mat_vec(inverse, times(s, f.particles.deviation[:, i]))
-        f.particles.deviation[at[VT], i], f.particles.deviation[at[VT + 1], i], f.particles.deviation[at[VT + 2], i] = (
-            -to_vt.x,
-            -to_vt.y,
-            -to_vt.z,
-        )
-    p, x, y, z_ = f.p, at[VT], at[VT + 1], at[VT + 2]
-    p[x, x], p[y, y], p[z_, z_] = spread.xx, spread.yy, spread.zz
-    p[x, y] = p[y, x] = spread.xy
-    p[x, z_] = p[z_, x] = spread.xz
-    p[y, z_] = p[z_, y] = spread.yz
+        to_vt = mat_vec(inverse, times(s, d[:, i]))
+        d[x, i], d[y, i], d[z_, i] = -to_vt.x, -to_vt.y, -to_vt.z
+    put_sym(p[first : first + 3, first : first + 3], spread)
     return True
 
 

@@ -74,6 +74,14 @@ def put(s: Sight, place: int, row0: float, row1: float, row2: float) -> None:
 
 
 @lean
+def put_one(f: Filter, s: Sight, place: int, c: int, load: float) -> Vec3:
+    """Add the column of a state that changes component c alone; return what the state does to the measurement."""
+    by = Vec3(load if c == 0 else 0.0, load if c == 1 else 0.0, load if c == 2 else 0.0)
+    put(s, place, by.x, by.y, by.z)
+    return vec_scaled(by, f.x[place])
+
+
+@lean
 def put_three(s: Sight, place: int, m: Mat3) -> None:
     """Add the columns by three states that follow one another."""
     put(s, place, m.xx, m.yx, m.zx)
@@ -137,11 +145,7 @@ def field(f: Filter, g: Grid, std: Floats, first: int, seen: Spherical, now: int
                 if place < 0:
                     place = enter(f, owner, 1.0)
             if place >= 0:
-                load = std[c] * s.values[k]
-                load0, load1, load2 = load if c == 0 else 0.0, load if c == 1 else 0.0, load if c == 2 else 0.0
-                put(s, place, load0, load1, load2)
-                x = f.x[place]
-                value = Vec3(value.x + load0 * x, value.y + load1 * x, value.z + load2 * x)
+                value = vec_plus(value, put_one(f, s, place, c, std[c] * s.values[k]))
         component += 1
     return value
 
@@ -205,11 +209,7 @@ def diffuse(f: Filter, j: int, std: Floats, share: float, enters: bool, s: Sight
         if place < 0 and enters and std[c] > 0.0:
             place = enter(f, owner_of(j, DIFFUSE + c, f.vts.state.shape[1]), 1.0)
         if place >= 0:
-            load = share * std[c]
-            load0, load1, load2 = load if c == 0 else 0.0, load if c == 1 else 0.0, load if c == 2 else 0.0
-            put(s, place, load0, load1, load2)
-            x = f.x[place]
-            value = Vec3(value.x + load0 * x, value.y + load1 * x, value.z + load2 * x)
+            value = vec_plus(value, put_one(f, s, place, c, share * std[c]))
     return value
 
 

@@ -173,9 +173,8 @@ def take_in(f: Filter, b: Block, seen: Measured, association: Ints, s: Sight, w:
             b.sums.diffuse[j] += seen.noise.diffuse[k] ** 2
             b.sums.seen[j, b.sums.detections[j]] = n
             b.sums.detections[j] += 1
-            link_slot = f.vts.slots[j]
-            link_slot[LAST] = seen.now
-            link_slot[HITS] += 1
+            f.vts.slots[j, LAST] = seen.now
+            f.vts.slots[j, HITS] += 1
     b.track.snapshots[0] = n + 1
 
 
@@ -309,19 +308,6 @@ def end_update(f: Filter, a: ArrayErrors, b: Block, before: Floats, noise: Float
     return total
 
 
-@part
-def conclude(f: Filter, a: ArrayErrors, b: Block, noise: Floats, seen: Measured, s: Sight, p: Pending) -> float:
-    """Update the state, and what each VT is worth, by what the block has of it; return the log-likelihood of all else.
-
-    noise (6,): densities of the odometry's.
-    """
-    begin_update(f, a, b, seen, p)
-    update_by_block(f, a, b, seen, s, p)
-    before = f.x[: f.size[0]].copy()
-    add_up(f, p)
-    return end_update(f, a, b, before, noise, seen, p)
-
-
 @lean
 def ends(b: Block, rules: Rules) -> bool:
     """Return whether a block is full: after so many snapshots, so long a distance or turn."""
@@ -355,7 +341,11 @@ def advance_mixture(
         take_in(f, b, seen, association[k], s, w)
         give_births(f, a, b, seen, association[k], s, w, p)
         if ends(b, seen.rules):
-            rest[k] += conclude(f, a, b, interval.noise, seen, s, p)
+            begin_update(f, a, b, seen, p)
+            update_by_block(f, a, b, seen, s, p)
+            before = f.x[: f.size[0]].copy()
+            add_up(f, p)
+            rest[k] += end_update(f, a, b, before, interval.noise, seen, p)
 
 
 @part
@@ -363,24 +353,28 @@ def new_room(f: Filter, m: int, pending: int) -> Room:
     """Return room for one filter, a snapshot of m measurements, and so many rows that are pending."""
     states, vts, particles = len(f.x), len(f.vts.slots), len(f.particles.weight)
     work, rows = 4 * (vts + m + 2), len(f.core.step_m) + 1
-    steps = Steps(np.zeros(1, np.int64), np.zeros((rows, states)), np.zeros(rows), np.zeros(rows))
+    steps = Steps(
+        used=np.zeros(1, np.int64), left=np.zeros((rows, states)), score=np.zeros(rows), information=np.zeros(rows)
+    )
     return Room(
-        Step(np.empty((POSE, f.core.size + POSE)), np.empty((POSE, states))),
-        Sight(
-            np.empty(TOUCHED, np.int64), np.empty((3, TOUCHED)), np.empty(1, np.int64), np.empty(MOST_BELLS, np.int64),
-            np.empty(MOST_BELLS),
+        step=Step(by=np.empty((POSE, f.core.size + POSE)), rows=np.empty((POSE, states))),
+        sight=Sight(
+            at=np.empty(TOUCHED, np.int64), by=np.empty((3, TOUCHED)), size=np.empty(1, np.int64),
+            cells=np.empty(MOST_BELLS, np.int64), values=np.empty(MOST_BELLS),
         ),
-        Pairs(
-            np.empty((vts, m)), np.empty((vts, m)), np.empty(vts, np.int64), np.empty(m, np.int64),
-            np.empty(m, np.int64), np.empty(m, np.int64), np.empty(work), np.empty(work, np.int64),
-            Messages(
-                np.empty((vts, m)), np.empty((vts, m)), np.empty((vts, m)), np.empty((vts, m)),
-                np.empty(m),
+        pairs=Pairs(
+            score=np.empty((vts, m)), distance2=np.empty((vts, m)), chosen=np.empty(vts, np.int64),
+            row_of=np.empty(m, np.int64), gated=np.empty(m, np.int64), slot_of=np.empty(m, np.int64),
+            work_f=np.empty(work), work_i=np.empty(work, np.int64),
+            messages=Messages(
+                beta=np.empty((vts, m)), zeta=np.empty((vts, m)), nu=np.empty((vts, m)),
+                marginal=np.empty((vts, m)), xi=np.empty(m),
             ),
-            np.empty(m),
+            exists=np.empty(m),
         ),
-        Pending(
-            np.empty((pending, states)), np.zeros(1, np.int64), np.zeros(states), np.empty((3, states)), steps,
-            np.empty((pending, particles)), np.empty(pending),
+        pending=Pending(
+            rows=np.empty((pending, states)), used=np.zeros(1, np.int64), added=np.zeros(states),
+            t=np.empty((3, states)), steps=steps, whitened=np.empty((pending, particles)),
+            whitened_mean=np.empty(pending),
         ),
     )  # fmt: skip
