@@ -20,6 +20,7 @@ from cellslam.slam.joint.start import Start, begin, components
 from cellslam.slam.joint.state.layout import Core
 from cellslam.slam.joint.state.states_kernel import differing
 from cellslam.slam.joint.wall_slam import WallSlam
+from tests.slam.driving import driven
 
 
 @pytest.fixture
@@ -170,7 +171,6 @@ def test_filters_that_do_not_agree_are_tried_again(monkeypatch: pytest.MonkeyPat
     """A quarter as long again after they were, and as if they had not been; till then the start answers. Late, whatever
     they say."""
     drive = tiny_drive()
-    dt_s = np.diff(drive.time_s, prepend=drive.time_s[0])[:80].tolist()
 
     def answers(over_s: float, right: int, **options: float) -> tuple[list[float], list[Estimate], Any]:
         """Return the times at which filters were tried, from over_s on, the `right`-th of which agree; answers; map."""
@@ -182,9 +182,7 @@ def test_filters_that_do_not_agree_are_tried_again(monkeypatch: pytest.MonkeyPat
 
         monkeypatch.setattr(Start, "over", lambda self, variance: joint._time_s >= over_s)
         monkeypatch.setattr(Start, "agrees", agrees)
-        joint.start(setup_of(drive), np.random.default_rng(0))
-        steps = enumerate(zip(dt_s, snapshots_of(drive), strict=False))
-        found = [joint.step(dt, drive.odometry[t], snapshot) for t, (dt, snapshot) in steps]
+        found = driven(joint, drive, 80)
         assert joint.resolved
         return tried, found, joint.vt_map()
 

@@ -7,7 +7,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from scipy import stats
 
 from cellslam.sim.recording import Links, OdometryModel, Sites
 from cellslam.slam.api import Estimate, Setup, Snapshot, VtEstimate
@@ -56,15 +55,12 @@ def many_paths(rng: np.random.Generator, paths: int) -> tuple[Snapshot, Any]:
         for v in rows:
             link.append(own), truth.append(v), z.append(where[v] + rng.normal(size=3) * [0.3, 0.008, 0.008])
         if rng.random() < 0.5:
-            (
-                link.append(own),
-                truth.append(-1),
-                z.append([rng.uniform(50, 900), rng.uniform(-3, 3), rng.uniform(-0.1, 0.4)]),
-            )
+            link.append(own), truth.append(-1)
+            z.append([rng.uniform(50, 900), rng.uniform(-3, 3), rng.uniform(-0.1, 0.4)])
     return snapshot(link, z), np.array(truth)
 
 
-@pytest.mark.parametrize("seed", range(20))
+@pytest.mark.parametrize("seed", range(5))
 def test_each_path_is_one_fused_measurement(seed: int) -> None:
     given, truth = many_paths(np.random.default_rng(seed), 4)
     fusion = Fusion(setup(), MeasurementOptions())
@@ -138,14 +134,6 @@ def test_without_sharing_no_measurement_is_fused() -> None:
     np.testing.assert_array_equal(fusion.setup.links.site, SITE)
 
 
-def test_sites_of_one_link_are_as_without_sharing() -> None:
-    lone = setup([0, 1], [0, 0])
-    fusion = Fusion(lone, MeasurementOptions())
-    measurements = fusion.fuse(snapshot([0, 0, 1], [[100, 0, 0], [300, 1, 0], [100, 0, 0]]))
-    assert fusion.options == MeasurementOptions()
-    assert measurements.of.tolist() == [0, 1, 2] and measurements.begins.all()
-
-
 def test_agreement_tells_paths_from_clutter() -> None:
     clutter_log_ratio = clutter_log_ratios(np.array([6, 1, 2]), 0.88)
     by_members = clutter_log_ratio[0, 1:]
@@ -208,17 +196,3 @@ def test_detection_and_clutter_are_those_of_fused_measurements() -> None:
 def test_an_empty_snapshot() -> None:
     measurements = Fusion(setup(), MeasurementOptions()).fuse(snapshot([], np.zeros((0, 3))))
     assert isinstance(measurements, FusedMeasurements) and len(measurements) == 0
-
-
-def test_a_receiver_without_links() -> None:
-    fusion = Fusion(setup([], []), MeasurementOptions())
-    assert len(fusion.fuse(snapshot([], np.zeros((0, 3))))) == 0
-    assert fusion.options.clutter_density == MeasurementOptions().clutter_density
-
-
-def test_many_links_agree_by_the_binomial_law_too() -> None:
-    n = np.arange(1, 101)
-    path, clutter = stats.binom.pmf(n, 100, 0.88), COINCIDENCE ** (n - 1.0)
-    path = (1.0 - UNUSUAL) * path / path.sum() + UNUSUAL / 100
-    expected = np.log(clutter / clutter.sum() / path + UNMAPPED)
-    np.testing.assert_allclose(clutter_log_ratios(np.array([100]), 0.88)[0, 1:], expected, rtol=1e-9)

@@ -1,4 +1,4 @@
-"""The variances of measurements whose errors persist: each draw of an error counts once."""
+"""The variances of measurements whose errors persist: each draw of an error counts once; VTs that come and go."""
 
 import numpy as np
 import pytest
@@ -6,8 +6,8 @@ import pytest
 from cellslam.sim.recording import Links, OdometryModel, Sites
 from cellslam.slam.api import Setup, Snapshot
 from cellslam.slam.measurements.fusion import Fusion
-from cellslam.slam.measurements.measurement_options import MeasurementOptions
-from cellslam.slam.measurements.readings import Readings, count_sharers, novelty, readings
+from cellslam.slam.measurements.measurement_options import MeasurementOptions, existence, visibility
+from cellslam.slam.measurements.readings import Readings, count_sharers, crowd, novelty, readings, repeats
 
 ROWS = [(0, 100.0, 0.1, 0.1), (1, 100.1, 0.1, 0.1), (2, 100.0, 1.0, 0.1)]
 
@@ -54,3 +54,36 @@ def test_novelty_is_what_the_last_snapshot_has_not_shown() -> None:
     # As an update of a lone path counts it, which is seen with one port.
     lone = read([(0, 150.0, 0.3, 0.1)], usual, 0.02, 0.08)
     assert np.mean(lone.single / lone.many) == pytest.approx(turning, rel=0.05)
+
+
+def test_directions_that_crowd_share_their_error() -> None:
+    """Two of one direction count double, the third half as close counts for its correlation, far ones not at all."""
+    azimuth, elevation = np.radians([10.0, 10.0, 14.0, -170.0]), np.zeros(4)
+    near = np.exp(-0.5)
+    assert crowd(azimuth, elevation, np.radians(4.0)) == pytest.approx([2 + near, 2 + near, 1 + 2 * near, 1.0])
+    assert crowd(np.radians([179.0, -179.0]), np.zeros(2), np.radians(2.0)) == pytest.approx([1 + near, 1 + near])
+    assert crowd(np.full(3, np.nan), np.zeros(3), 0.1) == pytest.approx([1.0, 1.0, 1.0])
+
+
+def test_a_repeated_mean_has_the_variance_that_draws_promises() -> None:
+    """An error with correlation exp(-x^2 / (2 scale^2)): the mean of n samples varies as std^2 repeats / n."""
+    rng = np.random.default_rng(5)
+    step, scale, n, runs = 0.05, 0.15, 400, 2000
+    lag = step * np.arange(n)
+    root = np.linalg.cholesky(np.exp(-((lag[:, None] - lag) ** 2) / (2 * scale**2)) + 1e-9 * np.eye(n))
+    means = (root @ rng.standard_normal((n, runs))).mean(axis=0)
+    assert means.var() == pytest.approx(repeats(scale, step) / n, rel=0.1)
+
+
+def test_visibility_falls_with_misses_and_comes_back_for_known_vts() -> None:
+    once = visibility(0.01, 0.99, 0.0, 0.9, 50)
+    known = visibility(1.0, 0.99, 0.01, 0.9, 500)
+    assert np.all(np.diff(once[1:20]) < 0)
+    assert once[1] == pytest.approx(0.01 * 0.99)
+    assert known[2] == pytest.approx(
+        (0.99 * 0.1 / (1 - 0.99 * 0.9)) * 0.99 + (1 - 0.99 * 0.1 / (1 - 0.99 * 0.9)) * 0.01
+    )
+    assert 0.005 < known[-1] < 0.02
+    logs, age_once, age_twice = existence(MeasurementOptions(), 0.075)
+    assert np.all(logs <= 0.0)
+    assert 0 < age_once < age_twice
