@@ -2,7 +2,7 @@
 
 State
     The Gaussian of EKF-SLAM (ekf_slam.py), and of each feature (VT) the probability r that it exists and is visible
-                                                                          anchor[:, EXISTS] in state/layout.py: Filter
+                                                                              anchor[:, EXISTS] in state/layout.py: Vts
 Recursion, in a snapshot, for each link
     predict     r <- r stay + (1 - r) back                       association_kernel.py: believe; `back` if confirmed
     messages    beta = r p_D / (1 - r p_D) N(e; 0, S) / clutter        of a legacy feature, against a missed detection

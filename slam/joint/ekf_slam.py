@@ -4,7 +4,7 @@ State
     x ~ N(x, P): pose (6), sway of the array, ground, odometry biases b and scales s, sum of the odometry's noise, clock
     offsets and their rates, errors of a remembered map; then, as they are met, weights of the fields of direction, and
     of each VT range, azimuth, elevation about the pose of its birth, and its diffuse errors   state/layout.py: Core,
-    Filter (`x`, `p`, `vt_state`, `weight_state`); what enters and leaves: state/states_kernel.py
+    Filter (`x`, `p`), Vts, FieldWeights; what enters and leaves: state/states_kernel.py
 
 Recursion, for odometry u over dt with white noise of density q, and measurements z = h(x) + v, v ~ N(0, Q)
     predict     pose <- pose + (u - b) / (1 + s) dt in the frame of the middle heading
@@ -90,7 +90,6 @@ class JointFilter:
     name: ClassVar[str]
     requires_truth: ClassVar[bool] = False
     mode: ClassVar[int] = FREE
-    grows: bool = True  # diffuse errors that are surely larger than assumed are taken for as large as they are
     options: EkfSlamOptions
 
     def __init__(self, options: Any = None) -> None:
@@ -325,7 +324,7 @@ class JointFilter:
             measured = measured._replace(noise=measured.noise._replace(merged=np.zeros(3)))
         errors = self._errors._replace(diffuse=self._grown * self._errors.diffuse)
         association = self._go_on(mixture, errors, interval, measured)
-        if self.grows and measured.now % GROW_EVERY == GROW_EVERY - 1:
+        if measured.now % GROW_EVERY == GROW_EVERY - 1:
             self._grown = min(self._grown * growth(mixture), MOST_GROWN)
         best = mixture.best
         lost = mixture.lost(best)

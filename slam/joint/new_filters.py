@@ -131,12 +131,12 @@ def new_mixture(
     )
     anchor = np.zeros((k, vts, ANCHOR))
     anchor[:, :, SHARE] = 1.0
-    vt_state, slots = np.full((k, vts, VT_STATES), -1), np.zeros((k, vts, SLOT), whole)
+    places, slots = np.full((k, vts, VT_STATES), -1), np.zeros((k, vts, SLOT), whole)
     arrays = Filter(
         core=core, x=x, p=p, size=np.full((k, 1), core.size), owner=np.full((k, states), NOBODY),
         count=np.zeros((k, 1), whole), links=np.ones((k, len(setup.links)), whole),
         fields=FieldWeights(place=np.full((k, weights), -1), met=np.zeros((k, weights), whole)),
-        vts=Vts(state=vt_state, anchor=anchor, slots=slots, spread=np.zeros((k, vts, 6))),
+        vts=Vts(state=places, anchor=anchor, slots=slots, spread=np.zeros((k, vts, 6))),
         lost=Lost(rows=np.zeros((k, LOST, ENTRY)), used=np.zeros((k, 1), whole)),
         learnt=Learnt(sizes=np.zeros((k, 3, SIZES)), summed=np.zeros((k, 1)), surprise=np.zeros((k, 2))),
         particles=Particles(deviation=np.zeros((k, states, 0)), weight=np.zeros((k, 0))),

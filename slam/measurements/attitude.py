@@ -117,18 +117,9 @@ def _row_of(name: int, names: Ints) -> int:
 
 @njit(cache=True)
 def _observe(
-    mean: Floats,
-    covariance: Floats,
-    pose: Floats,
-    association: Ints,
-    names: Ints,
-    vts: Floats,
-    spreads: Floats,
-    azimuth: Floats,
-    elevation: Floats,
-    variance: Floats,
-    common: Floats,
-) -> None:
+    mean: Floats, covariance: Floats, pose: Floats, association: Ints, names: Ints, vts: Floats, spreads: Floats,
+    azimuth: Floats, elevation: Floats, variance: Floats, common: Floats,
+) -> None:  # fmt: skip
     """Update mean (2,) and covariance (2, 2) of pitch and roll, in rad, by the directions of known VTs, in place.
 
     `pose` (6,): place and yaw of the array; measurement i is of the VT that is called association[i], with its place in

@@ -135,16 +135,9 @@ def clutter_log_ratios(links: Ints, detection_probability: float) -> Floats:
 
 @njit(cache=True)
 def taken_together(
-    distance: Floats,
-    azimuth: Floats,
-    elevation: Floats,
-    white: Floats,
-    place: Floats,
-    link: Ints,
-    group_of: Ints,
-    port_of: Ints,
-    together: bool,
-) -> tuple[Floats, Floats, Ints, Ints, Ints, Ints, Ints]:
+    distance: Floats, azimuth: Floats, elevation: Floats, white: Floats, place: Floats, link: Ints, group_of: Ints,
+    port_of: Ints, together: bool,
+) -> tuple[Floats, Floats, Ints, Ints, Ints, Ints, Ints]:  # fmt: skip
     """Return the n fused measurements of m measurements, sorted by group: their values (n, 3), white variances (n, 3),
     group (n,), number of members (n,) and of ports (n,), and first member (n,); and which of them each measurement is a
     member of (m,).

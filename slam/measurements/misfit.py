@@ -69,17 +69,9 @@ def warm_up() -> None:
 
 @njit(cache=True)
 def _compare(
-    pose: Floats,
-    association: Ints,
-    names: Ints,
-    vts: Floats,
-    spreads: Floats,
-    z: Floats,
-    single: Floats,
-    factor: Floats,
-    keep: float,
-    sums: Floats,
-) -> None:
+    pose: Floats, association: Ints, names: Ints, vts: Floats, spreads: Floats, z: Floats, single: Floats,
+    factor: Floats, keep: float, sums: Floats,
+) -> None:  # fmt: skip
     """Update sums (2, 2): of azimuth and of elevation the squared errors over their variances, and how many, after
     `keep` of what they were.
 

@@ -165,15 +165,10 @@ def add(
     f.vts.state[new] = -1
     if not give_birth(f, a, new, offset, z, q, ranged, seen.noise.diffuse[k], seen.now, s, w):
         return False
-    f.vts.anchor[new, EXISTS] = f.vts.anchor[new, SHARE] = 1.0
-    f.vts.anchor[new, MERGED], f.vts.anchor[new, WORTH] = expected_share(seen.rules.merge_rate), 0.0
-    f.vts.slots[new, LINK], f.vts.slots[new, HITS], f.vts.slots[new, LAST], f.vts.slots[new, IDENT] = (
-        link,
-        1,
-        seen.now,
-        ident,
-    )
-    f.vts.slots[new, UNSEEN], f.vts.slots[new, BEYOND] = 0, 0
+    anchor, slots = f.vts.anchor[new], f.vts.slots[new]
+    anchor[EXISTS], anchor[SHARE] = 1.0, 1.0
+    anchor[MERGED], anchor[WORTH] = expected_share(seen.rules.merge_rate), 0.0
+    slots[LINK], slots[HITS], slots[LAST], slots[IDENT], slots[UNSEEN], slots[BEYOND] = link, 1, seen.now, ident, 0, 0
     f.vts.spread[new] = 0.0
     clear(b, new)
     f.count[0] = new + 1
@@ -382,17 +377,12 @@ def correct_guesses(
     """
     if len(f.particles.weight) == 0:  # the rows of a filter with particles are needed until these are updated, too
         settle(f, w)
-    link, ident, last, hits, share = (
-        f.vts.slots[j, LINK],
-        f.vts.slots[j, IDENT],
-        f.vts.slots[j, LAST],
-        f.vts.slots[j, HITS],
-        f.vts.anchor[:, SHARE],
-    )
+    slots, share = f.vts.slots, f.vts.anchor[:, SHARE]
+    link, ident, last, hits = slots[j, LINK], slots[j, IDENT], slots[j, LAST], slots[j, HITS]
     best = -math.inf
     for i in range(f.count[0]):
         if is_guess(f, i, link, ident):
-            f.vts.slots[i, LAST], f.vts.slots[i, HITS] = last, hits
+            slots[i, LAST], slots[i, HITS] = last, hits
             if share[i] > 0.0:
                 e, hph = compare(f, a, i, offset, measurement, s, w)
                 new = innovate(e, measurement.q, hph)

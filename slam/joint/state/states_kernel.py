@@ -1,7 +1,7 @@
 """Compiled: the state of a joint filter: what comes and goes in it.
 
 States before `core.size` are always there. The others enter as they are met and leave by exact marginalisation, the
-last one taking the place of one that leaves: `owner` says whose each of them is, `vt_state` and `weight_state` where
+last one taking the place of one that leaves: `owner` says whose each of them is, `vts.state` and `fields.place` where
 they are. Source: Smith, Self and Cheeseman, "Estimating uncertain spatial relationships in robotics", 1990.
 """
 
