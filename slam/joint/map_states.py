@@ -103,11 +103,8 @@ class Remembered:
         for n, vt in enumerate(which.tolist()):
             j, places = count + n, size + 3 * n + np.arange(3)
             f.vts.slots[j] = self.link[vt], known.hits[vt], now - 1, self.first_ident + vt, 1, 0
-            f.vts.anchor[j, :3], f.vts.anchor[j, [EXISTS, SHARE]], f.vts.anchor[j, [MERGED, WORTH]] = (
-                known.anchor_m[vt],
-                1.0,
-                0.0,
-            )
+            f.vts.anchor[j, :3] = known.anchor_m[vt]
+            f.vts.anchor[j, [EXISTS, SHARE]], f.vts.anchor[j, [MERGED, WORTH]] = 1.0, 0.0
             f.vts.state[j], f.vts.state[j, VT : VT + 3] = -1, places
             f.owner[places] = [owner_of(j, VT + c, VT_STATES) for c in range(3)]
             f.vts.spread[j] = 0.0

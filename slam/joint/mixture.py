@@ -89,7 +89,7 @@ def _threads(process: int) -> ThreadPoolExecutor:
 @dataclass
 class Mixture:
     """K filters: `arrays`, each with a leading axis of at least K, their blocks, log-weights (K,), and the `influence`
-    of VTs on these; the map that they `remember`, if any."""
+    of VTs on these; the map that is `remembered`, if any."""
 
     arrays: Filter
     blocks: Block
@@ -215,11 +215,8 @@ class Mixture:
         f.count[:], f.size[:] = len(link), first + 3 * len(link)
         for j, offset in enumerate(position_m - here):
             f.vts.slots[:, j, [LINK, HITS, LAST, IDENT]] = link[j], KNOWN, last, ident[j]
-            f.vts.anchor[:, j, :3], f.vts.anchor[:, j, [EXISTS, SHARE]], f.vts.anchor[:, j, [MERGED, WORTH]] = (
-                here,
-                1.0,
-                0.0,
-            )
+            f.vts.anchor[:, j, :3] = here
+            f.vts.anchor[:, j, [EXISTS, SHARE]], f.vts.anchor[:, j, [MERGED, WORTH]] = 1.0, 0.0
             at = first + 3 * j + np.arange(3)
             f.vts.state[:, j], f.vts.state[:, j, VT : VT + 3] = -1, at
             f.owner[:, at] = [owner_of(j, VT + c, VT_STATES) for c in range(3)]

@@ -252,42 +252,42 @@ def update_by_block(f: Filter, a: ArrayErrors, b: Block, seen: Measured, s: Sigh
     """Take in what the block has of each VT, and what each VT is worth; the rows of p wait to be added up."""
     rules = seen.rules
     z, q, white = np.empty(3), np.empty(3), np.empty(3)
+    slots, anchor, sums = f.vts.slots, f.vts.anchor, b.sums
     for j in range(f.count[0]):
-        if b.sums.detections[j] == 0:
-            f.vts.anchor[j, WORTH] += rules.evidence * b.sums.odds[j]
+        if sums.detections[j] == 0:
+            anchor[j, WORTH] += rules.evidence * sums.odds[j]
             clear(b, j)
             continue
-        offset = f.core.first_offset + seen.site_of[f.vts.slots[j, LINK]]
-        at = b.sums.seen[j, b.sums.detections[j] // 2]
+        offset = f.core.first_offset + seen.site_of[slots[j, LINK]]
+        at = sums.seen[j, sums.detections[j] // 2]
         middle = b.track.pose[at]
         there, turned = Vec3(middle[0], middle[1], middle[2]), rotations(middle[3], middle[4], middle[5])
         h = geometry(f, j, offset, there, turned, coordinates(f, j), s)
         z[0], z[1], z[2] = h.distance + f.x[offset], h.azimuth, h.elevation
         for c in range(3):
-            n = b.sums.measured[j, c]
-            z[c] += b.sums.e[j, c] / n if n > 0.0 else math.nan
-            white[c] = b.sums.q[j, c] / (n * n) if n > 0.0 else 1.0
+            n = sums.measured[j, c]
+            z[c] += sums.e[j, c] / n if n > 0.0 else math.nan
+            white[c] = sums.q[j, c] / (n * n) if n > 0.0 else 1.0
             q[c] = white[c] + (seen.noise.merged[c] / n if n > 0.0 else 0.0)
         if rules.merge_rate > 0.0:
             expect_beside(f, b, j, offset, h, there, turned, rules.lifetime.confirm, s)
         diffuse, turn = shares(b, a, j)
         measurement = BlockMeasurement(
-            z, q, white, middle, there, turned, diffuse, turn, seen.now, b.track.deviation[at]
-        )
-        if f.vts.slots[j, UNSEEN] == 1:
+            z=z, q=q, white=white, pose=middle, place=there, turned=turned, diffuse=diffuse, turn=turn, now=seen.now,
+            deviation=b.track.deviation[at],
+        )  # fmt: skip
+        if slots[j, UNSEEN] == 1:
             count_surprise(f, a, j, offset, measurement, rules.association.gate, s, p)
-        if f.vts.anchor[j, SHARE] < 1.0:
+        if anchor[j, SHARE] < 1.0:
             fit = correct_guesses(f, a, j, offset, measurement, rules, s, p)
         else:
             fit = correct(f, a, j, offset, measurement, rules, s, p)
         known = 0.0
         for c in range(3):
-            if b.sums.measured[j, c] > 0.0:
+            if sums.measured[j, c] > 0.0:
                 known += 0.5 * (1.0 + LOG_2PI + math.log(q[c] + (diffuse * a.diffuse[c]) ** 2))
         # A pair's density counts as fit in so far as it is one VT's or another's; what any VT would have is evidence.
-        f.vts.anchor[j, WORTH] += max(fit + known, UNLIKELY) + rules.evidence * (
-            b.sums.odds[j] - b.sums.detections[j] * known
-        )
+        anchor[j, WORTH] += max(fit + known, UNLIKELY) + rules.evidence * (sums.odds[j] - sums.detections[j] * known)
         clear(b, j)
 
 
@@ -311,9 +311,9 @@ def end_update(f: Filter, a: ArrayErrors, b: Block, before: Floats, noise: Float
 @lean
 def ends(b: Block, rules: Rules) -> bool:
     """Return whether a block is full: after so many snapshots, so long a distance or turn."""
-    most = rules.blocks
+    most, track = rules.blocks, b.track
     return bool(
-        b.track.snapshots[0] >= most.snapshots or b.track.total[0] > most.distance or abs(b.track.total[1]) > most.turn
+        track.snapshots[0] >= most.snapshots or track.total[0] > most.distance or abs(track.total[1]) > most.turn
     )
 
 

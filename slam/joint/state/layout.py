@@ -96,8 +96,8 @@ class FieldWeights(NamedTuple):
 
 
 class Vts(NamedTuple):
-    """V VTs: `state` (V, 6): places of the states of each, -1 where there is none; `anchor` (V, 8) and integers `slots`
-    (V, 7), as above; `spread` (V, 6): covariance over the particles of what they expect to measure of each VT, xx, xy,
+    """V VTs: `state` (V, 6): places of the states of each, -1 where there is none; `anchor` (V, 7) and integers `slots`
+    (V, 6), as above; `spread` (V, 6): covariance over the particles of what they expect to measure of each VT, xx, xy,
     xz, yy, yz, zz in m and rad. A VT that is known exactly has states without variance."""
 
     state: Ints
