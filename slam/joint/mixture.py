@@ -162,9 +162,11 @@ class Mixture:
         if target == len(self.arrays.x):
             self._resize(2 * target)
         n = int(self.arrays.size[source, 0])
-        for array in (*_arrays(self.arrays._replace(p=NO_ARRAY)), *_arrays(self.blocks)):
-            array[target] = array[source]
-        self.arrays.p[target, :n, :n] = self.arrays.p[source, :n, :n]
+        for array in (*_arrays(self.arrays), *_arrays(self.blocks)):
+            if array is self.arrays.p:  # memory that is not used is not touched
+                array[target, :n, :n] = array[source, :n, :n]
+            else:
+                array[target] = array[source]
 
     def _resize(self, filters: int) -> None:
         """Make room for so many filters, and no more."""
