@@ -90,6 +90,7 @@ class JointFilter:
     name: ClassVar[str]
     requires_truth: ClassVar[bool] = False
     mode: ClassVar[int] = FREE
+    grows: bool = True  # diffuse errors that are surely larger than assumed are taken for as large as they are
     options: EkfSlamOptions
 
     def __init__(self, options: Any = None) -> None:
@@ -324,7 +325,7 @@ class JointFilter:
             measured = measured._replace(noise=measured.noise._replace(merged=np.zeros(3)))
         errors = self._errors._replace(diffuse=self._grown * self._errors.diffuse)
         association = self._go_on(mixture, errors, interval, measured)
-        if measured.now % GROW_EVERY == GROW_EVERY - 1:
+        if self.grows and measured.now % GROW_EVERY == GROW_EVERY - 1:
             self._grown = min(self._grown * growth(mixture), MOST_GROWN)
         best = mixture.best
         lost = mixture.lost(best)

@@ -56,9 +56,10 @@ def test_errors_that_are_not_as_large_as_told_are_remarked(
     assert tuple(re.findall(r"\w+ of \w+", "".join(remarks))) == words
 
 
-def after(drive: Recording, request: Request) -> EkfSlam:
+def after(drive: Recording, request: Request, grows: bool = True) -> EkfSlam:
     """Return the filter that was asked for after a drive."""
     estimator = EkfSlam(request.options)
+    estimator.grows = grows
     driven(estimator, drive)
     return estimator
 
@@ -70,6 +71,8 @@ def test_diffuse_errors_are_taken_for_as_large_as_they_are(drive: Recording) -> 
     assert 1.5 < grown.grown < 2.7
     # What the drive says besides is said against these.
     assert abs(grown.slopes()["diffuse_m"][0]) < 4.0 * np.sqrt(grown.slopes()["diffuse_m"][1])
+    kept = after(drive, half, grows=False).sizes()
+    assert kept.grown == 1.0 and 1.5 < kept.doubted()["diffuse_m"] < 2.7
     for factor in (1.0, 2.0):
         assert after(drive, assuming(drive, "diffuse", factor)).sizes().grown == 1.0
 
