@@ -37,7 +37,6 @@ from cellslam.sim.randomness import quasi_random
 from cellslam.sim.recording import Floats, Ints, Sites
 from cellslam.slam import warm_up
 from cellslam.slam.api import Estimate, Setup, Snapshot, VtEstimate
-from cellslam.slam.measurements import attitude, misfit
 from cellslam.slam.measurements.attitude import Attitude
 from cellslam.slam.measurements.fusion import FusedMeasurements, Fusion
 from cellslam.slam.measurements.measurement_options import MeasurementOptions, transitions
@@ -121,8 +120,6 @@ class PhdSlam:
 
     def warm_up(self) -> None:
         """Compile the kernels, on a drive of four snapshots."""
-        attitude.warm_up()
-        misfit.warm_up()
         warm_up.drive(type(self)(self.options.model_copy(update={"particles": 4, "effective_share": 1.0})))
 
     def start(self, setup: Setup, rng: np.random.Generator) -> None:
