@@ -32,12 +32,5 @@ def test_the_mean_of_a_path_and_its_reflection_from_the_ground(
         np.testing.assert_allclose(np.degrees(sight.by[:, 0]), [0.0, 0.0, pull_deg], atol=1e-3)
 
 
-def test_a_share_of_zero_takes_the_state_away(one_filter: Any) -> None:
-    one = one_filter(NO_ERRORS)
-    one.w.sight.size[0] = 0
-    assert one.f.core.ground < 0
-    assert ground(one.f, Spherical(100.0, 0.7, 0.2), one.w.sight) == (0.0, 0.0, 0.0) and one.w.sight.size[0] == 0
-
-
 def test_the_option_makes_the_state() -> None:
     assert array_errors(EkfSlamOptions(ground_share=0.5), setup_of(tiny_drive())).ground == 0.5

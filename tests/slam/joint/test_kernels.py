@@ -18,14 +18,7 @@ from cellslam.slam.joint.snapshot.association_kernel import expect, score_pairs
 from cellslam.slam.joint.snapshot.birth_kernel import give_birth, remove, tidy
 from cellslam.slam.joint.snapshot.motion_kernel import Interval, Step, forget, move
 from cellslam.slam.joint.snapshot.sight_kernel import field, rotations_of
-from cellslam.slam.joint.snapshot.sizes_kernel import (
-    DIFFUSE_SIZE,
-    ODOMETRY,
-    WHITE,
-    count_diffuse,
-    count_motion,
-    count_white,
-)
+from cellslam.slam.joint.snapshot.sizes_kernel import DIFFUSE_SIZE, WHITE, count_diffuse, count_white
 from cellslam.slam.joint.snapshot.update_kernel import Vec3, add_up, compare, correct, gains, innovate, update
 from cellslam.slam.joint.state.layout import LAST, ArrayErrors, one_of
 from cellslam.slam.joint.state.states_kernel import enter, leave
@@ -343,25 +336,3 @@ def test_sizes_have_the_slope_and_information_of_the_likelihood(one_filter: Any)
 
 def sym(m: Any) -> Any:
     return Sym3(*m[np.triu_indices(3)])
-
-
-def test_sums_of_odometry_noise_are_taken_in_when_they_are_told() -> None:
-    setup = setup_of(tiny_drive())
-    sheet = replace(setup.odometry_model, noise_density=np.array([0.1, 0.0, 0.0, 0.02, 0.0, 0.0]))
-    setup = replace(setup, odometry_model=sheet)
-    core = core_of(setup, NO_ERRORS)
-    f = one_of(new_mixture(setup, core, NO_ERRORS, np.zeros((1, 2)), np.ones(2)).arrays, 0)
-    move(
-        f,
-        Interval(0.5, np.zeros(6), sheet.noise_density, np.zeros(6)),
-        Step(np.empty((6, core.size + 6)), np.empty((6, len(f.x)))),
-    )
-    forward = core.noise[0]
-    assert f.p[forward, forward] == pytest.approx(0.1**2 * 0.5)
-    count_motion(f, sheet.noise_density, 0.5)
-    assert f.learnt.summed[0] == 0.5  # nothing is told yet
-    f.x[forward], f.p[forward, forward] = 0.12, 0.001
-    count_motion(f, sheet.noise_density, 0.0)
-    assert f.learnt.sizes[0, ODOMETRY] == pytest.approx((0.12**2 + 0.001) / 0.005 - 1.0)
-    assert f.learnt.sizes[1, ODOMETRY] == pytest.approx(2.0 * 0.8**2)
-    assert f.learnt.summed[0] == 0.0 and not f.p[forward].any() and f.x[forward] == 0.0

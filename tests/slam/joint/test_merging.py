@@ -78,12 +78,6 @@ def test_a_vt_that_should_be_seen_beside_makes_it_likely(
     assert one.f.vts.anchor[1, MERGED] == 0.1
 
 
-def test_paths_of_a_surveyed_transmitter_have_not_merged_yet(one_filter: Any) -> None:
-    one = prepared(one_filter)
-    one.mixture.know(np.zeros(1, np.int64), np.zeros(1, np.int64), np.array([[50.0, 0.0, 10.0]]), 0)
-    assert one.mixture.arrays.vts.anchor[0, 0, MERGED] == 0.0
-
-
 def turned_by(one_filter: Any, e_deg: float, **rules: float) -> float:
     """Return by how much a measurement turns the vehicle, in deg, whose azimuth differs by so much from what is
     expected."""

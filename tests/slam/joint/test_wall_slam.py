@@ -165,6 +165,16 @@ def test_a_pair_waits_while_another_one_is_as_likely(one_filter):
     assert best_pair(f, images[1:], np.arange(2), FLAT, 3.0) is None  # these two are not one wall
 
 
+def squares_after(imposing, f, at, vts):
+    """Squared error of all VTs, in their deviations, after something was imposed, which lessens what is unknown."""
+    before = np.trace(f.p)
+    imposing()
+    assert np.trace(f.p) < before and np.array_equal(f.p, f.p.T)
+    error = f.x[at] - np.concatenate([predict(np.zeros(6), place) for _, place in vts])
+    error[1::3] = wrap_angle(error[1::3])
+    return error @ np.linalg.solve(f.p[at, at], error)
+
+
 @pytest.mark.slow
 def test_imposing_leaves_the_filter_consistent(one_filter):
     """Mean NEES of all VTs, over draws of their errors and of how flat the wall is."""
@@ -175,12 +185,9 @@ def test_imposing_leaves_the_filter_consistent(one_filter):
         normal = np.array([np.cos(NORTH + turn), np.sin(NORTH + turn)])
         vts = scene(NORTH + turn, normal @ [middle_x, WALL_M] + off)
         f, at = filter_of(one_filter, vts, 0.5, rng)
-        before = np.trace(f.p)
-        impose(f, partial(apart, a=pair(f)[0], b=pair(f)[1]), FLAT.covariance)
-        assert np.trace(f.p) < before and np.array_equal(f.p, f.p.T)
-        error = f.x[at] - np.concatenate([predict(np.zeros(6), place) for _, place in vts])
-        error[1::3] = wrap_angle(error[1::3])
-        squares.append(error @ np.linalg.solve(f.p[at, at], error))
+        squares.append(
+            squares_after(partial(impose, f, partial(apart, a=pair(f)[0], b=pair(f)[1]), FLAT.covariance), f, at, vts)
+        )
     # The mean of chi-square of 24 over 300 draws has a deviation of 0.4.
     assert np.mean(squares) == pytest.approx(24.0, abs=1.2)
 
@@ -278,12 +285,7 @@ def test_imposing_a_double_reflection_leaves_the_filter_consistent(one_filter):
         f, at = filter_of(one_filter, vts, 0.5, rng)
         images = {image.vt: image for image in images_of(f, seen(f), 3)}
         double = Double(vt=images[4], first=images[1], second=images[2])
-        before = np.trace(f.p)
-        impose_double(f, double, seen(f), FLAT)
-        assert np.trace(f.p) < before and np.array_equal(f.p, f.p.T)
-        error = f.x[at] - np.concatenate([predict(np.zeros(6), place) for _, place in vts])
-        error[1::3] = wrap_angle(error[1::3])
-        squares.append(error @ np.linalg.solve(f.p[at, at], error))
+        squares.append(squares_after(partial(impose_double, f, double, seen(f), FLAT), f, at, vts))
     # Chi-square of 15 has a mean of 15 with a deviation of 0.3; the spread is a little wide on purpose.
     assert 12.5 < np.mean(squares) < 16.0
 
@@ -351,14 +353,6 @@ def walked(recording, **options):
     """Return the walls that were reported last, and the last answer."""
     answers = driven(WallSlam(WallSlamOptions(**options)), recording)
     return [answer.walls for answer in answers if answer.walls is not None][-1], answers[-1]
-
-
-@pytest.mark.slow
-def test_vts_in_sight_stay_whatever_is_known_of_their_walls(street, monkeypatch):
-    _, last = walked(street)
-    monkeypatch.setattr(Facades, "not_met", lambda _, f: f.vts.slots[: f.count[0], IDENT].tolist())
-    _, other = walked(street)
-    np.testing.assert_array_equal(other.pose, last.pose)
 
 
 def test_vts_that_were_long_out_of_sight_wait_for_their_walls(street, monkeypatch):
