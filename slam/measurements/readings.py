@@ -90,11 +90,13 @@ def novelty(options: MeasurementOptions, turn_rad: float, moved_m: float) -> flo
     The variance of one measurement over that with which an update counts, as `combine` has them for a lone path, mean
     over distance, azimuth and elevation. The vehicle has turned and moved since the last snapshot.
     """
-    (place, direction), scales, white = options.persisting, options.scales, np.maximum(options.noise[0], LEAST)
-    change = abs(turn_rad) + abs(moved_m) / scales[3]
-    again = np.array([repeats(scale, change) for scale in scales[[1, 2, 2]]])
-    counted = white + place * repeats(scales[0], moved_m) + direction * again
-    return float(np.mean((white + place + direction) / counted))
+    (place, direction), white = options.persisting, np.maximum(options.noise[0], LEAST)
+    of_place, of_distance, of_angles, away = options.scales.tolist()
+    change = abs(turn_rad) + abs(moved_m) / away
+    by_angles = repeats(of_angles, change)
+    again = np.array([repeats(of_distance, change), by_angles, by_angles])
+    counted = white + place * repeats(of_place, moved_m) + direction * again
+    return float(((white + place + direction) / counted).sum()) / len(white)
 
 
 def ports_of(site_of: Ints, port: Ints) -> Ints:
