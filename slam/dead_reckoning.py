@@ -10,9 +10,8 @@ import numpy as np
 from cellslam.sim.frames import wrap_angle
 from cellslam.sim.recording import Floats, Links, OdometryModel, Sites
 from cellslam.slam.api import Estimate, Setup, Snapshot
-from cellslam.slam.joint.mixture import core_of, new_mixture
+from cellslam.slam.joint.new_filters import NO_ERRORS, core_of, new_mixture
 from cellslam.slam.joint.snapshot.motion_kernel import Interval, Step, move
-from cellslam.slam.joint.state.array_errors import NO_ERRORS
 from cellslam.slam.joint.state.layout import one_of
 
 

@@ -13,11 +13,11 @@ from cellslam.slam.fastslam.fastslam import FastSlam
 from cellslam.slam.fastslam.fastslam_kernel import Scores
 from cellslam.slam.fastslam.fastslam_options import FastSlamOptions
 from cellslam.slam.fastslam.parts import never
-from cellslam.slam.front_end.fusion import FusedMeasurements
 from cellslam.slam.joint.ekf_slam import EkfSlam
 from cellslam.slam.joint.mixture import Mixture
 from cellslam.slam.joint.snapshot.association_kernel import FRESH
 from cellslam.slam.joint.state.layout import IDENT, KNOWN_ASSOCIATION, KNOWN_MAP, LINK, Filter, Measured
+from cellslam.slam.measurements.fusion import FusedMeasurements
 
 LONG_AGO = -100_000  # snapshot in which the map was last seen, at the start
 
@@ -59,7 +59,7 @@ class FastSlamKnownAssociation(FastSlam):
 
     def _hypotheses(self, f: Filter, measured: Measured, scores: Scores) -> list[Ints]:
         link = np.repeat(np.arange(len(measured.first) - 1), np.diff(measured.first))
-        known = f.slots[: int(f.count[0])]
+        known = f.vts.slots[: int(f.count[0])]
         same = (known[:, IDENT] == measured.given[:, None]) & (known[:, LINK] == link[:, None])
         return [np.where(same.any(axis=1), same.argmax(axis=1) if len(known) else 0, FRESH)]
 

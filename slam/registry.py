@@ -56,7 +56,7 @@ BUILT_IN = (
     Listed(
         "ekf-slam",
         "cellslam.slam.joint.ekf_slam:EkfSlam",
-        "joint EKF of pose, odometry errors, clock offsets, VTs and errors that persist; or several such hypotheses",
+        "joint EKF of pose, odometry errors, clock offsets, VTs and errors that persist",
     ),
     Listed(
         "wall-slam",

@@ -17,7 +17,7 @@ IMPORT = re.compile(r"from (cellslam[\w.]*) import ([\w, ]+)")
 DATA = re.compile(r"\.(csv|gpx|h5|html|json|png|sqlite|toml)$")
 # What is written as if it were in a module of that name: tables of scenarios and recordings, variables.
 KEYS = (
-    "city", "env", "errors", "links", "odometry", "reference", "sites", "tables", "traffic", "trial",
+    "city", "env", "errors", "links", "measurements", "odometry", "reference", "sites", "tables", "traffic", "trial",
     "vehicle", "world",
 )  # fmt: skip
 NOT_HERE = (

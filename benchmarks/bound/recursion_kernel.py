@@ -23,7 +23,7 @@ from cellslam.benchmarks.bound.bound_model import Errors, Found, Motion, Sightin
 from cellslam.benchmarks.bound.states_kernel import POSE, append, decay, enter, leave, predict
 from cellslam.sim.compiling import njit, part
 from cellslam.sim.recording import Floats, Ints
-from cellslam.slam.model.downdate_kernel import downdate
+from cellslam.slam.model.arrays_kernel import downdate
 
 
 @njit(cache=True)

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from cellslam.sim.recording import Floats, Ints, Links, Measurements, Recording, Truth, VirtualTransmitters
-from cellslam.slam.front_end.front_end_options import NOTHING_PERSISTS
+from cellslam.slam.measurements.measurement_options import NOTHING_PERSISTS
 
 if TYPE_CHECKING:
     from cellslam.sim.city import City

@@ -76,7 +76,6 @@ from cellslam.slam.joint.state.layout import (
     Block,
     Filter,
     Measured,
-    Rules,
     block_of,
     one_of,
 )
@@ -130,11 +129,6 @@ class FastSlam(JointFilter):
         other.parts = self.parts
         return other
 
-    def _rules(self, common: Rules, dt_s: float) -> Rules:
-        """Leave second hypotheses to the association part."""
-        del dt_s
-        return common._replace(association=common.association._replace(rival_loss=0.0))
-
     @property
     def _drawn_blocks(self) -> int:
         return 0 if self.options.lag >= NEVER else max(self.options.lag, 0) + 1
@@ -179,7 +173,7 @@ class FastSlam(JointFilter):
     ) -> list[Ints]:
         """Move a group, and return hypotheses of which VT each measurement is of: its slot (m,), FRESH for a new one,
         TAKEN for none; the likeliest first."""
-        m, V, room = len(measured.z), len(f.slots), self._room_for(f, measured)
+        m, V, room = len(measured.z), len(f.vts.slots), self._room_for(f, measured)
         scores = Scores(np.zeros(1, np.int64), np.empty(V, np.int64), np.empty((V, m)), np.empty((V, m)))
         predict_and_score(f, errors, b, interval, measured, room, scores)
         found = self._hypotheses(f, measured, scores)
@@ -190,7 +184,7 @@ class FastSlam(JointFilter):
     def _hypotheses(self, f: Filter, measured: Measured, scores: Scores) -> list[Ints]:
         m, n = len(measured.z), int(scores.count[0])
         slot = scores.slot[:n]
-        candidates = Candidates(scores.log_ratio[:n], scores.distance2[:n], f.slots[slot, HITS])
+        candidates = Candidates(scores.log_ratio[:n], scores.distance2[:n], f.vts.slots[slot, HITS])
         found = np.atleast_2d(self.parts.association(candidates)) if n else np.full((1, m), NO_VT)
         found = returned("association", found, (len(found), m), n)
         return [self._slots(candidates, slot, candidate_of) for candidate_of in found]
@@ -223,8 +217,8 @@ class FastSlam(JointFilter):
         # By these rows, and beside them, the joint filter has moved the mean; here the particles are moved.
         f.x[:n] += w.added[:n] - w.rows[:k, :n].T @ w.whitened_mean[:k]
         G, W = parts.update(w.rows[:k, :n], w.whitened[:k])
-        G, W = returned("update", G, (len(W), n)), returned("update", W, (len(G), len(f.weight)))
-        log_likelihood = returned("weight", parts.weight(W), f.weight.shape)
+        G, W = returned("update", G, (len(W), n)), returned("update", W, (len(G), len(f.particles.weight)))
+        log_likelihood = returned("weight", parts.weight(W), f.particles.weight.shape)
         if self.options.lag >= 0:
             G, W, log_ratio = self._drawn(f, drawn, G, W)
             log_likelihood = log_likelihood + log_ratio
@@ -249,7 +243,7 @@ class FastSlam(JointFilter):
         there = variance > TINY * f.p[u, u].max(initial=0.0)
         if not there.any():
             return G, W, np.zeros(W.shape[1])
-        M_u = f.x[u, None] + f.deviation[u] + G[:, u].T @ W
+        M_u = f.x[u, None] + f.particles.deviation[u] + G[:, u].T @ W
         draws, log_ratio = self.parts.proposal(M_u, P_u[:, u], self._rng)
         draws, log_ratio = returned("proposal", draws, M_u.shape), returned("proposal", log_ratio, M_u.shape[1:])
         root = axes[:, there].T / np.sqrt(variance[there, None])
@@ -257,44 +251,44 @@ class FastSlam(JointFilter):
 
     def _draw_blindly(self, f: Filter, b: Block, drawn: Ints) -> None:
         """Draw a block's noise before its measurements are used, and move the particles along it."""
-        n, N, pose = int(f.size[0]), len(f.weight), f.deviation[:POSE].copy()
+        n, N, pose = int(f.size[0]), len(f.particles.weight), f.particles.deviation[:POSE].copy()
         G, W, log_ratio = self._drawn(f, drawn, np.empty((0, n)), np.empty((0, N)))
         f.p[:n, :n] -= G.T @ G
         self._move(f, G, W, log_ratio)
-        b.deviation[:] += f.deviation[:POSE] - pose
+        b.track.deviation[:] += f.particles.deviation[:POSE] - pose
 
     @staticmethod
     def _move(f: Filter, G: Floats, W: Floats, log_likelihood: Floats) -> None:
         """Let M <- M + G^T W and w_i <- w_i exp(log_likelihood_i); x stays the weighted mean of the columns of M."""
         n = G.shape[1]
         with np.errstate(divide="ignore"):
-            log_weight = np.log(f.weight) + log_likelihood
+            log_weight = np.log(f.particles.weight) + log_likelihood
         weight = np.exp(log_weight - log_weight.max())
-        f.weight[:] = weight / weight.sum()
+        f.particles.weight[:] = weight / weight.sum()
         if len(G):
-            dgemm(1.0, W.T, G, beta=1.0, c=f.deviation[:n].T, overwrite_c=True)
+            dgemm(1.0, W.T, G, beta=1.0, c=f.particles.deviation[:n].T, overwrite_c=True)
         _recentre(f, n)
 
     def _resample(self, f: Filter) -> None:
-        count, n = len(f.weight), int(f.size[0])
-        if count == 1 or 1.0 / np.sum(f.weight**2) >= self.options.effective_share * count:
+        count, n = len(f.particles.weight), int(f.size[0])
+        if count == 1 or 1.0 / np.sum(f.particles.weight**2) >= self.options.effective_share * count:
             return
-        ancestors = returned("resampling", self.parts.resampling(f.weight, count, self._rng), (count,), count)
-        f.deviation[:n] = f.deviation[:n, ancestors]
-        f.weight[:] = 1.0 / count
+        ancestors = returned("resampling", self.parts.resampling(f.particles.weight, count, self._rng), (count,), count)
+        f.particles.deviation[:n] = f.particles.deviation[:n, ancestors]
+        f.particles.weight[:] = 1.0 / count
         _recentre(f, n)
 
     def _prune(self, f: Filter, measured: Measured) -> Any:
         """Mark the VTs that are to be dropped; return the rules for what the joint filter does at a block's end."""
         rules, count = measured.rules, int(f.count[0])
-        hits, unseen = f.slots[:count, HITS], measured.now - f.slots[:count, LAST]
+        hits, unseen = f.vts.slots[:count, HITS], measured.now - f.vts.slots[:count, LAST]
         step_s = self._step_s
         lifetime = np.where(hits < 2, rules.lifetime.age_once, rules.lifetime.age_twice)
         vts = Transmitters(
             detections=hits.copy(), unseen_s=np.asarray(unseen * step_s, np.float64), lifetime_s=lifetime * step_s,
             confirmed=hits >= rules.lifetime.confirm,
         )  # fmt: skip
-        f.anchor[:count, SHARE][returned("pruning", self.parts.pruning(vts), (count,))] = DROPPED
+        f.vts.anchor[:count, SHARE][returned("pruning", self.parts.pruning(vts), (count,))] = DROPPED
         forever = np.iinfo(np.int64).max
         return rules._replace(lifetime=rules.lifetime._replace(age_once=forever, age_twice=forever))
 
@@ -324,22 +318,22 @@ class FastSlam(JointFilter):
     def _share_particles(self, mixture: Mixture) -> None:
         """Give each group its share of the particles, if the number of groups has changed."""
         count = 1 if self._drawn_blocks == 0 else max(self.options.particles // len(mixture), FEWEST)
-        if mixture.arrays.weight.shape[1] != count:
+        if mixture.arrays.particles.weight.shape[1] != count:
             mixture.share_particles(count, lambda weight: self.parts.resampling(weight, count, self._rng))
 
     def _room_for(self, f: Filter, measured: Measured) -> Room:
         """Return memory to work in that is large enough for a group and a snapshot."""
         w, most = self._room, len(measured.z)
         if (
-            w is None or len(w.pending.added) != len(f.x) or w.pairs.score.shape[0] != len(f.slots)
-            or w.pairs.score.shape[1] < most or w.pending.whitened.shape[1] != len(f.weight)
+            w is None or len(w.pending.added) != len(f.x) or w.pairs.score.shape[0] != len(f.vts.slots)
+            or w.pairs.score.shape[1] < most or w.pending.whitened.shape[1] != len(f.particles.weight)
         ):  # fmt: skip
-            w = self._room = room_for(f, 2 * most + 8, 3 * len(f.slots) + SPARE_ROWS)
+            w = self._room = room_for(f, 2 * most + 8, 3 * len(f.vts.slots) + SPARE_ROWS)
         return w
 
 
 def _recentre(f: Filter, n: int) -> None:
     """Let x be the weighted mean of the particles again."""
-    shift = f.deviation[:n] @ f.weight
+    shift = f.particles.deviation[:n] @ f.particles.weight
     f.x[:n] += shift
-    f.deviation[:n] -= shift[:, None]
+    f.particles.deviation[:n] -= shift[:, None]

@@ -32,7 +32,7 @@ from cellslam.slam.joint.snapshot.snapshot_kernel import (
 from cellslam.slam.joint.snapshot.steps_kernel import shift_clocks
 from cellslam.slam.joint.snapshot.update_kernel import settle
 from cellslam.slam.joint.state.layout import LINK, ArrayErrors, Block, Filter, Measured
-from cellslam.slam.model.copy_kernel import put
+from cellslam.slam.model.arrays_kernel import put
 from cellslam.slam.model.matrices_kernel import Vec3
 
 
@@ -122,7 +122,7 @@ def end_block(
         place = drawn[c]
         if place >= 0:
             f.x[place] = 0.0
-            f.deviation[place] = 0.0
+            f.particles.deviation[place] = 0.0
             for i in range(f.size[0]):
                 f.p[place, i] = 0.0
                 f.p[i, place] = 0.0
@@ -131,16 +131,16 @@ def end_block(
 
 @njit(cache=True, nogil=True)
 def spread_over_particles(f: Filter, site_of: Ints, room: Room) -> None:
-    """Write f.spread: the covariance over the particles of what they expect of each VT, linearised at the mean, as
+    """Write f.vts.spread: the covariance over the particles of what they expect of each VT, linearised at the mean, as
     distance (m), clock offset included, azimuth and elevation (rad). site_of (L,): site of each link."""
-    turned, here, s, count = rotations_of(f), Vec3(f.x[0], f.x[1], f.x[2]), room.sight, len(f.weight)
+    turned, here, s, count = rotations_of(f), Vec3(f.x[0], f.x[1], f.x[2]), room.sight, len(f.particles.weight)
     expected = np.empty((3, count))
     for j in range(f.count[0]):
-        offset = f.core.first_offset + site_of[f.slots[j, LINK]]
+        offset = f.core.first_offset + site_of[f.vts.slots[j, LINK]]
         geometry(f, j, offset, here, turned, coordinates(f, j), s)
         expected[:] = 0.0
         for m in range(s.size[0]):
-            row = f.deviation[s.at[m]]
+            row = f.particles.deviation[s.at[m]]
             for r in range(3):
                 if s.by[r, m] != 0.0:
                     for c in range(count):
@@ -150,6 +150,6 @@ def spread_over_particles(f: Filter, site_of: Ints, room: Room) -> None:
             for q in range(r, 3):
                 total = 0.0
                 for c in range(count):
-                    total += f.weight[c] * expected[r, c] * expected[q, c]
-                f.spread[j, entry] = total
+                    total += f.particles.weight[c] * expected[r, c] * expected[q, c]
+                f.vts.spread[j, entry] = total
                 entry += 1

@@ -52,10 +52,9 @@ from cellslam.sim.recording import Floats, Ints
 from cellslam.slam import warm_up
 from cellslam.slam.api import Estimate, Setup, Snapshot, VtEstimate
 from cellslam.slam.fastslam.paper_fastslam_options import PaperFastSlamOptions
-from cellslam.slam.front_end.front_end_options import FrontEndOptions
-from cellslam.slam.front_end.fusion import FusedMeasurements, Fusion
-from cellslam.slam.front_end.measurement_noise import ports_of
-from cellslam.slam.front_end.readings import readings
+from cellslam.slam.measurements.fusion import FusedMeasurements, Fusion
+from cellslam.slam.measurements.measurement_options import MeasurementOptions
+from cellslam.slam.measurements.readings import ports_of, readings
 from cellslam.slam.model import matrices_kernel as algebra
 from cellslam.slam.model.assignment_kernel import assign
 from cellslam.slam.model.matrices_kernel import Mat3, Mat32, Sym3, Vec3, dot, mat_mat, mat_mat32, mat_vec, transposed
@@ -374,7 +373,7 @@ class PaperFastSlam:
     def start(self, setup: Setup, rng: np.random.Generator) -> None:
         """Draw poses and errors of the odometry."""
         o, model, self._rng = self.options, setup.odometry_model, rng
-        self._fusion = Fusion(setup, FrontEndOptions(sharing=o.sharing))
+        self._fusion = Fusion(setup, MeasurementOptions(sharing=o.sharing))
         links, N = self._fusion.setup.links, o.particles
         self._model, self._port, self._now, self._born = model, ports_of(links.site, links.port), 0, 0
         self._offset_of = np.array(setup.sites.clock_offset_mean_m[links.site], np.float64)

@@ -2,9 +2,9 @@
 
 State
     The Gaussian of EKF-SLAM (ekf_slam.py), and of each feature (VT) the probability r that it exists and is visible
-                                                                          anchor[:, EXISTS] in state/layout.py: Filter
+                                                                              anchor[:, EXISTS] in state/layout.py: Vts
 Recursion, in a snapshot, for each link
-    predict     r <- r stay + (1 - r) back                       snapshot/belief_kernel.py: believe; `back` if confirmed
+    predict     r <- r stay + (1 - r) back                       association_kernel.py: believe; `back` if confirmed
     messages    beta = r p_D / (1 - r p_D) N(e; 0, S) / clutter        of a legacy feature, against a missed detection
                 xi = birth ratio, where a feature can begin            of a new feature, against clutter
                 zeta = beta / (1 + sum of the other beta nu)           features to measurements: pass_messages
@@ -22,20 +22,19 @@ whose messages are particles; here agent, features and errors are one Gaussian.
 
 from __future__ import annotations
 
-from typing import ClassVar, Literal
+from typing import ClassVar
 
 from pydantic import Field
 
-from cellslam.slam.front_end.visibility import transitions
 from cellslam.slam.joint.ekf_slam import JointFilter
 from cellslam.slam.joint.ekf_slam_options import EkfSlamOptions
 from cellslam.slam.joint.state.layout import BELIEF, Existence, Rules
+from cellslam.slam.measurements.measurement_options import transitions
 
 
 class BpSlamOptions(EkfSlamOptions):
     """What a scenario may set under `estimator.bp-slam`."""
 
-    hypotheses: Literal[1] = Field(1, description="one Gaussian: it is the mean over all associations")
     drop_probability: float = Field(
         1e-3, gt=0, lt=1, description="an unconfirmed feature less likely to exist is dropped, a new one not kept"
     )

@@ -26,7 +26,7 @@ def found(mixture: Mixture, errors: ArrayErrors) -> Calibration:
     A filter that has not met a weight has its prior.
     """
     owners, component, size = _owners(errors)
-    k, states = len(mixture), mixture.arrays.weight_state[: len(mixture), : len(owners)]
+    k, states = len(mixture), mixture.arrays.fields.place[: len(mixture), : len(owners)]
     met = np.flatnonzero((states >= 0).any(axis=0))
     x, p = np.zeros((k, len(met))), np.tile(np.eye(len(met)), (k, 1, 1))
     for i in range(k):
@@ -52,7 +52,7 @@ def begin_with(mixture: Mixture, errors: ArrayErrors, known: Calibration) -> Non
     f, at = mixture.arrays, int(mixture.arrays.size[0, 0]) + np.arange(count)
     f.x[:, at] = known.mean / std
     f.p[:, at[:, None], at] = known.covariance / (std[:, None] * std)
-    f.owner[:, at], f.weight_state[:, owner] = owner, at
+    f.owner[:, at], f.fields.place[:, owner] = owner, at
     f.size[:] += count
 
 

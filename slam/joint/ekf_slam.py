@@ -4,7 +4,7 @@ State
     x ~ N(x, P): pose (6), sway of the array, ground, odometry biases b and scales s, sum of the odometry's noise, clock
     offsets and their rates, errors of a remembered map; then, as they are met, weights of the fields of direction, and
     of each VT range, azimuth, elevation about the pose of its birth, and its diffuse errors   state/layout.py: Core,
-    Filter (`x`, `p`, `vt_state`, `weight_state`); what enters and leaves: state/states_kernel.py
+    Filter (`x`, `p`), Vts, FieldWeights; what enters and leaves: state/states_kernel.py
 
 Recursion, for odometry u over dt with white noise of density q, and measurements z = h(x) + v, v ~ N(0, Q)
     predict     pose <- pose + (u - b) / (1 + s) dt in the frame of the middle heading
@@ -12,24 +12,23 @@ Recursion, for odometry u over dt with white noise of density q, and measurement
                 P <- F P F^T + L diag(q^2 / dt) L^T                       _spread; clock offsets: _drift
     pair        e = z - h(x),  S = H P H^T + Q,  score log N(e; 0, S) p / ((1 - p) clutter),  p: of being detected
                 the best sum of scores of one-to-one pairs                snapshot/association_kernel.py: associate
-                in place of it: marginals of all associations (BP-SLAM)   snapshot/belief_kernel.py: believe
+                in place of it: marginals of all associations (BP-SLAM)   snapshot/association_kernel.py: believe
     average     e of each VT over a block of at most 0.6 s                snapshot/snapshot_kernel.py: take_in
     update      S = R R^T,  G = R^-1 H P,  x <- x + G^T R^-1 e,  P <- P - G^T G
                                                                           snapshot/update_kernel.py: correct, add_up
     carry over  P to the new estimate, in directions that nothing measured shows
                                                                           snapshot/gauge_kernel.py: carry_over
-    begin, drop VTs: augmented by the inverse of h, marginalised          snapshot/birth_kernel.py, guess_kernel.py
+    begin, drop VTs: augmented by the inverse of h, marginalised          snapshot/birth_kernel.py
 
-Weight of filter i of a mixture (wide clock offsets: start.py; several hypotheses: mixture.py)
+Weight of filter i of a mixture (wide clock offsets: start.py)
     log w_i = rest_i + sum over paths of max(a_i - max_k a_k, -MOST),  a_i = max(worth_i - BIRTH, 0)
                                                                           influence.py: bounded
     worth: log-ratio of the likelihood of a path's measurements to that of clutter; rest: the prior, steps of clocks
 
 Sources: Smith, Self and Cheeseman, "Estimating uncertain spatial relationships in robotics" (1990), for the joint
 covariance; Bar-Shalom, Li and Kirubarajan (2001), section 5, for the filter; Higdon, "A process-convolution approach to
-modelling temperatures in the North Atlantic Ocean" (1998), for fields of direction as states; Reid, "An algorithm for
-tracking multiple targets", IEEE Trans. Automatic Control 24(6), 1979, for the hypotheses; measurement model and births
-are those of the extended FastSLAM (paper, section IV, corrected).
+modelling temperatures in the North Atlantic Ocean" (1998), for fields of direction as states; measurement model and
+births are those of the extended FastSLAM (paper, section IV, corrected).
 """
 
 from __future__ import annotations
@@ -47,21 +46,17 @@ from cellslam.sim.frames.frames_kernel import wrap
 from cellslam.sim.recording import Floats, Ints, Links, OdometryModel
 from cellslam.slam import warm_up
 from cellslam.slam.api import Estimate, Setup, Snapshot, VtEstimate
-from cellslam.slam.front_end.fusion import FusedMeasurements, Fusion
-from cellslam.slam.front_end.measurement_noise import first_of_link
-from cellslam.slam.front_end.readings import Readings, novelty, white_readings
-from cellslam.slam.front_end.visibility import existence
 from cellslam.slam.joint.calibration_states import begin_with, found
 from cellslam.slam.joint.ekf_slam_options import EkfSlamOptions
 from cellslam.slam.joint.map_states import Box, Observed, Remembered, map_after
 from cellslam.slam.joint.map_trial import MapTrial
-from cellslam.slam.joint.mixture import LONGEST, MOST_STATES, Mixture, core_of, new_mixture, vt_estimate
+from cellslam.slam.joint.mixture import Mixture, vt_estimate
+from cellslam.slam.joint.new_filters import LONGEST, MOST_STATES, array_errors, core_of, new_mixture
 from cellslam.slam.joint.sizes import Sizes, growth, sizes_of
 from cellslam.slam.joint.snapshot import snapshot_kernel
-from cellslam.slam.joint.snapshot.guess_kernel import births
+from cellslam.slam.joint.snapshot.birth_kernel import births
 from cellslam.slam.joint.snapshot.motion_kernel import Interval
-from cellslam.slam.joint.start import STATES, Start, begin
-from cellslam.slam.joint.state.array_errors import array_errors
+from cellslam.slam.joint.start import START_STATES, Start, begin
 from cellslam.slam.joint.state.layout import (
     ENTRY,
     FREE,
@@ -72,15 +67,16 @@ from cellslam.slam.joint.state.layout import (
     Measured,
     Noise,
     Rules,
-    one_of,
 )
+from cellslam.slam.measurements.fusion import FusedMeasurements, Fusion
+from cellslam.slam.measurements.measurement_options import existence
+from cellslam.slam.measurements.readings import Readings, novelty, white_readings
 from cellslam.slam.model.calibration import Calibration
 from cellslam.slam.model.vt_map import VtMap
 
 NOT_GIVEN, NO_VTS = -2, np.empty((0, ENTRY))
 # Accelerations of a vehicle whose odometry is silent, in m/s^2 and rad/s^2; it neither climbs nor tilts.
 HELD = np.array([0.6, 0.0, 0.0, 0.1, 0.0, 0.0])
-RIVAL = 4.0  # log-likelihood that a second association may lose against the best, to be a hypothesis of its own
 BLOCK_M, TURN = 0.6, np.radians(2.0)  # a block of snapshots ends after so long a distance or turn
 AWAY_S = 3.0  # a VT that was not seen for so long returns, if it is seen again
 AGAIN = 1.25  # filters of all sites that did not agree with the start are tried again after so many times as long
@@ -89,12 +85,7 @@ EVIDENCE = 0.0125  # least share of detections and misses that is news: what hid
 
 
 class JointFilter:
-    """What EKF-SLAM, its oracles, BP-SLAM, WALL-SLAM and FastSLAM share: one joint covariance, after a Gaussian sum.
-
-    With `hypotheses` above 1 it is a mixture of such Gaussians. One becomes two where two associations of a snapshot
-    are almost as likely and differ in what they do to the vehicle or a clock; of two that agree the likelier stays.
-    Nothing is drawn, because associations are discrete: the likeliest are kept.
-    """
+    """What EKF-SLAM, its oracles, BP-SLAM, WALL-SLAM and FastSLAM share: one joint covariance, after a Gaussian sum."""
 
     name: ClassVar[str]
     requires_truth: ClassVar[bool] = False
@@ -182,9 +173,7 @@ class JointFilter:
     def _surprise(self) -> Floats:
         """What the likeliest filters have of `surprise` (2,)."""
         mixtures = self._start.mixtures if self._start is not None else [self._joint] if self._joint is not None else []
-        return np.asarray(
-            np.sum([mixture.arrays.surprise[int(np.argmax(mixture.log_weight))] for mixture in mixtures], axis=0)
-        )
+        return np.asarray(np.sum([mixture.likeliest.learnt.surprise for mixture in mixtures], axis=0))
 
     def _step(self, dt_s: float, odometry: Floats, snapshot: Snapshot) -> Estimate:
         self._time_s += dt_s
@@ -233,8 +222,9 @@ class JointFilter:
         if mixture is None:
             return own._setup.map
         observed = Observed(links=own._setup.links, sites=own._setup.sites.name, seen=own._seen)
-        f = one_of(mixture.collapsed().arrays, int(np.argmax(mixture.log_weight)))
-        return map_after(f, own._archive, observed, mixture.remembered, self.options.confirm_hits)
+        return map_after(
+            mixture.collapsed().likeliest, own._archive, observed, mixture.remembered, self.options.confirm_hits
+        )
 
     def _given(self, measurements: FusedMeasurements) -> Ints:
         """Return the true VT of each measurement, for the oracle that knows it."""
@@ -308,9 +298,9 @@ class JointFilter:
         mixture = self._joint
         if mixture is None:
             raise RuntimeError("step() was called before start()")
-        best, offsets = int(np.argmax(mixture.log_weight)), self._core.offsets
+        best, offsets = mixture.best, self._core.offsets
         mean, cov = mixture.moments()
-        if self._vts is None or not mixture.blocks.snapshots[0, 0]:  # VTs move as a block ends
+        if self._vts is None or not mixture.blocks.track.snapshots[0, 0]:  # VTs move as a block ends
             self._vts = self._map([(mixture, best)])
         variance = np.maximum(np.diag(cov)[offsets], 0.0)
         return _estimate(mean, cov, association[best].copy(), mean[offsets], variance, self._vts)
@@ -320,7 +310,7 @@ class JointFilter:
         has shown one to be likelier they go through again."""
         self._seen, self._archive, self._vts = {}, NO_VTS, None
         std = np.minimum(self._setup.sites.clock_offset_std_m, self.options.component_std_m)
-        states = MOST_STATES if len(offsets_m) == 1 else STATES
+        states = MOST_STATES if len(offsets_m) == 1 else START_STATES
         self._joint = new_mixture(self._setup, self._core, self._errors, offsets_m, std, self.options.vts, states)
         self._install(self._joint)
         if self.options.known_calibration is not None:
@@ -337,12 +327,12 @@ class JointFilter:
         association = self._go_on(mixture, errors, interval, measured)
         if self.grows and measured.now % GROW_EVERY == GROW_EVERY - 1:
             self._grown = min(self._grown * growth(mixture), MOST_GROWN)
-        best = int(np.argmax(mixture.log_weight))
+        best = mixture.best
         lost = mixture.lost(best)
         if len(lost):
             self._archive = np.concatenate([self._archive, lost])
         self._see(association[best], mixture.arrays.x[best, :2])
-        if len(mixture) > 1 and not mixture.blocks.snapshots[0, 0]:
+        if len(mixture) > 1 and not mixture.blocks.track.snapshots[0, 0]:
             kept = np.sort(mixture.apart(slice(0, self._core.size), self.options.prune_ratio, more=True))
             if len(kept) < len(mixture):
                 mixture.keep(kept)
@@ -351,7 +341,7 @@ class JointFilter:
 
     def _go_on(self, mixture: Mixture, errors: ArrayErrors, interval: Interval, measured: Measured) -> Ints:
         """Move all filters of a mixture by an interval, and use a snapshot; return the associations (K, m)."""
-        return mixture.use(errors, interval, measured, self.options.vts, self.options.hypotheses)
+        return mixture.use(errors, interval, measured, self.options.vts)
 
     def _see(self, association: Ints, place: Floats) -> None:
         """Note from where the VTs of some measurements are seen."""
@@ -371,10 +361,11 @@ class JointFilter:
         if key not in self._by_step:
             self._by_step[key] = self._tables(step_s)
         (tables, rules), site = self._by_step[key], self._setup.links.site
+        first = np.searchsorted(measurements.link, np.arange(len(site) + 1))  # of each link, and behind the last
         news = novelty(self._fusion.options, odometry[3] * dt_s, odometry[0] * dt_s)
         rules = rules._replace(evidence=max(EVIDENCE, news), step=self._log_step)
         return Measured(
-            now=self._now, born=self._born, first=first_of_link(measurements, len(site)), site_of=site,
+            now=self._now, born=self._born, first=first, site_of=site,
             given=self._given(measurements), z=v.z, gap=v.gap, tables=tables,
             noise=Noise(single=v.single, many=v.many, merged=v.merged, diffuse=1.0 / np.sqrt(measurements.ports)),
             births=births(v.z, v.fresh, measurements.begins, self._elevation_variance), rules=rules,
@@ -388,7 +379,6 @@ class JointFilter:
             association=Association(
                 mode=self.mode, log_clutter=float(np.log(o.clutter_density)), gate=o.gate,
                 return_log_odds=math.log(o.return_odds), away=max(round(AWAY_S / step_s), 1),
-                rival_loss=RIVAL if o.hypotheses > 1 else 0.0,
             ),
             lifetime=Lifetime(
                 confirm=o.confirm_hits, age_once=once, age_twice=twice, hold=int(o.hold_s / step_s)

@@ -8,11 +8,11 @@ from typing import Self
 
 from pydantic import Field, model_validator
 
-from cellslam.slam.front_end.front_end_options import FrontEndOptions
+from cellslam.slam.measurements.measurement_options import MeasurementOptions
 from cellslam.slam.model.calibration import Calibration
 
 
-class EkfSlamOptions(FrontEndOptions):
+class EkfSlamOptions(MeasurementOptions):
     """What a scenario may set under `estimator.ekf-slam`, as under every filter with one joint covariance."""
 
     gate: float = Field(
@@ -23,9 +23,6 @@ class EkfSlamOptions(FrontEndOptions):
         gt=0,
         le=1e9,
         description="how likely a measurement must be of a VT unseen for 3 s, against a new one nearby",
-    )
-    hypotheses: int = Field(
-        1, ge=1, le=1000, description="Gaussians kept side by side after the start at most, each with its associations"
     )
     ground_share: float = Field(
         0.0, ge=0, le=10, description="share of the ground's reflection that merges with each path, deviation; 0: none"

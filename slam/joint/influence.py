@@ -67,7 +67,7 @@ class Influence:
             self._add(new, new)
         at, (row, slot) = np.searchsorted(self.ident, there), np.nonzero(ident >= 0)
         self.worth[row, at[column]] = 0.0
-        np.add.at(self.worth, (row, at[column]), mixture.anchor[row, slot, WORTH])  # guesses at a VT are several
+        np.add.at(self.worth, (row, at[column]), mixture.vts.anchor[row, slot, WORTH])  # guesses at a VT are several
         left = np.isin(self.path, self.path[at])
         self.rest = self.rest + bounded(self.worth[:, ~left], self.path[~left])
         self.ident, self.path, self.worth = self.ident[left], self.path[left], self.worth[:, left]
@@ -77,7 +77,7 @@ class Influence:
         """Return the identities (K, V) of the VTs of all filters, -1 where there is none."""
         count = mixture.count[: len(self.rest)]
         most = int(count.max())
-        return np.where(np.arange(most) < count, mixture.slots[: len(count), :most, IDENT], -1)
+        return np.where(np.arange(most) < count, mixture.vts.slots[: len(count), :most, IDENT], -1)
 
     def _add(self, ident: Ints, path: Ints) -> None:
         """Give room to VTs (n,) on some paths (n,)."""

@@ -83,7 +83,7 @@ class Remembered:
     def put_in(self, f: Filter, b: Block, which: Ints, now: int) -> None:
         """Let VTs (v,) of the map enter a filter that has room for them, as if they had been seen in the snapshot
         before `now`."""
-        there = set(f.slots[: f.count[0], IDENT].tolist())
+        there = set(f.vts.slots[: f.count[0], IDENT].tolist())
         which = which[[self.first_ident + j not in there for j in which.tolist()]]
         if not len(which):
             return
@@ -94,7 +94,7 @@ class Remembered:
         load = (by @ known.common_m[which]).reshape(3 * len(which), -1)
         at = size + np.arange(3 * len(which))
         f.x[at] = predict(anchor, position).ravel()
-        f.deviation[at] = load @ f.deviation[common]
+        f.particles.deviation[at] = load @ f.particles.deviation[common]
         f.p[at, :size] = load @ f.p[common, :size]
         f.p[:size, at] = f.p[at, :size].T
         f.p[at[:, None], at] = f.p[at, common] @ load.T
@@ -102,18 +102,19 @@ class Remembered:
             f.p[size + 3 * n : size + 3 * n + 3, size + 3 * n : size + 3 * n + 3] += own
         for n, vt in enumerate(which.tolist()):
             j, places = count + n, size + 3 * n + np.arange(3)
-            f.slots[j] = self.link[vt], known.hits[vt], now - 1, self.first_ident + vt, 1, 0
-            f.anchor[j, :3], f.anchor[j, [EXISTS, SHARE]], f.anchor[j, [MERGED, WORTH]] = known.anchor_m[vt], 1.0, 0.0
-            f.vt_state[j], f.vt_state[j, VT : VT + 3] = -1, places
+            f.vts.slots[j] = self.link[vt], known.hits[vt], now - 1, self.first_ident + vt, 1, 0
+            f.vts.anchor[j, :3] = known.anchor_m[vt]
+            f.vts.anchor[j, [EXISTS, SHARE]], f.vts.anchor[j, [MERGED, WORTH]] = 1.0, 0.0
+            f.vts.state[j], f.vts.state[j, VT : VT + 3] = -1, places
             f.owner[places] = [owner_of(j, VT + c, VT_STATES) for c in range(3)]
-            f.spread[j] = 0.0
+            f.vts.spread[j] = 0.0
             clear(b, j)
         f.count[0], f.size[0] = count + len(which), size + 3 * len(which)
 
     def take_out(self, f: Filter, b: Block, which: Ints) -> None:
         """Let VTs (v,) leave a filter that were not seen: nothing was learnt of them but what u says."""
         for ident in (self.first_ident + which).tolist():
-            j = np.flatnonzero((f.slots[: f.count[0], IDENT] == ident) & (f.slots[: f.count[0], UNSEEN] == 1))
+            j = np.flatnonzero((f.vts.slots[: f.count[0], IDENT] == ident) & (f.vts.slots[: f.count[0], UNSEEN] == 1))
             if len(j):
                 remove(f, b, int(j[0]))
 
@@ -144,14 +145,14 @@ class Observed(NamedTuple):
 def map_after(f: Filter, lost: Floats, observed: Observed, before: Remembered | None, confirm: int) -> VtMap:
     """Return the map after a drive: VTs that were seen, with `confirm` detections, those that made room, `lost`
     (E, 14), and those of the map before that were not seen; what was missed too often is left out."""
-    slots = f.slots[: f.count[0]]
-    places = f.vt_state[: len(slots), VT]
-    fit = (slots[:, HITS] >= confirm) & (f.anchor[: len(slots), SHARE] > 0.5) & (f.p[places, places] > 0.0)
+    slots = f.vts.slots[: f.count[0]]
+    places = f.vts.state[: len(slots), VT]
+    fit = (slots[:, HITS] >= confirm) & (f.vts.anchor[: len(slots), SHARE] > 0.5) & (f.p[places, places] > 0.0)
     mine = np.flatnonzero(fit & np.isin(slots[:, IDENT], list(observed.seen)))
-    states = f.vt_state[mine, VT : VT + 3]
+    states = f.vts.state[mine, VT : VT + 3]
     joint = np.concatenate([states.ravel(), np.arange(f.core.first_common, f.core.size)])
     root = _root(f.p[np.ix_(joint, joint)])
-    anchor, spherical = f.anchor[mine, :3], f.x[states]
+    anchor, spherical = f.vts.anchor[mine, :3], f.x[states]
     position = anchor + spherical[:, :1] * unit_vector(spherical[:, 1], spherical[:, 2])
     by = jacobians(standing(anchor), position)[0]
     common = np.asarray(np.linalg.solve(by, root[: states.size].reshape(len(mine), 3, len(joint))), np.float64)

@@ -6,25 +6,25 @@ Source: Sorenson and Alspach, "Recursive Bayesian estimation using Gaussian sums
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+import os
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor, wait
 from dataclasses import dataclass, replace
-from functools import partial
-from typing import Any, TypeVar
+from functools import cache, partial
+from typing import Any
 
+import numba
 import numpy as np
 
 from cellslam.sim.recording import Floats, Ints
-from cellslam.slam.api import Setup, VtEstimate
+from cellslam.slam.api import VtEstimate
 from cellslam.slam.joint.influence import Influence
 from cellslam.slam.joint.map_states import Remembered
 from cellslam.slam.joint.snapshot.birth_kernel import map_of
 from cellslam.slam.joint.snapshot.motion_kernel import Interval
-from cellslam.slam.joint.snapshot.sizes_kernel import SIZES
-from cellslam.slam.joint.snapshot.snapshot_kernel import Paired, advance_mixture
+from cellslam.slam.joint.snapshot.snapshot_kernel import advance_mixture
 from cellslam.slam.joint.state.layout import (
-    ANCHOR,
     BELIEF,
-    ENTRY,
     EXISTS,
     FREE,
     HITS,
@@ -32,11 +32,8 @@ from cellslam.slam.joint.state.layout import (
     LAST,
     LINK,
     MERGED,
-    NOBODY,
-    POSE,
     POSITION,
     SHARE,
-    SLOT,
     SPREAD,
     VT,
     VT_STATES,
@@ -46,62 +43,24 @@ from cellslam.slam.joint.state.layout import (
     Core,
     Filter,
     Measured,
+    Particles,
     block_of,
     one_of,
 )
 from cellslam.slam.joint.state.states_kernel import differing, owner_of
 from cellslam.slam.model.pose_moments import mixture_moments
-from cellslam.slam.model.threads import in_threads, threads
 
-LONGEST = 16  # snapshots in a block at most
-STATES, VTS = 256, 48  # room of a new filter
-MOST_STATES = 2040  # that a filter of all sites has, as a rule: memory that is not used costs nothing
 NEW_STATES, NEW_VTS = 160, 24  # that a snapshot may bring
-LOST = 64  # confirmed VTs that one block can push out
 ROOM = 4  # times as many VTs as are kept, where a VT may begin as several guesses
 KNOWN = 1000  # detections of a VT known before the drive
-
-
-def core_of(setup: Setup, errors: ArrayErrors, drawn: int = 0) -> Core:
-    """Return the layout of the states that are always there; `drawn`: blocks of which the noise is a state."""
-    common = 0 if setup.map is None else setup.map.common_m.shape[2]
-    model = setup.odometry_model
-    bias, scale, noise, sway = *(np.full(POSE, -1, np.int64) for _ in range(3)), np.full(3, -1, np.int64)
-    biased, scaled = np.flatnonzero((model.bias > 0) | (model.bias_walk_density > 0)), np.flatnonzero(model.scale)
-    noisy = np.flatnonzero(model.noise_density)
-    at = POSE
-    if errors.sway.any():
-        sway, at = at + np.arange(3), at + 3
-    ground = at if errors.ground > 0.0 else -1
-    at += errors.ground > 0.0
-    bias[biased] = at + np.arange(len(biased))
-    scale[scaled] = at + len(biased) + np.arange(len(scaled))
-    noise[noisy] = at + len(biased) + len(scaled) + np.arange(len(noisy))
-    first = at + len(biased) + len(scaled) + len(noisy)
-    wander = setup.sites.walk_densities
-    drifts, after = (setup.sites.drift_std_m_s > 0.0) | (wander[1] > 0.0), first + len(setup.sites)
-    rate = np.where(drifts, after + np.cumsum(drifts) - 1, -1).astype(np.int64)
-    end = after + int(drifts.sum())
-    step_m = np.array(setup.sites.step_std_m)  # one that can be written: for others the kernels would be compiled again
-    sums = np.full((drawn, POSE), -1, np.int64)
-    sums[:, noisy] = end + np.arange(drawn * len(noisy)).reshape(drawn, len(noisy))
-    end += drawn * len(noisy)
-    return Core(sway, ground, bias, scale, noise, first, rate, wander, step_m, sums, end, end + common)
-
-
-Tables = TypeVar("Tables", Filter, Block)
-OF_VTS, OF_BLOCKS = (
-    ("vt_state", "anchor", "slots", "spread"),
-    ("detections", "seen", "e", "q", "measured", "diffuse", "odds"),
-)
-
+NO_ARRAY = np.empty(0)
 
 Work = Callable[[int, int], object]  # done for every `step`-th filter, from the `first` on
 
 
 def together(works: Sequence[Work], filters: Sequence[int]) -> None:
     """Do works, each for so many filters, in as many threads as may be; these take turns at all the filters."""
-    shares = min(sum(filters), threads())
+    shares = min(sum(filters), numba.get_num_threads())
 
     def share(turn: int) -> None:
         before = 0
@@ -111,13 +70,26 @@ def together(works: Sequence[Work], filters: Sequence[int]) -> None:
             if first < count:
                 work(first, shares)
 
-    in_threads(share, shares)
+    others = [_threads(os.getpid()).submit(share, turn) for turn in range(1, shares)]
+    try:
+        share(0)
+    finally:
+        wait(others)
+    for other in others:
+        other.result()
+
+
+@cache
+def _threads(process: int) -> ThreadPoolExecutor:
+    """Return the threads of a process that has this number: one that was forked has none of its parent's."""
+    del process
+    return ThreadPoolExecutor(thread_name_prefix="cellslam")
 
 
 @dataclass
 class Mixture:
     """K filters: `arrays`, each with a leading axis of at least K, their blocks, log-weights (K,), and the `influence`
-    of VTs on these; the map that they `remember`, if any."""
+    of VTs on these; the map that is `remembered`, if any."""
 
     arrays: Filter
     blocks: Block
@@ -128,28 +100,22 @@ class Mixture:
     def __len__(self) -> int:
         return len(self.log_weight)
 
-    def use(self, errors: ArrayErrors, interval: Interval, measured: Measured, most_vts: int, most: int = 1) -> Ints:
+    @property
+    def best(self) -> int:
+        """Which filter is the likeliest."""
+        return int(np.argmax(self.log_weight))
+
+    @property
+    def likeliest(self) -> Filter:
+        """The likeliest filter."""
+        return one_of(self.arrays, self.best)
+
+    def use(self, errors: ArrayErrors, interval: Interval, measured: Measured, most_vts: int) -> Ints:
         """Move every filter by an interval and use a snapshot; return the associations (K, m).
 
-        Of VTs each keeps so many at most; those that make room stay in `lost` until the next snapshot. Filters that
-        have a rival association become two, as long as there are less than `most`.
+        Of VTs each keeps so many at most; those that make room stay in `lost` until the next snapshot.
         """
-        if len(self) >= most:
-            return side_by_side([self], errors, interval, measured, most_vts)[0]
-        pairs = self._unpaired(measured, most_vts)
-        together([self._work(errors, interval, measured, pairs, using=False)], [len(self)])
-        pairs = self._split_on_rivals(pairs, measured.rules.association.rival_loss, most)
-        together([self._work(errors, interval, measured, pairs, pairing=False)], [len(self)])
-        self.weigh(pairs.ident, measured)
-        return pairs.ident
-
-    def _work(
-        self, errors: ArrayErrors, interval: Interval, measured: Measured, pairs: Paired, pairing: bool = True,
-        using: bool = True,
-    ) -> Work:  # fmt: skip
-        """Return the work of pairing a snapshot in every filter, and of using it as it is paired."""
-        at = self.arrays, errors, self.blocks, interval, measured, pairs, self.influence.rest
-        return partial(advance_mixture, *at, pairing, using)
+        return side_by_side([self], errors, interval, measured, most_vts)[0]
 
     def weigh(self, association: Ints, measured: Measured) -> None:
         """Take a snapshot and its associations (K, m) into the weights."""
@@ -157,7 +123,7 @@ class Mixture:
             return
         if measured.rules.association.mode in (FREE, BELIEF):  # else identities are those of paths
             self.influence.meet(self.arrays, association, measured.born, self.log_weight)
-        if self.blocks.snapshots[0, 0] == 0:  # a block has ended
+        if self.blocks.track.snapshots[0, 0] == 0:  # a block has ended
             self.log_weight = self.influence.weigh(self.arrays)
 
     def make_room(self, measured: Measured, most_vts: int) -> None:
@@ -167,35 +133,7 @@ class Mixture:
         guesses = measured.births.guesses
         room = most_vts * (ROOM if guesses else 1) - _most_of(self.arrays.count)
         self.reserve(NEW_STATES + 3 * guesses, min(NEW_VTS + guesses, max(room, 0)))
-        self.arrays.losses[:] = 0
-
-    def _unpaired(self, measured: Measured, most_vts: int) -> Paired:
-        """Make room for what a snapshot may bring; return room for how it is paired."""
-        self.make_room(measured, most_vts)
-        k, m, whole = len(self), len(measured.z), np.int64
-        return Paired(
-            np.empty((k, m), whole), np.empty((k, m)), np.empty((k, 1)), np.empty((k, 4), whole), np.zeros(k, whole),
-            np.full((k, m), -1),
-        )  # fmt: skip
-
-    def _split_on_rivals(self, pairs: Paired, rival_loss: float, most: int) -> Paired:
-        """Give each filter with a rival association a double that has it, the likeliest first; return all pairs."""
-        loss = pairs.loss[:, 0]
-        found = np.flatnonzero(loss < rival_loss)
-        found = found[np.argsort(loss[found] - self.log_weight[found], kind="stable")][: most - len(self)]
-        if not len(found):
-            return pairs
-        parents = np.append(np.arange(len(self)), found)
-        columns: Any = [column[parents] for column in pairs]
-        pairs = Paired(*columns)
-        self.split(found)
-        for double in range(len(self) - len(found), len(self)):
-            first, slot, second, other = pairs.change[double]
-            pairs.slot_of[double, first] = slot
-            if second >= 0:
-                pairs.slot_of[double, second] = other
-        pairs.ends[:] = 1  # of all, so that weights can be compared
-        return pairs
+        self.arrays.lost.used[:] = 0
 
     def split(self, parents: Ints) -> None:
         """Add copies of some filters."""
@@ -207,35 +145,35 @@ class Mixture:
     def share_particles(self, count: int, resample: Callable[[Floats], Ints]) -> None:
         """Give each filter so many particles: of those that it has, `resample` of their weights chooses; the first ones
         are at its mean."""
-        k, rooms, a, b = len(self), len(self.arrays.x), self.arrays, self.blocks
-        deviation, weight = np.zeros((*a.x.shape, count)), np.full((rooms, count), 1.0 / count)
-        poses = np.zeros((*b.pose.shape, count))
-        for i in range(k if a.weight.shape[1] else 0):
-            ancestors = resample(a.weight[i])
-            deviation[i], poses[i] = a.deviation[i][:, ancestors], b.deviation[i][..., ancestors]
+        k, rooms, old, b = len(self), len(self.arrays.x), self.arrays.particles, self.blocks
+        deviation, weight = np.zeros((*self.arrays.x.shape, count)), np.full((rooms, count), 1.0 / count)
+        poses = np.zeros((*b.track.pose.shape, count))
+        for i in range(k if old.weight.shape[1] else 0):
+            ancestors = resample(old.weight[i])
+            deviation[i], poses[i] = old.deviation[i][:, ancestors], b.track.deviation[i][..., ancestors]
             centre = deviation[i].mean(axis=1)
-            a.x[i] += centre
+            self.arrays.x[i] += centre
             deviation[i] -= centre[:, None]
-        self.arrays = a._replace(deviation=deviation, weight=weight)
-        self.blocks = b._replace(deviation=poses)
+        self.arrays = self.arrays._replace(particles=Particles(deviation=deviation, weight=weight))
+        self.blocks = b._replace(track=b.track._replace(deviation=poses))
 
     def _copy(self, source: int, target: int) -> None:
         """Make one filter a copy of another."""
         if target == len(self.arrays.x):
             self._resize(2 * target)
         n = int(self.arrays.size[source, 0])
-        for name, array in (*self.arrays._asdict().items(), *self.blocks._asdict().items()):
-            if name == "p":
+        for array in (*_arrays(self.arrays), *_arrays(self.blocks)):
+            if array is self.arrays.p:  # memory that is not used is not touched
                 array[target, :n, :n] = array[source, :n, :n]
-            elif name != "core":
+            else:
                 array[target] = array[source]
 
     def _resize(self, filters: int) -> None:
         """Make room for so many filters, and no more."""
         old, more = self.arrays, filters - len(self.arrays.x)
-        of_filters = tuple(name for name in Filter._fields if name not in ("core", "p"))
-        self.arrays, self.blocks = _with_rows(old, of_filters, more, 0), _with_rows(self.blocks, Block._fields, more, 0)
-        self.arrays = self.arrays._replace(p=_covariances(old, filters, len(old.x[0])))
+        p = _covariances(old, filters, len(old.x[0]))
+        self.arrays = _padded(old._replace(p=NO_ARRAY), more, 0)._replace(p=p)
+        self.blocks = _padded(self.blocks, more, 0)
 
     def keep(self, kept: Ints) -> None:
         """Keep the filters `kept` (k,), and no others, in the order in which they are."""
@@ -249,18 +187,19 @@ class Mixture:
 
     def reserve(self, states: int, vts: int) -> None:
         """Grow the arrays to have room for so many more states and VTs."""
-        arrays, blocks, width, places = self.arrays, self.blocks, len(self.arrays.x[0]), len(self.arrays.slots[0])
+        arrays, width, places = self.arrays, len(self.arrays.x[0]), len(self.arrays.vts.slots[0])
         if _most_of(arrays.size) + states > width:
             more = max(width // 2, states)
-            p = _covariances(arrays, len(arrays.x), width + more)
             arrays = arrays._replace(
-                x=_padded(arrays.x, more), owner=_padded(arrays.owner, more), p=p,
-                deviation=_padded(arrays.deviation, more, 1),
+                x=_padded(arrays.x, more, 1), owner=_padded(arrays.owner, more, 1),
+                p=_covariances(arrays, len(arrays.x), width + more),
+                particles=arrays.particles._replace(deviation=_padded(arrays.particles.deviation, more, 1)),
             )  # fmt: skip
         if _most_of(arrays.count) + vts > places:
             more = max(places // 2, vts)
-            arrays, blocks = _with_rows(arrays, OF_VTS, more), _with_rows(blocks, OF_BLOCKS, more)
-        self.arrays, self.blocks = arrays, blocks
+            arrays = arrays._replace(vts=_padded(arrays.vts, more, 1))
+            self.blocks = self.blocks._replace(sums=_padded(self.blocks.sums, more, 1))
+        self.arrays = arrays
 
     def shares(self) -> Floats:
         """Return the weights (K,), which sum to one."""
@@ -277,17 +216,18 @@ class Mixture:
         here = f.x[0, :3].copy()
         f.count[:], f.size[:] = len(link), first + 3 * len(link)
         for j, offset in enumerate(position_m - here):
-            f.slots[:, j, [LINK, HITS, LAST, IDENT]] = link[j], KNOWN, last, ident[j]
-            f.anchor[:, j, :3], f.anchor[:, j, [EXISTS, SHARE]], f.anchor[:, j, [MERGED, WORTH]] = here, 1.0, 0.0
+            f.vts.slots[:, j, [LINK, HITS, LAST, IDENT]] = link[j], KNOWN, last, ident[j]
+            f.vts.anchor[:, j, :3] = here
+            f.vts.anchor[:, j, [EXISTS, SHARE]], f.vts.anchor[:, j, [MERGED, WORTH]] = 1.0, 0.0
             at = first + 3 * j + np.arange(3)
-            f.vt_state[:, j], f.vt_state[:, j, VT : VT + 3] = -1, at
+            f.vts.state[:, j], f.vts.state[:, j, VT : VT + 3] = -1, at
             f.owner[:, at] = [owner_of(j, VT + c, VT_STATES) for c in range(3)]
             f.x[:, at] = _spherical(offset)
 
     def _meet(self, remembered: Remembered, now: int) -> None:
         """Let VTs of a remembered map enter all filters as they come into reach of the likeliest one, and leave them,
         where they were not seen, as they go out of it."""
-        place = self.arrays.x[int(np.argmax(self.log_weight)), :3]
+        place = self.likeliest.x[:3]
         enter, leave = remembered.moved(place[:2], self.arrays.links[0])
         if not len(enter) and not len(leave):
             return
@@ -307,19 +247,21 @@ class Mixture:
     def covariances(self, of: slice) -> Floats:
         """Return the covariances (K, n, n) of some states in each filter, with those of its particles' means."""
         k = len(self)
-        shared, d, w = self.arrays.p[:k, of, of], self.arrays.deviation[:k, of], self.arrays.weight[:k]
+        shared, particles = self.arrays.p[:k, of, of], self.arrays.particles
+        d, w = particles.deviation[:k, of], particles.weight[:k]
         return shared if not w.shape[1] else shared + (d * w[:, None]) @ np.swapaxes(d, 1, 2)
 
     def collapsed(self) -> Mixture:
         """Return the same belief without particles: what was in them is in the covariances."""
         k, a = len(self), self.arrays
-        if not a.weight.shape[1]:
+        deviation, weight = a.particles
+        if not weight.shape[1]:
             return self
         p = np.zeros_like(a.p)
         for i, n in enumerate(a.size[:k, 0].tolist()):
-            d = a.deviation[i, :n]
-            p[i, :n, :n] = a.p[i, :n, :n] + (d * a.weight[i]) @ d.T
-        none = a._replace(p=p, deviation=a.deviation[:, :, :0].copy(), weight=a.weight[:, :0].copy())
+            d = deviation[i, :n]
+            p[i, :n, :n] = a.p[i, :n, :n] + (d * weight[i]) @ d.T
+        none = a._replace(p=p, particles=Particles(deviation[:, :, :0].copy(), weight[:, :0].copy()))
         return replace(self, arrays=none)
 
     @property
@@ -337,7 +279,7 @@ class Mixture:
 
     def lost(self, index: int) -> Floats:
         """Return the confirmed VTs (v, 14) of one filter that made room in the last snapshot, as `vts` does."""
-        return self.arrays.lost[index, : int(self.arrays.losses[index, 0])]
+        return self.arrays.lost.rows[index, : int(self.arrays.lost.used[index, 0])]
 
     def vts(self, index: int, hits: int) -> Floats:
         """Return identity, link, position (m), covariance (v, 14) of a filter's VTs with at least `hits` detections."""
@@ -349,12 +291,16 @@ def side_by_side(
 ) -> list[Ints]:
     """Use a snapshot in all filters of some mixtures, as `Mixture.use` does; return each mixture's associations (K,
     m)."""
-    pairs = [mixture._unpaired(measured, most_vts) for mixture in mixtures]
-    works = [mixture._work(errors, interval, measured, one) for mixture, one in zip(mixtures, pairs, strict=True)]
+    associations = [np.full((len(mixture), len(measured.z)), -1) for mixture in mixtures]
+    works = []
+    for mixture, association in zip(mixtures, associations, strict=True):
+        mixture.make_room(measured, most_vts)
+        at = mixture.arrays, errors, mixture.blocks, interval, measured, association, mixture.influence.rest
+        works.append(partial(advance_mixture, *at))
     together(works, [len(mixture) for mixture in mixtures])
-    for mixture, one in zip(mixtures, pairs, strict=True):
-        mixture.weigh(one.ident, measured)
-    return [one.ident for one in pairs]
+    for mixture, association in zip(mixtures, associations, strict=True):
+        mixture.weigh(association, measured)
+    return associations
 
 
 def _most_of(counts: Ints) -> int:
@@ -368,9 +314,13 @@ def _spherical(vector: Floats) -> Floats:
     return np.array([np.hypot(flat, vector[2]), np.arctan2(vector[1], vector[0]), np.arctan2(vector[2], flat)])
 
 
-def _with_rows(tables: Tables, names: tuple[str, ...], more: int, axis: int = 1) -> Tables:
-    """Return a NamedTuple whose arrays (K, V, ...) of these names have so many filters or VTs more."""
-    return tables._replace(**{name: _padded(getattr(tables, name), more, axis) for name in names})
+def _arrays(tables: Any) -> Iterator[Any]:
+    """Yield the arrays of a filter or a block, those of the layout aside."""
+    for one in tables:
+        if isinstance(one, np.ndarray):
+            yield one
+        elif not isinstance(one, Core):
+            yield from _arrays(one)
 
 
 def _covariances(old: Filter, filters: int, states: int) -> Floats:
@@ -381,63 +331,20 @@ def _covariances(old: Filter, filters: int, states: int) -> Floats:
     return p
 
 
-def _padded(array: Any, more: int, axis: int = -1) -> Any:
-    """Return an array (K, ...) with so many zeros more along an axis, or with so many filters less."""
+def _padded(tables: Any, more: int, axis: int) -> Any:
+    """Return an array, or all arrays of a filter or a block, with so many zeros more along an axis, or so many less."""
+    if isinstance(tables, Core):
+        return tables
+    if not isinstance(tables, np.ndarray):
+        return type(tables)(*(_padded(one, more, axis) for one in tables))
     if more < 0:
-        return array[:more].copy()
-    width = [(0, 0)] * array.ndim
+        return tables[:more].copy()
+    width = [(0, 0)] * tables.ndim
     width[axis] = (0, more)
-    return np.pad(array, width)
+    return np.pad(tables, width)
 
 
 def vt_estimate(rows: Floats) -> VtEstimate:
     """Return rows (v, 14) of identity, link, position (m) and covariance (m^2) as VTs."""
     ids, link = rows[:, :POSITION].T.astype(np.int64)
     return VtEstimate(ids, link, rows[:, POSITION:SPREAD], rows[:, SPREAD:].reshape(-1, 3, 3))
-
-
-def new_mixture(
-    setup: Setup, core: Core, errors: ArrayErrors, offsets_m: Floats, offset_std_m: Floats, vts: int = VTS,
-    states: int = STATES,
-) -> Mixture:  # fmt: skip
-    """Return K filters at the start, without VTs.
-
-    offsets_m (K, S): clock offsets, offset_std_m (S,): their deviations. All links are in use.
-    """
-    k, model, whole, vts = len(offsets_m), setup.odometry_model, np.int64, min(vts, VTS)
-    x, p, variance = np.zeros((k, states)), np.zeros((k, states, states)), np.zeros(core.size)
-    variance[:POSE] = setup.start_std**2
-    variance[4:POSE] = np.maximum(variance[4:POSE], errors.tilt**2)
-    if core.sway[0] >= 0:
-        variance[core.sway] = errors.sway**2
-    if core.ground >= 0:
-        variance[core.ground] = errors.ground**2
-    for of, std in ((core.bias, model.bias), (core.scale, model.scale)):
-        variance[of[of >= 0]] = std[of >= 0] ** 2
-    variance[core.offsets] = offset_std_m**2
-    variance[core.common] = 1.0
-    variance[core.rate[core.rate >= 0]] = setup.sites.drift_std_m_s[core.rate >= 0] ** 2
-    x[:, :POSE], x[:, core.offsets] = setup.start_pose, offsets_m
-    p[:, np.arange(core.size), np.arange(core.size)] = variance
-    weights = sum(
-        int((std > 0.0).sum()) * grid.cells
-        for std, grid in ((errors.calibration, errors.calibration_grid), (errors.roof, errors.roof_grid))
-    )
-    anchor = np.zeros((k, vts, ANCHOR))
-    anchor[:, :, SHARE] = 1.0
-    arrays = Filter(
-        core=core, x=x, p=p, size=np.full((k, 1), core.size), owner=np.full((k, states), NOBODY),
-        weight_state=np.full((k, weights), -1), weight_met=np.zeros((k, weights), whole),
-        vt_state=np.full((k, vts, VT_STATES), -1), anchor=anchor, slots=np.zeros((k, vts, SLOT), whole),
-        count=np.zeros((k, 1), whole), links=np.ones((k, len(setup.links)), whole), lost=np.zeros((k, LOST, ENTRY)),
-        losses=np.zeros((k, 1), whole), sizes=np.zeros((k, 3, SIZES)), summed=np.zeros((k, 1)),
-        surprise=np.zeros((k, 2)), deviation=np.zeros((k, states, 0)), weight=np.zeros((k, 0)),
-        spread=np.zeros((k, vts, 6)),
-    )  # fmt: skip
-    blocks = Block(
-        snapshots=np.zeros((k, 1), whole), pose=np.zeros((k, LONGEST, POSE)), at=np.zeros((k, LONGEST, 2)),
-        total=np.zeros((k, 3)), detections=np.zeros((k, vts), whole), seen=np.zeros((k, vts, LONGEST), whole),
-        e=np.zeros((k, vts, 3)), q=np.zeros((k, vts, 3)), measured=np.zeros((k, vts, 3)), diffuse=np.zeros((k, vts)),
-        odds=np.zeros((k, vts)), shift=np.zeros((k, len(core.rate), 2)), deviation=np.zeros((k, LONGEST, POSE, 0)),
-    )  # fmt: skip
-    return Mixture(arrays, blocks, np.zeros(k), Influence(np.zeros(k)))

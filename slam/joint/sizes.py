@@ -17,7 +17,7 @@ from cellslam.sim.recording import COMPONENTS, Floats, Ints, OdometryModel
 from cellslam.slam.joint.ekf_slam_options import EkfSlamOptions
 from cellslam.slam.joint.mixture import Mixture
 from cellslam.slam.joint.snapshot.sizes_kernel import DIFFUSE_SIZE, ODOMETRY, count_states, count_weight
-from cellslam.slam.joint.state.layout import ArrayErrors, one_of
+from cellslam.slam.joint.state.layout import ArrayErrors
 
 _PARTS = ("m", "azimuth_deg", "elevation_deg")
 _WORDS = {
@@ -115,10 +115,10 @@ def growth(mixture: Mixture) -> float:
     Diffuse energy moves distance, azimuth and elevation: distances, which merged paths hardly move, speak for all.
     """
     share = mixture.shares()
-    slope, information, _ = mixture.arrays.sizes[int(np.argmax(share)), :, DIFFUSE_SIZE].tolist()
+    slope, information, _ = mixture.likeliest.learnt.sizes[:, DIFFUSE_SIZE].tolist()
     factor = max(_surely(slope, information), 1.0) if information > 0.0 and share.max() > 0.5 else 1.0
     if factor > 1.0:
-        mixture.arrays.sizes[:, :, DIFFUSE] = mixture.arrays.sizes[:, 2, :DIFFUSE_SIZE] = 0.0
+        mixture.arrays.learnt.sizes[:, :, DIFFUSE] = mixture.arrays.learnt.sizes[:, 2, :DIFFUSE_SIZE] = 0.0
     return factor
 
 
@@ -127,16 +127,18 @@ def sizes_of(mixture: Mixture, errors: ArrayErrors, noise: Floats, grown: float)
 
     noise (6,): densities of the odometry's white noise, whose sums have not been taken in lately. grown: as in `Sizes`.
     """
-    best, core = int(np.argmax(mixture.log_weight)), mixture.core
-    f = one_of(mixture.arrays, best)._replace(sizes=mixture.arrays.sizes[best].copy())
+    f, core = mixture.likeliest, mixture.core
+    f = f._replace(learnt=f.learnt._replace(sizes=f.learnt.sizes.copy()))
     for place in np.flatnonzero(f.owner[: f.size[0]] >= 0):
         count_weight(f, errors, int(place))
-    count_states(f, core.noise, ODOMETRY, noise**2 * f.summed[0])
+    count_states(f, core.noise, ODOMETRY, noise**2 * f.learnt.summed[0])
 
     def squares(of: Ints) -> Floats:
         return np.array([f.x[i] ** 2 + f.p[i, i] if i >= 0 else np.nan for i in of])
 
-    return Sizes(f.sizes[0], f.sizes[1], f.sizes[2], squares(core.bias), squares(core.scale), grown)
+    return Sizes(
+        f.learnt.sizes[0], f.learnt.sizes[1], f.learnt.sizes[2], squares(core.bias), squares(core.scale), grown
+    )
 
 
 class Sheets(NamedTuple):

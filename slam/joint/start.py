@@ -21,7 +21,8 @@ from cellslam.sim.recording import Floats, Ints
 from cellslam.slam.api import Setup
 from cellslam.slam.joint.calibration_states import begin_with
 from cellslam.slam.joint.ekf_slam_options import EkfSlamOptions
-from cellslam.slam.joint.mixture import Mixture, new_mixture, side_by_side
+from cellslam.slam.joint.mixture import Mixture, side_by_side
+from cellslam.slam.joint.new_filters import new_mixture
 from cellslam.slam.joint.snapshot.motion_kernel import Interval
 from cellslam.slam.joint.state.layout import POSE, ArrayErrors, Core, Measured
 from cellslam.slam.model.pose_moments import known_together, mixture_moments
@@ -33,7 +34,7 @@ KNOWN_M2 = 1e-6  # variance of a place, or heading, that is known
 RETURN_LOG_ODDS = -4.0  # from which on a VT unseen for a while may be the one that is seen
 GATE = 16.3  # squared Mahalanobis distance, chi-square of three: one of a thousand that are right is beyond it
 SHORTER = 40  # weights of the roof leave so many times sooner than after the start: a filter for each component
-STATES = 440  # room of a filter: memory that is not used costs nothing; growing does, and rows 4096 bytes apart
+START_STATES = 440  # room of a filter: memory that is not used costs nothing; growing does, and rows 4096 bytes apart
 
 
 def components(std_m: float, component_std_m: float, step: float) -> tuple[Floats, Floats, float]:
@@ -78,7 +79,7 @@ class Start:
         )
         for site, (mixture, association) in enumerate(zip(self.mixtures, associations, strict=True)):
             mine = site_of_measurement == site
-            answer[mine] = association[int(np.argmax(mixture.log_weight)), mine]
+            answer[mine] = association[mixture.best, mine]
             if not ends:
                 continue
             at = self.core.first_offset + site
@@ -125,7 +126,7 @@ class Start:
 
     def likeliest(self) -> list[tuple[Mixture, int]]:
         """Return each mixture and its likeliest filter."""
-        return [(mixture, int(np.argmax(mixture.log_weight))) for mixture in self.mixtures]
+        return [(mixture, mixture.best) for mixture in self.mixtures]
 
     def over(self, variance_m2: Floats) -> bool:
         """Return whether joint filters can take over, the variances (S,) of the offsets being these: one offset is
@@ -156,7 +157,7 @@ def begin(setup: Setup, core: Core, errors: ArrayErrors, options: EkfSlamOptions
         offsets = np.tile(np.asarray(sites.clock_offset_mean_m, np.float64), (len(means), 1))
         offsets[:, site] += means
         own = np.where(np.arange(len(sites)) == site, std, 0.0)
-        mixture = new_mixture(setup, core, errors, offsets, own, options.vts, STATES)
+        mixture = new_mixture(setup, core, errors, offsets, own, options.vts, START_STATES)
         mixture.arrays.links[:] = setup.links.site == site
         mixture.influence.rest += logs
         mixture.log_weight += logs

@@ -15,9 +15,6 @@ import numpy as np
 from cellslam.sim.compiling import njit, part
 from cellslam.sim.recording import Floats, Ints
 
-LEFT_OUT = -1e30  # score of a pair that cannot be
-_CANNOT = 0.5 * LEFT_OUT
-
 
 @njit(cache=True)
 def assign(score: Floats, rows: int, columns: int, row_of: Ints, work_f: Floats, work_i: Ints) -> None:
@@ -34,27 +31,15 @@ def assign(score: Floats, rows: int, columns: int, row_of: Ints, work_f: Floats,
         for c in range(columns):
             if score[r, c] > 0.0:
                 taken += 1
-                if row_of[c] >= 0:
-                    conflict = True
+                conflict = conflict or row_of[c] >= 0 or taken > 1
                 row_of[c] = r
-        if taken > 1:
-            conflict = True
     if conflict:
-        alone = work_f[len(work_f) - columns :]
-        alone[:] = 0.0
-        best_sum(score, alone, 0.0, rows, columns, row_of, work_f, work_i)
+        _augment(score, rows, columns, row_of, work_f, work_i)
 
 
 @part
-def best_sum(
-    score: Floats, alone: Floats, least: float, rows: int, columns: int, row_of: Ints, work_f: Floats, work_i: Ints
-) -> float:
-    """Write into row_of (columns,) the assignment with the greatest sum of scores, -1 for none; return that sum,
-    LEFT_OUT where there is no assignment.
-
-    `score` (R, C) of pairs, which are possible where it is above `least`; `alone` (columns,): score of a column that
-    has no row, LEFT_OUT where it must have one. Scratch: 3 columns + 2 rows + 3 floats, three times the places.
-    """
+def _augment(score: Floats, rows: int, columns: int, row_of: Ints, work_f: Floats, work_i: Ints) -> None:
+    """Write into row_of (columns,) the assignment with the greatest sum of scores, -1 for none."""
     places = rows + columns + 1
     potential, price = work_f[: columns + 1], work_f[columns + 1 : columns + 1 + places]
     shortest = work_f[columns + 1 + places : columns + 1 + 2 * places]
@@ -72,13 +57,11 @@ def best_sum(
             i0, delta, j1 = owner[j0], np.inf, -1
             for j in range(1, places):
                 if used[j] == 0:
-                    reduced = _cost(score, alone, least, rows, i0 - 1, j - 1) - potential[i0] - price[j]
+                    reduced = _cost(score, rows, i0 - 1, j - 1) - potential[i0] - price[j]
                     if reduced < shortest[j]:
                         shortest[j], previous[j] = reduced, j0
                     if shortest[j] < delta:
                         delta, j1 = shortest[j], j
-            if j1 < 0:
-                return LEFT_OUT
             for j in range(places):
                 if used[j] == 1:
                     potential[owner[j]] += delta
@@ -91,18 +74,15 @@ def best_sum(
         while j0 != 0:
             owner[j0] = owner[previous[j0]]
             j0 = previous[j0]
-    total = 0.0
     for j in range(1, places):
         if owner[j] > 0:
             row_of[owner[j] - 1] = j - 1 if j <= rows else -1
-            total -= _cost(score, alone, least, rows, owner[j] - 1, j - 1)
-    return total
 
 
 @part
-def _cost(score: Floats, alone: Floats, least: float, rows: int, column: int, place: int) -> float:
+def _cost(score: Floats, rows: int, column: int, place: int) -> float:
     """Return what a column pays for a place: a row, or from `rows` on the places of columns that have none."""
     if place < rows:
         gain = score[place, column]
-        return -gain if least < gain < np.inf else np.inf
-    return -alone[column] if place - rows == column and alone[column] > _CANNOT else np.inf
+        return -gain if gain > 0.0 else np.inf
+    return 0.0 if place - rows == column else np.inf

@@ -20,7 +20,7 @@ from cellslam.sim.described import Described
 from cellslam.sim.errors import InputError
 from cellslam.sim.recording import Floats, Ints
 from cellslam.slam.model.field_kernel import Grid, grid, loads
-from cellslam.slam.model.hdf5_file import Kind, read, write
+from cellslam.slam.model.hdf5_file import Kind, check_shapes, read, write
 
 COMPONENTS = ("distance", "azimuth", "elevation")
 _FILE = Kind(
@@ -84,10 +84,7 @@ class Calibration(Described):
         """Raise InputError unless the parts fit each other and hold finite numbers and a covariance."""
         count = len(self.mean)
         shapes = {"size": (3,), "component": (count,), "cell": (count,), "mean": (count,), "covariance": (count, count)}
-        for name, shape in shapes.items():
-            value = getattr(self, name)
-            if value.shape != shape or not np.isfinite(value).all():
-                raise InputError(f"{name} has shape {value.shape}, or is not finite; expected finite numbers {shape}")
+        check_shapes(self, shapes)
         shape3 = np.array([self.scale_rad, self.spacing, self.reach])
         if not ((shape3 > 0.0).all() and 0.01 <= self.scale_rad <= np.pi and self.spacing >= 0.5 and self.reach <= 3.0):
             raise InputError(f"grid {shape3.tolist()}: scale (rad), spacing and reach must be those of a grid")

@@ -21,6 +21,14 @@ class Kind(NamedTuple):
     writer: str
 
 
+def check_shapes(of: Any, shapes: Mapping[str, tuple[int, ...]]) -> None:
+    """Raise InputError unless the arrays of an object have these shapes and hold finite numbers, or text."""
+    for name, shape in shapes.items():
+        value = getattr(of, name)
+        if value.shape != shape or (value.dtype.kind != "U" and not np.isfinite(value).all()):
+            raise InputError(f"{name} has shape {value.shape}, or is not finite; expected finite numbers {shape}")
+
+
 def write(path: str | Path, kind: Kind, arrays: Mapping[str, Any], provenance: Mapping[str, Any]) -> None:
     """Write the arrays of a kind, all or nothing. Raises InputError where the file cannot be written."""
     import h5py

@@ -1,4 +1,4 @@
-"""The measurement model h, its Jacobians, and births: used by every estimator and by the bound.
+"""The measurement model h and its Jacobians: used by every estimator and by the bound.
 
 h(r, v) = (distance, azimuth, elevation) of VT v seen from pose r, without clock offset. With the offset b of its site a
 measurement is z = h(r, v) + (b, 0, 0) + noise. Azimuth and its Jacobian have no limit straight above the array: the
@@ -11,7 +11,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike
 
-from cellslam.sim.frames import rotation, unit_vector, world_to_body
+from cellslam.sim.frames import rotation, world_to_body
 from cellslam.sim.recording import Floats
 
 LEAST_FLAT_M = 1e-3
@@ -34,26 +34,16 @@ def jacobians(pose: ArrayLike, vt: ArrayLike) -> tuple[Floats, Floats]:
     """
     p, v = np.broadcast_arrays(np.asarray(pose, np.float64)[..., :, None], np.asarray(vt, np.float64)[..., None, :])
     pose_b, vt_b = p[..., 0], v[..., 0, :]
-    r = rotation(pose_b[..., 3], pose_b[..., 4], pose_b[..., 5])
-    world = vt_b - pose_b[..., :3]
-    to_spherical = _spherical_jacobian(np.einsum("...ji,...j->...i", r, world))
+    psi, zero = pose_b[..., 3], np.zeros_like(pose_b[..., 3])
+    r = rotation(psi, pose_b[..., 4], pose_b[..., 5])
+    body = np.einsum("...ji,...j->...i", r, vt_b - pose_b[..., :3])
+    to_spherical = _spherical_jacobian(body)
     d_vt = to_spherical @ np.swapaxes(r, -1, -2)
-    turned = [np.einsum("...ji,...j->...i", dr, world) for dr in _rotation_derivatives(pose_b)]
-    d_angles = to_spherical @ np.stack(turned, axis=-1)
+    # R = Rz Ry Rx: the axes of yaw, of pitch once it is yawed, and of roll, as the body sees them, turn the VT back.
+    pitched = np.stack([-np.sin(psi), np.cos(psi), zero], axis=-1)
+    axes = [r[..., 2, :], np.einsum("...ji,...j->...i", r, pitched), np.broadcast_to([1.0, 0.0, 0.0], body.shape)]
+    d_angles = to_spherical @ np.stack([np.cross(body, axis) for axis in axes], axis=-1)
     return d_vt, np.concatenate([-d_vt, d_angles], axis=-1)
-
-
-def birth(pose: ArrayLike, distance_m: ArrayLike, azimuth_rad: ArrayLike, elevation_rad: ArrayLike) -> Floats:
-    """Return the VT (..., 3) in m that a measurement points to: inverse of `predict`; `distance_m` without clock
-    offset.
-
-    pose (..., 6); the measurement's components (...,).
-    """
-    p = np.asarray(pose, np.float64)
-    body = np.asarray(distance_m, np.float64)[..., None] * unit_vector(azimuth_rad, elevation_rad)
-    r = rotation(p[..., 3], p[..., 4], p[..., 5])
-    world: Floats = p[..., :3] + np.einsum("...ij,...j->...i", r, body)
-    return world
 
 
 def _spherical_jacobian(body: Floats) -> Floats:
@@ -69,17 +59,3 @@ def _spherical_jacobian(body: Floats) -> Floats:
         (-x * z / (flat * full2), -y * z / (flat * full2), flat / full2),
     )
     return np.stack([np.stack(row, axis=-1) for row in rows], axis=-2)
-
-
-def _rotation_derivatives(pose: Floats) -> tuple[Floats, Floats, Floats]:
-    """Return dR/dpsi, dR/dtheta, dR/dphi, each (..., 3, 3).
-
-    R = Rz Ry Rx, and the derivative of each factor is the factor turned by 90 degrees, its fixed axis removed.
-    """
-    zero, quarter = np.zeros_like(pose[..., 3]), np.full_like(pose[..., 3], np.pi / 2)
-    psi, theta, phi = pose[..., 3], pose[..., 4], pose[..., 5]
-    rz, ry, rx = rotation(psi, zero, zero), rotation(zero, theta, zero), rotation(zero, zero, phi)
-    dz = rotation(psi + quarter, zero, zero) - np.diag([0.0, 0.0, 1.0])
-    dy = rotation(zero, theta + quarter, zero) - np.diag([0.0, 1.0, 0.0])
-    dx = rotation(zero, zero, phi + quarter) - np.diag([1.0, 0.0, 0.0])
-    return dz @ ry @ rx, rz @ dy @ rx, rz @ ry @ dx

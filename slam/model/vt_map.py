@@ -22,7 +22,7 @@ import numpy as np
 from cellslam.sim.described import Described
 from cellslam.sim.errors import InputError
 from cellslam.sim.recording import Floats, Ints
-from cellslam.slam.model.hdf5_file import Kind, read, write
+from cellslam.slam.model.hdf5_file import Kind, check_shapes, read, write
 
 _FILE = Kind(
     "map",
@@ -93,15 +93,11 @@ class VtMap(Described):
         """Raise InputError unless the parts fit each other and hold finite numbers and a covariance."""
         count = len(self.position_m)
         common = self.common_m.shape[-1] if self.common_m.ndim == 3 else 0
-        shapes = {
+        check_shapes(self, {
             "site": (count,), "cell_id": (count,), "port": (count,), "position_m": (count, 3), "anchor_m": (count, 3),
             "own_m2": (count, 3, 3), "common_m": (count, 3, common), "seen_m": (count, 2, 2), "hits": (count,),
             "missed": (count,),
-        }  # fmt: skip
-        for name, shape in shapes.items():
-            value = getattr(self, name)
-            if value.shape != shape or (name != "site" and not np.isfinite(value).all()):
-                raise InputError(f"{name} has shape {value.shape}, or is not finite; expected finite numbers {shape}")
+        })  # fmt: skip
         if (np.linalg.norm(self.position_m - self.anchor_m, axis=1) == 0.0).any():
             raise InputError("a position is its anchor: a VT is seen from elsewhere")
         least = np.linalg.eigvalsh(self.own_m2)[:, 0] if count else np.zeros(0)

@@ -37,14 +37,11 @@ from cellslam.sim.randomness import quasi_random
 from cellslam.sim.recording import Floats, Ints, Sites
 from cellslam.slam import warm_up
 from cellslam.slam.api import Estimate, Setup, Snapshot, VtEstimate
-from cellslam.slam.front_end import attitude, misfit
-from cellslam.slam.front_end.attitude import Attitude
-from cellslam.slam.front_end.front_end_options import FrontEndOptions
-from cellslam.slam.front_end.fusion import FusedMeasurements, Fusion
-from cellslam.slam.front_end.measurement_noise import ports_of
-from cellslam.slam.front_end.misfit import Misfit
-from cellslam.slam.front_end.readings import Readings, novelty, readings
-from cellslam.slam.front_end.visibility import transitions
+from cellslam.slam.measurements.attitude import Attitude
+from cellslam.slam.measurements.fusion import FusedMeasurements, Fusion
+from cellslam.slam.measurements.measurement_options import MeasurementOptions, transitions
+from cellslam.slam.measurements.misfit import Misfit
+from cellslam.slam.measurements.readings import Readings, novelty, ports_of, readings
 from cellslam.slam.model.pose_moments import pose_moments
 from cellslam.slam.model.resampling import systematic
 from cellslam.slam.phd_slam.gaussians_kernel import (
@@ -74,7 +71,7 @@ TRIANGLE = np.array([[0, 1, 2], [1, 3, 4], [2, 4, 5]])
 UNKNOWN_M = 1e5  # reach of a front end that measures no distances
 
 
-class PhdSlamOptions(FrontEndOptions):
+class PhdSlamOptions(MeasurementOptions):
     """What a scenario may set under `estimator.phd-slam`, beside what the front end is like."""
 
     particles: int = Field(100, ge=1, le=100_000, description="number of particles")
@@ -123,8 +120,6 @@ class PhdSlam:
 
     def warm_up(self) -> None:
         """Compile the kernels, on a drive of four snapshots."""
-        attitude.warm_up()
-        misfit.warm_up()
         warm_up.drive(type(self)(self.options.model_copy(update={"particles": 4, "effective_share": 1.0})))
 
     def start(self, setup: Setup, rng: np.random.Generator) -> None:

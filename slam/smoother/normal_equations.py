@@ -15,9 +15,8 @@ import numpy as np
 from cellslam.sim.frames import rotation, rotation_angles
 from cellslam.sim.recording import Floats, Ints
 from cellslam.slam.api import Setup, Snapshot
-from cellslam.slam.front_end.fusion import Fusion
-from cellslam.slam.front_end.measurement_noise import ports_of
-from cellslam.slam.front_end.readings import readings
+from cellslam.slam.measurements.fusion import Fusion
+from cellslam.slam.measurements.readings import ports_of, readings
 from cellslam.slam.smoother.factor_graph import Problem, Sighting
 from cellslam.slam.smoother.odometry_factors import Leg, errors_of, leg, local
 from cellslam.slam.smoother.smoother_options import SmootherOptions

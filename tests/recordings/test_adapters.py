@@ -19,7 +19,7 @@ from cellslam.recordings.adapters.victoria_park import velocities
 from cellslam.scenarios.estimator_options import resolve
 from cellslam.sim.errors import InputError
 from cellslam.sim.recording import Measurements, Recording
-from cellslam.slam.front_end.front_end_options import NOTHING_PERSISTS
+from cellslam.slam.measurements.measurement_options import NOTHING_PERSISTS
 
 FITTED = {
     "noise_floor_m": 0.1,

@@ -21,7 +21,7 @@ from cellslam.scenarios.estimator_options import resolve
 from cellslam.sim.errors import InputError
 from cellslam.sim.recording import OdometryModel, Recording
 from cellslam.slam import registry
-from cellslam.slam.front_end.front_end_options import FrontEndOptions
+from cellslam.slam.measurements.measurement_options import MeasurementOptions
 
 STD_M, STD_RAD, UNIT_M, DETECTED, FALSE = 0.2, np.radians(0.8), 0.3, 0.7, 0.5
 SPEED_NOISE, TURN_NOISE, TURN_BIAS = 0.15, 0.01, 0.012
@@ -172,7 +172,7 @@ def test_what_was_learnt_is_given_to_every_map_builder() -> None:
     learnt = Learnt(options, OdometryModel(*np.zeros((4, 6))), {}, True)
     names = [entry.name for entry in registry.BUILT_IN]
     given = resolve(tomllib.loads(toml(Path("a.h5"), learnt))["estimator"], names, ())
-    told = {r.name: r.options for r in given if isinstance(r.options, FrontEndOptions)}
+    told = {r.name: r.options for r in given if isinstance(r.options, MeasurementOptions)}
     assert {"ekf-slam", "fastslam", "bp-slam", "phd-slam"} <= set(told)
     for own in told.values():
         assert {key: getattr(own, key) for key in options} == options

@@ -10,7 +10,7 @@ from cellslam.scenarios.estimator_options import data_sheet, stated
 from cellslam.scenarios.loading import from_tables
 from cellslam.sim.lte import RadioConfig
 from cellslam.sim.lte.statistical.statistics import statistics
-from cellslam.slam.front_end.front_end_options import FrontEndOptions
+from cellslam.slam.measurements.measurement_options import MeasurementOptions
 
 TOLD = (
     "fastslam", "ekf-slam", "wall-slam", "bp-slam", "phd-slam",
@@ -19,7 +19,7 @@ TOLD = (
 
 
 def test_the_sheet_of_lte_is_the_defaults() -> None:
-    sheet, defaults = data_sheet(RadioConfig()), FrontEndOptions()
+    sheet, defaults = data_sheet(RadioConfig()), MeasurementOptions()
     assert len(sheet) == 6
     for key, value in sheet.items():
         assert value == pytest.approx(getattr(defaults, key), rel=0.006), key

@@ -8,22 +8,21 @@ import pytest
 
 from cellslam.sim.recording import Floats, Links, OdometryModel, Sites
 from cellslam.slam.api import Setup
-from cellslam.slam.joint.mixture import core_of, new_mixture
+from cellslam.slam.joint.new_filters import NO_ERRORS, core_of, new_mixture
 from cellslam.slam.joint.snapshot.sight_kernel import coordinates, errors_of, geometry, rotations_of
 from cellslam.slam.joint.snapshot.snapshot_kernel import PENDING, new_room
 from cellslam.slam.joint.snapshot.update_kernel import BlockMeasurement
-from cellslam.slam.joint.state.array_errors import NO_ERRORS
 from cellslam.slam.joint.state.layout import (
     FREE,
     Association,
     Births,
-    Block,
     BlockLimits,
     Existence,
     Lifetime,
     Measured,
     Noise,
     Rules,
+    block_of,
     one_of,
 )
 from cellslam.slam.joint.state.states_kernel import enter, owner_of
@@ -50,11 +49,9 @@ class OneFilter:
         for name, part in parts.items():  # `rules` change some of these
             parts[name] = part._replace(**{key: rules.pop(key) for key in part._fields if key in rules})
         self.rules = Rules(**{"evidence": 1.0, **parts, **rules})
-        self.mixture, self.errors = (
-            new_mixture(setup, core_of(setup, errors), errors, np.zeros((1, 1)), np.zeros(1)),
-            errors,
-        )
-        self.f, self.block = one_of(self.mixture.arrays, 0), Block(*(part[0] for part in self.mixture.blocks))
+        self.errors = errors
+        self.mixture = new_mixture(setup, core_of(setup, errors), errors, np.zeros((1, 1)), np.zeros(1))
+        self.f, self.block = one_of(self.mixture.arrays, 0), block_of(self.mixture.blocks, 0)
         self.offset, self.w = self.mixture.core.first_offset, new_room(self.f, 12, PENDING)
         self.w.pending.rows[:], self.w.pending.t[:] = np.nan, np.nan
 
@@ -67,10 +64,10 @@ class OneFilter:
         """Set the mean: pose (6,), clock offset; enter VTs (range, azimuth, elevation) about an anchor (3,)."""
         self.f.x[:6], self.f.x[self.offset] = pose, offset_m
         for j, vt in enumerate(vts):
-            self.f.vt_state[j] = -1
+            self.f.vts.state[j] = -1
             for c in range(3):
-                self.f.x[enter(self.f, owner_of(j, c, self.f.vt_state.shape[1]), 1.0)] = vt[c]
-            self.f.anchor[j, :3] = anchor
+                self.f.x[enter(self.f, owner_of(j, c, self.f.vts.state.shape[1]), 1.0)] = vt[c]
+            self.f.vts.anchor[j, :3] = anchor
         self.f.count[0] = len(vts)
 
     def spread(self, root: Floats) -> Floats:
@@ -92,7 +89,7 @@ class OneFilter:
         """Return a measurement z (3,) of variances q (3,) from where the filter is."""
         pose = self.f.x[:6].copy()
         return BlockMeasurement(
-            z, q, q, pose, Vec3(*pose[:3]), rotations_of(self.f), 1.0, 1.0, NOW, self.f.deviation[:6]
+            z, q, q, pose, Vec3(*pose[:3]), rotations_of(self.f), 1.0, 1.0, NOW, self.f.particles.deviation[:6]
         )
 
     def seen(self, z: Floats, q: Floats) -> Measured:
@@ -109,7 +106,7 @@ class OneFilter:
         """Return the position (3,) of VT j."""
         rho, az, el = coordinates(self.f, j)
         direction = np.array([np.cos(el) * np.cos(az), np.cos(el) * np.sin(az), np.sin(el)])
-        return np.asarray(self.f.anchor[j, :3] + rho * direction)
+        return np.asarray(self.f.vts.anchor[j, :3] + rho * direction)
 
 
 @pytest.fixture

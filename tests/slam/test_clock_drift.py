@@ -13,9 +13,9 @@ from cellslam.sim import simulate
 from cellslam.sim.frames import SPEED_OF_LIGHT_MPS, integrate_pose
 from cellslam.sim.recording import Floats, Links, OdometryModel, Recording, Sites
 from cellslam.slam.api import Setup, Snapshot, odometry_of, setup_of, snapshots_of
-from cellslam.slam.front_end.front_end_options import NOTHING_PERSISTS
 from cellslam.slam.joint.ekf_slam import EkfSlam
 from cellslam.slam.joint.ekf_slam_options import EkfSlamOptions
+from cellslam.slam.measurements.measurement_options import NOTHING_PERSISTS
 from cellslam.slam.model.measurement_model import jacobians, predict
 
 DRIFT = 1e-9

@@ -123,4 +123,4 @@ class TestSmoother(EstimatorConformance):
 
     @pytest.fixture
     def options(self, estimator: type[Any]) -> Any:
-        return estimator.Options.model_validate({"ekf_slam": {"hypotheses": 4}})
+        return estimator.Options.model_validate({"ekf_slam": {"confirm_hits": 4}})

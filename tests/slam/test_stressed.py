@@ -35,7 +35,7 @@ def poses(name, recording):
 def test_all_stressors_on_any_number_of_threads(stressed, monkeypatch, name):
     found = []
     for threads in (1, 2):
-        monkeypatch.setattr(mixture, "threads", lambda threads=threads: threads)
+        monkeypatch.setattr(mixture.numba, "get_num_threads", lambda threads=threads: threads)
         found.append(poses(name, stressed))
     np.testing.assert_array_equal(found[0], found[1])
     error = np.linalg.norm(found[0][:, :2] - stressed.truth.poses[:, :2], axis=1)

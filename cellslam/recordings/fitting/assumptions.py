@@ -19,7 +19,7 @@ from cellslam.scenarios.recording_origin import Origin
 from cellslam.sim.errors import InputError, nearest_name
 from cellslam.sim.progress import Progress, silent
 from cellslam.sim.recording import COMPONENTS, OdometryModel, Recording
-from cellslam.slam.front_end.front_end_options import FrontEndOptions
+from cellslam.slam.measurements.measurement_options import MeasurementOptions
 
 KINDS = tuple(Noise.model_fields)  # of deviations in a data sheet, as `recording.toml` writes them
 
@@ -49,7 +49,7 @@ def assumed(
     overrides = {key: value for key, value in given.items() if not key.startswith("noise.")}
     sheet = changed_sheet(recording.odometry_model, {k: v for k, v in given.items() if k.startswith("noise.")})
     requests = _requests(origin.options, names, overrides)
-    mapping = any(isinstance(r.options, FrontEndOptions) for r in requests)
+    mapping = any(isinstance(r.options, MeasurementOptions) for r in requests)
     if not (origin.measured and mapping if fit is None else fit):
         return Assumptions(requests, sheet)
     try:

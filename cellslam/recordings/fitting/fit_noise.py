@@ -18,8 +18,8 @@ from cellslam.sim.errors import InputError
 from cellslam.sim.frames import wrap_angle
 from cellslam.sim.progress import Progress, silent
 from cellslam.sim.recording import Floats, Ints, Recording
-from cellslam.slam.front_end.front_end_options import NOTHING_PERSISTS
-from cellslam.slam.front_end.readings import CLUTTER_WIDTH
+from cellslam.slam.measurements.measurement_options import NOTHING_PERSISTS
+from cellslam.slam.measurements.readings import CLUTTER_WIDTH
 
 LEAST_TRIPLES, LEAST_TRACKED, BINS = 100, 15, 8
 BIRTH_RATIO = (0.01, 0.5)  # bounds of what is learnt

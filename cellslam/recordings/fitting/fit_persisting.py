@@ -36,7 +36,7 @@ def persisting(r: Recording, tracks: Tracks, white: dict[str, float]) -> Persist
     the odometry's error removed.
 
     The variance of half a difference is white + place^2 (1 - rho(travelled)) + direction^2 (1 - rho(change of
-    direction)), rho = exp(-x^2 / (2 scale^2)), as `slam.front_end` has it; the scale of the place is the one that fits
+    direction)), rho = exp(-x^2 / (2 scale^2)), as `slam.measurements` has it; the scale of the place is that which fits
     best.
     """
     nothing = Persisting({}, {}, 0.0)
@@ -72,9 +72,9 @@ def _components(
     """Return the misfit of a scale of the place, and the deviations of place and direction that fit best with it."""
     from scipy.optimize import nnls
 
-    from cellslam.slam.front_end.front_end_options import FrontEndOptions
+    from cellslam.slam.measurements.measurement_options import MeasurementOptions
 
-    scale_deg = FrontEndOptions().calibration_scale_deg
+    scale_deg = MeasurementOptions().calibration_scale_deg
     misfit, place, direction = 0.0, {}, {}
     for i, name in enumerate(QUANTITIES):
         key = NAMES[name]

@@ -25,10 +25,10 @@ from cellslam.sim.progress import Progress, silent
 from cellslam.sim.recording import COMPONENTS, Floats, OdometryModel, Recording
 from cellslam.slam import registry
 from cellslam.slam.api import odometry_of, setup_of, snapshots_of
-from cellslam.slam.front_end.front_end_options import FrontEndOptions
 from cellslam.slam.joint.ekf_slam import EkfSlam
 from cellslam.slam.joint.ekf_slam_options import EkfSlamOptions
 from cellslam.slam.joint.sizes import Sheets, Sizes, in_words, keys_of, stepped
+from cellslam.slam.measurements.measurement_options import MeasurementOptions
 
 PASSES, WHOLE = 8, 2  # passes at most; so many take whole steps, the others half of them
 FITS = 2.0  # mean square of the slopes, in their deviations, from which on sizes are as good as right
@@ -59,7 +59,7 @@ class Learnt:
 
     def table(self, model: type[BaseModel] | None) -> dict[str, Any]:
         """Return the options of an estimator, those that its model has; empty for one that shares none."""
-        if model is None or not issubclass(model, FrontEndOptions):
+        if model is None or not issubclass(model, MeasurementOptions):
             return {}
         return self.options
 

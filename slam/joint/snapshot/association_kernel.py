@@ -1,6 +1,15 @@
-"""Compiled: which measurement of a link came from which VT: scores, best assignment.
+"""Compiled: which measurement of a link came from which VT: scores, best assignment, belief propagation.
 
-Source: Blackman and Popoli, Design and Analysis of Modern Tracking Systems, 1999, chapter 6.
+`associate` takes the assignment with the best sum of scores. `believe` takes marginals of all assignments, and how
+likely each VT exists. Its messages have the names of the papers: beta from a legacy feature's measurements to its
+association variable, xi from a new feature to that of its measurement, zeta from features to measurements, nu back;
+each over its value for "missed", or "clutter".
+
+Sources: Blackman and Popoli, Design and Analysis of Modern Tracking Systems, 1999, chapter 6, for scores; Leitinger,
+Meyer, Hlawatsch, Witrisal, Tufvesson and Win, "A belief propagation algorithm for multipath-based SLAM", IEEE Trans.
+Wireless Communications 18, 2019, sections IV to VI; the message passing is that of Williams and Lau, "Approximate
+evaluation of marginal association probabilities with belief propagation", IEEE Trans. Aerospace and Electronic Systems
+50, 2014.
 """
 
 from __future__ import annotations
@@ -10,6 +19,7 @@ from typing import NamedTuple
 
 from cellslam.sim.compiling import lean
 from cellslam.sim.recording import Floats, Ints
+from cellslam.slam.joint.snapshot.birth_kernel import is_guess, possible
 from cellslam.slam.joint.snapshot.sight_kernel import (
     Sight,
     believed,
@@ -38,11 +48,13 @@ from cellslam.slam.model.matrices_kernel import Sym3, Vec3
 from cellslam.slam.model.measurement_kernel import Rotations
 
 NEARBY_M = 50.0  # walls next to each other make VTs that are so far apart, if they are two
+ROUNDS, CLOSE = 200, 1e-7  # of message passing, at most, and logarithms by which messages may still change
+SURE = 1.0 - 1e-9  # most that existence can be
 FRESH, TAKEN = -1, -2  # measurements that may begin a VT, and those that nothing is to be made of
 
 
 class Messages(NamedTuple):
-    """Room for belief propagation (see `belief_kernel`): `beta`, `zeta`, `nu`, `marginal` (C, m), `xi` (m,)."""
+    """Room for belief propagation (see `pass_messages`): `beta`, `zeta`, `nu`, `marginal` (C, m), `xi` (m,)."""
 
     beta: Floats
     zeta: Floats
@@ -92,16 +104,16 @@ def expect(f: Filter, a: ArrayErrors, j: int, offset: int, turned: Rotations, s:
     for k in range(before, s.size[0]):
         unmet = Vec3(unmet.x - s.by[0, k] ** 2, unmet.y - s.by[1, k] ** 2, unmet.z - s.by[2, k] ** 2)
     roof = believed(f, a.roof_grid, a.roof, roof_first(a), seen, s)
-    hph = covariance(f, s)
+    hph, spread = covariance(f, s), f.vts.spread[j]
     return Expected(
         Vec3(
             seen.distance + f.x[offset] + errors.x + roof.x, seen.azimuth + errors.y + roof.y,
             seen.elevation + errors.z + roof.z,
         ),
         Sym3(
-            hph.xx + unmet.x + a.roof[0] ** 2 + f.spread[j, 0], hph.xy + f.spread[j, 1], hph.xz + f.spread[j, 2],
-            hph.yy + unmet.y + a.roof[1] ** 2 + f.spread[j, 3], hph.yz + f.spread[j, 4],
-            hph.zz + unmet.z + a.roof[2] ** 2 + f.spread[j, 5],
+            hph.xx + unmet.x + a.roof[0] ** 2 + spread[0], hph.xy + spread[1], hph.xz + spread[2],
+            hph.yy + unmet.y + a.roof[1] ** 2 + spread[3], hph.yz + spread[4],
+            hph.zz + unmet.z + a.roof[2] ** 2 + spread[5],
         ),
     )  # fmt: skip
 
@@ -141,13 +153,13 @@ def score_pairs(f: Filter, a: ArrayErrors, seen: Measured, link: int, s: Sight, 
     rows = 0
     w.gated[: stop - start] = 0
     for j in range(f.count[0]):
-        share = f.anchor[j, SHARE]
-        if f.slots[j, LINK] != link or f.slots[j, BEYOND] == 1 or share == 0.0:
+        share = f.vts.anchor[j, SHARE]
+        if f.vts.slots[j, LINK] != link or f.vts.slots[j, BEYOND] == 1 or share == 0.0:
             continue
-        row, kind, age = rows, 0 if f.slots[j, HITS] < 2 else 1, min(seen.now - f.slots[j, LAST], horizon)
+        row, kind, age = rows, 0 if f.vts.slots[j, HITS] < 2 else 1, min(seen.now - f.vts.slots[j, LAST], horizon)
         if share < 1.0:  # one of several guesses of a VT, which is one row
             for r in range(rows):
-                row = r if f.slots[w.chosen[r], IDENT] == f.slots[j, IDENT] else row
+                row = r if f.vts.slots[w.chosen[r], IDENT] == f.vts.slots[j, IDENT] else row
         if row == len(w.chosen):
             continue
         if row == rows:
@@ -158,10 +170,10 @@ def score_pairs(f: Filter, a: ArrayErrors, seen: Measured, link: int, s: Sight, 
         expected = expect(f, a, j, offset, turned, s)
         odds = seen.tables[kind, 0, age] - seen.tables[kind, 1, age]
         if rules.mode == BELIEF:
-            detected = f.anchor[j, EXISTS] * seen.rules.existence.detection
+            detected = f.vts.anchor[j, EXISTS] * seen.rules.existence.detection
             odds = math.log(max(detected, 1e-300) / (1.0 - detected))
         prior = odds - rules.log_clutter + math.log(share)
-        returns = seen.now - f.slots[j, LAST] > rules.away
+        returns = seen.now - f.vts.slots[j, LAST] > rules.away
         for k in range(start, stop):
             i = innovate(difference(seen.z[k], expected.z), seen.noise.single[k], expected.hph)
             if i.measured == 0 or i.e.x * i.e.x > gate * i.s.xx or i.e.y * i.e.y > gate * i.s.yy:
@@ -180,9 +192,97 @@ def score_pairs(f: Filter, a: ArrayErrors, seen: Measured, link: int, s: Sight, 
 
 
 @lean
-def associate(f: Filter, a: ArrayErrors, seen: Measured, link: int, s: Sight, w: Pairs) -> int:
-    """Write into w.row_of (m,) the row of `chosen` for each measurement of a link, -1 none: the best sum of scores;
-    return how many rows there are."""
+def associate(f: Filter, a: ArrayErrors, seen: Measured, link: int, s: Sight, w: Pairs) -> None:
+    """Write into w.row_of (m,) the row of `chosen` for each measurement of a link, -1 none: the best sum of scores."""
     rows = score_pairs(f, a, seen, link, s, w)
     assign(w.score, rows, seen.first[link + 1] - seen.first[link], w.row_of, w.work_f, w.work_i)
-    return rows
+
+
+@lean
+def pass_messages(w: Messages, rows: int, columns: int) -> None:
+    """Run the iterative data association.
+
+    Taken: w.beta (R, m), messages of legacy features to their association variables, over that of a missed detection;
+    w.xi (m,), message of the new feature of a measurement, over that of clutter (0: it can have none). Written: w.zeta
+    and w.nu (R, m), messages from features to measurements and back; w.marginal (R, m): P(feature r made measurement
+    c). Without loops (a feature or measurement in doubt at most at one end) everything is exact.
+    """
+    beta, xi, zeta, nu = w.beta, w.xi, w.zeta, w.nu
+    for r in range(rows):
+        for c in range(columns):
+            nu[r, c] = 1.0 / (1.0 + xi[c])
+    for _ in range(ROUNDS):
+        change = 0.0
+        for r in range(rows):  # zeta = beta / (1 + sum of the other beta nu)
+            total = _claims_of(beta[r], nu[r], columns)
+            for c in range(columns):
+                zeta[r, c] = beta[r, c] / max(total - beta[r, c] * nu[r, c], 1e-300)
+        for c in range(columns):  # nu = 1 / (1 + xi + sum of the other zeta)
+            total = _claims_on(xi[c], zeta[:, c], rows)
+            for r in range(rows):
+                value = 1.0 / max(total - zeta[r, c], 1e-300)
+                change = max(change, abs(math.log(value / nu[r, c])))
+                nu[r, c] = value
+        if change < CLOSE:
+            break
+    for r in range(rows):
+        total = _claims_of(beta[r], nu[r], columns)
+        for c in range(columns):
+            w.marginal[r, c] = beta[r, c] * nu[r, c] / total
+
+
+@lean
+def _claims_of(beta: Floats, nu: Floats, columns: int) -> float:
+    """Return 1 + sum of beta nu over the measurements: what a feature's association variable sums to."""
+    total = 1.0
+    for c in range(columns):
+        total += beta[c] * nu[c]
+    return float(total)
+
+
+@lean
+def _claims_on(xi: float, zeta: Floats, rows: int) -> float:
+    """Return 1 + xi + sum of zeta over the legacy features: what a measurement's association variable sums to."""
+    total = 1.0 + xi
+    for r in range(rows):
+        total += zeta[r]
+    return float(total)
+
+
+@lean
+def believe(f: Filter, a: ArrayErrors, seen: Measured, link: int, s: Sight, w: Pairs) -> None:
+    """Write into w.slot_of (m,) the VT that more likely than not made each measurement of a link, FRESH or TAKEN, and
+    into w.exists (m,) how likely a new VT is that it began; VTs' existence is predicted and updated.
+
+    Existence is a Markov chain of visible and hidden; only what was confirmed comes back (paper: survival probability).
+    With r the probability that a VT exists and p_D that of its detection, a missed one exists with
+    r (1 - p_D) / (1 - r p_D).
+    """
+    rules, offset, start = seen.rules.existence, f.core.first_offset + seen.site_of[link], seen.first[link]
+    columns = seen.first[link + 1] - start
+    for j in range(f.count[0]):
+        if f.vts.slots[j, LINK] == link:
+            back = rules.back if f.vts.slots[j, HITS] >= seen.rules.lifetime.confirm else 0.0
+            exists = f.vts.anchor[j, EXISTS]
+            f.vts.anchor[j, EXISTS] = exists * rules.stay + (1.0 - exists) * back
+    rows, m = score_pairs(f, a, seen, link, s, w), w.messages
+    for c in range(columns):
+        m.xi[c] = rules.birth if possible(seen.births.z[start + c], f.x[offset]) else 0.0
+        for r in range(rows):
+            m.beta[r, c] = math.exp(min(w.score[r, c], 300.0))
+    pass_messages(m, rows, columns)
+    for c in range(columns):
+        w.exists[start + c] = m.xi[c] / _claims_on(m.xi[c], m.zeta[:, c], rows)
+        w.slot_of[start + c] = FRESH if w.exists[start + c] >= rules.drop else TAKEN
+    for r in range(rows):
+        detected, j = 0.0, w.chosen[r]
+        for c in range(columns):
+            detected += m.marginal[r, c]
+            if m.marginal[r, c] > 0.5:
+                w.slot_of[start + c] = j
+        exists = f.vts.anchor[j, EXISTS]
+        silent = exists * (1.0 - rules.detection) / (1.0 - exists * rules.detection)
+        exists = min(detected + (1.0 - detected) * silent, SURE)
+        for i in range(f.count[0]):
+            if is_guess(f, i, link, f.vts.slots[j, IDENT]):
+                f.vts.anchor[i, EXISTS] = exists

@@ -36,7 +36,7 @@ def carry_over(f: Filter, before: Floats, by: Floats) -> None:
     by[:4, :n] = 0.0
     by[3, 0], by[3, 1] = before[1] - x[1], x[0] - before[0]
     for j in range(f.count[0]):
-        at = f.vt_state[j]
+        at = f.vts.state[j]
         old, old_turn = _of_vt(f, j, before, before)
         new, new_turn = _of_vt(f, j, x, before)
         shift, turn = mat_minus(new, old), vec_minus(new_turn, old_turn)
@@ -50,10 +50,10 @@ def carry_over(f: Filter, before: Floats, by: Floats) -> None:
 def _of_vt(f: Filter, j: int, x: Floats, before: Floats) -> tuple[Mat3, Vec3]:
     """Return the derivatives C^-1 and C^-1 J (l - p) of the coordinates that VT j has in state x by a shift of its
     place l, and by a turn about the vehicle's place p before."""
-    at = f.vt_state[j]
+    at = f.vts.state[j]
     to_vt = vec_scaled(direction(x[at[VT + 1]], x[at[VT + 2]]), x[at[VT]])
     by_place = spherical_jacobian(to_vt)
-    east, north = f.anchor[j, 0] + to_vt.x - before[0], f.anchor[j, 1] + to_vt.y - before[1]
+    east, north = f.vts.anchor[j, 0] + to_vt.x - before[0], f.vts.anchor[j, 1] + to_vt.y - before[1]
     return by_place, mat_vec(by_place, Vec3(-north, east, 0.0))
 
 
@@ -72,7 +72,7 @@ def _add_errors(f: Filter, by: Floats) -> None:
     p, n, vts = f.p, f.size[0], f.count[0]
     for j in range(vts):
         for c in range(VT, VT + 3):
-            i = f.vt_state[j, c]
+            i = f.vts.state[j, c]
             _add(p[i], by[0, i], by[1, i], by[2, i], by[3, i], p, n)
     for i in range(2):
         _add(p[i], 0.0, 0.0, 0.0, by[3, i], p, n)
@@ -80,11 +80,11 @@ def _add_errors(f: Filter, by: Floats) -> None:
         _add(p[i], p[i, 0], p[i, 1], p[i, 2], p[i, 3], by, n)
     for j in range(vts):
         for c in range(VT, VT + 3):
-            row = p[f.vt_state[j, c]]
+            row = p[f.vts.state[j, c]]
             _add(row, row[0], row[1], row[2], row[3], by, n)
     for j in range(vts):
         for c in range(VT, VT + 3):
-            _mirror(p, f.vt_state[j, c], n)
+            _mirror(p, f.vts.state[j, c], n)
     for i in range(2):
         _mirror(p, i, n)
 

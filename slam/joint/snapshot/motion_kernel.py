@@ -11,8 +11,8 @@ from cellslam.sim.compiling import lean, njit
 from cellslam.sim.recording import Floats, Ints
 from cellslam.slam.joint.state.layout import DIFFUSE, OF_VT, POSE, ArrayErrors, Filter
 from cellslam.slam.joint.state.states_kernel import fade
-from cellslam.slam.model.matrices_kernel import Mat3, Vec3, columns, put_mat, scaled
-from cellslam.slam.model.measurement_kernel import rotations
+from cellslam.slam.model.matrices_kernel import Vec3, columns, mat_vec, put_mat, scaled, vec_minus, vec_scaled
+from cellslam.slam.model.measurement_kernel import Rotations, rotations
 
 NOTHING_DRAWN = np.full(POSE, -1, np.int64)
 AREA = math.sqrt(math.pi / 2.0)  # exp(-x / (AREA l)) has the area of exp(-x^2 / (2 l^2))
@@ -51,20 +51,27 @@ def move(f: Filter, interval: Interval, w: Step) -> None:
 
 
 @lean
-def _displacement(m: Mat3, v: Vec3, dt: float) -> Vec3:
-    """Return m v dt."""
-    return Vec3(
-        m.xx * v.x * dt + m.xy * v.y * dt + m.xz * v.z * dt,
-        m.yx * v.x * dt + m.yy * v.y * dt + m.yz * v.z * dt,
-        m.zx * v.x * dt + m.zy * v.y * dt + m.zz * v.z * dt,
-    )
+def _velocity(f: Filter, interval: Interval, c: int, particle: int) -> float:
+    """Return component c of the velocity, corrected by what a particle, or the mean (-1), knows of bias and scale."""
+    bias, scale, d = f.core.bias[c], f.core.scale[c], f.particles.deviation
+    given, factor = interval.measured[c], 1.0
+    if bias >= 0:
+        given -= f.x[bias] + (d[bias, particle] if particle >= 0 else 0.0)
+    if scale >= 0:
+        factor += f.x[scale] + (d[scale, particle] if particle >= 0 else 0.0)
+    return float(given / factor)
 
 
 @lean
-def _velocity(f: Filter, interval: Interval, c: int) -> float:
-    bias, scale = f.core.bias[c], f.core.scale[c]
-    given, factor = interval.measured[c] - (f.x[bias] if bias >= 0 else 0.0), 1.0 + (f.x[scale] if scale >= 0 else 0.0)
-    return float(given / factor)
+def _course(f: Filter, interval: Interval, particle: int) -> tuple[Vec3, Vec3, Rotations]:
+    """Return velocity, turn rate, and rotation in the middle of an interval, of a particle or the mean (-1)."""
+    x, d, c, half = f.x, f.particles.deviation, particle, 0.5 * interval.dt
+    ahead = Vec3(_velocity(f, interval, 0, c), _velocity(f, interval, 1, c), _velocity(f, interval, 2, c))
+    turn = Vec3(_velocity(f, interval, 3, c), _velocity(f, interval, 4, c), _velocity(f, interval, 5, c))
+    yaw, pitch, roll = x[3], x[4], x[5]
+    if particle >= 0:
+        yaw, pitch, roll = yaw + d[3, c], pitch + d[4, c], roll + d[5, c]
+    return ahead, turn, rotations(yaw + half * turn.x, pitch + half * turn.y, roll + half * turn.z)
 
 
 @lean
@@ -73,51 +80,26 @@ def _move_particles(f: Filter, interval: Interval) -> None:
 
     Called before the mean's pose moves, whose next value is computed here, too.
     """
-    x, d, dt, half = f.x, f.deviation, interval.dt, 0.5 * interval.dt
-    if len(f.weight) == 0:
+    d, dt = f.particles.deviation, interval.dt
+    if len(f.particles.weight) == 0:
         return
-    ahead, turn = Vec3(0.0, 0.0, 0.0), Vec3(0.0, 0.0, 0.0)
-    mean_displacement, mean_turn = ahead, turn
-    for c in range(-1, len(f.weight)):  # the mean first
-        ahead = Vec3(_velocity_of(f, interval, 0, c), _velocity_of(f, interval, 1, c), _velocity_of(f, interval, 2, c))
-        turn = Vec3(_velocity_of(f, interval, 3, c), _velocity_of(f, interval, 4, c), _velocity_of(f, interval, 5, c))
-        yaw = x[3] + (d[3, c] if c >= 0 else 0.0) + half * turn.x
-        pitch = x[4] + (d[4, c] if c >= 0 else 0.0) + half * turn.y
-        roll = x[5] + (d[5, c] if c >= 0 else 0.0) + half * turn.z
-        displacement = _displacement(rotations(yaw, pitch, roll).r, ahead, dt)
-        if c < 0:
-            mean_displacement, mean_turn = displacement, turn
-            continue
-        d[0, c] += displacement.x - mean_displacement.x
-        d[1, c] += displacement.y - mean_displacement.y
-        d[2, c] += displacement.z - mean_displacement.z
-        d[3, c] += dt * (turn.x - mean_turn.x)
-        d[4, c] += dt * (turn.y - mean_turn.y)
-        d[5, c] += dt * (turn.z - mean_turn.z)
-
-
-@lean
-def _velocity_of(f: Filter, interval: Interval, c: int, particle: int) -> float:
-    """Return component c of the velocity, corrected by what a particle, or the mean (-1), knows of bias and scale."""
-    if particle < 0:
-        return _velocity(f, interval, c)
-    bias, scale, d = f.core.bias[c], f.core.scale[c], f.deviation
-    given = interval.measured[c] - (f.x[bias] + d[bias, particle] if bias >= 0 else 0.0)
-    return float(given / (1.0 + (f.x[scale] + d[scale, particle] if scale >= 0 else 0.0)))
+    ahead, mean_turn, middle = _course(f, interval, -1)
+    mean = mat_vec(middle.r, ahead)
+    for c in range(len(f.particles.weight)):
+        ahead, turn, middle = _course(f, interval, c)
+        off, turned = vec_minus(mat_vec(middle.r, ahead), mean), vec_minus(turn, mean_turn)
+        d[0, c], d[1, c], d[2, c] = d[0, c] + dt * off.x, d[1, c] + dt * off.y, d[2, c] + dt * off.z
+        d[3, c], d[4, c], d[5, c] = d[3, c] + dt * turned.x, d[4, c] + dt * turned.y, d[5, c] + dt * turned.z
 
 
 @lean
 def _move_pose(f: Filter, interval: Interval, by: Floats) -> None:
     """Move the pose, and write the Jacobians of where it gets to."""
     x, core, dt, half = f.x, f.core, interval.dt, 0.5 * interval.dt
-    ahead = Vec3(_velocity(f, interval, 0), _velocity(f, interval, 1), _velocity(f, interval, 2))
-    turn = Vec3(_velocity(f, interval, 3), _velocity(f, interval, 4), _velocity(f, interval, 5))
-    middle = rotations(x[3] + half * turn.x, x[4] + half * turn.y, x[5] + half * turn.z)
-    displacement = _displacement(middle.r, ahead, dt)
-    turned = columns(
-        _displacement(middle.by_psi, ahead, dt),
-        _displacement(middle.by_theta, ahead, dt),
-        _displacement(middle.by_phi, ahead, dt),
+    ahead, turn, middle = _course(f, interval, -1)
+    displacement = vec_scaled(mat_vec(middle.r, ahead), dt)
+    turned = scaled(
+        columns(mat_vec(middle.by_psi, ahead), mat_vec(middle.by_theta, ahead), mat_vec(middle.by_phi, ahead)), dt
     )
     by[:] = 0.0
     by_velocity = by[:, core.size :]
@@ -129,7 +111,7 @@ def _move_pose(f: Filter, interval: Interval, by: Floats) -> None:
         if c >= 3:
             by_velocity[c, c] = dt
         share = 1.0 / (1.0 + (x[core.scale[c]] if core.scale[c] >= 0 else 0.0))
-        velocity = _velocity(f, interval, c)
+        velocity = _velocity(f, interval, c, -1)
         for r in range(POSE):
             by_velocity[r, c] *= share
             if core.bias[c] >= 0:
@@ -205,8 +187,8 @@ def _drift(f: Filter, dt: float) -> None:
         offset, rate = f.core.first_offset + s, f.core.rate[s]
         if rate >= 0:
             x[offset] += x[rate] * dt
-            for c in range(len(f.weight)):
-                f.deviation[offset, c] += dt * f.deviation[rate, c]
+            for c in range(len(f.particles.weight)):
+                f.particles.deviation[offset, c] += dt * f.particles.deviation[rate, c]
             for j in range(n):
                 p[offset, j] += dt * p[rate, j]
             for i in range(n):
@@ -223,7 +205,7 @@ def _drift(f: Filter, dt: float) -> None:
 def forget(f: Filter, a: ArrayErrors, moved: float, dt: float) -> None:
     """Let what persists be redrawn after a distance (m) and a time (s): diffuse errors, turns, pitch and roll."""
     kept = math.exp(-moved / (AREA * a.diffuse_m)) if a.diffuse_m > 0.0 else 0.0
-    width = f.vt_state.shape[1]
+    width = f.vts.state.shape[1]
     for place in range(f.core.size, f.size[0]):
         owner = f.owner[place]
         if kept < 1.0 and owner <= OF_VT and (OF_VT - owner) % width >= DIFFUSE:

@@ -74,6 +74,14 @@ def put(s: Sight, place: int, row0: float, row1: float, row2: float) -> None:
 
 
 @lean
+def put_one(f: Filter, s: Sight, place: int, c: int, load: float) -> Vec3:
+    """Add the column of a state that changes component c alone; return what the state does to the measurement."""
+    by = Vec3(load if c == 0 else 0.0, load if c == 1 else 0.0, load if c == 2 else 0.0)
+    put(s, place, by.x, by.y, by.z)
+    return vec_scaled(by, f.x[place])
+
+
+@lean
 def put_three(s: Sight, place: int, m: Mat3) -> None:
     """Add the columns by three states that follow one another."""
     put(s, place, m.xx, m.yx, m.zx)
@@ -84,7 +92,7 @@ def put_three(s: Sight, place: int, m: Mat3) -> None:
 @lean
 def coordinates(f: Filter, j: int) -> Spherical:
     """Return range (m), azimuth and elevation (rad) of VT j about its anchor."""
-    at = f.vt_state[j]
+    at = f.vts.state[j]
     return Spherical(f.x[at[VT]], f.x[at[VT + 1]], f.x[at[VT + 2]])
 
 
@@ -96,7 +104,7 @@ def geometry(f: Filter, j: int, offset: int, place: Vec3, turned: Rotations, vt:
     Seen from a place (m) with the rotation `turned`, the VT having these coordinates about its anchor. A place besides
     the present one, as that of an earlier measurement, turns with the vehicle.
     """
-    anchor, at = Vec3(f.anchor[j, 0], f.anchor[j, 1], f.anchor[j, 2]), f.vt_state[j]
+    anchor, at = Vec3(f.vts.anchor[j, 0], f.vts.anchor[j, 1], f.vts.anchor[j, 2]), f.vts.state[j]
     to_vt = vec_minus(vec_plus(anchor, vec_scaled(direction(vt.azimuth, vt.elevation), vt.distance)), place)
     body = transposed_vec(turned.r, to_vt)
     by_body = spherical_jacobian(body)
@@ -131,17 +139,13 @@ def field(f: Filter, g: Grid, std: Floats, first: int, seen: Spherical, now: int
             continue
         for k in range(count):
             owner = first + component * g.cells + s.cells[k]
-            place = f.weight_state[owner]
+            place = f.fields.place[owner]
             if now >= 0:
-                f.weight_met[owner] = now
+                f.fields.met[owner] = now
                 if place < 0:
                     place = enter(f, owner, 1.0)
             if place >= 0:
-                load = std[c] * s.values[k]
-                load0, load1, load2 = load if c == 0 else 0.0, load if c == 1 else 0.0, load if c == 2 else 0.0
-                put(s, place, load0, load1, load2)
-                x = f.x[place]
-                value = Vec3(value.x + load0 * x, value.y + load1 * x, value.z + load2 * x)
+                value = vec_plus(value, put_one(f, s, place, c, std[c] * s.values[k]))
         component += 1
     return value
 
@@ -201,15 +205,11 @@ def diffuse(f: Filter, j: int, std: Floats, share: float, enters: bool, s: Sight
     """
     value = Vec3(0.0, 0.0, 0.0)
     for c in range(3):
-        place = f.vt_state[j, DIFFUSE + c]
+        place = f.vts.state[j, DIFFUSE + c]
         if place < 0 and enters and std[c] > 0.0:
-            place = enter(f, owner_of(j, DIFFUSE + c, f.vt_state.shape[1]), 1.0)
+            place = enter(f, owner_of(j, DIFFUSE + c, f.vts.state.shape[1]), 1.0)
         if place >= 0:
-            load = share * std[c]
-            load0, load1, load2 = load if c == 0 else 0.0, load if c == 1 else 0.0, load if c == 2 else 0.0
-            put(s, place, load0, load1, load2)
-            x = f.x[place]
-            value = Vec3(value.x + load0 * x, value.y + load1 * x, value.z + load2 * x)
+            value = vec_plus(value, put_one(f, s, place, c, share * std[c]))
     return value
 
 

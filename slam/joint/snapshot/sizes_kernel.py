@@ -35,8 +35,8 @@ def count(f: Filter, size: int, assumed: float, mean2: float, left: float) -> No
     none of what sizes are of.
     """
     share = (assumed - left) / assumed
-    f.sizes[0, size] += (min(mean2, MOST2 * (assumed - left)) + left) / assumed - 1.0
-    f.sizes[1, size] += 2.0 * share * share
+    f.learnt.sizes[0, size] += (min(mean2, MOST2 * (assumed - left)) + left) / assumed - 1.0
+    f.learnt.sizes[1, size] += 2.0 * share * share
 
 
 @lean
@@ -66,7 +66,7 @@ def count_diffuse(f: Filter, c: int, assumed: float, white: float, t: Vec3, e: V
     if assumed > 0.0:
         count(f, DIFFUSE_SIZE + c, assumed, dot(gain, e) ** 2, assumed - dot(gain, t))
         own = (gain.x, gain.y, gain.z)[c]
-        f.sizes[2, WHITE + c] += 2.0 * white * own * own / assumed
+        f.learnt.sizes[2, WHITE + c] += 2.0 * white * own * own / assumed
 
 
 @lean
@@ -97,19 +97,19 @@ def count_weight(f: Filter, a: ArrayErrors, place: int) -> None:
 def count_motion(f: Filter, noise: Floats, dt: float) -> None:
     """Sum up the odometry's white noise, of densities (6,), over dt (s) more; once the measurements have shown the sum,
     or after a while, take it in and begin again."""
-    f.summed[0] += dt
-    time_s, known = f.summed[0], f.summed[0] > LONGEST_SUM_S
+    f.learnt.summed[0] += dt
+    time_s, known = f.learnt.summed[0], f.learnt.summed[0] > LONGEST_SUM_S
     for c in range(POSE):
         place, variance = f.core.noise[c], noise[c] * noise[c] * time_s
         known = known or (place >= 0 and variance > 0.0 and covariance_of(f, place, place) < KNOWN_SHARE * variance)
     if not known:
         return
-    n, f.summed[0] = f.size[0], 0.0
+    n, f.learnt.summed[0] = f.size[0], 0.0
     count_states(f, f.core.noise, ODOMETRY, noise * noise * time_s)
     for c in range(POSE):
         place = f.core.noise[c]
         if place >= 0:
             f.x[place] = 0.0
-            f.deviation[place] = 0.0
+            f.particles.deviation[place] = 0.0
             f.p[place, :n] = 0.0
             f.p[:n, place] = 0.0

@@ -17,14 +17,10 @@ import numpy as np
 from cellslam.sim.compiling import lean, njit, part
 from cellslam.sim.frames.frames_kernel import wrap
 from cellslam.sim.recording import Floats, Ints
-from cellslam.slam.joint.snapshot.association_kernel import FRESH, TAKEN, Messages, Pairs, associate
-from cellslam.slam.joint.snapshot.belief_kernel import believe
-from cellslam.slam.joint.snapshot.birth_kernel import clear, tidy
+from cellslam.slam.joint.snapshot.association_kernel import FRESH, TAKEN, Messages, Pairs, associate, believe
+from cellslam.slam.joint.snapshot.birth_kernel import begin, clear, correct_guesses, possible, tidy
 from cellslam.slam.joint.snapshot.gauge_kernel import carry_over
-from cellslam.slam.joint.snapshot.guess_kernel import begin, correct_guesses, possible
-from cellslam.slam.joint.snapshot.merging_kernel import expect_beside, expect_merging
 from cellslam.slam.joint.snapshot.motion_kernel import Interval, Step, forget, move
-from cellslam.slam.joint.snapshot.rival_kernel import Rival, find_rival
 from cellslam.slam.joint.snapshot.sight_kernel import Sight, coordinates, geometry, rotations_of
 from cellslam.slam.joint.snapshot.sizes_kernel import SWAY, count_motion, count_states
 from cellslam.slam.joint.snapshot.steps_kernel import expect_steps, shift_clocks, take_steps
@@ -36,6 +32,8 @@ from cellslam.slam.joint.snapshot.update_kernel import (
     add_up,
     compare,
     correct,
+    expect_beside,
+    expect_merging,
     innovate,
     log_likelihood,
 )
@@ -61,7 +59,7 @@ from cellslam.slam.joint.state.layout import (
     block_of,
     one_of,
 )
-from cellslam.slam.model.copy_kernel import put
+from cellslam.slam.model.arrays_kernel import put
 from cellslam.slam.model.field_kernel import MOST_BELLS
 from cellslam.slam.model.matrices_kernel import Vec3
 from cellslam.slam.model.measurement_kernel import rotations
@@ -69,19 +67,6 @@ from cellslam.slam.model.measurement_kernel import rotations
 # The most that the measurements of a VT in a block can say against a filter: one in a hundred is of another VT.
 UNLIKELY = -4.6
 PENDING = 51  # rows of what measurements take off the covariance that may wait
-
-
-class Paired(NamedTuple):
-    """How the measurements of a snapshot are paired in K filters: `slot_of` (K, m), `exists` (K, m) as in `Pairs`;
-    `loss` (K, 1) and `change` (K, 4) of the best rivals; `ends` (K,): 1 where the block ends with this snapshot; and
-    once it is used, `ident` (K, m): identities of the VTs, -1 for none."""
-
-    slot_of: Ints
-    exists: Floats
-    loss: Floats
-    change: Ints
-    ends: Ints
-    ident: Ints
 
 
 class Room(NamedTuple):
@@ -102,15 +87,14 @@ def advance(f: Filter, b: Block, interval: Interval, w: Step) -> None:
     """
     move(f, interval, w)
     u, dt = interval.measured, interval.dt
-    b.total[0] += math.sqrt(u[0] * u[0] + u[1] * u[1] + u[2] * u[2]) * dt
-    b.total[1] += u[3] * dt
-    b.total[2] += dt
+    b.track.total[0] += math.sqrt(u[0] * u[0] + u[1] * u[1] + u[2] * u[2]) * dt
+    b.track.total[1] += u[3] * dt
+    b.track.total[2] += dt
 
 
 @lean
-def pair(f: Filter, a: ArrayErrors, seen: Measured, s: Sight, w: Pairs, rival: Rival) -> None:
-    """Write into w.slot_of (m,) the VT of each measurement: FRESH for what may begin one, TAKEN for what may not; and
-    into `rival` the best other association."""
+def pair(f: Filter, a: ArrayErrors, seen: Measured, s: Sight, w: Pairs) -> None:
+    """Write into w.slot_of (m,) the VT of each measurement: FRESH for what may begin one, TAKEN for what may not."""
     for link in range(len(seen.first) - 1):
         start, stop = seen.first[link], seen.first[link + 1]
         if f.links[link] == 0:
@@ -119,13 +103,12 @@ def pair(f: Filter, a: ArrayErrors, seen: Measured, s: Sight, w: Pairs, rival: R
             for k in range(start, stop):
                 w.slot_of[k] = FRESH
                 for j in range(f.count[0]):
-                    if f.slots[j, IDENT] == seen.given[k] and f.slots[j, LINK] == link:
+                    if f.vts.slots[j, IDENT] == seen.given[k] and f.vts.slots[j, LINK] == link:
                         w.slot_of[k] = j
         elif seen.rules.association.mode == BELIEF:
             believe(f, a, seen, link, s, w)
         elif stop > start:
-            rows = associate(f, a, seen, link, s, w)
-            find_rival(f, a, seen, link, rows, s, w, rival)
+            associate(f, a, seen, link, s, w)
             for k in range(start, stop):
                 row = w.row_of[k - start]
                 w.slot_of[k] = w.chosen[row] if row >= 0 else (TAKEN if w.gated[k - start] == 1 else FRESH)
@@ -140,19 +123,21 @@ def count_odds(f: Filter, b: Block, seen: Measured, w: Pairs) -> None:
     """
     rules, horizon = seen.rules.association, seen.tables.shape[2] - 1
     for j in range(f.count[0]):
-        if f.links[f.slots[j, LINK]] == 1:
-            kind, age = 0 if f.slots[j, HITS] < 2 else 1, min(seen.now - f.slots[j, LAST], horizon)
-            b.odds[j] += f.anchor[j, SHARE] * seen.tables[kind, 1, age]
+        if f.links[f.vts.slots[j, LINK]] == 1:
+            kind, age = 0 if f.vts.slots[j, HITS] < 2 else 1, min(seen.now - f.vts.slots[j, LAST], horizon)
+            b.sums.odds[j] += f.vts.anchor[j, SHARE] * seen.tables[kind, 1, age]
     for k in range(len(seen.z)):
         j = w.slot_of[k]
         if j >= 0:
-            kind, age = 0 if f.slots[j, HITS] < 2 else 1, min(seen.now - f.slots[j, LAST], horizon)
+            kind, age = 0 if f.vts.slots[j, HITS] < 2 else 1, min(seen.now - f.vts.slots[j, LAST], horizon)
             odds = seen.tables[kind, 0, age] - seen.tables[kind, 1, age] - rules.log_clutter - seen.gap[k]
-            if (f.slots[j, UNSEEN] == 1 or seen.now - f.slots[j, LAST] > rules.away) and b.detections[j] == 0:
+            if (f.vts.slots[j, UNSEEN] == 1 or seen.now - f.vts.slots[j, LAST] > rules.away) and b.sums.detections[
+                j
+            ] == 0:
                 any_vt = known_density(seen.z[k], seen.noise.many[k])
-                f.anchor[j, WORTH] += odds - any_vt
+                f.vts.anchor[j, WORTH] += odds - any_vt
                 odds = any_vt
-            b.odds[j] += odds
+            b.sums.odds[j] += odds
 
 
 @lean
@@ -169,37 +154,36 @@ def known_density(z: Floats, q: Floats) -> float:
 def take_in(f: Filter, b: Block, seen: Measured, association: Ints, s: Sight, w: Pairs) -> None:
     """Take what the measurements of VTs differ by from what is expected, errors that persist left out, into the
     block."""
-    turned, here, n = rotations_of(f), Vec3(f.x[0], f.x[1], f.x[2]), b.snapshots[0]
-    put(b.pose[n], f.x[:POSE])
+    turned, here, n = rotations_of(f), Vec3(f.x[0], f.x[1], f.x[2]), b.track.snapshots[0]
+    put(b.track.pose[n], f.x[:POSE])
     for c in range(POSE):
-        put(b.deviation[n, c], f.deviation[c])
-    b.at[n, 0], b.at[n, 1] = b.total[0], b.total[2]
+        put(b.track.deviation[n, c], f.particles.deviation[c])
+    b.track.at[n, 0], b.track.at[n, 1] = b.track.total[0], b.track.total[2]
     for link in range(len(seen.first) - 1):
         offset = f.core.first_offset + seen.site_of[link]
         for k in range(seen.first[link], seen.first[link + 1]):
             j = w.slot_of[k]
-            association[k] = -1 if j < 0 else f.slots[j, IDENT]
+            association[k] = -1 if j < 0 else f.vts.slots[j, IDENT]
             if j < 0:
                 continue
             h = geometry(f, j, offset, here, turned, coordinates(f, j), s)
             _count(b, j, 0, seen.z[k, 0] - h.distance - f.x[offset], seen.noise.many[k, 0])
             _count(b, j, 1, wrap(seen.z[k, 1] - h.azimuth), seen.noise.many[k, 1])
             _count(b, j, 2, seen.z[k, 2] - h.elevation, seen.noise.many[k, 2])
-            b.diffuse[j] += seen.noise.diffuse[k] ** 2
-            b.seen[j, b.detections[j]] = n
-            b.detections[j] += 1
-            link_slot = f.slots[j]
-            link_slot[LAST] = seen.now
-            link_slot[HITS] += 1
-    b.snapshots[0] = n + 1
+            b.sums.diffuse[j] += seen.noise.diffuse[k] ** 2
+            b.sums.seen[j, b.sums.detections[j]] = n
+            b.sums.detections[j] += 1
+            f.vts.slots[j, LAST] = seen.now
+            f.vts.slots[j, HITS] += 1
+    b.track.snapshots[0] = n + 1
 
 
 @lean
 def _count(b: Block, j: int, c: int, e: float, q: float) -> None:
     if not math.isnan(e):
-        b.e[j, c] += e
-        b.q[j, c] += q
-        b.measured[j, c] += 1.0
+        b.sums.e[j, c] += e
+        b.sums.q[j, c] += q
+        b.sums.measured[j, c] += 1.0
 
 
 @lean
@@ -223,23 +207,23 @@ def give_births(
             before = f.count[0]
             begin(f, a, b, seen, link, ident, k, s, p)
             if rules.association.mode == BELIEF:
-                f.anchor[before : f.count[0], EXISTS] = w.exists[k]
+                f.vts.anchor[before : f.count[0], EXISTS] = w.exists[k]
 
 
 @lean
 def shares(b: Block, a: ArrayErrors, j: int) -> tuple[float, float]:
     """Return what of the deviation of diffuse errors and of turns is left in the mean of a VT's measurements in the
     block."""
-    n, by_distance, by_time = b.detections[j], 0.0, 0.0
+    n, by_distance, by_time = b.sums.detections[j], 0.0, 0.0
     for i in range(n):
         for k in range(n):
             distance, time = (
-                b.at[b.seen[j, i], 0] - b.at[b.seen[j, k], 0],
-                b.at[b.seen[j, i], 1] - b.at[b.seen[j, k], 1],
+                b.track.at[b.sums.seen[j, i], 0] - b.track.at[b.sums.seen[j, k], 0],
+                b.track.at[b.sums.seen[j, i], 1] - b.track.at[b.sums.seen[j, k], 1],
             )
             by_distance += math.exp(-0.5 * (distance / a.diffuse_m) ** 2) if a.diffuse_m > 0.0 else 0.0
             by_time += math.exp(-0.5 * (time / a.sway_s) ** 2) if a.sway_s > 0.0 else 0.0
-    return math.sqrt(by_distance / (n * n) * b.diffuse[j] / n), math.sqrt(by_time / (n * n))
+    return math.sqrt(by_distance / (n * n) * b.sums.diffuse[j] / n), math.sqrt(by_time / (n * n))
 
 
 @lean
@@ -249,17 +233,17 @@ def count_surprise(
     """Take in how far the first measurement of VT j of a remembered map is from where the map has it."""
     e, hph = compare(f, a, j, offset, measurement, s, p)
     new = innovate(e, measurement.q, hph)
-    f.surprise[0] += min(log_likelihood(new)[0], gate)
-    f.surprise[1] += new.measured
-    f.slots[j, UNSEEN] = 0
+    f.learnt.surprise[0] += min(log_likelihood(new)[0], gate)
+    f.learnt.surprise[1] += new.measured
+    f.vts.slots[j, UNSEEN] = 0
 
 
 @part
 def begin_update(f: Filter, a: ArrayErrors, b: Block, seen: Measured, p: Pending) -> None:
     """Begin the update by a block: what persists is redrawn in part, paths may have merged, clocks stepped."""
-    forget(f, a, b.total[0], b.total[2])
+    forget(f, a, b.track.total[0], b.track.total[2])
     if seen.rules.merge_rate > 0.0:
-        expect_merging(f, seen.rules.merge_rate, b.total[2])
+        expect_merging(f, seen.rules.merge_rate, b.track.total[2])
     expect_steps(f, seen.rules, p.steps)
 
 
@@ -268,38 +252,42 @@ def update_by_block(f: Filter, a: ArrayErrors, b: Block, seen: Measured, s: Sigh
     """Take in what the block has of each VT, and what each VT is worth; the rows of p wait to be added up."""
     rules = seen.rules
     z, q, white = np.empty(3), np.empty(3), np.empty(3)
+    slots, anchor, sums = f.vts.slots, f.vts.anchor, b.sums
     for j in range(f.count[0]):
-        if b.detections[j] == 0:
-            f.anchor[j, WORTH] += rules.evidence * b.odds[j]
+        if sums.detections[j] == 0:
+            anchor[j, WORTH] += rules.evidence * sums.odds[j]
             clear(b, j)
             continue
-        offset = f.core.first_offset + seen.site_of[f.slots[j, LINK]]
-        at = b.seen[j, b.detections[j] // 2]
-        middle = b.pose[at]
+        offset = f.core.first_offset + seen.site_of[slots[j, LINK]]
+        at = sums.seen[j, sums.detections[j] // 2]
+        middle = b.track.pose[at]
         there, turned = Vec3(middle[0], middle[1], middle[2]), rotations(middle[3], middle[4], middle[5])
         h = geometry(f, j, offset, there, turned, coordinates(f, j), s)
         z[0], z[1], z[2] = h.distance + f.x[offset], h.azimuth, h.elevation
         for c in range(3):
-            n = b.measured[j, c]
-            z[c] += b.e[j, c] / n if n > 0.0 else math.nan
-            white[c] = b.q[j, c] / (n * n) if n > 0.0 else 1.0
+            n = sums.measured[j, c]
+            z[c] += sums.e[j, c] / n if n > 0.0 else math.nan
+            white[c] = sums.q[j, c] / (n * n) if n > 0.0 else 1.0
             q[c] = white[c] + (seen.noise.merged[c] / n if n > 0.0 else 0.0)
         if rules.merge_rate > 0.0:
             expect_beside(f, b, j, offset, h, there, turned, rules.lifetime.confirm, s)
         diffuse, turn = shares(b, a, j)
-        measurement = BlockMeasurement(z, q, white, middle, there, turned, diffuse, turn, seen.now, b.deviation[at])
-        if f.slots[j, UNSEEN] == 1:
+        measurement = BlockMeasurement(
+            z=z, q=q, white=white, pose=middle, place=there, turned=turned, diffuse=diffuse, turn=turn, now=seen.now,
+            deviation=b.track.deviation[at],
+        )  # fmt: skip
+        if slots[j, UNSEEN] == 1:
             count_surprise(f, a, j, offset, measurement, rules.association.gate, s, p)
-        if f.anchor[j, SHARE] < 1.0:
+        if anchor[j, SHARE] < 1.0:
             fit = correct_guesses(f, a, j, offset, measurement, rules, s, p)
         else:
             fit = correct(f, a, j, offset, measurement, rules, s, p)
         known = 0.0
         for c in range(3):
-            if b.measured[j, c] > 0.0:
+            if sums.measured[j, c] > 0.0:
                 known += 0.5 * (1.0 + LOG_2PI + math.log(q[c] + (diffuse * a.diffuse[c]) ** 2))
         # A pair's density counts as fit in so far as it is one VT's or another's; what any VT would have is evidence.
-        f.anchor[j, WORTH] += max(fit + known, UNLIKELY) + rules.evidence * (b.odds[j] - b.detections[j] * known)
+        anchor[j, WORTH] += max(fit + known, UNLIKELY) + rules.evidence * (sums.odds[j] - sums.detections[j] * known)
         clear(b, j)
 
 
@@ -313,91 +301,80 @@ def end_update(f: Filter, a: ArrayErrors, b: Block, before: Floats, noise: Float
     total = take_steps(f, seen.rules, p.steps)
     carry_over(f, before, p.rows)
     count_states(f, f.core.sway, SWAY, a.sway * a.sway)
-    count_motion(f, noise, b.total[2])
-    b.snapshots[0] = 0
-    b.total[:] = 0.0
+    count_motion(f, noise, b.track.total[2])
+    b.track.snapshots[0] = 0
+    b.track.total[:] = 0.0
     tidy(f, a, b, seen.now, seen.rules)
     return total
-
-
-@part
-def conclude(f: Filter, a: ArrayErrors, b: Block, noise: Floats, seen: Measured, s: Sight, p: Pending) -> float:
-    """Update the state, and what each VT is worth, by what the block has of it; return the log-likelihood of all else.
-
-    noise (6,): densities of the odometry's.
-    """
-    begin_update(f, a, b, seen, p)
-    update_by_block(f, a, b, seen, s, p)
-    before = f.x[: f.size[0]].copy()
-    add_up(f, p)
-    return end_update(f, a, b, before, noise, seen, p)
 
 
 @lean
 def ends(b: Block, rules: Rules) -> bool:
     """Return whether a block is full: after so many snapshots, so long a distance or turn."""
-    most = rules.blocks
-    return bool(b.snapshots[0] >= most.snapshots or b.total[0] > most.distance or abs(b.total[1]) > most.turn)
+    most, track = rules.blocks, b.track
+    return bool(
+        track.snapshots[0] >= most.snapshots or track.total[0] > most.distance or abs(track.total[1]) > most.turn
+    )
 
 
 @njit(cache=True, nogil=True)
 def advance_mixture(
-    mixture: Filter, a: ArrayErrors, blocks: Block, interval: Interval, seen: Measured, pairs: Paired, rest: Floats,
-    pairing: bool, using: bool, first: int, step: int,
+    mixture: Filter, a: ArrayErrors, blocks: Block, interval: Interval, seen: Measured, association: Ints,
+    rest: Floats, first: int, step: int,
 ) -> None:  # fmt: skip
-    """Go on with every `step`-th of the K filters of a mixture, from the first on: by `pairing`, move it, and pair a
-    snapshot's measurements with its VTs; by `using`, use the snapshot as it is paired.
+    """Go on with every `step`-th of the K filters of a mixture, from the first on: move it, pair a snapshot's
+    measurements with its VTs, and use the snapshot as it is paired.
 
-    To `rest` (K,) is added what is in the log-weights beside the worth of VTs.
+    association (K, m), written: identities of the VTs, -1 for none. To `rest` (K,) is added what is in the log-weights
+    beside the worth of VTs.
     """
-    room, rules = new_room(one_of(mixture, 0), len(seen.z), PENDING), seen.rules
-    w = room.pairs
+    room = new_room(one_of(mixture, 0), len(seen.z), PENDING)
+    s, w, p = room.sight, room.pairs, room.pending
     for k in range(first, len(rest), step):
         f, b = one_of(mixture, k), block_of(blocks, k)
-        if pairing:
-            rival = Rival(pairs.loss[k], pairs.change[k])
-            if interval.dt > 0.0:
-                advance(f, b, interval, room.step)
-            rival.loss[0] = rules.association.rival_loss
-            pair(f, a, seen, room.sight, w, rival)
-            if shift_clocks(f, b, a, seen, room.sight, w):
-                rival.loss[0] = rules.association.rival_loss
-                pair(f, a, seen, room.sight, w, rival)
-            put(pairs.slot_of[k], w.slot_of)
-            put(pairs.exists[k], w.exists)
-        if using:
-            put(w.slot_of, pairs.slot_of[k])
-            put(w.exists, pairs.exists[k])
-            count_odds(f, b, seen, w)
-            take_in(f, b, seen, pairs.ident[k], room.sight, w)
-            give_births(f, a, b, seen, pairs.ident[k], room.sight, w, room.pending)
-            if ends(b, rules) or pairs.ends[k] == 1:
-                rest[k] += conclude(f, a, b, interval.noise, seen, room.sight, room.pending)
+        if interval.dt > 0.0:
+            advance(f, b, interval, room.step)
+        pair(f, a, seen, s, w)
+        if shift_clocks(f, b, a, seen, s, w):
+            pair(f, a, seen, s, w)
+        count_odds(f, b, seen, w)
+        take_in(f, b, seen, association[k], s, w)
+        give_births(f, a, b, seen, association[k], s, w, p)
+        if ends(b, seen.rules):
+            begin_update(f, a, b, seen, p)
+            update_by_block(f, a, b, seen, s, p)
+            before = f.x[: f.size[0]].copy()
+            add_up(f, p)
+            rest[k] += end_update(f, a, b, before, interval.noise, seen, p)
 
 
 @part
 def new_room(f: Filter, m: int, pending: int) -> Room:
     """Return room for one filter, a snapshot of m measurements, and so many rows that are pending."""
-    states, vts, particles = len(f.x), len(f.slots), len(f.weight)
+    states, vts, particles = len(f.x), len(f.vts.slots), len(f.particles.weight)
     work, rows = 4 * (vts + m + 2), len(f.core.step_m) + 1
-    steps = Steps(np.zeros(1, np.int64), np.zeros((rows, states)), np.zeros(rows), np.zeros(rows))
+    steps = Steps(
+        used=np.zeros(1, np.int64), left=np.zeros((rows, states)), score=np.zeros(rows), information=np.zeros(rows)
+    )
     return Room(
-        Step(np.empty((POSE, f.core.size + POSE)), np.empty((POSE, states))),
-        Sight(
-            np.empty(TOUCHED, np.int64), np.empty((3, TOUCHED)), np.empty(1, np.int64), np.empty(MOST_BELLS, np.int64),
-            np.empty(MOST_BELLS),
+        step=Step(by=np.empty((POSE, f.core.size + POSE)), rows=np.empty((POSE, states))),
+        sight=Sight(
+            at=np.empty(TOUCHED, np.int64), by=np.empty((3, TOUCHED)), size=np.empty(1, np.int64),
+            cells=np.empty(MOST_BELLS, np.int64), values=np.empty(MOST_BELLS),
         ),
-        Pairs(
-            np.empty((vts, m)), np.empty((vts, m)), np.empty(vts, np.int64), np.empty(m, np.int64),
-            np.empty(m, np.int64), np.empty(m, np.int64), np.empty(work), np.empty(work, np.int64),
-            Messages(
-                np.empty((vts, m)), np.empty((vts, m)), np.empty((vts, m)), np.empty((vts, m)),
-                np.empty(m),
+        pairs=Pairs(
+            score=np.empty((vts, m)), distance2=np.empty((vts, m)), chosen=np.empty(vts, np.int64),
+            row_of=np.empty(m, np.int64), gated=np.empty(m, np.int64), slot_of=np.empty(m, np.int64),
+            work_f=np.empty(work), work_i=np.empty(work, np.int64),
+            messages=Messages(
+                beta=np.empty((vts, m)), zeta=np.empty((vts, m)), nu=np.empty((vts, m)),
+                marginal=np.empty((vts, m)), xi=np.empty(m),
             ),
-            np.empty(m),
+            exists=np.empty(m),
         ),
-        Pending(
-            np.empty((pending, states)), np.zeros(1, np.int64), np.zeros(states), np.empty((3, states)), steps,
-            np.empty((pending, particles)), np.empty(pending),
+        pending=Pending(
+            rows=np.empty((pending, states)), used=np.zeros(1, np.int64), added=np.zeros(states),
+            t=np.empty((3, states)), steps=steps, whitened=np.empty((pending, particles)),
+            whitened_mean=np.empty(pending),
         ),
     )  # fmt: skip

@@ -121,7 +121,7 @@ def _explained(f: Filter, seen: Measured, site: int, w: Pairs) -> tuple[int, int
         if seen.site_of[link] == site and f.links[link] == 1:
             for k in range(seen.first[link], seen.first[link + 1]):
                 j = w.slot_of[k]
-                if j >= 0 and f.slots[j, HITS] >= seen.rules.lifetime.confirm:
+                if j >= 0 and f.vts.slots[j, HITS] >= seen.rules.lifetime.confirm:
                     known += 1
                 elif not math.isnan(seen.z[k, 0]):
                     unknown += 1
@@ -140,7 +140,7 @@ def _worth(f: Filter, a: ArrayErrors, seen: Measured, site: int, shift: float, s
             associate(f, a, seen, link, s, w)
             for k in range(seen.first[link + 1] - seen.first[link]):
                 row = w.row_of[k]
-                if row >= 0 and f.slots[w.chosen[row], HITS] >= seen.rules.lifetime.confirm:
+                if row >= 0 and f.vts.slots[w.chosen[row], HITS] >= seen.rules.lifetime.confirm:
                     score += w.score[row, k]
                     paired += 1
     f.x[offset] = before
@@ -155,8 +155,8 @@ def _likely_shift(f: Filter, a: ArrayErrors, seen: Measured, site: int, s: Sight
     turned, rules, best = rotations_of(f), seen.rules, Shift(0.0, 1.0, 0.0, 0)
     gate = rules.association.gate
     for j in range(f.count[0]):
-        link = f.slots[j, LINK]
-        if seen.site_of[link] != site or f.links[link] == 0 or f.slots[j, HITS] < rules.lifetime.confirm:
+        link = f.vts.slots[j, LINK]
+        if seen.site_of[link] != site or f.links[link] == 0 or f.vts.slots[j, HITS] < rules.lifetime.confirm:
             continue
         expected = expect(f, a, j, f.core.first_offset + site, turned, s)
         for k in range(seen.first[link], seen.first[link + 1]):
@@ -165,7 +165,7 @@ def _likely_shift(f: Filter, a: ArrayErrors, seen: Measured, site: int, s: Sight
             if math.isnan(seen.z[k, 0]) or apart > gate or i.e.x * i.e.x <= gate * i.s.xx:
                 continue
             there, agree = _worth(f, a, seen, site, i.e.x, s, w)
-            recent = seen.now - f.slots[j, LAST] <= RECENT
+            recent = seen.now - f.vts.slots[j, LAST] <= RECENT
             if there - score > best.gain and (recent or agree - paired >= AGREE):
                 best = Shift(i.e.x, i.s.xx, there - score, agree - paired)
     return best

@@ -1,9 +1,16 @@
 """Compiled: innovation of one measurement, its likelihood, and the Kalman update of the whole state.
 
 Several measurements are taken in before the state is written, and are linearised about the same one: what they add to
-the mean waits, as what they take off the covariance, P - G^T G, in the rows of G. Source: Bar-Shalom, Li and
-Kirubarajan, "Estimation with applications to tracking and navigation", 2001, section 5.2, with S = R R^T and gains
-whitened by R.
+the mean waits, as what they take off the covariance, P - G^T G, in the rows of G.
+
+What the array cannot resolve is measured as one path, somewhere between: azimuths of a VT err by some degrees from one
+moment to the next, and for as long as that lasts. A single measurement does not tell, a jump does. So each VT has a
+probability that another path has merged with its own, that of a hidden Markov chain with two modes, and its azimuths
+count for less by it: `expect_merging`, `allow_for_merging`.
+
+Sources: Bar-Shalom, Li and Kirubarajan, "Estimation with applications to tracking and navigation", 2001, section 5.2,
+with S = R R^T and gains whitened by R; section 11.6 for modes that switch; that one update with the mean information of
+both modes will do is an approximation of our own.
 """
 
 from __future__ import annotations
@@ -14,11 +21,10 @@ from typing import NamedTuple
 from cellslam.sim.compiling import lean
 from cellslam.sim.frames.frames_kernel import wrap
 from cellslam.sim.recording import Floats, Ints
-from cellslam.slam.joint.snapshot.merging_kernel import allow_for_merging
 from cellslam.slam.joint.snapshot.sight_kernel import Sight, coordinates, errors_of, geometry
 from cellslam.slam.joint.snapshot.sizes_kernel import count_diffuse, count_white
-from cellslam.slam.joint.state.layout import DIFFUSE, POSE, ArrayErrors, Filter, Rules
-from cellslam.slam.model.downdate_kernel import downdate
+from cellslam.slam.joint.state.layout import DIFFUSE, HITS, LINK, MERGED, POSE, SHARE, ArrayErrors, Block, Filter, Rules
+from cellslam.slam.model.arrays_kernel import downdate
 from cellslam.slam.model.matrices_kernel import (
     Sym3,
     Vec3,
@@ -37,6 +43,11 @@ from cellslam.slam.model.measurement_kernel import Rotations, Spherical, directi
 
 LOG_2PI = math.log(2.0 * math.pi)
 LIKELY = 9.0  # squared distance of an innovation: up to here it fits
+END_RATE = 0.1  # merged paths part so often, 1/s
+SHIFT2 = math.radians(2.5) ** 2  # variance of azimuth by merging
+LASTS = 5.0  # for how many means of a block one such shift counts
+BESIDE = 0.3  # probability where a VT that is not seen should be seen beside
+UNRESOLVED = (9.2, 0.27, 0.28)  # so near, in m and rad: what an LTE front end with 20 MHz does not resolve
 
 
 class Steps(NamedTuple):
@@ -250,10 +261,10 @@ def correct(
     count_sizes(f, j, measurement, Innovation(vec_scaled(new.e, math.sqrt(share)), plain, new.measured), w)
     widened = sym_scaled(new.s, 1.0 / share)
     counted = Innovation(new.e, sym_minus(widened, spread), new.measured)
-    if len(f.weight) > 0:
+    if len(f.particles.weight) > 0:
         innovate_particles(f, j, offset, measurement, e, counted, s, w)
     density = update(f, counted, w)
-    if len(f.weight) > 0:
+    if len(f.particles.weight) > 0:
         distance2, log_det = log_likelihood(Innovation(new.e, widened, new.measured))
         density = -0.5 * (distance2 + log_det + new.measured * LOG_2PI)
     show_steps(f, e, new, counted.s, s, w)
@@ -263,7 +274,7 @@ def correct(
 @lean
 def spread_of(f: Filter, j: int, e: Vec3) -> Sym3:
     """Return the covariance over the particles of what they expect of VT j, zero where e is NaN: not measured."""
-    far, across, up, s = not math.isnan(e.x), not math.isnan(e.y), not math.isnan(e.z), f.spread[j]
+    far, across, up, s = not math.isnan(e.x), not math.isnan(e.y), not math.isnan(e.z), f.vts.spread[j]
     return Sym3(
         s[0] if far else 0.0, s[1] if far and across else 0.0, s[2] if far and up else 0.0, s[3] if across else 0.0,
         s[4] if across and up else 0.0, s[5] if up else 0.0,
@@ -279,15 +290,15 @@ def innovate_particles(
 
     e: the mean's innovation as `compare` returns it. Geometry is that of each particle, errors of the array are linear.
     """
-    d, k, root = f.deviation, w.used[0], cholesky(mean.s)
+    d, k, root = f.particles.deviation, w.used[0], cholesky(mean.s)
     if root.xx == 0.0:
         return
     far, across, up = w.whitened[k], w.whitened[k + 1], w.whitened[k + 2]
     own = solved(root, mean.e)
     w.whitened_mean[k], w.whitened_mean[k + 1], w.whitened_mean[k + 2] = own.x, own.y, own.z
-    whole, at = vec_plus(e, times(s, w.added)), f.vt_state[j]
+    whole, at = vec_plus(e, times(s, w.added)), f.vts.state[j]
     expected = _seen_by(f, j, measurement, -1)
-    for c in range(len(f.weight)):
+    for c in range(len(f.particles.weight)):
         h = _seen_by(f, j, measurement, c)
         far[c] = whole.x + expected.distance - h.distance - d[offset, c]
         across[c] = wrap(whole.y + expected.azimuth - h.azimuth)
@@ -299,7 +310,7 @@ def innovate_particles(
         _subtract(far, across, up, Vec3(b0, b1, b2), d[place])
     for r in range(k):
         _subtract(far, across, up, times(s, w.rows[r]), w.whitened[r])
-    for c in range(len(f.weight)):
+    for c in range(len(f.particles.weight)):
         u = solved(root, Vec3(
             0.0 if math.isnan(e.x) else far[c], 0.0 if math.isnan(e.y) else across[c],
             0.0 if math.isnan(e.z) else up[c],
@@ -310,7 +321,7 @@ def innovate_particles(
 @lean
 def _seen_by(f: Filter, j: int, measurement: BlockMeasurement, particle: int) -> Spherical:
     """Return the distance (m) and direction (rad) of VT j as a particle has both, or the mean (-1)."""
-    at, x, d = f.vt_state[j], f.x, f.deviation
+    at, x, d = f.vts.state[j], f.x, f.particles.deviation
     distance, azimuth, elevation, place, turned = x[at[0]], x[at[1]], x[at[2]], measurement.place, measurement.turned.r
     if particle >= 0:
         distance += d[at[0], particle]
@@ -319,7 +330,7 @@ def _seen_by(f: Filter, j: int, measurement: BlockMeasurement, particle: int) ->
         by = measurement.deviation[:, particle]
         place = Vec3(place.x + by[0], place.y + by[1], place.z + by[2])
         turned = rotations(measurement.pose[3] + by[3], measurement.pose[4] + by[4], measurement.pose[5] + by[5]).r
-    anchor = Vec3(f.anchor[j, 0], f.anchor[j, 1], f.anchor[j, 2])
+    anchor = Vec3(f.vts.anchor[j, 0], f.vts.anchor[j, 1], f.vts.anchor[j, 2])
     to_vt = vec_minus(vec_plus(anchor, vec_scaled(direction(azimuth, elevation), distance)), place)
     return spherical(transposed_vec(turned, to_vt))
 
@@ -375,7 +386,7 @@ def count_sizes(f: Filter, j: int, measurement: BlockMeasurement, i: Innovation,
     )  # fmt: skip
     count_white(f, i.e, s, white)
     for c in range(3):
-        place = f.vt_state[j, DIFFUSE + c]
+        place = f.vts.state[j, DIFFUSE + c]
         if place >= 0:
             before = f.p[place, place]
             for r in range(w.used[0]):
@@ -405,3 +416,64 @@ def compare(
         z[0] - seen.distance - f.x[offset] - errors.x, z[1] - seen.azimuth - errors.y, z[2] - seen.elevation - errors.z
     )
     return vec_minus(e, times(s, w.added)), gains(f, s, w)
+
+
+@lean
+def expected_share(rate: float) -> float:
+    """Return the probability that another path has merged with one of which nothing is known.
+
+    rate: how often that begins, 1/s; 0: never.
+    """
+    return rate / (rate + END_RATE)
+
+
+@lean
+def expect_merging(f: Filter, rate: float, dt: float) -> None:
+    """Let paths merge and part for a time dt (s)."""
+    share, left = expected_share(rate), math.exp(-(rate + END_RATE) * dt)
+    for j in range(f.count[0]):
+        f.vts.anchor[j, MERGED] = share + left * (f.vts.anchor[j, MERGED] - share)
+
+
+@lean
+def expect_beside(
+    f: Filter, b: Block, j: int, offset: int, seen: Spherical, place: Vec3, turned: Rotations, confirm: int, s: Sight
+) -> None:
+    """Expect that another path has merged with that of VT j, seen there (m and rad) in this block, where a confirmed VT
+    that is not seen has its place within what is resolved."""
+    for i in range(f.count[0]):
+        sought = (
+            f.vts.slots[i, LINK] == f.vts.slots[j, LINK]
+            and f.vts.slots[i, HITS] >= confirm
+            and f.vts.anchor[i, SHARE] == 1.0
+        )
+        if i == j or b.sums.detections[i] > 0 or not sought:
+            continue
+        other = geometry(f, i, offset, place, turned, coordinates(f, i), s)
+        if (
+            abs(other.distance - seen.distance) < UNRESOLVED[0]
+            and abs(wrap(other.azimuth - seen.azimuth)) < UNRESOLVED[1]
+            and abs(other.elevation - seen.elevation) < UNRESOLVED[2]
+        ):
+            f.vts.anchor[j, MERGED] = max(f.vts.anchor[j, MERGED], BESIDE)
+
+
+@lean
+def allow_for_merging(f: Filter, j: int, e: float, s: Sym3, q: float) -> tuple[Sym3, float]:
+    """Judge by the innovation e (rad) of its azimuth whether another path has merged with that of VT j.
+
+    s: covariance of the innovation, in m and rad, of which q (rad^2) is the measurement's. Return the covariance that
+    the azimuth counts with, and by what the log-density of such a measurement, merged or not, is greater than by that
+    covariance.
+    """
+    before, wide, e2 = f.vts.anchor[j, MERGED], s.yy + SHIFT2, e * e
+    plain, merged = math.log(s.yy) + e2 / s.yy, math.log(wide) + e2 / wide
+    least = min(plain, merged)
+    log_sum = -0.5 * least + math.log(
+        (1.0 - before) * math.exp(-0.5 * (plain - least)) + before * math.exp(-0.5 * (merged - least))
+    )
+    share = before * math.exp(-0.5 * merged - log_sum)
+    f.vts.anchor[j, MERGED] = share
+    counted = s.yy - q + 1.0 / ((1.0 - share) / q + share / (q + LASTS * SHIFT2))
+    lacks = log_sum + 0.5 * (math.log(counted) + e2 / counted)
+    return Sym3(s.xx, s.xy, s.xz, counted, s.yz, s.zz), lacks

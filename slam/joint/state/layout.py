@@ -87,20 +87,55 @@ class ArrayErrors(NamedTuple):
     ground: float
 
 
+class FieldWeights(NamedTuple):
+    """The weights (W,) of the fields of direction: `place` of each among the states, -1 where it is none; snapshot in
+    which it was `met` last."""
+
+    place: Ints
+    met: Ints
+
+
+class Vts(NamedTuple):
+    """V VTs: `state` (V, 6): places of the states of each, -1 where there is none; `anchor` (V, 7) and integers `slots`
+    (V, 6), as above; `spread` (V, 6): covariance over the particles of what they expect to measure of each VT, xx, xy,
+    xz, yy, yz, zz in m and rad. A VT that is known exactly has states without variance."""
+
+    state: Ints
+    anchor: Floats
+    slots: Ints
+    spread: Floats
+
+
+class Lost(NamedTuple):
+    """Confirmed VTs that were given up for others in a snapshot: `rows` (E, 14), of which `used` (1,)."""
+
+    rows: Floats
+    used: Ints
+
+
+class Learnt(NamedTuple):
+    """What was learnt of assumptions: `sizes` (3, Z), see `sizes_kernel`; `summed` (1,): time (s) of the sums of noise;
+    `surprise` (2,): sum of the squared innovations, in their deviations, of first measurements of VTs of a remembered
+    map, and how many components they had."""
+
+    sizes: Floats
+    summed: Floats
+    surprise: Floats
+
+
+class Particles(NamedTuple):
+    """The C particles of a filter that has some (see `slam.fastslam`; C is 0 in others): x is their weighted mean and p
+    the covariance that they share; particle c has the mean x + `deviation` (N, C)[:, c] and the `weight` (C,)[c]."""
+
+    deviation: Floats
+    weight: Floats
+
+
 class Filter(NamedTuple):
     """One filter, with room for N states and V VTs; or a mixture of them, all arrays with a leading axis.
 
-    mean `x` (N,), covariance `p` (N, N), of which `size` (1,) are in use; `owner` (N,); `weight_state` (W,): place of
-    each weight of the fields, `weight_met` (W,): snapshot; `vt_state` (V, 6): places of a VT's states, -1 where there
-    is none; `anchor` (V, 7); `slots` (V, 6); `count` (1,): VTs; `links` (L,): 1 where it uses a link; confirmed VTs
-    that were given up are in `lost` (E, 14), `losses` (1,) of them; `sizes` (3, Z): what was learnt of the sizes (see
-    `sizes_kernel`), `summed` (1,): time (s) of the sums of noise; `surprise` (2,): sum of the squared innovations, in
-    their deviations, of first measurements of VTs of a remembered map, and how many components they had. A VT that is
-    known exactly has states without variance.
-
-    A filter with C particles (see `slam.fastslam`): x is their weighted mean and p the covariance that they share;
-    particle c has the mean x + `deviation` (N, C)[:, c] and the `weight` (C,)[c]; `spread` (V, 6): covariance over the
-    particles of what they expect to measure of each VT, xx, xy, xz, yy, yz, zz in m and rad. C is 0 in other filters.
+    Mean `x` (N,) and covariance `p` (N, N), of which `size` (1,) are in use; `owner` (N,) of each state; `count` (1,):
+    VTs; `links` (L,): 1 where it uses a link.
     """
 
     core: Core
@@ -108,21 +143,13 @@ class Filter(NamedTuple):
     p: Floats
     size: Ints
     owner: Ints
-    weight_state: Ints
-    weight_met: Ints
-    vt_state: Ints
-    anchor: Floats
-    slots: Ints
     count: Ints  # type: ignore[assignment]  # hides tuple.count
     links: Ints
-    lost: Floats
-    losses: Ints
-    sizes: Floats
-    summed: Floats
-    surprise: Floats
-    deviation: Floats
-    weight: Floats
-    spread: Floats
+    fields: FieldWeights
+    vts: Vts
+    lost: Lost
+    learnt: Learnt
+    particles: Particles
 
 
 class Association(NamedTuple):
@@ -130,7 +157,7 @@ class Association(NamedTuple):
 
     `mode`: what they may do to the map (FREE and so on); `log_clutter`: log of the clutter density; `gate`: squared
     Mahalanobis distance; `return_log_odds`: least log-odds that a measurement is of a VT which was last seen more than
-    `away` snapshots ago, not of another one nearby; `rival_loss`: log-likelihood that a rival association may lose.
+    `away` snapshots ago, not of another one nearby.
     """
 
     mode: int
@@ -138,7 +165,6 @@ class Association(NamedTuple):
     gate: float
     return_log_odds: float
     away: int
-    rival_loss: float = 0.0
 
 
 class Lifetime(NamedTuple):
@@ -216,7 +242,7 @@ class Measured(NamedTuple):
 
     `born`: identity of measurement 0 as a VT; `first` (L + 1,): first measurement of each link; `site_of` (L,); `given`
     (m,): true VT of each measurement in mode KNOWN_ASSOCIATION; `z` (m, 3): in m and rad, NaN where not measured; `gap`
-    (m,): what the log-density of clutter is greater by; `tables` (2, 2, H): see `front_end.visibility.existence`.
+    (m,): what the log-density of clutter is greater by; `tables` (2, 2, H): see `measurement_options.existence`.
     """
 
     now: int
@@ -232,21 +258,23 @@ class Measured(NamedTuple):
     rules: Rules
 
 
-class Block(NamedTuple):
-    """What has been measured since the last update, up to B snapshots: `snapshots` (1,); of each its `pose` (B, 6),
-    distance (m) and time (s) from the begin `at` (B, 2); `total` (3,): distance, turn (rad), time.
-
-    Of each VT: how many `detections` (V,), in which snapshots `seen` (V, B); sums of innovations, variances and how
-    many were measured: `e`, `q`, `measured` (V, 3), of squared shares of diffuse errors `diffuse` (V,), and of the
-    log-odds of what was detected and missed `odds` (V,). Of each site, across blocks: the `shift` (S, 2) of its clock
-    that measurements speak for lately, in m, and how strongly. Of each snapshot, too: by how much the poses of C
-    particles differ from `pose`, `deviation` (B, 6, C).
-    """
+class Track(NamedTuple):
+    """The snapshots of a block, up to B: `snapshots` (1,) so far; of each its `pose` (B, 6), by how much the poses of C
+    particles differ from that, `deviation` (B, 6, C), and distance (m) and time (s) from the begin `at` (B, 2); `total`
+    (3,): distance, turn (rad), time."""
 
     snapshots: Ints
     pose: Floats
+    deviation: Floats
     at: Floats
     total: Floats
+
+
+class Sums(NamedTuple):
+    """Of each VT in a block: how many `detections` (V,), in which snapshots `seen` (V, B); sums of innovations,
+    variances and how many were measured: `e`, `q`, `measured` (V, 3), of squared shares of diffuse errors `diffuse`
+    (V,), and of the log-odds of what was detected and missed `odds` (V,)."""
+
     detections: Ints
     seen: Ints
     e: Floats
@@ -254,38 +282,44 @@ class Block(NamedTuple):
     measured: Floats
     diffuse: Floats
     odds: Floats
+
+
+class Block(NamedTuple):
+    """What has been measured since the last update: along the `track`, and in `sums` of each VT. Of each site, across
+    blocks: the `shift` (S, 2) of its clock that measurements speak for lately, in m, and how strongly."""
+
+    track: Track
+    sums: Sums
     shift: Floats
-    deviation: Floats
 
 
 @part
 def one_of(mixture: Filter, k: int) -> Filter:
     """Return filter k of a mixture."""
+    fields, vts, lost, learnt, particles = mixture.fields, mixture.vts, mixture.lost, mixture.learnt, mixture.particles
     return Filter(
         core=mixture.core, x=mixture.x[k], p=mixture.p[k], size=mixture.size[k], owner=mixture.owner[k],
-        weight_state=mixture.weight_state[k], weight_met=mixture.weight_met[k], vt_state=mixture.vt_state[k],
-        anchor=mixture.anchor[k], slots=mixture.slots[k], count=mixture.count[k], links=mixture.links[k],
-        lost=mixture.lost[k], losses=mixture.losses[k], sizes=mixture.sizes[k], summed=mixture.summed[k],
-        surprise=mixture.surprise[k], deviation=mixture.deviation[k], weight=mixture.weight[k],
-        spread=mixture.spread[k],
+        count=mixture.count[k], links=mixture.links[k],
+        fields=FieldWeights(place=fields.place[k], met=fields.met[k]),
+        vts=Vts(state=vts.state[k], anchor=vts.anchor[k], slots=vts.slots[k], spread=vts.spread[k]),
+        lost=Lost(rows=lost.rows[k], used=lost.used[k]),
+        learnt=Learnt(sizes=learnt.sizes[k], summed=learnt.summed[k], surprise=learnt.surprise[k]),
+        particles=Particles(deviation=particles.deviation[k], weight=particles.weight[k]),
     )  # fmt: skip
 
 
 @part
 def block_of(blocks: Block, k: int) -> Block:
     """Return the block of filter k of a mixture."""
+    track, sums = blocks.track, blocks.sums
     return Block(
-        snapshots=blocks.snapshots[k],
-        pose=blocks.pose[k],
-        at=blocks.at[k],
-        total=blocks.total[k],
-        detections=blocks.detections[k],
-        seen=blocks.seen[k],
-        e=blocks.e[k],
-        q=blocks.q[k],
-        measured=blocks.measured[k],
-        diffuse=blocks.diffuse[k],
-        odds=blocks.odds[k],
+        track=Track(
+            snapshots=track.snapshots[k], pose=track.pose[k], deviation=track.deviation[k], at=track.at[k],
+            total=track.total[k],
+        ),
+        sums=Sums(
+            detections=sums.detections[k], seen=sums.seen[k], e=sums.e[k], q=sums.q[k], measured=sums.measured[k],
+            diffuse=sums.diffuse[k], odds=sums.odds[k],
+        ),
         shift=blocks.shift[k],
-        deviation=blocks.deviation[k],
-    )
+    )  # fmt: skip

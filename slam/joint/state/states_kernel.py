@@ -1,7 +1,7 @@
 """Compiled: the state of a joint filter: what comes and goes in it.
 
 States before `core.size` are always there. The others enter as they are met and leave by exact marginalisation, the
-last one taking the place of one that leaves: `owner` says whose each of them is, `vt_state` and `weight_state` where
+last one taking the place of one that leaves: `owner` says whose each of them is, `vts.state` and `fields.place` where
 they are. Source: Smith, Self and Cheeseman, "Estimating uncertain spatial relationships in robotics", 1990.
 """
 
@@ -12,7 +12,7 @@ import numpy as np
 from cellslam.sim.compiling import lean, njit, part
 from cellslam.sim.recording import Floats, Ints
 from cellslam.slam.joint.state.layout import OF_VT, Filter
-from cellslam.slam.model.copy_kernel import put
+from cellslam.slam.model.arrays_kernel import put
 
 SAME = 0.5  # deviations by which equally likely filters differ, or one stays
 
@@ -27,7 +27,7 @@ def enter(f: Filter, owner: int, variance: float) -> int:
     f.p[n, : n + 1] = 0.0
     f.p[: n + 1, n] = 0.0
     f.p[n, n] = variance
-    f.deviation[n] = 0.0
+    f.particles.deviation[n] = 0.0
     f.size[0] = n + 1
     _settle_in(f, n, owner)
     return int(n)
@@ -43,7 +43,7 @@ def leave(f: Filter, place: int) -> None:
         put(f.p[place], f.p[last, :last])
         put(f.p[:, place], f.p[last, :last])
         f.p[place, place] = f.p[last, last]
-        put(f.deviation[place], f.deviation[last])
+        put(f.particles.deviation[place], f.particles.deviation[last])
         _settle_in(f, place, f.owner[last])
     f.size[0] = last
 
@@ -54,10 +54,10 @@ def _settle_in(f: Filter, place: int, owner: int) -> None:
     if place >= 0:
         f.owner[place] = owner
     if owner >= 0:
-        f.weight_state[owner] = place
+        f.fields.place[owner] = place
     elif owner <= OF_VT:
         k = OF_VT - owner
-        f.vt_state[k // f.vt_state.shape[1], k % f.vt_state.shape[1]] = place
+        f.vts.state[k // f.vts.state.shape[1], k % f.vts.state.shape[1]] = place
 
 
 @lean
@@ -76,16 +76,16 @@ def fade(f: Filter, place: int, kept: float, variance: float) -> None:
         f.p[i, place] *= kept
     f.p[place, place] += (1.0 - kept * kept) * variance
     f.x[place] *= kept
-    for c in range(len(f.weight)):
-        f.deviation[place, c] *= kept
+    for c in range(len(f.particles.weight)):
+        f.particles.deviation[place, c] *= kept
 
 
 @lean
 def covariance_of(f: Filter, i: int, j: int) -> float:
     """Return the covariance of two states: that which particles share, and that of their means, if there are any."""
-    total, a, b = 0.0, f.deviation[i], f.deviation[j]
-    for c in range(len(f.weight)):
-        total += f.weight[c] * a[c] * b[c]
+    total, a, b = 0.0, f.particles.deviation[i], f.particles.deviation[j]
+    for c in range(len(f.particles.weight)):
+        total += f.particles.weight[c] * a[c] * b[c]
     return float(f.p[i, j] + total)
 
 

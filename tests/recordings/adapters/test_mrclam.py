@@ -11,7 +11,7 @@ import pytest
 
 from cellslam.cli import main as cli
 from cellslam.sim.recording import Recording
-from cellslam.slam.front_end.front_end_options import NOTHING_PERSISTS
+from cellslam.slam.measurements.measurement_options import NOTHING_PERSISTS
 
 BEGIN_S = 1248272272.841
 LANDMARKS = {6: (5.5, 3.0), 7: (-2.5, 4.5), 8: (-6.0, -1.5), 9: (0.5, -6.5), 10: (7.0, -4.0), 11: (2.0, 1.5)}

@@ -7,8 +7,8 @@ import numpy as np
 from cellslam.sim.frames import integrate_pose
 from cellslam.sim.recording import Floats, Links, OdometryModel, Sites
 from cellslam.slam.api import Estimate, Setup, Snapshot
-from cellslam.slam.front_end.front_end_options import NOTHING_PERSISTS
 from cellslam.slam.joint.ekf_slam import JointFilter
+from cellslam.slam.measurements.measurement_options import NOTHING_PERSISTS
 from cellslam.slam.model.measurement_model import predict
 
 Drive = tuple[Setup, list[tuple[float, Floats, Snapshot]]]

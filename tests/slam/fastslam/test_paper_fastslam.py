@@ -14,7 +14,7 @@ from cellslam.benchmarks.trials.estimation import estimate, warm_up
 from cellslam.scenarios.estimator_options import loaded
 from cellslam.scenarios.loading import load
 from cellslam.scenarios.simulation import simulate
-from cellslam.sim.frames import integrate_pose, rotation
+from cellslam.sim.frames import integrate_pose, rotation, unit_vector
 from cellslam.sim.recording import Floats, Recording
 from cellslam.slam.api import odometry_of, setup_of, snapshots_of
 from cellslam.slam.conformance import EstimatorConformance
@@ -36,8 +36,8 @@ from cellslam.slam.fastslam.paper_fastslam import (
     Seen,
 )
 from cellslam.slam.fastslam.paper_fastslam_options import PaperFastSlamOptions
-from cellslam.slam.model.matrices_kernel import Mat3, Mat32, mat_of, sym_of, vec_of
-from cellslam.slam.model.measurement_model import birth, jacobians
+from cellslam.slam.model.matrices_kernel import Mat3, Mat32, Sym3, vec_of
+from cellslam.slam.model.measurement_model import jacobians
 from cellslam.slam.model.measurement_model import predict as seen_from
 
 POSE, VT = np.array([3.0, -2.0, 1.5, 0.7, 0.1, -0.2]), np.array([60.0, 45.0, 20.0])
@@ -91,8 +91,13 @@ def matrix(m: Any) -> Floats:
     return np.stack([np.array(m.a), np.array(m.b)], axis=1) if isinstance(m, Mat32) else np.reshape(m, (3, 3))
 
 
+def birth(pose: Floats, distance_m: float, azimuth_rad: float, elevation_rad: float) -> Floats:
+    """Return the VT (3,) that a measurement points to."""
+    return np.asarray(pose[:3] + distance_m * rotation(*pose[3:]) @ unit_vector(azimuth_rad, elevation_rad))
+
+
 def turned() -> Mat3:
-    return mat_of(rotation(*POSE[3:]))
+    return Mat3(*rotation(*POSE[3:]).ravel())
 
 
 def pose_at(theta: Floats) -> Floats:
@@ -224,11 +229,11 @@ def test_constants_are_those_of_a_joint_kalman_filter() -> None:
             A, S = hv[j] @ gain + hr[j] @ x.D.T, hv[j] @ Sigma @ hv[j].T
             seen = Seen(
                 vec_of(hv[j] @ mu + hr[j] @ x.r[:4]),
-                mat_of(hv[j] @ Sigma),
-                sym_of(S),
+                Mat3(*(hv[j] @ Sigma).ravel()),
+                Sym3(*upper(S)),
                 Mat32(vec_of(A[:, 0]), vec_of(A[:, 1])),
             )
-            x.log_w[0] += paper.update(x, row, seen, vec_of(e[j] - np.array(seen.z)), sym_of(S + R))
+            x.log_w[0] += paper.update(x, row, seen, vec_of(e[j] - np.array(seen.z)), Sym3(*upper(S + R)))
         paper.learn_constants(x)
         total = H @ cov @ H.T + np.kron(np.eye(2), R)
         miss = e.ravel() - H @ mean
@@ -338,10 +343,10 @@ def test_marginalised_constants_are_found_where_drawn_ones_are_not() -> None:
 
 
 def test_a_covariance_that_rounding_has_spoilt_takes_no_measurement() -> None:
-    spread = sym_of(np.array([[1.0, 5.0, 0.0], [5.0, 1.0, 0.0], [0.0, 0.0, 1.0]]))
+    spread = Sym3(1.0, 5.0, 0.0, 1.0, 0.0, 1.0)
     nothing = vec_of(np.zeros(3))
     z, out = seen_from(POSE, VT), np.zeros(2)
-    seen = Seen(vec_of(z), mat_of(np.eye(3)), spread, Mat32(nothing, nothing))
+    seen = Seen(vec_of(z), Mat3(*np.eye(3).ravel()), spread, Mat32(nothing, nothing))
     assert not paper.score(seen, np.zeros(3), measured(z[None]), 0, out)
     assert out[0] < 0.0
 

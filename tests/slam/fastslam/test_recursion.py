@@ -127,12 +127,12 @@ def test_weights_and_deviations() -> None:
         fastslam.step(*step)
         assert fastslam._joint is not None
         f = one_of(fastslam._joint.arrays, 0)
-        assert f.weight.sum() == pytest.approx(1.0) and (f.weight >= 0.0).all()
+        assert f.particles.weight.sum() == pytest.approx(1.0) and (f.particles.weight >= 0.0).all()
         n = int(f.size[0])
-        if not fastslam._joint.blocks.snapshots[0, 0]:
-            np.testing.assert_allclose(f.deviation[:n] @ f.weight, 0.0, atol=1e-9)
+        if not fastslam._joint.blocks.track.snapshots[0, 0]:
+            np.testing.assert_allclose(f.particles.deviation[:n] @ f.particles.weight, 0.0, atol=1e-9)
             assert np.linalg.eigvalsh(f.p[:n, :n]).min() > -1e-9
-        unequal += f.weight.max() > 2.0 / 50
+        unequal += f.particles.weight.max() > 2.0 / 50
     assert unequal > 10
 
 
@@ -164,7 +164,7 @@ def test_groups_share_the_particles_after_the_start() -> None:
     fastslam = FastSlam(FastSlamOptions(particles=64, **few))
     answers(fastslam, recording, 100)
     mixture = fastslam._joint
-    assert mixture is not None and mixture.arrays.weight.shape[1] == max(64 // len(mixture), 10)
+    assert mixture is not None and mixture.arrays.particles.weight.shape[1] == max(64 // len(mixture), 10)
     ekf = answers(EkfSlam(EkfSlamOptions(**few)), recording, 100)
     own = answers(FastSlam(FastSlamOptions(lag=NEVER, **few)), recording, 100)
     assert np.abs(ekf[-1].pose - own[-1].pose).max() < 1e-6

@@ -11,23 +11,23 @@ import numpy as np
 import pytest
 
 from cellslam.benchmarks.bound.cramer_rao import bound
-from cellslam.benchmarks.scores.array_calibration import drawn, field_map
-from cellslam.benchmarks.trials.answers import BadAnswerError, calibration_of, decoded, encoded, plain_calibration
+from cellslam.benchmarks.scores.array_calibration import field_map
+from cellslam.benchmarks.trials.answers import calibration_of, decoded, encoded, plain_calibration
 from cellslam.scenarios.estimator_options import resolve
 from cellslam.scenarios.simulation import simulate
 from cellslam.sim.errors import InputError
 from cellslam.sim.recording import Floats, Recording
-from cellslam.slam.api import odometry_of, setup_of, snapshots_of
-from cellslam.slam.dead_reckoning import DeadReckoning
-from cellslam.slam.front_end.fusion import Fusion
-from cellslam.slam.front_end.readings import white_readings
+from cellslam.slam.api import setup_of, snapshots_of
 from cellslam.slam.joint.calibration_states import begin_with, found
 from cellslam.slam.joint.ekf_slam import EkfSlam
 from cellslam.slam.joint.ekf_slam_options import EkfSlamOptions
 from cellslam.slam.joint.state.layout import one_of
 from cellslam.slam.joint.state.states_kernel import leave
+from cellslam.slam.measurements.fusion import Fusion
+from cellslam.slam.measurements.readings import white_readings
 from cellslam.slam.model.calibration import Calibration
 from cellslam.slam.model.field_kernel import loads
+from tests.slam.driving import driven, go_on
 
 ONE_CAR: dict[str, Any] = {"radio.array_seed": 5, "radio.clock_offset_std_m": 0.0}
 SNAPSHOTS = 160
@@ -45,8 +45,7 @@ def drives() -> tuple[Recording, Recording]:
 def learnt(drives: tuple[Recording, Recording]) -> EkfSlam:
     """A filter after the first drive."""
     estimator = EkfSlam()
-    estimator.start(setup_of(drives[0]), RNG)
-    driven(estimator, drives[0])
+    driven(estimator, drives[0], SNAPSHOTS)
     return estimator
 
 
@@ -57,11 +56,9 @@ def calibration(learnt: EkfSlam) -> Calibration:
     return known
 
 
-def driven(estimator: EkfSlam, recording: Recording) -> Floats:
+def poses(estimator: EkfSlam, recording: Recording) -> Floats:
     """Return poses (T, 6) of an estimator that has been started."""
-    dt_s, odometry = np.diff(recording.time_s, prepend=recording.time_s[0]), odometry_of(recording)
-    steps = list(zip(dt_s.tolist(), odometry, snapshots_of(recording), strict=True))[:SNAPSHOTS]
-    return np.array([estimator.step(*step).pose for step in steps])
+    return np.array([answer.pose for answer in go_on(estimator, recording, SNAPSHOTS)])
 
 
 def assuming(tmp_path: Path, known: Calibration, **options: Any) -> EkfSlamOptions:
@@ -72,17 +69,15 @@ def assuming(tmp_path: Path, known: Calibration, **options: Any) -> EkfSlamOptio
 def test_second_drive_is_that_of_a_joint_filter_which_goes_on(
     drives: tuple[Recording, Recording], learnt: EkfSlam, calibration: Calibration, tmp_path: Path
 ) -> None:
-    setup, (goes_on, begins, again) = (
-        setup_of(drives[1]),
-        (EkfSlam(), EkfSlam(assuming(tmp_path, calibration)), EkfSlam()),
-    )
+    goes_on, begins, again = EkfSlam(), EkfSlam(assuming(tmp_path, calibration)), EkfSlam()
     for estimator in (goes_on, begins, again):
-        estimator.start(setup, RNG)
+        estimator.start(setup_of(drives[1]), RNG)
     assert learnt._joint is not None and goes_on._joint is not None
     # The filter of the first drive loses map and roof, and is put to the start of the second.
     whole, fresh = learnt._joint, goes_on._joint
     kept = whole.arrays._replace(**{name: getattr(whole.arrays, name).copy() for name in ("x", "p", "owner", "size")})
-    kept = kept._replace(weight_state=whole.arrays.weight_state.copy(), vt_state=whole.arrays.vt_state.copy())
+    fields = whole.arrays.fields._replace(place=whole.arrays.fields.place.copy())
+    kept = kept._replace(fields=fields, vts=whole.arrays.vts._replace(state=whole.arrays.vts.state.copy()))
     f, core = one_of(kept, 0), whole.core.size
     weights = 3 * calibration.grid.cells
     for place in range(int(f.size[0]) - 1, core - 1, -1):
@@ -90,12 +85,10 @@ def test_second_drive_is_that_of_a_joint_filter_which_goes_on(
             leave(f, place)
     f.p[:core], f.p[:, :core] = 0.0, 0.0
     f.x[:core], f.p[:core, :core] = fresh.arrays.x[0, :core], fresh.arrays.p[0, :core, :core]
-    fresh.arrays = fresh.arrays._replace(
-        x=kept.x, p=kept.p, owner=kept.owner, size=kept.size, weight_state=kept.weight_state
-    )
-    poses = driven(goes_on, drives[1])
-    np.testing.assert_allclose(driven(begins, drives[1]), poses, rtol=0.0, atol=1e-8)
-    assert np.abs(driven(again, drives[1]) - poses).max() > 1e-3
+    fresh.arrays = fresh.arrays._replace(x=kept.x, p=kept.p, owner=kept.owner, size=kept.size, fields=fields)
+    joint = poses(goes_on, drives[1])
+    np.testing.assert_allclose(poses(begins, drives[1]), joint, rtol=0.0, atol=1e-8)
+    assert np.abs(poses(again, drives[1]) - joint).max() > 1e-3
 
 
 def test_what_is_found_is_nearer_to_the_truth_than_the_prior(
@@ -191,9 +184,7 @@ def test_mixture_counts_what_one_filter_has_not_met_as_its_prior(learnt: EkfSlam
     assert estimator._joint is not None
     mixture = estimator._joint
     begin_with(mixture, estimator._errors, calibration)
-    mixture.arrays = mixture.arrays._replace(
-        **{n: np.repeat(getattr(mixture.arrays, n), 2, axis=0) for n in mixture.arrays._fields if n != "core"}
-    )
+    mixture.split(np.zeros(1, np.int64))
     mixture.log_weight = np.log([0.25, 0.75])
     one = one_of(mixture.arrays, 1)
     owner, place = int(one.owner[mixture.core.size]), mixture.core.size
@@ -204,16 +195,6 @@ def test_mixture_counts_what_one_filter_has_not_met_as_its_prior(learnt: EkfSlam
     m, v, prior = calibration.mean[was], calibration.covariance[was, was], calibration.size[calibration.component[was]]
     assert both.mean[which] == pytest.approx(0.25 * m)
     assert both.covariance[which, which] == pytest.approx(0.25 * v + 0.75 * prior**2 + 0.25 * 0.75 * m**2)
-
-
-def test_drives_share_an_array_and_nothing_else(drives: tuple[Recording, Recording]) -> None:
-    directions = np.array([[0.3, 0.1], [-2.0, 0.0]])
-    fields = [drawn(recording.provenance, directions) for recording in drives]
-    other = drawn(simulate("tiny", 71, 0, {**ONE_CAR, "radio.array_seed": 6}).provenance, directions)
-    assert fields[0] is not None and fields[1] is not None and other is not None
-    np.testing.assert_array_equal(fields[0], fields[1])
-    assert np.abs(fields[0] - other).max() > 1e-3
-    assert len(drives[0].measurements) != len(drives[1].measurements)
 
 
 def test_bound_of_a_calibrated_array_is_lower(drives: tuple[Recording, Recording]) -> None:
@@ -241,11 +222,3 @@ def test_what_cannot_be_used_is_refused(calibration: Calibration, tmp_path: Path
     with h5py.File(file, "r+") as changed:
         del changed["mean"]
     assert "not a calibration" in said()
-
-
-def test_answers_that_are_no_calibration_are_refused(calibration: Calibration) -> None:
-    assert not callable(getattr(DeadReckoning(), "calibration", None))
-    with pytest.raises(BadAnswerError, match="returned int"):
-        plain_calibration(3)
-    with pytest.raises(BadAnswerError, match="mean has shape"):
-        calibration_of(plain_calibration(replace(calibration, mean=calibration.mean * np.nan)))

@@ -15,13 +15,13 @@ from cellslam.scenarios.estimator_options import resolve
 from cellslam.scenarios.loading import load
 from cellslam.scenarios.simulation import simulate
 from cellslam.sim.recording import Recording
-from cellslam.slam.api import setup_of, snapshots_of
 from cellslam.slam.conformance import EstimatorConformance
 from cellslam.slam.conformance.subject import tiny_drive
-from cellslam.slam.front_end.front_end_options import NOTHING_PERSISTS
 from cellslam.slam.joint.ekf_slam import EkfSlam
 from cellslam.slam.joint.ekf_slam_options import EkfSlamOptions
+from cellslam.slam.measurements.measurement_options import NOTHING_PERSISTS
 from cellslam.slam.oracles import KnownAssociation, KnownMap
+from tests.slam.driving import driven
 
 WHITE = {
     "radio.calibration_correlation_deg": 0.0, "radio.roof_correlation_deg": 0.0, "radio.diffuse_correlation_m": 0.0,
@@ -81,10 +81,8 @@ def test_the_start_finds_the_offset_by_exact_measurements() -> None:
 @pytest.mark.slow
 def test_map_stays_bounded() -> None:
     few = EkfSlamOptions(vts=12, start_limit_s=3.0, sharing="none")
-    estimator, recording = EkfSlam(few), tiny_drive()
-    estimator.start(setup_of(recording), np.random.default_rng(0))
-    for t, snapshot in enumerate(snapshots_of(recording)):
-        last = estimator.step(0.075 if t else 0.0, recording.odometry[t], snapshot)
+    estimator = EkfSlam(few)
+    last = driven(estimator, tiny_drive())[-1]
     mixture = estimator._joint
     assert mixture is not None
     assert mixture.arrays.count[0, 0] <= 16
@@ -93,19 +91,8 @@ def test_map_stays_bounded() -> None:
     assert np.linalg.eigvalsh(last.vts.covariance).min() >= -1e-9
 
 
-class TestEkfSlam(EstimatorConformance):
-    @pytest.fixture
-    def estimator(self) -> type[Any]:
-        return EkfSlam
-
-
-class TestKnownAssociation(EstimatorConformance):
-    @pytest.fixture
-    def estimator(self) -> type[Any]:
-        return KnownAssociation
-
-
-class TestKnownMap(EstimatorConformance):
-    @pytest.fixture
-    def estimator(self) -> type[Any]:
-        return KnownMap
+class TestConformance(EstimatorConformance):
+    @pytest.fixture(params=[EkfSlam, KnownAssociation, KnownMap])
+    def estimator(self, request: pytest.FixtureRequest) -> type[Any]:
+        kind: type[Any] = request.param
+        return kind

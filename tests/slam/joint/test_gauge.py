@@ -10,10 +10,9 @@ import pytest
 from cellslam.scenarios.loading import load
 from cellslam.scenarios.simulation import simulate
 from cellslam.sim.recording import Floats
-from cellslam.slam.api import odometry_of, setup_of, snapshots_of
 from cellslam.slam.joint.ekf_slam import EkfSlam
-from cellslam.slam.joint.ekf_slam_options import EkfSlamOptions
 from cellslam.slam.joint.snapshot.gauge_kernel import carry_over
+from tests.slam.driving import driven
 
 POSE = np.array([3.0, -2.0, 1.5, 0.7, 0.1, -0.2])
 VTS, ANCHOR = ([90.0, 2.5, 0.3], [40.0, -1.0, -0.1]), (-4.0, 6.0, 2.0)
@@ -28,7 +27,7 @@ def moved(one: Any, x: Floats, by: Floats) -> Floats:
     for j in range(one.f.count[0]):
         way = turn @ one.place(j) + by[:3] - ANCHOR
         flat = np.hypot(way[0], way[1])
-        out[one.f.vt_state[j, :3]] = np.hypot(flat, way[2]), np.arctan2(way[1], way[0]), np.arctan2(way[2], flat)
+        out[one.f.vts.state[j, :3]] = np.hypot(flat, way[2]), np.arctan2(way[1], way[0]), np.arctan2(way[2], flat)
     return out
 
 
@@ -76,7 +75,7 @@ def test_all_else_is_kept_as_seen_from_the_vehicle(states: tuple[Any, Floats, Fl
         out, directions = np.eye(one.n), unseen(one, x)
         directions[:, 3] -= directions[:, :3] @ directions[:3, 3]  # a turn about the vehicle
         out[0, 3], out[1, 3] = x[1], -x[0]
-        vts = one.f.vt_state[:2, :3].ravel()
+        vts = one.f.vts.state[:2, :3].ravel()
         out[np.ix_(vts, np.arange(4))] = -directions[vts]
         return out
 
@@ -94,8 +93,5 @@ def test_a_heading_that_nothing_tells_does_not_get_better() -> None:
     unknown = {"vehicle.start_std_m": 3.0, "vehicle.start_std_deg": 10.0, "radio.clock_offset_std_m": 0.0}
     short = {"vehicle.duration_s": 90.0, "vehicle.distance_m": 90.0, "vehicle.stops": 1}
     recording = simulate(load("lund-530", {**unknown, **short}), 79500, 0)
-    estimator, time_s, odometry = EkfSlam(EkfSlamOptions()), np.asarray(recording.time_s), odometry_of(recording)
-    estimator.start(setup_of(recording), np.random.default_rng(0))
-    for k, snapshot in enumerate(snapshots_of(recording)):
-        answer = estimator.step(float(time_s[k] - time_s[max(k - 1, 0)]), odometry[k], snapshot)
+    answer = driven(EkfSlam(), recording)[-1]
     assert np.degrees(np.sqrt(answer.covariance[3, 3])) == pytest.approx(10.0, abs=0.05)

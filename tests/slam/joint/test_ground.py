@@ -10,8 +10,8 @@ import pytest
 from cellslam.slam.api import setup_of
 from cellslam.slam.conformance.subject import tiny_drive
 from cellslam.slam.joint.ekf_slam_options import EkfSlamOptions
+from cellslam.slam.joint.new_filters import NO_ERRORS, array_errors
 from cellslam.slam.joint.snapshot.sight_kernel import ground
-from cellslam.slam.joint.state.array_errors import NO_ERRORS, array_errors
 from cellslam.slam.model.measurement_kernel import Spherical
 
 PULL_DEG = -2.713  # at 10 degrees: sin 0.17365, root of 4 + sin^2 2.00752, coefficient -0.39616, power 0.15694
@@ -30,13 +30,6 @@ def test_the_mean_of_a_path_and_its_reflection_from_the_ground(
     assert sight.size[0] == (pull_deg != 0.0)
     if pull_deg:
         np.testing.assert_allclose(np.degrees(sight.by[:, 0]), [0.0, 0.0, pull_deg], atol=1e-3)
-
-
-def test_a_share_of_zero_takes_the_state_away(one_filter: Any) -> None:
-    one = one_filter(NO_ERRORS)
-    one.w.sight.size[0] = 0
-    assert one.f.core.ground < 0
-    assert ground(one.f, Spherical(100.0, 0.7, 0.2), one.w.sight) == (0.0, 0.0, 0.0) and one.w.sight.size[0] == 0
 
 
 def test_the_option_makes_the_state() -> None:

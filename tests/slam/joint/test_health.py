@@ -12,7 +12,6 @@ from cellslam.sim.frames import integrate_pose, wrap_angle
 from cellslam.sim.recording import Floats, Links, OdometryModel, Sites
 from cellslam.slam.api import Estimate, Setup, Snapshot
 from cellslam.slam.joint.ekf_slam import EkfSlam
-from cellslam.slam.joint.ekf_slam_options import EkfSlamOptions
 from cellslam.slam.model.measurement_model import predict
 
 SNAPSHOTS = int(os.environ.get("CELLSLAM_SNAPSHOTS", "8000"))
@@ -87,7 +86,7 @@ def healthy(t: int, estimate: Estimate) -> None:
 @pytest.mark.slow
 @pytest.mark.filterwarnings("error")
 def test_stays_healthy_whatever_happens() -> None:
-    rng, estimator = np.random.default_rng(3), EkfSlam(EkfSlamOptions(hypotheses=4))
+    rng, estimator = np.random.default_rng(3), EkfSlam()
     given = setup()
     estimator.start(given, np.random.default_rng(0))
     pose, velocity = given.start_pose.copy(), np.array([SPEED, 0, 0, TURN, 0, 0])

@@ -14,10 +14,11 @@ from cellslam.slam.api import setup_of, snapshots_of
 from cellslam.slam.conformance.subject import tiny_drive
 from cellslam.slam.joint.ekf_slam import EkfSlam
 from cellslam.slam.joint.influence import BIRTH, MOST, bounded
-from cellslam.slam.joint.mixture import Mixture, core_of, new_mixture
+from cellslam.slam.joint.mixture import Mixture
+from cellslam.slam.joint.new_filters import NO_ERRORS, core_of, new_mixture
 from cellslam.slam.joint.snapshot.birth_kernel import tidy
-from cellslam.slam.joint.state.array_errors import NO_ERRORS
 from cellslam.slam.joint.state.layout import IDENT, SHARE, WORTH
+from tests.slam.driving import driven
 
 ALONE = 200  # snapshots for which one path is all that is heard of a site
 
@@ -35,7 +36,7 @@ def put(mixture: Mixture, k: int, worth: dict[int, float]) -> None:
     """Let filter k have these VTs, by identity, and no others; `worth`: beyond what each costs."""
     mixture.arrays.count[k] = len(worth)
     for j, (ident, value) in enumerate(worth.items()):
-        mixture.arrays.slots[k, j, IDENT], mixture.arrays.anchor[k, j, WORTH] = ident, BIRTH + value
+        mixture.arrays.vts.slots[k, j, IDENT], mixture.arrays.vts.anchor[k, j, WORTH] = ident, BIRTH + value
 
 
 def weighed(mixture: Mixture, association: Any = ((), ()), born: int = 1000) -> list[float]:
@@ -100,7 +101,7 @@ def test_filters_that_are_kept_or_doubled_take_theirs_along(mixture: Mixture) ->
     put(mixture, 1, {8: 1.0})
     assert weighed(mixture) == [-1.0 - 1.0, -2.0 - 2.0]
     mixture.keep(np.array([1]))
-    mixture._copy(0, 1)  # as a filter that doubts an association
+    mixture._copy(0, 1)
     mixture.log_weight, mixture.influence = np.full(2, -4.0), mixture.influence.of(np.array([0, 0]))
     assert weighed(mixture) == [-2.0, -2.0]
 
@@ -108,13 +109,10 @@ def test_filters_that_are_kept_or_doubled_take_theirs_along(mixture: Mixture) ->
 def test_guesses_that_are_left_have_what_those_given_up_were_worth(one_filter: type[Any]) -> None:
     one = one_filter()
     one.put(np.zeros(6), 0.0, (10.0, 0.0, 0.0), (20.0, 0.0, 0.0), (30.0, 0.0, 0.0))
-    one.f.slots[:3, IDENT], one.f.anchor[:3, SHARE], one.f.anchor[:3, WORTH] = (
-        [5, 5, 6],
-        [0.0, 1.0, 1.0],
-        [3.0, 4.0, 8.0],
-    )
+    slots, anchor = one.f.vts.slots, one.f.vts.anchor
+    slots[:3, IDENT], anchor[:3, SHARE], anchor[:3, WORTH] = [5, 5, 6], [0.0, 1.0, 1.0], [3.0, 4.0, 8.0]
     tidy(one.f, one.errors, one.block, 0, one.rules)
-    found = {int(one.f.slots[j, IDENT]): float(one.f.anchor[j, WORTH]) for j in range(one.f.count[0])}
+    found = {int(slots[j, IDENT]): float(anchor[j, WORTH]) for j in range(one.f.count[0])}
     assert found == {5: 7.0, 6: 8.0}
 
 
@@ -159,10 +157,7 @@ def test_a_path_over_an_edge_does_not_rule_out_the_right_offset(monkeypatch: pyt
     monkeypatch.setattr("cellslam.slam.joint.influence.MOST", most)
     drive, truth, estimator = over_an_edge(), tiny_drive().truth, EkfSlam()
     assert truth is not None
-    estimator.start(setup_of(drive), np.random.default_rng(0))
-    dt_s = np.diff(drive.time_s, prepend=drive.time_s[0])[:ALONE].tolist()
-    for t, (dt, snapshot) in enumerate(zip(dt_s, snapshots_of(drive), strict=False)):
-        estimator.step(dt, drive.odometry[t], snapshot)
+    driven(estimator, drive, ALONE)
     if estimator._start is not None:
         offsets = np.array([mean for mean, _ in estimator._start._likely()[1]])
     else:  # which is over sooner without bound

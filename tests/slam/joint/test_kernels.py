@@ -10,42 +10,21 @@ import numpy as np
 import pytest
 from scipy.stats import multivariate_normal
 
-from cellslam.sim.frames import integrate_pose
+from cellslam.sim.frames import integrate_pose, rotation, unit_vector
 from cellslam.slam.api import setup_of
 from cellslam.slam.conformance.subject import tiny_drive
-from cellslam.slam.joint.mixture import core_of, new_mixture
+from cellslam.slam.joint.new_filters import NO_ERRORS, core_of, new_mixture
 from cellslam.slam.joint.snapshot.association_kernel import expect, score_pairs
 from cellslam.slam.joint.snapshot.birth_kernel import give_birth, remove, tidy
 from cellslam.slam.joint.snapshot.motion_kernel import Interval, Step, forget, move
 from cellslam.slam.joint.snapshot.sight_kernel import field, rotations_of
-from cellslam.slam.joint.snapshot.sizes_kernel import (
-    DIFFUSE_SIZE,
-    ODOMETRY,
-    WHITE,
-    count,
-    count_diffuse,
-    count_motion,
-    count_white,
-)
-from cellslam.slam.joint.snapshot.update_kernel import (
-    LIKELY,
-    Innovation,
-    Vec3,
-    add_up,
-    compare,
-    correct,
-    gains,
-    innovate,
-    likely_share,
-    update,
-)
-from cellslam.slam.joint.state.array_errors import NO_ERRORS
+from cellslam.slam.joint.snapshot.sizes_kernel import DIFFUSE_SIZE, WHITE, count_diffuse, count_white
+from cellslam.slam.joint.snapshot.update_kernel import Vec3, add_up, compare, correct, gains, innovate, update
 from cellslam.slam.joint.state.layout import LAST, ArrayErrors, one_of
 from cellslam.slam.joint.state.states_kernel import enter, leave
 from cellslam.slam.model.field_kernel import bells, grid
 from cellslam.slam.model.matrices_kernel import Sym3
 from cellslam.slam.model.measurement_kernel import Spherical
-from cellslam.slam.model.measurement_model import birth as born_at
 from cellslam.slam.model.measurement_model import predict
 
 POSE = np.array([3.0, -2.0, 1.5, 0.7, 0.1, -0.2])
@@ -94,7 +73,7 @@ def test_errors_that_persist_enter_and_are_linear_in_their_states(one_filter: An
     assert one.n > before + 3 + 4  # weights of two fields, and the three diffuse errors
     entered = np.arange(before, one.n)
     np.testing.assert_allclose(np.diag(one.f.p)[entered], 1.0)
-    weights = np.setdiff1d(entered, one.f.vt_state[0])
+    weights = np.setdiff1d(entered, one.f.vts.state[0])
     # The squares of the bells sum to one: all errors together have the variances that they were told.
     variance = ERRORS.calibration**2 + ERRORS.roof**2 + ERRORS.diffuse**2
     np.testing.assert_allclose((by[:, entered] ** 2).sum(axis=1), variance, rtol=1e-12)
@@ -112,13 +91,13 @@ def test_birth_is_exact_and_correlated_with_all_states(one_filter: Any) -> None:
 
     def born(x: Any) -> Any:
         """Return range, azimuth, elevation about POSE's place of what pose, offset and measurement point to."""
-        out = born_at(x[:6], x[7] - x[6], x[8], x[9]) - POSE[:3]
+        out = x[:3] + (x[7] - x[6]) * rotation(*x[3:6]) @ unit_vector(x[8], x[9]) - POSE[:3]
         flat = np.hypot(out[0], out[1])
         return np.array([np.hypot(flat, out[2]), np.arctan2(out[1], out[0]), np.arctan2(out[2], flat)])
 
-    one.f.vt_state[0] = -1
+    one.f.vts.state[0] = -1
     assert give_birth(one.f, NO_ERRORS, 0, OFFSET, z, q, True, 1.0, 3, one.w.sight, one.w.pending)
-    given, at = np.concatenate([POSE, [15.0], z]), one.f.vt_state[0, :3]
+    given, at = np.concatenate([POSE, [15.0], z]), one.f.vts.state[0, :3]
     by, p = slopes(born, given), one.f.p[: one.n, : one.n]
     np.testing.assert_array_equal(at, [7, 8, 9])
     np.testing.assert_allclose(one.f.x[at], born(given), rtol=1e-12)
@@ -137,7 +116,7 @@ def test_birth_takes_off_what_is_believed_of_the_errors(one_filter: Any) -> None
     weights = np.flatnonzero(one.f.owner[: one.n] >= 0)
     one.f.x[weights] = np.random.default_rng(2).normal(size=len(weights))
     z, _ = one.model(0)
-    one.f.vt_state[1] = -1
+    one.f.vts.state[1] = -1
     give_birth(one.f, ERRORS, 1, one.f.core.first_offset, z, np.full(3, 1e-6), True, 1.0, 3, one.w.sight, one.w.pending)
     np.testing.assert_allclose(one.place(1), one.place(0), atol=0.05)
     again, _ = one.model(1)
@@ -176,7 +155,7 @@ def test_updates_are_textbook_kalman_updates_also_while_they_wait(one_filter: An
 def test_pairs_beyond_the_gate_are_none(one_filter: Any, kalman: Callable[..., Any]) -> None:
     one, q = one_filter(), np.array([0.3, 1e-4, 2e-4])
     one.put(POSE, 5.0, [80.0, 0.5, 0.2])
-    one.f.slots[0, LAST] = NOW - 4
+    one.f.vts.slots[0, LAST] = NOW - 4
     p = one.spread(np.random.default_rng(1).normal(size=(10, 10)) * 0.02)
     h, by = one.model(0)
     for e in np.array([[0.2, 0.01, -0.02], [0.3, np.nan, 0.02]]):
@@ -207,7 +186,7 @@ def test_a_vt_that_returns_must_be_likelier_than_a_new_one_nearby(one_filter: An
             return float(density + np.log(room[there]).sum())
 
         for unseen, taken in ((4, [1, 1]), (5, [1, 0])):
-            one.f.slots[0, LAST] = NOW - unseen
+            one.f.vts.slots[0, LAST] = NOW - unseen
             association = one.rules.association._replace(return_log_odds=log_odds(e) - 1e-6)
             one.rules = one.rules._replace(association=association)
             seen = one.seen(h + np.array([e, 1.001 * e]), np.array([q, q]))
@@ -219,13 +198,13 @@ def test_leaving_is_marginalising(one_filter: Any) -> None:
     one, rng = one_filter(), np.random.default_rng(2)
     one.put(POSE, 1.0, [80.0, 0.5, 0.2], [60.0, -1.0, 0.1], [40.0, 1.0, 0.3])
     f, p = one.f, one.spread(rng.normal(size=(16, 16)))
-    f.slots[:3], f.anchor[:3, 3:] = np.arange(18).reshape(3, 6), rng.normal(size=(3, 4))
-    x, anchors, places = f.x[:16].copy(), f.anchor[:3].copy(), f.vt_state[:3, :3].copy()
+    f.vts.slots[:3], f.vts.anchor[:3, 3:] = np.arange(18).reshape(3, 6), rng.normal(size=(3, 4))
+    x, anchors, places = f.x[:16].copy(), f.vts.anchor[:3].copy(), f.vts.state[:3, :3].copy()
     remove(f, one.block, 0)
     assert (f.count[0], one.n) == (2, 13)
-    np.testing.assert_array_equal(f.anchor[:2], anchors[[2, 1]])
-    np.testing.assert_array_equal(f.slots[:2, 0], [12, 6])
-    new, old = np.append(np.arange(7), f.vt_state[:2, :3]), np.append(np.arange(7), places[[2, 1]])
+    np.testing.assert_array_equal(f.vts.anchor[:2], anchors[[2, 1]])
+    np.testing.assert_array_equal(f.vts.slots[:2, 0], [12, 6])
+    new, old = np.append(np.arange(7), f.vts.state[:2, :3]), np.append(np.arange(7), places[[2, 1]])
     np.testing.assert_array_equal(f.x[new], x[old])
     np.testing.assert_array_equal(f.p[np.ix_(new, new)], p[np.ix_(old, old)])
 
@@ -256,11 +235,11 @@ def test_fields_are_one_kalman_filter_over_all_weights(one_filter: Any, kalman: 
         add_up(f, w.pending)
         if now == 30:  # give up some weights: in the joint filter they are marginalised, and met again as new ones
             for owner in list(f.owner[f.core.size : one_size(f)])[:20]:
-                leave(f, int(f.weight_state[owner]))
+                leave(f, int(f.fields.place[owner]))
                 mean[owner], cov[owner], cov[:, owner], cov[owner, owner] = 0.0, 0.0, 0.0, 1.0
-    met = np.flatnonzero(f.weight_state >= 0)
+    met = np.flatnonzero(f.fields.place >= 0)
     assert len(met) > 80
-    places = f.weight_state[met]
+    places = f.fields.place[met]
     np.testing.assert_allclose(f.x[places], mean[met], atol=1e-9)
     np.testing.assert_allclose(f.p[np.ix_(places, places)], cov[np.ix_(met, met)], atol=1e-9)
 
@@ -277,7 +256,7 @@ def test_what_persists_fades_as_a_gauss_markov_process(one_filter: Any) -> None:
     p, x = one.spread(root), one.f.x[: one.n].copy()
     moved, dt, area = 0.1, 0.05, np.sqrt(np.pi / 2.0)
     kept, variance = np.ones(one.n), np.zeros(one.n)
-    diffuse = one.f.vt_state[0, 3:]
+    diffuse = one.f.vts.state[0, 3:]
     kept[diffuse], variance[diffuse] = np.exp(-moved / (area * ERRORS.diffuse_m)), 1.0
     kept[one.f.core.sway], variance[one.f.core.sway] = np.exp(-dt / (area * ERRORS.sway_s)), ERRORS.sway**2
     kept[4:6], variance[4:6] = np.exp(-dt / (area * ERRORS.tilt_s)), ERRORS.tilt**2
@@ -294,7 +273,7 @@ def test_weights_of_the_roof_and_faded_errors_are_given_up_in_time(one_filter: A
     weights, roof = one.f.owner[: one.n] >= 0, one.f.owner[: one.n] >= 3 * ERRORS.calibration_grid.cells
     assert roof.any() and not roof[weights].all()
     forget(one.f, ERRORS, 10.0, 0.0)
-    one.f.slots[0, 1] = 9  # confirmed
+    one.f.vts.slots[0, 1] = 9  # confirmed
     tidy(one.f, ERRORS, one.block, 3 + one.rules.lifetime.hold, one.rules)
     assert one.n == len(weights) - 3  # the diffuse errors are as unknown as new ones
     tidy(one.f, ERRORS, one.block, 4 + one.rules.lifetime.hold, one.rules)
@@ -347,56 +326,13 @@ def test_sizes_have_the_slope_and_information_of_the_likelihood(one_filter: Any)
     count_white(one.f, Vec3(*e), sym(s), q)
     count_diffuse(one.f, 0, told, q[0], Vec3(*(told * load)), Vec3(*e), sym(s))
     at = np.append(np.arange(WHITE, WHITE + 3), DIFFUSE_SIZE)
-    np.testing.assert_allclose(one.f.sizes[0, at], slopes(log_density, np.zeros(4))[0], rtol=1e-5)
+    np.testing.assert_allclose(one.f.learnt.sizes[0, at], slopes(log_density, np.zeros(4))[0], rtol=1e-5)
     inverse = np.linalg.inv(s)
     information = 2.0 * np.append(q * np.diag(inverse), told * load @ inverse @ load) ** 2
-    np.testing.assert_allclose(one.f.sizes[1, at], information, rtol=1e-9)
+    np.testing.assert_allclose(one.f.learnt.sizes[1, at], information, rtol=1e-9)
     by_white, by_state = inverse @ np.diag([2.0 * q[0], 0.0, 0.0]), inverse @ (2.0 * told * np.outer(load, load))
-    assert one.f.sizes[2, WHITE] == pytest.approx(0.5 * np.trace(by_white @ by_state), rel=1e-9)
-
-
-def test_what_is_far_off_says_little_of_a_size_that_the_drive_hardly_tells(one_filter: Any) -> None:
-    """A mean of variance 0.01, ten deviations off, counts as one of two: it is none of what the size is of."""
-    f = one_filter(ERRORS).f
-    count(f, ODOMETRY, 1.0, 1.0, 0.99)
-    assert f.sizes[0, ODOMETRY] == pytest.approx(4.0 * 0.01 + 0.99 - 1.0)
-    count(f, ODOMETRY, 1.0, 0.01, 0.99)
-    assert f.sizes[0, ODOMETRY] == pytest.approx(0.03)
+    assert one.f.learnt.sizes[2, WHITE] == pytest.approx(0.5 * np.trace(by_white @ by_state), rel=1e-9)
 
 
 def sym(m: Any) -> Any:
     return Sym3(*m[np.triu_indices(3)])
-
-
-def test_sums_of_odometry_noise_are_taken_in_when_they_are_told() -> None:
-    setup = setup_of(tiny_drive())
-    sheet = replace(setup.odometry_model, noise_density=np.array([0.1, 0.0, 0.0, 0.02, 0.0, 0.0]))
-    setup = replace(setup, odometry_model=sheet)
-    core = core_of(setup, NO_ERRORS)
-    f = one_of(new_mixture(setup, core, NO_ERRORS, np.zeros((1, 2)), np.ones(2)).arrays, 0)
-    move(
-        f,
-        Interval(0.5, np.zeros(6), sheet.noise_density, np.zeros(6)),
-        Step(np.empty((6, core.size + 6)), np.empty((6, len(f.x)))),
-    )
-    forward = core.noise[0]
-    assert f.p[forward, forward] == pytest.approx(0.1**2 * 0.5)
-    count_motion(f, sheet.noise_density, 0.5)
-    assert f.summed[0] == 0.5  # nothing is told yet
-    f.x[forward], f.p[forward, forward] = 0.12, 0.001
-    count_motion(f, sheet.noise_density, 0.0)
-    assert f.sizes[0, ODOMETRY] == pytest.approx((0.12**2 + 0.001) / 0.005 - 1.0)
-    assert f.sizes[1, ODOMETRY] == pytest.approx(2.0 * 0.8**2)
-    assert f.summed[0] == 0.0 and not f.p[forward].any() and f.x[forward] == 0.0
-
-
-def test_a_measurement_that_is_too_far_off_counts_for_less() -> None:
-    """Whatever its distance, it moves the state as one that is just likely does, by less and less."""
-    s = Sym3(4.0, 1.0, 0.0, 2.0, 0.5, 1.0)
-    inverse = np.linalg.inv([[4.0, 1.0, 0.0], [1.0, 2.0, 0.5], [0.0, 0.5, 1.0]])
-    e = np.array([1.0, -0.5, 0.25])
-    for size in (1.0, 2.0, 10.0, 1000.0):
-        distance2 = float(size**2 * e @ inverse @ e)
-        share = likely_share(Innovation(Vec3(*(size * e)), s, 3))
-        assert share == pytest.approx(min(LIKELY / distance2, 1.0), rel=1e-12)
-    assert distance2 > LIKELY

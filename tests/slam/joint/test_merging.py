@@ -8,17 +8,18 @@ import numpy as np
 import pytest
 from scipy.stats import norm
 
-from cellslam.slam.joint.snapshot.merging_kernel import (
+from cellslam.slam.joint.new_filters import NO_ERRORS
+from cellslam.slam.joint.snapshot.sight_kernel import coordinates, geometry, rotations_of
+from cellslam.slam.joint.snapshot.update_kernel import (
     BESIDE,
     LASTS,
     SHIFT2,
+    add_up,
     allow_for_merging,
+    correct,
     expect_beside,
     expect_merging,
 )
-from cellslam.slam.joint.snapshot.sight_kernel import coordinates, geometry, rotations_of
-from cellslam.slam.joint.snapshot.update_kernel import add_up, correct
-from cellslam.slam.joint.state.array_errors import NO_ERRORS
 from cellslam.slam.joint.state.layout import HITS, MERGED
 from cellslam.slam.model.matrices_kernel import Sym3, Vec3
 
@@ -30,7 +31,7 @@ def prepared(one_filter: Any, **rules: float) -> Any:
     """Return a filter that knows three VTs, the first two of which the array does not resolve."""
     one = one_filter(**{"merge_rate": MERGE_RATE, **rules})
     one.put(POSE, 5.0, *VTS)
-    one.f.slots[:3, HITS], one.f.anchor[:3, MERGED] = 5, 0.1
+    one.f.vts.slots[:3, HITS], one.f.vts.anchor[:3, MERGED] = 5, 0.1
     return one
 
 
@@ -40,7 +41,7 @@ def test_the_probability_is_that_of_bayes(one_filter: Any, e_deg: float) -> None
     plain, wide = norm.pdf(e, scale=np.sqrt(s)), norm.pdf(e, scale=np.sqrt(s + SHIFT2))
     density = 0.9 * plain + 0.1 * wide
     counted, lacks = allow_for_merging(one.f, 0, e, Sym3(1.0, 0.002, 0.0, s, 0.0, 1.0), q)
-    share = one.f.anchor[0, MERGED]
+    share = one.f.vts.anchor[0, MERGED]
     assert share == pytest.approx(0.1 * wide / density, rel=1e-9)
     # What is expected of the VT stays; the measurement counts with the mean information of both modes.
     assert 1.0 / (counted.yy - s + q) == pytest.approx((1.0 - share) / q + share / (q + LASTS * SHIFT2), rel=1e-9)
@@ -51,11 +52,13 @@ def test_the_probability_is_that_of_bayes(one_filter: Any, e_deg: float) -> None
 def test_what_nothing_says_is_forgotten(one_filter: Any) -> None:
     """0.003 begin and 0.1 end in a second: 2.9 % of the time. Of what else was known a factor of e is lost in 9.7 s."""
     one = prepared(one_filter)
-    one.f.anchor[:2, MERGED] = 1.0, 0.0
+    one.f.vts.anchor[:2, MERGED] = 1.0, 0.0
     expect_merging(one.f, MERGE_RATE, 1.0 / 0.103)
-    np.testing.assert_allclose(one.f.anchor[:2, MERGED] - 0.003 / 0.103, [0.100 / 0.103 / np.e, -0.003 / 0.103 / np.e])
+    np.testing.assert_allclose(
+        one.f.vts.anchor[:2, MERGED] - 0.003 / 0.103, [0.100 / 0.103 / np.e, -0.003 / 0.103 / np.e]
+    )
     expect_merging(one.f, MERGE_RATE, 1e4)
-    np.testing.assert_allclose(one.f.anchor[:3, MERGED], 0.003 / 0.103)
+    np.testing.assert_allclose(one.f.vts.anchor[:3, MERGED], 0.003 / 0.103)
 
 
 @pytest.mark.parametrize(
@@ -67,18 +70,12 @@ def test_a_vt_that_should_be_seen_beside_makes_it_likely(
     one_filter: Any, vt: int, measurements: int, hits: int, expected: float
 ) -> None:
     one = prepared(one_filter)
-    one.block.detections[1], one.f.slots[1, HITS] = measurements, hits
+    one.block.sums.detections[1], one.f.vts.slots[1, HITS] = measurements, hits
     place, turned = Vec3(*one.f.x[:3]), rotations_of(one.f)
     seen = geometry(one.f, vt, one.offset, place, turned, coordinates(one.f, vt), one.w.sight)
     expect_beside(one.f, one.block, vt, one.offset, seen, place, turned, 3, one.w.sight)
-    assert one.f.anchor[vt, MERGED] == expected
-    assert one.f.anchor[1, MERGED] == 0.1
-
-
-def test_paths_of_a_surveyed_transmitter_have_not_merged_yet(one_filter: Any) -> None:
-    one = prepared(one_filter)
-    one.mixture.know(np.zeros(1, np.int64), np.zeros(1, np.int64), np.array([[50.0, 0.0, 10.0]]), 0)
-    assert one.mixture.arrays.anchor[0, 0, MERGED] == 0.0
+    assert one.f.vts.anchor[vt, MERGED] == expected
+    assert one.f.vts.anchor[1, MERGED] == 0.1
 
 
 def turned_by(one_filter: Any, e_deg: float, **rules: float) -> float:
@@ -86,7 +83,7 @@ def turned_by(one_filter: Any, e_deg: float, **rules: float) -> float:
     expected."""
     one = prepared(one_filter, **rules)
     one.spread(np.diag(np.where(np.arange(one.n) == 3, np.radians(0.5), 1e-3)))
-    one.f.anchor[0, MERGED] = 0.03
+    one.f.vts.anchor[0, MERGED] = 0.03
     z, _ = one.model(0)
     q = np.array([0.3, np.radians(0.3) ** 2, 1e-3])
     z[1] += np.radians(e_deg)

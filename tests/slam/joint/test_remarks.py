@@ -14,8 +14,8 @@ from cellslam.scenarios.loading import load
 from cellslam.scenarios.recording_origin import Origin
 from cellslam.scenarios.simulation import simulate
 from cellslam.sim.recording import Recording
-from cellslam.slam.api import odometry_of, setup_of, snapshots_of
 from cellslam.slam.joint.ekf_slam import EkfSlam
+from tests.slam.driving import driven
 
 CAUSES = {
     "diffuse": ("diffuse_m", "diffuse_azimuth_deg", "diffuse_elevation_deg"),
@@ -28,17 +28,16 @@ def drive() -> Recording:
     return simulate(load("tiny", {"radio.clock_offset_std_m": 0.0}), 3, 0)
 
 
-def assuming(drive: Recording, cause: str, factor: float, hypotheses: int = 1) -> Request:
+def assuming(drive: Recording, cause: str, factor: float) -> Request:
     """What is asked for where one cause of errors is told so many times too large."""
     name, options = "ekf-slam", dict(Origin.of(drive).options.get("ekf-slam", {}))
     (right,) = resolve({name: options}, (name,))
     wrong = {size: factor * getattr(right.options, size) for size in CAUSES[cause]}
-    (request,) = resolve({name: options | wrong | {"hypotheses": hypotheses}}, (name,))
+    (request,) = resolve({name: options | wrong}, (name,))
     return request
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("hypotheses", [1, 32])
 @pytest.mark.parametrize(
     ("cause", "factor", "words"),
     [
@@ -51,32 +50,31 @@ def assuming(drive: Recording, cause: str, factor: float, hypotheses: int = 1) -
     ],
 )
 def test_errors_that_are_not_as_large_as_told_are_remarked(
-    drive: Recording, hypotheses: int, cause: str, factor: float, words: tuple[str, ...]
+    drive: Recording, cause: str, factor: float, words: tuple[str, ...]
 ) -> None:
-    remarks = estimate(drive, assuming(drive, cause, factor, hypotheses), np.random.default_rng(0)).remarks
+    remarks = estimate(drive, assuming(drive, cause, factor), np.random.default_rng(0)).remarks
     assert tuple(re.findall(r"\w+ of \w+", "".join(remarks))) == words
 
 
-def driven(drive: Recording, request: Request, grows: bool = True) -> EkfSlam:
-    estimator, odometry = EkfSlam(request.options), odometry_of(drive)
+def after(drive: Recording, request: Request, grows: bool = True) -> EkfSlam:
+    """Return the filter that was asked for after a drive."""
+    estimator = EkfSlam(request.options)
     estimator.grows = grows
-    estimator.start(setup_of(drive), np.random.default_rng(0))
-    for dt_s, u, snapshot in zip(np.diff(drive.time_s, prepend=0.0), odometry, snapshots_of(drive), strict=True):
-        estimator.step(float(dt_s), u, snapshot)
+    driven(estimator, drive)
     return estimator
 
 
 @pytest.mark.slow
 def test_diffuse_errors_are_taken_for_as_large_as_they_are(drive: Recording) -> None:
     half = assuming(drive, "diffuse", 0.5)
-    grown = driven(drive, half).sizes()
+    grown = after(drive, half).sizes()
     assert 1.5 < grown.grown < 2.7
     # What the drive says besides is said against these.
     assert abs(grown.slopes()["diffuse_m"][0]) < 4.0 * np.sqrt(grown.slopes()["diffuse_m"][1])
-    kept = driven(drive, half, grows=False).sizes()
+    kept = after(drive, half, grows=False).sizes()
     assert kept.grown == 1.0 and 1.5 < kept.doubted()["diffuse_m"] < 2.7
     for factor in (1.0, 2.0):
-        assert driven(drive, assuming(drive, "diffuse", factor)).sizes().grown == 1.0
+        assert after(drive, assuming(drive, "diffuse", factor)).sizes().grown == 1.0
 
 
 @pytest.mark.slow
@@ -89,7 +87,7 @@ def test_after_the_start_a_drive_begins_with_diffuse_errors_as_large_as_found(
     drive = simulate(load("tiny", {"radio.clock_offset_std_m": 22.0}), 3, 0)
     request = assuming(drive, "diffuse", factor)
     late = {"start_limit_s": 25.0, "resolved_std_m": 1e-3}
-    driven(drive, replace(request, options=request.options.model_copy(update=late)))
+    after(drive, replace(request, options=request.options.model_copy(update=late)))
     assert joined[0] == 1.0 and len(joined) == passes and (passes == 1 or joined[1] > 1.35)
 
 

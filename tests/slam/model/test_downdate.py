@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from cellslam.slam.model.downdate_kernel import downdate
+from cellslam.slam.model.arrays_kernel import downdate
 
 
 @pytest.mark.parametrize("size", [1, 3, 4, 7, 30])

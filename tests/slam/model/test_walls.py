@@ -34,11 +34,6 @@ def test_reflected_path_has_the_length_and_the_angles_of_a_mirror():
         )
 
 
-def test_plane_by_hand():
-    plane, _ = mirror_plane(np.array([0.0, 0, 30]), np.array([0.0, 20, 30]), np.array([7.0, 4.0]))
-    np.testing.assert_allclose(plane, [np.pi / 2, 6.0])  # y = 10, seen from y = 4
-
-
 def test_all_sites_see_one_wall_as_the_same_plane():
     rng = np.random.default_rng(1)
     normal, about = np.array([0.6, 0.8]), rng.normal(0, 50, 2)

@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 
 from cellslam.slam.api import Estimate, VtEstimate
-from cellslam.slam.front_end.front_end_options import FrontEndOptions
-from cellslam.slam.front_end.misfit import Misfit
-from cellslam.slam.front_end.readings import Readings
+from cellslam.slam.measurements.measurement_options import MeasurementOptions
+from cellslam.slam.measurements.misfit import Misfit
+from cellslam.slam.measurements.readings import Readings
 from cellslam.slam.model.measurement_model import predict
 
 POSE = np.array([5.0, -3.0, 1.8, 2.5, 0.0, 0.0])
@@ -16,7 +16,7 @@ STD = np.radians(1.0)
 
 def factor(azimuth: float, elevation: float, spread_m: float = 0.1, **options: float) -> list[float]:
     """The factors after two minutes with errors that are so many times those expected."""
-    rng, misfit = np.random.default_rng(0), Misfit(FrontEndOptions(**options))
+    rng, misfit = np.random.default_rng(0), Misfit(MeasurementOptions(**options))
     vts = VtEstimate(np.arange(4) + 7, np.zeros(4, np.int64), VTS, np.tile(spread_m**2 * np.eye(3), (4, 1, 1)))
     answer = Estimate(POSE, np.eye(6), np.array([8, 7, 10, -1, 9]), vts=vts)
     exact = np.insert(predict(POSE, VTS)[[1, 0, 3, 2]], 3, [50.0, 1.0, 0.1], axis=0)

@@ -1,4 +1,4 @@
-"""Compiled: P <- P - G^T G, what many measurements take off a covariance at once.
+"""Compiled: copies of arrays, and P <- P - G^T G, what many measurements take off a covariance at once.
 
 Source: rank-k update of a symmetric matrix (SYRK) of Dongarra et al., "A set of level 3 basic linear algebra
 subprograms", ACM Trans. Mathematical Software 16(1), 1990.
@@ -6,8 +6,21 @@ subprograms", ACM Trans. Mathematical Software 16(1), 1990.
 
 from __future__ import annotations
 
+from typing import Any
+
 from cellslam.sim.compiling import lean
 from cellslam.sim.recording import Floats
+
+
+@lean
+def put(out: Any, given: Any) -> None:
+    """Write the numbers of `given` (n,) to the first of `out`.
+
+    Where an array is assigned to a part of another one, Numba also compiles the text of the error that this might
+    raise, which takes 1.6 s in each process that compiles.
+    """
+    for i in range(len(given)):
+        out[i] = given[i]
 
 
 @lean(fastmath={"contract"})

@@ -1,28 +1,113 @@
-"""Compiled: the variances with which measurements associate and update.
+"""The measurements of a snapshot with the variances that association, updates and births take.
 
 Sources: paper, eq. 34, corrected; Priestley, "Spectral analysis and time series", 1981, section 5.3: the variance of
-the mean of a correlated sequence, of which `repeats` is the sum of correlations.
+the mean of a correlated sequence, of which `repeats` is the sum of correlations: how many independent draws the
+sequence is worth.
 """
 
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass, field
 from typing import NamedTuple
 
 import numpy as np
 
 from cellslam.sim.compiling import njit, part
+from cellslam.sim.described import Described
 from cellslam.sim.frames.frames_kernel import wrap
 from cellslam.sim.recording import Floats, Ints
+from cellslam.slam.measurements.fusion import FusedMeasurements
+from cellslam.slam.measurements.measurement_options import MeasurementOptions
 
+# Widths in distance (m), azimuth and elevation (rad) over which clutter lies about paths: what a missing component
+# takes off its density.
+CLUTTER_WIDTH = (20.0, 0.3, 0.25)
+MOST_MERGED = 400.0  # times that one draw of what merged paths do is repeated, at most
 LEAST = 1e-12  # m^2 and rad^2: variances are no smaller
 MOST_REPEATS = 1e5  # standing still, an error that persists is never redrawn: nearly no information
+_LOG_WIDTH = np.log(CLUTTER_WIDTH)
+
+
+@dataclass(frozen=True, repr=False)
+class Readings(Described):
+    """The measurements of a snapshot (m,) with their variances.
+
+    `z` (m, 3): distance (m), azimuth and elevation (rad), NaN where not measured. `single` (m, 3): variances of one
+    measurement; `many` (m, 3): those with which an update counts for what it is worth; `fresh` (m, 3): those of a VT
+    that begins (links that see the same one share its errors). `gap` (m,): what the log-density of clutter is greater
+    by; `merged` (3,): variances that updates take beside `many`, for what merged paths do.
+    """
+
+    z: Floats
+    single: Floats
+    many: Floats
+    fresh: Floats
+    gap: Floats
+    merged: Floats = field(default_factory=lambda: np.zeros(3))
+
+
+def readings(
+    measurements: FusedMeasurements, port_of: Ints, options: MeasurementOptions, turn_rad: float, moved_m: float
+) -> Readings:
+    """Return a snapshot's measurements with their variances; since the last one the vehicle has turned and moved so
+    far.
+
+    port_of (L,): a number for each pair of site and port.
+    """
+    z = np.stack([measurements.distance_m, measurements.azimuth_rad, measurements.elevation_rad], axis=1)
+    persisting = Persisting(*options.persisting, options.scales)
+    return Readings(z, *combine(
+        z, measurements.link, port_of, measurements.white, measurements.ports, measurements.clutter_log_ratio,
+        persisting, turn_rad, moved_m, _LOG_WIDTH,
+    ))  # fmt: skip
+
+
+def white_readings(
+    measurements: FusedMeasurements, options: MeasurementOptions, turn_rad: float, moved_m: float
+) -> Readings:
+    """Return a snapshot's measurements for a filter that has the errors that persist as states: these are white but for
+    those, and `single` has the diffuse error and the sway, too, which are not known before the update.
+
+    A cause without a scale is white. Where paths merge, their directions err as no state does, for as long as the
+    vehicle sees them so: for that a share of the roof's variance is counted, as often as one draw of it is repeated.
+    """
+    z = np.stack([measurements.distance_m, measurements.azimuth_rad, measurements.elevation_rad], axis=1)
+    plain, diffuse, sway, merged = options.beside_states
+    ports = measurements.ports[:, None]
+    many = np.maximum(measurements.white + plain[0] + plain[1] / ports, LEAST)
+    fresh = many + merged
+    single = fresh + diffuse / ports + sway
+    gap = measurements.clutter_log_ratio + np.isnan(z) @ _LOG_WIDTH
+    scale, change = math.radians(options.roof_scale_deg), abs(turn_rad) + abs(moved_m) / options.typical_range_m
+    often = min(repeats(scale, change), MOST_MERGED)
+    return Readings(z, single, many, fresh, gap, merged * often)
+
+
+def novelty(options: MeasurementOptions, turn_rad: float, moved_m: float) -> float:
+    """Return how much of what a snapshot shows the last one has not shown: 1 where all errors are white.
+
+    The variance of one measurement over that with which an update counts, as `combine` has them for a lone path, mean
+    over distance, azimuth and elevation. The vehicle has turned and moved since the last snapshot.
+    """
+    (place, direction), white = options.persisting, np.maximum(options.noise[0], LEAST)
+    of_place, of_distance, of_angles, away = options.scales.tolist()
+    change = abs(turn_rad) + abs(moved_m) / away
+    by_angles = repeats(of_angles, change)
+    again = np.array([repeats(of_distance, change), by_angles, by_angles])
+    counted = white + place * repeats(of_place, moved_m) + direction * again
+    return float(((white + place + direction) / counted).sum()) / len(white)
+
+
+def ports_of(site_of: Ints, port: Ints) -> Ints:
+    """Return a number for each link (L,) that links of one port of a site share."""
+    return np.asarray(site_of, np.int64) * 64 + np.asarray(port, np.int64)
 
 
 class Persisting(NamedTuple):
     """Errors that persist: variances (3,) in m^2 and rad^2 of those of place, in every port and alike in all links of
     a port that see the same path, and of those of direction, in all paths from about one direction; the scales (4,)
-    over which they persist (see `FrontEndOptions.scales`)."""
+    over which they persist (see `MeasurementOptions.scales`)."""
 
     place: Floats
     direction: Floats
@@ -51,39 +136,6 @@ def count_sharers(z: Floats, link: Ints, group: Ints, q: Floats) -> Floats:
     return count
 
 
-@njit(cache=True)
-def scaled(snr_db: Floats, floor: Floats, unit: Floats) -> Floats:
-    """Return variances (m, 3): `floor` (3,) and what noise adds to it, `unit` (3,) at 0 dB; NaN counts as 0 dB."""
-    out = np.empty((len(snr_db), 3))
-    for i in range(len(snr_db)):
-        share = 1.0 if math.isnan(snr_db[i]) else 10.0 ** (-0.1 * snr_db[i])
-        for c in range(3):
-            out[i, c] = floor[c] + unit[c] * share
-    return out
-
-
-@njit(cache=True)
-def white_variances(
-    z: Floats, white: Floats, ports: Ints, clutter_log_ratio: Floats, plain: Floats, diffuse: Floats, sway: Floats,
-    merged: Floats, log_width: Floats,
-) -> tuple[Floats, Floats, Floats, Floats]:  # fmt: skip
-    """Return the variances (m, 3) of single measurements, of updates and of births for a filter that has what persists
-    as states, in m^2 and rad^2, and (m,) what the log-density of clutter is greater by.
-
-    z, white, ports, clutter_log_ratio, log_width as in `combine`; plain (2, 3): variances of causes without a scale, in
-    all and by port; diffuse, sway, merged (3,): variances that a single measurement has beside.
-    """
-    m = len(z)
-    single, many, fresh, gap = np.empty((m, 3)), np.empty((m, 3)), np.empty((m, 3)), clutter_log_ratio.copy()
-    for i in range(m):
-        for c in range(3):
-            many[i, c] = max(white[i, c] + plain[0, c] + plain[1, c] / ports[i], LEAST)
-            fresh[i, c] = many[i, c] + merged[c]
-            single[i, c] = fresh[i, c] + diffuse[c] / ports[i] + sway[c]
-            gap[i] += log_width[c] if math.isnan(z[i, c]) else 0.0
-    return single, many, fresh, gap
-
-
 @part
 def repeats(scale: float, step: float) -> float:
     """Return how many samples `step` apart share one draw of an error with correlation exp(-x^2 / (2 scale^2)): its
@@ -109,21 +161,6 @@ def crowd(azimuth: Floats, elevation: Floats, scale: float) -> Floats:
                 count[i] += share
                 count[j] += share
     return count
-
-
-@njit(cache=True)
-def share_new(persisting: Persisting, white: Floats, turn: float, moved: float) -> float:
-    """Return the variance of a measurement over that of an update by it, mean over three components: see `novelty`.
-
-    white (3,): variances of what does not persist, in m^2 and rad^2; turn (rad), moved (m), as in `combine`.
-    """
-    place, direction, scales = persisting
-    by_place, change, total = repeats(scales[0], moved), abs(turn) + abs(moved) / scales[3], 0.0
-    for c in range(3):
-        known = max(white[c], LEAST)
-        again = repeats(scales[1] if c == 0 else scales[2], change)
-        total += (known + place[c] + direction[c]) / (known + place[c] * by_place + direction[c] * again)
-    return total / 3.0
 
 
 @njit(cache=True)

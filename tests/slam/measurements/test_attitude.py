@@ -10,13 +10,13 @@ import pytest
 from cellslam.sim.frames import azimuth_elevation, rotation, unit_vector
 from cellslam.sim.recording import Links, OdometryModel, Sites
 from cellslam.slam.api import Estimate, Setup, Snapshot, VtEstimate
-from cellslam.slam.front_end.attitude import Attitude
-from cellslam.slam.front_end.front_end_options import NOTHING_PERSISTS, FrontEndOptions
+from cellslam.slam.measurements.attitude import Attitude
+from cellslam.slam.measurements.measurement_options import NOTHING_PERSISTS, MeasurementOptions
 from cellslam.slam.model.measurement_model import predict
 
 POSE = np.array([12.0, -7.0, 1.8, 2.9, 0.0, 0.0])
 TILT = np.radians([0.15, -0.4])
-OPTIONS = FrontEndOptions(**NOTHING_PERSISTS | {"diffuse_azimuth_deg": 0.05, "diffuse_elevation_deg": 0.05})
+OPTIONS = MeasurementOptions(**NOTHING_PERSISTS | {"diffuse_azimuth_deg": 0.05, "diffuse_elevation_deg": 0.05})
 
 
 def setup(**changes: np.ndarray) -> Setup:
@@ -118,7 +118,7 @@ def test_directions_without_elevation_say_nothing_and_stay() -> None:
 def test_attitude_that_the_pose_carries_is_left_to_it(known: dict[str, np.ndarray]) -> None:
     belief, here = Attitude(OPTIONS, setup(**known)), snapshot(tilted(around(5)))
     assert not belief.on and belief.levelled(1.0, here) is here
-    assert not Attitude(FrontEndOptions(roll_deg=0.0), setup()).on
+    assert not Attitude(MeasurementOptions(roll_deg=0.0), setup()).on
 
 
 def test_an_estimate_tells_pitch_and_roll() -> None:

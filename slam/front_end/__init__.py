@@ -1,6 +1,0 @@
-"""What estimators assume of the front end: noise, detection, clutter, errors that persist, and how links are fused.
-
-`front_end_options` has the options with their defaults; `measurement_noise` and `readings` the variances; `visibility`
-the coming and going of virtual transmitters; `fusion` the links of a site fused; `misfit` and `attitude` what is learnt
-while driving.
-"""
