@@ -68,12 +68,7 @@ def triangle_normals(corners: Floats) -> tuple[Floats, Floats]:
 
 
 def merge_facets(
-    vertices: Floats,
-    triangles: Ints,
-    part: Ints,
-    material: Ints,
-    building: Ints,
-    tolerances: Tolerances,
+    vertices: Floats, triangles: Ints, part: Ints, material: Ints, building: Ints, tolerances: Tolerances
 ) -> tuple[Ints, Facets]:
     """Return (triangle_facet (K,), facets) of triangles that touch, lie in one plane and belong together.
 
@@ -93,14 +88,7 @@ def merge_facets(
     # Rounded areas: the order must not hang on the last bit, which a translation of the city would change.
     seeds = np.argsort(-np.round(area, 6), kind="stable")
     count = grow_facets(
-        seeds,
-        corners,
-        normals,
-        first,
-        neighbours,
-        tolerances.plane_m,
-        np.cos(np.radians(tolerances.angle_deg)),
-        label,
+        seeds, corners, normals, first, neighbours, tolerances.plane_m, np.cos(np.radians(tolerances.angle_deg)), label
     )
     return label, _fit(vertices.mean(axis=0), corners, normals, area, label, count, seeds, material, building)
 

@@ -109,12 +109,7 @@ def _found(row: Ints, facets: list[Ints], points: list[Floats], edge: Ints | Non
 
 
 def _search(
-    scene: Scene,
-    transmitter: Floats,
-    receivers: Floats,
-    max_order: int,
-    reflects: NDArray[np.bool_],
-    lit: Ints,
+    scene: Scene, transmitter: Floats, receivers: Floats, max_order: int, reflects: NDArray[np.bool_], lit: Ints
 ) -> _Found:
     """Return the free paths of one transmitter, centred coordinates."""
     found = _found(lines_of_sight(scene, transmitter, receivers), [], [])

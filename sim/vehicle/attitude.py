@@ -53,12 +53,7 @@ def random_road(config: VehicleConfig, rng: np.random.Generator) -> Road:
 
 
 def body_motion(
-    arc_m: Floats,
-    speed_mps: Floats,
-    turn_rate_radps: Floats,
-    step_s: float,
-    road: Road,
-    config: VehicleConfig,
+    arc_m: Floats, speed_mps: Floats, turn_rate_radps: Floats, step_s: float, road: Road, config: VehicleConfig
 ) -> Floats:
     """Return height above the start's ground in m, pitch and roll in rad, (N, 3), at equidistant times.
 

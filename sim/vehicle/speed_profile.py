@@ -81,11 +81,7 @@ def _stops(config: VehicleConfig, rng: np.random.Generator) -> tuple[Floats, Flo
 
 
 def _limits(
-    route_arc_m: Floats,
-    curvature_per_m: Floats,
-    stop_m: Floats,
-    config: VehicleConfig,
-    rng: np.random.Generator,
+    route_arc_m: Floats, curvature_per_m: Floats, stop_m: Floats, config: VehicleConfig, rng: np.random.Generator
 ) -> SpeedLimits:
     cells = max(round(config.distance_m / CELL_M), 2)
     arc = np.linspace(0.0, config.distance_m, cells + 1)

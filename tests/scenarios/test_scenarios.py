@@ -99,10 +99,7 @@ def test_one_key_cannot_have_two_values() -> None:
 
 def test_overrides_leave_the_given_tables_alone() -> None:
     tables = {"a": {"b": [{"name": "x", "c": 1}]}}
-    assert overrides.apply(tables, {"a.b.x.c": 2, "d.e": 3}) == {
-        "a": {"b": [{"name": "x", "c": 2}]},
-        "d": {"e": 3},
-    }
+    assert overrides.apply(tables, {"a.b.x.c": 2, "d.e": 3}) == {"a": {"b": [{"name": "x", "c": 2}]}, "d": {"e": 3}}
     assert tables == {"a": {"b": [{"name": "x", "c": 1}]}}
 
 
@@ -185,14 +182,7 @@ class Outer(BaseModel):
 def test_listing_of_keys() -> None:
     listed = {key.name: key for key in describe(Outer())}
     assert list(listed) == [
-        *(
-            "part.kind",
-            "part.length_m",
-            "items.0.kind",
-            "items.0.length_m",
-            "items.1.kind",
-            "items.1.length_m",
-        ),
+        *("part.kind", "part.length_m", "items.0.kind", "items.0.length_m", "items.1.kind", "items.1.length_m"),
         *("count", "flag"),
     ]
     key = listed["part.length_m"]
@@ -212,13 +202,7 @@ def test_known_fields_and_nearest() -> None:
 
 @pytest.mark.parametrize(
     ("key", "unit"),
-    [
-        ("a_m", "m"),
-        ("noise_m_per_sqrt_s", "m/sqrt(s)"),
-        ("drift_deg_per_s", "deg/s"),
-        ("stops", ""),
-        ("snr_db", "dB"),
-    ],
+    [("a_m", "m"), ("noise_m_per_sqrt_s", "m/sqrt(s)"), ("drift_deg_per_s", "deg/s"), ("stops", ""), ("snr_db", "dB")],
 )
 def test_unit_by_the_ending(key: str, unit: str) -> None:
     assert unit_of(key) == unit

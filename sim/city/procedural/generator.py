@@ -74,8 +74,7 @@ def _heights(count: int, config: ProceduralCityConfig, rng: np.random.Generator)
     height = low + (high - low) * rng.beta(2.0, 2.0, count)
     tower = rng.random(count) < config.tower_share
     return np.asarray(
-        np.round(np.where(tower, config.tower_height_m * rng.uniform(0.85, 1.15, count), height), 1),
-        np.float64,
+        np.round(np.where(tower, config.tower_height_m * rng.uniform(0.85, 1.15, count), height), 1), np.float64
     )
 
 

@@ -11,13 +11,7 @@ from cellslam.sim.errors import InputError
 
 KINDS = {
     "default": {},
-    "open": {
-        "open_share": 1.0,
-        "square_share": 0.0,
-        "height_min_m": 10.0,
-        "height_max_m": 25.0,
-        "tower_share": 0.0,
-    },
+    "open": {"open_share": 1.0, "square_share": 0.0, "height_min_m": 10.0, "height_max_m": 25.0, "tower_share": 0.0},
     "canyon": {"open_share": 0.0, "block_size_m": 80.0, "gap_share": 0.0, "square_share": 0.0},
 }
 

@@ -131,11 +131,7 @@ def write_house(folder, text=SCENE):
 
 def test_mitsuba_scene(tmp_path):
     city = load(write_house(tmp_path))
-    assert [(m.name, m.thickness_m) for m in city.materials] == [
-        ("brick", 0.2),
-        ("metal", 0.1),
-        ("concrete", 0.1),
-    ]
+    assert [(m.name, m.thickness_m) for m in city.materials] == [("brick", 0.2), ("metal", 0.1), ("concrete", 0.1)]
     assert len(city.footprints) == 1
     assert city.footprints[0].symmetric_difference(shapely.box(0, 0, 10, 8)).area < 0.01
     roof = city.facets.normal[:, 2] > 0.9

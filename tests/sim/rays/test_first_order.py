@@ -46,8 +46,7 @@ def test_one_wall_by_hand(scenes):
 
 def test_a_corner_gives_one_path_per_wall(scenes):
     city = scenes.city_of(
-        scenes.rectangle((-50, 20, 0), (90, 0, 0), (0, 0, 30)),
-        scenes.rectangle((40, -50, 0), (0, 70, 0), (0, 0, 30)),
+        scenes.rectangle((-50, 20, 0), (90, 0, 0), (0, 0, 30)), scenes.rectangle((40, -50, 0), (0, 70, 0), (0, 0, 30))
     )
     paths = trace(city, [TX], [[30.0, 0.0, 2.0]])
     np.testing.assert_allclose(paths.vt_position_m[1:], [[0, 40, 10], [80, 0, 10]], atol=1e-12)
@@ -172,10 +171,7 @@ def test_coordinates_far_from_the_origin_cost_nothing(small_city, places):
         vertices=small_city.vertices + shift,
         facets=replace(table, offset=table.offset + table.normal @ shift),
     )
-    near, away = (
-        trace(small_city, transmitters, receivers),
-        trace(far, transmitters + shift, receivers + shift),
-    )
+    near, away = (trace(small_city, transmitters, receivers), trace(far, transmitters + shift, receivers + shift))
     np.testing.assert_array_equal(near.facets, away.facets)
     np.testing.assert_allclose(near.length_m, away.length_m, atol=1e-7)
     np.testing.assert_allclose(near.azimuth_rad, away.azimuth_rad, atol=1e-8)
