@@ -65,10 +65,10 @@ def _near(
 @njit(cache=True)
 def diffractions(
     start: Floats, along: Floats, length: Floats, into: Floats, t: Floats, receivers: Floats, most: float,
-    blocks: Ints, work: Ints, found: Ints, position: Floats, excess: Floats,
+    blocks: Ints, work: Ints, found: Ints, position: Floats,
 ) -> int:  # fmt: skip
-    """Write the candidates with at most `most` metres of excess: (receiver, edge) into found (P, 2), the position on
-    the edge and the excess length (P,) in m; return their number, which may exceed the room.
+    """Write the candidates with at most `most` metres of excess length: (receiver, edge) into found (P, 2), their
+    position on the edge (P,) in m; return their number, which may exceed the room.
 
     start (E, 3) in m, along (E, 3) unit vectors, length (E,) in m, into (E, 2, 3): of the edges; t (3,), receivers
     (R, 3) in m; blocks: of how many receivers edges are culled together, at first and then (2,); work (3, E): scratch,
@@ -91,8 +91,7 @@ def diffractions(
                     if more > most or _within(into[e], start[e], t) or _within(into[e], start[e], receivers[r]):
                         continue
                     if total < len(found):
-                        found[total, 0], found[total, 1] = r, e
-                        position[total], excess[total] = s, more
+                        found[total, 0], found[total, 1], position[total] = r, e, s
                     total += 1
     return total
 

@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from shapely.affinity import translate
 
 from cellslam.sim.city.assemble import Part, assemble
 from cellslam.sim.city.city import City, Floats, Ints, Material, Tolerances
@@ -20,7 +21,7 @@ from cellslam.sim.city.files.mitsuba import DISTRIBUTION, building_name, read_sc
 from cellslam.sim.city.files.osm import load_osm
 from cellslam.sim.city.footprints import buildings, ground_objects
 from cellslam.sim.city.materials import ITU_P2040, itu_material
-from cellslam.sim.errors import InputError
+from cellslam.sim.errors import InputError, one_line
 
 FORMATS = (".ply", ".obj", ".stl", ".glb", ".gltf", ".xml", ".json", ".jsonl", ".osm", ".pbf")
 
@@ -86,7 +87,7 @@ def _objects(path: Path, default: Material, config: MeshCityConfig) -> Iterator[
     if suffix == ".xml":
         return _scene_objects(path, default)
     if suffix in (".json", ".jsonl"):
-        return (MeshObject(o.vertices, o.triangles, default, o.building, "") for o in read_cityjson(path))
+        return (MeshObject(v, t, default, building, "") for v, t, building in read_cityjson(path))
     return _file_objects(path, default, config)
 
 
@@ -118,7 +119,7 @@ def _read_mesh(path: Path) -> Iterator[tuple[Floats, Ints, str]]:
     except ModuleNotFoundError:  # trimesh asks for a package that guesses encodings
         raise InputError(f"cannot read mesh '{path}': its text is not UTF-8; is it damaged?") from None
     except Exception as error:  # a parser meets garbage in its own way each time
-        text = " ".join(str(error).split())[:160] or type(error).__name__
+        text = one_line(error, 160) or type(error).__name__
         raise InputError(f"cannot read mesh '{path}': {text}") from None
     yield from (mesh for mesh in found if mesh is not None)
 
@@ -144,7 +145,7 @@ def _city(name: str, objects: list[MeshObject], tolerances: Tolerances) -> City:
     ground = np.isin(group, ground_objects(corners - corners.mean(axis=(0, 1)), group))
     origin = np.round(corners.mean(axis=(0, 1)))
     footprints, heights, building = buildings(corners - origin, group, ground)
-    footprints = tuple(_shifted(p, origin) for p in footprints)
+    footprints = tuple(translate(p, *origin[:2]) for p in footprints)
     parts = []
     for index, obj in enumerate(objects):
         own = building[item == index]
@@ -152,12 +153,11 @@ def _city(name: str, objects: list[MeshObject], tolerances: Tolerances) -> City:
             triangles = obj.triangles[own == value]
             used, renumbered = np.unique(triangles, return_inverse=True)
             parts.append(Part(obj.vertices[used], renumbered.reshape(-1, 3), materials.index(obj.material), int(value)))
-    road_m = _foot(corners, building) if len(footprints) and not ground.any() else 0.0
+    road_m = _foot(corners, building) if footprints and not ground.any() else 0.0
     notes = [] if ground.any() else [f"no ground found: nothing spans the city and faces up; roads at {road_m:g} m"]
     notes += _assumptions(objects)
-    return replace(
-        assemble(name, parts, materials, footprints, heights, notes=notes, tolerances=tolerances), road_m=road_m
-    )
+    city = assemble(name, parts, materials, footprints, heights, notes=notes, tolerances=tolerances)
+    return replace(city, road_m=road_m)
 
 
 def _foot(corners: Floats, building: Ints) -> float:
@@ -199,9 +199,3 @@ def _groups(objects: list[MeshObject]) -> Ints:
         groups.append(used + piece)
         used += int(piece.max()) + 1
     return np.concatenate(groups).astype(np.int64)
-
-
-def _shifted(polygon: Any, origin: Floats) -> Any:
-    from shapely.affinity import translate
-
-    return translate(polygon, origin[0], origin[1])

@@ -10,12 +10,11 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from cellslam.sim.city.assemble import Part, assemble
+from cellslam.sim.city.assemble import assemble, cap, prism
 from cellslam.sim.city.city import GROUND, City, Floats, Material, Tolerances
-from cellslam.sim.city.extrude import cap, walls
 from cellslam.sim.city.materials import THICKNESS_M, itu_material
 from cellslam.sim.city.ways import largest_network
-from cellslam.sim.errors import InputError
+from cellslam.sim.errors import InputError, one_line
 
 if TYPE_CHECKING:
     from shapely import Polygon
@@ -110,7 +109,7 @@ def _read(path: Path) -> tuple[list[_Area], list[Floats]]:
                 line = [(n.lon, n.lat) for n in item.nodes if n.location.valid()]
                 lines += [np.array(line)] if len(line) > 1 else []
     except Exception as error:  # libosmium's errors are of many kinds
-        text = " ".join(str(error).split())[:160] or type(error).__name__
+        text = one_line(error, 160) or type(error).__name__
         raise InputError(f"cannot read OpenStreetMap extract '{path}': {text}") from None
     return [a for a in areas if a.tags.get("building", "no") != "no" or a.is_part], lines
 
@@ -208,12 +207,11 @@ def _extruded(
     materials: list[Material] = [itu_material(n, THICKNESS_M.get(n), roughness_m) for n in names]
     materials.append(itu_material("medium_dry_ground", None, roughness_m))
     extent = shapely.box(*shapely.total_bounds([b.plan for b in blocks])).buffer(GROUND_MARGIN_M, join_style="mitre")
-    parts = [Part(*cap(extent, 0.0), material=len(names), building=GROUND)]
+    parts = [cap(extent, 0.0, len(names), GROUND)]
     heights = np.array([(b.bottom_m + unknown_m if b.top_m is None else b.top_m) - b.bottom_m for b in blocks])
     for building, (block, height) in enumerate(zip(blocks, heights, strict=True)):
         material, top = names.index(block.material or default), block.bottom_m + float(height)
-        parts.append(Part(*walls(block.plan, block.bottom_m, top), material=material, building=building))
-        parts.append(Part(*cap(block.plan, top), material=material, building=building))
+        parts += prism(block.plan, block.bottom_m, top, material, material, building)
         if block.bottom_m > 0.0:
-            parts.append(Part(*cap(block.plan, block.bottom_m), material=material, building=building))
+            parts.append(cap(block.plan, block.bottom_m, material, building))
     return assemble(name, parts, materials, [b.plan for b in blocks], heights, streets, notes, tolerances)

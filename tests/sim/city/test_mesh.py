@@ -12,7 +12,7 @@ import shapely
 import trimesh
 
 from cellslam.sim.city import MeshCityConfig, ProceduralCityConfig, build_city
-from cellslam.sim.city.files.mitsuba_export import write_scene
+from cellslam.sim.city.files.mitsuba import write_scene
 from cellslam.sim.errors import InputError
 from cellslam.sim.rays import trace
 

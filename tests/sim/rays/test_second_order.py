@@ -5,8 +5,6 @@ import pytest
 
 from cellslam.sim.city import ProceduralCityConfig, build_city
 from cellslam.sim.rays import trace
-from cellslam.sim.rays.first_order import unobstructed
-from cellslam.sim.rays.hidden_facets import lit_facets
 from cellslam.sim.rays.scene import prepare
 
 TX = np.array([0.0, 0.0, 10.0])
@@ -106,7 +104,7 @@ def test_lower_orders_are_the_same(yard):
 
 def test_the_transmitter_lights_what_it_faces(scenes):
     scene = prepare(scenes.city_of(scenes.box((10, -5, 0), (20, 5, 15)), scenes.box((30, -4, 0), (40, 4, 12))))
-    lit = lit_facets(scene, TX - scene.origin_m, scene.reflects)
+    lit = scene.lit_facets(TX - scene.origin_m, scene.reflects)
     # The near house's front, and what touches that; its back and the whole other house are hidden.
     assert len(lit) == 4
     assert set(scene.city.facets.building[lit]) == {0}
@@ -119,12 +117,12 @@ def test_nothing_that_is_seen_counts_as_hidden():
     rng = np.random.default_rng(0)
     weights = rng.dirichlet(np.ones(3), 40)
     for site in (np.array([5.0, 60.0, 25.0]), np.array([-70.0, -20.0, 60.0]), np.array([10.0, 0.0, 4.0])):
-        lit = lit_facets(scene, site - scene.origin_m, scene.reflects)
+        lit = scene.lit_facets(site - scene.origin_m, scene.reflects)
         points = np.einsum("wc,kci->kwi", weights, scene.corners).reshape(-1, 3)
         facet = np.repeat(city.triangle_facet, len(weights))
         source = np.broadcast_to(site - scene.origin_m, points.shape)
         away = np.linalg.norm(points - source, axis=1)
-        seen = unobstructed(scene, source, points, np.maximum(1.0 - 0.01 / away, 0.0))
+        seen = scene.unobstructed(source, points, np.maximum(1.0 - 0.01 / away, 0.0))
         found = set(facet[seen & scene.reflects[facet]])
         assert found
         assert found <= set(lit)
