@@ -13,25 +13,12 @@ from pydantic.fields import FieldInfo
 
 # Unit by the ending of a key, longest first.
 UNITS = {
-    "_m_per_sqrt_s": "m/sqrt(s)",
-    "_deg_per_sqrt_s": "deg/sqrt(s)",
-    "_deg_per_s_sqrt_s": "deg/s/sqrt(s)",
-    "_deg_per_mps2": "deg/(m/s2)",
-    "_rad_per_s": "rad/s",
-    "_deg_per_s": "deg/s",
-    "_percent": "%",
-    "_per_km": "1/km",
-    "_mps2": "m/s2",
-    "_mps": "m/s",
-    "_dbm": "dBm",
-    "_db": "dB",
-    "_deg": "deg",
-    "_rad": "rad",
-    "_hz": "Hz",
-    "_m2": "m2",
-    "_m": "m",
-    "_s": "s",
-}
+    "_m_per_sqrt_s": "m/sqrt(s)", "_deg_per_sqrt_s": "deg/sqrt(s)", "_deg_per_s_sqrt_s": "deg/s/sqrt(s)",
+    "_deg_per_mps2": "deg/(m/s2)", "_rad_per_s": "rad/s", "_deg_per_s": "deg/s", "_percent": "%", "_per_km": "1/km",
+    "_mps2": "m/s2", "_mps": "m/s", "_dbm": "dBm", "_db": "dB", "_deg": "deg", "_rad": "rad", "_hz": "Hz",
+    "_m2": "m2", "_m": "m", "_s": "s",
+}  # fmt: skip
+BOUNDS = {"gt": "above", "ge": "at least", "lt": "below", "le": "at most"}
 
 
 @dataclass(frozen=True)
@@ -87,15 +74,12 @@ def unit_of(name: str) -> str:
 
 def allowed(field: FieldInfo) -> str:
     """Return the values that a field allows, in words: a range, a choice of names, or nothing known."""
-    bounds = {
-        kind: value
-        for item in field.metadata
-        for kind in ("ge", "gt", "le", "lt")
-        if (value := getattr(item, kind, None)) is not None
-    }
-    words = " or ".join(_choices(field.annotation))
-    span = _span(bounds)
-    return " or ".join(text for text in (span, words) if text)
+    found = ((kind, getattr(item, kind, None)) for item in field.metadata for kind in BOUNDS)
+    bounds = {kind: f"{value:g}" for kind, value in found if value is not None}
+    span = ", ".join(f"{word} {bounds[kind]}" for kind, word in BOUNDS.items() if kind in bounds)
+    if bounds.keys() == {"ge", "le"}:
+        span = f"{bounds['ge']} to {bounds['le']}"
+    return " or ".join(text for text in (span, *_choices(field.annotation)) if text)
 
 
 def nearest_key(given: str, known: Sequence[str]) -> str:
@@ -109,13 +93,6 @@ def nearest_key(given: str, known: Sequence[str]) -> str:
 
     best = max(known, key=likeness, default="")
     return best if best and likeness(best) >= 0.6 else ""
-
-
-def _span(bounds: Mapping[str, Any]) -> str:
-    if bounds.keys() == {"ge", "le"}:
-        return f"{bounds['ge']:g} to {bounds['le']:g}"
-    words = {"gt": "above", "ge": "at least", "lt": "below", "le": "at most"}
-    return ", ".join(f"{word} {bounds[kind]:g}" for kind, word in words.items() if kind in bounds)
 
 
 def _choices(annotation: Any, alone: bool = True) -> list[str]:

@@ -9,12 +9,10 @@ import numpy as np
 from cellslam.scenarios.scenario import Scenario
 from cellslam.sim.errors import InputError
 from cellslam.sim.frames import held, mean_velocity
-from cellslam.sim.lte.faults.reports import as_reported, draw_reports
 from cellslam.sim.progress import Progress, silent
-from cellslam.sim.randomness import Stream, stream
 from cellslam.sim.rays.exchange import Traced
 from cellslam.sim.recording import Floats, Recording
-from cellslam.sim.vehicle import Drive, measure_odometry, with_faults
+from cellslam.sim.vehicle import Drive
 
 FASTEST_MPS = 70.0
 HEADING_OVER_M = 0.1
@@ -37,16 +35,11 @@ def simulate_paths(
     config = scenario.world.model_copy(update={"sites": sites})
     driven = drive_through(traced.receivers_m, config.vehicle.snapshot_interval_s)
     reception = draw_reception(config, seed, trial, traced.transmitters_m, driven)
-    odometry = measure_odometry(driven, config.odometry, stream(seed, trial, Stream.ODOMETRY))
-    odometry = with_faults(odometry, driven.time_s, config.odometry, stream(seed, trial, Stream.SENSORS))
-    streams = reception.streams()
+    odometry, streams = reception.odometry(), reception.streams()
     found = reception.detect(
         traced.paths, driven.poses, driven.velocity, held(odometry.velocity), streams, progress=progress
     )
-    reports, age_s = draw_reports(config.radio, len(driven.time_s), stream(seed, trial, Stream.REPORTS)), None
-    if reports is not None:
-        found, age_s = as_reported(found, reports), reports.age_s(driven.time_s)
-    recording = recorded(reception, odometry, found, traced.paths, age_s=age_s)
+    recording, _ = recorded(reception, odometry, found, traced.paths, reception.reports())
     return replace(recording, provenance={"description": f"paths of {name}", **recording.provenance})
 
 

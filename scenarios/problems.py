@@ -17,15 +17,9 @@ from cellslam.sim.errors import InputError
 Suggest = Callable[[], Iterable[str]]
 Model = TypeVar("Model", bound=BaseModel)
 _EXPECTED = {
-    "bool": "true or false",
-    "int": "an integer",
-    "float": "a number",
-    "string": "text in quotes",
-    "tuple": "a list [..., ...]",
-    "list": "a list [..., ...]",
-    "dict": "a table",
-    "model": "a table",
-}
+    "bool": "true or false", "int": "an integer", "float": "a number", "string": "text in quotes",
+    "tuple": "a list [..., ...]", "list": "a list [..., ...]", "dict": "a table", "model": "a table",
+}  # fmt: skip
 
 
 def validate(model: type[Model], data: Mapping[str, Any], prefix: str = "", suggest: Suggest = tuple) -> Model:
@@ -39,19 +33,19 @@ def validate(model: type[Model], data: Mapping[str, Any], prefix: str = "", sugg
         return model.model_validate_json(json.dumps(data, default=_plain), strict=True)
     except ValidationError as error:
         details = error.errors(include_url=False)
-        raise InputError(_line(_worst(details), model, data, prefix, suggest)) from error
-
-
-def _worst(details: list[ErrorDetails]) -> ErrorDetails:
-    """Return the error to tell: an unknown key first, as a misspelled key may show as a missing one too."""
-    return next((d for d in details if d["type"] == "extra_forbidden"), details[0])
+        # An unknown key first, as a misspelled key may show as a missing one too.
+        told = next((d for d in details if d["type"] == "extra_forbidden"), details[0])
+        raise InputError(_line(told, model, data, prefix, suggest)) from error
 
 
 def _line(detail: ErrorDetails, model: type[BaseModel], data: Mapping[str, Any], prefix: str, suggest: Suggest) -> str:
     fields = {f"{prefix}{key}": field for key, field in known_fields(model, data).items()}
     key, value = _locate(detail["loc"], data, detail["type"] == "missing")
     if detail["type"] == "extra_forbidden":
-        key = prefix + _first_leaf(key, value)
+        while isinstance(value, Mapping) and value:  # the first key of a whole table that is unknown
+            name, value = next(iter(value.items()))
+            key = f"{key}.{name}"
+        key = f"{prefix}{key}"
         near = nearest_key(key, [*fields, *suggest()])
         return f"unknown key '{key}'" + (f"; did you mean '{near}'?" if near else "")
     if detail["type"].startswith("union_tag"):
@@ -64,7 +58,10 @@ def _line(detail: ErrorDetails, model: type[BaseModel], data: Mapping[str, Any],
     problem = _problem(detail, field, unit_of(key))
     if not key:
         return problem
-    return f"{key}: {problem}" if isinstance(value, Mapping) else f"{key} = {_shown(value)}: {problem}{meaning}"
+    if isinstance(value, Mapping):
+        return f"{key}: {problem}"
+    shown = f"'{value}'" if isinstance(value, str) else json.dumps(value, default=str)
+    return f"{key} = {shown if len(shown) <= 60 else f'{shown[:57]}...'}: {problem}{meaning}"
 
 
 def _tag_line(detail: ErrorDetails, key: str) -> str:
@@ -104,13 +101,6 @@ def _locate(loc: tuple[int | str, ...], data: Any, missing: bool) -> tuple[str, 
     return ".".join(parts), data
 
 
-def _first_leaf(key: str, value: Any) -> str:
-    while isinstance(value, Mapping) and value:
-        name, value = next(iter(value.items()))
-        key = f"{key}.{name}"
-    return key
-
-
 def _refuse_not_finite(value: Any, key: str) -> None:
     if isinstance(value, Mapping):
         for name, inner in value.items():
@@ -120,11 +110,6 @@ def _refuse_not_finite(value: Any, key: str) -> None:
             _refuse_not_finite(inner, f"{key}.{label(inner, index)}")
     elif isinstance(value, float) and not math.isfinite(value):
         raise InputError(f"{key} = {value}: must be a finite number")
-
-
-def _shown(value: Any) -> str:
-    text = f"'{value}'" if isinstance(value, str) else json.dumps(value, default=str)
-    return text if len(text) <= 60 else f"{text[:57]}..."
 
 
 def _plain(value: Any) -> Any:

@@ -13,8 +13,6 @@ SLIVER_M = 1e-6
 
 def weld(vertices: Floats, part: Ints, tolerance_m: float = WELD_M) -> Ints:
     """Return labels (V,) of vertices (V, 3) of object `part` (V,): close ones of one object share theirs."""
-    from scipy.sparse import coo_matrix
-    from scipy.sparse.csgraph import connected_components
     from scipy.spatial import cKDTree
 
     # Objects are set apart in a fourth dimension; exact copies go first, or pairs among them would explode.
@@ -23,9 +21,16 @@ def weld(vertices: Floats, part: Ints, tolerance_m: float = WELD_M) -> Ints:
         np.round(spread / (tolerance_m * 1e-2)), axis=0, return_index=True, return_inverse=True
     )
     pairs = cKDTree(spread[unique]).query_pairs(tolerance_m, output_type="ndarray")
-    links = coo_matrix((np.ones(len(pairs), np.int8), (pairs[:, 0], pairs[:, 1])), shape=(len(unique), len(unique)))
-    _, label = connected_components(links, directed=False)
-    return np.asarray(label, np.int64)[inverse.ravel()]
+    return connected(pairs, len(unique))[inverse.ravel()]
+
+
+def connected(pairs: Ints, count: int) -> Ints:
+    """Return a label (count,) for each of so many items: those that pairs (P, 2) of them connect share theirs."""
+    from scipy.sparse import coo_matrix
+    from scipy.sparse.csgraph import connected_components
+
+    links = coo_matrix((np.ones(len(pairs), np.int8), (pairs[:, 0], pairs[:, 1])), shape=(count, count))
+    return np.asarray(connected_components(links, directed=False)[1], np.int64)
 
 
 def edge_neighbours(triangles: Ints, group: Ints) -> tuple[Ints, Ints]:

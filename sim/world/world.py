@@ -21,6 +21,7 @@ from cellslam.sim.traffic.traffic_config import TrafficConfig
 from cellslam.sim.vehicle.vehicle_config import OdometryConfig, VehicleConfig
 
 if TYPE_CHECKING:
+    from cellslam.sim.lte.faults.reports import Reports
     from cellslam.sim.lte.links import Cells
     from cellslam.sim.lte.persisting_errors_kernel import Fields
     from cellslam.sim.lte.signal.signal_front_end import SignalLevel
@@ -28,7 +29,7 @@ if TYPE_CHECKING:
     from cellslam.sim.lte.statistical.statistical_front_end import Detections
     from cellslam.sim.rays import Paths, Scene
     from cellslam.sim.traffic import Blocked, Traffic
-    from cellslam.sim.vehicle import Drive
+    from cellslam.sim.vehicle import Drive, Odometry
 
 KEPT_SCENES = 2
 _scenes: OrderedDict[str, Scene] = OrderedDict()
@@ -72,8 +73,23 @@ class Reception:
         """Return the receiver's generators at the start of the trial."""
         from cellslam.sim.lte.statistical.detector_layout import Streams
 
-        names = (Stream.NOISE, Stream.DETECTION, Stream.CLUTTER)
-        return Streams(*(stream(self.seed, self.trial, name) for name in names))
+        return Streams(*(self._rng(name) for name in (Stream.NOISE, Stream.DETECTION, Stream.CLUTTER)))
+
+    def odometry(self) -> Odometry:
+        """Return what wheels and gyro measure of the trial's drive, faults included."""
+        from cellslam.sim.vehicle import measure_odometry, with_faults
+
+        measured = measure_odometry(self.drive, self.config.odometry, self._rng(Stream.ODOMETRY))
+        return with_faults(measured, self.drive.time_s, self.config.odometry, self._rng(Stream.SENSORS))
+
+    def reports(self) -> Reports | None:
+        """Return when the receiver reports the snapshots of the trial's drive; None: each in time."""
+        from cellslam.sim.lte.faults.reports import draw_reports
+
+        return draw_reports(self.config.radio, len(self.drive.time_s), self._rng(Stream.REPORTS))
+
+    def _rng(self, name: Stream) -> np.random.Generator:
+        return stream(self.seed, self.trial, name)
 
     def detect(
         self, paths: Paths, poses: Floats, velocities: Floats, odometry: Floats, rng: Streams, snapshot: int = 0,

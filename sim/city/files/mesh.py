@@ -15,7 +15,7 @@ from shapely.affinity import translate
 from cellslam.sim.city.assemble import Part, assemble
 from cellslam.sim.city.city import City, Floats, Ints, Material, Tolerances
 from cellslam.sim.city.city_config import MeshCityConfig
-from cellslam.sim.city.facets import weld
+from cellslam.sim.city.facets import connected, weld
 from cellslam.sim.city.files.cityjson import read_cityjson
 from cellslam.sim.city.files.mitsuba import DISTRIBUTION, building_name, read_scene, shipped_scene
 from cellslam.sim.city.files.osm import load_osm
@@ -181,9 +181,6 @@ def _assumptions(objects: list[MeshObject]) -> list[str]:
 
 def _groups(objects: list[MeshObject]) -> Ints:
     """Return the group (K,) of each triangle: objects of one building, or one touching piece of an object."""
-    from scipy.sparse import coo_matrix
-    from scipy.sparse.csgraph import connected_components
-
     names: dict[str, int] = {}
     groups, used = [], len({o.building for o in objects if o.building is not None})
     for o in objects:
@@ -192,9 +189,7 @@ def _groups(objects: list[MeshObject]) -> Ints:
             continue
         corner = weld(o.vertices, np.zeros(len(o.vertices), np.int64))[o.triangles]
         ends = np.concatenate([corner[:, :2], corner[:, 1:]])
-        size = int(corner.max()) + 1
-        links = coo_matrix((np.ones(len(ends), np.int8), (ends[:, 0], ends[:, 1])), shape=(size, size))
-        _, label = connected_components(links, directed=False)
+        label = connected(ends, int(corner.max()) + 1)
         piece = np.unique(label[corner[:, 0]], return_inverse=True)[1]
         groups.append(used + piece)
         used += int(piece.max()) + 1
