@@ -89,7 +89,7 @@ def test_only_compiled_sources_as_they_are_count_as_compiled(
     assert compiling.is_compiled(name, kernel)
     kernel.write_text(KERNEL + "# another\n")
     compiling.cache_folder.cache_clear()
-    compiling._digest.cache_clear()
+    compiling._read.cache_clear()
     assert not compiling.is_compiled(name, kernel)
 
 
@@ -124,7 +124,7 @@ def test_old_folders_are_removed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch
         kernel.write_text(f"edit = {edit}\n")
         os.utime(kernel, ns=(edit, edit))
         compiling.cache_folder.cache_clear()
-        compiling._digest.cache_clear()
+        compiling._read.cache_clear()
         folder = compiling.cache_folder("cellslam.sim.one_kernel", kernel)
         folder.mkdir(parents=True)
         os.utime(folder, (edit, edit))
@@ -183,7 +183,7 @@ def test_a_part_is_python_without_a_compiler(monkeypatch: pytest.MonkeyPatch) ->
 def test_lean_kernels_neither_return_arrays_nor_call_what_does() -> None:
     """References are not counted there: an array that is handed on would be freed too early, or never."""
     lean, arrays = dict[str, set[str]](), set[str]()
-    for file in [file for room in ("ekf_slam", "model") for file in (ROOT / "slam" / room).rglob("*.py")]:
+    for file in [file for room in ("joint", "model") for file in (ROOT / "slam" / room).rglob("*.py")]:
         for node in ast.parse(file.read_text("utf-8")).body:
             if not (isinstance(node, ast.FunctionDef) and node.decorator_list):
                 continue

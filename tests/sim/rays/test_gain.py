@@ -92,12 +92,6 @@ def test_a_tilted_conductor_rotates_polarisation_but_keeps_power(scenes):
     assert abs(gain[0, 1]) > 0.05
 
 
-def test_carrier_changes_the_gain(scenes):
-    city = scenes.city_of(scenes.rectangle((-50, 20, 0), (100, 0, 0), (0, 0, 30)))
-    low, high = (trace(city, [[0, 0, 10]], [[30, 0, 2]], carrier_hz=f).gain_db[0] for f in (1e9, 2e9))
-    assert low - high == pytest.approx(20 * np.log10(2.0), abs=1e-9)
-
-
 def test_sector_antenna():
     assert sector_gain_db(0.0, -np.radians(8.0), np.radians(8.0)) == pytest.approx(15.0)
     # 3 dB down at half the width, either way; never more than 25 dB below the peak, behind or anywhere.
