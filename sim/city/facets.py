@@ -99,16 +99,9 @@ def merge_facets(
 
 
 def _fit(
-    origin: Floats,
-    corners: Floats,
-    normals: Floats,
-    area: Floats,
-    label: Ints,
-    count: int,
-    seeds: Ints,
-    material: Ints,
-    building: Ints,
-) -> Facets:
+    origin: Floats, corners: Floats, normals: Floats, area: Floats, label: Ints, count: int, seeds: Ints,
+    material: Ints, building: Ints,
+) -> Facets:  # fmt: skip
     """Fit each facet's plane: area-weighted mean of its triangles' normals and centroids."""
     reverse = seeds[::-1]
     seed = np.empty(count, np.int64)

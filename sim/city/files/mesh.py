@@ -20,7 +20,7 @@ from cellslam.sim.city.files.cityjson import read_cityjson
 from cellslam.sim.city.files.mitsuba import DISTRIBUTION, building_name, read_scene, shipped_scene
 from cellslam.sim.city.files.osm import load_osm
 from cellslam.sim.city.footprints import buildings, ground_objects
-from cellslam.sim.city.materials import ITU_P2040, itu_material
+from cellslam.sim.city.materials import ITU_P2040, itu_material, itu_name
 from cellslam.sim.errors import InputError, one_line
 
 FORMATS = (".ply", ".obj", ".stl", ".glb", ".gltf", ".xml", ".json", ".jsonl", ".osm", ".pbf")
@@ -59,8 +59,7 @@ def _load(config: MeshCityConfig, path: Path, stamp: int) -> City:
     if path.suffix.lower() in (".osm", ".pbf"):
         return load_osm(path, config.material, config.roughness_m, tolerances)
     default = itu_material(config.material, config.thickness_m, config.roughness_m)
-    objects = list(_objects(path, default, config))
-    objects = [o for o in objects if len(o.triangles)]
+    objects = [o for o in _objects(path, default, config) if len(o.triangles)]
     if not objects:
         raise InputError(f"mesh '{config.path}' has no triangles: it is empty, or no mesh")
     for o in objects:
@@ -85,26 +84,20 @@ def _locate(path: str) -> Path:
 def _objects(path: Path, default: Material, config: MeshCityConfig) -> Iterator[MeshObject]:
     suffix = path.suffix.lower()
     if suffix == ".xml":
-        return _scene_objects(path, default)
-    if suffix in (".json", ".jsonl"):
-        return (MeshObject(v, t, default, building, "") for v, t, building in read_cityjson(path))
-    return _file_objects(path, default, config)
-
-
-def _scene_objects(path: Path, default: Material) -> Iterator[MeshObject]:
-    for shape in read_scene(path, default):
-        for vertices, triangles, _ in _read_mesh(shape.path):
-            placed = vertices @ shape.to_world[:3, :3].T + shape.to_world[:3, 3]
-            yield MeshObject(placed, triangles, shape.material, building_name(shape.name), shape.assumed)
-
-
-def _file_objects(path: Path, default: Material, config: MeshCityConfig) -> Iterator[MeshObject]:
-    y_up = config.up == "y" or (config.up == "auto" and path.suffix.lower() in (".glb", ".gltf"))
-    for vertices, triangles, name in _read_mesh(path):
-        placed = vertices[:, [0, 2, 1]] * [1.0, -1.0, 1.0] if y_up else vertices
-        known = name.removeprefix("mat-").removeprefix("itu_").removeprefix("itu-")
-        found = itu_material(known, config.thickness_m, config.roughness_m) if known in ITU_P2040 else None
-        yield MeshObject(placed, triangles, found or default, None, None if found else name)
+        for shape in read_scene(path, default):
+            for vertices, triangles, _ in _read_mesh(shape.path):
+                placed = vertices @ shape.to_world[:3, :3].T + shape.to_world[:3, 3]
+                yield MeshObject(placed, triangles, shape.material, building_name(shape.name), shape.assumed)
+    elif suffix in (".json", ".jsonl"):
+        for vertices, triangles, building in read_cityjson(path):
+            yield MeshObject(vertices, triangles, default, building, "")
+    else:
+        y_up = config.up == "y" or (config.up == "auto" and suffix in (".glb", ".gltf"))
+        for vertices, triangles, name in _read_mesh(path):
+            placed = vertices[:, [0, 2, 1]] * [1.0, -1.0, 1.0] if y_up else vertices
+            known = itu_name(name)
+            found = itu_material(known, config.thickness_m, config.roughness_m) if known in ITU_P2040 else None
+            yield MeshObject(placed, triangles, found or default, None, None if found else name)
 
 
 def _read_mesh(path: Path) -> Iterator[tuple[Floats, Ints, str]]:

@@ -12,7 +12,7 @@ from xml.sax.saxutils import quoteattr
 import numpy as np
 
 from cellslam.sim.city.city import GROUND, City, Floats, Ints, Material
-from cellslam.sim.city.materials import ITU_P2040, itu_material
+from cellslam.sim.city.materials import ITU_P2040, itu_material, itu_name
 from cellslam.sim.errors import InputError, one_line, unknown_name
 
 DISTRIBUTION = "sionna-rt"
@@ -95,7 +95,7 @@ def _material(bsdf: ET.Element, default: Material) -> Material | None:
     not at all: None.
     """
     values = {str(e.get("name")): str(e.get("value")) for e in bsdf if e.tag in ("string", "float")}
-    name = values.get("type") or bsdf.get("id", "").removeprefix("mat-").removeprefix("itu_").removeprefix("itu-")
+    name = values.get("type") or itu_name(bsdf.get("id", ""))
     try:
         thickness = float(values["thickness"]) if "thickness" in values else default.thickness_m
         if "relative_permittivity" in values:

@@ -7,7 +7,7 @@ from cellslam.sim.city.city import Material
 from cellslam.sim.city.materials import itu_material
 from cellslam.sim.errors import InputError
 from cellslam.sim.rays import trace
-from cellslam.sim.rays.antenna import element_gain_db, sector_gain_db
+from cellslam.sim.rays.antenna import sector_gain_db
 from cellslam.sim.rays.gain import reflection, relative_permittivity, roughness_factor
 
 CARRIER = 2.66e9
@@ -99,11 +99,3 @@ def test_sector_antenna():
     assert sector_gain_db(0.0, -np.radians(13.0), np.radians(8.0)) == pytest.approx(12.0)
     assert sector_gain_db(np.pi, 1.0, 0.1) == pytest.approx(-10.0)
     assert sector_gain_db(np.radians(190.0), 0.0, 0.0) == sector_gain_db(np.radians(-170.0), 0.0, 0.0)
-
-
-def test_element_pattern():
-    assert element_gain_db(0.0, 0.0) == pytest.approx(8.0)
-    assert element_gain_db(np.radians(32.5), 0.0) == pytest.approx(5.0, abs=0.01)
-    assert -22.0 <= element_gain_db(np.pi, 0.0) < -16.0
-    sweep = element_gain_db(np.linspace(0, np.pi, 200), 0.0)
-    assert (np.diff(sweep) < 0).all()
