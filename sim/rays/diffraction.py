@@ -41,16 +41,13 @@ def diffracted_paths(scene: Scene, transmitter: Floats, receivers: Floats, wavel
     from cellslam.sim.rays.diffraction_kernel import diffractions
 
     edges = scene.edges
-    work = np.empty((3, len(edges)), np.int64)
-    work[0] = np.arange(len(edges))
     most = LARGEST_NU**2 * wavelength_m / 4.0
     room = 64 * len(receivers) + 1024
     while True:
         pair, position = np.empty((room, 2), np.int64), np.empty(room)
         found = diffractions(
-            edges.start, edges.along, edges.length_m, edges.into, transmitter, receivers, most, BLOCKS, work, pair,
-            position,
-        )  # fmt: skip
+            edges.start, edges.along, edges.length_m, edges.into, transmitter, receivers, most, BLOCKS, pair, position
+        )
         if found <= room:
             break
         room = found

@@ -65,17 +65,13 @@ def single_reflections(scene: Scene, transmitter: Floats, receivers: Floats, ref
     from cellslam.sim.rays import first_order_kernel as kernel
 
     facets, images = facets_and_images(scene, transmitter, reflects)
-    count = len(scene.table)
-    work = np.empty((3, count), np.int64)
-    work[0] = np.arange(count)
     room = 160 * len(receivers) + 1024
     while True:
         out = kernel.Candidates(
             pair=np.empty((room, 2), np.int64), point=np.empty((room, 3)), reach=np.empty(room),
-            probe=np.empty(room, np.int64), probed=np.empty(room // RUN + count + 1, np.int64),
+            probe=np.empty(room, np.int64), probed=np.empty(room // RUN + len(scene.table) + 1, np.int64),
         )  # fmt: skip
-        state = np.zeros((2, count), np.int64)
-        found, probes = kernel.candidates(facets, images, receivers, BLOCKS, RUN, work, state, out)
+        found, probes = kernel.candidates(facets, images, receivers, BLOCKS, RUN, out)
         if found <= room:
             break
         room = found

@@ -179,27 +179,30 @@ def _cull(table: Array, images: Images, box: Box, members: Array, count: int, ke
 
 @njit(cache=True)
 def candidates(
-    facets: FacetTable, images: Images, receivers: Array, blocks: Array, run: int, work: Array, state: Array,
-    out: Candidates,
-) -> tuple[int, int]:  # fmt: skip
+    facets: FacetTable, images: Images, receivers: Array, blocks: Array, run: int, out: Candidates
+) -> tuple[int, int]:
     """Write the specular points of all receivers (N, 3), in m; return their number, which may exceed the room, and the
     number of probes.
 
     `blocks`: sizes of the outer and the inner block of consecutive receivers; `run`: candidates of a facet that share
-    a probe; `work` (3, F): work space, its first row 0..F-1; `state` (2, F): zeros.
+    a probe.
     """
     table, side = facets.table, images.side
+    all_facets = np.arange(len(table))
+    of_outer, of_inner = np.empty_like(all_facets), np.empty_like(all_facets)
+    # Of each facet: how many candidates there were, and the place of the probe of the latest ones.
+    count, latest = np.zeros(len(table), np.int64), np.zeros(len(table), np.int64)
     total, probes = 0, 0
     for outer in range(0, len(receivers), blocks[0]):
         outer_stop = min(outer + blocks[0], len(receivers))
-        near = _cull(table, images, bounds(receivers, outer, outer_stop), work[0], len(table), work[1])
+        near = _cull(table, images, bounds(receivers, outer, outer_stop), all_facets, len(table), of_outer)
         for inner in range(outer, outer_stop, blocks[1]):
             inner_stop = min(inner + blocks[1], outer_stop)
-            nearer = _cull(table, images, bounds(receivers, inner, inner_stop), work[1], near, work[2])
+            nearer = _cull(table, images, bounds(receivers, inner, inner_stop), of_outer, near, of_inner)
             for r in range(inner, inner_stop):
                 x, y, z = receivers[r, 0], receivers[r, 1], receivers[r, 2]
                 for i in range(nearer):
-                    f = work[2, i]
+                    f = of_inner[i]
                     d, u, v = hit(facets, f, images.image, f, side[f], x, y, z)
                     if d < 0.0:
                         continue
@@ -207,12 +210,12 @@ def candidates(
                         out.pair[total, 0], out.pair[total, 1] = r, f
                         out.point[total, 0], out.point[total, 1], out.point[total, 2] = point_on(table, f, u, v)
                         out.reach[total] = max(0.0, 1.0 - facets.clearance[f] / d)
-                        if state[0, f] % run == 0:
-                            state[1, f] = probes
+                        if count[f] % run == 0:
+                            latest[f] = probes
                             out.probed[probes] = total
                             probes += 1
-                        state[0, f] += 1
-                        out.probe[total] = state[1, f]
+                        count[f] += 1
+                        out.probe[total] = latest[f]
                     total += 1
     return total, probes
 

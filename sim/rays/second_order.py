@@ -68,15 +68,13 @@ def double_reflections(
         room = found
     kept = _open_pairs(scene, transmitter, images, mirrored, pairs[:found])
     pairs, second = pairs[:found][kept], second[:found][kept]
-    work = np.empty((len(BLOCKS) + 1, len(pairs)), np.int64)
-    work[0] = np.arange(len(pairs))
     room = 64 * RECEIVERS_AT_ONCE
     pieces = [Found.of(np.empty(0, np.int64))]
     for begin in range(0, len(receivers), RECEIVERS_AT_ONCE):
         some = receivers[begin : begin + RECEIVERS_AT_ONCE]
         while True:
             hit, points = np.empty((room, 2), np.int64), np.empty((room, 2, 3))
-            total = second_kernel.second_candidates(facets, images, pairs, second, some, BLOCKS, work, hit, points)
+            total = second_kernel.second_candidates(facets, images, pairs, second, some, BLOCKS, hit, points)
             if total <= room:
                 break
             room = 2 * total

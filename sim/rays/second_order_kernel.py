@@ -164,17 +164,20 @@ def _cull(
 
 @njit(cache=True)
 def second_candidates(
-    facets: FacetTable, images: Images, pairs: Array, second: Array, receivers: Array, blocks: Array, work: Array,
-    found: Array, points: Array,
+    facets: FacetTable, images: Images, pairs: Array, second: Array, receivers: Array, blocks: Array, found: Array,
+    points: Array,
 ) -> int:  # fmt: skip
     """Write the double reflections of all receivers (N, 3), in m; return how many, which may exceed the room.
 
     `pairs` (P, 2) and `second` (P, 4) as `facet_pairs` writes them; `blocks` (B,): successive receivers that are culled
-    together, each a divisor of the one before; `work` (B + 1, P): work space, its first row 0..P-1. Written per
-    candidate: `found` (n, 2) receiver and pair, `points` (n, 2, 3) in m, from the transmitter on.
+    together, each a divisor of the one before. Written per candidate: `found` (n, 2) receiver and pair, `points`
+    (n, 2, 3) in m, from the transmitter on.
     """
     table = facets.table
+    # Of each level of blocks, the pairs that are left, and their number.
     near = np.full(len(blocks) + 1, len(pairs))
+    work = np.empty((len(blocks) + 1, len(pairs)), np.int64)
+    work[0] = np.arange(len(pairs))
     total = 0
     for begin in range(0, len(receivers), blocks[-1]):
         for level in range(len(blocks)):
