@@ -54,11 +54,9 @@ def edge_neighbours(triangles: Ints, group: Ints) -> tuple[Ints, Ints]:
         same = edge[order[:-step]] == edge[order[step:]]
         left.append(owner[order[:-step][same]])
         right.append(owner[order[step:][same]])
-    a = np.concatenate([*left, *right]) if left else np.empty(0, np.int64)
-    b = np.concatenate([*right, *left]) if left else np.empty(0, np.int64)
+    a, b = (np.concatenate([np.empty(0, np.int64), *ends]) for ends in ((*left, *right), (*right, *left)))
     by_owner = np.argsort(a, kind="stable")
-    first = np.searchsorted(a[by_owner], np.arange(count + 1)).astype(np.int64)
-    return first, b[by_owner].astype(np.int64)
+    return np.searchsorted(a[by_owner], np.arange(count + 1)).astype(np.int64), b[by_owner]
 
 
 def triangle_normals(corners: Floats) -> tuple[Floats, Floats]:

@@ -45,8 +45,11 @@ def columns(recording: Recording) -> list[np.ndarray]:
     ]  # fmt: skip
 
 
-def test_same_seed_same_recording(recording: Recording) -> None:
-    for one, other in zip(columns(recording), columns(simulate(small_world(), 1, 0)), strict=True):
+def test_provenance_makes_the_recording_again(recording: Recording) -> None:
+    told = json.loads(json.dumps(recording.provenance))
+    assert told["versions"]["cellslam"]
+    again = simulate(WorldConfig.model_validate(told["world"]), told["seed"], told["trial"])
+    for one, other in zip(columns(recording), columns(again), strict=True):
         np.testing.assert_array_equal(one, other)
 
 
@@ -74,19 +77,6 @@ def test_without_noise_the_truth_predicts_every_measurement() -> None:
     # Every path is measured on every link of its site: 2 cells x 2 ports.
     seen = truth.vts.visible
     assert len(m) == 4 * (seen[:, 2] - seen[:, 1] + 1).sum()
-
-
-def test_measuring_pose_by_pose_gives_the_recording(recording: Recording) -> None:
-    world = prepare(small_world(), 1, 0)
-    streams, m = world.streams(), recording.measurements
-    for t in range(150):
-        detections, _ = world.measure(world.drive.poses[t], world.drive.velocity[t], t, streams)
-        rows = slice(recording.rows[t], recording.rows[t + 1])
-        one = detections.measurements
-        np.testing.assert_array_equal(one.link, m.link[rows])
-        np.testing.assert_array_equal(one.snapshot, m.snapshot[rows])
-        for name in ("distance_m", "azimuth_rad", "elevation_rad", "snr_db"):
-            np.testing.assert_allclose(getattr(one, name), getattr(m, name)[rows], rtol=0.0, atol=1e-9)
 
 
 @pytest.mark.slow
@@ -156,13 +146,6 @@ def test_a_city_per_trial() -> None:
     one, two = prepare(world, 1, 0), prepare(world, 1, 1)
     assert one.scene.city.vertices.shape != two.scene.city.vertices.shape
     np.testing.assert_array_equal(one.scene.city.vertices, prepare(world, 1, 0).scene.city.vertices)
-
-
-def test_provenance_makes_the_recording_again(recording: Recording) -> None:
-    told = json.loads(json.dumps(recording.provenance))
-    assert told["versions"]["cellslam"]
-    again = simulate(WorldConfig.model_validate(told["world"]), told["seed"], told["trial"])
-    np.testing.assert_array_equal(again.measurements.distance_m, recording.measurements.distance_m)
 
 
 def test_visible_intervals_worked_example() -> None:

@@ -138,7 +138,7 @@ def _step(step: ET.Element) -> Floats:
     elif step.tag == "scale":
         matrix[:3, :3] = np.diag(vector)
     elif step.tag == "rotate":
-        matrix = rotation_matrix(np.radians(float(step.attrib["angle"])), vector)
+        matrix = rotation_matrix(np.radians(float(step.attrib["angle"])), vector)  # type: ignore[no-untyped-call]
     else:
         raise KeyError(step.tag)
     return matrix
