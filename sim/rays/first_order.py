@@ -2,14 +2,14 @@
 
 For a transmitter s, a receiver r, and a facet in the plane n . x = c with unit vectors e_u, e_v in the plane:
 
-    image               s' = s - 2 (n . s - c) n, the virtual transmitter      `tracing.images_of`
+    image               s' = s - 2 (n . s - c) n, the virtual transmitter       `tracing.images_of`
       in the plane      u_s = e_u . s, v_s = e_v . s, distance h = |n . s - c|  `facets_and_images`
-    same side           d = sign(n . s - c) (n . r - c) > 0                    `first_order_kernel.hit`
-    specular point      t = d / (h + d),   u = u_r + t (u_s - u_r), v alike    `first_order_kernel.hit`
-    on the facet        (u, v) in one of its triangles                         `first_order_kernel.inside`
+    same side           d = sign(n . s - c) (n . r - c) > 0                     `first_order_kernel.hit`
+    specular point      t = d / (h + d),   u = u_r + t (u_s - u_r), v alike     `first_order_kernel.hit`
+    on the facet        (u, v) in one of its triangles                          `first_order_kernel.inside`
     free                no triangle between r and the point, nor between the
-                        point and s; the last `clearance` is left out          `single_reflections`
-    length              |r - s'|, direction of arrival that of s' - r          `tracing._describe`
+                        point and s; the last `clearance` is left out           `single_reflections`
+    length              |r - s'|, direction of arrival that of s' - r           `tracing._describe`
 
 Facets are culled for whole blocks of receivers: where the block's box, projected from the image, misses the facet's
 (`first_order_kernel.reaches`), no receiver in it can have a path.
@@ -35,19 +35,18 @@ if TYPE_CHECKING:
 BLOCKS = np.array([512, 64])
 # One of so many successive candidates of a facet finds out what blocks it: mostly that blocks the others too.
 RUN = 16
-# A transmitter so near to a facet's plane has no image in it.
-LEAST_DISTANCE_M = 1e-6
 
 
 def facets_and_images(scene: Scene, transmitter: Floats, reflects: NDArray[np.bool_]) -> tuple[FacetTable, Images]:
     """Return the facets, and the transmitter (3,), in m, mirrored in those that reflect (F,), as kernels take them."""
-    from cellslam.sim.rays.first_order_kernel import FacetTable, Images
+    from cellslam.sim.rays.first_order_kernel import INSIDE_M, FacetTable, Images
 
-    table, (x, y, z) = scene.table, transmitter
-    distance = table[:, 0] * x + table[:, 1] * y + table[:, 2] * z - table[:, 3]
-    u, v = (table[:, k] * x + table[:, k + 1] * y + table[:, k + 2] * z for k in (4, 7))
-    side = np.where(reflects & (np.abs(distance) > LEAST_DISTANCE_M), np.where(distance > 0.0, 1.0, -1.0), 0.0)
-    images = Images(np.column_stack([u, v, np.abs(distance)]), side)
+    table, s = scene.table, transmitter
+    n_s, u_s, v_s = (table[:, k] * s[0] + table[:, k + 1] * s[1] + table[:, k + 2] * s[2] for k in (0, 4, 7))
+    before = n_s - table[:, 3]
+    h = np.abs(before)
+    side = np.where(reflects & (h > INSIDE_M), np.where(before > 0.0, 1.0, -1.0), 0.0)
+    images = Images(np.column_stack([u_s, v_s, h]), side)
     return FacetTable(table, scene.first, scene.outline, scene.clearance_m), images
 
 
