@@ -10,12 +10,19 @@ from cellslam.sim.city.assemble import assemble, cap, prism, walls
 from cellslam.sim.city.city import GROUND, City, Floats
 from cellslam.sim.city.city_config import ProceduralCityConfig
 from cellslam.sim.city.materials import THICKNESS_M, itu_material
-from cellslam.sim.city.procedural.blocks import blocks_between, closed_block, open_block
-from cellslam.sim.city.procedural.details import POLE_HEIGHT_M, SHOP_HEIGHT_M, pole_plans, with_bays
+from cellslam.sim.city.procedural.houses import (
+    POLE_HEIGHT_M,
+    blocks_between,
+    closed_block,
+    open_block,
+    pole_plans,
+    with_bays,
+)
 from cellslam.sim.city.procedural.street_network import street_network
 from cellslam.sim.errors import InputError
 
 GROUND_MARGIN_M = 300.0
+SHOP_HEIGHT_M = 4.0
 
 
 def generate(config: ProceduralCityConfig, rng: np.random.Generator) -> City:
