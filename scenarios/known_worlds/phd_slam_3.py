@@ -19,14 +19,13 @@ from cellslam.scenarios.known_worlds.known_world import (
     Entry,
     Figure,
     KnownWorld,
-    Returns,
-    columns,
     one_link_a_site,
     plane_truth,
+    shuffled,
 )
 from cellslam.sim.frames import mean_velocity, wrap_angle
 from cellslam.sim.randomness import Stream, stream
-from cellslam.sim.recording import Floats, OdometryModel, Recording, Sites
+from cellslam.sim.recording import Floats, Ints, Measurements, OdometryModel, Recording, Sites
 from cellslam.slam.model.measurement_model import predict
 
 STEPS, BLOCK = 4000, 100
@@ -92,7 +91,7 @@ def simulate(seed: int, trial: int) -> Recording:
     odometry = np.zeros((STEPS, 6))
     odometry[1:] = mean_velocity(poses[:-1], poses[1:], np.ones(STEPS - 1))
     odometry[1:] += ODOMETRY_STD * stream(seed, trial, Stream.ODOMETRY).standard_normal((STEPS - 1, 6))
-    table, vt = columns(_scans(poses, seed, trial), stream(seed, trial, Stream.RECEIVER))
+    table, vt = _scans(poses, seed, trial)
     none, site = np.zeros(6), np.zeros(len(LANDMARKS_M), np.int64)
     return Recording(
         time_s=np.arange(STEPS, dtype=np.float64), odometry=odometry,
@@ -103,7 +102,7 @@ def simulate(seed: int, trial: int) -> Recording:
     )  # fmt: skip
 
 
-def _scans(poses: Floats, seed: int, trial: int) -> Returns:
+def _scans(poses: Floats, seed: int, trial: int) -> tuple[Measurements, Ints]:
     whole = np.column_stack([LANDMARKS_M, np.zeros(len(LANDMARKS_M))])
     seen = predict(poses[:, None, :], whole[None])[..., :2]
     visible = (seen[..., 0] <= REACH_M) & (np.abs(seen[..., 1]) <= SPAN_RAD)
@@ -117,7 +116,8 @@ def _scans(poses: Floats, seed: int, trial: int) -> Returns:
     values[:, 0] = np.abs(values[:, 0])
     values[:, 1] = wrap_angle(values[:, 1])
     snapshot = np.concatenate([step, false])
-    return Returns(snapshot, np.zeros(len(snapshot), np.int64), np.append(vt, np.full(len(false), -1)), values)
+    link, all_vt = np.zeros(len(snapshot), np.int64), np.append(vt, np.full(len(false), -1))
+    return shuffled(snapshot, link, all_vt, values, stream(seed, trial, Stream.RECEIVER))
 
 
 # In a plane an elevation of zero counts as measured: densities have its factor.
