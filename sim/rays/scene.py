@@ -67,7 +67,7 @@ class Scene(Described):
 
     def unobstructed(self, origins: Floats, targets: Floats, reach: Floats) -> NDArray[np.bool_]:
         """Tell of rays (N, 3) -> (N, 3), centred coordinates in m, if their first `reach` (N,), 0 to 1, is free."""
-        return self._cast(origins, targets, reach, "OCCLUDED") == -1
+        return np.asarray(self._cast(origins, targets, reach, "OCCLUDED") == -1, np.bool_)
 
     def first_hits(self, origins: Floats, targets: Floats, reach: Floats) -> Ints:
         """Return the index of the triangle that each of these rays meets first within its `reach`, -1 none."""
