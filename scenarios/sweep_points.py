@@ -20,10 +20,9 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from cellslam.scenarios.estimator_options import Ask, Request, resolve
 from cellslam.scenarios.external_options import asking
-from cellslam.scenarios.keys import describe
+from cellslam.scenarios.keys import describe, validate
 from cellslam.scenarios.loading import load, preset_names
 from cellslam.scenarios.overrides import parse, parse_value, split
-from cellslam.scenarios.problems import validate
 from cellslam.scenarios.scenario import Scenario
 from cellslam.sim.errors import InputError
 from cellslam.slam.registry import expanded

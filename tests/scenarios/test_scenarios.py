@@ -10,8 +10,7 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from cellslam.scenarios import load, overrides
 from cellslam.scenarios.estimator_options import resolve, with_options
-from cellslam.scenarios.keys import describe, known_fields, nearest_key, unit_of
-from cellslam.scenarios.problems import validate
+from cellslam.scenarios.keys import describe, known_fields, nearest_key, unit_of, validate
 from cellslam.sim.errors import InputError
 
 PLACE = """
