@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from cellslam.sim.compiling import njit, part
+from cellslam.sim.compiling import lean, njit, part
 
 Array = NDArray[Any]
 INSIDE_M = 1e-6
@@ -61,7 +61,7 @@ class Candidates(NamedTuple):
     probed: Array
 
 
-@part
+@lean
 def shadow(row: Array, image: Any, side: float, box: Box) -> tuple[float, float, float, float]:
     """Return the window (low u, high u, low v, high v) in the plane of the facet `row` (14,) through which its `image`
     (u, v, distance) sees a box: all of the plane where the box crosses that, nothing where it lies behind.
@@ -86,14 +86,14 @@ def shadow(row: Array, image: Any, side: float, box: Box) -> tuple[float, float,
     return lu, hu, lv, hv
 
 
-@part
+@lean
 def reaches(row: Array, image: Array, side: float, box: Box) -> bool:
     """Tell whether a receiver in the box can see the image (3,) through the box of the facet `row` (14,)."""
     lu, hu, lv, hv = shadow(row, image, side, box)
     return overlaps(row, lu, hu, lv, hv)
 
 
-@part
+@lean
 def overlaps(row: Array, lu: float, hu: float, lv: float, hv: float) -> bool:
     """Tell whether a window of its plane overlaps the box of the facet `row` (14,), or is within a micrometre of it."""
     return bool(
@@ -101,7 +101,7 @@ def overlaps(row: Array, lu: float, hu: float, lv: float, hv: float) -> bool:
     )
 
 
-@part
+@lean
 def inside(outline: Array, start: int, stop: int, u: float, v: float) -> bool:
     """Tell whether (u, v) lies in one of the triangles `outline[start:stop]`, or within a micrometre of it."""
     for k in range(start, stop):
@@ -119,7 +119,7 @@ def inside(outline: Array, start: int, stop: int, u: float, v: float) -> bool:
     return False
 
 
-@part
+@lean
 def hit(
     facets: FacetTable, f: int, images: Array, i: int, side: float, x: float, y: float, z: float
 ) -> tuple[float, float, float]:
@@ -144,7 +144,7 @@ def hit(
     return d, u, v
 
 
-@part
+@lean
 def point_on(table: Array, f: int, u: float, v: float) -> tuple[float, float, float]:
     """Return the point of facet f at (u, v), in m."""
     x = u * table[f, 4] + v * table[f, 7] + table[f, 3] * table[f, 0]

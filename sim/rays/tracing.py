@@ -82,7 +82,9 @@ def _search(
     """Return the free paths of one transmitter over facets, centred coordinates."""
     pieces = [lines_of_sight(scene, transmitter, receivers)]
     if max_order >= 1:
-        pieces.append(single_reflections(scene, transmitter, receivers, np.isin(np.arange(len(reflects)), lit)))
+        seen = np.zeros(len(reflects), np.bool_)
+        seen[lit] = True
+        pieces.append(single_reflections(scene, transmitter, receivers, seen))
     if max_order >= 2:
         pieces.append(double_reflections(scene, transmitter, receivers, reflects, lit))
     return all_found(pieces)

@@ -76,7 +76,8 @@ def with_faults(odometry: Odometry, time_s: Floats, config: OdometryConfig, rng:
         step = np.where(time_s >= (at if config.gyro_step_s is None else time_s[0] + config.gyro_step_s), size, 0.0)
         velocity[1:, YAW] += step[1:]
         bias[:, YAW] += step
-    velocity[np.ix_(dropped, [FORWARD, YAW])] = np.nan
+    velocity[dropped, FORWARD] = np.nan
+    velocity[dropped, YAW] = np.nan
     return replace(odometry, velocity=velocity, bias=bias, slip=slip)
 
 
