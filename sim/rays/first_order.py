@@ -41,13 +41,13 @@ def facets_and_images(scene: Scene, transmitter: Floats, reflects: NDArray[np.bo
     """Return the facets, and the transmitter (3,), in m, mirrored in those that reflect (F,), as kernels take them."""
     from cellslam.sim.rays.first_order_kernel import INSIDE_M, FacetTable, Images
 
-    table, s = scene.table, transmitter
-    n_s, u_s, v_s = (table[:, k] * s[0] + table[:, k + 1] * s[1] + table[:, k + 2] * s[2] for k in (0, 4, 7))
-    before = n_s - table[:, 3]
+    planes, s = scene.planes, transmitter
+    n_s, u_s, v_s = (planes[k] * s[0] + planes[k + 1] * s[1] + planes[k + 2] * s[2] for k in (0, 4, 7))
+    before = n_s - planes[3]
     h = np.abs(before)
     side = np.where(reflects & (h > INSIDE_M), np.where(before > 0.0, 1.0, -1.0), 0.0)
     images = Images(np.column_stack([u_s, v_s, h]), side)
-    return FacetTable(table, scene.first, scene.outline, scene.clearance_m), images
+    return FacetTable(scene.table, scene.first, scene.outline, scene.clearance_m), images
 
 
 def lines_of_sight(scene: Scene, transmitter: Floats, receivers: Floats) -> Found:

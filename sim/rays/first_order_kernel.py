@@ -17,6 +17,7 @@ from cellslam.sim.compiling import lean, njit, part
 
 Array = NDArray[Any]
 INSIDE_M = 1e-6
+# What says forceinline is called in the innermost loops, where a call would cost more than what is done.
 
 
 class FacetTable(NamedTuple):
@@ -61,7 +62,7 @@ class Candidates(NamedTuple):
     probed: Array
 
 
-@lean
+@lean(forceinline=True)
 def shadow(row: Array, image: Any, side: float, box: Box) -> tuple[float, float, float, float]:
     """Return the window (low u, high u, low v, high v) in the plane of the facet `row` (14,) through which its `image`
     (u, v, distance) sees a box: all of the plane where the box crosses that, nothing where it lies behind.
@@ -93,7 +94,7 @@ def reaches(row: Array, image: Array, side: float, box: Box) -> bool:
     return overlaps(row, lu, hu, lv, hv)
 
 
-@lean
+@lean(forceinline=True)
 def overlaps(row: Array, lu: float, hu: float, lv: float, hv: float) -> bool:
     """Tell whether a window of its plane overlaps the box of the facet `row` (14,), or is within a micrometre of it."""
     return bool(
@@ -119,7 +120,7 @@ def inside(outline: Array, start: int, stop: int, u: float, v: float) -> bool:
     return False
 
 
-@lean
+@lean(forceinline=True)
 def hit(
     facets: FacetTable, f: int, images: Array, i: int, side: float, x: float, y: float, z: float
 ) -> tuple[float, float, float]:
