@@ -70,6 +70,11 @@ def attempt(path):
     return True
 
 
+@pytest.mark.parametrize("suffix", SUFFIXES)
+def test_sound_files_load(sound, suffix):
+    assert attempt(sound[0] / f"sample{suffix}")
+
+
 def damaged(data, rng):
     """Return `data` with some bytes changed, cut out or repeated; half the time numerals alone change."""
     out = bytearray(data)
@@ -94,7 +99,6 @@ def damaged(data, rng):
 @given(suffix=st.sampled_from(SUFFIXES), seed=st.integers(0, 2**63))
 def test_damaged_files_load_or_are_refused(sound, suffix, seed):
     folder, samples = sound
-    assert attempt(folder / f"sample{suffix}")
     path = folder / f"damaged{suffix}"
     path.write_bytes(damaged(samples[suffix], np.random.default_rng(seed)))
     event(f"{suffix} {'loaded' if attempt(path) else 'refused'}")
