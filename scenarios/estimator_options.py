@@ -12,8 +12,8 @@ from typing import TYPE_CHECKING, Any
 
 from pydantic import BaseModel, create_model
 
+from cellslam.scenarios.keys import validate
 from cellslam.scenarios.overrides import split
-from cellslam.scenarios.problems import validate
 from cellslam.sim.errors import InputError, unknown_name
 from cellslam.slam import registry
 

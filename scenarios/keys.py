@@ -1,37 +1,38 @@
-"""Every key of a configuration with its unit, range and meaning, read off the pydantic models themselves."""
+"""Every key of a configuration with its unit, range and meaning, read off the pydantic models themselves.
+
+`validate` makes models of tables, and tells in one clear line what is wrong with one.
+"""
 
 from __future__ import annotations
 
 import difflib
+import json
+import math
 import types
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, Literal, Union, get_args, get_origin
+from typing import Any, Literal, TypeVar, Union, get_args, get_origin
 
-from pydantic import BaseModel
+from pydantic import BaseModel, ValidationError
 from pydantic.fields import FieldInfo
+from pydantic_core import ErrorDetails
+
+from cellslam.sim.errors import InputError
 
 # Unit by the ending of a key, longest first.
 UNITS = {
-    "_m_per_sqrt_s": "m/sqrt(s)",
-    "_deg_per_sqrt_s": "deg/sqrt(s)",
-    "_deg_per_s_sqrt_s": "deg/s/sqrt(s)",
-    "_deg_per_mps2": "deg/(m/s2)",
-    "_rad_per_s": "rad/s",
-    "_deg_per_s": "deg/s",
-    "_percent": "%",
-    "_per_km": "1/km",
-    "_mps2": "m/s2",
-    "_mps": "m/s",
-    "_dbm": "dBm",
-    "_db": "dB",
-    "_deg": "deg",
-    "_rad": "rad",
-    "_hz": "Hz",
-    "_m2": "m2",
-    "_m": "m",
-    "_s": "s",
-}
+    "_m_per_sqrt_s": "m/sqrt(s)", "_deg_per_sqrt_s": "deg/sqrt(s)", "_deg_per_s_sqrt_s": "deg/s/sqrt(s)",
+    "_deg_per_mps2": "deg/(m/s2)", "_rad_per_s": "rad/s", "_deg_per_s": "deg/s", "_percent": "%", "_per_km": "1/km",
+    "_mps2": "m/s2", "_mps": "m/s", "_dbm": "dBm", "_db": "dB", "_deg": "deg", "_rad": "rad", "_hz": "Hz",
+    "_m2": "m2", "_m": "m", "_s": "s",
+}  # fmt: skip
+BOUNDS = {"gt": "above", "ge": "at least", "lt": "below", "le": "at most"}
+Suggest = Callable[[], Iterable[str]]
+Model = TypeVar("Model", bound=BaseModel)
+_EXPECTED = {
+    "bool": "true or false", "int": "an integer", "float": "a number", "string": "text in quotes",
+    "tuple": "a list [..., ...]", "list": "a list [..., ...]", "dict": "a table", "model": "a table",
+}  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -87,15 +88,12 @@ def unit_of(name: str) -> str:
 
 def allowed(field: FieldInfo) -> str:
     """Return the values that a field allows, in words: a range, a choice of names, or nothing known."""
-    bounds = {
-        kind: value
-        for item in field.metadata
-        for kind in ("ge", "gt", "le", "lt")
-        if (value := getattr(item, kind, None)) is not None
-    }
-    words = " or ".join(_choices(field.annotation))
-    span = _span(bounds)
-    return " or ".join(text for text in (span, words) if text)
+    found = ((kind, getattr(item, kind, None)) for item in field.metadata for kind in BOUNDS)
+    bounds = {kind: f"{value:g}" for kind, value in found if value is not None}
+    span = ", ".join(f"{word} {bounds[kind]}" for kind, word in BOUNDS.items() if kind in bounds)
+    if bounds.keys() == {"ge", "le"}:
+        span = f"{bounds['ge']} to {bounds['le']}"
+    return " or ".join(text for text in (span, *_choices(field.annotation)) if text)
 
 
 def nearest_key(given: str, known: Sequence[str]) -> str:
@@ -109,13 +107,6 @@ def nearest_key(given: str, known: Sequence[str]) -> str:
 
     best = max(known, key=likeness, default="")
     return best if best and likeness(best) >= 0.6 else ""
-
-
-def _span(bounds: Mapping[str, Any]) -> str:
-    if bounds.keys() == {"ge", "le"}:
-        return f"{bounds['ge']:g} to {bounds['le']:g}"
-    words = {"gt": "above", "ge": "at least", "lt": "below", "le": "at most"}
-    return ", ".join(f"{word} {bounds[kind]:g}" for kind, word in words.items() if kind in bounds)
 
 
 def _choices(annotation: Any, alone: bool = True) -> list[str]:
@@ -134,3 +125,98 @@ def models_in(annotation: Any) -> list[type[BaseModel]]:
     if isinstance(annotation, type) and not get_args(annotation):
         return [annotation] if issubclass(annotation, BaseModel) else []
     return [model for part in get_args(annotation) for model in models_in(part)]
+
+
+def validate(model: type[Model], data: Mapping[str, Any], prefix: str = "", suggest: Suggest = tuple) -> Model:
+    """Return `data` as a frozen `model`; only integers become floats, and lists tuples.
+
+    `prefix` stands before every key in messages, `suggest()` are further known keys. Raises InputError
+    with the key, the value given, the values allowed and, for an unknown key, the nearest known one.
+    """
+    _refuse_not_finite(data, prefix.rstrip("."))
+    try:
+        return model.model_validate_json(json.dumps(data, default=_plain), strict=True)
+    except ValidationError as error:
+        details = error.errors(include_url=False)
+        # An unknown key first, as a misspelled key may show as a missing one too.
+        told = next((d for d in details if d["type"] == "extra_forbidden"), details[0])
+        raise InputError(_line(told, model, data, prefix, suggest)) from error
+
+
+def _line(detail: ErrorDetails, model: type[BaseModel], data: Mapping[str, Any], prefix: str, suggest: Suggest) -> str:
+    fields = {f"{prefix}{key}": field for key, field in known_fields(model, data).items()}
+    key, value = _locate(detail["loc"], data, detail["type"] == "missing")
+    if detail["type"] == "extra_forbidden":
+        while isinstance(value, Mapping) and value:  # the first key of a whole table that is unknown
+            name, value = next(iter(value.items()))
+            key = f"{key}.{name}"
+        key = f"{prefix}{key}"
+        near = nearest_key(key, [*fields, *suggest()])
+        return f"unknown key '{key}'" + (f"; did you mean '{near}'?" if near else "")
+    if detail["type"].startswith("union_tag"):
+        return _tag_line(detail, f"{prefix}{key}")
+    key = f"{prefix}{key}".rstrip(".")
+    field = fields.get(key)
+    meaning = f" ({field.description})" if field is not None and field.description else ""
+    if detail["type"] == "missing":
+        return f"'{key}' is missing{meaning}"
+    problem = _problem(detail, field, unit_of(key))
+    if not key:
+        return problem
+    if isinstance(value, Mapping):
+        return f"{key}: {problem}"
+    shown = f"'{value}'" if isinstance(value, str) else json.dumps(value, default=str)
+    return f"{key} = {shown if len(shown) <= 60 else f'{shown[:57]}...'}: {problem}{meaning}"
+
+
+def _tag_line(detail: ErrorDetails, key: str) -> str:
+    context = detail.get("ctx", {})
+    name = f"{key}.{str(context.get('discriminator', '')).strip(chr(39))}"
+    if "tag" not in context:
+        return f"'{name}' is missing"
+    return f"{name} = '{context['tag']}': must be {str(context['expected_tags']).replace(', ', ' or ')}"
+
+
+def _problem(detail: ErrorDetails, field: FieldInfo | None, unit: str) -> str:
+    """Return what the value must be: its type where that is wrong, its range or choices where known."""
+    span = allowed(field) if field is not None else ""
+    for name, words in _EXPECTED.items():
+        if detail["type"].startswith(f"{name}_") and detail["type"].endswith(("_type", "_from_float")):
+            return f"must be {words}" if not span else f"must be {span if ' or ' in span else f'{words}, {span}'}"
+    if detail["type"] == "too_short":
+        return f"needs at least {detail['ctx']['min_length']} items, not {detail['ctx']['actual_length']}"
+    if span and detail["type"] != "value_error":
+        return f"must be {span}{f' {unit}' if unit else ''}"
+    text = " ".join(detail["msg"].removeprefix("Value error, ").split())
+    return text[:1].lower() + text[1:]
+
+
+def _locate(loc: tuple[int | str, ...], data: Any, missing: bool) -> tuple[str, Any]:
+    """Return the dotted key and the value at pydantic's `loc`, which also names union members and tags."""
+    parts: list[str] = []
+    for index, step in enumerate(loc):
+        if isinstance(data, Mapping) and step in data:
+            data = data[step]
+            parts.append(str(step))
+        elif isinstance(data, list | tuple) and isinstance(step, int) and step < len(data):
+            data = data[step]
+            parts.append(label(data, step))
+        elif missing and index == len(loc) - 1:
+            parts.append(str(step))
+    return ".".join(parts), data
+
+
+def _refuse_not_finite(value: Any, key: str) -> None:
+    if isinstance(value, Mapping):
+        for name, inner in value.items():
+            _refuse_not_finite(inner, f"{key}.{name}".lstrip("."))
+    elif isinstance(value, list | tuple):
+        for index, inner in enumerate(value):
+            _refuse_not_finite(inner, f"{key}.{label(inner, index)}")
+    elif isinstance(value, float) and not math.isfinite(value):
+        raise InputError(f"{key} = {value}: must be a finite number")
+
+
+def _plain(value: Any) -> Any:
+    """Return what JSON can hold for numpy scalars and arrays, paths, dates."""
+    return value.tolist() if hasattr(value, "tolist") else str(value)

@@ -10,8 +10,8 @@ from pathlib import Path
 from typing import Any
 
 from cellslam.scenarios.estimator_options import option_keys, stated
+from cellslam.scenarios.keys import validate
 from cellslam.scenarios.overrides import apply
-from cellslam.scenarios.problems import validate
 from cellslam.scenarios.scenario import Scenario
 from cellslam.sim.errors import InputError, unknown_name
 

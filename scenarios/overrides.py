@@ -64,25 +64,12 @@ def apply(data: Mapping[str, Any], overrides: Mapping[str, Any]) -> dict[str, An
             raise InputError(f"{key}: name the estimator and its key, as in estimator.fastslam.particles")
         place: Any = out
         for depth, part in enumerate(path):
-            place = _inside(place, part, ".".join(path[: depth + 1]))
-        _assign(place, last, value, key)
+            inside = ".".join(path[: depth + 1])
+            place = place[_index(place, part, inside)] if isinstance(place, list) else place.setdefault(part, {})
+            if not isinstance(place, dict | list):
+                raise InputError(f"{inside} is a single value ({place!r}), it has no keys")
+        place[_index(place, last, key) if isinstance(place, list) else last] = value
     return out
-
-
-def _inside(place: Any, part: str, key: str) -> Any:
-    if isinstance(place, list):
-        return place[_index(place, part, key)]
-    inner = place.setdefault(part, {})
-    if not isinstance(inner, dict | list):
-        raise InputError(f"{key} is a single value ({inner!r}), it has no keys")
-    return inner
-
-
-def _assign(place: Any, last: str, value: Any, key: str) -> None:
-    if isinstance(place, list):
-        place[_index(place, last, key)] = value
-    else:
-        place[last] = value
 
 
 def _index(items: list[Any], part: str, key: str) -> int:

@@ -20,10 +20,9 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from cellslam.scenarios.estimator_options import Ask, Request, resolve
 from cellslam.scenarios.external_options import asking
-from cellslam.scenarios.keys import describe
+from cellslam.scenarios.keys import describe, validate
 from cellslam.scenarios.loading import load, preset_names
 from cellslam.scenarios.overrides import parse, parse_value, split
-from cellslam.scenarios.problems import validate
 from cellslam.scenarios.scenario import Scenario
 from cellslam.sim.errors import InputError
 from cellslam.slam.registry import expanded
@@ -157,14 +156,9 @@ def from_tables(data: Mapping[str, Any], folder: Path = Path()) -> Sweep:
     if isinstance(latin, Mapping) and isinstance(latin.get("ranges"), Mapping):
         flat["latin"] = {**latin, "ranges": dict(_dotted(latin["ranges"], ends=("low", "high")))}
     config = validate(SweepFile, flat)
-    return Sweep(
-        _scenario_from(config.scenario, folder),
-        config.set,
-        tuple(_axes(config)),
-        config.estimators,
-        config.trials,
-        config.seed,
-    )
+    known = config.scenario in preset_names() or Path(config.scenario).is_absolute()
+    scenario = config.scenario if known else str(folder / config.scenario)
+    return Sweep(scenario, config.set, tuple(_axes(config)), config.estimators, config.trials, config.seed)
 
 
 def points(sweep: Sweep, estimators: Sequence[str]) -> tuple[Point, ...]:
@@ -177,57 +171,51 @@ def points(sweep: Sweep, estimators: Sequence[str]) -> tuple[Point, ...]:
     count = math.prod(len(axis) for axis in sweep.axes)
     if not 0 < count <= MOST_POINTS:
         raise InputError(f"the sweep has {count} points: must be 1 to {MOST_POINTS}")
-    with asking() as ask:
-        return tuple(_points(sweep, estimators, ask))
-
-
-def _points(sweep: Sweep, estimators: Sequence[str], ask: Ask) -> Iterator[Point]:
     # Points that differ in the world alone have the same requests; resolving them looks through all installed packages.
     known: dict[str, tuple[Request, ...]] = {}
-    for combination in itertools.product(*_completed(sweep, estimators, ask)):
-        settings = {key: value for setting in combination for key, value in setting.items()}
-        overrides = {**sweep.overrides, **settings}
-        scenario = load(sweep.scenario, overrides)
-        options = json.dumps(scenario.estimator, sort_keys=True)
-        if options not in known:
-            known[options] = resolve(scenario.estimator, estimators, overrides, ask)
-        yield Point(settings, scenario, known[options])
+    out = []
+    with asking() as ask:
+        for combination in itertools.product(*_completed(sweep, estimators, ask)):
+            settings = {key: value for setting in combination for key, value in setting.items()}
+            overrides = {**sweep.overrides, **settings}
+            scenario = load(sweep.scenario, overrides)
+            options = json.dumps(scenario.estimator, sort_keys=True)
+            if options not in known:
+                known[options] = resolve(scenario.estimator, estimators, overrides, ask)
+            out.append(Point(settings, scenario, known[options]))
+    return tuple(out)
 
 
 def _check_keys(sweep: Sweep, estimators: Sequence[str]) -> None:
-    owners = [{key for setting in axis for key in setting} for axis in sweep.axes]
-    for i, keys in enumerate(owners):
+    seen: set[str] = set()
+    for axis in sweep.axes:
+        keys = {key for setting in axis for key in setting}
         for key in sorted(keys):
             if key in sweep.overrides:
                 raise InputError(f"{key} is swept, and set to {sweep.overrides[key]!r} as well: keep one of the two")
-            if any(key in other for other in owners[:i]):
+            if key in seen:
                 raise InputError(f"{key} is swept twice: write all its values once")
             name = split(key)[1] if key.startswith("estimator.") else None
             if name is not None and name not in estimators:
                 raise InputError(f"{key} is swept, but '{name}' is not among the estimators ({', '.join(estimators)})")
+        seen |= keys
 
 
 def _completed(sweep: Sweep, estimators: Sequence[str], ask: Ask) -> Iterator[Axis]:
     """Yield the axes; where a setting of a list leaves out a key of another, the scenario's own value stands."""
-    values: dict[str, Any] | None = None
+    values: dict[str, Any] = {}
     for axis in sweep.axes:
-        keys = tuple(dict.fromkeys(key for setting in axis for key in setting))
-        if all(len(setting) == len(keys) for setting in axis):
-            yield axis
-            continue
-        if values is None:
-            values = _values_of(load(sweep.scenario, sweep.overrides), estimators, ask)
-        own = {key: values[key] for key in keys if key in values}
+        keys = dict.fromkeys(key for setting in axis for key in setting)
+        complete = all(len(setting) == len(keys) for setting in axis)
+        if not complete and not values:
+            scenario = load(sweep.scenario, sweep.overrides)
+            described = [*describe(scenario)]
+            for request in resolve(scenario.estimator, estimators, ask=ask):
+                if request.options is not None:
+                    described += describe(request.options, f"estimator.{request.name}.")
+            values = {key.name: key.value for key in described}
+        own = {} if complete else {key: values[key] for key in keys if key in values}
         yield tuple({**own, **setting} for setting in axis)
-
-
-def _values_of(scenario: Scenario, estimators: Sequence[str], ask: Ask) -> dict[str, Any]:
-    """Return the value of every key of a scenario, options of the estimators included."""
-    found = {key.name: key.value for key in describe(scenario)}
-    for request in resolve(scenario.estimator, estimators, ask=ask):
-        if request.options is not None:
-            found |= {key.name: key.value for key in describe(request.options, f"estimator.{request.name}.")}
-    return found
 
 
 def _axes(config: SweepFile) -> Iterator[Axis]:
@@ -254,10 +242,6 @@ def _dotted(table: Mapping[str, Any], ends: Sequence[str] = (), prefix: str = ""
             yield from _dotted(value, ends, f"{prefix}{name}.")
         else:
             yield f"{prefix}{name}", value
-
-
-def _scenario_from(name: str, folder: Path) -> str:
-    return name if name in preset_names() or Path(name).is_absolute() else str(folder / name)
 
 
 def _within(span: Range, share: float) -> float | int:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sized
+from collections.abc import Mapping, Sized
 from dataclasses import fields
 from typing import Any
 
@@ -13,13 +13,9 @@ class Described:
     """Base of data classes (declared with `repr=False`) whose `repr` tells the shape of each array."""
 
     def __repr__(self) -> str:
-        return f"{type(self).__name__}({', '.join(self._parts())})"
-
-    def _parts(self) -> Iterator[str]:
-        for one in fields(self):  # type: ignore[arg-type]
-            value = getattr(self, one.name)
-            if value is not None:
-                yield f"{one.name}={described(value)}"
+        values = ((one.name, getattr(self, one.name)) for one in fields(self))  # type: ignore[arg-type]
+        parts = [f"{name}={described(value)}" for name, value in values if value is not None]
+        return f"{type(self).__name__}({', '.join(parts)})"
 
 
 def described(value: Any) -> str:

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 from cellslam.benchmarks.scores.metrics import ROW_KEYS
 from cellslam.benchmarks.sweeps.store import reading, stored_columns
 from cellslam.scenarios.keys import label, nearest_key
-from cellslam.scenarios.map_config import MapConfig
+from cellslam.scenarios.scenario import MapConfig
 from cellslam.sim.errors import InputError
 
 if TYPE_CHECKING:

@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from cellslam.scenarios.estimator_options import Request, broken, external_request, loaded
-from cellslam.scenarios.map_config import MapConfig
+from cellslam.scenarios.scenario import MapConfig
 from cellslam.scenarios.sweep_points import Point
 from cellslam.sim.errors import InputError
 from cellslam.sim.world import KEPT_SCENES, WorldConfig

@@ -16,8 +16,7 @@ from typing import TYPE_CHECKING, Any
 
 from cellslam.benchmarks.trials.estimation import estimate, warm_up
 from cellslam.scenarios.estimator_options import Request
-from cellslam.scenarios.map_config import MapConfig
-from cellslam.scenarios.scenario import Scenario
+from cellslam.scenarios.scenario import MapConfig, Scenario
 from cellslam.scenarios.simulation import simulate
 from cellslam.sim.errors import InputError
 from cellslam.sim.progress import Progress, silent

@@ -24,8 +24,7 @@ from cellslam.benchmarks.trials.earlier_drives import Before
 from cellslam.benchmarks.trials.estimation import estimate, warm_up
 from cellslam.benchmarks.trials.failures import ExternalError, LostError, details, explained
 from cellslam.scenarios.estimator_options import Request
-from cellslam.scenarios.map_config import MapConfig
-from cellslam.scenarios.scenario import Scenario
+from cellslam.scenarios.scenario import MapConfig, Scenario
 from cellslam.scenarios.simulation import simulate
 from cellslam.sim.described import Described
 from cellslam.sim.errors import InputError

@@ -18,13 +18,12 @@ from cellslam.scenarios.known_worlds.known_world import (
     Entry,
     Figure,
     KnownWorld,
-    Returns,
-    columns,
     one_link_a_site,
     plane_truth,
+    shuffled,
 )
 from cellslam.sim.randomness import Stream, stream
-from cellslam.sim.recording import Floats, OdometryModel, Recording, Sites
+from cellslam.sim.recording import Floats, Ints, Measurements, OdometryModel, Recording, Sites
 
 STEPS, STEP_M = 900, 0.01
 DETECTION, CLUTTER, REACH_M = 0.95, 1.0, 30.0
@@ -64,7 +63,7 @@ def simulate(seed: int, trial: int) -> Recording:
     odometry[0] = 0.0
     plane = np.array([1.0, 1.0, 0.0, 0.0, 0.0, 0.0])
     model = OdometryModel(nothing, START_SPEED_MPS / math.sqrt(3.0) * plane, ACCELERATION_MPS2 * plane, nothing)
-    table, vt = columns(_ranges(poses, seed, trial), stream(seed, trial, Stream.RECEIVER))
+    table, vt = _ranges(poses, seed, trial)
     return Recording(
         time_s=np.arange(STEPS, dtype=np.float64), odometry=odometry, odometry_model=model, links=one_link_a_site(2),
         sites=Sites(("1", "2"), np.zeros(2), np.zeros(2), position_m=np.column_stack([ANCHORS_M, np.zeros(2)])),
@@ -74,7 +73,7 @@ def simulate(seed: int, trial: int) -> Recording:
     )  # fmt: skip
 
 
-def _ranges(poses: Floats, seed: int, trial: int) -> Returns:
+def _ranges(poses: Floats, seed: int, trial: int) -> tuple[Measurements, Ints]:
     distance = np.linalg.norm(poses[1:, None, :2] - FEATURES_M, axis=-1)
     found = stream(seed, trial, Stream.DETECTION).random(distance.shape) < DETECTION
     step, vt = np.nonzero(found)
@@ -83,10 +82,9 @@ def _ranges(poses: Floats, seed: int, trial: int) -> Returns:
     number = clutter.poisson(CLUTTER, (STEPS - 1, 2))
     at, link = (np.repeat(index.ravel(), number.ravel()) for index in np.indices(number.shape))
     values = np.concatenate([np.abs(measured), REACH_M * clutter.random(len(at))])
-    return Returns(
-        1 + np.append(step, at), np.append(SITE[vt], link), np.append(vt, np.full(len(at), -1)),
-        np.column_stack([values, np.full(len(values), np.nan)]),
-    )  # fmt: skip
+    both = np.column_stack([values, np.full(len(values), np.nan)])
+    all_vt, rng = np.append(vt, np.full(len(at), -1)), stream(seed, trial, Stream.RECEIVER)
+    return shuffled(1 + np.append(step, at), np.append(SITE[vt], link), all_vt, both, rng)
 
 
 # In a plane an elevation of zero counts as measured: densities have its factor. That of an azimuth that is missing is

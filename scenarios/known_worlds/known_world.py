@@ -67,25 +67,15 @@ class KnownWorld:
     city: Callable[[int, int], City | None] | None = None
 
 
-@dataclass(frozen=True)
-class Returns:
-    """Measurements before they are sorted: snapshot, link, VT (-1: clutter) and values (M, 2) of distance (m) and
-    azimuth (rad, NaN where not measured)."""
-
-    snapshot: Ints
-    link: Ints
-    vt: Ints
-    values: Floats
-
-
-def columns(returns: Returns, rng: np.random.Generator) -> tuple[Measurements, Ints]:
-    """Return the table of measurements, within a snapshot and link in random order, and the VT (M,) of each row."""
-    r = returns
-    order = np.lexsort((rng.random(len(r.snapshot)), r.link, r.snapshot))
+def shuffled(
+    snapshot: Ints, link: Ints, vt: Ints, values: Floats, rng: np.random.Generator
+) -> tuple[Measurements, Ints]:
+    """Return the table of measurements, within a snapshot and link in random order, and the VT (M,) of each row, -1
+    clutter; of values (M, 2) of distance (m) and azimuth (rad, NaN where not measured)."""
+    order = np.lexsort((rng.random(len(snapshot)), link, snapshot))
     nothing = np.full(len(order), np.nan)
-    distance_m, azimuth_rad = r.values[order].T.copy()
-    table = Measurements(r.snapshot[order], r.link[order], distance_m, azimuth_rad, nothing, nothing)
-    return table, r.vt[order]
+    distance_m, azimuth_rad = values[order].T.copy()
+    return Measurements(snapshot[order], link[order], distance_m, azimuth_rad, nothing, nothing), vt[order]
 
 
 def plane_truth(poses: Floats, vts_m: Floats, site: Ints, vt: Ints, std: Floats) -> Truth:

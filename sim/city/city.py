@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -100,19 +100,3 @@ class City(Described):
     def bounds(self) -> Floats:
         """Lower and upper corner (2, 3) of all vertices, in metres."""
         return np.stack([self.vertices.min(axis=0), self.vertices.max(axis=0)])
-
-    def facet_triangles(self, facet: int) -> Floats:
-        """Return the corners (k, 3, 3) of the triangles of one facet, in m."""
-        return np.asarray(self.vertices[self.triangles[self.triangle_facet == facet]], np.float64)
-
-    def buildings_at(self, points_m: Any) -> Ints:
-        """Return for horizontal points (N, 2) the index of a building whose footprint holds it, or -1."""
-        from shapely import STRtree
-        from shapely import points as make_points
-
-        where = np.atleast_2d(np.asarray(points_m, np.float64))[:, :2]
-        found = np.full(len(where), -1, np.int64)
-        if self.footprints:
-            point, building = STRtree(self.footprints).query(make_points(where), predicate="within")
-            found[point] = building
-        return found

@@ -11,10 +11,7 @@ class _Config(BaseModel):
     model_config = ConfigDict(frozen=True, extra="forbid")
 
     roughness_m: float = Field(
-        0.002,
-        ge=0.0,
-        le=0.1,
-        description="standard deviation of the wall surfaces' height; costs reflected power",
+        0.002, ge=0.0, le=0.1, description="standard deviation of the wall surfaces' height; costs reflected power"
     )
     max_order: int = Field(
         1, ge=1, le=2, description="reflections that a path may have; 2 takes seconds to minutes per site"

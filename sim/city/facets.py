@@ -13,8 +13,6 @@ SLIVER_M = 1e-6
 
 def weld(vertices: Floats, part: Ints, tolerance_m: float = WELD_M) -> Ints:
     """Return labels (V,) of vertices (V, 3) of object `part` (V,): close ones of one object share theirs."""
-    from scipy.sparse import coo_matrix
-    from scipy.sparse.csgraph import connected_components
     from scipy.spatial import cKDTree
 
     # Objects are set apart in a fourth dimension; exact copies go first, or pairs among them would explode.
@@ -23,9 +21,16 @@ def weld(vertices: Floats, part: Ints, tolerance_m: float = WELD_M) -> Ints:
         np.round(spread / (tolerance_m * 1e-2)), axis=0, return_index=True, return_inverse=True
     )
     pairs = cKDTree(spread[unique]).query_pairs(tolerance_m, output_type="ndarray")
-    links = coo_matrix((np.ones(len(pairs), np.int8), (pairs[:, 0], pairs[:, 1])), shape=(len(unique), len(unique)))
-    _, label = connected_components(links, directed=False)
-    return np.asarray(label, np.int64)[inverse.ravel()]
+    return connected(pairs, len(unique))[inverse.ravel()]
+
+
+def connected(pairs: Ints, count: int) -> Ints:
+    """Return a label (count,) for each of so many items: those that pairs (P, 2) of them connect share theirs."""
+    from scipy.sparse import coo_matrix
+    from scipy.sparse.csgraph import connected_components
+
+    links = coo_matrix((np.ones(len(pairs), np.int8), (pairs[:, 0], pairs[:, 1])), shape=(count, count))
+    return np.asarray(connected_components(links, directed=False)[1], np.int64)
 
 
 def edge_neighbours(triangles: Ints, group: Ints) -> tuple[Ints, Ints]:
@@ -49,11 +54,9 @@ def edge_neighbours(triangles: Ints, group: Ints) -> tuple[Ints, Ints]:
         same = edge[order[:-step]] == edge[order[step:]]
         left.append(owner[order[:-step][same]])
         right.append(owner[order[step:][same]])
-    a = np.concatenate([*left, *right]) if left else np.empty(0, np.int64)
-    b = np.concatenate([*right, *left]) if left else np.empty(0, np.int64)
+    a, b = (np.concatenate([np.empty(0, np.int64), *ends]) for ends in ((*left, *right), (*right, *left)))
     by_owner = np.argsort(a, kind="stable")
-    first = np.searchsorted(a[by_owner], np.arange(count + 1)).astype(np.int64)
-    return first, b[by_owner].astype(np.int64)
+    return np.searchsorted(a[by_owner], np.arange(count + 1)).astype(np.int64), b[by_owner]
 
 
 def triangle_normals(corners: Floats) -> tuple[Floats, Floats]:
@@ -68,12 +71,7 @@ def triangle_normals(corners: Floats) -> tuple[Floats, Floats]:
 
 
 def merge_facets(
-    vertices: Floats,
-    triangles: Ints,
-    part: Ints,
-    material: Ints,
-    building: Ints,
-    tolerances: Tolerances,
+    vertices: Floats, triangles: Ints, part: Ints, material: Ints, building: Ints, tolerances: Tolerances
 ) -> tuple[Ints, Facets]:
     """Return (triangle_facet (K,), facets) of triangles that touch, lie in one plane and belong together.
 
@@ -93,29 +91,15 @@ def merge_facets(
     # Rounded areas: the order must not hang on the last bit, which a translation of the city would change.
     seeds = np.argsort(-np.round(area, 6), kind="stable")
     count = grow_facets(
-        seeds,
-        corners,
-        normals,
-        first,
-        neighbours,
-        tolerances.plane_m,
-        np.cos(np.radians(tolerances.angle_deg)),
-        label,
+        seeds, corners, normals, first, neighbours, tolerances.plane_m, np.cos(np.radians(tolerances.angle_deg)), label
     )
     return label, _fit(vertices.mean(axis=0), corners, normals, area, label, count, seeds, material, building)
 
 
 def _fit(
-    origin: Floats,
-    corners: Floats,
-    normals: Floats,
-    area: Floats,
-    label: Ints,
-    count: int,
-    seeds: Ints,
-    material: Ints,
-    building: Ints,
-) -> Facets:
+    origin: Floats, corners: Floats, normals: Floats, area: Floats, label: Ints, count: int, seeds: Ints,
+    material: Ints, building: Ints,
+) -> Facets:  # fmt: skip
     """Fit each facet's plane: area-weighted mean of its triangles' normals and centroids."""
     reverse = seeds[::-1]
     seed = np.empty(count, np.int64)

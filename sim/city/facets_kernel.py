@@ -9,16 +9,10 @@ from cellslam.sim.compiling import njit
 
 
 @njit(cache=True)
-def grow_facets(  # type: ignore[no-untyped-def]
-    seeds: Ints,
-    corners: Floats,
-    normals: Floats,
-    first: Ints,
-    neighbours: Ints,
-    distance_tolerance_m: float,
-    cos_tolerance: float,
-    label: Ints,
-):
+def grow_facets(
+    seeds: Ints, corners: Floats, normals: Floats, first: Ints, neighbours: Ints, distance_tolerance_m: float,
+    cos_tolerance: float, label: Ints,
+) -> int:  # fmt: skip
     """Write into `label` (K,) the facet of each triangle and return the number of facets.
 
     `seeds` (K,) orders the triangles, largest first; `corners` (K, 3, 3) in m; `normals` (K, 3); triangle k

@@ -25,13 +25,12 @@ ITU_P2040: dict[str, tuple[float, float, float, float]] = {
 }
 
 # Walls as they are usually built; None: so thick that nothing comes back from the far side.
-THICKNESS_M: dict[str, float | None] = {
-    "concrete": 0.25,
-    "brick": 0.30,
-    "glass": 0.012,
-    "metal": None,
-    "wood": 0.10,
-}
+THICKNESS_M: dict[str, float | None] = {"concrete": 0.25, "brick": 0.30, "glass": 0.012, "metal": None, "wood": 0.10}
+
+
+def itu_name(name: str) -> str:
+    """Return the name of a material in the table, of what files call it: `mat-itu_brick`."""
+    return name.removeprefix("mat-").removeprefix("itu_").removeprefix("itu-")
 
 
 def itu_material(name: str, thickness_m: float | None = None, roughness_m: float = 0.0) -> Material:

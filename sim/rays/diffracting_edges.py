@@ -5,7 +5,7 @@ Source: own derivation; what is computed at them, ITU-R P.526-15, section 4.1 (d
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -67,7 +67,8 @@ def find_edges(city: City, origin_m: Floats) -> Edges:
     begin = np.flatnonzero(new)
     count = np.diff(np.r_[begin, len(rim)])
     edges = _edges(city, origin_m, ends, third, np.repeat(facet, 3), rim, begin[count <= 2], count[count <= 2])
-    return _take(edges, _diffracts(city, origin_m, edges))
+    kept = _diffracts(city, origin_m, edges)
+    return Edges(*(getattr(edges, column.name)[kept] for column in fields(Edges)))
 
 
 def _edges(
@@ -106,7 +107,3 @@ def _diffracts(city: City, origin_m: Floats, edges: Edges) -> NDArray[np.bool_]:
         rows = np.flatnonzero(kept & ~open_edge)
         kept[rows[enclosing(city, probe[rows]) != OUTSIDE]] = False
     return np.asarray(kept, np.bool_)
-
-
-def _take(edges: Edges, kept: NDArray[np.bool_]) -> Edges:
-    return Edges(edges.start[kept], edges.along[kept], edges.length_m[kept], edges.into[kept], edges.facets[kept])

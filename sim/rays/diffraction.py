@@ -10,8 +10,9 @@ from numpy.typing import ArrayLike, NDArray
 
 from cellslam.sim.city.city import Floats, Ints
 from cellslam.sim.rays.diffracting_edges import Edges
-from cellslam.sim.rays.first_order import BLOCKS, unobstructed
+from cellslam.sim.rays.first_order import BLOCKS
 from cellslam.sim.rays.gain import Complexes, polarisation_basis
+from cellslam.sim.rays.paths import Found
 from cellslam.sim.rays.scene import Scene
 
 LARGEST_NU = 7.0
@@ -35,24 +36,18 @@ def knife_edge(nu: ArrayLike) -> Complexes:
     return np.asarray(0.5 * (1.0 + 1j) * ((0.5 - c) - 1j * (0.5 - s)), np.complex128)
 
 
-def diffracted_paths(
-    scene: Scene, edges: Edges, transmitter: Floats, receivers: Floats, wavelength_m: float
-) -> tuple[Ints, Ints, Floats]:
-    """Return (receiver (P,), edge (P,), point (P, 3)) of all free paths over one edge, centred coordinates in m."""
-    from cellslam.sim.rays import diffraction_kernel as edge_kernel
+def diffracted_paths(scene: Scene, transmitter: Floats, receivers: Floats, wavelength_m: float) -> Found:
+    """Return all free paths over one edge to receivers (R, 3), centred coordinates in m."""
+    from cellslam.sim.rays.diffraction_kernel import diffractions
 
-    if not len(edges) or not len(receivers):
-        return np.empty(0, np.int64), np.empty(0, np.int64), np.empty((0, 3))
-    work = np.empty((3, len(edges)), np.int64)
-    work[0] = np.arange(len(edges))
+    edges = scene.edges
     most = LARGEST_NU**2 * wavelength_m / 4.0
     room = 64 * len(receivers) + 1024
     while True:
-        pair, position, excess = np.empty((room, 2), np.int64), np.empty(room), np.empty(room)
-        found = edge_kernel.diffractions(
-            edges.start, edges.along, edges.length_m, edges.into, transmitter, receivers, most, BLOCKS, work,
-            pair, position, excess,
-        )  # fmt: skip
+        pair, position = np.empty((room, 2), np.int64), np.empty(room)
+        found = diffractions(
+            edges.start, edges.along, edges.length_m, edges.into, transmitter, receivers, most, BLOCKS, pair, position
+        )
         if found <= room:
             break
         room = found
@@ -62,8 +57,8 @@ def diffracted_paths(
     for ends in (receivers[row], np.broadcast_to(transmitter, (found, 3))):
         distance = np.linalg.norm(point[rows] - ends[rows], axis=1)
         reach = np.maximum(1.0 - (EDGE_CLEARANCE_M + scene.clearance_m.min()) / np.maximum(distance, 1e-9), 0.0)
-        rows = rows[unobstructed(scene, ends[rows], point[rows], reach)]
-    return row[rows], edge[rows], point[rows]
+        rows = rows[scene.unobstructed(ends[rows], point[rows], reach)]
+    return Found.of(row[rows], points=point[rows, None], edge=edge[rows])
 
 
 def in_shadow(edges: Edges, edge: Ints, transmitter: Floats, receiver: Floats) -> NDArray[np.bool_]:

@@ -65,25 +65,26 @@ def _near(
 @njit(cache=True)
 def diffractions(
     start: Floats, along: Floats, length: Floats, into: Floats, t: Floats, receivers: Floats, most: float,
-    blocks: Ints, work: Ints, found: Ints, position: Floats, excess: Floats,
+    blocks: Ints, found: Ints, position: Floats,
 ) -> int:  # fmt: skip
-    """Write the candidates with at most `most` metres of excess: (receiver, edge) into found (P, 2), the position on
-    the edge and the excess length (P,) in m; return their number, which may exceed the room.
+    """Write the candidates with at most `most` metres of excess length: (receiver, edge) into found (P, 2), their
+    position on the edge (P,) in m; return their number, which may exceed the room.
 
     start (E, 3) in m, along (E, 3) unit vectors, length (E,) in m, into (E, 2, 3): of the edges; t (3,), receivers
-    (R, 3) in m; blocks: of how many receivers edges are culled together, at first and then (2,); work (3, E): scratch,
-    work[0] the edges to try. Both ends of a path lie outside the wedge of its edge.
+    (R, 3) in m; blocks: of how many receivers edges are culled together, at first and then (2,). Both ends of a path
+    lie outside the wedge of its edge.
     """
-    total = 0
+    total, every = 0, np.arange(len(start))
+    of_outer, of_inner = np.empty_like(every), np.empty_like(every)
     for outer in range(0, len(receivers), blocks[0]):
         outer_stop = min(outer + blocks[0], len(receivers))
-        near = _near(start, along, length, t, receivers, outer, outer_stop, work[0], len(start), most, work[1])
+        near = _near(start, along, length, t, receivers, outer, outer_stop, every, len(start), most, of_outer)
         for inner in range(outer, outer_stop, blocks[1]):
             stop = min(inner + blocks[1], outer_stop)
-            nearer = _near(start, along, length, t, receivers, inner, stop, work[1], near, most, work[2])
+            nearer = _near(start, along, length, t, receivers, inner, stop, of_outer, near, most, of_inner)
             for r in range(inner, stop):
                 for i in range(nearer):
-                    e = work[2, i]
+                    e = of_inner[i]
                     more, s = _excess(
                         start[e], along[e], length[e], t[0], t[1], t[2],
                         receivers[r, 0], receivers[r, 1], receivers[r, 2], False,
@@ -91,8 +92,7 @@ def diffractions(
                     if more > most or _within(into[e], start[e], t) or _within(into[e], start[e], receivers[r]):
                         continue
                     if total < len(found):
-                        found[total, 0], found[total, 1] = r, e
-                        position[total], excess[total] = s, more
+                        found[total, 0], found[total, 1], position[total] = r, e, s
                     total += 1
     return total
 

@@ -13,10 +13,11 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from cellslam.sim.compiling import njit, part
+from cellslam.sim.compiling import lean, njit, part
 
 Array = NDArray[Any]
 INSIDE_M = 1e-6
+# What says forceinline is called in the innermost loops, where a call would cost more than what is done.
 
 
 class FacetTable(NamedTuple):
@@ -61,31 +62,19 @@ class Candidates(NamedTuple):
     probed: Array
 
 
-@njit(cache=True)
-def mirror(table: Array, reflects: Array, transmitter: Array, images: Images) -> None:
-    """Write the images of a transmitter (3,), in m, in all facets of `table` (F, 14) that reflect (F,)."""
-    tx, ty, tz = transmitter[0], transmitter[1], transmitter[2]
-    for f in range(len(table)):
-        d = table[f, 0] * tx + table[f, 1] * ty + table[f, 2] * tz - table[f, 3]
-        images.image[f, 0] = table[f, 4] * tx + table[f, 5] * ty + table[f, 6] * tz
-        images.image[f, 1] = table[f, 7] * tx + table[f, 8] * ty + table[f, 9] * tz
-        images.image[f, 2] = abs(d)
-        images.side[f] = 0.0
-        if reflects[f] and abs(d) > INSIDE_M:
-            images.side[f] = 1.0 if d > 0.0 else -1.0
-
-
-@part
-def reaches(row: Array, image: Array, side: float, box: Box) -> bool:
-    """Tell whether a receiver in the box can see the image (3,) through the box of the facet `row` (14,)."""
+@lean(forceinline=True)
+def shadow(row: Array, image: Any, side: float, box: Box) -> tuple[float, float, float, float]:
+    """Return the window (low u, high u, low v, high v) in the plane of the facet `row` (14,) through which its `image`
+    (u, v, distance) sees a box: all of the plane where the box crosses that, nothing where it lies behind.
+    """
     middle = side * (row[0] * box.x + row[1] * box.y + row[2] * box.z - row[3])
     spread = abs(row[0]) * box.hx + abs(row[1]) * box.hy + abs(row[2]) * box.hz
-    if middle + spread <= 0.0:
-        return False
-    if middle - spread <= 0.0:
-        return True
-    # The box lies in front of the plane: its shadow there is the hull of its corners' projections.
     lu, hu, lv, hv = np.inf, -np.inf, np.inf, -np.inf
+    if middle + spread <= 0.0:
+        return lu, hu, lv, hv
+    if middle - spread <= 0.0:
+        return hu, lu, hv, lv
+    # The box lies in front of the plane: its shadow there is the hull of its corners' projections.
     for corner in range(8):
         x = box.x + (box.hx if corner & 1 else -box.hx)
         y = box.y + (box.hy if corner & 2 else -box.hy)
@@ -95,12 +84,25 @@ def reaches(row: Array, image: Array, side: float, box: Box) -> bool:
         u = image[0] + t * (row[4] * x + row[5] * y + row[6] * z - image[0])
         v = image[1] + t * (row[7] * x + row[8] * y + row[9] * z - image[1])
         lu, hu, lv, hv = min(lu, u), max(hu, u), min(lv, v), max(hv, v)
+    return lu, hu, lv, hv
+
+
+@lean
+def reaches(row: Array, image: Array, side: float, box: Box) -> bool:
+    """Tell whether a receiver in the box can see the image (3,) through the box of the facet `row` (14,)."""
+    lu, hu, lv, hv = shadow(row, image, side, box)
+    return overlaps(row, lu, hu, lv, hv)
+
+
+@lean(forceinline=True)
+def overlaps(row: Array, lu: float, hu: float, lv: float, hv: float) -> bool:
+    """Tell whether a window of its plane overlaps the box of the facet `row` (14,), or is within a micrometre of it."""
     return bool(
         hu >= row[10] - INSIDE_M and lu <= row[11] + INSIDE_M and hv >= row[12] - INSIDE_M and lv <= row[13] + INSIDE_M
     )
 
 
-@part
+@lean
 def inside(outline: Array, start: int, stop: int, u: float, v: float) -> bool:
     """Tell whether (u, v) lies in one of the triangles `outline[start:stop]`, or within a micrometre of it."""
     for k in range(start, stop):
@@ -116,6 +118,39 @@ def inside(outline: Array, start: int, stop: int, u: float, v: float) -> bool:
         ):
             return True
     return False
+
+
+@lean(forceinline=True)
+def hit(
+    facets: FacetTable, f: int, images: Array, i: int, side: float, x: float, y: float, z: float
+) -> tuple[float, float, float]:
+    """Return (d, u, v): distance of (x, y, z) from facet f, and where its line to the image `images[i]` meets the
+    facet; d < 0: it does not.
+    """
+    table = facets.table
+    d = side * (table[f, 0] * x + table[f, 1] * y + table[f, 2] * z - table[f, 3])
+    if d <= INSIDE_M:
+        return -1.0, 0.0, 0.0
+    t = d / (images[i, 2] + d)
+    ru = table[f, 4] * x + table[f, 5] * y + table[f, 6] * z
+    u = ru + t * (images[i, 0] - ru)
+    if u < table[f, 10] - INSIDE_M or u > table[f, 11] + INSIDE_M:
+        return -1.0, 0.0, 0.0
+    rv = table[f, 7] * x + table[f, 8] * y + table[f, 9] * z
+    v = rv + t * (images[i, 1] - rv)
+    if v < table[f, 12] - INSIDE_M or v > table[f, 13] + INSIDE_M:
+        return -1.0, 0.0, 0.0
+    if not inside(facets.outline, facets.first[f], facets.first[f + 1], u, v):
+        return -1.0, 0.0, 0.0
+    return d, u, v
+
+
+@lean
+def point_on(table: Array, f: int, u: float, v: float) -> tuple[float, float, float]:
+    """Return the point of facet f at (u, v), in m."""
+    x = u * table[f, 4] + v * table[f, 7] + table[f, 3] * table[f, 0]
+    y = u * table[f, 5] + v * table[f, 8] + table[f, 3] * table[f, 1]
+    return x, y, u * table[f, 6] + v * table[f, 9] + table[f, 3] * table[f, 2]
 
 
 @njit(cache=True)
@@ -145,55 +180,43 @@ def _cull(table: Array, images: Images, box: Box, members: Array, count: int, ke
 
 @njit(cache=True)
 def candidates(
-    facets: FacetTable, images: Images, receivers: Array, blocks: Array, run: int, work: Array, state: Array,
-    out: Candidates,
-) -> tuple[int, int]:  # fmt: skip
+    facets: FacetTable, images: Images, receivers: Array, blocks: Array, run: int, out: Candidates
+) -> tuple[int, int]:
     """Write the specular points of all receivers (N, 3), in m; return their number, which may exceed the room, and the
     number of probes.
 
     `blocks`: sizes of the outer and the inner block of consecutive receivers; `run`: candidates of a facet that share
-    a probe; `work` (3, F): work space, its first row 0..F-1; `state` (2, F): zeros.
+    a probe.
     """
-    table, image, side = facets.table, images.image, images.side
+    table, side = facets.table, images.side
+    all_facets = np.arange(len(table))
+    of_outer, of_inner = np.empty_like(all_facets), np.empty_like(all_facets)
+    # Of each facet: how many candidates there were, and the place of the probe of the latest ones.
+    count, latest = np.zeros(len(table), np.int64), np.zeros(len(table), np.int64)
     total, probes = 0, 0
     for outer in range(0, len(receivers), blocks[0]):
         outer_stop = min(outer + blocks[0], len(receivers))
-        near = _cull(table, images, bounds(receivers, outer, outer_stop), work[0], len(table), work[1])
+        near = _cull(table, images, bounds(receivers, outer, outer_stop), all_facets, len(table), of_outer)
         for inner in range(outer, outer_stop, blocks[1]):
             inner_stop = min(inner + blocks[1], outer_stop)
-            nearer = _cull(table, images, bounds(receivers, inner, inner_stop), work[1], near, work[2])
+            nearer = _cull(table, images, bounds(receivers, inner, inner_stop), of_outer, near, of_inner)
             for r in range(inner, inner_stop):
                 x, y, z = receivers[r, 0], receivers[r, 1], receivers[r, 2]
                 for i in range(nearer):
-                    f = work[2, i]
-                    d = side[f] * (table[f, 0] * x + table[f, 1] * y + table[f, 2] * z - table[f, 3])
-                    if d <= INSIDE_M:
-                        continue
-                    t = d / (image[f, 2] + d)
-                    ru = table[f, 4] * x + table[f, 5] * y + table[f, 6] * z
-                    u = ru + t * (image[f, 0] - ru)
-                    if u < table[f, 10] - INSIDE_M or u > table[f, 11] + INSIDE_M:
-                        continue
-                    rv = table[f, 7] * x + table[f, 8] * y + table[f, 9] * z
-                    v = rv + t * (image[f, 1] - rv)
-                    if v < table[f, 12] - INSIDE_M or v > table[f, 13] + INSIDE_M:
-                        continue
-                    if not inside(facets.outline, facets.first[f], facets.first[f + 1], u, v):
+                    f = of_inner[i]
+                    d, u, v = hit(facets, f, images.image, f, side[f], x, y, z)
+                    if d < 0.0:
                         continue
                     if total < len(out.pair):
-                        out.pair[total, 0] = r
-                        out.pair[total, 1] = f
-                        for axis in range(3):
-                            out.point[total, axis] = (
-                                u * table[f, 4 + axis] + v * table[f, 7 + axis] + table[f, 3] * table[f, axis]
-                            )
+                        out.pair[total, 0], out.pair[total, 1] = r, f
+                        out.point[total, 0], out.point[total, 1], out.point[total, 2] = point_on(table, f, u, v)
                         out.reach[total] = max(0.0, 1.0 - facets.clearance[f] / d)
-                        if state[0, f] % run == 0:
-                            state[1, f] = probes
+                        if count[f] % run == 0:
+                            latest[f] = probes
                             out.probed[probes] = total
                             probes += 1
-                        state[0, f] += 1
-                        out.probe[total] = state[1, f]
+                        count[f] += 1
+                        out.probe[total] = latest[f]
                     total += 1
     return total, probes
 

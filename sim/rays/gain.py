@@ -60,14 +60,9 @@ def polarisation_basis(direction: Floats) -> tuple[Floats, Floats]:
 
 
 def path_gain(
-    corners: Floats,
-    order: Ints,
-    facets: Ints,
-    normals: Floats,
-    material: Ints,
-    materials: Sequence[Material],
+    corners: Floats, order: Ints, facets: Ints, normals: Floats, material: Ints, materials: Sequence[Material],
     carrier_hz: float,
-) -> Complexes:
+) -> Complexes:  # fmt: skip
     """Return gain matrices (P, 2, 2) of paths with the corners (P, 4, 3) in m: transmitter, points, receiver.
 
     A path of order n uses its first n + 2 corners. `facets` (P, 2) index `normals` (F, 3) and `material`
@@ -93,14 +88,9 @@ def path_gain(
 
 
 def _reflect(
-    field: Complexes,
-    k_in: Floats,
-    k_out: Floats,
-    normal: Floats,
-    material: Ints,
-    materials: Sequence[Material],
+    field: Complexes, k_in: Floats, k_out: Floats, normal: Floats, material: Ints, materials: Sequence[Material],
     carrier_hz: float,
-) -> Complexes:
+) -> Complexes:  # fmt: skip
     """Return the field vectors (P, 3, 2) after a reflection from the direction k_in to k_out (P, 3)."""
     wavelength = SPEED_OF_LIGHT_MPS / carrier_hz
     eta = np.array([relative_permittivity(m, carrier_hz) for m in materials])[material]

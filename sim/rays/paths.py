@@ -25,7 +25,7 @@ class Paths(Described):
     """Paths (P,), sorted by receiver, transmitter, order, facets; world frame, isotropic antennas.
 
     `receiver`, `transmitter` index what was traced; `order` counts reflections, a diffraction being one more;
-    `facets` (P, 2), from the transmitter on, -1 none, -2 and below a vehicle (`sim/traffic/reflecting.py`); `edge`
+    `facets` (P, 2), from the transmitter on, -1 none, -2 and below a vehicle (`sim/traffic/obstacles.py`); `edge`
     (P,), the diffracting edge of `Scene.edges`, -1 none; `points_m` (P, 2, 3), the specular points, NaN none;
     `vt_position_m` (P, 3), the image from which the path seems to come (of a diffracted path it moves with the
     receiver); `length_m`; arrival angles as seen from the receiver towards the VT, departure angles as seen from the
@@ -77,6 +77,37 @@ class Paths(Described):
     def take(self, rows: NDArray[Any]) -> Paths:
         """Return the paths of an index (n,) or a mask (P,) over rows."""
         return replace(self, **{f.name: getattr(self, f.name)[rows] for f in fields(self)})
+
+
+@dataclass(frozen=True)
+class Found:
+    """Free paths (P,) of one transmitter, as the searches find them: the receiver's `row`, `facets` (P, 2) and
+    `points` (P, 2, 3) of up to two interactions in centred coordinates, the diffracting `edge`; -1 and NaN none.
+    """
+
+    row: Ints
+    facets: Ints
+    points: Floats
+    edge: Ints
+
+    @staticmethod
+    def of(row: Ints, facets: Ints | None = None, points: Floats | None = None, edge: Ints | None = None) -> Found:
+        """Return paths of up to two facets (P, n) and points (P, m, 3), in m; what is missing is filled up."""
+        both, where = np.full((len(row), 2), -1, np.int64), np.full((len(row), 2, 3), np.nan)
+        if facets is not None:
+            both[:, : facets.shape[1]] = facets
+        if points is not None:
+            where[:, : points.shape[1]] = points
+        return Found(row, both, where, np.full(len(row), -1, np.int64) if edge is None else edge)
+
+    def take(self, rows: NDArray[Any]) -> Found:
+        """Return the paths of an index (n,) over rows."""
+        return Found(self.row[rows], self.facets[rows], self.points[rows], self.edge[rows])
+
+
+def all_found(pieces: list[Found]) -> Found:
+    """Return the paths of all pieces."""
+    return Found(*(np.concatenate([getattr(piece, f.name) for piece in pieces]) for f in fields(Found)))
 
 
 def joined(pieces: list[Paths]) -> Paths:

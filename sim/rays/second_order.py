@@ -12,9 +12,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cellslam.sim.city.city import Floats, Ints
-from cellslam.sim.rays.first_order import unobstructed
-from cellslam.sim.rays.hidden_facets import HIDDEN_M, hidden
-from cellslam.sim.rays.scene import Scene
+from cellslam.sim.rays.first_order import facets_and_images
+from cellslam.sim.rays.paths import Found, all_found
+from cellslam.sim.rays.scene import HIDDEN_M, Scene
 
 if TYPE_CHECKING:
     from cellslam.sim.rays.first_order_kernel import Images
@@ -34,31 +34,28 @@ def _open_pairs(scene: Scene, transmitter: Floats, images: Images, mirrored: Flo
         rows = np.arange(begin, min(begin + PAIRS_AT_ONCE, len(pairs)))
         part, start, end = np.empty((3, len(rows), 4, 3))
         second_kernel.windows(scene.table, images, mirrored, pairs[rows], part, start, end)
-        kept[rows] = ~hidden(scene, np.broadcast_to(transmitter, part.shape), part)
+        kept[rows] = ~scene.hidden(np.broadcast_to(transmitter, part.shape), part)
         left = rows[kept[rows] & ~np.isnan(start[:, 0, 0])]
         start, end = start[left - begin], end[left - begin]
         away = end - start
         # The leg starts on the first facet: a centimetre further on, so as not to meet that.
         length = np.maximum(np.linalg.norm(away, axis=2, keepdims=True), HIDDEN_M)
-        kept[left] = ~hidden(scene, start + away * np.minimum(HIDDEN_M / length, 1.0), end)
+        kept[left] = ~scene.hidden(start + away * np.minimum(HIDDEN_M / length, 1.0), end)
     return kept
 
 
 def double_reflections(
     scene: Scene, transmitter: Floats, receivers: Floats, reflects: NDArray[np.bool_], lit: Ints
-) -> tuple[Ints, Ints, Floats]:
-    """Return (receiver (P,), facets (P, 2), points (P, 2, 3)) of all free second-order paths, centred, in m."""
-    from cellslam.sim.rays import first_order_kernel as kernel
+) -> Found:
+    """Return all free second-order paths to receivers (N, 3), centred, in m, over `lit` (L,) facets at first."""
     from cellslam.sim.rays import second_order_kernel as second_kernel
+    from cellslam.sim.rays.first_order_kernel import bounds
 
-    count = len(scene.table)
-    facets = kernel.FacetTable(scene.table, scene.first, scene.outline, scene.clearance_m)
-    images = kernel.Images(np.empty((count, 3)), np.empty(count))
-    kernel.mirror(scene.table, reflects, transmitter, images)
+    facets, images = facets_and_images(scene, transmitter, reflects)
     normal = scene.table[:, :3]
     mirrored = transmitter - 2.0 * (normal @ transmitter - scene.table[:, 3])[:, None] * normal
     order, groups = _neighbours(scene, reflects)
-    around = kernel.bounds(receivers, 0, len(receivers))
+    around = bounds(receivers, 0, len(receivers))
     room = 1 << 20
     while True:
         pairs, second = np.empty((room, 2), np.int64), np.empty((room, 4))
@@ -71,23 +68,20 @@ def double_reflections(
         room = found
     kept = _open_pairs(scene, transmitter, images, mirrored, pairs[:found])
     pairs, second = pairs[:found][kept], second[:found][kept]
-    work = np.empty((len(BLOCKS) + 1, len(pairs)), np.int64)
-    work[0] = np.arange(len(pairs))
     room = 64 * RECEIVERS_AT_ONCE
-    pieces = [(np.empty(0, np.int64), np.empty((0, 2), np.int64), np.empty((0, 2, 3)))]
+    pieces = [Found.of(np.empty(0, np.int64))]
     for begin in range(0, len(receivers), RECEIVERS_AT_ONCE):
         some = receivers[begin : begin + RECEIVERS_AT_ONCE]
         while True:
             hit, points = np.empty((room, 2), np.int64), np.empty((room, 2, 3))
-            total = second_kernel.second_candidates(facets, images, pairs, second, some, BLOCKS, work, hit, points)
+            total = second_kernel.second_candidates(facets, images, pairs, second, some, BLOCKS, hit, points)
             if total <= room:
                 break
             room = 2 * total
-        both, points = pairs[hit[:total, 1]], points[:total]
-        free = _free_paths(scene, transmitter, some[hit[:total, 0]], both, points)
-        pieces.append((hit[:total, 0][free] + begin, both[free], points[free]))
-    row, both, where = (np.concatenate(column) for column in zip(*pieces, strict=True))
-    return row, both, where
+        row, both = hit[:total, 0], pairs[hit[:total, 1]]
+        free = _free_paths(scene, transmitter, some[row], both, points[:total])
+        pieces.append(Found.of(row[free] + begin, both[free], points[free]))
+    return all_found(pieces)
 
 
 def _neighbours(scene: Scene, reflects: NDArray[np.bool_]) -> tuple[Ints, Floats]:
@@ -108,15 +102,15 @@ def _free_paths(scene: Scene, transmitter: Floats, receiver: Floats, facets: Int
     """Return the rows of which all three legs are free, the receiver's leg first: it kills most."""
     rows = np.arange(len(facets))
     share = _share(scene, facets[:, 1], receiver)
-    rows = rows[unobstructed(scene, receiver, points[:, 1], 1.0 - share)]
+    rows = rows[scene.unobstructed(receiver, points[:, 1], 1.0 - share)]
     start, end = points[rows, 1], points[rows, 0]
     leave, arrive = _share(scene, facets[rows, 1], end), _share(scene, facets[rows, 0], start)
     # The middle leg starts on a wall: it is cut at both ends.
     origin = start + leave[:, None] * (end - start)
     left = np.maximum((1.0 - leave - arrive) / np.maximum(1.0 - leave, 1e-9), 0.0)
-    rows = rows[unobstructed(scene, origin, end, left)]
+    rows = rows[scene.unobstructed(origin, end, left)]
     source = np.tile(transmitter, (len(rows), 1))
-    return rows[unobstructed(scene, source, points[rows, 0], 1.0 - _share(scene, facets[rows, 0], source))]
+    return rows[scene.unobstructed(source, points[rows, 0], 1.0 - _share(scene, facets[rows, 0], source))]
 
 
 def _share(scene: Scene, facet: Ints, origin: Floats) -> Floats:

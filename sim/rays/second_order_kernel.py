@@ -10,7 +10,19 @@ from typing import Any
 import numpy as np
 
 from cellslam.sim.compiling import njit, part
-from cellslam.sim.rays.first_order_kernel import INSIDE_M, Array, Box, FacetTable, Images, bounds, inside, reaches
+from cellslam.sim.rays.first_order_kernel import (
+    INSIDE_M,
+    Array,
+    Box,
+    FacetTable,
+    Images,
+    bounds,
+    hit,
+    overlaps,
+    point_on,
+    reaches,
+    shadow,
+)
 
 GROUP = 16  # facets that are culled together
 
@@ -23,22 +35,9 @@ def _beam_reaches(table: Array, images: Images, a: int, b: int, again: Any, box:
     from the first image onto facet a; each step can only be too large.
     """
     row = table[b]
-    middle = again[3] * (row[0] * box.x + row[1] * box.y + row[2] * box.z - row[3])
-    spread = abs(row[0]) * box.hx + abs(row[1]) * box.hy + abs(row[2]) * box.hz
-    if middle + spread <= 0.0:
-        return False
-    if middle - spread <= 0.0:
-        return True
-    lu, hu, lv, hv = np.inf, -np.inf, np.inf, -np.inf
-    for corner in range(8):
-        x = box.x + (box.hx if corner & 1 else -box.hx)
-        y = box.y + (box.hy if corner & 2 else -box.hy)
-        z = box.z + (box.hz if corner & 4 else -box.hz)
-        d = again[3] * (row[0] * x + row[1] * y + row[2] * z - row[3])
-        t = again[2] / (again[2] + d)
-        u = again[0] + t * (row[4] * x + row[5] * y + row[6] * z - again[0])
-        v = again[1] + t * (row[7] * x + row[8] * y + row[9] * z - again[1])
-        lu, hu, lv, hv = min(lu, u), max(hu, u), min(lv, v), max(hv, v)
+    lu, hu, lv, hv = shadow(row, again, again[3], box)
+    if lu == -np.inf:
+        return True  # the box crosses the plane of b
     lu, hu = max(lu, row[10]) - INSIDE_M, min(hu, row[11]) + INSIDE_M
     lv, hv = max(lv, row[12]) - INSIDE_M, min(hv, row[13]) + INSIDE_M
     if lu > hu or lv > hv:
@@ -49,9 +48,7 @@ def _beam_reaches(table: Array, images: Images, a: int, b: int, again: Any, box:
     for corner in range(4):
         u = hu if corner & 1 else lu
         v = hv if corner & 2 else lv
-        x = u * row[4] + v * row[7] + row[3] * row[0]
-        y = u * row[5] + v * row[8] + row[3] * row[1]
-        z = u * row[6] + v * row[9] + row[3] * row[2]
+        x, y, z = point_on(table, b, u, v)
         d = side * (other[0] * x + other[1] * y + other[2] * z - other[3])
         if d <= 0.0:
             behind += 1
@@ -62,12 +59,7 @@ def _beam_reaches(table: Array, images: Images, a: int, b: int, again: Any, box:
         lp, hp, lq, hq = min(lp, p), max(hp, p), min(lq, q), max(hq, q)
     if behind:
         return behind < 4  # where the window crosses the plane it is not projected
-    return bool(
-        hp >= other[10] - INSIDE_M
-        and lp <= other[11] + INSIDE_M
-        and hq >= other[12] - INSIDE_M
-        and lq <= other[13] + INSIDE_M
-    )
+    return overlaps(other, lp, hp, lq, hq)
 
 
 @njit(cache=True)
@@ -134,9 +126,8 @@ def windows(table: Array, images: Images, mirrored: Array, pairs: Array, part: A
         for corner in range(4):
             u = other[11] if corner == 1 or corner == 2 else other[10]
             v = other[13] if corner >= 2 else other[12]
-            for axis in range(3):
-                end[p, corner, axis] = u * other[4 + axis] + v * other[7 + axis] + other[3] * other[axis]
-            x, y, z = end[p, corner, 0], end[p, corner, 1], end[p, corner, 2]
+            x, y, z = point_on(table, b, u, v)
+            end[p, corner, 0], end[p, corner, 1], end[p, corner, 2] = x, y, z
             d = images.side[a] * (row[0] * x + row[1] * y + row[2] * z - row[3])
             if d <= INSIDE_M:
                 ahead = False
@@ -154,8 +145,7 @@ def windows(table: Array, images: Images, mirrored: Array, pairs: Array, part: A
         for corner in range(4):
             u = hu if corner == 1 or corner == 2 else lu
             v = hv if corner >= 2 else lv
-            for axis in range(3):
-                part[p, corner, axis] = u * row[4 + axis] + v * row[7 + axis] + row[3] * row[axis]
+            part[p, corner, 0], part[p, corner, 1], part[p, corner, 2] = point_on(table, a, u, v)
 
 
 @part
@@ -172,44 +162,22 @@ def _cull(
     return found
 
 
-@part
-def _hit(
-    facets: FacetTable, f: int, image: Array, side: float, x: float, y: float, z: float
-) -> tuple[float, float, float]:
-    """Return (d, u, v): distance of (x, y, z) from facet f, where its line to the image meets it; d < 0: none."""
-    row = facets.table[f]
-    d = side * (row[0] * x + row[1] * y + row[2] * z - row[3])
-    if d <= INSIDE_M:
-        return -1.0, 0.0, 0.0
-    t = d / (image[2] + d)
-    u = row[4] * x + row[5] * y + row[6] * z
-    u += t * (image[0] - u)
-    v = row[7] * x + row[8] * y + row[9] * z
-    v += t * (image[1] - v)
-    if (
-        u < row[10] - INSIDE_M
-        or u > row[11] + INSIDE_M
-        or v < row[12] - INSIDE_M
-        or v > row[13] + INSIDE_M
-        or not inside(facets.outline, facets.first[f], facets.first[f + 1], u, v)
-    ):
-        return -1.0, 0.0, 0.0
-    return d, u, v
-
-
 @njit(cache=True)
 def second_candidates(
-    facets: FacetTable, images: Images, pairs: Array, second: Array, receivers: Array, blocks: Array, work: Array,
-    found: Array, points: Array,
+    facets: FacetTable, images: Images, pairs: Array, second: Array, receivers: Array, blocks: Array, found: Array,
+    points: Array,
 ) -> int:  # fmt: skip
     """Write the double reflections of all receivers (N, 3), in m; return how many, which may exceed the room.
 
     `pairs` (P, 2) and `second` (P, 4) as `facet_pairs` writes them; `blocks` (B,): successive receivers that are culled
-    together, each a divisor of the one before; `work` (B + 1, P): work space, its first row 0..P-1. Written per
-    candidate: `found` (n, 2) receiver and pair, `points` (n, 2, 3) in m, from the transmitter on.
+    together, each a divisor of the one before. Written per candidate: `found` (n, 2) receiver and pair, `points`
+    (n, 2, 3) in m, from the transmitter on.
     """
     table = facets.table
+    # Of each level of blocks, the pairs that are left, and their number.
     near = np.full(len(blocks) + 1, len(pairs))
+    work = np.empty((len(blocks) + 1, len(pairs)), np.int64)
+    work[0] = np.arange(len(pairs))
     total = 0
     for begin in range(0, len(receivers), blocks[-1]):
         for level in range(len(blocks)):
@@ -219,22 +187,17 @@ def second_candidates(
         for r in range(begin, min(begin + blocks[-1], len(receivers))):
             for e in work[-1, : near[-1]]:
                 a, b = pairs[e, 0], pairs[e, 1]
-                row, again = table[b], second[e]
-                d, u, v = _hit(facets, b, again, again[3], receivers[r, 0], receivers[r, 1], receivers[r, 2])
+                x, y, z = receivers[r, 0], receivers[r, 1], receivers[r, 2]
+                d, u, v = hit(facets, b, second, e, second[e, 3], x, y, z)
                 if d < 0.0:
                     continue
-                x = u * row[4] + v * row[7] + row[3] * row[0]
-                y = u * row[5] + v * row[8] + row[3] * row[1]
-                z = u * row[6] + v * row[9] + row[3] * row[2]
-                row = table[a]
-                d, u, v = _hit(facets, a, images.image[a], images.side[a], x, y, z)
+                x, y, z = point_on(table, b, u, v)
+                d, u, v = hit(facets, a, images.image, a, images.side[a], x, y, z)
                 if d < 0.0:
                     continue
                 if total < len(found):
-                    found[total, 0] = r
-                    found[total, 1] = e
-                    for axis in range(3):
-                        points[total, 0, axis] = u * row[4 + axis] + v * row[7 + axis] + row[3] * row[axis]
+                    found[total, 0], found[total, 1] = r, e
+                    points[total, 0, 0], points[total, 0, 1], points[total, 0, 2] = point_on(table, a, u, v)
                     points[total, 1, 0], points[total, 1, 1], points[total, 1, 2] = x, y, z
                 total += 1
     return total

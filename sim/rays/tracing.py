@@ -5,8 +5,6 @@ Source: image method, docs/explanation/rays.md; gain as in equation 3 of the ext
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
@@ -14,10 +12,10 @@ from cellslam.sim.city.city import City, Floats, Ints
 from cellslam.sim.errors import InputError
 from cellslam.sim.frames import SPEED_OF_LIGHT_MPS, azimuth_elevation
 from cellslam.sim.progress import Progress, silent
+from cellslam.sim.rays.diffraction import diffracted_paths, diffraction_gain
 from cellslam.sim.rays.first_order import lines_of_sight, single_reflections
-from cellslam.sim.rays.gain import Complexes, path_gain
-from cellslam.sim.rays.hidden_facets import lit_facets
-from cellslam.sim.rays.paths import MAX_ORDER, Paths, joined
+from cellslam.sim.rays.gain import path_gain
+from cellslam.sim.rays.paths import MAX_ORDER, Found, Paths, all_found, joined
 from cellslam.sim.rays.scene import Scene, prepare
 from cellslam.sim.rays.second_order import double_reflections
 
@@ -56,15 +54,16 @@ def trace(
     with progress("tracing rays", len(t) * len(r)) as advance:
         for site in range(len(t)):
             worth = max_order >= 2 or (max_order == 1 and len(r) >= LIT_FROM)
-            lit = lit_facets(scene, t[site], reflects) if worth else np.flatnonzero(reflects)
+            lit = scene.lit_facets(t[site], reflects) if worth else np.flatnonzero(reflects)
             for start in range(0, len(r), CHUNK):
                 part = r[start : start + CHUNK]
-                found = _search(scene, t[site], part, max_order, reflects, lit)
+                found = [_search(scene, t[site], part, max_order, reflects, lit)]
                 if diffraction:
-                    found = found.joined(_over_edges(scene, t[site], part, carrier_hz))
-                pieces.append(_describe(scene, t[site], site, part, start, found, carrier_hz))
+                    found.append(diffracted_paths(scene, t[site], part, SPEED_OF_LIGHT_MPS / carrier_hz))
+                pieces.append(_describe(scene, t[site], site, part, start, all_found(found), carrier_hz))
                 advance(len(part))
-    return joined(pieces) if pieces else _empty(scene, carrier_hz)
+    nothing = Found.of(np.empty(0, np.int64))
+    return joined(pieces or [_describe(scene, np.zeros(3), 0, r[:0], 0, nothing, carrier_hz)])
 
 
 def _positions(name: str, positions: ArrayLike) -> Floats:
@@ -77,71 +76,25 @@ def _positions(name: str, positions: ArrayLike) -> Floats:
     return array
 
 
-@dataclass(frozen=True)
-class _Found:
-    """Free paths (P,): receiver's row, facets (P, 2), edge, points (P, 2, 3) in centred coordinates."""
-
-    row: Ints
-    facets: Ints
-    edge: Ints
-    points: Floats
-
-    def joined(self, other: _Found) -> _Found:
-        return _Found(
-            np.concatenate([self.row, other.row]),
-            np.concatenate([self.facets, other.facets]),
-            np.concatenate([self.edge, other.edge]),
-            np.concatenate([self.points, other.points]),
-        )
-
-    def take(self, rows: Ints) -> _Found:
-        return _Found(self.row[rows], self.facets[rows], self.edge[rows], self.points[rows])
-
-
-def _found(row: Ints, facets: list[Ints], points: list[Floats], edge: Ints | None = None) -> _Found:
-    """Return paths with the facets and points of up to two interactions, the rest filled up."""
-    both, where = np.full((len(row), 2), -1, np.int64), np.full((len(row), 2, 3), np.nan)
-    for column, facet in enumerate(facets):
-        both[:, column] = facet
-    for column, point in enumerate(points):
-        where[:, column] = point
-    return _Found(row, both, np.full(len(row), -1, np.int64) if edge is None else edge, where)
-
-
 def _search(
-    scene: Scene,
-    transmitter: Floats,
-    receivers: Floats,
-    max_order: int,
-    reflects: NDArray[np.bool_],
-    lit: Ints,
-) -> _Found:
-    """Return the free paths of one transmitter, centred coordinates."""
-    found = _found(lines_of_sight(scene, transmitter, receivers), [], [])
+    scene: Scene, transmitter: Floats, receivers: Floats, max_order: int, reflects: NDArray[np.bool_], lit: Ints
+) -> Found:
+    """Return the free paths of one transmitter over facets, centred coordinates."""
+    pieces = [lines_of_sight(scene, transmitter, receivers)]
     if max_order >= 1:
         seen = np.zeros(len(reflects), np.bool_)
         seen[lit] = True
-        row, facet, point = single_reflections(scene, transmitter, receivers, seen)
-        found = found.joined(_found(row, [facet], [point]))
+        pieces.append(single_reflections(scene, transmitter, receivers, seen))
     if max_order >= 2:
-        row, both, points = double_reflections(scene, transmitter, receivers, reflects, lit)
-        found = found.joined(_found(row, [both[:, 0], both[:, 1]], [points[:, 0], points[:, 1]]))
-    return found
-
-
-def _over_edges(scene: Scene, transmitter: Floats, receivers: Floats, carrier_hz: float) -> _Found:
-    from cellslam.sim.rays.diffraction import diffracted_paths
-
-    wavelength = SPEED_OF_LIGHT_MPS / carrier_hz
-    row, edge, point = diffracted_paths(scene, scene.edges, transmitter, receivers, wavelength)
-    return _found(row, [], [point], edge)
+        pieces.append(double_reflections(scene, transmitter, receivers, reflects, lit))
+    return all_found(pieces)
 
 
 def _describe(
-    scene: Scene, transmitter: Floats, site: int, receivers: Floats, first_receiver: int, found: _Found,
+    scene: Scene, transmitter: Floats, site: int, receivers: Floats, first_receiver: int, found: Found,
     carrier_hz: float,
 ) -> Paths:  # fmt: skip
-    """Turn receiver, facets, edge and points into paths: images, angles, gains; copies removed."""
+    """Turn what was found into paths: images, angles, gains; copies removed."""
     bent = found.edge >= 0
     vt = images_of(scene, transmitter, found.facets)
     start, end = found.points[bent, 0], receivers[found.row[bent]]
@@ -149,7 +102,7 @@ def _describe(
     vt[bent] = end + (start - end) * (1.0 + np.linalg.norm(start - transmitter, axis=1, keepdims=True) / last)
     order = (found.facets >= 0).sum(axis=1) + bent
     keep = _first_of_copies(found.row, order, vt, found.facets)
-    found, order, vt = found.take(keep), order[keep], vt[keep]
+    found, order, vt, bent = found.take(keep), order[keep], vt[keep], bent[keep]
     receiver = receivers[found.row]
     corners = np.empty((len(order), 4, 3))
     corners[:, 0], corners[:, 1:3] = transmitter, found.points
@@ -157,6 +110,20 @@ def _describe(
     corners[np.arange(len(order)), order + 1] = receiver
     azimuth, elevation = azimuth_elevation(vt - receiver)
     departure_azimuth, departure_elevation = azimuth_elevation(corners[:, 1] - transmitter)
+    table = scene.city.facets
+    gain = np.empty((len(order), 2, 2), np.complex128)
+    gain[~bent] = path_gain(
+        corners[~bent],
+        order[~bent],
+        found.facets[~bent],
+        table.normal,
+        table.material,
+        scene.city.materials,
+        carrier_hz,
+    )
+    if bent.any():
+        t, point, r = corners[bent, :3].transpose(1, 0, 2)
+        gain[bent] = diffraction_gain(scene.edges, found.edge[bent], t, point, r, SPEED_OF_LIGHT_MPS / carrier_hz)
     return Paths(
         receiver=found.row + first_receiver,
         transmitter=np.full(len(order), site, np.int64),
@@ -170,26 +137,8 @@ def _describe(
         elevation_rad=elevation,
         departure_azimuth_rad=departure_azimuth,
         departure_elevation_rad=departure_elevation,
-        gain=_gain(scene, corners, order, found, carrier_hz),
+        gain=gain,
     )
-
-
-def _gain(scene: Scene, corners: Floats, order: Ints, found: _Found, carrier_hz: float) -> Complexes:
-    """Return the gain matrices (P, 2, 2) of paths with the corners (P, 4, 3)."""
-    table = scene.city.facets
-    gain = np.empty((len(order), 2, 2), np.complex128)
-    bent = found.edge >= 0
-    plain = ~bent
-    gain[plain] = path_gain(
-        corners[plain], order[plain], found.facets[plain], table.normal, table.material, scene.city.materials,
-        carrier_hz,
-    )  # fmt: skip
-    if bent.any():
-        from cellslam.sim.rays.diffraction import diffraction_gain
-
-        t, point, r = corners[bent, :3].transpose(1, 0, 2)
-        gain[bent] = diffraction_gain(scene.edges, found.edge[bent], t, point, r, SPEED_OF_LIGHT_MPS / carrier_hz)
-    return gain
 
 
 def images_of(scene: Scene, transmitter: Floats, facets: Ints) -> Floats:
@@ -221,8 +170,3 @@ def _first_of_copies(row: Ints, order: Ints, vt: Floats, facets: Ints) -> Ints:
         )
         keep[np.where(facets[a, 0] <= facets[b, 0], b, a)[same]] = False
     return np.flatnonzero(keep)
-
-
-def _empty(scene: Scene, carrier_hz: float) -> Paths:
-    nothing = _found(np.empty(0, np.int64), [], [])
-    return _describe(scene, np.zeros(3), 0, np.empty((0, 3)), 0, nothing, carrier_hz)

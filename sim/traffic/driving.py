@@ -43,11 +43,9 @@ def draw_traffic(
     along = np.interp(when, driven.time_s, axle_m) + 0.5 * vehicle.wheelbase_m
     ours = np.column_stack([along, np.gradient(along, STEP_S)])
     ours = np.concatenate([np.tile([along[0], 0.0], (before, 1)), ours])
-    pieces = []
-    for lanes, direction in ((ahead, 1), (oncoming, -1)):
-        pieces.append(_flow(config, route, lanes, direction, ours, rng))
-    kind, size = (np.concatenate([piece[i] for piece in pieces]) for i in range(2))
-    states = np.concatenate([piece[2] for piece in pieces], axis=1)
+    flows = [_flow(config, route, lanes, side, ours, rng) for lanes, side in ((ahead, 1), (oncoming, -1))]
+    kinds, sizes, states_of = zip(*flows, strict=True)
+    kind, size, states = np.concatenate(kinds), np.concatenate(sizes), np.concatenate(states_of, axis=1)
     if not len(kind):
         return None
     poses = _poses(route, states[before // KEPT :], vehicle.road_slope_percent / 100.0)

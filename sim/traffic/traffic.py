@@ -31,7 +31,7 @@ class Traffic(Described):
 
     def at(self, time_s: NDArray[np.floating[Any]]) -> Floats:
         """Return the poses (n, N, 4), in m and rad, at times (n,) in s; the ends are held."""
-        from cellslam.sim.traffic.blocking_kernel import place
+        from cellslam.sim.traffic.boxes_kernel import place
 
         out = np.empty((len(time_s), len(self), 4))
         for row, step in zip(out, self.steps(time_s), strict=True):

@@ -1,27 +1,27 @@
-"""The true drive: poses of the array at the snapshots, and instantaneous body velocities."""
+"""The true drive: poses of the array at the snapshots, and instantaneous body velocities.
+
+A kinematic bicycle follows the route (`follower_kernel`) at the speeds of `speed_profile`; its body pitches, rolls and
+heaves on its suspension and on an uneven road.
+"""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from cellslam.sim.described import Described
 from cellslam.sim.errors import InputError
 from cellslam.sim.frames import world_to_body, wrap_angle
-from cellslam.sim.vehicle.attitude import body_motion, random_road
+from cellslam.sim.recording import Floats
 from cellslam.sim.vehicle.route import Route
 from cellslam.sim.vehicle.speed_profile import speed_profile
 from cellslam.sim.vehicle.vehicle_config import VehicleConfig
 
-Floats = NDArray[np.float64]
-
 LONGEST_SUBSTEP_S = 0.015
-LOOKAHEAD_M = 2.0
-LOOKAHEAD_S = 0.8
-STEERING_LIMIT_RAD = 0.65
-STEERING_RATE_RADPS = 0.5
+LOOKAHEAD_M, LOOKAHEAD_S = 2.0, 0.8
+STEERING_LIMIT_RAD, STEERING_RATE_RADPS = 0.65, 0.5
+WAVES = 32
 
 
 @dataclass(frozen=True, repr=False)
@@ -80,7 +80,7 @@ def _motion(
     arc_m = np.concatenate([[0.0], np.cumsum(speed_mps * step_s)])
     v = _at_edges(speed_mps)
     turn_rate = v * _at_edges(curvature)
-    body = body_motion(arc_m, v, turn_rate, step_s, random_road(config, rng), config)
+    body = _body_motion(arc_m, v, turn_rate, step_s, config, rng)
     height = route.ground_m + config.array_height_m + body[:, 0]
     poses = np.column_stack([plane[:, :2], height, plane[:, 2], body[:, 1:]])
     body_rate = np.gradient(body, step_s, axis=0)
@@ -92,3 +92,38 @@ def _motion(
 def _at_edges(of_steps: Floats) -> Floats:
     """Return values (N + 1,) at the substeps' edges from their means (N,)."""
     return np.concatenate([of_steps[:1], 0.5 * (of_steps[1:] + of_steps[:-1]), of_steps[-1:]])
+
+
+def _body_motion(
+    arc_m: Floats, speed_mps: Floats, turn_rate_radps: Floats, step_s: float, config: VehicleConfig,
+    rng: np.random.Generator,
+) -> Floats:  # fmt: skip
+    """Return height above the start's ground in m, pitch and roll in rad, (N, 3), at equidistant times.
+
+    Braking puts the nose down (positive pitch), a left turn leans the body outward (positive roll); the pitch follows
+    the road under the wheels. The attitude turns about the array's phase centre. Height and roll of the road are
+    random, smooth functions of the arc length s with the correlation exp(-(s / road_correlation_m)^2 / 2): sums of
+    `WAVES` cosines.
+    """
+    wavenumber = rng.normal(0.0, 1.0 / config.road_correlation_m, (2, WAVES))
+    phase = rng.uniform(0.0, 2.0 * np.pi, (2, WAVES))
+
+    def faded_in(s: Floats) -> Floats:
+        """Return the share of the unevenness at s: a drive starts on level ground."""
+        return np.asarray(-np.expm1(-0.5 * (s / config.road_correlation_m) ** 2))
+
+    def uneven(which: int, s: Floats) -> Floats:
+        total: Floats = np.zeros_like(s)
+        for k, own in zip(wavenumber[which], phase[which], strict=True):
+            total += np.cos(k * s + own)
+        return np.asarray(total * faded_in(s) * np.sqrt(2.0 / WAVES))
+
+    grade, uneven_m = config.road_slope_percent / 100.0, config.road_height_std_m * uneven(0, arc_m)
+    ahead_m = config.road_height_std_m * uneven(0, arc_m + config.wheelbase_m)
+    # The road under both axles counts as level at the start.
+    slope = grade + (ahead_m - uneven_m) / config.wheelbase_m * faded_in(arc_m)
+    acceleration = np.gradient(speed_mps, step_s)
+    pitch = -np.arctan(slope) - np.radians(config.pitch_gradient_deg_per_mps2) * acceleration
+    roll = float(np.radians(config.road_roll_std_deg)) * uneven(1, arc_m)
+    roll = roll + np.radians(config.roll_gradient_deg_per_mps2) * (speed_mps * turn_rate_radps)
+    return np.column_stack([uneven_m + grade * arc_m, pitch, roll])

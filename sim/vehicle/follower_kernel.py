@@ -12,17 +12,9 @@ Floats = NDArray[np.float64]
 
 @njit(cache=True)
 def follow(
-    path_m: Floats,
-    arc_m: Floats,
-    start: Floats,
-    speed_mps: Floats,
-    step_s: float,
-    wheelbase_m: float,
-    lookahead_m: float,
-    lookahead_s: float,
-    steering_limit_rad: float,
-    steering_rate_radps: float,
-) -> tuple[Floats, Floats]:
+    path_m: Floats, arc_m: Floats, start: Floats, speed_mps: Floats, step_s: float, wheelbase_m: float,
+    lookahead_m: float, lookahead_s: float, steering_limit_rad: float, steering_rate_radps: float,
+) -> tuple[Floats, Floats]:  # fmt: skip
     """Return rear-axle poses [x, y, yaw] (N + 1, 3), yaw unwrapped, and curvatures (N,) of the substeps.
 
     `path_m` (n, 2) with `arc_m` (n,); `start` [x, y, yaw]; `speed_mps` (N,). Pure pursuit (Coulter 1992): the

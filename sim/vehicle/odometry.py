@@ -1,19 +1,17 @@
-"""What wheels and gyro measure of a drive: mean body velocities, with the data sheet's errors."""
+"""What wheels and gyro measure of a drive: mean body velocities, with the data sheet's errors; and what goes wrong."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from cellslam.sim.described import Described
 from cellslam.sim.frames import mean_velocity
-from cellslam.sim.recording import OdometryModel
+from cellslam.sim.recording import Floats, OdometryModel
 from cellslam.sim.vehicle.drive import Drive
 from cellslam.sim.vehicle.vehicle_config import OdometryConfig
-
-Floats = NDArray[np.float64]
 
 FORWARD, YAW = 0, 3
 
@@ -58,8 +56,35 @@ def measure_odometry(drive: Drive, config: OdometryConfig, rng: np.random.Genera
     bias = constant + np.concatenate([np.zeros((1, 6)), walk])
     white = rng.standard_normal((count, 6)) * model.noise_density / np.sqrt(dt_s)[:, None]
     true = mean_velocity(drive.poses[:-1], drive.poses[1:], dt_s)
-    velocity = np.zeros((count + 1, 6))
-    measured = (1.0 + scale) * true + bias[1:] + white
-    for component in (FORWARD, YAW):
-        velocity[1:, component] = measured[:, component]
+    velocity, seen = np.zeros((count + 1, 6)), [FORWARD, YAW]
+    velocity[1:, seen] = ((1.0 + scale) * true + bias[1:] + white)[:, seen]
     return Odometry(velocity, model, bias, scale)
+
+
+def with_faults(odometry: Odometry, time_s: Floats, config: OdometryConfig, rng: np.random.Generator) -> Odometry:
+    """Return odometry with the faults of a drive, at snapshots time_s (T,) in s: wheels that slip, seconds without a
+    value, a gyro whose bias steps.
+    """
+    velocity, bias, slip = odometry.velocity.copy(), odometry.bias.copy(), None
+    slips = _bursts(time_s, config.slips_per_hour, config.slip_s, rng)
+    dropped = _bursts(time_s, config.dropouts_per_hour, config.dropout_s, rng)
+    if config.slips_per_hour > 0.0:
+        slip = np.where(slips, config.slip_factor, 1.0)
+        velocity[:, FORWARD] *= slip
+    if config.gyro_step_deg_per_s > 0.0:
+        size, at = np.radians(config.gyro_step_deg_per_s) * rng.standard_normal(), rng.uniform(time_s[0], time_s[-1])
+        step = np.where(time_s >= (at if config.gyro_step_s is None else time_s[0] + config.gyro_step_s), size, 0.0)
+        velocity[1:, YAW] += step[1:]
+        bias[:, YAW] += step
+    velocity[dropped, FORWARD] = np.nan
+    velocity[dropped, YAW] = np.nan
+    return replace(odometry, velocity=velocity, bias=bias, slip=slip)
+
+
+def _bursts(time_s: Floats, per_hour: float, lasts_s: float, rng: np.random.Generator) -> NDArray[np.bool_]:
+    """Return which intervals (T,) bursts that begin at random fall in; the first row is before the drive."""
+    duration_s = time_s[-1] - time_s[0]
+    begin = time_s[0] + rng.uniform(0.0, duration_s, rng.poisson(per_hour * duration_s / 3600.0))
+    within = ((time_s[:, None] > begin) & (time_s[:, None] <= begin + lasts_s)).any(axis=1)
+    within[0] = False
+    return np.asarray(within)

@@ -5,12 +5,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from cellslam.sim.errors import InputError
+from cellslam.sim.recording import Floats, Ints
 from cellslam.sim.vehicle.vehicle_config import VehicleConfig
-
-Floats = NDArray[np.float64]
 
 CELL_M = 0.1
 SMOOTHING_S = 0.6
@@ -48,59 +46,51 @@ class SpeedLimits:
 
 
 def speed_profile(
-    route_arc_m: Floats,
-    curvature_per_m: Floats,
-    config: VehicleConfig,
-    step_s: float,
-    steps: int,
+    route_arc_m: Floats, curvature_per_m: Floats, config: VehicleConfig, step_s: float, steps: int,
     rng: np.random.Generator,
-) -> Floats:
+) -> Floats:  # fmt: skip
     """Return the mean speed (steps,) in m/s of each substep of `step_s`; they sum up to exactly `config.distance_m`.
 
     The cruise speed is whatever makes the drive last `steps * step_s`. Raises InputError where no speed does.
     """
-    stop_m, stand_s = _stops(config, rng)
-    limits = _limits(route_arc_m, curvature_per_m, stop_m, config, rng)
+    # Standing phases, spread over the route.
+    slot = (np.arange(config.stops) + rng.uniform(0.25, 0.75, config.stops)) / max(config.stops, 1)
+    stop_m = np.round(slot * config.distance_m / CELL_M) * CELL_M
+    stand_s = config.stop_s * rng.uniform(0.5, 1.5, config.stops)
+    cells = max(round(config.distance_m / CELL_M), 2)
+    stop = np.clip(np.round(stop_m / config.distance_m * cells).astype(int), 0, cells)
+    limits = _limits(route_arc_m, curvature_per_m, stop, cells, config, rng)
     first_s = config.stand_first_s + SMOOTHING_S
     moving_s = steps * step_s - float(stand_s.sum()) - first_s - SMOOTHING_S
     cruise_mps = _cruise(limits, moving_s, config)
-    time_s, arc_m = _timeline(limits, cruise_mps, stop_m, stand_s, first_s)
+    wait_s = np.zeros(cells + 1)
+    np.add.at(wait_s, stop, stand_s)
+    arrive_s = first_s + limits.travel_time(cruise_mps) + np.concatenate([[0.0], np.cumsum(wait_s)[:-1]])
+    # Each stop stands twice: on arriving and on leaving.
+    double = np.repeat(np.arange(cells + 1), np.where(wait_s > 0.0, 2, 1))
+    leaving = np.concatenate([[False], double[1:] == double[:-1]])
+    time_s = np.where(leaving, (arrive_s + wait_s)[double], arrive_s[double])
     edges_s = np.arange(steps + 1, dtype=np.float64) * step_s
-    v = limits.speed(cruise_mps)
-    moved = np.diff(_position(edges_s, time_s, arc_m, np.interp(arc_m, limits.arc_m, v)))
+    moved = np.diff(_position(edges_s, time_s, limits.arc_m[double], limits.speed(cruise_mps)[double]))
     width = max(round(SMOOTHING_S / step_s), 1)
     smooth = np.convolve(moved, np.full(width, 1.0 / width), mode="same")
     return np.asarray(smooth * (config.distance_m / smooth.sum() / step_s), np.float64)
 
 
-def _stops(config: VehicleConfig, rng: np.random.Generator) -> tuple[Floats, Floats]:
-    """Return arc position and length of the standing phases, spread over the route."""
-    slot = (np.arange(config.stops) + rng.uniform(0.25, 0.75, config.stops)) / max(config.stops, 1)
-    arc = np.round(slot * config.distance_m / CELL_M) * CELL_M
-    return arc, config.stop_s * rng.uniform(0.5, 1.5, config.stops)
-
-
 def _limits(
-    route_arc_m: Floats,
-    curvature_per_m: Floats,
-    stop_m: Floats,
-    config: VehicleConfig,
+    route_arc_m: Floats, curvature_per_m: Floats, stop: Ints, cells: int, config: VehicleConfig,
     rng: np.random.Generator,
-) -> SpeedLimits:
-    cells = max(round(config.distance_m / CELL_M), 2)
+) -> SpeedLimits:  # fmt: skip
     arc = np.linspace(0.0, config.distance_m, cells + 1)
     bend = np.maximum(np.abs(np.interp(arc, route_arc_m, curvature_per_m)), 1e-6)
     turn = np.sqrt(config.lateral_acceleration_mps2 / bend)
     turn[[0, -1]] = 0.0
-    turn[np.clip(np.round(stop_m / config.distance_m * cells).astype(int), 0, cells)] = 0.0
+    turn[stop] = 0.0
     waves = np.arange(1, max(int(config.distance_m / VARIATION_M), 1) + 1)
     phase = rng.uniform(0.0, 2.0 * np.pi, len(waves))
-    wave = np.cos(2.0 * np.pi * np.outer(arc / config.distance_m, waves) + phase).sum(axis=1) * np.sqrt(
-        2.0 / len(waves)
-    )
-    return SpeedLimits(
-        arc, np.maximum(1.0 + config.speed_variation * wave, LEAST_FACTOR), turn, config.acceleration_mps2
-    )
+    cosines = np.cos(2.0 * np.pi * np.outer(arc / config.distance_m, waves) + phase)
+    factor = 1.0 + config.speed_variation * (cosines.sum(axis=1) * np.sqrt(2.0 / len(waves)))
+    return SpeedLimits(arc, np.maximum(factor, LEAST_FACTOR), turn, config.acceleration_mps2)
 
 
 def _cruise(limits: SpeedLimits, moving_s: float, config: VehicleConfig) -> float:
@@ -117,20 +107,6 @@ def _cruise(limits: SpeedLimits, moving_s: float, config: VehicleConfig) -> floa
         middle = float(np.sqrt(low * high))
         low, high = (middle, high) if limits.travel_time(middle)[-1] > moving_s else (low, middle)
     return high
-
-
-def _timeline(
-    limits: SpeedLimits, cruise_mps: float, stop_m: Floats, stand_s: Floats, first_s: float
-) -> tuple[Floats, Floats]:
-    """Return time and arc position at the cells' ends, each stop twice: on arriving and on leaving."""
-    cells = len(limits.arc_m) - 1
-    stop = np.clip(np.round(stop_m / limits.arc_m[-1] * cells).astype(int), 0, cells)
-    wait = np.zeros(cells + 1)
-    np.add.at(wait, stop, stand_s)
-    arrive = first_s + limits.travel_time(cruise_mps) + np.concatenate([[0.0], np.cumsum(wait)[:-1]])
-    double = np.repeat(np.arange(cells + 1), np.where(wait > 0.0, 2, 1))
-    leaving = np.concatenate([[False], double[1:] == double[:-1]])
-    return np.where(leaving, (arrive + wait)[double], arrive[double]), limits.arc_m[double]
 
 
 def _position(at_s: Floats, time_s: Floats, arc_m: Floats, speed_mps: Floats) -> Floats:

@@ -6,26 +6,25 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from cellslam.sim.errors import InputError
+from cellslam.sim.recording import Floats
 
-Floats = NDArray[np.float64]
 Node = tuple[int, int]
 
-GRID_M = 0.01
-"""Street ends that fall into one cell of this size are one crossing."""
-SHARP_RAD = np.radians(115.0)
-"""A turn beyond this is taken only where the street ends."""
+GRID_M = 0.01  # street ends that fall into one cell of this size are one crossing
+SHARP_RAD = np.radians(115.0)  # a turn beyond this is taken only where the street ends
 
 
 @dataclass(frozen=True)
 class StreetNetwork:
-    """Crossings and the streets between them: `edges[i]` is a centre line (n, 2), `ends[i]` its two nodes."""
+    """The streets between crossings, each in both directions: `ways[i]` is a centre line (n, 2) from the crossing
+    `begins[i]` to `ends[i]`; `ways[i ^ 1]` is the same street the other way.
+    """
 
-    edges: tuple[Floats, ...]
-    ends: tuple[tuple[Node, Node], ...]
-    at: dict[Node, tuple[int, ...]]
+    ways: tuple[Floats, ...]
+    begins: tuple[Node, ...]
+    ends: tuple[Node, ...]
 
 
 def street_network(streets: Sequence[Floats]) -> StreetNetwork:
@@ -38,14 +37,10 @@ def street_network(streets: Sequence[Floats]) -> StreetNetwork:
             "or have 'cellslam init' draw one"
         )
     noded = shapely.unary_union([shapely.LineString(s) for s in streets], grid_size=GRID_M)
-    lines = [g for g in getattr(noded, "geoms", [noded]) if g.length > 0.0]
-    edges = tuple(np.asarray(line.coords, np.float64)[:, :2] for line in lines)
-    ends = tuple((_node(e[0]), _node(e[-1])) for e in edges)
-    at: dict[Node, list[int]] = {}
-    for i, pair in enumerate(ends):
-        for node in pair:
-            at.setdefault(node, []).append(i)
-    return StreetNetwork(edges, ends, {node: tuple(found) for node, found in at.items()})
+    lines = [np.asarray(g.coords, np.float64)[:, :2] for g in getattr(noded, "geoms", [noded]) if g.length > 0.0]
+    ways = tuple(way for line in lines for way in (line, line[::-1]))
+    begins, ends = (tuple((round(w[k][0] / GRID_M), round(w[k][1] / GRID_M)) for w in ways) for k in (0, -1))
+    return StreetNetwork(ways, begins, ends)
 
 
 def random_walk(network: StreetNetwork, length_m: float, rng: np.random.Generator) -> tuple[Floats, float]:
@@ -55,62 +50,35 @@ def random_walk(network: StreetNetwork, length_m: float, rng: np.random.Generato
     only at a dead end. The cost is the distance driven twice, 1000 m per U-turn, and twice the mean distance from the
     middle of the network.
     """
-    lengths = np.array([_length(e) for e in network.edges])
-    edge = int(rng.choice(len(lengths), p=lengths / lengths.sum()))
-    forward = bool(rng.integers(2))
-    start_m = rng.uniform(0.0, 0.9) * lengths[edge]
-    pieces, used = [_from(_directed(network, edge, forward), start_m)], {edge}
-    total, cost = float(lengths[edge]) - start_m, 0.0
-    while total < length_m:
-        edge, forward, turn = _next(network, edge, forward, used, rng)
-        cost += lengths[edge] if edge in used else 0.0
-        cost += 1000.0 if turn > SHARP_RAD else 0.0
-        used.add(edge)
-        pieces.append(_directed(network, edge, forward))
-        total += float(lengths[edge])
-    walk = np.concatenate([pieces[0], *(p[1:] for p in pieces[1:])])
-    return walk, cost + 2.0 * float(np.hypot(*(walk - _middle(network)).T).mean())
-
-
-def _next(
-    network: StreetNetwork, edge: int, forward: bool, used: set[int], rng: np.random.Generator
-) -> tuple[int, bool, float]:
-    """Return the next edge, its direction, and the turn into it."""
-    node = network.ends[edge][1 if forward else 0]
-    arriving = _directed(network, edge, forward)
-    heading = arriving[-1] - arriving[-2]
-    options = [
-        (e, d) for e in sorted(set(network.at[node])) for d in (True, False) if network.ends[e][0 if d else 1] == node
-    ]
-    turns, weights = [], []
-    for e, d in options:
-        leaving = _directed(network, e, d)
-        step = leaving[1] - leaving[0]
-        turns.append(abs(float(np.arctan2(heading[0] * step[1] - heading[1] * step[0], heading @ step))))
-        weights.append((1e-9 if turns[-1] > SHARP_RAD else 1.0) * (0.02 if e in used else 1.0))
-    pick = int(rng.choice(len(options), p=np.array(weights) / sum(weights)))
-    return *options[pick], turns[pick]
-
-
-def _directed(network: StreetNetwork, edge: int, forward: bool) -> Floats:
-    return network.edges[edge] if forward else network.edges[edge][::-1]
-
-
-def _middle(network: StreetNetwork) -> Floats:
-    corners = np.concatenate(network.edges)
-    return np.asarray(0.5 * (corners.min(axis=0) + corners.max(axis=0)))
-
-
-def _from(line: Floats, start_m: float) -> Floats:
-    """Return the part of a line (n, 2) from `start_m` on."""
+    edges = np.array([float(np.hypot(*np.diff(way, axis=0).T).sum()) for way in network.ways[::2]])
+    edge = int(rng.choice(len(edges), p=edges / edges.sum()))
+    way = 2 * edge + 1 - int(rng.integers(2))
+    line, start_m = network.ways[way], rng.uniform(0.0, 0.9) * edges[edge]
     arc = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(line, axis=0).T))])
     first = [np.interp(start_m, arc, line[:, 0]), np.interp(start_m, arc, line[:, 1])]
-    return np.concatenate([[first], line[arc > start_m]])
+    pieces, used = [np.concatenate([[first], line[arc > start_m]])], {edge}
+    total, cost = float(edges[edge]) - start_m, 0.0
+    while total < length_m:
+        way, turn = _next(network, way, used, rng)
+        cost += edges[way // 2] if way // 2 in used else 0.0
+        cost += 1000.0 if turn > SHARP_RAD else 0.0
+        used.add(way // 2)
+        pieces.append(network.ways[way])
+        total += float(edges[way // 2])
+    walk = np.concatenate([pieces[0], *(p[1:] for p in pieces[1:])])
+    corners = np.concatenate(network.ways)
+    middle = 0.5 * (corners.min(axis=0) + corners.max(axis=0))
+    return walk, cost + 2.0 * float(np.hypot(*(walk - middle).T).mean())
 
 
-def _node(point: Floats) -> Node:
-    return round(point[0] / GRID_M), round(point[1] / GRID_M)
-
-
-def _length(line: Floats) -> float:
-    return float(np.hypot(*np.diff(line, axis=0).T).sum())
+def _next(network: StreetNetwork, way: int, used: set[int], rng: np.random.Generator) -> tuple[int, float]:
+    """Return the next way, and the turn into it."""
+    heading = network.ways[way][-1] - network.ways[way][-2]
+    options = [other for other, begin in enumerate(network.begins) if begin == network.ends[way]]
+    turns, weights = [], []
+    for other in options:
+        step = network.ways[other][1] - network.ways[other][0]
+        turns.append(abs(float(np.arctan2(heading[0] * step[1] - heading[1] * step[0], heading @ step))))
+        weights.append((1e-9 if turns[-1] > SHARP_RAD else 1.0) * (0.02 if other // 2 in used else 1.0))
+    pick = int(rng.choice(len(options), p=np.array(weights) / sum(weights)))
+    return options[pick], turns[pick]

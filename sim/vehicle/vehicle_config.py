@@ -52,10 +52,7 @@ class VehicleConfig(BaseModel):
         description="horizontal error of the start position given to the estimator, standard deviation",
     )
     start_std_deg: float = Field(
-        0.0,
-        ge=0.0,
-        le=180.0,
-        description="heading error of the start pose given to the estimator, standard deviation",
+        0.0, ge=0.0, le=180.0, description="heading error of the start pose given to the estimator, standard deviation"
     )
 
     @property
@@ -86,10 +83,7 @@ class OdometryConfig(BaseModel):
         0.024, ge=0.0, le=1.0, description="constant bias of the gyro, standard deviation"
     )
     gyro_bias_walk_deg_per_s_sqrt_s: float = Field(
-        0.0001,
-        ge=0.0,
-        le=0.1,
-        description="random walk of the gyro bias, in deg/s per square root of a second",
+        0.0001, ge=0.0, le=0.1, description="random walk of the gyro bias, in deg/s per square root of a second"
     )
     slips_per_hour: float = Field(0.0, ge=0.0, le=3600.0, description="bursts in which the wheels slip")
     slip_s: float = Field(2.0, gt=0.0, le=60.0, description="length of such a burst")

@@ -12,11 +12,11 @@ from numpy.typing import NDArray
 from cellslam.sim.frames import SPEED_OF_LIGHT_MPS, held
 from cellslam.sim.lte.faults.clock_errors import walk_densities
 from cellslam.sim.progress import Progress, silent
-from cellslam.sim.randomness import Stream, stream
-from cellslam.sim.recording import Floats, Ints, Recording, Sites, Truth, Vehicles, VirtualTransmitters
+from cellslam.sim.recording import Ints, Recording, Sites, Truth, Vehicles, VirtualTransmitters
 from cellslam.sim.world.world import Reception, WorldConfig, prepare
 
 if TYPE_CHECKING:
+    from cellslam.sim.lte.faults.reports import Reports
     from cellslam.sim.lte.statistical.statistical_front_end import Detections
     from cellslam.sim.rays import Paths
     from cellslam.sim.traffic import Blocked
@@ -29,20 +29,11 @@ def simulate(
     """Return the recording of trial `trial` of root seed `seed`, truth included. Same arguments, same
     recording. `place` as of `prepare`.
     """
-    from cellslam.sim.lte.faults.reports import as_reported, draw_reports
-    from cellslam.sim.vehicle import measure_odometry, with_faults
-
     world = prepare(config, seed, trial, progress, place)
-    time_s = world.drive.time_s
-    odometry = measure_odometry(world.drive, config.odometry, stream(seed, trial, Stream.ODOMETRY))
-    odometry = with_faults(odometry, time_s, config.odometry, stream(seed, trial, Stream.SENSORS))
-    reports = draw_reports(config.radio, len(time_s), stream(seed, trial, Stream.REPORTS))
+    odometry, reports = world.odometry(), world.reports()
     late_s = None if reports is None else reports.late_s
     detections, paths, blocked = world.measure_drive(world.streams(), progress, held(odometry.velocity), late_s)
-    age_s = None
-    if reports is not None:
-        detections, age_s = as_reported(detections, reports), reports.age_s(time_s)
-    recording = recorded(world, odometry, detections, paths, blocked.free(len(paths)), age_s)
+    recording, reported = recorded(world, odometry, detections, paths, reports, blocked.free(len(paths)))
     if world.traffic is None or recording.truth is None:
         return recording
     from cellslam.sim.traffic import reflecting_vehicle
@@ -51,21 +42,24 @@ def simulate(
     vehicles = Vehicles(
         **vars(world.traffic),
         blocked=_blocked_intervals(blocked, path_vt, paths.receiver),
-        reflected=np.append(reflecting_vehicle(paths.facets), -1)[detections.path],
+        reflected=np.append(reflecting_vehicle(paths.facets), -1)[reported.path],
     )
     return replace(recording, truth=replace(recording.truth, vehicles=vehicles))
 
 
 def recorded(
-    world: Reception, odometry: Odometry, detections: Detections, paths: Paths, free: NDArray[np.bool_] | None = None,
-    age_s: Floats | None = None,
-) -> Recording:  # fmt: skip
-    """Return the recording of a drive, truth included. `free` (P,): which of the paths exist, None for all; `age_s`
-    (T,): how much older than its stamp a snapshot is, None: not at all."""
+    world: Reception, odometry: Odometry, detections: Detections, paths: Paths, reports: Reports | None,
+    free: NDArray[np.bool_] | None = None,
+) -> tuple[Recording, Detections]:  # fmt: skip
+    """Return the recording of a drive, truth included, and its detections as they are reported. `free` (P,): which of
+    the paths exist, None for all; `reports`: when snapshots are reported, None: in time."""
+    from cellslam.sim.lte.faults.reports import as_reported
     from cellslam.sim.lte.links import links_of
     from cellslam.sim.lte.persisting_errors import persisting_std
 
     config = world.config
+    if reports is not None:
+        detections = as_reported(detections, reports)
     vts, path_vt = virtual_transmitters(paths, free)
     measurement_vt = np.where(detections.path >= 0, path_vt[detections.path] if len(path_vt) else -1, -1)
     true_std = np.where(measurement_vt[:, None] >= 0, detections.true_std, np.nan)
@@ -88,9 +82,9 @@ def recorded(
         clock_wander_m=None if world.clock_errors is None else world.clock_errors.wander_m,
         clock_steps=None if world.clock_errors is None else world.clock_errors.steps,
         odometry_slip=odometry.slip,
-        age_s=age_s,
+        age_s=None if reports is None else reports.age_s(world.drive.time_s),
     )
-    return Recording(
+    recording = Recording(
         time_s=world.drive.time_s,
         odometry=odometry.velocity,
         odometry_model=odometry.model,
@@ -102,6 +96,7 @@ def recorded(
         provenance=provenance(config, world.seed, world.trial),
         truth=truth,
     )
+    return recording, detections
 
 
 def sites_of(config: WorldConfig) -> Sites:

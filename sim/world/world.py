@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections import OrderedDict
 from dataclasses import dataclass, replace
+from functools import lru_cache
 from typing import TYPE_CHECKING
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import BaseModel, ConfigDict, Field, TypeAdapter
 
-from cellslam.sim.city.city_config import CityConfig
+from cellslam.sim.city.city_config import CityConfig, MeshCityConfig, ProceduralCityConfig
 from cellslam.sim.frames import SPEED_OF_LIGHT_MPS
 from cellslam.sim.lte.faults.clock_errors import ClockErrors, draw_clock_errors
 from cellslam.sim.lte.radio_config import RadioConfig
@@ -21,6 +21,7 @@ from cellslam.sim.traffic.traffic_config import TrafficConfig
 from cellslam.sim.vehicle.vehicle_config import OdometryConfig, VehicleConfig
 
 if TYPE_CHECKING:
+    from cellslam.sim.lte.faults.reports import Reports
     from cellslam.sim.lte.links import Cells
     from cellslam.sim.lte.persisting_errors_kernel import Fields
     from cellslam.sim.lte.signal.signal_front_end import SignalLevel
@@ -28,10 +29,9 @@ if TYPE_CHECKING:
     from cellslam.sim.lte.statistical.statistical_front_end import Detections
     from cellslam.sim.rays import Paths, Scene
     from cellslam.sim.traffic import Blocked, Traffic
-    from cellslam.sim.vehicle import Drive
+    from cellslam.sim.vehicle import Drive, Odometry
 
 KEPT_SCENES = 2
-_scenes: OrderedDict[str, Scene] = OrderedDict()
 
 
 class WorldConfig(BaseModel):
@@ -72,8 +72,23 @@ class Reception:
         """Return the receiver's generators at the start of the trial."""
         from cellslam.sim.lte.statistical.detector_layout import Streams
 
-        names = (Stream.NOISE, Stream.DETECTION, Stream.CLUTTER)
-        return Streams(*(stream(self.seed, self.trial, name) for name in names))
+        return Streams(*(self._rng(name) for name in (Stream.NOISE, Stream.DETECTION, Stream.CLUTTER)))
+
+    def odometry(self) -> Odometry:
+        """Return what wheels and gyro measure of the trial's drive, faults included."""
+        from cellslam.sim.vehicle import measure_odometry, with_faults
+
+        measured = measure_odometry(self.drive, self.config.odometry, self._rng(Stream.ODOMETRY))
+        return with_faults(measured, self.drive.time_s, self.config.odometry, self._rng(Stream.SENSORS))
+
+    def reports(self) -> Reports | None:
+        """Return when the receiver reports the snapshots of the trial's drive; None: each in time."""
+        from cellslam.sim.lte.faults.reports import draw_reports
+
+        return draw_reports(self.config.radio, len(self.drive.time_s), self._rng(Stream.REPORTS))
+
+    def _rng(self, name: Stream) -> np.random.Generator:
+        return stream(self.seed, self.trial, name)
 
     def detect(
         self, paths: Paths, poses: Floats, velocities: Floats, odometry: Floats, rng: Streams, snapshot: int = 0,
@@ -197,7 +212,7 @@ def prepare(config: WorldConfig, seed: int, trial: int, progress: Progress = sil
 
     with progress("preparing the world", 5) as advance:
         where = trial if place is None else place
-        scene = _scene(config, seed, where)
+        scene = _scene(config.city.model_dump_json(), *_city_root(config, seed, where))
         advance(1)
         route = plan_route(scene.city, config.vehicle, stream(seed, where, Stream.ROUTE))
         advance(1)
@@ -226,10 +241,8 @@ def draw_reception(config: WorldConfig, seed: int, trial: int, sites_m: Floats, 
     offsets_m = config.radio.clock_offset_std_m * rng.standard_normal(len(config.sites))
     start = driven.poses[0] + np.array(config.vehicle.start_std) * rng.standard_normal(6)
     drift_m_s = SPEED_OF_LIGHT_MPS * config.radio.clock_drift * rng.standard_normal(len(config.sites))
-    receiver_rng = stream(seed, trial, Stream.RECEIVER)
-    clock_errors = draw_clock_errors(
-        config.radio, driven.time_s - driven.time_s[0], len(config.sites), stream(seed, trial, Stream.CLOCKS)
-    )
+    receiver_rng, clocks_rng = stream(seed, trial, Stream.RECEIVER), stream(seed, trial, Stream.CLOCKS)
+    clock_errors = draw_clock_errors(config.radio, driven.time_s - driven.time_s[0], len(config.sites), clocks_rng)
     fields = draw_fields(config.radio, config.vehicle.snapshot_interval_s, receiver_rng)
     signals = None
     if config.radio.front_end == "signal":
@@ -264,15 +277,12 @@ def _city_root(config: WorldConfig, seed: int, trial: int) -> tuple[int, int]:
     return (seed, trial) if own == "trial" else (int(own), 0)
 
 
-def _scene(config: WorldConfig, seed: int, trial: int) -> Scene:
-    """Return the city, prepared for tracing; the last few are kept, as a preset's city is every trial's."""
+@lru_cache(maxsize=KEPT_SCENES)
+def _scene(city_json: str, seed: int, trial: int) -> Scene:
+    """Return the city of a configuration, prepared for tracing; the last few are kept, as a preset's city is every
+    trial's."""
     from cellslam.sim.city import build_city
     from cellslam.sim.rays import prepare as prepare_scene
 
-    key = f"{config.city.model_dump_json()} {_city_root(config, seed, trial)}"
-    if key not in _scenes:
-        _scenes[key] = prepare_scene(build_city(config.city, city_rng(config, seed, trial)))
-        while len(_scenes) > KEPT_SCENES:
-            _scenes.popitem(last=False)
-    _scenes.move_to_end(key)
-    return _scenes[key]
+    city: ProceduralCityConfig | MeshCityConfig = TypeAdapter(CityConfig).validate_json(city_json)
+    return prepare_scene(build_city(city, stream(seed, trial, Stream.CITY)))

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
@@ -12,15 +11,8 @@ import pytest
 from cellslam.scenarios.loading import load, preset_names
 from cellslam.sim.errors import InputError
 from cellslam.sim.world import prepare
-from tools.preset_facts import mean_facts, write_facts
-from tools.scenario_facts import longest_run, measure_facts
-
-
-def test_longest_run_by_hand() -> None:
-    assert longest_run(np.array([1, 2, 3, 7, 8, 20])) == 3
-    assert longest_run(np.array([5])) == 1
-    assert longest_run(np.array([1, 3, 4, 5, 6])) == 4
-    assert longest_run(np.array([], np.int64)) == 0
+from tools.preset_facts import mean_facts
+from tools.scenario_facts import measure_facts
 
 
 def test_facts_by_hand() -> None:
@@ -52,6 +44,11 @@ def test_presets_state_what_is_measured(name: str) -> None:
     assert list(scenario.facts) == list(measured)
     for fact, value in measured.items():
         assert scenario.facts[fact] == pytest.approx(value, rel=0.02, abs=0.02), fact
+
+
+def test_every_preset_states_its_facts_in_a_short_title() -> None:
+    for scenario in map(load, preset_names()):
+        assert "paths_per_site" in scenario.facts and 0 < len(scenario.title) <= 48
 
 
 def test_lund_is_as_in_the_paper_and_rich_enough() -> None:
@@ -86,21 +83,3 @@ def test_near_and_far_cells_of_nr_share_no_elements(name: str) -> None:
     more = load(name, {"radio.prs_comb": 6, "radio.prs_symbols": 6})
     with pytest.raises(InputError, match="12 ports share a comb of 6"):
         prepare(more.world, 0, 0)
-
-
-def test_every_preset_states_its_facts_in_a_short_title() -> None:
-    for name in preset_names():
-        scenario = load(name)
-        assert "paths_per_site" in scenario.facts
-        assert 0 < len(scenario.title) <= 48
-
-
-def test_facts_are_written_once(tmp_path: Path) -> None:
-    preset = tmp_path / "x.toml"
-    preset.write_text('title = "x"\n', "utf-8")
-    write_facts(preset, {"links": 12.0})
-    write_facts(preset, {"links": 6.0, "paths_per_site": 1.25})
-    text = preset.read_text("utf-8")
-    assert text.count("[facts]") == 1
-    assert text.startswith('title = "x"\n')
-    assert text.endswith("links = 6\npaths_per_site = 1.25\n")

@@ -2,7 +2,7 @@ from __future__ import annotations
 
 import tomllib
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Literal
 
 import numpy as np
 import pytest
@@ -10,8 +10,7 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from cellslam.scenarios import load, overrides
 from cellslam.scenarios.estimator_options import resolve, with_options
-from cellslam.scenarios.keys import allowed, describe, known_fields, nearest_key, unit_of
-from cellslam.scenarios.problems import validate
+from cellslam.scenarios.keys import describe, known_fields, nearest_key, unit_of, validate
 from cellslam.sim.errors import InputError
 
 PLACE = """
@@ -60,56 +59,26 @@ def test_resolved_toml_gives_the_same_scenario(place: Path, tmp_path: Path) -> N
     assert load(again).world == scenario.world
 
 
-def test_overrides_from_python_may_be_numpy_values(place: Path) -> None:
-    changed = load(place, {"radio.load": np.float64(0.75), "vehicle.waypoints_m": np.eye(2)})
-    assert changed.radio.load == 0.75
-    assert changed.vehicle.waypoints_m == ((1.0, 0.0), (0.0, 1.0))
-
-
-@pytest.mark.parametrize(
-    ("text", "value"),
-    [
-        ("a.b=1", 1),
-        ("a.b=1.5", 1.5),
-        ("a.b=true", True),
-        ("a.b=word", "word"),
-        ("a.b='1'", "1"),
-        ("a.b = x ", "x"),
-        ("a.b=[1, 2]", [1, 2]),
-        ("a.b=2-ring", "2-ring"),
-        ("a.b=", ""),
-        ("a.b=x=y", "x=y"),
-    ],
-)
-def test_value_of_an_override(text: str, value: Any) -> None:
-    assert overrides.parse(text) == ("a.b", value)
-
-
-@pytest.mark.parametrize("text", ["radio.load", "=3", ".load=3", "radio..load=3", ""])
-def test_what_is_no_override(text: str) -> None:
-    with pytest.raises(InputError, match="write KEY=VALUE"):
-        overrides.parse(text)
-
-
-def test_one_key_cannot_have_two_values() -> None:
+def test_override_is_a_key_and_a_toml_value_or_a_bare_word() -> None:
+    values = {
+        "1": 1, "1.5": 1.5, "true": True, "word": "word", "'1'": "1", " x ": "x", "[1, 2]": [1, 2], "2-ring": "2-ring",
+        "": "", "x=y": "x=y",
+    }  # fmt: skip
+    for text, value in values.items():
+        assert overrides.parse(f"a.b ={text}") == ("a.b", value)
+    for text in ("radio.load", "=3", ".load=3", "radio..load=3", ""):
+        with pytest.raises(InputError, match="write KEY=VALUE"):
+            overrides.parse(text)
     assert overrides.parse_all(["a=1", "a=1"]) == {"a": 1}
     with pytest.raises(InputError, match="given twice"):
         overrides.parse_all(["a=1", "a=2"])
+    assert overrides.split("estimator.a.b:C.gain") == ["estimator", "a.b:C", "gain"]
 
 
 def test_overrides_leave_the_given_tables_alone() -> None:
     tables = {"a": {"b": [{"name": "x", "c": 1}]}}
-    assert overrides.apply(tables, {"a.b.x.c": 2, "d.e": 3}) == {
-        "a": {"b": [{"name": "x", "c": 2}]},
-        "d": {"e": 3},
-    }
+    assert overrides.apply(tables, {"a.b.x.c": 2, "d.e": 3}) == {"a": {"b": [{"name": "x", "c": 2}]}, "d": {"e": 3}}
     assert tables == {"a": {"b": [{"name": "x", "c": 1}]}}
-
-
-def test_estimator_given_as_module_and_class_is_one_part() -> None:
-    assert overrides.split("estimator.a.b:C.gain") == ["estimator", "a.b:C", "gain"]
-    assert overrides.split("estimator.fastslam.gain") == ["estimator", "fastslam", "gain"]
-    assert overrides.split("radio.load") == ["radio", "load"]
 
 
 @pytest.mark.parametrize(
@@ -182,50 +151,26 @@ class Outer(BaseModel):
     flag: bool = False
 
 
-def test_listing_of_keys() -> None:
+def test_keys_are_listed_with_unit_range_and_meaning() -> None:
     listed = {key.name: key for key in describe(Outer())}
-    assert list(listed) == [
-        *(
-            "part.kind",
-            "part.length_m",
-            "items.0.kind",
-            "items.0.length_m",
-            "items.1.kind",
-            "items.1.length_m",
-        ),
-        *("count", "flag"),
-    ]
+    items = [f"items.{index}.{name}" for index in (0, 1) for name in ("kind", "length_m")]
+    assert list(listed) == ["part.kind", "part.length_m", *items, "count", "flag"]
     key = listed["part.length_m"]
     assert (key.value, key.unit, key.allowed, key.meaning) == (1.0, "m", "above 0, below 2", "a length")
-    assert listed["count"].allowed == "at least 1"
-    assert listed["flag"].allowed == "true or false"
-    assert listed["part.kind"].allowed == "'inner'"
-
-
-def test_known_fields_and_nearest() -> None:
+    assert [listed[name].allowed for name in ("count", "flag", "part.kind")] == [
+        "at least 1",
+        "true or false",
+        "'inner'",
+    ]
+    assert [unit_of(key) for key in ("noise_m_per_sqrt_s", "drift_deg_per_s", "stops")] == ["m/sqrt(s)", "deg/s", ""]
     fields = known_fields(Outer, {"items": [{"name": "x"}, {}]})
-    assert {"part", "part.length_m", "items.x.length_m", "items.1.kind", "count"} <= set(fields)
-    assert allowed(fields["items.x.length_m"]) == "above 0, below 2"
-    assert nearest_key("part.lenght_m", list(fields)) == "part.length_m"
-    assert nearest_key("zzz", list(fields)) == ""
-
-
-@pytest.mark.parametrize(
-    ("key", "unit"),
-    [
-        ("a_m", "m"),
-        ("noise_m_per_sqrt_s", "m/sqrt(s)"),
-        ("drift_deg_per_s", "deg/s"),
-        ("stops", ""),
-        ("snr_db", "dB"),
-    ],
-)
-def test_unit_by_the_ending(key: str, unit: str) -> None:
-    assert unit_of(key) == unit
+    assert {"part", "items.x.length_m", "items.1.kind", "count"} <= set(fields)
+    assert nearest_key("part.lenght_m", list(fields)) == "part.length_m" and nearest_key("zzz", list(fields)) == ""
 
 
 def test_validation_converts_only_integers_to_floats() -> None:
-    assert validate(Outer, {"part": {"length_m": 1}}).part.length_m == 1.0
+    for value in (1, np.float64(1.0)):
+        assert validate(Outer, {"part": {"length_m": value}}).part.length_m == 1.0
     for value in ("1", True, [1], None):
         with pytest.raises(InputError, match="must be a number"):
             validate(Outer, {"part": {"length_m": value}})

@@ -1,17 +1,11 @@
 from __future__ import annotations
 
-import re
-import shlex
-import tomllib
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
-from cellslam.benchmarks.trials.trials import DEFAULT_ESTIMATORS
-from cellslam.cli.main import build_parser
-from cellslam.cli.sweep import requested
 from cellslam.scenarios import sweep_points as sweep
 from cellslam.sim.errors import InputError
 
@@ -140,20 +134,3 @@ def test_a_broken_file_is_named(tmp_path: Path) -> None:
     file.write_text("scenario = ")
     with pytest.raises(InputError, match=r"s.toml: not a sweep file"):
         sweep.read(file)
-
-
-def test_what_the_documentation_shows() -> None:
-    text = (Path(__file__).parents[2] / "docs" / "how-to" / "sweep.md").read_text("utf-8")
-    (block,) = re.findall(r"```toml\n(.*?)```", text, re.DOTALL)
-    shown = sweep.from_tables(tomllib.loads(block))
-    assert len(sweep.points(shown, shown.estimators)) == 2 * 2 * 2 * 2 * 3
-    commands = [line for part in re.findall(r"```sh\n(.*?)```", text, re.DOTALL) for line in part.split("\ncellslam ")]
-    assert len(commands) == 3
-    swept = 0
-    for command in commands:
-        arguments = build_parser().parse_args(shlex.split(command.removeprefix("cellslam ").replace("\\\n", " ")))
-        if hasattr(arguments, "sweeps"):
-            swept += 1
-            estimators = arguments.estimators or DEFAULT_ESTIMATORS
-            assert len(sweep.points(requested(arguments), estimators)) == 4
-    assert swept >= 1

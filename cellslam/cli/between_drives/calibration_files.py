@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 from cellslam.cli.between_drives.saving import check_saving, provenance
 from cellslam.scenarios.estimator_options import Request
-from cellslam.scenarios.problems import validate
+from cellslam.scenarios.keys import validate
 from cellslam.sim.errors import InputError
 
 if TYPE_CHECKING:

@@ -43,7 +43,7 @@ def add_arguments(parser: ArgumentParser) -> None:
 
 def command(arguments: Namespace) -> int:
     """Carry out `cellslam city generate`."""
-    from cellslam.sim.city.files.mitsuba_export import write_scene
+    from cellslam.sim.city.files.mitsuba import write_scene
     from cellslam.sim.world import city_rng
 
     if arguments.seed < 0:

@@ -22,8 +22,8 @@ from cellslam.cli.run import Job, note_left_out, report, work_off
 from cellslam.recordings.fitting.assumptions import Assumptions
 from cellslam.recordings.fitting.fit_sizes import said, toml
 from cellslam.scenarios.estimator_options import with_options
-from cellslam.scenarios.map_config import MapConfig
 from cellslam.scenarios.recording_origin import Origin
+from cellslam.scenarios.scenario import MapConfig
 from cellslam.sim.errors import InputError
 from cellslam.sim.recording import Recording
 

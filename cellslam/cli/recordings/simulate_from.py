@@ -45,7 +45,7 @@ def command(arguments: Namespace) -> int:
     from cellslam.cli.city.places import read_positions
     from cellslam.scenarios.loading import load
     from cellslam.scenarios.overrides import parse_all
-    from cellslam.scenarios.path_simulation import along, simulate_paths
+    from cellslam.scenarios.simulation import along, simulate_paths
 
     out, place = Path(arguments.out), Path(arguments.paths)
     check_file(out)

@@ -13,8 +13,8 @@ from cellslam.recordings.fitting.fit_sizes import Learnt, learn
 from cellslam.recordings.importing.manifest import Noise
 from cellslam.scenarios import external_options
 from cellslam.scenarios.estimator_options import Request
+from cellslam.scenarios.keys import validate
 from cellslam.scenarios.overrides import apply
-from cellslam.scenarios.problems import validate
 from cellslam.scenarios.recording_origin import Origin
 from cellslam.sim.errors import InputError, nearest_name
 from cellslam.sim.progress import Progress, silent

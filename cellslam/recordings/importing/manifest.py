@@ -8,7 +8,7 @@ from typing import Annotated, Literal
 
 from pydantic import BaseModel, ConfigDict, Field
 
-from cellslam.scenarios.problems import validate
+from cellslam.scenarios.keys import validate
 from cellslam.sim.errors import InputError
 
 NAME = "recording.toml"

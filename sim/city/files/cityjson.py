@@ -4,40 +4,31 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterator
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import mapbox_earcut
 import numpy as np
 
+from cellslam.sim.city.assemble import ear_cut
 from cellslam.sim.city.city import Floats, Ints
 from cellslam.sim.city.facets import triangle_normals
-from cellslam.sim.errors import InputError
+from cellslam.sim.errors import InputError, one_line
 
 # Nesting of boundaries above a surface, by geometry type (CityJSON 2.0, section 3.2).
 DEPTH = {"MultiSurface": 0, "CompositeSurface": 0, "Solid": 1, "MultiSolid": 2, "CompositeSolid": 2}
 Surface = list[list[int]]
 
 
-@dataclass(frozen=True)
-class CityObject:
-    """One object: `vertices` (V, 3) in the file's metres, `triangles` (K, 3), and the building that it is part of."""
-
-    vertices: Floats
-    triangles: Ints
-    building: str
-
-
-def read_cityjson(path: Path) -> Iterator[CityObject]:
-    """Yield the objects with surfaces of a .json or .jsonl file. Raises InputError for what is no CityJSON."""
+def read_cityjson(path: Path) -> Iterator[tuple[Floats, Ints, str]]:
+    """Yield the objects with surfaces of a .json or .jsonl file: vertices (V, 3) in the file's metres, triangles
+    (K, 3), and the building that the object is part of. Raises InputError for what is no CityJSON.
+    """
     try:
         text = path.read_text(encoding="utf-8")
-        documents = (
-            [json.loads(text)] if path.suffix == ".json" else [json.loads(x) for x in text.splitlines() if x.strip()]
-        )
+        texts = [text] if path.suffix == ".json" else [line for line in text.splitlines() if line.strip()]
+        documents = [json.loads(text) for text in texts]
     except (OSError, ValueError, RecursionError) as error:
-        raise InputError(f"cannot read CityJSON '{path}': {' '.join(str(error).split())[:160]}") from None
+        raise InputError(f"cannot read CityJSON '{path}': {one_line(error, 160)}") from None
     if not documents or not isinstance(documents[0], dict) or documents[0].get("type") != "CityJSON":
         raise InputError(f'\'{path}\' is no CityJSON: expected "type": "CityJSON" at its start')
     try:
@@ -53,9 +44,9 @@ def read_cityjson(path: Path) -> Iterator[CityObject]:
                 if len(triangles):
                     used, renumbered = np.unique(triangles, return_inverse=True)
                     parents = entry.get("parents") or [name]
-                    yield CityObject(vertices[used], renumbered.reshape(-1, 3).astype(np.int64), str(parents[0]))
+                    yield vertices[used], renumbered.reshape(-1, 3).astype(np.int64), str(parents[0])
     except (KeyError, IndexError, TypeError, ValueError, AttributeError, RecursionError) as error:
-        what = f"{type(error).__name__}: {' '.join(str(error).split())[:120]}"
+        what = f"{type(error).__name__}: {one_line(error, 120)}"
         raise InputError(f"CityJSON '{path}' does not keep to its specification ({what})") from None
 
 
@@ -92,9 +83,8 @@ def _triangulate(vertices: Floats, surfaces: list[Surface]) -> Ints:
         normal = np.cross(outer, np.roll(outer, -1, axis=0)).sum(axis=0)
         # The plane's steepest axis is dropped: no projection can fold the polygon.
         kept = [axis for axis in range(3) if axis != int(np.argmax(np.abs(normal)))]
-        ends = np.cumsum([len(ring) for ring in rings]).astype(np.uint32)
         flat = np.ascontiguousarray(points[:, kept] - points[0, kept])
-        triangles = mapbox_earcut.triangulate_float64(flat, ends).reshape(-1, 3).astype(np.int64)
+        triangles = ear_cut(flat, [len(ring) for ring in rings])
         facing = np.einsum("ki,i->k", triangle_normals(points[triangles])[0], normal) < 0.0
         triangles[facing] = triangles[facing][:, ::-1]
         pieces.append(index[triangles])

@@ -10,17 +10,18 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from shapely.affinity import translate
 
 from cellslam.sim.city.assemble import Part, assemble
 from cellslam.sim.city.city import City, Floats, Ints, Material, Tolerances
 from cellslam.sim.city.city_config import MeshCityConfig
-from cellslam.sim.city.facets import weld
+from cellslam.sim.city.facets import connected, weld
 from cellslam.sim.city.files.cityjson import read_cityjson
 from cellslam.sim.city.files.mitsuba import DISTRIBUTION, building_name, read_scene, shipped_scene
 from cellslam.sim.city.files.osm import load_osm
 from cellslam.sim.city.footprints import buildings, ground_objects
-from cellslam.sim.city.materials import ITU_P2040, itu_material
-from cellslam.sim.errors import InputError
+from cellslam.sim.city.materials import ITU_P2040, itu_material, itu_name
+from cellslam.sim.errors import InputError, one_line
 
 FORMATS = (".ply", ".obj", ".stl", ".glb", ".gltf", ".xml", ".json", ".jsonl", ".osm", ".pbf")
 
@@ -58,8 +59,7 @@ def _load(config: MeshCityConfig, path: Path, stamp: int) -> City:
     if path.suffix.lower() in (".osm", ".pbf"):
         return load_osm(path, config.material, config.roughness_m, tolerances)
     default = itu_material(config.material, config.thickness_m, config.roughness_m)
-    objects = list(_objects(path, default, config))
-    objects = [o for o in objects if len(o.triangles)]
+    objects = [o for o in _objects(path, default, config) if len(o.triangles)]
     if not objects:
         raise InputError(f"mesh '{config.path}' has no triangles: it is empty, or no mesh")
     for o in objects:
@@ -84,26 +84,20 @@ def _locate(path: str) -> Path:
 def _objects(path: Path, default: Material, config: MeshCityConfig) -> Iterator[MeshObject]:
     suffix = path.suffix.lower()
     if suffix == ".xml":
-        return _scene_objects(path, default)
-    if suffix in (".json", ".jsonl"):
-        return (MeshObject(o.vertices, o.triangles, default, o.building, "") for o in read_cityjson(path))
-    return _file_objects(path, default, config)
-
-
-def _scene_objects(path: Path, default: Material) -> Iterator[MeshObject]:
-    for shape in read_scene(path, default):
-        for vertices, triangles, _ in _read_mesh(shape.path):
-            placed = vertices @ shape.to_world[:3, :3].T + shape.to_world[:3, 3]
-            yield MeshObject(placed, triangles, shape.material, building_name(shape.name), shape.assumed)
-
-
-def _file_objects(path: Path, default: Material, config: MeshCityConfig) -> Iterator[MeshObject]:
-    y_up = config.up == "y" or (config.up == "auto" and path.suffix.lower() in (".glb", ".gltf"))
-    for vertices, triangles, name in _read_mesh(path):
-        placed = vertices[:, [0, 2, 1]] * [1.0, -1.0, 1.0] if y_up else vertices
-        known = name.removeprefix("mat-").removeprefix("itu_").removeprefix("itu-")
-        found = itu_material(known, config.thickness_m, config.roughness_m) if known in ITU_P2040 else None
-        yield MeshObject(placed, triangles, found or default, None, None if found else name)
+        for shape in read_scene(path, default):
+            for vertices, triangles, _ in _read_mesh(shape.path):
+                placed = vertices @ shape.to_world[:3, :3].T + shape.to_world[:3, 3]
+                yield MeshObject(placed, triangles, shape.material, building_name(shape.name), shape.assumed)
+    elif suffix in (".json", ".jsonl"):
+        for vertices, triangles, building in read_cityjson(path):
+            yield MeshObject(vertices, triangles, default, building, "")
+    else:
+        y_up = config.up == "y" or (config.up == "auto" and suffix in (".glb", ".gltf"))
+        for vertices, triangles, name in _read_mesh(path):
+            placed = vertices[:, [0, 2, 1]] * [1.0, -1.0, 1.0] if y_up else vertices
+            known = itu_name(name)
+            found = itu_material(known, config.thickness_m, config.roughness_m) if known in ITU_P2040 else None
+            yield MeshObject(placed, triangles, found or default, None, None if found else name)
 
 
 def _read_mesh(path: Path) -> Iterator[tuple[Floats, Ints, str]]:
@@ -118,7 +112,7 @@ def _read_mesh(path: Path) -> Iterator[tuple[Floats, Ints, str]]:
     except ModuleNotFoundError:  # trimesh asks for a package that guesses encodings
         raise InputError(f"cannot read mesh '{path}': its text is not UTF-8; is it damaged?") from None
     except Exception as error:  # a parser meets garbage in its own way each time
-        text = " ".join(str(error).split())[:160] or type(error).__name__
+        text = one_line(error, 160) or type(error).__name__
         raise InputError(f"cannot read mesh '{path}': {text}") from None
     yield from (mesh for mesh in found if mesh is not None)
 
@@ -144,7 +138,7 @@ def _city(name: str, objects: list[MeshObject], tolerances: Tolerances) -> City:
     ground = np.isin(group, ground_objects(corners - corners.mean(axis=(0, 1)), group))
     origin = np.round(corners.mean(axis=(0, 1)))
     footprints, heights, building = buildings(corners - origin, group, ground)
-    footprints = tuple(_shifted(p, origin) for p in footprints)
+    footprints = tuple(translate(p, *origin[:2]) for p in footprints)
     parts = []
     for index, obj in enumerate(objects):
         own = building[item == index]
@@ -152,12 +146,11 @@ def _city(name: str, objects: list[MeshObject], tolerances: Tolerances) -> City:
             triangles = obj.triangles[own == value]
             used, renumbered = np.unique(triangles, return_inverse=True)
             parts.append(Part(obj.vertices[used], renumbered.reshape(-1, 3), materials.index(obj.material), int(value)))
-    road_m = _foot(corners, building) if len(footprints) and not ground.any() else 0.0
+    road_m = _foot(corners, building) if footprints and not ground.any() else 0.0
     notes = [] if ground.any() else [f"no ground found: nothing spans the city and faces up; roads at {road_m:g} m"]
     notes += _assumptions(objects)
-    return replace(
-        assemble(name, parts, materials, footprints, heights, notes=notes, tolerances=tolerances), road_m=road_m
-    )
+    city = assemble(name, parts, materials, footprints, heights, notes=notes, tolerances=tolerances)
+    return replace(city, road_m=road_m)
 
 
 def _foot(corners: Floats, building: Ints) -> float:
@@ -181,9 +174,6 @@ def _assumptions(objects: list[MeshObject]) -> list[str]:
 
 def _groups(objects: list[MeshObject]) -> Ints:
     """Return the group (K,) of each triangle: objects of one building, or one touching piece of an object."""
-    from scipy.sparse import coo_matrix
-    from scipy.sparse.csgraph import connected_components
-
     names: dict[str, int] = {}
     groups, used = [], len({o.building for o in objects if o.building is not None})
     for o in objects:
@@ -192,16 +182,8 @@ def _groups(objects: list[MeshObject]) -> Ints:
             continue
         corner = weld(o.vertices, np.zeros(len(o.vertices), np.int64))[o.triangles]
         ends = np.concatenate([corner[:, :2], corner[:, 1:]])
-        size = int(corner.max()) + 1
-        links = coo_matrix((np.ones(len(ends), np.int8), (ends[:, 0], ends[:, 1])), shape=(size, size))
-        _, label = connected_components(links, directed=False)
+        label = connected(ends, int(corner.max()) + 1)
         piece = np.unique(label[corner[:, 0]], return_inverse=True)[1]
         groups.append(used + piece)
         used += int(piece.max()) + 1
     return np.concatenate(groups).astype(np.int64)
-
-
-def _shifted(polygon: Any, origin: Floats) -> Any:
-    from shapely.affinity import translate
-
-    return translate(polygon, origin[0], origin[1])

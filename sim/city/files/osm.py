@@ -3,22 +3,23 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from cellslam.sim.city.assemble import Part, assemble
+from cellslam.sim.city.assemble import assemble, cap, prism
 from cellslam.sim.city.city import GROUND, City, Floats, Material, Tolerances
-from cellslam.sim.city.extrude import cap, walls
 from cellslam.sim.city.materials import THICKNESS_M, itu_material
 from cellslam.sim.city.ways import largest_network
-from cellslam.sim.errors import InputError
+from cellslam.sim.errors import InputError, one_line
 
 if TYPE_CHECKING:
     from shapely import Polygon
+
+Tags = Mapping[str, str]
 
 STOREY_M = 3.0
 UNKNOWN_HEIGHT_M = 9.0
@@ -40,18 +41,6 @@ _SEMI_MAJOR_M, _ECCENTRICITY2 = 6378137.0, 6.69437999014e-3
 
 
 @dataclass(frozen=True)
-class _Area:
-    """One building or building part: rings of longitude and latitude (n, 2), the first one outside."""
-
-    rings: list[Floats]
-    tags: Mapping[str, str]
-
-    @property
-    def is_part(self) -> bool:
-        return self.tags.get("building:part", "no") != "no"
-
-
-@dataclass(frozen=True)
 class _Block:
     """A prism: plan in local metres, bottom and top above ground; top or material None: the tags do not tell."""
 
@@ -66,9 +55,9 @@ def load_osm(path: Path, material: str, roughness_m: float, tolerances: Toleranc
     areas, lines = _read(path)
     if not areas:
         raise InputError(f"OpenStreetMap extract '{path}' has no building: no closed way or area tagged 'building'")
-    centres = np.array([a.rings[0].mean(axis=0) for a in areas])
+    centres = np.array([rings[0].mean(axis=0) for rings, _ in areas])
     origin = np.asarray(np.round(centres.mean(axis=0), 4), np.float64)
-    found = [(a.is_part, _blocks(a, origin)) for a in areas]
+    found = [(_is_part(tags), _blocks(rings, tags, origin)) for rings, tags in areas]
     outlines, parts = ([b for part, some in found if part == wanted for b in some] for wanted in (False, True))
     blocks, replaced = _without_parts(outlines, parts)
     if not blocks:
@@ -91,13 +80,19 @@ def load_osm(path: Path, material: str, roughness_m: float, tolerances: Toleranc
     return replace(city, origin_deg=(float(origin[0]), float(origin[1])))
 
 
-def _read(path: Path) -> tuple[list[_Area], list[Floats]]:
-    """Return buildings and street lines (longitude, latitude) of a file."""
+def _is_part(tags: Tags) -> bool:
+    return tags.get("building:part", "no") != "no"
+
+
+def _read(path: Path) -> tuple[list[tuple[list[Floats], Tags]], list[Floats]]:
+    """Return buildings and their parts (rings, the first one outside, and tags) and street lines of a file, all (n, 2)
+    in longitude and latitude.
+    """
     try:
         import osmium
     except ModuleNotFoundError:
         raise InputError(f"'{path}' is OpenStreetMap data, which needs osmium: pip install 'cellslam[osm]'") from None
-    areas: list[_Area] = []
+    areas: list[tuple[list[Floats], Tags]] = []
     lines: list[Floats] = []
     wanted = osmium.filter.KeyFilter("building", "building:part")
     try:
@@ -105,20 +100,16 @@ def _read(path: Path) -> tuple[list[_Area], list[Floats]]:
         for item in found:
             tags = item.tags
             if item.is_area() and ("building" in tags or "building:part" in tags):
-                areas += [_Area(rings, dict(tags)) for rings in _rings(item)]
+                for outer in item.outer_rings():
+                    rings = [outer, *item.inner_rings(outer)]
+                    areas.append(([np.array([(n.lon, n.lat) for n in ring], np.float64) for ring in rings], dict(tags)))
             elif item.is_way() and DRIVABLE.fullmatch(tags.get("highway", "")) and tags.get("tunnel", "no") == "no":
                 line = [(n.lon, n.lat) for n in item.nodes if n.location.valid()]
                 lines += [np.array(line)] if len(line) > 1 else []
     except Exception as error:  # libosmium's errors are of many kinds
-        text = " ".join(str(error).split())[:160] or type(error).__name__
+        text = one_line(error, 160) or type(error).__name__
         raise InputError(f"cannot read OpenStreetMap extract '{path}': {text}") from None
-    return [a for a in areas if a.tags.get("building", "no") != "no" or a.is_part], lines
-
-
-def _rings(area: Any) -> Iterator[list[Floats]]:
-    for outer in area.outer_rings():
-        rings = [outer, *area.inner_rings(outer)]
-        yield [np.array([(n.lon, n.lat) for n in ring], np.float64) for ring in rings]
+    return [(rings, tags) for rings, tags in areas if tags.get("building", "no") != "no" or _is_part(tags)], lines
 
 
 def local_m(lonlat_deg: Floats, origin_deg: Floats | tuple[float, float]) -> Floats:
@@ -141,22 +132,22 @@ def _geocentric(lonlat: Floats) -> Floats:
     return np.stack([flat * np.cos(lon), flat * np.sin(lon), z], axis=-1)
 
 
-def _blocks(area: _Area, origin_deg: Floats) -> list[_Block]:
+def _blocks(rings: list[Floats], tags: Tags, origin_deg: Floats) -> list[_Block]:
     """Return the prisms of one area; none if it is underground or too small."""
     import shapely
 
-    plan = shapely.Polygon(local_m(area.rings[0], origin_deg), [local_m(r, origin_deg) for r in area.rings[1:]])
+    plan = shapely.Polygon(local_m(rings[0], origin_deg), [local_m(ring, origin_deg) for ring in rings[1:]])
     plan = shapely.set_precision(shapely.make_valid(plan), 1e-3)
-    bottom = _metres(area.tags, "min_height", "building:min_level") or 0.0
-    top = _metres(area.tags, "height", "building:levels")
-    name = MATERIALS.get(area.tags.get("building:material", ""))
-    if area.tags.get("location") == "underground" or (top is not None and top <= bottom):
+    bottom = _metres(tags, "min_height", "building:min_level") or 0.0
+    top = _metres(tags, "height", "building:levels")
+    name = MATERIALS.get(tags.get("building:material", ""))
+    if tags.get("location") == "underground" or (top is not None and top <= bottom):
         return []
     pieces = [p for p in shapely.get_parts(plan) if p.geom_type == "Polygon" and p.area >= SMALLEST_M2]
     return [_Block(piece, bottom, top, name) for piece in pieces]
 
 
-def _metres(tags: Mapping[str, str], length_key: str, level_key: str) -> float | None:
+def _metres(tags: Tags, length_key: str, level_key: str) -> float | None:
     """Read a height: in metres, in feet, or as a number of storeys; None if no tag tells."""
     for key, unit_m in ((length_key, 1.0), (level_key, STOREY_M)):
         found = _LENGTH.match(tags.get(key, ""))
@@ -208,12 +199,11 @@ def _extruded(
     materials: list[Material] = [itu_material(n, THICKNESS_M.get(n), roughness_m) for n in names]
     materials.append(itu_material("medium_dry_ground", None, roughness_m))
     extent = shapely.box(*shapely.total_bounds([b.plan for b in blocks])).buffer(GROUND_MARGIN_M, join_style="mitre")
-    parts = [Part(*cap(extent, 0.0), material=len(names), building=GROUND)]
+    parts = [cap(extent, 0.0, len(names), GROUND)]
     heights = np.array([(b.bottom_m + unknown_m if b.top_m is None else b.top_m) - b.bottom_m for b in blocks])
     for building, (block, height) in enumerate(zip(blocks, heights, strict=True)):
         material, top = names.index(block.material or default), block.bottom_m + float(height)
-        parts.append(Part(*walls(block.plan, block.bottom_m, top), material=material, building=building))
-        parts.append(Part(*cap(block.plan, top), material=material, building=building))
+        parts += prism(block.plan, block.bottom_m, top, material, material, building)
         if block.bottom_m > 0.0:
-            parts.append(Part(*cap(block.plan, block.bottom_m), material=material, building=building))
+            parts.append(cap(block.plan, block.bottom_m, material, building))
     return assemble(name, parts, materials, [b.plan for b in blocks], heights, streets, notes, tolerances)

@@ -6,17 +6,23 @@ import numpy as np
 import shapely
 from shapely import LineString, Polygon
 
-from cellslam.sim.city.assemble import Part, assemble
+from cellslam.sim.city.assemble import assemble, cap, prism, walls
 from cellslam.sim.city.city import GROUND, City, Floats
 from cellslam.sim.city.city_config import ProceduralCityConfig
-from cellslam.sim.city.extrude import cap, walls
 from cellslam.sim.city.materials import THICKNESS_M, itu_material
-from cellslam.sim.city.procedural.blocks import blocks_between, closed_block, open_block
-from cellslam.sim.city.procedural.details import POLE_HEIGHT_M, SHOP_HEIGHT_M, pole_plans, with_bays
+from cellslam.sim.city.procedural.houses import (
+    POLE_HEIGHT_M,
+    blocks_between,
+    closed_block,
+    open_block,
+    pole_plans,
+    with_bays,
+)
 from cellslam.sim.city.procedural.street_network import street_network
 from cellslam.sim.errors import InputError
 
 GROUND_MARGIN_M = 300.0
+SHOP_HEIGHT_M = 4.0
 
 
 def generate(config: ProceduralCityConfig, rng: np.random.Generator) -> City:
@@ -44,16 +50,15 @@ def generate(config: ProceduralCityConfig, rng: np.random.Generator) -> City:
         footprints = with_bays(footprints, config, details)
     shops = details.random(len(footprints)) < config.shop_share
     poles = pole_plans(streets, widths, footprints, config) if config.pole_spacing_m > 0.0 else []
-    parts = [_ground(config, material=ground)]
+    half = config.extent_m / 2 + GROUND_MARGIN_M
+    parts = [cap(shapely.box(-half, -half, half, half), 0.0, ground, GROUND)]
     for building, (plan, height) in enumerate(zip(footprints, heights, strict=True)):
         shop_m = SHOP_HEIGHT_M if shops[building] and height > 1.5 * SHOP_HEIGHT_M else 0.0
         if shop_m > 0.0:
-            parts.append(Part(*walls(plan, 0.0, shop_m), material=glass, building=building))
-        parts.append(Part(*walls(plan, shop_m, height), material=int(choice[building]), building=building))
-        parts.append(Part(*cap(plan, height), material=roof, building=building))
+            parts.append(walls(plan, 0.0, shop_m, glass, building))
+        parts += prism(plan, shop_m, height, int(choice[building]), roof, building)
     for building, plan in enumerate(poles, len(footprints)):
-        parts.append(Part(*walls(plan, 0.0, POLE_HEIGHT_M), material=metal, building=building))
-        parts.append(Part(*cap(plan, POLE_HEIGHT_M), material=metal, building=building))
+        parts += prism(plan, 0.0, POLE_HEIGHT_M, metal, metal, building)
     heights = np.concatenate([heights, np.full(len(poles), POLE_HEIGHT_M)])
     known = materials if poles or shops.any() else materials[:glass]
     return assemble("procedural", parts, known, [*footprints, *poles], heights, streets)
@@ -73,12 +78,5 @@ def _heights(count: int, config: ProceduralCityConfig, rng: np.random.Generator)
     low, high = config.height_min_m, config.height_max_m
     height = low + (high - low) * rng.beta(2.0, 2.0, count)
     tower = rng.random(count) < config.tower_share
-    return np.asarray(
-        np.round(np.where(tower, config.tower_height_m * rng.uniform(0.85, 1.15, count), height), 1),
-        np.float64,
-    )
-
-
-def _ground(config: ProceduralCityConfig, material: int) -> Part:
-    half = config.extent_m / 2 + GROUND_MARGIN_M
-    return Part(*cap(shapely.box(-half, -half, half, half), 0.0), material=material, building=GROUND)
+    height = np.where(tower, config.tower_height_m * rng.uniform(0.85, 1.15, count), height)
+    return np.asarray(np.round(height, 1), np.float64)

@@ -13,17 +13,18 @@ from __future__ import annotations
 
 import json
 import re
-from dataclasses import replace
+from contextlib import suppress
+from dataclasses import fields, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from cellslam.sim.errors import InputError
+from cellslam.sim.errors import InputError, one_line
 from cellslam.sim.frames import SPEED_OF_LIGHT_MPS, unit_vector
-from cellslam.sim.rays.exchange.traced_paths import EXACT, Columns, Tolerance, Traced, places_in_links, traced, zenith
-from cellslam.sim.rays.paths import Floats, Ints
+from cellslam.sim.rays.exchange.traced_paths import EXACT, ByLink, Columns, Tolerance, Traced, traced, zenith
+from cellslam.sim.rays.paths import Floats
 
 NAME = "{key}_t{tx_set:03}_tx{tx:03}_r{rx_set:03}"
 ALIASES = {"rx_loc": "rx_pos", "tx_loc": "tx_pos", "toa": "delay", "inter_loc": "inter_pos"}
@@ -57,19 +58,15 @@ def read_deepmimo(folder: Path, rx_set: int | None = None, tolerance: Tolerance 
         pieces.append(_columns(folder, matrices, number))
     assert received is not None
     depth = max(piece.points_m.shape[1] for piece in pieces)
-    columns = Columns(
-        *(np.concatenate([_deep(getattr(p, f), depth, f) for p in pieces]) for f in Columns.__annotations__)
-    )
+    deep = [((0, 0), (0, depth - piece.points_m.shape[1]), (0, 0)) for piece in pieces]
+    points = [np.pad(piece.points_m, room, constant_values=np.nan) for piece, room in zip(pieces, deep, strict=True)]
+    pieces = [replace(piece, points_m=padded) for piece, padded in zip(pieces, points, strict=True)]
+    columns = Columns(*(np.concatenate([getattr(piece, f.name) for piece in pieces]) for f in fields(Columns)))
     columns = _pointing_back(columns, np.array(sent), received)
-    return traced(str(folder), columns, np.array(sent), received, _carrier(folder / "params.json"), tolerance)
-
-
-def _carrier(path: Path) -> float | None:
-    try:
-        said = json.loads(path.read_text("utf-8"))["rt_params"]["frequency"]
-        return float(said)
-    except (ValueError, KeyError, TypeError):
-        return None
+    carrier_hz = None
+    with suppress(ValueError, KeyError, TypeError):
+        carrier_hz = float(json.loads((folder / "params.json").read_text("utf-8"))["rt_params"]["frequency"])
+    return traced(str(folder), columns, np.array(sent), received, carrier_hz, tolerance)
 
 
 def _links(folder: Path) -> dict[tuple[int, int, int], dict[str, Path]]:
@@ -106,7 +103,7 @@ def _matrix(path: Path, key: str) -> Floats:
         names = [name for name in held if ALIASES.get(name, name) == key]
         return np.asarray(held[names[0]], np.float64)
     except (OSError, ValueError, IndexError, KeyError) as error:
-        raise InputError(f"{path}: holds no matrix '{key}' ({' '.join(str(error).split())})") from error
+        raise InputError(f"{path}: holds no matrix '{key}' ({one_line(error)})") from error
 
 
 def _columns(folder: Path, m: dict[str, Floats], transmitter: int) -> Columns:
@@ -131,13 +128,6 @@ def _angles(m: dict[str, Floats], end: str, there: NDArray[np.bool_]) -> Floats:
     return np.column_stack([np.radians(m[f"{end}_az"][there]), zenith(np.radians(m[f"{end}_el"][there]))])
 
 
-def _deep(values: Any, depth: int, name: str) -> Any:
-    """Return `values`, points (P, I, 3) filled up to `depth`."""
-    if name != "points_m":
-        return values
-    return np.pad(values, ((0, 0), (0, depth - values.shape[1]), (0, 0)), constant_values=np.nan)
-
-
 def _pointing_back(c: Columns, sent: Floats, received: Floats) -> Columns:
     """Return the columns with angles of arrival that point to where the path comes from, as lines of sight tell."""
     sight = c.order == 0
@@ -153,13 +143,10 @@ def write_deepmimo(folder: Path, t: Traced, carrier_hz: float) -> None:
     folder.mkdir(parents=True)
     for site, position in enumerate(t.transmitters_m):
         p = t.paths.take(t.paths.transmitter == site)
-        place, most = places_in_links(p, len(t.receivers_m), site + 1)
-        at, shape = (p.receiver, place), (len(t.receivers_m), most)
+        by_link = ByLink(replace(p, transmitter=np.zeros_like(p.transmitter)), len(t.receivers_m), 1)
 
-        def filled(values: NDArray[Any], at: Any = at, shape: Any = shape) -> NDArray[np.float32]:
-            out = np.full((*shape, *values.shape[1:]), np.nan, np.float32)
-            out[at] = values
-            return out
+        def filled(values: NDArray[Any], by_link: ByLink = by_link) -> NDArray[np.float32]:
+            return by_link.filled(values.astype(np.float32), np.nan)[:, 0]
 
         gain = p.gain[:, 1, 1]
         matrices = {
@@ -170,17 +157,12 @@ def write_deepmimo(folder: Path, t: Traced, carrier_hz: float) -> None:
             "delay": filled(p.length_m / SPEED_OF_LIGHT_MPS),
             "power": filled(20.0 * np.log10(np.maximum(np.abs(gain), 1e-30))),
             "phase": filled(np.degrees(np.angle(gain))),
-            "inter": filled(_codes(p.order, p.edge)), "inter_pos": filled(p.points_m),
+            "inter": filled(np.where(p.edge >= 0, 2, np.array([0, 1, 11])[p.order])), "inter_pos": filled(p.points_m),
         }  # fmt: skip
         for key, matrix in matrices.items():
             name = NAME.format(key=key, tx_set=TRANSMITTERS, tx=site, rx_set=RECEIVERS)
             np.savez_compressed(folder / f"{name}.npz", **{key: matrix})
     (folder / "params.json").write_text(json.dumps(_parameters(t, carrier_hz), indent=1), "utf-8")
-
-
-def _codes(order: Ints, edge: Ints) -> Floats:
-    """Return the digits (P,) of a path's interactions: reflections, or one diffraction."""
-    return np.where(edge >= 0, 2.0, np.array([0.0, 1.0, 11.0])[order])
 
 
 def _parameters(t: Traced, carrier_hz: float) -> dict[str, Any]:

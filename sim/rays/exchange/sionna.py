@@ -16,10 +16,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from cellslam.sim.errors import InputError
+from cellslam.sim.errors import InputError, one_line
 from cellslam.sim.frames import SPEED_OF_LIGHT_MPS
-from cellslam.sim.rays.exchange.traced_paths import EXACT, Columns, Tolerance, Traced, places_in_links, traced, zenith
-from cellslam.sim.rays.paths import Floats, Ints, Paths
+from cellslam.sim.rays.exchange.traced_paths import EXACT, ByLink, Columns, Tolerance, Traced, traced, zenith
+from cellslam.sim.rays.paths import Floats, Ints
 
 NEEDED = ("a", "tau", "theta_r", "phi_r", "theta_t", "phi_t")
 FLAT, DEEP = (*NEEDED[1:], "valid"), ("interactions", "vertices")
@@ -71,7 +71,7 @@ def _loaded(path: Path) -> dict[str, NDArray[Any]]:
         with np.load(path, allow_pickle=False) as file:
             arrays = {name: np.asarray(file[name]) for name in file.files}
     except (OSError, ValueError) as error:
-        raise InputError(f"{path}: not an .npz of arrays ({' '.join(str(error).split())})") from error
+        raise InputError(f"{path}: not an .npz of arrays ({one_line(error)})") from error
     if "a" not in arrays and {"a_real", "a_imag"} <= set(arrays):
         arrays["a"] = arrays["a_real"] + 1j * arrays["a_imag"]
     missing = [name for name in NEEDED if name not in arrays]
@@ -140,19 +140,15 @@ def _positions(path: Path, arrays: dict[str, NDArray[Any]], name: str, count: in
 
 def write_sionna(path: Path, t: Traced, carrier_hz: float) -> None:
     """Write paths as an .npz, as of synthetic arrays with a pair of isotropic V and H antennas at both ends."""
-    receivers, transmitters = len(t.receivers_m), len(t.transmitters_m)
-    place, most = places_in_links(t.paths, receivers, transmitters)
-    p, shape = t.paths, (receivers, transmitters, most)
-    at = (p.receiver, p.transmitter, place)
+    p, by_link = t.paths, ByLink(t.paths, len(t.receivers_m), len(t.transmitters_m))
     depth = int(p.order.max(initial=0))
 
     def filled(values: NDArray[Any], padding: float = 0.0) -> NDArray[Any]:
-        out = np.full((*shape, *values.shape[1:]), padding, values.dtype)
-        out[at] = values
-        return out
+        return by_link.filled(values, padding)
 
     used = np.arange(depth) < p.order[:, None]
     code = np.where(p.edge >= 0, DIFFRACTION, SPECULAR)[:, None]
+    objects = np.where(p.facets >= 0, p.facets, NO_OBJECT).astype(np.uint32)[:, :depth]
     signs = np.array([[1.0, -1.0], [-1.0, 1.0]])
     both = (p.gain * signs)[:, ::-1, ::-1]  # (V, H) of theirs
     np.savez_compressed(
@@ -162,11 +158,7 @@ def write_sionna(path: Path, t: Traced, carrier_hz: float) -> None:
         theta_r=filled(zenith(p.elevation_rad)), phi_r=filled(p.azimuth_rad),
         theta_t=filled(zenith(p.departure_elevation_rad)), phi_t=filled(p.departure_azimuth_rad),
         interactions=np.moveaxis(filled(np.where(used, code, 0).astype(np.uint32)), -1, 0),
-        objects=np.moveaxis(filled(_objects(p, depth), NO_OBJECT), -1, 0),
+        objects=np.moveaxis(filled(objects, NO_OBJECT), -1, 0),
         vertices=np.moveaxis(filled(np.nan_to_num(p.points_m[:, :depth])), -2, 0),
         sources=t.transmitters_m, targets=t.receivers_m, frequency=carrier_hz,
     )  # fmt: skip
-
-
-def _objects(p: Paths, depth: int) -> NDArray[np.uint32]:
-    return np.where(p.facets >= 0, p.facets, NO_OBJECT).astype(np.uint32)[:, :depth]

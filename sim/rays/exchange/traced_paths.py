@@ -9,7 +9,7 @@ of the formats, in `sionna` and `deepmimo`.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -68,7 +68,8 @@ def traced(
     """
     length = SPEED_OF_LIGHT_MPS * c.delay_s
     sent, received = transmitters_m[c.transmitter], receivers_m[c.receiver]
-    whole = _whole(c)
+    # Which paths have all their points; the line of sight has none.
+    whole = (c.order == 0) | (np.isfinite(c.points_m).all(axis=2).sum(axis=1) == c.order)
     # The points next to each end, where they are known.
     first, last = received.copy(), sent.copy()
     bounces = np.flatnonzero(whole & (c.order > 0))
@@ -95,12 +96,6 @@ def traced(
         gain=c.gain,
     )  # fmt: skip
     return Traced(joined([paths]), transmitters_m, receivers_m, carrier_hz)
-
-
-def _whole(c: Columns) -> NDArray[np.bool_]:
-    """Return which paths (P,) have all their points; the line of sight has none."""
-    known = np.isfinite(c.points_m).all(axis=2).sum(axis=1)
-    return np.asarray((c.order == 0) | (known == c.order), np.bool_)
 
 
 def _check_lengths(name: str, length: Floats, straight: Floats, around_m: Floats, tolerance_m: float) -> None:
@@ -151,9 +146,9 @@ def _check_angles(
 
 def _vt_numbers(vt: Floats, transmitter: Ints, order: Ints) -> Ints:
     """Return a number (P,) for each VT, -1 for lines of sight."""
-    from scipy.sparse import coo_matrix
-    from scipy.sparse.csgraph import connected_components
     from scipy.spatial import cKDTree
+
+    from cellslam.sim.city.facets import connected
 
     out = np.full(len(vt), -1, np.int64)
     rows = np.flatnonzero(order > 0)
@@ -164,9 +159,7 @@ def _vt_numbers(vt: Floats, transmitter: Ints, order: Ints) -> Ints:
     cell = np.round(np.column_stack([vt[rows], apart]) / (0.5 * SAME_VT_M)).astype(np.int64)
     kept, inverse = np.unique(cell, axis=0, return_inverse=True)
     pairs = cKDTree(kept * (0.5 * SAME_VT_M)).query_pairs(SAME_VT_M, output_type="ndarray")
-    links = coo_matrix((np.ones(len(pairs)), (pairs[:, 0], pairs[:, 1])), (len(kept), len(kept)))
-    _, number = connected_components(links, directed=False)
-    out[rows] = number[inverse.reshape(-1)]
+    out[rows] = connected(pairs, len(kept))[inverse.reshape(-1)]
     return out
 
 
@@ -175,11 +168,20 @@ def zenith(elevation_rad: Floats) -> Floats:
     return 0.5 * np.pi - elevation_rad
 
 
-def places_in_links(paths: Paths, receivers: int, transmitters: int) -> tuple[Ints, int]:
-    """Return the number (P,) of each path among those of its link, strongest first, and the largest count of a link."""
-    link = paths.receiver * transmitters + paths.transmitter
-    order = np.lexsort((-paths.gain_db, link))
-    begin = np.searchsorted(link[order], np.arange(receivers * transmitters))
-    place = np.empty(len(link), np.int64)
-    place[order] = np.arange(len(link)) - begin[link[order]]
-    return place, int(place.max(initial=-1)) + 1
+class ByLink:
+    """Makes arrays by receiver, transmitter and place in the link, the strongest path first, as formats hold them."""
+
+    def __init__(self, paths: Paths, receivers: int, transmitters: int) -> None:
+        link = paths.receiver * transmitters + paths.transmitter
+        order = np.lexsort((-paths.gain_db, link))
+        begin = np.searchsorted(link[order], np.arange(receivers * transmitters))
+        place = np.empty(len(link), np.int64)
+        place[order] = np.arange(len(link)) - begin[link[order]]
+        self._at = paths.receiver, paths.transmitter, place
+        self._shape = receivers, transmitters, int(place.max(initial=-1)) + 1
+
+    def filled(self, values: NDArray[Any], padding: float) -> NDArray[Any]:
+        """Return values (P, ...), of any unit, as (receivers, transmitters, places, ...)."""
+        out = np.full((*self._shape, *values.shape[1:]), padding, values.dtype)
+        out[self._at] = values
+        return out

@@ -37,23 +37,20 @@ def test_a_sheet_of_soup_is_one_facet():
     np.testing.assert_allclose(np.abs(facets.normal[0]), [0, 0, 1], atol=1e-12)
 
 
-@pytest.mark.parametrize(("sag_m", "count"), [(0.001, 1), (0.0019, 1), (0.0021, 2), (0.05, 2)])
-def test_tolerance_decides_over_a_bent_wall(sag_m, count):
+@pytest.mark.parametrize(
+    ("sag_m", "tolerances", "count"),
+    [
+        (0.0019, {}, 1), (0.0021, {}, 2), (0.05, {}, 2), (0.05, {"plane_m": 0.1}, 1),
+        (0.05, {"plane_m": 0.1, "angle_deg": 0.1}, 2),
+    ],
+)  # fmt: skip
+def test_tolerances_decide_over_a_bent_wall(sag_m, tolerances, count):
     vertices, triangles = grid(1, 10.0)
     # Lift the corner that only the second triangle has.
     vertices[vertices[:, 1] - vertices[:, 0] > 9.0, 2] = sag_m
-    _, facets = merged(vertices, triangles)
+    _, facets = merged(vertices, triangles, **tolerances)
     assert len(facets) == count
-    assert facets.planarity_m.max() <= 0.002
-
-
-@pytest.mark.parametrize(
-    ("tolerances", "count"), [({}, 2), ({"plane_m": 0.1}, 1), ({"plane_m": 0.1, "angle_deg": 0.1}, 2)]
-)
-def test_tolerances_can_be_chosen(tolerances, count):
-    vertices, triangles = grid(1, 10.0)
-    vertices[vertices[:, 1] - vertices[:, 0] > 9.0, 2] = 0.05
-    assert len(merged(vertices, triangles, **tolerances)[1]) == count
+    assert facets.planarity_m.max() <= tolerances.get("plane_m", 0.002)
 
 
 def test_a_gentle_curve_does_not_become_one_facet():

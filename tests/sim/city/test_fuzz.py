@@ -17,7 +17,7 @@ from hypothesis import strategies as st
 from trimesh.exchange.gltf import export_gltf
 
 from cellslam.sim.city import MeshCityConfig, ProceduralCityConfig, build_city
-from cellslam.sim.city.files.mitsuba_export import write_scene
+from cellslam.sim.city.files.mitsuba import write_scene
 from cellslam.sim.errors import InputError
 from cellslam.sim.rays import trace
 

@@ -7,17 +7,12 @@ import shapely
 from pydantic import ValidationError
 
 from cellslam.sim.city import ProceduralCityConfig, build_city
+from cellslam.sim.city.inside import enclosing
 from cellslam.sim.errors import InputError
 
 KINDS = {
     "default": {},
-    "open": {
-        "open_share": 1.0,
-        "square_share": 0.0,
-        "height_min_m": 10.0,
-        "height_max_m": 25.0,
-        "tower_share": 0.0,
-    },
+    "open": {"open_share": 1.0, "square_share": 0.0, "height_min_m": 10.0, "height_max_m": 25.0, "tower_share": 0.0},
     "canyon": {"open_share": 0.0, "block_size_m": 80.0, "gap_share": 0.0, "square_share": 0.0},
 }
 
@@ -58,6 +53,7 @@ def test_every_wall_and_roof_is_one_facet(city):
     assert (city.facets.building == -1).sum() == 1
     vertical = np.abs(city.facets.normal[:, 2]) < 1e-9
     assert vertical.sum() == len(city.facets) - len(city.footprints) - 1
+    assert city.heights_m.min() >= 8.0 and (city.heights_m <= 35.0).mean() > 0.9
     area = sum(p.length * h for p, h in zip(city.footprints, city.heights_m, strict=True))
     assert city.facets.area_m2[vertical].sum() == pytest.approx(area, rel=1e-9)
 
@@ -66,19 +62,9 @@ def test_walls_face_outwards(city):
     wall = np.flatnonzero(np.abs(city.facets.normal[:, 2]) < 1e-9)[::7]
     assert len(wall) > 10
     for facet in wall:
-        middle = city.facet_triangles(facet).mean(axis=(0, 1)) + 0.05 * city.facets.normal[facet]
+        corners = city.vertices[city.triangles[city.triangle_facet == facet]]
+        middle = corners.mean(axis=(0, 1)) + 0.05 * city.facets.normal[facet]
         assert not city.footprints[city.facets.building[facet]].contains(shapely.Point(middle[:2]))
-
-
-def test_heights_are_in_range(city):
-    assert city.heights_m.min() >= 8.0
-    assert (city.heights_m <= 35.0).mean() > 0.9
-
-
-def test_buildings_at(city):
-    inside = np.array([p.representative_point().coords[0] for p in city.footprints])
-    np.testing.assert_array_equal(city.buildings_at(inside), np.arange(len(inside)))
-    assert (city.buildings_at(np.concatenate(city.streets)) == -1).all()
 
 
 @pytest.mark.parametrize(
@@ -121,5 +107,5 @@ def test_details_are_added_to_the_same_city():
     poles = b.footprints[houses:]
     assert len(poles) > 20
     assert all(pole.area < 0.1 for pole in poles)
-    assert (b.buildings_at([p.centroid.coords[0] for p in poles]) >= houses).all()
+    assert (enclosing(b, [(*p.centroid.coords[0], 1.0) for p in poles]) >= houses).all()
     assert {"glass", "metal"} <= {b.materials[m].name for m in np.unique(b.facets.material)}

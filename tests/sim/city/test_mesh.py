@@ -12,7 +12,8 @@ import shapely
 import trimesh
 
 from cellslam.sim.city import MeshCityConfig, ProceduralCityConfig, build_city
-from cellslam.sim.city.files.mitsuba_export import write_scene
+from cellslam.sim.city.files.mitsuba import write_scene
+from cellslam.sim.city.inside import OUTSIDE, enclosing
 from cellslam.sim.errors import InputError
 from cellslam.sim.rays import trace
 
@@ -38,7 +39,7 @@ def check_village(city):
     np.testing.assert_allclose([city.footprints[i].area for i in order], [80.0, 16.0], atol=1e-3)
     assert len(city.facets) == 13
     assert (city.facets.building == -1).sum() == 1
-    assert city.buildings_at([[5, 4], [22, 2], [40, 40]])[2] == -1
+    assert enclosing(city, [[40, 40, 1]]).tolist() == [OUTSIDE]
 
 
 @pytest.mark.parametrize("suffix", [".ply", ".obj", ".stl", ".glb"])
@@ -131,11 +132,7 @@ def write_house(folder, text=SCENE):
 
 def test_mitsuba_scene(tmp_path):
     city = load(write_house(tmp_path))
-    assert [(m.name, m.thickness_m) for m in city.materials] == [
-        ("brick", 0.2),
-        ("metal", 0.1),
-        ("concrete", 0.1),
-    ]
+    assert [(m.name, m.thickness_m) for m in city.materials] == [("brick", 0.2), ("metal", 0.1), ("concrete", 0.1)]
     assert len(city.footprints) == 1
     assert city.footprints[0].symmetric_difference(shapely.box(0, 0, 10, 8)).area < 0.01
     roof = city.facets.normal[:, 2] > 0.9

@@ -9,8 +9,7 @@ import numpy as np
 import pytest
 import shapely
 
-from cellslam.sim.city.assemble import Part, assemble
-from cellslam.sim.city.extrude import cap, walls
+from cellslam.sim.city.assemble import assemble, prism
 from cellslam.sim.city.materials import itu_material
 from cellslam.sim.errors import InputError
 from cellslam.sim.lte.sites import CellConfig, SiteConfig, place_sites, roof_height
@@ -25,7 +24,7 @@ def city() -> Any:
     tower = shapely.box(-10, -10, 10, 10)
     parts = []
     for building, (plan, height) in enumerate(((yard, 25.0), (tower, 60.0))):
-        parts += [Part(*make, material=0, building=building) for make in (walls(plan, 0.0, height), cap(plan, height))]
+        parts += prism(plan, 0.0, height, material=0, roof=0, building=building)
     return assemble("two", parts, [itu_material("concrete", None, 0.0)], [yard, tower], np.array([25.0, 60.0]), [])
 
 

@@ -1,5 +1,6 @@
 """Small scenes made of rectangles, and a slow tracer to compare with."""
 
+from itertools import pairwise, product
 from types import SimpleNamespace
 
 import numpy as np
@@ -17,8 +18,8 @@ def rectangle(corner, u, v):
     return np.array([corner, corner + u, corner + u + v, corner + v]), np.array([[0, 1, 2], [0, 2, 3]])
 
 
-def city_of(*meshes, shift=(0.0, 0.0, 0.0), material=WALL) -> City:
-    parts = [Part(v + np.asarray(shift), t, 0, i) for i, (v, t) in enumerate(meshes)]
+def city_of(*meshes, material=WALL) -> City:
+    parts = [Part(v, t, 0, i) for i, (v, t) in enumerate(meshes)]
     return assemble("test", parts, [material], [], np.zeros(len(parts)))
 
 
@@ -36,66 +37,43 @@ def box(low, high):
     return vertices, np.concatenate([s[1] + 4 * i for i, s in enumerate(sides)])
 
 
-def brute_force(city: City, transmitter, receiver) -> list[tuple[int, float]]:
-    """Return (order, length) of all paths of order 0 and 1: triangle by triangle, in float64."""
-    corners = city.vertices[city.triangles]
-    found = set()
-    if not _blocked(corners, transmitter, receiver):
-        found.add((0, round(float(np.linalg.norm(receiver - transmitter)), 6)))
-    for k, triangle in enumerate(corners):
-        normal = np.cross(triangle[1] - triangle[0], triangle[2] - triangle[0])
-        normal /= np.linalg.norm(normal)
-        dt, dr = (transmitter - triangle[0]) @ normal, (receiver - triangle[0]) @ normal
-        if dt * dr <= 0.0:
-            continue
-        image = transmitter - 2.0 * dt * normal
-        point = receiver + (image - receiver) * (dr / (dr + dt))
-        if not _within(triangle, point):
-            continue
-        others = corners[city.triangle_facet != city.triangle_facet[k]]
-        if not _blocked(others, receiver, point) and not _blocked(others, transmitter, point):
-            found.add((1, round(float(np.linalg.norm(image - receiver)), 6)))
-    return sorted(found)
-
-
-def brute_force_second(city: City, transmitter, receiver) -> list[float]:
-    """Return the lengths of all paths of order 2: every pair of triangles, in float64."""
+def brute_force(city: City, transmitter, receiver, max_order) -> list[tuple[int, float]]:
+    """Return (order, length) of all paths: every sequence of triangles, in float64."""
     corners, label = city.vertices[city.triangles], city.triangle_facet
     normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     normals /= np.linalg.norm(normals, axis=1, keepdims=True)
     found = set()
-    for a, b in np.argwhere(label[:, None] != label[None, :]):
-        first = transmitter - 2.0 * ((transmitter - corners[a, 0]) @ normals[a]) * normals[a]
-        second = first - 2.0 * ((first - corners[b, 0]) @ normals[b]) * normals[b]
-        p2 = _crossing(corners[b], normals[b], receiver, second)
-        p1 = None if p2 is None else _crossing(corners[a], normals[a], p2, first)
-        if (
-            p2 is None
-            or p1 is None
-            or (transmitter - corners[a, 0]) @ normals[a] * ((p2 - corners[a, 0]) @ normals[a]) <= 0
-        ):
-            continue
-        if (first - corners[b, 0]) @ normals[b] * ((receiver - corners[b, 0]) @ normals[b]) <= 0:
-            continue
-        legs = ((receiver, p2, [b]), (p2, p1, [a, b]), (transmitter, p1, [a]))
-        if not any(_blocked(corners[~np.isin(label, label[own])], start, end) for start, end, own in legs):
-            found.add(round(float(np.linalg.norm(second - receiver)), 6))
+    for order in range(max_order + 1):
+        for sequence in product(range(len(corners)), repeat=order):
+            images = [transmitter]
+            for k in sequence:
+                images.append(images[-1] - 2.0 * ((images[-1] - corners[k, 0]) @ normals[k]) * normals[k])
+            points = _points(corners, normals, sequence, images, receiver)
+            if points is None:
+                continue
+            own = [[], *([label[k]] for k in sequence), []]
+            ends = [transmitter, *points, receiver]
+            legs = zip(pairwise(ends), pairwise(own), strict=True)
+            if not any(_blocked(corners[~np.isin(label, a + b)], start, end) for (start, end), (a, b) in legs):
+                found.add((order, round(float(np.linalg.norm(images[-1] - receiver)), 6)))
     return sorted(found)
 
 
-def _crossing(triangle, normal, start, end):
-    """Return where the segment crosses the triangle, or None."""
-    before, after = (start - triangle[0]) @ normal, (end - triangle[0]) @ normal
-    if before * after >= 0.0:
-        return None
-    point = start + (end - start) * (before / (before - after))
-    return point if _within(triangle, point) else None
-
-
-def _within(triangle, point):
-    a, b, c = triangle - point
-    turns = np.stack([np.cross(a, b), np.cross(b, c), np.cross(c, a)])
-    return (turns @ np.cross(triangle[1] - triangle[0], triangle[2] - triangle[0]) >= 0.0).all()
+def _points(corners, normals, sequence, images, receiver):
+    """Return the specular points on a sequence of triangles, or None."""
+    points, place = [], receiver
+    for step in reversed(range(len(sequence))):
+        k = sequence[step]
+        before, after = ((end - corners[k, 0]) @ normals[k] for end in (place, images[step + 1]))
+        if before * after >= 0.0 or before * ((images[step] - corners[k, 0]) @ normals[k]) <= 0.0:
+            return None
+        place = place + (images[step + 1] - place) * (before / (before - after))
+        a, b, c = corners[k] - place
+        turns = np.stack([np.cross(a, b), np.cross(b, c), np.cross(c, a)])
+        if not (turns @ normals[k] >= 0.0).all():
+            return None
+        points.append(place)
+    return points[::-1]
 
 
 def _blocked(corners, start, end):
@@ -116,6 +94,4 @@ def _blocked(corners, start, end):
 
 @pytest.fixture(scope="session")
 def scenes() -> SimpleNamespace:
-    return SimpleNamespace(
-        rectangle=rectangle, city_of=city_of, box=box, brute_force=brute_force, brute_force_second=brute_force_second
-    )
+    return SimpleNamespace(rectangle=rectangle, city_of=city_of, box=box, brute_force=brute_force)

@@ -21,13 +21,6 @@ def test_worked_case_of_rappaport():
     np.testing.assert_allclose(-20.0 * np.log10(np.abs(knife_edge(nu))), [21.7, 6.02, 0.74], atol=0.06)
 
 
-def test_approximation_of_p526():
-    # P.526-15, equation 31: within 0.1 dB for nu > -0.7.
-    nu = np.linspace(-0.6, 6.0, 40)
-    approximate = 6.9 + 20.0 * np.log10(np.sqrt((nu - 0.1) ** 2 + 1.0) + nu - 0.1)
-    np.testing.assert_allclose(-20.0 * np.log10(np.abs(knife_edge(nu))), approximate, atol=0.3)
-
-
 @pytest.fixture(scope="module")
 def screen(scenes):
     return prepare(scenes.city_of(scenes.rectangle((0, -40, 0), (0, 80, 0), (0, 0, 20))))

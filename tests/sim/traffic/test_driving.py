@@ -15,7 +15,7 @@ from shapely import LineString, box, intersects, points, polygons
 from cellslam.scenarios import load
 from cellslam.sim.errors import InputError
 from cellslam.sim.randomness import Stream, stream
-from cellslam.sim.traffic import Traffic, TrafficConfig, draw_traffic
+from cellslam.sim.traffic import Traffic, TrafficConfig
 from cellslam.sim.traffic.driving import STEP_S, lanes_that_fit, rules
 from cellslam.sim.traffic.driving_kernel import RADIUS_M, Cars, Road, drive_all, is_better, progress
 from cellslam.sim.vehicle import plan_route
@@ -173,20 +173,6 @@ def test_nobody_drives_through_our_vehicle(drive: tuple[Any, Any, Traffic]) -> N
     assert not met[~in_bend].any() and (~in_bend).sum() > 100
     # In a bend of 8 m a bus on the next lane takes more room than there is.
     assert met.mean() < 0.02
-
-
-def test_same_trial_same_traffic(drive: tuple[Any, Any, Traffic]) -> None:
-    world, route, traffic = drive
-
-    def again(trial: int) -> Traffic:
-        rng = stream(75000, trial, Stream.TRAFFIC)
-        config = world.config
-        found = draw_traffic(config.traffic, world.scene.city, route, world.drive, config.vehicle, rng)
-        assert found is not None
-        return found
-
-    np.testing.assert_array_equal(again(0).poses, traffic.poses)
-    assert not np.array_equal(again(1).poses, traffic.poses)
 
 
 @pytest.mark.slow

@@ -85,13 +85,6 @@ def test_bias_and_scale_follow_the_data_sheet_over_trials() -> None:
     assert abs(np.corrcoef(bias[:, 3], scale[:, 0])[0, 1]) < 0.1
 
 
-def test_gyro_components_are_independent_of_the_wheels() -> None:
-    odometry = measure_odometry(flat_drive(5000), OdometryConfig(), np.random.default_rng(3))
-    perfect = measure_odometry(flat_drive(5000), PERFECT, np.random.default_rng(0)).velocity
-    error = (odometry.velocity - perfect)[1:]
-    assert abs(np.corrcoef(error[:, 0], error[:, 3])[0, 1]) < 0.07
-
-
 def planar_error_m(driven: Drive, velocity: np.ndarray) -> np.ndarray:
     """Return the horizontal error (T,) of integrating forward speed and yaw rate from the true start."""
     turn = velocity[1:, 3] * DT_S

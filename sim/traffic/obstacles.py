@@ -1,17 +1,19 @@
-"""Paths over one side of a lorry or bus: virtual transmitters that move.
+"""What vehicles do to the paths of a drive: they block them, and the long sides of lorries and buses reflect.
 
-The sides are plane and of metal. Doppler is that of a standing side.
-
-Source: image method; gains as those of walls, docs/explanation/rays.md.
+A side that reflects is a virtual transmitter that moves; it is plane and of metal, and Doppler is that of a standing
+side. Waves that bend round vehicles are left out. Source: image method; gains as those of walls,
+docs/explanation/rays.md.
 """
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
+from cellslam.sim.described import Described
 from cellslam.sim.frames import azimuth_elevation
 from cellslam.sim.recording import Floats, Ints
 from cellslam.sim.traffic.traffic import LONGEST_STEP_M, Traffic
@@ -21,6 +23,37 @@ if TYPE_CHECKING:
     from cellslam.sim.rays import Paths, Scene
 
 FIRST = -2  # what stands for vehicle 0 in `Paths.facets`; -3 for vehicle 1, and so on
+
+
+@dataclass(frozen=True, repr=False)
+class Blocked(Described):
+    """Which path is blocked by which vehicle: rows `path` (B,), sorted, and `vehicle` (B,); by several at once, too."""
+
+    path: Ints
+    vehicle: Ints
+
+    def free(self, paths: int) -> NDArray[np.bool_]:
+        """Return which of so many paths are not blocked, (P,), without unit."""
+        out = np.ones(paths, np.bool_)
+        out[self.path] = False
+        return out
+
+
+def blocked_paths(
+    traffic: Traffic | None, paths: Paths, transmitters_m: Floats, receivers_m: Floats, time_s: Floats
+) -> Blocked:
+    """Return what vehicles block of paths from transmitters (S, 3) to receivers (R, 3), in m, at times (R,) in s."""
+    if traffic is None or not len(paths):
+        return Blocked(np.empty(0, np.int64), np.empty(0, np.int64))
+    from cellslam.sim.traffic.boxes_kernel import Lines, blocking_pairs
+
+    points = (~np.isnan(paths.points_m[:, :, 0])).sum(axis=1)
+    corners = np.empty((len(paths), 4, 3))
+    corners[:, 0], corners[:, 1:3] = transmitters_m[paths.transmitter], paths.points_m
+    corners[np.arange(len(paths)), points + 1] = receivers_m[paths.receiver]
+    lines = Lines(traffic.steps(time_s)[paths.receiver], corners, points + 2, reflecting_vehicle(paths.facets))
+    pairs = blocking_pairs(lines, traffic.poses, LONGEST_STEP_M, traffic.size_m)
+    return Blocked(pairs[:, 0].copy(), pairs[:, 1].copy())
 
 
 def reflecting_vehicle(facets: Ints) -> Ints:
@@ -33,7 +66,7 @@ def reflected_paths(
 ) -> list[Paths]:
     """Return the paths from each transmitter (S, 3) to receivers (R, 3), in m, at times (R,) in s, over one side of a
     vehicle: those that no building blocks, whatever vehicles do."""
-    from cellslam.sim.traffic.reflecting_kernel import mirror_points
+    from cellslam.sim.traffic.boxes_kernel import mirror_points
 
     mirrors = np.flatnonzero(np.isin(traffic.kind, [kind.name for kind in KINDS if kind.reflects]))
     steps = traffic.steps(time_s)
@@ -43,24 +76,24 @@ def reflected_paths(
             transmitter, receivers_m, steps, traffic.poses, LONGEST_STEP_M, traffic.size_m, mirrors
         )
         free = _free(scene, receivers_m[rows[:, 0]], point) & _free(scene, point, transmitter)
-        out.append(_paths(site, transmitter, receivers_m, rows[free], point[free], normal[free], carrier_hz))
+        out.append(_described(site, transmitter, receivers_m, rows[free], point[free], normal[free], carrier_hz))
     return out
 
 
 def _free(scene: Scene, start_m: Floats, end_m: Floats) -> NDArray[np.bool_]:
     """Return whether no building is between points (n, 3)."""
-    from cellslam.sim.rays.first_order import unobstructed
     from cellslam.sim.rays.scene import CLEARANCE_M
 
     away = np.linalg.norm(end_m - start_m, axis=1)
     reach = np.maximum(1.0 - CLEARANCE_M / np.maximum(away, CLEARANCE_M), 0.0)
     ends = np.broadcast_to(end_m, start_m.shape)
-    return unobstructed(scene, start_m - scene.origin_m, ends - scene.origin_m, reach)
+    return scene.unobstructed(start_m - scene.origin_m, ends - scene.origin_m, reach)
 
 
-def _paths(
+def _described(
     site: int, transmitter: Floats, receivers_m: Floats, rows: Ints, point: Floats, normal: Floats, carrier_hz: float
 ) -> Paths:
+    """Return the paths (n,) by way of points (n, 3) of the vehicles and receivers in `rows` (n, 2)."""
     from cellslam.sim.city.materials import itu_material
     from cellslam.sim.rays.gain import path_gain
     from cellslam.sim.rays.paths import Paths

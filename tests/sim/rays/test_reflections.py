@@ -1,0 +1,245 @@
+"""Lines of sight, single and double reflections: scenes worked by hand, properties, and a slow tracer as a judge."""
+
+from itertools import pairwise
+
+import numpy as np
+import pytest
+
+from cellslam.sim.city import ProceduralCityConfig, build_city
+from cellslam.sim.city.inside import OUTSIDE, enclosing
+from cellslam.sim.errors import InputError
+from cellslam.sim.rays import prepare, trace
+
+TX = np.array([0.0, 0.0, 10.0])
+
+
+@pytest.fixture(scope="module")
+def small_city():
+    config = ProceduralCityConfig(
+        extent_m=240.0, block_size_m=80.0, open_share=0.6, height_min_m=6.0, height_max_m=22.0
+    )
+    return build_city(config, np.random.default_rng(5))
+
+
+@pytest.fixture(scope="module")
+def places(small_city):
+    rng = np.random.default_rng(1)
+    points = np.column_stack([rng.uniform(-120, 120, (300, 2)), rng.uniform(1.5, 3.0, 300)])
+    receivers = points[enclosing(small_city, points) == OUTSIDE]
+    return np.array([[10.3, -20.7, 31.0], [-61.2, 43.1, 18.0]]), receivers
+
+
+@pytest.fixture(scope="module")
+def yard(scenes):
+    """Return four houses round a yard."""
+    return scenes.city_of(
+        scenes.box((-40, 20, 0), (-5, 30, 15)),
+        scenes.box((3, 22, 0), (35, 28, 9)),
+        scenes.box((-20, -60, 0), (10, -40, 25)),
+        scenes.box((45, -30, 0), (60, 25, 18)),
+    )
+
+
+@pytest.fixture(scope="module")
+def wall(scenes):
+    return scenes.rectangle((-50, 20, 0), (100, 0, 0), (0, 0, 30))
+
+
+def corner_of(scenes, length=70):
+    """Return two walls that meet at (40, 20), the second one `length` long."""
+    return (
+        scenes.rectangle((-50, 20, 0), (90, 0, 0), (0, 0, 30)),
+        scenes.rectangle((40, -50, 0), (0, length, 0), (0, 0, 30)),
+    )
+
+
+def test_one_wall_by_hand(scenes, wall):
+    # Wall y = 20: the image of (0, 0, 10) is (0, 40, 10), and the point halves the way to (30, 0, 2).
+    paths = trace(scenes.city_of(wall), [TX], [[30.0, 0.0, 2.0]])
+    assert paths.order.tolist() == [0, 1]
+    np.testing.assert_allclose(paths.vt_position_m, [TX, [0.0, 40.0, 10.0]], atol=1e-12)
+    np.testing.assert_allclose(paths.length_m, [np.hypot(30, 8), np.sqrt(30**2 + 40**2 + 8**2)], atol=1e-12)
+    np.testing.assert_allclose(paths.points_m[1, 0], [15.0, 20.0, 6.0], atol=1e-12)
+    np.testing.assert_allclose(paths.azimuth_rad, [np.pi, np.arctan2(40, -30)], atol=1e-12)
+    np.testing.assert_allclose(paths.elevation_rad, [np.arctan2(8, 30), np.arctan2(8, 50)], atol=1e-12)
+    np.testing.assert_allclose(paths.departure_azimuth_rad, [0.0, np.arctan2(20, 15)], atol=1e-12)
+    np.testing.assert_allclose(paths.departure_elevation_rad, [-np.arctan2(8, 30), -np.arctan2(4, 25)], atol=1e-12)
+    assert np.isnan(paths.points_m[0]).all() and np.isnan(paths.points_m[1, 1]).all()
+
+
+def test_a_corner_mirrors_the_transmitter_through_its_edge(scenes):
+    paths = trace(scenes.city_of(*corner_of(scenes)), [TX], [[10.0, -20.0, 2.0]], max_order=2)
+    assert paths.order.tolist() == [0, 1, 1, 2]
+    np.testing.assert_allclose(paths.vt_position_m[1:], [[0, 40, 10], [80, 0, 10], [80, 40, 10]], atol=1e-12)
+    np.testing.assert_allclose(paths.length_m[3], np.sqrt(70**2 + 60**2 + 8**2), atol=1e-12)
+    # From (10, -20) towards (80, 40): the wall y = 20 at x = 56 lies behind x = 40, which comes first.
+    np.testing.assert_allclose(paths.points_m[3, 1, :2], [40.0, -20.0 + 60.0 * 30.0 / 70.0], atol=1e-12)
+    np.testing.assert_allclose(paths.points_m[3, 0, 1], 20.0, atol=1e-12)
+    # A wall that passes through the plane of the other counts.
+    crossing = trace(scenes.city_of(*corner_of(scenes, 250)), [TX], [[10.0, -20.0, 2.0]], max_order=2)
+    assert crossing.order.tolist() == [0, 1, 1, 2]
+
+
+def test_a_canyon_bounces_to_and_fro(scenes):
+    city = scenes.city_of(*(scenes.rectangle((-99, y, 0), (198, 0, 0), (0, 0, 50)) for y in (20, -10)))
+    paths = trace(city, [TX], [[30.0, 5.0, 2.0]], max_order=2)
+    # Mirrors at 20 and -10 in either order move the transmitter by twice their distance.
+    np.testing.assert_allclose(np.sort(paths.vt_position_m[paths.order == 2, 1]), [-60.0, 60.0], atol=1e-12)
+
+
+@pytest.mark.parametrize(("row", "leg"), [(1, 0), (1, 1), (3, 0), (3, 1), (3, 2)])
+def test_an_obstacle_blocks_any_leg(scenes, row, leg):
+    receiver, walls = np.array([10.0, -20.0, 2.0]), corner_of(scenes)
+    free = trace(scenes.city_of(*walls), [TX], [receiver], max_order=2)
+    corners = np.array([TX, *free.points_m[row, : free.order[row]], receiver])
+    middle = corners[leg : leg + 2].mean(axis=0)
+    screens = [scenes.rectangle(middle - [0.5, s / 2, 0.5], (1, s, 0), (0, 0, 1)) for s in (1, -1)]
+    blocked = trace(scenes.city_of(*walls, *screens), [TX], [receiver], max_order=2)
+    assert np.linalg.norm(blocked.vt_position_m - free.vt_position_m[row], axis=1).min() > 1e-6
+
+
+def test_a_vt_ends_where_its_facet_ends(scenes):
+    # Specular point x_rx / 2: the wall ends at x = 20, so the VT ends at x_rx = 40; a millimetre tells.
+    city = scenes.city_of(scenes.rectangle((-50, 20, 0), (70, 0, 0), (0, 0, 30)))
+    x = np.array([39.0, 39.999, 40.001, 41.0])
+    paths = trace(city, [TX], np.column_stack([x, 0 * x, 0 * x + 10.0]))
+    assert paths.receiver[paths.order == 1].tolist() == [0, 1]
+    # The wall's top hides the point too: its height is half way between 10 m and the receiver's.
+    top = trace(city, [TX], [[10.0, 0.0, 49.9], [10.0, 0.0, 50.1]])
+    assert top.receiver[top.order == 1].tolist() == [0]
+
+
+@pytest.mark.slow
+def test_agrees_with_float64_brute_force(scenes, small_city, places, yard):
+    rng = np.random.default_rng(4)
+    around = np.column_stack([rng.uniform(-40, 42, 10), rng.uniform(-38, 18, 10), rng.uniform(1, 12, 10)])
+    transmitters, receivers = places
+    for city, sites, ends, order in ((small_city, transmitters, receivers[:10], 1), (yard, TX[None], around, 2)):
+        paths = trace(city, sites, ends, order, ground_reflection=True)
+        assert (paths.order == order).sum() > 5
+        for t, transmitter in enumerate(sites):
+            for r, receiver in enumerate(ends):
+                mine = (paths.receiver == r) & (paths.transmitter == t)
+                got = sorted(zip(paths.order[mine].tolist(), np.round(paths.length_m[mine], 6).tolist(), strict=True))
+                assert got == scenes.brute_force(city, transmitter, receiver, order), (t, r)
+
+
+def test_reciprocity_and_geometry(yard):
+    rng = np.random.default_rng(8)
+    receivers = np.column_stack([rng.uniform(-60, 70, 150), rng.uniform(-70, 50, 150), rng.uniform(1, 30, 150)])
+    there, back = trace(yard, [TX], receivers, max_order=2), trace(yard, receivers, [TX], max_order=2)
+    assert (there.order == 1).sum() > 100 and (there.order == 2).sum() > 60
+    for order in (1, 2):
+        a, b = there.take(there.order == order), back.take(back.order == order)
+        a = a.take(np.lexsort((a.facets[:, order - 1], a.facets[:, 0], a.receiver)))
+        b = b.take(np.lexsort((b.facets[:, 0], b.facets[:, order - 1], b.transmitter)))
+        np.testing.assert_array_equal(a.facets[:, :order], b.facets[:, :order][:, ::-1])
+        np.testing.assert_allclose(a.points_m[:, :order], b.points_m[:, :order][:, ::-1], atol=1e-7)
+        np.testing.assert_allclose(a.azimuth_rad, b.departure_azimuth_rad, atol=1e-9)
+        np.testing.assert_allclose(a.gain, np.swapaxes(b.gain, 1, 2), atol=1e-14)
+        ends = [np.broadcast_to(TX, (len(a), 3)), *np.moveaxis(a.points_m[:, :order], 1, 0), receivers[a.receiver]]
+        legs = sum(np.linalg.norm(end - start, axis=1) for start, end in pairwise(ends))
+        np.testing.assert_allclose(a.length_m, legs, atol=1e-9)
+    one = trace(yard, [TX], receivers)
+    np.testing.assert_array_equal(there.take(there.order < 2).length_m, one.length_m)
+
+
+def test_flipped_and_split_facets_change_nothing(scenes, yard):
+    rng = np.random.default_rng(2)
+    receivers = np.column_stack([rng.uniform(-60, 60, 400), rng.uniform(-30, 15, 400), rng.uniform(1, 20, 400)])
+    boxes = [
+        scenes.box((-40, 20, 0), (-5, 30, 15)),
+        scenes.box((3, 22, 0), (35, 28, 9)),
+        scenes.box((-20, -60, 0), (10, -40, 25)),
+    ]
+    plain = trace(scenes.city_of(*boxes), [TX], receivers)
+    flipped = [(v, t[:, ::-1]) for v, t in boxes]
+    one_flipped = [(v, np.r_[t[:1, ::-1], t[1:]]) for v, t in boxes]
+    assert (plain.order == 1).sum() > 100
+    for meshes in (flipped, one_flipped, [_split(v, t) for v, t in boxes]):
+        other = trace(scenes.city_of(*meshes), [TX], receivers)
+        np.testing.assert_array_equal(other.receiver, plain.receiver)
+        np.testing.assert_allclose(other.length_m, plain.length_m, atol=1e-9)
+        np.testing.assert_allclose(other.gain, plain.gain, atol=1e-12)
+    # Geometry that is there three times counts once.
+    thrice = trace(scenes.city_of(*boxes, *boxes, *boxes), [TX], receivers)
+    np.testing.assert_array_equal(thrice.receiver, plain.receiver)
+    np.testing.assert_allclose(thrice.length_m, plain.length_m, atol=1e-9)
+
+
+def _split(vertices, triangles):
+    """Cut every triangle into three at its centroid."""
+    centre = len(vertices) + np.arange(len(triangles))
+    pieces = [np.column_stack([triangles[:, i], triangles[:, (i + 1) % 3], centre]) for i in range(3)]
+    return np.concatenate([vertices, vertices[triangles].mean(axis=1)]), np.concatenate(pieces)
+
+
+def test_blocks_chunks_and_hidden_facets_do_not_matter(small_city, places, monkeypatch):
+    transmitters, receivers = places
+    line = np.repeat(receivers, 3, axis=0) + np.random.default_rng(0).normal(0, 0.5, (3 * len(receivers), 3))
+    whole = trace(small_city, transmitters, line)
+    monkeypatch.setattr("cellslam.sim.rays.first_order.BLOCKS", np.array([3, 1]))
+    monkeypatch.setattr("cellslam.sim.rays.tracing.CHUNK", 37)
+    monkeypatch.setattr("cellslam.sim.rays.tracing.LIT_FROM", 0)
+    pieces = trace(small_city, transmitters, line)
+    np.testing.assert_array_equal(whole.facets, pieces.facets)
+    np.testing.assert_array_equal(whole.receiver, pieces.receiver)
+    np.testing.assert_array_equal(whole.length_m, pieces.length_m)
+    key = np.lexsort((whole.facets[:, 0], whole.order, whole.transmitter, whole.receiver))
+    np.testing.assert_array_equal(key, np.arange(len(whole)))
+    assert (small_city.facets.building[whole.facets[whole.order == 1, 0]] >= 0).all()
+    with_ground = trace(small_city, transmitters, line, ground_reflection=True)
+    below = with_ground.vt_position_m[:, 2] < 0
+    assert below.sum() > 20
+    np.testing.assert_array_equal(with_ground.take(~below).facets, whole.facets)
+
+
+def test_a_wall_with_a_window_hides_corners_but_not_what_is_between(scenes, monkeypatch):
+    monkeypatch.setattr("cellslam.sim.rays.tracing.LIT_FROM", 0)
+    outer = np.array([[10, -10, 0], [10, 10, 0], [10, 10, 20], [10, -10, 20]], float)
+    inner = np.array([[10, -1, 9], [10, 1, 9], [10, 1, 11], [10, -1, 11]], float)
+    quads = [[i, (i + 1) % 4, 4 + (i + 1) % 4, 4 + i] for i in range(4)]
+    frame = np.concatenate([outer, inner]), np.array([t for a, b, c, d in quads for t in ([a, b, c], [a, c, d])])
+    city = scenes.city_of(frame, scenes.rectangle((20, -6, 4), (0, 12, 0), (0, 0, 12)))
+    assert len(city.facets) == 2
+    assert trace(city, [TX], [[15.0, 0.2, 10.0]]).order.tolist() == [0, 1]
+
+
+def test_the_transmitter_lights_what_it_faces(scenes):
+    scene = prepare(scenes.city_of(scenes.box((10, -5, 0), (20, 5, 15)), scenes.box((30, -4, 0), (40, 4, 12))))
+    lit = scene.lit_facets(TX - scene.origin_m, scene.reflects)
+    # The near house's front, and what touches that; its back and the whole other house are hidden.
+    assert len(lit) == 4
+    assert set(scene.city.facets.building[lit]) == {0}
+    assert -1.0 in np.round(scene.table[lit, 0], 9) * np.sign(scene.table[lit, 3])
+
+
+def test_nothing_that_is_seen_counts_as_hidden(small_city):
+    scene = prepare(small_city)
+    weights = np.random.default_rng(0).dirichlet(np.ones(3), 40)
+    points = np.einsum("wc,kci->kwi", weights, scene.corners).reshape(-1, 3)
+    facet = np.repeat(small_city.triangle_facet, len(weights))
+    for site in (np.array([5.0, 60.0, 25.0]), np.array([-70.0, -20.0, 60.0]), np.array([10.0, 0.0, 4.0])):
+        lit = scene.lit_facets(site - scene.origin_m, scene.reflects)
+        source = np.broadcast_to(site - scene.origin_m, points.shape)
+        away = np.linalg.norm(points - source, axis=1)
+        seen = scene.unobstructed(source, points, np.maximum(1.0 - 0.01 / away, 0.0))
+        found = set(facet[seen & scene.reflects[facet]])
+        assert found and found <= set(lit)
+        assert len(lit) < np.count_nonzero(scene.reflects)
+
+
+def test_no_receivers_and_bad_requests(scenes, wall):
+    scene = prepare(scenes.city_of(wall))
+    assert len(trace(scene, [TX], np.empty((0, 3)))) == 0
+    assert len(trace(scene, np.empty((0, 3)), [TX])) == 0
+    assert len(trace(scene, [TX], [[0.0, 30.0, 5.0], [10.0, 50.0, 8.0]])) == 0  # behind the wall
+    assert trace(scene, [TX], [[30.0, 0.0, 2.0]], max_order=0).order.tolist() == [0]
+    with pytest.raises(InputError, match=r"row 1.*not finite"):
+        trace(scene, [TX], [TX, [np.nan, 0.0, 0.0]])
+    with pytest.raises(InputError, match="expected \\(n, 3\\)"):
+        trace(scene, TX, [TX])
+    with pytest.raises(InputError, match="max_order 7"):
+        trace(scene, [TX], [TX], max_order=7)
+    with pytest.raises(InputError, match="carrier_hz"):
+        trace(scene, [TX], [TX], carrier_hz=2.66)
