@@ -5,7 +5,6 @@ overlap.
 from __future__ import annotations
 
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -17,11 +16,11 @@ from cellslam.sim.lte.array import (
     CircularArray,
     array_at,
     doppler_phasors,
+    eadf_from_grid,
     miscalibrated,
     switching_times_s,
 )
 from cellslam.sim.lte.downlink.lte_waveform import tone_frequencies
-from cellslam.sim.lte.eadf import eadf_from_grid, load_patterns
 from cellslam.sim.lte.joint_bound import PathSet, fisher_information, joint_std, leftover
 from cellslam.sim.lte.single_path_bound import single_path_std
 
@@ -82,13 +81,7 @@ def test_eadf_interpolates_between_its_samples() -> None:
     np.testing.assert_allclose(got, expected, atol=0.02 * np.abs(expected).max())
 
 
-def test_patterns_are_read_from_a_file(tmp_path: Path) -> None:
-    np.savez(tmp_path / "array.npz", patterns=measured(TINY))
-    assert load_patterns(tmp_path / "array.npz").ports == 20
-    np.savez(tmp_path / "other.npz", wrong=np.zeros(3))
-    for name in ("other.npz", "none.npz"):
-        with pytest.raises(InputError, match="cannot be read"):
-            load_patterns(tmp_path / name)
+def test_patterns_that_are_none_are_refused() -> None:
     with pytest.raises(InputError, match="not finite"):
         eadf_from_grid(measured(TINY) * np.nan)
     with pytest.raises(InputError, match="shape"):

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from scipy.ndimage import median_filter
 from threadpoolctl import threadpool_limits
 
+from cellslam.sim.compiling import njit
 from cellslam.sim.errors import InputError
 from cellslam.sim.frames import wrap_angle
 from cellslam.sim.lte.array import CircularArray, doppler_phasors, miscalibrated, switching_times_s
@@ -17,14 +18,14 @@ from cellslam.sim.lte.downlink.lte_waveform import LteWaveform, pilots, tone_fre
 from cellslam.sim.lte.joint_bound import PathSet, fisher_information, joint_std
 from cellslam.sim.lte.signal.channel import PortSignal, frequency_response
 from cellslam.sim.lte.signal.path_estimator.cancellation import cancel
-from cellslam.sim.lte.signal.path_estimator.joint_fit import evaluate, refine, refine_any
+from cellslam.sim.lte.signal.path_estimator import fit_kernel, search_kernel
 from cellslam.sim.lte.signal.path_estimator.path_estimator import Estimates, estimate_paths
-from cellslam.sim.lte.signal.path_estimator.search_kernel import _surroundings, running_median
 from cellslam.sim.lte.signal.path_estimator.spectrum import Spectrum
 from cellslam.sim.lte.signal.receiver import Receiver, receiver_of
 from cellslam.sim.lte.steering_kernel import write_phasors
 from cellslam.sim.nr.nr_waveform import NrWaveform
 
+evaluate, strongest = njit(fit_kernel.evaluate), njit(search_kernel.strongest)
 ARRAY, TONES = CircularArray(), tone_frequencies(100)
 TIMES, CARRIER_HZ = switching_times_s(ARRAY), 2.66e9
 RECEIVER, STILL = Receiver(), np.zeros(3)
@@ -75,9 +76,7 @@ def errors(paths: PathSet, found: Estimates) -> tuple[NDArray[np.float64], NDArr
 def test_compiled_steering_is_the_array_with_doppler(velocity: NDArray[np.float64]) -> None:
     azimuth, elevation = np.array([-3.0, 0.4, 2.0]), np.array([-0.3, 0.2, 1.1])
     motion = RECEIVER.moving(velocity)
-    compiled, general = motion.steer(azimuth, elevation), motion._steer_any(azimuth, elevation)
-    for one, other in zip(compiled, general, strict=True):
-        np.testing.assert_allclose(one, other, rtol=1e-10, atol=1e-10 * np.abs(other).max())
+    compiled = motion.steer(azimuth, elevation)
     turned = doppler_phasors(TIMES, velocity, azimuth, elevation, CARRIER_HZ)
     expected = ARRAY.steer(azimuth, elevation).value * turned[:, :, None]
     np.testing.assert_allclose(compiled.value, expected, rtol=1e-9, atol=1e-12)
@@ -98,7 +97,7 @@ def test_normal_equations_are_those_of_the_full_jacobian() -> None:
     paths = draw(rng, np.array([0.0, -5.0, -3.0]), 40.0)
     y = channel(paths) + noise(rng)
     geometry = np.stack([paths.distance_m + 1.0, paths.azimuth_rad + 0.05, paths.elevation_rad - 0.03], 1)
-    got = evaluate(y, AT_REST, geometry).normal
+    got = evaluate(y, geometry, AT_REST.model)
     steering = ARRAY.steer(geometry[:, 1], geometry[:, 2])
     delay = np.exp(-1j * np.outer(geometry[:, 0], RECEIVER.rate))
     basis = np.einsum("npq,nf->pfnq", steering.value, delay).reshape(128 * 200, 6)
@@ -119,24 +118,31 @@ def test_normal_equations_are_those_of_the_full_jacobian() -> None:
         np.testing.assert_allclose(got.wald[p], lost, rtol=1e-5)
 
 
-@pytest.mark.parametrize("velocity", [np.zeros(3), np.array([1.5, 0.4, 0.0])])
 @pytest.mark.parametrize("rho_db", [[0.0, -8.0, -3.0], [-5.0]])
-def test_compiled_climb_is_the_numpy_one(velocity: NDArray[np.float64], rho_db: list[float]) -> None:
+def test_the_climb_ends_where_the_gradient_is_zero(rho_db: list[float]) -> None:
     rng = np.random.default_rng(2)
-    paths, motion = draw(rng, np.array(rho_db), 60.0), RECEIVER.moving(velocity)
-    y = channel(paths, velocity) + noise(rng)
+    paths, motion = draw(rng, np.array(rho_db), 60.0), RECEIVER.moving(np.array([1.5, 0.4, 0.0]))
+    y = channel(paths, motion.velocity_mps) + noise(rng)
     start = np.stack([paths.distance_m + 2.0, paths.azimuth_rad + 0.08, paths.elevation_rad - 0.05], 1)
-    compiled, plain = refine(y, motion, start, 1.0), refine_any(y, motion, start, 1.0)
-    np.testing.assert_allclose(compiled.geometry, plain.geometry, rtol=1e-7, atol=1e-7)
-    for one, other in zip(compiled.normal, plain.normal, strict=True):
-        np.testing.assert_allclose(one, other, rtol=1e-5, atol=1e-5 * np.abs(other).max())
+    _, normal = fit_kernel.climb(y, start, 1e-9, 0.0, 1.0, motion.model)
+    assert normal.explained > evaluate(y, start, motion.model).explained
+    assert normal.gradient @ np.linalg.solve(normal.information, normal.gradient) < 1e-8
+
+
+def test_one_path_has_the_normal_equations_of_many() -> None:
+    rng = np.random.default_rng(3)
+    paths = draw(rng, np.array([-5.0]))
+    y, geometry = channel(paths) + noise(rng), np.stack([paths.distance_m, paths.azimuth_rad, paths.elevation_rad], 1)
+    many = njit(fit_kernel._normal_equations)(y, geometry + 0.01, *AT_REST.steer(*geometry.T[1:] + 0.01), RECEIVER.rate)
+    for one, other in zip(evaluate(y, geometry + 0.01, AT_REST.model), many, strict=True):
+        np.testing.assert_allclose(one, other, rtol=1e-9, atol=1e-9 * np.abs(other).max())
 
 
 def test_search_kernels_are_their_numpy_twins() -> None:
     rng = np.random.default_rng(4)
     motion = RECEIVER.moving(np.array([1.0, 0.0, 0.0])).weighed(rng.uniform(0.5, 1.5, 128))
     spectrum = Spectrum(noise(rng), motion)
-    spectrum.look(spectrum.taken)
+    spectrum.look()
     steering = (
         ARRAY.steer(*RECEIVER.directions).value
         * doppler_phasors(TIMES, [1.0, 0.0, 0.0], *RECEIVER.directions, CARRIER_HZ)[:, :, None]
@@ -147,13 +153,13 @@ def test_search_kernels_are_their_numpy_twins() -> None:
     np.testing.assert_allclose(spectrum.power.energy, energy, rtol=1e-4, atol=1e-4)
     np.testing.assert_array_equal(spectrum.power.peak, spectrum.power.energy.max(axis=0))
     out = np.empty(spectrum.power.port_energy.shape)
-    running_median(spectrum.power.port_energy, 31, out)
+    search_kernel.running_median(spectrum.power.port_energy, 31, out)
     np.testing.assert_allclose(out, median_filter(spectrum.power.port_energy, 31, mode="nearest"))
     # The energy under one direction's neighbours, as the disturbance before and behind is taken from it.
     cells = spectrum.power.energy.reshape(28, 7, -1)
     a, e, low, high = 27, 0, 40, 43
     rows = [cells[(a + da) % 28, max(e + de, 0), low:high] for da in (-1, 0, 1) for de in (-1, 0, 1)]
-    mean = _surroundings(spectrum.power.energy, 7 * a + e, 7, low, high)
+    mean = search_kernel._surroundings(spectrum.power.energy, 7 * a + e, 7, low, high)
     np.testing.assert_allclose(mean, 0.5 * np.mean(rows), rtol=1e-5)
 
 
@@ -161,7 +167,7 @@ def test_search_for_the_strongest_cell_is_its_numpy_twin() -> None:
     rng = np.random.default_rng(13)
     paths = draw(rng, np.array([5.0, -10.0, -15.0, -20.0]))
     spectrum = Spectrum(channel(paths) + noise(rng), AT_REST)
-    spectrum.look(spectrum.taken)
+    spectrum.look()
     cells = spectrum.power.energy.reshape(28, 7, -1).astype(float)
     bins = cells.shape[2]
 
@@ -182,20 +188,19 @@ def test_search_for_the_strongest_cell_is_its_numpy_twin() -> None:
         level = max(quiet, along if along > 1.7 * quiet else 0.0, around if around > 1.15 * quiet else 0.0)
         if peak >= 10.0 * level:
             best = (peak, (7 * a + e, d))
-    found = spectrum.strongest(10.0, np.empty((0, 2), np.int64))
-    assert found is not None
-    assert found[1] == best[1]
+    assert strongest(spectrum.power, 10.0, np.empty((0, 2), np.int64))[:2] == best[1]
 
 
 def test_taking_a_path_out_of_the_spectrum_is_transforming_the_residual() -> None:
     rng = np.random.default_rng(6)
     paths = draw(rng, np.array([10.0, -5.0]))
     y = channel(paths) + noise(rng)
-    fit = evaluate(y, AT_REST, np.stack([paths.distance_m, paths.azimuth_rad, paths.elevation_rad], 1))
-    spectrum, residual = Spectrum(y, AT_REST), Spectrum(y - fit.samples, AT_REST)
-    spectrum.leave(fit)
+    geometry = np.stack([paths.distance_m, paths.azimuth_rad, paths.elevation_rad], 1)
+    spectrum = Spectrum(y, AT_REST)
+    spectrum.leave(geometry, evaluate(y, geometry, AT_REST.model))
+    residual = Spectrum(y - spectrum.explained, AT_REST)
     for one in (spectrum, residual):
-        one.look(one.taken)
+        one.look()
     np.testing.assert_allclose(spectrum.power.energy, residual.power.energy, rtol=1e-2, atol=1e-2)
     np.testing.assert_allclose(spectrum.power.noise, residual.power.noise, rtol=1e-2)
 
