@@ -9,7 +9,7 @@ import numpy as np
 from cellslam.scenarios.scenario import Scenario
 from cellslam.sim.errors import InputError
 from cellslam.sim.frames import held, mean_velocity
-from cellslam.sim.lte.faults.reports import as_reported, draw_reports
+from cellslam.sim.lte.faults import as_reported, draw_reports
 from cellslam.sim.progress import Progress, silent
 from cellslam.sim.randomness import Stream, stream
 from cellslam.sim.rays.exchange import Traced

@@ -7,7 +7,7 @@ There are two: `statistical` draws what a receiver would report, `signal` receiv
 reports that come late or twice.
 """
 
-from cellslam.sim.lte.downlink.reference_signals import reference_signal
+from cellslam.sim.lte.downlink import reference_signal
 from cellslam.sim.lte.radio_config import RadioConfig
 from cellslam.sim.waveform import ReferenceSignal
 

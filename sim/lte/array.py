@@ -38,6 +38,21 @@ class Steering(NamedTuple):
     by_elevation: Complex
 
 
+@dataclass(frozen=True)
+class PathSet:
+    """Paths (n,) at the array: length in m, direction in the body frame, weights (n, 2) of the received (H,
+    V) field.
+    """
+
+    distance_m: Floats
+    azimuth_rad: Floats
+    elevation_rad: Floats
+    weights: Complex
+
+    def __len__(self) -> int:
+        return len(self.distance_m)
+
+
 class AntennaArray(ABC):
     """An array of switched ports: a geometric model or measured patterns."""
 

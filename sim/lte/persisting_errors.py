@@ -14,10 +14,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from cellslam.sim.frames import SPEED_OF_LIGHT_MPS
-from cellslam.sim.lte.downlink.lte_waveform import LteWaveform
-from cellslam.sim.lte.persisting_errors_kernel import Fields
+from cellslam.sim.lte.downlink import LteWaveform
 from cellslam.sim.lte.radio_config import RadioConfig
 from cellslam.sim.lte.statistical.detector_layout import TRAIL_DECAY_M
+from cellslam.sim.lte.statistical.measurement_kernel import Fields
 from cellslam.sim.lte.statistical.statistics import LTE, Statistics, statistics
 from cellslam.sim.randomness import Stream, stream
 from cellslam.sim.recording import Floats

@@ -199,7 +199,7 @@ class RadioConfig(BaseModel):
     def waveform(self) -> Waveform:
         """Return the waveform of these keys: `technology` says which. Raises InputError where there is none."""
         if self.technology == "lte":
-            from cellslam.sim.lte.downlink.lte_waveform import LteWaveform
+            from cellslam.sim.lte.downlink import LteWaveform
 
             return LteWaveform(self.resource_blocks)
         if self.technology == "nr":

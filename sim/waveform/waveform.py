@@ -14,6 +14,8 @@ from typing import NamedTuple, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from cellslam.sim.errors import InputError
+
 Floats = NDArray[np.float64]
 Complex = NDArray[np.complex128]
 PortName = tuple[int, int]  # cell ID and antenna port
@@ -78,3 +80,10 @@ class Waveform(Protocol):
     def values(self, port: PortName, comb: int, slot: int) -> Complex:
         """Return the values (tones,), of magnitude 1 without unit, that a port on a comb sends in a slot."""
         ...
+
+
+def check_integers(limits: dict[str, tuple[int, int, int]]) -> None:
+    """Raise InputError for the first of named values, each with its least and greatest, that is out of its range."""
+    for name, (value, low, high) in limits.items():
+        if not isinstance(value, (int, np.integer)) or not low <= value <= high:
+            raise InputError(f"{name} {value} is not an integer from {low} to {high}")

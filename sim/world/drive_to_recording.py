@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cellslam.sim.frames import SPEED_OF_LIGHT_MPS, held
-from cellslam.sim.lte.faults.clock_errors import walk_densities
+from cellslam.sim.lte.faults import walk_densities
 from cellslam.sim.progress import Progress, silent
 from cellslam.sim.randomness import Stream, stream
 from cellslam.sim.recording import Floats, Ints, Recording, Sites, Truth, Vehicles, VirtualTransmitters
@@ -29,7 +29,7 @@ def simulate(
     """Return the recording of trial `trial` of root seed `seed`, truth included. Same arguments, same
     recording. `place` as of `prepare`.
     """
-    from cellslam.sim.lte.faults.reports import as_reported, draw_reports
+    from cellslam.sim.lte.faults import as_reported, draw_reports
     from cellslam.sim.vehicle import measure_odometry, with_faults
 
     world = prepare(config, seed, trial, progress, place)

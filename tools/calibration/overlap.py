@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from scipy.stats import ncx2
 
 from cellslam.sim.frames import wrap_angle
-from cellslam.sim.lte.single_path_bound import AZIMUTH_EXPONENT, bound_scales
+from cellslam.sim.lte.error_bounds import AZIMUTH_EXPONENT, bound_scales
 from cellslam.sim.lte.statistical import detector_layout as k
 from cellslam.sim.recording import Floats, Ints
 from cellslam.sim.waveform import Waveform

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from cellslam.sim.frames import SPEED_OF_LIGHT_MPS, unit_vector
 from cellslam.sim.lte.array import AntennaArray, CircularArray, Complex, Floats, Steering, array_at, switching_times_s
-from cellslam.sim.lte.downlink.lte_waveform import LteWaveform
+from cellslam.sim.lte.downlink import LteWaveform
 from cellslam.sim.lte.signal.path_estimator.acquire_kernel import Demands
 from cellslam.sim.lte.signal.path_estimator.search_kernel import Probe
 from cellslam.sim.lte.signal.tone_reduction import ToneReduction, reduction_of

@@ -14,15 +14,15 @@ from cellslam.sim.frames import SPEED_OF_LIGHT_MPS
 from cellslam.sim.lte.array import (
     AntennaArray,
     CircularArray,
+    PathSet,
     array_at,
     doppler_phasors,
     eadf_from_grid,
     miscalibrated,
     switching_times_s,
 )
-from cellslam.sim.lte.downlink.lte_waveform import tone_frequencies
-from cellslam.sim.lte.joint_bound import PathSet, fisher_information, joint_std, leftover
-from cellslam.sim.lte.single_path_bound import single_path_std
+from cellslam.sim.lte.downlink import LteWaveform
+from cellslam.sim.lte.error_bounds import fisher_information, joint_std, leftover, single_path_std
 
 TINY = CircularArray(columns=5, rings=2, radius_m=0.06)
 SMALL_GRID = np.radians(np.arange(0.0, 360.0, 6.0)), np.radians(np.arange(-90.0, 91.0, 6.0))
@@ -64,7 +64,7 @@ def test_turning_by_one_column_renames_the_ports() -> None:
 
 
 def test_mean_port_gain_is_what_the_link_budget_takes() -> None:
-    from cellslam.sim.lte.statistical.budget_kernel import array_gain
+    from cellslam.sim.lte.statistical.measurement_kernel import array_gain
 
     azimuth = np.linspace(-3.0, 3.0, 40)
     for elevation_deg in (0.0, 20.0, 40.0):
@@ -130,7 +130,7 @@ def paths(*rows: tuple[float, float, float], level_db: tuple[float, ...] | None 
 
 
 def test_joint_information_agrees_with_the_full_jacobian() -> None:
-    tones, both = tone_frequencies(6), paths((100.0, 0.3, 0.2), (140.0, -1.0, 0.1))
+    tones, both = LteWaveform(6).tones_hz, paths((100.0, 0.3, 0.2), (140.0, -1.0, 0.1))
 
     def model(x: np.ndarray) -> np.ndarray:
         rows = x.reshape(2, 7)
@@ -159,14 +159,14 @@ def test_joint_information_agrees_with_the_full_jacobian() -> None:
 
 
 def test_single_path_bound_is_the_closed_form() -> None:
-    array, tones, one = CircularArray(), tone_frequencies(100), paths((300.0, 0.4, 0.0))
+    array, tones, one = CircularArray(), LteWaveform(100).tones_hz, paths((300.0, 0.4, 0.0))
     signal = array.steer(0.4, 0.0).value[0] @ one.weights[0]
     std = joint_std(array, tones, one, float(np.mean(np.abs(signal) ** 2)))[0]
     np.testing.assert_allclose(std, single_path_std(0.0), rtol=0.02)
 
 
 def test_far_paths_decouple_and_near_ones_do_not() -> None:
-    array, tones = CircularArray(), tone_frequencies(100)
+    array, tones = CircularArray(), LteWaveform(100).tones_hz
     alone = joint_std(array, tones, paths((300.0, 0.4, 0.1)), 1.0)[0]
     far = joint_std(array, tones, paths((300.0, 0.4, 0.1), (700.0, -2.0, 0.3)), 1.0)[0]
     near = joint_std(array, tones, paths((300.0, 0.4, 0.1), (303.0, 0.42, 0.1)), 1.0)[0]
@@ -183,7 +183,7 @@ def test_statistical_overlap_follows_the_array(apart_m: float, turn_deg: float) 
     from cellslam.sim.lte.statistical.statistics import statistics
 
     a, b = (300.0, 0.4, 0.1), (300.0 + apart_m, 0.4 + np.radians(turn_deg), 0.1)
-    exact = 1.0 - leftover(CircularArray(), tone_frequencies(100), paths(b), paths(a))
+    exact = 1.0 - leftover(CircularArray(), LteWaveform(100).tones_hz, paths(b), paths(a))
     assert abs(captured(np.array(a), np.array(b), model_of(RadioConfig(), statistics())) - exact) < 0.05
 
 

@@ -12,8 +12,8 @@ from cellslam.sim.frames import azimuth_elevation, world_to_body
 from cellslam.sim.lte import RadioConfig
 from cellslam.sim.lte.links import cells_of
 from cellslam.sim.lte.persisting_errors import causes, draw_fields, floors, persisting_std, white_floors
-from cellslam.sim.lte.persisting_errors_kernel import write_attitude, write_persisting
 from cellslam.sim.lte.statistical.detector_layout import PathColumns, Streams
+from cellslam.sim.lte.statistical.measurement_kernel import write_attitude, write_persisting
 from cellslam.sim.lte.statistical.statistical_front_end import detect
 
 Floats = NDArray[np.float64]

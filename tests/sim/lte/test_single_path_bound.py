@@ -7,8 +7,8 @@ import pytest
 from numpy.typing import NDArray
 
 from cellslam.sim.frames import SPEED_OF_LIGHT_MPS
-from cellslam.sim.lte.downlink.lte_waveform import LteWaveform, tone_frequencies
-from cellslam.sim.lte.single_path_bound import bound_scales, single_path_std
+from cellslam.sim.lte.downlink import LteWaveform
+from cellslam.sim.lte.error_bounds import bound_scales, single_path_std
 from cellslam.sim.nr.nr_waveform import NrWaveform
 
 WAVELENGTH_M = SPEED_OF_LIGHT_MPS / 2.66e9
@@ -52,7 +52,7 @@ def fisher_std(azimuth: float, elevation: float, tones: NDArray[np.float64]) -> 
 @pytest.mark.parametrize("elevation_deg", [0.0, 20.0, 30.0, 45.0])
 def test_closed_forms_agree_with_the_fisher_information(elevation_deg: float) -> None:
     elevation = np.radians(elevation_deg)
-    numeric = np.mean([fisher_std(a, elevation, tone_frequencies(100)) for a in (-2.3, 0.1, 1.7)], axis=0)
+    numeric = np.mean([fisher_std(a, elevation, LteWaveform(100).tones_hz) for a in (-2.3, 0.1, 1.7)], axis=0)
     np.testing.assert_allclose(single_path_std(0.0, elevation), numeric, rtol=0.02)
 
 
@@ -67,7 +67,7 @@ def test_twenty_decibel_are_a_factor_of_ten() -> None:
 
 
 def test_delay_bound_scales_with_bandwidth() -> None:
-    narrow = tone_frequencies(25)
+    narrow = LteWaveform(25).tones_hz
     numeric = fisher_std(0.4, 0.0, narrow)
     np.testing.assert_allclose(single_path_std(0.0, 0.0, LteWaveform(25))[0], numeric[0], rtol=1e-3)
     assert bound_scales(LteWaveform(25)).samples == 128 * 50
@@ -81,7 +81,7 @@ def test_any_waveform_has_its_bound(blocks: int, comb: int, symbols: int) -> Non
 
 
 def test_tones_leave_out_the_carrier() -> None:
-    tones = tone_frequencies(100)
+    tones = LteWaveform(100).tones_hz
     assert tones[0] == -600 * 15e3
     assert tones[100] == 15e3  # subcarrier 600 sits right above the gap
     assert len(tones) == 200

@@ -11,7 +11,7 @@ import pytest
 
 from cellslam.sim.errors import InputError
 from cellslam.sim.lte import RadioConfig
-from cellslam.sim.lte.downlink.lte_waveform import LteWaveform
+from cellslam.sim.lte.downlink import LteWaveform
 from cellslam.sim.nr.nr_waveform import NrWaveform
 from cellslam.sim.nr.prs import positioning_reference_signal
 from cellslam.sim.waveform import Waveform

@@ -12,31 +12,9 @@ import numpy as np
 
 from cellslam.sim.compiling import njit, part
 from cellslam.sim.frames.frames_kernel import wrap
-from cellslam.sim.lte.signal.path_estimator import thresholds
-from cellslam.sim.lte.signal.path_estimator.fit_kernel import (
-    Normal,
-    climb,
-    factors,
-    in_pairs,
-    inverse_information,
-    subtract_products,
-)
-from cellslam.sim.lte.signal.path_estimator.search_kernel import (
-    Footprint,
-    Outputs,
-    PowerSpectrum,
-    Probe,
-    both,
-    cell_of,
-    footprint_of,
-    local_level,
-    neighbours,
-    note_trail,
-    strongest,
-    write_all_energies,
-    write_energies,
-    write_noise,
-)
+from cellslam.sim.lte.signal.path_estimator import fit_kernel, search_kernel, thresholds
+from cellslam.sim.lte.signal.path_estimator.fit_kernel import Normal
+from cellslam.sim.lte.signal.path_estimator.search_kernel import Footprint, Outputs, PowerSpectrum, Probe
 from cellslam.sim.lte.statistical.detector_layout import DIFFUSE_SHARE, GHOST_REACH_M, Array
 from cellslam.sim.lte.steering_kernel import SteeringModel
 
@@ -74,26 +52,26 @@ def add_paths(
     cells that have been tried by then.
     """
     (cells, tried, failures), added, start = trials, 0, np.empty((1, 3))
-    write_all_energies(outputs, taken, spectrum)
+    search_kernel.write_all_energies(outputs, taken, spectrum)
     while added < len(found) and failures < thresholds.MOST_FAILURES:
-        k, d, level = strongest(spectrum, thresholds.COARSE_SHARE * demands.threshold, cells[:tried])
+        k, d, level = search_kernel.strongest(spectrum, thresholds.COARSE_SHARE * demands.threshold, cells[:tried])
         if k < 0:
             break
         cells[tried, 0], cells[tried, 1] = k, d
         tried, failures = tried + 1, failures + 1
         start[0, 0], start[0, 1], start[0, 2] = probe.distances[d], probe.azimuths[k], probe.elevations[k]
         asked = demands.threshold * level
-        geometry, normal = climb(
+        geometry, normal = fit_kernel.climb(
             residual, start, thresholds.COARSE_GAIN * level, thresholds.PROMISING_SHARE * asked, demands.coarser, model
         )
         near = abs(geometry[0, 0] - start[0, 0]) <= thresholds.FARTHEST_M * demands.coarser
         if not near or abs(geometry[0, 2] - start[0, 2]) > thresholds.FARTHEST_RAD or normal.explained < asked:
             continue
-        one = footprint_of(*factors(geometry, normal.weights, model), probe)
+        one = search_kernel.footprint_of(*fit_kernel.factors(geometry, normal.weights, model), probe)
         if _taken_out(geometry, normal, one, k, d, residual, outputs, taken, spectrum, probe, demands):
-            found[added], taken = geometry[0], both(taken, one)
+            found[added], taken = geometry[0], search_kernel.both(taken, one)
             added, failures = added + 1, failures - 1
-            write_all_energies(outputs, taken, spectrum)
+            search_kernel.write_all_energies(outputs, taken, spectrum)
     return added, Trials(cells, tried, failures)
 
 
@@ -106,21 +84,21 @@ def _taken_out(
     tones) and the spectrum's noise, unless it does not stand out of what it leaves there; return whether.
     """
     diffuse = normal.explained < spectrum.trailing[k // spectrum.elevations, d]
-    at, bin_at = cell_of(geometry[0], probe, spectrum)
-    near, rest = neighbours(at, spectrum), both(taken, one)
+    at, bin_at = search_kernel.cell_of(geometry[0], probe, spectrum)
+    near, rest = search_kernel.neighbours(at, spectrum), search_kernel.both(taken, one)
     port_energy, noise = spectrum.port_energy.copy(), spectrum.noise.copy()
-    write_noise(outputs, rest, spectrum)
-    write_energies(outputs, rest, near, spectrum)
-    _, asked = local_level(at, bin_at, 0.0, spectrum, diffuse)
+    search_kernel.write_noise(outputs, rest, spectrum)
+    search_kernel.write_energies(outputs, rest, near, spectrum)
+    _, asked = search_kernel.local_level(at, bin_at, 0.0, spectrum, diffuse)
     if normal.explained < demands.threshold * asked:
         spectrum.port_energy[:], spectrum.noise[:] = port_energy, noise
-        write_energies(outputs, taken, near, spectrum)
+        search_kernel.write_energies(outputs, taken, near, spectrum)
         return False
-    note_trail(geometry, normal.wald, probe, spectrum)
+    search_kernel.note_trail(geometry, normal.wald, probe, spectrum)
     samples = residual.view(residual.real.dtype)
-    straight, turned = in_pairs(one.on_tones, samples)
+    straight, turned = fit_kernel.in_pairs(one.on_tones, samples)
     for m in range(len(samples)):
-        subtract_products(samples[m], one.on_ports[:, m], straight, turned, samples[m])
+        fit_kernel.subtract_products(samples[m], one.on_ports[:, m], straight, turned, samples[m])
     return True
 
 
@@ -145,14 +123,14 @@ def judged(
             diffuse |= thresholds.LEAD_M < behind < thresholds.TRAIL_M and beside and share < DIFFUSE_SHARE
             suspect |= abs(behind) < GHOST_REACH_M and share < thresholds.SUSPECT_SHARE
             bad[i] |= abs(behind) < GHOST_REACH_M and share < demands.ghost_share
-        k, d = cell_of(geometry[i], probe, spectrum)
-        write_energies(outputs, taken, neighbours(k, spectrum), spectrum)
-        level[i], asked = local_level(k, d, 0.0, spectrum, diffuse)
+        k, d = search_kernel.cell_of(geometry[i], probe, spectrum)
+        search_kernel.write_energies(outputs, taken, search_kernel.neighbours(k, spectrum), spectrum)
+        level[i], asked = search_kernel.local_level(k, d, 0.0, spectrum, diffuse)
         statistic[i] = energy[i] / asked
         bad[i] |= statistic[i] < demands.threshold * (thresholds.SUSPECT_MARGIN if suspect else 1.0)
         bad[i] |= distance[i] < demands.window_min_m or distance[i] > demands.window_max_m
         bad[i] |= geometry[i, 2] < lowest or geometry[i, 2] > highest
-    inverse, covariance = inverse_information(normal.information), np.empty((n, 3, 3))
+    inverse, covariance = fit_kernel.inverse_information(normal.information), np.empty((n, 3, 3))
     reliable = (thresholds.LEAST_RELIABLE_M * demands.coarser, *thresholds.LEAST_RELIABLE_RAD)
     for i in range(n):
         covariance[i] = inverse[3 * i : 3 * i + 3, 3 * i : 3 * i + 3] * level[i]

@@ -171,7 +171,10 @@ def note_trail(geometry: Array, energy: Array, probe: Probe, spectrum: PowerSpec
     trailing = spectrum.trailing
     for p in range(len(energy)):
         column = _column(geometry[p, 1], trailing)
-        first, last = _bin(geometry[p, 0] + thresholds.LEAD_M, probe), _bin(geometry[p, 0] + thresholds.TRAIL_M, probe) + 1
+        first, last = (
+            _bin(geometry[p, 0] + thresholds.LEAD_M, probe),
+            _bin(geometry[p, 0] + thresholds.TRAIL_M, probe) + 1,
+        )
         for turn in range(-thresholds.BESIDE, thresholds.BESIDE + 1):
             row = trailing[(column + turn) % len(trailing)]
             for d in range(max(first, 0), min(last, len(row))):
@@ -231,8 +234,8 @@ def local_level(k: int, d: int, peak: float, spectrum: PowerSpectrum, diffuse: b
     """Return the disturbance per sample around a cell of energy `peak`, and the level that the cell must stand out of.
 
     Disturbance is noise, or what exceeds it before or behind in the same directions (greatest-of), or in all other
-    directions at the same delay. Where `diffuse` energy is expected, what stands before or behind counts several times for
-    the second.
+    directions at the same delay. Where `diffuse` energy is expected, what stands before or behind counts several
+    times for the second.
     """
     energy, elevations, noise = spectrum.energy, spectrum.elevations, spectrum.noise[d]
     near, far = thresholds.GUARD_BINS + 1, thresholds.GUARD_BINS + 1 + thresholds.REFERENCE_BINS

@@ -13,12 +13,12 @@ from threadpoolctl import threadpool_limits
 from cellslam.sim.compiling import njit
 from cellslam.sim.errors import InputError
 from cellslam.sim.frames import wrap_angle
-from cellslam.sim.lte.array import CircularArray, doppler_phasors, miscalibrated, switching_times_s
-from cellslam.sim.lte.downlink.lte_waveform import LteWaveform, pilots, tone_frequencies
-from cellslam.sim.lte.joint_bound import PathSet, fisher_information, joint_std
-from cellslam.sim.lte.signal.channel import PortSignal, frequency_response
-from cellslam.sim.lte.signal.path_estimator.cancellation import cancel
+from cellslam.sim.lte.array import CircularArray, PathSet, doppler_phasors, miscalibrated, switching_times_s
+from cellslam.sim.lte.downlink import LteWaveform
+from cellslam.sim.lte.error_bounds import fisher_information, joint_std
+from cellslam.sim.lte.signal.channel import frequency_response
 from cellslam.sim.lte.signal.path_estimator import fit_kernel, search_kernel
+from cellslam.sim.lte.signal.path_estimator.cancellation import cancel
 from cellslam.sim.lte.signal.path_estimator.path_estimator import Estimates, estimate_paths
 from cellslam.sim.lte.signal.path_estimator.spectrum import Spectrum
 from cellslam.sim.lte.signal.receiver import Receiver, receiver_of
@@ -26,7 +26,7 @@ from cellslam.sim.lte.steering_kernel import write_phasors
 from cellslam.sim.nr.nr_waveform import NrWaveform
 
 evaluate, strongest = njit(fit_kernel.evaluate), njit(search_kernel.strongest)
-ARRAY, TONES = CircularArray(), tone_frequencies(100)
+ARRAY, TONES = CircularArray(), LteWaveform(100).tones_hz
 TIMES, CARRIER_HZ = switching_times_s(ARRAY), 2.66e9
 RECEIVER, STILL = Receiver(), np.zeros(3)
 AT_REST = RECEIVER.moving(STILL)
@@ -55,7 +55,7 @@ def noise(rng: np.random.Generator) -> Complex:
 
 
 def channel(paths: PathSet, velocity: NDArray[np.float64] = STILL, array: CircularArray = ARRAY) -> Complex:
-    return frequency_response(array, TONES, TIMES, velocity, PortSignal(375, 0, paths), CARRIER_HZ)
+    return frequency_response(array, TONES, TIMES, velocity, paths, CARRIER_HZ)
 
 
 def errors(paths: PathSet, found: Estimates) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
@@ -283,8 +283,7 @@ def test_motion_that_is_known_costs_nothing(order: str) -> None:
     for run in range(15):
         rng = np.random.default_rng(run)
         paths = draw(rng, np.array([-5.0]))
-        still, signal = channel(paths), PortSignal(375, 0, paths)
-        moved = frequency_response(ARRAY, TONES, times, velocity, signal, CARRIER_HZ)
+        still, moved = channel(paths), frequency_response(ARRAY, TONES, times, velocity, paths, CARRIER_HZ)
         added = noise(rng)
         # The noise is turned with the signal, so that both estimates meet the same.
         turn = doppler_phasors(times, velocity, paths.azimuth_rad, paths.elevation_rad, CARRIER_HZ)[0]
@@ -299,7 +298,7 @@ def test_motion_that_is_known_costs_nothing(order: str) -> None:
 def test_a_colliding_cell_ten_thousand_times_as_strong() -> None:
     rng = np.random.default_rng(3)
     slots = 20 + np.arange(128)
-    codes = {c: np.array([pilots(c, 0, int(s % 20), 100)[1] for s in slots]) for c in (375, 177)}
+    codes = {c: np.array([LteWaveform().values((c, 0), 3, int(s % 20)) for s in slots]) for c in (375, 177)}
     found = false = 0
     for _ in range(8):
         array = miscalibrated(ARRAY, 5.0, 0.5, rng)
@@ -354,11 +353,11 @@ def test_noise_alone_holds_hardly_any_path() -> None:
 
 @pytest.mark.parametrize("blocks", [6, 7, 50])
 def test_narrow_bands_are_estimated_too(blocks: int) -> None:
-    rng, tones = np.random.default_rng(blocks), tone_frequencies(blocks)
+    rng, tones = np.random.default_rng(blocks), LteWaveform(blocks).tones_hz
     motion = receiver_of(LteWaveform(blocks)).moving(STILL)
     for _ in range(6):
         paths = draw(rng, np.array([0.0]), 800.0)
-        clean = frequency_response(ARRAY, tones, TIMES, STILL, PortSignal(375, 0, paths), CARRIER_HZ)
+        clean = frequency_response(ARRAY, tones, TIMES, STILL, paths, CARRIER_HZ)
         found = estimate_paths(clean + noise(rng)[:, : len(tones)], motion)
         bound = joint_std(ARRAY, tones - tones.mean(), paths, 1.0)[0]
         strongest = found.geometry[np.argmax(found.statistic)]
@@ -375,7 +374,7 @@ def test_nr_is_estimated_at_the_bound(comb: int, symbols: int) -> None:
     apart, level_db = [], []
     for _ in range(10):
         paths = draw(rng, np.array([0.0]), 800.0)
-        signal = frequency_response(receiver.array, tones, TIMES, STILL, PortSignal(375, 0, paths), 3.5e9)
+        signal = frequency_response(receiver.array, tones, TIMES, STILL, paths, 3.5e9)
         pair = rng.standard_normal((2, 128, len(tones)))
         found = estimate_paths(signal + (pair[0] + 1j * pair[1]) / np.sqrt(2.0), receiver.moving(STILL))
         error, row = errors(paths, found)

@@ -328,7 +328,7 @@ def test_a_cell_id_given_twice_is_refused() -> None:
 
 
 def test_compiled_sector_pattern_is_that_of_the_antenna_module() -> None:
-    from cellslam.sim.lte.statistical.budget_kernel import sector_gain
+    from cellslam.sim.lte.statistical.measurement_kernel import sector_gain
     from cellslam.sim.rays.antenna import sector_gain_db
 
     rng = np.random.default_rng(3)

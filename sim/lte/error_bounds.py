@@ -1,0 +1,122 @@
+"""Cramer-Rao bounds: of a single path in closed form, of any set of paths together.
+
+Single path, for the stacked uniform circular array and any tones: Gamma = N rho is the integrated SNR over N = 128
+ports x tones (LTE: 2 a resource block); rho is the mean SNR per sample. With unknown complex weights of both
+polarisations, delay, azimuth and elevation decouple, and each deviation is scale / sqrt(2 Gamma). The scale is also the
+width of the path's ambiguity function in that component.
+
+Set of paths, seven real parameters each (distance, azimuth, elevation, Re and Im of the H weight and of the V weight):
+information (2 / sigma^2) Re(J^H J). Every column of J is an array vector times a delay vector (Kronecker), so J^H J is
+the product, element by element, of two small Gram matrices.
+
+Source: Kay, "Fundamentals of statistical signal processing: estimation theory", 1993, chapter 15 (complex Gaussian
+data); products of small matrices: Richter, "Estimation of radio channel parameters: models and algorithms", 2005;
+closed form: own derivation, docs/explanation/front-end.md, "Bound".
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from cellslam.sim.frames import SPEED_OF_LIGHT_MPS
+from cellslam.sim.lte.downlink import LteWaveform
+from cellslam.sim.waveform.waveform import Complex, Floats, Waveform
+
+if TYPE_CHECKING:
+    from cellslam.sim.lte.array import AntennaArray, PathSet
+
+PARAMETERS = 7  # of a path in the joint bound
+ARRAY_PORTS = 128
+# sd_az = 0.0685 deg and sd_el = 0.0704 deg at rho = 0 dB, elevation 0, Gamma = 25 600: 16 x 4 patches, 0.147
+# m, 57.7 mm.
+_AZIMUTH_SCALE_RAD = np.radians(0.0685) * np.sqrt(2.0 * 25_600.0)
+_ELEVATION_SCALE_RAD = np.radians(0.0704) * np.sqrt(2.0 * 25_600.0)
+# The array's azimuth information falls as cos(el)^1.8; its elevation information a little with el^2 (0.089
+# deg at 45).
+AZIMUTH_EXPONENT = 0.9
+ELEVATION_GROWTH = 0.43
+
+
+@dataclass(frozen=True)
+class BoundScales:
+    """Deviation times sqrt(2 Gamma) at elevation 0, and the number of samples N = Gamma / rho."""
+
+    samples: int
+    distance_m: float
+    azimuth_rad: float
+    elevation_rad: float
+
+
+def bound_scales(waveform: Waveform) -> BoundScales:
+    """Return the scales of the single-path bound for a waveform; sd_d = c / (beta sqrt(2 Gamma))."""
+    beta_radps = 2.0 * np.pi * float(np.std(waveform.tones_hz))
+    samples = ARRAY_PORTS * len(waveform.tones_hz)
+    return BoundScales(samples, SPEED_OF_LIGHT_MPS / beta_radps, float(_AZIMUTH_SCALE_RAD), float(_ELEVATION_SCALE_RAD))
+
+
+def single_path_std(
+    snr_db: ArrayLike, elevation_rad: ArrayLike = 0.0, waveform: Waveform | None = None
+) -> NDArray[np.float64]:
+    """Return bound deviations (..., 3) of distance in m, azimuth and elevation in rad, at the SNR per sample rho in
+    dB; no waveform: LTE of 20 MHz.
+    """
+    scales = bound_scales(waveform or LteWaveform())
+    rho, el = np.broadcast_arrays(
+        10.0 ** (np.asarray(snr_db, np.float64) / 10.0), np.asarray(elevation_rad, np.float64)
+    )
+    root = np.sqrt(2.0 * scales.samples * rho)
+    azimuth = scales.azimuth_rad / np.cos(el) ** AZIMUTH_EXPONENT
+    elevation = scales.elevation_rad * (1.0 + ELEVATION_GROWTH * el**2)
+    return np.stack([scales.distance_m / root, azimuth / root, elevation / root], axis=-1)
+
+
+def fisher_information(array: AntennaArray, tones_hz: Floats, paths: PathSet, noise_variance: float) -> Floats:
+    """Return (2 / sigma^2) Re(J^H J), (7 n, 7 n), a path's seven parameters in a row: m, rad, rad, weights."""
+    on_array, on_tones = _factors(array, tones_hz, paths)
+    gram = (on_array.conj().T @ on_array) * (on_tones.conj().T @ on_tones)
+    return np.asarray(2.0 / noise_variance * gram.real, np.float64)
+
+
+def joint_std(array: AntennaArray, tones_hz: Floats, paths: PathSet, noise_variance: float) -> Floats:
+    """Return the joint bound's deviations (n, 3) of distance, azimuth and elevation, in m, rad, rad."""
+    information = fisher_information(array, tones_hz, paths, noise_variance)
+    scale = 1.0 / np.sqrt(np.diag(information))
+    # Scaled to a unit diagonal: metres and radians differ by orders of magnitude.
+    variance = np.diag(np.linalg.inv(information * np.outer(scale, scale))) * scale**2
+    return np.asarray(np.sqrt(variance.reshape(len(paths), PARAMETERS)[:, :3]), np.float64)
+
+
+def leftover(array: AntennaArray, tones_hz: Floats, path: PathSet, others: PathSet) -> float:
+    """Return the share, a scalar, of one path's energy outside the tangent spaces of `others` (weights, delay, angles
+    of each).
+    """
+    signal_array, signal_tones = _factors(array, tones_hz, path)
+    weight = path.weights[0]
+    own_array = signal_array[:, 3] * weight[0] + signal_array[:, 5] * weight[1]
+    own_tones = signal_tones[:, 3]
+    on_array, on_tones = _factors(array, tones_hz, others)
+    complex_columns = np.array([PARAMETERS * p + c for p in range(len(others)) for c in (0, 1, 2, 3, 5)])
+    on_array, on_tones = on_array[:, complex_columns], on_tones[:, complex_columns]
+    gram = (on_array.conj().T @ on_array) * (on_tones.conj().T @ on_tones)
+    scale = 1.0 / np.sqrt(np.diag(gram).real)
+    cross = scale * (on_array.conj().T @ own_array) * (on_tones.conj().T @ own_tones)
+    solved = np.linalg.lstsq(gram * np.outer(scale, scale), cross, rcond=1e-10)[0]
+    energy = np.vdot(own_array, own_array).real * np.vdot(own_tones, own_tones).real
+    return float(np.clip(1.0 - np.vdot(cross, solved).real / energy, 0.0, 1.0))
+
+
+def _factors(array: AntennaArray, tones_hz: Floats, paths: PathSet) -> tuple[Complex, Complex]:
+    """Return the array factors (ports, 7 n) and delay factors (tones, 7 n) of the Jacobian's columns."""
+    steering = array.steer(paths.azimuth_rad, paths.elevation_rad)
+    signal, by_azimuth, by_elevation = (np.einsum("npq,nq->np", s, paths.weights) for s in steering)
+    h, v = steering.value[:, :, 0], steering.value[:, :, 1]
+    on_array = np.stack([signal, by_azimuth, by_elevation, h, 1j * h, v, 1j * v], axis=1)
+    delay = np.exp(-2j * np.pi * np.outer(paths.distance_m, tones_hz) / SPEED_OF_LIGHT_MPS)
+    slope = -2j * np.pi * tones_hz / SPEED_OF_LIGHT_MPS * delay
+    on_tones = np.stack([slope] + [delay] * (PARAMETERS - 1), axis=1)
+    n = PARAMETERS * len(paths)
+    return on_array.reshape(n, -1).T, on_tones.reshape(n, -1).T
