@@ -24,7 +24,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from cellslam.sim.frames import SPEED_OF_LIGHT_MPS
 from cellslam.sim.lte.downlink import LteWaveform
-from cellslam.sim.waveform.waveform import Complex, Floats, Waveform
+from cellslam.sim.waveform.waveform import Floats, Waveform
 
 if TYPE_CHECKING:
     from cellslam.sim.lte.array import AntennaArray, PathSet
@@ -76,8 +76,15 @@ def single_path_std(
 
 def fisher_information(array: AntennaArray, tones_hz: Floats, paths: PathSet, noise_variance: float) -> Floats:
     """Return (2 / sigma^2) Re(J^H J), (7 n, 7 n), a path's seven parameters in a row: m, rad, rad, weights."""
-    on_array, on_tones = _factors(array, tones_hz, paths)
-    gram = (on_array.conj().T @ on_array) * (on_tones.conj().T @ on_tones)
+    steering = array.steer(paths.azimuth_rad, paths.elevation_rad)
+    signal, by_azimuth, by_elevation = (np.einsum("npq,nq->np", s, paths.weights) for s in steering)
+    h, v = steering.value[:, :, 0], steering.value[:, :, 1]
+    on_array = np.stack([signal, by_azimuth, by_elevation, h, 1j * h, v, 1j * v], axis=1)
+    delay = np.exp(-2j * np.pi * np.outer(paths.distance_m, tones_hz) / SPEED_OF_LIGHT_MPS)
+    slope = -2j * np.pi * tones_hz / SPEED_OF_LIGHT_MPS * delay
+    on_tones = np.stack([slope] + [delay] * (PARAMETERS - 1), axis=1)
+    left, right = (factor.reshape(PARAMETERS * len(paths), -1).T for factor in (on_array, on_tones))
+    gram = (left.conj().T @ left) * (right.conj().T @ right)
     return np.asarray(2.0 / noise_variance * gram.real, np.float64)
 
 
@@ -88,35 +95,3 @@ def joint_std(array: AntennaArray, tones_hz: Floats, paths: PathSet, noise_varia
     # Scaled to a unit diagonal: metres and radians differ by orders of magnitude.
     variance = np.diag(np.linalg.inv(information * np.outer(scale, scale))) * scale**2
     return np.asarray(np.sqrt(variance.reshape(len(paths), PARAMETERS)[:, :3]), np.float64)
-
-
-def leftover(array: AntennaArray, tones_hz: Floats, path: PathSet, others: PathSet) -> float:
-    """Return the share, a scalar, of one path's energy outside the tangent spaces of `others` (weights, delay, angles
-    of each).
-    """
-    signal_array, signal_tones = _factors(array, tones_hz, path)
-    weight = path.weights[0]
-    own_array = signal_array[:, 3] * weight[0] + signal_array[:, 5] * weight[1]
-    own_tones = signal_tones[:, 3]
-    on_array, on_tones = _factors(array, tones_hz, others)
-    complex_columns = np.array([PARAMETERS * p + c for p in range(len(others)) for c in (0, 1, 2, 3, 5)])
-    on_array, on_tones = on_array[:, complex_columns], on_tones[:, complex_columns]
-    gram = (on_array.conj().T @ on_array) * (on_tones.conj().T @ on_tones)
-    scale = 1.0 / np.sqrt(np.diag(gram).real)
-    cross = scale * (on_array.conj().T @ own_array) * (on_tones.conj().T @ own_tones)
-    solved = np.linalg.lstsq(gram * np.outer(scale, scale), cross, rcond=1e-10)[0]
-    energy = np.vdot(own_array, own_array).real * np.vdot(own_tones, own_tones).real
-    return float(np.clip(1.0 - np.vdot(cross, solved).real / energy, 0.0, 1.0))
-
-
-def _factors(array: AntennaArray, tones_hz: Floats, paths: PathSet) -> tuple[Complex, Complex]:
-    """Return the array factors (ports, 7 n) and delay factors (tones, 7 n) of the Jacobian's columns."""
-    steering = array.steer(paths.azimuth_rad, paths.elevation_rad)
-    signal, by_azimuth, by_elevation = (np.einsum("npq,nq->np", s, paths.weights) for s in steering)
-    h, v = steering.value[:, :, 0], steering.value[:, :, 1]
-    on_array = np.stack([signal, by_azimuth, by_elevation, h, 1j * h, v, 1j * v], axis=1)
-    delay = np.exp(-2j * np.pi * np.outer(paths.distance_m, tones_hz) / SPEED_OF_LIGHT_MPS)
-    slope = -2j * np.pi * tones_hz / SPEED_OF_LIGHT_MPS * delay
-    on_tones = np.stack([slope] + [delay] * (PARAMETERS - 1), axis=1)
-    n = PARAMETERS * len(paths)
-    return on_array.reshape(n, -1).T, on_tones.reshape(n, -1).T

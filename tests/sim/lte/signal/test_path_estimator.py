@@ -25,7 +25,7 @@ from cellslam.sim.lte.signal.receiver import Receiver, receiver_of
 from cellslam.sim.lte.steering_kernel import write_phasors
 from cellslam.sim.nr.nr_waveform import NrWaveform
 
-evaluate, strongest = njit(fit_kernel.evaluate), njit(search_kernel.strongest)
+evaluate = njit(fit_kernel.evaluate)
 ARRAY, TONES = CircularArray(), LteWaveform(100).tones_hz
 TIMES, CARRIER_HZ = switching_times_s(ARRAY), 2.66e9
 RECEIVER, STILL = Receiver(), np.zeros(3)
@@ -155,40 +155,6 @@ def test_search_kernels_are_their_numpy_twins() -> None:
     out = np.empty(spectrum.power.port_energy.shape)
     search_kernel.running_median(spectrum.power.port_energy, 31, out)
     np.testing.assert_allclose(out, median_filter(spectrum.power.port_energy, 31, mode="nearest"))
-    # The energy under one direction's neighbours, as the disturbance before and behind is taken from it.
-    cells = spectrum.power.energy.reshape(28, 7, -1)
-    a, e, low, high = 27, 0, 40, 43
-    rows = [cells[(a + da) % 28, max(e + de, 0), low:high] for da in (-1, 0, 1) for de in (-1, 0, 1)]
-    mean = search_kernel._surroundings(spectrum.power.energy, 7 * a + e, 7, low, high)
-    np.testing.assert_allclose(mean, 0.5 * np.mean(rows), rtol=1e-5)
-
-
-def test_search_for_the_strongest_cell_is_its_numpy_twin() -> None:
-    rng = np.random.default_rng(13)
-    paths = draw(rng, np.array([5.0, -10.0, -15.0, -20.0]))
-    spectrum = Spectrum(channel(paths) + noise(rng), AT_REST)
-    spectrum.look()
-    cells = spectrum.power.energy.reshape(28, 7, -1).astype(float)
-    bins = cells.shape[2]
-
-    def mean(a: int, e: int, low: int, high: int) -> float:
-        low, high = max(low, 0), min(high, bins)
-        near = [cells[(a + i) % 28, min(max(e + j, 0), 6), low:high] for i in (-1, 0, 1) for j in (-1, 0, 1)]
-        return 0.5 * float(np.mean(near)) if high > low else 0.0
-
-    best = (0.0, (-1, -1))
-    for (a, e, d), peak in np.ndenumerate(cells):
-        quiet = spectrum.power.noise[d]
-        if peak < 10.0 * quiet or peak <= best[0]:
-            continue
-        before = min(mean(a, e, d - 5, d - 2), mean(a, e, d - 8, d - 5))
-        behind = min(mean(a, e, d + 3, d + 6), mean(a, e, d + 6, d + 9))
-        along = max(before, behind) - 0.01 * peak
-        around = max(spectrum.power.port_energy[d] - peak, 0.0) / 126.0
-        level = max(quiet, along if along > 1.7 * quiet else 0.0, around if around > 1.15 * quiet else 0.0)
-        if peak >= 10.0 * level:
-            best = (peak, (7 * a + e, d))
-    assert strongest(spectrum.power, 10.0, np.empty((0, 2), np.int64))[:2] == best[1]
 
 
 def test_taking_a_path_out_of_the_spectrum_is_transforming_the_residual() -> None:
