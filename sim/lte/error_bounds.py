@@ -24,6 +24,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from cellslam.sim.frames import SPEED_OF_LIGHT_MPS
 from cellslam.sim.lte.downlink import LteWaveform
+from cellslam.sim.lte.statistical.detector_layout import AZIMUTH_EXPONENT, ELEVATION_GROWTH
 from cellslam.sim.waveform.waveform import Floats, Waveform
 
 if TYPE_CHECKING:
@@ -35,10 +36,6 @@ ARRAY_PORTS = 128
 # m, 57.7 mm.
 _AZIMUTH_SCALE_RAD = np.radians(0.0685) * np.sqrt(2.0 * 25_600.0)
 _ELEVATION_SCALE_RAD = np.radians(0.0704) * np.sqrt(2.0 * 25_600.0)
-# The array's azimuth information falls as cos(el)^1.8; its elevation information a little with el^2 (0.089
-# deg at 45).
-AZIMUTH_EXPONENT = 0.9
-ELEVATION_GROWTH = 0.43
 
 
 @dataclass(frozen=True)

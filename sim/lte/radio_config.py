@@ -206,7 +206,7 @@ class RadioConfig(BaseModel):
             from cellslam.sim.nr.nr_waveform import NrWaveform
 
             return NrWaveform(self.resource_blocks, self.numerology, self.prs_comb, self.prs_symbols)
-        from cellslam.sim.waveform.conformance import checked
+        from cellslam.sim.waveform.waveform import checked
 
         module, _, name = self.technology.partition(":")
         try:

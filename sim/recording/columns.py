@@ -5,7 +5,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from cellslam.sim.errors import InputError
 
 FORMAT = "cellslam recording"
 SCHEMA_VERSION = 2
@@ -119,5 +125,26 @@ COLUMNS = (
     Column("reference/time_s", ("R",), "s", rule="finite"),
     Column("reference/position_m", ("R", 3), "m", labels=_XYZ, rule="measured"),
     Column("reference/yaw_rad", ("R",), "rad", rule="measured"),
-    Column("reference/position_std_m", ("R",), "m", rule="doubt"),
+    Column("reference/position_std_m", ("R",), "m", rule="uncertainty"),
 )
+
+
+def check_shapes(values: Mapping[str, Any]) -> dict[str, int]:
+    """Return the size that each symbol of the columns' shapes stands for. Raises InputError where one has two sizes."""
+    sizes: dict[str, int] = {}
+    sources: dict[str, str] = {}  # of each symbol the column that set it
+    for column in COLUMNS:
+        if column.path not in values:
+            continue
+        shape = np.shape(values[column.path])
+        if len(shape) != len(column.shape):
+            raise InputError(f"column '{column.path}' has shape {shape}; write {column.described}")
+        for size, wanted in zip(shape, column.shape, strict=True):
+            if isinstance(wanted, str):
+                expected = sizes.setdefault(wanted, size)
+                why = f" rows like '{sources.setdefault(wanted, column.path)}'"
+            else:
+                expected, why = wanted, f"; write {column.described}"
+            if size != expected:
+                raise InputError(f"column '{column.path}' has shape {shape}, expected {expected}{why}")
+    return sizes

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from cellslam.sim.described import Described
 from cellslam.sim.errors import InputError
-from cellslam.sim.recording.columns import COLUMNS, Column
+from cellslam.sim.recording.columns import COLUMNS, Column, check_shapes
 from cellslam.sim.recording.tables import Floats, Ints, Links, Measurements, OdometryModel, Reference, Sites, Truth
 
 # What each value of a column must fulfil, and what is wrong with one that does not.
@@ -26,7 +26,7 @@ RULES: dict[str, tuple[Callable[[Any], Any], str]] = {
     "deviation": (lambda x: (x >= 0) & np.isfinite(x), "is not a standard deviation (must be >= 0, and finite)"),
     "prior": (lambda x: x >= 0, "is not a standard deviation (must be >= 0)"),
     "claim": (lambda x: ~(x <= 0), "is not a standard deviation (must be > 0)"),
-    "doubt": (lambda x: ~(x < 0), "is negative"),
+    "uncertainty": (lambda x: ~(x < 0), "is negative"),
     "size": (lambda x: x > 0, "is not a size (must be > 0)"),
 }
 _COUNTED = {"S": "sites", "T": "snapshots", "L": "links", "V": "VTs", "N": "vehicles"}
@@ -90,14 +90,14 @@ class Recording(Described):
         """Write the recording to one HDF5 file, atomically. Raises InputError when that is impossible."""
         from cellslam.sim.recording.hdf5 import save
 
-        save(self, Path(path))
+        save(values_of(self), Path(path))
 
     @staticmethod
     def load(path: str | Path) -> Recording:
         """Read and check a recording. Raises InputError naming file, table and row of what is wrong."""
         from cellslam.sim.recording.hdf5 import load
 
-        return load(Path(path))
+        return load(Path(path), Recording)
 
     def _parts(self) -> Iterator[str]:
         """Yield what there is of the drive, in a few words."""
@@ -120,30 +120,9 @@ def values_of(recording: Recording) -> dict[str, Any]:
         value: Any = recording
         for name in column.path.split("/"):
             value = None if value is None else getattr(value, name)
-        if value is not None and column.path != "provenance":
+        if value is not None:
             out[column.path] = value
     return out
-
-
-def check_shapes(values: Mapping[str, Any]) -> dict[str, int]:
-    """Return the size that each symbol of the columns' shapes stands for. Raises InputError where one has two sizes."""
-    sizes: dict[str, int] = {}
-    sources: dict[str, str] = {}  # of each symbol the column that set it
-    for column in COLUMNS:
-        if column.path not in values:
-            continue
-        shape = np.shape(values[column.path])
-        if len(shape) != len(column.shape):
-            raise InputError(f"column '{column.path}' has shape {shape}; write {column.described}")
-        for size, wanted in zip(shape, column.shape, strict=True):
-            if isinstance(wanted, str):
-                expected = sizes.setdefault(wanted, size)
-                why = f" rows like '{sources.setdefault(wanted, column.path)}'"
-            else:
-                expected, why = wanted, f"; write {column.described}"
-            if size != expected:
-                raise InputError(f"column '{column.path}' has shape {shape}, expected {expected}{why}")
-    return sizes
 
 
 def _check_values(column: Column, values: NDArray[Any], sizes: Mapping[str, int]) -> None:

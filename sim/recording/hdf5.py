@@ -9,18 +9,18 @@ from __future__ import annotations
 import contextlib
 import json
 import os
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import h5py
 import numpy as np
 
 from cellslam.sim.errors import InputError, nearest_name
 from cellslam.sim.recording import damage, tables
-from cellslam.sim.recording.columns import COLUMNS, FORMAT, SCHEMA_VERSION, Column
-from cellslam.sim.recording.contract import Recording, check_shapes, values_of
+from cellslam.sim.recording.columns import COLUMNS, FORMAT, SCHEMA_VERSION, Column, check_shapes
 
+Kind = TypeVar("Kind")
 # The class of each table, inner ones first.
 _TABLES = {
     "odometry_model": tables.OdometryModel,
@@ -38,14 +38,13 @@ _MAY_MISS = ("truth", "truth/clock_steps", "truth/vehicles", "reference")
 _KINDS = {"float": "fiu", "int": "iu", "text": "OS"}
 
 
-def save(recording: Recording, path: Path) -> None:
-    """Write `recording` to `path`: first to a temporary file beside it, which then takes its place.
+def save(columns: Mapping[str, Any], path: Path) -> None:
+    """Write a recording's columns, by path, to `path`: first to a temporary file beside it, which then takes its place.
 
     Raises InputError when the folder is missing or cannot be written, or the provenance is not JSON.
     """
-    values = values_of(recording)
     try:
-        values["provenance"] = json.dumps(dict(recording.provenance), allow_nan=False)
+        values = {**columns, "provenance": json.dumps(dict(columns["provenance"]), allow_nan=False)}
     except (TypeError, ValueError) as error:
         raise InputError(f"provenance cannot be written as JSON: {error}") from error
     if not path.parent.is_dir():
@@ -68,8 +67,8 @@ def save(recording: Recording, path: Path) -> None:
             temporary.unlink(missing_ok=True)
 
 
-def load(path: Path) -> Recording:
-    """Read a file, and check it. Raises InputError naming file, table, row and remedy."""
+def load(path: Path, make: Callable[..., Kind]) -> Kind:
+    """Read a file as `make`, which checks it. Raises InputError naming file, table, row and remedy."""
     if path.is_dir():
         raise InputError(f"{path} is a folder; give the .h5 file of a recording")
     if not path.exists():
@@ -80,7 +79,7 @@ def load(path: Path) -> Recording:
             _check_header(file)
             _check_names(file)
             values = _read_all(file)
-        return _recording(values)
+        return _recording(values, make)
     except InputError as error:
         raise InputError(f"{path}: {error}") from error
     except PermissionError as error:
@@ -209,13 +208,13 @@ def _read(dataset: h5py.Dataset, column: Column) -> Any:
     return np.asarray(dataset[()], np.int64 if column.kind == "int" else np.float64)
 
 
-def _recording(values: dict[str, Any]) -> Recording:
+def _recording(values: dict[str, Any], make: Callable[..., Kind]) -> Kind:
     own: dict[str, Any] = values | {"provenance": _provenance(values["provenance"]), "plane": bool(values.get("plane"))}
     for table, kind in _TABLES.items():
         inside = {path for path in own if path.rpartition("/")[0] == table}
         if inside:
             own[table] = kind(**{path.rpartition("/")[2]: own.pop(path) for path in inside})
-    return Recording(**own)
+    return make(**own)
 
 
 def _provenance(text: str) -> dict[str, Any]:

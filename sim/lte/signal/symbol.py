@@ -19,10 +19,10 @@ from scipy import fft
 
 from cellslam.sim.compiling import njit
 from cellslam.sim.frames import SPEED_OF_LIGHT_MPS
-from cellslam.sim.lte.array import Floats
 from cellslam.sim.lte.statistical.detector_layout import Array
 from cellslam.sim.lte.steering_kernel import write_phasors
 
+Floats = NDArray[np.float64]
 ComplexSingle = NDArray[np.complex64]
 REACH = 6  # cells of the grid to either side over which a weight is spread: errors of 1e-5
 MANY_PATHS, MANY_TONES = 256, 1024  # from which the transform pays

@@ -32,7 +32,6 @@ import numpy as np
 
 from cellslam.sim.compiling import njit, part
 from cellslam.sim.frames.frames_kernel import wrap
-from cellslam.sim.lte.error_bounds import AZIMUTH_EXPONENT
 from cellslam.sim.lte.statistical import clutter_kernel as clutter
 from cellslam.sim.lte.statistical import detector_layout as k
 from cellslam.sim.lte.statistical import measurement_kernel as measurement
@@ -53,7 +52,7 @@ def captured(a: Array, b: Array, model: Model) -> float:
 
     Gaussian ambiguity exp(-s^2) with the bound's widths, value and first derivatives: exp(-s^2) (1 + s^2).
     """
-    cosine = math.cos(0.5 * (a[2] + b[2])) ** AZIMUTH_EXPONENT
+    cosine = math.cos(0.5 * (a[2] + b[2])) ** k.AZIMUTH_EXPONENT
     u = (a[0] - b[0]) / model.accuracy.bound.distance_m
     v = wrap(a[1] - b[1]) * cosine / model.accuracy.bound.azimuth_rad
     w = (a[2] - b[2]) / model.accuracy.bound.elevation_rad

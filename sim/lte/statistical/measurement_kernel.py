@@ -11,7 +11,6 @@ from typing import NamedTuple
 
 from cellslam.sim.compiling import njit, part
 from cellslam.sim.frames.frames_kernel import wrap
-from cellslam.sim.lte.error_bounds import AZIMUTH_EXPONENT, ELEVATION_GROWTH
 from cellslam.sim.lte.statistical import detector_layout as k
 from cellslam.sim.lte.statistical.detector_layout import Array, LinkTable, Model, PathColumns, Spread
 
@@ -120,9 +119,9 @@ def write_std(gamma: float, elevation: float, floor: Spread, model: Model, out: 
     """Write the deviations (3,) of a measurement at effective integrated SNR `gamma`: the bound and a floor."""
     root, scale, bound = 1.0 / math.sqrt(2.0 * gamma), model.accuracy.scale, model.accuracy.bound
     cosine = max(math.cos(elevation), 0.05)
-    growth = 1.0 + ELEVATION_GROWTH * elevation**2
+    growth = 1.0 + k.ELEVATION_GROWTH * elevation**2
     out[0] = scale * math.hypot(bound.distance_m * root, floor.distance_m)
-    out[1] = scale * math.hypot(bound.azimuth_rad * root / cosine**AZIMUTH_EXPONENT, floor.azimuth_rad)
+    out[1] = scale * math.hypot(bound.azimuth_rad * root / cosine**k.AZIMUTH_EXPONENT, floor.azimuth_rad)
     out[2] = scale * math.hypot(bound.elevation_rad * root * growth, floor.elevation_rad)
 
 
