@@ -110,8 +110,8 @@ def _port_weights(y: Complex, working: NDArray[np.bool_], receiver: Receiver) ->
     """
     tapered = np.where(working[:, None], y, 0.0).astype(np.complex64) @ receiver.quiet_matrix
     energy = np.sort(tapered.real**2 + tapered.imag**2, axis=1)  # np.median takes ten times as long
-    middle, count = energy.shape[1] // 2, energy.shape[1]
-    level = (0.5 * (energy[:, (count - 1) // 2] + energy[:, middle])).astype(np.float64)
+    count = energy.shape[1]
+    level = (0.5 * (energy[:, (count - 1) // 2] + energy[:, count // 2])).astype(np.float64)
     if isinstance(receiver.array, CircularArray):
         level = _agreeing(level, working, receiver.array.rings)
     usual = float(np.median(level[working]))
