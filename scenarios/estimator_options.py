@@ -125,8 +125,8 @@ def data_sheet(radio: RadioConfig) -> dict[str, float]:
     """Return the options that the waveform decides: deviations in m and deg by noise at 0 dB, and by diffuse energy."""
     import numpy as np
 
+    from cellslam.sim.lte.error_bounds import single_path_std
     from cellslam.sim.lte.persisting_errors import causes
-    from cellslam.sim.lte.single_path_bound import single_path_std
 
     noise = single_path_std(0.0, waveform=radio.waveform())
     diffuse = next(cause.std for cause in causes(radio) if cause.name == "diffuse")

@@ -19,15 +19,16 @@ from cellslam.sim.lte.array import (
     CircularArray,
     Complex,
     Floats,
+    PathSet,
     Steering,
     array_at,
     doppler_phasors,
     miscalibrated,
     switching_times_s,
 )
-from cellslam.sim.lte.downlink.lte_waveform import LteWaveform
-from cellslam.sim.lte.joint_bound import PathSet, joint_std
-from cellslam.sim.lte.signal.channel import PortSignal, frequency_response
+from cellslam.sim.lte.downlink import LteWaveform
+from cellslam.sim.lte.error_bounds import joint_std
+from cellslam.sim.lte.signal.channel import frequency_response
 from cellslam.sim.lte.signal.path_estimator.cancellation import cancel
 from cellslam.sim.lte.signal.path_estimator.path_estimator import Estimates, estimate_paths
 from cellslam.sim.lte.signal.receiver import Motion, Receiver, receiver_of
@@ -78,11 +79,8 @@ class Bench:
 
     def channel(self, paths: PathSet, velocity: Floats = STILL, array: AntennaArray | None = None) -> Complex:
         """Return the noiseless samples (ports, tones) of the paths, seen with `array` (None: the believed one)."""
-        signal = PortSignal(375, 0, paths)
         seen = array or self.array
-        return frequency_response(
-            seen, self.tones_hz, self.receiver.times_s, velocity, signal, self.receiver.carrier_hz
-        )
+        return frequency_response(seen, self.tones_hz, self.receiver.times_s, velocity, paths, self.receiver.carrier_hz)
 
     def noise(self, rng: np.random.Generator) -> Complex:
         """Return unit noise (ports, tones)."""

@@ -79,7 +79,8 @@ def _each(study: Callable[[Bench, Any, int, np.random.Generator], Row], values: 
 def _resolutions(technology: str, runs: int) -> list[Point]:
     def point(rng: np.random.Generator, gamma_db: float, component: int) -> Row:
         bench = default_bench(technology)
-        steps = _si(STEPS[gamma_db][component], component) * bench.receiver.coarser[component]
+        coarser = bench.receiver.demands.coarser if component == 0 else 1.0
+        steps = _si(STEPS[gamma_db][component], component) * coarser
         return resolution(bench, gamma_db, component, steps, max(runs // 4, 2), rng)
 
     return [partial(point, gamma_db=gamma_db, component=c) for gamma_db in STEPS for c in range(3)]

@@ -1,7 +1,8 @@
 """Run the tests with each supported Python, with the lowest and with the newest dependencies.
 
 For each pair a clone of the checkout is installed in a fresh virtual environment by uv (`pip install uv`), which
-resolves the lowest versions that pyproject.toml admits, and its fast tests run. A pair takes some ten minutes on two cores.
+resolves the lowest versions that pyproject.toml admits, and its fast tests run. A pair takes some ten minutes on two
+cores.
 """
 
 from __future__ import annotations

@@ -1,28 +1,33 @@
-"""The receiver's antenna array: steering vectors of both polarisations with analytic derivatives, and its
-switching.
+"""The receiver's antenna array, modelled or measured: its steering vectors, its switching, its errors.
 
-An array answers for directions in the body frame: `steer` returns what each port receives of a unit wave
-polarised along H (growing azimuth) and V (growing elevation).
+An array answers for directions in the body frame: `steer` returns what each port receives of a unit wave polarised
+along H (growing azimuth) and V (growing elevation). `steering_kernel` has the formulas.
 
 Source: 128 ports switched every 0.5 ms after 11 ms of gain control, the extended FastSLAM paper, section II; pattern of
-an element, TR 38.901, Table 7.3-1. Columns, rings and their distances are assumptions.
+an element, TR 38.901, Table 7.3-1; columns, rings and their distances are assumptions. Measured patterns: Landmann, Del
+Galdo, "Efficient antenna description for MIMO channel modelling and estimation", 2004: patterns sampled on a regular
+grid are continued over the poles, so that they are periodic in both angles; their Fourier series interpolates them.
 """
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from dataclasses import dataclass, field, replace
-from typing import Literal, NamedTuple, Protocol
+from typing import Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from cellslam.sim.errors import InputError
-from cellslam.sim.frames import SPEED_OF_LIGHT_MPS, wrap_angle
+from cellslam.sim.frames import SPEED_OF_LIGHT_MPS, unit_vector
+from cellslam.sim.lte.steering_kernel import Circle, Series, SteeringModel, steer
 
 Complex = NDArray[np.complex128]
 Floats = NDArray[np.float64]
 PORT_INTERVAL_S = 0.5e-3
 GAIN_CONTROL_S = 11e-3
+_NO_CIRCLE = Circle(0, 0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, np.zeros((2, 2)))
+_NO_SERIES = Series(np.zeros((0, 0), np.complex128), np.zeros(0), np.zeros(0))
 
 
 class Steering(NamedTuple):
@@ -33,21 +38,48 @@ class Steering(NamedTuple):
     by_elevation: Complex
 
 
-class AntennaArray(Protocol):
-    """Anything that steers: geometric models and measured patterns alike."""
+@dataclass(frozen=True)
+class PathSet:
+    """Paths (n,) at the array: length in m, direction in the body frame, weights (n, 2) of the received (H,
+    V) field.
+    """
+
+    distance_m: Floats
+    azimuth_rad: Floats
+    elevation_rad: Floats
+    weights: Complex
+
+    def __len__(self) -> int:
+        return len(self.distance_m)
+
+
+class AntennaArray(ABC):
+    """An array of switched ports: a geometric model or measured patterns."""
 
     @property
+    @abstractmethod
     def ports(self) -> int:
         """Number of switched ports."""
-        ...
+
+    @property
+    @abstractmethod
+    def elements(self) -> tuple[Circle, Series, Complex]:
+        """What the kernels make steering vectors from: circle, series, and complex factors (ports,)."""
+
+    def moving(self, factor: Complex, doppler: Floats, velocity_mps: Floats, rate: Floats) -> SteeringModel:
+        """Return the array in motion, its ports weighed by `factor` (ports,): see `SteeringModel`."""
+        circle, series, own = self.elements
+        return SteeringModel(circle, series, own * factor, doppler, velocity_mps, rate)
 
     def steer(self, azimuth_rad: ArrayLike, elevation_rad: ArrayLike) -> Steering:
-        """Return the steering vectors (n, ports, 2) of n directions (n,) in rad."""
-        ...
+        """Return the steering vectors (n, ports, 2) of n directions (n,) in the body frame, rad."""
+        azimuth, elevation = (np.array(angle, np.float64, ndmin=1) for angle in (azimuth_rad, elevation_rad))
+        at_rest = self.moving(np.ones(self.ports, np.complex128), np.zeros(self.ports), np.zeros(3), np.zeros(0))
+        return Steering(*steer(azimuth, elevation, at_rest))
 
 
 @dataclass(frozen=True)
-class CircularArray:
+class CircularArray(AntennaArray):
     """Stacked uniform circular array of patches with two slants: ports = columns x rings x 2, in this order.
 
     Patches look outwards; pattern of TR 38.901, Table 7.3-1 with a smooth floor. `calibration` (ports,)
@@ -76,53 +108,65 @@ class CircularArray:
         """Number of switched ports."""
         return 2 * self.columns * self.rings
 
-    def steer(self, azimuth_rad: ArrayLike, elevation_rad: ArrayLike) -> Steering:
-        """Return the steering vectors (n, ports, 2) of n directions (n,) in the body frame, rad."""
-        az, el = (
-            np.atleast_1d(np.asarray(azimuth_rad, np.float64)),
-            np.atleast_1d(np.asarray(elevation_rad, np.float64)),
-        )
-        value, by_azimuth, by_elevation = self._elements(az[:, None, None], el[:, None, None])
-        polarisation = self.polarisation
-        return Steering(*(self._ports_of(e, polarisation) for e in (value, by_azimuth, by_elevation)))
+    @property
+    def elements(self) -> tuple[Circle, Series, Complex]:
+        """The circle of patches, no series, and the calibration (ports,)."""
+        slant = np.radians(self.slant_deg)
+        circle = Circle(
+            columns=self.columns, rings=self.rings, radius_m=self.radius_m, spacing_m=self.ring_spacing_m,
+            wavenumber=2.0 * np.pi * self.carrier_hz / SPEED_OF_LIGHT_MPS, peak_dbi=self.peak_dbi,
+            curve=float(12.0 / np.radians(self.width_deg) ** 2), floor_db=self.floor_db,
+            polarisation=np.array([[np.sin(slant), np.cos(slant)], [-np.sin(slant), np.cos(slant)]]),
+        )  # fmt: skip
+        calibration = np.ones(self.ports, np.complex128) if self.calibration is None else self.calibration
+        return circle, _NO_SERIES, calibration
 
-    def _elements(self, az: Floats, el: Floats) -> tuple[Complex, Complex, Complex]:
-        """Return patch responses (n, columns, rings) without polarisation, and their derivatives."""
-        facing = (2.0 * np.pi * np.arange(self.columns) / self.columns)[None, :, None]
-        height = ((np.arange(self.rings) - 0.5 * (self.rings - 1)) * self.ring_spacing_m)[None, None, :]
-        k = 2.0 * np.pi * self.carrier_hz / SPEED_OF_LIGHT_MPS
-        off = np.asarray(wrap_angle(az - facing))
-        phase = k * (self.radius_m * np.cos(el) * np.cos(off) + height * np.sin(el))
-        phase_az = -k * self.radius_m * np.cos(el) * np.sin(off)
-        phase_el = k * (height * np.cos(el) - self.radius_m * np.sin(el) * np.cos(off))
-        loss_db, loss_az, loss_el = self._loss(off, el)
-        value = 10.0 ** ((self.peak_dbi - loss_db) / 20.0) * np.exp(1j * phase)
-        neper = np.log(10.0) / 20.0
-        return value, value * (1j * phase_az - neper * loss_az), value * (1j * phase_el - neper * loss_el)
 
-    def _loss(self, off: Floats, el: Floats) -> tuple[Floats, Floats, Floats]:
-        """Return the pattern's loss in dB under its peak, and its derivatives by azimuth and elevation."""
-        curve = 12.0 / np.radians(self.width_deg) ** 2
-        in_azimuth, slope_a = _smooth_floor(curve * off**2, self.floor_db)
-        in_elevation, slope_e = _smooth_floor(curve * el**2, self.floor_db)
-        loss, slope = _smooth_floor(in_azimuth + in_elevation, self.floor_db)
-        return loss, slope * slope_a * 2.0 * curve * off, slope * slope_e * 2.0 * curve * el
+@dataclass(frozen=True)
+class EadfArray(AntennaArray):
+    """Measured patterns as an effective aperture distribution function: Fourier coefficients (M, ports, 2, N) over
+    elevation modes (M,) and azimuth modes (N,).
+    """
+
+    coefficients: Complex
+    elevation_modes: Floats
+    azimuth_modes: Floats
 
     @property
-    def polarisation(self) -> Floats:
-        """Return (2, 2): per slant, its sensitivity to (H, V), without unit."""
-        s = np.radians(self.slant_deg)
-        return np.array([[np.sin(s), np.cos(s)], [-np.sin(s), np.cos(s)]])
+    def ports(self) -> int:
+        """Number of switched ports."""
+        return int(self.coefficients.shape[1])
 
-    def _ports_of(self, elements: Complex, polarisation: Floats) -> Complex:
-        ports = (elements[..., None, None] * polarisation).reshape(len(elements), self.ports, 2)
-        return ports if self.calibration is None else ports * self.calibration[None, :, None]
+    @property
+    def elements(self) -> tuple[Circle, Series, Complex]:
+        """No circle, the series of the patterns, and ones (ports,)."""
+        flat = self.coefficients.reshape(len(self.elevation_modes), -1)
+        return _NO_CIRCLE, Series(flat, self.elevation_modes, self.azimuth_modes), np.ones(self.ports, np.complex128)
 
 
-def _smooth_floor(loss_db: Floats, floor_db: float) -> tuple[Floats, Floats]:
-    """Return x / (1 + (x / floor)^4)^(1/4), a min(x, floor) with derivatives, and its slope."""
-    base = 1.0 + (loss_db / floor_db) ** 4
-    return loss_db * base**-0.25, base**-1.25
+def eadf_from_grid(patterns: Complex) -> EadfArray:
+    """Return the array of patterns (ports, 2, E, A): elevations -90 to 90 degrees inclusive, azimuths from 0,
+    360 left out.
+
+    Raises InputError for a grid of another shape, or values that are not finite.
+    """
+    if patterns.ndim != 4 or patterns.shape[1] != 2 or patterns.shape[3] % 2 or patterns.shape[2] < 3:
+        raise InputError(
+            f"array patterns have shape {patterns.shape}: (ports, 2, elevations >= 3, an even number of "
+            "azimuths) is expected"
+        )
+    if not np.isfinite(patterns).all():
+        raise InputError("array patterns hold values that are not finite: give every port at every angle")
+    azimuths = patterns.shape[3]
+    # Over the pole, azimuth turns by 180 degrees and both unit vectors of polarisation change their sign.
+    beyond = -np.roll(patterns[:, :, 1:-1][:, :, ::-1], azimuths // 2, axis=3)
+    sphere = np.concatenate([patterns, beyond], axis=2)
+    spectrum = np.fft.fft2(sphere, axes=(2, 3)) / (sphere.shape[2] * azimuths)
+    elevation_modes = np.fft.fftfreq(sphere.shape[2], 1.0 / sphere.shape[2])
+    # The grid starts at -90 degrees: move the origin of the series to elevation zero.
+    spectrum = spectrum * np.exp(0.5j * np.pi * elevation_modes)[:, None]
+    coefficients = np.ascontiguousarray(np.moveaxis(spectrum, 2, 0), np.complex128)
+    return EadfArray(coefficients, elevation_modes, np.fft.fftfreq(azimuths, 1.0 / azimuths))
 
 
 def array_at(carrier_hz: float) -> CircularArray:
@@ -136,18 +180,15 @@ def array_at(carrier_hz: float) -> CircularArray:
     )
 
 
-def calibration_error(ports: int, phase_std_deg: float, gain_std_db: float, rng: np.random.Generator) -> Complex:
-    """Return complex factors (ports,) of random phase and gain errors, one draw per port."""
-    phase = np.radians(phase_std_deg) * rng.standard_normal(ports)
-    gain_db = gain_std_db * rng.standard_normal(ports)
-    return np.asarray(10.0 ** (gain_db / 20.0) * np.exp(1j * phase), np.complex128)
-
-
 def miscalibrated(
     array: CircularArray, phase_std_deg: float, gain_std_db: float, rng: np.random.Generator
 ) -> CircularArray:
-    """Return the array as it really is, where the receiver believes in `array`."""
-    return replace(array, calibration=calibration_error(array.ports, phase_std_deg, gain_std_db, rng))
+    """Return the array as it really is, with random phase and gain errors, one draw per port; the receiver believes in
+    `array`.
+    """
+    phase = np.radians(phase_std_deg) * rng.standard_normal(array.ports)
+    gain_db = gain_std_db * rng.standard_normal(array.ports)
+    return replace(array, calibration=np.asarray(10.0 ** (gain_db / 20.0) * np.exp(1j * phase), np.complex128))
 
 
 def switching_times_s(array: CircularArray, order: Literal["column", "ring"] = "column") -> Floats:
@@ -156,34 +197,24 @@ def switching_times_s(array: CircularArray, order: Literal["column", "ring"] = "
 
     "column": all rings of one column, then the next column; "ring": round one ring, then the next.
     """
-    index = np.arange(array.ports).reshape(array.columns, array.rings, 2)
-    if order == "ring":
-        slots = index.transpose(1, 0, 2).reshape(-1)
-    elif order == "column":
-        slots = index.reshape(-1)
-    else:
+    if order not in ("column", "ring"):
         raise InputError(f"switching order '{order}' is unknown (column, ring)")
+    slots = np.arange(array.ports).reshape(array.columns, array.rings, 2)
+    if order == "ring":
+        slots = slots.transpose(1, 0, 2)
     times = np.empty(array.ports)
-    times[slots] = GAIN_CONTROL_S + PORT_INTERVAL_S * np.arange(array.ports)
+    times[slots.reshape(-1)] = GAIN_CONTROL_S + PORT_INTERVAL_S * np.arange(array.ports)
     return times
 
 
 def doppler_phasors(
-    times_s: Floats,
-    velocity_mps: ArrayLike,
-    azimuth_rad: ArrayLike,
-    elevation_rad: ArrayLike,
-    carrier_hz: float,
+    times_s: Floats, velocity_mps: ArrayLike, azimuth_rad: ArrayLike, elevation_rad: ArrayLike, carrier_hz: float
 ) -> Complex:
     """Return exp(j 2 pi nu t) (n, ports) of n directions for a receiver moving with body velocity (3,).
 
     nu = v . n / wavelength, n pointing to where the wave comes from; the phase is zero at the mean sampling
     time.
     """
-    az, el = (
-        np.atleast_1d(np.asarray(azimuth_rad, np.float64)),
-        np.atleast_1d(np.asarray(elevation_rad, np.float64)),
-    )
-    towards = np.stack([np.cos(el) * np.cos(az), np.cos(el) * np.sin(az), np.sin(el)], axis=-1)
+    towards = np.atleast_2d(unit_vector(azimuth_rad, elevation_rad))
     shift_hz = towards @ np.asarray(velocity_mps, np.float64) * carrier_hz / SPEED_OF_LIGHT_MPS
     return np.asarray(np.exp(2j * np.pi * np.outer(shift_hz, times_s - times_s.mean())), np.complex128)

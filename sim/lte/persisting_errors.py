@@ -14,10 +14,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from cellslam.sim.frames import SPEED_OF_LIGHT_MPS
-from cellslam.sim.lte.downlink.lte_waveform import LteWaveform
-from cellslam.sim.lte.persisting_errors_kernel import Fields
+from cellslam.sim.lte.downlink import LteWaveform
 from cellslam.sim.lte.radio_config import RadioConfig
 from cellslam.sim.lte.statistical.detector_layout import TRAIL_DECAY_M
+from cellslam.sim.lte.statistical.measurement_kernel import Fields
 from cellslam.sim.lte.statistical.statistics import LTE, Statistics, statistics
 from cellslam.sim.randomness import Stream, stream
 from cellslam.sim.recording import Floats
@@ -39,22 +39,20 @@ class Cause:
 def causes(config: RadioConfig, constants: Statistics | None = None) -> tuple[Cause, ...]:
     """Return calibration and roof (scale in rad), diffuse energy (m), attitude (s); `constants`: other than shipped."""
     diffuse = _diffuse_floor(config, constants) * 10.0 ** (-config.specular_to_diffuse_db / 20.0)
-    angles = np.radians(
-        [
-            [config.calibration_azimuth_deg, config.calibration_elevation_deg],
-            [config.roof_azimuth_deg, config.roof_elevation_deg],
-            [config.attitude_azimuth_deg, config.attitude_elevation_deg],
-        ]
+
+    def angular(distance_m: float, azimuth_deg: float, elevation_deg: float) -> Floats:
+        return np.array([distance_m, *np.radians([azimuth_deg, elevation_deg])])
+
+    calibration = angular(
+        config.calibration_distance_m, config.calibration_azimuth_deg, config.calibration_elevation_deg
     )
+    roof = angular(0.0, config.roof_azimuth_deg, config.roof_elevation_deg)
+    attitude = angular(0.0, config.attitude_azimuth_deg, config.attitude_elevation_deg)
     return (
-        Cause(
-            "calibration",
-            np.array([config.calibration_distance_m, *angles[0]]),
-            float(np.radians(config.calibration_correlation_deg)),
-        ),
-        Cause("roof", np.array([0.0, *angles[1]]), float(np.radians(config.roof_correlation_deg))),
+        Cause("calibration", calibration, float(np.radians(config.calibration_correlation_deg))),
+        Cause("roof", roof, float(np.radians(config.roof_correlation_deg))),
         Cause("diffuse", diffuse, config.diffuse_correlation_m),
-        Cause("attitude", np.array([0.0, *angles[2]]), config.attitude_correlation_s),
+        Cause("attitude", attitude, config.attitude_correlation_s),
     )
 
 

@@ -199,14 +199,14 @@ class RadioConfig(BaseModel):
     def waveform(self) -> Waveform:
         """Return the waveform of these keys: `technology` says which. Raises InputError where there is none."""
         if self.technology == "lte":
-            from cellslam.sim.lte.downlink.lte_waveform import LteWaveform
+            from cellslam.sim.lte.downlink import LteWaveform
 
             return LteWaveform(self.resource_blocks)
         if self.technology == "nr":
             from cellslam.sim.nr.nr_waveform import NrWaveform
 
             return NrWaveform(self.resource_blocks, self.numerology, self.prs_comb, self.prs_symbols)
-        from cellslam.sim.waveform.conformance import checked
+        from cellslam.sim.waveform.waveform import checked
 
         module, _, name = self.technology.partition(":")
         try:

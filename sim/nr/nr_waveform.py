@@ -19,12 +19,11 @@ from cellslam.sim.errors import InputError
 from cellslam.sim.nr.prs import (
     SUBCARRIERS_PER_BLOCK,
     check_comb,
-    check_integers,
     check_resource_blocks,
     positioning_reference_signal,
     slots_per_frame,
 )
-from cellslam.sim.waveform.waveform import Complex, Floats, PortName
+from cellslam.sim.waveform.waveform import Complex, Floats, PortName, check_integers
 
 PORTS_PER_CELL = 4
 LONGEST_FFT = 4096

@@ -1,18 +1,20 @@
-"""Downlink positioning reference signal of NR.
+"""Downlink positioning reference signal of NR: what is sent in a slot, and in which slots.
 
-Source: 3GPP TS 38.211, clauses 7.4.1.7.2 (sequence) and 7.4.1.7.3 (resource elements); ranges, TS 38.214, clause
-5.1.6.5, and TS 37.355.
+Source: 3GPP TS 38.211, clauses 7.4.1.7.2 (sequence), 7.4.1.7.3 (resource elements) and 7.4.1.7.4 (slots); ranges, TS
+38.214, clause 5.1.6.5, TS 37.355 and TS 38.455.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Literal
 
 import numpy as np
+from numpy.typing import NDArray
 
 from cellslam.sim.errors import InputError
 from cellslam.sim.waveform.pseudo_random import gold_sequence, qpsk
-from cellslam.sim.waveform.waveform import ReferenceSignal
+from cellslam.sim.waveform.waveform import ReferenceSignal, check_integers
 
 CyclicPrefix = Literal["normal", "extended"]
 SYMBOLS_PER_SLOT = {"normal": 14, "extended": 12}
@@ -25,6 +27,13 @@ SUBCARRIERS_PER_BLOCK = 12
 STAGGER = {2: (0, 1), 4: (0, 2, 1, 3), 6: (0, 3, 1, 4, 2, 5), 12: (0, 6, 3, 9, 1, 7, 4, 10, 2, 8, 5, 11)}
 # Symbols of a resource that go with each comb (TS 38.211, clause 7.4.1.7.3).
 LENGTHS = {2: (2, 4, 6, 12), 4: (4, 12), 6: (6, 12), 12: (12,)}
+FRAMES = 1024  # after which the system frame number begins again
+PERIODS = (4, 5, 8, 10, 16, 20, 32, 40, 64, 80, 160, 320, 640, 1280, 2560, 5120, 10240)  # at 15 kHz
+REPETITIONS = (1, 2, 4, 6, 8, 16, 32)
+GAPS = (1, 2, 4, 8, 16, 32)
+MUTING_LENGTHS = (2, 4, 6, 8, 16, 32)
+MUTING_REPETITIONS = (1, 2, 4, 8)
+LAST_RESOURCE_OFFSET = 511
 
 
 def positioning_reference_signal(
@@ -83,13 +92,6 @@ def c_init(sequence_id: int, slot: int, symbol: int, cyclic_prefix: CyclicPrefix
     return (2**22 * high + 2**10 * elapsed * (2 * low + 1) + low) % 2**31
 
 
-def check_integers(limits: dict[str, tuple[int, int, int]]) -> None:
-    """Raise InputError for the first of named values, each with its least and greatest, that is out of its range."""
-    for name, (value, low, high) in limits.items():
-        if not isinstance(value, (int, np.integer)) or not low <= value <= high:
-            raise InputError(f"{name} {value} is not an integer from {low} to {high}")
-
-
 def _check(
     sequence_id: int, slot: int, numerology: int, resource_blocks: int, comb: int, symbols: int, first_symbol: int,
     element_offset: int, first_block: int,
@@ -118,11 +120,82 @@ def check_resource_blocks(resource_blocks: int) -> None:
 
 def check_comb(comb: int, symbols: int) -> None:
     """Raise InputError for a comb that is none, and for a number of symbols that does not go with it."""
-    if not isinstance(comb, (int, np.integer)) or comb not in LENGTHS:
-        raise InputError(f"comb {comb} is not one of {', '.join(map(str, LENGTHS))}")
+    _check_choice("comb", comb, tuple(LENGTHS))
     if not isinstance(symbols, (int, np.integer)) or symbols not in LENGTHS[comb]:
-        raise InputError(f"symbols {symbols} do not go with comb {comb}: {_choice(LENGTHS[comb])} do")
+        raise InputError(f"symbols {symbols} do not go with comb {comb}: {' or '.join(map(str, LENGTHS[comb]))} do")
 
 
-def _choice(values: tuple[int, ...]) -> str:
-    return " or ".join(map(str, values))
+def prs_slots(
+    numerology: int,
+    period: int,
+    slots: int,
+    offset: int = 0,
+    resource_offset: int = 0,
+    repetition: int = 1,
+    gap: int = 1,
+    muting: Sequence[int] = (),
+    muting_repetition: int = 1,
+    repetition_muting: Sequence[int] = (),
+) -> NDArray[np.int64]:
+    """Return the slots (N,), counted from the first of frame 0, of the first `slots` in which a resource is sent.
+
+    `period` and `offset` of the resource set in slots; `resource_offset` of the resource within its set; `repetition`:
+    how many times it is sent in a period, every `gap` slots. `muting` (bits, 1: sent) goes on by one bit with every
+    `muting_repetition` periods (option 1), `repetition_muting` has a bit for each repetition in a period (option 2);
+    where both are given, both must be 1.
+
+    Raises InputError, naming what is allowed, for a value out of its range and for repetitions longer than the period.
+    """
+    _check_schedule(numerology, period, slots, offset, resource_offset, repetition, gap)
+    _check_muting(repetition, muting, muting_repetition, repetition_muting)
+    number = np.arange(slots, dtype=np.int64)
+    # TS 38.211, clause 7.4.1.7.4: slots since T_offset of the resource set and T_offset,res of the resource in it.
+    since = number - offset - resource_offset
+    # The same: of a period T_per the slots {i T_gap}, i = 0 to T_rep - 1.
+    which, between = np.divmod(since % period, gap)
+    sent = (between == 0) & (which < repetition)
+    # The same, muting option 1: bit floor(n / (T_mut T_per)) mod L of the set's first bitmap.
+    if len(muting):
+        sent &= np.asarray(muting, bool)[since // (muting_repetition * period) % len(muting)]
+    # The same, option 2: bit floor((n mod T_per) / T_gap) mod L of the second; both must be 1.
+    if len(repetition_muting):
+        sent &= np.asarray(repetition_muting, bool)[which % repetition]
+    return np.asarray(number[sent], np.int64)
+
+
+def _check_schedule(
+    numerology: int, period: int, slots: int, offset: int, resource_offset: int, repetition: int, gap: int
+) -> None:
+    """Raise InputError for what is out of its range (TS 37.355, NR-DL-PRS-ResourceSet), and for what does not fit."""
+    check_integers({"numerology": (numerology, 0, NUMEROLOGIES - 1)})
+    periods = [2**numerology * p for p in PERIODS]
+    _check_choice(f"period at numerology {numerology}:", period, periods)
+    _check_choice("repetition", repetition, REPETITIONS)
+    _check_choice("gap", gap, GAPS)
+    check_integers({
+        "slots": (slots, 0, FRAMES * slots_per_frame(numerology)),
+        "offset": (offset, 0, period - 1),
+        "resource_offset": (resource_offset, 0, LAST_RESOURCE_OFFSET),
+    })  # fmt: skip
+    if (repetition - 1) * gap >= period:
+        raise InputError(
+            f"{repetition} repetitions every {gap} slots last longer than the period of {period}: "
+            f"repetition may be up to {max(r for r in REPETITIONS if (r - 1) * gap < period)} with this gap"
+        )
+
+
+def _check_muting(
+    repetition: int, muting: Sequence[int], muting_repetition: int, repetition_muting: Sequence[int]
+) -> None:
+    """Raise InputError for bitmaps that are none (TS 38.214, clause 5.1.6.5: option 2: a bit for each repetition)."""
+    _check_choice("muting_repetition", muting_repetition, MUTING_REPETITIONS)
+    _check_choice("muting of length", len(muting), (0, *MUTING_LENGTHS))
+    _check_choice("repetition_muting of length", len(repetition_muting), (0, repetition) if repetition > 1 else (0,))
+    for name, bits in (("muting", muting), ("repetition_muting", repetition_muting)):
+        if any(bit not in (0, 1) for bit in bits):
+            raise InputError(f"{name} {list(bits)} has other bits than 0 (muted) and 1 (sent)")
+
+
+def _check_choice(name: str, value: int, allowed: Sequence[int]) -> None:
+    if not isinstance(value, (int, np.integer)) or value not in allowed:
+        raise InputError(f"{name} {value} is not one of {', '.join(map(str, allowed))}")

@@ -17,7 +17,7 @@ from cellslam.sim.errors import InputError
 USER_BLOCK = 512
 _TITLE = b"cellslam recording; SHA-256 of what follows this block: "
 _PIECE = 1 << 20
-LIMIT_S, LIMIT_S_PER_BYTE = 10.0, 2e-8
+LIMIT_S, LIMIT_S_PER_BYTE = 60.0, 2e-8  # far more than reading takes, on a machine with other work too
 # Reads all there is, and goes on where something cannot be read: what is wrong, the reader itself will say. More than
 # deflate can have packed into the file is damage, not data.
 _READ_THROUGH = """

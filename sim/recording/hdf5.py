@@ -1,7 +1,7 @@
 """Recordings as HDF5 files: one dataset a column, with units; written atomically, checked on reading.
 
 The layout is plain enough for `h5read` of MATLAB and for Julia: 64-bit floats and integers, UTF-8 strings, no
-compound types. (MATLAB shows a matrix (T, 6) as 6 x T.) `hdf5_layout.COLUMNS` is the whole layout.
+compound types. (MATLAB shows a matrix (T, 6) as 6 x T.) `columns.COLUMNS` is the whole layout.
 """
 
 from __future__ import annotations
@@ -9,7 +9,7 @@ from __future__ import annotations
 import contextlib
 import json
 import os
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -17,31 +17,36 @@ import h5py
 import numpy as np
 
 from cellslam.sim.errors import InputError, nearest_name
-from cellslam.sim.recording import damage
-from cellslam.sim.recording.hdf5_layout import COLUMNS, FORMAT, SCHEMA_VERSION, TABLES_THAT_MAY_MISS, Column
-from cellslam.sim.recording.tables import (
-    ClockSteps,
-    Links,
-    Measurements,
-    OdometryModel,
-    RecordingData,
-    Reference,
-    Sites,
-    Truth,
-    Vehicles,
-    VirtualTransmitters,
-)
+from cellslam.sim.recording import damage, tables
+from cellslam.sim.recording.columns import COLUMNS, FORMAT, SCHEMA_VERSION, Column, check_shapes
 
-Kind = TypeVar("Kind", bound=RecordingData)
+Kind = TypeVar("Kind")
+# The class of each table, inner ones first.
+_TABLES = {
+    "odometry_model": tables.OdometryModel,
+    "links": tables.Links,
+    "sites": tables.Sites,
+    "measurements": tables.Measurements,
+    "truth/vts": tables.VirtualTransmitters,
+    "truth/clock_steps": tables.ClockSteps,
+    "truth/vehicles": tables.Vehicles,
+    "truth": tables.Truth,
+    "reference": tables.Reference,
+}
+# Those that a recording may lack as a whole, with all that is in them.
+_MAY_MISS = ("truth", "truth/clock_steps", "truth/vehicles", "reference")
 _KINDS = {"float": "fiu", "int": "iu", "text": "OS"}
 
 
-def save(recording: RecordingData, path: Path) -> None:
-    """Write `recording` to `path`: first to a temporary file beside it, which then takes its place.
+def save(columns: Mapping[str, Any], path: Path) -> None:
+    """Write a recording's columns, by path, to `path`: first to a temporary file beside it, which then takes its place.
 
     Raises InputError when the folder is missing or cannot be written, or the provenance is not JSON.
     """
-    values = _values(recording)
+    try:
+        values = {**columns, "provenance": json.dumps(dict(columns["provenance"]), allow_nan=False)}
+    except (TypeError, ValueError) as error:
+        raise InputError(f"provenance cannot be written as JSON: {error}") from error
     if not path.parent.is_dir():
         raise InputError(f"{path}: there is no folder {path.parent}; create it first")
     temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
@@ -62,8 +67,8 @@ def save(recording: RecordingData, path: Path) -> None:
             temporary.unlink(missing_ok=True)
 
 
-def load(path: Path, make: type[Kind]) -> Kind:
-    """Read a file as `make`, whose own checks it must pass. Raises InputError naming file, table, row and remedy."""
+def load(path: Path, make: Callable[..., Kind]) -> Kind:
+    """Read a file as `make`, which checks it. Raises InputError naming file, table, row and remedy."""
     if path.is_dir():
         raise InputError(f"{path} is a folder; give the .h5 file of a recording")
     if not path.exists():
@@ -83,22 +88,6 @@ def load(path: Path, make: type[Kind]) -> Kind:
         raise InputError(
             f"{path}: not an HDF5 file, or a truncated one ({_reason(error)}); record or copy it again"
         ) from error
-
-
-def _values(recording: RecordingData) -> dict[str, Any]:
-    """Return the value of every column that the recording has, by path."""
-    out: dict[str, Any] = {}
-    for column in COLUMNS:
-        value: Any = recording
-        for name in column.path.split("/"):
-            value = None if value is None else getattr(value, name)
-        if value is not None:
-            out[column.path] = value
-    try:
-        out["provenance"] = json.dumps(dict(recording.provenance), allow_nan=False)
-    except (TypeError, ValueError) as error:
-        raise InputError(f"provenance cannot be written as JSON: {error}") from error
-    return out
 
 
 def _write(file: h5py.File, column: Column, value: Any) -> None:
@@ -158,19 +147,20 @@ def _check_header(file: h5py.File) -> None:
 def _check_names(file: h5py.File) -> None:
     """Refuse what the schema does not know: a misspelled optional column must not pass for an absent one."""
     known = {column.path for column in COLUMNS}
-    groups = {column.table for column in COLUMNS} | set(TABLES_THAT_MAY_MISS)
+    groups = {column.table for column in COLUMNS} | set(_MAY_MISS)
     for path, is_group in _members(file):
         if is_group and path not in groups:
             raise InputError(f"unknown table '{path}'{nearest_name(path, groups - {''})}")
         if not is_group and path not in known:
             raise InputError(f"unknown column '{path}'{nearest_name(path, known)}")
     for column in COLUMNS:
-        missing = (whole for whole in TABLES_THAT_MAY_MISS if whole not in file)
+        missing = (whole for whole in _MAY_MISS if whole not in file)
         if column.optional or any(column.path.startswith(f"{whole}/") for whole in missing):
             continue
         table = column.table
         if table and table not in file:
-            raise InputError(f"table '{table}' is missing; it needs the columns {_columns_of(table)}")
+            needed = ", ".join(c.path.removeprefix(f"{table}/") for c in COLUMNS if c.path.startswith(f"{table}/"))
+            raise InputError(f"table '{table}' is missing; it needs the columns {needed}")
         declared = column.absent and column.path.removeprefix(f"{table}/") in _absent_of(file, table)
         if column.path not in file and not declared:
             remedy = f", or name it in the attribute 'absent' of '{table}'" if column.absent else ""
@@ -190,20 +180,16 @@ def _members(group: h5py.Group) -> Iterator[tuple[str, bool]]:
 
 
 def _read_all(file: h5py.File) -> dict[str, Any]:
-    sizes: dict[str, tuple[int, str]] = {}
-    out: dict[str, Any] = {}
-    for column in COLUMNS:
-        if column.path in file:
-            out[column.path] = _read(file[column.path], column, sizes)
+    out = {column.path: _read(file[column.path], column) for column in COLUMNS if column.path in file}
+    sizes = check_shapes(out)
     for column in COLUMNS:
         if column.absent and column.path not in out:
-            count = sizes[str(column.shape[0])][0]
+            count = sizes[str(column.shape[0])]
             out[column.path] = np.full(count, -1, np.int64) if column.kind == "int" else np.full(count, np.nan)
     return out
 
 
-def _read(dataset: h5py.Dataset, column: Column, sizes: dict[str, tuple[int, str]]) -> Any:
-    """Return the values of a column; `sizes` holds each symbol's size and the column that set it."""
+def _read(dataset: h5py.Dataset, column: Column) -> Any:
     kind = getattr(dataset, "dtype", None)
     if kind is None or dataset.shape is None or kind.kind not in _KINDS[column.kind]:
         raise InputError(f"column '{column.path}' holds {kind or 'a table'}; write {column.described}")
@@ -213,54 +199,22 @@ def _read(dataset: h5py.Dataset, column: Column, sizes: dict[str, tuple[int, str
         raise InputError(
             f"column '{column.path}' {given}; write it in '{column.unit}' and say so in its attribute 'unit'"
         )
-    _check_shape(dataset.shape, column, sizes)
     if column.kind == "text":
         try:
-            return dataset.asstr()[()]
+            text = dataset.asstr()[()]
         except (UnicodeDecodeError, TypeError) as error:
             raise InputError(f"column '{column.path}' is no UTF-8 text; write it as UTF-8") from error
+        return text if isinstance(text, str) else tuple(text.tolist())
     return np.asarray(dataset[()], np.int64 if column.kind == "int" else np.float64)
 
 
-def _check_shape(shape: tuple[int, ...], column: Column, sizes: dict[str, tuple[int, str]]) -> None:
-    if len(shape) != len(column.shape):
-        raise InputError(f"column '{column.path}' has shape {shape}; write {column.described}")
-    for size, wanted in zip(shape, column.shape, strict=True):
-        expected, source = sizes.setdefault(wanted, (size, column.path)) if isinstance(wanted, str) else (wanted, "")
-        if size != expected:
-            why = f" rows like '{source}'" if source else f"; write {column.described}"
-            raise InputError(f"column '{column.path}' has shape {shape}, expected {expected}{why}")
-
-
-def _recording(values: dict[str, Any], make: type[Kind]) -> Kind:
-    def table(name: str) -> dict[str, Any]:
-        start = f"{name}/"
-        found = {path.removeprefix(start): v for path, v in values.items() if path.startswith(start)}
-        return {column: v for column, v in found.items() if "/" not in column}
-
-    truth = None
-    if "truth/poses" in values:
-        own = table("truth/vehicles")
-        vehicles = Vehicles(**(own | {"kind": tuple(own["kind"].tolist())})) if own else None
-        steps = ClockSteps(**table("truth/clock_steps")) if "truth/clock_steps/site" in values else None
-        vts = VirtualTransmitters(**table("truth/vts"))
-        truth = Truth(**table("truth"), vts=vts, vehicles=vehicles, clock_steps=steps)
-    reference = Reference(**table("reference")) if "reference/time_s" in values else None
-    sites = table("sites")
-    return make(
-        time_s=values["time_s"],
-        odometry=values["odometry"],
-        odometry_model=OdometryModel(**table("odometry_model")),
-        links=Links(**table("links")),
-        sites=Sites(**(sites | {"name": tuple(sites["name"].tolist())})),
-        measurements=Measurements(**table("measurements")),
-        start_pose=values["start_pose"],
-        start_std=values["start_std"],
-        provenance=_provenance(values["provenance"]),
-        truth=truth,
-        reference=reference,
-        plane=bool(values.get("plane", 0)),
-    )
+def _recording(values: dict[str, Any], make: Callable[..., Kind]) -> Kind:
+    own: dict[str, Any] = values | {"provenance": _provenance(values["provenance"]), "plane": bool(values.get("plane"))}
+    for table, kind in _TABLES.items():
+        inside = {path for path in own if path.rpartition("/")[0] == table}
+        if inside:
+            own[table] = kind(**{path.rpartition("/")[2]: own.pop(path) for path in inside})
+    return make(**own)
 
 
 def _provenance(text: str) -> dict[str, Any]:
@@ -271,10 +225,6 @@ def _provenance(text: str) -> dict[str, Any]:
     if not isinstance(value, dict):
         raise InputError("provenance is not a JSON object; write '{}' if there is none")
     return value
-
-
-def _columns_of(table: str) -> str:
-    return ", ".join(c.path.removeprefix(f"{table}/") for c in COLUMNS if c.path.startswith(f"{table}/"))
 
 
 def _text(value: Any) -> str:

@@ -6,9 +6,7 @@ Everything is a frozen dataclass of arrays. Estimators see the observable part t
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, field
-from typing import Any
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -230,51 +228,3 @@ class Reference(Described):
 
     def __len__(self) -> int:
         return len(self.time_s)
-
-
-@dataclass(frozen=True, repr=False)
-class RecordingData(Described):
-    """A drive as it was measured. `start_pose` (6,) and `start_std` (6,) are the estimator's prior at time_s[0].
-
-    `time_s` (T,), at any intervals; `odometry` (T, 6): mean body velocities from time_s[t-1] to time_s[t], row 0
-    zero. NaN: this component was not measured in this interval; where a component never was, its row of
-    `odometry_model` describes the motion itself, about zero (noise density 0: the vehicle does not move that way).
-    `reference` is what a measured drive is scored by, `truth` what a simulated one is; either may be missing.
-    `plane`: array, sources and reflections lie in one horizontal plane, so that all elevations are zero unmeasured.
-    """
-
-    time_s: Floats
-    odometry: Floats
-    odometry_model: OdometryModel
-    links: Links
-    sites: Sites
-    measurements: Measurements
-    start_pose: Floats
-    start_std: Floats
-    provenance: Mapping[str, Any] = field(default_factory=dict)
-    truth: Truth | None = None
-    reference: Reference | None = None
-    plane: bool = False
-
-    @property
-    def elapsed_s(self) -> Floats:
-        """Time (T,) since the first snapshot."""
-        return np.asarray(self.time_s - self.time_s[0])
-
-    @property
-    def rows(self) -> Ints:
-        """First measurement row of each snapshot, (T + 1,): snapshot t has rows[t]:rows[t + 1]."""
-        return np.searchsorted(self.measurements.snapshot, np.arange(len(self.time_s) + 1)).astype(np.int64)
-
-    def _parts(self) -> Iterator[str]:
-        """Yield what there is of the drive, in a few words."""
-        yield f"{len(self.time_s)} snapshots"
-        if len(self.time_s):
-            yield f"{self.time_s[-1] - self.time_s[0]:.1f} s"
-        yield f"sites={', '.join(self.sites.name)}"
-        yield f"{len(self.links)} links"
-        yield f"{len(self.measurements)} measurements"
-        if self.truth is not None:
-            yield f"truth with {len(self.truth.vts)} VTs"
-        if self.reference is not None:
-            yield "reference"

@@ -10,13 +10,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cellslam.sim.frames import SPEED_OF_LIGHT_MPS, held
-from cellslam.sim.lte.faults.clock_errors import walk_densities
+from cellslam.sim.lte.faults import walk_densities
 from cellslam.sim.progress import Progress, silent
 from cellslam.sim.recording import Ints, Recording, Sites, Truth, Vehicles, VirtualTransmitters
 from cellslam.sim.world.world import Reception, WorldConfig, prepare
 
 if TYPE_CHECKING:
-    from cellslam.sim.lte.faults.reports import Reports
+    from cellslam.sim.lte.faults import Reports
     from cellslam.sim.lte.statistical.statistical_front_end import Detections
     from cellslam.sim.rays import Paths
     from cellslam.sim.traffic import Blocked
@@ -53,7 +53,7 @@ def recorded(
 ) -> tuple[Recording, Detections]:  # fmt: skip
     """Return the recording of a drive, truth included, and its detections as they are reported. `free` (P,): which of
     the paths exist, None for all; `reports`: when snapshots are reported, None: in time."""
-    from cellslam.sim.lte.faults.reports import as_reported
+    from cellslam.sim.lte.faults import as_reported
     from cellslam.sim.lte.links import links_of
     from cellslam.sim.lte.persisting_errors import persisting_std
 

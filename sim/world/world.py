@@ -11,7 +11,7 @@ from pydantic import BaseModel, ConfigDict, Field, TypeAdapter
 
 from cellslam.sim.city.city_config import CityConfig, MeshCityConfig, ProceduralCityConfig
 from cellslam.sim.frames import SPEED_OF_LIGHT_MPS
-from cellslam.sim.lte.faults.clock_errors import ClockErrors, draw_clock_errors
+from cellslam.sim.lte.faults import ClockErrors, draw_clock_errors
 from cellslam.sim.lte.radio_config import RadioConfig
 from cellslam.sim.lte.sites import SiteConfig
 from cellslam.sim.progress import Progress, silent
@@ -21,11 +21,11 @@ from cellslam.sim.traffic.traffic_config import TrafficConfig
 from cellslam.sim.vehicle.vehicle_config import OdometryConfig, VehicleConfig
 
 if TYPE_CHECKING:
-    from cellslam.sim.lte.faults.reports import Reports
+    from cellslam.sim.lte.faults import Reports
     from cellslam.sim.lte.links import Cells
-    from cellslam.sim.lte.persisting_errors_kernel import Fields
     from cellslam.sim.lte.signal.signal_front_end import SignalLevel
     from cellslam.sim.lte.statistical.detector_layout import PathColumns, Streams
+    from cellslam.sim.lte.statistical.measurement_kernel import Fields
     from cellslam.sim.lte.statistical.statistical_front_end import Detections
     from cellslam.sim.rays import Paths, Scene
     from cellslam.sim.traffic import Blocked, Traffic
@@ -83,7 +83,7 @@ class Reception:
 
     def reports(self) -> Reports | None:
         """Return when the receiver reports the snapshots of the trial's drive; None: each in time."""
-        from cellslam.sim.lte.faults.reports import draw_reports
+        from cellslam.sim.lte.faults import draw_reports
 
         return draw_reports(self.config.radio, len(self.drive.time_s), self._rng(Stream.REPORTS))
 
@@ -187,7 +187,7 @@ class World(Reception):
         `odometry` (T, 6): measured body velocities, with which the receiver undoes Doppler (None: the truth);
         `late_s` (T,): how long before its snapshot each was measured (None: in time).
         """
-        from cellslam.sim.lte.faults.reports import poses_before
+        from cellslam.sim.lte.faults import poses_before
 
         poses, velocities = self.drive.poses, self.drive.velocity
         moment = np.arange(len(poses), dtype=np.float64)

@@ -15,7 +15,7 @@ from cellslam.recordings.importing.campaign import CLAIMS, QUANTITIES
 from cellslam.recordings.importing.importing import POSES, REFERENCE
 from cellslam.sim.frames import SPEED_OF_LIGHT_MPS
 from cellslam.sim.recording import COMPONENTS, Recording
-from cellslam.sim.recording.hdf5_layout import COLUMNS
+from cellslam.sim.recording.columns import COLUMNS
 
 DOCS = Path(__file__).parents[2] / "docs"
 PAGES = ("reference/campaign-tables.md", "reference/recording-files.md", "how-to/export.md")

@@ -12,8 +12,8 @@ from scipy.optimize import minimize
 from scipy.stats import ncx2
 
 from cellslam.sim.frames import wrap_angle
+from cellslam.sim.lte.error_bounds import bound_scales, single_path_std
 from cellslam.sim.lte.radio_config import RadioConfig
-from cellslam.sim.lte.single_path_bound import bound_scales, single_path_std
 from cellslam.sim.lte.statistical.detector_layout import GAMMA_START_DB, GAMMA_STEP_DB, PathColumns
 from cellslam.sim.lte.statistical.statistics import Statistics
 from cellslam.sim.recording import Floats

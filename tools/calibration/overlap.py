@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from scipy.stats import ncx2
 
 from cellslam.sim.frames import wrap_angle
-from cellslam.sim.lte.single_path_bound import AZIMUTH_EXPONENT, bound_scales
+from cellslam.sim.lte.error_bounds import bound_scales
 from cellslam.sim.lte.statistical import detector_layout as k
 from cellslam.sim.recording import Floats, Ints
 from cellslam.sim.waveform import Waveform
@@ -68,7 +68,7 @@ def relations(sample: Sample, waveform: Waveform) -> Relations:
 def captured(apart: Floats, geometry: Floats, waveform: Waveform) -> Floats:
     """Return the share of a path's energy in the tangent space of another, for all pairs (n, n)."""
     scales = bound_scales(waveform)
-    cosine = np.cos(0.5 * (geometry[:, None, 2] + geometry[None, :, 2])) ** AZIMUTH_EXPONENT
+    cosine = np.cos(0.5 * (geometry[:, None, 2] + geometry[None, :, 2])) ** k.AZIMUTH_EXPONENT
     s = (
         (apart[..., 0] / scales.distance_m) ** 2
         + (apart[..., 1] * cosine / scales.azimuth_rad) ** 2

@@ -18,15 +18,15 @@ from cellslam.sim.errors import InputError
 from cellslam.sim.frames import unit_vector, wrap_angle
 from cellslam.sim.lte import RadioConfig
 from cellslam.sim.lte.array import array_at, miscalibrated
-from cellslam.sim.lte.downlink.lte_waveform import LteWaveform
+from cellslam.sim.lte.downlink import LteWaveform
+from cellslam.sim.lte.error_bounds import bound_scales
 from cellslam.sim.lte.links import Cells, cells_of, slant
 from cellslam.sim.lte.persisting_errors import draw_fields
 from cellslam.sim.lte.radio_config import NR_BANDS
 from cellslam.sim.lte.signal.signal_front_end import DEFAULT_HARDWARE, SignalLevel, signal_level
-from cellslam.sim.lte.single_path_bound import bound_scales
 from cellslam.sim.lte.statistical import detector_layout as k
-from cellslam.sim.lte.statistical.budget_kernel import array_gain, path_power
 from cellslam.sim.lte.statistical.detector_layout import PathColumns, Streams
+from cellslam.sim.lte.statistical.measurement_kernel import array_gain, path_power
 from cellslam.sim.lte.statistical.statistical_front_end import detect
 from cellslam.sim.lte.statistical.statistics import Statistics
 from cellslam.sim.recording import Floats, Ints

@@ -1,9 +1,11 @@
-"""The signal that the switched array receives: the paper's equations 2 to 4 for one snapshot.
+"""The channel of a snapshot: traced paths at the array, diffuse energy behind them, and what they give the tones.
 
-Powers are in milliwatt per resource element. One symbol of the slot is kept per array port, each port being sampled in
-a slot of its own: the first carries the reference signals of antenna ports 0 and 1, the second those of 2 and 3.
+Diffuse multipath is a cluster of weak scatterers behind every path, fixed in space. Its power falls exponentially with
+the excess delay. A cluster belongs to a VT and a cell of a 20 m grid on the ground: within the cell the scatterers are
+virtual transmitters that stand still, so that their fading follows the motion.
 
-Source: the extended FastSLAM paper, section II, equations 2 to 4.
+Source: the extended FastSLAM paper, section II, equations 2 to 4; diffuse multipath: own model,
+docs/explanation/front-end.md, "Channel".
 """
 
 from __future__ import annotations
@@ -13,48 +15,19 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from cellslam.sim.errors import InputError
 from cellslam.sim.frames import SPEED_OF_LIGHT_MPS, azimuth_elevation, rotation, unit_vector
-from cellslam.sim.lte.array import AntennaArray, Complex, Floats, doppler_phasors
-from cellslam.sim.lte.downlink.lte_waveform import pilots
-from cellslam.sim.lte.downlink.ofdm import subcarrier_frequency_hz
-from cellslam.sim.lte.downlink.reference_signals import SLOTS
-from cellslam.sim.lte.joint_bound import PathSet
+from cellslam.sim.lte.array import AntennaArray, Complex, PathSet, doppler_phasors
+from cellslam.sim.lte.statistical.detector_layout import PathColumns
+from cellslam.sim.recording import Floats
 
-SUBCARRIERS_PER_BLOCK = 12
-
-
-@dataclass(frozen=True)
-class Impairments:
-    """What the air adds: noise power per element, other elements' load, transmitters' error vector
-    magnitude.
-    """
-
-    noise_mw: float
-    load: float = 0.0
-    evm: float = 0.0
-
-
-@dataclass(frozen=True)
-class PortSignal:
-    """One cell's antenna port as it arrives: paths with weights in sqrt(mW), offsets of its site's clock and
-    carrier.
-    """
-
-    cell_id: int
-    port: int
-    paths: PathSet
-    clock_offset_m: float = 0.0
-    carrier_offset_hz: float = 0.0
+SCATTERERS = 64  # of a cluster, at the bandwidth of LTE
+GRID_M = 20.0
+DECAY_M, LONGEST_M = 35.0, 150.0
+AZIMUTH_STD_RAD, ELEVATION_STD_RAD = np.radians(12.0), np.radians(6.0)
 
 
 def arriving_paths(
-    pose: Floats,
-    vt_m: Floats,
-    gain: Complex,
-    slant: Floats,
-    amplitude: Floats,
-    carrier_hz: float,
+    pose: Floats, vt_m: Floats, gain: Complex, slant: Floats, amplitude: Floats, carrier_hz: float
 ) -> PathSet:
     """Return the paths (n,) of one transmit port in the body frame of `pose` (6,); m and rad.
 
@@ -81,101 +54,55 @@ def polarisation(azimuth_rad: ArrayLike, elevation_rad: ArrayLike) -> Floats:
 
 
 def frequency_response(
-    array: AntennaArray,
-    tones_hz: Floats,
-    times_s: Floats,
-    velocity_mps: ArrayLike,
-    signal: PortSignal,
-    carrier_hz: float,
+    array: AntennaArray, tones_hz: Floats, times_s: Floats, velocity_mps: ArrayLike, paths: PathSet, carrier_hz: float
 ) -> Complex:
-    """Return the channel (ports, tones) of one transmit port (equation 2), in roots of mW, Doppler over the switched
-    aperture included.
+    """Return the channel (ports, tones) of one transmit port (equation 2), in the unit of the paths' weights.
 
-    `tones_hz` (tones,) in Hz; `times_s` (ports,) from `switching_times_s`; `velocity_mps` (3,) in m/s of the array in
-    the body frame.
+    `tones_hz` (tones,) in Hz; `times_s` (ports,) from `switching_times_s`: Doppler over the switched aperture is
+    included; `velocity_mps` (3,) in m/s of the array in the body frame.
     """
-    paths = signal.paths
     steering = array.steer(paths.azimuth_rad, paths.elevation_rad).value
     moving = doppler_phasors(times_s, velocity_mps, paths.azimuth_rad, paths.elevation_rad, carrier_hz)
     on_array = np.einsum("npq,nq->np", steering, paths.weights) * moving
-    length = paths.distance_m + signal.clock_offset_m
-    delay = np.exp(-2j * np.pi * np.outer(length, tones_hz) / SPEED_OF_LIGHT_MPS)
-    drift = np.exp(2j * np.pi * signal.carrier_offset_hz * (times_s - times_s.mean()))
-    return np.asarray(drift[:, None] * (on_array.T @ delay), np.complex128)
+    delay = np.exp(-2j * np.pi * np.outer(paths.distance_m, tones_hz) / SPEED_OF_LIGHT_MPS)
+    return np.asarray(on_array.T @ delay, np.complex128)
 
 
-def received_symbol(
-    array: AntennaArray,
-    times_s: Floats,
-    slots: ArrayLike,
-    velocity_mps: ArrayLike,
-    signals: list[PortSignal],
-    impairments: Impairments,
-    resource_blocks: int,
-    carrier_hz: float,
-    rng: np.random.Generator,
-    symbol: int = 0,
-) -> Complex:
-    """Return one symbol's elements (ports, 12 N_RB) of a snapshot in roots of mW, all cells summed (equation 4).
-
-    `slots` (ports,): slot of the frame in which each array port is sampled. Reference elements carry each port's own
-    signal, the cell's other ports being silent there; a share `load` of a cell's other elements carries data. Raises
-    InputError where no antenna port has a reference signal in the symbol: 0 and 1 send in the first, 2 and 3 in the
-    second.
+@dataclass(frozen=True)
+class Surroundings:
+    """Where a trial's diffuse energy comes from: `entropy` seeds every cluster, `ratio_db` is specular over diffuse;
+    `scatterers` of a cluster: so many that no receiver tells them apart.
     """
-    count = SUBCARRIERS_PER_BLOCK * resource_blocks
-    tones = subcarrier_frequency_hz(np.arange(count), resource_blocks)
-    slot = np.asarray(slots, np.int64) % SLOTS
-    total = _complex_normal(rng, (array.ports, count), impairments.noise_mw)
-    for signal in signals:
-        listed = {other.port for other in signals if other.cell_id == signal.cell_id}
-        if symbol not in (0, 1) or not listed & set(_senders(symbol)):
-            raise InputError(
-                f"antenna port {signal.port} of cell {signal.cell_id} has no reference signal in symbol {symbol}: "
-                "ports 0 and 1 send in symbol 0, ports 2 and 3 in symbol 1"
-            )
-        sent = _sent(signal, slot, count, impairments, rng, symbol)
-        response = frequency_response(array, tones, times_s, velocity_mps, signal, carrier_hz)
-        total += response * sent
-    return total
 
+    entropy: int
+    ratio_db: float
+    scatterers: int = SCATTERERS
 
-def reference_response(received: Complex, cell_id: int, port: int, slots: ArrayLike, resource_blocks: int) -> Complex:
-    """Return the least-squares channel (ports, 2 N_RB), in roots of mW as `received` (ports, 12 N_RB), of a cell's
-    port: received over sent on its reference elements, of the symbol in which it first sends.
-    """
-    out = np.empty((len(received), 2 * resource_blocks), np.complex128)
-    for row, slot in enumerate(np.asarray(slots, np.int64) % SLOTS):
-        subcarriers, values = pilots(cell_id, port, int(slot), resource_blocks)
-        out[row] = received[row, subcarriers] * values.conj()
-    return out
+    def add(self, paths: PathColumns, position_m: Floats) -> PathColumns:
+        """Return the paths of one snapshot, each followed by its scatterers; `position_m` (3,) of the receiver in m."""
+        if not len(paths.vt_m):
+            return paths
+        ground = np.floor(position_m[:2] / GRID_M).astype(np.int64)
+        anchor = np.array([*(ground + 0.5) * GRID_M, position_m[2]])
+        clusters = [self._cluster(vt, gain, ground, anchor) for vt, gain in zip(paths.vt_m, paths.gain, strict=True)]
+        vt, gain = (np.concatenate(parts) for parts in zip(*clusters, strict=True))
+        departure = np.repeat(paths.departure_rad, self.scatterers + 1, axis=0)
+        return PathColumns(paths.rows * (self.scatterers + 1), vt, gain, departure)
 
-
-def _senders(symbol: int) -> tuple[int, int]:
-    """Return the antenna ports whose reference signal is in the first or second symbol of a slot."""
-    return (0, 1) if symbol == 0 else (2, 3)
-
-
-def _sent(
-    signal: PortSignal, slot: np.ndarray[tuple[int, ...], np.dtype[np.int64]], count: int, impairments:
-    Impairments, rng: np.random.Generator, symbol: int,
-) -> Complex:  # fmt: skip
-    """Return what one port sends (ports, count): data, its own reference signal, silence on the other
-    ports'.
-    """
-    shape = (len(slot), count)
-    carries = rng.random(shape) < impairments.load
-    bits = rng.integers(0, 4, shape)
-    # Two ports share the power of a data element; the reference elements of one port have all of it.
-    sent = carries * np.exp(0.5j * np.pi * (bits + 0.5)) / np.sqrt(2.0)
-    for row, s in enumerate(slot):
-        for port in _senders(symbol):
-            elements, values = pilots(signal.cell_id, port, int(s), count // SUBCARRIERS_PER_BLOCK)
-            sent[row, elements] = values if port == signal.port else 0.0
-    return np.asarray(sent + sent * _complex_normal(rng, shape, impairments.evm**2), np.complex128)
-
-
-def _complex_normal(rng: np.random.Generator, shape: tuple[int, ...], power: float) -> Complex:
-    """Return circular complex Gaussian numbers of mean power `power`."""
-    pair = rng.standard_normal((*shape, 2)) * np.sqrt(0.5 * power)
-    return np.asarray(pair[..., 0] + 1j * pair[..., 1], np.complex128)
+    def _cluster(self, vt: Floats, gain: Complex, ground: np.ndarray, anchor: Floats) -> tuple[Floats, Complex]:
+        """Return positions (1 + scatterers, 3) and gains (1 + scatterers, 2, 2) of a path and its scatterers."""
+        place = [round(float(x) * 100.0) & 0xFFFFFFFF for x in vt]
+        where = [int(x) & 0xFFFFFFFF for x in ground]
+        rng = np.random.default_rng([self.entropy, *place, *where])
+        excess = -DECAY_M * np.log1p(np.expm1(-LONGEST_M / DECAY_M) * rng.random(self.scatterers))
+        azimuth, elevation = azimuth_elevation(vt - anchor)
+        turned = unit_vector(
+            azimuth + AZIMUTH_STD_RAD * rng.standard_normal(self.scatterers),
+            np.clip(elevation + ELEVATION_STD_RAD * rng.standard_normal(self.scatterers), -1.5, 1.5),
+        )
+        reach = np.linalg.norm(vt - anchor) + excess
+        # The mean power over what is sent and received equals that of the path over the ratio.
+        level = np.linalg.norm(gain) / 2.0 * np.sqrt(10.0 ** (-self.ratio_db / 10.0) / self.scatterers)
+        normal = rng.standard_normal((self.scatterers, 2, 2, 2)) / np.sqrt(2.0)
+        scattered = level * (normal[..., 0] + 1j * normal[..., 1])
+        return np.vstack([vt, anchor + reach[:, None] * turned]), np.concatenate([gain[None], scattered])

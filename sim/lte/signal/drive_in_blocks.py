@@ -18,6 +18,7 @@ import numba
 import numpy as np
 from threadpoolctl import threadpool_limits
 
+from cellslam.sim.compiling import cache_folder
 from cellslam.sim.lte.signal.block_processes import in_processes
 from cellslam.sim.lte.signal.signal_front_end import SignalLevel
 from cellslam.sim.lte.statistical import detector_layout as k
@@ -28,8 +29,6 @@ from cellslam.sim.recording import Floats
 
 BLOCK = 50
 FEWEST_SHARED = 4  # blocks for which starting processes pays
-# Part of the name of kept blocks: grows when the same trial would be measured otherwise.
-REVISION = 6
 
 
 def detect_signals(
@@ -83,6 +82,7 @@ class _Blocks:
         if file.exists():
             return np.asarray(np.load(file), np.float64)
         table = self._measured(start)
+        file.parent.mkdir(parents=True, exist_ok=True, mode=0o700)  # another run of the trial may have removed it
         partial = file.with_suffix(f".{os.getpid()}.tmp")
         with partial.open("wb") as stream:
             np.save(stream, table)
@@ -118,14 +118,14 @@ def snapshot_rng(rng: np.random.Generator, number: int) -> np.random.Generator:
 
 @contextmanager
 def _kept_blocks(trial_key: str) -> Iterator[Path | None]:
-    """Yield the folder of a trial's finished blocks; it goes when the trial is whole, and stays when it is not."""
+    """Yield the folder of a trial's finished blocks; it goes when the trial is whole, and stays when it is not. Other
+    sources, which may measure the same trial otherwise, have another.
+    """
     if not trial_key:
         yield None
         return
-    from importlib.metadata import version
-
-    name = hashlib.sha256(f"{REVISION} {version('cellslam')} {trial_key}".encode()).hexdigest()[:24]
+    sources = cache_folder(__name__, Path(__file__)).name
+    name = hashlib.sha256(f"{sources} {trial_key}".encode()).hexdigest()[:24]
     folder = Path(tempfile.gettempdir()) / f"cellslam-{os.getuid() if hasattr(os, 'getuid') else 0}" / f"signal-{name}"
-    folder.mkdir(parents=True, exist_ok=True, mode=0o700)
     yield folder
     shutil.rmtree(folder, ignore_errors=True)

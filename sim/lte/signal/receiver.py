@@ -15,11 +15,11 @@ from numpy.typing import NDArray
 
 from cellslam.sim.frames import SPEED_OF_LIGHT_MPS, unit_vector
 from cellslam.sim.lte.array import AntennaArray, CircularArray, Complex, Floats, Steering, array_at, switching_times_s
-from cellslam.sim.lte.downlink.lte_waveform import LteWaveform
-from cellslam.sim.lte.signal.path_estimator.climb_kernel import orthonormal_beams
+from cellslam.sim.lte.downlink import LteWaveform
+from cellslam.sim.lte.signal.path_estimator.acquire_kernel import Demands
 from cellslam.sim.lte.signal.path_estimator.search_kernel import Probe
 from cellslam.sim.lte.signal.tone_reduction import ToneReduction, reduction_of
-from cellslam.sim.lte.steering_kernel import SteeringModel, steer_circular
+from cellslam.sim.lte.steering_kernel import SteeringModel, steer
 from cellslam.sim.waveform.waveform import Waveform
 
 ComplexSingle = NDArray[np.complex64]
@@ -60,9 +60,13 @@ class Receiver:
         return phase_rate(self.fitted.tones_hz)
 
     @cached_property
-    def coarser(self) -> Floats:
-        """Resolution in distance, azimuth and elevation (3,), without unit: one at 100 resource blocks of LTE."""
-        return np.array([REFERENCE_BANDWIDTH_HZ / self.bandwidth_hz, 1.0, 1.0])
+    def demands(self) -> Demands:
+        """What a path must fulfil, at this bandwidth."""
+        return Demands(
+            threshold=float(self.threshold), coarser=float(REFERENCE_BANDWIDTH_HZ / self.bandwidth_hz),
+            ghost_share=10.0 ** (-self.ghost_rule_db / 10.0), window_min_m=float(self.window_min_m),
+            window_max_m=float(self.window_max_m),
+        )  # fmt: skip
 
     @cached_property
     def finer(self) -> float:
@@ -77,7 +81,7 @@ class Receiver:
     @cached_property
     def pitch_m(self) -> float:
         """Step of the searched distances: somewhat less than half the resolution."""
-        return float(DELAY_PITCH_M * self.coarser[0])
+        return DELAY_PITCH_M * self.demands.coarser
 
     @cached_property
     def delays_m(self) -> Floats:
@@ -179,9 +183,12 @@ class Motion:
     @cached_property
     def beams(self) -> ComplexSingle:
         """Beams (2, K, P) of the search: orthonormal bases of what a direction's two polarisations can do."""
-        out = np.empty(self.turned.shape, np.complex64)
-        orthonormal_beams(self.turned, self.receiver._sets(self.factor[None])[:, 0], self.receiver.apart, out)
-        return out
+        h, v = self.turned * self.receiver._sets(self.factor[None])
+        h = h / np.maximum(np.linalg.norm(h, axis=1, keepdims=True), 1e-30)
+        if not self.receiver.apart:  # else the two belong to different ports, and are orthogonal as they are
+            v = v - np.sum(h.conj() * v, axis=1, keepdims=True) * h
+        v = v / np.maximum(np.linalg.norm(v, axis=1, keepdims=True), 1e-30)
+        return np.ascontiguousarray(np.stack([h, v]).conj(), np.complex64)
 
     @cached_property
     def probe(self) -> Probe:
@@ -190,36 +197,11 @@ class Motion:
         return Probe(self.beams, r.delay_matrix, r.delays_m, *r.directions)
 
     @cached_property
-    def model(self) -> SteeringModel | None:
-        """What the compiled climb needs; None where the array is not the ideal circular one."""
-        array, r = self.receiver.array, self.receiver
-        if not isinstance(array, CircularArray) or array.calibration is not None:
-            return None
-        return SteeringModel(
-            array.columns, array.rings, array.radius_m, array.ring_spacing_m,
-            2.0 * np.pi * array.carrier_hz / SPEED_OF_LIGHT_MPS, array.peak_dbi,
-            12.0 / np.radians(array.width_deg) ** 2, array.floor_db, array.polarisation, self.factor, r.doppler,
-            self.velocity_mps, r.rate,
-        )  # fmt: skip
+    def model(self) -> SteeringModel:
+        """What the kernels steer with, Doppler included."""
+        r = self.receiver
+        return r.array.moving(self.factor, r.doppler, self.velocity_mps, r.rate)
 
     def steer(self, azimuth_rad: Floats, elevation_rad: Floats) -> Steering:
         """Return steering vectors (n, ports, 2) and derivatives of directions (n,) in rad, Doppler included."""
-        m = self.model
-        if m is None:
-            return self._steer_any(azimuth_rad, elevation_rad)
-        shape = (len(azimuth_rad), self.receiver.array.ports, 2)
-        out = Steering(*(np.empty(shape, np.complex128) for _ in range(3)))
-        steer_circular(azimuth_rad, elevation_rad, m, *out)
-        return out
-
-    def _steer_any(self, azimuth_rad: Floats, elevation_rad: Floats) -> Steering:
-        value, by_azimuth, by_elevation = self.receiver.array.steer(azimuth_rad, elevation_rad)
-        ca, sa, ce, se = np.cos(azimuth_rad), np.sin(azimuth_rad), np.cos(elevation_rad), np.sin(elevation_rad)
-        zero = np.zeros_like(ca)
-        towards = np.stack([ce * ca, ce * sa, se], -1), np.stack([-ce * sa, ce * ca, zero], -1)
-        rate, rate_az = towards[0] @ self.velocity_mps, towards[1] @ self.velocity_mps
-        rate_el = np.stack([-se * ca, -se * sa, ce], -1) @ self.velocity_mps
-        doppler = self.receiver.doppler
-        turn = (np.exp(1j * np.outer(rate, doppler)) * self.factor)[:, :, None]
-        slope_az, slope_el = (1j * np.outer(x, doppler)[:, :, None] for x in (rate_az, rate_el))
-        return Steering(value * turn, (by_azimuth + slope_az * value) * turn, (by_elevation + slope_el * value) * turn)
+        return Steering(*steer(azimuth_rad, elevation_rad, self.model))

@@ -17,21 +17,18 @@ from scipy.optimize import linear_sum_assignment
 
 from cellslam.sim.errors import InputError
 from cellslam.sim.frames import SPEED_OF_LIGHT_MPS, wrap_angle
-from cellslam.sim.lte.array import CircularArray, Complex, array_at, miscalibrated
-from cellslam.sim.lte.joint_bound import PathSet
+from cellslam.sim.lte.array import CircularArray, Complex, PathSet, array_at, miscalibrated
 from cellslam.sim.lte.links import Cells, link_table, slant
 from cellslam.sim.lte.persisting_errors import floors
-from cellslam.sim.lte.persisting_errors_kernel import Fields, write_attitude, write_persisting
 from cellslam.sim.lte.radio_config import RadioConfig
-from cellslam.sim.lte.signal import symbol_kernel
-from cellslam.sim.lte.signal.channel import arriving_paths
-from cellslam.sim.lte.signal.diffuse import SCATTERERS, Surroundings
+from cellslam.sim.lte.signal import symbol
+from cellslam.sim.lte.signal.channel import SCATTERERS, Surroundings, arriving_paths
 from cellslam.sim.lte.signal.path_estimator.cancellation import cancel
 from cellslam.sim.lte.signal.path_estimator.path_estimator import Estimates, estimate_paths
-from cellslam.sim.lte.signal.path_sums import PathSums
 from cellslam.sim.lte.signal.receiver import ComplexSingle, Motion, Receiver, phase_rate, receiver_of
 from cellslam.sim.lte.statistical import detector_layout as k
 from cellslam.sim.lte.statistical.detector_layout import PathColumns
+from cellslam.sim.lte.statistical.measurement_kernel import Fields, write_attitude, write_persisting
 from cellslam.sim.randomness import Stream, stream
 from cellslam.sim.rays.antenna import sector_gain_db
 from cellslam.sim.recording import Floats, Ints
@@ -115,12 +112,12 @@ class SignalLevel:
     ) -> dict[int, Complex]:  # fmt: skip
         """Return the elements (ports, tones), in roots of mW, on every comb of reference elements in use."""
         sites = len(self.offsets_m)
-        scattered = self.surroundings.add(paths, sites, pose[:3])
+        scattered = self.surroundings.add(paths, pose[:3])
         shape = (self.array.ports, len(self.waveform.tones_hz))
         deviation = np.sqrt(0.5 * self.config.noise_mw())
         total: dict[int, ComplexSingle] = {int(comb): np.zeros(shape, np.complex64) for comb in np.unique(self.combs)}
         for elements in total.values():
-            symbol_kernel.add_noise(elements, rng.standard_normal((*shape, 2), np.float32), deviation)
+            symbol.add_noise(elements, rng.standard_normal((*shape, 2), np.float32), deviation)
         for site in range(sites):
             rows = slice(int(scattered.rows[site]), int(scattered.rows[site + 1]))
             if rows.stop > rows.start:
@@ -144,7 +141,7 @@ class SignalLevel:
         drift = np.exp(2j * np.pi * self.carrier_offsets_hz[site] * later)
         steering = self._seen(velocity_mps, drift).steer(geometry[:, 1].copy(), geometry[:, 2].copy()).value
         on_ports = [np.einsum("npq,nq->pn", steering, p.weights) for p in arriving]
-        sums = PathSums(length, self.waveform.tones_hz)
+        sums = symbol.PathSums(length, self.waveform.tones_hz)
         # What other cells' data add is noise-like: of diffuse energy only the power counts there.
         together = self.surroundings.scatterers + 1
         whole = np.sqrt(1.0 + 10.0 ** (-config.specular_to_diffuse_db / 10.0))
@@ -161,11 +158,11 @@ class SignalLevel:
                 if comb == self.combs[link]:
                     normal = rng.standard_normal((*elements.shape, 2), np.float32)
                     sent = self.sent[link][slots]
-                    symbol_kernel.add_pilots(elements, sums.of(shifted), sent, normal, config.evm * np.sqrt(0.5))
+                    symbol.add_pilots(elements, sums.of(shifted), sent, normal, config.evm * np.sqrt(0.5))
                 elif comb not in own and config.load > 0.0:
                     words = rng.integers(0, 65536, elements.shape, np.uint16)
                     share = float(whole / np.sqrt(self.cells.ports[cell]))
-                    symbol_kernel.add_data(elements, sums.of_every(together, shifted), words, config.load, share)
+                    symbol.add_data(elements, sums.of_every(together, shifted), words, config.load, share)
 
     def _seen(self, velocity_mps: Floats, drift: Complex) -> Motion:
         """Return the array as it is, in motion with `velocity_mps` (3,), a carrier turning by `drift` (ports,)."""

@@ -32,41 +32,11 @@ import numpy as np
 
 from cellslam.sim.compiling import njit, part
 from cellslam.sim.frames.frames_kernel import wrap
-from cellslam.sim.lte.persisting_errors_kernel import Fields, write_attitude, write_persisting
-from cellslam.sim.lte.single_path_bound import AZIMUTH_EXPONENT
-from cellslam.sim.lte.statistical.budget_kernel import link_powers
-from cellslam.sim.lte.statistical.clutter_kernel import noise_clutter, standing_clutter, structured_clutter, trailing
-from cellslam.sim.lte.statistical.detector_layout import (
-    AZIMUTH,
-    COLUMNS,
-    DIFFUSE_SHARE,
-    DISTANCE,
-    DISTURBED,
-    ELEVATION,
-    GHOST_REACH_M,
-    ISOLATED_LEFTOVER,
-    LINK,
-    MERGING_SHIFT,
-    MOST_CLUTTER,
-    NEIGHBOUR_M,
-    PATH,
-    SNAPSHOT,
-    SNR_DB,
-    Array,
-    LinkTable,
-    Model,
-    PathColumns,
-    Standing,
-    Streams,
-)
-from cellslam.sim.lte.statistical.measurement_kernel import (
-    body_geometry,
-    detection_probability,
-    fold,
-    write_std,
-    write_white_std,
-)
-from cellslam.sim.lte.statistical.place_draws_kernel import joined, key_of_place, square_of, uniform
+from cellslam.sim.lte.statistical import clutter_kernel as clutter
+from cellslam.sim.lte.statistical import detector_layout as k
+from cellslam.sim.lte.statistical import measurement_kernel as measurement
+from cellslam.sim.lte.statistical.detector_layout import Array, LinkTable, Model, PathColumns, Standing, Streams
+from cellslam.sim.lte.statistical.measurement_kernel import Fields
 
 # Columns of the work space of one link: paths by strength; then of each path the share that no stronger one's tangent
 # space captures, the stronger path that captures most, its SNR as a share of that over noise alone (0: a ghost),
@@ -82,7 +52,7 @@ def captured(a: Array, b: Array, model: Model) -> float:
 
     Gaussian ambiguity exp(-s^2) with the bound's widths, value and first derivatives: exp(-s^2) (1 + s^2).
     """
-    cosine = math.cos(0.5 * (a[2] + b[2])) ** AZIMUTH_EXPONENT
+    cosine = math.cos(0.5 * (a[2] + b[2])) ** k.AZIMUTH_EXPONENT
     u = (a[0] - b[0]) / model.accuracy.bound.distance_m
     v = wrap(a[1] - b[1]) * cosine / model.accuracy.bound.azimuth_rad
     w = (a[2] - b[2]) / model.accuracy.bound.elevation_rad
@@ -110,10 +80,10 @@ def _overlap(n: int, geo: Array, gamma: Array, model: Model, work: Array) -> Non
         for other in range(rank):
             q = int(work[other, ORDER])
             apart = abs(geo[p, 0] - geo[q, 0])
-            if gamma[p] < DIFFUSE_SHARE * gamma[q]:
-                disturbance += gamma[q] * trailing(geo[p], geo[q], model)
-            ghost = ghost or (apart < GHOST_REACH_M and gamma[p] < gamma[q] * model.overlap.ghost_share)
-            if apart < NEIGHBOUR_M:
+            if gamma[p] < k.DIFFUSE_SHARE * gamma[q]:
+                disturbance += gamma[q] * clutter.trailing(geo[p], geo[q], model)
+            ghost = ghost or (apart < k.GHOST_REACH_M and gamma[p] < gamma[q] * model.overlap.ghost_share)
+            if apart < k.NEIGHBOUR_M:
                 share = captured(geo[p], geo[q], model)
                 leftover *= 1.0 - share
                 if share > most:
@@ -125,13 +95,13 @@ def _overlap(n: int, geo: Array, gamma: Array, model: Model, work: Array) -> Non
 def _detection_draw(pose: Array, vt: Array, port: int, standing: Standing, detection: Any) -> float:
     """Return the uniform draw that decides whether a path is detected: a new one, or that of a square of ground."""
     draw: float = detection.random()
-    source = key_of_place(standing.world, vt)
-    square = square_of(source, pose, standing.missed_life_m)
-    kind = uniform(square, KIND_OF_MISS)
+    source = clutter.key_of_place(standing.world, vt)
+    square = clutter.square_of(source, pose, standing.missed_life_m)
+    kind = clutter.uniform(square, KIND_OF_MISS)
     if kind < standing.missed_life:
-        return uniform(square, MISS)
+        return clutter.uniform(square, MISS)
     if kind < standing.missed_life + standing.missed_fading:
-        return uniform(joined(square_of(source, pose, standing.fading_m), port), MISS)
+        return clutter.uniform(clutter.joined(clutter.square_of(source, pose, standing.fading_m), port), MISS)
     return draw
 
 
@@ -142,9 +112,9 @@ def _draw_detections(
     """Draw which paths are detected, each with its detection probability, into `work`."""
     for i in range(n):
         clear = work[i, CLEAR]
-        crowded = work[i, LEFTOVER] <= ISOLATED_LEFTOVER or clear < 1.0 / DISTURBED
+        crowded = work[i, LEFTOVER] <= k.ISOLATED_LEFTOVER or clear < 1.0 / k.DISTURBED
         seen = gamma[i] * work[i, LEFTOVER] * clear
-        chance = detection_probability(seen, crowded, model) * model.detection.scale
+        chance = measurement.detection_probability(seen, crowded, model) * model.detection.scale
         inside = model.detection.window_min_m <= geo[i, 0] <= model.detection.window_max_m
         draw = _detection_draw(pose, vt[i], port, model.standing, detection)
         found = draw < chance and inside and clear > 0.0
@@ -188,17 +158,17 @@ def _detect_paths(
             continue
         row = out[count]
         effective = max(gamma[i] * work[i, LEFTOVER], 1e-2)
-        write_std(row, effective, geo[i, 2], model)
-        write_white_std(effective, geo[i, 2], model, white)
-        write_persisting(geo[i], pose, vt[i], port, attitude, fields, slow)
+        measurement.write_claims(row, effective, geo[i, 2], model)
+        measurement.write_std(effective, geo[i, 2], model.accuracy.white, model, white)
+        measurement.write_persisting(geo[i], pose, vt[i], port, attitude, fields, slow)
         for r in range(3):
-            row[MERGING_SHIFT + r] = work[i, SHIFT + r] * model.accuracy.scale
-        row[DISTANCE] = geo[i, 0] + row[MERGING_SHIFT] + white[0] * e_d + slow[0]
-        row[AZIMUTH] = geo[i, 1] + row[MERGING_SHIFT + 1] + white[1] * e_a + slow[1]
-        row[ELEVATION] = geo[i, 2] + row[MERGING_SHIFT + 2] + white[2] * e_e + slow[2]
-        fold(row)
-        row[SNR_DB] = 10.0 * math.log10(min((gamma[i] + work[i, ADDED]) / model.budget.samples, model.budget.snr_cap))
-        row[PATH] = i
+            row[k.MERGING_SHIFT + r] = work[i, SHIFT + r] * model.accuracy.scale
+        row[k.DISTANCE] = geo[i, 0] + row[k.MERGING_SHIFT] + white[0] * e_d + slow[0]
+        row[k.AZIMUTH] = geo[i, 1] + row[k.MERGING_SHIFT + 1] + white[1] * e_a + slow[1]
+        row[k.ELEVATION] = geo[i, 2] + row[k.MERGING_SHIFT + 2] + white[2] * e_e + slow[2]
+        measurement.fold(row)
+        row[k.SNR_DB] = 10.0 * math.log10(min((gamma[i] + work[i, ADDED]) / model.budget.samples, model.budget.snr_cap))
+        row[k.PATH] = i
         count += 1
     return count
 
@@ -206,7 +176,7 @@ def _detect_paths(
 @part
 def copy_row(source: Array, target: Array) -> None:
     """Copy one measurement; a loop compiles faster than a slice."""
-    for column in range(COLUMNS):
+    for column in range(k.COLUMNS):
         target[column] = source[column]
 
 
@@ -217,17 +187,17 @@ def _emit(
     """Copy one link's rows to `out`, sorted by distance, and add the clock offset."""
     for i in range(count):
         j = i
-        while j > 0 and buffer[order[j - 1], DISTANCE] > buffer[i, DISTANCE]:
+        while j > 0 and buffer[order[j - 1], k.DISTANCE] > buffer[i, k.DISTANCE]:
             order[j] = order[j - 1]
             j -= 1
         order[j] = i
     for i in range(count):
         row = out[i]
         copy_row(buffer[order[i]], row)
-        row[SNAPSHOT], row[LINK] = snapshot, link
-        row[DISTANCE] += offset
-        if row[PATH] >= 0.0:
-            row[PATH] += first
+        row[k.SNAPSHOT], row[k.LINK] = snapshot, link
+        row[k.DISTANCE] += offset
+        if row[k.PATH] >= 0.0:
+            row[k.PATH] += first
 
 
 @njit(cache=True)
@@ -235,29 +205,29 @@ def measure_block(
     first_snapshot: int, poses: Array, paths: PathColumns, offsets: Array, links: LinkTable, model: Model,
     fields: Fields, streams: Streams,
 ) -> Array:  # fmt: skip
-    """Return the measurements (M, COLUMNS) of `poses` (T, 6), numbered from `first_snapshot`; m and rad.
+    """Return the measurements (M, k.COLUMNS) of `poses` (T, 6), numbered from `first_snapshot`; m and rad.
 
     `paths` of all (snapshot, site); clock `offsets` (S,) in m.
     """
     rows, budget = paths.rows, model.budget
     sites, count_links = len(offsets), len(links.site)
     widest = 1
-    for k in range(len(rows) - 1):
-        widest = max(widest, rows[k + 1] - rows[k])
+    for i in range(len(rows) - 1):
+        widest = max(widest, rows[i + 1] - rows[i])
     geo, attitude = np.empty((sites, widest, 3)), np.empty(3)
     power = np.empty((count_links, widest))
     cell_power = np.empty(len(links.cell_site))
     gamma, work = np.empty(widest), np.empty((widest, WIDTH))
-    most = widest + (2 * widest + 1) * MOST_CLUTTER
-    buffer, order = np.empty((most, COLUMNS)), np.empty(most, np.int64)
-    out, used = np.empty((max(256, 4 * len(paths.vt_m)), COLUMNS)), 0
+    most = widest + (2 * widest + 1) * k.MOST_CLUTTER
+    buffer, order = np.empty((most, k.COLUMNS)), np.empty(most, np.int64)
+    out, used = np.empty((max(256, 4 * len(paths.vt_m)), k.COLUMNS)), 0
     for t in range(len(poses)):
         base = t * sites
         for s in range(sites):
             for i in range(rows[base + s + 1] - rows[base + s]):
-                body_geometry(poses[t], paths.vt_m[rows[base + s] + i], geo[s, i])
-        link_powers(paths, base, geo, links, budget.eirp_mw, power, cell_power)
-        write_attitude(first_snapshot + t, fields, attitude)
+                measurement.body_geometry(poses[t], paths.vt_m[rows[base + s] + i], geo[s, i])
+        measurement.link_powers(paths, base, geo, links, budget.eirp_mw, power, cell_power)
+        measurement.write_attitude(first_snapshot + t, fields, attitude)
         total = 0.0
         for cell in range(len(cell_power)):
             total += cell_power[cell]
@@ -276,15 +246,15 @@ def measure_block(
                 work, buffer,
             )  # fmt: skip
             for i in range(n):
-                count += structured_clutter(i, n, geo[site], gamma, model, streams.clutter, buffer[count:])
+                count += clutter.structured_clutter(i, n, geo[site], gamma, model, streams.clutter, buffer[count:])
                 if model.standing.share > 0.0:
-                    count += standing_clutter(
+                    count += clutter.standing_clutter(
                         i, n, geo[site], gamma, poses[t], paths.vt_m[first + i], links.port[link], model,
                         streams.clutter, buffer[count:],
                     )  # fmt: skip
-            count += noise_clutter(model, streams.clutter, buffer[count:])
+            count += clutter.noise_clutter(model, streams.clutter, buffer[count:])
             if used + count > len(out):
-                larger = np.empty((2 * (used + count), COLUMNS))
+                larger = np.empty((2 * (used + count), k.COLUMNS))
                 for i in range(used):
                     copy_row(out[i], larger[i])
                 out = larger

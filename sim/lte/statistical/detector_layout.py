@@ -22,6 +22,8 @@ GAMMA_START_DB, GAMMA_STEP_DB = 5.0, 5.0
 DIFFUSE_TO_M, TRAIL_BESIDE_RAD, TRAIL_DECAY_M = 150.0, 0.35, 35.0
 # What is stronger than this share of a path is not taken for its diffuse energy, and not disturbed by it.
 DIFFUSE_SHARE = 1.0
+# The array's azimuth information falls as cos(el)^1.8; its elevation information a little with el^2 (0.089 deg at 45).
+AZIMUTH_EXPONENT, ELEVATION_GROWTH = 0.9, 0.43
 DISTURBED = 1.5  # disturbance over noise from which detection is no longer that of an isolated path
 # Probability table over Gamma' in dB.
 TABLE_START_DB, TABLE_STEP_DB = -20.0, 0.05

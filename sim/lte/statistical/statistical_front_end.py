@@ -14,13 +14,13 @@ from functools import lru_cache
 import numpy as np
 from scipy.special import chndtr
 
+from cellslam.sim.lte.error_bounds import bound_scales
 from cellslam.sim.lte.links import Cells, link_table
 from cellslam.sim.lte.persisting_errors import floors, white_floors
-from cellslam.sim.lte.persisting_errors_kernel import Fields
 from cellslam.sim.lte.radio_config import RadioConfig
-from cellslam.sim.lte.single_path_bound import bound_scales
 from cellslam.sim.lte.statistical import detector_layout as k
 from cellslam.sim.lte.statistical.detector_layout import PathColumns, Streams
+from cellslam.sim.lte.statistical.measurement_kernel import Fields
 from cellslam.sim.lte.statistical.statistics import Statistics, statistics
 from cellslam.sim.progress import Progress, silent
 from cellslam.sim.recording import Floats, Ints, Measurements

@@ -23,7 +23,7 @@ from cellslam.benchmarks.bound.persisting_states import bell_functions, correlat
 from cellslam.sim.errors import InputError
 from cellslam.sim.lte import RadioConfig
 from cellslam.sim.lte.persisting_errors import causes, draw_fields, persisting_std
-from cellslam.sim.lte.persisting_errors_kernel import write_attitude, write_persisting
+from cellslam.sim.lte.statistical.measurement_kernel import write_attitude, write_persisting
 from cellslam.sim.recording import Recording
 from cellslam.slam.model.measurement_model import jacobians, predict
 

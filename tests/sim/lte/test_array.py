@@ -1,11 +1,8 @@
-"""Array model, measured patterns and the joint bound: derivatives, polarisation, switching, Doppler,
-overlap.
-"""
+"""Array model and measured patterns: derivatives, polarisation, switching, Doppler."""
 
 from __future__ import annotations
 
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -17,13 +14,10 @@ from cellslam.sim.lte.array import (
     CircularArray,
     array_at,
     doppler_phasors,
+    eadf_from_grid,
     miscalibrated,
     switching_times_s,
 )
-from cellslam.sim.lte.downlink.lte_waveform import tone_frequencies
-from cellslam.sim.lte.eadf import eadf_from_grid, load_patterns
-from cellslam.sim.lte.joint_bound import PathSet, fisher_information, joint_std, leftover
-from cellslam.sim.lte.single_path_bound import single_path_std
 
 TINY = CircularArray(columns=5, rings=2, radius_m=0.06)
 SMALL_GRID = np.radians(np.arange(0.0, 360.0, 6.0)), np.radians(np.arange(-90.0, 91.0, 6.0))
@@ -65,7 +59,7 @@ def test_turning_by_one_column_renames_the_ports() -> None:
 
 
 def test_mean_port_gain_is_what_the_link_budget_takes() -> None:
-    from cellslam.sim.lte.statistical.budget_kernel import array_gain
+    from cellslam.sim.lte.statistical.measurement_kernel import array_gain
 
     azimuth = np.linspace(-3.0, 3.0, 40)
     for elevation_deg in (0.0, 20.0, 40.0):
@@ -82,13 +76,7 @@ def test_eadf_interpolates_between_its_samples() -> None:
     np.testing.assert_allclose(got, expected, atol=0.02 * np.abs(expected).max())
 
 
-def test_patterns_are_read_from_a_file(tmp_path: Path) -> None:
-    np.savez(tmp_path / "array.npz", patterns=measured(TINY))
-    assert load_patterns(tmp_path / "array.npz").ports == 20
-    np.savez(tmp_path / "other.npz", wrong=np.zeros(3))
-    for name in ("other.npz", "none.npz"):
-        with pytest.raises(InputError, match="cannot be read"):
-            load_patterns(tmp_path / name)
+def test_patterns_that_are_none_are_refused() -> None:
     with pytest.raises(InputError, match="not finite"):
         eadf_from_grid(measured(TINY) * np.nan)
     with pytest.raises(InputError, match="shape"):
@@ -127,71 +115,6 @@ def test_calibration_errors_have_the_given_size() -> None:
     assert abs(np.std(20.0 * np.log10(np.abs(wrong))) - 0.5) < 0.04
     with pytest.raises(InputError, match="128 ports"):
         CircularArray(calibration=np.ones(3, complex))
-
-
-def paths(*rows: tuple[float, float, float], level_db: tuple[float, ...] | None = None) -> PathSet:
-    level = np.array(level_db or [0.0] * len(rows))
-    columns = np.array(rows).T
-    weights = 10.0 ** (level / 20.0)[:, None] * np.array([0.6 + 0.2j, 0.7 - 0.1j])
-    return PathSet(columns[0], columns[1], columns[2], weights)
-
-
-def test_joint_information_agrees_with_the_full_jacobian() -> None:
-    tones, both = tone_frequencies(6), paths((100.0, 0.3, 0.2), (140.0, -1.0, 0.1))
-
-    def model(x: np.ndarray) -> np.ndarray:
-        rows = x.reshape(2, 7)
-        weights = rows[:, [3, 5]] + 1j * rows[:, [4, 6]]
-        steering = np.einsum("npq,nq->np", TINY.steer(rows[:, 1], rows[:, 2]).value, weights)
-        delay = np.exp(-2j * np.pi * np.outer(rows[:, 0], tones) / SPEED_OF_LIGHT_MPS)
-        return np.asarray(sum(np.kron(s, d) for s, d in zip(steering, delay, strict=True)))
-
-    w = both.weights
-    x = np.column_stack(
-        [
-            both.distance_m,
-            both.azimuth_rad,
-            both.elevation_rad,
-            w[:, 0].real,
-            w[:, 0].imag,
-            w[:, 1].real,
-            w[:, 1].imag,
-        ]
-    ).ravel()
-    step = 1e-6
-    jacobian = np.array([(model(x + step * e) - model(x - step * e)) / (2 * step) for e in np.eye(14)]).T
-    expected = 2.0 / 0.3 * (jacobian.conj().T @ jacobian).real
-    got = fisher_information(TINY, tones, both, 0.3)
-    np.testing.assert_allclose(got, expected, rtol=1e-5, atol=1e-6 * np.abs(expected).max())
-
-
-def test_single_path_bound_is_the_closed_form() -> None:
-    array, tones, one = CircularArray(), tone_frequencies(100), paths((300.0, 0.4, 0.0))
-    signal = array.steer(0.4, 0.0).value[0] @ one.weights[0]
-    std = joint_std(array, tones, one, float(np.mean(np.abs(signal) ** 2)))[0]
-    np.testing.assert_allclose(std, single_path_std(0.0), rtol=0.02)
-
-
-def test_far_paths_decouple_and_near_ones_do_not() -> None:
-    array, tones = CircularArray(), tone_frequencies(100)
-    alone = joint_std(array, tones, paths((300.0, 0.4, 0.1)), 1.0)[0]
-    far = joint_std(array, tones, paths((300.0, 0.4, 0.1), (700.0, -2.0, 0.3)), 1.0)[0]
-    near = joint_std(array, tones, paths((300.0, 0.4, 0.1), (303.0, 0.42, 0.1)), 1.0)[0]
-    np.testing.assert_allclose(far, alone, rtol=0.02)
-    assert (near > 3.0 * alone).all()
-    assert (near >= alone * (1.0 - 1e-9)).all()
-
-
-@pytest.mark.parametrize(("apart_m", "turn_deg"), [(3.0, 0.0), (6.0, 0.0), (4.0, 5.0), (0.5, 9.0)])
-def test_statistical_overlap_follows_the_array(apart_m: float, turn_deg: float) -> None:
-    from cellslam.sim.lte.radio_config import RadioConfig
-    from cellslam.sim.lte.statistical.detection_kernel import captured
-    from cellslam.sim.lte.statistical.statistical_front_end import model_of
-    from cellslam.sim.lte.statistical.statistics import statistics
-
-    a, b = (300.0, 0.4, 0.1), (300.0 + apart_m, 0.4 + np.radians(turn_deg), 0.1)
-    exact = 1.0 - leftover(CircularArray(), tone_frequencies(100), paths(b), paths(a))
-    assert abs(captured(np.array(a), np.array(b), model_of(RadioConfig(), statistics())) - exact) < 0.05
 
 
 def test_an_array_for_another_carrier_is_the_same_in_wavelengths() -> None:

@@ -2,19 +2,17 @@
 
 from __future__ import annotations
 
-from types import SimpleNamespace
-
 import numpy as np
 import pytest
 from numpy.typing import NDArray
 
 from cellslam.sim.frames import azimuth_elevation, world_to_body
 from cellslam.sim.lte import RadioConfig
-from cellslam.sim.lte.links import cells_of
 from cellslam.sim.lte.persisting_errors import causes, draw_fields, floors, persisting_std, white_floors
-from cellslam.sim.lte.persisting_errors_kernel import write_attitude, write_persisting
 from cellslam.sim.lte.statistical.detector_layout import PathColumns, Streams
+from cellslam.sim.lte.statistical.measurement_kernel import write_attitude, write_persisting
 from cellslam.sim.lte.statistical.statistical_front_end import detect
+from tests.sim.lte.statistical.test_detector import make_cells
 
 Floats = NDArray[np.float64]
 VT = np.array([120.0, 90.0, 40.0])
@@ -103,19 +101,16 @@ def test_attitude_turns_all_paths_of_a_snapshot_together() -> None:
 
 
 def test_sectors_of_a_site_share_the_error_and_the_claim_covers_it() -> None:
-    cells = [SimpleNamespace(cell_id=i, azimuth_deg=40.0, tilt_deg=0.0) for i in (1, 2)]
-    count, n = 3000, 1
+    count = 3000
     rng = np.random.default_rng(1)
     poses = np.zeros((count, 6))
     poses[:, :2] = rng.uniform(-30.0, 30.0, (count, 2))
     poses[:, 3] = rng.uniform(-3.0, 3.0, count)
     gain = np.tile(1e-5 * np.eye(2), (count, 1, 1)).astype(np.complex128)
-    paths = PathColumns(n * np.arange(count + 1), np.tile(VT, (count, 1)), gain, np.zeros((count, 2)))
+    paths = PathColumns(np.arange(count + 1), np.tile(VT, (count, 1)), gain, np.zeros((count, 2)))
     config = RadioConfig(load=0.0, evm=0.0, clutter_scale=0.0)
     fields = draw_fields(config, 0.075, rng)
-    d = detect(
-        config, cells_of([SimpleNamespace(cells=cells, ports=1)]), paths, poses, np.zeros(1), fields, Streams.spawn(rng)
-    )
+    d = detect(config, make_cells(40.0, 40.0), paths, poses, np.zeros(1), fields, Streams.spawn(rng))
     m = d.measurements
     distance = np.linalg.norm(VT - poses[:, :3], axis=1)
     for link in (0, 1):

@@ -7,7 +7,7 @@ import pytest
 
 from cellslam.sim.errors import InputError
 from cellslam.sim.nr import prs_slots
-from cellslam.sim.nr.prs_schedule import GAPS, MUTING_LENGTHS, PERIODS, REPETITIONS
+from cellslam.sim.nr.prs import GAPS, MUTING_LENGTHS, PERIODS, REPETITIONS
 
 
 def sent(slot: int, period: int, shift: int, repetition: int, gap: int, muting: list[int], every: int, of_repetition:

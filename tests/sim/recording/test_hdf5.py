@@ -11,7 +11,7 @@ import pytest
 
 from cellslam.sim.errors import InputError
 from cellslam.sim.recording import Recording
-from cellslam.sim.recording.hdf5_layout import COLUMNS
+from cellslam.sim.recording.columns import COLUMNS
 
 Toy = Callable[..., Recording]
 

@@ -11,11 +11,11 @@ import pytest
 
 from cellslam.sim.errors import InputError
 from cellslam.sim.lte import RadioConfig
-from cellslam.sim.lte.downlink.lte_waveform import LteWaveform
+from cellslam.sim.lte.downlink import LteWaveform
 from cellslam.sim.nr.nr_waveform import NrWaveform
 from cellslam.sim.nr.prs import positioning_reference_signal
 from cellslam.sim.waveform import Waveform
-from cellslam.sim.waveform.conformance import checked
+from cellslam.sim.waveform.waveform import checked
 
 EXAMPLES = Path(__file__).parents[3] / "docs" / "examples" / "own-waveform"
 PORTS = [(cell, port) for cell in (375, 376, 177) for port in (0, 1)]

@@ -10,7 +10,7 @@ from cellslam.recordings.adapters.tui.layout import Container, complex_of, opene
 from cellslam.recordings.adapters.tui.sheet import Responses, Sheet
 from cellslam.sim.errors import InputError
 from cellslam.sim.frames import SPEED_OF_LIGHT_MPS, TURN
-from cellslam.sim.lte.eadf import EadfArray, eadf_from_grid
+from cellslam.sim.lte.array import EadfArray, eadf_from_grid
 from cellslam.sim.lte.signal.path_estimator.path_estimator import estimate_paths
 from cellslam.sim.lte.signal.receiver import Receiver
 from cellslam.sim.recording import Floats, Ints

@@ -1,6 +1,6 @@
 """The path estimator of one link: samples (ports, tones) in, distances, directions, SNR and covariances of paths out.
 
-`path_estimator.estimate_paths` is the door, and its module begins with the equations. `cancellation` takes a colliding
-cell out beforehand; `spectrum` is what is searched; `joint_fit` fits paths; `*_kernel` are the compiled parts of the
-search and the fits.
+`path_estimator.estimate_paths` is the door, and its module begins with the equations; `thresholds` has all numbers that
+decide. `cancellation` takes a colliding cell out beforehand; `spectrum` is what is searched, by `search_kernel`;
+`fit_kernel` fits paths; `acquire_kernel` decides which of them are taken, and stay.
 """

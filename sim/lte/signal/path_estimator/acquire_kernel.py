@@ -1,53 +1,35 @@
-"""Compiled search: paths of a spectrum that one-path fits confirm, one by one; `path_estimator._Link._add_any` is its
-twin for any array.
+"""Compiled decisions of the path estimator: which cells become paths, and which paths of a joint fit stay.
 
 Source: own derivation, docs/explanation/front-end.md, "Estimator".
 """
 
 from __future__ import annotations
 
+import math
 from typing import NamedTuple
 
 import numpy as np
 
 from cellslam.sim.compiling import njit, part
-from cellslam.sim.lte.signal.path_estimator.climb_kernel import Steps, climb, steering
-from cellslam.sim.lte.signal.path_estimator.correlation_kernel import in_pairs, subtract_products, write_tones
-from cellslam.sim.lte.signal.path_estimator.joint_fit_kernel import Normal
-from cellslam.sim.lte.signal.path_estimator.search_kernel import (
-    Footprint,
-    Outputs,
-    PowerSpectrum,
-    Probe,
-    both,
-    cell_of,
-    footprint_of,
-    local_level,
-    neighbours,
-    note_trail,
-    strongest,
-    write_all_energies,
-    write_energies,
-    write_noise,
-)
-from cellslam.sim.lte.statistical.detector_layout import Array
+from cellslam.sim.frames.frames_kernel import wrap
+from cellslam.sim.lte.signal.path_estimator import fit_kernel, search_kernel, thresholds
+from cellslam.sim.lte.signal.path_estimator.fit_kernel import Normal
+from cellslam.sim.lte.signal.path_estimator.search_kernel import Footprint, Outputs, PowerSpectrum, Probe
+from cellslam.sim.lte.statistical.detector_layout import DIFFUSE_SHARE, GHOST_REACH_M, Array
 from cellslam.sim.lte.steering_kernel import SteeringModel
 
 
-class Rules(NamedTuple):
-    """How cells are tried: `coarse` and `threshold` over the level, `promising` share of the threshold, `most` failures
-    in all, how far a fit may end from its cell in distance and elevation, `margin` of what lies in diffuse energy,
-    `least_gain` of a step over the level.
+class Demands(NamedTuple):
+    """What a receiver demands of paths: `threshold` of their energy over the disturbance; `coarser`, resolution in
+    distance over that of 100 resource blocks of LTE; more than `ghost_share` of the energy of any path within reach;
+    a distance within the window.
     """
 
-    coarse: float
     threshold: float
-    promising: float
-    most: int
-    farthest_m: float
-    farthest_rad: float
-    margin: float
-    least_gain: float
+    coarser: float
+    ghost_share: float
+    window_min_m: float
+    window_max_m: float
 
 
 class Trials(NamedTuple):
@@ -63,88 +45,98 @@ class Trials(NamedTuple):
 @njit(cache=True, nogil=True)
 def add_paths(
     residual: Array, outputs: Outputs, taken: Footprint, spectrum: PowerSpectrum, probe: Probe, trials: Trials,
-    rules: Rules, steps: Steps, model: SteeringModel, found: Array,
+    demands: Demands, model: SteeringModel, found: Array,
 ) -> tuple[int, Trials]:  # fmt: skip
-    """Write up to len(`found`) (n, 3) more paths, the strongest first, and take them out of the samples `residual`
-    (ports, tones) and of the spectrum, out of which others are `taken`; return how many, and all cells that have been
-    tried by then.
+    """Write up to len(`found`) (n, 3) more paths that one-path fits confirm, the strongest first, and take them out of
+    the samples `residual` (ports, tones) and of the spectrum, out of which others are `taken`; return how many, and all
+    cells that have been tried by then.
     """
-    added = 0
-    write_all_energies(outputs, taken, spectrum)
-    while added < len(found):
-        trials, k, d, geometry, normal = next_path(residual, spectrum, probe, trials, rules, steps, model)
+    (cells, tried, failures), added, start = trials, 0, np.empty((1, 3))
+    search_kernel.write_all_energies(outputs, taken, spectrum)
+    while added < len(found) and failures < thresholds.MOST_FAILURES:
+        k, d, level = search_kernel.strongest(spectrum, thresholds.COARSE_SHARE * demands.threshold, cells[:tried])
         if k < 0:
             break
-        one = footprint_of(*factors(geometry, normal.weights, model), probe)
-        if taken_out(geometry, normal, one, k, d, residual, outputs, taken, spectrum, probe, rules):
-            found[added], taken = geometry[0], both(taken, one)
-            added += 1
-            write_all_energies(outputs, taken, spectrum)
-        else:
-            trials = Trials(trials.cells, trials.tried, trials.failures + 1)
-    return added, trials
+        cells[tried, 0], cells[tried, 1] = k, d
+        tried, failures = tried + 1, failures + 1
+        start[0, 0], start[0, 1], start[0, 2] = probe.distances[d], probe.azimuths[k], probe.elevations[k]
+        asked = demands.threshold * level
+        geometry, normal = fit_kernel.climb(
+            residual, start, thresholds.COARSE_GAIN * level, thresholds.PROMISING_SHARE * asked, demands.coarser, model
+        )
+        near = abs(geometry[0, 0] - start[0, 0]) <= thresholds.FARTHEST_M * demands.coarser
+        if not near or abs(geometry[0, 2] - start[0, 2]) > thresholds.FARTHEST_RAD or normal.explained < asked:
+            continue
+        one = search_kernel.footprint_of(*fit_kernel.factors(geometry, normal.weights, model), probe)
+        if _taken_out(geometry, normal, one, k, d, residual, outputs, taken, spectrum, probe, demands):
+            found[added], taken = geometry[0], search_kernel.both(taken, one)
+            added, failures = added + 1, failures - 1
+            search_kernel.write_all_energies(outputs, taken, spectrum)
+    return added, Trials(cells, tried, failures)
 
 
-@njit(cache=True, nogil=True)
-def taken_out(
+@part
+def _taken_out(
     geometry: Array, normal: Normal, one: Footprint, k: int, d: int, residual: Array, outputs: Outputs,
-    taken: Footprint, spectrum: PowerSpectrum, probe: Probe, rules: Rules,
+    taken: Footprint, spectrum: PowerSpectrum, probe: Probe, demands: Demands,
 ) -> bool:  # fmt: skip
     """Take `one` path at `geometry` (1, 3), found in direction k and bin d, out of the samples `residual` (ports,
     tones) and the spectrum's noise, unless it does not stand out of what it leaves there; return whether.
     """
-    margin = rules.margin if normal.explained < spectrum.trailing[k // spectrum.elevations, d] else 1.0
-    at, bin_at = cell_of(geometry[0], probe, spectrum)
-    near, rest = neighbours(at, spectrum), both(taken, one)
+    diffuse = normal.explained < spectrum.trailing[k // spectrum.elevations, d]
+    at, bin_at = search_kernel.cell_of(geometry[0], probe, spectrum)
+    near, rest = search_kernel.neighbours(at, spectrum), search_kernel.both(taken, one)
     port_energy, noise = spectrum.port_energy.copy(), spectrum.noise.copy()
-    write_noise(outputs, rest, spectrum)
-    write_energies(outputs, rest, near, spectrum)
-    _, asked = local_level(at, bin_at, 0.0, spectrum, margin)
-    if normal.explained < rules.threshold * asked:
+    search_kernel.write_noise(outputs, rest, spectrum)
+    search_kernel.write_energies(outputs, rest, near, spectrum)
+    _, asked = search_kernel.local_level(at, bin_at, 0.0, spectrum, diffuse)
+    if normal.explained < demands.threshold * asked:
         spectrum.port_energy[:], spectrum.noise[:] = port_energy, noise
-        write_energies(outputs, taken, near, spectrum)
+        search_kernel.write_energies(outputs, taken, near, spectrum)
         return False
-    note_trail(geometry, normal.wald, probe, spectrum)
+    search_kernel.note_trail(geometry, normal.wald, probe, spectrum)
     samples = residual.view(residual.real.dtype)
-    straight, turned = in_pairs(one.on_tones, samples)
+    straight, turned = fit_kernel.in_pairs(one.on_tones, samples)
     for m in range(len(samples)):
-        subtract_products(samples[m], one.on_ports[:, m], straight, turned, samples[m])
+        fit_kernel.subtract_products(samples[m], one.on_ports[:, m], straight, turned, samples[m])
     return True
 
 
 @njit(cache=True, nogil=True)
-def factors(geometry: Array, weights: Array, m: SteeringModel) -> tuple[Array, Array]:
-    """Return what paths at `geometry` (n, 3) with weights (n, 2) give the ports (n, ports) and the tones (n, tones)."""
-    value, _, _ = steering(geometry, m)
-    on_ports, tones = np.empty(value.shape[:2], np.complex128), np.empty((len(geometry), 2, len(m.rate)), np.complex128)
-    for p in range(len(geometry)):
-        on_ports[p] = value[p, :, 0] * weights[p, 0] + value[p, :, 1] * weights[p, 1]
-        write_tones(geometry[p, 0], m.rate, tones[p])
-    return on_ports, tones[:, 0].copy()
-
-
-@part
-def next_path(
-    residual: Array, spectrum: PowerSpectrum, probe: Probe, trials: Trials, rules: Rules, steps: Steps,
-    model: SteeringModel,
-) -> tuple[Trials, int, int, Array, Normal]:  # fmt: skip
-    """Return the cells tried by then, and direction, bin, geometry (1, 3) and normal equations of the next path in the
-    samples `residual` (ports, tones) that a one-path fit confirms; direction -1: there is none.
+def judged(
+    geometry: Array, normal: Normal, outputs: Outputs, taken: Footprint, spectrum: PowerSpectrum, probe: Probe,
+    demands: Demands,
+) -> tuple[Array, Array, Array]:  # fmt: skip
+    """Return the disturbance per sample (n,) around each path of a fit, whose paths are those taken out; the paths'
+    covariances (n, 3, 3) in m, rad, rad; and which paths (n,) stay: of those that fall short, the weakest within reach
+    of each other goes. Energies are written where they are looked at.
     """
-    cells, count, failures = trials
-    start = np.empty((1, 3))
-    while failures < rules.most:
-        k, d, level = strongest(spectrum, rules.coarse, cells[:count], rules.margin)
-        if k < 0:
-            break
-        cells[count, 0], cells[count, 1] = k, d
-        count += 1
-        start[0, 0], start[0, 1], start[0, 2] = probe.distances[d], probe.azimuths[k], probe.elevations[k]
-        asked = rules.threshold * level
-        geometry, normal = climb(residual, start, rules.least_gain * level, rules.promising * asked, steps, model)
-        near = abs(geometry[0, 0] - start[0, 0]) <= rules.farthest_m
-        if near and abs(geometry[0, 2] - start[0, 2]) <= rules.farthest_rad and normal.explained >= asked:
-            return Trials(cells, count, failures), k, d, geometry, normal
-        failures += 1
-    nothing = Normal(0.0, np.zeros((0, 2), np.complex128), np.zeros(0), np.zeros((0, 0)), np.zeros(0))
-    return Trials(cells, count, failures), -1, -1, start, nothing
+    n, energy, distance = len(geometry), normal.wald, geometry[:, 0]
+    level, statistic, bad = np.empty(n), np.empty(n), np.zeros(n, np.bool_)
+    lowest, highest = probe.elevations[0], probe.elevations[spectrum.elevations - 1]
+    beside_rad = (thresholds.BESIDE + 0.5) * 2.0 * math.pi / len(spectrum.trailing)
+    for i in range(n):
+        diffuse, suspect = False, False
+        for j in range(n):
+            behind, share = distance[i] - distance[j], energy[i] / max(energy[j], 1e-300)
+            beside = abs(wrap(geometry[i, 1] - geometry[j, 1])) < beside_rad
+            diffuse |= thresholds.LEAD_M < behind < thresholds.TRAIL_M and beside and share < DIFFUSE_SHARE
+            suspect |= abs(behind) < GHOST_REACH_M and share < thresholds.SUSPECT_SHARE
+            bad[i] |= abs(behind) < GHOST_REACH_M and share < demands.ghost_share
+        k, d = search_kernel.cell_of(geometry[i], probe, spectrum)
+        search_kernel.write_energies(outputs, taken, search_kernel.neighbours(k, spectrum), spectrum)
+        level[i], asked = search_kernel.local_level(k, d, 0.0, spectrum, diffuse)
+        statistic[i] = energy[i] / asked
+        bad[i] |= statistic[i] < demands.threshold * (thresholds.SUSPECT_MARGIN if suspect else 1.0)
+        bad[i] |= distance[i] < demands.window_min_m or distance[i] > demands.window_max_m
+        bad[i] |= geometry[i, 2] < lowest or geometry[i, 2] > highest
+    inverse, covariance = fit_kernel.inverse_information(normal.information), np.empty((n, 3, 3))
+    reliable = (thresholds.LEAST_RELIABLE_M * demands.coarser, *thresholds.LEAST_RELIABLE_RAD)
+    for i in range(n):
+        covariance[i] = inverse[3 * i : 3 * i + 3, 3 * i : 3 * i + 3] * level[i]
+        for c in range(3):
+            bad[i] |= not 0.0 < covariance[i, c, c] < reliable[c] ** 2
+    kept, reach = np.ones(n, np.bool_), thresholds.TOUCHING_M * demands.coarser
+    for i in np.argsort(statistic):
+        kept[i] = not bad[i] or bool((~kept & (np.abs(distance - distance[i]) <= reach)).any())
+    return level, covariance, kept

@@ -11,19 +11,9 @@ from typing import NamedTuple
 import numpy as np
 
 from cellslam.sim.compiling import lean, njit, part
-from cellslam.sim.lte.signal.path_estimator.correlation_kernel import in_pairs, subtract_products
+from cellslam.sim.lte.signal.path_estimator import thresholds
+from cellslam.sim.lte.signal.path_estimator.fit_kernel import in_pairs, subtract_products
 from cellslam.sim.lte.statistical.detector_layout import DIFFUSE_SHARE, Array
-from cellslam.sim.lte.steering_kernel import ANY_ORDER
-
-GUARD_BINS, REFERENCE_BINS = 2, 3  # cells skipped, then averaged, before and behind the cell under test
-# Disturbance below these multiples of the noise is taken for its estimate's scatter: of few cells, of all ports.
-LOCAL_EXCESS, AROUND_EXCESS = 1.7, 1.15
-ALIKE = 0.1  # relative difference over delay that is taken for the noise estimate's scatter
-# Where diffuse energy of a path is expected: from so far behind it, to so far, and so many beams to its sides.
-LEAD_M, TRAIL_M, BESIDE = 5.0, 150.0, 3
-# By how much diffuse energy may be stronger in a cell than in those around it: it falls with delay, and fades.
-DIFFUSE_MARGIN = 8.0
-SIDELOBES = 0.01  # mean energy of a delay peak over the reference cells, relative to the peak
 
 
 class Probe(NamedTuple):
@@ -88,7 +78,7 @@ def footprint_of(on_ports: Array, on_tones: Array, probe: Probe) -> Footprint:
     return Footprint(on_ports, on_tones, on_beams, on_delays)
 
 
-@njit(cache=True, nogil=True)
+@part
 def both(one: Footprint, other: Footprint) -> Footprint:
     """Return the footprint of the paths of both."""
     return Footprint(
@@ -97,7 +87,7 @@ def both(one: Footprint, other: Footprint) -> Footprint:
     )  # fmt: skip
 
 
-@part(fastmath=ANY_ORDER)
+@part
 def write_energies(outputs: Outputs, taken: Footprint, directions: Array, spectrum: PowerSpectrum) -> None:
     """Write the energies in `directions` (n,) of what the beams hold beside the paths that are taken out."""
     bins = spectrum.energy.shape[1]
@@ -125,7 +115,7 @@ def write_all_energies(outputs: Outputs, taken: Footprint, spectrum: PowerSpectr
             peak[d] = row[d] if row[d] > peak[d] else peak[d]
 
 
-@njit(cache=True, nogil=True, fastmath=ANY_ORDER)
+@njit(cache=True, nogil=True)
 def write_noise(outputs: Outputs, taken: Footprint, spectrum: PowerSpectrum) -> None:
     """Write the energy of all ports beside the paths that are taken out, and the noise per sample over delay: the
     running median of the ports' mean energy.
@@ -147,7 +137,7 @@ def write_noise(outputs: Outputs, taken: Footprint, spectrum: PowerSpectrum) -> 
         noise[d] /= spectrum.ports
     usual = float(np.median(noise))
     for d in range(bins):
-        if abs(noise[d] - usual) < ALIKE * usual:
+        if abs(noise[d] - usual) < thresholds.ALIKE * usual:
             noise[d] = usual
 
 
@@ -181,8 +171,11 @@ def note_trail(geometry: Array, energy: Array, probe: Probe, spectrum: PowerSpec
     trailing = spectrum.trailing
     for p in range(len(energy)):
         column = _column(geometry[p, 1], trailing)
-        first, last = _bin(geometry[p, 0] + LEAD_M, probe), _bin(geometry[p, 0] + TRAIL_M, probe) + 1
-        for turn in range(-BESIDE, BESIDE + 1):
+        first, last = (
+            _bin(geometry[p, 0] + thresholds.LEAD_M, probe),
+            _bin(geometry[p, 0] + thresholds.TRAIL_M, probe) + 1,
+        )
+        for turn in range(-thresholds.BESIDE, thresholds.BESIDE + 1):
             row = trailing[(column + turn) % len(trailing)]
             for d in range(max(first, 0), min(last, len(row))):
                 row[d] = max(row[d], np.float32(DIFFUSE_SHARE * energy[p]))
@@ -237,15 +230,16 @@ def _surroundings(energy: Array, k: int, elevations: int, low: int, high: int) -
 
 
 @lean
-def local_level(k: int, d: int, peak: float, spectrum: PowerSpectrum, margin: float) -> tuple[float, float]:
+def local_level(k: int, d: int, peak: float, spectrum: PowerSpectrum, diffuse: bool) -> tuple[float, float]:
     """Return the disturbance per sample around a cell of energy `peak`, and the level that the cell must stand out of.
 
     Disturbance is noise, or what exceeds it before or behind in the same directions (greatest-of), or in all other
-    directions at the same delay. What stands before or behind counts `margin` times for the second.
+    directions at the same delay. Where `diffuse` energy is expected, what stands before or behind counts several
+    times for the second.
     """
     energy, elevations, noise = spectrum.energy, spectrum.elevations, spectrum.noise[d]
-    near, far = GUARD_BINS + 1, GUARD_BINS + 1 + REFERENCE_BINS
-    beyond = far + REFERENCE_BINS
+    near, far = thresholds.GUARD_BINS + 1, thresholds.GUARD_BINS + 1 + thresholds.REFERENCE_BINS
+    beyond = far + thresholds.REFERENCE_BINS
     # Of two stretches on each side the lesser: another path there must not hide this one.
     before = min(
         _surroundings(energy, k, elevations, d - far + 1, d - near + 1),
@@ -256,11 +250,11 @@ def local_level(k: int, d: int, peak: float, spectrum: PowerSpectrum, margin: fl
         _surroundings(energy, k, elevations, d + far, d + beyond),
     )
     # A path's own sidelobes over delay are no disturbance.
-    along = max(before, behind) - SIDELOBES * peak
+    along = max(before, behind) - thresholds.SIDELOBES * peak
     around = level_around(d, peak, spectrum)
     level, asked = around, around
-    if along > LOCAL_EXCESS * noise:
-        level, asked = max(level, along), max(asked, margin * along)
+    if along > thresholds.LOCAL_EXCESS * noise:
+        level, asked = max(level, along), max(asked, (thresholds.DIFFUSE_MARGIN if diffuse else 1.0) * along)
     return level, asked
 
 
@@ -268,16 +262,16 @@ def local_level(k: int, d: int, peak: float, spectrum: PowerSpectrum, margin: fl
 def level_around(d: int, peak: float, spectrum: PowerSpectrum) -> float:
     """Return the disturbance per sample in all directions beside a cell of energy `peak` in bin d: at least noise."""
     around = max(spectrum.port_energy[d] - peak, 0.0) / (spectrum.ports - 2)
-    return float(around if around > AROUND_EXCESS * spectrum.noise[d] else spectrum.noise[d])
+    return float(around if around > thresholds.AROUND_EXCESS * spectrum.noise[d] else spectrum.noise[d])
 
 
 @part
-def strongest(spectrum: PowerSpectrum, coarse: float, blocked: Array, margin: float) -> tuple[int, int, float]:
+def strongest(spectrum: PowerSpectrum, coarse: float, blocked: Array) -> tuple[int, int, float]:
     """Return (direction, bin, level) of the strongest cell whose energy is `coarse` times the level that it must stand
     out of, an energy per sample and delay; direction -1: none.
 
     `blocked` (B, 2): cells (direction, bin) around which nothing is looked for. A cell weaker than `trailing` must
-    stand out `margin` times as far.
+    stand out farther.
     """
     energy, elevations, peak = spectrum.energy, spectrum.elevations, spectrum.peak
     best, at, bin_at, level_at = np.float32(0.0), -1, -1, 0.0
@@ -300,8 +294,8 @@ def strongest(spectrum: PowerSpectrum, coarse: float, blocked: Array, margin: fl
                 free = free and not (near and abs(d - blocked[b, 1]) <= 1)
             if not free:
                 continue
-            more = margin if energy[k, d] < spectrum.trailing[k // elevations, d] else 1.0
-            _, level = local_level(k, d, energy[k, d], spectrum, more)
+            diffuse = energy[k, d] < spectrum.trailing[k // elevations, d]
+            _, level = local_level(k, d, energy[k, d], spectrum, diffuse)
             if energy[k, d] >= coarse * level:
                 best, at, bin_at, level_at = energy[k, d], k, d, level
     return at, bin_at, level_at

@@ -7,11 +7,12 @@ from __future__ import annotations
 
 import numpy as np
 
-from cellslam.sim.lte.array import Complex, Floats
+from cellslam.sim.lte.array import Complex
 from cellslam.sim.lte.signal.path_estimator import search_kernel
-from cellslam.sim.lte.signal.path_estimator.joint_fit import Fit
-from cellslam.sim.lte.signal.path_estimator.search_kernel import DIFFUSE_MARGIN, Footprint, Outputs, PowerSpectrum
+from cellslam.sim.lte.signal.path_estimator.fit_kernel import Normal, factors
+from cellslam.sim.lte.signal.path_estimator.search_kernel import Footprint, Outputs, PowerSpectrum
 from cellslam.sim.lte.signal.receiver import AZIMUTHS, ELEVATIONS, Motion
+from cellslam.sim.recording import Floats
 
 
 class Spectrum:
@@ -33,33 +34,34 @@ class Spectrum:
         )  # fmt: skip
         nothing = np.empty((0, self.receiver.array.ports), np.complex128), np.empty((0, y.shape[1]), np.complex128)
         self._nothing = search_kernel.footprint_of(*nothing, motion.probe)
-        self.leave(None)
+        self.leave_all()
 
-    def leave(self, fit: Fit | None) -> None:
-        """Make this the spectrum of what the paths of a fit leave over; energies wait until they are looked at."""
+    def leave_all(self) -> None:
+        """Make this the spectrum of the samples as they are; energies wait until they are looked at."""
         self.power.trailing[:] = 0.0
-        self.taken: Footprint = self._nothing
-        if fit is not None:
-            self.taken = search_kernel.footprint_of(*fit.factors, self.motion.probe)
-            search_kernel.note_trail(fit.geometry, fit.normal.wald, self.motion.probe, self.power)
-        search_kernel.write_noise(self.outputs, self.taken, self.power)
+        self._take(self._nothing)
+
+    def leave(self, geometry: Floats, normal: Normal) -> None:
+        """Make this the spectrum of what paths, fitted at `geometry` (n, 3), m, rad, rad, leave over."""
+        self.power.trailing[:] = 0.0
+        search_kernel.note_trail(geometry, normal.wald, self.motion.probe, self.power)
+        self._take(search_kernel.footprint_of(*factors(geometry, normal.weights, self.motion.model), self.motion.probe))
+
+    def _take(self, taken: Footprint) -> None:
+        self.taken = taken
+        search_kernel.write_noise(self.outputs, taken, self.power)
         self.noise = float(np.median(self.power.noise))
+
+    def look(self) -> None:
+        """Write all energies beside the paths that are taken out."""
+        search_kernel.write_all_energies(*self.parts)
 
     @property
     def parts(self) -> tuple[Outputs, Footprint, PowerSpectrum]:
         """What the kernels take: outputs of the samples, paths taken out of them, energies."""
         return self.outputs, self.taken, self.power
 
-    def look(self, taken: Footprint) -> None:
-        """Write all energies beside the paths that are taken out."""
-        search_kernel.write_all_energies(self.outputs, taken, self.power)
-
-    def strongest(self, coarse: float, blocked: np.ndarray) -> tuple[Floats, tuple[int, int], float] | None:
-        """Return geometry (3,) in m, rad, rad, cell and level to exceed of the strongest cell that stands out and is
-        not near those of `blocked` (B, 2); None: there is none.
-        """
-        k, d, level = search_kernel.strongest(self.power, coarse, blocked, DIFFUSE_MARGIN)
-        if k < 0:
-            return None
-        azimuth, elevation = self.receiver.directions
-        return np.array([self.receiver.delays_m[d], azimuth[k], elevation[k]]), (k, d), level
+    @property
+    def explained(self) -> Complex:
+        """The samples (ports, tones) that the paths taken out explain."""
+        return np.asarray(self.taken.on_ports.T @ self.taken.on_tones, np.complex128)

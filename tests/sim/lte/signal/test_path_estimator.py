@@ -10,22 +10,23 @@ from numpy.typing import NDArray
 from scipy.ndimage import median_filter
 from threadpoolctl import threadpool_limits
 
+from cellslam.sim.compiling import njit
 from cellslam.sim.errors import InputError
 from cellslam.sim.frames import wrap_angle
-from cellslam.sim.lte.array import CircularArray, doppler_phasors, miscalibrated, switching_times_s
-from cellslam.sim.lte.downlink.lte_waveform import LteWaveform, pilots, tone_frequencies
-from cellslam.sim.lte.joint_bound import PathSet, fisher_information, joint_std
-from cellslam.sim.lte.signal.channel import PortSignal, frequency_response
+from cellslam.sim.lte.array import CircularArray, PathSet, doppler_phasors, miscalibrated, switching_times_s
+from cellslam.sim.lte.downlink import LteWaveform
+from cellslam.sim.lte.error_bounds import fisher_information, joint_std
+from cellslam.sim.lte.signal.channel import frequency_response
+from cellslam.sim.lte.signal.path_estimator import fit_kernel, search_kernel
 from cellslam.sim.lte.signal.path_estimator.cancellation import cancel
-from cellslam.sim.lte.signal.path_estimator.joint_fit import evaluate, refine, refine_any
 from cellslam.sim.lte.signal.path_estimator.path_estimator import Estimates, estimate_paths
-from cellslam.sim.lte.signal.path_estimator.search_kernel import _surroundings, running_median
 from cellslam.sim.lte.signal.path_estimator.spectrum import Spectrum
 from cellslam.sim.lte.signal.receiver import Receiver, receiver_of
 from cellslam.sim.lte.steering_kernel import write_phasors
 from cellslam.sim.nr.nr_waveform import NrWaveform
 
-ARRAY, TONES = CircularArray(), tone_frequencies(100)
+evaluate = njit(fit_kernel.evaluate)
+ARRAY, TONES = CircularArray(), LteWaveform(100).tones_hz
 TIMES, CARRIER_HZ = switching_times_s(ARRAY), 2.66e9
 RECEIVER, STILL = Receiver(), np.zeros(3)
 AT_REST = RECEIVER.moving(STILL)
@@ -54,7 +55,7 @@ def noise(rng: np.random.Generator) -> Complex:
 
 
 def channel(paths: PathSet, velocity: NDArray[np.float64] = STILL, array: CircularArray = ARRAY) -> Complex:
-    return frequency_response(array, TONES, TIMES, velocity, PortSignal(375, 0, paths), CARRIER_HZ)
+    return frequency_response(array, TONES, TIMES, velocity, paths, CARRIER_HZ)
 
 
 def errors(paths: PathSet, found: Estimates) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
@@ -75,9 +76,7 @@ def errors(paths: PathSet, found: Estimates) -> tuple[NDArray[np.float64], NDArr
 def test_compiled_steering_is_the_array_with_doppler(velocity: NDArray[np.float64]) -> None:
     azimuth, elevation = np.array([-3.0, 0.4, 2.0]), np.array([-0.3, 0.2, 1.1])
     motion = RECEIVER.moving(velocity)
-    compiled, general = motion.steer(azimuth, elevation), motion._steer_any(azimuth, elevation)
-    for one, other in zip(compiled, general, strict=True):
-        np.testing.assert_allclose(one, other, rtol=1e-10, atol=1e-10 * np.abs(other).max())
+    compiled = motion.steer(azimuth, elevation)
     turned = doppler_phasors(TIMES, velocity, azimuth, elevation, CARRIER_HZ)
     expected = ARRAY.steer(azimuth, elevation).value * turned[:, :, None]
     np.testing.assert_allclose(compiled.value, expected, rtol=1e-9, atol=1e-12)
@@ -98,7 +97,7 @@ def test_normal_equations_are_those_of_the_full_jacobian() -> None:
     paths = draw(rng, np.array([0.0, -5.0, -3.0]), 40.0)
     y = channel(paths) + noise(rng)
     geometry = np.stack([paths.distance_m + 1.0, paths.azimuth_rad + 0.05, paths.elevation_rad - 0.03], 1)
-    got = evaluate(y, AT_REST, geometry).normal
+    got = evaluate(y, geometry, AT_REST.model)
     steering = ARRAY.steer(geometry[:, 1], geometry[:, 2])
     delay = np.exp(-1j * np.outer(geometry[:, 0], RECEIVER.rate))
     basis = np.einsum("npq,nf->pfnq", steering.value, delay).reshape(128 * 200, 6)
@@ -119,24 +118,31 @@ def test_normal_equations_are_those_of_the_full_jacobian() -> None:
         np.testing.assert_allclose(got.wald[p], lost, rtol=1e-5)
 
 
-@pytest.mark.parametrize("velocity", [np.zeros(3), np.array([1.5, 0.4, 0.0])])
 @pytest.mark.parametrize("rho_db", [[0.0, -8.0, -3.0], [-5.0]])
-def test_compiled_climb_is_the_numpy_one(velocity: NDArray[np.float64], rho_db: list[float]) -> None:
+def test_the_climb_ends_where_the_gradient_is_zero(rho_db: list[float]) -> None:
     rng = np.random.default_rng(2)
-    paths, motion = draw(rng, np.array(rho_db), 60.0), RECEIVER.moving(velocity)
-    y = channel(paths, velocity) + noise(rng)
+    paths, motion = draw(rng, np.array(rho_db), 60.0), RECEIVER.moving(np.array([1.5, 0.4, 0.0]))
+    y = channel(paths, motion.velocity_mps) + noise(rng)
     start = np.stack([paths.distance_m + 2.0, paths.azimuth_rad + 0.08, paths.elevation_rad - 0.05], 1)
-    compiled, plain = refine(y, motion, start, 1.0), refine_any(y, motion, start, 1.0)
-    np.testing.assert_allclose(compiled.geometry, plain.geometry, rtol=1e-7, atol=1e-7)
-    for one, other in zip(compiled.normal, plain.normal, strict=True):
-        np.testing.assert_allclose(one, other, rtol=1e-5, atol=1e-5 * np.abs(other).max())
+    _, normal = fit_kernel.climb(y, start, 1e-9, 0.0, 1.0, motion.model)
+    assert normal.explained > evaluate(y, start, motion.model).explained
+    assert normal.gradient @ np.linalg.solve(normal.information, normal.gradient) < 1e-8
+
+
+def test_one_path_has_the_normal_equations_of_many() -> None:
+    rng = np.random.default_rng(3)
+    paths = draw(rng, np.array([-5.0]))
+    y, geometry = channel(paths) + noise(rng), np.stack([paths.distance_m, paths.azimuth_rad, paths.elevation_rad], 1)
+    many = njit(fit_kernel._normal_equations)(y, geometry + 0.01, *AT_REST.steer(*geometry.T[1:] + 0.01), RECEIVER.rate)
+    for one, other in zip(evaluate(y, geometry + 0.01, AT_REST.model), many, strict=True):
+        np.testing.assert_allclose(one, other, rtol=1e-9, atol=1e-9 * np.abs(other).max())
 
 
 def test_search_kernels_are_their_numpy_twins() -> None:
     rng = np.random.default_rng(4)
     motion = RECEIVER.moving(np.array([1.0, 0.0, 0.0])).weighed(rng.uniform(0.5, 1.5, 128))
     spectrum = Spectrum(noise(rng), motion)
-    spectrum.look(spectrum.taken)
+    spectrum.look()
     steering = (
         ARRAY.steer(*RECEIVER.directions).value
         * doppler_phasors(TIMES, [1.0, 0.0, 0.0], *RECEIVER.directions, CARRIER_HZ)[:, :, None]
@@ -147,55 +153,20 @@ def test_search_kernels_are_their_numpy_twins() -> None:
     np.testing.assert_allclose(spectrum.power.energy, energy, rtol=1e-4, atol=1e-4)
     np.testing.assert_array_equal(spectrum.power.peak, spectrum.power.energy.max(axis=0))
     out = np.empty(spectrum.power.port_energy.shape)
-    running_median(spectrum.power.port_energy, 31, out)
+    search_kernel.running_median(spectrum.power.port_energy, 31, out)
     np.testing.assert_allclose(out, median_filter(spectrum.power.port_energy, 31, mode="nearest"))
-    # The energy under one direction's neighbours, as the disturbance before and behind is taken from it.
-    cells = spectrum.power.energy.reshape(28, 7, -1)
-    a, e, low, high = 27, 0, 40, 43
-    rows = [cells[(a + da) % 28, max(e + de, 0), low:high] for da in (-1, 0, 1) for de in (-1, 0, 1)]
-    mean = _surroundings(spectrum.power.energy, 7 * a + e, 7, low, high)
-    np.testing.assert_allclose(mean, 0.5 * np.mean(rows), rtol=1e-5)
-
-
-def test_search_for_the_strongest_cell_is_its_numpy_twin() -> None:
-    rng = np.random.default_rng(13)
-    paths = draw(rng, np.array([5.0, -10.0, -15.0, -20.0]))
-    spectrum = Spectrum(channel(paths) + noise(rng), AT_REST)
-    spectrum.look(spectrum.taken)
-    cells = spectrum.power.energy.reshape(28, 7, -1).astype(float)
-    bins = cells.shape[2]
-
-    def mean(a: int, e: int, low: int, high: int) -> float:
-        low, high = max(low, 0), min(high, bins)
-        near = [cells[(a + i) % 28, min(max(e + j, 0), 6), low:high] for i in (-1, 0, 1) for j in (-1, 0, 1)]
-        return 0.5 * float(np.mean(near)) if high > low else 0.0
-
-    best = (0.0, (-1, -1))
-    for (a, e, d), peak in np.ndenumerate(cells):
-        quiet = spectrum.power.noise[d]
-        if peak < 10.0 * quiet or peak <= best[0]:
-            continue
-        before = min(mean(a, e, d - 5, d - 2), mean(a, e, d - 8, d - 5))
-        behind = min(mean(a, e, d + 3, d + 6), mean(a, e, d + 6, d + 9))
-        along = max(before, behind) - 0.01 * peak
-        around = max(spectrum.power.port_energy[d] - peak, 0.0) / 126.0
-        level = max(quiet, along if along > 1.7 * quiet else 0.0, around if around > 1.15 * quiet else 0.0)
-        if peak >= 10.0 * level:
-            best = (peak, (7 * a + e, d))
-    found = spectrum.strongest(10.0, np.empty((0, 2), np.int64))
-    assert found is not None
-    assert found[1] == best[1]
 
 
 def test_taking_a_path_out_of_the_spectrum_is_transforming_the_residual() -> None:
     rng = np.random.default_rng(6)
     paths = draw(rng, np.array([10.0, -5.0]))
     y = channel(paths) + noise(rng)
-    fit = evaluate(y, AT_REST, np.stack([paths.distance_m, paths.azimuth_rad, paths.elevation_rad], 1))
-    spectrum, residual = Spectrum(y, AT_REST), Spectrum(y - fit.samples, AT_REST)
-    spectrum.leave(fit)
+    geometry = np.stack([paths.distance_m, paths.azimuth_rad, paths.elevation_rad], 1)
+    spectrum = Spectrum(y, AT_REST)
+    spectrum.leave(geometry, evaluate(y, geometry, AT_REST.model))
+    residual = Spectrum(y - spectrum.explained, AT_REST)
     for one in (spectrum, residual):
-        one.look(one.taken)
+        one.look()
     np.testing.assert_allclose(spectrum.power.energy, residual.power.energy, rtol=1e-2, atol=1e-2)
     np.testing.assert_allclose(spectrum.power.noise, residual.power.noise, rtol=1e-2)
 
@@ -278,8 +249,7 @@ def test_motion_that_is_known_costs_nothing(order: str) -> None:
     for run in range(15):
         rng = np.random.default_rng(run)
         paths = draw(rng, np.array([-5.0]))
-        still, signal = channel(paths), PortSignal(375, 0, paths)
-        moved = frequency_response(ARRAY, TONES, times, velocity, signal, CARRIER_HZ)
+        still, moved = channel(paths), frequency_response(ARRAY, TONES, times, velocity, paths, CARRIER_HZ)
         added = noise(rng)
         # The noise is turned with the signal, so that both estimates meet the same.
         turn = doppler_phasors(times, velocity, paths.azimuth_rad, paths.elevation_rad, CARRIER_HZ)[0]
@@ -294,7 +264,7 @@ def test_motion_that_is_known_costs_nothing(order: str) -> None:
 def test_a_colliding_cell_ten_thousand_times_as_strong() -> None:
     rng = np.random.default_rng(3)
     slots = 20 + np.arange(128)
-    codes = {c: np.array([pilots(c, 0, int(s % 20), 100)[1] for s in slots]) for c in (375, 177)}
+    codes = {c: np.array([LteWaveform().values((c, 0), 3, int(s % 20)) for s in slots]) for c in (375, 177)}
     found = false = 0
     for _ in range(8):
         array = miscalibrated(ARRAY, 5.0, 0.5, rng)
@@ -349,11 +319,11 @@ def test_noise_alone_holds_hardly_any_path() -> None:
 
 @pytest.mark.parametrize("blocks", [6, 7, 50])
 def test_narrow_bands_are_estimated_too(blocks: int) -> None:
-    rng, tones = np.random.default_rng(blocks), tone_frequencies(blocks)
+    rng, tones = np.random.default_rng(blocks), LteWaveform(blocks).tones_hz
     motion = receiver_of(LteWaveform(blocks)).moving(STILL)
     for _ in range(6):
         paths = draw(rng, np.array([0.0]), 800.0)
-        clean = frequency_response(ARRAY, tones, TIMES, STILL, PortSignal(375, 0, paths), CARRIER_HZ)
+        clean = frequency_response(ARRAY, tones, TIMES, STILL, paths, CARRIER_HZ)
         found = estimate_paths(clean + noise(rng)[:, : len(tones)], motion)
         bound = joint_std(ARRAY, tones - tones.mean(), paths, 1.0)[0]
         strongest = found.geometry[np.argmax(found.statistic)]
@@ -370,7 +340,7 @@ def test_nr_is_estimated_at_the_bound(comb: int, symbols: int) -> None:
     apart, level_db = [], []
     for _ in range(10):
         paths = draw(rng, np.array([0.0]), 800.0)
-        signal = frequency_response(receiver.array, tones, TIMES, STILL, PortSignal(375, 0, paths), 3.5e9)
+        signal = frequency_response(receiver.array, tones, TIMES, STILL, paths, 3.5e9)
         pair = rng.standard_normal((2, 128, len(tones)))
         found = estimate_paths(signal + (pair[0] + 1j * pair[1]) / np.sqrt(2.0), receiver.moving(STILL))
         error, row = errors(paths, found)

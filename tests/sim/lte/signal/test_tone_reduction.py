@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from cellslam.sim.frames import SPEED_OF_LIGHT_MPS
-from cellslam.sim.lte.downlink.lte_waveform import LteWaveform
+from cellslam.sim.lte.downlink import LteWaveform
 from cellslam.sim.lte.signal.tone_reduction import MOST_LOSS_DB, reduction_of, root_raised_cosine
 from cellslam.sim.nr.nr_waveform import NrWaveform
 

@@ -13,10 +13,13 @@ from cellslam.sim.errors import InputError
 from cellslam.sim.lte import RadioConfig
 from cellslam.sim.lte.links import Cells, cells_of, links_of
 from cellslam.sim.lte.persisting_errors import draw_fields, floors
+from cellslam.sim.lte.signal.drive_in_blocks import snapshot_paths
 from cellslam.sim.lte.statistical.clutter_kernel import BLUR_AZIMUTH_RAD, STRETCH
 from cellslam.sim.lte.statistical.detector_layout import GAMMA_START_DB, GAMMA_STEP_DB, PathColumns, Streams
+from cellslam.sim.lte.statistical.measurement_kernel import sector_gain
 from cellslam.sim.lte.statistical.statistical_front_end import Detections, detect, noise_clutter_mean
 from cellslam.sim.lte.statistical.statistics import BLUR_M, statistics
+from cellslam.sim.rays.antenna import sector_gain_db
 
 FALSE_ALARM = 1e-6
 WHITE = {k: 0.0 for k in RadioConfig.model_fields if "_correlation_" in k}
@@ -276,24 +279,10 @@ def test_blocks_and_single_snapshots_draw_the_same(persisting: bool) -> None:
     streams = Streams.spawn(np.random.default_rng(2))
     pieces = []
     for t in range(count):
-        rows = slice(paths.rows[t], paths.rows[t + 1])
-        one = PathColumns(
-            paths.rows[t : t + 2] - paths.rows[t],
-            paths.vt_m[rows],
-            paths.gain[rows],
-            paths.departure_rad[rows],
-        )
+        one, _ = snapshot_paths(paths, t, 1)
         pieces.append(detect(config, cells, one, poses[t : t + 1], np.zeros(1), FIELDS, streams, first_snapshot=t))
     assert len(whole.path) > count
-    for name in (
-        "snapshot",
-        "link",
-        "distance_m",
-        "azimuth_rad",
-        "elevation_rad",
-        "snr_db",
-        "distance_std_m",
-    ):
+    for name in ("snapshot", "link", "distance_m", "azimuth_rad", "elevation_rad", "snr_db", "distance_std_m"):
         joined = np.concatenate([getattr(p.measurements, name) for p in pieces])
         np.testing.assert_array_equal(joined, getattr(whole.measurements, name))
 
@@ -328,9 +317,6 @@ def test_a_cell_id_given_twice_is_refused() -> None:
 
 
 def test_compiled_sector_pattern_is_that_of_the_antenna_module() -> None:
-    from cellslam.sim.lte.statistical.budget_kernel import sector_gain
-    from cellslam.sim.rays.antenna import sector_gain_db
-
     rng = np.random.default_rng(3)
     azimuth, elevation = rng.uniform(-7.0, 7.0, 300), rng.uniform(-0.8, 0.4, 300)
     compiled = [sector_gain(a, e, 1.0, 0.14) for a, e in zip(azimuth, elevation, strict=True)]

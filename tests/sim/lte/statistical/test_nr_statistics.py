@@ -2,24 +2,22 @@
 
 from __future__ import annotations
 
-from types import SimpleNamespace
-
 import numpy as np
 import pytest
 from scipy.stats import poisson
 
 from cellslam.scenarios.loading import load
 from cellslam.sim.lte import RadioConfig
-from cellslam.sim.lte.links import cells_of
-from cellslam.sim.lte.persisting_errors import causes, draw_fields, floors
+from cellslam.sim.lte.persisting_errors import causes, floors
 from cellslam.sim.lte.radio_config import NR_BANDS
-from cellslam.sim.lte.statistical.detector_layout import PathColumns, Streams
-from cellslam.sim.lte.statistical.statistical_front_end import Detections, detect, model_of, noise_clutter_mean
+from cellslam.sim.lte.statistical.statistical_front_end import model_of, noise_clutter_mean
 from cellslam.sim.lte.statistical.statistics import statistics
+from tests.sim.lte.statistical.test_detector import run
 from tools.calibration.scenes import radio_of
 
 BANDS = [f"nr-{blocks}" for blocks in NR_BANDS]
 FALSE_ALARM = 1e-6
+PATH = [[200.0, 0.0, 0.0]]
 
 
 def config_of(band: str, **keys: float) -> RadioConfig:
@@ -27,23 +25,10 @@ def config_of(band: str, **keys: float) -> RadioConfig:
     return radio.model_copy(update={"front_end": "statistical", **keys})
 
 
-def run(config: RadioConfig, gain: float, count: int) -> Detections:
-    """One path of 200 m, of an amplitude, received in every of `count` snapshots by a cell of one port."""
-    cell = SimpleNamespace(cell_id=1, azimuth_deg=0.0, tilt_deg=0.0)
-    cells = cells_of([SimpleNamespace(cells=[cell], ports=1)])
-    paths = PathColumns(
-        np.arange(count + 1), np.tile([200.0, 0.0, 0.0], (count, 1)),
-        np.tile(gain * np.eye(2, dtype=np.complex128), (count, 1, 1)), np.zeros((count, 2)),
-    )  # fmt: skip
-    rng = np.random.default_rng(3)
-    fields, streams = draw_fields(config, 0.075, rng), Streams.spawn(rng)
-    return detect(config, cells, paths, np.zeros((count, 6)), np.zeros(1), fields, streams)
-
-
 @pytest.mark.parametrize("band", BANDS)
 def test_link_budget_counts_the_noise_of_a_wider_element(band: str) -> None:
     # -120 dB of path, 30 dBm, 2.16 dB of array loss, -123 dBm of noise per 15 kHz: 3.01 dB more in 30 kHz.
-    d = run(config_of(band, clutter_scale=0.0), 1e-6, 1)
+    d = run(config_of(band, clutter_scale=0.0), PATH, np.array([1e-6]), 1)
     np.testing.assert_allclose(d.measurements.snr_db, 30.0 - 120.0 - 2.16 + 123.0 - 10.0 * np.log10(2.0), atol=1e-9)
 
 
@@ -51,7 +36,7 @@ def test_link_budget_counts_the_noise_of_a_wider_element(band: str) -> None:
 def test_errors_are_those_of_the_band(band: str) -> None:
     config = config_of(band, clutter_scale=0.0, snr_cap_db=25.0, **{
         key: 0.0 for key in RadioConfig.model_fields if "_correlation_" in key})  # fmt: skip
-    d = run(config, 10.0**-7.5, 4000)
+    d = run(config, PATH, np.array([10.0**-7.5]), 4000)
     error = d.measurements.distance_m - 200.0
     own = statistics(band)
     np.testing.assert_allclose(floors(config), 10.0 ** (-6.0 / 20.0) * np.array(own.diffuse_floor), atol=0.01)
@@ -77,7 +62,7 @@ def test_clutter_is_counted_and_blurred_as_in_its_band(band: str) -> None:
     assert own.blur_m == pytest.approx(4.0 * 18e6 / config.waveform().bandwidth_hz)
     assert model_of(config, own).clutter.blur_m == own.blur_m
     count = 20_000
-    d = run(config, 1e-12, count)  # a path that nobody sees: noise alone
+    d = run(config, PATH, np.array([1e-12]), count)  # a path that nobody sees: noise alone
     mean = noise_clutter_mean(config.detection_threshold, own) * count
     low, high = poisson.ppf([FALSE_ALARM, 1.0 - FALSE_ALARM], mean)
     assert low <= len(d.path) <= high

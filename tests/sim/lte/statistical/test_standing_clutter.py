@@ -12,7 +12,7 @@ from cellslam.sim.compiling import njit
 from cellslam.sim.frames import unit_vector
 from cellslam.sim.lte import RadioConfig
 from cellslam.sim.lte.persisting_errors import draw_fields
-from cellslam.sim.lte.statistical import place_draws_kernel as draws
+from cellslam.sim.lte.statistical import clutter_kernel as draws
 from cellslam.sim.lte.statistical.detector_layout import PathColumns, Standing, Streams
 from cellslam.sim.lte.statistical.statistical_front_end import Detections, detect
 from cellslam.sim.lte.statistical.statistics import statistics

@@ -1,11 +1,15 @@
-"""What many paths together give the tones: directly, or by a fast Fourier transform where it pays.
+"""What arrives on the elements of one symbol: sums over many paths, noise, pilots and data.
 
-Source: Greengard and Lee, "Accelerating the nonuniform fast Fourier transform", SIAM Review 46, 2004: weights are
-spread over a grid of delays by a Gaussian, whose own transform is taken off again.
+A sum over paths is direct, or a fast Fourier transform where it pays: weights are spread over a grid of delays by a
+Gaussian, whose own transform is taken off again.
+
+Source: Greengard and Lee, "Accelerating the nonuniform fast Fourier transform", SIAM Review 46, 2004; elements: the
+extended FastSLAM paper, equation 4.
 """
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -15,10 +19,10 @@ from scipy import fft
 
 from cellslam.sim.compiling import njit
 from cellslam.sim.frames import SPEED_OF_LIGHT_MPS
-from cellslam.sim.lte.array import Floats
-from cellslam.sim.lte.signal import symbol_kernel
 from cellslam.sim.lte.statistical.detector_layout import Array
+from cellslam.sim.lte.steering_kernel import write_phasors
 
+Floats = NDArray[np.float64]
 ComplexSingle = NDArray[np.complex64]
 REACH = 6  # cells of the grid to either side over which a weight is spread: errors of 1e-5
 MANY_PATHS, MANY_TONES = 256, 1024  # from which the transform pays
@@ -33,22 +37,19 @@ class PathSums:
 
     def of(self, weights: ComplexSingle) -> ComplexSingle:
         """Return (ports, tones): the sum over all paths of `weights` (ports, n), in their unit."""
-        if not self._transforms:
-            return np.asarray(weights @ self._phasors, np.complex64)
-        return self._transformed(weights)
+        return self._transformed(weights) if self._transforms else np.asarray(weights @ self._phasors, np.complex64)
 
     def of_every(self, step: int, weights: ComplexSingle) -> ComplexSingle:
         """Return the same sum over every `step`-th path alone."""
-        if self._transforms:
-            return np.asarray(weights[:, ::step] @ self._phasors_of(self.length_m[::step]), np.complex64)
-        return np.asarray(weights[:, ::step] @ self._phasors[::step], np.complex64)
+        some = self._phasors_of(self.length_m[::step]) if self._transforms else self._phasors[::step]
+        return np.asarray(weights[:, ::step] @ some, np.complex64)
 
     @cached_property
     def _phasors(self) -> ComplexSingle:
         return self._phasors_of(self.length_m)
 
     def _phasors_of(self, length_m: Floats) -> ComplexSingle:
-        return symbol_kernel.phasors(-length_m, 2.0 * np.pi * self.tones_hz / SPEED_OF_LIGHT_MPS)
+        return phasors(-length_m, 2.0 * np.pi * self.tones_hz / SPEED_OF_LIGHT_MPS)
 
     @cached_property
     def _transforms(self) -> bool:
@@ -91,3 +92,46 @@ def spread(weights: Array, angle: Array, width: float, cells: int) -> Array:
             for i in range(2 * REACH):
                 row[(first[p] + i) % cells] += weights[m, p] * shape[p, i]
     return out
+
+
+@njit(cache=True, nogil=True)
+def phasors(length: Array, rate: Array) -> Array:
+    """Return e^(j rate length) (n, tones), single, of lengths (n,) in m and `rate` (tones,) in rad per m."""
+    out = np.empty((len(length), len(rate)), np.complex64)
+    cosine, sine = np.empty(len(rate)), np.empty(len(rate))
+    for p in range(len(length)):
+        write_phasors(length[p] * rate, cosine, sine)
+        for f in range(len(rate)):
+            out[p, f] = complex(cosine[f], sine[f])
+    return out
+
+
+@njit(cache=True, nogil=True)
+def add_noise(total: Array, normal: Array, deviation: float) -> None:
+    """Add complex noise to `total` (ports, tones) from `normal` (ports, tones, 2)."""
+    for m in range(total.shape[0]):
+        for f in range(total.shape[1]):
+            total[m, f] += deviation * complex(normal[m, f, 0], normal[m, f, 1])
+
+
+@njit(cache=True, nogil=True)
+def add_pilots(total: Array, response: Array, sent: Array, normal: Array, evm: float) -> None:
+    """Add response x sent, each element with a transmitter error of relative deviation `evm` (both parts)."""
+    for m in range(total.shape[0]):
+        for f in range(total.shape[1]):
+            error = complex(1.0 + evm * normal[m, f, 0], evm * normal[m, f, 1])
+            total[m, f] += response[m, f] * sent[m, f] * error
+
+
+@njit(cache=True, nogil=True)
+def add_data(total: Array, response: Array, words: Array, load: float, amplitude: float) -> None:
+    """Add data of random 16-bit `words` (ports, tones): 14 bits decide whether an element is used, two are QPSK."""
+    limit = load * 16384.0
+    size = amplitude * math.sqrt(0.5)
+    for m in range(total.shape[0]):
+        for f in range(total.shape[1]):
+            word = words[m, f]
+            if (word >> 2) < limit:
+                real = size if word & 1 else -size
+                imaginary = size if word & 2 else -size
+                total[m, f] += response[m, f] * complex(real, imaginary)

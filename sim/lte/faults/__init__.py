@@ -1,1 +1,0 @@
-"""What goes wrong over a drive: clocks that walk and step, reports that come late or twice."""
