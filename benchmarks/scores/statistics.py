@@ -204,11 +204,6 @@ def _resampled(count: int) -> Iterator[NDArray[np.int64]]:
 
     A resample of equal values says nothing about its error, and is left out of bootstrap-t.
     """
-    rng = np.random.default_rng(0)
-    for size in _batches(max(1, _BATCH // count)):
-        yield rng.integers(0, count, (size, count))
-
-
-def _batches(size: int) -> Iterator[int]:
+    rng, size = np.random.default_rng(0), max(1, _BATCH // count)
     for begin in range(0, RESAMPLES, size):
-        yield min(size, RESAMPLES - begin)
+        yield rng.integers(0, count, (min(size, RESAMPLES - begin), count))

@@ -30,6 +30,7 @@ from scipy.optimize import linear_sum_assignment
 from cellslam.sim.errors import InputError, one_line, unknown_name
 from cellslam.sim.recording import Floats, Ints
 from cellslam.slam.model.resampling import SCHEMES
+from cellslam.slam.registry import seek_here
 
 Bools = NDArray[np.bool_]
 NO_VT = -1  # a measurement of no candidate
@@ -270,13 +271,14 @@ def check_name(slot: str, name: str) -> str:
 
 
 def part_named(slot: str, name: str) -> Callable[..., Any]:
-    """Return a part by name: a built-in one, or an object of a module, `module:name`.
+    """Return a part by name: a built-in one, or an object of a module, `module:name`, also of the current directory.
 
     Raises InputError for an unknown name, a module that cannot be imported, and what cannot be called.
     """
     if check_name(slot, name) in BUILT_IN[slot]:
         return BUILT_IN[slot][name]
     module, _, attribute = name.partition(":")
+    seek_here()
     try:
         found = getattr(importlib.import_module(module), attribute)
     except (ImportError, AttributeError, ValueError) as error:
