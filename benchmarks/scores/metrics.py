@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from cellslam.benchmarks.scores.map_scores import Tracks, map_gospa, precision_recall, tracks_of, transmitter_errors
-from cellslam.benchmarks.scores.reference_fixes import usable, within
+from cellslam.benchmarks.scores.reference_fixes import compared, usable, within
 from cellslam.benchmarks.scores.trial_result import TrialResult
 from cellslam.benchmarks.scores.walls import wall_scores
 from cellslam.sim.frames import wrap_angle
@@ -220,19 +220,9 @@ def reference_errors(recording: Recording, reference: Reference, result: TrialRe
 
 
 def errors_over_time(recording: Recording, poses: Floats) -> tuple[Floats, Floats] | None:
-    """Return times (N,) in s and horizontal errors (N,) in m of poses (T, 6); None without truth and reference.
-
-    Against the truth at every snapshot, against a reference at its fixes (`reference_fixes.usable`).
-    """
-    if recording.truth is not None:
-        return recording.time_s, horizontal_error(recording.truth.poses, poses)
-    reference = recording.reference
-    if reference is None:
-        return None
-    rows = usable(recording, reference)
-    at = reference.time_s[rows]
-    there = np.column_stack([np.interp(at, recording.time_s, poses[:, i]) for i in range(2)])
-    return (at, horizontal_error(reference.position_m[rows], there)) if rows.any() else None
+    """Return times (N,) in s and horizontal errors (N,) in m of poses (T, 6); None where nothing is known."""
+    found = compared(recording, poses)
+    return (found[0], horizontal_error(found[2], found[1])) if found is not None and len(found[0]) else None
 
 
 def horizontal_error(truth_poses: Floats, poses: Floats) -> Floats:

@@ -20,26 +20,9 @@ from cellslam.sim.compiling import lean, part
 from cellslam.sim.frames.frames_kernel import wrap
 from cellslam.sim.recording import Floats, Ints
 from cellslam.slam.model import matrices_kernel as algebra
-from cellslam.slam.model.matrices_kernel import (
-    Mat3,
-    Sym3,
-    Vec3,
-    mat_mat,
-    mat_vec,
-    put_sym_at,
-    put_vec_at,
-    sym_at,
-    transposed,
-    vec_at,
-    vec_of,
-)
-from cellslam.slam.model.measurement_kernel import (
-    Spherical,
-    cartesian_jacobian,
-    direction,
-    spherical,
-    spherical_jacobian,
-)
+from cellslam.slam.model import measurement_kernel
+from cellslam.slam.model.matrices_kernel import Mat3, Sym3, Vec3, mat_mat, mat_vec, sym_at, transposed, vec_at, vec_of
+from cellslam.slam.model.measurement_kernel import Spherical, spherical, spherical_jacobian
 
 # A row of a map: mean (3), covariance (6, by rows of its upper triangle), gain (3), weights, detections.
 MEAN, COVARIANCE, GAIN, VISIBLE, HIDDEN, HITS, WIDTH = 0, 3, 9, 12, 13, 14, 15
@@ -99,9 +82,9 @@ class Innovation(NamedTuple):
 @lean
 def put_gaussian(rows: Floats, j: int, mean: Vec3, covariance: Sym3, gain: Vec3) -> None:
     """Write mean (m), covariance (m^2) and gain into a row of rows (C, WIDTH)."""
-    put_vec_at(rows[j], MEAN, mean)
-    put_sym_at(rows[j], COVARIANCE, covariance)
-    put_vec_at(rows[j], GAIN, gain)
+    algebra.put_vec_at(rows[j], MEAN, mean)
+    algebra.put_sym_at(rows[j], COVARIANCE, covariance)
+    algebra.put_vec_at(rows[j], GAIN, gain)
 
 
 @lean
@@ -237,8 +220,8 @@ def give_birth(pool: Map, place: Vec3, r: Mat3, offset: float, measured: Measure
     if known.x == 0.0 or known.y == 0.0 or distance < LEAST_RANGE_M:
         return
     elevation, var_elevation = (z.z, var.z) if known.z > 0.0 else (0.0, UNKNOWN_ELEVATION_RAD**2)
-    ahead = mat_vec(r, direction(z.y, elevation))
-    j: Mat3 = mat_mat(r, cartesian_jacobian(distance, z.y, elevation))
+    ahead = mat_vec(r, measurement_kernel.direction(z.y, elevation))
+    j: Mat3 = mat_mat(r, measurement_kernel.cartesian_jacobian(distance, z.y, elevation))
     n = added(pool, measured.link[k], measured.born + k, weight, 0.0, 1.0)
     put_gaussian(
         pool.rows, n,

@@ -17,7 +17,7 @@ from cellslam.sim.compiling import lean
 from cellslam.sim.frames.frames_kernel import wrap
 from cellslam.sim.recording import Floats
 from cellslam.slam.model import matrices_kernel as algebra
-from cellslam.slam.model.matrices_kernel import Mat3, Sym3, Vec3, dot, mat_mat, mat_vec, transposed, vec_of
+from cellslam.slam.model.matrices_kernel import Mat3, Sym3, Vec3, dot, mat_mat, mat_vec, vec_of
 from cellslam.slam.model.measurement_kernel import Rotations, rotations
 from cellslam.slam.phd_slam.map_kernel import Seen
 
@@ -74,10 +74,8 @@ def learn(error: Floats, error_variance: Floats, interval: Interval, velocity: F
     drawn, in m/s and rad/s."""
     for c in range(6):
         v = velocity[c]
-        to_bias, to_scale = (
-            error_variance[c, 0] + v * error_variance[c, 1],
-            error_variance[c, 1] + v * error_variance[c, 2],
-        )
+        to_bias = error_variance[c, 0] + v * error_variance[c, 1]
+        to_scale = error_variance[c, 1] + v * error_variance[c, 2]
         s = to_bias + v * to_scale + interval.noise[c] ** 2 / interval.dt
         if s > LEAST:
             e = (interval.measured[c] - v * (1.0 + error[c, SCALE]) - error[c, BIAS]) / s
@@ -130,16 +128,7 @@ def slopes(seen: Seen, mean: Vec3, at: Moved, std: Floats) -> Slopes:
     by_angles = mat_mat(mat_mat(seen.by_place, r.r), turned)
     by_velocity = algebra.scaled(mat_mat(seen.by_place, at.by_velocity), -1.0)
     by_rates = algebra.mat_minus(algebra.scaled(by_angles, at.dt), mat_mat(seen.by_place, at.by_rates))
-    return Slopes(
-        _by_std(by_velocity, vec_of(std)), _by_std(by_rates, Vec3(std[3], std[4], std[5])),
-    )  # fmt: skip
-
-
-@lean
-def squared(m: Mat3) -> Sym3:
-    """Return m m^T."""
-    product: Sym3 = algebra.sym_product(m, transposed(m))
-    return product
+    return Slopes(_by_std(by_velocity, vec_of(std)), _by_std(by_rates, Vec3(std[3], std[4], std[5])))
 
 
 @lean

@@ -15,21 +15,11 @@ import numpy as np
 from cellslam.sim.compiling import lean, part
 from cellslam.sim.recording import Floats, Ints
 from cellslam.slam.model import matrices_kernel as algebra
-from cellslam.slam.model.matrices_kernel import Vec3, dot, vec_at, vec_of
+from cellslam.slam.model.matrices_kernel import Vec3, dot, transposed, vec_at, vec_of
 from cellslam.slam.model.measurement_kernel import LEAST_FLAT2
-from cellslam.slam.phd_slam.map_kernel import (
-    COVARIANCE,
-    LINK,
-    MEAN,
-    VISIBLE,
-    Map,
-    Measured,
-    innovation,
-    residual,
-    seen_from,
-    with_clock,
-)
-from cellslam.slam.phd_slam.motion_kernel import Moved, slopes, squared
+from cellslam.slam.phd_slam import map_kernel
+from cellslam.slam.phd_slam.map_kernel import COVARIANCE, LINK, MEAN, VISIBLE, Map, Measured, seen_from
+from cellslam.slam.phd_slam.motion_kernel import Moved, slopes
 
 SWEEPS = 3  # of belief propagation: nearly all associations are of one or two rivals
 FARTHEST = 4.0  # deviations beyond the field of view at which a Gaussian need not be looked at
@@ -121,13 +111,8 @@ def find_near(own: Map, among: Ints, at: Moved, offset: Floats, rules: Rules, mo
 
     The edge of the field of view is as soft as they are uncertain, and the pose (moved in m^2, turn in rad^2).
     """
-    rows, names, limits, site_of, count = (
-        own.rows,
-        own.names,
-        rules.visibility.limits,
-        rules.matching.site_of,
-        len(among),
-    )
+    rows, names, count = own.rows, own.names, len(among)
+    limits, site_of = rules.visibility.limits, rules.matching.site_of
     place, where, probability, n = np.empty(count, np.int64), np.empty((count, 5)), np.empty(count), 0
     for j in among:
         link = names[j, LINK]
@@ -195,11 +180,14 @@ def pair_up(
                 continue
             if not looked:
                 seen = seen_from(at.place, at.turned.r, rows, j, offset[site])
-                spread, looked = with_clock(seen, variance[site]), True
+                spread, looked = map_kernel.with_clock(seen, variance[site]), True
                 if moved + turn > 0.0:
                     by = slopes(seen, mean, at, std)
-                    spread = algebra.sym_plus(spread, algebra.sym_plus(squared(by.velocity), squared(by.rates)))
-            new = innovation(residual(seen, vec_of(z[k]), vec_of(known[k])), spread, vec_of(single[k]))
+                    for by_part in by:
+                        spread = algebra.sym_plus(spread, algebra.sym_product(by_part, transposed(by_part)))
+            new = map_kernel.innovation(
+                map_kernel.residual(seen, vec_of(z[k]), vec_of(known[k])), spread, vec_of(single[k])
+            )
             if 0.0 <= new.distance2 < gate:
                 gaussian[size], measurement[size] = n, k
                 likelihood = math.exp(min(new.log_density + gain[k], LARGEST_LOG))

@@ -16,32 +16,10 @@ from numba import prange
 from cellslam.sim.compiling import lean, njit, part
 from cellslam.sim.recording import Floats, Ints
 from cellslam.slam.model.matrices_kernel import dot, sym_vec, vec_at, vec_of, vec_plus
-from cellslam.slam.phd_slam import map_kernel, motion_kernel
-from cellslam.slam.phd_slam.map_kernel import (
-    HIDDEN,
-    HITS,
-    LINK,
-    MEAN,
-    NAME,
-    VISIBLE,
-    Map,
-    Measured,
-    innovation,
-    residual,
-    seen_from,
-)
+from cellslam.slam.phd_slam import map_kernel, motion_kernel, pairs_kernel
+from cellslam.slam.phd_slam.map_kernel import HIDDEN, HITS, LINK, MEAN, NAME, VISIBLE, Map, Measured, seen_from
 from cellslam.slam.phd_slam.motion_kernel import Interval, Moved, moved
-from cellslam.slam.phd_slam.pairs_kernel import (
-    Matching,
-    Near,
-    Pairs,
-    Rules,
-    Upkeep,
-    Visibility,
-    exclusive,
-    find_near,
-    pair_up,
-)
+from cellslam.slam.phd_slam.pairs_kernel import Matching, Near, Pairs, Rules, Upkeep, Visibility, find_near, pair_up
 
 SURE = 0.5  # a measurement is taken to be of a VT to which it belongs with at least this probability
 
@@ -129,7 +107,7 @@ def _move(one: One, interval: Interval, measured: Measured, rules: Rules, drawn:
     shift, turn = dt2 * np.sum(std[:3] ** 2), dt2 * np.sum(std[3:] ** 2)
     near = find_near(one.map, everywhere, at, one.offset, rules, shift, turn)
     pairs = pair_up(one.map, near, at, std, one.offset, one.variance, measured, rules)
-    shares = exclusive(pairs, len(measured.z))
+    shares = pairs_kernel.exclusive(pairs, len(measured.z))
     for _ in range(rules.matching.iterations):
         y = np.zeros(6)
         factor[:] = 0.0
@@ -162,8 +140,12 @@ def _inform(
         site = rules.matching.site_of[measured.link[k]]
         seen = seen_from(at.place, at.turned.r, one.map.rows, j, one.offset[site])
         by = motion_kernel.slopes(seen, vec_at(one.map.rows[j], MEAN), at, std)
-        e = vec_plus(residual(seen, vec_of(measured.z[k]), vec_of(measured.known[k])), motion_kernel.times(by, x))
-        inverse = innovation(e, map_kernel.with_clock(seen, one.variance[site]), vec_of(measured.many[k])).inverse
+        e = vec_plus(
+            map_kernel.residual(seen, vec_of(measured.z[k]), vec_of(measured.known[k])), motion_kernel.times(by, x)
+        )
+        inverse = map_kernel.innovation(
+            e, map_kernel.with_clock(seen, one.variance[site]), vec_of(measured.many[k])
+        ).inverse
         motion_kernel.inform(by, inverse, e, shares[p], information, y)
 
 
@@ -208,8 +190,8 @@ def _learn_offsets(one: One, at: Moved, measured: Measured, rules: Rules, near: 
         if share < rules.upkeep.drop or one.variance[site] == 0.0:
             continue
         seen = seen_from(at.place, at.turned.r, one.map.rows, j, one.offset[site])
-        e = residual(seen, vec_of(measured.z[k]), vec_of(measured.known[k]))
-        known = sym_vec(innovation(e, seen.spread, vec_of(measured.many[k])).inverse, seen.by_offset)
+        e = map_kernel.residual(seen, vec_of(measured.z[k]), vec_of(measured.known[k]))
+        known = sym_vec(map_kernel.innovation(e, seen.spread, vec_of(measured.many[k])).inverse, seen.by_offset)
         information[site] += share * dot(known, seen.by_offset)
         y[site] += share * dot(known, e)
     for s in range(sites):
@@ -242,8 +224,8 @@ def _updated(
             share = pairs.odds[p] / total[k]
             found += share
             if share > rules.upkeep.drop:
-                e = residual(seen, vec_of(z[k]), vec_of(known[k]))
-                new = innovation(e, seen.spread, vec_of(many[k]))
+                e = map_kernel.residual(seen, vec_of(z[k]), vec_of(known[k]))
+                new = map_kernel.innovation(e, seen.spread, vec_of(many[k]))
                 place = map_kernel.added(pool, link, name, share, 0.0, hits + share)
                 map_kernel.put_update(pool.rows, place, rows, j, seen, new)
             if share > best[k]:
