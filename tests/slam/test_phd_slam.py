@@ -18,8 +18,21 @@ from cellslam.slam.conformance import EstimatorConformance
 from cellslam.slam.dead_reckoning import DeadReckoning
 from cellslam.slam.model.matrices_kernel import mat_of, vec_of
 from cellslam.slam.model.measurement_model import jacobians, predict
-from cellslam.slam.phd_slam.map_kernel import COVARIANCE, GAIN, HIDDEN, MEAN, NAMES, VISIBLE, WIDTH, Map, condense
-from cellslam.slam.phd_slam.map_kernel import innovation, put_update, residual, seen_from
+from cellslam.slam.phd_slam.map_kernel import (
+    COVARIANCE,
+    GAIN,
+    HIDDEN,
+    MEAN,
+    NAMES,
+    VISIBLE,
+    WIDTH,
+    Map,
+    condense,
+    innovation,
+    put_update,
+    residual,
+    seen_from,
+)
 from cellslam.slam.phd_slam.motion_kernel import Interval, factorise, inform, learn, moved, slopes
 from cellslam.slam.phd_slam.pairs_kernel import Pairs, exclusive
 from cellslam.slam.phd_slam.phd_slam import TRIANGLE, PhdSlam, PhdSlamOptions
