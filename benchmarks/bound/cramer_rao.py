@@ -147,11 +147,10 @@ def _predict(joint: Joint, drive: Drive, t: int) -> Joint:
     P[:core, :core] += drive.motion.Q[t]
     m[:core] = F @ m[:core] + drive.motion.jump[t]
     a = drive.states.decay[t, drive.states.kind[joint.states]]
-    fading = np.flatnonzero(a < 1.0)
-    P[fading] *= a[fading, None]
-    P[:, fading] *= a[fading]
-    P[fading, fading] += 1.0 - a[fading] ** 2
-    m[fading] *= a[fading]
+    P *= a[:, None]
+    P *= a
+    P[np.diag_indices(len(a))] += 1.0 - a**2
+    m *= a
     return joint
 
 
