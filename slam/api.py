@@ -144,13 +144,10 @@ class Estimator(Protocol):
 
 def setup_of(recording: Recording, with_truth: bool = False, known: VtMap | None = None) -> Setup:
     """Return copies of what an estimator may know before the drive; `known`: the map that it begins with."""
-    links, sites, model = recording.links, recording.sites, recording.odometry_model
     return Setup(
-        links=Links(*(_frozen(c) for c in (links.site, links.cell_id, links.port))),
-        sites=_frozen_copy(sites),
-        odometry_model=OdometryModel(
-            *(_frozen(c) for c in (model.noise_density, model.bias, model.bias_walk_density, model.scale))
-        ),
+        links=_frozen_copy(recording.links),
+        sites=_frozen_copy(recording.sites),
+        odometry_model=_frozen_copy(recording.odometry_model),
         start_pose=_frozen(recording.start_pose),
         start_std=_frozen(recording.start_std),
         truth=_frozen_copy(recording.truth) if with_truth else None,

@@ -13,7 +13,7 @@ from cellslam.slam.fastslam.fastslam import FastSlam
 from cellslam.slam.fastslam.fastslam_kernel import Scores
 from cellslam.slam.fastslam.fastslam_options import FastSlamOptions
 from cellslam.slam.fastslam.parts import never
-from cellslam.slam.joint.ekf_slam import EkfSlam
+from cellslam.slam.joint.ekf_slam import EkfSlam, JointFilter
 from cellslam.slam.joint.mixture import Mixture
 from cellslam.slam.joint.snapshot.association_kernel import FRESH
 from cellslam.slam.joint.state.layout import IDENT, KNOWN_ASSOCIATION, KNOWN_MAP, LINK, Filter, Measured
@@ -22,10 +22,9 @@ from cellslam.slam.measurements.fusion import FusedMeasurements
 LONG_AGO = -100_000  # snapshot in which the map was last seen, at the start
 
 
-class KnownAssociation(EkfSlam):
-    """EKF-SLAM that is told which VT each measurement came from, and what is clutter."""
+class ToldAssociations(JointFilter):
+    """A joint filter that is told which VT each measurement came from, and what is clutter."""
 
-    name: ClassVar[str] = "oracle-association"
     requires_truth: ClassVar[bool] = True
     mode: ClassVar[int] = KNOWN_ASSOCIATION
 
@@ -38,24 +37,20 @@ class KnownAssociation(EkfSlam):
         return np.array(self._vt_of[measurements.row], np.int64)
 
 
-class FastSlamKnownAssociation(FastSlam):
-    """FastSLAM that is told which VT each measurement came from, and what is clutter."""
+class KnownAssociation(ToldAssociations, EkfSlam):
+    """EKF-SLAM that is told the associations."""
+
+    name: ClassVar[str] = "oracle-association"
+
+
+class FastSlamKnownAssociation(ToldAssociations, FastSlam):
+    """FastSLAM that is told the associations."""
 
     name: ClassVar[str] = "oracle-fastslam"
-    requires_truth: ClassVar[bool] = True
-    mode: ClassVar[int] = KNOWN_ASSOCIATION
 
     def __init__(self, options: FastSlamOptions | None = None) -> None:
         super().__init__(options)
         self.parts = self.parts._replace(pruning=never)
-
-    def start(self, setup: Setup, rng: np.random.Generator) -> None:
-        """Take the prior and the associations."""
-        self._vt_of = _truth(setup).measurement_vt
-        super().start(setup, rng)
-
-    def _given(self, measurements: FusedMeasurements) -> Ints:
-        return np.array(self._vt_of[measurements.row], np.int64)
 
     def _hypotheses(self, f: Filter, measured: Measured, scores: Scores) -> list[Ints]:
         link = np.repeat(np.arange(len(measured.first) - 1), np.diff(measured.first))

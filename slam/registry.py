@@ -157,9 +157,7 @@ def resolve(name: str) -> type[Any]:
     installed package offers without being an estimator.
     """
     if ":" in name:
-        here = str(Path.cwd())
-        if here not in sys.path and "" not in sys.path:
-            sys.path.append(here)
+        seek_here()
         return _load(name, name)
     for entry in listing():
         if entry.name == name:
@@ -168,6 +166,13 @@ def resolve(name: str) -> type[Any]:
             except InputError as error:
                 raise BrokenPluginError(str(error)) from error
     raise _unknown(name)
+
+
+def seek_here() -> None:
+    """Let modules of the current directory be found, too, after all others."""
+    here = str(Path.cwd())
+    if here not in sys.path and "" not in sys.path:
+        sys.path.append(here)
 
 
 def module_of(name: str) -> str | None:

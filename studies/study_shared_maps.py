@@ -1,4 +1,4 @@
-"""What a map of walls, and a map that is remembered, can be worth at most: bounds of drives through one city.
+"""What a map that is remembered can be worth at most: bounds of drives through one city.
 
 `python studies/study_shared_maps.py OUT.jsonl [SCENARIO...] [--drives N] [--sequences N] [--half]` runs
 the sequences that OUT does not have and prints a table of all it has. All drives take the same route; `--half`: windows
@@ -21,10 +21,7 @@ from cellslam.sim.recording import Floats, Recording
 from cellslam.sim.world import prepare
 
 SEED, DRIVES, SEQUENCES, SHOWN = 81000, 8, 3, (1, 2, 4, 8)
-CASES = {
-    "VTs": {}, "walls": {"walls": True}, "VTs, array known": {"calibrated": True},
-    "walls, array known": {"walls": True, "calibrated": True},
-}  # fmt: skip
+CASES = {"VTs": {}, "VTs, array known": {"calibrated": True}}
 
 
 def recordings(name: str, sequence: int, drives: int, half: bool) -> list[Recording]:
@@ -86,19 +83,14 @@ def main() -> None:
 
 def show(rows: list[dict[str, Any]]) -> None:
     """Print the root mean square of the bounds over sequences, for each case and the n-th drive."""
-    print("| | map |", " | ".join(f"drive {n}, m" for n in SHOWN), "| walls / VTs |")
-    print("|---|---|" + "---|" * (len(SHOWN) + 1))
+    print("| | map |", " | ".join(f"drive {n}, m" for n in SHOWN), "|")
+    print("|---|---|" + "---|" * len(SHOWN))
     for case in dict.fromkeys(row["case"] for row in rows):
         mine = [row for row in rows if row["case"] == case]
-        base: Floats | None = None
         for title in CASES:
             bounds = np.sqrt(np.mean(np.square([row[title] for row in mine]), axis=0))
             cells = [f"{bounds[n - 1]:.2f}" if n <= len(bounds) else "" for n in SHOWN]
-            ratio = f"{bounds[0] / base[0]:.2f}, {bounds[-1] / base[-1]:.2f}" if base is not None else ""
-            print(
-                f"| `{case}` ({len(mine)}) | {title} |", " | ".join(cells), f"| {ratio if 'walls' in title else ''} |"
-            )
-            base = bounds if "VTs" in title else base
+            print(f"| `{case}` ({len(mine)}) | {title} |", " | ".join(cells), "|")
 
 
 if __name__ == "__main__":

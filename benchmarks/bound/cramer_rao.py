@@ -5,15 +5,17 @@ and the measurement errors that persist, with all Jacobians at the truth, the tr
 model and each measurement's true covariance. It is conditional on the realised trajectory and detections. Estimators
 that use the priors, and single trials, can fall below it.
 
-State x = [pose r, odometry biases and scales, clock rates and offsets b, VTs v, errors that persist e], covariance P:
+State x = [pose r, odometry biases and scales, clock rates and offsets b, VTs v, errors that persist e], covariance P,
+and m, the error of the mean of the filter that has this covariance:
 
-    prediction   P <- F (P + W) F^T + Q                                                      `states_kernel.predict`
-                 F: the pose's Jacobian, W: walks, Q = G diag(density^2 / dt) G^T            `linear_motion`
-                 e <- a e + sqrt(1 - a^2) noise, a = exp(-step / (AREA l)), l: correlation   `states_kernel.decay`
-    measurement  z = h(r, v) + b + load e + white, one component after the other             `tracked_measurements`
-      birth      first of a VT: v = H_v^-1 (z - H_r r - b - load e), from a flat prior       `recursion_kernel._birth`
-      update     s = H P H^T + R,  g = P H^T s^-1/2,  P <- P - g g^T                         `recursion_kernel._update`
-    leaving      rows and columns of what is not met again are left out                      `states_kernel.leave`
+    prediction   P <- F P F^T + Q,  m <- F m + jump                                            `linear_model.motion_of`
+                 e <- a e + sqrt(1 - a^2) noise, a = exp(-step / (AREA l)), l: correlation     `_predict`
+    entering     an error that persists begins with variance 1
+    measurement  z = h(r, v) + b + load e + white: H, R            `linear_model.tracked_measurements`
+      birth      first of a VT: v = H_v^-1 (z - H_r r - b - load e), from a flat prior         `_give_births`
+      update     S = H P H^T + R = L L^T,  G = L^-1 H P,  P <- P - G^T G
+                 m <- m + G^T L^-1 (residual - H m)                                            `_update`
+    leaving      rows and columns of what is not met again are left out, which is exact        `Joint.only`
     bound        pose_covariance = P_rr after each snapshot; horizontal: sqrt(P_xx + P_yy)
 
 Source: Tichavsky, Muravchik and Nehorai, "Posterior Cramer-Rao bounds for discrete-time nonlinear filtering", IEEE
@@ -26,28 +28,20 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
+from scipy.linalg import block_diag
+from scipy.linalg.blas import dgemm
 from threadpoolctl import threadpool_limits
 
-from cellslam.benchmarks.bound.bound_model import Core, Errors, Found, Motion, Sightings, Views, room
-from cellslam.benchmarks.bound.drawn_errors import jumps, residuals
+from cellslam.benchmarks.bound.linear_model import NEVER, Core, Drive, linear_model
 from cellslam.sim.described import Described
 from cellslam.sim.errors import InputError
-from cellslam.sim.frames import mean_velocity, rotation
 from cellslam.sim.progress import Progress, silent
-from cellslam.sim.recording import Floats, Ints, OdometryModel, Recording, Sites, Truth
-from cellslam.slam.model.measurement_model import jacobians, predict
+from cellslam.sim.recording import Floats, Ints, Recording
 
 if TYPE_CHECKING:
     from cellslam.sim.lte.persisting_errors import Cause
 
-# Snapshots from one step of the progress bar to the next.
-BLOCK = 100
-# A component that a VT's first measurement lacks: known this well (m, rad, rad).
-BROAD_STD = np.array([1e4, 10.0, 10.0])
-# How little is known of a clock's offset after a step, m.
-STEP_STD_M = 1e3
-# Least standard deviation in noiseless recordings: relative for distances, radians for angles.
-SMALLEST_STD = 1e-6
+IDLE = 0.1  # share of states that nothing meets any more, from which on they are taken out: to copy P takes time
 
 
 @dataclass(frozen=True, repr=False)
@@ -55,7 +49,7 @@ class BoundResult(Described):
     """Least covariances of an unbiased filter after each snapshot.
 
     `pose_covariance` (T, 6, 6) in metres and radians; `clock_offset_std_m` (T, S); `pose_error` (T, 6): estimate less
-    truth, on this drive, of the filter that is linear about the truth and has these covariances (`drawn_errors`).
+    truth, on this drive, of the filter that is linear about the truth and has these covariances (`linear_model`).
     `merged_m`: the bound of the drive's horizontal error with what merging does as an error that persists, None where
     few measurements are merged (`merged_paths`).
     """
@@ -76,6 +70,32 @@ class BoundResult(Described):
         return float(np.sqrt(np.mean(self.horizontal_std_m**2)))
 
 
+@dataclass(frozen=True)
+class Joint:
+    """What is known of the n states that are there: covariance `P` (n, n), error `m` (n,) of the mean, and the numbers
+    `states` (n,) of these states. P is in Fortran's order, so that BLAS can write into it."""
+
+    P: Floats
+    m: Floats
+    states: Ints
+
+    def with_more(self, states: Ints, m: Floats, P: Floats, P_old: Floats | float = 0.0) -> Joint:
+        """Return the joint with k more states, of errors m (k,), covariance P (k, k) and covariances P_old (k, n) with
+        those that were there."""
+        n, size = len(self.m), len(self.m) + len(m)
+        joint = np.zeros((size, size), order="F")
+        joint[:n, :n], joint[n:, n:], joint[n:, :n] = self.P, P, P_old
+        joint[:n, n:] = joint[n:, :n].T
+        return Joint(joint, np.concatenate([self.m, m]), np.concatenate([self.states, states]))
+
+    def only(self, kept: Ints) -> Joint:
+        """Return some of the states alone, those at the places `kept` (k,)."""
+        return Joint(np.asfortranarray(self.P[np.ix_(kept, kept)]), self.m[kept], self.states[kept])
+
+
+NOTHING = Joint(np.zeros((0, 0), order="F"), np.zeros(0), np.zeros(0, np.int64))
+
+
 def bound(
     recording: Recording, progress: Progress = silent, calibrated: bool = False, merging: Cause | None = None
 ) -> BoundResult:
@@ -88,221 +108,110 @@ def bound(
     """
     if recording.truth is None:
         raise InputError("the recording has no truth: the bound needs the true trajectory, VTs and measurement noise")
-    from cellslam.benchmarks.bound.persisting_states import rates_among
-    from cellslam.benchmarks.bound.recursion_kernel import covariance_recursion
+    # The matrices are small: threads of BLAS would wait for one another more than they work.
+    with threadpool_limits(1):
+        return recursion(*linear_model(recording, calibrated, merging), progress=progress)[0]
 
-    truth, snapshots, sites = recording.truth, len(recording.time_s), len(recording.sites)
-    core = core_of(recording.odometry_model, recording.sites)
-    motion = motion_of(recording, truth, core)
-    with threadpool_limits(1):  # the matrices are small: threads of BLAS would wait for one another more than they work
-        views, sightings, errors = tracked_measurements(recording, truth, core, calibrated, merging)
-    drifted = drifted_std(recording)
-    drift = rates_among(errors, drifted)
-    work = room(core.size, most_states(views, sightings, errors, snapshots), views, sightings, errors)
-    found = Found(np.zeros((snapshots, 6, 6)), np.zeros((snapshots, sites)), np.zeros((snapshots, 6)))
-    model = work, motion, views, sightings, errors
-    if not covariance_recursion.signatures:  # type: ignore[attr-defined]
-        with progress("compiling Cramer-Rao bound, once per machine", 1) as advance:
-            covariance_recursion(*model, 0, 0, core.size, drift, drifted, found)
+
+def recursion(
+    core: Core, drive: Drive, known: Joint = NOTHING, progress: Progress = silent
+) -> tuple[BoundResult, Joint]:
+    """Return the bound of a drive that begins with a `known` map, and the map that it leaves: VTs that stay."""
+    motion, count = drive.motion, len(drive.motion.jump)
+    pose, offset, error = np.zeros((count, 6, 6)), np.zeros((count, len(core.offsets))), np.zeros((count, 6))
+    joint = NOTHING.with_more(np.arange(core.size), motion.jump[0], np.diag(motion.start))
+    joint = joint.with_more(known.states, known.m, known.P)
+    with progress("Cramer-Rao bound", count) as advance:
+        for t in range(count):
+            if t > 0:
+                joint = _predict(joint, drive, t)
+            joint = _measure(joint, drive, t)
+            pose[t], error[t] = joint.P[:6, :6], joint.m[:6]
+            offset[t] = joint.P[core.offsets, core.offsets]
+            last = drive.states.last[joint.states]
+            gone = (last != NEVER) & (last <= t)
+            if gone.mean() > IDLE:
+                joint = joint.only(np.flatnonzero(~gone))
             advance(1)
-    with progress("Cramer-Rao bound", snapshots) as advance:
-        states = core.size
-        for begin in range(0, snapshots, BLOCK):
-            end = min(begin + BLOCK, snapshots)
-            states = covariance_recursion(*model, begin, end, states, drift, drifted, found)
-            advance(end - begin)
-    return BoundResult(found.pose, np.sqrt(np.maximum(found.offset, 0.0)), found.error)
+    vts = (joint.states >= core.size) & (drive.states.last[joint.states] == NEVER)
+    return BoundResult(pose, np.sqrt(np.maximum(offset, 0.0)), error), joint.only(np.flatnonzero(vts))
 
 
-def core_of(model: OdometryModel, sites: Sites) -> Core:
-    """Return the layout of the shared states: only errors that the data sheets have become states."""
-    bias, scale = np.full(6, -1, np.int64), np.full(6, -1, np.int64)
-    biased = np.flatnonzero((model.bias > 0) | (model.bias_walk_density > 0))
-    bias[biased] = 6 + np.arange(len(biased))
-    scaled = np.flatnonzero(model.scale > 0)
-    scale[scaled] = 6 + len(biased) + np.arange(len(scaled))
-    walks = sites.walk_densities[1] > 0.0
-    first = 6 + len(biased) + len(scaled)
-    rate = np.where(walks, first + np.cumsum(walks) - 1, -1).astype(np.int64)
-    mean = first + int(walks.sum())
-    offsets = mean + 1 + np.arange(len(sites))
-    return Core(bias=bias, scale=scale, rate=rate, mean=mean, offsets=offsets, size=mean + 1 + len(sites))
+def _predict(joint: Joint, drive: Drive, t: int) -> Joint:
+    """Return the states at snapshot t by those at the one before: the core moves, errors that persist are forgotten in
+    part and gain as much variance."""
+    F, P, m = drive.motion.F[t], joint.P, joint.m
+    core = len(F)
+    P[:core] = F @ P[:core]
+    P[:, :core] = P[:, :core] @ F.T
+    P[:core, :core] += drive.motion.Q[t]
+    m[:core] = F @ m[:core] + drive.motion.jump[t]
+    a = drive.states.decay[t, drive.states.kind[joint.states]]
+    P *= a[:, None]
+    P *= a
+    P[np.diag_indices(len(a))] += 1.0 - a**2
+    m *= a
+    return joint
 
 
-def motion_of(recording: Recording, truth: Truth, core: Core) -> Motion:
-    """Return the drive's motion about the truth, with what was drawn of its errors; units as in `Motion`."""
-    step, noise, walk = linear_motion(recording, truth, core)
-    drawn, dt_s = jumps(recording, truth, core, step), np.diff(recording.time_s, prepend=recording.time_s[0])
-    return Motion(
-        start=start_variance(recording, core), step=step, noise=noise, walk=walk, jump=drawn, mean=core.mean,
-        rate=core.rate, dt_s=dt_s,
-    )  # fmt: skip
+def _measure(joint: Joint, drive: Drive, t: int) -> Joint:
+    """Return the states after the measurements of snapshot t."""
+    views, s = drive.views, drive.sightings
+    rows = np.arange(s.rows[t], s.rows[t + 1])
+    if not len(rows):
+        return joint
+    view, first = s.view_of[rows], s.first[rows]
+    vts = np.broadcast_to(s.vt[rows, None, None] + np.arange(3), (len(rows), 3, 3))
+    own = np.broadcast_to(s.load[:, None], (len(rows), 3, 1))
+    state = np.concatenate([vts, views.state[view], s.state[rows, :, None]], axis=2)  # (k, 3, W)
+    load = np.concatenate([views.by_vt[view], views.load[view], own], axis=2)
+    there = np.zeros(len(drive.states.last), np.bool_)
+    there[joint.states] = True
+    met = np.unique(state[:, :, 3:])
+    new = met[(met >= 0) & ~there[met]]
+    if len(new):
+        joint = joint.with_more(new, np.zeros(len(new)), np.eye(len(new)))
+    if first.any():
+        H = _matrix(state[first, :, 3:], load[first, :, 3:], joint)
+        joint = _give_births(joint, drive, rows[first], H)
+    measured = np.isfinite(s.variance[rows]) & ~first[:, None]
+    H = _matrix(state[measured], load[measured], joint)
+    _update(joint, H, s.variance[rows][measured], s.residual[rows][measured])
+    return joint
 
 
-def start_variance(recording: Recording, core: Core) -> Floats:
-    """Return the prior variances (core,) at the first snapshot, in the squared units of the states."""
-    model = recording.odometry_model
-    variance = np.zeros(core.size)
-    variance[:6] = recording.start_std**2
-    variance[core.bias[core.bias >= 0]] = model.bias[core.bias >= 0] ** 2
-    variance[core.scale[core.scale >= 0]] = model.scale[core.scale >= 0] ** 2
-    variance[core.offsets] = recording.sites.clock_offset_std_m**2
-    return variance
+def _matrix(state: Ints, load: Floats, joint: Joint) -> Floats:
+    """Return H (k, n) of k components with loads (..., W) on states (..., W), -1: none."""
+    n, wide = len(joint.states), state.shape[-1]
+    place = np.full(joint.states.max() + 2, n)  # the last for none
+    place[joint.states] = np.arange(n)
+    H = np.zeros((load.size // wide, n + 1))
+    H[np.arange(len(H))[:, None], place[state.reshape(-1, wide)]] = load.reshape(-1, wide)
+    return H[:, :n]
 
 
-def linear_motion(recording: Recording, truth: Truth, core: Core) -> tuple[Floats, Floats, Floats]:
-    """Return the pose's transition F (T, 6, core), its noise Q (T, 6, 6) and the core's walk variances W (T, core).
+def _give_births(joint: Joint, drive: Drive, rows: Ints, H: Floats) -> Joint:
+    """Append VTs that are each known from one measurement alone: the limit of a broad prior.
 
-    Row t leads from snapshot t - 1 to t; row 0 is not used. Linearised `frames.integrate_pose` at the truth, with true
-    velocity = (measured - bias - white) / (1 + scale). Units: those of the states (m, rad, m/s, rad/s).
+    v = D (z - H x) with D the inverse of H_v; the other states learn nothing.
     """
-    count, model = len(recording.time_s), recording.odometry_model
-    F, Q, W = np.zeros((count, 6, core.size)), np.zeros((count, 6, 6)), np.zeros((count, core.size))
-    if count < 2:
-        return F, Q, W
-    dt = np.diff(recording.time_s)
-    W[1:] = clock_walk(recording, truth, core)[1:]
-    velocity = mean_velocity(truth.poses[:-1], truth.poses[1:], dt)
-    F[1:, :, :6], G = pose_jacobians(truth.poses[:-1], velocity, dt)
-    G = G / (1.0 + truth.odometry_scale)
-    for component in range(6):
-        if core.bias[component] >= 0:
-            F[1:, :, core.bias[component]] = -G[:, :, component]
-            W[1:, core.bias[component]] = model.bias_walk_density[component] ** 2 * dt
-        if core.scale[component] >= 0:
-            F[1:, :, core.scale[component]] = -G[:, :, component] * velocity[:, component, None]
-    white = model.noise_density**2 / dt[:, None]
-    Q[1:] = np.einsum("tac,tc,tbc->tab", G, white, G)
-    return F, Q, W
+    s = drive.sightings
+    D = block_diag(*np.linalg.inv(drive.views.by_vt[s.view_of[rows]]))
+    HP = H @ joint.P
+    P_v = D @ (HP @ H.T + np.diag(s.variance[rows].ravel())) @ D.T
+    v = (s.vt[rows, None] + np.arange(3)).ravel()
+    return joint.with_more(v, D @ (s.residual[rows].ravel() - H @ joint.m), P_v, -D @ HP)
 
 
-def clock_walk(recording: Recording, truth: Truth, core: Core) -> Floats:
-    """Return the variances (T, core), in m^2 and (m/s)^2, that clock offsets and rates gain: by their walks, and where
-    a clock steps, at a known time, by a step of which nothing is known."""
-    out, dt = np.zeros((len(recording.time_s), core.size)), np.diff(recording.time_s, prepend=recording.time_s[0])
-    walk, rate_walk = recording.sites.walk_densities
-    out[:, core.offsets] = np.outer(dt, walk**2) + np.outer(dt**3 / 3.0, rate_walk**2)
-    out[:, core.rate[core.rate >= 0]] = np.outer(dt, rate_walk[core.rate >= 0] ** 2)
-    steps = truth.clock_steps
-    if steps is not None:
-        np.add.at(out, (np.searchsorted(recording.elapsed_s, steps.time_s), core.offsets[steps.site]), STEP_STD_M**2)
-    return out
+def _update(joint: Joint, H: Floats, R: Floats, residual: Floats) -> None:
+    """Take measurements in, whose white errors have variances R (k,).
 
-
-def pose_jacobians(pose: Floats, velocity: Floats, dt_s: Floats) -> tuple[Floats, Floats]:
-    """Return d(pose')/d(pose) and d(pose')/d(velocity), each (n, 6, 6), of `frames.integrate_pose`.
-
-    At poses (n, 6) in m and rad, body velocities (n, 6) in m/s and rad/s and intervals (n,) in s.
+    With R^-1/2 H P H^T R^-1/2 = V diag(l) V^T the root is L = R^1/2 V diag(1 + l)^1/2. Rounding apart, no innovation
+    varies by less than its measurement: no l is negative.
     """
-    middle = pose[:, 3:] + 0.5 * velocity[:, 3:] * dt_s[:, None]
-    r = rotation(middle[:, 0], middle[:, 1], middle[:, 2])
-    moved = np.einsum("nij,nj->ni", r, velocity[:, :3]) * dt_s[:, None]
-    zero = np.zeros(len(pose))
-    # An angle turns the vector about its axis: yaw about z, pitch about the yawed y, roll about the body's x.
-    axes = np.stack(
-        [np.stack([zero, zero, zero + 1.0], -1), rotation(middle[:, 0], zero, zero)[:, :, 1], r[:, :, 0]], 1
-    )
-    turned = np.swapaxes(np.cross(axes, moved[:, None, :]), 1, 2)
-    by_pose, by_velocity = np.tile(np.eye(6), (len(pose), 1, 1)), np.zeros((len(pose), 6, 6))
-    by_pose[:, :3, 3:] = turned
-    by_velocity[:, :3, :3] = r * dt_s[:, None, None]
-    by_velocity[:, :3, 3:] = turned * 0.5 * dt_s[:, None, None]
-    by_velocity[:, 3:, 3:] = np.eye(3) * dt_s[:, None, None]
-    return by_pose, by_velocity
-
-
-def drifted_std(recording: Recording) -> Floats:
-    """Return how far each clock may have drifted since the first snapshot, one deviation (T, S) in m."""
-    return np.asarray(np.multiply.outer(recording.elapsed_s, recording.sites.drift_std_m_s))
-
-
-def tracked_measurements(
-    recording: Recording, truth: Truth, core: Core, calibrated: bool = False, merging: Cause | None = None
-) -> tuple[Views, Sightings, Errors]:
-    """Return the measurements of true VTs.
-
-    With their Jacobians and variances at the truth, and the errors that persist, rates of clocks among them. The ports
-    and sectors of a site stand at one place and see the same VTs. Sectors on one port differ by white noise alone: what
-    they measure of a VT in a snapshot is one measurement of their joint variance, exactly.
-    """
-    from cellslam.benchmarks.bound.persisting_states import Seen, persisting_errors, with_drift
-
-    m, vts = recording.measurements, max(len(truth.vts), 1)
-    real = np.flatnonzero(truth.measurement_vt >= 0)
-    pose, vt = truth.poses[m.snapshot[real]], truth.vts.position_m[truth.measurement_vt[real]]
-    with np.errstate(divide="ignore", invalid="ignore"):
-        real = real[np.isfinite(np.concatenate(jacobians(pose, vt), axis=-1)).all(axis=(1, 2))]
-    port, view = recording.links.port[m.link[real]], m.snapshot[real] * vts + truth.measurement_vt[real]
-    _, at, of = np.unique(view * (port.max(initial=0) + 1) + port, return_index=True, return_inverse=True)
-    snapshot, vt_of, port = m.snapshot[real[at]], truth.measurement_vt[real[at]], port[at]
-    _, first_row, nth = np.unique(vt_of, return_index=True, return_inverse=True)
-    _, last_row = np.unique(vt_of[::-1], return_index=True)
-    rows = np.arange(len(at))
-    first, last = rows == first_row[nth], rows == len(at) - 1 - last_row[nth]
-
-    _, begin, view = np.unique(snapshot * vts + vt_of, return_index=True, return_inverse=True)
-    position = truth.vts.position_m[vt_of[begin]]
-    by_vt, by_pose = jacobians(truth.poses[snapshot[begin]], position)
-    distance_m, azimuth_rad, elevation_rad = predict(truth.poses[snapshot[begin]], position).T
-    seen = Seen(snapshot[begin], azimuth_rad, elevation_rad, view, vt_of, port)
-    site = recording.links.site[m.link[real[at[begin]]]]
-    persisting = persisting_errors(recording, seen, calibrated, merging)
-    persisting = with_drift(persisting, drifted_std(recording), seen, site)
-    every = np.arange(len(recording.time_s) + 1)
-    views = Views(
-        rows=np.searchsorted(snapshot[begin], every), by_pose=by_pose, by_vt=by_vt, offset=core.offsets[site],
-        state=persisting.state, load=persisting.load,
-    )  # fmt: skip
-    at_view = view[of]
-    white = _white_variance(recording, truth, real, distance_m[at_view], persisting.variance)
-    predicted = np.stack([distance_m, azimuth_rad, elevation_rad], axis=1)[at_view]
-    variance, residual = _together(white, residuals(recording, truth, real, predicted), of, len(at))
-    missing = np.where(first[:, None], BROAD_STD**2, np.inf)
-    sightings = Sightings(
-        rows=np.searchsorted(snapshot, every), view_of=view, key=vt_of, first=first, last=last,
-        variance=np.where(np.isfinite(variance), variance, missing), residual=residual, state=persisting.own_state,
-        load=persisting.own_load,
-    )  # fmt: skip
-    return views, sightings, persisting.errors
-
-
-def most_states(views: Views, sightings: Sightings, errors: Errors, snapshots: int) -> int:
-    """Return the most states beside the core that the recursion holds at once."""
-    enter = np.full(len(errors.last), snapshots)
-    at = np.repeat(np.arange(snapshots), np.diff(views.rows))
-    _first(enter, views.state, at)
-    seen_at = np.repeat(np.arange(snapshots), np.diff(sightings.rows))
-    _first(enter, sightings.state, seen_at)
-    used = enter < snapshots
-    change = np.bincount(enter[used], minlength=snapshots + 1)
-    change -= np.bincount(errors.last[used] + 1, minlength=snapshots + 1)
-    change += 3 * np.bincount(seen_at[sightings.first], minlength=snapshots + 1)
-    change -= 3 * np.bincount(seen_at[sightings.last] + 1, minlength=snapshots + 1)
-    return int(np.cumsum(change).max())
-
-
-def _first(enter: Ints, state: Ints, at: Ints) -> None:
-    there = state >= 0
-    rows = np.broadcast_to(at.reshape(-1, *[1] * (state.ndim - 1)), state.shape)
-    np.minimum.at(enter, state[there], rows[there])
-
-
-def _white_variance(recording: Recording, truth: Truth, rows: Ints, distance_m: Floats, persisting: Floats) -> Floats:
-    """Return the variances (n, 3) of the white errors of measurements `rows` (n,); infinite: not measured."""
-    m = recording.measurements
-    measured = np.stack([m.distance_m[rows], m.azimuth_rad[rows], m.elevation_rad[rows]], axis=1)
-    variance = truth.measurement_std[rows] ** 2 - persisting
-    smallest = SMALLEST_STD * np.stack([distance_m, np.ones(len(rows)), np.ones(len(rows))], axis=1)
-    there = np.isfinite(measured) & np.isfinite(variance)
-    return np.where(there, np.maximum(variance, smallest**2), np.inf)
-
-
-def _together(variance: Floats, residual: Floats, of: Ints, count: int) -> tuple[Floats, Floats]:
-    """Return variance and residual (count, 3) of what independent measurements, (n, 3) in groups `of` (n,), tell
-    together."""
-    with np.errstate(divide="ignore"):
-        weight = 1.0 / variance
-        information, weighted = (
-            np.stack([np.bincount(of, column, count) for column in x.T], axis=1) for x in (weight, weight * residual)
-        )
-        return 1.0 / information, weighted / np.where(information > 0.0, information, 1.0)
+    HP, root = H @ joint.P, np.sqrt(R)
+    eigenvalue, V = np.linalg.eigh(HP @ H.T / root / root[:, None])
+    L_inverse = V.T / np.sqrt(1.0 + np.maximum(eigenvalue, 0.0))[:, None] / root
+    G = L_inverse @ HP
+    dgemm(-1.0, G, G, beta=1.0, c=joint.P, trans_a=1, overwrite_c=1)
+    joint.m[:] += (L_inverse @ (residual - H @ joint.m)) @ G

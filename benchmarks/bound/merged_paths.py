@@ -12,8 +12,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from cellslam.benchmarks.bound.bound_model import Flags
 from cellslam.benchmarks.bound.cramer_rao import BoundResult, bound
+from cellslam.benchmarks.bound.linear_model import Flags
 from cellslam.sim.lte.persisting_errors import Cause
 from cellslam.sim.progress import Progress, silent
 from cellslam.sim.recording import Recording

@@ -20,9 +20,9 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 from pydantic import ValidationError
 
-from cellslam.benchmarks.bound.bound_model import Errors, Flags
 from cellslam.sim.errors import InputError
 from cellslam.sim.lte.persisting_errors import Cause, causes, persisting_std
 from cellslam.sim.lte.radio_config import RadioConfig
@@ -44,8 +44,10 @@ NOTHING = Cause("", np.zeros(3), 0.0)
 
 @dataclass(frozen=True)
 class Persisting:
-    """Loads of n views and m measurements on the states `errors`: see the kernel's Views and Sightings.
+    """The E errors that persist, and the loads on them of n views, `state` and `load` (n, 3, W), and of m measurements,
+    `own_state` (m, 3) and `own_load` (3,): numbers of errors, -1: none.
 
+    `last` (E,): snapshot with the last use; `kind` (E,): column of `decay` (T, 4), see `linear_model.States`;
     `variance` (3,): the marginal variances of what persists.
     """
 
@@ -53,7 +55,9 @@ class Persisting:
     load: Floats
     own_state: Ints
     own_load: Floats
-    errors: Errors
+    last: Ints
+    kind: Ints
+    decay: Floats
     variance: Floats
 
 
@@ -126,35 +130,7 @@ def persisting_errors(
     last[own_state[own_state >= 0]] = np.broadcast_to(at[:, None], own_state.shape)[own_state >= 0]
     variance = np.zeros(3) if config is None else persisting_std(config) ** 2
     kind = np.repeat([part.kind for part in [*parts, own]], [part.count for part in [*parts, own]])
-    return Persisting(state, load, own_state, own.load, Errors(last, kind, decay), variance)
-
-
-def with_drift(persisting: Persisting, drifted: Floats, seen: Seen, site: Ints) -> Persisting:
-    """Return the errors and, as the last of them, the rates of clocks that drift: constants.
-
-    drifted (T, S): what a rate of one deviation has made of the offset, in m; site (n,): index of each view's site.
-    """
-    errors, drifts = persisting.errors, drifted[-1] > 0.0
-    if not drifts.any():
-        return persisting
-    nothing = np.zeros(drifts.sum(), np.int64)
-    last = np.concatenate([errors.last, nothing + len(drifted) - 1])
-    more = Errors(last, np.concatenate([errors.kind, nothing]), errors.decay)
-    state, load = np.full((len(site), 3, 1), -1), np.zeros((len(site), 3, 1))
-    state[:, 0, 0], load[:, 0, 0] = rates_among(more, drifted)[site], drifted[seen.snapshot, site]
-    return replace(
-        persisting, state=np.concatenate([persisting.state, state], axis=2),
-        load=np.concatenate([persisting.load, load], axis=2), errors=more,
-    )  # fmt: skip
-
-
-def rates_among(errors: Errors, drifted: Floats) -> Ints:
-    """Return which of the errors are the rates of the sites' clocks, indices (S,), -1 for constant offsets.
-
-    drifted (T, S): as for `with_drift`, in m.
-    """
-    drifts = drifted[-1] > 0.0
-    return np.where(drifts, len(errors.last) - drifts.sum() + np.cumsum(drifts) - 1, -1)
+    return Persisting(state, load, own_state, own.load, last, kind, decay, variance)
 
 
 def _factor(step: Floats, scale: float) -> Floats:
@@ -292,7 +268,7 @@ def bell_functions(azimuth_rad: Floats, elevation_rad: Floats, scale: float) -> 
     turn = azimuth_rad[:, None, None] - column * (2.0 * np.pi / around[:, :, None])
     flat = np.cos(elevation_rad)[:, None] * np.cos(high)
     square = 2.0 - 2.0 * (flat[:, :, None] * np.cos(turn) + (np.sin(elevation_rad)[:, None] * np.sin(high))[:, :, None])
-    near: Flags = (square < (RADIUS * scale) ** 2) & (reach + 2 < around[:, :, None]) & sphere[:, :, None]
+    near: NDArray[np.bool_] = (square < (RADIUS * scale) ** 2) & (reach + 2 < around[:, :, None]) & sphere[:, :, None]
     value = np.where(near, np.exp(-square / scale**2), 0.0).reshape(len(row), -1)
     cell = (row[:, :, None] * np.ceil(8.0 / scale + 8.0) + column % around[:, :, None]).reshape(len(row), -1)
     order = np.argsort(-value, axis=1)[:, : int(near.reshape(len(row), -1).sum(1).max())]

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from cellslam.benchmarks.scores.reference_fixes import usable
+from cellslam.benchmarks.scores.reference_fixes import compared
 from cellslam.benchmarks.scores.trial_result import TrialResult
 from cellslam.sim.errors import InputError
 from cellslam.sim.frames import rotation, wrap_angle
@@ -20,7 +20,10 @@ def aligned(recording: Recording, result: TrialResult) -> TrialResult:
 
     Poses, covariances, VTs and walls move as one. Raises InputError where the truth or reference has too few positions.
     """
-    estimated, known = _pairs(recording, result.poses)
+    found = compared(recording, result.poses)
+    if found is None:
+        raise InputError("cannot align: the recording has neither truth nor reference")
+    _, estimated, known = found
     if len(known) < 2:
         raise InputError("cannot align: the reference has fewer than two positions within the drive")
     angle, shift = rigid(estimated, known)
@@ -51,19 +54,6 @@ def _moved(walls: WallEstimate, angle: float, shift: Floats) -> WallEstimate:
         covariance=by @ walls.covariance @ np.swapaxes(by, 1, 2),
         extent_m=walls.extent_m + (along @ shift)[:, None],
     )
-
-
-def _pairs(recording: Recording, poses: Floats) -> tuple[Floats, Floats]:
-    """Return estimated and true horizontal positions (N, 2) at the same times."""
-    if recording.truth is not None:
-        return poses[:, :2], recording.truth.poses[:, :2]
-    reference = recording.reference
-    if reference is None:
-        raise InputError("cannot align: the recording has neither truth nor reference")
-    rows = usable(recording, reference)
-    at = reference.time_s[rows]
-    estimated = np.column_stack([np.interp(at, recording.time_s, poses[:, i]) for i in range(2)])
-    return estimated, reference.position_m[rows, :2]
 
 
 def rigid(points: Floats, onto: Floats) -> tuple[float, Floats]:

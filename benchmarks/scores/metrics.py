@@ -13,21 +13,16 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from cellslam.benchmarks.scores.association import Tracks, precision_recall, tracks_of, transmitter_errors
-from cellslam.benchmarks.scores.gospa import gospa
-from cellslam.benchmarks.scores.reference_fixes import usable, within
+from cellslam.benchmarks.scores.map_scores import Tracks, map_gospa, precision_recall, tracks_of, transmitter_errors
+from cellslam.benchmarks.scores.reference_fixes import compared, usable, within
 from cellslam.benchmarks.scores.trial_result import TrialResult
 from cellslam.benchmarks.scores.walls import wall_scores
 from cellslam.sim.frames import wrap_angle
-from cellslam.sim.recording import Floats, Ints, Recording, Reference, Truth
-from cellslam.slam.api import VtEstimate
+from cellslam.sim.recording import Floats, Recording, Reference
 
 if TYPE_CHECKING:
     from cellslam.benchmarks.bound.cramer_rao import BoundResult
 
-GOSPA_CUTOFF_M = 20.0
-GOSPA_ORDER = 2.0
-DETECTIONS_OF_A_TRUE_VT = 20
 SMALLEST_VARIANCE_M2 = 1e-12
 SHORTEST_STEP_M = 1.0  # of a reference's path: below it lies the noise of fixes at rest
 
@@ -225,19 +220,9 @@ def reference_errors(recording: Recording, reference: Reference, result: TrialRe
 
 
 def errors_over_time(recording: Recording, poses: Floats) -> tuple[Floats, Floats] | None:
-    """Return times (N,) in s and horizontal errors (N,) in m of poses (T, 6); None without truth and reference.
-
-    Against the truth at every snapshot, against a reference at its fixes (`reference_fixes.usable`).
-    """
-    if recording.truth is not None:
-        return recording.time_s, horizontal_error(recording.truth.poses, poses)
-    reference = recording.reference
-    if reference is None:
-        return None
-    rows = usable(recording, reference)
-    at = reference.time_s[rows]
-    there = np.column_stack([np.interp(at, recording.time_s, poses[:, i]) for i in range(2)])
-    return (at, horizontal_error(reference.position_m[rows], there)) if rows.any() else None
+    """Return times (N,) in s and horizontal errors (N,) in m of poses (T, 6); None where nothing is known."""
+    found = compared(recording, poses)
+    return (found[0], horizontal_error(found[2], found[1])) if found is not None and len(found[0]) else None
 
 
 def horizontal_error(truth_poses: Floats, poses: Floats) -> Floats:
@@ -259,38 +244,6 @@ def nees(truth_poses: Floats, poses: Floats, covariances: Floats) -> Floats:
     regular = determinant > SMALLEST_VARIANCE_M2 * np.abs(xx + yy)
     quadratic = yy * e[:, 0] ** 2 - 2.0 * xy * e[:, 0] * e[:, 1] + xx * e[:, 1] ** 2
     return np.where(regular, quadratic / np.where(regular, determinant, 1.0), np.nan)
-
-
-def map_gospa(recording: Recording, truth: Truth, vts: VtEstimate) -> float | None:
-    """Return the GOSPA in metres between final and true VTs, averaged over links; None without links.
-
-    The truth of a link are the VTs detected at least 20 times on it. p = 2, cut-off 20 m, alpha = 2. A link
-    with neither true nor estimated VTs counts 0; one with no estimated VT has the map of its site's first link that
-    has any, for the links of a site may share a map.
-    """
-    links, count = len(recording.links), len(truth.vts)
-    if links == 0:
-        return None
-    real = truth.measurement_vt >= 0
-    pair = recording.measurements.link[real] * max(count, 1) + truth.measurement_vt[real]
-    detections = np.bincount(pair, minlength=links * max(count, 1)).reshape(links, -1)[:, :count]
-    distances = [
-        gospa(
-            truth.vts.position_m[detections[link] >= DETECTIONS_OF_A_TRUE_VT],
-            vts.position_m[vts.link == _keeper(vts.link, recording.links.site, link)],
-            GOSPA_CUTOFF_M,
-            GOSPA_ORDER,
-        ).distance_m
-        for link in range(links)
-    ]
-    return float(np.mean(distances))
-
-
-def _keeper(own: Ints, site: Ints, link: int) -> int:
-    """Return the link under which the map of `link` is kept; own (n,): link of each VT; site (L,)."""
-    if (own == link).any():
-        return link
-    return int(min(own[site[own] == site[link]], default=link))
 
 
 def duration_s(recording: Recording) -> float:

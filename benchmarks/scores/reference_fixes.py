@@ -9,7 +9,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from cellslam.sim.recording import Recording, Reference
+from cellslam.sim.recording import Floats, Recording, Reference
 
 NEIGHBOURS = 3  # on each side
 STEPS, TIMES, LEAST_M = 4.0, 6.0, 3.0
@@ -25,6 +25,22 @@ def usable(recording: Recording, reference: Reference) -> NDArray[np.bool_]:
     """Return which fixes (R,) can be compared with an estimate: within the drive, with a position, not outlying."""
     known = np.isfinite(reference.position_m[:, :2]).all(axis=1)
     return np.asarray(within(recording, reference) & known & ~outlying(reference))
+
+
+def compared(recording: Recording, poses: Floats) -> tuple[Floats, Floats, Floats] | None:
+    """Return times (N,) in s, and the horizontal positions (N, 2) in m of poses (T, 6) and of what is known then.
+
+    Against the truth that is at every snapshot, against a reference at its usable fixes. None without both.
+    """
+    if recording.truth is not None:
+        return recording.time_s, poses[:, :2], recording.truth.poses[:, :2]
+    reference = recording.reference
+    if reference is None:
+        return None
+    rows = usable(recording, reference)
+    at = reference.time_s[rows]
+    there = np.column_stack([np.interp(at, recording.time_s, poses[:, i]) for i in range(2)])
+    return at, there, reference.position_m[rows, :2]
 
 
 def outlying(reference: Reference) -> NDArray[np.bool_]:

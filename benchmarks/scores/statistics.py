@@ -96,7 +96,7 @@ def interval(values: Floats, of: Statistic, confidence: float) -> tuple[float, f
         value = float(of.of(values))
         return value, value
     if of.method == "mean":
-        return _studentised(values, confidence)
+        return _bootstrap_t(_mean_and_error, (values,), confidence)
     if of.method == "mean square":
         return _root_ratio(np.square(values), np.ones(len(values)), confidence)
     found = bootstrap(
@@ -161,17 +161,14 @@ def _rms(values: Floats, axis: int = -1) -> Any:
     return np.sqrt(np.mean(np.square(values), axis=axis))
 
 
-def _studentised(values: Floats, confidence: float) -> tuple[float, float]:
-    """Return the bootstrap-t interval of a mean."""
-    mean, error = float(np.mean(values)), float(np.std(values)) / math.sqrt(len(values))
-    t = []
-    for drawn in _resampled(len(values)):
-        chosen = values[drawn]
-        means, errors = chosen.mean(axis=1), chosen.std(axis=1) / math.sqrt(len(values))
-        fine = errors > 1e-9 * error
-        t.append((means[fine] - mean) / errors[fine])
-    low, high = np.quantile(np.concatenate(t), [(1 - confidence) / 2, (1 + confidence) / 2]).tolist()
-    return mean - high * error, mean - low * error
+def _mean_and_error(values: Floats) -> tuple[Any, Any]:
+    return values.mean(axis=-1), values.std(axis=-1) / math.sqrt(values.shape[-1])
+
+
+def _log_ratio_and_error(above: Floats, below: Floats) -> tuple[Any, Any]:
+    mean_a, mean_b = (np.maximum(v.mean(axis=-1, keepdims=True), 1e-300) for v in (above, below))
+    error = (above / mean_a - below / mean_b).std(axis=-1) / math.sqrt(above.shape[-1])
+    return np.log(mean_a / mean_b)[..., 0], error
 
 
 def _root_ratio(above: Floats, below: Floats, confidence: float) -> tuple[float, float]:
@@ -180,23 +177,26 @@ def _root_ratio(above: Floats, below: Floats, confidence: float) -> tuple[float,
     It ends where every value above were as large as the largest: of one that outweighs all others, the bootstrap has no
     idea how often it happens. Where all values have the same ratio, as the bound to itself, it has no width.
     """
-
-    def log_ratio(a: Floats, b: Floats) -> tuple[Any, Any]:
-        mean_a, mean_b = (np.maximum(v.mean(axis=-1, keepdims=True), 1e-300) for v in (a, b))
-        error = (a / mean_a - b / mean_b).std(axis=-1) / math.sqrt(a.shape[-1])
-        return np.log(mean_a / mean_b)[..., 0], error
-
-    value, error = log_ratio(above, below)
+    value, error = _log_ratio_and_error(above, below)
     if error < 1e-12:
         return math.exp(0.5 * value), math.exp(0.5 * value)
+    low, high = _bootstrap_t(_log_ratio_and_error, (above, below), confidence)
+    most = math.log(max(float(above.max()), 1e-300) / max(float(below.mean()), 1e-300))
+    return math.exp(0.5 * min(low, most)), math.exp(0.5 * min(high, most))
+
+
+def _bootstrap_t(
+    of: Callable[..., tuple[Any, Any]], samples: tuple[Floats, ...], confidence: float
+) -> tuple[float, float]:
+    """Return the bootstrap-t interval of what `of` says of samples (n,), with its standard error."""
+    value, error = of(*samples)
     t = []
-    for drawn in _resampled(len(above)):
-        values, errors = log_ratio(above[drawn], below[drawn])
+    for drawn in _resampled(len(samples[0])):
+        values, errors = of(*(sample[drawn] for sample in samples))
         fine = errors > 1e-9 * error
         t.append((values[fine] - value) / errors[fine])
     low, high = np.quantile(np.concatenate(t), [(1 - confidence) / 2, (1 + confidence) / 2]).tolist()
-    most = math.log(max(float(above.max()), 1e-300) / max(float(below.mean()), 1e-300))
-    return math.exp(0.5 * min(value - high * error, most)), math.exp(0.5 * min(value - low * error, most))
+    return float(value - high * error), float(value - low * error)
 
 
 def _resampled(count: int) -> Iterator[NDArray[np.int64]]:
@@ -204,11 +204,6 @@ def _resampled(count: int) -> Iterator[NDArray[np.int64]]:
 
     A resample of equal values says nothing about its error, and is left out of bootstrap-t.
     """
-    rng = np.random.default_rng(0)
-    for size in _batches(max(1, _BATCH // count)):
-        yield rng.integers(0, count, (size, count))
-
-
-def _batches(size: int) -> Iterator[int]:
+    rng, size = np.random.default_rng(0), max(1, _BATCH // count)
     for begin in range(0, RESAMPLES, size):
-        yield min(size, RESAMPLES - begin)
+        yield rng.integers(0, count, (min(size, RESAMPLES - begin), count))

@@ -11,14 +11,14 @@ from dataclasses import dataclass
 
 import numpy as np
 from scipy.sparse.csgraph import connected_components
+from shapely import hausdorff_distance, linestrings
 
-from cellslam.benchmarks.scores.gospa import gospa_of
+from cellslam.benchmarks.scores.map_scores import gospa_of
 from cellslam.sim.frames import wrap_angle
 from cellslam.sim.recording import Floats, Ints, Recording, Truth
 from cellslam.slam.api import WallEstimate
 from cellslam.slam.model.walls import normals, reflection_point
 
-CUTOFF_M = 20.0
 DETECTIONS_OF_A_TRUE_WALL = 20
 STEEPEST = 0.1  # sine of the tilt from which a facet is no wall
 # Facets that lie in one plane, so far as anybody can tell, are one wall: less than so far apart in rad, m, and along.
@@ -51,12 +51,12 @@ class Walls:
 def wall_scores(recording: Recording, truth: Truth, estimated: WallEstimate) -> dict[str, float | None]:
     """Return the scores of a map of walls by key, as docs/reference/conventions.md defines them."""
     true, found = true_walls(recording, truth), Walls(estimated.azimuth_rad, estimated.ends_m)
-    matched = gospa_of(hausdorff(true, found), CUTOFF_M)
-    a, b = matched.pairs.T
+    distance_m, pairs = gospa_of(hausdorff(true, found))
+    a, b = pairs.T
     middles = true.ends_m[a].mean(axis=1)
     off = np.diagonal(Walls(found.azimuth_rad[b], found.ends_m[b]).across(middles))
     return {
-        "wall_gospa_m": matched.distance_m,
+        "wall_gospa_m": distance_m,
         "wall_share": mapped_share(true, found),
         "wall_normal_rmse_rad": _rms(wrap_angle(true.azimuth_rad[a] - found.azimuth_rad[b])),
         "wall_offset_rmse_m": _rms(off),
@@ -98,7 +98,7 @@ def _facets(recording: Recording, truth: Truth) -> tuple[Floats, list[Floats]]:
 
 def hausdorff(a: Walls, b: Walls) -> Floats:
     """Return the Hausdorff distances (A, B) in m of segments: how far the farthest end of one is from the other."""
-    return np.asarray(np.maximum(_to_segments(a, b).max(axis=1), _to_segments(b, a).max(axis=1).T))
+    return np.asarray(hausdorff_distance(linestrings(a.ends_m)[:, None], linestrings(b.ends_m)))
 
 
 def mapped_share(true: Walls, found: Walls) -> float | None:
@@ -138,14 +138,6 @@ def _one_plane(walls: Walls) -> Ints:
     low, high = t.min(axis=2), t.max(axis=2)
     gap = np.maximum(low - np.diag(high)[:, None], np.diag(low)[:, None] - high)
     return np.asarray((off < ONE_PLANE_M) & (turned < ONE_PLANE_RAD) & (gap < ONE_PLANE_GAP_M), np.int64)
-
-
-def _to_segments(a: Walls, b: Walls) -> Floats:
-    """Return the distances (A, 2, B) of the ends of segments from other segments."""
-    begin, along = b.ends_m[:, 0], b.ends_m[:, 1] - b.ends_m[:, 0]
-    from_begin = a.ends_m[:, :, None] - begin
-    share = (from_begin * along).sum(axis=-1) / np.maximum((along * along).sum(axis=-1), 1e-12)
-    return np.asarray(np.linalg.norm(from_begin - np.clip(share, 0.0, 1.0)[..., None] * along, axis=-1))
 
 
 def _rms(values: Floats) -> float | None:

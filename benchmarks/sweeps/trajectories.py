@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from cellslam.benchmarks.scores.association import vt_nees
+from cellslam.benchmarks.scores.map_scores import vt_nees
 from cellslam.benchmarks.scores.metrics import horizontal_error, nees
 from cellslam.sim.errors import InputError
 

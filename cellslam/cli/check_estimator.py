@@ -11,9 +11,8 @@ from cellslam.benchmarks.trials.estimation import warm_up
 from cellslam.cli.arguments import DONE, FAILED, add_set
 from cellslam.scenarios.estimator_options import Request, resolve
 from cellslam.scenarios.overrides import apply, parse_all
-from cellslam.slam.conformance.answers import ConformanceError
 from cellslam.slam.conformance.checks import CHECKS, Check
-from cellslam.slam.conformance.subject import Subject, tiny_drive
+from cellslam.slam.conformance.subject import ConformanceError, Subject, tiny_drive
 
 
 def add_arguments(parser: ArgumentParser) -> None:

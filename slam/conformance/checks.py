@@ -14,20 +14,18 @@ from collections.abc import Callable
 import numpy as np
 
 from cellslam.sim.recording import Floats
-from cellslam.slam.conformance.answers import (
-    check_answer,
-    check_array,
-    check_covariance,
-    finding,
-    require,
-    require_same,
-)
 from cellslam.slam.conformance.subject import (
     SHORT,
     Subject,
+    check_answer,
+    check_array,
+    check_covariance,
     copied,
     drive,
+    finding,
     merged,
+    require,
+    require_same,
     run_checked,
     taken,
     with_holes,

@@ -8,17 +8,25 @@ State
     Given the path x is Gaussian. F, H and R hardly depend on which path it is, so N particles share one covariance
     P (n, n) and one gain; particle i has its own mean, column i of M (n, N), and its own weight w_i.
 
-Recursion
-    predict    M <- f(M), for each particle;  P <- F P F^T + Q, u_k being a part of the state
-    associate  the innovations' covariance is H P H^T + R and the spread of h(M) over the particles
-    innovate   E = z - h(M) (m, N);  S = H P H^T + R = L L^T;  W = L^-1 E, G = L^-1 H P      at the end of a block
-    update     M <- M + K E = M + G^T W;  P <- P - K S K^T = P - G^T G
-    weigh      log w_i <- log w_i - |W_i|^2 / 2            log det S is common to all particles and cancels
-    draw       u_i ~ N(M_u, P_uu) for the u of `lag` blocks ago;  M <- M + G_u (u_i - M_u), P <- P - G_u P_u.,
-               G_u = P_.u P_uu^-1
-    resample   where 1 / sum(w_i^2) < effective_share N: copy columns of M
+Recursion, and where it stands                                                    (a part: replaceable, `parts.py`)
+    each snapshot                                                                 `_go_on`
+      predict    M <- f(M), for each particle;  P <- F P F^T + Q                  `predict_and_score` (compiled)
+                 u_k is a part of the state
+      associate  innovations have the covariance H P H^T + R and the spread       `_associate`; parts `association`
+                 of h(M) over the particles                                       and `birth`
+    each block of snapshots                                                       `_end_block`
+      innovate   E = z - h(M) (m, N);  S = H P H^T + R = L L^T;                   `innovate` (compiled)
+                 W = L^-1 E, G = L^-1 H P
+      update     M <- M + K E = M + G^T W;  P <- P - K S K^T = P - G^T G          part `update`; `_move`, `end_block`
+      weigh      log w_i <- log w_i - |W_i|^2 / 2                                 part `weight`; `_move`
+                 log det S is common to all particles and cancels
+      draw       u_i ~ N(M_u, P_uu), for the u of `lag` blocks ago;               part `proposal`; `_drawn`
+                 M <- M + G_u (u_i - M_u), P <- P - G_u P_u., G_u = P_.u P_uu^-1
+      prune      VTs that are unlikely to exist                                   part `pruning`; `_prune`
+      resample   where 1 / sum(w_i^2) < effective_share N: copy columns of M      part `resampling`; `_resample`
 
-    The belief is the mixture of N(m_i, P): mean M w, covariance P + (spread of the columns of M).
+    The belief is the mixture of N(m_i, P): mean M w, covariance P + (spread of the columns of M). In the code below M
+    is the weighted mean `f.x` and each particle's `f.deviation` from it (n, N); P is `f.p`, w is `f.weight` (N,).
 
 `lag` is what tells the relatives apart. With lag = 0 a block's noise is drawn from its posterior given the
 measurements of the block: FastSLAM 2.0. With lag = -1 it is drawn from its prior, before: FastSLAM 1.0. The greater

@@ -5,7 +5,7 @@ from __future__ import annotations
 from pydantic import Field, field_validator
 from pydantic_core.core_schema import ValidationInfo
 
-from cellslam.slam.fastslam.parts import BUILT_IN, check_name
+from cellslam.slam.fastslam.parts import BUILT_IN, part_named
 from cellslam.slam.joint.ekf_slam_options import EkfSlamOptions
 
 NEVER = 10_000  # blocks of lag, from which on nothing is drawn
@@ -56,5 +56,6 @@ class FastSlamOptions(EkfSlamOptions):
     @field_validator(*BUILT_IN)
     @classmethod
     def _known(cls, name: str, info: ValidationInfo) -> str:
-        """Refuse a part that is not built in, and no module:name either."""
-        return check_name(str(info.field_name), name)
+        """Refuse a part that is not built in, and cannot be imported as module:name either."""
+        part_named(str(info.field_name), name)
+        return name

@@ -41,17 +41,17 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
-from typing import ClassVar, NamedTuple
+from typing import ClassVar, Literal, NamedTuple
 
 import numpy as np
 from numba import prange
+from pydantic import BaseModel, ConfigDict, Field
 
 from cellslam.sim.compiling import lean, njit
 from cellslam.sim.frames.frames_kernel import wrap
 from cellslam.sim.recording import Floats, Ints
 from cellslam.slam import warm_up
 from cellslam.slam.api import Estimate, Setup, Snapshot, VtEstimate
-from cellslam.slam.fastslam.paper_fastslam_options import PaperFastSlamOptions
 from cellslam.slam.measurements.fusion import FusedMeasurements, Fusion
 from cellslam.slam.measurements.measurement_options import MeasurementOptions
 from cellslam.slam.measurements.readings import ports_of, readings
@@ -352,6 +352,27 @@ def copy_maps(vts: Floats, count: Ints, target: Ints, source: Ints) -> None:
             some = count[source[n], link]
             count[target[n], link] = some
             vts[target[n], link, :some] = vts[source[n], link, :some]
+
+
+class PaperFastSlamOptions(BaseModel):
+    """What a scenario may set under `estimator.paper-fastslam`: all but the first are steps away from the paper."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    particles: int = Field(100, ge=1, le=100_000, description="number of particles")
+    motion: Literal["sampled", "marginalised"] = Field(
+        "marginalised", description="yaw-rate bias and odometer scale: drawn at the start, or marginalised"
+    )
+    sharing: Literal["none", "site"] = Field(
+        "none", description="whether what the ports and sectors of a site measure of a path is fused first"
+    )
+    noise: Literal["white", "persisting"] = Field(
+        "white", description="whether variances are raised for errors that persist from snapshot to snapshot"
+    )
+    gate: float = Field(16.3, gt=0, le=1000, description="squared Mahalanobis distance beyond which a VT begins")
+    effective_share: float = Field(
+        0.5, ge=0, le=1, description="resample when the effective sample size falls below this share of the particles"
+    )
 
 
 class PaperFastSlam:

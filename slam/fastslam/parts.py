@@ -30,6 +30,7 @@ from scipy.optimize import linear_sum_assignment
 from cellslam.sim.errors import InputError, one_line, unknown_name
 from cellslam.sim.recording import Floats, Ints
 from cellslam.slam.model.resampling import SCHEMES
+from cellslam.slam.registry import seek_here
 
 Bools = NDArray[np.bool_]
 NO_VT = -1  # a measurement of no candidate
@@ -262,26 +263,24 @@ def returned(slot: str, value: Any, shape: tuple[int, ...], below: int | None = 
     return array
 
 
-def check_name(slot: str, name: str) -> str:
-    """Return the name of a part as an option gives it. Raises InputError unless it is built in, or `module:name`."""
-    if name not in BUILT_IN[slot] and ":" not in name:
-        raise InputError(f"{unknown_name(slot, name, BUILT_IN[slot])}; or your own part as module:name")
-    return name
-
-
 def part_named(slot: str, name: str) -> Callable[..., Any]:
-    """Return a part by name: a built-in one, or an object of a module, `module:name`.
+    """Return a part by name: a built-in one, or an object of a module, `module:name`, also of the current directory.
 
     Raises InputError for an unknown name, a module that cannot be imported, and what cannot be called.
     """
-    if check_name(slot, name) in BUILT_IN[slot]:
+    if name in BUILT_IN[slot]:
         return BUILT_IN[slot][name]
+    if ":" not in name:
+        raise InputError(f"{unknown_name(slot, name, BUILT_IN[slot])}; or your own part as module:name")
     module, _, attribute = name.partition(":")
+    seek_here()
     try:
-        found = getattr(importlib.import_module(module), attribute)
-    except (ImportError, AttributeError, ValueError) as error:
+        found = vars(importlib.import_module(module))
+    except (ImportError, ValueError) as error:
         raise InputError(f"{slot} '{name}' cannot be imported: {one_line(error)}") from error
-    return checked(slot, found)
+    if attribute not in found:
+        raise unknown_name(f"part in module {module}", attribute, [n for n, v in found.items() if callable(v)])
+    return checked(slot, found[attribute])
 
 
 def checked(slot: str, part: Any) -> Callable[..., Any]:

@@ -283,6 +283,12 @@ def solved(lower: Lower3, v: Vec3) -> Vec3:
 
 
 @njit
+def mat_of(a: Any) -> Mat3:
+    """Return an array (3, 3) as a matrix."""
+    return Mat3(a[0, 0], a[0, 1], a[0, 2], a[1, 0], a[1, 1], a[1, 2], a[2, 0], a[2, 1], a[2, 2])
+
+
+@njit
 def vec_of(a: Any) -> Vec3:
     """Return an array (3,) as a vector."""
     return Vec3(a[0], a[1], a[2])

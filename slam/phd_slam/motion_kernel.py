@@ -16,26 +16,10 @@ from typing import NamedTuple
 from cellslam.sim.compiling import lean
 from cellslam.sim.frames.frames_kernel import wrap
 from cellslam.sim.recording import Floats
-from cellslam.slam.model.matrices_kernel import (
-    Mat3,
-    Sym3,
-    Vec3,
-    columns,
-    dot,
-    mat_mat,
-    mat_minus,
-    mat_vec,
-    scaled,
-    sym_product,
-    sym_vec,
-    transposed,
-    transposed_vec,
-    vec_minus,
-    vec_of,
-    vec_scaled,
-)
+from cellslam.slam.model import matrices_kernel as algebra
+from cellslam.slam.model.matrices_kernel import Mat3, Sym3, Vec3, dot, mat_mat, mat_vec, vec_of
 from cellslam.slam.model.measurement_kernel import Rotations, rotations
-from cellslam.slam.phd_slam.gaussians_kernel import Seen
+from cellslam.slam.phd_slam.map_kernel import Seen
 
 BIAS, SCALE = 0, 1
 LEAST = 1e-12
@@ -90,10 +74,8 @@ def learn(error: Floats, error_variance: Floats, interval: Interval, velocity: F
     drawn, in m/s and rad/s."""
     for c in range(6):
         v = velocity[c]
-        to_bias, to_scale = (
-            error_variance[c, 0] + v * error_variance[c, 1],
-            error_variance[c, 1] + v * error_variance[c, 2],
-        )
+        to_bias = error_variance[c, 0] + v * error_variance[c, 1]
+        to_scale = error_variance[c, 1] + v * error_variance[c, 2]
         s = to_bias + v * to_scale + interval.noise[c] ** 2 / interval.dt
         if s > LEAST:
             e = (interval.measured[c] - v * (1.0 + error[c, SCALE]) - error[c, BIAS]) / s
@@ -113,9 +95,9 @@ def moved(pose: Floats, velocity: Floats, dt: float) -> Moved:
     middle = rotations(psi + half * velocity[3], theta + half * velocity[4], phi + half * velocity[5])
     moving = mat_vec(middle.r, v)
     after = rotations(psi + dt * velocity[3], theta + dt * velocity[4], phi + dt * velocity[5])
-    turning = columns(mat_vec(middle.by_psi, v), mat_vec(middle.by_theta, v), mat_vec(middle.by_phi, v))
+    turning = algebra.columns(mat_vec(middle.by_psi, v), mat_vec(middle.by_theta, v), mat_vec(middle.by_phi, v))
     place = Vec3(pose[0] + dt * moving.x, pose[1] + dt * moving.y, pose[2] + dt * moving.z)
-    return Moved(place, after, scaled(middle.r, dt), scaled(turning, half * dt), dt)
+    return Moved(place, after, algebra.scaled(middle.r, dt), algebra.scaled(turning, half * dt), dt)
 
 
 @lean
@@ -139,24 +121,14 @@ def _by_std(m: Mat3, std: Vec3) -> Mat3:
 @lean
 def slopes(seen: Seen, mean: Vec3, at: Moved, std: Floats) -> Slopes:
     """Return how h changes with the velocity that has led here, whose deviations are `std` (6,) in m/s and rad/s."""
-    w, r = vec_minus(mean, at.place), at.turned
-    to_spherical = mat_mat(seen.by_place, r.r)
-    by_angles = mat_mat(
-        to_spherical,
-        columns(transposed_vec(r.by_psi, w), transposed_vec(r.by_theta, w), transposed_vec(r.by_phi, w)),
+    w, r = algebra.vec_minus(mean, at.place), at.turned
+    turned = algebra.columns(
+        algebra.transposed_vec(r.by_psi, w), algebra.transposed_vec(r.by_theta, w), algebra.transposed_vec(r.by_phi, w)
     )
-    by_velocity = scaled(mat_mat(seen.by_place, at.by_velocity), -1.0)
-    by_rates = mat_minus(scaled(by_angles, at.dt), mat_mat(seen.by_place, at.by_rates))
-    return Slopes(
-        _by_std(by_velocity, vec_of(std)), _by_std(by_rates, Vec3(std[3], std[4], std[5])),
-    )  # fmt: skip
-
-
-@lean
-def squared(m: Mat3) -> Sym3:
-    """Return m m^T."""
-    product: Sym3 = sym_product(m, transposed(m))
-    return product
+    by_angles = mat_mat(mat_mat(seen.by_place, r.r), turned)
+    by_velocity = algebra.scaled(mat_mat(seen.by_place, at.by_velocity), -1.0)
+    by_rates = algebra.mat_minus(algebra.scaled(by_angles, at.dt), mat_mat(seen.by_place, at.by_rates))
+    return Slopes(_by_std(by_velocity, vec_of(std)), _by_std(by_rates, Vec3(std[3], std[4], std[5])))
 
 
 @lean
@@ -176,7 +148,7 @@ def inform(by: Slopes, inverse: Sym3, e: Vec3, share: float, information: Floats
         Vec3(w.xx, w.yx, w.zx), Vec3(w.xy, w.yy, w.zy), Vec3(w.xz, w.yz, w.zz),
     )  # fmt: skip
     for a in range(6):
-        s = vec_scaled(sym_vec(inverse, j[a]), share)
+        s = algebra.vec_scaled(algebra.sym_vec(inverse, j[a]), share)
         y[a] += dot(s, e)
         for b in range(a + 1):
             information[a, b] += dot(s, j[b])

@@ -14,22 +14,12 @@ import numpy as np
 
 from cellslam.sim.compiling import lean, part
 from cellslam.sim.recording import Floats, Ints
-from cellslam.slam.model.matrices_kernel import Vec3, dot, sym_plus, transposed_vec, vec_minus
+from cellslam.slam.model import matrices_kernel as algebra
+from cellslam.slam.model.matrices_kernel import Vec3, dot, transposed, vec_at, vec_of
 from cellslam.slam.model.measurement_kernel import LEAST_FLAT2
-from cellslam.slam.phd_slam.gaussians_kernel import (
-    LINK,
-    VISIBLE,
-    Map,
-    Measured,
-    innovation,
-    mean_of,
-    residual,
-    seen_from,
-    trace_of,
-    vec_at,
-    with_clock,
-)
-from cellslam.slam.phd_slam.motion_kernel import Moved, slopes, squared
+from cellslam.slam.phd_slam import map_kernel
+from cellslam.slam.phd_slam.map_kernel import COVARIANCE, LINK, MEAN, VISIBLE, Map, Measured, seen_from
+from cellslam.slam.phd_slam.motion_kernel import Moved, slopes
 
 SWEEPS = 3  # of belief propagation: nearly all associations are of one or two rivals
 FARTHEST = 4.0  # deviations beyond the field of view at which a Gaussian need not be looked at
@@ -39,23 +29,41 @@ RIGHT2 = (0.5 * math.pi) ** 2  # square of a right angle
 UNSEEN = 1e-3  # probability of detection below which it is not looked at either
 
 
-class Rules(NamedTuple):
-    """What does not change within a snapshot: probability of detection of what is visible, gate, least weight, birth
-    ratio, transition probabilities to visible, squared distance of merging, linearisations, what share of the
-    evidence is new, field of view (L, 4) of each link (farthest distance in m, largest azimuth in rad, variances of
-    both), site of each link (L,)."""
+class Visibility(NamedTuple):
+    """Probability that what is visible is detected; probabilities of the step to visible from visible, `stay`, and from
+    hidden, `back`; field of view `limits` (L, 4) of each link: farthest distance in m, largest azimuth in rad, and the
+    variances of both."""
 
     detection: float
-    gate: float
-    drop: float
-    birth: float
     stay: float
     back: float
+    limits: Floats
+
+
+class Upkeep(NamedTuple):
+    """Weight of what is born, weight below which a Gaussian is dropped, squared distance up to which two are merged."""
+
+    birth: float
+    drop: float
     merge: float
+
+
+class Matching(NamedTuple):
+    """Squared Mahalanobis distance of the gate, linearisations of the importance density, what share of the evidence is
+    `new`, site of each link (L,)."""
+
+    gate: float
     iterations: int
     new: float
-    limits: Floats
     site_of: Ints
+
+
+class Rules(NamedTuple):
+    """What does not change within a snapshot."""
+
+    visibility: Visibility
+    upkeep: Upkeep
+    matching: Matching
 
 
 class Near(NamedTuple):
@@ -103,19 +111,21 @@ def find_near(own: Map, among: Ints, at: Moved, offset: Floats, rules: Rules, mo
 
     The edge of the field of view is as soft as they are uncertain, and the pose (moved in m^2, turn in rad^2).
     """
-    rows, names, limits, site_of, count = own.rows, own.names, rules.limits, rules.site_of, len(among)
+    rows, names, count = own.rows, own.names, len(among)
+    limits, site_of = rules.visibility.limits, rules.matching.site_of
     place, where, probability, n = np.empty(count, np.int64), np.empty((count, 5)), np.empty(count), 0
     for j in among:
         link = names[j, LINK]
         reach, span, clock = limits[link, 0], limits[link, 1], offset[site_of[link]]
-        w, loose = vec_minus(mean_of(rows, j), at.place), trace_of(rows, j)
+        w = algebra.vec_minus(vec_at(rows[j], MEAN), at.place)
+        loose = rows[j, COVARIANCE] + rows[j, COVARIANCE + 3] + rows[j, COVARIANCE + 5]  # trace
         most = reach - clock + FARTHEST * math.sqrt(limits[link, 2] + loose)
         full2 = dot(w, w)
         if most <= 0.0 or full2 > most * most:
             continue
-        v = transposed_vec(at.turned.r, w)
+        v = algebra.transposed_vec(at.turned.r, w)
         flat2 = max(v.x * v.x + v.y * v.y, LEAST_FLAT2)
-        distance, chance = math.sqrt(full2) + clock, rules.detection
+        distance, chance = math.sqrt(full2) + clock, rules.visibility.detection
         if span < math.pi:
             chance *= _within(v, span, limits[link, 3] + turn + loose / flat2, flat2)
         if chance > UNSEEN:
@@ -139,18 +149,16 @@ def _off(c: float, s: float, ahead: float, aside: float, limit2: float) -> bool:
 
 @part
 def pair_up(
-    own: Map, near: Near, at: Moved, std: Floats, offset: Floats, variance: Floats, measured: Measured, first: Ints,
-    rules: Rules,
-) -> Pairs:  # fmt: skip
+    own: Map, near: Near, at: Moved, std: Floats, offset: Floats, variance: Floats, measured: Measured, rules: Rules
+) -> Pairs:
     """Return the pairs of Gaussians and measurements within the gate, with p_D w N(e; 0, S) / kappa.
 
     std (6,): deviations (m/s, rad/s) of the velocity that has led here, in S too; offset, variance (S,): of the
-    clocks; first (L +
-    1,): measurements of each link. Jacobians are worked out where they are needed only: no component alone has a
-    greater normalised distance than all, and a Gaussian's trace bounds the variances of its distance and azimuth.
+    clocks. Jacobians are worked out where they are needed only: no component alone has a greater normalised distance
+    than all, and a Gaussian's trace bounds the variances of its distance and azimuth.
     """
-    rows, names, site_of, where = own.rows, own.names, rules.site_of, near.where
-    z, known, single, gain, gate = measured.z, measured.known, measured.single, measured.gain, rules.gate
+    rows, names, site_of, where = own.rows, own.names, rules.matching.site_of, near.where
+    z, known, single, gain, gate = measured.z, measured.known, measured.single, measured.gain, rules.matching.gate
     most, size, dt2 = len(where) * len(z), 0, at.dt * at.dt
     gaussian, measurement, odds = np.empty(most, np.int64), np.empty(most, np.int64), np.empty(most)
     toward = np.empty((len(z), 2))
@@ -159,12 +167,12 @@ def pair_up(
     moved, turn = dt2 * (std[0] ** 2 + std[1] ** 2 + std[2] ** 2), dt2 * (std[3] ** 2 + std[4] ** 2 + std[5] ** 2)
     for n in range(len(where)):
         j = near.place[n]
-        link, mean, distance, flat2 = names[j, LINK], mean_of(rows, j), where[n, 0], where[n, 3]
+        link, mean, distance, flat2 = names[j, LINK], vec_at(rows[j], MEAN), where[n, 0], where[n, 3]
         site, ahead, aside = site_of[link], where[n, 1], where[n, 2]
         wide = where[n, 4] + 3.0 * (moved + 2.0 * variance[site])
         across, looked = wide / flat2 + 3.0 * turn, False
         wide += 3.0 * turn * flat2
-        for k in range(first[link], first[link + 1]):
+        for k in range(measured.first[link], measured.first[link + 1]):
             e = known[k, 0] * (z[k, 0] - distance)
             if e * e > gate * (single[k, 0] + wide):
                 continue
@@ -172,11 +180,14 @@ def pair_up(
                 continue
             if not looked:
                 seen = seen_from(at.place, at.turned.r, rows, j, offset[site])
-                spread, looked = with_clock(seen, variance[site]), True
+                spread, looked = map_kernel.with_clock(seen, variance[site]), True
                 if moved + turn > 0.0:
                     by = slopes(seen, mean, at, std)
-                    spread = sym_plus(spread, sym_plus(squared(by.velocity), squared(by.rates)))
-            new = innovation(residual(seen, vec_at(z, k, 0), vec_at(known, k, 0)), spread, vec_at(single, k, 0))
+                    for by_part in by:
+                        spread = algebra.sym_plus(spread, algebra.sym_product(by_part, transposed(by_part)))
+            new = map_kernel.innovation(
+                map_kernel.residual(seen, vec_of(z[k]), vec_of(known[k])), spread, vec_of(single[k])
+            )
             if 0.0 <= new.distance2 < gate:
                 gaussian[size], measurement[size] = n, k
                 likelihood = math.exp(min(new.log_density + gain[k], LARGEST_LOG))

@@ -3,9 +3,9 @@
 State
     A particle is a path. Given it: the map, an intensity v(m) = sum_j w_j N(m; m_j + g_j (b - b_j), Sigma_j) with
     weights of visible and hidden VTs; a clock offset b ~ N of each site; bias and scale of the odometry, Gaussian.
-                                                        gaussians_kernel.py: Map; snapshot_kernel.py: Particles
+                                                        map_kernel.py: Map; snapshot_kernel.py: Particles
 Recursion, for odometry u and the snapshot Z = {z_k}
-    predict     w visible <- stay w visible + back w hidden, and the reverse        gaussians_kernel.py: come_and_go
+    predict     w visible <- stay w visible + back w hidden, and the reverse        map_kernel.py: come_and_go
                 velocity ~ N(mu, diag sigma^2) by odometry, bias and scale          motion_kernel.py: predict_velocity
     draw        from its density given Z, linearised at its mean: information I + sum_p share_p A^T S^-1 A, A = dh/d(x),
                 x in deviations of the velocity; share_p of exclusive pairs         snapshot_kernel.py: _move, _inform
@@ -14,7 +14,7 @@ Recursion, for odometry u and the snapshot Z = {z_k}
     clocks      P <- P / (1 + I P),  b <- b + P y                                   snapshot_kernel.py: _learn_offsets
     update      detected: weight odds_jk / (1 + sum_i odds_ik), mean and covariance by Kalman's update
                 missed:   weight (1 - p_D(m_j)) w_j;  born: birth / (1 + sum_i odds_ik)           _updated, give_birth
-    merge       Gaussians that are near, and drop those of little weight            mixture_kernel.py: condense
+    merge       Gaussians that are near, and drop those of little weight            map_kernel.py: condense
 Weight of a particle
     log w <- log w + log (prior / density of the draw) + new (sum_k log (1 + sum_j odds_jk) - sum_j p_D(m_j) w_j)
                                                                                     _move, _update
@@ -27,7 +27,7 @@ Kaltiokallio et al., "A multihypotheses importance density for SLAM in cluttered
 
 from __future__ import annotations
 
-from typing import Any, ClassVar
+from typing import ClassVar
 
 import numpy as np
 from pydantic import Field
@@ -44,23 +44,10 @@ from cellslam.slam.measurements.misfit import Misfit
 from cellslam.slam.measurements.readings import Readings, novelty, ports_of, readings
 from cellslam.slam.model.pose_moments import pose_moments
 from cellslam.slam.model.resampling import systematic
-from cellslam.slam.phd_slam.gaussians_kernel import (
-    COVARIANCE,
-    GAIN,
-    HIDDEN,
-    HITS,
-    LINK,
-    LOG_TURN,
-    MEAN,
-    MISSING,
-    NAME,
-    NAMES,
-    VISIBLE,
-    WIDTH,
-    Measured,
-)
+from cellslam.slam.phd_slam import map_kernel as columns
+from cellslam.slam.phd_slam.map_kernel import LINK, LOG_TURN, MISSING, NAME, Map, Measured
 from cellslam.slam.phd_slam.motion_kernel import Interval
-from cellslam.slam.phd_slam.pairs_kernel import Rules
+from cellslam.slam.phd_slam.pairs_kernel import Matching, Upkeep, Visibility
 from cellslam.slam.phd_slam.snapshot_kernel import Particles, resample, use_snapshot
 
 CAPACITY = 64  # Gaussians that there is room for at the start; doubled when needed
@@ -146,19 +133,12 @@ class PhdSlam:
         level = self._attitude.levelled(dt_s, measurements)
         values = self._misfit.widened(readings(level, self._port_of, o, turned, moved), dt_s)
         self._view.widen(measurements.link, values)
-        measured, first = self._measured(measurements, values)
-        model = self._model
-        interval = Interval(
-            float(dt_s),
-            np.array(odometry, np.float64),
-            np.array(model.noise_density),
-            np.array(model.bias_walk_density),
-        )
-        walk = self._drift**2 * dt_s * DRIFT_SCALE_S
+        noise, walk = np.array(self._model.noise_density), np.array(self._model.bias_walk_density)
+        interval = Interval(dt=float(dt_s), measured=np.array(odometry, np.float64), noise=noise, walk=walk)
+        rules, clock_walk = self._rules(dt_s, novelty(o, turned, moved)), self._drift**2 * dt_s * DRIFT_SCALE_S
         association = np.empty((len(p.pose), len(measurements)), np.int64)
-        use_snapshot(
-            p, interval, measured, first, self._rules(dt_s, novelty(o, turned, moved)), walk, self._draws(), association
-        )
+        measured = self._measured(measurements, values)
+        use_snapshot(p, interval, measured, *rules, clock_walk, self._draws(), association)
         self._born += len(measurements)
         return self._fusion.answer(self._conclude(association, measurements, values), measurements)
 
@@ -174,7 +154,7 @@ class PhdSlam:
         return Particles(
             pose=setup.start_pose + setup.start_std * self._rng.standard_normal((n, 6)),
             error=np.zeros((n, 6, 2)), error_variance=np.tile(error_variance, (n, 1, 1)), offset=offset,
-            variance=np.tile(component**2, (n, 1)), log_weight=np.zeros(n), **room,
+            variance=np.tile(component**2, (n, 1)), log_weight=np.zeros((n, 1)), **room._asdict(),
         )  # fmt: skip
 
     def _draws(self) -> Floats:
@@ -183,32 +163,32 @@ class PhdSlam:
         drawn -= drawn.mean(axis=0)
         return drawn
 
-    def _measured(self, measurements: FusedMeasurements, values: Readings) -> tuple[Measured, Ints]:
-        """Return a snapshot as the kernels take it, and the first measurement of each link (L + 1,)."""
+    def _measured(self, measurements: FusedMeasurements, values: Readings) -> Measured:
+        """Return a snapshot as the kernels take it."""
         known = np.isfinite(values.z)
         missing = 0.5 * (LOG_TURN + np.log(MISSING)) * np.sum(~known, axis=1)
         single, many, fresh = (np.where(known, q, MISSING) for q in (values.single, values.many, values.fresh))
         gain = missing - values.gap - np.log(self._options.clutter_density)
         link = np.array(measurements.link, np.int64)
-        measured = Measured(
+        return Measured(
             z=np.where(known, values.z, 0.0), known=known.astype(np.float64), single=single, many=many, fresh=fresh,
-            gain=gain, link=link, begins=np.array(measurements.begins), born=self._born,
+            gain=gain, link=link, first=np.searchsorted(link, np.arange(len(self._site_of) + 1)),
+            begins=np.array(measurements.begins), born=self._born,
         )  # fmt: skip
-        return measured, np.searchsorted(link, np.arange(len(self._site_of) + 1))
 
-    def _rules(self, dt_s: float, new: float) -> Rules:
+    def _rules(self, dt_s: float, new: float) -> tuple[Visibility, Upkeep, Matching]:
         o = self._options
         stay, back = transitions(o, dt_s)
-        return Rules(
-            detection=o.detection_probability, gate=o.gate, drop=o.drop_weight, birth=o.birth_ratio, stay=stay,
-            back=back, merge=o.merge_distance2, iterations=o.iterations, new=new, limits=self._view.limits,
-            site_of=self._site_of,
-        )  # fmt: skip
+        return (
+            Visibility(detection=o.detection_probability, stay=stay, back=back, limits=self._view.limits),
+            Upkeep(birth=o.birth_ratio, drop=o.drop_weight, merge=o.merge_distance2),
+            Matching(gate=o.gate, iterations=o.iterations, new=new, site_of=self._site_of),
+        )
 
     def _conclude(self, association: Ints, measurements: FusedMeasurements, values: Readings) -> Estimate:
         p = self._particles
         best = int(np.argmax(p.log_weight))
-        weight = np.exp(p.log_weight - p.log_weight[best])
+        weight = np.exp(p.log_weight[:, 0] - p.log_weight[best, 0])
         weight /= weight.sum()
         mean, covariance = pose_moments(p.pose, weight, p.pose[best])
         offset = weight @ p.offset
@@ -229,39 +209,44 @@ class PhdSlam:
         p = self._particles
         count = int(p.size[particle, 0])
         rows, names = p.rows[particle, :count], p.names[particle, :count]
-        weight = rows[:, VISIBLE] + rows[:, HIDDEN]
-        sure = np.flatnonzero(rows[:, HITS] >= self._options.confirm_hits)
+        weight = rows[:, columns.VISIBLE] + rows[:, columns.HIDDEN]
+        sure = np.flatnonzero(rows[:, columns.HITS] >= self._options.confirm_hits)
         # Of Gaussians that have come of one, the weightiest is reported.
         sure = sure[np.argsort(-weight[sure], kind="stable")]
         sure = sure[np.unique(names[sure, NAME], return_index=True)[1]]
         rows, names = rows[sure], names[sure]
-        gain, own = rows[:, GAIN:VISIBLE], rows[:, COVARIANCE:GAIN][:, TRIANGLE]
+        gain, own = rows[:, columns.GAIN : columns.VISIBLE], rows[:, columns.COVARIANCE : columns.GAIN][:, TRIANGLE]
         clock = p.variance[particle, self._site_of[names[:, LINK]]]
         covariance = own + clock[:, None, None] * gain[:, :, None] * gain[:, None, :]
-        return VtEstimate(names[:, NAME].copy(), names[:, LINK].copy(), rows[:, MEAN:COVARIANCE].copy(), covariance)
+        position = rows[:, columns.MEAN : columns.COVARIANCE].copy()
+        return VtEstimate(names[:, NAME].copy(), names[:, LINK].copy(), position, covariance)
 
     def _reserve(self) -> None:
         """Double the room for Gaussians where a map is half full."""
         p, (n, capacity) = self._particles, self._particles.names.shape[:2]
         if 2 * p.size.max() > capacity and capacity < self._options.components:
-            wider = p._replace(**_room(n, min(2 * capacity, self._options.components)))
-            wider.rows[:, :capacity], wider.names[:, :capacity], wider.size[:] = p.rows, p.names, p.size
-            self._particles = wider
+            new = _room(n, min(2 * capacity, self._options.components))
+            new.rows[:, :capacity], new.names[:, :capacity], new.size[:] = p.rows, p.names, p.size
+            self._particles = p._replace(rows=new.rows, names=new.names, size=new.size)
 
 
-def _put_anchors(room: dict[str, Any], sites: Sites, site_of: Ints) -> None:
+def _put_anchors(room: Map, sites: Sites, site_of: Ints) -> None:
     """Begin every map with the transmitters that are known before the drive."""
     if sites.position_m is None:
         return
     known = np.flatnonzero(np.isfinite(sites.position_m[site_of]).all(axis=1))
-    rows, names = room["rows"][:, : len(known)], room["names"][:, : len(known)]
-    rows[:, :, MEAN:COVARIANCE] = sites.position_m[site_of[known]]
-    rows[:, :, COVARIANCE + np.diag(TRIANGLE)] = ANCHOR_STD_M**2
-    rows[:, :, VISIBLE], rows[:, :, HITS] = 1.0, SURVEYED
+    rows, names = room.rows[:, : len(known)], room.names[:, : len(known)]
+    rows[:, :, columns.MEAN : columns.COVARIANCE] = sites.position_m[site_of[known]]
+    rows[:, :, columns.COVARIANCE + np.diag(TRIANGLE)] = ANCHOR_STD_M**2
+    rows[:, :, columns.VISIBLE], rows[:, :, columns.HITS] = 1.0, SURVEYED
     names[:, :, LINK] = names[:, :, NAME] = known
-    room["size"][:] = len(known)
+    room.size[:] = len(known)
 
 
-def _room(particles: int, capacity: int) -> dict[str, Any]:
-    rows, names = (particles, capacity, WIDTH), (particles, capacity, NAMES)
-    return {"rows": np.zeros(rows), "names": np.zeros(names, np.int64), "size": np.zeros((particles, 1), np.int64)}
+def _room(particles: int, capacity: int) -> Map:
+    """Return empty maps."""
+    shape = particles, capacity
+    return Map(
+        rows=np.zeros((*shape, columns.WIDTH)), names=np.zeros((*shape, columns.NAMES), np.int64),
+        size=np.zeros((particles, 1), np.int64),
+    )  # fmt: skip

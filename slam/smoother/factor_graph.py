@@ -1,4 +1,8 @@
-"""The factor graph: poses, odometry errors, clock offsets, VTs; built and solved with GTSAM."""
+"""The factor graph: poses, odometry errors, clock offsets, VTs; built and solved with GTSAM.
+
+Sources: paper, eq. 22 to 27, with the elevation corrected; Barfoot, "State estimation for robotics", 2017, chapter 7
+(derivatives by a rotation vector).
+"""
 
 from __future__ import annotations
 
@@ -9,10 +13,33 @@ import gtsam
 import numpy as np
 from gtsam.symbol_shorthand import B, E, L, X
 
+from cellslam.sim.compiling import njit
 from cellslam.sim.frames import rotation, rotation_angles
+from cellslam.sim.frames.frames_kernel import wrap
 from cellslam.sim.recording import Floats, Ints
-from cellslam.slam.smoother.factors_kernel import residual
-from cellslam.slam.smoother.odometry_factors import Leg
+from cellslam.slam.model import matrices_kernel as algebra
+from cellslam.slam.model.matrices_kernel import Mat3, mat_mat, transposed, transposed_vec, vec_at, vec_minus, vec_of
+from cellslam.slam.model.measurement_kernel import spherical, spherical_jacobian
+
+
+@dataclass(frozen=True)
+class Leg:
+    """Motion from one keyframe to the next, over n snapshots.
+
+    `inner` (n, 6): poses of the snapshots after the first keyframe in its frame, the last one the next keyframe; `std`
+    (6,): deviations of rotation vector and translation in the frame of the end; `by_error` (6, e): how these change
+    with each odometry error: biases, then scales.
+    """
+
+    inner: Floats
+    std: Floats
+    by_error: Floats
+
+    @property
+    def relative(self) -> Floats:
+        """The end in the frame of the start, (6,), in m and rad."""
+        end: Floats = self.inner[-1]
+        return end
 
 
 @dataclass(frozen=True)
@@ -32,24 +59,30 @@ class Sighting:
 
 
 @dataclass(frozen=True)
-class Problem:
-    """What is solved. `start` (6,), `start_std` (6,); keyframes (K, 6) to begin with, legs between them (K - 1).
-
-    `segment` (K - 1,): which odometry errors hold on a leg; `error_std` (e,), `walk_std` (e,) from one segment to the
-    next; `offset_mean_m`, `offset_std_m` (S,) priors, `offset_m` (S,) to begin with; `vts` (V, 3) to begin with.
-    """
+class Priors:
+    """What is known before: `start` pose (6,) and its deviations `start_std` (6,); deviations `error_std` (e,) of the
+    odometry errors, and `walk_std` (e,) from one segment to the next; clock offsets `offset_mean_m`, `offset_std_m`
+    (S,)."""
 
     start: Floats
     start_std: Floats
-    keyframes: Floats
-    legs: tuple[Leg, ...]
-    segment: Ints
     error_std: Floats
     walk_std: Floats
     offset_mean_m: Floats
     offset_std_m: Floats
+
+
+@dataclass(frozen=True)
+class Problem:
+    """What is solved: keyframes (K, 6), clock offsets (S,) and VTs (V, 3) to begin with; legs between the keyframes
+    (K - 1), `segment` (K - 1,): which odometry errors hold on a leg; sightings."""
+
+    priors: Priors
+    keyframes: Floats
     offset_m: Floats
     vts: Floats
+    legs: tuple[Leg, ...]
+    segment: Ints
     sightings: tuple[Sighting, ...]
 
 
@@ -79,7 +112,7 @@ def solve(problem: Problem, gate: float, huber: float, rounds: int, iterations: 
             break
         outlier = found
     frames = np.array([_pose6(values.atPose3(X(k))) for k in range(len(problem.keyframes))])
-    offsets = np.array([values.atVector(B(s))[0] for s in range(len(problem.offset_mean_m))])
+    offsets = np.array([values.atVector(B(s))[0] for s in range(len(problem.priors.offset_mean_m))])
     vts = np.array([values.atPoint3(L(v)) for v in range(len(problem.vts))]).reshape(-1, 3)
     return Solution(frames, offsets, vts, outlier.astype(np.int64))
 
@@ -92,10 +125,10 @@ def _ordering(problem: Problem) -> Any:
             order.push_back(L(v))
     for k in range(len(problem.keyframes)):
         order.push_back(X(k))
-    if len(problem.error_std):
+    if len(problem.priors.error_std):
         for segment in range(int(problem.segment.max(initial=0)) + 1):
             order.push_back(E(segment))
-    for site in range(len(problem.offset_mean_m)):
+    for site in range(len(problem.priors.offset_mean_m)):
         order.push_back(B(site))
     return order
 
@@ -105,7 +138,7 @@ def _initial(problem: Problem) -> Any:
     for k, pose in enumerate(problem.keyframes):
         values.insert(X(k), _pose3(pose))
     for segment in range(int(problem.segment.max(initial=0)) + 1):
-        values.insert(E(segment), np.zeros(len(problem.error_std)))
+        values.insert(E(segment), np.zeros(len(problem.priors.error_std)))
     for site, offset in enumerate(problem.offset_m):
         values.insert(B(site), np.array([offset]))
     for v, place in enumerate(problem.vts):
@@ -115,17 +148,19 @@ def _initial(problem: Problem) -> Any:
 
 def _graph(problem: Problem, used: Any, huber: float) -> Any:
     graph, diagonal = gtsam.NonlinearFactorGraph(), gtsam.noiseModel.Diagonal.Sigmas
-    start_std = np.maximum(np.concatenate([problem.start_std[[5, 4, 3]], problem.start_std[:3]]), 1e-4)
-    graph.add(gtsam.PriorFactorPose3(X(0), _pose3(problem.start), diagonal(start_std)))
-    if len(problem.error_std):
-        graph.add(gtsam.PriorFactorVector(E(0), np.zeros(len(problem.error_std)), diagonal(problem.error_std)))
+    start_std = np.maximum(np.concatenate([problem.priors.start_std[[5, 4, 3]], problem.priors.start_std[:3]]), 1e-4)
+    graph.add(gtsam.PriorFactorPose3(X(0), _pose3(problem.priors.start), diagonal(start_std)))
+    if len(problem.priors.error_std):
+        graph.add(
+            gtsam.PriorFactorVector(E(0), np.zeros(len(problem.priors.error_std)), diagonal(problem.priors.error_std))
+        )
         for segment in range(int(problem.segment.max(initial=0))):
             keys = gtsam.KeyVector([E(segment), E(segment + 1)])
-            graph.add(gtsam.CustomFactor(diagonal(problem.walk_std), keys, _walk))
-    for site, (mean, std) in enumerate(zip(problem.offset_mean_m, problem.offset_std_m, strict=True)):
+            graph.add(gtsam.CustomFactor(diagonal(problem.priors.walk_std), keys, _walk))
+    for site, (mean, std) in enumerate(zip(problem.priors.offset_mean_m, problem.priors.offset_std_m, strict=True)):
         graph.add(gtsam.PriorFactorVector(B(site), np.array([mean]), diagonal(np.array([max(std, 1e-6)]))))
     for k, leg in enumerate(problem.legs):
-        keys = [X(k), X(k + 1), *([E(int(problem.segment[k]))] if len(problem.error_std) else [])]
+        keys = [X(k), X(k + 1), *([E(int(problem.segment[k]))] if len(problem.priors.error_std) else [])]
         graph.add(gtsam.CustomFactor(diagonal(leg.std), gtsam.KeyVector(keys), _driven(leg)))
     loss = gtsam.noiseModel.mEstimator.Huber.Create(huber)
     for sighting in (s for s, use in zip(problem.sightings, used, strict=True) if use):
@@ -200,3 +235,32 @@ def _pose3(pose: Floats) -> Any:
 
 def _pose6(pose: Any) -> Floats:
     return np.concatenate([pose.translation(), rotation_angles(pose.rotation().matrix())])
+
+
+@njit(cache=True)
+def residual(
+    rotation: Floats, position: Floats, vt: Floats, offset: float, relative: Floats, z: Floats, out: Floats,
+    by_pose: Floats, by_vt: Floats,
+) -> None:  # fmt: skip
+    """Write the mean over measurements of h + offset - z, and its Jacobians.
+
+    rotation (3, 3), position (3,): keyframe; vt (3,) and offset in m; relative (m, 12): rotation row by row, and place,
+    of the vehicle in the keyframe's frame; z (m, 3): distance, azimuth, elevation, in m and rad. out (3,); by_pose (3,
+    6): rotation vector and translation in the keyframe's frame; by_vt (3, 3). The offset's Jacobian is (1, 0, 0).
+    """
+    r, slope = algebra.mat_of(rotation), algebra.mat_of(np.zeros((3, 3)))
+    q, share = transposed_vec(r, vec_minus(vec_of(vt), vec_of(position))), 1.0 / len(z)
+    out[:] = 0.0
+    for m in range(len(z)):
+        turned = algebra.mat_at(relative[m], 0)
+        y = transposed_vec(turned, vec_minus(q, vec_at(relative[m], 9)))
+        h = spherical(y)
+        out[0] += share * (h.distance + offset - z[m, 0])
+        out[1] += share * wrap(h.azimuth - z[m, 1])
+        out[2] += share * (h.elevation - z[m, 2])
+        one = algebra.scaled(mat_mat(spherical_jacobian(y), transposed(turned)), -share)
+        slope = algebra.mat_minus(slope, one)
+    crossed = Mat3(0.0, -q.z, q.y, q.z, 0.0, -q.x, -q.y, q.x, 0.0)  # dq = [q]x omega - v
+    algebra.put_mat(by_pose[:, :3], mat_mat(slope, crossed))
+    algebra.put_mat(by_pose[:, 3:], algebra.scaled(slope, -1.0))
+    algebra.put_mat(by_vt, mat_mat(slope, transposed(r)))

@@ -6,14 +6,14 @@ State
 Cost, minimised by Levenberg and Marquardt                                factor_graph.py: solve, _graph
     |X_0 - start|^2 + |E_0|^2 + sum |b_s - mean|^2                        priors, each in its deviations
     + sum_k |Log(odometry_k^-1 X_k^-1 X_k+1) - J_k E_g(k)|^2              odometry between keyframes: _driven;
-                                                                          odometry_factors.py: leg (J_k: by_error)
+                                                                          drive_factors.py: leg (J_k: by_error)
     + sum_g |E_g+1 - E_g|^2                                               biases walk: _walk
-    + sum rho(mean of h(X_k, L_v) + b_s - z)                              sightings: _seen; factors_kernel.py: residual
+    + sum rho(mean of h(X_k, L_v) + b_s - z)                              sightings: _seen; residual
                                                                           rho: Huber's loss
 Outliers
     sightings beyond `gate` are left out, and the graph is solved again; associations are those of EKF-SLAM.
 Between keyframes
-    odometry, whose misclosure is spread evenly                           normal_equations.py: between
+    odometry, whose misclosure is spread evenly                           drive_factors.py: between
 
 Sources: Dellaert and Kaess, "Factor graphs for robot perception", Foundations and Trends in Robotics 6, 2017, and their
 library GTSAM (package extra `gtsam`).
@@ -25,12 +25,30 @@ from importlib.util import find_spec
 from typing import ClassVar
 
 import numpy as np
+from pydantic import BaseModel, ConfigDict, Field
 
 from cellslam.sim.errors import InputError
 from cellslam.sim.recording import Floats, Ints
 from cellslam.slam.api import Estimate, Setup, Snapshot
 from cellslam.slam.joint.ekf_slam import EkfSlam
-from cellslam.slam.smoother.smoother_options import SmootherOptions
+from cellslam.slam.joint.ekf_slam_options import EkfSlamOptions
+
+
+class SmootherOptions(BaseModel):
+    """What a scenario may set under `estimator.smoother`."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    keyframe_s: float = Field(1.0, gt=0, le=100, description="time between poses of the graph, s")
+    bias_s: float = Field(20.0, gt=0, le=1e4, description="time for which odometry biases are taken as constant, s")
+    vt_detections: int = Field(10, ge=2, le=1000, description="VTs associated less often are left out")
+    gate: float = Field(
+        16.3, gt=0, le=1000, description="squared Mahalanobis distance of one measurement beyond which it is an outlier"
+    )
+    rounds: int = Field(3, ge=1, le=20, description="times to solve, each without the outliers that the last one found")
+    huber: float = Field(2.0, gt=0, le=100, description="residuals beyond this many deviations count linearly (Huber)")
+    iterations: int = Field(30, ge=1, le=1000, description="most iterations of Levenberg and Marquardt, each time")
+    ekf_slam: EkfSlamOptions = Field(EkfSlamOptions(), description="the EKF-SLAM whose associations are taken")
 
 
 class Smoother:
@@ -51,7 +69,7 @@ class Smoother:
 
     def warm_up(self) -> None:
         """Compile EKF-SLAM and the residual."""
-        from cellslam.slam.smoother.factors_kernel import residual
+        from cellslam.slam.smoother.factor_graph import residual
 
         self._filter.warm_up()
         row, small = np.zeros(3), np.zeros((3, 3))
@@ -90,17 +108,16 @@ class Smoother:
 
     def finish(self) -> Floats | None:
         """Return the smoothed poses (T, 6) in m and rad; None for a drive of fewer than two snapshots."""
+        from cellslam.slam.smoother.drive_factors import Drive, between, problem_of
         from cellslam.slam.smoother.factor_graph import solve
-        from cellslam.slam.smoother.normal_equations import Drive, between, problem_of
 
         if len(self._poses) < 2:
             return None
-        drive = Drive(
+        o, drive = self.options, Drive(
             setup=self._setup, dt_s=np.array(self._dt_s), odometry=np.array(self._odometry),
             snapshots=self._snapshots, association=self._association, poses=np.array(self._poses), vts=self._vts,
             offset_m=self._offset,
         )  # fmt: skip
-        problem, frames = problem_of(drive, self.options)
-        o = self.options
+        problem, frames = problem_of(drive, o)
         solution = solve(problem, o.gate, o.huber, o.rounds, o.iterations)
         return between(solution.keyframes, problem.legs, frames)

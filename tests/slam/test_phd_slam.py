@@ -18,7 +18,7 @@ from cellslam.slam.conformance import EstimatorConformance
 from cellslam.slam.dead_reckoning import DeadReckoning
 from cellslam.slam.model.matrices_kernel import Mat3, vec_of
 from cellslam.slam.model.measurement_model import jacobians, predict
-from cellslam.slam.phd_slam.gaussians_kernel import (
+from cellslam.slam.phd_slam.map_kernel import (
     COVARIANCE,
     GAIN,
     HIDDEN,
@@ -27,12 +27,12 @@ from cellslam.slam.phd_slam.gaussians_kernel import (
     VISIBLE,
     WIDTH,
     Map,
+    condense,
     innovation,
     put_update,
     residual,
     seen_from,
 )
-from cellslam.slam.phd_slam.mixture_kernel import Pool, condense
 from cellslam.slam.phd_slam.motion_kernel import Interval, factorise, inform, learn, moved, slopes
 from cellslam.slam.phd_slam.pairs_kernel import Pairs, exclusive
 from cellslam.slam.phd_slam.phd_slam import TRIANGLE, PhdSlam, PhdSlamOptions
@@ -141,7 +141,7 @@ def test_merging_keeps_weight_and_moments_of_what_it_merges() -> None:
     rows[:, MEAN] = [0.0, 1.0, 50.0, 0.0]
     rows[:, COVARIANCE:GAIN] = np.eye(3)[UPPER]
     own = Map(np.zeros((8, WIDTH)), np.zeros((8, NAMES), np.int64), np.zeros(1, np.int64))
-    condense(Pool(rows.copy(), names, np.array([4])), own, np.empty(0, np.int64), 1e-6, 4.0)
+    condense(Map(rows.copy(), names, np.array([4])), own, np.empty(0, np.int64), 1e-6, 4.0)
     assert own.size[0] == 2
     share = 0.2 / 0.8
     assert own.rows[0, [VISIBLE, HIDDEN]] == pytest.approx([0.7, 0.1])
@@ -153,7 +153,7 @@ def test_resampled_particles_share_nothing() -> None:
     n = 4
     parts = [np.arange(n * k, dtype=float).reshape(n, *shape) for k, shape in ((6, (6,)), (12, (6, 2)), (18, (6, 3)))]
     maps = np.arange(n * 2 * WIDTH, dtype=float).reshape(n, 2, WIDTH), np.zeros((n, 2, NAMES), np.int64)
-    p = Particles(*parts, np.zeros((n, 1)), np.zeros((n, 1)), np.ones(n), *maps, np.full((n, 1), 2))
+    p = Particles(*parts, np.zeros((n, 1)), np.zeros((n, 1)), np.ones((n, 1)), *maps, np.full((n, 1), 2))
     before = [part.copy() for part in (p.pose, p.error, p.error_variance, p.rows)]
     resample(p, np.array([1, 1, 1, 3]))
     for part, was in zip((p.pose, p.error, p.error_variance, p.rows), before, strict=True):

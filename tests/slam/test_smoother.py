@@ -14,8 +14,8 @@ from cellslam.sim.recording import Recording
 from cellslam.slam.api import setup_of, snapshots_of
 from cellslam.slam.conformance import EstimatorConformance
 from cellslam.slam.model.measurement_model import predict
-from cellslam.slam.smoother.factors_kernel import residual
-from cellslam.slam.smoother.odometry_factors import leg, local
+from cellslam.slam.smoother.drive_factors import leg, local
+from cellslam.slam.smoother.factor_graph import residual
 
 pytest.importorskip("gtsam", reason="GTSAM is not installed: pip install 'cellslam[gtsam]'")
 
@@ -79,9 +79,9 @@ def test_a_leg_is_the_odometry_and_knows_its_errors(toy_recording: Callable[...,
 
 def drive(recording: Recording, share_wrong: float) -> tuple[Any, Any]:
     """Smooth a toy drive from true associations of which a share is wrong; return errors before and after (m)."""
+    from cellslam.slam.smoother.drive_factors import Drive, between, problem_of
     from cellslam.slam.smoother.factor_graph import solve
-    from cellslam.slam.smoother.normal_equations import Drive, between, problem_of
-    from cellslam.slam.smoother.smoother_options import SmootherOptions
+    from cellslam.slam.smoother.smoother import SmootherOptions
 
     truth, rng = recording.truth, np.random.default_rng(4)
     assert truth is not None

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from cellslam.benchmarks.scores.association import Tracks, tracks_of
+from cellslam.benchmarks.scores.map_scores import Tracks, tracks_of
 from cellslam.benchmarks.scores.metrics import duration_s
 from cellslam.benchmarks.scores.trial_result import TrialResult
 from cellslam.sim.recording import Floats, Ints, Recording

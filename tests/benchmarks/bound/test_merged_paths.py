@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 from scipy.stats import chi2
 
-from cellslam.benchmarks.bound.cramer_rao import bound, core_of, tracked_measurements
+from cellslam.benchmarks.bound.cramer_rao import bound
+from cellslam.benchmarks.bound.linear_model import linear_model
 from cellslam.benchmarks.bound.merged_paths import LEAST_SHARE, both_bounds, merged, merged_share, merging
 from cellslam.benchmarks.scores.metrics import nees
 from cellslam.scenarios.loading import load
@@ -59,11 +60,9 @@ def test_size_and_duration_of_merging_are_those_of_the_drive(drives):
 
 def test_each_vt_merges_by_itself(make_recording):
     recording = make_recording(seed=3, snapshots=50)
-    core = core_of(recording.odometry_model, recording.sites)
-    one = Cause("merging", np.full(3, 0.1), LASTS_S)
-    views, sightings, _ = tracked_measurements(recording, recording.truth, core, merging=one)
-    states = views.state[sightings.view_of, :, -1]
-    of_vt = np.unique(np.column_stack([sightings.key, states]), axis=0)
+    _, drive = linear_model(recording, merging=Cause("merging", np.full(3, 0.1), LASTS_S))
+    states = drive.views.state[drive.sightings.view_of, :, -1]
+    of_vt = np.unique(np.column_stack([drive.sightings.vt, states]), axis=0)
     assert len(of_vt) == len(np.unique(of_vt[:, 0])) > 3 and len(np.unique(states)) == 3 * len(of_vt)
 
 

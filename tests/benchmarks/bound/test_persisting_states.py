@@ -7,25 +7,19 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
-from scipy.linalg import block_diag, solve_triangular
+from scipy.linalg import solve_triangular
 
 from cellslam.benchmarks.bound import persisting_states as bound_persisting
-from cellslam.benchmarks.bound.cramer_rao import (
-    bound,
-    core_of,
-    drifted_std,
-    linear_motion,
-    start_variance,
-    tracked_measurements,
-)
-from cellslam.benchmarks.bound.drawn_errors import jumps
-from cellslam.benchmarks.bound.persisting_states import bell_functions, correlation, principal_functions, rates_among
+from cellslam.benchmarks.bound.cramer_rao import bound
+from cellslam.benchmarks.bound.linear_model import core_of, linear_motion, start_variance
+from cellslam.benchmarks.bound.persisting_states import bell_functions, correlation, principal_functions
 from cellslam.sim.errors import InputError
 from cellslam.sim.lte import RadioConfig
 from cellslam.sim.lte.persisting_errors import causes, draw_fields, persisting_std
 from cellslam.sim.lte.statistical.measurement_kernel import write_attitude, write_persisting
 from cellslam.sim.recording import Recording
 from cellslam.slam.model.measurement_model import jacobians, predict
+from tests.benchmarks.bound.joint_filter import JointFilter, apart
 
 WHITE = (0.15, np.radians(0.3), np.radians(0.3))
 # Odometry so poor that the measurements decide.
@@ -61,70 +55,17 @@ def directions(count: int, seed: int) -> tuple[np.ndarray, np.ndarray, np.ndarra
     return azimuth, elevation, np.stack([flat * np.cos(azimuth), flat * np.sin(azimuth), np.sin(elevation)], 1)
 
 
-class JointFilter:
-    """The textbook recursion with every state there from the start: core, VTs of broad prior, persisting errors."""
-
-    def __init__(self, recording: Recording, broad_std: float = 1e5) -> None:
-        assert recording.truth is not None
-        self.core = core_of(recording.odometry_model, recording.sites)
-        self.motion, self.noise, self.walk = linear_motion(recording, recording.truth, self.core)
-        self.views, self.rows, self.errors = tracked_measurements(recording, recording.truth, self.core)
-        self.vts, self.steps = 3 * (int(self.rows.key.max()) + 1), len(recording.time_s)
-        start = np.diag(start_variance(recording, self.core))
-        self.covariance = block_diag(start, broad_std**2 * np.eye(self.vts), np.eye(len(self.errors.last)))
-        self.size = len(self.covariance)
-
-    def transition(self, t: int) -> tuple[np.ndarray, np.ndarray]:
-        f, q, w = np.eye(self.size), np.zeros((self.size, self.size)), np.zeros(self.size)
-        f[:6, : self.core.size], q[:6, :6] = self.motion[t], self.noise[t]
-        w[: self.core.size] = self.walk[t]
-        q = (f * w) @ f.T + q
-        rho = self.errors.decay[t, self.errors.kind]
-        at = np.arange(self.size - len(rho), self.size)
-        f[at, at], q[at, at] = rho, 1 - rho**2
-        return f, q
-
-    def rows_of(self, t: int) -> tuple[np.ndarray, np.ndarray]:
-        """H (n, size) and R (n, n) of a snapshot."""
-        low, high = self.rows.rows[t : t + 2]
-        h = np.zeros((high - low, 3, self.size))
-        first_error = self.core.size + self.vts
-        for i, m in enumerate(range(low, high)):
-            view, vt = self.rows.view_of[m], self.core.size + 3 * self.rows.key[m]
-            h[i, :, :6], h[i, :, vt : vt + 3] = self.views.by_pose[view], self.views.by_vt[view]
-            h[i, 0, self.views.offset[view]] = 1
-            for r in range(3):
-                for state, load in zip(self.views.state[view, r], self.views.load[view, r], strict=True):
-                    h[i, r, first_error + state] += load * (state >= 0)
-                if self.rows.state[m, r] >= 0:
-                    h[i, r, first_error + self.rows.state[m, r]] += self.rows.load[r]
-        return h.reshape(-1, self.size), np.diag(self.rows.variance[low:high].reshape(-1))
-
-    def steps_of(self):
-        """Run; yield snapshot, transition, H and gain of each snapshot, when its covariance is ready."""
-        for t in range(self.steps):
-            f, q = self.transition(t) if t else (np.eye(self.size), np.zeros((self.size, self.size)))
-            self.covariance = f @ self.covariance @ f.T + q
-            h, r = self.rows_of(t)
-            k = np.linalg.solve(h @ self.covariance @ h.T + r, h @ self.covariance).T
-            left = np.eye(self.size) - k @ h
-            self.covariance = left @ self.covariance @ left.T + k @ r @ k.T
-            yield t, f, q, h, r, k
-
-
 def exact_horizontal_std(recording: Recording, at: int) -> float:
     """The bound after snapshot `at` from all measurements at once, with the fields' own correlations."""
     truth, m, config = recording.truth, recording.measurements, radio_of(recording)
     assert truth is not None
     core = core_of(recording.odometry_model, recording.sites)
-    motion, noise, walk = linear_motion(recording, truth, core)
+    F, Q = linear_motion(recording, truth, core)
     maps = [np.diag(np.sqrt(start_variance(recording, core)))]
     for t in range(1, at + 1):
-        f, q = np.eye(core.size), np.zeros((core.size, core.size))
-        f[:6], q[:6, :6] = motion[t], noise[t]
-        value, vector = np.linalg.eigh(q + (f * walk[t]) @ f.T)
+        value, vector = np.linalg.eigh(Q[t])
         keep = value > 1e-13 * value.max()
-        maps.append(np.hstack([f @ maps[-1], vector[:, keep] * np.sqrt(value[keep])]))
+        maps.append(np.hstack([F[t] @ maps[-1], vector[:, keep] * np.sqrt(value[keep])]))
     rows = np.flatnonzero((truth.measurement_vt >= 0) & (m.snapshot <= at))
     t, vt, link = m.snapshot[rows], truth.measurement_vt[rows], m.link[rows]
     by_vt, by_pose = jacobians(truth.poses[t], truth.vts.position_m[vt])
@@ -186,21 +127,12 @@ def test_bound_equals_the_joint_recursion_with_the_same_states(make_recording, m
     if drift_m_s is not None:
         std = np.full(len(recording.sites), drift_m_s)
         recording = replace(recording, sites=replace(recording.sites, clock_drift_std_m_s=std))
-    joint, result, drifted = JointFilter(recording), bound(recording), drifted_std(recording)
-    drawn, error = jumps(recording, recording.truth, joint.core, joint.motion), np.zeros(joint.size)
-    rate = joint.core.size + joint.vts + rates_among(joint.errors, drifted)
-    for t, f, _, h, _, k in joint.steps_of():
-        error = f @ error
-        error[: joint.core.size] += drawn[t]
-        error += k @ (joint.rows.residual[joint.rows.rows[t] : joint.rows.rows[t + 1]].reshape(-1) - h @ error)
-        np.testing.assert_allclose(result.pose_error[t], error[:6], atol=1e-5)
-        pose = joint.covariance[:6, :6]
-        scale = np.sqrt(np.diag(pose))
-        assert np.abs((result.pose_covariance[t] - pose) / (scale[:, None] * scale)).max() < 1e-5
-        now = np.eye(joint.size)[joint.core.offsets] + drifted[t][:, None] * np.eye(joint.size)[rate]
-        offset = np.sqrt(np.diag(now @ joint.covariance @ now.T))
-        np.testing.assert_allclose(result.clock_offset_std_m[t], offset, rtol=1e-5)
-    assert set(joint.errors.kind) == {0, 1, 2} and (joint.views.state < 0).any()
+    joint, result = JointFilter(recording), bound(recording)
+    pose, offset, error = joint.run()
+    assert apart(result.pose_covariance, pose) < 1e-5
+    np.testing.assert_allclose(result.clock_offset_std_m, offset, rtol=1e-5)
+    np.testing.assert_allclose(result.pose_error, error, atol=1e-5)
+    assert set(joint.drive.states.kind) == {0, 1, 2} and (joint.drive.views.state < 0).any()
     assert joint.size < 800
 
 
@@ -243,18 +175,14 @@ def test_a_filter_that_meets_the_drawn_fields_makes_errors_of_that_size(make_rec
     recording, rng, runs = persisting(recording, **radio), np.random.default_rng(11), 120
     joint, truth, config = JointFilter(recording, broad_std=1e3), recording.truth, radio_of(recording)
     fields = [draw_fields(config, 0.5, rng) for _ in range(runs)]
-    known = joint.core.size + joint.vts
-    drawn_states = np.delete(np.arange(joint.size), joint.core.mean)
-    error = np.zeros((runs, joint.size))
-    error[:, drawn_states] = rng.normal(0, 1, (runs, joint.size - 1))
-    error *= np.sqrt(np.diag(joint.covariance))
+    error, core = rng.normal(0, 1, (runs, joint.size)) * np.sqrt(np.diag(joint.P)), joint.core.size
     # The filter estimates errors that begin at zero, of which it knows the deviation: what it meets is in the fields.
-    error[:, known:] = 0.0
+    error[:, joint.errors :] = 0.0
     m, turn, drawn = recording.measurements, np.zeros(3), np.zeros(3)
     met = np.flatnonzero(truth.measurement_vt >= 0)
     geometry = predict(truth.poses[m.snapshot[met]], truth.vts.position_m[truth.measurement_vt[met]])
     squares = []
-    for t, f, q, h, r, k in joint.steps_of():
+    for t, (F, Q, H, R, _, K) in enumerate(joint.steps()):
         chosen = np.flatnonzero(m.snapshot[met] == t)
         persisted = np.zeros((runs, len(chosen), 3))
         for i, field in enumerate(fields):
@@ -264,13 +192,11 @@ def test_a_filter_that_meets_the_drawn_fields_makes_errors_of_that_size(make_rec
                 port = recording.links.port[m.link[met[x]]]
                 write_persisting(geometry[x], truth.poses[t], vt, port, turn, field, drawn)
                 persisted[i, j] = drawn
-        error = error @ f.T
-        core = drawn_states[drawn_states < joint.core.size]
-        moved = q[np.ix_(core, core)]
-        error[:, core] += rng.multivariate_normal(np.zeros(len(core)), moved, runs, method="eigh")
-        noise = rng.normal(0, 1, (runs, len(r))) * np.sqrt(np.diag(r)) + persisted.reshape(runs, -1)
+        error = error @ F.T
+        error[:, :core] += rng.multivariate_normal(np.zeros(core), Q[:core, :core], runs, method="eigh")
+        noise = rng.normal(0, 1, (runs, len(R))) * np.sqrt(R) + persisted.reshape(runs, -1)
         # Signs: `error` is truth minus estimate, and of a persisting error minus its estimate, its truth in `noise`.
-        error = error - (error @ h.T + noise) @ k.T
+        error = error - (error @ H.T + noise) @ K.T
         squares.append((error[:, :2] ** 2).sum(1).mean())
     rms, result = np.sqrt(np.mean(squares)), bound(recording).position_rmse_m
     white = bound(all_white(recording)).position_rmse_m

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from cellslam.benchmarks.bound.cramer_rao import BoundResult
-from cellslam.benchmarks.scores.association import precision_recall, tracks_of
+from cellslam.benchmarks.scores.map_scores import precision_recall, tracks_of
 from cellslam.benchmarks.scores.metrics import METRIC_KEYS, distance_m, duration_s, nees, score
 from cellslam.benchmarks.scores.trial_result import TrialResult
 from cellslam.benchmarks.scores.walls import true_walls

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from scipy.stats import chi2
 
-from cellslam.benchmarks.scores.association import vt_nees
+from cellslam.benchmarks.scores.map_scores import vt_nees
 from cellslam.benchmarks.scores.metrics import ROW_KEYS
 from cellslam.benchmarks.sweeps.store import writing
 from cellslam.benchmarks.sweeps.tasks import Result, identity, plan

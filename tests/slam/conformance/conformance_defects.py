@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Callable
 from dataclasses import replace
 from typing import Any, ClassVar
 
@@ -14,30 +15,82 @@ from cellslam.slam.dead_reckoning import DeadReckoning
 
 
 class Sound(DeadReckoning):
-    """Dead reckoning with a generator; no defect."""
+    """Dead reckoning; no defect."""
 
     name: ClassVar[str] = "sound"
 
-    def start(self, setup: Setup, rng: np.random.Generator) -> None:
-        super().start(setup, rng)
-        self._rng = rng
+
+Answering = Callable[[Any, Estimate, float, Snapshot], Estimate]
 
 
-class GlobalRandom(Sound):
-    """Jitters with the global generator."""
+def spoilt(name: str, answering: Answering) -> type[Sound]:
+    """Return an estimator whose answers this function spoils: it gets the estimator, the answer, dt_s and snapshot."""
 
-    def step(self, dt_s: float, odometry: Floats, snapshot: Snapshot) -> Estimate:
-        answer = super().step(dt_s, odometry, snapshot)
-        return replace(answer, pose=answer.pose + 1e-3 * np.random.normal(size=6))  # noqa: NPY002
+    def step(self: Sound, dt_s: float, odometry: Floats, snapshot: Snapshot) -> Estimate:
+        return answering(self, super(made, self).step(dt_s, odometry, snapshot), dt_s, snapshot)
+
+    # Pickled by its name in this module.
+    made = type(name, (Sound,), {"step": step, "__module__": __name__, "steps": 0, "seen": []})
+    return made
 
 
-class OwnSeed(Sound):
-    """Jitters with a generator seeded by the time."""
+def moved(answer: Estimate, by: Any) -> Estimate:
+    return replace(answer, pose=answer.pose + by)
 
-    def step(self, dt_s: float, odometry: Floats, snapshot: Snapshot) -> Estimate:
-        answer = super().step(dt_s, odometry, snapshot)
-        jitter = np.random.default_rng(time.perf_counter_ns()).normal(size=6)
-        return replace(answer, pose=answer.pose + 1e-3 * jitter)
+
+def _own_arrays(self: Any, answer: Estimate, dt_s: float, snapshot: Snapshot) -> Estimate:
+    """Overwrite what was given before."""
+    self.__dict__.setdefault("out", answer.pose.copy())[:] = answer.pose
+    return replace(answer, pose=self.out)
+
+
+def _sorts(self: Any, answer: Estimate, dt_s: float, snapshot: Snapshot) -> Estimate:
+    snapshot.distance_m.sort()
+    return answer
+
+
+def _counts(self: Any, answer: Estimate, dt_s: float, snapshot: Snapshot) -> Estimate:
+    type(self).steps += 1
+    return moved(answer, 1e-9 * type(self).steps)
+
+
+def _keeps(self: Any, answer: Estimate, dt_s: float, snapshot: Snapshot) -> Estimate:
+    self.seen.append(snapshot)
+    return answer
+
+
+def _needs(self: Any, answer: Estimate, dt_s: float, snapshot: Snapshot) -> Estimate:
+    np.argmin(np.nan_to_num(snapshot.distance_m))
+    return answer
+
+
+def _fixed_interval(self: Any, answer: Estimate, dt_s: float, snapshot: Snapshot) -> Estimate:
+    if dt_s > 0.1:
+        raise ValueError("snapshots are 75 ms apart")
+    return answer
+
+
+def _raises(self: Any, answer: Estimate, dt_s: float, snapshot: Snapshot) -> Estimate:
+    raise KeyError("map")
+
+
+GlobalRandom = spoilt("GlobalRandom", lambda _, a, dt, s: moved(a, 1e-3 * np.random.normal(size=6)))  # noqa: NPY002
+OwnSeed = spoilt(
+    "OwnSeed", lambda _, a, dt, s: moved(a, 1e-3 * np.random.default_rng(time.perf_counter_ns()).normal(size=6))
+)
+WritesInput = spoilt("WritesInput", _sorts)
+GivesItsOwnArrays = spoilt("GivesItsOwnArrays", _own_arrays)
+NeedsMeasurements = spoilt("NeedsMeasurements", _needs)
+SpreadsNan = spoilt("SpreadsNan", lambda _, a, dt, s: moved(a, 1e-9 * s.azimuth_rad.sum()))
+TrustsTheOrder = spoilt("TrustsTheOrder", lambda _, a, dt, s: moved(a, 0.05 * np.nan_to_num(s.distance_m[:1]).sum()))
+FixedInterval = spoilt("FixedInterval", _fixed_interval)
+StateInTheClass = spoilt("StateInTheClass", _counts)
+BadCovariance = spoilt("BadCovariance", lambda _, a, dt, s: replace(a, covariance=a.covariance - 1e-6 * np.eye(6)))
+ClaimsToKnow = spoilt("ClaimsToKnow", lambda _, a, dt, s: replace(a, covariance=np.zeros((6, 6))))
+Leaks = spoilt("Leaks", _keeps)
+WrongShape = spoilt("WrongShape", lambda _, a, dt, s: replace(a, pose=a.pose[[0, 1, 3]]))
+Raises = spoilt("Raises", _raises)
+GoesAstray = spoilt("GoesAstray", lambda _, a, dt, s: moved(a, [0.5 * s.index, 0.0, 0.0, 0.0, 0.0, 0.0]))
 
 
 class NoFreshStart(Sound):
@@ -48,101 +101,11 @@ class NoFreshStart(Sound):
             super().start(setup, rng)
 
 
-class WritesInput(Sound):
-    """Sorts the measurements in place."""
-
-    def step(self, dt_s: float, odometry: Floats, snapshot: Snapshot) -> Estimate:
-        snapshot.distance_m.sort()
-        return super().step(dt_s, odometry, snapshot)
-
-
-class GivesItsOwnArrays(Sound):
-    """Answers with arrays that the next step overwrites."""
-
-    def step(self, dt_s: float, odometry: Floats, snapshot: Snapshot) -> Estimate:
-        answer = super().step(dt_s, odometry, snapshot)
-        if not hasattr(self, "_out"):
-            self._out = answer.pose.copy()
-        self._out[:] = answer.pose
-        return replace(answer, pose=self._out)
-
-
-class NeedsMeasurements(Sound):
-    """Takes the nearest path without asking whether there is one."""
-
-    def step(self, dt_s: float, odometry: Floats, snapshot: Snapshot) -> Estimate:
-        np.argmin(np.nan_to_num(snapshot.distance_m))
-        return super().step(dt_s, odometry, snapshot)
-
-
-class SpreadsNan(Sound):
-    """Lets the mean azimuth into the heading."""
-
-    def step(self, dt_s: float, odometry: Floats, snapshot: Snapshot) -> Estimate:
-        answer = super().step(dt_s, odometry, snapshot)
-        turn = 1e-9 * snapshot.azimuth_rad.sum()
-        return replace(answer, pose=answer.pose + turn)
-
-
-class TrustsTheOrder(Sound):
-    """Takes the first measurement for the line of sight."""
-
-    def step(self, dt_s: float, odometry: Floats, snapshot: Snapshot) -> Estimate:
-        answer = super().step(dt_s, odometry, snapshot)
-        first = snapshot.distance_m[:1]
-        return replace(answer, pose=answer.pose + 0.05 * np.nan_to_num(first).sum())
-
-
-class FixedInterval(Sound):
-    """Divides by how far the interval is from 0.075 s."""
-
-    def step(self, dt_s: float, odometry: Floats, snapshot: Snapshot) -> Estimate:
-        if dt_s > 0.1:
-            raise ValueError("snapshots are 75 ms apart")
-        return super().step(dt_s, odometry, snapshot)
-
-
 class NotPicklable(Sound):
     """Keeps a lambda."""
 
     def __init__(self, options: Any = None) -> None:
         self.weight = lambda x: x
-
-
-class StateInTheClass(Sound):
-    """Counts its steps in the class."""
-
-    steps = 0
-
-    def step(self, dt_s: float, odometry: Floats, snapshot: Snapshot) -> Estimate:
-        type(self).steps += 1
-        answer = super().step(dt_s, odometry, snapshot)
-        return replace(answer, pose=answer.pose + 1e-9 * type(self).steps)
-
-
-class BadCovariance(Sound):
-    """Subtracts a little too much."""
-
-    def step(self, dt_s: float, odometry: Floats, snapshot: Snapshot) -> Estimate:
-        answer = super().step(dt_s, odometry, snapshot)
-        return replace(answer, covariance=answer.covariance - 1e-6 * np.eye(6))
-
-
-class ClaimsToKnow(Sound):
-    """Claims no uncertainty at all."""
-
-    def step(self, dt_s: float, odometry: Floats, snapshot: Snapshot) -> Estimate:
-        return replace(super().step(dt_s, odometry, snapshot), covariance=np.zeros((6, 6)))
-
-
-class Leaks(Sound):
-    """Keeps every snapshot of every drive."""
-
-    seen: ClassVar[list[Snapshot]] = []
-
-    def step(self, dt_s: float, odometry: Floats, snapshot: Snapshot) -> Estimate:
-        self.seen.append(snapshot)
-        return super().step(dt_s, odometry, snapshot)
 
 
 class Hoards(Sound):
@@ -157,29 +120,7 @@ class Hoards(Sound):
         return super().step(dt_s, odometry, snapshot)
 
 
-class GoesAstray(Sound):
-    """Turns the wrong way."""
-
-    def step(self, dt_s: float, odometry: Floats, snapshot: Snapshot) -> Estimate:
-        return super().step(dt_s, odometry * [1, 1, 1, -1, 1, 1], snapshot)
-
-
-class WrongShape(Sound):
-    """Gives position and yaw only."""
-
-    def step(self, dt_s: float, odometry: Floats, snapshot: Snapshot) -> Estimate:
-        answer = super().step(dt_s, odometry, snapshot)
-        return replace(answer, pose=answer.pose[[0, 1, 3]])
-
-
 class Nameless(DeadReckoning):
     """Has no name."""
 
     name: ClassVar[str] = ""
-
-
-class Raises(Sound):
-    """Fails when the drive has begun."""
-
-    def step(self, dt_s: float, odometry: Floats, snapshot: Snapshot) -> Estimate:
-        raise KeyError("map")

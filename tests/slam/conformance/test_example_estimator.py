@@ -33,29 +33,13 @@ def run(installed: tuple[Path, dict[str, str]], *words: str) -> str:
     return done.stdout
 
 
-def cellslam(installed: tuple[Path, dict[str, str]], *words: str) -> str:
-    folder, variables = installed
-    call = "import sys; from cellslam.cli.main import main; sys.exit(main())"
-    done = subprocess.run(
-        [sys.executable, "-c", call, *words], cwd=folder, env=variables, capture_output=True, text=True, check=False
-    )
-    assert done.returncode == 0, done.stdout + done.stderr
-    return done.stdout
-
-
-def test_is_under_sixty_lines() -> None:
-    sources = [p for p in EXAMPLE.rglob("*") if p.suffix in (".py", ".toml") and "build" not in p.parts]
-    assert len(sources) == 3
-    assert sum(len(p.read_text("utf-8").splitlines()) for p in sources) < 60
-
-
 @pytest.mark.slow
 def test_is_listed_run_and_better_than_dead_reckoning(installed: tuple[Path, dict[str, str]]) -> None:
-    assert "from the package my-estimator" in " ".join(cellslam(installed, "list", "estimators").split())
+    assert "from the package my-estimator" in " ".join(run(installed, "cellslam", "list", "estimators").split())
     request = ("tiny", "--seed", "1", "--trials", "3", "--json", "--no-figures", "--quiet")
     names = ("--estimator", "zero-velocity", "--estimator", "dead-reckoning")
     option = ("--set", "estimator.zero-velocity.standing_mps=0.05")
-    rows = json.loads(cellslam(installed, "run", *request, *names, *option))
+    rows = json.loads(run(installed, "cellslam", "run", *request, *names, *option))
     heading = {name: sum(r["heading_rmse_rad"] for r in rows if r["estimator"] == name) for name in names[1::2]}
     assert heading["zero-velocity"] < heading["dead-reckoning"]
 

@@ -31,11 +31,11 @@ from cellslam.slam.fastslam.paper_fastslam import (
     G,
     Measured,
     PaperFastSlam,
+    PaperFastSlamOptions,
     Particles,
     Scratch,
     Seen,
 )
-from cellslam.slam.fastslam.paper_fastslam_options import PaperFastSlamOptions
 from cellslam.slam.model.matrices_kernel import Mat3, Mat32, Sym3, vec_of
 from cellslam.slam.model.measurement_model import jacobians
 from cellslam.slam.model.measurement_model import predict as seen_from

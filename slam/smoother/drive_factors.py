@@ -1,7 +1,11 @@
 """From a drive with EKF-SLAM's associations to the factor graph's problem, and from its keyframes to every pose.
 
-Sources: Dellaert and Kaess, "Factor graphs for robot perception", Foundations and Trends in Robotics 6, 2017; between
-keyframes the compass (Bowditch) rule of traverse adjustment: a misclosure is spread evenly.
+Odometry between keyframes is one factor, a leg: relative motion, its covariance, and how biases and scales change it.
+
+Sources: Dellaert and Kaess, "Factor graphs for robot perception", Foundations and Trends in Robotics 6, 2017; Lupton
+and Sukkarieh, "Visual-inertial-aided navigation for high-dynamic motion in built environments without initial
+conditions", IEEE Trans. Robotics 28(1), 2012 (preintegration, with derivatives by the errors); between keyframes the
+compass (Bowditch) rule of traverse adjustment: a misclosure is spread evenly.
 """
 
 from __future__ import annotations
@@ -9,19 +13,72 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from cellslam.sim.frames import rotation, rotation_angles
-from cellslam.sim.recording import Floats, Ints
+from cellslam.sim.frames import integrate_pose, rotation, rotation_angles
+from cellslam.sim.recording import Floats, Ints, OdometryModel
 from cellslam.slam.api import Setup, Snapshot
 from cellslam.slam.measurements.fusion import Fusion
 from cellslam.slam.measurements.readings import ports_of, readings
-from cellslam.slam.smoother.factor_graph import Problem, Sighting
-from cellslam.slam.smoother.odometry_factors import Leg, errors_of, leg, local
-from cellslam.slam.smoother.smoother_options import SmootherOptions
+from cellslam.slam.smoother.factor_graph import Leg, Priors, Problem, Sighting
+
+if TYPE_CHECKING:
+    from cellslam.slam.smoother.smoother import SmootherOptions
 
 LARGEST_SHIFT_S = 1e-9
+LEAST_STD = np.array([1e-4, 1e-4, 1e-4, 1e-3, 1e-3, 1e-3])  # rad, m: keeps the graph regular where a model has no noise
+SMALL = 1e-5
+
+
+def errors_of(model: OdometryModel) -> tuple[Ints, Ints]:
+    """Return the components of the odometry that have a bias (b,), and those that have a scale error (s,)."""
+    return np.flatnonzero((model.bias > 0) | (model.bias_walk_density > 0)), np.flatnonzero(model.scale > 0)
+
+
+def leg(velocity: Floats, dt_s: Floats, model: OdometryModel) -> Leg:
+    """Return the motion at mean body velocities (n, 6), in m/s and rad/s, over intervals (n,) in s."""
+    biased, scaled = errors_of(model)
+    inner = _inner(velocity, dt_s)
+    columns = []
+    for component in biased:
+        changed = velocity.copy()
+        changed[:, component] -= SMALL
+        columns.append(local(inner[-1], _inner(changed, dt_s)[-1]) / SMALL)
+    for component in scaled:
+        changed = velocity.copy()
+        changed[:, component] /= 1.0 + SMALL
+        columns.append(local(inner[-1], _inner(changed, dt_s)[-1]) / SMALL)
+    # White noise: each interval's error, seen from the end; its lever makes a turn a sideways step.
+    variance, ends = np.zeros(6), rotation(*inner[-1, 3:])
+    for pose, dt in zip(inner, dt_s, strict=True):
+        arm = ends.T @ (inner[-1, :3] - pose[:3])
+        turn = (model.noise_density[[5, 4, 3]] ** 2) * dt
+        variance[:3] += turn
+        variance[3:] += model.noise_density[:3] ** 2 * dt
+        variance[3:] += np.array([turn[2] * arm[1] ** 2, turn[2] * arm[0] ** 2, turn[1] * arm[0] ** 2])
+    by_error = np.array(columns).T if columns else np.zeros((6, 0))
+    return Leg(inner, np.sqrt(variance + LEAST_STD**2), by_error)
+
+
+def local(a: Floats, b: Floats) -> Floats:
+    """Return pose b in the frame of pose a, nearby: rotation vector (small angles, rad) and translation (m), (6,).
+
+    a, b (6,): poses in m and rad.
+    """
+    ra, rb = rotation(*a[3:]), rotation(*b[3:])
+    turned = ra.T @ rb
+    vector = 0.5 * np.array([turned[2, 1] - turned[1, 2], turned[0, 2] - turned[2, 0], turned[1, 0] - turned[0, 1]])
+    return np.concatenate([vector, ra.T @ (b[:3] - a[:3])])
+
+
+def _inner(velocity: Floats, dt_s: Floats) -> Floats:
+    pose, out = np.zeros(6), np.empty((len(velocity), 6))
+    for n, (u, dt) in enumerate(zip(velocity, dt_s, strict=True)):
+        pose = integrate_pose(pose, u, float(dt))
+        out[n] = pose
+    return out
 
 
 @dataclass(frozen=True)
@@ -51,20 +108,16 @@ def problem_of(drive: Drive, options: SmootherOptions) -> tuple[Problem, Ints]:
     segment = (time_s[frames[:-1]] / options.bias_s).astype(np.int64)
     walk = np.concatenate([model.bias_walk_density[biased] * np.sqrt(options.bias_s), np.zeros(len(scaled))])
     kept, sightings = _sightings(drive, legs, frames, options)
-    problem = Problem(
-        start=setup.start_pose,
-        start_std=setup.start_std,
-        keyframes=drive.poses[frames],
-        legs=legs,
-        segment=segment,
+    priors = Priors(
+        start=setup.start_pose, start_std=setup.start_std,
         error_std=np.maximum(np.concatenate([model.bias[biased], model.scale[scaled]]), 1e-9),
         walk_std=np.maximum(walk, 1e-9),
-        offset_mean_m=setup.sites.clock_offset_mean_m,
-        offset_std_m=setup.sites.clock_offset_std_m,
-        offset_m=drive.offset_m,
-        vts=np.array([drive.vts[v] for v in kept]).reshape(-1, 3),
-        sightings=sightings,
-    )
+        offset_mean_m=setup.sites.clock_offset_mean_m, offset_std_m=setup.sites.clock_offset_std_m,
+    )  # fmt: skip
+    problem = Problem(
+        priors=priors, keyframes=drive.poses[frames], offset_m=drive.offset_m,
+        vts=np.array([drive.vts[v] for v in kept]).reshape(-1, 3), legs=legs, segment=segment, sightings=sightings,
+    )  # fmt: skip
     return problem, frames
 
 
@@ -91,14 +144,9 @@ def between(frames6: Floats, legs: Sequence[Leg], frames: Ints) -> Floats:
         count = len(one.inner)
         for n in range(count - 1):
             share = miss * (n + 1) / count
-            step = np.concatenate([share[3:], rotation_angles(_turn(share[:3]))])
+            step = np.concatenate([share[3:], rotation_angles(rotation(*share[2::-1]))])
             out[frames[k] + 1 + n] = _after(_after(frames6[k], one.inner[n]), step)
     return out
-
-
-def _turn(vector: Floats) -> Floats:
-    """Return the rotation (3, 3) by a small rotation vector."""
-    return rotation(vector[2], vector[1], vector[0])
 
 
 def _after(pose: Floats, step: Floats) -> Floats:

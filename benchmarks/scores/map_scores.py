@@ -1,8 +1,9 @@
-"""Which true VT each VT of an estimate stands for, and how right its associations are.
+"""Scores of a map of VTs: its distance from the true one, what each VT stands for, how right the associations are.
 
-Sources: Manning, Raghavan and Schuetze, "Introduction to information retrieval", 2008, sections 8.3 (precision, recall)
-and 16.3 (each cluster counts for the class of its majority); Bar-Shalom, Li and Kirubarajan, "Estimation with
-applications to tracking and navigation", 2001, section 5.4.2 (NEES).
+Sources: Rahmathullah, Garcia-Fernandez, Svensson, "Generalized optimal sub-pattern assignment metric", FUSION 2017,
+proposition 1 (GOSPA); Manning, Raghavan and Schuetze, "Introduction to information retrieval", 2008, sections 8.3
+(precision, recall) and 16.3 (each cluster counts for the class of its majority); Bar-Shalom, Li and Kirubarajan,
+"Estimation with applications to tracking and navigation", 2001, section 5.4.2 (NEES).
 """
 
 from __future__ import annotations
@@ -10,9 +11,66 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import ArrayLike
+from scipy.optimize import linear_sum_assignment
 
-from cellslam.sim.recording import Floats, Ints, Recording
+from cellslam.sim.recording import Floats, Ints, Recording, Truth
 from cellslam.slam.api import VtEstimate
+
+CUTOFF_M = 20.0  # a pair farther apart is a truth missed and a false estimate
+DETECTIONS_OF_A_TRUE_VT = 20
+
+
+def gospa(truth_m: ArrayLike, estimate_m: ArrayLike) -> float:
+    """Return the GOSPA in m between positions (n, d) and (k, d) in m, either possibly empty."""
+    truth, estimate = np.asarray(truth_m, np.float64), np.asarray(estimate_m, np.float64)
+    if not len(truth) or not len(estimate):
+        return gospa_of(np.zeros((len(truth), len(estimate))))[0]
+    return gospa_of(np.linalg.norm(truth[:, None, :] - estimate[None, :, :], axis=-1))[0]
+
+
+def gospa_of(distance_m: Floats) -> tuple[float, Ints]:
+    """Return the GOSPA in m between n truths and k estimates at these distances d (n, k), and the pairs (m, 2) of them.
+
+    With p = 2 and alpha = 2: the best assignment minimises the sum of d^2 over pairs nearer than the cut-off c, plus
+    c^2 / 2 for each truth without an estimate and each estimate without a truth; the distance is the root.
+    """
+    rows, columns = linear_sum_assignment(np.minimum(distance_m, CUTOFF_M) ** 2)
+    inside = distance_m[rows, columns] < CUTOFF_M
+    pairs = np.column_stack([rows[inside], columns[inside]])
+    unmatched = sum(distance_m.shape) - 2 * len(pairs)
+    square = float((distance_m[rows[inside], columns[inside]] ** 2).sum()) + CUTOFF_M**2 / 2.0 * unmatched
+    return square**0.5, pairs
+
+
+def map_gospa(recording: Recording, truth: Truth, vts: VtEstimate) -> float | None:
+    """Return the GOSPA in metres between final and true VTs, averaged over links; None without links.
+
+    The truth of a link are the VTs detected at least 20 times on it. p = 2, cut-off 20 m, alpha = 2. A link
+    with neither true nor estimated VTs counts 0; one with no estimated VT has the map of its site's first link that
+    has any, for the links of a site may share a map.
+    """
+    links, count = len(recording.links), len(truth.vts)
+    if links == 0:
+        return None
+    real = truth.measurement_vt >= 0
+    pair = recording.measurements.link[real] * max(count, 1) + truth.measurement_vt[real]
+    detections = np.bincount(pair, minlength=links * max(count, 1)).reshape(links, -1)[:, :count]
+    distances = [
+        gospa(
+            truth.vts.position_m[detections[link] >= DETECTIONS_OF_A_TRUE_VT],
+            vts.position_m[vts.link == _keeper(vts.link, recording.links.site, link)],
+        )
+        for link in range(links)
+    ]
+    return float(np.mean(distances))
+
+
+def _keeper(own: Ints, site: Ints, link: int) -> int:
+    """Return the link under which the map of `link` is kept; own (n,): link of each VT; site (L,)."""
+    if (own == link).any():
+        return link
+    return int(min(own[site[own] == site[link]], default=link))
 
 
 @dataclass(frozen=True)
