@@ -63,7 +63,7 @@ def draw_rays(world: World, folder: Path) -> list[Path]:
     paths, receivers = world.free_paths(poses, steps), np.ascontiguousarray(poses[:, :3])
     written = [folder / name for name in ("rays.png", "rays-view.png", "rays.html")]
     draw_plan(written[0], world.scene.city, paths, world.sites_m, receivers)
-    draw_view(written[1], world.scene, paths, world.sites_m, receivers)
+    draw_view(written[1], world.scene.city, paths, world.sites_m, receivers)
     write_city(written[2], world.scene.city, paths, world.sites_m, receivers)
     return written
 

@@ -28,34 +28,28 @@ from cellslam.benchmarks.report.worst_trials import failed_trials, worst_trials
 from cellslam.benchmarks.scores.metrics import METRIC
 from cellslam.benchmarks.scores.statistics import interval, statistic
 from cellslam.benchmarks.sweeps.rows import provenance
+from cellslam.benchmarks.tables.formats import Column
 from cellslam.benchmarks.tables.rankings import told_apart
-from cellslam.benchmarks.tables.summaries import EFFICIENCY, efficiency
+from cellslam.benchmarks.tables.summaries import CONFIDENCE, EFFICIENCY, estimate
 from cellslam.sim.progress import Progress
 from cellslam.slam.registry import oracles
 
 if TYPE_CHECKING:
     from cellslam.benchmarks.scores.statistics import Statistic
 
-CONFIDENCE = 0.95
 MOST_POINTS_OF_CURVES = 400
 MOST_PANELS = 24
 PLOTTED = {key: metric for key, metric in METRIC.items() if metric.axis}
 MORE_DIGITS = 1  # than in tables: figures are looked into
-# Columns of the summary: metric, statistic, and the heading where it is not the metric's.
 COLUMNS = (
-    ("position_rmse_m", "median", ""),
-    (EFFICIENCY, "", ""),
-    ("position_rmse_m", "q90", "90 %"),
-    ("heading_rmse_rad", "median", ""),
-    ("clock_offset_rmse_m", "median", ""),
-    ("map_gospa_m", "median", ""),
-    ("nees_mean", "median", ""),
-    ("bound_position_rmse_m", "median", ""),
-    ("realtime_factor", "median", ""),
-    ("peak_memory_mb", "max", ""),
+    Column("position_rmse_m", interval=True),
+    Column(EFFICIENCY, interval=True),
+    Column("position_rmse_m", "q90", interval=True),
+    *(Column(key, interval=True) for key in ("heading_rmse_rad", "clock_offset_rmse_m", "map_gospa_m", "nees_mean")),
+    Column("bound_position_rmse_m"),
+    Column("realtime_factor"),
+    Column("peak_memory_mb", "max"),
 )
-# Columns that need no interval.
-PLAIN = ("bound_position_rmse_m", "realtime_factor", "peak_memory_mb")
 
 
 def content(folder: Path, choice: Choice, progress: Progress) -> dict[str, Any]:
@@ -78,7 +72,7 @@ def content(folder: Path, choice: Choice, progress: Progress) -> dict[str, Any]:
         "ranks": _ranks(data),
         "curves": _curves(data),
         "panels": _distributions(data),
-        "columns": {metric: _heading(metric) for metric in METRIC},
+        "columns": {metric: _heading(metric, known.heading) for metric, known in METRIC.items()},
         "metrics": {key: metric.label for key, metric in PLOTTED.items()},
         "confidence": 100 * CONFIDENCE,
         "worst": {"metric": choice.metric, "heading": METRIC[choice.metric].label or choice.metric},
@@ -96,33 +90,26 @@ def _summary(data: SweepData) -> dict[str, Any]:
     lines: list[dict[str, Any]] = []
     for panel in data.panels:
         for one in panel.series:
-            cells = [_cell(one, metric, name) for metric, name, _ in COLUMNS]
+            cells = [_cell(one, column) for column in COLUMNS]
             ok = int((one.rows["status"] == "ok").sum())
             settings = [_setting(one.settings.get(key)) for key in keys]
             lines.append({"settings": settings, "label": one.label, "cells": cells, "ok": ok, "all": len(one.rows)})
-    headings = [
-        {**_heading(metric, text), "title": METRIC[metric].meaning + (f"; {name} over trials" if name else "")}
-        for metric, name, text in COLUMNS
-    ]
+    headings = []
+    for column in COLUMNS:
+        over = "" if column.metric == EFFICIENCY else f"; {column.statistic} over trials"
+        headings.append(_heading(column.metric, column.name) | {"title": METRIC[column.metric].meaning + over})
     empty = [i for i in range(len(COLUMNS)) if all(line["cells"][i] is None for line in lines)]
     for line in lines:
         line["cells"] = [cell for i, cell in enumerate(line["cells"]) if i not in empty]
     return {"keys": keys, "headings": [h for i, h in enumerate(headings) if i not in empty], "lines": lines}
 
 
-def _cell(one: Series, metric: str, name: str) -> list[float | None] | None:
+def _cell(one: Series, column: Column) -> list[float | None] | None:
     """Return value and ends of the interval; None where no trial has the metric."""
-    if metric == EFFICIENCY:
-        ratio = efficiency(one.rows[one.rows["status"] == "ok"], CONFIDENCE)
-        return None if np.isnan(ratio[0]) else rounded(ratio)
-    values = one.values(metric)
-    if not len(values):
-        return None
-    digits = METRIC[metric].digits + MORE_DIGITS
-    of = statistic(name)
-    ends = (np.nan, np.nan) if metric in PLAIN else interval(values, of, CONFIDENCE)
-    numbers: list[float | None] = rounded([float(of.of(values)), *ends], digits)
-    return numbers
+    fine = one.rows[one.rows["status"] == "ok"]
+    found = estimate(fine, column.metric, column.statistic, CONFIDENCE if column.interval else None)
+    digits = METRIC[column.metric].digits + (MORE_DIGITS if column.metric != EFFICIENCY else 0)
+    return None if np.isnan(found[0]) else list(rounded(found, digits))
 
 
 def _ranks(data: SweepData) -> dict[str, Any] | None:
@@ -218,9 +205,9 @@ def resolved(folder: Path) -> tuple[list[dict[str, Any]], list[dict[str, Any]]]:
     return worlds, options
 
 
-def _heading(metric: str, text: str = "") -> dict[str, str]:
+def _heading(metric: str, text: str) -> dict[str, str]:
     known = METRIC[metric]
-    return {"text": text or known.heading, "unit": known.unit, "title": known.meaning}
+    return {"text": text, "unit": known.unit, "title": known.meaning}
 
 
 def _setting(value: Any) -> Any:

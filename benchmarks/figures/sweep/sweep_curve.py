@@ -8,10 +8,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from cellslam.benchmarks.figures.style import GREY, WIDTH_IN, estimator_styles
-from cellslam.benchmarks.figures.sweep.sweep_data import Series, SweepData, other_settings, sweep_lines
-from cellslam.benchmarks.figures.sweep.sweep_look import Look, summed_label
-from cellslam.benchmarks.scores.statistics import LEAST_VALUES, interval, statistic
+from cellslam.benchmarks.figures.style import GREY, HALF_WIDTH_IN, estimator_styles
+from cellslam.benchmarks.figures.sweep.sweep_data import Look, Series, SweepData, other_settings, sweep_lines
+from cellslam.benchmarks.scores.statistics import LEAST_VALUES
 from cellslam.sim.recording import Floats
 
 if TYPE_CHECKING:
@@ -43,7 +42,7 @@ def draw_curve(figure: Figure, data: SweepData, look: Look, x: str) -> bool:
     every = sorted({at for points in lines.values() for at, _ in points if at is not None})
     if not every:
         return False
-    figure.set_size_inches(WIDTH_IN * 0.62, 3.2)
+    figure.set_size_inches(*HALF_WIDTH_IN)
     axes, styles = figure.subplots(), estimator_styles(lines)
     if names:
         for one in styles.values():
@@ -63,11 +62,9 @@ def draw_curve(figure: Figure, data: SweepData, look: Look, x: str) -> bool:
     elif len(every) <= MOST_TICKS:
         axes.set_xticks(every, [f"{value:g}" for value in every])
         axes.minorticks_off()
-    axes.set_xlabel(x)
     trials = max(len(values) for points in lines.values() for _, values in points)
-    axes.set_ylabel(summed_label(look))
     intervals = "no" if trials < LEAST_VALUES else f"{100 * look.confidence:g} %"
-    axes.set_title(f"{intervals} intervals, {trials} trials a point")
+    axes.set(xlabel=x, ylabel=look.label, title=f"{intervals} intervals, {trials} trials a point")
     if names:
         axes.set_yscale("log")
         axes.yaxis.set_minor_locator(LogLocator(subs=(2, 5)))
@@ -99,22 +96,28 @@ def _bound(
 ) -> None:
     """Draw a bound, summed up as the metric is: a line where x is a number, else a dash at each place."""
     places = sorted((float(names.index(at)) if isinstance(at, str) else at, at) for at in points)
-    middle = [float(statistic(look.statistic).of(points[at])) for _, at in places]
+    middle = [look.summed(points[at])[0] for _, at in places]
     style: dict[str, Any] = {"marker": "_", "markersize": 22, "linestyle": "none"} if names else {"linestyle": dashes}
     axes.plot([x for x, _ in places], middle, color=GREY, label=name, zorder=1, **style)
 
 
 def _line(axes: Axes, points: Sequence[tuple[float | None, Floats]], look: Look, style: Mapping[str, Any]) -> None:
     """Draw one line with its intervals; a point without x is the same everywhere: a level with a band."""
-    of = statistic(look.statistic)
-    middle = np.array([float(of.of(values)) for _, values in points])
-    ends = np.array([interval(values, of, look.confidence) for _, values in points])
     at = [place for place, _ in points if place is not None]
-    if not at:
-        axes.axhline(middle[0], **style)
-        axes.axhspan(*ends[0], color=style["color"], alpha=0.15, linewidth=0)
+    if at:
+        draw_points(axes, at, [values for _, values in points], look, style)
         return
-    reach: Floats = np.nan_to_num(np.abs(ends - middle[:, None])).T
+    middle, low, high = look.summed(points[0][1])
+    axes.axhline(middle, **style)
+    axes.axhspan(low, high, color=style["color"], alpha=0.15, linewidth=0)
+
+
+def draw_points(
+    axes: Axes, at: Sequence[float], samples: Sequence[Floats], look: Look, style: Mapping[str, Any]
+) -> None:
+    """Draw the statistic of each sample (n,) with its interval, in the sample's units, at its place along x."""
+    middle, *ends = np.stack([look.summed(values) for values in samples], axis=1)
+    reach = np.nan_to_num(np.abs(ends - middle))
     axes.errorbar(at, middle, yerr=reach, **{"marker": "o", **style}, markersize=3.5, capsize=2.5, elinewidth=0.9)
 
 

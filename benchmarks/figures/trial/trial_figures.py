@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -14,12 +14,8 @@ from cellslam.sim.progress import Progress, silent
 from cellslam.sim.recording import Recording
 
 if TYPE_CHECKING:
-    from matplotlib.figure import Figure
-
+    from cellslam.benchmarks.figures.style import Drawing
     from cellslam.sim.city import City
-
-
-Drawing = Callable[["Figure"], bool]
 
 
 def drawings(
@@ -31,22 +27,17 @@ def drawings(
     result with offsets, `calibration-ESTIMATOR` one with the array's calibration. `city` None: a map without
     buildings.
     """
-    from cellslam.benchmarks.figures.trial import array_calibration as array
-    from cellslam.benchmarks.figures.trial import associations
-    from cellslam.benchmarks.figures.trial import clock_offsets as clock
-    from cellslam.benchmarks.figures.trial import position_error as error
-    from cellslam.benchmarks.figures.trial import trial_map as overview
+    from cellslam.benchmarks.figures.trial import array_calibration, over_time, trial_map
 
     out: dict[str, Drawing] = {
-        "map": lambda figure: overview.draw(figure, city, recording, results),
-        "error": lambda figure: error.draw(figure, recording, results, bound),
-        "associations": lambda figure: associations.draw(figure, recording, results),
-        "clock_offsets": lambda figure: clock.draw(figure, recording, results),
+        "map": lambda figure: trial_map.draw(figure, city, recording, results),
+        "error": lambda figure: over_time.draw_error(figure, recording, results, bound),
+        "associations": lambda figure: over_time.draw_associations(figure, recording, results),
+        "clock_offsets": lambda figure: over_time.draw_clock_offsets(figure, recording, results),
     }
     for name, calibration in ((name, r.calibration) for name, r in results.items() if r.calibration is not None):
-        out[f"calibration-{file_name(name)}"] = partial(
-            array.draw, calibration=calibration, provenance=recording.provenance
-        )
+        draw = partial(array_calibration.draw, calibration=calibration, provenance=recording.provenance)
+        out[f"calibration-{file_name(name)}"] = draw
     return out
 
 
@@ -62,20 +53,9 @@ def draw_all(
 ) -> list[Path]:
     """Draw every figure that applies, write each as `out_dir`/NAME.FORMAT, and return the paths written.
 
-    `formats`: what matplotlib writes, such as png and pdf. `names`: of the figures to draw (None: all).
+    `names`: of the figures to draw (None: all).
     """
-    from matplotlib.figure import Figure
-
-    from cellslam.benchmarks.figures import style
+    from cellslam.benchmarks.figures.style import write_all
 
     every = drawings(city, recording, results, bound)
-    every = every if names is None else {name: every[name] for name in names}
-    folder, written = Path(out_dir), []
-    folder.mkdir(parents=True, exist_ok=True)
-    with style.context(), progress("figures", len(every)) as advance:
-        for name, drawing in every.items():
-            figure = Figure(layout="constrained")
-            if drawing(figure):
-                written += [style.save(figure, folder / f"{name}.{format_}") for format_ in formats]
-            advance(1)
-    return written
+    return write_all({name: every[name] for name in names or every}, out_dir, formats, progress)

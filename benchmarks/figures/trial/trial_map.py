@@ -10,7 +10,6 @@ from matplotlib.axes import Axes
 from matplotlib.collections import LineCollection, PatchCollection, PolyCollection
 from matplotlib.figure import Figure
 from matplotlib.patches import PathPatch, Rectangle
-from matplotlib.path import Path as Outline
 
 from cellslam.benchmarks.figures.style import (
     BLACK,
@@ -24,8 +23,9 @@ from cellslam.benchmarks.figures.style import (
     WALL,
     WIDTH_IN,
     estimator_styles,
-)
-from cellslam.benchmarks.figures.trial.position_error import ODOMETRY_ALONE
+    outline,
+)  # fmt: skip
+from cellslam.benchmarks.figures.trial.over_time import ODOMETRY_ALONE
 from cellslam.benchmarks.figures.trial.reflectors import Reflector, reflectors_of
 from cellslam.benchmarks.scores.reference_fixes import usable
 from cellslam.benchmarks.scores.trial_result import TrialResult
@@ -65,15 +65,13 @@ def draw(figure: Figure, city: City | None, recording: Recording, results: Mappi
         _buildings(axes, city, mapped)
         _reflecting_points(axes, recording, mapped)
         _longest_path(axes, mapped)
-        _vts(axes, vts)
+        for name, place in vts.items():
+            axes.plot(*place.T, "x", color=VT, markersize=3, markeredgewidth=0.7, label=f"VTs of {name}")
         _walls(axes, results)
         _trajectories(axes, recording, tracks)
         _traffic(axes, recording)
         _sites(axes, recording, extent)
-        axes.set_xlim(extent[0])
-        axes.set_ylim(extent[1])
-        axes.set_aspect("equal")
-        axes.set_xlabel("east (m)")
+        axes.set(xlim=extent[0], ylim=extent[1], aspect="equal", xlabel="east (m)")
         axes.grid(False)
     panels[0].set_ylabel("north (m)")
     panels[-1].set_title("the drive")
@@ -81,8 +79,8 @@ def draw(figure: Figure, city: City | None, recording: Recording, results: Mappi
         (x0, x1), (y0, y1) = drive
         panels[0].add_patch(Rectangle((x0, y0), x1 - x0, y1 - y0, fill=False, color=GREY, linewidth=0.8, linestyle=":"))
         panels[0].set_title("sites, reflecting walls" if truth is not None else "the map")
-    handles, labels = panels[0].get_legend_handles_labels()
-    figure.legend(handles, labels, loc="outside lower center", ncols=2 if alone else 4, markerscale=2)
+    labels = panels[0].get_legend_handles_labels()
+    figure.legend(*labels, loc="outside lower center", ncols=2 if alone else 4, markerscale=2)
     return True
 
 
@@ -106,11 +104,6 @@ def _final_vts(results: Mapping[str, TrialResult], drive: Extent) -> dict[str, F
             off = np.hypot(*(place - np.mean(drive, axis=1)).T)
             return {name: place[off <= FAR * max(float(np.median(off)), float(np.ptp(drive[0])))]}
     return {}
-
-
-def _vts(axes: Axes, vts: Mapping[str, Floats]) -> None:
-    for name, place in vts.items():
-        axes.plot(*place.T, "x", color=VT, markersize=3, markeredgewidth=0.7, label=f"VTs of {name}")
 
 
 def _walls(axes: Axes, results: Mapping[str, TrialResult]) -> None:
@@ -144,29 +137,17 @@ def _square(points: Floats) -> Extent:
 def _buildings(axes: Axes, city: City | None, mapped: Sequence[Reflector]) -> None:
     if city is None:
         return
-    patches = [PathPatch(_outline(footprint)) for footprint in city.footprints]
+    patches = [PathPatch(outline(footprint)) for footprint in city.footprints]
     axes.add_collection(PatchCollection(patches, facecolor=BUILDING, edgecolor="#C9C4BB", linewidth=0.4))
     chosen = emphasised_building(city, mapped)
     if chosen is not None:
         style: dict[str, Any] = {"facecolor": EMPHASIS, "edgecolor": BLACK, "linewidth": 1.0}
         label = "building of the longest-lived reflection"
-        axes.add_patch(PathPatch(_outline(city.footprints[chosen]), label=label, **style))
-
-
-def _outline(polygon: Any) -> Outline:
-    """Return a footprint's outline, courtyards included."""
-    rings = [polygon.exterior, *polygon.interiors]
-    return Outline.make_compound_path(*(Outline(np.asarray(ring.coords)[:, :2], closed=True) for ring in rings))
+        axes.add_patch(PathPatch(outline(city.footprints[chosen]), label=label, **style))
 
 
 def _reflecting_points(axes: Axes, recording: Recording, mapped: Sequence[Reflector]) -> None:
-    dots: dict[str, Any] = {
-        "linestyle": "none",
-        "marker": ".",
-        "markersize": 3.5,
-        "markeredgewidth": 0,
-        "alpha": 0.6,
-    }
+    dots: dict[str, Any] = {"linestyle": "none", "marker": ".", "markersize": 3.5, "markeredgewidth": 0, "alpha": 0.6}
     for site in range(len(recording.sites)):
         points = [r.points_m[:, :2] for r in mapped if r.site == site]
         if points:

@@ -14,9 +14,8 @@ from matplotlib.figure import Figure
 
 from cellslam.benchmarks.figures.style import colour_of
 from cellslam.benchmarks.figures.sweep.sweep_curve import bound_lines, draw_curve
-from cellslam.benchmarks.figures.sweep.sweep_data import load, sweep_lines
+from cellslam.benchmarks.figures.sweep.sweep_data import Look, load, sweep_lines
 from cellslam.benchmarks.figures.sweep.sweep_figures import draw_sweep
-from cellslam.benchmarks.figures.sweep.sweep_look import Look
 from cellslam.benchmarks.scores.metrics import ROW_KEYS
 from cellslam.benchmarks.sweeps.store import DATABASE, writing
 from cellslam.benchmarks.sweeps.tasks import Result, identity, plan, request_of

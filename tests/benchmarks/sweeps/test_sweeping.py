@@ -12,9 +12,9 @@ from typing import Any
 import pytest
 
 from cellslam.benchmarks.sweeps import executors, sweeping, tasks
+from cellslam.benchmarks.sweeps.executors import Pool
 from cellslam.benchmarks.sweeps.rows import results
 from cellslam.benchmarks.sweeps.store import DATABASE, TRAJECTORIES, writing
-from cellslam.benchmarks.sweeps.worker_pool import Pool
 from cellslam.benchmarks.trials.child_process import Limits
 from cellslam.cli.main import main
 from cellslam.scenarios import sweep_points as sweep
