@@ -135,7 +135,7 @@ def _facets(city: City, screen: Floats, ahead: Floats) -> PolyCollection:
     light = 0.64 + 0.36 * np.clip(normal @ SUN, 0.0, 1.0)
     colour = palette[city.facets.material[city.triangle_facet]] * light[:, None]
     shape = {"facecolors": colour[order], "edgecolors": "face", "linewidths": 0.3}
-    return PolyCollection(corners[order] @ screen.T, **shape)
+    return PolyCollection(list(corners[order] @ screen.T), **shape)
 
 
 def _buildings(figure: Figure, axes: Axes, city: City) -> None:

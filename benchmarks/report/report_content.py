@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import json
 from base64 import b64encode
 from collections.abc import Sequence
+from importlib.metadata import version
 from io import BytesIO
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from matplotlib.figure import Figure
@@ -14,6 +16,7 @@ from matplotlib.figure import Figure
 from cellslam.benchmarks.figures.style import context, estimator_styles
 from cellslam.benchmarks.figures.sweep.critical_difference import draw_ranks
 from cellslam.benchmarks.figures.sweep.sweep_data import (
+    Look,
     Series,
     SweepData,
     curve_keys,
@@ -22,20 +25,16 @@ from cellslam.benchmarks.figures.sweep.sweep_data import (
     sweep_lines,
     verdicts_of,
 )
-from cellslam.benchmarks.report.choice import Choice, rounded
-from cellslam.benchmarks.report.trial_sections import trial_sections
-from cellslam.benchmarks.report.worst_trials import failed_trials, worst_trials
+from cellslam.benchmarks.report.page import rounded
+from cellslam.benchmarks.report.worst_trials import Choice, failed_trials, trial_sections, worst_trials
 from cellslam.benchmarks.scores.metrics import METRIC
-from cellslam.benchmarks.scores.statistics import interval, statistic
 from cellslam.benchmarks.sweeps.rows import provenance
+from cellslam.benchmarks.sweeps.store import reading
 from cellslam.benchmarks.tables.formats import Column
 from cellslam.benchmarks.tables.rankings import told_apart
 from cellslam.benchmarks.tables.summaries import CONFIDENCE, EFFICIENCY, estimate
 from cellslam.sim.progress import Progress
 from cellslam.slam.registry import oracles
-
-if TYPE_CHECKING:
-    from cellslam.benchmarks.scores.statistics import Statistic
 
 MOST_POINTS_OF_CURVES = 400
 MOST_PANELS = 24
@@ -127,7 +126,7 @@ def _ranks(data: SweepData) -> dict[str, Any] | None:
 
 def _curves(data: SweepData) -> list[dict[str, Any]]:
     """Return for each numeric key that varies its lines: the median with its interval, of every metric."""
-    out, of = [], statistic("median")
+    out = []
     for key in (key for key, is_number in curve_keys(data).items() if is_number):
         lines, named = [], sweep_lines(data, key)
         styles = estimator_styles(named)
@@ -137,21 +136,17 @@ def _curves(data: SweepData) -> list[dict[str, Any]]:
                 found = [(x, one.values(metric)) for x, one in points if not isinstance(x, str)]
                 found = [(x, values) for x, values in found if len(values)]
                 if found:
-                    line["metrics"][metric] = _line(found, of, known.digits + MORE_DIGITS)
+                    line["metrics"][metric] = _line(found, known.digits + MORE_DIGITS)
             lines.append(line)
         if 0 < sum(len(line["metrics"].get("position_rmse_m", [[]])[0]) for line in lines) <= MOST_POINTS_OF_CURVES:
             out.append({"key": key, "lines": lines})
     return out
 
 
-def _line(found: Sequence[tuple[float | None, Any]], of: Statistic, digits: int) -> list[list[float | None]]:
+def _line(found: Sequence[tuple[float | None, Any]], digits: int) -> list[list[float | None]]:
     """Return x, median, low and high of one line; x None: the same at every x."""
-    ends = [interval(values, of, CONFIDENCE) for _, values in found]
-    middle = [float(of.of(values)) for _, values in found]
-    return [
-        [x for x, _ in found],
-        *(rounded(column, digits) for column in (middle, [low for low, _ in ends], [high for _, high in ends])),
-    ]
+    columns = np.stack([Look().summed(values) for _, values in found], axis=1)
+    return [[x for x, _ in found], *(rounded(column, digits) for column in columns)]
 
 
 def _distributions(data: SweepData) -> list[dict[str, Any]]:
@@ -173,8 +168,6 @@ def _distributions(data: SweepData) -> list[dict[str, Any]]:
 
 
 def _provenance(folder: Path, data: SweepData) -> dict[str, Any]:
-    from importlib.metadata import version
-
     rows = [one.rows for panel in data.panels for one in panel.series]
     worlds, options = resolved(folder)
     counts: dict[str, Any] = {
@@ -191,10 +184,6 @@ def _provenance(folder: Path, data: SweepData) -> dict[str, Any]:
 
 def resolved(folder: Path) -> tuple[list[dict[str, Any]], list[dict[str, Any]]]:
     """Return the resolved worlds of a store, and the options of each estimator in it."""
-    import json
-
-    from cellslam.benchmarks.sweeps.store import reading
-
     with reading(folder) as database:
         worlds = [json.loads(t) for (t,) in database.execute("SELECT tables FROM worlds ORDER BY id")]
         query = (

@@ -31,8 +31,8 @@ SEVERAL = (
 )  # fmt: skip
 WITH_INTERVAL = ("position_rmse_m", EFFICIENCY, MERGED)
 FIRST_TO_GO = (
-    "heading_rmse_rad", "map_gospa_m", "association_precision", "association_recall", "clock_offset_rmse_m", OK,
-    "position_max_m", "nees_mean", MERGED,
+    "association_precision", "heading_rmse_rad", "map_gospa_m", "clock_offset_rmse_m", OK, "position_max_m",
+    "association_recall", "nees_mean", MERGED,
 )  # fmt: skip
 _LEGEND = (
     "medians over the trials that are ok, in brackets 95 % intervals; efficiency ratio: root mean square error over "
@@ -75,7 +75,7 @@ def results_table(
     lines = {str(name): own for name, own in frame.groupby("estimator", sort=False)}
     several = max(map(len, lines.values())) > 1
     keys = [key for key in (SEVERAL if several else ONE) if key != MERGED or frame["bound_merged_m"].notna().any()]
-    cells = {_heading(key, several): [_text(own, key, several) for own in lines.values()] for key in keys}
+    cells = {_heading(key): [_text(own, key, several) for own in lines.values()] for key in keys}
     left_out = _too_many(cells, width) if several and width is not None else []
     table = Table(
         title=escape(title), title_justify="left", box=box.SIMPLE_HEAD, pad_edge=False, caption_justify="left",
@@ -93,15 +93,9 @@ def results_table(
     return table
 
 
-def _heading(key: str, several: bool) -> str:
+def _heading(key: str) -> str:
     """Return the heading of a column, in two lines."""
-    text = _column(key, several).heading if key in METRIC else key
-    first, bracket, interval = text.partition(" [")
-    return f"{first}\n[{interval}" if bracket else "\n".join(text.rsplit(" ", 1))
-
-
-def _column(key: str, several: bool) -> Column:
-    return Column(key, interval=several and key in WITH_INTERVAL)
+    return "\n".join((METRIC[key].titled if key in METRIC else key).rsplit(" ", 1))
 
 
 def _text(own: pd.DataFrame, key: str, several: bool) -> str:
@@ -111,13 +105,13 @@ def _text(own: pd.DataFrame, key: str, several: bool) -> str:
         return f"{len(fine)}/{len(own)}"
     if key == LOST:
         return f"{len(own) - len(fine) + int((fine['position_rmse_m'] > LOST_M).sum())}/{len(own)}"
-    return cell(fine, _column(key, several))
+    return cell(fine, Column(key, interval=several and key in WITH_INTERVAL))
 
 
 def _too_many(cells: dict[str, list[str]], width: int) -> list[str]:
     """Take columns out of `cells`, the least important first, until they fit; return their headings."""
     out = []
-    for heading in (_heading(key, True) for key in FIRST_TO_GO):
+    for heading in (_heading(key) for key in FIRST_TO_GO):
         texts = [[*key.split("\n"), *values] for key, values in cells.items()]
         if LONGEST_NAME + 2 + sum(2 + max(map(len, lines)) for lines in texts) <= width:
             break

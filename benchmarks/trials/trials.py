@@ -182,15 +182,21 @@ def outcome_of(
         assert drive.problem is not None
         text = f"the world cannot be made: {explained(drive.problem)}"
         return Outcome(failed_row(scenario, request.name, trial, seed, text), None, details(drive.problem))
-    row = _row(drive.recording, scenario, request.name, trial, seed)
+    row = failed_row(scenario, request.name, trial, seed, "") | _size(drive.recording)
+    row |= {"alignment": ALIGNED} if align else {}
     try:
         rng = stream(seed, trial, Stream.ESTIMATOR)
         result = _estimate(drive.recording, request, rng, external, progress, before.known(request))
-        row, result = _scored(drive.recording, drive.bound, row, result, align)
+        scores, result = _scored(drive.recording, drive.bound, result, align)
     except (Exception, SystemExit) as error:
-        row = {**row, "status": "failed", "error": explained(error)}
-        return Outcome(_labelled(row, align), None, details(error), isinstance(error, LostError))
-    return Outcome(_labelled(row, align), result)
+        return Outcome({**row, "error": explained(error)}, None, details(error), isinstance(error, LostError))
+    cost = {
+        "estimate_seconds": result.estimate_seconds,
+        "realtime_factor": row["duration_s"] / result.estimate_seconds,
+        "peak_memory_mb": result.peak_memory_mb,
+    }
+    row |= {"status": "ok", "error": None, **scores, **cost}
+    return Outcome({key: _plain(value) for key, value in row.items()}, result)
 
 
 def _estimate(
@@ -210,29 +216,20 @@ def _estimate(
 
 
 def _scored(
-    recording: Recording, limit: BoundResult | None, row: Row, result: TrialResult, align: bool
+    recording: Recording, limit: BoundResult | None, result: TrialResult, align: bool
 ) -> tuple[Row, TrialResult]:
     from cellslam.benchmarks.scores.alignment import aligned
     from cellslam.benchmarks.scores.metrics import score
 
     result = aligned(recording, result) if align else result
-    seconds = result.estimate_seconds
-    cost = {"estimate_seconds": seconds, "realtime_factor": row["duration_s"] / seconds}
-    cost["peak_memory_mb"] = result.peak_memory_mb
-    row = {**row, "status": "ok", **score(recording, result, limit), **cost}
-    return {key: _plain(row[key]) for key in ROW_KEYS}, result
+    return {**score(recording, result, limit)}, result
 
 
-def _labelled(row: Row, align: bool) -> Row:
-    return {**row, "alignment": ALIGNED} if align else row
-
-
-def _row(recording: Recording, scenario: str, estimator: str, trial: int, seed: int) -> Row:
+def _size(recording: Recording) -> Row:
     from cellslam.benchmarks.scores.metrics import distance_m, duration_s
 
-    first = {"scenario": scenario, "estimator": estimator, "trial": trial, "seed": seed}
     size = {"snapshots": len(recording.time_s), "duration_s": duration_s(recording)}
-    return {**dict.fromkeys(ROW_KEYS), **first, **size, "distance_m": distance_m(recording)}
+    return {**size, "distance_m": distance_m(recording)}
 
 
 def _plain(value: Any) -> Any:

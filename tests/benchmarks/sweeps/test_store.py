@@ -16,8 +16,8 @@ import pytest
 from cellslam.benchmarks.scores.metrics import ROW_KEYS
 from cellslam.benchmarks.scores.trial_result import TrialResult
 from cellslam.benchmarks.sweeps import store, tasks
-from cellslam.benchmarks.sweeps.lock import check_local, only_writer
 from cellslam.benchmarks.sweeps.rows import results
+from cellslam.benchmarks.sweeps.store import check_local, only_writer
 from cellslam.benchmarks.sweeps.tasks import Plan, Result, identity, plan, with_contents
 from cellslam.benchmarks.sweeps.trajectories import pack, trajectory, unpack
 from cellslam.scenarios import sweep_points as sweep

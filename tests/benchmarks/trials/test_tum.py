@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from cellslam.benchmarks.trials.tum import quaternions, write_tum
+from cellslam.benchmarks.trials.output_files import quaternions, write_tum
 from cellslam.sim.frames import rotation
 
 
