@@ -86,36 +86,10 @@ def hang(_: Any) -> None:
         time.sleep(0.1)
 
 
-def hang_in_c(_: Any) -> None:
-    ctypes.PyDLL(None).sleep(1000)  # holds the interpreter: no thread of Python runs
-
-
-def segfault(_: Any) -> None:
-    ctypes.string_at(0)
-
-
-def eat_memory(_: Any) -> None:
-    kept = [np.empty(10**8) for _ in range(100)]
-    del kept
-
-
-def close_everything(_: Any) -> None:
-    os.closerange(3, 256)
-
-
 def write_everywhere(message: bytes) -> None:
     for fd in range(3, 64):
         with contextlib.suppress(OSError):
             os.write(fd, message)
-
-
-def pipe_garbage(_: Any) -> None:
-    write_everywhere(b"\xffgarbage" * 100)
-
-
-def pipe_pickle(_: Any) -> None:
-    evil = b"cos\nsystem\n(S'touch pickled'\ntR."
-    write_everywhere(len(evil).to_bytes(8, "little") + evil)
 
 
 def leave_child_and_die(_: Any) -> None:
@@ -128,6 +102,8 @@ ASYMMETRIC = np.eye(6)
 ASYMMETRIC[0, 1] = 0.5
 INDEFINITE = np.eye(6)
 INDEFINITE[0, 1] = INDEFINITE[1, 0] = 2.0
+EVIL = b"cos\nsystem\n(S'touch pickled'\ntR."
+NO_ANSWER = "no answer within the time limit of"
 SMALL = (np.zeros(1, int), np.zeros((1, 3)), np.zeros((1, 3, 3)))
 
 # What each does, and the words that its row then says.
@@ -142,14 +118,14 @@ ODD: dict[str, tuple[Any, str]] = {
     "Stops": (raising(StopIteration), "generator raised StopIteration"),
     "Recursion": (doing(lambda self: self.odd(None, None)), "RecursionError"),
     "Exits": (doing(lambda _: os._exit(7)), "its process ended with exit status 7"),
-    "Segfaults": (doing(segfault), "its process was killed by SIGSEGV"),
+    "Segfaults": (doing(lambda _: ctypes.string_at(0)), "its process was killed by SIGSEGV"),
     "LeavesChild": (doing(leave_child_and_die), "its process ended with exit status 3"),
-    "Hangs": (doing(hang), "no answer within the time limit of"),
-    "HangsInC": (doing(hang_in_c), "no answer within the time limit of"),
-    "EatsMemory": (doing(eat_memory), "MemoryError"),
-    "ClosesAll": (doing(close_everything), "its process ended with exit status"),
-    "Garbage": (doing(pipe_garbage), "its process sent what is no answer"),
-    "Pickle": (doing(pipe_pickle), "its process sent"),
+    "Hangs": (doing(hang), NO_ANSWER),
+    "HangsInC": (doing(lambda _: ctypes.PyDLL(None).sleep(1000)), NO_ANSWER),  # holds the interpreter: no thread runs
+    "EatsMemory": (doing(lambda _: [np.empty(10**8) for _ in range(100)]), "MemoryError"),
+    "ClosesAll": (doing(lambda _: os.closerange(3, 256)), "its process ended with exit status"),
+    "Garbage": (doing(lambda _: write_everywhere(b"\xffgarbage" * 100)), "its process sent what is no answer"),
+    "Pickle": (doing(lambda _: write_everywhere(len(EVIL).to_bytes(8, "little") + EVIL)), "its process sent"),
     "NotFinite": (answering(pose=np.full(6, np.nan)), "pose is not finite, snapshot 5"),
     "Complex": (answering(pose=np.zeros(6, complex)), "pose holds complex128, expected real numbers, snapshot 5"),
     "Ragged": (answering(pose=[1, [2, 3]]), "ValueError: setting an array element with a sequence"),
@@ -214,7 +190,7 @@ class RemarksANumber(Good):
 
 ELSEWHERE = {
     "Constructor": "OwnError: not made",
-    "HangsAtStart": "no answer within the time limit of",
+    "HangsAtStart": NO_ANSWER,
     "WarmUpExits": "its process ended with exit status 5",
     "FinishOfAnotherShape": "finish(): poses has shape (3, 6)",
     "RemarksANumber": "remarks() returned int, expected a list of lines of text",

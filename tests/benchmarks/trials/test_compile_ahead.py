@@ -38,7 +38,7 @@ def test_what_is_not_compiled_is_compiled_elsewhere_or_else_here(
     monkeypatch.setattr("os.cpu_count", lambda: 2)
     import slow_to_compile
 
-    monkeypatch.delitem(sys.modules, "slow_to_compile")
+    del sys.modules["slow_to_compile"]
     slow = Request("slow", slow_to_compile.Slow, None)
     if broken:
         file.write_text("raise RuntimeError")
