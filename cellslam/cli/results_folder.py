@@ -43,7 +43,7 @@ class Folder:
 
     def write_trial(self, trial: Trial) -> None:
         """Write trajectories (TUM), the truth's too, and the traceback of each estimator that failed."""
-        from cellslam.benchmarks.trials.tum import write_tum
+        from cellslam.benchmarks.trials.output_files import write_tum
 
         recording, suffix = trial.recording, f"-{trial.number}" if self.several else ""
         with _writing(self.path):

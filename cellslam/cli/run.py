@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from cellslam.benchmarks.tables.trials_table import bound_row, results_table
-from cellslam.benchmarks.trials import compile_ahead as ahead
+from cellslam.benchmarks.trials.estimation import compile_ahead
 from cellslam.benchmarks.trials.external_processes import ExternalProcesses
 from cellslam.benchmarks.trials.output_files import check_folder
 from cellslam.benchmarks.trials.trials import DEFAULT_ESTIMATORS, Trial, check_counts, simulated_trials
@@ -96,7 +96,7 @@ def command(arguments: Namespace) -> int:
     known = scenario.map.known is not None or scenario.map.drives > 1
     job.note(check_map(arguments, known, requests, arguments.trials))
     with ExternalProcesses(limits(arguments, 1)) as external, bars(arguments.quiet) as progress, ExitStack() as stack:
-        ahead.begin(requests)
+        compile_ahead(requests)
         external.begin(requests)
         job.open_store = partial(_open_store, job, scenario, stack)
         trials = simulated_trials(scenario, requests, arguments.trials, arguments.seed, external, progress)
@@ -125,7 +125,7 @@ def worth_trying(job: Job) -> str:
 
 def _open_store(job: Job, scenario: Scenario, stack: ExitStack) -> Callable[[Trial], None] | None:
     """Return what keeps trials as a sweep's, too; None, said, where the disk has no locks, as on a network."""
-    from cellslam.benchmarks.sweeps.run_store import keeping
+    from cellslam.benchmarks.sweeps.sweeping import keeping
 
     words, seed = shlex.join(["cellslam", *job.arguments.words]), job.arguments.seed
     try:

@@ -24,8 +24,8 @@ def add_arguments(parser: ArgumentParser) -> None:
 
 def command(arguments: Namespace) -> int:
     """Carry out `cellslam figures`."""
+    from cellslam.benchmarks.figures.sweep.sweep_data import Look
     from cellslam.benchmarks.figures.sweep.sweep_figures import draw_sweep
-    from cellslam.benchmarks.figures.sweep.sweep_look import Look
     from cellslam.benchmarks.trials.output_files import check_folder
     from cellslam.cli.progress_bars import bars
 

@@ -2,24 +2,24 @@
 
 from __future__ import annotations
 
-import os
 import signal
 import sqlite3
 import sys
+import time
 from pathlib import Path
 from typing import Any
 
 import pytest
 
 from cellslam.benchmarks.sweeps import executors, sweeping, tasks
+from cellslam.benchmarks.sweeps.executors import Pool
 from cellslam.benchmarks.sweeps.rows import results
 from cellslam.benchmarks.sweeps.store import DATABASE, TRAJECTORIES, writing
-from cellslam.benchmarks.sweeps.worker_pool import Pool
 from cellslam.benchmarks.trials.child_process import Limits
 from cellslam.cli.main import main
-from cellslam.scenarios import sweep_points as sweep
 from cellslam.sim.errors import InputError
-from tests.benchmarks.sweeps.short_sweeps import PLUGIN, rows, start, stored, wait_for, words
+from tests.benchmarks.made_up_sweeps import plan_of
+from tests.benchmarks.sweeps.short_sweeps import HARMLESS_PLUGIN, rows, start, stored, wait_for, words
 from tests.short_drive import SET
 
 
@@ -37,20 +37,18 @@ def test_processes_give_the_rows_of_one_process(place: Path) -> None:
     files = [sorted(p.name for p in Path(name, TRAJECTORIES).rglob("*.npz")) for name in ("serial", "processes")]
     assert files[0] == files[1] == sorted(f"{row['key']}.npz" for row in expected)
     frame = results(place / "processes")
-    assert frame.groupby("estimator", dropna=False)["estimator.fastslam.particles"].nunique().to_dict() == {
-        "dead-reckoning": 0,
-        "fastslam": 2,
-    }
+    counts = frame.groupby("estimator", dropna=False)["estimator.fastslam.particles"].nunique()
+    assert counts.to_dict() == {"dead-reckoning": 0, "fastslam": 2}
 
 
 @pytest.mark.slow
 def test_misfits_cost_their_own_rows_only(place: Path, capfd: pytest.CaptureFixture[str]) -> None:
-    names = [f"misfits:{name}" for name in ("Raises", "Hangs", "NotFinite", "EatsMemory", "Exits", "Good")]
+    names = [f"misfits:{name}" for name in ("SystemExits", "Hangs", "NotFinite", "EatsMemory", "Exits", "Good")]
     more = ("--time-limit", "2", "--memory-limit", "1.5", "--jobs", "1")
     assert main(words(*names, trials=1, more=more)) == 1
     found = {row["estimator"].removeprefix("misfits:"): row for row in rows("out")}
     errors = {name: row["error"] for name, row in found.items()}
-    assert "ArithmeticError: lost it, snapshot 5" in errors["Raises"]
+    assert "SystemExit, snapshot 5" in errors["SystemExits"]
     assert errors["Hangs"] == "no answer within the time limit of 2 s; alone it was lost again"
     assert "pose is not finite, snapshot 5" in errors["NotFinite"]
     assert "MemoryError" in errors["EatsMemory"]
@@ -58,7 +56,7 @@ def test_misfits_cost_their_own_rows_only(place: Path, capfd: pytest.CaptureFixt
     before = [row for row in rows("out") if row["status"] == "ok"]
     assert before == [found["Good"]]
     # Resumed, nothing is done again; with --retry-failed what failed is.
-    (place / "misfits.py").write_text(PLUGIN.replace("snapshot.index == 5", "False"))
+    (place / "misfits.py").write_text(HARMLESS_PLUGIN)
     assert "misfits" not in sys.modules
     tasks.request_of.cache_clear()
     assert main(words(*names, trials=1, more=("--executor", "serial"))) == 1
@@ -69,10 +67,7 @@ def test_misfits_cost_their_own_rows_only(place: Path, capfd: pytest.CaptureFixt
 
 
 def test_what_is_lost_once_is_done_alone(place: Path) -> None:
-    made = tasks.plan(
-        sweep.points(sweep.from_tables({"scenario": "tiny", "set": SET}), ("misfits:Good", "dead-reckoning")), 1, 0
-    )
-    asked = []
+    made, asked = plan_of({"set": SET}, ("misfits:Good", "dead-reckoning")), []
 
     class Unlucky(executors.Serial):
         def run(self, wanted: Any) -> Any:
@@ -86,10 +81,7 @@ def test_what_is_lost_once_is_done_alone(place: Path) -> None:
     with writing(place / "out", "test", {}) as store, Unlucky(Limits(60, 2**31)) as unlucky:
         sweeping.carry_out(made, store, unlucky, lambda *_: None)
     assert asked == [["misfits:Good", "dead-reckoning"], ["misfits:Good"]]
-    assert {(row["estimator"], row["status"]) for row in rows("out")} == {
-        ("misfits:Good", "ok"),
-        ("dead-reckoning", "ok"),
-    }
+    assert {row["estimator"]: row["status"] for row in rows("out")} == dict.fromkeys(asked[0], "ok")
 
 
 def test_a_world_is_made_once_for_all_estimators(place: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -97,12 +89,13 @@ def test_a_world_is_made_once_for_all_estimators(place: Path, monkeypatch: pytes
 
     made: list[tuple[int, float]] = []
     real = simulation.simulate
-    monkeypatch.setattr(
-        simulation,
-        "simulate",
-        lambda s, seed, trial, *more: made.append((trial, s.radio.load)) or real(s, seed, trial, *more),
-    )
-    names = ("misfits:Good", "misfits:Raises", "dead-reckoning")
+
+    def simulate(scenario: Any, seed: int, trial: int) -> Any:
+        made.append((trial, scenario.radio.load))
+        return real(scenario, seed, trial)
+
+    monkeypatch.setattr(simulation, "simulate", simulate)
+    names = ("misfits:Good", "misfits:SystemExits", "dead-reckoning")
     assert main(words(*names, more=("--executor", "serial", "--sweep", "radio.load=0.1,0.2"))) == 1
     assert made == [(0, 0.1), (0, 0.2), (1, 0.1), (1, 0.2)]
 
@@ -144,18 +137,22 @@ def test_control_c_says_how_to_go_on(place: Path) -> None:
     assert 0 < stored(place / "out") < 500
 
 
-def test_second_driver_is_refused(place: Path, capfd: pytest.CaptureFixture[str]) -> None:
-    with writing(place / "out", "cellslam sweep the first", {}):
-        assert main(words("dead-reckoning")) == 2
-    err = capfd.readouterr().err
-    assert err.count("\n") == 1 and f"process {os.getpid()} on" in err and "cellslam sweep the first" in err
-
-
 def test_workers_that_do_not_start_are_one_line(place: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(sys, "executable", "/bin/false")
-    points = sweep.points(sweep.from_tables({"scenario": "tiny"}), ("dead-reckoning",))
     with Pool(2, Limits(60, 2**31)) as pool, pytest.raises(InputError, match="worker processes do not start"):
-        list(pool.run(tasks.plan(points, 2, 0).tasks))
+        list(pool.run(plan_of({}, trials=2).tasks))
+
+
+@pytest.mark.slow
+def test_a_pool_can_be_left_where_a_worker_was_lost(place: Path) -> None:
+    names = ("dead-reckoning", "misfits:Hangs")
+    with pytest.raises(ZeroDivisionError), Pool(1, Limits(60, 2**31)) as pool:
+        for answer in pool.run(plan_of({"set": SET}, names).tasks):
+            if isinstance(answer, tasks.Lost):
+                assert answer.job.estimator == names[1] and "its worker process was killed by SIGKILL" in answer.reason
+                raise ZeroDivisionError
+            time.sleep(1.0)  # the next job begins
+            pool._workers[0].process.kill()
 
 
 @pytest.mark.slow
@@ -174,7 +171,7 @@ def test_progress_and_running_table(place: Path, capfd: pytest.CaptureFixture[st
 
     monkeypatch.setattr(watch, "LINE_EVERY_S", 0.0)
     monkeypatch.setattr(watch, "TABLE_EVERY_S", 0.0)
-    line = [word for word in words("misfits:Good", "misfits:Raises", trials=1) if word != "--quiet"]
+    line = [word for word in words("misfits:Good", "misfits:SystemExits", trials=1) if word != "--quiet"]
     assert main([*line, "--executor", "serial", "--sweep", "radio.load=0.1,0.2"]) == 1
     err = capfd.readouterr().err
     assert "4 of 4 rows" in err and "rows/s" in err and "2 failed" in err and "--retry-failed" in err
