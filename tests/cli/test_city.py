@@ -11,7 +11,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from cellslam.cli.city.places import find_city
+from cellslam.cli.cities import find_city
 from cellslam.cli.main import main
 from cellslam.sim.rays import trace
 

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 import shapely
 
-from cellslam.cli.city.geo_files import read_line, read_places
-from cellslam.cli.city.places import find_city
+from cellslam.cli.cities import find_city
+from cellslam.cli.geo_files import read_line, read_places
 from cellslam.cli.main import main
 from cellslam.scenarios.loading import load
 from cellslam.sim.city import City

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from cellslam.cli import main as cli
-from cellslam.cli.recordings.export import EXPORTS
+from cellslam.cli.commands.export import EXPORTS
 from cellslam.recordings.importing.campaign import CLAIMS, QUANTITIES
 from cellslam.recordings.importing.importing import POSES, REFERENCE
 from cellslam.sim.frames import SPEED_OF_LIGHT_MPS

@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 from cellslam.benchmarks.trials.trials import DEFAULT_ESTIMATORS
+from cellslam.cli.commands.sweep import requested
 from cellslam.cli.main import build_parser
-from cellslam.cli.sweep import requested
 from cellslam.scenarios import sweep_points as sweep
 from cellslam.sim.errors import InputError
 
