@@ -3,7 +3,7 @@
 `Campaign` and `build` are what a Python adapter for `cellslam import` needs.
 """
 
-from cellslam.recordings.importing.campaign import Campaign, OdometryTable, ReferenceTable
-from cellslam.recordings.importing.campaign_to_recording import build
+from cellslam.recordings.importing.campaign import Campaign, ReferenceTable, build
+from cellslam.recordings.importing.odometry import OdometryTable
 
 __all__ = ["Campaign", "OdometryTable", "ReferenceTable", "build"]

@@ -16,7 +16,7 @@ import cellslam
 from cellslam.cli import main as cli
 from cellslam.recordings import Campaign, OdometryTable, ReferenceTable, build
 from cellslam.recordings.fitting.fit_noise import first_guess, fit
-from cellslam.recordings.fitting.fit_sizes import BURSTS, Learnt, learn, said, toml
+from cellslam.recordings.fitting.fit_sizes import BURSTS, Learnt, in_words, learn, toml
 from cellslam.scenarios.estimator_options import resolve
 from cellslam.sim.errors import InputError
 from cellslam.sim.recording import OdometryModel, Recording
@@ -119,7 +119,7 @@ def test_odometry_and_noise_are_learnt_whatever_the_sheet_says(learnt: Learnt) -
 
 
 def test_what_was_told_wrong_is_said(learnt: Learnt) -> None:
-    text = "\n".join(said(learnt))
+    text = "\n".join(in_words(learnt))
     factor = {name: float(line.split(": ")[1].split()[0]) for name in ("speed", "yaw rate")
               for line in text.splitlines() if f"noise of the odometry's {name}: " in line}  # fmt: skip
     assert factor == {"speed": pytest.approx(0.2, rel=0.25), "yaw rate": pytest.approx(5.0, rel=0.25)}
@@ -133,7 +133,7 @@ def test_nothing_is_learnt_where_offsets_are_never_resolved(world: Recording) ->
     angles = dataclasses.replace(few.measurements, distance_m=np.full(len(few.measurements), np.nan))
     sites = dataclasses.replace(world.sites, clock_offset_std_m=np.array([150.0]))
     found = learn(dataclasses.replace(few, measurements=angles, sites=sites), {"start_limit_s": 1e5, "vts": 4})
-    assert not found.resolved and "never resolved" in said(found)[0]
+    assert not found.resolved and "never resolved" in in_words(found)[0]
     np.testing.assert_array_equal(found.odometry_model.noise_density, world.odometry_model.noise_density)
 
 

@@ -45,7 +45,7 @@ def command(arguments: Namespace) -> int:
     as_json = json.dumps(found, indent=1, allow_nan=False) + "\n" if arguments.json else ""
     sys.stdout.write(as_json or as_text(path, recording, found))
     if not arguments.no_figure:
-        from cellslam.recordings.inspection.inspection_figure import draw
+        from cellslam.recordings.inspection.inspection import draw
 
         at_once(figure, lambda place: draw(recording, place))
         note(arguments, f"figure: {figure}")

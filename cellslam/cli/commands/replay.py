@@ -17,7 +17,7 @@ from cellslam.cli.output import note
 from cellslam.cli.progress_bars import bars
 from cellslam.cli.recording_estimates import assumed_by, doubts, left_out
 from cellslam.cli.results import Results
-from cellslam.recordings.fitting.fit_sizes import said, toml
+from cellslam.recordings.fitting.fit_sizes import in_words, toml
 from cellslam.scenarios.estimator_options import with_options
 from cellslam.scenarios.map_config import MapConfig
 from cellslam.scenarios.recording_origin import Origin
@@ -60,7 +60,7 @@ def command(arguments: Namespace) -> int:
         results.note(f"nothing learnt from {path}: {given.why}")
     elif given.learnt is not None:
         results.write("fit.toml", toml(path, given.learnt))
-        results.note("\n".join(said(given.learnt)))
+        results.note("\n".join(in_words(given.learnt)))
     results.note(without)
     before = Before(MapConfig(file=arguments.map))
     results.note(check_map(arguments, arguments.map is not None, requests, 1))

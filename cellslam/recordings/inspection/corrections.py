@@ -8,7 +8,7 @@ from typing import Any, Literal
 
 import numpy as np
 
-from cellslam.recordings.importing.odometry_resampling import Motion, integrate
+from cellslam.recordings.importing.odometry import Motion, integrate
 from cellslam.sim.recording import Floats, Recording
 from cellslam.slam.api import odometry_of
 
@@ -93,7 +93,7 @@ class Drive:
 
 def dead_reckoned(recording: Recording, times: Floats) -> Floats:
     """Return poses (N, 6), in m and rad, of the odometry alone at `times` (N,) in s within the drive."""
-    motion = Motion(recording.time_s, odometry_of(recording)[1:], (True,) * 6)
+    motion = Motion(recording.time_s, odometry_of(recording)[1:], np.ones(6, np.bool_))
     poses, _ = integrate(
         motion,
         np.insert(times, 0, recording.time_s[0]) if times[0] > recording.time_s[0] else times,

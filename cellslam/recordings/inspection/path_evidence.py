@@ -6,6 +6,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
+import pandas as pd
 from numpy.typing import NDArray
 
 from cellslam.recordings.inspection.corrections import Correction, Drive
@@ -75,7 +76,7 @@ class PathEvidence:
         self.block = ((middle - self.time_s[0]) / np.ptp(self.time_s) * BLOCKS).astype(np.int64)
         self._plain = [self._logs(pairs, Correction()) for pairs in self.lags]
 
-    def seen(self, c: Correction) -> Correction:
+    def effect_of(self, c: Correction) -> Correction:
         """Return what a correction comes to between odometry and measurements."""
         return replace(
             c.between_odometry_and("measurements"),
@@ -86,7 +87,7 @@ class PathEvidence:
         )
 
     def change(self, c: Correction) -> Floats:
-        """Return by how much a correction as `seen` raises the log-likelihood (n,); NaN outside of the drive."""
+        """Return by how much an effect raises the log-likelihood (n,); NaN outside of the drive."""
         return np.concatenate(
             [self._change(pairs, plain, c) for pairs, plain in zip(self.lags, self._plain, strict=True)]
         )
@@ -111,43 +112,24 @@ class PathEvidence:
         return sorted({lag, int(min(LONGER * lag, longest))})
 
     def _pairs(self, recording: Recording, lag: int) -> Pairs:
-        rows, m = recording.rows, recording.measurements
+        m = recording.measurements
         count = len(self.time_s) - lag
         each = np.bincount(m.snapshot[self.usable] * len(recording.links) + m.link[self.usable])
         candidates = float((each.astype(np.float64) ** 2).sum()) / len(self.time_s)
         pairs = int(np.clip(CANDIDATES / max(candidates, 1e-9), *PAIRS))
         even = np.linspace(self.progress[0], self.progress[count - 1], pairs)
         chosen = np.unique(np.minimum(np.searchsorted(self.progress[:count], even), count - 1))
-        first: list[Ints] = []
-        second: list[Ints] = []
-        group: list[Ints] = []
-        pair: list[int] = []
-        times: list[tuple[float, float]] = []
-        for t in chosen:
-            a = np.arange(rows[t], rows[t + 1])[self.usable[rows[t] : rows[t + 1]]][:PATHS]
-            b = np.arange(rows[t + lag], rows[t + lag + 1])[self.usable[rows[t + lag] : rows[t + lag + 1]]][:PATHS]
-            i, j = np.nonzero(m.link[a][:, None] == m.link[b])
-            if not len(i):
-                continue
-            order = np.argsort(j, kind="stable")
-            i, j = i[order], j[order]
-            targets, index = np.unique(j, return_inverse=True)
-            group.append(len(pair) + index)
-            first.append(a[i])
-            second.append(b[j])
-            pair += [len(times)] * len(targets)
-            times.append((self.time_s[t], self.time_s[t + lag]))
-        none = np.empty(0, np.int64)
-        at = np.concatenate(group or [none])
-        return Pairs(
-            np.array([before for before, _ in times]),
-            np.array([after for _, after in times]),
-            np.concatenate(first or [none]),
-            np.concatenate(second or [none]),
-            at,
-            np.array(pair, np.int64),
-            1.0 / np.bincount(at, minlength=len(pair)),
-        )
+        rows = np.flatnonzero(self.usable)
+        table = pd.DataFrame({"snapshot": m.snapshot[rows], "link": m.link[rows], "row": rows})
+        table = table[table.groupby("snapshot").cumcount() < PATHS]
+        before = table[table["snapshot"].isin(chosen)]
+        after = table.assign(snapshot=table["snapshot"] - lag)
+        found = before.merge(after, on=["snapshot", "link"], suffixes=("_before", "_after"))
+        found = found.sort_values(["row_after", "row_before"])
+        first, second = found["row_before"].to_numpy(), found["row_after"].to_numpy()
+        targets, at, count_of = np.unique(second, return_inverse=True, return_counts=True)
+        moments, pair = np.unique(m.snapshot[targets] - lag, return_inverse=True)
+        return Pairs(self.time_s[moments], self.time_s[moments + lag], first, second, at, pair, 1.0 / count_of)
 
     def _logs(self, pairs: Pairs, c: Correction, among: NDArray[np.bool_] | bool = True) -> Floats:
         """Return the log-likelihood (n,) of pairs of moments, in units as recorded; NaN outside of the drive."""

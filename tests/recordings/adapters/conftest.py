@@ -6,11 +6,6 @@ from dataclasses import dataclass
 import numpy as np
 import pytest
 
-from cellslam.benchmarks.scores.metrics import score
-from cellslam.benchmarks.trials.estimation import estimate, warm_up
-from cellslam.scenarios.estimator_options import resolve
-from cellslam.sim.recording import Recording
-
 STEP_S = 0.02
 
 
@@ -43,16 +38,3 @@ def circuit(duration_s: float, speed_mps: float, turn_radps: float) -> Circuit:
 def drive_eights() -> Callable[..., Circuit]:
     """The function `circuit`."""
     return circuit
-
-
-@pytest.fixture(scope="session")
-def position_rmse() -> Callable[..., float]:
-    """Position RMSE in m of an estimator by name and options on a recording."""
-
-    def rmse(recording: Recording, name: str, **options: object) -> float:
-        request = resolve({name: options} if options else {}, [name], ())[0]
-        warm_up(request)
-        result = estimate(recording, request, np.random.default_rng(5))
-        return float(score(recording, result, None)["position_rmse_m"])
-
-    return rmse

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from cellslam.cli import main as cli
-from cellslam.recordings.adapters.tui.sheet import NAME, load_sheet
+from cellslam.recordings.adapters.tui_files import NAME, load_sheet
 from cellslam.sim.frames import SPEED_OF_LIGHT_MPS, azimuth_elevation
 from cellslam.sim.lte.array import CircularArray
 from cellslam.sim.recording import Recording

@@ -6,8 +6,8 @@ from pathlib import Path
 
 import numpy as np
 
-from cellslam.recordings.adapters.tui.layout import Container, complex_of, opened
-from cellslam.recordings.adapters.tui.sheet import Responses, Sheet
+from cellslam.recordings.adapters.tui_files import Responses, Sheet, complex_of, opened
+from cellslam.recordings.importing.campaign import CLAIMS, QUANTITIES
 from cellslam.sim.errors import InputError
 from cellslam.sim.frames import SPEED_OF_LIGHT_MPS, TURN
 from cellslam.sim.lte.eadf import EadfArray, eadf_from_grid
@@ -17,15 +17,7 @@ from cellslam.sim.recording import Floats, Ints
 
 GROUP, PATTERNS = "FrequencyResponses", "BeampatternData"
 WINDOW = (-0.02, 0.95)  # of the unambiguous range: paths are looked for from, and to
-COLUMNS = (
-    "distance_m",
-    "azimuth_rad",
-    "elevation_rad",
-    "snr_db",
-    "distance_std_m",
-    "azimuth_std_rad",
-    "elevation_std_rad",
-)
+COLUMNS = (*QUANTITIES, *CLAIMS)
 
 
 def estimated(folder: Path, sheet: Sheet, asked: Responses) -> tuple[Floats, Floats, Ints, dict[str, Floats]]:
@@ -40,14 +32,14 @@ def estimated(folder: Path, sheet: Sheet, asked: Responses) -> tuple[Floats, Flo
             raise InputError(
                 f"{file.path}: {GROUP}/Data has no dimension {', '.join(sorted(missing))} (it has: {axes})"
             )
-        tones = file.values(file.scale(GROUP, "Frequency", "Frequency"))
-        sent = _ports(file, GROUP, "Tx")
+        tones = file.values(f"{GROUP}/MetaData/Frequency/Frequency")
+        sent = file.ports(GROUP, "Tx")
         unknown = [port for port in asked.tx_ports if port not in sent]
         if unknown:
             raise InputError(f"{file.path}: no Tx port {unknown[0]} (it has: {', '.join(map(str, sent))})")
-        array, turned = pattern_array(folder / asked.array, sheet, _ports(file, GROUP, "Rx"), float(tones.mean()))
+        array, turned = pattern_array(folder / asked.array, sheet, file.ports(GROUP, "Rx"), float(tones.mean()))
         receiver = _receiver(array, tones, asked.port_interval_s)
-        times = file.values(file.scale(GROUP, "Snapshot", "TimeStamp"))
+        times = file.values(f"{GROUP}/MetaData/Snapshot/TimeStamp")
         order = [axes.index(label) for label in ("Tx", "Rx", "Frequency")]
         motion = receiver.moving(np.zeros(3))
         rows, when, link = [], [], []
@@ -85,10 +77,10 @@ def pattern_array(path: Path, sheet: Sheet, ports: list[int], carrier_hz: float)
     """
     with opened(path, sheet.units) as file:
         place = f"{PATTERNS}/Data"
-        azimuth = file.values(file.scale(PATTERNS, "Azimuth", "AzimuthAngle"))
-        elevation = file.values(file.scale(PATTERNS, "Elevation", "ElevationAngle"))
-        frequency = file.values(file.scale(PATTERNS, "Frequency", "Frequency"))
-        own = _ports(file, PATTERNS, "Port")
+        azimuth = file.values(f"{PATTERNS}/MetaData/Azimuth/AzimuthAngle")
+        elevation = file.values(f"{PATTERNS}/MetaData/Elevation/ElevationAngle")
+        frequency = file.values(f"{PATTERNS}/MetaData/Frequency/Frequency")
+        own = file.ports(PATTERNS, "Port")
         if sorted(own) != sorted(ports):
             raise InputError(f"{path}: its ports are {own}, those of the responses {ports}: another array?")
         labels = ("Port", "RefPolarization", "Elevation", "Azimuth", "Frequency")
@@ -107,7 +99,3 @@ def pattern_array(path: Path, sheet: Sheet, ports: list[int], carrier_hz: float)
     if not np.allclose(azimuth, azimuth[0] + TURN * np.arange(len(azimuth)) / len(azimuth), atol=1e-3):
         raise InputError(f"{path}: its azimuths do not go evenly round a turn")
     return eadf_from_grid(np.ascontiguousarray(patterns)), float(azimuth[0])
-
-
-def _ports(file: Container, group: str, label: str) -> list[int]:
-    return [int(port) for port in np.ravel(file.dataset(file.scale(group, label, "AntennaPortID"))[()])]

@@ -1,6 +1,6 @@
 """Adapter for the vehicle campaigns of TU Ilmenau, Fyoris and Elowen: 2.53 GHz, 20 MHz, stacked circular arrays.
 
-Files as `layout.py` says; what they leave open stands in `tui.toml` beside them. Measurements are either the paths that
+Files as `tui_files.py` says; what they leave open stands in `tui.toml` beside them. Measurements are either the paths
 the authors have estimated (`Results_*.h5`) or those that our own estimator finds in the frequency responses. Neither
 has odometry: there is none, or it is SIMULATED from the location with noise of a fixed seed, as the description then
 says. Source: G. Sommerkorn, C. Schneider, M. Doebereiner and W. Kotterman, Fyoris, doi:10.71758/refodat.61; S. Semper,
@@ -14,9 +14,8 @@ from typing import Any
 
 import numpy as np
 
-from cellslam.recordings.adapters.simulated_odometry import simulated
-from cellslam.recordings.adapters.tui.layout import Container, opened
-from cellslam.recordings.adapters.tui.sheet import Angle, Estimated, Location, Sheet, load_sheet
+from cellslam.recordings.adapters.shared import simulated_odometry
+from cellslam.recordings.adapters.tui_files import Angle, Container, Estimated, Location, Sheet, load_sheet, opened
 from cellslam.recordings.importing.campaign import Campaign, ReferenceTable
 from cellslam.recordings.importing.geodesy import projected
 from cellslam.sim.errors import InputError
@@ -30,7 +29,7 @@ def load(folder: Path) -> Campaign:
     """Return the campaign of the files that `tui.toml` in `folder` names. Raises InputError."""
     sheet = load_sheet(folder)
     if sheet.responses is not None:
-        from cellslam.recordings.adapters.tui.responses import estimated
+        from cellslam.recordings.adapters.tui_responses import estimated
 
         snapshots, times, link, columns = estimated(folder, sheet, sheet.responses)
         names = [f"port {port}" for port in sheet.responses.tx_ports]
@@ -46,7 +45,7 @@ def load(folder: Path) -> Campaign:
         place = np.column_stack(
             [_at(snapshots, reference, column) for column in np.asarray(reference.position_m).T[:2]]
         )
-        motion = simulated(snapshots, place, _at(snapshots, reference, yaw), NOISE)
+        motion = simulated_odometry(snapshots, place, _at(snapshots, reference, yaw), NOISE)
     about["description"] = folder.name + ("; odometry simulated from the location" if motion is not None else "")
     return Campaign(
         time_s=times,
@@ -103,7 +102,7 @@ def _reference(folder: Path, sheet: Sheet, asked: Location, about: dict[str, Any
     with opened(folder / asked.file, sheet.units) as file:
         times = file.values(f"{group}/MetaData/Snapshot/TimeStamp")
         yaw = None if asked.yaw is None else _ours(file.values(f"{group}/{asked.yaw.dataset}"), asked.yaw)
-        if file.has(f"{group}/PosX"):
+        if f"{group}/PosX" in file.file:
             place = np.column_stack([file.values(f"{group}/Pos{axis}") for axis in "XYZ"])
         else:
             latitude, longitude = (file.values(f"{group}/{name}") for name in ("Latitude", "Longitude"))

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
-from cellslam.recordings.importing.campaign import OdometryTable
 from cellslam.sim.errors import InputError, nearest_name
 from cellslam.sim.frames import mean_velocity, rotation
 from cellslam.sim.recording import COMPONENTS, Floats
@@ -18,80 +18,96 @@ STILL = 1e-9  # m/s and rad/s: a component that the odometry does not have, and 
 
 
 @dataclass(frozen=True)
-class Motion:
-    """Velocities held constant over intervals: `edges_s` (N + 1,), `velocity` (N, 6), NaN where not measured.
+class OdometryTable:
+    """Velocities at their own times (N,): components of u by name ("u_x" in m/s, "u_psi" in rad/s, ...), each (N,).
 
-    `measured` (6,): which components the odometry has at all.
+    `hold`: "next", a row is valid until the next row; "before", since the row before; "linear", in between
+    interpolate. A component that is left out was not measured. `lever_arm_m`: the array in the body frame of the
+    point whose velocity this is.
+    """
+
+    time_s: ArrayLike
+    components: Mapping[str, ArrayLike]
+    hold: str = "next"
+    lever_arm_m: Sequence[float] = (0.0, 0.0, 0.0)
+
+
+@dataclass(frozen=True)
+class Motion:
+    """Velocities of the array, held constant over intervals: `edges_s` (N + 1,), `velocity` (N, 6), NaN where not
+    measured. `measured` (6,): which components the odometry has at all.
     """
 
     edges_s: Floats
     velocity: Floats
-    measured: tuple[bool, ...]
-    lever_arm_m: tuple[float, ...] = (0.0, 0.0, 0.0)
+    measured: NDArray[np.bool_]
+
+
+def column_of(table: str, name: str, values: ArrayLike, count: int | None = None) -> Floats:
+    """Return a column (N,) of a table. Raises InputError where it is none, or has not `count` rows."""
+    array = np.array(values, np.float64)
+    if array.ndim != 1 or (count is not None and len(array) != count):
+        raise InputError(f"{table}.{name} has shape {array.shape}, expected ({'N' if count is None else count},)")
+    return array
+
+
+def times_of(table: str, values: ArrayLike, in_order: bool = True) -> Floats:
+    """Return the times (N,) of a table. Raises InputError where one is no number, or they are not `in_order`."""
+    times = column_of(table, "time_s", values)
+    bad = np.flatnonzero(~np.isfinite(times))
+    if len(bad):
+        raise InputError(f"{table}.time_s, row {bad[0]}: is {times[bad[0]]}, not a number; leave the row out")
+    late = np.flatnonzero(np.diff(times) <= 0)
+    if in_order and len(late):
+        raise InputError(f"{table}.time_s, row {late[0] + 1}: is not after the row before it: sort by time")
+    return times
 
 
 def motion_of(table: OdometryTable) -> Motion:
-    """Return an odometry table as velocities held over intervals. Raises InputError naming column and row."""
-    times = np.asarray(table.time_s, np.float64)
-    for name in table.components:
-        if name not in COMPONENTS:
-            near = nearest_name(name, COMPONENTS)
-            raise InputError(f"odometry: unknown component '{name}'{near} (known: {', '.join(COMPONENTS)})")
+    """Return an odometry table as the array's velocities over intervals. Raises InputError naming column and row."""
+    times = times_of("odometry", table.time_s)
     if not table.components or len(times) < (1 if table.hold == "before" else 2):
         raise InputError("odometry needs one component and two rows at least: leave the table out if there is none")
-    bad = np.flatnonzero(~np.isfinite(times))
-    if len(bad):
-        raise InputError(f"odometry.time_s, row {bad[0]}: is {times[bad[0]]}, not a number; leave the row out")
-    late = np.flatnonzero(np.diff(times) <= 0)
-    if len(late):
-        raise InputError(f"odometry.time_s, row {late[0] + 1}: is not after the row before it: sort by time")
     if table.hold not in HOLDS:
         raise InputError(f"odometry.hold = '{table.hold}' is not one of {', '.join(HOLDS)}")
     values = np.full((len(times), 6), np.nan)
     for name, column in table.components.items():
-        array = np.asarray(column, np.float64)
-        if array.shape != times.shape:
-            raise InputError(f"odometry.{name} has shape {array.shape}, expected {times.shape}")
+        if name not in COMPONENTS:
+            near = nearest_name(name, COMPONENTS)
+            raise InputError(f"odometry: unknown component '{name}'{near} (known: {', '.join(COMPONENTS)})")
+        values[:, COMPONENTS.index(name)] = array = column_of("odometry", name, column, len(times))
         infinite = np.flatnonzero(np.isinf(array))
         if len(infinite):
             raise InputError(f"odometry.{name}, row {infinite[0]}: is infinite; write NaN where nothing was measured")
-        values[:, COMPONENTS.index(name)] = array
-    return _held(times, values, table.hold, tuple(float(x) for x in table.lever_arm_m))
-
-
-def _held(times: Floats, values: Floats, hold: str, lever_arm_m: tuple[float, ...]) -> Motion:
-    measured = tuple(not np.isnan(column).all() for column in values.T)
+    measured = ~np.isnan(values).all(axis=0)
     step = float(np.median(np.diff(times))) if len(times) > 1 else 1.0
     gap = np.diff(times) > LONGEST_HOLD * step
-    if hold == "next":
-        edges, velocity = np.append(times, times[-1] + step), values.copy()
-        velocity[:-1][gap] = np.nan
-    elif hold == "before":
-        edges, velocity = np.insert(times, 0, times[0] - step), values.copy()  # means, however long they are of
+    if table.hold == "next":
+        edges = np.append(times, times[-1] + step)
+        values[:-1][gap] = np.nan
+    elif table.hold == "before":
+        edges = np.insert(times, 0, times[0] - step)  # means, however long they are of
     else:
-        edges, velocity = times, 0.5 * (values[1:] + values[:-1])
-        velocity[gap] = np.nan
-    return Motion(edges, velocity, measured, lever_arm_m)
+        edges, values = times, 0.5 * (values[1:] + values[:-1])
+        values[gap] = np.nan
+    _move_to_array(values, measured, table.lever_arm_m)
+    return Motion(edges, values, measured)
 
 
-def at_array(motion: Motion) -> Motion:
-    """Return the motion of the array, which sits `lever_arm_m` from the point that was measured: v + omega x r.
+def _move_to_array(velocity: Floats, measured: NDArray[np.bool_], lever_arm_m: Sequence[float]) -> None:
+    """Make velocities (N, 6) of the point that was measured those of the array: v + omega x r.
 
     Yaw, pitch and roll rates stand for the body's angular rates, which holds for small pitch and roll. A velocity that
     the rotation adds to becomes known only if the lever arm and the rate are.
     """
-    x, y, z = motion.lever_arm_m
+    x, y, z = lever_arm_m
     if x == y == z == 0.0:
-        return motion
-    velocity = motion.velocity.copy()
+        return
     yaw, pitch, roll = (np.nan_to_num(velocity[:, 3 + i]) for i in range(3))
-    added = (pitch * z - yaw * y, yaw * x - roll * z, roll * y - pitch * x)
-    measured = list(motion.measured)
-    for i, extra in enumerate(added):
-        if not motion.measured[i] and extra.any():
+    for i, added in enumerate((pitch * z - yaw * y, yaw * x - roll * z, roll * y - pitch * x)):
+        if not measured[i] and added.any():
             velocity[:, i], measured[i] = 0.0, True  # the measured point does not move that way; the array does
-        velocity[:, i] += extra
-    return Motion(motion.edges_s, velocity, tuple(measured))
+        velocity[:, i] += added
 
 
 def mean_velocities(motion: Motion, times: Floats, start_pose: Floats) -> Floats:
@@ -101,15 +117,14 @@ def mean_velocities(motion: Motion, times: Floats, start_pose: Floats) -> Floats
     piece) from the attitude of start_pose (6,). Driving ahead in a turn moves the vehicle to the side of its mean
     heading: a velocity that the odometry does not have is measured where its motion amounts to one.
     """
-    out = np.zeros((len(times), 6))
+    out, measured = np.zeros((len(times), 6)), motion.measured
     if np.array_equal(motion.edges_s[1:], times):  # already means between these very times
         out[1:] = motion.velocity[1:]
-        out[:, np.logical_not(motion.measured)] = np.nan
+        out[:, ~measured] = np.nan
         return out
     poses, known = integrate(motion, times, start_pose)
     out[1:] = mean_velocity(poses[:-1], poses[1:], np.diff(times))
-    measured = np.array(motion.measured)
-    absent = np.flatnonzero(np.logical_not(measured))
+    absent = np.flatnonzero(~measured)
     amounts = np.abs(out[:, absent]).max(axis=0) > STILL
     known[:, absent] = np.all(known[:, measured], axis=1, keepdims=True)
     out[1:][~known] = np.nan
