@@ -44,12 +44,7 @@ SHARED: dict[str, dict[str, Any]] = {
         "dead-reckoning)",
         **REPEATED,
     },
-    "--seed": {
-        "metavar": "S",
-        "type": whole,
-        "default": 0,
-        "help": "root seed of all random draws (default: 0)",
-    },
+    "--seed": {"metavar": "S", "type": whole, "default": 0, "help": "root seed of all random draws (default: 0)"},
     "--trial": {"metavar": "N", "type": whole, "default": 0, "help": "which trial to record (default: 0)"},
     "--json": {"help": "print the rows as one JSON array on stdout, nothing else", **FLAG},
     "--no-figures": {"help": "do not draw figures", **FLAG},
@@ -85,10 +80,7 @@ SHARED: dict[str, dict[str, Any]] = {
     "--dry-run": {"help": "say how many trials there are and how long they may take; do nothing", **FLAG},
     "--live": {"help": "show the table of results so far every few seconds", **FLAG},
     "--retry-failed": {"help": "do trials that are stored as failed again", **FLAG},
-    "--no-trajectories": {
-        "help": "keep the rows alone: saves disk space, and costs error curves and reports",
-        **FLAG,
-    },
+    "--no-trajectories": {"help": "keep the rows alone: saves disk space, and costs error curves and reports", **FLAG},
     "--executor": {
         "choices": ("serial", "processes", "dask"),
         "default": "processes",

@@ -45,9 +45,7 @@ SECTIONS = {
         "show": "every key of a scenario: value, unit, range, meaning",
         "doctor": "versions, cores, caches and extras on one screen, for a question",
     },
-    "maps that drives leave": {
-        "map join": "the maps that several cars left, as one",
-    },
+    "maps that drives leave": {"map join": "the maps that several cars left, as one"},
     "look at cities, generate them, trace paths in them": {
         "city inspect": "what a city consists of, and pictures of it",
         "city generate": "draw a city, and write it with a scenario that drives in it",
@@ -66,10 +64,7 @@ run estimators on it, and score them.
 CLOSING = """\
 'cellslam COMMAND --help' has examples. A first drive, of seconds: cellslam run tiny
 """
-EVERYWHERE = {
-    "--quiet": "no progress and no notes on stderr",
-    "--verbose": "with the traceback of a wrong request",
-}
+EVERYWHERE = {"--quiet": "no progress and no notes on stderr", "--verbose": "with the traceback of a wrong request"}
 FORMAT: dict[str, Any] = {"formatter_class": argparse.RawDescriptionHelpFormatter, "allow_abbrev": False}
 
 

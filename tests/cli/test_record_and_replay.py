@@ -26,33 +26,21 @@ def test_same_seed_same_rows_also_from_python_and_through_a_recording(cellslam: 
     words = ("--json", "--no-figures", "--quiet")
     run = cellslam("run", "tiny", *SHORT, "--seed", "7", *words)
     assert run.err == ""
-    frame = rows_from_python(seed=7)
-    assert steady(run.rows) == frame
+    frame = run_trials("tiny", ["fastslam", "ekf-slam", "dead-reckoning"], 1, 7, SET)
+    assert tuple(frame.columns) == ROW_KEYS
+    plain = [{k: None if v != v else v for k, v in row.items()} for row in frame.to_dict("records")]
+    assert steady(run.rows) == steady(plain)
     assert cellslam("record", "tiny", *SHORT, "--seed", "7", "--out", "a.h5").status == 0
     replay = cellslam("replay", "a.h5", *words)
     assert replay.status == 0
     assert steady(replay.rows) == steady(run.rows)
-    draws = (
-        "--estimator",
-        "phd-slam",
-        "--estimator",
-        "dead-reckoning",
-        "--set",
-        "estimator.phd-slam.particles=10",
-        *words,
-    )
+    drawing = ("--estimator", "phd-slam", "--set", "estimator.phd-slam.particles=10")
+    draws = (*drawing, "--estimator", "dead-reckoning", *words)
     same, other = (cellslam("replay", "a.h5", "--seed", seed, *draws).rows for seed in ("7", "8"))
     assert other[1]["position_rmse_m"] == same[1]["position_rmse_m"] == run.rows[2]["position_rmse_m"]
     assert other[0]["position_rmse_m"] != same[0]["position_rmse_m"]
     another = cellslam("run", "tiny", *SHORT, "--estimator", "dead-reckoning", "--seed", "8", *words).rows
     assert another[0]["position_rmse_m"] != run.rows[2]["position_rmse_m"]
-
-
-def rows_from_python(seed: int) -> list[dict[str, Any]]:
-    frame = run_trials("tiny", ["fastslam", "ekf-slam", "dead-reckoning"], 1, seed, SET)
-    assert tuple(frame.columns) == ROW_KEYS
-    plain = [{k: None if v != v else v for k, v in row.items()} for row in frame.to_dict("records")]
-    return steady(plain)
 
 
 def test_second_trial_can_be_recorded(cellslam: Any) -> None:

@@ -96,10 +96,7 @@ def both(*changes: Callable[[Path], None]) -> Callable[[Path], None]:
 
 toml, paths, wheels = (partial(swap, name) for name in ("recording.toml", "paths.csv", "wheels.csv"))
 new_toml, new_paths = (partial(put, name) for name in ("recording.toml", "paths.csv"))
-MAT = both(
-    toml('file = "gnss.csv"', 'file = "gnss.mat"'),
-    put("gnss.mat", b"MATLAB 5.0 MAT-file" + b"\0" * 60),
-)
+MAT = both(toml('file = "gnss.csv"', 'file = "gnss.mat"'), put("gnss.mat", b"MATLAB 5.0 MAT-file" + b"\0" * 60))
 BROKEN: dict[str, tuple[Callable[[Path], None], tuple[str, ...]]] = {
     "no manifest": (remove("recording.toml"), ("recording.toml", "no such file", "--adapter")),
     "manifest not TOML": (toml("[noise.u_x]", "[noise.u_x"), ("recording.toml", "not TOML", "line")),

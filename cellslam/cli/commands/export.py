@@ -17,10 +17,7 @@ if TYPE_CHECKING:
     from cellslam.benchmarks.scores.trial_result import TrialResult
     from cellslam.recordings.exporting.maps import Place
 
-EXAMPLES = (
-    "export tiny.h5 --format csv --out tables",
-    "export tiny.h5 --estimator fastslam --format tum --out t.tum",
-)
+EXAMPLES = ("export tiny.h5 --format csv --out tables", "export tiny.h5 --estimator fastslam --format tum --out t.tum")
 TABLES = ("csv", "mat")
 EXPORTS = (*TABLES, "tum", "geojson", "ply", "html", "calibration")
 

@@ -18,11 +18,7 @@ def add_arguments(parser: ArgumentParser) -> None:
     parser.add_argument("--worst", metavar="N", type=whole, default=3, help="trials with a section each (default: 3)")
     metric_help = "by which trials are the worst (default: position_rmse_m)"
     parser.add_argument("--metric", metavar="NAME", default="position_rmse_m", help=metric_help)
-    add(
-        parser,
-        "--estimator",
-        help="whose worst trials; may be repeated (default: the estimator with the best median)",
-    )
+    add(parser, "--estimator", help="whose worst trials; may be repeated (default: the estimator with the best median)")
 
 
 def command(arguments: Namespace) -> int:

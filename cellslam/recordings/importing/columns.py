@@ -35,16 +35,8 @@ TABLES: dict[str, dict[str, Units]] = {
         **dict(zip(CLAIMS, (DELAY, ANGLE, ANGLE), strict=True)),
     },
     "snapshots": {"time_s": TIME},
-    "odometry": {
-        "time_s": TIME,
-        **dict.fromkeys(COMPONENTS[:3], SPEED),
-        **dict.fromkeys(COMPONENTS[3:], RATE),
-    },
-    "odometry of kind poses": {
-        "time_s": TIME,
-        **dict.fromkeys(POSITION, LENGTH),
-        **dict.fromkeys(ATTITUDE, ANGLE),
-    },
+    "odometry": {"time_s": TIME, **dict.fromkeys(COMPONENTS[:3], SPEED), **dict.fromkeys(COMPONENTS[3:], RATE)},
+    "odometry of kind poses": {"time_s": TIME, **dict.fromkeys(POSITION, LENGTH), **dict.fromkeys(ATTITUDE, ANGLE)},
     "reference": {
         "time_s": TIME,
         **dict.fromkeys(POSITION, LENGTH),

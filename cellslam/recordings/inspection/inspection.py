@@ -141,50 +141,28 @@ def _missing(r: Recording) -> list[str]:
 def as_text(path: Path, recording: Recording, found: Mapping[str, Any]) -> str:
     """Return the summary for people, lines of at most about 100 characters."""
     s, m = found["snapshots"], found["measurements"]
-    lines = [f"{path}: sound recording" + (f", {found['description']}" if found["description"] else "")]
-    interval = (
-        f", every {s['interval_s']:g} s ({s['shortest_s']:g} to {s['longest_s']:g} s)" if "interval_s" in s else ""
-    )
-    lines.append(
-        f"snapshots     {s['count']} in {s['duration_s']:g} s{interval}; {s['without_measurement']} without measurement"
-    )
-    lines += [f"  gap         {gap['lasts_s']:g} s at {gap['at_s']:.14g} s" for gap in s.get("gaps", [])[:5]]
-    if s.get("gap_count", 0) > 5:
-        lines.append(f"  gaps        {s['gap_count']} in all")
-    lines.append(
-        f"measurements  {m['count']}, {m['per_snapshot']:.4g} a snapshot" + (", in one plane" if found["plane"] else "")
-    )
+    every = f", every {s['interval_s']:g} s ({s['shortest_s']:g} to {s['longest_s']:g} s)" if "interval_s" in s else ""
+    empty = f"{s['without_measurement']} without measurement"
+    lines = [
+        f"{path}: sound recording" + (f", {found['description']}" if found["description"] else ""),
+        f"snapshots     {s['count']} in {s['duration_s']:g} s{every}; {empty}",
+        *(f"  gap         {gap['lasts_s']:g} s at {gap['at_s']:.14g} s" for gap in s.get("gaps", [])[:5]),
+        *([f"  gaps        {s['gap_count']} in all"] if s.get("gap_count", 0) > 5 else []),
+        f"measurements  {m['count']}, {m['per_snapshot']:.4g} a snapshot"
+        + (", in one plane" if found["plane"] else ""),
+    ]
     for name in (*QUANTITIES, *CLAIMS):
         if name in m:
             q = m[name]
             share = "" if q["share"] == 1.0 else f" ({100 * q['share']:.1f} % of the rows)"
             lines.append(f"  {name:<18}{q['least']:>10} .. {q['median']:>10} .. {q['most']:>10}{share}")
-    lines.append(f"links         {len(found['links'])} of {len(recording.sites)} sites")
-    for link in found["links"][:24]:
-        cell = "".join(f", {n} {link[n]}" for n in ("cell_id", "port") if n in link)
-        std = link["clock_offset_std_m"]
-        lines.append(
-            f"  link {link['link']:<3} site {link['site']}{cell}: {link['measurements']} measurements, "
-            f"{link['paths_per_snapshot']:.3g} paths in {100 * link['snapshots_share']:.1f} % of the snapshots, "
-            f"clock {f'+-{std:.4g} m' if std else 'known'}"
-        )
+    lines += [
+        f"links         {len(found['links'])} of {len(recording.sites)} sites",
+        *map(_link_line, found["links"][:24]),
+    ]
     for name, u in found["odometry"].items():
         lines.append(f"odometry      {name:<8} {u['least']} .. {u['most']}, {100 * u['share']:.1f} % of the intervals")
-    f = found["reference"]
-    if f is not None:
-        extra = ("with yaw" if f["yaw"] else "no yaw") + (
-            f", +-{f['std_m']} m" if f["std_m"] is not None else ", deviation not stated"
-        )
-        lines.append(
-            f"reference     {f['count']} fixes, {f['within_the_drive']} within the drive, every "
-            f"{f['interval_s']} s, {extra}"
-        )
-        if f["outlying_at_s"]:
-            at, more = f["outlying_at_s"], "" if len(f["outlying_at_s"]) <= 5 else ", ..."
-            times = ", ".join(f"{t:.14g}" for t in at[:5])
-            lines.append(
-                f"  outliers    {len(at)} far off their neighbours, at {times}{more} s: left out of scores and figures"
-            )
+    lines += _reference_lines(found["reference"]) if found["reference"] is not None else []
     if recording.truth is not None:
         lines.append(f"truth         poses, {len(recording.truth.vts)} VTs, associations (simulated)")
     lines += [f"missing       {what}" for what in found["missing"]]
@@ -192,6 +170,28 @@ def as_text(path: Path, recording: Recording, found: Mapping[str, Any]) -> str:
     for name, doubts in found.get("estimators", {}).items():
         lines += [f"SUSPICIOUS    {line}" for line in doubts] or [f"{name:<14}nothing speaks against its estimate"]
     return "\n".join(lines) + "\n"
+
+
+def _link_line(link: Mapping[str, Any]) -> str:
+    cell = "".join(f", {n} {link[n]}" for n in ("cell_id", "port") if n in link)
+    std = link["clock_offset_std_m"]
+    return (
+        f"  link {link['link']:<3} site {link['site']}{cell}: {link['measurements']} measurements, "
+        f"{link['paths_per_snapshot']:.3g} paths in {100 * link['snapshots_share']:.1f} % of the snapshots, "
+        f"clock {f'+-{std:.4g} m' if std else 'known'}"
+    )
+
+
+def _reference_lines(f: Mapping[str, Any]) -> list[str]:
+    std = f"+-{f['std_m']} m" if f["std_m"] is not None else "deviation not stated"
+    lines = [
+        f"reference     {f['count']} fixes, {f['within_the_drive']} within the drive, every {f['interval_s']} s, "
+        f"{'with yaw' if f['yaw'] else 'no yaw'}, {std}"
+    ]
+    if at := f["outlying_at_s"]:
+        times = ", ".join([*(f"{t:.14g}" for t in at[:5]), *(["..."] if len(at) > 5 else [])])
+        lines.append(f"  outliers    {len(at)} far off their neighbours, at {times} s: left out of scores and figures")
+    return lines
 
 
 def draw(recording: Recording, path: Path) -> None:

@@ -47,10 +47,7 @@ FACTORS: dict[str, dict[float, Diagnosis]] = {
     "yaw_rate": {
         -1.0: ("clockwise", f"{CLOCKWISE} (or all of the odometry has {RIGHT_HANDED})"),
         DEGREE: ("degrees-as-radians", 'yaw rates in degrees are taken for radians: say unit = "deg/s" for u_psi'),
-        -DEGREE: (
-            "degrees-as-radians",
-            f'yaw rates in degrees taken for radians: say unit = "deg/s"; and {CLOCKWISE}',
-        ),
+        -DEGREE: ("degrees-as-radians", f'yaw rates in degrees taken for radians: say unit = "deg/s"; and {CLOCKWISE}'),
         1 / DEGREE: ("radians-as-degrees", 'yaw rates in radians are taken for degrees: say unit = "rad/s" for u_psi'),
     },
     "distance": {
