@@ -84,7 +84,7 @@ OTHER_FACTORS: dict[str, Diagnosis] = {
 ARM_REMEDIES = {
     "odometry": "the point that the odometry measures: set odometry.lever_arm_m = {}",
     "reference": "the reference's antenna: set reference.lever_arm_m = {}",
-    "array": "the point that odometry and reference describe: set lever_arm_m = {} in [odometry] and [reference]",
+    "measurements": "the point of odometry and reference: set lever_arm_m = {} in [odometry] and [reference]",
 }
 
 
@@ -212,7 +212,7 @@ EXPLANATIONS = (
     *_factors("yaw_rate"),
     Explanation([Correction(yaw_rate=-1.0, side=-1.0)], _right_handed),
     *(_late(table) for table in ("odometry", "measurements", "reference")),
-    *(_arm(table) for table in ("odometry", "array", "reference")),
+    *(_arm(table) for table in ("odometry", "measurements", "reference")),
     Explanation([Correction(azimuth=-1.0)], _azimuth),
     Explanation(
         [Correction(azimuth=sign, azimuth_zero_rad=zero) for sign in (1.0, -1.0) for zero in ZEROS]

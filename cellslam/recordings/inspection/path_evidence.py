@@ -1,9 +1,8 @@
-"""How well measured paths and the odometry tell the same motion: each measurement predicted from those of a moment
-before."""
+"""How well measured paths and the odometry agree: each measurement is predicted from those of a moment before."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 import pandas as pd
@@ -78,13 +77,7 @@ class PathEvidence:
 
     def effect_of(self, c: Correction) -> Correction:
         """Return what a correction comes to between odometry and measurements."""
-        return replace(
-            c.between_odometry_and("measurements"),
-            azimuth=c.azimuth,
-            azimuth_zero_rad=c.azimuth_zero_rad,
-            distance=c.distance,
-            distance_zero_m=c.distance_zero_m,
-        )
+        return c.effect("measurements", ("azimuth", "azimuth_zero_rad", "distance", "distance_zero_m"))
 
     def change(self, c: Correction) -> Floats:
         """Return by how much an effect raises the log-likelihood (n,); NaN outside of the drive."""

@@ -6,8 +6,6 @@ beacon: its place is fitted to the distances measured along a stretch of odometr
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 
 from cellslam.recordings.inspection.corrections import Correction, Drive
@@ -54,8 +52,7 @@ class ReferenceEvidence:
 
     def effect_of(self, c: Correction) -> Correction:
         """Return what a correction comes to between odometry and reference."""
-        seen = c.between_odometry_and("reference")
-        return replace(seen, reference=c.reference, mirrored=c.mirrored)
+        return c.effect("reference", ("reference", "mirrored"))
 
     def change(self, c: Correction) -> Floats:
         """Return by how much an effect raises the log-likelihood (n,); NaN outside of the drive."""
@@ -138,12 +135,11 @@ class RangeEvidence:
 
     def effect_of(self, c: Correction) -> Correction:
         """Return what a correction comes to between distances and the trajectory."""
-        if self.fixes is not None:
-            late = c.reference_late_s - c.measurements_late_s
-            seen = Correction(reference=c.reference, reference_late_s=late)
-        else:
-            seen = c.between_odometry_and("measurements")
-        return replace(seen, distance=c.distance, distance_zero_m=c.distance_zero_m)
+        if self.fixes is None:
+            return c.effect("measurements", ("distance", "distance_zero_m"))
+        late = c.reference_late_s - c.measurements_late_s
+        own = {"distance": c.distance, "distance_zero_m": c.distance_zero_m}
+        return Correction(reference=c.reference, reference_late_s=late, **own)
 
     def change(self, c: Correction) -> Floats:
         """Return by how much an effect raises the log-likelihood (n,); NaN outside of the drive."""
