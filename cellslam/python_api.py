@@ -151,8 +151,8 @@ def replay(
     check_counts(1, root)
     given = assumed(drive, origin, names_of(estimators), overrides or {}, fit, progress)
     with ExternalProcesses() as external:
-        more = (origin.trial, root, external, progress, align, given.odometry_model)
-        return _table([score_recording(drive, origin.name, given.requests, *more)])
+        more = {"external": external, "progress": progress, "align": align, "sheet": given.odometry_model}
+        return _table([score_recording(drive, origin.name, given.requests, origin.trial, root, **more)])
 
 
 def sweep(

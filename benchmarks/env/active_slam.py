@@ -6,15 +6,13 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
-import gymnasium as gym
 import numpy as np
 from gymnasium import spaces
 
-from cellslam.benchmarks.env.localization import OPTIONS, Observation
+from cellslam.benchmarks.env.scenario_env import Observation, ScenarioEnv, Scene
 from cellslam.benchmarks.trials.estimation import warm_up
 from cellslam.scenarios.estimator_options import resolve
-from cellslam.scenarios.loading import load
-from cellslam.sim.errors import InputError, unknown_name
+from cellslam.sim.errors import InputError
 from cellslam.sim.frames import mean_velocity, wrap_angle
 from cellslam.sim.randomness import Stream, stream
 from cellslam.sim.recording import Floats, Measurements
@@ -51,7 +49,7 @@ class Vehicle:
             self.pose[3] = float(wrap_angle(self.pose[3] + turn))
 
 
-class ActiveSlamEnv(gym.Env[Observation, Floats]):
+class ActiveSlamEnv(ScenarioEnv):
     """The agent steers along the scenario's route while an estimator runs inside; it sees the belief, not the truth.
 
     Action (2,), -1 to 1: steering angle in 0.6 rad (left positive), speed from 0 to `top_speed_mps`; both are reached
@@ -83,12 +81,10 @@ class ActiveSlamEnv(gym.Env[Observation, Floats]):
         overrides: Mapping[str, Any] | None = None,
         render_mode: str | None = None,
     ) -> None:
-        if render_mode not in (None, "rgb_array"):
-            raise InputError(f"render_mode = {render_mode!r}: must be None or 'rgb_array'")
-        self.render_mode, self.drives, self.top_speed_mps = render_mode, drives, top_speed_mps
-        self.decision_snapshots, self.uncertainty_weight, self.lost_m = decision_snapshots, uncertainty_weight, lost_m
+        super().__init__(scenario, drives, overrides, render_mode)
+        self.decision_snapshots, self.top_speed_mps = decision_snapshots, top_speed_mps
+        self.uncertainty_weight, self.lost_m = uncertainty_weight, lost_m
         self._limit_s, self._name = time_limit_s, estimator
-        self._scenario = load(scenario, overrides)
         self.action_space = spaces.Box(-1.0, 1.0, (2,), np.float64)
         self.observation_space: spaces.Space[Any] = spaces.Dict(
             {
@@ -99,21 +95,6 @@ class ActiveSlamEnv(gym.Env[Observation, Floats]):
                 "to_go_m": spaces.Box(0.0, 1e5, (1,), np.float64),
             }
         )
-
-    def reset(
-        self, *, seed: int | None = None, options: dict[str, Any] | None = None
-    ) -> tuple[Observation, dict[str, Any]]:
-        """Stand at the start of the route; the same seed and options give the same world."""
-        super().reset(seed=seed)
-        chosen = dict(options or {})
-        for name in chosen:
-            if name not in OPTIONS:
-                raise unknown_name("option of reset", name, OPTIONS)
-        if "scenario" in chosen or "set" in chosen:
-            self._scenario = load(chosen.get("scenario", self._scenario.name), chosen.get("set"))
-        drawn = int(self.np_random.integers(2**31 if self.drives is None else self.drives))
-        self._begin(int(chosen.get("seed", drawn)), int(chosen.get("trial", 0)))
-        return self._observe(), self._info("")
 
     def step(self, action: Floats) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
         """Hold steering angle and speed, an action (2,) as shares of their limits in [-1, 1], for some snapshots."""
@@ -132,16 +113,9 @@ class ActiveSlamEnv(gym.Env[Observation, Floats]):
         cut = reason == "" and self._now * self._dt_s >= self._end_s
         return self._observe(), float(reward), reason != "", cut, self._info(reason)
 
-    def render(self) -> Any:
-        """Return an image (h, w, 3) of city, route, paths, truth, belief and its ellipse."""
-        if self.render_mode is None:
-            return None
-        from cellslam.benchmarks.env.picture import Scene, picture
-
-        city, vts = self._world.scene.city, self._seen_m
-        here = np.array(self._track)
-        scene = Scene(city, here, vts, self._world.sites_m, self._points)
-        return picture(scene, self._answer.pose, self._answer.covariance)
+    def _scene(self) -> tuple[Scene, Floats, Floats | None]:
+        truth = Scene(self._world.scene.city, np.array(self._track), self._seen_m, self._world.sites_m, self._points)
+        return truth, self._answer.pose, self._answer.covariance
 
     def _begin(self, seed: int, trial: int) -> None:
         from shapely import STRtree
@@ -226,7 +200,7 @@ class ActiveSlamEnv(gym.Env[Observation, Floats]):
             "to_go_m": np.array([self._arcs[-1] - arc]),
         }
 
-    def _info(self, reason: str) -> dict[str, Any]:
+    def _info(self, reason: str = "") -> dict[str, Any]:
         error = self._answer.pose[:2] - self._car.pose[:2]
         return {
             "truth_pose": self._car.pose.copy(),

@@ -7,14 +7,8 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from cellslam.benchmarks.env.localization import (
-    Observation,
-    action_between,
-    action_unit,
-    compose,
-    observation,
-    snapshot_of,
-)
+from cellslam.benchmarks.env.localization import action_between, action_unit, compose, observation, snapshot_of
+from cellslam.benchmarks.env.scenario_env import Observation
 from cellslam.sim.recording import Floats
 from cellslam.slam.api import Estimate, Estimator, Setup, Snapshot
 

@@ -3,24 +3,19 @@
 from __future__ import annotations
 
 import json
-from collections import OrderedDict
 from collections.abc import Mapping
+from functools import lru_cache
 from typing import Any
 
-import gymnasium as gym
 import numpy as np
 from gymnasium import spaces
-from numpy.typing import NDArray
 
-from cellslam.scenarios.loading import load
-from cellslam.scenarios.scenario import Scenario
+from cellslam.benchmarks.env.scenario_env import Observation, ScenarioEnv, Scene
+from cellslam.scenarios.loading import from_tables
 from cellslam.scenarios.simulation import simulate
-from cellslam.sim.errors import InputError, unknown_name
 from cellslam.sim.frames import integrate_pose, mean_velocity
 from cellslam.sim.recording import Floats, OdometryModel, Recording
 from cellslam.slam.api import Setup, Snapshot, odometry_of, setup_of, snapshots_of
-
-Observation = dict[str, NDArray[Any]]
 
 CLAIMED = ("distance_std_m", "azimuth_std_rad", "elevation_std_rad")
 COLUMNS = ("distance_m", "azimuth_rad", "elevation_rad", "snr_db", *CLAIMED)
@@ -28,21 +23,13 @@ LOWEST = np.array([-1e6, -4.0, -2.0, -300.0, 0.0, 0.0, 0.0])
 HIGHEST = np.array([1e6, 4.0, 2.0, 300.0, 1e6, 1e3, 1e3])
 REACH = 2.0  # deviations of the odometry's error that an action of 1 corrects
 LEAST_UNIT = np.array([1e-3, 1e-3, 1e-3, 1e-4, 1e-4, 1e-4])  # m and rad, where the odometry has no error
-OPTIONS = ("scenario", "set", "seed", "trial")
 KEPT_RECORDINGS = 8
 
-_recordings: OrderedDict[str, Recording] = OrderedDict()
 
-
-def recording_of(scenario: Scenario, seed: int, trial: int) -> Recording:
-    """Return a trial's recording; the last few are kept, so that meeting one again costs nothing."""
-    key = json.dumps([scenario.resolved, seed, trial], sort_keys=True)
-    if key not in _recordings:
-        _recordings[key] = simulate(scenario, seed, trial)
-        while len(_recordings) > KEPT_RECORDINGS:
-            _recordings.popitem(last=False)
-    _recordings.move_to_end(key)
-    return _recordings[key]
+@lru_cache(maxsize=KEPT_RECORDINGS)
+def _recording(scenario: str, seed: int, trial: int) -> Recording:
+    """Return a trial's recording in a resolved scenario as JSON; meeting one again costs nothing."""
+    return simulate(from_tables(json.loads(scenario)), seed, trial)
 
 
 def action_unit(model: OdometryModel, dt_s: float, odometry: Floats) -> Floats:
@@ -65,7 +52,7 @@ def action_between(before: Floats, seen: Observation, after: Floats) -> Floats:
     return action
 
 
-class LocalizationEnv(gym.Env[Observation, Floats]):
+class LocalizationEnv(ScenarioEnv):
     """An episode is a drive: step t takes the pose increment that the agent believes in, up to snapshot t.
 
     Action (6,), -1 to 1: what is added to the odometry's increment, forward, left, up, yaw, pitch, roll, in `unit`s;
@@ -96,10 +83,8 @@ class LocalizationEnv(gym.Env[Observation, Floats]):
         overrides: Mapping[str, Any] | None = None,
         render_mode: str | None = None,
     ) -> None:
-        if render_mode not in (None, "rgb_array"):
-            raise InputError(f"render_mode = {render_mode!r}: must be None or 'rgb_array'")
-        self.render_mode, self.max_paths, self.drives = render_mode, max_paths, drives
-        self._scenario = load(scenario, overrides)
+        super().__init__(scenario, drives, overrides, render_mode)
+        self.max_paths = max_paths
         self.belief: Floats = np.zeros(6)
         self.belief_covariance: Floats | None = None
         self._now = 0
@@ -125,27 +110,11 @@ class LocalizationEnv(gym.Env[Observation, Floats]):
         """What an estimator may know before the drive."""
         return self._setup
 
-    def reset(
-        self, *, seed: int | None = None, options: dict[str, Any] | None = None
-    ) -> tuple[Observation, dict[str, Any]]:
-        """Begin a drive; the same seed and options give the same one."""
-        super().reset(seed=seed)
-        chosen = dict(options or {})
-        for name in chosen:
-            if name not in OPTIONS:
-                raise unknown_name("option of reset", name, OPTIONS)
-        if "scenario" in chosen or "set" in chosen:
-            self._scenario = load(chosen.get("scenario", self._scenario.name), chosen.get("set"))
-        drawn = int(self.np_random.integers(2**31 if self.drives is None else self.drives))
-        self._drive = int(chosen.get("seed", drawn)), int(chosen.get("trial", 0))
-        self._begin(recording_of(self._scenario, *self._drive))
-        return self._observe(), self._info()
-
     def step(self, action: Floats) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
         """Add an action (6,) to the odometry's increment up to the present snapshot, and go on to the next."""
         self._action = np.array(action, np.float64)
         self.belief = compose(self.belief, self._seen, self._action)
-        truth = self._truth[self._now]
+        truth = self._truth.poses[self._now]
         error = float(np.hypot(self.belief[0] - truth[0], self.belief[1] - truth[1]))
         self._errors.append(error)
         info = self._info()
@@ -154,29 +123,21 @@ class LocalizationEnv(gym.Env[Observation, Floats]):
             self._now += 1
         return self._observe(), -error, ended, False, info
 
-    def render(self) -> Any:
-        """Return an image (h, w, 3) of city, paths, truth, belief and its ellipse."""
-        if self.render_mode is None:
-            return None
-        from cellslam.benchmarks.env.picture import Scene, picture
+    def _scene(self) -> tuple[Scene, Floats, Floats | None]:
         from cellslam.sim.world import prepare
 
-        recording, now, world = self._recording, max(len(self._errors) - 1, 0), self._scenario.world
-        truth = recording.truth
-        if truth is None:
-            raise InputError("the drive has no truth to draw")
-        city = prepare(world, *self._drive).scene.city
+        recording, now, truth = self._recording, max(len(self._errors) - 1, 0), self._truth
+        city = prepare(self._scenario.world, *self._drive).scene.city
         seen = truth.measurement_vt[slice(*recording.rows[now : now + 2])]
         vts_m = truth.vts.position_m[np.unique(seen[seen >= 0])]
-        scene = Scene(city, truth.poses[: now + 1], vts_m, truth.site_positions_m)
-        return picture(scene, self.belief, self.belief_covariance)
+        return Scene(city, truth.poses[: now + 1], vts_m, truth.site_positions_m), self.belief, self.belief_covariance
 
-    def _begin(self, recording: Recording) -> None:
-        if recording.truth is None:
-            raise InputError("the drive has no truth to reward against")
-        self._recording, self._setup, self._snapshots = recording, setup_of(recording), snapshots_of(recording)
-        self._truth, self._odometry = recording.truth.poses, odometry_of(recording)
-        self._dt_s = np.diff(recording.time_s, prepend=recording.time_s[0])
+    def _begin(self, seed: int, trial: int) -> None:
+        self._drive = seed, trial
+        recording = self._recording = _recording(json.dumps(self._scenario.resolved, sort_keys=True), seed, trial)
+        assert recording.truth is not None
+        self._truth, self._setup, self._snapshots = recording.truth, setup_of(recording), snapshots_of(recording)
+        self._odometry, self._dt_s = odometry_of(recording), np.diff(recording.time_s, prepend=recording.time_s[0])
         self.belief, self.belief_covariance = np.array(recording.start_pose), None
         self._now, self._action = 0, np.zeros(6)
         self._errors: list[float] = []
@@ -188,7 +149,7 @@ class LocalizationEnv(gym.Env[Observation, Floats]):
         return {name: value.copy() for name, value in self._seen.items()}
 
     def _info(self) -> dict[str, Any]:
-        truth = self._truth[self._now]
+        truth = self._truth.poses[self._now]
         return {
             "truth_pose": truth.copy(),
             "belief_pose": self.belief.copy(),

@@ -6,15 +6,24 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from matplotlib.collections import LineCollection, PatchCollection
+from matplotlib.collections import LineCollection, PatchCollection, PolyCollection
 from matplotlib.figure import Figure
 from matplotlib.patches import Patch, PathPatch
-from matplotlib.path import Path as Outline
 
-from cellslam.benchmarks.figures.city_render import camera_for, material_colour, render
-from cellslam.benchmarks.figures.style import BLACK, BLUE, GREEN, GREY, PURPLE, VERMILLION, context
+from cellslam.benchmarks.figures.style import (
+    BLACK,
+    BLUE,
+    GREEN,
+    GREY,
+    PURPLE,
+    VERMILLION,
+    context,
+    material_colour,
+    outline,
+    save,
+)  # fmt: skip
 from cellslam.sim.city.city import GROUND, City, Floats
-from cellslam.sim.rays import Paths, Scene, prepare
+from cellslam.sim.rays import Paths
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -23,6 +32,9 @@ if TYPE_CHECKING:
 KIND_COLOURS = (GREEN, BLUE, PURPLE, VERMILLION)
 KIND_NAMES = ("line of sight", "one reflection", "two reflections", "diffraction")
 SHOWN_RAYS = 600
+SUN = np.array([0.45, -0.6, 0.9]) / np.linalg.norm([0.45, -0.6, 0.9])
+AZIMUTH_RAD, ELEVATION_RAD = -2.0, 0.62  # from where a view is seen
+ROOF = 0.5  # the least vertical part of a roof's normal
 
 
 def ray_lines(paths: Paths, transmitters: Floats, receivers: Floats) -> list[Floats]:
@@ -55,68 +67,81 @@ def draw_plan(
 
     Transmitters (S, 3) and receivers (N, 3) in m.
     """
+    low, high = _extent(_shown(city, paths, transmitters, receivers)[:, :2])
+    wide, tall = (high - low) / (high - low).max()
     with context():
-        low, high = _extent(_shown(city, paths, transmitters, receivers)[:, :2])
-        wide, tall = (high - low) / (high - low).max()
         figure = Figure(figsize=(max(7.0 * wide, 3.5) + 1.6, max(7.0 * tall, 3.5) + 0.8), layout="constrained")
         axes = figure.subplots()
         _buildings(figure, axes, city)
         axes.add_collection(LineCollection([s[:, :2] for s in city.streets], colors=GREY, linewidths=0.7))
         if paths is not None and transmitters is not None and receivers is not None:
-            _rays(axes, some_rays(paths), transmitters, receivers)
+            _rays(axes, some_rays(paths), transmitters, receivers, np.eye(3)[:2], width=0.4, alpha=0.5)
             axes.plot(*receivers[:, :2].T, ".", color=BLACK, markersize=2.0, label="receivers")
-            axes.plot(*transmitters[:, :2].T, "^", color=VERMILLION, markeredgecolor=BLACK, label="transmitters")
             for line in figure.legend(loc="outside lower center", ncols=4).get_lines():
                 line.set_linewidth(1.5)
-        axes.set_xlim(low[0], high[0])
-        axes.set_ylim(low[1], high[1])
-        axes.set_aspect("equal")
-        axes.grid(False)
-        axes.set_xlabel("x (m)")
-        axes.set_ylabel("y (m)")
+        axes.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]), aspect="equal", xlabel="x (m)", ylabel="y (m)")
         axes.set_title(f"{city.name}: {len(city.footprints)} buildings")
-        figure.savefig(path)
+        axes.grid(False)
+        save(figure, path)
 
 
 def draw_view(
     path: Path,
-    city: City | Scene,
+    city: City,
     paths: Paths | None = None,
     transmitters: Floats | None = None,
     receivers: Floats | None = None,
-    width: int = 1400,
 ) -> None:
-    """Write a picture of a city from above and aside, `width` pixels wide, with shadows; rays are drawn over it.
+    """Write a picture of a city from above and aside, in parallel projection; rays are drawn over it.
 
     Transmitters (S, 3) and receivers (N, 3) in m.
     """
-    scene = city if isinstance(city, Scene) else prepare(city)
-    camera = camera_for(_shown(scene.city, paths, transmitters, receivers) - scene.origin_m)
-    picture = render(scene, camera, width)
+    cos, sin = np.cos([AZIMUTH_RAD, ELEVATION_RAD]), np.sin([AZIMUTH_RAD, ELEVATION_RAD])
+    right, ahead = np.array([-sin[0], cos[0], 0.0]), -np.array([cos[1] * cos[0], cos[1] * sin[0], sin[1]])
+    screen = np.stack([right, np.cross(right, ahead)])
+    low, high = _extent(_shown(city, paths, transmitters, receivers) @ screen.T)
     with context():
-        figure = Figure(figsize=(width / 160, picture.shape[0] / 160))
+        figure = Figure(figsize=(8.75, 8.75 * (high - low)[1] / (high - low)[0]))
         axes = figure.add_axes((0.0, 0.0, 1.0, 1.0))
-        axes.imshow(picture, extent=(0.0, 1.0, 0.0, 1.0), aspect="auto", interpolation="nearest")
+        axes.add_collection(_facets(city, screen, ahead))
         if paths is not None and transmitters is not None and receivers is not None:
-            shown = some_rays(paths)
-            for line, kind in zip(ray_lines(shown, transmitters, receivers), shown.kind, strict=True):
-                axes.plot(*camera.project(line - scene.origin_m).T, color=KIND_COLOURS[kind], linewidth=0.7, alpha=0.7)
-            axes.plot(*camera.project(transmitters - scene.origin_m).T, "^", color=VERMILLION, markeredgecolor=BLACK)
-        names = dict.fromkeys(scene.city.materials[m].name for m in np.unique(scene.city.facets.material))
+            _rays(axes, some_rays(paths), transmitters, receivers, screen, width=0.7, alpha=0.7)
+        names = dict.fromkeys(city.materials[m].name for m in np.unique(city.facets.material))
         axes.legend(
             handles=[Patch(facecolor=material_colour(n), edgecolor=GREY, label=n.replace("_", " ")) for n in names],
             loc="upper left",
         )
-        axes.set_xlim(0.0, 1.0)
-        axes.set_ylim(0.0, 1.0)
+        axes.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]))
         axes.axis("off")
-        figure.savefig(path)
+        save(figure, path)
+
+
+def _facets(city: City, screen: Floats, ahead: Floats) -> PolyCollection:
+    """Return a city's triangles on the screen (2, 3), seen along `ahead` (3,), so that what is nearer hides the rest.
+
+    The ground comes first, then far buildings before near ones, and of each its walls before its roof: right for
+    buildings that stand apart.
+    """
+    corners, building = city.vertices[city.triangles], city.facets.building[city.triangle_facet]
+    normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    normal /= np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-12)
+    depth = (corners @ ahead).mean(axis=1)
+    _, own, count = np.unique(building, return_inverse=True, return_counts=True)
+    distance = np.where(building == GROUND, np.inf, (np.bincount(own, depth) / count)[own])
+    order = np.lexsort((-depth, np.abs(normal[:, 2]) > ROOF, -distance))
+    palette = np.array([material_colour(material.name) for material in city.materials])
+    # A wall is seen from outside, whichever way its triangles turn.
+    normal *= -np.sign(normal @ ahead)[:, None]
+    light = 0.64 + 0.36 * np.clip(normal @ SUN, 0.0, 1.0)
+    colour = palette[city.facets.material[city.triangle_facet]] * light[:, None]
+    shape = {"facecolors": colour[order], "edgecolors": "face", "linewidths": 0.3}
+    return PolyCollection(list(corners[order] @ screen.T), **shape)
 
 
 def _buildings(figure: Figure, axes: Axes, city: City) -> None:
     order = np.argsort(city.heights_m, kind="stable")
     patches = PatchCollection(
-        [PathPatch(_outline(city.footprints[i])) for i in order], cmap="YlOrBr", edgecolor="#8C8577", linewidth=0.3
+        [PathPatch(outline(city.footprints[i])) for i in order], cmap="YlOrBr", edgecolor="#8C8577", linewidth=0.3
     )
     patches.set_array(city.heights_m[order])
     patches.set_clim(0.0, 1.25 * float(city.heights_m.max(initial=1.0)))
@@ -124,17 +149,16 @@ def _buildings(figure: Figure, axes: Axes, city: City) -> None:
     figure.colorbar(patches, ax=axes, shrink=0.6, label="height (m)")
 
 
-def _outline(polygon: Any) -> Outline:
-    rings = [polygon.exterior, *polygon.interiors]
-    return Outline.make_compound_path(*(Outline(np.asarray(ring.coords)[:, :2], closed=True) for ring in rings))
-
-
-def _rays(axes: Axes, paths: Paths, transmitters: Floats, receivers: Floats) -> None:
+def _rays(
+    axes: Axes, paths: Paths, transmitters: Floats, receivers: Floats, screen: Floats, width: float, alpha: float
+) -> None:
+    """Draw rays and transmitters on a screen (2, 3): the directions to the right and up."""
     lines = ray_lines(paths, transmitters, receivers)
     for kind in np.unique(paths.kind)[::-1].tolist():
-        chosen = [line[:, :2] for line, own in zip(lines, paths.kind, strict=True) if own == kind]
+        chosen = [line @ screen.T for line, own in zip(lines, paths.kind, strict=True) if own == kind]
         style: dict[str, Any] = {"colors": KIND_COLOURS[kind], "label": KIND_NAMES[kind]}
-        axes.add_collection(LineCollection(chosen, linewidths=0.4, alpha=0.5, **style))
+        axes.add_collection(LineCollection(chosen, linewidths=width, alpha=alpha, **style))
+    axes.plot(*screen @ transmitters.T, "^", color=VERMILLION, markeredgecolor=BLACK, label="transmitters")
 
 
 def _shown(city: City, paths: Paths | None, transmitters: Floats | None, receivers: Floats | None) -> Floats:
@@ -151,5 +175,5 @@ def _extent(points: Floats) -> tuple[Floats, Floats]:
     """Return the lower and upper corner of what holds the points (N, 2), with a margin, neither side very short."""
     low, high = points.min(axis=0), points.max(axis=0)
     half = (high - low) / 2
-    half = np.maximum(1.05 * half, 0.4 * half.max()) + 5.0
+    half = np.maximum(1.05 * half, 0.45 * half.max()) + 5.0
     return (low + high) / 2 - half, (low + high) / 2 + half

@@ -84,8 +84,8 @@ def _panel(axis: Any, spectrum: Spectrum, true: Floats, found: Floats, clock_m: 
             found[mask, k.DISTANCE] - clock_m, np.degrees(found[mask, k.AZIMUTH]), mark, ms=8, mew=1.6,
             mfc="none", mec=colour, label=label,
         )  # fmt: skip
-    axis.set_xlim(max(lengths.min() - MARGIN_M, length[0]), min(lengths.max() + MARGIN_M, length[-1]))
-    axis.set_ylim(-180.0, 180.0)
-    axis.set_yticks([-180, -90, 0, 90, 180])
-    axis.set_xlabel("path length, m")
-    axis.set_ylabel("azimuth in the body frame, deg")
+    axis.set(
+        xlim=(max(lengths.min() - MARGIN_M, length[0]), min(lengths.max() + MARGIN_M, length[-1])),
+        ylim=(-180.0, 180.0), yticks=[-180, -90, 0, 90, 180],
+        xlabel="path length (m)", ylabel="azimuth in the body frame (deg)",
+    )  # fmt: skip

@@ -2,15 +2,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import AbstractContextManager
 from pathlib import Path
 from typing import Any
 from zlib import crc32
 
 import matplotlib as mpl
+import numpy as np
 from matplotlib.colors import to_hex, to_rgb
 from matplotlib.figure import Figure
+from matplotlib.path import Path as Outline
+
+from cellslam.sim.progress import Progress, silent
+
+Drawing = Callable[[Figure], bool]  # False: the figure does not apply, and nothing was drawn
 
 BLACK, ORANGE, SKY, GREEN = "#000000", "#E69F00", "#56B4E9", "#009E73"
 BLUE, VERMILLION, PURPLE = "#0072B2", "#D55E00", "#CC79A7"
@@ -27,6 +33,13 @@ OTHERS = ("#44AA99", "#AA4499", "#999933", "#661100")
 DASHES, PALEST = ("-", "-.", ":"), 0.6
 WIDTH_IN = 7.16
 PIXELS_PER_INCH = 160
+# Materials of a city, as red, green, blue; the ground last.
+MATERIALS = {
+    "concrete": (0.80, 0.78, 0.74), "brick": (0.78, 0.56, 0.46), "glass": (0.58, 0.75, 0.84),
+    "metal": (0.66, 0.69, 0.73), "wood": (0.76, 0.63, 0.44), "marble": (0.90, 0.88, 0.84), "ground": (0.90, 0.91, 0.87),
+}  # fmt: skip
+OTHER_MATERIAL = (0.77, 0.73, 0.80)
+HALF_WIDTH_IN = (0.62 * WIDTH_IN, 3.2)
 TITLE = 40  # characters in a line of a title over half of the width
 
 
@@ -75,6 +88,35 @@ def colour_of(estimator: str) -> str:
 def _shade(colour: str, white: float) -> str:
     red, green, blue = ((1.0 - white) * part + white for part in to_rgb(colour))
     return to_hex((red, green, blue))
+
+
+def material_colour(name: str) -> tuple[float, float, float]:
+    """Return the colour (red, green, blue), 0 to 1, of a material by name."""
+    return MATERIALS.get("ground" if "ground" in name else name, OTHER_MATERIAL)
+
+
+def outline(polygon: Any) -> Outline:
+    """Return the outline of a shapely polygon, a building's footprint, courtyards included."""
+    rings = [polygon.exterior, *polygon.interiors]
+    return Outline.make_compound_path(*(Outline(np.asarray(ring.coords)[:, :2], closed=True) for ring in rings))
+
+
+def write_all(
+    drawings: Mapping[str, Drawing], folder: str | Path, formats: Sequence[str], progress: Progress = silent
+) -> list[Path]:
+    """Draw every figure that applies, write each as `folder`/NAME.FORMAT, and return the paths written.
+
+    `formats`: what matplotlib writes, such as png and pdf.
+    """
+    place, written = Path(folder), []
+    place.mkdir(parents=True, exist_ok=True)
+    with context(), progress("figures", len(drawings)) as advance:
+        for name, drawing in drawings.items():
+            figure = Figure(layout="constrained")
+            if drawing(figure):
+                written += [save(figure, place / f"{name}.{format_}") for format_ in formats]
+            advance(1)
+    return written
 
 
 def save(figure: Figure, path: Path) -> Path:

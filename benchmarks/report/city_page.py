@@ -8,8 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from cellslam.benchmarks.figures.city_pictures import draw_plan, draw_view
-from cellslam.benchmarks.report.choice import rounded
-from cellslam.benchmarks.report.page import write_page
+from cellslam.benchmarks.report.page import rounded, write_page
 from cellslam.benchmarks.report.scene import box_of, mesh_of, rays_of
 from cellslam.sim.city.city import GROUND, City, Floats
 from cellslam.sim.rays import Paths
@@ -63,7 +62,7 @@ def draw_rays(world: World, folder: Path) -> list[Path]:
     paths, receivers = world.free_paths(poses, steps), np.ascontiguousarray(poses[:, :3])
     written = [folder / name for name in ("rays.png", "rays-view.png", "rays.html")]
     draw_plan(written[0], world.scene.city, paths, world.sites_m, receivers)
-    draw_view(written[1], world.scene, paths, world.sites_m, receivers)
+    draw_view(written[1], world.scene.city, paths, world.sites_m, receivers)
     write_city(written[2], world.scene.city, paths, world.sites_m, receivers)
     return written
 

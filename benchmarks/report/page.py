@@ -10,10 +10,14 @@ from html import escape
 from importlib.resources import files
 from pathlib import Path
 from string import Template
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-from cellslam.benchmarks.report.choice import Choice
+import numpy as np
+
 from cellslam.sim.progress import Progress, silent
+
+if TYPE_CHECKING:
+    from cellslam.benchmarks.report.worst_trials import Choice
 
 PAGE = "report.html"
 # Scripts that need plotly; what is read first, text and tables, is there before it.
@@ -28,6 +32,7 @@ def write_report(
     Raises InputError for a folder without results, an unknown metric or estimator, or without plotly.
     """
     from cellslam.benchmarks.report.report_content import content
+    from cellslam.benchmarks.report.worst_trials import Choice
     from cellslam.benchmarks.sweeps.store import reading
     from cellslam.benchmarks.trials.output_files import check_file
 
@@ -75,6 +80,16 @@ def write_page(path: Path, content: Mapping[str, Any]) -> None:
         write_text(path, Template(own("page.html")).substitute(parts))
     except OSError as error:
         raise InputError(f"{path}: the page cannot be written ({error.strerror or error})") from error
+
+
+def rounded(values: Any, digits: int = 2) -> Any:
+    """Return an array as nested lists of short numbers, what is not finite as None."""
+    array = np.asarray(values, np.float64)
+    if array.ndim > 1:
+        return [rounded(row, digits) for row in array]
+    short = np.round(array, digits) + 0.0
+    whole = digits <= 0
+    return [(int(v) if whole else v) if np.isfinite(v) else None for v in short.tolist()]
 
 
 def packed(text: str) -> str:

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import json
 from base64 import b64encode
 from collections.abc import Sequence
+from importlib.metadata import version
 from io import BytesIO
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from matplotlib.figure import Figure
@@ -14,6 +16,7 @@ from matplotlib.figure import Figure
 from cellslam.benchmarks.figures.style import context, estimator_styles
 from cellslam.benchmarks.figures.sweep.critical_difference import draw_ranks
 from cellslam.benchmarks.figures.sweep.sweep_data import (
+    Look,
     Series,
     SweepData,
     curve_keys,
@@ -22,40 +25,30 @@ from cellslam.benchmarks.figures.sweep.sweep_data import (
     sweep_lines,
     verdicts_of,
 )
-from cellslam.benchmarks.report.choice import Choice, rounded
-from cellslam.benchmarks.report.trial_sections import trial_sections
-from cellslam.benchmarks.report.worst_trials import failed_trials, worst_trials
+from cellslam.benchmarks.report.page import rounded
+from cellslam.benchmarks.report.worst_trials import Choice, failed_trials, trial_sections, worst_trials
 from cellslam.benchmarks.scores.metrics import METRIC
-from cellslam.benchmarks.scores.statistics import interval, statistic
 from cellslam.benchmarks.sweeps.rows import provenance
+from cellslam.benchmarks.sweeps.store import reading
+from cellslam.benchmarks.tables.formats import Column
 from cellslam.benchmarks.tables.rankings import told_apart
-from cellslam.benchmarks.tables.summaries import EFFICIENCY, efficiency
+from cellslam.benchmarks.tables.summaries import CONFIDENCE, EFFICIENCY, estimate
 from cellslam.sim.progress import Progress
 from cellslam.slam.registry import oracles
 
-if TYPE_CHECKING:
-    from cellslam.benchmarks.scores.statistics import Statistic
-
-CONFIDENCE = 0.95
 MOST_POINTS_OF_CURVES = 400
 MOST_PANELS = 24
 PLOTTED = {key: metric for key, metric in METRIC.items() if metric.axis}
 MORE_DIGITS = 1  # than in tables: figures are looked into
-# Columns of the summary: metric, statistic, and the heading where it is not the metric's.
 COLUMNS = (
-    ("position_rmse_m", "median", ""),
-    (EFFICIENCY, "", ""),
-    ("position_rmse_m", "q90", "90 %"),
-    ("heading_rmse_rad", "median", ""),
-    ("clock_offset_rmse_m", "median", ""),
-    ("map_gospa_m", "median", ""),
-    ("nees_mean", "median", ""),
-    ("bound_position_rmse_m", "median", ""),
-    ("realtime_factor", "median", ""),
-    ("peak_memory_mb", "max", ""),
+    Column("position_rmse_m", interval=True),
+    Column(EFFICIENCY, interval=True),
+    Column("position_rmse_m", "q90", interval=True),
+    *(Column(key, interval=True) for key in ("heading_rmse_rad", "clock_offset_rmse_m", "map_gospa_m", "nees_mean")),
+    Column("bound_position_rmse_m"),
+    Column("realtime_factor"),
+    Column("peak_memory_mb", "max"),
 )
-# Columns that need no interval.
-PLAIN = ("bound_position_rmse_m", "realtime_factor", "peak_memory_mb")
 
 
 def content(folder: Path, choice: Choice, progress: Progress) -> dict[str, Any]:
@@ -78,7 +71,7 @@ def content(folder: Path, choice: Choice, progress: Progress) -> dict[str, Any]:
         "ranks": _ranks(data),
         "curves": _curves(data),
         "panels": _distributions(data),
-        "columns": {metric: _heading(metric) for metric in METRIC},
+        "columns": {metric: _heading(metric, known.heading) for metric, known in METRIC.items()},
         "metrics": {key: metric.label for key, metric in PLOTTED.items()},
         "confidence": 100 * CONFIDENCE,
         "worst": {"metric": choice.metric, "heading": METRIC[choice.metric].label or choice.metric},
@@ -96,33 +89,26 @@ def _summary(data: SweepData) -> dict[str, Any]:
     lines: list[dict[str, Any]] = []
     for panel in data.panels:
         for one in panel.series:
-            cells = [_cell(one, metric, name) for metric, name, _ in COLUMNS]
+            cells = [_cell(one, column) for column in COLUMNS]
             ok = int((one.rows["status"] == "ok").sum())
             settings = [_setting(one.settings.get(key)) for key in keys]
             lines.append({"settings": settings, "label": one.label, "cells": cells, "ok": ok, "all": len(one.rows)})
-    headings = [
-        {**_heading(metric, text), "title": METRIC[metric].meaning + (f"; {name} over trials" if name else "")}
-        for metric, name, text in COLUMNS
-    ]
+    headings = []
+    for column in COLUMNS:
+        over = "" if column.metric == EFFICIENCY else f"; {column.statistic} over trials"
+        headings.append(_heading(column.metric, column.name) | {"title": METRIC[column.metric].meaning + over})
     empty = [i for i in range(len(COLUMNS)) if all(line["cells"][i] is None for line in lines)]
     for line in lines:
         line["cells"] = [cell for i, cell in enumerate(line["cells"]) if i not in empty]
     return {"keys": keys, "headings": [h for i, h in enumerate(headings) if i not in empty], "lines": lines}
 
 
-def _cell(one: Series, metric: str, name: str) -> list[float | None] | None:
+def _cell(one: Series, column: Column) -> list[float | None] | None:
     """Return value and ends of the interval; None where no trial has the metric."""
-    if metric == EFFICIENCY:
-        ratio = efficiency(one.rows[one.rows["status"] == "ok"], CONFIDENCE)
-        return None if np.isnan(ratio[0]) else rounded(ratio)
-    values = one.values(metric)
-    if not len(values):
-        return None
-    digits = METRIC[metric].digits + MORE_DIGITS
-    of = statistic(name)
-    ends = (np.nan, np.nan) if metric in PLAIN else interval(values, of, CONFIDENCE)
-    numbers: list[float | None] = rounded([float(of.of(values)), *ends], digits)
-    return numbers
+    fine = one.rows[one.rows["status"] == "ok"]
+    found = estimate(fine, column.metric, column.statistic, CONFIDENCE if column.interval else None)
+    digits = METRIC[column.metric].digits + (MORE_DIGITS if column.metric != EFFICIENCY else 0)
+    return None if np.isnan(found[0]) else list(rounded(found, digits))
 
 
 def _ranks(data: SweepData) -> dict[str, Any] | None:
@@ -140,7 +126,7 @@ def _ranks(data: SweepData) -> dict[str, Any] | None:
 
 def _curves(data: SweepData) -> list[dict[str, Any]]:
     """Return for each numeric key that varies its lines: the median with its interval, of every metric."""
-    out, of = [], statistic("median")
+    out = []
     for key in (key for key, is_number in curve_keys(data).items() if is_number):
         lines, named = [], sweep_lines(data, key)
         styles = estimator_styles(named)
@@ -150,21 +136,17 @@ def _curves(data: SweepData) -> list[dict[str, Any]]:
                 found = [(x, one.values(metric)) for x, one in points if not isinstance(x, str)]
                 found = [(x, values) for x, values in found if len(values)]
                 if found:
-                    line["metrics"][metric] = _line(found, of, known.digits + MORE_DIGITS)
+                    line["metrics"][metric] = _line(found, known.digits + MORE_DIGITS)
             lines.append(line)
         if 0 < sum(len(line["metrics"].get("position_rmse_m", [[]])[0]) for line in lines) <= MOST_POINTS_OF_CURVES:
             out.append({"key": key, "lines": lines})
     return out
 
 
-def _line(found: Sequence[tuple[float | None, Any]], of: Statistic, digits: int) -> list[list[float | None]]:
+def _line(found: Sequence[tuple[float | None, Any]], digits: int) -> list[list[float | None]]:
     """Return x, median, low and high of one line; x None: the same at every x."""
-    ends = [interval(values, of, CONFIDENCE) for _, values in found]
-    middle = [float(of.of(values)) for _, values in found]
-    return [
-        [x for x, _ in found],
-        *(rounded(column, digits) for column in (middle, [low for low, _ in ends], [high for _, high in ends])),
-    ]
+    columns = np.stack([Look().summed(values) for _, values in found], axis=1)
+    return [[x for x, _ in found], *(rounded(column, digits) for column in columns)]
 
 
 def _distributions(data: SweepData) -> list[dict[str, Any]]:
@@ -186,8 +168,6 @@ def _distributions(data: SweepData) -> list[dict[str, Any]]:
 
 
 def _provenance(folder: Path, data: SweepData) -> dict[str, Any]:
-    from importlib.metadata import version
-
     rows = [one.rows for panel in data.panels for one in panel.series]
     worlds, options = resolved(folder)
     counts: dict[str, Any] = {
@@ -204,10 +184,6 @@ def _provenance(folder: Path, data: SweepData) -> dict[str, Any]:
 
 def resolved(folder: Path) -> tuple[list[dict[str, Any]], list[dict[str, Any]]]:
     """Return the resolved worlds of a store, and the options of each estimator in it."""
-    import json
-
-    from cellslam.benchmarks.sweeps.store import reading
-
     with reading(folder) as database:
         worlds = [json.loads(t) for (t,) in database.execute("SELECT tables FROM worlds ORDER BY id")]
         query = (
@@ -218,9 +194,9 @@ def resolved(folder: Path) -> tuple[list[dict[str, Any]], list[dict[str, Any]]]:
     return worlds, options
 
 
-def _heading(metric: str, text: str = "") -> dict[str, str]:
+def _heading(metric: str, text: str) -> dict[str, str]:
     known = METRIC[metric]
-    return {"text": text or known.heading, "unit": known.unit, "title": known.meaning}
+    return {"text": text, "unit": known.unit, "title": known.meaning}
 
 
 def _setting(value: Any) -> Any:

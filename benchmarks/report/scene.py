@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from cellslam.benchmarks.figures.city_render import material_colour
-from cellslam.benchmarks.report.choice import rounded
+from cellslam.benchmarks.figures.style import material_colour
+from cellslam.benchmarks.report.page import rounded
 from cellslam.sim.city.city import GROUND, City
 from cellslam.sim.recording import Floats, Ints
 

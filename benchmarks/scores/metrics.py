@@ -172,7 +172,7 @@ METRICS = (
 )  # fmt: skip
 # What the estimator took, which varies from run to run; all else of a row is the same for a seed.
 COSTS = (
-    Metric("estimate_seconds", "s", "s a drive", 2, "time of the estimator's own code", axis="time of the estimator"),
+    Metric("estimate_seconds", "s", "time a drive", 2, "time of the estimator's code", axis="time of the estimator"),
     Metric("realtime_factor", "time", "x real", 1, "duration of the drive over time of the estimator"),
     Metric("peak_memory_mb", "MB", "memory", 1, "the most that the estimator made resident memory grow by"),
 )

@@ -18,7 +18,6 @@ if TYPE_CHECKING:
     import pandas as pd
 
 _IDS = ("key", "world", "options")
-Tables = Mapping[str, Mapping[str, Any]]
 
 
 def results(folder: str | Path, keys: Sequence[str] | None = None) -> pd.DataFrame:
@@ -62,13 +61,12 @@ def varying_keys(folder: str | Path) -> list[str]:
 def flat(table: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, Any]]:
     """Yield the dotted keys and values of nested tables; items of a list are called by name or index."""
     for name, value in table.items():
-        yield from _flat_value(value, f"{prefix}{name}")
-
-
-def varying(settings: Sequence[Mapping[str, Any]]) -> list[str]:
-    """Return the keys that have more than one value among `settings`; where a key is missing it is null."""
-    known = dict.fromkeys(key for setting in settings for key in setting)
-    return [key for key in known if len({json.dumps(s.get(key)) for s in settings}) > 1]
+        if isinstance(value, list) and value and all(isinstance(item, Mapping) for item in value):
+            value = {label(item, index): item for index, item in enumerate(value)}
+        if isinstance(value, Mapping):
+            yield from flat(value, f"{prefix}{name}.")
+        else:
+            yield f"{prefix}{name}", value
 
 
 def provenance(folder: Path) -> list[dict[str, Any]]:
@@ -78,47 +76,34 @@ def provenance(folder: Path) -> list[dict[str, Any]]:
     return [{"started": s, "host": h, "command": c, "versions": json.loads(v)} for s, h, c, v in rows]
 
 
-def _flat_value(value: Any, key: str) -> Iterator[tuple[str, Any]]:
-    if isinstance(value, Mapping):
-        yield from flat(value, f"{key}.")
-    elif isinstance(value, list) and value and all(isinstance(item, Mapping) for item in value):
-        for index, item in enumerate(value):
-            yield from flat(item, f"{key}.{label(item, index)}.")
-    else:
-        yield key, value
-
-
 def _settings(database: Connection) -> tuple[list[tuple[str, str, str]], dict[str, list[Any]]]:
-    """Return each (estimator, world, options) of the rows, and the value of every key for each."""
+    """Return each (estimator, world, options) of the rows, and the value of every scenario key and option for each."""
     worlds = {i: json.loads(t) for i, t in database.execute("SELECT id, tables FROM worlds")}
     for world in worlds.values():
         world["map"] = dict(MapConfig()) | world.get("map", {})  # a world says nothing of a map or of one car
+        world["scenario"] = world.pop("name")
+    flat_worlds = {i: dict(flat(world)) for i, world in worlds.items()}
     options = {i: json.loads(t) for i, t in database.execute("SELECT id, tables FROM options")}
     pairs = database.execute("SELECT DISTINCT estimator, world, options FROM rows").fetchall()
-    return pairs, _columns(pairs, worlds, options)
-
-
-def _columns(pairs: Sequence[tuple[str, str, str]], worlds: Tables, options: Tables) -> dict[str, list[Any]]:
-    """Return the value of every scenario key and option for each (estimator, world, options)."""
-    flat_worlds = {
-        i: dict(flat({"scenario" if k == "name" else k: v for k, v in w.items()})) for i, w in worlds.items()
-    }
-    settings = []
-    for estimator, world, option in pairs:
-        own = flat(options[option] or {}, f"estimator.{estimator}.")
-        settings.append({**flat_worlds[world], **dict(own)})
+    settings = [
+        flat_worlds[world] | dict(flat(options[option] or {}, f"estimator.{estimator}."))
+        for estimator, world, option in pairs
+    ]
     known = dict.fromkeys(key for setting in settings for key in setting)
-    return {key: [_scalar(setting.get(key)) for setting in settings] for key in known}
+    return pairs, {key: [_scalar(setting.get(key)) for setting in settings] for key in known}
 
 
-def _wanted(keys: Sequence[str] | None, columns: Mapping[str, Sequence[Any]]) -> tuple[str, ...]:
-    if keys is not None:
-        known = {*ROW_KEYS, *_IDS, *columns}
-        for key in keys:
-            if key not in known:
-                raise _unknown(key, columns)
-        return tuple(dict.fromkeys(keys))
-    return tuple(dict.fromkeys((*ROW_KEYS, *_varied(columns))))
+def _wanted(keys: Sequence[str] | None, columns: Mapping[str, Sequence[Any]]) -> list[str]:
+    """Return the keys that are asked for, checked; None: those of a row, and those that vary."""
+    if keys is None:
+        return list(dict.fromkeys((*ROW_KEYS, *_varied(columns))))
+    for key in keys:
+        if key not in {*ROW_KEYS, *_IDS, *columns}:
+            near = nearest_key(key, [*ROW_KEYS, *columns])
+            hint = f"; did you mean '{near}'?" if near else ""
+            there = ", ".join(_varied(columns)) or "none"
+            raise InputError(f"unknown key '{key}'{hint} (keys that vary here: {there})")
+    return list(dict.fromkeys(keys))
 
 
 def _varied(columns: Mapping[str, Sequence[Any]]) -> list[str]:
@@ -132,12 +117,6 @@ def _varied(columns: Mapping[str, Sequence[Any]]) -> list[str]:
     if "scenario" not in several:
         return several
     return ["scenario", *(key for key in several if len(pairs[key]) > len({name for name, _ in pairs[key]}))]
-
-
-def _unknown(key: str, columns: Mapping[str, Sequence[Any]]) -> InputError:
-    near = nearest_key(key, [*ROW_KEYS, *columns])
-    hint = f"; did you mean '{near}'?" if near else ""
-    return InputError(f"unknown key '{key}'{hint} (keys that vary here: {', '.join(_varied(columns)) or 'none'})")
 
 
 def _scalar(value: Any) -> Any:

@@ -1,29 +1,39 @@
-"""The store of a sweep: one SQLite database in a folder, a row a job, trajectories beside it."""
+"""The store of a sweep: one SQLite database in a folder, a row a job, trajectories beside it; one process writes it."""
 
 from __future__ import annotations
 
+import fcntl
 import json
+import os
 import platform
+import re
 import sqlite3
 import time
 from collections.abc import Iterator, Mapping
-from contextlib import closing, contextmanager
+from contextlib import closing, contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, TextIO
 
 from cellslam.benchmarks.scores.metrics import COST_KEYS, METRIC_KEYS, ROW_KEYS
-from cellslam.benchmarks.sweeps.lock import check_local, only_writer
 from cellslam.benchmarks.sweeps.tasks import Plan, Result
 from cellslam.benchmarks.trials.output_files import check_folder
 from cellslam.sim.errors import InputError
 
-DATABASE = "results.sqlite"
+LOCK, DATABASE = "lock", "results.sqlite"
 TRAJECTORIES = "trajectories"
 SCHEMA = 4
 # Columns beside those of a row: ids of world and options, which process wrote it, and how often it was tried.
 OWN_KEYS = ("key", "world", "options", "run", "traceback")
 COLUMNS = (*OWN_KEYS, *ROW_KEYS)
+NETWORK_DISKS = frozenset(
+    (
+        *("nfs", "nfs4", "cifs", "smb", "smb2", "smb3", "smbfs", "ncpfs", "afs", "davfs", "9p"),
+        *("lustre", "gpfs", "beegfs", "ceph", "glusterfs", "panfs", "pvfs2", "orangefs"),
+        *("fuse.sshfs", "fuse.glusterfs", "fuse.ceph", "fuse.s3fs", "fuse.rclone", "fuse.davfs2"),
+    )
+)
+_KEPT = "what was finished before is kept, and the same command goes on from there"
 _NUMBERS = (*METRIC_KEYS, "duration_s", "distance_m", *COST_KEYS)
 _WHOLE = ("trial", "seed", "snapshots", "run")
 
@@ -85,14 +95,62 @@ def writing(folder: Path, command: str, versions: Mapping[str, str]) -> Iterator
     check_local(folder)
     with _explained(folder):
         folder.mkdir(parents=True, exist_ok=True)
-    with only_writer(folder, command), closing(_connect(folder)) as database:
-        with _explained(folder):
+    with only_writer(folder, command), _explained(folder):
+        database = sqlite3.connect(folder / DATABASE, timeout=10.0)
+        with closing(database):
             _prepare(folder, database)
             with database:
-                told = (time.strftime("%F %T%z"), platform.node(), _storable(command), json.dumps(dict(versions)))
+                made = (time.strftime("%F %T%z"), platform.node(), _storable(command), json.dumps(dict(versions)))
                 statement = "INSERT INTO runs (started, host, command, versions) VALUES (?, ?, ?, ?)"
-                run = database.execute(statement, told).lastrowid
-        yield Store(folder, database, int(run or 0))
+                run = database.execute(statement, made).lastrowid
+            yield Store(folder, database, int(run or 0))
+
+
+@contextmanager
+def only_writer(folder: Path, command: str) -> Iterator[None]:
+    """Hold `folder` for this process; the system lets go of it however the process ends.
+
+    Raises InputError naming the process that holds it.
+    """
+    try:
+        file = (folder / LOCK).open("a+", encoding="utf-8", errors="backslashreplace")
+    except OSError as error:
+        raise InputError(f"--out {folder}: cannot be written ({error.strerror}); give another --out") from error
+    with file:
+        try:
+            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError as error:
+            file.seek(0)
+            holder = file.read().strip() or "another process"
+            raise InputError(f"--out {folder}: in use by {holder}; wait for it or give another --out") from error
+        _replace(file, f"process {os.getpid()} on {platform.node()} since {time.strftime('%F %T')} ({command})\n")
+        try:
+            yield
+        finally:
+            _replace(file, "")
+
+
+def check_local(folder: Path, mounts: str | None = None) -> None:
+    """Raise InputError if `folder` is on a network file system; `mounts` is the text of /proc/mounts.
+
+    SQLite's locks and shared memory do not work there. Where the system has no such file nothing is checked.
+    """
+    if mounts is None:
+        try:
+            mounts = Path("/proc/mounts").read_text("utf-8", "surrogateescape")
+        except OSError:
+            return
+    path, deepest, kind = folder.absolute().resolve(), 0, ""
+    for fields in (line.split() for line in mounts.splitlines()):
+        # Spaces and the like are written in octal there.
+        place = Path(re.sub(r"\\(\d{3})", lambda octal: chr(int(octal[1], 8)), fields[1]))
+        if path.is_relative_to(place) and len(place.parts) >= deepest:
+            deepest, kind = len(place.parts), fields[2]
+    if kind in NETWORK_DISKS:
+        raise InputError(
+            f"--out {folder}: is on a network file system ({kind}), where the database could be damaged; give a folder "
+            "on a local disk: workers elsewhere need not see it, they send their rows to this process"
+        )
 
 
 @contextmanager
@@ -119,11 +177,6 @@ def stored_columns(database: sqlite3.Connection) -> set[str]:
 def trajectory_path(folder: Path, key: str) -> Path:
     """Return where the trajectory of a key is kept."""
     return folder / TRAJECTORIES / key[:2] / f"{key}.npz"
-
-
-def _connect(folder: Path) -> sqlite3.Connection:
-    with _explained(folder):
-        return sqlite3.connect(folder / DATABASE, timeout=10.0)
 
 
 def _prepare(folder: Path, database: sqlite3.Connection) -> None:
@@ -168,4 +221,9 @@ def _explained(folder: Path, verb: str = "written") -> Iterator[None]:
         raise InputError(f"{folder / DATABASE}: results cannot be {verb} ({error}); {_KEPT}") from error
 
 
-_KEPT = "what was finished before is kept, and the same command goes on from there"
+def _replace(file: TextIO, text: str) -> None:
+    """Put `text` in place of what is in the file; a full disk only costs the name of the holder."""
+    with suppress(OSError):
+        file.truncate(0)
+        file.write(text)
+        file.flush()

@@ -1,14 +1,20 @@
-"""Carrying out a sweep: what is not stored yet is worked off, and each result is stored as it comes."""
+"""Carrying out a sweep: what is not stored yet is worked off, and each result is stored as it comes.
+
+A plan (`tasks`) has a task for each world and trial, with a job for each estimator. An executor (`executors`) works
+tasks off somewhere and yields results; `carry_out` stores them (`store`).
+"""
 
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import replace
-from typing import Any
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 from cellslam.benchmarks.sweeps.executors import Executor
-from cellslam.benchmarks.sweeps.store import Store
+from cellslam.benchmarks.sweeps.store import Store, writing
 from cellslam.benchmarks.sweeps.tasks import (
     Began,
     Job,
@@ -19,11 +25,20 @@ from cellslam.benchmarks.sweeps.tasks import (
     identity,
     is_known,
     name_of,
+    plan,
     recording_of,
     request_of,
+    result_of,
     work,
-)
+)  # fmt: skip
 from cellslam.benchmarks.trials.external_processes import ExternalProcesses
+from cellslam.scenarios.sweep_points import Point
+from cellslam.sim.world import versions
+
+if TYPE_CHECKING:
+    from cellslam.benchmarks.trials.trials import Trial
+    from cellslam.scenarios.estimator_options import Request
+    from cellslam.scenarios.scenario import Scenario
 
 OnResult = Callable[[Task, Job, Mapping[str, Any]], None]
 SAMPLES_PER_ESTIMATOR = 4
@@ -59,6 +74,30 @@ def pending(plan: Plan, store: Store, retry_failed: bool) -> Plan:
     return plan.without({key: s for key, s in status.items() if s == "ok" or not retry_failed})
 
 
+@contextmanager
+def keeping(
+    folder: Path, scenario: Scenario, requests: Sequence[Request], trials: int, seed: int, command: str
+) -> Iterator[Callable[[Trial], None]]:
+    """Open the store of `cellslam run`, which `table`, `figures` and `report` then read as a sweep's, and yield what
+    keeps a trial in it; what earlier runs left there stays.
+
+    Raises InputError where there can be no store, as on a network disk.
+    """
+    work = plan([Point({}, scenario, tuple(requests))], trials, seed)
+    with writing(folder, command, versions()) as store:
+        store.declare(work)
+        tasks = {task.trial: task for task in work.tasks}
+
+        def keep(trial: Trial) -> None:
+            task = tasks[trial.number]
+            jobs = {job.estimator: job for job in task.jobs}
+            for outcome in trial.outcomes:
+                job = jobs[outcome.row["estimator"]]
+                store.write(result_of(task, job, trial, outcome), identity(task.world), identity(job.options))
+
+        yield keep
+
+
 def seconds_of(plan: Plan, external: ExternalProcesses) -> tuple[float, Mapping[str, float]]:
     """Return the seconds that one core needs for a plan, and those of one trial by part ("world", estimators).
 
@@ -68,7 +107,11 @@ def seconds_of(plan: Plan, external: ExternalProcesses) -> tuple[float, Mapping[
     if not plan.tasks:
         return 0.0, {}
     first = max(plan.tasks[: len(plan.worlds)], key=lambda task: len(task.jobs))
-    sample = replace(first, jobs=tuple(_sampled(first)))
+    jobs: dict[str, list[Job]] = {}
+    for job in first.jobs:
+        jobs.setdefault(job.estimator, []).append(job)
+    few = (own[:: -(-len(own) // SAMPLES_PER_ESTIMATOR)] for own in jobs.values())
+    sample = replace(first, jobs=tuple(job for own in few for job in own))
     _compile(sample, external)
     spent: dict[str, list[float]] = {}
     names = {job.key: job.estimator for job in sample.jobs}
@@ -93,15 +136,6 @@ def _given_up(first: Lost, second: Lost) -> Result:
     task, job = first.task, first.job
     row = failed_row(name_of(task.world), job.estimator, task.trial, task.seed, f"{first.reason}; {again}")
     return Result(job.key, row, second.details or first.details)
-
-
-def _sampled(task: Task) -> list[Job]:
-    """Return a few jobs of each estimator, evenly chosen."""
-    out = []
-    for name in dict.fromkeys(job.estimator for job in task.jobs):
-        own = [job for job in task.jobs if job.estimator == name]
-        out += own[:: -(-len(own) // SAMPLES_PER_ESTIMATOR)]
-    return out
 
 
 def _compile(task: Task, external: ExternalProcesses) -> None:

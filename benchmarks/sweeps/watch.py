@@ -11,6 +11,7 @@ from statistics import median
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from rich.console import RenderableType
     from rich.table import Table
 
     from cellslam.benchmarks.sweeps.sweeping import OnResult
@@ -19,6 +20,7 @@ if TYPE_CHECKING:
 LINE_EVERY_S = 10.0
 TABLE_EVERY_S = 3.0
 MOST_LINES = 30
+PIPE_WIDTH = 100
 METRIC = "position_rmse_m"
 
 
@@ -40,9 +42,8 @@ class Tally:
         if row["status"] == "failed":
             self.failed += 1
             self.first_error = self.first_error or f"the first: {row['estimator']}: {row['error']}"
-        self.groups.setdefault(self.names.get((task.world, job.estimator, job.options), job.estimator), []).append(
-            row[METRIC]
-        )
+        name = self.names.get((task.world, job.estimator, job.options), job.estimator)
+        self.groups.setdefault(name, []).append(row[METRIC])
 
     @property
     def seconds(self) -> float:
@@ -66,12 +67,10 @@ class Tally:
         table.add_column("so far", overflow="fold")
         for heading in ("median RMSE (m)", "rows", "failed"):
             table.add_column(heading, justify="right")
-        for name in sorted(self.groups)[:MOST_LINES]:
-            values = [v for v in self.groups[name] if v is not None]
-            bad = len(self.groups[name]) - len(values)
-            table.add_row(
-                escape(name), f"{median(values):.2f}" if values else "-", str(len(self.groups[name])), str(bad)
-            )
+        for name, every in sorted(self.groups.items())[:MOST_LINES]:
+            values = [value for value in every if value is not None]
+            middle = f"{median(values):.2f}" if values else "-"
+            table.add_row(escape(name), middle, str(len(every)), str(len(every) - len(values)))
         if len(self.groups) > MOST_LINES:
             table.caption = f"and {len(self.groups) - MOST_LINES} more"
         return table
@@ -79,13 +78,30 @@ class Tally:
 
 @contextmanager
 def watching(tally: Tally, quiet: bool, live: bool) -> Iterator[OnResult]:
-    """Show a tally while rows come in; the value is called with each row."""
+    """Show a tally on stderr while rows come in; the value is called with each row."""
     if quiet:
         yield tally.hear
-    elif sys.stderr.isatty():
-        yield from _on_terminal(tally, live)
-    else:
-        yield from _in_lines(tally, live)
+        return
+    from rich.console import Console
+    from rich.live import Live
+
+    def shown() -> RenderableType:
+        return tally.table() if live else tally.line()
+
+    if sys.stderr.isatty():
+        with Live(console=Console(stderr=True), get_renderable=shown, refresh_per_second=1, transient=True):
+            yield tally.hear
+        return
+    console, last = Console(stderr=True, width=PIPE_WIDTH), time.monotonic()
+
+    def hear(task: Task, job: Job, row: Mapping[str, Any]) -> None:
+        nonlocal last
+        tally.hear(task, job, row)
+        if time.monotonic() - last >= (TABLE_EVERY_S if live else LINE_EVERY_S):
+            last = time.monotonic()
+            console.print(shown(), markup=False, highlight=False)
+
+    yield hear
 
 
 def clock(seconds: float) -> str:
@@ -93,39 +109,3 @@ def clock(seconds: float) -> str:
     if seconds < 90:
         return f"{seconds:.0f} s" if seconds >= 10 else f"{seconds:.1f} s"
     return f"{seconds / 60:.0f} min" if seconds < 5400 else f"{seconds / 3600:.1f} h"
-
-
-def _on_terminal(tally: Tally, live: bool) -> Iterator[OnResult]:
-    from rich.console import Console
-    from rich.live import Live
-
-    class Shown:
-        """Redrawn at each refresh."""
-
-        def __rich__(self) -> Any:
-            return tally.table() if live else tally.line()
-
-    with Live(Shown(), console=Console(stderr=True), refresh_per_second=1, transient=True):
-        yield tally.hear
-
-
-def _in_lines(tally: Tally, live: bool) -> Iterator[OnResult]:
-    shown = [time.monotonic()]
-
-    def hear(task: Task, job: Job, row: Mapping[str, Any]) -> None:
-        tally.hear(task, job, row)
-        if time.monotonic() - shown[0] < (TABLE_EVERY_S if live else LINE_EVERY_S):
-            return
-        shown[0] = time.monotonic()
-        _print(tally, live)
-
-    yield hear
-
-
-def _print(tally: Tally, live: bool) -> None:
-    if live:
-        from rich.console import Console
-
-        Console(stderr=True, width=100).print(tally.table())
-    else:
-        sys.stderr.write(f"{tally.line()}\n")

@@ -6,35 +6,25 @@ over N trials the mean of a consistent filter's normalised error squared (NEES) 
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from scipy.stats import binomtest, chi2
 
 from cellslam.benchmarks.sweeps.rows import results
 from cellslam.benchmarks.sweeps.store import trajectory_path
 from cellslam.benchmarks.sweeps.trajectories import Trajectory, unpack
 from cellslam.benchmarks.tables.summaries import Layout, groups, row_keys
 from cellslam.sim.errors import InputError
+from cellslam.sim.recording import Ints
 
 if TYPE_CHECKING:
     import pandas as pd
 
 SHARE = 0.95  # of the intervals, and of a VT's ellipsoid
 SIGMAS = 2.0  # of the clocks' band
-
-
-@dataclass(frozen=True)
-class _Claims:
-    """One drive at K moments: `time_s`, `nees` (K,), `clock_ratio` (K, S or 0): |error| over deviation,
-    `vt_nees` (V,)."""
-
-    time_s: Any
-    nees: Any
-    clock_ratio: Any
-    vt_nees: Any
 
 
 def consistency(folder: str | Path, times: int = 10, rows: Sequence[str] | None = None) -> pd.DataFrame:
@@ -57,8 +47,7 @@ def consistency(folder: str | Path, times: int = 10, rows: Sequence[str] | None 
     for values, group in groups(frame[frame["status"] == "ok"], keys):
         paths = (trajectory_path(Path(folder), key) for key in group["key"])
         read = (unpack(path) for path in paths if path.exists())
-        kept = [_claims(one, times) for one in read if len(one.nees)]
-        lines += [{**values, **line} for line in _over_time(kept, times)]
+        lines += [{**values, **line} for line in _over_time((one for one in read if len(one.nees)), times)]
     if not lines:
         raise InputError(f"{folder}: no trajectories with truth are kept (was it swept with --no-trajectories?)")
     return pd.DataFrame(lines)
@@ -66,49 +55,41 @@ def consistency(folder: str | Path, times: int = 10, rows: Sequence[str] | None 
 
 def nees_band(trials: int) -> tuple[float, float]:
     """Return the interval that has 95 % of the means of so many consistent trials."""
-    from scipy.stats import chi2
-
     tails = ((1.0 - SHARE) / 2.0, (1.0 + SHARE) / 2.0)
     return float(chi2.ppf(tails[0], 2 * trials) / trials), float(chi2.ppf(tails[1], 2 * trials) / trials)
 
 
-def _claims(trajectory: Trajectory, times: int) -> _Claims:
-    """Return what is compared of one drive: all else of a trajectory is let go."""
-    time_s = trajectory.time_s
-    moments = time_s[-1] * np.arange(1, times + 1) / times
-    at = np.minimum(np.searchsorted(time_s, moments - 1e-6), len(time_s) - 1)
-    ratio = np.zeros((times, 0))
-    if len(trajectory.offset_error_m) and len(trajectory.offset_std_m):
-        error_m, std_m = np.abs(trajectory.offset_error_m[at]), trajectory.offset_std_m[at]
-        ratio = np.divide(error_m, std_m, out=np.full_like(std_m, np.nan), where=std_m > 0.0)
-    return _Claims(moments, trajectory.nees[at], ratio, trajectory.vt_nees)
-
-
-def _over_time(kept: Sequence[_Claims], times: int) -> Iterator[dict[str, Any]]:
-    if not kept:
-        return
-    for number in range(times):
-        squared = np.array([one.nees[number] for one in kept])
+def _over_time(drives: Iterable[Trajectory], times: int) -> Iterator[dict[str, Any]]:
+    """Yield what is claimed at each moment of the drives (N); all else of a trajectory is let go."""
+    moments, nees, ratios, vts = [], [], [], []
+    for one in drives:
+        moments.append(one.time_s[-1] * np.arange(1, times + 1) / times)
+        at = np.minimum(np.searchsorted(one.time_s, moments[-1] - 1e-6), len(one.time_s) - 1)
+        nees.append(one.nees[at])
+        ratios.append(_clock_ratios(one, at))
+        vts.append(one.vt_nees[np.isfinite(one.vt_nees)])
+    for number in range(times if moments else 0):
+        squared = np.array([own[number] for own in nees])
         squared = squared[np.isfinite(squared)]
         low, high = nees_band(len(squared)) if len(squared) else (None, None)
         mean = float(squared.mean()) if len(squared) else None
-        ratio = np.concatenate([one.clock_ratio[number] for one in kept])
+        ratio = np.concatenate([own[number] for own in ratios])
         clock = _share("clock", ratio[~np.isnan(ratio)] <= SIGMAS)  # a clock that was known has no ratio
-        vt = _share("vt", _vts_inside(kept) if number == times - 1 else np.zeros(0, bool))
-        time_s = float(np.median([one.time_s[number] for one in kept]))
-        yield {"time_s": time_s, "trials": len(kept), "nees": mean, "nees_low": low, "nees_high": high, **clock, **vt}
+        last = number == times - 1
+        vt = _share("vt", np.concatenate(vts) <= chi2.ppf(SHARE, 3) if last else np.zeros(0, bool))
+        time_s = float(np.median([own[number] for own in moments]))
+        yield {"time_s": time_s, "trials": len(nees), "nees": mean, "nees_low": low, "nees_high": high, **clock, **vt}
 
 
-def _vts_inside(kept: Sequence[_Claims]) -> Any:
-    from scipy.stats import chi2
-
-    squared = np.concatenate([one.vt_nees for one in kept])
-    return squared[np.isfinite(squared)] <= chi2.ppf(SHARE, 3)
+def _clock_ratios(one: Trajectory, at: Ints) -> Any:
+    """Return the errors of the clock offsets over their claimed deviations (K, S) at the snapshots `at` (K,)."""
+    if not (len(one.offset_error_m) and len(one.offset_std_m)):
+        return np.zeros((len(at), 0))
+    error_m, std_m = np.abs(one.offset_error_m[at]), one.offset_std_m[at]
+    return np.divide(error_m, std_m, out=np.full_like(std_m, np.nan), where=std_m > 0.0)
 
 
 def _share(name: str, inside: Any) -> dict[str, Any]:
-    from scipy.stats import binomtest
-
     count = len(inside)
     numbers: tuple[float | None, ...] = (None, None, None)
     if count:

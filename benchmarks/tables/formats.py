@@ -1,4 +1,4 @@
-"""Tables as text, Markdown, LaTeX (booktabs), CSV, JSON."""
+"""How tables look: headings and numbers, and tables as text, Markdown, LaTeX (booktabs), CSV, JSON."""
 
 from __future__ import annotations
 
@@ -6,17 +6,17 @@ import json
 import math
 import re
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 from cellslam.benchmarks.scores.metrics import METRIC
+from cellslam.benchmarks.tables.summaries import CONFIDENCE, estimate, plain
 
 if TYPE_CHECKING:
     import pandas as pd
 
-FORMATS = ("text", "md", "csv", "latex", "json")
 PIPE_WIDTH = 200
-TOO_WIDE = 1e5  # a spoilt covariance claims an NEES of 1e11
+LONG, TOO_WIDE = 1e3, 1e5  # without decimals; as a power of ten: a spoilt covariance claims an NEES of 1e11
 _KEY = re.compile(rf"\b({'|'.join(METRIC)})\b")
 _CLASS = re.compile(r"[\w.]+:(?=\w)")
 _LATEX = {c: f"\\{c}" for c in "&%$#_{}"} | {"\\": "\\textbackslash{}", "~": "\\textasciitilde{}", "^": "\\^{}"}
@@ -32,18 +32,51 @@ class Grid:
     notes: tuple[str, ...] = ()
 
 
+@dataclass(frozen=True)
+class Column:
+    """A column of results: a metric, the statistic that sums up trials, and whether its 95 % interval is given."""
+
+    metric: str
+    statistic: str = "median"
+    interval: bool = False
+
+    @property
+    def name(self) -> str:
+        """The metric's heading; that of a quantile is which one."""
+        quantile = self.statistic.startswith("q")
+        return f"{self.statistic[1:]} %" if quantile else METRIC[self.metric].heading
+
+    @property
+    def heading(self) -> str:
+        """The name with its unit, and with the confidence of the interval."""
+        text = replace(METRIC[self.metric], heading=self.name).titled
+        return f"{text} [{100 * CONFIDENCE:g} %]" if self.interval else text
+
+
+def cell(rows: pd.DataFrame, column: Column) -> str:
+    """Return what a column says of rows that are ok."""
+    value, low, high = estimate(rows, column.metric, column.statistic, CONFIDENCE if column.interval else None)
+    return bracketed(value, low, high, column.metric)
+
+
+def bracketed(value: float | None, low: float | None, high: float | None, metric: str, statistic: str = "") -> str:
+    """Return a number, and in brackets its interval where it has one."""
+    text = number(value, metric, statistic)
+    return text if _missing(low) else f"{text} [{number(low, metric, statistic)}, {number(high, metric, statistic)}]"
+
+
 def render(tidy: pd.DataFrame, grid: Grid, format_: str) -> str:
-    """Return a table in one of `FORMATS`: csv and json hold the tidy numbers, md and latex the grid in words."""
+    """Return a table as text, md, csv, latex or json; csv and json hold the tidy numbers, md and latex speak words."""
     if format_ == "csv":
         return str(tidy.to_csv(index=False))
     if format_ == "json":
-        plain = ({key: _json(value) for key, value in line.items()} for line in tidy.to_dict("records"))
-        return "[\n" + ",\n".join(json.dumps(line, allow_nan=False) for line in plain) + "\n]\n"
+        lines = ({key: plain(value) for key, value in line.items()} for line in tidy.to_dict("records"))
+        return "[\n" + ",\n".join(json.dumps(line, allow_nan=False) for line in lines) + "\n]\n"
     if format_ == "text":
         return _text(grid)
     headings, notes = (tuple(map(in_words, texts)) for texts in (grid.headings, grid.notes))
-    lines = tuple((*map(in_words, line[: grid.labels]), *line[grid.labels :]) for line in grid.lines)
-    return (_markdown if format_ == "md" else _latex)(Grid(headings, lines, grid.labels, notes))
+    body = tuple((*map(in_words, line[: grid.labels]), *line[grid.labels :]) for line in grid.lines)
+    return (markdown if format_ == "md" else _latex)(Grid(headings, body, grid.labels, notes))
 
 
 def in_words(text: str) -> str:
@@ -51,16 +84,14 @@ def in_words(text: str) -> str:
     return _CLASS.sub("", _KEY.sub(lambda found: METRIC[found[0]].titled, text))
 
 
-def number(value: float | None, metric: str, statistic: str = "") -> str:
+def number(value: float | None, metric: str = "", statistic: str = "") -> str:
     """Return a number with the digits that suit its metric; one that would fill the line as a power of ten."""
     if value is None or not math.isfinite(value):
         return "-"
     if abs(value) >= TOO_WIDE:
         return f"{value:.0e}"
-    if statistic.startswith("share>"):
-        return f"{value:.3f}"
-    digits = METRIC[metric].digits if metric in METRIC else 2
-    return f"{value:.{digits}f}"
+    digits = 3 if statistic.startswith("share>") else METRIC[metric].digits if metric in METRIC else 2
+    return f"{value:.{digits if abs(value) < LONG else 0}f}"
 
 
 def summary_grid(tidy: pd.DataFrame, keys: Sequence[str], columns: str | None, oracles: frozenset[str]) -> Grid:
@@ -80,7 +111,8 @@ def summary_grid(tidy: pd.DataFrame, keys: Sequence[str], columns: str | None, o
         named = f"{line['statistic']} of {line['metric']}" if line["statistic"] else line["metric"]
         heading = heading or named
         headings.setdefault(heading)
-        cells.setdefault(row, {})[heading] = _cell(line)
+        ends = line.get("low"), line.get("high")
+        cells.setdefault(row, {})[heading] = bracketed(line["value"], *ends, line["metric"], line["statistic"])
         trials.setdefault(row, set()).add((line["trials"], line["failed"]))
     same = {
         key: tidy.loc[tidy[key] != "", key].iloc[:1].tolist() for key in ("metric", "statistic") if not several[key]
@@ -99,9 +131,9 @@ def consistency_grid(tidy: pd.DataFrame, keys: Sequence[str], oracles: frozenset
     lines = []
     for line in tidy.to_dict("records"):
         row = (_label(key, line[key], oracles) for key in keys)
-        band = f"{number(line['nees_low'], '')} to {number(line['nees_high'], '')}"
+        band = f"{number(line['nees_low'])} to {number(line['nees_high'])}"
         shares = (_percent(line, "clock"), _percent(line, "vt"))
-        lines.append((*row, f"{line['time_s']:.0f}", number(line["nees"], ""), band, *shares, str(line["trials"])))
+        lines.append((*row, f"{line['time_s']:.0f}", number(line["nees"]), band, *shares, str(line["trials"])))
     headings = ("time (s)", "NEES", "95 % if honest", "clocks in 2 sigma", "VTs in 95 %", "trials")
     notes = ("NEES: of the horizontal position, mean over trials; shares with 95 % intervals; VTs: those at the end",)
     return Grid((*keys, *headings), tuple(lines), len(keys), notes)
@@ -135,14 +167,6 @@ def comparison_grid(tidy: pd.DataFrame, keys: Sequence[str], first: str, second:
     return Grid((*keys, *headings), tuple(lines), len(keys), (what, test))
 
 
-def _cell(line: Mapping[Any, Any]) -> str:
-    text = number(line["value"], line["metric"], line["statistic"])
-    if _missing(line.get("low")):
-        return text
-    low, high = (number(line[end], line["metric"], line["statistic"]) for end in ("low", "high"))
-    return f"{text} [{low}, {high}]"
-
-
 def _counted(counts: set[tuple[int, int]]) -> str:
     """Return how many trials are ok, of how many where some failed; a range where columns differ."""
     good, bad = sorted({ok for ok, _ in counts}), max(failed for _, failed in counts)
@@ -166,11 +190,6 @@ def _missing(value: Any) -> bool:
     return value is None or (isinstance(value, float) and math.isnan(value))
 
 
-def _json(value: Any) -> Any:
-    value = value.item() if hasattr(value, "item") else value
-    return None if isinstance(value, float) and not math.isfinite(value) else value
-
-
 def _text(grid: Grid) -> str:
     from io import StringIO
 
@@ -190,7 +209,9 @@ def _text(grid: Grid) -> str:
     return "\n".join(line.rstrip() for line in file.getvalue().splitlines()) + "\n"
 
 
-def _markdown(grid: Grid) -> str:
+def markdown(grid: Grid) -> str:
+    """Return a table as Markdown."""
+
     def line(cells: Sequence[str]) -> str:
         return "| " + " | ".join(cell.replace("|", "\\|") for cell in cells) + " |"
 

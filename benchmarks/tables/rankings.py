@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from cellslam.benchmarks.scores.verdicts import LEAST_TRIALS, Verdict, verdict
-from cellslam.benchmarks.tables.formats import number
+from cellslam.benchmarks.tables.formats import Grid, markdown, number
 from cellslam.slam import registry
 
 if TYPE_CHECKING:
@@ -50,19 +50,14 @@ def map_builders(panels: Mapping[str, pd.DataFrame]) -> dict[str, pd.DataFrame]:
     return {title: rows[rows["estimator"].isin(own & building)] for title, rows in panels.items()}
 
 
-def verdict_lines(one: Verdict) -> list[str]:
+def verdict_table(one: Verdict) -> str:
     """Return a verdict as a Markdown table: mean ranks, and median differences, bold where a pair is told apart."""
-    lines = [
-        "| estimator | mean rank | " + " | ".join(one.names) + " |",
-        "|---|" + "---:|" * (len(one.names) + 1),
-    ]
+    lines = []
     for i, name in enumerate(one.names):
-        cells = [
-            "" if i == j else f"**{text}**" if one.differ[i, j] else text
-            for j, text in enumerate(number(value, METRIC) for value in one.difference[i].tolist())
-        ]
-        lines.append(f"| {name} | {one.mean_rank[i]:.2f} | " + " | ".join(cells) + " |")
-    return lines
+        texts = [number(value, METRIC) for value in one.difference[i].tolist()]
+        cells = (f"**{text}**" if one.differ[i, j] else text if i != j else "" for j, text in enumerate(texts))
+        lines.append((name, f"{one.mean_rank[i]:.2f}", *cells))
+    return markdown(Grid(("estimator", "mean rank", *one.names), tuple(lines), 1)).rstrip()
 
 
 def told_apart(one: Verdict) -> str:

@@ -2,46 +2,32 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Sequence
+from collections.abc import Collection
 from textwrap import fill
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from cellslam.benchmarks.scores.statistics import efficiency_ratio, interval, statistic
+from cellslam.benchmarks.scores.statistics import efficiency_ratio
 from cellslam.benchmarks.scores.verdicts import Verdict
-from cellslam.benchmarks.tables.formats import number
-from cellslam.benchmarks.tables.rankings import ALL, map_builders, told_apart, verdict_lines, verdicts
+from cellslam.benchmarks.tables.formats import Column, Grid, bracketed, cell, markdown, number
+from cellslam.benchmarks.tables.rankings import ALL, map_builders, told_apart, verdict_table, verdicts
 from cellslam.benchmarks.tables.suite_rows import SuiteRows
-from cellslam.benchmarks.tables.summaries import EFFICIENCY, MERGED, RATIO_OF, efficiency, finite
+from cellslam.benchmarks.tables.summaries import CONFIDENCE, EFFICIENCY, MERGED, RATIO_OF
 from cellslam.scenarios.suites import Suite, superseded_by
 
 if TYPE_CHECKING:
     import pandas as pd
 
-CONFIDENCE = 0.95
-# Columns: heading, metric, statistic, with an interval.
-Columns = Sequence[tuple[str, str, str, bool]]
-COLUMNS: Columns = (
-    ("RMSE (m) [95 %]", "position_rmse_m", "median", True),
-    ("efficiency ratio [95 %]", EFFICIENCY, "", True),
-    ("merging counted in", MERGED, "", True),  # where a drive has that bound
-    ("90 % (m)", "position_rmse_m", "q90", False),
-    ("max (m)", "position_max_m", "median", False),
-    ("end (m)", "position_end_m", "median", False),
-    ("heading (rad)", "heading_rmse_rad", "median", False),
-    ("offsets (m)", "clock_offset_rmse_m", "median", False),
-    ("map GOSPA (m)", "map_gospa_m", "median", False),
-    ("precision", "association_precision", "median", False),
-    ("recall", "association_recall", "median", False),
-    ("NEES", "nees_mean", "median", False),
-    ("bound (m)", "bound_position_rmse_m", "median", False),
+COLUMNS = (
+    Column("position_rmse_m", interval=True),
+    Column(EFFICIENCY, interval=True),
+    Column(MERGED, interval=True),  # where a drive has that bound
+    Column("position_rmse_m", "q90"),
+    *map(Column, ("position_max_m", "position_end_m", "heading_rmse_rad", "clock_offset_rmse_m", "map_gospa_m")),
+    *map(Column, ("association_precision", "association_recall", "nees_mean", "bound_position_rmse_m")),
 )
-COSTS: Columns = (
-    ("s a drive", "estimate_seconds", "median", False),
-    ("x real time", "realtime_factor", "median", False),
-    ("memory (MB)", "peak_memory_mb", "max", False),
-)
+COSTS = (Column("estimate_seconds"), Column("realtime_factor"), Column("peak_memory_mb", "max"))
 RULES = """\
 Position errors are horizontal, absolute, not aligned. Efficiency ratio: root mean square of the RMSE over that of the
 bound, 1 at best, its 95 % interval by resampling trials; merging counted in: over that of the bound with merging as
@@ -58,7 +44,7 @@ def suite_markdown(some: SuiteRows, command: str, left: str, picture: str = "") 
     one, trials = some.suite, some.trials
     title = one.name if some.whole else f"{one.name}, a part: trials 0 to {trials - 1} of {', '.join(some.scenarios)}"
     judged, power = verdicts(some.panels, some.oracles), verdicts(map_builders(some.panels))
-    said = ", ".join(f"{name} {text}" for name, text in some.versions.items())
+    versions = ", ".join(f"{name} {text}" for name, text in some.versions.items())
     about = (
         f"Root seed {one.seed}, trials 0 to {trials - 1} of each scenario{_fewer(some)}. Medians over trials. {RULES}"
     )
@@ -67,7 +53,7 @@ def suite_markdown(some: SuiteRows, command: str, left: str, picture: str = "") 
         "" if some.whole else "\nNot the suite's result: it takes all scenarios and trials.\n",
         *([f"Superseded by `{newer}`.\n"] if (newer := superseded_by(one)) else []),
         _filled(about),
-        _filled(f"Made with {said}, on {some.machine}, by"),
+        _filled(f"Made with {versions}, on {some.machine}, by"),
         f"\n    {command}\n",
         left,
     ]
@@ -119,32 +105,34 @@ def standings(some: SuiteRows, judged: dict[str, Verdict], made_with: dict[str, 
     names = sorted(
         some.rows["estimator"].unique(), key=lambda name: (name in some.oracles, rank.get(name, np.inf), name)
     )
-    heads = ["mean rank", "efficiency ratio [95 %]", *some.scenarios, *(c[0] for c in COSTS), "ok"]
-    lines = [f"| estimator | {' | '.join([*heads, *(['cellslam'] if made_with else [])])} |"]
-    lines.append("|---|" + "---:|" * (len(heads) + bool(made_with)))
+    lines = []
     for name in names:
         rows = some.rows[some.rows["estimator"] == name]
         fine = rows[rows["status"] == "ok"]
-        medians = (_cell(fine[fine["scenario"] == s], "position_rmse_m", "median", False) for s in some.scenarios)
-        costs = (_cell(fine, metric, of, ends) for _, metric, of, ends in COSTS)
-        cells = [number(rank.get(name), ""), _overall_efficiency(fine), *medians, *costs, f"{len(fine)}/{len(rows)}"]
-        shown = f"{name} (oracle)" if name in some.oracles else name
-        lines.append(f"| {shown} | " + " | ".join([*cells, *([made_with[name]] if made_with else [])]) + " |")
-    return "\n".join(lines)
+        medians = (cell(fine[fine["scenario"] == scenario], Column("position_rmse_m")) for scenario in some.scenarios)
+        costs = (cell(fine, column) for column in COSTS)
+        cells = (number(rank.get(name)), _overall_efficiency(fine), *medians, *costs, f"{len(fine)}/{len(rows)}")
+        lines.append((_marked(name, some.oracles), *cells, *([made_with[name]] if made_with else [])))
+    heads = ("estimator", "mean rank", Column(EFFICIENCY, interval=True).heading, *some.scenarios)
+    heads += (*(column.heading for column in COSTS), "ok", *(["cellslam"] if made_with else []))
+    return markdown(Grid(heads, tuple(lines), 1)).rstrip()
 
 
 def _scenario(
     name: str, rows: pd.DataFrame, oracles: Collection[str], judged: Verdict | None, power: Verdict | None
 ) -> str:
-    columns = [c for c in (*COLUMNS, *COSTS) if c[1] != MERGED or rows["bound_merged_m"].notna().any()]
-    lines = ["| estimator | " + " | ".join(c[0] for c in columns) + " | ok |", "|---|" + "---:|" * (len(columns) + 1)]
-    for estimator in rows["estimator"].unique():
-        own = rows[rows["estimator"] == estimator]
+    columns = [c for c in (*COLUMNS, *COSTS) if c.metric != MERGED or rows["bound_merged_m"].notna().any()]
+    lines = []
+    for estimator, own in rows.groupby("estimator", sort=False):
         fine = own[own["status"] == "ok"]
-        cells = [_cell(fine, metric, of, ends) for _, metric, of, ends in columns]
-        shown = f"{estimator} (oracle)" if estimator in oracles else estimator
-        lines.append("| " + " | ".join([shown, *cells, f"{len(fine)}/{len(own)}"]) + " |")
-    return "\n".join([f"\n## {name}\n", *lines, *_judged(judged, power)])
+        cells = (cell(fine, column) for column in columns)
+        lines.append((_marked(str(estimator), oracles), *cells, f"{len(fine)}/{len(own)}"))
+    table = markdown(Grid(("estimator", *(column.heading for column in columns), "ok"), tuple(lines), 1)).rstrip()
+    return "\n".join([f"\n## {name}\n", table, *_judged(judged, power)])
+
+
+def _marked(estimator: str, oracles: Collection[str]) -> str:
+    return f"{estimator} (oracle)" if estimator in oracles else estimator
 
 
 def _judged(one: Verdict | None, power: Verdict | None) -> list[str]:
@@ -156,7 +144,7 @@ def _judged(one: Verdict | None, power: Verdict | None) -> list[str]:
     if power is not None:
         said += f" Power: of the built-in map builders, tested by themselves, {told_apart(power)}."
     note = "Median difference of the RMSE on the same drives in m, row minus column; bold: told apart.\n"
-    return [f"\n{_filled(said)}", note, *verdict_lines(one)]
+    return [f"\n{_filled(said)}", note, verdict_table(one)]
 
 
 def _yours(one: Suite) -> str:
@@ -175,17 +163,4 @@ def _overall_efficiency(rows: pd.DataFrame) -> str:
     known = rows.dropna(subset=list(RATIO_OF[:2]))
     squares = known[list(RATIO_OF[:2])].astype(float).pow(2).groupby(known["trial"]).sum()
     error, bound = (np.sqrt(squares[key].to_numpy()) for key in RATIO_OF[:2])
-    return _bracketed(*efficiency_ratio(error, bound, CONFIDENCE), EFFICIENCY)
-
-
-def _cell(rows: pd.DataFrame, metric: str, name: str, ends: bool) -> str:
-    if metric in (EFFICIENCY, MERGED):
-        return _bracketed(*efficiency(rows, CONFIDENCE, metric == MERGED), metric)
-    values, of = finite(rows[metric]), statistic(name)
-    value = float(of.of(values)) if len(values) else float("nan")
-    return _bracketed(value, *(interval(values, of, CONFIDENCE) if ends else (float("nan"),) * 2), metric)
-
-
-def _bracketed(value: float, low: float, high: float, metric: str) -> str:
-    text = number(value, metric)
-    return text if np.isnan(low) else f"{text} [{number(low, metric)}, {number(high, metric)}]"
+    return bracketed(*efficiency_ratio(error, bound, CONFIDENCE), EFFICIENCY)

@@ -18,7 +18,8 @@ from cellslam.sim.recording import Floats
 if TYPE_CHECKING:
     import pandas as pd
 
-EFFICIENCY, MERGED = "efficiency_ratio", "efficiency_ratio_merged"  # of a group of rows, not of one
+RATIOS = EFFICIENCY, MERGED = "efficiency_ratio", "efficiency_ratio_merged"  # of a group of rows, not of one
+CONFIDENCE = 0.95
 BOUND, BOUNDED = "bound", "position_rmse_m"  # the line of the bound, and the metric that it bounds
 RATIO_OF = (BOUNDED, "bound_position_rmse_m", "bound_merged_m")
 _DRIVE = ("world", "seed", "trial")
@@ -55,29 +56,23 @@ def summary(folder: str | Path, layout: Layout | None = None) -> pd.DataFrame:
 
     layout = layout or Layout()
     metrics = metrics_of(layout)
-    statistics = [statistic(name) for name in layout.statistics]
+    for name in layout.statistics:
+        statistic(name)
     check_confidence(layout.confidence)
     keys = list(dict.fromkeys([*row_keys(folder, layout), *([layout.columns] if layout.columns else [])]))
     frame = results(folder, list(dict.fromkeys([*keys, "status", *columns_of(metrics), *_DRIVE, *RATIO_OF])))
     if "estimator" in keys and BOUNDED in metrics:
         frame = _with_bounds(frame, keys)
-    lines: list[dict[str, Any]] = []
+    wanted = [(metric, name) for metric in metrics for name in ([""] if metric in RATIOS else layout.statistics)]
+    lines = []
     for values, group in groups(frame, keys):
         fine = group[group["status"] == "ok"]
-        for metric in metrics:
-            counts = {"trials": len(fine), "failed": len(group) - len(fine)}
-            if metric in (EFFICIENCY, MERGED):
-                ratio = _efficiency(fine, layout, metric == MERGED)
-                lines.append({**values, "metric": metric, "statistic": "", **ratio, **counts})
-                continue
-            sample = finite(fine[metric])
-            counts = {"values": len(sample), **counts}
-            for one in statistics:
-                value = float(one.of(sample)) if len(sample) else None
-                line = {**values, "metric": metric, "statistic": one.name, "value": value}
-                if layout.confidence is not None:
-                    line |= _interval(sample, one, layout.confidence)
-                lines.append({**line, **counts})
+        for metric, name in wanted:
+            value, low, high = estimate(fine, metric, name, layout.confidence)
+            line = {**values, "metric": metric, "statistic": name, "value": value}
+            line |= {} if layout.confidence is None else {"low": low, "high": high}
+            known = fine[list(columns_of([metric])[:2])].notna().all(axis=1).sum()
+            lines.append({**line, "values": int(known), "trials": len(fine), "failed": len(group) - len(fine)})
     return pd.DataFrame(lines)
 
 
@@ -87,7 +82,7 @@ def comparison(
     second: str,
     metric: str = "position_rmse_m",
     rows: Sequence[str] | None = None,
-    confidence: float = 0.95,
+    confidence: float = CONFIDENCE,
 ) -> pd.DataFrame:
     """Return the paired differences `first` - `second` of two estimators on the same worlds and trials, by group.
 
@@ -96,7 +91,7 @@ def comparison(
     """
     import pandas as pd
 
-    if metric in (EFFICIENCY, MERGED):
+    if metric in RATIOS:
         raise InputError(f"'{metric}' is of a group of drives, not of one: compare position_rmse_m")
     metrics_of(Layout(metrics=(metric,)))
     check_confidence(confidence)
@@ -125,17 +120,26 @@ def comparison(
 
 def columns_of(metrics: Sequence[str]) -> list[str]:
     """Return the row keys that metrics are made of."""
-    return [key for metric in metrics for key in (RATIO_OF if metric in (EFFICIENCY, MERGED) else (metric,))]
+    return [key for metric in metrics for key in (RATIO_OF if metric in RATIOS else (metric,))]
 
 
-def efficiency(rows: pd.DataFrame, confidence: float, merged: bool = False) -> tuple[float, float, float]:
-    """Return the efficiency ratio of rows that have RMSE and bound, and the ends of its interval; NaN: not known.
+def estimate(
+    rows: pd.DataFrame, metric: str, name: str = "median", confidence: float | None = None
+) -> tuple[float, float, float]:
+    """Return statistic `name` of a metric over rows that are ok, and the ends of its interval; NaN: there is none.
 
-    merged: against the bound that merging counts in, where a row has it.
+    An efficiency ratio is of the rows that have RMSE and bound, and of no statistic; the merged one is against the
+    bound that merging counts in, where a row has it.
     """
-    known = rows.dropna(subset=list(RATIO_OF[:2]))
-    error, lower, upper = (np.asarray(known[key], np.float64) for key in RATIO_OF)
-    return efficiency_ratio(error, np.where(np.isnan(upper), lower, upper) if merged else lower, confidence)
+    if metric in RATIOS:
+        known = rows.dropna(subset=list(RATIO_OF[:2]))
+        error, lower, upper = (np.asarray(known[key], np.float64) for key in RATIO_OF)
+        bound = np.where(np.isnan(upper), lower, upper) if metric == MERGED else lower
+        return efficiency_ratio(error, bound, confidence or CONFIDENCE)
+    values, of = finite(rows[metric]), statistic(name)
+    if not len(values):
+        return np.nan, np.nan, np.nan
+    return float(of.of(values)), *((np.nan, np.nan) if confidence is None else interval(values, of, confidence))
 
 
 def row_keys(folder: str | Path, layout: Layout) -> list[str]:
@@ -166,7 +170,7 @@ def groups(frame: pd.DataFrame, keys: Sequence[str]) -> Iterator[tuple[dict[str,
         yield {}, frame
         return
     for values, group in frame.groupby(list(keys), dropna=False, sort=False):
-        yield {key: _plain(value) for key, value in zip(keys, values, strict=True)}, group
+        yield {key: plain(value) for key, value in zip(keys, values, strict=True)}, group
 
 
 def _with_bounds(frame: pd.DataFrame, keys: Sequence[str]) -> pd.DataFrame:
@@ -187,23 +191,13 @@ def _with_bounds(frame: pd.DataFrame, keys: Sequence[str]) -> pd.DataFrame:
     return both.iloc[np.argsort(place, kind="stable")]
 
 
-def _efficiency(rows: pd.DataFrame, layout: Layout, merged: bool) -> dict[str, float | int | None]:
-    value, low, high = (None if np.isnan(v) else v for v in efficiency(rows, layout.confidence or 0.95, merged))
-    line: dict[str, float | int | None] = {"value": value, "values": len(rows.dropna(subset=list(RATIO_OF[:2])))}
-    return line if layout.confidence is None else {**line, "low": low, "high": high}
-
-
-def _interval(sample: Floats, one: Any, confidence: float) -> dict[str, float | None]:
-    low, high = interval(sample, one, confidence)
-    return {"low": None, "high": None} if np.isnan(low) else {"low": low, "high": high}
-
-
 def finite(column: Any) -> Floats:
     """Return the values (n,) of a column that are there."""
     values = np.asarray(column, np.float64)
     return values[np.isfinite(values)]
 
 
-def _plain(value: Any) -> Any:
+def plain(value: Any) -> Any:
+    """Return a value as JSON holds it: what is not finite as None."""
     value = value.item() if hasattr(value, "item") else value
-    return None if isinstance(value, float) and np.isnan(value) else value
+    return None if isinstance(value, float) and not np.isfinite(value) else value

@@ -16,14 +16,19 @@ from cellslam.slam.model.calibration import Calibration
 
 Columns = dict[str, NDArray[Any]]
 MOST = 1e9  # metres, radians; a covariance has its square
-MOST_VTS = 100_000
-MOST_WALLS = 100_000
+MOST_RECORDS = 100_000  # VTs, walls
 MOST_REMARKS, MOST_REMARK = 10, 400  # lines, characters
 MOST_ID = 2**53
 ROUNDING = 1e-6  # of a covariance's largest entry: what it may be asymmetric, or its eigenvalues negative
 _NUMBERS = ("pose", "covariance", "clock_offset_m", "clock_offset_variance_m2")
-_VTS = ("id", "link", "position_m", "covariance")
-_WALLS = ("id", "azimuth_rad", "distance_m", "covariance", "extent_m")
+# Maps: of what they are, and the shape of each column for one of it.
+_MAPS: dict[str, tuple[type[VtEstimate] | type[WallEstimate], str, dict[str, tuple[int, ...]]]] = {
+    "vts": (VtEstimate, "VT", {"id": (), "link": (), "position_m": (3,), "covariance": (3, 3)}),
+    "walls": (
+        WallEstimate, "wall",
+        {"id": (), "azimuth_rad": (), "distance_m": (), "covariance": (2, 2), "extent_m": (2,)},
+    ),
+}  # fmt: skip
 _CALIBRATION = ("size", "component", "cell", "mean", "covariance")
 _WHOLE = frozenset(("association", "vts.id", "vts.link", "walls.id", "calibration.component", "calibration.cell"))
 _SQUARES = frozenset(("covariance", "clock_offset_variance_m2", "vts.covariance", "walls.covariance"))
@@ -42,10 +47,9 @@ def plain(answer: Any) -> Columns:
         raise BadAnswerError(f"step returned {type(answer).__name__}, expected cellslam.slam.api.Estimate")
     given = {name: getattr(answer, name) for name in (*_NUMBERS, "association")}
     kept = {name: value for name, value in given.items() if value is not None or name in _NUMBERS[:2]}
-    if answer.vts is not None:
-        kept |= {f"vts.{name}": getattr(answer.vts, name) for name in _VTS}
-    if answer.walls is not None:
-        kept |= {f"walls.{name}": getattr(answer.walls, name) for name in _WALLS}
+    for key, (_, _, shapes) in _MAPS.items():
+        if (known := getattr(answer, key)) is not None:
+            kept |= {f"{key}.{name}": getattr(known, name) for name in shapes}
     return {name: numbers(name, value) for name, value in kept.items()}
 
 
@@ -127,8 +131,7 @@ class Log:
         self.rows, self.links, self.sites = recording.rows, len(recording.links), len(recording.sites)
         self.count = len(recording.time_s)
         self.columns: Columns = {}
-        self.vts: VtEstimate | None = None
-        self.walls: WallEstimate | None = None
+        self.maps: dict[str, Any] = {}
 
     def add(self, t: int, answer: Columns) -> None:
         """Keep the answer of snapshot `t`."""
@@ -145,10 +148,9 @@ class Log:
                 self._column(name, (self.rows[-1],), -1)[part] = array
             else:
                 self._column(name, (self.count, *shape), np.nan)[t] = array
-        if "vts.id" in answer:
-            self.vts = self._checked_vts(answer)
-        if "walls.id" in answer:
-            self.walls = _checked_walls(answer)
+        for key in _MAPS:
+            if f"{key}.id" in answer:
+                self.maps[key] = self._map(key, answer)
 
     def _column(self, name: str, shape: tuple[int, ...], empty: float) -> NDArray[Any]:
         """Return a column, made when it is first asked for."""
@@ -164,31 +166,21 @@ class Log:
             raise BadAnswerError(
                 f"clock_offset_variance_m2 holds {np.nanmin(variance):.6g}: a variance is not negative"
             )
-        if self.vts is not None:
-            check_covariances("vts.covariance", self.vts.covariance, "VT")
-        if self.walls is not None:
-            check_covariances("walls.covariance", self.walls.covariance, "wall")
+        for key, known in self.maps.items():
+            check_covariances(f"{key}.covariance", known.covariance, _MAPS[key][1])
 
-    def _checked_vts(self, answer: Columns) -> VtEstimate:
-        count = answer["vts.id"].size
-        if count > MOST_VTS:
-            raise BadAnswerError(f"vts has {count} VTs, the most are {MOST_VTS}")
-        shapes = ((count,), (count,), (count, 3), (count, 3, 3))
-        vts = VtEstimate(*(checked(f"vts.{n}", answer[f"vts.{n}"], s) for n, s in zip(_VTS, shapes, strict=True)))
-        if ((vts.link < 0) | (vts.link >= self.links)).any():
+    def _map(self, key: str, answer: Columns) -> VtEstimate | WallEstimate:
+        """Return the VTs or walls of an answer, checked."""
+        kind, of, shapes = _MAPS[key]
+        count = answer[f"{key}.id"].size
+        if count > MOST_RECORDS:
+            raise BadAnswerError(f"{key} has {count} {of}s, the most are {MOST_RECORDS}")
+        columns = {n: checked(f"{key}.{n}", answer[f"{key}.{n}"], (count, *shape)) for n, shape in shapes.items()}
+        if key == "vts" and ((columns["link"] < 0) | (columns["link"] >= self.links)).any():
             raise BadAnswerError(f"vts.link has a link that is not one of the {self.links} links")
-        return vts
-
-
-def _checked_walls(answer: Columns) -> WallEstimate:
-    count = answer["walls.id"].size
-    if count > MOST_WALLS:
-        raise BadAnswerError(f"walls has {count} walls, the most are {MOST_WALLS}")
-    shapes = ((count,), (count,), (count,), (count, 2, 2), (count, 2))
-    walls = WallEstimate(*(checked(f"walls.{n}", answer[f"walls.{n}"], s) for n, s in zip(_WALLS, shapes, strict=True)))
-    if (walls.extent_m[:, 0] > walls.extent_m[:, 1]).any():
-        raise BadAnswerError("walls.extent_m has an end before its begin")
-    return walls
+        if key == "walls" and (columns["extent_m"][:, 0] > columns["extent_m"][:, 1]).any():
+            raise BadAnswerError("walls.extent_m has an end before its begin")
+        return kind(**columns)
 
 
 def checked(name: str, array: NDArray[Any], shape: tuple[int, ...]) -> NDArray[Any]:

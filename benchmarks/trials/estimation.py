@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import atexit
 import os
+import subprocess
+import sys
 import time
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
@@ -11,7 +14,6 @@ from typing import Any
 import numpy as np
 
 from cellslam.benchmarks.scores.trial_result import TrialResult
-from cellslam.benchmarks.trials import compile_ahead as ahead
 from cellslam.benchmarks.trials import memory
 from cellslam.benchmarks.trials.answers import (
     BadAnswerError,
@@ -34,7 +36,9 @@ from cellslam.slam.model.vt_map import VtMap
 # the first parallel kernel runs; who sets the variable decides.
 os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")
 
+_WARM_UP = "import importlib, sys; getattr(importlib.import_module(sys.argv[1]), sys.argv[2])().warm_up()"
 _warm: set[tuple[type[Any], str]] = set()
+_compiling: dict[type[Any], subprocess.Popen[bytes]] = {}
 
 
 @dataclass(frozen=True)
@@ -49,6 +53,24 @@ class Answer:
     vt_map: VtMap | None = None
 
 
+def compile_ahead(requests: Sequence[Request]) -> None:
+    """Start to compile the first estimator that says, by `compiled()`, that nothing of it is in Numba's cache on disk.
+
+    That takes a process of its own while this one makes the world. Whatever goes wrong there costs nothing but the time
+    that was to be saved: `warm_up` waits for it, and compiles what it does not find.
+    """
+    if (os.cpu_count() or 1) < 2:
+        return
+    for estimator in (request.estimator for request in requests):
+        compiled = getattr(estimator, "compiled", None)
+        if callable(compiled) and not compiled():
+            command = [sys.executable, "-P", "-c", _WARM_UP, estimator.__module__, estimator.__qualname__]
+            quiet = subprocess.DEVNULL
+            child = _compiling[estimator] = subprocess.Popen(command, stdin=quiet, stdout=quiet, stderr=quiet)
+            atexit.register(child.kill)
+            return
+
+
 def warm_up(request: Request, progress: Progress = silent) -> None:
     """Let an estimator compile, once a process for each class and options. Passes on whatever it raises."""
     key = (request.estimator, repr(request.options))
@@ -58,7 +80,9 @@ def warm_up(request: Request, progress: Progress = silent) -> None:
     compile_now = getattr(estimator, "warm_up", None)
     if callable(compile_now):
         with progress(f"compiling {request.name}, once per machine", 1) as advance:
-            ahead.finish(request.estimator)
+            if (child := _compiling.pop(request.estimator, None)) is not None:
+                child.wait()
+                atexit.unregister(child.kill)
             compile_now()
             advance(1)
     _warm.add(key)
@@ -139,8 +163,7 @@ def collected(
         association=columns.get("association"),
         clock_offset_m=columns.get("clock_offset_m"),
         clock_offset_variance_m2=columns.get("clock_offset_variance_m2"),
-        vts=log.vts,
-        walls=log.walls,
+        **log.maps,
         smoothed=final is not None,
         oracle=request.oracle,
         calibration=calibration_of(last.columns),

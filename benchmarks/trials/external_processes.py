@@ -1,9 +1,7 @@
-"""External estimators, each in a process of its own: both ends of the pipes between it and the process that scores.
+"""External estimators, each in a process of its own (`child_process`), and what that process does (`main`).
 
-What the estimator's process reads (`main`) comes from cellslam and is pickled. What it writes comes from anyone's code
-and is data alone: messages of `answers.encoded`, each after its length in eight bytes. So the scoring process imports
-and unpickles nothing of theirs: numbers arrive, and are checked as every estimator's answers are. Its own buffer holds
-a message that has arrived in part, since to wait for the rest could take longer than the limit of time.
+What the estimator's process writes comes from anyone's code and is data alone: messages of `answers.encoded`. So the
+scoring process imports and unpickles nothing of theirs: numbers arrive, and are checked as every estimator's are.
 """
 
 from __future__ import annotations
@@ -11,22 +9,19 @@ from __future__ import annotations
 import json
 import os
 import pickle
-import signal
 import sys
-import threading
 import time
 from collections.abc import Callable, Generator, Iterator, Sequence
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from dataclasses import replace
 from functools import lru_cache
-from multiprocessing.connection import wait
 from typing import Any
 
 import numpy as np
 
 from cellslam.benchmarks.scores.trial_result import TrialResult
 from cellslam.benchmarks.trials.answers import Columns, decoded, encoded, plain_remarks
-from cellslam.benchmarks.trials.child_process import POLL_S, START_LIMIT_S, Limits, bind, ending, shares, started
+from cellslam.benchmarks.trials.child_process import POLL_S, START_LIMIT_S, ChildProcess, Limits, connect, shares
 from cellslam.benchmarks.trials.estimation import Answer, answers, collected, warm_up
 from cellslam.benchmarks.trials.failures import ExternalError, LostError, details, explained
 from cellslam.scenarios.estimator_options import Request, loaded
@@ -36,8 +31,6 @@ from cellslam.sim.recording import Recording
 from cellslam.slam.model.vt_map import VtMap
 
 MOST_PROCESSES = 8  # at a time; beyond, the one that was started first makes room
-MOST_BYTES = 2**26  # of one message
-MOST_READ = 2**20
 MOST_ERROR = 10_000
 STDERR = 2
 PROCESS = "its process"
@@ -110,57 +103,30 @@ class ExternalProcesses:
         self._alive.pop(name).end()
 
 
-class _Process:
-    """One process, and the bytes of it that have arrived."""
+class _Process(ChildProcess):
+    """The process of one estimator."""
 
     def __init__(self, name: str, limits: Limits, one_thread: bool) -> None:
-        self.limits, self._arrived, self._started = limits, bytearray(), False
-        theirs, self._requests = os.pipe()
-        self._replies, answering = os.pipe()
-        arguments = (theirs, answering, limits.memory_bytes)
-        self.process = started(__name__, arguments, arguments[:2], STDERR, one_thread)
-        os.close(theirs)
-        os.close(answering)
-        self._writing = threading.Thread(target=_write, args=(self._requests, (name, sys.path)), daemon=True)
-        self._writing.start()
+        super().__init__(__name__, limits, one_thread, STDERR, PROCESS)
+        self.send((name, sys.path))
+        self._started = False
 
     def ask(self, request: Request, drive: Any) -> Replies:
         """Send options and drive; yield the replies, all within the limit of time. Raises ExternalError."""
         if not self._started:
-            self._reply(time.monotonic() + START_LIMIT_S, START_LIMIT_S)
+            self._decoded(time.monotonic() + START_LIMIT_S, START_LIMIT_S)
             self._started = True
         options = None if request.options is None else request.options.model_dump(mode="json")
-        self._writing.join()
-        # In a thread: a process that does not read must not keep this one.
-        message = (json.dumps(options), drive)
-        self._writing = threading.Thread(target=_write, args=(self._requests, message), daemon=True)
-        self._writing.start()
+        self.send((json.dumps(options), drive))
         deadline = time.monotonic() + self.limits.seconds
         while True:
-            yield self._reply(deadline, self.limits.seconds)
+            yield self._decoded(deadline, self.limits.seconds)
 
-    def end(self) -> None:
-        """End the process at once, and what it has started in its session."""
-        with suppress(ProcessLookupError):
-            os.killpg(self.process.pid, signal.SIGKILL)
-        self.process.wait()
-        self._writing.join(POLL_S)
-        os.close(self._replies)
-        if not self._writing.is_alive():
-            os.close(self._requests)
-
-    def _reply(self, deadline: float, limit_s: float) -> tuple[dict[str, Any], Columns]:
-        while (message := self._message()) is None:
-            left = deadline - time.monotonic()
-            if left <= 0.0:
-                raise LostError(f"no answer within the time limit of {limit_s:g} s")
-            if wait([self._replies], min(left, POLL_S)):
-                chunk = os.read(self._replies, MOST_READ)
-                if not chunk:
-                    raise LostError(ending(self.process, PROCESS))
-                self._arrived += chunk
-            elif self.process.poll() is not None:  # a process that it has started holds the pipe
-                raise LostError(ending(self.process, PROCESS))
+    def _decoded(self, deadline: float, limit_s: float) -> tuple[dict[str, Any], Columns]:
+        """Return the next reply. Raises ExternalError for an error that it reports, LostError where it is none."""
+        message = self.reply(deadline)
+        if message is None:
+            raise LostError(f"no answer within the time limit of {limit_s:g} s")
         try:
             header, columns = decoded(message)
         except ValueError as error:
@@ -168,17 +134,6 @@ class _Process:
         if "error" in header:
             raise ExternalError(one_line(header["error"], MOST_ERROR), str(header.get("details", "")))
         return header, columns
-
-    def _message(self) -> bytes | None:
-        """Return the next message, None where it has not arrived yet. Raises LostError."""
-        size = int.from_bytes(self._arrived[:8], "little")
-        if size > MOST_BYTES:
-            raise LostError(f"{PROCESS} sent what is no answer, or one of more than {MOST_BYTES} bytes")
-        if len(self._arrived) < 8 + size:
-            return None
-        message = bytes(self._arrived[8 : 8 + size])
-        del self._arrived[: 8 + size]
-        return message
 
 
 def _answers(replies: Replies) -> Iterator[Answer]:
@@ -192,22 +147,12 @@ def _answers(replies: Replies) -> Iterator[Answer]:
         yield Answer(seconds, columns, plain_remarks(header.get("remarks", [])), peak_memory_mb)
 
 
-def _write(pipe: int, message: Any) -> None:
-    rest = memoryview(pickle.dumps(message))
-    with suppress(OSError):
-        while rest:
-            rest = rest[os.write(pipe, rest) :]
-
-
 def main() -> None:
-    """Serve the pipes whose numbers are the first two arguments; the third is the limit of memory in bytes."""
-    requests, replies = os.fdopen(int(sys.argv[1]), "rb"), os.fdopen(int(sys.argv[2]), "wb")
-    bind(int(sys.argv[3]))
+    """Serve one estimator: its name and the places of modules come first, then options and a drive, again and again."""
+    requests, send = connect()
 
     def reply(header: dict[str, Any], columns: dict[str, Any]) -> None:
-        message = encoded(header, columns)
-        replies.write(len(message).to_bytes(8, "little") + message)
-        replies.flush()
+        send(encoded(header, columns))
 
     try:
         reply({}, {})

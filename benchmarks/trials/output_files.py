@@ -1,12 +1,16 @@
-"""Files and folders of results: whether they can be written, their names, writing at once."""
+"""Files and folders of results: whether they can be written, their names, writing at once; trajectories (TUM)."""
 
 from __future__ import annotations
 
 import os
 import re
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from cellslam.sim.errors import InputError
+
+if TYPE_CHECKING:
+    from cellslam.sim.recording import Floats
 
 
 def check_folder(path: Path, option: str = "--out") -> None:
@@ -37,3 +41,22 @@ def write_text(path: Path, text: str) -> None:
     temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
     temporary.write_text(text, "utf-8", "backslashreplace")
     temporary.replace(path)
+
+
+def write_tum(path: str | Path, time_s: Floats, poses: Floats) -> None:
+    """Write poses (T, 6) at `time_s` (T,) in seconds: positions in metres, quaternions body to world.
+
+    The TUM format, which evo and most SLAM tools read: `timestamp tx ty tz qx qy qz qw`.
+    """
+    import numpy as np
+
+    table = np.column_stack([time_s, poses[:, :3], quaternions(poses)])
+    np.savetxt(path, table, fmt=["%.6f", *["%.6f"] * 3, *["%.9f"] * 4], header="timestamp tx ty tz qx qy qz qw")
+
+
+def quaternions(poses: Floats) -> Floats:
+    """Return the unit quaternions (T, 4) = [qx, qy, qz, qw], qw >= 0, of poses (T, 6) in m and rad, body to world."""
+    from scipy.spatial.transform import Rotation
+
+    quaternions: Floats = Rotation.from_euler("ZYX", poses[:, 3:]).as_quat(canonical=True)
+    return quaternions

@@ -18,7 +18,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from cellslam.benchmarks.scores.metrics import ROW_KEYS
+from cellslam.benchmarks.scores import metrics
+from cellslam.benchmarks.scores.alignment import aligned
 from cellslam.benchmarks.scores.trial_result import TrialResult
 from cellslam.benchmarks.trials.earlier_drives import Before
 from cellslam.benchmarks.trials.estimation import estimate, warm_up
@@ -141,16 +142,18 @@ def score_trial(
     return drive, (outcome_of(drive, scenario, request, *more) for request in requests)
 
 
-def score_recording(recording: Recording, scenario: str, requests: Sequence[Request], *more: Any) -> Trial:
-    """Return the trial of all requests on a recording; further arguments as of `score_trial`, from `trial` on."""
-    drive, outcomes = score_trial(lambda: recording, scenario, requests, *more)
-    return Trial(more[0], drive.recording, drive.bound, tuple(outcomes), drive.unbound)
+def score_recording(
+    recording: Recording, scenario: str, requests: Sequence[Request], trial: int, seed: int, **more: Any
+) -> Trial:
+    """Return the trial of all requests on a recording; arguments as of `score_trial`."""
+    drive, outcomes = score_trial(lambda: recording, scenario, requests, trial, seed, **more)
+    return Trial(trial, drive.recording, drive.bound, tuple(outcomes), drive.unbound)
 
 
 def failed_row(scenario: str, estimator: str, trial: int, seed: int, error: str) -> Row:
     """Return the row of a trial that gave nothing."""
     first = {"scenario": scenario, "estimator": estimator, "trial": trial, "seed": seed}
-    return {**dict.fromkeys(ROW_KEYS), **first, "status": "failed", "error": error}
+    return {**dict.fromkeys(metrics.ROW_KEYS), **first, "status": "failed", "error": error}
 
 
 def _drive(make: Callable[[], Recording], progress: Progress, bounded: bool, before: Before) -> Drive:
@@ -182,15 +185,25 @@ def outcome_of(
         assert drive.problem is not None
         text = f"the world cannot be made: {explained(drive.problem)}"
         return Outcome(failed_row(scenario, request.name, trial, seed, text), None, details(drive.problem))
-    row = _row(drive.recording, scenario, request.name, trial, seed)
+    recording = drive.recording
+    row = failed_row(scenario, request.name, trial, seed, "")
+    row |= {"snapshots": len(recording.time_s), "duration_s": metrics.duration_s(recording)}
+    row |= {"distance_m": metrics.distance_m(recording)}
+    row |= {"alignment": ALIGNED} if align else {}
     try:
         rng = stream(seed, trial, Stream.ESTIMATOR)
-        result = _estimate(drive.recording, request, rng, external, progress, before.known(request))
-        row, result = _scored(drive.recording, drive.bound, row, result, align)
+        result = _estimate(recording, request, rng, external, progress, before.known(request))
+        result = aligned(recording, result) if align else result
+        scores = metrics.score(recording, result, drive.bound)
     except (Exception, SystemExit) as error:
-        row = {**row, "status": "failed", "error": explained(error)}
-        return Outcome(_labelled(row, align), None, details(error), isinstance(error, LostError))
-    return Outcome(_labelled(row, align), result)
+        return Outcome({**row, "error": explained(error)}, None, details(error), isinstance(error, LostError))
+    cost = {
+        "estimate_seconds": result.estimate_seconds,
+        "realtime_factor": row["duration_s"] / result.estimate_seconds,
+        "peak_memory_mb": result.peak_memory_mb,
+    }
+    row |= {"status": "ok", "error": None, **scores, **cost}
+    return Outcome({key: _plain(value) for key, value in row.items()}, result)
 
 
 def _estimate(
@@ -207,32 +220,6 @@ def _estimate(
         return external.estimate(recording, request, rng, progress, known)
     warm_up(request, progress)
     return estimate(recording, request, rng, progress, known)
-
-
-def _scored(
-    recording: Recording, limit: BoundResult | None, row: Row, result: TrialResult, align: bool
-) -> tuple[Row, TrialResult]:
-    from cellslam.benchmarks.scores.alignment import aligned
-    from cellslam.benchmarks.scores.metrics import score
-
-    result = aligned(recording, result) if align else result
-    seconds = result.estimate_seconds
-    cost = {"estimate_seconds": seconds, "realtime_factor": row["duration_s"] / seconds}
-    cost["peak_memory_mb"] = result.peak_memory_mb
-    row = {**row, "status": "ok", **score(recording, result, limit), **cost}
-    return {key: _plain(row[key]) for key in ROW_KEYS}, result
-
-
-def _labelled(row: Row, align: bool) -> Row:
-    return {**row, "alignment": ALIGNED} if align else row
-
-
-def _row(recording: Recording, scenario: str, estimator: str, trial: int, seed: int) -> Row:
-    from cellslam.benchmarks.scores.metrics import distance_m, duration_s
-
-    first = {"scenario": scenario, "estimator": estimator, "trial": trial, "seed": seed}
-    size = {"snapshots": len(recording.time_s), "duration_s": duration_s(recording)}
-    return {**dict.fromkeys(ROW_KEYS), **first, **size, "distance_m": distance_m(recording)}
 
 
 def _plain(value: Any) -> Any:

@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from cellslam.benchmarks.tables.trials_table import bound_row, results_table
-from cellslam.benchmarks.trials.output_files import file_name, write_text
+from cellslam.benchmarks.trials.output_files import file_name, write_text, write_tum
 from cellslam.cli.arguments import DONE, FAILED, INTERRUPTED
 from cellslam.cli.between_drives import save
 from cellslam.cli.output import console, note
@@ -133,8 +133,6 @@ class Results:
 
     def _write_trial(self, trial: Trial) -> None:
         """Write trajectories (TUM), the truth's too, and the traceback of each estimator that failed."""
-        from cellslam.benchmarks.trials.tum import write_tum
-
         recording, suffix = trial.recording, f"-{trial.number}" if self.trials > 1 else ""
         with _writing(self.folder):
             self.folder.mkdir(parents=True, exist_ok=True)

@@ -9,17 +9,9 @@ import pytest
 from matplotlib.colors import to_hex
 from matplotlib.figure import Figure
 
+from cellslam.sim import recording as contract
 from cellslam.sim.frames import integrate_pose, mean_velocity, wrap_angle
-from cellslam.sim.recording import (
-    Floats,
-    Links,
-    Measurements,
-    OdometryModel,
-    Recording,
-    Sites,
-    Truth,
-    VirtualTransmitters,
-)
+from cellslam.sim.recording import Floats, Recording
 from cellslam.slam import registry
 from cellslam.slam.model.measurement_model import predict
 
@@ -35,21 +27,18 @@ def curved_drive(snapshots: int, dt_s: float) -> Floats:
     return np.array(poses)
 
 
-def scatter(vts_per_site: int, sites: int, rng: np.random.Generator) -> tuple[Floats, VirtualTransmitters, int]:
+def scatter(
+    vts_per_site: int, sites: int, rng: np.random.Generator
+) -> tuple[Floats, contract.VirtualTransmitters, int]:
     """Sites, and VTs around them, the first of each at the site itself."""
     position = rng.uniform([-300, -300, 30], [300, 300, 45], (sites, 3))
     around = rng.normal(0, [150, 150, 5], (sites, vts_per_site, 3))
     around[:, 0] = 0
     count = sites * vts_per_site
     order = (np.arange(count) % vts_per_site > 0).astype(np.int64)
-    facets = np.full((count, 2), -1, np.int64)
-    vts = VirtualTransmitters(
-        (position[:, None] + around).reshape(-1, 3),
-        np.repeat(np.arange(sites), vts_per_site),
-        order,
-        facets,
-        np.zeros((0, 3), np.int64),
-    )
+    facets, none = np.full((count, 2), -1, np.int64), np.zeros((0, 3), np.int64)
+    of_site = np.repeat(np.arange(sites), vts_per_site)
+    vts = contract.VirtualTransmitters((position[:, None] + around).reshape(-1, 3), of_site, order, facets, none)
     return position, vts, count
 
 
@@ -96,34 +85,21 @@ def make_recording() -> MakeRecording:
         poses = curved_drive(snapshots, dt_s)
         position, vts, count = scatter(vts_per_site, sites, rng)
         offsets = rng.normal(0, 1, sites) * offset_std_m
-        model = OdometryModel(*(np.array(a, np.float64) for a in (noise_density, bias, bias_walk_density, scale)))
-        drawn_bias = np.cumsum(
-            np.vstack(
-                [
-                    rng.normal(0, 1, 6) * model.bias,
-                    rng.normal(0, 1, (snapshots - 1, 6)) * model.bias_walk_density * dt_s**0.5,
-                ]
-            ),
-            0,
-        )
+        each = (noise_density, bias, bias_walk_density, scale)
+        model = contract.OdometryModel(*(np.array(values, np.float64) for values in each))
+        first = rng.normal(0, 1, 6) * model.bias
+        walk = rng.normal(0, 1, (snapshots - 1, 6)) * model.bias_walk_density * dt_s**0.5
+        drawn_bias = np.cumsum(np.vstack([first, walk]), 0)
         drawn_scale = rng.normal(0, 1, 6) * model.scale
         u = np.zeros((snapshots, 6))
         u[1:] = mean_velocity(poses[:-1], poses[1:], np.full(snapshots - 1, dt_s))
-        u[1:] = (
-            u[1:] * (1 + drawn_scale)
-            + drawn_bias[1:]
-            + rng.normal(0, 1, (snapshots - 1, 6)) * model.noise_density / dt_s**0.5
-        )
-        links = Links(
-            np.repeat(np.arange(sites), ports),
-            np.repeat(100 + np.arange(sites), ports),
-            np.tile(np.arange(ports), sites),
-        )
+        noise = rng.normal(0, 1, (snapshots - 1, 6)) * model.noise_density / dt_s**0.5
+        u[1:] = u[1:] * (1 + drawn_scale) + drawn_bias[1:] + noise
+        of_site = np.repeat(np.arange(sites), ports)
+        links = contract.Links(of_site, 100 + of_site, np.tile(np.arange(ports), sites))
         rows, values = [], []
-        begin, length = (
-            rng.integers(0, snapshots // 2 + 1, count),
-            rng.integers(snapshots // 4, snapshots + 1, count),
-        )
+        begin = rng.integers(0, snapshots // 2 + 1, count)
+        length = rng.integers(snapshots // 4, snapshots + 1, count)
         for t in range(snapshots):
             for link in range(len(links)):
                 for v in np.flatnonzero((vts.site == links.site[link]) & (begin <= t) & (t < begin + length)):
@@ -140,16 +116,13 @@ def make_recording() -> MakeRecording:
         z[:, 2] = np.clip(z[:, 2], -np.pi / 2, np.pi / 2)
         true_std = np.where(r[:, 2:] >= 0, np.array(std), np.nan)
         sigma = np.array(start_std)
+        snr_db, names = np.full(len(r), 10.0), tuple("ABCDEF"[:sites])
         return Recording(
-            time_s=np.arange(snapshots) * dt_s,
-            odometry=u,
-            odometry_model=model,
-            links=links,
-            sites=Sites(tuple("ABCDEF"[:sites]), np.zeros(sites), np.full(sites, offset_std_m)),
-            measurements=Measurements(r[:, 0], r[:, 1], z[:, 0], z[:, 1], z[:, 2], np.full(len(r), 10.0)),
-            start_pose=poses[0] + rng.normal(0, 1, 6) * sigma,
-            start_std=sigma,
-            truth=Truth(poses, r[:, 2], true_std, vts, position, offsets, drawn_bias, drawn_scale),
-        )
+            time_s=np.arange(snapshots) * dt_s, odometry=u, odometry_model=model, links=links,
+            sites=contract.Sites(names, np.zeros(sites), np.full(sites, offset_std_m)),
+            measurements=contract.Measurements(r[:, 0], r[:, 1], z[:, 0], z[:, 1], z[:, 2], snr_db),
+            start_pose=poses[0] + rng.normal(0, 1, 6) * sigma, start_std=sigma,
+            truth=contract.Truth(poses, r[:, 2], true_std, vts, position, offsets, drawn_bias, drawn_scale),
+        )  # fmt: skip
 
     return make

@@ -1,4 +1,4 @@
-"""What the figures of a sweep are drawn from: panels of worlds, in them series of estimators with options."""
+"""What the figures of a sweep show, and are drawn from: panels of worlds, in them series of estimators with options."""
 
 from __future__ import annotations
 
@@ -9,11 +9,13 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from cellslam.benchmarks.scores.metrics import METRIC
+from cellslam.benchmarks.scores.statistics import interval, statistic
 from cellslam.benchmarks.sweeps.rows import results, varying_keys
 from cellslam.benchmarks.sweeps.store import trajectory_path
 from cellslam.benchmarks.sweeps.trajectories import unpack
 from cellslam.benchmarks.tables.rankings import verdicts
-from cellslam.benchmarks.tables.summaries import groups
+from cellslam.benchmarks.tables.summaries import CONFIDENCE, finite, groups
 from cellslam.sim.errors import InputError
 from cellslam.sim.recording import Floats
 from cellslam.slam.registry import oracles
@@ -25,6 +27,32 @@ if TYPE_CHECKING:
 
 MOST_TRAJECTORIES = 200
 POINTS_IN_TIME = 400
+
+
+@dataclass(frozen=True)
+class CurveChoice:
+    """What the sweep curve shows: key along x (None: the first that varies, a number if any is), metric, statistic."""
+
+    x: str | None = None
+    metric: str = "position_rmse_m"
+    statistic: str = "median"
+    confidence: float = CONFIDENCE
+
+    @property
+    def label(self) -> str:
+        """The label of an axis: the metric, and how trials are summed up."""
+        how = "root mean square" if self.statistic == "rmse" else self.statistic
+        return f"{axis(self.metric)},\n{how} over trials"
+
+    def summed(self, values: Floats) -> Floats:
+        """Return the statistic of values (n,), in their units, and the ends of its interval (3,); NaN: it has none."""
+        of = statistic(self.statistic)
+        return np.array([float(of.of(values)), *interval(values, of, self.confidence)])
+
+
+def axis(metric: str) -> str:
+    """Return the label of an axis of a metric."""
+    return METRIC[metric].label or METRIC[metric].titled
 
 
 @dataclass(frozen=True)
@@ -46,11 +74,10 @@ class Series:
 
     def values(self, metric: str) -> Floats:
         """Return a metric's values (n,), in the metric's units, in the n trials that are ok and have it."""
-        column = np.asarray(self.rows.loc[self.rows["status"] == "ok", metric], np.float64)
-        return column[np.isfinite(column)]
+        return finite(self.rows.loc[self.rows["status"] == "ok", metric])
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Panel:
     """The series that met the same worlds."""
 

@@ -2,19 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from itertools import cycle
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from cellslam.benchmarks.figures.style import BLACK, GREY, WIDTH_IN, context, estimator_styles, save
+from cellslam.benchmarks.figures.style import BLACK, GREY, HALF_WIDTH_IN, WIDTH_IN, Drawing, estimator_styles, write_all
+from cellslam.benchmarks.figures.sweep import sweep_data
 from cellslam.benchmarks.figures.sweep.critical_difference import draw_ranks
-from cellslam.benchmarks.figures.sweep.sweep_curve import draw_curve
-from cellslam.benchmarks.figures.sweep.sweep_data import Panel, SweepData, curve_keys, load, verdicts_of
-from cellslam.benchmarks.figures.sweep.sweep_look import Look, axis, summed_label
-from cellslam.benchmarks.scores.statistics import interval, statistic
-from cellslam.benchmarks.tables.summaries import Layout, check_confidence, metrics_of
+from cellslam.benchmarks.figures.sweep.sweep_data import CurveChoice, Panel, Series, SweepData, axis, curve_keys
+from cellslam.benchmarks.scores.statistics import LEAST_VALUES, statistic
+from cellslam.benchmarks.tables.consistency import nees_band
+from cellslam.benchmarks.tables.summaries import CONFIDENCE, Layout, check_confidence, metrics_of
 from cellslam.sim.errors import InputError
 from cellslam.sim.progress import Progress, silent
 from cellslam.sim.recording import Floats
@@ -24,13 +25,19 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 MOST_PANELS = 6
-CHI2_SHARE = 0.95
+MOST_TICKS, MOST_LETTERS = 10, 45
+MARKERS = {"-": "o", "--": "o", "-.": "s", ":": "D"}  # in place of dashes
+# From this ratio on x is logarithmic; intervals of different lines stand beside each other, by this share of the axis.
+LOG_FROM = 10.0
+DODGE = 0.008
+BOUND_OF = {"position_rmse_m": "bound_position_rmse_m"}  # metrics that have a bound, and its row key
+Curve = tuple[Floats, Floats]  # times (P,), values of the trials (N, P) or (N, P, S)
 
 
 def draw_sweep(
     folder: str | Path,
     out_dir: str | Path,
-    look: Look | None = None,
+    choice: CurveChoice | None = None,
     formats: Sequence[str] = ("png", "pdf"),
     progress: Progress = silent,
 ) -> list[Path]:
@@ -38,40 +45,30 @@ def draw_sweep(
 
     Raises InputError for an unknown key, metric or statistic, or an empty sweep.
     """
-    from matplotlib.figure import Figure
-
-    look = look or Look()
-    metrics_of(Layout(metrics=(look.metric,)))
-    statistic(look.statistic)
-    check_confidence(look.confidence)
-    data = load(folder)
-    x = _x_key(data, look)
-    drawings: dict[str, Callable[[Figure], bool]] = {
-        "sweep": lambda figure: x is not None and draw_curve(figure, data, look, x),
-        "error_cdf": lambda figure: _cdf(figure, data, look.metric),
+    choice = choice or CurveChoice()
+    metrics_of(Layout(metrics=(choice.metric,)))
+    statistic(choice.statistic)
+    check_confidence(choice.confidence)
+    data = sweep_data.load(folder)
+    x = _x_key(data, choice)
+    drawings: dict[str, Drawing] = {
+        "sweep": lambda figure: x is not None and draw_curve(figure, data, choice, x),
+        "error_cdf": lambda figure: _cdf(figure, data, choice.metric),
         "map_error": lambda figure: _cdf(figure, data, "map_gospa_m"),
-        "error_time": lambda figure: _over_time(figure, data, "error_m", "horizontal error (m)", np.abs),
-        "clock_offset": lambda figure: _over_time(figure, data, "offset_error_m", "clock offset error (m)", np.abs),
+        "error_time": lambda figure: _over_time(figure, data, "error_m", "horizontal error (m)"),
+        "clock_offset": lambda figure: _over_time(figure, data, "offset_error_m", "clock offset error (m)"),
         "nees": lambda figure: _nees(figure, data),
-        "time_accuracy": lambda figure: _cost(figure, data, look),
-        "ranks": lambda figure: draw_ranks(figure, verdicts_of(data)),
+        "time_accuracy": lambda figure: _cost(figure, data, choice),
+        "ranks": lambda figure: draw_ranks(figure, sweep_data.verdicts_of(data)),
     }
-    out, written = Path(out_dir), []
-    out.mkdir(parents=True, exist_ok=True)
-    with context(), progress("figures", len(drawings)) as advance:
-        for name, drawing in drawings.items():
-            figure = Figure(layout="constrained")
-            if drawing(figure):
-                written += [save(figure, out / f"{name}.{format_}") for format_ in formats]
-            advance(1)
-    return written
+    return write_all(drawings, out_dir, formats, progress)
 
 
-def _x_key(data: SweepData, look: Look) -> str | None:
+def _x_key(data: SweepData, choice: CurveChoice) -> str | None:
     keys = curve_keys(data)
-    if look.x is not None and look.x not in keys:
-        raise InputError(f"--x {look.x}: not a key that varies ({', '.join(keys) or 'there is none'})")
-    return look.x or next(iter(keys), None)
+    if choice.x is not None and choice.x not in keys:
+        raise InputError(f"--x {choice.x}: not a key that varies ({', '.join(keys) or 'there is none'})")
+    return choice.x or next(iter(keys), None)
 
 
 def _cdf(figure: Figure, data: SweepData, metric: str) -> bool:
@@ -86,112 +83,204 @@ def _cdf(figure: Figure, data: SweepData, metric: str) -> bool:
                 share = np.arange(1, len(values) + 1) / len(one.rows)
                 axes.step(np.append(values, values[-1]), np.append(0.0, share), where="pre", **styles[one.label])
         axes.set_xlabel(axis(metric))
-    figure.axes[0].set_ylim(0, 1)
-    figure.axes[0].set_xlim(left=0)
-    figure.axes[0].set_ylabel("share of trials")
-    return True
-
-
-def _over_time(figure: Figure, data: SweepData, column: str, label: str, of: Callable[[Floats], Floats]) -> bool:
-    """Draw the median over trials (and sites) against time, with the band from the 10 to the 90 % quantile."""
-    curves = {id(one): data.over_time(one, column) for panel in data.panels[:MOST_PANELS] for one in panel.series}
-    panels = [panel for panel in data.panels[:MOST_PANELS] if any(curves[id(one)] for one in panel.series)]
-    if not panels:
-        return False
-    for axes, panel, styles in _panels(figure, data, panels):
-        for one in panel.series:
-            if (curve := curves[id(one)]) is None:
-                continue
-            time_s, values = curve
-            sites = values.reshape(*values.shape[:2], -1).transpose(0, 2, 1).reshape(-1, len(time_s))
-            low, middle, high = (np.quantile(of(sites), share, axis=0) for share in (0.1, 0.5, 0.9))
-            axes.plot(time_s, middle, **styles[one.label])
-            axes.fill_between(time_s, low, high, color=styles[one.label]["color"], alpha=0.18, linewidth=0)
-        axes.set_xlabel("time (s)")
     # Axes are shared: limits are set when all panels are drawn.
-    figure.axes[0].set_ylim(bottom=0)
-    figure.axes[0].set_xlim(left=0)
-    figure.axes[0].set_ylabel(f"{label},\nmedian and 10-90 %")
+    figure.axes[0].set(ylim=(0, 1), xlim=(0, None), ylabel="share of trials")
     return True
+
+
+def _over_time(figure: Figure, data: SweepData, column: str, label: str) -> bool:
+    """Draw the median size over trials (and sites) against time, with the band from the 10 to the 90 % quantile."""
+    panels = _curves(data, column)
+    for axes, panel, styles in _panels(figure, data, list(panels)):
+        for name, (time_s, values) in panels[panel].items():
+            sites = np.abs(values).reshape(*values.shape[:2], -1).transpose(0, 2, 1).reshape(-1, len(time_s))
+            low, middle, high = np.quantile(sites, (0.1, 0.5, 0.9), axis=0)
+            axes.plot(time_s, middle, **styles[name])
+            axes.fill_between(time_s, low, high, color=styles[name]["color"], alpha=0.18, linewidth=0)
+        axes.set_xlabel("time (s)")
+    if panels:
+        figure.axes[0].set(ylim=(0, None), xlim=(0, None), ylabel=f"{label},\nmedian and 10-90 %")
+    return bool(panels)
 
 
 def _nees(figure: Figure, data: SweepData) -> bool:
-    """Draw the mean over trials of the NEES, and where it should be: chi-square with 2 N degrees of freedom over N."""
+    """Draw the mean over trials of the NEES, and the band in which it should be."""
     from matplotlib.ticker import LogFormatter
-    from scipy.stats import chi2
 
-    curves = {id(one): data.over_time(one, "nees") for panel in data.panels[:MOST_PANELS] for one in panel.series}
-    panels = [panel for panel in data.panels[:MOST_PANELS] if any(curves[id(one)] for one in panel.series)]
-    if not panels:
-        return False
-    for axes, panel, styles in _panels(figure, data, panels):
-        trials = 1
-        for one in panel.series:
-            if (curve := curves[id(one)]) is None:
-                continue
-            finite = np.isfinite(curve[1]).any(axis=0)
-            mean = np.full(len(curve[0]), np.nan)
-            mean[finite] = np.nanmean(curve[1][:, finite], axis=0)
-            trials = max(trials, len(curve[1]))
-            axes.plot(curve[0], np.maximum(mean, 1e-3), **styles[one.label])
-        low, high = (float(chi2.ppf((1 + side * CHI2_SHARE) / 2, 2 * trials)) / trials for side in (-1, 1))
-        axes.axhspan(low, high, color=GREY, alpha=0.35, linewidth=0, label=f"{100 * CHI2_SHARE:g} % if consistent")
+    panels = _curves(data, "nees")
+    for axes, panel, styles in _panels(figure, data, list(panels)):
+        for name, (time_s, values) in panels[panel].items():
+            finite = np.isfinite(values).any(axis=0)
+            mean = np.full(len(time_s), np.nan)
+            mean[finite] = np.nanmean(values[:, finite], axis=0)
+            axes.plot(time_s, np.maximum(mean, 1e-3), **styles[name])
+        low, high = nees_band(max(len(values) for _, values in panels[panel].values()))
+        axes.axhspan(low, high, color=GREY, alpha=0.35, linewidth=0, label=f"{100 * CONFIDENCE:g} % if consistent")
         axes.axhline(2.0, color=BLACK, linewidth=0.8, linestyle=":")
-        axes.set_yscale("log")
+        axes.set(yscale="log", xlabel="time (s)")
         axes.yaxis.set_major_formatter("{x:g}")
         axes.yaxis.set_minor_formatter(LogFormatter(minor_thresholds=(2, 0.5)))
-        axes.set_xlabel("time (s)")
-    figure.axes[0].set_ylabel("NEES of the horizontal position,\nmean over trials")
-    return True
+    if panels:
+        figure.axes[0].set_ylabel("NEES of the horizontal position,\nmean over trials")
+    return bool(panels)
 
 
-def _cost(figure: Figure, data: SweepData, look: Look) -> bool:
+def _curves(data: SweepData, column: str) -> dict[Panel, dict[str, Curve]]:
+    """Return a column of the trajectories by label of the series, of the first panels; a panel without any is left
+    out."""
+    out: dict[Panel, dict[str, Curve]] = {}
+    for panel in data.panels[:MOST_PANELS]:
+        found = {one.label: data.over_time(one, column) for one in panel.series}
+        if curves := {label: curve for label, curve in found.items() if curve is not None}:
+            out[panel] = curves
+    return out
+
+
+def _cost(figure: Figure, data: SweepData, choice: CurveChoice) -> bool:
     """Draw the statistic with its interval against the estimator's median time per trial."""
-    of, points = statistic(look.statistic), []
-    for panel in data.panels:
-        for one in panel.series:
-            values, seconds = one.values(look.metric), one.values("estimate_seconds")
-            if len(values) and len(seconds):
-                points.append((one, float(np.median(seconds)), values))
+    every = [(one, one.values(choice.metric), one.values("estimate_seconds")) for p in data.panels for one in p.series]
+    points = [point for point in every if len(point[1]) and len(point[2])]
     if not points:
         return False
-    figure.set_size_inches(WIDTH_IN * 0.62, 3.2)
-    axes, styles, seen = figure.subplots(), estimator_styles(data.labels), set()
-    for one, cost_s, values in points:
-        middle = float(of.of(values))
-        ends = np.array(interval(values, of, look.confidence))
-        sides: Floats = np.nan_to_num(np.abs(ends - middle))
-        look_of = {**styles[one.label], "linestyle": "none", "label": None if one.label in seen else one.label}
-        axes.errorbar(
-            cost_s, middle, yerr=sides[:, None], **look_of, marker="o", markersize=4, capsize=2, elinewidth=0.8
-        )
-        seen.add(one.label)
-    axes.set_xscale("log")
-    axes.set_xlabel(f"{axis('estimate_seconds')}, median over trials")
-    axes.set_ylabel(summed_label(look))
-    axes.set_ylim(bottom=0)
+    figure.set_size_inches(*HALF_WIDTH_IN)
+    axes, styles = figure.subplots(), estimator_styles(data.labels)
+    for one, values, seconds in points:
+        draw_points(axes, [float(np.median(seconds))], [values], choice, {**styles[one.label], "linestyle": "none"})
+    axes.set(
+        xscale="log", xlabel=f"{axis('estimate_seconds')}, median over trials", ylabel=choice.label, ylim=(0, None)
+    )
+    _legend(figure, ncols=2)
+    return True
+
+
+def draw_curve(figure: Figure, data: SweepData, choice: CurveChoice, x: str) -> bool:
+    """Draw the statistic with intervals against x; settings besides x are lines of their own.
+
+    What is no number stands side by side, and nothing leads from one to the next.
+    """
+    from matplotlib.ticker import LogLocator
+
+    found = sweep_data.sweep_lines(data, x)
+    names = list(dict.fromkeys(at for points in found.values() for at, _ in points if isinstance(at, str)))
+    lines = {
+        name: [(float(names.index(at)) if isinstance(at, str) else at, one.values(choice.metric)) for at, one in points]
+        for name, points in found.items()
+    }
+    lines = {name: kept for name, points in lines.items() if (kept := [p for p in points if len(p[1])])}
+    every = sorted({at for points in lines.values() for at, _ in points if at is not None})
+    if not every:
+        return False
+    figure.set_size_inches(*HALF_WIDTH_IN)
+    axes, styles = figure.subplots(), estimator_styles(lines)
+    if names:
+        for one in styles.values():
+            one["marker"], one["linestyle"] = MARKERS[one["linestyle"]], "none"
+    logarithmic = not names and every[0] > 0 and every[-1] >= LOG_FROM * every[0]
+    for index, (name, points) in enumerate(lines.items()):
+        aside = DODGE * (index - (len(lines) - 1) / 2)
+        _line(axes, [(_beside(at, every, aside, logarithmic), values) for at, values in points], choice, styles[name])
+    if choice.metric in BOUND_OF:
+        for (name, bounds), dashes in zip(bound_lines(found, BOUND_OF[choice.metric], x).items(), cycle(MARKERS)):
+            _bound(axes, name, bounds, names, choice, dashes)
+    if logarithmic:
+        axes.set_xscale("log")
+    if names:
+        axes.set_xticks(range(len(names)), names, rotation=0 if len("".join(names)) < MOST_LETTERS else 25)
+        axes.margins(x=0.08)
+    elif len(every) <= MOST_TICKS:
+        axes.set_xticks(every, [f"{value:g}" for value in every])
+        axes.minorticks_off()
+    trials = max(len(values) for points in lines.values() for _, values in points)
+    intervals = "no" if trials < LEAST_VALUES else f"{100 * choice.confidence:g} %"
+    axes.set(xlabel=x, ylabel=choice.label, title=f"{intervals} intervals, {trials} trials a point")
+    if names:
+        axes.set_yscale("log")
+        axes.yaxis.set_minor_locator(LogLocator(subs=(2, 5)))
+        axes.yaxis.set_major_formatter("{x:g}")
+        axes.yaxis.set_minor_formatter("{x:g}")
+    else:
+        axes.set_ylim(bottom=0)
     figure.legend(loc="outside lower center", ncols=2)
     return True
+
+
+def bound_lines(
+    lines: Mapping[str, Sequence[tuple[float | str | None, Series]]], key: str, x: str
+) -> dict[str, dict[float | str, Floats]]:
+    """Return the drives' bounds (n,), row key `key`, in its units, by line and place along x.
+
+    There is a line for each world that differs in more than x, named by what differs, as estimators do not matter.
+    """
+    found: dict[str, dict[float | str, list[Floats]]] = {}
+    for at, one in (point for points in lines.values() for point in points):
+        if at is not None and len(values := one.values(key)):
+            name = ", ".join(["Cramér-Rao bound", *sweep_data.other_settings(one, x)])
+            found.setdefault(name, {}).setdefault(at, []).append(values)
+    return {name: {at: np.concatenate(values) for at, values in points.items()} for name, points in found.items()}
+
+
+def _bound(
+    axes: Axes, name: str, points: Mapping[float | str, Floats], names: Sequence[str], choice: CurveChoice, dashes: str
+) -> None:
+    """Draw a bound, summed up as the metric is: a line where x is a number, else a dash at each place."""
+    places = sorted((float(names.index(at)) if isinstance(at, str) else at, at) for at in points)
+    middle = [choice.summed(points[at])[0] for _, at in places]
+    style: dict[str, Any] = {"marker": "_", "markersize": 22, "linestyle": "none"} if names else {"linestyle": dashes}
+    axes.plot([x for x, _ in places], middle, color=GREY, label=name, zorder=1, **style)
+
+
+def _line(
+    axes: Axes, points: Sequence[tuple[float | None, Floats]], choice: CurveChoice, style: Mapping[str, Any]
+) -> None:
+    """Draw one line with its intervals; a point without x is the same everywhere: a level with a band."""
+    at = [place for place, _ in points if place is not None]
+    if at:
+        draw_points(axes, at, [values for _, values in points], choice, style)
+        return
+    middle, low, high = choice.summed(points[0][1])
+    axes.axhline(middle, **style)
+    axes.axhspan(low, high, color=style["color"], alpha=0.15, linewidth=0)
+
+
+def draw_points(
+    axes: Axes, at: Sequence[float], samples: Sequence[Floats], choice: CurveChoice, style: Mapping[str, Any]
+) -> None:
+    """Draw the statistic of each sample (n,) with its interval, in the sample's units, at its place along x."""
+    middle, *ends = np.stack([choice.summed(values) for values in samples], axis=1)
+    reach = np.nan_to_num(np.abs(ends - middle))
+    axes.errorbar(at, middle, yerr=reach, **{"marker": "o", **style}, markersize=3.5, capsize=2.5, elinewidth=0.9)
+
+
+def _beside(at: float | None, every: Sequence[float], aside: float, logarithmic: bool) -> float | None:
+    """Return a place moved aside by a share of the axis, so that intervals do not hide each other."""
+    if at is None:
+        return None
+    return at * (every[-1] / every[0]) ** aside if logarithmic else at + aside * (every[-1] - every[0])
 
 
 def _panels(
     figure: Figure, data: SweepData, panels: Sequence[Panel]
 ) -> Iterator[tuple[Axes, Panel, Mapping[str, dict[str, Any]]]]:
     """Yield axes, panel and styles; afterwards the figure gets its legend."""
+    if not panels:
+        return
     across = 2 if len(panels) == 4 else min(3, len(panels))
     down = -(-len(panels) // across)
-    figure.set_size_inches(WIDTH_IN if across > 1 else WIDTH_IN * 0.62, 0.5 + 2.5 * down)
-    grid = figure.subplots(down, across, squeeze=False, sharex=True, sharey=True)
+    figure.set_size_inches(WIDTH_IN if across > 1 else HALF_WIDTH_IN[0], 0.5 + 2.5 * down)
+    grid = list(figure.subplots(down, across, squeeze=False, sharex=True, sharey=True).flat)
     styles = estimator_styles(data.labels)
-    for axes, panel in zip(grid.flat, panels, strict=False):
+    for axes, panel in zip(grid, panels, strict=False):
         yield axes, panel, styles
         axes.set_title(panel.title, fontsize=7.5)
-    for axes in list(grid.flat)[len(panels) :]:
+    for axes in grid[len(panels) :]:
         axes.set_visible(False)
-    for axes in list(grid.flat)[max(0, len(panels) - across) : len(panels)]:
-        # Nothing stands below it.
-        axes.tick_params(labelbottom=True)
-    handles = {
-        label: handle for axes in grid.flat for handle, label in zip(*axes.get_legend_handles_labels(), strict=True)
-    }
-    figure.legend(list(handles.values()), list(handles), loc="outside lower center", ncols=3)
+    for axes in grid[max(0, len(panels) - across) : len(panels)]:
+        axes.tick_params(labelbottom=True)  # nothing stands below it
+    _legend(figure, ncols=3)
+
+
+def _legend(figure: Figure, ncols: int) -> None:
+    """Put a legend below the figure, each label of its axes once."""
+    pairs = (zip(*axes.get_legend_handles_labels(), strict=True) for axes in figure.axes)
+    handles = {label: handle for pair in pairs for handle, label in pair}
+    figure.legend(list(handles.values()), list(handles), loc="outside lower center", ncols=ncols)

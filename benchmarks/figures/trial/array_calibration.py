@@ -33,8 +33,7 @@ def draw(figure: Figure, calibration: Calibration, provenance: Mapping[str, Any]
     for line, c in zip(axes, rows, strict=True):
         _row(figure, line, field, c)
     for one in axes[-1]:
-        one.set_xlabel("azimuth (deg)")
-        one.set_xticks([-90, 0, 90])
+        one.set(xlabel="azimuth (deg)", xticks=[-90, 0, 90])
     low, high = np.degrees(field.elevation_rad[there][[0, -1]])
     axes[0, 0].set_ylim(low - 3.0, high + 3.0)
     return True

@@ -1,8 +1,12 @@
-"""The map: buildings, sites, trajectories, VTs mapped back to the walls (the paper's Fig. 2)."""
+"""The map: buildings, sites, trajectories, VTs mapped back to the walls (the paper's Fig. 2).
+
+`reflectors_of` says where each path was reflected, if it was reflected once.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -10,7 +14,6 @@ from matplotlib.axes import Axes
 from matplotlib.collections import LineCollection, PatchCollection, PolyCollection
 from matplotlib.figure import Figure
 from matplotlib.patches import PathPatch, Rectangle
-from matplotlib.path import Path as Outline
 
 from cellslam.benchmarks.figures.style import (
     BLACK,
@@ -24,21 +27,44 @@ from cellslam.benchmarks.figures.style import (
     WALL,
     WIDTH_IN,
     estimator_styles,
-)
-from cellslam.benchmarks.figures.trial.position_error import ODOMETRY_ALONE
-from cellslam.benchmarks.figures.trial.reflectors import Reflector, reflectors_of
+    outline,
+)  # fmt: skip
+from cellslam.benchmarks.scores.association import Tracks, tracks_of
+from cellslam.benchmarks.scores.metrics import duration_s
 from cellslam.benchmarks.scores.reference_fixes import usable
 from cellslam.benchmarks.scores.trial_result import TrialResult
-from cellslam.sim.recording import Floats, Recording
+from cellslam.sim.recording import Floats, Ints, Recording
 from cellslam.sim.traffic import traffic_of
+from cellslam.slam.model.walls import reflection_point
 
 if TYPE_CHECKING:
     from cellslam.sim.city import City
 
+ODOMETRY_ALONE = "dead-reckoning"
+# A VT this near to its site is the site itself, seen in line of sight.
+LINE_OF_SIGHT_M = 15.0
+FEWEST_MEASUREMENTS = 40
+SNAPSHOTS_PER_POINT = 40
 MARGIN = 0.08
 LARGER = 1.15
 FAR = 5.0  # of the drive's size, or of half of the VTs' distance: what lies beyond is not drawn
 Extent = tuple[tuple[float, float], tuple[float, float]]
+
+
+@dataclass(frozen=True)
+class Reflector:
+    """Where the paths of one estimated VT were reflected, over the time in which it was measured.
+
+    `points_m` (n, 3) on the wall, seen from the estimated `vehicle_m` (n, 3); `site_m` (3,) as estimated;
+    `life_s`: for how long it was measured, gaps left out.
+    """
+
+    link: int
+    site: int
+    site_m: Floats
+    points_m: Floats
+    vehicle_m: Floats
+    life_s: float
 
 
 def draw(figure: Figure, city: City | None, recording: Recording, results: Mapping[str, TrialResult]) -> bool:
@@ -65,15 +91,13 @@ def draw(figure: Figure, city: City | None, recording: Recording, results: Mappi
         _buildings(axes, city, mapped)
         _reflecting_points(axes, recording, mapped)
         _longest_path(axes, mapped)
-        _vts(axes, vts)
+        for name, place in vts.items():
+            axes.plot(*place.T, "x", color=VT, markersize=3, markeredgewidth=0.7, label=f"VTs of {name}")
         _walls(axes, results)
         _trajectories(axes, recording, tracks)
         _traffic(axes, recording)
         _sites(axes, recording, extent)
-        axes.set_xlim(extent[0])
-        axes.set_ylim(extent[1])
-        axes.set_aspect("equal")
-        axes.set_xlabel("east (m)")
+        axes.set(xlim=extent[0], ylim=extent[1], aspect="equal", xlabel="east (m)")
         axes.grid(False)
     panels[0].set_ylabel("north (m)")
     panels[-1].set_title("the drive")
@@ -81,8 +105,8 @@ def draw(figure: Figure, city: City | None, recording: Recording, results: Mappi
         (x0, x1), (y0, y1) = drive
         panels[0].add_patch(Rectangle((x0, y0), x1 - x0, y1 - y0, fill=False, color=GREY, linewidth=0.8, linestyle=":"))
         panels[0].set_title("sites, reflecting walls" if truth is not None else "the map")
-    handles, labels = panels[0].get_legend_handles_labels()
-    figure.legend(handles, labels, loc="outside lower center", ncols=2 if alone else 4, markerscale=2)
+    labels = panels[0].get_legend_handles_labels()
+    figure.legend(*labels, loc="outside lower center", ncols=2 if alone else 4, markerscale=2)
     return True
 
 
@@ -106,11 +130,6 @@ def _final_vts(results: Mapping[str, TrialResult], drive: Extent) -> dict[str, F
             off = np.hypot(*(place - np.mean(drive, axis=1)).T)
             return {name: place[off <= FAR * max(float(np.median(off)), float(np.ptp(drive[0])))]}
     return {}
-
-
-def _vts(axes: Axes, vts: Mapping[str, Floats]) -> None:
-    for name, place in vts.items():
-        axes.plot(*place.T, "x", color=VT, markersize=3, markeredgewidth=0.7, label=f"VTs of {name}")
 
 
 def _walls(axes: Axes, results: Mapping[str, TrialResult]) -> None:
@@ -144,29 +163,17 @@ def _square(points: Floats) -> Extent:
 def _buildings(axes: Axes, city: City | None, mapped: Sequence[Reflector]) -> None:
     if city is None:
         return
-    patches = [PathPatch(_outline(footprint)) for footprint in city.footprints]
+    patches = [PathPatch(outline(footprint)) for footprint in city.footprints]
     axes.add_collection(PatchCollection(patches, facecolor=BUILDING, edgecolor="#C9C4BB", linewidth=0.4))
     chosen = emphasised_building(city, mapped)
     if chosen is not None:
         style: dict[str, Any] = {"facecolor": EMPHASIS, "edgecolor": BLACK, "linewidth": 1.0}
         label = "building of the longest-lived reflection"
-        axes.add_patch(PathPatch(_outline(city.footprints[chosen]), label=label, **style))
-
-
-def _outline(polygon: Any) -> Outline:
-    """Return a footprint's outline, courtyards included."""
-    rings = [polygon.exterior, *polygon.interiors]
-    return Outline.make_compound_path(*(Outline(np.asarray(ring.coords)[:, :2], closed=True) for ring in rings))
+        axes.add_patch(PathPatch(outline(city.footprints[chosen]), label=label, **style))
 
 
 def _reflecting_points(axes: Axes, recording: Recording, mapped: Sequence[Reflector]) -> None:
-    dots: dict[str, Any] = {
-        "linestyle": "none",
-        "marker": ".",
-        "markersize": 3.5,
-        "markeredgewidth": 0,
-        "alpha": 0.6,
-    }
+    dots: dict[str, Any] = {"linestyle": "none", "marker": ".", "markersize": 3.5, "markeredgewidth": 0, "alpha": 0.6}
     for site in range(len(recording.sites)):
         points = [r.points_m[:, :2] for r in mapped if r.site == site]
         if points:
@@ -223,3 +230,52 @@ def _sites(axes: Axes, recording: Recording, extent: Extent) -> None:
         if x0 < x < x1 and y0 < y < y1:
             axes.plot(x, y, "^", color=SITES[site % len(SITES)], markeredgecolor=BLACK, markersize=8)
             axes.annotate(recording.sites.name[site], (x, y), xytext=(6, 5), textcoords="offset points", weight="bold")
+
+
+def site_estimates(recording: Recording, result: TrialResult, tracks: Tracks) -> dict[int, Floats]:
+    """Return each site's position (3,) in m: mean of the estimated VTs that stand for it, else the truth."""
+    truth, vts, found = recording.truth, result.vts, {}
+    if truth is None or vts is None:
+        return {}
+    for site in range(len(recording.sites)):
+        direct = np.flatnonzero((truth.vts.order == 0) & (truth.vts.site == site))
+        mine = np.isin(tracks.stands_for, direct) & (tracks.count >= FEWEST_MEASUREMENTS)
+        pairs = set(zip(tracks.link[mine], tracks.id[mine], strict=True))
+        rows = [k for k in range(len(vts.id)) if (vts.link[k], vts.id[k]) in pairs]
+        found[site] = vts.position_m[rows].mean(axis=0) if rows else truth.site_positions_m[site]
+    return found
+
+
+def reflectors_of(recording: Recording, result: TrialResult) -> list[Reflector]:
+    """Return the reflectors of a result's final VTs, longest-lived first; none without truth, VTs or associations.
+
+    Truth serves only to tell which VTs are sites. Vehicle positions are the estimated ones.
+    """
+    if recording.truth is None or result.vts is None or result.association is None:
+        return []
+    m, vts = recording.measurements, result.vts
+    tracks = tracks_of(m.link, result.association, recording.truth.measurement_vt)
+    sites = site_estimates(recording, result, tracks)
+    interval_s = duration_s(recording) / len(recording.time_s)
+    found = []
+    for k in range(len(vts.id)):
+        track = np.flatnonzero((tracks.link == vts.link[k]) & (tracks.id == vts.id[k]))
+        site = int(recording.links.site[vts.link[k]])
+        near = np.linalg.norm(vts.position_m[k] - sites[site]) < LINE_OF_SIGHT_M
+        if len(track) == 0 or near or tracks.count[track[0]] < FEWEST_MEASUREMENTS:
+            continue
+        seen = m.snapshot[np.flatnonzero(tracks.row_track == track[0])]
+        vehicle = result.poses[_spread(seen), :3]
+        points = reflection_point(sites[site], vts.position_m[k], vehicle)
+        there = np.isfinite(points).all(axis=1)
+        life_s = len(np.unique(seen)) * interval_s
+        if there.any():
+            link = int(vts.link[k])
+            found.append(Reflector(link, site, sites[site], points[there], vehicle[there], life_s))
+    return sorted(found, key=lambda r: -r.life_s)
+
+
+def _spread(snapshots: Ints) -> Ints:
+    """Return some of the snapshots: the first in each stretch of `SNAPSHOTS_PER_POINT`."""
+    _, first = np.unique(snapshots // SNAPSHOTS_PER_POINT, return_index=True)
+    return np.asarray(snapshots[first])

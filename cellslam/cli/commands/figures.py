@@ -26,19 +26,19 @@ def add_arguments(parser: ArgumentParser) -> None:
 
 def command(arguments: Namespace) -> int:
     """Carry out `cellslam figures`."""
+    from cellslam.benchmarks.figures.sweep.sweep_data import CurveChoice
     from cellslam.benchmarks.figures.sweep.sweep_figures import draw_sweep
-    from cellslam.benchmarks.figures.sweep.sweep_look import Look
     from cellslam.benchmarks.trials.output_files import check_folder
     from cellslam.cli.progress_bars import bars
 
     folder = Path(arguments.folder)
     if folder.is_file():
         return _calibration(arguments, folder)
-    look = Look(arguments.x, arguments.metric, arguments.statistic, arguments.interval / 100)
+    choice = CurveChoice(arguments.x, arguments.metric, arguments.statistic, arguments.interval / 100)
     out = Path(arguments.out) if arguments.out else folder / "figures"
     check_folder(out)
     with bars(arguments.quiet) as progress:
-        written = draw_sweep(folder, out, look, progress=progress)
+        written = draw_sweep(folder, out, choice, progress=progress)
     note(arguments, f"{len(written)} files are in {out}: {', '.join(sorted({p.stem for p in written}))}")
     return DONE
 

@@ -68,8 +68,10 @@ def command(arguments: Namespace) -> int:
         external.begin(requests)
 
         def only() -> Iterator[trials.Trial]:
-            more = (origin.trial, seed, external, progress, arguments.align, given.odometry_model, True, before)
-            yield trials.score_recording(recording, origin.name, requests, *more)
+            yield trials.score_recording(
+                recording, origin.name, requests, origin.trial, seed, external=external, progress=progress,
+                align=arguments.align, sheet=given.odometry_model, before=before,
+            )  # fmt: skip
 
         interrupted = results.work_off(only(), progress)
     status = results.report(interrupted)

@@ -23,8 +23,8 @@ def add_arguments(parser: ArgumentParser) -> None:
 
 def command(arguments: Namespace) -> int:
     """Carry out `cellslam report`."""
-    from cellslam.benchmarks.report.choice import Choice
     from cellslam.benchmarks.report.page import write_report
+    from cellslam.benchmarks.report.worst_trials import Choice
     from cellslam.cli.progress_bars import bars
 
     choice = Choice(arguments.worst, arguments.metric, tuple(arguments.estimators))

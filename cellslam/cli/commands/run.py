@@ -9,7 +9,7 @@ from contextlib import ExitStack
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from cellslam.benchmarks.trials import compile_ahead as ahead
+from cellslam.benchmarks.trials.estimation import compile_ahead
 from cellslam.benchmarks.trials.external_processes import ExternalProcesses
 from cellslam.benchmarks.trials.output_files import check_folder
 from cellslam.benchmarks.trials.trials import DEFAULT_ESTIMATORS, Trial, check_counts, simulated_trials
@@ -66,7 +66,7 @@ def command(arguments: Namespace) -> int:
     known = scenario.map.known is not None or scenario.map.drives > 1
     results.note(check_map(arguments, known, requests, trials))
     with ExternalProcesses(limits(arguments, 1)) as external, bars(arguments.quiet) as progress, ExitStack() as stack:
-        ahead.begin(requests)
+        compile_ahead(requests)
         external.begin(requests)
         results.open_store = lambda: _open_store(results, scenario, stack)
         interrupted = results.work_off(simulated_trials(scenario, requests, trials, seed, external, progress), progress)
@@ -94,7 +94,7 @@ def worth_trying(results: Results) -> str:
 
 def _open_store(results: Results, scenario: Scenario, stack: ExitStack) -> Callable[[Trial], None] | None:
     """Return what keeps trials as a sweep's, too; None, with a note, where the disk has no locks, as on a network."""
-    from cellslam.benchmarks.sweeps.run_store import keeping
+    from cellslam.benchmarks.sweeps.sweeping import keeping
 
     seed = results.arguments.seed
     try:

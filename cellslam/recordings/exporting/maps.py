@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from cellslam.benchmarks.scores.trial_result import TrialResult
-from cellslam.benchmarks.trials.tum import write_tum
+from cellslam.benchmarks.trials.output_files import write_tum
 from cellslam.sim.errors import InputError
 from cellslam.sim.recording import Floats, Recording
 from cellslam.slam.api import VtEstimate, WallEstimate

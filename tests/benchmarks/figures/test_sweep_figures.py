@@ -6,6 +6,7 @@ import sqlite3
 from collections.abc import Callable
 from contextlib import closing
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -13,19 +14,16 @@ from matplotlib.colors import to_hex
 from matplotlib.figure import Figure
 
 from cellslam.benchmarks.figures.style import colour_of
-from cellslam.benchmarks.figures.sweep.sweep_curve import bound_lines, draw_curve
-from cellslam.benchmarks.figures.sweep.sweep_data import load, sweep_lines
-from cellslam.benchmarks.figures.sweep.sweep_figures import draw_sweep
-from cellslam.benchmarks.figures.sweep.sweep_look import Look
-from cellslam.benchmarks.scores.metrics import ROW_KEYS
-from cellslam.benchmarks.sweeps.store import DATABASE, writing
-from cellslam.benchmarks.sweeps.tasks import Result, identity, plan, request_of
+from cellslam.benchmarks.figures.sweep.sweep_data import CurveChoice, load, sweep_lines
+from cellslam.benchmarks.figures.sweep.sweep_figures import bound_lines, draw_curve, draw_sweep
+from cellslam.benchmarks.sweeps.store import DATABASE
+from cellslam.benchmarks.sweeps.tasks import Job, Task, request_of
 from cellslam.benchmarks.sweeps.trajectories import pack, trajectory
 from cellslam.benchmarks.trials.estimation import estimate
 from cellslam.cli.main import main
-from cellslam.scenarios import sweep_points as sweep
 from cellslam.sim.errors import InputError
 from cellslam.sim.recording import Recording
+from tests.benchmarks.made_up_sweeps import made_up, plan_of
 
 ALL = {"sweep", "error_cdf", "map_error", "error_time", "clock_offset", "nees", "ranks", "time_accuracy"}
 
@@ -33,44 +31,35 @@ ALL = {"sweep", "error_cdf", "map_error", "error_time", "clock_offset", "nees", 
 @pytest.fixture
 def folder(tmp_path: Path, toy_recording: Callable[..., Recording]) -> Path:
     """A sweep over loads with made-up scores, and trajectories of dead reckoning on the toy recording."""
-    data = {"scenario": "tiny", "grid": {"radio.load": [0.01, 1.0]}}
-    points = sweep.points(sweep.from_tables(data), ("dead-reckoning", "fastslam"))
-    made = plan(points, 6, 0)
-    recording = toy_recording()
-    drawn = np.random.default_rng(0)
+    recording, drawn = toy_recording(), np.random.default_rng(0)
     result = estimate(recording, request_of("dead-reckoning", "null"), drawn)
-    result = dataclasses.replace(
-        result, clock_offset_m=drawn.normal(size=(40, 2)), clock_offset_variance_m2=np.ones((40, 2))
-    )
-    packed = pack(trajectory(recording, result, None))
-    with writing(tmp_path / "sweep", "made up", {}) as store:
-        store.declare(made)
-        for task in made.tasks:
-            for job in task.jobs:
-                row = {**dict.fromkeys(ROW_KEYS), "scenario": "tiny", "estimator": job.estimator, "status": "ok"}
-                row |= {"trial": task.trial, "seed": 0, "position_rmse_m": drawn.gamma(4.0), "map_gospa_m": 3.0}
-                row["estimate_seconds"] = drawn.gamma(2.0)
-                row["bound_position_rmse_m"] = task.trial + json.loads(task.world)["radio"]["load"]
-                if task.trial == 2:
-                    row |= {"status": "failed", "position_rmse_m": None, "map_gospa_m": None}
-                kept = packed if task.trial != 2 else None
-                store.write(Result(job.key, row, "", kept), identity(task.world), identity(job.options))
-    return tmp_path / "sweep"
+    offsets = {"clock_offset_m": drawn.normal(size=(40, 2)), "clock_offset_variance_m2": np.ones((40, 2))}
+    packed = pack(trajectory(recording, dataclasses.replace(result, **offsets), None))
+
+    def row(task: Task, job: Job) -> dict[str, Any]:
+        if task.trial == 2:
+            return {"status": "failed"}
+        bound = task.trial + json.loads(task.world)["radio"]["load"]
+        scores = {"position_rmse_m": drawn.gamma(4.0), "map_gospa_m": 3.0, "bound_position_rmse_m": bound}
+        return {**scores, "estimate_seconds": drawn.gamma(2.0)}
+
+    made = plan_of({"grid": {"radio.load": [0.01, 1.0]}}, ("dead-reckoning", "fastslam"), 6)
+    return made_up(tmp_path / "sweep", made, row, lambda task, _: packed if task.trial != 2 else None)
 
 
 @pytest.mark.slow
 def test_every_figure_is_drawn_as_png_and_pdf(folder: Path, tmp_path: Path) -> None:
-    written = draw_sweep(folder, tmp_path / "out", Look(metric="position_rmse_m", statistic="rmse"))
+    written = draw_sweep(folder, tmp_path / "out", CurveChoice(metric="position_rmse_m", statistic="rmse"))
     assert {path.name for path in written} == {f"{name}.{kind}" for name in ALL for kind in ("png", "pdf")}
     assert all(path.stat().st_size > 3000 for path in written)
-    again = draw_sweep(folder, tmp_path / "again", Look(statistic="rmse"), formats=("png",))
+    again = draw_sweep(folder, tmp_path / "again", CurveChoice(statistic="rmse"), formats=("png",))
     assert [p.read_bytes() for p in again] == [(tmp_path / "out" / p.name).read_bytes() for p in again]
 
 
 def test_an_estimator_has_its_colour_in_every_figure(
     folder: Path, tmp_path: Path, colours: Callable[[], dict[str, set[str]]]
 ) -> None:
-    draw_sweep(folder, tmp_path / "out", Look(), formats=("png",))
+    draw_sweep(folder, tmp_path / "out", CurveChoice(), formats=("png",))
     assert colours() == {name: {to_hex(colour_of(name))} for name in ("dead-reckoning", "fastslam")}
 
 
@@ -88,7 +77,7 @@ def test_data_are_panels_of_worlds_with_series(folder: Path) -> None:
 @pytest.mark.parametrize(("metric", "bounds"), [("position_rmse_m", [[3.01, 4.0]]), ("map_gospa_m", [])])
 def test_the_bound_of_the_drives_is_in_the_curve(folder: Path, metric: str, bounds: list[list[float]]) -> None:
     figure = Figure()
-    assert draw_curve(figure, load(folder), Look(metric=metric), "radio.load")
+    assert draw_curve(figure, load(folder), CurveChoice(metric=metric), "radio.load")
     drawn = [line for line in figure.axes[0].get_lines() if line.get_label() == "Cramér-Rao bound"]
     assert [list(line.get_ydata()) for line in drawn] == [pytest.approx(values) for values in bounds]
     assert all(list(line.get_xdata()) == [0.01, 1.0] for line in drawn)
@@ -104,14 +93,8 @@ def test_worlds_that_differ_in_more_than_x_have_bounds_of_their_own(folder: Path
 @pytest.mark.slow
 @pytest.mark.parametrize("other", [2.0, "a text"])
 def test_a_world_without_the_swept_key_stands_apart(folder: Path, tmp_path: Path, other: float | str) -> None:
-    points = sweep.points(sweep.from_tables({"scenario": "tiny", "grid": {"radio.load": [0.5]}}), ("fastslam",))
-    third = plan(points, 2, 0)
-    with writing(folder, "made up", {}) as store:
-        store.declare(third)
-        for task in third.tasks:
-            row = {**dict.fromkeys(ROW_KEYS), "scenario": "tiny", "estimator": "fastslam", "status": "ok"}
-            row |= {"trial": task.trial, "seed": 0, "position_rmse_m": 1.0, "estimate_seconds": 1.0}
-            store.write(Result(task.jobs[0].key, row), identity(task.world), identity(task.jobs[0].options))
+    one = {"position_rmse_m": 1.0, "estimate_seconds": 1.0}
+    made_up(folder, plan_of({"grid": {"radio.load": [0.5]}}, ("fastslam",), 2), lambda *_: one)
     said = {0.01: {"load": 0.01}, 0.5: {}, 1.0: {"load": other}}
     with closing(sqlite3.connect(folder / DATABASE)) as database, database:
         for key, text in database.execute("SELECT id, tables FROM worlds").fetchall():
@@ -123,7 +106,11 @@ def test_a_world_without_the_swept_key_stands_apart(folder: Path, tmp_path: Path
         assert [at for at, _ in lines["fastslam, without radio.load"]] == [None]
     else:
         assert {at for at, _ in lines["fastslam"]} == {"0.01", "a text", "-"}
-    assert {path.stem for path in draw_sweep(folder, tmp_path / "out", Look())} >= {"sweep", "error_cdf", "ranks"}
+    assert {path.stem for path in draw_sweep(folder, tmp_path / "out", CurveChoice())} >= {
+        "sweep",
+        "error_cdf",
+        "ranks",
+    }
 
 
 @pytest.mark.slow
@@ -148,12 +135,6 @@ def test_wrong_requests_are_one_line(folder: Path, capfd: pytest.CaptureFixture[
 
 
 def test_a_sweep_without_trajectories_or_numbers_gives_what_it_can(tmp_path: Path) -> None:
-    made = plan(sweep.points(sweep.from_tables({"scenario": "tiny"}), ("dead-reckoning",)), 2, 0)
-    with writing(tmp_path, "made up", {}) as store:
-        store.declare(made)
-        for task in made.tasks:
-            row = {**dict.fromkeys(ROW_KEYS), "scenario": "tiny", "estimator": "dead-reckoning", "status": "ok"}
-            row |= {"trial": task.trial, "seed": 0, "position_rmse_m": 1.0, "estimate_seconds": 1.0}
-            store.write(Result(task.jobs[0].key, row), identity(task.world), identity(task.jobs[0].options))
+    made_up(tmp_path, plan_of({}, trials=2), lambda *_: {"position_rmse_m": 1.0, "estimate_seconds": 1.0})
     written = draw_sweep(tmp_path, tmp_path / "figures", formats=("png",))
     assert {path.stem for path in written} == {"error_cdf", "time_accuracy"}

@@ -11,11 +11,8 @@ from matplotlib.figure import Figure
 from shapely import box
 
 from cellslam.benchmarks.bound.cramer_rao import BoundResult
-from cellslam.benchmarks.figures.trial import associations
-from cellslam.benchmarks.figures.trial import clock_offsets as clock
-from cellslam.benchmarks.figures.trial import position_error as error
+from cellslam.benchmarks.figures.trial import trial_figures
 from cellslam.benchmarks.figures.trial import trial_map as overview
-from cellslam.benchmarks.figures.trial.reflectors import reflectors_of
 from cellslam.benchmarks.figures.trial.trial_figures import draw_all
 from cellslam.benchmarks.scores.trial_result import TrialResult
 from cellslam.sim.recording import Reference
@@ -53,7 +50,7 @@ def scene(make_recording):
 
 
 def test_reflectors_lie_on_the_wall_and_leave_the_site_out(scene):
-    mapped = reflectors_of(scene.recording, scene.results["fastslam"])
+    mapped = overview.reflectors_of(scene.recording, scene.results["fastslam"])
     assert sorted(r.link for r in mapped) == [0, 1] and mapped[0].life_s >= mapped[1].life_s
     assert len(mapped[0].points_m) > 3
     np.testing.assert_allclose(mapped[0].points_m[:, 0], WALL_X_M, atol=1e-9)
@@ -65,8 +62,8 @@ def test_reflectors_lie_on_the_wall_and_leave_the_site_out(scene):
 
 def test_no_reflectors_without_map_or_truth(scene):
     slam, bare = scene.results["fastslam"], dataclasses.replace(scene.recording, truth=None)
-    assert reflectors_of(scene.recording, scene.results["dead-reckoning"]) == []
-    assert reflectors_of(bare, slam) == []
+    assert overview.reflectors_of(scene.recording, scene.results["dead-reckoning"]) == []
+    assert overview.reflectors_of(bare, slam) == []
     assert overview.emphasised_building(scene.city, []) is None
 
 
@@ -102,7 +99,7 @@ def test_map_figure_shows_the_walls_of_the_first_estimator_that_has_some(scene):
 
 def test_error_figure_shows_errors_and_bound(scene):
     figure = Figure()
-    assert error.draw(figure, scene.recording, scene.results, scene.bound)
+    assert trial_figures.draw_error(figure, scene.recording, scene.results, scene.bound)
     whole, magnified = figure.axes
     for axes in (whole, magnified):
         lines = {line.get_label(): line for line in axes.lines}
@@ -111,17 +108,17 @@ def test_error_figure_shows_errors_and_bound(scene):
         np.testing.assert_allclose(lines["Cramér-Rao bound (rms)"].get_ydata(), np.sqrt(0.08))
     assert magnified.get_ylim() == (0, pytest.approx(1.1 * np.sqrt(0.08)))
     alone = Figure()
-    assert error.draw(alone, scene.recording, {"fastslam": scene.results["fastslam"]}, None)
+    assert trial_figures.draw_error(alone, scene.recording, {"fastslam": scene.results["fastslam"]}, None)
     assert len(alone.axes) == 1
-    assert not error.draw(Figure(), dataclasses.replace(scene.recording, truth=None), scene.results, None)
+    assert not trial_figures.draw_error(Figure(), dataclasses.replace(scene.recording, truth=None), scene.results, None)
 
 
 def test_association_figure_colours_each_vt_and_greys_the_rest(scene):
     figure, m = Figure(layout="constrained"), scene.recording.measurements
     idle = dataclasses.replace(scene.results["dead-reckoning"], association=np.full(len(m), -1))
-    assert associations.draw(figure, scene.recording, {"idle": idle, **scene.results})
+    assert trial_figures.draw_associations(figure, scene.recording, {"idle": idle, **scene.results})
     grey, first, second = figure.axes[0].lines
-    mine = m.link == associations.shown_links(scene.recording, 2)[0]
+    mine = m.link == trial_figures.shown_links(scene.recording, 2)[0]
     truth_vt = scene.recording.truth.measurement_vt[mine]
     np.testing.assert_allclose(grey.get_ydata(), m.distance_m[mine][truth_vt < 0])
     assert {len(first.get_xdata()), len(second.get_xdata())} == {(truth_vt == 0).sum(), (truth_vt == 1).sum()}
@@ -131,12 +128,12 @@ def test_association_figure_colours_each_vt_and_greys_the_rest(scene):
 def test_association_figure_takes_one_busy_cell_of_each_site(make_recording):
     recording = make_recording(seed=2, sites=3, ports=2, snapshots=60)
     counts = np.bincount(recording.measurements.link, minlength=6)
-    assert associations.shown_links(recording, 2) == [int(counts[:2].argmax()), int(2 + counts[2:4].argmax())]
+    assert trial_figures.shown_links(recording, 2) == [int(counts[:2].argmax()), int(2 + counts[2:4].argmax())]
 
 
 def test_clock_figure_shows_estimate_band_and_truth(scene):
     figure = Figure()
-    assert clock.draw(figure, scene.recording, scene.results)
+    assert trial_figures.draw_clock_offsets(figure, scene.recording, scene.results)
     above, below = figure.axes
     offset = scene.recording.truth.clock_offsets_m[0]
     for axes in (above, below):
@@ -147,7 +144,7 @@ def test_clock_figure_shows_estimate_band_and_truth(scene):
         assert band.max() - band.min() == pytest.approx(4.0)
     assert below.get_ylim()[0] < offset - 2 and below.get_ylim()[1] > offset + 2
     reckoning = {"dead-reckoning": scene.results["dead-reckoning"]}
-    assert not clock.draw(Figure(), scene.recording, reckoning)
+    assert not trial_figures.draw_clock_offsets(Figure(), scene.recording, reckoning)
 
 
 @pytest.mark.slow
@@ -182,7 +179,7 @@ def measured(scene):
 
 def test_nothing_is_drawn_through_an_outage(scene):
     figure = Figure()
-    assert error.draw(figure, measured(scene), scene.results, None)
+    assert trial_figures.draw_error(figure, measured(scene), scene.results, None)
     line = next(line for line in figure.axes[0].lines if line.get_label() == "fastslam")
     times, values = (np.asarray(data, float) for data in line.get_data())
     assert np.isnan(values).sum() == 1 and times[np.isnan(values).argmax() - 1] < 5.0
@@ -203,7 +200,9 @@ def test_map_of_a_measured_drive_shows_the_estimated_vts_or_the_drive_alone(scen
 
 def test_known_clocks_have_no_figure(scene):
     known = dataclasses.replace(scene.recording.sites, clock_offset_std_m=np.zeros(1))
-    assert not clock.draw(Figure(), dataclasses.replace(scene.recording, sites=known), scene.results)
+    assert not trial_figures.draw_clock_offsets(
+        Figure(), dataclasses.replace(scene.recording, sites=known), scene.results
+    )
 
 
 def test_titles_name_what_there_is_and_fit(scene):
@@ -212,6 +211,8 @@ def test_titles_name_what_there_is_and_fit(scene):
         scene.recording.sites, name=("transmitter on the roof of the eastern building, mast 2",)
     )
     figure = Figure()
-    assert associations.draw(figure, dataclasses.replace(scene.recording, links=links, sites=sites), scene.results)
+    assert trial_figures.draw_associations(
+        figure, dataclasses.replace(scene.recording, links=links, sites=sites), scene.results
+    )
     title = figure.axes[0].get_title()
     assert "-1" not in title and max(len(line) for line in title.split("\n")) <= 40

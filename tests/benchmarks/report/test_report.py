@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import importlib.util
 import itertools
 import json
 import re
@@ -17,17 +16,18 @@ from matplotlib.colors import to_hex
 
 from cellslam.benchmarks.figures.style import colour_of
 from cellslam.benchmarks.figures.sweep.sweep_data import curve_keys, load, sweep_lines
-from cellslam.benchmarks.report.choice import Choice, rounded
-from cellslam.benchmarks.report.page import embedded
+from cellslam.benchmarks.report.page import embedded, rounded
 from cellslam.benchmarks.report.report_content import content
 from cellslam.benchmarks.report.scene import mesh_of
-from cellslam.benchmarks.report.worst_trials import worst_trials
+from cellslam.benchmarks.report.worst_trials import Choice, worst_trials
 from cellslam.benchmarks.sweeps import tasks
 from cellslam.benchmarks.sweeps.rows import results
 from cellslam.benchmarks.sweeps.store import DATABASE
 from cellslam.cli.main import main
 from cellslam.sim.errors import InputError
 from cellslam.sim.progress import silent
+from tests.benchmarks.report.browser import CHROMIUM, DRIVER
+from tests.benchmarks.report.browser import browser as started
 from tests.short_drive import SET, SHORT
 
 PLUGIN = """
@@ -229,14 +229,6 @@ def test_without_trajectories_the_rows_are_told(folder: Path, tmp_path: Path) ->
     assert len(trial["rows"]) == 4 and trial["scene"]["truth"]
 
 
-def browser_module() -> Any:
-    spec = importlib.util.spec_from_file_location("browser", Path(__file__).with_name("browser.py"))
-    assert spec is not None and spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
-
-
 TRACES = """
 const plot = document.querySelector("article .scene");
 const trace = (name) => plot.data.find((one) => one.name === name);
@@ -259,17 +251,15 @@ return [...document.querySelectorAll("#summary tbody tr")].map((row) => first(ro
 """
 
 
+@pytest.mark.skipif(not (CHROMIUM and DRIVER), reason="no Chromium with chromedriver is installed")
 def test_page_in_a_browser(folder: Path, tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
-    module = browser_module()
-    if not (module.CHROMIUM and module.DRIVER):
-        pytest.skip("no Chromium with chromedriver is installed")
     page = tmp_path / "page.html"
     assert main(["report", str(folder), "--worst", "1", "--out", str(page)]) == 0
     assert "the report is in" in capfd.readouterr().err
     text = page.read_text("utf-8")
     assert len(text) < 3e6
     assert not re.search(r"<(script|link|img|iframe)[^>]+(src|href)=\"?(http|//)", text)
-    with module.browser(1280) as browser:
+    with started(1280) as browser:
         _opens(browser, page, 1280)
         _sorts(browser)
         assert browser.wait("return document.querySelector('#ranks img').naturalWidth") > 300

@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import dataclasses
+import itertools
 import json
 import sqlite3
 import subprocess
@@ -16,21 +17,17 @@ import pytest
 from cellslam.benchmarks.scores.metrics import ROW_KEYS
 from cellslam.benchmarks.scores.trial_result import TrialResult
 from cellslam.benchmarks.sweeps import store, tasks
-from cellslam.benchmarks.sweeps.lock import check_local, only_writer
 from cellslam.benchmarks.sweeps.rows import results
-from cellslam.benchmarks.sweeps.tasks import Plan, Result, identity, plan, with_contents
+from cellslam.benchmarks.sweeps.store import check_local, only_writer
+from cellslam.benchmarks.sweeps.tasks import Plan, Result, plan, with_contents
 from cellslam.benchmarks.sweeps.trajectories import pack, trajectory, unpack
 from cellslam.scenarios import sweep_points as sweep
 from cellslam.sim.errors import InputError
 from cellslam.sim.recording import Recording
 from cellslam.slam.api import VtEstimate
+from tests.benchmarks.made_up_sweeps import EMPTY, made_up, plan_of
 
-DR = ("dead-reckoning",)
-BOTH = ("fastslam", *DR)
-
-
-def plan_of(data: dict[str, Any], estimators: tuple[str, ...] = DR, trials: int = 1, seed: int = 0) -> Plan:
-    return plan(sweep.points(sweep.from_tables({"scenario": "tiny", **data}), estimators), trials, seed)
+BOTH = ("fastslam", "dead-reckoning")
 
 
 def keys(made: Plan) -> list[str]:
@@ -38,17 +35,13 @@ def keys(made: Plan) -> list[str]:
 
 
 def row(key: str, **values: Any) -> Result:
-    first = {"scenario": "tiny", "estimator": "dead-reckoning", "trial": 0, "seed": 0, "status": "ok"}
-    return Result(key, {**dict.fromkeys(ROW_KEYS), **first, **values})
+    return Result(key, {**EMPTY, "estimator": "dead-reckoning", **values})
 
 
-def fill(folder: Path, made: Plan, value: Callable[[int], float] = float) -> None:
-    with store.writing(folder, "test", {}) as open_store:
-        open_store.declare(made)
-        jobs = [(task, job) for task in made.tasks for job in task.jobs]
-        for n, (task, job) in enumerate(jobs):
-            said = {"estimator": job.estimator, "trial": task.trial, "seed": task.seed, "position_rmse_m": value(n)}
-            open_store.write(row(job.key, **said), identity(task.world), identity(job.options))
+def numbered(start: float = 0.0) -> Callable[..., dict[str, float]]:
+    """Rows whose position RMSEs count up."""
+    count = itertools.count(start)
+    return lambda *_: {"position_rmse_m": next(count)}
 
 
 @pytest.mark.parametrize("table", [{"map": "file"}, {"city": "path"}, {"": "calibration_file"}])
@@ -94,13 +87,14 @@ def test_keys_tell_what_decides_a_row_apart_and_nothing_else() -> None:
         plan_of({"set": {"name": "other"}}),
         plan_of({}, ("fastslam",)),
         plan_of({"set": {"estimator.fastslam.particles": 7}}, ("fastslam",)),
-        plan_of({}, seed=1),
+        plan(sweep.points(sweep.from_tables({"scenario": "tiny"}), BOTH[1:]), 1, 1),
     ]
     assert len({same, keys(plan_of({}, trials=2))[1], *(keys(p)[0] for p in others)}) == 7
 
 
 def test_rows_come_back_with_the_keys_that_vary(tmp_path: Path) -> None:
-    fill(tmp_path, plan_of({"grid": {"radio.load": [0.2, 0.1], "estimator.fastslam.particles": [5, 6]}}, BOTH))
+    grid = {"radio.load": [0.2, 0.1], "estimator.fastslam.particles": [5, 6]}
+    made_up(tmp_path, plan_of({"grid": grid}, BOTH), numbered())
     frame = results(tmp_path)
     assert list(frame.columns) == ["key", *ROW_KEYS, "radio.load", "estimator.fastslam.particles"]
     assert frame["radio.load"].tolist() == [0.1] * 3 + [0.2] * 3
@@ -114,8 +108,8 @@ def test_rows_come_back_with_the_keys_that_vary(tmp_path: Path) -> None:
 
 def test_a_later_result_replaces_an_earlier_one(tmp_path: Path) -> None:
     made = plan_of({})
-    fill(tmp_path, made)
-    fill(tmp_path, made, lambda _: 7.5)
+    made_up(tmp_path, made, numbered())
+    made_up(tmp_path, made, numbered(7.5))
     assert results(tmp_path)["position_rmse_m"].tolist() == [7.5]
     with store.writing(tmp_path, "again", {}) as open_store:
         assert open_store.status() == {keys(made)[0]: "ok"}
@@ -241,13 +235,11 @@ def test_trajectories_are_kept_compressed(toy_recording: Callable[..., Recording
 
 def test_a_store_made_before_a_metric_existed_stays_readable_and_goes_on(tmp_path: Path) -> None:
     made = plan_of({}, trials=2)
-    fill(tmp_path, made)
+    made_up(tmp_path, made, numbered())
     with closing(sqlite3.connect(tmp_path / store.DATABASE)) as database, database:
         database.execute("ALTER TABLE rows DROP COLUMN nees_mean")
     frame = results(tmp_path)
     assert frame["nees_mean"].isna().all() and frame["position_rmse_m"].tolist() == [0.0, 1.0]
-    with store.writing(tmp_path, "test", {}) as open_store:
-        (_, job), values = [(task, job) for task in made.tasks for job in task.jobs][1], {"nees_mean": 2.0}
-        new = row(job.key, trial=1, **values)
-        open_store.write(new, identity(made.tasks[1].world), identity(job.options))
+    second = dataclasses.replace(made, tasks=made.tasks[1:])
+    made_up(tmp_path, second, lambda *_: {"nees_mean": 2.0})
     assert results(tmp_path)["nees_mean"].fillna(-1.0).tolist() == [-1.0, 2.0]

@@ -10,15 +10,12 @@ import pytest
 from scipy.stats import chi2
 
 from cellslam.benchmarks.scores.association import vt_nees
-from cellslam.benchmarks.scores.metrics import ROW_KEYS
-from cellslam.benchmarks.sweeps.store import writing
-from cellslam.benchmarks.sweeps.tasks import Result, identity, plan
 from cellslam.benchmarks.sweeps.trajectories import Trajectory
 from cellslam.benchmarks.tables.consistency import consistency, nees_band
 from cellslam.cli.main import main
-from cellslam.scenarios import sweep_points as sweep
 from cellslam.sim.errors import InputError
 from cellslam.slam.api import VtEstimate
+from tests.benchmarks.made_up_sweeps import made_up, plan_of
 
 TRIALS, SNAPSHOTS, SITES, VTS = 100, 41, 2, 30
 
@@ -38,18 +35,10 @@ def trajectory(rng: np.random.Generator, claimed: float) -> bytes:
     return file.getvalue()
 
 
-def swept(out: Path, claimed: dict[str, float], keep: bool = True) -> Path:
-    points = sweep.points(sweep.from_tables({"scenario": "tiny"}), tuple(claimed))
-    made, rng = plan(points, TRIALS, 0), np.random.default_rng(4)
-    with writing(out, "made up", {"cellslam": "0"}) as store:
-        store.declare(made)
-        for task in made.tasks:
-            for job in task.jobs:
-                first = {"scenario": "tiny", "estimator": job.estimator, "trial": task.trial, "seed": 0, "status": "ok"}
-                kept = trajectory(rng, claimed[job.estimator]) if keep else None
-                result = Result(job.key, {**dict.fromkeys(ROW_KEYS), **first}, "", kept)
-                store.write(result, identity(task.world), identity(job.options))
-    return out
+def swept(out: Path, claimed: dict[str, float]) -> Path:
+    rng = np.random.default_rng(4)
+    made = plan_of({}, tuple(claimed), TRIALS)
+    return made_up(out, made, packed=lambda _, job: trajectory(rng, claimed[job.estimator]))
 
 
 def test_an_honest_estimator_lies_in_the_bands_and_one_that_claims_too_much_does_not(tmp_path: Path) -> None:
@@ -65,38 +54,29 @@ def test_an_honest_estimator_lies_in_the_bands_and_one_that_claims_too_much_does
     assert (last["vt_low"], last["vt_high"]) == pytest.approx((0.95, 0.95), abs=0.02)
     assert last["vt_low"] < last["vt_share"] < last["vt_high"]
     assert 0.85 * TRIALS * VTS < last["vts"] < 0.95 * TRIALS * VTS
-    assert proud.iloc[-1]["vt_share"] < 0.6
-    assert honest["vt_share"].isna().sum() == 19
-
-
-def test_the_band_is_that_of_means_of_chi_square() -> None:
-    low, high = nees_band(100)
-    assert (low, high) == pytest.approx((1.627, 2.411), abs=1e-3)
+    assert proud.iloc[-1]["vt_share"] < 0.6 and honest["vt_share"].isna().sum() == 19
+    assert nees_band(100) == pytest.approx((1.627, 2.411), abs=1e-3)  # means of chi-square
 
 
 def test_command_prints_it_and_says_where_nothing_is_kept(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     folder = swept(tmp_path / "a", {"fastslam": 1.0})
     assert main(["consistency", str(folder), "--times", "4", "--format", "md"]) == 0
     table = [line for line in capsys.readouterr().out.splitlines() if line.startswith("| fastslam")]
-    assert len(table) == 4
-    assert "1.63 to 2.41" in table[0]
+    assert len(table) == 4 and "1.63 to 2.41" in table[0]
     assert main(["consistency", str(folder), "--times", "4", "--format", "json"]) == 0
     assert [line["trials"] for line in json.loads(capsys.readouterr().out)] == [TRIALS] * 4
-    bare = swept(tmp_path / "b", {"fastslam": 1.0}, keep=False)
     with pytest.raises(InputError, match="no trajectories"):
-        consistency(bare)
+        consistency(made_up(tmp_path / "b", plan_of({})))
 
 
 def test_vt_nees_is_against_the_vt_that_an_estimate_stands_for(make_recording: Any) -> None:
     recording = make_recording(seed=3, snapshots=30, vts_per_site=2, ports=2, clutter=1.0)
-    truth = recording.truth
-    site = recording.links.site
+    truth, site = recording.truth, recording.links.site
     link = np.array([np.flatnonzero(site == s)[0] for s in truth.vts.site])
     error, std = np.array([0.3, -0.2, 0.1]), np.array([0.5, 0.4, 0.3])
     covariance = np.tile(np.diag(std**2), (len(link), 1, 1))
     covariance[0] = 0.0
-    ids = 10 + np.arange(len(link))
-    vts = VtEstimate(ids, link, truth.vts.position_m + error, covariance)
+    vts = VtEstimate(10 + np.arange(len(link)), link, truth.vts.position_m + error, covariance)
     association = np.where(truth.measurement_vt >= 0, 10 + truth.measurement_vt, -1)
     association[truth.measurement_vt == 1] = -1
     expected = np.full(len(link), ((error / std) ** 2).sum())

@@ -6,7 +6,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from cellslam.benchmarks.tables.rankings import ALL, map_builders, told_apart, verdict_lines, verdicts
+from cellslam.benchmarks.tables.rankings import ALL, map_builders, told_apart, verdict_table, verdicts
 
 NAMES = ("dead-reckoning", "ekf-slam", "fastslam", "mine:Mine", "oracle-map")
 ORACLES = {"oracle-map"}
@@ -48,6 +48,6 @@ def test_power_is_of_built_in_map_builders_whatever_else_is_there() -> None:
     assert told_apart(verdicts(panels, ORACLES)["easy"]) == "0 of 6 pairs (0 %)"
     (alone,) = verdicts(few).values()
     assert alone.trials == 8 and told_apart(alone) == "1 of 1 pairs (100 %)"
-    lines = verdict_lines(alone)
+    lines = verdict_table(alone).splitlines()
     assert lines[0] == "| estimator | mean rank | fastslam | ekf-slam |"
     assert lines[2].startswith("| fastslam | 1.00 |  | **-") and lines[3].startswith("| ekf-slam | 2.00 | **")

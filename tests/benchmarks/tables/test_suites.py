@@ -44,21 +44,6 @@ def test_suites_are_found_by_name() -> None:
     assert {"fastslam", "dead-reckoning", "ekf-slam", "oracle-map"} <= set(built_in())
 
 
-def test_what_a_suite_says_of_its_scenarios_holds() -> None:
-    one = suite("standard-3")
-    every = {name: scenario_of(one, name) for name in one.scenarios}
-    assert all(s.radio.persisting_clutter and len(s.description) > 50 for s in every.values())
-    assert {name for name, s in every.items() if len(s.sites) == 1} == {"one-site"}
-    assert {name for name, s in every.items() if s.traffic.vehicles_per_km > 0} == {"traffic"}
-    assert {name for name, s in every.items() if s.radio.clock_step_times_s} == {"clocks"}
-    assert {name for name, s in every.items() if s.city.max_order == 2} == {"full"}
-    assert {name for name, s in every.items() if s.radio.front_end == "signal"} == {"signal"}
-    assert {name for name, s in every.items() if s.map.drives == 2} == {"relocation"}
-    assert {name for name, s in every.items() if s.vehicle.start_std_deg > 0} == {"relocation"}
-    assert {name for name, s in every.items() if s.odometry.wheel_noise_m_per_sqrt_s > 0.01} == {"noisy-odometry"}
-    assert {name for name in every if one.trials_of(name) < one.trials} == {"signal"}
-
-
 def test_a_suite_that_has_a_later_version_says_so() -> None:
     assert superseded_by(suite("standard-2")) == "standard-3"
     assert superseded_by(suite("standard-3")) is None
@@ -105,19 +90,12 @@ def test_accuracy_writes_its_tables_and_resumes(
 @pytest.fixture
 def entry(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """The rows of two estimators in a suite of six trials, of one scenario but one: short drives under known names."""
-    monkeypatch.setitem(
-        SUITES, "standard-3", Suite("standard-3", ("full", "canyon", "anywhere"), 530, 6, {"anywhere": 1})
-    )
+    few = Suite("standard-3", ("full", "canyon", "anywhere"), 530, 6, {"anywhere": 1})
+    monkeypatch.setitem(SUITES, "standard-3", few)
     monkeypatch.setattr(suites, "scenario_of", lambda _, name: load("tiny", {**SET, "name": name}))
     line = ["bench", "accuracy", "--estimator", "dead-reckoning", "--estimator", "ekf-slam", "--executor", "serial"]
-    words = [
-        "--out",
-        str(tmp_path / "out"),
-        "--write",
-        str(tmp_path / "page.md"),
-        "--rows",
-        str(tmp_path / "rows.json"),
-    ]
+    files = {"--out": "out", "--write": "page.md", "--rows": "rows.json"}
+    words = [word for option, name in files.items() for word in (option, str(tmp_path / name))]
     assert main([*line, *words, "--quiet"]) == 0
     return tmp_path / "rows.json"
 

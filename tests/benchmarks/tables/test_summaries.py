@@ -13,61 +13,42 @@ import pytest
 
 from cellslam.benchmarks import comparison, results, summary
 from cellslam.benchmarks.figures.sweep.sweep_data import curve_keys, load, sweep_lines
-from cellslam.benchmarks.scores.metrics import ROW_KEYS
 from cellslam.benchmarks.sweeps.rows import varying_keys
-from cellslam.benchmarks.sweeps.store import DATABASE, writing
-from cellslam.benchmarks.sweeps.tasks import Result, identity, plan
+from cellslam.benchmarks.sweeps.store import DATABASE
+from cellslam.benchmarks.sweeps.tasks import plan
 from cellslam.benchmarks.tables.summaries import Layout
 from cellslam.cli.main import main
 from cellslam.scenarios import sweep_points as sweep
 from cellslam.sim.errors import InputError
+from tests.benchmarks.made_up_sweeps import made_up, plan_of
 
 TRIALS = 12
-
-
-@pytest.fixture(scope="module")
-def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Two loads, FastSLAM with two particle counts and dead reckoning; one trial of each load failed."""
-    out = tmp_path_factory.mktemp("sweep")
-    data = {
-        "scenario": "tiny",
-        "grid": {"radio.load": [0.25, 0.5], "estimator.fastslam.particles": [100, 300]},
-    }
-    points = sweep.points(sweep.from_tables(data), ("fastslam", "dead-reckoning"))
-    made = plan(points, TRIALS, 0)
-    with writing(out, "made up", {"cellslam": "0"}) as store:
-        store.declare(made)
-        for task in made.tasks:
-            for job in task.jobs:
-                world, options = identity(task.world), identity(job.options)
-                store.write(Result(job.key, row(task, job)), world, options)
-    return out
 
 
 def row(task: Any, job: Any) -> dict[str, Any]:
     load = json.loads(task.world)["radio"]["load"]
     particles = (json.loads(job.options) or {}).get("particles", 0)
+    if task.trial == 3 and particles == 300:
+        return {"status": "failed", "error": "lost"}
     error = 1.0 + task.trial + 10 * load + (5.0 if particles == 0 else -particles / 1000)
-    first = {"scenario": "tiny", "estimator": job.estimator, "trial": task.trial, "seed": task.seed}
-    fine = {"status": "ok", "position_rmse_m": error, "realtime_factor": 100.0}
-    failed = {"status": "failed", "error": "lost"}
-    return {**dict.fromkeys(ROW_KEYS), **first, **(failed if task.trial == 3 and particles == 300 else fine)}
+    return {"position_rmse_m": error, "realtime_factor": 100.0}
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Two loads, FastSLAM with two particle counts and dead reckoning; one trial of each load failed."""
+    grid = {"radio.load": [0.25, 0.5], "estimator.fastslam.particles": [100, 300]}
+    made = plan_of({"grid": grid}, ("fastslam", "dead-reckoning"), TRIALS)
+    return made_up(tmp_path_factory.mktemp("sweep"), made, row)
 
 
 @pytest.fixture(scope="module")
 def scenarios(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Three scenarios that differ in nearly every key, two of them with two loads."""
-    out = tmp_path_factory.mktemp("scenarios")
     loads = {"grid": {"radio.load": [0.25, 0.5]}}
     asked = [{"scenario": "open", **loads}, {"scenario": "canyon", **loads}, {"scenario": "tiny"}]
     points = [point for one in asked for point in sweep.points(sweep.from_tables(one), ("fastslam",))]
-    made = plan(points, 2, 0)
-    with writing(out, "made up", {"cellslam": "0"}) as store:
-        store.declare(made)
-        for task in made.tasks:
-            one = row(task, task.jobs[0]) | {"scenario": json.loads(task.world)["name"]}
-            store.write(Result(task.jobs[0].key, one), identity(task.world), identity(task.jobs[0].options))
-    return out
+    return made_up(tmp_path_factory.mktemp("scenarios"), plan(points, 2, 0), row)
 
 
 @pytest.mark.slow
@@ -76,10 +57,9 @@ def test_what_the_scenario_determines_is_left_out(scenarios: Path, capfd: pytest
     assert results(scenarios)["scenario"].tolist() == ["canyon"] * 4 + ["open"] * 4 + ["tiny"] * 2
     assert results(scenarios, ["city.street_width_m"])["city.street_width_m"].nunique() > 1
     data = load(scenarios)
-    assert [panel.title for panel in data.panels][::2] == [
-        "canyon, radio.load = 0.25",
-        "open, radio.load = 0.25",
-        "tiny, radio.load = 0.3",
+    titles = [panel.title for panel in data.panels][::2]
+    assert titles == [
+        f"{name}, radio.load = {load}" for name, load in (("canyon", 0.25), ("open", 0.25), ("tiny", 0.3))
     ]
     assert curve_keys(data) == {"radio.load": True, "scenario": False}
     found = sweep_lines(data, "scenario")
@@ -100,20 +80,12 @@ def test_summary_groups_by_all_that_varies(folder: Path) -> None:
     got = lines(summary(folder, Layout(metrics=("position_rmse_m",), statistics=("median", "rmse", "q90", "share>8"))))
     assert len(got) == 2 * 3 * 4
     keys = ["radio.load", "estimator.fastslam.particles", "estimator"]
-    assert [[line[key] for key in keys] for line in got[::4][:3]] == [
-        [0.25, 100, "fastslam"],
-        [0.25, 300, "fastslam"],
-        [0.25, pytest.approx(np.nan, nan_ok=True), "dead-reckoning"],
-    ]
+    none = pytest.approx(np.nan, nan_ok=True)
+    expected = [[0.25, 100, "fastslam"], [0.25, 300, "fastslam"], [0.25, none, "dead-reckoning"]]
+    assert [[line[key] for key in keys] for line in got[::4][:3]] == expected
     errors = 1 + np.arange(TRIALS) + 2.5 - 0.1
-    first = {line["statistic"]: line["value"] for line in got[:4]}
-    expected = {
-        "median": np.median(errors),
-        "rmse": np.sqrt(np.mean(errors**2)),
-        "q90": np.quantile(errors, 0.9),
-        "share>8": np.mean(errors > 8),
-    }
-    assert first == expected
+    values = np.median(errors), np.sqrt(np.mean(errors**2)), np.quantile(errors, 0.9), np.mean(errors > 8)
+    assert [line["value"] for line in got[:4]] == list(values)
     assert [(line["trials"], line["failed"]) for line in got[::4][:3]] == [(12, 0), (11, 1), (12, 0)]
 
 
@@ -128,15 +100,11 @@ def test_columns_and_intervals(folder: Path) -> None:
 def test_the_bound_of_the_drives_stands_beside_the_estimators(
     tmp_path: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:
-    points = sweep.points(sweep.from_tables({"scenario": "tiny"}), ("fastslam", "dead-reckoning"))
-    made = plan(points, 3, 0)
-    with writing(tmp_path, "made up", {"cellslam": "0"}) as store:
-        store.declare(made)
-        for task in made.tasks:
-            for job in task.jobs:
-                one = row(task, job) | {"bound_position_rmse_m": 0.25 * (1 + task.trial), "scenario": "tiny"}
-                named = {"estimator": {"fastslam": "mine.slam:Fast"}.get(job.estimator, job.estimator)}
-                store.write(Result(job.key, one | named), identity(task.world), identity(job.options))
+    def named(task: Any, job: Any) -> dict[str, Any]:
+        own = {"estimator": {"fastslam": "mine.slam:Fast"}.get(job.estimator, job.estimator)}
+        return row(task, job) | own | {"bound_position_rmse_m": 0.25 * (1 + task.trial)}
+
+    made_up(tmp_path, plan_of({}, ("fastslam", "dead-reckoning"), 3), named)
     got = {line["estimator"]: line for line in lines(summary(tmp_path, Layout(metrics=("position_rmse_m",))))}
     assert list(got) == ["dead-reckoning", "mine.slam:Fast", "bound"]
     assert got["bound"]["value"] == 0.5 and got["bound"]["values"] == got["bound"]["trials"] == 3
@@ -151,12 +119,8 @@ def test_the_bound_of_the_drives_stands_beside_the_estimators(
 @pytest.mark.slow
 def test_paired_differences_are_by_world_and_trial(folder: Path) -> None:
     got = lines(comparison(folder, "fastslam", "dead-reckoning"))
-    assert [(line["radio.load"], line["estimator.fastslam.particles"]) for line in got] == [
-        (0.25, 100),
-        (0.25, 300),
-        (0.5, 100),
-        (0.5, 300),
-    ]
+    settings = [(line["radio.load"], line["estimator.fastslam.particles"]) for line in got]
+    assert settings == [(0.25, 100), (0.25, 300), (0.5, 100), (0.5, 300)]
     assert [line["pairs"] for line in got] == [12, 11, 12, 11] and [line["left_out"] for line in got] == [0, 1, 0, 1]
     np.testing.assert_allclose([line["median_difference"] for line in got], [-5.1, -5.3] * 2)
     assert all(line["p_value"] < 0.001 and line["share_below"] == 1 for line in got)
@@ -164,12 +128,6 @@ def test_paired_differences_are_by_world_and_trial(folder: Path) -> None:
         comparison(folder, "dead-reckoning", "fastslam")
     with pytest.raises(InputError, match=r"unknown estimator 'fastslm'; did you mean 'fastslam'"):
         comparison(folder, "fastslm", "dead-reckoning")
-
-
-def test_the_rows_are_a_frame_in_one_call(folder: Path) -> None:
-    frame = results(folder)
-    assert len(frame) == TRIALS * 6 and set(ROW_KEYS) <= set(frame.columns)
-    assert frame["trial"].tolist()[:TRIALS] == list(range(TRIALS))
 
 
 def shown(capfd: pytest.CaptureFixture[str], *words: str | Path) -> str:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import ctypes
 import dataclasses
 import os
@@ -85,38 +86,10 @@ def hang(_: Any) -> None:
         time.sleep(0.1)
 
 
-def hang_in_c(_: Any) -> None:
-    ctypes.PyDLL(None).sleep(1000)  # holds the interpreter: no thread of Python runs
-
-
-def segfault(_: Any) -> None:
-    ctypes.string_at(0)
-
-
-def eat_memory(_: Any) -> None:
-    kept = [np.empty(10**8) for _ in range(100)]
-    del kept
-
-
-def close_everything(_: Any) -> None:
-    os.closerange(3, 256)
-
-
-def pipe_garbage(_: Any) -> None:
+def write_everywhere(message: bytes) -> None:
     for fd in range(3, 64):
-        try:
-            os.write(fd, b"\xffgarbage" * 100)
-        except OSError:
-            continue
-
-
-def pipe_pickle(_: Any) -> None:
-    evil = b"cos\nsystem\n(S'touch pickled'\ntR."
-    for fd in range(3, 64):
-        try:
-            os.write(fd, len(evil).to_bytes(8, "little") + evil)
-        except OSError:
-            continue
+        with contextlib.suppress(OSError):
+            os.write(fd, message)
 
 
 def leave_child_and_die(_: Any) -> None:
@@ -125,14 +98,12 @@ def leave_child_and_die(_: Any) -> None:
     time.sleep(20)  # holds the pipe open
 
 
-def stop(_: Any) -> None:
-    os.kill(os.getpid(), signal.SIGSTOP)
-
-
 ASYMMETRIC = np.eye(6)
 ASYMMETRIC[0, 1] = 0.5
 INDEFINITE = np.eye(6)
 INDEFINITE[0, 1] = INDEFINITE[1, 0] = 2.0
+EVIL = b"cos\nsystem\n(S'touch pickled'\ntR."
+NO_ANSWER = "no answer within the time limit of"
 SMALL = (np.zeros(1, int), np.zeros((1, 3)), np.zeros((1, 3, 3)))
 
 # What each does, and the words that its row then says.
@@ -141,47 +112,30 @@ ODD: dict[str, tuple[Any, str]] = {
     "NoWords": (raising(NoTextError), "NoTextError: (no text: its __str__ raised RuntimeError), snapshot 5"),
     "Notes": (raising(noted), "ValueError: with notes, (no text: its __str__ raised RuntimeError), \ufffd, snapshot 5"),
     "Long": (raising(lambda: ValueError("x" * 50_000_000)), "(shortened from 50000000 characters), snapshot 5"),
-    "Null": (raising(ValueError("a\0b\x1b[31m")), "ValueError: a\ufffdb\ufffd[31m, snapshot 5"),
     "Interrupts": (raising(KeyboardInterrupt), "KeyboardInterrupt, snapshot 5"),
-    "GeneratorExits": (raising(GeneratorExit), "GeneratorExit, snapshot 5"),
     "SystemExits": (raising(SystemExit), "SystemExit, snapshot 5"),
     "OwnBase": (raising(OwnError), "OwnError, snapshot 5"),
     "Stops": (raising(StopIteration), "generator raised StopIteration"),
     "Recursion": (doing(lambda self: self.odd(None, None)), "RecursionError"),
     "Exits": (doing(lambda _: os._exit(7)), "its process ended with exit status 7"),
-    "Segfaults": (doing(segfault), "its process was killed by SIGSEGV"),
-    "Kills": (
-        doing(lambda _: os.kill(os.getpid(), 9)),
-        "its process was killed by SIGKILL (out of memory?)",
-    ),
+    "Segfaults": (doing(lambda _: ctypes.string_at(0)), "its process was killed by SIGSEGV"),
     "LeavesChild": (doing(leave_child_and_die), "its process ended with exit status 3"),
-    "Hangs": (doing(hang), "no answer within the time limit of"),
-    "HangsInC": (doing(hang_in_c), "no answer within the time limit of"),
-    "SuspendsItself": (doing(stop), "no answer within the time limit of"),
-    "EatsMemory": (doing(eat_memory), "MemoryError"),
-    "ClosesAll": (doing(close_everything), "its process ended with exit status"),
-    "Garbage": (doing(pipe_garbage), "its process sent what is no answer"),
-    "Pickle": (doing(pipe_pickle), "its process sent"),
+    "Hangs": (doing(hang), NO_ANSWER),
+    "HangsInC": (doing(lambda _: ctypes.PyDLL(None).sleep(1000)), NO_ANSWER),  # holds the interpreter: no thread runs
+    "EatsMemory": (doing(lambda _: [np.empty(10**8) for _ in range(100)]), "MemoryError"),
+    "ClosesAll": (doing(lambda _: os.closerange(3, 256)), "its process ended with exit status"),
+    "Garbage": (doing(lambda _: write_everywhere(b"\xffgarbage" * 100)), "its process sent what is no answer"),
+    "Pickle": (doing(lambda _: write_everywhere(len(EVIL).to_bytes(8, "little") + EVIL)), "its process sent"),
     "NotFinite": (answering(pose=np.full(6, np.nan)), "pose is not finite, snapshot 5"),
-    "Infinite": (answering(covariance=np.full((6, 6), np.inf)), "covariance is not finite, snapshot 5"),
     "Complex": (answering(pose=np.zeros(6, complex)), "pose holds complex128, expected real numbers, snapshot 5"),
-    "Strings": (answering(pose=["a"] * 6), "pose holds <U1, expected real numbers, snapshot 5"),
-    "Objects": (answering(pose=np.array([object()] * 6)), "pose holds object, expected real numbers, snapshot 5"),
-    "Booleans": (answering(covariance=np.eye(6, dtype=bool)), "covariance holds bool, expected real numbers"),
     "Ragged": (answering(pose=[1, [2, 3]]), "ValueError: setting an array element with a sequence"),
-    "Nothing": (answering(pose=None), "pose holds object, expected real numbers"),
     "NoEstimate": (lambda *_: {"pose": 1}, "step returned dict, expected cellslam.slam.api.Estimate, snapshot 5"),
     "Far": (answering(pose=np.full(6, 1e200)), "pose holds 1e+200, the most is 1e+09, snapshot 5"),
-    "Huge": (answering(covariance=1e100 * np.eye(6)), "covariance holds 1e+100, the most is 1e+18, snapshot 5"),
     "Negative": (answering(covariance=-np.eye(6)), "covariance has a negative variance, snapshot 5"),
     "Asymmetric": (answering(covariance=ASYMMETRIC), "covariance is not symmetric, snapshot 5"),
     "Indefinite": (answering(covariance=INDEFINITE), "covariance has a negative eigenvalue, snapshot 5"),
     "BigIds": (
         answering(association=lambda snapshot: np.full(len(snapshot), 1e300)),
-        "association holds more than whole numbers up to 2^53, snapshot 5",
-    ),
-    "HalfIds": (
-        answering(association=lambda snapshot: np.full(len(snapshot), 0.5)),
         "association holds more than whole numbers up to 2^53, snapshot 5",
     ),
     "NegativeIds": (
@@ -196,17 +150,9 @@ ODD: dict[str, tuple[Any, str]] = {
         answering(vts=VtEstimate(np.zeros(1, int), *SMALL[:2], -np.eye(3)[None])),
         "vts.covariance has a negative variance, VT 0",
     ),
-    "TwoWallsTooFew": (
-        answering(walls=WallEstimate(np.arange(2), np.zeros(1), np.zeros(2), np.zeros((2, 2, 2)), np.zeros((2, 2)))),
-        "walls.azimuth_rad has shape (1,), expected (2,), snapshot 5",
-    ),
     "WallThatEndsFirst": (
         answering(walls=WallEstimate(np.arange(1), np.zeros(1), np.zeros(1), np.eye(2)[None], np.array([[4.0, 3.0]]))),
         "walls.extent_m has an end before its begin, snapshot 5",
-    ),
-    "NegativeWalls": (
-        answering(walls=WallEstimate(np.arange(1), np.zeros(1), np.zeros(1), -np.eye(2)[None], np.zeros((1, 2)))),
-        "walls.covariance has a negative variance, wall 0",
     ),
     "NegativeOffset": (
         answering(clock_offset_variance_m2=lambda _: np.full(2, -1.0)),
@@ -244,7 +190,7 @@ class RemarksANumber(Good):
 
 ELSEWHERE = {
     "Constructor": "OwnError: not made",
-    "HangsAtStart": "no answer within the time limit of",
+    "HangsAtStart": NO_ANSWER,
     "WarmUpExits": "its process ended with exit status 5",
     "FinishOfAnotherShape": "finish(): poses has shape (3, 6)",
     "RemarksANumber": "remarks() returned int, expected a list of lines of text",
