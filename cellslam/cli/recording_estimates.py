@@ -24,18 +24,9 @@ from cellslam.scenarios.recording_origin import Origin
 from cellslam.sim.errors import InputError
 from cellslam.sim.progress import Progress
 from cellslam.sim.recording import Recording
-from cellslam.slam import registry
 
 TABLES = ("estimator", "noise")
 ALONE = "dead-reckoning"
-
-
-def left_out(arguments: Namespace) -> str:
-    """Return lines about the estimators that `all` does not stand for, unless they are asked for by name."""
-    if registry.ALL not in arguments.estimators:
-        return ""
-    names = registry.left_out().items()
-    return "\n".join(f"left out of all: {name} ({why})" for name, why in names if name not in arguments.estimators)
 
 
 def assumed_by(

@@ -18,6 +18,7 @@ from cellslam.cli.arguments import DONE, FAILED, INTERRUPTED
 from cellslam.cli.between_drives import save
 from cellslam.cli.output import console, note
 from cellslam.sim.errors import InputError
+from cellslam.slam import registry
 
 if TYPE_CHECKING:
     from cellslam.benchmarks.trials.trials import Trial
@@ -186,6 +187,14 @@ class Results:
         drive = f"{row['snapshots']} snapshots, {row['duration_s']:.1f} s{length}"
         drive += ", estimates ALIGNED to the truth" if "alignment" in row else ""
         return f"{self.name}, seed {row['seed']}: {many}{drive}"
+
+
+def left_out(arguments: Namespace) -> str:
+    """Return lines about the estimators that `all` does not stand for, unless they are asked for by name."""
+    if registry.ALL not in arguments.estimators:
+        return ""
+    names = registry.left_out().items()
+    return "\n".join(f"left out of all: {name} ({why})" for name, why in names if name not in arguments.estimators)
 
 
 @contextmanager

@@ -15,8 +15,8 @@ from cellslam.cli.arguments import ESTIMATION, SET_HELP, add, limits
 from cellslam.cli.between_drives import check_map, with_calibration
 from cellslam.cli.output import note
 from cellslam.cli.progress_bars import bars
-from cellslam.cli.recording_estimates import assumed_by, doubts, left_out
-from cellslam.cli.results import Results
+from cellslam.cli.recording_estimates import assumed_by, doubts
+from cellslam.cli.results import Results, left_out
 from cellslam.recordings.fitting.fit_sizes import in_words, toml
 from cellslam.scenarios.estimator_options import with_options
 from cellslam.scenarios.map_config import MapConfig

@@ -1,10 +1,13 @@
-"""Sizes of all errors as a whole drive shows them: EKF-SLAM goes through it again and again, and assumes what it
-learnt.
+"""Sizes of all errors as a whole drive shows them: EKF-SLAM goes through it again and again, with what it learnt.
 
-After each pass the filter has, for the white noise, every cause of errors that persist, and the odometry, the slope of
-the log-likelihood in the logarithm of its size, and the curvature; the next pass assumes sizes that are a step nearer
-to the likeliest, all at once, and half a step where the drive has no answer to them. The sizes that fit best are the
-result: where no slope is more than the drive's own chance makes it.
+Every cause k of errors has a size s_k: white noise, errors that persist, the odometry. A pass gives the slope g_k of the
+log-likelihood, and of what was assumed, in log s_k and its information I_k; the next pass is a step nearer to the
+likeliest (`slam.joint.sizes.stepped`):
+
+    g_k = d log p(z | s) / d log s_k,    log s_k <- log s_k + share / 2 log(1 + 2 g_k / I_k)
+
+with share 1 in the first WHOLE passes, 1/2 in the others, and half of it where the drive has no answer to the sizes.
+The result are the sizes that fit best, of a pass whose slopes are the drive's own chance: mean of g_k^2 / I_k < FITS.
 
 Sources: Shumway and Stoffer, "An approach to time series smoothing and forecasting using the EM algorithm", Journal of
 Time Series Analysis 3(4), 1982; `slam.joint.sizes` has those of the steps.

@@ -1,4 +1,11 @@
-"""How well measured paths and the odometry agree: each measurement is predicted from those of a moment before."""
+"""How well measured paths and the odometry agree: each measurement is predicted from those of a moment before.
+
+A measurement z_j is one of its link's n measurements z_i of that moment, moved on by what the odometry says, or new:
+
+    p(z_j) = w / n sum_i N(z_j - h(z_i, motion); 0, diag(sigma_m^2, sigma_rad^2)) + (1 - w) / area
+
+Which one it is, w and the sigmas are found with each correction by ROUNDS of expectation-maximisation (`_mixture`).
+"""
 
 from __future__ import annotations
 
@@ -45,10 +52,7 @@ class Pairs:
 
 
 class PathEvidence:
-    """Log-likelihood of measurements, given those before and the odometry: one of them moved on, or something new.
-
-    Which of them, the noise, and how often, are found with each correction (expectation-maximisation).
-    """
+    """Log-likelihood of measurements, given those before and the odometry, over many pairs of moments of a drive."""
 
     name = "paths"
 
