@@ -17,11 +17,9 @@ import numpy as np
 import pytest
 
 from cellslam.benchmarks.scores.metrics import ROW_KEYS
-from cellslam.benchmarks.trials import trials
 from cellslam.cli.main import build_parser
 from cellslam.scenarios import load
 from cellslam.sim.city import build_city
-from cellslam.sim.errors import InputError
 from cellslam.sim.randomness import Stream, stream
 from tests.command_line import Run, refused
 from tests.short_drive import SET, SHORT
@@ -174,21 +172,6 @@ def test_installed_command_and_control_c(tmp_path: Path) -> None:
     assert process.returncode == 130, err
     assert 0 < len(json.loads(out)) == len(summary_of(summary.parent)["rows"])
     assert "interrupted" in err and "Traceback" not in err
-
-
-def test_later_world_that_cannot_be_made_fails_its_rows(cellslam: Run, monkeypatch: pytest.MonkeyPatch) -> None:
-    real = trials.simulate
-
-    def second_is_impossible(scenario: Any, seed: int, trial: int, **more: Any) -> Any:
-        if trial == 1:
-            raise InputError("no street is long enough")
-        return real(scenario, seed, trial, **more)
-
-    monkeypatch.setattr(trials, "simulate", second_is_impossible)
-    done = cellslam("run", "tiny", *ALONE, "--trials", "2", "--json", "--no-figures")
-    assert done.status == 1
-    assert [row["status"] for row in done.rows] == ["ok", "failed"]
-    assert "no street is long enough" in done.rows[1]["error"]
 
 
 @pytest.mark.slow

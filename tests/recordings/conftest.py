@@ -5,6 +5,7 @@ import importlib.util
 import os
 import sys
 from collections.abc import Callable
+from dataclasses import dataclass
 from pathlib import Path
 from types import ModuleType
 
@@ -18,6 +19,7 @@ from cellslam.sim.recording import Recording
 from tests.command_line import cellslam
 
 __all__ = ["cellslam"]
+STEP_S = 0.02
 DURATION_S = float(os.environ.get("CELLSLAM_VEHICLE_S", "240"))
 
 
@@ -83,3 +85,34 @@ def position_rmse() -> Callable[..., float]:
         return float(score(recording, estimate(recording, request, np.random.default_rng(5)), None)["position_rmse_m"])
 
     return rmse
+
+
+@dataclass(frozen=True)
+class Circuit:
+    """A robot that drives figures of eight of some metres: times (N,), poses x, y, yaw (N, 3), speed, yaw rate (N,)."""
+
+    time_s: np.ndarray
+    poses: np.ndarray
+    speed: np.ndarray
+    turn: np.ndarray
+
+    def at(self, time_s: np.ndarray) -> np.ndarray:
+        """Return poses (n, 3) at other times."""
+        return np.column_stack([np.interp(time_s, self.time_s, column) for column in self.poses.T])
+
+
+def circuit(duration_s: float, speed_mps: float, turn_radps: float) -> Circuit:
+    """Return a drive of figures of eight, each loop 2 pi / turn_radps long."""
+    t = STEP_S * np.arange(int(duration_s / STEP_S) + 1)
+    turn = turn_radps * np.where(np.sin(0.5 * turn_radps * t) >= 0.0, 1.0, -1.0)
+    yaw = 0.3 + np.concatenate([[0.0], np.cumsum(turn[:-1] * STEP_S)])
+    middle = yaw + 0.5 * turn * STEP_S
+    moves = speed_mps * STEP_S * np.column_stack([np.cos(middle), np.sin(middle)])
+    place = np.array([2.0, -1.0]) + np.vstack([[0.0, 0.0], np.cumsum(moves[:-1], axis=0)])
+    return Circuit(t, np.column_stack([place, yaw]), np.full(len(t), speed_mps), turn)
+
+
+@pytest.fixture(scope="session")
+def drive_eights() -> Callable[..., Circuit]:
+    """The function `circuit`."""
+    return circuit

@@ -63,12 +63,6 @@ def test_inspect_tells_gaps_and_what_is_missing(toy_recording: Toy, tmp_path: Pa
         assert missing in text
 
 
-def test_inspect_refuses_a_broken_file_in_one_line(tmp_path: Path, cellslam: Run) -> None:
-    (tmp_path / "a.h5").write_text("no")
-    refused(cellslam("inspect", "a.h5"), "not an HDF5 file")
-    assert [p.name for p in tmp_path.iterdir()] == ["a.h5"]
-
-
 def test_tum(drive: Path, cellslam: Run) -> None:
     assert cellslam("export", drive, "--format", "tum", "--out", "t.tum").status == 0
     table, truth = np.loadtxt("t.tum"), Recording.load(drive).truth

@@ -1,7 +1,7 @@
 """Sizes of all errors as a whole drive shows them: EKF-SLAM goes through it again and again, with what it learnt.
 
-Every cause k of errors has a size s_k: white noise, errors that persist, the odometry. A pass gives the slope g_k of the
-log-likelihood, and of what was assumed, in log s_k and its information I_k; the next pass is a step nearer to the
+Every cause k of errors has a size s_k: white noise, errors that persist, the odometry. A pass gives the slope g_k of
+the log-likelihood, and of what was assumed, in log s_k and its information I_k; the next pass is a step nearer to the
 likeliest (`slam.joint.sizes.stepped`):
 
     g_k = d log p(z | s) / d log s_k,    log s_k <- log s_k + share / 2 log(1 + 2 g_k / I_k)

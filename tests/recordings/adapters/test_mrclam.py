@@ -63,11 +63,12 @@ def folder(drive_eights: Callable[..., Any], tmp_path_factory: pytest.TempPathFa
     return place
 
 
-WORDS = ("--quiet", "import", "--adapter", "mrclam", "--out", "a.h5", "--set", "robot=2")
+WORDS = ("--quiet", "import", "--adapter", "mrclam", "--out", "a.h5")
+ROBOT = ("--set", "robot=2")
 
 
 def test_unknown_association(folder: Path, cellslam: Run, position_rmse: Callable[..., float]) -> None:
-    assert cellslam(*WORDS, folder).status == 0
+    assert cellslam(*WORDS, *ROBOT, folder).status == 0
     r = Recording.load("a.h5")
     assert len(r.links) == 1 and r.plane and r.reference is not None
     assert r.time_s[0] >= BEGIN_S and np.isfinite(r.reference.yaw_rad).all()
@@ -78,7 +79,7 @@ def test_unknown_association(folder: Path, cellslam: Run, position_rmse: Callabl
 
 def test_known_association(folder: Path, cellslam: Run, position_rmse: Callable[..., float]) -> None:
     """Each landmark is a link; neither the other robot nor a misread code is among them, and all stand in place."""
-    assert cellslam(*WORDS, folder, "--set", "association=known").status == 0
+    assert cellslam(*WORDS, *ROBOT, folder, "--set", "association=known").status == 0
     r = Recording.load("a.h5")
     assert r.sites.name == tuple(f"landmark {number}" for number in LANDMARKS)
     m, reference = r.measurements, r.reference
@@ -108,4 +109,4 @@ def test_wrong_options(folder: Path, option: str, text: str, cellslam: Run) -> N
 
 
 def test_options_belong_to_adapters(folder: Path, cellslam: Run) -> None:
-    refused(cellslam("import", folder, "--set", "robot=2", "--out", "a.h5"), "options of an adapter")
+    refused(cellslam("import", folder, *ROBOT, "--out", "a.h5"), "options of an adapter")
