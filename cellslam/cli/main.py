@@ -109,7 +109,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         if arguments.command is None:
             parser.print_help()
             return DONE
-        status: int = arguments.command(arguments)
+        status: int = arguments.command(arguments) or DONE
         sys.stdout.flush()
         return status
     except InputError as error:

@@ -33,7 +33,6 @@ TOLERANCE = 0.01
 
 
 def add_arguments(parser: ArgumentParser) -> None:
-    """Add the arguments of this command."""
     parser.add_argument("--suite", metavar="NAME", default="standard", help="standard, or one version: standard-3")
     few_help = "the first N trials of each scenario alone, to try it out: not the suite's result"
     parser.add_argument("--trials", metavar="N", type=whole, help=few_help)
@@ -53,7 +52,6 @@ def add_arguments(parser: ArgumentParser) -> None:
 
 
 def command(arguments: Namespace) -> int:
-    """Carry out `cellslam bench accuracy`."""
     if arguments.check:
         return check(arguments)
     one = suite(arguments.suite)

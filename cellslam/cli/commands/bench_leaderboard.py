@@ -8,7 +8,6 @@ from dataclasses import replace
 from pathlib import Path
 
 from cellslam.benchmarks.trials.output_files import check_file, write_text
-from cellslam.cli.arguments import DONE
 from cellslam.cli.output import note
 from cellslam.sim.errors import InputError
 
@@ -16,14 +15,12 @@ EXAMPLES = ("bench leaderboard mine.json theirs.json --write leaderboard.md",)
 
 
 def add_arguments(parser: ArgumentParser) -> None:
-    """Add the arguments of this command."""
     parser.add_argument("entries", metavar="FILE.json", nargs="+", help="rows of a suite, from bench accuracy --rows")
     write_help = "the page to write, and beside it the ranks as FILE.png"
     parser.add_argument("--write", metavar="FILE.md", required=True, help=write_help)
 
 
-def command(arguments: Namespace) -> int:
-    """Carry out `cellslam bench leaderboard`."""
+def command(arguments: Namespace) -> None:
     page = Path(arguments.write)
     check_file(page, "--write")
     import pandas as pd
@@ -47,4 +44,3 @@ def command(arguments: Namespace) -> int:
     command = shlex.join(["cellslam", *arguments.words])
     write_text(page, leaderboard_markdown(every, made_with, command, picture))
     note(arguments, f"{len(made_with)} estimators are on {page}")
-    return DONE

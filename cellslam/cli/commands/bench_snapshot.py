@@ -5,7 +5,7 @@ from __future__ import annotations
 from argparse import ArgumentParser, Namespace
 from pathlib import Path
 
-from cellslam.cli.arguments import DONE, add, whole
+from cellslam.cli.arguments import add, whole
 from cellslam.cli.progress_bars import bars
 from cellslam.sim.errors import InputError
 
@@ -13,15 +13,13 @@ EXAMPLES = ("bench snapshot lund-530",)
 
 
 def add_arguments(parser: ArgumentParser) -> None:
-    """Add the arguments of this command."""
     add(parser, "scenario", "--set", "--seed")
     parser.add_argument("--at", metavar="N", type=whole, default=0, help="number of the snapshot (default: 0)")
     parser.add_argument("--link", metavar="N", type=whole, help="link to show (default: the four with most paths)")
     add(parser, "--out", metavar="FILE.png", default="snapshot.png", help="where to write (default: snapshot.png)")
 
 
-def command(arguments: Namespace) -> int:
-    """Carry out `cellslam bench snapshot`."""
+def command(arguments: Namespace) -> None:
     from cellslam.benchmarks.figures.signal_snapshot import draw_snapshot
     from cellslam.scenarios.loading import load
     from cellslam.scenarios.overrides import parse_all
@@ -40,4 +38,3 @@ def command(arguments: Namespace) -> int:
             raise InputError(f"--at {arguments.at}: the drive has snapshots 0 to {last}")
         for line in draw_snapshot(world, arguments.at, arguments.link, out):
             print(line)
-    return DONE

@@ -19,13 +19,12 @@ EXAMPLES = ("check-estimator my_module:MyEstimator",)
 
 
 def add_arguments(parser: ArgumentParser) -> None:
-    """Add the arguments of this command."""
     parser.add_argument("estimator", metavar="MODULE:CLASS", help="your class, or the name of a known estimator")
     add(parser, "--set", help=SET_HELP.format("estimator.fastslam.particles=300"))
 
 
 def command(arguments: Namespace) -> int:
-    """Carry out `cellslam check-estimator`: print a line for each check; exit status 1 if one has failed."""
+    """Print a line for each check; exit status 1 if one has failed."""
     overrides = parse_all(arguments.sets)
     tables = apply({"estimator": {}}, overrides)["estimator"]
     (request,) = resolve(tables, (arguments.estimator,), overrides)

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from cellslam.benchmarks.trials.output_files import check_folder
-from cellslam.cli.arguments import DONE, add
+from cellslam.cli.arguments import add
 from cellslam.cli.cities import write_pictures
 from cellslam.cli.output import note
 from cellslam.cli.progress_bars import bars
@@ -33,15 +33,13 @@ HEAD = """\
 
 
 def add_arguments(parser: ArgumentParser) -> None:
-    """Add the arguments of this command."""
     add(parser, "--seed", default=1, help="seed of the city (default: 1)")
     add(parser, "--set", help="change one key of the generator, as in open_share=0.8; may be repeated")
     add(parser, "--out", help="folder to write to (default: results/city-SEED)")
     add(parser, "--no-figures", help="do not draw pictures")
 
 
-def command(arguments: Namespace) -> int:
-    """Carry out `cellslam city generate`."""
+def command(arguments: Namespace) -> None:
     import tomli_w
 
     from cellslam.sim.city.files.mitsuba_export import write_scene
@@ -73,4 +71,3 @@ def command(arguments: Namespace) -> int:
     pictures = [] if arguments.no_figures else write_pictures(city, out, plain=True, html=False)
     written = [out / "city.xml", stub, *pictures]
     note(arguments, f"wrote {', '.join(map(str, written))}; drive in it: cellslam run {stub}")
-    return DONE

@@ -8,7 +8,7 @@ from argparse import ArgumentParser, Namespace
 from pathlib import Path
 
 from cellslam.benchmarks.trials.output_files import check_folder, file_name
-from cellslam.cli.arguments import DONE, FLAG, add
+from cellslam.cli.arguments import FLAG, add
 from cellslam.cli.cities import add_mesh, city_of, write_pictures
 from cellslam.cli.output import note
 from cellslam.cli.progress_bars import bars
@@ -18,7 +18,6 @@ EXAMPLES = ("city inspect lund-530",)
 
 
 def add_arguments(parser: ArgumentParser) -> None:
-    """Add the arguments of this command."""
     add_mesh(parser, "FILE")
     add(parser, "--out", help="folder for the pictures (default: results/city-NAME)")
     add(parser, "--no-figures", help="do not draw pictures")
@@ -26,8 +25,7 @@ def add_arguments(parser: ArgumentParser) -> None:
     parser.add_argument("--html", help="also write an interactive page (extra 'report')", **FLAG)
 
 
-def command(arguments: Namespace) -> int:
-    """Carry out `cellslam city inspect`."""
+def command(arguments: Namespace) -> None:
     if arguments.html:
         from cellslam.benchmarks.report.page import check_plotly
 
@@ -46,4 +44,3 @@ def command(arguments: Namespace) -> int:
     if draws:
         written = write_pictures(city, out, plain=not arguments.no_figures, html=arguments.html)
         note(arguments, f"pictures: {', '.join(map(str, written))}")
-    return DONE

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from cellslam.benchmarks.trials.output_files import check_file
-from cellslam.cli.arguments import DONE, FLAG, REPEATED, add, whole
+from cellslam.cli.arguments import FLAG, REPEATED, add, whole
 from cellslam.cli.cities import add_mesh, city_of, parse_positions, read_positions, take_positions
 from cellslam.cli.output import note
 from cellslam.cli.progress_bars import bars
@@ -24,7 +24,6 @@ EXAMPLES = ("city trace sionna-rt:munich --bs=42,-50,30 --rx rx.csv --out paths.
 
 
 def add_arguments(parser: ArgumentParser) -> None:
-    """Add the arguments of this command."""
     take_positions(parser)
     add_mesh(parser, "MESH")
     bs_help = "transmitter in metres; may be repeated"
@@ -42,8 +41,7 @@ def add_arguments(parser: ArgumentParser) -> None:
     parser.add_argument("--html", metavar="FILE.html", help="write an interactive page (extra 'report')")
 
 
-def command(arguments: Namespace) -> int:
-    """Carry out `cellslam city trace`."""
+def command(arguments: Namespace) -> None:
     from cellslam.sim.city.inside import OUTSIDE, check_outside, enclosing
     from cellslam.sim.rays import prepare, trace
     from cellslam.sim.rays.exchange import Traced, write_deepmimo, write_sionna
@@ -76,7 +74,6 @@ def command(arguments: Namespace) -> int:
     note(arguments, f"{out}: {len(paths)} paths to {len(receivers)} receivers ({kinds})")
     if inside:
         note(arguments, f"note: {inside} of {len(receivers)} receivers are inside buildings or under the ground")
-    return DONE
 
 
 def _check_files(arguments: Namespace, out: Path) -> None:

@@ -8,20 +8,18 @@ from pathlib import Path
 
 from cellslam.benchmarks.tables.formats import consistency_grid, render
 from cellslam.benchmarks.tables.summaries import Layout, row_keys
-from cellslam.cli.arguments import DONE, add, whole
+from cellslam.cli.arguments import add, whole
 from cellslam.slam.registry import oracles
 
 EXAMPLES = ("consistency load",)
 
 
 def add_arguments(parser: ArgumentParser) -> None:
-    """Add the arguments of this command."""
     add(parser, "folder", "--rows", "--format")
     parser.add_argument("--times", metavar="N", type=whole, default=10, help="moments of the drive (default: 10)")
 
 
-def command(arguments: Namespace) -> int:
-    """Carry out `cellslam consistency`."""
+def command(arguments: Namespace) -> None:
     from cellslam.benchmarks.tables.consistency import consistency as measured
 
     folder = Path(arguments.folder)
@@ -29,4 +27,3 @@ def command(arguments: Namespace) -> int:
     tidy = measured(folder, arguments.times, keys)
     named = tidy["estimator"].unique() if "estimator" in tidy else ()
     sys.stdout.write(render(tidy, consistency_grid(tidy, keys, oracles(named)), arguments.format))
-    return DONE

@@ -11,22 +11,18 @@ from importlib.metadata import PackageNotFoundError, requires, version
 from pathlib import Path
 from textwrap import fill
 
-from cellslam.cli.arguments import DONE
-
 EXAMPLES = ("doctor",)
 NAME_WIDTH, WIDTH = 18, 100
 FOR_DEVELOPERS = ("test", "dev")  # extras that users have no need of
 
 
 def add_arguments(parser: ArgumentParser) -> None:
-    """Add the arguments of this command: none."""
+    """There are none."""
 
 
-def command(arguments: Namespace) -> int:
-    """Carry out `cellslam doctor`."""
+def command(arguments: Namespace) -> None:
     for name, text in _facts():
         print(fill(text, WIDTH, initial_indent=f"{name:{NAME_WIDTH}}", subsequent_indent=" " * NAME_WIDTH))
-    return DONE
 
 
 def _facts() -> Iterator[tuple[str, str]]:

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from cellslam.benchmarks.trials.output_files import check_file
-from cellslam.cli.arguments import DONE, REPEATED, add
+from cellslam.cli.arguments import REPEATED, add
 from cellslam.cli.output import at_once
 from cellslam.sim.errors import InputError
 from cellslam.sim.recording import Recording
@@ -23,7 +23,6 @@ EXPORTS = (*TABLES, "tum", "geojson", "ply", "html", "calibration")
 
 
 def add_arguments(parser: ArgumentParser) -> None:
-    """Add the arguments of this command."""
     add(parser, "file")
     format_help = "csv and mat: a folder; others: a file; may be repeated, each with its own --out"
     parser.add_argument("--format", choices=EXPORTS, required=True, dest="formats", help=format_help, **REPEATED)
@@ -37,8 +36,8 @@ def add_arguments(parser: ArgumentParser) -> None:
     add(parser, "--seed", default=None, help="seed of the estimator (default: the recording's own)")
 
 
-def command(arguments: Namespace) -> int:
-    """Carry out `cellslam export`. The estimator drives once, whatever the number of formats."""
+def command(arguments: Namespace) -> None:
+    """The estimator drives once, whatever the number of formats."""
     from cellslam.recordings.exporting.maps import placement
 
     path, name = Path(arguments.file), arguments.estimator
@@ -70,7 +69,6 @@ def command(arguments: Namespace) -> int:
         else:
             check_result(kind, result)
             at_once(out, partial(_write, kind, recording, result, place))
-    return DONE
 
 
 def check_result(kind: str, result: TrialResult | None) -> None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from argparse import ArgumentParser, Namespace
 from pathlib import Path
 
-from cellslam.cli.arguments import DONE, add, number
+from cellslam.cli.arguments import add, number
 from cellslam.cli.output import note
 from cellslam.sim.errors import InputError
 
@@ -13,7 +13,6 @@ EXAMPLES = ("figures load",)
 
 
 def add_arguments(parser: ArgumentParser) -> None:
-    """Add the arguments of this command."""
     add(parser, "folder", help="folder of a sweep, or a file that --save-calibration wrote")
     x_help = "key along the sweep curve (default: the first that varies, a number if any is)"
     parser.add_argument("--x", metavar="KEY", help=x_help)
@@ -24,8 +23,7 @@ def add_arguments(parser: ArgumentParser) -> None:
     add(parser, "--out", metavar="FOLDER", help="where to write (default: DIR/figures, or beside the file)")
 
 
-def command(arguments: Namespace) -> int:
-    """Carry out `cellslam figures`."""
+def command(arguments: Namespace) -> None:
     from cellslam.benchmarks.figures.sweep.sweep_data import CurveChoice
     from cellslam.benchmarks.figures.sweep.sweep_figures import draw_sweep
     from cellslam.benchmarks.trials.output_files import check_folder
@@ -33,17 +31,17 @@ def command(arguments: Namespace) -> int:
 
     folder = Path(arguments.folder)
     if folder.is_file():
-        return _calibration(arguments, folder)
+        _draw_calibration(arguments, folder)
+        return
     choice = CurveChoice(arguments.x, arguments.metric, arguments.statistic, arguments.interval / 100)
     out = Path(arguments.out) if arguments.out else folder / "figures"
     check_folder(out)
     with bars(arguments.quiet) as progress:
         written = draw_sweep(folder, out, choice, progress=progress)
     note(arguments, f"{len(written)} files are in {out}: {', '.join(sorted({p.stem for p in written}))}")
-    return DONE
 
 
-def _calibration(arguments: Namespace, file: Path) -> int:
+def _draw_calibration(arguments: Namespace, file: Path) -> None:
     """Draw the figure of a calibration, as FILE.png and FILE.pdf."""
     from matplotlib.figure import Figure
 
@@ -61,4 +59,3 @@ def _calibration(arguments: Namespace, file: Path) -> int:
             raise InputError(f"{file}: no direction was met: there is nothing to draw")
         written = [style.save(figure, out / f"{file.stem}.{kind}") for kind in ("png", "pdf")]
     note(arguments, f"written: {', '.join(map(str, written))}")
-    return DONE

@@ -6,7 +6,7 @@ import sys
 from argparse import ArgumentParser, Namespace
 from pathlib import Path
 
-from cellslam.cli.arguments import DONE, add
+from cellslam.cli.arguments import add
 from cellslam.cli.progress_bars import bars
 from cellslam.sim.recording import Recording
 
@@ -14,12 +14,10 @@ EXAMPLES = ("fit-noise drive.h5",)
 
 
 def add_arguments(parser: ArgumentParser) -> None:
-    """Add the arguments of this command."""
     add(parser, "file")
 
 
-def command(arguments: Namespace) -> int:
-    """Carry out `cellslam fit-noise`."""
+def command(arguments: Namespace) -> None:
     from cellslam.recordings.fitting.fit_sizes import learn, toml
     from cellslam.scenarios.recording_origin import Origin
 
@@ -28,4 +26,3 @@ def command(arguments: Namespace) -> int:
     with bars(arguments.quiet) as progress:
         learnt = learn(recording, Origin.of(recording, path).assumed(), progress)
     sys.stdout.write(toml(path, learnt))
-    return DONE

@@ -6,7 +6,7 @@ from argparse import ArgumentParser, Namespace
 from pathlib import Path
 
 from cellslam.benchmarks.trials.output_files import check_file
-from cellslam.cli.arguments import DONE, add
+from cellslam.cli.arguments import add
 from cellslam.cli.output import note, size_of
 from cellslam.sim.errors import InputError
 
@@ -14,7 +14,6 @@ EXAMPLES = ("import campaign --out drive.h5", "import --adapter victoria-park pa
 
 
 def add_arguments(parser: ArgumentParser) -> None:
-    """Add the arguments of this command."""
     parser.add_argument("folder", metavar="FOLDER", help="folder with recording.toml and the tables that it names")
     add(parser, "--out", metavar="FILE.h5", required=True, help="the recording to write")
     adapter_help = (
@@ -24,8 +23,7 @@ def add_arguments(parser: ArgumentParser) -> None:
     add(parser, "--set", help="an option of the adapter, as in robot=2; may be repeated")
 
 
-def command(arguments: Namespace) -> int:
-    """Carry out `cellslam import`."""
+def command(arguments: Namespace) -> None:
     from cellslam.recordings.adapters.adapter_loading import import_adapter
     from cellslam.recordings.importing.importing import import_folder
     from cellslam.recordings.inspection.suspicions import suspicions
@@ -44,4 +42,3 @@ def command(arguments: Namespace) -> int:
         note(arguments, f"{out}: {size_of(recording)}")
         for suspicion in suspicions(recording):
             note(arguments, f"suspicious: {suspicion.text}")
-    return DONE

@@ -15,7 +15,7 @@ from xml.etree import ElementTree
 import numpy as np
 
 from cellslam.benchmarks.trials.output_files import check_file, write_text
-from cellslam.cli.arguments import DONE, add, number
+from cellslam.cli.arguments import add, number
 from cellslam.cli.cities import find_city
 from cellslam.cli.output import note
 from cellslam.cli.progress_bars import bars
@@ -57,7 +57,6 @@ TEXT = """\
 
 
 def add_arguments(parser: ArgumentParser) -> None:
-    """Add the arguments of this command."""
     city_help = "mesh, CityJSON or OpenStreetMap file, sionna-rt:NAME, or a scenario, for its city"
     parser.add_argument("city", metavar="CITY", help=city_help)
     add(parser, "--out", metavar="FILE.toml", default="scenario.toml", help="file to write (default: scenario.toml)")
@@ -71,8 +70,7 @@ def add_arguments(parser: ArgumentParser) -> None:
     add(parser, "--no-figures", help="do not draw the plan")
 
 
-def command(arguments: Namespace) -> int:
-    """Carry out `cellslam init`."""
+def command(arguments: Namespace) -> None:
     out = Path(arguments.out)
     check_file(out)
     if out.exists():
@@ -94,7 +92,6 @@ def command(arguments: Namespace) -> int:
         written.append(out.with_suffix(".png"))
         _draw(written[-1], city, route, np.array([site["position_m"] for site in sites]))
     note(arguments, f"wrote {', '.join(map(str, written))}; drive in it: cellslam run {out}")
-    return DONE
 
 
 def _city_table(name: str) -> dict[str, Any]:

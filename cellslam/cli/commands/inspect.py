@@ -8,7 +8,7 @@ from argparse import ArgumentParser, Namespace
 from pathlib import Path
 
 from cellslam.benchmarks.trials.output_files import check_file
-from cellslam.cli.arguments import DONE, FLAG, SET_HELP, add
+from cellslam.cli.arguments import FLAG, SET_HELP, add
 from cellslam.cli.output import at_once, note
 from cellslam.sim.recording import Recording
 
@@ -16,7 +16,6 @@ EXAMPLES = ("inspect drive.h5",)
 
 
 def add_arguments(parser: ArgumentParser) -> None:
-    """Add the arguments of this command."""
     judge_help = "run this estimator, too, and say whether it is worth less than the odometry alone; may be repeated"
     add(parser, "file")
     add(parser, "--estimator", help=judge_help)
@@ -28,8 +27,7 @@ def add_arguments(parser: ArgumentParser) -> None:
     parser.add_argument("--no-figure", help="do not draw", **FLAG)
 
 
-def command(arguments: Namespace) -> int:
-    """Carry out `cellslam inspect`."""
+def command(arguments: Namespace) -> None:
     from cellslam.recordings.inspection.inspection import as_text, inspected
 
     path = Path(arguments.file)
@@ -49,4 +47,3 @@ def command(arguments: Namespace) -> int:
 
         at_once(figure, lambda place: draw(recording, place))
         note(arguments, f"figure: {figure}")
-    return DONE

@@ -7,7 +7,6 @@ from argparse import ArgumentParser, Namespace
 from rich.markup import escape
 from rich.table import Table
 
-from cellslam.cli.arguments import DONE
 from cellslam.cli.output import console, plain_table
 from cellslam.scenarios.loading import load, preset_names
 from cellslam.slam import registry
@@ -23,18 +22,15 @@ FACTS = {
 
 
 def add_arguments(parser: ArgumentParser) -> None:
-    """Add the arguments of this command."""
     parser.add_argument("kind", nargs="?", choices=("scenarios", "estimators"), help="what to list (default: both)")
 
 
-def command(arguments: Namespace) -> int:
-    """Carry out `cellslam list`."""
+def command(arguments: Namespace) -> None:
     out = console(PIPE_WIDTH)
     if arguments.kind != "estimators":
         out.print(_scenarios())
     if arguments.kind != "scenarios":
         out.print(_estimators())
-    return DONE
 
 
 def _estimators() -> Table:

@@ -6,20 +6,18 @@ from argparse import ArgumentParser, Namespace
 from pathlib import Path
 
 from cellslam.benchmarks.trials.output_files import check_file
-from cellslam.cli.arguments import DONE, add
+from cellslam.cli.arguments import add
 from cellslam.sim.errors import InputError
 
 EXAMPLES = ("map join first.h5 second.h5 --out both.h5",)
 
 
 def add_arguments(parser: ArgumentParser) -> None:
-    """Add the arguments of this command."""
     parser.add_argument("files", metavar="FILE.h5", nargs="+", help="maps that 'cellslam run --save-map' wrote")
     add(parser, "--out", metavar="FILE.h5", required=True, help="file of the map to write")
 
 
-def command(arguments: Namespace) -> int:
-    """Carry out `cellslam map join`."""
+def command(arguments: Namespace) -> None:
     from cellslam.slam.model.map_joining import join
     from cellslam.slam.model.vt_map import VtMap
 
@@ -37,4 +35,3 @@ def command(arguments: Namespace) -> int:
         print(f"{file}: {len(other)} VTs, {found.same} of them of the {before} so far{kept}")
     whole.save(arguments.out)
     print(f"{arguments.out}: {len(whole)} VTs")
-    return DONE

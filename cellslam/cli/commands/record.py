@@ -7,7 +7,7 @@ from pathlib import Path
 
 from cellslam.benchmarks.trials import trials
 from cellslam.benchmarks.trials.output_files import check_file, check_folder
-from cellslam.cli.arguments import DONE, add, whole
+from cellslam.cli.arguments import add, whole
 from cellslam.cli.output import note, size_of
 from cellslam.cli.progress_bars import bars
 from cellslam.scenarios.estimator_options import resolve
@@ -21,7 +21,6 @@ EXAMPLES = ("record tiny --out tiny.h5", "record tiny --trials 20 --out drives")
 
 
 def add_arguments(parser: ArgumentParser) -> None:
-    """Add the arguments of this command."""
     add(parser, "scenario", "--set")
     out_help = "the HDF5 file to write; with --trials a folder for many"
     add(parser, "--out", metavar="FILE.h5", required=True, help=out_help)
@@ -32,8 +31,7 @@ def add_arguments(parser: ArgumentParser) -> None:
     which.add_argument("--trials", metavar="N", type=whole, help=trials_help)
 
 
-def command(arguments: Namespace) -> int:
-    """Carry out `cellslam record`."""
+def command(arguments: Namespace) -> None:
     overrides = parse_all(arguments.sets)
     scenario = load(arguments.scenario, overrides)
     resolve(scenario.estimator, (), overrides)
@@ -56,4 +54,3 @@ def command(arguments: Namespace) -> int:
             recording = simulate(scenario, arguments.seed, trial, progress=progress)
             recording.save(path)
             note(arguments, f"{path}: {size_of(recording)}")
-    return DONE

@@ -28,7 +28,6 @@ EXAMPLES = ("replay tiny.h5 --estimator fastslam", "replay drive.h5 --fit")
 
 
 def add_arguments(parser: ArgumentParser) -> None:
-    """Add the arguments of this command."""
     add(parser, "file")
     add(parser, "--set", help=SET_HELP.format("estimator.fastslam.particles=300"))
     add(parser, "--options", "--fit", *ESTIMATION)
@@ -39,7 +38,6 @@ def add_arguments(parser: ArgumentParser) -> None:
 
 
 def command(arguments: Namespace) -> int:
-    """Carry out `cellslam replay`."""
     path = Path(arguments.file)
     recording = Recording.load(path)
     if arguments.align and recording.truth is None and recording.reference is None:

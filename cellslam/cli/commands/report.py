@@ -5,14 +5,13 @@ from __future__ import annotations
 from argparse import ArgumentParser, Namespace
 from pathlib import Path
 
-from cellslam.cli.arguments import DONE, add, whole
+from cellslam.cli.arguments import add, whole
 from cellslam.cli.output import note
 
 EXAMPLES = ("report load --out load.html",)
 
 
 def add_arguments(parser: ArgumentParser) -> None:
-    """Add the arguments of this command."""
     add(parser, "folder")
     add(parser, "--out", metavar="FILE.html", help="the page to write (default: DIR/report.html)")
     parser.add_argument("--worst", metavar="N", type=whole, default=3, help="trials with a section each (default: 3)")
@@ -21,8 +20,7 @@ def add_arguments(parser: ArgumentParser) -> None:
     add(parser, "--estimator", help="whose worst trials; may be repeated (default: the estimator with the best median)")
 
 
-def command(arguments: Namespace) -> int:
-    """Carry out `cellslam report`."""
+def command(arguments: Namespace) -> None:
     from cellslam.benchmarks.report.page import write_report
     from cellslam.benchmarks.report.worst_trials import Choice
     from cellslam.cli.progress_bars import bars
@@ -32,4 +30,3 @@ def command(arguments: Namespace) -> int:
     with bars(arguments.quiet) as progress:
         path = write_report(Path(arguments.folder), out, choice, progress)
     note(arguments, f"the report is in {path} ({path.stat().st_size / 1e6:.1f} MB)")
-    return DONE

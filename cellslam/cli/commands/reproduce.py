@@ -35,7 +35,6 @@ _WIDTH = 120
 
 
 def add_arguments(parser: ArgumentParser) -> None:
-    """Add the arguments of this command."""
     parser.add_argument("name", metavar="NAME", help=f"the known world: {', '.join(NAMES)}")
     trials_help = "runs of each estimator, trials 0 to N-1 (default: as many as were published; 40 of paper)"
     parser.add_argument("--trials", metavar="N", type=whole, help=trials_help)
@@ -45,7 +44,6 @@ def add_arguments(parser: ArgumentParser) -> None:
 
 
 def command(arguments: Namespace) -> int:
-    """Carry out `cellslam reproduce`."""
     world = known_world(arguments.name)
     trials = world.trials if arguments.trials is None else arguments.trials
     check_counts(trials, arguments.seed)

@@ -35,7 +35,6 @@ EXAMPLES = (
 
 
 def add_arguments(parser: ArgumentParser) -> None:
-    """Add the arguments of this command."""
     add(parser, "scenario", "--set", *ESTIMATION)
     parser.add_argument("--rays", action="store_true", help="draw the drive's rays, also as an interactive page")
     trials_help = "trials 0 to N-1, one after the other; 'sweep' takes all cores (default: 1)"
@@ -45,7 +44,6 @@ def add_arguments(parser: ArgumentParser) -> None:
 
 
 def command(arguments: Namespace) -> int:
-    """Carry out `cellslam run`."""
     if arguments.rays:
         from cellslam.benchmarks.report.page import check_plotly
 

@@ -13,7 +13,7 @@ from rich.markup import escape
 from rich.padding import Padding
 from rich.table import Table
 
-from cellslam.cli.arguments import DONE, add
+from cellslam.cli.arguments import add
 from cellslam.cli.output import console, plain_table
 from cellslam.scenarios.estimator_options import resolve
 from cellslam.scenarios.keys import Key, describe
@@ -29,14 +29,12 @@ NOT_KEYS = ("name", "title", "description", "facts", "estimator")
 
 
 def add_arguments(parser: ArgumentParser) -> None:
-    """Add the arguments of this command."""
     add(parser, "scenario", "--set")
     only_help = "only keys with all of these in name or meaning, as in: radio noise"
     parser.add_argument("only", metavar="WORD", nargs="*", help=only_help)
 
 
-def command(arguments: Namespace) -> int:
-    """Carry out `cellslam show`."""
+def command(arguments: Namespace) -> None:
     overrides = parse_all(arguments.sets)
     scenario = load(arguments.scenario, overrides)
     keys = [key for key in _keys(scenario, overrides) if all(w in f"{key.name} {key.meaning}" for w in arguments.only)]
@@ -48,7 +46,6 @@ def command(arguments: Namespace) -> int:
         _print_narrow(out, keys)
     else:
         out.print(_wide_table(keys))
-    return DONE
 
 
 def _keys(scenario: Scenario, overrides: dict[str, Any]) -> Iterator[Key]:

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from cellslam.benchmarks.trials.output_files import check_file
-from cellslam.cli.arguments import DONE, REPEATED, add, whole
+from cellslam.cli.arguments import REPEATED, add, whole
 from cellslam.cli.cities import parse_positions, read_positions, take_positions
 from cellslam.cli.output import note
 from cellslam.cli.progress_bars import bars
@@ -21,7 +21,6 @@ EXAMPLES = ("simulate-from paths.npz tiny --out drive.h5",)
 
 
 def add_arguments(parser: ArgumentParser) -> None:
-    """Add the arguments of this command."""
     take_positions(parser)
     parser.add_argument("paths", metavar="PATHS", help="Sionna RT's paths as .npz, or a DeepMIMO scenario's folder")
     add(parser, "scenario", "--set")
@@ -38,8 +37,7 @@ def add_arguments(parser: ArgumentParser) -> None:
     add(parser, "--seed", "--trial")
 
 
-def command(arguments: Namespace) -> int:
-    """Carry out `cellslam simulate-from`."""
+def command(arguments: Namespace) -> None:
     from cellslam.scenarios.loading import load
     from cellslam.scenarios.overrides import parse_all
     from cellslam.scenarios.path_simulation import along, simulate_paths
@@ -55,7 +53,6 @@ def command(arguments: Namespace) -> int:
         recording.save(out)
     count = len(recording.measurements)
     note(arguments, f"{out}: {len(recording.time_s)} snapshots, {len(traced.paths)} paths, {count} measurements")
-    return DONE
 
 
 def _read(place: Path, arguments: Namespace) -> Traced:

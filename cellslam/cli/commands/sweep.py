@@ -29,7 +29,6 @@ Names = Mapping[tuple[str, str, str], str]
 
 
 def add_arguments(parser: ArgumentParser) -> None:
-    """Add the arguments of this command."""
     add(parser, "scenario", help="a preset's name, a scenario file, or a sweep file")
     add(parser, "--set", help=SET_HELP.format("radio.load=0.5"))
     sweep_help = "values of one key; may be repeated: all combinations"
@@ -42,7 +41,6 @@ def add_arguments(parser: ArgumentParser) -> None:
 
 
 def command(arguments: Namespace) -> int:
-    """Carry out `cellslam sweep`."""
     asked = requested(arguments)
     estimators = asked.estimators or DEFAULT_ESTIMATORS
     trials, seed = 1 if asked.trials is None else asked.trials, asked.seed or 0

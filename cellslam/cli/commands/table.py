@@ -11,7 +11,7 @@ from cellslam.benchmarks.scores.statistics import LEAST_VALUES
 from cellslam.benchmarks.sweeps.rows import results
 from cellslam.benchmarks.tables.formats import comparison_grid, render, summary_grid
 from cellslam.benchmarks.tables.summaries import Layout, comparison, row_keys, summary
-from cellslam.cli.arguments import DONE, REPEATED, add, number
+from cellslam.cli.arguments import REPEATED, add, number
 from cellslam.sim.errors import InputError
 from cellslam.slam.registry import oracles
 
@@ -19,7 +19,6 @@ EXAMPLES = ("table load", "table load --interval --format latex", "table load --
 
 
 def add_arguments(parser: ArgumentParser) -> None:
-    """Add the arguments of this command."""
     add(parser, "folder", "--rows", "--format")
     parser.add_argument("--columns", metavar="KEY", help="a column for each value of this key")
     metric_help = "what is summed up, as position_rmse_m; may be repeated"
@@ -31,14 +30,13 @@ def add_arguments(parser: ArgumentParser) -> None:
     parser.add_argument("--compare", metavar="A,B", help="paired differences of two estimators on the same worlds")
 
 
-def command(arguments: Namespace) -> int:
-    """Carry out `cellslam table`."""
+def command(arguments: Namespace) -> None:
     folder = Path(arguments.folder)
     confidence = None if arguments.interval is None else arguments.interval / 100
     rows = tuple(arguments.rows) or None
     if arguments.compare is not None:
         sys.stdout.write(_compared(arguments, folder, rows, confidence))
-        return DONE
+        return
     statistics = tuple(arguments.statistics) or ("median",)
     layout = Layout(rows, arguments.columns, tuple(arguments.metrics), statistics, confidence)
     layout = replace(layout, rows=tuple(row_keys(folder, layout)))
@@ -53,7 +51,6 @@ def command(arguments: Namespace) -> int:
     if confidence is not None and tidy["values"].between(1, LEAST_VALUES - 1).any():
         grid = replace(grid, notes=(*grid.notes, f"no interval where there are fewer than {LEAST_VALUES} trials"))
     sys.stdout.write(render(tidy, grid, arguments.format))
-    return DONE
 
 
 def _pooled(folder: Path, layout: Layout) -> list[str]:

@@ -137,9 +137,12 @@ class RangeEvidence:
         """Return what a correction comes to between distances and the trajectory."""
         if self.fixes is None:
             return c.effect("measurements", ("distance", "distance_zero_m"))
-        late = c.reference_late_s - c.measurements_late_s
-        own = {"distance": c.distance, "distance_zero_m": c.distance_zero_m}
-        return Correction(reference=c.reference, reference_late_s=late, **own)
+        return Correction(
+            reference=c.reference,
+            reference_late_s=c.reference_late_s - c.measurements_late_s,
+            distance=c.distance,
+            distance_zero_m=c.distance_zero_m,
+        )
 
     def change(self, c: Correction) -> Floats:
         """Return by how much an effect raises the log-likelihood (n,); NaN outside of the drive."""
