@@ -126,7 +126,15 @@ class PathEvidence:
         first, second = found["row_before"].to_numpy(), found["row_after"].to_numpy()
         targets, at, count_of = np.unique(second, return_inverse=True, return_counts=True)
         moments, pair = np.unique(m.snapshot[targets] - lag, return_inverse=True)
-        return Pairs(self.time_s[moments], self.time_s[moments + lag], first, second, at, pair, 1.0 / count_of)
+        return Pairs(
+            before_s=self.time_s[moments],
+            after_s=self.time_s[moments + lag],
+            first=first,
+            second=second,
+            at=at,
+            pair=pair,
+            share=1.0 / count_of,
+        )
 
     def _logs(self, pairs: Pairs, c: Correction, among: NDArray[np.bool_] | bool = True) -> Floats:
         """Return the log-likelihood (n,) of pairs of moments, in units as recorded; NaN outside of the drive."""
