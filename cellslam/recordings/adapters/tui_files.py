@@ -7,16 +7,15 @@ Signal Processing group, basic data specification, https://ems-tu-ilmenau.github
 
 from __future__ import annotations
 
-import tomllib
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import Field
 
-from cellslam.scenarios.problems import validate
+from cellslam.recordings.importing.manifest import Table, read_tables
 from cellslam.sim.errors import InputError, nearest_name
 from cellslam.sim.recording import Floats
 
@@ -101,12 +100,6 @@ def complex_of(values: Any) -> Any:
     return array["real"] + 1j * array["imag"] if array.dtype.names else array.astype(np.complex128)
 
 
-class Table(BaseModel):
-    """What all tables of the sheet share."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
-
-
 class Turned(Table):
     """How their angle becomes ours: ours = zero_deg + sign * theirs."""
 
@@ -163,16 +156,11 @@ class Sheet(Table):
 
 
 def load_sheet(folder: Path) -> Sheet:
-    """Return the sheet of a folder. Raises InputError with file, key, value and what is allowed."""
+    """Return the sheet of a folder. Raises InputError."""
     path = folder / NAME
     if not path.is_file():
         raise InputError(f"{path}: no such file; write what the files do not say (docs/reference/data/tui.md)")
-    try:
-        sheet = validate(Sheet, tomllib.loads(path.read_text("utf-8")))
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-        raise InputError(f"{path}: not TOML ({error}); correct it there") from error
-    except InputError as error:
-        raise InputError(f"{path}: {error}") from error
+    sheet = read_tables(path, Sheet)
     if (sheet.paths is None) == (sheet.responses is None):
         raise InputError(f"{path}: give one of [paths] and [responses]: what the measurements are made of")
     if sheet.odometry == "simulated" and (sheet.location is None or sheet.location.yaw is None):

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import tomllib
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Literal, TypeVar
 
 from pydantic import BaseModel, ConfigDict, Field
 
@@ -13,10 +13,11 @@ from cellslam.sim.errors import InputError
 
 NAME = "recording.toml"
 Triple = tuple[float, float, float]
+Tables = TypeVar("Tables", bound=BaseModel)
 
 
 class Table(BaseModel):
-    """What all tables of the manifest share."""
+    """What all tables share."""
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 
@@ -153,7 +154,7 @@ class Manifest(Table):
 
 
 def load_manifest(folder: Path) -> Manifest:
-    """Return the manifest of a folder. Raises InputError with file, key, value and what is allowed."""
+    """Return the manifest of a folder. Raises InputError."""
     path = folder / NAME
     if not folder.is_dir():
         raise InputError(f"{folder}: no such folder; give the folder that holds {NAME} and its tables")
@@ -161,13 +162,18 @@ def load_manifest(folder: Path) -> Manifest:
         raise InputError(
             f"{path}: no such file; write one (docs/reference/campaign-tables.md), or name an adapter: --adapter"
         )
+    return read_tables(path, Manifest)
+
+
+def read_tables(path: Path, model: type[Tables]) -> Tables:
+    """Return a TOML file as a model. Raises InputError with file, key, value and what is allowed."""
     try:
-        table = tomllib.loads(path.read_text("utf-8"))
+        tables = tomllib.loads(path.read_text("utf-8"))
     except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
         raise InputError(f"{path}: not TOML ({error}); correct it there") from error
     except OSError as error:
         raise InputError(f"{path}: cannot be read ({error.strerror})") from error
     try:
-        return validate(Manifest, table)
+        return validate(model, tables)
     except InputError as error:
         raise InputError(f"{path}: {error}") from error
