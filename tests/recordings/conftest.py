@@ -1,13 +1,9 @@
 from __future__ import annotations
 
 import dataclasses
-import importlib.util
 import os
-import sys
 from collections.abc import Callable
 from dataclasses import dataclass
-from pathlib import Path
-from types import ModuleType
 
 import numpy as np
 import pytest
@@ -17,35 +13,15 @@ from cellslam.benchmarks.trials.estimation import estimate, warm_up
 from cellslam.scenarios.estimator_options import resolve
 from cellslam.sim.recording import Recording
 from tests.command_line import cellslam
+from tests.recordings import vehicle_world
 
 __all__ = ["cellslam"]
 STEP_S = 0.02
 DURATION_S = float(os.environ.get("CELLSLAM_VEHICLE_S", "240"))
 
 
-def loaded(name: str) -> ModuleType:
-    """Return a module beside this file, which studies import, too, by its plain name."""
-    spec = importlib.util.spec_from_file_location(name, Path(__file__).with_name(f"{name}.py"))
-    assert spec is not None and spec.loader is not None
-    module = sys.modules[name] = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
-
-
 @pytest.fixture(scope="session")
-def vehicle_world() -> ModuleType:
-    """The maker of synthetic drives in the layout of the vehicle data set."""
-    return loaded("vehicle_world")
-
-
-@pytest.fixture(scope="session")
-def worlds() -> ModuleType:
-    """The makers of campaigns of several kinds, and mistakes to plant in them."""
-    return loaded("mistaken_worlds")
-
-
-@pytest.fixture(scope="session")
-def vehicle_drive(vehicle_world: ModuleType) -> object:
+def vehicle_drive() -> vehicle_world.VehicleDrive:
     """Minutes among 500 trees; CELLSLAM_VEHICLE_S=3600 makes it an hour."""
     return vehicle_world.drive(DURATION_S, 500, 1)
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from pathlib import Path
-from types import ModuleType
 from typing import Any
 
 import numpy as np
@@ -18,6 +17,7 @@ from cellslam.recordings.adapters.victoria_park import find_trees, velocities
 from cellslam.sim.errors import InputError
 from cellslam.sim.recording import Recording
 from cellslam.slam.front_end.front_end_options import NOTHING_PERSISTS
+from tests.recordings import vehicle_world
 
 Rmse = Callable[..., float]
 FITTED = {
@@ -73,7 +73,7 @@ def test_the_vehicle_model_by_hand() -> None:
 
 
 @pytest.fixture(scope="module")
-def park(vehicle_world: ModuleType, vehicle_drive: Any, tmp_path_factory: pytest.TempPathFactory) -> Recording:
+def park(vehicle_drive: Any, tmp_path_factory: pytest.TempPathFactory) -> Recording:
     """The recording of the three .mat files of a drive."""
     folder = tmp_path_factory.mktemp("victoria")
     vehicle_world.write(folder, vehicle_drive, 2)
@@ -106,7 +106,7 @@ def test_filters_beat_dead_reckoning_among_500_trees(
     assert position_rmse(park, name, **options, **FITTED) < position_rmse(park, "dead-reckoning") / times
 
 
-def test_vehicle_files_that_lack_something(vehicle_world: ModuleType, tmp_path: Path) -> None:
+def test_vehicle_files_that_lack_something(tmp_path: Path) -> None:
     vehicle_world.write(tmp_path, vehicle_world.drive(30.0, 60, 4, size_m=80.0), 5)
     variables = {k: v for k, v in loadmat(tmp_path / "aa3_dr.mat").items() if k[0] != "_"}
     steering = variables.pop("steering")

@@ -8,7 +8,6 @@ from __future__ import annotations
 import dataclasses
 import re
 from collections.abc import Callable
-from types import ModuleType
 
 import numpy as np
 import pytest
@@ -17,6 +16,7 @@ from cellslam.recordings import build
 from cellslam.recordings.inspection.suspicions import suspicions
 from cellslam.sim.frames import SPEED_OF_LIGHT_MPS, wrap_angle
 from cellslam.sim.recording import Recording
+from tests.recordings import mistaken_worlds as worlds
 
 SAMPLE_M = SPEED_OF_LIGHT_MPS / 30.72e6
 # Each mistake once, where it is hard to see.
@@ -38,26 +38,26 @@ HARD = (
 
 
 @pytest.fixture(scope="module")
-def cellular(worlds: ModuleType) -> Recording:
+def cellular() -> Recording:
     """A simulated drive of 30 s through a city, of which a reference at 2 Hz is known, with yaw."""
     return build(worlds.cellular(0))
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("world", ["hall", "beacons", "trees", "cellular"])
-def test_sound_campaigns_raise_nothing(world: str, worlds: ModuleType) -> None:
+def test_sound_campaigns_raise_nothing(world: str) -> None:
     assert suspicions(build(worlds.WORLDS[world](101))) == []
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize(("mistake", "world"), HARD)
-def test_a_mistake_is_named(mistake: str, world: str, worlds: ModuleType) -> None:
+def test_a_mistake_is_named(mistake: str, world: str) -> None:
     plant, kinds = worlds.MISTAKES[mistake]
     found = [s.kind for s in suspicions(build(plant(worlds.WORLDS[world](101))))]
     assert found and found[0] in kinds, found
 
 
-def test_the_remedy_is_told(worlds: ModuleType) -> None:
+def test_the_remedy_is_told() -> None:
     """The mistake is measured, and its cure is in the words of `recording.toml`."""
     plant, _ = worlds.MISTAKES["odometry 2 s late"]
     found = suspicions(build(plant(worlds.WORLDS["hall"](101))))

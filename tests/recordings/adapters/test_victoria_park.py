@@ -5,7 +5,6 @@ from __future__ import annotations
 import os
 from collections.abc import Callable
 from pathlib import Path
-from types import ModuleType
 from typing import Any
 
 import numpy as np
@@ -17,12 +16,13 @@ from cellslam.recordings.importing.odometry import OdometryTable, motion_of
 from cellslam.recordings.importing.start_pose import start_from_reference
 from cellslam.sim.errors import InputError
 from cellslam.sim.recording import Reference
+from tests.recordings import vehicle_world
 
 DATA = Path(os.environ.get("CELLSLAM_DATA", Path(__file__).parents[4] / "shared" / "data")) / "victoria-park"
 
 
 @pytest.fixture(scope="module")
-def circulating(vehicle_world: ModuleType, vehicle_drive: object, tmp_path_factory: pytest.TempPathFactory) -> Path:
+def circulating(vehicle_drive: object, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The folder as it circulates: odometry, GPS, and `measurements.dat` in place of the scans."""
     folder = tmp_path_factory.mktemp("circulating")
     vehicle_world.write(folder, vehicle_drive, 2, detected=True)
