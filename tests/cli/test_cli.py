@@ -162,7 +162,7 @@ def test_installed_command_and_control_c(tmp_path: Path) -> None:
     pipes, environment = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE}, os.environ | {"COLUMNS": "80"}
     process = subprocess.Popen(words, cwd=tmp_path, text=True, env=environment, **pipes)
     summary = tmp_path / "results" / "tiny-0" / "summary.json"
-    killer = threading.Timer(60, process.kill)
+    killer = threading.Timer(300, process.kill)
     killer.start()
     while not summary.exists() and process.poll() is None:
         time.sleep(0.05)
