@@ -37,25 +37,6 @@ AZIMUTH_RAD, ELEVATION_RAD = -2.0, 0.62  # from where a view is seen
 ROOF = 0.5  # the least vertical part of a roof's normal
 
 
-def ray_lines(paths: Paths, transmitters: Floats, receivers: Floats) -> list[Floats]:
-    """Return per path its corners (order + 2, 3) in m: transmitter, specular points, receiver.
-
-    Transmitters (S, 3), receivers (N, 3).
-    """
-    ends = transmitters[paths.transmitter], receivers[paths.receiver]
-    corners = np.concatenate([ends[0][:, None], paths.points_m, ends[1][:, None]], axis=1)
-    return [c[~np.isnan(c[:, 0])] for c in corners]
-
-
-def some_rays(paths: Paths, most: int = SHOWN_RAYS) -> Paths:
-    """Return at most `most` paths, those of evenly spaced receivers."""
-    if len(paths) <= most:
-        return paths
-    receivers = np.unique(paths.receiver)
-    kept = receivers[:: int(np.ceil(len(paths) / most))]
-    return paths.take(np.isin(paths.receiver, kept))
-
-
 def draw_plan(
     path: Path,
     city: City,
@@ -75,7 +56,7 @@ def draw_plan(
         _buildings(figure, axes, city)
         axes.add_collection(LineCollection([s[:, :2] for s in city.streets], colors=GREY, linewidths=0.7))
         if paths is not None and transmitters is not None and receivers is not None:
-            _rays(axes, some_rays(paths), transmitters, receivers, np.eye(3)[:2], width=0.4, alpha=0.5)
+            _rays(axes, paths, transmitters, receivers, np.eye(3)[:2], width=0.4, alpha=0.5)
             axes.plot(*receivers[:, :2].T, ".", color=BLACK, markersize=2.0, label="receivers")
             for line in figure.legend(loc="outside lower center", ncols=4).get_lines():
                 line.set_linewidth(1.5)
@@ -105,7 +86,7 @@ def draw_view(
         axes = figure.add_axes((0.0, 0.0, 1.0, 1.0))
         axes.add_collection(_facets(city, screen, ahead))
         if paths is not None and transmitters is not None and receivers is not None:
-            _rays(axes, some_rays(paths), transmitters, receivers, screen, width=0.7, alpha=0.7)
+            _rays(axes, paths, transmitters, receivers, screen, width=0.7, alpha=0.7)
         names = dict.fromkeys(city.materials[m].name for m in np.unique(city.facets.material))
         axes.legend(
             handles=[Patch(facecolor=material_colour(n), edgecolor=GREY, label=n.replace("_", " ")) for n in names],
@@ -152,8 +133,15 @@ def _buildings(figure: Figure, axes: Axes, city: City) -> None:
 def _rays(
     axes: Axes, paths: Paths, transmitters: Floats, receivers: Floats, screen: Floats, width: float, alpha: float
 ) -> None:
-    """Draw rays and transmitters on a screen (2, 3): the directions to the right and up."""
-    lines = ray_lines(paths, transmitters, receivers)
+    """Draw rays and transmitters on a screen (2, 3): the directions to the right and up.
+
+    Of very many rays, those of evenly spaced receivers.
+    """
+    kept = np.unique(paths.receiver)[:: max(1, -(-len(paths) // SHOWN_RAYS))]
+    paths = paths.take(np.isin(paths.receiver, kept))
+    ends = transmitters[paths.transmitter], receivers[paths.receiver]
+    corners = np.concatenate([ends[0][:, None], paths.points_m, ends[1][:, None]], axis=1)
+    lines = [line[~np.isnan(line[:, 0])] for line in corners]  # transmitter, specular points, receiver
     for kind in np.unique(paths.kind)[::-1].tolist():
         chosen = [line @ screen.T for line, own in zip(lines, paths.kind, strict=True) if own == kind]
         style: dict[str, Any] = {"colors": KIND_COLOURS[kind], "label": KIND_NAMES[kind]}

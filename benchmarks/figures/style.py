@@ -75,19 +75,15 @@ def estimator_styles(labels: Iterable[str]) -> dict[str, dict[str, Any]]:
         same = [other for other in of if of[other] == name]
         index = same.index(label)
         dashes = "--" if name == "dead-reckoning" else DASHES[index % len(DASHES)]
-        colour = _shade(colour_of(name), PALEST * index / max(len(same) - 1, 2))
-        styles[label] = {"color": colour, "linestyle": dashes, "label": label}
+        white = PALEST * index / max(len(same) - 1, 2)
+        red, green, blue = ((1.0 - white) * part + white for part in to_rgb(colour_of(name)))
+        styles[label] = {"color": to_hex((red, green, blue)), "linestyle": dashes, "label": label}
     return styles
 
 
 def colour_of(estimator: str) -> str:
     """Return the colour of an estimator, by its name: other people's have one of a few."""
     return ESTIMATORS.get(estimator) or OTHERS[crc32(estimator.encode()) % len(OTHERS)]
-
-
-def _shade(colour: str, white: float) -> str:
-    red, green, blue = ((1.0 - white) * part + white for part in to_rgb(colour))
-    return to_hex((red, green, blue))
 
 
 def material_colour(name: str) -> tuple[float, float, float]:

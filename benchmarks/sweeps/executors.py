@@ -95,7 +95,8 @@ class Pool:
 
     def __exit__(self, *_: object) -> None:
         for worker in self._workers:
-            worker.end()
+            if not worker.reason:  # one that is lost has ended
+                worker.end()
         self._workers.clear()
 
     def run(self, tasks: Iterable[Task]) -> Iterator[Result | Lost]:

@@ -97,31 +97,23 @@ def number(value: float | None, metric: str = "", statistic: str = "") -> str:
 def summary_grid(tidy: pd.DataFrame, keys: Sequence[str], columns: str | None, oracles: frozenset[str]) -> Grid:
     """Return the grid of a summary: a column for each value of key `columns`, metric and statistic."""
     across = [*([columns] if columns else []), "metric", "statistic"]
-    several = {key: tidy.loc[tidy[key] != "", key].nunique(dropna=False) > 1 for key in across}
+    values = {key: tidy.loc[tidy[key] != "", key] for key in across}  # a ratio has no statistic
+    several = [key for key in across if values[key].nunique(dropna=False) > 1]
     cells: dict[tuple[str, ...], dict[str, str]] = {}
-    headings: dict[str, None] = {}
     trials: dict[tuple[str, ...], set[tuple[int, int]]] = {}
     for line in tidy.to_dict("records"):
         row = tuple(_label(key, line[key], oracles) for key in keys)
-        heading = ", ".join(
-            _heading(key, line[key], columns, oracles)
-            for key in across
-            if (several[key] or key == columns) and line[key] != ""
-        )
-        named = f"{line['statistic']} of {line['metric']}" if line["statistic"] else line["metric"]
-        heading = heading or named
-        headings.setdefault(heading)
-        ends = line.get("low"), line.get("high")
-        cells.setdefault(row, {})[heading] = bracketed(line["value"], *ends, line["metric"], line["statistic"])
+        named = [key for key in across if line[key] != "" and (key in several or key == columns)]
+        heading = ", ".join(_heading(key, line[key], columns, oracles) for key in named)
+        heading = heading or " of ".join(filter(None, (line["statistic"], line["metric"])))
+        text = bracketed(line["value"], line.get("low"), line.get("high"), line["metric"], line["statistic"])
+        cells.setdefault(row, {})[heading] = text
         trials.setdefault(row, set()).add((line["trials"], line["failed"]))
-    same = {
-        key: tidy.loc[tidy[key] != "", key].iloc[:1].tolist() for key in ("metric", "statistic") if not several[key]
-    }
-    notes = [f"{key}: {value}" for key, values in same.items() for value in values if any(several.values())]
-    body = tuple(
-        (*row, *(cells[row].get(heading, "-") for heading in headings), _counted(trials[row])) for row in cells
-    )
-    if any("(oracle)" in " ".join(row) for row in cells) or any("(oracle)" in heading for heading in headings):
+    headings = list(dict.fromkeys(heading for own in cells.values() for heading in own))
+    body = tuple((*row, *(own.get(one, "-") for one in headings), _counted(trials[row])) for row, own in cells.items())
+    same = [key for key in ("metric", "statistic") if key not in several and len(values[key])]
+    notes = [f"{key}: {values[key].iloc[0]}" for key in same if several]
+    if any("(oracle)" in text for row in (*cells, headings) for text in row):
         notes.append("oracle: was shown the truth")
     return Grid((*keys, *headings, "trials ok"), body, len(keys), tuple(notes))
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import signal
 import sqlite3
 import sys
+import time
 from pathlib import Path
 from typing import Any
 
@@ -140,6 +141,18 @@ def test_workers_that_do_not_start_are_one_line(place: Path, monkeypatch: pytest
     monkeypatch.setattr(sys, "executable", "/bin/false")
     with Pool(2, Limits(60, 2**31)) as pool, pytest.raises(InputError, match="worker processes do not start"):
         list(pool.run(plan_of({}, trials=2).tasks))
+
+
+@pytest.mark.slow
+def test_a_pool_can_be_left_where_a_worker_was_lost(place: Path) -> None:
+    names = ("dead-reckoning", "misfits:Hangs")
+    with pytest.raises(ZeroDivisionError), Pool(1, Limits(60, 2**31)) as pool:
+        for answer in pool.run(plan_of({"set": SET}, names).tasks):
+            if isinstance(answer, tasks.Lost):
+                assert answer.job.estimator == names[1] and "its worker process was killed by SIGKILL" in answer.reason
+                raise ZeroDivisionError
+            time.sleep(1.0)  # the next job begins
+            pool._workers[0].process.kill()
 
 
 @pytest.mark.slow
