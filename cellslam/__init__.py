@@ -36,63 +36,28 @@ if TYPE_CHECKING:
 
     __version__: str
 
-_HOMES = {
-    "Calibration": "slam.model.calibration",
-    "Estimate": "slam.api",
-    "Estimator": "slam.api",
-    "InputError": "sim.errors",
-    "Recording": "sim.recording",
-    "Scenario": "scenarios.scenario",
-    "Setup": "slam.api",
-    "Snapshot": "slam.api",
-    "SweepView": "python_api",
-    "TrialView": "python_api",
-    "VtEstimate": "slam.api",
-    "VtMap": "slam.model.vt_map",
-    "WallEstimate": "slam.api",
-    "comparison": "benchmarks.tables.summaries",
-    "estimator_names": "slam.registry:names",
-    "join_maps": "slam.model.map_joining",
-    "load": "scenarios.loading",
-    "preset_names": "scenarios.loading",
-    "replay": "python_api",
-    "results": "benchmarks.sweeps.rows",
-    "run": "python_api",
-    "simulate": "scenarios.simulation",
-    "summary": "benchmarks.tables.summaries",
-    "sweep": "python_api",
-    "trace": "sim.rays.tracing",
-    "trial": "python_api",
+_NAMES = {
+    "benchmarks.sweeps.rows": ("results",),
+    "benchmarks.tables.summaries": ("comparison", "summary"),
+    "python_api": ("SweepView", "TrialView", "replay", "run", "sweep", "trial"),
+    "scenarios.loading": ("load", "preset_names"),
+    "scenarios.scenario": ("Scenario",),
+    "scenarios.simulation": ("simulate",),
+    "sim.errors": ("InputError",),
+    "sim.rays.tracing": ("trace",),
+    "sim.recording": ("Recording",),
+    "slam.api": ("Estimate", "Estimator", "Setup", "Snapshot", "VtEstimate", "WallEstimate"),
+    "slam.model.calibration": ("Calibration",),
+    "slam.model.map_joining": ("join_maps",),
+    "slam.model.vt_map": ("VtMap",),
+    "slam.registry": ("estimator_names",),
 }
+_HOMES = {name: module for module, names in _NAMES.items() for name in names}
 __all__ = [
-    "Calibration",
-    "Estimate",
-    "Estimator",
-    "InputError",
-    "Recording",
-    "Scenario",
-    "Setup",
-    "Snapshot",
-    "SweepView",
-    "TrialView",
-    "VtEstimate",
-    "VtMap",
-    "WallEstimate",
-    "__version__",
-    "comparison",
-    "estimator_names",
-    "join_maps",
-    "load",
-    "preset_names",
-    "replay",
-    "results",
-    "run",
-    "simulate",
-    "summary",
-    "sweep",
-    "trace",
-    "trial",
-]
+    "Calibration", "Estimate", "Estimator", "InputError", "Recording", "Scenario", "Setup", "Snapshot", "SweepView",
+    "TrialView", "VtEstimate", "VtMap", "WallEstimate", "__version__", "comparison", "estimator_names", "join_maps",
+    "load", "preset_names", "replay", "results", "run", "simulate", "summary", "sweep", "trace", "trial",
+]  # fmt: skip
 
 if sys.platform == "win32":
     raise ImportError("cellslam runs on Linux and macOS; on Windows, in the Windows Subsystem for Linux (WSL)")
@@ -105,8 +70,8 @@ def __getattr__(name: str) -> Any:
 
         found: Any = version("cellslam")
     elif name in _HOMES:
-        module, _, other = _HOMES[name].partition(":")
-        found = getattr(import_module(f"{__name__}.{module}"), other or name)
+        own_name = "names" if name == "estimator_names" else name
+        found = getattr(import_module(f"{__name__}.{_HOMES[name]}"), own_name)
     else:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
     globals()[name] = found

@@ -22,7 +22,7 @@ from cellslam.benchmarks.sweeps.tasks import Plan, plan
 from cellslam.benchmarks.trials import trials
 from cellslam.benchmarks.trials.child_process import shares
 from cellslam.benchmarks.trials.trials import DEFAULT_ESTIMATORS, check_counts
-from cellslam.cli.arguments import DONE, add_estimators, add_set, whole
+from cellslam.cli.arguments import DONE, SET_HELP, add, whole
 from cellslam.cli.progress_bars import bars
 from cellslam.scenarios import sweep_points as sweeps
 from cellslam.scenarios.overrides import parse_all
@@ -37,8 +37,8 @@ VARIANTS = 20
 def add_arguments(parser: ArgumentParser) -> None:
     """Add the arguments of this command."""
     parser.add_argument("scenario", metavar="SCENARIO", nargs="?", default="tiny", help="what to run (default: tiny)")
-    add_set(parser, "estimator.fastslam.particles=300")
-    add_estimators(parser)
+    add(parser, "--set", help=SET_HELP.format("estimator.fastslam.particles=300"))
+    add(parser, "--estimator")
     parser.add_argument("--trials", metavar="N", type=whole, default=200, help="trials to time (default: 200)")
     parser.add_argument("--jobs", metavar="N", type=whole, default=2, help="processes to compare with one (default: 2)")
     rows_help = "rows of the store that 'table' is timed with (default: 100000)"

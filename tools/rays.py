@@ -14,7 +14,7 @@ from rich.console import Console
 from rich.table import Table
 
 from cellslam.cli.arguments import DONE, whole
-from cellslam.cli.city.places import find_city
+from cellslam.cli.cities import find_city
 from cellslam.cli.progress_bars import bars
 from cellslam.sim.city import City
 from cellslam.sim.city.files.mitsuba import DISTRIBUTION, shipped_scene

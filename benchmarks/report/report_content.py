@@ -16,7 +16,7 @@ from matplotlib.figure import Figure
 from cellslam.benchmarks.figures.style import context, estimator_styles
 from cellslam.benchmarks.figures.sweep.critical_difference import draw_ranks
 from cellslam.benchmarks.figures.sweep.sweep_data import (
-    Look,
+    CurveChoice,
     Series,
     SweepData,
     curve_keys,
@@ -145,7 +145,7 @@ def _curves(data: SweepData) -> list[dict[str, Any]]:
 
 def _line(found: Sequence[tuple[float | None, Any]], digits: int) -> list[list[float | None]]:
     """Return x, median, low and high of one line; x None: the same at every x."""
-    columns = np.stack([Look().summed(values) for _, values in found], axis=1)
+    columns = np.stack([CurveChoice().summed(values) for _, values in found], axis=1)
     return [[x for x, _ in found], *(rounded(column, digits) for column in columns)]
 
 

@@ -1,1 +1,1 @@
-"""The command line: a file a command, its arguments and its body. `main` finds the one that is asked for."""
+"""The command line: `main` makes the parser, `commands/` has a module for each command, the others what they share."""

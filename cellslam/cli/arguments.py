@@ -1,9 +1,9 @@
-"""What several commands share: exit statuses and options."""
+"""Exit statuses, and the options that several commands share."""
 
 from __future__ import annotations
 
 import argparse
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from cellslam.sim.errors import InputError
 
@@ -11,101 +11,6 @@ if TYPE_CHECKING:
     from cellslam.benchmarks.trials.child_process import Limits
 
 DONE, FAILED, WRONG, INTERRUPTED = 0, 1, 2, 130  # exit statuses
-FORMATS, FORMAT_HELP = ("text", "md", "csv", "latex", "json"), "csv and json hold the plain numbers"
-_FLAGS = (
-    ("--dry-run", "say how many trials there are and how long they may take; do nothing"),
-    ("--live", "show the table of results so far every few seconds"),
-    ("--retry-failed", "do trials that are stored as failed again"),
-    ("--no-trajectories", "keep the rows alone: saves disk space, and costs error curves and reports"),
-)
-
-
-def add_set(parser: argparse.ArgumentParser, example: str) -> None:
-    """Add `--set`."""
-    parser.add_argument(
-        "--set",
-        metavar="KEY=VALUE",
-        action="append",
-        default=[],
-        dest="sets",
-        help=f"change one key, as in {example}; may be repeated; 'cellslam show' lists the keys",
-    )
-
-
-def add_options_file(parser: argparse.ArgumentParser) -> None:
-    """Add `--options`."""
-    parser.add_argument(
-        "--options",
-        metavar="FILE.toml",
-        help="take estimators' options from the tables [estimator.NAME] of a file, as fit-noise prints them, and the "
-        "odometry's data sheet from its [noise.COMPONENT]; --set goes before it",
-    )
-    parser.add_argument(
-        "--fit",
-        action=argparse.BooleanOptionalAction,
-        help="first learn the sizes of all errors from the recording (default: for measured ones, without --options)",
-    )
-
-
-def add_estimators(parser: argparse.ArgumentParser) -> None:
-    """Add `--estimator`."""
-    parser.add_argument(
-        "--estimator",
-        metavar="NAME",
-        action="append",
-        default=[],
-        dest="estimators",
-        help="estimator by name or as module:Class, or all; may be repeated (default: fastslam, ekf-slam and "
-        "dead-reckoning)",
-    )
-
-
-def add_scenario(parser: argparse.ArgumentParser) -> None:
-    """Add SCENARIO and `--set`."""
-    parser.add_argument("scenario", metavar="SCENARIO", help="name of a preset, or path of a .toml file")
-    add_set(parser, "radio.detection_scale=0.8")
-
-
-def add_seed(parser: argparse.ArgumentParser, default: int | None, meaning: str) -> None:
-    """Add `--seed`."""
-    parser.add_argument("--seed", metavar="S", type=whole, default=default, help=meaning)
-
-
-def add_estimation(parser: argparse.ArgumentParser) -> None:
-    """Add what `run` and `replay` share: `--estimator`, `--json`, `--no-figures`."""
-    add_estimators(parser)
-    parser.add_argument("--json", action="store_true", help="print the rows as one JSON array on stdout, nothing else")
-    parser.add_argument("--no-figures", action="store_true", help="do not draw figures")
-    add_limits(parser, "external estimators")
-
-
-def add_work(parser: argparse.ArgumentParser) -> None:
-    """Add what commands that sweep share: how much is done, and where."""
-    for name, meaning in _FLAGS:
-        parser.add_argument(name, action="store_true", help=meaning)
-    names = ("serial", "processes", "dask")
-    parser.add_argument("--executor", choices=names, default="processes", help="where to work (default: processes)")
-    parser.add_argument("--jobs", metavar="N", type=whole, help="number of processes (default: one a core)")
-    parser.add_argument("--scheduler", metavar="ADDRESS", help="a running Dask scheduler, as tcp://host:8786")
-    add_limits(parser, "every estimator")
-
-
-def add_limits(parser: argparse.ArgumentParser, of: str) -> None:
-    """Add the limits of what runs in a process of its own."""
-    time_help = f"time of {of} for one trial, then its process is killed (default: 3600)"
-    parser.add_argument("--time-limit", metavar="SECONDS", type=number, default=3600.0, help=time_help)
-    parser.add_argument("--memory-limit", metavar="GIB", type=number, help="memory of a process (default: fair share)")
-
-
-def limits(arguments: argparse.Namespace, jobs: int) -> Limits:
-    """Return the limits that were asked for, of each of `jobs` processes. Raises InputError."""
-    from cellslam.benchmarks.trials.child_process import Limits, shares
-
-    for name, value in (("time", arguments.time_limit), ("memory", arguments.memory_limit)):
-        if value is not None and not value > 0:
-            raise InputError(f"--{name}-limit {value:g}: must be above 0")
-    fair = shares(jobs, arguments.time_limit)
-    return Limits(fair.seconds, int(arguments.memory_limit * 2**30)) if arguments.memory_limit else fair
 
 
 def whole(text: str) -> int:
@@ -122,3 +27,107 @@ def number(text: str) -> float:
         return float(text)
     except ValueError:
         raise argparse.ArgumentTypeError(f"'{text}' is not a number") from None
+
+
+SET_HELP = "change one key, as in {}; may be repeated; 'cellslam show' lists the keys"
+REPEATED: dict[str, Any] = {"action": "append", "default": []}
+FLAG: dict[str, Any] = {"action": "store_true"}
+SHARED: dict[str, dict[str, Any]] = {
+    "scenario": {"metavar": "SCENARIO", "help": "name of a preset, or path of a .toml file"},
+    "file": {"metavar": "FILE.h5", "help": "a recording"},
+    "folder": {"metavar": "DIR", "help": "folder of a run or a sweep"},
+    "--set": {"metavar": "KEY=VALUE", "dest": "sets", "help": SET_HELP.format("radio.detection_scale=0.8"), **REPEATED},
+    "--estimator": {
+        "metavar": "NAME",
+        "dest": "estimators",
+        "help": "estimator by name or as module:Class, or all; may be repeated (default: fastslam, ekf-slam and "
+        "dead-reckoning)",
+        **REPEATED,
+    },
+    "--seed": {"metavar": "S", "type": whole, "default": 0, "help": "root seed of all random draws (default: 0)"},
+    "--trial": {"metavar": "N", "type": whole, "default": 0, "help": "which trial to record (default: 0)"},
+    "--json": {"help": "print the rows as one JSON array on stdout, nothing else", **FLAG},
+    "--no-figures": {"help": "do not draw figures", **FLAG},
+    "--out": {"metavar": "DIR", "help": "folder of the results; one that exists is resumed"},
+    # What an estimator is given.
+    "--options": {
+        "metavar": "FILE.toml",
+        "help": "take estimators' options from the tables [estimator.NAME] of a file, as fit-noise prints them, and "
+        "the odometry's data sheet from its [noise.COMPONENT]; --set goes before it",
+    },
+    "--fit": {
+        "action": argparse.BooleanOptionalAction,
+        "help": "first learn the sizes of all errors from the recording (default: for measured ones, without "
+        "--options)",
+    },
+    "--calibration": {
+        "metavar": "FILE",
+        "help": "begin with the array's calibration as an earlier drive of the same car found it; in a sweep: "
+        "estimator.NAME.calibration_file",
+    },
+    "--save-calibration": {
+        "metavar": "FILE",
+        "help": "keep what the estimator finds of the array's calibration, as in: run lund-530 --estimator ekf-slam "
+        "--save-calibration car.h5, then: run lund-530 --estimator ekf-slam --seed 1 --calibration car.h5",
+    },
+    "--map": {"metavar": "FILE", "help": "begin with the map that earlier drives left"},
+    "--save-map": {
+        "metavar": "FILE",
+        "help": "keep the map that the drive leaves, as in: run lund-530 --estimator ekf-slam --save-map map.h5, then: "
+        "run lund-530 --estimator ekf-slam --seed 1 --map map.h5",
+    },
+    # How much is done, and where.
+    "--dry-run": {"help": "say how many trials there are and how long they may take; do nothing", **FLAG},
+    "--live": {"help": "show the table of results so far every few seconds", **FLAG},
+    "--retry-failed": {"help": "do trials that are stored as failed again", **FLAG},
+    "--no-trajectories": {"help": "keep the rows alone: saves disk space, and costs error curves and reports", **FLAG},
+    "--executor": {
+        "choices": ("serial", "processes", "dask"),
+        "default": "processes",
+        "help": "where to work (default: processes)",
+    },
+    "--jobs": {"metavar": "N", "type": whole, "help": "number of processes (default: one a core)"},
+    "--scheduler": {"metavar": "ADDRESS", "help": "a running Dask scheduler, as tcp://host:8786"},
+    "--time-limit": {
+        "metavar": "SECONDS",
+        "type": number,
+        "default": 3600.0,
+        "help": "time of an estimator in a process of its own for one trial, then it is killed (default: 3600)",
+    },
+    "--memory-limit": {"metavar": "GIB", "type": number, "help": "memory of a process (default: fair share)"},
+    # How results are summed up.
+    "--rows": {
+        "metavar": "KEY",
+        "help": "a line for each value of this key; may be repeated (default: estimator and all that varies)",
+        **REPEATED,
+    },
+    "--format": {
+        "choices": ("text", "md", "csv", "latex", "json"),
+        "default": "text",
+        "help": "csv and json hold the plain numbers",
+    },
+}
+LIMITS = ("--time-limit", "--memory-limit")
+ESTIMATION = (
+    "--estimator", "--json", "--no-figures", *LIMITS, "--calibration", "--save-calibration", "--map", "--save-map",
+)  # fmt: skip
+WORK = (
+    "--dry-run", "--live", "--retry-failed", "--no-trajectories", "--executor", "--jobs", "--scheduler", *LIMITS,
+)  # fmt: skip
+
+
+def add(parser: argparse._ActionsContainer, *names: str, **changed: Any) -> None:
+    """Add arguments of `SHARED` by name; what is `changed` of them replaces what stands there."""
+    for name in names:
+        parser.add_argument(name, **SHARED[name] | changed)
+
+
+def limits(arguments: argparse.Namespace, jobs: int) -> Limits:
+    """Return the limits that were asked for, of each of `jobs` processes. Raises InputError."""
+    from cellslam.benchmarks.trials.child_process import Limits, shares
+
+    for name, value in (("time", arguments.time_limit), ("memory", arguments.memory_limit)):
+        if value is not None and not value > 0:
+            raise InputError(f"--{name}-limit {value:g}: must be above 0")
+    fair = shares(jobs, arguments.time_limit)
+    return Limits(fair.seconds, int(arguments.memory_limit * 2**30)) if arguments.memory_limit else fair

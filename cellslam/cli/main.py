@@ -7,25 +7,65 @@ import os
 import re
 import sys
 import traceback
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from importlib import import_module
+from types import ModuleType
 from typing import Any, NoReturn
 
 from cellslam.cli.arguments import DONE, INTERRUPTED, WRONG
-from cellslam.cli.commands import GROUPS, SECTIONS, Command
 from cellslam.sim.errors import InputError, nearest_name
 
-_DESCRIPTION = """\
+# All commands by what they are for, each with one line about it. The first of two words is the name of a group, which
+# the title of its section describes.
+SECTIONS = {
+    "simulate and estimate": {
+        "run": "simulate a scenario, run estimators on it, score them",
+        "init": "write a scenario file of a city, with a route and sites, to begin from",
+        "sweep": "many variants and trials of a scenario, in parallel, resumable",
+        "reproduce": "the published figures of a known world of others, beside one's own",
+        "check-estimator": "check an estimator against the contract; say what to fix",
+    },
+    "results of a sweep": {
+        "table": "the results of a sweep as a table",
+        "figures": "the figures of a sweep, as PNG and PDF",
+        "report": "one HTML page of a sweep: tables, plots, worst trials",
+        "consistency": "whether estimators know how wrong they are: errors and claims",
+    },
+    "recordings and measured data": {
+        "record": "simulate a scenario and keep it as a recording",
+        "replay": "run estimators on a recording and score them",
+        "import": "a recording of tables with a recording.toml, or by an adapter",
+        "inspect": "what is in a recording, what is missing, what looks wrong",
+        "export": "a recording or an estimate as CSV, .mat, TUM, GeoJSON, PLY or HTML",
+        "fit-noise": "noise, detection and clutter as the recording itself shows them",
+        "simulate-from": "a recording of paths that another ray tracer found",
+    },
+    "look up": {
+        "list": "the scenarios and estimators that are known by name",
+        "show": "every key of a scenario: value, unit, range, meaning",
+        "doctor": "versions, cores, caches and extras on one screen, for a question",
+    },
+    "maps that drives leave": {"map join": "the maps that several cars left, as one"},
+    "look at cities, generate them, trace paths in them": {
+        "city inspect": "what a city consists of, and pictures of it",
+        "city generate": "draw a city, and write it with a scenario that drives in it",
+        "city trace": "all paths from transmitters to receivers, as a table",
+    },
+    "measure accuracy on fixed suites, and look at one snapshot": {
+        "bench accuracy": "a fixed suite of scenarios, seeds and trials, for comparison",
+        "bench leaderboard": "one page of all entries to a suite, the best first",
+        "bench snapshot": "picture of one snapshot at signal level: spectrum and paths",
+    },
+}
+DESCRIPTION = """\
 Position a vehicle with cellular multipath: simulate a drive through a ray-traced city,
 run estimators on it, and score them.
 """
-_CLOSING = """\
+CLOSING = """\
 'cellslam COMMAND --help' has examples. A first drive, of seconds: cellslam run tiny
 """
-EVERYWHERE = {
-    "--quiet": "no progress and no notes on stderr",
-    "--verbose": "with the traceback of a wrong request",
-}
+EVERYWHERE = {"--quiet": "no progress and no notes on stderr", "--verbose": "with the traceback of a wrong request"}
+FORMAT: dict[str, Any] = {"formatter_class": argparse.RawDescriptionHelpFormatter, "allow_abbrev": False}
 
 
 class Parser(argparse.ArgumentParser):
@@ -35,9 +75,9 @@ class Parser(argparse.ArgumentParser):
         """Print one line and exit."""
         choice = re.search(r"invalid choice: '(.*)' \(choose from (.*)\)", message)
         if choice:
+            kind = "command" if "COMMAND" in message else "value"
             names = [name.strip("' ") for name in choice[2].split(",")]
-            near = nearest_name(choice[1], names)
-            message = f"unknown {_kind(message)} '{choice[1]}'{near} (known: {', '.join(names)})"
+            message = f"unknown {kind} '{choice[1]}'{nearest_name(choice[1], names)} (known: {', '.join(names)})"
         sys.stderr.write(f"cellslam: {message}; see '{self.prog} --help'\n")
         raise SystemExit(WRONG)
 
@@ -54,8 +94,6 @@ def main(argv: Sequence[str] | None = None) -> int:
     """
     words = list(sys.argv[1:] if argv is None else argv)
     if "_ARGCOMPLETE" in os.environ:  # a shell asks to complete its line
-        from cellslam.cli.look_up.completion import complete
-
         complete(build_parser(os.environ["COMP_LINE"].split()))
     try:
         parser = build_parser(words)
@@ -63,10 +101,15 @@ def main(argv: Sequence[str] | None = None) -> int:
         arguments.words = words
         if unknown:
             arguments.parser.refuse(unknown[0])
+        if arguments.version:
+            from importlib.metadata import version
+
+            print(f"cellslam {version('cellslam')}")
+            return DONE
         if arguments.command is None:
             parser.print_help()
             return DONE
-        status: int = arguments.command(arguments)
+        status: int = arguments.command(arguments) or DONE
         sys.stdout.flush()
         return status
     except InputError as error:
@@ -88,84 +131,83 @@ def build_parser(words: Sequence[str] | None = None) -> argparse.ArgumentParser:
     `words`: the command line; only the command that it names is imported and gets its arguments (None: all do).
     """
     common = Parser(add_help=False)
-    parser = Parser(
-        prog="cellslam",
-        description=_DESCRIPTION,
-        epilog=_overview() + _CLOSING,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-        allow_abbrev=False,
-    )
-    parser.add_argument("--version", "-V", action=_Version, help="show the version and exit")
+    parser = Parser(prog="cellslam", description=DESCRIPTION, epilog=_overview() + CLOSING, **FORMAT)
+    parser.add_argument("--version", "-V", action="store_true", help="show the version and exit")
     for some in (parser, common):  # before the command, and after it
         for name, text in EVERYWHERE.items():
             some.add_argument(name, action="store_true", default=argparse.SUPPRESS, help=text)
     parser.set_defaults(command=None, parser=parser, quiet=False)
-    commands = parser.add_subparsers(metavar="COMMAND", dest="command_name", help="as below", parser_class=Parser)
-    for section in SECTIONS.values():
-        for name, command in section.items():
-            _add(commands, common, name, command, words)
-    for group, (summary, members) in GROUPS.items():
-        first = tuple(command.examples[0] for command in members.values())
-        inner = commands.add_parser(group, description=summary, epilog=_examples(first), **_look(common))
-        nested = inner.add_subparsers(
-            title="commands", metavar="COMMAND", dest=f"{group}_command", required=True, parser_class=Parser
-        )
-        for name, command in members.items():
-            _add(nested, common, name, command, words, help=command.summary)
+    groups: dict[str, Any] = {
+        "": parser.add_subparsers(metavar="COMMAND", dest="command_name", help="as below", parser_class=Parser)
+    }
+    for title, commands in SECTIONS.items():
+        for name, summary in commands.items():
+            group, _, last = name.rpartition(" ")
+            if group not in groups:
+                groups[group] = _add_group(groups[""], common, group, title, words)
+            listed = {"help": summary} if group else {}  # commands without a group are listed in the overview
+            one = groups[group].add_parser(last, parents=[common], description=summary, **FORMAT, **listed)
+            one.set_defaults(parser=one)
+            if words is None or set(name.split()) <= set(words):
+                module = module_of(name)
+                one.epilog = _examples(module.EXAMPLES)
+                module.add_arguments(one)
+                one.set_defaults(command=module.command)
     return parser
+
+
+def module_of(name: str) -> ModuleType:
+    """Return the module of a command, as of "city trace"."""
+    file = re.sub(r"\W", "_", name)
+    return import_module(f"cellslam.cli.commands.{'import_' if file == 'import' else file}")
+
+
+def complete(parser: argparse.ArgumentParser) -> None:
+    """Answer the shell that asks to complete its line, and exit; needs the extra `completion`.
+
+    Source: https://kislyuk.github.io/argcomplete.
+    """
+    import argcomplete
+    from argcomplete.completers import FilesCompleter
+
+    from cellslam.scenarios.loading import preset_names
+    from cellslam.slam import registry
+
+    files = FilesCompleter(("toml",))
+    for action in _actions(parser):
+        if action.dest == "scenario":
+            action.completer = lambda prefix, **_: [*preset_names(), *files(prefix)]  # type: ignore[attr-defined]
+        elif action.dest == "estimators":
+            action.completer = lambda **_: registry.names()  # type: ignore[attr-defined]
+    argcomplete.autocomplete(parser)
+
+
+def _add_group(commands: Any, common: Parser, group: str, title: str, words: Sequence[str] | None) -> Any:
+    """Add a group of commands; return what takes its members."""
+    parser = commands.add_parser(group, parents=[common], description=title, **FORMAT)
+    if [word for word in words or () if not word.startswith("-")] == [group]:  # its own help is asked for
+        parser.epilog = _examples([module_of(name).EXAMPLES[0] for name in SECTIONS[title]])
+    return parser.add_subparsers(
+        title="commands", metavar="COMMAND", dest=f"{group}_command", required=True, parser_class=Parser
+    )
 
 
 def _overview() -> str:
     """Return all commands by what they are for, a line each."""
-    grouped = {
-        summary: {f"{group} {name}": command for name, command in members.items()}
-        for group, (summary, members) in GROUPS.items()
-    }
     lines = []
-    for title, commands in (SECTIONS | grouped).items():
-        lines += [f"{title}:", *(f"  {name:18}{command.summary}" for name, command in commands.items()), ""]
+    for title, commands in SECTIONS.items():
+        lines += [f"{title}:", *(f"  {name:18}{summary}" for name, summary in commands.items()), ""]
     return "\n".join(lines) + "\n"
-
-
-def _add(
-    commands: Any, common: Parser, name: str, command: Command, words: Sequence[str] | None, **listed: str
-) -> None:
-    """Add one command; its module is imported where `words` may name it. `listed`: its help in the list of commands."""
-    look = _look(common) | listed
-    sub = commands.add_parser(name, description=command.summary, epilog=_examples(command.examples), **look)
-    sub.set_defaults(parser=sub)
-    if words is None or name in words:
-        module = import_module(f"cellslam.cli.{command.module}")
-        module.add_arguments(sub)
-        sub.set_defaults(command=module.command)
 
 
 def _examples(lines: Sequence[str]) -> str:
     return "\n".join(["examples:", *(f"  cellslam {line}" for line in lines), ""])
 
 
-def _look(common: Parser) -> dict[str, Any]:
-    """Return what the parsers of all commands and groups have in common."""
-    return {
-        "parents": [common],
-        "formatter_class": argparse.RawDescriptionHelpFormatter,
-        "allow_abbrev": False,
-    }
-
-
-def _kind(message: str) -> str:
-    return "command" if "COMMAND" in message else "value"
-
-
-class _Version(argparse.Action):
-    """Prints the version; the package metadata are read only when asked for."""
-
-    def __init__(self, option_strings: Sequence[str], dest: str, **kwargs: Any) -> None:
-        super().__init__(option_strings, dest, nargs=0, default=argparse.SUPPRESS, help=kwargs.get("help"))
-
-    def __call__(self, parser: argparse.ArgumentParser, *_: Any) -> None:
-        """Print and exit."""
-        from importlib.metadata import version
-
-        sys.stdout.write(f"cellslam {version('cellslam')}\n")
-        parser.exit()
+def _actions(parser: argparse.ArgumentParser) -> Iterator[argparse.Action]:
+    for action in parser._actions:
+        if isinstance(action, argparse._SubParsersAction):
+            for inner in dict.fromkeys(action.choices.values()):
+                yield from _actions(inner)
+        else:
+            yield action

@@ -7,12 +7,8 @@ import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from typing import TYPE_CHECKING
 
 from cellslam.sim.progress import Progress, silent
-
-if TYPE_CHECKING:
-    from rich.progress import Progress as RichProgress
 
 NOTICED_S = 5.0
 
@@ -23,37 +19,35 @@ def bars(quiet: bool) -> Iterator[Progress]:
     if quiet:
         yield silent
     elif sys.stderr.isatty():
-        with _rich() as display:
-            yield _on_terminal(display)
+        with _on_terminal() as progress:
+            yield progress
     else:
         yield _in_lines
 
 
-def _rich() -> RichProgress:
+@contextmanager
+def _on_terminal() -> Iterator[Progress]:
+    from rich import progress as rich_progress
     from rich.console import Console
-    from rich.progress import BarColumn, MofNCompleteColumn, SpinnerColumn, TextColumn, TimeElapsedColumn
-    from rich.progress import Progress as Display
 
     columns = (
-        SpinnerColumn(),
-        TextColumn("{task.description}"),
-        BarColumn(),
-        MofNCompleteColumn(),
-        TimeElapsedColumn(),
+        rich_progress.SpinnerColumn(),
+        rich_progress.TextColumn("{task.description}"),
+        rich_progress.BarColumn(),
+        rich_progress.MofNCompleteColumn(),
+        rich_progress.TimeElapsedColumn(),
     )
-    return Display(*columns, console=Console(stderr=True), transient=True)
+    with rich_progress.Progress(*columns, console=Console(stderr=True), transient=True) as display:
 
+        @contextmanager
+        def task(description: str, total: int) -> Iterator[Callable[[int], None]]:
+            bar = display.add_task(description, total=total)
+            try:
+                yield lambda steps: display.advance(bar, steps)
+            finally:
+                display.remove_task(bar)
 
-def _on_terminal(display: RichProgress) -> Progress:
-    @contextmanager
-    def task(description: str, total: int) -> Iterator[Callable[[int], None]]:
-        bar = display.add_task(description, total=total)
-        try:
-            yield lambda steps: display.advance(bar, steps)
-        finally:
-            display.remove_task(bar)
-
-    return task
+        yield task
 
 
 @contextmanager

@@ -16,8 +16,7 @@ from pydantic_core import PydanticUndefined
 
 import cellslam
 from cellslam.benchmarks.scores.metrics import COSTS, METRICS
-from cellslam.cli.commands import GROUPS, SECTIONS
-from cellslam.cli.main import build_parser
+from cellslam.cli.main import SECTIONS, build_parser, module_of
 from cellslam.scenarios.keys import allowed, models_in, unit_of
 from cellslam.scenarios.loading import load, preset_names
 from cellslam.scenarios.scenario import Scenario
@@ -50,15 +49,14 @@ FACTS = {
 def commands() -> str:
     """Return the page of all commands, read off their parsers."""
     lines = []
-    groups = {summary: {f"{g} {n}": c for n, c in members.items()} for g, (summary, members) in GROUPS.items()}
-    for title, members in (SECTIONS | groups).items():
+    for title, members in SECTIONS.items():
         lines += [f"## {title[0].upper()}{title[1:]}", ""]
-        for name, command in members.items():
+        for name, summary in members.items():
             parser = _parser(name)
-            lines += [f"### cellslam {name}", "", f"{command.summary[0].upper()}{command.summary[1:]}.", ""]
+            lines += [f"### cellslam {name}", "", f"{summary[0].upper()}{summary[1:]}.", ""]
             lines += ["```text", parser.format_usage().removeprefix("usage: ").rstrip(), "```", ""]
             lines += [*_table(("argument", "meaning"), _arguments(parser)), ""]
-            lines += ["```sh", *(f"cellslam {line}" for line in command.examples), "```", ""]
+            lines += ["```sh", *(f"cellslam {line}" for line in module_of(name).EXAMPLES), "```", ""]
     return "\n".join(lines)
 
 

@@ -1,36 +1,52 @@
-"""What the command line says of itself: every example parses, what is mistyped is named with what is like it."""
+"""What the command line says of itself: help, examples, names that are mistyped, what the Tab key offers."""
 
 from __future__ import annotations
 
+import os
+import re
 import shlex
+import subprocess
+import sys
+import time
+from pathlib import Path
 
 import pytest
 
-from cellslam.cli.commands import GROUPS, SECTIONS
-from cellslam.cli.main import build_parser, main
+from cellslam.cli.main import SECTIONS, build_parser, module_of
+from tests.command_line import Run, refused
 
-ALL = {name: command for section in SECTIONS.values() for name, command in section.items()} | {
-    f"{group} {name}": command for group, (_, members) in GROUPS.items() for name, command in members.items()
-}
+ALL = {name: summary for section in SECTIONS.values() for name, summary in section.items()}
+COMMAND = Path(sys.executable).parent / "cellslam"
 
 
 @pytest.mark.parametrize("name", ALL)
 def test_examples_of_a_command_are_of_it_and_parse(name: str) -> None:
-    command = ALL[name]
-    assert command.examples
-    for line in command.examples:
+    assert module_of(name).EXAMPLES
+    for line in module_of(name).EXAMPLES:
         assert line.startswith(name)
         words = shlex.split(line)
         arguments = build_parser(words).parse_args(words)
-        assert arguments.command.__module__.endswith(command.module)
+        assert arguments.command.__module__ == module_of(name).__name__
 
 
-def test_help_names_every_command_and_fits(capsys: pytest.CaptureFixture[str]) -> None:
-    assert main([]) == 0
-    said = capsys.readouterr().out
-    for name, command in ALL.items():
-        assert f"  {name:18}{command.summary}" in said
-    assert max(map(len, said.splitlines())) <= 100
+def test_help_names_every_command_and_fits(cellslam: Run) -> None:
+    text = cellslam().out
+    for name, summary in ALL.items():
+        assert f"  {name:18}{summary}" in text
+    assert max(map(len, text.splitlines())) <= 100
+    group = cellslam("city", "--help").out
+    assert "cellslam city trace sionna-rt:munich" in group and "what a city consists of" in group
+    assert re.fullmatch(r"cellslam \d+\.\d+\.\d+\n", cellslam("--version").out)
+
+
+def test_help_answers_within_a_third_of_a_second() -> None:
+    def seconds() -> float:
+        begin = time.perf_counter()
+        done = subprocess.run([COMMAND, "--help"], capture_output=True, text=True, check=True)
+        assert "usage: cellslam" in done.stdout
+        return time.perf_counter() - begin
+
+    assert min(seconds() for _ in range(5)) < 0.3
 
 
 @pytest.mark.parametrize(
@@ -39,35 +55,61 @@ def test_help_names_every_command_and_fits(capsys: pytest.CaptureFixture[str]) -
         ("--verison", "unknown argument '--verison'; did you mean '--version'?"),
         ("run tiny --trails 3", "unknown argument '--trails'; did you mean '--trials'?"),
         ("run tiny lund-530", "unknown argument 'lund-530'"),
+        ("rnu tiny", "unknown command 'rnu'; did you mean 'run'"),
         ("bench acuracy", "did you mean 'accuracy'?"),
+        ("list cities", "unknown value 'cities'"),
     ],
 )
-def test_what_is_mistyped_is_named(line: str, named: str, capsys: pytest.CaptureFixture[str]) -> None:
-    with pytest.raises(SystemExit) as stopped:
-        main(line.split())
-    said = capsys.readouterr().err
-    assert stopped.value.code == 2
-    assert named in said and said.count("\n") == 1
+def test_what_is_mistyped_is_named(line: str, named: str, cellslam: Run) -> None:
+    refused(cellslam(*line.split()), named)
 
 
-def test_show_keeps_the_keys_that_were_asked_for(capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["show", "tiny", "gyro", "bias"]) == 0
-    said = capsys.readouterr().out
-    assert "odometry.gyro_bias_deg_per_s" in said and "gyro_noise" not in said
-    assert main(["show", "tiny", "phlogiston"]) == 2
-    assert "no key of tiny has phlogiston" in capsys.readouterr().err
+def test_show_keeps_the_keys_that_were_asked_for(cellslam: Run) -> None:
+    shown = cellslam("show", "tiny", "--set", "radio.load=0.125").out
+    assert re.search(r"radio\.load +0\.125 +0 to 1 +share of other cells", shown)
+    assert re.search(r"vehicle\.duration_s +[\d.]+ +s +above 0", shown)
+    assert "estimator.fastslam.particles" in shown
+    some = cellslam("show", "tiny", "gyro", "bias").out
+    assert "odometry.gyro_bias_deg_per_s" in some and "gyro_noise" not in some
+    assert "no key of tiny has phlogiston" in cellslam("show", "tiny", "phlogiston").err
 
 
-def test_list_without_a_kind_lists_both_within_100_columns(capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["list"]) == 0
-    said = capsys.readouterr().out
-    assert "lund-530" in said and "ekf-slam" in said
-    assert max(map(len, said.splitlines())) <= 100
+def test_list_without_a_kind_lists_both_within_100_columns(cellslam: Run) -> None:
+    text = cellslam("list").out
+    assert "lund-530" in text and "ekf-slam" in text
+    assert max(map(len, text.splitlines())) <= 100
 
 
-def test_doctor_says_what_is_installed(capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["doctor"]) == 0
-    said = capsys.readouterr().out
+def test_doctor_tells_what_is_installed(cellslam: Run) -> None:
+    text = cellslam("doctor").out
     for word in ("cellslam  ", "python  ", "cores", "numba ", "extra gtsam", "extra report"):
-        assert word in said
-    assert max(map(len, said.splitlines())) <= 100
+        assert word in text
+    assert max(map(len, text.splitlines())) <= 100
+
+
+def offered(line: str) -> set[str]:
+    """Return what argcomplete answers a shell through file descriptor 8."""
+    environment = {
+        **os.environ, "_ARGCOMPLETE": "1", "_ARGCOMPLETE_IFS": "\n", "_ARGCOMPLETE_SHELL": "bash",
+        "COMP_LINE": line, "COMP_POINT": str(len(line)), "COMP_TYPE": "9",
+    }  # fmt: skip
+    command = f"'{sys.executable}' -m cellslam 8>&1 9>&2 >/dev/null"
+    ran = subprocess.run(["bash", "-c", command], env=environment, capture_output=True, text=True)
+    return {word.strip() for word in ran.stdout.split("\n") if word.strip()}
+
+
+@pytest.mark.slow
+def test_commands_options_scenarios_and_estimators_are_completed() -> None:
+    assert offered("cellslam re") == {"reproduce", "report", "record", "replay"}
+    assert offered("cellslam run tin") == {"tiny"}
+    assert offered("cellslam run tiny --estimator ek") == {"ekf-slam"}
+    assert offered("cellslam run tiny --tri") == {"--trials"}
+
+
+@pytest.mark.slow
+def test_no_colour_in_pipes_nor_where_none_is_wanted() -> None:
+    wanted = {**os.environ, "FORCE_COLOR": "1", "NO_COLOR": "1", "TERM": "xterm"}
+    words = [sys.executable, "-m", "cellslam", "list", "scenarios"]
+    for environment in (dict(os.environ), wanted):
+        ran = subprocess.run(words, env=environment, capture_output=True, check=True)
+        assert b"\x1b[3" not in ran.stdout and b"\x1b[9" not in ran.stdout

@@ -11,7 +11,9 @@ import pytest
 
 from cellslam.benchmarks import run as run_trials
 from cellslam.benchmarks.scores.metrics import COST_KEYS, ROW_KEYS
+from cellslam.scenarios.recording_origin import Origin
 from cellslam.sim.recording import Recording
+from tests.command_line import Run
 from tests.short_drive import SET, SHORT
 
 DETECTED = "estimator.fastslam.detection_probability"
@@ -22,25 +24,20 @@ def steady(rows: list[dict[str, Any]]) -> list[dict[str, Any]]:
 
 
 @pytest.mark.slow
-def test_same_seed_same_rows_also_from_python_and_through_a_recording(cellslam: Any, tmp_path: Path) -> None:
+def test_same_seed_same_rows_also_from_python_and_through_a_recording(cellslam: Run, tmp_path: Path) -> None:
     words = ("--json", "--no-figures", "--quiet")
     run = cellslam("run", "tiny", *SHORT, "--seed", "7", *words)
     assert run.err == ""
-    frame = rows_from_python(seed=7)
-    assert steady(run.rows) == frame
+    frame = run_trials("tiny", ["fastslam", "ekf-slam", "dead-reckoning"], 1, 7, SET)
+    assert tuple(frame.columns) == ROW_KEYS
+    plain = [{k: None if v != v else v for k, v in row.items()} for row in frame.to_dict("records")]
+    assert steady(run.rows) == steady(plain)
     assert cellslam("record", "tiny", *SHORT, "--seed", "7", "--out", "a.h5").status == 0
     replay = cellslam("replay", "a.h5", *words)
     assert replay.status == 0
     assert steady(replay.rows) == steady(run.rows)
-    draws = (
-        "--estimator",
-        "phd-slam",
-        "--estimator",
-        "dead-reckoning",
-        "--set",
-        "estimator.phd-slam.particles=10",
-        *words,
-    )
+    drawing = ("--estimator", "phd-slam", "--set", "estimator.phd-slam.particles=10")
+    draws = (*drawing, "--estimator", "dead-reckoning", *words)
     same, other = (cellslam("replay", "a.h5", "--seed", seed, *draws).rows for seed in ("7", "8"))
     assert other[1]["position_rmse_m"] == same[1]["position_rmse_m"] == run.rows[2]["position_rmse_m"]
     assert other[0]["position_rmse_m"] != same[0]["position_rmse_m"]
@@ -48,21 +45,14 @@ def test_same_seed_same_rows_also_from_python_and_through_a_recording(cellslam: 
     assert another[0]["position_rmse_m"] != run.rows[2]["position_rmse_m"]
 
 
-def rows_from_python(seed: int) -> list[dict[str, Any]]:
-    frame = run_trials("tiny", ["fastslam", "ekf-slam", "dead-reckoning"], 1, seed, SET)
-    assert tuple(frame.columns) == ROW_KEYS
-    plain = [{k: None if v != v else v for k, v in row.items()} for row in frame.to_dict("records")]
-    return steady(plain)
-
-
-def test_second_trial_can_be_recorded(cellslam: Any) -> None:
+def test_second_trial_can_be_recorded(cellslam: Run) -> None:
     both = cellslam("run", "tiny", "--estimator", "dead-reckoning", "--trials", "2", "--json", "--no-figures").rows
     cellslam("record", "tiny", "--trial", "1", "--out", "b.h5")
     replay = cellslam("replay", "b.h5", "--estimator", "dead-reckoning", "--json", "--no-figures")
     assert steady(replay.rows) == steady(both[1:])
 
 
-def test_a_data_set_of_many_drives_goes_on_where_it_ended(cellslam: Any, tmp_path: Path) -> None:
+def test_a_data_set_of_many_drives_goes_on_where_it_ended(cellslam: Run, tmp_path: Path) -> None:
     assert cellslam("record", "tiny", "--trials", "1", "--out", "drives").status == 0
     first = (tmp_path / "drives" / "tiny-0-0000.h5").stat().st_mtime_ns
     more = cellslam("record", "tiny", "--trials", "2", "--out", "drives")
@@ -76,7 +66,7 @@ def test_a_data_set_of_many_drives_goes_on_where_it_ended(cellslam: Any, tmp_pat
 
 
 @pytest.mark.slow
-def test_recorded_scenario_brings_its_options(cellslam: Any) -> None:
+def test_recorded_scenario_brings_its_options(cellslam: Run) -> None:
     option = ("--set", f"{DETECTED}=0.7")
     cellslam("record", "tiny", *SHORT, *option, "--out", "c.h5")
     words = ("--json", "--no-figures")
@@ -86,7 +76,7 @@ def test_recorded_scenario_brings_its_options(cellslam: Any) -> None:
     assert changed[0]["position_rmse_m"] != brought[0]["position_rmse_m"]
 
 
-def test_replay_of_what_another_version_simulated_is_without_bound(cellslam: Any, tmp_path: Path) -> None:
+def test_replay_of_what_another_version_simulated_is_without_bound(cellslam: Run, tmp_path: Path) -> None:
     cellslam("record", "tiny", "--out", "old.h5")
     with h5py.File(tmp_path / "old.h5", "r+") as file:
         file["truth/persisting_std"][...] *= 1.1
@@ -96,7 +86,7 @@ def test_replay_of_what_another_version_simulated_is_without_bound(cellslam: Any
     assert row["position_rmse_m"] > 0.0 and row["bound_position_rmse_m"] is None
 
 
-def test_replay_without_truth_and_provenance(cellslam: Any, tmp_path: Path) -> None:
+def test_replay_without_truth_and_provenance(cellslam: Run, tmp_path: Path) -> None:
     cellslam("record", "tiny", "--out", "drive.h5")
     with h5py.File(tmp_path / "drive.h5", "r+") as file:
         del file["truth"]
@@ -110,7 +100,7 @@ def test_replay_without_truth_and_provenance(cellslam: Any, tmp_path: Path) -> N
     assert (tmp_path / "results" / "replay-drive" / "summary.json").exists()
 
 
-def test_replay_refuses_what_a_recording_fixes(cellslam: Any, tmp_path: Path) -> None:
+def test_replay_refuses_what_a_recording_fixes(cellslam: Run, tmp_path: Path) -> None:
     cellslam("record", "tiny", "--out", "a.h5")
     done = cellslam("replay", "a.h5", "--set", "radio.load=0.1")
     assert done.status == 2 and "radio.load" in done.err
@@ -118,3 +108,23 @@ def test_replay_refuses_what_a_recording_fixes(cellslam: Any, tmp_path: Path) ->
     done = cellslam("replay", "a.h5")
     assert done.status == 2 and "a.h5: not an HDF5 file" in done.err
     assert [path.name for path in tmp_path.iterdir()] == ["a.h5"]
+
+
+NR = {"technology": "nr", "carrier_hz": 3.5e9, "numerology": 1, "prs_comb": 12, "prs_symbols": 12}
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("front_end", "blocks", "noise_m"), [("statistical", 272, 0.00185), ("signal", 48, 0.0249)])
+def test_a_recording_of_nr_keeps_its_resource(front_end: str, blocks: int, noise_m: float, cellslam: Run) -> None:
+    keys = NR | {"resource_blocks": blocks}
+    drive = {"distance_m": 2, "duration_s": 6, "snapshot_interval_s": 0.6, "stops": 0}
+    sets = [f"radio.{key}={value}" for key, value in {**keys, "front_end": front_end}.items()]
+    sets += [f"vehicle.{key}={value}" for key, value in drive.items()]
+    words = [word for one in sets for word in ("--set", one)]
+    assert cellslam("record", "tiny", "--out", "drive.h5", "--quiet", *words).status == 0
+    origin = Origin.of(Recording.load("drive.h5"))
+    assert origin.scenario is not None
+    assert {key: getattr(origin.scenario.radio, key) for key in keys} == keys
+    assert origin.options["ekf-slam"]["noise_unit_snr_m"] == pytest.approx(noise_m, rel=0.01)
+    (row,) = cellslam("replay", "drive.h5", "--estimator", "ekf-slam", "--no-figures", "--quiet", "--json").rows
+    assert row["status"] == "ok"

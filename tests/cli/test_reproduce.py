@@ -11,8 +11,8 @@ import pytest
 
 from cellslam.benchmarks.sweeps.rows import results
 from cellslam.benchmarks.sweeps.tasks import asked_by, plan_known, recording_of
+from cellslam.cli.commands.reproduce import comparison, ladder
 from cellslam.cli.main import main
-from cellslam.cli.reproduce import comparison, ladder
 from cellslam.scenarios.known_worlds import paper, phd_slam_3
 from cellslam.scenarios.known_worlds.known_world import Entry
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 
 import numpy as np
@@ -11,6 +10,7 @@ import pytest
 from cellslam.cli.main import main
 from cellslam.scenarios.simulation import simulate
 from cellslam.sim.recording import Recording
+from tests.command_line import Run, refused
 
 SITES = ("-97.8,150.7,34.1", "17.3,-45.3,32.4")  # those of `tiny`
 
@@ -34,10 +34,9 @@ def places(own: Recording, tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.mark.parametrize(("name", "more"), [("p.npz", ["--polarisation", "VH"]), ("p", [])])
-def test_paths_feed_the_front_end(places: Path, own: Recording, name: str, more: list[str], tmp_path: Path) -> None:
-    out = tmp_path / "a.h5"
-    assert main(["--quiet", "simulate-from", str(places / name), "tiny", *more, "--out", str(out), "--seed", "3"]) == 0
-    r = Recording.load(out)
+def test_paths_feed_the_front_end(places: Path, own: Recording, name: str, more: list[str], cellslam: Run) -> None:
+    assert cellslam("--quiet", "simulate-from", places / name, "tiny", *more, "--out", "a.h5", "--seed", 3).status == 0
+    r = Recording.load("a.h5")
     t, m, true = r.truth, r.measurements, own.truth
     assert t is not None and true is not None and len(r.time_s) == len(own.time_s)
     assert np.allclose(t.site_positions_m, true.site_positions_m, atol=1e-4)
@@ -56,63 +55,49 @@ def test_paths_feed_the_front_end(places: Path, own: Recording, name: str, more:
     # One coefficient in place of a polarimetric matrix costs some detections.
     assert len(m) == pytest.approx(len(own.measurements), rel=0.02 if more else 0.3)
     assert len(t.vts.order) == len(true.vts.order) and r.provenance["description"] == f"paths of {name}"
-    said = [site["position_m"] for site in r.provenance["world"]["sites"]]
-    assert np.allclose(said, t.site_positions_m)
+    assert np.allclose([site["position_m"] for site in r.provenance["world"]["sites"]], t.site_positions_m)
 
 
 @pytest.mark.slow
-def test_a_recording_of_paths_is_replayed(places: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    out = tmp_path / "a.h5"
-    words = ["simulate-from", str(places / "p.npz"), "tiny", "--polarisation", "VH", "--out", str(out), "--seed", "3"]
-    assert main([*words, "--set", "vehicle.start_std_m=0.1"]) == 0
-    assert "400 snapshots" in capsys.readouterr().err
-    replay = ["--quiet", "replay", str(out), "--estimator", "ekf-slam", "--no-figures", "--json"]
-    assert main([*replay, "--out", str(tmp_path / "o")]) == 0
-    (row,) = json.loads(capsys.readouterr().out)
+def test_a_recording_of_paths_is_replayed(places: Path, cellslam: Run) -> None:
+    words = ("simulate-from", places / "p.npz", "tiny", "--polarisation", "VH", "--out", "a.h5", "--seed", 3)
+    assert "400 snapshots" in cellslam(*words, "--set", "vehicle.start_std_m=0.1").err
+    (row,) = cellslam("--quiet", "replay", "a.h5", "--estimator", "ekf-slam", "--no-figures", "--json").rows
     assert row["status"] == "ok" and row["bound_position_rmse_m"] > 0.0 and row["position_rmse_m"] < 2.0
 
 
-def test_a_drive_through_a_grid(places: Path, tmp_path: Path) -> None:
+def test_a_drive_through_a_grid(places: Path, cellslam: Run) -> None:
     """Places of a drive pick the receivers nearest to them."""
     aside = np.array([0.01, -0.02, 0.3])
     rows = np.loadtxt(places / "rx.csv", delimiter=",", skiprows=1)[20:390:4] + aside
-    np.savetxt(tmp_path / "along.csv", rows, "%.6f", ",", header="x,y,z", comments="")
-    out = tmp_path / "a.h5"
-    words = ["--quiet", "simulate-from", str(places / "p"), "tiny", "--along", str(tmp_path / "along.csv")]
-    assert main([*words, "--out", str(out)]) == 0
-    r = Recording.load(out)
+    np.savetxt("along.csv", rows, "%.6f", ",", header="x,y,z", comments="")
+    words = ("--quiet", "simulate-from", places / "p", "tiny", "--along", "along.csv", "--out", "a.h5")
+    assert cellslam(*words).status == 0
+    r = Recording.load("a.h5")
     assert r.truth is not None
     far = [np.linalg.norm(rows - aside - place, axis=1).min() for place in r.truth.poses[:, :3]]
     assert max(far) < 0.1 and 40 < len(far) <= len(rows)
 
 
 @pytest.mark.parametrize(
-    ("words", "says"),
+    ("words", "text"),
     [
         (["nothing.npz", "tiny"], "no such file or folder"),
         (["p", "open"], "has 2 transmitters, the scenario 3 sites (A, B, C)"),
         (["p.npz", "tiny"], "say another --polarisation"),
-        (
-            ["p", "tiny", "--set", "vehicle.snapshot_interval_s=0.005", "--along", "PLACES"],
-            "be a drive, in order",
-        ),
+        (["p", "tiny", "--set", "vehicle.snapshot_interval_s=0.005", "--along", "far.csv"], "be a drive, in order"),
         (["p", "tiny", "--set", "radio.carrier_hz=3.5e9"], "was traced at 2.66e+09 Hz"),
         (["p", "tiny", "--rx-set", "4"], "has no receiver set 4 (known: 1)"),
     ],
 )
-def test_what_does_not_fit(
-    places: Path, words: list[str], says: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    words = [str(places / "far.csv") if word == "PLACES" else word for word in words]
+def test_what_does_not_fit(places: Path, words: list[str], text: str, cellslam: Run) -> None:
     rows = np.loadtxt(places / "rx.csv", delimiter=",", skiprows=1)[::40]
-    np.savetxt(places / "far.csv", rows, "%.6f", ",", header="x,y,z", comments="")
-    assert main(["simulate-from", str(places / words[0]), *words[1:], "--out", str(tmp_path / "a.h5")]) == 2
-    assert says in capsys.readouterr().err and not (tmp_path / "a.h5").exists()
+    np.savetxt("far.csv", rows, "%.6f", ",", header="x,y,z", comments="")
+    refused(cellslam("simulate-from", places / words[0], *words[1:], "--out", "a.h5", "--quiet"), text)
+    assert not Path("a.h5").exists()
 
 
-def test_formats_ask_for_their_names(places: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    words = ["city", "trace", "tiny", "--bs", SITES[0], "--rx", str(places / "rx.csv"), "--format"]
-    assert main([*words, "sionna", "--out", str(tmp_path / "p.csv")]) == 2
-    assert "writes an .npz" in capsys.readouterr().err
-    assert main([*words, "deepmimo", "--out", str(tmp_path)]) == 2
-    assert "exists already" in capsys.readouterr().err
+def test_formats_ask_for_their_names(places: Path, cellslam: Run) -> None:
+    words = ("city", "trace", "tiny", "--bs", SITES[0], "--rx", places / "rx.csv", "--format")
+    refused(cellslam(*words, "sionna", "--out", "p.csv"), "writes an .npz")
+    refused(cellslam(*words, "deepmimo", "--out", "."), "exists already")

@@ -1,55 +1,94 @@
 from __future__ import annotations
 
 import dataclasses
-import importlib.util
 import os
-import sys
 from collections.abc import Callable
-from pathlib import Path
-from types import ModuleType
+from dataclasses import dataclass
 
 import numpy as np
 import pytest
 
+from cellslam.benchmarks.scores.metrics import score
+from cellslam.benchmarks.trials.estimation import estimate, warm_up
+from cellslam.scenarios.estimator_options import resolve
 from cellslam.sim.recording import Recording
+from tests.command_line import cellslam
+from tests.recordings import vehicle_world
 
+__all__ = ["cellslam"]
+STEP_S = 0.02
 DURATION_S = float(os.environ.get("CELLSLAM_VEHICLE_S", "240"))
 
 
 @pytest.fixture(scope="session")
-def vehicle_world() -> ModuleType:
-    """The maker of synthetic drives in the layout of the vehicle data set."""
-    path = Path(__file__).with_name("vehicle_world.py")
-    spec = importlib.util.spec_from_file_location("vehicle_world", path)
-    assert spec is not None and spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    sys.modules["vehicle_world"] = module
-    spec.loader.exec_module(module)
-    return module
-
-
-@pytest.fixture(scope="session")
-def vehicle_drive(vehicle_world: ModuleType) -> object:
+def vehicle_drive() -> vehicle_world.VehicleDrive:
     """Minutes among 500 trees; CELLSLAM_VEHICLE_S=3600 makes it an hour."""
     return vehicle_world.drive(DURATION_S, 500, 1)
 
 
 @pytest.fixture(scope="session")
-def vehicle_files(vehicle_world: ModuleType, vehicle_drive: object, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The folder with the three .mat files."""
-    folder = tmp_path_factory.mktemp("victoria")
-    vehicle_world.write(folder, vehicle_drive, 2)
-    return folder
+def strip() -> Callable[..., Recording]:
+    """Returns a recording in which the named columns of the measurements were never measured."""
 
+    def stripped(recording: Recording, *columns: str) -> Recording:
+        nothing = np.full(len(recording.measurements), np.nan)
+        measurements = dataclasses.replace(recording.measurements, **dict.fromkeys(columns, nothing))
+        return dataclasses.replace(recording, measurements=measurements)
 
-def stripped(recording: Recording, *columns: str) -> Recording:
-    """Return a recording in which the named columns of the measurements were never measured."""
-    nothing = np.full(len(recording.measurements), np.nan)
-    measurements = dataclasses.replace(recording.measurements, **dict.fromkeys(columns, nothing))
-    return dataclasses.replace(recording, measurements=measurements)
+    return stripped
 
 
 @pytest.fixture(scope="session")
-def strip() -> Callable[..., Recording]:
-    """The function `stripped`."""
-    return stripped
+def take() -> Callable[..., Recording]:
+    """Returns a recording with some rows of its measurements, and with some columns replaced."""
+
+    def taken(recording: Recording, keep: np.ndarray, **columns: np.ndarray) -> Recording:
+        m = recording.measurements
+        every = {field.name: getattr(m, field.name) for field in dataclasses.fields(m)} | columns
+        kept = {name: None if column is None else column[keep] for name, column in every.items()}
+        return dataclasses.replace(recording, measurements=dataclasses.replace(m, **kept))
+
+    return taken
+
+
+@pytest.fixture(scope="session")
+def position_rmse() -> Callable[..., float]:
+    """Position RMSE in m of an estimator by name and options on a recording."""
+
+    def rmse(recording: Recording, name: str, **options: object) -> float:
+        (request,) = resolve({name: options} if options else {}, [name], ())
+        warm_up(request)
+        return float(score(recording, estimate(recording, request, np.random.default_rng(5)), None)["position_rmse_m"])
+
+    return rmse
+
+
+@dataclass(frozen=True)
+class Circuit:
+    """A robot that drives figures of eight of some metres: times (N,), poses x, y, yaw (N, 3), speed, yaw rate (N,)."""
+
+    time_s: np.ndarray
+    poses: np.ndarray
+    speed: np.ndarray
+    turn: np.ndarray
+
+    def at(self, time_s: np.ndarray) -> np.ndarray:
+        """Return poses (n, 3) at other times."""
+        return np.column_stack([np.interp(time_s, self.time_s, column) for column in self.poses.T])
+
+
+def circuit(duration_s: float, speed_mps: float, turn_radps: float) -> Circuit:
+    """Return a drive of figures of eight, each loop 2 pi / turn_radps long."""
+    t = STEP_S * np.arange(int(duration_s / STEP_S) + 1)
+    turn = turn_radps * np.where(np.sin(0.5 * turn_radps * t) >= 0.0, 1.0, -1.0)
+    yaw = 0.3 + np.concatenate([[0.0], np.cumsum(turn[:-1] * STEP_S)])
+    middle = yaw + 0.5 * turn * STEP_S
+    moves = speed_mps * STEP_S * np.column_stack([np.cos(middle), np.sin(middle)])
+    place = np.array([2.0, -1.0]) + np.vstack([[0.0, 0.0], np.cumsum(moves[:-1], axis=0)])
+    return Circuit(t, np.column_stack([place, yaw]), np.full(len(t), speed_mps), turn)
+
+
+@pytest.fixture(scope="session")
+def drive_eights() -> Callable[..., Circuit]:
+    """The function `circuit`."""
+    return circuit

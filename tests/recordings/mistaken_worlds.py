@@ -229,14 +229,12 @@ def _fixes(
     return change
 
 
-def _late_reference(c: Campaign) -> Campaign:
-    assert c.reference is not None
-    return replace(c, reference=replace(c.reference, time_s=np.asarray(c.reference.time_s) + 5.0))
+def _late(table: str, seconds: float) -> Callable[[Campaign], Campaign]:
+    def change(c: Campaign) -> Campaign:
+        given = getattr(c, table)
+        return replace(c, **{table: replace(given, time_s=np.asarray(given.time_s) + seconds)})
 
-
-def _late_odometry(c: Campaign) -> Campaign:
-    assert c.odometry is not None
-    return replace(c, odometry=replace(c.odometry, time_s=np.asarray(c.odometry.time_s) + 2.0))
+    return change
 
 
 def _late_measurements(c: Campaign) -> Campaign:
@@ -276,8 +274,8 @@ MISTAKES: dict[str, tuple[Callable[[Campaign], Campaign], tuple[str, ...]]] = {
     "reference with x and y swapped": (_fixes(_swap), ("swapped-axes",)),
     "reference north-east-down": (_fixes(_down, lambda y: wrap_angle(np.pi / 2 - y)), ("swapped-axes",)),
     "reference in feet": (_fixes(lambda p: p / 0.3048), ("reference-unit",)),
-    "reference 5 s late": (_late_reference, ("reference-clock",)),
-    "odometry 2 s late": (_late_odometry, ("odometry-clock",)),
+    "reference 5 s late": (_late("reference", 5.0), ("reference-clock",)),
+    "odometry 2 s late": (_late("odometry", 2.0), ("odometry-clock",)),
     "measurements 1 s late": (_late_measurements, ("measurements-clock",)),
     "forward-right-down": (_wheels(**_right_hand), ("forward-right-down", "clockwise")),
     "20 m on every distance": (_columns(distance_m=lambda d: d + 20.0), ("distance-offset",)),

@@ -2,25 +2,24 @@
 
 from __future__ import annotations
 
-import dataclasses
+from collections.abc import Callable
 from pathlib import Path
-from types import ModuleType
+from typing import Any
 
 import numpy as np
 import pytest
 from scipy.io import loadmat, savemat
+from scipy.spatial import cKDTree
 
-from cellslam.benchmarks.scores.metrics import score
-from cellslam.benchmarks.trials.estimation import estimate, warm_up
 from cellslam.recordings.adapters.adapter_loading import import_adapter
 from cellslam.recordings.adapters.tampere import NAME
-from cellslam.recordings.adapters.tree_trunks import find_trees
-from cellslam.recordings.adapters.victoria_park import velocities
-from cellslam.scenarios.estimator_options import resolve
+from cellslam.recordings.adapters.victoria_park import find_trees, velocities
 from cellslam.sim.errors import InputError
-from cellslam.sim.recording import Measurements, Recording
+from cellslam.sim.recording import Recording
 from cellslam.slam.measurements.measurement_options import NOTHING_PERSISTS
+from tests.recordings import vehicle_world
 
+Rmse = Callable[..., float]
 FITTED = {
     "noise_floor_m": 0.1,
     "noise_floor_azimuth_deg": 0.3,
@@ -74,67 +73,40 @@ def test_the_vehicle_model_by_hand() -> None:
 
 
 @pytest.fixture(scope="module")
-def park(vehicle_files: Path) -> Recording:
-    return import_adapter(vehicle_files, "victoria-park")
+def park(vehicle_drive: Any, tmp_path_factory: pytest.TempPathFactory) -> Recording:
+    """The recording of the three .mat files of a drive."""
+    folder = tmp_path_factory.mktemp("victoria")
+    vehicle_world.write(folder, vehicle_drive, 2)
+    return import_adapter(folder, "victoria-park")
 
 
-def truth_at(park: Recording, drive: object) -> np.ndarray:
-    """Return true x, y, yaw at the snapshots; the files' clock starts at 5 s."""
-    times, poses = drive.time_s, drive.poses  # type: ignore[attr-defined]
-    at = park.time_s - 5.0
-    return np.column_stack([np.interp(at, times, c) for c in (poses[:, 0], poses[:, 1], np.unwrap(poses[:, 2]))])
-
-
-def test_trees_of_the_vehicle_data_are_where_they_stand(park: Recording, vehicle_drive: object) -> None:
-    m, truth = park.measurements, truth_at(park, vehicle_drive)[park.measurements.snapshot]
-    seen = truth[:, :2] + m.distance_m[:, None] * np.column_stack(
-        [np.cos(truth[:, 2] + m.azimuth_rad), np.sin(truth[:, 2] + m.azimuth_rad)]
-    )
-    trees = vehicle_drive.trees[:, :2]  # type: ignore[attr-defined]
-    error = (
-        np.sqrt(((seen[:, None] - trees[None]) ** 2).sum(axis=2).min(axis=1))
-        if len(seen) < 4000
-        else nearest(seen, trees)
-    )
+def test_trees_of_the_vehicle_data_are_where_they_stand(park: Recording, vehicle_drive: Any) -> None:
+    poses, at = vehicle_drive.poses, park.time_s - 5.0  # the files' clock starts at 5 s
+    columns = (poses[:, 0], poses[:, 1], np.unwrap(poses[:, 2]))
+    true = np.column_stack([np.interp(at, vehicle_drive.time_s, column) for column in columns])
+    m, truth = park.measurements, true[park.measurements.snapshot]
+    towards = truth[:, 2] + m.azimuth_rad
+    seen = truth[:, :2] + m.distance_m[:, None] * np.column_stack([np.cos(towards), np.sin(towards)])
+    error = cKDTree(vehicle_drive.trees[:, :2]).query(seen)[0]
     assert np.quantile(error, 0.99) < 0.25 and 7.0 < len(m) / len(park.time_s) < 11.0
     assert park.plane and np.isnan(m.elevation_rad).all() and np.isnan(m.snr_db).all()
     assert np.isnan(park.odometry[:, [2, 4, 5]]).all() and park.reference is not None
-    assert park.start_pose[:2] == pytest.approx(truth_at(park, vehicle_drive)[0, :2], abs=0.8)
-    assert park.start_pose[3] == pytest.approx(truth_at(park, vehicle_drive)[0, 2], abs=0.06)
-
-
-def nearest(points: np.ndarray, others: np.ndarray) -> np.ndarray:
-    from scipy.spatial import cKDTree
-
-    return np.asarray(cKDTree(others).query(points)[0])
-
-
-def rmse(recording: Recording, name: str, **options: object) -> tuple[float, float]:
-    request = resolve({name: options} if options else {}, [name], ())[0]
-    warm_up(request)
-    result = estimate(recording, request, np.random.default_rng(5))
-    scores = score(recording, result, None)
-    seconds = recording.time_s[-1] - recording.time_s[0]
-    return float(scores["position_rmse_m"] or np.nan), float(seconds / result.estimate_seconds)
+    assert park.start_pose[:2] == pytest.approx(true[0, :2], abs=0.8)
+    assert park.start_pose[3] == pytest.approx(true[0, 2], abs=0.06)
 
 
 @pytest.mark.slow
-def test_filters_beat_dead_reckoning_tenfold_among_500_trees(park: Recording) -> None:
+@pytest.mark.parametrize(
+    ("name", "options", "times"), [("fastslam", {"particles": 100}, 10), ("ekf-slam", {"vts": 600}, 8)]
+)
+def test_filters_beat_dead_reckoning_among_500_trees(
+    name: str, options: dict[str, int], times: int, park: Recording, position_rmse: Rmse
+) -> None:
     """CELLSLAM_VEHICLE_S=3600 makes it the drive of an hour."""
-    reckoned, _ = rmse(park, "dead-reckoning")
-    slam, speed = rmse(park, "fastslam", particles=100, **FITTED)
-    assert slam < reckoned / 10.0, (slam, reckoned)
-    assert speed > 10.0, speed
+    assert position_rmse(park, name, **options, **FITTED) < position_rmse(park, "dead-reckoning") / times
 
 
-@pytest.mark.slow
-def test_ekf_slam_among_500_trees(park: Recording) -> None:
-    reckoned, _ = rmse(park, "dead-reckoning")
-    slam, _ = rmse(park, "ekf-slam", vts=600, **FITTED)
-    assert slam < reckoned / 8.0, (slam, reckoned)
-
-
-def test_vehicle_files_that_lack_something(vehicle_world: ModuleType, tmp_path: Path) -> None:
+def test_vehicle_files_that_lack_something(tmp_path: Path) -> None:
     vehicle_world.write(tmp_path, vehicle_world.drive(30.0, 60, 4, size_m=80.0), 5)
     variables = {k: v for k, v in loadmat(tmp_path / "aa3_dr.mat").items() if k[0] != "_"}
     steering = variables.pop("steering")
@@ -147,38 +119,30 @@ def test_vehicle_files_that_lack_something(vehicle_world: ModuleType, tmp_path: 
         import_adapter(tmp_path, "victoria-park")
 
 
-def indoor(tmp_path: Path) -> Path:
-    """Write a file in the layout of the 60 GHz campaign: 45 places in a hall, a transmitter, three walls."""
+SOURCES = np.array([[9.0, 1.0], [-25.0, 1.0], [9.0, 13.0], [9.0, -15.0]])  # a transmitter and its mirror images
+
+
+def test_the_60_ghz_campaign(tmp_path: Path, position_rmse: Rmse) -> None:
+    """A file in the layout of the 60 GHz campaign: 45 places in a hall, a transmitter, three walls."""
     rng = np.random.default_rng(7)
     angle = np.linspace(0, 1.5 * np.pi, 45)
     rx = np.stack([6 * np.cos(angle), 4 * np.sin(angle), angle + np.pi / 2])
-    sources = np.array(
-        [[9.0, 1.0], [-9.0 - 16.0, 1.0], [9.0, 13.0], [9.0, -15.0]]
-    )  # the transmitter and its mirror images
-    y = np.empty((1, 45), object)
-    power = np.empty((1, 45), object)
+    y, power = np.empty((1, 45), object), np.empty((1, 45), object)
     for k in range(45):
-        d = sources - rx[:2, k]
+        d = SOURCES - rx[:2, k]
         arrival = np.arctan2(d[:, 1], d[:, 0]) - rx[2, k] + np.radians(1.0) * rng.standard_normal(4)
         y[0, k] = np.stack([np.hypot(*d.T) + 0.1 * rng.standard_normal(4), rng.uniform(-3, 3, 4), arrival + 4 * np.pi])
         power[0, k] = rng.uniform(-90, -50, (1, 4))
     savemat(tmp_path / NAME, {"sim": {"rx": rx, "tx": np.tile([[9.0], [1.0], [0.0]], 45), "y": y, "power": power}})
-    return tmp_path
-
-
-def test_the_60_ghz_campaign(tmp_path: Path) -> None:
-    r = import_adapter(indoor(tmp_path), "tampere-60ghz")
+    r = import_adapter(tmp_path, "tampere-60ghz")
     assert len(r.time_s) == 45 and len(r.measurements) == 180 and r.plane
     assert r.reference is not None and np.isfinite(r.reference.yaw_rad).all()
     pose, m = np.column_stack([r.reference.position_m[:, :2], r.reference.yaw_rad]), r.measurements
     towards = pose[m.snapshot, 2] + m.azimuth_rad
     ends = pose[m.snapshot, :2] + m.distance_m[:, None] * np.column_stack([np.cos(towards), np.sin(towards)])
-    sources = np.array([[9.0, 1.0], [-25.0, 1.0], [9.0, 13.0], [9.0, -15.0]])
-    assert np.quantile(nearest(ends, sources), 0.95) < 1.2
+    assert np.quantile(cKDTree(SOURCES).query(ends)[0], 0.95) < 1.2
     assert "simulated" in r.provenance["description"]
-    alone, _ = rmse(r, "dead-reckoning")
-    slam, _ = rmse(r, "fastslam", particles=100, noise_model="claimed")
-    assert slam < alone
+    assert position_rmse(r, "fastslam", particles=100, noise_model="claimed") < position_rmse(r, "dead-reckoning")
 
 
 def test_a_60_ghz_file_that_lacks_something(tmp_path: Path) -> None:
@@ -187,15 +151,3 @@ def test_a_60_ghz_file_that_lacks_something(tmp_path: Path) -> None:
     savemat(tmp_path / NAME, {"sim": {"rx": np.zeros((3, 2))}})
     with pytest.raises(InputError, match="'sim' has no field 'tx'"):
         import_adapter(tmp_path, "tampere-60ghz")
-
-
-def test_cut_recordings_stay_sound(park: Recording) -> None:
-    keep = park.measurements.snapshot < 50
-    columns = [getattr(park.measurements, f.name) for f in dataclasses.fields(park.measurements)]
-    cut = dataclasses.replace(
-        park,
-        time_s=park.time_s[:50],
-        odometry=park.odometry[:50],
-        measurements=Measurements(*(None if c is None else c[keep] for c in columns)),
-    )
-    assert np.isfinite(rmse(cut, "dead-reckoning")[0])

@@ -3,19 +3,18 @@
 from __future__ import annotations
 
 import re
-import sys
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from cellslam.cli import main as cli
-from cellslam.cli.recordings.export import EXPORTS
-from cellslam.recordings.importing.campaign import CLAIMS, QUANTITIES
-from cellslam.recordings.importing.importing import POSES, REFERENCE
+from cellslam.cli.commands.export import EXPORTS
+from cellslam.recordings.importing.columns import TABLES
+from cellslam.recordings.inspection.mistakes import EXPLANATIONS
 from cellslam.sim.frames import SPEED_OF_LIGHT_MPS
-from cellslam.sim.recording import COMPONENTS, Recording
+from cellslam.sim.recording import Recording
 from cellslam.sim.recording.columns import COLUMNS
+from tests.command_line import Run, refused
 
 DOCS = Path(__file__).parents[2] / "docs"
 PAGES = ("reference/campaign-tables.md", "reference/recording-files.md", "how-to/export.md")
@@ -55,15 +54,13 @@ def write_campaign(folder: Path) -> np.ndarray:
     return np.column_stack([place, yaw])
 
 
-def test_the_manifest_of_the_page(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_manifest_of_the_page(tmp_path: Path, cellslam: Run) -> None:
     pytest.importorskip("pyproj", reason="extra gnss")
     truth = write_campaign(tmp_path / "campaign")
     (tmp_path / "campaign" / "recording.toml").write_text(block("toml", "courtyard"))
-    out = tmp_path / "drive.h5"
-    assert cli.main(["import", str(tmp_path / "campaign"), "--out", str(out)]) == 0
-    said = capsys.readouterr().err
-    assert "300 snapshots, 2 links, 1200 measurements" in said and "suspicious" not in said
-    r = Recording.load(out)
+    notes = cellslam("import", "campaign", "--out", "drive.h5").err
+    assert "300 snapshots, 2 links, 1200 measurements" in notes and "suspicious" not in notes
+    r = Recording.load("drive.h5")
     at = truth[::5][r.measurements.snapshot]
     site = np.array(["tx1", "tx2"])[r.measurements.link]
     best = np.full(len(at), np.inf)
@@ -78,22 +75,31 @@ def test_the_manifest_of_the_page(tmp_path: Path, capsys: pytest.CaptureFixture[
     assert r.start_pose[3] == pytest.approx(0.4, abs=0.03) and r.sites.clock_offset_std_m.tolist() == [150.0, 150.0]
 
 
-def test_the_adapter_of_the_page(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_adapter_of_the_page(cellslam: Run) -> None:
     code = block("python", "def load")
     assert len(code.strip().splitlines()) <= 10
-    (tmp_path / "page_adapter.py").write_text(code)
+    Path("page_adapter.py").write_text(code)
+    Path("log").mkdir()
     t = 0.5 * np.arange(40)
-    (tmp_path / "log").mkdir()
-    np.savetxt(tmp_path / "log" / "log.txt", np.column_stack([t, 40.0 - t, 0.0 * t]))
-    monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr(sys, "path", list(sys.path))
-    assert cli.main(["--quiet", "import", "log", "--adapter", "page_adapter:load", "--out", "a.h5"]) == 0
-    r = Recording.load(tmp_path / "a.h5")
+    np.savetxt("log/log.txt", np.column_stack([t, 40.0 - t, 0.0 * t]))
+    words = ("--quiet", "import", "log", "--adapter", "page_adapter:load", "--out")
+    assert cellslam(*words, "a.h5").status == 0
+    r = Recording.load("a.h5")
     assert len(r.time_s) == 40 and r.odometry[1:, 0] == pytest.approx(np.ones(39)) and r.plane
+    Path("log/log.txt").write_text("no numbers\n")
+    refused(cellslam(*words, "b.h5"), "page_adapter")
+    refused(cellslam("import", ".", "--adapter", "victoria-prak", "--out", "b.h5"), "did you mean 'victoria-park'")
+    assert not Path("b.h5").exists()
 
 
 def test_every_column_and_format_is_on_the_page() -> None:
-    names = {*QUANTITIES, *CLAIMS, *COMPONENTS, *POSES, *REFERENCE, "time_s"}
+    names = {name for columns in TABLES.values() for name in columns}
     assert [name for name in sorted(names) if name not in PAGE] == []
     assert [column.path for column in COLUMNS if f"`{column.path}`" not in PAGE] == []
     assert [kind for kind in EXPORTS if f"`{kind}`" not in PAGE] == []
+
+
+def test_the_page_counts_the_corrections() -> None:
+    page = (DOCS / "how-to/inspect-a-recording.md").read_text("utf-8")
+    count = sum(len(explanation.corrections) for explanation in EXPLANATIONS)
+    assert f"{count} corrections are tried" in page

@@ -12,16 +12,17 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-import cellslam
-from cellslam.cli import main as cli
+from cellslam import replay
 from cellslam.recordings import Campaign, OdometryTable, ReferenceTable, build
 from cellslam.recordings.fitting.fit_noise import first_guess, fit
-from cellslam.recordings.fitting.fit_sizes import BURSTS, Learnt, learn, said, toml
+from cellslam.recordings.fitting.fit_sizes import BURSTS, Learnt, in_words, learn, toml
+from cellslam.recordings.fitting.fit_tracks import tracks_of
 from cellslam.scenarios.estimator_options import resolve
 from cellslam.sim.errors import InputError
 from cellslam.sim.recording import OdometryModel, Recording
 from cellslam.slam import registry
 from cellslam.slam.measurements.measurement_options import MeasurementOptions
+from tests.command_line import Run, refused
 
 STD_M, STD_RAD, UNIT_M, DETECTED, FALSE = 0.2, np.radians(0.8), 0.3, 0.7, 0.5
 SPEED_NOISE, TURN_NOISE, TURN_BIAS = 0.15, 0.01, 0.012
@@ -51,22 +52,11 @@ def winding(count: int) -> Recording:
         snr_db = rng.uniform(-5.0, 25.0, len(near))
         std = np.sqrt(STD_M**2 + UNIT_M**2 * 10 ** (-snr_db / 10))
         azimuth = np.arctan2(d[near, 1], d[near, 0]) - heading[t] + STD_RAD * rng.standard_normal(len(near))
-        rows.append(
-            np.column_stack(
-                [np.full(len(near), times[t]), reach[near] + std * rng.standard_normal(len(near)), azimuth, snr_db]
-            )
-        )
+        distance = reach[near] + std * rng.standard_normal(len(near))
+        rows.append(np.column_stack([np.full(len(near), times[t]), distance, azimuth, snr_db]))
         false = rng.poisson(FALSE)
-        rows.append(
-            np.column_stack(
-                [
-                    np.full(false, times[t]),
-                    rng.uniform(5, 5 + AREA_M, false),
-                    rng.uniform(-np.pi, np.pi, false),
-                    np.full(false, 10.0),
-                ]
-            )
-        )
+        anywhere = rng.uniform(5, 5 + AREA_M, false), rng.uniform(-np.pi, np.pi, false)
+        rows.append(np.column_stack([np.full(false, times[t]), *anywhere, np.full(false, 10.0)]))
     table = np.concatenate(rows)
     speed = np.full(count, 1.5) + SPEED_NOISE / np.sqrt(dt) * rng.standard_normal(count)
     rate = turn + TURN_BIAS + TURN_NOISE / np.sqrt(dt) * rng.standard_normal(count)
@@ -118,8 +108,8 @@ def test_odometry_and_noise_are_learnt_whatever_the_sheet_says(learnt: Learnt) -
     assert learnt.options["noise_floor_azimuth_deg"] == pytest.approx(np.degrees(STD_RAD), rel=0.3)
 
 
-def test_what_was_told_wrong_is_said(learnt: Learnt) -> None:
-    text = "\n".join(said(learnt))
+def test_what_was_told_wrong_is_listed(learnt: Learnt) -> None:
+    text = "\n".join(in_words(learnt))
     factor = {name: float(line.split(": ")[1].split()[0]) for name in ("speed", "yaw rate")
               for line in text.splitlines() if f"noise of the odometry's {name}: " in line}  # fmt: skip
     assert factor == {"speed": pytest.approx(0.2, rel=0.25), "yaw rate": pytest.approx(5.0, rel=0.25)}
@@ -127,43 +117,40 @@ def test_what_was_told_wrong_is_said(learnt: Learnt) -> None:
 
 
 @pytest.mark.slow
-def test_nothing_is_learnt_where_offsets_are_never_resolved(world: Recording) -> None:
+def test_nothing_is_learnt_where_offsets_are_never_resolved(
+    world: Recording, thin: Recording, strip: Callable[..., Recording]
+) -> None:
     """Azimuths alone do not tell an offset of 150 m."""
-    few = thin(world)
-    angles = dataclasses.replace(few.measurements, distance_m=np.full(len(few.measurements), np.nan))
     sites = dataclasses.replace(world.sites, clock_offset_std_m=np.array([150.0]))
-    found = learn(dataclasses.replace(few, measurements=angles, sites=sites), {"start_limit_s": 1e5, "vts": 4})
-    assert not found.resolved and "never resolved" in said(found)[0]
+    angles = dataclasses.replace(strip(thin, "distance_m"), sites=sites)
+    found = learn(angles, {"start_limit_s": 1e5, "vts": 4})
+    assert not found.resolved and "never resolved" in in_words(found)[0]
     np.testing.assert_array_equal(found.odometry_model.noise_density, world.odometry_model.noise_density)
 
 
 @pytest.mark.slow
-def test_one_command_learns_and_replays(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_one_command_learns_and_replays(cellslam: Run) -> None:
     """Without an option a measured recording is fitted first; the tables that this leaves can be given again."""
-    drive, mistold = tmp_path / "a.h5", with_sheet(winding(1000), 5.0 * SPEED_NOISE, 0.2 * TURN_NOISE)
-    mistold.save(drive)
-    learnt = learn(mistold, None)
-    words = ["replay", str(drive), "--estimator", "ekf-slam", "--no-figures", "--out", str(tmp_path / "out")]
-    assert cli.main(words) == 0
-    shown = capsys.readouterr()
-    assert "noise of the odometry's speed: 0." in shown.err
-    fitted = tmp_path / "out" / "fit.toml"
+    mistold = with_sheet(winding(1000), 5.0 * SPEED_NOISE, 0.2 * TURN_NOISE)
+    mistold.save("a.h5")
+    density = learn(mistold, None).odometry_model.noise_density
+    words = ("replay", "a.h5", "--estimator", "ekf-slam", "--no-figures")
+    assert "noise of the odometry's speed: 0." in cellslam(*words, "--out", "out").err
+    fitted = Path("out/fit.toml")
     tables = tomllib.loads(fitted.read_text("utf-8"))
     assert set(tables) == {"estimator", "noise"} and set(tables["noise"]) == {"u_x", "u_psi"}
-    assert tables["noise"]["u_x"]["noise_density"] == pytest.approx(learnt.odometry_model.noise_density[0], rel=1e-3)
+    assert tables["noise"]["u_x"]["noise_density"] == pytest.approx(density[0], rel=1e-3)
     for request in resolve(tables["estimator"], ["fastslam", "ekf-slam"], ()):
         assert request.options.detection_probability == pytest.approx(DETECTED, abs=0.06)
-    assert cli.main([*words[:-1], str(tmp_path / "again"), "--options", str(fitted)]) == 0
-    again = capsys.readouterr()
-    assert "as assumed" not in again.err
-    ends = [np.loadtxt(tmp_path / folder / "trajectory-ekf-slam.tum")[-1, 1:3] for folder in ("out", "again")]
+    again = cellslam(*words, "--out", "again", "--options", fitted)
+    assert again.status == 0 and "as assumed" not in again.err
+    ends = [np.loadtxt(f"{folder}/trajectory-ekf-slam.tum")[-1, 1:3] for folder in ("out", "again")]
     np.testing.assert_allclose(ends[0], ends[1], atol=0.1)
-    asked = cellslam.replay(drive, "ekf-slam"), cellslam.replay(drive, "ekf-slam", fit=False)
-    shown_rmse = json.loads((tmp_path / "out" / "summary.json").read_text())["rows"][0]["position_rmse_m"]
+    asked = replay("a.h5", "ekf-slam"), replay("a.h5", "ekf-slam", fit=False)
+    shown_rmse = json.loads(Path("out/summary.json").read_text())["rows"][0]["position_rmse_m"]
     assert [frame["position_rmse_m"][0] == shown_rmse for frame in asked] == [True, False]
     fitted.write_text(fitted.read_text("utf-8") + "[city]\nseed = 1\n")
-    assert cli.main([*words[:-1], str(tmp_path / "o"), "--options", str(fitted)]) == 2
-    assert "fit.toml: has 'city'" in capsys.readouterr().err
+    refused(cellslam(*words, "--options", fitted, "--quiet"), "fit.toml: has 'city'")
 
 
 def test_what_was_learnt_is_given_to_every_map_builder() -> None:
@@ -178,14 +165,13 @@ def test_what_was_learnt_is_given_to_every_map_builder() -> None:
         assert {key: getattr(own, key) for key in options} == options
 
 
-def test_too_little_to_learn_is_said(world: Recording, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    thin(world).save(tmp_path / "a.h5")
-    words = ["replay", str(tmp_path / "a.h5"), "--estimator", "dead-reckoning", "--no-figures", "--out"]
-    assert cli.main([*words, str(tmp_path / "alone")]) == 0
-    assert "learnt" not in capsys.readouterr().err
-    assert cli.main([*words, str(tmp_path / "out"), "--fit"]) == 0
-    assert "nothing learnt from" in capsys.readouterr().err
-    assert cli.main(["fit-noise", str(tmp_path / "a.h5")]) == 2
+def test_too_little_to_learn_is_told(thin: Recording, cellslam: Run) -> None:
+    thin.save("a.h5")
+    words = ("replay", "a.h5", "--estimator", "dead-reckoning", "--no-figures")
+    alone, fitted = cellslam(*words), cellslam(*words, "--fit")
+    assert alone.status == fitted.status == 0
+    assert "learnt" not in alone.err and "nothing learnt from" in fitted.err
+    assert cellslam("fit-noise", "a.h5").status == 2
 
 
 def test_errors_that_persist_are_told_from_white_ones(world: Recording) -> None:
@@ -198,20 +184,13 @@ def test_errors_that_persist_are_told_from_white_ones(world: Recording) -> None:
     m = world.measurements
     # Paths are told apart by where they lie, to the left or right, near or far: 40 functions of the way.
     place = rng.standard_normal((40, len(knots))) @ (smooth / np.sqrt((smooth**2).sum(axis=1, keepdims=True))).T
-    kind = source_of(world) % 40
+    kind = np.maximum(tracks_of(world).track, 0) % 40
     extra = place[kind, np.minimum(way[m.snapshot].astype(int), len(knots) - 1)]
     found = fit(
         dataclasses.replace(world, measurements=dataclasses.replace(m, distance_m=m.distance_m + 0.5 * extra))
     ).persisting
     assert np.hypot(found.place["m"], found.direction["m"]) == pytest.approx(0.5, rel=0.4)
     assert found.scale_m > 1.0
-
-
-def source_of(world: Recording) -> np.ndarray:
-    """Return a number for each row that a source keeps: where dead reckoning sees it, roughly."""
-    from cellslam.recordings.fitting.fit_tracks import tracks_of
-
-    return np.maximum(tracks_of(world).track, 0)
 
 
 def test_simulated_cellular_noise_at_unit_snr() -> None:
@@ -224,17 +203,15 @@ def test_simulated_cellular_noise_at_unit_snr() -> None:
     assert 0.7 < found["detection_probability"] < 0.95
 
 
-def thin(world: Recording) -> Recording:
-    m = world.measurements
-    keep = np.arange(len(m)) % 500 == 0
-    columns = {f.name: getattr(m, f.name) for f in dataclasses.fields(m)}
-    few = dataclasses.replace(m, **{n: None if c is None else c[keep] for n, c in columns.items()})
-    return dataclasses.replace(world, measurements=few)
+@pytest.fixture(scope="module")
+def thin(world: Recording, take: Callable[..., Recording]) -> Recording:
+    """One measurement of five hundred."""
+    return take(world, np.arange(len(world.measurements)) % 500 == 0)
 
 
-def test_too_little_to_tell(world: Recording) -> None:
+def test_too_little_to_tell(thin: Recording) -> None:
     with pytest.raises(InputError, match=r"tracks of three detections"):
-        fit(thin(world))
+        fit(thin)
 
 
 @pytest.mark.parametrize("columns", [("distance_m",), ("azimuth_rad",)])

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-import json
+import sys
 from collections.abc import Callable
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -23,6 +23,7 @@ from cellslam.recordings.importing.matlab import variables
 from cellslam.sim.errors import InputError
 from cellslam.sim.frames import SPEED_OF_LIGHT_MPS
 from cellslam.sim.recording import CLOCK_PRIOR, Recording, Reference
+from tests.command_line import Run
 
 Toy = Callable[..., Recording]
 
@@ -181,67 +182,29 @@ z_m = {column = "d", unit = "m"}
     assert r.reference is not None and r.reference.position_m[0].tolist() == [2.0, 1.0, -3.0]
 
 
-def rows_of(path: Path, capsys: pytest.CaptureFixture[str], out: Path) -> list[dict[str, Any]]:
-    words = ["replay", str(path), "--no-fit", "--estimator", "dead-reckoning", "--estimator", "ekf-slam", "--seed", "3"]
-    assert cli.main(["--quiet", *words, "--json", "--no-figures", "--out", str(out)]) == 0
-    rows: list[dict[str, Any]] = json.loads(capsys.readouterr().out)
-    return [{k: v for k, v in row.items() if k not in (*COST_KEYS, "scenario")} for row in rows]
+SHORT = ("--set", "vehicle.duration_s=12", "--set", "vehicle.distance_m=8", "--set", "vehicle.stops=0")
+BOTH = ("--estimator", "dead-reckoning", "--estimator", "ekf-slam", "--json", "--no-figures", "--quiet")
 
 
 @pytest.fixture(scope="module")
 def recorded(tmp_path_factory: pytest.TempPathFactory) -> Path:
     path = tmp_path_factory.mktemp("recorded") / "tiny.h5"
-    assert (
-        cli.main(
-            [
-                "--quiet",
-                "record",
-                "tiny",
-                "--set",
-                "vehicle.duration_s=12",
-                "--set",
-                "vehicle.distance_m=8",
-                "--set",
-                "vehicle.stops=0",
-                "--out",
-                str(path),
-            ]
-        )
-        == 0
-    )
+    assert cli.main(["--quiet", "record", "tiny", *SHORT, "--out", str(path)]) == 0
     return path
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("kind", ["mat", "csv"])
-def test_round_trip_gives_the_same_measurements_and_rows(
-    kind: str, recorded: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    original, again = Recording.load(recorded), tmp_path / "again.h5"
-    assert cli.main(["export", str(recorded), "--format", kind, "--out", str(tmp_path / "folder")]) == 0
-    assert cli.main(["--quiet", "import", str(tmp_path / "folder"), "--out", str(again)]) == 0
-    imported = Recording.load(again)
-    exact = kind == "mat"
-    for name in (f.name for f in dataclasses.fields(original.measurements)):
-        a, b = getattr(original.measurements, name), getattr(imported.measurements, name)
-        assert a.tobytes() == b.tobytes() if exact or a.dtype == np.int64 else np.allclose(a, b, rtol=1e-11, atol=0), (
-            name
-        )
-    for name in ("time_s", "odometry", "start_std"):
-        a, b = getattr(original, name), getattr(imported, name)
-        assert a.tobytes() == b.tobytes() if exact else np.allclose(a, b, rtol=1e-11, atol=1e-300), name
+def test_what_was_exported_and_imported_gives_the_same_rows(kind: str, recorded: Path, cellslam: Run) -> None:
+    assert cellslam("export", recorded, "--format", kind, "--out", "folder").status == 0
+    assert cellslam("--quiet", "import", "folder", "--out", "again.h5").status == 0
+    original, imported = Recording.load(recorded), Recording.load("again.h5")
     assert np.allclose(imported.start_pose, original.start_pose, rtol=1e-14, atol=1e-15)
     assert imported.sites.name == original.sites.name and (imported.links.cell_id == original.links.cell_id).all()
-    before, after = rows_of(recorded, capsys, tmp_path / "o1"), rows_of(again, capsys, tmp_path / "o2")
+    before, after = (cellslam("replay", path, "--no-fit", *BOTH, "--seed", 3).rows for path in (recorded, "again.h5"))
+    keys = ("snapshots", "duration_s", "position_rmse_m", "position_max_m", "position_end_m", "heading_rmse_rad")
     for one, two in zip(before, after, strict=True):
-        for key in (
-            "snapshots",
-            "duration_s",
-            "position_rmse_m",
-            "position_max_m",
-            "position_end_m",
-            "heading_rmse_rad",
-        ):
+        for key in keys:
             assert two[key] == pytest.approx(one[key], rel=1e-5, abs=1e-7), key
         assert two["map_gospa_m"] is None and two["bound_position_rmse_m"] is None and two["status"] == "ok"
 
@@ -286,31 +249,11 @@ def test_a_round_trip_is_a_round_trip(
         np.testing.assert_array_equal(getattr(again.sites, name), getattr(drive.sites, name))
 
 
-def test_hdf5_round_trip_and_run_give_the_same_rows_bit_for_bit(
-    recorded: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    Recording.load(recorded).save(tmp_path / "copy.h5")
-    words = ["--estimator", "dead-reckoning", "--estimator", "ekf-slam", "--json", "--no-figures"]
-    first = [
-        "--quiet",
-        "run",
-        "tiny",
-        "--set",
-        "vehicle.duration_s=12",
-        "--set",
-        "vehicle.distance_m=8",
-        "--set",
-        "vehicle.stops=0",
-        *words,
-        "--out",
-        str(tmp_path / "r"),
-    ]
-    assert cli.main(first) == 0
-    ran = json.loads(capsys.readouterr().out)
-    assert cli.main(["--quiet", "replay", str(tmp_path / "copy.h5"), *words, "--out", str(tmp_path / "s")]) == 0
-    for one, two in zip(ran, json.loads(capsys.readouterr().out), strict=True):
-        nothing = dict.fromkeys(COST_KEYS)
-        assert {**one, **nothing} == {**two, **nothing}
+def test_hdf5_round_trip_and_run_give_the_same_rows_bit_for_bit(recorded: Path, cellslam: Run) -> None:
+    Recording.load(recorded).save("copy.h5")
+    ran, replayed = cellslam("run", "tiny", *SHORT, *BOTH).rows, cellslam("replay", "copy.h5", *BOTH).rows
+    nothing = dict.fromkeys(COST_KEYS)
+    assert [{**row, **nothing} for row in ran] == [{**row, **nothing} for row in replayed]
 
 
 def matlab_73(path: Path, tables: dict[str, dict[str, Any]]) -> None:
@@ -328,7 +271,7 @@ def matlab_73(path: Path, tables: dict[str, dict[str, Any]]) -> None:
 
 def test_mat_73_is_read_as_mat_5(recorded: Path, tmp_path: Path) -> None:
     folder = tmp_path / "folder"
-    assert cli.main(["export", str(recorded), "--format", "mat", "--out", str(folder)]) == 0
+    write_mat(Recording.load(recorded), folder)
     first = import_folder(folder)
     old = variables(folder / "recording.mat")
     matlab_73(folder / "recording.mat", {name: {k: np.ravel(v) for k, v in old[name].items()} for name in old})
@@ -337,39 +280,7 @@ def test_mat_73_is_read_as_mat_5(recorded: Path, tmp_path: Path) -> None:
     assert second.odometry.tobytes() == first.odometry.tobytes()
 
 
-ADAPTER = """
-import numpy as np
-from cellslam.recordings import Campaign, OdometryTable, ReferenceTable
-def load(folder):
-    t, r, a = np.loadtxt(folder / "log.txt", unpack=True)
-    wheels = OdometryTable(t, {"u_x": np.ones_like(t), "u_psi": np.zeros_like(t)})
-    return Campaign(t, {"distance_m": r, "azimuth_rad": a}, wheels, start_pose=(0,) * 6, plane=True,
-                    noise={"noise_density": (0.1, 0, 0, 0.01, 0, 0)})
-"""
-
-
-def test_an_adapter_of_ten_lines(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    assert len(ADAPTER.strip().splitlines()) <= 10
-    monkeypatch.chdir(tmp_path)
-    monkeypatch.syspath_prepend(tmp_path)
-    (tmp_path / "my_campaign_adapter.py").write_text(ADAPTER)
-    (tmp_path / "log.txt").write_text("".join(f"{0.1 * i} {20 - 0.1 * i} 0.0\n" for i in range(30)))
-    words = ["--quiet", "import", ".", "--adapter", "my_campaign_adapter:load", "--out", "a.h5"]
-    assert cli.main(words) == 0
-    assert len(Recording.load("a.h5").measurements) == 30
-    (tmp_path / "log.txt").write_text("no numbers\n")
-    assert cli.main([*words[:-1], "b.h5"]) == 2
-    error = capsys.readouterr().err
-    assert "my_campaign_adapter" in error and error.count("\n") == 1 and not (tmp_path / "b.h5").exists()
-    assert cli.main(["import", ".", "--adapter", "victoria-prak", "--out", "b.h5"]) == 2
-    assert "did you mean 'victoria-park'" in capsys.readouterr().err
-
-
 def test_pyproj_is_asked_for_where_it_is_missing(campaign: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    import sys
-
     (campaign / "gnss.csv").write_text("t,lat,lon,heading\n10,55.0,15.0,0\n")
     (campaign / "recording.toml").write_text(MANIFEST + REFERENCE)
     monkeypatch.setitem(sys.modules, "pyproj", None)

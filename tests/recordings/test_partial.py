@@ -114,11 +114,6 @@ def test_scores_against_a_reference_interpolate_the_estimate(toy_recording: Toy)
     assert scores["map_gospa_m"] is None and scores["association_recall"] is None
 
 
-def test_without_truth_and_reference_all_scores_are_null(toy_recording: Toy) -> None:
-    recording = toy_recording(truth=False)
-    assert set(score(recording, result_of(recording, np.zeros((40, 6))), None).values()) == {None}
-
-
 def test_alignment_removes_a_rigid_motion_and_nothing_else(toy_recording: Toy) -> None:
     recording = toy_recording()
     assert recording.truth is not None

@@ -6,21 +6,17 @@
 from __future__ import annotations
 
 import dataclasses
-import importlib.util
 import re
-import sys
 from collections.abc import Callable
-from functools import cache
-from pathlib import Path
-from types import ModuleType
 
 import numpy as np
 import pytest
 
-from cellslam.recordings import Campaign, build
+from cellslam.recordings import build
 from cellslam.recordings.inspection.suspicions import suspicions
 from cellslam.sim.frames import SPEED_OF_LIGHT_MPS, wrap_angle
 from cellslam.sim.recording import Recording
+from tests.recordings import mistaken_worlds as worlds
 
 SAMPLE_M = SPEED_OF_LIGHT_MPS / 30.72e6
 # Each mistake once, where it is hard to see.
@@ -41,56 +37,36 @@ HARD = (
 )
 
 
-@cache
-def worlds() -> ModuleType:
-    path = Path(__file__).with_name("mistaken_worlds.py")
-    spec = importlib.util.spec_from_file_location("mistaken_worlds", path)
-    assert spec is not None and spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    sys.modules["mistaken_worlds"] = module
-    spec.loader.exec_module(module)
-    return module
-
-
-@cache
-def campaign(world: str) -> Campaign:
-    made: Campaign = worlds().WORLDS[world](101)
-    return made
-
-
 @pytest.fixture(scope="module")
 def cellular() -> Recording:
     """A simulated drive of 30 s through a city, of which a reference at 2 Hz is known, with yaw."""
-    return build(worlds().cellular(0))
+    return build(worlds.cellular(0))
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("world", ["hall", "beacons", "trees", "cellular"])
 def test_sound_campaigns_raise_nothing(world: str) -> None:
-    assert suspicions(build(campaign(world))) == []
+    assert suspicions(build(worlds.WORLDS[world](101))) == []
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize(("mistake", "world"), HARD)
 def test_a_mistake_is_named(mistake: str, world: str) -> None:
-    plant, kinds = worlds().MISTAKES[mistake]
-    found = [s.kind for s in suspicions(build(plant(campaign(world))))]
+    plant, kinds = worlds.MISTAKES[mistake]
+    found = [s.kind for s in suspicions(build(plant(worlds.WORLDS[world](101))))]
     assert found and found[0] in kinds, found
 
 
-def test_the_remedy_is_said() -> None:
+def test_the_remedy_is_told() -> None:
     """The mistake is measured, and its cure is in the words of `recording.toml`."""
-    plant, _ = worlds().MISTAKES["odometry 2 s late"]
-    found = suspicions(build(plant(campaign("hall"))))
+    plant, _ = worlds.MISTAKES["odometry 2 s late"]
+    found = suspicions(build(plant(worlds.WORLDS["hall"](101))))
     late = re.search(r"offset_s = -(\S+) and clock = \"NAME\" in \[odometry\]", found[0].text)
     assert late is not None and float(late[1]) == pytest.approx(2.0, abs=0.2)
     assert "measured paths and odometry" in found[0].text and "reference and odometry" in found[0].text
 
 
-LACKS = (("azimuth_rad", "elevation_rad"), ("distance_m", "elevation_rad"))
-
-
-@pytest.mark.parametrize("columns", LACKS)
+@pytest.mark.parametrize("columns", [("azimuth_rad", "elevation_rad"), ("distance_m", "elevation_rad")])
 def test_sound_data_that_lack_something_raise_nothing(
     columns: tuple[str, ...], cellular: Recording, strip: Callable[..., Recording]
 ) -> None:
@@ -100,19 +76,13 @@ def test_sound_data_that_lack_something_raise_nothing(
     assert suspicions(dataclasses.replace(recording, odometry=odometry)) == []
 
 
-def test_whole_numbers_are_samples(cellular: Recording) -> None:
-    found = suspicions(without_repeats(cellular, lambda d: np.round(d / SAMPLE_M)))
+def test_whole_numbers_are_samples(cellular: Recording, take: Callable[..., Recording]) -> None:
+    m = cellular.measurements
+    samples = np.round(m.distance_m / SAMPLE_M)
+    key = np.column_stack([m.snapshot, m.link, samples, np.round(m.azimuth_rad, 12)])
+    once = np.sort(np.unique(key, axis=0, return_index=True)[1])  # rounding makes some rows equal
+    found = suspicions(take(cellular, once, distance_m=samples))
     assert [s.kind for s in found] == ["samples"] and "sample_rate_hz" in found[0].text
-
-
-def without_repeats(r: Recording, rounding: Callable[[np.ndarray], np.ndarray]) -> Recording:
-    """Round the distances, and drop rows that this makes equal."""
-    m = r.measurements
-    key = np.column_stack([m.snapshot, m.link, rounding(m.distance_m), np.round(m.azimuth_rad, 12)])
-    keep = np.sort(np.unique(key, axis=0, return_index=True)[1])
-    columns = {f.name: getattr(m, f.name) for f in dataclasses.fields(m)} | {"distance_m": rounding(m.distance_m)}
-    kept = {name: None if c is None else c[keep] for name, c in columns.items()}
-    return dataclasses.replace(r, measurements=dataclasses.replace(m, **kept))
 
 
 def test_a_clockwise_yaw_of_the_reference_is_named(cellular: Recording) -> None:

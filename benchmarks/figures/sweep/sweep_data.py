@@ -30,7 +30,7 @@ POINTS_IN_TIME = 400
 
 
 @dataclass(frozen=True)
-class Look:
+class CurveChoice:
     """What the sweep curve shows: key along x (None: the first that varies, a number if any is), metric, statistic."""
 
     x: str | None = None

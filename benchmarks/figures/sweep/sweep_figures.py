@@ -12,7 +12,7 @@ import numpy as np
 from cellslam.benchmarks.figures.style import BLACK, GREY, HALF_WIDTH_IN, WIDTH_IN, Drawing, estimator_styles, write_all
 from cellslam.benchmarks.figures.sweep import sweep_data
 from cellslam.benchmarks.figures.sweep.critical_difference import draw_ranks
-from cellslam.benchmarks.figures.sweep.sweep_data import Look, Panel, Series, SweepData, axis, curve_keys
+from cellslam.benchmarks.figures.sweep.sweep_data import CurveChoice, Panel, Series, SweepData, axis, curve_keys
 from cellslam.benchmarks.scores.statistics import LEAST_VALUES, statistic
 from cellslam.benchmarks.tables.consistency import nees_band
 from cellslam.benchmarks.tables.summaries import CONFIDENCE, Layout, check_confidence, metrics_of
@@ -37,7 +37,7 @@ Curve = tuple[Floats, Floats]  # times (P,), values of the trials (N, P) or (N, 
 def draw_sweep(
     folder: str | Path,
     out_dir: str | Path,
-    look: Look | None = None,
+    choice: CurveChoice | None = None,
     formats: Sequence[str] = ("png", "pdf"),
     progress: Progress = silent,
 ) -> list[Path]:
@@ -45,30 +45,30 @@ def draw_sweep(
 
     Raises InputError for an unknown key, metric or statistic, or an empty sweep.
     """
-    look = look or Look()
-    metrics_of(Layout(metrics=(look.metric,)))
-    statistic(look.statistic)
-    check_confidence(look.confidence)
+    choice = choice or CurveChoice()
+    metrics_of(Layout(metrics=(choice.metric,)))
+    statistic(choice.statistic)
+    check_confidence(choice.confidence)
     data = sweep_data.load(folder)
-    x = _x_key(data, look)
+    x = _x_key(data, choice)
     drawings: dict[str, Drawing] = {
-        "sweep": lambda figure: x is not None and draw_curve(figure, data, look, x),
-        "error_cdf": lambda figure: _cdf(figure, data, look.metric),
+        "sweep": lambda figure: x is not None and draw_curve(figure, data, choice, x),
+        "error_cdf": lambda figure: _cdf(figure, data, choice.metric),
         "map_error": lambda figure: _cdf(figure, data, "map_gospa_m"),
         "error_time": lambda figure: _over_time(figure, data, "error_m", "horizontal error (m)"),
         "clock_offset": lambda figure: _over_time(figure, data, "offset_error_m", "clock offset error (m)"),
         "nees": lambda figure: _nees(figure, data),
-        "time_accuracy": lambda figure: _cost(figure, data, look),
+        "time_accuracy": lambda figure: _cost(figure, data, choice),
         "ranks": lambda figure: draw_ranks(figure, sweep_data.verdicts_of(data)),
     }
     return write_all(drawings, out_dir, formats, progress)
 
 
-def _x_key(data: SweepData, look: Look) -> str | None:
+def _x_key(data: SweepData, choice: CurveChoice) -> str | None:
     keys = curve_keys(data)
-    if look.x is not None and look.x not in keys:
-        raise InputError(f"--x {look.x}: not a key that varies ({', '.join(keys) or 'there is none'})")
-    return look.x or next(iter(keys), None)
+    if choice.x is not None and choice.x not in keys:
+        raise InputError(f"--x {choice.x}: not a key that varies ({', '.join(keys) or 'there is none'})")
+    return choice.x or next(iter(keys), None)
 
 
 def _cdf(figure: Figure, data: SweepData, metric: str) -> bool:
@@ -136,22 +136,24 @@ def _curves(data: SweepData, column: str) -> dict[Panel, dict[str, Curve]]:
     return out
 
 
-def _cost(figure: Figure, data: SweepData, look: Look) -> bool:
+def _cost(figure: Figure, data: SweepData, choice: CurveChoice) -> bool:
     """Draw the statistic with its interval against the estimator's median time per trial."""
-    every = [(one, one.values(look.metric), one.values("estimate_seconds")) for p in data.panels for one in p.series]
+    every = [(one, one.values(choice.metric), one.values("estimate_seconds")) for p in data.panels for one in p.series]
     points = [point for point in every if len(point[1]) and len(point[2])]
     if not points:
         return False
     figure.set_size_inches(*HALF_WIDTH_IN)
     axes, styles = figure.subplots(), estimator_styles(data.labels)
     for one, values, seconds in points:
-        draw_points(axes, [float(np.median(seconds))], [values], look, {**styles[one.label], "linestyle": "none"})
-    axes.set(xscale="log", xlabel=f"{axis('estimate_seconds')}, median over trials", ylabel=look.label, ylim=(0, None))
+        draw_points(axes, [float(np.median(seconds))], [values], choice, {**styles[one.label], "linestyle": "none"})
+    axes.set(
+        xscale="log", xlabel=f"{axis('estimate_seconds')}, median over trials", ylabel=choice.label, ylim=(0, None)
+    )
     _legend(figure, ncols=2)
     return True
 
 
-def draw_curve(figure: Figure, data: SweepData, look: Look, x: str) -> bool:
+def draw_curve(figure: Figure, data: SweepData, choice: CurveChoice, x: str) -> bool:
     """Draw the statistic with intervals against x; settings besides x are lines of their own.
 
     What is no number stands side by side, and nothing leads from one to the next.
@@ -161,7 +163,7 @@ def draw_curve(figure: Figure, data: SweepData, look: Look, x: str) -> bool:
     found = sweep_data.sweep_lines(data, x)
     names = list(dict.fromkeys(at for points in found.values() for at, _ in points if isinstance(at, str)))
     lines = {
-        name: [(float(names.index(at)) if isinstance(at, str) else at, one.values(look.metric)) for at, one in points]
+        name: [(float(names.index(at)) if isinstance(at, str) else at, one.values(choice.metric)) for at, one in points]
         for name, points in found.items()
     }
     lines = {name: kept for name, points in lines.items() if (kept := [p for p in points if len(p[1])])}
@@ -176,10 +178,10 @@ def draw_curve(figure: Figure, data: SweepData, look: Look, x: str) -> bool:
     logarithmic = not names and every[0] > 0 and every[-1] >= LOG_FROM * every[0]
     for index, (name, points) in enumerate(lines.items()):
         aside = DODGE * (index - (len(lines) - 1) / 2)
-        _line(axes, [(_beside(at, every, aside, logarithmic), values) for at, values in points], look, styles[name])
-    if look.metric in BOUND_OF:
-        for (name, bounds), dashes in zip(bound_lines(found, BOUND_OF[look.metric], x).items(), cycle(MARKERS)):
-            _bound(axes, name, bounds, names, look, dashes)
+        _line(axes, [(_beside(at, every, aside, logarithmic), values) for at, values in points], choice, styles[name])
+    if choice.metric in BOUND_OF:
+        for (name, bounds), dashes in zip(bound_lines(found, BOUND_OF[choice.metric], x).items(), cycle(MARKERS)):
+            _bound(axes, name, bounds, names, choice, dashes)
     if logarithmic:
         axes.set_xscale("log")
     if names:
@@ -189,8 +191,8 @@ def draw_curve(figure: Figure, data: SweepData, look: Look, x: str) -> bool:
         axes.set_xticks(every, [f"{value:g}" for value in every])
         axes.minorticks_off()
     trials = max(len(values) for points in lines.values() for _, values in points)
-    intervals = "no" if trials < LEAST_VALUES else f"{100 * look.confidence:g} %"
-    axes.set(xlabel=x, ylabel=look.label, title=f"{intervals} intervals, {trials} trials a point")
+    intervals = "no" if trials < LEAST_VALUES else f"{100 * choice.confidence:g} %"
+    axes.set(xlabel=x, ylabel=choice.label, title=f"{intervals} intervals, {trials} trials a point")
     if names:
         axes.set_yscale("log")
         axes.yaxis.set_minor_locator(LogLocator(subs=(2, 5)))
@@ -218,31 +220,33 @@ def bound_lines(
 
 
 def _bound(
-    axes: Axes, name: str, points: Mapping[float | str, Floats], names: Sequence[str], look: Look, dashes: str
+    axes: Axes, name: str, points: Mapping[float | str, Floats], names: Sequence[str], choice: CurveChoice, dashes: str
 ) -> None:
     """Draw a bound, summed up as the metric is: a line where x is a number, else a dash at each place."""
     places = sorted((float(names.index(at)) if isinstance(at, str) else at, at) for at in points)
-    middle = [look.summed(points[at])[0] for _, at in places]
+    middle = [choice.summed(points[at])[0] for _, at in places]
     style: dict[str, Any] = {"marker": "_", "markersize": 22, "linestyle": "none"} if names else {"linestyle": dashes}
     axes.plot([x for x, _ in places], middle, color=GREY, label=name, zorder=1, **style)
 
 
-def _line(axes: Axes, points: Sequence[tuple[float | None, Floats]], look: Look, style: Mapping[str, Any]) -> None:
+def _line(
+    axes: Axes, points: Sequence[tuple[float | None, Floats]], choice: CurveChoice, style: Mapping[str, Any]
+) -> None:
     """Draw one line with its intervals; a point without x is the same everywhere: a level with a band."""
     at = [place for place, _ in points if place is not None]
     if at:
-        draw_points(axes, at, [values for _, values in points], look, style)
+        draw_points(axes, at, [values for _, values in points], choice, style)
         return
-    middle, low, high = look.summed(points[0][1])
+    middle, low, high = choice.summed(points[0][1])
     axes.axhline(middle, **style)
     axes.axhspan(low, high, color=style["color"], alpha=0.15, linewidth=0)
 
 
 def draw_points(
-    axes: Axes, at: Sequence[float], samples: Sequence[Floats], look: Look, style: Mapping[str, Any]
+    axes: Axes, at: Sequence[float], samples: Sequence[Floats], choice: CurveChoice, style: Mapping[str, Any]
 ) -> None:
     """Draw the statistic of each sample (n,) with its interval, in the sample's units, at its place along x."""
-    middle, *ends = np.stack([look.summed(values) for values in samples], axis=1)
+    middle, *ends = np.stack([choice.summed(values) for values in samples], axis=1)
     reach = np.nan_to_num(np.abs(ends - middle))
     axes.errorbar(at, middle, yerr=reach, **{"marker": "o", **style}, markersize=3.5, capsize=2.5, elinewidth=0.9)
 

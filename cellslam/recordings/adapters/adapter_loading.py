@@ -10,8 +10,7 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
-from cellslam.recordings.importing.campaign import Campaign
-from cellslam.recordings.importing.campaign_to_recording import build
+from cellslam.recordings.importing.campaign import Campaign, build
 from cellslam.sim.errors import InputError, nearest_name
 from cellslam.sim.recording import Recording
 
@@ -20,7 +19,7 @@ ADAPTERS = {
     "tampere-60ghz": "cellslam.recordings.adapters.tampere:load",
     "mrclam": "cellslam.recordings.adapters.mrclam:load",
     "plaza": "cellslam.recordings.adapters.plaza:load",
-    "tui": "cellslam.recordings.adapters.tui.campaign:load",
+    "tui": "cellslam.recordings.adapters.tui:load",
 }
 
 

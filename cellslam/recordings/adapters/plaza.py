@@ -14,9 +14,10 @@ from pathlib import Path
 
 import numpy as np
 
-from cellslam.recordings.adapters.matrices import increasing, matrix
-from cellslam.recordings.importing.campaign import Campaign, OdometryTable, ReferenceTable
+from cellslam.recordings.adapters.shared import increasing, matrix
+from cellslam.recordings.importing.campaign import Campaign, ReferenceTable
 from cellslam.recordings.importing.matlab import variables
+from cellslam.recordings.importing.odometry import OdometryTable
 from cellslam.sim.errors import InputError
 from cellslam.sim.frames import wrap_angle
 from cellslam.sim.recording import Floats

@@ -10,17 +10,18 @@ and the vehicle's model that comes with the data.
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import ArrayLike
 
-from cellslam.recordings.adapters.matrices import matrix
-from cellslam.recordings.adapters.tree_trunks import TreeRules, find_trees
-from cellslam.recordings.importing.campaign import Campaign, OdometryTable, ReferenceTable
-from cellslam.recordings.importing.campaign_to_recording import build
+from cellslam.recordings.adapters.shared import matrix
+from cellslam.recordings.importing.campaign import Campaign, ReferenceTable
 from cellslam.recordings.importing.matlab import variables
+from cellslam.recordings.importing.odometry import OdometryTable
 from cellslam.sim.errors import InputError
-from cellslam.sim.recording import Floats, Recording
+from cellslam.sim.recording import Floats, Ints
 
 # The vehicle: wheelbase, encoder left of the rear axle's middle, laser and GPS antenna before and left of that middle.
 WHEELBASE_M, ENCODER_M, LASER_X_M, LASER_Y_M = 2.83, 0.76, 3.78, 0.5
@@ -35,10 +36,24 @@ SHEET = {
     "bias": (0.0, 0.0, 0.0, 0.005, 0.0, 0.0),
     "scale": (0.03, 0.0, 0.0, 0.05, 0.0, 0.0),
 }
+# What is taken for a trunk: between these ranges; its beams jump by no more; no wider; not at the edge of the scan.
+LEAST_RANGE_M, MOST_RANGE_M, JUMP_M, MOST_DIAMETER_M, MARGIN_RAD = 1.0, 75.0, 1.5, 1.0, np.radians(2.5)
+LEAST_BEAMS = 2
+STEP_RAD = np.pi / 360.0
 
 
-def load(folder: Path) -> Recording:
-    """Return the recording of the three files in `folder`, with GPS as the reference. Raises InputError."""
+@dataclass(frozen=True)
+class Trees:
+    """One row a tree: scan, range and bearing of its centre (bearing 0 ahead, positive to the left), diameter."""
+
+    scan: Ints
+    range_m: Floats
+    bearing_rad: Floats
+    diameter_m: Floats
+
+
+def load(folder: Path) -> Campaign:
+    """Return the campaign of the three files in `folder`, with GPS as the reference. Raises InputError."""
     drive = variables(folder / "aa3_dr.mat", ("time", "speed", "steering"))
     gps = variables(folder / "aa3_gpsx.mat", ("timeGps", "Lo_m", "La_m"))
     drive_s = MILLISECOND * np.asarray(drive["time"], np.float64).ravel()
@@ -53,18 +68,16 @@ def load(folder: Path) -> Recording:
     rows = (rows_s >= drive_s[0]) & (rows_s <= drive_s[-1])
     if not rows.any():
         raise InputError(f"{folder}: no tree was seen while the odometry ran: are the files of one drive?")
-    return build(
-        Campaign(
-            time_s=rows_s[rows],
-            columns={"distance_m": range_m[rows], "azimuth_rad": bearing_rad[rows]},
-            snapshots_s=scans_s[(scans_s >= drive_s[0]) & (scans_s <= drive_s[-1])],
-            odometry=OdometryTable(drive_s, velocities(np.ravel(drive["speed"]), np.ravel(drive["steering"]))),
-            link_sites=("trees",),
-            noise=SHEET,
-            reference=ReferenceTable(fixes_s[kept], fixes[kept]),
-            plane=True,
-            about={"campaign": "Victoria Park"},
-        )
+    return Campaign(
+        time_s=rows_s[rows],
+        columns={"distance_m": range_m[rows], "azimuth_rad": bearing_rad[rows]},
+        snapshots_s=scans_s[(scans_s >= drive_s[0]) & (scans_s <= drive_s[-1])],
+        odometry=OdometryTable(drive_s, velocities(np.ravel(drive["speed"]), np.ravel(drive["steering"]))),
+        link_sites=("trees",),
+        noise=SHEET,
+        reference=ReferenceTable(fixes_s[kept], fixes[kept]),
+        plane=True,
+        about={"campaign": "Victoria Park"},
     )
 
 
@@ -87,8 +100,39 @@ def _scanned(folder: Path) -> tuple[Floats, Floats, Floats, Floats]:
     times = MILLISECOND * np.asarray(laser["TLsr"], np.float64).ravel()
     once = np.append(True, np.diff(times) > 0)
     times = times[once]
-    trees = find_trees(CENTIMETRE * (scans[once].astype(np.int64) & RANGE_BITS), TreeRules())
+    trees = find_trees(CENTIMETRE * (scans[once].astype(np.int64) & RANGE_BITS))
     return times[trees.scan], trees.range_m, trees.bearing_rad, times
+
+
+def find_trees(ranges_m: ArrayLike) -> Trees:
+    """Return the trunks in scans (S, 361) of ranges in metres, half a degree apart from right (-90) to left (+90 deg).
+
+    A segment ends where the next beam hits nothing or jumps by more than JUMP_M. It is a trunk if it is no wider
+    than MOST_DIAMETER_M, as deep as a round thing of its width can be, lies inside the scan, and neither neighbour
+    stands before it (its edge would be hidden). Diameter: range times the angle of its beams; centre: mean range plus
+    pi/4 of the radius, the mean depth of a circle over evenly spread chords.
+    """
+    r = np.asarray(ranges_m, np.float64)
+    scan, beam = np.nonzero((r > LEAST_RANGE_M) & (r < MOST_RANGE_M))
+    if not len(scan):
+        return Trees(np.empty(0, np.int64), np.empty(0), np.empty(0), np.empty(0))
+    value = r[scan, beam]
+    follows = (np.diff(scan) == 0) & (np.diff(beam) == 1)
+    cut = ~follows | (np.abs(np.diff(value)) > JUMP_M)
+    first = np.flatnonzero(np.append(True, cut))
+    last = np.append(first[1:], len(value)) - 1
+    beams = last - first + 1
+    mean = np.add.reduceat(value, first) / beams
+    depth = np.maximum.reduceat(value, first) - np.minimum.reduceat(value, first)
+    diameter = mean * 2.0 * np.tan(0.5 * STEP_RAD * beams)
+    after, before = np.append(follows, False), np.append(False, follows)
+    hidden = after[last] & (value[np.minimum(last + 1, len(value) - 1)] < value[last])
+    hidden |= before[first] & (value[first - 1] < value[first])
+    bearing = 0.5 * (beam[first] + beam[last]) * STEP_RAD - 0.5 * np.pi
+    trunk = (beams >= LEAST_BEAMS) & (diameter <= MOST_DIAMETER_M) & (depth <= diameter + 0.1)
+    trunk &= (np.abs(bearing) < 0.5 * np.pi - MARGIN_RAD) & ~hidden
+    centre = mean + 0.125 * np.pi * diameter
+    return Trees(scan[first][trunk].astype(np.int64), centre[trunk], bearing[trunk], diameter[trunk])
 
 
 def velocities(speed_mps: Floats, steering_rad: Floats) -> dict[str, Floats]:

@@ -13,8 +13,8 @@ import numpy as np
 from cellslam.benchmarks.scores.trial_result import TrialResult
 from cellslam.benchmarks.trials.output_files import write_tum
 from cellslam.sim.errors import InputError
-from cellslam.sim.recording import Floats, Ints, Recording
-from cellslam.slam.api import WallEstimate
+from cellslam.sim.recording import Floats, Recording
+from cellslam.slam.api import VtEstimate, WallEstimate
 
 ELLIPSE_POINTS = 32
 SIGMAS = 2.0
@@ -24,46 +24,34 @@ Place = Callable[[Floats], Any]
 
 @dataclass(frozen=True)
 class Shown:
-    """What is exported: a trajectory (T,), (T, 6), and points (V,) with link, position (V, 3), covariance (V, 3, 3);
-    walls, if there are any."""
+    """What is exported: a trajectory (T,), (T, 6), VTs and walls, if there are any."""
 
     name: str
     time_s: Floats
     poses: Floats
-    id: Ints
-    link: Ints
-    position_m: Floats
-    covariance: Floats
+    vts: VtEstimate
     walls: WallEstimate | None = None
 
 
 def shown(recording: Recording, result: TrialResult | None) -> Shown:
     """Return the estimate, or without one the truth or the reference. Raises InputError if there is none of these."""
+    none, truth, reference = np.empty(0, np.int64), recording.truth, recording.reference
+    no_vts = VtEstimate(none, none, np.empty((0, 3)), np.empty((0, 3, 3)))
     if result is not None:
-        v = result.vts
-        if v is None:
-            return _without_points(result.estimator, recording.time_s, result.poses)
-        points = (v.id, v.link, v.position_m, v.covariance)
-        return Shown(result.estimator, recording.time_s, result.poses, *points, result.walls)
-    t = recording.truth
-    if t is not None:
-        pairs = np.unique(
-            np.column_stack([recording.measurements.link, t.measurement_vt])[t.measurement_vt >= 0], axis=0
-        )
-        link, vt = pairs.T if len(pairs) else (np.empty(0, np.int64), np.empty(0, np.int64))
-        return Shown("truth", recording.time_s, t.poses, vt, link, t.vts.position_m[vt], np.zeros((len(vt), 3, 3)))
-    r = recording.reference
-    if r is None:
+        vts = no_vts if result.vts is None else result.vts
+        return Shown(result.estimator, recording.time_s, result.poses, vts, result.walls)
+    if truth is not None:
+        of_vts = truth.measurement_vt >= 0
+        pairs = np.unique(np.column_stack([recording.measurements.link, truth.measurement_vt])[of_vts], axis=0)
+        link, vt = pairs.T if len(pairs) else (none, none)
+        vts = VtEstimate(vt, link, truth.vts.position_m[vt], np.zeros((len(vt), 3, 3)))
+        return Shown("truth", recording.time_s, truth.poses, vts)
+    if reference is None:
         raise InputError("the recording has neither truth nor reference: say which --estimator to export")
-    rest = np.zeros((len(r), 2))
-    poses = np.column_stack([np.nan_to_num(r.position_m), np.nan_to_num(r.yaw_rad), rest])
-    known = np.isfinite(r.position_m[:, :2]).all(axis=1)
-    return _without_points("reference", r.time_s[known], poses[known])
-
-
-def _without_points(name: str, time_s: Floats, poses: Floats) -> Shown:
-    none = np.empty(0, np.int64)
-    return Shown(name, time_s, poses, none, none, np.empty((0, 3)), np.empty((0, 3, 3)))
+    angles = np.column_stack([np.nan_to_num(reference.yaw_rad), np.zeros((len(reference), 2))])
+    known = np.isfinite(reference.position_m[:, :2]).all(axis=1)
+    poses = np.column_stack([np.nan_to_num(reference.position_m), angles])[known]
+    return Shown("reference", reference.time_s[known], poses, no_vts)
 
 
 def tum(data: Shown, path: Path) -> None:
@@ -75,20 +63,21 @@ def geojson(data: Shown, place: Place, path: Path) -> None:
     """Write VTs as points with covariance and 2-sigma ellipses, walls as lines, and the trajectory, `place`d on the
     Earth."""
     features = [_feature("LineString", place(data.poses[:, :3]), {"kind": "trajectory", "name": data.name})]
-    for i in range(len(data.id)):
-        covariance = data.covariance[i]
+    vts = data.vts
+    for i in range(len(vts.id)):
+        covariance = vts.covariance[i]
         about = {
             "kind": "vt",
-            "id": int(data.id[i]),
-            "link": int(data.link[i]),
-            "position_m": data.position_m[i].tolist(),
+            "id": int(vts.id[i]),
+            "link": int(vts.link[i]),
+            "position_m": vts.position_m[i].tolist(),
             "covariance_m2": covariance.tolist(),
             "std_m": np.sqrt(np.maximum(np.diag(covariance), 0.0)).tolist(),
         }
-        features.append(_feature("Point", place(data.position_m[i : i + 1])[0], about))
+        features.append(_feature("Point", place(vts.position_m[i : i + 1])[0], about))
         if covariance.any():
-            ring = place(_ellipse(data.position_m[i], covariance))
-            features.append(_feature("Polygon", [ring], {"kind": "ellipse", "vt": int(data.id[i]), "sigmas": SIGMAS}))
+            ring = place(_ellipse(vts.position_m[i], covariance))
+            features.append(_feature("Polygon", [ring], {"kind": "ellipse", "vt": int(vts.id[i]), "sigmas": SIGMAS}))
     if data.walls is not None:
         features += _walls(data.walls, float(data.poses[0, 2]), place)
     text = json.dumps({"type": "FeatureCollection", "features": features})
@@ -132,10 +121,8 @@ def placement(recording: Recording, origin_deg: tuple[float, float] | None) -> P
     Its zero lies at `origin_deg` (latitude, longitude), or where the reference was projected from. Raises InputError
     where neither is known: GeoJSON has no metres (RFC 7946, section 4).
     """
-    return _at_origin(*origin_deg) if origin_deg is not None else _as_projected(recording)
-
-
-def _as_projected(recording: Recording) -> Place:
+    if origin_deg is not None:
+        return _at_origin(*origin_deg)
     projection = recording.provenance.get("projection")
     if not isinstance(projection, dict):
         raise InputError(
@@ -148,12 +135,7 @@ def _as_projected(recording: Recording) -> Place:
         raise InputError("this recording is placed on the Earth: pip install 'cellslam[gnss]' to export it") from None
     back = pyproj.Transformer.from_crs(projection["crs"], "EPSG:4326", always_xy=True)
     east, north = projection["origin_m"]
-
-    def place(points: Floats) -> Any:
-        longitude, latitude = back.transform(points[:, 0] + east, points[:, 1] + north)
-        return np.column_stack([longitude, latitude, points[:, 2]]).round(9).tolist()
-
-    return place
+    return lambda points: _rounded(*back.transform(points[:, 0] + east, points[:, 1] + north), points[:, 2])
 
 
 def _at_origin(latitude_deg: float, longitude_deg: float) -> Place:
@@ -167,29 +149,32 @@ def _at_origin(latitude_deg: float, longitude_deg: float) -> Place:
 
     def place(points: Floats) -> Any:
         longitude = longitude_deg + np.degrees(points[:, 0] / (across * np.sqrt(1.0 - sine**2)))
-        latitude = latitude_deg + np.degrees(points[:, 1] / along)
-        return np.column_stack([longitude, latitude, points[:, 2]]).round(9).tolist()
+        return _rounded(longitude, latitude_deg + np.degrees(points[:, 1] / along), points[:, 2])
 
     return place
+
+
+def _rounded(*columns: Floats) -> Any:
+    return np.column_stack(columns).round(9).tolist()
 
 
 def ply(data: Shown, path: Path) -> None:
     """Write VTs as vertices with id, link and the six covariance terms in square metres."""
     terms = ("xx", "xy", "xz", "yy", "yz", "zz")
-    upper = np.triu_indices(3)
+    upper, vts = np.triu_indices(3), data.vts
     lines = [
         "ply",
         "format ascii 1.0",
         f"comment VTs of {data.name}, metres",
-        f"element vertex {len(data.id)}",
+        f"element vertex {len(vts.id)}",
         *(f"property double {axis}" for axis in "xyz"),
         "property int id",
         "property int link",
         *(f"property double covariance_{term}" for term in terms),
         "end_header",
     ]
-    for i in range(len(data.id)):
-        place = " ".join(f"{x:.6f}" for x in data.position_m[i])
-        spread = " ".join(f"{x:.9g}" for x in data.covariance[i][upper])
-        lines.append(f"{place} {int(data.id[i])} {int(data.link[i])} {spread}")
+    for i in range(len(vts.id)):
+        place = " ".join(f"{x:.6f}" for x in vts.position_m[i])
+        spread = " ".join(f"{x:.9g}" for x in vts.covariance[i][upper])
+        lines.append(f"{place} {int(vts.id[i])} {int(vts.link[i])} {spread}")
     path.write_text("\n".join(lines) + "\n", "ascii")

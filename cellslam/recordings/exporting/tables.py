@@ -12,34 +12,16 @@ from typing import Any
 import numpy as np
 
 from cellslam.benchmarks.scores.array_calibration import field_map
-from cellslam.recordings.importing.campaign import CLAIMS, QUANTITIES
+from cellslam.recordings.importing.campaign import CLAIMS, KINDS_OF_NOISE, QUANTITIES
+from cellslam.recordings.importing.columns import ATTITUDE, POSITION, TABLES
 from cellslam.recordings.importing.manifest import NAME
 from cellslam.sim.errors import InputError
 from cellslam.sim.recording import CLOCK_PRIOR, COMPONENTS, Recording
 from cellslam.slam.model.calibration import COMPONENTS as CALIBRATED
 from cellslam.slam.model.calibration import Calibration
 
-UNITS = {
-    "time_s": "s",
-    "distance_m": "m",
-    "azimuth_rad": "rad",
-    "elevation_rad": "rad",
-    "snr_db": "dB",
-    "distance_std_m": "m",
-    "azimuth_std_rad": "rad",
-    "elevation_std_rad": "rad",
-    "x_m": "m",
-    "y_m": "m",
-    "z_m": "m",
-    "yaw_rad": "rad",
-    "std_m": "m",
-    "u_x": "m/s",
-    "u_y": "m/s",
-    "u_z": "m/s",
-    "u_psi": "rad/s",
-    "u_theta": "rad/s",
-    "u_phi": "rad/s",
-}
+# What is written is in our units, those that stand first.
+UNITS = {name: next(iter(units)) for columns in TABLES.values() for name, units in columns.items()}
 Tables = dict[str, dict[str, Any]]
 
 
@@ -101,15 +83,14 @@ def _truth_tables(r: Recording) -> Tables:
     if r.truth is None:
         return {}
     t = r.truth
-    names = ("x_m", "y_m", "z_m", "yaw_rad", "pitch_rad", "roll_rad")
     out: Tables = {
-        "truth_poses": {"time_s": r.time_s, **{name: t.poses[:, i] for i, name in enumerate(names)}},
+        "truth_poses": {"time_s": r.time_s, **dict(zip((*POSITION, *ATTITUDE), t.poses.T, strict=True))},
         "truth_measurements": {"vt": t.measurement_vt},
-        "truth_sites": {**dict(zip(names[:3], t.site_positions_m.T, strict=True)), "clock_offset_m": t.clock_offsets_m},
+        "truth_sites": {**dict(zip(POSITION, t.site_positions_m.T, strict=True)), "clock_offset_m": t.clock_offsets_m},
     }
     if t.clock_drift_m_s is not None:
         out["truth_sites"]["clock_drift_m_s"] = t.clock_drift_m_s
-    position = dict(zip(names[:3], t.vts.position_m.T, strict=True))
+    position = dict(zip(POSITION, t.vts.position_m.T, strict=True))
     out["truth_vts"] = {"site": t.vts.site, "order": t.vts.order, **position}
     return out
 
@@ -147,11 +128,10 @@ def _write_manifest(recording: Recording, made: Tables, place: Path, sources: Ma
             name: {c: float(getattr(r.sites, c)[i]) for c in CLOCK_PRIOR if getattr(r.sites, c) is not None}
             for i, name in enumerate(r.sites.name)
         },
+        "noise": {},
     }
-    kinds = ("noise_density", "bias", "bias_walk_density", "scale")
-    text["noise"] = {
-        name: {kind: float(getattr(r.odometry_model, kind)[i]) for kind in kinds} for i, name in enumerate(COMPONENTS)
-    }
+    for i, name in enumerate(COMPONENTS):
+        text["noise"][name] = {kind: float(getattr(r.odometry_model, kind)[i]) for kind in KINDS_OF_NOISE}
     if "odometry" in made:
         text["odometry"] = table("odometry", hold="before")
     if "reference" in made:

@@ -2,8 +2,8 @@
 
 White noise: the spread of second differences of innovations along tracks, n(t+2) - 2 n(t+1) + n(t), whose variance is
 six times that of one measurement, however smoothly everything else changes. Persisting errors: `fit_persisting`.
-Detection: the share of snapshots within the life of a track that
-have it. Clutter: rows in no track, per link and snapshot and volume.
+Detection: the share of snapshots within the life of a track that have it. Clutter: rows in no track, per link and
+snapshot and volume.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from cellslam.recordings.fitting.fit_persisting import NAMES, Persisting, in_unit, persisting, reach
-from cellslam.recordings.fitting.fit_tracks import QUANTITIES, Tracks, tracks_of
+from cellslam.recordings.fitting.fit_tracks import QUANTITIES, Tracks, robust_std, tracks_of
 from cellslam.sim.errors import InputError
 from cellslam.sim.frames import wrap_angle
 from cellslam.sim.progress import Progress, silent
@@ -23,7 +23,7 @@ from cellslam.slam.measurements.readings import CLUTTER_WIDTH
 
 LEAST_TRIPLES, LEAST_TRACKED, BINS = 100, 15, 8
 BIRTH_RATIO = (0.01, 0.5)  # bounds of what is learnt
-LEAST_WHITE = {"m": 1e-3, "azimuth_deg": 1e-3, "elevation_deg": 1e-3}  # no filter can take a measurement for exact
+LEAST_WHITE = 1e-3  # m and deg: no filter can take a measurement for exact
 # Of a front end that nobody modelled, as far as too little was measured to tell its noise.
 UNKNOWN = {
     **NOTHING_PERSISTS, "noise_floor_m": 0.3, "noise_floor_azimuth_deg": 2.0, "noise_floor_elevation_deg": 2.0,
@@ -36,17 +36,13 @@ PLANE_ELEVATION_DEG = 0.5  # what estimators assume of the zero elevations of on
 class Fitted:
     """What was found; deviations in m and deg, by the suffix of the options' names.
 
-    `floor`, `unit` (at 0 dB): white; `claimed`: spread over the deviations that the front end claims; `range_m`: of a
-    typical path, None where clocks are unknown.
+    `floor`, `unit` (at 0 dB): white; `range_m`: of a typical path, None where clocks are unknown.
     """
 
-    tracks: int
-    rows: int
     floor: dict[str, float]
     unit: dict[str, float]
     persisting: Persisting
     range_m: float | None
-    claimed: dict[str, float]
     detection_probability: float
     clutter_density: float
     birth_ratio: float
@@ -59,17 +55,12 @@ def first_guess(recording: Recording, progress: Progress = silent) -> dict[str, 
     Raises InputError where there are too few tracks to tell.
     """
     fitted = fit(recording, progress)
-    out = {
-        **UNKNOWN,
-        "detection_probability": fitted.detection_probability,
-        "clutter_density": fitted.clutter_density,
-        "visible_s": fitted.visible_s,
-        "birth_ratio": fitted.birth_ratio,
-    }
+    shared = ("detection_probability", "clutter_density", "visible_s", "birth_ratio")
+    out = {**UNKNOWN, **{name: getattr(fitted, name) for name in shared}}
     for key in NAMES.values():
         floor = PLANE_ELEVATION_DEG if recording.plane and key == "elevation_deg" else fitted.floor.get(key)
         if floor is not None:
-            out[f"noise_floor_{key}"] = max(floor, LEAST_WHITE[key])
+            out[f"noise_floor_{key}"] = max(floor, LEAST_WHITE)
             out[f"noise_unit_snr_{key}"] = fitted.unit.get(key, 0.0)
             out[f"diffuse_{key}"] = fitted.persisting.place.get(key, 0.0)
             out[f"calibration_{key}"] = fitted.persisting.direction.get(key, 0.0)
@@ -94,19 +85,21 @@ def fit(recording: Recording, progress: Progress = silent) -> Fitted:
             f"fit-noise found {count} tracks of three detections or more, with {tracked} in all, and needs "
             f"{LEAST_TRACKED}: is the odometry right?"
         )
-    floor, unit, claimed = _white(recording, tracks)
-    second = _triples(tracks)[1]
-    white = {NAMES[n]: in_unit(n, _deviation(second[:, i])) for i, n in enumerate(QUANTITIES) if NAMES[n] in floor}
+    floor, unit, white = {}, {}, {}
+    middle, difference = _triples(tracks)
+    for i, name in enumerate(QUANTITIES):
+        known = ~np.isnan(difference[:, i])
+        if known.sum() >= LEAST_TRIPLES:
+            key, values, snr_db = NAMES[name], difference[known, i], recording.measurements.snr_db[middle[known]]
+            floor[key], unit[key] = (in_unit(name, size) for size in _against_snr(values, snr_db))
+            white[key] = in_unit(name, _deviation(values))
     range_m, range_known = reach(recording, tracks)
     detection, visible_s = _detection(recording, tracks)
     return Fitted(
-        tracks=count,
-        rows=tracks.rows,
         floor=floor,
         unit=unit,
         persisting=persisting(recording, tracks, white),
         range_m=range_m if range_known else None,
-        claimed=claimed,
         detection_probability=detection,
         clutter_density=_clutter(recording, tracks),
         birth_ratio=float(np.clip(count / (count + (tracks.track < 0).sum()), *BIRTH_RATIO)),
@@ -131,26 +124,8 @@ def _triples(tracks: Tracks) -> tuple[Ints, Floats]:
     return steps.second[one], difference
 
 
-def _white(r: Recording, tracks: Tracks) -> tuple[dict[str, float], dict[str, float], dict[str, float]]:
-    middle, difference = _triples(tracks)
-    floor, unit, claimed = {}, {}, {}
-    for i, name in enumerate(QUANTITIES):
-        known = ~np.isnan(difference[:, i])
-        if known.sum() < LEAST_TRIPLES:
-            continue
-        values = difference[known, i]
-        snr_db = r.measurements.snr_db[middle[known]]
-        low, at_0_db = _against_snr(values, snr_db)
-        floor[NAMES[name]], unit[NAMES[name]] = in_unit(name, low), in_unit(name, at_0_db)
-        column = getattr(r.measurements, name.replace("_m", "_std_m").replace("_rad", "_std_rad"))
-        if column is not None:
-            claimed[NAMES[name]] = _deviation(values / column[middle[known]])
-    return floor, unit, claimed
-
-
 def _deviation(second_differences: Floats) -> float:
-    known = second_differences[np.isfinite(second_differences)]
-    return 1.4826 * float(np.median(np.abs(known - np.median(known)))) / np.sqrt(6.0) if len(known) else float("nan")
+    return robust_std(second_differences) / float(np.sqrt(6.0))
 
 
 def _against_snr(values: Floats, snr_db: Floats) -> tuple[float, float]:

@@ -1,10 +1,13 @@
-"""Sizes of all errors as a whole drive shows them: EKF-SLAM goes through it again and again, and assumes what it
-learnt.
+"""Sizes of all errors as a whole drive shows them: EKF-SLAM goes through it again and again, with what it learnt.
 
-After each pass the filter has, for the white noise, every cause of errors that persist, and the odometry, the slope of
-the log-likelihood in the logarithm of its size, and the curvature; the next pass assumes sizes that are a step nearer
-to the likeliest, all at once, and half a step where the drive has no answer to them. The sizes that fit best are the
-result: where no slope is more than the drive's own chance makes it.
+Every cause k of errors has a size s_k: white noise, errors that persist, the odometry. A pass gives the slope g_k of
+the log-likelihood, and of what was assumed, in log s_k and its information I_k; the next pass is a step nearer to the
+likeliest (`slam.joint.sizes.stepped`):
+
+    g_k = d log p(z | s) / d log s_k,    log s_k <- log s_k + share / 2 log(1 + 2 g_k / I_k)
+
+with share 1 in the first WHOLE passes, 1/2 in the others, and half of it where the drive has no answer to the sizes.
+The result are the sizes that fit best, of a pass whose slopes are the drive's own chance: mean of g_k^2 / I_k < FITS.
 
 Sources: Shumway and Stoffer, "An approach to time series smoothing and forecasting using the EM algorithm", Journal of
 Time Series Analysis 3(4), 1982; `slam.joint.sizes` has those of the steps.
@@ -21,19 +24,21 @@ import numpy as np
 from pydantic import BaseModel
 
 from cellslam.recordings.fitting.fit_noise import first_guess
+from cellslam.recordings.importing.campaign import KINDS_OF_NOISE
 from cellslam.sim.progress import Progress, silent
 from cellslam.sim.recording import COMPONENTS, Floats, OdometryModel, Recording
 from cellslam.slam import registry
 from cellslam.slam.api import odometry_of, setup_of, snapshots_of
+from cellslam.slam.joint import sizes
 from cellslam.slam.joint.ekf_slam import EkfSlam
 from cellslam.slam.joint.ekf_slam_options import EkfSlamOptions
-from cellslam.slam.joint.sizes import Sheets, Sizes, in_words, keys_of, stepped
+from cellslam.slam.joint.sizes import Sheets, Sizes, keys_of, stepped
 from cellslam.slam.measurements.measurement_options import MeasurementOptions
 
 PASSES, WHOLE = 8, 2  # passes at most; so many take whole steps, the others half of them
 FITS = 2.0  # mean square of the slopes, in their deviations, from which on sizes are as good as right
 NOTABLE = 1.25  # factor by which a size must have changed to be said
-SAID = 0.5  # relative deviation of a size beyond which nothing is said of it
+LEAST_SURE = 0.5  # relative deviation of a size beyond which nothing is said of it
 # A pass joins the mixtures of the start after so long at the latest, s: sizes show also where an offset is wrong yet,
 # and where all are assumed far too large none is ever resolved.
 START_LIMIT_S = 150.0
@@ -59,9 +64,7 @@ class Learnt:
 
     def table(self, model: type[BaseModel] | None) -> dict[str, Any]:
         """Return the options of an estimator, those that its model has; empty for one that shares none."""
-        if model is None or not issubclass(model, MeasurementOptions):
-            return {}
-        return self.options
+        return self.options if model is not None and issubclass(model, MeasurementOptions) else {}
 
 
 def learn(recording: Recording, assumed: Mapping[str, Any] | None, progress: Progress = silent) -> Learnt:
@@ -101,7 +104,7 @@ def learn(recording: Recording, assumed: Mapping[str, Any] | None, progress: Pro
     changes = {
         name: (_factor(name, first.options, options, ratio), deviation)
         for name, deviation in fitting.found.deviations().items()
-        if deviation < SAID
+        if deviation < LEAST_SURE
     }
     was, now = first.options.model_dump(), options.model_dump()
     shared = {key: value for key, value in sorted(now.items()) if key in assumed or value != was[key]}
@@ -122,18 +125,15 @@ def _found(recording: Recording, sheets: Sheets) -> Sizes | None:
     # against the sheets, not against diffuse errors that grow.
     estimator = EkfSlam(sheets.options.model_copy(update={"merge_rate": 0.0}))
     estimator.grows = False
-    _drive(estimator, replace(recording, odometry_model=sheets.odometry))
-    try:
-        return estimator.sizes()
-    except RuntimeError:
-        return None
-
-
-def _drive(estimator: EkfSlam, recording: Recording) -> None:
+    recording = replace(recording, odometry_model=sheets.odometry)
     odometry, dt_s = odometry_of(recording), np.diff(recording.time_s, prepend=recording.time_s[0])
     estimator.start(setup_of(recording), np.random.default_rng(0))
     for t, snapshot in enumerate(snapshots_of(recording)):
         estimator.step(float(dt_s[t]), odometry[t], snapshot)
+    try:
+        return estimator.sizes()
+    except RuntimeError:
+        return None
 
 
 def _safe(sheet: OdometryModel, found: Sizes, bursts: float) -> OdometryModel:
@@ -170,25 +170,25 @@ def toml(path: Path, learnt: Learnt) -> str:
     """Return the tables [estimator.NAME] and [noise.COMPONENT] that `--options` takes, for every estimator that has
     these options; comments say where from."""
     out = [f"# learnt from {path}; cellslam replay takes this file as --options FILE.toml"]
-    out += [f"# {line}" for line in said(learnt)]
+    out += [f"# {line}" for line in in_words(learnt)]
     tables = {e.name: learnt.table(registry.options_model(registry.resolve(e.name))) for e in registry.BUILT_IN}
     for name, table in tables.items():
         if table:
-            out += ["", f"[estimator.{name}]", *(f"{key} = {_value(value)}" for key, value in table.items())]
+            out += ["", f"[estimator.{name}]", *(f"{key} = {_toml(value)}" for key, value in table.items())]
     sheet = learnt.odometry_model
     for i, component in enumerate(COMPONENTS):
-        values = {kind: getattr(sheet, kind)[i] for kind in ("noise_density", "bias", "bias_walk_density", "scale")}
+        values = {kind: getattr(sheet, kind)[i] for kind in KINDS_OF_NOISE}
         if any(values.values()):
             out += ["", f"[noise.{component}]", *(f"{kind} = {value:.4g}" for kind, value in values.items())]
     return "\n".join(out) + "\n"
 
 
-def said(learnt: Learnt) -> list[str]:
+def in_words(learnt: Learnt) -> list[str]:
     """Return lines that say what differs from what was assumed."""
     if not learnt.resolved:
         return ["sizes of errors as assumed: the clock offsets were never resolved, so nothing could be learnt"]
     lines = [
-        f"{in_words(name)}: {factor:.2g} times as large as assumed (+- {100.0 * deviation:.0f} %)"
+        f"{sizes.in_words(name)}: {factor:.2g} times as large as assumed (+- {100.0 * deviation:.0f} %)"
         for name, (factor, deviation) in learnt.changes.items()
         if not 1.0 / NOTABLE < factor < NOTABLE
     ]
@@ -196,5 +196,5 @@ def said(learnt: Learnt) -> list[str]:
     return [f"{begin}:", *(f"  {line}" for line in lines)] if lines else [f"{begin}, are those that were assumed"]
 
 
-def _value(value: float | str) -> str:
+def _toml(value: float | str) -> str:
     return f'"{value}"' if isinstance(value, str) else f"{value:.4g}"

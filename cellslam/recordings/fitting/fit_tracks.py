@@ -1,5 +1,6 @@
-"""Measurements of consecutive snapshots joined to tracks by the odometry's prediction: the raw material of
-`fit_noise`.
+"""Measurements of consecutive snapshots joined to tracks by the odometry's prediction: the raw material of `fit_noise`.
+
+An epoch of a link is a snapshot in which it has measurements: beacons that are polled in turn have one in several.
 """
 
 from __future__ import annotations
@@ -13,7 +14,7 @@ from cellslam.sim.frames import wrap_angle
 from cellslam.sim.recording import Floats, Ints, Recording
 
 ROWS = 250_000  # of a long recording the first so many measurements
-MISSES = 3  # a track may pause for so many looks of its link
+MISSES = 3  # a track may pause for so many epochs of its link
 GATE = 4.0  # standard deviations of a prediction's error, in each quantity
 FIRST_GUESS = (2.0, np.radians(5.0), np.radians(5.0))
 QUANTITIES = ("distance_m", "azimuth_rad", "elevation_rad")
@@ -21,10 +22,7 @@ QUANTITIES = ("distance_m", "azimuth_rad", "elevation_rad")
 
 @dataclass(frozen=True)
 class Steps:
-    """Pairs of rows (n,) of one track, `lag` looks apart, and how far the later one is from its prediction (n, 3).
-
-    A look of a link is a snapshot in which it has measurements: beacons that are polled in turn have one in several.
-    """
+    """Pairs of rows (n,) of one track, `lag` epochs apart, and how far the later one is from its prediction (n, 3)."""
 
     first: Ints
     second: Ints
@@ -42,6 +40,12 @@ class Tracks:
     poses: Floats
 
 
+def robust_std(values: Floats) -> float:
+    """Return the standard deviation of values (n,), NaN among them, by the median of their deviations; NaN for none."""
+    known = values[np.isfinite(values)]
+    return 1.4826 * float(np.median(np.abs(known - np.median(known)))) if len(known) else float("nan")
+
+
 def tracks_of(recording: Recording) -> Tracks:
     """Return the tracks of a recording; the gates are first guessed, then twice taken from the innovations."""
     r = recording
@@ -50,15 +54,24 @@ def tracks_of(recording: Recording) -> Tracks:
     scale = np.array(FIRST_GUESS)
     steps = _joined(r, poses, rows, scale)
     for _ in range(2):
-        scale = np.array([_spread(steps.innovation[:, i], guess) for i, guess in enumerate(FIRST_GUESS)])
+        for i, guess in enumerate(FIRST_GUESS):
+            known = np.isfinite(steps.innovation[:, i]).sum()
+            scale[i] = guess if known < 30 else max(robust_std(steps.innovation[:, i]), 1e-4 * guess)
         steps = _joined(r, poses, rows, scale)
     return Tracks(rows, _labels(steps, rows), steps, poses)
 
 
-def predicted(recording: Recording, poses: Floats, first: Ints, later: Ints) -> Floats:
-    """Return the measurements (n, 3) that rows `first` lead one to expect in snapshots `later`, if their sources
-    stay.
-    """
+def innovations(recording: Recording, poses: Floats, first: Ints, second: Ints) -> Floats:
+    """Return rows `second` less what rows `first` lead one to expect in their snapshots if sources stay (n, 3)."""
+    m = recording.measurements
+    z = np.column_stack([getattr(m, name)[second] for name in QUANTITIES])
+    out: Floats = z - _predicted(recording, poses, first, m.snapshot[second])
+    out[:, 1] = wrap_angle(out[:, 1])
+    return out
+
+
+def _predicted(recording: Recording, poses: Floats, first: Ints, later: Ints) -> Floats:
+    """Return the measurements (n, 3) that rows `first` lead one to expect in snapshots `later`, if sources stay."""
     m = recording.measurements
     a, b = poses[m.snapshot[first]], poses[later]
     step = b[:, :2] - a[:, :2]
@@ -82,8 +95,8 @@ def _joined(r: Recording, poses: Floats, rows: int, scale: Floats) -> Steps:
     predecessor.
     """
     m = r.measurements
-    links, look = max(len(r.links), 1), _looks(m.snapshot[:rows], m.link[:rows])
-    key = look * links + m.link[:rows]
+    links = max(len(r.links), 1)
+    key = _epochs(m.snapshot[:rows], m.link[:rows]) * links + m.link[:rows]
     order = np.argsort(key, kind="stable")
     has_next, has_last = np.zeros(rows, bool), np.zeros(rows, bool)
     parts = []
@@ -92,7 +105,7 @@ def _joined(r: Recording, poses: Floats, rows: int, scale: Floats) -> Steps:
         second = order[second]
         free = ~has_last[second]
         first, second = first[free], second[free]
-        innovation = _innovation(r, poses, first, second)
+        innovation = innovations(r, poses, first, second)
         cost = np.nansum((innovation / (scale * np.sqrt(lag))) ** 2, axis=1)
         near = np.flatnonzero(cost < GATE**2)
         near = near[np.argsort(cost[near], kind="stable")]
@@ -107,7 +120,7 @@ def _joined(r: Recording, poses: Floats, rows: int, scale: Floats) -> Steps:
     return Steps(*(np.concatenate([part[i] for part in parts]) for i in range(4)))
 
 
-def _looks(snapshot: Ints, link: Ints) -> Ints:
+def _epochs(snapshot: Ints, link: Ints) -> Ints:
     """Return the number of each row's snapshot (M,) among those in which its link has measurements."""
     out = np.empty(len(snapshot), np.int64)
     for one in np.unique(link):
@@ -123,19 +136,6 @@ def _candidates(ordered: Ints, key: Ints, rows: Ints, shift: int) -> tuple[Ints,
     first = np.repeat(rows, count)
     second = np.arange(count.sum()) - np.repeat(np.cumsum(count) - count, count) + np.repeat(begin, count)
     return first, second
-
-
-def _innovation(r: Recording, poses: Floats, first: Ints, second: Ints) -> Floats:
-    m = r.measurements
-    z = np.column_stack([getattr(m, name)[second] for name in QUANTITIES])
-    out: Floats = z - predicted(r, poses, first, m.snapshot[second])
-    out[:, 1] = wrap_angle(out[:, 1])
-    return out
-
-
-def _spread(values: Floats, guess: float) -> float:
-    known = values[~np.isnan(values)]
-    return guess if len(known) < 30 else max(1.4826 * float(np.median(np.abs(known - np.median(known)))), 1e-4 * guess)
 
 
 def _labels(steps: Steps, rows: int) -> Ints:

@@ -1,4 +1,4 @@
-"""A measured campaign in SI units, each table at its own times."""
+"""A measured campaign in SI units, each table at its own times, and the recording that is made of it."""
 
 from __future__ import annotations
 
@@ -6,26 +6,22 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
+import numpy as np
 from numpy.typing import ArrayLike
+
+from cellslam.recordings.importing.odometry import OdometryTable, column_of, mean_velocities, motion_of, times_of
+from cellslam.recordings.importing.start_pose import start_from_reference
+from cellslam.sim import recording as contract
+from cellslam.sim.errors import InputError
+from cellslam.sim.frames import wrap_angle
+from cellslam.sim.recording import CLOCK_PRIOR, COMPONENTS, Floats, Recording, Reference
 
 QUANTITIES = ("distance_m", "azimuth_rad", "elevation_rad", "snr_db")
 CLAIMS = ("distance_std_m", "azimuth_std_rad", "elevation_std_rad")
-NO_NOISE = tuple([0.0] * 6)
-
-
-@dataclass(frozen=True)
-class OdometryTable:
-    """Velocities at their own times (N,): components of u by name ("u_x" in m/s, "u_psi" in rad/s, ...), each (N,).
-
-    `hold`: "next", a row is valid until the next row; "before", since the row before; "linear", in between
-    interpolate. A component that is left out was not measured. `lever_arm_m`: the array in the body frame of the
-    point whose velocity this is.
-    """
-
-    time_s: ArrayLike
-    components: Mapping[str, ArrayLike]
-    hold: str = "next"
-    lever_arm_m: Sequence[float] = (0.0, 0.0, 0.0)
+KINDS_OF_NOISE = ("noise_density", "bias", "bias_walk_density", "scale")  # of a data sheet
+NOTHING = (0.0,) * 6
+SAME_TIME_S = 1e-6  # measurements nearer than this belong to one snapshot
+LARGEST_ANGLE = {"azimuth_rad": 2.0 * np.pi, "elevation_rad": 0.5 * np.pi}
 
 
 @dataclass(frozen=True)
@@ -59,8 +55,117 @@ class Campaign:
     site_offsets: Mapping[str, tuple[float, ...]] = field(default_factory=dict)
     noise: Mapping[str, Sequence[float]] = field(default_factory=dict)
     start_pose: Sequence[float] | None = None
-    start_std: Sequence[float] = NO_NOISE
+    start_std: Sequence[float] = NOTHING
     reference: ReferenceTable | None = None
     snapshots_s: ArrayLike | None = None
     plane: bool = False
     about: Mapping[str, Any] = field(default_factory=dict)
+
+
+def build(campaign: Campaign) -> Recording:
+    """Return the recording of a campaign: rows sorted into snapshots, odometry as means between them.
+
+    Raises InputError naming table, column and row of what cannot be used.
+    """
+    rows_s = times_of("measurements", campaign.time_s, in_order=False)
+    times = _snapshot_times(campaign, rows_s)
+    reference = None if campaign.reference is None else _reference(campaign.reference)
+    motion = None if campaign.odometry is None else motion_of(campaign.odometry)
+    if campaign.start_pose is not None:
+        start_pose = np.asarray(campaign.start_pose, np.float64)
+    elif reference is not None:
+        start_pose = start_from_reference(motion, reference, float(times[0]))
+    else:
+        raise InputError("the start pose is not given, and there is no reference to take it from: give one of both")
+    nothing = np.full((len(times), len(COMPONENTS)), np.nan)
+    links, sites = _links(campaign)
+    return Recording(
+        time_s=times,
+        odometry=nothing if motion is None else mean_velocities(motion, times, start_pose),
+        odometry_model=_model(campaign.noise),
+        links=links,
+        sites=sites,
+        measurements=_measurements(campaign, rows_s, times),
+        start_pose=start_pose,
+        start_std=np.asarray(campaign.start_std, np.float64),
+        provenance=dict(campaign.about),
+        reference=reference,
+        plane=campaign.plane,
+    )
+
+
+def _snapshot_times(campaign: Campaign, rows_s: Floats) -> Floats:
+    if campaign.snapshots_s is not None:
+        return times_of("snapshots", campaign.snapshots_s)
+    times = np.unique(rows_s)
+    if not len(times):
+        raise InputError("measurements have no row: give at least one, or the table 'snapshots'")
+    distinct: Floats = times[np.append(True, np.diff(times) > SAME_TIME_S)]
+    return distinct
+
+
+def _measurements(campaign: Campaign, rows_s: Floats, times: Floats) -> contract.Measurements:
+    count = len(rows_s)
+    unknown = [name for name in campaign.columns if name not in (*QUANTITIES, *CLAIMS)]
+    if unknown:
+        raise InputError(f"measurements: unknown column '{unknown[0]}' (known: {', '.join((*QUANTITIES, *CLAIMS))})")
+    if not any(name in campaign.columns for name in QUANTITIES[:3]):
+        raise InputError("measurements have neither distance nor angle: give distance_m, azimuth_rad or elevation_rad")
+    link = np.zeros(count, np.int64) if campaign.link is None else np.asarray(campaign.link, np.int64)
+    snapshot = np.clip(np.searchsorted(times, rows_s - SAME_TIME_S), 0, len(times) - 1)
+    away = np.flatnonzero(np.abs(times[snapshot] - rows_s) > SAME_TIME_S)
+    if len(away):
+        raise InputError(f"measurements, row {away[0]}: its time {rows_s[away[0]]} s is no time of 'snapshots'")
+    order = np.lexsort((link, snapshot))
+    table = {}
+    for name, values in campaign.columns.items():
+        column = column_of("measurements", name, values, count)
+        outside = np.flatnonzero(np.abs(column) > LARGEST_ANGLE.get(name, np.inf) + 1e-6)
+        if len(outside):
+            raise InputError(
+                f"measurements.{name}, row {outside[0]}: {column[outside[0]]:.6g} rad is no such angle; were degrees "
+                "taken for radians?"
+            )
+        table[name] = wrap_angle(column[order]) if name == "azimuth_rad" else column[order]
+    nothing = np.full(count, np.nan)
+    quantities = (table.get(name, nothing) for name in QUANTITIES)
+    claims = (table.get(name) for name in CLAIMS)
+    return contract.Measurements(snapshot[order].astype(np.int64), link[order], *quantities, *claims)
+
+
+def _links(campaign: Campaign) -> tuple[contract.Links, contract.Sites]:
+    names = tuple(dict.fromkeys(campaign.link_sites))
+    for name in campaign.site_offsets:
+        if name not in names:
+            raise InputError(f"site_offsets: '{name}' is no site of a link (known: {', '.join(names)})")
+    missing = np.full(len(campaign.link_sites), -1, np.int64)
+    cells = missing if campaign.link_cells is None else np.asarray(campaign.link_cells, np.int64)
+    ports = missing if campaign.link_ports is None else np.asarray(campaign.link_ports, np.int64)
+    prior = np.zeros((len(CLOCK_PRIOR), len(names)))
+    for i, name in enumerate(names):
+        given = campaign.site_offsets.get(name, ())
+        prior[: len(given), i] = given
+    clocks = {name: row for i, (name, row) in enumerate(zip(CLOCK_PRIOR, prior, strict=True)) if i < 2 or row.any()}
+    site = np.array([names.index(name) for name in campaign.link_sites], np.int64)
+    return contract.Links(site, cells, ports), contract.Sites(names, **clocks)
+
+
+def _model(noise: Mapping[str, Sequence[float]]) -> contract.OdometryModel:
+    for name in noise:
+        if name not in KINDS_OF_NOISE:
+            raise InputError(f"odometry noise: unknown '{name}' (known: {', '.join(KINDS_OF_NOISE)})")
+    return contract.OdometryModel(*(np.asarray(noise.get(name, NOTHING), np.float64) for name in KINDS_OF_NOISE))
+
+
+def _reference(table: ReferenceTable) -> Reference:
+    times = column_of("reference", "time_s", table.time_s)
+    position = np.atleast_2d(np.asarray(table.position_m, np.float64))
+    if position.shape not in ((len(times), 2), (len(times), 3)):
+        raise InputError(f"reference.position_m has shape {position.shape}, expected ({len(times)}, 2) or (.., 3)")
+    unknown = np.full(len(times), np.nan)
+    position = np.column_stack([position, unknown])[:, :3]
+    yaw = unknown
+    if table.yaw_rad is not None:
+        yaw = wrap_angle(column_of("reference", "yaw_rad", table.yaw_rad, len(times)))
+    std = unknown if table.std_m is None else np.broadcast_to(np.asarray(table.std_m, np.float64), times.shape).copy()
+    return Reference(times, position, yaw, std)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import tomllib
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Literal, TypeVar
 
 from pydantic import BaseModel, ConfigDict, Field
 
@@ -12,31 +12,12 @@ from cellslam.scenarios.keys import validate
 from cellslam.sim.errors import InputError
 
 NAME = "recording.toml"
-Unit = Literal[
-    "m",
-    "km",
-    "cm",
-    "mm",
-    "ft",
-    "s",
-    "ms",
-    "us",
-    "ns",
-    "samples",
-    "rad",
-    "deg",
-    "rad/s",
-    "deg/s",
-    "m/s",
-    "km/h",
-    "dB",
-    "1",
-]
 Triple = tuple[float, float, float]
+Tables = TypeVar("Tables", bound=BaseModel)
 
 
 class Table(BaseModel):
-    """What all tables of the manifest share."""
+    """What all tables share."""
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 
@@ -44,12 +25,8 @@ class Table(BaseModel):
 class Column(Table):
     """One column: ours = zero + sign * theirs, in `unit`."""
 
-    column: str = Field(
-        description="name of the column in the header, or of the variable in the .mat file; without names its number"
-    )
-    unit: Unit = Field(
-        description="unit of the column; a delay in s, ns or samples is a distance times the speed of light"
-    )
+    column: str = Field(description="its name in the header or in the .mat file; without names its number")
+    unit: str = Field(description="unit of the column; of a delay s, ns or samples, too")
     sign: Literal[1, -1] = Field(1, description="-1: the column grows the other way (clockwise angles, downward axes)")
     zero: float = Field(0.0, description="our value where the column says 0, in the unit of the column")
 
@@ -70,8 +47,9 @@ class Clock(Table):
 
 
 class FileTable(Table):
-    """A table in a file of the folder."""
+    """A table in a file of the folder, and which of its columns are ours."""
 
+    columns: dict[str, Column] = Field(description="time_s and what else there is, by our names")
     file: str = Field(description="file in the folder: .csv, .txt, .tsv, .dat or .mat")
     variable: str = Field("", description="struct or matrix of the .mat file with the columns; empty: the file itself")
     delimiter: str = Field(
@@ -84,7 +62,6 @@ class FileTable(Table):
 class PathTable(FileTable):
     """[measurements]"""
 
-    columns: dict[str, Column] = Field(description="time_s and what was measured, by our names")
     link: LinkColumn | None = Field(None, description="the column that tells links apart; none: one link")
     sample_rate_hz: float | None = Field(None, gt=0, description="for delays in samples, Hz")
     std: dict[str, Annotated[float, Field(gt=0)]] = Field(
@@ -104,7 +81,6 @@ class Noise(Table):
 class DriveTable(FileTable):
     """[odometry]"""
 
-    columns: dict[str, Column] = Field(description="time_s and u_x, u_y, u_z, u_psi, u_theta, u_phi as far as measured")
     kind: Literal["velocities", "poses"] = Field(
         "velocities", description="poses: x_m, y_m, z_m, yaw_rad, pitch_rad, roll_rad in a frame of the odometry's own"
     )
@@ -118,20 +94,11 @@ class DriveTable(FileTable):
 class ReferenceFile(FileTable):
     """[reference]"""
 
-    columns: dict[str, Column] = Field(
-        description="time_s; x_m, y_m, z_m or latitude_rad, longitude_rad, z_m; yaw_rad, std_m"
-    )
     axes: Literal["east-north-up", "north-east-down"] = Field("east-north-up", description="axes of x, y, z")
     crs: str = Field("", description="where to project latitude and longitude to, as EPSG:32633; empty: their UTM zone")
     origin_m: tuple[float, float] | None = Field(None, description="taken off projected positions; none: the first fix")
     lever_arm_m: Triple = Field((0.0, 0.0, 0.0), description="where the antenna array is, from the GNSS antenna, m")
     std_m: float | None = Field(None, gt=0, description="deviation of all positions, m; none: unknown")
-
-
-class SnapshotTable(FileTable):
-    """[snapshots]"""
-
-    columns: dict[str, Column] = Field(description="time_s of every snapshot, those without measurements too")
 
 
 class Link(Table):
@@ -174,7 +141,7 @@ class Manifest(Table):
     plane: bool = Field(False, description="array, sources and reflections lie in one horizontal plane")
     measurements: PathTable
     start: Start
-    snapshots: SnapshotTable | None = None
+    snapshots: FileTable | None = None
     odometry: DriveTable | None = None
     reference: ReferenceFile | None = None
     clocks: dict[str, Clock] = Field(default_factory=dict)
@@ -187,7 +154,7 @@ class Manifest(Table):
 
 
 def load_manifest(folder: Path) -> Manifest:
-    """Return the manifest of a folder. Raises InputError with file, key, value and what is allowed."""
+    """Return the manifest of a folder. Raises InputError."""
     path = folder / NAME
     if not folder.is_dir():
         raise InputError(f"{folder}: no such folder; give the folder that holds {NAME} and its tables")
@@ -195,13 +162,18 @@ def load_manifest(folder: Path) -> Manifest:
         raise InputError(
             f"{path}: no such file; write one (docs/reference/campaign-tables.md), or name an adapter: --adapter"
         )
+    return read_tables(path, Manifest)
+
+
+def read_tables(path: Path, model: type[Tables]) -> Tables:
+    """Return a TOML file as a model. Raises InputError with file, key, value and what is allowed."""
     try:
-        table = tomllib.loads(path.read_text("utf-8"))
+        tables = tomllib.loads(path.read_text("utf-8"))
     except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
         raise InputError(f"{path}: not TOML ({error}); correct it there") from error
     except OSError as error:
         raise InputError(f"{path}: cannot be read ({error.strerror})") from error
     try:
-        return validate(Manifest, table)
+        return validate(model, tables)
     except InputError as error:
         raise InputError(f"{path}: {error}") from error

@@ -18,18 +18,14 @@ def variables(path: Path, names: Sequence[str] = ()) -> dict[str, Any]:
     """
     if not path.is_file():
         raise InputError(f"{path}: no such file; download or export it first")
-    found = _read_hdf5(path) if _is_hdf5(path) else _read_old(path)
+    import h5py
+
+    found = _read_hdf5(path) if h5py.is_hdf5(path) else _read_old(path)
     for name in names:
         if name not in found:
             near = nearest_name(name, found)
             raise InputError(f"{path}: no variable '{name}'{near} (it has: {', '.join(sorted(found)) or 'none'})")
     return found
-
-
-def _is_hdf5(path: Path) -> bool:
-    import h5py
-
-    return bool(h5py.is_hdf5(path))
 
 
 def _read_old(path: Path) -> dict[str, Any]:

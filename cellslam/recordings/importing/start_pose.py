@@ -13,7 +13,7 @@ import numpy as np
 
 from cellslam.benchmarks.scores.alignment import rigid
 from cellslam.benchmarks.scores.reference_fixes import outlying
-from cellslam.recordings.importing.odometry_resampling import Motion, at_array, integrate
+from cellslam.recordings.importing.odometry import Motion, integrate
 from cellslam.sim.errors import InputError
 from cellslam.sim.recording import Floats, Reference
 
@@ -42,9 +42,9 @@ def start_from_reference(motion: Motion | None, reference: Reference, time_s: fl
         return np.array([*np.nan_to_num(at_start), np.interp(time_s, times, np.unwrap(yaw)), 0.0, 0.0])
     if motion is None:
         raise InputError("the reference has no heading and there is no odometry: give the start pose")
-    first = _first_stretch(at_array(motion), times, time_s)
+    first = _first_stretch(motion, times, time_s)
     std = np.where(np.isfinite(std), std, FIX_STD_M)[first]
-    x, y, psi = fitted_start(at_array(motion), times[first], fixes[first, :2], std, time_s)
+    x, y, psi = fitted_start(motion, times[first], fixes[first, :2], std, time_s)
     return np.array([x, y, np.nan_to_num(at_start[2]), psi, 0.0, 0.0])
 
 
@@ -68,33 +68,26 @@ def fitted_start(motion: Motion, times: Floats, fixes: Floats, std_m: Floats, ti
     Found together with a bias and scale of the yaw rate and a scale of the speed by Gauss-Newton steps on the posterior
     in which the odometry's noise adds up and the errors of fixes fade over FIX_LASTS_S.
     """
-    drive = _Drive(motion, np.insert(times, 0, time_s))
-    angle, shift = rigid(drive.poses(np.zeros(6))[1:, :2], fixes)
+    stretch = np.insert(times, 0, time_s)
+
+    def drive(state: Floats) -> Floats:
+        """Return the dead-reckoned poses (N + 1, 6) for x, y, yaw, yaw-rate bias and scale, speed scale (6,)."""
+        x, y, psi, bias, turn_scale, speed_scale = state
+        factor = 1.0 + np.array([speed_scale, speed_scale, 0.0, turn_scale, 0.0, 0.0])
+        velocity = motion.velocity * factor + np.array([0.0, 0.0, 0.0, bias, 0.0, 0.0])
+        return integrate(replace(motion, velocity=velocity), stretch, np.array([x, y, 0.0, psi, 0.0, 0.0]))[0]
+
+    angle, shift = rigid(drive(np.zeros(6))[1:, :2], fixes)
     state = np.array([*shift, angle, 0.0, 0.0, 0.0])
     prior = np.array([0.0, 0.0, 0.0, YAW_RATE_BIAS_RADPS**-2, YAW_RATE_SCALE**-2, SPEED_SCALE**-2])
     for _ in range(STEPS):
-        poses = drive.poses(state)
-        slope = np.stack([(drive.poses(state + step) - poses)[1:, :2] / SMALL for step in SMALL * np.eye(6)], axis=-1)
+        poses = drive(state)
+        slope = np.stack([(drive(state + step) - poses)[1:, :2] / SMALL for step in SMALL * np.eye(6)], axis=-1)
         slope = slope.reshape(-1, 6)
-        weighted = np.linalg.solve(_covariance(drive.times_s, poses, std_m), slope).T
+        weighted = np.linalg.solve(_covariance(stretch, poses, std_m), slope).T
         rest = (fixes - poses[1:, :2]).ravel()
         state = state + np.linalg.solve(weighted @ slope + np.diag(prior), weighted @ rest - prior * state)
     return state[:3]
-
-
-class _Drive:
-    """The dead-reckoned stretch at `times_s` (N + 1,), as a function of the state that is fitted."""
-
-    def __init__(self, motion: Motion, times_s: Floats) -> None:
-        self.motion, self.times_s = motion, times_s
-
-    def poses(self, state: Floats) -> Floats:
-        """Return the poses (N + 1, 6) for x, y, yaw, yaw-rate bias and scale, speed scale (6,)."""
-        x, y, psi, bias, turn_scale, speed_scale = state
-        factor = 1.0 + np.array([speed_scale, speed_scale, 0.0, turn_scale, 0.0, 0.0])
-        velocity = self.motion.velocity * factor + np.array([0.0, 0.0, 0.0, bias, 0.0, 0.0])
-        start = np.array([x, y, 0.0, psi, 0.0, 0.0])
-        return integrate(replace(self.motion, velocity=velocity), self.times_s, start)[0]
 
 
 def _covariance(times: Floats, poses: Floats, std_m: Floats) -> Floats:

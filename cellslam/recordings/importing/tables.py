@@ -29,6 +29,7 @@ class TableFile:
 
     def __init__(self, folder: Path, table: FileTable) -> None:
         self.path = folder / table.file
+        self._head: Head | None = None
         if not self.path.is_file():
             names = sorted(p.name for p in folder.iterdir() if p.is_file())
             near = nearest_name(table.file, names)
@@ -37,7 +38,8 @@ class TableFile:
         if suffix == ".mat":
             self._columns: Mapping[str, Any] = _struct(self.path, table.variable)
         elif suffix in TEXT:
-            self._columns = _text_columns(self.path, Head.of(self.path, table.delimiter))
+            self._head = Head.of(self.path, table.delimiter)
+            self._columns = _text_columns(self.path, self._head)
         else:
             raise InputError(f"{self.path}: '{suffix}' files are not read; export it as .csv or .mat")
 
@@ -45,31 +47,27 @@ class TableFile:
         """Return a column as floats (N,), in the unit of the file; an empty cell is NaN. Raises InputError."""
         raw = self._raw(name)
         try:
-            values = np.asarray(raw, np.float64)
+            return np.asarray(raw, np.float64)
         except (TypeError, ValueError):
             row, text = next((i, t) for i, t in enumerate(raw) if not _is_number(t))
-            where = f" (line {self._line(row)})" if self.path.suffix.lower() in TEXT else ""
+            where = f" (line {self._line(row, self._head)})" if self._head is not None else ""
             raise InputError(
                 f"{self.path}: column '{name}', row {row}{where}: '{text}' is not a number; leave the cell empty where "
                 "nothing was measured; numbers have decimal points"
             ) from None
-        return values
 
     def labels(self, name: str) -> list[str]:
         """Return a column as text; whole numbers without decimals."""
         out = []
         for row, value in enumerate(self._raw(name)):
-            if isinstance(value, float | np.floating) and not np.isfinite(value):
+            number = isinstance(value, float | np.floating)
+            if number and not np.isfinite(value):
                 raise InputError(f"{self.path}: column '{name}', row {row}: is empty; name the link of every row")
-            out.append(
-                str(int(value)) if isinstance(value, float | np.floating) and value == int(value) else str(value)
-            )
+            out.append(str(int(value)) if number and value == int(value) else str(value))
         return out
 
-    def _line(self, row: int) -> int:
-        head = Head.of(self.path, "")
-        comments = set(head.comments)
-        content = (i for i, line in enumerate(_lines(self.path)) if line.strip() and i not in comments)
+    def _line(self, row: int, head: Head) -> int:
+        content = (i for i, line in enumerate(_lines(self.path)) if line.strip() and i not in set(head.comments))
         return 1 + next(islice(content, row + head.named_first, None), 0)
 
     def _raw(self, name: str) -> Any:

@@ -1,14 +1,14 @@
-"""What may have to be done to the tables of a recording before they tell the same story; and the drive that they then
-tell."""
+"""What may have to be done to the tables of a recording before they agree; and the drive that the odometry gives."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 
-from cellslam.recordings.importing.odometry_resampling import Motion, integrate
+from cellslam.recordings.importing.odometry import Motion, integrate
 from cellslam.sim.recording import Floats, Recording
 from cellslam.slam.api import odometry_of
 
@@ -20,7 +20,8 @@ class Correction:
     """Factors, shifts and delays that make recorded tables right; as it stands, none.
 
     Factors multiply what is recorded; a table that is late by so much is to be moved back by it; arms, m in the body
-    frame: the array from the point that the odometry measures, from the reference's point, from the point of both.
+    frame: the array from the point that the odometry measures, from the reference's point, from the point of both
+    (`measurements_arm_m`).
     """
 
     speed: float = 1.0
@@ -33,25 +34,21 @@ class Correction:
     distance: float = 1.0
     distance_zero_m: float = 0.0
     measurements_late_s: float = 0.0
-    array_arm_m: Arm = (0.0, 0.0)
+    measurements_arm_m: Arm = (0.0, 0.0)
     reference: float = 1.0
     mirrored: bool = False
     reference_late_s: float = 0.0
     reference_arm_m: Arm = (0.0, 0.0)
 
-    def between_odometry_and(self, table: Literal["measurements", "reference"]) -> Correction:
-        """Return what it comes to between the odometry and another table: of delays and arms, only sums show."""
-        late, arm = (
-            (self.measurements_late_s, self.array_arm_m)
-            if table == "measurements"
-            else (self.reference_late_s, self.reference_arm_m)
-        )
+    def effect(self, table: str, fields: Sequence[str]) -> Correction:
+        """Return what shows of it between the odometry and another table, which alone has `fields`: of delays and arms
+        only sums show.
+        """
+        (x, y), (more_x, more_y) = self.odometry_arm_m, getattr(self, f"{table}_arm_m")
         return Correction(
-            speed=self.speed,
-            yaw_rate=self.yaw_rate,
-            side=self.side,
-            odometry_late_s=self.odometry_late_s - late,
-            odometry_arm_m=(self.odometry_arm_m[0] + arm[0], self.odometry_arm_m[1] + arm[1]),
+            odometry_late_s=self.odometry_late_s - getattr(self, f"{table}_late_s"),
+            odometry_arm_m=(x + more_x, y + more_y),
+            **{field: getattr(self, field) for field in ("speed", "yaw_rate", "side", *fields)},
         )
 
     def having(self, field: str, value: Any) -> Correction:
@@ -65,38 +62,30 @@ class Drive:
     def __init__(self, recording: Recording) -> None:
         self.time_s = recording.time_s
         self._velocity = odometry_of(recording)[1:, [0, 1, 3]]
-        self._made: dict[tuple[float, float, float], Floats] = {}
+        self._tracks: dict[tuple[float, float, float], Floats] = {}
 
     def poses(self, times: Floats, c: Correction, arm: Arm) -> Floats:
         """Return x, y (m) and yaw (rad), (..., 3), at `times` (...,) in s, of the point `arm` away; NaN outside."""
-        track = self._track(c)
+        key = (c.speed, c.yaw_rate, c.side)
+        if key not in self._tracks:
+            self._tracks[key] = self._track(*key)
         inside = (times >= self.time_s[0]) & (times <= self.time_s[-1])
-        x, y, yaw = (np.where(inside, np.interp(times, self.time_s, column), np.nan) for column in track.T)
+        columns = self._tracks[key].T
+        x, y, yaw = (np.where(inside, np.interp(times, self.time_s, column), np.nan) for column in columns)
         cos, sin = np.cos(yaw), np.sin(yaw)
         return np.stack([x + cos * arm[0] - sin * arm[1], y + sin * arm[0] + cos * arm[1], yaw], axis=-1)
 
-    def _track(self, c: Correction) -> Floats:
-        key = (c.speed, c.yaw_rate, c.side)
-        if key not in self._made:
-            dt = np.diff(self.time_s)
-            turn = self._velocity[:, 2] * dt * c.yaw_rate
-            yaw = np.concatenate([[0.0], np.cumsum(turn)])
-            half = 0.5 * (yaw[1:] + yaw[:-1])
-            ahead, left = self._velocity[:, 0] * dt * c.speed, self._velocity[:, 1] * dt * c.speed * c.side
-            step = np.column_stack(
-                [ahead * np.cos(half) - left * np.sin(half), ahead * np.sin(half) + left * np.cos(half)]
-            )
-            place = np.vstack([np.zeros(2), np.cumsum(step, axis=0)])
-            self._made[key] = np.column_stack([place, yaw])
-        return self._made[key]
+    def _track(self, speed: float, yaw_rate: float, side: float) -> Floats:
+        dt = np.diff(self.time_s)
+        yaw = np.concatenate([[0.0], np.cumsum(self._velocity[:, 2] * dt * yaw_rate)])
+        half = 0.5 * (yaw[1:] + yaw[:-1])
+        ahead, left = self._velocity[:, 0] * dt * speed, self._velocity[:, 1] * dt * speed * side
+        step = np.column_stack([ahead * np.cos(half) - left * np.sin(half), ahead * np.sin(half) + left * np.cos(half)])
+        return np.column_stack([np.vstack([np.zeros(2), np.cumsum(step, axis=0)]), yaw])
 
 
 def dead_reckoned(recording: Recording, times: Floats) -> Floats:
     """Return poses (N, 6), in m and rad, of the odometry alone at `times` (N,) in s within the drive."""
-    motion = Motion(recording.time_s, odometry_of(recording)[1:], (True,) * 6)
-    poses, _ = integrate(
-        motion,
-        np.insert(times, 0, recording.time_s[0]) if times[0] > recording.time_s[0] else times,
-        recording.start_pose,
-    )
-    return poses[-len(times) :]
+    motion = Motion(recording.time_s, odometry_of(recording)[1:], np.ones(6, np.bool_))
+    first = recording.time_s[:1] if times[0] > recording.time_s[0] else times[:0]
+    return integrate(motion, np.append(first, times), recording.start_pose)[0][len(first) :]

@@ -1,8 +1,7 @@
-"""What is in a recording, what is missing, what looks wrong."""
+"""What is in a recording, what is missing, what looks wrong; and a picture of it, a row of two panels a link."""
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -14,8 +13,10 @@ from cellslam.benchmarks.scores.metrics import duration_s
 from cellslam.benchmarks.scores.reference_fixes import outlying, within
 from cellslam.recordings.importing.campaign import CLAIMS, QUANTITIES
 from cellslam.recordings.inspection.suspicions import suspicions
-from cellslam.sim.recording import COMPONENTS, Recording
+from cellslam.sim.frames import SPEED_OF_LIGHT_MPS
+from cellslam.sim.recording import COMPONENTS, Ints, Recording
 
+DOTS, LINKS = 6000, 16  # of the figure: dots a panel, and rows
 GAP = 5.0  # an interval longer than so many median ones is a gap
 NAMES = {"distance_m": "distance", "azimuth_rad": "azimuth", "elevation_rad": "elevation", "snr_db": "SNR"}
 
@@ -46,9 +47,7 @@ def _snapshots(r: Recording) -> dict[str, Any]:
         out |= {"interval_s": _number(median), "shortest_s": _number(step.min()), "longest_s": _number(step.max())}
         out["gaps"] = [{"at_s": round(float(r.time_s[i]), 3), "lasts_s": _number(step[i])} for i in gaps[:20]]
         out["gap_count"] = len(gaps)
-    empty = np.diff(r.rows) == 0
-    out["without_measurement"] = int(empty.sum())
-    return out
+    return out | {"without_measurement": int((np.diff(r.rows) == 0).sum())}
 
 
 def _measurements(r: Recording) -> dict[str, Any]:
@@ -139,58 +138,31 @@ def _missing(r: Recording) -> list[str]:
     return out
 
 
-def as_json(found: Mapping[str, Any]) -> str:
-    """Return the summary as one JSON object."""
-    return json.dumps(found, indent=1, allow_nan=False) + "\n"
-
-
 def as_text(path: Path, recording: Recording, found: Mapping[str, Any]) -> str:
     """Return the summary for people, lines of at most about 100 characters."""
     s, m = found["snapshots"], found["measurements"]
-    lines = [f"{path}: sound recording" + (f", {found['description']}" if found["description"] else "")]
-    interval = (
-        f", every {s['interval_s']:g} s ({s['shortest_s']:g} to {s['longest_s']:g} s)" if "interval_s" in s else ""
-    )
-    lines.append(
-        f"snapshots     {s['count']} in {s['duration_s']:g} s{interval}; {s['without_measurement']} without measurement"
-    )
-    lines += [f"  gap         {gap['lasts_s']:g} s at {gap['at_s']:.14g} s" for gap in s.get("gaps", [])[:5]]
-    if s.get("gap_count", 0) > 5:
-        lines.append(f"  gaps        {s['gap_count']} in all")
-    lines.append(
-        f"measurements  {m['count']}, {m['per_snapshot']:.4g} a snapshot" + (", in one plane" if found["plane"] else "")
-    )
+    every = f", every {s['interval_s']:g} s ({s['shortest_s']:g} to {s['longest_s']:g} s)" if "interval_s" in s else ""
+    empty = f"{s['without_measurement']} without measurement"
+    lines = [
+        f"{path}: sound recording" + (f", {found['description']}" if found["description"] else ""),
+        f"snapshots     {s['count']} in {s['duration_s']:g} s{every}; {empty}",
+        *(f"  gap         {gap['lasts_s']:g} s at {gap['at_s']:.14g} s" for gap in s.get("gaps", [])[:5]),
+        *([f"  gaps        {s['gap_count']} in all"] if s.get("gap_count", 0) > 5 else []),
+        f"measurements  {m['count']}, {m['per_snapshot']:.4g} a snapshot"
+        + (", in one plane" if found["plane"] else ""),
+    ]
     for name in (*QUANTITIES, *CLAIMS):
         if name in m:
             q = m[name]
             share = "" if q["share"] == 1.0 else f" ({100 * q['share']:.1f} % of the rows)"
             lines.append(f"  {name:<18}{q['least']:>10} .. {q['median']:>10} .. {q['most']:>10}{share}")
-    lines.append(f"links         {len(found['links'])} of {len(recording.sites)} sites")
-    for link in found["links"][:24]:
-        cell = "".join(f", {n} {link[n]}" for n in ("cell_id", "port") if n in link)
-        std = link["clock_offset_std_m"]
-        lines.append(
-            f"  link {link['link']:<3} site {link['site']}{cell}: {link['measurements']} measurements, "
-            f"{link['paths_per_snapshot']:.3g} paths in {100 * link['snapshots_share']:.1f} % of the snapshots, "
-            f"clock {f'+-{std:.4g} m' if std else 'known'}"
-        )
+    lines += [
+        f"links         {len(found['links'])} of {len(recording.sites)} sites",
+        *map(_link_line, found["links"][:24]),
+    ]
     for name, u in found["odometry"].items():
         lines.append(f"odometry      {name:<8} {u['least']} .. {u['most']}, {100 * u['share']:.1f} % of the intervals")
-    f = found["reference"]
-    if f is not None:
-        extra = ("with yaw" if f["yaw"] else "no yaw") + (
-            f", +-{f['std_m']} m" if f["std_m"] is not None else ", deviation not stated"
-        )
-        lines.append(
-            f"reference     {f['count']} fixes, {f['within_the_drive']} within the drive, every "
-            f"{f['interval_s']} s, {extra}"
-        )
-        if f["outlying_at_s"]:
-            at, more = f["outlying_at_s"], "" if len(f["outlying_at_s"]) <= 5 else ", ..."
-            times = ", ".join(f"{t:.14g}" for t in at[:5])
-            lines.append(
-                f"  outliers    {len(at)} far off their neighbours, at {times}{more} s: left out of scores and figures"
-            )
+    lines += _reference_lines(found["reference"]) if found["reference"] is not None else []
     if recording.truth is not None:
         lines.append(f"truth         poses, {len(recording.truth.vts)} VTs, associations (simulated)")
     lines += [f"missing       {what}" for what in found["missing"]]
@@ -198,6 +170,73 @@ def as_text(path: Path, recording: Recording, found: Mapping[str, Any]) -> str:
     for name, doubts in found.get("estimators", {}).items():
         lines += [f"SUSPICIOUS    {line}" for line in doubts] or [f"{name:<14}nothing speaks against its estimate"]
     return "\n".join(lines) + "\n"
+
+
+def _link_line(link: Mapping[str, Any]) -> str:
+    cell = "".join(f", {n} {link[n]}" for n in ("cell_id", "port") if n in link)
+    std = link["clock_offset_std_m"]
+    return (
+        f"  link {link['link']:<3} site {link['site']}{cell}: {link['measurements']} measurements, "
+        f"{link['paths_per_snapshot']:.3g} paths in {100 * link['snapshots_share']:.1f} % of the snapshots, "
+        f"clock {f'+-{std:.4g} m' if std else 'known'}"
+    )
+
+
+def _reference_lines(f: Mapping[str, Any]) -> list[str]:
+    std = f"+-{f['std_m']} m" if f["std_m"] is not None else "deviation not stated"
+    lines = [
+        f"reference     {f['count']} fixes, {f['within_the_drive']} within the drive, every {f['interval_s']} s, "
+        f"{'with yaw' if f['yaw'] else 'no yaw'}, {std}"
+    ]
+    if at := f["outlying_at_s"]:
+        times = ", ".join([*(f"{t:.14g}" for t in at[:5]), *(["..."] if len(at) > 5 else [])])
+        lines.append(f"  outliers    {len(at)} far off their neighbours, at {times} s: left out of scores and figures")
+    return lines
+
+
+def draw(recording: Recording, path: Path) -> None:
+    """Write the figure as PNG; of more than 16 links the first 16, of more than 6000 dots a link some of them."""
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    from cellslam.benchmarks.figures.style import BLUE, WIDTH_IN, context
+
+    r = recording
+    links = max(min(len(r.links), LINKS), 1)
+    with context():
+        figure = Figure(figsize=(WIDTH_IN, 0.6 + 1.05 * links), dpi=110)
+        FigureCanvasAgg(figure)
+        panels = figure.subplots(links, 2, squeeze=False, sharex=True)
+        for link in range(links):
+            rows = _some(np.flatnonzero(r.measurements.link == link))
+            left, right = panels[link]
+            time = (r.time_s - r.time_s[0])[r.measurements.snapshot[rows]]
+            delay = r.measurements.distance_m[rows] / SPEED_OF_LIGHT_MPS * 1e6
+            for axes, values in ((left, delay), (right, np.degrees(r.measurements.azimuth_rad[rows]))):
+                axes.plot(time, values, ".", color=BLUE, markersize=1.2, rasterized=True)
+                if not np.isfinite(values).any():
+                    axes.text(0.5, 0.5, "not measured", transform=axes.transAxes, ha="center", va="center")
+            right.set_ylim(-185, 185)
+            right.set_yticks([-180, -90, 0, 90, 180])
+            left.set_ylabel(f"{_name(r, link)}\ndelay (µs)", fontsize=7)
+            right.set_ylabel("azimuth (deg)", fontsize=7)
+        for axes in panels[-1]:
+            axes.set_xlabel("time (s)")
+            axes.set_xlim(0, max(float(r.time_s[-1] - r.time_s[0]), 1e-3))
+        figure.subplots_adjust(
+            left=0.11, right=0.985, top=0.99, bottom=0.42 / (0.6 + 1.05 * links), wspace=0.3, hspace=0.18
+        )
+        figure.savefig(path, format="png")
+
+
+def _some(rows: Ints) -> Ints:
+    return rows if len(rows) <= DOTS else rows[np.linspace(0, len(rows) - 1, DOTS).astype(np.int64)]
+
+
+def _name(r: Recording, link: int) -> str:
+    site = str(r.sites.name[r.links.site[link]])
+    cell, port = int(r.links.cell_id[link]), int(r.links.port[link])
+    return site + (f" {cell}" if cell >= 0 else "") + (f"/{port}" if port >= 0 else "")
 
 
 def _short(values: ArrayLike) -> list[float]:

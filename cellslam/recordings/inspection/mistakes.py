@@ -26,11 +26,11 @@ ZEROS = [np.radians(z) for z in (30, 60, 90, 120, 150, -30, -60, -90, -120, -150
 SCALE, LATE, ZERO_RAD, SHIFT_M, ARM_M = 0.125, 0.45, np.radians(12.0), 4.0, 0.7
 CLOSE, FAR_OFF = 0.1, 0.12  # a factor is recognised within so much of its logarithm, or such a share of it
 
-Said = tuple[str, str]  # the kind of a mistake, and its remedy
+Diagnosis = tuple[str, str]  # the kind of a mistake, and its remedy
 CLOCKWISE = "the yaw rate is clockwise: set sign = -1 for u_psi"
 RIGHT_HANDED = 'axes forward-right-down: say axes = "forward-right-down" for the odometry'
 # Factors by field of `Correction`: each is tried, and named where a fitted factor comes near it.
-FACTORS: dict[str, dict[float, Said]] = {
+FACTORS: dict[str, dict[float, Diagnosis]] = {
     "speed": {
         -1.0: (
             "odometry-sign",
@@ -47,10 +47,7 @@ FACTORS: dict[str, dict[float, Said]] = {
     "yaw_rate": {
         -1.0: ("clockwise", f"{CLOCKWISE} (or all of the odometry has {RIGHT_HANDED})"),
         DEGREE: ("degrees-as-radians", 'yaw rates in degrees are taken for radians: say unit = "deg/s" for u_psi'),
-        -DEGREE: (
-            "degrees-as-radians",
-            f'yaw rates in degrees taken for radians: say unit = "deg/s"; and {CLOCKWISE}',
-        ),
+        -DEGREE: ("degrees-as-radians", f'yaw rates in degrees taken for radians: say unit = "deg/s"; and {CLOCKWISE}'),
         1 / DEGREE: ("radians-as-degrees", 'yaw rates in radians are taken for degrees: say unit = "rad/s" for u_psi'),
     },
     "distance": {
@@ -70,7 +67,7 @@ FACTORS: dict[str, dict[float, Said]] = {
         1e-3: ("reference-unit", 'the reference is in mm: say unit = "mm" for x_m and y_m'),
     },
 }
-OTHER_FACTORS: dict[str, Said] = {
+OTHER_FACTORS: dict[str, Diagnosis] = {
     "speed": ("speed-unit", "speeds fit if they are multiplied by {:.3g}: a wrong unit, wheel size or gear"),
     "yaw_rate": (
         "yaw-scale",
@@ -87,13 +84,13 @@ OTHER_FACTORS: dict[str, Said] = {
 ARM_REMEDIES = {
     "odometry": "the point that the odometry measures: set odometry.lever_arm_m = {}",
     "reference": "the reference's antenna: set reference.lever_arm_m = {}",
-    "array": "the point that odometry and reference describe: set lever_arm_m = {} in [odometry] and [reference]",
+    "measurements": "the point of odometry and reference: set lever_arm_m = {} in [odometry] and [reference]",
 }
 
 
 @dataclass(frozen=True)
 class Explanation:
-    """One kind of mistake: corrections to try, `say` a kind and a remedy for the best of them.
+    """One kind of mistake: corrections to try, `diagnose` a kind and a remedy for the best of them.
 
     `refined`: values beside that of `field`, a `step` away; None where the corrections are all there are.
     `least`: log-likelihood that it must gain in a stretch: more for those that noise can imitate.
@@ -101,7 +98,7 @@ class Explanation:
     """
 
     corrections: Sequence[Correction]
-    say: Callable[[Correction], Said]
+    diagnose: Callable[[Correction], Diagnosis]
     harmless: Callable[[Correction], bool] = lambda c: False
     field: str = ""
     refined: Callable[[Any, float], Sequence[Any]] | None = None
@@ -131,20 +128,20 @@ def _displaced(arm: tuple[float, float], step: float) -> Sequence[tuple[float, f
 def _factors(field: str) -> list[Explanation]:
     """Return known factors, each an explanation of its own, and any other one."""
 
-    def say(c: Correction) -> Said:
+    def diagnose(c: Correction) -> Diagnosis:
         return _named(getattr(c, field), FACTORS[field], OTHER_FACTORS[field])
 
     def harmless(c: Correction) -> bool:
         factor = getattr(c, field)
         return factor > 0.0 and bool(abs(np.log(factor)) < SCALE)
 
-    alone = [Explanation([Correction().having(field, value)], say) for value in FACTORS[field]]
+    alone = [Explanation([Correction().having(field, value)], diagnose) for value in FACTORS[field]]
     starts = [value for value in FACTORS[field] if value != -1.0] + list(SCALES)
     other = [Correction().having(field, value) for value in starts]
-    return [*alone, Explanation(other, say, harmless, field, _scaled, step=0.07)]
+    return [*alone, Explanation(other, diagnose, harmless, field, _scaled, step=0.07)]
 
 
-def _named(factor: float, known: Mapping[float, Said], other: Said) -> Said:
+def _named(factor: float, known: Mapping[float, Diagnosis], other: Diagnosis) -> Diagnosis:
     alike = [value for value in known if factor * value > 0.0]
     nearest = min(alike, key=lambda value: abs(np.log(factor / value)), default=np.inf)
     near = nearest in known and abs(np.log(factor / nearest)) < max(CLOSE, FAR_OFF * abs(np.log(abs(nearest))))
@@ -154,20 +151,22 @@ def _named(factor: float, known: Mapping[float, Said], other: Said) -> Said:
 def _late(table: str) -> Explanation:
     field = f"{table}_late_s"
 
-    def say(c: Correction) -> Said:
+    def diagnose(c: Correction) -> Diagnosis:
         late = getattr(c, field)
         word = "late" if late > 0 else "early"
         remedy = f'set [clocks.NAME] offset_s = {-late:.2g} and clock = "NAME" in [{table}]'
         return f"{table}-clock", f"times of the {table} are {abs(late):.2g} s {word}: {remedy}"
 
     corrections = [Correction().having(field, late) for late in LATE_S]
-    return Explanation(corrections, say, lambda c: abs(getattr(c, field)) < LATE, field, _moved, step=0.5, least=0.75)
+    return Explanation(
+        corrections, diagnose, lambda c: abs(getattr(c, field)) < LATE, field, _moved, step=0.5, least=0.75
+    )
 
 
 def _arm(table: str) -> Explanation:
     field = f"{table}_arm_m"
 
-    def say(c: Correction) -> Said:
+    def diagnose(c: Correction) -> Diagnosis:
         x, y = getattr(c, field)
         remedy = ARM_REMEDIES[table].format(f"[{x:.1f}, {y:.1f}, 0]")
         return "lever-arm", f"the array sits {x:.1f} m ahead and {y:.1f} m to the left of {remedy}"
@@ -175,10 +174,10 @@ def _arm(table: str) -> Explanation:
     def harmless(c: Correction) -> bool:
         return bool(np.hypot(*getattr(c, field)) < ARM_M)
 
-    return Explanation([Correction().having(field, a) for a in ARMS_M], say, harmless, field, _displaced, step=1.0)
+    return Explanation([Correction().having(field, a) for a in ARMS_M], diagnose, harmless, field, _displaced, step=1.0)
 
 
-def _azimuth(c: Correction) -> Said:
+def _azimuth(c: Correction) -> Diagnosis:
     zero = float(np.degrees(c.azimuth_zero_rad))
     zero = zero if abs(zero - 90.0 * round(zero / 90.0)) > 8.0 else 90.0 * round(zero / 90.0)
     set_zero = f"zero = {zero:.0f} (deg) for azimuth_rad"
@@ -190,7 +189,7 @@ def _azimuth(c: Correction) -> Said:
     return "azimuth-zero", f"azimuths are counted from {side}, or axes are swapped: set {set_zero}"
 
 
-def _shift(c: Correction) -> Said:
+def _shift(c: Correction) -> Diagnosis:
     b = -c.distance_zero_m
     return "distance-offset", (
         f"every distance is {abs(b):.1f} m too {'long' if b > 0 else 'short'}, though clocks are said to be known: set "
@@ -198,12 +197,12 @@ def _shift(c: Correction) -> Said:
     )
 
 
-def _right_handed(c: Correction) -> Said:
+def _right_handed(c: Correction) -> Diagnosis:
     only_yaw = "if its u_psi alone is clockwise, set sign = -1 for that"
     return "forward-right-down", f"the odometry has {RIGHT_HANDED} ({only_yaw})"
 
 
-def _mirrored(c: Correction) -> Said:
+def _mirrored(c: Correction) -> Diagnosis:
     remedy = 'exchange x_m and y_m, or say axes = "north-east-down"'
     return "swapped-axes", f"x and y of the reference are swapped (north taken for east): {remedy}"
 
@@ -213,7 +212,7 @@ EXPLANATIONS = (
     *_factors("yaw_rate"),
     Explanation([Correction(yaw_rate=-1.0, side=-1.0)], _right_handed),
     *(_late(table) for table in ("odometry", "measurements", "reference")),
-    *(_arm(table) for table in ("odometry", "array", "reference")),
+    *(_arm(table) for table in ("odometry", "measurements", "reference")),
     Explanation([Correction(azimuth=-1.0)], _azimuth),
     Explanation(
         [Correction(azimuth=sign, azimuth_zero_rad=zero) for sign in (1.0, -1.0) for zero in ZEROS]

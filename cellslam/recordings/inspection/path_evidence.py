@@ -1,11 +1,18 @@
-"""How well measured paths and the odometry tell the same motion: each measurement predicted from those of a moment
-before."""
+"""How well measured paths and the odometry agree: each measurement is predicted from those of a moment before.
+
+A measurement z_j is one of its link's n measurements z_i of that moment, moved on by what the odometry says, or new:
+
+    p(z_j) = w / n sum_i N(z_j - h(z_i, motion); 0, diag(sigma_m^2, sigma_rad^2)) + (1 - w) / area
+
+Which one it is, w and the sigmas are found with each correction by ROUNDS of expectation-maximisation (`_mixture`).
+"""
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
+import pandas as pd
 from numpy.typing import NDArray
 
 from cellslam.recordings.inspection.corrections import Correction, Drive
@@ -45,10 +52,7 @@ class Pairs:
 
 
 class PathEvidence:
-    """Log-likelihood of measurements, given those before and the odometry: one of them moved on, or something new.
-
-    Which of them, the noise, and how often, are found with each correction (expectation-maximisation).
-    """
+    """Log-likelihood of measurements, given those before and the odometry, over many pairs of moments of a drive."""
 
     name = "paths"
 
@@ -75,18 +79,12 @@ class PathEvidence:
         self.block = ((middle - self.time_s[0]) / np.ptp(self.time_s) * BLOCKS).astype(np.int64)
         self._plain = [self._logs(pairs, Correction()) for pairs in self.lags]
 
-    def seen(self, c: Correction) -> Correction:
+    def effect_of(self, c: Correction) -> Correction:
         """Return what a correction comes to between odometry and measurements."""
-        return replace(
-            c.between_odometry_and("measurements"),
-            azimuth=c.azimuth,
-            azimuth_zero_rad=c.azimuth_zero_rad,
-            distance=c.distance,
-            distance_zero_m=c.distance_zero_m,
-        )
+        return c.effect("measurements", ("azimuth", "azimuth_zero_rad", "distance", "distance_zero_m"))
 
     def change(self, c: Correction) -> Floats:
-        """Return by how much a correction as `seen` raises the log-likelihood (n,); NaN outside of the drive."""
+        """Return by how much an effect raises the log-likelihood (n,); NaN outside of the drive."""
         return np.concatenate(
             [self._change(pairs, plain, c) for pairs, plain in zip(self.lags, self._plain, strict=True)]
         )
@@ -111,42 +109,31 @@ class PathEvidence:
         return sorted({lag, int(min(LONGER * lag, longest))})
 
     def _pairs(self, recording: Recording, lag: int) -> Pairs:
-        rows, m = recording.rows, recording.measurements
+        m = recording.measurements
         count = len(self.time_s) - lag
         each = np.bincount(m.snapshot[self.usable] * len(recording.links) + m.link[self.usable])
         candidates = float((each.astype(np.float64) ** 2).sum()) / len(self.time_s)
         pairs = int(np.clip(CANDIDATES / max(candidates, 1e-9), *PAIRS))
         even = np.linspace(self.progress[0], self.progress[count - 1], pairs)
         chosen = np.unique(np.minimum(np.searchsorted(self.progress[:count], even), count - 1))
-        first: list[Ints] = []
-        second: list[Ints] = []
-        group: list[Ints] = []
-        pair: list[int] = []
-        times: list[tuple[float, float]] = []
-        for t in chosen:
-            a = np.arange(rows[t], rows[t + 1])[self.usable[rows[t] : rows[t + 1]]][:PATHS]
-            b = np.arange(rows[t + lag], rows[t + lag + 1])[self.usable[rows[t + lag] : rows[t + lag + 1]]][:PATHS]
-            i, j = np.nonzero(m.link[a][:, None] == m.link[b])
-            if not len(i):
-                continue
-            order = np.argsort(j, kind="stable")
-            i, j = i[order], j[order]
-            targets, index = np.unique(j, return_inverse=True)
-            group.append(len(pair) + index)
-            first.append(a[i])
-            second.append(b[j])
-            pair += [len(times)] * len(targets)
-            times.append((self.time_s[t], self.time_s[t + lag]))
-        none = np.empty(0, np.int64)
-        at = np.concatenate(group or [none])
+        rows = np.flatnonzero(self.usable)
+        table = pd.DataFrame({"snapshot": m.snapshot[rows], "link": m.link[rows], "row": rows})
+        table = table[table.groupby("snapshot").cumcount() < PATHS]
+        before = table[table["snapshot"].isin(chosen)]
+        after = table.assign(snapshot=table["snapshot"] - lag)
+        found = before.merge(after, on=["snapshot", "link"], suffixes=("_before", "_after"))
+        found = found.sort_values(["row_after", "row_before"])
+        first, second = found["row_before"].to_numpy(), found["row_after"].to_numpy()
+        targets, at, count_of = np.unique(second, return_inverse=True, return_counts=True)
+        moments, pair = np.unique(m.snapshot[targets] - lag, return_inverse=True)
         return Pairs(
-            np.array([before for before, _ in times]),
-            np.array([after for _, after in times]),
-            np.concatenate(first or [none]),
-            np.concatenate(second or [none]),
-            at,
-            np.array(pair, np.int64),
-            1.0 / np.bincount(at, minlength=len(pair)),
+            before_s=self.time_s[moments],
+            after_s=self.time_s[moments + lag],
+            first=first,
+            second=second,
+            at=at,
+            pair=pair,
+            share=1.0 / count_of,
         )
 
     def _logs(self, pairs: Pairs, c: Correction, among: NDArray[np.bool_] | bool = True) -> Floats:

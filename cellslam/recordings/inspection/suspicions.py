@@ -2,14 +2,15 @@
 
 Three sources must agree: how measured distances and azimuths change, how the odometry says that the vehicle moves, and
 where the reference sees it. `ALONE` and `DIRECTIONS` are the table of checks that need no correction to be tried. Most
-mistakes show only between two sources: `_contradictions` tries the corrections of the table in `mistakes`, and names
+mistakes show only between two sources: `contradictions` tries the corrections of the table in `mistakes`, and names
 the one that makes the sources agree best.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from functools import cache
 from typing import NamedTuple
 
 import numpy as np
@@ -49,8 +50,120 @@ class Suspicion:
     text: str
 
 
-Check = Callable[[Recording], Suspicion | None]
+Check = Callable[[Recording], Iterator[Suspicion]]
 Evidence = PathEvidence | ReferenceEvidence | RangeEvidence
+
+
+def suspicions(recording: Recording) -> list[Suspicion]:
+    """Return what looks wrong in a recording; none for sound data."""
+    # What one table shows alone spoils all else; directions are told only where tables do not contradict each other.
+    for checks in (ALONE, (contradictions,), DIRECTIONS):
+        if found := [suspicion for check in checks for suspicion in check(recording)]:
+            return found
+    return []
+
+
+def azimuths_as_degrees(recording: Recording) -> Iterator[Suspicion]:
+    """Azimuths within +-pi degrees: radians that were read as degrees."""
+    azimuth = recording.measurements.azimuth_rad
+    azimuth = azimuth[~np.isnan(azimuth)]
+    if len(azimuth) >= LEAST_ANGLES and np.abs(azimuth).max() <= np.pi * DEGREE * 1.01 and len(np.unique(azimuth)) > 9:
+        yield Suspicion(
+            "radians-as-degrees",
+            f"all {len(azimuth)} azimuths lie within +-{np.abs(azimuth).max():.4f} rad: that is +-pi read as degrees; "
+            'if the column is in radians already, say unit = "rad"',
+        )
+
+
+def whole_distances(recording: Recording) -> Iterator[Suspicion]:
+    """Distances that are whole numbers of metres: delays in samples."""
+    distance = recording.measurements.distance_m
+    distance = distance[~np.isnan(distance)]
+    if len(distance) >= LEAST_ANGLES and (distance == np.round(distance)).all() and len(np.unique(distance)) >= 5:
+        yield Suspicion(
+            "samples",
+            f"all {len(distance)} distances are whole numbers of metres ({distance.min():.0f} to {distance.max():.0f})"
+            ': are they delays in samples? say unit = "samples" and sample_rate_hz',
+        )
+
+
+def fast_turns(recording: Recording) -> Iterator[Suspicion]:
+    """Yaw rates that no vehicle reaches: degrees that were taken for radians."""
+    rate = np.abs(recording.odometry[1:, 3])
+    rate = rate[np.isfinite(rate)]
+    if len(rate) and np.quantile(rate, 0.9) > FASTEST_TURN:
+        yield Suspicion(
+            "degrees-as-radians",
+            f"a tenth of the yaw rates u_psi exceed {np.quantile(rate, 0.9):.1f} rad/s, too fast for a vehicle: were "
+            'degrees taken for radians? say unit = "deg/s"',
+        )
+
+
+def yaw_of_reference(recording: Recording) -> Iterator[Suspicion]:
+    """A reference whose yaw is not the direction in which it moves: a clockwise yaw, or one from elsewhere."""
+    r = recording.reference
+    if r is None or np.isnan(r.yaw_rad).all():
+        return
+    known = np.isfinite(r.position_m[:, :2]).all(axis=1) & np.isfinite(r.yaw_rad)
+    place, yaw = r.position_m[known, :2], r.yaw_rad[known]
+    step = place[2:] - place[:-2]
+    length = np.hypot(*step.T)
+    moving = length > 0.5 * np.median(length)
+    course = np.arctan2(step[moving, 1], step[moving, 0])
+    if not len(course) or length.max() == 0.0:
+        return
+    same, mirrored = (np.mean(np.exp(1j * (course + s * yaw[1:-1][moving]))) for s in (-1.0, 1.0))
+    spread, angle = float(np.abs(np.mean(np.exp(1j * course)))), float(np.angle(same))
+    if abs(mirrored) > 0.8 and abs(same) < 0.6 and spread < 0.9:
+        yield Suspicion(
+            "clockwise",
+            f"the reference's yaw turns against its course (agreement {abs(same):.2f}, mirrored {abs(mirrored):.2f})"
+            ": clockwise yaw; set sign = -1, and zero = 90 if it is counted from north, or exchange x_m and y_m",
+        )
+    elif abs(same) > 0.8 and abs(angle) > np.radians(45.0):
+        backwards = "the vehicle seems to drive backwards: wrong sign of the yaw"
+        what = backwards if abs(angle) > 2.3 else "yaw from north, or swapped axes"
+        yield Suspicion(
+            "yaw-zero",
+            f"the reference moves {np.degrees(angle):.0f} deg away from its own yaw: {what}; set the yaw's zero",
+        )
+
+
+def start_against_odometry(recording: Recording) -> Iterator[Suspicion]:
+    """A reference that leaves the start against the odometry: odometry of the wrong sign, or a start turned round."""
+    fixes = _fixes_of(recording)
+    if fixes is None or np.isnan(recording.odometry[:, 0]).all():
+        return
+    own = dead_reckoned(recording, fixes[0])[:, :2]
+    travelled = np.cumsum(np.hypot(*np.diff(own, axis=0, prepend=own[:1]).T))
+    end = int(np.searchsorted(travelled, START_M))
+    if end == len(travelled):
+        return
+    a, b = own[end] - own[0], fixes[1][end] - fixes[1][0]
+    turn = float(wrap_angle(np.arctan2(b[1], b[0]) - np.arctan2(a[1], a[0])))
+    if abs(turn) > 0.75 * np.pi and np.hypot(*b) > 0.3 * START_M:
+        yield Suspicion(
+            "odometry-sign",
+            f"from the start the reference goes {np.degrees(abs(turn)):.0f} deg away from where the odometry goes: the "
+            "odometry has the wrong sign (set sign = -1 for u_x), or the start heading is turned round",
+        )
+
+
+def driving_backwards(recording: Recording) -> Iterator[Suspicion]:
+    """A drive backwards, without azimuths: nothing else tells the sign but that vehicles go forward."""
+    ahead = np.nan_to_num(recording.odometry[1:, 0]) * np.diff(recording.time_s)
+    travelled, angles = float(np.abs(ahead).sum()), np.isfinite(recording.measurements.azimuth_rad).any()
+    if not angles and travelled > START_M and ahead.sum() < -BACKWARDS * travelled:
+        share = -float(ahead[ahead < 0].sum()) / travelled
+        yield Suspicion(
+            "odometry-sign",
+            f"the odometry drives {100 * share:.0f} % of its distance backwards: if the vehicle did not, "
+            "set sign = -1 for u_x",
+        )
+
+
+ALONE: Sequence[Check] = (azimuths_as_degrees, whole_distances, fast_turns)
+DIRECTIONS: Sequence[Check] = (yaw_of_reference, start_against_odometry, driving_backwards)
 
 
 class Gain(NamedTuple):
@@ -70,216 +183,70 @@ class Contradiction:
 
     explanation: Explanation
     correction: Correction
-    gains: dict[str, Gain]
+    gains: Mapping[str, Gain]
     total: float
 
+    @property
+    def harmless(self) -> bool:
+        """Whether the correction is too small to be a mistake."""
+        return self.explanation.harmless(self.correction)
 
-def _angles(recording: Recording) -> Suspicion | None:
-    """Azimuths within +-pi degrees: radians that were read as degrees."""
-    azimuth = recording.measurements.azimuth_rad
-    azimuth = azimuth[~np.isnan(azimuth)]
-    if len(azimuth) >= LEAST_ANGLES and np.abs(azimuth).max() <= np.pi * DEGREE * 1.01 and len(np.unique(azimuth)) > 9:
-        return Suspicion(
-            "radians-as-degrees",
-            f"all {len(azimuth)} azimuths lie within +-{np.abs(azimuth).max():.4f} rad: that is +-pi read as degrees; "
-            'if the column is in radians already, say unit = "rad"',
-        )
-    return None
+    def sure(self, evidence: str) -> bool:
+        """Return whether it gains surely in some evidence."""
+        gain = self.gains[evidence]
+        return gain.mean > self.explanation.least and gain.nats > NATS and gain.agreed > AGREED
 
 
-def _whole_numbers(recording: Recording) -> Suspicion | None:
-    """Distances that are whole numbers of metres: delays in samples."""
-    distance = recording.measurements.distance_m
-    distance = distance[~np.isnan(distance)]
-    if len(distance) >= LEAST_ANGLES and (distance == np.round(distance)).all() and len(np.unique(distance)) >= 5:
-        return Suspicion(
-            "samples",
-            f"all {len(distance)} distances are whole numbers of metres ({distance.min():.0f} to {distance.max():.0f})"
-            ': are they delays in samples? say unit = "samples" and sample_rate_hz',
-        )
-    return None
-
-
-def _turning(recording: Recording) -> Suspicion | None:
-    """Yaw rates that no vehicle reaches: degrees that were taken for radians."""
-    rate = np.abs(recording.odometry[1:, 3])
-    rate = rate[np.isfinite(rate)]
-    if len(rate) and np.quantile(rate, 0.9) > FASTEST_TURN:
-        return Suspicion(
-            "degrees-as-radians",
-            f"a tenth of the yaw rates u_psi exceed {np.quantile(rate, 0.9):.1f} rad/s, too fast for a vehicle: were "
-            'degrees taken for radians? say unit = "deg/s"',
-        )
-    return None
-
-
-def _headings(recording: Recording) -> Suspicion | None:
-    """A reference whose yaw is not the direction in which it moves: a clockwise yaw, or one from elsewhere."""
-    r = recording.reference
-    if r is None or np.isnan(r.yaw_rad).all():
-        return None
-    known = np.isfinite(r.position_m[:, :2]).all(axis=1) & np.isfinite(r.yaw_rad)
-    place, yaw = r.position_m[known, :2], r.yaw_rad[known]
-    step = place[2:] - place[:-2]
-    length = np.hypot(*step.T)
-    moving = length > 0.5 * np.median(length)
-    course = np.arctan2(step[moving, 1], step[moving, 0])
-    if not len(course) or length.max() == 0.0:
-        return None
-    same, mirrored = (np.mean(np.exp(1j * (course + s * yaw[1:-1][moving]))) for s in (-1.0, 1.0))
-    spread = float(np.abs(np.mean(np.exp(1j * course))))
-    if abs(mirrored) > 0.8 and abs(same) < 0.6 and spread < 0.9:
-        return Suspicion(
-            "clockwise",
-            f"the reference's yaw turns against its course (agreement {abs(same):.2f}, mirrored {abs(mirrored):.2f})"
-            ": clockwise yaw; set sign = -1, and zero = 90 if it is counted from north, or exchange x_m and y_m",
-        )
-    angle = float(np.angle(same))
-    if abs(same) > 0.8 and abs(angle) > np.radians(45.0):
-        backwards = "the vehicle seems to drive backwards: wrong sign of the yaw"
-        what = backwards if abs(angle) > 2.3 else "yaw from north, or swapped axes"
-        return Suspicion(
-            "yaw-zero",
-            f"the reference moves {np.degrees(angle):.0f} deg away from its own yaw: {what}; set the yaw's zero",
-        )
-    return None
-
-
-def _start(recording: Recording) -> Suspicion | None:
-    """A reference that leaves the start against the odometry: odometry of the wrong sign, or a start turned round."""
-    fixes = _fixes_of(recording)
-    if fixes is None or np.isnan(recording.odometry[:, 0]).all():
-        return None
-    own = dead_reckoned(recording, fixes[0])[:, :2]
-    travelled = np.cumsum(np.hypot(*np.diff(own, axis=0, prepend=own[:1]).T))
-    end = int(np.searchsorted(travelled, START_M))
-    if end == len(travelled):
-        return None
-    a, b = own[end] - own[0], fixes[1][end] - fixes[1][0]
-    turn = float(wrap_angle(np.arctan2(b[1], b[0]) - np.arctan2(a[1], a[0])))
-    if abs(turn) > 0.75 * np.pi and np.hypot(*b) > 0.3 * START_M:
-        return Suspicion(
-            "odometry-sign",
-            f"from the start the reference goes {np.degrees(abs(turn)):.0f} deg away from where the odometry goes: the "
-            "odometry has the wrong sign (set sign = -1 for u_x), or the start heading is turned round",
-        )
-    return None
-
-
-def _backwards(recording: Recording) -> Suspicion | None:
-    """A drive backwards, without azimuths: nothing else tells the sign but that vehicles go forward."""
-    ahead = np.nan_to_num(recording.odometry[1:, 0]) * np.diff(recording.time_s)
-    travelled = float(np.abs(ahead).sum())
-    if (
-        np.isnan(recording.measurements.azimuth_rad).all()
-        and travelled > START_M
-        and ahead.sum() < -BACKWARDS * travelled
-    ):
-        share = -float(ahead[ahead < 0].sum()) / travelled
-        return Suspicion(
-            "odometry-sign",
-            f"the odometry drives {100 * share:.0f} % of its distance backwards: if the vehicle did not, "
-            "set sign = -1 for u_x",
-        )
-    return None
-
-
-def _evidence_of(recording: Recording) -> list[Evidence]:
-    """Return the comparisons that a recording allows."""
-    fixes = _fixes_of(recording)
-    with_odometry = len(recording.time_s) > 2 and not np.isnan(recording.odometry[:, 0]).all()
-    drive = Drive(recording)
-    makers: list[Callable[[], Evidence]] = []
-    if with_odometry:
-        makers.append(lambda: PathEvidence(recording, drive))
-        if fixes is not None:
-            known = fixes
-            makers.append(lambda: ReferenceEvidence(drive, *known))
-    if np.isnan(recording.measurements.azimuth_rad).all():
-        makers += [lambda: RangeEvidence(recording, drive, None)] if with_odometry else []
-        makers += [lambda: RangeEvidence(recording, drive, fixes)] if fixes is not None else []
-    found = []
-    for make in makers:
-        try:
-            found.append(make())
-        except ValueError:  # too little of it
-            continue
-    return found
-
-
-def _fixes_of(recording: Recording) -> tuple[Floats, Floats] | None:
-    """Return times (R,) in s and places (R, 2) in m where the vehicle is known to have been, within the drive."""
-    r = recording.reference
-    if r is not None:
-        rows = usable(recording, r)
-        return (r.time_s[rows], r.position_m[rows, :2]) if rows.sum() > 2 else None
-    return None if recording.truth is None else (recording.time_s, recording.truth.poses[:, :2])
-
-
-def _contradictions(recording: Recording) -> list[Suspicion]:
+def contradictions(recording: Recording) -> Iterator[Suspicion]:
     """Tables that contradict each other: the correction that explains them best, and others that do so as well.
 
     It must gain surely in some evidence, and more there than what is nobody's mistake does.
     """
     found = _ranked(_evidence_of(recording))
-    small = [x for x in found if x.explanation.harmless(x.correction)]
-    grave = [x for x in found if not x.explanation.harmless(x.correction) and any(_sure(x, e) for e in x.gains)]
-    grave = [x for x in grave if any(_sure(x, e) and not _explained(small, x, e) for e in x.gains)]
-    best = sorted(grave, key=lambda x: (x.total < AS_WELL * grave[0].total, x.explanation.refined is not None))
-    as_well = [x for x in best[1:] if x.total > AS_WELL * grave[0].total and x.explanation.refined is None]
-    return [_said(x, rank) for rank, x in enumerate([*best[:1], *as_well])]
+    small = [x for x in found if x.harmless]
 
+    def grave(x: Contradiction) -> bool:
+        """Return whether it gains surely where nothing harmless gains nearly as much."""
+        most = {e: max((o.gains[e].mean for o in small), default=-np.inf) for e in x.gains}
+        return not x.harmless and any(x.sure(e) and most[e] <= NEARLY * gain.mean for e, gain in x.gains.items())
 
-def _said(c: Contradiction, rank: int) -> Suspicion:
-    kind, text = c.explanation.say(c.correction)
-    tables = " and ".join(
-        f"{TABLES[name]} (log-likelihood {g.mean:+.1f} a stretch)" for name, g in c.gains.items() if g.mean > 0.05
-    )
-    return Suspicion(kind, f"{'or' if rank else 'it seems that'} {text}; then {tables} agree better")
-
-
-def _sure(x: Contradiction, evidence: str) -> bool:
-    gain = x.gains[evidence]
-    return gain.mean > x.explanation.least and gain.nats > NATS and gain.agreed > AGREED
-
-
-def _explained(others: list[Contradiction], x: Contradiction, evidence: str) -> bool:
-    return any(o.gains[evidence].mean > NEARLY * x.gains[evidence].mean for o in others)
+    suspected = [x for x in found if grave(x)]
+    best = sorted(suspected, key=lambda x: (x.total < AS_WELL * suspected[0].total, x.explanation.refined is not None))
+    as_well = [x for x in best[1:] if x.total > AS_WELL * suspected[0].total and x.explanation.refined is None]
+    for rank, x in enumerate([*best[:1], *as_well]):
+        kind, text = x.explanation.diagnose(x.correction)
+        tables = " and ".join(
+            f"{TABLES[name]} (log-likelihood {g.mean:+.1f} a stretch)" for name, g in x.gains.items() if g.mean > 0.05
+        )
+        yield Suspicion(kind, f"{'or' if rank else 'it seems that'} {text}; then {tables} agree better")
 
 
 def _ranked(evidence: list[Evidence]) -> list[Contradiction]:
     """Return the best correction of every explanation, by how much of what there is to explain it explains."""
-    gain = [_cached(e) for e in evidence]
+    gain_in = [_gain_function(e) for e in evidence]
 
-    def gains_of(c: Correction) -> list[Gain]:
-        return [one(c) for one in gain]
+    def tried(corrections: Sequence[Correction]) -> list[tuple[float, Correction, list[Gain]]]:
+        all_gains = ((c, [gain(c) for gain in gain_in]) for c in corrections)
+        return [(sum(gain.mean for gain in gains), c, gains) for c, gains in all_gains]
 
-    tried = []
+    found = []
     for explanation in EXPLANATIONS:
-        best = max(((c, gains_of(c)) for c in explanation.corrections), key=lambda pair: _sum(pair[1]))
+        best = max(tried(explanation.corrections), key=lambda one: one[0])
         for k in range(ROUNDS):
-            near = [(c, gains_of(c)) for c in explanation.near(best[0], k)]
-            best = max([best, *near], key=lambda pair: _sum(pair[1]))
-        tried.append((explanation, *best))
-    most = [max(WORTHY, *(gains[i].mean for _, _, gains in tried)) for i in range(len(evidence))]
+            best = max([best, *tried(explanation.near(best[1], k))], key=lambda one: one[0])
+        found.append((explanation, *best[1:]))
+    most = [max(WORTHY, *(gains[i].mean for _, _, gains in found)) for i in range(len(evidence))]
     out = []
-    for explanation, c, gains in tried:
+    for explanation, c, gains in found:
         total = sum(float(np.clip(g.mean / m, -1.0, 1.0)) for g, m in zip(gains, most, strict=True))
         out.append(Contradiction(explanation, c, {e.name: g for e, g in zip(evidence, gains, strict=True)}, total))
     return sorted(out, key=lambda x: -x.total)
 
 
-def _cached(evidence: Evidence) -> Callable[[Correction], Gain]:
+def _gain_function(evidence: Evidence) -> Callable[[Correction], Gain]:
     """Return what a correction gains in some evidence, worked out once for all that come to the same there."""
-    known = {Correction(): Gain()}
-
-    def gain(c: Correction) -> Gain:
-        seen = evidence.seen(c)
-        if seen not in known:
-            known[seen] = _gain(evidence.change(seen), evidence.block)
-        return known[seen]
-
-    return gain
+    gain = cache(lambda effect: _gain(evidence.change(effect), evidence.block))
+    return lambda correction: gain(evidence.effect_of(correction))
 
 
 def _gain(change: Floats, block: Ints) -> Gain:
@@ -296,20 +263,33 @@ def _gain(change: Floats, block: Ints) -> Gain:
     return Gain(float(change.mean()), nats, float(means.sum()) / (float(np.abs(means).sum()) + 1e-9))
 
 
-def _sum(gains: list[Gain]) -> float:
-    return sum(gain.mean for gain in gains)
+def _evidence_of(recording: Recording) -> list[Evidence]:
+    """Return the comparisons that a recording allows."""
+    fixes, drive = _fixes_of(recording), Drive(recording)
+    with_odometry = len(recording.time_s) > 2 and not np.isnan(recording.odometry[:, 0]).all()
+    without_angles = np.isnan(recording.measurements.azimuth_rad).all()
+    makers: list[Callable[[], Evidence]] = []
+    if with_odometry:
+        makers.append(lambda: PathEvidence(recording, drive))
+    if with_odometry and fixes is not None:
+        makers.append(lambda: ReferenceEvidence(drive, *fixes))
+    if with_odometry and without_angles:
+        makers.append(lambda: RangeEvidence(recording, drive, None))
+    if without_angles and fixes is not None:
+        makers.append(lambda: RangeEvidence(recording, drive, fixes))
+    found = []
+    for make in makers:
+        try:
+            found.append(make())
+        except ValueError:  # too little of it
+            continue
+    return found
 
 
-# What is looked for, in this order: what one table shows alone, and spoils all else; two tables against each other; and
-# what is told only where these agree.
-ALONE = (_angles, _whole_numbers, _turning)
-DIRECTIONS = (_headings, _start, _backwards)
-
-
-def suspicions(recording: Recording) -> list[Suspicion]:
-    """Return what looks wrong in a recording; none for sound data."""
-    return _found(ALONE, recording) or _contradictions(recording) or _found(DIRECTIONS, recording)
-
-
-def _found(checks: Sequence[Check], recording: Recording) -> list[Suspicion]:
-    return [found for check in checks if (found := check(recording)) is not None]
+def _fixes_of(recording: Recording) -> tuple[Floats, Floats] | None:
+    """Return times (R,) in s and places (R, 2) in m where the vehicle is known to have been, within the drive."""
+    r = recording.reference
+    if r is not None:
+        rows = usable(recording, r)
+        return (r.time_s[rows], r.position_m[rows, :2]) if rows.sum() > 2 else None
+    return None if recording.truth is None else (recording.time_s, recording.truth.poses[:, :2])

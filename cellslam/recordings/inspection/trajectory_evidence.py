@@ -6,8 +6,6 @@ beacon: its place is fitted to the distances measured along a stretch of odometr
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 
 from cellslam.recordings.inspection.corrections import Correction, Drive
@@ -52,17 +50,16 @@ class ReferenceEvidence:
         self.block = np.arange(len(self.times)) // 2  # neighbours overlap
         self._plain = self._logs(Correction())
 
-    def seen(self, c: Correction) -> Correction:
+    def effect_of(self, c: Correction) -> Correction:
         """Return what a correction comes to between odometry and reference."""
-        seen = c.between_odometry_and("reference")
-        return replace(seen, reference=c.reference, mirrored=c.mirrored)
+        return c.effect("reference", ("reference", "mirrored"))
 
     def change(self, c: Correction) -> Floats:
-        """Return by how much a correction as `seen` raises the log-likelihood (n,); NaN outside of the drive."""
+        """Return by how much an effect raises the log-likelihood (n,); NaN outside of the drive."""
         return self._logs(c) - self._plain
 
     def _logs(self, c: Correction) -> Floats:
-        """Return the log-likelihood (n,) of each stretch after a correction as `seen`; NaN outside of the drive.
+        """Return the log-likelihood (n,) of each stretch after an effect; NaN outside of the drive.
 
         In the reference's own units.
         """
@@ -136,21 +133,23 @@ class RangeEvidence:
         self.block = np.arange(len(pick)) // 2  # neighbours overlap
         self._plain = self._logs(Correction())
 
-    def seen(self, c: Correction) -> Correction:
+    def effect_of(self, c: Correction) -> Correction:
         """Return what a correction comes to between distances and the trajectory."""
-        if self.fixes is not None:
-            late = c.reference_late_s - c.measurements_late_s
-            seen = Correction(reference=c.reference, reference_late_s=late)
-        else:
-            seen = c.between_odometry_and("measurements")
-        return replace(seen, distance=c.distance, distance_zero_m=c.distance_zero_m)
+        if self.fixes is None:
+            return c.effect("measurements", ("distance", "distance_zero_m"))
+        return Correction(
+            reference=c.reference,
+            reference_late_s=c.reference_late_s - c.measurements_late_s,
+            distance=c.distance,
+            distance_zero_m=c.distance_zero_m,
+        )
 
     def change(self, c: Correction) -> Floats:
-        """Return by how much a correction as `seen` raises the log-likelihood (n,); NaN outside of the drive."""
+        """Return by how much an effect raises the log-likelihood (n,); NaN outside of the drive."""
         return self._logs(c) - self._plain
 
     def _logs(self, c: Correction) -> Floats:
-        """Return the log-likelihood (n,) of each stretch of a link's distances after a correction as `seen`.
+        """Return the log-likelihood (n,) of each stretch of a link's distances after an effect.
 
         In units as recorded; NaN outside of the drive.
         """

@@ -14,7 +14,7 @@ from matplotlib.colors import to_hex
 from matplotlib.figure import Figure
 
 from cellslam.benchmarks.figures.style import colour_of
-from cellslam.benchmarks.figures.sweep.sweep_data import Look, load, sweep_lines
+from cellslam.benchmarks.figures.sweep.sweep_data import CurveChoice, load, sweep_lines
 from cellslam.benchmarks.figures.sweep.sweep_figures import bound_lines, draw_curve, draw_sweep
 from cellslam.benchmarks.sweeps.store import DATABASE
 from cellslam.benchmarks.sweeps.tasks import Job, Task, request_of
@@ -49,17 +49,17 @@ def folder(tmp_path: Path, toy_recording: Callable[..., Recording]) -> Path:
 
 @pytest.mark.slow
 def test_every_figure_is_drawn_as_png_and_pdf(folder: Path, tmp_path: Path) -> None:
-    written = draw_sweep(folder, tmp_path / "out", Look(metric="position_rmse_m", statistic="rmse"))
+    written = draw_sweep(folder, tmp_path / "out", CurveChoice(metric="position_rmse_m", statistic="rmse"))
     assert {path.name for path in written} == {f"{name}.{kind}" for name in ALL for kind in ("png", "pdf")}
     assert all(path.stat().st_size > 3000 for path in written)
-    again = draw_sweep(folder, tmp_path / "again", Look(statistic="rmse"), formats=("png",))
+    again = draw_sweep(folder, tmp_path / "again", CurveChoice(statistic="rmse"), formats=("png",))
     assert [p.read_bytes() for p in again] == [(tmp_path / "out" / p.name).read_bytes() for p in again]
 
 
 def test_an_estimator_has_its_colour_in_every_figure(
     folder: Path, tmp_path: Path, colours: Callable[[], dict[str, set[str]]]
 ) -> None:
-    draw_sweep(folder, tmp_path / "out", Look(), formats=("png",))
+    draw_sweep(folder, tmp_path / "out", CurveChoice(), formats=("png",))
     assert colours() == {name: {to_hex(colour_of(name))} for name in ("dead-reckoning", "fastslam")}
 
 
@@ -77,7 +77,7 @@ def test_data_are_panels_of_worlds_with_series(folder: Path) -> None:
 @pytest.mark.parametrize(("metric", "bounds"), [("position_rmse_m", [[3.01, 4.0]]), ("map_gospa_m", [])])
 def test_the_bound_of_the_drives_is_in_the_curve(folder: Path, metric: str, bounds: list[list[float]]) -> None:
     figure = Figure()
-    assert draw_curve(figure, load(folder), Look(metric=metric), "radio.load")
+    assert draw_curve(figure, load(folder), CurveChoice(metric=metric), "radio.load")
     drawn = [line for line in figure.axes[0].get_lines() if line.get_label() == "Cramér-Rao bound"]
     assert [list(line.get_ydata()) for line in drawn] == [pytest.approx(values) for values in bounds]
     assert all(list(line.get_xdata()) == [0.01, 1.0] for line in drawn)
@@ -106,7 +106,11 @@ def test_a_world_without_the_swept_key_stands_apart(folder: Path, tmp_path: Path
         assert [at for at, _ in lines["fastslam, without radio.load"]] == [None]
     else:
         assert {at for at, _ in lines["fastslam"]} == {"0.01", "a text", "-"}
-    assert {path.stem for path in draw_sweep(folder, tmp_path / "out", Look())} >= {"sweep", "error_cdf", "ranks"}
+    assert {path.stem for path in draw_sweep(folder, tmp_path / "out", CurveChoice())} >= {
+        "sweep",
+        "error_cdf",
+        "ranks",
+    }
 
 
 @pytest.mark.slow

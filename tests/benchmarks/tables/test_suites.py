@@ -13,7 +13,7 @@ import pytest
 from cellslam.benchmarks.sweeps.rows import results
 from cellslam.benchmarks.tables import suite_rows
 from cellslam.benchmarks.tables.suite_tables import suite_markdown
-from cellslam.cli.bench.accuracy import built_in
+from cellslam.cli.commands.bench_accuracy import built_in
 from cellslam.cli.main import main
 from cellslam.scenarios import load, suites
 from cellslam.scenarios.suites import SUITES, Suite, digest, scenario_of, suite, superseded_by

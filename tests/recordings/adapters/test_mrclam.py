@@ -9,9 +9,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from cellslam.cli import main as cli
 from cellslam.sim.recording import Recording
 from cellslam.slam.measurements.measurement_options import NOTHING_PERSISTS
+from tests.command_line import Run, refused
 
 BEGIN_S = 1248272272.841
 LANDMARKS = {6: (5.5, 3.0), 7: (-2.5, 4.5), 8: (-6.0, -1.5), 9: (0.5, -6.5), 10: (7.0, -4.0), 11: (2.0, 1.5)}
@@ -63,18 +63,13 @@ def folder(drive_eights: Callable[..., Any], tmp_path_factory: pytest.TempPathFa
     return place
 
 
-def imported(folder: Path, out: Path, *more: str) -> Recording:
-    assert (
-        cli.main(
-            ["--quiet", "import", str(folder), "--adapter", "mrclam", "--set", "robot=2", "--out", str(out), *more]
-        )
-        == 0
-    )
-    return Recording.load(out)
+WORDS = ("--quiet", "import", "--adapter", "mrclam", "--out", "a.h5")
+ROBOT = ("--set", "robot=2")
 
 
-def test_unknown_association(folder: Path, tmp_path: Path, position_rmse: Callable[..., float]) -> None:
-    r = imported(folder, tmp_path / "a.h5")
+def test_unknown_association(folder: Path, cellslam: Run, position_rmse: Callable[..., float]) -> None:
+    assert cellslam(*WORDS, *ROBOT, folder).status == 0
+    r = Recording.load("a.h5")
     assert len(r.links) == 1 and r.plane and r.reference is not None
     assert r.time_s[0] >= BEGIN_S and np.isfinite(r.reference.yaw_rad).all()
     alone = position_rmse(r, "dead-reckoning")
@@ -82,9 +77,10 @@ def test_unknown_association(folder: Path, tmp_path: Path, position_rmse: Callab
     assert position_rmse(r, "ekf-slam", **OPTIONS) < 0.5 * alone
 
 
-def test_known_association(folder: Path, tmp_path: Path, position_rmse: Callable[..., float]) -> None:
+def test_known_association(folder: Path, cellslam: Run, position_rmse: Callable[..., float]) -> None:
     """Each landmark is a link; neither the other robot nor a misread code is among them, and all stand in place."""
-    r = imported(folder, tmp_path / "a.h5", "--set", "association=known")
+    assert cellslam(*WORDS, *ROBOT, folder, "--set", "association=known").status == 0
+    r = Recording.load("a.h5")
     assert r.sites.name == tuple(f"landmark {number}" for number in LANDMARKS)
     m, reference = r.measurements, r.reference
     assert reference is not None
@@ -99,21 +95,18 @@ def test_known_association(folder: Path, tmp_path: Path, position_rmse: Callable
 
 
 @pytest.mark.parametrize(
-    ("more", "said"),
+    ("option", "text"),
     [
-        (["--set", "robot=7"], "robot = 7: give 1 to 5"),
-        (["--set", "robot=1"], "Robot1_Odometry.dat: no such file"),
-        (["--set", "association=sure"], "give 'unknown' or 'known'"),
-        (["--set", "robots=2"], "has no option 'robots'; did you mean 'robot'"),
+        ("robot=7", "robot = 7: give 1 to 5"),
+        ("robot=1", "Robot1_Odometry.dat: no such file"),
+        ("association=sure", "give 'unknown' or 'known'"),
+        ("robots=2", "has no option 'robots'; did you mean 'robot'"),
     ],
 )
-def test_wrong_options(
-    folder: Path, tmp_path: Path, more: list[str], said: str, capsys: pytest.CaptureFixture[str]
-) -> None:
-    assert cli.main(["import", str(folder), "--adapter", "mrclam", "--out", str(tmp_path / "a.h5"), *more]) == 2
-    assert said in capsys.readouterr().err and not (tmp_path / "a.h5").exists()
+def test_wrong_options(folder: Path, option: str, text: str, cellslam: Run) -> None:
+    refused(cellslam(*WORDS, folder, "--set", option), text)
+    assert not Path("a.h5").exists()
 
 
-def test_options_belong_to_adapters(folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert cli.main(["import", str(folder), "--set", "robot=2", "--out", str(tmp_path / "a.h5")]) == 2
-    assert "options of an adapter" in capsys.readouterr().err
+def test_options_belong_to_adapters(folder: Path, cellslam: Run) -> None:
+    refused(cellslam("import", folder, *ROBOT, "--out", "a.h5"), "options of an adapter")

@@ -2,17 +2,15 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Callable
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 from scipy.io import savemat
 
-from cellslam.cli import main as cli
 from cellslam.sim.recording import Recording
+from tests.command_line import Run, refused
 
 BEACONS = {1: (-30.0, 18.0), 6: (12.0, 40.0), 0: (33.0, -5.0), 5: (-8.0, -38.0)}
 BEGIN_S, ANTENNA = 3152.0, 2
@@ -45,15 +43,21 @@ def drive(drive_eights: Callable[..., Any]) -> Any:
     return drive_eights(240.0, 1.5, 0.1)
 
 
-def imported(place: Path, out: Path) -> Recording:
-    assert cli.main(["--quiet", "import", str(place), "--adapter", "plaza", "--out", str(out)]) == 0
-    return Recording.load(out)
+@pytest.fixture
+def imported(cellslam: Run) -> Callable[..., Recording]:
+    """Imports a file, or the one of the working directory."""
+
+    def run(place: str = ".", out: str = "a.h5") -> Recording:
+        assert cellslam("--quiet", "import", place, "--adapter", "plaza", "--out", out).status == 0
+        return Recording.load(out)
+
+    return run
 
 
 @pytest.mark.parametrize("turned", [False, True])
-def test_a_mat_file(drive: Any, turned: bool, tmp_path: Path, position_rmse: Callable[..., float]) -> None:
-    savemat(tmp_path / "Plaza2_.mat", tables(drive, turned))
-    r = imported(tmp_path, tmp_path / "a.h5")
+def test_a_mat_file(drive: Any, turned: bool, imported: Any, position_rmse: Callable[..., float]) -> None:
+    savemat("Plaza2_.mat", tables(drive, turned))
+    r = imported()
     assert sorted(r.sites.name) == ["beacon 0", "beacon 1", "beacon 5", "beacon 6"] and r.plane
     m = r.measurements
     places = np.array([BEACONS[int(name.split()[1])] for name in r.sites.name])[m.link]
@@ -65,20 +69,20 @@ def test_a_mat_file(drive: Any, turned: bool, tmp_path: Path, position_rmse: Cal
     assert position_rmse(r, "dead-reckoning") < 4.0
 
 
-def test_text_files_without_ground_truth(drive: Any, tmp_path: Path) -> None:
+def test_text_files_without_ground_truth(drive: Any, imported: Any) -> None:
     made = tables(drive, False)
     for name in ("DR", "TD"):
-        np.savetxt(tmp_path / f"Plaza1_{name}.txt", made[name])
-    r = imported(tmp_path, tmp_path / "a.h5")
+        np.savetxt(f"Plaza1_{name}.txt", made[name])
+    r = imported()
     assert r.reference is None and np.array_equal(r.start_pose, np.zeros(6))
-    savemat(tmp_path / "b.mat", made)
-    both = imported(tmp_path / "b.mat", tmp_path / "b.h5")
+    savemat("b.mat", made)
+    both = imported("b.mat", "b.h5")
     rows = both.time_s >= r.time_s[0]
     assert np.array_equal(both.time_s[rows], r.time_s)
     assert np.allclose(both.odometry[rows][1:], r.odometry[1:], equal_nan=True, atol=1e-9)
 
 
-def test_odometry_is_integrated_as_it_was_given(drive: Any, tmp_path: Path) -> None:
+def test_odometry_is_integrated_as_it_was_given(drive: Any, imported: Any, cellslam: Run) -> None:
     """Without noise the increments, turned about the middle of each step, lead along the true path."""
     made = tables(drive, False)
     yaw = made["GT"][:, 3]
@@ -86,35 +90,31 @@ def test_odometry_is_integrated_as_it_was_given(drive: Any, tmp_path: Path) -> N
     made["DR"][:, 1:] = np.column_stack(
         [(steps * np.column_stack([np.cos(middle), np.sin(middle)])).sum(1), np.diff(yaw)]
     )
-    savemat(tmp_path / "Plaza1_.mat", made)
-    r = imported(tmp_path, tmp_path / "a.h5")
-    assert cli.main(["--quiet", "export", str(tmp_path / "a.h5"), "--format", "tum", "--estimator", "dead-reckoning",
-                     "--out", str(tmp_path / "a.tum")]) == 0  # fmt: skip
-    driven = np.loadtxt(tmp_path / "a.tum")
+    savemat("Plaza1_.mat", made)
+    r = imported()
+    words = ("export", "a.h5", "--format", "tum", "--estimator", "dead-reckoning", "--out", "a.tum")
+    assert cellslam(*words).status == 0
+    driven = np.loadtxt("a.tum")
     assert np.hypot(*(driven[:, 1:3] - drive.at(r.time_s - BEGIN_S)[:, :2]).T).max() < 0.1
 
 
-def test_filters_find_the_beacons(drive: Any, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_filters_find_the_beacons(drive: Any, imported: Any, cellslam: Run) -> None:
     """Beacons that are polled in turn, one distance in 0.9 s, without any option."""
-    savemat(tmp_path / "Plaza1_.mat", tables(drive, False))
-    imported(tmp_path, tmp_path / "a.h5")
+    savemat("Plaza1_.mat", tables(drive, False))
+    imported()
     names = ("fastslam", "ekf-slam", "bp-slam", "dead-reckoning")
-    words = [word for name in names for word in ("--estimator", name)]
-    replay = ["replay", str(tmp_path / "a.h5"), *words, "--json", "--no-figures", "--out", str(tmp_path / "out")]
-    assert cli.main(replay) == 0
-    *filters, alone = (row["position_rmse_m"] for row in json.loads(capsys.readouterr().out))
+    asked = [word for name in names for word in ("--estimator", name)]
+    rows = cellslam("replay", "a.h5", *asked, "--json", "--no-figures").rows
+    *filters, alone = (row["position_rmse_m"] for row in rows)
     assert max(filters) < 0.5 * alone
 
 
-def test_folders_that_are_unclear(drive: Any, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    words = ["import", str(tmp_path), "--adapter", "plaza", "--out", str(tmp_path / "a.h5")]
-    assert cli.main(words) == 2
-    assert "neither a .mat file nor" in capsys.readouterr().err
+def test_folders_that_are_unclear(drive: Any, cellslam: Run) -> None:
+    words = ("import", "--adapter", "plaza", "--out", "a.h5")
+    refused(cellslam(*words, "."), "neither a .mat file nor")
     made = tables(drive, False)
     for name in ("Plaza1_.mat", "Plaza2_.mat"):
-        savemat(tmp_path / name, made)
-    assert cli.main(words) == 2
-    assert "more than one drive (Plaza1_.mat, Plaza2_.mat): give the file of one" in capsys.readouterr().err
-    savemat(tmp_path / "Plaza1_.mat", made | {"TD": made["TD"][:, :3]})
-    assert cli.main([words[0], str(tmp_path / "Plaza1_.mat"), *words[2:]]) == 2
-    assert "TD has shape" in capsys.readouterr().err
+        savemat(name, made)
+    refused(cellslam(*words, "."), "more than one drive (Plaza1_.mat, Plaza2_.mat): give the file of one")
+    savemat("Plaza1_.mat", made | {"TD": made["TD"][:, :3]})
+    refused(cellslam(*words, "Plaza1_.mat"), "TD has shape")

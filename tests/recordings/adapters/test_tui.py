@@ -10,8 +10,9 @@ import h5py
 import numpy as np
 import pytest
 
-from cellslam.cli import main as cli
-from cellslam.recordings.adapters.tui.sheet import NAME, load_sheet
+from cellslam.recordings.adapters.adapter_loading import import_adapter
+from cellslam.recordings.adapters.tui_files import NAME, load_sheet
+from cellslam.sim.errors import InputError
 from cellslam.sim.frames import SPEED_OF_LIGHT_MPS, azimuth_elevation
 from cellslam.sim.lte.array import CircularArray
 from cellslam.sim.recording import Recording
@@ -139,9 +140,7 @@ def drive(drive_eights: Callable[..., Any]) -> Any:
 
 def imported(folder: Path, sheet: str) -> Recording:
     (folder / "tui.toml").write_text(sheet)
-    out = folder / "a.h5"
-    assert cli.main(["--quiet", "import", str(folder), "--adapter", "tui", "--out", str(out)]) == 0
-    return Recording.load(out)
+    return import_adapter(folder, "tui")
 
 
 def test_paths_of_the_authors(drive: Any, tmp_path: Path, position_rmse: Callable[..., float]) -> None:
@@ -199,7 +198,7 @@ def unit(place: str, name: str) -> Callable[[Path], None]:
 
 
 @pytest.mark.parametrize(
-    ("sheet", "change", "said"),
+    ("sheet", "change", "text"),
     [
         (SHEET + PATHS, without("Results/AzimuthRx"), "has no data set 'Results/AzimuthRx'"),
         (SHEET + PATHS, unit("PoseData/RotZ", ""), "states no unit and scale; say it in the sheet, as in units.RotZ"),
@@ -211,16 +210,15 @@ def unit(place: str, name: str) -> Callable[[Path], None]:
         (SHEET + PATHS.replace("sign = -1, zero_deg = 0 ", "sign = -1 "), None, "zero_deg"),
     ],
 )
-def test_what_is_unknown_is_asked(
-    drive: Any, tmp_path: Path, sheet: str, change: Any, said: str, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_what_is_unknown_is_asked(drive: Any, tmp_path: Path, sheet: str, change: Any, text: str) -> None:
     write_location(tmp_path, drive)
     write_paths(tmp_path, drive, np.arange(0, 200, 50))
     if change is not None:
         change(tmp_path)
     (tmp_path / "tui.toml").write_text(sheet)
-    assert cli.main(["import", str(tmp_path), "--adapter", "tui", "--out", str(tmp_path / "a.h5")]) == 2
-    assert said in capsys.readouterr().err
+    with pytest.raises(InputError) as refused:
+        import_adapter(tmp_path, "tui")
+    assert text in str(refused.value)
 
 
 def test_the_sheet_of_the_page(tmp_path: Path) -> None:

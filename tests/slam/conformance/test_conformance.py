@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from cellslam.cli.check_estimator import finding_of
+from cellslam.cli.commands.check_estimator import finding_of
 from cellslam.cli.main import main
 from cellslam.scenarios.estimator_options import Request
 from cellslam.sim.recording import Measurements, Recording, Truth

@@ -1,1 +1,0 @@
-"""`cellslam bench`: how good estimators are on fixed suites, and one snapshot at signal level."""

@@ -1,0 +1,121 @@
+"""Cities and tables of positions as the command line names them, and pictures of a city."""
+
+from __future__ import annotations
+
+import re
+from argparse import ArgumentParser, Namespace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from cellslam.scenarios.loading import load, preset_names
+from cellslam.sim.city import City, MeshCityConfig, build_city
+from cellslam.sim.errors import InputError
+from cellslam.sim.rays.paths import Floats
+
+COLUMNS, VELOCITIES = ("x", "y", "z"), ("vx", "vy", "vz")
+MESH_HELP = "mesh, CityJSON, OpenStreetMap or Mitsuba file, sionna-rt:NAME, a preset's name, or a scenario's .toml"
+MESH_OPTIONS = ("material", "up", "plane_tolerance_m", "angle_tolerance_deg")
+
+
+def add_mesh(parser: ArgumentParser, metavar: str) -> None:
+    """Add a city, and how a mesh file of one is read."""
+    parser.add_argument("mesh", metavar=metavar, help=MESH_HELP)
+    parser.add_argument("--material", metavar="NAME", help="ITU-R P.2040 material of surfaces that name none")
+    parser.add_argument("--up", choices=("auto", "z", "y"), help="the file's upward axis (default: by its format)")
+    plane, angle = MESH_OPTIONS[2:]
+    plane_help = "join triangles whose corners are at most so far from a facet's plane (default: 0.002)"
+    parser.add_argument("--plane-tolerance", metavar="M", type=float, dest=plane, help=plane_help)
+    angle_help = "and which are turned from it by at most this angle (default: 1)"
+    parser.add_argument("--angle-tolerance", metavar="DEG", type=float, dest=angle, help=angle_help)
+
+
+def city_of(arguments: Namespace) -> City:
+    """Return the city that was asked for. Raises InputError."""
+    return find_city(arguments.mesh, **{key: getattr(arguments, key) for key in MESH_OPTIONS})
+
+
+def find_city(name: str, **options: Any) -> City:
+    """Return the city of a mesh file, a scene of sionna-rt, a preset or a scenario file. Raises InputError.
+
+    `options`: keys of MeshCityConfig for files that are no scenario; None leaves a key at its default.
+    """
+    given = {key: value for key, value in options.items() if value is not None}
+    if name in preset_names() or name.endswith(".toml"):
+        from cellslam.sim.world import city_rng
+
+        if given:
+            raise InputError(f"{', '.join(given)}: options of meshes; '{name}' is a scenario, which says it all")
+        scenario = load(name)
+        return build_city(scenario.city, city_rng(scenario.world, 0, 0))
+    from pydantic import ValidationError
+
+    try:
+        config = MeshCityConfig.model_validate({"path": name, **given})
+    except ValidationError as error:
+        first = error.errors()[0]
+        raise InputError(f"{'.'.join(map(str, first['loc']))} = {first['input']}: {first['msg']}") from None
+    return build_city(config, np.random.default_rng(0))
+
+
+def take_positions(parser: ArgumentParser) -> None:
+    """Let a parser take what starts with a minus and a digit for a position, not for an option."""
+    parser._negative_number_matcher = re.compile(r"-\.?\d")
+
+
+def parse_positions(texts: list[str], option: str) -> Floats:
+    """Return positions (S, 3) in m written as X,Y,Z. Raises InputError."""
+    rows = []
+    for text in texts:
+        try:
+            row = [float(part) for part in text.split(",")]
+        except ValueError:
+            row = []
+        if len(row) != 3 or not np.isfinite(row).all():
+            raise InputError(f"{option} '{text}': write X,Y,Z in metres, as in {option}=12.5,-40,25")
+        rows.append(row)
+    return np.array(rows, np.float64)
+
+
+def read_positions(path: Path) -> tuple[Floats, Floats | None]:
+    """Return positions (N, 3) in m and, where a CSV file has the columns vx, vy, vz, velocities (N, 3) in m/s.
+
+    Raises InputError.
+    """
+    import pandas as pd
+
+    try:
+        table = pd.read_csv(path, skipinitialspace=True)
+    except (OSError, ValueError, pd.errors.ParserError) as error:
+        raise InputError(f"cannot read '{path}': {' '.join(str(error).split())[:160]}") from None
+    table.columns = [str(name).strip().lower() for name in table.columns]
+    missing = [name for name in COLUMNS if name not in table.columns]
+    if missing:
+        raise InputError(f"'{path}' has no column {', '.join(missing)}: its first line must name x,y,z")
+    if not len(table):
+        raise InputError(f"'{path}' has no rows: give at least one position")
+    names = [*COLUMNS, *VELOCITIES] if set(VELOCITIES) <= set(table.columns) else list(COLUMNS)
+    values = np.column_stack([pd.to_numeric(table[name], errors="coerce") for name in names]).astype(np.float64)
+    bad = np.flatnonzero(~np.isfinite(values).all(axis=1))
+    if len(bad):
+        raise InputError(f"'{path}', row {bad[0]}: {', '.join(names)} are not all finite numbers")
+    return values[:, :3], values[:, 3:] if len(names) > 3 else None
+
+
+def write_pictures(city: City, out: Path, plain: bool, html: bool) -> list[Path]:
+    """Write the plan and the view of a city, or its interactive page, into `out`; return the files."""
+    from cellslam.benchmarks.figures.city_pictures import draw_plan, draw_view
+
+    out.mkdir(parents=True, exist_ok=True)
+    written = []
+    if plain:
+        written = [out / "plan.png", out / "view.png"]
+        draw_plan(written[0], city)
+        draw_view(written[1], city)
+    if html:
+        from cellslam.benchmarks.report.city_page import write_city
+
+        written.append(out / "city.html")
+        write_city(written[-1], city)
+    return written

@@ -1,1 +1,0 @@
-"""`cellslam city`: inspect, generate, trace."""

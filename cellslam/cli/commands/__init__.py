@@ -1,0 +1,1 @@
+"""A module for each command: `EXAMPLES`, `add_arguments(parser)`, and `command(arguments)`, its status (None: done)."""

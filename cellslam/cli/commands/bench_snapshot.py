@@ -1,0 +1,40 @@
+"""`cellslam bench snapshot`: one snapshot at signal level."""
+
+from __future__ import annotations
+
+from argparse import ArgumentParser, Namespace
+from pathlib import Path
+
+from cellslam.cli.arguments import add, whole
+from cellslam.cli.progress_bars import bars
+from cellslam.sim.errors import InputError
+
+EXAMPLES = ("bench snapshot lund-530",)
+
+
+def add_arguments(parser: ArgumentParser) -> None:
+    add(parser, "scenario", "--set", "--seed")
+    parser.add_argument("--at", metavar="N", type=whole, default=0, help="number of the snapshot (default: 0)")
+    parser.add_argument("--link", metavar="N", type=whole, help="link to show (default: the four with most paths)")
+    add(parser, "--out", metavar="FILE.png", default="snapshot.png", help="where to write (default: snapshot.png)")
+
+
+def command(arguments: Namespace) -> None:
+    from cellslam.benchmarks.figures.signal_snapshot import draw_snapshot
+    from cellslam.scenarios.loading import load
+    from cellslam.scenarios.overrides import parse_all
+    from cellslam.sim.world import prepare
+
+    if arguments.seed < 0:
+        raise InputError(f"--seed {arguments.seed}: a whole number from 0 on")
+    out = Path(arguments.out)
+    if out.suffix != ".png" or not out.resolve().parent.is_dir():
+        raise InputError(f"--out {out}: a .png in a folder that exists is expected")
+    scenario = load(arguments.scenario, parse_all([*arguments.sets, "radio.front_end=signal"]))
+    with bars(arguments.quiet) as progress:
+        world = prepare(scenario.world, arguments.seed, 0, progress)
+        last = len(world.drive.poses) - 1
+        if not 0 <= arguments.at <= last:
+            raise InputError(f"--at {arguments.at}: the drive has snapshots 0 to {last}")
+        for line in draw_snapshot(world, arguments.at, arguments.link, out):
+            print(line)

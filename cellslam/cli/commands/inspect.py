@@ -1,0 +1,49 @@
+"""`cellslam inspect`: what is in a recording."""
+
+from __future__ import annotations
+
+import json
+import sys
+from argparse import ArgumentParser, Namespace
+from pathlib import Path
+
+from cellslam.benchmarks.trials.output_files import check_file
+from cellslam.cli.arguments import FLAG, SET_HELP, add
+from cellslam.cli.output import at_once, note
+from cellslam.sim.recording import Recording
+
+EXAMPLES = ("inspect drive.h5",)
+
+
+def add_arguments(parser: ArgumentParser) -> None:
+    judge_help = "run this estimator, too, and say whether it is worth less than the odometry alone; may be repeated"
+    add(parser, "file")
+    add(parser, "--estimator", help=judge_help)
+    add(parser, "--set", help=SET_HELP.format("estimator.fastslam.particles=300"))
+    add(parser, "--options", "--fit")
+    add(parser, "--seed", default=None, help="seed of the estimators' random draws (default: the recording's own)")
+    add(parser, "--json", help="print one JSON object on stdout, nothing else")
+    parser.add_argument("--figure", metavar="FILE.png", help="where to draw (default: the recording's name with .png)")
+    parser.add_argument("--no-figure", help="do not draw", **FLAG)
+
+
+def command(arguments: Namespace) -> None:
+    from cellslam.recordings.inspection.inspection import as_text, inspected
+
+    path = Path(arguments.file)
+    figure = Path(arguments.figure) if arguments.figure else path.with_suffix(".png")
+    if not arguments.no_figure:
+        check_file(figure)
+    recording = Recording.load(path)
+    found = inspected(recording)
+    if arguments.estimators:
+        from cellslam.cli.recording_estimates import doubts, estimates_by
+
+        found["estimators"] = doubts(*estimates_by(arguments, recording, path, arguments.estimators))
+    as_json = json.dumps(found, indent=1, allow_nan=False) + "\n" if arguments.json else ""
+    sys.stdout.write(as_json or as_text(path, recording, found))
+    if not arguments.no_figure:
+        from cellslam.recordings.inspection.inspection import draw
+
+        at_once(figure, lambda place: draw(recording, place))
+        note(arguments, f"figure: {figure}")

@@ -1,0 +1,32 @@
+"""`cellslam report`: one HTML page of a sweep."""
+
+from __future__ import annotations
+
+from argparse import ArgumentParser, Namespace
+from pathlib import Path
+
+from cellslam.cli.arguments import add, whole
+from cellslam.cli.output import note
+
+EXAMPLES = ("report load --out load.html",)
+
+
+def add_arguments(parser: ArgumentParser) -> None:
+    add(parser, "folder")
+    add(parser, "--out", metavar="FILE.html", help="the page to write (default: DIR/report.html)")
+    parser.add_argument("--worst", metavar="N", type=whole, default=3, help="trials with a section each (default: 3)")
+    metric_help = "by which trials are the worst (default: position_rmse_m)"
+    parser.add_argument("--metric", metavar="NAME", default="position_rmse_m", help=metric_help)
+    add(parser, "--estimator", help="whose worst trials; may be repeated (default: the estimator with the best median)")
+
+
+def command(arguments: Namespace) -> None:
+    from cellslam.benchmarks.report.page import write_report
+    from cellslam.benchmarks.report.worst_trials import Choice
+    from cellslam.cli.progress_bars import bars
+
+    choice = Choice(arguments.worst, arguments.metric, tuple(arguments.estimators))
+    out = Path(arguments.out) if arguments.out else None
+    with bars(arguments.quiet) as progress:
+        path = write_report(Path(arguments.folder), out, choice, progress)
+    note(arguments, f"the report is in {path} ({path.stat().st_size / 1e6:.1f} MB)")

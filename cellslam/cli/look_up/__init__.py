@@ -1,1 +1,0 @@
-"""Commands that say what there is: scenarios, estimators, keys, and the machine."""

@@ -1,0 +1,97 @@
+"""What estimators assume of a recording by the options of a command, what they make of it, and what speaks against."""
+
+from __future__ import annotations
+
+import tomllib
+from argparse import Namespace
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from cellslam.benchmarks.scores.departure import worse_than_odometry
+from cellslam.benchmarks.scores.trial_result import TrialResult
+from cellslam.benchmarks.trials import trials
+from cellslam.benchmarks.trials.estimation import estimate
+from cellslam.benchmarks.trials.external_processes import ExternalProcesses
+from cellslam.cli.progress_bars import bars
+from cellslam.recordings.fitting.assumptions import Assumptions, assumed
+from cellslam.scenarios.estimator_options import resolve
+from cellslam.scenarios.overrides import parse_all
+from cellslam.scenarios.recording_origin import Origin
+from cellslam.sim.errors import InputError
+from cellslam.sim.progress import Progress
+from cellslam.sim.recording import Recording
+
+TABLES = ("estimator", "noise")
+ALONE = "dead-reckoning"
+
+
+def assumed_by(
+    arguments: Namespace, recording: Recording, origin: Origin, names: Sequence[str], bar: Progress
+) -> Assumptions:
+    """Return what estimators `names` assume by the arguments of a command, and where these say nothing by the
+    recording (`assumed`). Raises InputError.
+    """
+    fit = False if arguments.fit is None and arguments.options else arguments.fit
+    changes = parse_all(arguments.sets)
+    external = [key for key in changes if key.partition(".")[0] not in TABLES]
+    if external:
+        raise InputError(
+            f"--set {external[0]}: a recording is as it is; 'estimator.NAME.key' can be set, and the odometry's data "
+            "sheet, as 'noise.u_psi.noise_density'"
+        )
+    from_file = dict(_options_of(Path(arguments.options))) if arguments.options else {}
+    return assumed(recording, origin, names, from_file | changes, fit, bar)
+
+
+def estimates_by(
+    arguments: Namespace, recording: Recording, path: Path, names: Sequence[str]
+) -> tuple[Recording, list[TrialResult]]:
+    """Return the recording with the data sheet that its estimators assume, and what each of `names` makes of it, as
+    `cellslam replay` of the file does. Raises InputError where one fails.
+    """
+    origin = Origin.of(recording, path)
+    seed = origin.seed if arguments.seed is None else arguments.seed
+    results = []
+    with bars(arguments.quiet) as progress, ExternalProcesses() as external:
+        given = assumed_by(arguments, recording, origin, names, progress)
+        recording = replace(recording, odometry_model=given.odometry_model)
+        drive, more = trials.Drive(recording), (origin.trial, seed, external, progress)
+        for request in given.requests:
+            outcome = trials.outcome_of(drive, origin.name, request, *more)
+            if outcome.result is None:
+                raise InputError(f"--estimator {request.name} failed on {path}: {outcome.row['error']}")
+            results.append(outcome.result)
+    return recording, results
+
+
+def doubts(recording: Recording, results: Sequence[TrialResult]) -> dict[str, list[str]]:
+    """Return by estimator what speaks against its estimate (`worse_than_odometry`).
+
+    `recording` has the data sheet that estimators assume.
+    """
+    (request,) = resolve({}, (ALONE,), ())
+    alone = estimate(recording, request, np.random.default_rng(0))
+    return {r.estimator: worse_than_odometry(recording, r, alone) for r in results if r.estimator != ALONE}
+
+
+def _options_of(path: Path) -> Iterator[tuple[str, Any]]:
+    """Yield the keys of a file of options with their values, as "estimator.NAME.option". Raises InputError."""
+    try:
+        tables = tomllib.loads(path.read_text("utf-8"))
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+        raise InputError(f"--options {path}: not TOML ({error}); correct it there") from error
+    except OSError as error:
+        raise InputError(f"--options {path}: cannot be read ({error.strerror})") from error
+    for name, table in tables.items():
+        if name not in TABLES or not isinstance(table, Mapping):
+            raise InputError(f"--options {path}: has '{name}'; it takes tables [estimator.NAME] and [noise.COMPONENT]")
+        for part, keys in table.items():
+            if not isinstance(keys, Mapping):
+                raise InputError(f"--options {path}: [{name}] has '{part}'; name its table, as in [{name}.{part}]")
+            yield from ((f"{name}.{part}.{key}", value) for key, value in keys.items())
+    if not any(keys for table in tables.values() for keys in table.values()):
+        raise InputError(f"--options {path}: has no table [estimator.NAME] or [noise.COMPONENT]")

@@ -1,1 +1,0 @@
-"""Commands on recordings: record, replay, import, inspect, export, fit-noise."""

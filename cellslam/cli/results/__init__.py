@@ -1,1 +1,0 @@
-"""Commands on the results of sweeps: table, consistency, figures, report."""
