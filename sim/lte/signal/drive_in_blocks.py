@@ -10,7 +10,7 @@ import os
 import shutil
 import tempfile
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -79,7 +79,7 @@ class _Blocks:
         if self.folder is None:
             return self._measured(start)
         file = self.folder / f"{start:07d}.npy"
-        if file.exists():
+        with suppress(FileNotFoundError):
             return np.asarray(np.load(file), np.float64)
         table = self._measured(start)
         file.parent.mkdir(parents=True, exist_ok=True, mode=0o700)  # another run of the trial may have removed it

@@ -87,7 +87,7 @@ def test_statistical_overlap_follows_the_array(apart_m: float, turn_deg: float) 
 
 @pytest.mark.parametrize(
     ("elevation_deg", "waveform"),
-    [(0.0, LteWaveform()), (20.0, LteWaveform()), (45.0, LteWaveform()), (0.0, LteWaveform(25)),
+    [(0.0, LteWaveform()), (20.0, LteWaveform()), (30.0, LteWaveform()), (0.0, LteWaveform(25)),
      (0.0, NrWaveform(24, 1, 4, 4)), (30.0, NrWaveform(48, 1, 6, 12))],
 )  # fmt: skip
 def test_closed_forms_of_one_path_are_the_joint_bound(elevation_deg: float, waveform: Waveform) -> None:
