@@ -13,7 +13,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -23,9 +22,7 @@ from cellslam.slam.api import Setup, Snapshot
 from cellslam.slam.measurements.fusion import Fusion
 from cellslam.slam.measurements.readings import ports_of, readings
 from cellslam.slam.smoother.factor_graph import Leg, Priors, Problem, Sighting
-
-if TYPE_CHECKING:
-    from cellslam.slam.smoother.smoother import SmootherOptions
+from cellslam.slam.smoother.smoother_options import SmootherOptions
 
 LARGEST_SHIFT_S = 1e-9
 LEAST_STD = np.array([1e-4, 1e-4, 1e-4, 1e-3, 1e-3, 1e-3])  # rad, m: keeps the graph regular where a model has no noise

@@ -81,7 +81,7 @@ def drive(recording: Recording, share_wrong: float) -> tuple[Any, Any]:
     """Smooth a toy drive from true associations of which a share is wrong; return errors before and after (m)."""
     from cellslam.slam.smoother.drive_factors import Drive, between, problem_of
     from cellslam.slam.smoother.factor_graph import solve
-    from cellslam.slam.smoother.smoother import SmootherOptions
+    from cellslam.slam.smoother.smoother_options import SmootherOptions
 
     truth, rng = recording.truth, np.random.default_rng(4)
     assert truth is not None
