@@ -34,6 +34,7 @@ KIND_NAMES = ("line of sight", "one reflection", "two reflections", "diffraction
 SHOWN_RAYS = 600
 SUN = np.array([0.45, -0.6, 0.9]) / np.linalg.norm([0.45, -0.6, 0.9])
 AZIMUTH_RAD, ELEVATION_RAD = -2.0, 0.62  # from where a view is seen
+SHADOW = 0.66  # of the light that the ground has in the sun
 ROOF = 0.5  # the least vertical part of a roof's normal
 
 
@@ -100,8 +101,8 @@ def draw_view(
 def _facets(city: City, screen: Floats, ahead: Floats) -> PolyCollection:
     """Return a city's triangles on the screen (2, 3), seen along `ahead` (3,), so that what is nearer hides the rest.
 
-    The ground comes first, then far buildings before near ones, and of each its walls before its roof: right for
-    buildings that stand apart.
+    The ground comes first, then the shadows on it, then far buildings before near ones, and of each its walls before
+    its roof: right for buildings that stand apart.
     """
     corners, building = city.vertices[city.triangles], city.facets.building[city.triangle_facet]
     normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
@@ -115,8 +116,16 @@ def _facets(city: City, screen: Floats, ahead: Floats) -> PolyCollection:
     normal *= -np.sign(normal @ ahead)[:, None]
     light = 0.64 + 0.36 * np.clip(normal @ SUN, 0.0, 1.0)
     colour = palette[city.facets.material[city.triangle_facet]] * light[:, None]
-    shape = {"facecolors": colour[order], "edgecolors": "face", "linewidths": 0.3}
-    return PolyCollection(list(corners[order] @ screen.T), **shape)
+    ground, standing = order[building[order] == GROUND], order[building[order] != GROUND]
+    # A shadow lies where the rays of the sun through a triangle meet the plane of zero height, if there is ground.
+    cast = corners[standing] if len(ground) else corners[:0]
+    shadows = cast - cast[:, :, 2:] * (SUN / SUN[2])
+    dark = np.repeat(SHADOW * palette[city.facets.material[city.triangle_facet[ground[:1]]]], len(cast), axis=0)
+    drawn = np.concatenate([corners[ground], shadows, corners[standing]]) @ screen.T
+    shape = {"edgecolors": "face", "linewidths": 0.3}
+    return PolyCollection(
+        list(drawn), facecolors=np.concatenate([colour[ground], dark.reshape(-1, 3), colour[standing]]), **shape
+    )
 
 
 def _buildings(figure: Figure, axes: Axes, city: City) -> None:
