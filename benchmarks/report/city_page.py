@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from cellslam.benchmarks.figures.city_pictures import draw_plan, draw_view
-from cellslam.benchmarks.report.page import rounded, write_page
-from cellslam.benchmarks.report.scene import box_of, mesh_of, rays_of
+from cellslam.benchmarks.report.page import write_page
+from cellslam.benchmarks.report.scene import box_of, mesh_of, rays_of, rounded
 from cellslam.sim.city.city import GROUND, City, Floats
 from cellslam.sim.rays import Paths
 

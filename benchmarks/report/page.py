@@ -12,8 +12,6 @@ from pathlib import Path
 from string import Template
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
-
 from cellslam.sim.progress import Progress, silent
 
 if TYPE_CHECKING:
@@ -80,16 +78,6 @@ def write_page(path: Path, content: Mapping[str, Any]) -> None:
         write_text(path, Template(own("page.html")).substitute(parts))
     except OSError as error:
         raise InputError(f"{path}: the page cannot be written ({error.strerror or error})") from error
-
-
-def rounded(values: Any, digits: int = 2) -> Any:
-    """Return an array as nested lists of short numbers, what is not finite as None."""
-    array = np.asarray(values, np.float64)
-    if array.ndim > 1:
-        return [rounded(row, digits) for row in array]
-    short = np.round(array, digits) + 0.0
-    whole = digits <= 0
-    return [(int(v) if whole else v) if np.isfinite(v) else None for v in short.tolist()]
 
 
 def packed(text: str) -> str:

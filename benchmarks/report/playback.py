@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from cellslam.benchmarks.figures.style import estimator_styles
-from cellslam.benchmarks.report.page import rounded, write_page
-from cellslam.benchmarks.report.scene import box_of, scene_of, vehicles_of
+from cellslam.benchmarks.report.page import write_page
+from cellslam.benchmarks.report.scene import box_of, rounded, scene_of, vehicles_of
 from cellslam.benchmarks.report.worst_trials import estimate_curves
 from cellslam.benchmarks.scores.trial_result import TrialResult
 from cellslam.benchmarks.sweeps.trajectories import trajectory

@@ -25,7 +25,7 @@ from cellslam.benchmarks.figures.sweep.sweep_data import (
     sweep_lines,
     verdicts_of,
 )
-from cellslam.benchmarks.report.page import rounded
+from cellslam.benchmarks.report.scene import rounded
 from cellslam.benchmarks.report.worst_trials import Choice, failed_trials, trial_sections, worst_trials
 from cellslam.benchmarks.scores.metrics import METRIC
 from cellslam.benchmarks.sweeps.rows import provenance

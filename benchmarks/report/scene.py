@@ -9,7 +9,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cellslam.benchmarks.figures.style import material_colour
-from cellslam.benchmarks.report.page import rounded
 from cellslam.sim.city.city import GROUND, City
 from cellslam.sim.recording import Floats, Ints
 
@@ -25,6 +24,16 @@ FLAT_M = 0.5
 TO_LIGHT = np.array([1.0, -2.0, 3.0])
 
 Cities = dict[str, Mapping[str, Any]]
+
+
+def rounded(values: Any, digits: int = 2) -> Any:
+    """Return an array as nested lists of short numbers, what is not finite as None."""
+    array = np.asarray(values, np.float64)
+    if array.ndim > 1:
+        return [rounded(row, digits) for row in array]
+    short = np.round(array, digits) + 0.0
+    whole = digits <= 0
+    return [(int(v) if whole else v) if np.isfinite(v) else None for v in short.tolist()]
 
 
 def scene_of(world: World, steps: Ints) -> tuple[dict[str, Any], Mapping[str, Any]]:

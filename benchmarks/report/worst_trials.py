@@ -11,8 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from cellslam.benchmarks.report.page import rounded
-from cellslam.benchmarks.report.scene import Cities, scene_of
+from cellslam.benchmarks.report.scene import Cities, rounded, scene_of
 from cellslam.benchmarks.scores.metrics import METRIC_KEYS
 from cellslam.benchmarks.sweeps.store import reading, trajectory_path
 from cellslam.benchmarks.sweeps.tasks import identity, scenario_of

@@ -16,9 +16,9 @@ from matplotlib.colors import to_hex
 
 from cellslam.benchmarks.figures.style import colour_of
 from cellslam.benchmarks.figures.sweep.sweep_data import curve_keys, load, sweep_lines
-from cellslam.benchmarks.report.page import embedded, rounded
+from cellslam.benchmarks.report.page import embedded
 from cellslam.benchmarks.report.report_content import content
-from cellslam.benchmarks.report.scene import mesh_of
+from cellslam.benchmarks.report.scene import mesh_of, rounded
 from cellslam.benchmarks.report.worst_trials import Choice, worst_trials
 from cellslam.benchmarks.sweeps import tasks
 from cellslam.benchmarks.sweeps.rows import results

@@ -12,49 +12,12 @@ from typing import Any
 
 from cellslam.benchmarks.scores.metrics import COST_KEYS, ROW_KEYS
 from cellslam.benchmarks.sweeps.store import DATABASE
+from tests.benchmarks.trials import hostile_estimators as hostile
 from tests.short_drive import SHORT
 
 COMMAND = Path(sys.executable).parent / "cellslam"
-PLUGIN = """
-import os, time
-import numpy as np
-from cellslam.sim.frames import integrate_pose
-from cellslam.slam.api import Estimate
-
-class Good:
-    name = "good"
-    def __init__(self, options): pass
-    def start(self, setup, rng):
-        self.pose, self.rng = setup.start_pose, rng
-    def step(self, dt_s, odometry, snapshot):
-        self.pose = integrate_pose(self.pose, odometry, dt_s)
-        self.odd(snapshot.index == 5)
-        return Estimate(self.pose + 0.01 * self.rng.normal(size=6), np.eye(6))
-    def odd(self, now): pass
-
-class Slow(Good):
-    def odd(self, now): time.sleep(0.004)
-
-class Raises(Good):
-    def odd(self, now):
-        if now: raise ArithmeticError("lost it")
-
-class Hangs(Good):
-    def odd(self, now):
-        while now: time.sleep(0.1)
-
-class NotFinite(Good):
-    def odd(self, now):
-        if now: self.pose = self.pose * np.nan
-
-class EatsMemory(Good):
-    def odd(self, now):
-        self.eaten = [np.empty(10**8) for _ in range(100 if now else 0)]
-
-class Exits(Good):
-    def odd(self, now):
-        if now: os._exit(7)
-"""
+PLUGIN = Path(hostile.__file__).read_text("utf-8")
+HARMLESS_PLUGIN = PLUGIN.replace("NOW = 5", "NOW = -1")
 
 
 def words(*estimators: str, out: str = "out", trials: int = 2, more: tuple[str, ...] = ()) -> list[str]:

@@ -19,7 +19,7 @@ from cellslam.benchmarks.trials.child_process import Limits
 from cellslam.cli.main import main
 from cellslam.sim.errors import InputError
 from tests.benchmarks.made_up_sweeps import plan_of
-from tests.benchmarks.sweeps.short_sweeps import PLUGIN, rows, start, stored, wait_for, words
+from tests.benchmarks.sweeps.short_sweeps import HARMLESS_PLUGIN, rows, start, stored, wait_for, words
 from tests.short_drive import SET
 
 
@@ -43,12 +43,12 @@ def test_processes_give_the_rows_of_one_process(place: Path) -> None:
 
 @pytest.mark.slow
 def test_misfits_cost_their_own_rows_only(place: Path, capfd: pytest.CaptureFixture[str]) -> None:
-    names = [f"misfits:{name}" for name in ("Raises", "Hangs", "NotFinite", "EatsMemory", "Exits", "Good")]
+    names = [f"misfits:{name}" for name in ("SystemExits", "Hangs", "NotFinite", "EatsMemory", "Exits", "Good")]
     more = ("--time-limit", "2", "--memory-limit", "1.5", "--jobs", "1")
     assert main(words(*names, trials=1, more=more)) == 1
     found = {row["estimator"].removeprefix("misfits:"): row for row in rows("out")}
     errors = {name: row["error"] for name, row in found.items()}
-    assert "ArithmeticError: lost it, snapshot 5" in errors["Raises"]
+    assert "SystemExit, snapshot 5" in errors["SystemExits"]
     assert errors["Hangs"] == "no answer within the time limit of 2 s; alone it was lost again"
     assert "pose is not finite, snapshot 5" in errors["NotFinite"]
     assert "MemoryError" in errors["EatsMemory"]
@@ -56,7 +56,7 @@ def test_misfits_cost_their_own_rows_only(place: Path, capfd: pytest.CaptureFixt
     before = [row for row in rows("out") if row["status"] == "ok"]
     assert before == [found["Good"]]
     # Resumed, nothing is done again; with --retry-failed what failed is.
-    (place / "misfits.py").write_text(PLUGIN.replace("snapshot.index == 5", "False"))
+    (place / "misfits.py").write_text(HARMLESS_PLUGIN)
     assert "misfits" not in sys.modules
     tasks.request_of.cache_clear()
     assert main(words(*names, trials=1, more=("--executor", "serial"))) == 1
@@ -95,7 +95,7 @@ def test_a_world_is_made_once_for_all_estimators(place: Path, monkeypatch: pytes
         return real(scenario, seed, trial)
 
     monkeypatch.setattr(simulation, "simulate", simulate)
-    names = ("misfits:Good", "misfits:Raises", "dead-reckoning")
+    names = ("misfits:Good", "misfits:SystemExits", "dead-reckoning")
     assert main(words(*names, more=("--executor", "serial", "--sweep", "radio.load=0.1,0.2"))) == 1
     assert made == [(0, 0.1), (0, 0.2), (1, 0.1), (1, 0.2)]
 
@@ -171,7 +171,7 @@ def test_progress_and_running_table(place: Path, capfd: pytest.CaptureFixture[st
 
     monkeypatch.setattr(watch, "LINE_EVERY_S", 0.0)
     monkeypatch.setattr(watch, "TABLE_EVERY_S", 0.0)
-    line = [word for word in words("misfits:Good", "misfits:Raises", trials=1) if word != "--quiet"]
+    line = [word for word in words("misfits:Good", "misfits:SystemExits", trials=1) if word != "--quiet"]
     assert main([*line, "--executor", "serial", "--sweep", "radio.load=0.1,0.2"]) == 1
     err = capfd.readouterr().err
     assert "4 of 4 rows" in err and "rows/s" in err and "2 failed" in err and "--retry-failed" in err

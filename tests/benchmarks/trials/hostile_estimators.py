@@ -42,6 +42,12 @@ class Good:
         return answer
 
 
+class Slow(Good):
+    def step(self, dt_s: float, odometry: Any, snapshot: Snapshot) -> Any:
+        time.sleep(0.004)
+        return super().step(dt_s, odometry, snapshot)
+
+
 class NoTextError(Exception):
     def __str__(self) -> str:
         raise RuntimeError("no text")
