@@ -10,6 +10,7 @@ and m, the error of the mean of the filter that has this covariance:
 
     prediction   P <- F P F^T + Q,  m <- F m + jump                                            `linear_model.motion_of`
                  e <- a e + sqrt(1 - a^2) noise, a = exp(-step / (AREA l)), l: correlation     `_predict`
+                 which with e = s e', s <- a s leaves P as it is, but for (1 - a^2) / s^2 on its diagonal
     entering     an error that persists begins with variance 1
     measurement  z = h(r, v) + b + load e + white: H, R            `linear_model.tracked_measurements`
       birth      first of a VT: v = H_v^-1 (z - H_r r - b - load e), from a flat prior         `_give_births`
@@ -24,7 +25,7 @@ Trans. Signal Processing 46(5), 1998, in covariance form, as the odometry noise 
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -41,6 +42,7 @@ from cellslam.sim.recording import Floats, Ints, Recording
 if TYPE_CHECKING:
     from cellslam.sim.lte.persisting_errors import Cause
 
+SMALLEST_SCALE = 1e-6  # s of a state: before it is smaller P takes it over, or 1 / s^2 would drown the rest
 IDLE = 0.1  # share of states that nothing meets any more, from which on they are taken out: to copy P takes time
 
 
@@ -73,11 +75,13 @@ class BoundResult(Described):
 @dataclass(frozen=True)
 class Joint:
     """What is known of the n states that are there: covariance `P` (n, n), error `m` (n,) of the mean, and the numbers
-    `states` (n,) of these states. P is in Fortran's order, so that BLAS can write into it."""
+    `states` (n,) of these states. P and m are those of the states divided by their `scale` (n,), which is 1 for states
+    that do not fade. P is in Fortran's order, so that BLAS can write into it."""
 
     P: Floats
     m: Floats
     states: Ints
+    scale: Floats
 
     def with_more(self, states: Ints, m: Floats, P: Floats, P_old: Floats | float = 0.0) -> Joint:
         """Return the joint with k more states, of errors m (k,), covariance P (k, k) and covariances P_old (k, n) with
@@ -86,14 +90,16 @@ class Joint:
         joint = np.zeros((size, size), order="F")
         joint[:n, :n], joint[n:, n:], joint[n:, :n] = self.P, P, P_old
         joint[:n, n:] = joint[n:, :n].T
-        return Joint(joint, np.concatenate([self.m, m]), np.concatenate([self.states, states]))
+        scale = np.concatenate([self.scale, np.ones(len(m))])
+        return Joint(joint, np.concatenate([self.m, m]), np.concatenate([self.states, states]), scale)
 
     def only(self, kept: Ints) -> Joint:
         """Return some of the states alone, those at the places `kept` (k,)."""
-        return Joint(np.asfortranarray(self.P[np.ix_(kept, kept)]), self.m[kept], self.states[kept])
+        P = np.asfortranarray(self.P[np.ix_(kept, kept)])
+        return Joint(P, self.m[kept], self.states[kept], self.scale[kept])
 
 
-NOTHING = Joint(np.zeros((0, 0), order="F"), np.zeros(0), np.zeros(0, np.int64))
+NOTHING = Joint(np.zeros((0, 0), order="F"), np.zeros(0), np.zeros(0, np.int64), np.zeros(0))
 
 
 def bound(
@@ -142,16 +148,18 @@ def _predict(joint: Joint, drive: Drive, t: int) -> Joint:
     part and gain as much variance."""
     F, P, m = drive.motion.F[t], joint.P, joint.m
     core = len(F)
-    P[:core] = F @ P[:core]
-    P[:, :core] = P[:, :core] @ F.T
-    P[:core, :core] += drive.motion.Q[t]
+    moved = P[:, :core] @ F.T
+    moved[:core] = F @ moved[:core] + drive.motion.Q[t]
+    P[:, :core], P[:core] = moved, moved.T
     m[:core] = F @ m[:core] + drive.motion.jump[t]
     a = drive.states.decay[t, drive.states.kind[joint.states]]
-    P *= a[:, None]
-    P *= a
-    P[np.diag_indices(len(a))] += 1.0 - a**2
-    m *= a
-    return joint
+    scale = joint.scale * a
+    if scale.min() < SMALLEST_SCALE:
+        P *= scale[:, None] * scale
+        m *= scale
+        scale = np.ones(len(a))
+    P[np.diag_indices(len(a))] += (1.0 - a**2) / scale**2
+    return replace(joint, scale=scale)
 
 
 def _measure(joint: Joint, drive: Drive, t: int) -> Joint:
@@ -165,10 +173,9 @@ def _measure(joint: Joint, drive: Drive, t: int) -> Joint:
     own = np.broadcast_to(s.load[:, None], (len(rows), 3, 1))
     state = np.concatenate([vts, views.state[view], s.state[rows, :, None]], axis=2)  # (k, 3, W)
     load = np.concatenate([views.by_vt[view], views.load[view], own], axis=2)
-    there = np.zeros(len(drive.states.last), np.bool_)
-    there[joint.states] = True
-    met = np.unique(state[:, :, 3:])
-    new = met[(met >= 0) & ~there[met]]
+    there = np.zeros(len(drive.states.last) + 1, np.bool_)
+    there[joint.states] = there[-1] = True  # the last is that of none
+    new = np.unique(state[:, :, 3:][~there[state[:, :, 3:]]])
     if len(new):
         joint = joint.with_more(new, np.zeros(len(new)), np.eye(len(new)))
     if first.any():
@@ -187,7 +194,7 @@ def _matrix(state: Ints, load: Floats, joint: Joint) -> Floats:
     place[joint.states] = np.arange(n)
     H = np.zeros((load.size // wide, n + 1))
     H[np.arange(len(H))[:, None], place[state.reshape(-1, wide)]] = load.reshape(-1, wide)
-    return H[:, :n]
+    return H[:, :n] * joint.scale
 
 
 def _give_births(joint: Joint, drive: Drive, rows: Ints, H: Floats) -> Joint:

@@ -122,10 +122,8 @@ def _facets(city: City, screen: Floats, ahead: Floats) -> PolyCollection:
     shadows = cast - cast[:, :, 2:] * (SUN / SUN[2])
     dark = np.repeat(SHADOW * palette[city.facets.material[city.triangle_facet[ground[:1]]]], len(cast), axis=0)
     drawn = np.concatenate([corners[ground], shadows, corners[standing]]) @ screen.T
-    shape = {"edgecolors": "face", "linewidths": 0.3}
-    return PolyCollection(
-        list(drawn), facecolors=np.concatenate([colour[ground], dark.reshape(-1, 3), colour[standing]]), **shape
-    )
+    colours = np.concatenate([colour[ground], dark.reshape(-1, 3), colour[standing]])
+    return PolyCollection(list(drawn), facecolors=colours, edgecolors="face", linewidths=0.3)
 
 
 def _buildings(figure: Figure, axes: Axes, city: City) -> None:

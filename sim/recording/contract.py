@@ -6,7 +6,7 @@ The first breach is named by table, column and row, with what to do. What each c
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -14,7 +14,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from cellslam.sim.described import Described
 from cellslam.sim.errors import InputError
 from cellslam.sim.recording.columns import COLUMNS, Column, check_shapes
 from cellslam.sim.recording.tables import Floats, Ints, Links, Measurements, OdometryModel, Reference, Sites, Truth
@@ -34,7 +33,7 @@ _COMPARED = ("distance_m", "azimuth_rad", "elevation_rad", "snr_db")
 
 
 @dataclass(frozen=True, repr=False)
-class Recording(Described):
+class Recording:
     """A drive as it was measured. `start_pose` (6,) and `start_std` (6,) are the estimator's prior at time_s[0].
 
     `time_s` (T,), at any intervals; `odometry` (T, 6): mean body velocities from time_s[t-1] to time_s[t], row 0
@@ -99,18 +98,12 @@ class Recording(Described):
 
         return load(Path(path), Recording)
 
-    def _parts(self) -> Iterator[str]:
-        """Yield what there is of the drive, in a few words."""
-        yield f"{len(self.time_s)} snapshots"
-        if len(self.time_s):
-            yield f"{self.time_s[-1] - self.time_s[0]:.1f} s"
-        yield f"sites={', '.join(self.sites.name)}"
-        yield f"{len(self.links)} links"
-        yield f"{len(self.measurements)} measurements"
-        if self.truth is not None:
-            yield f"truth with {len(self.truth.vts)} VTs"
-        if self.reference is not None:
-            yield "reference"
+    def __repr__(self) -> str:
+        parts = [f"{len(self.time_s)} snapshots", f"{self.elapsed_s[-1]:.1f} s", f"sites={', '.join(self.sites.name)}"]
+        parts += [f"{len(self.links)} links", f"{len(self.measurements)} measurements"]
+        parts += [] if self.truth is None else [f"truth with {len(self.truth.vts)} VTs"]
+        parts += [] if self.reference is None else ["reference"]
+        return f"Recording({', '.join(parts)})"
 
 
 def values_of(recording: Recording) -> dict[str, Any]:
@@ -131,7 +124,7 @@ def _check_values(column: Column, values: NDArray[Any], sizes: Mapping[str, int]
         fulfilled, problem = RULES[column.rule]
         _require(fulfilled(values), column.name, problem)
     if column.index:
-        for number, symbol in zip(values.reshape(len(values), -1).T, column.index, strict=True):
+        for number, symbol in zip(values.reshape(-1, len(column.index)).T, column.index, strict=True):
             inside = (number >= (-1 if column.none else 0)) & (number < sizes[symbol])
             _require(inside, column.name, f"is not one of the {sizes[symbol]} {_COUNTED[symbol]}")
 

@@ -16,7 +16,7 @@ from cellslam.sim.recording import Recording
 from cellslam.slam.api import odometry_of, setup_of, snapshots_of
 from cellslam.slam.conformance import EstimatorConformance
 from cellslam.slam.dead_reckoning import DeadReckoning
-from cellslam.slam.model.matrices_kernel import Mat3, vec_of
+from cellslam.slam.model.matrices_kernel import mat_of, vec_of
 from cellslam.slam.model.measurement_model import jacobians, predict
 from cellslam.slam.phd_slam.map_kernel import (
     COVARIANCE,
@@ -52,7 +52,7 @@ def a_row(seed: int = 0) -> tuple[Any, Any, Any]:
 
 @njit
 def updated(place: Any, r: Any, rows: Any, offset: float, z: Any, q: Any, out: Any) -> float:
-    seen = seen_from(vec_of(place), Mat3(*r.ravel()), rows, 0, offset)
+    seen = seen_from(vec_of(place), mat_of(r), rows, 0, offset)
     new = innovation(residual(seen, vec_of(z), vec_of(np.ones(3))), seen.spread, vec_of(q))
     put_update(out, 0, rows, 0, seen, new)
     return new.log_density

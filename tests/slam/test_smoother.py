@@ -14,10 +14,10 @@ from cellslam.sim.recording import Recording
 from cellslam.slam.api import setup_of, snapshots_of
 from cellslam.slam.conformance import EstimatorConformance
 from cellslam.slam.model.measurement_model import predict
-from cellslam.slam.smoother.drive_factors import leg, local
-from cellslam.slam.smoother.factor_graph import residual
 
 pytest.importorskip("gtsam", reason="GTSAM is not installed: pip install 'cellslam[gtsam]'")
+from cellslam.slam.smoother.drive_factors import leg, local
+from cellslam.slam.smoother.factor_graph import residual
 
 POSE, VT = np.array([3.0, -2.0, 1.5, 0.7, 0.1, -0.2]), np.array([60.0, 40.0, 20.0])
 STEP = np.array([0.8, 0.1, 0.0, 0.05, 0.01, 0.0])
