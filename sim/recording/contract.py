@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from cellslam.sim.described import Described
 from cellslam.sim.errors import InputError
 from cellslam.sim.recording.columns import COLUMNS, Column, check_shapes
 from cellslam.sim.recording.tables import Floats, Ints, Links, Measurements, OdometryModel, Reference, Sites, Truth
@@ -33,7 +34,7 @@ _COMPARED = ("distance_m", "azimuth_rad", "elevation_rad", "snr_db")
 
 
 @dataclass(frozen=True, repr=False)
-class Recording:
+class Recording(Described):
     """A drive as it was measured. `start_pose` (6,) and `start_std` (6,) are the estimator's prior at time_s[0].
 
     `time_s` (T,), at any intervals; `odometry` (T, 6): mean body velocities from time_s[t-1] to time_s[t], row 0
