@@ -29,6 +29,7 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.linalg import block_diag
 from scipy.linalg.blas import dgemm
 from threadpoolctl import threadpool_limits
@@ -168,57 +169,74 @@ def _measure(joint: Joint, drive: Drive, t: int) -> Joint:
     rows = np.arange(s.rows[t], s.rows[t + 1])
     if not len(rows):
         return joint
-    view, first = s.view_of[rows], s.first[rows]
-    vts = np.broadcast_to(s.vt[rows, None, None] + np.arange(3), (len(rows), 3, 3))
-    own = np.broadcast_to(s.load[:, None], (len(rows), 3, 1))
-    state = np.concatenate([vts, views.state[view], s.state[rows, :, None]], axis=2)  # (k, 3, W)
-    load = np.concatenate([views.by_vt[view], views.load[view], own], axis=2)
+    first = s.first[rows]
+    met = np.append(views.state[s.view_of[rows], :, 3:], s.state[rows])  # beside VTs, which measurements give birth to
     there = np.zeros(len(drive.states.last) + 1, np.bool_)
     there[joint.states] = there[-1] = True  # the last is that of none
-    new = np.unique(state[:, :, 3:][~there[state[:, :, 3:]]])
+    new = np.unique(met[~there[met]])
     if len(new):
         joint = joint.with_more(new, np.zeros(len(new)), np.eye(len(new)))
     if first.any():
-        H = _matrix(state[first, :, 3:], load[first, :, 3:], joint)
-        joint = _give_births(joint, drive, rows[first], H)
-    measured = np.isfinite(s.variance[rows]) & ~first[:, None]
-    H = _matrix(state[measured], load[measured], joint)
-    _update(joint, H, s.variance[rows][measured], s.residual[rows][measured])
+        joint = _give_births(joint, drive, rows[first])
+    _update(joint, drive, rows, np.isfinite(s.variance[rows]) & ~first[:, None])
     return joint
 
 
-def _matrix(state: Ints, load: Floats, joint: Joint) -> Floats:
-    """Return H (k, n) of k components with loads (..., W) on states (..., W), -1: none."""
-    n, wide = len(joint.states), state.shape[-1]
-    place = np.full(joint.states.max() + 2, n)  # the last for none
+@dataclass(frozen=True)
+class Loads:
+    """The matrix H (k, n) of k components. Measurements of one view share its loads: H is rows `of` (k,) of what is
+    `shared` (v, n), with the `load` (k,) of each component on a state `own` (k,) to it."""
+
+    shared: Floats
+    of: Ints
+    own: Ints
+    load: Floats
+
+    def __matmul__(self, x: Floats) -> Floats:
+        """Return H x, for x (n,) or (n, l)."""
+        product: Floats = (self.shared @ x)[self.of] + (self.load * x[self.own].T).T
+        return product
+
+
+def _loads(joint: Joint, drive: Drive, rows: Ints, chosen: NDArray[np.bool_]) -> Loads:
+    """Return H of the `chosen` (k, 3) components of measurements `rows` (k,); what is not there has no load."""
+    views, s, n = drive.views, drive.sightings, len(joint.states)
+    place = np.full(len(drive.states.last) + 1, n)
     place[joint.states] = np.arange(n)
-    H = np.zeros((load.size // wide, n + 1))
-    H[np.arange(len(H))[:, None], place[state.reshape(-1, wide)]] = load.reshape(-1, wide)
-    return H[:, :n] * joint.scale
+    seen = slice(s.view_of[rows[0]], s.view_of[rows[-1]] + 1)
+    state, load = (x[seen].reshape(-1, x.shape[-1]) for x in (views.state, views.load))
+    shared = np.zeros((len(state), n + 1))
+    shared[np.arange(len(state))[:, None], place[state]] = load
+    of = 3 * (s.view_of[rows, None] - seen.start) + np.arange(3)
+    state = s.state[rows][chosen]
+    own = np.where(state >= 0, place[state], 0)
+    load = np.where(state >= 0, np.broadcast_to(s.load, chosen.shape)[chosen] * joint.scale[own], 0.0)
+    return Loads(shared[:, :n] * joint.scale, of[chosen], own, load)
 
 
-def _give_births(joint: Joint, drive: Drive, rows: Ints, H: Floats) -> Joint:
-    """Append VTs that are each known from one measurement alone: the limit of a broad prior.
+def _give_births(joint: Joint, drive: Drive, rows: Ints) -> Joint:
+    """Append the VTs of measurements `rows`, each known from one alone: the limit of a broad prior.
 
     v = D (z - H x) with D the inverse of H_v; the other states learn nothing.
     """
-    s = drive.sightings
+    s, H = drive.sightings, _loads(joint, drive, rows, np.ones((len(rows), 3), np.bool_))
     D = block_diag(*np.linalg.inv(drive.views.by_vt[s.view_of[rows]]))
-    HP = H @ joint.P
-    P_v = D @ (HP @ H.T + np.diag(s.variance[rows].ravel())) @ D.T
+    HP = H @ joint.P.T
+    P_v = D @ (H @ HP.T + np.diag(s.variance[rows].ravel())) @ D.T
     v = (s.vt[rows, None] + np.arange(3)).ravel()
     return joint.with_more(v, D @ (s.residual[rows].ravel() - H @ joint.m), P_v, -D @ HP)
 
 
-def _update(joint: Joint, H: Floats, R: Floats, residual: Floats) -> None:
-    """Take measurements in, whose white errors have variances R (k,).
+def _update(joint: Joint, drive: Drive, rows: Ints, measured: NDArray[np.bool_]) -> None:
+    """Take the `measured` (k, 3) components of measurements `rows` (k,) in, whose white errors have variances R.
 
     With R^-1/2 H P H^T R^-1/2 = V diag(l) V^T the root is L = R^1/2 V diag(1 + l)^1/2. Rounding apart, no innovation
     varies by less than its measurement: no l is negative.
     """
-    HP, root = H @ joint.P, np.sqrt(R)
-    eigenvalue, V = np.linalg.eigh(HP @ H.T / root / root[:, None])
+    s, H = drive.sightings, _loads(joint, drive, rows, measured)
+    HP, root = H @ joint.P.T, np.sqrt(s.variance[rows][measured])
+    eigenvalue, V = np.linalg.eigh((H @ HP.T) / root / root[:, None])
     L_inverse = V.T / np.sqrt(1.0 + np.maximum(eigenvalue, 0.0))[:, None] / root
     G = L_inverse @ HP
     dgemm(-1.0, G, G, beta=1.0, c=joint.P, trans_a=1, overwrite_c=1)
-    joint.m[:] += (L_inverse @ (residual - H @ joint.m)) @ G
+    joint.m[:] += (L_inverse @ (s.residual[rows][measured] - H @ joint.m)) @ G

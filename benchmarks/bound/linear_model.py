@@ -60,11 +60,15 @@ class Motion(NamedTuple):
 
 class Views(NamedTuple):
     """What all links share that see a VT in a snapshot, n views: loads of distance, azimuth and elevation on states,
-    `state` (n, 3, W) numbers, -1: none, `load` (n, 3, W); `by_vt` (n, 3, 3): on the coordinates of the VT."""
+    `state` (n, 3, W) numbers, -1: none, `load` (n, 3, W). The VT's coordinates come first: `by_vt` (n, 3, 3)."""
 
     state: Ints
     load: Floats
-    by_vt: Floats
+
+    @property
+    def by_vt(self) -> Floats:
+        """Loads on the coordinates of the VT (n, 3, 3)."""
+        return self.load[:, :, :3]
 
 
 class Sightings(NamedTuple):
@@ -273,14 +277,16 @@ def tracked_measurements(
     views = Views(
         state=np.concatenate(
             [
+                np.broadcast_to((core.size + 3 * number[vt[begin], None] + np.arange(3))[:, None], by_vt.shape),
                 np.broadcast_to(np.arange(6), by_pose.shape),
                 np.broadcast_to(offset[:, None, None], (len(begin), 3, 1)),
                 np.where(persisting.state >= 0, errors + persisting.state, -1),
             ],
             axis=2,
         ),
-        load=np.concatenate([by_pose, np.tile([[1.0], [0.0], [0.0]], (len(begin), 1, 1)), persisting.load], axis=2),
-        by_vt=by_vt,
+        load=np.concatenate(
+            [by_vt, by_pose, np.tile([[1.0], [0.0], [0.0]], (len(begin), 1, 1)), persisting.load], axis=2
+        ),
     )
     at_view = view[of]
     white = _white_variance(recording, truth, real, predicted[at_view, 0], persisting.variance)
