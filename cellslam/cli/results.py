@@ -181,7 +181,9 @@ class Results:
         return prepare(self.scenario.world, int(trial.recording.provenance.get("seed", 0)), trial.number)
 
     def _title(self) -> str:
-        row = self.rows[0]
+        row = next((row for row in self.rows if row["snapshots"] is not None), None)
+        if row is None:
+            return f"{self.name}, seed {self.rows[0]['seed']}: no world could be made"
         many = f"medians of {self.trials} trials, " if self.trials > 1 else ""
         length = f", {row['distance_m']:.0f} m" if row["distance_m"] is not None else ""
         drive = f"{row['snapshots']} snapshots, {row['duration_s']:.1f} s{length}"
