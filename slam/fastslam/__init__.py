@@ -1,1 +1,1 @@
-"""FastSLAM: `fastslam`, and the filter as the paper prints it: `paper`."""
+"""FastSLAM: `fastslam`, and the filter as the paper prints it: `paper_fastslam`."""

@@ -68,7 +68,17 @@ from cellslam.slam.fastslam.fastslam_kernel import (
     use,
 )
 from cellslam.slam.fastslam.fastslam_options import NEVER, FastSlamOptions
-from cellslam.slam.fastslam.parts import BUILT_IN, NO_VT, Candidates, Parts, Transmitters, checked, part_named, returned
+from cellslam.slam.fastslam.parts import (
+    BUILT_IN,
+    NO_VT,
+    Candidates,
+    Parts,
+    Transmitters,
+    checked,
+    one_to_one,
+    part_named,
+    returned,
+)
 from cellslam.slam.fastslam.relocation import PLANE, components_of_pose, log_likelihood
 from cellslam.slam.joint.ekf_slam import JointFilter
 from cellslam.slam.joint.mixture import Mixture
@@ -132,6 +142,15 @@ class FastSlam(JointFilter):
         self._widths = np.array([o.place_component_m, o.place_component_m, math.radians(o.heading_component_deg)])
         self._start_is_wide = setup.map is not None and self._start is None and bool((wide > self._widths).any())
 
+    def remarks(self) -> list[str]:
+        """Return what the drive says against the filter's assumptions, and which parts of one's own it never asked."""
+        usual = Parts()
+        own = [slot for slot in BUILT_IN if getattr(self.parts, slot) != getattr(usual, slot)]
+        if self._start is None or not own:
+            return super().remarks()
+        text = f"{', '.join(own)}: never asked: particles are drawn once clock offsets are resolved, and none was"
+        return [*super().remarks(), text]
+
     def _alike(self, **changes: Any) -> Self:
         other = super()._alike(**changes)
         other.parts = self.parts
@@ -194,12 +213,12 @@ class FastSlam(JointFilter):
         slot = scores.slot[:n]
         candidates = Candidates(scores.log_ratio[:n], scores.distance2[:n], f.vts.slots[slot, HITS])
         found = np.atleast_2d(self.parts.association(candidates)) if n else np.full((1, m), NO_VT)
-        found = returned("association", found, (len(found), m), n)
+        found = one_to_one(returned("association", found, (len(found), m), "i", below=n))
         return [self._slots(candidates, slot, candidate_of) for candidate_of in found]
 
     def _slots(self, candidates: Candidates, slot: Ints, candidate_of: Ints) -> Ints:
         """Return the slot (m,) of each measurement's VT, FRESH where it begins one, TAKEN where it does not."""
-        begins = returned("birth", self.parts.birth(candidates, candidate_of), candidate_of.shape)
+        begins = returned("birth", self.parts.birth(candidates, candidate_of), candidate_of.shape, "b")
         without = np.where(begins, FRESH, TAKEN)
         return np.where(candidate_of >= 0, slot[candidate_of], without) if len(slot) else without
 
@@ -281,7 +300,7 @@ class FastSlam(JointFilter):
         count, n = len(f.particles.weight), int(f.size[0])
         if count == 1 or 1.0 / np.sum(f.particles.weight**2) >= self.options.effective_share * count:
             return
-        ancestors = returned("resampling", self.parts.resampling(f.particles.weight, count, self._rng), (count,), count)
+        ancestors = self._ancestors(f.particles.weight, count)
         f.particles.deviation[:n] = f.particles.deviation[:n, ancestors]
         f.particles.weight[:] = 1.0 / count
         _recentre(f, n)
@@ -296,7 +315,7 @@ class FastSlam(JointFilter):
             detections=hits.copy(), unseen_s=np.asarray(unseen * step_s, np.float64), lifetime_s=lifetime * step_s,
             confirmed=hits >= rules.lifetime.confirm,
         )  # fmt: skip
-        f.vts.anchor[:count, SHARE][returned("pruning", self.parts.pruning(vts), (count,))] = DROPPED
+        f.vts.anchor[:count, SHARE][returned("pruning", self.parts.pruning(vts), (count,), "b")] = DROPPED
         forever = np.iinfo(np.int64).max
         return rules._replace(lifetime=rules.lifetime._replace(age_once=forever, age_twice=forever))
 
@@ -327,7 +346,11 @@ class FastSlam(JointFilter):
         """Give each group its share of the particles, if the number of groups has changed."""
         count = 1 if self._drawn_blocks == 0 else max(self.options.particles // len(mixture), FEWEST)
         if mixture.arrays.particles.weight.shape[1] != count:
-            mixture.share_particles(count, lambda weight: self.parts.resampling(weight, count, self._rng))
+            mixture.share_particles(count, lambda weight: self._ancestors(weight, count))
+
+    def _ancestors(self, weight: Floats, count: int) -> Ints:
+        found = self.parts.resampling(weight, count, self._rng)
+        return returned("resampling", found, (count,), "i", least=0, below=len(weight))
 
     def _room_for(self, f: Filter, measured: Measured) -> Room:
         """Return memory to work in that is large enough for a group and a snapshot."""

@@ -4,7 +4,7 @@ A part is a plain function (or an object that can be called) over NumPy arrays. 
 it is the last one. Parts are called for each group of particles by itself.
 
     slot         when it is called              it is given                           it returns
-    association  a snapshot, for each site      Candidates                            candidates (H, m)
+    association  a snapshot, again at a step    Candidates                            candidates (H, m)
     birth        after that                     Candidates, candidate_of (m,)         who begins a VT (m,)
     proposal     a block of snapshots           mean (d, N), covariance (d, d), rng   draws (d, N), log ratio (N,)
     update       a block                        G (k, n), W (k, N)                    G, W: M += G^T W, P -= G^T G
@@ -12,6 +12,8 @@ it is the last one. Parts are called for each group of particles by itself.
     pruning      a block                        Transmitters                          who is dropped (V,)
     resampling   when weights are unequal       weights (N,), count, rng              ancestors (count,)
 
+A step is one of a clock, which is found by the associations and undone before they are made again. Resampling is also
+called when the number of groups changes: count, the new share of a group, then differs from N.
 The letters are those of `fastslam.py`.
 """
 
@@ -248,19 +250,38 @@ BUILT_IN: Mapping[str, Mapping[str, Callable[..., Any]]] = {
 }  # fmt: skip
 
 
-def returned(slot: str, value: Any, shape: tuple[int, ...], below: int | None = None) -> NDArray[Any]:
-    """Return what a part has returned, as an array of this shape; of whole numbers from -1 on, `below` a number.
+KINDS = {"f": "numbers", "i": "whole numbers", "b": "true or false"}  # of what parts return, by NumPy's letters
 
-    Raises InputError, which names the slot, for another shape or a number out of range.
+
+def returned(
+    slot: str, value: Any, shape: tuple[int, ...], kind: str = "f", least: int = NO_VT, below: int | None = None
+) -> NDArray[Any]:
+    """Return what a part has returned, as an array of this shape: of a kind in `KINDS`, and whole numbers from `least`
+    on, less than `below`.
+
+    Raises InputError, which names the slot, for anything else, NaN among it.
     """
     array = np.asarray(value)
+    if array.size and (array.dtype.kind not in {"f": "fiu", "i": "iu", "b": "b"}[kind]):
+        raise InputError(f"{slot}: the part returned {array.dtype} ({one_line(value)}), where {KINDS[kind]} are needed")
     if array.shape != shape:
         raise InputError(f"{slot}: the part returned an array of shape {array.shape}, where {shape} is needed")
-    if below is not None and array.size and (array.min() < NO_VT or array.max() >= below):
+    if kind == "f" and np.isnan(array).any():
+        raise InputError(f"{slot}: the part returned NaN, where numbers are needed")
+    if below is not None and array.size and (array.min() < least or array.max() >= below):
         raise InputError(
-            f"{slot}: the part returned the numbers {array.min()} to {array.max()}, where {NO_VT} to {below - 1} may be"
+            f"{slot}: the part returned the numbers {array.min()} to {array.max()}, where {least} to {below - 1} may be"
         )
     return array
+
+
+def one_to_one(candidate_of: Ints) -> Ints:
+    """Return associations (H, m). Raises InputError where one of them gives a candidate two measurements."""
+    for row in candidate_of:
+        given = np.sort(row[row >= 0])
+        if (repeated := given[1:][given[1:] == given[:-1]]).size:
+            raise InputError(f"association: the part gave candidate {repeated[0]} two measurements, where one may be")
+    return candidate_of
 
 
 def part_named(slot: str, name: str) -> Callable[..., Any]:
@@ -276,8 +297,8 @@ def part_named(slot: str, name: str) -> Callable[..., Any]:
     seek_here()
     try:
         found = vars(importlib.import_module(module))
-    except (ImportError, ValueError) as error:
-        raise InputError(f"{slot} '{name}' cannot be imported: {one_line(error)}") from error
+    except Exception as error:
+        raise InputError(f"{slot} '{name}' cannot be imported: {type(error).__name__}: {one_line(error)}") from error
     if attribute not in found:
         raise unknown_name(f"part in module {module}", attribute, [n for n, v in found.items() if callable(v)])
     return checked(slot, found[attribute])

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -11,6 +12,7 @@ import pytest
 from pydantic import ValidationError
 
 from cellslam.sim.errors import InputError
+from cellslam.sim.recording import Sites
 from cellslam.slam.fastslam import parts
 from cellslam.slam.fastslam.fastslam import FastSlam
 from cellslam.slam.fastslam.fastslam_options import FastSlamOptions
@@ -20,7 +22,7 @@ from tests.slam.fastslam.drives import WHITE, driven, street
 PAGE = Path(__file__).parents[3] / "docs" / "how-to" / "replace-parts-of-fastslam.md"
 OWN = {
     "association": "least_distance", "birth": "patient", "proposal": "quasi_random", "update": "half_gain",
-    "weight": "Annealed", "pruning": "two_minutes", "resampling": "better_half",
+    "weight": "StudentT", "pruning": "two_minutes", "resampling": "better_half",
 }  # fmt: skip
 
 
@@ -135,3 +137,29 @@ def test_wrong_parts_are_told_what_there_is() -> None:
         InputError, match=r"association: the part returned the numbers 7 to 7, where -1 to 0|1|2|3 may be"
     ):
         driven(FastSlam(FastSlamOptions(**WHITE), association=lambda given: [[7] * 4]), street(5, seed=1))
+
+
+@pytest.mark.parametrize(
+    ("slot", "part", "words"),
+    [
+        ("association", lambda given: np.zeros(given.distance2.shape[1], int), "candidate 0 two measurements"),
+        ("association", lambda given: None, "true or false|whole numbers are needed"),
+        ("birth", lambda given, candidate_of: candidate_of, "true or false are needed"),
+        ("proposal", lambda mean, covariance, rng: (mean * np.nan, np.zeros(mean.shape[1])), "returned NaN"),
+        ("weight", lambda W: W, "an array of shape"),
+        ("pruning", lambda vts: vts.detections, "true or false are needed"),
+        ("resampling", lambda weights, count, rng: np.full(count, -1), "numbers -1 to -1, where 0 to 19 may be"),
+        ("resampling", lambda weights, count, rng: np.linspace(0.0, 1.0, count), "whole numbers are needed"),
+    ],
+)
+def test_a_part_that_returns_something_else_is_told_what_is_needed(slot: str, part: Any, words: str) -> None:
+    estimator = FastSlam(FastSlamOptions(particles=20, effective_share=1.0, **WHITE), **{slot: part})
+    with pytest.raises(InputError, match=f"{slot}: .*({words})"):
+        driven(estimator, street(60, seed=1))
+
+
+def test_parts_that_were_never_asked_are_remarked() -> None:
+    estimator = FastSlam(FastSlamOptions(**WHITE), resampling=parts.SCHEMES["residual"])
+    setup, steps = street(3, seed=1)
+    driven(estimator, (replace(setup, sites=Sites(("A",), np.zeros(1), np.full(1, 50.0))), steps))
+    assert any("resampling: never asked" in line for line in estimator.remarks())
