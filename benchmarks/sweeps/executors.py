@@ -121,7 +121,7 @@ class Pool:
     def _replace_the_lost(self) -> None:
         for worker in [w for w in self._workers if w.reason]:
             self._workers.remove(worker)
-            self._failed_starts = 0 if worker.started else self._failed_starts + 1
+            self._failed_starts = 0 if worker.began else self._failed_starts + 1
             if self._failed_starts > self.jobs + 1:
                 last = worker.printed().strip().rpartition("\n")[2] or worker.reason
                 raise InputError(f"worker processes do not start: {last}; --executor serial works without them")
@@ -154,7 +154,8 @@ def main() -> None:
 class _Worker(ChildProcess):
     """The pool's end of one worker process.
 
-    `task`: what is left of the task that it has; `at`: what of it has begun last; `reason`: why the process is lost.
+    `task`: what is left of the task that it has; `at`: what of it has begun last; `began`: whether it ever began one:
+    a worker that dies before has not really started; `reason`: why the process is lost.
     """
 
     def __init__(self, limits: Limits) -> None:
@@ -163,7 +164,7 @@ class _Worker(ChildProcess):
         self.send(limits)
         self.task: Task | None = None
         self.at: Began | None = None
-        self.started, self.reason, self._printed = False, "", ""
+        self.started, self.began, self.reason, self._printed = False, False, "", ""
         self._deadline = time.monotonic() + START_LIMIT_S
 
     @property
@@ -210,7 +211,7 @@ class _Worker(ChildProcess):
         if isinstance(message, Ready):
             self.started, self.task, self.at = True, None, None
         elif isinstance(message, Began):
-            self.at = message
+            self.at, self.began = message, True
             if message.key is not None:
                 # A process apart has the limit of time itself, once it has started.
                 self._deadline = time.monotonic() + self.limits.seconds + (START_LIMIT_S if message.apart else 0.0)

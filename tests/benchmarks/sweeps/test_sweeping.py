@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import signal
 import sqlite3
 import sys
@@ -15,6 +16,7 @@ from cellslam.benchmarks.sweeps import executors, sweeping, tasks
 from cellslam.benchmarks.sweeps.executors import Pool
 from cellslam.benchmarks.sweeps.rows import results
 from cellslam.benchmarks.sweeps.store import DATABASE, TRAJECTORIES, writing
+from cellslam.benchmarks.sweeps.tasks import Task
 from cellslam.benchmarks.trials.child_process import Limits
 from cellslam.cli.main import main
 from cellslam.sim.errors import InputError
@@ -141,6 +143,20 @@ def test_workers_that_do_not_start_are_one_line(place: Path, monkeypatch: pytest
     monkeypatch.setattr(sys, "executable", "/bin/false")
     with Pool(2, Limits(60, 2**31)) as pool, pytest.raises(InputError, match="worker processes do not start"):
         list(pool.run(plan_of({}, trials=2).tasks))
+
+
+class Deadly(Task):
+    """A task that ends the process that reads it."""
+
+    def __reduce__(self) -> Any:
+        return os._exit, (1,)
+
+
+@pytest.mark.slow
+def test_workers_that_die_before_they_begin_are_not_replaced_for_ever(place: Path) -> None:
+    deadly = [Deadly(**vars(task)) for task in plan_of({}, trials=2).tasks]
+    with Pool(2, Limits(60, 2**31)) as pool, pytest.raises(InputError, match="worker processes do not start"):
+        list(pool.run(deadly))
 
 
 @pytest.mark.slow
