@@ -139,8 +139,8 @@ def validate(model: type[Model], data: Mapping[str, Any], prefix: str = "", sugg
     except ValidationError as error:
         details = error.errors(include_url=False)
         # An unknown key first, as a misspelled key may show as a missing one too.
-        told = next((d for d in details if d["type"] == "extra_forbidden"), details[0])
-        raise InputError(_line(told, model, data, prefix, suggest)) from error
+        first = next((d for d in details if d["type"] == "extra_forbidden"), details[0])
+        raise InputError(_line(first, model, data, prefix, suggest)) from error
 
 
 def _line(detail: ErrorDetails, model: type[BaseModel], data: Mapping[str, Any], prefix: str, suggest: Suggest) -> str:

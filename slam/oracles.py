@@ -22,8 +22,8 @@ from cellslam.slam.measurements.fusion import FusedMeasurements
 LONG_AGO = -100_000  # snapshot in which the map was last seen, at the start
 
 
-class ToldAssociations(JointFilter):
-    """A joint filter that is told which VT each measurement came from, and what is clutter."""
+class GivenAssociations(JointFilter):
+    """A joint filter that is given which VT each measurement came from, and what is clutter."""
 
     requires_truth: ClassVar[bool] = True
     mode: ClassVar[int] = KNOWN_ASSOCIATION
@@ -37,14 +37,14 @@ class ToldAssociations(JointFilter):
         return np.array(self._vt_of[measurements.row], np.int64)
 
 
-class KnownAssociation(ToldAssociations, EkfSlam):
-    """EKF-SLAM that is told the associations."""
+class KnownAssociation(GivenAssociations, EkfSlam):
+    """EKF-SLAM that is given the true associations."""
 
     name: ClassVar[str] = "oracle-association"
 
 
-class FastSlamKnownAssociation(ToldAssociations, FastSlam):
-    """FastSLAM that is told the associations."""
+class FastSlamKnownAssociation(GivenAssociations, FastSlam):
+    """FastSLAM that is given the true associations."""
 
     name: ClassVar[str] = "oracle-fastslam"
 

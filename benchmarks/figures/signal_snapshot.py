@@ -48,7 +48,7 @@ def draw_snapshot(world: World, number: int, link: int | None, out: Path) -> lis
         spectrum = Spectrum(
             signals.receiver.fitted.of(signals.samples(one, received, slots)), signals.receiver.moving(velocity)
         )
-        spectrum.look()
+        spectrum.evaluate()
         site = int(signals.links.site[one])
         true = truth[int(columns.rows[site]) : int(columns.rows[site + 1])]
         found = table[table[:, k.LINK] == one]

@@ -1,6 +1,7 @@
 """Metrics: what is scored of one trial, from a recording with truth, an estimator's result and the bound.
 
-A metric is a line of `METRICS`. Rows, stores, tables, figures, reports and the reference page follow from the line.
+A metric is a line of `METRICS`. Rows, stores, the reference page and `table --metric` follow from the line, figures and
+curves of reports where it has an axis. What tables show without being asked stands with these tables.
 Position errors are horizontal, absolute and not aligned. Source: paper, section V.
 """
 

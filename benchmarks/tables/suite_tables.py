@@ -140,11 +140,11 @@ def _judged(one: Verdict | None, power: Verdict | None) -> list[str]:
     if one is None:
         return []
     equal = "" if np.isnan(one.friedman_p) else f"; all equally good: p = {one.friedman_p:.2g} (Friedman)"
-    said = f"Told apart: {told_apart(one)}. Critical difference of mean ranks: {one.critical_difference:.2f}{equal}."
+    summary = f"Told apart: {told_apart(one)}. Critical difference of mean ranks: {one.critical_difference:.2f}{equal}."
     if power is not None:
-        said += f" Power: of the built-in map builders, tested by themselves, {told_apart(power)}."
+        summary += f" Power: of the built-in map builders, tested by themselves, {told_apart(power)}."
     note = "Median difference of the RMSE on the same drives in m, row minus column; bold: told apart.\n"
-    return [f"\n{_filled(said)}", note, verdict_table(one)]
+    return [f"\n{_filled(summary)}", note, verdict_table(one)]
 
 
 def _yours(one: Suite) -> str:

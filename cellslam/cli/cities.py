@@ -25,7 +25,7 @@ def add_mesh(parser: ArgumentParser, metavar: str) -> None:
     parser.add_argument("--material", metavar="NAME", help="ITU-R P.2040 material of surfaces that name none")
     parser.add_argument("--up", choices=("auto", "z", "y"), help="the file's upward axis (default: by its format)")
     plane, angle = MESH_OPTIONS[2:]
-    plane_help = "join triangles whose corners are at most so far from a facet's plane (default: 0.002)"
+    plane_help = "join triangles whose corners lie within this distance of a facet's plane, in m (default: 0.002)"
     parser.add_argument("--plane-tolerance", metavar="M", type=float, dest=plane, help=plane_help)
     angle_help = "and which are turned from it by at most this angle (default: 1)"
     parser.add_argument("--angle-tolerance", metavar="DEG", type=float, dest=angle, help=angle_help)

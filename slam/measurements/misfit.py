@@ -22,7 +22,7 @@ from cellslam.slam.measurements.measurement_options import MeasurementOptions
 from cellslam.slam.measurements.readings import Readings
 
 WEIGHT = 15.0  # directions that the expectation counts for at the start
-MOST = 9.0  # a squared error over its variance counts at most so much
+MOST = 9.0  # the most that a squared error over its variance counts
 LEAST_FLAT = 0.2  # a VT higher, flat part over range, says nothing
 TINY = 1e-9  # m
 

@@ -1,4 +1,4 @@
-"""A car's calibration on the command line: kept by one drive, drawn, exported, begun with by the next."""
+"""A car's calibration on the command line: kept by one drive, drawn, exported, used by the next."""
 
 from __future__ import annotations
 
@@ -39,9 +39,9 @@ def test_one_drive_leaves_what_the_next_begins_with(drive: Path, cellslam: Run) 
     np.testing.assert_allclose(rows["elevation_error_std_deg"], np.degrees(std[:, 2]), rtol=1e-4)
     assert rows["azimuth_error_truth_deg"].abs().max() > 0.1
     both = ("replay", drive, *EKF, "--estimator", "dead-reckoning", "--json", "--no-figures", "--quiet", "--out", "b")
-    plain, begun = cellslam(*both).rows, cellslam(*both, "--calibration", "car.h5").rows
-    assert begun[0]["position_rmse_m"] != plain[0]["position_rmse_m"]
-    assert begun[1]["position_rmse_m"] == plain[1]["position_rmse_m"]
+    plain, informed = cellslam(*both).rows, cellslam(*both, "--calibration", "car.h5").rows
+    assert informed[0]["position_rmse_m"] != plain[0]["position_rmse_m"]
+    assert informed[1]["position_rmse_m"] == plain[1]["position_rmse_m"]
 
 
 def test_requests_that_cannot_be_met_say_why(drive: Path, cellslam: Run) -> None:

@@ -1,4 +1,4 @@
-"""Maps on the command line: kept by one drive, begun with by the next, and by drives of a sequence."""
+"""Maps on the command line: kept by one drive, used by the next, and by drives of a sequence."""
 
 from __future__ import annotations
 
@@ -35,13 +35,13 @@ def test_run_and_replay_begin_with_what_a_drive_left(first: Path, cellslam: Run)
     known = VtMap.load(first)
     assert len(known) > 3 and known.provenance["recording"]["seed"] == 72
     both = ("run", "tiny", *KNOWN_CLOCKS, *EKF, "--estimator", "dead-reckoning", "--seed", "73", "--json")
-    plain, begun = cellslam(*both).rows, cellslam(*both, "--map", first).rows
-    assert begun[0]["position_rmse_m"] != plain[0]["position_rmse_m"]
-    assert begun[0]["bound_position_rmse_m"] is None  # that of a drive without a map does not hold
-    assert begun[1]["position_rmse_m"] == plain[1]["position_rmse_m"]
+    plain, informed = cellslam(*both).rows, cellslam(*both, "--map", first).rows
+    assert informed[0]["position_rmse_m"] != plain[0]["position_rmse_m"]
+    assert informed[0]["bound_position_rmse_m"] is None  # that of a drive without a map does not hold
+    assert informed[1]["position_rmse_m"] == plain[1]["position_rmse_m"]
     assert cellslam("record", "tiny", *KNOWN_CLOCKS, "--seed", "73", "--out", "drive.h5").status == 0
     replayed = cellslam("replay", "drive.h5", *EKF, "--map", first, "--save-map", "second.h5", "--json").rows
-    assert replayed[0]["position_rmse_m"] == begun[0]["position_rmse_m"]
+    assert replayed[0]["position_rmse_m"] == informed[0]["position_rmse_m"]
     assert VtMap.load("second.h5").hits.max() > known.hits.max()
 
 

@@ -159,9 +159,9 @@ def test_what_was_learnt_is_given_to_every_map_builder() -> None:
     learnt = Learnt(options, OdometryModel(*np.zeros((4, 6))), {}, True)
     names = [entry.name for entry in registry.BUILT_IN]
     given = resolve(tomllib.loads(toml(Path("a.h5"), learnt))["estimator"], names, ())
-    told = {r.name: r.options for r in given if isinstance(r.options, MeasurementOptions)}
-    assert {"ekf-slam", "fastslam", "bp-slam", "phd-slam"} <= set(told)
-    for own in told.values():
+    options = {r.name: r.options for r in given if isinstance(r.options, MeasurementOptions)}
+    assert {"ekf-slam", "fastslam", "bp-slam", "phd-slam"} <= set(options)
+    for own in options.values():
         assert {key: getattr(own, key) for key in options} == options
 
 

@@ -46,9 +46,9 @@ def columns(recording: Recording) -> list[np.ndarray]:
 
 
 def test_provenance_makes_the_recording_again(recording: Recording) -> None:
-    told = json.loads(json.dumps(recording.provenance))
-    assert told["versions"]["cellslam"]
-    again = simulate(WorldConfig.model_validate(told["world"]), told["seed"], told["trial"])
+    provenance = json.loads(json.dumps(recording.provenance))
+    assert provenance["versions"]["cellslam"]
+    again = simulate(WorldConfig.model_validate(provenance["world"]), provenance["seed"], provenance["trial"])
     for one, other in zip(columns(recording), columns(again), strict=True):
         np.testing.assert_array_equal(one, other)
 

@@ -42,7 +42,7 @@ SHOWN_EVERY_M = 4.0
 SITES = ("A", "B")
 _NUMBERS = re.compile(r"\[((?:\s*-?[\d.]+,)+)\s*\]")  # TOML's writer gives each a line
 TEXT = """\
-# A drive through {name}, begun by `cellslam init`. `cellslam run` drives it;
+# A drive through {name}, written by `cellslam init`. `cellslam run` drives it;
 # `cellslam show` lists every other key, with its unit, range and meaning.
 
 # The buildings. A file is looked for from the folder in which cellslam is run.

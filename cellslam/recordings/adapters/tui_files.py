@@ -53,8 +53,8 @@ class Container:
         unit, scaler = attributes.get("BaseUnit", ""), attributes.get("UnitScaler")
         unit = (unit.decode() if isinstance(unit, bytes) else str(unit)).strip()
         if not unit or unit not in SI or scaler is None:
-            said = f"its unit is '{unit}'" if unit and scaler is not None else "it states no unit and scale"
-            raise InputError(f"{self.path}: {place}: {said}; say it in the sheet, as in units.{name} = 'deg'")
+            problem = f"its unit is '{unit}'" if unit and scaler is not None else "it states no unit and scale"
+            raise InputError(f"{self.path}: {place}: {problem}; write it into the sheet, as in units.{name} = 'deg'")
         return SI[unit] * float(np.ravel(scaler)[0])
 
     def values(self, place: str) -> Floats:

@@ -37,8 +37,8 @@ from cellslam.slam.measurements.measurement_options import MeasurementOptions
 
 PASSES, WHOLE = 8, 2  # passes at most; so many take whole steps, the others half of them
 FITS = 2.0  # mean square of the slopes, in their deviations, from which on sizes are as good as right
-NOTABLE = 1.25  # factor by which a size must have changed to be said
-LEAST_SURE = 0.5  # relative deviation of a size beyond which nothing is said of it
+NOTABLE = 1.25  # factor by which a size must have changed to be reported
+LEAST_SURE = 0.5  # relative deviation of a size beyond which the size is not reported
 # A pass joins the mixtures of the start after so long at the latest, s: sizes show also where an offset is wrong yet,
 # and where all are assumed far too large none is ever resolved.
 START_LIMIT_S = 150.0

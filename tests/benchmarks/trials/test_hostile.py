@@ -38,7 +38,7 @@ PROCESSES = (
 )
 
 
-WORDS = {**{name: said for name, (_, said) in hostile.ODD.items()}, **hostile.ELSEWHERE}
+WORDS = {**{name: words for name, (_, words) in hostile.ODD.items()}, **hostile.ELSEWHERE}
 ANSWERS = [name for name in WORDS if name not in (*COMMANDS, *PROCESSES)]
 
 

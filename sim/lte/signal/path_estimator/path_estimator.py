@@ -151,7 +151,7 @@ class _Link:
                 break
             self.fit_jointly(np.concatenate([self.fit.geometry, found[:added]]))
             if len(self.fit.geometry) > most:
-                # The joint fit has changed the residual: what was tried in vain is worth another look.
+                # The joint fit has changed the residual: what was tried in vain is tried again.
                 trials, most = _untried(), len(self.fit.geometry)
             else:  # What the joint fit drops must not come back for ever.
                 trials = Trials(trials.cells, trials.tried, trials.failures + 1)

@@ -52,7 +52,7 @@ class Spectrum:
         search_kernel.write_noise(self.outputs, taken, self.power)
         self.noise = float(np.median(self.power.noise))
 
-    def look(self) -> None:
+    def evaluate(self) -> None:
         """Write all energies beside the paths that are taken out."""
         search_kernel.write_all_energies(*self.parts)
 

@@ -142,7 +142,7 @@ def test_search_kernels_are_their_numpy_twins() -> None:
     rng = np.random.default_rng(4)
     motion = RECEIVER.moving(np.array([1.0, 0.0, 0.0])).weighed(rng.uniform(0.5, 1.5, 128))
     spectrum = Spectrum(noise(rng), motion)
-    spectrum.look()
+    spectrum.evaluate()
     steering = (
         ARRAY.steer(*RECEIVER.directions).value
         * doppler_phasors(TIMES, [1.0, 0.0, 0.0], *RECEIVER.directions, CARRIER_HZ)[:, :, None]
@@ -166,7 +166,7 @@ def test_taking_a_path_out_of_the_spectrum_is_transforming_the_residual() -> Non
     spectrum.leave(geometry, evaluate(y, geometry, AT_REST.model))
     residual = Spectrum(y - spectrum.explained, AT_REST)
     for one in (spectrum, residual):
-        one.look()
+        one.evaluate()
     np.testing.assert_allclose(spectrum.power.energy, residual.power.energy, rtol=1e-2, atol=1e-2)
     np.testing.assert_allclose(spectrum.power.noise, residual.power.noise, rtol=1e-2)
 
