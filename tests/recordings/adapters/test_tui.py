@@ -201,7 +201,7 @@ def unit(place: str, name: str) -> Callable[[Path], None]:
     ("sheet", "change", "text"),
     [
         (SHEET + PATHS, without("Results/AzimuthRx"), "has no data set 'Results/AzimuthRx'"),
-        (SHEET + PATHS, unit("PoseData/RotZ", ""), "states no unit and scale; write it into the sheet, as in units.RotZ"),
+        (SHEET + PATHS, unit("PoseData/RotZ", ""), "states no unit and scale; write it into the sheet"),
         (SHEET + PATHS, unit("PoseData/RotZ", "gon"), "its unit is 'gon'"),
         (SHEET, None, "give one of [paths] and [responses]"),
         (SHEET.replace("clock_offset_std_m = 100\n", "") + PATHS, None, "clock_offset_std_m"),
