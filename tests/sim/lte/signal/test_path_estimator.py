@@ -1,4 +1,4 @@
-"""The path estimator: kernels against NumPy, errors at the bound, detection, ghosts, collisions, motion, faults."""
+"""The path estimator: its normal equations, errors at the bound, detection, ghosts, collisions, motion, faults."""
 
 from __future__ import annotations
 
@@ -7,7 +7,6 @@ from collections.abc import Iterator
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from scipy.ndimage import median_filter
 from threadpoolctl import threadpool_limits
 
 from cellslam.sim.compiling import njit
@@ -17,13 +16,13 @@ from cellslam.sim.lte.array import CircularArray, PathSet, doppler_phasors, misc
 from cellslam.sim.lte.downlink import LteWaveform
 from cellslam.sim.lte.error_bounds import fisher_information, joint_std
 from cellslam.sim.lte.signal.channel import frequency_response
-from cellslam.sim.lte.signal.path_estimator import fit_kernel, search_kernel
+from cellslam.sim.lte.signal.path_estimator import fit_kernel
 from cellslam.sim.lte.signal.path_estimator.cancellation import cancel
 from cellslam.sim.lte.signal.path_estimator.path_estimator import Estimates, estimate_paths
 from cellslam.sim.lte.signal.path_estimator.spectrum import Spectrum
 from cellslam.sim.lte.signal.receiver import Receiver, receiver_of
-from cellslam.sim.lte.steering_kernel import write_phasors
 from cellslam.sim.nr.nr_waveform import NrWaveform
+from cellslam.sim.waveform import Waveform
 
 evaluate = njit(fit_kernel.evaluate)
 ARRAY, TONES = CircularArray(), LteWaveform(100).tones_hz
@@ -50,8 +49,8 @@ def draw(rng: np.random.Generator, rho_db: NDArray[np.float64], reach_m: float =
     return PathSet(distance, azimuth, elevation, weights * level[:, None])
 
 
-def noise(rng: np.random.Generator) -> Complex:
-    return (rng.normal(size=(128, 200)) + 1j * rng.normal(size=(128, 200))) / np.sqrt(2.0)
+def noise(rng: np.random.Generator, tones: int = 200) -> Complex:
+    return (rng.normal(size=(128, tones)) + 1j * rng.normal(size=(128, tones))) / np.sqrt(2.0)
 
 
 def channel(paths: PathSet, velocity: NDArray[np.float64] = STILL, array: CircularArray = ARRAY) -> Complex:
@@ -85,76 +84,31 @@ def test_compiled_steering_is_the_array_with_doppler(velocity: NDArray[np.float6
     np.testing.assert_allclose(compiled.by_azimuth, by_azimuth / (2.0 * step), atol=1e-4)
 
 
-def test_phasors_are_cosine_and_sine() -> None:
-    angle = np.append(np.random.default_rng(3).uniform(-1e5, 1e5, 10000), [0.0, 0.25 * np.pi, -0.5 * np.pi, np.pi])
-    cosine, sine = np.empty_like(angle), np.empty_like(angle)
-    write_phasors(angle, cosine, sine)
-    np.testing.assert_allclose(cosine + 1j * sine, np.exp(1j * angle), atol=1e-15)
-
-
-def test_normal_equations_are_those_of_the_full_jacobian() -> None:
+@pytest.mark.parametrize("count", [1, 3])
+def test_normal_equations_are_those_of_the_full_jacobian(count: int) -> None:
     rng = np.random.default_rng(1)
-    paths = draw(rng, np.array([0.0, -5.0, -3.0]), 40.0)
+    paths = draw(rng, np.array([0.0, -5.0, -3.0])[:count], 40.0)
     y = channel(paths) + noise(rng)
     geometry = np.stack([paths.distance_m + 1.0, paths.azimuth_rad + 0.05, paths.elevation_rad - 0.03], 1)
     got = evaluate(y, geometry, AT_REST.model)
     steering = ARRAY.steer(geometry[:, 1], geometry[:, 2])
     delay = np.exp(-1j * np.outer(geometry[:, 0], RECEIVER.rate))
-    basis = np.einsum("npq,nf->pfnq", steering.value, delay).reshape(128 * 200, 6)
+    basis = np.einsum("npq,nf->pfnq", steering.value, delay).reshape(128 * 200, 2 * count)
     weights = np.linalg.lstsq(basis, y.ravel(), rcond=None)[0]
     np.testing.assert_allclose(got.weights.ravel(), weights, rtol=1e-6)
     residual = y.ravel() - basis @ weights
     np.testing.assert_allclose(got.explained, np.sum(np.abs(y) ** 2) - np.sum(np.abs(residual) ** 2), rtol=1e-6)
-    joined = PathSet(geometry[:, 0], geometry[:, 1], geometry[:, 2], weights.reshape(3, 2))
+    joined = PathSet(geometry[:, 0], geometry[:, 1], geometry[:, 2], weights.reshape(count, 2))
     # The full information over seven parameters a path (tested against differences elsewhere), weights eliminated.
-    full = fisher_information(ARRAY, TONES - TONES.mean(), joined, 2.0).reshape(3, 7, 3, 7)
-    kept, gone = full[:, :3, :, :3].reshape(9, 9), full[:, 3:, :, 3:].reshape(12, 12)
-    cross = full[:, :3, :, 3:].reshape(9, 12)
+    full = fisher_information(ARRAY, TONES - TONES.mean(), joined, 2.0).reshape(count, 7, count, 7)
+    kept, gone = (full[:, part, :, part].reshape(2 * [size * count]) for part, size in ((np.s_[:3], 3), (np.s_[3:], 4)))
+    cross = full[:, :3, :, 3:].reshape(3 * count, 4 * count)
     np.testing.assert_allclose(got.information, kept - cross @ np.linalg.solve(gone, cross.T), rtol=1e-5, atol=1e-2)
-    for p in range(3):
-        others = np.delete(np.arange(6), [2 * p, 2 * p + 1])
+    for p in range(count):
+        others = np.delete(np.arange(2 * count), [2 * p, 2 * p + 1])
         fit = basis[:, others] @ np.linalg.lstsq(basis[:, others], y.ravel(), rcond=None)[0]
         lost = np.sum(np.abs(y.ravel() - fit) ** 2) - np.sum(np.abs(residual) ** 2)
         np.testing.assert_allclose(got.wald[p], lost, rtol=1e-5)
-
-
-@pytest.mark.parametrize("rho_db", [[0.0, -8.0, -3.0], [-5.0]])
-def test_the_climb_ends_where_the_gradient_is_zero(rho_db: list[float]) -> None:
-    rng = np.random.default_rng(2)
-    paths, motion = draw(rng, np.array(rho_db), 60.0), RECEIVER.moving(np.array([1.5, 0.4, 0.0]))
-    y = channel(paths, motion.velocity_mps) + noise(rng)
-    start = np.stack([paths.distance_m + 2.0, paths.azimuth_rad + 0.08, paths.elevation_rad - 0.05], 1)
-    _, normal = fit_kernel.climb(y, start, 1e-9, 0.0, 1.0, motion.model)
-    assert normal.explained > evaluate(y, start, motion.model).explained
-    assert normal.gradient @ np.linalg.solve(normal.information, normal.gradient) < 1e-8
-
-
-def test_one_path_has_the_normal_equations_of_many() -> None:
-    rng = np.random.default_rng(3)
-    paths = draw(rng, np.array([-5.0]))
-    y, geometry = channel(paths) + noise(rng), np.stack([paths.distance_m, paths.azimuth_rad, paths.elevation_rad], 1)
-    many = njit(fit_kernel._normal_equations)(y, geometry + 0.01, *AT_REST.steer(*geometry.T[1:] + 0.01), RECEIVER.rate)
-    for one, other in zip(evaluate(y, geometry + 0.01, AT_REST.model), many, strict=True):
-        np.testing.assert_allclose(one, other, rtol=1e-9, atol=1e-9 * np.abs(other).max())
-
-
-def test_search_kernels_are_their_numpy_twins() -> None:
-    rng = np.random.default_rng(4)
-    motion = RECEIVER.moving(np.array([1.0, 0.0, 0.0])).weighed(rng.uniform(0.5, 1.5, 128))
-    spectrum = Spectrum(noise(rng), motion)
-    spectrum.look()
-    steering = (
-        ARRAY.steer(*RECEIVER.directions).value
-        * doppler_phasors(TIMES, [1.0, 0.0, 0.0], *RECEIVER.directions, CARRIER_HZ)[:, :, None]
-    )
-    both, _ = np.linalg.qr(steering * motion.factor[:, None])  # two polarisations, each seen by all ports
-    y = spectrum.outputs.on_ports.view(np.complex64)
-    energy = np.sum(np.abs(np.einsum("kpq,pd->kqd", both.conj(), y)) ** 2, axis=1)
-    np.testing.assert_allclose(spectrum.power.energy, energy, rtol=1e-4, atol=1e-4)
-    np.testing.assert_array_equal(spectrum.power.peak, spectrum.power.energy.max(axis=0))
-    out = np.empty(spectrum.power.port_energy.shape)
-    search_kernel.running_median(spectrum.power.port_energy, 31, out)
-    np.testing.assert_allclose(out, median_filter(spectrum.power.port_energy, 31, mode="nearest"))
 
 
 def test_taking_a_path_out_of_the_spectrum_is_transforming_the_residual() -> None:
@@ -171,12 +125,17 @@ def test_taking_a_path_out_of_the_spectrum_is_transforming_the_residual() -> Non
     np.testing.assert_allclose(spectrum.power.noise, residual.power.noise, rtol=1e-2)
 
 
-def test_a_strong_path_is_not_split() -> None:
+@pytest.mark.parametrize(("calibration", "ghosts"), [((0.0, 0.0), 0), ((5.0, 0.5), 5)])
+def test_a_strong_path_is_not_split(calibration: tuple[float, float], ghosts: int) -> None:
+    """Within 12 m of 20 strong paths; of an array with errors of 5 degrees and 0.5 dB, at any distance."""
     rng = np.random.default_rng(12)
-    for _ in range(25):
-        paths = draw(rng, np.array([20.0]), 1500.0)
-        found = estimate_paths(channel(paths) + noise(rng), AT_REST)
-        assert (np.abs(found.geometry[:, 0] - paths.distance_m[0]) < 12.0).sum() == 1
+    beside = 0
+    for _ in range(20):
+        paths, array = draw(rng, np.array([20.0]), 1500.0), miscalibrated(ARRAY, *calibration, rng)
+        found = estimate_paths(channel(paths, array=array) + noise(rng), AT_REST)
+        near = np.abs(found.geometry[:, 0] - paths.distance_m[0]) < 12.0
+        beside += (len(found) if ghosts else near.sum()) - 1
+    assert beside <= ghosts
 
 
 @pytest.mark.parametrize(("component", "step"), [(0, 4.0), (1, np.radians(6.0)), (2, np.radians(6.0))])
@@ -198,17 +157,26 @@ def test_two_close_paths_are_resolved_and_claim_no_more_than_they_know(component
     assert np.mean(np.array(normalised) < 11.345) >= 0.9  # the 99 % band of three degrees of freedom
 
 
-@pytest.mark.parametrize(("rho_db", "runs"), [(-28.0, 60), (10.0, 30)])
-def test_single_path_is_at_the_bound_and_knows_its_error(rho_db: float, runs: int) -> None:
-    rng = np.random.default_rng(5)
+@pytest.mark.parametrize(
+    ("waveform", "rho_db", "runs"),
+    [
+        (LteWaveform(100), -28.0, 60), (LteWaveform(100), 10.0, 30), (LteWaveform(6), 0.0, 10),
+        (LteWaveform(7), 0.0, 10), (NrWaveform(40, 1, 4, 4), 0.0, 10), (NrWaveform(40, 1, 4, 12), 0.0, 10),
+    ],
+)  # fmt: skip
+def test_single_path_is_at_the_bound_and_knows_its_error(waveform: Waveform, rho_db: float, runs: int) -> None:
+    rng, tones = np.random.default_rng(5), waveform.tones_hz
+    carrier_hz = 3.5e9 if isinstance(waveform, NrWaveform) else CARRIER_HZ
+    receiver = receiver_of(waveform, carrier_hz)
     to_bound, to_claim, found = [], [], 0
     for _ in range(runs):
         paths = draw(rng, np.array([rho_db]), 1500.0)
-        result = estimate_paths(channel(paths) + noise(rng), AT_REST)
+        signal = frequency_response(receiver.array, tones, TIMES, STILL, paths, carrier_hz)
+        result = estimate_paths(signal + noise(rng, len(tones)), receiver.moving(STILL))
         error, row = errors(paths, result)
         if np.isfinite(error).all():
             found += 1
-            to_bound.append(error[0] / joint_std(ARRAY, TONES, paths, 1.0)[0])
+            to_bound.append(error[0] / joint_std(receiver.array, tones - tones.mean(), paths, 1.0)[0])
             to_claim.append(error[0] / np.sqrt(np.diag(result.covariance[row[0]])))
             assert abs(result.snr_db[row[0]] - rho_db) < 4.0
     assert found >= runs - 1
@@ -278,17 +246,6 @@ def test_a_colliding_cell_ten_thousand_times_as_strong() -> None:
     assert false <= 3
 
 
-def test_calibration_error_makes_few_ghosts() -> None:
-    rng = np.random.default_rng(8)
-    ghosts = 0
-    for _ in range(20):
-        paths = draw(rng, np.array([20.0]))
-        ghosts += (
-            len(estimate_paths(channel(paths, array=miscalibrated(ARRAY, 5.0, 0.5, rng)) + noise(rng), AT_REST)) - 1
-        )
-    assert ghosts <= 5
-
-
 @pytest.mark.parametrize("fault", ["dead", "nan", "saturated"])
 def test_a_faulty_port_does_not_break_the_estimate(fault: str) -> None:
     rng = np.random.default_rng(9)
@@ -300,52 +257,16 @@ def test_a_faulty_port_does_not_break_the_estimate(fault: str) -> None:
     assert (np.abs(error) < 6.0 * joint_std(ARRAY, TONES, paths, 1.0)).all()
 
 
-@pytest.mark.parametrize("value", [0.0, np.nan, np.inf])
-def test_a_snapshot_without_samples_is_refused(value: float) -> None:
-    with pytest.raises(InputError, match="no array port delivered"):
-        estimate_paths(np.full((128, 200), value, complex), AT_REST)
-
-
-@pytest.mark.parametrize("shape", [(127, 200), (128, 100), (128,)])
-def test_samples_of_another_shape_are_refused(shape: tuple[int, ...]) -> None:
-    with pytest.raises(InputError, match=r"\(128, 200\) \(array ports, tones\) are expected"):
-        estimate_paths(np.ones(shape, complex), AT_REST)
+@pytest.mark.parametrize(
+    ("samples", "message"),
+    [(np.full((128, 200), value, complex), "no array port delivered") for value in (0.0, np.nan, np.inf)]
+    + [(np.ones(shape, complex), r"\(128, 200\) \(array ports, tones\) are exp") for shape in ((128, 100), (128,))],
+)
+def test_snapshots_without_samples_or_of_another_shape_are_refused(samples: Complex, message: str) -> None:
+    with pytest.raises(InputError, match=message):
+        estimate_paths(samples, AT_REST)
 
 
 def test_noise_alone_holds_hardly_any_path() -> None:
     rng = np.random.default_rng(10)
     assert sum(len(estimate_paths(noise(rng), AT_REST)) for _ in range(15)) <= 5
-
-
-@pytest.mark.parametrize("blocks", [6, 7, 50])
-def test_narrow_bands_are_estimated_too(blocks: int) -> None:
-    rng, tones = np.random.default_rng(blocks), LteWaveform(blocks).tones_hz
-    motion = receiver_of(LteWaveform(blocks)).moving(STILL)
-    for _ in range(6):
-        paths = draw(rng, np.array([0.0]), 800.0)
-        clean = frequency_response(ARRAY, tones, TIMES, STILL, paths, CARRIER_HZ)
-        found = estimate_paths(clean + noise(rng)[:, : len(tones)], motion)
-        bound = joint_std(ARRAY, tones - tones.mean(), paths, 1.0)[0]
-        strongest = found.geometry[np.argmax(found.statistic)]
-        apart = strongest - [paths.distance_m[0], paths.azimuth_rad[0], paths.elevation_rad[0]]
-        apart[1] = wrap_angle(apart[1])
-        assert (np.abs(apart) < 5.0 * bound).all()
-
-
-@pytest.mark.parametrize(("comb", "symbols"), [(4, 4), (4, 12)])
-def test_nr_is_estimated_at_the_bound(comb: int, symbols: int) -> None:
-    rng, waveform = np.random.default_rng(comb + symbols), NrWaveform(40, 1, comb, symbols)
-    receiver, tones = receiver_of(waveform, 3.5e9), waveform.tones_hz
-    assert receiver.fitted.size > 1
-    apart, level_db = [], []
-    for _ in range(10):
-        paths = draw(rng, np.array([0.0]), 800.0)
-        signal = frequency_response(receiver.array, tones, TIMES, STILL, paths, 3.5e9)
-        pair = rng.standard_normal((2, 128, len(tones)))
-        found = estimate_paths(signal + (pair[0] + 1j * pair[1]) / np.sqrt(2.0), receiver.moving(STILL))
-        error, row = errors(paths, found)
-        apart.append(error[0] / joint_std(receiver.array, tones, paths, 1.0)[0])
-        level_db.append(found.snr_db[row[0]])
-    ratio = np.sqrt(np.mean(np.square(apart), axis=0))
-    assert (ratio > 0.5).all() and (ratio < 1.6).all()
-    assert abs(np.median(level_db)) < 0.2

@@ -75,9 +75,3 @@ def test_threshold_is_that_of_the_band_unless_it_is_given() -> None:
     assert thresholds == [17.4, 18.4, 19.2]
     assert load("lund-530").radio.detection_threshold == 17.4
     assert load("lund-nr", {"radio.detection_threshold": 15.0}).radio.detection_threshold == 15.0
-
-
-def test_lte_keeps_its_detector_at_every_bandwidth() -> None:
-    for blocks in (6, 50, 100):
-        assert RadioConfig(resource_blocks=blocks).statistics_band == "lte"
-    assert statistics().blur_m == 4.0
