@@ -1,13 +1,12 @@
-"""Blocking by boxes against ray casts of trimesh, and a bus beside the car in a street of `canyon`."""
+"""Blocking by boxes against points along the way, and a bus beside the car in a street of `canyon`."""
 
 from __future__ import annotations
 
 from dataclasses import replace
+from itertools import pairwise
 
 import numpy as np
 import pytest
-import trimesh
-from trimesh.ray.ray_triangle import ray_triangle_id
 
 from cellslam.scenarios import load
 from cellslam.sim.rays.paths import Paths
@@ -37,71 +36,39 @@ def lines(receivers: Array, transmitters: Array, points: list[list[Array]]) -> P
     return Paths(rows, rows, order, none, none[:, 0], way, receivers, *[nothing] * 5, np.zeros((count, 2, 2), complex))
 
 
-def cast(traffic: Traffic, time_s: float, start: Array, end: Array) -> set[tuple[int, int]]:
-    """Return (segment, vehicle) of all segments (n, 3) that meet a vehicle, by trimesh; no end may be in a box."""
-    k, part = divmod(time_s / 0.5, 1.0)
-    k = min(int(k), len(traffic.poses) - 2)
-    poses = (1 - part) * traffic.poses[k] + part * traffic.poses[k + 1]
-    meshes = []
-    for (x, y, ground, yaw), size in zip(poses, traffic.size_m, strict=True):
-        turn = trimesh.transformations.rotation_matrix(yaw, [0, 0, 1])
-        turn[:3, 3] = x, y, ground + size[2] / 2
-        meshes.append(trimesh.creation.box(size, turn))
-    mesh = trimesh.util.concatenate(meshes)
-    step = end - start
-    triangle, ray, where = ray_triangle_id(mesh.triangles, start, step, mesh.face_normals, All(mesh))
-    reach = np.linalg.norm(where - start[ray], axis=1) <= np.linalg.norm(step, axis=1)[ray]
-    return set(zip(ray[reach].tolist(), (triangle[reach] // len(meshes[0].faces)).tolist(), strict=True))
+def inside(traffic: Traffic, time_s: float, points: Array, margin_m: float = 0.0) -> Array:
+    """Return which points (n, 3) are in which boxes, each larger by `margin_m` on all sides: (n, vehicles)."""
+    poses = traffic.at(np.array([time_s]))[0]
+    c, s = np.cos(poses[:, 3]), np.sin(poses[:, 3])
+    off = points[:, None] - poses[:, :3] - np.stack([0 * c, 0 * c, traffic.size_m[:, 2] / 2], 1)
+    own = np.stack([c * off[..., 0] + s * off[..., 1], c * off[..., 1] - s * off[..., 0], off[..., 2]], -1)
+    return (np.abs(own) <= traffic.size_m / 2 + margin_m).all(axis=-1)
 
 
-class All:
-    """In place of an R-tree: every triangle may be met."""
-
-    def __init__(self, mesh: trimesh.Trimesh) -> None:
-        self.count, self.bounds = len(mesh.faces), mesh.bounds.ravel()
-
-    def intersection(self, _: Array) -> range:
-        return range(self.count)
-
-
-def test_blocking_is_what_trimesh_casts() -> None:
-    rng = np.random.default_rng(5)
-    traffic = boxes(30, rng, spread_m=25.0)
-    count = 1200
-    low, high = [-30, -30, 0.1], [30, 30, 6.0]
-    receivers = rng.uniform(low, high, (count, 3))
-    transmitters = rng.uniform([-300, -300, 0.5], [300, 300, 45.0], (count, 3))
+def test_blocked_is_what_passes_through_a_box() -> None:
+    """Points every 5 cm along the way: those well in a box block, and where none is near a box nothing blocks."""
+    rng, count = np.random.default_rng(5), 400
+    traffic, low = boxes(30, rng, spread_m=25.0), [-30, -30, 0.1]
+    receivers = rng.uniform(low, [30, 30, 6.0], (count, 3))
+    transmitters = rng.uniform([-90, -90, 0.5], [90, 90, 45.0], (count, 3))
     points = [[rng.uniform(low, [30, 30, 12.0]) for _ in range(rng.integers(3))] for _ in range(count)]
     time_s = rng.choice([0.0, 0.2, 0.73], count)
-    paths = lines(receivers, transmitters, points)
-    found = blocked_paths(traffic, paths, transmitters, receivers, time_s)
-    answers = set(zip(found.path.tolist(), found.vehicle.tolist(), strict=True))
-    assert len(answers) == len(found.path)
+    found = blocked_paths(traffic, lines(receivers, transmitters, points), transmitters, receivers, time_s)
+    answers = np.zeros((count, len(traffic)), bool)
+    answers[found.path, found.vehicle] = True
+    assert answers.sum() == len(found.path)
     met = 0
-    for moment in np.unique(time_s):
-        # Paths with an end or a point in a box are left out: trimesh casts at surfaces only.
-        way = {
-            row: np.array([transmitters[row], *points[row], receivers[row]]) for row in np.flatnonzero(time_s == moment)
-        }
-        way = {row: corners for row, corners in way.items() if not inside(traffic, moment, corners).any()}
-        owner = np.repeat(list(way), [len(corners) - 1 for corners in way.values()])
-        start, end = (np.concatenate([corners[part] for corners in way.values()]) for part in (np.s_[:-1], np.s_[1:]))
-        expected = {(int(owner[segment]), vehicle) for segment, vehicle in cast(traffic, moment, start, end)}
-        assert {pair for pair in answers if pair[0] in way} == expected
-        met += len(expected)
-    assert met > 500
-    assert np.array_equal(found.free(count), ~np.isin(np.arange(count), found.path))
-
-
-def inside(traffic: Traffic, time_s: float, points: Array) -> Array:
-    """Return which points (n, 3) are in any box."""
-    poses = traffic.at(np.array([time_s]))[0]
-    out = np.zeros(len(points), bool)
-    for (x, y, ground, yaw), size in zip(poses, traffic.size_m, strict=True):
-        c, s = np.cos(yaw), np.sin(yaw)
-        local = (points - [x, y, ground]) @ np.array([[c, -s, 0], [s, c, 0], [0, 0, 1]])
-        out |= (np.abs(local - [0, 0, size[2] / 2]) <= size / 2).all(axis=1)
-    return out
+    for row in range(count):
+        corners = np.array([transmitters[row], *points[row], receivers[row]])
+        if inside(traffic, time_s[row], corners).any():
+            continue  # a box that holds an end is another matter
+        parts = [np.linspace(a, b, int(np.linalg.norm(b - a) / 0.05) + 2) for a, b in pairwise(corners)]
+        way = np.concatenate(parts)
+        surely, maybe = (inside(traffic, time_s[row], way, margin).any(axis=0) for margin in (-0.03, 0.03))
+        assert (answers[row] >= surely).all() and (answers[row] <= maybe).all()
+        met += surely.sum()
+    assert met > 150
+    assert np.array_equal(found.free(count), ~answers.any(axis=1))
 
 
 def test_a_box_that_holds_the_receiver_blocks_nothing() -> None:

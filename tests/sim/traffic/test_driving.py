@@ -93,10 +93,9 @@ def test_vehicles_follow_as_those_of_highway_env() -> None:
 
 def test_a_queue_stands_still() -> None:
     count, queue = 1200, 6
-    along = np.append(300.0 - 16.0 * np.arange(1, queue + 1), 300.0)
-    side = np.append(np.full(queue, 0.3), 0.0)
+    along = 300.0 - 16.0 * np.array([*range(1, queue + 1), 0])
     some = cars(along, np.zeros(queue + 1, int), np.append(np.full(queue, 6.0), 0.0), np.full(queue + 1, 8.0))
-    some.side[:] = side
+    some.side[:-1] = 0.3
     # Ours stands for 40 s, creeps at 0.3 m/s for 40 s, and stands.
     speed = np.where((np.arange(count) >= 400) & (np.arange(count) < 800), 0.3, 0.0)
     ours = np.column_stack([300.0 + STEP_S * np.append(0.0, np.cumsum(speed))[:count], speed])
@@ -117,12 +116,11 @@ def test_a_queue_stands_still() -> None:
     assert gaps.min() > 9.0
 
 
-def test_long_vehicles_keep_their_distance() -> None:
-    for size_m in (5.0, 12.0):
-        some = cars(np.array([200.0, 300.0]), np.zeros(2, int), np.array([8.0, 0.0]), np.full(2, 8.0), size_m)
-        ours = np.tile([300.0, 0.0], (600, 1))
-        states = drive_all(some, ours, road(1), rules(), STEP_S, 1)
-        assert 300.0 - states[-1, 0, 0] - size_m == pytest.approx(5.0, abs=0.7)
+@pytest.mark.parametrize("size_m", [5.0, 12.0])
+def test_vehicles_stop_five_metres_behind_another(size_m: float) -> None:
+    some = cars(np.array([200.0, 300.0]), np.zeros(2, int), np.array([8.0, 0.0]), np.full(2, 8.0), size_m)
+    states = drive_all(some, np.tile([300.0, 0.0], (600, 1)), road(1), rules(), STEP_S, 1)
+    assert 300.0 - states[-1, 0, 0] - size_m == pytest.approx(5.0, abs=0.7)
 
 
 def test_progress_goes_on_where_a_line_crosses_itself() -> None:

@@ -51,14 +51,6 @@ def test_corner_is_rounded_by_the_arc_that_touches_both_legs(side: float) -> Non
     assert np.all(np.diff(route.arc_m) > 0.0)
 
 
-def test_route_is_smooth_and_sampled_by_arc_length(city: Any) -> None:
-    route = plan_route(city, VehicleConfig(route=5), rng())
-    step = np.diff(route.points_m, axis=0)
-    np.testing.assert_allclose(np.hypot(*step.T), np.diff(route.arc_m), rtol=1e-3)
-    assert np.abs(wrap_angle(np.arctan2(step[:, 1], step[:, 0]) - route.heading_rad[1:])).max() < 0.02
-    assert route.length_m >= 530.0
-
-
 @pytest.mark.parametrize(
     ("waypoints", "message"),
     [
@@ -91,13 +83,15 @@ def test_walks_turn_round_only_at_dead_ends(city: Any) -> None:
         assert turn.max() < SHARP_RAD
         assert cost < 1000.0
     dead_end = street_network([np.array([[0.0, 0.0], [100.0, 0.0]])])
-    walk, cost = random_walk(dead_end, 150.0, rng())
-    assert cost > 1000.0
+    assert random_walk(dead_end, 150.0, rng())[1] > 1000.0
 
 
-def test_city_without_streets_asks_for_waypoints() -> None:
+def test_impossible_drives_are_refused(city: Any) -> None:
     with pytest.raises(InputError, match="waypoints_m"):
         plan_route(SimpleNamespace(name="bare", streets=(), footprints=()), VehicleConfig(), rng())  # type: ignore[arg-type]
+    config = VehicleConfig(route=5, duration_s=40.0)
+    with pytest.raises(InputError, match=r"vehicle\.duration_s = 40 is too short"):
+        drive(plan_route(city, config, rng()), config, rng())
 
 
 def straight_follow(speed_mps: float, offset_m: float, seconds: float = 120.0) -> tuple[np.ndarray, np.ndarray]:
@@ -126,29 +120,22 @@ def test_follower_stays_on_the_route_and_holds_the_wheel_when_standing(city: Any
     assert deviation_m(route, driven).max() < 0.25
     standing = driven.velocity[:, 0] == 0.0
     assert np.abs(driven.velocity[standing, 3]).max() == 0.0
-    on_straights = np.interp(np.arange(6850), np.arange(6850), np.abs(driven.velocity[:, 3])) < 1e-3
-    assert on_straights.mean() > 0.6
+    assert (np.abs(driven.velocity[:, 3]) < 1e-3).mean() > 0.6  # on straights
 
 
-@pytest.mark.parametrize("seed", range(4))
-def test_distance_and_duration_come_out(city: Any, seed: int) -> None:
+@pytest.mark.parametrize("seed", range(2))
+def test_distance_duration_and_stops_come_out(city: Any, seed: int) -> None:
     config = VehicleConfig(route=5)
     driven = drive(plan_route(city, config, rng()), config, rng(seed))
     assert driven.time_s.shape == (6850,)
     assert driven.time_s[-1] == pytest.approx(513.75 - 0.075)
     assert driven.distance_m == pytest.approx(530.0, rel=1e-4)
-    assert driven.velocity[[0, -1], 0] == pytest.approx(0.0, abs=1e-3)
-    assert 0.0 < driven.velocity[:, 0].max() < 2.5
-
-
-def test_speed_profile_stops_where_told_and_sums_up() -> None:
-    config = VehicleConfig(stops=3, stop_s=10.0, speed_variation=0.3)
-    speed = speed_profile(np.array([0.0, 600.0]), np.zeros(2), config, 0.015, 34245, rng(3))
-    assert speed.sum() * 0.015 == pytest.approx(530.0, rel=1e-12)
-    assert speed.min() >= 0.0
-    still = (speed == 0.0).astype(int)
-    assert np.count_nonzero(np.diff(still) == 1) == 4
-    assert np.abs(np.diff(speed)).max() / 0.015 <= config.acceleration_mps2 * 1.01
+    speed = driven.velocity[:, 0]
+    assert speed[[0, -1]] == pytest.approx(0.0, abs=1e-3)
+    assert speed.min() >= 0.0 and 0.0 < speed.max() < 2.5
+    # Three stops and the end.
+    assert np.count_nonzero(np.diff((speed == 0.0).astype(int)) == 1) == config.stops + 1
+    assert np.abs(np.diff(speed)).max() / 0.075 <= config.acceleration_mps2 * 1.01
 
 
 def test_turns_slow_the_vehicle_down() -> None:
@@ -162,12 +149,6 @@ def test_turns_slow_the_vehicle_down() -> None:
     in_turn = (position > 42.0) & (position < 58.0)
     assert speed[in_turn].max() == pytest.approx(np.sqrt(0.5 / 0.2), rel=0.02)
     assert speed.max() > 2.0
-
-
-def test_too_short_a_duration_is_refused(city: Any) -> None:
-    config = VehicleConfig(route=5, duration_s=40.0)
-    with pytest.raises(InputError, match=r"vehicle\.duration_s = 40 is too short"):
-        drive(plan_route(city, config, rng()), config, rng())
 
 
 def test_velocities_are_the_derivative_of_the_poses(city: Any) -> None:

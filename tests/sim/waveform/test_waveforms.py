@@ -75,13 +75,7 @@ def test_ports_without_a_comb_of_their_own_are_refused() -> None:
     ("keys", "text"),
     [
         ({"resource_blocks": 120}, "LTE has 6 to 110"),
-        (
-            {"technology": "nr", "resource_blocks": 136},
-            (
-                {"technology": "nr", "resource_blocks": 136},
-                r"132 \(50 MHz\), 272 .* numerology 1.* set radio.front_end",
-            ),
-        ),
+        ({"technology": "nr", "resource_blocks": 136}, r"132 \(50 MHz\), 272 .*numerology 1.*set radio.front_end"),
         ({"technology": "nr", "resource_blocks": 272, "prs_comb": 6}, "prs_symbols equal to prs_comb"),
         ({"technology": "pilot_tones:PilotTones"}, "has no statistics of its detector"),
         ({"technology": "nr", "front_end": "signal", "prs_comb": 5}, "comb 5 is not one of 2, 4, 6, 12"),
