@@ -58,15 +58,6 @@ def test_every_wall_and_roof_is_one_facet(city):
     assert city.facets.area_m2[vertical].sum() == pytest.approx(area, rel=1e-9)
 
 
-def test_walls_face_outwards(city):
-    wall = np.flatnonzero(np.abs(city.facets.normal[:, 2]) < 1e-9)[::7]
-    assert len(wall) > 10
-    for facet in wall:
-        corners = city.vertices[city.triangles[city.triangle_facet == facet]]
-        middle = corners.mean(axis=(0, 1)) + 0.05 * city.facets.normal[facet]
-        assert not city.footprints[city.facets.building[facet]].contains(shapely.Point(middle[:2]))
-
-
 @pytest.mark.parametrize(
     ("values", "message"),
     [

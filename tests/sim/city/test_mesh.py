@@ -191,15 +191,6 @@ def test_munich_loads_and_has_paths():
     np.testing.assert_allclose(paths.length_m, np.linalg.norm(paths.vt_position_m - line[paths.receiver], axis=1))
 
 
-def test_without_the_extra_the_error_says_how_to_get_it(monkeypatch):
-    def missing(name):
-        raise importlib.metadata.PackageNotFoundError(name)
-
-    monkeypatch.setattr(importlib.metadata, "distribution", missing)
-    with pytest.raises(InputError, match=r"pip install cellslam\[cities\]"):
-        load("sionna-rt:munich")
-
-
 @pytest.mark.parametrize(
     ("name", "content", "message"),
     [
@@ -221,21 +212,3 @@ def test_bad_files_are_refused_in_one_line(tmp_path, name, content, message):
     with pytest.raises(InputError, match=message) as error:
         load(path)
     assert "\n" not in str(error.value)
-
-
-def test_text_that_is_not_utf8(tmp_path, monkeypatch):
-    monkeypatch.setitem(
-        sys.modules, "charset_normalizer", None
-    )  # an optional part of trimesh, here as if not installed
-    path = tmp_path / "latin.obj"
-    path.write_bytes(b"# Stra\xdfe\nv 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n")
-    with pytest.raises(InputError, match="not UTF-8"):
-        load(path)
-
-
-def test_missing_file_and_folder(tmp_path):
-    with pytest.raises(InputError, match="cannot read mesh"):
-        load(tmp_path / "nowhere.ply")
-    (tmp_path / "folder.ply").mkdir()
-    with pytest.raises(InputError, match="cannot read mesh"):
-        load(tmp_path / "folder.ply")
