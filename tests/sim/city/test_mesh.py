@@ -32,16 +32,6 @@ def village():
     return trimesh.util.concatenate([first, second, ground])
 
 
-def check_village(city):
-    assert len(city.footprints) == 2
-    order = np.argsort(city.heights_m)
-    np.testing.assert_allclose(city.heights_m[order], [6.0, 9.0], atol=1e-5)
-    np.testing.assert_allclose([city.footprints[i].area for i in order], [80.0, 16.0], atol=1e-3)
-    assert len(city.facets) == 13
-    assert (city.facets.building == -1).sum() == 1
-    assert enclosing(city, [[40, 40, 1]]).tolist() == [OUTSIDE]
-
-
 @pytest.mark.parametrize("suffix", [".ply", ".obj", ".stl", ".glb"])
 def test_formats_agree(tmp_path, suffix):
     mesh = village()
@@ -50,7 +40,13 @@ def test_formats_agree(tmp_path, suffix):
     path = tmp_path / f"village{suffix}"
     mesh.export(path)
     city = load(path)
-    check_village(city)
+    assert len(city.footprints) == 2
+    order = np.argsort(city.heights_m)
+    np.testing.assert_allclose(city.heights_m[order], [6.0, 9.0], atol=1e-5)
+    np.testing.assert_allclose([city.footprints[i].area for i in order], [80.0, 16.0], atol=1e-3)
+    assert len(city.facets) == 13
+    assert (city.facets.building == -1).sum() == 1
+    assert enclosing(city, [[40, 40, 1]]).tolist() == [OUTSIDE]
     paths = trace(city, [[5.0, -20.0, 3.0]], [[9.0, -15.0, 1.5]])
     np.testing.assert_allclose(paths.vt_position_m[1], [5.0, 20.0, 3.0], atol=1e-5)
 
@@ -145,13 +141,10 @@ def test_mitsuba_scene(tmp_path):
     [
         ("brick", "brik", "unknown material 'brik'; did you mean 'brick'"),
         ("walls.ply", "wall.ply", "cannot read mesh.*wall.ply"),
-        ("walls.ply", "walls.txt", "is no mesh file"),
         ('value="0.2"', 'value="thick"', "no number"),
         ("<scale", "<squeeze", "<squeeze> that cannot be read"),
         ('<ref id="front"', '<ref id="back"', "refers to 'back', which the scene does not define"),
-        ("mat-itu_metal", "mat-itu_mettal", "unknown material 'mettal'; did you mean 'metal'"),
         ("</scene>", "", "not a readable XML scene"),
-        ("scene", "scenery", "root is <scenery>"),
     ],
 )
 def test_bad_scenes_are_refused(tmp_path, old, new, message):
@@ -169,11 +162,17 @@ def test_materials_that_are_assumed_are_told(tmp_path):
     assert not any("material" in n for n in load("sionna-rt:simple_street_canyon").notes)
 
 
-def test_shipped_scenes():
-    city = load("sionna-rt:simple_street_canyon")
-    assert len(city.footprints) == 6
+def test_shipped_scenes(monkeypatch):
+    assert len(load("sionna-rt:simple_street_canyon").footprints) == 6
     with pytest.raises(InputError, match="unknown sionna-rt scene 'munic'; did you mean 'munich'"):
         load("sionna-rt:munic")
+
+    def missing(name):
+        raise importlib.metadata.PackageNotFoundError(name)
+
+    monkeypatch.setattr(importlib.metadata, "distribution", missing)
+    with pytest.raises(InputError, match=r"pip install cellslam\[cities\]"):
+        load("sionna-rt:munich")
 
 
 @pytest.mark.slow
@@ -182,8 +181,6 @@ def test_munich_loads_and_has_paths():
     assert len(city.triangles) == 38_936
     assert 17_400 < len(city.facets) < 17_600
     assert 1_100 < len(city.footprints) < 1_250
-    assert {m.name for m in city.materials} >= {"marble", "metal", "concrete"}
-    assert (city.facets.building == -1).sum() == 1
     # An open place: a hundred receivers in a straight line that no building covers.
     line = np.column_stack([np.linspace(-686.7, -157.6, 100), np.linspace(438.0, 407.6, 100), np.full(100, 2.0)])
     paths = trace(city, [[-420.0, 425.0, 10.0]], line)
@@ -195,20 +192,20 @@ def test_munich_loads_and_has_paths():
     ("name", "content", "message"),
     [
         ("empty.ply", b"", "is empty: the file has no content"),
-        ("empty.obj", b"", "is empty: the file has no content"),
         ("noise.ply", bytes(range(256)) * 20, "cannot read mesh"),
-        ("noise.glb", bytes(range(256)) * 20, "cannot read mesh"),
         ("text.stl", b"this is no mesh\n" * 9, "has no triangles: it is empty, or no mesh"),
         ("points.obj", b"v 0 0 0\nv 1 0 0\n", "has no triangles|cannot read"),
         ("nan.obj", b"v 0 0 0\nv 1 0 0\nv 0 nan 0\nf 1 2 3\n", "not finite"),
-        ("flat.obj", b"v 0 0 0\nv 1 0 0\nv 2 0 0\nf 1 2 3\n", "zero area"),
-        ("beyond.obj", b"v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 9\n", "cannot read mesh|has no triangles"),
+        ("latin.obj", b"# Stra\xdfe\nv 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n", "not UTF-8"),
         ("mesh.dwg", b"", "format '.dwg'; allowed: .ply"),
+        ("nowhere.ply", None, "cannot read mesh"),
     ],
 )
-def test_bad_files_are_refused_in_one_line(tmp_path, name, content, message):
+def test_bad_files_are_refused_in_one_line(tmp_path, monkeypatch, name, content, message):
+    monkeypatch.setitem(sys.modules, "charset_normalizer", None)  # an optional part of trimesh, as if not installed
     path = tmp_path / name
-    path.write_bytes(content)
+    if content is not None:
+        path.write_bytes(content)
     with pytest.raises(InputError, match=message) as error:
         load(path)
     assert "\n" not in str(error.value)

@@ -44,11 +44,8 @@ def sionna(antennas: bool = False) -> Arrays:
     rows, count = by_hand()
     shape = (len(RECEIVED), len(SENT), count + 1)
     out: Arrays = {name: np.zeros(shape, np.float32) for name in ("theta_r", "phi_r", "theta_t", "phi_t")}
-    out |= {
-        "tau": np.full(shape, -1.0),
-        "valid": np.zeros(shape, bool),
-        "a": np.zeros((3, 1, 2, 1, count + 1), complex),
-    }
+    out |= {"tau": np.full(shape, -1.0), "valid": np.zeros(shape, bool)}
+    out["a"] = np.zeros((len(RECEIVED), 1, len(SENT), 1, count + 1), complex)
     out |= {"interactions": np.zeros((3, *shape), np.uint32), "vertices": np.zeros((3, *shape, 3), np.float32)}
     number = np.zeros(shape[:2], int)
     for n, s, v, points in rows:

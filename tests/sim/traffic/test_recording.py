@@ -83,10 +83,7 @@ def test_file_holds_the_traffic(busy: Recording, tmp_path: Path) -> None:
     ("change", "message"),
     [
         (lambda v: {"size_m": -v.size_m}, r"truth.vehicles.size_m, row 0: is not a size"),
-        (
-            lambda v: {"blocked": v.blocked + np.array([0, 999, 0, 0])},
-            r"vehicles.blocked, row 0: is not one of the \d+ veh",
-        ),
+        (lambda v: {"blocked": v.blocked + np.array([0, 999, 0, 0])}, "blocked, row 0: is not one of the"),
         (lambda v: {"poses": v.poses[:, :-1]}, "truth/vehicles/poses' has shape"),
     ],
 )
