@@ -12,7 +12,7 @@ from scipy.stats import chi2, ncx2, poisson
 from cellslam.sim.errors import InputError
 from cellslam.sim.lte import RadioConfig
 from cellslam.sim.lte.links import Cells, cells_of
-from cellslam.sim.lte.persisting_errors import draw_fields, floors
+from cellslam.sim.lte.persisting_errors import draw_fields
 from cellslam.sim.lte.signal.drive_in_blocks import snapshot_paths
 from cellslam.sim.lte.statistical.clutter_kernel import BLUR_AZIMUTH_RAD, STRETCH
 from cellslam.sim.lte.statistical.detector_layout import GAMMA_START_DB, GAMMA_STEP_DB, PathColumns, Streams
@@ -98,19 +98,13 @@ def test_ports_are_slanted() -> None:
     assert d.measurements.link.tolist() == [0]
 
 
-@pytest.mark.parametrize("gamma_db", [9.0, 11.6, 13.0, 15.0])
-def test_isolated_path_is_detected_as_the_law_says(gamma_db: float) -> None:
-    config, count = quiet(), 20_000
+@pytest.mark.parametrize(("gamma_db", "scale"), [(11.6, 1.0), (15.0, 1.0), (13.0, 0.6)])
+def test_isolated_path_is_detected_as_the_law_says(gamma_db: float, scale: float) -> None:
+    config, count = quiet(detection_scale=scale), 20_000
     gamma = 10.0 ** (gamma_db / 10.0)
     d = run(config, [[100.0, 0.0, 0.0]], np.array([amplitude_for(gamma, config)]), count)
-    chance = ncx2.sf(2.0 * config.detection_threshold, statistics().dof, statistics().gain * gamma)
+    chance = scale * ncx2.sf(2.0 * config.detection_threshold, statistics().dof, statistics().gain * gamma)
     assert abs(len(d.path) / count - chance) < 5.0 * np.sqrt(chance * (1.0 - chance) / count)
-
-
-def test_detection_scale_multiplies() -> None:
-    count = 20_000
-    d = run(quiet(detection_scale=0.6), [[100.0, 0.0, 0.0]], np.array([1e-5]), count)
-    assert abs(len(d.path) / count - 0.6) < 5.0 * np.sqrt(0.24 / count)
 
 
 @pytest.mark.parametrize("amplitude", [1e-5, 3e-9])
@@ -131,21 +125,12 @@ def test_errors_have_the_claimed_size_and_no_mean(amplitude: float) -> None:
     assert (np.abs(error.mean(axis=0)) < 5.0 * claimed.mean(axis=0) / np.sqrt(n)).all()
 
 
-def test_claims_are_bound_plus_floors() -> None:
-    config = quiet()
-    d = run(config, [[100.0, 0.0, 0.0]], np.array([amplitude_for(25_600.0, config)]), 1)
-    bound = np.array([0.04053, np.radians(0.0685), np.radians(0.0704)])
-    np.testing.assert_allclose(d.true_std[0], np.hypot(bound, floors(config)), rtol=1e-3)
-
-
 def test_noise_clutter_is_poisson_and_uniform() -> None:
     config, count = RadioConfig(clutter_scale=3.0), 20_000
     d = run(config, np.empty((0, 3)), np.empty(0), count)
     mean = 3.0 * noise_clutter_mean(config.detection_threshold, statistics()) * count
     low, high = poisson.ppf([FALSE_ALARM, 1.0 - FALSE_ALARM], mean)
     assert low < len(d.path) < high
-    assert (d.path == -1).all()
-    assert np.isnan(d.true_std).all()
     m = d.measurements
     assert abs(np.mean(m.distance_m) - 825.0) < 5.0 * 1750.0 / np.sqrt(12.0 * len(m))
     assert abs(np.mean(m.azimuth_rad)) < 5.0 * 2.0 * np.pi / np.sqrt(12.0 * len(m))
