@@ -45,16 +45,6 @@ def test_joint_information_agrees_with_the_full_jacobian() -> None:
     np.testing.assert_allclose(got, expected, rtol=1e-5, atol=1e-6 * np.abs(expected).max())
 
 
-def test_far_paths_decouple_and_near_ones_do_not() -> None:
-    array, tones = CircularArray(), LteWaveform(100).tones_hz
-    alone = joint_std(array, tones, paths((300.0, 0.4, 0.1)), 1.0)[0]
-    far = joint_std(array, tones, paths((300.0, 0.4, 0.1), (700.0, -2.0, 0.3)), 1.0)[0]
-    near = joint_std(array, tones, paths((300.0, 0.4, 0.1), (303.0, 0.42, 0.1)), 1.0)[0]
-    np.testing.assert_allclose(far, alone, rtol=0.02)
-    assert (near > 3.0 * alone).all()
-    assert (near >= alone * (1.0 - 1e-9)).all()
-
-
 @pytest.mark.parametrize(("apart_m", "turn_deg"), [(3.0, 0.0), (6.0, 0.0), (4.0, 5.0), (0.5, 9.0)])
 def test_statistical_overlap_follows_the_array(apart_m: float, turn_deg: float) -> None:
     a, b = (300.0, 0.4, 0.1), (300.0 + apart_m, 0.4 + np.radians(turn_deg), 0.1)

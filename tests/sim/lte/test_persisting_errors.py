@@ -117,16 +117,3 @@ def test_sectors_of_a_site_share_the_error_and_the_claim_covers_it() -> None:
         off = m.distance_m[m.link == link] - distance
         assert abs(np.std(off) / d.true_std[0, 0] - 1.0) < 0.15
     np.testing.assert_allclose(m.distance_m[m.link == 0], m.distance_m[m.link == 1], atol=0.05)
-
-
-def test_a_wide_band_has_less_of_its_diffuse_energy_in_a_cell() -> None:
-    def diffuse(**radio: float | str) -> Floats:
-        return next(c for c in causes(RadioConfig(**radio)) if c.name == "diffuse").std
-
-    lte, nr = diffuse(), diffuse(technology="nr", front_end="signal", resource_blocks=136)
-    np.testing.assert_array_equal(diffuse(resource_blocks=100), lte)
-    # Cells of 6.12 and 16.66 m, energy that decays over 35 m, by numerical integration: share and mean delay.
-    share, delay = np.transpose([[0.160500, 2.972375], [0.378648, 7.669529]])
-    np.testing.assert_allclose(nr[1:] / lte[1:], np.sqrt(share[0] / share[1]), rtol=1e-3)
-    expected = np.sqrt(share[0] / share[1]) * delay[0] / delay[1]
-    np.testing.assert_allclose(nr[0] / lte[0], expected, rtol=1e-3)

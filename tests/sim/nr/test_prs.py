@@ -72,14 +72,6 @@ def test_worked_elements() -> None:
     np.testing.assert_allclose(got.values[:4] * np.sqrt(2.0), [-1 - 1j, -1 + 1j, 1 - 1j, -1 + 1j])
 
 
-@pytest.mark.parametrize(("length", "comb"), PAIRS)
-def test_every_subcarrier_is_hit_alike_and_offsets_never_meet(length: int, comb: int) -> None:
-    signals = [positioning_reference_signal(5, 3, 1, 24, comb, length, 0, offset) for offset in range(comb)]
-    assert (np.bincount(signals[0].subcarriers, minlength=288) == length // comb).all()
-    elements = {(s, k) for one in signals for s, k in zip(one.symbols.tolist(), one.subcarriers.tolist(), strict=True)}
-    assert len(elements) == sum(len(one.values) for one in signals)
-
-
 @pytest.mark.parametrize(
     ("arguments", "text"),
     [

@@ -46,12 +46,8 @@ def test_by_hand() -> None:
     assert prs_slots(0, 10, 40, offset=3).tolist() == [3, 13, 23, 33]
     assert prs_slots(0, 10, 22, offset=9, resource_offset=2).tolist() == [1, 11, 21]
     assert prs_slots(1, 20, 40, repetition=4, gap=2).tolist() == [0, 2, 4, 6, 20, 22, 24, 26]
-    assert prs_slots(0, 5, 40, muting=[1, 0]).tolist() == [0, 10, 20, 30]
     assert prs_slots(0, 5, 40, muting=[1, 0], muting_repetition=2).tolist() == [0, 5, 20, 25]
-    assert prs_slots(0, 20, 40, repetition=4, repetition_muting=[0, 1, 1, 0]).tolist() == [1, 2, 21, 22]
-    both = prs_slots(0, 20, 40, repetition=2, muting=[0, 1], repetition_muting=[0, 1])
-    assert both.tolist() == [21]
-    assert prs_slots(1, 64, 640, repetition=32, gap=2).tolist() == list(range(0, 640, 2))
+    assert prs_slots(0, 20, 40, repetition=2, muting=[0, 1], repetition_muting=[0, 1]).tolist() == [21]
 
 
 @pytest.mark.parametrize(

@@ -165,21 +165,6 @@ def test_a_wall_with_a_window_hides_corners_but_not_what_is_between(scenes, monk
     assert trace(city, [TX], [[15.0, 0.2, 10.0]]).order.tolist() == [0, 1]
 
 
-def test_nothing_that_is_seen_counts_as_hidden(small_city):
-    scene = prepare(small_city)
-    weights = np.random.default_rng(0).dirichlet(np.ones(3), 40)
-    points = np.einsum("wc,kci->kwi", weights, scene.corners).reshape(-1, 3)
-    facet = np.repeat(small_city.triangle_facet, len(weights))
-    for site in (np.array([5.0, 60.0, 25.0]), np.array([-70.0, -20.0, 60.0]), np.array([10.0, 0.0, 4.0])):
-        lit = scene.lit_facets(site - scene.origin_m, scene.reflects)
-        source = np.broadcast_to(site - scene.origin_m, points.shape)
-        away = np.linalg.norm(points - source, axis=1)
-        seen = scene.unobstructed(source, points, np.maximum(1.0 - 0.01 / away, 0.0))
-        found = set(facet[seen & scene.reflects[facet]])
-        assert found and found <= set(lit)
-        assert len(lit) < np.count_nonzero(scene.reflects)
-
-
 def test_no_receivers_and_bad_requests(scenes, wall):
     scene = prepare(scenes.city_of(wall))
     assert len(trace(scene, [TX], np.empty((0, 3)))) == 0

@@ -161,16 +161,6 @@ def test_velocities_are_the_derivative_of_the_poses(city: Any) -> None:
     assert np.abs(driven.velocity[:, 1]).max() < 1e-3
 
 
-def test_body_moves_a_little_and_starts_level(city: Any) -> None:
-    config = VehicleConfig(route=5)
-    driven = drive(plan_route(city, config, rng()), config, rng(2))
-    np.testing.assert_allclose(driven.poses[0, [2, 4, 5]], [1.8, 0.0, 0.0], atol=1e-12)
-    assert 0.005 < driven.poses[:, 2].std() < 0.02
-    pitch_deg, roll_deg = np.degrees(driven.poses[:, 4:].std(axis=0))
-    assert 0.03 < pitch_deg < 0.4
-    assert 0.1 < roll_deg < 0.6
-
-
 def test_braking_dips_the_nose_and_a_left_turn_leans_right() -> None:
     open_field = SimpleNamespace(name="field", streets=(), footprints=(), road_m=0.0)
     config = VehicleConfig(

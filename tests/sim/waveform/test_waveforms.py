@@ -110,9 +110,3 @@ def test_what_is_wrong_with_a_waveform_is_said(name: str, value: object, text: s
 def test_what_is_no_waveform_is_said() -> None:
     with pytest.raises(InputError, match="Fraction is no waveform: it lacks slot_s"):
         checked(Fraction(1, 2), 1750.0)
-
-
-def test_noise_follows_the_bandwidth_of_an_element() -> None:
-    lte, nr = RadioConfig().noise_mw(), RadioConfig(technology="nr", front_end="signal").noise_mw()
-    assert lte == 10.0**-12.3
-    assert nr == pytest.approx(2.0 * lte)

@@ -7,10 +7,10 @@ import pytest
 from numpy.typing import NDArray
 
 from cellslam.sim.frames import SPEED_OF_LIGHT_MPS, rotation
-from cellslam.sim.lte.array import CircularArray, PathSet, switching_times_s
+from cellslam.sim.lte.array import CircularArray, switching_times_s
 from cellslam.sim.lte.downlink import LteWaveform
 from cellslam.sim.lte.signal import symbol
-from cellslam.sim.lte.signal.channel import SCATTERERS, Surroundings, arriving_paths, frequency_response, polarisation
+from cellslam.sim.lte.signal.channel import SCATTERERS, Surroundings, arriving_paths, polarisation
 from cellslam.sim.lte.statistical.detector_layout import PathColumns
 from cellslam.sim.nr.nr_waveform import NrWaveform
 
@@ -19,14 +19,6 @@ TIMES = switching_times_s(ARRAY)
 CARRIER_HZ = 2.66e9
 TONES = LteWaveform(25).tones_hz
 HERE = np.array([0.0, 0.0, 1.8])
-
-
-def test_one_path_is_steering_times_delay() -> None:
-    paths = PathSet(np.array([230.0]), np.array([0.4]), np.array([0.1]), np.array([[0.6 + 0.2j, 0.7 - 0.1j]]))
-    got = frequency_response(ARRAY, TONES, TIMES, np.zeros(3), paths, CARRIER_HZ)
-    steering = ARRAY.steer(0.4, 0.1).value[0] @ paths.weights[0]
-    delay = np.exp(-2j * np.pi * TONES * 230.0 / SPEED_OF_LIGHT_MPS)
-    np.testing.assert_allclose(got, np.outer(steering, delay), rtol=1e-12)
 
 
 def test_arriving_field_is_the_same_vector_in_both_frames() -> None:

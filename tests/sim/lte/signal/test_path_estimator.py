@@ -19,7 +19,6 @@ from cellslam.sim.lte.signal.channel import frequency_response
 from cellslam.sim.lte.signal.path_estimator import fit_kernel
 from cellslam.sim.lte.signal.path_estimator.cancellation import cancel
 from cellslam.sim.lte.signal.path_estimator.path_estimator import Estimates, estimate_paths
-from cellslam.sim.lte.signal.path_estimator.spectrum import Spectrum
 from cellslam.sim.lte.signal.receiver import Receiver, receiver_of
 from cellslam.sim.nr.nr_waveform import NrWaveform
 from cellslam.sim.waveform import Waveform
@@ -71,19 +70,6 @@ def errors(paths: PathSet, found: Estimates) -> tuple[NDArray[np.float64], NDArr
     return error, nearest
 
 
-@pytest.mark.parametrize("velocity", [np.zeros(3), np.array([2.0, -0.5, 0.1])])
-def test_compiled_steering_is_the_array_with_doppler(velocity: NDArray[np.float64]) -> None:
-    azimuth, elevation = np.array([-3.0, 0.4, 2.0]), np.array([-0.3, 0.2, 1.1])
-    motion = RECEIVER.moving(velocity)
-    compiled = motion.steer(azimuth, elevation)
-    turned = doppler_phasors(TIMES, velocity, azimuth, elevation, CARRIER_HZ)
-    expected = ARRAY.steer(azimuth, elevation).value * turned[:, :, None]
-    np.testing.assert_allclose(compiled.value, expected, rtol=1e-9, atol=1e-12)
-    step = 1e-6
-    by_azimuth = motion.steer(azimuth + step, elevation).value - motion.steer(azimuth - step, elevation).value
-    np.testing.assert_allclose(compiled.by_azimuth, by_azimuth / (2.0 * step), atol=1e-4)
-
-
 @pytest.mark.parametrize("count", [1, 3])
 def test_normal_equations_are_those_of_the_full_jacobian(count: int) -> None:
     rng = np.random.default_rng(1)
@@ -109,20 +95,6 @@ def test_normal_equations_are_those_of_the_full_jacobian(count: int) -> None:
         fit = basis[:, others] @ np.linalg.lstsq(basis[:, others], y.ravel(), rcond=None)[0]
         lost = np.sum(np.abs(y.ravel() - fit) ** 2) - np.sum(np.abs(residual) ** 2)
         np.testing.assert_allclose(got.wald[p], lost, rtol=1e-5)
-
-
-def test_taking_a_path_out_of_the_spectrum_is_transforming_the_residual() -> None:
-    rng = np.random.default_rng(6)
-    paths = draw(rng, np.array([10.0, -5.0]))
-    y = channel(paths) + noise(rng)
-    geometry = np.stack([paths.distance_m, paths.azimuth_rad, paths.elevation_rad], 1)
-    spectrum = Spectrum(y, AT_REST)
-    spectrum.leave(geometry, evaluate(y, geometry, AT_REST.model))
-    residual = Spectrum(y - spectrum.explained, AT_REST)
-    for one in (spectrum, residual):
-        one.look()
-    np.testing.assert_allclose(spectrum.power.energy, residual.power.energy, rtol=1e-2, atol=1e-2)
-    np.testing.assert_allclose(spectrum.power.noise, residual.power.noise, rtol=1e-2)
 
 
 @pytest.mark.parametrize(("calibration", "ghosts"), [((0.0, 0.0), 0), ((5.0, 0.5), 5)])

@@ -12,7 +12,7 @@ from scipy.stats import chi2, ncx2, poisson
 from cellslam.sim.errors import InputError
 from cellslam.sim.lte import RadioConfig
 from cellslam.sim.lte.links import Cells, cells_of
-from cellslam.sim.lte.persisting_errors import draw_fields
+from cellslam.sim.lte.persisting_errors import draw_fields, floors
 from cellslam.sim.lte.signal.drive_in_blocks import snapshot_paths
 from cellslam.sim.lte.statistical.clutter_kernel import BLUR_AZIMUTH_RAD, STRETCH
 from cellslam.sim.lte.statistical.detector_layout import GAMMA_START_DB, GAMMA_STEP_DB, PathColumns, Streams
@@ -125,6 +125,13 @@ def test_errors_have_the_claimed_size_and_no_mean(amplitude: float) -> None:
     assert (np.abs(error.mean(axis=0)) < 5.0 * claimed.mean(axis=0) / np.sqrt(n)).all()
 
 
+def test_claims_are_bound_plus_floors() -> None:
+    config = quiet()
+    d = run(config, [[100.0, 0.0, 0.0]], np.array([amplitude_for(25_600.0, config)]), 1)
+    bound = np.array([0.04053, np.radians(0.0685), np.radians(0.0704)])
+    np.testing.assert_allclose(d.true_std[0], np.hypot(bound, floors(config)), rtol=1e-3)
+
+
 def test_noise_clutter_is_poisson_and_uniform() -> None:
     config, count = RadioConfig(clutter_scale=3.0), 20_000
     d = run(config, np.empty((0, 3)), np.empty(0), count)
@@ -191,24 +198,6 @@ def test_merged_paths_pull_the_stronger_one() -> None:
     assert abs(d.measurements.distance_m[alone].mean() - 100.0 - shift) < 5.0 * std
     assert shift > 4.0 * std
     np.testing.assert_allclose(np.median(d.merging_shift[alone], axis=0), [shift, 0.0, 0.0], rtol=1e-3, atol=1e-12)
-
-
-def test_one_in_all_directions_is_exact_without_noise() -> None:
-    from cellslam.slam.model.measurement_model import predict
-
-    rng = np.random.default_rng(5)
-    config = RadioConfig(noise_scale=0.0, clutter_scale=0.0, perfect_detection=True)
-    count = 200
-    vts = rng.uniform(-300.0, 300.0, (3, 3))
-    poses = np.concatenate([rng.uniform(-50.0, 50.0, (count, 3)), rng.uniform(-0.5, 0.5, (count, 3))], axis=1)
-    poses[:, 3] = rng.uniform(-np.pi, np.pi, count)
-    paths = make_paths(vts, np.array([1e-6, 1e-9, 1e-6]), count)
-    d = detect(config, make_cells(0.0), paths, poses, np.array([-71.5]), FIELDS, Streams.spawn(rng))
-    m = d.measurements
-    exact = predict(poses[m.snapshot], paths.vt_m[d.path]) + np.array([-71.5, 0.0, 0.0])
-    assert len(m) == 3 * count
-    np.testing.assert_allclose(np.stack([m.distance_m, m.azimuth_rad, m.elevation_rad], 1), exact, atol=1e-9)
-    assert (d.true_std == 0.0).all()
 
 
 def test_angles_stay_in_range_near_the_pole() -> None:

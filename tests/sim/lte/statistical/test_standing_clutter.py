@@ -87,21 +87,6 @@ def test_draws_of_keys_are_uniform_normal_and_poisson() -> None:
     assert poisson(1e3, 1.0 - 2.0**-53, 512) == 512
 
 
-def test_squares_are_shared_as_far_as_geometry_says() -> None:
-    from tools.calibration.recurrence import same_square
-
-    rng, count = np.random.default_rng(3), 4000
-    for way in (0.25, 0.5, 0.9):
-        place, turn = rng.uniform(-100.0, 100.0, (count, 3)), rng.uniform(-np.pi, np.pi, count)
-        other = place + way * SIDE * np.stack([np.cos(turn), np.sin(turn), np.zeros(count)], 1)
-        keys = [np.uint64(joined(np.uint64(9), i)) for i in range(count)]
-        same = [square_of(k, a, SIDE) == square_of(k, b, SIDE) for k, a, b in zip(keys, place, other, strict=True)]
-        # Half a side apart, at random: (1 - |cos| / 2) (1 - |sin| / 2) over all directions is 1 - 1.75 / pi = 0.443.
-        expected = float(same_square(np.array(way)))
-        assert abs(np.mean(same) - expected) < 5.0 * np.sqrt(expected * (1.0 - expected) / count)
-    assert same_square(np.array(0.5)) == pytest.approx(0.443, abs=1e-3)
-
-
 def test_scatterers_last_for_the_area_below_their_correlation() -> None:
     # Along an axis the correlation over the way x is 1 - x / side, the area below it, both ways, one side. So on a way
     # of 50 sides 51 draws of Poisson numbers are met, each of the mean, and each scatterer for a side on average.
