@@ -5,11 +5,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from cellslam.sim.city.assemble import Part, assemble
 from cellslam.sim.city.city import Tolerances
 from cellslam.sim.city.facets import merge_facets
-from cellslam.sim.city.materials import itu_material
-from cellslam.sim.errors import InputError
 
 
 def grid(n, size, height=lambda x, y: 0 * x):
@@ -91,18 +88,3 @@ def test_moving_a_city_moves_its_facets(seed):
     np.testing.assert_array_equal(label, turned)
     assert facets.area_m2 == pytest.approx(moved.area_m2) == pytest.approx([72.0, 72.0 * np.hypot(1.0, 0.3)])
     np.testing.assert_allclose(np.abs(np.einsum("fi,fi->f", facets.normal @ q.T, moved.normal)), 1.0, atol=1e-9)
-
-
-@pytest.mark.parametrize(
-    ("vertices", "triangles", "message"),
-    [
-        (np.zeros((3, 3)), np.zeros((0, 3), int), "no triangles"),
-        (np.array([[0, 0, 0], [1, 0, 0], [0, np.nan, 0]]), [[0, 1, 2]], "vertex 2 of 3 is not finite"),
-        (np.array([[0, 0, 0], [1, 0, 0], [2, 0, 0.0]]), [[0, 1, 2]], "zero area"),
-        (np.array([[0, 0, 0], [1e9, 0, 0], [0, 1, 0.0]]), [[0, 1, 2]], "expected metres"),
-    ],
-)
-def test_impossible_cities_are_refused(vertices, triangles, message):
-    part = Part(vertices, np.asarray(triangles, np.int64), 0, -1)
-    with pytest.raises(InputError, match=message):
-        assemble("bad", [part], [itu_material("brick")], [], np.zeros(0))

@@ -5,7 +5,6 @@ import pytest
 
 from cellslam.sim.city import MeshCityConfig, build_city
 from cellslam.sim.city.inside import OUTSIDE, enclosing
-from cellslam.sim.errors import InputError
 
 LON, LAT = 11.5, 48.1
 # Metres per degree at this latitude: radii of curvature of WGS 84, by hand.
@@ -87,18 +86,3 @@ def test_courtyard_passage_and_roof(town):
 def test_streets_are_those_for_cars_in_local_metres(town):
     assert len(town.streets) == 1
     assert abs(np.hypot(*np.diff(town.streets[0], axis=0).T).sum() - 130.0) < 0.1
-
-
-@pytest.mark.parametrize(
-    ("content", "says"),
-    [
-        (b"", "is empty"),
-        (b"<osm version='0.6'></osm>", "no building"),
-        (b"\x00\x01", "cannot"),
-    ],
-)
-def test_bad_files(tmp_path, content, says):
-    path = tmp_path / "bad.osm"
-    path.write_bytes(content)
-    with pytest.raises(InputError, match=says):
-        build_city(MeshCityConfig(path=str(path)), np.random.default_rng(0))

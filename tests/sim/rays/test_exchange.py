@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy.io import savemat
 
 from cellslam.sim.errors import InputError
 from cellslam.sim.frames import SPEED_OF_LIGHT_MPS, azimuth_elevation
@@ -127,23 +128,16 @@ def test_another_convention_does_not_pass(arrays: Arrays, says: str, tmp_path: P
 
 
 def test_measured_paths_may_err(tmp_path: Path) -> None:
-    rng = np.random.default_rng(1)
-    arrays = sionna()
+    rng, arrays = np.random.default_rng(1), sionna()
     del arrays["vertices"]
     arrays["tau"] = arrays["tau"] + arrays["valid"] * 2.0 / SPEED_OF_LIGHT_MPS * rng.uniform(-1, 1, arrays["tau"].shape)
     arrays["phi_r"] = arrays["phi_r"] + np.radians(4.0) * rng.uniform(-1, 1, arrays["tau"].shape)
     path = saved(tmp_path, arrays)
-    with pytest.raises(InputError, match="are delays counted"):
-        read_sionna(path)
-    with pytest.raises(InputError, match="angle of arrival"):
-        read_sionna(path, tolerance=Tolerance(2.1))
+    for tolerance, says in ((Tolerance(), "are delays counted"), (Tolerance(2.1), "angle of arrival")):
+        with pytest.raises(InputError, match=says):
+            read_sionna(path, tolerance=tolerance)
     found = read_sionna(path, tolerance=Tolerance(2.1, np.radians(4.1))).paths
-    assert len(found) == np.count_nonzero(arrays["valid"])
-    measured = SPEED_OF_LIGHT_MPS * arrays["tau"][arrays["valid"]]
-    np.testing.assert_allclose(np.sort(found.length_m), np.sort(measured))
-    arrays["theta_r"] = np.pi / 2 - arrays["theta_r"]
-    with pytest.raises(InputError, match="their zenith angles are elevations"):
-        read_sionna(saved(tmp_path, arrays), tolerance=Tolerance(2.1, np.radians(4.1)))
+    np.testing.assert_allclose(np.sort(found.length_m), np.sort(SPEED_OF_LIGHT_MPS * arrays["tau"][arrays["valid"]]))
 
 
 def test_pickles_are_not_loaded(tmp_path: Path) -> None:
@@ -154,33 +148,27 @@ def test_pickles_are_not_loaded(tmp_path: Path) -> None:
 
 def deepmimo(folder: Path, elevation: bool = False, away: bool = False) -> Path:
     """Write a scenario's matrices from the same scene, by the older names of some, as .npz, .npy and .mat."""
-    from scipy.io import savemat
-
     arrays = sionna()
     for s, sent in enumerate(SENT):
-        there = arrays["valid"][:, s]
-
-        def nan(values: np.ndarray, there: np.ndarray = there) -> np.ndarray:
-            return np.where(there, values, np.nan).astype(np.float32)
-
-        angle = {end: [np.degrees(arrays[f"{name}_{end}"][:, s]) for name in ("phi", "theta")] for end in "rt"}
+        own = {name: array[:, s] for name, array in arrays.items() if array.ndim == 3}
+        degrees = {name: np.degrees(own[name]) for name in ("phi_r", "theta_r", "phi_t", "theta_t")}
         if away:
-            angle["r"] = [angle["r"][0] + 180.0, 180.0 - angle["r"][1]]
+            degrees |= {"phi_r": degrees["phi_r"] + 180.0, "theta_r": 180.0 - degrees["theta_r"]}
         if elevation:
-            angle = {end: [phi, 90.0 - theta] for end, (phi, theta) in angle.items()}
+            degrees |= {name: 90.0 - degrees[name] for name in ("theta_r", "theta_t")}
         a = arrays["a"][:, 0, s, 0]
         bounces = (arrays["interactions"][:, :, s] != 0).sum(axis=0)
         points = np.moveaxis(arrays["vertices"][:, :, s], 0, -2)
-        known = np.arange(points.shape[-2]) < np.where(there, bounces, 0)[..., None]
+        known = np.arange(points.shape[-2]) < np.where(own["valid"], bounces, 0)[..., None]
         matrices = {
-            "rx_pos": RECEIVED, "tx_loc": sent[None],
-            "aoa_az": nan(np.mod(angle["r"][0], 360.0)), "aoa_el": nan(angle["r"][1]),
-            "aod_az": nan(angle["t"][0]), "aod_el": nan(angle["t"][1]), "toa": nan(arrays["tau"][:, s]),
-            "power": nan(20.0 * np.log10(np.maximum(np.abs(a), 1e-30))), "phase": nan(np.degrees(np.angle(a))),
-            "inter": nan(bounces), "inter_pos": np.where(known[..., None], points, np.nan),
+            "aoa_az": np.mod(degrees["phi_r"], 360.0), "aoa_el": degrees["theta_r"],
+            "aod_az": degrees["phi_t"], "aod_el": degrees["theta_t"], "toa": own["tau"], "inter": bounces,
+            "power": 20.0 * np.log10(np.maximum(np.abs(a), 1e-30)), "phase": np.degrees(np.angle(a)),
         }  # fmt: skip
+        matrices = {key: np.where(own["valid"], matrix, np.nan).astype(np.float32) for key, matrix in matrices.items()}
+        matrices |= {"inter_pos": np.where(known[..., None], points, np.nan), "rx_pos": RECEIVED, "tx_loc": sent[None]}
         for number, (key, matrix) in enumerate(matrices.items()):
-            path = folder / f"{key}_t000_tx{s:03}_r001"
+            path = f"{folder / key}_t000_tx{s:03}_r001"
             if number % 3 == 0:
                 np.savez(path, **{key: matrix})
             elif number % 3 == 1:
@@ -204,13 +192,13 @@ def test_what_is_no_deepmimo_scenario(tmp_path: Path) -> None:
     deepmimo(tmp_path, elevation=True)
     with pytest.raises(InputError, match="their zenith angles are elevations"):
         read_deepmimo(tmp_path)
-    for path in tmp_path.glob("*_r001*"):
+    next(tmp_path.glob("phase_t000_tx000_r001.*")).unlink()
+    with pytest.raises(InputError, match=r"no phase_t000_tx000_r001\.npz"):
+        read_deepmimo(tmp_path)
+    for path in tmp_path.glob("*_tx001_r001*"):
         path.rename(path.with_name(path.name.replace("tx001_r001", "tx000_r002")))
     with pytest.raises(InputError, match="has the receiver sets 1, 2: choose one with --rx-set"):
         read_deepmimo(tmp_path)
-    (tmp_path / "phase_t000_tx000_r001.mat").unlink()
-    with pytest.raises(InputError, match=r"no phase_t000_tx000_r001\.npz"):
-        read_deepmimo(tmp_path, 1)
 
 
 @pytest.fixture(scope="module")
