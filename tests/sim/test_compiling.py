@@ -85,20 +85,6 @@ def test_with_a_numba_that_nobody_knows_parts_are_plain_functions(
     assert called(package)[0] == pytest.approx(4.0 - 2.0 * 3.141592653589793)
 
 
-def test_sources_are_those_that_imports_reach(tmp_path: Path) -> None:
-    (tmp_path / "sim").mkdir()
-    sources = {
-        "a": "from cellslam.sim.b import f, g\nfrom numba import njit\n",
-        "b": "def f():\n    from cellslam.sim import (\n        c,\n        nothing as d,\n    )\n",
-        "c": "import math\n",
-        "d": "",
-    }
-    for name, text in sources.items():
-        (tmp_path / "sim" / f"{name}.py").write_text(text)
-    found = compiling.reachable(tmp_path / "sim" / "a.py", tmp_path)
-    assert {path.stem for path in found} == {"a", "b", "c"}
-
-
 def test_old_folders_are_removed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     package = tmp_path / "cellslam" / "sim"
     package.mkdir(parents=True)

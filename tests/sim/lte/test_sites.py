@@ -37,13 +37,6 @@ def site(name: str = "A", position: tuple[float, float, float] | None = None) ->
     return SiteConfig(name=name, position_m=position, cells=CELL)
 
 
-def test_roof_height_by_hand(city: Any) -> None:
-    assert roof_height(city, 105.0, 105.0) == pytest.approx(25.0)
-    assert roof_height(city, 0.0, 0.0) == pytest.approx(60.0)
-    assert roof_height(city, 120.0, 120.0) == -np.inf
-    assert roof_height(city, 50.0, 50.0) == -np.inf
-
-
 @pytest.mark.parametrize(
     ("sites", "message"),
     [

@@ -9,18 +9,13 @@ import pytest
 from numpy.typing import NDArray
 from scipy.spatial import KDTree
 
-from cellslam.sim.compiling import njit
 from cellslam.sim.frames import unit_vector
 from cellslam.sim.lte import RadioConfig
 from cellslam.sim.lte.persisting_errors import draw_fields
-from cellslam.sim.lte.statistical import clutter_kernel as draws
 from cellslam.sim.lte.statistical.detector_layout import PathColumns, Standing, Streams
 from cellslam.sim.lte.statistical.statistical_front_end import Detections, detect
 from cellslam.sim.lte.statistical.statistics import statistics
 from tests.sim.lte.statistical.test_detector import amplitude_for, make_cells
-
-joined, normal, uniform = njit(draws.joined), njit(draws.normal), njit(draws.uniform)
-poisson, square_of = njit(draws.poisson), njit(draws.square_of)
 
 Floats = NDArray[np.float64]
 SIDE = 20.0
@@ -72,19 +67,6 @@ def along(way_m: float, step_m: float) -> Floats:
     """Return places along an axis."""
     x = np.arange(0.0, way_m, step_m)
     return np.stack([x, np.full_like(x, 7.0)], 1)
-
-
-def test_draws_of_keys_are_uniform_normal_and_poisson() -> None:
-    key, count = np.uint64(5), 20_000
-    u = np.array([uniform(key, i) for i in range(-count // 2, count // 2)])
-    z = np.array([normal(key, i) for i in range(count)])
-    n = np.array([poisson(1.7, x, 512) for x in u])
-    assert u.min() >= 0.0 and u.max() < 1.0
-    np.testing.assert_allclose([u.mean(), u.var()], [1.0 / 2.0, 1.0 / 12.0], atol=5.0 / np.sqrt(12.0 * count))
-    np.testing.assert_allclose([z.mean(), z.std()], [0.0, 1.0], atol=5.0 / np.sqrt(count))
-    np.testing.assert_allclose([n.mean(), n.var()], 1.7, atol=5.0 * np.sqrt((1.7 + 2.0 * 1.7**2) / count))
-    assert abs(np.corrcoef(u[1:], u[:-1])[0, 1]) < 5.0 / np.sqrt(count)
-    assert poisson(1e3, 1.0 - 2.0**-53, 512) == 512
 
 
 def test_scatterers_last_for_the_area_below_their_correlation() -> None:
