@@ -77,7 +77,6 @@ def test_cells_that_collide() -> None:
         ((1, 4, 0), "antenna port 4"),
         ((1, 0, 20), "slot 20"),
         ((1, 0, 0, 111), "resource_blocks 111"),
-        ((1.5, 0, 0), "cell ID 1.5"),
         ((1, 0, 0, 100, "short"), "'short' is unknown"),
     ],
 )

@@ -79,13 +79,11 @@ def assign(path: str, row: int, value: float) -> Callable[[h5py.File], None]:
 BROKEN = {
     "other HDF5": (lambda f: f.attrs.__delitem__("format"), ["not a recording", "cellslam record"]),
     "newer version": (lambda f: f.attrs.modify("schema_version", 99), ["version 99", "reads version 2", "update"]),
-    "no version": (lambda f: f.attrs.__delitem__("schema_version"), ["schema_version", "missing"]),
     "missing table": (lambda f: f.pop("measurements"), ["table 'measurements' is missing", "distance_m"]),
     "missing column": (lambda f: f.pop("measurements/snr_db"), ["'measurements/snr_db' is missing", "'dB'"]),
     "misspelled": (lambda f: f.move("sites/name", "sites/nam"), ["'sites/nam'", "name"]),
     "unknown table": (lambda f: f.create_group("measurments"), ["'measurments'", "did you mean"]),
     "broken link": (lambda f: f.__setitem__("odd", h5py.SoftLink("/no")), ["'odd'", "broken link"]),
-    "text for numbers": (replace("measurements/distance_m", np.array([b"x"] * 9)), ["holds |S1", "numbers"]),
     "numbers for text": (replace("sites/name", np.zeros(2)), ["'sites/name'", "text"]),
     "fractions for indices": (replace("links/site", np.zeros(4)), ["'links/site'", "float64", "integers"]),
     "no unit": (lambda f: f["time_s"].attrs.__delitem__("unit"), ["'time_s' has no unit", "'s'"]),
