@@ -78,7 +78,7 @@ HERE, PLACE = (150.0, 0.7, 0.2), np.array([3.0, 4.0, 1.8])
         ("calibration", (HERE, VT), ((150.0, 2.7, 0.2), VT), 0.0),
         # Frozen at a stop; on the way by the scale, and by many; another port; another VT.
         ("diffuse", (HERE, PLACE, 0, 0), (HERE, PLACE, 0, 500), 1.0),
-        ("diffuse", (HERE, PLACE), (HERE, PLACE + [0.2, 0.0, 0.0]), np.exp(-0.5)),
+        ("diffuse", (HERE, PLACE), (HERE, PLACE + np.array([0.2, 0.0, 0.0])), np.exp(-0.5)),
         ("diffuse", (HERE, PLACE), (HERE, PLACE + 1.0), 0.0),
         ("diffuse", (HERE, PLACE), (HERE, PLACE, 1), 0.0),
         ("diffuse", (HERE, PLACE), (HERE, PLACE, 0, 0, VT + 1.0), 0.0),
