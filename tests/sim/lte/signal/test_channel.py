@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from cellslam.sim.frames import SPEED_OF_LIGHT_MPS, rotation
+from cellslam.sim.frames import SPEED_OF_LIGHT_MPS, azimuth_elevation, rotation, unit_vector
 from cellslam.sim.lte.array import CircularArray, switching_times_s
 from cellslam.sim.lte.downlink import LteWaveform
 from cellslam.sim.lte.signal import symbol
@@ -28,10 +28,8 @@ def test_arriving_field_is_the_same_vector_in_both_frames() -> None:
     gain = rng.normal(size=(5, 2, 2)) + 1j * rng.normal(size=(5, 2, 2))
     paths = arriving_paths(pose, vt, gain, slant, np.full(5, 2.0), CARRIER_HZ)
     towards = vt - pose[:3]
-    az = np.arctan2(towards[:, 1], towards[:, 0])
-    el = np.arctan2(towards[:, 2], np.hypot(towards[:, 0], towards[:, 1]))
     phase = np.exp(-2j * np.pi * np.linalg.norm(towards, axis=1) * CARRIER_HZ / SPEED_OF_LIGHT_MPS)
-    world = 2.0 * phase[:, None] * np.einsum("npi,np->ni", polarisation(az, el), gain @ slant)
+    world = 2.0 * phase[:, None] * np.einsum("npi,np->ni", polarisation(*azimuth_elevation(towards)), gain @ slant)
     body = np.einsum("npi,np->ni", polarisation(paths.azimuth_rad, paths.elevation_rad), paths.weights)
     np.testing.assert_allclose(body @ rotation(*pose[3:]).T, world, atol=1e-9)
 
@@ -39,8 +37,7 @@ def test_arriving_field_is_the_same_vector_in_both_frames() -> None:
 @pytest.mark.parametrize("azimuth", [-2.0, 0.0, 1.0])
 def test_polarisation_is_a_right_handed_frame(azimuth: float) -> None:
     h, v = polarisation(azimuth, 0.4)
-    towards = np.array([np.cos(0.4) * np.cos(azimuth), np.cos(0.4) * np.sin(azimuth), np.sin(0.4)])
-    np.testing.assert_allclose(np.cross(h, v), towards, atol=1e-12)
+    np.testing.assert_allclose(np.cross(h, v), unit_vector(azimuth, 0.4), atol=1e-12)
 
 
 def gain_of(vt: NDArray[np.float64]) -> NDArray[np.complex128]:

@@ -80,12 +80,15 @@ def test_paths_are_measured_as_claimed(radio: dict[str, float | str], monkeypatc
 
 
 @pytest.mark.slow
-def test_blocks_single_snapshots_and_a_restart_give_the_same(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(streaming, "BLOCK", 2)
+def test_processes_single_snapshots_and_a_restart_give_the_same(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setattr(streaming.tempfile, "gettempdir", lambda: str(tmp_path))
     paths, poses, velocity = drive(4)
     rng, signals = np.random.default_rng(4), front_end()
+    monkeypatch.setattr(streaming, "BLOCK", 1)  # so many blocks that several processes measure them
     whole = streaming.detect_signals(signals, paths, poses, velocity, velocity, rng)
+    monkeypatch.setattr(streaming, "BLOCK", 2)
     one, low = streaming.snapshot_paths(paths, 1, 2)
     alone = streaming.detect_signals(signals, one, poses[1:2], velocity[1:2], velocity[1:2], rng, first_snapshot=1)
     rows = whole.measurements.snapshot == 1
@@ -110,17 +113,6 @@ def test_blocks_single_snapshots_and_a_restart_give_the_same(tmp_path: Path, mon
     assert measured[before:] == [2, 3]
     np.testing.assert_array_equal(resumed.measurements.distance_m, whole.measurements.distance_m)
     assert not any(path.is_file() for path in tmp_path.rglob("*"))
-
-
-@pytest.mark.slow
-def test_several_processes_give_the_same(monkeypatch: pytest.MonkeyPatch) -> None:
-    paths, poses, velocity = drive(4)
-    signals = front_end()
-    one = streaming.detect_signals(signals, paths, poses, velocity, velocity, np.random.default_rng(4))
-    monkeypatch.setattr(streaming, "BLOCK", 1)
-    several = streaming.detect_signals(signals, paths, poses, velocity, velocity, np.random.default_rng(4))
-    np.testing.assert_array_equal(several.measurements.distance_m, one.measurements.distance_m)
-    np.testing.assert_array_equal(several.path, one.path)
 
 
 def test_answers_of_processes_come_in_order_and_errors_come_through() -> None:
