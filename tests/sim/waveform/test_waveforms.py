@@ -35,20 +35,12 @@ def examples(monkeypatch: pytest.MonkeyPatch) -> None:
     "made", [LteWaveform, lambda: LteWaveform(6), NrWaveform, lambda: NrWaveform(24, 2, 6, 12), own]
 )
 def test_a_waveform_keeps_the_protocol(made: type[Waveform]) -> None:
-    w = made()
+    w = checked(made(), 1000.0)
     assert hash(w) == hash(made()) and w == made()
-    assert (np.diff(w.tones_hz) >= 0.0).all()
-    assert np.ptp(w.tones_hz) <= w.bandwidth_hz < 1.2 * np.ptp(w.tones_hz)
-    assert 0.0 < w.sample_s <= 1.0 / w.bandwidth_hz
-    assert w.slot_s <= 0.5e-3
+    assert w.bandwidth_hz < 1.2 * np.ptp(w.tones_hz) and 0.0 < w.sample_s <= 1.0 / w.bandwidth_hz
     combs = w.combs(PORTS)
     assert len(combs) == len(PORTS)
-    for port, comb in zip(PORTS, combs, strict=True):
-        for slot in (0, w.slots - 1):
-            values = w.values(port, comb, slot)
-            assert values.shape == w.tones_hz.shape
-            np.testing.assert_allclose(np.abs(values), 1.0, rtol=1e-12)
-    first, second = w.values(PORTS[0], combs[0], 0), w.values(PORTS[2], combs[2], 0)
+    first, second = w.values(PORTS[0], combs[0], w.slots - 1), w.values(PORTS[2], combs[2], w.slots - 1)
     assert abs(np.vdot(first, second)) < 5.0 * np.sqrt(len(first))
 
 
@@ -105,8 +97,5 @@ def test_what_is_wrong_with_a_waveform_is_said(name: str, value: object, text: s
     mistaken = type("Mistaken", (type(own()),), {name: value})
     with pytest.raises(InputError, match=text):
         checked(mistaken(None), 1750.0)
-
-
-def test_what_is_no_waveform_is_said() -> None:
     with pytest.raises(InputError, match="Fraction is no waveform: it lacks slot_s"):
         checked(Fraction(1, 2), 1750.0)

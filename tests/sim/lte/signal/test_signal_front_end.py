@@ -80,9 +80,7 @@ def test_paths_are_measured_as_claimed(radio: dict[str, float | str], monkeypatc
 
 
 @pytest.mark.slow
-def test_processes_single_snapshots_and_a_restart_give_the_same(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_processes_snapshots_and_a_restart_give_the_same(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(streaming.tempfile, "gettempdir", lambda: str(tmp_path))
     paths, poses, velocity = drive(4)
     rng, signals = np.random.default_rng(4), front_end()
