@@ -151,19 +151,6 @@ def test_shipped_scenes(monkeypatch):
         load("sionna-rt:munich")
 
 
-@pytest.mark.slow
-def test_munich_loads_and_has_paths():
-    city = load("sionna-rt:munich")
-    assert len(city.triangles) == 38_936
-    assert 17_400 < len(city.facets) < 17_600
-    assert 1_100 < len(city.footprints) < 1_250
-    # An open place: a hundred receivers in a straight line that no building covers.
-    line = np.column_stack([np.linspace(-686.7, -157.6, 100), np.linspace(438.0, 407.6, 100), np.full(100, 2.0)])
-    paths = trace(city, [[-420.0, 425.0, 10.0]], line)
-    assert (paths.order == 1).sum() > 50
-    np.testing.assert_allclose(paths.length_m, np.linalg.norm(paths.vt_position_m - line[paths.receiver], axis=1))
-
-
 @pytest.mark.parametrize(
     ("name", "content", "message"),
     [
