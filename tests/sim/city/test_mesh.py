@@ -55,6 +55,7 @@ def test_utm_coordinates_cost_no_accuracy(tmp_path):
     receivers = np.column_stack([rng.uniform(-90, 90, (400, 2)), np.full(400, 1.5)])
     sites = np.array([[3.3, 4.1, 28.0]])
     town = build_city(ProceduralCityConfig(extent_m=200.0, block_size_m=100.0), np.random.default_rng(2))
+    town = replace(town, vertices=np.round(town.vertices, 3))
     write_scene(town, tmp_path / "near" / "town.xml")
     write_scene(replace(town, vertices=town.vertices + shift), tmp_path / "far" / "town.xml")
     near = trace(load(tmp_path / "near" / "town.xml"), sites, receivers, diffraction=True)
@@ -170,7 +171,8 @@ def test_shipped_scenes(monkeypatch):
     ],
 )
 def test_bad_files_are_refused_in_one_line(tmp_path, monkeypatch, name, content, message):
-    monkeypatch.setitem(sys.modules, "charset_normalizer", None)  # an optional part of trimesh, as if not installed
+    if name == "latin.obj":
+        monkeypatch.setitem(sys.modules, "charset_normalizer", None)  # an optional part of trimesh, as if not installed
     path = tmp_path / name
     if content is not None:
         path.write_bytes(content)

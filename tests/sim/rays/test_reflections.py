@@ -119,7 +119,8 @@ def test_reciprocity_and_geometry(yard):
 def test_flipped_split_and_repeated_facets_change_nothing(scenes):
     rng = np.random.default_rng(2)
     receivers = np.column_stack([rng.uniform(-60, 60, 400), rng.uniform(-30, 15, 400), rng.uniform(1, 20, 400)])
-    boxes = [scenes.box((-40, 20, 0), (-5, 30, 15)), scenes.box((-20, -60, 0), (10, -40, 25))]
+    corners = ((-40, 20, 0), (-5, 30, 15)), ((3, 22, 0), (35, 28, 9)), ((-20, -60, 0), (10, -40, 25))
+    boxes = [scenes.box(*pair) for pair in corners]
     plain = trace(scenes.city_of(*boxes), [TX], receivers)
     one_flipped = [(v, np.r_[t[:1, ::-1], t[1:]]) for v, t in boxes]
     assert (plain.order == 1).sum() > 100

@@ -78,16 +78,19 @@ def assign(path: str, row: int, value: float) -> Callable[[h5py.File], None]:
 
 BROKEN = {
     "other HDF5": (lambda f: f.attrs.__delitem__("format"), ["not a recording", "cellslam record"]),
-    "newer version": (lambda f: f.attrs.modify("schema_version", 99), ["version 99", "reads version 2", "update"]),
+    "newer version": (lambda f: f.attrs.__setitem__("schema_version", 99), ["version 99", "reads version 2", "update"]),
     "missing table": (lambda f: f.pop("measurements"), ["table 'measurements' is missing", "distance_m"]),
     "missing column": (lambda f: f.pop("measurements/snr_db"), ["'measurements/snr_db' is missing", "'dB'"]),
-    "misspelled": (lambda f: f.move("sites/name", "sites/nam"), ["'sites/nam'", "name"]),
+    "misspelled": (
+        lambda f: f.__setitem__("measurements/distance_sd_m", np.zeros(3)),
+        ["distance_sd_m'", "distance_std_m"],
+    ),
     "unknown table": (lambda f: f.create_group("measurments"), ["'measurments'", "did you mean"]),
     "broken link": (lambda f: f.__setitem__("odd", h5py.SoftLink("/no")), ["'odd'", "broken link"]),
     "numbers for text": (replace("sites/name", np.zeros(2)), ["'sites/name'", "text"]),
     "fractions for indices": (replace("links/site", np.zeros(4)), ["'links/site'", "float64", "integers"]),
     "no unit": (lambda f: f["time_s"].attrs.__delitem__("unit"), ["'time_s' has no unit", "'s'"]),
-    "wrong unit": (lambda f: f["time_s"].attrs.modify("unit", "ms"), ["unit 'ms'", "'s'"]),
+    "wrong unit": (lambda f: f["time_s"].attrs.__setitem__("unit", "ms"), ["unit 'ms'", "'s'"]),
     "short column": (replace("measurements/link", np.zeros(3, np.int64)), ["(3,)", "measurements/snapshot"]),
     "wrong width": (replace("odometry", np.zeros((40, 5))), ["'odometry'", "(40, 5)", "(T, 6)"]),
     "time not finite": (assign("time_s", 7, np.nan), ["time_s, row 7", "finite"]),

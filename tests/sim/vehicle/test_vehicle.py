@@ -111,18 +111,24 @@ def test_follower_stays_on_the_route_and_holds_the_wheel_when_standing(city: Any
 
 
 @pytest.mark.parametrize("seed", range(2))
-def test_distance_duration_and_stops_come_out(city: Any, seed: int) -> None:
+def test_distance_and_duration_come_out(city: Any, seed: int) -> None:
     config = VehicleConfig(route=5)
     driven = drive(plan_route(city, config, rng()), config, rng(seed))
     assert driven.time_s.shape == (6850,)
     assert driven.time_s[-1] == pytest.approx(513.75 - 0.075)
     assert driven.distance_m == pytest.approx(530.0, rel=1e-4)
-    speed = driven.velocity[:, 0]
-    assert speed[[0, -1]] == pytest.approx(0.0, abs=1e-3)
-    assert speed.min() >= 0.0 and 0.0 < speed.max() < 2.5
-    # Three stops and the end.
-    assert np.count_nonzero(np.diff((speed == 0.0).astype(int)) == 1) == config.stops + 1
-    assert np.abs(np.diff(speed)).max() / 0.075 <= config.acceleration_mps2 * 1.01
+    assert driven.velocity[[0, -1], 0] == pytest.approx(0.0, abs=1e-3)
+    assert 0.0 < driven.velocity[:, 0].max() < 2.5
+
+
+def test_speed_profile_stops_where_told_and_sums_up() -> None:
+    config = VehicleConfig(stops=3, stop_s=10.0, speed_variation=0.3)
+    speed = speed_profile(np.array([0.0, 600.0]), np.zeros(2), config, 0.015, 34245, rng(3))
+    assert speed.sum() * 0.015 == pytest.approx(530.0, rel=1e-12)
+    assert speed.min() >= 0.0
+    still = (speed == 0.0).astype(int)
+    assert np.count_nonzero(np.diff(still) == 1) == 4
+    assert np.abs(np.diff(speed)).max() / 0.015 <= config.acceleration_mps2 * 1.01
 
 
 def test_turns_slow_the_vehicle_down() -> None:

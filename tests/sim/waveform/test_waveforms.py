@@ -40,7 +40,7 @@ def test_a_waveform_keeps_the_protocol(made: type[Waveform]) -> None:
     assert w.bandwidth_hz < 1.2 * np.ptp(w.tones_hz) and 0.0 < w.sample_s <= 1.0 / w.bandwidth_hz
     combs = w.combs(PORTS)
     assert len(combs) == len(PORTS)
-    first, second = w.values(PORTS[0], combs[0], w.slots - 1), w.values(PORTS[2], combs[2], w.slots - 1)
+    first, second = w.values(PORTS[0], combs[0], 0), w.values(PORTS[2], combs[2], 0)
     assert abs(np.vdot(first, second)) < 5.0 * np.sqrt(len(first))
 
 
