@@ -74,7 +74,7 @@ def test_pose_by_pose_gives_the_recording(busy: Recording) -> None:
 def test_file_holds_the_traffic(busy: Recording, tmp_path: Path) -> None:
     busy.save(tmp_path / "a.h5")
     assert len(vehicles(busy)) > 20 and len(vehicles(busy).blocked) > 3
-    assert_identical(busy, Recording.load(tmp_path / "a.h5"))
+    assert_identical(vehicles(busy), vehicles(Recording.load(tmp_path / "a.h5")))
 
 
 @pytest.mark.parametrize(
