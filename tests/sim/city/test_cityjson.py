@@ -38,7 +38,15 @@ def load(path):
     return build_city(MeshCityConfig(path=str(path)), np.random.default_rng(0))
 
 
-def check(city):
+HEAD = {**HOUSE, "CityObjects": {}, "vertices": []}
+FEATURE = {"type": "CityJSONFeature", "CityObjects": HOUSE["CityObjects"], "vertices": VERTICES}
+
+
+@pytest.mark.parametrize("documents", [[HOUSE], [HEAD, FEATURE]], ids=["file", "sequence of features"])
+def test_a_house_with_a_yard(documents, tmp_path):
+    path = tmp_path / f"house.city.json{'l' if len(documents) > 1 else ''}"
+    path.write_text("\n".join(json.dumps(document) for document in documents))
+    city = load(path)
     assert len(city.facets) == 10
     np.testing.assert_allclose(city.bounds, [[85000, 446000, 3], [85010, 446008, 9]], atol=1e-9)
     plan = shapely.box(85000, 446000, 85010, 446008) - shapely.box(85003, 446003, 85007, 446005)
@@ -53,29 +61,13 @@ def check(city):
         assert not plan.contains(shapely.Point(outside[:2]))
 
 
-def test_a_house_with_a_yard(tmp_path):
-    path = tmp_path / "house.city.json"
-    path.write_text(json.dumps(HOUSE))
-    check(load(path))
-
-
-def test_sequence_of_features(tmp_path):
-    head = {**HOUSE, "CityObjects": {}, "vertices": []}
-    feature = {"type": "CityJSONFeature", "CityObjects": HOUSE["CityObjects"], "vertices": VERTICES}
-    path = tmp_path / "house.city.jsonl"
-    path.write_text(json.dumps(head) + "\n" + json.dumps(feature) + "\n")
-    check(load(path))
-
-
 @pytest.mark.parametrize(
     ("change", "message"),
     [
         (lambda d: d.pop("type"), "is no CityJSON"),
         (lambda d: d.pop("vertices"), "does not keep to its specification"),
         (lambda d: d["vertices"].pop(), "vertex 15 of 15"),
-        (lambda d: d["vertices"][3].pop(), "does not keep to its specification"),
         (lambda d: d["CityObjects"].clear(), "no triangles"),
-        (lambda d: d["CityObjects"]["part"].update(geometry=[{"type": "Solid", "boundaries": 7}]), "does not keep"),
         (lambda d: d["transform"].update(scale=[0.001, float("nan"), 0.001]), "not finite"),
     ],
 )

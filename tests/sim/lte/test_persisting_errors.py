@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from cellslam.sim.frames import azimuth_elevation, world_to_body
+from cellslam.sim.frames import azimuth_elevation, unit_vector, world_to_body
 from cellslam.sim.lte import RadioConfig
 from cellslam.sim.lte.persisting_errors import causes, draw_fields, floors, persisting_std, white_floors
 from cellslam.sim.lte.statistical.detector_layout import PathColumns, Streams
@@ -64,24 +66,28 @@ def test_each_cause_has_its_size_and_can_be_switched(cause: str) -> None:
     np.testing.assert_allclose(white_floors(white), floors(white))
 
 
-def test_calibration_is_alike_for_all_sites_and_times_in_one_direction() -> None:
-    config, here = only("calibration"), (150.0, 0.7, 0.2)
-    there = (300.0, 0.7, 0.2), VT + 70.0, 1, 999, -VT
-    np.testing.assert_allclose(correlation(config, (here, VT), there), 1.0)
-    # A turn by the scale: exp(-1/2); by four: independent.
-    turned = (150.0, 0.7 + np.radians(15.0), 0.0), VT
-    np.testing.assert_allclose(correlation(config, ((150.0, 0.7, 0.0), VT), turned), np.exp(-0.5), atol=0.12)
-    assert (np.abs(correlation(config, (here, VT), ((150.0, 2.7, 0.2), VT))) < 0.2).all()
+HERE, PLACE = (150.0, 0.7, 0.2), np.array([3.0, 4.0, 1.8])
 
 
-def test_diffuse_error_is_frozen_at_a_stop_and_changes_on_the_way() -> None:
-    config, geo = only("diffuse", diffuse_correlation_m=0.2), (150.0, 0.7, 0.2)
-    place = np.array([3.0, 4.0, 1.8])
-    np.testing.assert_allclose(correlation(config, (geo, place, 0, 0), (geo, place, 0, 500)), 1.0)
-    moved = place + np.array([0.2, 0.0, 0.0])
-    np.testing.assert_allclose(correlation(config, (geo, place), (geo, moved)), np.exp(-0.5), atol=0.12)
-    for other in ((geo, place, 1), (geo, place, 0, 0, VT + 1.0), (geo, place + 1.0)):
-        assert (np.abs(correlation(config, (geo, place), other)) < 0.2).all()
+@pytest.mark.parametrize(
+    ("cause", "one", "other", "expected"),
+    [
+        # Alike for all sites, ports and times in one direction; a turn by the scale, and by many.
+        ("calibration", (HERE, VT), ((300.0, 0.7, 0.2), VT + 70.0, 1, 999, -VT), 1.0),
+        ("calibration", ((150.0, 0.7, 0.0), VT), ((150.0, 0.7 + np.radians(15.0), 0.0), VT), np.exp(-0.5)),
+        ("calibration", (HERE, VT), ((150.0, 2.7, 0.2), VT), 0.0),
+        # Frozen at a stop; on the way by the scale, and by many; another port; another VT.
+        ("diffuse", (HERE, PLACE, 0, 0), (HERE, PLACE, 0, 500), 1.0),
+        ("diffuse", (HERE, PLACE), (HERE, PLACE + np.array([0.2, 0.0, 0.0])), np.exp(-0.5)),
+        ("diffuse", (HERE, PLACE), (HERE, PLACE + 1.0), 0.0),
+        ("diffuse", (HERE, PLACE), (HERE, PLACE, 1), 0.0),
+        ("diffuse", (HERE, PLACE), (HERE, PLACE, 0, 0, VT + 1.0), 0.0),
+    ],
+)
+def test_errors_persist_over_what_they_belong_to(cause: str, one: Any, other: Any, expected: float) -> None:
+    config = only(cause, **({"diffuse_correlation_m": 0.2} if cause == "diffuse" else {}))
+    atol = {1.0: 1e-7, 0.0: 0.2}.get(expected, 0.12)
+    np.testing.assert_allclose(correlation(config, one, other), expected, atol=atol)
 
 
 def test_attitude_turns_all_paths_of_a_snapshot_together() -> None:
@@ -90,9 +96,7 @@ def test_attitude_turns_all_paths_of_a_snapshot_together() -> None:
     turn = np.empty(3)
     write_attitude(7, fields, turn)
     for azimuth, elevation in ((0.3, 0.2), (-2.0, 0.5), (1.6, -0.1)):
-        direction = np.array(
-            [np.cos(elevation) * np.cos(azimuth), np.cos(elevation) * np.sin(azimuth), np.sin(elevation)]
-        )
+        direction = unit_vector(azimuth, elevation)
         seen = azimuth_elevation(world_to_body(np.concatenate([np.zeros(3), turn]), direction))
         got = error(fields, (100.0, azimuth, elevation), VT, snapshot=7)
         np.testing.assert_allclose(got[1:], [seen[0] - azimuth, seen[1] - elevation], atol=3e-4)
@@ -117,16 +121,3 @@ def test_sectors_of_a_site_share_the_error_and_the_claim_covers_it() -> None:
         off = m.distance_m[m.link == link] - distance
         assert abs(np.std(off) / d.true_std[0, 0] - 1.0) < 0.15
     np.testing.assert_allclose(m.distance_m[m.link == 0], m.distance_m[m.link == 1], atol=0.05)
-
-
-def test_a_wide_band_has_less_of_its_diffuse_energy_in_a_cell() -> None:
-    def diffuse(**radio: float | str) -> Floats:
-        return next(c for c in causes(RadioConfig(**radio)) if c.name == "diffuse").std
-
-    lte, nr = diffuse(), diffuse(technology="nr", front_end="signal", resource_blocks=136)
-    np.testing.assert_array_equal(diffuse(resource_blocks=100), lte)
-    # Cells of 6.12 and 16.66 m, energy that decays over 35 m, by numerical integration: share and mean delay.
-    share, delay = np.transpose([[0.160500, 2.972375], [0.378648, 7.669529]])
-    np.testing.assert_allclose(nr[1:] / lte[1:], np.sqrt(share[0] / share[1]), rtol=1e-3)
-    expected = np.sqrt(share[0] / share[1]) * delay[0] / delay[1]
-    np.testing.assert_allclose(nr[0] / lte[0], expected, rtol=1e-3)

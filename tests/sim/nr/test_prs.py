@@ -37,52 +37,28 @@ def plain(
     return rows
 
 
-def check(*arguments: int, numerology: int, prefix: str = "normal") -> None:
-    n, slot, blocks, comb, length, l_start, k_offset, first_block = arguments
-    got = positioning_reference_signal(
-        n, slot, numerology, blocks, comb, length, l_start, k_offset, first_block,
-        prefix,  # type: ignore[arg-type]
-    )  # fmt: skip
-    expected = plain(*arguments, in_slot=14 if prefix == "normal" else 12)
-    assert got.symbols.tolist() == [r[0] for r in expected]
-    assert got.subcarriers.tolist() == [r[1] for r in expected]
-    np.testing.assert_allclose(got.values, [r[2] for r in expected], atol=1e-12)
-
-
-def test_every_combination_agrees_with_the_clauses() -> None:
-    for length, comb in PAIRS:
-        for k_offset in range(comb):
-            check(1234 + k_offset, 7, 24, comb, length, 14 - length if length > 2 else 12, k_offset, 3, numerology=1)
-
-
-@pytest.mark.slow
-def test_random_configurations_agree_with_the_clauses() -> None:
+@pytest.mark.parametrize(("length", "comb"), PAIRS)
+def test_every_comb_agrees_with_the_clauses(length: int, comb: int) -> None:
+    """Each offset of the comb, all else drawn at random."""
     rng = np.random.default_rng(8)
-    for run in range(150):
-        length, comb = PAIRS[rng.integers(len(PAIRS))]
-        numerology = int(rng.integers(4))
-        prefix = "extended" if numerology == 2 and rng.random() < 0.5 else "normal"
+    for k_offset in range(comb):
+        numerology, n, blocks = int(rng.integers(4)), int(rng.integers(4096)), 4 * int(rng.integers(6, 12))
+        prefix = "extended" if numerology == 2 else "normal"
         in_slot = 14 if prefix == "normal" else 12
-        l_start = int(rng.integers(min(in_slot - length, 12) + 1))
-        wide = run % 25 == 0
-        blocks = 4 * int(rng.integers(6, 69 if wide else 8))
-        first_block = int(rng.integers(0, 2177)) if run % 50 == 0 else int(rng.integers(0, 6))
-        arguments = int(rng.integers(4096)), int(rng.integers(10 * 2**numerology)), blocks, comb, length, l_start
-        check(*arguments, int(rng.integers(comb)), first_block, numerology=numerology, prefix=prefix)
+        slot, l_start = int(rng.integers(10 * 2**numerology)), int(rng.integers(min(in_slot - length, 12) + 1))
+        first_block = int(rng.choice([0, 3, 500]))
+        got = positioning_reference_signal(
+            n, slot, numerology, blocks, comb, length, l_start, k_offset, first_block,
+            prefix,  # type: ignore[arg-type]
+        )  # fmt: skip
+        expected = plain(n, slot, blocks, comb, length, l_start, k_offset, first_block, in_slot)
+        assert got.symbols.tolist() == [r[0] for r in expected]
+        assert got.subcarriers.tolist() == [r[1] for r in expected]
+        np.testing.assert_allclose(got.values, [r[2] for r in expected], atol=1e-12)
 
 
-@pytest.mark.parametrize(
-    ("n", "slot", "symbol", "seed"),
-    [
-        (0, 0, 0, 1024),
-        (1023, 3, 5, 100615167),
-        (1024, 0, 0, 4195328),
-        (4095, 19, 13, 599499775),
-        (2022, 159, 11, 285776870),
-    ],
-)
-def test_worked_seeds(n: int, slot: int, symbol: int, seed: int) -> None:
-    assert c_init(n, slot, symbol) == seed
+def test_worked_seeds() -> None:
+    assert c_init(0, 0, 0) == 1024 and c_init(1024, 0, 0) == 4195328 and c_init(4095, 19, 13) == 599499775
 
 
 def test_worked_elements() -> None:
@@ -96,34 +72,16 @@ def test_worked_elements() -> None:
     np.testing.assert_allclose(got.values[:4] * np.sqrt(2.0), [-1 - 1j, -1 + 1j, 1 - 1j, -1 + 1j])
 
 
-@pytest.mark.parametrize(("length", "comb"), PAIRS)
-def test_every_subcarrier_is_hit_alike_and_offsets_never_meet(length: int, comb: int) -> None:
-    signals = [positioning_reference_signal(5, 3, 1, 24, comb, length, 0, offset) for offset in range(comb)]
-    assert (np.bincount(signals[0].subcarriers, minlength=288) == length // comb).all()
-    elements = {(s, k) for one in signals for s, k in zip(one.symbols.tolist(), one.subcarriers.tolist(), strict=True)}
-    assert len(elements) == sum(len(one.values) for one in signals)
-
-
 @pytest.mark.parametrize(
     ("arguments", "text"),
     [
         ((4096, 0, 1, 24, 2, 2), "sequence_id 4096 is not an integer from 0 to 4095"),
         ((0, 20, 1, 24, 2, 2), "slot 20 is not an integer from 0 to 19"),
-        ((0, 0, 4, 24, 2, 2), "numerology 4 is not an integer from 0 to 3"),
-        ((0, 0, 1, 26, 2, 2), "resource_blocks 26 is not one of 24, 28, ..., 272"),
-        ((0, 0, 1, 276, 2, 2), "resource_blocks 276 is not an integer from 24 to 272"),
         ((0, 0, 1, 24, 3, 6), "comb 3 is not one of 2, 4, 6, 12"),
-        ((0, 0, 1, 24, 4.0, 4), "comb 4.0 is not one of"),
-        ((0, 0, 1, 24, 4, 4.0), "symbols 4.0 do not go"),
-        ((0, 0, 1, 24, 4, 6), "symbols 6 do not go with comb 4: 4 or 12 do"),
         ((0, 0, 1, 24, 12, 6), "symbols 6 do not go with comb 12: 12 do"),
         ((0, 0, 1, 24, 6, 6, 9), "first_symbol must be 0 to 8"),
-        ((0, 0, 1, 24, 2, 2, 13), "first_symbol 13 is not an integer from 0 to 12"),
         ((0, 0, 1, 24, 4, 4, 0, 4), "element_offset of comb 4: 4 is not an integer from 0 to 3"),
-        ((0, 0, 1, 24, 4, 4, 0, 0, 2177), "first_block 2177"),
         ((0, 0, 1, 24, 4, 4, 0, 0, 0, "extended"), "normal, or extended at numerology 2"),
-        ((0, 0, 2, 24, 6, 12, 1, 0, 0, "extended"), "first_symbol must be 0 to 0"),
-        ((0.5, 0, 1, 24, 2, 2), "sequence_id 0.5"),
     ],
 )
 def test_bad_arguments_are_refused(arguments: tuple[object, ...], text: str) -> None:

@@ -46,28 +46,18 @@ def test_by_hand() -> None:
     assert prs_slots(0, 10, 40, offset=3).tolist() == [3, 13, 23, 33]
     assert prs_slots(0, 10, 22, offset=9, resource_offset=2).tolist() == [1, 11, 21]
     assert prs_slots(1, 20, 40, repetition=4, gap=2).tolist() == [0, 2, 4, 6, 20, 22, 24, 26]
-    assert prs_slots(0, 5, 40, muting=[1, 0]).tolist() == [0, 10, 20, 30]
     assert prs_slots(0, 5, 40, muting=[1, 0], muting_repetition=2).tolist() == [0, 5, 20, 25]
-    assert prs_slots(0, 20, 40, repetition=4, repetition_muting=[0, 1, 1, 0]).tolist() == [1, 2, 21, 22]
-    both = prs_slots(0, 20, 40, repetition=2, muting=[0, 1], repetition_muting=[0, 1])
-    assert both.tolist() == [21]
-    assert prs_slots(1, 64, 640, repetition=32, gap=2).tolist() == list(range(0, 640, 2))
+    assert prs_slots(0, 20, 40, repetition=2, muting=[0, 1], repetition_muting=[0, 1]).tolist() == [21]
 
 
 @pytest.mark.parametrize(
     ("numerology", "period", "more", "text"),
     [
-        (4, 10, {}, "numerology 4"),
         (1, 5, {}, "period at numerology 1: 5 is not one of 8, 10, 16"),
-        (0, 10.0, {}, "period at numerology 0: 10.0"),
         (0, 10, {"offset": 10}, "offset 10 is not an integer from 0 to 9"),
-        (0, 10, {"resource_offset": 512}, "resource_offset 512"),
-        (0, 10, {"repetition": 3}, "repetition 3 is not one of 1, 2, 4"),
         (0, 10, {"repetition": 4, "gap": 4}, "repetition may be up to 2 with this gap"),
-        (0, 10, {"gap": 3}, "gap 3 is not one of"),
         (0, 10, {"muting": [1, 0, 1]}, "muting of length 3 is not one of 0, 2, 4"),
         (0, 10, {"muting": [1, 2]}, "has other bits than"),
-        (0, 10, {"muting": [1, 0], "muting_repetition": 3}, "muting_repetition 3"),
         (0, 10, {"repetition": 2, "repetition_muting": [1]}, "repetition_muting of length 1 is not one of 0, 2"),
     ],
 )

@@ -31,8 +31,6 @@ def test_reflection_loss_of_vertical_polarisation_on_a_wall(name, thickness_m, l
 def test_material_table_at_the_carrier():
     eps, sigma = itu_material("concrete").at(CARRIER)
     assert (eps, sigma) == pytest.approx((5.24, 0.099), abs=5e-4)
-    assert itu_material("brick").at(CARRIER)[1] == pytest.approx(0.028, abs=5e-4)
-    assert itu_material("glass").at(CARRIER)[1] == pytest.approx(0.013, abs=5e-4)
     # sigma = 0.0462 f^0.7822 at 10 GHz, whatever the table's reference.
     assert itu_material("concrete").at(10e9)[1] == pytest.approx(0.0462 * 10**0.7822, rel=1e-12)
     with pytest.raises(InputError, match="unknown material 'conrete'; did you mean 'concrete'"):

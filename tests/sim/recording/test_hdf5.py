@@ -25,7 +25,8 @@ def flat(value: Any, prefix: str = "") -> dict[str, Any]:
     return out
 
 
-def assert_identical(a: Recording, b: Recording) -> None:
+def assert_identical(a: Any, b: Any) -> None:
+    """Compare two recordings, or parts of them, bit for bit."""
     left, right = flat(a), flat(b)
     assert left.keys() == right.keys()
     for name, value in left.items():
@@ -50,23 +51,16 @@ def test_round_trip_is_bit_for_bit(toy_recording: Toy, tmp_path: Path, truth: bo
     assert [p.name for p in tmp_path.iterdir()] == ["a.h5"]
 
 
-def test_same_recording_gives_the_same_bytes(toy_recording: Toy, tmp_path: Path) -> None:
+def test_columns_carry_units_and_plain_types_and_the_bytes_repeat(toy_recording: Toy, tmp_path: Path) -> None:
     toy_recording().save(tmp_path / "a.h5")
     toy_recording().save(tmp_path / "b.h5")
     assert (tmp_path / "a.h5").read_bytes() == (tmp_path / "b.h5").read_bytes()
-
-
-def test_columns_carry_units_and_plain_types(toy_recording: Toy, tmp_path: Path) -> None:
-    toy_recording().save(tmp_path / "a.h5")
     with h5py.File(tmp_path / "a.h5") as file:
-        assert file.attrs["schema_version"] == 2
         written = [column for column in COLUMNS if column.path in file]
         assert len(written) > 30
         for column in written:
-            dataset = file[column.path]
-            assert dataset.attrs["unit"] == column.unit
-            assert dataset.dtype.str in ("<f8", "<i8", "|O"), column.path
-        assert list(file["odometry"].attrs["columns"])[3] == "u_psi"
+            assert file[column.path].attrs["unit"] == column.unit
+            assert file[column.path].dtype.str in ("<f8", "<i8", "|O"), column.path
 
 
 def replace(path: str, value: Any) -> Callable[[h5py.File], None]:
@@ -79,52 +73,27 @@ def replace(path: str, value: Any) -> Callable[[h5py.File], None]:
     return change
 
 
-def assign(path: str, row: Any, value: Any) -> Callable[[h5py.File], None]:
-    def change(file: h5py.File) -> None:
-        file[path][row] = value
-
-    return change
-
-
-def without(path: str) -> Callable[[h5py.File], None]:
-    def change(file: h5py.File) -> None:
-        del file[path]
-
-    return change
-
-
-def attribute(path: str, name: str, value: Any) -> Callable[[h5py.File], None]:
-    def change(file: h5py.File) -> None:
-        file[path].attrs[name] = value
-
-    return change
-
-
-def add(path: str) -> Callable[[h5py.File], None]:
-    return lambda file: file.create_dataset(path, data=np.zeros(3)) and None
+def assign(path: str, row: int, value: float) -> Callable[[h5py.File], None]:
+    return lambda file: file[path].__setitem__(row, value)
 
 
 BROKEN = {
     "other HDF5": (lambda f: f.attrs.__delitem__("format"), ["not a recording", "cellslam record"]),
-    "newer version": (attribute("/", "schema_version", 99), ["version 99", "reads version 2", "update"]),
-    "no version": (lambda f: f.attrs.__delitem__("schema_version"), ["schema_version", "missing"]),
-    "text version": (attribute("/", "schema_version", "one"), ["schema_version", "no integer"]),
-    "missing table": (without("measurements"), ["table 'measurements' is missing", "distance_m"]),
-    "missing column": (without("measurements/snr_db"), ["'measurements/snr_db' is missing", "'dB'"]),
-    "missing truth column": (without("truth/vts/order"), ["'truth/vts/order' is missing"]),
-    "misspelled": (add("measurements/distance_sd_m"), ["'measurements/distance_sd_m'", "distance_std_m"]),
+    "newer version": (lambda f: f.attrs.__setitem__("schema_version", 99), ["version 99", "reads version 2", "update"]),
+    "missing table": (lambda f: f.pop("measurements"), ["table 'measurements' is missing", "distance_m"]),
+    "missing column": (lambda f: f.pop("measurements/snr_db"), ["'measurements/snr_db' is missing", "'dB'"]),
+    "misspelled": (
+        lambda f: f.__setitem__("measurements/distance_sd_m", np.zeros(3)),
+        ["distance_sd_m'", "distance_std_m"],
+    ),
     "unknown table": (lambda f: f.create_group("measurments"), ["'measurments'", "did you mean"]),
     "broken link": (lambda f: f.__setitem__("odd", h5py.SoftLink("/no")), ["'odd'", "broken link"]),
-    "text for numbers": (replace("measurements/distance_m", np.array([b"x"] * 9)), ["holds |S1", "numbers"]),
     "numbers for text": (replace("sites/name", np.zeros(2)), ["'sites/name'", "text"]),
     "fractions for indices": (replace("links/site", np.zeros(4)), ["'links/site'", "float64", "integers"]),
-    "group for column": (lambda f: (without("time_s")(f), f.create_group("time_s")), ["'time_s'"]),
     "no unit": (lambda f: f["time_s"].attrs.__delitem__("unit"), ["'time_s' has no unit", "'s'"]),
-    "wrong unit": (attribute("measurements/azimuth_rad", "unit", "deg"), ["unit 'deg'", "'rad'"]),
+    "wrong unit": (lambda f: f["time_s"].attrs.__setitem__("unit", "ms"), ["unit 'ms'", "'s'"]),
     "short column": (replace("measurements/link", np.zeros(3, np.int64)), ["(3,)", "measurements/snapshot"]),
     "wrong width": (replace("odometry", np.zeros((40, 5))), ["'odometry'", "(40, 5)", "(T, 6)"]),
-    "flat": (replace("odometry", np.zeros(240)), ["'odometry'", "(240,)"]),
-    "no snapshot": (replace("time_s", np.zeros(0)), ["odometry", "rows like 'time_s'"]),
     "time not finite": (assign("time_s", 7, np.nan), ["time_s, row 7", "finite"]),
     "time backwards": (assign("time_s", 7, 0.1), ["time_s, row 7", "sort"]),
     "unknown link": (assign("measurements/link", 2, 44), ["measurements.link, row 2", "4 links"]),
@@ -132,7 +101,6 @@ BROKEN = {
     "degrees": (assign("measurements/azimuth_rad", 4, 90.0), ["azimuth_rad, row 4", "radians"]),
     "unknown VT": (assign("truth/measurement_vt", 1, 9), ["truth.measurement_vt, row 1", "4 VTs"]),
     "not JSON": (replace("provenance", "{seed"), ["provenance is not JSON"]),
-    "JSON list": (replace("provenance", "[1]"), ["provenance", "object"]),
     "not UTF-8": (replace("provenance", np.bytes_(b"\xff\xfe")), ["provenance", "UTF-8"]),
 }
 
@@ -156,18 +124,13 @@ def test_files_that_are_no_hdf5(toy_recording: Toy, tmp_path: Path) -> None:
     path = tmp_path / "drive.h5"
     with pytest.raises(InputError, match=r"drive\.h5: no such file"):
         Recording.load(path)
-    path.write_text("time,x,y\n")
-    with pytest.raises(InputError, match=r"drive\.h5: not an HDF5 file"):
-        Recording.load(path)
-    path.write_bytes(b"")
-    with pytest.raises(InputError, match=r"drive\.h5: not an HDF5 file"):
-        Recording.load(path)
-    toy_recording().save(path)
-    path.write_bytes(path.read_bytes()[:5000])
-    with pytest.raises(InputError, match=r"drive\.h5: not an HDF5 file, or a truncated one"):
-        Recording.load(path)
     with pytest.raises(InputError, match="is a folder"):
         Recording.load(tmp_path)
+    toy_recording().save(path)
+    for content in (b"time,x,y\n", b"", path.read_bytes()[:5000]):
+        path.write_bytes(content)
+        with pytest.raises(InputError, match=r"drive\.h5: not an HDF5 file, or a truncated one"):
+            Recording.load(path)
 
 
 def test_damaged_data_is_noticed(toy_recording: Toy, tmp_path: Path) -> None:

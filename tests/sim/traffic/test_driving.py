@@ -10,7 +10,7 @@ import pytest
 from highway_env.road.road import Road as HighwayRoad
 from highway_env.road.road import RoadNetwork
 from highway_env.vehicle.behavior import IDMVehicle
-from shapely import LineString, box, intersects, points, polygons
+from shapely import LineString, intersects, points, polygons
 
 from cellslam.scenarios import load
 from cellslam.sim.errors import InputError
@@ -93,10 +93,9 @@ def test_vehicles_follow_as_those_of_highway_env() -> None:
 
 def test_a_queue_stands_still() -> None:
     count, queue = 1200, 6
-    along = np.append(300.0 - 16.0 * np.arange(1, queue + 1), 300.0)
-    side = np.append(np.full(queue, 0.3), 0.0)
+    along = 300.0 - 16.0 * np.array([*range(1, queue + 1), 0])
     some = cars(along, np.zeros(queue + 1, int), np.append(np.full(queue, 6.0), 0.0), np.full(queue + 1, 8.0))
-    some.side[:] = side
+    some.side[:-1] = 0.3
     # Ours stands for 40 s, creeps at 0.3 m/s for 40 s, and stands.
     speed = np.where((np.arange(count) >= 400) & (np.arange(count) < 800), 0.3, 0.0)
     ours = np.column_stack([300.0 + STEP_S * np.append(0.0, np.cumsum(speed))[:count], speed])
@@ -117,12 +116,11 @@ def test_a_queue_stands_still() -> None:
     assert gaps.min() > 9.0
 
 
-def test_long_vehicles_keep_their_distance() -> None:
-    for size_m in (5.0, 12.0):
-        some = cars(np.array([200.0, 300.0]), np.zeros(2, int), np.array([8.0, 0.0]), np.full(2, 8.0), size_m)
-        ours = np.tile([300.0, 0.0], (600, 1))
-        states = drive_all(some, ours, road(1), rules(), STEP_S, 1)
-        assert 300.0 - states[-1, 0, 0] - size_m == pytest.approx(5.0, abs=0.7)
+@pytest.mark.parametrize("size_m", [5.0, 12.0])
+def test_vehicles_stop_five_metres_behind_another(size_m: float) -> None:
+    some = cars(np.array([200.0, 300.0]), np.zeros(2, int), np.array([8.0, 0.0]), np.full(2, 8.0), size_m)
+    states = drive_all(some, np.tile([300.0, 0.0], (600, 1)), road(1), rules(), STEP_S, 1)
+    assert 300.0 - states[-1, 0, 0] - size_m == pytest.approx(5.0, abs=0.7)
 
 
 def test_progress_goes_on_where_a_line_crosses_itself() -> None:
@@ -152,11 +150,6 @@ def test_vehicles_are_on_lanes_and_apart(drive: tuple[Any, Any, Traffic]) -> Non
     outlines = polygons(traffic.outlines(np.arange(0.0, 510.0, 30.0)))
     pairs = [sum(one.intersects(other) for one in row for other in row) - len(row) for row in outlines]
     assert sum(pairs) < 0.02 * outlines.size
-    step = np.diff(traffic.poses, axis=0)
-    way = np.hypot(step[..., 0], step[..., 1])
-    ahead = step[..., 0] * np.cos(traffic.poses[:-1, :, 3]) + step[..., 1] * np.sin(traffic.poses[:-1, :, 3])
-    assert ahead[way < 25.0].min() > -1e-9
-    assert np.quantile(way[way < 25.0], 0.99) < 0.5 * 1.2 * 8.0 + 1e-6
 
 
 def test_nobody_drives_through_our_vehicle(drive: tuple[Any, Any, Traffic]) -> None:
@@ -192,8 +185,5 @@ def test_lanes_that_do_not_fit_are_left_out(drive: tuple[Any, Any, Traffic]) -> 
     ahead, oncoming = lanes_that_fit(config, city, route)
     # Streets of 16 m: 8 m to either side, and a third of the route has a bay or a square.
     assert ahead.tolist() == [0.0, -3.5] and oncoming.tolist() == [3.5]
-    x, y = route.points_m[len(route.points_m) // 2]
-    wall = replace(city, footprints=[box(x - 4, y - 4, x + 4, y + 4)])
-    assert [lanes.tolist() for lanes in lanes_that_fit(config, wall, route)] == [[0.0], []]
     open_city = replace(city, footprints=[])
     assert [len(lanes) for lanes in lanes_that_fit(config, open_city, route)] == [3, 3]

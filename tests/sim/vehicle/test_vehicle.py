@@ -33,10 +33,6 @@ def city() -> Any:
     return SimpleNamespace(name="grid", streets=tuple(streets), footprints=houses, road_m=0.0)
 
 
-def through(city: Any, *waypoints: tuple[float, float], **options: Any) -> Route:
-    return plan_route(city, VehicleConfig(waypoints_m=waypoints, **options), rng())
-
-
 def deviation_m(route: Route, driven: Drive) -> np.ndarray:
     return np.asarray(shapely.distance(shapely.points(driven.poses[:, :2]), shapely.LineString(route.points_m)))
 
@@ -51,27 +47,23 @@ def test_corner_is_rounded_by_the_arc_that_touches_both_legs(side: float) -> Non
     assert np.all(np.diff(route.arc_m) > 0.0)
 
 
-def test_route_is_smooth_and_sampled_by_arc_length(city: Any) -> None:
-    route = plan_route(city, VehicleConfig(route=5), rng())
-    step = np.diff(route.points_m, axis=0)
-    np.testing.assert_allclose(np.hypot(*step.T), np.diff(route.arc_m), rtol=1e-3)
-    assert np.abs(wrap_angle(np.arctan2(step[:, 1], step[:, 0]) - route.heading_rad[1:])).max() < 0.02
-    assert route.length_m >= 530.0
-
-
 @pytest.mark.parametrize(
-    ("waypoints", "message"),
+    ("keys", "message"),
     [
-        (((0.0, 0.0), (0.0, 100.0)), "100.0 m long, but vehicle.distance_m = 530"),
-        (((0.0, 0.0), (0.0, 100.0), (0.0, 0.0)), "turns by"),
-        (((0.0, 0.0), (0.0, 0.0)), "no length"),
-        (((0.0, 37.5), (600.0, 37.5)), r"runs through a wall of building \d+ at \(8\.\d, 37\.5\) m"),
-        (((9.3, -300.0), (9.3, 300.0)), r"nearer than vehicle\.clearance_m"),
+        ({"waypoints_m": ((0.0, 0.0), (0.0, 100.0))}, "100.0 m long, but vehicle.distance_m = 530"),
+        ({"waypoints_m": ((0.0, 0.0), (0.0, 100.0), (0.0, 0.0))}, "turns by"),
+        ({"waypoints_m": ((0.0, 37.5), (600.0, 37.5))}, r"a wall of building \d+ at \(8\.\d, 37\.5\) m"),
+        ({"waypoints_m": ((9.3, -300.0), (9.3, 300.0))}, r"nearer than vehicle\.clearance_m"),
+        ({"route": 5, "duration_s": 40.0}, r"vehicle\.duration_s = 40 is too short"),
     ],
 )
-def test_impossible_waypoints_are_refused(city: Any, waypoints: Any, message: str) -> None:
+def test_impossible_drives_are_refused(city: Any, keys: dict[str, Any], message: str) -> None:
+    config = VehicleConfig(**keys)
     with pytest.raises(InputError, match=message):
-        through(city, *waypoints)
+        drive(plan_route(city, config, rng()), config, rng())
+    bare = SimpleNamespace(name="bare", streets=(), footprints=())
+    with pytest.raises(InputError, match="waypoints_m"):
+        plan_route(bare, VehicleConfig(), rng())  # type: ignore[arg-type]
 
 
 def test_planned_route_is_fixed_by_its_seed_or_drawn_per_trial(city: Any) -> None:
@@ -91,32 +83,21 @@ def test_walks_turn_round_only_at_dead_ends(city: Any) -> None:
         assert turn.max() < SHARP_RAD
         assert cost < 1000.0
     dead_end = street_network([np.array([[0.0, 0.0], [100.0, 0.0]])])
-    walk, cost = random_walk(dead_end, 150.0, rng())
-    assert cost > 1000.0
-
-
-def test_city_without_streets_asks_for_waypoints() -> None:
-    with pytest.raises(InputError, match="waypoints_m"):
-        plan_route(SimpleNamespace(name="bare", streets=(), footprints=()), VehicleConfig(), rng())  # type: ignore[arg-type]
-
-
-def straight_follow(speed_mps: float, offset_m: float, seconds: float = 120.0) -> tuple[np.ndarray, np.ndarray]:
-    path = np.column_stack([np.arange(0.0, 400.0, 0.1), np.zeros(4000)])
-    speed = np.full(int(seconds / 0.015), speed_mps)
-    start = np.array([0.0, offset_m, 0.0])
-    return follow(path, path[:, 0].copy(), start, speed, 0.015, 2.9, 2.0, 0.8, 0.65, 0.5)
+    assert random_walk(dead_end, 150.0, rng())[1] > 1000.0
 
 
 @pytest.mark.parametrize("speed_mps", [0.05, 0.3, 1.0, 3.0, 10.0])
 def test_follower_converges_without_chatter(speed_mps: float) -> None:
-    poses, curvature = straight_follow(speed_mps, offset_m=1.0, seconds=40.0 / speed_mps if speed_mps < 3 else 30.0)
-    assert abs(poses[-1, 1]) < 0.01
-    assert poses[:, 1].min() > -0.12
-    # The steering crosses straight ahead a few times at most, and then stays still.
-    tail = curvature[len(curvature) // 2 :]
+    """From a metre beside a straight path: the steering changes sides a few times at most, and then stays still."""
+    path = np.column_stack([np.arange(0.0, 400.0, 0.1), np.zeros(4000)])
+    speed = np.full(int(max(40.0 / speed_mps, 30.0) / 0.015), speed_mps)
+    poses, curvature = follow(
+        path, path[:, 0].copy(), np.array([0.0, 1.0, 0.0]), speed, 0.015, 2.9, 2.0, 0.8, 0.65, 0.5
+    )
+    assert abs(poses[-1, 1]) < 0.01 and poses[:, 1].min() > -0.12
     assert np.count_nonzero(np.diff(np.sign(curvature[np.abs(curvature) > 1e-6]))) <= 4
-    assert np.abs(tail).max() < 0.01
-    assert np.abs(np.diff(tail)).max() < 1e-4
+    tail = curvature[len(curvature) // 2 :]
+    assert np.abs(tail).max() < 0.01 and np.abs(np.diff(tail)).max() < 1e-4
 
 
 def test_follower_stays_on_the_route_and_holds_the_wheel_when_standing(city: Any) -> None:
@@ -126,11 +107,10 @@ def test_follower_stays_on_the_route_and_holds_the_wheel_when_standing(city: Any
     assert deviation_m(route, driven).max() < 0.25
     standing = driven.velocity[:, 0] == 0.0
     assert np.abs(driven.velocity[standing, 3]).max() == 0.0
-    on_straights = np.interp(np.arange(6850), np.arange(6850), np.abs(driven.velocity[:, 3])) < 1e-3
-    assert on_straights.mean() > 0.6
+    assert (np.abs(driven.velocity[:, 3]) < 1e-3).mean() > 0.6  # on straights
 
 
-@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("seed", range(2))
 def test_distance_and_duration_come_out(city: Any, seed: int) -> None:
     config = VehicleConfig(route=5)
     driven = drive(plan_route(city, config, rng()), config, rng(seed))
@@ -164,12 +144,6 @@ def test_turns_slow_the_vehicle_down() -> None:
     assert speed.max() > 2.0
 
 
-def test_too_short_a_duration_is_refused(city: Any) -> None:
-    config = VehicleConfig(route=5, duration_s=40.0)
-    with pytest.raises(InputError, match=r"vehicle\.duration_s = 40 is too short"):
-        drive(plan_route(city, config, rng()), config, rng())
-
-
 def test_velocities_are_the_derivative_of_the_poses(city: Any) -> None:
     config = VehicleConfig(route=5, road_slope_percent=3.0)
     driven = drive(plan_route(city, config, rng()), config, rng(2))
@@ -178,16 +152,6 @@ def test_velocities_are_the_derivative_of_the_poses(city: Any) -> None:
     np.testing.assert_allclose(mean[:, :3], between[:, :3], atol=2e-3)
     np.testing.assert_allclose(mean[:, 3:], between[:, 3:], atol=3e-3)
     assert np.abs(driven.velocity[:, 1]).max() < 1e-3
-
-
-def test_body_moves_a_little_and_starts_level(city: Any) -> None:
-    config = VehicleConfig(route=5)
-    driven = drive(plan_route(city, config, rng()), config, rng(2))
-    np.testing.assert_allclose(driven.poses[0, [2, 4, 5]], [1.8, 0.0, 0.0], atol=1e-12)
-    assert 0.005 < driven.poses[:, 2].std() < 0.02
-    pitch_deg, roll_deg = np.degrees(driven.poses[:, 4:].std(axis=0))
-    assert 0.03 < pitch_deg < 0.4
-    assert 0.1 < roll_deg < 0.6
 
 
 def test_braking_dips_the_nose_and_a_left_turn_leans_right() -> None:

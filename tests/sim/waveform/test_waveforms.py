@@ -35,19 +35,11 @@ def examples(monkeypatch: pytest.MonkeyPatch) -> None:
     "made", [LteWaveform, lambda: LteWaveform(6), NrWaveform, lambda: NrWaveform(24, 2, 6, 12), own]
 )
 def test_a_waveform_keeps_the_protocol(made: type[Waveform]) -> None:
-    w = made()
+    w = checked(made(), 1000.0)
     assert hash(w) == hash(made()) and w == made()
-    assert (np.diff(w.tones_hz) >= 0.0).all()
-    assert np.ptp(w.tones_hz) <= w.bandwidth_hz < 1.2 * np.ptp(w.tones_hz)
-    assert 0.0 < w.sample_s <= 1.0 / w.bandwidth_hz
-    assert w.slot_s <= 0.5e-3
+    assert w.bandwidth_hz < 1.2 * np.ptp(w.tones_hz) and 0.0 < w.sample_s <= 1.0 / w.bandwidth_hz
     combs = w.combs(PORTS)
     assert len(combs) == len(PORTS)
-    for port, comb in zip(PORTS, combs, strict=True):
-        for slot in (0, w.slots - 1):
-            values = w.values(port, comb, slot)
-            assert values.shape == w.tones_hz.shape
-            np.testing.assert_allclose(np.abs(values), 1.0, rtol=1e-12)
     first, second = w.values(PORTS[0], combs[0], 0), w.values(PORTS[2], combs[2], 0)
     assert abs(np.vdot(first, second)) < 5.0 * np.sqrt(len(first))
 
@@ -75,28 +67,18 @@ def test_ports_without_a_comb_of_their_own_are_refused() -> None:
     ("keys", "text"),
     [
         ({"resource_blocks": 120}, "LTE has 6 to 110"),
-        (
-            {"technology": "nr", "resource_blocks": 136},
-            r"resource_blocks 48 \(20 MHz\), 132 \(50 MHz\), 272 \(100 MHz\)",
-        ),
-        ({"technology": "nr", "resource_blocks": 136, "numerology": 2}, "numerology 1.* set radio.front_end to signal"),
+        ({"technology": "nr", "resource_blocks": 136}, r"132 \(50 MHz\), 272 .*numerology 1.*set radio.front_end"),
         ({"technology": "nr", "resource_blocks": 272, "prs_comb": 6}, "prs_symbols equal to prs_comb"),
         ({"technology": "pilot_tones:PilotTones"}, "has no statistics of its detector"),
-        ({"technology": "nr", "front_end": "signal", "resource_blocks": 26}, "is not one of 24, 28"),
         ({"technology": "nr", "front_end": "signal", "prs_comb": 5}, "comb 5 is not one of 2, 4, 6, 12"),
-        ({"technology": "nr", "front_end": "signal", "prs_comb": 6, "prs_symbols": 4}, "6 or 12 do"),
         ({"technology": "umts"}, "technology"),
+        ({"technology": "nowhere:At", "front_end": "signal"}, "'nowhere:At' cannot be loaded"),
+        ({"technology": "pilot_tones:Other", "front_end": "signal"}, "'pilot_tones:Other' cannot be loaded"),
     ],
 )
 def test_wrong_keys_are_refused(keys: dict[str, object], text: str) -> None:
     with pytest.raises(ValueError, match=text):
-        RadioConfig(**keys)  # type: ignore[arg-type]
-
-
-def test_a_waveform_that_cannot_be_loaded_is_named() -> None:
-    for technology in ("nowhere:At", "pilot_tones:Other"):
-        with pytest.raises(InputError, match=f"'{technology}' cannot be loaded"):
-            RadioConfig(technology=technology, front_end="signal").waveform()
+        RadioConfig(**keys).waveform()  # type: ignore[arg-type]
 
 
 @pytest.mark.parametrize(
@@ -115,14 +97,5 @@ def test_what_is_wrong_with_a_waveform_is_said(name: str, value: object, text: s
     mistaken = type("Mistaken", (type(own()),), {name: value})
     with pytest.raises(InputError, match=text):
         checked(mistaken(None), 1750.0)
-
-
-def test_what_is_no_waveform_is_said() -> None:
     with pytest.raises(InputError, match="Fraction is no waveform: it lacks slot_s"):
         checked(Fraction(1, 2), 1750.0)
-
-
-def test_noise_follows_the_bandwidth_of_an_element() -> None:
-    lte, nr = RadioConfig().noise_mw(), RadioConfig(technology="nr", front_end="signal").noise_mw()
-    assert lte == 10.0**-12.3
-    assert nr == pytest.approx(2.0 * lte)

@@ -1,4 +1,4 @@
-"""The path estimator: kernels against NumPy, errors at the bound, detection, ghosts, collisions, motion, faults."""
+"""The path estimator: its normal equations, errors at the bound, detection, ghosts, collisions, motion, faults."""
 
 from __future__ import annotations
 
@@ -7,7 +7,6 @@ from collections.abc import Iterator
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from scipy.ndimage import median_filter
 from threadpoolctl import threadpool_limits
 
 from cellslam.sim.compiling import njit
@@ -17,12 +16,10 @@ from cellslam.sim.lte.array import CircularArray, PathSet, doppler_phasors, misc
 from cellslam.sim.lte.downlink import LteWaveform
 from cellslam.sim.lte.error_bounds import fisher_information, joint_std
 from cellslam.sim.lte.signal.channel import frequency_response
-from cellslam.sim.lte.signal.path_estimator import fit_kernel, search_kernel
+from cellslam.sim.lte.signal.path_estimator import fit_kernel
 from cellslam.sim.lte.signal.path_estimator.cancellation import cancel
 from cellslam.sim.lte.signal.path_estimator.path_estimator import Estimates, estimate_paths
-from cellslam.sim.lte.signal.path_estimator.spectrum import Spectrum
 from cellslam.sim.lte.signal.receiver import Receiver, receiver_of
-from cellslam.sim.lte.steering_kernel import write_phasors
 from cellslam.sim.nr.nr_waveform import NrWaveform
 
 evaluate = njit(fit_kernel.evaluate)
@@ -50,8 +47,8 @@ def draw(rng: np.random.Generator, rho_db: NDArray[np.float64], reach_m: float =
     return PathSet(distance, azimuth, elevation, weights * level[:, None])
 
 
-def noise(rng: np.random.Generator) -> Complex:
-    return (rng.normal(size=(128, 200)) + 1j * rng.normal(size=(128, 200))) / np.sqrt(2.0)
+def noise(rng: np.random.Generator, tones: int = 200) -> Complex:
+    return (rng.normal(size=(128, tones)) + 1j * rng.normal(size=(128, tones))) / np.sqrt(2.0)
 
 
 def channel(paths: PathSet, velocity: NDArray[np.float64] = STILL, array: CircularArray = ARRAY) -> Complex:
@@ -72,70 +69,31 @@ def errors(paths: PathSet, found: Estimates) -> tuple[NDArray[np.float64], NDArr
     return error, nearest
 
 
-@pytest.mark.parametrize("velocity", [np.zeros(3), np.array([2.0, -0.5, 0.1])])
-def test_compiled_steering_is_the_array_with_doppler(velocity: NDArray[np.float64]) -> None:
-    azimuth, elevation = np.array([-3.0, 0.4, 2.0]), np.array([-0.3, 0.2, 1.1])
-    motion = RECEIVER.moving(velocity)
-    compiled = motion.steer(azimuth, elevation)
-    turned = doppler_phasors(TIMES, velocity, azimuth, elevation, CARRIER_HZ)
-    expected = ARRAY.steer(azimuth, elevation).value * turned[:, :, None]
-    np.testing.assert_allclose(compiled.value, expected, rtol=1e-9, atol=1e-12)
-    step = 1e-6
-    by_azimuth = motion.steer(azimuth + step, elevation).value - motion.steer(azimuth - step, elevation).value
-    np.testing.assert_allclose(compiled.by_azimuth, by_azimuth / (2.0 * step), atol=1e-4)
-
-
-def test_phasors_are_cosine_and_sine() -> None:
-    angle = np.append(np.random.default_rng(3).uniform(-1e5, 1e5, 10000), [0.0, 0.25 * np.pi, -0.5 * np.pi, np.pi])
-    cosine, sine = np.empty_like(angle), np.empty_like(angle)
-    write_phasors(angle, cosine, sine)
-    np.testing.assert_allclose(cosine + 1j * sine, np.exp(1j * angle), atol=1e-15)
-
-
-def test_normal_equations_are_those_of_the_full_jacobian() -> None:
+@pytest.mark.parametrize("count", [1, 3])
+def test_normal_equations_are_those_of_the_full_jacobian(count: int) -> None:
     rng = np.random.default_rng(1)
-    paths = draw(rng, np.array([0.0, -5.0, -3.0]), 40.0)
+    paths = draw(rng, np.array([0.0, -5.0, -3.0])[:count], 40.0)
     y = channel(paths) + noise(rng)
     geometry = np.stack([paths.distance_m + 1.0, paths.azimuth_rad + 0.05, paths.elevation_rad - 0.03], 1)
     got = evaluate(y, geometry, AT_REST.model)
     steering = ARRAY.steer(geometry[:, 1], geometry[:, 2])
     delay = np.exp(-1j * np.outer(geometry[:, 0], RECEIVER.rate))
-    basis = np.einsum("npq,nf->pfnq", steering.value, delay).reshape(128 * 200, 6)
+    basis = np.einsum("npq,nf->pfnq", steering.value, delay).reshape(128 * 200, 2 * count)
     weights = np.linalg.lstsq(basis, y.ravel(), rcond=None)[0]
     np.testing.assert_allclose(got.weights.ravel(), weights, rtol=1e-6)
     residual = y.ravel() - basis @ weights
     np.testing.assert_allclose(got.explained, np.sum(np.abs(y) ** 2) - np.sum(np.abs(residual) ** 2), rtol=1e-6)
-    joined = PathSet(geometry[:, 0], geometry[:, 1], geometry[:, 2], weights.reshape(3, 2))
+    joined = PathSet(geometry[:, 0], geometry[:, 1], geometry[:, 2], weights.reshape(count, 2))
     # The full information over seven parameters a path (tested against differences elsewhere), weights eliminated.
-    full = fisher_information(ARRAY, TONES - TONES.mean(), joined, 2.0).reshape(3, 7, 3, 7)
-    kept, gone = full[:, :3, :, :3].reshape(9, 9), full[:, 3:, :, 3:].reshape(12, 12)
-    cross = full[:, :3, :, 3:].reshape(9, 12)
+    full = fisher_information(ARRAY, TONES - TONES.mean(), joined, 2.0).reshape(count, 7, count, 7)
+    kept, gone = (full[:, part, :, part].reshape(2 * [size * count]) for part, size in ((np.s_[:3], 3), (np.s_[3:], 4)))
+    cross = full[:, :3, :, 3:].reshape(3 * count, 4 * count)
     np.testing.assert_allclose(got.information, kept - cross @ np.linalg.solve(gone, cross.T), rtol=1e-5, atol=1e-2)
-    for p in range(3):
-        others = np.delete(np.arange(6), [2 * p, 2 * p + 1])
+    for p in range(count):
+        others = np.delete(np.arange(2 * count), [2 * p, 2 * p + 1])
         fit = basis[:, others] @ np.linalg.lstsq(basis[:, others], y.ravel(), rcond=None)[0]
         lost = np.sum(np.abs(y.ravel() - fit) ** 2) - np.sum(np.abs(residual) ** 2)
         np.testing.assert_allclose(got.wald[p], lost, rtol=1e-5)
-
-
-@pytest.mark.parametrize("rho_db", [[0.0, -8.0, -3.0], [-5.0]])
-def test_the_climb_ends_where_the_gradient_is_zero(rho_db: list[float]) -> None:
-    rng = np.random.default_rng(2)
-    paths, motion = draw(rng, np.array(rho_db), 60.0), RECEIVER.moving(np.array([1.5, 0.4, 0.0]))
-    y = channel(paths, motion.velocity_mps) + noise(rng)
-    start = np.stack([paths.distance_m + 2.0, paths.azimuth_rad + 0.08, paths.elevation_rad - 0.05], 1)
-    _, normal = fit_kernel.climb(y, start, 1e-9, 0.0, 1.0, motion.model)
-    assert normal.explained > evaluate(y, start, motion.model).explained
-    assert normal.gradient @ np.linalg.solve(normal.information, normal.gradient) < 1e-8
-
-
-def test_one_path_has_the_normal_equations_of_many() -> None:
-    rng = np.random.default_rng(3)
-    paths = draw(rng, np.array([-5.0]))
-    y, geometry = channel(paths) + noise(rng), np.stack([paths.distance_m, paths.azimuth_rad, paths.elevation_rad], 1)
-    many = njit(fit_kernel._normal_equations)(y, geometry + 0.01, *AT_REST.steer(*geometry.T[1:] + 0.01), RECEIVER.rate)
-    for one, other in zip(evaluate(y, geometry + 0.01, AT_REST.model), many, strict=True):
-        np.testing.assert_allclose(one, other, rtol=1e-9, atol=1e-9 * np.abs(other).max())
 
 
 def test_search_kernels_are_their_numpy_twins() -> None:
@@ -177,6 +135,17 @@ def test_a_strong_path_is_not_split() -> None:
         paths = draw(rng, np.array([20.0]), 1500.0)
         found = estimate_paths(channel(paths) + noise(rng), AT_REST)
         assert (np.abs(found.geometry[:, 0] - paths.distance_m[0]) < 12.0).sum() == 1
+
+
+def test_calibration_error_makes_few_ghosts() -> None:
+    rng = np.random.default_rng(8)
+    ghosts = 0
+    for _ in range(20):
+        paths = draw(rng, np.array([20.0]))
+        ghosts += (
+            len(estimate_paths(channel(paths, array=miscalibrated(ARRAY, 5.0, 0.5, rng)) + noise(rng), AT_REST)) - 1
+        )
+    assert ghosts <= 5
 
 
 @pytest.mark.parametrize(("component", "step"), [(0, 4.0), (1, np.radians(6.0)), (2, np.radians(6.0))])
@@ -224,6 +193,11 @@ def test_half_is_found_near_minus_32_5_db() -> None:
         paths = draw(rng, np.array([-32.5]), 1500.0)
         found += int(np.isfinite(errors(paths, estimate_paths(channel(paths) + noise(rng), AT_REST))[0]).all())
     assert 12 <= found <= 48
+
+
+def test_noise_alone_holds_hardly_any_path() -> None:
+    rng = np.random.default_rng(10)
+    assert sum(len(estimate_paths(noise(rng), AT_REST)) for _ in range(15)) <= 5
 
 
 def test_ten_paths_are_found_and_tracked() -> None:
@@ -278,17 +252,6 @@ def test_a_colliding_cell_ten_thousand_times_as_strong() -> None:
     assert false <= 3
 
 
-def test_calibration_error_makes_few_ghosts() -> None:
-    rng = np.random.default_rng(8)
-    ghosts = 0
-    for _ in range(20):
-        paths = draw(rng, np.array([20.0]))
-        ghosts += (
-            len(estimate_paths(channel(paths, array=miscalibrated(ARRAY, 5.0, 0.5, rng)) + noise(rng), AT_REST)) - 1
-        )
-    assert ghosts <= 5
-
-
 @pytest.mark.parametrize("fault", ["dead", "nan", "saturated"])
 def test_a_faulty_port_does_not_break_the_estimate(fault: str) -> None:
     rng = np.random.default_rng(9)
@@ -300,21 +263,14 @@ def test_a_faulty_port_does_not_break_the_estimate(fault: str) -> None:
     assert (np.abs(error) < 6.0 * joint_std(ARRAY, TONES, paths, 1.0)).all()
 
 
-@pytest.mark.parametrize("value", [0.0, np.nan, np.inf])
-def test_a_snapshot_without_samples_is_refused(value: float) -> None:
-    with pytest.raises(InputError, match="no array port delivered"):
-        estimate_paths(np.full((128, 200), value, complex), AT_REST)
-
-
-@pytest.mark.parametrize("shape", [(127, 200), (128, 100), (128,)])
-def test_samples_of_another_shape_are_refused(shape: tuple[int, ...]) -> None:
-    with pytest.raises(InputError, match=r"\(128, 200\) \(array ports, tones\) are expected"):
-        estimate_paths(np.ones(shape, complex), AT_REST)
-
-
-def test_noise_alone_holds_hardly_any_path() -> None:
-    rng = np.random.default_rng(10)
-    assert sum(len(estimate_paths(noise(rng), AT_REST)) for _ in range(15)) <= 5
+@pytest.mark.parametrize(
+    ("samples", "message"),
+    [(np.full((128, 200), value, complex), "no array port delivered") for value in (0.0, np.nan, np.inf)]
+    + [(np.ones(shape, complex), r"\(128, 200\) \(array ports, tones\) are exp") for shape in ((128, 100), (128,))],
+)
+def test_snapshots_without_samples_or_of_another_shape_are_refused(samples: Complex, message: str) -> None:
+    with pytest.raises(InputError, match=message):
+        estimate_paths(samples, AT_REST)
 
 
 @pytest.mark.parametrize("blocks", [6, 7, 50])

@@ -11,7 +11,7 @@ from scipy.stats import chi2, ncx2, poisson
 
 from cellslam.sim.errors import InputError
 from cellslam.sim.lte import RadioConfig
-from cellslam.sim.lte.links import Cells, cells_of, links_of
+from cellslam.sim.lte.links import Cells, cells_of
 from cellslam.sim.lte.persisting_errors import draw_fields, floors
 from cellslam.sim.lte.signal.drive_in_blocks import snapshot_paths
 from cellslam.sim.lte.statistical.clutter_kernel import BLUR_AZIMUTH_RAD, STRETCH
@@ -66,33 +66,26 @@ def amplitude_for(gamma: float, config: RadioConfig) -> float:
     return float(10.0 ** ((rho_db + config.noise_dbm - config.eirp_dbm + 2.16) / 20.0))
 
 
-def test_link_budget_by_hand() -> None:
-    # -120 dB of path, 30 dBm, 2.16 dB of array loss, -123 dBm of noise: rho = 30.84 dB, under a cap of 60.
-    d = run(quiet(snr_cap_db=60.0), [[100.0, 0.0, 0.0]], np.array([1e-6]), 1)
-    assert len(d.path) == 1
-    np.testing.assert_allclose(d.measurements.snr_db, 30.0 - 120.0 - 2.16 + 123.0, atol=1e-9)
-
-
-def test_snr_is_capped() -> None:
-    d = run(quiet(), [[100.0, 0.0, 0.0]], np.array([1e-3]), 1)
-    assert len(d.path) == 1
-    np.testing.assert_allclose(d.measurements.snr_db, 25.0)
-
-
-def test_interference_of_a_sector_that_points_elsewhere() -> None:
-    # The second cell is 70 degrees off: 12 dB down. With load 0.3 and no other noise: rho_0 = 12 + 5.23 dB.
-    config = quiet(load=0.3, noise_dbm=-140.0, snr_cap_db=60.0)
-    d = run(config, [[100.0, 0.0, 0.0]], np.array([1e-4]), 1, cells=make_cells(0.0, 70.0))
-    expected = 12.0 - 10.0 * np.log10(0.3)
-    np.testing.assert_allclose(d.measurements.snr_db, [expected, -12.0 - 10.0 * np.log10(0.3)], atol=0.01)
-
-
-def test_transmitter_error_limits_the_link_total() -> None:
-    # 5 % EVM is -26 dB of the link's total power; two equal paths halve what each can reach.
-    config = quiet(evm=0.05, noise_dbm=-140.0, snr_cap_db=60.0)
-    d = run(config, [[100.0, 0.0, 0.0], [0.0, 400.0, 0.0]], np.array([1e-4, 1e-4]), 1)
-    assert len(d.path) == 2
-    np.testing.assert_allclose(d.measurements.snr_db, -20.0 * np.log10(0.05) - 10.0 * np.log10(2.0), atol=1e-3)
+@pytest.mark.parametrize(
+    ("keys", "vts", "amplitude", "azimuths_deg", "snr_db"),
+    [
+        # -120 dB of path, 30 dBm, 2.16 dB of array loss, -123 dBm of noise: 30.84 dB, under a cap of 60.
+        ({"snr_cap_db": 60.0}, [[100.0, 0.0, 0.0]], 1e-6, [0.0], [30.0 - 120.0 - 2.16 + 123.0]),
+        ({}, [[100.0, 0.0, 0.0]], 1e-3, [0.0], [25.0]),  # capped
+        # The second cell is 70 degrees off: 12 dB down. With load 0.3 and no other noise: 12 + 5.23 dB.
+        ({"load": 0.3, "noise_dbm": -140.0, "snr_cap_db": 60.0}, [[100.0, 0.0, 0.0]], 1e-4, [0.0, 70.0],
+         [12.0 + 5.229, -12.0 + 5.229]),
+        # 5 % EVM is -26 dB of the link's total power; two equal paths halve what each can reach.
+        ({"evm": 0.05, "noise_dbm": -140.0, "snr_cap_db": 60.0}, [[100.0, 0.0, 0.0], [0.0, 400.0, 0.0]], 1e-4, [0.0],
+         [26.021 - 3.010] * 2),
+    ],
+    ids=["link budget", "cap", "interference", "error of the transmitter"],
+)  # fmt: skip
+def test_snr_by_hand(
+    keys: dict[str, float], vts: list[list[float]], amplitude: float, azimuths_deg: list[float], snr_db: list[float]
+) -> None:
+    d = run(quiet(**keys), np.array(vts), np.full(len(vts), amplitude), 1, cells=make_cells(*azimuths_deg))
+    np.testing.assert_allclose(d.measurements.snr_db, snr_db, atol=0.01)
 
 
 def test_ports_are_slanted() -> None:
@@ -105,19 +98,13 @@ def test_ports_are_slanted() -> None:
     assert d.measurements.link.tolist() == [0]
 
 
-@pytest.mark.parametrize("gamma_db", [9.0, 11.6, 13.0, 15.0])
-def test_isolated_path_is_detected_as_the_law_says(gamma_db: float) -> None:
-    config, count = quiet(), 20_000
+@pytest.mark.parametrize(("gamma_db", "scale"), [(11.6, 1.0), (15.0, 1.0), (13.0, 0.6)])
+def test_isolated_path_is_detected_as_the_law_says(gamma_db: float, scale: float) -> None:
+    config, count = quiet(detection_scale=scale), 20_000
     gamma = 10.0 ** (gamma_db / 10.0)
     d = run(config, [[100.0, 0.0, 0.0]], np.array([amplitude_for(gamma, config)]), count)
-    chance = ncx2.sf(2.0 * config.detection_threshold, statistics().dof, statistics().gain * gamma)
+    chance = scale * ncx2.sf(2.0 * config.detection_threshold, statistics().dof, statistics().gain * gamma)
     assert abs(len(d.path) / count - chance) < 5.0 * np.sqrt(chance * (1.0 - chance) / count)
-
-
-def test_detection_scale_multiplies() -> None:
-    count = 20_000
-    d = run(quiet(detection_scale=0.6), [[100.0, 0.0, 0.0]], np.array([1e-5]), count)
-    assert abs(len(d.path) / count - 0.6) < 5.0 * np.sqrt(0.24 / count)
 
 
 @pytest.mark.parametrize("amplitude", [1e-5, 3e-9])
@@ -145,22 +132,12 @@ def test_claims_are_bound_plus_floors() -> None:
     np.testing.assert_allclose(d.true_std[0], np.hypot(bound, floors(config)), rtol=1e-3)
 
 
-def test_floors_are_the_sum_of_their_causes() -> None:
-    none = {k: 0.0 for k in RadioConfig.model_fields if k.startswith(("calibration_", "roof_", "attitude_"))}
-    only_diffuse = floors(RadioConfig(specular_to_diffuse_db=20.0, **none))
-    np.testing.assert_allclose(only_diffuse, 0.1 * np.array(statistics().diffuse_floor))
-    roof = floors(RadioConfig(**(none | {"specular_to_diffuse_db": 40.0, "roof_elevation_deg": 1.2})))
-    np.testing.assert_allclose(roof[2], np.hypot(np.radians(1.2), 0.01 * statistics().diffuse_floor[2]))
-
-
 def test_noise_clutter_is_poisson_and_uniform() -> None:
     config, count = RadioConfig(clutter_scale=3.0), 20_000
     d = run(config, np.empty((0, 3)), np.empty(0), count)
     mean = 3.0 * noise_clutter_mean(config.detection_threshold, statistics()) * count
     low, high = poisson.ppf([FALSE_ALARM, 1.0 - FALSE_ALARM], mean)
     assert low < len(d.path) < high
-    assert (d.path == -1).all()
-    assert np.isnan(d.true_std).all()
     m = d.measurements
     assert abs(np.mean(m.distance_m) - 825.0) < 5.0 * 1750.0 / np.sqrt(12.0 * len(m))
     assert abs(np.mean(m.azimuth_rad)) < 5.0 * 2.0 * np.pi / np.sqrt(12.0 * len(m))
@@ -199,18 +176,6 @@ def test_clutter_is_hidden_behind_what_is_stronger() -> None:
     assert more < 0.3 * (alone.path < 0).sum()
 
 
-def test_clutter_is_interpolated_between_the_ratios_measured() -> None:
-    known = dict(statistics().clutter)
-    low, high = sorted(known)[:2]
-    between = statistics().clutter_at(0.25 * low + 0.75 * high)
-    np.testing.assert_allclose(between.mean, 0.25 * known[low].mean + 0.75 * known[high].mean)
-    count = between.points.shape[1]
-    from_high = (between.points == known[high].points).all(axis=(0, 2)).sum()
-    assert abs(from_high / count - 0.75) <= 1.0 / count
-    np.testing.assert_array_equal(statistics().clutter_at(high).points, known[high].points)
-    assert all((c.mean >= 0.0).all() and np.isfinite(c.points).all() for c in known.values())
-
-
 def test_paths_in_company_have_as_much_more_clutter_as_was_measured() -> None:
     config, count = RadioConfig(load=0.0, evm=0.0, detection_threshold=40.0), 4000
     strong = amplitude_for(1e4, config)
@@ -233,30 +198,6 @@ def test_merged_paths_pull_the_stronger_one() -> None:
     assert abs(d.measurements.distance_m[alone].mean() - 100.0 - shift) < 5.0 * std
     assert shift > 4.0 * std
     np.testing.assert_allclose(np.median(d.merging_shift[alone], axis=0), [shift, 0.0, 0.0], rtol=1e-3, atol=1e-12)
-
-
-def test_far_paths_do_not_merge() -> None:
-    config = quiet()
-    d = run(config, [[100.0, 0.0, 0.0], [450.0, 0.0, 0.0]], np.array([1e-7, 1e-7]), 500)
-    assert len(d.path) == 1000
-
-
-def test_one_in_all_directions_is_exact_without_noise() -> None:
-    from cellslam.slam.model.measurement_model import predict
-
-    rng = np.random.default_rng(5)
-    config = RadioConfig(noise_scale=0.0, clutter_scale=0.0, perfect_detection=True)
-    count = 200
-    vts = rng.uniform(-300.0, 300.0, (3, 3))
-    poses = np.concatenate([rng.uniform(-50.0, 50.0, (count, 3)), rng.uniform(-0.5, 0.5, (count, 3))], axis=1)
-    poses[:, 3] = rng.uniform(-np.pi, np.pi, count)
-    paths = make_paths(vts, np.array([1e-6, 1e-9, 1e-6]), count)
-    d = detect(config, make_cells(0.0), paths, poses, np.array([-71.5]), FIELDS, Streams.spawn(rng))
-    m = d.measurements
-    exact = predict(poses[m.snapshot], paths.vt_m[d.path]) + np.array([-71.5, 0.0, 0.0])
-    assert len(m) == 3 * count
-    np.testing.assert_allclose(np.stack([m.distance_m, m.azimuth_rad, m.elevation_rad], 1), exact, atol=1e-9)
-    assert (d.true_std == 0.0).all()
 
 
 def test_angles_stay_in_range_near_the_pole() -> None:
@@ -302,12 +243,6 @@ def test_rows_within_a_link_are_ordered_by_distance() -> None:
     same = (np.diff(m.snapshot) == 0) & (np.diff(m.link) == 0)
     assert same.sum() >= 200
     assert (np.diff(m.distance_m)[same] >= 0.0).all()
-
-
-def test_links_are_cells_times_ports() -> None:
-    links = links_of(make_cells(0.0, 120.0, ports=2))
-    assert links.cell_id.tolist() == [0, 0, 1, 1]
-    assert links.port.tolist() == [0, 1, 0, 1]
 
 
 def test_a_cell_id_given_twice_is_refused() -> None:

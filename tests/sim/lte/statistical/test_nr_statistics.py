@@ -26,14 +26,10 @@ def config_of(band: str, **keys: float) -> RadioConfig:
 
 
 @pytest.mark.parametrize("band", BANDS)
-def test_link_budget_counts_the_noise_of_a_wider_element(band: str) -> None:
+def test_snr_and_errors_are_those_of_the_band(band: str) -> None:
     # -120 dB of path, 30 dBm, 2.16 dB of array loss, -123 dBm of noise per 15 kHz: 3.01 dB more in 30 kHz.
     d = run(config_of(band, clutter_scale=0.0), PATH, np.array([1e-6]), 1)
     np.testing.assert_allclose(d.measurements.snr_db, 30.0 - 120.0 - 2.16 + 123.0 - 10.0 * np.log10(2.0), atol=1e-9)
-
-
-@pytest.mark.parametrize("band", BANDS)
-def test_errors_are_those_of_the_band(band: str) -> None:
     config = config_of(band, clutter_scale=0.0, snr_cap_db=25.0, **{
         key: 0.0 for key in RadioConfig.model_fields if "_correlation_" in key})  # fmt: skip
     d = run(config, PATH, np.array([10.0**-7.5]), 4000)
@@ -69,15 +65,6 @@ def test_clutter_is_counted_and_blurred_as_in_its_band(band: str) -> None:
 
 
 def test_threshold_is_that_of_the_band_unless_it_is_given() -> None:
-    thresholds = [
-        load("lund-nr", {"radio.resource_blocks": blocks}).radio.detection_threshold for blocks in (48, 132, 272)
-    ]
-    assert thresholds == [17.4, 18.4, 19.2]
-    assert load("lund-530").radio.detection_threshold == 17.4
+    for blocks, threshold in ((48, 17.4), (132, 18.4), (272, 19.2)):
+        assert load("lund-nr", {"radio.resource_blocks": blocks}).radio.detection_threshold == threshold
     assert load("lund-nr", {"radio.detection_threshold": 15.0}).radio.detection_threshold == 15.0
-
-
-def test_lte_keeps_its_detector_at_every_bandwidth() -> None:
-    for blocks in (6, 50, 100):
-        assert RadioConfig(resource_blocks=blocks).statistics_band == "lte"
-    assert statistics().blur_m == 4.0

@@ -7,19 +7,15 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from numpy.typing import NDArray
+from scipy.spatial import KDTree
 
-from cellslam.sim.compiling import njit
 from cellslam.sim.frames import unit_vector
 from cellslam.sim.lte import RadioConfig
 from cellslam.sim.lte.persisting_errors import draw_fields
-from cellslam.sim.lte.statistical import clutter_kernel as draws
 from cellslam.sim.lte.statistical.detector_layout import PathColumns, Standing, Streams
 from cellslam.sim.lte.statistical.statistical_front_end import Detections, detect
 from cellslam.sim.lte.statistical.statistics import statistics
 from tests.sim.lte.statistical.test_detector import amplitude_for, make_cells
-
-joined, normal, uniform = njit(draws.joined), njit(draws.normal), njit(draws.uniform)
-poisson, square_of = njit(draws.poisson), njit(draws.square_of)
 
 Floats = NDArray[np.float64]
 SIDE = 20.0
@@ -56,51 +52,21 @@ def in_space(d: Detections, places: Floats) -> Floats:
 
 
 def scatterers(rows: Floats) -> NDArray[np.int64]:
-    """Return which scatterer each row of clutter is: rows within 4 m are one."""
-    known: list[Floats] = []
-    out = []
+    """Return how often each scatterer is among rows of clutter: rows within 4 m of its first are one."""
+    known, counts = np.empty((0, 3)), list[int]()
     for point in rows[:, 2:]:
-        near = [i for i, other in enumerate(known) if np.linalg.norm(point - other) < 4.0]
-        if not near:
-            known.append(point)
-        out.append(near[0] if near else len(known) - 1)
-    return np.array(out, np.int64)
+        near = np.flatnonzero(np.linalg.norm(known - point, axis=1) < 4.0)
+        if len(near):
+            counts[near[0]] += 1
+        else:
+            known, counts = np.vstack([known, point]), [*counts, 1]
+    return np.array(counts, np.int64)
 
 
 def along(way_m: float, step_m: float) -> Floats:
     """Return places along an axis."""
     x = np.arange(0.0, way_m, step_m)
     return np.stack([x, np.full_like(x, 7.0)], 1)
-
-
-def test_draws_of_keys_are_uniform_normal_and_poisson() -> None:
-    key, count = np.uint64(5), 20_000
-    u = np.array([uniform(key, i) for i in range(-count // 2, count // 2)])
-    z = np.array([normal(key, i) for i in range(count)])
-    n = np.array([poisson(1.7, x, 512) for x in u])
-    assert u.min() >= 0.0
-    assert u.max() < 1.0
-    assert len(np.unique(u)) == count
-    np.testing.assert_allclose([u.mean(), u.var()], [1.0 / 2.0, 1.0 / 12.0], atol=5.0 / np.sqrt(12.0 * count))
-    np.testing.assert_allclose([z.mean(), z.std()], [0.0, 1.0], atol=5.0 / np.sqrt(count))
-    np.testing.assert_allclose([n.mean(), n.var()], 1.7, atol=5.0 * np.sqrt((1.7 + 2.0 * 1.7**2) / count))
-    assert abs(np.corrcoef(u[1:], u[:-1])[0, 1]) < 5.0 / np.sqrt(count)
-    assert poisson(1e3, 1.0 - 2.0**-53, 512) == 512
-
-
-def test_squares_are_shared_as_far_as_geometry_says() -> None:
-    from tools.calibration.recurrence import same_square
-
-    rng, count = np.random.default_rng(3), 4000
-    for way in (0.25, 0.5, 0.9):
-        place, turn = rng.uniform(-100.0, 100.0, (count, 3)), rng.uniform(-np.pi, np.pi, count)
-        other = place + way * SIDE * np.stack([np.cos(turn), np.sin(turn), np.zeros(count)], 1)
-        keys = [np.uint64(joined(np.uint64(9), i)) for i in range(count)]
-        same = [square_of(k, a, SIDE) == square_of(k, b, SIDE) for k, a, b in zip(keys, place, other, strict=True)]
-        # Half a side apart, at random: (1 - |cos| / 2) (1 - |sin| / 2) over all directions is 1 - 1.75 / pi = 0.443.
-        expected = float(same_square(np.array(way)))
-        assert abs(np.mean(same) - expected) < 5.0 * np.sqrt(expected * (1.0 - expected) / count)
-    assert same_square(np.array(0.5)) == pytest.approx(0.443, abs=1e-3)
 
 
 def test_scatterers_last_for_the_area_below_their_correlation() -> None:
@@ -110,7 +76,7 @@ def test_scatterers_last_for_the_area_below_their_correlation() -> None:
     places = along(way, step)
     mean = float(statistics().clutter_at(6.0).mean[4])
     rows = [in_space(drive(places, ALWAYS, seed), places) for seed in range(6)]
-    met = sum(len(np.unique(scatterers(r))) for r in rows)
+    met = sum(len(scatterers(r)) for r in rows)
     expected = 6.0 * 51.0 * mean
     assert abs(met - expected) < 5.0 * np.sqrt(expected)
     assert sum(map(len, rows)) * step / met == pytest.approx(SIDE * 50.0 / 51.0, rel=0.1)
@@ -130,10 +96,8 @@ def test_a_port_sees_its_share_of_what_another_sees() -> None:
     places = rng.uniform(-2000.0, 2000.0, (count, 2))
     rows = in_space(drive(places, ALWAYS._replace(lit=lit), ports=2), places)
     one, other = (rows[rows[:, 1] == port] for port in range(2))
-    reach: dict[int, list[Floats]] = {}
-    for row in other:
-        reach.setdefault(int(row[0]), []).append(row[2:])
-    shared = [any(np.linalg.norm(r[2:] - x) < 4.0 for x in reach.get(int(r[0]), [])) for r in one]
+    places_seen = KDTree(other[:, [0, 2, 3, 4]] * [1e4, 1.0, 1.0, 1.0])  # snapshots far apart
+    shared = places_seen.query(one[:, [0, 2, 3, 4]] * [1e4, 1.0, 1.0, 1.0])[0] < 4.0
     assert abs(np.mean(shared) - lit) < 5.0 * np.sqrt(lit * (1.0 - lit) / len(one))
 
 
@@ -144,7 +108,7 @@ def test_standing_still_repeats_what_is_seen() -> None:
     for seed in range(60):
         places = np.zeros((count, 2))
         rows = in_space(drive(places, standing, seed), places)
-        shares += [n / count for n in np.bincount(scatterers(rows))] if len(rows) else []
+        shares += (scatterers(rows) / count).tolist()
     assert len(shares) > 20
     assert abs(np.median(shares) - 0.5) < 5.0 * 0.5 / np.sqrt(count)
     assert np.mean(np.abs(np.array(shares) - 0.5) < 5.0 * 0.5 / np.sqrt(count)) > 0.9  # else two lie within 4 m
@@ -157,7 +121,6 @@ def test_misses_last_as_long_as_their_square(standing: tuple[float, float], way:
     lasting = ALWAYS._replace(share=0.0, missed_life=standing[0], missed_fading=standing[1])
     places, step = along(6000.0, 0.1), 0.1
     keys = {"clutter_scale": 0.0, "detection_scale": 0.4, "detection_threshold": 17.4}
-    found = np.zeros(len(places))
     for seed in range(4):
         d = drive(places, lasting, seed, **keys)
         found = np.zeros(len(places))
