@@ -12,7 +12,7 @@ from cellslam.scenarios import load
 from cellslam.sim import simulate
 from cellslam.sim.frames import SPEED_OF_LIGHT_MPS, integrate_pose
 from cellslam.sim.recording import Floats, Links, OdometryModel, Recording, Sites
-from cellslam.slam.api import Setup, Snapshot, odometry_of, setup_of, snapshots_of
+from cellslam.slam.api import Setup, Snapshot
 from cellslam.slam.joint.ekf_slam import EkfSlam
 from cellslam.slam.joint.ekf_slam_options import EkfSlamOptions
 from cellslam.slam.measurements.measurement_options import NOTHING_PERSISTS
@@ -43,24 +43,6 @@ def test_distances_drift_and_nothing_else_changes(drifting: Recording, tmp_path:
     again = Recording.load(tmp_path / "drive.h5")
     np.testing.assert_array_equal(again.truth.clock_drift_m_s, rate)  # type: ignore[union-attr]
     np.testing.assert_array_equal(again.sites.drift_std_m_s, drifting.sites.drift_std_m_s)
-
-
-def test_a_filter_starts_afresh_on_a_drifting_drive(drifting: Recording) -> None:
-    """The same drive twice, then one whose clocks are constant, through one filter."""
-    snapshots, odometry = snapshots_of(drifting)[:40], odometry_of(drifting)
-
-    def offsets(estimator: EkfSlam, recording: Recording) -> Floats:
-        estimator.start(setup_of(recording), np.random.default_rng(1))
-        for t, snapshot in enumerate(snapshots):
-            estimate = estimator.step(0.075 if t else 0.0, odometry[t], snapshot)
-        assert estimate.clock_offset_m is not None
-        return estimate.clock_offset_m
-
-    constant, one = with_rate_std(drifting, None), EkfSlam()
-    told = [offsets(one, recording) for recording in (drifting, drifting, constant)]
-    np.testing.assert_array_equal(told[0], told[1])
-    assert not np.array_equal(told[0], told[2])
-    np.testing.assert_array_equal(told[2], offsets(EkfSlam(), constant))
 
 
 def with_rate_std(recording: Recording, std_m_s: float | None) -> Recording:

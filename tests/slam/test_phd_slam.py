@@ -33,7 +33,7 @@ from cellslam.slam.phd_slam.map_kernel import (
     residual,
     seen_from,
 )
-from cellslam.slam.phd_slam.motion_kernel import Interval, factorise, inform, learn, moved, slopes
+from cellslam.slam.phd_slam.motion_kernel import factorise, inform, moved, slopes
 from cellslam.slam.phd_slam.pairs_kernel import Pairs, exclusive
 from cellslam.slam.phd_slam.phd_slam import TRIANGLE, PhdSlam, PhdSlamOptions
 from cellslam.slam.phd_slam.snapshot_kernel import Particles, resample
@@ -109,16 +109,6 @@ def test_information_on_the_velocity_is_that_of_differences() -> None:
     np.testing.assert_allclose(mean, np.linalg.solve(np.eye(6) + 0.7 * j.T @ s @ j, y), rtol=1e-3, atol=1e-6)
 
 
-def test_bias_and_scale_learn_as_a_kalman_filter_does() -> None:
-    error, error_variance, v = np.zeros((6, 2)), np.tile([0.04, 0.0, 0.01], (6, 1)), np.full(6, 2.0)
-    interval = Interval(0.5, np.full(6, 2.5), np.full(6, 0.1), np.zeros(6))
-    prior, h = np.diag([0.04, 0.01]), np.array([1.0, 2.0])
-    learn(error, error_variance, interval, v)
-    k = prior @ h / (h @ prior @ h + 0.02)
-    np.testing.assert_allclose(error[0], k * 0.5)
-    np.testing.assert_allclose(error_variance[0], (prior - np.outer(k, h) @ prior)[[0, 0, 1], [0, 1, 1]], atol=1e-12)
-
-
 def test_marginals_are_those_of_all_exclusive_assignments() -> None:
     """Exact without a loop: two Gaussians that share one measurement, one of them with another."""
     odds = {(0, 0): 5.0, (0, 1): 2.0, (1, 1): 9.0}
@@ -184,11 +174,6 @@ def rmse(recording: Recording, estimator: Any) -> float:
 
 def like(particles: int) -> PhdSlam:
     return PhdSlam(PhdSlamOptions(**(dict(phd_slam_3.WORLD.entries[0].options) | {"particles": particles})))
-
-
-def test_one_particle_maps_what_odometry_alone_loses() -> None:
-    recording = first_minutes()
-    assert rmse(recording, like(1)) < 0.2 * rmse(recording, DeadReckoning())
 
 
 def test_distances_alone_do_no_harm() -> None:

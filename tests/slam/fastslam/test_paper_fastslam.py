@@ -147,38 +147,6 @@ def test_a_vt_begins_where_the_measurement_points() -> None:
     np.testing.assert_allclose(gain, derivative(lambda theta: birth(pose_at(theta), *z)), rtol=1e-6, atol=1e-6)
 
 
-def test_update_is_the_textbook_one() -> None:
-    Sigma, x = a_covariance(), a_particle()
-    row = a_row(VT, Sigma, GAIN)
-    seen = paper.see(x, turned(), row)
-    # A turn more makes no difference to an azimuth.
-    z = seen_from(POSE, VT) + np.array([0.7, 2.0 * np.pi + 0.01, -0.02])
-    value = paper.update(x, row, seen, *paper.innovation(z, Q, seen.z, seen.spread))
-    H, A, e = jacobians(POSE, VT)[0], matrix(seen.A), np.array([0.7, 0.01, -0.02])
-    S = H @ Sigma @ H.T + np.diag(Q)
-    K = Sigma @ H.T @ np.linalg.inv(S)
-    for found, expected in zip(parts(row), (VT + K @ e, Sigma - K @ H @ Sigma, GAIN - K @ A), strict=True):
-        np.testing.assert_allclose(found, expected, rtol=1e-7, atol=1e-9)
-    np.testing.assert_allclose(x.y, A.T @ np.linalg.solve(S, e), rtol=1e-9)
-    np.testing.assert_allclose(x.info, upper(A.T @ np.linalg.solve(S, A)), rtol=1e-9)
-    assert value == pytest.approx(-0.5 * (e @ np.linalg.solve(S, e) + np.log(np.linalg.det(2.0 * np.pi * S))))
-
-
-@pytest.mark.parametrize("known", [True, False])
-def test_what_is_uncertain_of_the_constants_widens_the_gate(known: bool) -> None:
-    P = np.diag([1e-4, 1e-3]) * (0.0 if known else 1.0)
-    row = a_row(VT, a_covariance(), GAIN)
-    x = a_particle(P, (row,))
-    seen, z = paper.see(x, turned(), row), seen_from(POSE, VT) + np.array([5.0, 0.1, 0.0])
-    out, A = np.zeros(2), matrix(seen.A)
-    S = np.array(seen.spread)[UPPER] + A @ P @ A.T + np.diag(Q)
-    e = z - seen_from(POSE, VT)
-    assert paper.score(seen, x.P, measured(z[None]), 0, out) == (out[0] > 0.0)
-    distance2 = e @ np.linalg.solve(S, e)
-    assert (distance2 < 16.3) == (not known)
-    assert max(out[0], -1.0) == pytest.approx(max(16.3 - distance2, -1.0))
-
-
 def test_the_nearest_is_not_taken_twice_and_what_is_left_over_begins_a_vt() -> None:
     apart = np.array([0.0, 2.0, 0.0])
     rows = tuple(a_row(VT + k * apart, 0.5 * np.eye(3), np.zeros((3, 2))) for k in range(2))
@@ -191,19 +159,6 @@ def test_the_nearest_is_not_taken_twice_and_what_is_left_over_begins_a_vt() -> N
     assert x.counts[0] == 3 and x.vts[0, 2, [IDENT, LAST, HITS]].tolist() == [102.0, 7.0, 1.0]
     assert x.vts[0, :2, HITS].tolist() == [4.0, 4.0]
     np.testing.assert_allclose(x.vts[0, 2, :3] - VT, [0.0, 90.0, 0.0], rtol=1e-12, atol=1e-9)
-
-
-def test_far_vts_are_passed_over_only_where_the_gate_would_reject_them() -> None:
-    P, m = np.diag([1e-6, 1e-4]), measured(seen_from(POSE, VT)[None])
-    inside = 0
-    for shift in np.linspace(-40.0, 40.0, 161):
-        row = a_row(VT + shift * (VT - POSE[:3]) / np.linalg.norm(VT - POSE[:3]), a_covariance(), GAIN)
-        x, out = a_particle(P, (row,)), np.zeros(2)
-        if paper.score(paper.see(x, turned(), row), x.P, m, 0, out):
-            inside += 1
-            assert paper.within_reach(x, row, m, 0)
-    assert 5 < inside < 100
-    assert not paper.within_reach(x, row, m, 0)
 
 
 def test_constants_are_those_of_a_joint_kalman_filter() -> None:
@@ -251,28 +206,6 @@ def test_constants_are_those_of_a_joint_kalman_filter() -> None:
     assert x.log_w[0] == pytest.approx(likelihood, rel=1e-9)
 
 
-def test_known_constants_stay_and_weigh_nothing() -> None:
-    x = a_particle(rows=(a_row(VT, np.eye(3), GAIN),))
-    x.theta[:], x.y[:], x.info[:] = [0.1, 0.2], [3.0, 4.0], [5.0, 0.1, 6.0]
-    paper.learn_constants(x)
-    assert x.log_w[0] == 0.0 and x.theta.tolist() == [0.1, 0.2] and x.P.tolist() == [0.0, 0.0, 0.0]
-    np.testing.assert_array_equal(x.vts[0, 0, :3], VT)
-    np.testing.assert_array_equal(x.r, POSE)
-
-
-def test_vts_are_dropped_that_were_unseen_for_longer_than_they_were_seen() -> None:
-    x = a_particle(rows=tuple(np.zeros((3, WIDTH))))
-    x.vts[0, :3, IDENT], x.vts[0, :3, LAST], x.vts[0, :3, HITS] = [1, 2, 3], [10, 10, 17], [5, 30, 1]
-    paper.drop_dubious(x, 0, 18)
-    assert x.vts[0, : x.counts[0], IDENT].tolist() == [3.0, 2.0]
-
-
-def test_no_vt_begins_where_there_is_no_room() -> None:
-    x, m = a_particle(), measured(seen_from(POSE, VT + np.arange(6)[:, None] * [0.0, 40.0, 0.0]))
-    paper.use_link(x, turned(), m, 0, np.zeros(6, np.int64), scratch())
-    assert x.counts[0] == 4
-
-
 def started(particles: int, snapshots: int, **options: Any) -> PaperFastSlam:
     recording, estimator = tiny_drive(), PaperFastSlam(PaperFastSlamOptions(particles=particles, **options))
     estimator.start(setup_of(recording), np.random.default_rng(0))
@@ -301,26 +234,6 @@ def test_resampling_copies_particles_with_their_maps() -> None:
     assert x.vts[1, 0, 0, 0] == want[7][0, 0, 0]
 
 
-def test_the_claim_holds_what_is_not_known_of_the_constants() -> None:
-    estimator = started(1, 60)
-    answer = estimator._estimate(np.ones(1), 0, np.zeros(0, np.int64))
-    x, P = estimator._x, estimator._x.P[0][[[0, 1], [1, 2]]]
-    assert (np.diag(P) > 0.0).all()
-    np.testing.assert_allclose(answer.covariance[:4, :4], x.D[0].T @ P @ x.D[0], rtol=1e-9, atol=1e-15)
-    assert answer.vts is not None
-    _, Sigma, gain = parts(x.vts[0][x.vts[0, :, :, HITS] > 0.0][0])
-    np.testing.assert_allclose(answer.vts.covariance[0], Sigma + gain @ P @ gain.T, rtol=1e-9)
-
-
-@pytest.mark.parametrize("motion", ["sampled", "marginalised"])
-def test_constants_are_drawn_or_kept_as_gaussians(motion: str) -> None:
-    sheet, x = setup_of(tiny_drive()).odometry_model, started(400, 1, motion=motion)._x
-    prior = np.array([sheet.bias[3], sheet.scale[0]])
-    spread = np.sqrt(np.var(x.theta, axis=0) + x.P[:, [0, 2]].mean(axis=0))
-    np.testing.assert_allclose(spread, prior, rtol=0.1)
-    assert (x.P == 0.0).all() == (motion == "sampled") and np.ptp(x.theta, axis=0).all() == (motion == "sampled")
-
-
 def scores_of(recording: Recording, **options: Any) -> dict[str, Any]:
     request = loaded("paper-fastslam", options)
     warm_up(request)
@@ -340,15 +253,6 @@ def test_marginalised_constants_are_found_where_drawn_ones_are_not() -> None:
     recording = simulate(load("tiny", KIND | worse), 4000, 0)
     drawn, found = (scores_of(recording, motion=motion) for motion in ("sampled", "marginalised"))
     assert found["position_max_m"] < 0.3 * drawn["position_max_m"]
-
-
-def test_a_covariance_that_rounding_has_spoilt_takes_no_measurement() -> None:
-    spread = Sym3(1.0, 5.0, 0.0, 1.0, 0.0, 1.0)
-    nothing = vec_of(np.zeros(3))
-    z, out = seen_from(POSE, VT), np.zeros(2)
-    seen = Seen(vec_of(z), Mat3(*np.eye(3).ravel()), spread, Mat32(nothing, nothing))
-    assert not paper.score(seen, np.zeros(3), measured(z[None]), 0, out)
-    assert out[0] < 0.0
 
 
 def poses_of(estimator: Any, threads: int) -> Any:

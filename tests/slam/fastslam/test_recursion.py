@@ -14,7 +14,6 @@ from cellslam.slam.fastslam.fastslam import FastSlam
 from cellslam.slam.fastslam.fastslam_options import NEVER, FastSlamOptions
 from cellslam.slam.fastslam.parts import likelihood
 from cellslam.slam.joint.ekf_slam import EkfSlam
-from cellslam.slam.joint.ekf_slam_options import EkfSlamOptions
 from cellslam.slam.joint.state.layout import one_of
 from cellslam.slam.oracles import FastSlamKnownAssociation, KnownAssociation
 from tests.slam.fastslam.drives import WHITE, driven, street
@@ -43,12 +42,6 @@ def test_without_draws_it_is_the_joint_ekf(tiny: Recording) -> None:
         np.testing.assert_array_equal(other.association, one.association)
     assert ekf[-1].vts is not None and never[-1].vts is not None and len(ekf[-1].vts.id) > 3
     np.testing.assert_allclose(never[-1].vts.position_m, ekf[-1].vts.position_m, rtol=0, atol=1e-6)
-
-
-def test_with_draws_it_is_another_filter(tiny: Recording) -> None:
-    ekf, drawn = answers(EkfSlam(), tiny), answers(FastSlam(), tiny)
-    apart = np.linalg.norm([a.pose[:2] - b.pose[:2] for a, b in zip(ekf, drawn, strict=True)], axis=1)
-    assert 1e-3 < apart.max() < 0.5
 
 
 @pytest.mark.parametrize("lag", [-1, 0, 2])
@@ -96,26 +89,6 @@ def test_one_gain_does_as_well_as_gains_of_their_own() -> None:
         assert few > 3.0 and (np.abs(one.pose[PLANE] - mean) < 4.0 * spread / np.sqrt(few)).all()
 
 
-@pytest.mark.parametrize("part", ["gaussian", "antithetic"])
-def test_drawing_keeps_the_whole_variance(part: str) -> None:
-    """What leaves the common covariance is spread over the particles (law of total variance)."""
-    fastslam = FastSlam(FastSlamOptions(particles=20_000, lag=2, block_s=0.2, proposal=part, **WHITE))
-    driven(fastslam, street(12, seed=4))
-    mixture = fastslam._joint
-    assert mixture is not None
-    f, places = one_of(mixture.arrays, 0), fastslam._core.drawn
-    drawn = places[(fastslam._block + 1) % len(places)]
-    n, before = int(f.size[0]), mixture.collapsed().arrays.p[0].copy()
-    G, W, log_ratio = fastslam._drawn(f, drawn, np.empty((0, n)), np.empty((0, 20_000)))
-    assert len(G) == 2 and not log_ratio.any()
-    f.p[:n, :n] -= G.T @ G
-    fastslam._move(f, G, W, log_ratio)
-    after, u = mixture.collapsed().arrays.p[0], drawn[drawn >= 0]
-    assert np.abs(f.p[u, :n]).max() < 1e-12
-    size = np.sqrt(np.diag(before)[:n])
-    assert (np.abs(after - before)[:n, :n] < 0.05 * np.outer(size, size) + 1e-15).all()
-
-
 NOISY = np.array([0.3, 0.0, 0.0, 0.02, 0.0, 0.0])  # odometry so poor that particles differ
 
 
@@ -156,15 +129,3 @@ def test_oracle_is_told_the_associations(tiny: Recording) -> None:
     for one, other in zip(ekf, found, strict=True):
         np.testing.assert_array_equal(one.association, other.association)
     assert np.abs(ekf[-1].pose - found[-1].pose).max() > 0.0
-
-
-@pytest.mark.slow
-def test_groups_share_the_particles_after_the_start() -> None:
-    recording, few = simulate("tiny"), {"start_limit_s": 4.0, "component_std_m": 60.0, "component_step": 2.0}
-    fastslam = FastSlam(FastSlamOptions(particles=64, **few))
-    answers(fastslam, recording, 100)
-    mixture = fastslam._joint
-    assert mixture is not None and mixture.arrays.particles.weight.shape[1] == max(64 // len(mixture), 10)
-    ekf = answers(EkfSlam(EkfSlamOptions(**few)), recording, 100)
-    own = answers(FastSlam(FastSlamOptions(lag=NEVER, **few)), recording, 100)
-    assert np.abs(ekf[-1].pose - own[-1].pose).max() < 1e-6

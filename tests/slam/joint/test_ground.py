@@ -7,10 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from cellslam.slam.api import setup_of
-from cellslam.slam.conformance.subject import tiny_drive
-from cellslam.slam.joint.ekf_slam_options import EkfSlamOptions
-from cellslam.slam.joint.new_filters import NO_ERRORS, array_errors
+from cellslam.slam.joint.new_filters import NO_ERRORS
 from cellslam.slam.joint.snapshot.sight_kernel import ground
 from cellslam.slam.model.measurement_kernel import Spherical
 
@@ -30,7 +27,3 @@ def test_the_mean_of_a_path_and_its_reflection_from_the_ground(
     assert sight.size[0] == (pull_deg != 0.0)
     if pull_deg:
         np.testing.assert_allclose(np.degrees(sight.by[:, 0]), [0.0, 0.0, pull_deg], atol=1e-3)
-
-
-def test_the_option_makes_the_state() -> None:
-    assert array_errors(EkfSlamOptions(ground_share=0.5), setup_of(tiny_drive())).ground == 0.5

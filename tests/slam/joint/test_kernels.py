@@ -15,7 +15,7 @@ from cellslam.slam.api import setup_of
 from cellslam.slam.conformance.subject import tiny_drive
 from cellslam.slam.joint.new_filters import NO_ERRORS, core_of, new_mixture
 from cellslam.slam.joint.snapshot.association_kernel import expect, score_pairs
-from cellslam.slam.joint.snapshot.birth_kernel import give_birth, remove, tidy
+from cellslam.slam.joint.snapshot.birth_kernel import give_birth
 from cellslam.slam.joint.snapshot.motion_kernel import Interval, Step, forget, move
 from cellslam.slam.joint.snapshot.sight_kernel import field, rotations_of
 from cellslam.slam.joint.snapshot.sizes_kernel import DIFFUSE_SIZE, WHITE, count_diffuse, count_white
@@ -107,27 +107,6 @@ def test_birth_is_exact_and_correlated_with_all_states(one_filter: Any) -> None:
     np.testing.assert_array_equal(p, p.T)
 
 
-def test_birth_takes_off_what_is_believed_of_the_errors(one_filter: Any) -> None:
-    """A measurement made by the model with errors begins a VT where it came from, and what is left of them stays
-    unknown."""
-    one = one_filter(ERRORS)
-    one.put(POSE, 15.0, [90.0, 2.5, 0.3])
-    one.model(0)
-    weights = np.flatnonzero(one.f.owner[: one.n] >= 0)
-    one.f.x[weights] = np.random.default_rng(2).normal(size=len(weights))
-    z, _ = one.model(0)
-    one.f.vts.state[1] = -1
-    give_birth(one.f, ERRORS, 1, one.f.core.first_offset, z, np.full(3, 1e-6), True, 1.0, 3, one.w.sight, one.w.pending)
-    np.testing.assert_allclose(one.place(1), one.place(0), atol=0.05)
-    again, _ = one.model(1)
-    _, hph = compare(
-        one.f, ERRORS, 1, one.f.core.first_offset, one.measurement(z, np.ones(3)), one.w.sight, one.w.pending
-    )
-    # The next measurement shares weights and diffuse errors with the birth: nothing is left but its white noise.
-    np.testing.assert_allclose([hph.xx, hph.yy, hph.zz], 1e-6, atol=2e-6)
-    assert (abs(again - z) < [0.03, 1e-3, 1e-3]).all()  # but for the field's slope
-
-
 def test_updates_are_textbook_kalman_updates_also_while_they_wait(one_filter: Any, kalman: Callable[..., Any]) -> None:
     one, q, turn = one_filter(), np.array([0.3, 1e-4, 2e-4]), np.array([0.0, 2.0 * np.pi, 0.0])
     one.put(POSE, 5.0, [80.0, 0.5, 0.2], [60.0, -1.0, 0.1])
@@ -194,21 +173,6 @@ def test_a_vt_that_returns_must_be_likelier_than_a_new_one_nearby(one_filter: An
             assert one.w.pairs.gated[:2].tolist() == taken
 
 
-def test_leaving_is_marginalising(one_filter: Any) -> None:
-    one, rng = one_filter(), np.random.default_rng(2)
-    one.put(POSE, 1.0, [80.0, 0.5, 0.2], [60.0, -1.0, 0.1], [40.0, 1.0, 0.3])
-    f, p = one.f, one.spread(rng.normal(size=(16, 16)))
-    f.vts.slots[:3], f.vts.anchor[:3, 3:] = np.arange(18).reshape(3, 6), rng.normal(size=(3, 4))
-    x, anchors, places = f.x[:16].copy(), f.vts.anchor[:3].copy(), f.vts.state[:3, :3].copy()
-    remove(f, one.block, 0)
-    assert (f.count[0], one.n) == (2, 13)
-    np.testing.assert_array_equal(f.vts.anchor[:2], anchors[[2, 1]])
-    np.testing.assert_array_equal(f.vts.slots[:2, 0], [12, 6])
-    new, old = np.append(np.arange(7), f.vts.state[:2, :3]), np.append(np.arange(7), places[[2, 1]])
-    np.testing.assert_array_equal(f.x[new], x[old])
-    np.testing.assert_array_equal(f.p[np.ix_(new, new)], p[np.ix_(old, old)])
-
-
 def test_fields_are_one_kalman_filter_over_all_weights(one_filter: Any, kalman: Callable[..., Any]) -> None:
     """Weights that enter as directions are met, and leave, in a linear world: exactly the joint filter of them all."""
     rng, std, g = np.random.default_rng(5), np.array([0.3, 0.02, 0.05]), grid(0.5, 1.3, 1.9)
@@ -264,21 +228,6 @@ def test_what_persists_fades_as_a_gauss_markov_process(one_filter: Any) -> None:
     np.testing.assert_allclose(one.f.x[: one.n], kept * x, rtol=1e-12)
     expected = kept[:, None] * p * kept + np.diag((1.0 - kept**2) * variance)
     np.testing.assert_allclose(one.f.p[: one.n, : one.n], expected, rtol=1e-12)
-
-
-def test_weights_of_the_roof_and_faded_errors_are_given_up_in_time(one_filter: Any) -> None:
-    one = one_filter(ERRORS)
-    one.put(POSE, 5.0, [80.0, 0.5, 0.2])
-    one.model(0)
-    weights, roof = one.f.owner[: one.n] >= 0, one.f.owner[: one.n] >= 3 * ERRORS.calibration_grid.cells
-    assert roof.any() and not roof[weights].all()
-    forget(one.f, ERRORS, 10.0, 0.0)
-    one.f.vts.slots[0, 1] = 9  # confirmed
-    tidy(one.f, ERRORS, one.block, 3 + one.rules.lifetime.hold, one.rules)
-    assert one.n == len(weights) - 3  # the diffuse errors are as unknown as new ones
-    tidy(one.f, ERRORS, one.block, 4 + one.rules.lifetime.hold, one.rules)
-    assert one.n == len(weights) - 3 - roof.sum()
-    assert (one.f.owner[: one.n] >= 0).sum() == weights.sum() - roof.sum()
 
 
 def test_motion_is_that_of_the_frames_module() -> None:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from dataclasses import fields, replace
 from functools import partial
 
 import numpy as np
@@ -107,15 +106,6 @@ def test_the_site_is_the_vt_that_is_nearest_wherever_others_are_seen(one_filter)
     assert images_of(f, seen(f, WAY[:15]), 3) == []  # too few places to tell
 
 
-def test_without_its_line_of_sight_a_site_is_not_known(one_filter):
-    hidden = [*scene()[1:4], (0, mirrored(SITES[0], -NORTH, 80.0))]
-    f, _ = filter_of(one_filter, hidden, 0.1)
-    north = np.column_stack([np.zeros(91), np.linspace(-60.0, 30.0, 91)])
-    assert images_of(f, seen(f, north), 3) == []  # none is nearest everywhere
-    f, _ = filter_of(one_filter, hidden[:2], 0.1)
-    assert images_of(f, seen(f), 3) == []  # one is nearer than one other: that tells nothing
-
-
 def test_a_site_that_was_surveyed_need_not_be_seen(one_filter):
     f, at = filter_of(one_filter, scene()[:2], 0.1)
     f.p[at.start : at.start + 3] = f.p[:, at.start : at.start + 3] = 0.0
@@ -144,16 +134,6 @@ def test_errors_that_two_images_have_in_common_do_not_set_them_apart(one_filter)
 def test_what_is_not(one_filter, azimuth, distance):
     f, _ = filter_of(one_filter, scene(azimuth, distance), 0.5)
     assert one_wall(f) == -math.inf
-
-
-def test_walls_far_apart_or_back_to_back_are_not_one(one_filter):
-    f, _ = filter_of(one_filter, scene(), 0.5)
-    one, (a, b) = np.arange(2), pair(f)
-    assert best_pair(f, [a, b], one, FLAT, 3.0) == (0, 1)
-    assert best_pair(f, [a, b], np.zeros(2, int), FLAT, 3.0) is None  # known already
-    away = np.array([200.0, 0.0])
-    assert best_pair(f, [a, b._replace(points=b.points + away)], one, FLAT, 3.0) is None
-    assert best_pair(f, [a, b._replace(azimuth=-NORTH)], one, FLAT, 3.0) is None
 
 
 def test_a_pair_waits_while_another_one_is_as_likely(one_filter):
@@ -268,14 +248,6 @@ def test_other_vts_are_no_double_reflections(one_filter, more):
     assert double_of(f, -math.inf) is None
 
 
-def test_paths_that_miss_a_wall_are_not_over_it(one_filter):
-    f, _ = filter_of(one_filter, canyon_of(over_both()), 0.3)
-    far = seen(f) | {14: WAY + np.array([400.0, 0.0])}  # where neither wall was met before
-    assert likeliest_double(f, images_of(f, far, 3), far, FLAT, 5.0) is None
-    f.p[:] *= 60.0**2
-    assert double_of(f) is None  # so little is known that it could be anything
-
-
 def test_imposing_a_double_reflection_leaves_the_filter_consistent(one_filter):
     rng, squares = np.random.default_rng(6), []
     for _ in range(300):
@@ -288,26 +260,6 @@ def test_imposing_a_double_reflection_leaves_the_filter_consistent(one_filter):
         squares.append(squares_after(partial(impose_double, f, double, seen(f), FLAT), f, at, vts))
     # Chi-square of 15 has a mean of 15 with a deviation of 0.3; the spread is a little wide on purpose.
     assert 12.5 < np.mean(squares) < 16.0
-
-
-def test_a_double_reflection_is_no_wall(one_filter):
-    f, _ = filter_of(one_filter, canyon_of(over_both()), 0.3)
-    facades = facades_of(f)
-    assert len(facades.estimate(f, 3)) == 4
-    facades.join(f)
-    assert len(facades.estimate(f, 3)) == 3
-
-
-def test_where_a_wall_was_not_seen_to_reach_nothing_is_associated_with_it(one_filter):
-    f, _ = filter_of(one_filter, scene(), 0.3)
-    facades = facades_of(f)
-    # Site B's image in the north is met at x = 27.7 + 9/13 of the vehicle's: from 6.9 m on, and with a gap from -3.1 m.
-    f.x[:2] = [-44.0, 0.0]
-    assert facades.not_met(f) == []
-    f.x[:2] = [-45.0, 0.0]
-    assert facades.not_met(f) == [15]
-    facades.join(f)  # the other site shows that the wall reaches to x = -41 m
-    assert facades.not_met(f) == []
 
 
 @pytest.fixture(scope="module")
@@ -353,18 +305,6 @@ def walked(recording, **options):
     """Return the walls that were reported last, and the last answer."""
     answers = driven(WallSlam(WallSlamOptions(**options)), recording)
     return [answer.walls for answer in answers if answer.walls is not None][-1], answers[-1]
-
-
-def test_vts_that_were_long_out_of_sight_wait_for_their_walls(street, monkeypatch):
-    m = street.measurements
-    kept = (m.snapshot < 400) | (m.snapshot >= 500)
-    columns = {f.name: getattr(m, f.name)[kept] for f in fields(m) if getattr(m, f.name) is not None}
-    dark = replace(street, measurements=Measurements(**columns), truth=None)
-    _, last = walked(dark)
-    monkeypatch.setattr(Facades, "not_met", lambda _, f: [5])
-    _, other = walked(dark)
-    assert 5 in last.vts.id and (last.association == 5).any()
-    assert 5 in other.vts.id and not (other.association == 5).any()
 
 
 def test_a_drive_maps_the_wall_that_two_sites_share(street):

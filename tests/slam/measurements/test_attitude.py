@@ -98,15 +98,6 @@ def test_it_levels_out_when_nothing_is_measured() -> None:
     np.testing.assert_allclose(belief.covariance, np.diag(np.radians([0.1, 0.3]) ** 2), rtol=1e-6, atol=1e-12)
 
 
-def test_directions_without_elevation_say_nothing_and_stay() -> None:
-    z = tilted(around(5))
-    z[:, 2] = np.nan
-    belief = followed(z, around(5))
-    np.testing.assert_array_equal(belief.mean, 0.0)
-    belief.mean = TILT.copy()
-    np.testing.assert_array_equal(belief.levelled(0.0, snapshot(z)).azimuth_rad, z[:, 1])
-
-
 @pytest.mark.parametrize(
     "known",
     [
@@ -119,13 +110,3 @@ def test_attitude_that_the_pose_carries_is_left_to_it(known: dict[str, np.ndarra
     belief, here = Attitude(OPTIONS, setup(**known)), snapshot(tilted(around(5)))
     assert not belief.on and belief.levelled(1.0, here) is here
     assert not Attitude(MeasurementOptions(roll_deg=0.0), setup()).on
-
-
-def test_an_estimate_tells_pitch_and_roll() -> None:
-    vts = around(24)
-    belief = followed(tilted(vts), vts, 10)
-    answer = Estimate(POSE, np.eye(6), np.arange(24)[::-1] + 100, vts=seen(vts))
-    told = belief.concluded(answer, snapshot(tilted(vts)), np.full((24, 3), np.radians(0.05) ** 2))
-    np.testing.assert_allclose(told.pose[4:], TILT, atol=np.radians(0.03))
-    np.testing.assert_array_equal(told.covariance[4:, 4:], belief.covariance)
-    np.testing.assert_array_equal(answer.pose, POSE)

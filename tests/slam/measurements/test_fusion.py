@@ -10,16 +10,7 @@ import pytest
 
 from cellslam.sim.recording import Links, OdometryModel, Sites
 from cellslam.slam.api import Estimate, Setup, Snapshot, VtEstimate
-from cellslam.slam.measurements.fusion import (
-    BIRTH_RATIO,
-    COINCIDENCE,
-    UNMAPPED,
-    UNUSUAL,
-    FusedMeasurements,
-    Fusion,
-    clutter_log_ratios,
-    white,
-)
+from cellslam.slam.measurements.fusion import COINCIDENCE, UNMAPPED, UNUSUAL, Fusion, clutter_log_ratios, white
 from cellslam.slam.measurements.measurement_options import MeasurementOptions
 from cellslam.slam.measurements.readings import ports_of, readings
 
@@ -146,28 +137,6 @@ def test_agreement_tells_paths_from_clutter() -> None:
     np.testing.assert_allclose(clutter[1:] / clutter[:-1], COINCIDENCE)
 
 
-def test_what_may_begin_a_vt_is_no_clutter() -> None:
-    rng, fusion = np.random.default_rng(8), Fusion(setup(), MeasurementOptions())
-    begins, paths = 0, 0
-    for _ in range(50):
-        given, truth = many_paths(rng, 4)
-        measurements = fusion.fuse(given)
-        own = truth[np.searchsorted(given.row, measurements.row)]
-        assert (own[measurements.begins] >= 0).all()
-        begins, paths = begins + measurements.begins.sum(), paths + (own >= 0).sum()
-    assert begins > 0.9 * paths
-
-
-def test_births_are_likely_where_links_agree() -> None:
-    options = MeasurementOptions(birth_ratio=0.02)
-    assert Fusion(setup(), options).options.birth_ratio == BIRTH_RATIO
-    assert Fusion(setup(), MeasurementOptions(birth_ratio=0.7)).options.birth_ratio == 0.7
-    few = Fusion(setup([0, 0, 0, 1, 1], [0, 1, 2, 0, 1]), options)
-    assert few.options.birth_ratio == 0.02
-    measurements = few.fuse(snapshot([0, 0, 3], [[100, 0, 0], [300, 1, 0], [100, 0, 0]]))
-    assert measurements.begins.tolist() == [False, False, True]
-
-
 def test_links_that_are_not_sorted_by_site() -> None:
     fusion = Fusion(setup([1, 0, 1, 0], [0, 0, 1, 1]), MeasurementOptions())
     measurements = fusion.fuse(snapshot([0, 1, 2, 3], [[100, 0, 0], [500, 1, 0], [100.1, 0, 0], [500.1, 1, 0]]))
@@ -184,15 +153,3 @@ def test_an_answer_names_measurements_and_their_links() -> None:
     assert answer.association is not None and answer.vts is not None
     assert answer.association.tolist() == [5, 5, 9, 9]
     assert answer.vts.link.tolist() == [0, 6]
-
-
-def test_detection_and_clutter_are_those_of_fused_measurements() -> None:
-    options = MeasurementOptions(detection_probability=0.5, clutter_density=1e-3)
-    seen = Fusion(setup([0, 0, 1, 1], [0, 1, 0, 1]), options).options
-    assert seen.detection_probability == pytest.approx(0.75)
-    assert seen.clutter_density == pytest.approx(2e-3)
-
-
-def test_an_empty_snapshot() -> None:
-    measurements = Fusion(setup(), MeasurementOptions()).fuse(snapshot([], np.zeros((0, 3))))
-    assert isinstance(measurements, FusedMeasurements) and len(measurements) == 0
