@@ -13,30 +13,16 @@ from cellslam.scenarios.known_worlds import phd_slam_3
 from cellslam.sim.compiling import njit
 from cellslam.sim.frames import integrate_pose, rotation
 from cellslam.sim.recording import Recording
-from cellslam.slam.api import odometry_of, setup_of, snapshots_of
-from cellslam.slam.conformance import EstimatorConformance
 from cellslam.slam.dead_reckoning import DeadReckoning
 from cellslam.slam.model.matrices_kernel import mat_of, vec_of
 from cellslam.slam.model.measurement_model import jacobians, predict
-from cellslam.slam.phd_slam.map_kernel import (
-    COVARIANCE,
-    GAIN,
-    HIDDEN,
-    MEAN,
-    NAMES,
-    VISIBLE,
-    WIDTH,
-    Map,
-    condense,
-    innovation,
-    put_update,
-    residual,
-    seen_from,
-)
+from cellslam.slam.phd_slam import map_kernel
+from cellslam.slam.phd_slam.map_kernel import COVARIANCE, GAIN, MEAN, NAMES, VISIBLE, WIDTH, put_update, seen_from
 from cellslam.slam.phd_slam.motion_kernel import factorise, inform, moved, slopes
 from cellslam.slam.phd_slam.pairs_kernel import Pairs, exclusive
 from cellslam.slam.phd_slam.phd_slam import TRIANGLE, PhdSlam, PhdSlamOptions
 from cellslam.slam.phd_slam.snapshot_kernel import Particles, resample
+from tests.slam.driving import driven
 
 POSE, VT = np.array([3.0, -2.0, 1.5, 0.7, 0.1, -0.2]), np.array([60.0, 45.0, 20.0])
 Q, UPPER = np.array([0.4, 3e-4, 5e-4]), np.triu_indices(3)
@@ -53,7 +39,7 @@ def a_row(seed: int = 0) -> tuple[Any, Any, Any]:
 @njit
 def updated(place: Any, r: Any, rows: Any, offset: float, z: Any, q: Any, out: Any) -> float:
     seen = seen_from(vec_of(place), mat_of(r), rows, 0, offset)
-    new = innovation(residual(seen, vec_of(z), vec_of(np.ones(3))), seen.spread, vec_of(q))
+    new = map_kernel.innovation(map_kernel.residual(seen, vec_of(z), vec_of(np.ones(3))), seen.spread, vec_of(q))
     put_update(out, 0, rows, 0, seen, new)
     return new.log_density
 
@@ -62,7 +48,7 @@ def updated(place: Any, r: Any, rows: Any, offset: float, z: Any, q: Any, out: A
 def informed(pose: Any, velocity: Any, std: Any, rows: Any, z: Any, q: Any, information: Any, y: Any) -> None:
     at = moved(pose, velocity, 0.5)
     seen = seen_from(at.place, at.turned.r, rows, 0, 0.0)
-    new = innovation(residual(seen, vec_of(z), vec_of(np.ones(3))), seen.spread, vec_of(q))
+    new = map_kernel.innovation(map_kernel.residual(seen, vec_of(z), vec_of(np.ones(3))), seen.spread, vec_of(q))
     inform(slopes(seen, vec_of(rows[0]), at, std), new.inverse, new.e, 0.7, information, y)
 
 
@@ -127,14 +113,14 @@ def test_marginals_are_those_of_all_exclusive_assignments() -> None:
 
 def test_merging_keeps_weight_and_moments_of_what_it_merges() -> None:
     rows, names = np.zeros((4, WIDTH)), np.zeros((4, NAMES), np.int64)
-    rows[:, VISIBLE], rows[:, HIDDEN] = [0.5, 0.2, 0.4, 1e-9], [0.1, 0.0, 0.0, 0.0]
+    rows[:, VISIBLE], rows[:, map_kernel.HIDDEN] = [0.5, 0.2, 0.4, 1e-9], [0.1, 0.0, 0.0, 0.0]
     rows[:, MEAN] = [0.0, 1.0, 50.0, 0.0]
     rows[:, COVARIANCE:GAIN] = np.eye(3)[UPPER]
-    own = Map(np.zeros((8, WIDTH)), np.zeros((8, NAMES), np.int64), np.zeros(1, np.int64))
-    condense(Map(rows.copy(), names, np.array([4])), own, np.empty(0, np.int64), 1e-6, 4.0)
+    own = map_kernel.Map(np.zeros((8, WIDTH)), np.zeros((8, NAMES), np.int64), np.zeros(1, np.int64))
+    map_kernel.condense(map_kernel.Map(rows.copy(), names, np.array([4])), own, np.empty(0, np.int64), 1e-6, 4.0)
     assert own.size[0] == 2
     share = 0.2 / 0.8
-    assert own.rows[0, [VISIBLE, HIDDEN]] == pytest.approx([0.7, 0.1])
+    assert own.rows[0, [VISIBLE, map_kernel.HIDDEN]] == pytest.approx([0.7, 0.1])
     assert own.rows[0, [MEAN, COVARIANCE]] == pytest.approx([share, 1.0 + share * (1.0 - share)])
     assert own.rows[1, MEAN] == 50.0
 
@@ -165,9 +151,7 @@ def first_minutes(steps: int = 500, **gone: Any) -> Recording:
 
 
 def rmse(recording: Recording, estimator: Any) -> float:
-    estimator.start(setup_of(recording), np.random.default_rng(1))
-    steps = zip(np.diff(recording.time_s, prepend=0.0), odometry_of(recording), snapshots_of(recording), strict=True)
-    poses = np.array([estimator.step(float(dt), u, snapshot).pose for dt, u, snapshot in steps])
+    poses = np.array([answer.pose for answer in driven(estimator, recording)])
     apart = poses[:, :2] - phd_slam_3.trajectory()[: len(poses), :2]
     return float(np.sqrt(np.mean(np.sum(apart**2, axis=1))))
 
@@ -184,18 +168,6 @@ def test_distances_alone_do_no_harm() -> None:
 def test_known_transmitters_are_in_the_map_from_the_start() -> None:
     recording = first_minutes(3)
     sites = replace(recording.sites, position_m=np.array([[310.0, 395.0, 0.0]]))
-    estimator = like(2)
-    estimator.start(setup_of(replace(recording, sites=sites)), np.random.default_rng(0))
-    vts = estimator.step(0.0, np.zeros(6), snapshots_of(recording)[0]).vts
+    vts = driven(like(2), replace(recording, sites=sites), 1)[0].vts
     assert vts is not None
     np.testing.assert_allclose(vts.position_m, sites.position_m, atol=0.01)
-
-
-class TestPhdSlam(EstimatorConformance):
-    @pytest.fixture
-    def estimator(self) -> type[Any]:
-        return PhdSlam
-
-    @pytest.fixture
-    def options(self) -> Any:
-        return PhdSlamOptions(particles=20)

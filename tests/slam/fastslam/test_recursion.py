@@ -9,13 +9,13 @@ import pytest
 
 from cellslam.scenarios.simulation import simulate
 from cellslam.sim.recording import Floats, Recording
-from cellslam.slam.api import Estimate, odometry_of, setup_of, snapshots_of
 from cellslam.slam.fastslam.fastslam import FastSlam
 from cellslam.slam.fastslam.fastslam_options import NEVER, FastSlamOptions
 from cellslam.slam.fastslam.parts import likelihood
 from cellslam.slam.joint.ekf_slam import EkfSlam
 from cellslam.slam.joint.state.layout import one_of
 from cellslam.slam.oracles import FastSlamKnownAssociation, KnownAssociation
+from tests.slam import driving
 from tests.slam.fastslam.drives import WHITE, driven, street
 
 PLANE = [0, 1, 3]
@@ -27,15 +27,8 @@ def tiny() -> Recording:
     return simulate("tiny", overrides={"radio.clock_offset_std_m": 0.0})
 
 
-def answers(estimator: Any, recording: Recording, count: int | None = None) -> list[Estimate]:
-    estimator.start(setup_of(recording, estimator.requires_truth), np.random.default_rng(3))
-    dt_s, odometry = np.diff(recording.time_s, prepend=recording.time_s[0]), odometry_of(recording)
-    steps = zip(dt_s.tolist(), odometry, snapshots_of(recording), strict=True)
-    return [estimator.step(*step) for step, _ in zip(steps, range(count or len(dt_s)), strict=False)]
-
-
 def test_without_draws_it_is_the_joint_ekf(tiny: Recording) -> None:
-    ekf, never = answers(EkfSlam(), tiny), answers(FastSlam(FastSlamOptions(lag=NEVER)), tiny)
+    ekf, never = (driving.driven(one, tiny) for one in (EkfSlam(), FastSlam(FastSlamOptions(lag=NEVER))))
     for one, other in zip(ekf, never, strict=True):
         np.testing.assert_allclose(other.pose, one.pose, rtol=0, atol=1e-9)
         np.testing.assert_allclose(other.covariance, one.covariance, rtol=1e-7, atol=1e-11)
@@ -125,7 +118,8 @@ def test_resampling_is_called_where_weights_are_unequal() -> None:
 
 
 def test_oracle_is_told_the_associations(tiny: Recording) -> None:
-    ekf, found = answers(KnownAssociation(), tiny, 200), answers(FastSlamKnownAssociation(), tiny, 200)
+    oracles = KnownAssociation(), FastSlamKnownAssociation()
+    ekf, found = (driving.driven(one, tiny, 200, with_truth=True) for one in oracles)
     for one, other in zip(ekf, found, strict=True):
         np.testing.assert_array_equal(one.association, other.association)
     assert np.abs(ekf[-1].pose - found[-1].pose).max() > 0.0

@@ -120,9 +120,9 @@ def test_what_cannot_be_used_is_refused(calibration: Calibration, tmp_path: Path
     file, no = tmp_path / "car.h5", tmp_path / "no.h5"
     calibration.save(file)
 
-    def said(name: str = "ekf-slam", **options: Any) -> str:
+    def said(**options: Any) -> str:
         with pytest.raises(InputError) as raised:
-            resolve({name: {"calibration_file": str(file), **options}}, (name,))
+            resolve({"ekf-slam": {"calibration_file": str(file), **options}}, ("ekf-slam",))
         return str(raised.value)
 
     assert "set calibration_scale_deg = 15" in said(calibration_scale_deg=20.0)

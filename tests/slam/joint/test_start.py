@@ -12,10 +12,9 @@ from cellslam.sim.recording.tables import CLOCK_PRIOR
 from cellslam.slam.api import setup_of, snapshots_of
 from cellslam.slam.conformance.subject import tiny_drive
 from cellslam.slam.joint.ekf_slam import EkfSlam
-from cellslam.slam.joint.ekf_slam_options import EkfSlamOptions
 from cellslam.slam.joint.mixture import Mixture
 from cellslam.slam.joint.new_filters import NO_ERRORS, core_of, new_mixture
-from cellslam.slam.joint.start import begin, components
+from cellslam.slam.joint.start import components
 from cellslam.slam.joint.state.states_kernel import differing
 
 
@@ -48,17 +47,6 @@ def test_moments_are_those_of_the_mixture(mixture: Mixture) -> None:
     np.testing.assert_array_equal(mixture.moments()[1], p1)
 
 
-def test_filters_that_are_likely_and_differ_are_kept(mixture: Mixture) -> None:
-    of = slice(0, 1)
-    mixture.arrays.x[:, 0], mixture.arrays.p[:, 0, 0] = [0.0, 10.0, 20.0], 1.0
-    assert mixture.apart(of, 1e-2).tolist() == [0, 1]
-    assert mixture.apart(of, 1e-4).tolist() == [0, 1, 2]
-    mixture.arrays.x[:, 0] = [10.2, 10.0, 20.0]
-    assert mixture.apart(of, 1e-4).tolist() == [0, 2]  # the second is a double of the likelier first
-    mixture.log_weight[:2] = mixture.log_weight[[1, 0]]
-    assert mixture.apart(of, 1e-4).tolist() == [1, 2]
-
-
 def test_components_add_up_to_the_prior() -> None:
     means, logs, std = components(150.0, 20.0, 1.25)
     weight = np.exp(logs)
@@ -86,20 +74,6 @@ def test_blocks_of_a_mixture_end_together() -> None:
         lengths |= waiting
     assert len(mixture) > 1
     assert max(lengths) > 2
-
-
-def test_a_mixture_that_knows_its_place_well_has_the_word(mixture: Mixture) -> None:
-    """Of two mixtures that are 3 m apart the pose is the mean, by their variances; the covariance has what they
-    differ."""
-    setup = setup_of(tiny_drive())
-    start = begin(setup, mixture.core, NO_ERRORS, EkfSlamOptions(component_std_m=1000.0))
-    for one, x, variance in zip(start.mixtures, (0.0, 3.0), (1.0, 2.0), strict=True):
-        one.arrays.x[0, :6], one.arrays.p[0, :6, :6] = [x, 0.0, 0.0, 0.0, 0.0, 0.0], 0.5 * variance * np.eye(6)
-    start.odometry.arrays.p[0, :6, :6] = 4.0 * np.eye(6)
-    mean, cov = start.pose(*start.moments())
-    np.testing.assert_allclose(mean, [1.0, 0.0, 0.0, 0.0, 0.0, 0.0], atol=1e-5)
-    known = 1.0 / (1.0 / 0.5 + 1.0 / 1.0 - 1.0 / 4.0)
-    np.testing.assert_allclose(np.diag(cov)[:2], [known + 2.0, known], rtol=1e-5)
 
 
 @pytest.mark.parametrize("column", CLOCK_PRIOR[2:])

@@ -9,10 +9,8 @@ import pytest
 
 from cellslam.sim.errors import InputError
 from cellslam.sim.recording import Floats
-from cellslam.slam.model.map_joining import EXACT_M2, fused, join, join_maps, pairs_of
+from cellslam.slam.model.map_joining import fused, join, join_maps, pairs_of
 from cellslam.slam.model.vt_map import VtMap
-
-MM = 2.0 * EXACT_M2  # nothing is more exact than that
 
 
 def map_at(position_m: Floats, own_m2: Floats, common_m: Floats | None = None, site: str = "A") -> VtMap:
