@@ -14,7 +14,6 @@ from cellslam.slam.fastslam.fastslam_options import NEVER, FastSlamOptions
 from cellslam.slam.fastslam.parts import likelihood
 from cellslam.slam.joint.ekf_slam import EkfSlam
 from cellslam.slam.joint.state.layout import one_of
-from cellslam.slam.oracles import FastSlamKnownAssociation, KnownAssociation
 from tests.slam import driving
 from tests.slam.fastslam.drives import WHITE, driven, street
 
@@ -115,11 +114,3 @@ def test_resampling_is_called_where_weights_are_unequal() -> None:
     sizes.clear()
     driven(FastSlam(FastSlamOptions(particles=30, effective_share=0.0, **WHITE), resampling=likeliest_alone), drive)
     assert not sizes
-
-
-def test_oracle_is_told_the_associations(tiny: Recording) -> None:
-    oracles = KnownAssociation(), FastSlamKnownAssociation()
-    ekf, found = (driving.driven(one, tiny, 200, with_truth=True) for one in oracles)
-    for one, other in zip(ekf, found, strict=True):
-        np.testing.assert_array_equal(one.association, other.association)
-    assert np.abs(ekf[-1].pose - found[-1].pose).max() > 0.0

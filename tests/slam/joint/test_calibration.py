@@ -111,6 +111,20 @@ def test_file_and_message_give_back_what_was_given(calibration: Calibration, tmp
     assert [path.name for path in tmp_path.iterdir()] == ["car.h5"]
 
 
+def test_filters_of_the_start_begin_with_what_is_known(
+    drives: tuple[Recording, Recording], calibration: Calibration, tmp_path: Path
+) -> None:
+    setup = setup_of(drives[1])
+    wide = replace(setup, sites=replace(setup.sites, clock_offset_std_m=np.full(len(setup.sites), 150.0)))
+    estimator = EkfSlam(assuming(tmp_path, calibration))
+    estimator.start(wide, RNG)
+    assert estimator._start is not None and len(estimator._start.mixtures) == len(setup.sites)
+    for mixture in estimator._start.mixtures:
+        again = found(mixture, estimator._errors)
+        order = np.lexsort((again.cell, again.component)), np.lexsort((calibration.cell, calibration.component))
+        np.testing.assert_allclose(again.mean[order[0]], calibration.mean[order[1]], rtol=1e-12)
+
+
 def test_bound_of_a_calibrated_array_is_lower(drives: tuple[Recording, Recording]) -> None:
     free, known = bound(drives[1]).position_rmse_m, bound(drives[1], calibrated=True).position_rmse_m
     assert 0.3 * free < known < 0.999 * free

@@ -121,6 +121,16 @@ def test_what_is_not(one_filter, azimuth, distance):
     assert one_wall(f) == -math.inf
 
 
+def test_walls_far_apart_or_back_to_back_are_not_one(one_filter):
+    f, _ = filter_of(one_filter, scene(), 0.5)
+    one, (a, b) = np.arange(2), pair(f)
+    assert best_pair(f, [a, b], one, FLAT, 3.0) == (0, 1)
+    assert best_pair(f, [a, b], np.zeros(2, int), FLAT, 3.0) is None  # known already
+    away = np.array([200.0, 0.0])
+    assert best_pair(f, [a, b._replace(points=b.points + away)], one, FLAT, 3.0) is None
+    assert best_pair(f, [a, b._replace(azimuth=-NORTH)], one, FLAT, 3.0) is None
+
+
 def test_a_pair_waits_while_another_one_is_as_likely(one_filter):
     f, _ = filter_of(one_filter, [*scene(NORTH, WALL_M + 0.45), (1, mirrored(SITES[1], NORTH, WALL_M - 0.45))], 0.1)
     images = pair(f)

@@ -10,7 +10,15 @@ import pytest
 
 from cellslam.sim.recording import Links, OdometryModel, Sites
 from cellslam.slam.api import Estimate, Setup, Snapshot, VtEstimate
-from cellslam.slam.measurements.fusion import COINCIDENCE, UNMAPPED, UNUSUAL, Fusion, clutter_log_ratios, white
+from cellslam.slam.measurements.fusion import (
+    COINCIDENCE,
+    UNMAPPED,
+    UNUSUAL,
+    FusedMeasurements,
+    Fusion,
+    clutter_log_ratios,
+    white,
+)
 from cellslam.slam.measurements.measurement_options import MeasurementOptions
 from cellslam.slam.measurements.readings import ports_of, readings
 
@@ -32,6 +40,10 @@ def snapshot(link: Any, z: Any) -> Snapshot:
     for column in columns:
         column.setflags(write=False)
     return Snapshot(7, 100 + np.arange(len(link)), *columns)
+
+
+def fused(link: Any, z: Any) -> FusedMeasurements:
+    return Fusion(setup(), MeasurementOptions()).fuse(snapshot(link, z))
 
 
 def many_paths(rng: np.random.Generator, paths: int) -> tuple[Snapshot, Any]:
@@ -95,22 +107,17 @@ def test_ports_count_alike_and_noise_averages() -> None:
 
 def test_missing_components_stay_missing() -> None:
     nan = np.nan
-    measurements = Fusion(setup(), MeasurementOptions()).fuse(
-        snapshot([0, 1, 2], [[100, nan, 0.1], [100.2, 0.3, nan], [100.1, nan, nan]])
-    )
+    measurements = fused([0, 1, 2], [[100, nan, 0.1], [100.2, 0.3, nan], [100.1, nan, nan]])
     assert len(measurements) == 1
     np.testing.assert_allclose(
         [measurements.distance_m[0], measurements.azimuth_rad[0], measurements.elevation_rad[0]], [100.125, 0.3, 0.1]
     )
-    bare = Fusion(setup(), MeasurementOptions()).fuse(snapshot([0, 1], [[nan, 0.3, nan], [nan, 0.3, nan]]))
+    bare = fused([0, 1], [[nan, 0.3, nan], [nan, 0.3, nan]])
     assert np.isnan(bare.distance_m).all() and np.isnan(bare.elevation_rad).all()
 
 
 def test_a_link_measures_a_path_once() -> None:
-    measurements = Fusion(setup(), MeasurementOptions()).fuse(
-        snapshot([0, 0, 1], [[100, 0, 0], [100.9, 0, 0], [100.8, 0, 0]])
-    )
-    assert measurements.of.tolist() == [0, 1, 1]
+    assert fused([0, 0, 1], [[100, 0, 0], [100.9, 0, 0], [100.8, 0, 0]]).of.tolist() == [0, 1, 1]
 
 
 def test_without_sharing_no_measurement_is_fused() -> None:
