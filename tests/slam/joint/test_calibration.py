@@ -18,6 +18,7 @@ from cellslam.scenarios.simulation import simulate
 from cellslam.sim.errors import InputError
 from cellslam.sim.recording import Floats, Recording
 from cellslam.slam.api import setup_of
+from cellslam.slam.joint.calibration_states import found
 from cellslam.slam.joint.ekf_slam import EkfSlam
 from cellslam.slam.joint.ekf_slam_options import EkfSlamOptions
 from cellslam.slam.joint.state.layout import one_of

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from cellslam.sim.frames import azimuth_elevation, rotation, unit_vector
+from cellslam.sim.frames import unit_vector
 from cellslam.sim.recording import Links, OdometryModel, Sites
 from cellslam.slam.api import Estimate, Setup, Snapshot, VtEstimate
 from cellslam.slam.measurements.attitude import Attitude
@@ -41,15 +41,11 @@ def snapshot(z: np.ndarray) -> Snapshot:
     return Snapshot(0, np.arange(n), np.zeros(n, np.int64), *(z[:, c].copy() for c in range(3)), np.full(n, 20.0))
 
 
-def seen(vts: np.ndarray) -> VtEstimate:
-    n = len(vts)
-    return VtEstimate(np.arange(n)[::-1] + 100, np.zeros(n, np.int64), vts, np.tile(1e-6 * np.eye(3), (n, 1, 1)))
-
-
 def followed(z: np.ndarray, vts: np.ndarray, snapshots: int = 1) -> Attitude:
     """What is believed after the same measurements, again and again."""
     belief, n = Attitude(OPTIONS, setup()), len(z)
-    answer = Estimate(POSE, np.eye(6), np.arange(n)[::-1] + 100, vts=seen(vts))
+    ids, covariance = np.arange(n)[::-1] + 100, np.tile(1e-6 * np.eye(3), (n, 1, 1))
+    answer = Estimate(POSE, np.eye(6), ids, vts=VtEstimate(ids, np.zeros(n, np.int64), vts, covariance))
     for _ in range(snapshots):
         belief.levelled(0.075, snapshot(z))
         belief.concluded(answer, snapshot(z), np.full((n, 3), np.radians(0.05) ** 2))
@@ -64,8 +60,6 @@ def test_directions_are_turned_into_the_level_frame() -> None:
     belief, z = Attitude(OPTIONS, setup()), tilted(around(40))
     belief.mean = TILT.copy()
     level = belief.levelled(0.0, snapshot(z))
-    expected = azimuth_elevation(unit_vector(z[:, 1], z[:, 2]) @ rotation(0.0, *TILT).T)
-    np.testing.assert_allclose([level.azimuth_rad, level.elevation_rad], expected, atol=1e-12)
     np.testing.assert_array_equal(level.distance_m, z[:, 0])
     exact = predict(POSE, around(40))
     np.testing.assert_allclose([level.azimuth_rad, level.elevation_rad], exact[:, 1:].T, atol=1e-9)
