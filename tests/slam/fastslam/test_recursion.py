@@ -11,7 +11,6 @@ from cellslam.scenarios.simulation import simulate
 from cellslam.sim.recording import Floats, Recording
 from cellslam.slam.fastslam.fastslam import FastSlam
 from cellslam.slam.fastslam.fastslam_options import NEVER, FastSlamOptions
-from cellslam.slam.fastslam.parts import likelihood
 from cellslam.slam.joint.ekf_slam import EkfSlam
 from cellslam.slam.joint.state.layout import one_of
 from tests.slam import driving
@@ -52,33 +51,6 @@ def test_many_particles_are_the_exact_kalman_filter(lag: int) -> None:
     mean_variance = np.mean([np.diag(one.covariance)[PLANE] for one in found], axis=0)
     np.testing.assert_allclose(mean_variance, deviation**2, rtol=0.05)
     assert np.abs(exact.pose - exact_blocks.pose).max() < 0.2
-
-
-@pytest.mark.slow
-def test_one_gain_does_as_well_as_gains_of_their_own() -> None:
-    """Thirty filters of one particle each have covariances of their own; together they are the classical filter."""
-
-    class Remembering:
-        total = 0.0
-
-        def __call__(self, W: Floats) -> Floats:
-            self.total += float(likelihood(W)[0])
-            return likelihood(W)
-
-    for seed in (1, 2, 3):
-        drive, log_weight, poses = street(40, seed), [], []
-        for particle in range(30):
-            weight = Remembering()
-            own = FastSlam(FastSlamOptions(particles=1, **WHITE), weight=weight)
-            poses.append(driven(own, drive, particle)[-1].pose[PLANE])
-            log_weight.append(weight.total)
-        shares = np.exp(np.array(log_weight) - max(log_weight))
-        shares /= shares.sum()
-        mean = shares @ np.array(poses)
-        spread = np.sqrt(shares @ (np.array(poses) - mean) ** 2)
-        one = driven(FastSlam(FastSlamOptions(particles=2000, **WHITE)), drive)[-1]
-        few = 1.0 / np.sum(shares**2)
-        assert few > 3.0 and (np.abs(one.pose[PLANE] - mean) < 4.0 * spread / np.sqrt(few)).all()
 
 
 NOISY = np.array([0.3, 0.0, 0.0, 0.02, 0.0, 0.0])  # odometry so poor that particles differ

@@ -40,7 +40,6 @@ def assuming(drive: Recording, cause: str, factor: float) -> Request:
 @pytest.mark.parametrize(
     ("cause", "factor", "words"),
     [
-        ("diffuse", 1.0, ()),
         ("diffuse", 0.5, ("diffuse of distance", "diffuse of azimuth", "diffuse of elevation")),
         ("roof", 0.5, ("roof of elevation",)),  # azimuths worse than assumed are taken for merged paths, in part
         # Angles better than assumed are no mistake: what is counted for merged paths makes them look so.
