@@ -1,4 +1,4 @@
-"""FastSLAM's recursion against the joint EKF, the exact Kalman filter, and particles with their own covariances."""
+"""FastSLAM's recursion against the joint EKF and the exact Kalman filter; its weights."""
 
 from __future__ import annotations
 
