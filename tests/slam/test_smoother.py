@@ -1,4 +1,4 @@
-"""The smoother: Jacobians, odometry, a drive with wrong associations, the kit."""
+"""The smoother: Jacobians, odometry, a drive with wrong associations."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""BP-SLAM: message passing against enumeration, existence, the conformance kit."""
+"""BP-SLAM: message passing against enumeration; existence."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""EKF-SLAM and its oracles on whole drives: the bound where errors are white, bounded maps, the conformance kit."""
+"""EKF-SLAM and its oracles on whole drives: the bound where errors are white, bounded maps."""
 
 from __future__ import annotations
 

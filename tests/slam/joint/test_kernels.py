@@ -1,4 +1,4 @@
-"""EKF-SLAM's kernels against plain formulas: prediction, birth, update, marginalisation, motion, sizes."""
+"""EKF-SLAM's kernels against plain formulas: prediction, birth, update, motion, sizes, the ground."""
 
 from __future__ import annotations
 
