@@ -1,4 +1,4 @@
-"""Clocks whose offset changes at a constant unknown rate: simulated, bounded, and followed by the filters."""
+"""Clocks whose offset changes at a constant unknown rate: simulated, and followed by the filters."""
 
 from typing import Any
 

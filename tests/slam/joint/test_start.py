@@ -1,4 +1,4 @@
-"""The start of EKF-SLAM: components of an offset; a mixture's moments, what it keeps, how it grows."""
+"""The start of EKF-SLAM: components of an offset; a mixture's moments, which filters it keeps."""
 
 from __future__ import annotations
 
