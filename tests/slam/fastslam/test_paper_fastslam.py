@@ -125,8 +125,8 @@ def test_the_nearest_is_not_taken_twice_and_what_is_left_over_begins_a_vt() -> N
     x, m = a_particle(rows=rows), measured(z)
     x.vts[0, :2, IDENT], x.vts[0, :2, HITS] = [41.0, 42.0], 3.0
     association = np.zeros(3, np.int64)
-    none = np.zeros(99, np.int64)
-    room = paper.Scratch(np.zeros((4, 6)), np.zeros((4, 24)), none[:4], none * 0.0, none)
+    near, work_i = np.zeros(4, np.int64), np.zeros(99, np.int64)
+    room = paper.Scratch(np.zeros((4, 6)), np.zeros((4, 24)), near, np.zeros(99), work_i)
     paper.use_link(x, TURNED, m, 0, association, room)
     # Each alone would take 42, which is nearer to both.
     assert association.tolist() == [41, 42, -1]
