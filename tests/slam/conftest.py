@@ -12,19 +12,8 @@ from cellslam.slam.joint.new_filters import NO_ERRORS, core_of, new_mixture
 from cellslam.slam.joint.snapshot.sight_kernel import coordinates, errors_of, geometry, rotations_of
 from cellslam.slam.joint.snapshot.snapshot_kernel import PENDING, new_room
 from cellslam.slam.joint.snapshot.update_kernel import BlockMeasurement
-from cellslam.slam.joint.state.layout import (
-    FREE,
-    Association,
-    Births,
-    BlockLimits,
-    Existence,
-    Lifetime,
-    Measured,
-    Noise,
-    Rules,
-    block_of,
-    one_of,
-)
+from cellslam.slam.joint.state import layout
+from cellslam.slam.joint.state.layout import FREE, Measured, Rules, block_of, one_of
 from cellslam.slam.joint.state.states_kernel import enter, owner_of
 from cellslam.slam.model.matrices_kernel import Vec3
 
@@ -41,10 +30,10 @@ class OneFilter:
             OdometryModel(*(np.zeros((4, 6)))), nowhere, nowhere,
         )  # fmt: skip
         parts: dict[str, Any] = {
-            "association": Association(mode=FREE, log_clutter=0.0, gate=16.3, return_log_odds=0.0, away=4),
-            "lifetime": Lifetime(confirm=3, age_once=9, age_twice=9, hold=5),
-            "blocks": BlockLimits(snapshots=1, distance=1.0, turn=1.0),
-            "existence": Existence(),
+            "association": layout.Association(mode=FREE, log_clutter=0.0, gate=16.3, return_log_odds=0.0, away=4),
+            "lifetime": layout.Lifetime(confirm=3, age_once=9, age_twice=9, hold=5),
+            "blocks": layout.BlockLimits(snapshots=1, distance=1.0, turn=1.0),
+            "existence": layout.Existence(),
         }
         for name, part in parts.items():  # `rules` change some of these
             parts[name] = part._replace(**{key: rules.pop(key) for key in part._fields if key in rules})
@@ -98,7 +87,7 @@ class OneFilter:
         return Measured(
             now=NOW, born=100, first=np.array([0, m]), site_of=np.zeros(1, np.int64), given=np.full(m, -2), z=z,
             gap=np.zeros(m), tables=np.zeros((2, 2, 8)),
-            noise=Noise(single=q, many=q, merged=np.zeros(3), diffuse=np.ones(m)), births=Births(z, q, 0),
+            noise=layout.Noise(single=q, many=q, merged=np.zeros(3), diffuse=np.ones(m)), births=layout.Births(z, q, 0),
             rules=self.rules,
         )  # fmt: skip
 

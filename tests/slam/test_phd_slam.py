@@ -1,9 +1,8 @@
-"""PHD-SLAM: its kernels against plain formulas, and what it does where components of measurements are missing."""
+"""PHD-SLAM: its kernels against plain formulas, and transmitters that are known."""
 
 from __future__ import annotations
 
 from dataclasses import replace
-from itertools import product
 from typing import Any
 
 import numpy as np
@@ -12,31 +11,15 @@ import pytest
 from cellslam.scenarios.known_worlds import phd_slam_3
 from cellslam.sim.compiling import njit
 from cellslam.sim.frames import integrate_pose, rotation
-from cellslam.sim.recording import Recording
-from cellslam.slam.api import odometry_of, setup_of, snapshots_of
-from cellslam.slam.conformance import EstimatorConformance
-from cellslam.slam.dead_reckoning import DeadReckoning
 from cellslam.slam.model.matrices_kernel import mat_of, vec_of
 from cellslam.slam.model.measurement_model import jacobians, predict
-from cellslam.slam.phd_slam.map_kernel import (
-    COVARIANCE,
-    GAIN,
-    HIDDEN,
-    MEAN,
-    NAMES,
-    VISIBLE,
-    WIDTH,
-    Map,
-    condense,
-    innovation,
-    put_update,
-    residual,
-    seen_from,
-)
-from cellslam.slam.phd_slam.motion_kernel import Interval, factorise, inform, learn, moved, slopes
+from cellslam.slam.phd_slam import map_kernel
+from cellslam.slam.phd_slam.map_kernel import COVARIANCE, GAIN, MEAN, NAMES, VISIBLE, WIDTH, put_update, seen_from
+from cellslam.slam.phd_slam.motion_kernel import factorise, inform, moved, slopes
 from cellslam.slam.phd_slam.pairs_kernel import Pairs, exclusive
 from cellslam.slam.phd_slam.phd_slam import TRIANGLE, PhdSlam, PhdSlamOptions
 from cellslam.slam.phd_slam.snapshot_kernel import Particles, resample
+from tests.slam.driving import driven
 
 POSE, VT = np.array([3.0, -2.0, 1.5, 0.7, 0.1, -0.2]), np.array([60.0, 45.0, 20.0])
 Q, UPPER = np.array([0.4, 3e-4, 5e-4]), np.triu_indices(3)
@@ -53,7 +36,7 @@ def a_row(seed: int = 0) -> tuple[Any, Any, Any]:
 @njit
 def updated(place: Any, r: Any, rows: Any, offset: float, z: Any, q: Any, out: Any) -> float:
     seen = seen_from(vec_of(place), mat_of(r), rows, 0, offset)
-    new = innovation(residual(seen, vec_of(z), vec_of(np.ones(3))), seen.spread, vec_of(q))
+    new = map_kernel.innovation(map_kernel.residual(seen, vec_of(z), vec_of(np.ones(3))), seen.spread, vec_of(q))
     put_update(out, 0, rows, 0, seen, new)
     return new.log_density
 
@@ -62,7 +45,7 @@ def updated(place: Any, r: Any, rows: Any, offset: float, z: Any, q: Any, out: A
 def informed(pose: Any, velocity: Any, std: Any, rows: Any, z: Any, q: Any, information: Any, y: Any) -> None:
     at = moved(pose, velocity, 0.5)
     seen = seen_from(at.place, at.turned.r, rows, 0, 0.0)
-    new = innovation(residual(seen, vec_of(z), vec_of(np.ones(3))), seen.spread, vec_of(q))
+    new = map_kernel.innovation(map_kernel.residual(seen, vec_of(z), vec_of(np.ones(3))), seen.spread, vec_of(q))
     inform(slopes(seen, vec_of(rows[0]), at, std), new.inverse, new.e, 0.7, information, y)
 
 
@@ -109,42 +92,23 @@ def test_information_on_the_velocity_is_that_of_differences() -> None:
     np.testing.assert_allclose(mean, np.linalg.solve(np.eye(6) + 0.7 * j.T @ s @ j, y), rtol=1e-3, atol=1e-6)
 
 
-def test_bias_and_scale_learn_as_a_kalman_filter_does() -> None:
-    error, error_variance, v = np.zeros((6, 2)), np.tile([0.04, 0.0, 0.01], (6, 1)), np.full(6, 2.0)
-    interval = Interval(0.5, np.full(6, 2.5), np.full(6, 0.1), np.zeros(6))
-    prior, h = np.diag([0.04, 0.01]), np.array([1.0, 2.0])
-    learn(error, error_variance, interval, v)
-    k = prior @ h / (h @ prior @ h + 0.02)
-    np.testing.assert_allclose(error[0], k * 0.5)
-    np.testing.assert_allclose(error_variance[0], (prior - np.outer(k, h) @ prior)[[0, 0, 1], [0, 1, 1]], atol=1e-12)
-
-
 def test_marginals_are_those_of_all_exclusive_assignments() -> None:
     """Exact without a loop: two Gaussians that share one measurement, one of them with another."""
-    odds = {(0, 0): 5.0, (0, 1): 2.0, (1, 1): 9.0}
     found = exclusive(Pairs(*map(np.array, ([0, 0, 1], [0, 1, 1], [5.0, 2.0, 9.0]))), 2)
-    total, marginal = 0.0, dict.fromkeys(odds, 0.0)
-    for choice in product((None, 0, 1), (None, 1)):
-        if choice[0] is not None and choice[0] == choice[1]:
-            continue
-        pairs = [(j, k) for j, k in enumerate(choice) if k is not None]
-        weight = float(np.prod([odds[pair] for pair in pairs]))
-        total += weight
-        for pair in pairs:
-            marginal[pair] += weight
-    np.testing.assert_allclose(found, [marginal[pair] / total for pair in odds], rtol=1e-9)
+    # Nothing, one pair alone, or the first with 0 and the second with 1: 1 + 5 + 2 + 9 + 5 * 9 = 62.
+    np.testing.assert_allclose(found, [(5.0 + 45.0) / 62.0, 2.0 / 62.0, (9.0 + 45.0) / 62.0], rtol=1e-9)
 
 
 def test_merging_keeps_weight_and_moments_of_what_it_merges() -> None:
     rows, names = np.zeros((4, WIDTH)), np.zeros((4, NAMES), np.int64)
-    rows[:, VISIBLE], rows[:, HIDDEN] = [0.5, 0.2, 0.4, 1e-9], [0.1, 0.0, 0.0, 0.0]
+    rows[:, VISIBLE], rows[:, map_kernel.HIDDEN] = [0.5, 0.2, 0.4, 1e-9], [0.1, 0.0, 0.0, 0.0]
     rows[:, MEAN] = [0.0, 1.0, 50.0, 0.0]
     rows[:, COVARIANCE:GAIN] = np.eye(3)[UPPER]
-    own = Map(np.zeros((8, WIDTH)), np.zeros((8, NAMES), np.int64), np.zeros(1, np.int64))
-    condense(Map(rows.copy(), names, np.array([4])), own, np.empty(0, np.int64), 1e-6, 4.0)
+    own = map_kernel.Map(np.zeros((8, WIDTH)), np.zeros((8, NAMES), np.int64), np.zeros(1, np.int64))
+    map_kernel.condense(map_kernel.Map(rows.copy(), names, np.array([4])), own, np.empty(0, np.int64), 1e-6, 4.0)
     assert own.size[0] == 2
     share = 0.2 / 0.8
-    assert own.rows[0, [VISIBLE, HIDDEN]] == pytest.approx([0.7, 0.1])
+    assert own.rows[0, [VISIBLE, map_kernel.HIDDEN]] == pytest.approx([0.7, 0.1])
     assert own.rows[0, [MEAN, COVARIANCE]] == pytest.approx([share, 1.0 + share * (1.0 - share)])
     assert own.rows[1, MEAN] == 50.0
 
@@ -163,54 +127,9 @@ def test_resampled_particles_share_nothing() -> None:
     assert not p.log_weight.any()
 
 
-def first_minutes(steps: int = 500, **gone: Any) -> Recording:
-    """Return the beginning of the PHD-SLAM world, some columns of its measurements replaced."""
-    whole = phd_slam_3.simulate(77, 0)
-    rows = slice(0, int(whole.rows[steps]))
-    table = {name: None if value is None else value[rows] for name, value in vars(whole.measurements).items()}
-    measurements = replace(whole.measurements, **(table | {k: np.full_like(table[k], v) for k, v in gone.items()}))
-    return replace(
-        whole, time_s=whole.time_s[:steps], odometry=whole.odometry[:steps], measurements=measurements, truth=None
-    )
-
-
-def rmse(recording: Recording, estimator: Any) -> float:
-    estimator.start(setup_of(recording), np.random.default_rng(1))
-    steps = zip(np.diff(recording.time_s, prepend=0.0), odometry_of(recording), snapshots_of(recording), strict=True)
-    poses = np.array([estimator.step(float(dt), u, snapshot).pose for dt, u, snapshot in steps])
-    apart = poses[:, :2] - phd_slam_3.trajectory()[: len(poses), :2]
-    return float(np.sqrt(np.mean(np.sum(apart**2, axis=1))))
-
-
-def like(particles: int) -> PhdSlam:
-    return PhdSlam(PhdSlamOptions(**(dict(phd_slam_3.WORLD.entries[0].options) | {"particles": particles})))
-
-
-def test_one_particle_maps_what_odometry_alone_loses() -> None:
-    recording = first_minutes()
-    assert rmse(recording, like(1)) < 0.2 * rmse(recording, DeadReckoning())
-
-
-def test_distances_alone_do_no_harm() -> None:
-    recording = first_minutes(azimuth_rad=np.nan)
-    assert rmse(recording, like(20)) < 1.1 * rmse(recording, DeadReckoning())
-
-
 def test_known_transmitters_are_in_the_map_from_the_start() -> None:
-    recording = first_minutes(3)
+    recording, options = phd_slam_3.simulate(77, 0), dict(phd_slam_3.WORLD.entries[0].options) | {"particles": 2}
     sites = replace(recording.sites, position_m=np.array([[310.0, 395.0, 0.0]]))
-    estimator = like(2)
-    estimator.start(setup_of(replace(recording, sites=sites)), np.random.default_rng(0))
-    vts = estimator.step(0.0, np.zeros(6), snapshots_of(recording)[0]).vts
+    vts = driven(PhdSlam(PhdSlamOptions(**options)), replace(recording, sites=sites), 1)[0].vts
     assert vts is not None
     np.testing.assert_allclose(vts.position_m, sites.position_m, atol=0.01)
-
-
-class TestPhdSlam(EstimatorConformance):
-    @pytest.fixture
-    def estimator(self) -> type[Any]:
-        return PhdSlam
-
-    @pytest.fixture
-    def options(self) -> Any:
-        return PhdSlamOptions(particles=20)

@@ -1,4 +1,4 @@
-"""The smoother: Jacobians, odometry, a drive with wrong associations, the kit."""
+"""The smoother: Jacobians, odometry, a drive with wrong associations."""
 
 from __future__ import annotations
 
@@ -12,12 +12,12 @@ import pytest
 from cellslam.sim.frames import integrate_pose, rotation
 from cellslam.sim.recording import Recording
 from cellslam.slam.api import setup_of, snapshots_of
-from cellslam.slam.conformance import EstimatorConformance
 from cellslam.slam.model.measurement_model import predict
 
 pytest.importorskip("gtsam", reason="GTSAM is not installed: pip install 'cellslam[gtsam]'")
-from cellslam.slam.smoother.drive_factors import leg, local
-from cellslam.slam.smoother.factor_graph import residual
+from cellslam.slam.smoother.drive_factors import Drive, between, leg, local, problem_of
+from cellslam.slam.smoother.factor_graph import residual, solve
+from cellslam.slam.smoother.smoother_options import SmootherOptions
 
 POSE, VT = np.array([3.0, -2.0, 1.5, 0.7, 0.1, -0.2]), np.array([60.0, 40.0, 20.0])
 STEP = np.array([0.8, 0.1, 0.0, 0.05, 0.01, 0.0])
@@ -79,10 +79,6 @@ def test_a_leg_is_the_odometry_and_knows_its_errors(toy_recording: Callable[...,
 
 def drive(recording: Recording, share_wrong: float) -> tuple[Any, Any]:
     """Smooth a toy drive from true associations of which a share is wrong; return errors before and after (m)."""
-    from cellslam.slam.smoother.drive_factors import Drive, between, problem_of
-    from cellslam.slam.smoother.factor_graph import solve
-    from cellslam.slam.smoother.smoother_options import SmootherOptions
-
     truth, rng = recording.truth, np.random.default_rng(4)
     assert truth is not None
     vt = truth.measurement_vt.copy()
@@ -112,15 +108,3 @@ def test_smooths_a_drive_and_leaves_wrong_associations_out(toy_recording: Callab
     (_, spoilt), solution = drive(recording, 0.05)
     assert spoilt < 1.5 * clean + 0.02
     assert solution.outlier.sum() > 5
-
-
-class TestSmoother(EstimatorConformance):
-    @pytest.fixture
-    def estimator(self) -> type[Any]:
-        from cellslam.slam.smoother.smoother import Smoother
-
-        return Smoother
-
-    @pytest.fixture
-    def options(self, estimator: type[Any]) -> Any:
-        return estimator.Options.model_validate({"ekf_slam": {"confirm_hits": 4}})

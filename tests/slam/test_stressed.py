@@ -6,10 +6,11 @@ import pytest
 from cellslam.scenarios import load
 from cellslam.sim import simulate
 from cellslam.sim.recording import Recording
-from cellslam.slam.api import odometry_of, setup_of, snapshots_of
+from cellslam.slam.api import snapshots_of
 from cellslam.slam.joint import mixture
 from cellslam.slam.joint.ekf_slam import HELD, held_noise
 from cellslam.slam.registry import resolve
+from tests.slam.driving import driven
 
 STRESSED = {
     "radio.clock_oscillator": "ocxo", "radio.clock_steps_per_hour": 200.0, "radio.late_probability": 0.1,
@@ -23,20 +24,13 @@ def stressed() -> Recording:
     return simulate(load("tiny", STRESSED).world, 3, 0)
 
 
-def poses(name, recording):
-    estimator = resolve(name)(None)
-    estimator.start(setup_of(recording), np.random.default_rng(0))
-    steps = zip(np.diff(recording.time_s, prepend=0.0), odometry_of(recording), snapshots_of(recording), strict=True)
-    return np.array([estimator.step(dt, u, s).pose for dt, u, s in steps])
-
-
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ["ekf-slam", "fastslam"])
 def test_all_stressors_on_any_number_of_threads(stressed, monkeypatch, name):
     found = []
     for threads in (1, 2):
         monkeypatch.setattr(mixture.numba, "get_num_threads", lambda threads=threads: threads)
-        found.append(poses(name, stressed))
+        found.append(np.array([answer.pose for answer in driven(resolve(name)(None), stressed)]))
     np.testing.assert_array_equal(found[0], found[1])
     error = np.linalg.norm(found[0][:, :2] - stressed.truth.poses[:, :2], axis=1)
     assert np.isfinite(found[0]).all() and error.max() < 10.0

@@ -1,4 +1,4 @@
-"""FastSLAM's recursion against the joint EKF, the exact Kalman filter, and particles with their own covariances."""
+"""FastSLAM's recursion against the joint EKF and the exact Kalman filter; its weights."""
 
 from __future__ import annotations
 
@@ -9,14 +9,11 @@ import pytest
 
 from cellslam.scenarios.simulation import simulate
 from cellslam.sim.recording import Floats, Recording
-from cellslam.slam.api import Estimate, odometry_of, setup_of, snapshots_of
 from cellslam.slam.fastslam.fastslam import FastSlam
 from cellslam.slam.fastslam.fastslam_options import NEVER, FastSlamOptions
-from cellslam.slam.fastslam.parts import likelihood
 from cellslam.slam.joint.ekf_slam import EkfSlam
-from cellslam.slam.joint.ekf_slam_options import EkfSlamOptions
 from cellslam.slam.joint.state.layout import one_of
-from cellslam.slam.oracles import FastSlamKnownAssociation, KnownAssociation
+from tests.slam import driving
 from tests.slam.fastslam.drives import WHITE, driven, street
 
 PLANE = [0, 1, 3]
@@ -28,27 +25,14 @@ def tiny() -> Recording:
     return simulate("tiny", overrides={"radio.clock_offset_std_m": 0.0})
 
 
-def answers(estimator: Any, recording: Recording, count: int | None = None) -> list[Estimate]:
-    estimator.start(setup_of(recording, estimator.requires_truth), np.random.default_rng(3))
-    dt_s, odometry = np.diff(recording.time_s, prepend=recording.time_s[0]), odometry_of(recording)
-    steps = zip(dt_s.tolist(), odometry, snapshots_of(recording), strict=True)
-    return [estimator.step(*step) for step, _ in zip(steps, range(count or len(dt_s)), strict=False)]
-
-
 def test_without_draws_it_is_the_joint_ekf(tiny: Recording) -> None:
-    ekf, never = answers(EkfSlam(), tiny), answers(FastSlam(FastSlamOptions(lag=NEVER)), tiny)
+    ekf, never = (driving.driven(one, tiny) for one in (EkfSlam(), FastSlam(FastSlamOptions(lag=NEVER))))
     for one, other in zip(ekf, never, strict=True):
         np.testing.assert_allclose(other.pose, one.pose, rtol=0, atol=1e-9)
         np.testing.assert_allclose(other.covariance, one.covariance, rtol=1e-7, atol=1e-11)
         np.testing.assert_array_equal(other.association, one.association)
     assert ekf[-1].vts is not None and never[-1].vts is not None and len(ekf[-1].vts.id) > 3
     np.testing.assert_allclose(never[-1].vts.position_m, ekf[-1].vts.position_m, rtol=0, atol=1e-6)
-
-
-def test_with_draws_it_is_another_filter(tiny: Recording) -> None:
-    ekf, drawn = answers(EkfSlam(), tiny), answers(FastSlam(), tiny)
-    apart = np.linalg.norm([a.pose[:2] - b.pose[:2] for a, b in zip(ekf, drawn, strict=True)], axis=1)
-    assert 1e-3 < apart.max() < 0.5
 
 
 @pytest.mark.parametrize("lag", [-1, 0, 2])
@@ -67,53 +51,6 @@ def test_many_particles_are_the_exact_kalman_filter(lag: int) -> None:
     mean_variance = np.mean([np.diag(one.covariance)[PLANE] for one in found], axis=0)
     np.testing.assert_allclose(mean_variance, deviation**2, rtol=0.05)
     assert np.abs(exact.pose - exact_blocks.pose).max() < 0.2
-
-
-@pytest.mark.slow
-def test_one_gain_does_as_well_as_gains_of_their_own() -> None:
-    """Thirty filters of one particle each have covariances of their own; together they are the classical filter."""
-
-    class Remembering:
-        total = 0.0
-
-        def __call__(self, W: Floats) -> Floats:
-            self.total += float(likelihood(W)[0])
-            return likelihood(W)
-
-    for seed in (1, 2, 3):
-        drive, log_weight, poses = street(40, seed), [], []
-        for particle in range(30):
-            weight = Remembering()
-            own = FastSlam(FastSlamOptions(particles=1, **WHITE), weight=weight)
-            poses.append(driven(own, drive, particle)[-1].pose[PLANE])
-            log_weight.append(weight.total)
-        shares = np.exp(np.array(log_weight) - max(log_weight))
-        shares /= shares.sum()
-        mean = shares @ np.array(poses)
-        spread = np.sqrt(shares @ (np.array(poses) - mean) ** 2)
-        one = driven(FastSlam(FastSlamOptions(particles=2000, **WHITE)), drive)[-1]
-        few = 1.0 / np.sum(shares**2)
-        assert few > 3.0 and (np.abs(one.pose[PLANE] - mean) < 4.0 * spread / np.sqrt(few)).all()
-
-
-@pytest.mark.parametrize("part", ["gaussian", "antithetic"])
-def test_drawing_keeps_the_whole_variance(part: str) -> None:
-    """What leaves the common covariance is spread over the particles (law of total variance)."""
-    fastslam = FastSlam(FastSlamOptions(particles=20_000, lag=2, block_s=0.2, proposal=part, **WHITE))
-    driven(fastslam, street(12, seed=4))
-    mixture = fastslam._joint
-    assert mixture is not None
-    f, places = one_of(mixture.arrays, 0), fastslam._core.drawn
-    drawn = places[(fastslam._block + 1) % len(places)]
-    n, before = int(f.size[0]), mixture.collapsed().arrays.p[0].copy()
-    G, W, log_ratio = fastslam._drawn(f, drawn, np.empty((0, n)), np.empty((0, 20_000)))
-    assert len(G) == 2 and not log_ratio.any()
-    f.p[:n, :n] -= G.T @ G
-    fastslam._move(f, G, W, log_ratio)
-    after, u = mixture.collapsed().arrays.p[0], drawn[drawn >= 0]
-    assert np.abs(f.p[u, :n]).max() < 1e-12
-    size = np.sqrt(np.diag(before)[:n])
-    assert (np.abs(after - before)[:n, :n] < 0.05 * np.outer(size, size) + 1e-15).all()
 
 
 NOISY = np.array([0.3, 0.0, 0.0, 0.02, 0.0, 0.0])  # odometry so poor that particles differ
@@ -149,22 +86,3 @@ def test_resampling_is_called_where_weights_are_unequal() -> None:
     sizes.clear()
     driven(FastSlam(FastSlamOptions(particles=30, effective_share=0.0, **WHITE), resampling=likeliest_alone), drive)
     assert not sizes
-
-
-def test_oracle_is_told_the_associations(tiny: Recording) -> None:
-    ekf, found = answers(KnownAssociation(), tiny, 200), answers(FastSlamKnownAssociation(), tiny, 200)
-    for one, other in zip(ekf, found, strict=True):
-        np.testing.assert_array_equal(one.association, other.association)
-    assert np.abs(ekf[-1].pose - found[-1].pose).max() > 0.0
-
-
-@pytest.mark.slow
-def test_groups_share_the_particles_after_the_start() -> None:
-    recording, few = simulate("tiny"), {"start_limit_s": 4.0, "component_std_m": 60.0, "component_step": 2.0}
-    fastslam = FastSlam(FastSlamOptions(particles=64, **few))
-    answers(fastslam, recording, 100)
-    mixture = fastslam._joint
-    assert mixture is not None and mixture.arrays.particles.weight.shape[1] == max(64 // len(mixture), 10)
-    ekf = answers(EkfSlam(EkfSlamOptions(**few)), recording, 100)
-    own = answers(FastSlam(FastSlamOptions(lag=NEVER, **few)), recording, 100)
-    assert np.abs(ekf[-1].pose - own[-1].pose).max() < 1e-6

@@ -1,4 +1,4 @@
-"""BP-SLAM: message passing against enumeration, existence, the conformance kit."""
+"""BP-SLAM: message passing against enumeration; existence."""
 
 from __future__ import annotations
 
@@ -8,8 +8,6 @@ from typing import Any
 import numpy as np
 import pytest
 
-from cellslam.slam.conformance import EstimatorConformance
-from cellslam.slam.joint.bp_slam import BpSlam
 from cellslam.slam.joint.new_filters import NO_ERRORS
 from cellslam.slam.joint.snapshot.association_kernel import FRESH, Messages, believe, pass_messages
 from cellslam.slam.joint.state.layout import BELIEF, EXISTS
@@ -67,9 +65,3 @@ def test_existence_sinks_with_misses_and_comes_back_with_a_measurement(one_filte
     assert one.f.vts.anchor[0, EXISTS] > 0.99
     assert one.w.pairs.slot_of[:2].tolist() == [0, FRESH]
     assert one.w.pairs.exists[1] == pytest.approx(0.1 / 1.1)  # a new feature, or clutter
-
-
-class TestBpSlam(EstimatorConformance):
-    @pytest.fixture
-    def estimator(self) -> type[Any]:
-        return BpSlam

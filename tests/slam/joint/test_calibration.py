@@ -17,16 +17,13 @@ from cellslam.scenarios.estimator_options import resolve
 from cellslam.scenarios.simulation import simulate
 from cellslam.sim.errors import InputError
 from cellslam.sim.recording import Floats, Recording
-from cellslam.slam.api import setup_of, snapshots_of
-from cellslam.slam.joint.calibration_states import begin_with, found
+from cellslam.slam.api import setup_of
+from cellslam.slam.joint.calibration_states import found
 from cellslam.slam.joint.ekf_slam import EkfSlam
 from cellslam.slam.joint.ekf_slam_options import EkfSlamOptions
 from cellslam.slam.joint.state.layout import one_of
 from cellslam.slam.joint.state.states_kernel import leave
-from cellslam.slam.measurements.fusion import Fusion
-from cellslam.slam.measurements.readings import white_readings
 from cellslam.slam.model.calibration import Calibration
-from cellslam.slam.model.field_kernel import loads
 from tests.slam.driving import driven, go_on
 
 ONE_CAR: dict[str, Any] = {"radio.array_seed": 5, "radio.clock_offset_std_m": 0.0}
@@ -102,20 +99,6 @@ def test_what_is_found_is_nearer_to_the_truth_than_the_prior(
     assert 0.4 < np.sqrt(np.mean(apart**2)) < 1.8
 
 
-def test_moments_are_those_of_the_weights(calibration: Calibration) -> None:
-    directions = np.stack([np.linspace(-3.0, 3.0, 7), np.linspace(-0.3, 0.4, 7)], axis=1)
-    mean, std = calibration.at(directions)
-    of_cells, cells = loads(calibration.grid, directions), calibration.grid.cells
-    whole, centre = np.eye(3 * cells) * np.repeat(calibration.size**2, cells), np.zeros(3 * cells)
-    at = calibration.component * cells + calibration.cell
-    whole[np.ix_(at, at)], centre[at] = calibration.covariance, calibration.mean
-    for c in range(3):
-        part = slice(c * cells, (c + 1) * cells)
-        np.testing.assert_allclose(mean[:, c], of_cells @ centre[part], atol=1e-12)
-        np.testing.assert_allclose(std[:, c] ** 2, np.diag(of_cells @ whole[part, part] @ of_cells.T), rtol=1e-9)
-    assert ((calibration.met(directions) >= 0.0) & (calibration.met(directions) <= 1.0 + 1e-12)).all()
-
-
 def test_file_and_message_give_back_what_was_given(calibration: Calibration, tmp_path: Path) -> None:
     given = replace(calibration, provenance={"estimator": "ekf-slam"})
     given.save(tmp_path / "car.h5")
@@ -127,21 +110,6 @@ def test_file_and_message_give_back_what_was_given(calibration: Calibration, tmp
             np.testing.assert_array_equal(getattr(other, name), getattr(given, name))
         assert (other.scale_rad, other.spacing, other.reach) == (given.scale_rad, given.spacing, given.reach)
     assert [path.name for path in tmp_path.iterdir()] == ["car.h5"]
-
-
-def test_other_sizes_leave_what_was_found_as_it_is(
-    drives: tuple[Recording, Recording], calibration: Calibration, tmp_path: Path
-) -> None:
-    estimator = EkfSlam(assuming(tmp_path, calibration, calibration_m=0.8, calibration_azimuth_deg=0.1))
-    estimator.start(setup_of(drives[1]), RNG)
-    again = estimator.calibration()
-    assert again is not None
-    order = np.lexsort((again.cell, again.component)), np.lexsort((calibration.cell, calibration.component))
-    np.testing.assert_allclose(again.mean[order[0]], calibration.mean[order[1]], rtol=1e-12)
-    np.testing.assert_allclose(
-        again.covariance[np.ix_(order[0], order[0])], calibration.covariance[np.ix_(order[1], order[1])], rtol=1e-9
-    )
-    assert again.size[0] == pytest.approx(0.8)
 
 
 def test_filters_of_the_start_begin_with_what_is_known(
@@ -158,45 +126,6 @@ def test_filters_of_the_start_begin_with_what_is_known(
         np.testing.assert_allclose(again.mean[order[0]], calibration.mean[order[1]], rtol=1e-12)
 
 
-def test_a_share_of_the_roof_is_counted_as_often_as_a_draw_is_repeated(drives: tuple[Recording, Recording]) -> None:
-    """What merged paths do to directions is none of the states."""
-    fusion = Fusion(setup_of(drives[1]), EkfSlamOptions())
-    measurements = fusion.fuse(snapshots_of(drives[1])[0])
-    options = fusion.options
-    counted = white_readings(measurements, options, 0.02 * 0.1, 1.0 * 0.1)
-    smooth = type(options)(**{**options.model_dump(), "roof_azimuth_deg": 0.0, "roof_elevation_deg": 0.0})
-    none = white_readings(measurements, smooth, 0.02 * 0.1, 1.0 * 0.1)
-    share = 0.1 * options.roof**2
-    assert len(counted.z) > 3 and share[1] > 0.0
-    for part in ("single", "fresh"):
-        more = getattr(counted, part) - getattr(none, part)
-        np.testing.assert_allclose(more, np.tile(share, (len(counted.z), 1)), rtol=1e-9, atol=1e-15)
-    # In 0.1 s the direction turns by 0.02 * 0.1 + 1.0 * 0.1 / 200 = 0.0025 rad; sqrt(2 pi) * 2 deg / 0.0025 = 35.0.
-    np.testing.assert_array_equal(counted.many, none.many)
-    np.testing.assert_allclose(counted.merged, 35.0 * share, rtol=1e-4)
-    np.testing.assert_allclose(white_readings(measurements, options, 0.0, 0.0).merged, 400.0 * share, rtol=1e-9)
-
-
-def test_mixture_counts_what_one_filter_has_not_met_as_its_prior(learnt: EkfSlam, calibration: Calibration) -> None:
-    setup = replace(learnt._setup, sites=replace(learnt._setup.sites))
-    estimator = EkfSlam()
-    estimator.start(setup, RNG)
-    assert estimator._joint is not None
-    mixture = estimator._joint
-    begin_with(mixture, estimator._errors, calibration)
-    mixture.split(np.zeros(1, np.int64))
-    mixture.log_weight = np.log([0.25, 0.75])
-    one = one_of(mixture.arrays, 1)
-    owner, place = int(one.owner[mixture.core.size]), mixture.core.size
-    leave(one, place)
-    both = found(mixture, estimator._errors)
-    which = np.flatnonzero(both.component * both.grid.cells + both.cell == owner)[0]
-    was = np.flatnonzero(calibration.component * both.grid.cells + calibration.cell == owner)[0]
-    m, v, prior = calibration.mean[was], calibration.covariance[was, was], calibration.size[calibration.component[was]]
-    assert both.mean[which] == pytest.approx(0.25 * m)
-    assert both.covariance[which, which] == pytest.approx(0.25 * v + 0.75 * prior**2 + 0.25 * 0.75 * m**2)
-
-
 def test_bound_of_a_calibrated_array_is_lower(drives: tuple[Recording, Recording]) -> None:
     free, known = bound(drives[1]).position_rmse_m, bound(drives[1], calibrated=True).position_rmse_m
     assert 0.3 * free < known < 0.999 * free
@@ -206,9 +135,9 @@ def test_what_cannot_be_used_is_refused(calibration: Calibration, tmp_path: Path
     file, no = tmp_path / "car.h5", tmp_path / "no.h5"
     calibration.save(file)
 
-    def said(name: str = "ekf-slam", **options: Any) -> str:
+    def said(**options: Any) -> str:
         with pytest.raises(InputError) as raised:
-            resolve({name: {"calibration_file": str(file), **options}}, (name,))
+            resolve({"ekf-slam": {"calibration_file": str(file), **options}}, ("ekf-slam",))
         return str(raised.value)
 
     assert "set calibration_scale_deg = 15" in said(calibration_scale_deg=20.0)

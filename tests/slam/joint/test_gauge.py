@@ -52,13 +52,6 @@ def carried(one: Any, before: Floats, after: Floats, p: Floats) -> Floats:
     return np.array(one.f.p[: one.n, : one.n])
 
 
-def test_measurements_are_blind_to_where_the_frame_lies(states: tuple[Any, Floats, Floats]) -> None:
-    one, _, after = states
-    directions = unseen(one, after)
-    one.f.x[: one.n] = after
-    np.testing.assert_allclose(one.model(1)[1] @ directions, 0.0, atol=1e-7)
-
-
 def test_what_is_unknown_of_the_frame_stays_unknown(states: tuple[Any, Floats, Floats]) -> None:
     one, before, after = states
     old, new = unseen(one, before), unseen(one, after)

@@ -1,4 +1,4 @@
-"""EKF-SLAM's kernels against plain formulas: prediction, birth, update, marginalisation, motion, sizes."""
+"""EKF-SLAM's kernels against plain formulas: prediction, birth, update, motion, sizes, the ground."""
 
 from __future__ import annotations
 
@@ -8,16 +8,15 @@ from typing import Any
 
 import numpy as np
 import pytest
-from scipy.stats import multivariate_normal
 
 from cellslam.sim.frames import integrate_pose, rotation, unit_vector
 from cellslam.slam.api import setup_of
 from cellslam.slam.conformance.subject import tiny_drive
 from cellslam.slam.joint.new_filters import NO_ERRORS, core_of, new_mixture
 from cellslam.slam.joint.snapshot.association_kernel import expect, score_pairs
-from cellslam.slam.joint.snapshot.birth_kernel import give_birth, remove, tidy
+from cellslam.slam.joint.snapshot.birth_kernel import give_birth
 from cellslam.slam.joint.snapshot.motion_kernel import Interval, Step, forget, move
-from cellslam.slam.joint.snapshot.sight_kernel import field, rotations_of
+from cellslam.slam.joint.snapshot.sight_kernel import field, ground, rotations_of
 from cellslam.slam.joint.snapshot.sizes_kernel import DIFFUSE_SIZE, WHITE, count_diffuse, count_white
 from cellslam.slam.joint.snapshot.update_kernel import Vec3, add_up, compare, correct, gains, innovate, update
 from cellslam.slam.joint.state.layout import LAST, ArrayErrors, one_of
@@ -107,27 +106,6 @@ def test_birth_is_exact_and_correlated_with_all_states(one_filter: Any) -> None:
     np.testing.assert_array_equal(p, p.T)
 
 
-def test_birth_takes_off_what_is_believed_of_the_errors(one_filter: Any) -> None:
-    """A measurement made by the model with errors begins a VT where it came from, and what is left of them stays
-    unknown."""
-    one = one_filter(ERRORS)
-    one.put(POSE, 15.0, [90.0, 2.5, 0.3])
-    one.model(0)
-    weights = np.flatnonzero(one.f.owner[: one.n] >= 0)
-    one.f.x[weights] = np.random.default_rng(2).normal(size=len(weights))
-    z, _ = one.model(0)
-    one.f.vts.state[1] = -1
-    give_birth(one.f, ERRORS, 1, one.f.core.first_offset, z, np.full(3, 1e-6), True, 1.0, 3, one.w.sight, one.w.pending)
-    np.testing.assert_allclose(one.place(1), one.place(0), atol=0.05)
-    again, _ = one.model(1)
-    _, hph = compare(
-        one.f, ERRORS, 1, one.f.core.first_offset, one.measurement(z, np.ones(3)), one.w.sight, one.w.pending
-    )
-    # The next measurement shares weights and diffuse errors with the birth: nothing is left but its white noise.
-    np.testing.assert_allclose([hph.xx, hph.yy, hph.zz], 1e-6, atol=2e-6)
-    assert (abs(again - z) < [0.03, 1e-3, 1e-3]).all()  # but for the field's slope
-
-
 def test_updates_are_textbook_kalman_updates_also_while_they_wait(one_filter: Any, kalman: Callable[..., Any]) -> None:
     one, q, turn = one_filter(), np.array([0.3, 1e-4, 2e-4]), np.array([0.0, 2.0 * np.pi, 0.0])
     one.put(POSE, 5.0, [80.0, 0.5, 0.2], [60.0, -1.0, 0.1])
@@ -170,45 +148,6 @@ def test_pairs_beyond_the_gate_are_none(one_filter: Any, kalman: Callable[..., A
         assert one.w.pairs.gated[:2].tolist() == [1, 0]
 
 
-def test_a_vt_that_returns_must_be_likelier_than_a_new_one_nearby(one_filter: Any) -> None:
-    """A VT unseen for longer than `away` takes no measurement that one anywhere within 50 m would explain as well."""
-    one, q = one_filter(), np.array([0.3, 1e-4, 2e-4])
-    one.put(POSE, 5.0, [80.0, 0.5, 0.2])
-    p = one.spread(np.random.default_rng(1).normal(size=(10, 10)) * 0.02)
-    h, by = one.model(0)
-    room = np.array([50.0, 50.0 / (h[0] - 5.0)])
-    s = (by @ p @ by.T + np.diag(q))[:2, :2]
-    for e in np.array([[0.2, 0.01, 0.03], [0.3, np.nan, 0.02], [np.nan, 0.01, 0.02]]):
-        there = np.isfinite(e[:2])
-
-        def log_odds(measurement: Any, there: Any = there) -> float:
-            density = multivariate_normal.logpdf(measurement[:2][there], cov=s[np.ix_(there, there)])
-            return float(density + np.log(room[there]).sum())
-
-        for unseen, taken in ((4, [1, 1]), (5, [1, 0])):
-            one.f.vts.slots[0, LAST] = NOW - unseen
-            association = one.rules.association._replace(return_log_odds=log_odds(e) - 1e-6)
-            one.rules = one.rules._replace(association=association)
-            seen = one.seen(h + np.array([e, 1.001 * e]), np.array([q, q]))
-            score_pairs(one.f, NO_ERRORS, seen, 0, one.w.sight, one.w.pairs)
-            assert one.w.pairs.gated[:2].tolist() == taken
-
-
-def test_leaving_is_marginalising(one_filter: Any) -> None:
-    one, rng = one_filter(), np.random.default_rng(2)
-    one.put(POSE, 1.0, [80.0, 0.5, 0.2], [60.0, -1.0, 0.1], [40.0, 1.0, 0.3])
-    f, p = one.f, one.spread(rng.normal(size=(16, 16)))
-    f.vts.slots[:3], f.vts.anchor[:3, 3:] = np.arange(18).reshape(3, 6), rng.normal(size=(3, 4))
-    x, anchors, places = f.x[:16].copy(), f.vts.anchor[:3].copy(), f.vts.state[:3, :3].copy()
-    remove(f, one.block, 0)
-    assert (f.count[0], one.n) == (2, 13)
-    np.testing.assert_array_equal(f.vts.anchor[:2], anchors[[2, 1]])
-    np.testing.assert_array_equal(f.vts.slots[:2, 0], [12, 6])
-    new, old = np.append(np.arange(7), f.vts.state[:2, :3]), np.append(np.arange(7), places[[2, 1]])
-    np.testing.assert_array_equal(f.x[new], x[old])
-    np.testing.assert_array_equal(f.p[np.ix_(new, new)], p[np.ix_(old, old)])
-
-
 def test_fields_are_one_kalman_filter_over_all_weights(one_filter: Any, kalman: Callable[..., Any]) -> None:
     """Weights that enter as directions are met, and leave, in a linear world: exactly the joint filter of them all."""
     rng, std, g = np.random.default_rng(5), np.array([0.3, 0.02, 0.05]), grid(0.5, 1.3, 1.9)
@@ -234,7 +173,7 @@ def test_fields_are_one_kalman_filter_over_all_weights(one_filter: Any, kalman: 
         assert update(f, innovate(Vec3(*e), q, hph), w.pending) == pytest.approx(log_density, rel=1e-9, abs=1e-9)
         add_up(f, w.pending)
         if now == 30:  # give up some weights: in the joint filter they are marginalised, and met again as new ones
-            for owner in list(f.owner[f.core.size : one_size(f)])[:20]:
+            for owner in list(f.owner[f.core.size : f.size[0]])[:20]:
                 leave(f, int(f.fields.place[owner]))
                 mean[owner], cov[owner], cov[:, owner], cov[owner, owner] = 0.0, 0.0, 0.0, 1.0
     met = np.flatnonzero(f.fields.place >= 0)
@@ -242,10 +181,6 @@ def test_fields_are_one_kalman_filter_over_all_weights(one_filter: Any, kalman: 
     places = f.fields.place[met]
     np.testing.assert_allclose(f.x[places], mean[met], atol=1e-9)
     np.testing.assert_allclose(f.p[np.ix_(places, places)], cov[np.ix_(met, met)], atol=1e-9)
-
-
-def one_size(f: Any) -> int:
-    return int(f.size[0])
 
 
 def test_what_persists_fades_as_a_gauss_markov_process(one_filter: Any) -> None:
@@ -264,21 +199,6 @@ def test_what_persists_fades_as_a_gauss_markov_process(one_filter: Any) -> None:
     np.testing.assert_allclose(one.f.x[: one.n], kept * x, rtol=1e-12)
     expected = kept[:, None] * p * kept + np.diag((1.0 - kept**2) * variance)
     np.testing.assert_allclose(one.f.p[: one.n, : one.n], expected, rtol=1e-12)
-
-
-def test_weights_of_the_roof_and_faded_errors_are_given_up_in_time(one_filter: Any) -> None:
-    one = one_filter(ERRORS)
-    one.put(POSE, 5.0, [80.0, 0.5, 0.2])
-    one.model(0)
-    weights, roof = one.f.owner[: one.n] >= 0, one.f.owner[: one.n] >= 3 * ERRORS.calibration_grid.cells
-    assert roof.any() and not roof[weights].all()
-    forget(one.f, ERRORS, 10.0, 0.0)
-    one.f.vts.slots[0, 1] = 9  # confirmed
-    tidy(one.f, ERRORS, one.block, 3 + one.rules.lifetime.hold, one.rules)
-    assert one.n == len(weights) - 3  # the diffuse errors are as unknown as new ones
-    tidy(one.f, ERRORS, one.block, 4 + one.rules.lifetime.hold, one.rules)
-    assert one.n == len(weights) - 3 - roof.sum()
-    assert (one.f.owner[: one.n] >= 0).sum() == weights.sum() - roof.sum()
 
 
 def test_motion_is_that_of_the_frames_module() -> None:
@@ -323,8 +243,9 @@ def test_sizes_have_the_slope_and_information_of_the_likelihood(one_filter: Any)
         return np.array([-0.5 * (e @ np.linalg.solve(s, e) + np.log(np.linalg.det(s)))])
 
     s = root @ root.T + np.diag(q) + told * np.outer(load, load)
-    count_white(one.f, Vec3(*e), sym(s), q)
-    count_diffuse(one.f, 0, told, q[0], Vec3(*(told * load)), Vec3(*e), sym(s))
+    spread = Sym3(*s[np.triu_indices(3)])
+    count_white(one.f, Vec3(*e), spread, q)
+    count_diffuse(one.f, 0, told, q[0], Vec3(*(told * load)), Vec3(*e), spread)
     at = np.append(np.arange(WHITE, WHITE + 3), DIFFUSE_SIZE)
     np.testing.assert_allclose(one.f.learnt.sizes[0, at], slopes(log_density, np.zeros(4))[0], rtol=1e-5)
     inverse = np.linalg.inv(s)
@@ -334,5 +255,19 @@ def test_sizes_have_the_slope_and_information_of_the_likelihood(one_filter: Any)
     assert one.f.learnt.sizes[2, WHITE] == pytest.approx(0.5 * np.trace(by_white @ by_state), rel=1e-9)
 
 
-def sym(m: Any) -> Any:
-    return Sym3(*m[np.triu_indices(3)])
+PULL_DEG = -2.713  # at 10 degrees: sin 0.17365, root of 4 + sin^2 2.00752, coefficient -0.39616, power 0.15694
+
+
+@pytest.mark.parametrize(("elevation_deg", "pull_deg"), [(10.0, PULL_DEG), (-10.0, 0.0), (0.0, 0.0)])
+def test_the_mean_of_a_path_and_its_reflection_from_the_ground(
+    one_filter: Any, elevation_deg: float, pull_deg: float
+) -> None:
+    one = one_filter(NO_ERRORS._replace(ground=0.5))
+    place, sight = one.f.core.ground, one.w.sight
+    assert one.f.p[place, place] == 0.5**2
+    one.f.x[place], sight.size[0] = 2.0, 0
+    value = ground(one.f, Spherical(100.0, 0.7, np.radians(elevation_deg)), sight)
+    np.testing.assert_allclose(np.degrees(value), [0.0, 0.0, 2.0 * pull_deg], atol=2e-3)
+    assert sight.size[0] == (pull_deg != 0.0)
+    if pull_deg:
+        np.testing.assert_allclose(np.degrees(sight.by[:, 0]), [0.0, 0.0, pull_deg], atol=1e-3)

@@ -9,19 +9,9 @@ import pytest
 from scipy.stats import norm
 
 from cellslam.slam.joint.new_filters import NO_ERRORS
-from cellslam.slam.joint.snapshot.sight_kernel import coordinates, geometry, rotations_of
-from cellslam.slam.joint.snapshot.update_kernel import (
-    BESIDE,
-    LASTS,
-    SHIFT2,
-    add_up,
-    allow_for_merging,
-    correct,
-    expect_beside,
-    expect_merging,
-)
+from cellslam.slam.joint.snapshot.update_kernel import LASTS, SHIFT2, add_up, allow_for_merging, correct, expect_merging
 from cellslam.slam.joint.state.layout import HITS, MERGED
-from cellslam.slam.model.matrices_kernel import Sym3, Vec3
+from cellslam.slam.model.matrices_kernel import Sym3
 
 POSE, VTS = np.array([3.0, -2.0, 1.5, 0.7, 0.01, -0.02]), ([80.0, 0.5, 0.2], [82.0, 0.6, 0.2], [60.0, -1.0, 0.1])
 MERGE_RATE = 0.003
@@ -59,23 +49,6 @@ def test_what_nothing_says_is_forgotten(one_filter: Any) -> None:
     )
     expect_merging(one.f, MERGE_RATE, 1e4)
     np.testing.assert_allclose(one.f.vts.anchor[:3, MERGED], 0.003 / 0.103)
-
-
-@pytest.mark.parametrize(
-    ("vt", "measurements", "hits", "expected"),
-    [(0, 0, 5, BESIDE), (0, 1, 5, 0.1), (0, 0, 2, 0.1), (2, 0, 5, 0.1)],
-    ids=["hidden beside it", "seen beside it", "unconfirmed beside it", "nothing beside it"],
-)
-def test_a_vt_that_should_be_seen_beside_makes_it_likely(
-    one_filter: Any, vt: int, measurements: int, hits: int, expected: float
-) -> None:
-    one = prepared(one_filter)
-    one.block.sums.detections[1], one.f.vts.slots[1, HITS] = measurements, hits
-    place, turned = Vec3(*one.f.x[:3]), rotations_of(one.f)
-    seen = geometry(one.f, vt, one.offset, place, turned, coordinates(one.f, vt), one.w.sight)
-    expect_beside(one.f, one.block, vt, one.offset, seen, place, turned, 3, one.w.sight)
-    assert one.f.vts.anchor[vt, MERGED] == expected
-    assert one.f.vts.anchor[1, MERGED] == 0.1
 
 
 def turned_by(one_filter: Any, e_deg: float, **rules: float) -> float:

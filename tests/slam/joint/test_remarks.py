@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import re
-from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -41,7 +40,6 @@ def assuming(drive: Recording, cause: str, factor: float) -> Request:
 @pytest.mark.parametrize(
     ("cause", "factor", "words"),
     [
-        ("diffuse", 1.0, ()),
         ("diffuse", 0.5, ("diffuse of distance", "diffuse of azimuth", "diffuse of elevation")),
         ("roof", 0.5, ("roof of elevation",)),  # azimuths worse than assumed are taken for merged paths, in part
         # Angles better than assumed are no mistake: what is counted for merged paths makes them look so.
@@ -75,20 +73,6 @@ def test_diffuse_errors_are_taken_for_as_large_as_they_are(drive: Recording) -> 
     assert kept.grown == 1.0 and 1.5 < kept.doubted()["diffuse_m"] < 2.7
     for factor in (1.0, 2.0):
         assert after(drive, assuming(drive, "diffuse", factor)).sizes().grown == 1.0
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize(("factor", "passes"), [(0.5, 2), (1.0, 1)])
-def test_after_the_start_a_drive_begins_with_diffuse_errors_as_large_as_found(
-    monkeypatch: pytest.MonkeyPatch, factor: float, passes: int
-) -> None:
-    joined, join = list[float](), EkfSlam._join
-    monkeypatch.setattr(EkfSlam, "_join", lambda self, offsets: (joined.append(self._grown), join(self, offsets))[1])
-    drive = simulate(load("tiny", {"radio.clock_offset_std_m": 22.0}), 3, 0)
-    request = assuming(drive, "diffuse", factor)
-    late = {"start_limit_s": 25.0, "resolved_std_m": 1e-3}
-    after(drive, replace(request, options=request.options.model_copy(update=late)))
-    assert joined[0] == 1.0 and len(joined) == passes and (passes == 1 or joined[1] > 1.35)
 
 
 @pytest.mark.slow

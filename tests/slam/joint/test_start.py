@@ -1,26 +1,21 @@
-"""The start of EKF-SLAM: components of an offset; a mixture's moments, what it keeps, how it grows."""
+"""The start of EKF-SLAM: components of an offset; a mixture's moments, which filters it keeps."""
 
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 import pytest
 from numba import typeof
 
 from cellslam.sim.recording.tables import CLOCK_PRIOR
-from cellslam.slam.api import Estimate, setup_of, snapshots_of
+from cellslam.slam.api import setup_of, snapshots_of
 from cellslam.slam.conformance.subject import tiny_drive
 from cellslam.slam.joint.ekf_slam import EkfSlam
-from cellslam.slam.joint.ekf_slam_options import EkfSlamOptions
-from cellslam.slam.joint.mixture import Mixture, _arrays
+from cellslam.slam.joint.mixture import Mixture
 from cellslam.slam.joint.new_filters import NO_ERRORS, core_of, new_mixture
-from cellslam.slam.joint.start import Start, begin, components
-from cellslam.slam.joint.state.layout import Core
+from cellslam.slam.joint.start import components
 from cellslam.slam.joint.state.states_kernel import differing
-from cellslam.slam.joint.wall_slam import WallSlam
-from tests.slam.driving import driven
 
 
 @pytest.fixture
@@ -52,30 +47,6 @@ def test_moments_are_those_of_the_mixture(mixture: Mixture) -> None:
     np.testing.assert_array_equal(mixture.moments()[1], p1)
 
 
-def test_filters_that_are_likely_and_differ_are_kept(mixture: Mixture) -> None:
-    of = slice(0, 1)
-    mixture.arrays.x[:, 0], mixture.arrays.p[:, 0, 0] = [0.0, 10.0, 20.0], 1.0
-    assert mixture.apart(of, 1e-2).tolist() == [0, 1]
-    assert mixture.apart(of, 1e-4).tolist() == [0, 1, 2]
-    mixture.arrays.x[:, 0] = [10.2, 10.0, 20.0]
-    assert mixture.apart(of, 1e-4).tolist() == [0, 2]  # the second is a double of the likelier first
-    mixture.log_weight[:2] = mixture.log_weight[[1, 0]]
-    assert mixture.apart(of, 1e-4).tolist() == [1, 2]
-
-
-def test_growing_changes_nothing_that_is_there(mixture: Mixture) -> None:
-    size, before = mixture.core.size, [np.array(part) for part in _arrays(mixture.arrays)]
-    states, vts = mixture.arrays.x.shape[1], mixture.arrays.vts.slots.shape[1]
-    mixture.reserve(states, vts)
-    assert mixture.arrays.p.shape[1] >= size + states
-    assert mixture.arrays.vts.slots.shape[1] >= vts
-    for old, new in zip(before, _arrays(mixture.arrays), strict=True):
-        np.testing.assert_array_equal(new[tuple(slice(n) for n in old.shape)], old)
-    width = mixture.arrays.x.shape[1]
-    mixture.reserve(10, 10)
-    assert mixture.arrays.x.shape[1] == width
-
-
 def test_components_add_up_to_the_prior() -> None:
     means, logs, std = components(150.0, 20.0, 1.25)
     weight = np.exp(logs)
@@ -103,100 +74,6 @@ def test_blocks_of_a_mixture_end_together() -> None:
         lengths |= waiting
     assert len(mixture) > 1
     assert max(lengths) > 2
-
-
-def test_a_mixture_that_knows_its_place_well_has_the_word(mixture: Mixture) -> None:
-    """Of two mixtures that are 3 m apart the pose is the mean, by their variances; the covariance has what they
-    differ."""
-    setup = setup_of(tiny_drive())
-    start = begin(setup, mixture.core, NO_ERRORS, EkfSlamOptions(component_std_m=1000.0))
-    for one, x, variance in zip(start.mixtures, (0.0, 3.0), (1.0, 2.0), strict=True):
-        one.arrays.x[0, :6], one.arrays.p[0, :6, :6] = [x, 0.0, 0.0, 0.0, 0.0, 0.0], 0.5 * variance * np.eye(6)
-    start.odometry.arrays.p[0, :6, :6] = 4.0 * np.eye(6)
-    mean, cov = start.pose(*start.moments())
-    np.testing.assert_allclose(mean, [1.0, 0.0, 0.0, 0.0, 0.0, 0.0], atol=1e-5)
-    known = 1.0 / (1.0 / 0.5 + 1.0 / 1.0 - 1.0 / 4.0)
-    np.testing.assert_allclose(np.diag(cov)[:2], [known + 2.0, known], rtol=1e-5)
-
-
-@pytest.mark.parametrize(
-    ("likely", "std_m", "over"),
-    [((4, 8), (10.0, 90.0), True), ((4, 9), (10.0, 90.0), False), ((4, 8), (40.0, 90.0), False),
-     ((4, 9), (10.0, 9.0), True)],
-    ids=["one is resolved and few are left", "too many are left", "none is resolved", "all are resolved"],
-)  # fmt: skip
-def test_joint_filters_take_over_with_the_likely_combinations(
-    mixture: Mixture, likely: tuple[int, int], std_m: tuple[float, float], over: bool
-) -> None:
-    setup = setup_of(tiny_drive())
-    start = begin(setup, mixture.core, NO_ERRORS, EkfSlamOptions())
-    for one, count in zip(start.mixtures, likely, strict=True):
-        one.log_weight[:] = -7.0  # below a thousandth of the best
-        one.log_weight[3 : 3 + count] = np.linspace(0.0, -3.0, count)
-    assert start.over(np.square(std_m)) == over
-    found, (a, b) = start.combinations(), (one.arrays.x[:, mixture.core.offsets] for one in start.mixtures)
-    assert len(found) == min(likely[0] * likely[1], 32)
-    np.testing.assert_array_equal(found[0], [a[3, 0], b[3, 1]])
-    assert set(found[:, 0]) <= set(a[3 : 3 + likely[0], 0]) and set(found[:, 1]) <= set(b[3 : 3 + likely[1], 1])
-
-
-def two_mixtures(core: Core) -> Start:
-    """One at the origin and one 2 m to the east, as sure: of the mean, 1 m to the east, the deviations are 2 m and
-    0.1 rad, but 3 m to the north."""
-    start = begin(setup_of(tiny_drive()), core, NO_ERRORS, EkfSlamOptions(component_std_m=1000.0))
-    for one, x in zip(start.mixtures, (0.0, 2.0), strict=True):
-        one.arrays.x[0, :6] = [x, 0.0, 0.0, 3.1, 0.0, 0.0]
-        one.arrays.p[0, :6, :6] = np.diag([3.0, 9.0, 1e-4, 0.01, 1e-4, 1e-4])
-    return start
-
-
-@pytest.mark.parametrize(
-    ("apart", "agrees"),
-    [([8.0, 0.0, 0.0], True), ([8.2, 0.0, 0.0], False), ([0.0, 12.0, 0.0], True), ([0.0, 12.2, 0.0], False),
-     ([0.0, 0.0, 0.4], True), ([0.0, 0.0, 0.41], False), ([6.0, 6.0, 0.25], False)],
-)  # fmt: skip
-def test_filters_agree_with_the_start_within_what_it_may_err_by(
-    mixture: Mixture, apart: list[float], agrees: bool
-) -> None:
-    state = np.zeros(mixture.core.size)
-    state[:2] = [1.0 + apart[0], apart[1]]
-    state[3] = 3.1 + apart[2] - 2.0 * np.pi  # what yaw is, not how often it has gone round
-    state[2], state[4:6] = 5.0, 1.0  # height, pitch and roll are not asked
-    assert two_mixtures(mixture.core).agrees(state) == agrees
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("kind", [EkfSlam, WallSlam])
-def test_filters_that_do_not_agree_are_tried_again(monkeypatch: pytest.MonkeyPatch, kind: Any) -> None:
-    """A quarter as long again after they were, and as if they had not been; till then the start answers. Late, whatever
-    they say."""
-    drive = tiny_drive()
-
-    def answers(over_s: float, right: int, **options: float) -> tuple[list[float], list[Estimate], Any]:
-        """Return the times at which filters were tried, from over_s on, the `right`-th of which agree; answers; map."""
-        joint, tried = kind(kind.Options(**options)), list[float]()
-
-        def agrees(self: Start, state: np.ndarray) -> bool:
-            tried.append(joint._time_s)
-            return len(tried) == right
-
-        monkeypatch.setattr(Start, "over", lambda self, variance: joint._time_s >= over_s)
-        monkeypatch.setattr(Start, "agrees", agrees)
-        found = driven(joint, drive, 80)
-        assert joint.resolved
-        return tried, found, joint.vt_map()
-
-    (first, second, third), found, known = answers(2.0, 3)
-    assert 2.0 <= first < 2.1 and 1.25 * first <= second < 1.25 * first + 0.1 and 1.25 * second <= third < 4.0
-    again, alone, known_alone = answers(third, 1)
-    assert again == [third] and len(known) > 5
-    np.testing.assert_array_equal(known.seen_m, known_alone.seen_m)
-    np.testing.assert_array_equal(known.position_m, known_alone.position_m)
-    for one, other in zip(found, alone, strict=True):
-        np.testing.assert_array_equal(one.pose, other.pose)
-        np.testing.assert_array_equal(one.covariance, other.covariance)
-        np.testing.assert_array_equal(one.association, other.association)
-    assert answers(2.0, 9, start_limit_s=3.0)[0] == [first, second]
 
 
 @pytest.mark.parametrize("column", CLOCK_PRIOR[2:])

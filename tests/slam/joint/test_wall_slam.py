@@ -3,33 +3,17 @@
 from __future__ import annotations
 
 import math
-from dataclasses import fields, replace
 from functools import partial
 
 import numpy as np
 import pytest
 
-from cellslam.benchmarks.scores.walls import true_walls, wall_scores
-from cellslam.sim.frames import integrate_pose, unit_vector, wrap_angle
-from cellslam.sim.recording import Links, Measurements, OdometryModel, Recording, Sites, Truth, VirtualTransmitters
+from cellslam.sim.frames import unit_vector, wrap_angle
+from cellslam.slam.joint import wall_images
 from cellslam.slam.joint.state.layout import EXISTS, HITS, IDENT, LINK, SHARE, UNSEEN
-from cellslam.slam.joint.wall_images import (
-    ROOM,
-    Double,
-    Flatness,
-    apart,
-    best_pair,
-    images_of,
-    impose,
-    impose_double,
-    likeliest_double,
-    log_odds,
-    off,
-    place_of,
-)
-from cellslam.slam.joint.wall_slam import Facades, WallSlam, WallSlamOptions
+from cellslam.slam.joint.wall_images import Double, Flatness, apart, best_pair, images_of, impose, place_of
+from cellslam.slam.joint.wall_slam import Facades
 from cellslam.slam.model.measurement_model import jacobians, predict
-from tests.slam.driving import driven
 
 FLAT = Flatness(math.radians(0.3), 0.2, 10.0)
 SITES = np.array([[-60.0, -30.0, 30.0], [90.0, -50.0, 25.0]])
@@ -93,7 +77,7 @@ def facades_of(f):
 
 def one_wall(f):
     """Log-odds that the images in the wall to the north are of one wall."""
-    return log_odds(f, apart(f, *pair(f)), FLAT.covariance, ROOM)
+    return wall_images.log_odds(f, apart(f, *pair(f)), FLAT.covariance, wall_images.ROOM)
 
 
 def test_the_site_is_the_vt_that_is_nearest_wherever_others_are_seen(one_filter):
@@ -105,15 +89,6 @@ def test_the_site_is_the_vt_that_is_nearest_wherever_others_are_seen(one_filter)
     # From (-60, -30) over y = 40 to (0, 0): two sides of 70 and 40 m.
     np.testing.assert_allclose(images[0].points[30], [-60.0 + 60.0 * 70 / 110, WALL_M])
     assert images_of(f, seen(f, WAY[:15]), 3) == []  # too few places to tell
-
-
-def test_without_its_line_of_sight_a_site_is_not_known(one_filter):
-    hidden = [*scene()[1:4], (0, mirrored(SITES[0], -NORTH, 80.0))]
-    f, _ = filter_of(one_filter, hidden, 0.1)
-    north = np.column_stack([np.zeros(91), np.linspace(-60.0, 30.0, 91)])
-    assert images_of(f, seen(f, north), 3) == []  # none is nearest everywhere
-    f, _ = filter_of(one_filter, hidden[:2], 0.1)
-    assert images_of(f, seen(f), 3) == []  # one is nearer than one other: that tells nothing
 
 
 def test_a_site_that_was_surveyed_need_not_be_seen(one_filter):
@@ -243,7 +218,7 @@ def over_both(south=SOUTH):
 
 
 def double_of(f, odds=5.0):
-    return likeliest_double(f, images_of(f, seen(f), 3), seen(f), FLAT, odds)
+    return wall_images.likeliest_double(f, images_of(f, seen(f), 3), seen(f), FLAT, odds)
 
 
 def test_a_path_over_two_parallel_walls_is_of_both(one_filter):
@@ -252,7 +227,7 @@ def test_a_path_over_two_parallel_walls_is_of_both(one_filter):
     f, _ = filter_of(one_filter, canyon_of(over_both()), 0.3)
     double = double_of(f)
     assert double is not None and [double.vt.vt, double.first.vt, double.second.vt] == [4, 1, 2]
-    np.testing.assert_allclose(off(f, double).value, 0.0, atol=1e-9)
+    np.testing.assert_allclose(wall_images.off(f, double).value, 0.0, atol=1e-9)
 
 
 @pytest.mark.parametrize(
@@ -268,14 +243,6 @@ def test_other_vts_are_no_double_reflections(one_filter, more):
     assert double_of(f, -math.inf) is None
 
 
-def test_paths_that_miss_a_wall_are_not_over_it(one_filter):
-    f, _ = filter_of(one_filter, canyon_of(over_both()), 0.3)
-    far = seen(f) | {14: WAY + np.array([400.0, 0.0])}  # where neither wall was met before
-    assert likeliest_double(f, images_of(f, far, 3), far, FLAT, 5.0) is None
-    f.p[:] *= 60.0**2
-    assert double_of(f) is None  # so little is known that it could be anything
-
-
 def test_imposing_a_double_reflection_leaves_the_filter_consistent(one_filter):
     rng, squares = np.random.default_rng(6), []
     for _ in range(300):
@@ -285,95 +252,6 @@ def test_imposing_a_double_reflection_leaves_the_filter_consistent(one_filter):
         f, at = filter_of(one_filter, vts, 0.5, rng)
         images = {image.vt: image for image in images_of(f, seen(f), 3)}
         double = Double(vt=images[4], first=images[1], second=images[2])
-        squares.append(squares_after(partial(impose_double, f, double, seen(f), FLAT), f, at, vts))
+        squares.append(squares_after(partial(wall_images.impose_double, f, double, seen(f), FLAT), f, at, vts))
     # Chi-square of 15 has a mean of 15 with a deviation of 0.3; the spread is a little wide on purpose.
     assert 12.5 < np.mean(squares) < 16.0
-
-
-def test_a_double_reflection_is_no_wall(one_filter):
-    f, _ = filter_of(one_filter, canyon_of(over_both()), 0.3)
-    facades = facades_of(f)
-    assert len(facades.estimate(f, 3)) == 4
-    facades.join(f)
-    assert len(facades.estimate(f, 3)) == 3
-
-
-def test_where_a_wall_was_not_seen_to_reach_nothing_is_associated_with_it(one_filter):
-    f, _ = filter_of(one_filter, scene(), 0.3)
-    facades = facades_of(f)
-    # Site B's image in the north is met at x = 27.7 + 9/13 of the vehicle's: from 6.9 m on, and with a gap from -3.1 m.
-    f.x[:2] = [-44.0, 0.0]
-    assert facades.not_met(f) == []
-    f.x[:2] = [-45.0, 0.0]
-    assert facades.not_met(f) == [15]
-    facades.join(f)  # the other site shows that the wall reaches to x = -41 m
-    assert facades.not_met(f) == []
-
-
-@pytest.fixture(scope="module")
-def street():
-    """Two sites with known clocks heard over a wall that they share and over two others each, along 90 m."""
-    rng = np.random.default_rng(9)
-    own = [[(0.0, 150.0), (-NORTH, 80.0)], [(np.pi, 120.0), (NORTH, 90.0)]]
-    images = [mirrored(SITES[site], *wall) for site in (0, 1) for wall in ((NORTH, WALL_M), *own[site])]
-    position = np.array([*SITES, *images])
-    site, facet = np.array([0, 1, 0, 0, 0, 1, 1, 1]), np.array([-1, -1, 0, 1, 2, 0, 3, 4])
-    vts = VirtualTransmitters(
-        position, site, (facet >= 0).astype(int), np.column_stack([facet, np.full(8, -1)]),
-        np.array([[v, 0, 899] for v in range(8)]),
-    )  # fmt: skip
-    count, dt = 900, 0.1
-    speed = np.zeros((count, 6))
-    speed[1:, 0], speed[1:, 3] = 1.0, 0.004
-    poses = np.zeros((count, 6))
-    poses[0] = [-30.0, 0.0, 1.5, 0.0, 0.0, 0.0]
-    for t in range(1, count):
-        poses[t] = integrate_pose(poses[t - 1], speed[t], dt)
-    snapshot, vt = (part.ravel() for part in np.meshgrid(np.arange(count), np.arange(8), indexing="ij"))
-    order = np.lexsort((vts.site[vt], snapshot))
-    snapshot, vt = snapshot[order], vt[order]
-    std = np.array([0.5, 0.02, 0.02])
-    z = predict(poses[snapshot], position[vt]) + std * rng.normal(size=(len(vt), 3))
-    z[:, 1] = wrap_angle(z[:, 1])
-    odometry = speed * 1.0
-    odometry[1:] += rng.normal(size=(count - 1, 6)) * [0.05, 0, 0, 0.01, 0, 0]
-    sheet = OdometryModel(np.array([0.05, 0, 0, 0.01, 0, 0]) * np.sqrt(dt), *np.zeros((3, 6)))
-    truth = Truth(
-        poses, vt, np.tile(std, (len(vt), 1)), vts, SITES, np.zeros(2), np.zeros((count, 6)), np.zeros(6)
-    )  # fmt: skip
-    return Recording(
-        dt * np.arange(count), odometry, sheet, Links(np.arange(2), np.arange(2), np.zeros(2, np.int64)),
-        Sites(("A", "B"), np.zeros(2), np.zeros(2)),
-        Measurements(snapshot, vts.site[vt], z[:, 0], z[:, 1], z[:, 2], np.full(len(vt), 20.0)),
-        poses[0], np.full(6, 1e-3), {}, truth,
-    )  # fmt: skip
-
-
-def walked(recording, **options):
-    """Return the walls that were reported last, and the last answer."""
-    answers = driven(WallSlam(WallSlamOptions(**options)), recording)
-    return [answer.walls for answer in answers if answer.walls is not None][-1], answers[-1]
-
-
-def test_vts_that_were_long_out_of_sight_wait_for_their_walls(street, monkeypatch):
-    m = street.measurements
-    kept = (m.snapshot < 400) | (m.snapshot >= 500)
-    columns = {f.name: getattr(m, f.name)[kept] for f in fields(m) if getattr(m, f.name) is not None}
-    dark = replace(street, measurements=Measurements(**columns), truth=None)
-    _, last = walked(dark)
-    monkeypatch.setattr(Facades, "not_met", lambda _, f: [5])
-    _, other = walked(dark)
-    assert 5 in last.vts.id and (last.association == 5).any()
-    assert 5 in other.vts.id and not (other.association == 5).any()
-
-
-def test_a_drive_maps_the_wall_that_two_sites_share(street):
-    assert len(true_walls(street, street.truth)) == 5
-    joined, last = walked(street)
-    apart, before = walked(street, join_odds=1e9)
-    assert (len(joined), len(apart)) == (5, 6)
-    scores, others = (wall_scores(street, street.truth, walls) for walls in (joined, apart))
-    assert scores["wall_share"] > 0.9 and scores["wall_gospa_m"] < others["wall_gospa_m"]
-    assert scores["wall_offset_rmse_m"] < 1.0
-    # What one site tells of the wall, the other's image is known by.
-    assert last.vts.covariance.trace(axis1=1, axis2=2).sum() < before.vts.covariance.trace(axis1=1, axis2=2).sum()

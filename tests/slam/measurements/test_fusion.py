@@ -11,7 +11,6 @@ import pytest
 from cellslam.sim.recording import Links, OdometryModel, Sites
 from cellslam.slam.api import Estimate, Setup, Snapshot, VtEstimate
 from cellslam.slam.measurements.fusion import (
-    BIRTH_RATIO,
     COINCIDENCE,
     UNMAPPED,
     UNUSUAL,
@@ -41,6 +40,10 @@ def snapshot(link: Any, z: Any) -> Snapshot:
     for column in columns:
         column.setflags(write=False)
     return Snapshot(7, 100 + np.arange(len(link)), *columns)
+
+
+def fused(link: Any, z: Any) -> FusedMeasurements:
+    return Fusion(setup(), MeasurementOptions()).fuse(snapshot(link, z))
 
 
 def many_paths(rng: np.random.Generator, paths: int) -> tuple[Snapshot, Any]:
@@ -104,22 +107,17 @@ def test_ports_count_alike_and_noise_averages() -> None:
 
 def test_missing_components_stay_missing() -> None:
     nan = np.nan
-    measurements = Fusion(setup(), MeasurementOptions()).fuse(
-        snapshot([0, 1, 2], [[100, nan, 0.1], [100.2, 0.3, nan], [100.1, nan, nan]])
-    )
+    measurements = fused([0, 1, 2], [[100, nan, 0.1], [100.2, 0.3, nan], [100.1, nan, nan]])
     assert len(measurements) == 1
     np.testing.assert_allclose(
         [measurements.distance_m[0], measurements.azimuth_rad[0], measurements.elevation_rad[0]], [100.125, 0.3, 0.1]
     )
-    bare = Fusion(setup(), MeasurementOptions()).fuse(snapshot([0, 1], [[nan, 0.3, nan], [nan, 0.3, nan]]))
+    bare = fused([0, 1], [[nan, 0.3, nan], [nan, 0.3, nan]])
     assert np.isnan(bare.distance_m).all() and np.isnan(bare.elevation_rad).all()
 
 
 def test_a_link_measures_a_path_once() -> None:
-    measurements = Fusion(setup(), MeasurementOptions()).fuse(
-        snapshot([0, 0, 1], [[100, 0, 0], [100.9, 0, 0], [100.8, 0, 0]])
-    )
-    assert measurements.of.tolist() == [0, 1, 1]
+    assert fused([0, 0, 1], [[100, 0, 0], [100.9, 0, 0], [100.8, 0, 0]]).of.tolist() == [0, 1, 1]
 
 
 def test_without_sharing_no_measurement_is_fused() -> None:
@@ -146,28 +144,6 @@ def test_agreement_tells_paths_from_clutter() -> None:
     np.testing.assert_allclose(clutter[1:] / clutter[:-1], COINCIDENCE)
 
 
-def test_what_may_begin_a_vt_is_no_clutter() -> None:
-    rng, fusion = np.random.default_rng(8), Fusion(setup(), MeasurementOptions())
-    begins, paths = 0, 0
-    for _ in range(50):
-        given, truth = many_paths(rng, 4)
-        measurements = fusion.fuse(given)
-        own = truth[np.searchsorted(given.row, measurements.row)]
-        assert (own[measurements.begins] >= 0).all()
-        begins, paths = begins + measurements.begins.sum(), paths + (own >= 0).sum()
-    assert begins > 0.9 * paths
-
-
-def test_births_are_likely_where_links_agree() -> None:
-    options = MeasurementOptions(birth_ratio=0.02)
-    assert Fusion(setup(), options).options.birth_ratio == BIRTH_RATIO
-    assert Fusion(setup(), MeasurementOptions(birth_ratio=0.7)).options.birth_ratio == 0.7
-    few = Fusion(setup([0, 0, 0, 1, 1], [0, 1, 2, 0, 1]), options)
-    assert few.options.birth_ratio == 0.02
-    measurements = few.fuse(snapshot([0, 0, 3], [[100, 0, 0], [300, 1, 0], [100, 0, 0]]))
-    assert measurements.begins.tolist() == [False, False, True]
-
-
 def test_links_that_are_not_sorted_by_site() -> None:
     fusion = Fusion(setup([1, 0, 1, 0], [0, 0, 1, 1]), MeasurementOptions())
     measurements = fusion.fuse(snapshot([0, 1, 2, 3], [[100, 0, 0], [500, 1, 0], [100.1, 0, 0], [500.1, 1, 0]]))
@@ -184,15 +160,3 @@ def test_an_answer_names_measurements_and_their_links() -> None:
     assert answer.association is not None and answer.vts is not None
     assert answer.association.tolist() == [5, 5, 9, 9]
     assert answer.vts.link.tolist() == [0, 6]
-
-
-def test_detection_and_clutter_are_those_of_fused_measurements() -> None:
-    options = MeasurementOptions(detection_probability=0.5, clutter_density=1e-3)
-    seen = Fusion(setup([0, 0, 1, 1], [0, 1, 0, 1]), options).options
-    assert seen.detection_probability == pytest.approx(0.75)
-    assert seen.clutter_density == pytest.approx(2e-3)
-
-
-def test_an_empty_snapshot() -> None:
-    measurements = Fusion(setup(), MeasurementOptions()).fuse(snapshot([], np.zeros((0, 3))))
-    assert isinstance(measurements, FusedMeasurements) and len(measurements) == 0

@@ -41,7 +41,3 @@ def test_worse_directions_are_noticed() -> None:
 def test_vts_that_are_not_known_say_nothing() -> None:
     """30 m at some 200 m are far more than a degree."""
     assert factor(3.0, 3.0, spread_m=30.0) == [1.0, 1.0]
-
-
-def test_can_be_left_out() -> None:
-    assert factor(3.0, 3.0, misfit_scale_s=0.0) == [1.0, 1.0]

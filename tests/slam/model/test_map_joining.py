@@ -9,10 +9,8 @@ import pytest
 
 from cellslam.sim.errors import InputError
 from cellslam.sim.recording import Floats
-from cellslam.slam.model.map_joining import EXACT_M2, LEAST_WEIGHT, fused, join, join_maps, pairs_of
+from cellslam.slam.model.map_joining import fused, join, join_maps, pairs_of
 from cellslam.slam.model.vt_map import VtMap
-
-MM = 2.0 * EXACT_M2  # nothing is more exact than that
 
 
 def map_at(position_m: Floats, own_m2: Floats, common_m: Floats | None = None, site: str = "A") -> VtMap:
@@ -132,14 +130,3 @@ def test_what_both_have_is_seen_from_where_either_saw_it() -> None:
     for both in (join(a, b).map, join(b, a).map):
         assert both.seen_m.tolist() == [[[0.0, 0.0], [60.0, 14.0]]]
         assert (both.hits.tolist(), both.missed.tolist()) == ([14], [0])
-
-
-def test_an_empty_map_may_be_joined() -> None:
-    a = drawn(3, np.random.default_rng(9))
-    found = join(a, a.part(slice(0, 0)))
-    assert len(found.map) == 3 and found.weight == pytest.approx(1.0 - LEAST_WEIGHT, abs=1e-3)
-
-
-def test_exact_vts_may_be_joined() -> None:
-    a = map_at([[100.0, 0.0, 5.0]], np.zeros((1, 3, 3)))
-    np.testing.assert_allclose(join(a, a).map.covariance_m2, [MM * np.eye(3)], atol=MM)
