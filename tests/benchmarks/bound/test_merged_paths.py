@@ -91,14 +91,6 @@ def test_where_few_are_merged_or_nobody_knows_there_is_one_bound(make_recording)
     assert 0.0 < merged_share(few) < LEAST_SHARE and both_bounds(few).merged_m is None
 
 
-def test_a_file_keeps_what_merged_paths_have_moved(make_recording, tmp_path):
-    recording = moved(make_recording(seed=3, snapshots=50), SIZE, LASTS_S, 1)
-    recording.save(tmp_path / "drive.h5")
-    np.testing.assert_array_equal(
-        Recording.load(tmp_path / "drive.h5").truth.merging_shift, recording.truth.merging_shift
-    )
-
-
 @pytest.fixture(scope="module")
 def drives() -> list[Recording]:
     """Short drives of a root seed that nothing was chosen on."""

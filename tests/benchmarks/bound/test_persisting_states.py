@@ -15,8 +15,7 @@ from cellslam.benchmarks.bound.linear_model import core_of, linear_motion, start
 from cellslam.benchmarks.bound.persisting_states import bell_functions, correlation, principal_functions
 from cellslam.sim.errors import InputError
 from cellslam.sim.lte import RadioConfig
-from cellslam.sim.lte.persisting_errors import causes, draw_fields, persisting_std
-from cellslam.sim.lte.statistical.measurement_kernel import write_attitude, write_persisting
+from cellslam.sim.lte.persisting_errors import causes, persisting_std
 from cellslam.sim.recording import Recording
 from cellslam.slam.model.measurement_model import jacobians, predict
 from tests.benchmarks.bound.joint_filter import JointFilter, apart
@@ -166,44 +165,6 @@ def test_bound_is_that_of_the_exact_correlations_of_one_cause(make_recording, ra
     assert bound(all_white(recording)).horizontal_std_m[-1] < 0.85 * exact
 
 
-def test_a_filter_that_meets_the_drawn_fields_makes_errors_of_that_size(make_recording):
-    recording = make_recording(
-        seed=5, snapshots=90, dt_s=0.5, sites=1, vts_per_site=3, detection=0.9, std=POOR["std"],
-        noise_density=(0.02, 0, 0, 0.001, 0, 0),
-    )  # fmt: skip
-    radio = {"roof_correlation_deg": 10.0, "diffuse_correlation_m": 2.0, "specular_to_diffuse_db": 3.0}
-    recording, rng, runs = persisting(recording, **radio), np.random.default_rng(11), 120
-    joint, truth, config = JointFilter(recording, broad_std=1e3), recording.truth, radio_of(recording)
-    fields = [draw_fields(config, 0.5, rng) for _ in range(runs)]
-    error, core = rng.normal(0, 1, (runs, joint.size)) * np.sqrt(np.diag(joint.P)), joint.core.size
-    # The filter estimates errors that begin at zero, of which it knows the deviation: what it meets is in the fields.
-    error[:, joint.errors :] = 0.0
-    m, turn, drawn = recording.measurements, np.zeros(3), np.zeros(3)
-    met = np.flatnonzero(truth.measurement_vt >= 0)
-    geometry = predict(truth.poses[m.snapshot[met]], truth.vts.position_m[truth.measurement_vt[met]])
-    squares = []
-    for t, (F, Q, H, R, _, K) in enumerate(joint.steps()):
-        chosen = np.flatnonzero(m.snapshot[met] == t)
-        persisted = np.zeros((runs, len(chosen), 3))
-        for i, field in enumerate(fields):
-            write_attitude(t, field, turn)
-            for j, x in enumerate(chosen):
-                vt = truth.vts.position_m[truth.measurement_vt[met[x]]]
-                port = recording.links.port[m.link[met[x]]]
-                write_persisting(geometry[x], truth.poses[t], vt, port, turn, field, drawn)
-                persisted[i, j] = drawn
-        error = error @ F.T
-        error[:, :core] += rng.multivariate_normal(np.zeros(core), Q[:core, :core], runs, method="eigh")
-        noise = rng.normal(0, 1, (runs, len(R))) * np.sqrt(R) + persisted.reshape(runs, -1)
-        # Signs: `error` is truth minus estimate, and of a persisting error minus its estimate, its truth in `noise`.
-        error = error - (error @ H.T + noise) @ K.T
-        squares.append((error[:, :2] ** 2).sum(1).mean())
-    rms, result = np.sqrt(np.mean(squares)), bound(recording).position_rmse_m
-    white = bound(all_white(recording)).position_rmse_m
-    assert rms == pytest.approx(result, rel=0.12)
-    assert white < 0.8 * rms
-
-
 def test_nothing_that_persists_is_the_white_bound(make_recording):
     recording = make_recording(seed=6, snapshots=80, std=WHITE)
     names = ("calibration_correlation_deg", "roof_correlation_deg", "diffuse_correlation_m", "attitude_correlation_s")
@@ -219,15 +180,6 @@ def test_larger_persisting_errors_never_lower_the_bound(make_recording):
     stds = [bound(persisting(recording, noise_scale=scale)).horizontal_std_m for scale in (0.0, 0.3, 1.0, 3.0)]
     assert all((low <= high + 1e-12).all() for low, high in pairwise(stds))
     assert 1.5 * stds[0][-1] < stds[3][-1]
-
-
-def test_errors_that_all_links_share_are_not_averaged_over_links(make_recording):
-    one, four = (make_recording(seed=7, snapshots=120, ports=ports, detection=1.0, **POOR) for ports in (1, 4))
-    radio = {"calibration_distance_m": 0.6, "roof_azimuth_deg": 2.0, "specular_to_diffuse_db": 40.0}
-    one, four = persisting(one, **radio), persisting(four, **radio)
-    gain = bound(one).position_rmse_m / bound(four).position_rmse_m
-    gain_white = bound(all_white(one)).position_rmse_m / bound(all_white(four)).position_rmse_m
-    assert 1.0 <= gain < 1.0 + 0.6 * (gain_white - 1.0)
 
 
 @pytest.mark.parametrize("scale_deg", [30.0, 10.0])

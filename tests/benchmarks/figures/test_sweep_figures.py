@@ -63,17 +63,6 @@ def test_an_estimator_has_its_colour_in_every_figure(
     assert colours() == {name: {to_hex(colour_of(name))} for name in ("dead-reckoning", "fastslam")}
 
 
-def test_data_are_panels_of_worlds_with_series(folder: Path) -> None:
-    data = load(folder)
-    assert len(data.panels) == 2 and data.labels == ("dead-reckoning", "fastslam")
-    one = data.panels[0].series[0]
-    assert one.settings == {"radio.load": 0.01}
-    assert len(one.values("position_rmse_m")) == 5 and len(one.values("nees_mean")) == 0
-    curve = data.over_time(one, "offset_error_m")
-    assert curve is not None and curve[1].shape == (5, 40, 2) and curve[0][-1] == pytest.approx(3.9)
-    assert data.over_time(one, "bound_std_m") is None
-
-
 @pytest.mark.parametrize(("metric", "bounds"), [("position_rmse_m", [[3.01, 4.0]]), ("map_gospa_m", [])])
 def test_the_bound_of_the_drives_is_in_the_curve(folder: Path, metric: str, bounds: list[list[float]]) -> None:
     figure = Figure()
@@ -111,13 +100,6 @@ def test_a_world_without_the_swept_key_stands_apart(folder: Path, tmp_path: Path
         "error_cdf",
         "ranks",
     }
-
-
-@pytest.mark.slow
-def test_command_writes_into_the_folder(folder: Path, capfd: pytest.CaptureFixture[str]) -> None:
-    assert main(["figures", str(folder), "--x", "radio.load", "--statistic", "q90"]) == 0
-    assert {path.stem for path in (folder / "figures").iterdir()} == ALL
-    assert "16 files are in" in capfd.readouterr().err
 
 
 def test_wrong_requests_are_one_line(folder: Path, capfd: pytest.CaptureFixture[str]) -> None:

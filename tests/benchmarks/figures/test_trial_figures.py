@@ -60,13 +60,6 @@ def test_reflectors_lie_on_the_wall_and_leave_the_site_out(scene):
     assert overview.emphasised_building(scene.city, mapped) == 1
 
 
-def test_no_reflectors_without_map_or_truth(scene):
-    slam, bare = scene.results["fastslam"], dataclasses.replace(scene.recording, truth=None)
-    assert overview.reflectors_of(scene.recording, scene.results["dead-reckoning"]) == []
-    assert overview.reflectors_of(bare, slam) == []
-    assert overview.emphasised_building(scene.city, []) is None
-
-
 def test_map_shows_buildings_trajectories_sites_and_reflecting_points(scene):
     figure = Figure(layout="constrained")
     assert overview.draw(figure, scene.city, scene.recording, scene.results)
@@ -123,12 +116,6 @@ def test_association_figure_colours_each_vt_and_greys_the_rest(scene):
     np.testing.assert_allclose(grey.get_ydata(), m.distance_m[mine][truth_vt < 0])
     assert {len(first.get_xdata()), len(second.get_xdata())} == {(truth_vt == 0).sum(), (truth_vt == 1).sum()}
     assert len({line.get_color() for line in (grey, first, second)}) == 3
-
-
-def test_association_figure_takes_one_busy_cell_of_each_site(make_recording):
-    recording = make_recording(seed=2, sites=3, ports=2, snapshots=60)
-    counts = np.bincount(recording.measurements.link, minlength=6)
-    assert trial_figures.shown_links(recording, 2) == [int(counts[:2].argmax()), int(2 + counts[2:4].argmax())]
 
 
 def test_clock_figure_shows_estimate_band_and_truth(scene):
@@ -196,23 +183,3 @@ def test_map_of_a_measured_drive_shows_the_estimated_vts_or_the_drive_alone(scen
     figure = Figure()
     assert overview.draw(figure, None, measured(scene), {"dead-reckoning": scene.results["dead-reckoning"]})
     assert len(figure.axes) == 1
-
-
-def test_known_clocks_have_no_figure(scene):
-    known = dataclasses.replace(scene.recording.sites, clock_offset_std_m=np.zeros(1))
-    assert not trial_figures.draw_clock_offsets(
-        Figure(), dataclasses.replace(scene.recording, sites=known), scene.results
-    )
-
-
-def test_titles_name_what_there_is_and_fit(scene):
-    links = dataclasses.replace(scene.recording.links, cell_id=np.full(2, -1), port=np.full(2, -1))
-    sites = dataclasses.replace(
-        scene.recording.sites, name=("transmitter on the roof of the eastern building, mast 2",)
-    )
-    figure = Figure()
-    assert trial_figures.draw_associations(
-        figure, dataclasses.replace(scene.recording, links=links, sites=sites), scene.results
-    )
-    title = figure.axes[0].get_title()
-    assert "-1" not in title and max(len(line) for line in title.split("\n")) <= 40

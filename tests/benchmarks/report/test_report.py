@@ -12,10 +12,8 @@ from typing import Any
 
 import numpy as np
 import pytest
-from matplotlib.colors import to_hex
 
-from cellslam.benchmarks.figures.style import colour_of
-from cellslam.benchmarks.figures.sweep.sweep_data import curve_keys, load, sweep_lines
+from cellslam.benchmarks.figures.sweep.sweep_data import load
 from cellslam.benchmarks.report.page import embedded
 from cellslam.benchmarks.report.report_content import content
 from cellslam.benchmarks.report.scene import mesh_of, rounded
@@ -87,24 +85,6 @@ def test_summary_and_curves_hold_the_medians(folder: Path, said: dict[str, Any])
     along = {line["name"]: line["metrics"].get("position_rmse_m", [[]])[0] for line in curves[PARTICLES]}
     assert along["fastslam, radio.load = 1"] == [10, 40] and along["dead-reckoning, radio.load = 1"] == [None]
     assert [p["title"] for p in said["panels"]] == ["radio.load = 0.1", "radio.load = 1"]
-
-
-def test_an_estimator_has_its_colour(said: dict[str, Any]) -> None:
-    lines = [(one["label"], one["colour"]) for one in said["series"]]
-    lines += [(line["name"], line["colour"]) for curve in said["curves"] for line in curve["lines"]]
-    assert {colour for name, colour in lines if name == "dead-reckoning"} == {to_hex(colour_of("dead-reckoning"))}
-    shades = [colour for name, colour in lines if name.startswith("fastslam")]
-    assert shades[0] == to_hex(colour_of("fastslam")) and len(set(shades)) == 2
-
-
-@pytest.mark.slow
-def test_curves_can_go_along_options(folder: Path, tmp_path: Path) -> None:
-    data = load(folder)
-    assert curve_keys(data) == {"radio.load": True, PARTICLES: True}
-    assert [x for x, _ in sweep_lines(data, PARTICLES)["fastslam, radio.load = 1"]] == [10.0, 40.0]
-    assert set(sweep_lines(data, "radio.load")) >= {"fastslam, particles = 10", "dead-reckoning"}
-    assert main(["figures", str(folder), "--x", PARTICLES, "--out", str(tmp_path), "--quiet"]) == 0
-    assert (tmp_path / "sweep.png").stat().st_size > 3000
 
 
 def test_worst_trials_are_the_worst_each_once(folder: Path) -> None:

@@ -11,9 +11,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from matplotlib.colors import to_hex
 
-from cellslam.benchmarks.figures.style import colour_of
 from cellslam.benchmarks.report.city_page import MOST_RAYS, write_city
 from cellslam.benchmarks.report.playback import content
 from cellslam.benchmarks.scores.trial_result import TrialResult
@@ -64,13 +62,6 @@ def test_playback_of_half_an_hour_steps_a_second_and_shows_the_vts(toy_recording
     assert max(np.diff(section["time"])) <= 2.1 and np.median(np.diff(section["time"])) <= 1.1
     assert section["estimates"][0]["vts"] == [[1.0], [1.0], [1.0]]
     assert said["cities"] == {} and section["scene"]["city"] is None and "truth" not in section["scene"]
-
-
-@pytest.mark.parametrize("name", ["dead-reckoning", "fastslam", "theirs:Own"])
-def test_playback_has_the_colour_of_the_estimator(toy_recording: Callable[..., Recording], name: str) -> None:
-    recording = toy_recording()
-    said = content(recording, dataclasses.replace(true_result(recording), estimator=name))
-    assert [one["colour"] for one in said["series"]] == [to_hex(colour_of(name))]
 
 
 def shown(path: Path) -> Any:

@@ -37,12 +37,6 @@ def test_bootstrap_intervals_cover(name: str, monkeypatch: pytest.MonkeyPatch) -
     assert 0.93 <= coverage(name, 100, 1000, monkeypatch) <= 0.97
 
 
-def test_coverage_check_finds_a_wrong_interval(monkeypatch: pytest.MonkeyPatch) -> None:
-    real = s.interval
-    monkeypatch.setattr(s, "interval", lambda values, of, confidence: real(values, of, 0.88))
-    assert coverage("mean", 100, 400, monkeypatch) < 0.93
-
-
 def test_efficiency_ratio_is_of_mean_squares_and_its_interval_covers(monkeypatch: pytest.MonkeyPatch) -> None:
     """Errors of few degrees of freedom about a bound: an efficient filter has 1, where its median ratio has 0.79."""
     assert s.efficiency_ratio(np.array([1.0, 3.0]), np.array([1.0, 2.0]), 0.95)[0] == pytest.approx(np.sqrt(2.0))

@@ -106,16 +106,6 @@ def test_rows_come_back_with_the_keys_that_vary(tmp_path: Path) -> None:
         results(tmp_path, ["radio.laod"])
 
 
-def test_a_later_result_replaces_an_earlier_one(tmp_path: Path) -> None:
-    made = plan_of({})
-    made_up(tmp_path, made, numbered())
-    made_up(tmp_path, made, numbered(7.5))
-    assert results(tmp_path)["position_rmse_m"].tolist() == [7.5]
-    with store.writing(tmp_path, "again", {}) as open_store:
-        assert open_store.status() == {keys(made)[0]: "ok"}
-        assert made.without(open_store.status()).tasks == ()
-
-
 def test_any_text_is_kept(tmp_path: Path) -> None:
     made = plan_of({})
     with store.writing(tmp_path, "command \udcff", {}) as open_store:

@@ -3,8 +3,6 @@ from __future__ import annotations
 import csv
 import io
 import json
-import sqlite3
-import time
 from pathlib import Path
 from typing import Any
 
@@ -14,7 +12,6 @@ import pytest
 from cellslam.benchmarks import comparison, results, summary
 from cellslam.benchmarks.figures.sweep.sweep_data import curve_keys, load, sweep_lines
 from cellslam.benchmarks.sweeps.rows import varying_keys
-from cellslam.benchmarks.sweeps.store import DATABASE
 from cellslam.benchmarks.sweeps.tasks import plan
 from cellslam.benchmarks.tables.summaries import Layout
 from cellslam.cli.main import main
@@ -161,14 +158,6 @@ def test_formats(folder: Path, capfd: pytest.CaptureFixture[str]) -> None:
     assert "| -5.10 | -5.10 to -5.10 |" in compared and "Wilcoxon" in compared
 
 
-def test_a_table_says_why_there_are_no_intervals(
-    folder: Path, scenarios: Path, capfd: pytest.CaptureFixture[str]
-) -> None:
-    why = "no interval where there are fewer than 5 trials"
-    assert why in shown(capfd, scenarios, "--interval") and why not in shown(capfd, scenarios)
-    assert why not in shown(capfd, folder, "--interval")
-
-
 WRONG = {
     "folder": (("/none",), "no results of a run or sweep there"),
     "key": (("--rows", "radio.laod"), "unknown key 'radio.laod'; did you mean 'radio.load'"),
@@ -187,25 +176,3 @@ def test_wrong_request_is_one_line(folder: Path, capfd: pytest.CaptureFixture[st
     assert main(["table", *line]) == 2
     out, err = capfd.readouterr()
     assert out == "" and err.count("\n") == 1 and expected in err
-
-
-def test_a_hundred_thousand_rows_take_two_seconds(folder: Path, tmp_path: Path) -> None:
-    with sqlite3.connect(folder / DATABASE) as source, sqlite3.connect(tmp_path / DATABASE) as target:
-        source.backup(target)
-        columns = [c[1] for c in target.execute("PRAGMA table_info(rows)")]
-        names = ", ".join(f'"{c}"' for c in columns if c not in ("key", "trial"))
-        target.execute("CREATE TEMP TABLE n AS WITH RECURSIVE c(i) AS (SELECT 0 UNION ALL SELECT i + 1 FROM c"
-                       " WHERE i < 1399) SELECT i FROM c")  # fmt: skip
-        target.execute(
-            f"INSERT INTO rows (key, trial, {names}) SELECT key || i, trial + 100 * (i + 1), {names} FROM rows, n"
-        )
-        count = target.execute("SELECT count(*) FROM rows").fetchone()[0]
-    source.close()
-    target.close()
-    assert count > 1e5
-    begin = time.perf_counter()
-    tidy = summary(tmp_path)
-    seconds = time.perf_counter() - begin
-    assert tidy["trials"].sum() + tidy["failed"].sum() == 6 * count
-    # Alone it takes a second; a busy machine is not what is tested here.
-    assert seconds < 6.0, f"{seconds:.1f} s"

@@ -20,7 +20,7 @@ from cellslam.benchmarks.trials import external_processes
 from cellslam.benchmarks.trials.answers import decoded
 from cellslam.benchmarks.trials.child_process import Limits
 from cellslam.benchmarks.trials.external_processes import ExternalProcesses
-from cellslam.benchmarks.trials.trials import score_recording, score_trial
+from cellslam.benchmarks.trials.trials import score_recording
 from cellslam.cli.main import main
 from cellslam.scenarios.estimator_options import Request, external_request
 from cellslam.sim.recording import Recording
@@ -138,17 +138,6 @@ def test_an_answer_that_is_none(toy_recording: Callable[..., Recording], name: s
     (outcome,) = score_recording(toy_recording(), "toy", [Request(name, getattr(hostile, name), None)], 0, 0).outcomes
     assert outcome.row["status"] == "failed" and WORDS[name] in outcome.row["error"], outcome.row["error"]
     assert not outcome.lost
-
-
-def test_the_same_process_is_used_again_after_an_error_that_it_reports(
-    place: Path, external: ExternalProcesses, toy_recording: Callable[..., Recording]
-) -> None:
-    request, ids = external_request(f"{MODULE}:Complex", None, False), []
-    for trial in range(2):
-        _, outcomes = score_trial(toy_recording, "toy", [request], trial, 0, external)
-        assert next(outcomes).row["status"] == "failed"
-        ids.append(external._alive[request.name].process.pid)
-    assert ids[0] == ids[1]
 
 
 def test_no_more_processes_than_allowed(

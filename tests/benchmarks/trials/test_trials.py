@@ -16,9 +16,7 @@ from cellslam.benchmarks.scores import metrics
 from cellslam.benchmarks.scores.metrics import COST_KEYS, ROW_KEYS
 from cellslam.benchmarks.trials import estimation, trials
 from cellslam.benchmarks.trials.trials import Trial, score_recording
-from cellslam.scenarios import load
 from cellslam.scenarios.estimator_options import Request
-from cellslam.sim.errors import InputError
 from cellslam.sim.frames import integrate_pose
 from cellslam.sim.recording import Recording
 from cellslam.slam.api import Estimate, Setup, Snapshot, VtEstimate
@@ -261,15 +259,6 @@ def test_any_error_in_the_world_of_any_trial_costs_that_trial(monkeypatch: pytes
         assert error.startswith("the world cannot be made: ZeroDivisionError") and "\n" not in error
 
 
-def test_interrupt_is_not_swallowed(toy_recording: Toy) -> None:
-    class Interrupted(Plain):
-        def start(self, setup: Setup, rng: np.random.Generator) -> None:
-            raise KeyboardInterrupt
-
-    with pytest.raises(KeyboardInterrupt):
-        scored(toy_recording(), Interrupted)
-
-
 def test_without_truth_there_are_no_scores(toy_recording: Toy) -> None:
     trial = scored(toy_recording(truth=False), Full)
     row = trial.outcomes[0].row
@@ -292,15 +281,3 @@ def test_same_rows_on_any_number_of_threads() -> None:
 
     assert numba.config.NUMBA_NUM_THREADS >= 2, "one core: this cannot be tested"
     assert rows(1) == rows(2)
-
-
-def test_the_frame_has_the_columns_of_a_row() -> None:
-    frame = run("tiny", ["dead-reckoning"], 2, 1)
-    assert tuple(frame.columns) == ROW_KEYS
-    assert frame["trial"].tolist() == [0, 1]
-    assert frame["clock_offset_rmse_m"].isna().all()
-    assert frame["position_rmse_m"].dtype == np.float64
-    with pytest.raises(InputError, match="trials = 0"):
-        run("tiny", trials=0)
-    with pytest.raises(InputError, match="already loaded"):
-        run(load("tiny"), overrides={"radio.load": 0.1})
