@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import warnings
+from contextlib import closing
 from typing import Any
 
 import gymnasium as gym
@@ -48,19 +49,13 @@ def test_same_seed_same_episode() -> None:
     assert not np.array_equal(other["paths"], first["paths"])
 
 
-def test_observation_holds_a_snapshot_exactly() -> None:
+def test_observation_holds_a_snapshot_exactly_or_its_strongest_paths() -> None:
     for t, snapshot in enumerate(snapshots_of(tiny_drive())[:50]):
         back = snapshot_of(observation(snapshot, 0.1, *np.zeros((3, 6)), 64), t, int(snapshot.row[0]))
         for name, value in vars(snapshot).items():
             np.testing.assert_array_equal(getattr(back, name), value, err_msg=name)
-
-
-def test_strongest_paths_are_kept() -> None:
-    snapshot = snapshots_of(tiny_drive())[0]
-    few = observation(snapshot, 0.1, *np.zeros((3, 6)), 5)
-    assert few["mask"].sum() == 5
-    np.testing.assert_array_equal(np.sort(few["paths"][:, 3]), np.sort(snapshot.snr_db)[-5:])
-    assert (np.diff(few["link"]) >= 0).all()
+        few = observation(snapshot, 0.1, *np.zeros((3, 6)), 5)
+        np.testing.assert_array_equal(np.sort(few["paths"][few["mask"] > 0, 3]), np.sort(snapshot.snr_db)[-5:])
 
 
 def test_truth_is_in_info_alone_and_rewards_are_errors() -> None:
@@ -122,18 +117,21 @@ def test_an_action_is_counted_in_deviations_of_the_odometry() -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("mode", ["sync", "async"])
-@pytest.mark.parametrize(("name", "key", "shape"), [(NAME, "paths", (2, 128, 7)), (ACTIVE, "route", (2, 10, 2))])
-def test_vectorises(mode: Any, name: str, key: str, shape: tuple[int, ...]) -> None:
+@pytest.mark.parametrize(
+    ("name", "mode", "key", "shape"),
+    [
+        (NAME, "sync", "paths", (2, 128, 7)),
+        (NAME, "async", "paths", (2, 128, 7)),
+        (ACTIVE, "sync", "route", (2, 10, 2)),
+    ],
+)
+def test_vectorises(name: str, mode: Any, key: str, shape: tuple[int, ...]) -> None:
     spawn = {"context": "spawn"} if mode == "async" else {}
-    vector = gym.make_vec(name, num_envs=2, vectorization_mode=mode, vector_kwargs=spawn, drives=2)
-    try:
+    with closing(gym.make_vec(name, num_envs=2, vectorization_mode=mode, vector_kwargs=spawn, drives=2)) as vector:
         seen, _ = vector.reset(seed=[1, 2])
         assert seen[key].shape == shape
         _, rewards, *_ = vector.step(np.zeros(vector.action_space.shape))
         assert rewards.shape == (2,)
-    finally:
-        vector.close()
 
 
 def pursuit(seen: Any) -> Any:
@@ -166,14 +164,12 @@ def test_a_planner_arrives() -> None:
 def test_who_goes_astray_or_stands_is_stopped(action: list[float], words: dict[str, Any], reason: str) -> None:
     env: Any = gym.make(ACTIVE, estimator="dead-reckoning", drives=1, **words).unwrapped
     env.reset(seed=5)
-    ended, cut, steps = False, False, 0
-    while not (ended or cut):
+    for _ in range(200):
         _, reward, ended, cut, info = env.step(np.array(action))
-        steps += 1
-        assert steps < 200
+        if ended or cut:
+            break
     assert info["ended"] == reason
-    assert ended == bool(reason)
-    assert (reward < -15) == bool(reason)
+    assert ended == (not cut) == (reward < -15) == bool(reason)
 
 
 def test_collisions_end_the_drive() -> None:

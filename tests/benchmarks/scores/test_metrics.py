@@ -90,9 +90,8 @@ def test_nees_with_correlation():
 
 def test_without_truth_nothing_applies(make_recording):
     recording = make_recording(seed=3, snapshots=50)
-    bare = type(recording)(**{**recording.__dict__, "truth": None})
-    scores = score(bare, perfect(recording), None)
-    assert set(scores.values()) == {None}
+    bare = dataclasses.replace(recording, truth=None)
+    assert set(score(bare, perfect(recording), None).values()) == {None}
     assert distance_m(bare) is None
 
 
@@ -102,30 +101,21 @@ def test_association_by_worked_numbers():
     true = np.array([5, 5, 5, -1, 5, 6, 6, 6, 5, -1, 5])
     said = np.array([7, 7, -1, 7, 8, 8, 8, -1, 7, 9, 9])
     tracks = tracks_of(link, said, true)
-    assert list(zip(tracks.link, tracks.id, tracks.stands_for, tracks.count, strict=True)) == [
-        (0, 7, 5, 3),
-        (0, 8, 6, 3),
-        (1, 7, 5, 1),
-        (1, 9, 5, 2),  # one measurement of VT 5, one of clutter: the tie goes to the VT
-    ]
-    precision, recall = precision_recall(tracks, true)
+    # Link, id, VT, count. Id 9 has one measurement of VT 5 and one of clutter: the tie goes to the VT.
+    expected = [(0, 7, 5, 3), (0, 8, 6, 3), (1, 7, 5, 1), (1, 9, 5, 2)]
+    assert list(zip(tracks.link, tracks.id, tracks.stands_for, tracks.count, strict=True)) == expected
     # Right: two of id 7 and two of id 8 on link 0, one of id 7 and one of id 9 on link 1.
-    assert precision == pytest.approx(6 / 9) and recall == pytest.approx(6 / 9)
+    assert precision_recall(tracks, true) == pytest.approx((6 / 9, 6 / 9))
 
 
-def test_a_track_of_clutter_stands_for_nothing():
-    link, true, said = np.zeros(4, np.int64), np.array([-1, -1, 0, 0]), np.array([3, 3, 3, -1])
-    tracks = tracks_of(link, said, true)
-    assert tracks.stands_for.tolist() == [-1]
-    assert precision_recall(tracks, true) == (0.0, 0.0)
+def test_what_stands_for_nothing_is_never_right():
+    def of(said, true):
+        said, true = np.array(said, np.int64), np.array(true, np.int64)
+        return precision_recall(tracks_of(np.zeros(len(said), np.int64), said, true), true)
 
-
-def test_no_association_has_no_precision():
-    link, true, none = np.zeros(3, np.int64), np.array([-1, 0, 0]), np.full(3, -1)
-    assert precision_recall(tracks_of(link, none, true), true) == (None, 0.0)
-    assert precision_recall(tracks_of(link[:1], none[:1], true[:1]), true[:1]) == (None, None)
-    empty = np.zeros(0, np.int64)
-    assert precision_recall(tracks_of(empty, empty, empty), empty) == (None, None)
+    assert of([3, 3, 3, -1], [-1, -1, 0, 0]) == (0.0, 0.0)  # a track of clutter
+    assert of([-1, -1, -1], [-1, 0, 0]) == (None, 0.0)
+    assert of([-1], [-1]) == of([], []) == (None, None)
 
 
 def test_transmitter_error_takes_the_track_with_most_measurements(make_recording):

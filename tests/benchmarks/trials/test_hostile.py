@@ -56,16 +56,14 @@ def external() -> Iterator[ExternalProcesses]:
         yield opened
 
 
+def steady(row: dict[str, Any]) -> dict[str, Any]:
+    """Return what must not change: a row without its times; absent numbers are None."""
+    kept = {key: value for key, value in row.items() if key not in (*COST_KEYS, "estimator", "key")}
+    return {key: None if value != value else value for key, value in kept.items()}
+
+
 def asked(*names: str) -> list[str]:
     return [word for name in names for word in ("--estimator", f"{MODULE}:{name}")]
-
-
-def steady(row: dict[str, Any]) -> dict[str, Any]:
-    return {key: value for key, value in row.items() if key not in (*COST_KEYS, "estimator", "key")}
-
-
-def plain(row: dict[str, Any]) -> dict[str, Any]:
-    return {key: None if value != value else value for key, value in row.items()}
 
 
 @cache
@@ -81,7 +79,7 @@ def check(rows: list[dict[str, Any]]) -> None:
         error = found[name]["error"]
         assert found[name]["status"] == "failed" and WORDS[name] in error, (name, error)
         assert "\n" not in error and len(error) < 5000
-    good, dead = (plain(steady(row)) for row in alone())
+    good, dead = (steady(row) for row in alone())
     assert good["status"] == "ok" and good["position_rmse_m"] > 0.0
     assert steady(found["dead-reckoning"]) == dead
     for name in found.keys() & {"Good", *hostile.HARMLESS}:
@@ -113,7 +111,7 @@ def test_in_sweep(place: Path, executor: str) -> None:
     names = ("Patches", "Exits", "Disturbs", "Surrogate", "Good")
     words = ["sweep", "tiny", *SHORT, *asked(*names), "--estimator", "dead-reckoning", *few, "--out", "out"]
     assert main(words) == 1
-    check([plain(row) for row in results(place / "out").to_dict("records")])
+    check(results(place / "out").to_dict("records"))
     with sqlite3.connect(place / "out" / DATABASE) as database:
         (length,) = database.execute("SELECT max(length(traceback)) FROM rows").fetchone()
     database.close()
@@ -151,19 +149,18 @@ def test_no_more_processes_than_allowed(
         assert [outcome.row["status"] for outcome in outcomes] == ["ok"] * 3 and len(external._alive) == 1
 
 
-IMPORTS = {
-    "exits": ("import os; os._exit(4)", "its module cannot be imported: its process ended with exit status 4"),
-    "raises": ("raise KeyboardInterrupt", "its module cannot be imported: KeyboardInterrupt"),
-}
-
-
-@pytest.mark.parametrize("kind", IMPORTS)
-def test_a_module_that_cannot_be_imported(place: Path, kind: str) -> None:
-    source, words = IMPORTS[kind]
+@pytest.mark.parametrize(
+    ("source", "words"),
+    [
+        ("import os; os._exit(4)", "its process ended with exit status 4"),
+        ("raise KeyboardInterrupt", "KeyboardInterrupt"),
+    ],
+)
+def test_a_module_that_cannot_be_imported(place: Path, source: str, words: str) -> None:
     (place / "at_import.py").write_text(source)
-    names = ["at_import:X", "dead-reckoning"]
-    bad, good = run_trials("tiny", names, overrides=SET).to_dict("records")
-    assert (bad["status"], good["status"]) == ("failed", "ok") and words in bad["error"]
+    bad, good = run_trials("tiny", ["at_import:X", "dead-reckoning"], overrides=SET).to_dict("records")
+    assert (bad["status"], good["status"]) == ("failed", "ok")
+    assert f"its module cannot be imported: {words}" in bad["error"]
 
 
 def test_what_is_patched_at_import_stays_there(place: Path) -> None:
