@@ -6,13 +6,10 @@ from collections.abc import Callable
 
 import numpy as np
 import pytest
-from matplotlib.colors import to_hex
-from matplotlib.figure import Figure
 
 from cellslam.sim import recording as contract
 from cellslam.sim.frames import integrate_pose, mean_velocity, wrap_angle
 from cellslam.sim.recording import Floats, Recording
-from cellslam.slam import registry
 from cellslam.slam.model.measurement_model import predict
 
 MakeRecording = Callable[..., Recording]
@@ -40,24 +37,6 @@ def scatter(
     of_site = np.repeat(np.arange(sites), vts_per_site)
     vts = contract.VirtualTransmitters((position[:, None] + around).reshape(-1, 3), of_site, order, facets, none)
     return position, vts, count
-
-
-@pytest.fixture
-def colours(monkeypatch: pytest.MonkeyPatch) -> Callable[[], dict[str, set[str]]]:
-    """Keeps figures from being written; returns the colours of what is labelled as an estimator in those drawn."""
-    drawn: list[Figure] = []
-    monkeypatch.setattr(Figure, "savefig", lambda figure, *_, **__: drawn.append(figure))
-
-    def found() -> dict[str, set[str]]:
-        of: dict[str, set[str]] = {}
-        for axes in (axes for figure in drawn for axes in figure.axes):
-            for handle, label in zip(*axes.get_legend_handles_labels(), strict=True):
-                line = handle[0] if isinstance(handle, tuple) else handle
-                if label in registry.names() and hasattr(line, "get_color"):
-                    of.setdefault(label, set()).add(to_hex(line.get_color()))
-        return of
-
-    return found
 
 
 @pytest.fixture

@@ -40,7 +40,7 @@ def moved(recording: Recording, size: float, lasts_s: float, seed: int) -> Recor
     return replace(recording, measurements=measurements, truth=replace(truth, merging_shift=shift))
 
 
-def test_where_many_are_merged_there_are_two_bounds(make_recording):
+def test_where_many_are_merged_there_are_two_bounds(make_recording, tmp_path):
     recording = moved(make_recording(seed=3, snapshots=150, clutter=0.5), SIZE, LASTS_S, 1)
     truth, true = recording.truth, recording.truth.measurement_vt >= 0
     beyond = np.abs(truth.merging_shift[:, 1]) > 0.5 * truth.measurement_std[:, 1]
@@ -50,6 +50,8 @@ def test_where_many_are_merged_there_are_two_bounds(make_recording):
     np.testing.assert_array_equal(found.pose_covariance, lower.pose_covariance)
     assert found.merged_m == bound(recording, merging=merging(recording)).position_rmse_m
     assert found.merged_m > 1.01 * lower.position_rmse_m
+    recording.save(tmp_path / "drive.h5")
+    np.testing.assert_array_equal(Recording.load(tmp_path / "drive.h5").truth.merging_shift, truth.merging_shift)
 
 
 def test_size_and_duration_of_merging_are_those_of_the_drive(drives):

@@ -134,18 +134,6 @@ def test_clock_figure_shows_estimate_band_and_truth(scene):
     assert not trial_figures.draw_clock_offsets(Figure(), scene.recording, reckoning)
 
 
-@pytest.mark.slow
-def test_all_figures_are_written(scene, tmp_path):
-    city, recording = scene.city, scene.recording
-    written = draw_all(city, recording, scene.results, scene.bound, tmp_path, formats=("png", "pdf"))
-    names = ["map", "error", "associations", "clock_offsets"]
-    assert [path.name for path in written] == [f"{name}.{kind}" for name in names for kind in ("png", "pdf")]
-    for path in written:
-        head = path.read_bytes()[:4]
-        assert head == (b"\x89PNG" if path.suffix == ".png" else b"%PDF")
-        assert path.stat().st_size > 5000
-
-
 def test_a_recording_without_truth_and_measurements_still_has_its_map(make_recording, tmp_path):
     recording = make_recording(snapshots=20, detection=0.0, clutter=0.0)
     poses = recording.truth.poses
