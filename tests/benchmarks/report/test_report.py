@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import itertools
 import json
 import re
 import sys
@@ -22,8 +21,11 @@ from cellslam.benchmarks.sweeps import tasks
 from cellslam.benchmarks.sweeps.rows import results
 from cellslam.benchmarks.sweeps.store import DATABASE
 from cellslam.cli.main import main
+from cellslam.scenarios import load as load_scenario
+from cellslam.sim import world
 from cellslam.sim.errors import InputError
 from cellslam.sim.progress import silent
+from cellslam.sim.rays import trace
 from tests.benchmarks.report.browser import CHROMIUM, DRIVER
 from tests.benchmarks.report.browser import browser as started
 from tests.short_drive import SET, SHORT
@@ -88,15 +90,12 @@ def test_summary_and_curves_hold_the_medians(folder: Path, said: dict[str, Any])
 
 
 def test_worst_trials_are_the_worst_each_once(folder: Path) -> None:
-    frame = results(folder)
-    data = load(folder)
-    found = worst_trials(data, Choice(worst=3, estimators=("fastslam", "dead-reckoning")))
-    assert len(found) == 6
-    for name, part in (("fastslam", found[:3]), ("dead-reckoning", found[3:])):
+    frame, data, names = results(folder), load(folder), ("fastslam", "dead-reckoning")
+    found = worst_trials(data, Choice(worst=3, estimators=names))
+    for name, part in zip(names, (found[:3], found[3:]), strict=True):
         own = frame[(frame["estimator"] == name) & (frame["status"] == "ok")]
-        expected = own.groupby("trial")["position_rmse_m"].max().sort_values(ascending=False)
-        assert [one.value for one in part] == expected.tolist()[:3]
-        assert [one.trial for one in part] == expected.index.tolist()[:3]
+        worst = own.groupby("trial")["position_rmse_m"].max().nlargest(3)
+        assert {one.trial: one.value for one in part} == worst.to_dict()
     # Not asked for: the estimator of the lowest median, dead reckoning aside; more precision is better.
     assert {one.label.partition(",")[0] for one in worst_trials(data, Choice())} == {"fastslam"}
     precise = worst_trials(data, Choice(worst=1, metric="association_precision"))
@@ -104,26 +103,22 @@ def test_worst_trials_are_the_worst_each_once(folder: Path) -> None:
     assert worst_trials(data, Choice(worst=0)) == []
 
 
-def test_sections_show_the_world_of_the_trial(folder: Path, said: dict[str, Any]) -> None:
-    from cellslam.scenarios import load as load_scenario
-    from cellslam.sim.rays import trace
-    from cellslam.sim.world import prepare
-
+def test_sections_show_the_world_of_the_trial(said: dict[str, Any]) -> None:
     trial = said["trials"][0]
     loaded = float(trial["settings"].rpartition(" = ")[2])
-    world = prepare(load_scenario("tiny", {**SET, "radio.load": loaded}).world, 0, trial["trial"])
-    scene, steps = trial["scene"], len(trial["time"])
-    assert steps == len(world.drive.poses) == len(scene["rays"]) == len(scene["visible"])
-    np.testing.assert_allclose(scene["truth"], world.drive.poses[:, :3].T, atol=0.006)
+    made = world.prepare(load_scenario("tiny", {**SET, "radio.load": loaded}).world, 0, trial["trial"])
+    scene, steps, poses = trial["scene"], len(trial["time"]), made.drive.poses
+    assert steps == len(poses) == len(scene["rays"]) == len(scene["visible"])
+    np.testing.assert_allclose(scene["truth"], poses[:, :3].T, atol=0.006)
     step = 40
-    paths = trace(world.scene, world.sites_m, world.drive.poses[[step], :3], 1)
+    paths = trace(made.scene, made.sites_m, poses[[step], :3], 1)
     rays = scene["rays"][step]
     assert len(rays) == len(paths) >= 3
-    for ray, path in zip(rays, range(len(paths)), strict=True):
-        # Kind; site, mirror point and vehicle: the length of the ray is the length of the path.
-        corners = [world.sites_m[ray[1]], *np.reshape(ray[2:], (-1, 3)), world.drive.poses[step, :3]]
-        length = sum(float(np.linalg.norm(a - b)) for a, b in itertools.pairwise(corners))
-        assert ray[0] == paths.order[path] and len(ray) == 2 + 3 * paths.order[path]
+    for path, (order, site, *corners) in enumerate(rays):
+        # Site, mirror point and vehicle: the length of the ray is the length of the path.
+        points = np.array([made.sites_m[site], *np.reshape(corners, (-1, 3)), poses[step, :3]])
+        assert order == paths.order[path] == len(points) - 2
+        length = np.linalg.norm(np.diff(points, axis=0), axis=1).sum()
         assert length == pytest.approx(paths.length_m[path], abs=0.2)
     seen = np.array(scene["vts"]).T[scene["visible"][step]]
     np.testing.assert_allclose(seen, paths.vt_position_m, atol=0.06)
@@ -150,35 +145,30 @@ def test_sections_show_what_was_estimated(folder: Path, said: dict[str, Any]) ->
 
 
 def test_a_world_that_is_not_the_same_is_not_shown(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    from cellslam.sim import world
-
     real = world.prepare
-    monkeypatch.setattr(world, "prepare", lambda config, seed, trial: real(config, seed, trial + 1))
-    trial = content(folder, Choice(worst=1), silent)["trials"][0]
-    assert trial["scene"] == {} and "not the one of the sweep" in trial["note"] and len(trial["estimates"]) == 3
 
     def gone(*_: Any) -> None:
         raise InputError("city.mesh = x.ply: no such file")
 
-    monkeypatch.setattr(world, "prepare", gone)
-    trial = content(folder, Choice(worst=1), silent)["trials"][0]
-    assert trial["scene"] == {} and "no such file" in trial["note"]
+    for made, why in (
+        (lambda c, seed, trial: real(c, seed, trial + 1), "not the one of the sweep"),
+        (gone, "such file"),
+    ):
+        monkeypatch.setattr(world, "prepare", made)
+        trial = content(folder, Choice(worst=1), silent)["trials"][0]
+        assert trial["scene"] == {} and why in trial["note"] and len(trial["estimates"]) == 3
 
 
-def test_city_is_cut_to_whole_buildings_and_flat_ground(folder: Path) -> None:
-    from cellslam.scenarios import load as load_scenario
-    from cellslam.sim.world import prepare
-
-    city = prepare(load_scenario("tiny", SET).world, 0, 0).scene.city
-    whole, part = mesh_of(city, np.array([[-1e4, -1e4], [1e4, 1e4]])), mesh_of(city, np.array([[-60, -60], [60, 60]]))
+def test_city_is_cut_to_whole_buildings_and_flat_ground() -> None:
+    city = world.prepare(load_scenario("tiny", SET).world, 0, 0).scene.city
+    whole, part = (mesh_of(city, half_m * np.array([[-1.0, -1.0], [1.0, 1.0]])) for half_m in (1e4, 60))
     buildings = city.facets.building[city.triangle_facet] >= 0
     count, fewer = (sum(len(one["i"]) for one in mesh["parts"][1:]) for mesh in (whole, part))
     assert count == np.count_nonzero(buildings) > fewer > 0
     ground, *walls = part["parts"]
     assert ground["name"] == "ground" and ground["x"] == [-60, 60, 60, -60]
     assert {one["name"] for one in walls} <= {"concrete", "brick", "glass", "metal"} and len(walls) > 1
-    for one in walls:
-        assert max(one["k"]) < len(one["x"]) and set(one["bright"]) <= set(range(10))
+    assert all(max(one["k"]) < len(one["x"]) and set(one["bright"]) <= set(range(10)) for one in walls)
 
 
 def test_data_cannot_leave_their_element() -> None:
@@ -190,16 +180,15 @@ def test_data_cannot_leave_their_element() -> None:
 
 def test_wrong_requests_are_one_line(folder: Path, tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
     for words, expected in (
-        (("--metric", "rmse"), "unknown metric 'rmse'"),
-        (("--estimator", "fastslma"), "unknown estimator 'fastslma'; did you mean 'fastslam'"),
-        (("--worst", "99"), "--worst 99: must be 0 to 12"),
-        (("--out", str(tmp_path)), "is a folder"),
+        ((folder, "--metric", "rmse"), "unknown metric 'rmse'"),
+        ((folder, "--estimator", "fastslma"), "unknown estimator 'fastslma'; did you mean 'fastslam'"),
+        ((folder, "--worst", "99"), "--worst 99: must be 0 to 12"),
+        ((folder, "--out", tmp_path), "is a folder"),
+        ((tmp_path,), "no results of a run or sweep there"),
     ):
-        assert main(["report", str(folder), *words]) == 2
+        assert main(["report", *map(str, words)]) == 2
         err = capfd.readouterr().err
         assert err.count("\n") == 1 and expected in err
-    assert main(["report", str(tmp_path)]) == 2
-    assert "no results of a run or sweep there" in capfd.readouterr().err
 
 
 def test_without_trajectories_the_rows_are_told(folder: Path, tmp_path: Path) -> None:
