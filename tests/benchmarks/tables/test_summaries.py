@@ -85,8 +85,6 @@ def test_columns_and_intervals(folder: Path) -> None:
     tidy = summary(folder, Layout(("estimator",), "radio.load", confidence=0.95))
     assert list(tidy.columns[:2]) == ["estimator", "radio.load"] and set(tidy["metric"]) == {"position_rmse_m"}
     assert len(tidy) == 4 and (tidy["low"] < tidy["value"]).all() and (tidy["value"] < tidy["high"]).all()
-    only = summary(folder, Layout(("estimator",), statistics=("mean",), metrics=("nees_mean",), confidence=0.9))
-    assert only["value"].isna().all() and only["values"].tolist() == [0, 0]
 
 
 def test_the_bound_of_the_drives_stands_beside_the_estimators(

@@ -4,7 +4,7 @@ import dataclasses
 import json
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any, ClassVar
+from typing import Any
 
 import numba
 import numpy as np
@@ -17,32 +17,15 @@ from cellslam.benchmarks.scores.metrics import COST_KEYS, ROW_KEYS
 from cellslam.benchmarks.trials import estimation, trials
 from cellslam.benchmarks.trials.trials import Trial, score_recording
 from cellslam.scenarios.estimator_options import Request
-from cellslam.sim.frames import integrate_pose
 from cellslam.sim.recording import Recording
 from cellslam.slam.api import Estimate, Setup, Snapshot, VtEstimate
+from tests.benchmarks.trials.hostile_estimators import Good, raising
 from tests.short_drive import SET
 
 Toy = Callable[..., Recording]
 
 
-class Plain:
-    """Integrates the odometry; the base of the misbehaving ones."""
-
-    name: ClassVar[str] = "plain"
-    requires_truth: ClassVar[bool] = False
-
-    def __init__(self, options: Any) -> None:
-        self.options = options
-
-    def start(self, setup: Setup, rng: np.random.Generator) -> None:
-        self.setup, self.rng, self.pose = setup, rng, setup.start_pose
-
-    def step(self, dt_s: float, odometry: Any, snapshot: Snapshot) -> Estimate:
-        self.pose = integrate_pose(self.pose, odometry, dt_s)
-        return Estimate(self.pose, np.eye(6))
-
-
-class Full(Plain):
+class Full(Good):
     """Answers everything that can be answered."""
 
     def step(self, dt_s: float, odometry: Any, snapshot: Snapshot) -> Estimate:
@@ -55,11 +38,6 @@ class Full(Plain):
             clock_offset_variance_m2=np.ones(2),
             vts=vts if snapshot.index == 39 else None,
         )
-
-
-class Draws(Plain):
-    def step(self, dt_s: float, odometry: Any, snapshot: Snapshot) -> Estimate:
-        return Estimate(self.setup.start_pose + self.rng.normal(size=6), np.eye(6))
 
 
 def request(estimator: type[Any], options: Any = None) -> Request:
@@ -75,11 +53,11 @@ def without_costs(row: dict[str, Any]) -> dict[str, Any]:
 
 
 def test_row_has_the_keys_and_is_plain_json(toy_recording: Toy) -> None:
-    (plain, full) = (outcome.row for outcome in scored(toy_recording(), Plain, Full).outcomes)
+    (plain, full) = (outcome.row for outcome in scored(toy_recording(), Good, Full).outcomes)
     for row in (plain, full):
         assert tuple(row) == ROW_KEYS
         assert json.loads(json.dumps(row, allow_nan=False)) == row
-    named = {"scenario": "toy", "estimator": "plain", "trial": 2, "seed": 4, "status": "ok", "error": None}
+    named = {"scenario": "toy", "estimator": "good", "trial": 2, "seed": 4, "status": "ok", "error": None}
     assert plain.items() >= {**named, "snapshots": 40, "clock_offset_rmse_m": None, "map_gospa_m": None}.items()
     assert (plain["duration_s"], plain["distance_m"]) == pytest.approx((4.0, 3.9), rel=1e-3)
     assert plain["bound_position_rmse_m"] > 0
@@ -89,7 +67,7 @@ def test_row_has_the_keys_and_is_plain_json(toy_recording: Toy) -> None:
 def test_what_is_not_finite_becomes_null(toy_recording: Toy, monkeypatch: pytest.MonkeyPatch) -> None:
     scores = {"position_rmse_m": np.float64(np.nan), "position_max_m": np.inf, "position_end_m": np.float64(1)}
     monkeypatch.setattr(metrics, "score", lambda *_: scores)
-    row = scored(toy_recording(), Plain).outcomes[0].row
+    row = scored(toy_recording(), Good).outcomes[0].row
     assert (row["position_rmse_m"], row["position_max_m"], row["position_end_m"]) == (None, None, 1.0)
     assert type(row["position_end_m"]) is float
 
@@ -105,27 +83,27 @@ def test_answers_are_collected_in_the_order_of_the_recording(toy_recording: Toy)
 
 def test_same_seed_and_trial_same_draws(toy_recording: Toy) -> None:
     recording = toy_recording()
-    first, again = (without_costs(o.row) for o in scored(recording, Draws, Draws).outcomes)
+    first, again = (without_costs(o.row) for o in scored(recording, Good, Good).outcomes)
     assert first == again
-    others = (scored(recording, Draws, seed=5), scored(recording, Draws, trial=3))
+    others = (scored(recording, Good, seed=5), scored(recording, Good, trial=3))
     assert len({first["position_rmse_m"], *(t.outcomes[0].row["position_rmse_m"] for t in others)}) == 3
 
 
 @pytest.mark.skipif(not Path("/proc/self/clear_refs").exists(), reason="this system cannot tell")
 def test_runner_says_how_much_memory_the_estimator_took(toy_recording: Toy) -> None:
-    class Large(Plain):
+    class Large(Good):
         def start(self, setup: Setup, rng: np.random.Generator) -> None:
             super().start(setup, rng)
             np.ones(25_000_000)  # 200 MB, let go at once
 
-    before, large, after = (o.row["peak_memory_mb"] for o in scored(toy_recording(), Plain, Large, Plain).outcomes)
+    before, large, after = (o.row["peak_memory_mb"] for o in scored(toy_recording(), Good, Large, Good).outcomes)
     assert large == pytest.approx(200.0, abs=10.0) and before < 10.0 and after < 10.0
 
 
 def test_runner_takes_the_time_of_the_estimator_alone(toy_recording: Toy, monkeypatch: pytest.MonkeyPatch) -> None:
     clock = [0.0]
 
-    class Slow(Plain):
+    class Slow(Good):
         def warm_up(self) -> None:
             clock[0] += 1000.0
 
@@ -152,7 +130,7 @@ def test_runner_takes_the_time_of_the_estimator_alone(toy_recording: Toy, monkey
 def test_observables_only_and_read_only(toy_recording: Toy) -> None:
     recording, seen = toy_recording(), list[Any]()
 
-    class Curious(Plain):
+    class Curious(Good):
         def step(self, dt_s: float, odometry: Any, snapshot: Snapshot) -> Estimate:
             seen.append(self.setup.truth)
             recorded = (recording.odometry, recording.measurements.distance_m, recording.start_pose)
@@ -172,35 +150,19 @@ def test_observables_only_and_read_only(toy_recording: Toy) -> None:
     assert oracle.result is not None and oracle.result.oracle
 
 
-class Raises(Plain):
-    def step(self, dt_s: float, odometry: Any, snapshot: Snapshot) -> Estimate:
-        if snapshot.index == 7:
-            raise ZeroDivisionError("no such\nthing")
-        return super().step(dt_s, odometry, snapshot)
+class Raises(Good):
+    odd = raising(ZeroDivisionError("no such\nthing"))
 
 
-class Exits(Plain):
-    def warm_up(self) -> None:
-        raise SystemExit(3)
-
-
-@pytest.mark.parametrize(
-    ("estimator", "words"),
-    [
-        (Raises, ["ZeroDivisionError: no such thing", "snapshot 7", "test_trials.py, line", "in step"]),
-        (Exits, ["SystemExit: 3", "in warm_up"]),
-    ],
-)
-def test_an_estimator_that_fails_costs_its_own_row_only(
-    toy_recording: Toy, estimator: type[Any], words: list[str]
-) -> None:
-    """What else it may do: test_hostile.py."""
-    bad, good = scored(toy_recording(), estimator, Plain).outcomes
+def test_an_estimator_that_fails_costs_its_own_row_only(toy_recording: Toy) -> None:
+    """How else it may fail: test_hostile.py."""
+    bad, good = scored(toy_recording(), Raises, Good).outcomes
     assert tuple(bad.row) == ROW_KEYS
     assert (bad.row["status"], bad.row["position_rmse_m"], bad.row["snapshots"]) == ("failed", None, 40)
     assert "\n" not in bad.row["error"] and "Traceback" in bad.traceback
-    assert all(word in bad.row["error"] for word in words), bad.row["error"]
-    assert without_costs(good.row) == without_costs(scored(toy_recording(), Plain).outcomes[0].row)
+    for words in ("ZeroDivisionError: no such thing, snapshot 5", "hostile_estimators.py, line", "in odd"):
+        assert words in bad.row["error"]
+    assert without_costs(good.row) == without_costs(scored(toy_recording(), Good).outcomes[0].row)
 
 
 def test_any_error_in_the_world_of_any_trial_costs_that_trial(monkeypatch: pytest.MonkeyPatch) -> None:
