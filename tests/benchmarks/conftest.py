@@ -2,15 +2,19 @@
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Callable
+from pathlib import Path
 
 import numpy as np
 import pytest
 
+from cellslam.benchmarks.sweeps import tasks
 from cellslam.sim import recording as contract
 from cellslam.sim.frames import integrate_pose, mean_velocity, wrap_angle
 from cellslam.sim.recording import Floats, Recording
 from cellslam.slam.model.measurement_model import predict
+from tests.benchmarks.trials.hostile_estimators import MISFITS
 
 MakeRecording = Callable[..., Recording]
 
@@ -37,6 +41,17 @@ def scatter(
     of_site = np.repeat(np.arange(sites), vts_per_site)
     vts = contract.VirtualTransmitters((position[:, None] + around).reshape(-1, 3), of_site, order, facets, none)
     return position, vts, count
+
+
+@pytest.fixture
+def place(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """The current folder, in which there is a module `misfits`: the hostile estimators."""
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(sys, "path", list(sys.path))
+    monkeypatch.delitem(sys.modules, "misfits", raising=False)
+    tasks.request_of.cache_clear()
+    (tmp_path / "misfits.py").write_text(MISFITS, "utf-8")
+    return tmp_path
 
 
 @pytest.fixture

@@ -10,8 +10,10 @@ from typing import Any
 
 import numpy as np
 import pytest
+from matplotlib.colors import to_hex
 from matplotlib.figure import Figure
 
+from cellslam.benchmarks.figures.style import colour_of
 from cellslam.benchmarks.figures.sweep.sweep_data import CurveChoice, load, sweep_lines
 from cellslam.benchmarks.figures.sweep.sweep_figures import bound_lines, draw_curve, draw_sweep
 from cellslam.benchmarks.sweeps.store import DATABASE
@@ -60,6 +62,7 @@ def test_the_bound_of_the_drives_is_in_the_curve(folder: Path, metric: str, boun
     drawn = [line for line in figure.axes[0].get_lines() if line.get_label() == "Cramér-Rao bound"]
     assert [list(line.get_ydata()) for line in drawn] == [pytest.approx(values) for values in bounds]
     assert all(list(line.get_xdata()) == [0.01, 1.0] for line in drawn)
+    assert to_hex(colour_of("fastslam")) in {to_hex(line.get_color()) for line in figure.axes[0].get_lines()}
 
 
 def test_worlds_that_differ_in_more_than_x_have_bounds_of_their_own(folder: Path) -> None:

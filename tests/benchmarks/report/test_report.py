@@ -11,7 +11,9 @@ from typing import Any
 
 import numpy as np
 import pytest
+from matplotlib.colors import to_hex
 
+from cellslam.benchmarks.figures.style import colour_of
 from cellslam.benchmarks.figures.sweep.sweep_data import load
 from cellslam.benchmarks.report.page import embedded
 from cellslam.benchmarks.report.report_content import content
@@ -72,21 +74,21 @@ def test_summary_and_curves_hold_the_medians(folder: Path, said: dict[str, Any])
             continue
         own = ok[(ok["radio.load"] == loaded) & (ok["estimator"] == label.partition(",")[0])]
         own = own[own[PARTICLES] == float(label.rpartition("= ")[2])] if "=" in label else own
-        assert line["ok"] == len(own) == 6
-        assert line["cells"][0][0] == pytest.approx(own["position_rmse_m"].median(), abs=6e-4)
-        assert line["cells"][0][1] <= line["cells"][0][0] <= line["cells"][0][2]
+        (median, low, high), (ratio, *_) = line["cells"][:2]
+        assert line["ok"] == len(own) == 6 and low <= median <= high
+        assert median == pytest.approx(own["position_rmse_m"].median(), abs=6e-4)
         squares = own[["position_rmse_m", "bound_position_rmse_m"]].pow(2).sum()
-        assert line["cells"][1][0] == pytest.approx(np.sqrt(squares.iloc[0] / squares.iloc[1]), abs=6e-3)
+        assert ratio == pytest.approx(np.sqrt(squares.iloc[0] / squares.iloc[1]), abs=6e-3)
     # Four estimators are six pairs, with each load and over both.
-    assert [text.split(":")[0] for text in said["ranks"]["told_apart"]] == [
-        "radio.load = 0.1", "radio.load = 1", "overall",
-    ]  # fmt: skip
-    assert all(" of 6 pairs" in text for text in said["ranks"]["told_apart"])
+    told_apart = [text.partition(":") for text in said["ranks"]["told_apart"]]
+    assert [where for where, *_ in told_apart] == ["radio.load = 0.1", "radio.load = 1", "overall"]
+    assert all(" of 6 pairs" in text for *_, text in told_apart)
     curves = {curve["key"]: curve["lines"] for curve in said["curves"]}
     assert set(curves) == {"radio.load", PARTICLES}
     along = {line["name"]: line["metrics"].get("position_rmse_m", [[]])[0] for line in curves[PARTICLES]}
     assert along["fastslam, radio.load = 1"] == [10, 40] and along["dead-reckoning, radio.load = 1"] == [None]
-    assert [p["title"] for p in said["panels"]] == ["radio.load = 0.1", "radio.load = 1"]
+    drawn = [(line["name"], line["colour"]) for lines in curves.values() for line in lines]
+    assert {c for name, c in drawn if name.startswith("dead-reckoning")} == {to_hex(colour_of("dead-reckoning"))}
 
 
 def test_worst_trials_are_the_worst_each_once(folder: Path) -> None:

@@ -20,7 +20,8 @@ from cellslam.cli.main import main
 from cellslam.scenarios import simulation
 from cellslam.sim.errors import InputError
 from tests.benchmarks.made_up_sweeps import plan_of
-from tests.benchmarks.sweeps.short_sweeps import HARMLESS_PLUGIN, rows, start, stored, wait_for, words
+from tests.benchmarks.sweeps.short_sweeps import rows, start, stored, wait_for, words
+from tests.benchmarks.trials.hostile_estimators import MISFITS
 from tests.short_drive import SET
 
 
@@ -45,7 +46,7 @@ def test_what_failed_is_done_again_when_that_is_asked_for(place: Path) -> None:
     found = {row["estimator"].removeprefix("misfits:"): row for row in rows("out")}
     assert found["Hangs"]["error"] == "no answer within the time limit of 2 s; alone it was lost again"
     assert found["Exits"]["error"] == "its process ended with exit status 7; alone it was lost again"
-    (place / "misfits.py").write_text(HARMLESS_PLUGIN)
+    (place / "misfits.py").write_text(MISFITS.replace("NOW = 5", "NOW = -1"))
     tasks.request_of.cache_clear()
     assert main(words(*names, trials=1, more=("--executor", "serial"))) == 1
     assert {row["estimator"].removeprefix("misfits:"): row for row in rows("out")} == found

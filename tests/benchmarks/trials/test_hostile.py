@@ -27,8 +27,7 @@ from cellslam.sim.recording import Recording
 from tests.benchmarks.trials import hostile_estimators as hostile
 from tests.short_drive import SET, SHORT
 
-FILE = Path(hostile.__file__)
-MODULE = "hostile_estimators"
+MODULE = "misfits"
 LIMITS = Limits(2.5, 3 * 2**29)
 # Of all those in the module, the ones that are driven through the commands; and those that need their process to end.
 COMMANDS = ("Surrogate", "NoWords", "Long", "OwnBase", "Exits", "Garbage", "Far", "TwoDimensionalIds")
@@ -40,13 +39,6 @@ PROCESSES = (
 
 WORDS = {**{name: said for name, (_, said) in hostile.ODD.items()}, **hostile.ELSEWHERE}
 ANSWERS = [name for name in WORDS if name not in (*COMMANDS, *PROCESSES)]
-
-
-@pytest.fixture
-def place(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    monkeypatch.chdir(tmp_path)
-    (tmp_path / f"{MODULE}.py").write_text(FILE.read_text("utf-8"), "utf-8")
-    return tmp_path
 
 
 @pytest.fixture(scope="module")
@@ -165,7 +157,7 @@ def test_a_module_that_cannot_be_imported(place: Path, source: str, words: str) 
 
 def test_what_is_patched_at_import_stays_there(place: Path) -> None:
     patch = "from cellslam.benchmarks.scores import metrics\nmetrics.score = lambda *_: {}\n"
-    (place / "patching.py").write_text(f"{FILE.read_text('utf-8')}\n{patch}", "utf-8")
+    (place / "patching.py").write_text(f"{hostile.MISFITS}\n{patch}", "utf-8")
     rows = run_trials("tiny", ["patching:Good", "dead-reckoning"], overrides=SET).to_dict("records")
     assert all(row["position_rmse_m"] > 0.0 for row in rows)
 
