@@ -60,23 +60,22 @@ def test_a_perfect_estimate_scores_perfectly(make_recording):
 def test_shifted_estimate_by_worked_numbers(make_recording):
     recording = make_recording(seed=2, snapshots=4)
     result = perfect(recording)
-    poses = result.poses.copy()
-    poses[:, 0] += [0, 3, 0, 3]
-    poses[:, 1] += [0, 4, 0, -4]
-    poses[:, 2] += 100.0
-    poses[:, 3] += [2 * np.pi, 0.2, -2 * np.pi + 0.2, 0]
+    shift = np.zeros((4, 6))
+    shift[:, :4] = [[0, 0, 100, 2 * np.pi], [3, 4, 100, 0.2], [0, 0, 100, -2 * np.pi + 0.2], [3, -4, 100, 0]]
     covariances = np.tile(np.diag([1.0, 4.0, 1, 1, 1, 1]), (4, 1, 1))
     covariances[0] = 0
     offsets = result.clock_offset_m + 99.0
     offsets[-1] = np.add(recording.truth.clock_offsets_m, [3.0, -4.0])
+    poses = result.poses + shift
     changed = dataclasses.replace(result, poses=poses, covariances=covariances, clock_offset_m=offsets)
+    expected = {
+        "position_rmse_m": np.sqrt(50 / 4), "position_max_m": 5.0, "position_end_m": 5.0,
+        "heading_rmse_rad": np.sqrt(0.08 / 4), "clock_offset_rmse_m": np.sqrt(12.5),
+        # The first snapshot has a singular covariance and does not count: (9 + 16/4, 0, 9 + 16/4) / 3.
+        "nees_mean": 26 / 3,
+    }  # fmt: skip
     scores = score(recording, changed, None)
-    assert scores["position_rmse_m"] == pytest.approx(np.sqrt(50 / 4))
-    assert scores["position_max_m"] == pytest.approx(5.0) and scores["position_end_m"] == pytest.approx(5.0)
-    assert scores["heading_rmse_rad"] == pytest.approx(np.sqrt(0.08 / 4))
-    # The first snapshot has a singular covariance and does not count: (9 + 16/4, 0, 9 + 16/4) / 3.
-    assert scores["nees_mean"] == pytest.approx(26 / 3)
-    assert scores["clock_offset_rmse_m"] == pytest.approx(np.sqrt(12.5))
+    assert {key: scores[key] for key in expected} == pytest.approx(expected)
     assert scores["bound_position_rmse_m"] is None
 
 
@@ -123,13 +122,11 @@ def test_transmitter_error_takes_the_track_with_most_measurements(make_recording
     count, site = len(recording.measurements), recording.truth.site_positions_m[0]
     association = np.where(np.arange(count) < count // 3, 1, 2)
     position = site + np.array([[50, 0, 0], [0, 3, 4], [0, 0, 0]])
-    vts = VtEstimate(np.array([1, 2, 2]), np.array([0, 0, 9]), position, np.tile(np.eye(3), (3, 1, 1)))
-    result = dataclasses.replace(perfect(recording), association=association, vts=vts)
-    assert score(recording, result, None)["transmitter_rmse_m"] == pytest.approx(5.0)
-    # Once that one is dropped, the other stands for the site; without any the score is null.
-    for ids, expected in ((np.array([1, 3, 2]), 50.0), (np.array([4, 3, 2]), None)):
-        changed = dataclasses.replace(result, vts=dataclasses.replace(vts, id=ids))
-        assert score(recording, changed, None)["transmitter_rmse_m"] == (expected and pytest.approx(expected))
+    # Once the second is dropped, the first stands for the site; without any the score is null.
+    for ids, expected in (((1, 2, 2), 5.0), ((1, 3, 2), 50.0), ((4, 3, 2), None)):
+        vts = VtEstimate(np.array(ids), np.array([0, 0, 9]), position, np.tile(np.eye(3), (3, 1, 1)))
+        result = dataclasses.replace(perfect(recording), association=association, vts=vts)
+        assert score(recording, result, None)["transmitter_rmse_m"] == (expected and pytest.approx(expected))
 
 
 def test_links_of_a_site_may_share_a_map(make_recording):

@@ -62,7 +62,7 @@ class OwnError(BaseException):
 
 
 def raising(error: Any) -> Any:
-    def odd(self: Any, answer: Estimate, snapshot: Snapshot) -> Any:
+    def odd(*_: Any) -> Any:
         raise error() if callable(error) else error
 
     return odd
@@ -170,43 +170,17 @@ ODD: dict[str, tuple[Any, str]] = {
         answering(clock_offset_variance_m2=lambda _: np.full(2, -1.0)),
         "clock_offset_variance_m2 holds -1: a variance is not negative",
     ),
+    "Constructor": (raising(OwnError("not made")), "OwnError: not made"),
+    "HangsAtStart": (lambda *_: hang(None), NO_ANSWER),
+    "WarmUpExits": (lambda _: os._exit(5), "its process ended with exit status 5"),
+    "FinishOfAnotherShape": (lambda _: np.zeros((3, 6)), "finish(): poses has shape (3, 6)"),
+    "RemarksANumber": (lambda _: 7, "remarks() returned int, expected a list of lines of text"),
 }
+# The methods that are odd in place of an answer.
+METHODS = {"Constructor": "__init__", "HangsAtStart": "start", "WarmUpExits": "warm_up"}
+METHODS |= {"FinishOfAnotherShape": "finish", "RemarksANumber": "remarks"}
 for _name, (_odd, _) in ODD.items():
-    globals()[_name] = type(_name, (Good,), {"odd": _odd, "__module__": __name__})
-
-
-class Constructor(Good):
-    def __init__(self, options: Any) -> None:
-        raise OwnError("not made")
-
-
-class HangsAtStart(Good):
-    def start(self, setup: Setup, rng: np.random.Generator) -> None:
-        hang(self)
-
-
-class WarmUpExits(Good):
-    def warm_up(self) -> None:
-        os._exit(5)
-
-
-class FinishOfAnotherShape(Good):
-    def finish(self) -> Any:
-        return np.zeros((3, 6))
-
-
-class RemarksANumber(Good):
-    def remarks(self) -> Any:
-        return 7
-
-
-ELSEWHERE = {
-    "Constructor": "OwnError: not made",
-    "HangsAtStart": NO_ANSWER,
-    "WarmUpExits": "its process ended with exit status 5",
-    "FinishOfAnotherShape": "finish(): poses has shape (3, 6)",
-    "RemarksANumber": "remarks() returned int, expected a list of lines of text",
-}
+    globals()[_name] = type(_name, (Good,), {METHODS.get(_name, "odd"): _odd, "__module__": __name__})
 
 
 # Those that follow answer rightly, and must have the row of `Good`: what they do stays with them.

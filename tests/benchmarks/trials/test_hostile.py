@@ -37,7 +37,7 @@ PROCESSES = (
 )
 
 
-WORDS = {**{name: said for name, (_, said) in hostile.ODD.items()}, **hostile.ELSEWHERE}
+WORDS = {name: said for name, (_, said) in hostile.ODD.items()}
 ANSWERS = [name for name in WORDS if name not in (*COMMANDS, *PROCESSES)]
 
 

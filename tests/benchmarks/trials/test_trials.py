@@ -16,7 +16,9 @@ from cellslam.benchmarks.scores import metrics
 from cellslam.benchmarks.scores.metrics import COST_KEYS, ROW_KEYS
 from cellslam.benchmarks.trials import estimation, trials
 from cellslam.benchmarks.trials.trials import Trial, score_recording
+from cellslam.scenarios import load
 from cellslam.scenarios.estimator_options import Request
+from cellslam.sim.errors import InputError
 from cellslam.sim.recording import Recording
 from cellslam.slam.api import Estimate, Setup, Snapshot, VtEstimate
 from tests.benchmarks.trials.hostile_estimators import Good, raising
@@ -40,12 +42,9 @@ class Full(Good):
         )
 
 
-def request(estimator: type[Any], options: Any = None) -> Request:
-    return Request(estimator.__name__.lower(), estimator, options)
-
-
 def scored(recording: Recording, *estimators: type[Any], seed: int = 4, trial: int = 2) -> Trial:
-    return score_recording(recording, "toy", [request(e) for e in estimators], trial, seed)
+    requests = [Request(one.__name__.lower(), one, None) for one in estimators]
+    return score_recording(recording, "toy", requests, trial, seed)
 
 
 def without_costs(row: dict[str, Any]) -> dict[str, Any]:
@@ -197,3 +196,8 @@ def test_same_rows_on_any_number_of_threads() -> None:
     finally:
         numba.set_num_threads(before)
     pd.testing.assert_frame_equal(*found, check_exact=True)
+
+
+def test_a_scenario_that_is_loaded_takes_no_overrides() -> None:
+    with pytest.raises(InputError, match="already loaded"):
+        run(load("tiny"), overrides={"radio.load": 0.1})
