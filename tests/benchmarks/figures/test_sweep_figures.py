@@ -20,7 +20,6 @@ from cellslam.benchmarks.sweeps.store import DATABASE
 from cellslam.benchmarks.sweeps.tasks import Job, Task, request_of
 from cellslam.benchmarks.sweeps.trajectories import pack, trajectory
 from cellslam.benchmarks.trials.estimation import estimate
-from cellslam.cli.main import main
 from cellslam.sim.recording import Recording
 from tests.benchmarks.made_up_sweeps import made_up, plan_of
 
@@ -86,18 +85,6 @@ def test_a_world_without_the_swept_key_stands_apart(folder: Path, other: float |
         assert [at for at, _ in lines["fastslam, without radio.load"]] == [None]
     else:
         assert {at for at, _ in lines["fastslam"]} == {"0.01", "a text", "-"}
-
-
-def test_wrong_requests_are_one_line(folder: Path, capfd: pytest.CaptureFixture[str]) -> None:
-    for words, expected in (
-        ((folder, "--x", "radio.laod"), "--x radio.laod: not a key that varies (radio.load"),
-        ((folder, "--metric", "x"), "unknown metric 'x'"),
-        ((folder, "--statistic", "x"), "unknown statistic 'x'"),
-        ((folder.parent,), "no results"),
-    ):
-        assert main(["figures", *map(str, words)]) == 2
-        err = capfd.readouterr().err
-        assert err.count("\n") == 1 and expected in err
 
 
 def test_a_sweep_without_trajectories_or_numbers_gives_what_it_can(tmp_path: Path) -> None:

@@ -179,19 +179,6 @@ def test_data_cannot_leave_their_element() -> None:
     assert rounded([[0.126, np.nan], [-0.001, np.inf]]) == [[0.13, None], [0.0, None]]
 
 
-def test_wrong_requests_are_one_line(folder: Path, tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
-    for words, expected in (
-        ((folder, "--metric", "rmse"), "unknown metric 'rmse'"),
-        ((folder, "--estimator", "fastslma"), "unknown estimator 'fastslma'; did you mean 'fastslam'"),
-        ((folder, "--worst", "99"), "--worst 99: must be 0 to 12"),
-        ((folder, "--out", tmp_path), "is a folder"),
-        ((tmp_path,), "no results of a run or sweep there"),
-    ):
-        assert main(["report", *map(str, words)]) == 2
-        err = capfd.readouterr().err
-        assert err.count("\n") == 1 and expected in err
-
-
 def test_without_trajectories_the_rows_are_told(folder: Path, tmp_path: Path) -> None:
     (tmp_path / DATABASE).write_bytes((folder / DATABASE).read_bytes())
     trial = content(tmp_path, Choice(worst=1), silent)["trials"][0]

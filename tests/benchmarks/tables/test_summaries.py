@@ -147,19 +147,32 @@ def test_formats(folder: Path, capfd: pytest.CaptureFixture[str]) -> None:
 
 
 WRONG = [
-    (("/none",), "no results of a run or sweep there"),
-    (("--rows", "radio.laod"), "unknown key 'radio.laod'; did you mean 'radio.load'"),
-    (("--metric", "rmse"), "unknown metric 'rmse'"),
-    (("--interval", "100"), "interval = 100 %"),
-    (("--compare", "fastslam"), "write two estimators"),
-    (("--compare", "a,b", "--statistic", "mean"), "--compare goes with"),
+    ("table", "--rows radio.laod", "unknown key 'radio.laod'; did you mean 'radio.load'"),
+    ("table", "--metric rmse", "unknown metric 'rmse'"),
+    ("table", "--statistic medain", "unknown statistic 'medain'"),
+    ("table", "--interval 100", "interval = 100 %"),
+    ("table", "--compare fastslam", "write two estimators"),
+    ("table", "--compare a,b --statistic mean", "--compare goes with"),
+    ("figures", "--x radio.laod", "--x radio.laod: not a key that varies (radio.load"),
+    ("figures", "--metric x", "unknown metric 'x'"),
+    ("report", "--metric rmse", "unknown metric 'rmse'"),
+    ("report", "--estimator fastslma", "unknown estimator 'fastslma'; did you mean 'fastslam'"),
+    ("report", "--worst 99", "--worst 99: must be 0 to 12"),
+    ("report", "--out /tmp", "is a folder"),
 ]
 
 
-@pytest.mark.parametrize(("words", "expected"), WRONG)
+@pytest.mark.parametrize(("command", "words", "expected"), WRONG)
 def test_wrong_request_is_one_line(
-    folder: Path, capfd: pytest.CaptureFixture[str], words: tuple[str, ...], expected: str
+    folder: Path, capfd: pytest.CaptureFixture[str], command: str, words: str, expected: str
 ) -> None:
-    assert main(["table", *(words if words[0] == "/none" else (str(folder), *words))]) == 2
+    assert main([command, str(folder), *words.split()]) == 2
     out, err = capfd.readouterr()
     assert out == "" and err.count("\n") == 1 and expected in err
+
+
+@pytest.mark.parametrize("command", ["table", "figures", "report", "consistency"])
+def test_a_folder_without_results_is_one_line(tmp_path: Path, capfd: pytest.CaptureFixture[str], command: str) -> None:
+    assert main([command, str(tmp_path)]) == 2
+    err = capfd.readouterr().err
+    assert err.count("\n") == 1 and "no results" in err
