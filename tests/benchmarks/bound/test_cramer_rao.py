@@ -76,11 +76,10 @@ def test_without_measurements_the_bound_is_dead_reckoning_by_hand(make_recording
         scale=(0.02, 0, 0, 0, 0, 0), start_std=(0.3, 0.4, 0, 0, 0, 0),
     )  # fmt: skip
     assert recording.truth is not None
-    none = keep_rows(recording, np.zeros(len(recording.measurements), np.bool_))
+    none = keep_rows(recording, recording.truth.measurement_vt < -1)
     moved = recording.truth.poses[-1, :2] - recording.truth.poses[0, :2]
     factor = 1 / (1 + recording.truth.odometry_scale[0])
-    # start + white noise along the track (density^2 x time) + scale x displacement, in the true velocity's
-    # units.
+    # Start + white noise along the track (density^2 x time) + scale x displacement, in units of the true velocity.
     expected = 0.3**2 + 0.4**2 + (0.1 * factor) ** 2 * 7.5 + (0.02 * factor) ** 2 * (moved**2).sum()
     assert bound(none).horizontal_std_m[-1] ** 2 == pytest.approx(expected, rel=1e-9)
 
@@ -105,8 +104,7 @@ def test_measurements_without_noise_stay_healthy(make_recording, std):
     result = bound(make_recording(seed=10, snapshots=400, ports=3, std=std, start_std=(0, 0, 0, 0, 0, 0)))
     variance = np.einsum("tii->ti", result.pose_covariance)
     assert np.isfinite(variance).all() and (variance >= 0).all()
-    # No VT is seen in the first snapshots, so some of the odometry's error stays for good; the offsets are
-    # found.
+    # No VT is seen in the first snapshots, so some of the odometry's error stays for good; the offsets are found.
     assert 0 < result.position_rmse_m < 0.04 and (result.clock_offset_std_m[-1] < 1e-3).all()
 
 

@@ -17,11 +17,10 @@ from cellslam.sim.recording import Recording
 
 Toy = Callable[..., Recording]
 LOST = """
-from cellslam.slam.api import Estimate
 from cellslam.slam.dead_reckoning import DeadReckoning
 
 class Lost(DeadReckoning):
-    '''Runs sideways at 5 m/s, and says that it is sure.'''
+    '''Runs away at 5 m/s, and does not know.'''
     name = "lost"
 
     def step(self, dt_s, odometry, snapshot):
