@@ -72,7 +72,7 @@ def test_what_the_filter_errs_fits_what_it_is_sure_of(make_recording, drives):
         m, truth = drawn.measurements, replace(drawn.truth, vts=vts, site_positions_m=SITES)
         z = predict(truth.poses[m.snapshot], vts.position_m[truth.measurement_vt])
         z[:, 0] += truth.clock_offsets_m[drawn.links.site[m.link]]
-        z += truth.measurement_std * np.random.default_rng(seed).standard_normal(z.shape)
+        z += truth.measurement_std * np.random.default_rng(seed).standard_normal(z.T.shape).T
         of = replace(m, distance_m=z[:, 0], azimuth_rad=z[:, 1], elevation_rad=z[:, 2])
         return replace(drawn, truth=truth, measurements=of)
 

@@ -99,7 +99,7 @@ def test_a_run_can_be_reported_and_keeps_what_was_there(tmp_path: Path) -> None:
     expected = scores(json.loads((out / "summary.json").read_text())["rows"])
     assert scores(results(out).to_dict("records")) == expected
     assert main(["report", str(out), "--quiet"]) == 0
-    trial = shown(out / "report.html")["trials"][0]
+    trial = shown((out / "report.html").rename(tmp_path / "page.html"))["trials"][0]
     assert trial["label"] == "ekf-slam" and trial["scene"]["city"] and len(trial["estimates"]) == 2
     assert main([*words, "--estimator", "dead-reckoning", "--set", "radio.load=0.9"]) == 0
     assert len(results(out)) == 6

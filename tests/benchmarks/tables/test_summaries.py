@@ -171,7 +171,7 @@ def test_wrong_request_is_one_line(
     assert out == "" and err.count("\n") == 1 and expected in err
 
 
-@pytest.mark.parametrize("command", ["table", "figures", "report", "consistency"])
+@pytest.mark.parametrize("command", ["table", "figures", "report"])
 def test_a_folder_without_results_is_one_line(tmp_path: Path, capfd: pytest.CaptureFixture[str], command: str) -> None:
     assert main([command, str(tmp_path)]) == 2
     err = capfd.readouterr().err

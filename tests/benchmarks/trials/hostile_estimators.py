@@ -192,8 +192,12 @@ class Patches(Good):
     def start(self, setup: Setup, rng: np.random.Generator) -> None:
         super().start(setup, rng)
         for module in [module for name, module in sys.modules.items() if name.startswith("cellslam.benchmarks")]:
-            for name in vars(module).keys() & {"score", "horizontal_error", "explained", "bound", "record"}:
-                setattr(module, name, lambda *_, **__: {"position_rmse_m": 0.0})
+            for name in ("score", "horizontal_error", "explained", "bound", "record"):
+                if callable(getattr(module, name, None)):  # not the package `bound`
+                    setattr(module, name, lambda *_, **__: {"position_rmse_m": 0.0})
+        from cellslam.benchmarks.scores import metrics
+
+        metrics.score = lambda *_: {"position_rmse_m": 0.0}  # type: ignore[assignment,dict-item]
 
 
 class Disturbs(Good):
