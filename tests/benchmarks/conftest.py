@@ -2,18 +2,19 @@
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Callable
+from pathlib import Path
 
 import numpy as np
 import pytest
-from matplotlib.colors import to_hex
-from matplotlib.figure import Figure
 
+from cellslam.benchmarks.sweeps import tasks
 from cellslam.sim import recording as contract
 from cellslam.sim.frames import integrate_pose, mean_velocity, wrap_angle
 from cellslam.sim.recording import Floats, Recording
-from cellslam.slam import registry
 from cellslam.slam.model.measurement_model import predict
+from tests.benchmarks.trials.hostile_estimators import MISFITS
 
 MakeRecording = Callable[..., Recording]
 
@@ -43,21 +44,14 @@ def scatter(
 
 
 @pytest.fixture
-def colours(monkeypatch: pytest.MonkeyPatch) -> Callable[[], dict[str, set[str]]]:
-    """Keeps figures from being written; returns the colours of what is labelled as an estimator in those drawn."""
-    drawn: list[Figure] = []
-    monkeypatch.setattr(Figure, "savefig", lambda figure, *_, **__: drawn.append(figure))
-
-    def found() -> dict[str, set[str]]:
-        of: dict[str, set[str]] = {}
-        for axes in (axes for figure in drawn for axes in figure.axes):
-            for handle, label in zip(*axes.get_legend_handles_labels(), strict=True):
-                line = handle[0] if isinstance(handle, tuple) else handle
-                if label in registry.names() and hasattr(line, "get_color"):
-                    of.setdefault(label, set()).add(to_hex(line.get_color()))
-        return of
-
-    return found
+def place(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """The current folder, in which there is a module `misfits`: the hostile estimators."""
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(sys, "path", list(sys.path))
+    monkeypatch.delitem(sys.modules, "misfits", raising=False)
+    tasks.request_of.cache_clear()
+    (tmp_path / "misfits.py").write_text(MISFITS, "utf-8")
+    return tmp_path
 
 
 @pytest.fixture

@@ -12,11 +12,6 @@ from cellslam.benchmarks.bound.linear_model import linear_model
 from cellslam.sim.recording import Floats, Recording
 
 
-def without(recording: Recording, **changes: object) -> Recording:
-    """A copy of a recording with other fields."""
-    return Recording(**{**recording.__dict__, **changes})  # type: ignore[arg-type]
-
-
 class Step(NamedTuple):
     """Transition F, covariance Q of what it adds, H, variances R, residuals and gain K of a snapshot."""
 

@@ -40,7 +40,7 @@ def moved(recording: Recording, size: float, lasts_s: float, seed: int) -> Recor
     return replace(recording, measurements=measurements, truth=replace(truth, merging_shift=shift))
 
 
-def test_where_many_are_merged_there_are_two_bounds(make_recording):
+def test_where_many_are_merged_there_are_two_bounds(make_recording, tmp_path):
     recording = moved(make_recording(seed=3, snapshots=150, clutter=0.5), SIZE, LASTS_S, 1)
     truth, true = recording.truth, recording.truth.measurement_vt >= 0
     beyond = np.abs(truth.merging_shift[:, 1]) > 0.5 * truth.measurement_std[:, 1]
@@ -50,6 +50,8 @@ def test_where_many_are_merged_there_are_two_bounds(make_recording):
     np.testing.assert_array_equal(found.pose_covariance, lower.pose_covariance)
     assert found.merged_m == bound(recording, merging=merging(recording)).position_rmse_m
     assert found.merged_m > 1.01 * lower.position_rmse_m
+    recording.save(tmp_path / "drive.h5")
+    np.testing.assert_array_equal(Recording.load(tmp_path / "drive.h5").truth.merging_shift, truth.merging_shift)
 
 
 def test_size_and_duration_of_merging_are_those_of_the_drive(drives):
@@ -69,9 +71,8 @@ def test_each_vt_merges_by_itself(make_recording):
 def test_merging_that_moves_nothing_costs_nothing(make_recording):
     recording = make_recording(seed=3, snapshots=50)
     still = replace(recording, truth=replace(recording.truth, merging_shift=0.0 * recording.truth.measurement_std))
-    np.testing.assert_array_equal(
-        bound(still, merging=merging(still)).pose_covariance, bound(recording).pose_covariance
-    )
+    found, expected = bound(still, merging=merging(still)), bound(recording)
+    np.testing.assert_array_equal(found.pose_covariance, expected.pose_covariance)
 
 
 @pytest.mark.parametrize("snapshots", [1, 2])
@@ -89,14 +90,6 @@ def test_where_few_are_merged_or_nobody_knows_there_is_one_bound(make_recording)
     assert both_bounds(recording).merged_m is None
     few = moved(recording, np.radians(0.22), 0.01, 1)
     assert 0.0 < merged_share(few) < LEAST_SHARE and both_bounds(few).merged_m is None
-
-
-def test_a_file_keeps_what_merged_paths_have_moved(make_recording, tmp_path):
-    recording = moved(make_recording(seed=3, snapshots=50), SIZE, LASTS_S, 1)
-    recording.save(tmp_path / "drive.h5")
-    np.testing.assert_array_equal(
-        Recording.load(tmp_path / "drive.h5").truth.merging_shift, recording.truth.merging_shift
-    )
 
 
 @pytest.fixture(scope="module")

@@ -9,9 +9,10 @@ import pytest
 
 from cellslam.benchmarks.bound.cramer_rao import bound
 from cellslam.benchmarks.bound.shared_maps import shared_map_bounds
+from cellslam.benchmarks.scores.metrics import nees
 from cellslam.sim.errors import InputError
-from cellslam.sim.frames import rotation
 from cellslam.sim.recording import Recording
+from cellslam.slam.model.measurement_model import predict
 from tests.benchmarks.bound.joint_filter import JointFilter, apart
 
 SITES = np.array([[80.0, -40.0, 30.0], [-60.0, 90.0, 25.0]])
@@ -64,29 +65,21 @@ def test_the_second_drive_goes_on_with_the_map_alone(drives):
 @pytest.mark.slow
 def test_what_the_filter_errs_fits_what_it_is_sure_of(make_recording, drives):
     """The second drive's filter, with the errors of map and measurements as they were drawn: NEES of 2 on average."""
+
+    def measured(seed: int, map_of: Recording) -> Recording:
+        """Another drive past the same VTs."""
+        drawn, vts = make_recording(seed=100 + seed, **DRIVE), map_of.truth.vts
+        m, truth = drawn.measurements, replace(drawn.truth, vts=vts, site_positions_m=SITES)
+        z = predict(truth.poses[m.snapshot], vts.position_m[truth.measurement_vt])
+        z[:, 0] += truth.clock_offsets_m[drawn.links.site[m.link]]
+        z += truth.measurement_std * np.random.default_rng(seed).standard_normal(z.T.shape).T
+        of = replace(m, distance_m=z[:, 0], azimuth_rad=z[:, 1], elevation_rad=z[:, 2])
+        return replace(drawn, truth=truth, measurements=of)
+
     squares = []
     for seed in range(30):
-        several = []
-        for recording, own in zip(drives, (2 * seed, 2 * seed + 1), strict=True):
-            drawn = make_recording(seed=100 + own, **DRIVE)
-            rng = np.random.default_rng(own)
-            vts, m = recording.truth.vts.position_m, drawn.measurements
-            sight = vts[drawn.truth.measurement_vt] - drawn.truth.poses[m.snapshot, :3]
-            body = np.einsum("nji,nj->ni", rotation(*drawn.truth.poses[m.snapshot, 3:].T), sight)
-            exact = np.stack(
-                [
-                    np.linalg.norm(body, axis=1) + drawn.truth.clock_offsets_m[drawn.links.site[m.link]],
-                    np.arctan2(body[:, 1], body[:, 0]),
-                    np.arctan2(body[:, 2], np.hypot(body[:, 0], body[:, 1])),
-                ]
-            )
-            z = exact + drawn.truth.measurement_std.T * rng.standard_normal(exact.shape)
-            values = dict(zip(("distance_m", "azimuth_rad", "elevation_rad"), z, strict=True))
-            truth = replace(drawn.truth, vts=recording.truth.vts, site_positions_m=SITES)
-            several.append(replace(drawn, truth=truth, measurements=replace(m, **values)))
-        *_, last = shared_map_bounds(several)
-        error, covariance = last.pose_error[-1, :2], last.pose_covariance[-1, :2, :2]
-        squares.append(error @ np.linalg.solve(covariance, error))
+        *_, last = shared_map_bounds([measured(2 * seed + i, one) for i, one in enumerate(drives)])
+        squares.append(nees(np.zeros_like(last.pose_error), last.pose_error, last.pose_covariance)[-1])
     assert 1.2 < np.mean(squares) < 3.0
 
 

@@ -6,7 +6,9 @@ from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
+import pytest
 from matplotlib.colors import to_hex
+from matplotlib.figure import Figure
 
 from cellslam.benchmarks.figures.style import BLACK, GREY, colour_of, estimator_styles
 from cellslam.benchmarks.figures.trial.trial_figures import draw_all
@@ -14,8 +16,6 @@ from cellslam.benchmarks.trials.estimation import estimate
 from cellslam.scenarios.estimator_options import resolve
 from cellslam.sim.recording import Recording
 from cellslam.slam import registry
-
-Colours = Callable[[], dict[str, set[str]]]
 
 
 def test_an_estimator_has_one_colour_in_every_figure() -> None:
@@ -30,14 +30,18 @@ def test_an_estimator_has_one_colour_in_every_figure() -> None:
 
 
 def test_figures_of_a_trial_keep_to_it(
-    toy_recording: Callable[..., Recording], colours: Colours, tmp_path: Path
+    toy_recording: Callable[..., Recording], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Also where estimators stand in another order."""
-    drive = toy_recording()
+    drive, drawn = toy_recording(), list[Figure]()
+    monkeypatch.setattr(Figure, "savefig", lambda figure, *_, **__: drawn.append(figure))
     names = ["dead-reckoning", "ekf-slam"]
     found = {r.name: estimate(drive, r, np.random.default_rng(0)) for r in resolve({}, names[::-1])}
     draw_all(None, drive, found, None, tmp_path)
-    assert colours() == {name: {to_hex(colour_of(name))} for name in names}
+    lines = [line for figure in drawn for axes in figure.axes for line in axes.lines if line.get_label() in names]
+    assert {(line.get_label(), to_hex(line.get_color())) for line in lines} == {
+        (n, to_hex(colour_of(n))) for n in names
+    }
 
 
 def test_series_of_an_estimator_are_shades_of_its_colour() -> None:

@@ -20,8 +20,6 @@ from cellslam.benchmarks.sweeps.store import DATABASE
 from cellslam.benchmarks.sweeps.tasks import Job, Task, request_of
 from cellslam.benchmarks.sweeps.trajectories import pack, trajectory
 from cellslam.benchmarks.trials.estimation import estimate
-from cellslam.cli.main import main
-from cellslam.sim.errors import InputError
 from cellslam.sim.recording import Recording
 from tests.benchmarks.made_up_sweeps import made_up, plan_of
 
@@ -56,24 +54,6 @@ def test_every_figure_is_drawn_as_png_and_pdf(folder: Path, tmp_path: Path) -> N
     assert [p.read_bytes() for p in again] == [(tmp_path / "out" / p.name).read_bytes() for p in again]
 
 
-def test_an_estimator_has_its_colour_in_every_figure(
-    folder: Path, tmp_path: Path, colours: Callable[[], dict[str, set[str]]]
-) -> None:
-    draw_sweep(folder, tmp_path / "out", CurveChoice(), formats=("png",))
-    assert colours() == {name: {to_hex(colour_of(name))} for name in ("dead-reckoning", "fastslam")}
-
-
-def test_data_are_panels_of_worlds_with_series(folder: Path) -> None:
-    data = load(folder)
-    assert len(data.panels) == 2 and data.labels == ("dead-reckoning", "fastslam")
-    one = data.panels[0].series[0]
-    assert one.settings == {"radio.load": 0.01}
-    assert len(one.values("position_rmse_m")) == 5 and len(one.values("nees_mean")) == 0
-    curve = data.over_time(one, "offset_error_m")
-    assert curve is not None and curve[1].shape == (5, 40, 2) and curve[0][-1] == pytest.approx(3.9)
-    assert data.over_time(one, "bound_std_m") is None
-
-
 @pytest.mark.parametrize(("metric", "bounds"), [("position_rmse_m", [[3.01, 4.0]]), ("map_gospa_m", [])])
 def test_the_bound_of_the_drives_is_in_the_curve(folder: Path, metric: str, bounds: list[list[float]]) -> None:
     figure = Figure()
@@ -81,6 +61,7 @@ def test_the_bound_of_the_drives_is_in_the_curve(folder: Path, metric: str, boun
     drawn = [line for line in figure.axes[0].get_lines() if line.get_label() == "Cramér-Rao bound"]
     assert [list(line.get_ydata()) for line in drawn] == [pytest.approx(values) for values in bounds]
     assert all(list(line.get_xdata()) == [0.01, 1.0] for line in drawn)
+    assert to_hex(colour_of("fastslam")) in {to_hex(line.get_color()) for line in figure.axes[0].get_lines()}
 
 
 def test_worlds_that_differ_in_more_than_x_have_bounds_of_their_own(folder: Path) -> None:
@@ -90,11 +71,9 @@ def test_worlds_that_differ_in_more_than_x_have_bounds_of_their_own(folder: Path
     assert [list(points) for points in bounds.values()] == [[0.01], [1.0]]
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("other", [2.0, "a text"])
-def test_a_world_without_the_swept_key_stands_apart(folder: Path, tmp_path: Path, other: float | str) -> None:
-    one = {"position_rmse_m": 1.0, "estimate_seconds": 1.0}
-    made_up(folder, plan_of({"grid": {"radio.load": [0.5]}}, ("fastslam",), 2), lambda *_: one)
+def test_a_world_without_the_swept_key_stands_apart(folder: Path, other: float | str) -> None:
+    made_up(folder, plan_of({"grid": {"radio.load": [0.5]}}, ("fastslam",), 2), lambda *_: {"position_rmse_m": 1.0})
     said = {0.01: {"load": 0.01}, 0.5: {}, 1.0: {"load": other}}
     with closing(sqlite3.connect(folder / DATABASE)) as database, database:
         for key, text in database.execute("SELECT id, tables FROM worlds").fetchall():
@@ -106,32 +85,6 @@ def test_a_world_without_the_swept_key_stands_apart(folder: Path, tmp_path: Path
         assert [at for at, _ in lines["fastslam, without radio.load"]] == [None]
     else:
         assert {at for at, _ in lines["fastslam"]} == {"0.01", "a text", "-"}
-    assert {path.stem for path in draw_sweep(folder, tmp_path / "out", CurveChoice())} >= {
-        "sweep",
-        "error_cdf",
-        "ranks",
-    }
-
-
-@pytest.mark.slow
-def test_command_writes_into_the_folder(folder: Path, capfd: pytest.CaptureFixture[str]) -> None:
-    assert main(["figures", str(folder), "--x", "radio.load", "--statistic", "q90"]) == 0
-    assert {path.stem for path in (folder / "figures").iterdir()} == ALL
-    assert "16 files are in" in capfd.readouterr().err
-
-
-def test_wrong_requests_are_one_line(folder: Path, capfd: pytest.CaptureFixture[str]) -> None:
-    for words, expected in (
-        (("--x", "radio.laod"), "--x radio.laod: not a key that varies (radio.load"),
-        (("--metric", "x"), "unknown metric 'x'"),
-        (("--statistic", "x"), "unknown statistic 'x'"),
-        (("--interval", "0"), "interval = 0 %"),
-    ):
-        assert main(["figures", str(folder), *words]) == 2
-        err = capfd.readouterr().err
-        assert err.count("\n") == 1 and expected in err
-    with pytest.raises(InputError, match="no results"):
-        draw_sweep(folder.parent, folder.parent)
 
 
 def test_a_sweep_without_trajectories_or_numbers_gives_what_it_can(tmp_path: Path) -> None:

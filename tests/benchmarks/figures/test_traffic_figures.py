@@ -72,13 +72,3 @@ def test_report_shows_vehicles_and_no_ray_through_them() -> None:
     paths, blocked = world.trace(world.drive.poses[steps], steps)
     assert len(blocked.path) > 3
     assert sum(len(rays) for rays in scene["rays"]) == blocked.free(len(paths)).sum()
-
-
-def test_without_traffic_there_are_no_vehicles() -> None:
-    none = {"vehicle.distance_m": 5.0, "vehicle.duration_s": 8.0, "vehicle.stops": 0}
-    scene, _ = scene_of(prepare(load("tiny", none).world, 0, 0), np.arange(3))
-    assert scene["vehicles"] is None
-    recording = simulate("tiny", 0, 0, none)
-    figure = Figure()
-    assert trial_map.draw(figure, None, recording, {"toy": result(recording)})
-    assert not any(isinstance(one, PolyCollection) for one in figure.axes[0].collections)

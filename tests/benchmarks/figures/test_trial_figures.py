@@ -60,13 +60,6 @@ def test_reflectors_lie_on_the_wall_and_leave_the_site_out(scene):
     assert overview.emphasised_building(scene.city, mapped) == 1
 
 
-def test_no_reflectors_without_map_or_truth(scene):
-    slam, bare = scene.results["fastslam"], dataclasses.replace(scene.recording, truth=None)
-    assert overview.reflectors_of(scene.recording, scene.results["dead-reckoning"]) == []
-    assert overview.reflectors_of(bare, slam) == []
-    assert overview.emphasised_building(scene.city, []) is None
-
-
 def test_map_shows_buildings_trajectories_sites_and_reflecting_points(scene):
     figure = Figure(layout="constrained")
     assert overview.draw(figure, scene.city, scene.recording, scene.results)
@@ -76,40 +69,33 @@ def test_map_shows_buildings_trajectories_sites_and_reflecting_points(scene):
         assert {"true trajectory", "dead-reckoning", "fastslam", "reflecting points, site A"} <= set(lines)
         np.testing.assert_allclose(lines["fastslam"].get_xdata(), scene.results["fastslam"].poses[:, 0])
         assert len(axes.collections[0].get_paths()) == 2
-    assert [text.get_text() for text in whole.texts] == ["A"]
     (x0, x1), (y0, y1) = whole.get_xlim(), whole.get_ylim()
     assert x0 < -100 and x1 > WALL_X_M and y1 - y0 == pytest.approx(x1 - x0)
     assert drive.get_xlim()[1] - drive.get_xlim()[0] < x1 - x0
 
 
 def test_map_figure_shows_the_walls_of_the_first_estimator_that_has_some(scene):
-    walls = WallEstimate(
-        np.arange(2), np.zeros(2), np.array([60.0, 70.0]), np.zeros((2, 2, 2)), np.tile([-5.0, 8.0], (2, 1))
-    )
-    none = WallEstimate(np.arange(0), *np.zeros((2, 0)), np.zeros((0, 2, 2)), np.zeros((0, 2)))
-    results = {name: dataclasses.replace(result, walls=none) for name, result in scene.results.items()}
-    results |= {name: dataclasses.replace(scene.results["fastslam"], walls=walls) for name in ("mapper", "other")}
+    at_m = np.array([60.0, 70.0])
+    walls = WallEstimate(np.arange(2), np.zeros(2), at_m, np.zeros((2, 2, 2)), np.tile([-5.0, 8.0], (2, 1)))
+    mapper = dataclasses.replace(scene.results["fastslam"], walls=walls)
     figure = Figure()
-    assert overview.draw(figure, None, scene.recording, results)
+    assert overview.draw(figure, None, scene.recording, {**scene.results, "mapper": mapper, "other": mapper})
     for axes in figure.axes:
         (lines,) = (drawn for drawn in axes.collections if drawn.get_label().startswith("walls of"))
         assert lines.get_label() == "walls of mapper"
-        np.testing.assert_allclose(lines.get_segments(), [[[60, -5], [60, 8]], [[70, -5], [70, 8]]])
+        np.testing.assert_allclose(lines.get_segments(), [[[x, -5], [x, 8]] for x in at_m])
 
 
 def test_error_figure_shows_errors_and_bound(scene):
     figure = Figure()
     assert trial_figures.draw_error(figure, scene.recording, scene.results, scene.bound)
     whole, magnified = figure.axes
+    expected = {"dead-reckoning": 2**0.5, "fastslam": 0.1 * 2**0.5, "Cramér-Rao bound (rms)": 0.08**0.5}
     for axes in (whole, magnified):
         lines = {line.get_label(): line for line in axes.lines}
-        np.testing.assert_allclose(lines["dead-reckoning"].get_ydata(), np.sqrt(2))
-        np.testing.assert_allclose(lines["fastslam"].get_ydata(), 0.1 * np.sqrt(2))
-        np.testing.assert_allclose(lines["Cramér-Rao bound (rms)"].get_ydata(), np.sqrt(0.08))
+        for label, error in expected.items():
+            np.testing.assert_allclose(lines[label].get_ydata(), error)
     assert magnified.get_ylim() == (0, pytest.approx(1.1 * np.sqrt(0.08)))
-    alone = Figure()
-    assert trial_figures.draw_error(alone, scene.recording, {"fastslam": scene.results["fastslam"]}, None)
-    assert len(alone.axes) == 1
     assert not trial_figures.draw_error(Figure(), dataclasses.replace(scene.recording, truth=None), scene.results, None)
 
 
@@ -125,38 +111,20 @@ def test_association_figure_colours_each_vt_and_greys_the_rest(scene):
     assert len({line.get_color() for line in (grey, first, second)}) == 3
 
 
-def test_association_figure_takes_one_busy_cell_of_each_site(make_recording):
-    recording = make_recording(seed=2, sites=3, ports=2, snapshots=60)
-    counts = np.bincount(recording.measurements.link, minlength=6)
-    assert trial_figures.shown_links(recording, 2) == [int(counts[:2].argmax()), int(2 + counts[2:4].argmax())]
-
-
 def test_clock_figure_shows_estimate_band_and_truth(scene):
-    figure = Figure()
+    figure, offset = Figure(), scene.recording.truth.clock_offsets_m[0]
     assert trial_figures.draw_clock_offsets(figure, scene.recording, scene.results)
-    above, below = figure.axes
-    offset = scene.recording.truth.clock_offsets_m[0]
-    for axes in (above, below):
-        estimate, truth = axes.lines
-        np.testing.assert_allclose(estimate.get_ydata(), offset)
-        np.testing.assert_allclose(truth.get_ydata(), offset)
+    for axes in figure.axes:
+        for line in axes.lines:
+            np.testing.assert_allclose(line.get_ydata(), offset)
+        assert len(axes.lines) == 2
         band = axes.collections[0].get_paths()[0].vertices[:, 1]
         assert band.max() - band.min() == pytest.approx(4.0)
-    assert below.get_ylim()[0] < offset - 2 and below.get_ylim()[1] > offset + 2
     reckoning = {"dead-reckoning": scene.results["dead-reckoning"]}
     assert not trial_figures.draw_clock_offsets(Figure(), scene.recording, reckoning)
-
-
-@pytest.mark.slow
-def test_all_figures_are_written(scene, tmp_path):
-    city, recording = scene.city, scene.recording
-    written = draw_all(city, recording, scene.results, scene.bound, tmp_path, formats=("png", "pdf"))
-    names = ["map", "error", "associations", "clock_offsets"]
-    assert [path.name for path in written] == [f"{name}.{kind}" for name in names for kind in ("png", "pdf")]
-    for path in written:
-        head = path.read_bytes()[:4]
-        assert head == (b"\x89PNG" if path.suffix == ".png" else b"%PDF")
-        assert path.stat().st_size > 5000
+    known = dataclasses.replace(scene.recording.sites, clock_offset_std_m=np.zeros(1))
+    drive = dataclasses.replace(scene.recording, sites=known)
+    assert not trial_figures.draw_clock_offsets(Figure(), drive, scene.results)
 
 
 def test_a_recording_without_truth_and_measurements_still_has_its_map(make_recording, tmp_path):
@@ -187,32 +155,9 @@ def test_nothing_is_drawn_through_an_outage(scene):
 
 
 def test_map_of_a_measured_drive_shows_the_estimated_vts_or_the_drive_alone(scene):
-    figure = Figure()
+    figure, alone = Figure(), Figure()
     assert overview.draw(figure, None, measured(scene), scene.results)
     vts = next(line for line in figure.axes[0].lines if line.get_label() == "VTs of fastslam")
     np.testing.assert_allclose(np.column_stack(vts.get_data()), scene.results["fastslam"].vts.position_m[:, :2])
-    (whole, _), (drive, _) = (axes.get_xlim() for axes in figure.axes)
-    assert len(figure.axes) == 2 and whole < drive
-    figure = Figure()
-    assert overview.draw(figure, None, measured(scene), {"dead-reckoning": scene.results["dead-reckoning"]})
-    assert len(figure.axes) == 1
-
-
-def test_known_clocks_have_no_figure(scene):
-    known = dataclasses.replace(scene.recording.sites, clock_offset_std_m=np.zeros(1))
-    assert not trial_figures.draw_clock_offsets(
-        Figure(), dataclasses.replace(scene.recording, sites=known), scene.results
-    )
-
-
-def test_titles_name_what_there_is_and_fit(scene):
-    links = dataclasses.replace(scene.recording.links, cell_id=np.full(2, -1), port=np.full(2, -1))
-    sites = dataclasses.replace(
-        scene.recording.sites, name=("transmitter on the roof of the eastern building, mast 2",)
-    )
-    figure = Figure()
-    assert trial_figures.draw_associations(
-        figure, dataclasses.replace(scene.recording, links=links, sites=sites), scene.results
-    )
-    title = figure.axes[0].get_title()
-    assert "-1" not in title and max(len(line) for line in title.split("\n")) <= 40
+    assert overview.draw(alone, None, measured(scene), {"dead-reckoning": scene.results["dead-reckoning"]})
+    assert (len(figure.axes), len(alone.axes)) == (2, 1)

@@ -12,12 +12,9 @@ from typing import Any
 
 from cellslam.benchmarks.scores.metrics import COST_KEYS, ROW_KEYS
 from cellslam.benchmarks.sweeps.store import DATABASE
-from tests.benchmarks.trials import hostile_estimators as hostile
 from tests.short_drive import SHORT
 
 COMMAND = Path(sys.executable).parent / "cellslam"
-PLUGIN = Path(hostile.__file__).read_text("utf-8")
-HARMLESS_PLUGIN = PLUGIN.replace("NOW = 5", "NOW = -1")
 
 
 def words(*estimators: str, out: str = "out", trials: int = 2, more: tuple[str, ...] = ()) -> list[str]:

@@ -20,7 +20,8 @@ from cellslam.benchmarks.sweeps.store import TRAJECTORIES, writing
 from cellslam.benchmarks.trials.child_process import Limits
 from cellslam.cli.main import main
 from cellslam.scenarios import sweep_points as sweep
-from tests.benchmarks.sweeps.short_sweeps import PLUGIN, rows, start, stored, wait_for, words
+from tests.benchmarks.sweeps.short_sweeps import rows, start, stored, wait_for, words
+from tests.benchmarks.trials.hostile_estimators import MISFITS
 from tests.short_drive import SET
 
 TRIALS = 5
@@ -29,7 +30,7 @@ TRIALS = 5
 @pytest.fixture(scope="module")
 def undisturbed(tmp_path_factory: pytest.TempPathFactory) -> list[dict[str, Any]]:
     folder = tmp_path_factory.mktemp("undisturbed")
-    (folder / "misfits.py").write_text(PLUGIN)
+    (folder / "misfits.py").write_text(MISFITS)
     with pytest.MonkeyPatch.context() as patch:
         patch.chdir(folder)
         patch.setattr(sys, "path", list(sys.path))

@@ -6,14 +6,12 @@ import json
 import tomllib
 from pathlib import Path
 
-import numpy as np
 import pandas as pd
 import pytest
 
 from cellslam.benchmarks.sweeps.rows import results
 from cellslam.benchmarks.tables import suite_rows
 from cellslam.benchmarks.tables.suite_tables import suite_markdown
-from cellslam.cli.commands.bench_accuracy import built_in
 from cellslam.cli.main import main
 from cellslam.scenarios import load, suites
 from cellslam.scenarios.suites import SUITES, Suite, digest, scenario_of, suite, superseded_by
@@ -25,8 +23,6 @@ DIGESTS = {
     "standard-2": "f2ad4471781461225a76a2056f28104016ae4d6ee8bc10681ab0d56f517cc10c",
     "standard-3": "1e5126f842e3406016cb461398f11e18081c588914353b1181f3e8e7049c70f8",
 }
-# Keys that came after the scenarios were written, by table; their defaults change nothing.
-LATER: dict[str, set[str]] = {}
 
 
 @pytest.mark.parametrize("name", SUITES)
@@ -37,20 +33,15 @@ def test_a_suite_never_changes(name: str) -> None:
         assert scenario_of(one, scenario).name == scenario
 
 
-def test_suites_are_found_by_name() -> None:
+def test_suites_are_found_by_name_and_one_that_has_a_later_version_says_so() -> None:
     assert suite("standard") is suite("standard-3")
     with pytest.raises(InputError, match=r"unknown suite 'standart'.*standard"):
         suite("standart")
-    assert {"fastslam", "dead-reckoning", "ekf-slam", "oracle-map"} <= set(built_in())
-
-
-def test_a_suite_that_has_a_later_version_says_so() -> None:
-    assert superseded_by(suite("standard-2")) == "standard-3"
-    assert superseded_by(suite("standard-3")) is None
     rows = pd.DataFrame(columns=[*suite_rows.COLUMNS])
-    for name, said in (("standard-2", True), ("standard-3", False)):
+    for name, later in (("standard-2", "standard-3"), ("standard-3", None)):
+        assert superseded_by(suite(name)) == later
         some = suite_rows.SuiteRows(suite(name), ("canyon",), 1, {}, "x", frozenset(), rows)
-        assert ("Superseded by `standard-3`." in suite_markdown(some, "command", "")) == said
+        assert ("Superseded by `standard-3`." in suite_markdown(some, "command", "")) == (later is not None)
 
 
 def test_every_value_of_a_suite_is_written_out() -> None:
@@ -59,8 +50,7 @@ def test_every_value_of_a_suite_is_written_out() -> None:
     for name in one.scenarios:
         written = tomllib.loads((suites.FOLDER / f"{name}.toml").read_text("utf-8"))
         for table, values in tomllib.loads(scenario_of(one, name).toml()).items():
-            if isinstance(values, dict):
-                assert values.keys() - written[table].keys() <= LATER.get(table, set()), (name, table)
+            assert not isinstance(values, dict) or values.keys() <= written[table].keys(), (name, table)
 
 
 def test_accuracy_writes_its_tables_and_resumes(
@@ -75,16 +65,12 @@ def test_accuracy_writes_its_tables_and_resumes(
     text = page.read_text()
     assert capfd.readouterr().out == text
     assert "standard-3, a part: trials 0 to 0 of canyon" in text and "Not the suite's result" in text
-    assert "Superseded" not in text
     frame = results(tmp_path / "out")
     assert (frame["seed"].tolist(), frame["scenario"].tolist()) == ([530], ["canyon"])
     cells = next(row for row in text.splitlines() if row.startswith("| dead-reckoning")).split("|")
     assert cells[2].split()[0] == f"{frame['position_rmse_m'][0]:.2f}" and cells[-2].strip() == "1/1"
-    assert "cellslam bench accuracy --trials 1" in text and "numpy " + np.__version__ in text
     assert main(line) == 0
-    assert (
-        "1 rows are in" in (err := capfd.readouterr().err) and "1 of them finished already" in err and "new" not in err
-    )
+    assert "1 of them finished already" in capfd.readouterr().err
 
 
 @pytest.fixture
@@ -102,33 +88,24 @@ def entry(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 @pytest.mark.slow
 def test_an_entry_is_ranked_and_holds_when_it_is_driven_again(entry: Path, capfd: pytest.CaptureFixture[str]) -> None:
-    text = entry.with_name("page.md").read_text()
-    assert text.index("## All scenarios") < text.index("## full") < text.index("## canyon")
-    said = " ".join(text.split())
+    said = " ".join(entry.with_name("page.md").read_text().split())
+    assert said.index("## All scenarios") < said.index("## full") < said.index("## canyon")
     assert "trials 0 to 5 of each scenario, 0 to 0 of `anywhere`." in said
     assert said.count("Critical difference of mean ranks: 0.80") == 3 and "of 1 pairs" in said
-    assert "![Mean ranks](page.png)" in text and entry.with_name("page.png").stat().st_size > 3000
+    assert "![Mean ranks](page.png)" in said and entry.with_name("page.png").stat().st_size > 3000
     some = suite_rows.read(entry)
-    assert some.whole and len(some.rows) == 26 and some.rows["peak_memory_mb"].notna().all()
+    assert some.whole and len(some.rows) == 26
     capfd.readouterr()
-    check = ["bench", "accuracy", "--check", str(entry), "--sample", "2", "--executor", "serial"]
-    assert main(check) == 0
-    out = capfd.readouterr().out
-    assert out.count("as said") == 4 and "4 of 4 drives are as the entry says" in out
-
-    alone = entry.with_name("alone.json")
-    words = ["--estimator", "ekf-slam", "--executor", "serial", "--out", str(entry.with_name("out"))]
-    assert main(["bench", "accuracy", *words, "--rows", str(alone), "--quiet"]) == 0
-    assert set(suite_rows.read(alone).rows["estimator"]) == {"ekf-slam"}
+    assert main(["bench", "accuracy", "--check", str(entry), "--sample", "2", "--executor", "serial"]) == 0
+    assert "4 of 4 drives are as the entry says" in capfd.readouterr().out
 
     page = entry.with_name("board.md")
     assert main(["bench", "leaderboard", str(entry), "--write", str(page)]) == 0
     board = page.read_text()
     ranked = [line.split("|")[1].strip() for line in board.splitlines() if line.startswith(("| ekf", "| dead"))]
-    assert board.splitlines()[2].startswith("How estimators compare on `standard-3`: 6 drives of each of `full`, ")
-    assert [line for line in board.splitlines() if len(line) > 119 and line[0] not in "| "] == []
+    assert "How estimators compare on `standard-3`: 6 drives of each of `full`, " in board
     assert sorted(ranked[:2]) == sorted(some.rows["estimator"].unique()) and ranked[:2] == ranked[2:]
-    assert "![Mean ranks and critical differences](board.png)" in board and "--suite standard-3 --estimator" in board
+    assert "![Mean ranks and critical differences](board.png)" in board
 
 
 @pytest.mark.slow
@@ -149,14 +126,12 @@ def test_an_entry_that_is_not_what_its_estimator_does_is_found_out(
     assert any("ekf-slam" in line and "position_rmse_m" in line for line in out.splitlines())
 
     board = ["bench", "leaderboard", str(entry), str(entry), "--write", str(entry.with_name("board.md"))]
-    several = json.dumps({**false, "rows": false["rows"][1:]})
-    options = json.dumps({**false, "rows": [["other", *row[1:]] for row in false["rows"]]})
+    fewer = json.dumps({**false, "rows": false["rows"][1:]})
     for content, words, expected in (
         (text, board, "is in another file too"),
         (text.replace('"digest": "', '"digest": "0'), board, "made with another standard-3"),
-        (several, board, "not every drive of standard-3 once for each estimator"),
+        (fewer, board, "not every drive of standard-3 once for each estimator"),
         ("{}", check, "not rows of a suite"),
-        (options, check, "dead-reckoning has other options here"),
         (text, [*check, "--sample", "14"], "--sample 14: standard-3 has 1 to 13 drives"),
     ):
         entry.write_text(content)

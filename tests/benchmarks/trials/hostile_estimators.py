@@ -11,6 +11,7 @@ import sys
 import threading
 import time
 import warnings
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -19,6 +20,7 @@ from cellslam.sim.frames import integrate_pose
 from cellslam.slam.api import Estimate, Setup, Snapshot, VtEstimate, WallEstimate
 
 NOW = 5
+MISFITS = Path(__file__).read_text("utf-8")  # this module, to be written under the name `misfits`
 
 
 class Good:
@@ -60,7 +62,7 @@ class OwnError(BaseException):
 
 
 def raising(error: Any) -> Any:
-    def odd(self: Any, answer: Estimate, snapshot: Snapshot) -> Any:
+    def odd(*_: Any) -> Any:
         raise error() if callable(error) else error
 
     return odd
@@ -140,6 +142,10 @@ ODD: dict[str, tuple[Any, str]] = {
     "Negative": (answering(covariance=-np.eye(6)), "covariance has a negative variance, snapshot 5"),
     "Asymmetric": (answering(covariance=ASYMMETRIC), "covariance is not symmetric, snapshot 5"),
     "Indefinite": (answering(covariance=INDEFINITE), "covariance has a negative eigenvalue, snapshot 5"),
+    "ShortPose": (answering(pose=np.zeros(3)), "pose has shape (3,), expected (6,), snapshot 5"),
+    "ManyIds": (answering(association=np.zeros(99, int)), "association has shape (99,)"),
+    "ThreeClocks": (answering(clock_offset_m=np.zeros(3)), "clock_offset_m has shape (3,), expected (2,)"),
+    "FarLink": (answering(vts=VtEstimate(np.arange(1), np.array([9]), *SMALL[1:])), "4 links"),
     "BigIds": (
         answering(association=lambda snapshot: np.full(len(snapshot), 1e300)),
         "association holds more than whole numbers up to 2^53, snapshot 5",
@@ -164,43 +170,17 @@ ODD: dict[str, tuple[Any, str]] = {
         answering(clock_offset_variance_m2=lambda _: np.full(2, -1.0)),
         "clock_offset_variance_m2 holds -1: a variance is not negative",
     ),
+    "Constructor": (raising(OwnError("not made")), "OwnError: not made"),
+    "HangsAtStart": (lambda *_: hang(None), NO_ANSWER),
+    "WarmUpExits": (lambda _: os._exit(5), "its process ended with exit status 5"),
+    "FinishOfAnotherShape": (lambda _: np.zeros((3, 6)), "finish(): poses has shape (3, 6)"),
+    "RemarksANumber": (lambda _: 7, "remarks() returned int, expected a list of lines of text"),
 }
+# The methods that are odd in place of an answer.
+METHODS = {"Constructor": "__init__", "HangsAtStart": "start", "WarmUpExits": "warm_up"}
+METHODS |= {"FinishOfAnotherShape": "finish", "RemarksANumber": "remarks"}
 for _name, (_odd, _) in ODD.items():
-    globals()[_name] = type(_name, (Good,), {"odd": _odd, "__module__": __name__})
-
-
-class Constructor(Good):
-    def __init__(self, options: Any) -> None:
-        raise OwnError("not made")
-
-
-class HangsAtStart(Good):
-    def start(self, setup: Setup, rng: np.random.Generator) -> None:
-        hang(self)
-
-
-class WarmUpExits(Good):
-    def warm_up(self) -> None:
-        os._exit(5)
-
-
-class FinishOfAnotherShape(Good):
-    def finish(self) -> Any:
-        return np.zeros((3, 6))
-
-
-class RemarksANumber(Good):
-    def remarks(self) -> Any:
-        return 7
-
-
-ELSEWHERE = {
-    "Constructor": "OwnError: not made",
-    "HangsAtStart": NO_ANSWER,
-    "WarmUpExits": "its process ended with exit status 5",
-    "FinishOfAnotherShape": "finish(): poses has shape (3, 6)",
-    "RemarksANumber": "remarks() returned int, expected a list of lines of text",
-}
+    globals()[_name] = type(_name, (Good,), {METHODS.get(_name, "odd"): _odd, "__module__": __name__})
 
 
 # Those that follow answer rightly, and must have the row of `Good`: what they do stays with them.
@@ -211,11 +191,10 @@ class Patches(Good):
 
     def start(self, setup: Setup, rng: np.random.Generator) -> None:
         super().start(setup, rng)
-        for name, module in list(sys.modules.items()):
-            if name.startswith("cellslam.benchmarks"):
-                for key, value in list(vars(module).items()):
-                    if callable(value) and key in ("score", "horizontal_error", "explained", "bound", "record"):
-                        setattr(module, key, lambda *_, **__: {"position_rmse_m": 0.0})
+        for module in [module for name, module in sys.modules.items() if name.startswith("cellslam.benchmarks")]:
+            for name in ("score", "horizontal_error", "explained", "bound", "record"):
+                if callable(getattr(module, name, None)):  # not the package `bound`
+                    setattr(module, name, lambda *_, **__: {"position_rmse_m": 0.0})
         from cellslam.benchmarks.scores import metrics
 
         metrics.score = lambda *_: {"position_rmse_m": 0.0}  # type: ignore[assignment,dict-item]
@@ -248,23 +227,19 @@ class Mutates(Good):
 
     def start(self, setup: Setup, rng: np.random.Generator) -> None:
         super().start(setup, rng)
-        self.buffer, self.before = np.zeros(6), None
-        pose = setup.start_pose.copy()
+        self.pose, self.buffer, self.before = setup.start_pose.copy(), np.zeros(6), np.eye(6)
         object.__setattr__(setup, "start_pose", np.full(6, 1e6))
         setup.start_std.setflags(write=True)
         setup.start_std[:] = 1e6
-        self.pose = pose
 
     def step(self, dt_s: float, odometry: Any, snapshot: Snapshot) -> Any:
         answer = super().step(dt_s, odometry, snapshot)
         self.buffer[:] = answer.pose
         snapshot.distance_m.setflags(write=True)
         snapshot.distance_m[:] = np.nan
-        covariance = np.eye(6)
-        if self.before is not None:
-            self.before[:] = np.nan
-        self.before = covariance
-        return dataclasses.replace(answer, pose=self.buffer, covariance=covariance)
+        self.before[:] = np.nan
+        self.before = np.eye(6)
+        return dataclasses.replace(answer, pose=self.buffer, covariance=self.before)
 
 
 class Peeks(Good):

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import numpy as np
-import pytest
 from scipy.spatial.transform import Rotation
 
 from cellslam.benchmarks.trials.output_files import write_tum
@@ -21,12 +20,3 @@ def test_a_file_is_read_back(tmp_path):
     q = np.loadtxt(path)[:, 4:]
     np.testing.assert_allclose(Rotation.from_quat(q).as_matrix(), rotation(*turns.T), atol=1e-8)
     assert (q[:, 3] >= 0).all()
-
-
-def test_evo_reads_the_file(tmp_path):
-    pytest.importorskip("evo", reason="evo is not installed (GPL-3, never a dependency)")
-    from evo.tools import file_interface  # type: ignore[import-not-found]
-
-    path = tmp_path / "out.tum"
-    write_tum(path, np.arange(5) * 0.075, np.random.default_rng(2).normal(0, 1, (5, 6)))
-    assert file_interface.read_tum_trajectory_file(str(path)).num_poses == 5
