@@ -6,7 +6,6 @@ from pathlib import Path
 from typing import Any
 
 import h5py
-import numpy as np
 import pytest
 
 from cellslam.benchmarks import run as run_trials
@@ -41,15 +40,6 @@ def test_same_seed_same_rows_also_from_python_and_through_a_recording(cellslam: 
     same, other = (cellslam("replay", "a.h5", "--seed", seed, *draws).rows for seed in ("7", "8"))
     assert other[1]["position_rmse_m"] == same[1]["position_rmse_m"] == run.rows[2]["position_rmse_m"]
     assert other[0]["position_rmse_m"] != same[0]["position_rmse_m"]
-    another = cellslam("run", "tiny", *SHORT, "--estimator", "dead-reckoning", "--seed", "8", *words).rows
-    assert another[0]["position_rmse_m"] != run.rows[2]["position_rmse_m"]
-
-
-def test_second_trial_can_be_recorded(cellslam: Run) -> None:
-    both = cellslam("run", "tiny", "--estimator", "dead-reckoning", "--trials", "2", "--json", "--no-figures").rows
-    cellslam("record", "tiny", "--trial", "1", "--out", "b.h5")
-    replay = cellslam("replay", "b.h5", "--estimator", "dead-reckoning", "--json", "--no-figures")
-    assert steady(replay.rows) == steady(both[1:])
 
 
 def test_a_data_set_of_many_drives_goes_on_where_it_ended(cellslam: Run, tmp_path: Path) -> None:
@@ -60,9 +50,9 @@ def test_a_data_set_of_many_drives_goes_on_where_it_ended(cellslam: Run, tmp_pat
     assert (tmp_path / "drives" / "tiny-0-0000.h5").stat().st_mtime_ns == first
     other = cellslam("record", "tiny", "--trials", "1", "--out", "drives", "--set", "radio.load=0.1")
     assert other.status == 2 and "tiny-0-0000.h5: is of another scenario" in other.err
-    cellslam("record", "tiny", "--trial", "1", "--out", "one.h5")
-    one, many = (Recording.load(tmp_path / name) for name in ("one.h5", "drives/tiny-0-0001.h5"))
-    np.testing.assert_array_equal(one.measurements.distance_m, many.measurements.distance_m)
+    words = ("--estimator", "dead-reckoning", "--json", "--no-figures")
+    replayed = cellslam("replay", "drives/tiny-0-0001.h5", *words).rows
+    assert steady(replayed) == steady(cellslam("run", "tiny", "--trials", "2", *words).rows[1:])
 
 
 @pytest.mark.slow
@@ -104,10 +94,6 @@ def test_replay_refuses_what_a_recording_fixes(cellslam: Run, tmp_path: Path) ->
     cellslam("record", "tiny", "--out", "a.h5")
     done = cellslam("replay", "a.h5", "--set", "radio.load=0.1")
     assert done.status == 2 and "radio.load" in done.err
-    (tmp_path / "a.h5").write_text("no")
-    done = cellslam("replay", "a.h5")
-    assert done.status == 2 and "a.h5: not an HDF5 file" in done.err
-    assert [path.name for path in tmp_path.iterdir()] == ["a.h5"]
 
 
 NR = {"technology": "nr", "carrier_hz": 3.5e9, "numerology": 1, "prs_comb": 12, "prs_symbols": 12}
