@@ -10,7 +10,6 @@ import pytest
 
 from cellslam.cli.commands.export import EXPORTS
 from cellslam.recordings.importing.columns import TABLES
-from cellslam.recordings.inspection.mistakes import EXPLANATIONS
 from cellslam.sim.frames import SPEED_OF_LIGHT_MPS
 from cellslam.sim.recording import Recording
 from cellslam.sim.recording.columns import COLUMNS
@@ -97,9 +96,3 @@ def test_every_column_and_format_is_on_the_page() -> None:
     assert [name for name in sorted(names) if name not in PAGE] == []
     assert [column.path for column in COLUMNS if f"`{column.path}`" not in PAGE] == []
     assert [kind for kind in EXPORTS if f"`{kind}`" not in PAGE] == []
-
-
-def test_the_page_counts_the_corrections() -> None:
-    page = (DOCS / "how-to/inspect-a-recording.md").read_text("utf-8")
-    count = sum(len(explanation.corrections) for explanation in EXPLANATIONS)
-    assert f"{count} corrections are tried" in page
