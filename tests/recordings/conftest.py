@@ -1,7 +1,6 @@
 from __future__ import annotations
 
 import dataclasses
-import os
 from collections.abc import Callable
 from dataclasses import dataclass
 
@@ -13,17 +12,9 @@ from cellslam.benchmarks.trials.estimation import estimate, warm_up
 from cellslam.scenarios.estimator_options import resolve
 from cellslam.sim.recording import Recording
 from tests.command_line import cellslam
-from tests.recordings import vehicle_world
 
 __all__ = ["cellslam"]
 STEP_S = 0.02
-DURATION_S = float(os.environ.get("CELLSLAM_VEHICLE_S", "240"))
-
-
-@pytest.fixture(scope="session")
-def vehicle_drive() -> vehicle_world.VehicleDrive:
-    """Minutes among 500 trees; CELLSLAM_VEHICLE_S=3600 makes it an hour."""
-    return vehicle_world.drive(DURATION_S, 500, 1)
 
 
 @pytest.fixture(scope="session")
