@@ -35,18 +35,6 @@ def test_help_names_every_command_and_fits(cellslam: Run) -> None:
     assert re.fullmatch(r"cellslam \d+\.\d+\.\d+\n", cellslam("--version").out)
 
 
-def test_help_answers_within_a_third_of_a_second() -> None:
-    def seconds() -> float:
-        """Of the processor: what else the machine does costs nothing."""
-        before = os.times()
-        done = subprocess.run([COMMAND, "--help"], capture_output=True, text=True, check=True)
-        assert "usage: cellslam" in done.stdout
-        after = os.times()
-        return after.children_user + after.children_system - before.children_user - before.children_system
-
-    assert min(seconds() for _ in range(5)) < 0.3
-
-
 @pytest.mark.parametrize(
     ("line", "named"),
     [
@@ -68,6 +56,7 @@ def test_verbose_stands_before_a_command_or_after_it(cellslam: Run) -> None:
 def test_show_keeps_the_keys_that_were_asked_for(cellslam: Run) -> None:
     shown = cellslam("show", "tiny", "--set", "radio.load=0.125").out
     assert re.search(r"radio\.load +0\.125 +0 to 1 +share of other cells", shown)
+    assert re.search(r"vehicle\.duration_s +[\d.]+ +s +above 0", shown)
     some = cellslam("show", "tiny", "gyro", "bias").out
     assert "odometry.gyro_bias_deg_per_s" in some and "gyro_noise" not in some
     assert "no key of tiny has phlogiston" in cellslam("show", "tiny", "phlogiston").err

@@ -27,18 +27,13 @@ def block(language: str, word: str) -> str:
 
 
 def test_the_manifest_of_the_page(tmp_path: Path) -> None:
-    """A car drives east past tx1, which stands 100 m ahead; units, signs and zeros are those of the page."""
+    """A car drives east past tx1 and tx2, which stand 100 m ahead; units, signs and zeros are those of the page."""
     pytest.importorskip("pyproj", reason="extra gnss")
-    t = np.arange(11.0)
+    t, zero = np.arange(11.0), np.zeros(11)
     delay_ns = (100.0 - 2.0 * t + 30.0) / SPEED_OF_LIGHT_MPS * 1e9
-    rows = [
-        f"{1000 * s:.0f},{tx},{delay:.3f},90" for s, delay in zip(t, delay_ns, strict=True) for tx in ("tx1", "tx2")
-    ]
+    rows = [f"{1000 * t[i]:.0f},{tx},{delay_ns[i]:.3f},90" for i in range(11) for tx in ("tx1", "tx2")]
     (tmp_path / "paths.csv").write_text("\n".join(["t,tx,delay,doa", *rows]) + "\n")
-    wheels, fixes = (
-        np.column_stack([t, 7.2 + 0 * t, 0 * t]),
-        np.column_stack([t, 55.7 + 0 * t, 15.0 + 2.0 * t / 62_873.0]),
-    )
+    wheels, fixes = np.column_stack([t, zero + 7.2, zero]), np.column_stack([t, zero + 55.7, 15.0 + 2.0 * t / 62_873.0])
     np.savetxt(tmp_path / "wheels.csv", wheels, "%.6f", ",", header="t,speed,gyro", comments="")
     np.savetxt(tmp_path / "gnss.csv", fixes, "%.9f", ",", header="t,lat,lon", comments="")
     (tmp_path / "recording.toml").write_text(block("toml", "courtyard"))

@@ -15,14 +15,12 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from cellslam.cli import main as cli
 from cellslam.recordings.exporting.tables import write_csv, write_mat
 from cellslam.recordings.importing.importing import import_folder
 from cellslam.recordings.importing.matlab import variables
 from cellslam.sim.errors import InputError
 from cellslam.sim.frames import SPEED_OF_LIGHT_MPS
 from cellslam.sim.recording import CLOCK_PRIOR, Recording, Reference
-from tests.command_line import Run
 
 Toy = Callable[..., Recording]
 
@@ -176,29 +174,6 @@ z_m = {column = "d", unit = "m"}
     assert r.reference is not None and r.reference.position_m[0].tolist() == [2.0, 1.0, -3.0]
 
 
-SHORT = ("--set", "vehicle.duration_s=12", "--set", "vehicle.distance_m=8", "--set", "vehicle.stops=0")
-BOTH = ("--estimator", "dead-reckoning", "--estimator", "ekf-slam", "--json", "--no-figures", "--quiet")
-
-
-@pytest.fixture(scope="module")
-def recorded(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    path = tmp_path_factory.mktemp("recorded") / "tiny.h5"
-    assert cli.main(["--quiet", "record", "tiny", *SHORT, "--out", str(path)]) == 0
-    return path
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("kind", ["mat", "csv"])
-def test_what_was_exported_and_imported_gives_the_same_rows(kind: str, recorded: Path, cellslam: Run) -> None:
-    assert cellslam("export", recorded, "--format", kind, "--out", "folder").status == 0
-    assert cellslam("--quiet", "import", "folder", "--out", "again.h5").status == 0
-    before, after = (cellslam("replay", path, "--no-fit", *BOTH, "--seed", 3).rows for path in (recorded, "again.h5"))
-    for one, two in zip(before, after, strict=True):
-        for key in ("snapshots", "duration_s", "position_rmse_m", "position_max_m", "heading_rmse_rad"):
-            assert two[key] == pytest.approx(one[key], rel=1e-5, abs=1e-7), key
-        assert two["map_gospa_m"] is None and two["bound_position_rmse_m"] is None and two["status"] == "ok"
-
-
 def partial_drive(draw: st.DrawFn, toy: Toy) -> Recording:
     """A drive of any intervals, by any clock, whose odometry pauses and lacks components."""
     pause = st.sampled_from([0.001, 0.1, 0.1, 0.1, 2.0, 70.0])
@@ -252,9 +227,9 @@ def matlab_73(path: Path, tables: dict[str, dict[str, Any]]) -> None:
         raw.write(b"MATLAB 7.3 MAT-file, made by a test".ljust(512, b" "))
 
 
-def test_mat_73_is_read_as_mat_5(recorded: Path, tmp_path: Path) -> None:
+def test_mat_73_is_read_as_mat_5(toy_recording: Toy, tmp_path: Path) -> None:
     folder = tmp_path / "folder"
-    write_mat(Recording.load(recorded), folder)
+    write_mat(toy_recording(), folder)
     first = import_folder(folder)
     old = variables(folder / "recording.mat")
     matlab_73(folder / "recording.mat", {name: {k: np.ravel(v) for k, v in old[name].items()} for name in old})
