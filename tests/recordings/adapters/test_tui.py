@@ -176,40 +176,23 @@ def test_paths_found_in_frequency_responses(drive: Any, tmp_path: Path) -> None:
     assert m.azimuth_std_rad is not None and np.all((m.azimuth_std_rad > 0) & (m.azimuth_std_rad < 0.02))
 
 
-def without(place: str) -> Callable[[Path], None]:
-    def change(folder: Path) -> None:
-        with h5py.File(folder / "Results_CRB_withModelError.h5", "r+") as file:
-            del file[place]
-
-    return change
-
-
-def unit_of_yaw(name: str) -> Callable[[Path], None]:
-    def change(folder: Path) -> None:
-        with h5py.File(folder / "LocationRx.h5", "r+") as file:
-            file["PoseData/RotZ"].attrs["BaseUnit"] = name
-
-    return change
-
-
 @pytest.mark.parametrize(
-    ("sheet", "change", "text"),
+    ("sheet", "text"),
     [
-        (SHEET + PATHS, without("Results/AzimuthRx"), "has no data set 'Results/AzimuthRx'"),
-        (SHEET + PATHS, unit_of_yaw(""), "states no unit and scale; say it in the sheet, as in units.RotZ"),
-        (SHEET + PATHS, unit_of_yaw("gon"), "its unit is 'gon'"),
-        (SHEET.replace("clock_offset_std_m = 100\n", "") + PATHS, None, "clock_offset_std_m"),
-        (SHEET + PATHS.replace("sign = -1, zero_deg = 0 ", "sign = -1 "), None, "zero_deg"),
+        (SHEET + PATHS, "its unit is 'gon'"),
+        (SHEET + PATHS.replace("AzimuthRx", "Azimuth"), "has no data set 'Results/Azimuth'"),
+        (SHEET.replace("clock_offset_std_m = 100\n", "") + PATHS, "clock_offset_std_m"),
+        (SHEET + PATHS.replace("sign = -1, zero_deg = 0 ", "sign = -1 "), "zero_deg"),
     ],
 )
-def test_what_is_unknown_is_asked(drive: Any, tmp_path: Path, sheet: str, change: Any, text: str) -> None:
+def test_what_is_unknown_is_asked(drive: Any, tmp_path: Path, sheet: str, text: str) -> None:
     write_location(tmp_path, drive)
     write_paths(tmp_path, drive, np.arange(0, 200, 50))
-    if change is not None:
-        change(tmp_path)
-    (tmp_path / "tui.toml").write_text(sheet)
+    if "gon" in text:
+        with h5py.File(tmp_path / "LocationRx.h5", "r+") as file:
+            file["PoseData/RotZ"].attrs["BaseUnit"] = "gon"
     with pytest.raises(InputError) as refused:
-        import_adapter(tmp_path, "tui")
+        imported(tmp_path, sheet)
     assert text in str(refused.value)
 
 
