@@ -49,11 +49,6 @@ def test_a_table_has_the_interval_of_its_statistic() -> None:
     assert columns[5][0] == "6"
 
 
-def test_unknown_worlds_are_named(capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["reproduce", "bp-slam-testbd"]) == 2
-    assert "did you mean 'bp-slam-testbed'" in capsys.readouterr().err
-
-
 @pytest.mark.slow
 def test_paper_prints_the_ladder_and_draws_the_figures(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]

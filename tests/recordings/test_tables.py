@@ -89,10 +89,3 @@ def test_a_fault_is_named_by_its_line_whatever_stands_before(tmp_path: Path) -> 
     path.write_text("# nothing but this\n")
     with pytest.raises(InputError, match=r"log\.dat: is empty"):
         import_folder(tmp_path)
-
-
-def test_a_variable_that_is_no_table(tmp_path: Path) -> None:
-    imported(tmp_path, "a matrix")
-    savemat(tmp_path / "log.mat", {"log": "text"})
-    with pytest.raises(InputError, match="'log' is neither struct nor matrix"):
-        import_folder(tmp_path)

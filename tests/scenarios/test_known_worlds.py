@@ -24,9 +24,7 @@ def test_bp_slam_trajectory_and_ranges() -> None:
     distance = np.linalg.norm(poses[:, None, :2] - bp_slam_testbed.FEATURES_M, axis=-1)
     first = [2.650057, 5.185248, 15.028781, 8.071759, 3.394330, 4.216503, 5.934880, 10.352140, 7.306783, 10.413419,
              12.146720]  # fmt: skip
-    least = [1.569, 5.185, 9.363, 8.072, 2.851, 2.599, 3.102, 5.490, 7.307, 6.391, 11.742]
     np.testing.assert_allclose(distance[0], first, atol=1e-6)
-    np.testing.assert_allclose(distance.min(axis=0), least, atol=1e-3)
 
 
 def test_bp_slam_recording() -> None:
