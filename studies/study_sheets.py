@@ -29,8 +29,8 @@ from cellslam.scenarios.simulation import simulate
 from cellslam.sim.recording import Recording
 from cellslam.slam import registry
 
-sys.path.append(str(Path(__file__).parents[1]))  # the worlds of the tests
-from tests.recordings import vehicle_world
+sys.path.append(str(Path(__file__).parents[1] / "tests" / "recordings"))  # the worlds of the tests
+import vehicle_world
 
 SEED, FACTOR, HOUR_S = 61000, 5.0, 3600.0
 PRESETS = ("lund-530", "munich-530", "canyon", "open", "anywhere", "tiny", "noiseless")

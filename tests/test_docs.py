@@ -31,7 +31,9 @@ def test_pages_name_what_is_there(page: str) -> None:
     text = (ROOT / page).read_text("utf-8")
     code = "\n".join(CODE.findall(text))
     names = set(NAME.findall(code)) - {ENTRY_POINTS}
-    names |= {f"{module}.{name.strip()}" for module, many in IMPORT.findall(text) for name in many.split(",")}
+    names |= {
+        f"{module}.{name.strip()}" for module, many in IMPORT.findall(text) for name in many.split(",") if name.strip()
+    }
     assert sorted(name for name in names if not is_there(name)) == []
     assert sorted(file for file in FILE.findall(code) if not (ROOT / file).exists()) == []
 

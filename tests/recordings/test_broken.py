@@ -250,7 +250,9 @@ def test_any_values_in_an_hdf5_file_are_refused_in_one_line(
 ) -> None:
     path = tmp_path_factory.mktemp("fuzz") / "a.h5"
     path.write_bytes(sound_h5)
-    tables = "time_s odometry measurements/snapshot measurements/link measurements/distance_m links/site"
+    tables = (
+        "time_s odometry measurements/snapshot measurements/link measurements/distance_m links/site reference/time_s"
+    )
     with h5py.File(path, "r+") as file:
         column = file[data.draw(st.sampled_from(tables.split()))]
         values = column[()]

@@ -80,7 +80,7 @@ def test_override_is_a_key_and_a_toml_value_or_a_bare_word() -> None:
         ("sites.B.ports=3", ["no 'sites.B'", "known: A"]),
         ("radio.load=3", ["radio.load = 3", "0 to 1", "share of other cells"]),
         ("radio.load='0.5'", ["radio.load = '0.5'", "a number"]),
-        ("radio.load=true", ["radio.load = True", "a number"]),
+        ("radio.load=true", ["radio.load", "a number"]),
         ("radio.load.x=1", ["radio.load is a single value"]),
         ("radio.front_end=magic", ["radio.front_end = 'magic'", "'statistical'"]),
         ("radio.perfect_detection=1", ["must be true or false"]),

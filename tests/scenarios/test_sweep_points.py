@@ -6,7 +6,6 @@ from typing import Any
 import numpy as np
 import pytest
 
-from cellslam.scenarios import load
 from cellslam.scenarios import sweep_points as sweep
 from cellslam.sim.errors import InputError
 
@@ -59,7 +58,8 @@ def test_latin_integers_are_whole_and_reach_both_ends(scale: str) -> None:
 
 def test_a_file_is_read_and_told_from_a_scenario(tmp_path: Path) -> None:
     scenario, file = tmp_path / "mine.toml", tmp_path / "sweep.toml"
-    scenario.write_text(load("tiny").toml())
+    preset = Path(__file__).parents[2] / "scenarios/presets/tiny.toml"
+    scenario.write_bytes(preset.read_bytes())
     file.write_text('scenario = "mine.toml"\ntrials = 3\nestimators = ["fastslam"]\n[grid]\nradio.load = [0, 1]')
     assert sweep.is_sweep_file(file) and not sweep.is_sweep_file(scenario) and not sweep.is_sweep_file("tiny")
     found = sweep.read(file)

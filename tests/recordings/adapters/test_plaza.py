@@ -47,9 +47,9 @@ def drive(drive_eights: Callable[..., Any]) -> Any:
 def imported(cellslam: Run) -> Callable[..., Recording]:
     """Imports a file, or the one of the working directory."""
 
-    def run(place: str = ".") -> Recording:
-        assert cellslam("--quiet", "import", place, "--adapter", "plaza", "--out", "a.h5").status == 0
-        return Recording.load("a.h5")
+    def run(place: str = ".", out: str = "a.h5") -> Recording:
+        assert cellslam("--quiet", "import", place, "--adapter", "plaza", "--out", out).status == 0
+        return Recording.load(out)
 
     return run
 
@@ -76,7 +76,7 @@ def test_text_files_without_ground_truth(drive: Any, imported: Any) -> None:
     r = imported()
     assert r.reference is None and np.array_equal(r.start_pose, np.zeros(6))
     savemat("b.mat", made)
-    both = imported("b.mat")
+    both = imported("b.mat", "b.h5")
     rows = both.time_s >= r.time_s[0]
     assert np.array_equal(both.time_s[rows], r.time_s)
     assert np.allclose(both.odometry[rows][1:], r.odometry[1:], equal_nan=True, atol=1e-9)
