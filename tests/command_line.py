@@ -28,6 +28,24 @@ class Done:
 
 
 Run = Callable[..., Done]
+# A module of estimators of one's own.
+PLUGIN = """
+import numpy as np
+from cellslam.sim.frames import integrate_pose
+from cellslam.slam.api import Estimate
+
+class Mine:
+    name = "mine"
+    requires_truth = False
+    def __init__(self, options): pass
+    def start(self, setup, rng): self.pose = setup.start_pose
+    def step(self, dt_s, odometry, snapshot):
+        self.pose = integrate_pose(self.pose, odometry, dt_s)
+        return Estimate(self.pose, np.eye(6))
+
+class Oracle(Mine):
+    requires_truth = True
+"""
 
 
 @pytest.fixture

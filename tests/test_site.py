@@ -1,4 +1,4 @@
-"""The pages of docs/: their form, their code, and that the reference has all that there is."""
+"""The pages of docs/: their code runs, their commands parse, and the reference explains what there is."""
 
 from __future__ import annotations
 
@@ -6,30 +6,21 @@ import re
 import runpy
 import shlex
 import sys
-import tomllib
 from collections.abc import Iterator
 from pathlib import Path
 from typing import NamedTuple
 
 import pytest
-from docutils import nodes
-from docutils.core import publish_doctree
-from myst_parser.docutils_ import Parser
 
 import cellslam
 from cellslam.benchmarks.scores.metrics import ROW_KEYS
-from cellslam.cli.main import SECTIONS, build_parser, main
-from cellslam.scenarios.keys import known_fields
-from cellslam.scenarios.loading import load, preset_names
-from cellslam.scenarios.scenario import Scenario
-from cellslam.scenarios.suites import suite
-from cellslam.slam import registry
+from cellslam.cli.main import build_parser, main
+from cellslam.scenarios.loading import preset_names
 
 ROOT = Path(__file__).parents[1]
 DOCS = ROOT / "docs"
 sys.path.append(str(DOCS / "site"))
 import draw_gallery  # noqa: E402
-import glossary_links  # noqa: E402
 import reference_pages  # noqa: E402
 
 PAGES = sorted(str(p.relative_to(DOCS)) for p in DOCS.rglob("*.md") if "examples" not in p.parts)
@@ -74,31 +65,21 @@ def command_lines(text: str) -> Iterator[list[str]]:
             yield words[1 : words.index(">") if ">" in words else None]
 
 
-@pytest.mark.parametrize("page", [p for p in PAGES if p.startswith("tutorials/") and p != "tutorials/index.md"])
-def test_a_tutorial_has_a_picture(page: str) -> None:
-    pictures = re.findall(r"!\[(.+?)\]\((.+?)\)", (DOCS / page).read_text(), re.S)
-    assert pictures and all((DOCS / page).parent.joinpath(file).is_file() for _, file in pictures)
-
-
 @pytest.mark.parametrize("page", PAGES)
-def test_code_is_run_or_says_why_not(page: str) -> None:
+def test_code_is_run_or_says_why_not_and_commands_parse(page: str) -> None:
     for block in blocks(page):
         assert block.language, block.text
         assert page in RUN or block.why_not or block.language.startswith(OUTPUT), block.text
-
-
-@pytest.mark.parametrize("page", PAGES)
-def test_commands_of_a_page_parse(page: str) -> None:
-    for block in blocks(page):
         for words in command_lines(block.text) if block.language == "sh" else ():
             build_parser(words).parse_args(words)
 
 
-def test_commands_of_the_gallery_parse() -> None:
-    for picture in draw_gallery.GALLERY.values():
-        for words in command_lines("\n".join(picture.commands)):
-            build_parser(words).parse_args(words)
-    assert len(draw_gallery.GALLERY) == 12
+def test_commands_of_the_readme_and_of_the_gallery_parse() -> None:
+    readme = re.findall(r"`(cellslam [a-z]+ [^`]+)`", (ROOT / "README.md").read_text())
+    gallery = [line for picture in draw_gallery.GALLERY.values() for line in picture.commands]
+    assert readme and gallery
+    for words in command_lines("\n".join([*readme, *gallery])):
+        build_parser(words).parse_args(words)
     assert all((DOCS / "images" / f"{name}.png").is_file() for name in draw_gallery.GALLERY | draw_gallery.OTHERS)
 
 
@@ -136,86 +117,9 @@ def test_notebooks_run(script: str, tmp_path: Path, monkeypatch: pytest.MonkeyPa
     pyplot.close("all")
 
 
-def test_reference_has_every_command_with_every_option() -> None:
-    page = reference_pages.commands()
-    every = [(name, name.rpartition(" ")[2]) for section in SECTIONS.values() for name in section]
-    for name, _ in every:
-        assert f"\n### cellslam {name}\n" in page
-    assert "`--trials N`" in page and "simulate a scenario" in page.lower() and "`--quiet`" in page
-
-
-def test_reference_has_every_key_of_the_presets_and_of_the_estimators() -> None:
-    page = reference_pages.scenario_keys()
-    for name in preset_names():
-        for key in known_fields(Scenario, load(name).resolved):
-            parts = key.split(".")
-            if parts[0] == "sites" and len(parts) > 1:
-                parts[1:] = ["NAME", *parts[2:]]
-                parts[3:] = ["N", *parts[4:]] if len(parts) > 3 else []
-            if parts[0] not in reference_pages.NOT_KEYS and parts[-1] not in ("sites", "cells", "NAME", "N"):
-                whole = ".".join(parts)
-                assert f"`{whole}`" in page or f"\n## {whole}\n" in page or f"`{whole}." in page, key
-    options = reference_pages.estimator_options()
-    for entry in registry.BUILT_IN:
-        assert f"\n## {entry.name}\n" in f"\n{options}"
-    assert "`estimator.fastslam.particles`" in options
-
-
-def test_reference_has_every_row_key_and_public_name() -> None:
+def test_row_keys_presets_and_public_names_are_explained() -> None:
     explained = re.findall(r"`(\w+)`", (DOCS / "reference" / "row-keys.md").read_text() + reference_pages.metrics())
     assert set(ROW_KEYS) <= set(explained)
-    page = reference_pages.python()
-    assert [n for n in cellslam.__all__ if not n.startswith("__") and f"### {n}\n" not in page] == []
-
-
-def test_reference_has_the_presets_as_they_are_listed(capsys: pytest.CaptureFixture[str]) -> None:
-    page = reference_pages.scenarios()
-    assert main(["list", "scenarios"]) == 0
-    listed = capsys.readouterr().out
-    for name in preset_names():
-        assert name in listed and f"\n## {name}\n" in page
-        assert f"| {load(name).facts['distinct_vts']} |" in page
-
-
-def test_reference_has_the_scenarios_of_the_latest_suite() -> None:
-    page, one = reference_pages.suites(), suite("standard")
-    assert [line.split("`")[1] for line in page.splitlines()[2:]] == list(one.scenarios)
-    assert all(f"| `{name}` | {one.trials_of(name)} | " in page for name in one.scenarios)
-
-
-def test_glossary_is_in_order_and_each_word_stands_once() -> None:
-    words = re.findall(r"^\| \*\*(.+?)\*\*", (DOCS / "reference" / "glossary.md").read_text(), re.M)
-    assert len(words) > 45
-    assert [w.lower() for w in words] == sorted({w.lower() for w in words})
-    assert {"gate", "virtual transmitter", "VT"} <= set(words) <= set(glossary_links.terms())
-    assert glossary_links.terms()["virtual transmitter"] == glossary_links.terms()["VT"]
-
-
-def as_built(text: str) -> nodes.document:
-    """A page as the site has it: what only Sphinx knows is left out."""
-    settings = {"report_level": 5, "halt_level": 5, "myst_enable_extensions": ["attrs_inline", "colon_fence"]}
-    page: nodes.document = publish_doctree(text, parser=Parser(), settings_overrides=settings)
-    glossary_links.link_first_uses(page, "glossary.html")
-    return page
-
-
-def test_first_uses_are_links_that_show_the_meaning() -> None:
-    text = """# VT
-
-*Clutter* is noise, [gate](x.md) and `gate` are none. Who looks at VTs, a fused measurement of two links; the VT's gate,
-gates.
-
-Virtual transmitters and clutter again.
-"""
-    links = [node for node in as_built(text).findall(nodes.reference) if "term" in node["classes"]]
-    assert [node.astext() for node in links] == ["VTs", "fused measurement", "links", "gate"]
-    assert links[0]["refuri"] == "glossary.html#term-vt" and "mirrored in the plane" in links[0]["reftitle"]
-    page: nodes.document = publish_doctree("**clock offset**", parser=Parser())
-    glossary_links.mark_words(page)
-    assert [node["ids"] for node in page.findall(nodes.strong)] == [["term-clock-offset"]]
-
-
-def test_extra_of_the_site_is_in_what_ci_installs() -> None:
-    extras = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["optional-dependencies"]
-    assert "docs" in extras["test"][0]
-    assert "sphinx-build -W" in (ROOT / ".ci" / "run").read_text()
+    python, scenarios = reference_pages.python(), reference_pages.scenarios()
+    assert [n for n in cellslam.__all__ if not n.startswith("__") and f"### {n}\n" not in python] == []
+    assert [name for name in preset_names() if f"\n## {name}\n" not in f"\n{scenarios}"] == []

@@ -14,7 +14,7 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).parents[1]
-SOURCES = ("cellslam", "sim", "slam", "scenarios", "benchmarks", "pyproject.toml", "README.md", "LICENSE")
+LEFT_OUT = (".git", ".venv", "build", "dist", "results")
 
 
 def run(*words: str | Path, cwd: Path) -> str:
@@ -23,28 +23,17 @@ def run(*words: str | Path, cwd: Path) -> str:
     return done.stdout
 
 
+def left_out(at: str, names: list[str]) -> set[str]:
+    return {name for name in names if name == "__pycache__" or (Path(at) == ROOT and name in LEFT_OUT)}
+
+
 @pytest.fixture(scope="module")
 def wheel(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Build the wheel from a copy: a build leaves folders in its source."""
     folder = tmp_path_factory.mktemp("wheel")
-    for name in SOURCES:
-        source = ROOT / name
-        if source.is_dir():
-            shutil.copytree(source, folder / "source" / name, True, shutil.ignore_patterns("__pycache__"))
-        else:
-            (folder / "source").mkdir(exist_ok=True)
-            shutil.copy(source, folder / "source" / name)
-    pip = (sys.executable, "-m", "pip", "--disable-pip-version-check")
-    run(
-        *pip,
-        "wheel",
-        "--no-deps",
-        "--no-build-isolation",
-        "--wheel-dir",
-        folder,
-        folder / "source",
-        cwd=folder,
-    )
+    shutil.copytree(ROOT, folder / "source", symlinks=True, ignore=left_out)
+    pip = (sys.executable, "-m", "pip", "--disable-pip-version-check", "wheel", "--no-deps", "--no-build-isolation")
+    run(*pip, "--wheel-dir", folder, folder / "source", cwd=folder)
     (built,) = folder.glob("cellslam-*.whl")
     return built
 
@@ -89,12 +78,7 @@ def test_installed_wheel_runs_from_an_empty_directory(wheel: Path, tmp_path: Pat
 
 
 def test_source_distribution_holds_what_the_tests_need(tmp_path: Path) -> None:
-    left_out = {".git", ".venv", "build", "dist", "results"}
-
-    def ignored(at: str, names: list[str]) -> set[str]:
-        return {name for name in names if name == "__pycache__" or (Path(at) == ROOT and name in left_out)}
-
-    shutil.copytree(ROOT, tmp_path / "source", ignore=ignored)
+    shutil.copytree(ROOT, tmp_path / "source", ignore=left_out)
     build = "from setuptools import build_meta; build_meta.build_sdist('..')"
     run(sys.executable, "-c", build, cwd=tmp_path / "source")
     (built,) = tmp_path.glob("cellslam-*.tar.gz")

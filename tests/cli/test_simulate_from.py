@@ -82,12 +82,10 @@ def test_a_drive_through_a_grid(places: Path, cellslam: Run) -> None:
 @pytest.mark.parametrize(
     ("words", "text"),
     [
-        (["nothing.npz", "tiny"], "no such file or folder"),
         (["p", "open"], "has 2 transmitters, the scenario 3 sites (A, B, C)"),
         (["p.npz", "tiny"], "say another --polarisation"),
         (["p", "tiny", "--set", "vehicle.snapshot_interval_s=0.005", "--along", "far.csv"], "be a drive, in order"),
         (["p", "tiny", "--set", "radio.carrier_hz=3.5e9"], "was traced at 2.66e+09 Hz"),
-        (["p", "tiny", "--rx-set", "4"], "has no receiver set 4 (known: 1)"),
     ],
 )
 def test_what_does_not_fit(places: Path, words: list[str], text: str, cellslam: Run) -> None:

@@ -1,7 +1,6 @@
 from __future__ import annotations
 
 import dataclasses
-import os
 from collections.abc import Callable
 from dataclasses import dataclass
 
@@ -13,42 +12,33 @@ from cellslam.benchmarks.trials.estimation import estimate, warm_up
 from cellslam.scenarios.estimator_options import resolve
 from cellslam.sim.recording import Recording
 from tests.command_line import cellslam
-from tests.recordings import vehicle_world
 
 __all__ = ["cellslam"]
 STEP_S = 0.02
-DURATION_S = float(os.environ.get("CELLSLAM_VEHICLE_S", "240"))
-
-
-@pytest.fixture(scope="session")
-def vehicle_drive() -> vehicle_world.VehicleDrive:
-    """Minutes among 500 trees; CELLSLAM_VEHICLE_S=3600 makes it an hour."""
-    return vehicle_world.drive(DURATION_S, 500, 1)
-
-
-@pytest.fixture(scope="session")
-def strip() -> Callable[..., Recording]:
-    """Returns a recording in which the named columns of the measurements were never measured."""
-
-    def stripped(recording: Recording, *columns: str) -> Recording:
-        nothing = np.full(len(recording.measurements), np.nan)
-        measurements = dataclasses.replace(recording.measurements, **dict.fromkeys(columns, nothing))
-        return dataclasses.replace(recording, measurements=measurements)
-
-    return stripped
 
 
 @pytest.fixture(scope="session")
 def take() -> Callable[..., Recording]:
     """Returns a recording with some rows of its measurements, and with some columns replaced."""
 
-    def taken(recording: Recording, keep: np.ndarray, **columns: np.ndarray) -> Recording:
+    def taken(recording: Recording, keep: np.ndarray | slice, **columns: np.ndarray) -> Recording:
         m = recording.measurements
         every = {field.name: getattr(m, field.name) for field in dataclasses.fields(m)} | columns
         kept = {name: None if column is None else column[keep] for name, column in every.items()}
         return dataclasses.replace(recording, measurements=dataclasses.replace(m, **kept))
 
     return taken
+
+
+@pytest.fixture(scope="session")
+def strip(take: Callable[..., Recording]) -> Callable[..., Recording]:
+    """Returns a recording in which the named columns of the measurements were never measured."""
+
+    def stripped(recording: Recording, *columns: str) -> Recording:
+        nothing = np.full(len(recording.measurements), np.nan)
+        return take(recording, slice(None), **dict.fromkeys(columns, nothing))
+
+    return stripped
 
 
 @pytest.fixture(scope="session")

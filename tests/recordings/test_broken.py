@@ -86,29 +86,23 @@ def remove(name: str) -> Callable[[Path], None]:
     return lambda folder: (folder / name).unlink()
 
 
-def both(*changes: Callable[[Path], None]) -> Callable[[Path], None]:
+def mat(content: bytes) -> Callable[[Path], None]:
     def change(folder: Path) -> None:
-        for one in changes:
-            one(folder)
+        swap("recording.toml", "gnss.csv", "gnss.mat")(folder)
+        (folder / "gnss.mat").write_bytes(content)
 
     return change
 
 
 toml, paths, wheels = (partial(swap, name) for name in ("recording.toml", "paths.csv", "wheels.csv"))
 new_toml, new_paths = (partial(put, name) for name in ("recording.toml", "paths.csv"))
-MAT = both(toml('file = "gnss.csv"', 'file = "gnss.mat"'), put("gnss.mat", b"MATLAB 5.0 MAT-file" + b"\0" * 60))
 BROKEN: dict[str, tuple[Callable[[Path], None], tuple[str, ...]]] = {
     "no manifest": (remove("recording.toml"), ("recording.toml", "no such file", "--adapter")),
+    "table's file missing": (remove("wheels.csv"), ("wheels.csv", "no such file")),
     "manifest not TOML": (toml("[noise.u_x]", "[noise.u_x"), ("recording.toml", "not TOML", "line")),
-    "manifest not UTF-8": (new_toml(b'description = "\xff\xfe"\n'), ("recording.toml", "not TOML")),
     "manifest empty": (new_toml(""), ("recording.toml", "'measurements' is missing")),
     "misspelled table": (toml("[odometry]", "[odometer]"), ("unknown key 'odometer", "odometry")),
-    "misspelled key": (toml("link = {", "links = {"), ("unknown key", "measurements.link")),
     "units missing": (toml('column = "range", unit = "m"', 'column = "range"'), ("distance_m.unit", "missing")),
-    "unknown unit": (
-        toml('column = "az", unit = "rad"', 'column = "az", unit = "grad"'),
-        ("azimuth_rad: unit 'grad' does not fit", "deg"),
-    ),
     "unit of another kind": (
         toml('column = "az", unit = "rad"', 'column = "az", unit = "m"'),
         ("measurements.columns.azimuth_rad", "'m' does not fit", "rad, deg"),
@@ -117,90 +111,44 @@ BROKEN: dict[str, tuple[Callable[[Path], None], tuple[str, ...]]] = {
         toml('column = "range", unit = "m"', 'column = "range", unit = "samples"'),
         ("distance_m", "sample_rate_hz"),
     ),
-    "unknown quantity": (
-        toml("distance_m = {", "distanze_m = {"),
-        ("unknown 'distanze_m'", "did you mean 'distance_m'"),
-    ),
-    "no time column": (
-        toml('time_s = {column = "t", unit = "s"}\ndistance', "distance"),
-        ("measurements.columns", "'time_s' is missing"),
-    ),
-    "nothing measured": (
-        both(
-            toml('distance_m = {column = "range", unit = "m"}\n', ""),
-            toml('azimuth_rad = {column = "az", unit = "rad"}\n', ""),
-        ),
-        ("neither distance nor angle",),
-    ),
-    "wrong type of a value": (
-        toml("clock_offset_std_m = 100", 'clock_offset_std_m = "wide"'),
-        ("sites.B.clock_offset_std_m", "number"),
-    ),
     "negative deviation": (
         toml("clock_offset_std_m = 100", "clock_offset_std_m = -1"),
         ("sites.B.clock_offset_std_m", "-1"),
     ),
-    "unknown sign": (toml('column = "az",', 'column = "az", sign = 2,'), ("azimuth_rad.sign", "2")),
     "site not described": (toml("[sites.B]", "[sites.C]"), ("[sites.B] is missing", "clock_offset_std_m")),
-    "site of no link": (new_toml(TOML + "[sites.C]\nclock_offset_std_m = 1\n"), ("[sites.C]", "no link")),
-    "unknown clock": (toml('file = "wheels.csv"', 'file = "wheels.csv"\nclock = "gps"'), ("clock 'gps'", "[clocks]")),
     "noise missing": (toml("[noise.u_psi]\nnoise_density = 0.01\n", ""), ("[noise.u_psi] is missing", "noise_density")),
-    "noise of an unknown component": (toml("[noise.u_psi]", "[noise.u_yaw]"), ("[noise.u_yaw]", "u_psi")),
-    "start from no reference": (
-        both(toml('"origin"', '"reference"'), toml(TOML[TOML.index("[reference]") : TOML.index("[start]")], "")),
-        ("start.source", "no [reference]"),
-    ),
-    "table's file missing": (remove("wheels.csv"), ("wheels.csv", "no such file", "folder holds")),
-    "file of another kind": (
-        both(toml('file = "gnss.csv"', 'file = "gnss.xlsx"'), put("gnss.xlsx", "x")),
-        ("gnss.xlsx", ".csv"),
-    ),
     "empty file": (new_paths(""), ("paths.csv", "empty", "header")),
-    "header alone": (new_paths("t,tx,range,az,snr\n"), ("measurements have no row",)),
     "no header": (
         new_paths(FILES["paths.csv"].split("\n", 1)[1]),
         ("paths.csv", "no column 't'", "it has: 1, 2, 3, 4, 5", "by their number"),
     ),
     "column missing": (paths("range", "rang"), ("paths.csv", "no column 'range'", "did you mean 'rang'")),
-    "negative SNR column name": (paths("snr", "-snr"), ("paths.csv", "no column 'snr'", "-snr")),
     "column twice": (
         paths("t,tx,range,az,snr", "t,tx,range,range,snr"),
         ("paths.csv", "two columns", "'range'", "rename"),
     ),
     "text in a number column": (paths("53,0.5", "far,0.5"), ("paths.csv", "'range', row 3", "line 5", "'far'")),
-    "quoted lines in a cell": (
-        paths("53,0.5", '"53\n54",0.5'),
-        ("paths.csv", "'range', row 3", "'53 54' is not a number"),
-    ),
-    "quoted lines in the header": (swap("gnss.csv", "t,x,y", '"t\nx",y'), ("gnss.csv",)),
     "decimal commas": (
         put("wheels.csv", "t;v;w\n0,0;1,0;0,1\n0,1;1,0;0,1\n"),
         ("wheels.csv", "line 2", "'0,0' is not a number", "decimal points"),
     ),
     "ragged line": (paths("54,0.5,6", "54,0.5,6,7"), ("paths.csv", "line", "header")),
     "not UTF-8": (new_paths(b"t,tx,range,az,snr\n0,\xff\xfe,1,1,1\n"), ("paths.csv", "UTF-8")),
-    "binary rubbish": (new_paths(bytes(range(256)) * 9), ("paths.csv",)),
-    "NaN time": (paths("0.4,1", ",1"), ("measurements.time_s, row 4", "leave the row out")),
     "infinite distance": (paths("53,0.5", "inf,0.5"), ("measurements.distance_m, row 3", "NaN")),
     "degrees": (paths("52,0.5", "52,28.6"), ("azimuth_rad, row 2", "degrees")),
     "link not in the table": (paths("0.3,2", "0.3,7"), ("paths.csv", "row 3", "link '7'", "[links.7]")),
-    "link empty": (paths("0.3,2", "0.3,"), ("paths.csv", "row 3", "empty")),
     "duplicate rows": (
         paths("0.3,2,53,0.5,7\n", "0.3,2,53,0.5,7\n0.3,2,53,0.5,7\n"),
         ("measurements, row 4", "repeats", "remove"),
     ),
-    "row of nothing": (paths("53,0.5", ","), ("measurements, row 3", "leave the row out")),
     "unsorted odometry": (wheels("0.10,", "0.60,"), ("odometry.time_s, row 3", "sort")),
-    "odometry twice at a time": (wheels("0.10,", "0.05,"), ("odometry.time_s, row 2", "sort")),
-    "odometry NaN time": (wheels("0.10,", ","), ("odometry.time_s, row 2", "leave the row out")),
-    "infinite speed": (wheels("0.10,1.0", "0.10,inf"), ("odometry.u_x, row 2", "infinite")),
     "odometry of one row": (put("wheels.csv", "t,v,w\n0,1,0\n"), ("odometry", "two rows")),
-    "unsorted reference": (put("gnss.csv", "t,x,y\n0,0,0\n2,2,0\n1,1,0\n"), ("reference.time_s, row 2", "sort")),
-    "not a .mat file": (MAT, ("gnss.mat", "MATLAB", "export it again")),
+    "not a .mat file": (mat(b"MATLAB 5.0 MAT-file" + b"\0" * 60), ("gnss.mat", "MATLAB", "export it again")),
     "truncated .mat file": (
-        both(MAT, put("gnss.mat", b"MATLAB 5.0 MAT-file".ljust(124) + b"\x00\x01IM" + b"\x0e\0\0\0\xff\0\0\0")),
+        mat(b"MATLAB 5.0 MAT-file".ljust(124) + b"\x00\x01IM" + b"\x0e\0\0\0\xff\0\0\0"),
         ("gnss.mat", "MATLAB"),
     ),
+    "unsorted reference": (put("gnss.csv", "t,x,y\n0,0,0\n2,2,0\n1,1,0\n"), ("reference.time_s, row 2", "sort")),
 }
 
 
@@ -211,11 +159,6 @@ def made(folder: Path) -> Path:
     return folder
 
 
-def test_the_sound_campaign_imports(tmp_path: Path) -> None:
-    recording = import_folder(made(tmp_path / "c"))
-    assert len(recording.time_s) == 20 and len(recording.measurements) == 20
-
-
 @pytest.mark.parametrize("kind", BROKEN)
 def test_broken_campaign(kind: str, tmp_path: Path, cellslam: Run) -> None:
     change, words = BROKEN[kind]
@@ -224,19 +167,6 @@ def test_broken_campaign(kind: str, tmp_path: Path, cellslam: Run) -> None:
     before = sorted(tmp_path.rglob("*"))
     refused(cellslam("import", folder, "--out", tmp_path / "out.h5"), str(folder), *words)
     assert sorted(tmp_path.rglob("*")) == before
-
-
-def test_a_hundred_thousand_rows_are_read(tmp_path: Path) -> None:
-    folder = made(tmp_path / "c")
-    rows = 100_000
-    t = 0.01 * (np.arange(rows) // 20)
-    table = np.column_stack(
-        [t, 1 + np.arange(rows) % 2, 50 + 0.01 * np.arange(rows), np.full(rows, 0.5), np.full(rows, 9.0)]
-    )
-    with (folder / "paths.csv").open("w") as file:
-        file.write("t,tx,range,az,snr\n")
-        np.savetxt(file, table, "%.6g", ",")
-    assert len(import_folder(folder).measurements) == rows
 
 
 # A hundred of each kind here; CELLSLAM_FUZZ=5000 tries so many.
@@ -320,17 +250,11 @@ def test_any_values_in_an_hdf5_file_are_refused_in_one_line(
 ) -> None:
     path = tmp_path_factory.mktemp("fuzz") / "a.h5"
     path.write_bytes(sound_h5)
-    names = [
-        "time_s",
-        "odometry",
-        "measurements/snapshot",
-        "measurements/link",
-        "measurements/distance_m",
-        "links/site",
-        "reference/time_s",
-    ]
+    tables = (
+        "time_s odometry measurements/snapshot measurements/link measurements/distance_m links/site reference/time_s"
+    )
     with h5py.File(path, "r+") as file:
-        column = file[data.draw(st.sampled_from(names))]
+        column = file[data.draw(st.sampled_from(tables.split()))]
         values = column[()]
         flat = values.reshape(-1)
         extreme = (

@@ -28,24 +28,6 @@ def studies(monkeypatch: pytest.MonkeyPatch) -> Any:
     return importlib.import_module
 
 
-@pytest.mark.slow
-def test_few_wide_measurements_beat_odometry(studies: Any) -> None:
-    """45 places, angles of three degrees: in nearly every drive, and by 0.6 on the whole."""
-    study = studies("study_worlds")
-    found = [study.errors(build(study.surveyed(seed)), ("ekf-slam",), seed) for seed in range(2000, 2008)]
-    alone, own = (np.array([row[name] for row in found]) for name in ("dead-reckoning", "ekf-slam"))
-    assert (own < alone).sum() >= 7
-    assert np.sqrt(np.mean(own**2)) < 0.6 * np.sqrt(np.mean(alone**2))
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("seed", [1001, 2001, 2004])
-def test_ranges_to_polled_beacons_beat_odometry(studies: Any, seed: int) -> None:
-    study = studies("study_worlds")
-    found = study.errors(build(study.WORLDS["beacons"](seed)), ("ekf-slam",), seed)
-    assert found["ekf-slam"] < 0.5 * found["dead-reckoning"]
-
-
 # By which the data sheet is wrong; trees alone are left out, as they are the same with worse odometry.
 FACTORS = {"hall": 5.0, "hall with an arm": 0.2, "places": 5.0, "beacons": 0.2, "trees by bad odometry": 0.2,
            "cellular": 5.0, "surveyed": 0.2}  # fmt: skip

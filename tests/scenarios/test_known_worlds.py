@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import numpy as np
 import pytest
 
@@ -13,7 +11,6 @@ from cellslam.scenarios.estimator_options import resolve
 from cellslam.scenarios.known_worlds import NAMES, bp_slam_testbed, known_world, phd_slam_3
 from cellslam.sim.errors import InputError
 from cellslam.sim.frames import wrap_angle
-from cellslam.sim.recording import Recording
 
 
 def test_bp_slam_trajectory_and_ranges() -> None:
@@ -27,12 +24,10 @@ def test_bp_slam_trajectory_and_ranges() -> None:
     distance = np.linalg.norm(poses[:, None, :2] - bp_slam_testbed.FEATURES_M, axis=-1)
     first = [2.650057, 5.185248, 15.028781, 8.071759, 3.394330, 4.216503, 5.934880, 10.352140, 7.306783, 10.413419,
              12.146720]  # fmt: skip
-    least = [1.569, 5.185, 9.363, 8.072, 2.851, 2.599, 3.102, 5.490, 7.307, 6.391, 11.742]
     np.testing.assert_allclose(distance[0], first, atol=1e-6)
-    np.testing.assert_allclose(distance.min(axis=0), least, atol=1e-3)
 
 
-def test_bp_slam_recording(tmp_path: Path) -> None:
+def test_bp_slam_recording() -> None:
     recording = bp_slam_testbed.simulate(3, 0)
     m, truth = recording.measurements, recording.truth
     assert truth is not None and recording.sites.position_m is not None
@@ -43,10 +38,6 @@ def test_bp_slam_recording(tmp_path: Path) -> None:
     error = m.distance_m[real] - np.linalg.norm(truth.poses[m.snapshot[real], :3] - vts, axis=1)
     assert np.std(error) == pytest.approx(0.1, rel=0.05)
     assert m.snapshot[0] == 1 and np.isnan(m.azimuth_rad).all()
-    recording.save(tmp_path / "testbed.h5")
-    again = Recording.load(tmp_path / "testbed.h5")
-    assert again.sites.position_m is not None
-    np.testing.assert_array_equal(again.sites.position_m, recording.sites.position_m)
 
 
 def test_phd_slam_trajectory_meets_the_published_one() -> None:
@@ -71,10 +62,7 @@ def test_phd_slam_recording() -> None:
     assert np.std(m.distance_m[real] - np.linalg.norm(w, axis=1)) == pytest.approx(0.8, rel=0.03)
     bearing = np.arctan2(w[:, 1], w[:, 0]) - truth.poses[m.snapshot[real], 3]
     assert np.std(wrap_angle(m.azimuth_rad[real] - bearing)) == pytest.approx(np.radians(0.3), rel=0.03)
-    other = phd_slam_3.simulate(3, 1)
-    assert other.truth is not None
-    np.testing.assert_array_equal(truth.poses, other.truth.poses)
-    assert not np.array_equal(recording.odometry, other.odometry)
+    assert not np.array_equal(recording.odometry, phd_slam_3.simulate(3, 1).odometry)
 
 
 def test_names_and_published_figures() -> None:

@@ -2,15 +2,11 @@ from __future__ import annotations
 
 import tomllib
 from pathlib import Path
-from typing import Annotated, Literal
 
-import numpy as np
 import pytest
-from pydantic import BaseModel, ConfigDict, Field
 
 from cellslam.scenarios import load, overrides
 from cellslam.scenarios.estimator_options import resolve, with_options
-from cellslam.scenarios.keys import describe, known_fields, nearest_key, unit_of, validate
 from cellslam.sim.errors import InputError
 
 PLACE = """
@@ -75,40 +71,22 @@ def test_override_is_a_key_and_a_toml_value_or_a_bare_word() -> None:
     assert overrides.split("estimator.a.b:C.gain") == ["estimator", "a.b:C", "gain"]
 
 
-def test_overrides_leave_the_given_tables_alone() -> None:
-    tables = {"a": {"b": [{"name": "x", "c": 1}]}}
-    assert overrides.apply(tables, {"a.b.x.c": 2, "d.e": 3}) == {"a": {"b": [{"name": "x", "c": 2}]}, "d": {"e": 3}}
-    assert tables == {"a": {"b": [{"name": "x", "c": 1}]}}
-
-
 @pytest.mark.parametrize(
     ("text", "words"),
     [
         ("radio.laod=0.3", ["unknown key 'radio.laod'", "did you mean 'radio.load'"]),
-        ("rdio.load=0.3", ["unknown key 'rdio.load'", "did you mean 'radio.load'"]),
         ("detection_scale=0.3", ["did you mean 'radio.detection_scale'"]),
-        ("particles=3", ["did you mean 'estimator.fastslam.particles'"]),
         ("sites.A.prts=3", ["unknown key 'sites.A.prts'", "did you mean 'sites.A.ports'"]),
         ("sites.B.ports=3", ["no 'sites.B'", "known: A"]),
-        ("sites.A.cells.4.cell_id=3", ["no 'sites.A.cells.4'"]),
         ("radio.load=3", ["radio.load = 3", "0 to 1", "share of other cells"]),
-        ("radio.load=high", ["radio.load = 'high'", "a number, 0 to 1"]),
         ("radio.load='0.5'", ["radio.load = '0.5'", "a number"]),
-        ("radio.load=nan", ["radio.load = nan", "finite"]),
+        ("radio.load=true", ["radio.load", "a number"]),
         ("radio.load.x=1", ["radio.load is a single value"]),
-        ("radio=5", ["radio = 5", "must be a table"]),
         ("radio.front_end=magic", ["radio.front_end = 'magic'", "'statistical'"]),
         ("radio.perfect_detection=1", ["must be true or false"]),
-        ("radio.resource_blocks=2.5", ["2.5", "an integer, 6 to 272"]),
-        ("city.seed=other", ["city.seed = 'other'", "an integer or 'trial'"]),
-        ("city.kind=cloud", ["city.kind = 'cloud'", "'procedural' or 'mesh'"]),
-        ("city={}", ["'city.kind' is missing"]),
         ("city.height_min_m=100", ["city: height_max_m 35.0 is below height_min_m 100"]),
-        ("sites=[]", ["at least 1 items, not 0"]),
-        ("vehicle.distance_m=-3", ["vehicle.distance_m = -3", "above 0, at most 20000 m"]),
         ("vehicle.waypoints_m=[[1, 2], [3]]", ["'vehicle.waypoints_m.1.1' is missing"]),
         ("estimator.particles=5", ["name the estimator", "estimator.fastslam.particles"]),
-        ("name=a/b", ["name = 'a/b'"]),
     ],
 )
 def test_wrong_override_says_what_is_allowed(place: Path, text: str, words: list[str]) -> None:
@@ -119,6 +97,7 @@ def test_wrong_override_says_what_is_allowed(place: Path, text: str, words: list
 
 def test_wrong_files(tmp_path: Path) -> None:
     path = tmp_path / "drive.toml"
+    assert "unknown scenario 'tinny'; did you mean 'tiny'?" in failure("tinny")
     assert "drive.toml: no such scenario file" in failure(path)
     path.write_text("a = ")
     assert "drive.toml: not a scenario file" in failure(path)
@@ -126,54 +105,6 @@ def test_wrong_files(tmp_path: Path) -> None:
     assert "no UTF-8" in failure(path)
     path.write_text(PLACE.replace("[city]", "[cty]"))
     assert "drive.toml: unknown key 'cty.kind'; did you mean 'city.kind'?" in failure(path)
-    path.write_text(PLACE.split("[[sites]]")[0])
-    assert "drive.toml: 'sites' is missing" in failure(path)
-    assert "cannot be read" in failure(f"{tmp_path}/")
-
-
-def test_unknown_preset_names_the_nearest() -> None:
-    message = failure("tinny")
-    assert "unknown scenario 'tinny'; did you mean 'tiny'?" in message
-    assert ".toml" in message
-
-
-class Inner(BaseModel):
-    model_config = ConfigDict(frozen=True, extra="forbid")
-    kind: Literal["inner"] = "inner"
-    length_m: float = Field(1.0, gt=0, lt=2, description="a length")
-
-
-class Outer(BaseModel):
-    model_config = ConfigDict(frozen=True, extra="forbid")
-    part: Annotated[Inner, Field(description="a part")] = Inner()
-    items: tuple[Inner, ...] = (Inner(), Inner())
-    count: int = Field(3, ge=1, description="how many")
-    flag: bool = False
-
-
-def test_keys_are_listed_with_unit_range_and_meaning() -> None:
-    listed = {key.name: key for key in describe(Outer())}
-    items = [f"items.{index}.{name}" for index in (0, 1) for name in ("kind", "length_m")]
-    assert list(listed) == ["part.kind", "part.length_m", *items, "count", "flag"]
-    key = listed["part.length_m"]
-    assert (key.value, key.unit, key.allowed, key.meaning) == (1.0, "m", "above 0, below 2", "a length")
-    assert [listed[name].allowed for name in ("count", "flag", "part.kind")] == [
-        "at least 1",
-        "true or false",
-        "'inner'",
-    ]
-    assert [unit_of(key) for key in ("noise_m_per_sqrt_s", "drift_deg_per_s", "stops")] == ["m/sqrt(s)", "deg/s", ""]
-    fields = known_fields(Outer, {"items": [{"name": "x"}, {}]})
-    assert {"part", "items.x.length_m", "items.1.kind", "count"} <= set(fields)
-    assert nearest_key("part.lenght_m", list(fields)) == "part.length_m" and nearest_key("zzz", list(fields)) == ""
-
-
-def test_validation_converts_only_integers_to_floats() -> None:
-    for value in (1, np.float64(1.0)):
-        assert validate(Outer, {"part": {"length_m": value}}).part.length_m == 1.0
-    for value in ("1", True, [1], None):
-        with pytest.raises(InputError, match="must be a number"):
-            validate(Outer, {"part": {"length_m": value}})
 
 
 def test_options_are_validated_by_the_estimators_own_model(place: Path) -> None:

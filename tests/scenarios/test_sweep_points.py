@@ -33,22 +33,6 @@ def test_parts_of_a_file_are_multiplied_last_fastest() -> None:
     got = settings(data)
     assert [tuple(s.values()) for s in got] == [(0.1, 1, 1), (0.1, 0.5, 2), (0.2, 1, 1), (0.2, 0.5, 2)]
     assert list(got[0]) == ["radio.load", "radio.detection_scale", "radio.clutter_scale"]
-    assert settings({"list": [{"radio": {"load": 0.3}}, {"radio.load": 0.7}]}) == [
-        {"radio.load": 0.3},
-        {"radio.load": 0.7},
-    ]
-
-
-def test_points_carry_scenario_and_options() -> None:
-    data = {
-        "scenario": "tiny",
-        "set": {"radio": {"load": 0.25}},
-        "grid": {"radio.clutter_scale": [0.5], "estimator.fastslam.particles": [7, 9]},
-    }
-    points = sweep.points(sweep.from_tables(data), ("fastslam", *DR))
-    assert [p.requests[0].options.particles for p in points] == [7, 9]
-    assert {p.scenario.world.radio.load for p in points} == {0.25}
-    assert points[0].scenario.world == points[1].scenario.world
 
 
 def test_latin_hypercube_uses_every_part_of_every_range_once() -> None:
@@ -76,12 +60,10 @@ def test_a_file_is_read_and_told_from_a_scenario(tmp_path: Path) -> None:
     scenario, file = tmp_path / "mine.toml", tmp_path / "sweep.toml"
     preset = Path(__file__).parents[2] / "scenarios/presets/tiny.toml"
     scenario.write_bytes(preset.read_bytes())
-    file.write_text(
-        'scenario = "mine.toml"\ntrials = 3\nseed = 5\nestimators = ["fastslam"]\n[grid]\nradio.load = [0, 1]'
-    )
+    file.write_text('scenario = "mine.toml"\ntrials = 3\nestimators = ["fastslam"]\n[grid]\nradio.load = [0, 1]')
     assert sweep.is_sweep_file(file) and not sweep.is_sweep_file(scenario) and not sweep.is_sweep_file("tiny")
     found = sweep.read(file)
-    assert (found.trials, found.seed, found.estimators, found.swept) == (3, 5, ("fastslam",), ("radio.load",))
+    assert (found.trials, found.estimators, found.swept) == (3, ("fastslam",), ("radio.load",))
     assert [p.scenario.name for p in sweep.points(found, DR)] == ["mine", "mine"]
 
 
@@ -100,20 +82,10 @@ def test_what_a_setting_of_a_list_leaves_out_is_the_scenarios(tmp_path: Path) ->
 WRONG = {
     "key": ({"grid": {"radio.laod": [1]}}, "unknown key 'radio.laod'; did you mean 'radio.load'"),
     "value": ({"grid": {"radio.load": [0.5, 7]}}, "radio.load = 7: must be 0 to 1"),
-    "empty": ({"grid": {"radio.load": []}}, "grid.radio.load: needs at least one value"),
-    "no list": ({"grid": {"radio.load": 1}}, "grid.radio.load = 1: must be a list"),
     "twice": ({"grid": {"radio.load": [1]}, "zip": {"radio.load": [1]}}, "radio.load is swept twice"),
     "set": ({"grid": {"radio.load": [1]}, "set": {"radio.load": 0.5}}, "radio.load is swept, and set to 0.5"),
-    "lengths": ({"zip": {"radio.load": [1], "radio.clutter_scale": [1, 2]}}, "radio.load has 1, radio.clutter_scale"),
-    "list keys": ({"list": [{"radio.load": 1}, {"radio.cluter_scale": 1}]}, "unknown key 'radio.cluter_scale'"),
     "estimator": ({"grid": {"estimator.fastslam.particles": [1]}}, "'fastslam' is not among the estimators"),
     "range": ({"latin": {"points": 2, "ranges": {"radio.load": {"low": 1, "high": 0}}}}, "needs low < high"),
-    "log": (
-        {"latin": {"points": 2, "ranges": {"radio.load": {"low": 0, "high": 1, "scale": "log"}}}},
-        "0 < low < high",
-    ),
-    "part": ({"gird": {}}, "unknown key 'gird'; did you mean 'grid'"),
-    "trials": ({"trials": 0}, "trials = 0: must be at least 1"),
     "size": ({"grid": {f"k{i}": list(range(100)) for i in range(3)}}, "the sweep has 1000000 points"),
 }
 
@@ -130,7 +102,4 @@ def test_a_broken_file_is_named(tmp_path: Path) -> None:
     file = tmp_path / "s.toml"
     file.write_text('scenario = "tiny"\n[latin]\npoints = 0\nranges = {}')
     with pytest.raises(InputError, match=r"s.toml: latin.points = 0"):
-        sweep.read(file)
-    file.write_text("scenario = ")
-    with pytest.raises(InputError, match=r"s.toml: not a sweep file"):
         sweep.read(file)

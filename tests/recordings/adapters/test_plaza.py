@@ -82,22 +82,6 @@ def test_text_files_without_ground_truth(drive: Any, imported: Any) -> None:
     assert np.allclose(both.odometry[rows][1:], r.odometry[1:], equal_nan=True, atol=1e-9)
 
 
-def test_odometry_is_integrated_as_it_was_given(drive: Any, imported: Any, cellslam: Run) -> None:
-    """Without noise the increments, turned about the middle of each step, lead along the true path."""
-    made = tables(drive, False)
-    yaw = made["GT"][:, 3]
-    steps, middle = np.diff(made["GT"][:, 1:3], axis=0), 0.5 * (yaw[1:] + yaw[:-1])
-    made["DR"][:, 1:] = np.column_stack(
-        [(steps * np.column_stack([np.cos(middle), np.sin(middle)])).sum(1), np.diff(yaw)]
-    )
-    savemat("Plaza1_.mat", made)
-    r = imported()
-    words = ("export", "a.h5", "--format", "tum", "--estimator", "dead-reckoning", "--out", "a.tum")
-    assert cellslam(*words).status == 0
-    driven = np.loadtxt("a.tum")
-    assert np.hypot(*(driven[:, 1:3] - drive.at(r.time_s - BEGIN_S)[:, :2]).T).max() < 0.1
-
-
 def test_filters_find_the_beacons(drive: Any, imported: Any, cellslam: Run) -> None:
     """Beacons that are polled in turn, one distance in 0.9 s, without any option."""
     savemat("Plaza1_.mat", tables(drive, False))

@@ -7,6 +7,7 @@ from collections.abc import Iterator
 import numpy as np
 import pytest
 from numpy.typing import NDArray
+from scipy.ndimage import median_filter
 from threadpoolctl import threadpool_limits
 
 from cellslam.sim.compiling import njit
@@ -16,9 +17,10 @@ from cellslam.sim.lte.array import CircularArray, PathSet, doppler_phasors, misc
 from cellslam.sim.lte.downlink import LteWaveform
 from cellslam.sim.lte.error_bounds import fisher_information, joint_std
 from cellslam.sim.lte.signal.channel import frequency_response
-from cellslam.sim.lte.signal.path_estimator import fit_kernel
+from cellslam.sim.lte.signal.path_estimator import fit_kernel, search_kernel
 from cellslam.sim.lte.signal.path_estimator.cancellation import cancel
 from cellslam.sim.lte.signal.path_estimator.path_estimator import Estimates, estimate_paths
+from cellslam.sim.lte.signal.path_estimator.spectrum import Spectrum
 from cellslam.sim.lte.signal.receiver import Receiver, receiver_of
 from cellslam.sim.nr.nr_waveform import NrWaveform
 
