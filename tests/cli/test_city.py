@@ -96,3 +96,9 @@ def test_a_hundred_thousand_receivers_in_munich_need_less_than_a_gigabyte() -> N
     done = subprocess.run([sys.executable, "-m", "tools", *words], cwd=root, capture_output=True, text=True, check=True)
     row = json.loads(done.stdout)["sizes"][0]
     assert row["receivers"] == 100_000 and row["paths"] > 50_000 and row["peak_bytes"] < 1e9
+
+
+def test_a_transmitter_in_a_building_is_refused(receivers: Path, cellslam: Run) -> None:
+    x, y = find_city("tiny").footprints[0].representative_point().coords[0]
+    words = ("city", "trace", "tiny", f"--bs={x},{y},5", "--rx", receivers, "--out", "p.csv")
+    refused(cellslam(*words), "inside building 0, whose roof is at")

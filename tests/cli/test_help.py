@@ -86,3 +86,12 @@ def test_commands_options_scenarios_and_estimators_are_completed() -> None:
     assert offered("cellslam run tin") == {"tiny"}
     assert offered("cellslam run tiny --estimator ek") == {"ekf-slam"}
     assert offered("cellslam run tiny --tri") == {"--trials"}
+
+
+@pytest.mark.slow
+def test_no_colour_in_pipes_nor_where_none_is_wanted() -> None:
+    wanted = {**os.environ, "FORCE_COLOR": "1", "NO_COLOR": "1", "TERM": "xterm"}
+    words = [sys.executable, "-m", "cellslam", "list", "scenarios"]
+    for environment in (dict(os.environ), wanted):
+        ran = subprocess.run(words, env=environment, capture_output=True, check=True)
+        assert b"\x1b[3" not in ran.stdout and b"\x1b[9" not in ran.stdout

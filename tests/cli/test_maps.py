@@ -7,6 +7,7 @@ from pathlib import Path
 
 import pytest
 
+from cellslam.benchmarks.sweeps.rows import results
 from cellslam.benchmarks.trials.earlier_drives import Before
 from cellslam.cli import main as cli
 from cellslam.scenarios.estimator_options import resolve
@@ -93,3 +94,12 @@ def test_requests_that_cannot_be_met_say_why(first: Path, cellslam: Run) -> None
         (("sweep", "tiny", "--map", "broken.h5", "--out", "out"), "truncated"),
     ):
         refused(cellslam(*words), text)
+
+
+@pytest.mark.slow
+def test_drives_of_a_sequence_are_points_of_a_sweep(cellslam: Run) -> None:
+    given = ("sweep", "tiny", *KNOWN_CLOCKS, "--sweep", "map.drives=1,2", "--estimator", "ekf-slam", "--quiet")
+    assert cellslam(*given, "--seed", "72", "--executor", "serial", "--out", "out").status == 0
+    found = results("out")
+    assert found["map.drives"].tolist() == [1, 2] and found["position_rmse_m"].nunique() == 2
+    assert (found["status"] == "ok").all()

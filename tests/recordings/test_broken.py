@@ -267,3 +267,16 @@ def test_any_values_in_an_hdf5_file_are_refused_in_one_line(
         column[...] = values
     recording_guard.seal(path)
     tried(lambda: Recording.load(path))
+
+
+def test_a_hundred_thousand_rows_are_read(tmp_path: Path) -> None:
+    folder = made(tmp_path / "c")
+    rows = 100_000
+    t = 0.01 * (np.arange(rows) // 20)
+    table = np.column_stack(
+        [t, 1 + np.arange(rows) % 2, 50 + 0.01 * np.arange(rows), np.full(rows, 0.5), np.full(rows, 9.0)]
+    )
+    with (folder / "paths.csv").open("w") as file:
+        file.write("t,tx,range,az,snr\n")
+        np.savetxt(file, table, "%.6g", ",")
+    assert len(import_folder(folder).measurements) == rows

@@ -236,3 +236,10 @@ def test_mat_73_is_read_as_mat_5(toy_recording: Toy, tmp_path: Path) -> None:
     second = import_folder(folder)
     assert second.measurements.distance_m.tobytes() == first.measurements.distance_m.tobytes()
     assert second.odometry.tobytes() == first.odometry.tobytes()
+
+
+def test_delays_in_samples(campaign: Path) -> None:
+    (campaign / "recording.toml").write_text(
+        MANIFEST.replace('column = "tau", unit = "ns"', 'column = "tau", unit = "samples"')
+    )
+    assert import_folder(campaign).measurements.distance_m[1] == pytest.approx(100 * SPEED_OF_LIGHT_MPS / 100e6)

@@ -14,7 +14,7 @@ import pytest
 
 from cellslam.recordings import build
 from cellslam.recordings.inspection.suspicions import suspicions
-from cellslam.sim.frames import SPEED_OF_LIGHT_MPS
+from cellslam.sim.frames import SPEED_OF_LIGHT_MPS, wrap_angle
 from cellslam.sim.recording import Recording
 from tests.recordings import mistaken_worlds as worlds
 
@@ -83,3 +83,11 @@ def test_whole_numbers_are_samples(cellular: Recording, take: Callable[..., Reco
     once = np.sort(np.unique(key, axis=0, return_index=True)[1])  # rounding makes some rows equal
     found = suspicions(take(cellular, once, distance_m=samples))
     assert [s.kind for s in found] == ["samples"] and "sample_rate_hz" in found[0].text
+
+
+def test_a_clockwise_yaw_of_the_reference_is_named(cellular: Recording) -> None:
+    assert cellular.reference is not None
+    yaw = wrap_angle(np.pi / 2 - cellular.reference.yaw_rad)
+    mistaken = dataclasses.replace(cellular, reference=dataclasses.replace(cellular.reference, yaw_rad=yaw))
+    found = {s.kind: s.text for s in suspicions(mistaken)}
+    assert "clockwise" in found and "yaw" in found["clockwise"]

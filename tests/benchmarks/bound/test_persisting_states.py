@@ -179,3 +179,12 @@ def test_recordings_that_do_not_say_their_causes_are_refused(make_recording):
     other = {"world": {"radio": RadioConfig(roof_azimuth_deg=3.0).model_dump()}}
     with pytest.raises(InputError, match="agree"):
         bound(replace(recording, provenance=other))
+
+
+def test_errors_that_all_links_share_are_not_averaged_over_links(make_recording):
+    one, four = (make_recording(seed=7, snapshots=120, ports=ports, detection=1.0, **POOR) for ports in (1, 4))
+    radio = {"calibration_distance_m": 0.6, "roof_azimuth_deg": 2.0, "specular_to_diffuse_db": 40.0}
+    one, four = persisting(one, **radio), persisting(four, **radio)
+    gain = bound(one).position_rmse_m / bound(four).position_rmse_m
+    gain_white = bound(all_white(one)).position_rmse_m / bound(all_white(four)).position_rmse_m
+    assert 1.0 <= gain < 1.0 + 0.6 * (gain_white - 1.0)

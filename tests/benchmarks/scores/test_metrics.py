@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import time
 
 import numpy as np
 import pytest
@@ -147,3 +148,13 @@ def test_links_of_a_site_may_share_a_map(make_recording):
     alone = dataclasses.replace(whole.vts, position_m=whole.vts.position_m + 1e3 * (whole.vts.link == 1)[:, None])
     far = score(recording, dataclasses.replace(whole, vts=alone), None)["map_gospa_m"]
     assert far == pytest.approx(np.sqrt(2.0) * missed[1] / 4)
+
+
+def test_association_of_a_hundred_thousand_measurements_is_fast():
+    rng, count = np.random.default_rng(8), 100_000
+    link, true = rng.integers(0, 12, count), rng.integers(-1, 40, count)
+    said = np.where(rng.random(count) < 0.9, true + 1, -1)
+    begin = time.perf_counter()
+    precision, recall = precision_recall(tracks_of(link, said, true), true)
+    assert time.perf_counter() - begin < 1.0
+    assert recall == pytest.approx(0.9, abs=0.01) and precision is not None

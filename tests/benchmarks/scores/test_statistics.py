@@ -108,3 +108,9 @@ def test_intervals_are_the_same_each_time_and_exact_where_nothing_varies() -> No
 def test_unknown_statistics_are_refused(name: str) -> None:
     with pytest.raises(InputError, match="unknown statistic"):
         s.statistic(name)
+
+
+def test_coverage_check_finds_a_wrong_interval(monkeypatch: pytest.MonkeyPatch) -> None:
+    real = s.interval
+    monkeypatch.setattr(s, "interval", lambda values, of, confidence: real(values, of, 0.88))
+    assert coverage("mean", 100, 400, monkeypatch) < 0.93

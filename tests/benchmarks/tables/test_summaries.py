@@ -3,6 +3,8 @@ from __future__ import annotations
 import csv
 import io
 import json
+import sqlite3
+import time
 from pathlib import Path
 from typing import Any
 
@@ -12,6 +14,7 @@ import pytest
 from cellslam.benchmarks import comparison, results, summary
 from cellslam.benchmarks.figures.sweep.sweep_data import curve_keys, load, sweep_lines
 from cellslam.benchmarks.sweeps.rows import varying_keys
+from cellslam.benchmarks.sweeps.store import DATABASE
 from cellslam.benchmarks.sweeps.tasks import plan
 from cellslam.benchmarks.tables.summaries import Layout
 from cellslam.cli.main import main
@@ -176,3 +179,25 @@ def test_a_folder_without_results_is_one_line(tmp_path: Path, capfd: pytest.Capt
     assert main([command, str(tmp_path)]) == 2
     err = capfd.readouterr().err
     assert err.count("\n") == 1 and "no results" in err
+
+
+def test_a_hundred_thousand_rows_take_two_seconds(folder: Path, tmp_path: Path) -> None:
+    with sqlite3.connect(folder / DATABASE) as source, sqlite3.connect(tmp_path / DATABASE) as target:
+        source.backup(target)
+        columns = [c[1] for c in target.execute("PRAGMA table_info(rows)")]
+        names = ", ".join(f'"{c}"' for c in columns if c not in ("key", "trial"))
+        target.execute("CREATE TEMP TABLE n AS WITH RECURSIVE c(i) AS (SELECT 0 UNION ALL SELECT i + 1 FROM c"
+                       " WHERE i < 1399) SELECT i FROM c")  # fmt: skip
+        target.execute(
+            f"INSERT INTO rows (key, trial, {names}) SELECT key || i, trial + 100 * (i + 1), {names} FROM rows, n"
+        )
+        count = target.execute("SELECT count(*) FROM rows").fetchone()[0]
+    source.close()
+    target.close()
+    assert count > 1e5
+    begin = time.perf_counter()
+    tidy = summary(tmp_path)
+    seconds = time.perf_counter() - begin
+    assert tidy["trials"].sum() + tidy["failed"].sum() == 6 * count
+    # Alone it takes a second; a busy machine is not what is tested here.
+    assert seconds < 6.0, f"{seconds:.1f} s"

@@ -11,8 +11,10 @@ from cellslam.scenarios.simulation import simulate
 from cellslam.sim.recording import Floats, Recording
 from cellslam.slam.fastslam.fastslam import FastSlam
 from cellslam.slam.fastslam.fastslam_options import NEVER, FastSlamOptions
+from cellslam.slam.fastslam.parts import likelihood
 from cellslam.slam.joint.ekf_slam import EkfSlam
 from cellslam.slam.joint.state.layout import one_of
+from cellslam.slam.oracles import FastSlamKnownAssociation, KnownAssociation
 from tests.slam import driving
 from tests.slam.fastslam.drives import WHITE, driven, street
 
@@ -86,3 +88,39 @@ def test_resampling_is_called_where_weights_are_unequal() -> None:
     sizes.clear()
     driven(FastSlam(FastSlamOptions(particles=30, effective_share=0.0, **WHITE), resampling=likeliest_alone), drive)
     assert not sizes
+
+
+@pytest.mark.slow
+def test_one_gain_does_as_well_as_gains_of_their_own() -> None:
+    """Thirty filters of one particle each have covariances of their own; together they are the classical filter."""
+
+    class Remembering:
+        total = 0.0
+
+        def __call__(self, W: Floats) -> Floats:
+            self.total += float(likelihood(W)[0])
+            return likelihood(W)
+
+    for seed in (1, 2, 3):
+        drive, log_weight, poses = street(40, seed), [], []
+        for particle in range(30):
+            weight = Remembering()
+            own = FastSlam(FastSlamOptions(particles=1, **WHITE), weight=weight)
+            poses.append(driven(own, drive, particle)[-1].pose[PLANE])
+            log_weight.append(weight.total)
+        shares = np.exp(np.array(log_weight) - max(log_weight))
+        shares /= shares.sum()
+        mean = shares @ np.array(poses)
+        spread = np.sqrt(shares @ (np.array(poses) - mean) ** 2)
+        one = driven(FastSlam(FastSlamOptions(particles=2000, **WHITE)), drive)[-1]
+        few = 1.0 / np.sum(shares**2)
+        assert few > 3.0 and (np.abs(one.pose[PLANE] - mean) < 4.0 * spread / np.sqrt(few)).all()
+
+
+def test_oracle_is_told_the_associations(tiny: Recording) -> None:
+    ekf, found = (
+        driving.driven(one(), tiny, 200, with_truth=True) for one in (KnownAssociation, FastSlamKnownAssociation)
+    )
+    for one, other in zip(ekf, found, strict=True):
+        np.testing.assert_array_equal(one.association, other.association)
+    assert np.abs(ekf[-1].pose - found[-1].pose).max() > 0.0

@@ -228,3 +228,20 @@ def test_what_is_gone_is_forgotten(drives: list[Recording], maps: list[VtMap]) -
     assert once is not None and once.missed.max() == 1
     twice = mapped(drives[1], once)[0].vt_map()
     assert twice is not None and twice.missed.max() == 0 and len(twice) == len(once) - 1
+
+
+def test_vts_out_of_reach_are_not_touched(drives: list[Recording], maps: list[VtMap]) -> None:
+    known = maps[0]
+    far = replace(known, seen_m=known.seen_m + 1e4)
+    large = joined([known, *[far] * 50])
+    (small_one, small), (large_one, same) = (mapped(drives[1], m, 60) for m in (known, large))
+    assert same == pytest.approx(small, rel=1e-9)
+    states = [one._joint.arrays.size[0, 0] for one in (small_one, large_one) if one._joint is not None]
+    assert len(states) == 2 and states[0] == states[1]
+
+
+def test_a_map_may_be_empty(tmp_path: Path) -> None:
+    none = some_map(2, RNG)[0].part(slice(0, 0))
+    for empty in (none, replace(none, common_m=np.zeros((0, 3, 0)))):
+        empty.compressed().save(tmp_path / "map.h5")
+        assert len(VtMap.load(tmp_path / "map.h5")) == 0

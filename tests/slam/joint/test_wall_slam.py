@@ -255,3 +255,15 @@ def test_imposing_a_double_reflection_leaves_the_filter_consistent(one_filter):
         squares.append(squares_after(partial(wall_images.impose_double, f, double, seen(f), FLAT), f, at, vts))
     # Chi-square of 15 has a mean of 15 with a deviation of 0.3; the spread is a little wide on purpose.
     assert 12.5 < np.mean(squares) < 16.0
+
+
+def test_where_a_wall_was_not_seen_to_reach_nothing_is_associated_with_it(one_filter):
+    f, _ = filter_of(one_filter, scene(), 0.3)
+    facades = facades_of(f)
+    # Site B's image in the north is met at x = 27.7 + 9/13 of the vehicle's: from 6.9 m on, and with a gap from -3.1 m.
+    f.x[:2] = [-44.0, 0.0]
+    assert facades.not_met(f) == []
+    f.x[:2] = [-45.0, 0.0]
+    assert facades.not_met(f) == [15]
+    facades.join(f)  # the other site shows that the wall reaches to x = -41 m
+    assert facades.not_met(f) == []

@@ -9,7 +9,7 @@ import pytest
 
 from cellslam.sim.errors import InputError
 from cellslam.sim.recording import Floats
-from cellslam.slam.model.map_joining import fused, join, join_maps, pairs_of
+from cellslam.slam.model.map_joining import EXACT_M2, fused, join, join_maps, pairs_of
 from cellslam.slam.model.vt_map import VtMap
 
 
@@ -130,3 +130,9 @@ def test_what_both_have_is_seen_from_where_either_saw_it() -> None:
     for both in (join(a, b).map, join(b, a).map):
         assert both.seen_m.tolist() == [[[0.0, 0.0], [60.0, 14.0]]]
         assert (both.hits.tolist(), both.missed.tolist()) == ([14], [0])
+
+
+def test_exact_vts_may_be_joined() -> None:
+    a = map_at([[100.0, 0.0, 5.0]], np.zeros((1, 3, 3)))
+    least_m2 = 2.0 * EXACT_M2  # nothing is more exact than that
+    np.testing.assert_allclose(join(a, a).map.covariance_m2, [least_m2 * np.eye(3)], atol=least_m2)

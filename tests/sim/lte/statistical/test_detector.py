@@ -257,3 +257,15 @@ def test_compiled_sector_pattern_is_that_of_the_antenna_module() -> None:
     compiled = [sector_gain(a, e, 1.0, 0.14) for a, e in zip(azimuth, elevation, strict=True)]
     expected = sector_gain_db(azimuth - 1.0, elevation, 0.14, peak_dbi=0.0)
     np.testing.assert_allclose(10.0 * np.log10(compiled), expected, atol=1e-9)
+
+
+def test_clutter_is_interpolated_between_the_ratios_measured() -> None:
+    known = dict(statistics().clutter)
+    low, high = sorted(known)[:2]
+    between = statistics().clutter_at(0.25 * low + 0.75 * high)
+    np.testing.assert_allclose(between.mean, 0.25 * known[low].mean + 0.75 * known[high].mean)
+    count = between.points.shape[1]
+    from_high = (between.points == known[high].points).all(axis=(0, 2)).sum()
+    assert abs(from_high / count - 0.75) <= 1.0 / count
+    np.testing.assert_array_equal(statistics().clutter_at(high).points, known[high].points)
+    assert all((c.mean >= 0.0).all() and np.isfinite(c.points).all() for c in known.values())
