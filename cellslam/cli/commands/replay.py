@@ -28,7 +28,7 @@ EXAMPLES = ("replay tiny.h5 --estimator fastslam", "replay drive.h5 --fit")
 
 
 def add_arguments(parser: ArgumentParser) -> None:
-    add(parser, "file")
+    add(parser, "file", "--accept-changed")
     add(parser, "--set", help=SET_HELP.format("estimator.fastslam.particles=300"))
     add(parser, "--options", "--fit", *ESTIMATION)
     align_help = "lay each estimate onto the truth before it is scored, and say so in its row"
@@ -39,7 +39,7 @@ def add_arguments(parser: ArgumentParser) -> None:
 
 def command(arguments: Namespace) -> int:
     path = Path(arguments.file)
-    recording = Recording.load(path)
+    recording = Recording.load(path, arguments.accept_changed)
     if arguments.align and recording.truth is None and recording.reference is None:
         raise InputError(f"--align: {path} has neither truth nor reference to align to; leave the option out")
     origin = Origin.of(recording, path)
