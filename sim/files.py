@@ -1,8 +1,10 @@
-"""Files that are written whole or not at all, and stay written when the machine loses power."""
+"""Files that are written whole or not at all, and stay written when the machine loses power; folders of one user."""
 
 from __future__ import annotations
 
 import os
+import stat
+import tempfile
 from pathlib import Path
 
 
@@ -25,3 +27,27 @@ def write_durably(path: Path, content: bytes) -> None:
         os.fsync(folder)  # the name, too
     finally:
         os.close(folder)
+
+
+def private_folder(name: str) -> Path | None:
+    """Return this user's folder `name` in the system's temporary folder; None where others could write into it.
+
+    The name can be guessed: a folder that is another user's, or a link, or that others may write into or rename, is
+    not used.
+    """
+    shared = Path(tempfile.gettempdir())
+    own = shared / f"cellslam-{os.getuid()}"
+    try:
+        mode = shared.stat().st_mode
+        if mode & stat.S_IWOTH and not mode & stat.S_ISVTX:
+            return None
+        for folder in (own, own / name):
+            folder.mkdir(mode=0o700, exist_ok=True)
+            found = folder.lstat()
+            if not stat.S_ISDIR(found.st_mode) or found.st_uid != os.getuid():
+                return None
+            if found.st_mode & (stat.S_IWGRP | stat.S_IWOTH):
+                return None
+    except OSError:
+        return None
+    return own / name

@@ -155,7 +155,7 @@ def test_a_full_disk_is_one_line_and_keeps_what_was_finished(tmp_path: Path, mon
         def no_space(*_: Any) -> None:
             raise OSError(28, "No space left on device")
 
-        monkeypatch.setattr(store, "_write_bytes", no_space)
+        monkeypatch.setattr(store, "write_durably", no_space)
         with pytest.raises(InputError, match="No space left on device"):
             full.write(dataclasses.replace(row("c"), trajectory=b"x"), "w", "o")
         assert full.status()["a"] == "ok" and "c" not in full.status()
