@@ -95,8 +95,8 @@ def check(path: Path, accept_changed: bool = False, limit_s: float | None = None
     was_sealed = block.startswith(_TITLE) or (begin == _SIGNATURE and not block.startswith(_SIGNATURE))
     if was_sealed and not accept_changed:
         raise InputError(
-            "damaged, or changed since cellslam wrote it: its SHA-256 is not the one that it carries; copy it again (a "
-            "recording that was changed on purpose is read with --accept-changed)"
+            "damaged, truncated, or changed since cellslam wrote it: its SHA-256 is not the one that it carries; copy "
+            "it again (a recording that was changed on purpose is read with --accept-changed)"
         )
     _read_through(path, limit_s)
 
