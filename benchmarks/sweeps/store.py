@@ -45,7 +45,7 @@ _NUMBERS = (*METRIC_KEYS, "duration_s", "distance_m", *COST_KEYS)
 _WHOLE = ("trial", "seed", "snapshots", "run", "trajectory_bytes")
 # Others may lock the database: a browser of it for as long as somebody types, a backup for a minute.
 LOCK_NOTE_S, LOCK_LIMIT_S = 10.0, 600.0
-Say = Callable[[str], None]
+Note = Callable[[str], None]
 Answer = TypeVar("Answer")
 
 
@@ -66,12 +66,12 @@ PRAGMA user_version = {SCHEMA};
 
 @dataclass
 class Store:
-    """The open store of the one process that writes it; see `writing`. `say` is told why it takes long."""
+    """The open store of the one process that writes it; see `writing`. `note` gets a line where it waits."""
 
     folder: Path
     database: sqlite3.Connection
     run: int
-    say: Say
+    note: Note
 
     def status(self) -> dict[str, str]:
         """Return the status of every key that is stored."""
@@ -115,18 +115,18 @@ class Store:
 
     def _patiently(self, action: Callable[[], Answer]) -> Answer:
         with _explained(self.folder):
-            return _patiently(action, self.folder, self.say)
+            return _patiently(action, self.folder, self.note)
 
 
-def _nobody(text: str) -> None:
-    """Say nothing."""
+def _silent(text: str) -> None:
+    """Note nothing."""
 
 
 @contextmanager
-def writing(folder: Path, command: str, versions: Mapping[str, str], say: Say = _nobody) -> Iterator[Store]:
+def writing(folder: Path, command: str, versions: Mapping[str, str], note: Note = _silent) -> Iterator[Store]:
     """Open the store in `folder`, which is made if need be, as its only writer.
 
-    Another program that locks the database is waited for, for minutes; `say` is told. Raises InputError in one line
+    Another program that locks the database is waited for, for minutes, with a `note`. Raises InputError in one line
     when the folder is another process's, on a network disk, read-only, full, or holds something that is no store.
     """
     check_folder(folder)
@@ -144,7 +144,7 @@ def writing(folder: Path, command: str, versions: Mapping[str, str], say: Say = 
                     statement = "INSERT INTO runs (started, host, command, versions) VALUES (?, ?, ?, ?)"
                     return int(database.execute(statement, made).lastrowid or 0)
 
-            yield Store(folder, database, _patiently(begin, folder, say), say)
+            yield Store(folder, database, _patiently(begin, folder, note), note)
 
 
 @contextmanager
@@ -278,7 +278,7 @@ def _sha256(content: bytes) -> str:
     return hashlib.sha256(content).hexdigest()
 
 
-def _patiently(action: Callable[[], Answer], folder: Path, say: Say) -> Answer:
+def _patiently(action: Callable[[], Answer], folder: Path, note: Note) -> Answer:
     """Return what an action on the database gives, once no other program locks it. Raises sqlite3.OperationalError."""
     end = time.monotonic() + LOCK_LIMIT_S
     while True:
@@ -288,7 +288,7 @@ def _patiently(action: Callable[[], Answer], folder: Path, say: Say) -> Answer:
             busy = error.sqlite_errorcode & 0xFF == sqlite3.SQLITE_BUSY  # the last byte is the kind
             if not busy or time.monotonic() > end:
                 raise
-        say(f"{folder / DATABASE}: another program locks it; waiting until it lets go")
+        note(f"{folder / DATABASE}: another program locks it; waiting until it lets go")
 
 
 @contextmanager

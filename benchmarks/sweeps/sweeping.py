@@ -21,7 +21,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from cellslam.benchmarks.sweeps.executors import Executor
-from cellslam.benchmarks.sweeps.store import Say, Store, writing
+from cellslam.benchmarks.sweeps.store import Note, Store, writing
 from cellslam.benchmarks.sweeps.tasks import (
     Began,
     Job,
@@ -85,15 +85,15 @@ def pending(plan: Plan, store: Store, retry_failed: bool) -> Plan:
 
 @contextmanager
 def keeping(
-    folder: Path, scenario: Scenario, requests: Sequence[Request], trials: int, seed: int, command: str, say: Say
+    folder: Path, scenario: Scenario, requests: Sequence[Request], trials: int, seed: int, command: str, note: Note
 ) -> Iterator[Callable[[Trial], None]]:
     """Open the store of `cellslam run`, which `table`, `figures` and `report` then read as a sweep's, and yield what
-    keeps a trial in it; what earlier runs left there stays. `say` is told why it takes long.
+    keeps a trial in it; what earlier runs left there stays. `note` gets a line where it waits.
 
     Raises InputError where there can be no store, as on a network disk.
     """
     work = plan([Point({}, scenario, tuple(requests))], trials, seed)
-    with writing(folder, command, versions(), say) as store:
+    with writing(folder, command, versions(), note) as store:
         store.declare(work)
         tasks = {task.trial: task for task in work.tasks}
 

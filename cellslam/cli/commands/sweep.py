@@ -126,7 +126,7 @@ def _dry_run(made: Plan, of: str, jobs: int, allowed: Limits, out: Path) -> None
     todo = made
     if (out / DATABASE).is_file():
         with reading(out) as database:
-            lost = lost_trajectories(out, database)
+            lost = lost_trajectories(out, database) if any(task.trajectories for task in made.tasks) else ()
             todo = made.without({key: True for (key,) in database.execute("SELECT key FROM rows") if key not in lost})
     print(f"{of}, {_size(made, todo)}")
     with Serial(allowed) as one:
