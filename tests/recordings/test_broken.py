@@ -9,12 +9,14 @@ from collections.abc import Callable
 from functools import partial
 from pathlib import Path
 
+import h5py
 import numpy as np
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from cellslam.recordings.importing.importing import import_folder
+from cellslam.recordings.importing.matlab import variables
 from cellslam.sim.errors import InputError
 from cellslam.sim.recording import Recording
 from cellslam.sim.recording import damage as recording_guard
@@ -167,6 +169,60 @@ def test_broken_campaign(kind: str, tmp_path: Path, cellslam: Run) -> None:
     before = sorted(tmp_path.rglob("*"))
     refused(cellslam("import", folder, "--out", tmp_path / "out.h5"), str(folder), *words)
     assert sorted(tmp_path.rglob("*")) == before
+
+
+def test_files_outside_the_folder_are_named(tmp_path: Path, cellslam: Run) -> None:
+    folder = made(tmp_path / "c")
+    toml("gnss.csv", "../gnss.csv")(folder)
+    (folder / "gnss.csv").rename(tmp_path / "gnss.csv")
+    (folder / "wheels.csv").rename(tmp_path / "elsewhere.csv")
+    (folder / "wheels.csv").symlink_to(tmp_path / "elsewhere.csv")
+    done = cellslam("import", folder, "--out", tmp_path / "out.h5")
+    assert done.status == 0 and f"files outside {folder} were read: wheels.csv, ../gnss.csv\n" in done.err
+
+
+def virtual(file: h5py.File, other: Path) -> h5py.Dataset:
+    layout = h5py.VirtualLayout((3,), np.float64)
+    layout[:] = h5py.VirtualSource(other, "x", (3,))
+    return file.create_virtual_dataset("hidden", layout)
+
+
+def link(path: Path, other: Path) -> None:
+    with h5py.File(path, "w") as file:
+        file["x"] = h5py.ExternalLink(other, "/x")
+
+
+def linked(path: Path, other: Path) -> None:
+    with h5py.File(path, "w") as file:
+        virtual(file, other)
+
+
+def unlinked(path: Path, other: Path) -> None:
+    """No link leads to the data set, but a cell does; by its count of links, changed from 1 to 2, it is still there."""
+    with h5py.File(path, "w") as file:
+        hidden = virtual(file, other)
+        file.create_dataset("x", data=[hidden.ref], dtype=h5py.ref_dtype)
+        header = h5py.h5o.get_info(hidden.id).addr
+    content = bytearray(path.read_bytes())
+    assert content[header + 4] == 1
+    content[header + 4] = 2
+    path.write_bytes(content)
+    with h5py.File(path, "r+") as file:
+        del file["hidden"]
+
+
+@pytest.mark.parametrize(
+    ("point", "text"), [(link, "link into the file"), (linked, "virtual data set"), (unlinked, "virtual data set")]
+)
+def test_matlab_files_that_point_elsewhere_are_refused(
+    point: Callable[[Path, Path], None], text: str, tmp_path: Path
+) -> None:
+    path, other = tmp_path / "a.mat", tmp_path / "b.mat"
+    with h5py.File(other, "w") as file:
+        file["x"] = np.arange(3.0)
+    point(path, other)
+    with pytest.raises(InputError, match=rf"a\.mat: .*{text}"):
+        variables(path)
 
 
 # A hundred of each kind here; CELLSLAM_FUZZ=5000 tries so many.
