@@ -2,20 +2,22 @@
 
 from __future__ import annotations
 
-import json
 import sys
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
-from cellslam.benchmarks.bound.cramer_rao import bound
+from cellslam.benchmarks.bound.persisting_states import radio_of
+from cellslam.recordings.fitting.assumptions import assumed
+from cellslam.scenarios.loading import load
+from cellslam.scenarios.recording_origin import Origin
 from cellslam.sim.errors import InputError
 from cellslam.sim.recording import Recording
 from tests.command_line import Run, refused
-from tests.short_drive import SHORT
 
 EVIL = """
 from pathlib import Path
@@ -36,7 +38,7 @@ distance_m = 40.0
 duration_s = 60.0
 stops = 1
 """
-REPLAY = ("replay", "drive.h5", "--estimator", "dead-reckoning", "--estimator", "fastslam", "--no-figures", "--quiet")
+REPLAY = ("replay", "drive.h5", "--estimator", "dead-reckoning", "--estimator", "fastslam", "--no-figures")
 
 
 @pytest.fixture
@@ -49,45 +51,41 @@ def ran(cellslam: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Calla
     return lambda: (tmp_path / "ran").exists()
 
 
-@pytest.fixture(scope="module")
-def recorded(tmp_path_factory: pytest.TempPathFactory) -> Recording:
-    from cellslam.cli.main import main
-
-    path = tmp_path_factory.mktemp("recorded") / "drive.h5"
-    assert main(["--quiet", "record", "tiny", *SHORT, "--out", str(path)]) == 0
-    return Recording.load(path)
-
-
-def renamed(recording: Recording, radio: dict[str, Any], fastslam: dict[str, Any]) -> Recording:
-    """Return a recording whose provenance says something else."""
-    said = json.loads(json.dumps(dict(recording.provenance)))
-    for tables in (said["scenario"], said["world"]):
-        tables["radio"] |= radio
-    said["scenario"]["estimator"]["fastslam"] = fastslam
-    return replace(recording, provenance=said)
+def saying(recording: Recording, radio: dict[str, Any], fastslam: dict[str, Any]) -> Recording:
+    """Return a recording that is said to be of `tiny`, with these keys."""
+    tables = {**load("tiny").resolved, "estimator": {"fastslam": fastslam}}
+    tables["radio"] |= radio
+    assert recording.truth is not None
+    truth = replace(recording.truth, persisting_std=np.full((len(recording.measurements), 3), 0.1))
+    return replace(recording, truth=truth, provenance={"scenario": tables, "world": {"radio": tables["radio"]}})
 
 
-@pytest.mark.parametrize(
-    ("key", "value", "radio", "fastslam"),
-    [
-        ("radio.technology", "evil:W", {"technology": "evil:W", "front_end": "signal"}, {}),
-        ("estimator.fastslam.association", "evil:part", {}, {"association": "evil:part"}),
-    ],
-)
-def test_a_recording_is_data(
-    key: str, value: str, radio: Any, fastslam: Any, recorded: Recording, ran: Callable[[], bool], cellslam: Run
+def test_a_waveform_that_a_recording_names_is_not_loaded(
+    toy_recording: Callable[..., Recording], ran: Callable[[], bool], cellslam: Run
 ) -> None:
-    odd = renamed(recorded, radio, fastslam)
+    odd = saying(toy_recording(), {"technology": "evil:W", "front_end": "signal"}, {})
     odd.save("drive.h5")
-    refused(cellslam(*REPLAY), f"names code, {key} = '{value}'", f"--set {key}={value}")
-    cellslam("fit-noise", "drive.h5", "--quiet")
-    cellslam("inspect", "drive.h5", "--no-figure", "--quiet")
-    if radio:
-        with pytest.raises(InputError, match=r"names code, radio\.technology"):
-            bound(odd)
-        refused(cellslam(*REPLAY, "--set", f"{key}=lte"), "a recording is as it is, with 'evil:W'")
-    assert not ran()
-    cellslam(*REPLAY, "--set", f"{key}={value}")
+    refused(cellslam(*REPLAY), "names code, radio.technology = 'evil:W'", "--set radio.technology=evil:W")
+    refused(cellslam(*REPLAY, "--set", "radio.technology=lte"), "a recording is as it is, with 'evil:W'")
+    with pytest.raises(InputError, match=r"names code, radio\.technology"):
+        radio_of(odd)
+    assert Origin.of(odd).scenario is None and not ran()
+    Origin.of(odd, technology="evil:W")
+    assert ran()
+
+
+def test_a_part_that_a_recording_names_is_not_loaded(
+    toy_recording: Callable[..., Recording], ran: Callable[[], bool], cellslam: Run
+) -> None:
+    odd, key = saying(toy_recording(), {}, {"association": "evil:part"}), "estimator.fastslam.association"
+    odd.save("drive.h5")
+    refused(cellslam(*REPLAY), f"names code, {key} = 'evil:part'", f"--set {key}=evil:part")
+    touched = ("--set", "estimator.fastslam.particles=10")  # also where it is only looked at
+    refused(cellslam(*REPLAY[:4], *touched), f"names code, {key}")
+    origin = Origin.of(odd)
+    assert origin.scenario is not None and origin.assumed() == {}
+    assert [r.name for r in assumed(odd, origin, ("dead-reckoning",), {}).requests] == ["dead-reckoning"] and not ran()
+    assumed(odd, origin, ("fastslam",), {key: "evil:part"})
     assert ran()
 
 
