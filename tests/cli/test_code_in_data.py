@@ -21,9 +21,14 @@ from tests.command_line import Run, refused
 
 EVIL = """
 from pathlib import Path
+from pydantic import BaseModel
 from cellslam.slam.fastslam.parts import BUILT_IN
 Path("ran").touch()
-class W: pass
+class W:
+    class Options(BaseModel):
+        evil_option: int
+    def start(self, setup, rng): pass
+    def step(self, dt_s, odometry, snapshot): pass
 part = BUILT_IN["association"]["nearest-neighbour"]
 """
 WORLD = """
@@ -90,13 +95,13 @@ def test_a_part_that_a_recording_names_is_not_loaded(
 
 
 def test_to_show_a_scenario_runs_nothing(ran: Callable[[], bool], cellslam: Run) -> None:
-    own = '[estimator."evil:W"]\ngain = 3\n[estimator.fastslam]\nassociation = "evil:part"\n'
+    own = '[estimator."evil:W"]\nevil_option = 3\n[estimator.fastslam]\nassociation = "evil:part"\n'
     Path("place.toml").write_text(f'{WORLD}[radio]\ntechnology = "evil:W"\nfront_end = "signal"\n{own}')
     done = cellslam("show", "place.toml")
     assert done.status == 0 and not ran()
-    assert "evil:part" in done.out and "gain" not in done.out
+    assert "evil:part" in done.out and "evil_option" not in done.out
     assert "not loaded, as it is code: radio.technology, estimator.fastslam.association, estimator.evil:W" in done.err
     assert str(Path.cwd()) not in sys.path[1:]
     Path("place.toml").write_text(WORLD + own)
     done = cellslam("show", "place.toml", "--load", "--quiet")
-    assert done.status == 0 and ran(), done.err
+    assert done.status == 0 and ran() and "estimator.evil:W.evil_option" in done.out, done.err
