@@ -89,6 +89,17 @@ def option_keys() -> list[str]:
     return [f"estimator.{name}.{key}" for name, model in models.items() if model for key in model.model_fields]
 
 
+def own_code(tables: Tables) -> dict[str, str]:
+    """Return the code, module:name, that options of built-in estimators name, by dotted key, as parts of FastSLAM."""
+    names = [entry.name for entry in registry.BUILT_IN if isinstance(tables.get(entry.name), Mapping)]
+    options = ((name, key, value) for name in names for key, value in tables[name].items())
+    return {
+        f"estimator.{name}.{key}": value
+        for name, key, value in options
+        if isinstance(value, str) and ":" in value and not key.endswith("_file")
+    }
+
+
 def loaded(name: str, table: Mapping[str, Any]) -> Request:
     """Return the request for an estimator that is loaded in this process. Raises InputError, BrokenPluginError."""
     estimator = registry.resolve(name)

@@ -14,21 +14,26 @@ from cellslam.scenarios.keys import validate
 from cellslam.scenarios.overrides import apply
 from cellslam.scenarios.scenario import Scenario
 from cellslam.sim.errors import InputError, unknown_name
+from cellslam.sim.lte.radio_config import is_loaded
 
 
-def load(name_or_path: str | Path, overrides: Mapping[str, Any] | None = None) -> Scenario:
+def load(name_or_path: str | Path, overrides: Mapping[str, Any] | None = None, code: bool = True) -> Scenario:
     """Return the preset of that name, or the scenario of that .toml file, with `overrides` by dotted key.
 
-    Raises InputError with what is wrong and what is allowed: unknown scenario or key, value out of range.
+    `code`: whether code that it names may be loaded (`from_tables`). Raises InputError with what is wrong and what is
+    allowed: unknown scenario or key, value out of range.
     """
     name, data, source = _read(name_or_path)
-    return from_tables({"name": name, **data}, overrides, source)
+    return from_tables({"name": name, **data}, overrides, source, code)
 
 
-def from_tables(data: Mapping[str, Any], overrides: Mapping[str, Any] | None = None, source: str = "") -> Scenario:
+def from_tables(
+    data: Mapping[str, Any], overrides: Mapping[str, Any] | None = None, source: str = "", code: bool = True
+) -> Scenario:
     """Return the scenario of plain tables, with `overrides`; `source` stands before messages about `data`.
 
-    In another band than LTE's 20 MHz, estimators assume what its data sheet says, unless the tables do.
+    In another band than LTE's 20 MHz, estimators assume what its data sheet says, unless the tables do. `code` False: a
+    waveform of one's own is not loaded for that.
     """
     if source:
         try:
@@ -36,6 +41,8 @@ def from_tables(data: Mapping[str, Any], overrides: Mapping[str, Any] | None = N
         except InputError as error:
             raise InputError(f"{source}: {error}") from error
     scenario = validate(Scenario, apply(data, overrides or {}), suggest=option_keys)
+    if not (code or is_loaded(scenario.radio.technology)):
+        return scenario
     tables = stated(scenario.radio, scenario.estimator)
     return scenario if tables is scenario.estimator else scenario.model_copy(update={"estimator": tables})
 

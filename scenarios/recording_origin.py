@@ -1,21 +1,30 @@
-"""What a recording says of its origin: scenario, root seed, trial."""
+"""What a recording says of its origin: scenario, root seed, trial. It is data: code that it names is not loaded."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from contextlib import suppress
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+from cellslam.scenarios.estimator_options import own_code
 from cellslam.scenarios.loading import from_tables
 from cellslam.scenarios.scenario import Scenario
 from cellslam.sim.errors import InputError
+from cellslam.sim.lte.radio_config import is_loaded, load_waveform
 from cellslam.sim.recording import Recording
+
+TECHNOLOGY = "radio.technology"
 
 
 @dataclass(frozen=True)
 class Origin:
-    """What a recording says about where it comes from; a `measured` one says nothing of a scenario."""
+    """What a recording says about where it comes from; a `measured` one says nothing of a scenario.
+
+    `code`: what it names of code that is not cellslam's and was not loaded, by key; without its waveform there is no
+    `scenario`.
+    """
 
     name: str
     seed: int
@@ -23,25 +32,46 @@ class Origin:
     options: Mapping[str, Any]
     scenario: Scenario | None
     measured: bool = False
+    code: Mapping[str, str] = field(default_factory=dict)
 
     def assumed(self) -> Mapping[str, Any] | None:
         """Return the options of ekf-slam that a simulated recording has; None: nobody modelled its front end."""
         return None if self.measured else self.options.get("ekf-slam", {})
 
     @staticmethod
-    def of(recording: Recording, path: Path = Path("recording")) -> Origin:
-        """Read the provenance of a recording; one that says nothing is called as the file `path` is."""
+    def of(recording: Recording, path: Path = Path("recording"), technology: Any = None) -> Origin:
+        """Read the provenance of a recording; one that says nothing is called as the file `path` is.
+
+        `technology`: the recording's waveform, given again by the user, who so says that its code may be loaded.
+        Raises InputError where it is another, or cannot be loaded.
+        """
         said = recording.provenance
-        tables = said.get("scenario")
+        tables, own = said.get("scenario"), _technology(said)
+        if technology not in (None, own):
+            raise InputError(f"{TECHNOLOGY}={technology}: a recording is as it is, with '{own}'; leave the key out")
+        if technology is not None and ":" in own:
+            load_waveform(own)
+        unloaded = {} if is_loaded(own) else {TECHNOLOGY: own}
+        seed, trial = _count(said.get("seed")), _count(said.get("trial"))
         if not isinstance(tables, Mapping):
-            return Origin(path.stem, _count(said.get("seed")), _count(said.get("trial")), {}, None, True)
-        try:
-            scenario = from_tables(tables)
-        except InputError:
-            # Written by another version of the models: estimators need its options only, not its world.
-            scenario = None
-        name, options = str(tables.get("name", path.stem)), tables.get("estimator", {})
-        return Origin(name, _count(said.get("seed")), _count(said.get("trial")), options, scenario)
+            return Origin(path.stem, seed, trial, {}, None, True, unloaded)
+        scenario, options = None, tables.get("estimator")
+        options = options if isinstance(options, Mapping) else {}
+        if not unloaded:
+            # One of another version of the models: estimators need its options only, not its world.
+            with suppress(InputError):
+                scenario = from_tables(tables, code=False)
+        name = str(tables.get("name", path.stem))
+        return Origin(name, seed, trial, options, scenario, False, {**unloaded, **own_code(options)})
+
+
+def _technology(said: Mapping[str, Any]) -> str:
+    """Return the waveform that a provenance names."""
+    for tables in (said.get("scenario"), said.get("world")):
+        radio = tables.get("radio") if isinstance(tables, Mapping) else None
+        if isinstance(radio, Mapping):
+            return str(radio.get("technology", "lte"))
+    return "lte"
 
 
 def _count(value: Any) -> int:

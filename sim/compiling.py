@@ -3,7 +3,8 @@
 **Cache.** Numba looks a cached kernel up by its own file alone: after an edit, or an upgrade, of a file that the kernel
 calls into, the old binary would run; and in a copy of the same sources nothing is found. Here a kernel's place in the
 cache is a digest of the content of all sources that its module can reach by imports, and of Numba's version. So copies
-and environments share it. It is in the user's cache folder, or in NUMBA_CACHE_DIR.
+and environments share it. It is in the user's cache folder, in NUMBA_CACHE_DIR, or where neither can be written in a
+private folder of the system's temporary one.
 
 **Parts.** `part` and `lean` make kernels compile several times as fast by means that are inside Numba
 (`compiling_parts`). With a version that they were not tested with (`TESTED`), or with CELLSLAM_PLAIN_NJIT=1, they are
@@ -12,6 +13,7 @@ plain `njit`.
 
 from __future__ import annotations
 
+import atexit
 import hashlib
 import os
 import re
@@ -26,6 +28,8 @@ from typing import Any, Protocol, TypeVar, cast, overload
 import numba
 from numba.core import caching
 from numba.misc.appdirs import AppDirs
+
+from cellslam.sim.files import private_folder
 
 PACKAGE = "cellslam"
 TESTED = ("0.68",)  # versions of Numba whose inner parts are known
@@ -147,12 +151,18 @@ def cache_folder(module: str, file: Path) -> Path:
 
 @cache
 def _base() -> Path:
-    """Return the folder of all caches: one that can be written."""
+    """Return the folder of all caches: one that can be written, by nobody else, as compiled code is run from it."""
     chosen = os.environ.get("NUMBA_CACHE_DIR")
     base = Path(chosen or AppDirs(PACKAGE, appauthor=False).user_cache_dir) / "kernels"  # type: ignore[no-untyped-call]
     with suppress(OSError):
         base.mkdir(parents=True, exist_ok=True)
-    return base if os.access(base, os.W_OK) else Path(tempfile.gettempdir()) / f"{PACKAGE}-kernels-{os.getuid()}"
+    if os.access(base, os.W_OK):
+        return base
+    private = private_folder("kernels")
+    if private is None:  # a folder of this process alone
+        private = Path(tempfile.mkdtemp(prefix=f"{PACKAGE}-"))
+        atexit.register(shutil.rmtree, private, ignore_errors=True)
+    return private
 
 
 def reachable(file: Path, root: Path) -> set[Path]:

@@ -13,9 +13,9 @@ import numpy as np
 
 from cellslam.benchmarks.report.scene import Cities, rounded, scene_of
 from cellslam.benchmarks.scores.metrics import METRIC_KEYS
-from cellslam.benchmarks.sweeps.store import reading, trajectory_path
+from cellslam.benchmarks.sweeps.store import reading, trajectory_of
 from cellslam.benchmarks.sweeps.tasks import identity, scenario_of
-from cellslam.benchmarks.sweeps.trajectories import Trajectory, unpack
+from cellslam.benchmarks.sweeps.trajectories import Trajectory
 from cellslam.benchmarks.tables.summaries import Layout, metrics_of
 from cellslam.sim.errors import InputError, unknown_name
 from cellslam.sim.progress import Progress
@@ -193,8 +193,7 @@ def _cells(row: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def _trajectory(folder: Path, row: Mapping[str, Any]) -> Trajectory | None:
-    path = trajectory_path(folder, str(row["key"]))
-    return unpack(path) if row["status"] == "ok" and path.exists() else None
+    return trajectory_of(folder, str(row["key"])) if row["status"] == "ok" else None
 
 
 def _world(folder: Path, key: str, worst: Worst) -> tuple[World | None, str]:

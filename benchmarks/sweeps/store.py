@@ -3,28 +3,35 @@
 from __future__ import annotations
 
 import fcntl
+import hashlib
 import json
 import os
 import platform
 import re
 import sqlite3
 import time
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import closing, contextmanager, suppress
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
-from typing import Any, TextIO
+from typing import TYPE_CHECKING, Any, TextIO, TypeVar
 
 from cellslam.benchmarks.scores.metrics import COST_KEYS, METRIC_KEYS, ROW_KEYS
 from cellslam.benchmarks.sweeps.tasks import Plan, Result
 from cellslam.benchmarks.trials.output_files import check_folder
 from cellslam.sim.errors import InputError
+from cellslam.sim.files import write_durably
+
+if TYPE_CHECKING:
+    from cellslam.benchmarks.sweeps.trajectories import Trajectory
 
 LOCK, DATABASE = "lock", "results.sqlite"
 TRAJECTORIES = "trajectories"
 SCHEMA = 4
 # Columns beside those of a row: ids of world and options, which process wrote it, and how often it was tried.
-OWN_KEYS = ("key", "world", "options", "run", "traceback")
+# and the size and SHA-256 of its trajectory, null where it has none.
+OWN_KEYS = ("key", "world", "options", "run", "traceback", "trajectory_bytes", "trajectory_sha256")
 COLUMNS = (*OWN_KEYS, *ROW_KEYS)
 NETWORK_DISKS = frozenset(
     (
@@ -35,7 +42,11 @@ NETWORK_DISKS = frozenset(
 )
 _KEPT = "what was finished before is kept, and the same command goes on from there"
 _NUMBERS = (*METRIC_KEYS, "duration_s", "distance_m", *COST_KEYS)
-_WHOLE = ("trial", "seed", "snapshots", "run")
+_WHOLE = ("trial", "seed", "snapshots", "run", "trajectory_bytes")
+# Others may lock the database: a browser of it for as long as somebody types, a backup for a minute.
+LOCK_NOTE_S, LOCK_LIMIT_S = 10.0, 600.0
+Note = Callable[[str], None]
+Answer = TypeVar("Answer")
 
 
 def _type(key: str) -> str:
@@ -55,55 +66,85 @@ PRAGMA user_version = {SCHEMA};
 
 @dataclass
 class Store:
-    """The open store of the one process that writes it; see `writing`."""
+    """The open store of the one process that writes it; see `writing`. `note` gets a line where it waits."""
 
     folder: Path
     database: sqlite3.Connection
     run: int
+    note: Note
 
     def status(self) -> dict[str, str]:
         """Return the status of every key that is stored."""
-        with _explained(self.folder):
-            return dict(self.database.execute("SELECT key, status FROM rows"))
+        return self._patiently(lambda: dict(self.database.execute("SELECT key, status FROM rows")))
+
+    @cached_property
+    def lost(self) -> frozenset[str]:
+        """The keys whose trajectory was missing or damaged when the store was opened."""
+        return self._patiently(lambda: lost_trajectories(self.folder, self.database))
 
     def declare(self, plan: Plan) -> None:
         """Keep the worlds and options of a plan, for the tables."""
-        with _explained(self.folder), self.database:
-            for table, known in (("worlds", plan.worlds), ("options", plan.options)):
-                self.database.executemany(f"INSERT OR IGNORE INTO {table} VALUES (?, ?)", known.items())
+
+        def insert() -> None:
+            with self.database:
+                for table, known in (("worlds", plan.worlds), ("options", plan.options)):
+                    self.database.executemany(f"INSERT OR IGNORE INTO {table} VALUES (?, ?)", known.items())
+
+        self._patiently(insert)
 
     def write(self, result: Result, world: str, options: str) -> None:
         """Keep a result, replacing an earlier one of the same key: first its trajectory, then its row."""
-        row = {"key": result.key, "world": world, "options": options, "run": self.run, "traceback": result.traceback}
-        with _explained(self.folder):
-            if result.trajectory is not None:
-                _write_bytes(trajectory_path(self.folder, result.key), result.trajectory)
-            values = {key: _storable(value) for key, value in {**row, **result.row}.items()}
-            columns, marks = ", ".join(f'"{key}"' for key in COLUMNS), ", ".join(f":{key}" for key in COLUMNS)
+        row: dict[str, Any] = {
+            "key": result.key, "world": world, "options": options, "run": self.run, "traceback": result.traceback,
+            "trajectory_bytes": None, "trajectory_sha256": None,
+        }  # fmt: skip
+        if result.trajectory is not None:
+            with _explained(self.folder):
+                path = trajectory_path(self.folder, result.key)
+                path.parent.mkdir(parents=True, exist_ok=True)
+                write_durably(path, result.trajectory)
+            row |= {"trajectory_bytes": len(result.trajectory), "trajectory_sha256": _sha256(result.trajectory)}
+        values = {key: _storable(value) for key, value in {**row, **result.row}.items()}
+        columns, marks = ", ".join(f'"{key}"' for key in COLUMNS), ", ".join(f":{key}" for key in COLUMNS)
+
+        def insert() -> None:
             with self.database:
                 self.database.execute(f"INSERT OR REPLACE INTO rows ({columns}) VALUES ({marks})", values)
 
+        self._patiently(insert)
+
+    def _patiently(self, action: Callable[[], Answer]) -> Answer:
+        with _explained(self.folder):
+            return _patiently(action, self.folder, self.note)
+
+
+def _silent(text: str) -> None:
+    """Note nothing."""
+
 
 @contextmanager
-def writing(folder: Path, command: str, versions: Mapping[str, str]) -> Iterator[Store]:
+def writing(folder: Path, command: str, versions: Mapping[str, str], note: Note = _silent) -> Iterator[Store]:
     """Open the store in `folder`, which is made if need be, as its only writer.
 
-    Raises InputError in one line when the folder is another process's, on a network disk, read-only, full, or
-    holds something that is no store.
+    Another program that locks the database is waited for, for minutes, with a `note`. Raises InputError in one line
+    when the folder is another process's, on a network disk, read-only, full, or holds something that is no store.
     """
     check_folder(folder)
     check_local(folder)
     with _explained(folder):
         folder.mkdir(parents=True, exist_ok=True)
     with only_writer(folder, command), _explained(folder):
-        database = sqlite3.connect(folder / DATABASE, timeout=10.0)
+        database = sqlite3.connect(folder / DATABASE, timeout=LOCK_NOTE_S)
         with closing(database):
-            _prepare(folder, database)
-            with database:
-                made = (time.strftime("%F %T%z"), platform.node(), _storable(command), json.dumps(dict(versions)))
-                statement = "INSERT INTO runs (started, host, command, versions) VALUES (?, ?, ?, ?)"
-                run = database.execute(statement, made).lastrowid
-            yield Store(folder, database, int(run or 0))
+            made = (time.strftime("%F %T%z"), platform.node(), _storable(command), json.dumps(dict(versions)))
+
+            def begin() -> int:
+                _prepare(folder, database)
+                with database:
+                    statement = "INSERT INTO runs (started, host, command, versions) VALUES (?, ?, ?, ?)"
+                    return int(database.execute(statement, made).lastrowid or 0)
+
+            yield Store(folder, database, _patiently(begin, folder, note), note)
 
 
 @contextmanager
@@ -179,6 +220,36 @@ def trajectory_path(folder: Path, key: str) -> Path:
     return folder / TRAJECTORIES / key[:2] / f"{key}.npz"
 
 
+def trajectory_of(folder: Path, key: str) -> Trajectory | None:
+    """Return the trajectory of a key; None where there is none that can be read."""
+    from cellslam.benchmarks.sweeps.trajectories import unpack
+
+    path = trajectory_path(folder, key)
+    with suppress(InputError):
+        return unpack(path) if path.exists() else None
+    return None
+
+
+def lost_trajectories(folder: Path, database: sqlite3.Connection) -> frozenset[str]:
+    """Return the keys whose trajectory is missing, or not the one that was written. Raises OSError."""
+    if "trajectory_bytes" not in stored_columns(database):  # made before rows said so
+        return frozenset()
+    query = "SELECT key, trajectory_bytes, trajectory_sha256 FROM rows WHERE trajectory_bytes IS NOT NULL"
+
+    def whole(path: Path, size: int, digest: str) -> bool:
+        return path.is_file() and path.stat().st_size == size and _sha256(path.read_bytes()) == digest
+
+    return frozenset(key for key, *known in database.execute(query) if not whole(trajectory_path(folder, key), *known))
+
+
+def lost_in_words(folder: Path) -> str:
+    """Return how many trajectories of a folder cannot be shown, and the remedy; empty where none is lost."""
+    with reading(folder) as database:
+        lost = lost_trajectories(folder, database)
+    remedy = "they are left out; the command that made them makes them again"
+    return f"{folder}: trajectories that are missing or damaged: {len(lost)}; {remedy}" if lost else ""
+
+
 def _prepare(folder: Path, database: sqlite3.Connection) -> None:
     if database.execute("SELECT count(*) FROM sqlite_master").fetchone()[0]:
         _check_version(folder, database)
@@ -203,11 +274,21 @@ def _check_version(folder: Path, database: sqlite3.Connection) -> None:
         )
 
 
-def _write_bytes(path: Path, content: bytes) -> None:
-    path.parent.mkdir(parents=True, exist_ok=True)
-    temporary = path.with_name(f".{path.name}.tmp")
-    temporary.write_bytes(content)
-    temporary.replace(path)
+def _sha256(content: bytes) -> str:
+    return hashlib.sha256(content).hexdigest()
+
+
+def _patiently(action: Callable[[], Answer], folder: Path, note: Note) -> Answer:
+    """Return what an action on the database gives, once no other program locks it. Raises sqlite3.OperationalError."""
+    end = time.monotonic() + LOCK_LIMIT_S
+    while True:
+        try:
+            return action()
+        except sqlite3.OperationalError as error:
+            busy = error.sqlite_errorcode & 0xFF == sqlite3.SQLITE_BUSY  # the last byte is the kind
+            if not busy or time.monotonic() > end:
+                raise
+        note(f"{folder / DATABASE}: another program locks it; waiting until it lets go")
 
 
 @contextmanager

@@ -1,14 +1,14 @@
 """Carrying out a sweep: what is not stored yet is worked off, and each result is stored as it comes.
 
-    plan        a task for each world and trial, with a job for each estimator that meets it     `tasks.plan`
-                its key is a hash of world, estimator, options, seed and trial: a key that is
-                stored is not done again                                                         `pending`
-    distribute  a worker process a core, each with one thread; whoever is idle is given the      `executors.Pool`
-                next task, so that a long one holds nobody up
-    work        a worker makes the world from its seed, and runs one estimator after the other   `tasks.work`
-    store       each row comes back as it is ready, and only the parent process writes           `carry_out`, `store`
-    lose        a worker that dies or hangs costs the job it was at; the rest of its task goes   `executors._Worker`
-                back into the queue, and the job is tried once more, alone                       `carry_out`
+plan        a task for each world and trial, with a job for each estimator that meets it     `tasks.plan`
+            its key is a hash of world, estimator, options, seed and trial: a key that is
+            stored is not done again                                                         `pending`
+distribute  a worker process a core, each with one thread; whoever is idle is given the      `executors.Pool`
+            next task, so that a long one holds nobody up
+work        a worker makes the world from its seed, and runs one estimator after the other   `tasks.work`
+store       each row comes back as it is ready, and only the parent process writes           `carry_out`, `store`
+lose        a worker that dies or hangs costs the job it was at; the rest of its task goes   `executors._Worker`
+            back into the queue, and the job is tried once more, alone                       `carry_out`
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from cellslam.benchmarks.sweeps.executors import Executor
-from cellslam.benchmarks.sweeps.store import Store, writing
+from cellslam.benchmarks.sweeps.store import Note, Store, writing
 from cellslam.benchmarks.sweeps.tasks import (
     Began,
     Job,
@@ -76,22 +76,24 @@ def carry_out(plan: Plan, store: Store, executor: Executor, on_result: OnResult)
 
 
 def pending(plan: Plan, store: Store, retry_failed: bool) -> Plan:
-    """Return what of a plan is to be done: what is not stored, and what failed if `retry_failed`."""
-    status = store.status()
-    return plan.without({key: s for key, s in status.items() if s == "ok" or not retry_failed})
+    """Return what of a plan is to be done: what is not stored, what has lost its trajectory, and what failed if
+    `retry_failed`."""
+    lost = store.lost if any(task.trajectories for task in plan.tasks) else ()
+    status = store.status().items()
+    return plan.without({key: s for key, s in status if key not in lost and (s == "ok" or not retry_failed)})
 
 
 @contextmanager
 def keeping(
-    folder: Path, scenario: Scenario, requests: Sequence[Request], trials: int, seed: int, command: str
+    folder: Path, scenario: Scenario, requests: Sequence[Request], trials: int, seed: int, command: str, note: Note
 ) -> Iterator[Callable[[Trial], None]]:
     """Open the store of `cellslam run`, which `table`, `figures` and `report` then read as a sweep's, and yield what
-    keeps a trial in it; what earlier runs left there stays.
+    keeps a trial in it; what earlier runs left there stays. `note` gets a line where it waits.
 
     Raises InputError where there can be no store, as on a network disk.
     """
     work = plan([Point({}, scenario, tuple(requests))], trials, seed)
-    with writing(folder, command, versions()) as store:
+    with writing(folder, command, versions(), note) as store:
         store.declare(work)
         tasks = {task.trial: task for task in work.tasks}
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import zipfile
+import zlib
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -84,7 +85,7 @@ def unpack(path: Path) -> Trajectory:
     try:
         with path.open("rb") as file, np.load(file, allow_pickle=False) as held:
             return Trajectory(**{name: held[name] for name in Trajectory.__dataclass_fields__})
-    except (OSError, ValueError, KeyError, zipfile.BadZipFile) as error:
+    except (OSError, ValueError, KeyError, EOFError, NotImplementedError, zlib.error, zipfile.BadZipFile) as error:
         raise InputError(f"{path}: not a trajectory file ({' '.join(str(error).split())})") from error
 
 

@@ -14,8 +14,8 @@ import numpy as np
 from scipy.stats import binomtest, chi2
 
 from cellslam.benchmarks.sweeps.rows import results
-from cellslam.benchmarks.sweeps.store import trajectory_path
-from cellslam.benchmarks.sweeps.trajectories import Trajectory, unpack
+from cellslam.benchmarks.sweeps.store import trajectory_of
+from cellslam.benchmarks.sweeps.trajectories import Trajectory
 from cellslam.benchmarks.tables.summaries import Layout, groups, row_keys
 from cellslam.sim.errors import InputError
 from cellslam.sim.recording import Ints
@@ -45,9 +45,9 @@ def consistency(folder: str | Path, times: int = 10, rows: Sequence[str] | None 
     frame = results(folder, [*keys, "key", "status"])
     lines = []
     for values, group in groups(frame[frame["status"] == "ok"], keys):
-        paths = (trajectory_path(Path(folder), key) for key in group["key"])
-        read = (unpack(path) for path in paths if path.exists())
-        lines += [{**values, **line} for line in _over_time((one for one in read if len(one.nees)), times)]
+        read = (trajectory_of(Path(folder), key) for key in group["key"])
+        known = (one for one in read if one is not None and len(one.nees))
+        lines += [{**values, **line} for line in _over_time(known, times)]
     if not lines:
         raise InputError(f"{folder}: no trajectories with truth are kept (was it swept with --no-trajectories?)")
     return pd.DataFrame(lines)

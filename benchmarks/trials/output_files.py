@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from cellslam.sim.errors import InputError
+from cellslam.sim.files import write_durably
 
 if TYPE_CHECKING:
     from cellslam.sim.recording import Floats
@@ -37,10 +38,8 @@ def file_name(estimator: str) -> str:
 
 
 def write_text(path: Path, text: str) -> None:
-    """Write a text file at once, whatever the text: first a temporary one beside it, which then takes its place."""
-    temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
-    temporary.write_text(text, "utf-8", "backslashreplace")
-    temporary.replace(path)
+    """Write a text file, all or nothing, whatever the text. Raises OSError."""
+    write_durably(path, text.encode("utf-8", "backslashreplace"))
 
 
 def write_tum(path: str | Path, time_s: Floats, poses: Floats) -> None:

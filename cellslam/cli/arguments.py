@@ -35,6 +35,7 @@ FLAG: dict[str, Any] = {"action": "store_true"}
 SHARED: dict[str, dict[str, Any]] = {
     "scenario": {"metavar": "SCENARIO", "help": "name of a preset, or path of a .toml file"},
     "file": {"metavar": "FILE.h5", "help": "a recording"},
+    "--accept-changed": {"help": "read the recording though it was changed since it was written", **FLAG},
     "folder": {"metavar": "DIR", "help": "folder of a run or a sweep"},
     "--set": {"metavar": "KEY=VALUE", "dest": "sets", "help": SET_HELP.format("radio.detection_scale=0.8"), **REPEATED},
     "--estimator": {

@@ -20,13 +20,18 @@ from cellslam.cli.progress_bars import bars
 from cellslam.recordings.fitting.assumptions import Assumptions, assumed
 from cellslam.scenarios.estimator_options import resolve
 from cellslam.scenarios.overrides import parse_all
-from cellslam.scenarios.recording_origin import Origin
+from cellslam.scenarios.recording_origin import TECHNOLOGY, Origin
 from cellslam.sim.errors import InputError
 from cellslam.sim.progress import Progress
 from cellslam.sim.recording import Recording
 
 TABLES = ("estimator", "noise")
 ALONE = "dead-reckoning"
+
+
+def origin_by(arguments: Namespace, recording: Recording, path: Path) -> Origin:
+    """Return where a recording is from; a waveform that is code is loaded where the arguments give it again."""
+    return Origin.of(recording, path, parse_all(arguments.sets).get(TECHNOLOGY))
 
 
 def assumed_by(
@@ -37,7 +42,7 @@ def assumed_by(
     """
     fit = False if arguments.fit is None and arguments.options else arguments.fit
     changes = parse_all(arguments.sets)
-    external = [key for key in changes if key.partition(".")[0] not in TABLES]
+    external = [key for key in changes if key.partition(".")[0] not in TABLES and key != TECHNOLOGY]
     if external:
         raise InputError(
             f"--set {external[0]}: a recording is as it is; 'estimator.NAME.key' can be set, and the odometry's data "
@@ -53,7 +58,7 @@ def estimates_by(
     """Return the recording with the data sheet that its estimators assume, and what each of `names` makes of it, as
     `cellslam replay` of the file does. Raises InputError where one fails.
     """
-    origin = Origin.of(recording, path)
+    origin = origin_by(arguments, recording, path)
     seed = origin.seed if arguments.seed is None else arguments.seed
     results = []
     with bars(arguments.quiet) as progress, ExternalProcesses() as external:

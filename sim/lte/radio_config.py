@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
-from cellslam.sim.errors import InputError
+from cellslam.sim.errors import InputError, one_line
 
 if TYPE_CHECKING:
     from cellslam.sim.waveform import Waveform
@@ -25,6 +25,28 @@ class Band(NamedTuple):
 
 LTE_THRESHOLD = 17.4
 NR_BANDS = {48: Band("20 MHz", 17.4), 132: Band("50 MHz", 18.4), 272: Band("100 MHz", 19.2)}  # by blocks of 30 kHz
+
+
+_LOADED: dict[str, Any] = {}  # waveforms of one's own that this process was asked for, by `technology`
+
+
+def load_waveform(technology: str) -> Any:
+    """Return the class that `technology`, module:Class, names: its module is imported. Raises InputError."""
+    if technology not in _LOADED:
+        module, _, name = technology.partition(":")
+        try:
+            _LOADED[technology] = getattr(import_module(module), name)
+        except Exception as error:
+            raise InputError(f"radio.technology '{technology}' cannot be loaded: {one_line(error)}") from error
+    return _LOADED[technology]
+
+
+def is_loaded(technology: str) -> bool:
+    """Return whether a waveform is cellslam's own, or was loaded by this process before.
+
+    A recording is data: code that it names is not loaded.
+    """
+    return ":" not in technology or technology in _LOADED
 
 
 def threshold_of(keys: dict[str, Any]) -> float:
@@ -208,9 +230,9 @@ class RadioConfig(BaseModel):
             return NrWaveform(self.resource_blocks, self.numerology, self.prs_comb, self.prs_symbols)
         from cellslam.sim.waveform.waveform import checked
 
-        module, _, name = self.technology.partition(":")
+        kind = load_waveform(self.technology)
         try:
-            kind = getattr(import_module(module), name)
-        except (ImportError, AttributeError) as error:
-            raise InputError(f"radio.technology '{self.technology}' cannot be loaded: {error}") from error
-        return checked(kind(self), self.window_max_m - self.window_min_m)
+            own = kind(self)
+        except Exception as error:
+            raise InputError(f"radio.technology '{self.technology}' cannot be made: {one_line(error)}") from error
+        return checked(own, self.window_max_m - self.window_min_m)

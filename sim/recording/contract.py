@@ -93,11 +93,14 @@ class Recording(Described):
         save(values_of(self), Path(path))
 
     @staticmethod
-    def load(path: str | Path) -> Recording:
-        """Read and check a recording. Raises InputError naming file, table and row of what is wrong."""
+    def load(path: str | Path, accept_changed: bool = False) -> Recording:
+        """Read and check a recording. `accept_changed`: also one that was changed on purpose since it was written.
+
+        Raises InputError naming file, table and row of what is wrong.
+        """
         from cellslam.sim.recording.hdf5 import load
 
-        return load(Path(path), Recording)
+        return load(Path(path), Recording, accept_changed)
 
     def __repr__(self) -> str:
         parts = [f"{len(self.time_s)} snapshots", f"{self.elapsed_s[-1]:.1f} s", f"sites={', '.join(self.sites.name)}"]

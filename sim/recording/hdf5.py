@@ -6,7 +6,6 @@ compound types. (MATLAB shows a matrix (T, 6) as 6 x T.) `columns.COLUMNS` is th
 
 from __future__ import annotations
 
-import contextlib
 import json
 import os
 from collections.abc import Callable, Iterator, Mapping
@@ -39,7 +38,7 @@ _KINDS = {"float": "fiu", "int": "iu", "text": "OS"}
 
 
 def save(columns: Mapping[str, Any], path: Path) -> None:
-    """Write a recording's columns, by path, to `path`: first to a temporary file beside it, which then takes its place.
+    """Write a recording's columns, by path, to `path`: all or nothing.
 
     Raises InputError when the folder is missing or cannot be written, or the provenance is not JSON.
     """
@@ -49,33 +48,32 @@ def save(columns: Mapping[str, Any], path: Path) -> None:
         raise InputError(f"provenance cannot be written as JSON: {error}") from error
     if not path.parent.is_dir():
         raise InputError(f"{path}: there is no folder {path.parent}; create it first")
-    temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
+
+    def fill(file: h5py.File) -> None:
+        file.attrs["format"] = FORMAT
+        file.attrs["schema_version"] = SCHEMA_VERSION
+        for column in COLUMNS:
+            if column.path in values and not _is_absent(column, values[column.path]):
+                _write(file, column, values[column.path])
+        _declare_absent(file, values)
+
     try:
-        with h5py.File(temporary, "w", libver=("v108", "v108"), userblock_size=damage.USER_BLOCK) as file:
-            file.attrs["format"] = FORMAT
-            file.attrs["schema_version"] = SCHEMA_VERSION
-            for column in COLUMNS:
-                if column.path in values and not _is_absent(column, values[column.path]):
-                    _write(file, column, values[column.path])
-            _declare_absent(file, values)
-        damage.seal(temporary)
-        temporary.replace(path)
+        damage.write(path, fill)
     except OSError as error:
         raise InputError(f"{path}: cannot be written ({_reason(error)})") from error
-    finally:
-        with contextlib.suppress(OSError):
-            temporary.unlink(missing_ok=True)
 
 
-def load(path: Path, make: Callable[..., Kind]) -> Kind:
-    """Read a file as `make`, which checks it. Raises InputError naming file, table, row and remedy."""
+def load(path: Path, make: Callable[..., Kind], accept_changed: bool = False) -> Kind:
+    """Read a file as `make`, which checks it. `accept_changed`: also where it was changed since it was written.
+
+    Raises InputError naming file, table, row and remedy.
+    """
     if path.is_dir():
         raise InputError(f"{path} is a folder; give the .h5 file of a recording")
     if not path.exists():
         raise InputError(f"{path}: no such file; 'cellslam record' writes recordings")
     try:
-        damage.check(path)
-        with h5py.File(path, "r") as file:
+        with damage.opened(path, accept_changed) as file:
             _check_header(file)
             _check_names(file)
             values = _read_all(file)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import os
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -33,22 +32,21 @@ def write(path: str | Path, kind: Kind, arrays: Mapping[str, Any], provenance: M
     """Write the arrays of a kind, all or nothing. Raises InputError where the file cannot be written."""
     import h5py
 
-    path = Path(path)
-    temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
+    from cellslam.sim.recording import damage
+
+    def fill(file: h5py.File) -> None:
+        file.attrs["format"] = f"cellslam {kind.name}"
+        file.attrs["schema_version"] = 1
+        file.attrs["provenance"] = json.dumps(dict(provenance))
+        for name, unit in kind.units.items():
+            values = np.asarray(arrays[name])
+            stored = values.astype(h5py.string_dtype()) if values.dtype.kind == "U" else values
+            file.create_dataset(name, data=stored).attrs["unit"] = unit
+
     try:
-        with h5py.File(temporary, "w") as file:
-            file.attrs["format"] = f"cellslam {kind.name}"
-            file.attrs["schema_version"] = 1
-            file.attrs["provenance"] = json.dumps(dict(provenance))
-            for name, unit in kind.units.items():
-                values = np.asarray(arrays[name])
-                stored = values.astype(h5py.string_dtype()) if values.dtype.kind == "U" else values
-                file.create_dataset(name, data=stored).attrs["unit"] = unit
-        temporary.replace(path)
+        damage.write(Path(path), fill)
     except OSError as error:
         raise InputError(f"{path}: cannot be written ({error.strerror or error})") from error
-    finally:
-        temporary.unlink(missing_ok=True)
 
 
 def read(path: str | Path, kind: Kind) -> tuple[dict[str, Any], dict[str, Any]]:
@@ -56,19 +54,19 @@ def read(path: str | Path, kind: Kind) -> tuple[dict[str, Any], dict[str, Any]]:
 
     Raises InputError where it is none of this kind, or not whole.
     """
-    import h5py
+    from cellslam.sim.recording import damage
 
     writes = f"'{kind.writer}' writes one"
     if not Path(path).is_file():
         raise InputError(f"{path}: no such file; {writes}")
     try:
-        with h5py.File(path, "r") as file:
+        with damage.opened(Path(path)) as file:
             if file.attrs.get("format") != f"cellslam {kind.name}":
-                raise InputError(f"{path}: not a {kind.name}; {writes}")
+                raise InputError(f"not a {kind.name}")
             arrays = {name: _values(file[name]) for name in kind.units}
             return arrays, dict(json.loads(str(file.attrs["provenance"])))
-    except InputError:
-        raise
+    except InputError as error:
+        raise InputError(f"{path}: {error}; {writes}") from error
     except (OSError, KeyError, ValueError, TypeError, RuntimeError) as error:
         raise InputError(f"{path}: not a {kind.name}, or a truncated one ({error}); {writes}") from error
 

@@ -12,8 +12,7 @@ import numpy as np
 from cellslam.benchmarks.scores.metrics import METRIC
 from cellslam.benchmarks.scores.statistics import interval, statistic
 from cellslam.benchmarks.sweeps.rows import results, varying_keys
-from cellslam.benchmarks.sweeps.store import trajectory_path
-from cellslam.benchmarks.sweeps.trajectories import unpack
+from cellslam.benchmarks.sweeps.store import trajectory_of
 from cellslam.benchmarks.tables.rankings import verdicts
 from cellslam.benchmarks.tables.summaries import CONFIDENCE, finite, groups
 from cellslam.sim.errors import InputError
@@ -101,8 +100,8 @@ class SweepData:
     def over_time(self, series: Series, column: str) -> tuple[Floats, Floats] | None:
         """Return time (P,) in s and a column of the trajectories (N, P), or (N, P, S) for offsets; None without any."""
         ok = series.rows.loc[series.rows["status"] == "ok", "key"].tolist()[:MOST_TRAJECTORIES]
-        found = [unpack(path) for path in (trajectory_path(self.folder, key) for key in ok) if path.exists()]
-        found = [trajectory for trajectory in found if len(getattr(trajectory, column))]
+        kept = (trajectory_of(self.folder, key) for key in ok)
+        found = [trajectory for trajectory in kept if trajectory is not None and len(getattr(trajectory, column))]
         if not found:
             return None
         end = min(float(trajectory.time_s[-1]) for trajectory in found)

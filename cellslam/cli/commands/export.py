@@ -23,7 +23,7 @@ EXPORTS = (*TABLES, "tum", "geojson", "ply", "html", "calibration")
 
 
 def add_arguments(parser: ArgumentParser) -> None:
-    add(parser, "file")
+    add(parser, "file", "--accept-changed")
     format_help = "csv and mat: a folder; others: a file; may be repeated, each with its own --out"
     parser.add_argument("--format", choices=EXPORTS, required=True, dest="formats", help=format_help, **REPEATED)
     add(parser, "--out", metavar="PATH", required=True, dest="outs", help="the folder or file to write", **REPEATED)
@@ -55,7 +55,7 @@ def command(arguments: Namespace) -> None:
             raise InputError("--format calibration is a CSV file of what an estimator found: say --estimator ekf-slam")
         if kind not in TABLES:
             check_file(out)
-    recording, result = Recording.load(path), None
+    recording, result = Recording.load(path, arguments.accept_changed), None
     place = placement(recording, arguments.origin) if "geojson" in arguments.formats else None
     if name:
         from cellslam.cli.recording_estimates import estimates_by

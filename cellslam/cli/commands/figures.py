@@ -26,6 +26,7 @@ def add_arguments(parser: ArgumentParser) -> None:
 def command(arguments: Namespace) -> None:
     from cellslam.benchmarks.figures.sweep.sweep_data import CurveChoice
     from cellslam.benchmarks.figures.sweep.sweep_figures import draw_sweep
+    from cellslam.benchmarks.sweeps.store import lost_in_words
     from cellslam.benchmarks.trials.output_files import check_folder
     from cellslam.cli.progress_bars import bars
 
@@ -38,6 +39,7 @@ def command(arguments: Namespace) -> None:
     check_folder(out)
     with bars(arguments.quiet) as progress:
         written = draw_sweep(folder, out, choice, progress=progress)
+    note(arguments, lost_in_words(folder))
     note(arguments, f"{len(written)} files are in {out}: {', '.join(sorted({p.stem for p in written}))}")
 
 

@@ -14,7 +14,7 @@ EXAMPLES = ("fit-noise drive.h5",)
 
 
 def add_arguments(parser: ArgumentParser) -> None:
-    add(parser, "file")
+    add(parser, "file", "--accept-changed")
 
 
 def command(arguments: Namespace) -> None:
@@ -22,7 +22,7 @@ def command(arguments: Namespace) -> None:
     from cellslam.scenarios.recording_origin import Origin
 
     path = Path(arguments.file)
-    recording = Recording.load(path)
+    recording = Recording.load(path, arguments.accept_changed)
     with bars(arguments.quiet) as progress:
         learnt = learn(recording, Origin.of(recording, path).assumed(), progress)
     sys.stdout.write(toml(path, learnt))

@@ -26,6 +26,7 @@ def add_arguments(parser: ArgumentParser) -> None:
 def command(arguments: Namespace) -> None:
     from cellslam.recordings.adapters.adapter_loading import import_adapter
     from cellslam.recordings.importing.importing import import_folder
+    from cellslam.recordings.importing.manifest import files_outside
     from cellslam.recordings.inspection.suspicions import suspicions
     from cellslam.scenarios.overrides import parse_all
 
@@ -37,6 +38,8 @@ def command(arguments: Namespace) -> None:
             "--set is for options of an adapter; what a folder of tables means stands in its recording.toml"
         )
     recording = import_adapter(folder, arguments.adapter, options) if arguments.adapter else import_folder(folder)
+    outside = [name for key in ("manifest", "sheet") for name in files_outside(folder, recording.provenance.get(key))]
+    note(arguments, f"files outside {folder} were read: {', '.join(dict.fromkeys(outside))}" if outside else "")
     recording.save(out)
     if not arguments.quiet:
         note(arguments, f"{out}: {size_of(recording)}")

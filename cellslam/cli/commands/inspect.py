@@ -17,7 +17,7 @@ EXAMPLES = ("inspect drive.h5",)
 
 def add_arguments(parser: ArgumentParser) -> None:
     judge_help = "run this estimator, too, and say whether it is worth less than the odometry alone; may be repeated"
-    add(parser, "file")
+    add(parser, "file", "--accept-changed")
     add(parser, "--estimator", help=judge_help)
     add(parser, "--set", help=SET_HELP.format("estimator.fastslam.particles=300"))
     add(parser, "--options", "--fit")
@@ -34,7 +34,7 @@ def command(arguments: Namespace) -> None:
     figure = Path(arguments.figure) if arguments.figure else path.with_suffix(".png")
     if not arguments.no_figure:
         check_file(figure)
-    recording = Recording.load(path)
+    recording = Recording.load(path, arguments.accept_changed)
     found = inspected(recording)
     if arguments.estimators:
         from cellslam.cli.recording_estimates import doubts, estimates_by

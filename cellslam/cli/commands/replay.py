@@ -15,11 +15,10 @@ from cellslam.cli.arguments import ESTIMATION, SET_HELP, add, limits
 from cellslam.cli.between_drives import check_map, with_calibration
 from cellslam.cli.output import note
 from cellslam.cli.progress_bars import bars
-from cellslam.cli.recording_estimates import assumed_by, doubts
+from cellslam.cli.recording_estimates import assumed_by, doubts, origin_by
 from cellslam.cli.results import Results, left_out
 from cellslam.recordings.fitting.fit_sizes import in_words, toml
 from cellslam.scenarios.estimator_options import with_options
-from cellslam.scenarios.recording_origin import Origin
 from cellslam.scenarios.scenario import MapConfig
 from cellslam.sim.errors import InputError
 from cellslam.sim.recording import Recording
@@ -28,7 +27,7 @@ EXAMPLES = ("replay tiny.h5 --estimator fastslam", "replay drive.h5 --fit")
 
 
 def add_arguments(parser: ArgumentParser) -> None:
-    add(parser, "file")
+    add(parser, "file", "--accept-changed")
     add(parser, "--set", help=SET_HELP.format("estimator.fastslam.particles=300"))
     add(parser, "--options", "--fit", *ESTIMATION)
     align_help = "lay each estimate onto the truth before it is scored, and say so in its row"
@@ -39,10 +38,10 @@ def add_arguments(parser: ArgumentParser) -> None:
 
 def command(arguments: Namespace) -> int:
     path = Path(arguments.file)
-    recording = Recording.load(path)
+    recording = Recording.load(path, arguments.accept_changed)
     if arguments.align and recording.truth is None and recording.reference is None:
         raise InputError(f"--align: {path} has neither truth nor reference to align to; leave the option out")
-    origin = Origin.of(recording, path)
+    origin = origin_by(arguments, recording, path)
     seed = origin.seed if arguments.seed is None else arguments.seed
     trials.check_counts(1, seed)
     note(arguments, left_out(arguments))

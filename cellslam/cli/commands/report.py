@@ -23,10 +23,12 @@ def add_arguments(parser: ArgumentParser) -> None:
 def command(arguments: Namespace) -> None:
     from cellslam.benchmarks.report.page import write_report
     from cellslam.benchmarks.report.worst_trials import Choice
+    from cellslam.benchmarks.sweeps.store import lost_in_words
     from cellslam.cli.progress_bars import bars
 
     choice = Choice(arguments.worst, arguments.metric, tuple(arguments.estimators))
-    out = Path(arguments.out) if arguments.out else None
+    folder, out = Path(arguments.folder), Path(arguments.out) if arguments.out else None
     with bars(arguments.quiet) as progress:
-        path = write_report(Path(arguments.folder), out, choice, progress)
+        path = write_report(folder, out, choice, progress)
+    note(arguments, lost_in_words(folder))
     note(arguments, f"the report is in {path} ({path.stat().st_size / 1e6:.1f} MB)")

@@ -96,7 +96,7 @@ def _open_store(results: Results, scenario: Scenario, stack: ExitStack) -> Calla
     seed = results.arguments.seed
     try:
         return stack.enter_context(
-            keeping(results.folder, scenario, results.requests, results.trials, seed, results.command)
+            keeping(results.folder, scenario, results.requests, results.trials, seed, results.command, results.note)
         )
     except InputError as error:
         results.note(f"without a store for 'cellslam report': {error}")

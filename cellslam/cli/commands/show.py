@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import json
 from argparse import ArgumentParser, Namespace
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import replace
 from typing import Any
 
 from pydantic import BaseModel
@@ -13,14 +14,16 @@ from rich.markup import escape
 from rich.padding import Padding
 from rich.table import Table
 
-from cellslam.cli.arguments import add
-from cellslam.cli.output import console, plain_table
-from cellslam.scenarios.estimator_options import resolve
+from cellslam.cli.arguments import FLAG, add
+from cellslam.cli.output import console, note, plain_table
+from cellslam.scenarios.estimator_options import own_code, resolve
 from cellslam.scenarios.keys import Key, describe
 from cellslam.scenarios.loading import load
 from cellslam.scenarios.overrides import parse_all
+from cellslam.scenarios.recording_origin import TECHNOLOGY
 from cellslam.scenarios.scenario import Scenario
 from cellslam.sim.errors import InputError
+from cellslam.sim.lte.radio_config import is_loaded
 from cellslam.slam import registry
 
 EXAMPLES = ("show tiny", "show lund-530 radio")
@@ -31,13 +34,15 @@ NOT_KEYS = ("name", "title", "description", "facts", "estimator")
 def add_arguments(parser: ArgumentParser) -> None:
     add(parser, "scenario", "--set")
     only_help = "only keys with all of these in name or meaning, as in: radio noise"
+    load_help = "import the code that the scenario names, too, to show the options of its estimators"
+    parser.add_argument("--load", help=load_help, **FLAG)
     parser.add_argument("only", metavar="WORD", nargs="*", help=only_help)
 
 
 def command(arguments: Namespace) -> None:
-    overrides = parse_all(arguments.sets)
-    scenario = load(arguments.scenario, overrides)
-    keys = [key for key in _keys(scenario, overrides) if all(w in f"{key.name} {key.meaning}" for w in arguments.only)]
+    scenario = load(arguments.scenario, parse_all(arguments.sets), code=arguments.load)
+    code = {} if arguments.load else _code(scenario)
+    keys = [key for key in _keys(scenario, code) if all(w in f"{key.name} {key.meaning}" for w in arguments.only)]
     out = console(PIPE_WIDTH)
     out.print(escape(f"{scenario.name}: {scenario.title}\n{scenario.description}".strip()), highlight=False)
     if not keys:
@@ -46,15 +51,30 @@ def command(arguments: Namespace) -> None:
         _print_narrow(out, keys)
     else:
         out.print(_wide_table(keys))
+    note(arguments, f"not loaded, as it is code: {', '.join(code)}; --load imports it" if code else "")
 
 
-def _keys(scenario: Scenario, overrides: dict[str, Any]) -> Iterator[Key]:
-    """Yield the keys of a scenario's world, then those of all estimators' options."""
+def _code(scenario: Scenario) -> dict[str, str]:
+    """Return all code that a scenario names, by key. To look at a scenario runs none of it."""
+    built_in, known = {entry.name for entry in registry.BUILT_IN}, registry.names()
+    waveform = {} if is_loaded(scenario.radio.technology) else {TECHNOLOGY: scenario.radio.technology}
+    others = [name for name in scenario.estimator if name not in built_in and (":" in name or name in known)]
+    return {**waveform, **own_code(scenario.estimator), **{f"estimator.{name}": name for name in others}}
+
+
+def _keys(scenario: Scenario, code: Mapping[str, str]) -> Iterator[Key]:
+    """Yield the keys of a scenario's world, then those of all estimators' options; what is `code` is not loaded."""
     yield from (key for key in describe(scenario) if key.name.partition(".")[0] not in NOT_KEYS)
-    names = dict.fromkeys([*(entry.name for entry in registry.BUILT_IN), *scenario.estimator])
-    for request in resolve(scenario.estimator, tuple(names), overrides):
+    tables = {
+        name: {key: value for key, value in table.items() if f"estimator.{name}.{key}" not in code}
+        for name, table in scenario.estimator.items()
+        if f"estimator.{name}" not in code
+    }
+    names = dict.fromkeys([*(entry.name for entry in registry.BUILT_IN), *tables])
+    for request in resolve(tables, tuple(names)):
         if isinstance(request.options, BaseModel):
-            yield from describe(request.options, f"estimator.{request.name}.")
+            for key in describe(request.options, f"estimator.{request.name}."):
+                yield replace(key, value=code.get(key.name, key.value))
 
 
 def _wide_table(keys: Iterable[Key]) -> Table:

@@ -7,10 +7,11 @@ import sys
 from argparse import ArgumentParser, Namespace
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 from cellslam.benchmarks.sweeps.executors import Serial, cores, executor
-from cellslam.benchmarks.sweeps.store import DATABASE, reading, writing
+from cellslam.benchmarks.sweeps.store import DATABASE, lost_trajectories, reading, writing
 from cellslam.benchmarks.sweeps.sweeping import carry_out, pending, seconds_of
 from cellslam.benchmarks.sweeps.tasks import Plan, options_json, plan, world_json
 from cellslam.benchmarks.sweeps.watch import Tally, clock, watching
@@ -90,9 +91,11 @@ def carry_plan(arguments: Namespace, made: Plan, of: str, names: Names, out: Pat
     command = shlex.join(["cellslam", *arguments.words])
     tally = Tally(0, names)
     try:
-        with writing(out, command, versions()) as store:
+        with writing(out, command, versions(), partial(note, arguments)) as store:
             todo = pending(made, store, arguments.retry_failed)
             note(arguments, _size(made, todo))
+            again = sum(job.key in store.lost for task in todo.tasks for job in task.jobs)
+            note(arguments, f"rows done again, as their trajectory is missing or damaged: {again}" if again else "")
             with executor(arguments.executor, jobs, allowed, arguments.scheduler) as pool:
                 tally.total = len(todo)
                 with watching(tally, arguments.quiet, arguments.live) as on_result:
@@ -123,7 +126,8 @@ def _dry_run(made: Plan, of: str, jobs: int, allowed: Limits, out: Path) -> None
     todo = made
     if (out / DATABASE).is_file():
         with reading(out) as database:
-            todo = made.without(dict(database.execute("SELECT key, status FROM rows")))
+            lost = lost_trajectories(out, database) if any(task.trajectories for task in made.tasks) else ()
+            todo = made.without({key: True for (key,) in database.execute("SELECT key FROM rows") if key not in lost})
     print(f"{of}, {_size(made, todo)}")
     with Serial(allowed) as one:
         seconds, parts = seconds_of(todo, one.external)

@@ -18,6 +18,7 @@ from pydantic import Field
 from cellslam.recordings.importing.manifest import Table, read_tables
 from cellslam.sim.errors import InputError, nearest_name
 from cellslam.sim.recording import Floats
+from cellslam.sim.recording.damage import refuse_elsewhere
 
 NAME = "tui.toml"
 DEGREES = ("deg", "degree", "degrees", "°")
@@ -89,6 +90,10 @@ def opened(path: Path, units: Mapping[str, str]) -> Iterator[Container]:
         raise InputError(f"{path}: no such file; download it, or correct its name in the sheet")
     try:
         with h5py.File(path, "r") as file:
+            try:
+                refuse_elsewhere(file)
+            except InputError as error:
+                raise InputError(f"{path}: {error}") from error
             yield Container(path, file, units)
     except OSError as error:
         raise InputError(f"{path}: not an HDF5 file, or a damaged one ({str(error).splitlines()[0]})") from error

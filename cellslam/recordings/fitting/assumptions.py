@@ -15,12 +15,13 @@ from cellslam.recordings.importing.manifest import Noise
 from cellslam.scenarios import external_options
 from cellslam.scenarios.estimator_options import Request
 from cellslam.scenarios.keys import validate
-from cellslam.scenarios.overrides import apply
-from cellslam.scenarios.recording_origin import Origin
+from cellslam.scenarios.overrides import apply, split
+from cellslam.scenarios.recording_origin import TECHNOLOGY, Origin
 from cellslam.sim.errors import InputError, nearest_name
 from cellslam.sim.progress import Progress, silent
 from cellslam.sim.recording import COMPONENTS, OdometryModel, Recording
 from cellslam.slam.measurements.measurement_options import MeasurementOptions
+from cellslam.slam.registry import expanded
 
 
 @dataclass(frozen=True)
@@ -43,8 +44,10 @@ def assumed(
     """Return what estimators `names` assume: by the recording's scenario, or by what it shows itself (`fit`; None:
     for map builders on a measured one).
 
-    `given`: what goes before, by key, "estimator.NAME.option" and "noise.COMPONENT.part". Raises InputError.
+    `given`: what goes before, by key, "estimator.NAME.option" and "noise.COMPONENT.part". Raises InputError, also for
+    code that the recording names and `given` does not.
     """
+    _refuse_code(origin, names, given)
     overrides = {key: value for key, value in given.items() if not key.startswith("noise.")}
     sheet = changed_sheet(recording.odometry_model, {k: v for k, v in given.items() if k.startswith("noise.")})
     requests = _requests(origin.options, names, overrides)
@@ -57,6 +60,17 @@ def assumed(
         learnt = Learnt(dict(UNKNOWN), sheet, {}, False)
         return Assumptions(_with(learnt, origin, requests, overrides), sheet, None, str(error))
     return Assumptions(_with(learnt, origin, requests, overrides), learnt.odometry_model, learnt)
+
+
+def _refuse_code(origin: Origin, names: Sequence[str], given: Mapping[str, Any]) -> None:
+    """Raise InputError for code that would be loaded since the recording names it: a recording is data."""
+    loaded = {*expanded(names), *(split(key)[1] for key in given if key.startswith("estimator."))}
+    for key, value in origin.code.items():
+        if key not in given and (key == TECHNOLOGY or split(key)[1] in loaded):
+            raise InputError(
+                f"the recording names code, {key} = '{value}', which is not loaded unasked; if you trust it, give it "
+                f"again: --set {key}={value}"
+            )
 
 
 def _with(

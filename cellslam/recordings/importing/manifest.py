@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import tomllib
+from collections.abc import Mapping
 from pathlib import Path
-from typing import Annotated, Literal, TypeVar
+from typing import Annotated, Any, Literal, TypeVar
 
 from pydantic import BaseModel, ConfigDict, Field
 
@@ -163,6 +164,15 @@ def load_manifest(folder: Path) -> Manifest:
             f"{path}: no such file; write one (docs/reference/campaign-tables.md), or name an adapter: --adapter"
         )
     return read_tables(path, Manifest)
+
+
+def files_outside(folder: Path, tables: Any) -> list[str]:
+    """Return the files that the tables of a manifest or sheet name, as they name them, that lie outside its folder."""
+    if not isinstance(tables, Mapping):
+        return []
+    found = [name for key, name in tables.items() if key in ("file", "array") and isinstance(name, str)]
+    outside = [name for name in found if not (folder / name).resolve().is_relative_to(folder.resolve())]
+    return [*outside, *(name for inner in tables.values() for name in files_outside(folder, inner))]
 
 
 def read_tables(path: Path, model: type[Tables]) -> Tables:

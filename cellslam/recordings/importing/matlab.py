@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from cellslam.sim.errors import InputError, nearest_name
+from cellslam.sim.recording.damage import refuse_elsewhere
 
 
 def variables(path: Path, names: Sequence[str] = ()) -> dict[str, Any]:
@@ -56,7 +57,10 @@ def _read_hdf5(path: Path) -> dict[str, Any]:
 
     try:
         with h5py.File(path, "r") as file:
+            refuse_elsewhere(file)
             return {name: _hdf5_value(file, item) for name, item in file.items() if not name.startswith("#")}
+    except InputError as error:
+        raise InputError(f"{path}: {error}") from error
     except (OSError, RuntimeError, KeyError) as error:
         raise InputError(
             f"{path}: a damaged MATLAB 7.3 file ({str(error).splitlines()[0]}); export it again"
@@ -73,7 +77,10 @@ def _hdf5_value(file: Any, item: Any) -> Any:
     if item.attrs.get("MATLAB_empty", 0):
         return "" if kind == "char" else ([] if kind == "cell" else np.zeros(tuple(int(n) for n in item[()].ravel())))
     if item.dtype == h5py.ref_dtype:
-        return [_hdf5_value(file, file[reference]) for reference in np.asarray(item[()]).ravel()]
+        led_to = [file[reference] for reference in np.asarray(item[()]).ravel()]
+        for inner in led_to:
+            refuse_elsewhere(inner)  # no link may lead to it
+        return [_hdf5_value(file, inner) for inner in led_to]
     if kind == "char":
         return "".join(chr(code) for code in np.asarray(item[()]).T.ravel(order="F"))
     value = np.asarray(item[()])

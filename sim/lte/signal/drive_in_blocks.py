@@ -6,9 +6,8 @@ Source: own, docs/how-to/drive-from-signals.md.
 from __future__ import annotations
 
 import hashlib
-import os
+import io
 import shutil
-import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
@@ -19,6 +18,7 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from cellslam.sim.compiling import cache_folder
+from cellslam.sim.files import private_folder, write_durably
 from cellslam.sim.lte.signal.block_processes import in_processes
 from cellslam.sim.lte.signal.signal_front_end import SignalLevel
 from cellslam.sim.lte.statistical import detector_layout as k
@@ -78,15 +78,11 @@ class _Blocks:
         """Return the block that begins with row `start` from its file, or measure it and keep it."""
         if self.folder is None:
             return self._measured(start)
-        file = self.folder / f"{start:07d}.npy"
-        with suppress(FileNotFoundError):
-            return np.asarray(np.load(file), np.float64)
-        table = self._measured(start)
-        file.parent.mkdir(parents=True, exist_ok=True, mode=0o700)  # another run of the trial may have removed it
-        partial = file.with_suffix(f".{os.getpid()}.tmp")
-        with partial.open("wb") as stream:
-            np.save(stream, table)
-        partial.replace(file)
+        file = self.folder / f"{start:07d}.block"
+        table = _kept(file)
+        if table is None:
+            table = self._measured(start)
+            _keep(file, table)
         return table
 
     def _measured(self, start: int) -> Floats:
@@ -100,6 +96,24 @@ class _Blocks:
             table[:, k.PATH] += np.where(table[:, k.PATH] >= 0.0, low, 0)
             rows.append(table)
         return np.concatenate(rows)
+
+
+def _keep(file: Path, table: Floats) -> None:
+    """Keep a finished block, its digest before it; on a full disk it is not kept."""
+    stream = io.BytesIO()
+    np.save(stream, table)
+    with suppress(OSError):
+        file.parent.mkdir(exist_ok=True, mode=0o700)  # another run of the trial may have removed it
+        write_durably(file, hashlib.sha256(stream.getvalue()).digest() + stream.getvalue())
+
+
+def _kept(file: Path) -> Floats | None:
+    """Return a block that was kept; None where there is none, or it is not what was written."""
+    content = file.read_bytes() if file.exists() else b""
+    size = hashlib.sha256().digest_size
+    if hashlib.sha256(content[size:]).digest() != content[:size]:
+        return None
+    return np.asarray(np.load(io.BytesIO(content[size:])), np.float64)
 
 
 def snapshot_paths(paths: PathColumns, t: int, sites: int) -> tuple[PathColumns, int]:
@@ -119,13 +133,14 @@ def snapshot_rng(rng: np.random.Generator, number: int) -> np.random.Generator:
 @contextmanager
 def _kept_blocks(trial_key: str) -> Iterator[Path | None]:
     """Yield the folder of a trial's finished blocks; it goes when the trial is whole, and stays when it is not. Other
-    sources, which may measure the same trial otherwise, have another.
+    sources, which may measure the same trial otherwise, have another. None where others could write into it.
     """
-    if not trial_key:
+    private = private_folder("signals") if trial_key else None
+    if private is None:
         yield None
         return
     sources = cache_folder(__name__, Path(__file__)).name
     name = hashlib.sha256(f"{sources} {trial_key}".encode()).hexdigest()[:24]
-    folder = Path(tempfile.gettempdir()) / f"cellslam-{os.getuid() if hasattr(os, 'getuid') else 0}" / f"signal-{name}"
+    folder = private / name
     yield folder
     shutil.rmtree(folder, ignore_errors=True)

@@ -19,6 +19,7 @@ from cellslam.benchmarks.scores.trial_result import TrialResult
 from cellslam.benchmarks.sweeps import store, tasks
 from cellslam.benchmarks.sweeps.rows import results
 from cellslam.benchmarks.sweeps.store import check_local, only_writer
+from cellslam.benchmarks.sweeps.sweeping import pending
 from cellslam.benchmarks.sweeps.tasks import Plan, Result, plan, with_contents
 from cellslam.benchmarks.sweeps.trajectories import pack, trajectory, unpack
 from cellslam.scenarios import sweep_points as sweep
@@ -155,10 +156,69 @@ def test_a_full_disk_is_one_line_and_keeps_what_was_finished(tmp_path: Path, mon
         def no_space(*_: Any) -> None:
             raise OSError(28, "No space left on device")
 
-        monkeypatch.setattr(store, "_write_bytes", no_space)
+        monkeypatch.setattr(store, "write_durably", no_space)
         with pytest.raises(InputError, match="No space left on device"):
             full.write(dataclasses.replace(row("c"), trajectory=b"x"), "w", "o")
         assert full.status()["a"] == "ok" and "c" not in full.status()
+
+
+def test_lost_trajectories_are_noticed_and_made_again(tmp_path: Path) -> None:
+    made = plan_of({}, BOTH, trials=3)
+    made_up(tmp_path, made, packed=lambda _, job: job.key.encode() * 9)
+    files = {key: store.trajectory_path(tmp_path, key) for key in keys(made)}
+    deleted, cut, changed, *_ = files
+    files[deleted].unlink()
+    files[cut].write_bytes(files[cut].read_bytes()[:50])
+    files[changed].write_bytes(files[changed].read_bytes()[:-1] + b"x")
+    assert "damaged: 3; they are left out; the command that made them" in store.lost_in_words(tmp_path)
+    with store.writing(tmp_path, "test", {}) as again:
+        todo = pending(made, again, retry_failed=False)
+        assert {*keys(todo)} == {deleted, cut, changed}
+        without = dataclasses.replace(made, tasks=tuple(dataclasses.replace(t, trajectories=False) for t in made.tasks))
+        assert len(pending(without, again, retry_failed=False)) == 0
+    made_up(tmp_path, todo, packed=lambda _, job: job.key.encode() * 9)
+    assert store.lost_in_words(tmp_path) == "" and store.trajectory_of(tmp_path, cut) is None  # no trajectory at all
+    made_up(tmp_path, made)
+    assert store.lost_in_words(tmp_path) == ""  # a row that has none has not lost it
+
+
+def test_a_trajectory_is_on_the_disk_before_its_row(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    found: list[dict[str, str]] = []
+    with store.writing(tmp_path, "test", {}) as open_store:
+        durable = store.write_durably
+
+        def noticed(path: Path, content: bytes) -> None:
+            durable(path, content)
+            found.append(open_store.status())
+
+        monkeypatch.setattr(store, "write_durably", noticed)
+        open_store.write(dataclasses.replace(row("a"), trajectory=b"x"), "w", "o")
+        assert found == [{}] and open_store.status() == {"a": "ok"}
+
+
+def test_another_program_that_locks_the_database_is_waited_for(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(store, "LOCK_NOTE_S", 0.05)
+    with store.writing(tmp_path, "test", {}):
+        pass
+    other = sqlite3.connect(tmp_path / store.DATABASE, check_same_thread=False, isolation_level=None)
+    said: list[str] = []
+
+    def let_go(text: str) -> None:
+        said.append(text)
+        if len(said) == 2 and other.in_transaction:
+            other.execute("ROLLBACK")
+
+    other.execute("BEGIN IMMEDIATE")
+    with closing(other), store.writing(tmp_path, "test", {}, let_go) as waited:
+        assert len(said) == 2 and "another program locks it" in said[0]
+        other.execute("BEGIN IMMEDIATE")
+        said.clear()
+        waited.write(row("a"), "w", "o")
+        assert len(said) == 2 and waited.status() == {"a": "ok"}
+        monkeypatch.setattr(store, "LOCK_LIMIT_S", 0.1)
+        other.execute("BEGIN IMMEDIATE")
+        with pytest.raises(InputError, match="database is locked"):
+            waited.write(row("b"), "w", "o")
 
 
 def test_what_is_no_store_is_refused(tmp_path: Path) -> None:

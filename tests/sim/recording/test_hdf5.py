@@ -12,6 +12,7 @@ import pytest
 from cellslam.sim.errors import InputError
 from cellslam.sim.recording import Recording
 from cellslam.sim.recording.columns import COLUMNS
+from tests.sealing import resealed
 
 Toy = Callable[..., Recording]
 
@@ -110,7 +111,7 @@ def test_broken_file_says_what_is_wrong_where(toy_recording: Toy, tmp_path: Path
     change, words = BROKEN[kind]
     path = tmp_path / "drive.h5"
     toy_recording().save(path)
-    with h5py.File(path, "r+") as file:
+    with resealed(path) as file:
         change(file)
     with pytest.raises(InputError) as caught:
         Recording.load(path)
@@ -127,22 +128,74 @@ def test_files_that_are_no_hdf5(toy_recording: Toy, tmp_path: Path) -> None:
     with pytest.raises(InputError, match="is a folder"):
         Recording.load(tmp_path)
     toy_recording().save(path)
-    for content in (b"time,x,y\n", b"", path.read_bytes()[:5000]):
+    cut = path.read_bytes()[:5000]
+    for content, text in ((b"time,x,y\n", "not an HDF5 file"), (b"", "not an HDF5 file"), (cut, "damaged, truncated")):
         path.write_bytes(content)
-        with pytest.raises(InputError, match=r"drive\.h5: not an HDF5 file, or a truncated one"):
+        with pytest.raises(InputError, match=rf"drive\.h5: {text}"):
             Recording.load(path)
 
 
-def test_damaged_data_is_noticed(toy_recording: Toy, tmp_path: Path) -> None:
+def test_no_byte_is_changed_unnoticed(toy_recording: Toy, tmp_path: Path) -> None:
+    path, rng = tmp_path / "drive.h5", np.random.default_rng(67)
+    toy_recording().save(path)
+    sound = path.read_bytes()
+    for _ in range(60):
+        changed = bytearray(sound)
+        for at in rng.integers(len(sound), size=5):
+            changed[at] ^= int(rng.integers(1, 256))
+        path.write_bytes(changed)
+        with pytest.raises(InputError, match=r"drive\.h5"):
+            Recording.load(path)
+
+
+def test_what_was_changed_on_purpose_is_accepted(toy_recording: Toy, tmp_path: Path) -> None:
     path = tmp_path / "drive.h5"
-    toy_recording(snapshots=3000).save(path)
-    with h5py.File(path) as file:
-        chunk = file["measurements/distance_m"].id.get_chunk_info(0)
-    with path.open("r+b") as raw:
-        raw.seek(chunk.byte_offset + chunk.size // 2)
-        raw.write(b"\x00" * 64)
-    with pytest.raises(InputError, match=r"drive\.h5"):
+    toy_recording().save(path)
+    with h5py.File(path, "r+") as file:
+        file["measurements/distance_m"][0] = 77.0
+    with pytest.raises(InputError, match=r"SHA-256 is not the one .* --accept-changed"):
         Recording.load(path)
+    assert Recording.load(path, accept_changed=True).measurements.distance_m[0] == 77.0
+
+
+def external_link(file: h5py.File, other: str) -> None:
+    del file["time_s"]
+    file["time_s"] = h5py.ExternalLink(other, "/time_s")
+
+
+def virtual(file: h5py.File, other: str) -> None:
+    size = file["time_s"].shape
+    del file["time_s"]
+    layout = h5py.VirtualLayout(size, np.float64)
+    layout[:] = h5py.VirtualSource(other, "time_s", size)
+    file.create_virtual_dataset("time_s", layout).attrs["unit"] = "s"
+
+
+def external_storage(file: h5py.File, other: str) -> None:
+    size = file["time_s"].shape
+    del file["time_s"]
+    places = [(other, 0, h5py.h5f.UNLIMITED)]
+    file.create_dataset("time_s", size, np.float64, external=places).attrs["unit"] = "s"
+
+
+@pytest.mark.parametrize(
+    ("point", "text"),
+    [(external_link, "link into the file"), (virtual, "virtual data set"), (external_storage, "external storage")],
+)
+@pytest.mark.parametrize("is_sealed", [True, False])
+def test_values_in_other_files_are_refused(
+    toy_recording: Toy, tmp_path: Path, point: Callable[..., None], text: str, is_sealed: bool
+) -> None:
+    path, other = tmp_path / "drive.h5", tmp_path / "other.h5"
+    for place in (path, other):
+        toy_recording().save(place)
+    with resealed(path) as file:
+        point(file, str(other))
+    if not is_sealed:
+        with h5py.File(path, "r+") as file:
+            file.attrs["changed"] = 1
+    with pytest.raises(InputError, match=f"drive.h5: '/time_s' .*{text}"):
+        Recording.load(path, accept_changed=True)
 
 
 def test_a_failed_save_leaves_nothing(toy_recording: Toy, tmp_path: Path) -> None:

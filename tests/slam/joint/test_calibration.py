@@ -6,7 +6,6 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-import h5py
 import numpy as np
 import pytest
 
@@ -24,6 +23,7 @@ from cellslam.slam.joint.ekf_slam_options import EkfSlamOptions
 from cellslam.slam.joint.state.layout import one_of
 from cellslam.slam.joint.state.states_kernel import leave
 from cellslam.slam.model.calibration import Calibration
+from tests.sealing import resealed
 from tests.slam.driving import driven, go_on
 
 ONE_CAR: dict[str, Any] = {"radio.array_seed": 5, "radio.clock_offset_std_m": 0.0}
@@ -145,9 +145,9 @@ def test_what_cannot_be_used_is_refused(calibration: Calibration, tmp_path: Path
     assert "no such file" in said(calibration_file=str(no))
     no.write_text("nothing")
     assert "not a calibration" in said(calibration_file=str(no))
-    with h5py.File(file, "r+") as changed:
+    with resealed(file) as changed:
         changed["covariance"][0, 0] = -1.0
     assert "negative eigenvalue" in said()
-    with h5py.File(file, "r+") as changed:
+    with resealed(file) as changed:
         del changed["mean"]
     assert "not a calibration" in said()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import os
 from functools import partial
 from pathlib import Path
@@ -86,7 +87,7 @@ def test_paths_are_measured_as_claimed(
 
 @pytest.mark.slow
 def test_processes_snapshots_and_a_restart_give_the_same(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(streaming.tempfile, "gettempdir", lambda: str(tmp_path))
+    monkeypatch.setattr("tempfile.gettempdir", lambda: str(tmp_path))
     paths, poses, velocity = drive(4)
     rng, signals = np.random.default_rng(4), front_end()
     monkeypatch.setattr(streaming, "BLOCK", 1)  # so many blocks that several processes measure them
@@ -111,11 +112,26 @@ def test_processes_snapshots_and_a_restart_give_the_same(tmp_path: Path, monkeyp
     with pytest.raises(KeyboardInterrupt):
         streaming.detect_signals(signals, paths, poses, velocity, velocity, rng, trial_key="a")
     assert sorted(measured) == [0, 1, 2, 3]
+    kept = sorted(tmp_path.rglob("*.block"))
+    assert len(kept) == 1
     fails, before = False, len(measured)
     resumed = streaming.detect_signals(signals, paths, poses, velocity, velocity, rng, trial_key="a")
     assert measured[before:] == [2, 3]
     np.testing.assert_array_equal(resumed.measurements.distance_m, whole.measurements.distance_m)
     assert not any(path.is_file() for path in tmp_path.rglob("*"))
+
+
+def test_a_block_that_was_changed_is_no_block(tmp_path: Path) -> None:
+    file, table = tmp_path / "trial" / "0.block", np.arange(12.0).reshape(4, 3)
+    assert streaming._kept(file) is None
+    streaming._keep(file, table)
+    np.testing.assert_array_equal(streaming._kept(file), table)
+    half = io.BytesIO()
+    np.save(half, table[:2])
+    whole = file.read_bytes()
+    for content in (half.getvalue(), whole[:-24], whole[:40], whole[:-1] + b"x"):
+        file.write_bytes(content)
+        assert streaming._kept(file) is None
 
 
 def test_answers_of_processes_come_in_order_and_errors_come_through() -> None:
