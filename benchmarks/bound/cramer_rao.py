@@ -210,8 +210,8 @@ def _loads(joint: Joint, drive: Drive, rows: Ints, chosen: NDArray[np.bool_]) ->
     of = 3 * (s.view_of[rows, None] - seen.start) + np.arange(3)
     state = s.state[rows][chosen]
     own = np.where(state >= 0, place[state], 0)
-    load = np.where(state >= 0, np.broadcast_to(s.load, chosen.shape)[chosen] * joint.scale[own], 0.0)
-    return Loads(shared[:, :n] * joint.scale, of[chosen], own, load)
+    by_own: Floats = np.where(state >= 0, np.broadcast_to(s.load, chosen.shape)[chosen] * joint.scale[own], 0.0)
+    return Loads(shared[:, :n] * joint.scale, of[chosen], own, by_own)
 
 
 def _give_births(joint: Joint, drive: Drive, rows: Ints) -> Joint:
