@@ -134,6 +134,25 @@ def mean_velocities(motion: Motion, times: Floats, start_pose: Floats) -> Floats
     return out
 
 
+def to_fixes(motion: Motion, times: Floats, fixes_s: Floats, start_pose: Floats) -> Floats:
+    """Return mean body velocities (R, 6), in m/s and rad/s, from the last of `times` (T,) before each of `fixes_s` (R,)
+    to the fix; NaN where less than half was measured, and for fixes outside of `times`; zero at a snapshot.
+    """
+    out = np.full((len(fixes_s), 6), np.nan)
+    inside = (fixes_s >= times[0]) & (fixes_s <= times[-1])
+    knots, at = np.unique(np.concatenate([times, fixes_s[inside]]), return_inverse=True)
+    if len(knots) < 2:
+        return out
+    poses, measured = integrate(motion, knots, start_pose)
+    fix, before = at[len(times) :], at[np.searchsorted(times, fixes_s[inside], side="right") - 1]
+    unmeasured = np.append(0, np.cumsum(~measured[:, motion.measured].all(axis=1)))
+    lasts = knots[fix] - knots[before]
+    known = unmeasured[fix] == unmeasured[before]
+    velocity = mean_velocity(poses[before], poses[fix], np.where(lasts > 0.0, lasts, 1.0))
+    out[inside] = np.where(known[:, None], velocity, np.nan)
+    return out
+
+
 def integrate(motion: Motion, times: Floats, start_pose: Floats) -> tuple[Floats, NDArray[np.bool_]]:
     """Return the dead-reckoned poses (T, 6) at `times` (T,) in s, and for each interval (T - 1, 6) whether it was
     measured.
