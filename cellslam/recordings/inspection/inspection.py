@@ -192,8 +192,8 @@ def _reference_lines(f: Mapping[str, Any]) -> list[str]:
     if at := f["outlying_at_s"]:
         times = ", ".join([*(f"{t:.14g}" for t in at[:5]), *(["..."] if len(at) > 5 else [])])
         lines.append(f"  outliers    {len(at)} far off their neighbours, at {times} s: left out of scores and figures")
-    if f["without_odometry"]:
-        lines.append(f"  pauses      {f['without_odometry']} fixes where the odometry pauses: left out of scores and figures")
+    if count := f["without_odometry"]:
+        lines.append(f"  pauses      {count} fixes where the odometry pauses: left out of scores and figures")
     return lines
 
 
