@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cellslam.benchmarks.bound.persisting_states import Seen, persisting_errors
-from cellslam.sim.frames import held, integrate_pose, mean_velocity, rotation, wrap_angle
+from cellslam.sim.frames import held, integrate_pose, mean_velocity, pose_jacobians, wrap_angle
 from cellslam.sim.recording import Floats, Ints, OdometryModel, Recording, Sites, Truth
 from cellslam.slam.model.measurement_model import jacobians, predict
 
@@ -199,27 +199,6 @@ def clock_walk(recording: Recording, truth: Truth, core: Core) -> Floats:
         at, stepped = np.searchsorted(recording.elapsed_s, steps.time_s), core.offsets[steps.site]
         np.add.at(out, (at, stepped, stepped), STEP_STD_M**2)
     return out
-
-
-def pose_jacobians(pose: Floats, velocity: Floats, dt_s: Floats) -> tuple[Floats, Floats]:
-    """Return d(pose')/d(pose) and d(pose')/d(velocity), each (n, 6, 6), of `frames.integrate_pose`.
-
-    At poses (n, 6) in m and rad, body velocities (n, 6) in m/s and rad/s and intervals (n,) in s.
-    """
-    middle = pose[:, 3:] + 0.5 * velocity[:, 3:] * dt_s[:, None]
-    r = rotation(middle[:, 0], middle[:, 1], middle[:, 2])
-    moved = np.einsum("nij,nj->ni", r, velocity[:, :3]) * dt_s[:, None]
-    zero = np.zeros(len(pose))
-    # An angle turns the vector about its axis: yaw about z, pitch about the yawed y, roll about the body's x.
-    up = np.stack([zero, zero, zero + 1.0], axis=-1)
-    axes = np.stack([up, rotation(middle[:, 0], zero, zero)[:, :, 1], r[:, :, 0]], axis=1)
-    turned = np.swapaxes(np.cross(axes, moved[:, None, :]), 1, 2)
-    by_pose, by_velocity = np.tile(np.eye(6), (len(pose), 1, 1)), np.zeros((len(pose), 6, 6))
-    by_pose[:, :3, 3:] = turned
-    by_velocity[:, :3, :3] = r * dt_s[:, None, None]
-    by_velocity[:, :3, 3:] = turned * 0.5 * dt_s[:, None, None]
-    by_velocity[:, 3:, 3:] = np.eye(3) * dt_s[:, None, None]
-    return by_pose, by_velocity
 
 
 def jumps(recording: Recording, truth: Truth, core: Core, F: Floats) -> Floats:

@@ -126,6 +126,7 @@ COLUMNS = (
     Column("reference/position_m", ("R", 3), "m", labels=_XYZ, rule="measured"),
     Column("reference/yaw_rad", ("R",), "rad", rule="measured"),
     Column("reference/position_std_m", ("R",), "m", rule="uncertainty"),
+    Column("reference/odometry", ("R", 6), _RATE_UNIT, labels=COMPONENTS, optional=True, rule="measured"),
 )
 
 

@@ -218,13 +218,15 @@ class Reference(Described):
     """The trajectory as another sensor saw it (GNSS, total station), at its own times: what a real drive has for truth.
 
     `time_s` (R,), increasing, on the clock of the snapshots; `position_m` (R, 3) of the array in the world frame;
-    `yaw_rad` (R,); `position_std_m` (R,). NaN: not known.
+    `yaw_rad` (R,); `position_std_m` (R,). NaN: not known. `odometry` (R, 6), where there is one: mean body velocities
+    in m/s and rad/s from the last snapshot before each fix to the fix, NaN where they were not measured.
     """
 
     time_s: Floats
     position_m: Floats
     yaw_rad: Floats
     position_std_m: Floats
+    odometry: Floats | None = None
 
     def __len__(self) -> int:
         return len(self.time_s)

@@ -56,7 +56,7 @@ def load(folder: Path, *, robot: int = 1, association: str = "unknown") -> Campa
         columns={"distance_m": seen[kept, 2], "azimuth_rad": seen[kept, 3]},
         link=np.searchsorted(numbers, subject[kept]) if known else None,
         link_sites=[f"landmark {number}" for number in numbers.astype(int)] if known else ("landmarks",),
-        odometry=OdometryTable(odometry[:, 0], {"u_x": odometry[:, 1], "u_psi": odometry[:, 2]}),
+        odometry=OdometryTable(odometry[:, 0], {"u_x": odometry[:, 1], "u_psi": odometry[:, 2]}, valid_s=np.inf),
         noise=SHEET,
         reference=ReferenceTable(truth[:, 0], truth[:, 1:3], truth[:, 3]),
         plane=True,

@@ -3,13 +3,20 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from cellslam.recordings.importing.odometry import OdometryTable, column_of, mean_velocities, motion_of, times_of
+from cellslam.recordings.importing.odometry import (
+    OdometryTable,
+    column_of,
+    mean_velocities,
+    motion_of,
+    times_of,
+    to_fixes,
+)  # fmt: skip
 from cellslam.recordings.importing.start_pose import start_from_reference
 from cellslam.sim import recording as contract
 from cellslam.sim.errors import InputError
@@ -77,6 +84,8 @@ def build(campaign: Campaign) -> Recording:
         start_pose = start_from_reference(motion, reference, float(times[0]))
     else:
         raise InputError("the start pose is not given, and there is no reference to take it from: give one of both")
+    if reference is not None and motion is not None:
+        reference = replace(reference, odometry=to_fixes(motion, times, reference.time_s, start_pose))
     nothing = np.full((len(times), len(COMPONENTS)), np.nan)
     links, sites = _links(campaign)
     return Recording(

@@ -87,6 +87,10 @@ class DriveTable(FileTable):
     hold: Literal["next", "before", "linear"] = Field(
         "next", description="a row is valid until the next row, since the row before, or in between interpolate"
     )
+    valid_s: float | None = Field(
+        None, gt=0, description="how long a row is valid at most, s; inf: commands, which hold until the next; none: "
+        "five times the median interval",
+    )  # fmt: skip
     axes: Literal["forward-left-up", "forward-right-down"] = Field("forward-left-up", description="axes of the body")
     lever_arm_m: Triple = Field((0.0, 0.0, 0.0), description="where the antenna is, from the point that is measured, m")
 

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from cellslam.benchmarks.scores.metrics import duration_s
-from cellslam.benchmarks.scores.reference_fixes import outlying, within
+from cellslam.benchmarks.scores.reference_fixes import outlying, unled, within
 from cellslam.recordings.importing.campaign import CLAIMS, QUANTITIES
 from cellslam.recordings.inspection.suspicions import suspicions
 from cellslam.sim.frames import SPEED_OF_LIGHT_MPS
@@ -110,6 +110,7 @@ def _reference(r: Recording) -> dict[str, Any] | None:
         "yaw": bool(np.isfinite(f.yaw_rad).any()),
         "height": bool(np.isfinite(f.position_m[:, 2]).any()),
         "outlying_at_s": f.time_s[outlying(f) & within(r, f)].round(3).tolist(),
+        "without_odometry": int(unled(r, f).sum()),
         "std_m": _number(np.nanmedian(f.position_std_m)) if np.isfinite(f.position_std_m).any() else None,
     }
 
@@ -191,6 +192,8 @@ def _reference_lines(f: Mapping[str, Any]) -> list[str]:
     if at := f["outlying_at_s"]:
         times = ", ".join([*(f"{t:.14g}" for t in at[:5]), *(["..."] if len(at) > 5 else [])])
         lines.append(f"  outliers    {len(at)} far off their neighbours, at {times} s: left out of scores and figures")
+    if count := f["without_odometry"]:
+        lines.append(f"  pauses      {count} fixes where the odometry pauses: left out of scores and figures")
     return lines
 
 
