@@ -74,7 +74,8 @@ class Views(NamedTuple):
 class Sightings(NamedTuple):
     """The measurements, m of them; snapshot t has rows[t]:rows[t + 1].
 
-    `view_of` (m,); `vt` (m,): state of the VT's first coordinate; `first` (m,): whether it begins the VT; `variance`
+    `view_of` (m,); `vt` (m,): state of the VT's first coordinate; `first` (m,): whether it begins a VT of which
+    nothing was known; `variance`
     (m, 3) of the white errors (infinite: not measured), `residual` (m, 3): what it is off in all; `state` (m, 3): the
     persisting error of its own (-1: none), with loads `load` (3,).
     """
@@ -87,6 +88,15 @@ class Sightings(NamedTuple):
     residual: Floats
     state: Ints
     load: Floats
+
+
+class Survey(NamedTuple):
+    """What a survey knows of n coordinates of VTs: `state` (n,) their numbers, `variance` (n,) in m^2, and `error` (n,)
+    as it was drawn, in m."""
+
+    state: Ints
+    variance: Floats
+    error: Floats
 
 
 class States(NamedTuple):
@@ -105,6 +115,7 @@ class Drive(NamedTuple):
     views: Views
     sightings: Sightings
     states: States
+    survey: Survey
 
 
 def linear_model(
@@ -121,7 +132,8 @@ def linear_model(
     if number is None:
         number, numbers = np.arange(len(truth.vts)), len(truth.vts)
     views, sightings, states = tracked_measurements(recording, truth, core, number, numbers, calibrated, merging)
-    return core, Drive(motion_of(recording, truth, core), views, sightings, states)
+    survey = survey_of(recording.sites, truth, core, number)
+    return core, Drive(motion_of(recording, truth, core), views, sightings, states, survey)
 
 
 # ---- the core --------------------------------------------------------------------------------------------------------
@@ -222,6 +234,20 @@ def jumps(recording: Recording, truth: Truth, core: Core, F: Floats) -> Floats:
     return out
 
 
+def surveyed_vts(sites: Sites, truth: Truth) -> Ints:
+    """Return the rows (n,) of the VTs that are surveyed sites."""
+    vt = truth.site_vts[np.isfinite(sites.surveyed_m).all(axis=1)]
+    return vt[vt >= 0]
+
+
+def survey_of(sites: Sites, truth: Truth, core: Core, number: Ints) -> Survey:
+    """Return the survey's prior of the VTs that are surveyed sites; `number` (V,) as for `linear_model`."""
+    vt = surveyed_vts(sites, truth)
+    site, state = truth.vts.site[vt], core.size + 3 * number[vt, None] + np.arange(3)
+    error = sites.surveyed_m[site] - truth.vts.position_m[vt]
+    return Survey(state.ravel(), sites.survey_std_m[site].ravel() ** 2, error.ravel())
+
+
 # ---- the measurements ------------------------------------------------------------------------------------------------
 
 
@@ -270,7 +296,7 @@ def tracked_measurements(
     at_view = view[of]
     white = _white_variance(recording, truth, real, predicted[at_view, 0], persisting.variance)
     variance, residual = _together(white, residuals(recording, truth, real, predicted[at_view]), of, len(at))
-    first = np.isin(np.arange(len(at)), first_row)
+    first = np.isin(np.arange(len(at)), first_row) & ~np.isin(vt, surveyed_vts(recording.sites, truth))
     missing = np.where(first[:, None], BROAD_STD**2, np.inf)
     sightings = Sightings(
         rows=np.searchsorted(snapshot, np.arange(len(recording.time_s) + 1)), view_of=view,
