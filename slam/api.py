@@ -23,8 +23,8 @@ from cellslam.slam.model.walls import normals
 
 @dataclass(frozen=True, repr=False)
 class Setup(Described):
-    """What is known before the drive: links, sites with offset priors and surveyed positions, odometry data sheet, start
-    pose and deviations (6,).
+    """What is known before the drive: links, sites with offset priors and surveys, odometry data sheet, start pose and
+    deviations (6,).
 
     `map`: of VTs, as earlier drives left it; None: none is known. `truth` is None but for an estimator that declares
     `requires_truth`.

@@ -50,9 +50,9 @@ class WorldConfig(BaseModel):
 @dataclass(frozen=True)
 class Reception:
     """One trial's drive, sites and receiver, without the world that the paths come from. `sites_m` (S, 3), `surveyed_m`
-    (S, 3): where a survey has those that are known, NaN the others; `offsets_m` (S,) are the true clock offsets at the first snapshot, `drift_m_s` (S,) their rates,
-    `clock_errors` what else they do; `fields` the receiver's errors that persist; `signals` is what radio.front_end =
-    "signal" measures with.
+    (S, 3): where a survey has those that are known, NaN the others; `offsets_m` (S,) are the true clock offsets at the
+    first snapshot, `drift_m_s` (S,) their rates, `clock_errors` what else they do; `fields` the receiver's errors that
+    persist; `signals` is what radio.front_end = "signal" measures with.
     """
 
     config: WorldConfig

@@ -30,7 +30,8 @@ H (G - B), where B says how theta moves a point that is fixed in the vehicle's f
 Assumed, where the paper is silent. The clock offset of a site (eq. 5) is the mean of its prior: given where
 `radio.clock_offset_std_m` is 0, ignored otherwise. A VT that was unseen for more snapshots than it was seen is dropped
 (as by the counter of Thrun, Burgard and Fox, "Probabilistic Robotics", 2005, chapter 13), and none begins where there
-is no room. Transmitters that were surveyed are in the map from the start, and stay. Every error is taken for white, of the variance that the front end has on the whole. No clutter, no misses.
+is no room. Transmitters that were surveyed are in the map from the start, and stay. Every error is taken for white, of
+the variance that the front end has on the whole. No clutter, no misses.
 
 Sources: Chen, Whiton and Tufvesson, "Extended FastSLAM using cellular multipath component delays and angular
 information", sections III and IV; theta: Schoen, Gustafsson and Nordlund, "Marginalized particle filters for mixed

@@ -35,6 +35,7 @@ from cellslam.slam.joint.state.layout import (
     POSITION,
     SHARE,
     SPREAD,
+    SURVEYED,
     VT,
     VT_STATES,
     WORTH,

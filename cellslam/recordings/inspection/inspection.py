@@ -14,7 +14,7 @@ from cellslam.benchmarks.scores.reference_fixes import outlying, unled, within
 from cellslam.recordings.importing.campaign import CLAIMS, QUANTITIES
 from cellslam.recordings.inspection.suspicions import suspicions
 from cellslam.sim.frames import SPEED_OF_LIGHT_MPS
-from cellslam.sim.recording import COMPONENTS, Ints, Recording
+from cellslam.sim.recording import COMPONENTS, Ints, Recording, Sites
 
 DOTS, LINKS = 6000, 16  # of the figure: dots a panel, and rows
 GAP = 5.0  # an interval longer than so many median ones is a gap
@@ -115,6 +115,11 @@ def _reference(r: Recording) -> dict[str, Any] | None:
     }
 
 
+def _surveyed(sites: Sites) -> str:
+    count = int(np.isfinite(sites.surveyed_m).all(axis=1).sum())
+    return f", {count} of them surveyed" if count else ""
+
+
 def _missing(r: Recording) -> list[str]:
     m, out = r.measurements, []
     for name, word in NAMES.items():
@@ -158,7 +163,7 @@ def as_text(path: Path, recording: Recording, found: Mapping[str, Any]) -> str:
             share = "" if q["share"] == 1.0 else f" ({100 * q['share']:.1f} % of the rows)"
             lines.append(f"  {name:<18}{q['least']:>10} .. {q['median']:>10} .. {q['most']:>10}{share}")
     lines += [
-        f"links         {len(found['links'])} of {len(recording.sites)} sites",
+        f"links         {len(found['links'])} of {len(recording.sites)} sites" + _surveyed(recording.sites),
         *map(_link_line, found["links"][:24]),
     ]
     for name, u in found["odometry"].items():
