@@ -37,7 +37,7 @@ def test_bound_equals_the_joint_kalman_recursion(make_recording):
 
 
 def surveyed(recording: Recording, std_m: float, seed: int = 0) -> Recording:
-    """A copy whose first VT of each site is its transmitter, which was surveyed with errors drawn by their deviation."""
+    """A copy whose first VT of each site is its transmitter, surveyed with errors that are drawn."""
     truth = recording.truth
     assert truth is not None
     site_m = truth.vts.position_m[np.searchsorted(truth.vts.site, np.arange(len(recording.sites)))]
