@@ -110,10 +110,10 @@ def bound(
     """Return the posterior Cramer-Rao bound of a recording with truth.
 
     VTs enter with a flat prior at their first detection, one for all links of a site; transmitters that were surveyed
-    are there from the start, as uncertain as the survey. Errors that persist are states
-    too, where `truth.persisting_std` is there. Pitch, roll and height are known where neither the start nor the
-    odometry's data sheet is uncertain of them. `calibrated`: the array's calibration is known. `merging`: an error more
-    of each VT, which lasts for a time (`merged_paths`). Raises InputError without truth.
+    are there from the start, as uncertain as the survey. Errors that persist are states too, where
+    `truth.persisting_std` is there. Pitch, roll and height are known where neither the start nor the odometry's data
+    sheet is uncertain of them. `calibrated`: the array's calibration is known. `merging`: an error more of each VT,
+    which lasts for a time (`merged_paths`). Raises InputError without truth.
     """
     if recording.truth is None:
         raise InputError("the recording has no truth: the bound needs the true trajectory, VTs and measurement noise")

@@ -74,10 +74,9 @@ class Views(NamedTuple):
 class Sightings(NamedTuple):
     """The measurements, m of them; snapshot t has rows[t]:rows[t + 1].
 
-    `view_of` (m,); `vt` (m,): state of the VT's first coordinate; `first` (m,): whether it begins a VT of which
-    nothing was known; `variance`
-    (m, 3) of the white errors (infinite: not measured), `residual` (m, 3): what it is off in all; `state` (m, 3): the
-    persisting error of its own (-1: none), with loads `load` (3,).
+    `view_of` (m,); `vt` (m,): state of the VT's first coordinate; `first` (m,): whether it begins a VT of which nothing
+    was known; `variance` (m, 3) of the white errors (infinite: not measured), `residual` (m, 3): what it is off in all;
+    `state` (m, 3): the persisting error of its own (-1: none), with loads `load` (3,).
     """
 
     rows: Ints
